@@ -1,0 +1,120 @@
+"""Every exception that surffollow raises on purpose.
+
+::
+
+    SurffollowError
+    ├── UsageError (also ValueError)       the caller's argument cannot be right           exit code 2
+    │   ├── ConfigError                    a configuration key, value or unit is wrong
+    │   ├── PoseError                      a pose is not finite, not 7 long, not unit
+    │   ├── RegionError                    a map region is empty, inverted or too large
+    │   ├── NameError_                     a block name is not allowed
+    │   └── SchemaError                    a schema declaration makes no layout
+    └── FaultError                         the world is not as it must be                  exit code 1
+        ├── ServiceError
+        │   ├── NotRunningError            no live service of that name
+        │   ├── AlreadyRunningError        a live service owns that name
+        │   ├── RefusedError               the service refused a request
+        │   └── RequestTimeoutError        the service did not answer in time (also TimeoutError)
+        ├── BlockError
+        │   ├── LayoutMismatchError        the block was laid out by another version
+        │   ├── NoSpaceError               /dev/shm cannot hold the block
+        │   ├── NoPermissionError          the block's mode forbids it (also PermissionError)
+        │   └── BusyError                  another live process holds what must be held by one
+        ├── RecordingError                 a recording or log cannot be read
+        ├── MapFileError                   a map file cannot be read or written
+        └── DriverError                    a sensor driver cannot start or go on
+"""
+
+from __future__ import annotations
+
+
+class SurffollowError(Exception):
+    """Base of all; `exit_code` is what the command line ends with."""
+
+    exit_code = 1
+
+
+class UsageError(SurffollowError, ValueError):
+    """The caller's argument cannot be right, whatever the world is like."""
+
+    exit_code = 2
+
+
+class ConfigError(UsageError):
+    """A configuration file has an unknown key, a value out of range or a wrong unit."""
+
+
+class PoseError(UsageError):
+    """A pose that is not finite, not seven numbers, or not a unit quaternion."""
+
+
+class RegionError(UsageError):
+    """A map region whose sides are not positive, finite and at most 1e6 m."""
+
+
+class NameError_(UsageError):  # noqa: N801, N818 - the builtin has the plain name
+    """A service or block name with characters that a path could misread."""
+
+
+class SchemaError(UsageError):
+    """A block schema that cannot be laid out."""
+
+
+class FaultError(SurffollowError):
+    """The call was right, the world was not."""
+
+
+class ServiceError(FaultError):
+    """Something about the service process."""
+
+
+class NotRunningError(ServiceError):
+    """No live service answers under that name."""
+
+
+class AlreadyRunningError(ServiceError):
+    """A live service owns that name already."""
+
+
+class RefusedError(ServiceError):
+    """The service looked at the request and refused it; `code` says why."""
+
+    def __init__(self, message: str, code: int = 0) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class RequestTimeoutError(ServiceError, TimeoutError):
+    """The service did not acknowledge within the caller's time."""
+
+
+class BlockError(FaultError):
+    """Something about a shared-memory object."""
+
+
+class LayoutMismatchError(BlockError):
+    """The object's layout hash is not the one this program was built with."""
+
+
+class NoSpaceError(BlockError):
+    """The shared-memory file system cannot back the whole object."""
+
+
+class NoPermissionError(BlockError, PermissionError):
+    """The object's mode or owner forbids the access."""
+
+
+class BusyError(BlockError):
+    """Another live process holds what only one may hold."""
+
+
+class RecordingError(FaultError):
+    """A recording or log file that is damaged, cut short or of another version."""
+
+
+class MapFileError(FaultError):
+    """A map file that cannot be read, written or parsed."""
+
+
+class DriverError(FaultError):
+    """A sensor driver that cannot start or go on."""
