@@ -1,0 +1,48 @@
+"""NumPy's view of a schema: the same offsets, as a structured dtype."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from surffollow.shm.schema import Schema
+
+
+@cache
+def numpy_dtype(schema: type[Schema]) -> np.dtype[Any]:
+    """The structured dtype whose offsets and size are the schema's own.
+
+    Parameters
+    ----------
+    schema : type[Schema]
+
+    Returns
+    -------
+    numpy.dtype  little-endian, `itemsize == schema.SIZE`
+    """
+    formats: list[Any] = []
+    for f in schema.FIELDS:
+        if f.nested is not None:
+            base: Any = numpy_dtype(f.nested)
+        elif f.is_text:
+            formats.append(np.dtype(f"S{f.count}"))
+            continue
+        else:
+            base = np.dtype("<" + f.code if f.item_size > 1 else f.code)
+        formats.append(np.dtype((base, (f.count,))) if f.count > 1 else base)
+    return np.dtype(
+        {
+            "names": [f.name for f in schema.FIELDS],
+            "formats": formats,
+            "offsets": [f.offset for f in schema.FIELDS],
+            "itemsize": schema.SIZE,
+        },
+        align=False,
+    )
+
+
+def zeros(schema: type[Schema], count: int = 1) -> np.ndarray[Any, np.dtype[Any]]:
+    """`count` zeroed records of the schema, shape (count,)."""
+    return np.zeros(count, dtype=numpy_dtype(schema))
