@@ -1,0 +1,124 @@
+"""The robot's vertical axis and its 100 Hz controller: one step function for contest and live simulator.
+
+The axis is the contest's: a sqrt controller makes the wanted velocity from the distance to the set
+point, speed and acceleration are limited. The controller adds each demand to the pose report that the
+demand refers to, never to a newer one.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from numba import njit
+from numpy.typing import NDArray
+
+from surffollow.errors import ConfigError
+
+POSITION = 0  # index into an axis state
+VELOCITY = 1
+
+
+class PlantConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A robot's vertical axis and controller; every field may be set in a TOML file.
+
+    Attributes
+    ----------
+    tau_s : time constant of the position loop [s]; its gain is 1/τ
+    v_max_mps, a_max_mps2 : limits of the vertical velocity [m/s] and acceleration [m/s²]
+    tick_hz : rate of the controller [Hz]
+    """
+
+    tau_s: float = 0.040
+    v_max_mps: float = 0.2
+    a_max_mps2: float = 2.0
+    tick_hz: float = 100.0
+
+    def __post_init__(self) -> None:
+        for name in ("tau_s", "v_max_mps", "a_max_mps2", "tick_hz"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ConfigError(f"plant {name} = {value}, expected a number above 0")
+        if not 1.0 <= self.tick_hz <= 1000.0:
+            raise ConfigError(f"plant tick_hz = {self.tick_hz}, expected 1 to 1000 (the axis steps in 1 ms)")
+
+
+def load_plant(path: str | Path) -> PlantConfig:
+    """Read a `PlantConfig` from a TOML file; its keys are the fields, at top level or under [plant].
+
+    Raises
+    ------
+    ConfigError
+        when the file cannot be read, is not TOML, or has an unknown key or a value out of range
+    """
+    try:
+        table = msgspec.toml.decode(Path(path).read_bytes())
+        return msgspec.convert(table.get("plant", table), PlantConfig)
+    except (OSError, msgspec.MsgspecError) as error:
+        raise ConfigError(f"cannot use the plant '{path}': {error}") from error
+
+
+@njit(cache=True, nogil=True)
+def sqrt_velocity(distance_m: float, gain_hz: float, a_max_mps2: float, dt_s: float) -> float:
+    """Velocity from which the axis can still stop at the set point with `a_max` (sqrt controller).
+
+    Proportional near the set point, square root beyond: there a constant deceleration of a_max leads
+    into the proportional part without a jump of acceleration.
+
+    Parameters
+    ----------
+    distance_m : float64, set point − position [m]
+    gain_hz : float64, 1/τ [1/s]
+    a_max_mps2, dt_s : float64 [m/s²], [s]
+
+    Returns
+    -------
+    float64 velocity [m/s]
+    """
+    linear_m = a_max_mps2 / (gain_hz * gain_hz)
+    if distance_m > linear_m:
+        v = math.sqrt(2.0 * a_max_mps2 * (distance_m - 0.5 * linear_m))
+    elif distance_m < -linear_m:
+        v = -math.sqrt(2.0 * a_max_mps2 * (-distance_m - 0.5 * linear_m))
+    else:
+        v = distance_m * gain_hz
+    reach = abs(distance_m) / dt_s
+    return min(max(v, -reach), reach)
+
+
+@njit(cache=True, nogil=True)
+def axis_step(
+    axis: NDArray[Any], set_point_m: float, tau_s: float, v_max_mps: float, a_max_mps2: float, dt_s: float
+) -> None:
+    """Advance the vertical axis by one step.
+
+    Parameters
+    ----------
+    axis : (2,) float64, position [m] and velocity [m/s], updated in place
+    set_point_m : float64 [m]
+    tau_s, v_max_mps, a_max_mps2 : float64, see `PlantConfig`
+    dt_s : float64 [s]; the contest and the live robot use 1 ms
+    """
+    v = axis[1]
+    wanted = sqrt_velocity(set_point_m - axis[0], 1.0 / tau_s, a_max_mps2, dt_s)
+    wanted = min(max(wanted, -v_max_mps), v_max_mps)
+    change = a_max_mps2 * dt_s
+    v += min(max(wanted - v, -change), change)
+    axis[1] = v
+    axis[0] += v * dt_s
+
+
+@njit(cache=True, nogil=True)
+def set_point_for(report_m: float, demand_m: float) -> float:
+    """Set point from a demand and the report it refers to; a demand that is not finite holds the report.
+
+    Parameters
+    ----------
+    report_m : float64, height in the report whose stamp the demand carries [m]
+    demand_m : float64, what the follower asks to add to it [m]
+    """
+    if math.isfinite(demand_m):
+        return report_m + demand_m
+    return report_m

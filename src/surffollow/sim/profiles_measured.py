@@ -1,0 +1,103 @@
+"""Profiles that somebody measured: rows of the shared height maps, and any CSV with x_m,height_m."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import detrend
+
+from surffollow.errors import UsageError
+from surffollow.sim.profiles import MARGIN_M, SPACING_M, Profile, grid_x, made
+
+PEAK_TO_PEAK_M = 0.03  # a measured row is scaled to the height of the FY91 field
+
+
+def data_dir() -> Path | None:
+    """Folder of measured data: SURFFOLLOW_DATA, else `../shared/data` beside the checkout; None if absent."""
+    named = os.environ.get("SURFFOLLOW_DATA")
+    path = Path(named) if named else Path(__file__).resolve().parents[4] / "shared" / "data"
+    return path if path.is_dir() else None
+
+
+def _row_profile(name: str, rows: NDArray[np.float64], seed: int) -> Profile:
+    """Stretch a few neighbouring rows, laid end to end without a jump, over the path."""
+    x = grid_x()
+    first = int(np.random.default_rng([seed, 53]).integers(len(rows)))
+    row = detrend(rows[first])
+    h = np.interp(np.linspace(0.0, len(row) - 1.0, len(x)), np.arange(len(row)), row)
+    return made(name, x, h * (PEAK_TO_PEAK_M / np.ptp(h)))
+
+
+def jacksboro(seed: int = 0) -> Profile:
+    """A row of the Jacksboro fault elevation model (SRTM), scaled to the path and to 30 mm."""
+    return _row_profile("jacksboro", _load("jacksboro_fault_dem.npz", "elevation"), seed)
+
+
+def microscope(seed: int = 0) -> Profile:
+    """A row of a measured machined surface, scaled to the path and to 30 mm."""
+    return _row_profile("microscope", _load("microscope_height_maps.npz", "st_sur-2_sur"), seed)
+
+
+def _load(file: str, key: str) -> NDArray[np.float64]:
+    folder = data_dir()
+    if folder is None:
+        raise UsageError("measured surfaces need the data folder; set SURFFOLLOW_DATA to it")
+    rows = np.load(folder / "surfaces" / file)[key].astype(np.float64)
+    return np.asarray(rows[np.isfinite(rows).all(axis=1)])
+
+
+MEASURED: dict[str, Callable[[int], Profile]] = {"jacksboro": jacksboro, "microscope": microscope}
+
+
+def read_csv(path: str | Path) -> Profile:
+    """Read a profile from a CSV file whose columns are x_m and height_m (a header line is optional).
+
+    Returns
+    -------
+    Profile on the usual spacing; the tool travels from the first x to the last.
+
+    Raises
+    ------
+    UsageError
+        when the file cannot be read, has fewer than two rows, or x does not grow from row to row
+    """
+    try:
+        with open(path, encoding="utf-8") as stream:
+            lines = [line.strip() for line in stream if line.strip() and not line.startswith("#")]
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"cannot read the surface '{path}': {error}") from error
+    columns = [0, 1]
+    if lines and not _is_number(lines[0].split(",")[0]):
+        header = [name.strip().strip('"') for name in lines.pop(0).split(",")]
+        if "x_m" not in header or "height_m" not in header:
+            raise UsageError(f"surface '{path}' has columns {header}, expected x_m and height_m")
+        columns = [header.index("x_m"), header.index("height_m")]
+    try:
+        rows = np.array([[float(line.split(",")[c]) for c in columns] for line in lines], np.float64)
+    except (ValueError, IndexError) as error:
+        raise UsageError(f"surface '{path}' has a row that is not two numbers: {error}") from error
+    if len(rows) < 2 or not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0.0).any():
+        raise UsageError(f"surface '{path}' needs two or more finite rows with x_m growing from row to row")
+    return from_points(Path(path).stem, rows[:, 0], rows[:, 1])
+
+
+def from_points(name: str, x_m: NDArray[np.float64], height_m: NDArray[np.float64]) -> Profile:
+    """Put points (x growing) on a regular grid fine enough for them, at most 0.5 mm."""
+    length = float(x_m[-1] - x_m[0])
+    spacing = min(SPACING_M, max(float(np.diff(x_m).min()), 0.1e-3))
+    n = int(np.ceil((length + 2 * MARGIN_M) / spacing)) + 1
+    grid = x_m[0] - MARGIN_M + spacing * np.arange(n)
+    heights = np.interp(grid, x_m, height_m)
+    return Profile(name, float(grid[0]), spacing, heights, start_m=float(x_m[0]), length_m=length)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

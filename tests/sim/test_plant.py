@@ -1,0 +1,96 @@
+"""What a user of the simulated axis relies on."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from surffollow.errors import ConfigError
+from surffollow.sim.plant import PlantConfig, axis_step, load_plant, set_point_for
+
+DT_S = 1e-3
+
+
+def naive_step(z: float, v: float, target: float, plant: PlantConfig) -> tuple[float, float]:
+    """The same axis, said slowly."""
+    p, a = 1.0 / plant.tau_s, plant.a_max_mps2
+    e = target - z
+    if abs(e) <= a / p**2:
+        wanted = p * e
+    else:
+        wanted = math.copysign(math.sqrt(2 * a * (abs(e) - a / (2 * p**2))), e)
+    for limit in (abs(e) / DT_S, plant.v_max_mps):
+        wanted = max(-limit, min(limit, wanted))
+    v += max(-a * DT_S, min(a * DT_S, wanted - v))
+    return z + v * DT_S, v
+
+
+def run(target: float, plant: PlantConfig, steps: int = 2000) -> tuple[np.ndarray, np.ndarray]:
+    axis = np.zeros(2)
+    z, v = np.empty(steps), np.empty(steps)
+    for i in range(steps):
+        axis_step(axis, target, plant.tau_s, plant.v_max_mps, plant.a_max_mps2, DT_S)
+        z[i], v[i] = axis
+    return z, v
+
+
+@pytest.mark.parametrize("step_m", [1e-3, 10e-3, 30e-3, -1e-3, -10e-3, -30e-3])
+@pytest.mark.parametrize("tau_s", [0.028, 0.040, 0.060])
+def test_axis_reaches_a_step_without_overshoot(step_m: float, tau_s: float) -> None:
+    z, _ = run(step_m, PlantConfig(tau_s=tau_s))
+    assert np.max(z / step_m) <= 1.0 + 1e-9
+    assert z[-1] == pytest.approx(step_m, abs=1e-9)
+
+
+def test_axis_never_exceeds_its_speed_or_acceleration() -> None:
+    plant = PlantConfig()
+    rng = np.random.default_rng(3)
+    axis, before = np.zeros(2), 0.0
+    for _ in range(5000):
+        axis_step(axis, rng.uniform(-0.1, 0.1), plant.tau_s, plant.v_max_mps, plant.a_max_mps2, DT_S)
+        assert abs(axis[1]) <= plant.v_max_mps + 1e-12
+        assert abs(axis[1] - before) <= plant.a_max_mps2 * DT_S + 1e-12
+        before = axis[1]
+
+
+def test_axis_equals_its_slow_twin() -> None:
+    plant = PlantConfig(tau_s=0.05, v_max_mps=0.15, a_max_mps2=1.0)
+    rng = np.random.default_rng(5)
+    axis, z, v, target = np.zeros(2), 0.0, 0.0, 0.0
+    for i in range(3000):
+        if i % 10 == 0:
+            target = rng.uniform(-0.02, 0.02)
+        axis_step(axis, target, plant.tau_s, plant.v_max_mps, plant.a_max_mps2, DT_S)
+        z, v = naive_step(z, v, target, plant)
+        assert axis[0] == pytest.approx(z, abs=1e-12)
+        assert axis[1] == pytest.approx(v, abs=1e-12)
+
+
+def test_axis_lags_a_slow_ramp_by_its_time_constant() -> None:
+    plant = PlantConfig()
+    axis = np.zeros(2)
+    for i in range(1000):
+        axis_step(axis, 0.01 * i * DT_S, plant.tau_s, plant.v_max_mps, plant.a_max_mps2, DT_S)
+    assert 0.01 * 0.999 - axis[0] == pytest.approx(0.01 * plant.tau_s, rel=0.05)
+
+
+def test_set_point_holds_the_report_when_the_demand_is_not_a_number() -> None:
+    assert set_point_for(0.1, 0.02) == pytest.approx(0.12)
+    assert set_point_for(0.1, math.nan) == 0.1
+    assert set_point_for(0.1, math.inf) == 0.1
+
+
+def test_plant_file_is_read_and_a_wrong_key_or_value_is_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    good = tmp_path / "plant.toml"
+    good.write_text("tau_s = 0.028\nv_max_mps = 0.3\n")
+    assert load_plant(good) == PlantConfig(tau_s=0.028, v_max_mps=0.3)
+    good.write_text("[plant]\ntau_s = 0.06\n")
+    assert load_plant(good).tau_s == 0.06
+    for text in ("tau = 1\n", "tau_s = -1.0\n", "tau_s = 'x'\n", "tau_s ="):
+        good.write_text(text)
+        with pytest.raises(ConfigError):
+            load_plant(good)
+    with pytest.raises(ConfigError, match="absent"):
+        load_plant(tmp_path / "absent.toml")
