@@ -1,0 +1,256 @@
+"""Put samples into the grids: the running mean in int16, rounded without bias or as in the paper.
+
+A grid's height alone says whether it is known (anything but `UNKNOWN`), and it is one aligned
+16-bit word: a reader never sees half of one. The count is a second store and may lag by a sample.
+Heights are stored before the tile's dirty counter, so that a viewer that saw the counter fetches
+the height that caused it (or a later one).
+
+The rounding sequence is counter-based: number n is the golden-ratio sequence, rotated by a hash
+that changes every 64 numbers. Runs of samples in one grid get evenly spread numbers (little added
+noise), grids that are visited at any regular distance still get unbiased ones, and a replay that
+starts from the same header draws the same numbers.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from surffollow.shm import map_layout as ml
+from surffollow.shm.atomics import fence_release
+
+_RECIPROCAL = 1.0 / np.arange(1, 257)
+_GOLDEN32 = np.uint32(0x9E3779B9)
+_GOLDEN64 = np.uint64(0x9E3779B97F4A7C15)
+_MIX1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX2 = np.uint64(0x94D049BB133111EB)
+_U1 = np.uint64(1)
+_BLOCK = 64
+_ULP32 = 2.0**-32
+_LOW32 = 0xFFFFFFFF
+
+_UNKNOWN = np.int16(ml.UNKNOWN)
+_MAX = float(ml.MAX_HEIGHT)
+_PAPER = ml.ROUND_PAPER
+_READY = ml.READY
+_UPDATED, _OUTSIDE, _CLIPPED, _GATED, _INVALID, _NOT_READY = range(6)
+
+
+@njit(cache=True, nogil=True)
+def dither_rotation(seed: Any, block: Any) -> Any:
+    """Hash of a 64-number block of the rounding sequence (splitmix64), as 32 bits in an int64."""
+    z = np.uint64(seed) + np.uint64(block) * _GOLDEN64
+    z = (z ^ (z >> np.uint64(30))) * _MIX1
+    z = (z ^ (z >> np.uint64(27))) * _MIX2
+    return np.int64((z ^ (z >> np.uint64(31))) >> np.uint64(32))
+
+
+@njit(cache=True, nogil=True)
+def dither_at(rotation: Any, count: Any) -> Any:
+    """Number `count` of the sequence in [0, 1), given its block's rotation."""
+    return float(np.uint32(np.uint32(rotation) + np.uint32(count) * _GOLDEN32)) * _ULP32
+
+
+@njit(cache=True, nogil=True)
+def blended(height: Any, count: Any, z: Any, paper: Any, u: Any) -> Any:
+    """The stored mean after one more sample.
+
+    Parameters
+    ----------
+    height, count : int     the grid's, count 0 … 255
+    z : float64             the sample in quanta above the datum, within ±32767
+    paper : bool            round to nearest (halves up), sample and mean alike
+    u : float64             in [0, 1), the unbiased rounding's draw
+
+    Returns
+    -------
+    int64  -32767 … 32767
+    """
+    if paper:
+        # shifted to positive numbers, so that // is the processor's own division
+        sample = np.uint64(np.int64(z + 32768.5))
+        total = np.uint64(np.int64(height) + 32768) * np.uint64(count) + sample
+        n = np.uint64(count) + _U1
+        return np.int64((total + total + n) // (n + n)) - 32768
+    mean = float(height) if count > 0 else z
+    # u + 32768 is exact, hence z == mean leaves the mean alone whatever u is
+    raised = np.int64(mean + (z - mean) * _RECIPROCAL[count] + (u + 32768.0)) - 32768
+    return min(raised, np.int64(32767))
+
+
+@njit(cache=True, nogil=True)
+def _first_datum(w: Any, z_m: Any) -> None:
+    """Centre the height range on the ground: whole quanta, so that maps differ by whole numbers."""
+    w.datum_m = np.floor(z_m * w.inv_quantum_per_m + 0.5) * w.quantum_m
+    w.datum_set = 1
+
+
+@njit(cache=True, nogil=True)
+def update_map(header: Any, pairs: Any, x_m: Any, y_m: Any, z_m: Any) -> Any:
+    """Average one target point into its grid (paper §3.1.1).
+
+    Parameters
+    ----------
+    header : (1,) structured `MapHeader`      counters and dirty tiles updated in place
+    pairs : (n,) structured `GridPair`        updated in place
+    x_m, y_m, z_m : float64                   target point, world frame [m]
+
+    Returns
+    -------
+    int64  UPDATED, OUTSIDE, CLIPPED (stored at the end of the range), GATED, INVALID, NOT_READY
+
+    Notes
+    -----
+    new mean = mean + (h − mean)/(count + 1); the count saturates at 255, and a grid with
+    count 0 takes the sample as it is. A gated sample takes an eighth of the grid's count: one
+    outlier costs little, ground that really changed wins after some 25 samples.
+    """
+    w = header[0]
+    if w.state != _READY:
+        return _NOT_READY
+    fx = (x_m - w.x0_m) * w.inv_grid_per_m
+    fy = (y_m - w.y0_m) * w.inv_grid_per_m
+    if not (np.isfinite(fx) and np.isfinite(fy) and np.isfinite(z_m)):
+        w.invalid += 1
+        return _INVALID
+    if not (0.0 <= fx < w.nx and 0.0 <= fy < w.ny):
+        w.outside += 1
+        return _OUTSIDE
+    if w.datum_set == 0:
+        _first_datum(w, z_m)
+    status = _UPDATED
+    z = (z_m - w.datum_m) * w.inv_quantum_per_m
+    if abs(z) > _MAX:
+        z = _MAX if z > 0.0 else -_MAX
+        status = _CLIPPED
+        w.clipped += 1
+    ix, iy = np.int64(fx), np.int64(fy)
+    i = np.uint64(iy * w.nx + ix)
+    lane = i & _U1
+    pair = pairs[i >> _U1]
+    count = np.int64(pair.c[lane])
+    height = np.int64(pair.h[lane])
+    if (
+        w.gate_m > 0.0
+        and count >= max(w.gate_min_count, 1)
+        and abs(z - height) > w.gate_m * w.inv_quantum_per_m
+    ):
+        pair.c[lane] = np.uint8(count - max(count >> 3, 1))
+        w.gated += 1
+        return _GATED
+    u = 0.0
+    if w.rounding != _PAPER:
+        n = w.dither_count
+        if n & (_BLOCK - 1) == 0:
+            w.dither_offset = dither_rotation(w.dither_seed, n >> 6)
+        u = dither_at(w.dither_offset, n)
+        w.dither_count = n + 1
+    pair.h[lane] = np.int16(blended(height, count, z, w.rounding == _PAPER, u))
+    pair.c[lane] = np.uint8(min(count + 1, 255))
+    fence_release()
+    tile = (iy >> w.tile_shift) * w.tiles_x + (ix >> w.tile_shift)
+    w.dirty[tile] += np.uint32(1)
+    w.samples += 1
+    return status
+
+
+@njit(cache=True, nogil=True)
+def add_points(header: Any, pairs: Any, points: Any) -> Any:
+    """Average many target points into the map: the same bits as `update_map` one by one.
+
+    Parameters
+    ----------
+    header : (1,) structured `MapHeader`
+    pairs : (n,) structured `GridPair`
+    points : (k, 3) float64                   x, y, z in the world frame [m]
+
+    Returns
+    -------
+    int64  points that changed a grid
+    """
+    w = header[0]
+    before = w.samples
+    n_points = points.shape[0]
+    start = 0
+    # the gate, the paper's rounding and the first sample are rare: one place for their rules
+    while start < n_points and (
+        w.state != _READY or w.datum_set == 0 or w.gate_m > 0.0 or w.rounding == _PAPER
+    ):
+        update_map(header, pairs, points[start, 0], points[start, 1], points[start, 2])
+        start += 1
+    _add_unbiased(w, pairs, points, start)
+    return w.samples - before
+
+
+@njit(cache=True, nogil=True)
+def _add_unbiased(w: Any, pairs: Any, points: Any, start: Any) -> None:
+    """`update_map` for a ready map without gate, everything loop-invariant in locals."""
+    x0, y0, per_grid = w.x0_m, w.y0_m, w.inv_grid_per_m
+    datum, per_quantum = w.datum_m, w.inv_quantum_per_m
+    columns = np.uint64(w.nx)
+    nx, ny = float(w.nx), float(w.ny)
+    shift, tiles_x = np.uint64(w.tile_shift), np.uint64(w.tiles_x)
+    n, rotation = w.dither_count, w.dither_offset
+    first = n
+    dirty = w.dirty
+    run_tile, run_start = np.uint64(0), n
+    for k in range(start, points.shape[0]):
+        fx = (points[k, 0] - x0) * per_grid
+        fy = (points[k, 1] - y0) * per_grid
+        z_m = points[k, 2]
+        inside = fx >= 0.0 and fx < nx and fy >= 0.0 and fy < ny
+        if not (inside and np.isfinite(z_m)):
+            if np.isfinite(fx) and np.isfinite(fy) and np.isfinite(z_m):
+                w.outside += 1
+            else:
+                w.invalid += 1
+            continue
+        z = (z_m - datum) * per_quantum
+        if abs(z) > _MAX:
+            z = _MAX if z > 0.0 else -_MAX
+            w.clipped += 1
+        ix, iy = np.uint64(np.int64(fx)), np.uint64(np.int64(fy))
+        i = iy * columns + ix
+        lane = i & _U1
+        pair = pairs[i >> _U1]
+        if n & (_BLOCK - 1) == 0:
+            rotation = dither_rotation(w.dither_seed, n >> 6)
+        u = dither_at(rotation, n)
+        count = np.uint64(pair.c[lane])
+        height = np.int64(pair.h[lane])
+        pair.h[lane] = np.int16(blended(height, count, z, False, u))
+        pair.c[lane] = np.uint8(min(count + _U1, np.uint64(255)))
+        tile = (iy >> shift) * tiles_x + (ix >> shift)
+        if tile != run_tile:
+            dirty[run_tile] += np.uint32(n - run_start)
+            run_tile, run_start = tile, n
+        n += 1
+    dirty[run_tile] += np.uint32(n - run_start)
+    w.dither_count, w.dither_offset = n, rotation
+    w.samples += n - first
+
+
+@njit(cache=True, nogil=True)
+def clear_grids(pairs: Any, start: Any, stop: Any) -> None:
+    """Make grids start … stop−1 unknown, count 0.
+
+    Parameters
+    ----------
+    pairs : (n,) structured `GridPair`
+    start, stop : int64                       grid indices, 0 ≤ start ≤ stop ≤ 2 n
+    """
+    if start < stop and start & 1:
+        pairs[start >> 1].h[1] = _UNKNOWN
+        pairs[start >> 1].c[1] = 0
+        start += 1
+    if start < stop and stop & 1:
+        pairs[stop >> 1].h[0] = _UNKNOWN
+        pairs[stop >> 1].c[0] = 0
+        stop -= 1
+    words = pairs.view(np.int16)
+    for k in range(3 * (start >> 1), 3 * (stop >> 1), 3):
+        words[k] = _UNKNOWN
+        words[k + 1] = _UNKNOWN
+        words[k + 2] = 0

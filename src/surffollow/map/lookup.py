@@ -1,0 +1,140 @@
+"""Read height and slope from a live map without waiting for anyone.
+
+One height is one aligned 16-bit word, so a reader sees an old or a new mean, never half of one;
+which height belongs to a point depends on the geometry, and that is guarded by the header's
+generation: odd while the grids are being laid anew, and different afterwards. A read that a
+change overtook answers "unknown", at once; nothing here loops or stores, so read-only mappings do.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from surffollow.shm import map_layout as ml
+from surffollow.shm.atomics import fence_acquire
+
+_U1 = np.uint64(1)
+_UNKNOWN = ml.UNKNOWN
+_READY = ml.READY
+
+
+@njit(cache=True, nogil=True)
+def height_quanta(pairs: Any, nx: Any, ny: Any, ix: Any, iy: Any) -> Any:
+    """Height of grid (ix, iy) in quanta; UNKNOWN beside the map."""
+    if ix < 0 or ix >= nx or iy < 0 or iy >= ny:
+        return _UNKNOWN
+    i = np.uint64(iy * nx + ix)
+    return np.int64(pairs[i >> _U1].h[i & _U1])
+
+
+@njit(cache=True, nogil=True)
+def _stable(header: Any, generation: Any) -> Any:
+    """No operation began since `generation` was read: the grids read belong to the geometry read."""
+    fence_acquire()
+    return header[0].generation == generation and generation & 1 == 0
+
+
+@njit(cache=True, nogil=True)
+def height_at(header: Any, pairs: Any, x_m: Any, y_m: Any) -> Any:
+    """Mean height of the grid that holds a point.
+
+    Parameters
+    ----------
+    header : (1,) structured `MapHeader`      may be read-only, may change meanwhile
+    pairs : (n,) structured `GridPair`        likewise
+    x_m, y_m : float64                        world frame [m]
+
+    Returns
+    -------
+    (height_m, known)  float64, bool; (NaN, False) where unknown, outside, or overtaken by a change
+    """
+    w = header[0]
+    generation = w.generation
+    fence_acquire()
+    height = np.nan
+    if w.state == _READY:
+        fx = (x_m - w.x0_m) * w.inv_grid_per_m
+        fy = (y_m - w.y0_m) * w.inv_grid_per_m
+        nx, ny = w.nx, w.ny
+        if 0.0 <= fx < nx and 0.0 <= fy < ny and nx * ny <= 2 * pairs.shape[0]:
+            q = height_quanta(pairs, nx, ny, np.int64(fx), np.int64(fy))
+            if q != _UNKNOWN:
+                height = w.datum_m + q * w.quantum_m
+    if not _stable(header, generation):
+        height = np.nan
+    return height, not np.isnan(height)
+
+
+@njit(cache=True, nogil=True)
+def surface_at(header: Any, pairs: Any, x_m: Any, y_m: Any) -> Any:
+    """Height between grid centres (bilinear over the known ones) and slope at a point.
+
+    Parameters
+    ----------
+    header, pairs : as for `height_at`
+    x_m, y_m : float64                        world frame [m]
+
+    Returns
+    -------
+    (height_m, slope_x, slope_y, known)  float64 ×3, bool; the slopes are dz/dx and dz/dy over the
+    grid's neighbours (central where both are known, else one-sided, NaN where neither is)
+
+    Notes
+    -----
+    Unknown corners leave the bilinear mean and the rest is renormalised, as in MapRefocus; the
+    grid that holds the point must itself be known.
+    """
+    w = header[0]
+    generation = w.generation
+    fence_acquire()
+    height = slope_x = slope_y = np.nan
+    if w.state == _READY:
+        fx = (x_m - w.x0_m) * w.inv_grid_per_m
+        fy = (y_m - w.y0_m) * w.inv_grid_per_m
+        nx, ny, datum, quantum = w.nx, w.ny, w.datum_m, w.quantum_m
+        slope_unit = quantum * w.inv_grid_per_m
+        if 0.0 <= fx < nx and 0.0 <= fy < ny and nx * ny <= 2 * pairs.shape[0]:
+            ix, iy = np.int64(fx), np.int64(fy)
+            own = height_quanta(pairs, nx, ny, ix, iy)
+            if own != _UNKNOWN:
+                height = datum + quantum * _bilinear(pairs, nx, ny, fx - 0.5, fy - 0.5)
+                slope_x = slope_unit * _slope(
+                    own, height_quanta(pairs, nx, ny, ix - 1, iy), height_quanta(pairs, nx, ny, ix + 1, iy)
+                )
+                slope_y = slope_unit * _slope(
+                    own, height_quanta(pairs, nx, ny, ix, iy - 1), height_quanta(pairs, nx, ny, ix, iy + 1)
+                )
+    if not _stable(header, generation):
+        height = slope_x = slope_y = np.nan
+    return height, slope_x, slope_y, not np.isnan(height)
+
+
+@njit(cache=True, nogil=True)
+def _bilinear(pairs: Any, nx: Any, ny: Any, fx: Any, fy: Any) -> Any:
+    """Weighted mean of the known ones of the four centres around (fx, fy), in quanta."""
+    ix, iy = np.int64(np.floor(fx)), np.int64(np.floor(fy))
+    tx, ty = fx - ix, fy - iy
+    total = weight = 0.0
+    for k in range(4):
+        dx, dy = k & 1, k >> 1
+        q = height_quanta(pairs, nx, ny, ix + dx, iy + dy)
+        part = (tx if dx else 1.0 - tx) * (ty if dy else 1.0 - ty)
+        if q != _UNKNOWN:
+            total += part * q
+            weight += part
+    return total / weight
+
+
+@njit(cache=True, nogil=True)
+def _slope(own: Any, before: Any, after: Any) -> Any:
+    """Height difference per grid, in quanta, from the neighbours that are known."""
+    if before != _UNKNOWN and after != _UNKNOWN:
+        return 0.5 * (after - before)
+    if after != _UNKNOWN:
+        return float(after - own)
+    if before != _UNKNOWN:
+        return float(own - before)
+    return np.nan
