@@ -59,35 +59,30 @@ store_release_u32 = _make_store(32, "release", types.uint32)
 store_relaxed_u32 = _make_store(32, "monotonic", types.uint32)
 
 
-@intrinsic
-def fence_acquire(typingctx: Any) -> Any:
-    """No later load or store may move above this."""
+def _make_fence(ordering: str) -> Any:
+    def fence(typingctx: Any) -> Any:
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            builder.fence(ordering)
+            return context.get_dummy_value()
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        builder.fence("acquire")
-        return context.get_dummy_value()
+        return types.void(), codegen
 
-    return types.void(), codegen
-
-
-@intrinsic
-def fence_release(typingctx: Any) -> Any:
-    """No earlier load or store may move below this."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        builder.fence("release")
-        return context.get_dummy_value()
-
-    return types.void(), codegen
+    return intrinsic(fence)
 
 
-@intrinsic
-def compare_exchange_i64(typingctx: Any, address: Any, expected: Any, desired: Any) -> Any:
-    """Store `desired` where `expected` stood; True when it did (never on a read-only map)."""
+# acquire: no later access moves above it; release: no earlier access moves below it
+fence_acquire: Any = _make_fence("acquire")
+fence_release: Any = _make_fence("release")
 
+
+def _compare_exchange(typingctx: Any, address: Any, expected: Any, desired: Any) -> Any:
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         pointer = _pointer(builder, args[0], 64)
         pair = builder.cmpxchg(pointer, args[1], args[2], "acq_rel", "acquire")
         return builder.extract_value(pair, 1)
 
     return types.boolean(types.int64, types.int64, types.int64), codegen
+
+
+# (address, expected, desired) → stored?; never on a read-only mapping: it kills the process
+compare_exchange_i64: Any = intrinsic(_compare_exchange)

@@ -1,0 +1,247 @@
+"""The three POSIX objects of the service: board, inbox, and what their parts are called.
+
+The board NAME is written by the service alone. The inbox NAME.inbox holds one
+page-aligned slot per client. (The map object NAME.map is in `map_layout`.)
+"""
+
+from __future__ import annotations
+
+from surffollow.shm.latch_shape import latch_bytes
+from surffollow.shm.layout_follow import Output, Params
+from surffollow.shm.schema import F64, I64, U32, U64, Nested, Schema, Text
+
+BOARD_MAGIC = int.from_bytes(b"SURFBRD1", "little")
+INBOX_MAGIC = int.from_bytes(b"SURFINB1", "little")
+LAYOUT_VERSION = 1
+CLIENTS = 16
+PAGE = 4096
+REQUEST_ARGS = 16
+HISTOGRAM_BINS = 512  # 8 per octave of nanoseconds
+
+STATE_INITIALISING, STATE_READY, STATE_STOPPING, STATE_STOPPED = 0, 1, 2, 3
+
+# what a request asks for
+(
+    RQ_NONE,
+    RQ_SF_RESET,
+    RQ_SET_PARAMS,
+    RQ_CLAIM_POSE,
+    RQ_RELEASE_POSE,
+    RQ_MAP_RESET,
+    RQ_MAP_REFOCUS,
+    RQ_MAP_INSTALL,
+    RQ_ACCESS,
+    RQ_ACCESS_DONE,
+) = range(10)
+
+# how the service answers
+(
+    OK,
+    ERR_UNKNOWN_REQUEST,
+    ERR_BAD_VALUE,
+    ERR_POSE_HELD,
+    ERR_BAD_REGION,
+    ERR_NO_MAP,
+    ERR_MAP_BUSY,
+    ERR_QUEUE_FULL,
+    ERR_NOT_HOLDER,
+    ERR_CANCELLED,
+) = range(10)
+RESULT_TEXT = (
+    "done",
+    "the service does not know this request",
+    "a value is not finite or outside its bounds",
+    "another live client sends the pose",
+    "the region's sides must be positive, finite and at most 1e6 m",
+    "there is no map yet; call map_reset(region) first",
+    "the map is busy with another client's request",
+    "the map's queue is full",
+    "this client does not hold what it wants to give back",
+    "the request was cancelled",
+)
+
+# exclusive access, the paper's four steps
+ACCESS_FREE, ACCESS_REQUESTED, ACCESS_GRANTED, ACCESS_DONE = 0, 1, 2, 3
+
+
+class Region(Schema):
+    """One entry of the region table: where a part of the object lies."""
+
+    name = Text(24)
+    offset = U64(unit="B")
+    size = U64(unit="B")
+    hash = U64(doc="of the part's schema")
+
+
+class BoardHeader(Schema):
+    """First bytes of the board; `state` READY is stored last."""
+
+    magic = U64()
+    version = U32()
+    n_regions = U32()
+    layout_hash = U64(doc="of all schemas of the board and the inbox")
+    size = U64(unit="B", doc="of the whole object")
+    state = I64(doc="INITIALISING, READY, STOPPING, STOPPED")
+    epoch = I64(doc="counts the starts of this name since boot")
+    pid = I64(doc="of the service")
+    start_ticks = I64(doc="start time of that process, clock ticks since boot")
+    boot_id = Text(40)
+    name = Text(64)
+    period_ns = I64(unit="ns", doc="of the cycle")
+    region = Nested(Region, 16)
+
+
+class Ack(Schema):
+    """The service's answer to a slot's newest request."""
+
+    counter = I64(doc="of the request answered")
+    result = I64(doc="OK or ERR_…")
+    detail = I64(doc="holder's pid, refused parameter's number, …")
+    claim = I64(doc="of the client it answers")
+
+
+class Ticker(Schema):
+    """What the main thread tells at its own pace; beat 20 Hz."""
+
+    t_ns = I64(unit="ns", doc="heartbeat of the main thread")
+    pose_slot = I64(doc="slot of the pose writer; -1: none")
+    pose_pid = I64()
+    clients = I64(doc="live clients")
+    granted = I64(doc="bits: FIFO, affinity, mlockall, dma latency")
+    faults = I64(doc="bits, numbered in docs/protocol.md")
+    text = Text(512, doc="one line for people")
+
+
+class MapStatus(Schema):
+    """What the map thread tells."""
+
+    t_ns = I64(unit="ns")
+    queued = I64(doc="samples and commands waiting")
+    applied = I64(doc="samples applied since the service started")
+    lost = I64(doc="samples lost because the queue was full")
+    access = I64(doc="ACCESS_… of the current holder")
+    access_slot = I64(doc="-1: none")
+    busy = I64(doc="request code under way; 0: none")
+    progress = F64(doc="0 to 1 of the request under way")
+
+
+class Stats(Schema):
+    """Counters of the cycle thread; single words, each read by itself."""
+
+    cycles = I64()
+    overruns = I64(doc="cycles that ended after the next one's deadline")
+    skipped = I64(doc="periods skipped after an overrun")
+    conversions = I64()
+    conversions_skipped = I64(doc="older than the newest MAX_CONVERSIONS of a cycle")
+    poses = I64()
+    poses_refused = I64(doc="not finite, not unit, not newer, from the future or too old")
+    requests = I64()
+    requests_refused = I64()
+    torn = I64(doc="inbox reads given up")
+    lateness_max_ns = I64(unit="ns")
+    execution_max_ns = I64(unit="ns")
+    lateness = I64(HISTOGRAM_BINS, unit="ns", doc="wake-up after the deadline")
+    execution = I64(HISTOGRAM_BINS, unit="ns", doc="wake-up to published")
+
+
+class LogHead(Schema):
+    """Positions in the cycle log, in words since the start; the words follow."""
+
+    reserved = I64(doc="the writer may be writing below this", align=64)
+    head = I64(doc="all below this is written", align=64)
+    capacity = I64(doc="words, a power of two", align=64)
+    pad = I64(7)
+
+
+class InboxHeader(Schema):
+    """First page of the inbox."""
+
+    magic = U64()
+    version = U32()
+    slots = U32()
+    layout_hash = U64()
+    epoch = I64()
+    size = U64(unit="B")
+
+
+class PosePost(Schema):
+    """What ee_pos posts."""
+
+    t_ns = I64(unit="ns", doc="when the pose was true")
+    pose = F64(7, unit="m, 1", doc="x y z qx qy qz qw, world from tool")
+
+
+class RequestPost(Schema):
+    """What a request posts; the counter is inside so that the copy is whole."""
+
+    counter = I64()
+    code = I64(doc="RQ_…")
+    n = I64(doc="arguments used")
+    claim = I64(doc="random number of this attachment")
+    number = I64(REQUEST_ARGS, doc="parameter numbers, map sizes, …")
+    value = F64(REQUEST_ARGS, doc="values, region, offset")
+
+
+class SlotHead(Schema):
+    """Who holds the slot."""
+
+    pid = I64()
+    claim = I64(doc="random number of this attachment; 0: free")
+    heartbeat_ns = I64(unit="ns")
+    access = I64(doc="the client's half of the four-step flag")
+    name = Text(32)
+
+
+# offsets inside an inbox slot
+SLOT_BYTES = 65536
+SLOT_HEAD = 0
+SLOT_POSE = 256
+SLOT_REQUEST = 1024
+SLOT_STREAM = 8192  # an installed map is streamed through the rest
+
+BOARD_PARTS: tuple[tuple[str, type[Schema], int], ...] = (
+    ("params", Params, latch_bytes(Params.SIZE)),
+    ("output", Output, latch_bytes(Output.SIZE)),
+    ("acks", Ack, CLIENTS * latch_bytes(Ack.SIZE)),
+    ("map_acks", Ack, CLIENTS * latch_bytes(Ack.SIZE)),
+    ("ticker", Ticker, latch_bytes(Ticker.SIZE)),
+    ("map_status", MapStatus, latch_bytes(MapStatus.SIZE)),
+    ("stats", Stats, Stats.SIZE),
+    ("log", LogHead, LogHead.SIZE),
+)
+
+
+def page_up(n: int) -> int:
+    """`n` bytes rounded up to whole pages."""
+    return -(-n // PAGE) * PAGE
+
+
+def board_regions(log_words: int) -> dict[str, tuple[int, int]]:
+    """Offset and size [B] of every part of a board with that many words of cycle log."""
+    at, out = page_up(BoardHeader.SIZE), {}
+    for name, _, size in BOARD_PARTS:
+        if name == "log":
+            size += 8 * log_words
+        out[name] = (at, size)
+        at += page_up(size)
+    return out
+
+
+def board_bytes(log_words: int) -> int:
+    """Size of the board object [B]."""
+    offset, size = board_regions(log_words)["log"]
+    return page_up(offset + size)
+
+
+def inbox_bytes() -> int:
+    """Size of the inbox object [B]."""
+    return PAGE + CLIENTS * SLOT_BYTES
+
+
+def layout_hash() -> int:
+    """One number over every schema that service and clients must agree on."""
+    total = LAYOUT_VERSION
+    schemas = [BoardHeader, InboxHeader, SlotHead, PosePost, RequestPost, *(s for _, s, _ in BOARD_PARTS)]
+    for schema in schemas:
+        total = (total * 1099511628211 ^ schema.HASH) & (2**63 - 1)
+    return total

@@ -1,0 +1,159 @@
+"""The structures of the follower's kernels: parameters, inputs, state and outputs.
+
+`Params` and `Output` are published in the board; `Params` and `FollowState`
+together are the snapshot that makes a recording replayable. Every field of
+`Params` is eight bytes wide, so a parameter's number is its word index.
+"""
+
+from __future__ import annotations
+
+from surffollow.shm.schema import F64, I64, Nested, Schema
+
+CHANNELS = 8
+CONVERSION_WINDOW = 64  # the most Sensor_Readings may ask for
+POSES = 256  # history for interpolation: 256 ms at the fastest pose rate of 1 kHz
+POINTS = 256  # the most EE_Readings may ask for
+INTERVALS = 1024  # the interval ring; 2 * Range_Size must fit
+MAX_CONVERSIONS = 64  # taken per cycle; older ones than these could not matter
+MAX_POSES = 4  # new poses taken per cycle
+
+MODE_PAPER, MODE_ADAPTIVE = 0, 1
+RUN_NORMAL, RUN_DRYRUN, RUN_FREEZE = 0, 1, 2
+
+# Output.status bits
+VALID = 1 << 0  # the demand may be applied
+NO_POSE = 1 << 1  # no pose was ever received
+POSE_STALE = 1 << 2  # the newest pose is older than pose_timeout: zero demand
+NO_SENSOR = 1 << 3  # no valid reading: the forecast extrapolates
+TOO_CLOSE = 1 << 4  # near or inside the sensor's fold-back: only away from the surface
+LIMITED = 1 << 5  # |demand| was cut to max_demand
+DRYRUN = 1 << 6  # computed and logged, not to be applied
+FROZEN = 1 << 7  # FREEZE: zero demand, adaptation stopped
+SENSOR_LOST = 1 << 8  # extrapolated for longer than loss_timeout: zero demand
+STATUS_NAMES = (
+    "VALID",
+    "NO_POSE",
+    "POSE_STALE",
+    "NO_SENSOR",
+    "TOO_CLOSE",
+    "LIMITED",
+    "DRYRUN",
+    "FROZEN",
+    "SENSOR_LOST",
+)
+
+
+class Params(Schema):
+    """Parameters in force; names of the paper in lower case."""
+
+    mode = I64(doc="0: paper, 1: adaptive (default follower)")
+    run = I64(doc="0: normal, 1: DRYRUN, 2: FREEZE")
+    offset_m = F64(unit="m", doc="desired stand-off along the beam of channel 0")
+    sensor_readings = I64(doc="conversions averaged into a reading (paper: 7)")
+    ee_readings = I64(doc="target points in the rolling mean")
+    interval_size_m = F64(unit="m", doc="radius of an interval")
+    range_size = I64(doc="intervals in a range")
+    permitted_variance_m = F64(unit="m", doc="change of the demand that is relayed")
+    max_demand_m = F64(unit="m", doc="limit of the vertical demand")
+    pose_timeout_ns = I64(unit="ns", doc="older poses give a zero demand")
+    loss_timeout_ns = I64(unit="ns", doc="longest extrapolation without a valid reading")
+    pose_interpolate = I64(doc="1: pose at the sample's own time; 0: the latest (paper)")
+    too_close_m = F64(unit="m", doc="nearer readings count as near the fold-back")
+    too_close_exit_m = F64(unit="m", doc="farther readings on the true branch end TOO_CLOSE")
+    range_min_m = F64(unit="m", doc="nearest valid reading")
+    range_max_m = F64(unit="m", doc="farthest valid reading")
+    n_channels = I64(doc="channels in use")
+    sensor_latency_ns = I64(unit="ns", doc="a conversion shows the range of that long ago")
+    scale_m = F64(CHANNELS, unit="m/count", doc="calibration: range = zero + scale * counts")
+    zero_m = F64(CHANNELS, unit="m", doc="calibration: range at 0 counts")
+    tool_from_sensor = F64(CHANNELS * 7, unit="m, 1", doc="mounts: x y z qx qy qz qw per channel")
+
+
+class SenseState(Schema):
+    """Sensor smoothing and the pose history."""
+
+    window_m = F64(CHANNELS * CONVERSION_WINDOW, unit="m", doc="last valid conversions per channel")
+    window_t_ns = I64(CHANNELS * CONVERSION_WINDOW, unit="ns")
+    window_n = I64(CHANNELS, doc="valid conversions in a row since the last invalid one")
+    fresh = I64(CHANNELS, doc="1: this cycle brought a valid reading")
+    range_m = F64(CHANNELS, unit="m", doc="smoothed distance")
+    range_t_ns = I64(CHANNELS, unit="ns", doc="middle of the averaged conversions")
+    valid = I64(CHANNELS, doc="1: the newest conversion is valid and the window is full")
+    pose_t_ns = I64(POSES, unit="ns", doc="ring of stamps, ascending")
+    pose = F64(POSES * 7, unit="m, 1", doc="ring of x y z qx qy qz qw, world from tool")
+    pose_count = I64(doc="poses ever accepted")
+    poses_refused = I64(doc="poses not newer than the last one")
+
+
+class PaperState(Schema):
+    """Intervals, ranges and forecast of the paper (§3.2)."""
+
+    point_m = F64(POINTS * 3, unit="m", doc="ring of target points for the rolling mean")
+    point_count = I64(doc="target points since the reset")
+    interval_x_m = F64(INTERVALS, unit="m", doc="ring of interval centres")
+    interval_y_m = F64(INTERVALS, unit="m")
+    interval_h_m = F64(INTERVALS, unit="m", doc="ring of mean heights")
+    interval_n = I64(INTERVALS, doc="target points in each mean")
+    interval_count = I64(doc="intervals ever opened; the newest is count-1")
+    last_x_m = F64(unit="m", doc="previous averaged target point")
+    last_y_m = F64(unit="m")
+    last_h_m = F64(unit="m")
+    rest_h_m = F64(unit="m", doc="sum of the current range's heights without the newest")
+    range_prev_h_m = F64(unit="m", doc="mean height of the range before the current one")
+    range_gap_m = F64(unit="m", doc="distance between the centres of the two newest ranges")
+    slope = F64(unit="1", doc="Φ of the two newest ranges")
+    speed_mps = F64(unit="m/s", doc="most recent lateral speed of the footprint")
+    speed_x_m = F64(unit="m", doc="target point at the pose update before")
+    speed_y_m = F64(unit="m")
+    speed_t_ns = I64(unit="ns", doc="when that was; 0: not yet")
+    speed_pose = I64(doc="pose_count then")
+    reading_t_ns = I64(unit="ns", doc="cycle time of the last valid reading; 0: none yet")
+    reading_m = F64(unit="m", doc="last valid distance")
+    reading_z_m = F64(unit="m", doc="sensor height at the last valid reading")
+    relayed_m = F64(unit="m", doc="last relayed demand")
+    close = I64(doc="1: TOO_CLOSE is latched")
+    close_z_m = F64(unit="m", doc="tool height where the branch test began")
+    close_range_m = F64(unit="m", doc="reading where the branch test began")
+
+
+class FollowState(Schema):
+    """All that a cycle remembers for the next one."""
+
+    cycle = I64(doc="cycles stepped")
+    sense = Nested(SenseState)
+    paper = Nested(PaperState)
+
+
+class Inputs(Schema):
+    """All that a cycle reads from outside; what is logged."""
+
+    t_ns = I64(unit="ns", doc="the cycle's time, CLOCK_MONOTONIC")
+    n_conversions = I64()
+    conversion = I64(MAX_CONVERSIONS, doc="packed, see forecast.sense")
+    n_poses = I64()
+    pose_t_ns = I64(MAX_POSES, unit="ns")
+    pose = F64(MAX_POSES * 7, unit="m, 1")
+    n_ranges = I64(doc="> 0: distances are given directly (CSV, Follower), no conversions")
+    given_m = F64(CHANNELS, unit="m", doc="given distances; NaN: none")
+    given_t_ns = I64(unit="ns", doc="when they were true")
+
+
+class Output(Schema):
+    """What a cycle publishes."""
+
+    t_ns = I64(unit="ns", doc="when the demand was computed")
+    pose_t_ns = I64(unit="ns", doc="stamp of the pose the demand adds to; 0: none")
+    demand = F64(6, unit="m, rad", doc="x y z rx ry rz to add to that pose")
+    status = I64(doc="bits, see STATUS_NAMES")
+    cycle = I64(doc="cycle number")
+    epoch = I64(doc="of the service; changes with every start")
+    range_m = F64(CHANNELS, unit="m", doc="smoothed distances; NaN: none")
+    range_t_ns = I64(CHANNELS, unit="ns")
+    fresh = I64(doc="bit per channel: a new valid reading in this cycle")
+    target_m = F64(CHANNELS * 3, unit="m", doc="footprints in the world (fresh ones)")
+    height_m = F64(unit="m", doc="surface height of the current interval")
+    slope = F64(unit="1", doc="along the path")
+    speed_mps = F64(unit="m/s", doc="lateral speed of the footprint")
+    delta_h_m = F64(unit="m", doc="forecast change of height")
+    error_m = F64(unit="m", doc="desired minus actual stand-off")
+    intervals = I64(doc="intervals opened since the reset")
