@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,9 @@ import numpy as np
 from surffollow.shm.schema import Schema
 
 
-@cache
+_CACHE: dict[type[Schema], np.dtype[Any]] = {}
+
+
 def numpy_dtype(schema: type[Schema]) -> np.dtype[Any]:
     """The structured dtype whose offsets and size are the schema's own.
 
@@ -22,6 +23,8 @@ def numpy_dtype(schema: type[Schema]) -> np.dtype[Any]:
     -------
     numpy.dtype  little-endian, `itemsize == schema.SIZE`
     """
+    if schema in _CACHE:
+        return _CACHE[schema]
     formats: list[Any] = []
     for f in schema.FIELDS:
         if f.nested is not None:
@@ -32,7 +35,7 @@ def numpy_dtype(schema: type[Schema]) -> np.dtype[Any]:
         else:
             base = np.dtype("<" + f.code if f.item_size > 1 else f.code)
         formats.append(np.dtype((base, (f.count,))) if f.count > 1 else base)
-    return np.dtype(
+    _CACHE[schema] = np.dtype(
         {
             "names": [f.name for f in schema.FIELDS],
             "formats": formats,
@@ -41,6 +44,7 @@ def numpy_dtype(schema: type[Schema]) -> np.dtype[Any]:
         },
         align=False,
     )
+    return _CACHE[schema]
 
 
 def zeros(schema: type[Schema], count: int = 1) -> np.ndarray[Any, np.dtype[Any]]:

@@ -241,7 +241,14 @@ def inbox_bytes() -> int:
 def layout_hash() -> int:
     """One number over every schema that service and clients must agree on."""
     total = LAYOUT_VERSION
-    schemas = [BoardHeader, InboxHeader, SlotHead, PosePost, RequestPost, *(s for _, s, _ in BOARD_PARTS)]
+    schemas: list[type[Schema]] = [
+        BoardHeader,
+        InboxHeader,
+        SlotHead,
+        PosePost,
+        RequestPost,
+        *(s for _, s, _ in BOARD_PARTS),
+    ]
     for schema in schemas:
         total = (total * 1099511628211 ^ schema.HASH) & (2**63 - 1)
     return total
