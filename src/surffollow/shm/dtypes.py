@@ -8,7 +8,6 @@ import numpy as np
 
 from surffollow.shm.schema import Schema
 
-
 _CACHE: dict[type[Schema], np.dtype[Any]] = {}
 
 

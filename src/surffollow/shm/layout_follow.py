@@ -12,7 +12,7 @@ from surffollow.shm.schema import F64, I64, Nested, Schema
 CHANNELS = 8
 CONVERSION_WINDOW = 64  # the most Sensor_Readings may ask for
 POSES = 256  # history for interpolation: 256 ms at the fastest pose rate of 1 kHz
-POINTS = 256  # the most EE_Readings may ask for
+POINTS = 64  # the most EE_Readings may ask for
 INTERVALS = 1024  # the interval ring; 2 * Range_Size must fit
 MAX_CONVERSIONS = 64  # taken per cycle; older ones than these could not matter
 MAX_POSES = 4  # new poses taken per cycle
@@ -88,16 +88,13 @@ class SenseState(Schema):
 class PaperState(Schema):
     """Intervals, ranges and forecast of the paper (§3.2)."""
 
-    point_m = F64(POINTS * 3, unit="m", doc="ring of target points for the rolling mean")
-    point_count = I64(doc="target points since the reset")
+    point_m = F64(CHANNELS * POINTS * 3, unit="m", doc="per channel a ring of target points")
+    point_count = I64(CHANNELS, doc="target points of the channel since the reset")
     interval_x_m = F64(INTERVALS, unit="m", doc="ring of interval centres")
     interval_y_m = F64(INTERVALS, unit="m")
     interval_h_m = F64(INTERVALS, unit="m", doc="ring of mean heights")
     interval_n = I64(INTERVALS, doc="target points in each mean")
     interval_count = I64(doc="intervals ever opened; the newest is count-1")
-    last_x_m = F64(unit="m", doc="previous averaged target point")
-    last_y_m = F64(unit="m")
-    last_h_m = F64(unit="m")
     rest_h_m = F64(unit="m", doc="sum of the current range's heights without the newest")
     range_prev_h_m = F64(unit="m", doc="mean height of the range before the current one")
     range_gap_m = F64(unit="m", doc="distance between the centres of the two newest ranges")

@@ -88,9 +88,7 @@ class MapHeader(Schema):
     invalid = I64(doc="samples that were not finite")
 
     journal_op = I64(align=64, doc="state to finish after a cut-off, 0: none; stored last")
-    journal_phase = I64(doc="step of the operation")
-    journal_done = I64(doc="rows or grids of the phase that are computed")
-    journal_flushed = I64(doc="rows of the phase that are stored")
+    journal_progress = I64(doc="phase·2^48 + pending·2^40 + done: one word, so that a cut sees all or nothing")
     journal_forward = I64(doc="1: resample in the forward pass, 0: in the backward pass")
     journal_nx = I64(doc="the geometry to come; same fields as the header's")
     journal_ny = I64(doc="")
@@ -131,12 +129,12 @@ def pairs_of(capacity_grids: int) -> int:
 
 def scratch_bytes(columns: int) -> int:
     """Scratch that refocusing needs for rows of up to `columns` grids, old or new [bytes]."""
-    return 64 * (columns + 64)
+    return 112 * (columns + 64)
 
 
 def default_scratch_columns(capacity_grids: int) -> int:
-    """Row length that a map object's own scratch allows: aspect ratios up to 256:1."""
-    return min(capacity_grids, max(4096, 16 * math.isqrt(capacity_grids)))
+    """Row length that a map object's own scratch allows: aspect ratios up to 64:1, any below 4096 columns."""
+    return min(capacity_grids, max(4096, 8 * math.isqrt(capacity_grids)))
 
 
 def pairs_offset() -> int:
@@ -156,7 +154,7 @@ def map_object_size(capacity_grids: int, scratch_columns: int | None = None) -> 
     Parameters
     ----------
     capacity_grids : int      1 … 1e9
-    scratch_columns : int     longest row that a refocus can handle; default: aspect ratio 256:1
+    scratch_columns : int     longest row that a refocus can handle; default: see `default_scratch_columns`
     """
     columns = default_scratch_columns(capacity_grids) if scratch_columns is None else scratch_columns
     return scratch_offset(capacity_grids) + -(-scratch_bytes(columns) // 4096) * 4096

@@ -1,0 +1,104 @@
+"""Group footprints into overlapping intervals along the path, and those into ranges (paper §3.2.2-3.2.3).
+
+Both live in one ring: the newest interval is number `interval_count - 1`, the
+current range is the newest Range_Size of them, the previous range the Range_Size
+before. Only the newest interval's height still changes, so all else about the
+two ranges is summed once, when an interval opens.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import njit
+
+from surffollow.shm.layout_follow import INTERVALS
+
+_MASK = INTERVALS - 1
+
+
+@njit(cache=True, nogil=True)
+def open_interval(paper: Any, x_m: Any, y_m: Any, h_m: Any) -> None:
+    """Make a new interval, centred at the point, the current one."""
+    slot = paper.interval_count & _MASK
+    paper.interval_x_m[slot] = x_m
+    paper.interval_y_m[slot] = y_m
+    paper.interval_h_m[slot] = h_m
+    paper.interval_n[slot] = 1
+    paper.interval_count += 1
+
+
+@njit(cache=True, nogil=True)
+def add_point(paper: Any, x_m: Any, y_m: Any, h_m: Any, interval_size_m: Any) -> Any:
+    """Average one target point into the current interval, or open new ones.
+
+    Parameters
+    ----------
+    paper : record of `PaperState`      updated in place
+    x_m, y_m, h_m : float64             world frame [m], finite
+    interval_size_m : float64           radius [m], > 0
+
+    Returns
+    -------
+    int64  number of intervals opened (0: averaged into the current one)
+
+    Notes
+    -----
+    Beyond two radii the way from the current centre to the point was not sampled:
+    intervals are opened along it every `interval_size_m`, heights linear between the
+    current interval's and the point's, at most a ring full (the last ones). The point
+    then lies within the last of them and is averaged into it.
+    """
+    if paper.interval_count == 0:
+        open_interval(paper, x_m, y_m, h_m)
+        return 1
+    slot = (paper.interval_count - 1) & _MASK
+    cx, cy, ch = paper.interval_x_m[slot], paper.interval_y_m[slot], paper.interval_h_m[slot]
+    dx, dy = x_m - cx, y_m - cy
+    distance = (dx * dx + dy * dy) ** 0.5
+    opened = 0
+    if distance > 2.0 * interval_size_m:
+        steps = distance / interval_size_m
+        last = int(min(steps, 1e15))
+        first = max(1, last - INTERVALS + 1)
+        for k in range(first, last + 1):
+            part = k / steps
+            open_interval(paper, cx + dx * part, cy + dy * part, ch + (h_m - ch) * part)
+        opened = last - first + 1
+    elif distance > interval_size_m:
+        open_interval(paper, x_m, y_m, h_m)
+        return 1
+    slot = (paper.interval_count - 1) & _MASK
+    n = paper.interval_n[slot]
+    paper.interval_h_m[slot] = (paper.interval_h_m[slot] * n + h_m) / (n + 1)
+    paper.interval_n[slot] = n + 1
+    return opened
+
+
+@njit(cache=True, nogil=True)
+def cut_ranges(paper: Any, range_size: Any) -> None:
+    """Re-cut the two newest ranges after an interval was opened; nothing until both are full."""
+    count = paper.interval_count
+    if count < 2 * range_size:
+        return
+    rest, prev, gap_x, gap_y = 0.0, 0.0, 0.0, 0.0
+    for i in range(count - 2 * range_size, count - range_size):
+        a, b = i & _MASK, (i + range_size) & _MASK
+        prev += paper.interval_h_m[a]
+        if i + range_size < count - 1:
+            rest += paper.interval_h_m[b]
+        gap_x += paper.interval_x_m[b] - paper.interval_x_m[a]
+        gap_y += paper.interval_y_m[b] - paper.interval_y_m[a]
+    paper.rest_h_m = rest
+    paper.range_prev_h_m = prev / range_size
+    paper.range_gap_m = (gap_x * gap_x + gap_y * gap_y) ** 0.5 / range_size
+
+
+@njit(cache=True, nogil=True)
+def range_slope(paper: Any, range_size: Any) -> Any:
+    """Φ: two-point linear extrapolation of the two newest ranges; 0 until both are full."""
+    count = paper.interval_count
+    if count < 2 * range_size or paper.range_gap_m <= 0.0:
+        return 0.0
+    current = (paper.rest_h_m + paper.interval_h_m[(count - 1) & _MASK]) / range_size
+    return (current - paper.range_prev_h_m) / paper.range_gap_m

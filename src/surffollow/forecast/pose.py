@@ -1,0 +1,99 @@
+"""Poses in kernels: rotate by a quaternion, look up the pose of a moment, find footprints.
+
+A pose is seven numbers, x y z [m] and a unit quaternion qx qy qz qw.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import njit
+
+from surffollow.shm.layout_follow import POSES
+
+
+@njit(cache=True, nogil=True)
+def rotate(qx: Any, qy: Any, qz: Any, qw: Any, x: Any, y: Any, z: Any) -> Any:
+    """The vector (x, y, z) turned by the unit quaternion: v + 2 q × (q × v + w v)."""
+    tx = qy * z - qz * y + qw * x
+    ty = qz * x - qx * z + qw * y
+    tz = qx * y - qy * x + qw * z
+    return (
+        x + 2.0 * (qy * tz - qz * ty),
+        y + 2.0 * (qz * tx - qx * tz),
+        z + 2.0 * (qx * ty - qy * tx),
+    )
+
+
+@njit(cache=True, nogil=True)
+def push_pose(sense: Any, t_ns: Any, pose: Any, at: Any) -> Any:
+    """Append the pose at `pose[at:at+7]` to the history; 0 when it is not newer than the last (refused)."""
+    n = sense.pose_count
+    if n > 0 and t_ns <= sense.pose_t_ns[(n - 1) & (POSES - 1)]:
+        sense.poses_refused += 1
+        return 0
+    slot = n & (POSES - 1)
+    sense.pose_t_ns[slot] = t_ns
+    for i in range(7):
+        sense.pose[slot * 7 + i] = pose[at + i]
+    sense.pose_count = n + 1
+    return 1
+
+
+@njit(cache=True, nogil=True)
+def pose_at(sense: Any, t_ns: Any, interpolate: Any, out: Any) -> None:
+    """The tool's pose at `t_ns` into `out` (7,): the latest, or interpolated between its neighbours.
+
+    Outside the history the nearest end is taken: nothing is extrapolated. Needs one pose at least.
+    """
+    n = sense.pose_count
+    newest = (n - 1) & (POSES - 1)
+    oldest = max(0, n - POSES)
+    k = n - 1
+    if interpolate != 0:
+        while k > oldest and sense.pose_t_ns[k & (POSES - 1)] > t_ns:
+            k -= 1
+    a = k & (POSES - 1)
+    if interpolate == 0 or a == newest or sense.pose_t_ns[a] > t_ns:
+        for i in range(7):
+            out[i] = sense.pose[a * 7 + i]
+        return
+    b = (k + 1) & (POSES - 1)
+    w = (t_ns - sense.pose_t_ns[a]) / (sense.pose_t_ns[b] - sense.pose_t_ns[a])
+    dot = 0.0
+    for i in range(3):
+        out[i] = sense.pose[a * 7 + i] * (1.0 - w) + sense.pose[b * 7 + i] * w
+    for i in range(3, 7):
+        dot += sense.pose[a * 7 + i] * sense.pose[b * 7 + i]
+    sign = 1.0 if dot >= 0.0 else -1.0
+    norm2 = 0.0
+    for i in range(3, 7):
+        out[i] = sense.pose[a * 7 + i] * (1.0 - w) + sign * sense.pose[b * 7 + i] * w
+        norm2 += out[i] * out[i]
+    scale = 1.0 / norm2**0.5
+    for i in range(3, 7):
+        out[i] *= scale
+
+
+@njit(cache=True, nogil=True)
+def footprint(tool: Any, mounts: Any, channel: Any, range_m: Any) -> Any:
+    """World coordinates where the beam of a channel ends, and the sensor's height.
+
+    Parameters
+    ----------
+    tool : (7,) float64            world from tool
+    mounts : (56,) float64         tool from sensor, 7 per channel
+    channel : int
+    range_m : float64              distance along the sensor's -z
+
+    Returns
+    -------
+    x_m, y_m, z_m, sensor_z_m : float64
+    """
+    m = channel * 7
+    qx, qy, qz, qw = tool[3], tool[4], tool[5], tool[6]
+    bx, by, bz = rotate(mounts[m + 3], mounts[m + 4], mounts[m + 5], mounts[m + 6], 0.0, 0.0, -range_m)
+    sx, sy, sz = rotate(qx, qy, qz, qw, mounts[m], mounts[m + 1], mounts[m + 2])
+    wx, wy, wz = rotate(qx, qy, qz, qw, bx, by, bz)
+    sensor_z = tool[2] + sz
+    return tool[0] + sx + wx, tool[1] + sy + wy, sensor_z + wz, sensor_z

@@ -1,0 +1,45 @@
+"""What holds in every mode: limits, stale poses, and the sensor's fold-back.
+
+Nearer than its near limit the LED sensor reads like a farther target, so a reading
+alone cannot tell. Once a reading came near the limit, TOO_CLOSE is latched and only
+demands away from the surface leave, until a move of the tool along z shows the
+reading to move with it (the true branch) beyond the exit distance.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import njit
+
+BRANCH_TEST_M = 0.002  # tool travel over which the sign of d(reading)/dz is judged
+PROBE_M = 0.001  # least demand away from the surface while the branch is in doubt
+
+
+@njit(cache=True, nogil=True)
+def watch_fold_back(paper: Any, range_m: Any, sensor_z_m: Any, too_close_m: Any, exit_m: Any) -> None:
+    """Latch or release TOO_CLOSE with one valid reading."""
+    if paper.close == 0:
+        if range_m < too_close_m:
+            paper.close = 1
+            paper.close_z_m = sensor_z_m
+            paper.close_range_m = range_m
+        return
+    rise = sensor_z_m - paper.close_z_m
+    if abs(rise) < BRANCH_TEST_M:
+        return
+    change = range_m - paper.close_range_m
+    if change * rise > 0.5 * rise * rise and range_m > exit_m:
+        paper.close = 0
+    paper.close_z_m = sensor_z_m
+    paper.close_range_m = range_m
+
+
+@njit(cache=True, nogil=True)
+def limit(value: Any, most: Any) -> Any:
+    """`value` cut to ±`most`; NaN gives 0."""
+    if value > most:
+        return most
+    if value < -most:
+        return -most
+    return value if value == value else 0.0

@@ -1,0 +1,176 @@
+"""One cycle of following: `follow_step`, the same for the daemon, the replay and embedders."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numba import njit
+
+from surffollow.forecast.paper import average_point, paper_forecast, paper_update, relay
+from surffollow.forecast.pose import footprint, pose_at
+from surffollow.forecast.safety import PROBE_M, limit, watch_fold_back
+from surffollow.forecast.sense import take_conversions, take_poses, take_ranges
+from surffollow.shm.layout_follow import (
+    CHANNELS,
+    DRYRUN,
+    FROZEN,
+    LIMITED,
+    NO_POSE,
+    NO_SENSOR,
+    POSE_STALE,
+    POSES,
+    RUN_DRYRUN,
+    RUN_FREEZE,
+    SENSOR_LOST,
+    TOO_CLOSE,
+    VALID,
+)
+
+# a reading this old no longer counts as present, whatever the cycle rate
+ABSENT_NS = 10_000_000
+
+
+@njit(cache=True, nogil=True)
+def sf_reset(params: Any, state: Any, offset_m: Any) -> None:
+    """SFReset: clear intervals, ranges and the previous demand, set the desired stand-off (§3.2.5).
+
+    The pose history and the sensor windows are measurements, not forecast: they stay. So does
+    the fold-back latch, which is safety.
+    """
+    p = state[0].paper
+    params[0].offset_m = offset_m
+    for c in range(CHANNELS):
+        p.point_count[c] = 0
+    p.interval_count = 0
+    p.rest_h_m = 0.0
+    p.range_prev_h_m = 0.0
+    p.range_gap_m = 0.0
+    p.slope = 0.0
+    p.speed_mps = 0.0
+    p.speed_t_ns = 0
+    p.speed_pose = 0
+    p.reading_t_ns = 0
+    p.reading_m = 0.0
+    p.reading_z_m = 0.0
+    p.relayed_m = 0.0
+
+
+@njit(cache=True, nogil=True)
+def find_targets(params: Any, state: Any, output: Any, pose: Any) -> Any:
+    """Footprints of all fresh readings into `output.target_m`; the sensor height of channel 0 [m].
+
+    `pose` (7,) is scratch. The mean over `ee_readings` points replaces each footprint (§3.2.1).
+    """
+    fresh, sensor_z = 0, 0.0
+    for c in range(params.n_channels):
+        if state.sense.fresh[c] == 0:
+            continue
+        pose_at(state.sense, state.sense.range_t_ns[c], params.pose_interpolate, pose)
+        x, y, z, height = footprint(pose, params.tool_from_sensor, c, state.sense.range_m[c])
+        if c == 0:
+            sensor_z = height
+        target = output.target_m[3 * c : 3 * c + 3]
+        target[0], target[1], target[2] = x, y, z
+        average_point(state.paper, c, params.ee_readings, target)
+        fresh |= 1 << c
+    output.fresh = fresh
+    return sensor_z
+
+
+@njit(cache=True, nogil=True)
+def clear_output(state: Any, inputs: Any, output: Any) -> None:
+    """The output of a cycle that demands nothing."""
+    output.t_ns = inputs.t_ns
+    output.cycle = state.cycle
+    for i in range(6):
+        output.demand[i] = 0.0
+    output.fresh = 0
+    output.delta_h_m = 0.0
+    output.error_m = 0.0
+    for c in range(CHANNELS):
+        valid = state.sense.valid[c] != 0
+        output.range_m[c] = state.sense.range_m[c] if valid else math.nan
+        output.range_t_ns[c] = state.sense.range_t_ns[c]
+
+
+@njit(cache=True, nogil=True)
+def demand_z(params: Any, state: Any, inputs: Any, output: Any, sensor_z_m: Any, pose: Any) -> Any:
+    """The paper's vertical demand with limits, hysteresis and fold-back; returns status bits."""
+    p = state.paper
+    fresh = output.fresh & 1
+    if fresh != 0:
+        target = output.target_m
+        paper_update(params, p, state.sense, target[0], target[1], target[2])
+        watch_fold_back(p, state.sense.range_m[0], sensor_z_m, params.too_close_m, params.too_close_exit_m)
+    else:
+        pose_at(state.sense, inputs.t_ns, 0, pose)
+        _, _, _, sensor_z_m = footprint(pose, params.tool_from_sensor, 0, 0.0)
+    delta_h, error = paper_forecast(params, p, inputs.t_ns, fresh, state.sense.range_m[0], sensor_z_m)
+    output.delta_h_m, output.error_m = delta_h, error
+    status = VALID
+    if fresh == 0 and (state.sense.valid[0] == 0 or inputs.t_ns - p.reading_t_ns > ABSENT_NS):
+        status |= NO_SENSOR
+    wanted = delta_h + error
+    cut = limit(wanted, params.max_demand_m)
+    if cut != wanted:
+        status |= LIMITED
+    dz = relay(p, cut, params.permitted_variance_m)
+    lost = p.reading_t_ns == 0 or inputs.t_ns - p.reading_t_ns > params.loss_timeout_ns
+    if lost:
+        status = (status & ~(VALID | LIMITED)) | SENSOR_LOST
+        dz = 0.0
+    if p.close != 0:
+        status |= TOO_CLOSE
+        if not lost:
+            dz = max(dz, PROBE_M)
+    output.demand[2] = dz
+    return status
+
+
+@njit(cache=True, nogil=True)
+def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any) -> None:
+    """Step the follower once: smoothing, target point, intervals, ranges, forecast.
+
+    Parameters
+    ----------
+    params : (1,) records of `Params`        read only
+    state : (1,) records of `FollowState`    updated
+    inputs : (1,) records of `Inputs`        all that the outside tells in this cycle
+    output : (1,) records of `Output`        overwritten, `epoch` excepted
+    scratch : (7,) float64                   a pose
+
+    Notes
+    -----
+    No clock, no allocation, no exception; the same inputs give the same bits everywhere.
+    Paper §3.3.3; safety per docs/protocol.md.
+    """
+    p, s, i, o = params[0], state[0], inputs[0], output[0]
+    take_poses(s.sense, i)
+    if i.n_ranges > 0:
+        take_ranges(p, s.sense, i)
+    else:
+        take_conversions(p, s.sense, i)
+    clear_output(s, i, o)
+    n = s.sense.pose_count
+    if n == 0:
+        o.pose_t_ns = 0
+        o.status = NO_POSE
+    else:
+        o.pose_t_ns = s.sense.pose_t_ns[(n - 1) & (POSES - 1)]
+        if i.t_ns - o.pose_t_ns > p.pose_timeout_ns:
+            o.status = POSE_STALE
+        else:
+            sensor_z = find_targets(p, s, o, scratch)
+            o.status = demand_z(p, s, i, o, sensor_z, scratch)
+    if p.run == RUN_DRYRUN:
+        o.status = (o.status & ~VALID) | DRYRUN
+    elif p.run == RUN_FREEZE:
+        o.status = (o.status & ~VALID) | FROZEN
+        o.demand[2] = 0.0
+    paper = s.paper
+    o.slope, o.speed_mps = paper.slope, paper.speed_mps
+    o.intervals = paper.interval_count
+    if paper.interval_count > 0:
+        o.height_m = paper.interval_h_m[(paper.interval_count - 1) & (paper.interval_h_m.size - 1)]
+    s.cycle += 1
