@@ -1,0 +1,90 @@
+"""Every tunable parameter of the follower: default, bounds, unit; the paper's names in lower case.
+
+A parameter's number, as requests carry it, is its word index in `Params`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from surffollow.errors import ConfigError
+from surffollow.units import parse_quantity
+
+INCH_M = 0.0254
+
+
+@dataclass(frozen=True)
+class ParamSpec:
+    """Default and bounds [in `unit`]; `whole`: an integer; `choices`: names for the values 0, 1, …"""
+
+    default: float
+    low: float
+    high: float
+    unit: str = "1"
+    whole: bool = False
+    choices: tuple[str, ...] = ()
+
+
+PARAMS: dict[str, ParamSpec] = {
+    "mode": ParamSpec(0, 0, 1, whole=True, choices=("paper", "adaptive")),
+    "run": ParamSpec(0, 0, 2, whole=True, choices=("normal", "dryrun", "freeze")),
+    "offset_m": ParamSpec(0.1, 1e-4, 1e3, "m"),
+    "sensor_readings": ParamSpec(7, 1, 64, whole=True),
+    "ee_readings": ParamSpec(4, 1, 64, whole=True),
+    "interval_size_m": ParamSpec(0.002, 1e-6, 1e3, "m"),
+    "range_size": ParamSpec(5, 1, 512, whole=True),
+    "permitted_variance_m": ParamSpec(1e-4, 0.0, 1e3, "m"),
+    "max_demand_m": ParamSpec(0.05, 0.0, 1e3, "m"),
+    "pose_timeout_ns": ParamSpec(100e6, 1e6, 60e9, "ns", whole=True),
+    "loss_timeout_ns": ParamSpec(2.5e9, 0, 3600e9, "ns", whole=True),
+    "pose_interpolate": ParamSpec(0, 0, 1, whole=True, choices=("latest", "interpolated")),
+    "too_close_m": ParamSpec(2.15 * INCH_M, 0.0, 1e3, "m"),
+    "too_close_exit_m": ParamSpec(2.3 * INCH_M, 0.0, 1e3, "m"),
+    "range_min_m": ParamSpec(2.0 * INCH_M, 0.0, 1e6, "m"),
+    "range_max_m": ParamSpec(6.0 * INCH_M, 1e-6, 1e6, "m"),
+    "sensor_latency_ns": ParamSpec(30e6, 0, 10e9, "ns", whole=True),
+}
+
+
+def check_param(name: str, value: object) -> float:
+    """The value of a parameter as a number in the parameter's unit, checked.
+
+    Parameters
+    ----------
+    name : str       one of `PARAMS`, with or without its unit ending ("offset" = "offset_m")
+    value : object   a number, text with a unit, or one of the parameter's choices
+
+    Raises
+    ------
+    ConfigError  unknown name, wrong unit, not whole, out of bounds
+    """
+    spec = PARAMS[param_name(name)]
+    if spec.choices and isinstance(value, str):
+        if value not in spec.choices:
+            raise ConfigError(f"parameter {name} is {value!r}; it must be one of {', '.join(spec.choices)}")
+        return float(spec.choices.index(value))
+    if isinstance(value, bool) and spec.high == 1:
+        return float(value)
+    try:
+        number = parse_quantity(value, spec.unit)
+    except ValueError as e:
+        raise ConfigError(f"parameter {name}: {e}") from None
+    if spec.whole and number != round(number):
+        raise ConfigError(f"parameter {name} is {value!r}; it must be a whole number")
+    if not spec.low <= number <= spec.high:
+        raise ConfigError(
+            f"parameter {name} is {number:g} {spec.unit}; it must be between {spec.low:g} and {spec.high:g}"
+        )
+    return number
+
+
+def param_name(name: str) -> str:
+    """The full name of a parameter; ConfigError with the nearest names when there is none."""
+    for full in (name, f"{name}_m", f"{name}_ns", f"{name}_s", f"{name}_mps"):
+        if full in PARAMS:
+            return full
+    import difflib
+
+    near = difflib.get_close_matches(name, PARAMS, n=3)
+    hint = f"; did you mean {' or '.join(near)}?" if near else f"; known: {', '.join(PARAMS)}"
+    raise ConfigError(f"unknown parameter {name!r}{hint}")

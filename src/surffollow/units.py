@@ -1,0 +1,105 @@
+"""Quantities as people write them ("0.1 in", "7 ms", "20 deg") to SI numbers, and back for display."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from surffollow.errors import UsageError
+
+# unit → (dimension, factor to SI)
+_UNITS: dict[str, tuple[str, float]] = {
+    "m": ("length", 1.0),
+    "km": ("length", 1e3),
+    "cm": ("length", 1e-2),
+    "mm": ("length", 1e-3),
+    "um": ("length", 1e-6),
+    "µm": ("length", 1e-6),
+    "in": ("length", 0.0254),
+    "ft": ("length", 0.3048),
+    "s": ("time", 1.0),
+    "ms": ("time", 1e-3),
+    "us": ("time", 1e-6),
+    "µs": ("time", 1e-6),
+    "ns": ("time", 1e-9),
+    "min": ("time", 60.0),
+    "Hz": ("frequency", 1.0),
+    "kHz": ("frequency", 1e3),
+    "rad": ("angle", 1.0),
+    "mrad": ("angle", 1e-3),
+    "deg": ("angle", math.pi / 180.0),
+    "°": ("angle", math.pi / 180.0),
+    "m/s": ("speed", 1.0),
+    "mm/s": ("speed", 1e-3),
+    "cm/s": ("speed", 1e-2),
+    "in/s": ("speed", 0.0254),
+    "km/h": ("speed", 1.0 / 3.6),
+    "m/s^2": ("acceleration", 1.0),
+    "m/s2": ("acceleration", 1.0),
+    "mm/s^2": ("acceleration", 1e-3),
+    "m/s^3": ("jerk", 1.0),
+    "m/s3": ("jerk", 1.0),
+    "rad/s": ("angular speed", 1.0),
+    "deg/s": ("angular speed", math.pi / 180.0),
+    "B": ("size", 1.0),
+    "KiB": ("size", 1024.0),
+    "MiB": ("size", 1024.0**2),
+    "GiB": ("size", 1024.0**3),
+    "1": ("number", 1.0),
+    "%": ("number", 1e-2),
+    "V": ("voltage", 1.0),
+}
+_QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*$")
+
+
+def unit_scale(unit: str, si_unit: str) -> float:
+    """Factor from `unit` to `si_unit`.
+
+    Raises
+    ------
+    UsageError  when either is unknown or their dimensions differ
+    """
+    for u in (unit, si_unit):
+        if u not in _UNITS:
+            known = ", ".join(sorted(n for n, (d, _) in _UNITS.items() if d == _UNITS.get(si_unit, ("",))[0]))
+            raise UsageError(f"unknown unit {u!r}; {'use one of ' + known if known else 'see the manual'}")
+    (have, factor), (want, si) = _UNITS[unit], _UNITS[si_unit]
+    if have != want:
+        raise UsageError(
+            f"unit {unit!r} is a {have}, but a {want} in {si_unit!r} (or its multiples) is needed"
+        )
+    return factor / si
+
+
+def parse_quantity(value: object, unit: str) -> float:
+    """The number, in `unit`, of a quantity written as text with a unit or as a plain number.
+
+    Parameters
+    ----------
+    value : str, int or float     "0.1 in", "7 ms", 0.1 (already in `unit`)
+    unit : str                    what the result is in, e.g. "m", "ns"
+
+    Raises
+    ------
+    UsageError  not a number, not finite, unknown unit, wrong dimension
+    """
+    if isinstance(value, bool) or not isinstance(value, (str, int, float)):
+        raise UsageError(f"{value!r} is no quantity; write a number or text like '5 {unit}'")
+    if isinstance(value, str):
+        match = _QUANTITY.match(value)
+        if match is None:
+            raise UsageError(f"{value!r} is no quantity; write a number and a unit, like '5 {unit}'")
+        number = float(match[1]) * (unit_scale(match[2], unit) if match[2] else 1.0)
+    else:
+        number = float(value)
+    if not math.isfinite(number):
+        raise UsageError(f"{value!r} is not a finite quantity")
+    return number
+
+
+def format_ns(t_ns: float) -> str:
+    """A duration for people: 850 ns, 12.3 µs, 4.56 ms, 1.20 s."""
+    for limit, scale, unit in ((1e3, 1.0, "ns"), (1e6, 1e3, "µs"), (1e9, 1e6, "ms")):
+        if abs(t_ns) < limit:
+            return f"{t_ns / scale:.3g} {unit}"
+    return f"{t_ns / 1e9:.3g} s"
