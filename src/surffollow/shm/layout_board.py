@@ -30,9 +30,7 @@ STATE_INITIALISING, STATE_READY, STATE_STOPPING, STATE_STOPPED = 0, 1, 2, 3
     RQ_MAP_RESET,
     RQ_MAP_REFOCUS,
     RQ_MAP_INSTALL,
-    RQ_ACCESS,
-    RQ_ACCESS_DONE,
-) = range(10)
+) = range(8)
 
 # how the service answers
 (
@@ -46,7 +44,8 @@ STATE_INITIALISING, STATE_READY, STATE_STOPPING, STATE_STOPPED = 0, 1, 2, 3
     ERR_QUEUE_FULL,
     ERR_NOT_HOLDER,
     ERR_CANCELLED,
-) = range(10)
+    ACCEPTED,
+) = range(11)
 RESULT_TEXT = (
     "done",
     "the service does not know this request",
@@ -58,6 +57,7 @@ RESULT_TEXT = (
     "the map's queue is full",
     "this client does not hold what it wants to give back",
     "the request was cancelled",
+    "accepted, the map's answer follows",
 )
 
 # exclusive access, the paper's four steps

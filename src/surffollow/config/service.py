@@ -1,0 +1,169 @@
+"""The service's configuration file (TOML) as frozen, validated structures."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from surffollow.config.params import check_param, param_name
+from surffollow.errors import ConfigError
+from surffollow.units import parse_quantity
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+
+class Realtime(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Scheduling; what is not permitted is reported and gone without."""
+
+    priority: int = 80
+    cpu: int = -1
+    lock_memory: bool = True
+    dma_latency: bool = True
+    spin: str | float = "120 us"
+    overrun: str = "skip"
+
+
+class MapConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The map's memory and accuracy."""
+
+    grids: int = 1_000_000
+    finest_grid: str | float = "0.1 in"
+    quantum: str | float = "0.001 in"
+    rounding: str = "unbiased"
+    gate: str | float = 0.0
+    queue_seconds: float = 60.0
+    access_lease: str | float = "30 s"
+
+
+class AccessConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Modes and group of the shared-memory objects."""
+
+    board_mode: str = "0640"
+    inbox_mode: str = "0660"
+    map_mode: str = "0640"
+    group: str = ""
+
+
+class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """All that `surffollow start` may be told by a file."""
+
+    name: str = "surf"
+    period: str | float = "1 ms"
+    log_words: int = 1 << 20
+    snapshot: str | float = "1 s"
+    watchdog: str | float = "1 s"
+    realtime: Realtime = Realtime()
+    map: MapConfig = MapConfig()
+    access: AccessConfig = AccessConfig()
+    driver: dict[str, Any] = {}
+    follow: dict[str, Any] = {}
+
+
+def seconds(value: str | float, key: str, low: float, high: float) -> float:
+    """A duration of the configuration [s], within bounds; ConfigError names the key."""
+    return _quantity(value, "s", key, low, high)
+
+
+def metres(value: str | float, key: str, low: float, high: float) -> float:
+    """A length of the configuration [m], within bounds; ConfigError names the key."""
+    return _quantity(value, "m", key, low, high)
+
+
+def _quantity(value: str | float, unit: str, key: str, low: float, high: float) -> float:
+    try:
+        number = parse_quantity(value, unit)
+    except ValueError as e:
+        raise ConfigError(f"configuration key {key}: {e}") from None
+    if not low <= number <= high:
+        raise ConfigError(
+            f"configuration key {key} is {number:g} {unit}; it must be between {low:g} and {high:g}"
+        )
+    return number
+
+
+def parse_config(data: dict[str, Any], source: str = "configuration") -> ServiceConfig:
+    """Check a configuration given as nested dictionaries.
+
+    Raises
+    ------
+    ConfigError  unknown key, wrong type, unknown unit, value out of bounds; the text names the key
+    """
+    try:
+        config = msgspec.convert(data, ServiceConfig)
+    except msgspec.ValidationError as e:
+        raise ConfigError(f"{source}: {e}; see `surffollow start --help` and docs/configuration.md") from None
+    try:
+        _check(config)
+    except ConfigError as e:
+        raise ConfigError(f"{source}: {e}") from None
+    return config
+
+
+def _check(c: ServiceConfig) -> None:
+    seconds(c.period, "period", 20e-6, 1.0)
+    seconds(c.snapshot, "snapshot", 0.01, 3600.0)
+    seconds(c.watchdog, "watchdog", 0.01, 60.0)
+    seconds(c.realtime.spin, "realtime.spin", 0.0, 0.01)
+    if c.realtime.overrun not in ("skip", "catch-up"):
+        raise ConfigError(
+            f"configuration key realtime.overrun is {c.realtime.overrun!r}; use 'skip' or 'catch-up'"
+        )
+    if not 1 <= c.realtime.priority <= 98:
+        raise ConfigError(
+            f"configuration key realtime.priority is {c.realtime.priority}; it must be between 1 and 98"
+        )
+    if c.log_words < 1 << 16 or c.log_words & (c.log_words - 1) or c.log_words > 1 << 30:
+        raise ConfigError("configuration key log_words must be a power of two between 65536 and 2^30")
+    if not 1 <= c.map.grids <= 1_000_000_000:
+        raise ConfigError("configuration key map.grids must be between 1 and 1000000000")
+    if c.map.rounding not in ("unbiased", "paper"):
+        raise ConfigError(f"configuration key map.rounding is {c.map.rounding!r}; use 'unbiased' or 'paper'")
+    metres(c.map.finest_grid, "map.finest_grid", 1e-6, 1e4)
+    metres(c.map.quantum, "map.quantum", 1e-9, 10.0)
+    metres(c.map.gate, "map.gate", 0.0, 1e4)
+    seconds(c.map.access_lease, "map.access_lease", 0.01, 3600.0)
+    if not 1.0 <= c.map.queue_seconds <= 600.0:
+        raise ConfigError("configuration key map.queue_seconds must be between 1 and 600")
+    for key in ("board_mode", "inbox_mode", "map_mode"):
+        mode(getattr(c.access, key), key)
+    for name, value in c.follow.items():
+        check_param(name, value)
+
+
+def mode(text: str, key: str) -> int:
+    """An access mode written in octal."""
+    try:
+        value = int(text, 8)
+    except ValueError:
+        value = -1
+    if not 0 <= value <= 0o777:
+        raise ConfigError(f"configuration key access.{key} is {text!r}; write an octal mode like '0640'")
+    return value
+
+
+def follow_params(c: ServiceConfig) -> dict[str, float]:
+    """The parameters set by the configuration: full name → value in the parameter's unit."""
+    return {param_name(n): check_param(n, v) for n, v in c.follow.items()}
+
+
+def load_config(path: str | Path) -> ServiceConfig:
+    """Read a configuration file.
+
+    Raises
+    ------
+    ConfigError  the file cannot be read, is not TOML, or says something wrong
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+        data = tomllib.loads(text)
+    except OSError as e:
+        raise ConfigError(f"cannot read configuration {path}: {e.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
+        raise ConfigError(f"{path} is not TOML: {e}") from None
+    return parse_config(data, str(path))
