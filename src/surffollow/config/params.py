@@ -43,6 +43,9 @@ PARAMS: dict[str, ParamSpec] = {
     "range_min_m": ParamSpec(2.0 * INCH_M, 0.0, 1e6, "m"),
     "range_max_m": ParamSpec(6.0 * INCH_M, 1e-6, 1e6, "m"),
     "sensor_latency_ns": ParamSpec(30e6, 0, 10e9, "ns", whole=True),
+    "plant_tau_s": ParamSpec(0.04, 1e-3, 10.0, "s"),
+    "plant_v_max_mps": ParamSpec(0.2, 1e-4, 100.0, "m/s"),
+    "plant_a_max_mps2": ParamSpec(2.0, 1e-3, 1e4, "m/s^2"),
 }
 
 

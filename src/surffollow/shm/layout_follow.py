@@ -67,6 +67,9 @@ class Params(Schema):
     scale_m = F64(CHANNELS, unit="m/count", doc="calibration: range = zero + scale * counts")
     zero_m = F64(CHANNELS, unit="m", doc="calibration: range at 0 counts")
     tool_from_sensor = F64(CHANNELS * 7, unit="m, 1", doc="mounts: x y z qx qy qz qw per channel")
+    plant_tau_s = F64(unit="s", doc="adaptive: assumed time constant of the vertical axis")
+    plant_v_max_mps = F64(unit="m/s", doc="adaptive: assumed speed limit of the vertical axis")
+    plant_a_max_mps2 = F64(unit="m/s^2", doc="adaptive: assumed acceleration limit of the vertical axis")
 
 
 class SenseState(Schema):

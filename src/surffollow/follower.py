@@ -1,0 +1,249 @@
+"""The follower in process: the service's kernels without daemon, shared memory or clock.
+
+    f = surffollow.Follower({"mode": "adaptive"}, offset_m=0.1)
+    f.pose(t_ns, (x, y, z, qx, qy, qz, qw))      # whenever a pose report arrives
+    demand = f.step(t_ns, [range_m])             # six numbers to add to the newest pose reported
+
+Times are int64 ns of any one clock. A reading's stamp may lie before the last step's.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.config.params import PARAMS, check_param, param_name
+from surffollow.errors import ConfigError, PoseError, UsageError
+from surffollow.forecast.horizon import forecast_range
+from surffollow.forecast.pose import push_pose
+from surffollow.forecast.step import follow_step, sf_reset
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_follow import (
+    CHANNELS,
+    MODE_ADAPTIVE,
+    STATUS_NAMES,
+    FollowState,
+    Inputs,
+    Output,
+    Params,
+)
+from surffollow.units import parse_quantity
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+Config = Mapping[str, Any] | str | Path | None
+
+TOO_CLOSE_BEYOND_M = 0.15 * 0.0254  # beyond the near limit of a sensor given by its window
+TOO_CLOSE_EXIT_M = 0.3 * 0.0254
+QUATERNION_TOLERANCE = 1e-3
+# what differs from the service's defaults: readings come ready-made and stamped with their own time
+IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "pose_interpolate": 1}
+_MODES = {"default": "adaptive", "ours": "adaptive"}
+_PLANT = {"tau_s": "plant_tau_s", "v_max_mps": "plant_v_max_mps", "a_max_mps2": "plant_a_max_mps2"}
+
+
+def _read(config: Config) -> dict[str, Any]:
+    """The configuration as a dictionary; of a service's file its [follow]."""
+    if config is None:
+        return {}
+    if isinstance(config, (str, Path)):
+        try:
+            data: dict[str, Any] = tomllib.loads(Path(config).read_text(encoding="utf-8"))
+        except OSError as e:
+            raise ConfigError(f"cannot read configuration {config}: {e.strerror}") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
+            raise ConfigError(f"{config} is not TOML: {e}") from None
+    else:
+        data = dict(config)
+    return dict(data["follow"]) if isinstance(data.get("follow"), dict) else data
+
+
+def _numbers(value: object, count: int, unit: str, key: str) -> list[float]:
+    if not isinstance(value, (list, tuple, np.ndarray)) or len(value) != count:
+        raise ConfigError(f"{key} is {value!r}; it must be {count} numbers")
+    try:
+        return [parse_quantity(float(v) if isinstance(v, np.number) else v, unit) for v in value]
+    except ValueError as e:
+        raise ConfigError(f"{key}: {e}") from None
+
+
+def _mounts(sensors: object) -> list[dict[str, Any]]:
+    """Check the `sensors` list: mount and window of every channel."""
+    if not isinstance(sensors, (list, tuple)) or not 1 <= len(sensors) <= CHANNELS:
+        raise ConfigError(f"sensors must be a list of 1 to {CHANNELS} tables, not {sensors!r}")
+    mounts: list[dict[str, Any]] = []
+    for n, s in enumerate(sensors):
+        where = f"sensors[{n}]"
+        known = {"position_m", "orientation", "near_m", "far_m"}
+        if not isinstance(s, Mapping) or not set(s) <= known:
+            raise ConfigError(f"{where} is {s!r}; its keys are {', '.join(sorted(known))}")
+        q = np.array(_numbers(s.get("orientation", (0.0, 0.0, 0.0, 1.0)), 4, "1", f"{where}.orientation"))
+        if abs(float(np.linalg.norm(q)) - 1.0) > QUATERNION_TOLERANCE:
+            raise ConfigError(
+                f"{where}.orientation is {q.tolist()}; it must be a unit quaternion qx qy qz qw"
+            )
+        position = _numbers(s.get("position_m", (0.0, 0.0, 0.0)), 3, "m", f"{where}.position_m")
+        mounts.append({"pose": [*position, *(q / np.linalg.norm(q)).tolist()], **s})
+    return mounts
+
+
+class Follower:
+    """Follow a surface: poses and readings in, demands out, nothing else.
+
+    Parameters
+    ----------
+    config : dict, path of a TOML file, or None
+        parameters by name (`surffollow.config.params`), SI numbers or text with units; `mode` is
+        "adaptive" (default) or "paper". `sensors`: list of tables with `position_m` (3), `orientation`
+        (unit quaternion, 4), `near_m`, `far_m`; `plant`: table with `tau_s`, `v_max_mps`, `a_max_mps2`.
+    offset_m : float, optional
+        desired stand-off along the beam of channel 0 [m]; default that of the configuration
+
+    Raises
+    ------
+    ConfigError  unknown key, wrong unit, value out of bounds
+    """
+
+    def __init__(self, config: Config = None, offset_m: float | None = None) -> None:
+        self._params, self._state = zeros(Params), zeros(FollowState)
+        self._inputs, self._output = zeros(Inputs), zeros(Output)
+        self._scratch = np.zeros(7)
+        self._sense = self._state["sense"][0]
+        self._t_ns, self._given_t_ns = self._inputs["t_ns"], self._inputs["given_t_ns"]
+        self._n_ranges, self._given_m = self._inputs["n_ranges"], self._inputs["given_m"][0]
+        self._demand = self._output["demand"][0]
+        self._pose = np.zeros(7)
+        self._configure(_read(config))
+        if offset_m is not None:
+            self._set("offset_m", offset_m)
+        sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
+
+    def _configure(self, data: dict[str, Any]) -> None:
+        values = {name: spec.default for name, spec in PARAMS.items()} | IN_PROCESS
+        self._params["tool_from_sensor"][0].reshape(CHANNELS, 7)[:, 6] = 1.0
+        mounts = _mounts(data.pop("sensors", [{}]))
+        self._params["n_channels"] = len(mounts)
+        for n, m in enumerate(mounts):
+            self._params["tool_from_sensor"][0, 7 * n : 7 * n + 7] = m["pose"]
+        windows = [m for m in mounts if "near_m" in m]
+        if windows:
+            values["range_min_m"] = min(check_param("range_min_m", m["near_m"]) for m in windows)
+            values["too_close_m"] = values["range_min_m"] + TOO_CLOSE_BEYOND_M
+            values["too_close_exit_m"] = values["range_min_m"] + TOO_CLOSE_EXIT_M
+        if any("far_m" in m for m in mounts):
+            values["range_max_m"] = max(
+                check_param("range_max_m", m["far_m"]) for m in mounts if "far_m" in m
+            )
+        plant = data.pop("plant", {})
+        if not isinstance(plant, Mapping) or not set(plant) <= set(_PLANT):
+            raise ConfigError(f"plant is {plant!r}; its keys are {', '.join(_PLANT)}")
+        for key, value in plant.items():
+            values[_PLANT[key]] = check_param(_PLANT[key], value)
+        if isinstance(data.get("mode"), str):
+            data["mode"] = _MODES.get(data["mode"], data["mode"])
+        for name, value in data.items():
+            values[param_name(name)] = check_param(name, value)
+        for name, number in values.items():
+            self._params[name] = number
+
+    def _set(self, name: str, value: object) -> None:
+        self._params[param_name(name)] = check_param(name, value)
+
+    def set_params(self, **values: object) -> None:
+        """Change parameters from the next step on.
+
+        Raises
+        ------
+        ConfigError  unknown name, wrong unit, value out of bounds; then nothing is changed
+        """
+        checked = {param_name(n): check_param(n, v) for n, v in values.items()}
+        for name, number in checked.items():
+            self._params[name] = number
+
+    def reset(self, offset_m: float | None = None) -> None:
+        """Forget the surface (SFReset), with a new desired stand-off [m] if given; poses stay."""
+        if offset_m is not None:
+            self._set("offset_m", offset_m)
+        sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
+
+    def pose(self, t_ns: int, pose: Sequence[float] | NDArray[Any]) -> bool:
+        """Take a pose report.
+
+        Parameters
+        ----------
+        t_ns : int           when the pose was true; reports may arrive late
+        pose : 7 numbers     x y z [m], unit quaternion qx qy qz qw, world from tool
+
+        Returns
+        -------
+        bool  False: refused, because a pose at least as new was there already
+
+        Raises
+        ------
+        PoseError  not seven finite numbers, or a quaternion whose norm is off by more than 1e-3
+        """
+        p = self._pose
+        try:
+            p[:] = pose
+        except (TypeError, ValueError):
+            raise PoseError(f"a pose is seven numbers x y z qx qy qz qw, not {pose!r}") from None
+        norm2 = p[3] * p[3] + p[4] * p[4] + p[5] * p[5] + p[6] * p[6]
+        if not (math.isfinite(p[0] + p[1] + p[2]) and abs(math.sqrt(norm2) - 1.0) <= QUATERNION_TOLERANCE):
+            raise PoseError(f"pose {p.tolist()} is not finite or its quaternion's norm is not 1")
+        p[3:] /= math.sqrt(norm2)
+        return bool(push_pose(self._sense, int(t_ns), p, 0))
+
+    def step(self, t_ns: int, ranges_m: Sequence[float] | NDArray[Any]) -> NDArray[np.float64]:
+        """Step once, with readings or without.
+
+        Parameters
+        ----------
+        t_ns : int               when the ranges were read; without any, now
+        ranges_m : up to 8       distances per channel [m]; NaN or outside the window: no reading
+
+        Returns
+        -------
+        (6,) float64  demand x y z [m], rx ry rz [rad], to be added to the newest pose reported
+
+        Raises
+        ------
+        UsageError  not 1 to 8 numbers
+        """
+        n = len(ranges_m)
+        if not 1 <= n <= CHANNELS:
+            raise UsageError(f"step takes 1 to {CHANNELS} ranges, not {n}")
+        self._given_m[:n] = ranges_m
+        self._n_ranges[0] = n
+        self._t_ns[0] = self._given_t_ns[0] = t_ns
+        follow_step(self._params, self._state, self._inputs, self._output, self._scratch)
+        demand: NDArray[np.float64] = self._demand.copy()
+        return demand
+
+    def forecast_range_m(self, horizon_s: float) -> float:
+        """The range that channel 0 will read `horizon_s` [s] after its last valid reading; NaN before one."""
+        return float(forecast_range(self._params, self._state, float(horizon_s)))
+
+    def state(self) -> dict[str, Any]:
+        """What the follower knows: estimates, health, adapted parameters; plain Python values."""
+        o = self._output[0]
+        bits = int(o["status"])
+        out: dict[str, Any] = {
+            "status": [n for k, n in enumerate(STATUS_NAMES) if bits >> k & 1],
+            "mode": "adaptive" if self._params["mode"][0] == MODE_ADAPTIVE else "paper",
+            "offset_m": float(self._params["offset_m"][0]),
+            "poses_refused": int(self._sense["poses_refused"]),
+        }
+        names = ("t_ns", "pose_t_ns", "cycle", "height_m", "slope", "speed_mps", "delta_h_m", "error_m")
+        out.update({n: o[n].item() for n in names})
+        out["demand"] = self._demand.tolist()
+        out["range_m"] = o["range_m"][: int(self._params["n_channels"][0])].tolist()
+        return out

@@ -1,0 +1,31 @@
+"""Forecast what the sensor will read some time ahead."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def forecast_range(params: Any, state: Any, horizon_s: Any) -> Any:
+    """Range of channel 0 some time after its last valid reading.
+
+    Parameters
+    ----------
+    params, state : (1,) records of `Params`, `FollowState`
+    horizon_s : float64 [s], ≥ 0
+
+    Returns
+    -------
+    float64 [m]; NaN before the first reading
+
+    Notes
+    -----
+    Paper mode: the two-range slope carried on at the lateral speed (§3.2.4).
+    """
+    p = state[0].paper
+    if p.reading_t_ns == 0:
+        return math.nan
+    return p.reading_m - p.slope * p.speed_mps * horizon_s
