@@ -1,0 +1,157 @@
+"""The one interface between the service and its range sensors, whatever they are.
+
+A driver fills a queue in process-private memory from a thread of its own; the service's cycle drains it.
+Each item is the time at which a conversion ended and the conversion's word (`shm.conversion`, dt 0).
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, runtime_checkable
+
+import msgspec
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from surffollow.errors import ConfigError
+from surffollow.shm import atomics as at
+from surffollow.shm.conversion import ITEM_WORDS
+from surffollow.shm.layout_follow import CHANNELS
+from surffollow.shm.ring import make_ring, ring_drop, ring_length, ring_peek, ring_push
+
+IDENTITY = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+Mount = tuple[float, float, float, float, float, float, float]
+Eight = tuple[float, float, float, float, float, float, float, float]
+
+
+class DriverInfo(msgspec.Struct, frozen=True):
+    """What the service must know about a driver; constant while it runs.
+
+    Attributes
+    ----------
+    name : for people
+    n_channels : channels 0 … n-1 deliver
+    scale_m, zero_m : per channel, range_m = zero_m + scale_m · counts
+    range_min_m, range_max_m : the sensors' window [m]
+    latency_ns : mean age of the range in a conversion, at the conversion's time stamp [ns]
+    conversion_period_ns : from one conversion of any channel to the next [ns]; 0: irregular
+    mounts : tool from sensor per channel, x y z [m] and a unit quaternion; the beam leaves along −z
+    """
+
+    name: str
+    n_channels: int
+    scale_m: Eight
+    zero_m: Eight
+    range_min_m: float
+    range_max_m: float
+    latency_ns: int
+    conversion_period_ns: int
+    mounts: tuple[Mount, ...] = (IDENTITY,) * CHANNELS
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.n_channels <= CHANNELS or len(self.mounts) != CHANNELS:
+            raise ConfigError(f"a driver has 1 to {CHANNELS} channels and {CHANNELS} mounts")
+
+
+def mounts_of(given: list[Mount] | tuple[Mount, ...], n_channels: int) -> tuple[Mount, ...]:
+    """Eight mounts from those given: normalised, identity for the rest.
+
+    Raises
+    ------
+    ConfigError
+        more mounts than channels, or one that is no pose
+    """
+    if len(given) > n_channels:
+        raise ConfigError(f"{len(given)} mounts for {n_channels} channels")
+    out: list[Mount] = []
+    for mount in given:
+        norm = float(np.linalg.norm(mount[3:]))
+        if not np.isfinite(mount).all() or abs(norm - 1.0) > 1e-3:
+            raise ConfigError(f"mount {mount}: expected x y z and a unit quaternion, its norm is {norm:.4g}")
+        x, y, z, qx, qy, qz, qw = mount
+        out.append((x, y, z, qx / norm, qy / norm, qz / norm, qw / norm))
+    return tuple(out) + (IDENTITY,) * (CHANNELS - len(out))
+
+
+class ConversionQueue:
+    """The queue between one driver and one cycle; bounded, wait-free on both sides.
+
+    Parameters
+    ----------
+    capacity : int, a power of two; 16384 holds 0.65 s of a 25 kHz converter
+    """
+
+    def __init__(self, capacity: int = 16384) -> None:
+        self.capacity = capacity
+        self._ring = make_ring(capacity, ITEM_WORDS)
+        self._lost = np.zeros(1, np.int64)
+        self._item = np.zeros(ITEM_WORDS, np.int64)
+
+    @property
+    def address(self) -> int:
+        """Of the ring, for `shm.ring`'s kernels."""
+        return int(self._ring.ctypes.data)
+
+    @property
+    def lost_address(self) -> int:
+        """Of the count of conversions that found no room."""
+        return int(self._lost.ctypes.data)
+
+    @property
+    def overflow(self) -> int:
+        """Conversions lost because the queue was full."""
+        return int(self._lost[0])
+
+    def __len__(self) -> int:
+        return int(ring_length(self.address))
+
+    def push(self, t_ns: int, word: int) -> None:
+        """Append a conversion (producer only)."""
+        push_conversion(self.address, self.capacity, self.lost_address, self._item.ctypes.data, t_ns, word)
+
+    def drain(self, at_most: int | None = None) -> NDArray[np.int64]:
+        """Take what is there (consumer only): (n, 2) int64, time [ns] and word."""
+        waiting = len(self)
+        out = np.zeros((waiting if at_most is None else min(waiting, at_most), ITEM_WORDS), np.int64)
+        for row in out:
+            ring_peek(self.address, self.capacity, ITEM_WORDS, row.ctypes.data)
+            ring_drop(self.address, 1)
+        return out
+
+
+@njit(cache=True, nogil=True)
+def push_conversion(ring: Any, capacity: Any, lost: Any, item: Any, t_ns: Any, word: Any) -> None:
+    """Append a conversion, or count it as lost.
+
+    Parameters
+    ----------
+    ring, capacity, lost : int64, `ConversionQueue.address`, `.capacity`, `.lost_address`
+    item : int64, address of two private words
+    t_ns, word : int64 [ns], packed conversion
+    """
+    at.store_relaxed_i64(item, t_ns)
+    at.store_relaxed_i64(item + 8, word)
+    if ring_push(ring, capacity, ITEM_WORDS, item) == 0:
+        at.store_relaxed_i64(lost, at.load_relaxed_i64(lost) + 1)
+
+
+@runtime_checkable
+class Driver(Protocol):
+    """What the service asks of a sensor driver."""
+
+    @property
+    def info(self) -> DriverInfo:
+        """Calibration, window, latency and mounts."""
+        ...
+
+    def start(self, queue: ConversionQueue) -> None:
+        """Begin to fill the queue; returns when the driver's kernels are compiled and its thread runs."""
+        ...
+
+    def stop(self) -> None:
+        """End the thread; nothing is pushed after this returns. Harmless when not started."""
+        ...
+
+    def faults(self) -> list[str]:
+        """What is wrong now, one line each; empty when all is well."""
+        ...
