@@ -48,6 +48,8 @@ class PlantConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def load_plant(path: str | Path) -> PlantConfig:
     """Read a `PlantConfig` from a TOML file; its keys are the fields, at top level or under [plant].
 
+    Tables [pose] and [sensor] belong to the contest (`surffollow.contest.conditions`) and are passed over.
+
     Raises
     ------
     ConfigError
@@ -55,7 +57,8 @@ def load_plant(path: str | Path) -> PlantConfig:
     """
     try:
         table = msgspec.toml.decode(Path(path).read_bytes())
-        return msgspec.convert(table.get("plant", table), PlantConfig)
+        axis = table.get("plant", {k: v for k, v in table.items() if k not in ("pose", "sensor")})
+        return msgspec.convert(axis, PlantConfig)
     except (OSError, msgspec.MsgspecError) as error:
         raise ConfigError(f"cannot use the plant '{path}': {error}") from error
 

@@ -69,11 +69,11 @@ def bumps(seed: int = 0, per_m: float = 3.0) -> Profile:
     return made("bumps", x, h)
 
 
-def rough_smooth_rough(seed: int = 0, piece_m: float = 0.75, rough_m: float = 1.5e-3) -> Profile:
-    """Rough pieces (correlation 8 mm) and smooth ones in turn, on gently rolling ground."""
+def rough_smooth_rough(seed: int = 0, piece_m: float = 0.75, rough_m: float = 2e-3) -> Profile:
+    """Rough pieces (2 mm RMS, correlation 4 mm) and smooth ones in turn, on gently rolling ground."""
     x = grid_x()
     rng = np.random.default_rng([seed, 41])
-    texture = gaussian_filter1d(rng.standard_normal(len(x)), 8e-3 / SPACING_M, mode="wrap")
+    texture = gaussian_filter1d(rng.standard_normal(len(x)), 4e-3 / SPACING_M, mode="wrap")
     texture *= rough_m / texture.std()
     blend = 0.5 + 0.5 * np.tanh(np.sin(np.pi * (x / piece_m + rng.uniform(0.0, 2.0))) / 0.1)
     return made("rough-smooth-rough", x, texture * blend + rolling(x, rng, (0.5, 1.5), 0.01))

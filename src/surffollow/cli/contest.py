@@ -1,0 +1,123 @@
+"""`surffollow contest`: every method on the same plant, surfaces and seeds, in simulated time."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import click
+
+from surffollow.errors import SurffollowError, UsageError
+from surffollow.units import parse_quantity
+
+
+class Quantities(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
+    """One or several quantities, separated by commas."""
+
+    name = "LIST"
+
+    def __init__(self, unit: str) -> None:
+        self.unit = unit
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[float]:
+        """Split and convert, or fail with what was expected."""
+        if isinstance(value, list):
+            return value
+        try:
+            return [parse_quantity(part, self.unit) for part in str(value).split(",")]
+        except UsageError as error:
+            self.fail(str(error), param, ctx)
+
+
+class Seeds(click.ParamType):  # type: ignore[type-arg]
+    """A half-open range of seeds `A:B`, or one seed."""
+
+    name = "A:B"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[int]:
+        """Turn the text into seeds."""
+        if isinstance(value, list):
+            return value
+        try:
+            first, colon, end = str(value).partition(":")
+            seeds = list(range(int(first), int(end) if colon else int(first) + 1))
+        except ValueError:
+            self.fail(f"'{value}' is not A:B with whole numbers", param, ctx)
+        if not seeds or seeds[0] < 0:
+            self.fail(f"'{value}' holds no seeds (A:B is half-open, A ≥ 0)", param, ctx)
+        return seeds
+
+
+SPEED = Quantities("m/s")
+LENGTH = Quantities("m")
+
+
+def _flat(values: tuple[Any, ...]) -> list[Any]:
+    return [v for group in values for v in group]
+
+
+@click.command("contest")
+@click.option(
+    "--surface", "csvs", multiple=True, metavar="CSV", help="Profile with columns x_m,height_m, or a name."
+)
+@click.option("--plant", metavar="TOML", help="Plant, [pose] and [sensor] other than the default.")
+@click.option("--speed", type=SPEED, multiple=True, help="Lateral speeds [m/s, or 100mm/s].")
+@click.option(
+    "--lead", type=LENGTH, multiple=True, help="Leads of the sensor [m, or 50mm]; never comparable."
+)
+@click.option("--seeds", type=Seeds(), default="0:20", show_default=True, help="Test seeds, half-open.")
+@click.option("--methods", help="Comma-separated rows; NAME=module:factory adds a follower.")
+@click.option("--sweeps/--no-sweeps", default=None, help="Latency, noise, plant… (default: full table only).")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--out", "folder", metavar="DIR", help="Write results, table, plots; remember tunings.")
+@click.option("--processes", default=2, show_default=True, type=click.IntRange(1, 64))
+@click.option("--list", "only_list", is_flag=True, help="List surfaces and methods, run nothing.")
+def contest_command(
+    csvs: tuple[str, ...],
+    plant: str | None,
+    speed: tuple[list[float], ...],
+    lead: tuple[list[float], ...],
+    seeds: list[int],
+    methods: str | None,
+    sweeps: bool | None,
+    as_json: bool,
+    folder: str | None,
+    processes: int,
+    only_list: bool,
+) -> None:
+    """Run following methods against each other, exactly repeatably.
+
+    Without options: the full table, every surface, speed and lead.
+    """
+    from surffollow.contest import program
+
+    try:
+        if only_list:
+            click.echo("\n".join(program.listing()))
+            return
+        request = program.Request(
+            surfaces=list(csvs),
+            plant=plant,
+            speeds_mps=_flat(speed),
+            leads_m=_flat(lead),
+            seeds=seeds,
+            methods=[m.strip() for m in methods.split(",") if m.strip()] if methods else [],
+            sweeps=sweeps,
+            folder=folder,
+            processes=processes,
+        )
+        outcome = program.run(request, None if as_json else _progress)
+    except SurffollowError as error:
+        click.echo(f"surffollow contest: {error}", err=True)
+        sys.exit(error.exit_code)
+    click.echo(json.dumps(outcome.json, allow_nan=False) if as_json else outcome.text)
+    sys.exit(0 if outcome.passed else 1)
+
+
+def _progress(stage: str, done: int, total: int) -> None:
+    """Show how far a stage is on a terminal's error stream."""
+    if sys.stderr.isatty():
+        end = "\n" if done == total else ""
+        sys.stderr.write(f"\r{stage}: {done}/{total}{end}")
+        sys.stderr.flush()

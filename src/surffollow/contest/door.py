@@ -1,0 +1,92 @@
+"""Drive a follower through its one door: poses and readings as they arrive, a demand at every tick."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from surffollow.contest.loop import END, MS_NS, POSE, SAMPLE, STEP_S, World, advance
+from surffollow.contest.methods import FollowerLike
+from surffollow.contest.scene import START_NS, Scene
+
+RETURN_SPEED_MPS = 0.5  # between two passes the tool travels back, lifted, at this speed
+RETURN_LIFT_M = 0.05
+PAUSE_MS = 200
+
+
+def drive(follower: FollowerLike, s: Any, w: World, start_ns: int = START_NS) -> None:
+    """Run a follower to the end of the path.
+
+    Each pose report and each reading is handed over when it arrives, with the stamp of when it was true;
+    at each tick `step` is called with the tick's time and no reading, and its answer is the demand.
+
+    Parameters
+    ----------
+    follower : see `FollowerLike`
+    s, w : a fresh run
+    start_ns : the run's first moment in the follower's time
+    """
+    nothing = np.array([math.nan])
+    step, pose = follower.step, follower.pose
+    pose_ns = (start_ns + w.reports["ms"] * MS_NS).tolist()
+    sample_ns = (start_ns + w.readings["ms"] * MS_NS).tolist()
+    ranges, x, z = w.readings["range"], w.reports["x"], w.reports["z"]
+    while True:
+        event = advance(s, w)
+        if event == SAMPLE:
+            i = int(s["samples"]) - 1
+            step(sample_ns[i], ranges[i : i + 1].copy())
+        elif event == POSE:
+            i = int(s["poses"]) - 1
+            pose(pose_ns[i], np.array([x[i], 0.0, z[i], 0.0, 0.0, 0.0, 1.0]))
+        elif event == END:
+            return
+        else:
+            s["demand_m"] = step(start_ns + int(s["ms"]) * MS_NS, nothing)[2]
+
+
+def travel_back(follower: FollowerLike, scene: Scene, z_m: float, start_ns: int) -> int:
+    """Carry the lifted tool back to the start of the path: poses go on, readings do not.
+
+    Parameters
+    ----------
+    follower, scene : who is carried along which path
+    z_m : height of the tool at the end of the pass [m]
+    start_ns : when the journey begins
+
+    Returns
+    -------
+    int64 when the next pass may begin [ns]
+    """
+    p = scene.profile
+    begin_z = float(scene.world.z[0])
+    duration_ms = int(p.length_m / RETURN_SPEED_MPS * 1e3)
+    nothing = np.array([math.nan])
+    for ms in range(0, duration_ms + PAUSE_MS, 10):
+        f = min(1.0, ms / duration_ms)
+        x = p.start_m + p.length_m * (1.0 - f)
+        lift = RETURN_LIFT_M * min(1.0, 10.0 * f, 10.0 * (1.0 - f))
+        z = z_m + f * (begin_z - z_m) + lift
+        follower.pose(start_ns + ms * MS_NS, np.array([x, 0.0, z, 0.0, 0.0, 0.0, 1.0]))
+        follower.step(start_ns + ms * MS_NS, nothing)
+    return start_ns + (duration_ms + PAUSE_MS) * MS_NS
+
+
+def two_passes(
+    follower: FollowerLike, first: Scene, second: Scene
+) -> tuple[tuple[Any, World], tuple[Any, World]]:
+    """Let one follower go over the same ground twice, with other noise the second time.
+
+    Returns
+    -------
+    the run (record and world) of either pass
+    """
+    run_1, world_1 = first.fresh()
+    drive(follower, run_1, world_1)
+    end_ns = START_NS + round(len(world_1.z) * STEP_S * 1e9)
+    begin_ns = travel_back(follower, first, float(world_1.z[-1]), end_ns)
+    run_2, world_2 = second.fresh()
+    drive(follower, run_2, world_2, begin_ns)
+    return (run_1, world_1), (run_2, world_2)

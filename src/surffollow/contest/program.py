@@ -1,0 +1,132 @@
+"""The contest as one call: what the command line and the benchmarks run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from surffollow.contest.conditions import Conditions, load_conditions
+from surffollow.contest.methods import all_methods, check_methods
+from surffollow.contest.report import markdown_table, text_table, write_plots
+from surffollow.contest.runner import Result, Tuned, run_cells
+from surffollow.contest.suite import (
+    LEADS_M,
+    SPEEDS_MPS,
+    main_cells,
+    surface_names,
+    surface_profile,
+    sweep_cells,
+)
+from surffollow.errors import UsageError
+
+ORACLES_FILE = "oracles.json"
+
+
+@dataclass
+class Request:
+    """What to run; empty lists mean everything."""
+
+    surfaces: list[str] = field(default_factory=list)
+    plant: str | None = None
+    speeds_mps: list[float] = field(default_factory=list)
+    leads_m: list[float] = field(default_factory=list)
+    seeds: list[int] = field(default_factory=lambda: list(range(20)))
+    methods: list[str] = field(default_factory=list)
+    sweeps: bool | None = None
+    folder: str | None = None
+    processes: int = 2
+
+
+@dataclass
+class Outcome:
+    """What came out: an object for JSON, a text for people, and whether every bar asked for was met."""
+
+    json: dict[str, Any]
+    text: str
+    passed: bool = True
+    results: list[Result] = field(default_factory=list)
+
+
+def listing() -> list[str]:
+    """Return the surfaces and methods that this installation has."""
+    return ["surfaces: " + ", ".join(surface_names()), "methods: " + ", ".join(all_methods())]
+
+
+def run(request: Request, progress: Callable[[str, int, int], None] | None = None) -> Outcome:
+    """Run the contest.
+
+    Raises
+    ------
+    SurffollowError
+        for a request that cannot be run, or when a row beats the limit
+    """
+    conditions = load_conditions(request.plant) if request.plant else Conditions()
+    methods = check_methods(request.methods or all_methods())
+    surfaces = request.surfaces or surface_names()
+    for surface in surfaces:
+        surface_profile(surface, 0)
+    full = not (request.surfaces or request.speeds_mps)
+    speeds = request.speeds_mps or list(SPEEDS_MPS)
+    leads = request.leads_m or (list(LEADS_M) if full else [0.0])
+    cells = main_cells(surfaces, speeds, leads, conditions)
+    if request.sweeps if request.sweeps is not None else (full and not request.leads_m):
+        cells += sweep_cells(surfaces, conditions)
+    folder = Path(request.folder) if request.folder else None
+    tuned = _load_tuned(folder)
+
+    def stage(name: str) -> Callable[[int, int], None] | None:
+        return (lambda done, total: progress(name, done, total)) if progress else None
+
+    results = run_cells(cells, methods, request.seeds, request.processes, tuned, stage("runs"))
+    rows = [r.row() for r in results]
+    main = [r for r in rows if "variant" not in r]
+    swept = [r for r in rows if "variant" in r]
+    found: dict[str, Any] = {"results": main}
+    if swept:
+        found["sweeps"] = swept
+    text = text_table(rows)
+    passed = True
+    found = _finite(found)
+    if folder:
+        _write(folder, found, rows, results, tuned)
+    return Outcome(found, text, passed, results)
+
+
+def _write(folder: Path, found: dict[str, Any], rows: list[Any], results: list[Result], tuned: Tuned) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "results.json").write_bytes(msgspec.json.encode(found))
+        (folder / "table.md").write_text(markdown_table(rows), encoding="utf-8")
+        plain = [[method, key, list(params)] for (method, key), params in sorted(tuned.items())]
+        (folder / ORACLES_FILE).write_bytes(msgspec.json.encode(plain))
+    except OSError as error:
+        raise UsageError(f"cannot write to '{folder}': {error}") from error
+    write_plots(results, folder)
+
+
+def _load_tuned(folder: Path | None) -> Tuned:
+    """Oracle tunings of an earlier run into the same folder: they need not be sought again."""
+    path = folder / ORACLES_FILE if folder else None
+    if path is None or not path.exists():
+        return {}
+    try:
+        rows = msgspec.json.decode(path.read_bytes(), type=list[tuple[str, str, list[float]]])
+    except (OSError, msgspec.MsgspecError) as error:
+        raise UsageError(f"cannot use the tunings in '{path}' ({error}); remove the file") from error
+    return {(method, key): tuple(params) for method, key, params in rows}
+
+
+def _finite(value: Any) -> Any:
+    """JSON knows no NaN and no infinity: they become null."""
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,101 @@
+"""Tune a baseline on training seeds: for one surface and speed (`:oracle`) or for a whole suite.
+
+Pattern search on logarithms of the parameters, from several first guesses; deterministic. Training noise
+comes from a stream of its own, so no test seed is ever trained on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from surffollow.contest.baselines import run_jitted
+from surffollow.contest.conditions import STANDOFF_M
+from surffollow.contest.methods import Baseline
+from surffollow.contest.scene import Scene
+
+FIRST_STEP = math.log(2.5)
+LAST_STEP = math.log(1.06)
+MAX_EVALUATIONS = 70
+
+# What `python -m surffollow.contest.tune_suite` found: one tuning per baseline for the whole suite, by
+# (name, sensor leads).
+SUITE: dict[tuple[str, bool], tuple[float, ...]] = {
+    ("p", False): (1.19,),
+    ("pi", False): (1.25, 0.01015),
+    ("lpf-gate", False): (0.002189, 0.0075, 0.06),
+    ("kalman-ff", False): (0.6794, 0.001369, 3.976, 1.2, 0.0385),
+    ("p", True): (0.2112,),
+    ("pi", True): (0.4495, 0.01),
+    ("lpf-gate", True): (0.006485, 0.002696, 0.05),
+    ("kalman-ff", True): (1.222, 3.296e-05, 9.123, 3.0, 0.04459),
+}
+
+
+def suite_params(baseline: Baseline, lead_m: float) -> tuple[float, ...]:
+    """Return the tuning for the whole suite, with the fixed parameters behind it."""
+    return SUITE.get((baseline.name, lead_m > 0.0), baseline.guesses[0]) + baseline.fixed
+
+
+def rms_of(baseline: Baseline, params: Sequence[float], scene: Scene) -> float:
+    """RMS stand-off error [m] of one run of a baseline."""
+    s, w = scene.fresh()
+    run_jitted(baseline.kind, tuple(params) + baseline.fixed, s, w)
+    e = w.z[scene.first_ms :] - scene.ground_m[scene.first_ms :] - STANDOFF_M
+    return float(np.sqrt(np.mean(e * e)))
+
+
+def pattern_search(
+    baseline: Baseline,
+    cost: Callable[[tuple[float, ...]], float],
+    guesses: Sequence[tuple[float, ...]],
+    max_evaluations: int = MAX_EVALUATIONS,
+) -> tuple[tuple[float, ...], float]:
+    """Minimise a cost over a baseline's parameters, inside their bounds.
+
+    Parameters
+    ----------
+    baseline : whose `tunable` parameters are sought
+    cost : of a tuple of parameters; the same tuple must cost the same again
+    guesses : where to look first; the best is refined
+    max_evaluations : budget, first guesses included
+
+    Returns
+    -------
+    (parameters, cost)
+    """
+    seen: dict[tuple[float, ...], float] = {}
+
+    def at(params: Sequence[float]) -> tuple[tuple[float, ...], float]:
+        inside = tuple(min(max(v, p.low), p.high) for v, p in zip(params, baseline.tunable))
+        if inside not in seen:
+            seen[inside] = cost(inside)
+        return inside, seen[inside]
+
+    best, best_cost = min((at(g) for g in guesses), key=lambda found: found[1])
+    steps = [FIRST_STEP] * len(best)
+    while max(steps) > LAST_STEP and len(seen) < max_evaluations:
+        for i in range(len(best)):
+            if steps[i] <= LAST_STEP:
+                continue
+            moved = False
+            for sign in (1.0, -1.0):
+                trial = list(best)
+                trial[i] *= math.exp(sign * steps[i])
+                found, found_cost = at(trial)
+                if found_cost < best_cost:
+                    best, best_cost, moved = found, found_cost, True
+                    break
+            steps[i] *= 1.25 if moved else 0.5
+    return best, best_cost
+
+
+def tune_oracle(baseline: Baseline, scenes: Sequence[Scene], lead_m: float) -> tuple[float, ...]:
+    """Best parameters for the given training scenes, fixed parameters behind them."""
+    guesses = [suite_params(baseline, lead_m)[: len(baseline.tunable)], *baseline.guesses]
+    best, _ = pattern_search(
+        baseline, lambda params: float(np.mean([rms_of(baseline, params, s) for s in scenes])), guesses
+    )
+    return best + baseline.fixed
