@@ -134,9 +134,7 @@ def plan_geometry(header: Any, x_min: Any, y_min: Any, x_max: Any, y_max: Any) -
 def open_journal(header: Any, operation: Any) -> None:
     """From here on the grids belong to the operation: readers look away, a restart takes it up."""
     w = header[0]
-    w.journal_phase = 0
-    w.journal_done = 0
-    w.journal_flushed = 0
+    w.journal_progress = 0
     fence_release()
     w.journal_op = operation
     fence_release()
@@ -207,15 +205,12 @@ def reset_step(header: Any, pairs: Any, budget_grids: Any) -> Any:
     if w.journal_op != _RESETTING:
         return 1
     total = w.journal_nx * w.journal_ny
-    stop = min(total, w.journal_done + budget_grids)
-    clear_grids(pairs, w.journal_done, stop)
+    stop = min(total, w.journal_progress + max(budget_grids, 1))
+    clear_grids(pairs, w.journal_progress, stop)
     fence_release()
-    w.journal_done = stop
+    w.journal_progress = stop
     if stop < total:
         return 0
-    if w.journal_phase == 0:
-        w.resets += 1
-        fence_release()
-        w.journal_phase = 1
+    w.resets += 1
     close_journal(header, _READY)
     return 1

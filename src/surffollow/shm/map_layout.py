@@ -88,7 +88,9 @@ class MapHeader(Schema):
     invalid = I64(doc="samples that were not finite")
 
     journal_op = I64(align=64, doc="state to finish after a cut-off, 0: none; stored last")
-    journal_progress = I64(doc="phase·2^48 + pending·2^40 + done: one word, so that a cut sees all or nothing")
+    journal_progress = I64(
+        doc="phase·2^48 + pending·2^40 + done: one word, so that a cut sees all or nothing"
+    )
     journal_forward = I64(doc="1: resample in the forward pass, 0: in the backward pass")
     journal_nx = I64(doc="the geometry to come; same fields as the header's")
     journal_ny = I64(doc="")
