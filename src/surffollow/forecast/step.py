@@ -7,6 +7,7 @@ from typing import Any
 
 from numba import njit
 
+from surffollow.forecast.adaptive import adaptive_demand
 from surffollow.forecast.paper import average_point, paper_forecast, paper_update, relay
 from surffollow.forecast.pose import footprint, pose_at
 from surffollow.forecast.safety import PROBE_M, limit, watch_fold_back
@@ -16,6 +17,7 @@ from surffollow.shm.layout_follow import (
     DRYRUN,
     FROZEN,
     LIMITED,
+    MODE_ADAPTIVE,
     NO_POSE,
     NO_SENSOR,
     POSE_STALE,
@@ -160,6 +162,8 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
         o.pose_t_ns = s.sense.pose_t_ns[(n - 1) & (POSES - 1)]
         if i.t_ns - o.pose_t_ns > p.pose_timeout_ns:
             o.status = POSE_STALE
+        elif p.mode == MODE_ADAPTIVE:
+            o.status = adaptive_demand(p, s, i, o, scratch)
         else:
             sensor_z = find_targets(p, s, o, scratch)
             o.status = demand_z(p, s, i, o, sensor_z, scratch)

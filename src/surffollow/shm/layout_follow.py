@@ -7,6 +7,7 @@ together are the snapshot that makes a recording replayable. Every field of
 
 from __future__ import annotations
 
+from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.schema import F64, I64, Nested, Schema
 
 CHANNELS = 8
@@ -122,6 +123,7 @@ class FollowState(Schema):
     cycle = I64(doc="cycles stepped")
     sense = Nested(SenseState)
     paper = Nested(PaperState)
+    adaptive = Nested(AdaptiveState)
 
 
 class Inputs(Schema):
