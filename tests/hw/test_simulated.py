@@ -10,7 +10,7 @@ from surffollow.hw import adc
 from surffollow.hw.driver import IDENTITY, ConversionQueue, mounts_of
 from surffollow.hw.led_sensor import FAR_M, NEAR_M, LedConfig, physics
 from surffollow.hw.pose_history import PoseHistory, add_pose, pose_at
-from surffollow.hw.simulated import SimulatedConfig, make_rig, produce
+from surffollow.hw.rig import SimulatedConfig, make_rig, produce
 from surffollow.shm.conversion import FLAG_INVALID, conversion_channel, conversion_counts, conversion_flags
 from surffollow.shm.dtypes import zeros
 from surffollow.sim.surfaces import flat_field, ramp_field

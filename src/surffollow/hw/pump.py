@@ -28,14 +28,20 @@ class Pump:
         self.name = name
         self.control = np.zeros(CONTROL_WORDS, np.int64)
         self._thread: threading.Thread | None = None
+        self._kept: object = None
 
     @property
     def address(self) -> int:
         """Of the control words."""
         return int(self.control.ctypes.data)
 
-    def start(self, kernel: Callable[[int], None]) -> None:
+    def start(self, kernel: Callable[[int], None], keep: object) -> None:
         """Compile the kernel and start the thread.
+
+        Parameters
+        ----------
+        kernel : called with the address of the control words
+        keep : what the kernel knows by its address only; held until the pump starts anew
 
         Raises
         ------
@@ -44,6 +50,7 @@ class Pump:
         """
         if self._thread is not None:
             raise DriverError(f"driver '{self.name}' was started twice; stop it first")
+        self._kept = keep
         self.control[STOP] = 1
         kernel(self.address)
         self.control[STOP] = 0

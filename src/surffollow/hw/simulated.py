@@ -8,142 +8,31 @@ control word and says which one it uses, so that no page is given up under it.
 from __future__ import annotations
 
 import threading
+import time
 from typing import Any
 
-import msgspec
 import numpy as np
 from numba import njit
 
-from surffollow.errors import BlockError, ConfigError, NotRunningError
+from surffollow.errors import BlockError, NotRunningError
 from surffollow.hw import adc
-from surffollow.hw.beam import compose
-from surffollow.hw.driver import (
-    ConversionQueue,
-    DriverInfo,
-    Eight,
-    Mount,
-    mounts_of,
-    push_conversion,
-)
-from surffollow.hw.led_sensor import FAR_M, NEAR_M, RAIL_V, LedConfig, output_volts, physics, refresh_at
-from surffollow.hw.pose_history import PoseHistory, add_pose, pose_at
+from surffollow.hw.driver import ConversionQueue, DriverInfo, Eight, mounts_of
+from surffollow.hw.led_sensor import FAR_M, NEAR_M, physics
+from surffollow.hw.pose_history import PoseHistory, add_pose
 from surffollow.hw.pump import CATCH_UP_NS, PERIOD_NS, STOP, USER, Pump
+from surffollow.hw.rig import SimulatedConfig, make_rig, produce
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns
-from surffollow.shm.conversion import FLAG_INVALID, pack_conversion
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch import latch_read
 from surffollow.shm.layout_follow import CHANNELS
-from surffollow.shm.schema import F64, I64, Schema
 from surffollow.sim.surfaces import HeightField
 from surffollow.sim.world import WorldPose, WorldReader
-from surffollow.sim.world_surface import WorldConfig
 
 WANTED, IN_USE, WORLD_T = USER, USER + 1, USER + 2  # control words
 WORLD_BYTES = WorldPose.SIZE
 WATCH_S = 0.05
 STALE_WORLD_NS = 100_000_000
-NEVER = -(1 << 62)
-
-
-class SimulatedConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A simulated set-up.
-
-    Attributes
-    ----------
-    channels : sensors, 1 to 8
-    mounts : tool from sensor for the first of them; identity for the rest
-    seed : of noise, characteristic and phases
-    adc_noise_counts : standard deviation of the converter's own noise
-    led : the sensors
-    world : the ground, the same as the robot's
-    """
-
-    channels: int = 1
-    mounts: tuple[Mount, ...] = ()
-    seed: int = 0
-    adc_noise_counts: float = 0.5
-    led: LedConfig = LedConfig()
-    world: WorldConfig = WorldConfig()
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.channels <= CHANNELS:
-            raise ConfigError(f"channels = {self.channels}, expected 1 to {CHANNELS}")
-        if not 0.0 <= self.adc_noise_counts <= 100.0:
-            raise ConfigError(f"adc_noise_counts = {self.adc_noise_counts}, expected 0 to 100")
-
-
-class Rig(Schema):
-    """Converter, sensors' mounts and what they hold now."""
-
-    n_channels = I64()
-    adc_noise_counts = F64()
-    seed = I64()
-    next_number = I64(doc="of the conversion to come")
-    refresh = I64(CHANNELS, doc="number of the refresh whose voltage is held")
-    volts = F64(CHANNELS, unit="V")
-    mount = F64(CHANNELS * 7, unit="m, 1", doc="tool from sensor")
-    tool = F64(7, unit="m, 1", doc="scratch")
-    sensor = F64(7, unit="m, 1", doc="scratch")
-    ring = I64(doc="addresses of the queue")
-    capacity = I64()
-    lost = I64()
-    item = I64(2, doc="scratch")
-    item_address = I64()
-
-
-def make_rig(config: SimulatedConfig, queue: ConversionQueue, start_ns: int) -> np.ndarray[Any, Any]:
-    """`Rig` record, shape (1,), whose first conversion ends at or after `start_ns`."""
-    rig = zeros(Rig)
-    rig["n_channels"] = config.channels
-    rig["adc_noise_counts"] = config.adc_noise_counts
-    rig["seed"] = config.seed
-    rig["next_number"] = adc.first_number_from(start_ns)
-    rig["refresh"] = NEVER
-    rig["mount"] = np.array(mounts_of(config.mounts, config.channels)).ravel()
-    rig["ring"], rig["capacity"], rig["lost"] = queue.address, queue.capacity, queue.lost_address
-    rig["item_address"] = rig.ctypes.data + Rig.offset("item")
-    return rig
-
-
-@njit(cache=True, nogil=True)
-def produce(rig: Any, led: Any, history: Any, z: Any, frame: Any, t_ns: Any) -> Any:
-    """Push every conversion that ended before `t_ns`; the pieces in which time passes do not matter.
-
-    Parameters
-    ----------
-    rig : (1,) `Rig`, updated in place
-    led : (1,) `LedPhysics`
-    history : (1,) `PoseHistory`, reaching to `t_ns` − latency for exact values
-    z, frame : the ground, see `cast_ray`
-    t_ns : int64 [ns]
-
-    Returns
-    -------
-    int64 conversions pushed
-    """
-    r = rig[0]
-    pushed = 0
-    while True:
-        number = rig[0].next_number
-        end_ns = number * adc.CONVERSION_NS
-        if end_ns >= t_ns:
-            return pushed
-        channel = number % r.n_channels
-        refresh, refresh_ns = refresh_at(led, channel, end_ns)
-        if refresh != r.refresh[channel]:
-            if pose_at(history, refresh_ns - led[0].latency_ns, r.tool) == 1:
-                compose(r.tool, r.mount[7 * channel : 7 * channel + 7], r.sensor)
-                r.volts[channel] = output_volts(led, z, frame, r.sensor, channel, refresh)
-            else:
-                r.volts[channel] = RAIL_V
-            r.refresh[channel] = refresh
-        counts = adc.convert(r.volts[channel], r.adc_noise_counts, r.seed, number)
-        flags = FLAG_INVALID if counts >= adc.COUNTS - 1 else 0
-        word = pack_conversion(counts, channel, flags, 0)
-        push_conversion(r.ring, r.capacity, r.lost, r.item_address, end_ns, word)
-        rig[0].next_number = number + 1
-        pushed += 1
 
 
 @njit(cache=True, nogil=True)
@@ -229,15 +118,14 @@ class SimulatedDriver:
         field = self._field
         frame = np.array([field.x0_m, field.y0_m, field.grid_m])
         history, world = zeros(PoseHistory), zeros(WorldPose)
-        rig = make_rig(self._config, queue, now())
+        rig = make_rig(self._config, queue, time.monotonic_ns())
         produce(rig, self._led, history, field.heights_m, frame, 0)
-        self._queue = queue  # the kernel knows only its address
 
         def kernel(control: int) -> None:
-            rig["next_number"] = adc.first_number_from(now())  # compiling took its time
+            rig["next_number"] = adc.first_number_from(time.monotonic_ns())  # compiling took its time
             run_rig(control, rig, self._led, history, field.heights_m, frame, world)
 
-        self._pump.start(kernel)
+        self._pump.start(kernel, keep=queue)
         self._end.clear()
         self._watcher = threading.Thread(target=self._watch, name=f"{self._name}-world", daemon=True)
         self._watcher.start()
@@ -261,7 +149,7 @@ class SimulatedDriver:
             return ["the simulated sensors are not started"]
         if self._trouble:
             return [self._trouble]
-        age_ns = now() - int(self._pump.control[WORLD_T])
+        age_ns = time.monotonic_ns() - int(self._pump.control[WORLD_T])
         if age_ns > STALE_WORLD_NS:
             return [f"the simulated robot has not moved its sensors for {age_ns * 1e-9:.1f} s"]
         return []
@@ -292,12 +180,6 @@ class SimulatedDriver:
                 return  # `stop` closes it, after the pump
         old.close()
         self._retired = None
-
-
-@njit(cache=True, nogil=True)
-def now() -> Any:
-    """Time of CLOCK_MONOTONIC [ns]."""
-    return now_ns()
 
 
 def _eight(values: np.ndarray[Any, Any]) -> Eight:
