@@ -1,0 +1,224 @@
+"""Follow a service's cycle log into a recording: whole entries in batches, segments from snapshot to loss."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Protocol
+
+import numpy as np
+
+from surffollow.forecast.journal import SNAPSHOT_WORDS
+from surffollow.record.format import BATCH_CYCLES
+from surffollow.record.kernels import (
+    W_BAD,
+    W_COUNT,
+    W_CYCLES,
+    W_END,
+    W_FIRST_CYCLE,
+    W_FIRST_T_NS,
+    W_LAST_CYCLE,
+    W_LAST_T_NS,
+    W_SNAPSHOT,
+    walk_entries,
+)
+from surffollow.record.writer import RecordingWriter
+from surffollow.shm.cycle_log import log_copy, log_head
+
+# one copy out of the log; must hold the longest entry
+_COPY_WORDS = max(1 << 15, 2 * SNAPSHOT_WORDS)
+# a batch is sent on at this size even with few cycles in it
+_BATCH_WORDS = 1 << 14
+_ALL = 1 << 62
+
+
+class LogSource(Protocol):
+    """A cycle log that can be followed."""
+
+    @property
+    def address(self) -> int:
+        """Where the `LogHead` lies."""
+
+    @property
+    def capacity(self) -> int:
+        """Words of the log, a power of two."""
+
+    @property
+    def epoch(self) -> int:
+        """Which start of the service writes it."""
+
+    def alive(self) -> bool:
+        """Whether its writer lives."""
+
+    def reattach(self) -> bool:
+        """Go over to a newer start's log; False when there is none."""
+
+
+@dataclass
+class Counts:
+    """What a recording holds and lacks."""
+
+    cycles: int = 0
+    segments: int = 0
+    losses: int = 0
+    lost_words: int = 0
+    lost_cycles: int = 0
+    restarts: int = 0
+    first_t_ns: int = 0
+    last_t_ns: int = 0
+
+    def as_text(self) -> dict[str, str]:
+        """The numbers as the summary record keeps them."""
+        return {name: str(value) for name, value in asdict(self).items()}
+
+
+class Recorder:
+    """Moves what a log gained into a recording; `poll` often enough that the log does not go once around.
+
+    A recording begins, and goes on after a loss, with a SNAPSHOT entry. What lies between
+    the loss and that snapshot is counted as lost too.
+    """
+
+    def __init__(self, source: LogSource, writer: RecordingWriter) -> None:
+        self.source, self.writer = source, writer
+        self.counts = Counts()
+        self._buffer = np.zeros(_COPY_WORDS, np.int64)
+        self._walk = np.zeros(W_COUNT, np.int64)
+        self._pending = np.zeros(_BATCH_WORDS + _COPY_WORDS, np.int64)
+        self._attach()
+
+    def _attach(self) -> None:
+        self._in_segment = False
+        self._after_loss = False
+        head = log_head(self.source.address)
+        # the whole run from its start when the log still holds it, with time to spare for reading
+        self._position = 0 if head <= self.source.capacity * 3 // 4 else head
+        # without the beginning, what came before is unknown and not counted as lost
+        self._last_cycle: int | None = -1 if self._position == 0 else None
+        self._clear_pending()
+
+    def _clear_pending(self) -> None:
+        self._pending_words = self._pending_cycles = 0
+        self._pending_position = self._position
+        self._pending_first_t_ns = self._pending_last_t_ns = 0
+
+    def poll(self) -> int:
+        """Take all that is new; the number of cycles taken.
+
+        Raises
+        ------
+        FaultError  the recording cannot be written
+        """
+        before = self.counts.cycles
+        while True:
+            n = log_copy(
+                self.source.address,
+                self.source.capacity,
+                self._position,
+                self._buffer.ctypes.data,
+                self._buffer.size,
+            )
+            if n < 0:
+                self._lose()
+                continue
+            if n == 0 or not self._take(n):
+                return self.counts.cycles - before
+
+    def _take(self, n: int) -> bool:
+        walk = self._walk
+        if not self._in_segment:
+            walk_entries(self._buffer, n, _ALL, 1, walk)
+            if walk[W_BAD]:
+                self._lose()
+                return True
+            if walk[W_END] > 0:
+                self._skip(int(walk[W_END]))
+            if walk[W_SNAPSHOT] < 0:
+                return bool(walk[W_END] > 0)
+            n -= int(walk[W_END])
+            if n < SNAPSHOT_WORDS:
+                return bool(walk[W_END] > 0)
+            self._buffer[:n] = self._buffer[walk[W_END] : walk[W_END] + n]
+            self._in_segment = True
+            self._first_of_segment = True
+            self.counts.segments += 1
+            self._clear_pending()
+        at = 0
+        while at < n:
+            walk_entries(self._buffer[at:], n - at, BATCH_CYCLES - self._pending_cycles, 0, walk)
+            self._append(at)
+            at += int(walk[W_END])
+            if walk[W_BAD]:
+                self._lose()
+                return True
+            if walk[W_END] == 0:
+                break
+        return at > 0
+
+    def _skip(self, words: int) -> None:
+        self._position += words
+        if self._after_loss:
+            self.counts.lost_words += words
+
+    def _append(self, at: int) -> None:
+        walk, n = self._walk, int(self._walk[W_END])
+        if n == 0:
+            return
+        if walk[W_CYCLES] > 0:
+            if self._first_of_segment and self._last_cycle is not None:
+                self.counts.lost_cycles += max(0, int(walk[W_FIRST_CYCLE]) - self._last_cycle - 1)
+            self._first_of_segment = False
+            self._last_cycle = int(walk[W_LAST_CYCLE])
+        if self._pending_words == 0:
+            self._pending_first_t_ns = int(walk[W_FIRST_T_NS])
+            self._pending_position = self._position
+        self._pending[self._pending_words : self._pending_words + n] = self._buffer[at : at + n]
+        self._pending_words += n
+        self._pending_cycles += int(walk[W_CYCLES])
+        self._pending_last_t_ns = int(walk[W_LAST_T_NS])
+        self._position += n
+        self.counts.cycles += int(walk[W_CYCLES])
+        self.counts.last_t_ns = self._pending_last_t_ns
+        if self.counts.first_t_ns == 0:
+            self.counts.first_t_ns = self._pending_first_t_ns
+        if self._pending_cycles >= BATCH_CYCLES or self._pending_words >= _BATCH_WORDS:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand the batch in progress to the file."""
+        if self._pending_words > 0:
+            self.writer.add_batch(
+                self.counts.segments - 1,
+                self.source.epoch,
+                self._pending_position,
+                self._pending_cycles,
+                self._pending[: self._pending_words],
+                self._pending_first_t_ns,
+                self._pending_last_t_ns,
+            )
+        self._clear_pending()
+
+    def _lose(self) -> None:
+        self.flush()
+        newest = log_head(self.source.address)
+        self.counts.losses += 1
+        self.counts.lost_words += max(0, newest - self._position)
+        self._position = newest
+        self._in_segment = False
+        self._after_loss = True
+
+    def restart(self) -> bool:
+        """Go over to a restarted service's log, when there is one."""
+        self.poll()
+        self.flush()
+        if not self.source.reattach():
+            return False
+        self.counts.restarts += 1
+        self._attach()
+        return True
+
+    def finish(self) -> Counts:
+        """Take the rest, write the summary and end the file."""
+        self.poll()
+        self.flush()
+        self.writer.finish(self.counts.as_text())
+        return self.counts

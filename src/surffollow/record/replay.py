@@ -1,0 +1,214 @@
+"""Replay a recording: the kernels over its logged inputs, every outcome compared bit for bit."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surffollow.errors import RecordingError
+from surffollow.forecast.journal import CYCLE_HEAD
+from surffollow.record.kernels import (
+    R_COUNT,
+    R_CYCLES,
+    R_DIFFERING,
+    R_EVENTS,
+    R_FIRST_STATE_CYCLE,
+    R_FIRST_WORD,
+    R_GAPS,
+    R_SNAPSHOTS,
+    R_STARTED,
+    R_STATES_DIFFERING,
+    replay_words,
+)
+from surffollow.record.reader import Batch, RecordingReader
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
+
+# words stepped in one call of the kernel: many batches, and they stay in the cache
+_RUN_WORDS = 1 << 17
+
+
+@dataclass
+class Difference:
+    """The first cycle whose outcome had other bits than the logged one."""
+
+    segment: int
+    cycle: int
+    t_ns: int
+    logged_status: int
+    replayed_status: int
+    logged_demand: list[float]
+    replayed_demand: list[float]
+
+    def __str__(self) -> str:
+        return (
+            f"cycle {self.cycle} of segment {self.segment}: logged demand {self.logged_demand} status "
+            f"{self.logged_status:#x}, replayed {self.replayed_demand} status {self.replayed_status:#x}"
+        )
+
+
+@dataclass
+class ReplayReport:
+    """What a replay found.
+
+    `identical` is true only when the file is whole and every demand, status and
+    snapshot of every segment came out with the same bits.
+    """
+
+    identical: bool = False
+    cycles: int = 0
+    segments: int = 0
+    differing: int = 0
+    first_difference: Difference | None = None
+    snapshots: int = 0
+    states_differing: int = 0
+    first_state_difference: int | None = None
+    gaps: int = 0
+    events: int = 0
+    complete: bool = True
+    damage: str = ""
+    lost_bytes: int = 0
+    lost_cycles: int = 0
+    lost_words: int = 0
+    losses: int = 0
+    restarts: int = 0
+    seconds: float = 0.0
+    cycles_per_s: float = 0.0
+    recorded_by: str = ""
+    machine: str = ""
+
+
+class _Segments:
+    """Collects batches into long runs of words and steps the follower over them."""
+
+    def __init__(self, report: ReplayReport) -> None:
+        self.report = report
+        self.words = np.zeros(_RUN_WORDS, np.int64)
+        self.bytes = self.words.view(np.uint8)
+        self.filled = 0
+        self.key: tuple[int, int] = (-1, -1)
+        self.position = -1
+        self.params, self.state = zeros(Params), zeros(FollowState)
+        self.inputs, self.output = zeros(Inputs), zeros(Output)
+        self.scratch = np.zeros(7)
+        self.first = np.zeros(9, np.int64)
+        self.tally = np.zeros(R_COUNT, np.int64)
+        self.last_cycle: dict[int, int] = {}
+
+    def add(self, batch: Batch) -> None:
+        n = len(batch.words) // 8
+        gapless = (batch.segment, batch.epoch) == self.key and batch.position == self.position
+        if not gapless:
+            self.run()
+            if (batch.segment, batch.epoch) == self.key:
+                self._fault(f"words {self.position} to {batch.position} of the log are missing")
+            self.key = (batch.segment, batch.epoch)
+            self.tally[R_STARTED] = 0
+            self.report.segments += 1
+        if self.filled + n > self.words.size:
+            self.run()
+        if n > self.words.size:
+            self.words = np.zeros(2 * n, np.int64)
+            self.bytes = self.words.view(np.uint8)
+        self.bytes[8 * self.filled : 8 * (self.filled + n)] = np.frombuffer(batch.words, np.uint8)
+        self.filled += n
+        self.position = batch.position + n
+
+    def run(self) -> None:
+        """Step over what was collected."""
+        at = 0
+        while at < self.filled:
+            at += self._step(at)
+            if at < self.filled:
+                self._fault(f"the word at {self.position - self.filled + at} begins no entry")
+                self.tally[R_STARTED] = 0
+                break
+        self.filled = 0
+
+    def _step(self, at: int) -> int:
+        words = self.words[at : self.filled]
+        records = (self.params, self.state, self.inputs, self.output)
+        views = (self.params.view(np.int64), self.state.view(np.int64), self.output.view(np.int64))
+        taken: int = replay_words(
+            words, words.view(np.float64), words.size, records, views, self.scratch, self.first, self.tally
+        )
+        if self.tally[R_FIRST_WORD] >= 0:
+            entry = words[self.tally[R_FIRST_WORD] :][:CYCLE_HEAD]
+            self.report.first_difference = Difference(
+                segment=self.key[0],
+                cycle=int(entry[2]),
+                t_ns=int(entry[1]),
+                logged_status=int(entry[3]),
+                replayed_status=int(self.first[2]),
+                logged_demand=entry[4:10].view(np.float64).tolist(),
+                replayed_demand=self.first[3:9].view(np.float64).tolist(),
+            )
+        return taken
+
+    def _fault(self, what: str) -> None:
+        self.report.complete = False
+        self.report.damage = f"{self.report.damage}; {what}" if self.report.damage else what
+
+
+def warm_up() -> None:
+    """Compile the kernels or load them from the cache, so that a timing does not hold it."""
+    _Segments(ReplayReport())._step(0)
+
+
+def replay_file(path: str | Path) -> ReplayReport:
+    """Replay a recording made by `surffollow record`.
+
+    Parameters
+    ----------
+    path : file
+
+    Returns
+    -------
+    ReplayReport   times include reading, not compiling
+
+    Raises
+    ------
+    RecordingError  not readable, no recording, of another layout, or without one whole cycle
+    """
+    warm_up()
+    report = ReplayReport()
+    begin = time.perf_counter()
+    with RecordingReader(path) as reader:
+        segments = _Segments(report)
+        for batch in reader.batches():
+            segments.add(batch)
+        segments.run()
+        report.seconds = time.perf_counter() - begin
+        _conclude(report, segments.tally, reader)
+    if report.cycles == 0:
+        raise RecordingError(
+            f"{path} holds no whole cycle to replay" + (f" ({report.damage})" if report.damage else "")
+        )
+    return report
+
+
+def _conclude(report: ReplayReport, tally: Any, reader: RecordingReader) -> None:
+    report.cycles, report.differing = int(tally[R_CYCLES]), int(tally[R_DIFFERING])
+    report.snapshots, report.states_differing = int(tally[R_SNAPSHOTS]), int(tally[R_STATES_DIFFERING])
+    if report.states_differing:
+        report.first_state_difference = int(tally[R_FIRST_STATE_CYCLE])
+    report.gaps, report.events = int(tally[R_GAPS]), int(tally[R_EVENTS])
+    if reader.damage:
+        report.complete = False
+        report.damage = "; ".join(x for x in (str(reader.damage), report.damage) if x)
+    report.lost_bytes = reader.damage.lost_bytes
+    for name in ("lost_cycles", "lost_words", "losses", "restarts"):
+        value = reader.summary.get(name, "0")
+        setattr(report, name, int(value) if value.isdigit() else 0)
+    if report.complete and reader.summary.get("cycles") != str(report.cycles):
+        report.complete = False
+        report.damage = f"the recorder counted {reader.summary.get('cycles')} cycles"
+    report.recorded_by = str(reader.layout.get("surffollow", ""))
+    report.machine = str(reader.layout.get("machine", ""))
+    report.cycles_per_s = report.cycles / report.seconds if report.seconds > 0 else 0.0
+    same = report.differing == 0 and report.states_differing == 0 and report.gaps == 0
+    report.identical = same and report.complete and report.cycles > 0

@@ -1,0 +1,66 @@
+"""Run a recorder until told to stop: poll, go over to restarted services, tell the progress."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from surffollow.record.recorder import Counts, Recorder
+from surffollow.record.service_log import ServiceLog
+from surffollow.record.writer import RecordingWriter
+
+# a default log goes once around in 20 s; 20 ms behind keeps a watching eye current
+POLL_S = 0.02
+PROGRESS_S = 1.0
+
+
+def record_service(
+    name: str,
+    out: str | Path,
+    stop: threading.Event,
+    *,
+    seconds: float | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Counts:
+    """Record the service `name` into `out` until `stop` is set or `seconds` have passed.
+
+    A service that stops is waited for: its next start becomes the next segment.
+
+    Raises
+    ------
+    NotRunningError, NoPermissionError, LayoutMismatchError   no service to attach to
+    FaultError                                                the file cannot be written
+    """
+    log = ServiceLog(name)
+    begin = time.monotonic()
+    try:
+        with RecordingWriter(out, log.about()) as writer:
+            recorder = Recorder(log, writer)
+            told = begin
+            while not stop.is_set():
+                now = time.monotonic()
+                if seconds is not None and now - begin >= seconds:
+                    break
+                recorder.poll()
+                if not log.alive():
+                    recorder.restart()
+                if progress is not None and now - told >= PROGRESS_S:
+                    told = now
+                    progress(progress_line(recorder, log, now - begin))
+                left = POLL_S if seconds is None else max(0.0, min(POLL_S, begin + seconds - now))
+                stop.wait(left)
+            return recorder.finish()
+    finally:
+        log.close()
+
+
+def progress_line(recorder: Recorder, log: ServiceLog, elapsed_s: float) -> str:
+    """One line for people."""
+    c = recorder.counts
+    state = "" if log.alive() else f"; waiting for service {log.name!r}"
+    return (
+        f"{elapsed_s:6.0f} s  {c.cycles} cycles in {c.segments} segment{'s' * (c.segments != 1)}, "
+        f"{c.lost_words} words lost, {recorder.writer.bytes_written / 1e6:.1f} MB{state}"
+    )

@@ -1,0 +1,167 @@
+"""Write a recording: batches of cycle-log words into a chunked MCAP file that survives its writer's death."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
+
+from surffollow.errors import FaultError
+from surffollow.record.format import (
+    CHUNK_BYTES,
+    HEAD_WORDS,
+    MESSAGE_ENCODING,
+    PROFILE,
+    SCHEMA_ENCODING,
+    SCHEMA_NAME,
+    SUMMARY_NAME,
+    TOPIC,
+    layout_description,
+    program_version,
+)
+
+
+class RecordingWriter:
+    """An open recording.
+
+    Each finished chunk goes to the kernel at once, so that a killed process loses only
+    the chunk it was filling. LZ4 because the replay must read a million cycles a second:
+    it stores a default log in 0.30 of its size and costs 0.12 s per million cycles to
+    read (zstd: 0.14 and 0.33 s; none: 1 and 0.15 s for the checksum alone).
+
+    Parameters
+    ----------
+    path : where to write; an existing file is replaced
+    about : text values kept with the layout: name, period, …
+    stream : instead of opening `path` (for trials)
+
+    Raises
+    ------
+    FaultError  the file cannot be opened or written
+    """
+
+    def __init__(
+        self, path: str | Path, about: dict[str, str] | None = None, *, stream: BinaryIO | None = None
+    ) -> None:
+        self.path = Path(path)
+        self.bytes_written = 0
+        self._whole = 0
+        self._finished = False
+        try:
+            # unbuffered below: what `write` returned from belongs to the kernel
+            self._stream: Any = stream or open(self.path, "wb", buffering=0)  # noqa: SIM115
+        except OSError as e:
+            raise FaultError(
+                f"cannot write recording {self.path}: {e.strerror}; choose another --out"
+            ) from None
+        sink: Any = _Sink(self)
+        self._mcap = Writer(
+            sink, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4, enable_data_crcs=True
+        )
+        self._guard(self._begin, about or {})
+
+    def _begin(self, about: dict[str, str]) -> None:
+        self._mcap.start(PROFILE, f"surffollow {program_version()}")
+        schema = self._mcap.register_schema(SCHEMA_NAME, SCHEMA_ENCODING, layout_description(about))
+        self._channel = self._mcap.register_channel(TOPIC, MESSAGE_ENCODING, schema, about)
+        self._sequence = 0
+
+    def add_batch(
+        self,
+        segment: int,
+        epoch: int,
+        position: int,
+        cycles: int,
+        words: NDArray[np.int64],
+        first_t_ns: int,
+        last_t_ns: int,
+    ) -> None:
+        """Append whole entries.
+
+        Parameters
+        ----------
+        segment, epoch, position, cycles : int   see `BatchHead`
+        words : (n,) int64
+        first_t_ns, last_t_ns : int              stamps of the first and the last entry [ns]
+
+        Raises
+        ------
+        FaultError  the disk is full or gone; what was written stays readable
+        """
+        head = np.array([segment, epoch, position, cycles], np.int64)
+        assert head.size == HEAD_WORDS
+        data = head.tobytes() + words.tobytes()
+        self._guard(self._mcap.add_message, self._channel, first_t_ns, data, last_t_ns, self._sequence)
+        self._sequence += 1
+
+    def finish(self, summary: dict[str, str]) -> None:
+        """Write the summary record, the indexes and the end mark, and close the file."""
+        if self._finished:
+            return
+        self._guard(self._mcap.add_metadata, SUMMARY_NAME, summary)
+        self._guard(self._mcap.finish)
+        self.close()
+
+    def close(self) -> None:
+        """Close the file as it is; without `finish` it counts as cut short."""
+        self._finished = True
+        self._stream.close()
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not self._finished:
+            self.close()
+
+    def _guard(self, call: Any, *arguments: Any) -> None:
+        try:
+            call(*arguments)
+        except OSError as e:
+            self._give_up()
+            what = "the disk is full" if e.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) else e.strerror
+            raise FaultError(
+                f"recording {self.path} ends after {self._whole} bytes: {what}; it is readable up to there "
+                "(surffollow replay); free some space or choose another --out"
+            ) from None
+
+    def _give_up(self) -> None:
+        self._finished = True
+        # where that fails, the reader recognises the half record at the end
+        with contextlib.suppress(OSError, AttributeError, ValueError):
+            os.ftruncate(self._stream.fileno(), self._whole)
+        self._stream.close()
+
+
+class _Sink:
+    """What the MCAP writer writes to: counts bytes, and remembers where the last whole record ended."""
+
+    def __init__(self, owner: RecordingWriter) -> None:
+        self._owner = owner
+
+    def write(self, data: bytes) -> int:
+        view = memoryview(data)
+        while len(view):
+            n = self._owner._stream.write(view)
+            if not n:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            view = view[n:]
+            self._owner.bytes_written += n
+        # the MCAP writer hands over whole records only
+        self._owner._whole = self._owner.bytes_written
+        return len(data)
+
+    def tell(self) -> int:
+        return self._owner.bytes_written
+
+    def flush(self) -> None:
+        return None

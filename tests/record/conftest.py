@@ -1,0 +1,35 @@
+"""Recordings made without a daemon, for the tests of this folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from surffollow.record.recorder import Recorder
+from surffollow.record.rehearsal import Rehearsal
+from surffollow.record.writer import RecordingWriter
+
+
+def record(path: Path, cycles: int = 3000, step: int = 250, **options: int) -> Path:
+    """A recording of a rehearsal, polled every `step` cycles."""
+    rehearsal = Rehearsal(**options)
+    recorder = Recorder(rehearsal, RecordingWriter(path, {"name": "rehearsal"}))
+    for done in range(0, cycles, step):
+        rehearsal.run(min(step, cycles - done))
+        recorder.poll()
+    recorder.finish()
+    return path
+
+
+@pytest.fixture
+def make_recording(tmp_path: Path) -> Callable[..., Path]:
+    """Makes a recording with the options of `Rehearsal`."""
+    return lambda **options: record(tmp_path / "log.mcap", **options)
+
+
+@pytest.fixture(scope="session")
+def recording_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A whole recording of 3000 cycles, several chunks long."""
+    return record(tmp_path_factory.mktemp("recording") / "log.mcap").read_bytes()

@@ -1,0 +1,214 @@
+"""What the recorder keeps of a cycle log, and what it says it lost."""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from surffollow.errors import FaultError
+from surffollow.forecast.journal import CYCLE, SNAPSHOT, entry_kind, entry_words
+from surffollow.record.format import BATCH_CYCLES, SCHEMA_ENCODING, TOPIC
+from surffollow.record.reader import RecordingReader
+from surffollow.record.recorder import Recorder
+from surffollow.record.rehearsal import Rehearsal
+from surffollow.record.replay import replay_file
+from surffollow.record.writer import RecordingWriter
+from surffollow.shm.cycle_log import log_head
+from surffollow.shm.layout_board import LogHead
+
+
+def words_of(path: Path) -> list[tuple[int, np.ndarray]]:
+    with RecordingReader(path) as reader:
+        return [(b.segment, np.frombuffer(bytes(b.words), np.int64)) for b in reader.batches()]
+
+
+def kinds(words: np.ndarray) -> list[int]:
+    out, at = [], 0
+    while at < words.size:
+        out.append(int(entry_kind(words[at])))
+        at += int(entry_words(words[at]))
+    assert at == words.size, "an entry is split between two messages"
+    return out
+
+
+def test_recording_holds_the_words_of_the_log_unchanged(tmp_path: Path) -> None:
+    rehearsal = Rehearsal(1 << 20)
+    recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap"))
+    for _ in range(7):
+        rehearsal.run(311)
+        recorder.poll()
+    recorder.finish()
+    head = int(log_head(rehearsal.address))
+    logged = rehearsal.memory[LogHead.SIZE // 8 :][:head]
+    kept = np.concatenate([w for _, w in words_of(tmp_path / "a.mcap")])
+    np.testing.assert_array_equal(kept, logged)
+
+
+def test_messages_hold_whole_entries_and_at_least_a_hundred_cycles(
+    make_recording: Callable[..., Path],
+) -> None:
+    batches = words_of(make_recording(cycles=2500))
+    counts = [kinds(w).count(CYCLE) for _, w in batches]
+    assert sum(counts) == 2500
+    assert all(n >= BATCH_CYCLES for n in counts[:-1] if n)
+    assert kinds(batches[0][1])[0] == SNAPSHOT
+
+
+def test_a_log_that_has_gone_around_is_recorded_from_the_next_snapshot_on(tmp_path: Path) -> None:
+    rehearsal = Rehearsal(1 << 15, snapshot_cycles=400)
+    rehearsal.run(1100)
+    recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap"))
+    for _ in range(20):
+        rehearsal.run(50)
+        recorder.poll()
+    counts = recorder.finish()
+    assert counts.cycles == 2100 - 1200
+    assert (counts.lost_words, counts.losses, counts.segments) == (0, 0, 1)
+    assert replay_file(tmp_path / "a.mcap").identical
+
+
+def test_after_a_loss_the_recording_resumes_at_a_snapshot_and_counts_what_is_missing(tmp_path: Path) -> None:
+    rehearsal = Rehearsal(1 << 15, snapshot_cycles=400)
+    recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap"))
+    for _ in range(10):
+        rehearsal.run(50)
+        recorder.poll()
+    rehearsal.run(3333)  # far more than the log holds
+    recorder.poll()
+    for _ in range(20):
+        rehearsal.run(50)
+        recorder.poll()
+    counts = recorder.finish()
+    assert (counts.segments, counts.losses) == (2, 1)
+    assert counts.lost_words > 0
+    assert counts.cycles + counts.lost_cycles == 500 + 3333 + 1000
+    segments = words_of(tmp_path / "a.mcap")
+    first_of_second = next(w for s, w in segments if s == 1)
+    assert kinds(first_of_second)[0] == SNAPSHOT
+    report = replay_file(tmp_path / "a.mcap")
+    assert report.identical
+    assert (report.segments, report.lost_cycles, report.cycles) == (2, counts.lost_cycles, counts.cycles)
+
+
+def test_every_cycle_is_recorded_or_counted_as_lost_however_the_polls_fall(tmp_path: Path) -> None:
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        rehearsal = Rehearsal(1 << 15, snapshot_cycles=int(rng.integers(60, 500)), seed=seed)
+        path = tmp_path / f"{seed}.mcap"
+        recorder = Recorder(rehearsal, RecordingWriter(path))
+        total = 0
+        for _ in range(30):
+            n = int(rng.choice([1, 17, 130, 700, 1500], p=[0.2, 0.3, 0.3, 0.1, 0.1]))
+            rehearsal.run(n)
+            total += n
+            if rng.random() < 0.8:
+                recorder.poll()
+        for _ in range(8):
+            rehearsal.run(100)
+            recorder.poll()
+        counts = recorder.finish()
+        assert counts.cycles + counts.lost_cycles == total + 800, f"seed {seed}: {counts}"
+        assert replay_file(path).identical, f"seed {seed}"
+
+
+def test_a_restarted_service_begins_a_new_segment(tmp_path: Path) -> None:
+    first, second = Rehearsal(epoch=4), Rehearsal(epoch=5, seed=9)
+
+    class Source:
+        address = property(lambda self: self.now.address)
+        capacity = property(lambda self: self.now.capacity)
+        epoch = property(lambda self: self.now.epoch)
+        now, newer = first, False
+
+        def alive(self) -> bool:
+            return not self.newer
+
+        def reattach(self) -> bool:
+            if self.newer:
+                self.now, self.newer = second, False
+                return True
+            return False
+
+    source = Source()
+    recorder = Recorder(source, RecordingWriter(tmp_path / "a.mcap"))
+    first.run(420)
+    recorder.poll()
+    first.run(13)
+    assert not recorder.restart()
+    second.run(230)
+    source.newer = True
+    assert recorder.restart()
+    second.run(100)
+    counts = recorder.finish()
+    assert (counts.cycles, counts.segments, counts.restarts, counts.lost_cycles) == (433 + 330, 2, 1, 0)
+    with RecordingReader(tmp_path / "a.mcap") as reader:
+        assert {(b.segment, b.epoch) for b in reader.batches()} == {(0, 4), (1, 5)}
+    assert replay_file(tmp_path / "a.mcap").identical
+
+
+def test_any_mcap_reader_opens_the_recording_and_finds_the_layout(
+    make_recording: Callable[..., Path],
+) -> None:
+    with open(make_recording(cycles=1000), "rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        messages = list(reader.iter_messages())
+        metadata = {m.name: m.metadata for m in reader.iter_metadata()}
+    schema, channel, message = messages[0]
+    assert channel.topic == TOPIC
+    assert schema.encoding == SCHEMA_ENCODING
+    layout = json.loads(schema.data)
+    params = {name: (word, code) for name, word, code, _, _ in layout["words"]["Params"]}
+    word, code = params["offset_m"]
+    begin = 8 * (len(layout["words"]["BatchHead"]) + 2 + word)
+    assert code == "f8"
+    assert np.frombuffer(message.data[begin : begin + 8], np.float64)[0] == 0.1
+    assert metadata["surffollow.summary"]["cycles"] == "1000"
+    assert message.log_time == 1_000_000_000
+
+
+class FullDisk(io.BytesIO):
+    """A file that takes only so many bytes."""
+
+    room = 300_000
+
+    def write(self, data: bytes) -> int:
+        n = min(len(data), self.room - self.tell())
+        if n == 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return super().write(data[:n])
+
+    def close(self) -> None:
+        self.kept = self.getvalue()
+        super().close()
+
+
+def test_a_full_disk_is_told_and_the_file_stays_readable_up_to_there(tmp_path: Path) -> None:
+    disk = FullDisk()
+    rehearsal = Rehearsal()
+    recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap", stream=disk))
+
+    def record_on() -> None:
+        for _ in range(1000):
+            rehearsal.run(100)
+            recorder.poll()
+
+    with pytest.raises(FaultError, match=r"a\.mcap ends after \d+ bytes: the disk is full"):
+        record_on()
+    (tmp_path / "a.mcap").write_bytes(disk.kept)
+    report = replay_file(tmp_path / "a.mcap")
+    assert report.cycles > 1000
+    assert report.differing == 0
+    assert not report.identical
+    assert "ends early" in report.damage
+
+
+def test_a_recording_that_cannot_be_opened_is_told_with_its_path(tmp_path: Path) -> None:
+    with pytest.raises(FaultError, match="nowhere"):
+        RecordingWriter(tmp_path / "nowhere" / "a.mcap")
