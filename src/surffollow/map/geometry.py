@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from surffollow.map.grids import clear_grids
+from surffollow.map.words import clear_grids
 from surffollow.shm import map_layout as ml
 from surffollow.shm.atomics import fence_release
 

@@ -31,7 +31,6 @@ _BLOCK = 64
 _ULP32 = 2.0**-32
 _LOW32 = 0xFFFFFFFF
 
-_UNKNOWN = np.int16(ml.UNKNOWN)
 _MAX = float(ml.MAX_HEIGHT)
 _PAPER = ml.ROUND_PAPER
 _READY = ml.READY
@@ -230,27 +229,3 @@ def _add_unbiased(w: Any, pairs: Any, points: Any, start: Any) -> None:
     dirty[run_tile] += np.uint32(n - run_start)
     w.dither_count, w.dither_offset = n, rotation
     w.samples += n - first
-
-
-@njit(cache=True, nogil=True)
-def clear_grids(pairs: Any, start: Any, stop: Any) -> None:
-    """Make grids start … stop−1 unknown, count 0.
-
-    Parameters
-    ----------
-    pairs : (n,) structured `GridPair`
-    start, stop : int64                       grid indices, 0 ≤ start ≤ stop ≤ 2 n
-    """
-    if start < stop and start & 1:
-        pairs[start >> 1].h[1] = _UNKNOWN
-        pairs[start >> 1].c[1] = 0
-        start += 1
-    if start < stop and stop & 1:
-        pairs[stop >> 1].h[0] = _UNKNOWN
-        pairs[stop >> 1].c[0] = 0
-        stop -= 1
-    words = pairs.view(np.int16)
-    for k in range(3 * (start >> 1), 3 * (stop >> 1), 3):
-        words[k] = _UNKNOWN
-        words[k + 1] = _UNKNOWN
-        words[k + 2] = 0

@@ -1,4 +1,4 @@
-"""Rows of heights: copy them between pairs and dense int16, and resample them by exact overlap areas.
+"""Resample rows of heights by exact overlap areas: which old grids a new one covers, and their means.
 
 Edges of the new grids are expressed in old grids; the overlap of a new grid with an old one is the
 product of its overlaps along x and along y, so a row is done in two steps: along one axis, then
@@ -14,80 +14,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba import njit, types
-from numba.extending import intrinsic
+from numba import njit
 
-from surffollow.map.grids import clear_grids
 from surffollow.shm import map_layout as ml
 
 _UNKNOWN = np.int16(ml.UNKNOWN)
 _SNAP = 1e-6
-
-
-@intrinsic
-def _load_two_heights(typingctx: Any, address: Any) -> Any:
-    """Two int16 as one int32 at an even address: twice as fast as any shuffle of the six-byte pairs."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.load(builder.inttoptr(args[0], ir.IntType(32).as_pointer()), align=2)
-
-    return types.int32(types.int64), codegen
-
-
-@intrinsic
-def _store_two_heights(typingctx: Any, address: Any, value: Any) -> Any:
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        builder.store(args[1], builder.inttoptr(args[0], ir.IntType(32).as_pointer()), align=2)
-        return context.get_dummy_value()
-
-    return types.void(types.int64, types.int32), codegen
-
-
-@njit(cache=True, nogil=True)
-def unpack_row(pairs: Any, start: Any, out: Any) -> None:
-    """Heights of grids start … start+len(out)−1, as a dense int16 row."""
-    n = out.shape[0]
-    k = 0
-    if start & 1 and n > 0:
-        out[0] = pairs[start >> 1].h[1]
-        k = 1
-    source = pairs.ctypes.data + 6 * ((start + k) >> 1)
-    target = out.ctypes.data + 2 * k
-    for m in range((n - k) >> 1):
-        _store_two_heights(target + 4 * m, _load_two_heights(source + 6 * m))
-    if (n - k) & 1:
-        out[n - 1] = pairs[(start + n - 1) >> 1].h[0]
-
-
-@njit(cache=True, nogil=True)
-def pack_row(row: Any, pairs: Any, start: Any) -> None:
-    """Store a dense int16 row at grids start …, count 0 (a prior, or unknown)."""
-    n = row.shape[0]
-    k = 0
-    if start & 1 and n > 0:
-        pairs[start >> 1].h[1] = row[0]
-        pairs[start >> 1].c[1] = 0
-        k = 1
-    m = (n - k) >> 1
-    first = 3 * ((start + k) >> 1)
-    words = pairs.view(np.int16)[first : first + 3 * m]
-    dense = row[k : k + 2 * m]
-    for i in range(m):
-        words[3 * i] = dense[2 * i]
-        words[3 * i + 1] = dense[2 * i + 1]
-        words[3 * i + 2] = 0
-    if (n - k) & 1:
-        pairs[(start + n - 1) >> 1].h[0] = row[n - 1]
-        pairs[(start + n - 1) >> 1].c[0] = 0
-
-
-@njit(cache=True, nogil=True)
-def place_row(row: Any, pairs: Any, row_start: Any, nx: Any, first: Any) -> None:
-    """Write a whole map row of nx grids: unknown, the dense row from column `first` on, unknown."""
-    pack_row(row, pairs, row_start + first)
-    clear_grids(pairs, row_start, row_start + first)
-    clear_grids(pairs, row_start + first + row.shape[0], row_start + nx)
+_U1, _U2 = np.uint64(1), np.uint64(2)
 
 
 @njit(cache=True, nogil=True)
@@ -119,14 +52,17 @@ def axis_overlap(shift: Any, ratio: Any, n_new: Any, n_old: Any) -> Any:
     -------
     (a, b, c, d)  int64; a == b when there is no overlap
     """
-    a = min(max(np.int64(np.floor(-shift / ratio)) - 1, 0), n_new)
+    zero = np.int64(0)
+    # a shift beyond any index must not overflow the conversion to int64
+    low = min(max(np.floor(-shift / ratio) - 1.0, 0.0), float(n_new))
+    high = min(max(np.ceil((n_old - shift) / ratio) + 1.0, 0.0), float(n_new))
+    a, b = np.int64(low), np.int64(high)
     while a < n_new and edge(shift, ratio, a + 1) <= 0.0:
         a += 1
-    b = min(max(np.int64(np.ceil((n_old - shift) / ratio)) + 1, a), n_new)
     while b > a and edge(shift, ratio, b - 1) >= n_old:
         b -= 1
-    if a == b:
-        return a, a, 0, 0
+    if a >= b:
+        return zero, zero, zero, zero
     c = span(shift, ratio, a, n_old)[0]
     d = span(shift, ratio, b - 1, n_old)[1] + 1
     return a, b, c, d
@@ -150,28 +86,37 @@ def fill_tables(first_old: Any, last_old: Any, weights: Any, shift: Any, ratio: 
         first_old[i], last_old[i] = first - c, last - c
         head = (min(high, first + 1.0) - low) * per_width
         tail = (high - last) * per_width
+        weights[0, i] = head
         if ratio > 2.0:
-            weights[0, i] = head
             weights[1, i] = tail if last > first else 0.0
             weights[2, i] = per_width
         else:
-            weights[0, i] = head
             weights[1, i] = 0.0 if last == first else (tail if last == first + 1 else per_width)
             weights[2, i] = tail if last == first + 2 else 0.0
 
 
 @njit(cache=True, nogil=True)
-def has_unknown(row: Any) -> Any:
-    """Whether a dense row has an unknown grid."""
-    lowest = np.int16(0)
-    for i in range(row.shape[0]):
-        lowest = min(lowest, row[i])
-    return lowest == _UNKNOWN
+def set_row(row: Any, weight: Any, total: Any, known: Any, holes: Any) -> None:
+    """total = weight·height and, where there are holes, known = weight, 0 over unknown grids.
+
+    The two entries behind the row become 0: `along_x` may read them with weight 0.
+    """
+    n = row.shape[0]
+    if holes:
+        for i in range(n):
+            there = row[i] != _UNKNOWN
+            total[i] = weight * row[i] if there else 0.0
+            known[i] = weight if there else 0.0
+    else:
+        for i in range(n):
+            total[i] = weight * row[i]
+    total[n], total[n + 1] = 0.0, 0.0
+    known[n], known[n + 1] = 0.0, 0.0
 
 
 @njit(cache=True, nogil=True)
 def add_row(row: Any, weight: Any, total: Any, known: Any, holes: Any) -> None:
-    """total += weight·height and, where the overlap has holes, known += weight over known grids."""
+    """total += weight·height and, where there are holes, known += weight over known grids."""
     if holes:
         for i in range(row.shape[0]):
             there = row[i] != _UNKNOWN
@@ -188,20 +133,24 @@ def along_x(values: Any, first_old: Any, last_old: Any, weights: Any, ratio: Any
 
     `values` has two more entries than there are old columns, finite: weight 0 may fall on them.
     """
-    if ratio <= 2.0:
-        for i in range(out.shape[0]):
+    n = out.shape[0]
+    w0, w1, w2 = weights[0], weights[1], weights[2]
+    if ratio <= 1.0:
+        for i in range(n):
             k = np.uint64(first_old[i])
-            out[i] = weights[0, i] * values[k] + weights[1, i] * values[k + np.uint64(1)]
-        if ratio > 1.0:
-            for i in range(out.shape[0]):
-                out[i] += weights[2, i] * values[np.uint64(first_old[i]) + np.uint64(2)]
-        return
-    for i in range(out.shape[0]):
-        first, last = first_old[i], last_old[i]
-        between = 0.0
-        for k in range(first + 1, last):
-            between += values[k]
-        out[i] = weights[0, i] * values[first] + weights[2, i] * between + weights[1, i] * values[last]
+            value = values[k]
+            out[i] = value + w1[i] * (values[k + _U1] - value)
+    elif ratio <= 2.0:
+        for i in range(n):
+            k = np.uint64(first_old[i])
+            out[i] = w0[i] * values[k] + w1[i] * values[k + _U1] + w2[i] * values[k + _U2]
+    else:
+        for i in range(n):
+            first, last = first_old[i], last_old[i]
+            between = 0.0
+            for k in range(first + 1, last):
+                between += values[k]
+            out[i] = w0[i] * values[first] + w2[i] * between + w1[i] * values[last]
 
 
 @njit(cache=True, nogil=True)
@@ -223,7 +172,20 @@ def divide_row(total: Any, known: Any, out: Any) -> None:
 
 @njit(cache=True, nogil=True)
 def blend_rows(one: Any, other: Any, weight: Any, out: Any) -> None:
-    """weight·one + (1 − weight)·other."""
+    """Nearest quanta of weight·one + (1 − weight)·other."""
     rest = 1.0 - weight
     for i in range(out.shape[0]):
-        out[i] = weight * one[i] + rest * other[i]
+        out[i] = np.int16(np.int32(weight * one[i] + rest * other[i] + 32768.5) - 32768)
+
+
+@njit(cache=True, nogil=True)
+def blend_known(one: Any, one_known: Any, other: Any, other_known: Any, weight: Any, out: Any) -> None:
+    """`blend_rows` where either row has holes: renormalised over what is known."""
+    rest = 1.0 - weight
+    for i in range(out.shape[0]):
+        known = weight * one_known[i] + rest * other_known[i]
+        if known > 0.0:
+            total = weight * one[i] + rest * other[i]
+            out[i] = np.int16(np.int32(total / known + 32768.5) - 32768)
+        else:
+            out[i] = _UNKNOWN
