@@ -1,0 +1,46 @@
+"""What robot controllers and observers import: light (no NumPy, no numba).
+
+from surffollow.client import attach
+
+robot = attach("surf")
+robot.sf_reset(0.1)
+while moving:
+    robot.ee_pos(pose, t_ns)
+    demand = robot.dev_vector()     # zero and not valid when in doubt
+"""
+
+from __future__ import annotations
+
+from surffollow.client.client import Client
+from surffollow.client.demand import STALE, Demand, status_names
+from surffollow.client.observer import Observer
+from surffollow.client.requests import Ticket
+
+__all__ = ["STALE", "Client", "Demand", "Observer", "Ticket", "attach", "observe", "status_names"]
+
+
+def attach(
+    name: str = "surf", *, stale_periods: int = 20, stale_min_s: float = 0.005, label: str = ""
+) -> Client:
+    """Attach to a running service as a client that may send poses and requests.
+
+    Parameters
+    ----------
+    name : str             of the service
+    stale_periods : int    cycles of silence after which demands become zero
+    stale_min_s : float    but never sooner than this
+    label : str            how the service's status names this client
+
+    Raises
+    ------
+    NotRunningError       no service of that name
+    NoPermissionError     not a member of the inbox's group
+    LayoutMismatchError   the service is of another release
+    BusyError             all slots are taken
+    """
+    return Client(name, stale_periods=stale_periods, stale_min_s=stale_min_s, label=label)
+
+
+def observe(name: str = "surf", *, stale_periods: int = 20, stale_min_s: float = 0.005) -> Observer:
+    """Attach read-only: no slot, no write permission needed; raises as `attach`."""
+    return Observer(name, stale_periods=stale_periods, stale_min_s=stale_min_s)

@@ -16,6 +16,8 @@ LAYOUT_VERSION = 1
 CLIENTS = 16
 PAGE = 4096
 REQUEST_ARGS = 16
+# the lock on this byte of the map object is the service's name: it may lie beyond the end
+NAME_LOCK_BYTE = 1 << 62
 HISTOGRAM_BINS = 512  # 8 per octave of nanoseconds
 
 STATE_INITIALISING, STATE_READY, STATE_STOPPING, STATE_STOPPED = 0, 1, 2, 3

@@ -1,0 +1,72 @@
+"""The `surffollow` command: verbs only, each loads what it needs when it runs."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import Any
+
+import click
+
+from surffollow.errors import SurffollowError
+
+# verb → (module, click command object, what it does)
+VERBS = {
+    "start": ("service", "start_command", "Run the service in the foreground."),
+    "stop": ("service", "stop_command", "End a service; --purge removes its kept map."),
+    "status": ("service", "status_command", "Say how a service is doing."),
+    "demo": ("demo", "demo_command", "Follow simulated rough ground with the real service."),
+    "robot": ("robot", "robot_command", "Simulate a robot that heeds the service's demands."),
+    "record": ("record", "record_command", "Record a service's cycles to a file."),
+    "replay": ("record", "replay_command", "Run a recording or a CSV log through the same kernels."),
+    "map": ("map", "map_group", "Show, export, compose, refocus and compare map files."),
+    "contest": ("contest", "contest_command", "Compare following methods on one plant."),
+    "blocks": ("blocks", "blocks_group", "List, show and watch shared blocks."),
+    "header": ("header", "header_command", "Print the C header of the client library."),
+    "doctor": ("doctor", "doctor_command", "Say what this machine lacks for hard timing."),
+    "latency": ("doctor", "latency_command", "Measure wake-up latency, beside cyclictest."),
+}
+
+
+class LazyGroup(click.Group):
+    """A group that imports a verb's module only when the verb is used."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in VERBS:
+            return None
+        module, attribute, _ = VERBS[name]
+        return getattr(importlib.import_module(f"surffollow.cli.{module}"), attribute)  # type: ignore[no-any-return]
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, _, text) in VERBS.items()])
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="surffollow")
+def cli() -> None:
+    """Real-time surface following, mapping and scanning for robot controllers.
+
+    Begin with `surffollow demo`, or `surffollow start` and a program that imports
+    surffollow.client. Exit codes: 0 done, 1 fault, 2 wrong usage.
+    """
+
+
+def main(argv: list[str] | None = None) -> Any:
+    """Entry point: errors of ours become one line and their exit code."""
+    try:
+        return cli.main(args=argv, prog_name="surffollow", standalone_mode=True)
+    except SurffollowError as e:
+        print(f"surffollow: {e}", file=sys.stderr)
+        sys.exit(e.exit_code)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except BrokenPipeError:
+        sys.exit(141)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,148 @@
+"""`surffollow start`, `stop` and `status`."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from typing import Any
+
+import click
+
+
+@click.command("start")
+@click.option(
+    "--config", "config_path", type=click.Path(dir_okay=False), help="TOML file; see docs/configuration.md."
+)
+@click.option("--name", help="Name of the service and its shared-memory objects [surf].")
+@click.option("--quiet", is_flag=True, help="Print only READY and errors.")
+def start_command(config_path: str | None, name: str | None, quiet: bool) -> None:
+    """Run the service in the foreground: prints READY when robots may attach, ends on SIGTERM or Ctrl-C."""
+    import msgspec
+
+    from surffollow.config.service import ServiceConfig, load_config
+    from surffollow.shm.objects import check_name
+
+    config = load_config(config_path) if config_path else ServiceConfig()
+    if name is not None:
+        config = msgspec.structs.replace(config, name=name)
+    check_name(config.name)
+    from surffollow.service.daemon import serve
+
+    serve(config, quiet)
+
+
+@click.command("stop")
+@click.option("--name", default="surf", show_default=True, help="Name of the service.")
+@click.option("--purge", is_flag=True, help="Also remove the kept map.")
+@click.option("--timeout", default=10.0, show_default=True, help="Seconds to wait for its end.")
+def stop_command(name: str, purge: bool, timeout: float) -> None:
+    """End a service in good order; its map is kept for the next start unless --purge is given."""
+    from surffollow.errors import NotRunningError, ServiceError
+    from surffollow.shm.objects import check_name
+
+    check_name(name)
+    pid = running_pid(name)
+    if pid:
+        try:
+            os.kill(pid, signal.SIGTERM)
+        except PermissionError:
+            raise ServiceError(
+                f"service {name!r} (pid {pid}) belongs to another user; ask them or root"
+            ) from None
+        deadline = time.monotonic() + timeout
+        while running_pid(name) == pid:
+            if time.monotonic() > deadline:
+                raise ServiceError(
+                    f"service {name!r} (pid {pid}) did not end in {timeout:g} s; kill -9 {pid} is safe"
+                )
+            time.sleep(0.01)
+    if purge:
+        purged = purge_leftovers(name)
+        if not pid and not purged:
+            raise NotRunningError(f"no service {name!r} runs and no map of that name is kept")
+    elif not pid:
+        raise NotRunningError(f"no service {name!r} is running")
+
+
+def running_pid(name: str) -> int:
+    """The pid of the live process that holds a service's name; 0 when there is none."""
+    import struct
+
+    from surffollow.errors import BlockError, NotRunningError
+    from surffollow.shm import map_layout as ml
+    from surffollow.shm.layout_board import NAME_LOCK_BYTE
+    from surffollow.shm.objects import SharedObject
+
+    try:
+        map_ = SharedObject.open(f"{name}.map")
+    except (NotRunningError, BlockError):
+        return 0
+    try:
+        if not map_.is_locked(NAME_LOCK_BYTE):
+            return 0
+        return int(struct.unpack_from("<q", map_.memory, ml.MapHeader.offset("owner_pid"))[0])
+    finally:
+        map_.close()
+
+
+def purge_leftovers(name: str) -> bool:
+    """Remove the map, and what a killed service left of its board and inbox."""
+    from surffollow.service.house import purge_map
+    from surffollow.shm.objects import unlink
+
+    purged = purge_map(name)
+    return any([purged, unlink(name), unlink(f"{name}.inbox")])
+
+
+@click.command("status")
+@click.option("--name", default="surf", show_default=True, help="Name of the service.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def status_command(name: str, as_json: bool) -> None:
+    """Say how a service is doing: health, cycles, lateness, clients, map."""
+    from surffollow.client import observe
+
+    with observe(name) as watcher:
+        status = watcher.status()
+        status["params"] = watcher.params()
+    if as_json:
+        json.dump(status, sys.stdout, indent=2, allow_nan=False, default=str)
+        print()
+    else:
+        print(render(status))
+    if not status["alive"]:
+        sys.exit(1)
+
+
+def durations(summary: dict[str, float]) -> str:
+    """p50, p99 and maximum of a histogram, for people."""
+    from surffollow.units import format_ns
+
+    return ", ".join(f"{k} {format_ns(summary[k + '_ns'])}" for k in ("p50", "p99", "max"))
+
+
+def render(s: dict[str, Any]) -> str:
+    """The status as a few lines for people."""
+    from surffollow.service.realtime import GRANT_NAMES
+    from surffollow.units import format_ns
+
+    late, run, main, map_ = s["lateness"], s["execution"], s["main"], s["map"]
+    granted = [n for i, n in enumerate(GRANT_NAMES) if main.get("granted", 0) >> i & 1]
+    pose = f"pid {main['pose_pid']}" if main.get("pose_slot", -1) >= 0 else "nobody"
+    lines = [
+        f"service {s['name']}: {s['state']}, pid {s['pid']}, epoch {s['epoch']}",
+        f"cycle    {format_ns(s['period_ns'])}, {s['cycles']} run, {s['overruns']} overruns",
+        f"lateness {durations(late)}",
+        f"work     {durations(run)}",
+        f"demand   {'|'.join(s['demand_status']) or 'none'}, age {format_ns(s['age_ns'])}",
+        f"poses    {s['poses']} taken, {s['poses_refused']} refused; sent by {pose}",
+        f"clients  {main.get('clients', 0)}; requests {s['requests']}, refused {s['requests_refused']}",
+        f"map      {map_.get('applied', 0)} samples, {map_.get('queued', 0)} waiting, "
+        f"{map_.get('lost', 0)} lost",
+        f"granted  {', '.join(granted) or 'nothing'}",
+    ]
+    if main.get("text"):
+        lines.append(f"note     {main['text']}")
+    return "\n".join(lines)

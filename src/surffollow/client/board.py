@@ -1,0 +1,148 @@
+"""Map a board read-only and read its latches: what clients, observers and the recorder share."""
+
+from __future__ import annotations
+
+import struct
+import time
+from typing import Any
+
+from surffollow.errors import BlockError, LayoutMismatchError
+from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
+from surffollow.shm.layout_board import (
+    BOARD_MAGIC,
+    LAYOUT_VERSION,
+    STATE_READY,
+    BoardHeader,
+    layout_hash,
+)
+from surffollow.shm.objects import SharedObject
+from surffollow.shm.schema import Schema
+
+LAYOUT_HASH = layout_hash()
+
+
+def unpack_schema(schema: type[Schema], data: Any, at: int = 0) -> dict[str, Any]:
+    """The fields of one structure as Python values: numbers, lists, text, nested dictionaries."""
+    out: dict[str, Any] = {}
+    for f in schema.FIELDS:
+        start = at + f.offset
+        if f.nested is not None:
+            items = [unpack_schema(f.nested, data, start + k * f.item_size) for k in range(f.count)]
+            out[f.name] = items if f.count > 1 else items[0]
+            continue
+        values = struct.unpack_from("<" + f.struct_format, data, start)
+        if f.is_text:
+            out[f.name] = values[0].split(b"\0", 1)[0].decode("utf-8", "replace")
+        else:
+            out[f.name] = list(values) if f.count > 1 else values[0]
+    return out
+
+
+class LatchReader:
+    """Reads one latch of a mapped object: bounded, load-only, never waits (steps R1-R4)."""
+
+    def __init__(self, words: memoryview, memory: Any, offset: int, schema: type[Schema]) -> None:
+        self._words, self._memory = words, memory
+        self._index, self._base = offset // 8, offset + HEAD_BYTES
+        self._stride, self.schema = stride(schema.SIZE), schema
+
+    def copy(self) -> bytes | None:
+        """The newest payload; None when nothing was published or every try was torn."""
+        words, index = self._words, self._index
+        for _ in range(MAX_TRIES):
+            g = words[index]
+            if g == 0:
+                return None
+            start = self._base + (g & (SLOTS - 1)) * self._stride
+            data = bytes(self._memory[start : start + self.schema.SIZE])
+            if words[index] - g <= SLOTS - 2:
+                return data
+        return None
+
+    def read(self) -> dict[str, Any] | None:
+        """The newest payload as a dictionary; None as for `copy`."""
+        data = self.copy()
+        return None if data is None else unpack_schema(self.schema, data)
+
+
+class Board:
+    """A service's board, mapped read-only and checked.
+
+    Raises
+    ------
+    NotRunningError, NoPermissionError   from opening it
+    LayoutMismatchError                  it was laid out by another version
+    """
+
+    def __init__(self, name: str, ready_timeout_s: float = 2.0) -> None:
+        self.object = SharedObject.open(name)
+        try:
+            self._check(name, ready_timeout_s)
+        except BlockError:
+            self.object.close()
+            raise
+        header = self.header()
+        self.name, self.epoch, self.pid = name, header["epoch"], header["pid"]
+        self.period_ns: int = header["period_ns"]
+        self.regions = {r["name"]: (r["offset"], r["size"]) for r in header["region"] if r["name"]}
+        self.memory = self.object.memory
+        self.words = memoryview(self.memory).cast("Q")
+
+    def _check(self, name: str, ready_timeout_s: float) -> None:
+        memory = self.object.memory
+        if self.object.size < BoardHeader.SIZE:
+            raise BlockError(f"block {name!r} is too small to be a board")
+        deadline = time.monotonic() + ready_timeout_s
+        while True:
+            h = unpack_schema(BoardHeader, memory)
+            if h["magic"] == BOARD_MAGIC and h["state"] >= STATE_READY:
+                break
+            if time.monotonic() > deadline:
+                raise BlockError(
+                    f"block {name!r} is not ready after {ready_timeout_s:g} s; see the service's log"
+                )
+            time.sleep(0.005)
+        if h["version"] != LAYOUT_VERSION or h["layout_hash"] != LAYOUT_HASH:
+            raise LayoutMismatchError(
+                f"block {name!r} has layout {h['layout_hash']:016x} (version {h['version']}), this client "
+                f"expects {LAYOUT_HASH:016x} (version {LAYOUT_VERSION}); use client and service of one release and "
+                "restart the older one"
+            )
+        if h["size"] > self.object.size:
+            raise BlockError(f"block {name!r} is shorter than its header says; restart the service")
+
+    def header(self) -> dict[str, Any]:
+        """The header, as a dictionary."""
+        return unpack_schema(BoardHeader, self.object.memory)
+
+    def state(self) -> int:
+        """STATE_… of the service as last stored."""
+        return int(self.words[BoardHeader.offset("state") // 8])
+
+    def latch(self, part: str, schema: type[Schema], index: int = 0) -> LatchReader:
+        """A reader of the latch `index` in a part of the board."""
+        offset, size = self.regions[part]
+        step = HEAD_BYTES + SLOTS * stride(schema.SIZE)
+        if (index + 1) * step > size:
+            raise BlockError(f"board part {part!r} has no latch {index}")
+        return LatchReader(self.words, self.memory, offset + index * step, schema)
+
+    def plain(self, part: str, schema: type[Schema]) -> dict[str, Any]:
+        """A part without a latch (counters): each word is whole, the structure need not be."""
+        return unpack_schema(schema, self.memory, self.regions[part][0])
+
+    def address(self, part: str) -> int:
+        """Address of a part in this process (for kernels; imports NumPy)."""
+        import numpy as np
+
+        base = np.frombuffer(self.memory, np.uint8)
+        return int(base.ctypes.data) + self.regions[part][0]
+
+    def is_current(self) -> bool:
+        """Whether the name still leads to this board."""
+        return self.object.is_current()
+
+    def close(self) -> None:
+        """Unmap."""
+        self.words.release()
+        self.object.close()

@@ -1,0 +1,254 @@
+"""A robot controller's attachment: poses in, demands out, requests answered."""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from surffollow.client.observer import FENCED, Observer, fence
+from surffollow.client.requests import Ticket, check_region
+from surffollow.errors import BusyError, NotRunningError, PoseError, RefusedError
+from surffollow.shm import layout_board as lb
+from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, stride
+from surffollow.shm.layout_follow import Params
+from surffollow.shm.objects import SharedObject
+
+_POST = lb.PosePost.struct_of("t_ns", "pose")
+_REQUEST = lb.RequestPost.struct_of("counter", "value")
+_HEAD = lb.SlotHead.struct_of("pid", "name")
+_POSE_STRIDE = stride(lb.PosePost.SIZE)
+_REQUEST_STRIDE = stride(lb.RequestPost.SIZE)
+FUTURE_NS = 1_000_000
+NORM_TOLERANCE = 1e-3
+CLAIM_RETRY_S = 0.3
+
+
+class Client(Observer):
+    """An attachment with a slot in the inbox; see `attach`."""
+
+    def __init__(
+        self, name: str = "surf", *, stale_periods: int = 20, stale_min_s: float = 0.005, label: str = ""
+    ) -> None:
+        self._label = (label or f"python {os.getpid()}").encode()[:31]
+        self._lock = threading.RLock()
+        self._inbox: SharedObject | None = None
+        super().__init__(name, stale_periods=stale_periods, stale_min_s=stale_min_s)
+        try:
+            self._claim_slot()
+        except BaseException:
+            self.close()
+            raise
+
+    # -- the slot ---------------------------------------------------------------------------------
+
+    def _claim_slot(self) -> None:
+        inbox = SharedObject.open(f"{self.name}.inbox", writable=True)
+        for slot in range(lb.CLIENTS):
+            start = lb.PAGE + slot * lb.SLOT_BYTES
+            if inbox.try_lock(start):
+                break
+        else:
+            inbox.close()
+            raise BusyError(f"all {lb.CLIENTS} client slots of service {self.name!r} are taken; end a client")
+        self._inbox, self.slot = inbox, slot
+        self._in, self._in_words = inbox.memory, memoryview(inbox.memory).cast("Q")
+        self._start = start
+        self._pose_index = (start + lb.SLOT_POSE) // 8
+        self._pose_base = start + lb.SLOT_POSE + HEAD_BYTES
+        self._request_index = (start + lb.SLOT_REQUEST) // 8
+        self._request_base = start + lb.SLOT_REQUEST + HEAD_BYTES
+        self._claim = random.SystemRandom().getrandbits(62) | 1
+        self._counter = 0
+        self._pose_held = False
+        _HEAD.pack_into(self._in, start, os.getpid(), self._claim, time.monotonic_ns(), 0, self._label)
+        self._pose_timeout_ns = int(self.params()["pose_timeout_ns"])
+
+    def _reattached(self) -> None:
+        self._release_inbox()
+        try:
+            self._claim_slot()
+        except (NotRunningError, BusyError):
+            self._next_attach_ns = 0
+
+    def _release_inbox(self) -> None:
+        if self._inbox is not None:
+            self._in_words.release()
+            self._inbox.close()
+            self._inbox = None
+
+    def close(self) -> None:
+        """Give back the pose and the slot, unmap everything."""
+        if self._inbox is not None:
+            _HEAD.pack_into(self._in, self._start, 0, 0, 0, 0, b"")
+        self._release_inbox()
+        super().close()
+
+    # -- poses ------------------------------------------------------------------------------------
+
+    def ee_pos(self, pose: Sequence[float], t_ns: int | None = None) -> None:
+        """Tell the service where the tool is, or was.
+
+        Parameters
+        ----------
+        pose : seven floats      x y z [m], qx qy qz qw (unit), world from tool
+        t_ns : int, optional     when that was true, CLOCK_MONOTONIC [ns]; now when absent
+
+        Raises
+        ------
+        PoseError     (a ValueError) not seven finite numbers, quaternion norm off by more than 1e-3,
+                      stamped more than 1 ms ahead or longer ago than `pose_timeout_ns`
+        BusyError     another live client sends the pose; its process is named
+        """
+        try:
+            x, y, z, qx, qy, qz, qw = pose
+            norm2 = qx * qx + qy * qy + qz * qz + qw * qw
+            total = x + y + z + norm2
+        except (TypeError, ValueError):
+            raise PoseError(f"a pose is seven numbers (x y z qx qy qz qw), not {pose!r}") from None
+        # NaN or infinity anywhere makes total - total differ from zero; so may an overflow
+        if total - total != 0.0 or not -2e-15 < norm2 - 1.0 < 2e-15:
+            x, y, z, qx, qy, qz, qw = _checked_pose(pose)
+        now = time.monotonic_ns()
+        if t_ns is None:
+            t_ns = now
+        elif t_ns > now + FUTURE_NS:
+            raise PoseError(
+                f"the pose is stamped {(t_ns - now) / 1e6:.3g} ms in the future; use CLOCK_MONOTONIC"
+            )
+        elif now - t_ns > self._pose_timeout_ns:
+            raise PoseError(
+                f"the pose is {(now - t_ns) / 1e6:.4g} ms old; the service takes none older than "
+                f"{self._pose_timeout_ns / 1e6:g} ms (pose_timeout_ns)"
+            )
+        if not self._pose_held:
+            self._claim_pose()
+        words, index = self._in_words, self._pose_index
+        g = words[index] + 1
+        if FENCED:
+            fence()
+        _POST.pack_into(
+            self._in, self._pose_base + (g & (SLOTS - 1)) * _POSE_STRIDE, t_ns, x, y, z, qx, qy, qz, qw
+        )
+        if FENCED:
+            fence()
+        words[index] = g
+
+    def _claim_pose(self) -> None:
+        deadline = time.monotonic() + CLAIM_RETRY_S
+        while True:
+            try:
+                self._request(lb.RQ_CLAIM_POSE).result(1.0)
+                self._pose_held = True
+                return
+            except RefusedError as e:
+                # the service looks for dead holders at its own beat: give it a few
+                if e.code != lb.ERR_POSE_HELD or time.monotonic() > deadline:
+                    raise BusyError(f"{e}; end that client or let it call release_pose()") from None
+                time.sleep(0.02)
+
+    def release_pose(self) -> None:
+        """Let another client send the pose."""
+        if self._pose_held:
+            self._request(lb.RQ_RELEASE_POSE).result(1.0)
+            self._pose_held = False
+
+    # -- requests ---------------------------------------------------------------------------------
+
+    def _request(
+        self, code: int, numbers: Sequence[int] = (), values: Sequence[float] = (), n: int = 0
+    ) -> Ticket:
+        with self._lock:
+            if self._inbox is None or self._inbox.fd < 0 or not self.alive():
+                raise NotRunningError(
+                    f"service {self.name!r} does not answer; is it running? (surffollow status)"
+                )
+            self._counter += 1
+            words, index = self._in_words, self._request_index
+            g = words[index] + 1
+            fence()
+            pad = lb.REQUEST_ARGS
+            _REQUEST.pack_into(
+                self._in,
+                self._request_base + (g & (SLOTS - 1)) * _REQUEST_STRIDE,
+                self._counter,
+                code,
+                n,
+                self._claim,
+                *numbers,
+                *([0] * (pad - len(numbers))),
+                *values,
+                *([0.0] * (pad - len(values))),
+            )
+            fence()
+            words[index] = g
+            return Ticket(self, code, self._counter)
+
+    def sf_reset(self, offset_m: float, *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
+        """Restart the forecast with a desired stand-off [m] (paper: SFReset)."""
+        from surffollow.config.params import check_param
+
+        ticket = self._request(lb.RQ_SF_RESET, values=(check_param("offset_m", offset_m),))
+        return ticket.settle(timeout_s, wait)
+
+    def map_reset(self, region: Sequence[float], *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
+        """Clear the map and lay it over a region (x_min, y_min, x_max, y_max) [m] (paper: MapReset)."""
+        return self._request(lb.RQ_MAP_RESET, values=check_region(region)).settle(timeout_s, wait)
+
+    def map_refocus(self, region: Sequence[float], *, timeout_s: float = 30.0, wait: bool = True) -> Ticket:
+        """Lay the map over another region, keeping known heights (paper: MapRefocus)."""
+        return self._request(lb.RQ_MAP_REFOCUS, values=check_region(region)).settle(timeout_s, wait)
+
+    def set_params(self, *, timeout_s: float = 5.0, wait: bool = True, **values: object) -> Ticket:
+        """Change parameters, all or none: `set_params(interval_size="2 mm", range_size=5)`.
+
+        Raises
+        ------
+        ConfigError    unknown name, wrong unit, outside its bounds
+        """
+        from surffollow.config.params import check_param, param_name
+
+        if not values:
+            raise TypeError("set_params needs at least one name=value")
+        if len(values) > lb.REQUEST_ARGS:
+            raise TypeError(f"at most {lb.REQUEST_ARGS} parameters in one call, not {len(values)}")
+        numbers = [Params.offset(param_name(n)) // 8 for n in values]
+        checked = [check_param(n, v) for n, v in values.items()]
+        ticket = self._request(lb.RQ_SET_PARAMS, numbers, checked, len(numbers)).settle(timeout_s, wait)
+        self._pose_timeout_ns = int(self.params()["pose_timeout_ns"])
+        return ticket
+
+    def upload_map(self, path: str | Path, *, timeout_s: float = 30.0, progress: Any = None) -> Path:
+        """Write map header and all grids to a text file, with this process's rights (paper: UpLoadMap)."""
+        from surffollow.client.map_reader import upload_map
+
+        return upload_map(self, Path(path), timeout_s, progress)
+
+    def exclusive(self, *, timeout_s: float = 5.0) -> Any:
+        """Context manager: the map stands still inside (the paper's four-step access)."""
+        from surffollow.client.map_reader import ExclusiveAccess
+
+        return ExclusiveAccess(self, timeout_s)
+
+    EEPos = ee_pos
+    DevVector = Observer.dev_vector
+    RawDistance = Observer.raw_distance
+    SFReset = sf_reset
+    MapReset = map_reset
+    MapRefocus = map_refocus
+    UpLoadMap = upload_map
+
+
+def _checked_pose(pose: Sequence[float]) -> tuple[float, ...]:
+    values = [float(v) for v in pose]
+    if not all(math.isfinite(v) for v in values):
+        raise PoseError(f"a pose must be finite, not {values}")
+    norm = math.sqrt(sum(v * v for v in values[3:]))
+    if abs(norm - 1.0) > NORM_TOLERANCE:
+        raise PoseError(f"the quaternion's norm is {norm:.6g}; it must be 1 within {NORM_TOLERANCE:g}")
+    return (*values[:3], *(v / norm for v in values[3:]))

@@ -1,0 +1,182 @@
+"""Watch a service without any write permission: demand, distances, parameters, statistics."""
+
+from __future__ import annotations
+
+import platform
+import struct
+import threading
+import time
+from typing import Any
+
+from surffollow.client.board import Board
+from surffollow.client.demand import STALE, Demand, status_names
+from surffollow.errors import BlockError, NotRunningError
+from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
+from surffollow.shm.layout_board import STATE_READY, MapStatus, Stats, Ticker
+from surffollow.shm.layout_follow import VALID, Output, Params
+
+_HEAD = Output.struct_of("t_ns", "epoch")
+_EMPTY = (0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0)
+_RANGE = struct.Struct("<" + Output.field("range_m").struct_format)
+# x86-64 keeps loads in order and stores in order: a latch needs no fence instruction there.
+# Elsewhere an uncontended lock gives the acquire and release that the steps ask for.
+FENCED = platform.machine() not in ("x86_64", "AMD64", "i686")
+_FENCE_LOCK = threading.Lock()
+REATTACH_EVERY_NS = 20_000_000
+STATES = ("initialising", "ready", "stopping", "stopped")
+
+
+def fence() -> None:
+    """Order memory accesses on machines whose hardware does not."""
+    if FENCED:
+        with _FENCE_LOCK:
+            pass
+
+
+class Observer:
+    """A read-only attachment; it follows the service through restarts by itself.
+
+    Parameters
+    ----------
+    name : str             of the service
+    stale_periods : int    cycles without a new output after which the demand is stale
+    stale_min_s : float    but never sooner than this
+    """
+
+    def __init__(self, name: str = "surf", *, stale_periods: int = 20, stale_min_s: float = 0.005) -> None:
+        if stale_periods < 1:
+            raise ValueError(f"stale_periods must be at least 1, not {stale_periods}")
+        self.name = name
+        self._stale_periods, self._stale_min_ns = stale_periods, int(stale_min_s * 1e9)
+        self._next_attach_ns = 0
+        self._take(Board(name))
+
+    def _take(self, board: Board) -> None:
+        self.board = board
+        self._words, self._memory = board.words, board.memory
+        offset = board.regions["output"][0]
+        self._index, self._base = offset // 8, offset + HEAD_BYTES
+        self._stride = stride(Output.SIZE)
+        self._stale_ns = max(self._stale_periods * board.period_ns, self._stale_min_ns)
+
+    @property
+    def epoch(self) -> int:
+        """Epoch of the service attached to; changes when the service was restarted."""
+        return self.board.epoch
+
+    def _snapshot(self, unpack: Any, offset: int) -> Any:
+        # R1-R4 of the latch over the output
+        words, index, base = self._words, self._index, self._base
+        for _ in range(MAX_TRIES):
+            g = words[index]
+            if g == 0:
+                return None
+            if FENCED:
+                fence()
+            values = unpack(self._memory, base + (g & (SLOTS - 1)) * self._stride + offset)
+            if FENCED:
+                fence()
+            if words[index] - g <= SLOTS - 2:
+                return values
+        return None
+
+    def dev_vector(self) -> Demand:
+        """The newest demand; all zero and marked STALE when the service is silent or gone.
+
+        Never waits. After a restart of the service it re-attaches by itself.
+        """
+        raw = self._snapshot(_HEAD.unpack_from, 0) or _EMPTY
+        now = time.monotonic_ns()
+        age = now - raw[0]
+        if age <= self._stale_ns:
+            return Demand(raw, age, raw[8])
+        self._try_reattach(now)
+        return Demand(raw, age, (raw[8] & ~VALID) | STALE)
+
+    def raw_distance(self, channel: int = 0) -> float:
+        """The newest smoothed sensor-to-target distance [m]; NaN when there is none or it is stale."""
+        if not 0 <= channel < 8:
+            raise ValueError(f"channel must be 0 to 7, not {channel}")
+        if self.dev_vector().status & STALE:
+            return float("nan")
+        values = self._snapshot(_RANGE.unpack_from, Output.offset("range_m"))
+        return float("nan") if values is None else float(values[channel])
+
+    def output(self) -> dict[str, Any] | None:
+        """Everything the newest cycle published, as a dictionary; None before the first."""
+        return self.board.latch("output", Output).read()
+
+    def params(self) -> dict[str, float | int]:
+        """The parameters in force, name → value in SI units (times in ns)."""
+        from surffollow.config.params import PARAMS
+
+        values = self.board.latch("params", Params).read()
+        if values is None:
+            raise BlockError(f"service {self.name!r} has published no parameters yet")
+        return {n: values[n] for n in PARAMS}
+
+    def alive(self) -> bool:
+        """Whether the service publishes now."""
+        return not self.dev_vector().status & STALE
+
+    def status(self) -> dict[str, Any]:
+        """State, health, counters, real-time grants and map of the service, ready for JSON."""
+        from surffollow.client.report import histogram_summary
+
+        demand = self.dev_vector()
+        stats = self.board.plain("stats", Stats)
+        ticker = self.board.latch("ticker", Ticker).read() or {}
+        map_status = self.board.latch("map_status", MapStatus).read() or {}
+        state = self.board.state()
+        stale = bool(demand.status & STALE)
+        counters = {k: v for k, v in stats.items() if k not in ("lateness", "execution")}
+        return {
+            "name": self.name,
+            "state": "stale" if stale and state == STATE_READY else STATES[min(state, 3)],
+            "alive": not stale,
+            "pid": self.board.pid,
+            "epoch": self.board.epoch,
+            "period_ns": self.board.period_ns,
+            "age_ns": demand.age_ns,
+            "demand": list(demand),
+            "demand_status": list(status_names(demand.status)),
+            **counters,
+            "lateness": histogram_summary(stats["lateness"], stats["lateness_max_ns"]),
+            "execution": histogram_summary(stats["execution"], stats["execution_max_ns"]),
+            "main": ticker,
+            "map": map_status,
+        }
+
+    def _try_reattach(self, now_ns: int) -> None:
+        if now_ns < self._next_attach_ns:
+            return
+        self._next_attach_ns = now_ns + REATTACH_EVERY_NS
+        if self.board.is_current():
+            return
+        try:
+            board = Board(self.name, ready_timeout_s=0.0)
+        except (NotRunningError, BlockError):
+            return
+        old = self.board
+        self._take(board)
+        self._reattached()
+        old.close()
+
+    def _reattached(self) -> None:
+        """What else must follow the service to its new epoch."""
+
+    def reattach(self) -> bool:
+        """Look for a newer service of this name now; True when attached to a current one."""
+        self._next_attach_ns = 0
+        self._try_reattach(time.monotonic_ns())
+        return self.board.is_current()
+
+    def close(self) -> None:
+        """Let go of everything."""
+        self.board.close()
+
+    def __enter__(self) -> Any:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()

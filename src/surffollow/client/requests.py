@@ -1,0 +1,110 @@
+"""Requests and their answers: counters out, acknowledgements back."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from surffollow.errors import NotRunningError, RefusedError, RegionError, RequestTimeoutError
+from surffollow.shm.layout_board import ACCEPTED, ERR_BAD_VALUE, ERR_POSE_HELD, OK, RESULT_TEXT, Ack
+
+if TYPE_CHECKING:
+    from surffollow.client.client import Client
+
+MAX_REGION_M = 1e6
+_POLL_S = (0.0, 0.0002, 0.0005, 0.001, 0.002)
+
+
+def check_region(region: Sequence[float]) -> tuple[float, float, float, float]:
+    """The region (x_min, y_min, x_max, y_max) [m] as floats.
+
+    Raises
+    ------
+    RegionError  not four finite numbers, a side not positive or longer than 1e6 m
+    """
+    try:
+        x_min, y_min, x_max, y_max = (float(v) for v in region)
+    except (TypeError, ValueError):
+        raise RegionError(f"a region is (x_min, y_min, x_max, y_max) in metres, not {region!r}") from None
+    if not all(math.isfinite(v) for v in (x_min, y_min, x_max, y_max)):
+        raise RegionError(f"a region must be finite, not {region!r}")
+    for side, name in ((x_max - x_min, "x"), (y_max - y_min, "y")):
+        if not 0.0 < side <= MAX_REGION_M:
+            raise RegionError(
+                f"the region's {name} side is {side:g} m; sides must be positive and "
+                f"at most {MAX_REGION_M:g} m"
+            )
+    return x_min, y_min, x_max, y_max
+
+
+class Ticket:
+    """A request on its way; `result()` waits for the answer."""
+
+    def __init__(self, client: Client, code: int, counter: int) -> None:
+        self._client, self.code, self.counter = client, code, counter
+        self._board = client.board
+        self._acks = client.board.latch("acks", Ack, client.slot)
+        self._map_acks = client.board.latch("map_acks", Ack, client.slot)
+        self._claim = client._claim
+        self._answer: dict[str, Any] | None = None
+
+    def _look(self) -> dict[str, Any] | None:
+        for acks in (self._acks, self._map_acks):
+            ack = acks.read()
+            mine = ack is not None and ack["counter"] == self.counter and ack["claim"] == self._claim
+            if mine and ack is not None and ack["result"] != ACCEPTED:
+                return ack
+        return None
+
+    def done(self) -> bool:
+        """Whether the service has answered."""
+        if self._answer is None:
+            self._answer = self._look()
+        return self._answer is not None
+
+    def result(self, timeout_s: float = 5.0) -> int:
+        """Wait for the answer; its detail number.
+
+        Raises
+        ------
+        RefusedError          the service refused; the text says why
+        RequestTimeoutError   no answer in time
+        NotRunningError       the service died meanwhile
+        """
+        deadline, tries = time.monotonic() + timeout_s, 0
+        while not self.done():
+            if self._client.board is not self._board:
+                raise NotRunningError(
+                    f"service {self._client.name!r} was restarted before it answered; ask again"
+                )
+            if time.monotonic() > deadline:
+                if not self._client.alive():
+                    raise NotRunningError(f"service {self._client.name!r} does not answer any more")
+                raise RequestTimeoutError(
+                    f"service {self._client.name!r} did not answer within {timeout_s:g} s; "
+                    "it may be busy with the map (surffollow status)"
+                )
+            time.sleep(_POLL_S[min(tries, len(_POLL_S) - 1)])
+            tries += 1
+        assert self._answer is not None
+        code, detail = int(self._answer["result"]), int(self._answer["detail"])
+        if code != OK:
+            raise RefusedError(_explain(code, detail), code)
+        return detail
+
+    def settle(self, timeout_s: float, wait: bool) -> Ticket:
+        """Wait for the answer when asked to; the ticket itself."""
+        if wait:
+            self.result(timeout_s)
+        return self
+
+
+def _explain(code: int, detail: int) -> str:
+    text = RESULT_TEXT[code] if 0 <= code < len(RESULT_TEXT) else f"result {code}"
+    if code == ERR_POSE_HELD:
+        return f"refused: {text} (pid {detail})"
+    if code == ERR_BAD_VALUE and detail >= 0:
+        return f"refused: {text} (parameter number {detail})"
+    return f"refused: {text}"

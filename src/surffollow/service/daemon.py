@@ -1,0 +1,272 @@
+"""The service process: initialise, then for ever requests and data; the main thread watches over both."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from surffollow.config.params import PARAMS
+from surffollow.config.service import ServiceConfig, follow_params, seconds
+from surffollow.errors import ConfigError, ServiceError
+from surffollow.hw.driver import ConversionQueue, Driver
+from surffollow.hw.registry import make_driver
+from surffollow.service import memory as m
+from surffollow.service import realtime
+from surffollow.service.cycle import run_cycles
+from surffollow.service.house import House, open_house
+from surffollow.service.mapper import MapMemory, run_map
+from surffollow.service.notify import CompileProgress, sd_notify
+from surffollow.service.requests import publish_params
+from surffollow.shm import layout_board as lb
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.latch import latch_write
+from surffollow.shm.layout_follow import CHANNELS, INTERVALS, POSES, Output
+from surffollow.shm.python_atomics import load_acquire, store_release
+from surffollow.shm.ring import make_ring
+
+BEAT_S = 0.05
+FAULT_DRIVER, FAULT_CYCLE_STALLED, FAULT_SAMPLES_LOST = 1, 2, 4
+
+
+class Daemon:
+    """One running service; `run` returns when a signal asks it to end."""
+
+    def __init__(self, config: ServiceConfig, quiet: bool = False) -> None:
+        self.config, self.quiet = config, quiet
+        self.grants = realtime.Grants()
+        self.driver: Driver = make_driver(config.driver, config.name)
+        self.house: House = open_house(config)
+        try:
+            self.queue = ConversionQueue(1 << 15)
+            self.mem = self._initialise_memory()
+            self.map_mem = self._map_memory()
+            self._initialise_constants()
+        except BaseException:
+            self.house.leave()
+            raise
+        self._ticker = zeros(lb.Ticker)
+        self._errors: list[str] = []
+        self._stop_asked = threading.Event()
+
+    # -- initialise (paper §3.3.1) ----------------------------------------------------------------
+
+    def _initialise_memory(self) -> m.CycleMemory:
+        config, house, mem = self.config, self.house, m.make_cycle_memory()
+        ctx = mem.ctx
+        period = int(house.header[0]["period_ns"])
+        per_second = CHANNELS * 1e9 / period
+        capacity = 1 << max(12, int(np.ceil(np.log2(config.map.queue_seconds * per_second))))
+        capacity = min(capacity, 1 << max(12, int(np.ceil(np.log2(config.map.queue_seconds * 25000)))))
+        self.sample_ring = make_ring(capacity, m.SAMPLE_WORDS)
+        self.sample_ring[:] = 0  # touch every page now, not in a cycle
+        ctx[m.PERIOD_NS] = period
+        ctx[m.SPIN_NS] = round(seconds(config.realtime.spin, "realtime.spin", 0.0, 0.01) * 1e9)
+        ctx[m.CATCH_UP] = int(config.realtime.overrun == "catch-up")
+        for index, part in (
+            (m.OUTPUT, "output"),
+            (m.PARAMS_LATCH, "params"),
+            (m.ACKS, "acks"),
+            (m.MAP_ACKS, "map_acks"),
+            (m.MAP_STATUS, "map_status"),
+            (m.STATS, "stats"),
+            (m.LOG, "log"),
+        ):
+            ctx[index] = house.address(part)
+        ctx[m.LOG_CAPACITY] = config.log_words
+        ctx[m.INBOX] = house.inbox_bytes.ctypes.data
+        ctx[m.CONVERSIONS], ctx[m.CONVERSIONS_CAPACITY] = self.queue.address, self.queue.capacity
+        ctx[m.SAMPLES], ctx[m.SAMPLES_CAPACITY] = self.sample_ring.ctypes.data, capacity
+        snapshot = seconds(config.snapshot, "snapshot", 0.01, 3600.0)
+        ctx[m.SNAPSHOT_CYCLES] = max(1, round(snapshot * 1e9 / period))
+        ctx[m.LEASE_NS] = round(seconds(config.map.access_lease, "map.access_lease", 0.01, 3600.0) * 1e9)
+        ctx[m.EPOCH] = house.epoch
+        return mem
+
+    def _map_memory(self) -> MapMemory:
+        item = np.zeros(m.SAMPLE_WORDS, np.int64)
+        job = np.full(8, -1, np.int64)
+        status = zeros(lb.MapStatus)
+        status[0]["access_slot"] = -1
+        h = self.house
+        return MapMemory(
+            self.mem.ctx,
+            h.map_header,
+            h.pairs,
+            h.scratch,
+            item,
+            item.view(np.float64),
+            status,
+            zeros(lb.Ack),
+            job,
+        )
+
+    def _initialise_constants(self) -> None:
+        p = self.mem.params[0]
+        for name, spec in PARAMS.items():
+            p[name] = spec.default
+        info = self.driver.info
+        p["n_channels"] = info.n_channels
+        p["scale_m"], p["zero_m"] = info.scale_m, info.zero_m
+        p["range_min_m"], p["range_max_m"] = info.range_min_m, info.range_max_m
+        p["sensor_latency_ns"] = info.latency_ns
+        p["tool_from_sensor"] = np.array(info.mounts, np.float64).reshape(-1)
+        for name, value in follow_params(self.config).items():
+            p[name] = value
+        if not p["range_min_m"] < p["offset_m"] < p["range_max_m"]:
+            raise ConfigError(
+                f"offset {p['offset_m']:g} m is outside the sensor's window {p['range_min_m']:g} to "
+                f"{p['range_max_m']:g} m; set follow.offset or the driver's window"
+            )
+        assert 2 * PARAMS["range_size"].high <= INTERVALS
+        assert POSES & (POSES - 1) == 0
+        log_header = zeros(lb.LogHead)
+        log_header[0]["capacity"] = self.config.log_words
+        at = self.house.regions["log"][0]
+        self.house.board_bytes[at : at + lb.LogHead.SIZE] = log_header.view(np.uint8)
+
+    # -- run --------------------------------------------------------------------------------------
+
+    def run(self, on_ready: Callable[[], None] | None = None) -> None:
+        """Start the threads, announce READY, beat until asked to stop, end cleanly."""
+        self._take_signals()
+        realtime.prepare_process(
+            self.grants, self.config.realtime.lock_memory, self.config.realtime.dma_latency
+        )
+        threads: list[threading.Thread] = []
+        try:
+            with CompileProgress(self.quiet):
+                run_cycles(self.mem, 0, 0)
+                store_release(self.mem.ctx.ctypes.data + 8 * m.STOP, 1)
+                run_map(self.map_mem)
+                publish_params(self.mem)
+                self.beat()
+                self.driver.start(self.queue)
+            store_release(self.mem.ctx.ctypes.data + 8 * m.STOP, 0)
+            threads = [
+                threading.Thread(target=self._cycle_thread, name="cycle", daemon=True),
+                threading.Thread(target=self._map_thread, name="map", daemon=True),
+            ]
+            for t in threads:
+                t.start()
+            self._await_first_cycles()
+            self.house.set_state(lb.STATE_READY)
+            sd_notify(f"READY=1\nSTATUS=cycle {self.mem.ctx[m.PERIOD_NS] / 1e6:g} ms")
+            if on_ready is not None:
+                on_ready()
+            self._watch()
+        finally:
+            self._end(threads)
+
+    def _take_signals(self) -> None:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGTERM, signal.SIGINT):
+                signal.signal(number, lambda *_: self._stop_asked.set())
+
+    def stop(self) -> None:
+        """Ask `run` to end (from another thread)."""
+        self._stop_asked.set()
+
+    def _cycle_thread(self) -> None:
+        try:
+            realtime.prepare_cycle_thread(
+                self.grants, self.config.realtime.priority, self.config.realtime.cpu
+            )
+            run_cycles(self.mem, time.monotonic_ns() + 2_000_000, np.iinfo(np.int64).max)
+        except Exception as e:  # the thread must never end unnoticed
+            self._errors.append(f"cycle thread: {e!r}")
+
+    def _map_thread(self) -> None:
+        try:
+            run_map(self.map_mem)
+        except Exception as e:
+            self._errors.append(f"map thread: {e!r}")
+
+    def _cycles(self) -> int:
+        return int(load_acquire(self.house.address("stats") + lb.Stats.offset("cycles")))
+
+    def _await_first_cycles(self) -> None:
+        deadline = time.monotonic() + 5.0
+        while self._cycles() < 3:
+            if self._errors or time.monotonic() > deadline:
+                raise ServiceError(f"the cycle did not start: {'; '.join(self._errors) or 'no cycle in 5 s'}")
+            time.sleep(0.001)
+
+    def _watch(self) -> None:
+        stall_s = seconds(self.config.watchdog, "watchdog", 0.01, 60.0)
+        seen, since = -1, time.monotonic()
+        while not self._stop_asked.wait(BEAT_S):
+            cycles, now = self._cycles(), time.monotonic()
+            if cycles != seen:
+                seen, since = cycles, now
+                sd_notify("WATCHDOG=1")
+            faults = FAULT_CYCLE_STALLED if now - since > stall_s else 0
+            self.beat(faults)
+            if self._errors:
+                raise ServiceError("; ".join(self._errors))
+
+    def beat(self, faults: int = 0) -> None:
+        """Look for dead clients, publish the main thread's view."""
+        base = self.mem.ctx.ctypes.data
+        live, pose_pid = 0, 0
+        pose_slot = int(self.mem.ctx[m.POSE_SLOT])
+        for slot in range(lb.CLIENTS):
+            start = lb.PAGE + slot * lb.SLOT_BYTES
+            at = self.house.inbox_bytes.ctypes.data + start + lb.SLOT_HEAD
+            claim = int(load_acquire(at + lb.SlotHead.offset("claim")))
+            if claim == 0:
+                if slot == pose_slot:  # closed in good order
+                    store_release(base + 8 * (m.DEAD + slot), int(self.mem.ctx[m.POSE_CLAIM]))
+                continue
+            if self.house.inbox.is_locked(start):
+                live += 1
+                if slot == pose_slot:
+                    pose_pid = int(load_acquire(at + lb.SlotHead.offset("pid")))
+            else:
+                store_release(base + 8 * (m.DEAD + slot), claim)
+        texts = [*self.driver.faults(), *self.grants.refused]
+        faults |= FAULT_DRIVER if self.driver.faults() else 0
+        faults |= FAULT_SAMPLES_LOST if int(self.mem.ctx[m.LOST]) else 0
+        t = self._ticker[0]
+        t["t_ns"], t["pose_slot"], t["pose_pid"] = time.monotonic_ns(), pose_slot, pose_pid
+        t["clients"], t["granted"], t["faults"] = live, self.grants.bits, faults
+        t["text"] = "; ".join(texts).encode()[:511]
+        latch_write(self.house.address("ticker"), self._ticker.ctypes.data, lb.Ticker.SIZE)
+
+    def _end(self, threads: list[threading.Thread]) -> None:
+        sd_notify("STOPPING=1")
+        self.house.set_state(lb.STATE_STOPPING)
+        with contextlib.suppress(Exception):
+            self.driver.stop()
+        store_release(self.mem.ctx.ctypes.data + 8 * m.STOP, 1)
+        for t in threads:
+            t.join(timeout=10.0)
+        self.mem.output[0]["status"] = 0
+        self.mem.output[0]["demand"] = 0.0
+        latch_write(self.house.address("output"), self.mem.output.ctypes.data, Output.SIZE)
+        self.house.set_state(lb.STATE_STOPPED)
+        self.house.leave()
+        realtime.release(self.grants)
+
+
+def serve(config: ServiceConfig, quiet: bool = False) -> None:
+    """Run a service in the foreground until SIGTERM or SIGINT."""
+    daemon = Daemon(config, quiet)
+
+    def ready() -> None:
+        refused = "; ".join(daemon.grants.refused)
+        if not quiet:
+            granted = ", ".join(daemon.grants.names()) or "nothing"
+            print(
+                f"surffollow: real time granted: {granted}" + (f"; refused: {refused}" if refused else ""),
+                file=sys.stderr,
+            )
+        print(f"READY {config.name} pid {os.getpid()}", flush=True)
+
+    daemon.run(ready)

@@ -1,0 +1,207 @@
+"""The map thread: samples into grids, map requests in slices, exclusive access.
+
+Following never waits for any of it: samples and requests queue up in order.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from numba import njit
+
+from surffollow.map.geometry import reset_begin, reset_step
+from surffollow.map.grids import update_map
+from surffollow.map.refocus import refocus_begin, refocus_step
+from surffollow.service import memory as m
+from surffollow.service.inbox import slot_address
+from surffollow.service.requests import holder_is_dead
+from surffollow.shm import atomics as at
+from surffollow.shm import map_layout as ml
+from surffollow.shm.clock import now_ns, sleep_until_ns
+from surffollow.shm.latch import latch_write
+from surffollow.shm.latch_shape import latch_bytes
+from surffollow.shm.layout_board import (
+    ACCESS_DONE,
+    ACCESS_FREE,
+    ACCESS_GRANTED,
+    ACCESS_REQUESTED,
+    CLIENTS,
+    ERR_BAD_REGION,
+    ERR_MAP_BUSY,
+    ERR_NO_MAP,
+    OK,
+    RQ_MAP_REFOCUS,
+    RQ_MAP_RESET,
+    SLOT_HEAD,
+    Ack,
+    MapStatus,
+    SlotHead,
+)
+from surffollow.shm.ring import ring_drop, ring_length, ring_peek
+
+_ACCESS = SLOT_HEAD + SlotHead.offset("access")
+_CLAIM = SLOT_HEAD + SlotHead.offset("claim")
+_ACK_STEP, _ACK_BYTES, _STATUS_BYTES = latch_bytes(Ack.SIZE), Ack.SIZE, MapStatus.SIZE
+SLICE_GRIDS = 100_000  # per look at the flags: 0.1 to 1 ms
+SLICE_SAMPLES = 4096
+IDLE_NS = 500_000
+_RESETTING, _REFOCUSING = ml.RESETTING, ml.REFOCUSING
+
+
+class MapMemory(NamedTuple):
+    """The map object and private memory of the map thread."""
+
+    ctx: Any
+    header: Any
+    pairs: Any
+    scratch: Any
+    item: Any
+    item_floats: Any
+    status: Any
+    ack: Any
+    job: Any  # int64 words, indices below
+
+
+# slot of the request under way (-1: none, -2: recovery after a cut-off), its code, counter and
+# claim; the claim of the access holder and when it was granted
+JOB_SLOT, JOB_CODE, JOB_COUNTER, JOB_CLAIM, HOLDER_CLAIM, GRANTED_NS = range(6)
+
+
+@njit(cache=True, nogil=True)
+def publish_status(mem: Any, t_ns: Any) -> None:
+    """Tell what the map is doing."""
+    ctx, s, header = mem.ctx, mem.status[0], mem.header[0]
+    s.t_ns = t_ns
+    s.queued = ring_length(ctx[m.SAMPLES])
+    s.lost = at.load_relaxed_i64(ctx.ctypes.data + 8 * m.LOST)
+    s.busy = mem.job[JOB_CODE] if mem.job[JOB_SLOT] != -1 else 0
+    s.progress = 0.0
+    if header.journal_op == _RESETTING and header.journal_nx > 0:
+        s.progress = header.journal_progress / (header.journal_nx * header.journal_ny)
+    latch_write(ctx[m.MAP_STATUS], mem.status.ctypes.data, _STATUS_BYTES)
+
+
+@njit(cache=True, nogil=True)
+def finish_job(mem: Any, result: Any) -> None:
+    """Answer the request under way and free its slot for the next."""
+    job, ctx = mem.job, mem.ctx
+    slot = job[JOB_SLOT]
+    if slot >= 0:
+        a = mem.ack[0]
+        a.counter, a.claim, a.result, a.detail = job[JOB_COUNTER], job[JOB_CLAIM], result, 0
+        latch_write(ctx[m.MAP_ACKS] + slot * _ACK_STEP, mem.ack.ctypes.data, _ACK_BYTES)
+        at.store_release_i64(ctx.ctypes.data + 8 * (m.PENDING + slot), 0)
+    job[JOB_SLOT] = -1
+
+
+@njit(cache=True, nogil=True)
+def begin_job(mem: Any) -> None:
+    """Start the request at the head of the queue (in `mem.item`)."""
+    ctx, job = mem.ctx, mem.job
+    slot = (mem.item[0] >> 8) & 0xFF
+    code = mem.item[0] & 0xFF
+    base = ctx.ctypes.data + 8 * (m.REGION + slot * m.REGION_WORDS)
+    job[JOB_SLOT], job[JOB_CODE], job[JOB_COUNTER] = slot, code, mem.item[1]
+    job[JOB_CLAIM] = at.load_relaxed_i64(base + 32)
+    x0, y0 = at.load_relaxed_f64(base), at.load_relaxed_f64(base + 8)
+    x1, y1 = at.load_relaxed_f64(base + 16), at.load_relaxed_f64(base + 24)
+    if code == RQ_MAP_RESET:
+        result = reset_begin(mem.header, x0, y0, x1, y1)
+    else:
+        result = refocus_begin(mem.header, mem.pairs, mem.scratch, x0, y0, x1, y1)
+    if result == ml.BAD_REGION:
+        finish_job(mem, ERR_BAD_REGION)
+    elif result == ml.NOT_MAPPED:
+        finish_job(mem, ERR_NO_MAP)
+    elif result != ml.OK:
+        finish_job(mem, ERR_MAP_BUSY)
+
+
+@njit(cache=True, nogil=True)
+def step_job(mem: Any) -> None:
+    """One slice of the map operation under way."""
+    if mem.header[0].journal_op == _REFOCUSING:
+        done = refocus_step(mem.header, mem.pairs, mem.scratch, SLICE_GRIDS)
+    else:
+        done = reset_step(mem.header, mem.pairs, SLICE_GRIDS)
+    if done == 1:
+        finish_job(mem, OK)
+
+
+@njit(cache=True, nogil=True)
+def watch_access(mem: Any, t_ns: Any) -> None:
+    """The four-step flag: 1 requested → 2 granted → 3 done → 0; dead or late holders are fenced off."""
+    ctx, s, job = mem.ctx, mem.status[0], mem.job
+    if s.access == ACCESS_GRANTED:
+        slot = s.access_slot
+        flag = at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + _ACCESS)
+        gone = holder_is_dead(ctx, slot, job[HOLDER_CLAIM])
+        if flag in (ACCESS_DONE, ACCESS_FREE) or gone or t_ns - job[GRANTED_NS] > ctx[m.LEASE_NS]:
+            s.access, s.access_slot = ACCESS_FREE, -1
+            publish_status(mem, t_ns)
+        return
+    for slot in range(CLIENTS):
+        address = slot_address(ctx[m.INBOX], slot)
+        if at.load_acquire_i64(address + _ACCESS) != ACCESS_REQUESTED:
+            continue
+        claim = at.load_relaxed_i64(address + _CLAIM)
+        if claim == 0 or holder_is_dead(ctx, slot, claim):
+            continue
+        job[HOLDER_CLAIM], job[GRANTED_NS] = claim, t_ns
+        s.access, s.access_slot = ACCESS_GRANTED, slot
+        publish_status(mem, t_ns)
+        return
+
+
+@njit(cache=True, nogil=True)
+def drain_samples(mem: Any) -> Any:
+    """Apply queued samples up to the next request; the number of items taken."""
+    ctx, item, floats, s = mem.ctx, mem.item, mem.item_floats, mem.status[0]
+    ring, capacity = ctx[m.SAMPLES], ctx[m.SAMPLES_CAPACITY]
+    taken = 0
+    while taken < SLICE_SAMPLES and ring_peek(ring, capacity, m.SAMPLE_WORDS, item.ctypes.data) == 1:
+        ring_drop(ring, 1)
+        taken += 1
+        if item[0] != 0:
+            begin_job(mem)
+            break
+        update_map(mem.header, mem.pairs, floats[1], floats[2], floats[3])
+        s.applied += 1
+    return taken
+
+
+@njit(cache=True, nogil=True)
+def map_pass(mem: Any, t_ns: Any) -> Any:
+    """One look around; 1 when there was something to do."""
+    watch_access(mem, t_ns)
+    if mem.status[0].access == ACCESS_GRANTED:
+        return 0
+    if mem.job[JOB_SLOT] != -1:
+        step_job(mem)
+        return 1
+    return 1 if drain_samples(mem) > 0 else 0
+
+
+@njit(cache=True, nogil=True)
+def run_map(mem: Any) -> None:
+    """Serve the map until STOP is set; then apply what is still queued and end."""
+    ctx = mem.ctx
+    if mem.header[0].journal_op != 0:
+        mem.job[JOB_SLOT] = -2
+        mem.job[JOB_CODE] = RQ_MAP_REFOCUS if mem.header[0].journal_op == _REFOCUSING else RQ_MAP_RESET
+    told = 0
+    while at.load_relaxed_i64(ctx.ctypes.data + 8 * m.STOP) == 0:
+        t_ns = now_ns()
+        busy = map_pass(mem, t_ns)
+        if t_ns - told > 5_000_000:
+            publish_status(mem, t_ns)
+            told = t_ns
+        if busy == 0:
+            sleep_until_ns(t_ns + IDLE_NS)
+    mem.status[0].access, mem.status[0].access_slot = ACCESS_FREE, -1
+    while mem.job[JOB_SLOT] != -1:
+        step_job(mem)
+    while drain_samples(mem) > 0:
+        while mem.job[JOB_SLOT] != -1:
+            step_job(mem)
+    publish_status(mem, now_ns())

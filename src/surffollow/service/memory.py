@@ -1,0 +1,115 @@
+"""What the service's threads share: addresses and flags in one word array, records for the kernels.
+
+Words that more than one thread touches (STOP, DEAD, PENDING, LOST, …) are only
+reached through the atomics module, by `ctx.ctypes.data + 8 * index`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.config.params import PARAMS
+from surffollow.forecast.journal import CYCLE_MAX, SNAPSHOT_WORDS
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_board import CLIENTS, Ack, PosePost, RequestPost
+from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
+
+(
+    STOP,  # main → threads: end
+    PERIOD_NS,
+    SPIN_NS,
+    CATCH_UP,  # 1: run every missed cycle, 0: skip them
+    OUTPUT,  # addresses of board parts
+    PARAMS_LATCH,
+    ACKS,
+    MAP_ACKS,
+    MAP_STATUS,
+    STATS,
+    LOG,
+    LOG_CAPACITY,
+    INBOX,
+    CONVERSIONS,  # the driver's queue
+    CONVERSIONS_CAPACITY,
+    SAMPLES,  # the map's queue
+    SAMPLES_CAPACITY,
+    SNAPSHOT_CYCLES,
+    EPOCH,
+    LOST,  # cycle → map thread: samples that found no room
+    POSE_SLOT,  # cycle → main: who sends the pose, -1: nobody
+    POSE_CLAIM,
+    POSE_SEEN,  # generation of the pose read last
+    LEASE_NS,  # of exclusive access
+    MAP_RUNNING,  # map thread → main
+    CYCLE_RUNNING,
+) = range(26)
+DEAD = 32  # main → threads: per slot, a claim found without its lock
+SEEN = DEAD + CLIENTS  # per slot, generation of the request read last
+COUNTER = SEEN + CLIENTS  # per slot, counter answered last
+PENDING = COUNTER + CLIENTS  # per slot, 1: a map request is under way
+REGION = PENDING + CLIENTS  # per slot, four float64 of that request, and its claim
+REGION_WORDS = 8
+CTX_WORDS = REGION + CLIENTS * REGION_WORDS
+
+SAMPLE_WORDS = 4  # kind | slot << 8 (0: a sample), then x y z [m] or the request's counter
+
+
+class CycleMemory(NamedTuple):
+    """Private memory of the cycle thread; views of one buffer carry its bits as words and floats."""
+
+    ctx: NDArray[np.int64]
+    params: Any
+    param_words: NDArray[np.int64]
+    param_floats: NDArray[np.float64]
+    state: Any
+    state_words: NDArray[np.int64]
+    inputs: Any
+    output: Any
+    entry: NDArray[np.int64]
+    entry_floats: NDArray[np.float64]
+    pose: NDArray[np.float64]
+    item: NDArray[np.int64]
+    item_floats: NDArray[np.float64]
+    post: Any
+    request: Any
+    ack: Any
+    bounds: NDArray[np.float64]
+
+
+def bounds_table() -> NDArray[np.float64]:
+    """Per parameter word: settable (1 float, 2 whole, 0 no), low, high."""
+    table = np.zeros((Params.SIZE // 8, 3))
+    for name, spec in PARAMS.items():
+        whole = Params.field(name).code == "i8"
+        table[Params.offset(name) // 8] = (2.0 if whole else 1.0, spec.low, spec.high)
+    return table
+
+
+def make_cycle_memory() -> CycleMemory:
+    """All zeroed; the daemon fills in `ctx` and `params`."""
+    params, state = zeros(Params), zeros(FollowState)
+    entry = np.zeros(max(CYCLE_MAX, SNAPSHOT_WORDS), np.int64)
+    item = np.zeros(SAMPLE_WORDS, np.int64)
+    ctx = np.zeros(CTX_WORDS, np.int64)
+    ctx[POSE_SLOT] = -1
+    return CycleMemory(
+        ctx,
+        params,
+        params.view(np.int64),
+        params.view(np.float64),
+        state,
+        state.view(np.int64),
+        zeros(Inputs),
+        zeros(Output),
+        entry,
+        entry.view(np.float64),
+        np.zeros(7),
+        item,
+        item.view(np.float64),
+        zeros(PosePost),
+        zeros(RequestPost),
+        zeros(Ack),
+        bounds_table(),
+    )

@@ -1,0 +1,72 @@
+"""Tell systemd how the service is doing (sd_notify), and people on stderr."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+import time
+from typing import Any
+
+
+def sd_notify(message: str) -> bool:
+    """Send one notification; False when systemd did not start us."""
+    path = os.environ.get("NOTIFY_SOCKET", "")
+    if not path:
+        return False
+    address = "\0" + path[1:] if path.startswith("@") else path
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as s:
+            s.sendto(message.encode(), address)
+    except OSError:
+        return False
+    return True
+
+
+class CompileProgress:
+    """Shows which kernel numba compiles while a cold start lasts."""
+
+    def __init__(self, quiet: bool = False) -> None:
+        self.quiet, self.count, self._depth = quiet, 0, 0
+        self._start = self._told = time.monotonic()
+        self._tty = sys.stderr.isatty()
+        self._guard: Any = None
+
+    def __enter__(self) -> CompileProgress:
+        from numba.core import event
+
+        outer = self
+
+        class Listener(event.Listener):  # type: ignore[misc]
+            def on_start(self, happened: Any) -> None:
+                outer.compiling(happened)
+
+            def on_end(self, happened: Any) -> None:
+                pass
+
+        self._guard = event.install_listener("numba:compile", Listener())
+        self._guard.__enter__()
+        return self
+
+    def compiling(self, happened: Any) -> None:
+        """One more kernel begins to compile."""
+        self.count += 1
+        now = time.monotonic()
+        if self.quiet or now - self._told < (0.1 if self._tty else 2.0):
+            return
+        self._told = now
+        dispatcher = happened.data.get("dispatcher")
+        name = getattr(getattr(dispatcher, "py_func", None), "__name__", "?")
+        elapsed = f"{now - self._start:.0f} s"
+        text = f"surffollow: compiling kernels for this machine, {self.count}: {name} ({elapsed})"
+        print(
+            f"\r\033[K{text}" if self._tty else text,
+            end="" if self._tty else "\n",
+            file=sys.stderr,
+            flush=True,
+        )
+
+    def __exit__(self, *exc: object) -> None:
+        self._guard.__exit__(*exc)
+        if self._tty and self.count and not self.quiet:
+            print("\r\033[K", end="", file=sys.stderr, flush=True)

@@ -1,0 +1,229 @@
+"""Answer external requests, before each cycle's data (paper §3.3.2); one per client and cycle."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import njit
+
+from surffollow.forecast import journal
+from surffollow.forecast.step import sf_reset
+from surffollow.service import memory as m
+from surffollow.service.inbox import new_request, slot_address
+from surffollow.shm import atomics as at
+from surffollow.shm.cycle_log import log_append
+from surffollow.shm.latch import latch_write
+from surffollow.shm.latch_shape import latch_bytes
+from surffollow.shm.layout_board import (
+    ACCEPTED,
+    CLIENTS,
+    ERR_BAD_REGION,
+    ERR_BAD_VALUE,
+    ERR_MAP_BUSY,
+    ERR_NOT_HOLDER,
+    ERR_POSE_HELD,
+    ERR_QUEUE_FULL,
+    ERR_UNKNOWN_REQUEST,
+    OK,
+    REQUEST_ARGS,
+    RQ_CLAIM_POSE,
+    RQ_MAP_REFOCUS,
+    RQ_MAP_RESET,
+    RQ_RELEASE_POSE,
+    RQ_SET_PARAMS,
+    RQ_SF_RESET,
+    SLOT_HEAD,
+    Ack,
+    SlotHead,
+    Stats,
+)
+from surffollow.shm.layout_follow import Params
+from surffollow.shm.ring import ring_push
+
+_ACK_STEP = latch_bytes(Ack.SIZE)
+_ACK_BYTES = Ack.SIZE
+_PARAMS_BYTES = Params.SIZE
+_OFFSET_WORD = Params.offset("offset_m") // 8
+_REQUESTS = Stats.offset("requests")
+_REFUSED = Stats.offset("requests_refused")
+_TORN = Stats.offset("torn")
+_PID = SlotHead.offset("pid")
+_MAX_SIDE_M = 1e6
+
+
+@njit(cache=True, nogil=True, inline="always")
+def count(stats: Any, offset: Any, n: Any) -> None:
+    """Add to a counter that only this thread writes."""
+    at.store_relaxed_i64(stats + offset, at.load_relaxed_i64(stats + offset) + n)
+
+
+@njit(cache=True, nogil=True)
+def write_ack(latch: Any, ack: Any, request: Any, result: Any, detail: Any) -> None:
+    """Publish the answer to a request."""
+    a = ack[0]
+    a.counter, a.claim = request[0].counter, request[0].claim
+    a.result, a.detail = result, detail
+    latch_write(latch, ack.ctypes.data, _ACK_BYTES)
+
+
+@njit(cache=True, nogil=True)
+def publish_params(mem: Any) -> None:
+    """Publish the parameters in force."""
+    latch_write(mem.ctx[m.PARAMS_LATCH], mem.params.ctypes.data, _PARAMS_BYTES)
+
+
+@njit(cache=True, nogil=True)
+def log_params(mem: Any, t_ns: Any) -> None:
+    """Write a PARAMS entry: in force from the next cycle on."""
+    n = 2 + journal.PARAMS_WORDS
+    mem.entry[0], mem.entry[1] = journal.entry_head(journal.PARAMS, n), t_ns
+    for i in range(journal.PARAMS_WORDS):
+        mem.entry[2 + i] = mem.param_words[i]
+    log_append(mem.ctx[m.LOG], mem.ctx[m.LOG_CAPACITY], mem.entry.ctypes.data, n)
+
+
+@njit(cache=True, nogil=True)
+def log_value(mem: Any, kind: Any, t_ns: Any, value: Any) -> None:
+    """Write an entry of one float64, e.g. RESET."""
+    mem.entry[0], mem.entry[1] = journal.entry_head(kind, 3), t_ns
+    mem.entry_floats[2] = value
+    log_append(mem.ctx[m.LOG], mem.ctx[m.LOG_CAPACITY], mem.entry.ctypes.data, 3)
+
+
+@njit(cache=True, nogil=True)
+def in_bounds(bounds: Any, word: Any, value: Any) -> Any:
+    """Whether a parameter word may have this value."""
+    if not 0 <= word < bounds.shape[0] or bounds[word, 0] == 0.0:
+        return False
+    if not bounds[word, 1] <= value <= bounds[word, 2]:
+        return False
+    return bounds[word, 0] == 1.0 or value == float(int(value))
+
+
+@njit(cache=True, nogil=True)
+def do_set_params(mem: Any, t_ns: Any) -> Any:
+    """Set all parameters of the request, or none; (result, number of the bad one)."""
+    request = mem.request[0]
+    n = request.n
+    if not 1 <= n <= REQUEST_ARGS:
+        return ERR_BAD_VALUE, -1
+    for k in range(n):
+        if not in_bounds(mem.bounds, request.number[k], request.value[k]):
+            return ERR_BAD_VALUE, request.number[k]
+    for k in range(n):
+        word = request.number[k]
+        if mem.bounds[word, 0] == 2.0:
+            mem.param_words[word] = int(request.value[k])
+        else:
+            mem.param_floats[word] = request.value[k]
+    log_params(mem, t_ns)
+    publish_params(mem)
+    return OK, 0
+
+
+@njit(cache=True, nogil=True)
+def holder_is_dead(ctx: Any, slot: Any, claim: Any) -> Any:
+    """Whether the main thread found this attachment without its lock."""
+    return at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.DEAD + slot)) == claim
+
+
+@njit(cache=True, nogil=True)
+def drop_dead_pose_writer(mem: Any) -> None:
+    """Free the pose when its writer died."""
+    ctx = mem.ctx
+    if ctx[m.POSE_SLOT] >= 0 and holder_is_dead(ctx, ctx[m.POSE_SLOT], ctx[m.POSE_CLAIM]):
+        ctx[m.POSE_SLOT] = -1
+
+
+@njit(cache=True, nogil=True)
+def do_pose_role(mem: Any, slot: Any, code: Any) -> Any:
+    """CLAIM_POSE and RELEASE_POSE; (result, pid of the holder)."""
+    ctx, claim = mem.ctx, mem.request[0].claim
+    holder = ctx[m.POSE_SLOT]
+    mine = holder == slot and ctx[m.POSE_CLAIM] == claim
+    if code == RQ_RELEASE_POSE:
+        if not mine:
+            return ERR_NOT_HOLDER, 0
+        ctx[m.POSE_SLOT] = -1
+        return OK, 0
+    if holder >= 0 and holder != slot:
+        return ERR_POSE_HELD, at.load_relaxed_i64(slot_address(ctx[m.INBOX], holder) + SLOT_HEAD + _PID)
+    ctx[m.POSE_SLOT], ctx[m.POSE_CLAIM] = slot, claim
+    ctx[m.POSE_SEEN] = 0
+    return OK, 0
+
+
+@njit(cache=True, nogil=True)
+def region_ok(request: Any) -> Any:
+    """Whether the request's four values are a region."""
+    v = request.value
+    for k in range(4):
+        if v[k] - v[k] != 0.0:
+            return False
+    return 0.0 < v[2] - v[0] <= _MAX_SIDE_M and 0.0 < v[3] - v[1] <= _MAX_SIDE_M
+
+
+@njit(cache=True, nogil=True)
+def do_map_request(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
+    """Queue a map request behind the samples taken so far; (result, detail)."""
+    ctx, request = mem.ctx, mem.request[0]
+    base = ctx.ctypes.data
+    if not region_ok(request):
+        return ERR_BAD_REGION, 0
+    if at.load_acquire_i64(base + 8 * (m.PENDING + slot)) != 0:
+        return ERR_MAP_BUSY, 0
+    side = m.REGION + slot * m.REGION_WORDS
+    for k in range(4):
+        at.store_relaxed_f64(base + 8 * (side + k), request.value[k])
+    at.store_relaxed_i64(base + 8 * (side + 4), request.claim)
+    at.store_release_i64(base + 8 * (m.PENDING + slot), 1)
+    mem.item[0], mem.item[1] = code | (slot << 8), request.counter
+    if ring_push(ctx[m.SAMPLES], ctx[m.SAMPLES_CAPACITY], m.SAMPLE_WORDS, mem.item.ctypes.data) == 0:
+        at.store_release_i64(base + 8 * (m.PENDING + slot), 0)
+        return ERR_QUEUE_FULL, 0
+    mem.entry[0], mem.entry[1], mem.entry[2] = journal.entry_head(journal.MAP, 7), t_ns, code
+    for k in range(4):
+        mem.entry_floats[3 + k] = request.value[k]
+    log_append(ctx[m.LOG], ctx[m.LOG_CAPACITY], mem.entry.ctypes.data, 7)
+    return ACCEPTED, 0
+
+
+@njit(cache=True, nogil=True)
+def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
+    """Carry out the request in `mem.request`; (result, detail)."""
+    code = mem.request[0].code
+    if code == RQ_SF_RESET:
+        offset = mem.request[0].value[0]
+        if not in_bounds(mem.bounds, _OFFSET_WORD, offset):
+            return ERR_BAD_VALUE, _OFFSET_WORD
+        sf_reset(mem.params, mem.state, offset)
+        log_value(mem, journal.RESET, t_ns, offset)
+        publish_params(mem)
+        return OK, 0
+    if code == RQ_SET_PARAMS:
+        return do_set_params(mem, t_ns)
+    if code in (RQ_CLAIM_POSE, RQ_RELEASE_POSE):
+        return do_pose_role(mem, slot, code)
+    if code in (RQ_MAP_RESET, RQ_MAP_REFOCUS):
+        return do_map_request(mem, slot, code, t_ns)
+    return ERR_UNKNOWN_REQUEST, 0
+
+
+@njit(cache=True, nogil=True)
+def process_requests(mem: Any, t_ns: Any) -> None:
+    """Look at every slot once and answer what is new."""
+    ctx = mem.ctx
+    stats = ctx[m.STATS]
+    drop_dead_pose_writer(mem)
+    for slot in range(CLIENTS):
+        state = new_request(mem, slot)
+        if state == 0:
+            continue
+        if state < 0:
+            count(stats, _TORN, 1)
+            continue
+        count(stats, _REQUESTS, 1)
+        result, detail = answer(mem, slot, t_ns)
+        if result != OK and result != ACCEPTED:
+            count(stats, _REFUSED, 1)
+        write_ack(ctx[m.ACKS] + slot * _ACK_STEP, mem.ack, mem.request, result, detail)
