@@ -1,0 +1,131 @@
+"""`surffollow robot`: a simulated robot as a process of its own, a client like any other."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+
+def quantity(unit: str) -> Any:
+    """Option callback for a number with a unit, such as "50 mm/s"; the command gets it in SI."""
+
+    def parse(ctx: click.Context, param: click.Parameter, value: str) -> float:
+        from surffollow.units import parse_quantity
+
+        try:
+            return float(parse_quantity(value, unit))
+        except ValueError as error:
+            raise click.BadParameter(str(error), ctx, param) from error
+
+    return parse
+
+
+LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
+
+
+@click.command("robot")
+@click.option("--name", default="surf", show_default=True, help="Service to talk to.")
+@click.option("--path", type=click.Choice(["line", "raster"]), default="line", show_default=True)
+@click.option("--speed", callback=SPEED, default="50 mm/s", show_default=True, help="Along the path.")
+@click.option("--seconds", type=float, default=20.0, show_default=True, help="Of motion; 0: to its end.")
+@click.option("--surface", default="fy91", show_default=True, help="Ground; the service needs the same.")
+@click.option("--seed", default=91, show_default=True, help="Of the ground; the service needs the same.")
+@click.option(
+    "--grid", callback=LENGTH, default="1 mm", show_default=True, help="Spacing of the ground's heights."
+)
+@click.option(
+    "--field",
+    type=float,
+    nargs=4,
+    default=(0.0, 0.0, 2.0, 1.0),
+    show_default=True,
+    help="x_min y_min x_max y_max of the ground [m]; the service needs the same.",
+)
+@click.option("--region", type=float, nargs=4, default=None, help="x_min y_min x_max y_max of the path [m].")
+@click.option("--lane", callback=LENGTH, default="20 mm", show_default=True, help="Distance of raster lanes.")
+@click.option("--standoff", callback=LENGTH, default="0.1 m", show_default=True, help="Wanted distance.")
+@click.option("--plant", type=click.Path(dir_okay=False), help="TOML file with the vertical axis.")
+@click.option("--latency", callback=TIME, default="10 ms", show_default=True, help="Of pose reports.")
+@click.option("--sigma", callback=LENGTH, default="0.05 mm", show_default=True, help="Noise of pose reports.")
+@click.option("--noise-seed", default=1, show_default=True, help="Of that noise.")
+@click.option("--wait", "wait_s", default=10.0, show_default=True, help="Seconds to wait for the service.")
+@click.option("--trace", type=click.Path(dir_okay=False), help="Write what happened, step by step (NPZ).")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
+def robot_command(
+    name: str,
+    path: str,
+    speed: float,
+    seconds: float,
+    surface: str,
+    seed: int,
+    grid: float,
+    field: tuple[float, float, float, float],
+    region: tuple[float, float, float, float] | None,
+    lane: float,
+    standoff: float,
+    plant: str | None,
+    latency: float,
+    sigma: float,
+    noise_seed: int,
+    wait_s: float,
+    trace: str | None,
+    as_json: bool,
+) -> None:
+    """Simulate a robot that moves over rough ground and heeds the service's demands.
+
+    Ends when its time or its path is over, or on Ctrl-C or SIGTERM, and prints how it kept its stand-off.
+    """
+    from surffollow.sim.plant import PlantConfig, load_plant
+    from surffollow.sim.robot import RobotConfig
+    from surffollow.sim.world_surface import WorldConfig
+
+    config = RobotConfig(
+        world=WorldConfig(surface=surface, seed=seed, region=field, grid_m=grid),
+        path=path,
+        region=region,
+        speed_mps=speed,
+        lane_m=lane,
+        seconds=seconds,
+        standoff_m=standoff,
+        report_latency_s=latency,
+        report_sigma_m=sigma,
+        seed=noise_seed,
+        plant=load_plant(plant) if plant else PlantConfig(),
+    )
+    summary = _run(config, name, wait_s, trace)
+    if as_json:
+        import json
+
+        click.echo(json.dumps(summary))
+        return
+    for key, value in summary.items():
+        if key.endswith("_m") and key != "path_m" and value is not None:
+            click.echo(f"{key[:-2]:24} {value * 1e3:10.3f} mm")
+        else:
+            click.echo(f"{key:24} {value if not isinstance(value, float) else round(value, 3)!s:>10}")
+
+
+def _run(config: Any, name: str, wait_s: float, trace: str | None) -> dict[str, Any]:
+    import signal
+
+    from surffollow.client import attach
+    from surffollow.sim.robot_run import run_robot
+
+    stop: list[int] = []
+    handlers = {
+        number: signal.signal(number, lambda n, _: stop.append(n))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        core, summary = run_robot(
+            config, name, lambda: attach(name, label="simulated robot"), lambda: bool(stop), wait_s
+        )
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    if trace:
+        import numpy as np
+
+        np.savez_compressed(trace, **core.trace())  # type: ignore[arg-type]
+    return summary

@@ -1,0 +1,246 @@
+"""The simulated robot: a body that moves in 1 ms steps, and the controller's half of following.
+
+`RobotCore` has no clock and knows no service: whoever drives it says how far time has come, fetches its late
+and noisy pose reports, and gives it demands. `robot_run` does that against the real service.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.errors import ConfigError
+from surffollow.shm.dtypes import zeros
+from surffollow.sim.plant import PlantConfig, set_point_for
+from surffollow.sim.raster import KINDS, Path, line_path, raster_path
+from surffollow.sim.robot_motion import STEP_NS, TRACE_COLUMNS, Motion, run_until
+from surffollow.sim.surfaces import HeightField, Region
+from surffollow.sim.world import WorldPose
+from surffollow.sim.world_surface import WorldConfig
+
+REPORTS_KEPT = 256
+TRACE_ROWS = 1_000_000
+APPROACH_M = 0.010  # the tool starts that much above the wanted stand-off
+SETTLED_M = 1.5e-3
+SETTLED_TICKS = 30
+FOR_EVER_S = 86_400.0
+
+
+class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A simulated robot and its task.
+
+    Attributes
+    ----------
+    world : the ground, the same as the service's simulated sensors have
+    path : "line" (to and fro through the middle) or "raster"
+    region : part of the ground that the path keeps to; None: all of it
+    speed_mps, accel_mps2 : along the path [m/s], [m/s²]
+    lane_m : distance of a raster's lanes [m]
+    seconds : of motion along the path; 0: to its end (a line: for ever)
+    standoff_m : wanted distance of the tool above the ground [m]
+    unscored_m : first piece of the path, where the follower still learns [m]
+    report_latency_s, report_sigma_m : of pose reports [s], noise of x, y and z [m]
+    seed : of that noise
+    plant : vertical axis and rate of controller and reports
+    """
+
+    world: WorldConfig = WorldConfig()
+    path: str = "line"
+    region: Region | None = None
+    speed_mps: float = 0.05
+    accel_mps2: float = 0.2
+    lane_m: float = 0.02
+    seconds: float = 20.0
+    standoff_m: float = 0.1
+    unscored_m: float = 0.1
+    report_latency_s: float = 0.010
+    report_sigma_m: float = 0.05e-3
+    seed: int = 1
+    plant: PlantConfig = PlantConfig()
+
+    def __post_init__(self) -> None:
+        if self.path not in KINDS:
+            raise ConfigError(f"path '{self.path}' is unknown; one of: {', '.join(KINDS)}")
+        bounds = {
+            "speed_mps": (1e-3, 2.0),
+            "accel_mps2": (1e-2, 10.0),
+            "lane_m": (2e-3, 10.0),
+            "seconds": (0.0, FOR_EVER_S),
+            "standoff_m": (1e-3, 10.0),
+            "unscored_m": (0.0, 1e3),
+            "report_latency_s": (0.0, 0.09),
+            "report_sigma_m": (0.0, 0.1),
+        }
+        for name, (low, high) in bounds.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ConfigError(f"robot {name} = {value}, expected {low} to {high}")
+
+
+def make_path(config: RobotConfig, field: HeightField) -> Path:
+    """Lay the path of a configuration over a field."""
+    region = config.region if config.region is not None else field.region
+    if config.path == "raster":
+        return raster_path(region, config.speed_mps, config.accel_mps2, config.lane_m)
+    seconds = config.seconds if config.seconds > 0.0 else 3600.0
+    return line_path(region, config.speed_mps, config.accel_mps2, config.speed_mps * seconds)
+
+
+class RobotCore:
+    """Body and controller.
+
+    Parameters
+    ----------
+    config : RobotConfig
+    field : its ground
+    start_ns : time at which it stands above the path's first point [ns]
+    """
+
+    def __init__(self, config: RobotConfig, field: HeightField, start_ns: int) -> None:
+        self.config, self._field = config, field
+        self.path = make_path(config, field)
+        self.motion = m = zeros(Motion)
+        x, y = self.path.points[0, :2]
+        m["t_ns"] = m["start_ns"] = start_ns
+        m["x_m"], m["y_m"] = x, y
+        m["axis"][0, 0] = m["set_point_m"] = field.height_m(x, y) + config.standoff_m + APPROACH_M
+        m["tau_s"], m["v_max_mps"] = config.plant.tau_s, config.plant.v_max_mps
+        m["a_max_mps2"], m["accel_mps2"] = config.plant.a_max_mps2, config.accel_mps2
+        m["spacing_m"], m["standoff_m"] = self.path.spacing_m, config.standoff_m
+        m["score_from_m"] = config.unscored_m
+        steps = self.expected_steps
+        m["trace_every"] = -(-steps // TRACE_ROWS)
+        self._trace = np.zeros((min(steps, TRACE_ROWS), len(TRACE_COLUMNS)))
+        self._frame = np.array([field.x0_m, field.y0_m, field.grid_m])
+        self._rolling = field.rolling_mask().astype(np.uint8)
+        self.world = zeros(WorldPose)
+        self._rng = np.random.default_rng(config.seed)
+        self._waiting: deque[tuple[int, NDArray[np.float64]]] = deque()
+        self._sent: dict[int, float] = {}
+        self._newest_m = float(m["set_point_m"][0])
+        self.holding = True
+        self._settled = 0
+        self.started_ns = 0
+
+    @property
+    def expected_steps(self) -> int:
+        """Steps that the task may take, a generous approach included."""
+        c = self.config
+        seconds = c.seconds if c.seconds > 0.0 else 2.0 * self.path.length_m / c.speed_mps
+        return int((seconds + 30.0) * 1e9) // STEP_NS
+
+    @property
+    def t_ns(self) -> int:
+        """Time of the body's state [ns]."""
+        return int(self.motion["t_ns"][0])
+
+    @property
+    def standoff_m(self) -> float:
+        """True height of the tool above the ground [m], which no controller knows."""
+        return float(self.world["standoff_m"][0])
+
+    @property
+    def done(self) -> bool:
+        """True when the path's end is reached or the time along it is over."""
+        if bool(self.motion["arrived"][0]):
+            return True
+        moved_ns = self.t_ns - self.started_ns
+        return bool(self.started_ns and self.config.seconds and moved_ns >= self.config.seconds * 1e9)
+
+    def advance(self, until_ns: int, latch: int = 0) -> None:
+        """Step to a time; with the address of a world block's latch in wall time, publishing each step."""
+        run_until(
+            self.motion,
+            until_ns,
+            self.path.points,
+            self._field.heights_m,
+            self._frame,
+            self._rolling,
+            self.world,
+            self._trace,
+            latch,
+        )
+
+    def restart_clock(self, t_ns: int) -> None:
+        """Let it be `t_ns` [ns] now, and nothing traced yet."""
+        self.motion["t_ns"] = self.motion["start_ns"] = t_ns
+        self.motion["trace_rows"] = 0
+
+    def measure(self) -> None:
+        """Read the joints: a noisy pose of now, to be reported when its latency is over."""
+        m = self.motion[0]
+        noise = self._rng.normal(0.0, 1.0, 3) * self.config.report_sigma_m
+        pose = np.array(
+            [m["x_m"] + noise[0], m["y_m"] + noise[1], m["axis"][0] + noise[2], 0.0, 0.0, 0.0, 1.0]
+        )
+        self._waiting.append((self.t_ns, pose))
+
+    def reports(self) -> list[tuple[int, NDArray[np.float64]]]:
+        """Take the reports that are due: (when it was true [ns], pose (7,)), oldest first."""
+        due_ns = self.t_ns - round(self.config.report_latency_s * 1e9)
+        out = []
+        while self._waiting and self._waiting[0][0] <= due_ns:
+            t_ns, pose = self._waiting.popleft()
+            self._newest_m = self._sent[t_ns] = float(pose[2])
+            out.append((t_ns, pose))
+        while len(self._sent) > REPORTS_KEPT:
+            del self._sent[next(iter(self._sent))]
+        return out
+
+    def command(self, demand_m: float, pose_t_ns: int) -> None:
+        """Heed a demand: it is added to the report that it refers to, never to a newer one.
+
+        Parameters
+        ----------
+        demand_m : vertical demand [m]
+        pose_t_ns : stamp of that report [ns]; an unknown one makes the robot hold
+        """
+        if pose_t_ns not in self._sent or not math.isfinite(demand_m):
+            self.hold()
+            return
+        self.holding = False
+        self.motion["set_point_m"] = set_point_for(self._sent[pose_t_ns], demand_m)
+        if self.started_ns == 0:
+            self._settled = self._settled + 1 if abs(demand_m) < SETTLED_M else 0
+            if self._settled < SETTLED_TICKS:
+                return
+            self.started_ns = self.t_ns
+        self.motion["moving"] = 1
+
+    def hold(self) -> None:
+        """Without a demand to trust: stay at the height last reported, and stop along the path."""
+        if not self.holding:
+            self.holding = True
+            self.motion["set_point_m"] = self._newest_m
+        self._settled = 0
+        self.motion["moving"] = 0
+
+    def trace(self) -> dict[str, NDArray[np.float64]]:
+        """Columns of what happened so far, by the names of `TRACE_COLUMNS`."""
+        rows = int(self.motion["trace_rows"][0])
+        return {name: self._trace[:rows, k].copy() for k, name in enumerate(TRACE_COLUMNS)}
+
+    def summary(self) -> dict[str, Any]:
+        """Score of the run: stand-off errors [m] (None when nothing was scored), path and time."""
+        m = self.motion[0]
+
+        def rms(sum_sq: float, n: int) -> float | None:
+            return math.sqrt(sum_sq / n) if n else None
+
+        n, n_rolling = int(m["n"]), int(m["n_rolling"])
+        return {
+            "standoff_rms_m": rms(float(m["sum_sq_m2"]), n),
+            "standoff_peak_m": float(m["peak_m"]) if n else None,
+            "standoff_rms_rolling_m": rms(float(m["sum_sq_rolling_m2"]), n_rolling),
+            "standoff_peak_rolling_m": float(m["peak_rolling_m"]) if n_rolling else None,
+            "n": n,
+            "n_rolling": n_rolling,
+            "path_m": float(m["path_m"]),
+            "moving_s": (self.t_ns - self.started_ns) * 1e-9 if self.started_ns else 0.0,
+            "frozen_s": float(m["frozen_ns"]) * 1e-9,
+        }

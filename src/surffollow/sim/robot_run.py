@@ -1,0 +1,166 @@
+"""Drive the simulated robot against the real service: its poses go in, its demands come out, at 100 Hz."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+from surffollow.errors import FaultError, NotRunningError, PoseError
+from surffollow.sim.robot import RobotConfig, RobotCore
+from surffollow.sim.world import WorldWriter
+
+RETRY_NS = 200_000_000
+
+
+class SomeDemand(Protocol):
+    """What the robot looks at in a demand."""
+
+    @property
+    def valid(self) -> bool: ...
+    @property
+    def pose_t_ns(self) -> int: ...
+    def __getitem__(self, index: int, /) -> float: ...
+
+
+class Service(Protocol):
+    """What the robot needs of `surffollow.client.Client`."""
+
+    def ee_pos(self, pose: Sequence[float], t_ns: int | None = None) -> None: ...
+    def dev_vector(self) -> SomeDemand: ...
+    def sf_reset(self, offset_m: float) -> object: ...
+    def close(self) -> None: ...
+
+
+class Controller:
+    """The robot's side of the conversation; a service that dies is attached to again, meanwhile it holds.
+
+    Parameters
+    ----------
+    core : RobotCore
+    attach : makes an attachment, or raises a `FaultError`
+    """
+
+    def __init__(self, core: RobotCore, attach: Callable[[], Service]) -> None:
+        self._core, self._attach = core, attach
+        self._service: Service | None = None
+        self._retry_ns = 0
+        self.ticks = self.held = self.refused = self.attachments = 0
+        self.trouble = ""
+
+    def connect(self, wait_s: float) -> None:
+        """Attach and ask for the wanted stand-off.
+
+        Raises
+        ------
+        FaultError
+            when that still fails after `wait_s`
+        """
+        deadline = time.monotonic() + wait_s
+        while not self._try_attach():
+            if time.monotonic() > deadline:
+                raise NotRunningError(self.trouble)
+            time.sleep(0.05)
+
+    def _try_attach(self) -> bool:
+        try:
+            service = self._attach()
+        except FaultError as error:
+            self.trouble = str(error)
+            return False
+        try:
+            service.sf_reset(self._core.config.standoff_m)
+        except FaultError as error:
+            self.trouble = str(error)
+            service.close()
+            return False
+        self._service, self.trouble = service, ""
+        self.attachments += 1
+        return True
+
+    def tick(self) -> None:
+        """Do what a controller does 100 times a second: take the demand, then report where the tool was."""
+        core = self._core
+        self.ticks += 1
+        core.measure()
+        reports = core.reports()
+        if self._service is None and core.t_ns >= self._retry_ns:
+            self._retry_ns = core.t_ns + RETRY_NS
+            self._try_attach()
+        if self._service is None:
+            core.hold()
+            self.held += 1
+            return
+        try:
+            demand = self._service.dev_vector()
+            if demand.valid:
+                core.command(demand[2], demand.pose_t_ns)
+            else:
+                core.hold()
+            self.held += core.holding
+            for t_ns, pose in reports:
+                self._service.ee_pos(pose.tolist(), t_ns)
+        except PoseError:
+            self.refused += 1  # a report that grew too old while this process was stopped
+        except FaultError as error:
+            self.trouble = str(error)
+            core.hold()
+            self.close()
+            self._retry_ns = core.t_ns + RETRY_NS
+
+    def close(self) -> None:
+        """Give the attachment back."""
+        if self._service is not None:
+            service, self._service = self._service, None
+            service.close()
+
+
+def run_robot(
+    config: RobotConfig,
+    name: str,
+    attach: Callable[[], Service],
+    stopped: Callable[[], bool],
+    wait_s: float = 10.0,
+) -> tuple[RobotCore, dict[str, Any]]:
+    """Run the robot of service `name` in wall time until its task is done or `stopped()`.
+
+    Parameters
+    ----------
+    config : RobotConfig
+    name : of the service; the true pose goes to the block NAME.world
+    attach : see `Controller`
+    stopped : asked at every tick
+    wait_s : how long to wait for the service at the start [s]
+
+    Returns
+    -------
+    the core, for its trace, and the summary
+
+    Raises
+    ------
+    FaultError
+        no service, or another robot writes the world block
+    """
+    field = config.world.make()
+    core = RobotCore(config, field, time.monotonic_ns())
+    core.advance(core.t_ns + 2_000_000)  # compiles, in simulated time
+    world = WorldWriter(name)
+    controller = Controller(core, attach)
+    try:
+        controller.connect(wait_s)
+        core.restart_clock(time.monotonic_ns())
+        tick_ns = round(1e9 / config.plant.tick_hz)
+        while not (core.done or stopped()):
+            controller.tick()
+            core.advance(core.t_ns + tick_ns, world.latch)
+    finally:
+        controller.close()
+        world.close()
+    summary = core.summary() | {
+        "ticks": controller.ticks,
+        "held_ticks": controller.held,
+        "refused_reports": controller.refused,
+        "attachments": controller.attachments,
+        "finished": core.done,
+    }
+    return core, summary
