@@ -22,6 +22,7 @@
         │   └── BusyError                  another live process holds what must be held by one
         ├── RecordingError                 a recording or log cannot be read
         ├── MapFileError                   a map file cannot be read or written
+        │   └── MapCancelledError          the caller cancelled reading or writing it
         └── DriverError                    a sensor driver cannot start or go on
 """
 
@@ -114,6 +115,10 @@ class RecordingError(FaultError):
 
 class MapFileError(FaultError):
     """A map file that cannot be read, written or parsed."""
+
+
+class MapCancelledError(MapFileError):
+    """The caller's progress callback asked to stop; nothing was changed."""
 
 
 class DriverError(FaultError):

@@ -1,0 +1,59 @@
+"""Write a file so that others see the old one or the whole new one: temporary file, fsync, rename."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from surffollow.errors import MapCancelledError, MapFileError
+
+Progress = Callable[[float], object]
+"""Called with the finished fraction, 0 … 1; returning False (not None) cancels."""
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A temporary path beside `path`; on a clean exit it is fsynced and takes its name, else it goes.
+
+    Raises
+    ------
+    MapFileError
+        the directory cannot be written, or the disk is full
+    """
+    target = Path(path)
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=target.suffix, dir=target.parent)
+        os.close(handle)
+    except OSError as e:
+        raise MapFileError(f"cannot write beside {target}: {e.strerror or e}") from e
+    temporary = Path(name)
+    try:
+        # mkstemp's 0600 is for secrets; a map gets what the user's umask says
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
+        yield temporary
+        _sync(temporary)
+        temporary.replace(target)
+        _sync(target.parent)
+    except OSError as e:
+        raise MapFileError(f"cannot write {target}: {e.strerror or e}") from e
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def report(progress: Progress | None, fraction: float) -> None:
+    """Tell the caller; raise MapCancelledError when it answers False."""
+    if progress is not None and progress(fraction) is False:
+        raise MapCancelledError("cancelled by the caller; no file was changed")
