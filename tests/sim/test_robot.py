@@ -27,7 +27,7 @@ FLAT = flat_field(REGION)
 
 class Demand:
     def __init__(self, z_m: float = 0.0, pose_t_ns: int = 0, valid: bool = True) -> None:
-        self.z_m, self.pose_t_ns, self.valid = z_m, pose_t_ns, valid
+        self.z_m, self.pose_t_ns, self.valid, self.epoch = z_m, pose_t_ns, valid, 1
 
     def __getitem__(self, index: int) -> float:
         return (0.0, 0.0, self.z_m, 0.0, 0.0, 0.0)[index]
@@ -38,10 +38,11 @@ class PerfectService:
 
     def __init__(self, field: Any) -> None:
         self.field, self.offset_m, self.poses = field, 0.0, []
-        self.silent, self.closed = False, False
+        self.silent, self.closed, self.epoch, self.resets = False, False, 1, 0
 
     def sf_reset(self, offset_m: float) -> None:
         self.offset_m = offset_m
+        self.resets += 1
 
     def ee_pos(self, pose: Any, t_ns: int | None = None) -> None:
         self.poses.append((t_ns, pose))
@@ -51,7 +52,9 @@ class PerfectService:
             return Demand(valid=False)
         t_ns, (x, y, z, *_) = self.poses[-1]
         assert t_ns is not None
-        return Demand(self.field.height_m(x, y) + self.offset_m - z, t_ns)
+        demand = Demand(self.field.height_m(x, y) + self.offset_m - z, t_ns)
+        demand.epoch = self.epoch
+        return demand
 
     def close(self) -> None:
         self.closed = True
@@ -166,6 +169,16 @@ def test_a_service_that_fails_is_attached_to_again() -> None:
     drive(core, controller, 60)
     assert controller.attachments == 2
     assert not core.holding
+
+
+def test_a_service_that_started_anew_is_told_the_stand_off_again() -> None:
+    core, controller, service = robot(seconds=20.0, standoff_m=0.08)
+    drive(core, controller, 200)
+    assert service.resets == 1
+    service.epoch, service.offset_m = 2, 0.1
+    drive(core, controller, 100)
+    assert service.resets == 2
+    assert core.standoff_m == pytest.approx(0.08, abs=1e-3)
 
 
 def test_a_refused_report_is_counted_and_changes_nothing() -> None:

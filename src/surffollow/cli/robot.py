@@ -110,8 +110,9 @@ def _run(config: Any, name: str, wait_s: float, trace: str | None) -> dict[str, 
     import signal
 
     from surffollow.client import attach
-    from surffollow.sim.robot_run import run_robot
+    from surffollow.sim.robot_run import claim_priority, run_robot
 
+    claim_priority()
     stop: list[int] = []
     handlers = {
         number: signal.signal(number, lambda n, _: stop.append(n))

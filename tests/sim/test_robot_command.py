@@ -1,0 +1,85 @@
+"""`surffollow robot` as a user types it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from surffollow.cli.robot import robot_command
+from surffollow.errors import ConfigError, NotRunningError
+from surffollow.sim.robot_motion import TRACE_COLUMNS
+
+NAME = f"test-robot-command-{os.getpid()}"
+SMALL = ["--name", NAME, "--surface", "flat", "--field", "0", "0", "0.5", "0.2"]
+
+# the command against a service that knows the ground: flat, so that only the pose matters
+RUN = """
+import sys
+import surffollow.client
+from surffollow.cli.robot import robot_command
+sys.path.insert(0, sys.argv[1])
+from test_robot import PerfectService
+from surffollow.sim.surfaces import flat_field
+service = PerfectService(flat_field((0.0, 0.0, 0.5, 0.2)))
+surffollow.client.attach = lambda name, label="": service
+robot_command(sys.argv[2:])
+"""
+
+
+def command(*arguments: str) -> subprocess.Popen[str]:
+    here = str(Path(__file__).parent)
+    line = [sys.executable, "-c", RUN, here, *SMALL, *arguments]
+    return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_robot_prints_one_json_object_and_writes_its_trace(tmp_path: Path) -> None:
+    trace = tmp_path / "trace.npz"
+    out, err = command("--seconds", "2", "--speed", "100 mm/s", "--json", "--trace", str(trace)).communicate()
+    summary = json.loads(out)
+    assert err == ""
+    assert summary["finished"]
+    assert 0.0 < summary["standoff_rms_m"] < 1e-3
+    assert summary["standoff_rms_m"] <= summary["standoff_peak_m"]
+    with np.load(trace) as columns:
+        assert tuple(columns) == TRACE_COLUMNS
+        assert len({len(columns[c]) for c in columns}) == 1
+        assert columns["scored"].sum() == summary["n"]
+    assert not os.path.exists(f"/dev/shm/{NAME}.world")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_robot_ends_cleanly_when_told_and_still_prints_its_summary(number: signal.Signals) -> None:
+    process = command("--seconds", "600")
+    while not os.path.exists(f"/dev/shm/{NAME}.world"):
+        assert process.poll() is None
+        os.sched_yield()
+    process.send_signal(number)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    assert "finished" in out
+    assert "False" in out
+    assert not os.path.exists(f"/dev/shm/{NAME}.world")
+
+
+def test_wrong_unit_is_refused_before_anything_starts() -> None:
+    result = CliRunner().invoke(robot_command, ["--speed", "50 kg"])
+    assert result.exit_code == 2
+    assert "speed" in result.output
+
+
+def test_wrong_surface_and_missing_service_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("surffollow.sim.robot_run.claim_priority", lambda: None)
+    for arguments, error in (
+        (["--surface", "moon"], ConfigError),
+        ([*SMALL, "--wait", "0"], NotRunningError),
+    ):
+        result = CliRunner().invoke(robot_command, arguments)
+        assert isinstance(result.exception, error), result.output
