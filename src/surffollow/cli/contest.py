@@ -69,6 +69,7 @@ def _flat(values: tuple[Any, ...]) -> list[Any]:
 @click.option("--seeds", type=Seeds(), default="0:20", show_default=True, help="Test seeds, half-open.")
 @click.option("--methods", help="Comma-separated rows; NAME=module:factory adds a follower.")
 @click.option("--sweeps/--no-sweeps", default=None, help="Latency, noise, plant… (default: full table only).")
+@click.option("--bars", is_flag=True, help="Also the special trials; print each bar; exit 1 when short.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--out", "folder", metavar="DIR", help="Write results, table, plots; remember tunings.")
 @click.option("--processes", default=2, show_default=True, type=click.IntRange(1, 64))
@@ -81,6 +82,7 @@ def contest_command(
     seeds: list[int],
     methods: str | None,
     sweeps: bool | None,
+    bars: bool,
     as_json: bool,
     folder: str | None,
     processes: int,
@@ -104,6 +106,7 @@ def contest_command(
             seeds=seeds,
             methods=[m.strip() for m in methods.split(",") if m.strip()] if methods else [],
             sweeps=sweeps,
+            bars=bars,
             folder=folder,
             processes=processes,
         )

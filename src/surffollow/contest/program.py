@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from surffollow.contest import bars
 from surffollow.contest.conditions import Conditions, load_conditions
 from surffollow.contest.methods import all_methods, check_methods
 from surffollow.contest.report import markdown_table, text_table, write_plots
@@ -22,6 +23,7 @@ from surffollow.contest.suite import (
     surface_profile,
     sweep_cells,
 )
+from surffollow.contest.trials import run_trials
 from surffollow.errors import UsageError
 
 ORACLES_FILE = "oracles.json"
@@ -38,6 +40,7 @@ class Request:
     seeds: list[int] = field(default_factory=lambda: list(range(20)))
     methods: list[str] = field(default_factory=list)
     sweeps: bool | None = None
+    bars: bool = False
     folder: str | None = None
     processes: int = 2
 
@@ -72,9 +75,10 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
         surface_profile(surface, 0)
     full = not (request.surfaces or request.speeds_mps)
     speeds = request.speeds_mps or list(SPEEDS_MPS)
-    leads = request.leads_m or (list(LEADS_M) if full else [0.0])
+    leads = request.leads_m or (list(LEADS_M) if full or request.bars else [0.0])
     cells = main_cells(surfaces, speeds, leads, conditions)
-    if request.sweeps if request.sweeps is not None else (full and not request.leads_m):
+    wanted = request.bars or (full and not request.leads_m)
+    if wanted if request.sweeps is None else request.sweeps:
         cells += sweep_cells(surfaces, conditions)
     folder = Path(request.folder) if request.folder else None
     tuned = _load_tuned(folder)
@@ -89,24 +93,44 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
     found: dict[str, Any] = {"results": main}
     if swept:
         found["sweeps"] = swept
+    if folder:
+        _keep_tuned(folder, tuned)
     text = text_table(rows)
-    passed = True
+    verdicts: list[bars.Verdict] = []
+    if request.bars:
+        judged = [m for m in methods if m.partition("=")[0] == bars.JUDGED]
+        trials: list[dict[str, Any]] = []
+        for method in judged[:1]:
+            trials = run_trials(
+                method, conditions, surfaces, request.seeds, request.processes, stage("trials")
+            )
+        verdicts = bars.evaluate(rows, trials, conditions)
+        found["trials"] = trials
+        found["bars"] = [msgspec.to_builtins(v) for v in verdicts]
+        text = bars.text(verdicts)
     found = _finite(found)
     if folder:
-        _write(folder, found, rows, results, tuned)
-    return Outcome(found, text, passed, results)
+        _write(folder, found, bars.text(verdicts, markdown=True) if verdicts else "", markdown_table(rows))
+        write_plots(results, folder)
+    return Outcome(found, text, all(v.passed for v in verdicts), results)
 
 
-def _write(folder: Path, found: dict[str, Any], rows: list[Any], results: list[Result], tuned: Tuned) -> None:
+def _write(folder: Path, found: dict[str, Any], *tables: str) -> None:
+    try:
+        (folder / "results.json").write_bytes(msgspec.json.encode(found))
+        (folder / "table.md").write_text("\n".join(t for t in tables if t), encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"cannot write to '{folder}': {error}") from error
+
+
+def _keep_tuned(folder: Path, tuned: Tuned) -> None:
+    """Remember oracle tunings for the next run into this folder."""
+    plain = [[method, key, list(params)] for (method, key), params in sorted(tuned.items())]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "results.json").write_bytes(msgspec.json.encode(found))
-        (folder / "table.md").write_text(markdown_table(rows), encoding="utf-8")
-        plain = [[method, key, list(params)] for (method, key), params in sorted(tuned.items())]
         (folder / ORACLES_FILE).write_bytes(msgspec.json.encode(plain))
     except OSError as error:
         raise UsageError(f"cannot write to '{folder}': {error}") from error
-    write_plots(results, folder)
 
 
 def _load_tuned(folder: Path | None) -> Tuned:

@@ -69,10 +69,11 @@ class Result:
         return row
 
 
-def scene_of(cell: Cell, seed: int, **changes: Any) -> Scene:
-    """Make the scene of a test seed."""
+def scene_of(cell: Cell, seed: int, noise_seed: int | None = None) -> Scene:
+    """Make the scene of a test seed; `noise_seed` gives the same ground another noise."""
     profile = surface_profile(cell.surface, seed)
-    return make_scene(profile, cell.speed_mps, seed, cell.conditions, stream=TEST_STREAM, **changes)
+    noise = seed if noise_seed is None else noise_seed
+    return make_scene(profile, cell.speed_mps, noise, cell.conditions, stream=TEST_STREAM)
 
 
 def training_scenes(cell: Cell) -> list[Scene]:
@@ -92,7 +93,8 @@ def run_method(method: str, scene: Scene, params: tuple[float, ...] = ()) -> tup
     s, w = scene.fresh()
     base = method.removesuffix(ORACLE)
     if base in BASELINES:
-        run_jitted(BASELINES[base].kind, params, s, w)
+        baseline = BASELINES[base]
+        run_jitted(baseline.kind, params or suite_params(baseline, scene.conditions.lead_m), s, w)
     else:
         drive(factory_of(method)(scene.conditions), s, w)
     return s, w
