@@ -1,1 +1,19 @@
-"""The map of the surface: grids, their update, and the ways to lay them anew."""
+"""The map of the surface: grids, their update, the ways to lay them anew, and their files."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from surffollow.map.height_map import HeightMap
+
+__all__ = ["HeightMap"]
+
+
+def __getattr__(name: str) -> Any:
+    # lazily, since it loads numba, and the client library reads this package's files without
+    if name == "HeightMap":
+        from surffollow.map.height_map import HeightMap
+
+        return HeightMap
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,256 @@
+"""`surffollow map`: look at map files, export, compose, refocus and compare them; no service needed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from surffollow.errors import UsageError
+from surffollow.units import parse_quantity
+
+if TYPE_CHECKING:
+    from surffollow.map import HeightMap
+
+_FILE = click.Path(dir_okay=False)
+_EXISTING = click.Path(exists=True, dir_okay=False)
+_SHADES = " .:-=+*#%@"
+
+
+class Length(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
+    """A length such as `0.1in`, `2.54 mm` or `1.5` (metres)."""
+
+    name = "LENGTH"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Metres, or fail with what was expected."""
+        if isinstance(value, float):
+            return value
+        try:
+            return parse_quantity(str(value), "m")
+        except UsageError as error:
+            self.fail(str(error), param, ctx)
+
+
+LENGTH = Length()
+
+
+@click.group("map")
+def map_group() -> None:
+    """Show, export, compose, refocus and compare map files.
+
+    Files are the text format of UpLoadMap or .npz (both lossless); .asc and .tif rasters are read as
+    a prior (count 0).
+    """
+
+
+def _load(path: str) -> HeightMap:
+    from surffollow.map import HeightMap
+
+    return HeightMap.load(path)
+
+
+def _facts(m: HeightMap) -> dict[str, Any]:
+    import numpy as np
+
+    ny, nx = m.shape
+    heights, counts = m.heights_m, m.counts
+    known = np.isfinite(heights)
+    z = heights[known]
+    return {
+        "nx": nx,
+        "ny": ny,
+        "grid_m": m.grid_m,
+        "extent_m": list(m.extent_m),
+        "region_m": list(m.region_m),
+        "datum_m": m.datum_m,
+        "quantum_m": m.quantum_m,
+        "grids": nx * ny,
+        "known": int(known.sum()),
+        "sampled": int((counts > 0).sum()),
+        "priors": int((known & (counts == 0)).sum()),
+        "saturated": int((counts == 255).sum()),
+        "height_min_m": float(z.min()) if z.size else None,
+        "height_mean_m": float(z.mean()) if z.size else None,
+        "height_max_m": float(z.max()) if z.size else None,
+        "samples": m.samples,
+        "outside": m.outside,
+        "clipped": m.clipped,
+        "gated": m.gated,
+        "invalid": m.invalid,
+    }
+
+
+def _print(facts: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps(facts))
+        return
+    width = max(map(len, facts))
+    for key, value in facts.items():
+        if isinstance(value, float):
+            value = f"{value:.9g}"
+        elif isinstance(value, list):
+            value = " ".join(f"{v:.9g}" for v in value)
+        click.echo(f"{key:<{width}}  {'-' if value is None else value}")
+
+
+@map_group.command("info")
+@click.argument("file", type=_EXISTING)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def info_command(file: str, as_json: bool) -> None:
+    """Say what a map file holds."""
+    _print(_facts(_load(file)), as_json)
+
+
+@map_group.command("show")
+@click.argument("file", type=_EXISTING)
+@click.option(
+    "--width", default=72, show_default=True, type=click.IntRange(4, 400), help="Characters per row."
+)
+@click.option("--counts", "show_counts", is_flag=True, help="Shade by sample counts instead of heights.")
+def show_command(file: str, width: int, show_counts: bool) -> None:
+    """Draw a map in the terminal: dark is low, ? is unknown, north is up."""
+    import numpy as np
+
+    m = _load(file)
+    ny, nx = m.shape
+    columns = min(width, nx)
+    rows = max(1, min(ny, round(columns * ny / nx / 2)))
+    values = m.heights_m
+    known = np.isfinite(values)
+    if show_counts:
+        values = np.where(known, m.counts.astype(float), np.nan)
+    i = np.arange(ny) * rows // ny
+    j = np.arange(nx) * columns // nx
+    cell = (i[:, None] * columns + j[None, :])[known]
+    n = np.bincount(cell, minlength=rows * columns)
+    total = np.bincount(cell, weights=values[known], minlength=rows * columns)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = (total / n).reshape(rows, columns)
+    seen = mean[np.isfinite(mean)]
+    low, high = (float(seen.min()), float(seen.max())) if seen.size else (0.0, 0.0)
+    scale = (len(_SHADES) - 1) / (high - low) if high > low else 0.0
+    for row in mean[::-1]:
+        click.echo("".join("?" if v != v else _SHADES[int((v - low) * scale + 0.5)] for v in row.tolist()))
+    unit = "samples" if show_counts else "m"
+    click.echo(f"'{_SHADES[0]}' {low:.6g} {unit}  '{_SHADES[-1]}' {high:.6g} {unit}  {nx} × {ny} grids")
+
+
+@map_group.command("export")
+@click.argument("file", type=_EXISTING)
+@click.argument("target", type=_FILE)
+def export_command(file: str, target: str) -> None:
+    """Write a map as TARGET; its suffix says how.
+
+    .txt .npz lossless; .asc ESRI ASCII grid; .tif GeoTIFF; .ply mesh; .png shaded relief and counts.
+    """
+    from surffollow.map.files import export
+
+    m = _load(file)
+    with _progress("exporting") as progress:
+        export(target, m.header, m.pairs, progress=progress)
+
+
+@map_group.command("compose")
+@click.argument("files", nargs=-1, required=True, type=_EXISTING)
+@click.option("-o", "--output", required=True, type=_FILE, help="Map file to write.")
+@click.option("--grids", type=click.IntRange(1, 10**9), help="Memory; default: what the finest map needs.")
+@click.option("--json", "as_json", is_flag=True, help="Print the facts of the result as JSON.")
+def compose_command(files: Sequence[str], output: str, grids: int | None, as_json: bool) -> None:
+    """Put several maps together into one, weighted by sample counts."""
+    from surffollow.map.compose import compose
+    from surffollow.map.files import export
+
+    with _progress("composing") as progress:
+        whole = compose([_load(f) for f in files], grids=grids, progress=progress)
+    export(output, whole.header, whole.pairs)
+    _print(_facts(whole), as_json)
+
+
+@map_group.command("refocus")
+@click.argument("file", type=_EXISTING)
+@click.argument("region", nargs=4, type=LENGTH, metavar="X_MIN Y_MIN X_MAX Y_MAX")
+@click.option("-o", "--output", required=True, type=_FILE, help="Map file to write.")
+@click.option("--grids", type=click.IntRange(1, 10**9), help="Memory; default: the file's grids.")
+@click.option("--finest", type=LENGTH, help="Finest useful grid; default: the file's.")
+@click.option("--json", "as_json", is_flag=True, help="Print the facts of the result as JSON.")
+def refocus_command(
+    file: str,
+    region: tuple[float, float, float, float],
+    output: str,
+    grids: int | None,
+    finest: float | None,
+    as_json: bool,
+) -> None:
+    """Lay a map over another region; heights are carried over, counts become 0.
+
+    Negative coordinates need `--` before them: refocus -o new.txt old.txt -- -1 -1 1 1
+    """
+    from surffollow.map import HeightMap
+    from surffollow.map.files import export
+
+    m = HeightMap.load(file, grids=grids)
+    if finest is not None:
+        if not finest > 0:
+            raise UsageError(f"--finest must be positive, not {finest}")
+        m.header["finest_grid_m"] = finest
+    m.refocus(region)
+    export(output, m.header, m.pairs)
+    _print(_facts(m), as_json)
+
+
+@map_group.command("diff")
+@click.argument("one", type=_EXISTING)
+@click.argument("other", type=_EXISTING)
+@click.option("--limit", type=LENGTH, help="Exit with 1 when any grid differs by more.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def diff_command(one: str, other: str, limit: float | None, as_json: bool) -> None:
+    """Compare two maps: OTHER minus ONE on the grids of ONE."""
+    import numpy as np
+
+    from surffollow.map.compose import difference
+
+    first, second = _load(one), _load(other)
+    delta = difference(first, second)
+    both = np.isfinite(delta)
+    d = delta[both]
+    facts = {
+        "compared": int(both.sum()),
+        "only_one": int((np.isfinite(first.heights_m) & ~both).sum()),
+        "mean_m": float(d.mean()) if d.size else None,
+        "rms_m": float(np.sqrt(np.mean(d**2))) if d.size else None,
+        "median_abs_m": float(np.median(np.abs(d))) if d.size else None,
+        "max_abs_m": float(np.abs(d).max()) if d.size else None,
+        "same_grids": bool(first.shape == second.shape and first.extent_m == second.extent_m),
+    }
+    _print(facts, as_json)
+    if limit is not None and not (d.size and float(np.abs(d).max()) <= limit):
+        sys.exit(1)
+
+
+class _progress:  # noqa: N801 - used like a function
+    """A progress bar on a terminal, silence elsewhere; gives a callback for the map's writers."""
+
+    def __init__(self, label: str) -> None:
+        self._bar = (
+            click.progressbar(length=1000, label=label, file=sys.stderr) if sys.stderr.isatty() else None
+        )
+        self._done = 0
+
+    def __enter__(self) -> Any:
+        if self._bar is None:
+            return None
+        self._bar.__enter__()
+        return self._tell
+
+    def _tell(self, fraction: float) -> None:
+        if self._bar is not None:
+            self._bar.update(int(1000 * fraction) - self._done)
+            self._done = int(1000 * fraction)
+
+    def __exit__(self, *error: Any) -> None:
+        if self._bar is not None:
+            self._bar.__exit__(*error)

@@ -1,0 +1,138 @@
+"""Put several maps together, count-weighted, at whatever resolutions they have; compare two."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.errors import UsageError
+from surffollow.map import access
+from surffollow.map.atomic_file import Progress, report
+from surffollow.map.geometry import fit_grids
+from surffollow.map.height_map import HeightMap
+from surffollow.map.resample_areas import lattice_sums, overlap_lengths
+from surffollow.shm import map_layout as ml
+
+
+def _lattice(maps: Sequence[HeightMap], grids: int) -> tuple[int, int, float, float, float]:
+    """(nx, ny, x0, y0, grid) over all maps: the finest one's own lattice where memory allows."""
+    extents = np.array([m.extent_m for m in maps])
+    x0, y0 = extents[:, 0].min(), extents[:, 1].min()
+    x1, y1 = extents[:, 2].max(), extents[:, 3].max()
+    finest = min(maps, key=lambda m: m.grid_m)
+    grid = finest.grid_m
+    left = math.ceil((finest.origin_m[0] - x0) / grid - 1e-6)
+    below = math.ceil((finest.origin_m[1] - y0) / grid - 1e-6)
+    x0_own, y0_own = finest.origin_m[0] - left * grid, finest.origin_m[1] - below * grid
+    nx = max(1, math.ceil((x1 - x0_own) / grid - 1e-6))
+    ny = max(1, math.ceil((y1 - y0_own) / grid - 1e-6))
+    if nx * ny <= grids:
+        return nx, ny, x0_own, y0_own, grid
+    columns, rows, grid = fit_grids(x1 - x0, y1 - y0, grids, grid)
+    nx, ny = int(columns), int(rows)
+    return nx, ny, (x0 + x1 - nx * grid) / 2, (y0 + y1 - ny * grid) / 2, float(grid)
+
+
+def _fields(m: HeightMap, prior: bool) -> Any:
+    """Fetcher of (weight, weight·height, count): weight is the count, or 1 for priors."""
+    _, nx = m.shape
+
+    def fetch(first: int, last: int) -> tuple[NDArray[np.float64], ...]:
+        heights = access.metres(m.header, access.quanta(m.pairs, first * nx, last * nx)).reshape(-1, nx)
+        count = access.counts(m.pairs, first * nx, last * nx).reshape(-1, nx).astype(np.float64)
+        weight = ((count == 0) & np.isfinite(heights)).astype(np.float64) if prior else count
+        return weight, np.where(weight > 0, weight * heights, 0.0)
+
+    return fetch
+
+
+def compose(
+    maps: Sequence[HeightMap], *, grids: int | None = None, progress: Progress | None = None
+) -> HeightMap:
+    """One map over all of several.
+
+    Parameters
+    ----------
+    maps : sequence of HeightMap
+    grids : int             memory, at most 1e9; default: what the finest resolution needs
+    progress : callable     gets the finished fraction; returning False cancels
+
+    Returns
+    -------
+    HeightMap   a grid's height is the mean of the grids under it, weighted by overlap area and
+    count; its count the samples expected in its area (at most 255). Priors fill what nobody
+    sampled. Maps on one lattice compose without any resampling.
+
+    Raises
+    ------
+    UsageError
+        no maps, or heights too far apart for the finest quantum
+    """
+    if not maps:
+        raise UsageError("compose needs at least one map")
+    nx, ny, x0, y0, grid = _lattice(maps, 10**9 if grids is None else grids)
+    weights = [
+        (
+            overlap_lengths(m.shape[0], m.origin_m[1], m.grid_m, ny, y0, grid),
+            overlap_lengths(m.shape[1], m.origin_m[0], m.grid_m, nx, x0, grid),
+        )
+        for m in maps
+    ]
+    heights = np.full((ny, nx), np.nan)
+    counts = np.zeros((ny, nx), np.uint8)
+    for first, last in access.row_blocks(ny, nx, 1 << 20):
+        rows = (first, last)
+        total = np.zeros((2, last - first, nx))
+        prior = np.zeros((2, last - first, nx))
+        for m, (wy, wx) in zip(maps, weights):
+            for into, is_prior in ((total, False), (prior, True)):
+                for into_part, part in zip(into, lattice_sums(wy, wx, rows, _fields(m, is_prior))):
+                    into_part += part
+        with np.errstate(invalid="ignore", divide="ignore"):
+            sampled = total[1] / total[0]
+            filled = prior[1] / prior[0]
+        heights[first:last] = np.where(total[0] > 0, sampled, filled)
+        counts[first:last] = np.where(
+            total[0] > 0, np.clip(np.floor(total[0] + 0.5), 1, ml.FULL_COUNT), 0
+        ).astype(np.uint8)
+        report(progress, last / ny)
+    quantum = min(m.quantum_m for m in maps)
+    datum = maps[0].datum_m if _fits(heights, maps[0].datum_m, quantum) else None
+    return HeightMap.from_heights(
+        heights, origin_m=(x0, y0), grid_m=grid, counts=counts, quantum_m=quantum, datum_m=datum
+    )
+
+
+def _fits(heights: NDArray[np.float64], datum_m: float, quantum_m: float) -> bool:
+    known = heights[np.isfinite(heights)]
+    return not known.size or bool(np.abs(known - datum_m).max() <= ml.MAX_HEIGHT * quantum_m)
+
+
+def difference(one: HeightMap, other: HeightMap) -> NDArray[np.float64]:
+    """`other` − `one` on the grids of `one`.
+
+    Returns
+    -------
+    (ny, nx) float64 [m]   NaN where either is unknown; `other` is averaged over each grid's area
+    """
+    ny, nx = one.shape
+    wy = overlap_lengths(other.shape[0], other.origin_m[1], other.grid_m, ny, one.origin_m[1], one.grid_m)
+    wx = overlap_lengths(other.shape[1], other.origin_m[0], other.grid_m, nx, one.origin_m[0], one.grid_m)
+    _, other_nx = other.shape
+
+    def fetch(first: int, last: int) -> tuple[NDArray[np.float64], ...]:
+        z = access.metres(other.header, access.quanta(other.pairs, first * other_nx, last * other_nx))
+        z = z.reshape(-1, other_nx)
+        return np.isfinite(z).astype(np.float64), np.nan_to_num(z, nan=0.0)
+
+    result = np.full((ny, nx), np.nan)
+    for first, last in access.row_blocks(ny, nx):
+        sums = lattice_sums(wy, wx, (first, last), fetch)
+        if sums:
+            with np.errstate(invalid="ignore", divide="ignore"):
+                result[first:last] = np.where(sums[0] > 0, sums[1] / sums[0], np.nan)
+    return result - one.heights_m

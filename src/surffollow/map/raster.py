@@ -1,0 +1,172 @@
+"""Rasters that geographic programs read: ESRI ASCII grid, and GeoTIFF through rasterio."""
+
+from __future__ import annotations
+
+import math
+import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.errors import MapFileError
+from surffollow.map import access
+from surffollow.map.atomic_file import Progress, replacing, report
+from surffollow.shm import map_layout as ml
+
+Raster = tuple[NDArray[np.float64], tuple[float, float], float]
+_NODATA = -9999.0
+
+
+def _nodata(header: NDArray[Any]) -> float:
+    """-9999, or a number far below the height range where that range holds -9999."""
+    w = header[0]
+    reach = ml.MAX_HEIGHT * float(w["quantum_m"])
+    low, high = float(w["datum_m"]) - reach, float(w["datum_m"]) + reach
+    return _NODATA if not low <= _NODATA <= high else -1e30
+
+
+def write_esri_ascii(
+    path: str | os.PathLike[str],
+    header: NDArray[Any],
+    pairs: NDArray[Any],
+    *,
+    progress: Progress | None = None,
+) -> None:
+    """Write heights [m] as an ESRI ASCII grid: northernmost row first, NODATA where unknown."""
+    ny, nx = access.shape_of(header)
+    w = header[0]
+    digits = max(0, 2 - math.floor(math.log10(float(w["quantum_m"]))))
+    nodata = _nodata(header)
+    with replacing(path) as temporary, open(temporary, "w", encoding="ascii", newline="\n") as f:
+        f.write(f"ncols {nx}\nnrows {ny}\n")
+        f.write(f"xllcorner {float(w['x0_m'])!r}\nyllcorner {float(w['y0_m'])!r}\n")
+        f.write(f"cellsize {float(w['grid_m'])!r}\nNODATA_value {nodata:g}\n")
+        for first, last in access.row_blocks(ny, nx, 1 << 17):
+            low, high = ny - last, ny - first
+            z = access.metres(header, access.quanta(pairs, low * nx, high * nx)).reshape(-1, nx)
+            for row in z[::-1]:
+                f.write(
+                    " ".join([f"{v:.{digits}f}" if v == v else f"{nodata:g}" for v in row.tolist()]) + "\n"
+                )
+            report(progress, last / ny)
+
+
+def read_esri_ascii(path: str | os.PathLike[str]) -> Raster:
+    """Read an ESRI ASCII grid.
+
+    Returns
+    -------
+    (heights_m, origin_m, grid_m)   (ny, nx) float64, NaN unknown, rows ascending in y; outer corner of
+    heights_m[0, 0]; cell size
+
+    Raises
+    ------
+    MapFileError
+    """
+    head: dict[str, float] = {}
+    try:
+        with open(path, encoding="ascii") as f:
+            position = 0
+            while (text := f.readline()) and text.split() and text.split()[0][0].isalpha():
+                key, *value = text.split()
+                if key.lower() in ("nan", "inf") or len(value) != 1:
+                    break
+                head[key.lower()] = float(value[0])
+                position = f.tell()
+            f.seek(position)
+            values = np.array(f.read().split(), dtype=np.float64)
+    except OSError as e:
+        raise MapFileError(f"cannot read {path}: {e.strerror or e}") from e
+    except ValueError as e:
+        raise MapFileError(f"{path} is not an ESRI ASCII grid: {e}") from e
+    missing = [k for k in ("ncols", "nrows", "cellsize") if k not in head]
+    if missing:
+        raise MapFileError(f"{path} is not an ESRI ASCII grid: it lacks {', '.join(missing)}")
+    nx, ny, grid = int(head["ncols"]), int(head["nrows"]), head["cellsize"]
+    if nx < 1 or ny < 1 or values.size != nx * ny or not 0 < grid < math.inf:
+        raise MapFileError(f"{path} has {values.size} values for {nx} × {ny} cells of {grid} m")
+    corner = []
+    for axis in "xy":
+        if f"{axis}llcorner" in head:
+            corner.append(head[f"{axis}llcorner"])
+        elif f"{axis}llcenter" in head:
+            corner.append(head[f"{axis}llcenter"] - grid / 2)
+        else:
+            raise MapFileError(f"{path} is not an ESRI ASCII grid: it lacks {axis}llcorner")
+    values[values == head.get("nodata_value", _NODATA)] = np.nan
+    return values.reshape(ny, nx)[::-1], (corner[0], corner[1]), grid
+
+
+def _rasterio() -> Any:
+    try:
+        import rasterio
+    except ImportError as e:
+        raise MapFileError("GeoTIFF needs rasterio: install the extra 'geo' (surffollow[geo])") from e
+    return rasterio
+
+
+def write_geotiff(
+    path: str | os.PathLike[str],
+    header: NDArray[Any],
+    pairs: NDArray[Any],
+    *,
+    progress: Progress | None = None,
+) -> None:
+    """Write a GeoTIFF: band 1 heights [m] (NaN unknown), band 2 counts; no coordinate system, metres."""
+    rasterio = _rasterio()
+    ny, nx = access.shape_of(header)
+    w = header[0]
+    grid = float(w["grid_m"])
+    transform = rasterio.transform.from_origin(float(w["x0_m"]), float(w["y0_m"]) + ny * grid, grid, grid)
+    profile = {
+        "driver": "GTiff",
+        "width": nx,
+        "height": ny,
+        "count": 2,
+        "dtype": "float64",
+        "nodata": math.nan,
+        "transform": transform,
+        "compress": "deflate",
+        "BIGTIFF": "IF_SAFER",
+    }
+    with replacing(path) as temporary, _quiet(), rasterio.open(temporary, "w", **profile) as out:
+        out.set_band_description(1, "height [m]")
+        out.set_band_description(2, "samples")
+        for first, last in access.row_blocks(ny, nx):
+            low, high = ny - last, ny - first
+            z = access.metres(header, access.quanta(pairs, low * nx, high * nx)).reshape(-1, nx)
+            c = access.counts(pairs, low * nx, high * nx).reshape(-1, nx)
+            window = rasterio.windows.Window(0, first, nx, last - first)
+            out.write(z[::-1], 1, window=window)
+            out.write(c[::-1].astype(np.float64), 2, window=window)
+            report(progress, last / ny)
+
+
+def read_geotiff(path: str | os.PathLike[str]) -> Raster:
+    """Read band 1 of a GeoTIFF with square, unrotated cells; returns as `read_esri_ascii`."""
+    rasterio = _rasterio()
+    try:
+        with _quiet(), rasterio.open(path) as source:
+            t = source.transform
+            heights = source.read(1, masked=True)
+    except (rasterio.errors.RasterioError, OSError) as e:
+        raise MapFileError(f"cannot read {path}: {e}") from e
+    z = np.ma.filled(heights.astype(np.float64), np.nan)
+    square = math.isclose(abs(t.a), abs(t.e), rel_tol=1e-6)
+    if t.b or t.d or not square or t.a <= 0:
+        raise MapFileError(f"{path} has rotated or oblong cells; resample it to square ones first")
+    if t.e > 0:
+        return z, (t.c, t.f), t.a
+    return z[::-1], (t.c, t.f - z.shape[0] * t.a), t.a
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """A map in a workshop has no coordinate system; rasterio need not warn about it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
