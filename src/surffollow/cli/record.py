@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
 
@@ -52,21 +54,102 @@ def record_command(name: str, out: str | None, seconds: float | None, as_json: b
 @click.command("replay")
 @click.argument("file", type=click.Path())
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def replay_command(file: str, as_json: bool) -> None:
+@click.option("--columns", type=click.Path(), help="FILE is a CSV log: what its columns mean (TOML).")
+@click.option("--start", type=float, help="CSV: first time, in seconds of the log.")
+@click.option("--end", type=float, help="CSV: last time, in seconds of the log.")
+@click.option("--mode", type=click.Choice(["paper", "adaptive"]), help="CSV: how to follow.")
+@click.option("--out", type=click.Path(dir_okay=False), help="CSV: write target points, height and slope.")
+def replay_command(
+    file: str,
+    as_json: bool,
+    columns: str | None,
+    start: float | None,
+    end: float | None,
+    mode: str | None,
+    out: str | None,
+) -> None:
     """Run a recording through the same kernels again and compare every bit.
 
-    Exit code 1 when anything differs or the file is damaged.
+    Exit code 1 when anything differs or the file is damaged. A CSV log with --columns
+    is followed as it stands; the ranges forecast ahead are compared with those that came.
     """
+    if columns is not None or file.lower().endswith(".csv"):
+        _replay_csv(file, columns, start, end, mode, out, as_json)
+    else:
+        given = {"--start": start, "--end": end, "--mode": mode, "--out": out}
+        _replay_recording(file, [name for name, value in given.items() if value is not None], as_json)
+
+
+def _replay_recording(file: str, needless: list[str], as_json: bool) -> None:
     import json
     import sys
     from dataclasses import asdict
 
+    from surffollow.errors import UsageError
     from surffollow.record.replay import replay_file
 
+    if needless:
+        raise UsageError(f"{', '.join(needless)}: only for CSV logs; a recording is replayed as it was made")
     report = replay_file(file)
     click.echo(json.dumps(asdict(report)) if as_json else report_text(file, report))
     if not report.identical:
         sys.exit(1)
+
+
+def _replay_csv(
+    file: str,
+    columns: str | None,
+    start: float | None,
+    end: float | None,
+    mode: str | None,
+    out: str | None,
+    as_json: bool,
+) -> None:
+    import json
+
+    from surffollow.errors import UsageError
+    from surffollow.record.columns import load_columns
+    from surffollow.record.csv_log import read_csv
+    from surffollow.record.csv_replay import run_csv, summarise, write_rows
+
+    if columns is None:
+        raise UsageError(
+            f"{file} is a CSV log: say what its columns mean with --columns (see examples/columns/)"
+        )
+    meaning = load_columns(columns)
+    replay = run_csv(read_csv(file, meaning).between(start, end), meaning, mode)
+    if out is not None:
+        write_rows(out, replay)
+    summary = summarise(file, replay, meaning)
+    click.echo(json.dumps(summary) if as_json else csv_text(summary))
+
+
+def csv_text(summary: dict[str, Any]) -> str:
+    """The summary of a CSV replay for people."""
+
+    def figure(value: float | None) -> str:
+        return "-" if value is None else f"{value:.4f}"
+
+    lines = [
+        f"{summary['file']}: {summary['readings']} readings in {summary['rows']} rows, "
+        f"{summary['start_s']:g} to {summary['end_s']:g} s, {summary['mode']} mode",
+        f"{'horizon [s]':>12} {'rms [m]':>10} {'no change [m]':>14} {'ratio':>7} {'n':>7}",
+    ]
+    for row in summary["forecast"]:
+        rms, still = row["rms_m"], row["no_change_rms_m"]
+        ratio = f"{rms / still:.3f}" if rms is not None and still else "-"
+        lines.append(
+            f"{row['horizon_s']:>12g} {figure(rms):>10} {figure(still):>14} {ratio:>7} {row['n']:>7}"
+        )
+    reference = summary.get("reference")
+    if reference is not None:
+        for what in ("height", "target"):
+            d = reference[what]
+            lines.append(
+                f"{what} less {reference['column']}: mean {figure(d['mean_m'])} m, "
+                f"std {figure(d['std_m'])} m over {d['n']} rows"
+            )
+    return "\n".join(lines)
 
 
 def report_text(file: str, report: object) -> str:

@@ -1,0 +1,174 @@
+"""Column files (TOML): which columns of a CSV log mean what, in which units."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from surffollow.errors import UsageError
+from surffollow.units import parse_quantity, unit_scale
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+Quantity = str | float
+
+
+class TimeColumn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """When the row was taken."""
+
+    column: str
+    unit: str
+
+
+class RangeColumn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The distance along the beam; limits are inclusive, `no_reading` values are in the column's unit."""
+
+    column: str
+    unit: str
+    min: Quantity = 0.0
+    max: Quantity = 1e5
+    no_reading: tuple[float, ...] = ()
+    delay: Quantity = 0.0
+
+
+class PositionColumns(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Where the vehicle is."""
+
+    north: str
+    east: str
+    up: str
+    unit: str
+
+
+class AttitudeColumns(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Roll (right side down), pitch (nose up), yaw (north to east); turned in the order yaw, pitch, roll."""
+
+    roll: str
+    pitch: str
+    yaw: str
+    unit: str
+
+
+class ReferenceColumn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Somebody else's estimate of the surface height, to compare with."""
+
+    column: str
+    unit: str
+
+
+class Mount(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Where the sensor sits on the vehicle (x forward, y left, z up); its beam leaves along its -z."""
+
+    position: tuple[Quantity, Quantity, Quantity] = (0.0, 0.0, 0.0)
+    orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+
+
+class Forecast(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How far ahead to forecast, and how late a reading may come to count as the truth of then."""
+
+    horizons: tuple[Quantity, ...] = ("0.2 s", "0.5 s", "1 s", "2 s")
+    match: Quantity = "0.15 s"
+
+
+class Columns(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A whole column file."""
+
+    time: TimeColumn
+    range: RangeColumn
+    position: PositionColumns | None = None
+    attitude: AttitudeColumns | None = None
+    reference: ReferenceColumn | None = None
+    mount: Mount = Mount()
+    forecast: Forecast = Forecast()
+    follow: dict[str, Any] = {}
+    description: str = ""
+
+    @property
+    def horizons_s(self) -> list[float]:
+        """Forecast horizons [s]."""
+        return [parse_quantity(h, "s") for h in self.forecast.horizons]
+
+    @property
+    def match_s(self) -> float:
+        """How much later than asked the true reading may be [s]."""
+        return parse_quantity(self.forecast.match, "s")
+
+    @property
+    def limits_m(self) -> tuple[float, float]:
+        """Nearest and farthest valid reading [m]."""
+        return parse_quantity(self.range.min, "m"), parse_quantity(self.range.max, "m")
+
+    @property
+    def delay_s(self) -> float:
+        """How old the range in a row is [s]."""
+        return parse_quantity(self.range.delay, "s")
+
+
+def parse_columns(data: dict[str, Any], source: str = "column file") -> Columns:
+    """Check a column file given as nested dictionaries.
+
+    Raises
+    ------
+    UsageError  unknown key, wrong type, unknown unit, impossible value; the text names source and key
+    """
+    try:
+        columns = msgspec.convert(data, Columns)
+    except msgspec.ValidationError as e:
+        raise UsageError(f"{source}: {e}; docs/recordings.md lists the keys of a column file") from None
+    checks: list[tuple[str, Any, str]] = [
+        ("time", columns.time, "s"),
+        ("range", columns.range, "m"),
+        ("position", columns.position, "m"),
+        ("attitude", columns.attitude, "rad"),
+        ("reference", columns.reference, "m"),
+    ]
+    for key, table, si_unit in checks:
+        if table is not None:
+            try:
+                unit_scale(table.unit, si_unit)
+            except UsageError as e:
+                raise UsageError(f"{source}: [{key}] unit: {e}") from None
+    try:
+        _check(columns)
+    except UsageError as e:
+        raise UsageError(f"{source}: {e}") from None
+    return columns
+
+
+def _check(c: Columns) -> None:
+    low, high = c.limits_m
+    if not 0.0 <= low < high:
+        raise UsageError(f"[range] min {low:g} m must be at least 0 and below max {high:g} m")
+    if not c.horizons_s or not all(0.0 < h <= 3600.0 for h in c.horizons_s):
+        raise UsageError("[forecast] horizons must be one or more times above 0 s, at most an hour")
+    if not 0.0 <= c.match_s <= 3600.0:
+        raise UsageError(f"[forecast] match is {c.match_s:g} s; it must be between 0 and an hour")
+    if not 0.0 <= c.delay_s <= 10.0:
+        raise UsageError(f"[range] delay is {c.delay_s:g} s; it must be between 0 and 10 s")
+    for value in c.mount.position:
+        parse_quantity(value, "m")
+    if not abs(math.fsum(q * q for q in c.mount.orientation) - 1.0) <= 1e-3:
+        raise UsageError("[mount] orientation must be a unit quaternion [qx, qy, qz, qw]")
+
+
+def load_columns(path: str | Path) -> Columns:
+    """Read a column file.
+
+    Raises
+    ------
+    UsageError  it cannot be read, is not TOML, or says something wrong
+    """
+    try:
+        data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as e:
+        raise UsageError(f"cannot read column file {path}: {e.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
+        raise UsageError(f"column file {path} is not TOML: {e}") from None
+    return parse_columns(data, str(path))

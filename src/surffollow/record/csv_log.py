@@ -1,0 +1,147 @@
+"""Read a CSV log by its column file: times, distances and poses in SI units."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.errors import UsageError
+from surffollow.record.columns import Columns
+from surffollow.units import unit_scale
+
+
+@dataclass(frozen=True)
+class CsvLog:
+    """Rows of a log; the world is x east, y north, z up, the vehicle x forward, y left, z up.
+
+    Attributes
+    ----------
+    t_s : (n,) float64          ascending [s]
+    range_m : (n,) float64      [m]; NaN: no reading
+    pose : (n, 7) float64       x y z [m], unit quaternion qx qy qz qw, world from vehicle
+    reference_m : (n,) float64  somebody else's surface height [m], or None
+    """
+
+    t_s: NDArray[np.float64]
+    range_m: NDArray[np.float64]
+    pose: NDArray[np.float64]
+    reference_m: NDArray[np.float64] | None
+
+    def between(self, start_s: float | None, end_s: float | None) -> CsvLog:
+        """The rows from `start_s` to `end_s`, both included."""
+        keep = np.ones(self.t_s.size, bool)
+        if start_s is not None:
+            keep &= self.t_s >= start_s
+        if end_s is not None:
+            keep &= self.t_s <= end_s
+        reference = None if self.reference_m is None else self.reference_m[keep]
+        return CsvLog(self.t_s[keep], self.range_m[keep], self.pose[keep], reference)
+
+
+def read_csv(path: str | Path, columns: Columns) -> CsvLog:
+    """Read a log.
+
+    Raises
+    ------
+    UsageError  unreadable, a column is missing, a number is none, time goes back; names file, line, column
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except OSError as e:
+        raise UsageError(f"cannot read log {path}: {e.strerror}") from None
+    except UnicodeDecodeError:
+        raise UsageError(f"log {path} is not text; a recording must have a name ending in .mcap") from None
+    names = _names(columns)
+    cells = _cells(str(path), text, names)
+    t_s = cells[columns.time.column] * unit_scale(columns.time.unit, "s")
+    back = np.flatnonzero(np.diff(t_s) < 0.0)
+    if back.size:
+        raise UsageError(
+            f"{path}: time goes back in row {back[0] + 2} (column {columns.time.column!r}); sort the log"
+        )
+    reference = None
+    if columns.reference is not None:
+        reference = cells[columns.reference.column] * unit_scale(columns.reference.unit, "m")
+    return CsvLog(t_s, _ranges(columns, cells), _poses(columns, cells, t_s.size), reference)
+
+
+def _names(c: Columns) -> dict[str, bool]:
+    """The columns that are needed → whether a cell may be empty."""
+    names = {c.time.column: False, c.range.column: True}
+    if c.position is not None:
+        names |= dict.fromkeys((c.position.north, c.position.east, c.position.up), False)
+    if c.attitude is not None:
+        names |= dict.fromkeys((c.attitude.roll, c.attitude.pitch, c.attitude.yaw), False)
+    if c.reference is not None:
+        names[c.reference.column] = True
+    return names
+
+
+def _cells(path: str, text: str, names: dict[str, bool]) -> dict[str, NDArray[np.float64]]:
+    rows = csv.reader(io.StringIO(text, newline=""))
+    try:
+        header = [name.strip() for name in next(rows, [])]
+        places = {}
+        for name in names:
+            if name not in header:
+                raise UsageError(
+                    f"{path} has no column {name!r}; it has {', '.join(header) or 'none'}; "
+                    "change the column file to match"
+                )
+            places[name] = header.index(name)
+        values: dict[str, list[float]] = {name: [] for name in names}
+        for row in rows:
+            if not any(cell.strip() for cell in row):
+                continue
+            for name, optional in names.items():
+                cell = row[places[name]].strip() if places[name] < len(row) else ""
+                values[name].append(_number(cell, optional, f"{path}, line {rows.line_num}, column {name!r}"))
+    except csv.Error as e:
+        raise UsageError(f"{path}, line {rows.line_num}: {e}") from None
+    return {name: np.array(v, np.float64) for name, v in values.items()}
+
+
+def _number(cell: str, optional: bool, where: str) -> float:
+    if optional and cell.lower() in ("", "nan"):
+        return math.nan
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) and not (optional and value == math.inf):
+        raise UsageError(f"{where}: {cell!r} is not a finite number; correct or remove the row")
+    return value
+
+
+def _ranges(c: Columns, cells: dict[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+    raw = cells[c.range.column]
+    range_m = raw * unit_scale(c.range.unit, "m")
+    low, high = c.limits_m
+    none = np.isin(raw, np.array(c.range.no_reading, np.float64)) | ~((range_m >= low) & (range_m <= high))
+    return np.where(none, np.nan, range_m)
+
+
+def _poses(c: Columns, cells: dict[str, NDArray[np.float64]], n: int) -> NDArray[np.float64]:
+    from scipy.spatial.transform import Rotation
+
+    pose = np.zeros((n, 7))
+    pose[:, 6] = 1.0
+    if c.position is not None:
+        scale = unit_scale(c.position.unit, "m")
+        for k, name in enumerate((c.position.east, c.position.north, c.position.up)):
+            pose[:, k] = cells[name] * scale
+    if c.attitude is not None and n > 0:
+        scale = unit_scale(c.attitude.unit, "rad")
+        angles = [cells[name] * scale for name in (c.attitude.yaw, c.attitude.pitch, c.attitude.roll)]
+        north_east_down = Rotation.from_euler("ZYX", np.stack(angles, axis=1))
+        # x east, y north, z up from north-east-down; forward-right-down from forward, left, up
+        world = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+        vehicle = Rotation.from_matrix([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+        pose[:, 3:] = (world * north_east_down * vehicle).as_quat()
+    return pose

@@ -1,0 +1,202 @@
+"""Replay a CSV log through the follower: target points, surface height, slope, and forecasts of the range."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.errors import FaultError, UsageError
+from surffollow.follower import Follower
+from surffollow.record.columns import Columns
+from surffollow.record.csv_log import CsvLog
+from surffollow.units import parse_quantity
+
+ROW_HEADER = ("t_s", "range_m", "target_x_m", "target_y_m", "target_z_m", "height_m", "slope", "reference_m")
+
+
+@dataclass(frozen=True)
+class CsvReplay:
+    """What came out, row by row.
+
+    Attributes
+    ----------
+    log : CsvLog
+    target_m : (n, 3) float64      where the beam ended; NaN without a reading
+    height_m, slope : (n,) float64 the follower's surface; NaN before the first reading
+    forecast_m : (n, h) float64    range expected at each horizon after the row; NaN without a reading
+    mode : str
+    """
+
+    log: CsvLog
+    target_m: NDArray[np.float64]
+    height_m: NDArray[np.float64]
+    slope: NDArray[np.float64]
+    forecast_m: NDArray[np.float64]
+    mode: str
+
+
+def make_follower(columns: Columns, log: CsvLog, mode: str | None) -> Follower:
+    """A follower set up for the log's sensor; the stand-off it wants is the first reading.
+
+    Raises
+    ------
+    ConfigError  the column file's [follow] names an unknown parameter or a value out of bounds
+    """
+    near_m, far_m = columns.limits_m
+    readings = log.range_m[np.isfinite(log.range_m)]
+    config: dict[str, Any] = {
+        "sensor_latency_ns": round(columns.delay_s * 1e9),
+        "sensors": [
+            {
+                "position_m": [parse_quantity(v, "m") for v in columns.mount.position],
+                "orientation": list(columns.mount.orientation),
+                # the kernels take readings strictly inside the limits
+                "near_m": float(np.nextafter(near_m, 0.0)),
+                "far_m": float(np.nextafter(far_m, math.inf)),
+            }
+        ],
+    }
+    config |= columns.follow
+    if mode is not None:
+        config["mode"] = mode
+    offset_m = float(readings[0]) if readings.size and "offset_m" not in columns.follow else None
+    return Follower(config, offset_m=offset_m)
+
+
+def run_csv(log: CsvLog, columns: Columns, mode: str | None = None) -> CsvReplay:
+    """Give every row's pose and reading to a follower, in their order, and ask it for forecasts.
+
+    Parameters
+    ----------
+    log, columns
+    mode : "paper", "adaptive", or None for the column file's or the product's default
+
+    Raises
+    ------
+    UsageError  no row has a reading
+    """
+    if not np.isfinite(log.range_m).any():
+        raise UsageError(
+            f"none of the {log.t_s.size} rows has a reading; check --start, --end and the limits"
+        )
+    follower = make_follower(columns, log, mode)
+    horizons = columns.horizons_s
+    n = log.t_s.size
+    height, slope = np.full(n, np.nan), np.full(n, np.nan)
+    forecast = np.full((n, len(horizons)), np.nan)
+    known = False
+    for i in range(n):
+        t_ns = round(float(log.t_s[i] - log.t_s[0]) * 1e9) + 1_000_000_000
+        follower.pose(t_ns, log.pose[i])
+        follower.step(t_ns, [float(log.range_m[i])])
+        reading = math.isfinite(log.range_m[i])
+        known = known or reading
+        if known:
+            state = follower.state()
+            height[i], slope[i] = state["height_m"], state["slope"]
+        if reading:
+            forecast[i] = [follower.forecast_range_m(h) for h in horizons]
+    return CsvReplay(log, target_points(log, columns), height, slope, forecast, follower.state()["mode"])
+
+
+def target_points(log: CsvLog, columns: Columns) -> NDArray[np.float64]:
+    """Where each row's beam ended in the world, (n, 3) [m]; NaN without a reading."""
+    from scipy.spatial.transform import Rotation
+
+    attitude = Rotation.from_quat(log.pose[:, 3:])
+    sensor = Rotation.from_quat(columns.mount.orientation)
+    position = np.array([parse_quantity(v, "m") for v in columns.mount.position])
+    beam = -log.range_m[:, None] * sensor.apply([0.0, 0.0, 1.0])
+    points: NDArray[np.float64] = log.pose[:, :3] + attitude.apply(position + beam)
+    return points
+
+
+def score_forecast(replay: CsvReplay, columns: Columns) -> list[dict[str, float]]:
+    """RMS error of the forecasts and of "no change", over the same pairs of rows, per horizon.
+
+    A pair is a row with a reading and a forecast at t, and the first later row with a reading
+    at or after t + horizon, unless it is more than the column file's `match` later.
+    """
+    has = np.isfinite(replay.log.range_m)
+    t, r = replay.log.t_s[has], replay.log.range_m[has]
+    rows = []
+    for k, horizon_s in enumerate(columns.horizons_s):
+        forecast = replay.forecast_m[has, k]
+        # a nanosecond: times written as decimals must not miss by their last bit
+        j = np.searchsorted(t, t + horizon_s - 1e-9)
+        inside = (j < t.size) & np.isfinite(forecast)
+        inside[inside] &= t[j[inside]] - t[inside] - horizon_s <= columns.match_s + 1e-9
+        truth = r[j[inside]]
+        n = int(inside.sum())
+        rows.append(
+            {
+                "horizon_s": horizon_s,
+                "rms_m": _rms(forecast[inside] - truth),
+                "no_change_rms_m": _rms(r[inside] - truth),
+                "n": n,
+            }
+        )
+    return rows
+
+
+def _rms(errors: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(errors**2))) if errors.size else math.nan
+
+
+def _difference(values: NDArray[np.float64], reference: NDArray[np.float64]) -> dict[str, Any]:
+    d = (values - reference)[np.isfinite(values) & np.isfinite(reference)]
+    if d.size == 0:
+        return {"n": 0, "mean_m": None, "std_m": None}
+    return {"n": int(d.size), "mean_m": float(d.mean()), "std_m": float(d.std())}
+
+
+def summarise(path: str | Path, replay: CsvReplay, columns: Columns) -> dict[str, Any]:
+    """The replay in one dictionary, ready for JSON (a figure that does not exist is None)."""
+    log = replay.log
+    heights = replay.height_m[np.isfinite(replay.height_m)]
+    slopes = replay.slope[np.isfinite(replay.slope)]
+    out: dict[str, Any] = {
+        "file": str(path),
+        "mode": replay.mode,
+        "rows": int(log.t_s.size),
+        "readings": int(np.isfinite(log.range_m).sum()),
+        "start_s": float(log.t_s[0]),
+        "end_s": float(log.t_s[-1]),
+        "height_m": {"min": float(heights.min()), "mean": float(heights.mean()), "max": float(heights.max())},
+        "slope": {"min": float(slopes.min()), "mean": float(slopes.mean()), "max": float(slopes.max())},
+        "forecast": [
+            {k: None if v != v else v for k, v in row.items()} for row in score_forecast(replay, columns)
+        ],
+    }
+    if log.reference_m is not None and columns.reference is not None:
+        out["reference"] = {
+            "column": columns.reference.column,
+            "height": _difference(replay.height_m, log.reference_m),
+            "target": _difference(replay.target_m[:, 2], log.reference_m),
+        }
+    return out
+
+
+def write_rows(path: str | Path, replay: CsvReplay) -> None:
+    """Write target points, surface height and slope as CSV; empty cells where there is none.
+
+    Raises
+    ------
+    FaultError  the file cannot be written
+    """
+    log = replay.log
+    reference = log.reference_m if log.reference_m is not None else np.full(log.t_s.size, np.nan)
+    table = np.column_stack([log.t_s, log.range_m, replay.target_m, replay.height_m, replay.slope, reference])
+    try:
+        with open(path, "w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(ROW_HEADER)
+            writer.writerows(["" if v != v else f"{v:.9g}" for v in row] for row in table)
+    except OSError as e:
+        raise FaultError(f"cannot write {path}: {e.strerror}; choose another --out") from None

@@ -1,0 +1,273 @@
+"""CSV logs: what a column file may say, what the rows become, and which pairs a forecast is judged by."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from surffollow.cli.record import replay_command
+from surffollow.errors import UsageError
+from surffollow.record.columns import Columns, load_columns, parse_columns
+from surffollow.record.csv_log import CsvLog, read_csv
+from surffollow.record.csv_replay import (
+    CsvReplay,
+    run_csv,
+    score_forecast,
+    summarise,
+    target_points,
+    write_rows,
+)
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ROOT / "examples" / "columns"
+DATA = Path(os.environ.get("SURFFOLLOW_DATA", ROOT.parent / "shared" / "data"))
+
+PLAIN = {
+    "time": {"column": "t", "unit": "ms"},
+    "range": {"column": "d", "unit": "cm", "min": "5 cm", "max": "10 m", "no_reading": [0, 999]},
+    "position": {"north": "n", "east": "e", "up": "u", "unit": "mm"},
+    "attitude": {"roll": "roll", "pitch": "pitch", "yaw": "yaw", "unit": "deg"},
+    "forecast": {"horizons": ["1 s"], "match": "0.3 s"},
+    "follow": {"interval_size": "0.5 m", "range_size": 2, "ee_readings": 1},
+}
+HEADER = "t,d,n,e,u,roll,pitch,yaw\n"
+
+
+def plain(**changes: object) -> Columns:
+    return parse_columns(PLAIN | changes)
+
+
+def log_of(tmp_path: Path, text: str, columns: Columns | None = None) -> CsvLog:
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    return read_csv(path, columns or plain())
+
+
+def test_units_and_frames_become_metres_and_a_pose_looking_down(tmp_path: Path) -> None:
+    log = log_of(tmp_path, HEADER + "1500,200,1000,2000,3000,0,0,0\n")
+    assert log.t_s.tolist() == [1.5]
+    assert log.range_m.tolist() == [2.0]
+    np.testing.assert_allclose(log.pose[0, :3], [2.0, 1.0, 3.0])
+    np.testing.assert_allclose(target_points(log, plain())[0], [2.0, 1.0, 1.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("angles", "expected"),
+    [
+        ("90,0,0", (0.0, -2.0, 0.0)),  # right side down, heading north: the belly shows west
+        ("0,90,0", (2.0, 0.0, 0.0)),  # nose up, heading north: the belly shows north
+        ("0,90,90", (0.0, 2.0, 0.0)),  # nose up, heading east: the belly shows east
+        ("20,30,77", None),
+    ],
+)
+def test_attitude_turns_the_beam_as_on_a_vehicle(
+    tmp_path: Path, angles: str, expected: tuple[float, ...] | None
+) -> None:
+    log = log_of(tmp_path, HEADER + f"0,200,0,0,0,{angles}\n")
+    east, north, up = target_points(log, plain())[0]
+    if expected is not None:
+        np.testing.assert_allclose((north, east, up), expected, atol=1e-12)
+    else:
+        roll, pitch = (math.radians(float(a)) for a in angles.split(",")[:2])
+        assert up == pytest.approx(-2.0 * math.cos(roll) * math.cos(pitch))
+
+
+def test_values_that_mean_no_reading_or_lie_outside_the_limits_are_none(tmp_path: Path) -> None:
+    rows = "".join(
+        f"{i},{d},0,0,0,0,0,0\n" for i, d in enumerate(["0", "999", "4.9", "1001", "", "nan", "5"])
+    )
+    log = log_of(tmp_path, HEADER + rows)
+    assert np.isfinite(log.range_m).tolist() == [False] * 6 + [True]
+
+
+def test_spaces_blank_lines_quotes_and_a_byte_order_mark_are_read(tmp_path: Path) -> None:
+    log = log_of(tmp_path, "\ufeff" + '"t", d ,n,e,u,roll,pitch,yaw,more\n\n 1 ,"20", 0,0,0,0,0,0,x\n\n')
+    assert log.range_m.tolist() == [0.2]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,d,n,e,u,roll,pitch\n", r"log\.csv has no column 'yaw'; it has t, d, n, e, u, roll, pitch"),
+        ("", r"log\.csv has no column 't'; it has none"),
+        (HEADER + "1,2,0,0,0,0,0,0\n2,x,0,0,0,0,0,0\n", r"log\.csv, line 3, column 'd': 'x' is not"),
+        (HEADER + "1,2,0,0,0,0\n", r"log\.csv, line 2, column 'pitch': '' is not"),
+        (HEADER + "1,2,inf,0,0,0,0,0\n", r"line 2, column 'n': 'inf' is not"),
+        (HEADER + "nan,2,0,0,0,0,0,0\n", r"line 2, column 't': 'nan' is not"),
+        (HEADER + "2,2,0,0,0,0,0,0\n1,2,0,0,0,0,0,0\n", r"time goes back in row 2"),
+    ],
+)
+def test_a_wrong_log_is_refused_with_its_place(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message) as e:
+        log_of(tmp_path, text)
+    assert e.value.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"time": {"column": "t", "unit": "hours"}}, r"\[time\] unit: unknown unit 'hours'"),
+        ({"range": {"column": "d", "unit": "s"}}, r"\[range\] unit: .*'s' is a time"),
+        ({"range": {"column": "d", "unit": "m", "min": "3 m", "max": "2 m"}}, "below max"),
+        ({"range": {"column": "d", "unit": "m", "max": "3 deg"}}, "angle"),
+        ({"rang": {}}, "unknown field `rang`"),
+        ({"range": {"unit": "m"}}, "missing required field `column`"),
+        ({"mount": {"orientation": [0, 0, 0, 2]}}, "unit quaternion"),
+        ({"forecast": {"horizons": []}}, "horizons"),
+        ({"forecast": {"horizons": ["-1 s"]}}, "horizons"),
+    ],
+)
+def test_a_wrong_column_file_is_refused_with_its_key(change: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        plain(**change)
+
+
+def test_an_unknown_parameter_of_the_follower_is_refused(tmp_path: Path) -> None:
+    columns = plain(follow={"intervall_size": "1 m"})
+    log = log_of(tmp_path, HEADER + "1,20,0,0,0,0,0,0\n", columns)
+    with pytest.raises(UsageError, match="interval_size"):
+        run_csv(log, columns)
+
+
+def make_replay(t_s: list[float], range_m: list[float], forecast_m: list[float]) -> CsvReplay:
+    n = len(t_s)
+    log = CsvLog(np.array(t_s), np.array(range_m), np.zeros((n, 7)), None)
+    none = np.full(n, np.nan)
+    return CsvReplay(log, np.full((n, 3), np.nan), none, none, np.array(forecast_m)[:, None], "paper")
+
+
+def test_forecasts_are_judged_by_the_first_reading_at_or_after_the_horizon() -> None:
+    nan = math.nan
+    replay = make_replay(
+        [0.0, 0.4, 1.0, 1.2, 1.6, 2.1, 2.55],
+        [5.0, 4.0, nan, 7.0, 8.0, 3.0, 2.0],
+        [5.5, 4.5, 9.0, 7.5, nan, 1.0, 1.0],
+    )
+    # 0.0 → 1.2 (1.0 has no reading); 0.4 → 1.6 (0.2 s late); 1.0 has no reading of its own;
+    # 1.2 → 2.55 would be 0.35 s late; 1.6 has no forecast; the rest has no future
+    [row] = score_forecast(replay, plain())
+    assert row["n"] == 2
+    assert row["rms_m"] == pytest.approx(math.sqrt((1.5**2 + 3.5**2) / 2))
+    assert row["no_change_rms_m"] == pytest.approx(math.sqrt((2.0**2 + 4.0**2) / 2))
+
+
+def test_a_reading_exactly_at_the_horizon_counts_whatever_its_last_bit() -> None:
+    t = [k * 0.1 for k in range(40)]
+    [row] = score_forecast(
+        make_replay(t, [1.0] * 40, [1.0] * 40), plain(forecast={"horizons": ["1 s"], "match": 0})
+    )
+    assert row["n"] == 30
+
+
+def slope_log(tmp_path: Path, until: int = 80) -> CsvLog:
+    """A vehicle at constant height and 1 m/s over ground that rises by 0.1."""
+    rows = [f"{100 * i},{300 - i},0,{100 * i},3000,0,0,90\n" for i in range(until)]
+    return log_of(tmp_path, HEADER + "".join(rows))
+
+
+def test_paper_mode_finds_the_height_and_slope_of_a_ramp_and_forecasts_it(tmp_path: Path) -> None:
+    log = slope_log(tmp_path)
+    replay = run_csv(log, plain(), "paper")
+    assert replay.mode == "paper"
+    # the newest interval is still filling, so its mean lags its centre
+    assert replay.slope[-1] == pytest.approx(0.1, rel=0.1)
+    assert replay.height_m[-1] == pytest.approx(3.0 - log.range_m[-1], abs=0.03)
+    assert replay.forecast_m[-1, 0] == pytest.approx(log.range_m[-1] - replay.slope[-1])
+    [row] = score_forecast(replay, plain())
+    assert row["no_change_rms_m"] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("mode", ["paper", None])
+def test_a_forecast_uses_no_row_after_its_own(tmp_path: Path, mode: str | None) -> None:
+    whole = run_csv(slope_log(tmp_path, 60), plain(), mode)
+    part = run_csv(slope_log(tmp_path, 33), plain(), mode)
+    np.testing.assert_array_equal(part.forecast_m, whole.forecast_m[:33])
+    np.testing.assert_array_equal(part.height_m, whole.height_m[:33])
+
+
+def test_start_and_end_choose_rows_and_an_empty_choice_is_told(tmp_path: Path) -> None:
+    log = slope_log(tmp_path)
+    assert log.between(1.0, 2.0).t_s.tolist() == pytest.approx([1.0 + 0.1 * k for k in range(11)])
+    with pytest.raises(UsageError, match="none of the 0 rows has a reading"):
+        run_csv(log.between(100.0, None), plain())
+
+
+def test_written_rows_hold_target_height_and_slope(tmp_path: Path) -> None:
+    log = slope_log(tmp_path)
+    replay = run_csv(log, plain(), "paper")
+    write_rows(tmp_path / "rows.csv", replay)
+    with open(tmp_path / "rows.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 80
+    assert float(rows[40]["target_z_m"]) == pytest.approx(3.0 - log.range_m[40])
+    assert float(rows[40]["target_x_m"]) == pytest.approx(4.0)
+    assert float(rows[79]["slope"]) == pytest.approx(replay.slope[79])
+    assert rows[0]["reference_m"] == ""
+
+
+def test_the_command_prints_json_and_says_when_columns_are_missing(tmp_path: Path) -> None:
+    slope_log(tmp_path)
+    columns = tmp_path / "c.toml"
+    columns.write_text(
+        '[time]\ncolumn = "t"\nunit = "ms"\n[range]\ncolumn = "d"\nunit = "cm"\n'
+        '[position]\nnorth = "n"\neast = "e"\nup = "u"\nunit = "mm"\n'
+        '[reference]\ncolumn = "yaw"\nunit = "m"\n[follow]\ninterval_size = "0.5 m"\n'
+    )
+    file = str(tmp_path / "log.csv")
+    options = ["--columns", str(columns), "--mode", "paper", "--start", "1", "--json"]
+    result = CliRunner().invoke(replay_command, [file, *options])
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.output)
+    assert summary["rows"] == 70
+    assert [row["horizon_s"] for row in summary["forecast"]] == [0.2, 0.5, 1.0, 2.0]
+    assert summary["reference"]["target"]["n"] == 70
+    people = CliRunner().invoke(replay_command, [file, *options[:-1]])
+    assert "no change" in people.output
+    with pytest.raises(UsageError, match="--columns"):
+        CliRunner().invoke(replay_command, [file], catch_exceptions=False)
+    with pytest.raises(UsageError, match="cannot read log"):
+        CliRunner().invoke(replay_command, ["absent.csv", *options], catch_exceptions=False)
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda p: p.stem)
+def test_the_examples_are_column_files(path: Path) -> None:
+    assert load_columns(path).horizons_s
+
+
+def measured(name: str, start_s: float | None = None, end_s: float | None = None) -> tuple[CsvLog, Columns]:
+    file = {"quad_flight": "flight_first_half.csv", "hydroball": "18_37_04-2017_12_11.csv"}[name]
+    path = DATA / name / file
+    if not path.exists():
+        pytest.skip(f"no measured data at {path} (SURFFOLLOW_DATA)")
+    columns = load_columns(EXAMPLES / f"{name}.toml")
+    return read_csv(path, columns).between(start_s, end_s), columns
+
+
+def test_the_quadcopters_ground_agrees_with_its_own_filters_terrain() -> None:
+    log, columns = measured("quad_flight", 40.0, 450.0)
+    summary = summarise("quad", run_csv(log, columns, "paper"), columns)
+    for what in ("target", "height"):
+        difference = summary["reference"][what]
+        assert difference["n"] == 2695
+        assert abs(difference["mean_m"]) < 0.01
+        assert difference["std_m"] == pytest.approx(0.25, abs=0.02)
+    still = [row["no_change_rms_m"] for row in summary["forecast"]]
+    np.testing.assert_allclose(still, [0.03, 0.06, 0.11, 0.20], rtol=0.2)
+    assert all(row["n"] > 2000 for row in summary["forecast"])
+
+
+def test_the_echo_sounders_zeros_are_no_readings() -> None:
+    log, columns = measured("hydroball")
+    assert np.isnan(log.range_m).mean() == pytest.approx(0.071, abs=0.001)
+    replay = run_csv(log, columns, "paper")
+    summary = summarise("buoy", replay, columns)
+    still = [row["no_change_rms_m"] for row in summary["forecast"]]
+    np.testing.assert_allclose(still, [0.19, 0.52, 0.95], rtol=0.02)
+    assert summary["height_m"]["max"] < -4.0, "a zero depth would put the bottom at the surface"
