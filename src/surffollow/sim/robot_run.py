@@ -127,7 +127,7 @@ class Controller:
 
 
 def claim_priority() -> None:
-    """Let this process go before others, where that is permitted: hardware does not wait for a busy machine."""
+    """Let this process go before others, where permitted: hardware does not wait for a busy machine."""
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
 
