@@ -148,10 +148,10 @@ def test_second_pass_continues_in_time_over_the_same_ground() -> None:
 
 def test_conditions_are_read_from_a_file_and_nonsense_is_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
     path = tmp_path / "plant.toml"
-    path.write_text("tau_s = 0.06\n[sensor]\nlatency_s = 0.1\n[pose]\nrate_hz = 32\n")
+    path.write_text("tau_s = 0.06\n[sensor]\nlatency = '100 ms'\n[pose]\nrate_hz = 32\n")
     c = load_conditions(path)
     assert (c.plant.tau_s, c.believed_tau_s, c.sensor.latency_s, c.pose.rate_hz) == (0.06, 0.06, 0.1, 32.0)
-    for text in ("[sensor]\nsigma = 1\n", "[sensor]\nglitch_rate = 2.0\n", "[pose]\nrate_hz = 0\n"):
+    for text in ("[sensor]\nnoise = 1\n", "[sensor]\nglitch_rate = 2.0\n", "[pose]\nrate_hz = 0\n"):
         path.write_text(text)
         with pytest.raises(ConfigError):
             load_conditions(path)

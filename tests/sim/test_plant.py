@@ -88,7 +88,9 @@ def test_plant_file_is_read_and_a_wrong_key_or_value_is_refused(tmp_path) -> Non
     assert load_plant(good) == PlantConfig(tau_s=0.028, v_max_mps=0.3)
     good.write_text("[plant]\ntau_s = 0.06\n")
     assert load_plant(good).tau_s == 0.06
-    for text in ("tau = 1\n", "tau_s = -1.0\n", "tau_s = 'x'\n", "tau_s ="):
+    good.write_text('tau = "28 ms"\nv_max_mps = "300 mm/s"\n[sensor]\nsigma = "0.5 mm"\n')
+    assert load_plant(good) == PlantConfig(tau_s=0.028, v_max_mps=0.3)
+    for text in ("lag = 1\n", "tau_s = -1.0\n", "tau = '1 mm'\n", "tau_s = 'x'\n", "tau_s ="):
         good.write_text(text)
         with pytest.raises(ConfigError):
             load_plant(good)

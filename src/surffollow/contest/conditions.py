@@ -9,7 +9,7 @@ from typing import Literal
 import msgspec
 
 from surffollow.errors import ConfigError
-from surffollow.sim.plant import PlantConfig, load_plant
+from surffollow.sim.plant import PlantConfig, from_table, load_plant, read_tables
 
 STANDOFF_M = 0.1016  # the middle of the sensor's 2-6 in window
 UNSCORED_M = 0.1  # the first 100 mm of a path do not count
@@ -101,10 +101,7 @@ def load_conditions(path: str | Path) -> Conditions:
         unreadable file, unknown key, value out of range
     """
     plant = load_plant(path)
-    try:
-        table = msgspec.toml.decode(Path(path).read_bytes())
-        pose = msgspec.convert(table.get("pose", {}), PoseConfig)
-        sensor = msgspec.convert(table.get("sensor", {}), SensorConfig)
-    except msgspec.MsgspecError as error:
-        raise ConfigError(f"cannot use the plant '{path}': {error}") from error
+    table = read_tables(path)
+    pose = from_table(table.get("pose", {}), PoseConfig, f"[pose] of '{path}'")
+    sensor = from_table(table.get("sensor", {}), SensorConfig, f"[sensor] of '{path}'")
     return Conditions(plant=plant, pose=pose, sensor=sensor, believed_tau_s=plant.tau_s)

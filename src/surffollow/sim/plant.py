@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 from numba import njit
 from numpy.typing import NDArray
 
-from surffollow.errors import ConfigError
+from surffollow.errors import ConfigError, UsageError
+from surffollow.units import parse_quantity
 
-POSITION = 0  # index into an axis state
-VELOCITY = 1
+T = TypeVar("T", bound=msgspec.Struct)
 
 
 class PlantConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -45,22 +45,70 @@ class PlantConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ConfigError(f"plant tick_hz = {self.tick_hz}, expected 1 to 1000 (the axis steps in 1 ms)")
 
 
+_UNITS = {"_mps2": "m/s^2", "_mps": "m/s", "_hz": "Hz", "_m": "m", "_s": "s"}
+_SHARED_TABLES = ("pose", "sensor")
+
+
+def _ending(name: str) -> str:
+    """Unit ending of a field's name, "" if it has none."""
+    return next((e for e in _UNITS if name.endswith(e)), "")
+
+
+def from_table(table: dict[str, Any], kind: type[T], source: str) -> T:
+    """Make a frozen configuration from a TOML table.
+
+    Parameters
+    ----------
+    table : keys are the fields, with or without their unit ending; values SI numbers or text with a unit
+    kind, source : the msgspec struct, and what error messages call the table
+
+    Raises
+    ------
+    ConfigError
+        unknown key, wrong unit, value out of range
+    """
+    fields = kind.__struct_fields__
+    full = {name.removesuffix(_ending(name)): name for name in fields} | {name: name for name in fields}
+    values: dict[str, Any] = {}
+    for key, value in table.items():
+        if key not in full:
+            raise ConfigError(f"{source} has the key '{key}'; its keys are {', '.join(fields)}")
+        name = full[key]
+        try:
+            unit = _ending(name)
+            values[name] = parse_quantity(value, _UNITS[unit]) if unit and isinstance(value, str) else value
+        except UsageError as error:
+            raise ConfigError(f"{source}, key '{key}': {error}") from None
+    try:
+        return msgspec.convert(values, kind)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{source}: {error}") from None
+
+
+def read_tables(path: str | Path) -> dict[str, Any]:
+    """Read a TOML file; ConfigError says why not."""
+    try:
+        table: dict[str, Any] = msgspec.toml.decode(Path(path).read_bytes())
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise ConfigError(f"cannot use the plant '{path}': {error}") from error
+    return table
+
+
 def load_plant(path: str | Path) -> PlantConfig:
     """Read a `PlantConfig` from a TOML file; its keys are the fields, at top level or under [plant].
 
     Tables [pose] and [sensor] belong to the contest (`surffollow.contest.conditions`) and are passed over.
+
+    Values are SI numbers or text with a unit (`tau = "40 ms"`).
 
     Raises
     ------
     ConfigError
         when the file cannot be read, is not TOML, or has an unknown key or a value out of range
     """
-    try:
-        table = msgspec.toml.decode(Path(path).read_bytes())
-        axis = table.get("plant", {k: v for k, v in table.items() if k not in ("pose", "sensor")})
-        return msgspec.convert(axis, PlantConfig)
-    except (OSError, msgspec.MsgspecError) as error:
-        raise ConfigError(f"cannot use the plant '{path}': {error}") from error
+    table = read_tables(path)
+    axis = {k: v for k, v in table.items() if k not in ("plant", *_SHARED_TABLES)} | table.get("plant", {})
+    return from_table(axis, PlantConfig, f"plant '{path}'")
 
 
 @njit(cache=True, nogil=True)
