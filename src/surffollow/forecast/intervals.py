@@ -78,6 +78,7 @@ def add_point(paper: Any, x_m: Any, y_m: Any, h_m: Any, interval_size_m: Any) ->
 @njit(cache=True, nogil=True)
 def cut_ranges(paper: Any, range_size: Any) -> None:
     """Re-cut the two newest ranges after an interval was opened; nothing until both are full."""
+    paper.range_cut = range_size
     count = paper.interval_count
     if count < 2 * range_size:
         return

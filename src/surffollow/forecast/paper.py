@@ -48,7 +48,8 @@ def measure_speed(paper: Any, sense: Any, x_m: Any, y_m: Any) -> None:
 @njit(cache=True, nogil=True)
 def paper_update(params: Any, paper: Any, sense: Any, x_m: Any, y_m: Any, h_m: Any) -> None:
     """Take a new averaged target point of channel 0 into intervals, ranges, slope and speed."""
-    if add_point(paper, x_m, y_m, h_m, params.interval_size_m) > 0:
+    opened = add_point(paper, x_m, y_m, h_m, params.interval_size_m)
+    if opened > 0 or paper.range_cut != params.range_size:
         cut_ranges(paper, params.range_size)
     paper.slope = range_slope(paper, params.range_size)
     measure_speed(paper, sense, x_m, y_m)

@@ -117,7 +117,8 @@ def demand_z(params: Any, state: Any, inputs: Any, output: Any, sensor_z_m: Any,
     cut = limit(wanted, params.max_demand_m)
     if cut != wanted:
         status |= LIMITED
-    dz = relay(p, cut, params.permitted_variance_m)
+    # once more: hysteresis keeps what was relayed before max_demand was lowered
+    dz = limit(relay(p, cut, params.permitted_variance_m), params.max_demand_m)
     lost = p.reading_t_ns == 0 or inputs.t_ns - p.reading_t_ns > params.loss_timeout_ns
     if lost:
         status = (status & ~(VALID | LIMITED)) | SENSOR_LOST
@@ -125,7 +126,7 @@ def demand_z(params: Any, state: Any, inputs: Any, output: Any, sensor_z_m: Any,
     if p.close != 0:
         status |= TOO_CLOSE
         if not lost:
-            dz = max(dz, PROBE_M)
+            dz = max(dz, min(PROBE_M, params.max_demand_m))
     output.demand[2] = dz
     return status
 

@@ -102,6 +102,7 @@ class PaperState(Schema):
     rest_h_m = F64(unit="m", doc="sum of the current range's heights without the newest")
     range_prev_h_m = F64(unit="m", doc="mean height of the range before the current one")
     range_gap_m = F64(unit="m", doc="distance between the centres of the two newest ranges")
+    range_cut = I64(doc="Range_Size that the ranges were cut with")
     slope = F64(unit="1", doc="Φ of the two newest ranges")
     speed_mps = F64(unit="m/s", doc="most recent lateral speed of the footprint")
     speed_x_m = F64(unit="m", doc="target point at the pose update before")
