@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
-export NUMBA_CACHE_DIR ?= $(CURDIR)/$(VENV)/numba-cache
+export SURFFOLLOW_CACHE_DIR ?= $(CURDIR)/$(VENV)/kernel-cache
 
 .PHONY: setup demo test bench lint clean
 setup: $(STAMP)

@@ -1,0 +1,5 @@
+"""`python -m surffollow`: the command line without an installed script."""
+
+from surffollow.cli.main import main
+
+main()

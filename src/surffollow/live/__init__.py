@@ -1,0 +1,1 @@
+"""What people look at: the demonstration and its picture."""

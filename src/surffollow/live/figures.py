@@ -1,0 +1,79 @@
+"""Figures of a demonstration: what the map holds, what is wrong, and the table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surffollow.client import Client
+from surffollow.client.map_reader import copy_map
+from surffollow.shm import map_layout as ml
+from surffollow.units import format_ns
+
+
+def map_figures(client: Client, path: Path) -> dict[str, Any]:
+    """Copy the live map, keep its heights in `path` (NPZ), and count its grids."""
+    header, pairs = copy_map(client, 5.0)
+    h = header[0]
+    nx, ny = int(h["nx"]), int(h["ny"])
+    heights = pairs["h"].reshape(-1)[: nx * ny].reshape(ny, nx)
+    known = heights != ml.UNKNOWN
+    heights_m = np.where(known, heights * float(h["quantum_m"]) + float(h["datum_m"]), np.nan)
+    np.savez_compressed(
+        path,
+        heights_m=heights_m.astype(np.float32),
+        x0_m=float(h["x0_m"]),
+        y0_m=float(h["y0_m"]),
+        grid_m=float(h["grid_m"]),
+    )
+    return {"grids_known": int(known.sum()), "grids": nx * ny, "grid_m": float(h["grid_m"])}
+
+
+def verdict(result: dict[str, Any], rms_limit_m: float, rolling_limit_m: float) -> list[str]:
+    """What did not come out as it must."""
+    failures = []
+    rolling = result["standoff_rms_rolling_m"]
+    if not result["standoff_rms_m"] <= rms_limit_m:
+        failures.append(f"stand-off RMS {result['standoff_rms_m'] * 1e3:.2f} mm > {rms_limit_m * 1e3:g} mm")
+    if rolling is not None and not rolling <= rolling_limit_m:
+        failures.append(
+            f"stand-off RMS on rolling ground {rolling * 1e3:.2f} mm > {rolling_limit_m * 1e3:g} mm"
+        )
+    if not result["replay_identical"]:
+        failures.append("the replay differs from the live run")
+    if result["grids_known"] == 0:
+        failures.append("no grid was mapped")
+    if result["samples_lost"]:
+        failures.append(f"{result['samples_lost']} samples never reached the map")
+    return failures
+
+
+def table(result: dict[str, Any]) -> str:
+    """The figures for people."""
+    rolling = result["standoff_rms_rolling_m"]
+    rows = [
+        ("stand-off RMS", f"{result['standoff_rms_m'] * 1e3:.2f} mm"),
+        ("  on rolling parts", "-" if rolling is None else f"{rolling * 1e3:.2f} mm"),
+        ("stand-off peak", f"{result['standoff_peak_m'] * 1e3:.2f} mm"),
+        ("path", f"{result['path_m']:.2f} m at {result['speed_mps'] * 1e3:g} mm/s"),
+        ("cycles", f"{result['cycles']} ({result['overruns']} overruns)"),
+        (
+            "lateness p50 / p99",
+            f"{format_ns(result['lateness_p50_ns'])} / {format_ns(result['lateness_p99_ns'])}",
+        ),
+        ("work p50 / p99", f"{format_ns(result['work_p50_ns'])} / {format_ns(result['work_p99_ns'])}"),
+        (
+            "grids mapped",
+            f"{result['grids_known']} of {result['grids']}, {result['grid_m'] * 1e3:.3g} mm wide",
+        ),
+        ("recorded", f"{result['recorded_cycles']} cycles, {result['recorded_lost']} lost"),
+        (
+            "replay",
+            f"{'identical, bit for bit' if result['replay_identical'] else 'DIFFERENT'}, "
+            f"{result['replay_cycles_per_s'] / 1e6:.1f} million cycles/s",
+        ),
+    ]
+    width = max(len(r[0]) for r in rows)
+    return "\n".join(f"  {name:<{width}}  {value}" for name, value in rows)
