@@ -46,6 +46,19 @@ PARAMS: dict[str, ParamSpec] = {
     "plant_tau_s": ParamSpec(0.04, 1e-3, 10.0, "s"),
     "plant_v_max_mps": ParamSpec(0.2, 1e-4, 100.0, "m/s"),
     "plant_a_max_mps2": ParamSpec(2.0, 1e-3, 1e4, "m/s^2"),
+    "score_way_m": ParamSpec(0.5, 1e-3, 1e3, "m"),
+    "score_time_s": ParamSpec(2.0, 1e-2, 1e3, "s"),
+    "score_power": ParamSpec(3.0, 0.0, 100.0),
+    "long_power": ParamSpec(3.0, 0.0, 100.0),
+    "long_factor": ParamSpec(6.0, 1.0, 1e3),
+    "effort_m": ParamSpec(3e-5, 0.0, 1.0),
+    "noise_share": ParamSpec(0.97, 0.0, 1.0),
+    "score_floor_m": ParamSpec(3e-5, 1e-7, 1.0, "m"),
+    "gate_scales": ParamSpec(8.0, 1.0, 1e3),
+    "gate_m": ParamSpec(1e-3, 0.0, 1e3, "m"),
+    "step_way_m": ParamSpec(2.5e-3, 0.0, 10.0, "m"),
+    "step_samples": ParamSpec(3, 1, 100, whole=True),
+    "tick_lead_s": ParamSpec(0.005, 0.0, 1.0, "s"),
 }
 
 

@@ -8,6 +8,8 @@ from typing import Any
 from numba import njit
 
 from surffollow.forecast.adaptive_bank import (
+    BANK,
+    PRIOR,
     N,
     height_of,
     look_ahead,
@@ -21,14 +23,7 @@ from surffollow.shm.layout_follow import POSES
 
 TICK_NS = 10_000_000
 SPEED_WINDOW_NS = 100_000_000
-T_SCORE_M = 0.1
-T_SCORE_S = 0.5
-POWER = 10.0
 FLOOR_M2 = 0.02e-6
-LEAD_S = 0.005
-GATE = 8.0
-GATE_M = 1e-3
-NEED_WAY_M = 2.5e-3
 
 
 @njit(cache=True, nogil=True)
@@ -85,18 +80,42 @@ def advance_shadows(params: Any, a: Any, from_ns: Any, to_ns: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def weigh(a: Any) -> None:
-    best = a.score_m2[0]
-    for i in range(1, N):
-        best = min(best, a.score_m2[i])
-    total = 0.0
-    base = 1.0 / (best + FLOOR_M2)
+def weigh(params: Any, a: Any) -> None:
+    """Turn scores into weights: powers of recent and longer cost, noise taken off."""
+    best, best_long = 1e300, 1e300
     for i in range(N):
-        w = ((a.score_m2[i] + FLOOR_M2) * base) ** -POWER
+        best = min(best, a.score_m2[i])
+        best_long = min(best_long, a.long_m2[i])
+    off = params.noise_share * min(a.noise_m * a.noise_m, best)
+    off_long = params.noise_share * min(a.noise_m * a.noise_m, best_long)
+    floor = params.score_floor_m * params.score_floor_m
+    mu = params.effort_m * params.effort_m
+    best, best_long = 1e300, 1e300
+    for i in range(N):
+        a.cost_m2[i] = math.log(a.score_m2[i] - off + floor + mu * a.effort[i])
+        a.weight[i] = math.log(a.long_m2[i] - off_long + floor + mu * a.effort[i])
+        a.cost_m2[i] = params.score_power * a.cost_m2[i] + params.long_power * a.weight[i]
+        a.cost_m2[i] += PRIOR[int(BANK[i, 0])]
+        best = min(best, a.cost_m2[i])
+    total = 0.0
+    for i in range(N):
+        w = math.exp(best - a.cost_m2[i])
         a.weight[i] = w
         total += w
     for i in range(N):
         a.weight[i] /= total
+
+
+@njit(cache=True, nogil=True)
+def watch_noise(a: Any, h_m: Any) -> None:
+    """Reading noise from second differences of accepted heights: a running median, free of slopes."""
+    if a.samples > 2:
+        e = abs(h_m - 2.0 * a.recent_m[0] + a.recent_m[1])
+        step = 0.02 * max(a.median_m, 1e-5)
+        a.median_m += step if e > a.median_m else -step
+        a.noise_m = 1.4826 / math.sqrt(6.0) * a.median_m
+    a.recent_m[1] = a.recent_m[0]
+    a.recent_m[0] = h_m
 
 
 @njit(cache=True, nogil=True)
@@ -110,15 +129,19 @@ def blended_height(a: Any) -> Any:
 @njit(cache=True, nogil=True)
 def take_sample(params: Any, a: Any, t_ns: Any, h_m: Any, drop_m: Any) -> None:
     """Let the bank learn one footprint height."""
-    r = 0.3e-3**2
     if a.samples == 0:
+        r = 0.3e-3**2
         for i in range(N):
             start_model(i, a.state, a.cov, h_m, r)
             a.score_m2[i] = 1e-6
+            a.long_m2[i] = 1e-6
             a.axis_z_m[i] = h_m + drop_m
-        weigh(a)
+        weigh(params, a)
         a.scale_m = 0.5e-3
+        a.median_m = 0.3e-3 * math.sqrt(6.0) / 1.4826
+        a.noise_m = 0.3e-3
         a.samples = 1
+        a.returned = 1.0
         a.sample_ns = t_ns
         return
     dt = (t_ns - a.sample_ns) * 1e-9
@@ -129,7 +152,7 @@ def take_sample(params: Any, a: Any, t_ns: Any, h_m: Any, drop_m: Any) -> None:
     for i in range(N):
         predict_model(i, a.state, a.cov, d)
     nu = h_m - blended_height(a)
-    gate = max(GATE * a.scale_m, GATE_M)
+    gate = max(params.gate_scales * a.scale_m, params.gate_m)
     if abs(nu) > gate:
         if a.quarantined > 0 and abs(nu - a.quarantine_shift_m / a.quarantined) < gate:
             a.quarantined += 1
@@ -139,7 +162,7 @@ def take_sample(params: Any, a: Any, t_ns: Any, h_m: Any, drop_m: Any) -> None:
             a.quarantined = 1
             a.quarantine_shift_m = nu
             a.quarantine_way_m = 0.0
-        if a.quarantined < 3 or a.quarantine_way_m < NEED_WAY_M:
+        if a.quarantined < params.step_samples or a.quarantine_way_m < params.step_way_m * a.returned:
             return
         shift = a.quarantine_shift_m / a.quarantined
         for i in range(N):
@@ -147,19 +170,28 @@ def take_sample(params: Any, a: Any, t_ns: Any, h_m: Any, drop_m: Any) -> None:
         nu -= shift
         a.settle_ns = t_ns + 150_000_000
         a.quarantined = 0
+        if a.returned > 0.0 and a.since_step_m < params.step_way_m:
+            a.returned = 1.0
+        a.returned *= 0.5
+        a.since_step_m = 0.0
     else:
+        if a.quarantined >= params.step_samples:
+            a.returned = 1.0
         a.quarantined = 0
+    a.since_step_m += d
     a.scale_m += 0.02 * (1.25 * min(abs(nu), gate) - a.scale_m)
     if t_ns > a.settle_ns:
-        f = min(1.0, d / T_SCORE_M + dt / T_SCORE_S)
-        f = 1.0 - math.exp(-f)
-        if a.samples < 2.0 / f:
-            f = max(f, 1.0 / (1.0 + a.samples))
+        rate = d / params.score_way_m + dt / params.score_time_s
+        f = max(1.0 - math.exp(-rate), 1.0 / (1.0 + a.samples))
+        g = max(1.0 - math.exp(-rate / params.long_factor), 1.0 / (1.0 + a.samples))
         target = h_m + drop_m
         for i in range(N):
             e = a.axis_z_m[i] - target
             a.score_m2[i] += f * (e * e - a.score_m2[i])
-        weigh(a)
+            a.long_m2[i] += g * (e * e - a.long_m2[i])
+        weigh(params, a)
+    watch_noise(a, h_m)
+    r = max(a.noise_m, 0.05e-3) ** 2
     for i in range(N):
         update_model(i, a.state, a.cov, h_m, r)
     a.samples += 1
@@ -168,7 +200,7 @@ def take_sample(params: Any, a: Any, t_ns: Any, h_m: Any, drop_m: Any) -> None:
 @njit(cache=True, nogil=True)
 def set_points(params: Any, a: Any, now_ns: Any, drop_m: Any, tick: Any) -> Any:
     """Blend the candidates' set points for now; on a tick remember each."""
-    d = a.speed_mps * ((now_ns - a.sample_ns) * 1e-9 + LEAD_S)
+    d = a.speed_mps * ((now_ns - a.sample_ns) * 1e-9 + params.tick_lead_s)
     lead = a.speed_mps * params.plant_tau_s
     z = 0.0
     slot = a.ticks & (TICKS - 1)
@@ -176,7 +208,12 @@ def set_points(params: Any, a: Any, now_ns: Any, drop_m: Any, tick: Any) -> Any:
         t = look_ahead(i, a.state, d, lead) + drop_m
         z += a.weight[i] * t
         if tick:
-            a.target_m[i * TICKS + slot] = t
+            base = i * TICKS
+            if a.ticks > 1:
+                acc = t - 2.0 * a.target_m[base + ((slot - 1) & (TICKS - 1))]
+                acc = (acc + a.target_m[base + ((slot - 2) & (TICKS - 1))]) * 1e4
+                a.effort[i] += 0.02 * (min(acc * acc, 100.0) - a.effort[i])
+            a.target_m[base + slot] = t
     if tick:
         a.tick_t_ns[slot] = now_ns
         a.ticks += 1

@@ -71,6 +71,19 @@ class Params(Schema):
     plant_tau_s = F64(unit="s", doc="adaptive: assumed time constant of the vertical axis")
     plant_v_max_mps = F64(unit="m/s", doc="adaptive: assumed speed limit of the vertical axis")
     plant_a_max_mps2 = F64(unit="m/s^2", doc="adaptive: assumed acceleration limit of the vertical axis")
+    score_way_m = F64(unit="m", doc="adaptive: way over which models are judged")
+    score_time_s = F64(unit="s", doc="adaptive: time over which models are judged")
+    score_power = F64(doc="adaptive: how strongly the recently better model is preferred")
+    long_power = F64(doc="adaptive: how strongly the model that was better over a longer way is preferred")
+    long_factor = F64(doc="adaptive: longer way and time of judgement, as a multiple")
+    effort_m = F64(unit="m s^2/m", doc="adaptive: stand-off error worth a set point acceleration of 1 m/s^2")
+    noise_share = F64(doc="adaptive: share of the reading noise taken off the scores")
+    score_floor_m = F64(unit="m", doc="adaptive: stand-off errors below this are as good as none")
+    gate_scales = F64(doc="adaptive: innovations beyond so many scales are quarantined")
+    gate_m = F64(unit="m", doc="adaptive: least innovation that is quarantined")
+    step_way_m = F64(unit="m", doc="adaptive: way after which a quarantined step is believed")
+    step_samples = I64(doc="adaptive: agreeing samples after which a quarantined step is believed")
+    tick_lead_s = F64(unit="s", doc="adaptive: mean time a demand waits for the controller")
 
 
 class SenseState(Schema):
