@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from surffollow.errors import FaultError
+from surffollow.errors import FaultError, LayoutMismatchError
 from surffollow.forecast.journal import CYCLE, SNAPSHOT, entry_kind, entry_words
 from surffollow.record.format import BATCH_CYCLES, SCHEMA_ENCODING, TOPIC
 from surffollow.record.reader import RecordingReader
@@ -171,6 +171,21 @@ def test_any_mcap_reader_opens_the_recording_and_finds_the_layout(
     assert np.frombuffer(message.data[begin : begin + 8], np.float64)[0] == 0.1
     assert metadata["surffollow.summary"]["cycles"] == "1000"
     assert message.log_time == 1_000_000_000
+
+
+def test_a_log_of_another_version_is_refused_and_not_recorded_as_one_long_loss(tmp_path: Path) -> None:
+    rehearsal = Rehearsal()
+    recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap"))
+
+    def record_on() -> None:
+        for _ in range(20):
+            begin = int(log_head(rehearsal.address))
+            rehearsal.run(10)
+            rehearsal.memory[LogHead.SIZE // 8 + begin] ^= 1 << 9  # the first entry's length
+            recorder.poll()
+
+    with pytest.raises(LayoutMismatchError, match="does not know"):
+        record_on()
 
 
 class FullDisk(io.BytesIO):

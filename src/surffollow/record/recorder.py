@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from surffollow.errors import LayoutMismatchError
 from surffollow.forecast.journal import SNAPSHOT_WORDS
 from surffollow.record.format import BATCH_CYCLES
 from surffollow.record.kernels import (
@@ -29,6 +30,7 @@ _COPY_WORDS = max(1 << 15, 2 * SNAPSHOT_WORDS)
 # a batch is sent on at this size even with few cycles in it
 _BATCH_WORDS = 1 << 14
 _ALL = 1 << 62
+_UNKNOWN_MOST = 3
 
 
 class LogSource(Protocol):
@@ -89,6 +91,7 @@ class Recorder:
     def _attach(self) -> None:
         self._in_segment = False
         self._after_loss = False
+        self._unknown = 0
         head = log_head(self.source.address)
         # the whole run from its start when the log still holds it, with time to spare for reading
         self._position = 0 if head <= self.source.capacity * 3 // 4 else head
@@ -106,6 +109,7 @@ class Recorder:
 
         Raises
         ------
+        LayoutMismatchError  the log's entries are those of another version
         FaultError  the recording cannot be written
         """
         before = self.counts.cycles
@@ -128,7 +132,7 @@ class Recorder:
         if not self._in_segment:
             walk_entries(self._buffer, n, _ALL, 1, walk)
             if walk[W_BAD]:
-                self._lose()
+                self._refuse_unknown()
                 return True
             if walk[W_END] > 0:
                 self._skip(int(walk[W_END]))
@@ -148,11 +152,21 @@ class Recorder:
             self._append(at)
             at += int(walk[W_END])
             if walk[W_BAD]:
-                self._lose()
+                self._refuse_unknown()
                 return True
             if walk[W_END] == 0:
                 break
         return at > 0
+
+    def _refuse_unknown(self) -> None:
+        # the copy was checked, so these are words of the log: once after an odd restart, or always
+        self._unknown += 1
+        if self._unknown >= _UNKNOWN_MOST:
+            raise LayoutMismatchError(
+                f"the cycle log of epoch {self.source.epoch} holds entries that this program does not know; "
+                "record with the release that runs the service, or restart the service"
+            )
+        self._lose()
 
     def _skip(self, words: int) -> None:
         self._position += words
@@ -167,6 +181,7 @@ class Recorder:
             if self._first_of_segment and self._last_cycle is not None:
                 self.counts.lost_cycles += max(0, int(walk[W_FIRST_CYCLE]) - self._last_cycle - 1)
             self._first_of_segment = False
+            self._unknown = 0
             self._last_cycle = int(walk[W_LAST_CYCLE])
         if self._pending_words == 0:
             self._pending_first_t_ns = int(walk[W_FIRST_T_NS])

@@ -1,0 +1,107 @@
+"""Time the offline replay: cycles per second on one core, reading, checking and comparing included.
+
+Records a rehearsed run (the same kernels and log as the service, invented inputs), then
+replays the file several times in this process, after one replay that is not counted.
+Wall time and processor time are given: on a busy machine only the second says what one
+core can do.
+
+    python tools/bench_replay.py [--cycles 500000] [--channels 1] [--mode paper] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+
+from surffollow.record.recorder import Recorder
+from surffollow.record.rehearsal import Rehearsal
+from surffollow.record.replay import replay_file
+from surffollow.record.writer import RecordingWriter
+
+BAR_CYCLES_PER_S = 1e6
+CONVERSIONS_PER_CYCLE = 25  # 25 kHz converter, 1 kHz cycle
+MODES = {"paper": 0, "adaptive": 1}
+
+
+def make_file(path: Path, cycles: int, mode: str, channels: int) -> float:
+    """Record a rehearsal; cycles per second of recording (rehearsing excluded)."""
+    rehearsal = Rehearsal(mode=MODES[mode], channels=channels, conversions=CONVERSIONS_PER_CYCLE)
+    recorder = Recorder(rehearsal, RecordingWriter(path, {"name": "bench"}))
+    spent = 0.0
+    for _ in range(0, cycles, 1000):
+        rehearsal.run(1000)
+        begin = time.process_time()
+        recorder.poll()
+        spent += time.process_time() - begin
+    recorder.finish()
+    return cycles / spent
+
+
+def measure(cycles: int, mode: str, channels: int, repeats: int) -> dict[str, Any]:
+    """All figures of one setting."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "bench.mcap"
+        recording = make_file(path, cycles, mode, channels)
+        first = replay_file(path)
+        wall, processor = [], []
+        for _ in range(repeats):
+            begin = time.process_time()
+            report = replay_file(path)
+            processor.append(cycles / (time.process_time() - begin))
+            wall.append(report.cycles_per_s)
+        return {
+            "mode": mode,
+            "channels": channels,
+            "cycles": first.cycles,
+            "identical": first.identical,
+            "bytes_per_cycle": path.stat().st_size / cycles,
+            "recorded_cycles_per_processor_s": recording,
+            "replayed_cycles_per_s": {
+                "median": float(np.median(wall)),
+                "best": max(wall),
+                "worst": min(wall),
+            },
+            "replayed_cycles_per_processor_s": float(np.median(processor)),
+        }
+
+
+def main() -> int:
+    """Measure and print; 1 when the bar is missed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--cycles", type=int, default=500_000)
+    parser.add_argument("--channels", type=int, default=1)
+    parser.add_argument("--mode", choices=list(MODES), default="paper")
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--json", action="store_true")
+    o = parser.parse_args()
+    cycles = max(1, o.cycles // 1000) * 1000
+    result = measure(cycles, o.mode, o.channels, o.repeats)
+    result |= {"machine": platform.machine(), "python": platform.python_version(), "numba": numba.__version__}
+    best = result["replayed_cycles_per_s"]["best"]
+    result["bar_cycles_per_s"], result["bar_met"] = BAR_CYCLES_PER_S, bool(best >= BAR_CYCLES_PER_S)
+    if o.json:
+        print(json.dumps(result))
+    else:
+        r = result["replayed_cycles_per_s"]
+        print(
+            f"replay, {o.mode} mode, {o.channels} channel(s), {result['bytes_per_cycle']:.0f} bytes/cycle: "
+            f"{r['median'] / 1e6:.2f} M cycles/s median, {r['best'] / 1e6:.2f} best, {r['worst'] / 1e6:.2f} worst "
+            f"of {o.repeats}; {result['replayed_cycles_per_processor_s'] / 1e6:.2f} M per processor second\n"
+            f"recording: {result['recorded_cycles_per_processor_s'] / 1e6:.2f} M cycles per processor second\n"
+            f"identical: {result['identical']}; bar {BAR_CYCLES_PER_S / 1e6:g} M cycles/s: "
+            f"{'met' if result['bar_met'] else 'MISSED'}"
+        )
+    return 0 if result["bar_met"] and result["identical"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
