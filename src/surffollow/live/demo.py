@@ -32,8 +32,8 @@ class DemoConfig:
     surface: str = "fy91"
     seed: int = 91
     path: str = "raster"
-    region: tuple[float, float, float, float] = (0.2, 0.3, 0.6, 0.5)
-    lane_m: float = 0.02
+    region: tuple[float, float, float, float] = (0.2, 0.34, 0.75, 0.46)
+    lane_m: float = 0.04
     offset_m: float = 0.1
     follow: dict[str, object] = field(default_factory=dict)
 

@@ -35,11 +35,12 @@ def draw_demo(folder: Path, path: Path, config: DemoConfig, result: dict[str, An
     with plt.rc_context(
         {"font.size": 9, "axes.edgecolor": _INK, "text.color": _INK, "axes.titleweight": "bold"}
     ):
-        figure = plt.figure(figsize=(11, 7.2), layout="constrained")
-        axes = figure.subplot_mosaic([["map", "map"], ["section", "section"], ["error", "error"]])
-        _draw_map(figure, axes["map"], trace, grids, config)
-        _draw_section(axes["section"], trace)
-        _draw_error(axes["error"], trace, config, result)
+        figure, (top, middle, bottom) = plt.subplots(
+            3, 1, figsize=(10.5, 7.6), layout="constrained", height_ratios=(1.15, 1.0, 1.0)
+        )
+        _draw_map(figure, top, trace, grids, config)
+        _draw_section(middle, trace)
+        _draw_error(bottom, trace, config, result)
         try:
             figure.savefig(path, dpi=100)
         except OSError as e:
@@ -51,7 +52,7 @@ def draw_demo(folder: Path, path: Path, config: DemoConfig, result: dict[str, An
 
 def _draw_map(figure: Any, ax: Any, trace: dict[str, Any], grids: dict[str, Any], config: DemoConfig) -> None:
     x0, y0, x1, y1 = config.region
-    margin = 0.02
+    margin = 0.025
     field = world_surface(config.surface, config.seed)
     extent = (x0 - margin, x1 + margin, y0 - margin, y1 + margin)
     columns = slice(*(max(0, round((v - field.x0_m) / field.grid_m)) for v in extent[:2]))
@@ -60,17 +61,24 @@ def _draw_map(figure: Any, ax: Any, trace: dict[str, Any], grids: dict[str, Any]
     dy, dx = np.gradient(ground, field.grid_m)
     shade = np.clip(0.75 - 0.5 * dx + 0.5 * dy, 0.3, 1.0)
     ax.imshow(shade, cmap="gray", vmin=0, vmax=1.1, extent=extent, origin="lower", aspect="equal")
-    heights = np.ma.masked_invalid(grids["heights_m"] * 1e3)
-    ny, nx = heights.shape
     g, gx, gy = (float(grids[k]) for k in ("grid_m", "x0_m", "y0_m"))
-    image = ax.imshow(
-        heights, cmap="viridis", extent=(gx, gx + nx * g, gy, gy + ny * g), origin="lower", aspect="equal"
+    row, column = np.nonzero(np.isfinite(grids["heights_m"]))
+    ax.plot(trace["x_m"], trace["y_m"], color=_ORANGE, lw=0.8, label="sensor path")
+    image = ax.scatter(
+        gx + (column + 0.5) * g,
+        gy + (row + 0.5) * g,
+        c=grids["heights_m"][row, column] * 1e3,
+        cmap="viridis",
+        marker="s",
+        s=9,
+        lw=0,
+        zorder=3,
+        label="mapped grids",
     )
-    ax.plot(trace["x_m"], trace["y_m"], color=_ORANGE, lw=0.7, label="sensor path")
     ax.set(xlim=extent[:2], ylim=extent[2:], xlabel="x [m]", ylabel="y [m]")
-    ax.set_title(f"Map of {g * 1e3:.3g} mm grids, laid over the true ground (grey)", loc="left")
+    ax.set_title(f"Map of {g * 1e3:.3g} mm grids over the true ground (grey)", loc="left")
     ax.legend(loc="upper right", framealpha=0.9)
-    figure.colorbar(image, ax=ax, label="mapped height [mm]", shrink=0.9)
+    figure.colorbar(image, ax=ax, label="mapped height [mm]", pad=0.01)
 
 
 def _draw_section(ax: Any, trace: dict[str, Any]) -> None:
