@@ -1,7 +1,8 @@
 """The bars that the default follower must reach, computed from the rows of one run.
 
-Ratios compare RMS errors, both taken as at least 0.1 mm; cells in which the limit exceeds 0.4 × the best
-oracle (at lead 0) are exempt. A figure that could not be computed counts as short.
+Ratios compare RMS errors, both taken as at least 0.1 mm (so is the σ that an excursion is held against);
+cells in which the limit exceeds 0.4 × the best oracle (at lead 0) are exempt. A figure that could not be
+computed counts as short.
 """
 
 from __future__ import annotations
@@ -197,7 +198,7 @@ def _trials(trials: Sequence[Row], conditions: Conditions) -> list[Verdict]:
         )
     for case in ("slot", "glitch"):
         rows = [t for t in of("excursion") if t["case"] == case]
-        moved = {label(t): t["worst_excursion_m"] / max(t["sigma_m"], 1e-9) for t in rows}
+        moved = {label(t): t["worst_excursion_m"] / max(t["sigma_m"], FLOOR_M) for t in rows}
         most = max((t["worst_excursion_m"] for t in rows), default=math.nan)
         verdicts.append(
             _worst(f"{case}: demand excursion over σ of the estimate", 1.0, moved, f"{1e3 * most:.3f} mm")

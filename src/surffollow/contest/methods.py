@@ -63,7 +63,7 @@ BASELINES: dict[str, Baseline] = {
             "pi",
             b.PI,
             (Parameter("gain", 0.01, 5.0), Parameter("integral_hz", 0.01, 30.0)),
-            ((0.1, 0.3), (0.3, 0.5), (0.5, 2.0)),
+            ((0.1, 0.3), (0.3, 0.5), (0.5, 2.0), (1.7, 7.0)),
         ),
         Baseline(
             "lpf-gate",
@@ -85,6 +85,7 @@ BASELINES: dict[str, Baseline] = {
                 (1.0, 1e-3, 5.0, 3.0, 0.05),
                 (0.1, 1e-4, 5.0, 4.0, 0.05),
                 (5.0, 1e-2, 8.0, 3.0, 0.04),
+                (5.0, 1e-3, 4.0, 4.0, 0.001),
                 (0.01, 2e-2, 8.0, 3.0, 0.03),
             ),
             fixed=(b.POLICY_EXTRAPOLATE,),

@@ -13,7 +13,7 @@ import msgspec
 from surffollow.contest import bars
 from surffollow.contest.conditions import Conditions, load_conditions
 from surffollow.contest.methods import all_methods, check_methods
-from surffollow.contest.report import markdown_table, text_table, write_plots
+from surffollow.contest.report import markdown_table, summary_table, text_table, write_plots
 from surffollow.contest.runner import Result, Tuned, run_cells
 from surffollow.contest.suite import (
     LEADS_M,
@@ -110,7 +110,8 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
         text = bars.text(verdicts)
     found = _finite(found)
     if folder:
-        _write(folder, found, bars.text(verdicts, markdown=True) if verdicts else "", markdown_table(rows))
+        judged_table = bars.text(verdicts, markdown=True) if verdicts else ""
+        _write(folder, found, judged_table, summary_table(rows), markdown_table(rows))
         write_plots(results, folder)
     return Outcome(found, text, all(v.passed for v in verdicts), results)
 

@@ -10,11 +10,36 @@ import numpy as np
 
 from surffollow.contest.conditions import STANDOFF_M
 from surffollow.contest.methods import LIMIT
-from surffollow.contest.runner import Result, run_method, scene_of
+from surffollow.contest.runner import Result, geometric_mean, run_method, scene_of
 from surffollow.contest.suite import surface_label
 from surffollow.errors import UsageError
 
 Row = dict[str, Any]
+
+FLOOR_M = 0.1e-3  # below, an error is as good as none
+
+
+def summary_table(rows: Sequence[Row]) -> str:
+    """Return one table per lead and variant: geometric mean over surfaces of the RMS [mm], ≥ 0.1 mm."""
+    parts: list[str] = []
+    for lead, variant in dict.fromkeys((r["lead_m"], r.get("variant", "")) for r in rows):
+        mine = [r for r in rows if (r["lead_m"], r.get("variant", "")) == (lead, variant)]
+        speeds = sorted({r["speed_mps"] for r in mine})
+        surfaces = len({r["surface"] for r in mine})
+        title = f"Lead {1e3 * lead:g} mm" + (f", {variant}" if variant else "")
+        parts.append(f"### {title}: geometric mean over {surfaces} surfaces of the RMS [mm]\n")
+        parts.append("| method | " + " | ".join(f"{1e3 * v:g} mm/s" for v in speeds) + " |")
+        parts.append("| --- |" + " ---: |" * len(speeds))
+        for method in dict.fromkeys(r["method"] for r in mine):
+            means = []
+            for v in speeds:
+                found = [
+                    max(r["rms_m"], FLOOR_M) for r in mine if (r["method"], r["speed_mps"]) == (method, v)
+                ]
+                means.append(f"{1e3 * geometric_mean(found):.3f}" if found else "")
+            parts.append(f"| {method} | " + " | ".join(means) + " |")
+        parts.append("")
+    return "\n".join(parts)
 
 
 def markdown_table(rows: Sequence[Row]) -> str:

@@ -28,6 +28,9 @@ SECOND_NOISE = 10_000  # added to the seed: the second pass meets the same groun
 EXCURSION_SPEEDS_MPS = (0.1, 0.2, 0.4)
 STEP_SPEEDS_MPS = (0.2, 0.4)
 STEP_MOVED_M = 1e-3  # the set point has moved by a tenth of the step: it was accepted
+OUTLIER_M = 2e-3  # a reading so far off is an outlier for anybody
+OUTLIER_TICKS = 4  # it was missed when within so many ticks of its arrival
+CHASED_M = 0.5e-3  # the set point went after it by so much
 OSCILLATION_SURFACES = ("flat", "ramp-5", "hump")
 
 
@@ -66,30 +69,45 @@ def _without_glitches(conditions: Conditions) -> Conditions:
 
 
 def excursion(job: Job) -> dict[str, float]:
-    """How far slots or glitches move the set point away from where it would have been [m].
+    """How far slots or glitches move the set point away from where it would have been.
 
-    The same noise is run with and without them; `sigma_m` is the scatter of the undisturbed set point
-    about the ground.
+    The same noise is run with and without them.
+
+    Returns
+    -------
+    dict
+        `excursion_m`: greatest distance between the two set points [m];
+        `sigma_m`: scatter of the undisturbed set point about the ground [m];
+        `missed`: share of the readings off by > 2 mm after which the set points part by > 0.5 mm
     """
     clean = _without_glitches(job.conditions)
     calm = Cell("flat", job.speed_mps, clean)
     disturbed = Cell("slot", job.speed_mps, clean) if job.case == "slot" else job.cell
     points: list[Any] = []
-    first_tick = 0
+    first_tick, tick_ms = 0, 1
     for cell in (calm, disturbed):
         scene = scene_of(cell, job.seed)
         s, w = run_method(job.method, scene)
-        first_tick = -(-scene.first_ms // int(s["tick_ms"]))
-        points.append(w.orders["set_point"][: int(s["ticks"])] - STANDOFF_M)
-    away = np.abs(points[1] - points[0])[first_tick:]
-    return {"excursion_m": float(away.max()), "sigma_m": float(np.std(points[0][first_tick:]))}
+        tick_ms = int(s["tick_ms"])
+        first_tick = -(-scene.first_ms // tick_ms)
+        points.append((w.orders["set_point"][: int(s["ticks"])] - STANDOFF_M, w.readings))
+    away = np.abs(points[1][0] - points[0][0])
+    off = np.abs(points[1][1]["range"] - points[0][1]["range"]) > OUTLIER_M
+    ticks = -(-points[1][1]["arrival_ms"][off] // tick_ms)
+    chased = [bool((away[t : t + OUTLIER_TICKS] > CHASED_M).any()) for t in ticks if t >= first_tick]
+    return {
+        "excursion_m": float(away[first_tick:].max()),
+        "sigma_m": float(np.std(points[0][0][first_tick:])),
+        "missed": float(np.mean(chased)) if chased else 0.0,
+    }
 
 
 def step_delay(job: Job) -> dict[str, float]:
     """How long after the arrival of the first reading beyond a step the set point goes there.
 
     `late_s` is the 95th percentile over the path's steps of the delay beyond what three agreeing readings
-    and 2.5 mm of travel need, one tick and one reading of discretisation allowed.
+    and 2.5 mm of travel need, one tick and one reading of discretisation allowed; `refused` is the share of
+    steps later than that: true ground taken for a glitch.
     """
     scene = scene_of(Cell("step", job.speed_mps, _without_glitches(job.conditions)), job.seed)
     s, w = run_method(job.method, scene)
@@ -115,7 +133,11 @@ def step_delay(job: Job) -> dict[str, float]:
             late.append(math.inf)
             continue
         late.append(((tick + int(np.argmax(moved))) * tick_ms - arrival_ms - allowed_ms) * 1e-3)
-    return {"late_s": float(np.quantile(late, 0.95, method="higher")), "steps": float(len(late))}
+    return {
+        "late_s": float(np.quantile(late, 0.95, method="higher")),
+        "refused": float(np.mean(np.array(late) > 0.0)),
+        "steps": float(len(late)),
+    }
 
 
 def oscillation(job: Job) -> dict[str, float]:

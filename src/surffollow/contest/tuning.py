@@ -18,7 +18,8 @@ from surffollow.contest.scene import Scene
 
 FIRST_STEP = math.log(2.5)
 LAST_STEP = math.log(1.06)
-MAX_EVALUATIONS = 70
+MAX_EVALUATIONS = 100
+STARTS = 2  # refined from so many first guesses: the cost has several valleys
 
 # What `python -m surffollow.contest.tune_suite` found: one tuning per baseline for the whole suite, by
 # (name, sensor leads).
@@ -59,7 +60,7 @@ def pattern_search(
     ----------
     baseline : whose `tunable` parameters are sought
     cost : of a tuple of parameters; the same tuple must cost the same again
-    guesses : where to look first; the best is refined
+    guesses : where to look first; the best two are refined
     max_evaluations : budget, first guesses included
 
     Returns
@@ -74,22 +75,27 @@ def pattern_search(
             seen[inside] = cost(inside)
         return inside, seen[inside]
 
-    best, best_cost = min((at(g) for g in guesses), key=lambda found: found[1])
-    steps = [FIRST_STEP] * len(best)
-    while max(steps) > LAST_STEP and len(seen) < max_evaluations:
-        for i in range(len(best)):
-            if steps[i] <= LAST_STEP:
-                continue
-            moved = False
-            for sign in (1.0, -1.0):
-                trial = list(best)
-                trial[i] *= math.exp(sign * steps[i])
-                found, found_cost = at(trial)
-                if found_cost < best_cost:
-                    best, best_cost, moved = found, found_cost, True
-                    break
-            steps[i] *= 1.25 if moved else 0.5
-    return best, best_cost
+    def refine(best: tuple[float, ...], best_cost: float, budget: int) -> tuple[tuple[float, ...], float]:
+        steps = [FIRST_STEP] * len(best)
+        while max(steps) > LAST_STEP and len(seen) < budget:
+            for i in range(len(best)):
+                if steps[i] <= LAST_STEP:
+                    continue
+                moved = False
+                for sign in (1.0, -1.0):
+                    trial = list(best)
+                    trial[i] *= math.exp(sign * steps[i])
+                    found, found_cost = at(trial)
+                    if found_cost < best_cost:
+                        best, best_cost, moved = found, found_cost, True
+                        break
+                steps[i] *= 1.25 if moved else 0.5
+        return best, best_cost
+
+    starts = sorted((at(g) for g in guesses), key=lambda found: found[1])[:STARTS]
+    left = max_evaluations - len(seen)
+    budgets = [len(seen) + left * (k + 1) // len(starts) for k in range(len(starts))]
+    return min((refine(*start, budget) for start, budget in zip(starts, budgets)), key=lambda found: found[1])
 
 
 def tune_oracle(baseline: Baseline, scenes: Sequence[Scene], lead_m: float) -> tuple[float, ...]:
