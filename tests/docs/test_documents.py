@@ -1,0 +1,43 @@
+"""The documents say what the program does."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from surffollow.config.service import parse_config
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_table_of_parameters_is_current():
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "tools" / "write_docs.py"), "--check"], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr + "; run tools/write_docs.py"
+
+
+def test_example_configuration_is_accepted():
+    text = (ROOT / "docs" / "configuration.md").read_text()
+    example = re.search(r"```toml\n(.*?)```", text, re.S)
+    assert example is not None
+    config = parse_config(tomllib.loads(example[1]))
+    assert config.name == "surf"
+    assert config.map.grids == 1_000_000
+
+
+@pytest.mark.parametrize(
+    "page", sorted((ROOT).glob("*.md")) + sorted((ROOT / "docs").glob("**/*.md")), ids=str
+)
+def test_links_between_documents_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#:]+?)(?:#[^)]*)?\)", page.read_text()):
+        assert (page.parent / target).exists(), f"{page.name} links to {target}, which is not there"
