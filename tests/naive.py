@@ -223,9 +223,7 @@ class NaiveFollower:
         """Footprint of a channel's reading, averaged over the channel's last EE_Readings footprints."""
         p = self.params
         tool = (
-            interpolated_pose(self.poses, self.range_t_ns[c])
-            if p["pose_interpolate"]
-            else self.poses[-1][1]
+            interpolated_pose(self.poses, self.range_t_ns[c]) if p["pose_interpolate"] else self.poses[-1][1]
         )
         face, point = sensor_and_footprint(tool, p["tool_from_sensor"][c], self.range_m[c])
         self.points[c] = [*self.points[c], point][-64:]

@@ -45,7 +45,12 @@ class Stream:
         self.rng, self.n = rng, int(params[0]["n_channels"])
         self.x = self.y = 0.0
         self.speed, self.heading = 0.05, rng.uniform(0.0, 2.0 * math.pi)
-        self.q, self.next_pose, self.lost_until, self.stale_until = unit_quaternion(rng, 0.05), 5_020 * MS, 0, 0
+        self.q, self.next_pose, self.lost_until, self.stale_until = (
+            unit_quaternion(rng, 0.05),
+            5_020 * MS,
+            0,
+            0,
+        )
         self.height = 0.1
 
     def inputs(self, t_ns, dt_ns):
