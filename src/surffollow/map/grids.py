@@ -103,8 +103,9 @@ def update_map(header: Any, pairs: Any, x_m: Any, y_m: Any, z_m: Any) -> Any:
     Notes
     -----
     new mean = mean + (h − mean)/(count + 1); the count saturates at 255, and a grid with
-    count 0 takes the sample as it is. A gated sample takes an eighth of the grid's count: one
-    outlier costs little, ground that really changed wins after some 25 samples.
+    count 0 takes the sample as it is. A gated sample takes an eighth of the grid's count, and one
+    that wears it below `gate_min_count` all of it: an outlier costs little, ground that really
+    changed replaces the mean after at most some 25 samples.
     """
     w = header[0]
     if w.state != _READY:
@@ -136,7 +137,8 @@ def update_map(header: Any, pairs: Any, x_m: Any, y_m: Any, z_m: Any) -> Any:
         and count >= max(w.gate_min_count, 1)
         and abs(z - height) > w.gate_m * w.inv_quantum_per_m
     ):
-        pair.c[lane] = np.uint8(count - max(count >> 3, 1))
+        worn = count - max(count >> 3, 1)
+        pair.c[lane] = np.uint8(worn if worn >= w.gate_min_count else 0)
         w.gated += 1
         return _GATED
     u = 0.0
