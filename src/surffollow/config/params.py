@@ -59,6 +59,13 @@ PARAMS: dict[str, ParamSpec] = {
     "step_way_m": ParamSpec(2.5e-3, 0.0, 10.0, "m"),
     "step_samples": ParamSpec(3, 1, 100, whole=True),
     "tick_lead_s": ParamSpec(0.005, 0.0, 1.0, "s"),
+    "adapt": ParamSpec(1, 0, 1, whole=True, choices=("frozen", "learn")),
+    "hold_ns": ParamSpec(3.5e6, 0, 10e9, "ns", whole=True),
+    "dropout_way_m": ParamSpec(0.06, 1e-4, 1e3, "m"),
+    "max_speed_mps": ParamSpec(4.0, 1e-4, 1e3, "m/s"),
+    "max_accel_mps2": ParamSpec(800.0, 1e-3, 1e6, "m/s^2"),
+    "max_jerk_mps3": ParamSpec(4e5, 1e-2, 1e9, "m/s^3"),
+    "toward_factor": ParamSpec(0.5, 0.01, 1.0),
 }
 
 

@@ -1,4 +1,8 @@
-"""The default follower: a bank of models, each judged by what its demands would have done."""
+"""The default follower's cycle: take what is new, forecast where the tool should be, limit, report.
+
+sample → footprint (pose at the sample's own time) → bank of models (`adaptive_take`, `adaptive_bank`)
+now → way ahead of the last footprint → blended set point → limits (`adaptive_motion`) → demand
+"""
 
 from __future__ import annotations
 
@@ -7,240 +11,192 @@ from typing import Any
 
 from numba import njit
 
-from surffollow.forecast.adaptive_bank import (
-    BANK,
-    PRIOR,
-    N,
-    height_of,
-    look_ahead,
-    predict_model,
-    start_model,
-    update_model,
+from surffollow.forecast.adaptive_bank import N, look_ahead
+from surffollow.forecast.adaptive_health import (
+    CLOSE_SAMPLES,
+    FAULT_CLOCK,
+    FAULT_CLOSE,
+    FAULT_LOST,
+    FAULT_NOT_FINITE,
+    FAULT_STUCK,
+    is_stuck,
+    watch_health,
+    watch_stuck,
 )
-from surffollow.forecast.pose import footprint, pose_at
-from surffollow.shm.layout_adaptive import TICKS
-from surffollow.shm.layout_follow import POSES
+from surffollow.forecast.adaptive_judge import note_targets
+from surffollow.forecast.adaptive_motion import measure_motion, move_set_point, pose_when
+from surffollow.forecast.adaptive_take import is_news, take_sample
+from surffollow.forecast.pose import footprint
+from surffollow.forecast.safety import PROBE_M, limit, watch_fold_back
+from surffollow.shm.layout_adaptive import DROPOUT, OUT_OF_RANGE, STUCK, TICKS
+from surffollow.shm.layout_follow import (
+    LIMITED,
+    NO_SENSOR,
+    POSES,
+    RUN_FREEZE,
+    SENSOR_LOST,
+    TOO_CLOSE,
+    VALID,
+)
 
-TICK_NS = 10_000_000
-SPEED_WINDOW_NS = 100_000_000
-FLOOR_M2 = 0.02e-6
+TICK_NS = 9_999_000  # controller ticks at 100 Hz; a microsecond less, stamps may be rounded
+CLOCK_BACK_NS = 1_000_000_000  # a clock that jumps back farther than late samples may is followed
+LATE_RATE = 0.05
+GRACE_S = 0.025  # a lone lost sample is no drop-out
+KNOWN_DIRECTION_MPS = 0.005  # slower, the direction of travel is not known well enough to look ahead
 
 
 @njit(cache=True, nogil=True)
-def lateral_velocity(a: Any, sense: Any) -> None:
-    n = sense.pose_count
-    last = (n - 1) & (POSES - 1)
-    k = n - 1
-    oldest = max(0, n - POSES + 1)
-    t = sense.pose_t_ns[last]
-    while k > oldest and t - sense.pose_t_ns[k & (POSES - 1)] < SPEED_WINDOW_NS:
-        k -= 1
-    first = k & (POSES - 1)
-    if first == last:
-        a.speed_x_mps, a.speed_y_mps, a.speed_mps = 0.0, 0.0, 0.0
+def watch_clock(a: Any, t_ns: Any, pose_t_ns: Any) -> None:
+    """The latest time heard of is now; late samples do not turn it back, a new clock does."""
+    t = max(t_ns, pose_t_ns)
+    if t < a.now_ns - CLOCK_BACK_NS:
+        a.faults |= FAULT_CLOCK
+        a.samples = 0
+        a.held_ns = a.set_ns = a.tick_ns = 0
+        a.now_ns = t
+    a.now_ns = max(a.now_ns, t)
+
+
+@njit(cache=True, nogil=True)
+def take_news(params: Any, state: Any, inputs: Any, output: Any, drop_m: Any, pose: Any) -> None:
+    """Take channel 0's new sample, if there is one; what does not enter the estimate is not mapped."""
+    a, sense = state.adaptive, state.sense
+    output.fresh &= ~1
+    news, range_m, t = is_news(params, a, sense, inputs.n_ranges)
+    if news == 0:
         return
-    dt = (t - sense.pose_t_ns[first]) * 1e-9
-    a.speed_x_mps = (sense.pose[7 * last] - sense.pose[7 * first]) / dt
-    a.speed_y_mps = (sense.pose[7 * last + 1] - sense.pose[7 * first + 1]) / dt
-    a.speed_mps = math.sqrt(a.speed_x_mps**2 + a.speed_y_mps**2)
-
-
-@njit(cache=True, nogil=True)
-def axis_velocity(d: Any, tau: Any, a_max: Any) -> Any:
-    lin = a_max * tau * tau
-    if d > lin:
-        return math.sqrt(2.0 * a_max * (d - 0.5 * lin))
-    if d < -lin:
-        return -math.sqrt(2.0 * a_max * (-d - 0.5 * lin))
-    return d / tau
-
-
-@njit(cache=True, nogil=True)
-def advance_shadows(params: Any, a: Any, from_ns: Any, to_ns: Any) -> None:
-    """Carry every shadow axis on from one time to another with the set points of its candidate."""
-    span = to_ns - from_ns
-    steps = min(max(int((span + 1_999_999) // 2_000_000), 1), 32)
-    dt = span * 1e-9 / steps
-    tau, v_max, dv = params.plant_tau_s, params.plant_v_max_mps, params.plant_a_max_mps2 * dt
-    k = max(0, a.ticks - TICKS)
-    for j in range(steps):
-        t = from_ns + (span * j) // steps
-        while k + 1 < a.ticks and a.tick_t_ns[(k + 1) & (TICKS - 1)] <= t:
-            k += 1
-        slot = k & (TICKS - 1)
-        for i in range(N):
-            d = a.target_m[i * TICKS + slot] - a.axis_z_m[i]
-            w = axis_velocity(d, tau, params.plant_a_max_mps2)
-            w = min(max(w, -v_max), v_max)
-            w = min(max(w, -abs(d) / dt), abs(d) / dt)
-            v = a.axis_v_mps[i]
-            v += min(max(w - v, -dv), dv)
-            a.axis_v_mps[i] = v
-            a.axis_z_m[i] += v * dt
-
-
-@njit(cache=True, nogil=True)
-def weigh(params: Any, a: Any) -> None:
-    """Turn scores into weights: powers of recent and longer cost, noise taken off."""
-    best, best_long = 1e300, 1e300
-    for i in range(N):
-        best = min(best, a.score_m2[i])
-        best_long = min(best_long, a.long_m2[i])
-    off = params.noise_share * min(a.noise_m * a.noise_m, best)
-    off_long = params.noise_share * min(a.noise_m * a.noise_m, best_long)
-    floor = params.score_floor_m * params.score_floor_m
-    mu = params.effort_m * params.effort_m
-    best, best_long = 1e300, 1e300
-    for i in range(N):
-        a.cost_m2[i] = math.log(a.score_m2[i] - off + floor + mu * a.effort[i])
-        a.weight[i] = math.log(a.long_m2[i] - off_long + floor + mu * a.effort[i])
-        a.cost_m2[i] = params.score_power * a.cost_m2[i] + params.long_power * a.weight[i]
-        a.cost_m2[i] += PRIOR[int(BANK[i, 0])]
-        best = min(best, a.cost_m2[i])
-    total = 0.0
-    for i in range(N):
-        w = math.exp(best - a.cost_m2[i])
-        a.weight[i] = w
-        total += w
-    for i in range(N):
-        a.weight[i] /= total
-
-
-@njit(cache=True, nogil=True)
-def watch_noise(a: Any, h_m: Any) -> None:
-    """Reading noise from second differences of accepted heights: a running median, free of slopes."""
-    if a.samples > 2:
-        e = abs(h_m - 2.0 * a.recent_m[0] + a.recent_m[1])
-        step = 0.02 * max(a.median_m, 1e-5)
-        a.median_m += step if e > a.median_m else -step
-        a.noise_m = 1.4826 / math.sqrt(6.0) * a.median_m
-    a.recent_m[1] = a.recent_m[0]
-    a.recent_m[0] = h_m
-
-
-@njit(cache=True, nogil=True)
-def blended_height(a: Any) -> Any:
-    h = 0.0
-    for i in range(N):
-        h += a.weight[i] * height_of(i, a.state)
-    return h
-
-
-@njit(cache=True, nogil=True)
-def take_sample(params: Any, a: Any, t_ns: Any, h_m: Any, drop_m: Any) -> None:
-    """Let the bank learn one footprint height."""
-    if a.samples == 0:
-        r = 0.3e-3**2
-        for i in range(N):
-            start_model(i, a.state, a.cov, h_m, r)
-            a.score_m2[i] = 1e-6
-            a.long_m2[i] = 1e-6
-            a.axis_z_m[i] = h_m + drop_m
-        weigh(params, a)
-        a.scale_m = 0.5e-3
-        a.median_m = 0.3e-3 * math.sqrt(6.0) / 1.4826
-        a.noise_m = 0.3e-3
-        a.samples = 1
-        a.returned = 1.0
-        a.sample_ns = t_ns
+    pose_when(a, sense, t, pose)
+    watch_stuck(a, 1 if a.held_ns != 0 and range_m == a.held_m else 0, pose[2])
+    a.held_ns, a.held_m = t, range_m
+    a.late_s += LATE_RATE * ((a.now_ns - t) * 1e-9 - a.late_s)
+    if t <= a.sample_ns or is_stuck(a, pose[2]) != 0:
         return
-    dt = (t_ns - a.sample_ns) * 1e-9
-    d = max(a.speed_mps, 1e-3) * dt
-    if a.ticks > 0:
-        advance_shadows(params, a, a.sample_ns, t_ns)
-    a.sample_ns = t_ns
-    for i in range(N):
-        predict_model(i, a.state, a.cov, d)
-    nu = h_m - blended_height(a)
-    gate = max(params.gate_scales * a.scale_m, params.gate_m)
-    if abs(nu) > gate:
-        if a.quarantined > 0 and abs(nu - a.quarantine_shift_m / a.quarantined) < gate:
-            a.quarantined += 1
-            a.quarantine_shift_m += nu
-            a.quarantine_way_m += d
-        else:
-            a.quarantined = 1
-            a.quarantine_shift_m = nu
-            a.quarantine_way_m = 0.0
-        if a.quarantined < params.step_samples or a.quarantine_way_m < params.step_way_m * a.returned:
-            return
-        shift = a.quarantine_shift_m / a.quarantined
-        for i in range(N):
-            a.state[3 * i] += shift
-        nu -= shift
-        a.settle_ns = t_ns + 150_000_000
-        a.quarantined = 0
-        if a.returned > 0.0 and a.since_step_m < params.step_way_m:
-            a.returned = 1.0
-        a.returned *= 0.5
-        a.since_step_m = 0.0
-    else:
-        if a.quarantined >= params.step_samples:
-            a.returned = 1.0
-        a.quarantined = 0
-    a.since_step_m += d
-    a.scale_m += 0.02 * (1.25 * min(abs(nu), gate) - a.scale_m)
-    if t_ns > a.settle_ns:
-        rate = d / params.score_way_m + dt / params.score_time_s
-        f = max(1.0 - math.exp(-rate), 1.0 / (1.0 + a.samples))
-        g = max(1.0 - math.exp(-rate / params.long_factor), 1.0 / (1.0 + a.samples))
-        target = h_m + drop_m
-        for i in range(N):
-            e = a.axis_z_m[i] - target
-            a.score_m2[i] += f * (e * e - a.score_m2[i])
-            a.long_m2[i] += g * (e * e - a.long_m2[i])
-        weigh(params, a)
-    watch_noise(a, h_m)
-    r = max(a.noise_m, 0.05e-3) ** 2
-    for i in range(N):
-        update_model(i, a.state, a.cov, h_m, r)
-    a.samples += 1
+    x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, 0, range_m)
+    a.close_run = a.close_run + 1 if range_m < params.too_close_m else 0
+    if a.close_run >= CLOSE_SAMPLES or state.paper.close != 0:
+        watch_fold_back(state.paper, range_m, sensor_z, params.too_close_m, params.too_close_exit_m)
+    way = a.speed_mps * (t - a.sample_ns) * 1e-9 if a.samples > 0 else 0.0
+    adapt = 0 if params.adapt == 0 or params.run == RUN_FREEZE else 1
+    taken = take_sample(params, a, t, way, z, drop_m, adapt)
+    a.foot_x_m, a.foot_y_m = x, y
+    if taken != 0:
+        output.fresh |= 1
+        output.target_m[0], output.target_m[1], output.target_m[2] = x, y, z
 
 
 @njit(cache=True, nogil=True)
-def set_points(params: Any, a: Any, now_ns: Any, drop_m: Any, tick: Any) -> Any:
-    """Blend the candidates' set points for now; on a tick remember each."""
-    d = a.speed_mps * ((now_ns - a.sample_ns) * 1e-9 + params.tick_lead_s)
+def way_ahead(params: Any, a: Any, pose: Any, pose_t_ns: Any) -> Any:
+    """How far ahead of the last footprint the tool will be when the controller acts [m]."""
+    if a.speed_mps < KNOWN_DIRECTION_MPS:
+        return 0.0
+    gap = (pose[0] - a.foot_x_m) * a.speed_x_mps + (pose[1] - a.foot_y_m) * a.speed_y_mps
+    soon = (a.now_ns - pose_t_ns) * 1e-9 + params.tick_lead_s
+    return gap / a.speed_mps + a.speed_mps * soon
+
+
+@njit(cache=True, nogil=True)
+def blend_set_points(params: Any, a: Any, ahead_m: Any, drop_m: Any) -> Any:
+    """Blend the candidates' set points; on a tick remember each.
+
+    The assumed axis lags by τ, so its set point is the height plus τ times the height's rate of change.
+    In a drop-out the way ahead is drawn in: slopes are trusted over `dropout_way_m`, no farther.
+    """
+    lost_s = (a.now_ns - a.accepted_ns) * 1e-9 - a.late_s - GRACE_S
     lead = a.speed_mps * params.plant_tau_s
-    z = 0.0
+    if lost_s > 0.0:
+        lost_m = min(a.speed_mps * lost_s, ahead_m)
+        fade = math.exp(-lost_m / params.dropout_way_m)
+        ahead_m += params.dropout_way_m * (1.0 - fade) - lost_m
+        lead *= fade
+    tick = a.now_ns - a.tick_ns >= TICK_NS
     slot = a.ticks & (TICKS - 1)
+    z = 0.0
     for i in range(N):
-        t = look_ahead(i, a.state, d, lead) + drop_m
+        t = look_ahead(i, a.state, ahead_m, lead) + drop_m
         z += a.weight[i] * t
         if tick:
-            base = i * TICKS
-            if a.ticks > 1:
-                acc = t - 2.0 * a.target_m[base + ((slot - 1) & (TICKS - 1))]
-                acc = (acc + a.target_m[base + ((slot - 2) & (TICKS - 1))]) * 1e4
-                a.effort[i] += 0.02 * (min(acc * acc, 100.0) - a.effort[i])
-            a.target_m[base + slot] = t
+            a.target_m[i * TICKS + slot] = t
     if tick:
-        a.tick_t_ns[slot] = now_ns
-        a.ticks += 1
-        a.tick_ns = now_ns
+        note_targets(a, a.now_ns)
     return z
 
 
 @njit(cache=True, nogil=True)
 def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any) -> Any:
-    """Demand of the adaptive mode into `output`."""
+    """Demand of the adaptive mode into `output`; returns status bits.
+
+    Parameters
+    ----------
+    params, state, inputs, output : records of `Params`, `FollowState`, `Inputs`, `Output`
+    pose : (7,) float64 scratch
+
+    Notes
+    -----
+    Needs a pose. The demand adds to the newest pose reported, `output.pose_t_ns`.
+    """
     a, sense = state.adaptive, state.sense
-    a.now_ns = max(a.now_ns, inputs.t_ns)
     newest = (sense.pose_count - 1) & (POSES - 1)
-    a.now_ns = max(a.now_ns, sense.pose_t_ns[newest])
-    lateral_velocity(a, sense)
+    pose_t_ns = sense.pose_t_ns[newest]
+    watch_clock(a, inputs.t_ns, pose_t_ns)
+    measure_motion(a, sense)
     for i in range(7):
         pose[i] = sense.pose[7 * newest + i]
     _, _, ground_z, _ = footprint(pose, params.tool_from_sensor, 0, params.offset_m)
-    drop = pose[2] - ground_z
-    if sense.fresh[0] != 0 and sense.range_t_ns[0] > a.sample_ns:
-        t = sense.range_t_ns[0]
-        pose_at(sense, t, 1, pose)
-        _, _, z, _ = footprint(pose, params.tool_from_sensor, 0, sense.range_m[0])
-        take_sample(params, a, t, z, drop)
-    if a.samples == 0:
-        return 0
-    tick = a.now_ns - a.tick_ns >= TICK_NS - 1000
-    a.set_point_m = set_points(params, a, a.now_ns, drop, tick)
-    output.demand[2] = a.set_point_m - sense.pose[7 * newest + 2]
-    return 1
+    tool_z = pose[2]
+    drop = tool_z - ground_z
+    take_news(params, state, inputs, output, drop, pose)
+    stuck = is_stuck(a, tool_z)
+    watch_health(params, a, stuck)
+    status = VALID
+    if a.health == DROPOUT or a.health == OUT_OF_RANGE or a.health == STUCK:
+        status |= NO_SENSOR
+    if stuck != 0:
+        a.faults |= FAULT_STUCK
+    if a.samples == 0 or a.now_ns - a.accepted_ns > params.loss_timeout_ns:
+        if a.samples > 0:
+            a.faults |= FAULT_LOST
+        a.set_ns = 0
+        return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
+    for i in range(7):
+        pose[i] = sense.pose[7 * newest + i]
+    ahead = max(way_ahead(params, a, pose, pose_t_ns), 0.0)
+    wanted = blend_set_points(params, a, ahead, drop)
+    move_set_point(params, a, a.now_ns, wanted, tool_z)
+    demand = a.set_point_m - tool_z
+    if not math.isfinite(demand):
+        a.faults |= FAULT_NOT_FINITE
+        a.samples = 0
+        a.set_ns = 0
+        a.noise_m = a.returned = 0.0
+        return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
+    cut = limit(demand, params.max_demand_m)
+    if cut != demand:
+        status |= LIMITED
+    if state.paper.close != 0:
+        a.faults |= FAULT_CLOSE
+        status |= TOO_CLOSE
+        cut = max(cut, min(PROBE_M, params.max_demand_m))
+    output.demand[2] = cut
+    output.delta_h_m = a.slope * ahead
+    output.error_m = params.offset_m - a.held_m
+    return status
+
+
+@njit(cache=True, nogil=True)
+def forget_surface(a: Any) -> None:
+    """SFReset: start anew with the next sample; noise, scores and what steps do here are kept."""
+    a.samples = 0
+    a.quarantined = 0
+    a.set_ns = 0
+    a.faults = 0
+
+
+@njit(cache=True, nogil=True)
+def report_adaptive(a: Any, output: Any) -> None:
+    """Publish what the follower believes."""
+    output.height_m, output.slope, output.speed_mps = a.height_m, a.slope, a.speed_mps
+    output.intervals = a.samples
+    output.health, output.faults = a.health, a.faults
+    output.sigma_m, output.noise_m, output.late_s = a.sigma_m, a.noise_m, a.late_s
+    output.roughness_m = math.sqrt(max(a.scale_m * a.scale_m - a.noise_m * a.noise_m, 0.0))

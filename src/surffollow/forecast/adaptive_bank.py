@@ -110,6 +110,14 @@ def height_of(i: Any, x: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
+def slope_of(i: Any, x: Any) -> Any:
+    """Slope that model i gives where it stands."""
+    if BANK[i, 0] == WAVE:
+        return BANK[i, 1] * x[3 * i + 2]
+    return x[3 * i + 1]
+
+
+@njit(cache=True, nogil=True)
 def update_model(i: Any, x: Any, p: Any, h_m: Any, r: Any) -> None:
     """Let model i learn a height with variance r."""
     kind = BANK[i, 0]

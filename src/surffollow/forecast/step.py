@@ -7,7 +7,7 @@ from typing import Any
 
 from numba import njit
 
-from surffollow.forecast.adaptive import adaptive_demand
+from surffollow.forecast.adaptive import adaptive_demand, forget_surface, report_adaptive
 from surffollow.forecast.paper import average_point, paper_forecast, paper_update, relay
 from surffollow.forecast.pose import footprint, pose_at
 from surffollow.forecast.safety import PROBE_M, limit, watch_fold_back
@@ -56,19 +56,21 @@ def sf_reset(params: Any, state: Any, offset_m: Any) -> None:
     p.reading_m = 0.0
     p.reading_z_m = 0.0
     p.relayed_m = 0.0
+    forget_surface(state[0].adaptive)
 
 
 @njit(cache=True, nogil=True)
-def find_targets(params: Any, state: Any, output: Any, pose: Any) -> Any:
+def find_targets(params: Any, state: Any, output: Any, pose: Any, interpolate: Any) -> Any:
     """Footprints of all fresh readings into `output.target_m`; the sensor height of channel 0 [m].
 
-    `pose` (7,) is scratch. The mean over `ee_readings` points replaces each footprint (§3.2.1).
+    `pose` (7,) is scratch, `interpolate` as in `pose_at`. The mean over `ee_readings` points replaces
+    each footprint (§3.2.1).
     """
     fresh, sensor_z = 0, 0.0
     for c in range(params.n_channels):
         if state.sense.fresh[c] == 0:
             continue
-        pose_at(state.sense, state.sense.range_t_ns[c], params.pose_interpolate, pose)
+        pose_at(state.sense, state.sense.range_t_ns[c], interpolate, pose)
         x, y, z, height = footprint(pose, params.tool_from_sensor, c, state.sense.range_m[c])
         if c == 0:
             sensor_z = height
@@ -164,18 +166,23 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
         if i.t_ns - o.pose_t_ns > p.pose_timeout_ns:
             o.status = POSE_STALE
         elif p.mode == MODE_ADAPTIVE:
+            find_targets(p, s, o, scratch, 1)
             o.status = adaptive_demand(p, s, i, o, scratch)
         else:
-            sensor_z = find_targets(p, s, o, scratch)
+            sensor_z = find_targets(p, s, o, scratch, p.pose_interpolate)
             o.status = demand_z(p, s, i, o, sensor_z, scratch)
     if p.run == RUN_DRYRUN:
         o.status = (o.status & ~VALID) | DRYRUN
     elif p.run == RUN_FREEZE:
         o.status = (o.status & ~VALID) | FROZEN
-        o.demand[2] = 0.0
+        for k in range(6):
+            o.demand[k] = 0.0
+    s.cycle += 1
+    if p.mode == MODE_ADAPTIVE:
+        report_adaptive(s.adaptive, o)
+        return
     paper = s.paper
     o.slope, o.speed_mps = paper.slope, paper.speed_mps
     o.intervals = paper.interval_count
     if paper.interval_count > 0:
         o.height_m = paper.interval_h_m[(paper.interval_count - 1) & (paper.interval_h_m.size - 1)]
-    s.cycle += 1

@@ -4,29 +4,36 @@ from __future__ import annotations
 
 from surffollow.shm.schema import F64, I64, Schema
 
-CANDIDATES = 64  # most models in the bank
+CANDIDATES = 48  # most models in the bank
 TICKS = 64  # controller ticks remembered per candidate: 640 ms of set points
-RECENT = 8  # quarantined samples remembered
+
+# health of the ranging, in the order of what is reported first
+OK, SUSPECT, DROPOUT, STUCK, OUT_OF_RANGE, FAULT = 0, 1, 2, 3, 4, 5
+HEALTH_NAMES = ("OK", "SUSPECT", "DROPOUT", "STUCK", "OUT_OF_RANGE", "FAULT")
 
 
 class AdaptiveState(Schema):
     """State of the adaptive mode; all zero means nothing seen yet."""
 
     now_ns = I64(unit="ns", doc="latest time any step was told")
-    sample_ns = I64(unit="ns", doc="stamp of the last sample taken; 0: none yet")
+    held_ns = I64(unit="ns", doc="time of the last new reading of channel 0")
+    held_m = F64(unit="m", doc="its value: what repeats it is no news")
+    sample_ns = I64(unit="ns", doc="stamp of the last sample the models were carried to")
     accepted_ns = I64(unit="ns", doc="stamp of the last sample that entered the estimate")
-    samples = I64(doc="samples that entered the estimate")
-    path_m = F64(unit="m", doc="way travelled up to the last accepted sample")
+    samples = I64(doc="samples that entered the estimate; 0: start anew with the next")
+    late_s = F64(unit="s", doc="how late samples arrive")
+    foot_x_m = F64(unit="m", doc="footprint of the last sample")
+    foot_y_m = F64(unit="m")
     speed_x_mps = F64(unit="m/s", doc="lateral velocity of the tool")
     speed_y_mps = F64(unit="m/s")
     speed_mps = F64(unit="m/s")
+    climb_mps = F64(unit="m/s", doc="vertical velocity of the tool")
     scale_m = F64(unit="m", doc="typical one-step innovation of the blend")
-    noise_m = F64(unit="m", doc="reading noise from second differences")
-    recent_m = F64(2, unit="m", doc="the two accepted heights before the last one")
+    noise_m = F64(unit="m", doc="reading noise, from second differences")
     median_m = F64(unit="m", doc="running median of |second difference|")
+    recent_m = F64(2, unit="m", doc="the two accepted heights before the last one")
     quarantined = I64(doc="samples in quarantine that agree")
-    quarantine_m = F64(unit="m", doc="mean height of those")
-    quarantine_shift_m = F64(unit="m", doc="mean innovation of those")
+    quarantine_m = F64(unit="m", doc="sum of their innovations")
     quarantine_way_m = F64(unit="m", doc="way since the first of those")
     returned = F64(doc="how likely a quarantine ends without a step: 1 unknown or slots, to 0 steps")
     since_step_m = F64(unit="m", doc="way since the last believed step")
@@ -42,8 +49,19 @@ class AdaptiveState(Schema):
     score_m2 = F64(CANDIDATES, unit="m^2", doc="recent squared stand-off error of the shadow")
     long_m2 = F64(CANDIDATES, unit="m^2", doc="the same over a longer way")
     effort = F64(CANDIDATES, unit="m^2/s^4", doc="recent squared acceleration of the set points")
-    cost_m2 = F64(CANDIDATES, unit="m^2", doc="what the weights are made of")
+    cost = F64(CANDIDATES, doc="what the weights are made of")
     weight = F64(CANDIDATES, doc="share of the candidate in the blend")
     height_m = F64(unit="m", doc="blended height at the last sample")
     slope = F64(unit="1", doc="blended slope there")
-    set_point_m = F64(unit="m", doc="blended set point of the tool")
+    sigma_m = F64(unit="m", doc="uncertainty of that height, spread of the models included")
+    set_point_m = F64(unit="m", doc="set point of the tool after limits; where the demand points")
+    set_speed_mps = F64(unit="m/s", doc="its rate of change")
+    set_accel_mps2 = F64(unit="m/s^2", doc="and the rate of that")
+    set_ns = I64(unit="ns", doc="when it was made; 0: never")
+    health = I64(doc="see HEALTH_NAMES")
+    health_ns = I64(unit="ns", doc="since when the wanted health differs from the shown one")
+    health_next = I64(doc="the wanted health")
+    close_run = I64(doc="samples in a row near the fold-back")
+    still = I64(doc="samples in a row of one value while the tool moved")
+    still_z_m = F64(unit="m", doc="height of the tool where that began")
+    faults = I64(doc="bits of FAULT_NAMES, latched until the reset")

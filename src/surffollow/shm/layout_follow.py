@@ -84,6 +84,13 @@ class Params(Schema):
     step_way_m = F64(unit="m", doc="adaptive: way after which a quarantined step is believed")
     step_samples = I64(doc="adaptive: agreeing samples after which a quarantined step is believed")
     tick_lead_s = F64(unit="s", doc="adaptive: mean time a demand waits for the controller")
+    adapt = I64(doc="adaptive: 1: learn; 0: scores, weights, noise stay as they are")
+    hold_ns = I64(unit="ns", doc="adaptive: an unchanged reading counts as new after so long")
+    dropout_way_m = F64(unit="m", doc="adaptive: way over which a slope is trusted without readings")
+    max_speed_mps = F64(unit="m/s", doc="adaptive: limit of the set point's speed, away from the surface")
+    max_accel_mps2 = F64(unit="m/s^2", doc="adaptive: limit of the set point's acceleration")
+    max_jerk_mps3 = F64(unit="m/s^3", doc="adaptive: limit of the set point's jerk")
+    toward_factor = F64(doc="adaptive: share of those limits toward the surface")
 
 
 class SenseState(Schema):
@@ -173,3 +180,9 @@ class Output(Schema):
     delta_h_m = F64(unit="m", doc="forecast change of height")
     error_m = F64(unit="m", doc="desired minus actual stand-off")
     intervals = I64(doc="intervals opened since the reset")
+    health = I64(doc="adaptive: state of the ranging, see HEALTH_NAMES")
+    faults = I64(doc="adaptive: latched fault bits")
+    sigma_m = F64(unit="m", doc="adaptive: uncertainty of the height")
+    noise_m = F64(unit="m", doc="adaptive: noise of the readings")
+    roughness_m = F64(unit="m", doc="adaptive: what the models do not foresee, noise taken off")
+    late_s = F64(unit="s", doc="adaptive: how late readings arrive")

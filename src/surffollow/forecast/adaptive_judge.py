@@ -1,0 +1,125 @@
+"""Judge the candidate models by what their demands would have done.
+
+Every candidate drives a shadow of the robot's vertical axis with the set points it asks for; when a
+reading comes in, the shadow's stand-off error against it is the candidate's score. Common noise of the
+readings is taken off, restless set points cost, and two horizons are looked at: the recent one finds
+changes, the longer one keeps luck from deciding.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numba import njit
+
+from surffollow.forecast.adaptive_bank import BANK, PRIOR, N
+from surffollow.shm.layout_adaptive import TICKS
+
+STEP_NS = 2_000_000  # of the shadow axes
+MAX_STEPS = 32
+LOST_NS = 250_000_000  # beyond, the shadows are set to where they were going
+EFFORT_MEMORY = 0.02  # per tick
+EFFORT_MOST = 100.0  # (10 m/s²)²: a step's jump shall not count for ever
+TICK_HZ2 = 1e4
+
+
+@njit(cache=True, nogil=True)
+def axis_speed(distance_m: Any, tau_s: Any, a_max_mps2: Any) -> Any:
+    """Speed at which the assumed axis heads for its set point: proportional, then square root."""
+    linear = a_max_mps2 * tau_s * tau_s
+    if distance_m > linear:
+        return math.sqrt(2.0 * a_max_mps2 * (distance_m - 0.5 * linear))
+    if distance_m < -linear:
+        return -math.sqrt(2.0 * a_max_mps2 * (-distance_m - 0.5 * linear))
+    return distance_m / tau_s
+
+
+@njit(cache=True, nogil=True)
+def advance_shadows(params: Any, a: Any, from_ns: Any, to_ns: Any) -> None:
+    """Carry every shadow axis on with the set points of its candidate."""
+    span = to_ns - from_ns
+    if a.ticks == 0 or span <= 0:
+        return
+    if span > LOST_NS:
+        slot = (a.ticks - 1) & (TICKS - 1)
+        for i in range(N):
+            a.axis_z_m[i] = a.target_m[i * TICKS + slot]
+            a.axis_v_mps[i] = 0.0
+        return
+    steps = min(max((span + STEP_NS - 1) // STEP_NS, 1), MAX_STEPS)
+    dt = span * 1e-9 / steps
+    tau, v_max, a_max = params.plant_tau_s, params.plant_v_max_mps, params.plant_a_max_mps2
+    dv = a_max * dt
+    k = max(0, a.ticks - TICKS)
+    for j in range(steps):
+        t = from_ns + (span * j) // steps
+        while k + 1 < a.ticks and a.tick_t_ns[(k + 1) & (TICKS - 1)] <= t:
+            k += 1
+        slot = k & (TICKS - 1)
+        for i in range(N):
+            d = a.target_m[i * TICKS + slot] - a.axis_z_m[i]
+            w = axis_speed(d, tau, a_max)
+            most = min(v_max, abs(d) / dt)
+            w = min(max(w, -most), most)
+            v = a.axis_v_mps[i]
+            v += min(max(w - v, -dv), dv)
+            a.axis_v_mps[i] = v
+            a.axis_z_m[i] += v * dt
+
+
+@njit(cache=True, nogil=True)
+def score(params: Any, a: Any, way_m: Any, dt_s: Any, wanted_m: Any) -> None:
+    """Score every shadow against where the tool should have been at the sample, and weigh anew."""
+    rate = way_m / params.score_way_m + dt_s / params.score_time_s
+    first = 1.0 / (1.0 + a.samples)
+    f = max(1.0 - math.exp(-rate), first)
+    g = max(1.0 - math.exp(-rate / params.long_factor), first)
+    for i in range(N):
+        e = a.axis_z_m[i] - wanted_m
+        a.score_m2[i] += f * (e * e - a.score_m2[i])
+        a.long_m2[i] += g * (e * e - a.long_m2[i])
+    weigh(params, a)
+
+
+@njit(cache=True, nogil=True)
+def weigh(params: Any, a: Any) -> None:
+    """Turn scores into weights: powers of recent and longer cost, noise taken off."""
+    best, best_long = a.score_m2[0], a.long_m2[0]
+    for i in range(1, N):
+        best = min(best, a.score_m2[i])
+        best_long = min(best_long, a.long_m2[i])
+    noise = a.noise_m * a.noise_m
+    off = params.noise_share * min(noise, best)
+    off_long = params.noise_share * min(noise, best_long)
+    floor = params.score_floor_m * params.score_floor_m
+    mu = params.effort_m * params.effort_m
+    least = 1e300
+    for i in range(N):
+        extra = floor + mu * a.effort[i]
+        c = params.score_power * math.log(a.score_m2[i] - off + extra)
+        c += params.long_power * math.log(a.long_m2[i] - off_long + extra) + PRIOR[int(BANK[i, 0])]
+        a.cost[i] = c
+        least = min(least, c)
+    total = 0.0
+    for i in range(N):
+        w = math.exp(least - a.cost[i])
+        a.weight[i] = w
+        total += w
+    for i in range(N):
+        a.weight[i] /= total
+
+
+@njit(cache=True, nogil=True)
+def note_targets(a: Any, now_ns: Any) -> None:
+    """Close a tick whose set points stand in slot `ticks`: restlessness, time, count."""
+    slot = a.ticks & (TICKS - 1)
+    one, two = (slot - 1) & (TICKS - 1), (slot - 2) & (TICKS - 1)
+    if a.ticks > 1:
+        for i in range(N):
+            b = i * TICKS
+            accel = (a.target_m[b + slot] - 2.0 * a.target_m[b + one] + a.target_m[b + two]) * TICK_HZ2
+            a.effort[i] += EFFORT_MEMORY * (min(accel * accel, EFFORT_MOST) - a.effort[i])
+    a.tick_t_ns[slot] = now_ns
+    a.ticks += 1
+    a.tick_ns = now_ns

@@ -1,0 +1,197 @@
+"""Take samples into the bank: what is news, what is noise, what is a glitch, a slot or a step.
+
+An innovation far beyond the usual is quarantined: the models are carried over it without learning.
+When enough samples agree, over some way, the step is believed: heights are shifted, slopes stay, and the
+desired stand-off never moves. How much way it takes is learned: slots come back, steps do not.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numba import njit
+
+from surffollow.forecast.adaptive_bank import N, height_of, predict_model, slope_of, start_model, update_model
+from surffollow.forecast.adaptive_judge import advance_shadows, score, weigh
+from surffollow.shm.layout_follow import CONVERSION_WINDOW
+
+FLICKER_COUNTS = 1.5  # an A/D's last bit is no news
+LEAST_SPEED_MPS = 1e-3  # a tool at rest still learns
+LEAST_NOISE_M = 50e-6
+FIRST_NOISE_M = 300e-6
+MEDIAN_RATE = 0.02
+MAD_TO_SIGMA = 1.4826 / math.sqrt(6.0)  # of second differences
+SCALE_RATE = 0.02
+SETTLE_NS = 150_000_000  # after a step all shadows are wrong alike
+GAP_NS = 100_000_000  # after a longer gap no way is asked for: there was enough of it
+LONGEST_WAY_M = 0.5  # unseen ground of this length: what was known is of no use
+
+
+@njit(cache=True, nogil=True)
+def is_news(params: Any, a: Any, sense: Any, given: Any) -> Any:
+    """Whether channel 0 has a new sample, and its value and stamp.
+
+    The sensor holds each value for a while; conversions of a held value are one sample, stamped at the
+    first of them. An unchanged value counts as new once `hold_ns` have passed.
+
+    Returns
+    -------
+    int64, float64 [m], int64 [ns]
+    """
+    n = sense.window_n[0]
+    if given != 0:
+        if sense.fresh[0] == 0:
+            return 0, 0.0, 0
+        value, t, flicker = sense.range_m[0], sense.range_t_ns[0], 0.0
+    else:
+        if n == 0:
+            return 0, 0.0, 0
+        newest = (n - 1) & (CONVERSION_WINDOW - 1)
+        value, t = sense.window_m[newest], sense.window_t_ns[newest] - params.sensor_latency_ns
+        flicker = FLICKER_COUNTS * abs(params.scale_m[0])
+    if a.held_ns != 0:
+        if t <= a.held_ns:
+            return 0, 0.0, 0
+        if abs(value - a.held_m) <= flicker:
+            if t - a.held_ns < params.hold_ns:
+                return 0, 0.0, 0
+            return 1, value, t
+    if given == 0:
+        k, oldest = n - 2, max(0, n - CONVERSION_WINDOW)
+        while k >= oldest and abs(sense.window_m[k & (CONVERSION_WINDOW - 1)] - value) <= flicker:
+            earlier = sense.window_t_ns[k & (CONVERSION_WINDOW - 1)] - params.sensor_latency_ns
+            if earlier <= a.held_ns:
+                break
+            t = earlier
+            k -= 1
+    return 1, value, t
+
+
+@njit(cache=True, nogil=True)
+def watch_noise(a: Any, h_m: Any) -> None:
+    """Reading noise from second differences of accepted heights: a running median, free of slopes."""
+    if a.samples > 2:
+        e = abs(h_m - 2.0 * a.recent_m[0] + a.recent_m[1])
+        step = MEDIAN_RATE * max(a.median_m, 1e-5)
+        a.median_m += step if e > a.median_m else -step
+        a.noise_m = MAD_TO_SIGMA * a.median_m
+    a.recent_m[1] = a.recent_m[0]
+    a.recent_m[0] = h_m
+
+
+@njit(cache=True, nogil=True)
+def blend(a: Any) -> None:
+    """Blended height, slope and uncertainty at the last sample."""
+    h, s, var = 0.0, 0.0, 0.0
+    for i in range(N):
+        h += a.weight[i] * height_of(i, a.state)
+        s += a.weight[i] * slope_of(i, a.state)
+    for i in range(N):
+        e = height_of(i, a.state) - h
+        var += a.weight[i] * (max(a.cov[6 * i], 0.0) + e * e)
+    a.height_m, a.slope, a.sigma_m = h, s, math.sqrt(var)
+
+
+@njit(cache=True, nogil=True)
+def start_bank(params: Any, a: Any, t_ns: Any, h_m: Any, drop_m: Any) -> None:
+    """Begin with level ground at the first height; scores from before a loss are kept."""
+    fresh = a.returned == 0.0 and a.noise_m == 0.0
+    for i in range(N):
+        start_model(i, a.state, a.cov, h_m, FIRST_NOISE_M * FIRST_NOISE_M)
+        a.axis_z_m[i] = h_m + drop_m
+        a.axis_v_mps[i] = 0.0
+        if fresh:
+            a.score_m2[i] = a.long_m2[i] = 1e-6
+            a.effort[i] = 0.0
+    if fresh:
+        a.noise_m = FIRST_NOISE_M
+        a.median_m = FIRST_NOISE_M / MAD_TO_SIGMA
+        a.scale_m = 2.0 * FIRST_NOISE_M
+        a.returned = 1.0
+        a.late_s = 0.0
+    weigh(params, a)
+    a.samples = 1
+    a.quarantined = 0
+    a.sample_ns = a.accepted_ns = t_ns
+    a.settle_ns = t_ns if fresh else t_ns + SETTLE_NS
+    a.since_step_m = 0.0
+    blend(a)
+
+
+@njit(cache=True, nogil=True)
+def quarantine(params: Any, a: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any) -> Any:
+    """Hold back an outlying innovation; the shift to apply when a step is believed, else 0."""
+    if a.quarantined > 0 and abs(nu_m - a.quarantine_m / a.quarantined) < gate_m:
+        a.quarantined += 1
+        a.quarantine_m += nu_m
+        a.quarantine_way_m += way_m
+    else:
+        a.quarantined = 1
+        a.quarantine_m = nu_m
+        a.quarantine_way_m = params.step_way_m if gap else 0.0
+    if a.quarantined < params.step_samples or a.quarantine_way_m < params.step_way_m * a.returned:
+        return 0.0
+    shift = a.quarantine_m / a.quarantined
+    a.quarantined = 0
+    # a step that is followed by another within a slot's width was a slot
+    a.returned = 0.5 if a.since_step_m < params.step_way_m else 0.5 * a.returned
+    a.since_step_m = 0.0
+    return shift
+
+
+@njit(cache=True, nogil=True)
+def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any, adapt: Any) -> Any:
+    """Let the bank learn one footprint height; 1 when it entered the estimate, 0 when quarantined.
+
+    Parameters
+    ----------
+    params, a : records of `Params`, `AdaptiveState` (updated)
+    t_ns : int64             stamp, later than the last one's
+    way_m : float64          way of the footprint since the last sample [m], ≥ 0
+    h_m : float64            height [m]
+    drop_m : float64         how much higher the tool should be [m]
+    adapt : int              0: keep scores, weights and noise as they are
+    """
+    dt = (t_ns - a.sample_ns) * 1e-9
+    if a.samples == 0 or way_m > LONGEST_WAY_M or t_ns - a.accepted_ns > params.loss_timeout_ns:
+        start_bank(params, a, t_ns, h_m, drop_m)
+        return 1
+    gap = t_ns - a.sample_ns > GAP_NS
+    way = max(way_m, LEAST_SPEED_MPS * dt)
+    advance_shadows(params, a, a.sample_ns, t_ns)
+    a.sample_ns = t_ns
+    for i in range(N):
+        predict_model(i, a.state, a.cov, way)
+    blend(a)
+    nu = h_m - a.height_m
+    gate = max(params.gate_scales * a.scale_m, params.gate_m)
+    a.since_step_m += way
+    if abs(nu) > gate:
+        shift = quarantine(params, a, nu, way, gate, gap)
+        if shift == 0.0:
+            return 0
+        for i in range(N):
+            a.state[3 * i] += shift
+        a.recent_m[0] += shift
+        a.recent_m[1] += shift
+        nu -= shift
+        a.settle_ns = t_ns + SETTLE_NS
+    else:
+        if a.quarantined >= params.step_samples:
+            a.returned = 1.0
+        a.quarantined = 0
+    if gap:
+        a.settle_ns = t_ns + SETTLE_NS
+    if adapt != 0:
+        a.scale_m += SCALE_RATE * (1.25 * min(abs(nu), gate) - a.scale_m)
+        if t_ns > a.settle_ns:
+            score(params, a, way, dt, h_m + drop_m)
+        watch_noise(a, h_m)
+    r = max(a.noise_m, LEAST_NOISE_M) ** 2
+    for i in range(N):
+        update_model(i, a.state, a.cov, h_m, r)
+    blend(a)
+    a.samples += 1
+    a.accepted_ns = t_ns
+    return 1
