@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from naive import NaiveFollower
 
+from naive import NaiveFollower
 from surffollow.config.params import PARAMS
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.shm.conversion import pack_conversion

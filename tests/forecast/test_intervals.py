@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from naive import NaiveIntervals
 
+from naive import NaiveIntervals
 from surffollow.forecast.intervals import add_point, cut_ranges, range_slope
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import INTERVALS, PaperState

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from forecast.driving import MS, Kernel, default_params, names_of
 
+from forecast.driving import MS, Kernel, default_params, names_of
 from surffollow.forecast.horizon import forecast_range
 
 T = 10_000 * MS

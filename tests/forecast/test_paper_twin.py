@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+
 from forecast.driving import MS, Pair, default_params
 
 SEEDS = range(12)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from naive import interpolated_pose, sensor_and_footprint
 from scipy.spatial.transform import Rotation, Slerp
 
+from naive import interpolated_pose, sensor_and_footprint
 from surffollow.forecast.pose import footprint, pose_at, push_pose, rotate
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import POSES, SenseState

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from forecast.driving import MS, Kernel, default_params, names_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from forecast.driving import MS, Kernel, default_params, names_of
 from surffollow.forecast.safety import PROBE_M, limit
 
 T = 10_000 * MS

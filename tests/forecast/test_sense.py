@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from forecast.driving import MS, Kernel, default_params
 
+from forecast.driving import MS, Kernel, default_params
 from surffollow.shm.conversion import FLAG_INVALID
 
 T = 10_000 * MS
