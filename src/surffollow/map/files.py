@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -131,7 +133,7 @@ def _read_npz(path: str | os.PathLike[str]) -> tuple[NDArray[Any], NDArray[Any]]
             if "format" not in data or str(data["format"]) != _FORMAT:
                 raise MapFileError(f"{path} is not a map archive of this version ({_FORMAT})")
             raw, heights, counts = data["header"], data["quanta"], data["counts"]
-    except (OSError, ValueError, EOFError, KeyError) as e:
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as e:
         raise MapFileError(f"cannot read {path}: {e}") from e
     if raw.size != ml.MapHeader.SIZE or heights.dtype != np.int16 or counts.shape != heights.shape:
         raise MapFileError(f"{path} is damaged: its arrays do not belong together")

@@ -1,0 +1,312 @@
+"""Map files: lossless where promised, readable by others, atomic, refused when damaged; composing, comparing."""
+
+from __future__ import annotations
+
+import json
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from surffollow.cli.map import map_group
+from surffollow.errors import MapCancelledError, MapFileError, UsageError
+from surffollow.map import HeightMap
+from surffollow.map.compose import compose, difference
+from surffollow.map.files import EXPORTS, export
+from surffollow.map.raster import read_esri_ascii
+
+STATE = {
+    "capacity_grids",
+    "scratch_bytes",
+    "generation",
+    "dirty",
+    "resets",
+    "refocuses",
+    "installs",
+    "rejected",
+}
+
+
+def sampled(region=(-0.3, 0.2, 0.5, 0.6), grids=3000, seed=3, share=0.6, **kwargs):
+    rng = np.random.default_rng(seed)
+    m = HeightMap.over(region, grids=grids, **kwargs)
+    x0, y0, x1, y1 = m.extent_m
+    p = rng.uniform((x0, y0, 0), (x0 + share * (x1 - x0), y1, 0), (5 * grids, 3))
+    p[:, 2] = 1.5 + 0.01 * np.sin(9 * p[:, 0]) * np.cos(7 * p[:, 1]) + rng.normal(0, 2e-4, len(p))
+    m.add(p)
+    return m
+
+
+def same(one, other):
+    np.testing.assert_array_equal(one.heights_m, other.heights_m)
+    np.testing.assert_array_equal(one.counts, other.counts)
+    for name in one.header.dtype.names:
+        if name not in STATE and not name.startswith(("journal", "overlap")):
+            np.testing.assert_array_equal(one.header[name], other.header[name], err_msg=name)
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".npz", ".anything"])
+def test_saving_and_loading_gives_the_same_map_and_the_same_future(tmp_path, suffix):
+    m = sampled(gate_m=0.004)
+    m.refocus((-0.2, 0.2, 0.5, 0.7))
+    m.add(np.random.default_rng(0).uniform((-0.3, 0.2, 1.49), (0.5, 0.6, 1.51), (999, 3)))
+    path = tmp_path / f"map{suffix}"
+    m.save(path)
+    again = HeightMap.load(path)
+    same(m, again)
+    future = np.random.default_rng(1).uniform((-0.3, 0.2, 1.49), (0.5, 0.6, 1.51), (5000, 3))
+    m.add(future)
+    again.add(future)
+    same(m, again)
+
+
+@given(st.data())
+@settings(max_examples=60, deadline=None)
+def test_any_map_survives_the_text_file(tmp_path_factory, data):
+    nx, ny = data.draw(st.integers(1, 30)), data.draw(st.integers(1, 12))
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    heights = rng.integers(-3, 4, (ny, nx)) * data.draw(st.sampled_from([0.0, 1e-4, 0.2]))
+    heights = np.where(rng.random((ny, nx)) < data.draw(st.floats(0, 1)), np.nan, heights)
+    m = HeightMap.from_heights(
+        heights,
+        origin_m=(data.draw(st.floats(-1e6, 1e6)), 0.1),
+        grid_m=data.draw(st.floats(1e-6, 1e3)),
+        counts=rng.integers(0, 256, (ny, nx)),
+    )
+    path = tmp_path_factory.mktemp("map") / "m.txt"
+    m.save(path)
+    same(m, HeightMap.load(path))
+
+
+def test_the_text_file_can_be_read_without_our_code(tmp_path):
+    m = sampled()
+    path = tmp_path / "m.txt"
+    m.save(path)
+    head, rows, block = {}, {"heights": [], "counts": []}, None
+    for line in path.read_text().splitlines()[1:]:
+        if line in rows:
+            block = line
+        elif line.startswith("end"):
+            break
+        elif block is None and not line.startswith("#"):
+            head[line.split()[0]] = line.split()[1:]
+        elif block:
+            numbers = []
+            for token in line.split():
+                value, _, times = token.partition("*")
+                numbers += [int(value)] * int(times or 1)
+            rows[block].append(numbers)
+    quanta = np.array(rows["heights"])
+    heights = float(head["datum_m"][0]) + float(head["quantum_m"][0]) * quanta
+    heights[quanta == -32768] = np.nan
+    np.testing.assert_allclose(heights, m.heights_m, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(rows["counts"], m.counts)
+    assert float(head["x0_m"][0]) == m.origin_m[0]
+
+
+def test_a_damaged_text_file_is_refused_with_its_line(tmp_path):
+    path = tmp_path / "m.txt"
+    m = sampled(grids=100)
+    m.save(path)
+    good = path.read_text()
+    lines = good.splitlines(keepends=True)
+    row = next(i for i, text in enumerate(lines) if text == "heights\n") + 1
+    damaged = {
+        "cut short": good[: len(good) // 2],
+        "first line": good.replace("surffollow-map 1", "surffollow-map 7"),
+        "checksum": good.replace(lines[-1], "end 00000000\n"),
+        "nx is": "".join([*lines[:row], lines[row].rsplit(" ", 1)[0] + "\n", *lines[row + 1 :]]),
+        "whole number": "".join([*lines[:row], lines[row].replace(" ", " x", 1), *lines[row + 1 :]]),
+        "outside": "".join([*lines[:row], "99999 " + lines[row].split(" ", 1)[1], *lines[row + 1 :]]),
+        "lacks quantum_m": good.replace("quantum_m", "other_m"),
+        "grid_m": good.replace("\ngrid_m ", "\ngrid_m -"),
+        "value for nx": good.replace("\nnx ", "\nnx a"),
+        "1e9 grids": good.replace("\nnx ", "\nnx 9999999999"),
+        "runs": "".join([*lines[:row], "1*999999999999\n", *lines[row + 1 :]]),
+        "not ASCII": good.replace("heights", "hèights"),
+    }
+    for word, text in damaged.items():
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(MapFileError, match=word):
+            HeightMap.load(path)
+    with pytest.raises(MapFileError, match="cannot read"):
+        HeightMap.load(tmp_path / "absent.txt")
+    (tmp_path / "m.npz").write_bytes(b"PK\x03\x04 no archive")
+    with pytest.raises(MapFileError, match="cannot read"):
+        HeightMap.load(tmp_path / "m.npz")
+
+
+@pytest.mark.parametrize("suffix", EXPORTS)
+def test_a_cancelled_export_leaves_the_old_file_and_no_debris(tmp_path, suffix):
+    m = sampled(grids=400)
+    path = tmp_path / f"m{suffix}"
+    path.write_text("old")
+    with pytest.raises(MapCancelledError):
+        export(path, m.header, m.pairs, progress=lambda fraction: False)
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+    seen = []
+    export(path, m.header, m.pairs, progress=seen.append)
+    assert path.read_bytes() != b"old"
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_an_unwritable_place_is_named(tmp_path):
+    with pytest.raises(MapFileError, match="cannot write"):
+        sampled(grids=10).save(tmp_path / "no" / "m.txt")
+    with pytest.raises(MapFileError, match=r"\.docx"):
+        export(tmp_path / "m.docx", *(lambda m: (m.header, m.pairs))(sampled(grids=10)))
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".tif"])
+def test_rasters_come_back_as_priors_in_the_same_place(tmp_path, suffix):
+    m = sampled()
+    path = tmp_path / f"m{suffix}"
+    export(path, m.header, m.pairs)
+    prior = HeightMap.load(path)
+    assert prior.shape == m.shape
+    np.testing.assert_allclose(prior.extent_m, m.extent_m, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(prior.heights_m, m.heights_m, rtol=0, atol=prior.quantum_m)
+    assert not prior.counts.any()
+
+
+def test_geotiff_is_what_rasterio_expects(tmp_path):
+    rasterio = pytest.importorskip("rasterio", reason="extra geo is not installed")
+    m = sampled()
+    export(tmp_path / "m.tif", m.header, m.pairs)
+    x, y = m.origin_m[0] + 10.5 * m.grid_m, m.origin_m[1] + 3.5 * m.grid_m
+    with rasterio.open(tmp_path / "m.tif") as raster:
+        row, column = raster.index(x, y)
+        assert raster.read(1)[row, column] == pytest.approx(m.heights_m[3, 10])
+        assert raster.read(2)[row, column] == m.counts[3, 10]
+
+
+def test_esri_grids_of_others_are_read(tmp_path):
+    path = tmp_path / "dem.asc"
+    path.write_text(
+        "NCOLS 3\nNROWS 2\nXLLCENTER 10\nYLLCENTER 20\nCELLSIZE 2\nNODATA_VALUE -1\n1 2 3\n4 -1 6\n"
+    )
+    z, origin, grid = read_esri_ascii(path)
+    assert (origin, grid) == ((9.0, 19.0), 2.0)
+    np.testing.assert_array_equal(z, [[4, np.nan, 6], [1, 2, 3]])
+    path.write_text("ncols 3\nnrows 2\ncellsize 1\nxllcorner 0\nyllcorner 0\n1 2 3\n")
+    with pytest.raises(MapFileError, match="3 values for 3 × 2"):
+        HeightMap.load(path)
+
+
+def test_a_range_too_large_for_the_quantum_is_refused_or_gets_a_coarser_one():
+    z = np.array([[0.0, 1000.0]])
+    m = HeightMap.from_heights(z, origin_m=(0, 0), grid_m=30.0)
+    np.testing.assert_allclose(m.heights_m, z, atol=m.quantum_m)
+    with pytest.raises(UsageError, match="coarser quantum_m"):
+        HeightMap.from_heights(z, origin_m=(0, 0), grid_m=30.0, quantum_m=1e-3)
+
+
+def test_the_mesh_has_a_vertex_per_known_grid_and_two_triangles_per_square(tmp_path):
+    heights = [[1.0, 2.0, np.nan], [3.0, 4.0, 5.0]]
+    m = HeightMap.from_heights(heights, origin_m=(10, 20), grid_m=2.0, counts=np.full((2, 3), 9))
+    export(tmp_path / "m.ply", m.header, m.pairs)
+    head, _, body = (tmp_path / "m.ply").read_bytes().partition(b"end_header\n")
+    assert b"element vertex 5\n" in head
+    assert b"element face 2\n" in head
+    assert struct.unpack_from("<dddB", body, 0) == (11.0, 21.0, pytest.approx(1.0, abs=1e-3), 9)
+    assert struct.unpack_from("<B3i", body, 5 * 25) == (3, 0, 1, 3)
+    assert len(body) == 5 * 25 + 2 * 13
+
+
+def test_a_missing_extra_is_named(tmp_path, monkeypatch):
+    m = sampled(grids=10)
+    monkeypatch.setitem(sys.modules, "rasterio", None)
+    with pytest.raises(MapFileError, match="geo"):
+        export(tmp_path / "m.tif", m.header, m.pairs)
+    monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_agg", None)
+    with pytest.raises(MapFileError, match="plot"):
+        export(tmp_path / "m.png", m.header, m.pairs)
+
+
+def test_reading_and_writing_text_loads_no_numba():
+    code = "import sys, surffollow.map.text_file; sys.exit('numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_halves_of_a_map_compose_to_the_whole_without_any_loss():
+    whole = sampled(share=1.0)
+    z, c = whole.heights_m, whole.counts
+    x0, y0 = whole.origin_m
+    k = whole.shape[1] // 2
+    parts = [
+        HeightMap.from_heights(
+            z[:, a:b], origin_m=(x0 + a * whole.grid_m, y0), grid_m=whole.grid_m, counts=c[:, a:b],
+            quantum_m=whole.quantum_m, datum_m=whole.datum_m,
+        )
+        for a, b in ((0, k), (k, whole.shape[1]))
+    ]  # fmt: skip
+    joined = compose(parts)
+    np.testing.assert_allclose(joined.heights_m, z, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(joined.counts, c)
+    np.testing.assert_allclose(joined.extent_m, whole.extent_m, atol=1e-12)
+
+
+def test_composing_weighs_by_counts_at_differing_resolution():
+    fine = HeightMap.from_heights(
+        np.full((4, 4), 1.0), origin_m=(0, 0), grid_m=0.5, counts=np.full((4, 4), 10), quantum_m=1e-4
+    )
+    coarse = HeightMap.from_heights(
+        np.full((2, 2), 2.0), origin_m=(1, 0), grid_m=1.0, counts=np.full((2, 2), 120), quantum_m=1e-4
+    )
+    prior = HeightMap.from_heights(np.full((3, 6), 9.0), origin_m=(0, 0), grid_m=0.5, quantum_m=1e-3)
+    both = compose([fine, coarse, prior])
+    assert both.grid_m == 0.5
+    # a quarter of the coarse grid's 120 samples fell on each fine grid: (10·1 + 30·2)/40
+    assert both.height_at(1.25, 0.25) == pytest.approx(1.75, abs=1e-4)
+    assert both.counts[0].tolist() == [10, 10, 40, 40, 30, 30]
+    assert both.height_at(0.25, 0.25) == pytest.approx(1.0, abs=1e-4)
+    assert both.height_at(2.75, 1.75) == pytest.approx(2.0, abs=1e-4)
+    assert compose([fine, coarse], grids=4).shape in ((2, 2), (1, 3))
+
+
+def test_difference_is_taken_on_the_first_maps_grids():
+    one = HeightMap.from_heights(np.full((4, 4), 1.0), origin_m=(0, 0), grid_m=1.0)
+    other = HeightMap.from_heights(np.full((3, 20), 1.01), origin_m=(0, 1), grid_m=0.4)
+    d = difference(one, other)
+    assert d.shape == (4, 4)
+    assert np.isnan(d[0]).all()
+    np.testing.assert_allclose(d[1], 0.01, atol=5e-5)
+
+
+def test_map_commands_work_on_files(tmp_path):
+    run = CliRunner()
+    m = sampled()
+    m.save(tmp_path / "m.txt")
+    source = str(tmp_path / "m.txt")
+    info = json.loads(run.invoke(map_group, ["info", source, "--json"]).output)
+    assert (info["ny"], info["nx"]) == m.shape
+    assert info["samples"] == m.samples
+    shown = run.invoke(map_group, ["show", source, "--width", "40"])
+    assert shown.exit_code == 0
+    assert "?" in shown.output
+    for suffix in EXPORTS:
+        out = tmp_path / f"out{suffix}"
+        assert run.invoke(map_group, ["export", source, str(out)]).exit_code == 0
+        assert out.stat().st_size > 100
+    new = str(tmp_path / "new.npz")
+    args = ["refocus", source, "-o", new, "--finest", "5 mm", "--json", "--", "-0.1", "0.25", "0.1", "0.4"]
+    result = run.invoke(map_group, args)
+    assert result.exit_code == 0, result.output
+    facts = json.loads(result.output)
+    assert facts["grid_m"] == pytest.approx(0.005)
+    assert facts["sampled"] == 0
+    result = run.invoke(map_group, ["diff", source, new, "--limit", "1mm", "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.output)["compared"] > 100
+    assert run.invoke(map_group, ["diff", source, new, "--limit", "1um"]).exit_code == 1
+    both = str(tmp_path / "both.txt")
+    assert run.invoke(map_group, ["compose", source, new, "-o", both]).exit_code == 0
+    assert HeightMap.load(both).shape[0] > 10
