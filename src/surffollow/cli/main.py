@@ -45,8 +45,25 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, text) for name, (_, _, text) in VERBS.items()])
 
 
+def print_includedir(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:
+    """For build scripts: `cc -I"$(surffollow --includedir)" ...`."""
+    if wanted:
+        from pathlib import Path
+
+        click.echo(Path(__file__).parents[1] / "include")
+        ctx.exit()
+
+
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="surffollow")
+@click.option(
+    "--includedir",
+    is_flag=True,
+    expose_value=False,
+    is_eager=True,
+    callback=print_includedir,
+    help="Print the directory of surffollow.h.",
+)
 def cli() -> None:
     """Real-time surface following, mapping and scanning for robot controllers.
 

@@ -1,0 +1,103 @@
+/*
+ * A robot controller in C: a path over the ground at 100 Hz, whose height follows the service's demands.
+ *
+ *     cc -std=c11 -O2 $(surffollow header --cflags) -o controller controller.c
+ *     ./controller surf 10
+ *
+ * The arm is a stand-in: an axis that reaches its set point within a speed limit. Put your own
+ * read_pose() and move_to() in its place; the rest is what a real controller does.
+ */
+#include "surffollow.h"
+
+#include <signal.h>
+
+#define TICK_NS 10000000
+#define STANDOFF_M 0.1
+#define SPEED_MPS 0.05
+
+static volatile sig_atomic_t stop;
+
+static void on_signal(int number) {
+  (void)number;
+  stop = 1;
+}
+
+/* ---- the stand-in arm ---- */
+
+static double arm_x_m, arm_z_m = 0.1, arm_set_point_m = 0.1;
+
+static void read_pose(double pose[7]) {
+  pose[0] = arm_x_m, pose[1] = 0.0, pose[2] = arm_z_m;
+  pose[3] = pose[4] = pose[5] = 0.0, pose[6] = 1.0;
+}
+
+static void move_to(double x_m, double z_m) {
+  const double most = 0.2 * TICK_NS * 1e-9; /* 0.2 m/s */
+  double step = z_m - arm_z_m;
+  if (step > most) step = most;
+  if (step < -most) step = -most;
+  arm_set_point_m = z_m;
+  arm_z_m += step;
+  arm_x_m = x_m;
+}
+
+/* ---- the controller ---- */
+
+int main(int argc, char **argv) {
+  const char *name = argc > 1 ? argv[1] : "surf";
+  const double seconds = argc > 2 ? strtod(argv[2], NULL) : 10.0;
+  struct sigaction action;
+  memset(&action, 0, sizeof action);
+  action.sa_handler = on_signal;
+  sigaction(SIGINT, &action, NULL);
+  sigaction(SIGTERM, &action, NULL);
+
+  sf_client robot;
+  int result = sf_attach(&robot, name);
+  if (result == SF_OK) result = sf_sf_reset(&robot, STANDOFF_M);
+  if (result == SF_OK) result = sf_claim_pose(&robot);
+  if (result != SF_OK) {
+    fprintf(stderr, "controller: %s (%" PRId64 ")\n", sf_strerror(result), robot.detail);
+    sf_detach(&robot);
+    return 1;
+  }
+
+  int64_t valid = 0, silent = 0, refused = 0, worst_age_ns = 0;
+  /* where the tool was at the last ticks, for a demand refers to the pose it was computed from */
+  enum { HISTORY = 64 };
+  int64_t sent_ns[HISTORY] = {0};
+  double sent_z_m[HISTORY] = {0};
+  const int64_t start = sf_now_ns(), ticks = (int64_t)(seconds * 1e9) / TICK_NS;
+  for (int64_t k = 0; k < ticks && !stop; k++) {
+    double pose[7];
+    read_pose(pose);
+    const int64_t now = sf_now_ns();
+    result = sf_ee_pos(&robot, pose, now);
+    if (result != SF_OK) refused++; /* the service is away: hold still, go on when it is back */
+    sent_ns[k % HISTORY] = now;
+    sent_z_m[k % HISTORY] = pose[2];
+
+    double set_point_m = arm_set_point_m;
+    sf_demand d;
+    if (sf_dev_vector(&robot, &d) == SF_OK) {
+      for (int i = 0; i < HISTORY; i++)
+        if (sent_ns[i] == d.pose_t_ns) set_point_m = sent_z_m[i] + d.demand[2];
+      valid++;
+      if (d.age_ns > worst_age_ns) worst_age_ns = d.age_ns;
+    } else if (d.status & SF_STALE) {
+      silent++;
+    }
+    move_to((double)k * SPEED_MPS * TICK_NS * 1e-9, set_point_m);
+    sf_sleep_until_ns(start + (k + 1) * TICK_NS);
+  }
+
+  double range_m;
+  result = sf_raw_distance(&robot, 0, &range_m);
+  sf_status_info s;
+  sf_status(&robot, &s);
+  printf("valid %" PRId64 " stale %" PRId64 " refused %" PRId64 " worst_age_us %" PRId64 " distance_m %.6f z_m %.6f "
+         "epoch %" PRId64 " poses %" PRId64 "\n",
+         valid, silent, refused, worst_age_ns / 1000, result == SF_OK ? range_m : -1.0, arm_z_m, robot.epoch, s.poses);
+  sf_detach(&robot);
+  return 0;
+}

@@ -1,0 +1,217 @@
+"""Write the C header: layouts, constants and parameters from their declarations, functions from parts.
+
+`python -m surffollow.shm.cheader` rewrites the committed file; `surffollow header` prints it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from surffollow.config.params import PARAMS
+from surffollow.shm import latch_shape, layout_follow
+from surffollow.shm import layout_board as lb
+from surffollow.shm import map_layout as ml
+from surffollow.shm.layout_follow import Output, Params
+from surffollow.shm.schema import SCALARS, Field, Schema
+
+PARTS = Path(__file__).with_name("cheader_parts")
+HEADER = Path(__file__).parents[1] / "include" / "surffollow.h"
+SCHEMAS: tuple[type[Schema], ...] = (
+    lb.Region,
+    lb.BoardHeader,
+    Params,
+    Output,
+    lb.Ack,
+    lb.Ticker,
+    lb.MapStatus,
+    lb.Stats,
+    lb.LogHead,
+    lb.InboxHeader,
+    lb.SlotHead,
+    lb.PosePost,
+    lb.RequestPost,
+    ml.MapHeader,
+    ml.GridPair,
+)
+_ANSWERS = (
+    "OK",
+    "ERR_UNKNOWN_REQUEST",
+    "ERR_BAD_VALUE",
+    "ERR_POSE_HELD",
+    "ERR_BAD_REGION",
+    "ERR_NO_MAP",
+    "ERR_MAP_BUSY",
+    "ERR_QUEUE_FULL",
+    "ERR_NOT_HOLDER",
+    "ERR_CANCELLED",
+    "ACCEPTED",
+)
+_REQUESTS = tuple(n for n in dir(lb) if n.startswith("RQ_"))
+_ACCESS = ("ACCESS_FREE", "ACCESS_REQUESTED", "ACCESS_GRANTED", "ACCESS_DONE")
+_STATES = ("STATE_INITIALISING", "STATE_READY", "STATE_STOPPING", "STATE_STOPPED")
+STALE = 1 << 16
+REATTACH_EVERY_NS = 20_000_000
+POSE_FUTURE_NS = 1_000_000
+
+
+def c_name(schema: type[Schema], prefix: str = "sf_") -> str:
+    """C name of a schema's structure: `MapHeader` → `sf_map_header`."""
+    return prefix + re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", schema.__name__).lower()
+
+
+def _member(f: Field, prefix: str) -> str:
+    if f.nested is not None:
+        kind = c_name(f.nested, prefix)
+    else:
+        kind = "char" if f.is_text else SCALARS[f.code][2]
+    natural = f.nested.ALIGN if f.nested is not None else f.item_size
+    align = f"SF_ALIGNAS({f.extra_align}) " if f.extra_align > natural else ""
+    count = f"[{f.count}]" if f.count > 1 or f.is_text else ""
+    note = " ".join(x for x in (f"[{f.unit}]" if f.unit else "", _ascii(f.doc)) if x)
+    return f"  {align}{kind} {f.name}{count};" + (f" /* {note} */" if note else "")
+
+
+def _ascii(text: str) -> str:
+    for this, that in (("…", "..."), ("·", "*"), ("→", "->"), ("²", "^2"), ("Φ", "phi"), ("×", "x")):
+        text = text.replace(this, that)
+    return text.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")
+
+
+def c_struct(schema: type[Schema], prefix: str = "sf_") -> str:
+    """A schema as a C structure, with an assertion for its size, its alignment and every offset.
+
+    Parameters
+    ----------
+    schema : type[Schema]   nested schemas must have been written before
+    prefix : str            of the structure's name
+
+    Returns
+    -------
+    str  C11 and C++17 text; needs SF_ALIGNAS and SF_STATIC_ASSERT
+    """
+    name = c_name(schema, prefix)
+    text = "layout of " + name
+    lines = [f"/* {_ascii((schema.__doc__ or '').strip().splitlines()[0])} */"] if schema.__doc__ else []
+    lines += [f"typedef struct {name} {{", *(_member(f, prefix) for f in schema.FIELDS), f"}} {name};"]
+    lines.append(f'SF_STATIC_ASSERT(sizeof({name}) == {schema.SIZE}, "{text}");')
+    lines += [f'SF_STATIC_ASSERT(offsetof({name}, {f.name}) == {f.offset}, "{text}");' for f in schema.FIELDS]
+    return "\n".join(lines) + "\n"
+
+
+def _enum(pairs: Iterable[tuple[str, int]]) -> str:
+    return "enum {\n" + ",\n".join(f"  SF_{n} = {v}" for n, v in pairs) + "\n};\n"
+
+
+def _by_value(names: Iterable[str]) -> list[tuple[str, int]]:
+    return sorted(((n, int(getattr(lb, n))) for n in names), key=lambda pair: pair[1])
+
+
+def _defines() -> Iterator[tuple[str, str]]:
+    def word(n: int) -> str:
+        return f"INT64_C({n})"
+
+    yield "LAYOUT_VERSION", f"{lb.LAYOUT_VERSION}u"
+    yield "LAYOUT_HASH", f"UINT64_C({lb.layout_hash()})"
+    yield "BOARD_MAGIC", word(lb.BOARD_MAGIC)
+    yield "INBOX_MAGIC", f"UINT64_C({lb.INBOX_MAGIC})"
+    yield "MAP_MAGIC", f"UINT64_C({ml.MAGIC})"
+    yield "MAP_LAYOUT_HASH", f"UINT64_C({ml.LAYOUT_HASH})"
+    for name in ("CLIENTS", "PAGE", "REQUEST_ARGS", "SLOT_BYTES", "SLOT_HEAD", "SLOT_POSE", "SLOT_REQUEST"):
+        yield name, str(getattr(lb, name))
+    yield "INBOX_BYTES", str(lb.inbox_bytes())
+    yield "REGIONS", str(lb.BoardHeader.field("region").count)
+    yield "CHANNELS", str(layout_follow.CHANNELS)
+    yield "LATCH_SLOTS", str(latch_shape.SLOTS)
+    yield "LATCH_HEAD_BYTES", str(latch_shape.HEAD_BYTES)
+    yield "LATCH_MAX_TRIES", str(latch_shape.MAX_TRIES)
+    yield "MAP_HEADER_BYTES", str(ml.HEADER_BYTES)
+    yield "MAP_UNKNOWN_HEIGHT", f"({ml.UNKNOWN})"
+    yield "MAX_REGION_M", str(ml.MAX_REGION_M)
+    yield "REATTACH_EVERY_NS", str(REATTACH_EVERY_NS)
+    yield "POSE_FUTURE_NS", str(POSE_FUTURE_NS)
+
+
+def _answers() -> str:
+    for value, name in enumerate(_ANSWERS):
+        assert getattr(lb, name) == value, name
+    refused = [(n.replace("ERR_", "REFUSED_"), -100 - v) for v, n in enumerate(_ANSWERS) if n[:3] == "ERR"]
+    cases = "\n".join(
+        f'    case {v}: return "{_ascii(text).replace(chr(34), chr(39))}";'
+        for v, text in enumerate(lb.RESULT_TEXT)
+    )
+    return (
+        "/* what the service answers, and the results that its refusals become */\n"
+        + _enum((f"ANSWER_{n}", v) for v, n in enumerate(_ANSWERS))
+        + f"#define SF_ANSWERS {len(_ANSWERS)}\n"
+        + _enum(refused)
+        + "\n/* An answer of the service in words; never NULL. */\n"
+        + "static inline const char *sf_answer_text(int answer) {\n  switch (answer) {\n"
+        + cases
+        + '\n    default: return "unknown result";\n  }\n}\n'
+    )
+
+
+def _param_table() -> str:
+    rows = []
+    for name, spec in PARAMS.items():
+        whole = int(Params.field(name).code == "i8")
+        number = Params.offset(name) // 8
+        rows.append(f'    {{"{name}", {number}, {whole}, {float(spec.low)!r}, {float(spec.high)!r}}},')
+    return (
+        "/* A parameter that may be set: its number in requests, whether it is whole, its bounds. */\n"
+        "typedef struct sf_param_info {\n  const char *name;\n  int64_t number;\n  int whole;\n"
+        "  double low, high;\n} sf_param_info;\n\n"
+        f"#define SF_PARAMS {len(PARAMS)}\n"
+        "static inline const sf_param_info *sf_param_table(void) {\n"
+        "  static const sf_param_info table[SF_PARAMS] = {\n"
+        + "\n".join(rows)
+        + "\n  };\n  return table;\n}\n"
+    )
+
+
+def _status_bits() -> str:
+    bits = [(n, 1 << k) for k, n in enumerate(layout_follow.STATUS_NAMES)]
+    cases = "\n".join(f'    case {v}: return "{n}";' for n, v in [*bits, ("STALE", STALE)])
+    return (
+        "/* bits of a demand's status; STALE is set by the client: the service is silent, dead or gone */\n"
+        + _enum([*bits, ("STALE", STALE)])
+        + "\n/* The name of one status bit; never NULL. */\n"
+        + "static inline const char *sf_status_name(int64_t bit) {\n  switch (bit) {\n"
+        + cases
+        + '\n    default: return "?";\n  }\n}\n'
+    )
+
+
+def layout_text() -> str:
+    """The generated part of the header: constants, structures, assertions, parameter table."""
+    map_states = [(f"MAP_{n.upper()}", k) for k, n in enumerate(ml.STATE_NAMES)]
+    map_states[0] = ("MAP_NO_MAP", 0)
+    rounding = [(f"MAP_ROUND_{n.upper()}", k) for k, n in enumerate(ml.ROUNDING_NAMES)]
+    pieces = [
+        "/* ---- layout: generated ------------------------------------------------------------ */\n",
+        "".join(f"#define SF_{n} {v}\n" for n, v in _defines()),
+        _enum(_by_value(_REQUESTS)),
+        _enum(_by_value(_STATES)),
+        _enum(_by_value(_ACCESS)),
+        _enum(map_states),
+        _enum(rounding),
+        _answers(),
+        _status_bits(),
+        _param_table(),
+        *(c_struct(s) for s in SCHEMAS),
+    ]
+    return "\n".join(pieces)
+
+
+def header_text() -> str:
+    """The whole header; needs the source tree, for the parts are not installed."""
+    parts = sorted(PARTS.glob("*.h"))
+    first, rest = parts[0], parts[1:]
+    return "".join([first.read_text(), layout_text() + "\n", *(p.read_text() for p in rest)])
+
+
+if __name__ == "__main__":
+    HEADER.write_text(header_text())
+    print(f"wrote {HEADER.name}: {HEADER.stat().st_size} bytes")

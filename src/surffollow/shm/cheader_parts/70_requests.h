@@ -1,0 +1,267 @@
+/* ---- requests and their answers ------------------------------------------------------------- */
+
+/* A request on its way. */
+typedef struct sf_ticket {
+  int64_t counter, claim;
+} sf_ticket;
+
+static inline int sf_i_read_ack(const unsigned char *acks, int slot, sf_ack *ack) {
+  const size_t step = SF_CAST(size_t, sf_i_latch_bytes(sizeof *ack));
+  return sf_latch_read(acks + step * SF_CAST(size_t, slot), sizeof *ack, ack) > 0;
+}
+
+/*
+ * Send a request without waiting: `code` SF_RQ_..., up to SF_REQUEST_ARGS numbers and values.
+ * SF_ERR_BUSY while the last one is not acknowledged: a second one could overtake it unseen.
+ */
+static inline int sf_request_send(sf_client *c, int64_t code, int n, const int64_t *numbers, const double *values,
+                                  sf_ticket *ticket) {
+  if (c == NULL || c->output == NULL || ticket == NULL || n < 0 || n > SF_REQUEST_ARGS) return SF_ERR_ARGUMENT;
+  if (c->options.observe) return SF_ERR_OBSERVER;
+  if (c->slot_memory == NULL || !sf_alive(c)) sf_i_reattach_sometimes(c, sf_now_ns());
+  if (c->slot_memory == NULL || !sf_alive(c)) return SF_ERR_NOT_RUNNING;
+  sf_ack last;
+  if (c->counter > 0 && !c->abandoned &&
+      !(sf_i_read_ack(c->acks, c->slot, &last) && last.counter == c->counter && last.claim == c->claim))
+    return SF_ERR_BUSY;
+  sf_request_post r;
+  memset(&r, 0, sizeof r);
+  r.counter = ++c->counter;
+  r.code = code;
+  r.n = n;
+  r.claim = c->claim;
+  for (int k = 0; k < n; k++) {
+    if (numbers != NULL) r.number[k] = numbers[k];
+    if (values != NULL) r.value[k] = values[k];
+  }
+  c->abandoned = 0;
+  sf_latch_write(c->slot_memory + SF_SLOT_REQUEST, sizeof r, &r);
+  ticket->counter = r.counter;
+  ticket->claim = r.claim;
+  return SF_OK;
+}
+
+/*
+ * Look for the answer to a request, without waiting.
+ * SF_OK, SF_PENDING, SF_ERR_RESTARTED, or SF_REFUSED_...; the client's `detail` holds its number.
+ */
+static inline int sf_request_poll(sf_client *c, const sf_ticket *ticket) {
+  if (c == NULL || c->output == NULL || ticket == NULL || ticket->counter < 1) return SF_ERR_ARGUMENT;
+  if (c->slot_memory == NULL || ticket->claim != c->claim) return SF_ERR_RESTARTED;
+  for (int k = 0; k < 2; k++) {
+    sf_ack a;
+    if (!sf_i_read_ack(k == 0 ? c->acks : c->map_acks, c->slot, &a)) continue;
+    if (a.counter != ticket->counter || a.claim != ticket->claim || a.result == SF_ANSWER_ACCEPTED) continue;
+    c->detail = a.detail;
+    if (a.result == SF_ANSWER_OK) return SF_OK;
+    return a.result > 0 && a.result < SF_ANSWERS ? SF_REFUSED - SF_CAST(int, a.result) : SF_ERR_BLOCK;
+  }
+  return SF_PENDING;
+}
+
+/* Wait for the answer; as sf_request_poll, SF_ERR_TIMEOUT, or SF_ERR_NOT_RUNNING when the service is gone. */
+static inline int sf_request_wait(sf_client *c, const sf_ticket *ticket, int64_t timeout_ns) {
+  const int64_t deadline = sf_now_ns() + timeout_ns;
+  int64_t pause_ns = 50000;
+  for (;;) {
+    const int result = sf_request_poll(c, ticket);
+    if (result != SF_PENDING) return result;
+    const int64_t now = sf_now_ns();
+    const int gone = !sf_alive(c) && !sf_i_is_current(c, "", &c->board);
+    if (gone || now >= deadline) {
+      c->abandoned = 1; /* the next request need not wait for this one */
+      return gone || !sf_alive(c) ? SF_ERR_NOT_RUNNING : SF_ERR_TIMEOUT;
+    }
+    sf_sleep_until_ns(now + pause_ns < deadline ? now + pause_ns : deadline);
+    if (pause_ns < 2000000) pause_ns *= 2;
+  }
+}
+
+static inline int sf_i_request(sf_client *c, int64_t code, int n, const int64_t *numbers, const double *values,
+                               int64_t timeout_ns) {
+  sf_ticket ticket;
+  const int err = sf_request_send(c, code, n, numbers, values, &ticket);
+  return err != SF_OK ? err : sf_request_wait(c, &ticket, timeout_ns);
+}
+
+/* Restart the forecast with a desired stand-off [m] (paper: SFReset). */
+static inline int sf_sf_reset(sf_client *c, double offset_m) {
+  if (c == NULL) return SF_ERR_ARGUMENT;
+  return sf_i_request(c, SF_RQ_SF_RESET, 1, NULL, &offset_m, c->options.timeout_ns);
+}
+
+/* Become the one who sends the pose; sf_ee_pos does it when needed. Waits for the service's answer. */
+static inline int sf_claim_pose(sf_client *c) {
+  if (c == NULL) return SF_ERR_ARGUMENT;
+  if (c->pose_held) return SF_OK;
+  const int64_t deadline = sf_now_ns() + 300000000;
+  for (;;) {
+    const int result = sf_i_request(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, c->options.timeout_ns);
+    if (result == SF_OK) c->pose_held = 1;
+    /* the service looks for dead holders at its own beat: give it a few */
+    if (result != SF_REFUSED_POSE_HELD || sf_now_ns() > deadline) return result;
+    sf_sleep_until_ns(sf_now_ns() + 20000000);
+  }
+}
+
+/* Let another client send the pose. */
+static inline int sf_release_pose(sf_client *c) {
+  if (c == NULL) return SF_ERR_ARGUMENT;
+  if (!c->pose_held) return SF_OK;
+  c->pose_held = 0;
+  return sf_i_request(c, SF_RQ_RELEASE_POSE, 0, NULL, NULL, c->options.timeout_ns);
+}
+
+/* Check a pose; a quaternion's norm may be off by 1e-3 and is then made 1. */
+static inline int sf_i_check_pose(const double pose[7], double out[7]) {
+  double norm2 = 0.0;
+  for (int k = 0; k < 7; k++) {
+    if (!sf_i_is_finite(pose[k])) return SF_ERR_POSE;
+    out[k] = pose[k];
+    if (k >= 3) norm2 += pose[k] * pose[k];
+  }
+  const double off = norm2 - 1.0;
+  if (off > -2e-15 && off < 2e-15) return SF_OK;
+  if (!(norm2 >= 0.998001 && norm2 <= 1.002001)) return SF_ERR_POSE; /* (1 -+ 1e-3)^2 */
+  double norm = 0.5 * (1.0 + norm2); /* Newton from within 1e-6: exact after two steps, and no libm */
+  norm = 0.5 * (norm + norm2 / norm);
+  norm = 0.5 * (norm + norm2 / norm);
+  for (int k = 3; k < 7; k++) out[k] /= norm;
+  return SF_OK;
+}
+
+#define SF_NOW INT64_MIN
+
+/*
+ * Tell the service where the tool is, or was: x y z [m], unit quaternion qx qy qz qw, world from tool,
+ * true at `t_ns` (SF_NOW: now). The first call of an attachment claims the pose and waits for the
+ * answer (sf_claim_pose does that beforehand); later ones never wait and make no system call but the clock's.
+ * SF_OK, SF_ERR_POSE, _POSE_FUTURE, _POSE_OLD, _OBSERVER, _NOT_RUNNING, or SF_REFUSED_POSE_HELD
+ * with the holder's pid in the client's `detail`.
+ */
+static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
+  if (c == NULL || c->output == NULL || pose == NULL) return SF_ERR_ARGUMENT;
+  if (c->options.observe) return SF_ERR_OBSERVER;
+  sf_pose_post post;
+  const int err = sf_i_check_pose(pose, post.pose);
+  if (err != SF_OK) return err;
+  const int64_t now = sf_now_ns();
+  post.t_ns = t_ns == SF_NOW ? now : t_ns;
+  if (post.t_ns > now + SF_POSE_FUTURE_NS) return SF_ERR_POSE_FUTURE;
+  if (post.t_ns < now - c->pose_timeout_ns) return SF_ERR_POSE_OLD;
+  if (!c->pose_held) {
+    const int claimed = sf_claim_pose(c);
+    if (claimed != SF_OK) return claimed;
+  }
+  sf_latch_write(c->slot_memory + SF_SLOT_POSE, sizeof post, &post);
+  return SF_OK;
+}
+
+/* ---- parameters ----------------------------------------------------------------------------- */
+
+/* A parameter by its name, with or without its unit ("offset_m", "offset"); NULL when there is none. */
+static inline const sf_param_info *sf_find_param(const char *name) {
+  static const char *const endings[] = {"", "_m", "_ns", "_s", "_mps"};
+  if (name == NULL) return NULL;
+  const size_t n = strlen(name);
+  for (size_t e = 0; e < sizeof endings / sizeof endings[0]; e++)
+    for (int k = 0; k < SF_PARAMS; k++) {
+      const sf_param_info *p = &sf_param_table()[k];
+      if (strncmp(p->name, name, n) == 0 && strcmp(p->name + n, endings[e]) == 0) return p;
+    }
+  return NULL;
+}
+
+/* All parameters in force. SF_OK, SF_ERR_NOT_READY, SF_ERR_TORN. */
+static inline int sf_read_params(const sf_client *c, sf_params *params) {
+  if (c == NULL || c->params == NULL || params == NULL) return SF_ERR_ARGUMENT;
+  const int64_t g = sf_latch_read(c->params, sizeof *params, params);
+  return g > 0 ? SF_OK : g == 0 ? SF_ERR_NOT_READY : SF_ERR_TORN;
+}
+
+/* The value of a parameter in force, in SI units (times in ns). */
+static inline int sf_get_param(const sf_client *c, const char *name, double *value) {
+  if (c == NULL || c->params == NULL || value == NULL) return SF_ERR_ARGUMENT;
+  const sf_param_info *p = sf_find_param(name);
+  if (p == NULL) return SF_ERR_PARAM;
+  int64_t word;
+  const int64_t g = sf_latch_read_part(c->params, sizeof(sf_params), SF_CAST(size_t, p->number) * 8, 1, &word);
+  if (g <= 0) return g == 0 ? SF_ERR_NOT_READY : SF_ERR_TORN;
+  if (p->whole)
+    *value = SF_CAST(double, word);
+  else
+    memcpy(value, &word, 8);
+  return SF_OK;
+}
+
+/* Change up to SF_REQUEST_ARGS parameters, all or none; in force from the next cycle on. */
+static inline int sf_set_params(sf_client *c, int n, const char *const *names, const double *values) {
+  int64_t numbers[SF_REQUEST_ARGS];
+  if (c == NULL || names == NULL || values == NULL || n < 1 || n > SF_REQUEST_ARGS) return SF_ERR_ARGUMENT;
+  for (int k = 0; k < n; k++) {
+    const sf_param_info *p = sf_find_param(names[k]);
+    if (p == NULL) return SF_ERR_PARAM;
+    if (!sf_i_is_finite(values[k]) || !(values[k] >= p->low && values[k] <= p->high)) return SF_ERR_BOUNDS;
+    /* bounds of whole parameters are far inside int64 */
+    if (p->whole && !(SF_CAST(double, SF_CAST(int64_t, values[k])) >= values[k] &&
+                      SF_CAST(double, SF_CAST(int64_t, values[k])) <= values[k]))
+      return SF_ERR_BOUNDS;
+    numbers[k] = p->number;
+  }
+  const int result = sf_i_request(c, SF_RQ_SET_PARAMS, n, numbers, values, c->options.timeout_ns);
+  if (result == SF_OK) sf_i_read_pose_timeout(c);
+  return result;
+}
+
+/* Change one parameter. */
+static inline int sf_set_param(sf_client *c, const char *name, double value) {
+  return sf_set_params(c, 1, &name, &value);
+}
+
+/* ---- status --------------------------------------------------------------------------------- */
+
+/* How a service is doing. */
+typedef struct sf_status_info {
+  int alive;                  /* it publishes now */
+  int64_t state;              /* SF_STATE_... as last stored */
+  int64_t pid, epoch, period_ns;
+  int64_t age_ns;             /* of the newest demand */
+  int64_t demand_status;      /* SF_VALID, ... */
+  int64_t cycles, overruns, skipped, poses, poses_refused, requests, requests_refused, torn;
+  int64_t lateness_max_ns, execution_max_ns;
+  sf_ticker ticker;           /* what the main thread tells: clients, pose holder, grants, faults, text */
+  sf_map_status map;          /* what the map thread tells */
+} sf_status_info;
+
+/* Ask how the service is doing; works on a dead one too. SF_OK or SF_ERR_ARGUMENT. */
+static inline int sf_status(const sf_client *c, sf_status_info *s) {
+  if (c == NULL || c->output == NULL || s == NULL) return SF_ERR_ARGUMENT;
+  sf_demand d;
+  int64_t now;
+  memset(s, 0, sizeof *s);
+  sf_i_demand(c, &d, &now);
+  const sf_board_header *h = SF_VIEW(const sf_board_header *, c->board.memory);
+  const sf_stats *stats = SF_VIEW(const sf_stats *, c->stats);
+  s->alive = !(d.status & SF_STALE);
+  s->state = sf_load_relaxed(&h->state);
+  s->pid = h->pid;
+  s->epoch = c->epoch;
+  s->period_ns = c->period_ns;
+  s->age_ns = d.age_ns;
+  s->demand_status = d.status;
+  s->cycles = sf_load_relaxed(&stats->cycles);
+  s->overruns = sf_load_relaxed(&stats->overruns);
+  s->skipped = sf_load_relaxed(&stats->skipped);
+  s->poses = sf_load_relaxed(&stats->poses);
+  s->poses_refused = sf_load_relaxed(&stats->poses_refused);
+  s->requests = sf_load_relaxed(&stats->requests);
+  s->requests_refused = sf_load_relaxed(&stats->requests_refused);
+  s->torn = sf_load_relaxed(&stats->torn);
+  s->lateness_max_ns = sf_load_relaxed(&stats->lateness_max_ns);
+  s->execution_max_ns = sf_load_relaxed(&stats->execution_max_ns);
+  if (sf_latch_read(c->ticker, sizeof s->ticker, &s->ticker) <= 0) memset(&s->ticker, 0, sizeof s->ticker);
+  if (sf_latch_read(c->map_status, sizeof s->map, &s->map) <= 0) memset(&s->map, 0, sizeof s->map);
+  s->ticker.text[sizeof s->ticker.text - 1] = '\0';
+  return SF_OK;
+}
+
