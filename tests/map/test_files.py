@@ -1,4 +1,4 @@
-"""Map files: lossless where promised, readable by others, atomic, refused when damaged; composing, comparing."""
+"""Map files: lossless where promised, read by others, atomic, refused when damaged; composing, comparing."""
 
 from __future__ import annotations
 

@@ -35,7 +35,8 @@ def counts(pairs: NDArray[Any], start: int, stop: int) -> NDArray[np.uint8]:
 def _lanes(field: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
     first = start >> 1
     # copied first: reshaping one pair alone would give a view of live memory
-    return field[first : (stop + 1) >> 1].copy().reshape(-1)[start - 2 * first : stop - 2 * first]
+    flat: NDArray[Any] = field[first : (stop + 1) >> 1].copy().reshape(-1)
+    return flat[start - 2 * first : stop - 2 * first]
 
 
 def store(
