@@ -63,7 +63,7 @@ BASELINES: dict[str, Baseline] = {
             "pi",
             b.PI,
             (Parameter("gain", 0.01, 5.0), Parameter("integral_hz", 0.01, 30.0)),
-            ((0.1, 0.3), (0.3, 0.5), (0.5, 2.0), (1.7, 7.0)),
+            ((0.2, 0.01), (1.2, 0.01), (0.1, 0.3), (0.3, 0.5), (0.5, 2.0), (1.7, 7.0)),
         ),
         Baseline(
             "lpf-gate",
