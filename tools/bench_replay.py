@@ -91,12 +91,14 @@ def main() -> int:
     if o.json:
         print(json.dumps(result))
     else:
-        r = result["replayed_cycles_per_s"]
+        m = {key: value / 1e6 for key, value in result["replayed_cycles_per_s"].items()}
+        per_processor = result["replayed_cycles_per_processor_s"] / 1e6
+        recording = result["recorded_cycles_per_processor_s"] / 1e6
         print(
             f"replay, {o.mode} mode, {o.channels} channel(s), {result['bytes_per_cycle']:.0f} bytes/cycle: "
-            f"{r['median'] / 1e6:.2f} M cycles/s median, {r['best'] / 1e6:.2f} best, {r['worst'] / 1e6:.2f} worst "
-            f"of {o.repeats}; {result['replayed_cycles_per_processor_s'] / 1e6:.2f} M per processor second\n"
-            f"recording: {result['recorded_cycles_per_processor_s'] / 1e6:.2f} M cycles per processor second\n"
+            f"{m['median']:.2f} M cycles/s median, {m['best']:.2f} best, {m['worst']:.2f} worst "
+            f"of {o.repeats}; {per_processor:.2f} M per processor second\n"
+            f"recording: {recording:.2f} M cycles per processor second\n"
             f"identical: {result['identical']}; bar {BAR_CYCLES_PER_S / 1e6:g} M cycles/s: "
             f"{'met' if result['bar_met'] else 'MISSED'}"
         )

@@ -34,12 +34,7 @@ def record_command(name: str, out: str | None, seconds: float | None, as_json: b
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     on_terminal = sys.stderr.isatty()
-
-    def progress(line: str) -> None:
-        sys.stderr.write(f"\r\x1b[K{line}")
-        sys.stderr.flush()
-
-    counts = record_service(name, path, stop, seconds=seconds, progress=progress if on_terminal else None)
+    counts = record_service(name, path, stop, seconds=seconds, progress=_tell if on_terminal else None)
     if on_terminal:
         sys.stderr.write("\n")
     if as_json:
@@ -59,6 +54,10 @@ def record_command(name: str, out: str | None, seconds: float | None, as_json: b
 @click.option("--end", type=float, help="CSV: last time, in seconds of the log.")
 @click.option("--mode", type=click.Choice(["paper", "adaptive"]), help="CSV: how to follow.")
 @click.option("--out", type=click.Path(dir_okay=False), help="CSV: write target points, height and slope.")
+@click.option(
+    "--live", is_flag=True, help="Play the recording into a service started for it, at its own pace."
+)
+@click.option("--name", help="Name of that service.  [default: replay-PID]")
 def replay_command(
     file: str,
     as_json: bool,
@@ -67,29 +66,76 @@ def replay_command(
     end: float | None,
     mode: str | None,
     out: str | None,
+    live: bool,
+    name: str | None,
 ) -> None:
     """Run a recording through the same kernels again and compare every bit.
 
     Exit code 1 when anything differs or the file is damaged. A CSV log with --columns
     is followed as it stands; the ranges forecast ahead are compared with those that came.
     """
+    from surffollow.errors import UsageError
+
+    if name is not None and not live:
+        raise UsageError("--name goes with --live")
     if columns is not None or file.lower().endswith(".csv"):
+        if live:
+            raise UsageError("--live plays recordings (.mcap), not CSV logs")
         _replay_csv(file, columns, start, end, mode, out, as_json)
     else:
         given = {"--start": start, "--end": end, "--mode": mode, "--out": out}
-        _replay_recording(file, [name for name, value in given.items() if value is not None], as_json)
+        needless = [option for option, value in given.items() if value is not None]
+        if needless:
+            raise UsageError(
+                f"{', '.join(needless)}: only for CSV logs; a recording is played as it was made"
+            )
+        if live:
+            _play_live(file, name, as_json)
+        else:
+            _replay_recording(file, as_json)
 
 
-def _replay_recording(file: str, needless: list[str], as_json: bool) -> None:
+def _play_live(file: str, name: str | None, as_json: bool) -> None:
+    import json
+    import signal
+    import sys
+    import threading
+    from dataclasses import asdict
+
+    from surffollow.record.live import play_live
+
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    on_terminal = sys.stderr.isatty()
+    r = play_live(file, name=name, stop=stop, progress=_tell if on_terminal else None)
+    if on_terminal:
+        sys.stderr.write("\n")
+    if as_json:
+        click.echo(json.dumps(asdict(r)))
+    else:
+        click.echo(
+            f"{file}: {r.conversions} conversions ({r.conversions_skipped} skipped) and {r.poses} poses "
+            f"({r.poses_refused} refused) in "
+            f"{r.seconds:.1f} s, {r.cycles} cycles; {r.valid} of {r.poses} demands valid"
+            + ("" if r.finished else "; ended early")
+        )
+
+
+def _tell(line: str) -> None:
+    import sys
+
+    sys.stderr.write(f"\r\x1b[K{line}")
+    sys.stderr.flush()
+
+
+def _replay_recording(file: str, as_json: bool) -> None:
     import json
     import sys
     from dataclasses import asdict
 
-    from surffollow.errors import UsageError
     from surffollow.record.replay import replay_file
 
-    if needless:
-        raise UsageError(f"{', '.join(needless)}: only for CSV logs; a recording is replayed as it was made")
     report = replay_file(file)
     click.echo(json.dumps(asdict(report)) if as_json else report_text(file, report))
     if not report.identical:

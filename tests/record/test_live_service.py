@@ -1,0 +1,182 @@
+"""The recorder and the live replay against real services, their deaths and restarts included."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surffollow.client import attach
+from surffollow.errors import NotRunningError, RecordingError
+from surffollow.record.live import LEAD_NS, driver_info, play_live
+from surffollow.record.playback import load_playback
+from surffollow.record.replay import replay_file
+from surffollow.record.session import record_service
+from surffollow.shm.objects import unlink
+
+POSE = (0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0)
+DEADLINE_S = 100.0
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Wait for something that another process does."""
+    end, pause = time.monotonic() + DEADLINE_S, threading.Event()
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        pause.wait(0.01)
+
+
+@pytest.fixture
+def name() -> Iterator[str]:
+    """A service name of this test's own; nothing of it is left."""
+    text = f"test-record-{os.getpid()}"
+    yield text
+    for part in ("", ".inbox", ".map", ".world"):
+        unlink(text + part)
+
+
+@contextlib.contextmanager
+def program(*words: str) -> Iterator[subprocess.Popen[str]]:
+    child = subprocess.Popen([sys.executable, "-m", "surffollow", *words], stdout=subprocess.PIPE, text=True)
+    try:
+        yield child
+    finally:
+        child.kill()
+        child.communicate()
+
+
+@contextlib.contextmanager
+def service(name: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
+    config = folder / "service.toml"
+    config.write_text('[driver]\nkind = "none"\n[map]\ngrids = 1000\n')
+    with program("start", "--name", name, "--config", str(config), "--quiet") as child:
+        assert child.stdout is not None
+        assert child.stdout.readline().startswith("READY")
+        yield child
+
+
+def run_robot(name: str, poses: int) -> None:
+    with attach(name) as client:
+        for _ in range(poses):
+            before = client.status()["poses"]
+            client.ee_pos(POSE)
+            until(lambda before=before: client.status()["poses"] > before)
+        client.set_params(permitted_variance="0.2 mm")
+        client.sf_reset(0.11)
+
+
+def bytes_of(path: Path) -> int:
+    return path.stat().st_size if path.exists() else 0
+
+
+def test_a_killed_and_restarted_service_gives_two_segments_of_the_same_bits(
+    name: str, tmp_path: Path
+) -> None:
+    out = tmp_path / "log.mcap"
+    with contextlib.ExitStack() as stack:
+        first = stack.enter_context(service(name, tmp_path))
+        recorder = stack.enter_context(program("record", "--name", name, "--out", str(out), "--json"))
+        run_robot(name, 30)
+        until(out.exists)
+        first.kill()
+        first.wait()
+        stack.enter_context(service(name, tmp_path))
+        run_robot(name, 30)
+        size = bytes_of(out)
+        until(lambda: bytes_of(out) > size)  # a chunk of the second service
+        recorder.send_signal(signal.SIGTERM)
+        text, _ = recorder.communicate(timeout=30)
+    counts = json.loads(text)
+    assert recorder.returncode == 0
+    assert (counts["segments"], counts["restarts"], counts["lost_cycles"]) == (2, 1, 0)
+    report = replay_file(out)
+    assert report.identical, report
+    assert report.cycles == counts["cycles"]
+    assert report.events >= 4, "two parameter changes and two resets went through the log"
+
+
+def test_a_killed_recorder_leaves_a_file_that_replays_up_to_its_last_chunk(name: str, tmp_path: Path) -> None:
+    out = tmp_path / "log.mcap"
+    with service(name, tmp_path), program("record", "--name", name, "--out", str(out)) as recorder:
+        until(out.exists)
+        begin = bytes_of(out)
+        until(lambda: bytes_of(out) > begin)
+        begin = bytes_of(out)
+        until(lambda: bytes_of(out) > begin)
+        recorder.kill()
+        recorder.wait()
+    report = replay_file(out)
+    assert report.cycles > 200
+    assert (report.differing, report.states_differing) == (0, 0)
+    assert not report.identical
+    assert "ends early" in report.damage
+
+
+def test_recording_without_a_service_is_refused_and_makes_no_file(name: str, tmp_path: Path) -> None:
+    with pytest.raises(NotRunningError, match=name):
+        record_service(name, tmp_path / "log.mcap", threading.Event())
+    assert not (tmp_path / "log.mcap").exists()
+
+
+def test_a_recording_played_live_reaches_the_new_service_as_it_was(
+    name: str, tmp_path: Path, make_recording: Callable[..., Path]
+) -> None:
+    path, again = make_recording(cycles=2400, snapshot_cycles=500), tmp_path / "again.mcap"
+    done, played = threading.Event(), []
+
+    def play() -> None:
+        try:
+            played.append(play_live(path, name=name))
+        finally:
+            done.set()
+
+    thread = threading.Thread(target=play)
+    thread.start()
+
+    def record() -> bool:
+        try:
+            record_service(name, again, done)
+        except (NotRunningError, OSError):
+            return done.is_set()
+        return True
+
+    try:
+        until(record)
+    finally:
+        thread.join(DEADLINE_S)
+    [report] = played
+    old, new = load_playback(path), load_playback(again)
+    assert replay_file(again).identical
+    assert report.finished
+    assert report.poses == len(old.pose)
+    assert report.poses_refused == 0
+    assert report.resets == 1
+    assert report.param_changes >= 1
+    # one more conversion, the mark of the beginning; all others at their own times, but for those
+    # that a stalled cycle skipped
+    shift_ns = int(new.conversion_t_ns[0]) + LEAD_NS - old.first_ns
+    places = np.searchsorted(old.conversion_t_ns, new.conversion_t_ns[1:] - shift_ns)
+    np.testing.assert_array_equal(old.conversion_t_ns[places], new.conversion_t_ns[1:] - shift_ns)
+    np.testing.assert_array_equal(old.conversion[places] & 0xFFFFFFFF, new.conversion[1:] & 0xFFFFFFFF)
+    assert new.conversion.size - 1 == report.conversions == old.conversion.size - report.conversions_skipped
+    # a cycle sees the newest of the poses that came since the last: recorded ones at their own times
+    assert np.isin(new.pose_t_ns[:, 1] - shift_ns, old.pose_t_ns[:, 1]).all()
+    assert len(new.pose) > 0.9 * len(old.pose)
+    assert driver_info(old).scale_m == driver_info(new).scale_m
+
+
+def test_a_damaged_recording_is_not_played(tmp_path: Path, recording_bytes: bytes) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(recording_bytes[: len(recording_bytes) // 2])
+    with pytest.raises(RecordingError, match="cannot be played"):
+        play_live(path)
