@@ -15,6 +15,7 @@ import numpy as np
 from surffollow.config.params import PARAMS
 from surffollow.config.service import ServiceConfig, follow_params, seconds
 from surffollow.errors import ConfigError, ServiceError
+from surffollow.forecast.step import sf_reset
 from surffollow.hw.driver import ConversionQueue, Driver
 from surffollow.hw.registry import make_driver
 from surffollow.service import memory as m
@@ -143,6 +144,8 @@ class Daemon:
         try:
             with CompileProgress(self.quiet):
                 run_cycles(self.mem, 0, 0)
+                # the paper's initialisation of the forecast is SFReset itself
+                sf_reset(self.mem.params, self.mem.state, self.mem.params[0]["offset_m"])
                 store_release(self.mem.ctx.ctypes.data + 8 * m.STOP, 1)
                 run_map(self.map_mem)
                 publish_params(self.mem)
