@@ -804,7 +804,7 @@ static inline const char *sf_strerror(int result) {
     case SF_ERR_SYSTEM: return "a system call failed; the client's detail holds errno";
     default: break;
   }
-  return sf_answer_text(SF_REFUSED - result);
+  return result < SF_REFUSED ? sf_answer_text(SF_REFUSED - result) : "unknown result";
 }
 
 /* ---- latches: one writer publishes, readers copy whole, nobody waits ------------------------ */

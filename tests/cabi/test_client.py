@@ -1,0 +1,279 @@
+"""What a C or C++ client sees of a real service: poses, demands, requests, and what is refused."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import time
+from collections.abc import Callable
+
+import pytest
+
+from cabi.running import STANDOFF_M, Probe, Service
+from surffollow.client import STALE, attach, observe
+from surffollow.errors import BusyError, RefusedError
+from surffollow.shm import layout_board as lb
+from surffollow.shm.layout_follow import NO_POSE, POSE_STALE, VALID
+
+OK, NO_DEMAND, PENDING, NO_READING = 0, 1, 2, 3
+POSE = "ee 0.05 0.05 0.1 0 0 0 1"
+
+
+@pytest.fixture
+def probe(make_probe: Callable[..., Probe], service: Service) -> Probe:
+    """A probe attached to the folder's service."""
+    p = make_probe()
+    assert p(f"attach {service.name}").result == OK
+    return p
+
+
+def test_names_that_no_service_can_have_are_refused_before_any_file_is_opened(
+    make_probe: Callable[..., Probe],
+) -> None:
+    probe = make_probe()
+    for name in ("../etc/passwd", "a/b", ".hidden", "x" * 49, "a b", "ä"):
+        assert probe(f"observe {name}").result == (-20 if name == "a b" else -2), name
+    assert probe(f"observe {'x' * 48}").result == -20
+    assert probe("dev").result == -1
+
+
+def test_demand_is_the_one_that_the_python_client_reads(probe: Probe, service: Service) -> None:
+    assert probe(f"reset {STANDOFF_M}").result == OK
+    probe(POSE)
+    answer = probe.until(f"{POSE}", lambda a: probe("dev").result == OK)
+    assert answer.result == OK
+    with observe(service.name) as watcher:
+        c, python = probe("dev"), watcher.dev_vector()
+        assert int(c.values[2]) == python.status & ~STALE
+        assert python.status & VALID
+        assert c.values[3] == python.epoch
+        assert c.values[0] == pytest.approx(python[2], abs=1e-3)
+        assert 0 <= c.values[4] < 20e6
+        assert probe("raw 0").values[0] == pytest.approx(watcher.raw_distance(), abs=1e-3)
+    assert probe("raw 0").values[0] == pytest.approx(STANDOFF_M, abs=1e-3)
+
+
+def test_channel_without_a_sensor_gives_no_reading(probe: Probe) -> None:
+    answer = probe("raw 5")
+    assert answer.result == NO_READING
+    assert math.isnan(answer.values[0])
+    assert probe("raw 8").result == probe("raw -1").result == -1
+
+
+@pytest.mark.parametrize(
+    ("pose", "result"),
+    [
+        ("ee 0 0 nan 0 0 0 1", -3),
+        ("ee 0 inf 0 0 0 0 1", -3),
+        ("ee 0 0 0 0 0 0 0", -3),
+        ("ee 0 0 0 0 0 0 1.0011", -3),
+        ("ee 0 0 0 0 0 0 0.9989", -3),
+        ("ee 0 0 0 0 0 0 1e200", -3),
+        ("ee 0.05 0.05 0.1 0 0 0 1.0009", OK),
+        ("ee_at 0 0 0 0 0 0 1 5000000", -4),
+        ("ee_at 0 0 0 0 0 0 1 -120000000", -5),
+        ("ee_at 0.05 0.05 0.1 0 0 0 1 -1000000", OK),
+    ],
+)
+def test_pose_is_checked_as_the_python_client_does(probe: Probe, pose: str, result: int) -> None:
+    assert probe(pose).result == result
+
+
+def test_second_sender_of_the_pose_is_refused_with_the_holders_pid(
+    probe: Probe, make_probe: Callable[..., Probe], service: Service
+) -> None:
+    assert probe("claim").result == OK
+    other = make_probe()
+    other(f"attach {service.name}")
+    refused = other(POSE)
+    assert (refused.result, refused.detail) == (-100 - lb.ERR_POSE_HELD, probe.pid)
+    with attach(service.name) as robot, pytest.raises(BusyError, match=f"pid {probe.pid}"):
+        robot.ee_pos((0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+    assert probe("release").result == OK
+    assert other(POSE).result == OK
+
+
+def test_pose_of_a_killed_sender_is_free_again(
+    probe: Probe, make_probe: Callable[..., Probe], service: Service
+) -> None:
+    assert probe(POSE).result == OK
+    probe.process.kill()
+    probe.process.wait()
+    other = make_probe()
+    other(f"attach {service.name}")
+    assert other(POSE).result == OK
+
+
+def test_parameters_set_in_c_are_read_in_python_and_the_other_way_round(
+    probe: Probe, service: Service
+) -> None:
+    assert probe("set range_size 7").result == OK
+    assert probe("set interval_size 0.003").result == OK
+    with attach(service.name) as robot:
+        assert robot.params()["range_size"] == 7
+        assert robot.params()["interval_size_m"] == 0.003
+        robot.set_params(range_size=5, interval_size="2 mm")
+    assert probe("get range_size").values == [5.0]
+    assert probe("get interval_size_m").values == [0.002]
+
+
+@pytest.mark.parametrize(
+    ("line", "result"),
+    [
+        ("set nosuch 1", -7),
+        ("set interval 1", -7),
+        ("get n_channels", -7),
+        ("set range_size 2.5", -8),
+        ("set range_size 0", -8),
+        ("set offset -1", -8),
+        ("set offset nan", -8),
+        ("reset -1", -100 - lb.ERR_BAD_VALUE),
+        ("reset nan", -100 - lb.ERR_BAD_VALUE),
+        ("release", OK),
+        ("wait 10", -1),
+    ],
+)
+def test_what_cannot_be_is_refused_with_its_reason(probe: Probe, line: str, result: int) -> None:
+    assert probe(line).result == result
+
+
+def test_unknown_request_is_answered(probe: Probe) -> None:
+    assert probe("send 77 0").result == OK
+    answer = probe.until("poll", lambda a: a.result != PENDING)
+    assert answer.result == -100 - lb.ERR_UNKNOWN_REQUEST
+
+
+def test_request_cannot_overtake_one_that_the_service_has_not_seen(probe: Probe, service: Service) -> None:
+    assert service.process is not None
+    os.kill(service.process.pid, signal.SIGSTOP)
+    try:
+        assert probe(f"send {lb.RQ_SF_RESET} 0.11").result == OK
+        second = probe(f"send {lb.RQ_SF_RESET} 0.12").result
+        assert second in (-29, -20)  # busy, or already found silent
+        answer = probe("wait 60")
+        assert answer.result == -20
+        silent = probe("dev")
+        assert silent.result == NO_DEMAND
+        assert int(silent.values[2]) & STALE
+        assert not int(silent.values[2]) & VALID
+        assert silent.values[0] == 0.0
+        assert math.isnan(probe("raw 0").values[0])
+        assert probe(f"reset {STANDOFF_M}").result == -20
+    finally:
+        os.kill(service.process.pid, signal.SIGCONT)
+    assert probe.until("alive", lambda a: a.result == 1)
+    probe.until("poll", lambda a: a.result == OK)  # carried out after all
+    assert probe("get offset").values == [0.11]
+    assert probe(f"reset {STANDOFF_M}").result == OK
+
+
+def test_signals_do_not_disturb_any_call(probe: Probe) -> None:
+    probe("interrupt")
+    for _ in range(20):
+        assert probe(POSE).result == OK
+        assert probe(f"reset {STANDOFF_M}").result == OK
+        assert probe("set range_size 5").result == OK
+        assert probe("dev").result in (OK, NO_DEMAND)
+    assert probe("map_reset 0 0 0.1 0.1").result == OK
+    assert probe("begin 1000").result == OK
+    assert probe("end").result == OK
+
+
+def test_status_names_the_pose_sender_and_counts(probe: Probe, service: Service) -> None:
+    assert service.process is not None
+    probe(POSE)
+    answer = probe.until("status", lambda a: a.values[3] == probe.pid)
+    alive, pid, cycles, _, _, clients = answer.values
+    assert (alive, pid) == (1, service.process.pid)
+    assert clients >= 1
+    assert probe("status").values[2] >= cycles
+
+
+def test_seventeenth_client_hears_that_the_slots_are_taken(
+    make_probe: Callable[..., Probe], service: Service
+) -> None:
+    crowd = []
+    while (probe := make_probe())(f"attach {service.name}").result == OK:
+        crowd.append(probe)
+        assert len(crowd) <= lb.CLIENTS
+    assert probe(f"attach {service.name}").result == -25
+    assert len({p("alive").slot for p in crowd}) == len(crowd) == lb.CLIENTS
+    crowd[3].process.kill()
+    crowd[3].process.wait()
+    assert probe(f"attach {service.name}").result == OK
+    assert probe("alive").slot == 3
+
+
+def test_c_client_takes_the_slot_next_to_a_python_client(
+    make_probe: Callable[..., Probe], service: Service
+) -> None:
+    with attach(service.name, label="python") as robot:
+        probe = make_probe()
+        assert probe(f"attach {service.name}").slot != robot.slot
+        with pytest.raises(RefusedError, match="bounds"):
+            robot._request(lb.RQ_SF_RESET, values=(-1.0,)).result()
+        assert probe("reset -1").result == -100 - lb.ERR_BAD_VALUE
+
+
+def test_observer_sees_demands_but_cannot_send(make_probe: Callable[..., Probe], service: Service) -> None:
+    probe = make_probe()
+    assert probe(f"observe {service.name}") == (OK, 0, -1, [])
+    assert probe("alive").result == 1
+    assert int(probe("dev").values[2]) & (VALID | NO_POSE | POSE_STALE)
+    for line in (POSE, "reset 0.1", "claim", "set range_size 5", "begin 10", "map_reset 0 0 1 1"):
+        assert probe(line).result == -26, line
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
+def test_other_users_are_refused_by_the_kernel_and_told_so(
+    make_probe: Callable[..., Probe], service: Service, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    for folder in (tmp_path_factory.getbasetemp().parent, tmp_path_factory.getbasetemp()):
+        folder.chmod(0o755)
+    for folder in tmp_path_factory.getbasetemp().glob("programs*"):
+        folder.chmod(0o755)
+    stranger = make_probe(user=65534, group=65534, extra_groups=[])
+    assert stranger(f"observe {service.name}").result == -21
+    board = f"/dev/shm/{service.name}"
+    os.chmod(board, 0o644)
+    try:
+        assert stranger(f"observe {service.name}").result == OK
+        assert stranger("alive").result == 1
+        assert stranger("height 0 0").result == -24  # the map has its own mode
+        stranger("auto 1")
+        assert stranger("detach").result == OK
+    finally:
+        os.chmod(board, 0o640)
+
+
+def test_link_in_place_of_a_block_is_not_followed(make_probe: Callable[..., Probe], service: Service) -> None:
+    link = f"/dev/shm/cabi-link-{os.getpid()}"
+    os.symlink(f"/dev/shm/{service.name}", link)
+    try:
+        assert make_probe()(f"observe {os.path.basename(link)}").result == -24
+    finally:
+        os.unlink(link)
+
+
+def test_block_of_another_release_is_refused(make_probe: Callable[..., Probe], service: Service) -> None:
+    with open(f"/dev/shm/{service.name}", "rb") as f:
+        board = bytearray(f.read())
+    at = lb.BoardHeader.offset("layout_hash")
+    board[at] ^= 1
+    other = f"/dev/shm/cabi-other-{os.getpid()}"
+    try:
+        with open(other, "wb") as f:
+            f.write(board)
+        assert make_probe()(f"observe {os.path.basename(other)}").result == -23
+        board[at] ^= 1
+        with open(other, "wb") as f:
+            f.write(board[:8192])  # cut short
+        assert make_probe()(f"observe {os.path.basename(other)}").result == -24
+        with open(other, "wb") as f:
+            f.write(bytes(8192))  # not laid out yet
+        started = time.monotonic()
+        assert make_probe()(f"observe {os.path.basename(other)}").result == -22
+        assert 1.5 < time.monotonic() - started < 5.0
+    finally:
+        os.unlink(other)
