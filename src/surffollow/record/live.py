@@ -32,7 +32,7 @@ from surffollow.shm.layout_follow import CHANNELS
 from surffollow.shm.objects import SHM_ROOT, unlink
 
 # the driver starts before the service is ready: one invalid conversion, then this long nothing
-LEAD_NS = 2_000_000_000
+LEAD_NS = 3_000_000_000
 READY_S = 120.0
 _SETTLE_NS = 200_000_000
 
