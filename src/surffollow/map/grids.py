@@ -74,9 +74,9 @@ def blended(height: Any, count: Any, z: Any, paper: Any, u: Any) -> Any:
         n = np.uint64(count) + _U1
         return np.int64((total + total + n) // (n + n)) - 32768
     mean = float(height) if count > 0 else z
-    # u + 32768 is exact, hence z == mean leaves the mean alone whatever u is
-    raised = np.int64(mean + (z - mean) * _RECIPROCAL[count] + (u + 32768.0)) - 32768
-    return min(raised, np.int64(32767))
+    # u + 32768 is exact, hence z == mean leaves the mean alone whatever u is; u ≤ 1 − 2^-32 keeps the
+    # sum below 65536, and the mean is above −32767 unless all samples were there: UNKNOWN cannot come out
+    return np.int64(np.int32(mean + (z - mean) * _RECIPROCAL[count] + (u + 32768.0))) - 32768
 
 
 @njit(cache=True, nogil=True)
@@ -196,23 +196,23 @@ def _add_unbiased(w: Any, pairs: Any, points: Any, start: Any) -> None:
     n, rotation = w.dither_count, w.dither_offset
     first = n
     dirty = w.dirty
-    run_tile, run_start = np.uint64(0), n
     for k in range(start, points.shape[0]):
         fx = (points[k, 0] - x0) * per_grid
         fy = (points[k, 1] - y0) * per_grid
         z_m = points[k, 2]
-        inside = fx >= 0.0 and fx < nx and fy >= 0.0 and fy < ny
-        if not (inside and np.isfinite(z_m)):
-            if np.isfinite(fx) and np.isfinite(fy) and np.isfinite(z_m):
-                w.outside += 1
-            else:
-                w.invalid += 1
-            continue
         z = (z_m - datum) * per_quantum
-        if abs(z) > _MAX:
+        inside = fx >= 0.0 and fx < nx and fy >= 0.0 and fy < ny
+        if not (inside and abs(z) <= _MAX):
+            if not (np.isfinite(fx) and np.isfinite(fy) and np.isfinite(z_m)):
+                w.invalid += 1
+                continue
+            if not inside:
+                w.outside += 1
+                continue
             z = _MAX if z > 0.0 else -_MAX
             w.clipped += 1
-        ix, iy = np.uint64(np.int64(fx)), np.uint64(np.int64(fy))
+        # columns and rows are below 2^31, and 32-bit conversions are the fast ones
+        ix, iy = np.uint64(np.uint32(np.int32(fx))), np.uint64(np.uint32(np.int32(fy)))
         i = iy * columns + ix
         lane = i & _U1
         pair = pairs[i >> _U1]
@@ -223,11 +223,7 @@ def _add_unbiased(w: Any, pairs: Any, points: Any, start: Any) -> None:
         height = np.int64(pair.h[lane])
         pair.h[lane] = np.int16(blended(height, count, z, False, u))
         pair.c[lane] = np.uint8(min(count + _U1, np.uint64(255)))
-        tile = (iy >> shift) * tiles_x + (ix >> shift)
-        if tile != run_tile:
-            dirty[run_tile] += np.uint32(n - run_start)
-            run_tile, run_start = tile, n
+        dirty[(iy >> shift) * tiles_x + (ix >> shift)] += np.uint32(1)
         n += 1
-    dirty[run_tile] += np.uint32(n - run_start)
     w.dither_count, w.dither_offset = n, rotation
     w.samples += n - first
