@@ -55,6 +55,9 @@ def record_command(name: str, out: str | None, seconds: float | None, as_json: b
 @click.option("--mode", type=click.Choice(["paper", "adaptive"]), help="CSV: how to follow.")
 @click.option("--out", type=click.Path(dir_okay=False), help="CSV: write target points, height and slope.")
 @click.option(
+    "--map", "map_out", type=click.Path(dir_okay=False), help="Also build the run's map again: where to."
+)
+@click.option(
     "--live", is_flag=True, help="Play the recording into a service started for it, at its own pace."
 )
 @click.option("--name", help="Name of that service.  [default: replay-PID]")
@@ -66,6 +69,7 @@ def replay_command(
     end: float | None,
     mode: str | None,
     out: str | None,
+    map_out: str | None,
     live: bool,
     name: str | None,
 ) -> None:
@@ -79,8 +83,8 @@ def replay_command(
     if name is not None and not live:
         raise UsageError("--name goes with --live")
     if columns is not None or file.lower().endswith(".csv"):
-        if live:
-            raise UsageError("--live plays recordings (.mcap), not CSV logs")
+        if live or map_out is not None:
+            raise UsageError("--live and --map are for recordings (.mcap), not CSV logs")
         _replay_csv(file, columns, start, end, mode, out, as_json)
     else:
         given = {"--start": start, "--end": end, "--mode": mode, "--out": out}
@@ -89,6 +93,10 @@ def replay_command(
             raise UsageError(
                 f"{', '.join(needless)}: only for CSV logs; a recording is played as it was made"
             )
+        if map_out is not None:
+            from surffollow.record.remap import rebuild_map
+
+            rebuild_map(file).save(map_out)
         if live:
             _play_live(file, name, as_json)
         else:

@@ -1,0 +1,161 @@
+"""Build the map again from a recording: its target points and map commands, in the order of the log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from surffollow.errors import RecordingError
+from surffollow.forecast.journal import (
+    CYCLE,
+    MAP,
+    PARAMS,
+    PARAMS_WORDS,
+    RESET,
+    SNAPSHOT,
+    STATE_WORDS,
+    decode_cycle,
+    entry_kind,
+    entry_words,
+)
+from surffollow.forecast.step import follow_step, sf_reset
+from surffollow.map import HeightMap
+from surffollow.record.kernels import entry_length, params_in_bounds
+from surffollow.record.reader import RecordingReader
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_board import RQ_MAP_REFOCUS, RQ_MAP_RESET
+from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, Params
+
+_POINTS = 1 << 16
+# a map over nothing but a straight line still has two sides
+_LEAST_SIDE_M = 0.01
+
+
+@njit(cache=True, nogil=True)
+def collect_targets(
+    words: Any, floats: Any, begin: Any, records: Any, views: Any, scratch: Any, points: Any, out: Any
+) -> None:
+    """Step the follower from entry `begin` on and keep its fresh target points.
+
+    Ends at the end, at a MAP entry, when `points` is full, or at a word that begins no entry.
+
+    Parameters
+    ----------
+    words, floats : (n,) int64, float64       the same memory
+    begin : int64
+    records : (params, state, inputs, output), views : (params, state) as int64 words
+    scratch : (7,) float64
+    points : (≥ 8, 3) float64 [m]
+    out : (3,) int64      where it ended, points kept, 1: a snapshot was loaded (kept between calls)
+    """
+    params, state, inputs, output = records
+    params_words, state_words = views
+    at, kept = begin, 0
+    while at < words.size and kept + CHANNELS <= points.shape[0]:
+        length, kind = entry_length(words[at]), entry_kind(words[at])
+        if length == 0 or at + length > words.size or kind == MAP or (out[2] == 0 and kind != SNAPSHOT):
+            break
+        if kind == CYCLE:
+            if decode_cycle(words, floats, at, inputs) != length:
+                break
+            follow_step(params, state, inputs, output, scratch)
+            o = output[0]
+            for c in range(params[0].n_channels):
+                if (o.fresh >> c) & 1 != 0:
+                    for k in range(3):
+                        points[kept, k] = o.target_m[3 * c + k]
+                    kept += 1
+        elif kind == RESET:
+            sf_reset(params, state, floats[at + 2])
+        elif kind == PARAMS or out[2] == 0:
+            if not params_in_bounds(words, at):
+                break
+            for k in range(PARAMS_WORDS):
+                params_words[k] = words[at + 2 + k]
+            if kind == SNAPSHOT:
+                for k in range(STATE_WORDS):
+                    state_words[k] = words[at + 2 + PARAMS_WORDS + k]
+                out[2] = 1
+        at += length
+    out[0], out[1] = at, kept
+
+
+class _Remapper:
+    """Target points and map commands into one map; until the first MapReset the points wait."""
+
+    def __init__(self) -> None:
+        self.map: HeightMap | None = None
+        self.waiting: list[NDArray[np.float64]] = []
+        self.points = np.zeros((_POINTS, 3))
+        self.params, self.state = zeros(Params), zeros(FollowState)
+        self.inputs, self.output = zeros(Inputs), zeros(Output)
+        self.scratch, self.out = np.zeros(7), np.zeros(3, np.int64)
+
+    def segment(self, words: NDArray[np.int64]) -> None:
+        records = (self.params, self.state, self.inputs, self.output)
+        views = (self.params.view(np.int64), self.state.view(np.int64))
+        floats, at = words.view(np.float64), 0
+        self.out[2] = 0
+        while at < words.size:
+            collect_targets(words, floats, at, records, views, self.scratch, self.points, self.out)
+            self._add(self.points[: self.out[1]])
+            stuck, at = int(self.out[0]) == at and self.out[1] == 0, int(self.out[0])
+            if at < words.size and entry_kind(words[at]) == MAP:
+                self._command(int(words[at + 2]), floats[at + 3 : at + 7])
+                at += int(entry_words(words[at]))
+            elif stuck:
+                raise RecordingError(f"the word at {at} of a segment begins no entry")
+
+    def _add(self, points: NDArray[np.float64]) -> None:
+        if self.map is None:
+            self.waiting.append(points.copy())
+        else:
+            self.map.add(points)
+
+    def _command(self, code: int, values: NDArray[np.float64]) -> None:
+        x0, y0, x1, y1 = (float(v) for v in values)
+        if code == RQ_MAP_RESET:
+            self.map, self.waiting = HeightMap.over((x0, y0, x1, y1)), []
+        elif code == RQ_MAP_REFOCUS and self.map is not None:
+            self.map.refocus((x0, y0, x1, y1))
+
+    def finish(self) -> HeightMap:
+        if self.map is None:
+            points = np.concatenate([*self.waiting, np.zeros((0, 3))])
+            if not len(points):
+                raise RecordingError(
+                    "no cycle of the recording found a target point; there is nothing to map"
+                )
+            low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+            pad = np.maximum(0.0, _LEAST_SIDE_M - (high - low)) / 2 + 1e-6
+            (x0, y0), (x1, y1) = (low - pad).tolist(), (high + pad).tolist()
+            self.map = HeightMap.over((x0, y0, x1, y1))
+            self.map.add(points)
+        return self.map
+
+
+def rebuild_map(path: str | Path) -> HeightMap:
+    """The map that the recorded run's target points make, with the default memory and resolution.
+
+    A MapReset in the recording begins it anew, a MapRefocus is carried out where it was asked for.
+    Without a MapReset the map lies over all target points.
+
+    Raises
+    ------
+    RecordingError  not readable, damaged, or without one target point
+    """
+    segments: dict[int, list[NDArray[np.int64]]] = {}
+    with RecordingReader(path) as reader:
+        for batch in reader.batches():
+            words = np.frombuffer(bytes(batch.words), np.int64)
+            segments.setdefault(batch.segment, []).append(words)
+        if reader.damage:
+            raise RecordingError(f"{path} cannot be mapped: {reader.damage}")
+    remapper = _Remapper()
+    for runs in segments.values():
+        remapper.segment(np.concatenate(runs))
+    return remapper.finish()

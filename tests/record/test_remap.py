@@ -1,0 +1,90 @@
+"""A map rebuilt from a recording is the map that the run's own target points make."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surffollow.errors import RecordingError
+from surffollow.forecast.journal import MAP, SNAPSHOT, entry_head, entry_kind, entry_words
+from surffollow.forecast.step import follow_step
+from surffollow.map import HeightMap
+from surffollow.record.reader import RecordingReader
+from surffollow.record.rehearsal import NS_PER_S, Rehearsal, invent_inputs
+from surffollow.record.remap import rebuild_map
+from surffollow.record.writer import RecordingWriter
+from surffollow.shm.layout_board import RQ_MAP_REFOCUS, RQ_MAP_RESET
+
+CYCLES = 1400  # before the rehearsal's first change of parameters
+
+
+def targets() -> np.ndarray:
+    """The target points of the rehearsal, stepped here: (cycle, x, y, z)."""
+    r, points = Rehearsal(), []
+    for cycle in range(CYCLES):
+        invent_inputs(r.params, r.inputs, cycle, 1, 25, 1_000_000)
+        follow_step(r.params, r.state, r.inputs, r.output, r.scratch)
+        if r.output["fresh"][0] & 1:
+            points.append([cycle, *r.output["target_m"][0][:3]])
+    return np.array(points)
+
+
+def with_commands(path: Path, commands: dict[int, tuple[int, tuple[float, ...]]]) -> Path:
+    """The recording with MAP entries before the cycles named."""
+    with RecordingReader(path) as reader:
+        words = np.concatenate([np.frombuffer(bytes(b.words), np.int64) for b in reader.batches()])
+    out, at = [], 0
+    while at < words.size:
+        n = int(entry_words(words[at]))
+        cycle = int(words[at + 2])
+        if entry_kind(words[at]) != SNAPSHOT and cycle in commands:
+            code, region = commands.pop(cycle)
+            out.append(np.array([entry_head(MAP, 7), NS_PER_S, code]))
+            out.append(np.array(region, np.float64).view(np.int64))
+        out.append(words[at : at + n])
+        at += n
+    changed = path.with_name("map.mcap")
+    with RecordingWriter(changed) as writer:
+        writer.add_batch(0, 1, 0, CYCLES, np.concatenate(out), 0, 0)
+        writer.finish({"cycles": str(CYCLES)})
+    return changed
+
+
+def same_maps(a: HeightMap, b: HeightMap) -> None:
+    np.testing.assert_array_equal(a.heights_m, b.heights_m)
+    np.testing.assert_array_equal(a.counts, b.counts)
+    assert a.region_m == b.region_m
+
+
+def test_resets_and_refocuses_happen_between_the_points_where_they_were_asked_for(
+    make_recording: Callable[..., Path],
+) -> None:
+    wide, narrow = (-0.01, -0.01, 0.08, 0.02), (0.02, -0.01, 0.05, 0.01)
+    commands = {400: (RQ_MAP_RESET, wide), 900: (RQ_MAP_REFOCUS, narrow)}
+    path = with_commands(make_recording(cycles=CYCLES), commands)
+    points = targets()
+    expected = HeightMap.over(wide)
+    expected.add(points[(points[:, 0] >= 400) & (points[:, 0] < 900), 1:])
+    expected.refocus(narrow)
+    expected.add(points[points[:, 0] >= 900, 1:])
+    assert expected.counts.any()
+    same_maps(rebuild_map(path), expected)
+
+
+def test_without_a_reset_the_map_lies_over_all_points(make_recording: Callable[..., Path]) -> None:
+    rebuilt, points = rebuild_map(make_recording(cycles=CYCLES)), targets()
+    assert rebuilt.samples == len(points) > 500
+    assert rebuilt.outside == 0
+
+
+def test_a_recording_without_readings_or_with_damage_makes_no_map(
+    make_recording: Callable[..., Path], tmp_path: Path, recording_bytes: bytes
+) -> None:
+    with pytest.raises(RecordingError, match="target point"):
+        rebuild_map(make_recording(cycles=300, conversions=0))
+    (tmp_path / "cut.mcap").write_bytes(recording_bytes[:-100])
+    with pytest.raises(RecordingError, match="cannot be mapped"):
+        rebuild_map(tmp_path / "cut.mcap")
