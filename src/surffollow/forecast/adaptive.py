@@ -25,6 +25,7 @@ from surffollow.forecast.adaptive_health import (
 )
 from surffollow.forecast.adaptive_judge import note_targets
 from surffollow.forecast.adaptive_motion import measure_motion, move_set_point, pose_when
+from surffollow.forecast.adaptive_plant import learn_plant
 from surffollow.forecast.adaptive_take import is_news, take_sample
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.safety import PROBE_M, limit, watch_fold_back
@@ -34,6 +35,7 @@ from surffollow.shm.layout_follow import (
     NO_SENSOR,
     POSES,
     RUN_FREEZE,
+    RUN_NORMAL,
     SENSOR_LOST,
     TOO_CLOSE,
     VALID,
@@ -103,7 +105,7 @@ def blend_set_points(params: Any, a: Any, ahead_m: Any, drop_m: Any) -> Any:
     In a drop-out the way ahead is drawn in: slopes are trusted over `dropout_way_m`, no farther.
     """
     lost_s = (a.now_ns - a.accepted_ns) * 1e-9 - a.late_s - GRACE_S
-    lead = a.speed_mps * params.plant_tau_s
+    lead = a.speed_mps * a.tau_s
     if lost_s > 0.0:
         lost_m = min(a.speed_mps * lost_s, ahead_m)
         fade = math.exp(-lost_m / params.dropout_way_m)
@@ -145,6 +147,7 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
     _, _, ground_z, _ = footprint(pose, params.tool_from_sensor, 0, params.offset_m)
     tool_z = pose[2]
     drop = tool_z - ground_z
+    learn_plant(params, a, sense, 0 if params.adapt == 0 or params.run != RUN_NORMAL else 1)
     take_news(params, state, inputs, output, drop, pose)
     stuck = is_stuck(a, tool_z)
     watch_health(params, a, stuck)
@@ -178,6 +181,8 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
         status |= TOO_CLOSE
         cut = max(cut, min(PROBE_M, params.max_demand_m))
     output.demand[2] = cut
+    if a.tick_ns == a.now_ns:
+        a.own_m[(a.ticks - 1) & (TICKS - 1)] = tool_z + cut
     output.delta_h_m = a.slope * ahead
     output.error_m = params.offset_m - a.held_m
     return status
@@ -198,5 +203,6 @@ def report_adaptive(a: Any, output: Any) -> None:
     output.height_m, output.slope, output.speed_mps = a.height_m, a.slope, a.speed_mps
     output.intervals = a.samples
     output.health, output.faults = a.health, a.faults
+    output.tau_s = a.tau_s
     output.sigma_m, output.noise_m, output.late_s = a.sigma_m, a.noise_m, a.late_s
     output.roughness_m = math.sqrt(max(a.scale_m * a.scale_m - a.noise_m * a.noise_m, 0.0))

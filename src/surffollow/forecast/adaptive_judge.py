@@ -49,7 +49,7 @@ def advance_shadows(params: Any, a: Any, from_ns: Any, to_ns: Any) -> None:
         return
     steps = min(max((span + STEP_NS - 1) // STEP_NS, 1), MAX_STEPS)
     dt = span * 1e-9 / steps
-    tau, v_max, a_max = params.plant_tau_s, params.plant_v_max_mps, params.plant_a_max_mps2
+    tau, v_max, a_max = a.tau_s, params.plant_v_max_mps, params.plant_a_max_mps2
     dv = a_max * dt
     k = max(0, a.ticks - TICKS)
     for j in range(steps):

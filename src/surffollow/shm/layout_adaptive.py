@@ -5,6 +5,7 @@ from __future__ import annotations
 from surffollow.shm.schema import F64, I64, Schema
 
 CANDIDATES = 48  # most models in the bank
+PLANTS = 5  # axes of different τ
 TICKS = 64  # controller ticks remembered per candidate: 640 ms of set points
 
 # health of the ranging, in the order of what is reported first
@@ -58,6 +59,13 @@ class AdaptiveState(Schema):
     set_speed_mps = F64(unit="m/s", doc="its rate of change")
     set_accel_mps2 = F64(unit="m/s^2", doc="and the rate of that")
     set_ns = I64(unit="ns", doc="when it was made; 0: never")
+    own_m = F64(TICKS, unit="m", doc="ring of own set points")
+    plant_z_m = F64(PLANTS, unit="m", doc="axes of different τ that follow them")
+    plant_v_mps = F64(PLANTS, unit="m/s")
+    plant_m2 = F64(PLANTS, unit="m^2", doc="their squared errors against the pose reports")
+    plant_ns = I64(unit="ns", doc="up to when they were carried")
+    tau_s = F64(unit="s", doc="time constant of the robot's axis as found; 0: not begun")
+    tau_assumed_s = F64(unit="s", doc="time constant that the search began with")
     health = I64(doc="see HEALTH_NAMES")
     health_ns = I64(unit="ns", doc="since when the wanted health differs from the shown one")
     health_next = I64(doc="the wanted health")

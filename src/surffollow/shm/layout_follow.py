@@ -186,3 +186,4 @@ class Output(Schema):
     noise_m = F64(unit="m", doc="adaptive: noise of the readings")
     roughness_m = F64(unit="m", doc="adaptive: what the models do not foresee, noise taken off")
     late_s = F64(unit="s", doc="adaptive: how late readings arrive")
+    tau_s = F64(unit="s", doc="adaptive: time constant of the robot's axis as found")

@@ -1,0 +1,103 @@
+"""Find out how slow the robot's axis really is: five axes of different τ follow the own set points.
+
+The one that comes nearest to the reported heights tells τ; between two of them a parabola decides.
+Without motion there is nothing to tell by, and the assumed τ stays.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numba import njit
+
+from surffollow.forecast.adaptive_judge import LOST_NS, STEP_NS, axis_speed
+from surffollow.shm.layout_adaptive import PLANTS, TICKS
+from surffollow.shm.layout_follow import POSES
+
+RATIO = 1.4  # between neighbouring τ
+MEMORY = 0.004  # per pose report: 2.5 s at 100 Hz
+TOLD_M2 = 2.5e-9  # (50 µm)²: least difference of squared errors that tells anything
+ASTRAY_M = 3e-3  # a robot that is farther away does not obey: nothing to learn
+TAU_RATE = 0.02
+
+
+@njit(cache=True, nogil=True)
+def start_plants(params: Any, a: Any, t_ns: Any, z_m: Any) -> None:
+    """Put all axes where the tool is."""
+    for k in range(PLANTS):
+        a.plant_z_m[k], a.plant_v_mps[k] = z_m, a.climb_mps
+    a.plant_ns = t_ns
+    if a.tau_s <= 0.0 or a.tau_assumed_s != params.plant_tau_s:
+        a.tau_s = a.tau_assumed_s = params.plant_tau_s
+        for k in range(PLANTS):
+            a.plant_m2[k] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def advance_plants(params: Any, a: Any, to_ns: Any) -> None:
+    """Carry the axes on with the own set points."""
+    span = to_ns - a.plant_ns
+    steps = max((span + STEP_NS - 1) // STEP_NS, 1)
+    dt = span * 1e-9 / steps
+    a_max, v_max = params.plant_a_max_mps2, params.plant_v_max_mps
+    dv = a_max * dt
+    j = max(0, a.ticks - TICKS)
+    for n in range(steps):
+        t = a.plant_ns + (span * n) // steps
+        while j + 1 < a.ticks and a.tick_t_ns[(j + 1) & (TICKS - 1)] <= t:
+            j += 1
+        target = a.own_m[j & (TICKS - 1)]
+        for k in range(PLANTS):
+            tau = a.tau_assumed_s * RATIO ** (k - PLANTS // 2)
+            d = target - a.plant_z_m[k]
+            most = min(v_max, abs(d) / dt)
+            w = min(max(axis_speed(d, tau, a_max), -most), most)
+            a.plant_v_mps[k] += min(max(w - a.plant_v_mps[k], -dv), dv)
+            a.plant_z_m[k] += a.plant_v_mps[k] * dt
+    a.plant_ns = to_ns
+
+
+@njit(cache=True, nogil=True)
+def best_tau(a: Any) -> Any:
+    """τ of the least error, by a parabola through the logarithms of three; 0 when nothing is told."""
+    b, worst = 0, 0.0
+    for k in range(PLANTS):
+        worst = max(worst, a.plant_m2[k])
+        if a.plant_m2[k] < a.plant_m2[b]:
+            b = k
+    if worst - a.plant_m2[b] < TOLD_M2:
+        return 0.0
+    b = min(max(b, 1), PLANTS - 2)
+    low, mid, high = a.plant_m2[b - 1], a.plant_m2[b], a.plant_m2[b + 1]
+    bend = low - 2.0 * mid + high
+    shift = 0.5 * (low - high) / bend if bend > 0.0 else 0.0
+    shift = min(max(shift, -1.0), 1.0)
+    return a.tau_assumed_s * RATIO ** (b - PLANTS // 2 + shift)
+
+
+@njit(cache=True, nogil=True)
+def learn_plant(params: Any, a: Any, sense: Any, adapt: Any) -> None:
+    """Compare the axes with a new pose report and move τ toward the best."""
+    newest = (sense.pose_count - 1) & (POSES - 1)
+    t, z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
+    if t == a.plant_ns:
+        return
+    if a.ticks == 0 or a.set_ns == 0 or t <= a.plant_ns or t - a.plant_ns > LOST_NS:
+        start_plants(params, a, t, z)
+        return
+    advance_plants(params, a, t)
+    least = 1e300
+    for k in range(PLANTS):
+        least = min(least, abs(a.plant_z_m[k] - z))
+    if not least < ASTRAY_M:
+        start_plants(params, a, t, z)
+        return
+    if adapt == 0:
+        return
+    for k in range(PLANTS):
+        e = a.plant_z_m[k] - z
+        a.plant_m2[k] += MEMORY * (e * e - a.plant_m2[k])
+    tau = best_tau(a)
+    if tau > 0.0:
+        a.tau_s *= math.exp(TAU_RATE * math.log(tau / a.tau_s))
