@@ -12,7 +12,7 @@ from numba import njit
 from surffollow.shm.layout_follow import POSES
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def rotate(qx: Any, qy: Any, qz: Any, qw: Any, x: Any, y: Any, z: Any) -> Any:
     """The vector (x, y, z) turned by the unit quaternion: v + 2 q × (q × v + w v)."""
     tx = qy * z - qz * y + qw * x
@@ -25,7 +25,7 @@ def rotate(qx: Any, qy: Any, qz: Any, qw: Any, x: Any, y: Any, z: Any) -> Any:
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def push_pose(sense: Any, t_ns: Any, pose: Any, at: Any) -> Any:
     """Append the pose at `pose[at:at+7]` to the history; 0 when it is not newer than the last (refused)."""
     n = sense.pose_count
@@ -40,7 +40,7 @@ def push_pose(sense: Any, t_ns: Any, pose: Any, at: Any) -> Any:
     return 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def pose_at(sense: Any, t_ns: Any, interpolate: Any, out: Any) -> None:
     """The tool's pose at `t_ns` into `out` (7,): the latest, or interpolated between its neighbours.
 
@@ -75,7 +75,7 @@ def pose_at(sense: Any, t_ns: Any, interpolate: Any, out: Any) -> None:
         out[i] *= scale
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def footprint(tool: Any, mounts: Any, channel: Any, range_m: Any) -> Any:
     """World coordinates where the beam of a channel ends, and the sensor's height.
 

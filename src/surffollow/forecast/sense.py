@@ -17,7 +17,7 @@ from surffollow.shm.conversion import (
 from surffollow.shm.layout_follow import CHANNELS, CONVERSION_WINDOW
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def take_conversions(params: Any, sense: Any, inputs: Any) -> None:
     """Add the cycle's conversions to their windows and average the newest `sensor_readings`.
 
@@ -67,7 +67,7 @@ def take_conversions(params: Any, sense: Any, inputs: Any) -> None:
         sense.valid[c] = 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def take_ranges(params: Any, sense: Any, inputs: Any) -> None:
     """Take distances that come ready-made (a CSV, an embedding program); NaN is no reading."""
     for c in range(CHANNELS):
@@ -83,7 +83,7 @@ def take_ranges(params: Any, sense: Any, inputs: Any) -> None:
             sense.valid[c] = 0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def take_poses(sense: Any, inputs: Any) -> None:
     """Append the cycle's new poses to the history."""
     for k in range(inputs.n_poses):

@@ -29,6 +29,9 @@ from surffollow.shm.layout_follow import (
     VALID,
 )
 
+# `forceinline` on what runs per channel or conversion: numba hands an array over as seven words and a
+# counted reference, which costs more than the arithmetic (tools/bench_cycle.py)
+
 # a reading this old no longer counts as present, whatever the cycle rate
 ABSENT_NS = 10_000_000
 
@@ -59,7 +62,7 @@ def sf_reset(params: Any, state: Any, offset_m: Any) -> None:
     forget_surface(state[0].adaptive)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def find_targets(params: Any, state: Any, output: Any, pose: Any, interpolate: Any) -> Any:
     """Footprints of all fresh readings into `output.target_m`; the sensor height of channel 0 [m].
 
@@ -82,7 +85,7 @@ def find_targets(params: Any, state: Any, output: Any, pose: Any, interpolate: A
     return sensor_z
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def clear_output(state: Any, inputs: Any, output: Any) -> None:
     """The output of a cycle that demands nothing."""
     output.t_ns = inputs.t_ns
@@ -98,7 +101,7 @@ def clear_output(state: Any, inputs: Any, output: Any) -> None:
         output.range_t_ns[c] = state.sense.range_t_ns[c]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def demand_z(params: Any, state: Any, inputs: Any, output: Any, sensor_z_m: Any, pose: Any) -> Any:
     """The paper's vertical demand with limits, hysteresis and fold-back; returns status bits."""
     p = state.paper

@@ -37,7 +37,7 @@ _READY = ml.READY
 _UPDATED, _OUTSIDE, _CLIPPED, _GATED, _INVALID, _NOT_READY = range(6)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def dither_rotation(seed: Any, block: Any) -> Any:
     """Hash of a 64-number block of the rounding sequence (splitmix64), as 32 bits in an int64."""
     z = np.uint64(seed) + np.uint64(block) * _GOLDEN64
@@ -46,13 +46,13 @@ def dither_rotation(seed: Any, block: Any) -> Any:
     return np.int64((z ^ (z >> np.uint64(31))) >> np.uint64(32))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def dither_at(rotation: Any, count: Any) -> Any:
     """Number `count` of the sequence in [0, 1), given its block's rotation."""
     return float(np.uint32(np.uint32(rotation) + np.uint32(count) * _GOLDEN32)) * _ULP32
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def blended(height: Any, count: Any, z: Any, paper: Any, u: Any) -> Any:
     """The stored mean after one more sample.
 
@@ -79,45 +79,32 @@ def blended(height: Any, count: Any, z: Any, paper: Any, u: Any) -> Any:
     return np.int64(np.int32(mean + (z - mean) * _RECIPROCAL[count] + (u + 32768.0))) - 32768
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def _first_datum(w: Any, z_m: Any) -> None:
     """Centre the height range on the ground: whole quanta, so that maps differ by whole numbers."""
     w.datum_m = np.floor(z_m * w.inv_quantum_per_m + 0.5) * w.quantum_m
     w.datum_set = 1
 
 
-@njit(cache=True, nogil=True)
-def update_map(header: Any, pairs: Any, x_m: Any, y_m: Any, z_m: Any) -> Any:
-    """Average one target point into its grid (paper §3.1.1).
-
-    Parameters
-    ----------
-    header : (1,) structured `MapHeader`      counters and dirty tiles updated in place
-    pairs : (n,) structured `GridPair`        updated in place
-    x_m, y_m, z_m : float64                   target point, world frame [m]
-
-    Returns
-    -------
-    int64  UPDATED, OUTSIDE, CLIPPED (stored at the end of the range), GATED, INVALID, NOT_READY
-
-    Notes
-    -----
-    new mean = mean + (h − mean)/(count + 1); the count saturates at 255, and a grid with
-    count 0 takes the sample as it is. A gated sample takes an eighth of the grid's count, and one
-    that wears it below `gate_min_count` all of it: an outlier costs little, ground that really
-    changed replaces the mean after at most some 25 samples.
-    """
-    w = header[0]
+@njit(cache=True, nogil=True, forceinline=True)
+def _grid_of(w: Any, x_m: Any, y_m: Any, z_m: Any) -> Any:
+    """Status, column and row of the grid under a target point; UPDATED: there is one."""
     if w.state != _READY:
-        return _NOT_READY
+        return _NOT_READY, 0, 0
     fx = (x_m - w.x0_m) * w.inv_grid_per_m
     fy = (y_m - w.y0_m) * w.inv_grid_per_m
     if not (np.isfinite(fx) and np.isfinite(fy) and np.isfinite(z_m)):
         w.invalid += 1
-        return _INVALID
+        return _INVALID, 0, 0
     if not (0.0 <= fx < w.nx and 0.0 <= fy < w.ny):
         w.outside += 1
-        return _OUTSIDE
+        return _OUTSIDE, 0, 0
+    return _UPDATED, np.int64(fx), np.int64(fy)
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _average_in(w: Any, pair: Any, lane: Any, ix: Any, iy: Any, z_m: Any) -> Any:
+    """Average a height into the grid in column `ix`, row `iy`, which is `lane` of `pair`."""
     if w.datum_set == 0:
         _first_datum(w, z_m)
     status = _UPDATED
@@ -126,10 +113,6 @@ def update_map(header: Any, pairs: Any, x_m: Any, y_m: Any, z_m: Any) -> Any:
         z = _MAX if z > 0.0 else -_MAX
         status = _CLIPPED
         w.clipped += 1
-    ix, iy = np.int64(fx), np.int64(fy)
-    i = np.uint64(iy * w.nx + ix)
-    lane = i & _U1
-    pair = pairs[i >> _U1]
     count = np.int64(pair.c[lane])
     height = np.int64(pair.h[lane])
     if (
@@ -155,6 +138,36 @@ def update_map(header: Any, pairs: Any, x_m: Any, y_m: Any, z_m: Any) -> Any:
     w.dirty[tile] += np.uint32(1)
     w.samples += 1
     return status
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def update_map(header: Any, pairs: Any, x_m: Any, y_m: Any, z_m: Any) -> Any:
+    """Average one target point into its grid (paper §3.1.1).
+
+    Parameters
+    ----------
+    header : (1,) structured `MapHeader`      counters and dirty tiles updated in place
+    pairs : (n,) structured `GridPair`        updated in place
+    x_m, y_m, z_m : float64                   target point, world frame [m]
+
+    Returns
+    -------
+    int64  UPDATED, OUTSIDE, CLIPPED (stored at the end of the range), GATED, INVALID, NOT_READY
+
+    Notes
+    -----
+    new mean = mean + (h − mean)/(count + 1); the count saturates at 255, and a grid with
+    count 0 takes the sample as it is. A gated sample takes an eighth of the grid's count, and one
+    that wears it below `gate_min_count` all of it: an outlier costs little, ground that really
+    changed replaces the mean after at most some 25 samples.
+    """
+    w = header[0]
+    status, ix, iy = _grid_of(w, x_m, y_m, z_m)
+    if status != _UPDATED:
+        return status
+    i = np.uint64(iy * w.nx + ix)
+    # a record, not the array, goes on: an array's reference count costs more than all the rest
+    return _average_in(w, pairs[i >> _U1], i & _U1, ix, iy, z_m)
 
 
 @njit(cache=True, nogil=True)
