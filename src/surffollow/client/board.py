@@ -82,9 +82,11 @@ class Board:
             self.object.close()
             raise
         header = self.header()
-        self.name, self.epoch, self.pid = name, header["epoch"], header["pid"]
-        self.period_ns: int = header["period_ns"]
-        self.regions = {r["name"]: (r["offset"], r["size"]) for r in header["region"] if r["name"]}
+        self.name, self.epoch, self.pid = name, int(header["epoch"]), int(header["pid"])
+        self.period_ns = int(header["period_ns"])
+        self.regions: dict[str, tuple[int, int]] = {
+            r["name"]: (r["offset"], r["size"]) for r in header["region"] if r["name"]
+        }
         self.memory = self.object.memory
         self.words = memoryview(self.memory).cast("Q")
 
@@ -105,8 +107,8 @@ class Board:
         if h["version"] != LAYOUT_VERSION or h["layout_hash"] != LAYOUT_HASH:
             raise LayoutMismatchError(
                 f"block {name!r} has layout {h['layout_hash']:016x} (version {h['version']}), this client "
-                f"expects {LAYOUT_HASH:016x} (version {LAYOUT_VERSION}); use client and service of one release and "
-                "restart the older one"
+                f"expects {LAYOUT_HASH:016x} (version {LAYOUT_VERSION}); use client and service of one "
+                "release and restart the older one"
             )
         if h["size"] > self.object.size:
             raise BlockError(f"block {name!r} is shorter than its header says; restart the service")
