@@ -17,9 +17,11 @@
         │   └── RequestTimeoutError        the service did not answer in time (also TimeoutError)
         ├── BlockError
         │   ├── LayoutMismatchError        the block was laid out by another version
+        │   ├── ExistsError                a block of that name is there already
         │   ├── NoSpaceError               /dev/shm cannot hold the block
         │   ├── NoPermissionError          the block's mode forbids it (also PermissionError)
-        │   └── BusyError                  another live process holds what must be held by one
+        │   ├── BusyError                  another live process holds what must be held by one
+        │   └── BlockTimeoutError          a block's turn did not come in time (also TimeoutError)
         ├── RecordingError                 a recording or log cannot be read
         ├── MapFileError                   a map file cannot be read or written
         │   └── MapCancelledError          the caller cancelled reading or writing it
@@ -97,6 +99,10 @@ class LayoutMismatchError(BlockError):
     """The object's layout hash is not the one this program was built with."""
 
 
+class ExistsError(BlockError):
+    """A shared-memory object of that name is there already."""
+
+
 class NoSpaceError(BlockError):
     """The shared-memory file system cannot back the whole object."""
 
@@ -107,6 +113,10 @@ class NoPermissionError(BlockError, PermissionError):
 
 class BusyError(BlockError):
     """Another live process holds what only one may hold."""
+
+
+class BlockTimeoutError(BlockError, TimeoutError):
+    """Readers or the writer of a block did not let the caller in within its time."""
 
 
 class RecordingError(FaultError):

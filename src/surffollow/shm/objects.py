@@ -10,12 +10,14 @@ import os
 import re
 import stat
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import posix_ipc
 
 from surffollow.errors import (
     BlockError,
+    ExistsError,
     NameError_,
     NoPermissionError,
     NoSpaceError,
@@ -61,39 +63,54 @@ class SharedObject:
         self.identity = (status.st_dev, status.st_ino)
 
     @classmethod
-    def create(cls, name: str, size: int, mode: int, group: int = -1) -> SharedObject:
+    def create(
+        cls,
+        name: str,
+        size: int,
+        mode: int,
+        group: int = -1,
+        prepare: Callable[[SharedObject], None] | None = None,
+    ) -> SharedObject:
         """Make the object anew, all zero, every page reserved.
+
+        It is made without a name, filled in by `prepare` (which may take locks), and linked when it is
+        whole: nobody sees half of it, and a creator that is killed leaves nothing behind.
 
         Raises
         ------
-        BlockError         an object of that name exists
-        NoSpaceError       /dev/shm cannot hold it (nothing is left behind)
+        ExistsError        there is one of that name
+        NoSpaceError       /dev/shm cannot hold it
         NoPermissionError  /dev/shm or the group cannot be used
         """
         check_name(name)
         try:
-            raw = posix_ipc.SharedMemory("/" + name, posix_ipc.O_CREX, mode=0o600)
-        except posix_ipc.ExistentialError:
-            raise BlockError(f"shared-memory object {name!r} exists already") from None
-        except (posix_ipc.PermissionsError, PermissionError) as e:
-            raise NoPermissionError(f"cannot create shared-memory object {name!r}: {e}") from None
-        fd = int(raw.fd)
+            fd = os.open(SHM_ROOT, os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC, 0o600)
+        except OSError as e:
+            kind = NoPermissionError if e.errno in (errno.EPERM, errno.EACCES, errno.EROFS) else BlockError
+            raise kind(f"cannot create shared-memory object {name!r} in {SHM_ROOT}: {e}") from None
+        made: SharedObject | None = None
         try:
             _reserve(name, fd, size)
             if group >= 0:
                 os.fchown(fd, -1, group)
             os.fchmod(fd, mode)
-            return cls(name, fd, size, writable=True)
-        except OSError as e:
-            os.close(fd)
-            unlink(name)
+            made = cls(name, fd, size, writable=True)
+            if prepare is not None:
+                prepare(made)
+            _link(fd, name)
+            return made
+        except BaseException as e:
+            if made is not None:
+                made.close()
+            else:
+                os.close(fd)
+            if not isinstance(e, OSError) or isinstance(e, BlockError):
+                raise
+            if e.errno == errno.EEXIST:
+                raise ExistsError(f"shared-memory object {name!r} exists already") from None
             if e.errno in (errno.EPERM, errno.EACCES):
                 raise NoPermissionError(f"cannot give {name!r} mode {mode:o} and group {group}: {e}") from e
             raise BlockError(f"cannot map shared-memory object {name!r} of {size} bytes: {e}") from e
-        except BlockError:
-            os.close(fd)
-            unlink(name)
-            raise
 
     @classmethod
     def open(cls, name: str, *, writable: bool = False) -> SharedObject:
@@ -157,6 +174,15 @@ class SharedObject:
             self.fd = -1
 
 
+def _link(fd: int, name: str) -> None:
+    folder = os.open(SHM_ROOT, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        # dst_dir_fd makes this linkat(), which alone can follow the link to the nameless file
+        os.link(f"/proc/self/fd/{fd}", name, dst_dir_fd=folder, follow_symlinks=True)
+    finally:
+        os.close(folder)
+
+
 def _lock(fd: int, kind: int, start: int, length: int) -> bool:
     try:
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(kind, os.SEEK_SET, start, length, 0))
@@ -165,7 +191,13 @@ def _lock(fd: int, kind: int, start: int, length: int) -> bool:
     return True
 
 
-def _reserve(name: str, fd: int, size: int) -> None:
+def reserve(name: str, fd: int, size: int) -> None:
+    """Give a new object its size and every page of it.
+
+    Raises
+    ------
+    NoSpaceError  /dev/shm cannot hold it
+    """
     # without this a full /dev/shm shows itself as SIGBUS in the middle of a cycle
     room = os.statvfs(SHM_ROOT)
     free = room.f_bavail * room.f_frsize

@@ -1,0 +1,183 @@
+"""One attached block: the paper's read and write routines, and the wait-free `latest`.
+
+Who waits for whom is settled by kernel locks on bytes of the object (`locks`); what is
+read is kept whole by the latch's slots, whatever the locks do. Steps (docs/blocks.md):
+
+A1 a reader enters unless the writer waits: shared lock on byte FENCE_BASE + fence;
+A2 the writer says that it waits, which closes the door to further readers (the turnstile);
+A3 it takes the byte exclusively; a reader that still has it after the lease is fenced: the
+   fence number goes up by one, and with it the byte that counts;
+A4 a fenced reader learns it from `read_done`.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from surffollow.blocks import layout as bl
+from surffollow.blocks.locks import FENCE_BASE, QUEUE_BYTE, FileLock
+from surffollow.blocks.reading import POLL_S, ReadSide
+from surffollow.blocks.record import Record
+from surffollow.blocks.snapshot import Snapshot
+from surffollow.client.observer import FENCED, fence
+from surffollow.errors import BlockError, BlockTimeoutError, BusyError
+from surffollow.shm.latch_shape import SLOTS
+from surffollow.shm.schema import Schema
+
+# a writer that comes back sooner than this lets queued readers go first, for at most GRACE_NS
+BUSY_NS, GRACE_NS = 200_000, 2_000_000
+_HEAD = bl.SlotHead.struct_of("generation", "t_ns")
+_clock = time.monotonic_ns
+
+
+class AttachedBlock(ReadSide):
+    """A block of this process; made by `mem_attach`. For one thread at a time: attach once per thread.
+
+    `latest` and `get_read_ok` / `read_done` are everybody's, `get_write_ok` / `write_done` the writer's.
+    """
+
+    def __init__(self, name: str, object_name: str, schema: type[Schema]) -> None:
+        super().__init__(name, object_name, schema)
+        self._done_ns, self._queue_stuck = 0, False
+        self._hooks: list[Callable[[Snapshot], object]] = []
+        self.hook_failures = 0
+
+    def get_write_ok(self, timeout_s: float = 5.0) -> Record:
+        """Wait until all reading has finished.
+
+        Returns
+        -------
+        Record   a slot that holds the newest values, to be changed; published by `write_done`
+
+        Raises
+        ------
+        BlockTimeoutError   readers did not finish in time (and the lease is longer than that)
+        BusyError           this handle has a read or write under way
+        BlockError          this process is not the block's writer
+        """
+        if self._view is not None:
+            raise BusyError(f"block {self.name!r}: a read or write is under way on this handle; end it first")
+        lock = self._lock
+        if not self.is_writer or lock is None or lock.fd < 0:
+            raise BlockError(
+                f"this process is not the writer of block {self.object_name!r}: attach it with write=... "
+                "(after a fork the parent stays the writer)"
+            )
+        words = self._words
+        if _clock() - self._done_ns < BUSY_NS:
+            self._let_queued_in(lock)
+        number = words[bl.FENCE_WORD]
+        if not lock.exclusive(FENCE_BASE + number):
+            number = self._wait_for_readers(lock, timeout_s)
+        g = words[self._generation_word]
+        old = self._slots + (g & (SLOTS - 1)) * self._stride + bl.HEAD
+        new = self._slots + ((g + 1) & (SLOTS - 1)) * self._stride + bl.HEAD
+        if FENCED:
+            fence()
+        size, memory = self.schema.SIZE, self._memory
+        memory[new : new + size] = memory[old : old + size]
+        slot = Record(self.schema, self._writable, new)
+        self._view, self._writing, self._fence = slot, True, number
+        return slot
+
+    def _let_queued_in(self, lock: FileLock) -> None:
+        if not lock.held_elsewhere(QUEUE_BYTE):
+            self._queue_stuck = False
+            return
+        until = _clock() + GRACE_NS
+        while not self._queue_stuck and lock.held_elsewhere(QUEUE_BYTE):
+            # one that was stopped in the queue costs the grace once, not at every write
+            self._queue_stuck = _clock() > until
+            time.sleep(POLL_S)
+
+    def _wait_for_readers(self, lock: FileLock, timeout_s: float) -> int:
+        words, lease = self._words, self._words[bl.LEASE_WORD]
+        since = seen = _clock()
+        deadline = since + int(timeout_s * 1e9)
+        words[bl.WAITING_WORD] = since
+        try:
+            while True:
+                number = words[bl.FENCE_WORD]
+                if lock.exclusive(FENCE_BASE + number):
+                    return number
+                now = _clock()
+                if now - seen > lease:  # we were stopped, not they
+                    words[bl.WAITING_WORD] = since = now
+                elif now - since >= lease:
+                    words[bl.FENCE_WORD] = number + 1
+                    words[bl.WAITING_WORD] = since = seen = now
+                    continue
+                seen = now
+                if now >= deadline:
+                    raise BlockTimeoutError(
+                        f"readers of block {self.object_name!r} did not finish in {timeout_s:g} s; "
+                        f"its lease is {lease / 1e9:g} s (lease_s)"
+                    )
+                time.sleep(POLL_S)
+        finally:
+            words[bl.WAITING_WORD] = 0
+
+    def write_done(self) -> int:
+        """Publish the slot, let readers in, tell the hooks; returns the new generation."""
+        words = self._words
+        g = words[self._generation_word] + 1
+        self._end_write("write_done")
+        self._done_ns = now = _clock()
+        start = self._slots + (g & (SLOTS - 1)) * self._stride
+        _HEAD.pack_into(self._memory, start, g, words[bl.EPOCH_WORD], now)
+        if FENCED:
+            fence()
+        words[self._generation_word] = g
+        self._here().release(FENCE_BASE + self._fence)
+        if self._hooks:
+            self._replicate(Snapshot(self.schema, self._memory[start : start + self._size], g, False))
+        return int(g)
+
+    def _end_write(self, call: str) -> None:
+        if self._view is None or not self._writing:
+            raise BlockError(f"block {self.name!r}: {call} without get_write_ok")
+        self._view._end()
+        self._view, self._writing = None, False
+
+    def abandon(self) -> None:
+        """End the write without publishing: readers keep the values they had."""
+        self._end_write("abandon")
+        self._here().release(FENCE_BASE + self._fence)
+
+    @contextmanager
+    def write(self, timeout_s: float = 5.0) -> Iterator[Record]:
+        """`with block.write() as slot:` get_write_ok, write_done; an exception inside publishes nothing."""
+        slot = self.get_write_ok(timeout_s)
+        try:
+            yield slot
+        except BaseException:
+            self.abandon()
+            raise
+        self.write_done()
+
+    def on_write_done(self, hook: Callable[[Snapshot], object]) -> Callable[[], None]:
+        """Call `hook(snapshot)` after each publication, in the writer's thread, outside the lock.
+
+        This is where replication to other machines attaches. A hook that raises cannot
+        hurt the writer: it is counted in `hook_failures` and warned of once.
+
+        Returns
+        -------
+        callable   takes the hook off again
+        """
+        self._hooks.append(hook)
+        return lambda: self._hooks.remove(hook) if hook in self._hooks else None
+
+    def _replicate(self, snapshot: Snapshot) -> None:
+        for hook in tuple(self._hooks):
+            try:
+                hook(snapshot)
+            except Exception as e:
+                self.hook_failures += 1
+                if self.hook_failures == 1:
+                    warnings.warn(
+                        f"a write_done hook of block {self.object_name!r} failed: {e!r}", stacklevel=3
+                    )

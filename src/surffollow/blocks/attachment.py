@@ -1,0 +1,190 @@
+"""What an attachment to a block is before anybody waits: its map, its writer, the wait-free `latest`."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import Any
+
+from surffollow.blocks import claim
+from surffollow.blocks import layout as bl
+from surffollow.blocks.locks import WRITER_BYTE, FileLock
+from surffollow.blocks.record import Record, plan
+from surffollow.blocks.snapshot import Snapshot
+from surffollow.client.observer import FENCED, fence
+from surffollow.errors import BlockError, NotRunningError
+from surffollow.shm.latch_shape import MAX_TRIES, SLOTS
+from surffollow.shm.objects import SharedObject
+from surffollow.shm.schema import Schema
+
+REATTACH_EVERY_NS = 20_000_000
+_NOTHING = memoryview(bytes(8 * (bl.FENCE_WORD + 1))).cast("Q")
+_NO_MEMORY = memoryview(b"")
+_MOST = SLOTS - 2
+
+
+class Attachment:
+    """A block of this process, mapped; see `AttachedBlock`.
+
+    Attributes
+    ----------
+    name : str             of the block
+    object_name : str      of the shared-memory object
+    schema : type[Schema]
+    is_writer : bool
+    """
+
+    def __init__(self, name: str, object_name: str, schema: type[Schema]) -> None:
+        plan(schema)
+        self.name, self.object_name, self.schema = name, object_name, schema
+        self.is_writer = False
+        self._object: SharedObject | None = None
+        self._lock: FileLock | None = None
+        self._words = _NOTHING
+        self._memory: Any = b""
+        self._readonly = self._writable = _NO_MEMORY
+        self._generation_word, self._slots, self._stride = 0, 0, 0
+        self._size = bl.HEAD + schema.SIZE
+        self._last = Snapshot(schema, bytes(self._size), 0, True)
+        self._view: Record | None = None  # of the read or write under way
+        self._writing = False
+        self._fence, self._generation = 0, 0
+        self._next_attach_ns = 0
+
+    # -- attaching --------------------------------------------------------------------------------
+
+    def attach_reader(self) -> None:
+        """Map the block read-only; raises as `claim.open_reader`."""
+        self._adopt(*claim.open_reader(self.object_name, self.schema))
+
+    def attach_writer(self, mode: int, group: int, lease_ns: int) -> None:
+        """Become the block's writer; raises as `claim.claim_writer`."""
+        self._adopt(
+            *claim.claim_writer(self.object_name, self.schema, mode=mode, group=group, lease_ns=lease_ns)
+        )
+        self.is_writer = True
+
+    def _adopt(self, obj: SharedObject, lock: FileLock) -> None:
+        self._let_go()
+        self._object, self._lock, self._memory = obj, lock, obj.memory
+        self._words = memoryview(obj.memory).cast("Q")
+        self._writable = memoryview(obj.memory)
+        self._readonly = self._writable.toreadonly()
+        latch = bl.read_header(obj.memory)["latch_offset"]
+        self._generation_word, self._slots, self._stride = bl.slot_places(self.schema, latch)
+
+    def _let_go(self, keep: bool = False) -> None:
+        obj, lock = self._object, self._lock
+        if obj is not None and lock is not None:
+            for view in (self._words, self._readonly, self._writable):
+                with contextlib.suppress(BufferError):  # a NumPy view is still held: it keeps the map
+                    view.release()
+            if self.is_writer:
+                claim.give_up(obj, lock, keep)
+            else:
+                lock.close()
+                obj.close()
+        self._object, self._lock, self._words = None, None, _NOTHING
+        self._memory, self._readonly, self._writable = b"", _NO_MEMORY, _NO_MEMORY
+        self._generation_word = 0
+        self.is_writer = False
+
+    def _refresh(self) -> bool:
+        """Follow the name to a newer object when ours was given up; True when attached to a live one."""
+        if self._words[bl.STATE_WORD] == bl.STATE_LIVE:
+            if self._lock is not None and self._lock.fd < 0 and self._object is not None:
+                # we are a forked child: the parent stays the writer
+                self._lock, self.is_writer = FileLock.beside(self._object.fd, False), False
+            return True
+        now = time.monotonic_ns()
+        if self.is_writer or self._view is not None or now < self._next_attach_ns:
+            return False
+        self._next_attach_ns = now + REATTACH_EVERY_NS
+        try:
+            self._adopt(*claim.open_reader(self.object_name, self.schema))
+        except NotRunningError:
+            return False
+        return True
+
+    def _here(self) -> FileLock:
+        if self._lock is None:
+            raise NotRunningError(
+                f"block {self.object_name!r} is not attached: its writer has not started yet"
+            )
+        return self._lock
+
+    @property
+    def attached(self) -> bool:
+        """Whether there is an object behind it (a lazily attached block may wait for its writer)."""
+        return self._object is not None
+
+    @property
+    def generation(self) -> int:
+        """Of the read under way, else of the newest publication."""
+        if self._view is not None and not self._writing:
+            return self._generation
+        return int(self._words[self._generation_word])
+
+    @property
+    def epoch(self) -> int:
+        """Number of the writer; one more for each that took over."""
+        return int(self._words[bl.EPOCH_WORD])
+
+    @property
+    def fenced(self) -> int:
+        """How many times the writer had to fence readers that held it up for a lease."""
+        return int(self._words[bl.FENCE_WORD])
+
+    @property
+    def writer_pid(self) -> int:
+        """The process that writes or wrote the block; 0 when not attached."""
+        return int(bl.read_header(self._memory)["writer_pid"]) if self._object is not None else 0
+
+    def writer_alive(self) -> bool:
+        """Whether the writer's process lives (stopped ones do) and has not given the block up."""
+        if self._lock is None or not self._refresh():
+            return False
+        return self.is_writer or self._lock.held_elsewhere(WRITER_BYTE)
+
+    def latest(self) -> Snapshot:
+        """A private copy of the newest publication, at once; never blocks anybody and never raises.
+
+        When no whole copy could be had the last good one is returned with `stale` set.
+        """
+        words, memory = self._words, self._memory
+        if words[bl.STATE_WORD] == bl.STATE_LIVE:
+            word = self._generation_word
+            for _ in range(MAX_TRIES):
+                g = words[word]
+                if g == 0:
+                    break
+                if FENCED:
+                    fence()
+                at = self._slots + (g & (SLOTS - 1)) * self._stride
+                data = memory[at : at + self._size]
+                if FENCED:
+                    fence()
+                if words[word] - g <= _MOST:
+                    self._last = snapshot = Snapshot(self.schema, data, g, False)
+                    return snapshot
+        else:
+            try:
+                if self._refresh():
+                    return self.latest()
+            except BlockError:
+                pass  # what bears the name now is not ours: the old values stay, marked stale
+        last = self._last
+        return Snapshot(self.schema, last.data, last.generation, True)
+
+    def close(self, *, keep: bool = False) -> None:
+        """Detach; the writer takes the block's name with it, unless `keep`: the next one continues it."""
+        if self._view is not None:
+            self._view._end()
+            self._view, self._writing = None, False
+        self._let_go(keep)
+
+    def __repr__(self) -> str:
+        role = "writer" if self.is_writer else "reader"
+        return (
+            f"<{role} of block {self.object_name!r} ({self.schema.__name__}), generation {self.generation}>"
+        )

@@ -1,0 +1,64 @@
+"""What blocks there are on this machine, for `surffollow blocks` and other onlookers."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from typing import Any
+
+from surffollow.blocks import layout as bl
+from surffollow.blocks.attached import AttachedBlock
+from surffollow.errors import BlockError, NameError_, NotRunningError
+from surffollow.shm.objects import SHM_ROOT, SharedObject, check_name
+
+
+def attach_unknown(object_name: str) -> AttachedBlock:
+    """Attach read-only to a block whose schema this program has not: it is read from the block.
+
+    Raises
+    ------
+    NotRunningError, NoPermissionError, BlockError
+    """
+    check_name(object_name)
+    try:
+        obj = SharedObject.open(object_name)
+    except NotRunningError:
+        raise NotRunningError(f"there is no block {object_name!r}; see `surffollow blocks ls`") from None
+    try:
+        schema = bl.declared_schema(obj)
+    finally:
+        obj.close()
+    block = AttachedBlock(object_name.rpartition(".")[2], object_name, schema)
+    block.attach_reader()
+    return block
+
+
+def describe_block(block: AttachedBlock) -> dict[str, Any]:
+    """Name, schema, writer, generation and age of a block, ready for JSON."""
+    snapshot = block.latest()
+    return {
+        "name": block.object_name,
+        "schema": block.schema.__name__,
+        "hash": f"{block.schema.HASH:016x}",
+        "bytes": block.schema.SIZE,
+        "writer_pid": block.writer_pid,
+        "writer_alive": block.writer_alive(),
+        "epoch": block.epoch,
+        "generation": snapshot.generation,
+        "age_s": round(snapshot.age_ns(time.monotonic_ns()) / 1e9, 6) if snapshot.generation else None,
+        "fenced": block.fenced,
+    }
+
+
+def list_blocks() -> list[dict[str, Any]]:
+    """All blocks that this user may read, by name."""
+    found = []
+    for name in sorted(os.listdir(SHM_ROOT)):
+        with contextlib.suppress(NameError_, NotRunningError, BlockError):
+            block = attach_unknown(name)
+            try:
+                found.append(describe_block(block))
+            finally:
+                block.close()
+    return found

@@ -1,0 +1,194 @@
+"""Attach several blocks at once, and the paper's spellings of what is done with them."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterable, Iterator, Mapping
+
+from surffollow.blocks.attached import AttachedBlock
+from surffollow.blocks.record import Record
+from surffollow.blocks.snapshot import Snapshot
+from surffollow.errors import NameError_, NotRunningError, SchemaError
+from surffollow.shm.objects import check_name
+from surffollow.shm.schema import Schema
+
+Blocks = type[Schema] | Iterable[type[Schema]] | Mapping[str, type[Schema]]
+ATTACH_POLL_S = 0.005
+# the service's own objects are called NAME.map and NAME.inbox
+_TAKEN = frozenset(("map", "inbox"))
+
+
+def block_name(schema: type[Schema]) -> str:
+    """The name a block has when none is given: `StateVector` → `state_vector`."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", schema.__name__).lower()
+
+
+class Memory:
+    """All blocks of one `mem_attach`, as attributes and by name; closes them when it ends."""
+
+    def __init__(self, name: str, blocks: dict[str, AttachedBlock]) -> None:
+        self.name, self._blocks = name, blocks
+
+    def __getattr__(self, name: str) -> AttachedBlock:
+        try:
+            return self.__dict__["_blocks"][name]  # type: ignore[no-any-return]
+        except KeyError:
+            raise AttributeError(
+                f"no block {name!r} was attached; there are {sorted(self._blocks)}"
+            ) from None
+
+    def __getitem__(self, name: str) -> AttachedBlock:
+        return self._blocks[name]
+
+    def __iter__(self) -> Iterator[AttachedBlock]:
+        return iter(self._blocks.values())
+
+    def __len__(self) -> int:
+        return len(self._blocks)
+
+    def close(self, *, keep: bool = False) -> None:
+        """Detach all; blocks written here lose their names unless `keep`."""
+        for block in self:
+            block.close(keep=keep)
+
+    def __enter__(self) -> Memory:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def mem_attach(
+    blocks: Blocks,
+    name: str = "blocks",
+    *,
+    write: bool | Iterable[str | type[Schema]] = (),
+    timeout_s: float = 5.0,
+    lazy: bool = False,
+    mode: int = 0o640,
+    group: str = "",
+    lease_s: float = 0.5,
+) -> Memory:
+    """Attach blocks: map them, check their schema hashes, become the writer of some.
+
+    Parameters
+    ----------
+    blocks : a schema, several, or {block name: schema}
+        without a name, a block is called after its class: `StateVector` → `state_vector`
+    name : str            of the memory; its objects are NAME.BLOCK
+    write : bool or names or schemas
+        which of them this process writes (True: all); absent ones are made, dead writers' ones taken over
+    timeout_s : float     how long to wait for blocks whose writers have not started
+    lazy : bool           do not wait for them: they attach when they appear
+    mode, group           of blocks written here: who may read them
+    lease_s : float       of blocks written here: how long a reader may hold up a waiting writer
+
+    Raises
+    ------
+    BusyError             another live process writes such a block; its pid is named
+    LayoutMismatchError   a block was declared otherwise
+    NotRunningError       a block did not appear in time
+    NoSpaceError, NoPermissionError, NameError_, SchemaError
+    """
+    named = _named(blocks)
+    writes = _chosen(write, named)
+    if not 0.001 <= lease_s <= 3600.0:
+        raise ValueError(f"lease_s must be 0.001 to 3600 s, not {lease_s!r}")
+    if mode & ~0o666 or mode & 0o600 != 0o600:
+        raise ValueError(f"mode must give its owner 0o600 and nobody more than 0o666, not {mode:#o}")
+    group_id = _group_id(group)
+    attached: dict[str, AttachedBlock] = {}
+    deadline = time.monotonic() + timeout_s
+    try:
+        # what we write first: others may be waiting for it while we wait for theirs
+        for block in sorted(named, key=lambda n: n not in writes):
+            attached[block] = one = AttachedBlock(block, _object_name(name, block), named[block])
+            if block in writes:
+                one.attach_writer(mode, group_id, round(lease_s * 1e9))
+            else:
+                _attach_reader(one, deadline, lazy)
+    except BaseException:
+        for one in attached.values():
+            one.close(keep=True)
+        raise
+    return Memory(name, {n: attached[n] for n in named})
+
+
+def _named(blocks: Blocks) -> dict[str, type[Schema]]:
+    if isinstance(blocks, type):
+        blocks = [blocks]
+    if isinstance(blocks, Mapping):
+        return dict(blocks)
+    named: dict[str, type[Schema]] = {}
+    for schema in blocks:
+        if named.setdefault(block_name(schema), schema) is not schema:
+            raise SchemaError(f"two blocks would be called {block_name(schema)!r}; pass {{name: schema}}")
+    return named
+
+
+def _chosen(write: bool | Iterable[str | type[Schema]], named: dict[str, type[Schema]]) -> set[str]:
+    if isinstance(write, bool):
+        return set(named) if write else set()
+    items = [write] if isinstance(write, str | type) else list(write)
+    chosen: set[str] = set()
+    for item in items:
+        found = {n for n, s in named.items() if item in (n, s)}
+        if not found:
+            raise SchemaError(f"write names {item!r}, which is none of the blocks {sorted(named)}")
+        chosen |= found
+    return chosen
+
+
+def _object_name(name: str, block: str) -> str:
+    if block in _TAKEN:
+        raise NameError_(f"a block cannot be called {block!r}; a service has an object of that name")
+    return check_name(f"{name}.{block}")
+
+
+def _group_id(group: str) -> int:
+    if not group:
+        return -1
+    import grp
+
+    try:
+        return grp.getgrnam(group).gr_gid
+    except KeyError:
+        raise NameError_(f"there is no group {group!r}") from None
+
+
+def _attach_reader(block: AttachedBlock, deadline: float, lazy: bool) -> None:
+    while True:
+        try:
+            return block.attach_reader()
+        except NotRunningError:
+            if lazy:
+                return None
+            if time.monotonic() >= deadline:
+                raise
+        time.sleep(ATTACH_POLL_S)
+
+
+def get_read_ok(block: AttachedBlock, timeout_s: float = 5.0) -> tuple[Record, int]:
+    """Wait until writing has finished; returns a read-only view and its generation."""
+    return block.get_read_ok(timeout_s)
+
+
+def read_done(block: AttachedBlock) -> str:
+    """End the read: "ok", or "stale" when the reader was fenced meanwhile."""
+    return block.read_done()
+
+
+def get_write_ok(block: AttachedBlock, timeout_s: float = 5.0) -> Record:
+    """Wait until all reading has finished; returns a slot that holds the newest values."""
+    return block.get_write_ok(timeout_s)
+
+
+def write_done(block: AttachedBlock) -> int:
+    """Publish, let readers in, replicate; returns the new generation."""
+    return block.write_done()
+
+
+def latest(block: AttachedBlock) -> Snapshot:
+    """A private copy of the newest values, at once, whatever readers and writer do."""
+    return block.latest()
