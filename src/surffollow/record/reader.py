@@ -28,6 +28,7 @@ from surffollow.record.format import (
     layout_hashes,
     program_version,
 )
+from surffollow.record.mcap_records import read_metadata, read_schema
 
 MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _MESSAGE, _CHUNK, _METADATA, _DATA_END_CODE = 2, 3, 5, 6, 12, 15
@@ -148,7 +149,7 @@ class RecordingReader:
         found = Damage(list(self.damage.reasons))
         for opcode, body in self._records():
             if opcode == _SCHEMA:
-                name, encoding, text = _schema(body)
+                name, encoding, text = read_schema(body)
                 if name == SCHEMA_NAME and encoding == SCHEMA_ENCODING:
                     self.layout = _check_layout(self.path, text)
                     break
@@ -173,7 +174,7 @@ class RecordingReader:
                 words = body[_MESSAGE_HEAD.size + _BATCH_HEAD.size :]
                 yield Batch(segment, epoch, position, cycles, words)
             elif opcode == _METADATA:
-                name, values = _metadata(body)
+                name, values = read_metadata(body)
                 if name == SUMMARY_NAME:
                     self.summary = values
 
@@ -247,37 +248,6 @@ class RecordingReader:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _text(body: memoryview, at: int) -> tuple[str, int]:
-    (length,) = struct.unpack_from("<I", body, at)
-    end = at + 4 + length
-    if end > len(body):
-        raise ValueError("a text is cut short")
-    return bytes(body[at + 4 : end]).decode(), end
-
-
-def _schema(body: memoryview) -> tuple[str, str, bytes]:
-    try:
-        name, at = _text(body, 2)
-        encoding, at = _text(body, at)
-        (length,) = struct.unpack_from("<I", body, at)
-    except (struct.error, ValueError):
-        return "", "", b""
-    return name, encoding, bytes(body[at + 4 : at + 4 + length])
-
-
-def _metadata(body: memoryview) -> tuple[str, dict[str, str]]:
-    values: dict[str, str] = {}
-    try:
-        name, at = _text(body, 0)
-        at += 4
-        while at < len(body):
-            key, at = _text(body, at)
-            values[key], at = _text(body, at)
-    except (struct.error, ValueError):
-        return "", {}
-    return name, values
 
 
 def _check_layout(path: Path, text: bytes) -> dict[str, Any]:

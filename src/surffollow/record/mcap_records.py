@@ -1,0 +1,38 @@
+"""Decode the two MCAP records made of texts: schemas and metadata."""
+
+from __future__ import annotations
+
+import struct
+
+
+def _text(body: memoryview, at: int) -> tuple[str, int]:
+    (length,) = struct.unpack_from("<I", body, at)
+    end = at + 4 + length
+    if end > len(body):
+        raise ValueError("a text is cut short")
+    return bytes(body[at + 4 : end]).decode(), end
+
+
+def read_schema(body: memoryview) -> tuple[str, str, bytes]:
+    """Name, encoding and text of a schema record; empty when it is damaged."""
+    try:
+        name, at = _text(body, 2)
+        encoding, at = _text(body, at)
+        (length,) = struct.unpack_from("<I", body, at)
+    except (struct.error, ValueError):
+        return "", "", b""
+    return name, encoding, bytes(body[at + 4 : at + 4 + length])
+
+
+def read_metadata(body: memoryview) -> tuple[str, dict[str, str]]:
+    """Name and values of a metadata record; empty when it is damaged."""
+    values: dict[str, str] = {}
+    try:
+        name, at = _text(body, 0)
+        at += 4
+        while at < len(body):
+            key, at = _text(body, at)
+            values[key], at = _text(body, at)
+    except (struct.error, ValueError):
+        return "", {}
+    return name, values
