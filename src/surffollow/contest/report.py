@@ -9,13 +9,23 @@ from typing import Any
 import numpy as np
 
 from surffollow.contest.conditions import STANDOFF_M
-from surffollow.contest.methods import LIMIT
+from surffollow.contest.methods import LIMIT, ORACLE
 from surffollow.contest.runner import Result, geometric_mean, run_method, scene_of
 from surffollow.contest.suite import surface_label
 from surffollow.errors import UsageError
 
 Row = dict[str, Any]
 
+COLOURS = {
+    "hold": "silver",
+    "p": "tab:olive",
+    "pi": "tab:orange",
+    "lpf-gate": "tab:green",
+    "kalman-ff": "tab:blue",
+    "paper": "tab:purple",
+    "ours": "tab:red",
+    LIMIT: "black",
+}
 FLOOR_M = 0.1e-3  # below, an error is as good as none
 
 
@@ -96,6 +106,14 @@ def text_table(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
+def _line(method: str) -> dict[str, Any]:
+    """Line of a method: an oracle is dashed in its baseline's colour, the default follower stands out."""
+    name = method.partition("=")[0]
+    colour = COLOURS.get(name.removesuffix(ORACLE), "tab:cyan")
+    width = 1.3 if name == "ours" else 0.8
+    return {"color": colour, "lw": width, "ls": "--" if name.endswith(ORACLE) or name == LIMIT else "-"}
+
+
 def write_plots(results: Sequence[Result], folder: Path) -> list[Path]:
     """Plot error over distance (first seed, middle speed) and error against speed, per surface and lead.
 
@@ -124,7 +142,7 @@ def write_plots(results: Sequence[Result], folder: Path) -> list[Path]:
             _, w = run_method(r.method, scene, r.params)
             x = middle * 1e-3 * (scene.first_ms + np.arange(len(w.z) - scene.first_ms))
             e = 1e3 * (w.z - scene.ground_m - STANDOFF_M)[scene.first_ms :]
-            middle_axes.plot(x[::5], e[::5], lw=0.7, label=r.method.partition("=")[0])
+            middle_axes.plot(x[::5], e[::5], **_line(r.method))
             if r.method != "hold":  # not following at all is off the scale of all others
                 scale_mm = max(scale_mm, float(np.abs(e).max()))
         p = scene_of(mine[0].cell, min(mine[0].scores)).profile
@@ -133,9 +151,8 @@ def write_plots(results: Sequence[Result], folder: Path) -> list[Path]:
             rows = sorted(
                 (r.row() for r in mine if r.method == method), key=lambda row: float(row["speed_mps"])
             )
-            style = "k--" if method == LIMIT else "o-"
             v, y = [1e3 * r["speed_mps"] for r in rows], [max(1e3 * r["rms_m"], 1e-3) for r in rows]
-            bottom.loglog(v, y, style, ms=3, lw=0.9, label=method.partition("=")[0])
+            bottom.loglog(v, y, marker="o", ms=3, label=method.partition("=")[0], **_line(method))
         top.set(ylabel="ground [mm]", title=f"{surface_label(surface)}, lead {1e3 * lead:g} mm")
         top.set_xlim(0.0, p.length_m)
         middle_axes.set(ylabel=f"error [mm] at {1e3 * middle:g} mm/s", xlabel="distance [m]")
