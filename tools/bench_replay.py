@@ -2,8 +2,9 @@
 
 Records a rehearsed run (the same kernels and log as the service, invented inputs), then
 replays the file several times in this process, after one replay that is not counted.
-Wall time and processor time are given: on a busy machine only the second says what one
-core can do.
+Wall time and processor time are given. The bar is of one core, so it is judged by
+processor time: wall time on a busy machine measures the neighbours. (The file lies in
+the page cache; a slow disk shows in wall time only.)
 
     python tools/bench_replay.py [--cycles 500000] [--channels 1] [--mode paper] [--json]
 """
@@ -86,8 +87,8 @@ def main() -> int:
     cycles = max(1, o.cycles // 1000) * 1000
     result = measure(cycles, o.mode, o.channels, o.repeats)
     result |= {"machine": platform.machine(), "python": platform.python_version(), "numba": numba.__version__}
-    best = result["replayed_cycles_per_s"]["best"]
-    result["bar_cycles_per_s"], result["bar_met"] = BAR_CYCLES_PER_S, bool(best >= BAR_CYCLES_PER_S)
+    reached = result["replayed_cycles_per_processor_s"]
+    result["bar_cycles_per_s"], result["bar_met"] = BAR_CYCLES_PER_S, bool(reached >= BAR_CYCLES_PER_S)
     if o.json:
         print(json.dumps(result))
     else:
