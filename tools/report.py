@@ -1,0 +1,40 @@
+"""How a bench tells its figures: one JSON object, or a table of its bars; exit code 1 when one is missed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+
+def bar(name: str, got: float | None, limit: float, unit: str, note: str = "") -> dict[str, Any]:
+    """One bar: met when `got` is at most `limit`; `got` None: not measured here, `note` says why."""
+    return {
+        "bar": name,
+        "got": got,
+        "limit": limit,
+        "unit": unit,
+        "ok": None if got is None else bool(got <= limit),
+        "note": note,
+    }
+
+
+def bar_line(b: dict[str, Any]) -> str:
+    """A bar as a line of a table."""
+    got = "not measured" if b.get("got") is None else f"{b['got']:.4g}"
+    limit = f"{b['limit']:.4g} {b.get('unit', '')}".strip() if b.get("limit") is not None else ""
+    verdict = {True: "met", False: "MISSED", None: "-"}[b.get("ok")]
+    return f"{b['bar']:<44} {got:>12}  ≤ {limit:<14} {verdict:<6} {b.get('note', '')}".rstrip()
+
+
+def finish(result: dict[str, Any]) -> int:
+    """Print a bench's result as asked for on the command line; the exit code."""
+    if "--json" in sys.argv[1:]:
+        print(json.dumps(result))
+    else:
+        print(f"{result['what']}\n({result['machine']})")
+        for b in result["bars"]:
+            print(bar_line(b))
+        for line in result.get("notes", ()):
+            print(line)
+    return 1 if any(b["ok"] is False for b in result["bars"]) else 0
