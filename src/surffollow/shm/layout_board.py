@@ -7,7 +7,7 @@ page-aligned slot per client. (The map object NAME.map is in `map_layout`.)
 from __future__ import annotations
 
 from surffollow.shm.latch_shape import latch_bytes
-from surffollow.shm.layout_follow import Output, Params
+from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
 from surffollow.shm.schema import F64, I64, U32, U64, Nested, Schema, Text
 
 BOARD_MAGIC = int.from_bytes(b"SURFBRD1", "little")
