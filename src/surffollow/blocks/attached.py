@@ -58,14 +58,9 @@ class AttachedBlock(ReadSide):
         BusyError           this handle has a read or write under way
         BlockError          this process is not the block's writer
         """
+        lock = self._writer_lock()
         if self._view is not None:
             raise BusyError(f"block {self.name!r}: a read or write is under way on this handle; end it first")
-        lock = self._lock
-        if not self.is_writer or lock is None or lock.fd < 0:
-            raise BlockError(
-                f"this process is not the writer of block {self.object_name!r}: attach it with write=... "
-                "(after a fork the parent stays the writer)"
-            )
         words = self._words
         if _clock() - self._done_ns < BUSY_NS:
             self._let_queued_in(lock)
@@ -82,6 +77,15 @@ class AttachedBlock(ReadSide):
         slot = Record(self.schema, self._writable, new)
         self._view, self._writing, self._fence = slot, True, number
         return slot
+
+    def _writer_lock(self) -> FileLock:
+        lock = self._lock
+        if not self.is_writer or lock is None or lock.fd < 0:
+            raise BlockError(
+                f"this process is not the writer of block {self.object_name!r}: attach it with write=... "
+                "(after a fork the parent stays the writer)"
+            )
+        return lock
 
     def _let_queued_in(self, lock: FileLock) -> None:
         if not lock.held_elsewhere(QUEUE_BYTE):
@@ -139,6 +143,7 @@ class AttachedBlock(ReadSide):
     def _end_write(self, call: str) -> None:
         if self._view is None or not self._writing:
             raise BlockError(f"block {self.name!r}: {call} without get_write_ok")
+        self._writer_lock()  # a child forked in the middle of a write must not publish it
         self._view._end()
         self._view, self._writing = None, False
 

@@ -152,27 +152,26 @@ class Attachment:
         When no whole copy could be had the last good one is returned with `stale` set.
         """
         words, memory = self._words, self._memory
-        if words[bl.STATE_WORD] == bl.STATE_LIVE:
-            word = self._generation_word
-            for _ in range(MAX_TRIES):
-                g = words[word]
-                if g == 0:
-                    break
-                if FENCED:
-                    fence()
-                at = self._slots + (g & (SLOTS - 1)) * self._stride
-                data = memory[at : at + self._size]
-                if FENCED:
-                    fence()
-                if words[word] - g <= _MOST:
-                    self._last = snapshot = Snapshot(self.schema, data, g, False)
-                    return snapshot
-        else:
-            try:
-                if self._refresh():
-                    return self.latest()
-            except BlockError:
-                pass  # what bears the name now is not ours: the old values stay, marked stale
+        stale = words[bl.STATE_WORD] != bl.STATE_LIVE
+        if stale:
+            # what bears the name by now may not be ours: then the old values stay
+            with contextlib.suppress(BlockError):
+                stale = not self._refresh()
+            words, memory = self._words, self._memory
+        word = self._generation_word
+        for _ in range(MAX_TRIES):
+            g = words[word]
+            if g == 0:
+                break
+            if FENCED:
+                fence()
+            at = self._slots + (g & (SLOTS - 1)) * self._stride
+            data = memory[at : at + self._size]
+            if FENCED:
+                fence()
+            if words[word] - g <= _MOST:
+                self._last = snapshot = Snapshot(self.schema, data, g, stale)
+                return snapshot
         last = self._last
         return Snapshot(self.schema, last.data, last.generation, True)
 

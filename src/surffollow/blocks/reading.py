@@ -32,7 +32,7 @@ class ReadSide(Attachment):
 
         Raises
         ------
-        BlockTimeoutError   the writer did not finish, or nothing has been written, in that time
+        BlockTimeoutError   in that time the writer did not finish, or did not start, or wrote nothing
         BusyError           this handle has a read or write under way
         """
         if self._view is not None:
@@ -74,9 +74,9 @@ class ReadSide(Attachment):
         queued: FileLock | None = None
         try:
             while True:
-                self._refresh()
+                live = self._refresh()
                 words, lock = self._words, self._lock
-                if lock is not None:
+                if live and lock is not None:
                     number = words[bl.FENCE_WORD]
                     if (
                         words[self._generation_word]
@@ -99,6 +99,8 @@ class ReadSide(Attachment):
     def _why_no_read(self, timeout_s: float) -> str:
         if self._lock is None:
             why = "its writer has not started"
+        elif self._words[bl.STATE_WORD] != bl.STATE_LIVE:
+            why = f"its writer {self.writer_pid} ended and took it away; latest() gives its last values"
         elif not self._words[self._generation_word]:
             why = f"nothing has been written to it yet (writer {self.writer_pid})"
         else:

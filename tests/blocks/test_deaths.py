@@ -1,0 +1,260 @@
+"""Readers and writers that are killed, stopped, fork, or never let go: nobody else is hurt for long."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from surffollow.blocks import mem_attach
+from surffollow.errors import BlockError, BlockTimeoutError
+
+from .conftest import Platform, Words, forever
+
+LEASE_S = 0.03
+
+
+def test_a_killed_reader_gives_its_lock_back_at_once(space, child):
+    with mem_attach(Platform, space, write=True, lease_s=60) as mem:
+        with mem.platform.write() as slot:
+            slot.t_ns = 1
+
+        def read_and_hang(me):
+            mem_attach(Platform, space).platform.get_read_ok()
+            me.say(1)
+            forever()
+
+        for _ in range(5):
+            reader = child(read_and_hang)
+            assert reader.hear() == 1
+            with pytest.raises(BlockTimeoutError):
+                mem.platform.get_write_ok(0.01)
+            reader.kill()
+            with mem.platform.write(2.0) as slot:  # far below the lease: the kernel released it
+                slot.t_ns += 1
+        assert mem.platform.fenced == 0
+
+
+def test_a_stopped_reader_is_fenced_after_its_lease_and_told_so(space, child):
+    with mem_attach(Words, space, write=True, lease_s=LEASE_S) as mem:
+        with mem.words.write() as slot:
+            slot.word = [1] * 256
+
+        def read_for_long(me):
+            block = mem_attach(Words, space).words
+            view, generation = block.get_read_ok()
+            me.say(generation)
+            os.kill(os.getpid(), signal.SIGSTOP)
+            me.say(len(set(view.word)))  # one newer publication has not touched this slot
+            me.say(block.read_done() == "stale")
+            again, generation = block.get_read_ok()
+            me.say(generation)
+            me.say(block.read_done() == "ok")
+
+        reader = child(read_for_long)
+        assert reader.hear() == 1
+        os.waitpid(reader.pid, os.WUNTRACED)
+        begin = time.monotonic()
+        with mem.words.write() as slot:
+            slot.word = [2] * 256
+        waited = time.monotonic() - begin
+        assert LEASE_S <= waited < LEASE_S + 1.0
+        assert mem.words.fenced == 1
+        with mem.words.write(LEASE_S / 2) as slot:  # fenced once, it holds nobody up again
+            slot.word = [2] * 256
+        reader.signal(signal.SIGCONT)
+        assert [reader.hear() for _ in range(4)] == [1, True, 3, True]
+        assert reader.end() == 0
+
+
+def test_the_read_context_raises_when_the_reader_was_fenced(space):
+    with mem_attach(Platform, space, write=True, lease_s=0.002) as mem, mem_attach(Platform, space) as theirs:
+        with mem.platform.write():
+            pass
+        with pytest.raises(BlockError, match="outlived its lease"), theirs.platform.read():
+            with mem.platform.write():
+                pass
+
+
+def test_readers_that_overlap_for_ever_do_not_starve_the_writer(space, child):
+    with mem_attach(Words, space, write=True, lease_s=60) as mem:
+        with mem.words.write() as slot:
+            slot.word = [1] * 256
+
+        def keep_reading(me):
+            first, second = (mem_attach(Words, space).words for _ in range(2))
+            first.get_read_ok()
+            me.say(0)
+            n = 0
+            while True:  # the next read begins before the last one ends, whenever the door is open
+                for a, b in ((first, second), (second, first)):
+                    try:
+                        b.get_read_ok(0.0)
+                    except BlockTimeoutError:
+                        a.read_done()
+                        b.get_read_ok(10.0)
+                    else:
+                        a.read_done()
+                    n += 1
+
+        readers = [child(keep_reading) for _ in range(2)]
+        for r in readers:
+            assert r.hear() == 0
+        for k in range(20):
+            with mem.words.write(5.0) as slot:
+                slot.word = [k] * 256
+        assert mem.words.fenced == 0
+
+
+def test_a_writer_that_never_pauses_does_not_starve_readers(space, child):
+    def keep_writing(me):
+        with mem_attach(Words, space, write=True) as mem:
+            k = 0
+            while True:
+                k += 1
+                with mem.words.write() as slot:
+                    slot.word = [k] * 256
+                if k == 1:
+                    me.say(1)
+
+    writer = child(keep_writing)
+    assert writer.hear() == 1
+    with mem_attach(Words, space) as theirs:
+        last = 0
+        for _ in range(50):
+            with theirs.words.read(5.0) as view:
+                assert len(set(view.word)) == 1
+                assert theirs.words.generation >= last
+                last = theirs.words.generation
+
+
+def test_a_writer_killed_half_way_leaves_the_previous_generation_and_its_successor_goes_on(space, child):
+    def write_half(me):
+        block = mem_attach(Words, space, write=True).words
+        slot = block.get_write_ok()
+        slot.word = [block.epoch % 1000] * 256
+        block.write_done()
+        slot = block.get_write_ok()
+        slot.array("word")[:128] = memoryview(bytes(8 * 128)).cast("q")
+        me.say(block.epoch)
+        forever()
+
+    epochs = []
+    for k in range(3):
+        writer = child(write_half)
+        epochs.append(writer.hear())
+        with mem_attach(Words, space) as theirs:
+            with pytest.raises(BlockTimeoutError, match=f"process {writer.pid} did not finish"):
+                theirs.words.get_read_ok(0.01)
+            writer.kill()
+            with theirs.words.read(2.0) as view:
+                assert set(view.word) == {epochs[-1] % 1000}
+            assert theirs.words.latest().generation == k + 1
+            assert not theirs.words.writer_alive()
+    assert epochs == [epochs[0], epochs[0] + 1, epochs[0] + 2]
+
+
+def test_a_writer_killed_while_it_waits_does_not_keep_readers_out(space, child):
+    def wait_for_ever(me):
+        block = mem_attach(Platform, space, write=True, lease_s=60).platform
+        with block.write():
+            pass
+        me.say(1)
+        me.say(2 if os.read(go_r, 1) else 0)
+        block.get_write_ok(60.0)
+
+    go_r, go_w = os.pipe()
+    writer = child(wait_for_ever)
+    assert writer.hear() == 1
+    with mem_attach(Platform, space) as first, mem_attach(Platform, space) as second:
+        first.platform.get_read_ok()
+        os.write(go_w, b"x")
+        assert writer.hear() == 2
+        deadline = time.monotonic() + 5
+        while time.monotonic() < deadline:  # until the door is closed
+            try:
+                second.platform.get_read_ok(0.0)
+                second.platform.read_done()
+            except BlockTimeoutError:
+                break
+        else:
+            pytest.fail("the waiting writer never closed the door")
+        writer.kill()
+        second.platform.get_read_ok(2.0)
+        assert second.platform.read_done() == "ok"
+        assert first.platform.read_done() == "ok"
+
+
+def test_makers_killed_at_any_moment_leave_nothing_that_a_successor_must_clean(space, child):
+    def make(me):
+        me.say(1)
+        mem_attach(Words, space, write=True).words.get_write_ok()
+        me.say(2)
+        forever()
+
+    for k in range(30):
+        maker = child(make)
+        maker.hear()
+        time.sleep(1e-4 * (k % 10))
+        maker.kill()
+    assert len(list(Path("/dev/shm").glob(f"{space}*"))) <= 1
+    with mem_attach(Words, space, write=True) as mem:
+        with mem.words.write() as slot:
+            slot.word = [1] * 256
+
+
+def test_a_forked_child_neither_keeps_nor_frees_its_parents_locks(space):
+    mem = mem_attach(Platform, space, write=True)
+    with mem.platform.write() as slot:
+        slot.t_ns = 1
+    slot = mem.platform.get_write_ok()  # the fork happens in the middle of a write
+    context = multiprocessing.get_context("fork")
+
+    def in_child(out):
+        with pytest.raises(BlockError, match="parent stays the writer"):
+            mem.platform.write_done()
+        out.put(mem.platform.latest()["t_ns"])
+        mem.close()
+        out.put("closed")
+        forever()
+
+    out = context.Queue()
+    process = context.Process(target=in_child, args=(out,), daemon=True)
+    process.start()
+    try:
+        assert out.get(timeout=20) == 1
+        assert out.get(timeout=20) == "closed"
+        slot.t_ns = 2
+        mem.platform.write_done()
+        with mem_attach(Platform, space) as theirs:
+            assert theirs.platform.writer_alive()
+            mem.close(keep=True)
+            assert not theirs.platform.writer_alive()  # though the child lives
+    finally:
+        process.kill()
+        process.join()
+    with mem_attach(Platform, space, write=True) as mem:
+        assert mem.platform.latest()["t_ns"] == 2
+
+
+def test_a_forked_reader_opens_its_own_locks(space, child):
+    with mem_attach(Platform, space, write=True, lease_s=60) as mem, mem_attach(Platform, space) as theirs:
+        with mem.platform.write() as slot:
+            slot.t_ns = 1
+
+        def read_on(me):
+            theirs.platform.get_read_ok(1.0)
+            me.say(1)
+            forever()
+
+        reader = child(read_on)
+        assert reader.hear() == 1
+        with pytest.raises(BlockTimeoutError):
+            mem.platform.get_write_ok(0.01)
+        reader.kill()
+        with mem.platform.write(2.0):
+            pass
