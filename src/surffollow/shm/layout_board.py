@@ -241,7 +241,7 @@ def inbox_bytes() -> int:
 
 
 def layout_hash() -> int:
-    """One number over every schema that service and clients must agree on."""
+    """One number over every schema that service, clients and recorders must agree on."""
     total = LAYOUT_VERSION
     schemas: list[type[Schema]] = [
         BoardHeader,
@@ -249,6 +249,8 @@ def layout_hash() -> int:
         SlotHead,
         PosePost,
         RequestPost,
+        FollowState,
+        Inputs,
         *(s for _, s, _ in BOARD_PARTS),
     ]
     for schema in schemas:
