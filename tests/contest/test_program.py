@@ -139,3 +139,10 @@ def test_markdown_never_puts_two_leads_into_one_table() -> None:
     text = markdown_table([{**row, "lead_m": 0.0}, {**row, "lead_m": 0.05}])
     assert text.count("### Lead") == 2
     assert text.count("1.000 ± 0.100") == 2
+
+
+def test_sweeps_leave_out_rows_that_no_bar_and_no_table_needs() -> None:
+    rows = ["p", "p:oracle", "kalman-ff:oracle", "paper", "ours"]
+    assert runner.methods_in(Cell("flat", 0.1), rows) == rows
+    assert runner.methods_in(Cell("flat", 0.1, variant="tau×0.7"), rows) == rows[:3] + rows[4:]
+    assert runner.methods_in(Cell("flat", 0.1, variant="latency=0"), rows) == ["p", *rows[2:]]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.contest.loop import END, MS_NS, POSE, SAMPLE, STEP_S, World, advance
+from surffollow.contest.loop import END, MS_NS, STEP_S, World, advance_to_tick
 from surffollow.contest.methods import FollowerLike
 from surffollow.contest.scene import START_NS, Scene
 
@@ -30,21 +30,26 @@ def drive(follower: FollowerLike, s: Any, w: World, start_ns: int = START_NS) ->
     """
     nothing = np.array([math.nan])
     step, pose = follower.step, follower.pose
-    pose_ns = (start_ns + w.reports["ms"] * MS_NS).tolist()
-    sample_ns = (start_ns + w.readings["ms"] * MS_NS).tolist()
-    ranges, x, z = w.readings["range"], w.reports["x"], w.reports["z"]
+    reports, readings = w.reports, w.readings
+    pose_ns = (start_ns + reports["ms"] * MS_NS).tolist()
+    sample_ns = (start_ns + readings["ms"] * MS_NS).tolist()
+    ranges, x, z = readings["range"], reports["x"], reports["z"]
+    # everything in the order of its arrival, poses before readings of the same millisecond
+    arrivals = np.concatenate([2 * reports["arrival_ms"], 2 * readings["arrival_ms"] + 1])
+    order = np.argsort(arrivals, kind="stable").tolist()
+    told, poses = 0, len(reports)
     while True:
-        event = advance(s, w)
-        if event == SAMPLE:
-            i = int(s["samples"]) - 1
-            step(sample_ns[i], ranges[i : i + 1].copy())
-        elif event == POSE:
-            i = int(s["poses"]) - 1
-            pose(pose_ns[i], np.array([x[i], 0.0, z[i], 0.0, 0.0, 0.0, 1.0]))
-        elif event == END:
+        event = advance_to_tick(s, w)
+        for k in order[told : int(s["poses"]) + int(s["samples"])]:
+            if k < poses:
+                pose(pose_ns[k], np.array([x[k], 0.0, z[k], 0.0, 0.0, 0.0, 1.0]))
+            else:
+                i = k - poses
+                step(sample_ns[i], ranges[i : i + 1].copy())
+        told = int(s["poses"]) + int(s["samples"])
+        if event == END:
             return
-        else:
-            s["demand_m"] = step(start_ns + int(s["ms"]) * MS_NS, nothing)[2]
+        s["demand_m"] = step(start_ns + int(s["ms"]) * MS_NS, nothing)[2]
 
 
 def travel_back(follower: FollowerLike, scene: Scene, z_m: float, start_ns: int) -> int:

@@ -162,3 +162,15 @@ def advance(s: Any, w: World) -> int:
         if s.phase == _DEMAND:
             _apply_demand(s, w.reports, w.orders)
         s.phase = _MOVE
+
+
+@njit(cache=True, nogil=True)
+def advance_to_tick(s: Any, w: World) -> int:
+    """Run to the next `TICK` or to the `END`, past arrivals: `poses` and `samples` say what came meanwhile.
+
+    What a follower is told between ticks changes nothing before the next tick, so it can be told then.
+    """
+    while True:
+        event = advance(s, w)
+        if event in (TICK, END):
+            return event

@@ -34,11 +34,12 @@ Factory = Callable[[Conditions], FollowerLike]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number to tune: its name with unit, and bounds (positive: tuned on a logarithmic scale)."""
+    """A number to tune: name with unit, bounds (above 0), whether it matters only with a lead."""
 
     name: str
     low: float
     high: float
+    leading_only: bool = False
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,7 @@ class Baseline:
 
 
 _LAG = Parameter("lag_s", 1e-3, 0.6)
+_LAG_OF_LEAD = Parameter("lag_s", 1e-3, 0.6, leading_only=True)
 
 BASELINES: dict[str, Baseline] = {
     m.name: m
@@ -68,7 +70,7 @@ BASELINES: dict[str, Baseline] = {
         Baseline(
             "lpf-gate",
             b.LPF_GATE,
-            (Parameter("tau_s", 1e-3, 0.5), Parameter("gate_m", 0.2e-3, 0.05), _LAG),
+            (Parameter("tau_s", 1e-3, 0.5), Parameter("gate_m", 0.2e-3, 0.05), _LAG_OF_LEAD),
             ((0.003, 3e-3, 0.06), (0.01, 5e-3, 0.05), (0.05, 2e-3, 0.05)),
         ),
         Baseline(

@@ -34,7 +34,7 @@ def tune(job: tuple[str, float]) -> tuple[str, float, tuple[float, ...], float]:
     def cost(params: tuple[float, ...]) -> float:
         return geometric_mean(max(rms_of(baseline, params, s), FLOOR_M) for s in scenes)
 
-    best, best_cost = pattern_search(baseline, cost, baseline.guesses, 140)
+    best, best_cost = pattern_search(baseline, cost, baseline.guesses, 140, lead_m > 0.0)
     return name, lead_m, best, best_cost
 
 

@@ -53,6 +53,7 @@ def pattern_search(
     cost: Callable[[tuple[float, ...]], float],
     guesses: Sequence[tuple[float, ...]],
     max_evaluations: int = MAX_EVALUATIONS,
+    leading: bool = True,
 ) -> tuple[tuple[float, ...], float]:
     """Minimise a cost over a baseline's parameters, inside their bounds.
 
@@ -62,6 +63,7 @@ def pattern_search(
     cost : of a tuple of parameters; the same tuple must cost the same again
     guesses : where to look first; the best two are refined
     max_evaluations : budget, first guesses included
+    leading : False leaves parameters alone that matter only with a leading sensor
 
     Returns
     -------
@@ -76,7 +78,7 @@ def pattern_search(
         return inside, seen[inside]
 
     def refine(best: tuple[float, ...], best_cost: float, budget: int) -> tuple[tuple[float, ...], float]:
-        steps = [FIRST_STEP] * len(best)
+        steps = [FIRST_STEP if leading or not p.leading_only else 0.0 for p in baseline.tunable]
         while max(steps) > LAST_STEP and len(seen) < budget:
             for i in range(len(best)):
                 if steps[i] <= LAST_STEP:
@@ -101,7 +103,9 @@ def pattern_search(
 def tune_oracle(baseline: Baseline, scenes: Sequence[Scene], lead_m: float) -> tuple[float, ...]:
     """Best parameters for the given training scenes, fixed parameters behind them."""
     guesses = [suite_params(baseline, lead_m)[: len(baseline.tunable)], *baseline.guesses]
-    best, _ = pattern_search(
-        baseline, lambda params: float(np.mean([rms_of(baseline, params, s) for s in scenes])), guesses
-    )
+
+    def cost(params: tuple[float, ...]) -> float:
+        return float(np.mean([rms_of(baseline, params, s) for s in scenes]))
+
+    best, _ = pattern_search(baseline, cost, guesses, leading=lead_m > 0.0)
     return best + baseline.fixed
