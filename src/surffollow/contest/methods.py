@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Any, Protocol
 
 from surffollow.contest import baselines as b
@@ -129,7 +130,7 @@ def _follower_factory(choices: dict[str, Any]) -> Factory:
 
 def followers() -> dict[str, Factory]:
     """Return the followers that this installation has, by row name."""
-    if not hasattr(importlib.import_module("surffollow"), "Follower"):
+    if find_spec("surffollow.follower") is None:
         return {}
     # the paper uses the newest pose there is, whatever the reading's stamp
     return {
