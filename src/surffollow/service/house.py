@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 
 from surffollow.config.service import ServiceConfig, metres, mode, seconds
-from surffollow.errors import AlreadyRunningError, BlockError, ConfigError, NoPermissionError
+from surffollow.errors import (
+    AlreadyRunningError,
+    BlockError,
+    ConfigError,
+    ExistsError,
+    NoPermissionError,
+)
 from surffollow.map.header import header_fault, init_header
 from surffollow.shm import layout_board as lb
 from surffollow.shm import map_layout as ml
@@ -98,30 +104,47 @@ def hold_map(name: str) -> SharedObject | None:
         map_.close()  # purged between open and lock: look again
 
 
+def _take_map(config: ServiceConfig, group: int) -> tuple[SharedObject, bool]:
+    """The locked map of the name, and whether it was made now."""
+    while True:
+        kept = hold_map(config.name)
+        if kept is not None:
+            return kept, False
+        try:
+            return _make_map(config, group), True
+        except ExistsError:
+            continue  # somebody else made it just now: look again
+
+
 def _make_map(config: ServiceConfig, group: int) -> SharedObject:
     grids = config.map.grids
-    map_ = SharedObject.create(
-        f"{config.name}.map", ml.map_object_size(grids), mode(config.access.map_mode, "map_mode"), group
-    )
-    if not map_.try_lock(lb.NAME_LOCK_BYTE):
-        raise AlreadyRunningError(f"another service {config.name!r} is starting; try again")
-    header = np.frombuffer(map_.memory, np.uint8)[: ml.MapHeader.SIZE].view(numpy_dtype(ml.MapHeader))
-    init_header(
-        header,
-        capacity_grids=grids,
-        finest_grid_m=metres(config.map.finest_grid, "map.finest_grid", 1e-6, 1e4),
-        quantum_m=metres(config.map.quantum, "map.quantum", 1e-9, 10.0),
-        rounding=config.map.rounding,
-        gate_m=metres(config.map.gate, "map.gate", 0.0, 1e4),
-    )
-    return map_
+
+    def prepare(map_: SharedObject) -> None:
+        map_.try_lock(lb.NAME_LOCK_BYTE)
+        header = _map_header(map_)
+        init_header(
+            header,
+            capacity_grids=grids,
+            finest_grid_m=metres(config.map.finest_grid, "map.finest_grid", 1e-6, 1e4),
+            quantum_m=metres(config.map.quantum, "map.quantum", 1e-9, 10.0),
+            rounding=config.map.rounding,
+            gate_m=metres(config.map.gate, "map.gate", 0.0, 1e4),
+        )
+        header[0]["owner_pid"] = os.getpid()
+
+    map_mode = mode(config.access.map_mode, "map_mode")
+    return SharedObject.create(f"{config.name}.map", ml.map_object_size(grids), map_mode, group, prepare)
+
+
+def _map_header(map_: SharedObject) -> Any:
+    return np.frombuffer(map_.memory, np.uint8)[: ml.MapHeader.SIZE].view(numpy_dtype(ml.MapHeader))
 
 
 def _check_kept_map(config: ServiceConfig, map_: SharedObject) -> None:
     purge = f"keep it elsewhere first if you need it, then `surffollow stop --name {config.name} --purge`"
     if map_.size < ml.HEADER_BYTES + ml.PAIR_BYTES:
         raise BlockError(f"the kept map {map_.name!r} is only {map_.size} bytes long; {purge}")
-    header = np.frombuffer(map_.memory, np.uint8)[: ml.MapHeader.SIZE].view(numpy_dtype(ml.MapHeader))
+    header = _map_header(map_)
     n_pairs = (map_.size - ml.pairs_offset()) // ml.PAIR_BYTES
     fault = header_fault(header, n_pairs)
     w = header[0]
@@ -139,6 +162,7 @@ def _check_kept_map(config: ServiceConfig, map_: SharedObject) -> None:
     w["rounding"] = ml.ROUNDING_NAMES.index(config.map.rounding)
     w["gate_m"] = metres(config.map.gate, "map.gate", 0.0, 1e4)
     w["finest_grid_m"] = metres(config.map.finest_grid, "map.finest_grid", 1e-6, 1e4)
+    w["owner_pid"] = os.getpid()
 
 
 def open_house(config: ServiceConfig) -> House:
@@ -150,14 +174,10 @@ def open_house(config: ServiceConfig) -> House:
     """
     name = check_name(config.name)
     group = _group_id(config.access.group)
-    kept = hold_map(name)
-    map_ = kept
-    made: list[SharedObject] = []
+    map_, fresh = _take_map(config, group)
+    made = [map_] if fresh else []
     try:
-        if map_ is None:
-            map_ = _make_map(config, group)
-            made.append(map_)
-        else:
+        if not fresh:
             _check_kept_map(config, map_)
         for stale in (name, f"{name}.inbox"):
             unlink(stale)
@@ -166,16 +186,14 @@ def open_house(config: ServiceConfig) -> House:
         made.append(SharedObject.create(name, lb.board_bytes(config.log_words), board_mode, group))
         made.append(SharedObject.create(f"{name}.inbox", lb.inbox_bytes(), inbox_mode, group))
     except BaseException:
+        map_.unlock(lb.NAME_LOCK_BYTE)
+        map_.close()
         for part in made:
             unlink(part.name)
             part.close()
-        if kept is not None:
-            kept.close()
         raise
     house = House(config, made[-2], made[-1], map_)
-    w = house.map_header[0]
-    w["owner_pid"] = os.getpid()
-    w["owner_epoch"] += 1
+    house.map_header[0]["owner_epoch"] += 1
     _fill_headers(house)
     return house
 

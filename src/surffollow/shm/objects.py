@@ -90,7 +90,7 @@ class SharedObject:
             raise kind(f"cannot create shared-memory object {name!r} in {SHM_ROOT}: {e}") from None
         made: SharedObject | None = None
         try:
-            _reserve(name, fd, size)
+            reserve(name, fd, size)
             if group >= 0:
                 os.fchown(fd, -1, group)
             os.fchmod(fd, mode)

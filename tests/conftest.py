@@ -1,0 +1,42 @@
+"""Fixtures that need a running service; the service itself is in `running_service`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from running_service import Service, World, config_text
+
+
+@pytest.fixture(scope="session")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """One simulated sensor 0.1 m over flat ground, alive for the whole session; do not kill it."""
+    s = Service(tmp_path_factory.mktemp("service"), config_text(kind="simulated"))
+    world = World(s.name)
+    try:
+        yield s.start()
+    finally:
+        s.purge()
+        world.close()
+
+
+@pytest.fixture
+def make_service(tmp_path: Path) -> Iterator[Callable[..., Service]]:
+    """Make services of a test's own, not started; arguments as `config_text`."""
+    made: list[Service] = []
+
+    def make(**options: str) -> Service:
+        made.append(Service(tmp_path, config_text(**options)))
+        return made[-1]
+
+    yield make
+    for s in made:
+        s.purge()
+
+
+@pytest.fixture
+def own_service(make_service: Callable[..., Service]) -> Service:
+    """A running service without sensors that belongs to one test alone: kill it at will."""
+    return make_service().start()

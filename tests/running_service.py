@@ -1,0 +1,187 @@
+"""A real service for tests, started, killed and purged as its own process; the ground under its sensor."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from surffollow.client import Client, Observer, attach, observe
+from surffollow.config.service import ServiceConfig, load_config
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.objects import unlink
+from surffollow.sim.world import WorldPose, WorldWriter
+
+READY_S = 180.0  # a start on a busy machine with a cold kernel cache
+WAIT_S = 20.0
+STANDOFF_M = 0.1
+POSE = (0.05, 0.05, STANDOFF_M, 0.0, 0.0, 0.0, 1.0)
+OBJECTS = ("", ".inbox", ".map", ".world")
+_numbers = itertools.count()
+
+
+def until(condition: Callable[[], Any], what: str = "it", seconds: float = WAIT_S) -> Any:
+    """Wait for something that another process or thread does; what the condition gave."""
+    end, pause = time.monotonic() + seconds, threading.Event()
+    while not (value := condition()):
+        assert time.monotonic() < end, f"{what} did not happen within {seconds:g} s"
+        pause.wait(0.002)
+    return value
+
+
+def unique_name(prefix: str = "t") -> str:
+    """A service name that no other test process uses."""
+    return f"{prefix}-{os.getpid()}-{next(_numbers)}"
+
+
+def objects_of(name: str) -> set[str]:
+    """Names in /dev/shm that belong to a service."""
+    return {p for p in os.listdir("/dev/shm") if p == name or p.startswith(f"{name}.")}
+
+
+def config_text(
+    *, kind: str = "none", period: str = "1 ms", grids: int = 20_000, top: str = "", **tables: str
+) -> str:
+    """A small configuration; `tables` adds lines to [realtime], [map], [access], [driver] or [follow]."""
+    lines = {
+        "realtime": 'lock_memory = false\npriority = 10\nspin = "20 us"\n',
+        "map": f"grids = {grids}\n",
+        "access": "",
+        "driver": f'kind = "{kind}"\n',
+        "follow": "",
+    }
+    for table, more in tables.items():
+        lines[table] += more + "\n"
+    if kind == "simulated":
+        lines["driver.world"] = 'surface = "flat"\nregion = [0.0, 0.0, 0.1, 0.1]\n'
+    head = f'period = "{period}"\nlog_words = 65536\n{top}\n'
+    return head + "".join(f"[{table}]\n{text}" for table, text in lines.items() if text)
+
+
+class Service:
+    """A `surffollow start` of a test's own."""
+
+    def __init__(self, folder: Path, config: str | None = None, name: str = "") -> None:
+        self.name = name or unique_name()
+        self.config = folder / f"{self.name}.toml"
+        self.config.write_text(config_text() if config is None else config)
+        self.process: subprocess.Popen[str] | None = None
+
+    def settings(self) -> ServiceConfig:
+        """Its configuration, under its own name."""
+        return msgspec.structs.replace(load_config(self.config), name=self.name)
+
+    def command(self, verb: str, *words: str) -> list[str]:
+        return [sys.executable, "-m", "surffollow", verb, "--name", self.name, *words]
+
+    def run(self, verb: str, *words: str) -> subprocess.CompletedProcess[str]:
+        """Run one verb of the command line to its end."""
+        return subprocess.run(self.command(verb, *words), capture_output=True, text=True, timeout=READY_S)
+
+    def launch(self, **options: Any) -> subprocess.Popen[str]:
+        """Start without waiting."""
+        words = self.command("start", "--quiet", "--config", str(self.config))
+        self.process = subprocess.Popen(
+            words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
+        )
+        return self.process
+
+    def start(self, **options: Any) -> Service:
+        """Start and wait for READY."""
+        process = self.launch(**options)
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        if not line.startswith("READY"):
+            _, error = process.communicate(timeout=READY_S)
+            raise AssertionError(f"the service did not start: {line!r} {error}")
+        return self
+
+    @property
+    def pid(self) -> int:
+        assert self.process is not None
+        return self.process.pid
+
+    def send(self, number: int) -> None:
+        """Send it a signal."""
+        os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        """SIGKILL: nothing is tidied up."""
+        assert self.process is not None
+        self.process.kill()
+        self._reap()
+
+    def terminate(self, number: int = signal.SIGTERM) -> int:
+        """Ask it to end; its exit code."""
+        assert self.process is not None
+        self.process.send_signal(number)
+        code = self.process.wait(timeout=WAIT_S)
+        self._reap()
+        return code
+
+    def _reap(self) -> None:
+        process, self.process = self.process, None
+        if process is not None:
+            process.communicate(timeout=WAIT_S)
+
+    def purge(self) -> None:
+        """End it whatever its state and remove all that it left."""
+        if self.process is not None:
+            self.process.kill()
+            self._reap()
+        for part in OBJECTS:
+            unlink(self.name + part)
+
+    def attach(self, **options: Any) -> Client:
+        return attach(self.name, **options)
+
+    def observe(self, **options: Any) -> Observer:
+        return observe(self.name, **options)
+
+    def cycles(self, n: int) -> None:
+        """Wait until the service has run `n` more cycles."""
+        with self.observe() as watcher:
+            start = watcher.status()["cycles"]
+            until(lambda: watcher.status()["cycles"] >= start + n, f"{n} cycles")
+
+
+class World:
+    """Publishes where the simulated tool truly is, 200 times a second, over flat ground at height 0."""
+
+    def __init__(self, name: str, pose: Sequence[float] = POSE) -> None:
+        self.pose = tuple(pose)
+        self._writer, self._over = WorldWriter(name), threading.Event()
+        self._thread = threading.Thread(target=self._publish, daemon=True)
+        self._thread.start()
+
+    def _publish(self) -> None:
+        record = zeros(WorldPose)
+        while not self._over.wait(0.005):
+            record[0]["pose"], record[0]["t_ns"] = self.pose, time.monotonic_ns()
+            self._writer.write(record)
+
+    def close(self) -> None:
+        self._over.set()
+        self._thread.join()
+        self._writer.close()
+
+
+def drive(
+    client: Client, condition: Callable[[], Any], pose: Sequence[float] = POSE, what: str = "it"
+) -> Any:
+    """Send a pose again and again until the condition holds; what it gave."""
+
+    def step() -> Any:
+        client.ee_pos(pose)
+        return condition()
+
+    return until(step, what)

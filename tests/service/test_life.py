@@ -1,0 +1,301 @@
+"""A service's life: start, READY, stop, signals, names, what is kept and what is removed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from running_service import READY_S, WAIT_S, Service, config_text, objects_of, until
+from surffollow.cli.service import running_pid
+from surffollow.client import attach
+from surffollow.errors import AlreadyRunningError, ConfigError, NameError_, NoSpaceError, NotRunningError
+from surffollow.hw.registry import make_driver
+from surffollow.service import house
+from surffollow.shm import objects
+
+Make = Callable[..., Service]
+REGION = (0.0, 0.0, 0.1, 0.1)
+
+
+def map_bytes(name: str) -> bytes:
+    return Path(f"/dev/shm/{name}.map").read_bytes()
+
+
+def test_start_prints_ready_with_the_pid_and_status_knows_it(service: Service) -> None:
+    done = service.run("status", "--json")
+    assert done.returncode == 0, done.stderr
+    status = json.loads(done.stdout)
+    assert (status["state"], status["pid"], status["name"]) == ("ready", service.pid, service.name)
+    assert status["cycles"] > 0
+    assert status["params"]["offset_m"] == 0.1
+    text = service.run("status").stdout
+    assert f"service {service.name}: ready, pid {service.pid}" in text
+
+
+def test_a_second_service_of_the_same_name_is_refused_with_the_pid_of_the_first(service: Service) -> None:
+    done = service.run("start", "--quiet")
+    assert done.returncode == 1
+    assert f"pid {service.pid}" in done.stderr
+    assert "--name" in done.stderr
+    assert service.run("status").returncode == 0, "the first service goes on"
+
+
+def test_stop_ends_the_service_keeps_the_map_and_purge_removes_everything(make_service: Make) -> None:
+    s = make_service().start()
+    with s.attach() as client:
+        client.map_reset(REGION)
+    assert s.run("stop").returncode == 0
+    assert s.process is not None
+    assert s.process.wait(WAIT_S) == 0
+    assert objects_of(s.name) == {f"{s.name}.map"}
+    again = s.run("stop")
+    assert again.returncode == 1
+    assert "no service" in again.stderr
+    assert s.run("stop", "--purge").returncode == 0
+    assert objects_of(s.name) == set()
+    assert s.run("stop", "--purge").returncode == 1, "nothing is left to remove"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it_in_good_order_and_tells_systemd(
+    make_service: Make, tmp_path: Path, number: int
+) -> None:
+    path = str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ear:
+        ear.bind(path)
+        ear.settimeout(WAIT_S)
+        s = make_service().start(env={**os.environ, "NOTIFY_SOCKET": path})
+        heard = ear.recv(4096).decode()
+        assert heard.startswith("READY=1")
+        assert "WATCHDOG=1" in ear.recv(4096).decode()
+        assert s.terminate(number) == 0
+        ear.setblocking(False)
+        rest = []
+        while True:
+            try:
+                rest.append(ear.recv(4096).decode())
+            except BlockingIOError:
+                break
+    assert rest[-1] == "STOPPING=1"
+    assert objects_of(s.name) == {f"{s.name}.map"}
+
+
+def test_a_terminal_ctrl_c_before_ready_leaves_nothing_that_stops_the_next_start(make_service: Make) -> None:
+    s = make_service()
+    process = s.launch()
+    until(lambda: objects_of(s.name) or process.poll() is not None, "the first object", READY_S)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=READY_S)
+    s.start()
+    assert s.run("status").returncode == 0
+
+
+@pytest.mark.parametrize("name", ["a/b", "../x", "", "-x", "x" * 49, "a b", ".x"])
+def test_a_name_that_a_path_could_misread_is_refused(name: str) -> None:
+    with pytest.raises(NameError_, match="not allowed"):
+        attach(name)
+    done = subprocess.run(
+        [sys.executable, "-m", "surffollow", "start", "--name", name],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 2
+    assert "not allowed" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("perod = 1", "perod"),
+        ('period = "1 furlong"', "period"),
+        ('period = "1 mm"', "period"),
+        ("period = 2.0", "period"),
+        ("[map]\ngrids = 0", "map.grids"),
+        ("[follow]\nintervall_size = 1", "intervall_size"),
+        ('[follow]\ninterval_size = "2 s"', "interval_size"),
+        ('[realtime]\noverrun = "panic"', "realtime.overrun"),
+        ('[access]\nboard_mode = "rw"', "access.board_mode"),
+        ('[access]\ngroup = "no-such-group"', "access.group"),
+        ('[driver]\nkind = "crystal ball"', "crystal ball"),
+        ("= nonsense", "TOML"),
+    ],
+)
+def test_a_configuration_that_is_wrong_is_refused_by_its_key(
+    make_service: Make, text: str, said: str
+) -> None:
+    s = make_service()
+    s.config.write_text(text)
+
+    def begin() -> None:
+        config = s.settings()
+        make_driver(config.driver, s.name)
+        house.open_house(config)
+
+    with pytest.raises(ConfigError, match=said):
+        begin()
+    assert objects_of(s.name) == set()
+
+
+def test_a_wrong_configuration_ends_start_with_exit_code_2_and_one_line(make_service: Make) -> None:
+    s = make_service()
+    s.config.write_text('[map]\nfinest_grid = "1 parsec"')
+    done = s.run("start", "--config", str(s.config))
+    assert done.returncode == 2
+    assert "map.finest_grid" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    done = s.run("start", "--config", "/nonexistent/x.toml")
+    assert (done.returncode, "cannot read" in done.stderr) == (2, True)
+
+
+def test_too_little_room_in_dev_shm_is_said_with_both_sizes_and_leaves_nothing(
+    make_service: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Room:
+        f_bavail, f_frsize = 100, 4096
+
+    monkeypatch.setattr(objects.os, "statvfs", lambda _: Room)
+    s = make_service(grids=1_000_000)
+    with pytest.raises(NoSpaceError, match=r"needs .* MiB and /dev/shm has 0\.4 MiB free.*map_grids"):
+        house.open_house(s.settings())
+    assert objects_of(s.name) == set()
+
+
+def test_start_in_a_tiny_dev_shm_fails_before_ready_with_one_line(make_service: Make) -> None:
+    if os.geteuid() != 0 or shutil.which("unshare") is None:
+        pytest.skip("needs root and unshare for a /dev/shm of its own")
+    s = make_service(grids=4_000_000)
+    script = 'mount -t tmpfs -o size=2m tmpfs /dev/shm && "$@"; code=$?; ls /dev/shm; exit $code'
+    words = ["unshare", "-m", "sh", "-c", script, "-", *s.command("start", "--config", str(s.config))]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=READY_S)
+    if "mount:" in done.stderr:
+        pytest.skip("this machine lets nobody mount")
+    assert done.returncode == 1
+    assert "/dev/shm has" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert done.stdout == "", "neither READY nor an object is left"
+
+
+def test_the_map_survives_a_restart_and_a_sigkill_byte_for_byte(make_service: Make) -> None:
+    s = make_service().start()
+    with s.attach() as client:
+        client.map_reset(REGION)
+    s.terminate()
+    kept = map_bytes(s.name)[4096:]
+    s.start()
+    with s.observe() as watcher:
+        assert watcher.epoch == 2
+    s.kill()
+    assert objects_of(s.name) == {s.name, f"{s.name}.inbox", f"{s.name}.map"}
+    s.start()
+    assert map_bytes(s.name)[4096:] == kept
+    with s.observe() as watcher:
+        assert watcher.epoch == 3
+    assert s.run("stop", "--purge").returncode == 0
+    assert objects_of(s.name) == set()
+
+
+def test_purge_after_a_sigkill_removes_what_was_left(own_service: Service) -> None:
+    own_service.kill()
+    assert own_service.run("stop", "--purge").returncode == 0
+    assert objects_of(own_service.name) == set()
+
+
+def test_a_kept_map_of_another_size_is_neither_used_nor_lost(make_service: Make) -> None:
+    s = make_service(grids=1000)
+    first = house.open_house(s.settings())
+    first.leave()
+    s.config.write_text(config_text(grids=2000))
+    before = map_bytes(s.name)
+    with pytest.raises(ConfigError, match=r"has room for 1000 grids.*asks for 2000.*--purge"):
+        house.open_house(s.settings())
+    assert map_bytes(s.name) == before
+    assert objects_of(s.name) == {f"{s.name}.map"}
+
+
+KILL_AT_EVERY_LINE = """
+import os, signal, sys
+from surffollow.config.service import load_config
+from surffollow.service import house
+import msgspec
+config = msgspec.structs.replace(load_config(sys.argv[1]), name=sys.argv[2])
+FILES = ("house.py", "objects.py", "header.py")
+
+def die_at(left):
+    def hook(frame, event, arg):
+        nonlocal left
+        if event == "line" and frame.f_code.co_filename.endswith(FILES):
+            left -= 1
+            if left == 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+        return hook
+    return hook
+
+lines, whole = 0, False
+while not whole:
+    lines += 1
+    pid = os.fork()
+    if pid == 0:
+        sys.settrace(die_at(lines))
+        house.open_house(config)
+        os._exit(0)
+    whole = os.waitpid(pid, 0)[1] == 0
+    healed = house.open_house(config)
+    healed.leave()
+    house.purge_map(config.name)
+    assert not [p for p in os.listdir("/dev/shm") if p.startswith(config.name)]
+print(lines)
+"""
+
+
+def test_a_start_killed_at_any_line_leaves_nothing_that_stops_the_next_one(make_service: Make) -> None:
+    s = make_service(grids=1000)
+    words = [sys.executable, "-c", KILL_AT_EVERY_LINE, str(s.config), s.name]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=READY_S)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 50, "the start was cut at every one of its lines"
+
+
+def test_without_a_service_every_verb_says_so(make_service: Make) -> None:
+    s = make_service()
+    for verb in ("status", "stop"):
+        done = s.run(verb)
+        assert done.returncode == 1
+        assert s.name in done.stderr
+    with pytest.raises(NotRunningError, match=s.name):
+        s.attach()
+    assert running_pid(s.name) == 0
+
+
+def test_two_starts_at_once_give_one_service(make_service: Make) -> None:
+    s = make_service()
+    config = s.config
+    rivals = [
+        subprocess.Popen(
+            s.command("start", "--quiet", "--config", str(config)),
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )
+        for _ in range(3)
+    ]  # fmt: skip
+    try:
+        until(lambda: sum(r.poll() is not None for r in rivals) == 2, "two refusals", READY_S)
+        [winner] = [r for r in rivals if r.poll() is None]
+        assert winner.stdout is not None
+        assert winner.stdout.readline().startswith("READY")
+        assert running_pid(s.name) == winner.pid
+        for r in rivals:
+            if r is not winner:
+                assert r.returncode == AlreadyRunningError.exit_code
+    finally:
+        for r in rivals:
+            r.kill()
+            r.communicate()
