@@ -51,7 +51,7 @@ def test_a_stopped_reader_is_fenced_after_its_lease_and_told_so(space, child):
             os.kill(os.getpid(), signal.SIGSTOP)
             me.say(len(set(view.word)))  # one newer publication has not touched this slot
             me.say(block.read_done() == "stale")
-            again, generation = block.get_read_ok()
+            _, generation = block.get_read_ok()
             me.say(generation)
             me.say(block.read_done() == "ok")
 
@@ -75,9 +75,14 @@ def test_the_read_context_raises_when_the_reader_was_fenced(space):
     with mem_attach(Platform, space, write=True, lease_s=0.002) as mem, mem_attach(Platform, space) as theirs:
         with mem.platform.write():
             pass
-        with pytest.raises(BlockError, match="outlived its lease"), theirs.platform.read():
-            with mem.platform.write():
-                pass
+
+        def read_too_long():
+            with theirs.platform.read():
+                mem.platform.get_write_ok()
+                mem.platform.write_done()
+
+        with pytest.raises(BlockError, match="outlived its lease"):
+            read_too_long()
 
 
 def test_readers_that_overlap_for_ever_do_not_starve_the_writer(space, child):
@@ -202,9 +207,8 @@ def test_makers_killed_at_any_moment_leave_nothing_that_a_successor_must_clean(s
         time.sleep(1e-4 * (k % 10))
         maker.kill()
     assert len(list(Path("/dev/shm").glob(f"{space}*"))) <= 1
-    with mem_attach(Words, space, write=True) as mem:
-        with mem.words.write() as slot:
-            slot.word = [1] * 256
+    with mem_attach(Words, space, write=True) as mem, mem.words.write() as slot:
+        slot.word = [1] * 256
 
 
 def test_a_forked_child_neither_keeps_nor_frees_its_parents_locks(space):

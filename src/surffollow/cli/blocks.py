@@ -1,0 +1,163 @@
+"""`surffollow blocks ls`, `show`, `watch` and `header`."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from surffollow.blocks import AttachedBlock
+
+WATCH_POLL_S = 0.001
+
+
+@click.group("blocks")
+def blocks_group() -> None:
+    """List, show and watch shared blocks (NAME.BLOCK), without disturbing who uses them."""
+
+
+@blocks_group.command("ls")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON array.")
+def list_command(as_json: bool) -> None:
+    """List the blocks of this machine: schema, writer, generation, age."""
+    from surffollow.blocks.listing import list_blocks
+
+    found = list_blocks()
+    if as_json:
+        print(json.dumps(found, indent=2))
+        return
+    if not found:
+        print("no blocks; a program makes one with surffollow.blocks.mem_attach(..., write=True)")
+        return
+    rows = [("BLOCK", "SCHEMA", "BYTES", "WRITER", "GENERATION", "AGE")]
+    for b in found:
+        row = (b["name"], b["schema"], b["bytes"], _writer(b), b["generation"], _age(b["age_s"]))
+        rows.append(tuple(str(v) for v in row))  # type: ignore[arg-type]
+    widths = [max(len(r[k]) for r in rows) for k in range(len(rows[0]))]
+    for r in rows:
+        print("  ".join(v.ljust(w) for v, w in zip(r, widths)).rstrip())
+
+
+def _writer(b: dict[str, Any]) -> str:
+    return f"{b['writer_pid']}" if b["writer_alive"] else f"{b['writer_pid']} (dead)"
+
+
+def _age(age_s: float | None) -> str:
+    from surffollow.units import format_ns
+
+    return "never written" if age_s is None else format_ns(age_s * 1e9)
+
+
+@blocks_group.command("show")
+@click.argument("block")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def show_command(block: str, as_json: bool) -> None:
+    """Show the newest values of BLOCK (NAME.BLOCK) with their units; the block brings its own schema."""
+    from surffollow.blocks.listing import attach_unknown, describe_block
+
+    attached = attach_unknown(block)
+    try:
+        about = describe_block(attached)
+        snapshot = attached.latest()
+        values = snapshot.values.as_dict()
+    finally:
+        attached.close()
+    if as_json:
+        fields = [
+            {"name": n, "type": f.code, "count": f.count, "unit": f.unit, "doc": f.doc}
+            for n, _, f in attached.schema.walk()
+        ]
+        print(json.dumps({**about, "stale": snapshot.stale, "values": values, "fields": fields}, indent=2))
+        return
+    age = _age(about["age_s"])
+    print(f"{about['name']}: {about['schema']} {about['hash']}, {about['bytes']} bytes")
+    print(f"writer {_writer(about)}, epoch {about['epoch']}, generation {about['generation']}, age {age}")
+    for line in _value_lines(attached.schema, values, ""):
+        print(line)
+
+
+def _value_lines(schema: Any, values: dict[str, Any], indent: str) -> list[str]:
+    lines = []
+    for f in schema.FIELDS:
+        value = values[f.name]
+        if f.nested is not None:
+            for k, item in enumerate(value if f.count > 1 else [value]):
+                lines.append(f"{indent}  {f.name}{f'[{k}]' if f.count > 1 else ''}:")
+                lines += _value_lines(f.nested, item, indent + "  ")
+            continue
+        unit = f" [{f.unit}]" if f.unit else ""
+        lines.append(f"{indent}  {f.name}{unit} = {_text(value)}" + (f"    {f.doc}" if f.doc else ""))
+    return lines
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        shown = ", ".join(_text(v) for v in value[:16])
+        return f"[{shown}{f', ... {len(value)} in all' if len(value) > 16 else ''}]"
+    return (
+        f"{value:.9g}" if isinstance(value, float) else repr(value) if isinstance(value, str) else str(value)
+    )
+
+
+@blocks_group.command("watch")
+@click.argument("block")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
+@click.option("--every", default=0.1, show_default=True, help="Seconds between looks at the block.")
+@click.option("--count", default=0, help="End after that many publications [0: go on].")
+@click.option("--seconds", default=0.0, help="End after that time [0: go on].")
+def watch_command(block: str, as_json: bool, every: float, count: int, seconds: float) -> None:
+    """Print BLOCK's values whenever they changed, until Ctrl-C; follows its writer through restarts."""
+    from surffollow.blocks.listing import attach_unknown
+    from surffollow.errors import UsageError
+
+    if every < WATCH_POLL_S:
+        raise UsageError(f"--every must be at least {WATCH_POLL_S:g} s, not {every:g}")
+    attached = attach_unknown(block)
+    deadline = time.monotonic() + seconds if seconds > 0 else None
+    try:
+        _watch(attached, as_json, every, count, deadline)
+    finally:
+        attached.close()
+
+
+def _watch(attached: AttachedBlock, as_json: bool, every: float, count: int, deadline: float | None) -> None:
+    last, printed = (-1, -1), 0
+    while (not count or printed < count) and (deadline is None or time.monotonic() < deadline):
+        snapshot = attached.latest()
+        this = (snapshot.epoch, snapshot.generation)
+        if this != last and snapshot.generation:
+            last, printed = this, printed + 1
+            values = snapshot.values.as_dict()
+            if as_json:
+                line = {"generation": this[1], "epoch": this[0], "t_ns": snapshot.t_ns, "values": values}
+                print(json.dumps(line), flush=True)
+            else:
+                text = ", ".join(f"{k}={_flat(v)}" for k, v in values.items())
+                print(f"{this[1]:>8}  {text}", flush=True)
+        time.sleep(every if not count or printed < count else 0)
+
+
+def _flat(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{k}={_flat(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return "[" + ", ".join(_flat(v) for v in value[:4]) + "]"
+    return _text(value)
+
+
+@blocks_group.command("header")
+@click.argument("block")
+def header_command(block: str) -> None:
+    """Print a C header for BLOCK's structure and a reader that never waits (needs surffollow.h)."""
+    from surffollow.blocks.cheader import c_header
+    from surffollow.blocks.listing import attach_unknown
+
+    attached = attach_unknown(block)
+    try:
+        sys.stdout.write(c_header(attached.schema))
+    finally:
+        attached.close()

@@ -1,0 +1,136 @@
+"""Programs that have never seen a block's schema: the command line, and C."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import threading
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import surffollow
+from surffollow.blocks import I8, Block, mem_attach
+from surffollow.blocks.cheader import c_header
+from surffollow.blocks.layout import schema_from_text, schema_text
+from surffollow.cli.blocks import blocks_group
+from surffollow.errors import BlockError, NotRunningError, SchemaError
+
+from .conftest import Platform, Words
+
+INCLUDE = Path(surffollow.__file__).parent / "include"
+
+
+def run(*args: str) -> str:
+    result = CliRunner().invoke(blocks_group, args, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+@pytest.fixture
+def platform(space):
+    with mem_attach(Platform, space, write=True) as mem:
+        with mem.platform.write() as slot:
+            slot.update(t_ns=5, pose=(1.5, 2, 3), state="home")
+            slot.wheel[1].speed = 0.25
+        yield mem.platform
+
+
+def test_a_schema_survives_its_own_text():
+    for schema in (Platform, Words):
+        again = schema_from_text(schema_text(schema))
+        assert again.HASH == schema.HASH
+        assert again.describe() == schema.describe()
+        assert again.field(schema.FIELDS[0].name).doc == schema.FIELDS[0].doc
+    for text in ("", "[]", "{}", '{"schema":"X","fields":[{"name":"a","type":"zz","count":1}]}', "null"):
+        with pytest.raises(SchemaError):
+            schema_from_text(text)
+
+
+def test_ls_names_every_block_its_writer_and_its_age(space, platform):
+    mine = [b for b in json.loads(run("ls", "--json")) if b["name"].startswith(space)]
+    assert len(mine) == 1
+    assert mine[0]["schema"] == "Platform"
+    assert mine[0]["writer_alive"]
+    assert mine[0]["generation"] == 1
+    assert f"{space}.platform" in run("ls")
+    platform.close(keep=True)
+    assert "(dead)" in next(line for line in run("ls").splitlines() if line.startswith(space))
+
+
+def test_show_prints_values_with_units_from_the_block_itself(space, platform):
+    text = run("show", f"{space}.platform")
+    assert "pose [m, m, rad] = [1.5, 2, 3]" in text
+    assert "t_ns [ns] = 5    when it was true" in text
+    assert "speed [rad/s] = 0.25" in text
+    shown = json.loads(run("show", f"{space}.platform", "--json"))
+    assert shown["values"]["wheel"][1] == {"speed": 0.25, "slips": 0}
+    assert shown["fields"][0]["unit"] == "ns"
+
+
+def test_watch_prints_each_change_it_sees(space, platform):
+    def write_on():
+        with platform.write() as slot:
+            slot.t_ns = 6
+
+    timer = threading.Timer(0.05, write_on)
+    timer.start()
+    lines = run("watch", f"{space}.platform", "--json", "--every", "0.005", "--count", "2").splitlines()
+    timer.join()
+    assert [json.loads(line)["values"]["t_ns"] for line in lines] == [5, 6]
+    assert "state='home'" in run("watch", f"{space}.platform", "--count", "1")
+
+
+def test_what_is_no_block_is_said_to_be_none(space):
+    runner = CliRunner()
+    assert isinstance(runner.invoke(blocks_group, ["show", f"{space}.none"]).exception, NotRunningError)
+    Path("/dev/shm", f"{space}.junk").write_bytes(bytes(16384))
+    assert isinstance(runner.invoke(blocks_group, ["show", f"{space}.junk"]).exception, BlockError)
+    assert space not in run("ls")
+
+
+_READER = """
+#include "blocks.h"
+int main(int argc, char **argv) {
+  sfb_block block;
+  sfb_platform p;
+  int64_t t_ns = 0, generation;
+  int err = sfb_open(&block, argc > 1 ? argv[1] : "", SFB_PLATFORM_HASH, sizeof p);
+  if (err < 0) { printf("%d\\n", err); return 0; }
+  generation = sfb_latest(&block, &p, &t_ns);
+  printf("%lld %lld %g %g %s %d %d\\n", (long long)generation, (long long)p.t_ns, p.pose[0], p.wheel[1].speed,
+         p.state, t_ns > 0, sfb_given_up(&block));
+  sfb_close(&block);
+  return 0;
+}
+"""
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.parametrize("language", ["c11", "c++17"])
+def test_the_c_header_of_a_schema_reads_the_block(space, platform, tmp_path, language):
+    class Bits(Block):
+        """An odd size."""
+
+        flags = I8(3)
+
+    (tmp_path / "blocks.h").write_text(c_header([Platform, Bits]))
+    source = tmp_path / ("reader.c" if language == "c11" else "reader.cpp")
+    source.write_text(_READER)
+    flags = ["-O1", f"-std={language}", "-Wall", "-Wextra", "-Werror", "-pedantic", f"-I{INCLUDE}"]
+    compiler = "cc" if language == "c11" else "c++"
+    subprocess.run([compiler, *flags, str(source), "-o", str(tmp_path / "reader"), "-lrt"], check=True)
+
+    def read(name: str) -> str:
+        return subprocess.run(
+            [str(tmp_path / "reader"), name], check=True, capture_output=True, text=True
+        ).stdout.strip()
+
+    assert read(f"{space}.platform") == "1 5 1.5 0.25 home 1 0"
+    assert read(f"{space}.none") == "-2"
+    assert read("../etc/passwd") == "-22"
+    with mem_attach(Words, space, write=True):
+        assert read(f"{space}.words") == "-71"
+    assert "typedef struct sfb_platform" in run("header", f"{space}.platform")
