@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from cabi.running import CPP, ROOT, SANITIZED, C, Probe, Service, StillWorld
+from surffollow.shm.cheader import header_text
 
 
 @pytest.fixture(scope="session")
@@ -40,6 +41,8 @@ def own_service(tmp_path: Path) -> Iterator[Service]:
 def compile_program(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Compile a file or a text as "C" or "C++"; the program's path."""
     folder = tmp_path_factory.mktemp("programs")
+    # of the layout as it is; that the committed header is the same is for test_header to say
+    (folder / "surffollow.h").write_text(header_text())
     made: dict[tuple[str, ...], Path] = {}
 
     def build(source: Path | str, *flags: str, language: str = "C") -> Path:
@@ -55,7 +58,7 @@ def compile_program(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., P
             pytest.skip(f"no {compiler} on this machine")
         # programs of ours in C, compiled as C++, cast as C does; what the header says is stricter
         style = ["-x", "c++", "-Wno-old-style-cast"] if path.suffix == ".c" and language != "C" else []
-        include = f"-I{ROOT / 'include'}"
+        include = f"-I{folder}"
         command = [compiler, *standard, *style, include, *flags, "-o", str(program), str(path)]
         done = subprocess.run(command, capture_output=True, text=True)
         assert done.returncode == 0, f"{' '.join(command)}\n{done.stderr}"

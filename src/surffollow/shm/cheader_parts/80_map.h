@@ -105,6 +105,8 @@ static inline int sf_access_begin(sf_client *c, int64_t timeout_ns) {
     }
     sf_sleep_until_ns(sf_now_ns() + 200000);
   }
+  /* a flag left at REQUESTED would be granted again, unseen, when the lease is over */
+  sf_i_post_access(c, SF_ACCESS_GRANTED);
   return SF_OK;
 }
 

@@ -1,0 +1,164 @@
+"""The map from C: laid over a region, looked up, held still, written to a file that any release reads."""
+
+from __future__ import annotations
+
+import os
+import struct
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cabi.running import Probe, Service
+from surffollow.client import Client, attach
+from surffollow.client.map_reader import copy_map
+from surffollow.errors import RequestTimeoutError
+from surffollow.map.lookup import height_at
+from surffollow.shm import map_layout as ml
+
+OK, UNKNOWN = 0, 4
+REGION = "0 0 0.1 0.08"
+
+
+@pytest.fixture
+def robot(service: Service) -> Iterator[Client]:
+    with attach(service.name, label="python") as client:
+        yield client
+
+
+@pytest.fixture
+def probe(make_probe: Callable[..., Probe], service: Service) -> Probe:
+    """A probe over a map with a line of samples across it."""
+    p = make_probe()
+    assert p(f"attach {service.name}").result == OK
+    assert p(f"map_reset {REGION}").result == OK
+    before = p("status").values[4]
+    for k in range(40):
+        assert p(f"ee {0.002 * k + 0.01} 0.04 {0.1 + 0.0005 * k} 0 0 0 1").result == OK
+        time.sleep(0.004)
+    p.until("status", lambda a: a.values[4] >= before + 40)
+    return p
+
+
+def test_heights_in_c_are_those_of_the_kernel(probe: Probe, robot: Client) -> None:
+    time.sleep(0.15)  # the pose grows stale, so that no sample moves a mean
+    header, pairs = copy_map(robot, 5.0)
+    assert header[0]["samples"] > 40
+    known = 0
+    for x_m, y_m in np.random.default_rng(7).uniform(0.0, 0.1, (60, 2)).tolist() + [
+        (0.002 * k + 0.01, 0.04) for k in range(40)
+    ]:
+        wanted, is_known = height_at(header, pairs, x_m, y_m)
+        answer = probe(f"height {x_m!r} {y_m!r}")
+        assert answer.result == (OK if is_known else UNKNOWN), (x_m, y_m)
+        if is_known:
+            assert answer.values == [wanted]
+            known += 1
+    assert known >= 20
+
+
+def test_points_that_no_map_has_are_unknown(probe: Probe) -> None:
+    for point in ("9 9", "-9 0", "nan 0", "0 inf", "1e300 1e300", "-0.0001 -1e-300"):
+        assert probe(f"height {point}").result == UNKNOWN, point
+
+
+def test_uploaded_file_is_the_python_clients_byte_for_byte(
+    probe: Probe, robot: Client, tmp_path: Path
+) -> None:
+    time.sleep(0.15)  # the pose grows stale, so that no sample comes between the two files
+    assert probe(f"upload {tmp_path / 'c.txt'}").result == OK
+    robot.upload_map(tmp_path / "python.txt")
+    assert (tmp_path / "c.txt").read_text() == (tmp_path / "python.txt").read_text()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["c.txt", "python.txt"]
+
+
+def test_upload_that_cannot_be_written_leaves_nothing_behind(probe: Probe, tmp_path: Path) -> None:
+    (tmp_path / "taken").mkdir()
+    answer = probe(f"upload {tmp_path / 'taken'}")
+    assert answer.result == -32
+    assert answer.detail in (17, 21, 39)
+    assert probe(f"upload {tmp_path / 'no/such/folder'}").result == -32
+    assert [p.name for p in tmp_path.iterdir()] == ["taken"]
+    assert probe("begin 1000").result == OK  # access was given back
+    assert probe("end").result == OK
+
+
+def test_refocus_keeps_heights_and_reset_clears_them(probe: Probe) -> None:
+    assert probe("map_refocus 0.02 0.02 0.06 0.06").result == OK
+    assert probe("height 0.04 0.04").result == OK
+    assert probe("map_reset 0.02 0.02 0.06 0.06").result == OK
+    assert probe("height 0.021 0.059").result == UNKNOWN
+
+
+@pytest.mark.parametrize(
+    "region", ["0 0 0 1", "0 0 1 -1", "0 0 nan 1", "0 0 inf 1", "0 0 2e6 1", "1 1 0.5 2"]
+)
+def test_regions_without_an_area_are_refused_at_once(probe: Probe, region: str) -> None:
+    assert probe(f"map_reset {region}").result == -6
+    assert probe(f"map_refocus {region}").result == -6
+
+
+def test_map_stands_still_while_a_c_client_holds_it_and_following_goes_on(
+    probe: Probe, robot: Client
+) -> None:
+    assert probe("begin 1000").result == OK
+    assert probe("held").result == 1
+    assert robot.status()["map"]["access_slot"] == probe("held").slot
+    applied, cycles = probe("status").values[4], probe("status").values[2]
+    for _ in range(10):
+        assert probe("ee 0.05 0.05 0.1 0 0 0 1").result == OK
+        time.sleep(0.004)
+    assert probe("status").values[4] == applied
+    assert probe("status").values[2] > cycles + 20
+    with pytest.raises(RequestTimeoutError), robot.exclusive(timeout_s=0.05):
+        pass
+    assert probe("end").result == OK
+    probe.until("status", lambda a: a.values[4] > applied)  # what queued up is applied
+    with robot.exclusive():
+        assert probe("begin 50").result == -27
+
+
+def test_holder_that_outlives_its_lease_is_told_that_its_copy_may_be_mixed(probe: Probe) -> None:
+    assert probe("begin 1000").result == OK
+    probe.until("held", lambda a: a.result == 0)  # the service's lease is 2 s
+    time.sleep(0.01)
+    assert probe("held").result == 0  # and it is not granted again behind the holder's back
+    assert probe("end").result == -31
+    assert probe("begin 1000").result == OK
+    assert probe("end").result == OK
+
+
+def test_killed_holder_does_not_keep_the_map(
+    probe: Probe, make_probe: Callable[..., Probe], service: Service
+) -> None:
+    assert probe("begin 1000").result == OK
+    probe.process.kill()
+    probe.process.wait()
+    other = make_probe()
+    other(f"attach {service.name}")
+    assert other("begin 1000").result == OK
+    assert other("end").result == OK
+
+
+def test_damaged_geometry_leads_no_reader_out_of_the_map(probe: Probe, service: Service) -> None:
+    """The map's writer is trusted; a reader of a damaged copy still stays inside its mapping."""
+    live, copy = Path(f"/dev/shm/{service.name}"), Path(f"/dev/shm/cabi-copy-{os.getpid()}")
+    board, map_ = live.read_bytes(), bytearray(live.with_name(live.name + ".map").read_bytes())
+    at = ml.MapHeader.offset("nx")
+    copied_map = copy.with_name(copy.name + ".map")
+    assert probe("detach").result == OK
+    try:
+        copy.write_bytes(board)
+        copied_map.write_bytes(map_)
+        assert probe(f"observe {copy.name}").result == OK
+        assert probe("height 0.05 0.04").result == OK
+        for nx in (1 << 62, -1, 0, 10**9):
+            with copied_map.open("r+b") as f:
+                f.seek(at)
+                f.write(struct.pack("<q", nx))
+            assert probe("height 0.05 0.04").result == UNKNOWN, nx
+    finally:
+        copy.unlink()
+        copied_map.unlink()

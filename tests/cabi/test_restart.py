@@ -1,0 +1,91 @@
+"""Death and restart of the service, seen from C: stale, zero, and attached again without help."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from cabi.running import Probe, Service, StillWorld
+from surffollow.client import STALE
+from surffollow.shm.layout_follow import VALID
+
+OK = 0
+POSE = "ee 0.05 0.05 0.1 0 0 0 1"
+
+
+@pytest.fixture
+def mortal(own_service: Service) -> Iterator[Service]:
+    """A service that a test may kill, with something to see for its sensor."""
+    world = StillWorld(own_service.name)
+    try:
+        own_service.start()
+        yield own_service
+    finally:
+        world.close()
+
+
+def test_client_follows_a_killed_service_into_its_next_life(
+    mortal: Service, make_probe: Callable[..., Probe]
+) -> None:
+    probe, watcher, fixed = make_probe(), make_probe(), make_probe()
+    fixed("auto 0")
+    for p, how in ((probe, "attach"), (watcher, "observe"), (fixed, "attach")):
+        assert p(f"{how} {mortal.name}").result == OK
+    assert probe("map_reset 0 0 0.1 0.1").result == OK
+    probe.until(POSE, lambda a: int(probe("dev").values[2]) & VALID != 0)
+    probe.until(POSE, lambda a: probe("height 0.05 0.05").result == OK)
+    epoch = int(probe("dev").values[3])
+
+    mortal.kill()
+    killed = time.monotonic()
+    for p in (probe, watcher, fixed):
+        silent = p.until("dev", lambda a: int(a.values[2]) & STALE != 0, timeout_s=1.0)
+        assert silent.values[:2] == [0.0, 0.0]
+        assert not int(silent.values[2]) & VALID
+    assert time.monotonic() - killed < 0.5
+    assert probe("reset 0.1").result == -20
+    assert probe("begin 50").result == -20
+
+    mortal.start()
+    for p in (probe, watcher):
+        p.until("dev", lambda a: int(a.values[3]) > epoch and not int(a.values[2]) & STALE)
+    # this one was told not to look by itself
+    assert int(fixed("dev").values[2]) & STALE
+    assert fixed("reset 0.1").result == -20
+    assert fixed("reattach").result == OK
+    assert fixed("alive").result == 1
+    # the pose is claimed anew, the map was kept
+    assert probe(POSE).result == OK
+    assert probe("reset 0.1").result == OK
+    assert probe("height 0.05 0.05").result == OK
+    assert fixed("reset 0.1").result == OK
+
+
+def test_purged_map_is_found_again_when_it_is_made_anew(
+    mortal: Service, make_probe: Callable[..., Probe]
+) -> None:
+    probe = make_probe()
+    probe(f"attach {mortal.name}")
+    assert probe("map_reset 0 0 0.1 0.1").result == OK
+    probe.until(POSE, lambda a: probe("height 0.05 0.05").result == OK)
+    mortal.stop()
+    mortal.start()
+    probe.until("dev", lambda a: not int(a.values[2]) & STALE)
+    assert probe("height 0.05 0.05").result == 4
+    assert probe("map_reset 0 0 0.1 0.1").result == OK
+
+
+def test_attaching_to_what_a_killed_service_left_is_safe(
+    mortal: Service, make_probe: Callable[..., Probe]
+) -> None:
+    mortal.kill()
+    probe = make_probe()
+    assert probe(f"attach {mortal.name}").result == OK
+    probe.until("alive", lambda a: a.result == 0, timeout_s=1.0)
+    assert probe(POSE).result == -20
+    assert probe("status").values[0] == 0
+    assert probe("upload /dev/null/x").result == -20
+    assert os.path.exists(f"/dev/shm/{mortal.name}.map")
