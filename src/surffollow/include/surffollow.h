@@ -73,7 +73,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 /* ---- layout: generated ------------------------------------------------------------ */
 
 #define SF_LAYOUT_VERSION 1u
-#define SF_LAYOUT_HASH UINT64_C(292411477179953757)
+#define SF_LAYOUT_HASH UINT64_C(800133709063741622)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_INBOX_MAGIC UINT64_C(3549485532940752211)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
@@ -147,9 +147,10 @@ enum {
   SF_ANSWER_ERR_QUEUE_FULL = 7,
   SF_ANSWER_ERR_NOT_HOLDER = 8,
   SF_ANSWER_ERR_CANCELLED = 9,
-  SF_ANSWER_ACCEPTED = 10
+  SF_ANSWER_ACCEPTED = 10,
+  SF_ANSWER_ERR_MAP_TOO_LARGE = 11
 };
-#define SF_ANSWERS 11
+#define SF_ANSWERS 12
 enum {
   SF_REFUSED_UNKNOWN_REQUEST = -101,
   SF_REFUSED_BAD_VALUE = -102,
@@ -159,7 +160,8 @@ enum {
   SF_REFUSED_MAP_BUSY = -106,
   SF_REFUSED_QUEUE_FULL = -107,
   SF_REFUSED_NOT_HOLDER = -108,
-  SF_REFUSED_CANCELLED = -109
+  SF_REFUSED_CANCELLED = -109,
+  SF_REFUSED_MAP_TOO_LARGE = -111
 };
 
 /* An answer of the service in words; never NULL. */
@@ -176,6 +178,7 @@ static inline const char *sf_answer_text(int answer) {
     case 8: return "this client does not hold what it wants to give back";
     case 9: return "the request was cancelled";
     case 10: return "accepted, the map's answer follows";
+    case 11: return "the map has more grids than the service's memory (map.grids) has room for";
     default: return "unknown result";
   }
 }
@@ -219,7 +222,7 @@ typedef struct sf_param_info {
   double low, high;
 } sf_param_info;
 
-#define SF_PARAMS 40
+#define SF_PARAMS 41
 static inline const sf_param_info *sf_param_table(void) {
   static const sf_param_info table[SF_PARAMS] = {
     {"mode", 0, 1, 0.0, 1.0},
@@ -255,13 +258,14 @@ static inline const sf_param_info *sf_param_table(void) {
     {"step_way_m", 103, 0, 0.0, 10.0},
     {"step_samples", 104, 1, 1.0, 100.0},
     {"tick_lead_s", 105, 0, 0.0, 1.0},
-    {"adapt", 106, 1, 0.0, 1.0},
-    {"hold_ns", 107, 1, 0.0, 10000000000.0},
-    {"dropout_way_m", 108, 0, 0.0001, 1000.0},
-    {"max_speed_mps", 109, 0, 0.0001, 1000.0},
-    {"max_accel_mps2", 110, 0, 0.001, 1000000.0},
-    {"max_jerk_mps3", 111, 0, 0.01, 1000000000.0},
-    {"toward_factor", 112, 0, 0.01, 1.0},
+    {"plan_calm_s4", 106, 0, 0.0, 1.0},
+    {"adapt", 107, 1, 0.0, 1.0},
+    {"hold_ns", 108, 1, 0.0, 10000000000.0},
+    {"dropout_way_m", 109, 0, 0.0001, 1000.0},
+    {"max_speed_mps", 110, 0, 0.0001, 1000.0},
+    {"max_accel_mps2", 111, 0, 0.001, 1000000.0},
+    {"max_jerk_mps3", 112, 0, 0.01, 1000000000.0},
+    {"toward_factor", 113, 0, 0.01, 1.0},
   };
   return table;
 }
@@ -349,6 +353,7 @@ typedef struct sf_params {
   double step_way_m; /* [m] adaptive: way after which a quarantined step is believed */
   int64_t step_samples; /* adaptive: agreeing samples after which a quarantined step is believed */
   double tick_lead_s; /* [s] adaptive: mean time a demand waits for the controller */
+  double plan_calm_s4; /* [s^4] adaptive: squared error worth a squared planned acceleration */
   int64_t adapt; /* adaptive: 1: learn; 0: scores, weights, noise stay as they are */
   int64_t hold_ns; /* [ns] adaptive: an unchanged reading counts as new after so long */
   double dropout_way_m; /* [m] adaptive: way over which a slope is trusted without readings */
@@ -357,7 +362,7 @@ typedef struct sf_params {
   double max_jerk_mps3; /* [m/s^3] adaptive: limit of the set point's jerk */
   double toward_factor; /* adaptive: share of those limits toward the surface */
 } sf_params;
-SF_STATIC_ASSERT(sizeof(sf_params) == 904, "layout of sf_params");
+SF_STATIC_ASSERT(sizeof(sf_params) == 912, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, mode) == 0, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, run) == 8, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, offset_m) == 16, "layout of sf_params");
@@ -395,13 +400,14 @@ SF_STATIC_ASSERT(offsetof(sf_params, gate_m) == 816, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, step_way_m) == 824, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, step_samples) == 832, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, tick_lead_s) == 840, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, adapt) == 848, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, hold_ns) == 856, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, dropout_way_m) == 864, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_speed_mps) == 872, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_accel_mps2) == 880, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_jerk_mps3) == 888, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, toward_factor) == 896, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, plan_calm_s4) == 848, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, adapt) == 856, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, hold_ns) == 864, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, dropout_way_m) == 872, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_speed_mps) == 880, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_accel_mps2) == 888, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_jerk_mps3) == 896, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, toward_factor) == 904, "layout of sf_params");
 
 /* What a cycle publishes. */
 typedef struct sf_output {
@@ -427,8 +433,9 @@ typedef struct sf_output {
   double noise_m; /* [m] adaptive: noise of the readings */
   double roughness_m; /* [m] adaptive: what the models do not foresee, noise taken off */
   double late_s; /* [s] adaptive: how late readings arrive */
+  double tau_s; /* [s] adaptive: time constant of the robot's axis as found */
 } sf_output;
-SF_STATIC_ASSERT(sizeof(sf_output) == 512, "layout of sf_output");
+SF_STATIC_ASSERT(sizeof(sf_output) == 520, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, t_ns) == 0, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, pose_t_ns) == 8, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, demand) == 16, "layout of sf_output");
@@ -451,6 +458,7 @@ SF_STATIC_ASSERT(offsetof(sf_output, sigma_m) == 480, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, noise_m) == 488, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, roughness_m) == 496, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, late_s) == 504, "layout of sf_output");
+SF_STATIC_ASSERT(offsetof(sf_output, tau_s) == 512, "layout of sf_output");
 
 /* The service's answer to a slot's newest request. */
 typedef struct sf_ack {
@@ -521,8 +529,9 @@ typedef struct sf_stats {
   int64_t execution_max_ns; /* [ns] */
   int64_t lateness[512]; /* [ns] wake-up after the deadline */
   int64_t execution[512]; /* [ns] wake-up to published */
+  int64_t samples; /* target points for the map, those that found no room included */
 } sf_stats;
-SF_STATIC_ASSERT(sizeof(sf_stats) == 8288, "layout of sf_stats");
+SF_STATIC_ASSERT(sizeof(sf_stats) == 8296, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, cycles) == 0, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, overruns) == 8, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, skipped) == 16, "layout of sf_stats");
@@ -537,6 +546,7 @@ SF_STATIC_ASSERT(offsetof(sf_stats, lateness_max_ns) == 80, "layout of sf_stats"
 SF_STATIC_ASSERT(offsetof(sf_stats, execution_max_ns) == 88, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, lateness) == 96, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, execution) == 4192, "layout of sf_stats");
+SF_STATIC_ASSERT(offsetof(sf_stats, samples) == 8288, "layout of sf_stats");
 
 /* Positions in the cycle log, in words since the start; the words follow. */
 typedef struct sf_log_head {
@@ -1735,6 +1745,8 @@ static inline int sf_access_begin(sf_client *c, int64_t timeout_ns) {
     }
     sf_sleep_until_ns(sf_now_ns() + 200000);
   }
+  /* a flag left at REQUESTED would be granted again, unseen, when the lease is over */
+  sf_i_post_access(c, SF_ACCESS_GRANTED);
   return SF_OK;
 }
 

@@ -34,6 +34,7 @@ _LATENESS = Stats.offset("lateness")
 _LATENESS_MAX = Stats.offset("lateness_max_ns")
 _EXECUTION = Stats.offset("execution")
 _EXECUTION_MAX = Stats.offset("execution_max_ns")
+_SAMPLES = Stats.offset("samples")
 _DT_LIMIT_NS = (1 << 31) - 1
 
 
@@ -88,6 +89,7 @@ def push_samples(mem: Any) -> None:
     for c in range(mem.params[0].n_channels):
         if (fresh >> c) & 1 == 0:
             continue
+        count(ctx[m.STATS], _SAMPLES, 1)
         item[0] = 0
         for i in range(3):
             mem.item_floats[1 + i] = output.target_m[3 * c + i]

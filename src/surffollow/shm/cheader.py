@@ -47,6 +47,7 @@ _ANSWERS = (
     "ERR_NOT_HOLDER",
     "ERR_CANCELLED",
     "ACCEPTED",
+    "ERR_MAP_TOO_LARGE",
 )
 _REQUESTS = tuple(n for n in dir(lb) if n.startswith("RQ_"))
 _ACCESS = ("ACCESS_FREE", "ACCESS_REQUESTED", "ACCESS_GRANTED", "ACCESS_DONE")

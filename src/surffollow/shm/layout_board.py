@@ -47,7 +47,8 @@ STATE_INITIALISING, STATE_READY, STATE_STOPPING, STATE_STOPPED = 0, 1, 2, 3
     ERR_NOT_HOLDER,
     ERR_CANCELLED,
     ACCEPTED,
-) = range(11)
+    ERR_MAP_TOO_LARGE,
+) = range(12)
 RESULT_TEXT = (
     "done",
     "the service does not know this request",
@@ -60,6 +61,7 @@ RESULT_TEXT = (
     "this client does not hold what it wants to give back",
     "the request was cancelled",
     "accepted, the map's answer follows",
+    "the map has more grids than the service's memory (map.grids) has room for",
 )
 
 # exclusive access, the paper's four steps
@@ -144,6 +146,7 @@ class Stats(Schema):
     execution_max_ns = I64(unit="ns")
     lateness = I64(HISTOGRAM_BINS, unit="ns", doc="wake-up after the deadline")
     execution = I64(HISTOGRAM_BINS, unit="ns", doc="wake-up to published")
+    samples = I64(doc="target points for the map, those that found no room included")
 
 
 class LogHead(Schema):
@@ -194,12 +197,30 @@ class SlotHead(Schema):
     name = Text(32)
 
 
+class StreamPiece(Schema):
+    """Head of one half of a slot's stream area: a piece of a map that is being installed.
+
+    Behind it PIECE_GRIDS heights (int16), then PIECE_GRIDS counts (uint8).
+    """
+
+    sequence = I64(doc="number of the piece, from 1; stored last; odd ones in the second half")
+    counter = I64(doc="of the request")
+    claim = I64(doc="of the client")
+    start = I64(doc="index of its first grid; -1: the client gives up")
+    n = I64(doc="grids; PIECE_GRIDS in all but the last")
+    pad = I64(3)
+
+
 # offsets inside an inbox slot
 SLOT_BYTES = 65536
 SLOT_HEAD = 0
 SLOT_POSE = 256
 SLOT_REQUEST = 1024
 SLOT_STREAM = 8192  # an installed map is streamed through the rest
+PIECE_BYTES = (SLOT_BYTES - SLOT_STREAM) // 2
+PIECE_GRIDS = (PIECE_BYTES - StreamPiece.SIZE) // 24 * 8  # whole words of heights and of counts
+PIECE_HEIGHTS = StreamPiece.SIZE
+PIECE_COUNTS = PIECE_HEIGHTS + 2 * PIECE_GRIDS
 
 BOARD_PARTS: tuple[tuple[str, type[Schema], int], ...] = (
     ("params", Params, latch_bytes(Params.SIZE)),
@@ -249,6 +270,7 @@ def layout_hash() -> int:
         SlotHead,
         PosePost,
         RequestPost,
+        StreamPiece,
         FollowState,
         Inputs,
         *(s for _, s, _ in BOARD_PARTS),
