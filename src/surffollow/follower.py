@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.errors import ConfigError, PoseError, UsageError
+from surffollow.forecast.adaptive_memory import new_memory, recall_ahead, remember_output
 from surffollow.forecast.horizon import forecast_range
 from surffollow.forecast.pose import push_pose
 from surffollow.forecast.step import follow_step, sf_reset
@@ -42,6 +43,8 @@ else:
 
 Config = Mapping[str, Any] | str | Path | None
 
+RECALL_NS = 5_000_000  # remembered ground is looked up at most so often
+PAUSE_NS = 1_000_000_000
 TOO_CLOSE_BEYOND_M = 0.15 * 0.0254  # beyond the near limit of a sensor given by its window
 TOO_CLOSE_EXIT_M = 0.3 * 0.0254
 QUATERNION_TOLERANCE = 1e-3
@@ -105,6 +108,7 @@ class Follower:
         parameters by name (`surffollow.config.params`), SI numbers or text with units; `mode` is
         "adaptive" (default) or "paper". `sensors`: list of tables with `position_m` (3), `orientation`
         (unit quaternion, 4), `near_m`, `far_m`; `plant`: table with `tau_s`, `v_max_mps`, `a_max_mps2`.
+        `memory` = false: do not use ground seen on earlier passes
     offset_m : float, optional
         desired stand-off along the beam of channel 0 [m]; default that of the configuration
 
@@ -122,7 +126,15 @@ class Follower:
         self._n_ranges, self._given_m = self._inputs["n_ranges"], self._inputs["given_m"][0]
         self._demand = self._output["demand"][0]
         self._pose = np.zeros(7)
-        self._configure(_read(config))
+        self._n_preview = self._inputs["n_preview"]
+        self._recalled_ns = 0
+        data = _read(config)
+        remembers = data.pop("memory", True)
+        if not isinstance(remembers, bool):
+            raise ConfigError(f"memory is {remembers!r}; it must be true or false")
+        self._configure(data)
+        adaptive = self._params["mode"][0] == MODE_ADAPTIVE
+        self._memory = new_memory() if remembers and adaptive else None
         if offset_m is not None:
             self._set("offset_m", offset_m)
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
@@ -224,7 +236,14 @@ class Follower:
         self._given_m[:n] = ranges_m
         self._n_ranges[0] = n
         self._t_ns[0] = self._given_t_ns[0] = t_ns
+        if self._memory is None:
+            self._n_preview[0] = 0
+        elif t_ns >= self._recalled_ns + RECALL_NS or t_ns < self._recalled_ns - PAUSE_NS:
+            recall_ahead(self._memory, self._state, self._inputs)
+            self._recalled_ns = t_ns
         follow_step(self._params, self._state, self._inputs, self._output, self._scratch)
+        if self._memory is not None:
+            remember_output(self._memory, self._state, self._output)
         demand: NDArray[np.float64] = self._demand.copy()
         return demand
 

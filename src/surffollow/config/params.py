@@ -59,6 +59,7 @@ PARAMS: dict[str, ParamSpec] = {
     "step_way_m": ParamSpec(2.5e-3, 0.0, 10.0, "m"),
     "step_samples": ParamSpec(3, 1, 100, whole=True),
     "tick_lead_s": ParamSpec(0.005, 0.0, 1.0, "s"),
+    "plan_calm_s4": ParamSpec(4e-8, 0.0, 1.0),
     "adapt": ParamSpec(1, 0, 1, whole=True, choices=("frozen", "learn")),
     "hold_ns": ParamSpec(3.5e6, 0, 10e9, "ns", whole=True),
     "dropout_way_m": ParamSpec(0.06, 1e-4, 1e3, "m"),

@@ -25,7 +25,16 @@ from surffollow.forecast.adaptive_health import (
 )
 from surffollow.forecast.adaptive_judge import note_targets
 from surffollow.forecast.adaptive_motion import measure_motion, move_set_point, pose_when
-from surffollow.forecast.adaptive_plant import learn_plant
+from surffollow.forecast.adaptive_plan import invert_axis, plan_axis
+from surffollow.forecast.adaptive_plant import learn_plant, own_axis
+from surffollow.forecast.adaptive_preview import (
+    COVERED,
+    LEADING_M,
+    check_told,
+    gather_preview,
+    move_share,
+    told_height,
+)
 from surffollow.forecast.adaptive_take import is_news, take_sample
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.safety import PROBE_M, limit, watch_fold_back
@@ -44,6 +53,7 @@ from surffollow.shm.layout_follow import (
 TICK_NS = 9_999_000  # controller ticks at 100 Hz; a microsecond less, stamps may be rounded
 CLOCK_BACK_NS = 1_000_000_000  # a clock that jumps back farther than late samples may is followed
 LATE_RATE = 0.05
+LEAD_RATE = 0.05
 GRACE_S = 0.025  # a lone lost sample is no drop-out
 KNOWN_DIRECTION_MPS = 0.005  # slower, the direction of travel is not known well enough to look ahead
 
@@ -78,10 +88,18 @@ def take_news(params: Any, state: Any, inputs: Any, output: Any, drop_m: Any, po
     a.close_run = a.close_run + 1 if range_m < params.too_close_m else 0
     if a.close_run >= CLOSE_SAMPLES or state.paper.close != 0:
         watch_fold_back(state.paper, range_m, sensor_z, params.too_close_m, params.too_close_exit_m)
+    if a.speed_mps >= KNOWN_DIRECTION_MPS:
+        lead = ((x - pose[0]) * a.speed_x_mps + (y - pose[1]) * a.speed_y_mps) / a.speed_mps
+        a.lead_m += (lead - a.lead_m) * (LEAD_RATE if a.samples > 0 else 1.0)
     way = a.speed_mps * (t - a.sample_ns) * 1e-9 if a.samples > 0 else 0.0
     adapt = 0 if params.adapt == 0 or params.run == RUN_FREEZE else 1
     taken = take_sample(params, a, t, way, z, drop_m, adapt)
     a.foot_x_m, a.foot_y_m = x, y
+    if taken != 0 and inputs.n_preview > 0:
+        newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
+        beside = (x - sense.pose[newest]) * a.speed_x_mps + (y - sense.pose[newest + 1]) * a.speed_y_mps
+        if a.speed_mps >= KNOWN_DIRECTION_MPS:
+            check_told(a, told_height(inputs, beside / a.speed_mps), z)
     if taken != 0:
         output.fresh |= 1
         output.target_m[0], output.target_m[1], output.target_m[2] = x, y, z
@@ -98,7 +116,7 @@ def way_ahead(params: Any, a: Any, pose: Any, pose_t_ns: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def blend_set_points(params: Any, a: Any, ahead_m: Any, drop_m: Any) -> Any:
+def blend_set_points(params: Any, a: Any, ahead_m: Any, drop_m: Any, tick: Any) -> Any:
     """Blend the candidates' set points; on a tick remember each.
 
     The assumed axis lags by τ, so its set point is the height plus τ times the height's rate of change.
@@ -111,7 +129,6 @@ def blend_set_points(params: Any, a: Any, ahead_m: Any, drop_m: Any) -> Any:
         fade = math.exp(-lost_m / params.dropout_way_m)
         ahead_m += params.dropout_way_m * (1.0 - fade) - lost_m
         lead *= fade
-    tick = a.now_ns - a.tick_ns >= TICK_NS
     slot = a.ticks & (TICKS - 1)
     z = 0.0
     for i in range(N):
@@ -163,8 +180,19 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
         return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
     for i in range(7):
         pose[i] = sense.pose[7 * newest + i]
-    ahead = max(way_ahead(params, a, pose, pose_t_ns), 0.0)
-    wanted = blend_set_points(params, a, ahead, drop)
+    ahead = way_ahead(params, a, pose, pose_t_ns)
+    tick = 1 if a.now_ns - a.tick_ns >= TICK_NS else 0
+    wanted = blend_set_points(params, a, max(ahead, 0.0), drop, tick)
+    if tick != 0:
+        leading = 1 if a.lead_m > LEADING_M else 0
+        since = a.speed_mps * (a.now_ns - pose_t_ns) * 1e-9
+        known = gather_preview(a, inputs, leading, ahead - a.speed_mps * params.tick_lead_s, since)
+        move_share(a, known, leading)
+        if known >= COVERED:
+            z, v = own_axis(params, a, a.now_ns)
+            speed = plan_axis(params, a, known, z, v, drop)
+            a.plan_set_m = invert_axis(params, a.tau_s, z, v, speed)
+    wanted += a.preview_share * (a.plan_set_m - wanted)
     move_set_point(params, a, a.now_ns, wanted, tool_z)
     demand = a.set_point_m - tool_z
     if not math.isfinite(demand):
@@ -183,7 +211,7 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
     output.demand[2] = cut
     if a.tick_ns == a.now_ns:
         a.own_m[(a.ticks - 1) & (TICKS - 1)] = tool_z + cut
-    output.delta_h_m = a.slope * ahead
+    output.delta_h_m = a.slope * max(ahead, 0.0)
     output.error_m = params.offset_m - a.held_m
     return status
 

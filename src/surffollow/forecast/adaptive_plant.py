@@ -20,6 +20,8 @@ MEMORY = 0.004  # per pose report: 2.5 s at 100 Hz
 TOLD_M2 = 2.5e-9  # (50 µm)²: least difference of squared errors that tells anything
 ASTRAY_M = 3e-3  # a robot that is farther away does not obey: nothing to learn
 TAU_RATE = 0.02
+OWN_HEIGHT = 0.3  # how far a report pulls the own axis
+OWN_SPEED_HZ = 2.0
 
 
 @njit(cache=True, nogil=True)
@@ -27,11 +29,35 @@ def start_plants(params: Any, a: Any, t_ns: Any, z_m: Any) -> None:
     """Put all axes where the tool is."""
     for k in range(PLANTS):
         a.plant_z_m[k], a.plant_v_mps[k] = z_m, a.climb_mps
+    a.axis_now_m, a.axis_now_mps = z_m, a.climb_mps
     a.plant_ns = t_ns
     if a.tau_s <= 0.0 or a.tau_assumed_s != params.plant_tau_s:
         a.tau_s = a.tau_assumed_s = params.plant_tau_s
         for k in range(PLANTS):
             a.plant_m2[k] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def own_axis(params: Any, a: Any, to_ns: Any) -> Any:
+    """Height and speed of the robot's axis at a later time, carried on from `plant_ns` with τ as found."""
+    z, v = a.axis_now_m, a.axis_now_mps
+    span = min(to_ns - a.plant_ns, LOST_NS)
+    if span <= 0:
+        return z, v
+    steps = max((span + STEP_NS - 1) // STEP_NS, 1)
+    dt = span * 1e-9 / steps
+    a_max = params.plant_a_max_mps2
+    j = max(0, a.ticks - TICKS)
+    for n in range(steps):
+        t = a.plant_ns + (span * n) // steps
+        while j + 1 < a.ticks and a.tick_t_ns[(j + 1) & (TICKS - 1)] <= t:
+            j += 1
+        d = a.own_m[j & (TICKS - 1)] - z
+        most = min(params.plant_v_max_mps, abs(d) / dt)
+        w = min(max(axis_speed(d, a.tau_s, a_max), -most), most)
+        v += min(max(w - v, -a_max * dt), a_max * dt)
+        z += v * dt
+    return z, v
 
 
 @njit(cache=True, nogil=True)
@@ -55,6 +81,7 @@ def advance_plants(params: Any, a: Any, to_ns: Any) -> None:
             w = min(max(axis_speed(d, tau, a_max), -most), most)
             a.plant_v_mps[k] += min(max(w - a.plant_v_mps[k], -dv), dv)
             a.plant_z_m[k] += a.plant_v_mps[k] * dt
+    a.axis_now_m, a.axis_now_mps = own_axis(params, a, to_ns)
     a.plant_ns = to_ns
 
 
@@ -93,6 +120,9 @@ def learn_plant(params: Any, a: Any, sense: Any, adapt: Any) -> None:
     if not least < ASTRAY_M:
         start_plants(params, a, t, z)
         return
+    e = z - a.axis_now_m
+    a.axis_now_m += OWN_HEIGHT * e
+    a.axis_now_mps += OWN_SPEED_HZ * e
     if adapt == 0:
         return
     for k in range(PLANTS):

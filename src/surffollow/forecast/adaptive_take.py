@@ -14,6 +14,8 @@ from numba import njit
 
 from surffollow.forecast.adaptive_bank import N, height_of, predict_model, slope_of, start_model, update_model
 from surffollow.forecast.adaptive_judge import advance_shadows, score, weigh
+from surffollow.forecast.adaptive_preview import LEADING_M, note_ground
+from surffollow.shm.layout_adaptive import KEPT
 from surffollow.shm.layout_follow import CONVERSION_WINDOW
 
 FLICKER_COUNTS = 1.5  # an A/D's last bit is no news
@@ -94,7 +96,7 @@ def blend(a: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def start_bank(params: Any, a: Any, t_ns: Any, h_m: Any, drop_m: Any) -> None:
+def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any) -> None:
     """Begin with level ground at the first height; scores from before a loss are kept."""
     fresh = a.returned == 0.0 and a.noise_m == 0.0
     for i in range(N):
@@ -116,6 +118,8 @@ def start_bank(params: Any, a: Any, t_ns: Any, h_m: Any, drop_m: Any) -> None:
     a.sample_ns = a.accepted_ns = t_ns
     a.settle_ns = t_ns if fresh else t_ns + SETTLE_NS
     a.since_step_m = 0.0
+    a.path_m += LONGEST_WAY_M + way_m  # nothing seen before is near
+    note_ground(a, a.path_m, h_m)
     blend(a)
 
 
@@ -130,9 +134,13 @@ def quarantine(params: Any, a: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any
         a.quarantined = 1
         a.quarantine_m = nu_m
         a.quarantine_way_m = params.step_way_m if gap else 0.0
+    slot = (a.quarantined - 1) & (KEPT - 1)
+    a.kept_s_m[slot], a.kept_h_m[slot] = a.path_m, a.height_m + nu_m
     if a.quarantined < params.step_samples or a.quarantine_way_m < params.step_way_m * a.returned:
         return 0.0
     shift = a.quarantine_m / a.quarantined
+    for k in range(max(0, a.quarantined - KEPT), a.quarantined - 1):
+        note_ground(a, a.kept_s_m[k & (KEPT - 1)], a.kept_h_m[k & (KEPT - 1)])
     a.quarantined = 0
     # a step that is followed by another within a slot's width was a slot
     a.returned = 0.5 if a.since_step_m < params.step_way_m else 0.5 * a.returned
@@ -155,12 +163,13 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
     """
     dt = (t_ns - a.sample_ns) * 1e-9
     if a.samples == 0 or way_m > LONGEST_WAY_M or t_ns - a.accepted_ns > params.loss_timeout_ns:
-        start_bank(params, a, t_ns, h_m, drop_m)
+        start_bank(params, a, t_ns, way_m, h_m, drop_m)
         return 1
     gap = t_ns - a.sample_ns > GAP_NS
     way = max(way_m, LEAST_SPEED_MPS * dt)
     advance_shadows(params, a, a.sample_ns, t_ns)
     a.sample_ns = t_ns
+    a.path_m += way
     for i in range(N):
         predict_model(i, a.state, a.cov, way)
     blend(a)
@@ -185,7 +194,8 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
         a.settle_ns = t_ns + SETTLE_NS
     if adapt != 0:
         a.scale_m += SCALE_RATE * (1.25 * min(abs(nu), gate) - a.scale_m)
-        if t_ns > a.settle_ns:
+        # a shadow stands where the tool is: only heights measured there can judge it
+        if t_ns > a.settle_ns and abs(a.lead_m) < LEADING_M:
             score(params, a, way, dt, h_m + drop_m)
         watch_noise(a, h_m)
     r = max(a.noise_m, LEAST_NOISE_M) ** 2
@@ -194,4 +204,5 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
     blend(a)
     a.samples += 1
     a.accepted_ns = t_ns
+    note_ground(a, a.path_m, h_m)
     return 1

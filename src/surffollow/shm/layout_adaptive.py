@@ -5,6 +5,9 @@ from __future__ import annotations
 from surffollow.shm.schema import F64, I64, Schema
 
 CANDIDATES = 48  # most models in the bank
+CELLS = 512  # of ground seen ahead, 1 mm each
+KEPT = 32  # quarantined samples that become ground when they are believed
+HORIZON = 40  # ticks planned ahead
 PLANTS = 5  # axes of different τ
 TICKS = 64  # controller ticks remembered per candidate: 640 ms of set points
 
@@ -23,6 +26,8 @@ class AdaptiveState(Schema):
     accepted_ns = I64(unit="ns", doc="stamp of the last sample that entered the estimate")
     samples = I64(doc="samples that entered the estimate; 0: start anew with the next")
     late_s = F64(unit="s", doc="how late samples arrive")
+    path_m = F64(unit="m", doc="way of the footprint so far")
+    lead_m = F64(unit="m", doc="how far the footprint is ahead of the tool")
     foot_x_m = F64(unit="m", doc="footprint of the last sample")
     foot_y_m = F64(unit="m")
     speed_x_mps = F64(unit="m/s", doc="lateral velocity of the tool")
@@ -36,6 +41,8 @@ class AdaptiveState(Schema):
     quarantined = I64(doc="samples in quarantine that agree")
     quarantine_m = F64(unit="m", doc="sum of their innovations")
     quarantine_way_m = F64(unit="m", doc="way since the first of those")
+    kept_s_m = F64(KEPT, unit="m", doc="where quarantined samples were")
+    kept_h_m = F64(KEPT, unit="m", doc="their heights")
     returned = F64(doc="how likely a quarantine ends without a step: 1 unknown or slots, to 0 steps")
     since_step_m = F64(unit="m", doc="way since the last believed step")
     settle_ns = I64(unit="ns", doc="scores are frozen until this time")
@@ -63,9 +70,26 @@ class AdaptiveState(Schema):
     plant_z_m = F64(PLANTS, unit="m", doc="axes of different τ that follow them")
     plant_v_mps = F64(PLANTS, unit="m/s")
     plant_m2 = F64(PLANTS, unit="m^2", doc="their squared errors against the pose reports")
+    axis_now_m = F64(unit="m", doc="own axis at `plant_ns`, with τ as found, kept near the reports")
+    axis_now_mps = F64(unit="m/s")
     plant_ns = I64(unit="ns", doc="up to when they were carried")
     tau_s = F64(unit="s", doc="time constant of the robot's axis as found; 0: not begun")
     tau_assumed_s = F64(unit="s", doc="time constant that the search began with")
+    cell_k = I64(CELLS, doc="which cell of the way this is, plus one")
+    cell_n = F64(CELLS, doc="heights in its mean")
+    cell_h_m = F64(CELLS, unit="m", doc="mean height")
+    cell_s_m = F64(CELLS, unit="m", doc="mean way coordinate")
+    preview_share = F64(doc="share of the planned set point, 0 to 1")
+    preview_bias_m = F64(unit="m", doc="seen minus remembered ground")
+    preview_off_m = F64(unit="m", doc="typical difference beyond that")
+    plan_set_m = F64(unit="m", doc="set point of the plan")
+    plan_g_m = F64(HORIZON, unit="m", doc="ground under the tool, tick by tick")
+    plan_z_m = F64(HORIZON, unit="m", doc="planned axis")
+    plan_u = F64(HORIZON, unit="m", doc="planned accelerations, in metres per tick²")
+    plan_y = F64(HORIZON, unit="m", doc="their multipliers")
+    band_0 = F64(HORIZON, doc="factors of the plan's matrix")
+    band_1 = F64(HORIZON)
+    band_2 = F64(HORIZON)
     health = I64(doc="see HEALTH_NAMES")
     health_ns = I64(unit="ns", doc="since when the wanted health differs from the shown one")
     health_next = I64(doc="the wanted health")

@@ -16,6 +16,7 @@ POSES = 256  # history for interpolation: 256 ms at the fastest pose rate of 1 k
 POINTS = 64  # the most EE_Readings may ask for
 INTERVALS = 1024  # the interval ring; 2 * Range_Size must fit
 MAX_CONVERSIONS = 64  # taken per cycle; older ones than these could not matter
+MAX_PREVIEW = 128  # remembered heights told per cycle
 MAX_POSES = 4  # new poses taken per cycle
 
 MODE_PAPER, MODE_ADAPTIVE = 0, 1
@@ -84,6 +85,7 @@ class Params(Schema):
     step_way_m = F64(unit="m", doc="adaptive: way after which a quarantined step is believed")
     step_samples = I64(doc="adaptive: agreeing samples after which a quarantined step is believed")
     tick_lead_s = F64(unit="s", doc="adaptive: mean time a demand waits for the controller")
+    plan_calm_s4 = F64(unit="s^4", doc="adaptive: squared error worth a squared planned acceleration")
     adapt = I64(doc="adaptive: 1: learn; 0: scores, weights, noise stay as they are")
     hold_ns = I64(unit="ns", doc="adaptive: an unchanged reading counts as new after so long")
     dropout_way_m = F64(unit="m", doc="adaptive: way over which a slope is trusted without readings")
@@ -159,6 +161,10 @@ class Inputs(Schema):
     n_ranges = I64(doc="> 0: distances are given directly (CSV, Follower), no conversions")
     given_m = F64(CHANNELS, unit="m", doc="given distances; NaN: none")
     given_t_ns = I64(unit="ns", doc="when they were true")
+    n_preview = I64(doc="remembered heights along the direction of travel; 0: none")
+    preview_from_m = F64(unit="m", doc="where the first is, ahead of the newest pose (negative: behind)")
+    preview_step_m = F64(unit="m", doc="distance between them")
+    preview_m = F64(MAX_PREVIEW, unit="m", doc="heights; NaN: unknown")
 
 
 class Output(Schema):

@@ -1,0 +1,132 @@
+"""A small memory of ground for a follower without a map: mean heights in a hash table of cells.
+
+The daemon has its map; this serves the follower in process. Cells are squares in the world's x-y plane;
+a cell that finds all its places taken drops the one written longest ago.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from surffollow.shm.layout_follow import MAX_PREVIEW, POSES
+
+CELLS = 1 << 16
+CELL_M = 1e-3
+PLACES = 8
+MOST = 64.0  # heights that a mean remembers
+KEY = 1 << 31
+NOW_NS = 1_000_000_000
+BEHIND_S, AHEAD_S = 0.06, 0.45
+SLOWEST_MPS, FASTEST_MPS = 5e-3, 10.0
+
+MEMORY = np.dtype(
+    [("ix", np.int64), ("iy", np.int64), ("age", np.int64), ("n", np.float64), ("height_m", np.float64)]
+)
+
+
+def new_memory() -> NDArray[Any]:
+    """Empty memory."""
+    return np.zeros(CELLS, MEMORY)
+
+
+@njit(cache=True, nogil=True)
+def _start(ix: Any, iy: Any) -> Any:
+    """First place of a cell: a mix of its two indices."""
+    h = (ix * 73856093) ^ (iy * 19349663)
+    h ^= h >> 13
+    return h & (CELLS - 1)
+
+
+@njit(cache=True, nogil=True)
+def remember(memory: Any, x_m: Any, y_m: Any, height_m: Any, age: Any) -> None:
+    """Average a height into its cell at an age (> 0, growing) [ns]; far-off coordinates are ignored."""
+    if not (abs(x_m) < CELL_M * KEY and abs(y_m) < CELL_M * KEY and math.isfinite(height_m)):
+        return
+    ix, iy = math.floor(x_m / CELL_M + 0.5), math.floor(y_m / CELL_M + 0.5)
+    at = _start(ix, iy)
+    chosen = at
+    for j in range(PLACES):
+        c = (at + j) & (CELLS - 1)
+        m = memory[c]
+        if m.age > 0 and m.ix == ix and m.iy == iy:
+            m.n = min(m.n + 1.0, MOST)
+            m.height_m += (height_m - m.height_m) / m.n
+            m.age = age
+            return
+        if m.age < memory[chosen].age:
+            chosen = c
+    m = memory[chosen]
+    m.ix, m.iy, m.age, m.n, m.height_m = ix, iy, age, 1.0, height_m
+
+
+@njit(cache=True, nogil=True)
+def recall(memory: Any, x_m: Any, y_m: Any, before: Any) -> Any:
+    """Mean height around a point from cells last written before age `before`; NaN when there are none.
+
+    The nine cells around the point weigh by their number of heights and their nearness.
+    """
+    if not (abs(x_m) < CELL_M * KEY and abs(y_m) < CELL_M * KEY):
+        return math.nan
+    ix, iy = math.floor(x_m / CELL_M + 0.5), math.floor(y_m / CELL_M + 0.5)
+    total, weight = 0.0, 0.0
+    for jx in range(-1, 2):
+        for jy in range(-1, 2):
+            at = _start(ix + jx, iy + jy)
+            for j in range(PLACES):
+                m = memory[(at + j) & (CELLS - 1)]
+                if m.age > 0 and m.ix == ix + jx and m.iy == iy + jy:
+                    if m.age < before:
+                        dx, dy = (ix + jx) * CELL_M - x_m, (iy + jy) * CELL_M - y_m
+                        w = m.n / (1.0 + (dx * dx + dy * dy) / (CELL_M * CELL_M))
+                        total += w * m.height_m
+                        weight += w
+                    break
+    return total / weight if weight > 0.0 else math.nan
+
+
+@njit(cache=True, nogil=True)
+def recall_ahead(memory: Any, state: Any, inputs: Any) -> None:
+    """Fill a cycle's preview with what is remembered along the direction of travel.
+
+    Parameters
+    ----------
+    memory : (CELLS,) records of `MEMORY`
+    state : (1,) records of `FollowState`
+    inputs : (1,) records of `Inputs`      n_preview, preview_from_m, preview_step_m, preview_m are set
+
+    Notes
+    -----
+    What was written within the last second is now, not memory.
+    """
+    i, a, sense = inputs[0], state[0].adaptive, state[0].sense
+    i.n_preview = 0
+    v = a.speed_mps
+    if sense.pose_count == 0 or not SLOWEST_MPS <= v < FASTEST_MPS:
+        return
+    tool = 7 * ((sense.pose_count - 1) & (POSES - 1))
+    x, y = sense.pose[tool], sense.pose[tool + 1]
+    first = -BEHIND_S * v - 2.0 * CELL_M
+    step = max(CELL_M, (AHEAD_S * v + 2.0 * CELL_M - first) / (MAX_PREVIEW - 1))
+    before = max(i.t_ns, a.now_ns) - NOW_NS
+    known = 0
+    for k in range(MAX_PREVIEW):
+        way = first + step * k
+        h = recall(memory, x + way * a.speed_x_mps / v, y + way * a.speed_y_mps / v, before)
+        i.preview_m[k] = h
+        if math.isfinite(h):
+            known += 1
+    if known > 0:
+        i.n_preview, i.preview_from_m, i.preview_step_m = MAX_PREVIEW, first, step
+
+
+@njit(cache=True, nogil=True)
+def remember_output(memory: Any, state: Any, output: Any) -> None:
+    """Average the footprint that entered the estimate in this cycle, if one did, into its cell."""
+    o = output[0]
+    if o.fresh & 1:
+        remember(memory, o.target_m[0], o.target_m[1], o.target_m[2], state[0].adaptive.now_ns)

@@ -1,0 +1,113 @@
+"""Ground that is known before the tool is there: seen by a leading sensor, or remembered (a map).
+
+A leading sensor's heights are kept in a ring of cells by way travelled. Remembered heights come as an
+input of the cycle, at equal distances ahead of the newest reported pose, so that a replay has them too.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numba import njit
+
+from surffollow.shm.layout_adaptive import CELLS, HORIZON
+
+CELL_M = 1e-3
+LEADING_M = 0.005  # a sensor this far ahead leads
+REACH_CELLS = 8  # holes up to this long are bridged
+STEP_S = 0.01  # of the plan: one controller tick
+COVERED = 7  # ticks of ground that must be known: the axis' own reaction time
+SHARE_RATE = 0.15  # per tick: preview comes and goes without a jump
+BIAS_RATE = 0.002
+OFF_RATE = 0.02
+DISTRUST_M = 1.5e-3  # remembered ground that is farther from what is seen now has changed
+
+
+@njit(cache=True, nogil=True)
+def note_ground(a: Any, s_m: Any, h_m: Any) -> None:
+    """Put an accepted height into the cell of its way coordinate."""
+    k = int(s_m / CELL_M)
+    c = k & (CELLS - 1)
+    if a.cell_k[c] != k + 1:
+        a.cell_k[c] = k + 1
+        a.cell_n[c] = 0.0
+        a.cell_h_m[c] = a.cell_s_m[c] = 0.0
+    n = a.cell_n[c] + 1.0
+    a.cell_n[c] = n
+    a.cell_h_m[c] += (h_m - a.cell_h_m[c]) / n
+    a.cell_s_m[c] += (s_m - a.cell_s_m[c]) / n
+
+
+@njit(cache=True, nogil=True)
+def seen_height(a: Any, s_m: Any) -> Any:
+    """Height at a way coordinate from the ring, linear between its neighbours; NaN where nothing was seen."""
+    k = math.floor(s_m / CELL_M)
+    below, above = -1, -1
+    for j in range(REACH_CELLS):
+        c = (k - j) & (CELLS - 1)
+        if below < 0 and a.cell_k[c] == k - j + 1 and a.cell_s_m[c] <= s_m:
+            below = c
+        c = (k + j) & (CELLS - 1)
+        if above < 0 and a.cell_k[c] == k + j + 1 and a.cell_s_m[c] > s_m:
+            above = c
+        if below >= 0 and above >= 0:
+            break
+    if below < 0 or above < 0:
+        return math.nan
+    f = (s_m - a.cell_s_m[below]) / (a.cell_s_m[above] - a.cell_s_m[below])
+    return a.cell_h_m[below] * (1.0 - f) + a.cell_h_m[above] * f
+
+
+@njit(cache=True, nogil=True)
+def told_height(inputs: Any, ahead_m: Any) -> Any:
+    """Remembered height so far ahead of the newest pose, linear between samples; NaN when unknown."""
+    step = inputs.preview_step_m
+    if inputs.n_preview < 2 or not step > 0.0:
+        return math.nan
+    f = (ahead_m - inputs.preview_from_m) / step
+    if not 0.0 <= f < inputs.n_preview - 1:
+        return math.nan
+    i = int(f)
+    return inputs.preview_m[i] * (1.0 - (f - i)) + inputs.preview_m[i + 1] * (f - i)
+
+
+@njit(cache=True, nogil=True)
+def gather_preview(a: Any, inputs: Any, leading: Any, ahead_m: Any, since_pose_m: Any) -> Any:
+    """Heights under the tool for the next ticks into `a.plan_g_m`; how many are known without a gap.
+
+    Parameters
+    ----------
+    leading : int            1: from the ring, 0: from the inputs
+    ahead_m : float64        tool at its next action, ahead of the last footprint (negative: behind) [m]
+    since_pose_m : float64   way of the tool since its newest report, at that action [m]
+    """
+    known = 0
+    for k in range(HORIZON):
+        way = a.speed_mps * STEP_S * k
+        if leading != 0:
+            h = seen_height(a, a.path_m + ahead_m + way)
+        else:
+            h = told_height(inputs, since_pose_m + way) + a.preview_bias_m
+        a.plan_g_m[k] = h
+        if k == known and math.isfinite(h):
+            known += 1
+    return known
+
+
+@njit(cache=True, nogil=True)
+def check_told(a: Any, told_m: Any, h_m: Any) -> None:
+    """Compare remembered ground with what is seen: learn its bias, and whether to trust it."""
+    if not math.isfinite(told_m):
+        return
+    e = h_m - told_m
+    a.preview_off_m += OFF_RATE * (min(abs(e - a.preview_bias_m), 0.02) - a.preview_off_m)
+    a.preview_bias_m += BIAS_RATE * (min(max(e, -0.02), 0.02) - a.preview_bias_m)
+
+
+@njit(cache=True, nogil=True)
+def move_share(a: Any, known: Any, leading: Any) -> None:
+    """Let preview's share of the set point grow or shrink by one tick."""
+    usable = known >= COVERED and (leading != 0 or a.preview_off_m < DISTRUST_M)
+    a.preview_share += SHARE_RATE if usable else -SHARE_RATE
+    a.preview_share = min(max(a.preview_share, 0.0), 1.0 if known > 0 else 0.0)
