@@ -15,7 +15,22 @@ from hypothesis import strategies as st
 from surffollow.errors import SchemaError
 from surffollow.shm import layout_board, layout_follow, map_layout
 from surffollow.shm.dtypes import numpy_dtype, zeros
-from surffollow.shm.schema import F32, F64, I8, I16, I32, I64, SCALARS, U8, U16, U32, U64, Nested, Schema, Text
+from surffollow.shm.schema import (
+    F32,
+    F64,
+    I8,
+    I16,
+    I32,
+    I64,
+    SCALARS,
+    U8,
+    U16,
+    U32,
+    U64,
+    Nested,
+    Schema,
+    Text,
+)
 
 MAKERS = {"f8": F64, "f4": F32, "i8": I64, "u8": U64, "i4": I32, "u4": U32, "i2": I16, "u2": U16}
 MAKERS |= {"i1": I8, "u1": U8}
@@ -98,7 +113,7 @@ def c_offsets(tmp_path, pairs):
 def test_every_layout_of_ours_is_what_the_c_compiler_makes_of_the_same_fields(tmp_path):
     assert len(OURS) > 12
     for name, schema, (size, align, offsets) in c_offsets(tmp_path, [(s.__name__, s) for s in OURS]):
-        assert (schema.SIZE, schema.ALIGN) == (size, align), name
+        assert (size, align) == (schema.SIZE, schema.ALIGN), name
         assert [f.offset for f in schema.FIELDS] == offsets, name
 
 
