@@ -68,6 +68,7 @@ class Child:
         self.pid = os.fork()
         if self.pid == 0:
             self._up, self._down = down_r, up_w
+            signal.alarm(60)  # it must not outlive a bench that was killed
             try:
                 work(self)
             finally:

@@ -44,6 +44,7 @@ class Child:
         self._r, self._w = os.pipe()
         self.pid = os.fork()
         if self.pid == 0:
+            signal.alarm(60)  # it must not outlive a test run that was killed
             try:
                 work(self)
             except BaseException:
