@@ -1,0 +1,82 @@
+"""Parameters: names, bounds and units; every refusal names the key and the remedy."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from surffollow.config.params import PARAMS, check_param, param_name
+from surffollow.errors import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "number"),
+    [
+        ("offset_m", 0.1, 0.1),
+        ("offset", "4 in", 0.1016),
+        ("interval_size", "2 mm", 0.002),
+        ("pose_timeout", "100 ms", 100e6),
+        ("pose_timeout_ns", 100_000_000, 100e6),
+        ("sensor_readings", 7, 7.0),
+        ("mode", "paper", 0.0),
+        ("mode", "adaptive", 1.0),
+        ("run", "freeze", 2.0),
+        ("pose_interpolate", True, 1.0),
+        ("plant_v_max", "200 mm/s", 0.2),
+    ],
+)
+def test_a_parameter_is_taken_with_or_without_its_unit_ending(name, value, number):
+    assert check_param(name, value) == pytest.approx(number, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("ofset", 0.1, ["unknown parameter 'ofset'", "did you mean offset_m"]),
+        ("Range_Size", 5, ["unknown parameter 'Range_Size'", "range_size"]),
+        ("offset", "3 s", ["offset", "'s' is a time", "length"]),
+        ("offset", "3 furlongs", ["offset", "unknown unit 'furlongs'", "use one of"]),
+        ("offset", -1.0, ["offset", "-1 m", "between 0.0001 and 1000"]),
+        ("offset", math.nan, ["offset", "finite"]),
+        ("offset", math.inf, ["offset", "finite"]),
+        ("offset", None, ["offset", "no quantity"]),
+        ("sensor_readings", 0, ["sensor_readings", "between 1 and 64"]),
+        ("sensor_readings", 65, ["sensor_readings", "between 1 and 64"]),
+        ("sensor_readings", 2.5, ["sensor_readings", "whole"]),
+        ("range_size", 513, ["range_size", "between 1 and 512"]),
+        ("mode", "best", ["mode", "'best'", "paper, adaptive"]),
+        ("run", 3, ["run", "between 0 and 2"]),
+        ("offset", True, ["offset", "True is no quantity"]),
+    ],
+)
+def test_a_refusal_names_the_parameter_what_is_wrong_and_what_would_be_right(name, value, says):
+    with pytest.raises(ConfigError) as e:
+        check_param(name, value)
+    for part in says:
+        assert part in str(e.value)
+
+
+@pytest.mark.parametrize("name", PARAMS)
+def test_defaults_and_both_bounds_are_accepted_and_just_beyond_is_not(name):
+    spec = PARAMS[name]
+    for value in (spec.default, spec.low, spec.high):
+        assert check_param(name, value) == value
+    for value in (spec.low - 1.0, spec.high * 2.0 + 1.0):
+        with pytest.raises(ConfigError):
+            check_param(name, value)
+
+
+def test_the_papers_figures_are_the_defaults():
+    assert PARAMS["sensor_readings"].default == 7
+    assert PARAMS["pose_interpolate"].default == 0
+    assert PARAMS["pose_timeout_ns"].default == 100e6
+
+
+def test_unit_endings_are_optional_and_never_ambiguous():
+    for name in PARAMS:
+        assert param_name(name) == name
+    short = [n.rsplit("_", 1)[0] for n in PARAMS if n.rsplit("_", 1)[-1] in ("m", "ns", "s", "mps")]
+    assert len(short) == len(set(short))
+    for name in short:
+        assert param_name(name).startswith(name)

@@ -1,0 +1,117 @@
+"""The service's configuration file: what is taken, and how a mistake is told."""
+
+from __future__ import annotations
+
+import pytest
+
+from surffollow.config.service import ServiceConfig, follow_params, load_config, mode, parse_config, seconds
+from surffollow.errors import ConfigError
+
+FULL = """
+name = "arm2"
+period = "0.5 ms"
+log_words = 131072
+snapshot = "2 s"
+
+[realtime]
+priority = 50
+cpu = 1
+spin = "80 us"
+overrun = "catch-up"
+
+[map]
+grids = 4000000
+finest_grid = "0.1 in"
+rounding = "paper"
+
+[access]
+board_mode = "0644"
+group = "robots"
+
+[driver]
+kind = "simulated"
+
+[follow]
+mode = "adaptive"
+offset = "4 in"
+sensor_readings = 5
+"""
+
+
+def test_an_empty_configuration_is_a_valid_one():
+    c = parse_config({})
+    assert c == ServiceConfig()
+    assert seconds(c.period, "period", 0.0, 1.0) == 1e-3
+    assert follow_params(c) == {}
+
+
+def test_a_full_file_is_taken_as_written(tmp_path):
+    path = tmp_path / "arm2.toml"
+    path.write_text(FULL)
+    c = load_config(path)
+    assert (c.name, c.log_words, c.realtime.overrun, c.map.grids) == ("arm2", 131072, "catch-up", 4_000_000)
+    assert seconds(c.period, "period", 0.0, 1.0) == pytest.approx(0.5e-3)
+    assert follow_params(c) == {"mode": 1.0, "offset_m": pytest.approx(0.1016), "sensor_readings": 5.0}
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        ({"periode": "1 ms"}, ["periode"]),
+        ({"realtime": {"prio": 3}}, ["prio", "realtime"]),
+        ({"map": {"gridz": 3}}, ["gridz", "map"]),
+        ({"period": "1 mm"}, ["period", "'mm' is a length", "time"]),
+        ({"period": "1 fortnight"}, ["period", "unknown unit 'fortnight'"]),
+        ({"period": "1 us"}, ["period", "between 2e-05 and 1"]),
+        ({"period": 5}, ["period", "between 2e-05 and 1"]),
+        ({"period": [1]}, ["period"]),
+        ({"realtime": {"priority": 99}}, ["realtime.priority", "99", "between 1 and 98"]),
+        ({"realtime": {"overrun": "panic"}}, ["realtime.overrun", "'skip' or 'catch-up'"]),
+        ({"realtime": {"spin": "1 s"}}, ["realtime.spin"]),
+        ({"log_words": 100_000}, ["log_words", "power of two"]),
+        ({"log_words": 1024}, ["log_words"]),
+        ({"log_words": "many"}, ["log_words"]),
+        ({"map": {"grids": 0}}, ["map.grids", "1000000000"]),
+        ({"map": {"rounding": "up"}}, ["map.rounding", "'unbiased' or 'paper'"]),
+        ({"map": {"finest_grid": "-1 mm"}}, ["map.finest_grid"]),
+        ({"map": {"quantum": "0 m"}}, ["map.quantum"]),
+        ({"map": {"queue_seconds": 0.5}}, ["map.queue_seconds", "between 1 and 600"]),
+        ({"map": {"access_lease": "0 s"}}, ["map.access_lease"]),
+        ({"access": {"board_mode": "rw-r--"}}, ["access.board_mode", "octal"]),
+        ({"access": {"inbox_mode": "7777"}}, ["access.inbox_mode", "octal"]),
+        ({"follow": {"ofset": 1}}, ["ofset", "did you mean offset_m"]),
+        ({"follow": {"offset": "1 s"}}, ["offset", "time"]),
+        ({"follow": 3}, ["follow"]),
+        ({"name": 3}, ["name"]),
+    ],
+)
+def test_a_mistake_is_told_with_its_key(data, says):
+    with pytest.raises(ConfigError) as e:
+        parse_config(data, "arm.toml")
+    text = str(e.value)
+    assert text.startswith("arm.toml: ")
+    for part in says:
+        assert part in text
+
+
+def test_a_file_that_cannot_be_read_or_is_no_toml_is_named(tmp_path):
+    with pytest.raises(ConfigError, match=r"missing\.toml: No such file"):
+        load_config(tmp_path / "missing.toml")
+    bad = tmp_path / "bad.toml"
+    bad.write_text("period = = 3")
+    with pytest.raises(ConfigError, match=r"bad\.toml is not TOML"):
+        load_config(bad)
+    with pytest.raises(ConfigError, match="Is a directory"):
+        load_config(tmp_path)
+
+
+def test_a_file_in_another_encoding_is_told_and_not_a_crash(tmp_path):
+    bad = tmp_path / "latin.toml"
+    bad.write_bytes('name = "größe"'.encode("latin-1"))
+    with pytest.raises(ConfigError, match=r"latin\.toml"):
+        load_config(bad)
+
+
+@pytest.mark.parametrize(("text", "value"), [("0640", 0o640), ("660", 0o660), ("0", 0), ("777", 0o777)])
+def test_modes_are_octal(text, value):
+    assert mode(text, "board_mode") == value

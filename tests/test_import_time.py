@@ -1,0 +1,71 @@
+"""What other programs import stays light: no numba, no NumPy, a fraction of a second."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+
+import pytest
+
+HEAVY = ("numba", "numpy", "llvmlite", "scipy", "mcap", "matplotlib", "asyncio")
+
+
+def modules_after(code, *arguments):
+    """Names of all modules loaded after running the code in a fresh process."""
+    program = f"import sys\n{code}\nprint(' '.join(sys.modules), file=sys.stderr)"
+    got = subprocess.run(
+        [sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True
+    )
+    return set(got.stderr.split())
+
+
+def heavy(modules):
+    return sorted({m.split(".")[0] for m in modules} & set(HEAVY))
+
+
+def test_the_client_library_loads_neither_numba_nor_numpy():
+    loaded = modules_after("import surffollow.client")
+    assert "surffollow.client" in loaded
+    assert heavy(loaded) == []
+
+
+def test_the_package_itself_loads_nothing_heavy():
+    assert heavy(modules_after("import surffollow")) == []
+
+
+def test_declaring_a_schema_and_reading_configuration_need_no_numpy():
+    loaded = modules_after(
+        "import surffollow.shm.schema, surffollow.shm.layout_board, surffollow.shm.map_layout\n"
+        "import surffollow.shm.objects, surffollow.config.service, surffollow.config.params"
+    )
+    assert heavy(loaded) == []
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["start", "--help"], ["stop", "--help"]])
+def test_help_needs_nothing_heavy(arguments):
+    code = (
+        "from surffollow.cli.main import main\n"
+        "try:\n    main(sys.argv[1:])\nexcept SystemExit as e:\n    assert not e.code, e.code"
+    )
+    assert heavy(modules_after(code, *arguments)) == []
+
+
+@pytest.mark.parametrize(
+    ("command", "limit_s"),
+    [(["-m", "surffollow", "--help"], 0.3), (["-c", "import surffollow.client"], 0.15)],
+)
+def test_a_user_does_not_wait_for_imports(command, limit_s):
+    def processor_s():
+        import resource
+
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, *command], check=True, stdout=subprocess.DEVNULL)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    processor_s()  # writes the byte code
+    start = time.perf_counter()
+    best = min(processor_s() for _ in range(5))
+    # processor time: other work on the machine is not ours; tools/bench_start.py takes wall time
+    assert best < limit_s, f"{best:.3f} s of processor time (wall {time.perf_counter() - start:.2f} s for 5)"

@@ -1,0 +1,88 @@
+"""Quantities as people write them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from surffollow.errors import UsageError
+from surffollow.units import format_ns, parse_quantity, unit_scale
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [
+        ("0.1 in", "m", 0.00254),
+        ("0.1in", "m", 0.00254),
+        ("7 ms", "s", 0.007),
+        ("7 ms", "ns", 7e6),
+        ("120us", "s", 120e-6),
+        ("120 µs", "ns", 120e3),
+        ("20 deg", "rad", math.pi / 9),
+        ("180°", "rad", math.pi),
+        ("1 kHz", "Hz", 1000.0),
+        ("36 km/h", "m/s", 10.0),
+        ("-3.5e-2 m", "m", -0.035),
+        ("+.5 mm", "m", 0.0005),
+        (" 2 ft ", "m", 0.6096),
+        ("50 %", "1", 0.5),
+        ("4 KiB", "B", 4096.0),
+        ("12", "m", 12.0),
+        (12, "m", 12.0),
+        (0.25, "s", 0.25),
+    ],
+)
+def test_a_quantity_is_converted_into_the_asked_unit(text, unit, value):
+    assert parse_quantity(text, unit) == pytest.approx(value, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "says"),
+    [
+        ("0.1 inch", "m", "unknown unit 'inch'; use one of cm, ft, in, km, m, mm"),
+        ("3 parsec", "1", "unknown unit 'parsec'"),
+        ("7 ms", "m", "'ms' is a time, but a length in 'm'"),
+        ("7 m", "ns", "'m' is a length, but a time in 'ns'"),
+        ("ten m", "m", "'ten m' is no quantity; write a number and a unit, like '5 m'"),
+        ("", "m", "no quantity"),
+        ("1 2 m", "m", "1 2 m"),
+        ("1e999 m", "m", "not a finite quantity"),
+        ("nan", "m", "no quantity"),
+        (math.nan, "m", "not a finite quantity"),
+        (math.inf, "m", "not a finite quantity"),
+        (True, "m", "True is no quantity"),
+        (None, "s", "None is no quantity; write a number or text like '5 s'"),
+        ([1], "s", "no quantity"),
+        (b"1 m", "m", "no quantity"),
+    ],
+)
+def test_what_is_no_quantity_is_refused_with_a_remedy(value, unit, says):
+    with pytest.raises(UsageError) as e:
+        parse_quantity(value, unit)
+    assert says in str(e.value)
+
+
+@given(st.text(max_size=30))
+def test_any_text_gives_a_finite_number_or_a_usage_error(text):
+    try:
+        number = parse_quantity(text, "m")
+    except UsageError:
+        return
+    assert math.isfinite(number)
+
+
+@given(st.floats(-1e12, 1e12), st.sampled_from(["mm", "in", "ft", "km", "um"]))
+def test_scales_are_each_others_inverse(number, unit):
+    there = parse_quantity(f"{number!r} {unit}", "m")
+    assert there * unit_scale("m", unit) == pytest.approx(number, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("t_ns", "text"),
+    [(0, "0 ns"), (850, "850 ns"), (12_340, "12.3 µs"), (4_560_000, "4.56 ms"), (1_200_000_000, "1.2 s")],
+)
+def test_durations_for_people(t_ns, text):
+    assert format_ns(t_ns) == text
