@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -83,9 +84,29 @@ def running_pid(name: str) -> int:
     try:
         if not map_.is_locked(NAME_LOCK_BYTE):
             return 0
-        return int(struct.unpack_from("<q", map_.memory, ml.MapHeader.offset("owner_pid"))[0])
+        pid = int(struct.unpack_from("<q", map_.memory, ml.MapHeader.offset("owner_pid"))[0])
+        return pid if has_open(pid, map_.identity) else 0
     finally:
         map_.close()
+
+
+def has_open(pid: int, identity: tuple[int, int]) -> bool:
+    """Whether a process has a file open; True when this user may not know.
+
+    Between its lock and its first line in the map's header a starting service is not yet the owner
+    that the header names: that may be anybody's pid by now.
+    """
+    try:
+        for entry in os.scandir(f"/proc/{pid}/fd"):
+            with contextlib.suppress(FileNotFoundError):
+                found = os.stat(entry.path)
+                if (found.st_dev, found.st_ino) == identity:
+                    return True
+    except PermissionError:
+        return True
+    except FileNotFoundError:
+        return False
+    return False
 
 
 def purge_leftovers(name: str) -> bool:

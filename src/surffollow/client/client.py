@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-import math
+import contextlib
 import os
 import random
 import threading
 import time
+import weakref
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from surffollow.client.observer import FENCED, Observer, fence
+from surffollow.client.fence import FENCED, fence
+from surffollow.client.observer import Observer
+from surffollow.client.pose import FUTURE_NS, MAX_POSITION_M, checked_pose
 from surffollow.client.requests import Ticket, check_region
-from surffollow.errors import BusyError, NotRunningError, PoseError, RefusedError
+from surffollow.errors import (
+    BlockError,
+    BusyError,
+    NotRunningError,
+    PoseError,
+    RefusedError,
+    ServiceError,
+)
 from surffollow.shm import layout_board as lb
 from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, stride
 from surffollow.shm.layout_follow import Params
@@ -22,11 +32,27 @@ from surffollow.shm.objects import SharedObject
 _POST = lb.PosePost.struct_of("t_ns", "pose")
 _REQUEST = lb.RequestPost.struct_of("counter", "value")
 _HEAD = lb.SlotHead.struct_of("pid", "name")
+_IDENTITY = lb.SlotHead.struct_of("pid", "heartbeat_ns")
+_POSE_ROLE = lb.Ticker.struct_of("t_ns", "pose_slot")
+_POSE_TIMEOUT = Params.struct_of("pose_timeout_ns", "pose_timeout_ns")
 _POSE_STRIDE = stride(lb.PosePost.SIZE)
 _REQUEST_STRIDE = stride(lb.RequestPost.SIZE)
-FUTURE_NS = 1_000_000
-NORM_TOLERANCE = 1e-3
 CLAIM_RETRY_S = 0.3
+_MAX_SIZE2 = MAX_POSITION_M**2
+LOOK_EVERY_NS = 100_000_000
+_WORD = (1 << 64) - 1
+_clients: weakref.WeakSet[Client] = weakref.WeakSet()
+
+
+def _forget_in_child() -> None:
+    # a forked child would keep its parent's locks, and so its slot, alive beyond the parent's death
+    for client in list(_clients):
+        if client._inbox is not None:
+            client._in_words.release()
+            client._release_inbox()
+
+
+os.register_at_fork(after_in_child=_forget_in_child)
 
 
 class Client(Observer):
@@ -38,12 +64,14 @@ class Client(Observer):
         self._label = (label or f"python {os.getpid()}").encode()[:31]
         self._lock = threading.RLock()
         self._inbox: SharedObject | None = None
+        self._pose_held, self._next_look_ns = False, 0
         super().__init__(name, stale_periods=stale_periods, stale_min_s=stale_min_s)
         try:
             self._claim_slot()
         except BaseException:
             self.close()
             raise
+        _clients.add(self)
 
     # -- the slot ---------------------------------------------------------------------------------
 
@@ -67,27 +95,52 @@ class Client(Observer):
         self._counter = 0
         self._pose_held = False
         _HEAD.pack_into(self._in, start, os.getpid(), self._claim, time.monotonic_ns(), 0, self._label)
-        self._pose_timeout_ns = int(self.params()["pose_timeout_ns"])
+        self._next_look_ns = 0
 
     def _reattached(self) -> None:
-        self._release_inbox()
-        try:
+        self._leave_slot()
+        with contextlib.suppress(ServiceError, BlockError):  # the next pose or request tries again
             self._claim_slot()
-        except (NotRunningError, BusyError):
-            self._next_attach_ns = 0
+
+    def ensure_slot(self) -> None:
+        """Claim a slot when there is none, after a fork or when all were taken at a re-attachment."""
+        if self._inbox is None:
+            self._claim_slot()
+
+    def _leave_slot(self) -> None:
+        if self._inbox is not None:
+            # another thread may be writing into the mapping: it goes when the last reference does
+            self._inbox.unlock(self._start)
+            self._release_inbox()
 
     def _release_inbox(self) -> None:
         if self._inbox is not None:
-            self._in_words.release()
             self._inbox.close()
-            self._inbox = None
+            self._inbox, self._pose_held = None, False
 
     def close(self) -> None:
         """Give back the pose and the slot, unmap everything."""
+        _clients.discard(self)
         if self._inbox is not None:
             _HEAD.pack_into(self._in, self._start, 0, 0, 0, 0, b"")
-        self._release_inbox()
+            self._leave_slot()
+            self._in_words.release()
         super().close()
+
+    def _look_after(self, now_ns: int) -> None:
+        """Ten times a second: show life, and notice what was changed behind this client's back."""
+        self._next_look_ns = now_ns + LOOK_EVERY_NS
+        timeout = self.board.latch("params", Params).copy()
+        if timeout is not None:
+            (self._pose_timeout_ns,) = _POSE_TIMEOUT.unpack_from(timeout, Params.offset("pose_timeout_ns"))
+        if self._inbox is None:
+            return
+        _IDENTITY.pack_into(self._in, self._start, os.getpid(), self._claim, now_ns)
+        ticker = self.board.latch("ticker", lb.Ticker).copy()
+        if ticker is not None and self._pose_held:
+            told_ns, slot = _POSE_ROLE.unpack_from(ticker)
+            if slot != self.slot and told_ns > self._pose_held_ns + LOOK_EVERY_NS:
+                self._pose_held = False  # somebody gave it back in our name: ask for it again
 
     # -- poses ------------------------------------------------------------------------------------
 
@@ -108,13 +161,15 @@ class Client(Observer):
         try:
             x, y, z, qx, qy, qz, qw = pose
             norm2 = qx * qx + qy * qy + qz * qz + qw * qw
-            total = x + y + z + norm2
+            size2 = x * x + y * y + z * z + norm2
         except (TypeError, ValueError):
             raise PoseError(f"a pose is seven numbers (x y z qx qy qz qw), not {pose!r}") from None
-        # NaN or infinity anywhere makes total - total differ from zero; so may an overflow
-        if total - total != 0.0 or not -2e-15 < norm2 - 1.0 < 2e-15:
-            x, y, z, qx, qy, qz, qw = _checked_pose(pose)
+        # NaN compares false; the slow check says what is wrong, if anything
+        if not size2 < _MAX_SIZE2 or not -2e-15 < norm2 - 1.0 < 2e-15:
+            x, y, z, qx, qy, qz, qw = checked_pose(pose)
         now = time.monotonic_ns()
+        if now > self._next_look_ns:
+            self._look_after(now)
         if t_ns is None:
             t_ns = now
         elif t_ns > now + FUTURE_NS:
@@ -129,7 +184,7 @@ class Client(Observer):
         if not self._pose_held:
             self._claim_pose()
         words, index = self._in_words, self._pose_index
-        g = words[index] + 1
+        g = (words[index] + 1) & _WORD  # what lies there may be anything
         if FENCED:
             fence()
         _POST.pack_into(
@@ -144,7 +199,7 @@ class Client(Observer):
         while True:
             try:
                 self._request(lb.RQ_CLAIM_POSE).result(1.0)
-                self._pose_held = True
+                self._pose_held, self._pose_held_ns = True, time.monotonic_ns()
                 return
             except RefusedError as e:
                 # the service looks for dead holders at its own beat: give it a few
@@ -164,13 +219,14 @@ class Client(Observer):
         self, code: int, numbers: Sequence[int] = (), values: Sequence[float] = (), n: int = 0
     ) -> Ticket:
         with self._lock:
-            if self._inbox is None or self._inbox.fd < 0 or not self.alive():
+            if not self.alive():
                 raise NotRunningError(
                     f"service {self.name!r} does not answer; is it running? (surffollow status)"
                 )
+            self.ensure_slot()
             self._counter += 1
             words, index = self._in_words, self._request_index
-            g = words[index] + 1
+            g = (words[index] + 1) & _WORD
             fence()
             pad = lb.REQUEST_ARGS
             _REQUEST.pack_into(
@@ -220,7 +276,7 @@ class Client(Observer):
         numbers = [Params.offset(param_name(n)) // 8 for n in values]
         checked = [check_param(n, v) for n, v in values.items()]
         ticket = self._request(lb.RQ_SET_PARAMS, numbers, checked, len(numbers)).settle(timeout_s, wait)
-        self._pose_timeout_ns = int(self.params()["pose_timeout_ns"])
+        self._next_look_ns = 0
         return ticket
 
     def upload_map(self, path: str | Path, *, timeout_s: float = 30.0, progress: Any = None) -> Path:
@@ -242,13 +298,3 @@ class Client(Observer):
     MapReset = map_reset
     MapRefocus = map_refocus
     UpLoadMap = upload_map
-
-
-def _checked_pose(pose: Sequence[float]) -> tuple[float, ...]:
-    values = [float(v) for v in pose]
-    if not all(math.isfinite(v) for v in values):
-        raise PoseError(f"a pose must be finite, not {values}")
-    norm = math.sqrt(sum(v * v for v in values[3:]))
-    if abs(norm - 1.0) > NORM_TOLERANCE:
-        raise PoseError(f"the quaternion's norm is {norm:.6g}; it must be 1 within {NORM_TOLERANCE:g}")
-    return (*values[:3], *(v / norm for v in values[3:]))

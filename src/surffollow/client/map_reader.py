@@ -13,6 +13,7 @@ from surffollow.shm import map_layout as ml
 from surffollow.shm.objects import SharedObject
 
 if TYPE_CHECKING:
+    from surffollow.client.board import Board
     from surffollow.client.client import Client
 
 _ACCESS = lb.SLOT_HEAD + lb.SlotHead.offset("access")
@@ -28,24 +29,36 @@ class ExclusiveAccess:
 
     def __init__(self, client: Client, timeout_s: float) -> None:
         self._client, self._timeout_s = client, timeout_s
-        self._status = client.board.latch("map_status", lb.MapStatus)
+        self._board: Board | None = None
 
     def _post(self, flag: int) -> None:
-        _FLAG.pack_into(self._client._in, self._client._start + _ACCESS, flag)
+        if self._client._inbox is not None:
+            _FLAG.pack_into(self._client._in, self._client._start + _ACCESS, flag)
+
+    def _request(self) -> None:
+        """Step 1, once for every service that this client is attached to."""
+        self._client.ensure_slot()
+        self._board = self._client.board
+        self._status = self._board.latch("map_status", lb.MapStatus)
+        self._post(lb.ACCESS_REQUESTED)
 
     def granted(self) -> bool:
-        """Whether this client holds the map now."""
+        """Whether this client holds the map now, of the service that granted it."""
+        if self._board is not self._client.board:
+            return False
         s = self._status.read()
         return s is not None and s["access"] == lb.ACCESS_GRANTED and s["access_slot"] == self._client.slot
 
     def __enter__(self) -> ExclusiveAccess:
         deadline = time.monotonic() + self._timeout_s
-        self._post(lb.ACCESS_REQUESTED)
         while not self.granted():
-            if not self._client.alive():
-                raise NotRunningError(f"service {self._client.name!r} does not answer")
+            alive = self._client.alive()  # follows the service to a new start
+            if alive and self._board is not self._client.board:
+                self._request()
             if time.monotonic() > deadline:
                 self._post(lb.ACCESS_FREE)
+                if not alive:
+                    raise NotRunningError(f"service {self._client.name!r} does not answer")
                 raise RequestTimeoutError(
                     f"no exclusive access to the map within {self._timeout_s:g} s; another client may hold it"
                 )
@@ -53,11 +66,13 @@ class ExclusiveAccess:
         return self
 
     def __exit__(self, kind: object, value: object, trace: object) -> None:
-        held = self.granted()
+        held = self.granted() and self._client.board.is_current()
         self._post(lb.ACCESS_DONE)
         deadline = time.monotonic() + self._timeout_s
         while self.granted() and self._client.alive() and time.monotonic() < deadline:
             time.sleep(0.0002)
+        if not held:
+            time.sleep(0.005)  # long enough for the service to see that the flag came down
         self._post(lb.ACCESS_FREE)
         if not held and kind is None:
             raise RefusedError(

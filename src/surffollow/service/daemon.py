@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import signal
 import sys
 import threading
@@ -22,7 +23,8 @@ from surffollow.service import memory as m
 from surffollow.service import realtime
 from surffollow.service.cycle import run_cycles
 from surffollow.service.house import House, open_house
-from surffollow.service.mapper import MapMemory, run_map
+from surffollow.service.mapper import run_map
+from surffollow.service.mapper_memory import make_map_memory
 from surffollow.service.notify import CompileProgress, sd_notify
 from surffollow.service.requests import publish_params
 from surffollow.shm import layout_board as lb
@@ -47,14 +49,16 @@ class Daemon:
         try:
             self.queue = ConversionQueue(1 << 15)
             self.mem = self._initialise_memory()
-            self.map_mem = self._map_memory()
+            self.map_mem = make_map_memory(
+                self.mem.ctx, self.house.map_header, self.house.pairs, self.house.scratch
+            )
             self._initialise_constants()
         except BaseException:
             self.house.leave()
             raise
         self._ticker = zeros(lb.Ticker)
         self._errors: list[str] = []
-        self._stop_asked = threading.Event()
+        self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
     # -- initialise (paper §3.3.1) ----------------------------------------------------------------
 
@@ -89,24 +93,6 @@ class Daemon:
         ctx[m.LEASE_NS] = round(seconds(config.map.access_lease, "map.access_lease", 0.01, 3600.0) * 1e9)
         ctx[m.EPOCH] = house.epoch
         return mem
-
-    def _map_memory(self) -> MapMemory:
-        item = np.zeros(m.SAMPLE_WORDS, np.int64)
-        job = np.full(8, -1, np.int64)
-        status = zeros(lb.MapStatus)
-        status[0]["access_slot"] = -1
-        h = self.house
-        return MapMemory(
-            self.mem.ctx,
-            h.map_header,
-            h.pairs,
-            h.scratch,
-            item,
-            item.view(np.float64),
-            status,
-            zeros(lb.Ack),
-            job,
-        )
 
     def _initialise_constants(self) -> None:
         p = self.mem.params[0]
@@ -170,11 +156,12 @@ class Daemon:
     def _take_signals(self) -> None:
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGTERM, signal.SIGINT):
-                signal.signal(number, lambda *_: self._stop_asked.set())
+                signal.signal(number, lambda *_: self.stop())
 
     def stop(self) -> None:
-        """Ask `run` to end (from another thread)."""
-        self._stop_asked.set()
+        """Ask `run` to end, from a signal handler or another thread (a pipe holds no lock)."""
+        with contextlib.suppress(OSError):  # full, or closed because it ended
+            os.write(self._waker, b"x")
 
     def _cycle_thread(self) -> None:
         try:
@@ -204,7 +191,7 @@ class Daemon:
     def _watch(self) -> None:
         stall_s = seconds(self.config.watchdog, "watchdog", 0.01, 60.0)
         seen, since = -1, time.monotonic()
-        while not self._stop_asked.wait(BEAT_S):
+        while not select.select([self._wake], [], [], BEAT_S)[0]:
             cycles, now = self._cycles(), time.monotonic()
             if cycles != seen:
                 seen, since = cycles, now
@@ -216,23 +203,19 @@ class Daemon:
 
     def beat(self, faults: int = 0) -> None:
         """Look for dead clients, publish the main thread's view."""
-        base = self.mem.ctx.ctypes.data
+        dead = self.mem.ctx.ctypes.data + 8 * m.DEAD
         live, pose_pid = 0, 0
         pose_slot = int(self.mem.ctx[m.POSE_SLOT])
         for slot in range(lb.CLIENTS):
-            start = lb.PAGE + slot * lb.SLOT_BYTES
-            at = self.house.inbox_bytes.ctypes.data + start + lb.SLOT_HEAD
-            claim = int(load_acquire(at + lb.SlotHead.offset("claim")))
-            if claim == 0:
-                if slot == pose_slot:  # closed in good order
-                    store_release(base + 8 * (m.DEAD + slot), int(self.mem.ctx[m.POSE_CLAIM]))
+            start, looked_ns = lb.PAGE + slot * lb.SLOT_BYTES, time.monotonic_ns()
+            if not self.house.inbox.is_locked(start):
+                store_release(dead + 8 * slot, looked_ns)
                 continue
-            if self.house.inbox.is_locked(start):
-                live += 1
-                if slot == pose_slot:
-                    pose_pid = int(load_acquire(at + lb.SlotHead.offset("pid")))
-            else:
-                store_release(base + 8 * (m.DEAD + slot), claim)
+            store_release(dead + 8 * slot, 0)
+            live += 1
+            if slot == pose_slot:
+                at = self.house.inbox_bytes.ctypes.data + start + lb.SLOT_HEAD
+                pose_pid = int(load_acquire(at + lb.SlotHead.offset("pid")))
         texts = [*self.driver.faults(), *self.grants.refused]
         faults |= FAULT_DRIVER if self.driver.faults() else 0
         faults |= FAULT_SAMPLES_LOST if int(self.mem.ctx[m.LOST]) else 0
@@ -256,6 +239,8 @@ class Daemon:
         self.house.set_state(lb.STATE_STOPPED)
         self.house.leave()
         realtime.release(self.grants)
+        os.close(self._wake)
+        os.close(self._waker)
 
 
 def serve(config: ServiceConfig, quiet: bool = False) -> None:

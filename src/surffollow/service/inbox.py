@@ -13,6 +13,7 @@ from surffollow.shm.layout_board import PAGE, SLOT_BYTES, SLOT_POSE, SLOT_REQUES
 from surffollow.shm.layout_follow import POSES
 
 FUTURE_NS = 2_000_000
+MAX_POSITION_M = 1e9  # farther out no sum or product of ours is exact, or finite
 POSE_OK, POSE_NONE, POSE_BAD, POSE_TORN = 0, 1, 2, 3
 _POST_BYTES, _REQUEST_BYTES = PosePost.SIZE, RequestPost.SIZE
 
@@ -29,13 +30,14 @@ def check_pose(post: Any, now_ns: Any, oldest_ns: Any, pose: Any) -> Any:
 
     Returns
     -------
-    int64  POSE_OK, or POSE_BAD: not finite, norm off by more than 1e-3, from the future, too old
+    int64  POSE_OK, or POSE_BAD: not finite, out of this world, norm off by more than 1e-3, from the
+           future, too old
     """
     p = post[0]
     norm2 = 0.0
     for i in range(7):
         v = p.pose[i]
-        if v - v != 0.0:
+        if not abs(v) <= MAX_POSITION_M:
             return POSE_BAD
         pose[i] = v
         if i >= 3:

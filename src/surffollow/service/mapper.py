@@ -5,31 +5,45 @@ Following never waits for any of it: samples and requests queue up in order.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 from numba import njit
 
 from surffollow.map.geometry import reset_begin, reset_step
 from surffollow.map.grids import update_map
+from surffollow.map.install import operation_progress, reject
 from surffollow.map.refocus import refocus_begin, refocus_step
 from surffollow.service import memory as m
 from surffollow.service.inbox import slot_address
-from surffollow.service.requests import holder_is_dead
+from surffollow.service.mapper_install import NOTHING, WHOLE, begin_install, step_install
+from surffollow.service.mapper_memory import (
+    GRANTED_NS,
+    HOLDER_CLAIM,
+    JOB_CLAIM,
+    JOB_CODE,
+    JOB_COUNTER,
+    JOB_SLOT,
+    LAST_HOLDER,
+)
+from surffollow.service.requests import holder_is_gone
 from surffollow.shm import atomics as at
 from surffollow.shm import map_layout as ml
 from surffollow.shm.clock import now_ns, sleep_until_ns
 from surffollow.shm.latch import latch_write
 from surffollow.shm.latch_shape import latch_bytes
 from surffollow.shm.layout_board import (
-    ACCESS_DONE,
     ACCESS_FREE,
     ACCESS_GRANTED,
     ACCESS_REQUESTED,
     CLIENTS,
     ERR_BAD_REGION,
+    ERR_BAD_VALUE,
+    ERR_CANCELLED,
     ERR_MAP_BUSY,
+    ERR_MAP_TOO_LARGE,
     ERR_NO_MAP,
     OK,
+    RQ_MAP_INSTALL,
     RQ_MAP_REFOCUS,
     RQ_MAP_RESET,
     SLOT_HEAD,
@@ -45,26 +59,8 @@ _ACK_STEP, _ACK_BYTES, _STATUS_BYTES = latch_bytes(Ack.SIZE), Ack.SIZE, MapStatu
 SLICE_GRIDS = 100_000  # per look at the flags: 0.1 to 1 ms
 SLICE_SAMPLES = 4096
 IDLE_NS = 500_000
-_RESETTING, _REFOCUSING = ml.RESETTING, ml.REFOCUSING
-
-
-class MapMemory(NamedTuple):
-    """The map object and private memory of the map thread."""
-
-    ctx: Any
-    header: Any
-    pairs: Any
-    scratch: Any
-    item: Any
-    item_floats: Any
-    status: Any
-    ack: Any
-    job: Any  # int64 words, indices below
-
-
-# slot of the request under way (-1: none, -2: recovery after a cut-off), its code, counter and
-# claim; the claim of the access holder and when it was granted
-JOB_SLOT, JOB_CODE, JOB_COUNTER, JOB_CLAIM, HOLDER_CLAIM, GRANTED_NS = range(6)
+STREAM_IDLE_NS = 50_000  # between looks for the next piece of a map that is being installed
+_REFOCUSING, _INSTALLING = ml.REFOCUSING, ml.INSTALLING
 
 
 @njit(cache=True, nogil=True)
@@ -75,9 +71,7 @@ def publish_status(mem: Any, t_ns: Any) -> None:
     s.queued = ring_length(ctx[m.SAMPLES])
     s.lost = at.load_relaxed_i64(ctx.ctypes.data + 8 * m.LOST)
     s.busy = mem.job[JOB_CODE] if mem.job[JOB_SLOT] != -1 else 0
-    s.progress = 0.0
-    if header.journal_op == _RESETTING and header.journal_nx > 0:
-        s.progress = header.journal_progress / (header.journal_nx * header.journal_ny)
+    s.progress = operation_progress(mem.header) if header.journal_op != 0 else 0.0
     latch_write(ctx[m.MAP_STATUS], mem.status.ctypes.data, _STATUS_BYTES)
 
 
@@ -88,7 +82,8 @@ def finish_job(mem: Any, result: Any) -> None:
     slot = job[JOB_SLOT]
     if slot >= 0:
         a = mem.ack[0]
-        a.counter, a.claim, a.result, a.detail = job[JOB_COUNTER], job[JOB_CLAIM], result, 0
+        a.counter, a.claim, a.result = job[JOB_COUNTER], job[JOB_CLAIM], result
+        a.detail = -1 if result == ERR_BAD_VALUE else 0  # no parameter's number
         latch_write(ctx[m.MAP_ACKS] + slot * _ACK_STEP, mem.ack.ctypes.data, _ACK_BYTES)
         at.store_release_i64(ctx.ctypes.data + 8 * (m.PENDING + slot), 0)
     job[JOB_SLOT] = -1
@@ -107,47 +102,79 @@ def begin_job(mem: Any) -> None:
     x1, y1 = at.load_relaxed_f64(base + 16), at.load_relaxed_f64(base + 24)
     if code == RQ_MAP_RESET:
         result = reset_begin(mem.header, x0, y0, x1, y1)
+    elif code == RQ_MAP_INSTALL:
+        result = begin_install(mem, base)
     else:
         result = refocus_begin(mem.header, mem.pairs, mem.scratch, x0, y0, x1, y1)
     if result == ml.BAD_REGION:
         finish_job(mem, ERR_BAD_REGION)
     elif result == ml.NOT_MAPPED:
         finish_job(mem, ERR_NO_MAP)
+    elif result == ml.BAD_MAP:
+        finish_job(mem, ERR_BAD_VALUE)
+    elif result == ml.TOO_SMALL:
+        finish_job(mem, ERR_MAP_TOO_LARGE)
     elif result != ml.OK:
         finish_job(mem, ERR_MAP_BUSY)
 
 
 @njit(cache=True, nogil=True)
-def step_job(mem: Any) -> None:
-    """One slice of the map operation under way."""
-    if mem.header[0].journal_op == _REFOCUSING:
+def step_job(mem: Any, t_ns: Any) -> Any:
+    """One slice of the map operation under way; 0 when it waits for its client."""
+    operation = mem.header[0].journal_op
+    if operation == _INSTALLING:
+        answer = step_install(mem, t_ns)
+        if answer == WHOLE:
+            finish_job(mem, OK)
+        return 0 if answer == NOTHING else 1
+    if operation == _REFOCUSING:
         done = refocus_step(mem.header, mem.pairs, mem.scratch, SLICE_GRIDS)
     else:
         done = reset_step(mem.header, mem.pairs, SLICE_GRIDS)
     if done == 1:
-        finish_job(mem, OK)
+        # an installation that ends here was given up, and its reset is over
+        finish_job(mem, ERR_CANCELLED if mem.job[JOB_CODE] == RQ_MAP_INSTALL else OK)
+    return 1
+
+
+@njit(cache=True, nogil=True)
+def end_access(mem: Any, t_ns: Any) -> None:
+    """Step 4, or the fence: go on when the holder is done, dead or late.
+
+    A holder that is late still asks with its flag, perhaps stopped for ever: for the length of a
+    lease, or until it takes the flag down, it is not heard again.
+    """
+    ctx, s, job = mem.ctx, mem.status[0], mem.job
+    slot = s.access_slot
+    flag = at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + _ACCESS)
+    late = t_ns - job[GRANTED_NS] > ctx[m.LEASE_NS]
+    gone = holder_is_gone(ctx, slot, job[HOLDER_CLAIM], job[GRANTED_NS])
+    if flag == ACCESS_REQUESTED and not late and not gone:
+        return
+    ctx[m.FENCED + slot] = t_ns + ctx[m.LEASE_NS] if late else 0
+    job[LAST_HOLDER] = slot
+    s.access, s.access_slot = ACCESS_FREE, -1
+    publish_status(mem, t_ns)
 
 
 @njit(cache=True, nogil=True)
 def watch_access(mem: Any, t_ns: Any) -> None:
-    """The four-step flag: 1 requested → 2 granted → 3 done → 0; dead or late holders are fenced off."""
+    """The four-step flag: 1 requested → 2 granted → 3 done → 0; slots take turns."""
     ctx, s, job = mem.ctx, mem.status[0], mem.job
     if s.access == ACCESS_GRANTED:
-        slot = s.access_slot
-        flag = at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + _ACCESS)
-        gone = holder_is_dead(ctx, slot, job[HOLDER_CLAIM])
-        if flag in (ACCESS_DONE, ACCESS_FREE) or gone or t_ns - job[GRANTED_NS] > ctx[m.LEASE_NS]:
-            s.access, s.access_slot = ACCESS_FREE, -1
-            publish_status(mem, t_ns)
+        end_access(mem, t_ns)
         return
-    for slot in range(CLIENTS):
+    for k in range(CLIENTS):
+        slot = (job[LAST_HOLDER] + 1 + k) % CLIENTS
         address = slot_address(ctx[m.INBOX], slot)
         if at.load_acquire_i64(address + _ACCESS) != ACCESS_REQUESTED:
+            ctx[m.FENCED + slot] = 0
             continue
-        claim = at.load_relaxed_i64(address + _CLAIM)
-        if claim == 0 or holder_is_dead(ctx, slot, claim):
+        # nobody is there until the main thread has seen the lock
+        locked = at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.DEAD + slot)) == 0
+        if not locked or t_ns < ctx[m.FENCED + slot]:
             continue
-        job[HOLDER_CLAIM], job[GRANTED_NS] = claim, t_ns
+        job[HOLDER_CLAIM], job[GRANTED_NS] = at.load_relaxed_i64(address + _CLAIM), t_ns
         s.access, s.access_slot = ACCESS_GRANTED, slot
         publish_status(mem, t_ns)
         return
@@ -173,22 +200,38 @@ def drain_samples(mem: Any) -> Any:
 @njit(cache=True, nogil=True)
 def map_pass(mem: Any, t_ns: Any) -> Any:
     """One look around; 1 when there was something to do."""
+    if mem.job[JOB_SLOT] != -1:
+        # access comes after it: a holder must not see half of an operation
+        return step_job(mem, t_ns)
     watch_access(mem, t_ns)
     if mem.status[0].access == ACCESS_GRANTED:
         return 0
-    if mem.job[JOB_SLOT] != -1:
-        step_job(mem)
-        return 1
     return 1 if drain_samples(mem) > 0 else 0
+
+
+@njit(cache=True, nogil=True)
+def end_job(mem: Any) -> None:
+    """Carry the operation under way to its end; an installation is given up."""
+    while mem.job[JOB_SLOT] != -1:
+        reject(mem.header)
+        step_job(mem, now_ns())
+
+
+@njit(cache=True, nogil=True)
+def recover(mem: Any) -> None:
+    """Take up the operation that a dead service left; an installation cannot be completed."""
+    operation = mem.header[0].journal_op
+    if operation != 0:
+        mem.job[JOB_SLOT] = -2
+        mem.job[JOB_CODE] = RQ_MAP_REFOCUS if operation == _REFOCUSING else RQ_MAP_RESET
+        reject(mem.header)
 
 
 @njit(cache=True, nogil=True)
 def run_map(mem: Any) -> None:
     """Serve the map until STOP is set; then apply what is still queued and end."""
     ctx = mem.ctx
-    if mem.header[0].journal_op != 0:
-        mem.job[JOB_SLOT] = -2
-        mem.job[JOB_CODE] = RQ_MAP_REFOCUS if mem.header[0].journal_op == _REFOCUSING else RQ_MAP_RESET
+    recover(mem)
     told = 0
     while at.load_relaxed_i64(ctx.ctypes.data + 8 * m.STOP) == 0:
         t_ns = now_ns()
@@ -197,11 +240,9 @@ def run_map(mem: Any) -> None:
             publish_status(mem, t_ns)
             told = t_ns
         if busy == 0:
-            sleep_until_ns(t_ns + IDLE_NS)
+            sleep_until_ns(t_ns + (IDLE_NS if mem.job[JOB_SLOT] == -1 else STREAM_IDLE_NS))
     mem.status[0].access, mem.status[0].access_slot = ACCESS_FREE, -1
-    while mem.job[JOB_SLOT] != -1:
-        step_job(mem)
+    end_job(mem)
     while drain_samples(mem) > 0:
-        while mem.job[JOB_SLOT] != -1:
-            step_job(mem)
+        end_job(mem)
     publish_status(mem, now_ns())

@@ -40,18 +40,21 @@ from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
     LOST,  # cycle → map thread: samples that found no room
     POSE_SLOT,  # cycle → main: who sends the pose, -1: nobody
     POSE_CLAIM,
+    POSE_SINCE_NS,  # when that was granted
     POSE_SEEN,  # generation of the pose read last
     LEASE_NS,  # of exclusive access
     MAP_RUNNING,  # map thread → main
     CYCLE_RUNNING,
-) = range(26)
-DEAD = 32  # main → threads: per slot, a claim found without its lock
+) = range(27)
+DEAD = 32  # main → threads: per slot, when it was last found without a lock [ns]; 0: it is locked
 SEEN = DEAD + CLIENTS  # per slot, generation of the request read last
 COUNTER = SEEN + CLIENTS  # per slot, counter answered last
 PENDING = COUNTER + CLIENTS  # per slot, 1: a map request is under way
-REGION = PENDING + CLIENTS  # per slot, four float64 of that request, and its claim
-REGION_WORDS = 8
-CTX_WORDS = REGION + CLIENTS * REGION_WORDS
+REGION = PENDING + CLIENTS  # per slot, four float64 of that request, its claim, an installed map's numbers
+REGION_WORDS = 16
+INSTALL_WORD = 5  # grid, x0, y0, datum, quantum [m] as float64; columns, rows, whether the datum is set
+FENCED = REGION + CLIENTS * REGION_WORDS  # per slot, until when its request for access is not heard [ns]
+CTX_WORDS = FENCED + CLIENTS
 
 SAMPLE_WORDS = 4  # kind | slot << 8 (0: a sample), then x y z [m] or the request's counter
 

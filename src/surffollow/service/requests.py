@@ -11,6 +11,7 @@ from surffollow.forecast.step import sf_reset
 from surffollow.service import memory as m
 from surffollow.service.inbox import new_request, slot_address
 from surffollow.shm import atomics as at
+from surffollow.shm.clock import now_ns
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.latch import latch_write
 from surffollow.shm.latch_shape import latch_bytes
@@ -27,12 +28,14 @@ from surffollow.shm.layout_board import (
     OK,
     REQUEST_ARGS,
     RQ_CLAIM_POSE,
+    RQ_MAP_INSTALL,
     RQ_MAP_REFOCUS,
     RQ_MAP_RESET,
     RQ_RELEASE_POSE,
     RQ_SET_PARAMS,
     RQ_SF_RESET,
     SLOT_HEAD,
+    SLOT_POSE,
     Ack,
     SlotHead,
     Stats,
@@ -48,6 +51,7 @@ _REQUESTS = Stats.offset("requests")
 _REFUSED = Stats.offset("requests_refused")
 _TORN = Stats.offset("torn")
 _PID = SlotHead.offset("pid")
+_CLAIM = SlotHead.offset("claim")
 _MAX_SIDE_M = 1e6
 
 
@@ -122,16 +126,22 @@ def do_set_params(mem: Any, t_ns: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def holder_is_dead(ctx: Any, slot: Any, claim: Any) -> Any:
-    """Whether the main thread found this attachment without its lock."""
-    return at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.DEAD + slot)) == claim
+def holder_is_gone(ctx: Any, slot: Any, claim: Any, since_ns: Any) -> Any:
+    """Whether who held something through this slot since then died, or left the slot to another.
+
+    The lock decides (the main thread looks for it), not what the slot says: anybody may write that.
+    """
+    if at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.DEAD + slot)) > since_ns:
+        return True
+    return at.load_relaxed_i64(slot_address(ctx[m.INBOX], slot) + SLOT_HEAD + _CLAIM) != claim
 
 
 @njit(cache=True, nogil=True)
 def drop_dead_pose_writer(mem: Any) -> None:
-    """Free the pose when its writer died."""
+    """Free the pose when its writer died or closed."""
     ctx = mem.ctx
-    if ctx[m.POSE_SLOT] >= 0 and holder_is_dead(ctx, ctx[m.POSE_SLOT], ctx[m.POSE_CLAIM]):
+    slot = ctx[m.POSE_SLOT]
+    if slot >= 0 and holder_is_gone(ctx, slot, ctx[m.POSE_CLAIM], ctx[m.POSE_SINCE_NS]):
         ctx[m.POSE_SLOT] = -1
 
 
@@ -149,7 +159,10 @@ def do_pose_role(mem: Any, slot: Any, code: Any) -> Any:
     if holder >= 0 and holder != slot:
         return ERR_POSE_HELD, at.load_relaxed_i64(slot_address(ctx[m.INBOX], holder) + SLOT_HEAD + _PID)
     ctx[m.POSE_SLOT], ctx[m.POSE_CLAIM] = slot, claim
-    ctx[m.POSE_SEEN] = 0
+    # read now: the holder's lock is older than this, whenever the cycle began
+    ctx[m.POSE_SINCE_NS] = now_ns()
+    # what an earlier holder of the slot posted is not this one's
+    ctx[m.POSE_SEEN] = at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + SLOT_POSE)
     return OK, 0
 
 
@@ -176,6 +189,10 @@ def do_map_request(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
     for k in range(4):
         at.store_relaxed_f64(base + 8 * (side + k), request.value[k])
     at.store_relaxed_i64(base + 8 * (side + 4), request.claim)
+    for k in range(5):
+        at.store_relaxed_f64(base + 8 * (side + m.INSTALL_WORD + k), request.value[4 + k])
+    for k in range(3):
+        at.store_relaxed_i64(base + 8 * (side + m.INSTALL_WORD + 5 + k), request.number[k])
     at.store_release_i64(base + 8 * (m.PENDING + slot), 1)
     mem.item[0], mem.item[1] = code | (slot << 8), request.counter
     if ring_push(ctx[m.SAMPLES], ctx[m.SAMPLES_CAPACITY], m.SAMPLE_WORDS, mem.item.ctypes.data) == 0:
@@ -204,7 +221,7 @@ def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
         return do_set_params(mem, t_ns)
     if code in (RQ_CLAIM_POSE, RQ_RELEASE_POSE):
         return do_pose_role(mem, slot, code)
-    if code in (RQ_MAP_RESET, RQ_MAP_REFOCUS):
+    if code in (RQ_MAP_RESET, RQ_MAP_REFOCUS, RQ_MAP_INSTALL):
         return do_map_request(mem, slot, code, t_ns)
     return ERR_UNKNOWN_REQUEST, 0
 
