@@ -8,8 +8,9 @@ backward pass  the packed rows go, resampled now if they were not, to their plac
 head           grids before the overlap become unknown
 
 A row is computed into a ring of eight and stored only when nothing that is still to be read lies
-there. `journal_progress` counts both; each is stored after what it speaks of. A cut-off step is
-therefore simply run again: its inputs are intact, and storing a row twice is storing it once.
+there; straight into its place when not even its own inputs do. `journal_progress` counts both;
+each is stored after what it speaks of. A cut-off step is therefore simply run again: its inputs
+are intact, and storing a row twice is storing it once.
 """
 
 from __future__ import annotations
@@ -29,13 +30,14 @@ from surffollow.map.refocus_rows import (
     held_of,
     new_row,
     new_row_span,
-    old_row,
+    old_part,
+    place_finer,
     ring_of,
     scratch_words,
     tables_of,
 )
 from surffollow.map.resample import axis_overlap, fill_tables
-from surffollow.map.words import clear_grids, copy_row, place_row
+from surffollow.map.words import clear_grids, copy_row, pack_row, place_row
 from surffollow.shm import map_layout as ml
 from surffollow.shm.atomics import fence_release
 
@@ -139,7 +141,7 @@ def _forward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) -
             if resample:
                 new_row(w, pairs, scratch, columns, done, out)
             else:
-                copy_row(old_row(w, pairs, scratch, columns, done), out)
+                old_part(w, pairs, done, 0, out)
             done, pending = done + 1, pending + 1
             _store_progress(w, FORWARD, pending, done)
             budget -= cost
@@ -157,6 +159,19 @@ def _forward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) -
 
 
 @njit(cache=True, nogil=True)
+def _place_directly(w: Any, pairs: Any, scratch: Any, columns: Any, j: Any, start: Any, width: Any) -> Any:
+    """Row j into its place, which nobody, this row included, will read; False: not a case for this."""
+    first = w.overlap_new[0]
+    if w.journal_forward == 1:
+        pack_row(pairs.view(np.int16)[j * width : (j + 1) * width], pairs, start + first)
+    elif w.journal_grid_m > w.grid_m or not place_finer(w, pairs, scratch, columns, j, start + first, width):
+        return False
+    clear_grids(pairs, start, start + first)
+    clear_grids(pairs, start + first + width, start + w.journal_nx)
+    return True
+
+
+@njit(cache=True, nogil=True)
 def _backward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) -> Any:
     """Put packed rows into their places; returns the budget that is left, -1 when the ring was too short."""
     width, n_rows = w.overlap_new[1] - w.overlap_new[0], w.overlap_new[3] - w.overlap_new[2]
@@ -169,6 +184,13 @@ def _backward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) 
             if pending == RING_ROWS:
                 return -1
             j = n_rows - 1 - done
+            start = (w.overlap_new[2] + j) * w.journal_nx
+            budget -= w.journal_nx
+            free = pending == 0 and 3 * start - 1 >= _backward_limit(w, n_rows - done)
+            if free and _place_directly(w, pairs, scratch, columns, j, start, width):
+                done += 1
+                _store_progress(w, BACKWARD, 0, done)
+                continue
             slot = (done % RING_ROWS) * columns
             out = ring[slot : slot + width]
             if w.journal_forward == 1:
@@ -177,7 +199,6 @@ def _backward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) 
                 new_row(w, pairs, scratch, columns, j, out)
             done, pending = done + 1, pending + 1
             _store_progress(w, BACKWARD, pending, done)
-            budget -= w.journal_nx
         limit = _backward_limit(w, n_rows - done)
         while pending > 0:
             f = done - pending

@@ -175,7 +175,35 @@ def blend_rows(one: Any, other: Any, weight: Any, out: Any) -> None:
     """Nearest quanta of weight·one + (1 − weight)·other."""
     rest = 1.0 - weight
     for i in range(out.shape[0]):
-        out[i] = np.int16(np.int32(weight * one[i] + rest * other[i] + 32768.5) - 32768)
+        out[i] = _blended(one[i], other[i], weight, rest)
+
+
+@njit(cache=True, nogil=True)
+def _blended(one: Any, other: Any, weight: Any, rest: Any) -> Any:
+    return np.int16(np.int32(weight * one + rest * other + 32768.5) - 32768)
+
+
+@njit(cache=True, nogil=True)
+def blend_into_pairs(one: Any, other: Any, weight: Any, pairs: Any, start: Any) -> None:
+    """`blend_rows` into grids start …, count 0: computing goes on while the memory takes the stores."""
+    rest = 1.0 - weight
+    n = one.shape[0]
+    k = 0
+    if start & 1 and n > 0:
+        pairs[start >> 1].h[1] = _blended(one[0], other[0], weight, rest)
+        pairs[start >> 1].c[1] = 0
+        k = 1
+    m = (n - k) >> 1
+    first = 3 * ((start + k) >> 1)
+    words = pairs.view(np.int16)[first : first + 3 * m]
+    a, b = one[k : k + 2 * m], other[k : k + 2 * m]
+    for i in range(m):
+        words[3 * i] = _blended(a[2 * i], b[2 * i], weight, rest)
+        words[3 * i + 1] = _blended(a[2 * i + 1], b[2 * i + 1], weight, rest)
+        words[3 * i + 2] = 0
+    if (n - k) & 1:
+        pairs[(start + n - 1) >> 1].h[0] = _blended(one[n - 1], other[n - 1], weight, rest)
+        pairs[(start + n - 1) >> 1].c[0] = 0
 
 
 @njit(cache=True, nogil=True)
