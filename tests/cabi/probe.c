@@ -41,6 +41,15 @@ static int answer(const char *verb, char *rest) {
   if (strcmp(verb, "auto") == 0) return options.auto_reattach = (int)v[0], 0;
   if (strcmp(verb, "timeout_ms") == 0) return options.timeout_ns = (int64_t)(v[0] * 1e6), 0;
   if (strcmp(verb, "detach") == 0) return sf_detach(&client), 0;
+  if (strcmp(verb, "fork") == 0) {
+    const pid_t child = fork();
+    if (child == 0) {
+      sf_forget(&client);
+      sf_sleep_until_ns(sf_now_ns() + (int64_t)(v[0] * 1e6));
+      _exit(0);
+    }
+    return child > 0 ? 0 : SF_ERR_SYSTEM;
+  }
   if (strcmp(verb, "reattach") == 0) return sf_reattach(&client);
   if (strcmp(verb, "claim") == 0) return sf_claim_pose(&client);
   if (strcmp(verb, "release") == 0) return sf_release_pose(&client);

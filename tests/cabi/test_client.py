@@ -70,6 +70,7 @@ def test_channel_without_a_sensor_gives_no_reading(probe: Probe) -> None:
         ("ee 0 0 0 0 0 0 1.0011", -3),
         ("ee 0 0 0 0 0 0 0.9989", -3),
         ("ee 0 0 0 0 0 0 1e200", -3),
+        ("ee 0 -2e9 0 0 0 0 1", -3),
         ("ee 0.05 0.05 0.1 0 0 0 1.0009", OK),
         ("ee_at 0 0 0 0 0 0 1 5000000", -4),
         ("ee_at 0 0 0 0 0 0 1 -120000000", -5),
@@ -97,6 +98,19 @@ def test_second_sender_of_the_pose_is_refused_with_the_holders_pid(
 def test_pose_of_a_killed_sender_is_free_again(
     probe: Probe, make_probe: Callable[..., Probe], service: Service
 ) -> None:
+    assert probe(POSE).result == OK
+    probe.process.kill()
+    probe.process.wait()
+    other = make_probe()
+    other(f"attach {service.name}")
+    assert other(POSE).result == OK
+
+
+def test_child_that_forgot_its_parents_client_does_not_keep_the_slot(
+    probe: Probe, make_probe: Callable[..., Probe], service: Service
+) -> None:
+    assert probe(POSE).result == OK
+    assert probe("fork 1500").result == OK
     assert probe(POSE).result == OK
     probe.process.kill()
     probe.process.wait()

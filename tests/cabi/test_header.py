@@ -13,8 +13,9 @@ from click.testing import CliRunner
 
 from cabi.running import ROOT, WARNINGS, run
 from surffollow.cli.main import cli
-from surffollow.client import client, demand, observer
+from surffollow.client import client, demand, observer, pose
 from surffollow.config.params import PARAMS
+from surffollow.service import inbox
 from surffollow.shm import cheader
 from surffollow.shm.layout_board import RESULT_TEXT
 from surffollow.shm.schema import F64, I64, U8, Nested, Schema, Text
@@ -112,7 +113,9 @@ def test_two_files_of_a_program_may_include_the_header(tmp_path: Path) -> None:
 def test_c_and_python_clients_share_their_constants() -> None:
     assert cheader.STALE == demand.STALE
     assert cheader.REATTACH_EVERY_NS == observer.REATTACH_EVERY_NS
-    assert cheader.POSE_FUTURE_NS == client.FUTURE_NS
+    assert cheader.LOOK_EVERY_NS == client.LOOK_EVERY_NS
+    assert cheader.POSE_FUTURE_NS == pose.FUTURE_NS
+    assert cheader.MAX_POSITION_M == pose.MAX_POSITION_M == inbox.MAX_POSITION_M
 
 
 def test_every_result_has_its_text_and_every_parameter_its_bounds(

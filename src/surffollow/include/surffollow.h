@@ -19,9 +19,9 @@
  *
  * Results: 0 done; above 0 an answer that is no error (no valid demand, unknown height, ...); below 0 an
  * error. SI units; times are int64 nanoseconds of CLOCK_MONOTONIC. One sf_client serves one thread; a
- * program may attach as often as it likes (observers take no slot). After fork() the child must not use
- * or detach its parent's clients. Strict ISO C (-std=c11): include this header first, or compile with
- * -D_POSIX_C_SOURCE=200809L.
+ * program may attach as often as it likes (observers take no slot). After fork() a child
+ * that goes on without exec() calls sf_forget for each of its parent's clients. Strict ISO C (-std=c11):
+ * include this header first, or compile with -D_POSIX_C_SOURCE=200809L.
  */
 #ifndef SURFFOLLOW_H
 #define SURFFOLLOW_H
@@ -73,7 +73,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 /* ---- layout: generated ------------------------------------------------------------ */
 
 #define SF_LAYOUT_VERSION 1u
-#define SF_LAYOUT_HASH UINT64_C(800133709063741622)
+#define SF_LAYOUT_HASH UINT64_C(6111784603361824384)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_INBOX_MAGIC UINT64_C(3549485532940752211)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
@@ -85,6 +85,11 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 #define SF_SLOT_HEAD 0
 #define SF_SLOT_POSE 256
 #define SF_SLOT_REQUEST 1024
+#define SF_SLOT_STREAM 8192
+#define SF_PIECE_BYTES 28672
+#define SF_PIECE_GRIDS 9536
+#define SF_PIECE_HEIGHTS 64
+#define SF_PIECE_COUNTS 19136
 #define SF_INBOX_BYTES 1052672
 #define SF_REGIONS 16
 #define SF_CHANNELS 8
@@ -95,7 +100,9 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 #define SF_MAP_UNKNOWN_HEIGHT (-32768)
 #define SF_MAX_REGION_M 1000000.0
 #define SF_REATTACH_EVERY_NS 20000000
+#define SF_LOOK_EVERY_NS 100000000
 #define SF_POSE_FUTURE_NS 1000000
+#define SF_MAX_POSITION_M 1000000000.0
 
 enum {
   SF_RQ_NONE = 0,
@@ -178,7 +185,7 @@ static inline const char *sf_answer_text(int answer) {
     case 8: return "this client does not hold what it wants to give back";
     case 9: return "the request was cancelled";
     case 10: return "accepted, the map's answer follows";
-    case 11: return "the map has more grids than the service's memory (map.grids) has room for";
+    case 11: return "the service's map memory (map.grids) has no room for this map";
     default: return "unknown result";
   }
 }
@@ -619,6 +626,23 @@ SF_STATIC_ASSERT(offsetof(sf_request_post, claim) == 24, "layout of sf_request_p
 SF_STATIC_ASSERT(offsetof(sf_request_post, number) == 32, "layout of sf_request_post");
 SF_STATIC_ASSERT(offsetof(sf_request_post, value) == 160, "layout of sf_request_post");
 
+/* Head of one half of a slot's stream area: a piece of a map that is being installed. */
+typedef struct sf_stream_piece {
+  int64_t sequence; /* number of the piece, from 1; stored last; odd ones in the second half */
+  int64_t counter; /* of the request */
+  int64_t claim; /* of the client */
+  int64_t start; /* index of its first grid; -1: the client gives up */
+  int64_t n; /* grids; PIECE_GRIDS in all but the last */
+  int64_t pad[3];
+} sf_stream_piece;
+SF_STATIC_ASSERT(sizeof(sf_stream_piece) == 64, "layout of sf_stream_piece");
+SF_STATIC_ASSERT(offsetof(sf_stream_piece, sequence) == 0, "layout of sf_stream_piece");
+SF_STATIC_ASSERT(offsetof(sf_stream_piece, counter) == 8, "layout of sf_stream_piece");
+SF_STATIC_ASSERT(offsetof(sf_stream_piece, claim) == 16, "layout of sf_stream_piece");
+SF_STATIC_ASSERT(offsetof(sf_stream_piece, start) == 24, "layout of sf_stream_piece");
+SF_STATIC_ASSERT(offsetof(sf_stream_piece, n) == 32, "layout of sf_stream_piece");
+SF_STATIC_ASSERT(offsetof(sf_stream_piece, pad) == 40, "layout of sf_stream_piece");
+
 /* Everything needed to find, read and update a grid, and to finish a cut-off operation. */
 typedef struct sf_map_header {
   uint64_t magic; /* 'SURFMAP1', stored last when the object is made */
@@ -791,7 +815,7 @@ static inline const char *sf_strerror(int result) {
     case SF_UNKNOWN: return "no height is known there";
     case SF_ERR_ARGUMENT: return "an argument is missing or outside its range";
     case SF_ERR_NAME: return "a service's name is 1 to 48 letters, digits, '.', '_' or '-', none of '._-' first";
-    case SF_ERR_POSE: return "a pose is seven finite numbers, the last four a quaternion of norm 1 within 1e-3";
+    case SF_ERR_POSE: return "a pose is seven finite numbers: x y z within 1e9 m, a quaternion of norm 1 within 1e-3";
     case SF_ERR_POSE_FUTURE: return "the pose is stamped more than 1 ms ahead; use CLOCK_MONOTONIC";
     case SF_ERR_POSE_OLD: return "the pose is older than pose_timeout_ns; the service takes none so old";
     case SF_ERR_REGION: return "a region is x_min, y_min, x_max, y_max; sides positive, finite, at most 1e6 m";
@@ -857,8 +881,9 @@ static inline int64_t sf_latch_read_part(const void *latch, size_t payload_bytes
       const int64_t word = sf_load_relaxed(slot + 8 * k);
       memcpy(to + 8 * k, &word, 8);
     }
-    __atomic_thread_fence(__ATOMIC_ACQUIRE);                         /* R3 */
-    if (sf_load_relaxed(base) - g <= SF_LATCH_SLOTS - 2) return g; /* R4 */
+    __atomic_thread_fence(__ATOMIC_ACQUIRE); /* R3 */
+    /* R4; unsigned: the inbox may hold anything */
+    if (SF_CAST(uint64_t, sf_load_relaxed(base)) - SF_CAST(uint64_t, g) <= SF_LATCH_SLOTS - 2) return g;
   }
   return -1;
 }
@@ -872,7 +897,7 @@ static inline int64_t sf_latch_read(const void *latch, size_t payload_bytes, voi
 static inline void sf_latch_write(void *latch, size_t payload_bytes, const void *payload) {
   unsigned char *base = SF_CAST(unsigned char *, latch);
   const unsigned char *from = SF_CAST(const unsigned char *, payload);
-  const int64_t g = sf_load_relaxed(base) + 1;
+  const int64_t g = SF_CAST(int64_t, SF_CAST(uint64_t, sf_load_relaxed(base)) + 1u); /* may be anything, wraps */
   unsigned char *slot =
       base + SF_LATCH_HEAD_BYTES + sf_latch_stride(payload_bytes) * SF_CAST(size_t, g & (SF_LATCH_SLOTS - 1));
   __atomic_thread_fence(__ATOMIC_RELEASE); /* W1 */
@@ -937,7 +962,7 @@ typedef struct sf_client {
   sf_object board, inbox, map;
   const unsigned char *output, *params, *acks, *map_acks, *ticker, *map_status, *stats;
   unsigned char *slot_memory;
-  int64_t stale_ns, next_attach_ns, pose_timeout_ns;
+  int64_t stale_ns, next_attach_ns, next_look_ns, pose_timeout_ns, pose_held_ns;
   int64_t claim, counter;
   int pose_held, abandoned;
 } sf_client;
@@ -1208,6 +1233,16 @@ static inline void sf_detach(sf_client *c) {
 }
 
 /*
+ * For a child after fork(), before it does anything else with surffollow: let go of its parent's clients.
+ * The child would otherwise keep the parent's slot locked beyond the parent's death.
+ */
+static inline void sf_forget(sf_client *c) {
+  if (c == NULL) return;
+  c->slot_memory = NULL; /* the slot itself is the parent's: nothing is written to it */
+  sf_detach(c);
+}
+
+/*
  * Attach to a running service. `options` NULL: the defaults. The client needs no initialisation;
  * attaching one that is attached leaks.
  * SF_OK, SF_ERR_NAME, _NOT_RUNNING, _NO_PERMISSION, _NOT_READY, _LAYOUT, _BLOCK, _SLOTS, _SYSTEM.
@@ -1470,7 +1505,10 @@ static inline int sf_claim_pose(sf_client *c) {
   const int64_t deadline = sf_now_ns() + 300000000;
   for (;;) {
     const int result = sf_i_request(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, c->options.timeout_ns);
-    if (result == SF_OK) c->pose_held = 1;
+    if (result == SF_OK) {
+      c->pose_held = 1;
+      c->pose_held_ns = sf_now_ns();
+    }
     /* the service looks for dead holders at its own beat: give it a few */
     if (result != SF_REFUSED_POSE_HELD || sf_now_ns() > deadline) return result;
     sf_sleep_until_ns(sf_now_ns() + 20000000);
@@ -1491,6 +1529,7 @@ static inline int sf_i_check_pose(const double pose[7], double out[7]) {
   for (int k = 0; k < 7; k++) {
     if (!sf_i_is_finite(pose[k])) return SF_ERR_POSE;
     out[k] = pose[k];
+    if (k < 3 && !(pose[k] > -SF_MAX_POSITION_M && pose[k] < SF_MAX_POSITION_M)) return SF_ERR_POSE;
     if (k >= 3) norm2 += pose[k] * pose[k];
   }
   const double off = norm2 - 1.0;
@@ -1501,6 +1540,19 @@ static inline int sf_i_check_pose(const double pose[7], double out[7]) {
   norm = 0.5 * (norm + norm2 / norm);
   for (int k = 3; k < 7; k++) out[k] /= norm;
   return SF_OK;
+}
+
+/* Ten times a second: show life, and notice what was changed behind this client's back. */
+static inline void sf_i_look_after(sf_client *c, int64_t now_ns) {
+  sf_ticker t;
+  c->next_look_ns = now_ns + SF_LOOK_EVERY_NS;
+  sf_i_read_pose_timeout(c);
+  if (c->slot_memory == NULL) return;
+  sf_store_relaxed(&SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD)->heartbeat_ns, now_ns);
+  const size_t words = offsetof(sf_ticker, pose_pid) / 8;
+  if (!c->pose_held || sf_latch_read_part(c->ticker, sizeof t, 0, words, &t) <= 0) return;
+  /* somebody gave the pose back in our name: ask for it again */
+  if (t.pose_slot != c->slot && t.t_ns > c->pose_held_ns + SF_LOOK_EVERY_NS) c->pose_held = 0;
 }
 
 #define SF_NOW INT64_MIN
@@ -1519,6 +1571,7 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   const int err = sf_i_check_pose(pose, post.pose);
   if (err != SF_OK) return err;
   const int64_t now = sf_now_ns();
+  if (now > c->next_look_ns) sf_i_look_after(c, now);
   post.t_ns = t_ns == SF_NOW ? now : t_ns;
   if (post.t_ns > now + SF_POSE_FUTURE_NS) return SF_ERR_POSE_FUTURE;
   if (post.t_ns < now - c->pose_timeout_ns) return SF_ERR_POSE_OLD;
@@ -1582,7 +1635,7 @@ static inline int sf_set_params(sf_client *c, int n, const char *const *names, c
     numbers[k] = p->number;
   }
   const int result = sf_i_request(c, SF_RQ_SET_PARAMS, n, numbers, values, c->options.timeout_ns);
-  if (result == SF_OK) sf_i_read_pose_timeout(c);
+  c->next_look_ns = 0;
   return result;
 }
 
@@ -1745,8 +1798,6 @@ static inline int sf_access_begin(sf_client *c, int64_t timeout_ns) {
     }
     sf_sleep_until_ns(sf_now_ns() + 200000);
   }
-  /* a flag left at REQUESTED would be granted again, unseen, when the lease is over */
-  sf_i_post_access(c, SF_ACCESS_GRANTED);
   return SF_OK;
 }
 
@@ -1762,6 +1813,7 @@ static inline int sf_access_end(sf_client *c) {
   sf_i_post_access(c, SF_ACCESS_DONE);                                        /* 3 */
   while (sf_access_held(c) && sf_alive(c) && sf_now_ns() < deadline)          /* 4 is the service's */
     sf_sleep_until_ns(sf_now_ns() + 200000);
+  if (!held) sf_sleep_until_ns(sf_now_ns() + 5000000); /* the service must see that the flag came down */
   sf_i_post_access(c, SF_ACCESS_FREE);
   return held ? SF_OK : SF_ERR_ACCESS_LOST;
 }

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from surffollow.config.params import PARAMS
+from surffollow.errors import SchemaError
 from surffollow.shm import latch_shape, layout_follow
 from surffollow.shm import layout_board as lb
 from surffollow.shm import map_layout as ml
@@ -32,29 +33,16 @@ SCHEMAS: tuple[type[Schema], ...] = (
     lb.SlotHead,
     lb.PosePost,
     lb.RequestPost,
+    lb.StreamPiece,
     ml.MapHeader,
     ml.GridPair,
 )
-_ANSWERS = (
-    "OK",
-    "ERR_UNKNOWN_REQUEST",
-    "ERR_BAD_VALUE",
-    "ERR_POSE_HELD",
-    "ERR_BAD_REGION",
-    "ERR_NO_MAP",
-    "ERR_MAP_BUSY",
-    "ERR_QUEUE_FULL",
-    "ERR_NOT_HOLDER",
-    "ERR_CANCELLED",
-    "ACCEPTED",
-    "ERR_MAP_TOO_LARGE",
-)
-_REQUESTS = tuple(n for n in dir(lb) if n.startswith("RQ_"))
-_ACCESS = ("ACCESS_FREE", "ACCESS_REQUESTED", "ACCESS_GRANTED", "ACCESS_DONE")
-_STATES = ("STATE_INITIALISING", "STATE_READY", "STATE_STOPPING", "STATE_STOPPED")
+# rules of the client library, the same in Python (a test compares)
 STALE = 1 << 16
 REATTACH_EVERY_NS = 20_000_000
+LOOK_EVERY_NS = 100_000_000
 POSE_FUTURE_NS = 1_000_000
+MAX_POSITION_M = 1e9
 
 
 def c_name(schema: type[Schema], prefix: str = "sf_") -> str:
@@ -105,8 +93,10 @@ def _enum(pairs: Iterable[tuple[str, int]]) -> str:
     return "enum {\n" + ",\n".join(f"  SF_{n} = {v}" for n, v in pairs) + "\n};\n"
 
 
-def _by_value(names: Iterable[str]) -> list[tuple[str, int]]:
-    return sorted(((n, int(getattr(lb, n))) for n in names), key=lambda pair: pair[1])
+def _constants(*prefixes: str) -> list[tuple[str, int]]:
+    """Constants of the board's layout whose names begin so, in the order of their values."""
+    found = [(n, int(getattr(lb, n))) for n in dir(lb) if n.startswith(prefixes)]
+    return sorted(found, key=lambda pair: pair[1])
 
 
 def _defines() -> Iterator[tuple[str, str]]:
@@ -119,7 +109,10 @@ def _defines() -> Iterator[tuple[str, str]]:
     yield "INBOX_MAGIC", f"UINT64_C({lb.INBOX_MAGIC})"
     yield "MAP_MAGIC", f"UINT64_C({ml.MAGIC})"
     yield "MAP_LAYOUT_HASH", f"UINT64_C({ml.LAYOUT_HASH})"
-    for name in ("CLIENTS", "PAGE", "REQUEST_ARGS", "SLOT_BYTES", "SLOT_HEAD", "SLOT_POSE", "SLOT_REQUEST"):
+    for name in (
+        *("CLIENTS", "PAGE", "REQUEST_ARGS", "SLOT_BYTES", "SLOT_HEAD", "SLOT_POSE", "SLOT_REQUEST"),
+        *("SLOT_STREAM", "PIECE_BYTES", "PIECE_GRIDS", "PIECE_HEIGHTS", "PIECE_COUNTS"),
+    ):
         yield name, str(getattr(lb, name))
     yield "INBOX_BYTES", str(lb.inbox_bytes())
     yield "REGIONS", str(lb.BoardHeader.field("region").count)
@@ -131,21 +124,25 @@ def _defines() -> Iterator[tuple[str, str]]:
     yield "MAP_UNKNOWN_HEIGHT", f"({ml.UNKNOWN})"
     yield "MAX_REGION_M", str(ml.MAX_REGION_M)
     yield "REATTACH_EVERY_NS", str(REATTACH_EVERY_NS)
+    yield "LOOK_EVERY_NS", str(LOOK_EVERY_NS)
     yield "POSE_FUTURE_NS", str(POSE_FUTURE_NS)
+    yield "MAX_POSITION_M", str(MAX_POSITION_M)
 
 
 def _answers() -> str:
-    for value, name in enumerate(_ANSWERS):
-        assert getattr(lb, name) == value, name
-    refused = [(n.replace("ERR_", "REFUSED_"), -100 - v) for v, n in enumerate(_ANSWERS) if n[:3] == "ERR"]
+    answers = [("OK", lb.OK), ("ACCEPTED", lb.ACCEPTED), *_constants("ERR_")]
+    answers.sort(key=lambda pair: pair[1])
+    if [v for _, v in answers] != list(range(len(lb.RESULT_TEXT))):
+        raise SchemaError("every answer of the service needs one text in RESULT_TEXT")
+    refused = [(n.replace("ERR_", "REFUSED_"), -100 - v) for n, v in answers if n.startswith("ERR_")]
     cases = "\n".join(
         f'    case {v}: return "{_ascii(text).replace(chr(34), chr(39))}";'
         for v, text in enumerate(lb.RESULT_TEXT)
     )
     return (
         "/* what the service answers, and the results that its refusals become */\n"
-        + _enum((f"ANSWER_{n}", v) for v, n in enumerate(_ANSWERS))
-        + f"#define SF_ANSWERS {len(_ANSWERS)}\n"
+        + _enum((f"ANSWER_{n}", v) for n, v in answers)
+        + f"#define SF_ANSWERS {len(answers)}\n"
         + _enum(refused)
         + "\n/* An answer of the service in words; never NULL. */\n"
         + "static inline const char *sf_answer_text(int answer) {\n  switch (answer) {\n"
@@ -193,9 +190,9 @@ def layout_text() -> str:
     pieces = [
         "/* ---- layout: generated ------------------------------------------------------------ */\n",
         "".join(f"#define SF_{n} {v}\n" for n, v in _defines()),
-        _enum(_by_value(_REQUESTS)),
-        _enum(_by_value(_STATES)),
-        _enum(_by_value(_ACCESS)),
+        _enum(_constants("RQ_")),
+        _enum(_constants("STATE_")),
+        _enum(_constants("ACCESS_")),
         _enum(map_states),
         _enum(rounding),
         _answers(),

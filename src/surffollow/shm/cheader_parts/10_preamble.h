@@ -19,9 +19,9 @@
  *
  * Results: 0 done; above 0 an answer that is no error (no valid demand, unknown height, ...); below 0 an
  * error. SI units; times are int64 nanoseconds of CLOCK_MONOTONIC. One sf_client serves one thread; a
- * program may attach as often as it likes (observers take no slot). After fork() the child must not use
- * or detach its parent's clients. Strict ISO C (-std=c11): include this header first, or compile with
- * -D_POSIX_C_SOURCE=200809L.
+ * program may attach as often as it likes (observers take no slot). After fork() a child
+ * that goes on without exec() calls sf_forget for each of its parent's clients. Strict ISO C (-std=c11):
+ * include this header first, or compile with -D_POSIX_C_SOURCE=200809L.
  */
 #ifndef SURFFOLLOW_H
 #define SURFFOLLOW_H

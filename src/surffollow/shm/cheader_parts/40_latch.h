@@ -38,8 +38,9 @@ static inline int64_t sf_latch_read_part(const void *latch, size_t payload_bytes
       const int64_t word = sf_load_relaxed(slot + 8 * k);
       memcpy(to + 8 * k, &word, 8);
     }
-    __atomic_thread_fence(__ATOMIC_ACQUIRE);                         /* R3 */
-    if (sf_load_relaxed(base) - g <= SF_LATCH_SLOTS - 2) return g; /* R4 */
+    __atomic_thread_fence(__ATOMIC_ACQUIRE); /* R3 */
+    /* R4; unsigned: the inbox may hold anything */
+    if (SF_CAST(uint64_t, sf_load_relaxed(base)) - SF_CAST(uint64_t, g) <= SF_LATCH_SLOTS - 2) return g;
   }
   return -1;
 }
@@ -53,7 +54,7 @@ static inline int64_t sf_latch_read(const void *latch, size_t payload_bytes, voi
 static inline void sf_latch_write(void *latch, size_t payload_bytes, const void *payload) {
   unsigned char *base = SF_CAST(unsigned char *, latch);
   const unsigned char *from = SF_CAST(const unsigned char *, payload);
-  const int64_t g = sf_load_relaxed(base) + 1;
+  const int64_t g = SF_CAST(int64_t, SF_CAST(uint64_t, sf_load_relaxed(base)) + 1u); /* may be anything, wraps */
   unsigned char *slot =
       base + SF_LATCH_HEAD_BYTES + sf_latch_stride(payload_bytes) * SF_CAST(size_t, g & (SF_LATCH_SLOTS - 1));
   __atomic_thread_fence(__ATOMIC_RELEASE); /* W1 */

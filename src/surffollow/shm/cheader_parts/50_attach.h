@@ -33,7 +33,7 @@ typedef struct sf_client {
   sf_object board, inbox, map;
   const unsigned char *output, *params, *acks, *map_acks, *ticker, *map_status, *stats;
   unsigned char *slot_memory;
-  int64_t stale_ns, next_attach_ns, pose_timeout_ns;
+  int64_t stale_ns, next_attach_ns, next_look_ns, pose_timeout_ns, pose_held_ns;
   int64_t claim, counter;
   int pose_held, abandoned;
 } sf_client;
@@ -301,6 +301,16 @@ static inline void sf_detach(sf_client *c) {
   sf_i_close(&c->board);
   sf_i_close(&c->map);
   c->output = c->params = c->acks = c->map_acks = c->ticker = c->map_status = c->stats = NULL;
+}
+
+/*
+ * For a child after fork(), before it does anything else with surffollow: let go of its parent's clients.
+ * The child would otherwise keep the parent's slot locked beyond the parent's death.
+ */
+static inline void sf_forget(sf_client *c) {
+  if (c == NULL) return;
+  c->slot_memory = NULL; /* the slot itself is the parent's: nothing is written to it */
+  sf_detach(c);
 }
 
 /*

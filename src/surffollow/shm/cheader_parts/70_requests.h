@@ -97,7 +97,10 @@ static inline int sf_claim_pose(sf_client *c) {
   const int64_t deadline = sf_now_ns() + 300000000;
   for (;;) {
     const int result = sf_i_request(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, c->options.timeout_ns);
-    if (result == SF_OK) c->pose_held = 1;
+    if (result == SF_OK) {
+      c->pose_held = 1;
+      c->pose_held_ns = sf_now_ns();
+    }
     /* the service looks for dead holders at its own beat: give it a few */
     if (result != SF_REFUSED_POSE_HELD || sf_now_ns() > deadline) return result;
     sf_sleep_until_ns(sf_now_ns() + 20000000);
@@ -118,6 +121,7 @@ static inline int sf_i_check_pose(const double pose[7], double out[7]) {
   for (int k = 0; k < 7; k++) {
     if (!sf_i_is_finite(pose[k])) return SF_ERR_POSE;
     out[k] = pose[k];
+    if (k < 3 && !(pose[k] > -SF_MAX_POSITION_M && pose[k] < SF_MAX_POSITION_M)) return SF_ERR_POSE;
     if (k >= 3) norm2 += pose[k] * pose[k];
   }
   const double off = norm2 - 1.0;
@@ -128,6 +132,19 @@ static inline int sf_i_check_pose(const double pose[7], double out[7]) {
   norm = 0.5 * (norm + norm2 / norm);
   for (int k = 3; k < 7; k++) out[k] /= norm;
   return SF_OK;
+}
+
+/* Ten times a second: show life, and notice what was changed behind this client's back. */
+static inline void sf_i_look_after(sf_client *c, int64_t now_ns) {
+  sf_ticker t;
+  c->next_look_ns = now_ns + SF_LOOK_EVERY_NS;
+  sf_i_read_pose_timeout(c);
+  if (c->slot_memory == NULL) return;
+  sf_store_relaxed(&SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD)->heartbeat_ns, now_ns);
+  const size_t words = offsetof(sf_ticker, pose_pid) / 8;
+  if (!c->pose_held || sf_latch_read_part(c->ticker, sizeof t, 0, words, &t) <= 0) return;
+  /* somebody gave the pose back in our name: ask for it again */
+  if (t.pose_slot != c->slot && t.t_ns > c->pose_held_ns + SF_LOOK_EVERY_NS) c->pose_held = 0;
 }
 
 #define SF_NOW INT64_MIN
@@ -146,6 +163,7 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   const int err = sf_i_check_pose(pose, post.pose);
   if (err != SF_OK) return err;
   const int64_t now = sf_now_ns();
+  if (now > c->next_look_ns) sf_i_look_after(c, now);
   post.t_ns = t_ns == SF_NOW ? now : t_ns;
   if (post.t_ns > now + SF_POSE_FUTURE_NS) return SF_ERR_POSE_FUTURE;
   if (post.t_ns < now - c->pose_timeout_ns) return SF_ERR_POSE_OLD;
@@ -209,7 +227,7 @@ static inline int sf_set_params(sf_client *c, int n, const char *const *names, c
     numbers[k] = p->number;
   }
   const int result = sf_i_request(c, SF_RQ_SET_PARAMS, n, numbers, values, c->options.timeout_ns);
-  if (result == SF_OK) sf_i_read_pose_timeout(c);
+  c->next_look_ns = 0;
   return result;
 }
 

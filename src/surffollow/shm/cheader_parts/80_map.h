@@ -105,8 +105,6 @@ static inline int sf_access_begin(sf_client *c, int64_t timeout_ns) {
     }
     sf_sleep_until_ns(sf_now_ns() + 200000);
   }
-  /* a flag left at REQUESTED would be granted again, unseen, when the lease is over */
-  sf_i_post_access(c, SF_ACCESS_GRANTED);
   return SF_OK;
 }
 
@@ -122,6 +120,7 @@ static inline int sf_access_end(sf_client *c) {
   sf_i_post_access(c, SF_ACCESS_DONE);                                        /* 3 */
   while (sf_access_held(c) && sf_alive(c) && sf_now_ns() < deadline)          /* 4 is the service's */
     sf_sleep_until_ns(sf_now_ns() + 200000);
+  if (!held) sf_sleep_until_ns(sf_now_ns() + 5000000); /* the service must see that the flag came down */
   sf_i_post_access(c, SF_ACCESS_FREE);
   return held ? SF_OK : SF_ERR_ACCESS_LOST;
 }

@@ -1,0 +1,316 @@
+"""Whether any reader ever sees half a snapshot: C, C++ and Python readers at once, as fast as they can.
+
+    python tools/bench_tearing.py [--seconds 60] [--json]
+
+First a daemon at 10 kHz: two reads of one cycle must be equal, in each reader and between readers (compared
+by CRC-32). Then a writer that does nothing but publish, for a quarter of the time: every word of a payload
+must be its generation. A control reads without the latch's recheck and must see torn ones, or the check is
+blind. A read "overlapped" when something was published while it went on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import mmap
+import multiprocessing as mp
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from report import bar, finish
+from surffollow.client import attach
+from surffollow.client.board import Board, LatchReader
+from surffollow.shm import atomics as at
+from surffollow.shm.cheader import HEADER
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.latch import latch_write
+from surffollow.shm.latch_shape import latch_bytes
+from surffollow.shm.layout_follow import Output
+from surffollow.shm.schema import I64, Schema
+from surffollow.sim.world import WorldPose, WorldWriter
+
+WORDS = Output.SIZE // 8
+TABLE_ENTRIES = 1 << 20
+LEAST_READS = 10**7
+CONFIG = """
+period = "100 us"
+log_words = 65536
+[realtime]
+spin = "20 us"
+[map]
+grids = 1000
+[driver.world]
+surface = "flat"
+region = [0.0, 0.0, 0.1, 0.1]
+"""
+
+
+class Words(Schema):
+    """A payload as long as `Output`."""
+
+    word = I64(WORDS)
+
+
+Counts = dict[str, int]
+
+
+@njit(cache=True, nogil=True)
+def publish_until(latch: Any, payload: Any, stop: Any) -> Any:
+    """Publish payloads whose words are all their generation, without a pause, until `stop` is set."""
+    n, g = payload.shape[0], at.load_relaxed_i64(latch)
+    while at.load_relaxed_i64(stop.ctypes.data) == 0:
+        g += 1
+        for k in range(n):
+            payload[k] = g
+        latch_write(latch, payload.ctypes.data, n * 8)
+    return g
+
+
+def full_speed_writer(path: str, seconds: float) -> None:
+    """Body of the writer's process."""
+    with open(path, "r+b") as f:
+        memory = np.frombuffer(mmap.mmap(f.fileno(), 0), np.uint8)
+    stop = np.zeros(1, np.int64)
+    threading.Timer(seconds, stop.fill, (1,)).start()
+    publish_until(int(memory.ctypes.data), np.zeros(WORDS, np.int64), stop)
+
+
+def python_words(path: str, seconds: float) -> Counts:
+    """The Python client's reader over the writer's latch."""
+    with open(path, "rb") as f:
+        memory = mmap.mmap(f.fileno(), 0, prot=mmap.PROT_READ)
+    words = memoryview(memory).cast("Q")
+    reader, count = LatchReader(words, memory, 0, Words), _counts()
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        before = words[0]
+        data = reader.copy()
+        count["reads"] += 1
+        count["overlapped"] += words[0] != before
+        if data is None:
+            count["failed"] += before != 0
+        else:
+            count["torn"] += data != data[:8] * WORDS
+    return count
+
+
+def python_output(name: str, seconds: float, table_path: str) -> Counts:
+    """The Python client's reader over a service's output; fills the table as latch_stress.c does."""
+    board, count = Board(name), _counts()
+    words, index = board.words, board.regions["output"][0] // 8
+    reader = board.latch("output", Output)
+    at_cycle = Output.offset("cycle")
+    table = np.zeros((TABLE_ENTRIES, 2), np.int64)
+    first, cycle = b"", -1
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        before = words[index]
+        data = reader.copy()
+        count["reads"] += 1
+        count["overlapped"] += words[index] != before
+        if data is None:
+            count["failed"] += 1
+            continue
+        now = int.from_bytes(data[at_cycle : at_cycle + 8], "little")
+        if now == cycle:
+            count["torn"] += data != first
+            continue
+        count["torn"] += now < cycle
+        first, cycle = data, now
+        table[now % TABLE_ENTRIES] = now, zlib.crc32(data)
+    table.tofile(table_path)
+    return count
+
+
+def _counts() -> Counts:
+    return {"reads": 0, "overlapped": 0, "torn": 0, "failed": 0}
+
+
+def compile_readers(folder: Path) -> dict[str, str]:
+    """The C readers, as C and as C++; those for which there is a compiler."""
+    source, out = str(Path(__file__).with_name("latch_stress.c")), {}
+    for language, compiler, flags in (
+        ("C", "gcc", ["-std=c11"]),
+        ("C++", "g++", ["-std=c++17", "-x", "c++"]),
+    ):
+        if shutil.which(compiler):
+            out[language] = str(folder / f"stress-{compiler}")
+            command = [compiler, *flags, "-O2", f"-I{HEADER.parent}", source, "-o", out[language]]
+            subprocess.run(command, check=True)
+    return out
+
+
+def parse(text: str) -> Counts:
+    """`reads 5 overlapped 1 ...` as counts."""
+    words = text.split()
+    return {words[i]: int(words[i + 1]) for i in range(0, len(words), 2)}
+
+
+def race(programs: dict[str, list[str]], python: Any, *arguments: Any) -> dict[str, Counts]:
+    """Run all readers at once; their counts."""
+    started = {k: subprocess.Popen(v, stdout=subprocess.PIPE, text=True) for k, v in programs.items()}
+    found = {}
+    with mp.get_context("spawn").Pool(1) as pool:
+        found["Python"] = pool.apply(python, arguments)
+    for language, process in started.items():
+        text = process.communicate()[0]
+        if process.returncode:
+            raise SystemExit(f"the {language} reader ended with {process.returncode}")
+        found[language] = parse(text)
+    return found
+
+
+class Robot:
+    """Keeps a daemon busy: a true pose that moves, and reports of it at 200 Hz."""
+
+    def __init__(self, name: str) -> None:
+        self._over = threading.Event()
+        self._world, self._robot = WorldWriter(name), None
+        self._thread = threading.Thread(target=self._move, args=(name,), daemon=True)
+        self._thread.start()
+
+    def _move(self, name: str) -> None:
+        record, tick = zeros(WorldPose), 0
+        while not self._over.wait(0.005):
+            tick += 1
+            pose = (
+                0.05 + 0.04 * np.sin(0.01 * tick),
+                0.05,
+                0.1 + 1e-3 * np.sin(0.1 * tick),
+                0.0,
+                0.0,
+                0.0,
+                1.0,
+            )
+            record[0]["t_ns"], record[0]["pose"] = time.monotonic_ns(), pose
+            self._world.write(record)
+            if self._robot is not None:
+                self._robot.ee_pos(pose)
+
+    def report_to(self, name: str) -> None:
+        """Begin to report."""
+        self._robot = attach(name)
+
+    def close(self) -> None:
+        """Go home."""
+        self._over.set()
+        self._thread.join()
+        self._world.close()
+        if self._robot is not None:
+            self._robot.close()
+
+
+def against_daemon(
+    readers: dict[str, str], folder: Path, seconds: float
+) -> tuple[dict[str, Counts], int, int]:
+    """Counts per reader, disagreements between readers, cycles that several of them compared."""
+    name, config = f"bench-tear-{os.getpid()}", folder / "bench.toml"
+    config.write_text(CONFIG, encoding="utf-8")
+    command = [sys.executable, "-m", "surffollow"]
+    robot = Robot(name)
+    daemon = subprocess.Popen(
+        [*command, "start", "--quiet", "--name", name, "--config", str(config)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert daemon.stdout is not None
+        line = daemon.stdout.readline()
+        if not line.startswith("READY"):
+            raise SystemExit(f"the service did not become READY: {line!r}")
+        robot.report_to(name)
+        tables = {k: str(folder / f"table-{k}") for k in [*readers, "Python"]}
+        programs = {k: [v, "output", name, str(seconds), tables[k]] for k, v in readers.items()}
+        found = race(programs, python_output, name, seconds, tables["Python"])
+    finally:
+        robot.close()
+        subprocess.run([*command, "stop", "--name", name, "--purge"], check=False)
+        daemon.wait(timeout=20)
+    arrays = [np.fromfile(t, np.int64).reshape(-1, 2) for t in tables.values()]
+    differing = compared = 0
+    for k, a in enumerate(arrays):
+        for b in arrays[k + 1 :]:
+            both = (a[:, 0] == b[:, 0]) & (a[:, 0] > 0)
+            compared += int(both.sum())
+            differing += int((a[both, 1] != b[both, 1]).sum())
+    return found, differing, compared
+
+
+def against_writer(readers: dict[str, str], folder: Path, seconds: float) -> tuple[dict[str, Counts], int]:
+    """Counts per reader against a writer that only publishes, and its publications."""
+    path = folder / "latch"
+    path.write_bytes(bytes(-(-latch_bytes(8 * WORDS) // 4096) * 4096))
+    full_speed_writer(str(path), 0.0)  # compile before the clock runs
+    writer = mp.get_context("spawn").Process(target=full_speed_writer, args=(str(path), seconds + 3.0))
+    writer.start()
+    generation = lambda: int.from_bytes(path.read_bytes()[:8], "little")  # noqa: E731
+    before = generation()
+    while generation() == before:
+        time.sleep(0.01)
+    programs = {k: [v, "words", str(path), str(WORDS), str(seconds)] for k, v in readers.items()}
+    if "C" in readers:
+        programs["control"] = [readers["C"], "naive", str(path), str(WORDS), str(seconds)]
+    found = race(programs, python_words, str(path), seconds)
+    writer.join()
+    return found, generation()
+
+
+def main(seconds: float) -> dict[str, Any]:
+    """Race, count and hold against the bars."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        readers = compile_readers(folder)
+        daemon, differing, compared = against_daemon(readers, folder, seconds)
+        writer, published = against_writer(readers, folder, seconds / 4)
+    control = writer.pop("control", _counts())
+    everyone = [*daemon.values(), *writer.values()]
+    total = {k: sum(c[k] for c in everyone) for k in _counts()}
+    blind = [k for k, c in [*daemon.items(), *writer.items()] if not c["overlapped"]]
+    failed = sum(c["failed"] for c in daemon.values())
+    missing = max(0, round(LEAST_READS * seconds / 60) - sum(c["reads"] for c in daemon.values()))
+    notes = [
+        f"daemon at 10 kHz, {k}: {c['reads']} reads, {c['overlapped']} overlapped, {c['failed']} failed"
+        for k, c in daemon.items()
+    ]
+    notes += [
+        f"full-speed writer ({published} published), {k}: {c['reads']} reads, {c['overlapped']} overlapped, "
+        f"{c['failed']} gave up after 16 tries"
+        for k, c in writer.items()
+    ]
+    notes.append(f"{compared} snapshots were compared between readers; control without recheck: {control}")
+    bars = [
+        bar("torn snapshots", total["torn"], 0, ""),
+        bar("snapshots that differ between readers", differing, 0, ""),
+        bar("reads missing to 1e7 per minute", missing, 0, "", f"{total['reads']} reads"),
+        bar("readers without an overlapped read", len(blind), 0, "", f"{total['overlapped']} overlapped"),
+        bar("reader failures against the daemon", failed, 0, ""),
+        bar("torn ones that the control missed", 0 if control["torn"] or not readers else 1, 0, ""),
+    ]
+    return {
+        "what": f"Tearing, {seconds:g} s of daemon and {seconds / 4:g} s of a full-speed writer",
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
+        "bars": bars,
+        "notes": notes,
+        "daemon": daemon,
+        "writer": writer,
+        "control": control,
+        "compared": compared,
+    }
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0, help="of racing against the daemon")
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+    sys.exit(finish(main(parser.parse_args().seconds)))
