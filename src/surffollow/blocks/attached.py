@@ -22,7 +22,7 @@ from surffollow.blocks.locks import FENCE_BASE, QUEUE_BYTE, FileLock
 from surffollow.blocks.reading import POLL_S, ReadSide
 from surffollow.blocks.record import Record
 from surffollow.blocks.snapshot import Snapshot
-from surffollow.client.observer import FENCED, fence
+from surffollow.client.fence import FENCED, fence
 from surffollow.errors import BlockError, BlockTimeoutError, BusyError
 from surffollow.shm.latch_shape import SLOTS
 from surffollow.shm.schema import Schema

@@ -11,7 +11,7 @@ from surffollow.blocks import layout as bl
 from surffollow.blocks.locks import WRITER_BYTE, FileLock
 from surffollow.blocks.record import Record, plan
 from surffollow.blocks.snapshot import Snapshot
-from surffollow.client.observer import FENCED, fence
+from surffollow.client.fence import FENCED, fence
 from surffollow.errors import BlockError, NotRunningError
 from surffollow.shm.latch_shape import MAX_TRIES, SLOTS
 from surffollow.shm.objects import SharedObject

@@ -12,7 +12,7 @@ import time
 
 from surffollow.blocks import layout as bl
 from surffollow.blocks.locks import WRITER_BYTE, FileLock
-from surffollow.client.observer import fence
+from surffollow.client.fence import fence
 from surffollow.errors import BlockError, BusyError, NoPermissionError, NotRunningError
 from surffollow.shm.objects import SHM_ROOT, SharedObject, check_name, reserve, start_ticks, unlink
 from surffollow.shm.schema import Schema

@@ -10,7 +10,7 @@ from surffollow.blocks import layout as bl
 from surffollow.blocks.attachment import Attachment
 from surffollow.blocks.locks import FENCE_BASE, QUEUE_BYTE, WRITER_BYTE, FileLock
 from surffollow.blocks.record import Record
-from surffollow.client.observer import FENCED, fence
+from surffollow.client.fence import FENCED, fence
 from surffollow.errors import BlockError, BlockTimeoutError, BusyError
 from surffollow.shm.latch_shape import SLOTS
 

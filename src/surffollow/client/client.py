@@ -285,6 +285,27 @@ class Client(Observer):
 
         return upload_map(self, Path(path), timeout_s, progress)
 
+    def map_install(self, path: str | Path, *, timeout_s: float = 30.0, progress: Any = None) -> Path:
+        """Put a map file in the place of the service's map; it is read with this process's rights.
+
+        Parameters
+        ----------
+        path : path             what `upload_map` wrote; .npz, .asc and .tif too (see `HeightMap.load`)
+        timeout_s : float       how long the service may take for nothing
+        progress : callable     gets the finished fraction 0 … 1; returning False cancels
+
+        Raises
+        ------
+        MapFileError            not a map, damaged, cut short; the service's map is untouched
+        MapCancelledError       cancelled; once the streaming had begun the map is empty
+        RefusedError            larger than the service's memory, or given up by the service
+        RequestTimeoutError     the service took nothing for `timeout_s`
+        NotRunningError         there is no service, or it ended
+        """
+        from surffollow.client.map_install import install_map
+
+        return install_map(self, Path(path), timeout_s, progress)
+
     def exclusive(self, *, timeout_s: float = 5.0) -> Any:
         """Context manager: the map stands still inside (the paper's four-step access)."""
         from surffollow.client.map_reader import ExclusiveAccess

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import platform
 import struct
-import threading
 import time
 from typing import Any
 
 from surffollow.client.board import Board
 from surffollow.client.demand import STALE, Demand, status_names
+from surffollow.client.fence import FENCED, fence
+from surffollow.client.map_live import MapReading
 from surffollow.errors import BlockError, NotRunningError
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.layout_board import STATE_READY, MapStatus, Stats, Ticker
@@ -18,22 +18,11 @@ from surffollow.shm.layout_follow import VALID, Output, Params
 _HEAD = Output.struct_of("t_ns", "epoch")
 _EMPTY = (0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0)
 _RANGE = struct.Struct("<" + Output.field("range_m").struct_format)
-# x86-64 keeps loads in order and stores in order: a latch needs no fence instruction there.
-# Elsewhere an uncontended lock gives the acquire and release that the steps ask for.
-FENCED = platform.machine() not in ("x86_64", "AMD64", "i686")
-_FENCE_LOCK = threading.Lock()
 REATTACH_EVERY_NS = 20_000_000
 STATES = ("initialising", "ready", "stopping", "stopped")
 
 
-def fence() -> None:
-    """Order memory accesses on machines whose hardware does not."""
-    if FENCED:
-        with _FENCE_LOCK:
-            pass
-
-
-class Observer:
+class Observer(MapReading):
     """A read-only attachment; it follows the service through restarts by itself.
 
     Parameters
@@ -160,7 +149,7 @@ class Observer:
         old = self.board
         self._take(board)
         self._reattached()
-        old.close()
+        old.object.close()  # a thread that reads it still keeps it mapped
 
     def _reattached(self) -> None:
         """What else must follow the service to its new epoch."""
@@ -173,6 +162,7 @@ class Observer:
 
     def close(self) -> None:
         """Let go of everything."""
+        self._close_map()
         self.board.close()
 
     def __enter__(self) -> Any:

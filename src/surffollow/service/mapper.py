@@ -112,7 +112,7 @@ def begin_job(mem: Any) -> None:
         finish_job(mem, ERR_NO_MAP)
     elif result == ml.BAD_MAP:
         finish_job(mem, ERR_BAD_VALUE)
-    elif result == ml.TOO_SMALL:
+    elif result in (ml.TOO_SMALL, ml.NO_SCRATCH):
         finish_job(mem, ERR_MAP_TOO_LARGE)
     elif result != ml.OK:
         finish_job(mem, ERR_MAP_BUSY)
@@ -132,8 +132,10 @@ def step_job(mem: Any, t_ns: Any) -> Any:
     else:
         done = reset_step(mem.header, mem.pairs, SLICE_GRIDS)
     if done == 1:
-        # an installation that ends here was given up, and its reset is over
-        finish_job(mem, ERR_CANCELLED if mem.job[JOB_CODE] == RQ_MAP_INSTALL else OK)
+        # an installation or a refocus that ends in a reset was given up
+        code = mem.job[JOB_CODE]
+        lost = code == RQ_MAP_INSTALL or (code == RQ_MAP_REFOCUS and operation != _REFOCUSING)
+        finish_job(mem, ERR_CANCELLED if lost else OK)
     return 1
 
 

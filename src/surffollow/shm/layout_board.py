@@ -61,7 +61,7 @@ RESULT_TEXT = (
     "this client does not hold what it wants to give back",
     "the request was cancelled",
     "accepted, the map's answer follows",
-    "the map has more grids than the service's memory (map.grids) has room for",
+    "the service's map memory (map.grids) has no room for this map",
 )
 
 # exclusive access, the paper's four steps

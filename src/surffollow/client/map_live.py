@@ -1,0 +1,269 @@
+"""Read the live map from any attachment: points without waiting, windows without copying, what changed.
+
+Reading follows three steps. (1) Load the header's generation; odd: the map is being laid anew and
+nothing is known. (2) Load geometry, then grids. (3) Load the generation again; another one: what was
+read may be mixed, try again, at most `TRIES` times. A height is one aligned 16-bit word, hence never
+half old and half new. Points need neither NumPy nor locks.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from surffollow.client.board import Board
+from surffollow.client.fence import fence
+from surffollow.client.map_reader import open_map
+from surffollow.shm import map_layout as ml
+
+if TYPE_CHECKING:
+    from surffollow.client.map_window import MapWindow
+
+TRIES = 8
+LOOK_AGAIN_NS = 100_000_000  # whether the object still has its name is asked at most so often
+_NAN = float("nan")
+_UNKNOWN = ml.UNKNOWN
+_READY = ml.READY
+_GENERATION = ml.MapHeader.offset("generation")
+_DATUM_SET = ml.MapHeader.offset("datum_set")
+_GEOMETRY = ml.MapHeader.struct_of("generation", "tiles_x")
+_DIRTY = ml.MapHeader.struct_of("dirty", "dirty")
+_DIRTY_AT = ml.MapHeader.offset("dirty")
+_FIRST_PAIR = ml.pairs_offset() // 2  # in 16-bit words
+
+
+class SurfacePoint(NamedTuple):
+    """The surface at a point of the map.
+
+    Attributes
+    ----------
+    height_m : float             between grid centres, NaN where unknown [m]
+    slope_x, slope_y : float     dz/dx and dz/dy over the neighbouring grids, NaN where unknown
+    known : bool
+    """
+
+    height_m: float
+    slope_x: float
+    slope_y: float
+    known: bool
+
+
+class MapChanges(NamedTuple):
+    """What a viewer must fetch again; give it back as `since` the next time.
+
+    Attributes
+    ----------
+    generation : int      of the grids' geometry; odd: being laid anew, come again
+    tiles : tuple         of (row, end row, column, end column): rectangles of grids that changed
+    counters : tuple      updates per tile, modulo 2^32, read before anything that is fetched now
+    """
+
+    generation: int
+    tiles: tuple[tuple[int, int, int, int], ...]
+    counters: tuple[int, ...]
+
+
+_NOWHERE = SurfacePoint(_NAN, _NAN, _NAN, False)
+
+
+class _Mapped:
+    """One mapping of the map object, as words and as 16-bit heights."""
+
+    def __init__(self, name: str, board: Board) -> None:
+        self.object, self.board = open_map(name), board
+        self.memory = self.object.memory
+        self.words = memoryview(self.memory).cast("q")
+        self.heights = memoryview(self.memory).cast("h")
+        self.room = (self.object.size - ml.pairs_offset()) // ml.PAIR_BYTES * 2
+        self.next_look_ns = 0
+
+    def close(self) -> None:
+        self.words.release()
+        self.heights.release()
+        self.object.close()
+
+
+class MapReading:
+    """The methods of every attachment, read-only or not, that look at the live map."""
+
+    name: str
+    board: Board
+    _map: _Mapped | None = None
+
+    def _mapped(self) -> _Mapped:
+        m = self._map
+        now = time.monotonic_ns()
+        if m is not None and m.board is self.board and now < m.next_look_ns:
+            return m
+        if m is None or m.board is not self.board or not m.object.is_current():
+            fresh = _Mapped(self.name, self.board)
+            self._close_map()
+            self._map = m = fresh
+        m.next_look_ns = now + LOOK_AGAIN_NS
+        return m
+
+    def _close_map(self) -> None:
+        if self._map is not None:
+            self._map.close()
+            self._map = None
+
+    def map_height(self, x_m: float, y_m: float) -> float:
+        """Mean height of the grid that holds a point [m]; NaN where unknown.
+
+        Never waits: unknown is also the answer while the map is being laid anew.
+
+        Raises
+        ------
+        NotRunningError    there is no map object of this name (any more)
+        """
+        m = self._mapped()
+        words, at = m.words, _GENERATION // 8
+        for _ in range(TRIES):
+            before = words[at]
+            if before & 1 or not words[_DATUM_SET // 8]:
+                return _NAN
+            fence()
+            g = _GEOMETRY.unpack_from(m.memory, _GENERATION)
+            _, state, nx, ny, _, x0, y0, inv_grid, datum, quantum = g[:10]
+            q = _UNKNOWN
+            if state == _READY and nx * ny <= m.room:
+                fx, fy = (x_m - x0) * inv_grid, (y_m - y0) * inv_grid
+                if 0.0 <= fx < nx and 0.0 <= fy < ny:
+                    i = int(fy) * nx + int(fx)
+                    q = m.heights[_FIRST_PAIR + 3 * (i >> 1) + (i & 1)]
+            fence()
+            if words[at] == before:
+                return _NAN if q == _UNKNOWN else float(datum + q * quantum)
+        return _NAN
+
+    def map_surface(self, x_m: float, y_m: float) -> SurfacePoint:
+        """Height between grid centres, and slope, at a point of the live map; never waits.
+
+        The grid that holds the point must be known; unknown neighbours leave the bilinear mean and
+        its weights are renormalised. Slopes are central differences, one-sided at the edge of the known.
+
+        Raises
+        ------
+        NotRunningError    there is no map object of this name (any more)
+        """
+        m = self._mapped()
+        words, at = m.words, _GENERATION // 8
+        for _ in range(TRIES):
+            before = words[at]
+            if before & 1 or not words[_DATUM_SET // 8]:
+                return _NOWHERE
+            fence()
+            g = _GEOMETRY.unpack_from(m.memory, _GENERATION)
+            _, state, nx, ny, _, x0, y0, inv_grid, datum, quantum = g[:10]
+            point = _NOWHERE
+            if state == _READY and nx * ny <= m.room:
+                fx, fy = (x_m - x0) * inv_grid, (y_m - y0) * inv_grid
+                if 0.0 <= fx < nx and 0.0 <= fy < ny:
+                    z, sx, sy = _surface(m.heights, nx, ny, fx, fy)
+                    if z == z:
+                        unit = quantum * inv_grid
+                        point = SurfacePoint(datum + quantum * z, sx * unit, sy * unit, True)
+            fence()
+            if words[at] == before:
+                return point
+        return _NOWHERE
+
+    def map_window(self, region: Sequence[float] | None = None) -> MapWindow:
+        """The live grids as read-only NumPy views, nothing copied.
+
+        Parameters
+        ----------
+        region : (x_min, y_min, x_max, y_max) [m], optional
+            the grids that touch it; all grids when absent
+
+        Raises
+        ------
+        NotRunningError    there is no map object of this name (any more)
+        RefusedError       there is no map yet, or it is being laid anew
+        RegionError        not a region, or beside the map
+        """
+        from surffollow.client.map_window import make_window
+        from surffollow.client.requests import check_region
+
+        checked = None if region is None else check_region(region)
+        return make_window(self._mapped().object, checked, TRIES)
+
+    def map_changes(self, since: MapChanges | None = None) -> MapChanges:
+        """Which tiles of the map changed after an earlier answer; all of them without one.
+
+        A grid's height is stored before its tile's counter: fetch the tiles after this call, and what
+        changes meanwhile is in the next answer. A map that was laid anew has changed everywhere.
+
+        Raises
+        ------
+        NotRunningError    there is no map object of this name (any more)
+        """
+        m = self._mapped()
+        at = _GENERATION // 8
+        for _ in range(TRIES):
+            before = m.words[at]
+            fence()
+            counters = _DIRTY.unpack_from(m.memory, _DIRTY_AT)
+            g = _GEOMETRY.unpack_from(m.memory, _GENERATION)
+            fence()
+            if m.words[at] == before:
+                state, nx, ny, shift, tiles_x = g[1], g[2], g[3], g[-2], g[-1]
+                if before & 1 or state != _READY or tiles_x < 1:
+                    return MapChanges(before, (), counters)
+                old = since.counters if since is not None and since.generation == before else None
+                return MapChanges(before, _tiles(old, counters, nx, ny, shift, tiles_x), counters)
+        return MapChanges(m.words[at] | 1, (), ())
+
+
+def _surface(heights: Any, nx: int, ny: int, fx: float, fy: float) -> tuple[float, float, float]:
+    """Bilinear height and slopes in quanta per grid, as `map.lookup.surface_at`; NaN: unknown."""
+
+    def q(ix: int, iy: int) -> int:
+        if not (0 <= ix < nx and 0 <= iy < ny):
+            return _UNKNOWN
+        i = iy * nx + ix
+        return int(heights[_FIRST_PAIR + 3 * (i >> 1) + (i & 1)])
+
+    ix, iy = int(fx), int(fy)
+    own = q(ix, iy)
+    if own == _UNKNOWN:
+        return _NAN, _NAN, _NAN
+    bx, by = math.floor(fx - 0.5), math.floor(fy - 0.5)
+    tx, ty = fx - 0.5 - bx, fy - 0.5 - by
+    total = weight = 0.0
+    for x, y, part in (
+        (bx, by, (1.0 - tx) * (1.0 - ty)),
+        (bx + 1, by, tx * (1.0 - ty)),
+        (bx, by + 1, (1.0 - tx) * ty),
+        (bx + 1, by + 1, tx * ty),
+    ):
+        z = q(x, y)
+        if z != _UNKNOWN:
+            total += part * z
+            weight += part
+    slope_x = _slope(own, q(ix - 1, iy), q(ix + 1, iy))
+    slope_y = _slope(own, q(ix, iy - 1), q(ix, iy + 1))
+    return total / weight, slope_x, slope_y
+
+
+def _slope(own: int, before: int, after: int) -> float:
+    if before != _UNKNOWN and after != _UNKNOWN:
+        return 0.5 * (after - before)
+    if after != _UNKNOWN:
+        return float(after - own)
+    return float(own - before) if before != _UNKNOWN else _NAN
+
+
+def _tiles(
+    old: tuple[int, ...] | None, new: tuple[int, ...], nx: int, ny: int, shift: int, tiles_x: int
+) -> tuple[tuple[int, int, int, int], ...]:
+    side = 1 << shift
+    rows = ((ny - 1) >> shift) + 1
+    return tuple(
+        (row * side, min((row + 1) * side, ny), column * side, min((column + 1) * side, nx))
+        for row in range(rows)
+        for column in range(tiles_x)
+        if old is None or old[row * tiles_x + column] != new[row * tiles_x + column]
+    )

@@ -1,0 +1,74 @@
+"""What the map thread works on: the map object, and memory of its own."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from surffollow.service import memory as m
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_board import (
+    PIECE_BYTES,
+    PIECE_COUNTS,
+    PIECE_GRIDS,
+    PIECE_HEIGHTS,
+    Ack,
+    MapStatus,
+)
+
+
+class MapMemory(NamedTuple):
+    """The map object and private memory of the map thread."""
+
+    ctx: Any
+    header: Any
+    pairs: Any
+    scratch: Any
+    item: Any
+    item_floats: Any
+    status: Any
+    ack: Any
+    job: Any  # int64 words, indices below
+    piece: Any  # copy of a piece of an installed map, as int64 words
+    piece_heights: Any
+    piece_counts: Any
+
+
+# slot of the request under way (-1: none, -2: recovery after a cut-off), its code, counter and
+# claim; the claim of the access holder and when it was granted; the holder before;
+# the piece of an installation that is to come, and when the installation began
+(
+    JOB_SLOT,
+    JOB_CODE,
+    JOB_COUNTER,
+    JOB_CLAIM,
+    HOLDER_CLAIM,
+    GRANTED_NS,
+    LAST_HOLDER,
+    JOB_PIECE,
+    JOB_BEGAN_NS,
+) = range(9)
+JOB_WORDS = 16
+
+
+def make_map_memory(ctx: Any, header: Any, pairs: Any, scratch: Any) -> MapMemory:
+    """Everything idle; `header`, `pairs` and `scratch` are the map object's."""
+    item, status = np.zeros(m.SAMPLE_WORDS, np.int64), zeros(MapStatus)
+    status[0]["access_slot"] = -1
+    piece = np.zeros(PIECE_BYTES // 8, np.int64)
+    heights, counts = PIECE_HEIGHTS // 2, PIECE_COUNTS
+    return MapMemory(
+        ctx,
+        header,
+        pairs,
+        scratch,
+        item,
+        item.view(np.float64),
+        status,
+        zeros(Ack),
+        np.full(JOB_WORDS, -1, np.int64),
+        piece,
+        piece.view(np.int16)[heights : heights + PIECE_GRIDS],
+        piece.view(np.uint8)[counts : counts + PIECE_GRIDS],
+    )
