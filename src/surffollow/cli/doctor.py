@@ -1,0 +1,137 @@
+"""`surffollow doctor` and `surffollow latency`."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+_MARKS = {"good": "ok", "fair": "fair", "lacking": "LACKS", "unknown": "?"}
+_BAR = 50
+
+
+@click.command("doctor")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def doctor_command(as_json: bool) -> None:
+    """Say what this machine lacks for hard timing, why it matters and how to get it. Changes nothing."""
+    from surffollow.service.doctor import examine, machine
+
+    findings = examine()
+    lacking = [f.name for f in findings if f.state == "lacking"]
+    if as_json:
+        checks = [f.as_dict() for f in findings]
+        print(json.dumps({"machine": machine(), "lacking": lacking, "checks": checks}, indent=2))
+        return
+    m = machine()
+    print(f"{m['machine']}, Linux {m['kernel']}, {m['allowed']} of {m['processors']} processors allowed")
+    width = max(len(f.name) for f in findings)
+    for f in findings:
+        print(f"{_MARKS[f.state]:>5}  {f.name:<{width}}  {f.found}")
+        if f.state != "good":
+            print(f"{'':7}{'':{width}}  why: {f.why}")
+            if f.remedy:
+                print(f"{'':7}{'':{width}}  get: {f.remedy}")
+    print(f"{len(lacking)} of {len(findings)} lacking" + (f": {', '.join(lacking)}" if lacking else ""))
+    print("measure what comes of it: surffollow latency")
+
+
+@click.command("latency")
+@click.option("--seconds", default=3.0, show_default=True, help="Length of each run.")
+@click.option("--period", default="1 ms", show_default=True, help="Time between wake-ups.")
+@click.option("--runs", default=2, show_default=True, help="Runs of ours, alternating with cyclictest's.")
+@click.option("--spin", default="120 us", show_default=True, help="Spin that long before each deadline.")
+@click.option("--priority", default=80, show_default=True, help="SCHED_FIFO priority.")
+@click.option("--cpu", default=-1, show_default=True, help="Processor; -1: the last one allowed.")
+@click.option("--cyclictest/--no-cyclictest", "beside", default=True, help="Run cyclictest in between.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def latency_command(
+    seconds: float,
+    period: str,
+    runs: int,
+    spin: str,
+    priority: int,
+    cpu: int,
+    beside: bool,
+    as_json: bool,
+) -> None:
+    """Measure how late the service's own wait wakes up here: percentiles and a histogram."""
+    from surffollow.errors import UsageError
+    from surffollow.units import parse_quantity
+
+    period_ns = round(_quantity(parse_quantity, period) * 1e9)
+    spin_ns = round(_quantity(parse_quantity, spin) * 1e9)
+    for name, value, low, high in (
+        ("--seconds", seconds, 0.01, 3600.0),
+        ("--period", period_ns / 1e9, 20e-6, 1.0),
+        ("--spin", spin_ns / 1e9, 0.0, 0.01),
+        ("--runs", runs, 1, 1000),
+        ("--priority", priority, 1, 99),
+    ):
+        if not low <= value <= high:
+            raise UsageError(f"{name} must be {low:g} to {high:g}, not {value:g}")
+    from surffollow.service.doctor_latency import measure
+
+    result = measure(
+        period_ns=period_ns,
+        seconds=seconds,
+        runs=runs,
+        spin_ns=spin_ns,
+        priority=priority,
+        beside=beside,
+        cpu=cpu,
+    )
+    if as_json:
+        print(json.dumps(result, indent=2))
+    else:
+        print("\n".join(render(result)))
+
+
+def _quantity(parse: Any, text: str) -> float:
+    # a bare number is in seconds
+    return float(parse(text if not _is_number(text) else float(text), "s"))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def render(r: dict[str, Any]) -> list[str]:
+    """The measurement as lines for people."""
+    from surffollow.units import format_ns
+
+    runs = len(r["runs"])
+    lines = [
+        f"wake-up lateness every {format_ns(r['period_ns'])}, {runs} runs of {r['seconds']:g} s, "
+        f"spin {format_ns(r['spin_ns'])}, load {r['load']:.1f}",
+        f"granted: {', '.join(r['granted']) or 'nothing'}"
+        + (f"; refused: {'; '.join(r['refused'])}" if r["refused"] else ""),
+        f"{'':<12}{'p50':>10}{'p99':>10}{'p99.9':>10}{'max':>10}{'wake-ups':>10}{'overruns':>10}",
+    ]
+    for name in ("ours", "cyclictest"):
+        s = r[name]
+        if s is None:
+            lines.append(f"{name:<12}not measured: {r['why']}")
+            continue
+        figures = "".join(f"{format_ns(s[k]):>10}" for k in ("p50_ns", "p99_ns", "p99_9_ns", "max_ns"))
+        overruns = s["overruns"] if name == "ours" else "-"
+        lines.append(f"{name:<12}{figures}{s['wakeups']:>10}{overruns:>10}")
+    lines += ["", "ours, by octave:"]
+    octaves = _octaves(r["ours"]["histogram"])
+    most = max((n for _, n in octaves), default=1)
+    for low, n in octaves:
+        lines.append(f"{'< ' + format_ns(2 * low):>10} {n:>9} {'#' * max(1, round(_BAR * n / most))}")
+    return lines
+
+
+def _octaves(bins: list[dict[str, Any]]) -> list[tuple[float, int]]:
+    """Bins gathered by powers of two: (lower edge [ns], count)."""
+    out: dict[float, int] = {}
+    for b in bins:
+        low = 2.0 ** (int(b["from_ns"]).bit_length() - 1) if b["from_ns"] >= 1 else 0.5
+        out[low] = out.get(low, 0) + b["count"]
+    return sorted(out.items())

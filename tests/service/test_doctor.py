@@ -1,0 +1,180 @@
+"""`surffollow doctor` and `surffollow latency`: what they find, on machines made of files and on this one."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from surffollow.cli.doctor import doctor_command, latency_command, render
+from surffollow.client.report import percentile_ns
+from surffollow.errors import UsageError
+from surffollow.service import doctor
+from surffollow.service.doctor_latency import Lateness, measure_lateness, parse_cyclictest
+from surffollow.shm.layout_board import HISTOGRAM_BINS
+
+
+def tree(root: Path, **files: str) -> Path:
+    for name, text in files.items():
+        path = root / name.replace("__", "/")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text + "\n")
+    return root
+
+
+@pytest.mark.parametrize(
+    ("version", "extra", "state", "word"),
+    [
+        ("#1 SMP PREEMPT_RT Debian", {}, "good", "PREEMPT_RT"),
+        ("#1 SMP Debian", {"sys__kernel__realtime": "1"}, "good", "PREEMPT_RT"),
+        ("#1 SMP PREEMPT_DYNAMIC", {}, "fair", "PREEMPT_DYNAMIC"),
+        (
+            "#1 SMP PREEMPT_DYNAMIC",
+            {"sys__kernel__debug__sched__preempt": "none (voluntary) full"},
+            "lacking",
+            "volun",
+        ),
+        (
+            "#1 SMP PREEMPT_DYNAMIC",
+            {"sys__kernel__debug__sched__preempt": "none voluntary (full)"},
+            "fair",
+            "full",
+        ),
+        ("#1 SMP PREEMPT_DYNAMIC", {"proc__cmdline": "quiet preempt=none ro"}, "lacking", "none"),
+        ("#1 SMP Debian", {}, "lacking", "does not preempt"),
+    ],
+)
+def test_the_preemption_model_is_read_from_the_kernel(tmp_path, version, extra, state, word):
+    got = doctor.check_preemption(tree(tmp_path, proc__version=f"Linux version 6.1 {version}", **extra))
+    assert got.state == state
+    assert word in got.found
+    assert bool(got.remedy) == (state != "good")
+
+
+def test_governors_isolation_throttling_clock_and_hypervisor_are_told_apart(tmp_path):
+    cpu = "sys__devices__system__cpu__"
+    good = tree(
+        tmp_path / "good",
+        **{
+            f"{cpu}cpu0__cpufreq__scaling_governor": "performance",
+            f"{cpu}isolated": "3",
+            f"{cpu}nohz_full": "3",
+            "proc__sys__kernel__sched_rt_runtime_us": "-1",
+            "proc__sys__kernel__sched_rt_period_us": "1000000",
+            "proc__cpuinfo": "flags\t\t: fpu sse",
+            "sys__devices__system__clocksource__clocksource0__current_clocksource": "tsc",
+            "dev__cpu_dma_latency": "",
+        },
+    )
+    bad = tree(
+        tmp_path / "bad",
+        **{
+            f"{cpu}cpu0__cpufreq__scaling_governor": "powersave",
+            f"{cpu}isolated": "",
+            f"{cpu}nohz_full": "(null)",
+            "proc__sys__kernel__sched_rt_runtime_us": "100000",
+            "proc__sys__kernel__sched_rt_period_us": "1000000",
+            "proc__cpuinfo": "flags\t\t: fpu hypervisor sse",
+            "sys__devices__system__clocksource__clocksource0__current_clocksource": "hpet",
+        },
+    )
+    checks = (
+        doctor.check_governor,
+        doctor.check_isolation,
+        doctor.check_throttling,
+        doctor.check_hypervisor,
+        doctor.check_clock,
+    )
+    for check in checks:
+        assert check(good).state == "good", check
+        worse = check(bad)
+        assert worse.state in ("fair", "lacking"), check
+        assert worse.remedy
+    assert doctor.check_dma_latency(good).state == "good"
+    assert doctor.check_dma_latency(bad).state == "unknown"
+    assert doctor.check_shm(bad).state == "lacking"
+    assert "10%" in doctor.check_throttling(bad).found
+
+
+def test_an_empty_machine_is_unknown_not_a_crash(tmp_path):
+    states = {check(tmp_path).state for check in doctor.CHECKS}
+    assert states <= {"good", "fair", "lacking", "unknown"}
+
+
+def test_doctor_always_ends_well_and_says_why_and_how(monkeypatch):
+    monkeypatch.setattr(doctor, "JITTER_S", 0.01)
+    got = CliRunner().invoke(doctor_command, ["--json"], catch_exceptions=False)
+    assert got.exit_code == 0
+    report = json.loads(got.output)
+    assert len(report["checks"]) == len(doctor.CHECKS)
+    for check in report["checks"]:
+        assert check["why"]
+        assert check["found"]
+        assert check["remedy"] or check["state"] != "lacking"
+    text = CliRunner().invoke(doctor_command, [], catch_exceptions=False).output
+    assert "kernel preemption" in text
+    assert "lacking" in text
+
+
+def test_every_deadline_is_counted_once_or_as_an_overrun():
+    counts = np.zeros(HISTOGRAM_BINS, np.int64)
+    begin = time.monotonic_ns()
+    longest, overruns = measure_lateness(counts, 200_000, 100_000, 50)
+    assert time.monotonic_ns() - begin >= 50 * 200_000
+    assert counts.sum() + overruns >= 50
+    assert counts.sum() <= 50
+    assert percentile_ns(counts.tolist(), 1.0) >= longest * 0.999
+
+
+def test_overlong_waits_skip_deadlines_and_say_how_many():
+    counts = np.zeros(HISTOGRAM_BINS, np.int64)
+    # a period shorter than one reading of the clock: most deadlines are missed
+    longest, overruns = measure_lateness(counts, 5, 0, 10_000)
+    assert overruns > 0
+    assert longest >= 5
+    assert 10_000 <= counts.sum() + overruns < 10_000 + longest
+
+
+def test_cyclictests_histogram_is_read_with_its_overflow():
+    text = "# Histogram\n000000 000000\n000012\t000090\n000100\t000009\n# Total: 000000099\n"
+    text += "# Max Latencies: 25000\n# Histogram Overflows: 00001\n"
+    got = parse_cyclictest(text)
+    assert got.counts.sum() == 100
+    assert got.longest_ns == 25_000_000
+    assert percentile_ns(got.counts.tolist(), 0.5) == pytest.approx(12_500, rel=0.13)
+    assert percentile_ns(got.counts.tolist(), 0.99) == pytest.approx(100_500, rel=0.13)
+    assert percentile_ns(got.counts.tolist(), 1.0) == pytest.approx(25e6, rel=0.13)
+    assert Lateness().summary()["wakeups"] == 0
+
+
+def test_latency_measures_and_prints_percentiles_and_a_histogram():
+    # in a process of its own: it locks all its memory
+    line = ["latency", "--seconds", "0.05", "--runs", "2", "--no-cyclictest", "--json"]
+    got = subprocess.run(
+        [sys.executable, "-m", "surffollow.cli.main", *line], check=True, capture_output=True, text=True
+    )
+    report = json.loads(got.stdout)
+    assert report["period_ns"] == 1_000_000
+    ours = report["ours"]
+    assert 60 <= ours["wakeups"] + ours["overruns"] <= 100 + ours["overruns"]
+    assert ours["p50_ns"] <= ours["p99_ns"] <= ours["p99_9_ns"] <= ours["max_ns"]
+    assert sum(b["count"] for b in ours["histogram"]) == ours["wakeups"]
+    assert report["cyclictest"] is None
+    assert len(report["runs"]) == 2
+    text = "\n".join(render(report))
+    assert "every 1 ms" in text
+    assert "cyclictest  not measured" in text
+    assert "#" in text
+
+
+@pytest.mark.parametrize(
+    "line", [["--period", "1 mm"], ["--period", "1 ns"], ["--seconds", "0"], ["--priority", "100"]]
+)
+def test_latency_refuses_what_cannot_be(line):
+    assert isinstance(CliRunner().invoke(latency_command, line).exception, UsageError)
