@@ -36,6 +36,7 @@ from surffollow.forecast.adaptive_preview import (
     told_height,
 )
 from surffollow.forecast.adaptive_take import is_news, take_sample
+from surffollow.forecast.adaptive_trend import take_range
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.safety import PROBE_M, limit, watch_fold_back
 from surffollow.shm.layout_adaptive import DROPOUT, OUT_OF_RANGE, STUCK, TICKS
@@ -78,6 +79,7 @@ def take_news(params: Any, state: Any, inputs: Any, output: Any, drop_m: Any, po
     news, range_m, t = is_news(params, a, sense, inputs.n_ranges)
     if news == 0:
         return
+    take_range(a, t, range_m)
     pose_when(a, sense, t, pose)
     watch_stuck(a, 1 if a.held_ns != 0 and range_m == a.held_m else 0, pose[2])
     a.held_ns, a.held_m = t, range_m

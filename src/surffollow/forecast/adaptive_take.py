@@ -25,6 +25,8 @@ FIRST_NOISE_M = 300e-6
 MEDIAN_RATE = 0.02
 MAD_TO_SIGMA = 1.4826 / math.sqrt(6.0)  # of second differences
 SCALE_RATE = 0.02
+STEPS_STAY = 0.2
+DISAGREE_GROWTH = 1.3
 SETTLE_NS = 150_000_000  # after a step all shadows are wrong alike
 GAP_NS = 100_000_000  # after a longer gap no way is asked for: there was enough of it
 LONGEST_WAY_M = 0.5  # unseen ground of this length: what was known is of no use
@@ -131,12 +133,17 @@ def quarantine(params: Any, a: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any
         a.quarantine_m += nu_m
         a.quarantine_way_m += way_m
     else:
+        if a.quarantined > 0:
+            # outliers that do not agree with each other: the ground is rougher than thought
+            a.scale_m *= DISAGREE_GROWTH
         a.quarantined = 1
         a.quarantine_m = nu_m
         a.quarantine_way_m = params.step_way_m if gap else 0.0
     slot = (a.quarantined - 1) & (KEPT - 1)
     a.kept_s_m[slot], a.kept_h_m[slot] = a.path_m, a.height_m + nu_m
-    if a.quarantined < params.step_samples or a.quarantine_way_m < params.step_way_m * a.returned:
+    # where steps have always stayed, two samples tell as much as else the last of several
+    need = min(params.step_samples, 2) if a.returned < STEPS_STAY else params.step_samples
+    if a.quarantined < need or a.quarantine_way_m < params.step_way_m * a.returned:
         return 0.0
     shift = a.quarantine_m / a.quarantined
     for k in range(max(0, a.quarantined - KEPT), a.quarantined - 1):

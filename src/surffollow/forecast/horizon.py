@@ -7,6 +7,9 @@ from typing import Any
 
 from numba import njit
 
+from surffollow.forecast.adaptive_trend import trend_range
+from surffollow.shm.layout_follow import MODE_ADAPTIVE
+
 
 @njit(cache=True, nogil=True)
 def forecast_range(params: Any, state: Any, horizon_s: Any) -> Any:
@@ -23,8 +26,11 @@ def forecast_range(params: Any, state: Any, horizon_s: Any) -> Any:
 
     Notes
     -----
-    Paper mode: the two-range slope carried on at the lateral speed (§3.2.4).
+    Paper mode: the two-range slope carried on at the lateral speed (§3.2.4). Adaptive mode: see
+    `adaptive_trend`.
     """
+    if params[0].mode == MODE_ADAPTIVE:
+        return trend_range(state[0].adaptive, horizon_s)
     p = state[0].paper
     if p.reading_t_ns == 0:
         return math.nan

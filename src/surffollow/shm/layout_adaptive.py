@@ -8,6 +8,9 @@ CANDIDATES = 48  # most models in the bank
 CELLS = 512  # of ground seen ahead, 1 mm each
 KEPT = 32  # quarantined samples that become ground when they are believed
 HORIZON = 40  # ticks planned ahead
+TRENDS = 16  # straight lines that forecast the range
+LAGS = 4  # horizons at which they are judged
+SNAPSHOTS = 32
 PLANTS = 5  # axes of different τ
 TICKS = 64  # controller ticks remembered per candidate: 640 ms of set points
 
@@ -90,6 +93,19 @@ class AdaptiveState(Schema):
     band_0 = F64(HORIZON, doc="factors of the plan's matrix")
     band_1 = F64(HORIZON)
     band_2 = F64(HORIZON)
+    trend_m = F64(TRENDS, unit="m", doc="range of each line")
+    trend_mps = F64(TRENDS, unit="m/s", doc="its rate")
+    trend_cov = F64(TRENDS * 3, doc="covariances 00 01 11, reading noise 1")
+    trend_m2 = F64(LAGS * TRENDS, unit="m^2", doc="squared forecast errors by horizon")
+    lag_s = F64(LAGS, unit="s", doc="those horizons")
+    trend_ns = I64(unit="ns", doc="stamp of the last range; 0: none")
+    trend_dt_s = F64(unit="s", doc="usual interval")
+    trend_scale_m = F64(unit="m", doc="usual innovation")
+    trend_odd = I64(doc="1: the last range was passed over")
+    snap_m = F64(SNAPSHOTS * TRENDS, unit="m", doc="ring of earlier lines: range")
+    snap_mps = F64(SNAPSHOTS * TRENDS, unit="m/s", doc="and rate")
+    snap_ns = I64(SNAPSHOTS, unit="ns", doc="when that was")
+    snapshots = I64(doc="taken so far")
     health = I64(doc="see HEALTH_NAMES")
     health_ns = I64(unit="ns", doc="since when the wanted health differs from the shown one")
     health_next = I64(doc="the wanted health")
