@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from surffollow.blocks import mem_attach
+from surffollow.blocks.layout import WAITING_WORD
+from surffollow.blocks.locks import QUEUE_BYTE
 from surffollow.errors import BlockError, BlockTimeoutError
 
 from .conftest import Platform, Words, forever
@@ -135,6 +137,52 @@ def test_a_writer_that_never_pauses_does_not_starve_readers(space, child):
                 assert len(set(view.word)) == 1
                 assert theirs.words.generation >= last
                 last = theirs.words.generation
+
+
+def test_a_reader_stopped_in_the_queue_slows_a_busy_writer_once_not_at_every_write(space, child):
+    with mem_attach(Platform, space, write=True) as mem, mem_attach(Platform, space) as theirs:
+
+        def wait_for_my_turn(me):
+            mem_attach(Platform, space).platform.get_read_ok(30.0)
+
+        with mem.platform.write():
+            reader = child(wait_for_my_turn)
+            while not theirs.platform._lock.held_elsewhere(QUEUE_BYTE):
+                time.sleep(0.001)
+            reader.signal(signal.SIGSTOP)
+        begin = time.monotonic()
+        for _ in range(500):
+            with mem.platform.write():
+                pass
+        assert time.monotonic() - begin < 0.5  # 500 times 2 ms of grace would be a second
+
+
+def test_a_writer_that_was_itself_stopped_does_not_fence_readers_for_it(space, child):
+    go_r, go_w = os.pipe()
+
+    def write_once(me):
+        block = mem_attach(Platform, space, write=True, lease_s=1.0).platform
+        with block.write():
+            pass
+        me.say(1)
+        os.read(go_r, 1)
+        with block.write(30.0):
+            pass
+        me.say(block.fenced)
+
+    writer = child(write_once)
+    assert writer.hear() == 1
+    with mem_attach(Platform, space) as theirs:
+        theirs.platform.get_read_ok()
+        os.write(go_w, b"x")
+        while not theirs.platform._words[WAITING_WORD]:
+            time.sleep(0.001)
+        writer.signal(signal.SIGSTOP)
+        time.sleep(1.1)  # the lease itself is what is tested
+        writer.signal(signal.SIGCONT)
+        time.sleep(0.05)
+        assert theirs.platform.read_done() == "ok"
+    assert writer.hear() == 0
 
 
 def test_a_writer_killed_half_way_leaves_the_previous_generation_and_its_successor_goes_on(space, child):
