@@ -20,11 +20,14 @@ from numpy.typing import NDArray
 
 from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.errors import ConfigError, PoseError, UsageError
+from surffollow.forecast.adaptive_bank import N
+from surffollow.forecast.adaptive_health import FAULT_NAMES
 from surffollow.forecast.adaptive_memory import new_memory, recall_ahead, remember_output
 from surffollow.forecast.horizon import forecast_range
 from surffollow.forecast.pose import push_pose
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import HEALTH_NAMES
 from surffollow.shm.layout_follow import (
     CHANNELS,
     MODE_ADAPTIVE,
@@ -263,6 +266,16 @@ class Follower:
         }
         names = ("t_ns", "pose_t_ns", "cycle", "height_m", "slope", "speed_mps", "delta_h_m", "error_m")
         out.update({n: o[n].item() for n in names})
+        if self._params["mode"][0] == MODE_ADAPTIVE:
+            a = self._state["adaptive"][0]
+            out["health"] = HEALTH_NAMES[int(o["health"])]
+            out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
+            told = ("sigma_m", "noise_m", "roughness_m", "late_s", "tau_s", "beams")
+            out.update({n: o[n].item() for n in told})
+            out["preview_share"] = float(a["preview_share"])
+            out["weights"] = a["weight"][:N].tolist()
+            if a["planes"] > 0:
+                out["normal"] = o["normal"].tolist()
         out["demand"] = self._demand.tolist()
         out["range_m"] = o["range_m"][: int(self._params["n_channels"][0])].tolist()
         return out

@@ -26,6 +26,7 @@ from surffollow.forecast.adaptive_health import (
 from surffollow.forecast.adaptive_judge import note_targets
 from surffollow.forecast.adaptive_motion import measure_motion, move_set_point, pose_when
 from surffollow.forecast.adaptive_plan import invert_axis, plan_axis
+from surffollow.forecast.adaptive_plane import demand_turn, plane_height, surface_normal, take_beams
 from surffollow.forecast.adaptive_plant import learn_plant, own_axis
 from surffollow.forecast.adaptive_preview import (
     COVERED,
@@ -37,7 +38,7 @@ from surffollow.forecast.adaptive_preview import (
 )
 from surffollow.forecast.adaptive_take import is_news, take_sample
 from surffollow.forecast.adaptive_trend import take_range
-from surffollow.forecast.pose import footprint
+from surffollow.forecast.pose import footprint, rotate
 from surffollow.forecast.safety import PROBE_M, limit, watch_fold_back
 from surffollow.shm.layout_adaptive import DROPOUT, OUT_OF_RANGE, STUCK, TICKS
 from surffollow.shm.layout_follow import (
@@ -72,11 +73,34 @@ def watch_clock(a: Any, t_ns: Any, pose_t_ns: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def take_news(params: Any, state: Any, inputs: Any, output: Any, drop_m: Any, pose: Any) -> None:
-    """Take channel 0's new sample, if there is one; what does not enter the estimate is not mapped."""
+def tool_above(params: Any, a: Any, sense: Any, plane: Any, pose: Any) -> Any:
+    """How much higher than the ground under it (the beam's footprint) the tool should be [m].
+
+    `pose` (7,) is scratch and holds the newest report afterwards.
+    """
+    newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
+    for i in range(7):
+        pose[i] = sense.pose[newest + i]
+    if plane == 0:
+        _, _, ground_z, _ = footprint(pose, params.tool_from_sensor, 0, params.offset_m)
+        return pose[2] - ground_z
+    tx, ty, tz = rotate(pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, 1.0)
+    along = tz - a.slope_x * tx - a.slope_y * ty  # (tool axis · normal) over the normal's z
+    return (params.offset_m - params.tool_from_sensor[2]) * along
+
+
+@njit(cache=True, nogil=True)
+def take_news(params: Any, state: Any, inputs: Any, output: Any, plane: Any, pose: Any) -> None:
+    """Take a new sample, if there is one; what does not enter the estimate is not mapped."""
     a, sense = state.adaptive, state.sense
-    output.fresh &= ~1
-    news, range_m, t = is_news(params, a, sense, inputs.n_ranges)
+    channel = 0
+    if plane != 0:
+        channel = take_beams(params, a, sense, pose)
+    else:
+        output.fresh &= ~1
+    if channel < 0:
+        return
+    news, range_m, t = is_news(params, a, sense, inputs.n_ranges, channel)
     if news == 0:
         return
     take_range(a, t, range_m)
@@ -86,23 +110,33 @@ def take_news(params: Any, state: Any, inputs: Any, output: Any, drop_m: Any, po
     a.late_s += LATE_RATE * ((a.now_ns - t) * 1e-9 - a.late_s)
     if t <= a.sample_ns or is_stuck(a, pose[2]) != 0:
         return
-    x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, 0, range_m)
+    x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)
     a.close_run = a.close_run + 1 if range_m < params.too_close_m else 0
     if a.close_run >= CLOSE_SAMPLES or state.paper.close != 0:
         watch_fold_back(state.paper, range_m, sensor_z, params.too_close_m, params.too_close_exit_m)
+    tool_x, tool_y = pose[0], pose[1]
+    if plane != 0:
+        good, z = plane_height(params, a, t, tool_x, tool_y)
+        if good == 0:
+            return
+        x, y = tool_x, tool_y
+        for c in range(params.n_channels):
+            if a.beam_good[c] == 0:
+                output.fresh &= ~(1 << c)
     if a.speed_mps >= KNOWN_DIRECTION_MPS:
-        lead = ((x - pose[0]) * a.speed_x_mps + (y - pose[1]) * a.speed_y_mps) / a.speed_mps
+        lead = ((x - tool_x) * a.speed_x_mps + (y - tool_y) * a.speed_y_mps) / a.speed_mps
         a.lead_m += (lead - a.lead_m) * (LEAD_RATE if a.samples > 0 else 1.0)
     way = a.speed_mps * (t - a.sample_ns) * 1e-9 if a.samples > 0 else 0.0
     adapt = 0 if params.adapt == 0 or params.run == RUN_FREEZE else 1
-    taken = take_sample(params, a, t, way, z, drop_m, adapt)
+    drop = tool_above(params, a, sense, plane, pose)
+    taken = take_sample(params, a, t, way, z, drop, adapt)
     a.foot_x_m, a.foot_y_m = x, y
-    if taken != 0 and inputs.n_preview > 0:
-        newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
-        beside = (x - sense.pose[newest]) * a.speed_x_mps + (y - sense.pose[newest + 1]) * a.speed_y_mps
-        if a.speed_mps >= KNOWN_DIRECTION_MPS:
-            check_told(a, told_height(inputs, beside / a.speed_mps), z)
-    if taken != 0:
+    if taken == 0:
+        return
+    if inputs.n_preview > 0 and a.speed_mps >= KNOWN_DIRECTION_MPS:
+        beside = (x - pose[0]) * a.speed_x_mps + (y - pose[1]) * a.speed_y_mps
+        check_told(a, told_height(inputs, beside / a.speed_mps), z)
+    if plane == 0:
         output.fresh |= 1
         output.target_m[0], output.target_m[1], output.target_m[2] = x, y, z
 
@@ -161,13 +195,10 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
     pose_t_ns = sense.pose_t_ns[newest]
     watch_clock(a, inputs.t_ns, pose_t_ns)
     measure_motion(a, sense)
-    for i in range(7):
-        pose[i] = sense.pose[7 * newest + i]
-    _, _, ground_z, _ = footprint(pose, params.tool_from_sensor, 0, params.offset_m)
-    tool_z = pose[2]
-    drop = tool_z - ground_z
+    tool_z = sense.pose[7 * newest + 2]
+    plane = 1 if params.orient != 0 and params.n_channels >= 3 else 0
     learn_plant(params, a, sense, 0 if params.adapt == 0 or params.run != RUN_NORMAL else 1)
-    take_news(params, state, inputs, output, drop, pose)
+    take_news(params, state, inputs, output, plane, pose)
     stuck = is_stuck(a, tool_z)
     watch_health(params, a, stuck)
     status = VALID
@@ -180,8 +211,7 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
             a.faults |= FAULT_LOST
         a.set_ns = 0
         return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
-    for i in range(7):
-        pose[i] = sense.pose[7 * newest + i]
+    drop = tool_above(params, a, sense, plane, pose)
     ahead = way_ahead(params, a, pose, pose_t_ns)
     tick = 1 if a.now_ns - a.tick_ns >= TICK_NS else 0
     wanted = blend_set_points(params, a, max(ahead, 0.0), drop, tick)
@@ -211,6 +241,8 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
         status |= TOO_CLOSE
         cut = max(cut, min(PROBE_M, params.max_demand_m))
     output.demand[2] = cut
+    if plane != 0 and a.planes > 0:
+        demand_turn(params, a, sense, output)
     if a.tick_ns == a.now_ns:
         a.own_m[(a.ticks - 1) & (TICKS - 1)] = tool_z + cut
     output.delta_h_m = a.slope * max(ahead, 0.0)
@@ -232,6 +264,7 @@ def report_adaptive(a: Any, output: Any) -> None:
     """Publish what the follower believes."""
     output.height_m, output.slope, output.speed_mps = a.height_m, a.slope, a.speed_mps
     output.intervals = a.samples
+    surface_normal(a, output)
     output.health, output.faults = a.health, a.faults
     output.tau_s = a.tau_s
     output.sigma_m, output.noise_m, output.late_s = a.sigma_m, a.noise_m, a.late_s

@@ -33,8 +33,8 @@ LONGEST_WAY_M = 0.5  # unseen ground of this length: what was known is of no use
 
 
 @njit(cache=True, nogil=True)
-def is_news(params: Any, a: Any, sense: Any, given: Any) -> Any:
-    """Whether channel 0 has a new sample, and its value and stamp.
+def is_news(params: Any, a: Any, sense: Any, given: Any, channel: Any) -> Any:
+    """Whether a channel has a new sample, and its value and stamp.
 
     The sensor holds each value for a while; conversions of a held value are one sample, stamped at the
     first of them. An unchanged value counts as new once `hold_ns` have passed.
@@ -43,17 +43,18 @@ def is_news(params: Any, a: Any, sense: Any, given: Any) -> Any:
     -------
     int64, float64 [m], int64 [ns]
     """
-    n = sense.window_n[0]
+    n = sense.window_n[channel]
     if given != 0:
-        if sense.fresh[0] == 0:
+        if sense.fresh[channel] == 0:
             return 0, 0.0, 0
-        value, t, flicker = sense.range_m[0], sense.range_t_ns[0], 0.0
+        value, t, flicker = sense.range_m[channel], sense.range_t_ns[channel], 0.0
     else:
         if n == 0:
             return 0, 0.0, 0
-        newest = (n - 1) & (CONVERSION_WINDOW - 1)
+        base = channel * CONVERSION_WINDOW
+        newest = base + ((n - 1) & (CONVERSION_WINDOW - 1))
         value, t = sense.window_m[newest], sense.window_t_ns[newest] - params.sensor_latency_ns
-        flicker = FLICKER_COUNTS * abs(params.scale_m[0])
+        flicker = FLICKER_COUNTS * abs(params.scale_m[channel])
     if a.held_ns != 0:
         if t <= a.held_ns:
             return 0, 0.0, 0
@@ -63,8 +64,8 @@ def is_news(params: Any, a: Any, sense: Any, given: Any) -> Any:
             return 1, value, t
     if given == 0:
         k, oldest = n - 2, max(0, n - CONVERSION_WINDOW)
-        while k >= oldest and abs(sense.window_m[k & (CONVERSION_WINDOW - 1)] - value) <= flicker:
-            earlier = sense.window_t_ns[k & (CONVERSION_WINDOW - 1)] - params.sensor_latency_ns
+        while k >= oldest and abs(sense.window_m[base + (k & (CONVERSION_WINDOW - 1))] - value) <= flicker:
+            earlier = sense.window_t_ns[base + (k & (CONVERSION_WINDOW - 1))] - params.sensor_latency_ns
             if earlier <= a.held_ns:
                 break
             t = earlier

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from surffollow.shm.schema import F64, I64, Schema
 
+BEAMS = 8
 CANDIDATES = 48  # most models in the bank
 CELLS = 512  # of ground seen ahead, 1 mm each
 KEPT = 32  # quarantined samples that become ground when they are believed
@@ -106,6 +107,17 @@ class AdaptiveState(Schema):
     snap_mps = F64(SNAPSHOTS * TRENDS, unit="m/s", doc="and rate")
     snap_ns = I64(SNAPSHOTS, unit="ns", doc="when that was")
     snapshots = I64(doc="taken so far")
+    beam_m = F64(BEAMS * 3, unit="m", doc="footprints of the channels")
+    beam_ns = I64(BEAMS, unit="ns", doc="when they were true; 0: none yet")
+    beam_good = I64(BEAMS, doc="1: agrees with the others")
+    beam_odd = I64(BEAMS, doc="samples in a row that did not")
+    beam_h_m = F64(BEAMS, unit="m", doc="height under the tool by each beam")
+    beam_sort_m = F64(BEAMS, unit="m", doc="scratch: those, sorted")
+    planes = I64(doc="planes fitted so far")
+    slope_x = F64(unit="1", doc="slopes of the plane")
+    slope_y = F64(unit="1")
+    turn_rad = F64(3, unit="rad", doc="rotation last relayed")
+    primary = I64(doc="channel whose samples set the pace")
     health = I64(doc="see HEALTH_NAMES")
     health_ns = I64(unit="ns", doc="since when the wanted health differs from the shown one")
     health_next = I64(doc="the wanted health")
