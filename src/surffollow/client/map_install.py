@@ -26,7 +26,7 @@ _GIVE_UP_S = 1.0
 _READING = 0.5  # of the work, for the progress callback
 
 
-class _Stream:
+class MapStream:
     """The pieces of one installation, from the client's side."""
 
     def __init__(self, client: Client, header: Any, pairs: Any, timeout_s: float) -> None:
@@ -113,7 +113,7 @@ def install_map(client: Client, path: Path, timeout_s: float, progress: Any) -> 
         return progress(_READING * fraction)
 
     header, pairs = load(path, progress=None if progress is None else reading)
-    stream = _Stream(client, header, pairs, timeout_s)
+    stream = MapStream(client, header, pairs, timeout_s)
     try:
         stream.run(progress)
     except BaseException:
