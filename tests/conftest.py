@@ -14,7 +14,7 @@ from running_service import Service, World, config_text
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """One simulated sensor 0.1 m over flat ground, alive for the whole session; do not kill it."""
     s = Service(tmp_path_factory.mktemp("service"), config_text(kind="simulated"))
-    world = World(s.name)
+    s.world = world = World(s.name)
     try:
         yield s.start()
     finally:

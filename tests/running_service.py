@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import signal
@@ -9,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,7 @@ class Service:
         self.config = folder / f"{self.name}.toml"
         self.config.write_text(config_text() if config is None else config)
         self.process: subprocess.Popen[str] | None = None
+        self.world: World | None = None  # the ground truth of a simulated sensor, when there is one
 
     def settings(self) -> ServiceConfig:
         """Its configuration, under its own name."""
@@ -152,6 +154,30 @@ class Service:
         with self.observe() as watcher:
             start = watcher.status()["cycles"]
             until(lambda: watcher.status()["cycles"] >= start + n, f"{n} cycles")
+
+
+@contextlib.contextmanager
+def program(code: str, *words: str, before: Sequence[str] = ()) -> Iterator[subprocess.Popen[str]]:
+    """A Python program beside the test, killed at the end; `before` runs it, e.g. as somebody else."""
+    pipe = subprocess.PIPE
+    child = subprocess.Popen(
+        [*before, sys.executable, "-c", code, *words], stdin=pipe, stdout=pipe, stderr=pipe, text=True
+    )
+    try:
+        yield child
+    finally:
+        child.kill()
+        child.communicate()
+
+
+def said(child: subprocess.Popen[str]) -> str:
+    """The next line that a program printed."""
+    assert child.stdout is not None
+    line = child.stdout.readline().strip()
+    if not line:
+        _, error = child.communicate(timeout=WAIT_S)
+        raise AssertionError(f"the program ended: {error}")
+    return line
 
 
 class World:

@@ -40,7 +40,7 @@ _REQUEST_STRIDE = stride(lb.RequestPost.SIZE)
 CLAIM_RETRY_S = 0.3
 _MAX_SIZE2 = MAX_POSITION_M**2
 LOOK_EVERY_NS = 100_000_000
-_WORD = (1 << 64) - 1
+_GENERATION = (1 << 62) - 1  # 0 says nothing was published, and -1 is no generation
 _clients: weakref.WeakSet[Client] = weakref.WeakSet()
 
 
@@ -184,7 +184,7 @@ class Client(Observer):
         if not self._pose_held:
             self._claim_pose()
         words, index = self._in_words, self._pose_index
-        g = (words[index] + 1) & _WORD  # what lies there may be anything
+        g = (words[index] + 1) & _GENERATION or 1  # what lies there may be anything
         if FENCED:
             fence()
         _POST.pack_into(
@@ -226,7 +226,7 @@ class Client(Observer):
             self.ensure_slot()
             self._counter += 1
             words, index = self._in_words, self._request_index
-            g = (words[index] + 1) & _WORD
+            g = (words[index] + 1) & _GENERATION or 1
             fence()
             pad = lb.REQUEST_ARGS
             _REQUEST.pack_into(

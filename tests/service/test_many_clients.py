@@ -1,0 +1,219 @@
+"""Many clients of one service: slots, the one who sends the pose, and who may do what."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from running_service import POSE, Service, objects_of, program, said, until
+from surffollow.client import Client
+from surffollow.errors import BusyError, RefusedError
+from surffollow.shm import layout_board as lb
+
+Make = Callable[..., Service]
+NOBODY = ("setpriv", "--reuid=65534", "--regid=65534", "--clear-groups")
+SENDER = f"""
+import sys, time
+from surffollow.client import attach
+client = attach(sys.argv[1])
+client.ee_pos({POSE})
+print("sending", client.slot, flush=True)
+while True:
+    client.ee_pos({POSE})
+    time.sleep(0.005)
+"""
+FORKER = f"""
+import os, sys, time
+from surffollow.client import attach
+client = attach(sys.argv[1])
+client.ee_pos({POSE})
+child = os.fork()
+if child == 0:
+    time.sleep(60)
+print("forked", child, flush=True)
+time.sleep(60)
+"""
+STRANGER = """
+import sys
+from surffollow.client import attach, observe
+from surffollow.errors import NoPermissionError
+for what in (observe, attach):
+    try:
+        door = what(sys.argv[1])
+        print(what.__name__, door.status()["state"], door.dev_vector().names)
+    except NoPermissionError as e:
+        print(what.__name__, "refused:", e)
+"""
+
+
+@pytest.fixture(scope="module")
+def crowd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A service without sensors for this module's clients."""
+    s = Service(tmp_path_factory.mktemp("crowd"))
+    try:
+        yield s.start()
+    finally:
+        s.purge()
+
+
+@pytest.fixture
+def client(crowd: Service) -> Iterator[Client]:
+    with crowd.attach() as c:
+        yield c
+
+
+def free_of_poses(s: Service) -> None:
+    with s.observe() as watcher:
+        until(lambda: watcher.status()["main"]["pose_slot"] == -1, "a free pose")
+
+
+def test_a_second_pose_writer_is_refused_with_the_pid_of_the_first(crowd: Service, client: Client) -> None:
+    with program(SENDER, crowd.name) as first:
+        said(first)
+        with pytest.raises(BusyError, match=f"pid {first.pid}"):
+            client.ee_pos(POSE)
+        status = client.status()
+        until(lambda: client.status()["main"]["pose_pid"] == first.pid, "the status names the holder")
+        until(lambda: client.status()["poses"] > status["poses"] + 10, "the first goes on")
+        first.kill()
+        first.wait()
+        client.ee_pos(POSE)
+    until(lambda: client.status()["main"]["pose_pid"] == os.getpid(), "the second holds the pose")
+
+
+def test_the_pose_can_be_handed_over_in_good_order(crowd: Service, client: Client) -> None:
+    with crowd.attach() as other:
+        client.ee_pos(POSE)
+        with pytest.raises(BusyError, match="release_pose"):
+            other.ee_pos(POSE)
+        client.release_pose()
+        other.ee_pos(POSE)
+        with pytest.raises(RefusedError, match="does not hold"):
+            client._request(lb.RQ_RELEASE_POSE).result()
+    client.ee_pos(POSE)
+
+
+def test_a_slot_taken_over_from_a_dead_pose_writer_does_not_inherit_its_pose(crowd: Service) -> None:
+    free_of_poses(crowd)
+    with program(SENDER, crowd.name) as first:
+        slot = int(said(first).split()[1])
+        first.kill()
+        first.wait()
+        with crowd.attach() as heir, crowd.attach() as other:
+            assert heir.slot == slot
+            other.ee_pos(POSE)
+
+
+def test_a_forked_child_does_not_keep_its_dead_parents_pose(crowd: Service, client: Client) -> None:
+    free_of_poses(crowd)
+    with program(FORKER, crowd.name) as parent:
+        child = int(said(parent).split()[1])
+        try:
+            parent.kill()
+            parent.wait()
+            os.kill(child, 0)
+            client.ee_pos(POSE)
+        finally:
+            os.kill(child, signal.SIGKILL)
+
+
+def test_a_pose_claimed_through_a_slot_that_nobody_holds_is_freed_again(crowd: Service) -> None:
+    with crowd.attach() as scribbler, crowd.attach() as client:
+        assert scribbler._inbox is not None
+        scribbler._inbox.unlock(scribbler._start)  # alive, but without the lock that says so
+        with contextlib.suppress(RefusedError):
+            scribbler._request(lb.RQ_CLAIM_POSE).result()
+        client.ee_pos(POSE)
+
+
+def test_a_client_whose_pose_was_given_back_in_its_name_takes_it_again(client: Client) -> None:
+    client.ee_pos(POSE)
+    client._request(lb.RQ_RELEASE_POSE).result()
+    before = client.status()["poses"]
+
+    def back() -> bool:
+        client.ee_pos(POSE)
+        return bool(client.status()["poses"] > before + 3)
+
+    until(back, "poses are taken again")
+
+
+def test_a_scribbled_slot_head_heals(client: Client) -> None:
+    client.ee_pos(POSE)
+    lb_head = slice(client._start, client._start + lb.SlotHead.SIZE)
+    client._in[lb_head] = os.urandom(lb.SlotHead.SIZE)
+    before = client.status()["poses"]
+
+    def back() -> bool:
+        client.ee_pos(POSE)
+        return bool(client.status()["poses"] > before + 3)
+
+    until(back, "poses are taken again")
+    until(lambda: client.status()["main"]["pose_pid"] == os.getpid(), "the pid is right again")
+
+
+def test_a_latch_generation_at_its_end_does_not_stop_a_client(client: Client) -> None:
+    client.ee_pos(POSE)
+    for index in (client._pose_index, client._request_index):
+        client._in_words[index] = 2**64 - 2
+    for _ in range(4):
+        client.ee_pos(POSE)
+        client.sf_reset(0.1)
+
+
+def test_sixteen_clients_fit_the_seventeenth_is_refused_and_a_freed_slot_is_used(crowd: Service) -> None:
+    with contextlib.ExitStack() as stack:
+        all_ = [stack.enter_context(crowd.attach()) for _ in range(lb.CLIENTS)]
+        assert sorted(c.slot for c in all_) == list(range(lb.CLIENTS))
+        for c in all_:
+            c.sf_reset(0.1)
+        with pytest.raises(BusyError, match="16 client slots"):
+            crowd.attach()
+        until(lambda: all_[0].status()["main"]["clients"] == lb.CLIENTS, "the status counts them")
+        all_[5].close()
+        with crowd.attach() as late:
+            assert late.slot == 5
+    with crowd.observe() as watcher:
+        until(lambda: watcher.status()["main"]["clients"] == 0, "nobody is left")
+
+
+def as_nobody(s: Service) -> list[str]:
+    done = subprocess.run([*NOBODY, sys.executable, "-c", STRANGER, s.name], capture_output=True, text=True)
+    if "Permission denied" in done.stderr:
+        pytest.skip("another user cannot run this Python")
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+@pytest.mark.skipif(os.geteuid() != 0 or shutil.which("setpriv") is None, reason="needs root and setpriv")
+def test_modes_decide_who_may_watch_and_who_may_command(make_service: Make, crowd: Service) -> None:
+    watch, attach = as_nobody(crowd)
+    assert watch.startswith("observe refused: no permission to read")
+    assert attach.startswith("attach refused: no permission to read")
+    assert "join its group" in watch
+    s = make_service(access='board_mode = "0644"\nmap_mode = "0644"').start()
+    watch, attach = as_nobody(s)
+    assert watch == "observe ready ('NO_POSE',)"
+    assert attach.startswith("attach refused: no permission to write")
+    assert f"{s.name}.inbox" in attach
+
+
+def test_objects_have_the_modes_that_the_configuration_says(make_service: Make, crowd: Service) -> None:
+    def modes(s: Service) -> dict[str, str]:
+        found = {n.removeprefix(s.name): os.stat(f"/dev/shm/{n}").st_mode & 0o777 for n in objects_of(s.name)}
+        return {n: f"{mode:03o}" for n, mode in found.items()}
+
+    assert modes(crowd) == {"": "640", ".inbox": "660", ".map": "640"}
+    before = os.umask(0o077)
+    try:
+        s = make_service(access='board_mode = "0604"\ninbox_mode = "0606"\nmap_mode = "0600"').start()
+    finally:
+        os.umask(before)
+    assert modes(s) == {"": "604", ".inbox": "606", ".map": "600"}
