@@ -40,6 +40,27 @@ def last_object(text: str) -> dict[str, Any]:
     return {}
 
 
+def bars_of(result: dict[str, Any]) -> list[dict[str, Any]]:
+    """The bars that a result tells: `bars` of tools/report.py, or rows of (name, value, bar, sense, met)."""
+    bars = result.get("bars")
+    if isinstance(bars, list) and all(isinstance(b, dict) and "bar" in b for b in bars):
+        return bars
+    rows = result.get("rows")
+    if not isinstance(rows, list) or not all(isinstance(r, dict) and "value" in r for r in rows):
+        return []
+    return [
+        {
+            "bar": r.get("name", ""),
+            "got": r["value"],
+            "limit": r.get("bar"),
+            "sense": r.get("sense") or "≤",
+            "unit": r.get("unit", ""),
+            "ok": r.get("met"),
+        }
+        for r in rows
+    ]
+
+
 def run_bench(name: str) -> dict[str, Any]:
     """Run one bench; its result with `ok`, `seconds` and, when it went wrong, `error`."""
     start = time.perf_counter()
@@ -62,8 +83,8 @@ def show(done: dict[str, Any]) -> None:
     verdict = "ok" if done["ok"] else "MISSED"
     print(f"\n== {done['name']}: {verdict}, {done['seconds']:.0f} s", flush=True)
     result = done["result"]
-    bars = result.get("bars")
-    if isinstance(bars, list) and all(isinstance(b, dict) and "bar" in b for b in bars):
+    bars = bars_of(result)
+    if bars:
         for b in bars:
             print("   " + bar_line(b))
         for line in result.get("notes", ()):

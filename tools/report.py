@@ -22,9 +22,10 @@ def bar(name: str, got: float | None, limit: float, unit: str, note: str = "") -
 def bar_line(b: dict[str, Any]) -> str:
     """A bar as a line of a table."""
     got = "not measured" if b.get("got") is None else f"{b['got']:.4g}"
-    limit = f"{b['limit']:.4g} {b.get('unit', '')}".strip() if b.get("limit") is not None else ""
+    unit = b.get("unit", "")
+    limit = f"{b.get('sense', '≤')} {b['limit']:.4g} {unit}" if b.get("limit") is not None else f"  {unit}"
     verdict = {True: "met", False: "MISSED", None: "-"}[b.get("ok")]
-    return f"{b['bar']:<44} {got:>12}  ≤ {limit:<14} {verdict:<6} {b.get('note', '')}".rstrip()
+    return f"{b['bar']:<44} {got:>12}  {limit:<18} {verdict:<6} {b.get('note', '')}".rstrip()
 
 
 def finish(result: dict[str, Any]) -> int:
