@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -257,3 +259,20 @@ def test_no_target_point_is_lost_while_maps_come_and_go(
             )
     finally:
         world.close()
+
+
+def test_the_command_line_uploads_and_installs(client: Client, map_service: Service, map_file: Path) -> None:
+    def run(verb: str, *words: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "surffollow", "map", verb, "--name", map_service.name, *words]
+        return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+    done = run("install", str(map_file))
+    assert (done.returncode, done.stderr) == (0, "")
+    again = map_file.with_name("again.txt")
+    assert run("upload", str(again)).returncode == 0
+    np.testing.assert_array_equal(HeightMap.load(map_file).counts, HeightMap.load(again).counts)
+    map_file.write_text("no map\n")
+    done = run("install", str(map_file))
+    assert done.returncode == 1
+    assert str(map_file) in done.stderr
+    assert "Traceback" not in done.stderr

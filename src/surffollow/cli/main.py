@@ -19,7 +19,7 @@ VERBS = {
     "robot": ("robot", "robot_command", "Simulate a robot that heeds the service's demands."),
     "record": ("record", "record_command", "Record a service's cycles to a file."),
     "replay": ("record", "replay_command", "Run a recording or a CSV log through the same kernels."),
-    "map": ("map", "map_group", "Show, export, compose, refocus and compare map files."),
+    "map": ("map", "map_group", "Map files, and the map of a running service."),
     "contest": ("contest", "contest_command", "Compare following methods on one plant."),
     "blocks": ("blocks", "blocks_group", "List, show and watch shared blocks."),
     "header": ("header", "header_command", "Print the C header of the client library."),

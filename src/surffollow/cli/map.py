@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surffollow.cli.map_live import install_command, upload_command
 from surffollow.errors import UsageError
 from surffollow.units import parse_quantity
 
@@ -40,11 +41,15 @@ LENGTH = Length()
 
 @click.group("map")
 def map_group() -> None:
-    """Show, export, compose, refocus and compare map files.
+    """Show, export, compose, refocus and compare map files; upload and install a service's map.
 
     Files are the text format of UpLoadMap or .npz (both lossless); .asc and .tif rasters are read as
     a prior (count 0).
     """
+
+
+map_group.add_command(upload_command)
+map_group.add_command(install_command)
 
 
 def _load(path: str) -> HeightMap:
@@ -150,7 +155,7 @@ def export_command(file: str, target: str) -> None:
     from surffollow.map.files import export
 
     m = _load(file)
-    with _progress("exporting") as progress:
+    with progress_bar("exporting") as progress:
         export(target, m.header, m.pairs, progress=progress)
 
 
@@ -164,7 +169,7 @@ def compose_command(files: Sequence[str], output: str, grids: int | None, as_jso
     from surffollow.map.compose import compose
     from surffollow.map.files import export
 
-    with _progress("composing") as progress:
+    with progress_bar("composing") as progress:
         whole = compose([_load(f) for f in files], grids=grids, progress=progress)
     export(output, whole.header, whole.pairs)
     _print(_facts(whole), as_json)
@@ -231,7 +236,7 @@ def diff_command(one: str, other: str, limit: float | None, as_json: bool) -> No
         sys.exit(1)
 
 
-class _progress:  # noqa: N801 - used like a function
+class progress_bar:  # noqa: N801 - used like a function
     """A progress bar on a terminal, silence elsewhere; gives a callback for the map's writers."""
 
     def __init__(self, label: str) -> None:

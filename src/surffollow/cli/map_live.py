@@ -1,0 +1,44 @@
+"""`surffollow map upload` and `map install`: the map of a running service to and from a file."""
+
+from __future__ import annotations
+
+import click
+
+_NAME = click.option("--name", default="surf", show_default=True, help="Name of the service.")
+_TIMEOUT = click.option(
+    "--timeout",
+    "timeout_s",
+    default=30.0,
+    show_default=True,
+    type=click.FloatRange(min=0.1),
+    help="Seconds to wait for the service.",
+)
+
+
+@click.command("upload")
+@click.argument("file", type=click.Path(dir_okay=False))
+@_NAME
+@_TIMEOUT
+def upload_command(file: str, name: str, timeout_s: float) -> None:
+    """Write the map of a running service to FILE (text, lossless); an old file is replaced at the end."""
+    from surffollow.cli.map import progress_bar
+    from surffollow.client import attach
+
+    with attach(name, label="map upload") as client, progress_bar("writing") as progress:
+        client.upload_map(file, timeout_s=timeout_s, progress=progress)
+
+
+@click.command("install")
+@click.argument("file", type=click.Path(exists=True, dir_okay=False))
+@_NAME
+@_TIMEOUT
+def install_command(file: str, name: str, timeout_s: float) -> None:
+    """Put a map FILE in the place of a running service's map; following goes on meanwhile.
+
+    The file is checked as a whole first. Interrupted after that, the map is empty.
+    """
+    from surffollow.cli.map import progress_bar
+    from surffollow.client import attach
+
+    with attach(name, label="map install") as client, progress_bar("installing") as progress:
+        client.map_install(file, timeout_s=timeout_s, progress=progress)
