@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from surffollow.forecast import journal
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_follow import CHANNELS, MAX_CONVERSIONS, MAX_POSES, Inputs, Output
+from surffollow.shm.layout_follow import CHANNELS, MAX_CONVERSIONS, MAX_POSES, MAX_PREVIEW, Inputs, Output
 
 i64 = st.integers(-(2**63), 2**63 - 1)
 f64 = st.floats()
@@ -29,6 +29,7 @@ def random_cycle(seed):
     i["n_conversions"] = rng.integers(0, MAX_CONVERSIONS + 1)
     i["n_poses"] = rng.integers(0, MAX_POSES + 1)
     i["n_ranges"] = rng.choice([0, rng.integers(1, CHANNELS + 1)])
+    i["n_preview"] = rng.choice([0, rng.integers(1, MAX_PREVIEW + 1)])
     return inputs, output
 
 
@@ -40,11 +41,14 @@ def same(a, b):
         ("pose_t_ns", int(a["n_poses"])),
         ("pose", 7 * int(a["n_poses"])),
         ("given_m", int(a["n_ranges"])),
+        ("preview_m", int(a["n_preview"])),
+        ("preview_from_m", min(1, int(a["n_preview"]))),
+        ("preview_step_m", min(1, int(a["n_preview"]))),
     ):
         left, right = (np.atleast_1d(v[name])[:used].tobytes() for v in (a, b))
         if left != right:
             return False
-    return all(a[n] == b[n] for n in ("n_conversions", "n_poses", "n_ranges")) and (
+    return all(a[n] == b[n] for n in ("n_conversions", "n_poses", "n_ranges", "n_preview")) and (
         a["n_ranges"] == 0 or a["given_t_ns"] == b["given_t_ns"]
     )
 
@@ -96,12 +100,14 @@ def test_damaged_entries_are_refused_or_stay_inside_their_own_words(values, data
         assert 0 <= i["n_conversions"] <= MAX_CONVERSIONS
         assert 0 <= i["n_poses"] <= MAX_POSES
         assert 0 <= i["n_ranges"] <= CHANNELS
+        assert 0 <= i["n_preview"] <= MAX_PREVIEW
 
 
 def test_a_full_cycle_fits_the_entry():
     inputs, output = random_cycle(2)
     i = inputs[0]
     i["n_conversions"], i["n_poses"], i["n_ranges"] = MAX_CONVERSIONS, MAX_POSES, CHANNELS
+    i["n_preview"] = MAX_PREVIEW
     words, floats = words_for()
     assert journal.encode_cycle(words, floats, inputs, output) == journal.CYCLE_MAX
 

@@ -1,13 +1,14 @@
 """Cycle-log entries: what went into a cycle and what came out, as words.
 
 First word of every entry: bits 0-7 kind, 8-31 length in words, 32-39 conversions,
-40-47 poses, 48-55 ready-made ranges.
+40-47 poses, 48-55 ready-made ranges, 56-63 remembered heights (preview).
 
 ======== ==========================================================================
 kind     words after the first
 ======== ==========================================================================
 CYCLE    t_ns, cycle, status, demand (6 float64); 8 per pose (t_ns, 7 float64);
-         1 per conversion; with ranges: given_t_ns and 1 float64 per range
+         1 per conversion; with ranges: given_t_ns and 1 float64 per range;
+         with preview: where from and step (float64), 1 float64 per height
 SNAPSHOT t_ns, `Params`, `FollowState`: the state before the next cycle
 PARAMS   t_ns, `Params` in force from the next cycle on
 RESET    t_ns, offset_m: SFReset before the next cycle
@@ -21,11 +22,18 @@ from typing import Any
 
 from numba import njit
 
-from surffollow.shm.layout_follow import CHANNELS, MAX_CONVERSIONS, MAX_POSES, FollowState, Params
+from surffollow.shm.layout_follow import (
+    CHANNELS,
+    MAX_CONVERSIONS,
+    MAX_POSES,
+    MAX_PREVIEW,
+    FollowState,
+    Params,
+)
 
 CYCLE, SNAPSHOT, PARAMS, RESET, MAP = 1, 2, 3, 4, 5
 CYCLE_HEAD = 10
-CYCLE_MAX = CYCLE_HEAD + 8 * MAX_POSES + MAX_CONVERSIONS + 1 + CHANNELS
+CYCLE_MAX = CYCLE_HEAD + 8 * MAX_POSES + MAX_CONVERSIONS + 1 + CHANNELS + 2 + MAX_PREVIEW
 PARAMS_WORDS = Params.SIZE // 8
 STATE_WORDS = FollowState.SIZE // 8
 SNAPSHOT_WORDS = 2 + PARAMS_WORDS + STATE_WORDS
@@ -76,7 +84,13 @@ def encode_cycle(words: Any, floats: Any, inputs: Any, output: Any) -> Any:
         for k in range(i.n_ranges):
             floats[n + 1 + k] = i.given_m[k]
         n += 1 + i.n_ranges
-    words[0] = CYCLE | (n << 8) | (i.n_conversions << 32) | (i.n_poses << 40) | (i.n_ranges << 48)
+    if i.n_preview > 0:
+        floats[n], floats[n + 1] = i.preview_from_m, i.preview_step_m
+        for k in range(i.n_preview):
+            floats[n + 2 + k] = i.preview_m[k]
+        n += 2 + i.n_preview
+    counts = i.n_conversions | (i.n_poses << 8) | (i.n_ranges << 16) | (i.n_preview << 24)
+    words[0] = CYCLE | (n << 8) | (counts << 32)
     return n
 
 
@@ -90,12 +104,16 @@ def decode_cycle(words: Any, floats: Any, at: Any, inputs: Any) -> Any:
     head = words[at]
     i = inputs[0]
     n_conversions, n_poses, n_ranges = (head >> 32) & 0xFF, (head >> 40) & 0xFF, (head >> 48) & 0xFF
+    n_preview = (head >> 56) & 0xFF
     expected = CYCLE_HEAD + 8 * n_poses + n_conversions + (1 + n_ranges if n_ranges > 0 else 0)
+    expected += 2 + n_preview if n_preview > 0 else 0
     bad = n_conversions > MAX_CONVERSIONS or n_poses > MAX_POSES or n_ranges > CHANNELS
+    bad = bad or n_preview > MAX_PREVIEW
     if bad or expected != entry_words(head) or at + expected > words.size:
         return -1
     i.t_ns = words[at + 1]
     i.n_conversions, i.n_poses, i.n_ranges = n_conversions, n_poses, n_ranges
+    i.n_preview = n_preview
     n = at + CYCLE_HEAD
     for k in range(n_poses):
         i.pose_t_ns[k] = words[n]
@@ -109,6 +127,11 @@ def decode_cycle(words: Any, floats: Any, at: Any, inputs: Any) -> Any:
         i.given_t_ns = words[n]
         for k in range(n_ranges):
             i.given_m[k] = floats[n + 1 + k]
+        n += 1 + n_ranges
+    if n_preview > 0:
+        i.preview_from_m, i.preview_step_m = floats[n], floats[n + 1]
+        for k in range(n_preview):
+            i.preview_m[k] = floats[n + 2 + k]
     return expected
 
 
