@@ -1,0 +1,181 @@
+"""Exclusive access to the map: four steps, deaths and restarts in each, and nothing sampled is lost."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from running_service import POSE, Service, program, said, until
+from surffollow.client import Client, Observer
+from surffollow.errors import NotRunningError, RefusedError, RequestTimeoutError
+from surffollow.shm.layout_board import ACCESS_FREE, ACCESS_GRANTED
+
+Make = Callable[..., Service]
+REGION = (0.0, 0.0, 0.1, 0.1)
+# a client that comes as far as the step that it is told and stays there
+STEPS = """
+import sys, time
+from surffollow.client import attach
+client = attach(sys.argv[1])
+step = int(sys.argv[2])
+access = client.exclusive(timeout_s=60.0)
+if step == 1:
+    access._request()
+if step in (2, 3):
+    access.__enter__()
+if step == 3:
+    access._post(3)
+print("step", step, flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.fixture(scope="module")
+def keeper(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A service whose leases are short; these tests kill and restart it."""
+    from running_service import config_text
+
+    s = Service(tmp_path_factory.mktemp("keeper"), config_text(map='access_lease = "0.4 s"'))
+    try:
+        yield s.start()
+    finally:
+        s.purge()
+
+
+def holder(watcher: Observer) -> tuple[int, int]:
+    status = watcher.status()["map"]
+    return status["access"], status["access_slot"]
+
+
+def obtain(s: Service) -> None:
+    """Take and give back the map as a client of its own."""
+    with s.attach() as client, client.exclusive(timeout_s=20.0) as access:
+        assert access.granted()
+
+
+def send_poses(client: Client, over: threading.Event) -> None:
+    while not over.wait(0.005):
+        client.ee_pos(POSE)
+
+
+def test_samples_wait_while_a_client_holds_the_map_and_none_is_lost(service: Service) -> None:
+    over = threading.Event()
+    with service.attach() as robot, service.attach() as reader:
+        robot.ee_pos(POSE)
+        poses = threading.Thread(target=send_poses, args=(robot, over))
+        poses.start()
+        try:
+            reader.map_reset(REGION)
+            until(lambda: reader.dev_vector().valid, "a demand")
+            with reader.exclusive() as access:
+                held = reader.status()
+                assert holder(reader) == (ACCESS_GRANTED, reader.slot)
+                ticket = reader.map_reset(REGION, wait=False)
+                until(lambda: reader.status()["map"]["queued"] > held["map"]["queued"] + 100, "a queue")
+                during = reader.status()
+                assert during["map"]["applied"] == held["map"]["applied"], "the map stands still"
+                assert during["cycles"] > held["cycles"] + 50, "following goes on"
+                assert reader.dev_vector().valid
+                assert not ticket.done()
+                assert access.granted()
+            ticket.result()
+            applied = during["map"]["applied"] + during["map"]["queued"] - 1
+            until(lambda: reader.status()["map"]["applied"] >= applied, "what waited is applied")
+            until(lambda: reader.status()["map"]["queued"] < 50, "the queue is empty")
+            assert reader.status()["map"]["lost"] == 0
+        finally:
+            over.set()
+            poses.join()
+
+
+def test_two_clients_take_turns(keeper: Service) -> None:
+    with keeper.attach() as first, keeper.attach() as second:
+        with first.exclusive():
+            with (
+                pytest.raises(RequestTimeoutError, match="another client may hold it"),
+                second.exclusive(timeout_s=0.1),
+            ):
+                pass
+            late = second.exclusive()
+            thread = threading.Thread(target=late.__enter__)
+            thread.start()
+        thread.join()
+        assert late.granted()
+        late.__exit__(None, None, None)
+        assert holder(first) == (ACCESS_FREE, -1)
+
+
+def test_a_holder_that_outlives_its_lease_is_fenced_off_and_told(keeper: Service) -> None:
+    with keeper.attach() as slow, keeper.attach() as other:
+        access = slow.exclusive().__enter__()
+        until(lambda: not access.granted(), "the end of the lease")
+        with other.exclusive():
+            assert not access.granted()
+        with pytest.raises(RefusedError, match="taken back"):
+            access.__exit__(None, None, None)
+        with slow.exclusive() as again:
+            assert again.granted(), "a new request is heard"
+
+
+def test_a_stopped_holder_does_not_take_the_map_again_and_again(keeper: Service) -> None:
+    with program(STEPS, keeper.name, "2") as stopped, keeper.observe() as watcher:
+        said(stopped)
+        stopped.send_signal(signal.SIGSTOP)
+        until(lambda: holder(watcher)[0] == ACCESS_FREE, "the fence")
+        since = watcher.status()["cycles"]
+        while watcher.status()["cycles"] < since + 200:  # half a lease
+            assert holder(watcher)[0] == ACCESS_FREE
+        obtain(keeper)
+
+
+@pytest.mark.parametrize("step", [0, 1, 2, 3])
+def test_a_client_killed_in_any_of_the_four_steps_holds_nobody_up(keeper: Service, step: int) -> None:
+    with keeper.attach() as other, program(STEPS, keeper.name, str(step)) as victim:
+        if step == 1:
+            with other.exclusive():
+                said(victim)
+                victim.kill()
+                victim.wait()
+        else:
+            said(victim)
+            victim.kill()
+            victim.wait()
+        with other.exclusive() as access:
+            assert access.granted()
+
+
+def test_the_service_may_be_restarted_in_any_of_the_four_steps(keeper: Service) -> None:
+    with keeper.attach() as holding, keeper.attach() as waiting:
+        access, wanted = holding.exclusive(timeout_s=60.0), waiting.exclusive(timeout_s=60.0)
+        access.__enter__()  # step 2
+        thread = threading.Thread(target=wanted.__enter__)
+        thread.start()  # step 1
+        keeper.kill()
+        keeper.start()
+        thread.join()
+        assert wanted.granted(), "the request was made again at the new service"
+        with pytest.raises(RefusedError, match="restarted"):
+            access.__exit__(None, None, None)
+        # step 3: done is stored, the service is not there to see it
+        keeper.send(signal.SIGSTOP)
+        ending = threading.Thread(target=_end, args=(wanted,))
+        ending.start()
+        keeper.kill()
+        ending.join()
+        with pytest.raises(NotRunningError), waiting.exclusive(timeout_s=0.1):
+            pass
+        keeper.start()
+        obtain(keeper)  # step 0
+        until(waiting.alive, "re-attachment")
+        with waiting.exclusive() as again:
+            assert again.granted()
+
+
+def _end(access) -> None:
+    try:
+        access.__exit__(None, None, None)
+    except RefusedError:
+        return

@@ -1,0 +1,137 @@
+"""What a demand may be, in the real service: limits, stale poses, fold-back, loss, dry run and freeze."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import pytest
+
+from running_service import POSE, STANDOFF_M, Service, drive, until
+from surffollow.client import Client, Demand
+from surffollow.client.demand import VALID
+from surffollow.shm.layout_follow import (
+    DRYRUN,
+    FROZEN,
+    LIMITED,
+    NO_SENSOR,
+    POSE_STALE,
+    SENSOR_LOST,
+    TOO_CLOSE,
+)
+
+MODES = ("paper", "adaptive")
+ZERO = [0.0] * 6
+
+
+def at_height(height_m: float) -> tuple[float, ...]:
+    return (*POSE[:2], height_m, *POSE[3:])
+
+
+@pytest.fixture(params=MODES)
+def client(service: Service, request: pytest.FixtureRequest) -> Iterator[Client]:
+    """A client of a service in each mode; everything is put back afterwards."""
+    assert service.world is not None
+    with service.attach() as c:
+        before = c.params()
+        c.set_params(mode=request.param)
+        c.sf_reset(STANDOFF_M)
+        drive(c, lambda: c.dev_vector().valid, what="a demand")
+        yield c
+        service.world.pose = POSE
+        c.set_params(**{k: before[k] for k in ("mode", "run", "max_demand_m", "loss_timeout_ns")})
+        c.sf_reset(STANDOFF_M)
+        # the fold-back latch is safety: only a tool that moves off the surface opens it
+        for k in range(40):
+            if not c.dev_vector().status & TOO_CLOSE:
+                break
+            follow(service, c, 0.07 + 0.001 * k)
+
+
+def follow(service: Service, client: Client, height_m: float) -> Demand:
+    """Move the tool, truly and as reported, and stay until the sensor has seen it."""
+    assert service.world is not None
+    service.world.pose = pose = at_height(height_m)
+    end = client.status()["cycles"] + 120
+    drive(client, lambda: client.status()["cycles"] > end, pose, "120 cycles")
+    client.ee_pos(pose)
+    return client.dev_vector()
+
+
+def test_over_level_ground_at_its_standoff_it_demands_next_to_nothing(client: Client) -> None:
+    drive(client, lambda: client.dev_vector().valid and abs(client.dev_vector()[2]) < 2e-3)
+    demand = client.dev_vector()
+    assert demand[:2] == (0.0, 0.0)
+    assert demand.pose_t_ns > 0
+    assert 0 <= demand.age_ns < 20_000_000
+    assert client.raw_distance() == pytest.approx(STANDOFF_M, abs=1e-3)
+    assert math.isnan(client.raw_distance(3)), "a channel without a sensor"
+
+
+def test_the_demand_goes_where_the_offset_says_and_never_beyond_its_limit(client: Client) -> None:
+    client.set_params(max_demand="5 mm")
+    for offset, sign in ((0.08, -1), (0.12, 1)):
+        client.sf_reset(offset)
+        drive(client, lambda sign=sign: client.dev_vector()[2] * sign > 4e-3, what="a demand that way")
+        demand = client.dev_vector()
+        assert abs(demand[2]) <= 5e-3
+        assert demand.status & LIMITED
+
+
+def test_without_poses_it_is_stale_and_zero_until_they_come_again(client: Client) -> None:
+    stale = until(lambda: (d := client.dev_vector()).status & POSE_STALE and d, "POSE_STALE")
+    assert list(stale) == ZERO
+    assert not stale.valid
+    applied = until(lambda: (s := client.status()["map"])["queued"] == 0 and s, "an empty queue")["applied"]
+    cycles = client.status()["cycles"]
+    until(lambda: client.status()["cycles"] > cycles + 50)
+    assert client.status()["map"]["applied"] == applied, "the map takes nothing from an unknown place"
+    assert client.raw_distance() == pytest.approx(STANDOFF_M, abs=1e-3), "the distance is still told"
+    drive(client, lambda: client.dev_vector().valid, what="a demand again")
+
+
+def test_too_close_only_demands_away_leave_until_a_move_shows_the_true_branch(
+    service: Service, client: Client
+) -> None:
+    client.sf_reset(0.0515)
+    demand = follow(service, client, 0.053)
+    assert demand.status & TOO_CLOSE
+    assert demand.valid
+    assert demand[2] > 0.0
+    client.sf_reset(0.0515)
+    assert follow(service, client, 0.053).status & TOO_CLOSE, "a reset does not open the latch"
+    for height in (0.056, 0.059, 0.062, 0.065, 0.068):
+        demand = follow(service, client, height)
+    assert not demand.status & TOO_CLOSE
+
+
+def test_a_lost_surface_is_told_and_ends_in_no_demand(service: Service, client: Client) -> None:
+    client.set_params(loss_timeout="50 ms")
+    assert service.world is not None
+    service.world.pose = high = at_height(0.5)
+    lost = drive(client, lambda: (d := client.dev_vector()).status & SENSOR_LOST and d, high, "SENSOR_LOST")
+    assert lost.status & NO_SENSOR
+    assert list(lost) == ZERO
+    assert math.isnan(client.raw_distance())
+    service.world.pose = POSE
+    drive(client, lambda: client.dev_vector().valid, what="a demand again")
+
+
+@pytest.mark.parametrize(("run", "bit"), [("dryrun", DRYRUN), ("freeze", FROZEN)])
+def test_dry_run_and_freeze_publish_no_demand_that_a_robot_could_heed(
+    client: Client, run: str, bit: int
+) -> None:
+    client.sf_reset(0.12)
+    client.set_params(run=run)
+    idle = drive(client, lambda: (d := client.dev_vector()).status & bit and d)
+    assert list(idle) == ZERO
+    assert not idle.valid
+    output = client.output()
+    assert output is not None
+    if run == "dryrun":
+        shown = drive(client, lambda: (o := client.output()) and o["demand"][2] > 1e-3 and o)
+        assert not shown["status"] & VALID
+    else:
+        assert output["demand"] == ZERO
+    client.set_params(run="normal")
+    drive(client, lambda: client.dev_vector().valid and client.dev_vector()[2] > 1e-3, what="a demand")
