@@ -1,0 +1,182 @@
+"""What talking to the service costs, in C and Python, beside other ways between two processes.
+
+    python tools/bench_ipc.py [--rounds 3000] [--json]
+
+One daemon at 10 kHz with a simulated sensor. Calls are timed in batches (64 in C, 100 in Python) and the
+median of the batches is given; the clock that the calls read is inside. Hand-over: from before ee_pos to
+the demand that refers to that very pose, polled, one pose at a time at random phases of the cycle.
+The others pass 64 bytes to a process that sends them back; half of that is their hand-over.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ipc_others import WAYS, measure
+from report import bar, finish
+from surffollow.client import Client, attach
+from surffollow.shm.cheader import HEADER
+
+PERIOD_NS = 100_000
+PYTHON_NS, INTO_NS, C_NS, SLACK_NS = 1200.0, 600.0, 50.0, 2000.0
+POSE = (0.05, 0.05, 0.1, 0.0, 0.0, 0.0, 1.0)
+CONFIG = """
+period = "100 us"
+log_words = 65536
+[map]
+grids = 1000
+[driver]
+kind = "none"
+"""
+
+
+def per_call_ns(call: Callable[[], object], batches: int = 1000, calls: int = 100) -> tuple[float, float]:
+    """p50 and p99 of batches of calls [ns per call]."""
+    found, turns = [], range(calls)
+    for _ in range(batches):
+        start = time.perf_counter_ns()
+        for _ in turns:
+            call()
+        found.append((time.perf_counter_ns() - start) / calls)
+    found.sort()
+    return found[batches // 2], found[int(batches * 0.99)]
+
+
+def python_figures(name: str, rounds: int) -> dict[str, float]:
+    """Cost of the Python client's calls, and its hand-over."""
+    out: dict[str, float] = {}
+    with attach(name, label="bench") as robot:
+        robot.ee_pos(POSE)
+        calls: dict[str, Callable[[], object]] = {
+            "dev_vector": robot.dev_vector,
+            "ee_pos": lambda: robot.ee_pos(POSE),
+            "nothing": lambda: None,
+        }
+        into = getattr(robot, "dev_vector_into", None)
+        if into is not None:
+            buffer = bytearray(88)
+            calls["dev_vector_into"] = lambda: into(buffer)
+        for what, call in calls.items():
+            out[f"{what}_p50_ns"], out[f"{what}_p99_ns"] = per_call_ns(call)
+        trips = [_hand_over(robot) for _ in range(rounds)]
+    trips.sort()
+    out["handover_p50_ns"], out["handover_p99_ns"] = trips[rounds // 2], trips[int(rounds * 0.99)]
+    return out
+
+
+def _hand_over(robot: Client) -> int:
+    time.sleep(0.0003 + 0.0001 * random.random())
+    t_ns = time.monotonic_ns()
+    robot.ee_pos(POSE, t_ns)
+    while robot.dev_vector().pose_t_ns != t_ns:
+        if time.monotonic_ns() - t_ns > 1_000_000_000:
+            raise SystemExit("no demand refers to the pose")
+    return time.monotonic_ns() - t_ns
+
+
+def c_figures(name: str, folder: Path, rounds: int) -> dict[str, float]:
+    """The same for the C client; empty without a compiler."""
+    if shutil.which("gcc") is None:
+        return {}
+    program = str(folder / "ipc_timing")
+    source = str(Path(__file__).with_name("ipc_timing.c"))
+    subprocess.run(["gcc", "-std=c11", "-O2", f"-I{HEADER.parent}", source, "-o", program], check=True)
+    out = {}
+    for mode, n in (("calls", 20000), ("handover", rounds)):
+        command = [program, mode, name, str(n)]
+        words = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+        out.update({words[i]: float(words[i + 1]) for i in range(0, len(words), 2)})
+    return out
+
+
+def with_daemon(rounds: int) -> tuple[dict[str, float], dict[str, float]]:
+    """Figures of the Python and the C client against one daemon."""
+    name = f"bench-ipc-{os.getpid()}"
+    command = [sys.executable, "-m", "surffollow"]
+    with tempfile.TemporaryDirectory() as path:
+        config = Path(path) / "bench.toml"
+        config.write_text(CONFIG, encoding="utf-8")
+        daemon = subprocess.Popen(
+            [*command, "start", "--quiet", "--name", name, "--config", str(config)],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            assert daemon.stdout is not None
+            line = daemon.stdout.readline()
+            if not line.startswith("READY"):
+                raise SystemExit(f"the service did not become READY: {line!r}")
+            return python_figures(name, rounds), c_figures(name, Path(path), rounds)
+        finally:
+            subprocess.run([*command, "stop", "--name", name, "--purge"], check=False)
+            daemon.wait(timeout=20)
+
+
+def clear_debris(before: set[Path]) -> int:
+    """Remove what iceoryx2 left behind in this run; how many files in /dev/shm that were."""
+    left = set(Path("/dev/shm").glob("iox2_*")) - before
+    for path in left:
+        path.unlink(missing_ok=True)
+    return len(left)
+
+
+def main(rounds: int) -> dict[str, Any]:
+    """Measure everything in one run and hold ours against the bars."""
+    python, c = with_daemon(rounds)
+    before, state = set(Path("/dev/shm").glob("iox2_*")), Path("/tmp/iceoryx2")
+    was_there = state.exists()
+    others = {way: measure(way, rounds) for way in WAYS}
+    debris = clear_debris(before)
+    if not was_there:
+        shutil.rmtree(state, ignore_errors=True)
+    no_c = "" if c else "no gcc here"
+    bars = [
+        bar("Python ee_pos p50", python["ee_pos_p50_ns"], PYTHON_NS, "ns"),
+        bar("Python dev_vector p50", python["dev_vector_p50_ns"], PYTHON_NS, "ns"),
+        bar("C ee_pos p50", c.get("ee_pos_p50_ns"), C_NS, "ns", no_c),
+        bar("C dev_vector p50", c.get("dev_vector_p50_ns"), C_NS, "ns", no_c),
+        bar("C pose to demand at 10 kHz p50", c.get("handover_p50_ns"), PERIOD_NS + SLACK_NS, "ns", no_c),
+        bar("Python pose to demand at 10 kHz p50", python["handover_p50_ns"], PERIOD_NS + SLACK_NS, "ns"),
+    ]
+    if "dev_vector_into_p50_ns" in python:
+        bars.append(bar("Python dev_vector_into p50", python["dev_vector_into_p50_ns"], INTO_NS, "ns"))
+    if "clock_p50_ns" in c:
+        bars[3]["note"] = bars[2]["note"] = f"the clock alone takes {c['clock_p50_ns']:.0f} ns"
+    notes = ["other ways, Python to Python:"]
+    for way, figures in others.items():
+        if figures is None:
+            notes.append(f"  {way:<26} not installed")
+            continue
+        notes.append(
+            f"  {way:<26} hand-over p50 {figures['handover_p50_ns'] / 1e3:8.2f} us, "
+            f"p99 {figures['handover_p99_ns'] / 1e3:8.2f} us, a look {figures['take_p50_ns'] / 1e3:7.2f} us"
+        )
+    if debris:
+        notes.append(f"  iceoryx2 left {debris} objects in /dev/shm, removed here")
+    return {
+        "what": "Calls of the clients, pose to demand through the daemon at 10 kHz, and other ways",
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
+        "bars": bars,
+        "notes": notes,
+        "python": python,
+        "c": c,
+        "others": others,
+    }
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=3000, help="hand-overs of each kind")
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+    sys.exit(finish(main(parser.parse_args().rounds)))
