@@ -272,11 +272,11 @@ def main(seconds: float) -> dict[str, Any]:
         folder = Path(name)
         readers = compile_readers(folder)
         daemon, differing, compared = against_daemon(readers, folder, seconds)
-        writer, published = against_writer(readers, folder, seconds / 4)
+        writer, published = against_writer(readers, folder, max(1.0, seconds / 4))
     control = writer.pop("control", _counts())
     everyone = [*daemon.values(), *writer.values()]
     total = {k: sum(c[k] for c in everyone) for k in _counts()}
-    blind = [k for k, c in [*daemon.items(), *writer.items()] if not c["overlapped"]]
+    blind = [k for k in daemon if not daemon[k]["overlapped"] + writer[k]["overlapped"]]
     failed = sum(c["failed"] for c in daemon.values())
     missing = max(0, round(LEAST_READS * seconds / 60) - sum(c["reads"] for c in daemon.values()))
     notes = [
@@ -298,7 +298,7 @@ def main(seconds: float) -> dict[str, Any]:
         bar("torn ones that the control missed", 0 if control["torn"] or not readers else 1, 0, ""),
     ]
     return {
-        "what": f"Tearing, {seconds:g} s of daemon and {seconds / 4:g} s of a full-speed writer",
+        "what": f"Tearing, {seconds:g} s of daemon and {max(1.0, seconds / 4):g} s of a full-speed writer",
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
         "bars": bars,
         "notes": notes,

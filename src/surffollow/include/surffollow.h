@@ -73,7 +73,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 /* ---- layout: generated ------------------------------------------------------------ */
 
 #define SF_LAYOUT_VERSION 1u
-#define SF_LAYOUT_HASH UINT64_C(6111784603361824384)
+#define SF_LAYOUT_HASH UINT64_C(6982287390704389436)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_INBOX_MAGIC UINT64_C(3549485532940752211)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
@@ -229,7 +229,7 @@ typedef struct sf_param_info {
   double low, high;
 } sf_param_info;
 
-#define SF_PARAMS 41
+#define SF_PARAMS 44
 static inline const sf_param_info *sf_param_table(void) {
   static const sf_param_info table[SF_PARAMS] = {
     {"mode", 0, 1, 0.0, 1.0},
@@ -266,13 +266,16 @@ static inline const sf_param_info *sf_param_table(void) {
     {"step_samples", 104, 1, 1.0, 100.0},
     {"tick_lead_s", 105, 0, 0.0, 1.0},
     {"plan_calm_s4", 106, 0, 0.0, 1.0},
-    {"adapt", 107, 1, 0.0, 1.0},
-    {"hold_ns", 108, 1, 0.0, 10000000000.0},
-    {"dropout_way_m", 109, 0, 0.0001, 1000.0},
-    {"max_speed_mps", 110, 0, 0.0001, 1000.0},
-    {"max_accel_mps2", 111, 0, 0.001, 1000000.0},
-    {"max_jerk_mps3", 112, 0, 0.01, 1000000000.0},
-    {"toward_factor", 113, 0, 0.01, 1.0},
+    {"orient", 107, 1, 0.0, 1.0},
+    {"max_turn_rad", 108, 0, 0.0, 1.6},
+    {"permitted_turn_rad", 109, 0, 0.0, 1.6},
+    {"adapt", 110, 1, 0.0, 1.0},
+    {"hold_ns", 111, 1, 0.0, 10000000000.0},
+    {"dropout_way_m", 112, 0, 0.0001, 1000.0},
+    {"max_speed_mps", 113, 0, 0.0001, 1000.0},
+    {"max_accel_mps2", 114, 0, 0.001, 1000000.0},
+    {"max_jerk_mps3", 115, 0, 0.01, 1000000000.0},
+    {"toward_factor", 116, 0, 0.01, 1.0},
   };
   return table;
 }
@@ -361,6 +364,9 @@ typedef struct sf_params {
   int64_t step_samples; /* adaptive: agreeing samples after which a quarantined step is believed */
   double tick_lead_s; /* [s] adaptive: mean time a demand waits for the controller */
   double plan_calm_s4; /* [s^4] adaptive: squared error worth a squared planned acceleration */
+  int64_t orient; /* adaptive: 1: with 3 or more sensors, demand rotations too */
+  double max_turn_rad; /* [rad] adaptive: limit of the rotation demanded */
+  double permitted_turn_rad; /* [rad] adaptive: change of the rotation that is relayed */
   int64_t adapt; /* adaptive: 1: learn; 0: scores, weights, noise stay as they are */
   int64_t hold_ns; /* [ns] adaptive: an unchanged reading counts as new after so long */
   double dropout_way_m; /* [m] adaptive: way over which a slope is trusted without readings */
@@ -369,7 +375,7 @@ typedef struct sf_params {
   double max_jerk_mps3; /* [m/s^3] adaptive: limit of the set point's jerk */
   double toward_factor; /* adaptive: share of those limits toward the surface */
 } sf_params;
-SF_STATIC_ASSERT(sizeof(sf_params) == 912, "layout of sf_params");
+SF_STATIC_ASSERT(sizeof(sf_params) == 936, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, mode) == 0, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, run) == 8, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, offset_m) == 16, "layout of sf_params");
@@ -408,13 +414,16 @@ SF_STATIC_ASSERT(offsetof(sf_params, step_way_m) == 824, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, step_samples) == 832, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, tick_lead_s) == 840, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, plan_calm_s4) == 848, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, adapt) == 856, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, hold_ns) == 864, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, dropout_way_m) == 872, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_speed_mps) == 880, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_accel_mps2) == 888, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_jerk_mps3) == 896, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, toward_factor) == 904, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, orient) == 856, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_turn_rad) == 864, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, permitted_turn_rad) == 872, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, adapt) == 880, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, hold_ns) == 888, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, dropout_way_m) == 896, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_speed_mps) == 904, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_accel_mps2) == 912, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_jerk_mps3) == 920, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, toward_factor) == 928, "layout of sf_params");
 
 /* What a cycle publishes. */
 typedef struct sf_output {
@@ -441,8 +450,10 @@ typedef struct sf_output {
   double roughness_m; /* [m] adaptive: what the models do not foresee, noise taken off */
   double late_s; /* [s] adaptive: how late readings arrive */
   double tau_s; /* [s] adaptive: time constant of the robot's axis as found */
+  double normal[3]; /* [1] adaptive, 3 or more sensors: unit normal of the surface */
+  int64_t beams; /* adaptive, 3 or more sensors: bit per channel that agrees with the plane */
 } sf_output;
-SF_STATIC_ASSERT(sizeof(sf_output) == 520, "layout of sf_output");
+SF_STATIC_ASSERT(sizeof(sf_output) == 552, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, t_ns) == 0, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, pose_t_ns) == 8, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, demand) == 16, "layout of sf_output");
@@ -466,6 +477,8 @@ SF_STATIC_ASSERT(offsetof(sf_output, noise_m) == 488, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, roughness_m) == 496, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, late_s) == 504, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, tau_s) == 512, "layout of sf_output");
+SF_STATIC_ASSERT(offsetof(sf_output, normal) == 520, "layout of sf_output");
+SF_STATIC_ASSERT(offsetof(sf_output, beams) == 544, "layout of sf_output");
 
 /* The service's answer to a slot's newest request. */
 typedef struct sf_ack {
@@ -1548,7 +1561,10 @@ static inline void sf_i_look_after(sf_client *c, int64_t now_ns) {
   c->next_look_ns = now_ns + SF_LOOK_EVERY_NS;
   sf_i_read_pose_timeout(c);
   if (c->slot_memory == NULL) return;
-  sf_store_relaxed(&SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD)->heartbeat_ns, now_ns);
+  sf_slot_head *head = SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD);
+  sf_store_relaxed(&head->pid, SF_CAST(int64_t, getpid()));
+  sf_store_relaxed(&head->heartbeat_ns, now_ns);
+  sf_store_release(&head->claim, c->claim);
   const size_t words = offsetof(sf_ticker, pose_pid) / 8;
   if (!c->pose_held || sf_latch_read_part(c->ticker, sizeof t, 0, words, &t) <= 0) return;
   /* somebody gave the pose back in our name: ask for it again */

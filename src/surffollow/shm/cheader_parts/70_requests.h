@@ -140,7 +140,10 @@ static inline void sf_i_look_after(sf_client *c, int64_t now_ns) {
   c->next_look_ns = now_ns + SF_LOOK_EVERY_NS;
   sf_i_read_pose_timeout(c);
   if (c->slot_memory == NULL) return;
-  sf_store_relaxed(&SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD)->heartbeat_ns, now_ns);
+  sf_slot_head *head = SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD);
+  sf_store_relaxed(&head->pid, SF_CAST(int64_t, getpid()));
+  sf_store_relaxed(&head->heartbeat_ns, now_ns);
+  sf_store_release(&head->claim, c->claim);
   const size_t words = offsetof(sf_ticker, pose_pid) / 8;
   if (!c->pose_held || sf_latch_read_part(c->ticker, sizeof t, 0, words, &t) <= 0) return;
   /* somebody gave the pose back in our name: ask for it again */

@@ -1,0 +1,118 @@
+"""Write the byte tables of docs/protocol.md from the layout's declaration; `--check` only compares."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from surffollow.shm import layout_board as lb
+from surffollow.shm import map_layout as ml
+from surffollow.shm.cheader import SCHEMAS, c_name
+from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, latch_bytes, stride
+from surffollow.shm.layout_follow import Output
+from surffollow.shm.schema import SCALARS, Field, Schema
+
+PAGE = Path(__file__).parents[1] / "docs" / "protocol.md"
+BEGIN, END = "<!-- bytes: written by tools/protocol_tables.py -->\n", "<!-- end of bytes -->"
+
+
+def c_type(f: Field) -> str:
+    """A field's type as C spells it."""
+    if f.nested is not None:
+        kind = c_name(f.nested)
+    else:
+        kind = "char" if f.is_text else SCALARS[f.code][2]
+    return f"{kind}[{f.count}]" if f.count > 1 or f.is_text else kind
+
+
+def schema_table(schema: type[Schema]) -> Iterator[str]:
+    """One structure: offset, type, name, unit, meaning."""
+    doc = (schema.__doc__ or "").strip().splitlines()[0]
+    yield f"#### `{c_name(schema)}`, {schema.SIZE} bytes\n\n{doc}\n"
+    yield "| offset | bytes | type | field | unit | meaning |\n| ---: | ---: | --- | --- | --- | --- |"
+    for f in schema.FIELDS:
+        unit = "" if f.unit in ("", "1") else f.unit
+        yield f"| {f.offset} | {f.size} | {c_type(f)} | `{f.name}` | {unit} | {f.doc} |"
+    yield ""
+
+
+def objects_table() -> Iterator[str]:
+    """Where the parts of the three objects lie."""
+    yield "### Parts of the objects\n"
+    yield "Board (offsets are in its region table; these are those of the default `log_words` = 2^20):\n"
+    yield "| offset | bytes | part | holds |\n| ---: | ---: | --- | --- |"
+    yield f"| 0 | {lb.BoardHeader.SIZE} | header | `{c_name(lb.BoardHeader)}` |"
+    latched = {"params", "output", "acks", "map_acks", "ticker", "map_status"}
+    schemas = {name: schema for name, schema, _ in lb.BOARD_PARTS}
+    for name, (offset, size) in lb.board_regions(1 << 20).items():
+        n = f"{lb.CLIENTS} latches" if name.endswith("acks") else "latch" if name in latched else "plain"
+        words = ", then the log's words" if name == "log" else ""
+        yield f"| {offset} | {size} | {name} | {n}, `{c_name(schemas[name])}`{words} |"
+    yield "\nInbox: a page of header, then one slot per client:\n"
+    yield "| offset | bytes | part | holds |\n| ---: | ---: | --- | --- |"
+    yield f"| 0 | {lb.PAGE} | header | `{c_name(lb.InboxHeader)}` |"
+    yield f"| {lb.PAGE} + {lb.SLOT_BYTES}·slot | {lb.SLOT_BYTES} | slot 0 … {lb.CLIENTS - 1} | see below |"
+    slot: tuple[tuple[int, type[Schema], bool], ...] = (
+        (lb.SLOT_HEAD, lb.SlotHead, False),
+        (lb.SLOT_POSE, lb.PosePost, True),
+        (lb.SLOT_REQUEST, lb.RequestPost, True),
+    )
+    yield "\nA slot:\n"
+    yield "| offset | bytes | holds |\n| ---: | ---: | --- |"
+    for offset, schema, is_latch in slot:
+        size = latch_bytes(schema.SIZE) if is_latch else schema.SIZE
+        yield f"| {offset} | {size} | {'latch, ' if is_latch else ''}`{c_name(schema)}` |"
+    for k in range(2):
+        offset = lb.SLOT_STREAM + k * lb.PIECE_BYTES
+        yield f"| {offset} | {lb.PIECE_BYTES} | `{c_name(lb.StreamPiece)}` and {lb.PIECE_GRIDS} grids |"
+    yield "\nMap:\n"
+    yield "| offset | bytes | holds |\n| ---: | ---: | --- |"
+    yield f"| 0 | {ml.MapHeader.SIZE} | `{c_name(ml.MapHeader)}` |"
+    yield f"| {ml.HEADER_BYTES} | {ml.PAIR_BYTES} per pair | `{c_name(ml.GridPair)}`, grid i in pair i / 2 |"
+    yield "| page after the pairs | `scratch_bytes` | the service's own |\n"
+
+
+def latch_table() -> Iterator[str]:
+    """A latch in bytes, with the output as the example."""
+    yield "### A latch\n"
+    yield "| offset | bytes | holds |\n| ---: | ---: | --- |"
+    yield "| 0 | 8 | generation g, int64; 0: nothing published yet |"
+    yield f"| 8 | {HEAD_BYTES - 8} | nothing: the generation has a cache line of its own |"
+    for k in range(SLOTS):
+        yield f"| {HEAD_BYTES} + {k}·stride | payload | copies with g mod {SLOTS} = {k} |"
+    step = stride(Output.SIZE)
+    yield f"\nThe stride is the payload's size, rounded up to 64 bytes; that of `sf_output` is {step}.\n"
+
+
+def code_table() -> Iterator[str]:
+    """Requests and answers by number."""
+    yield "### Requests and answers\n"
+    requests = sorted((int(getattr(lb, n)), n[3:]) for n in dir(lb) if n.startswith("RQ_"))
+    yield "| code | request |\n| ---: | --- |"
+    yield from (f"| {v} | {n} |" for v, n in requests)
+    yield "\n| answer | meaning |\n| ---: | --- |"
+    yield from (f"| {v} | {text} |" for v, text in enumerate(lb.RESULT_TEXT))
+    yield ""
+
+
+def tables() -> str:
+    """All tables, in the order in which a reader needs them."""
+    lines = [*objects_table(), *latch_table(), *code_table(), "### Structures\n"]
+    for schema in SCHEMAS:
+        lines.extend(schema_table(schema))
+    return "\n".join(lines) + "\n"
+
+
+def page() -> str:
+    """The page as it should be."""
+    text = PAGE.read_text(encoding="utf-8")
+    head, rest = text.split(BEGIN, 1)
+    return head + BEGIN + "\n" + tables() + END + rest.split(END, 1)[1]
+
+
+if __name__ == "__main__":
+    wanted = page()
+    if "--check" in sys.argv[1:]:
+        sys.exit(0 if wanted == PAGE.read_text(encoding="utf-8") else "docs/protocol.md is out of date")
+    PAGE.write_text(wanted, encoding="utf-8")
