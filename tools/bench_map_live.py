@@ -101,6 +101,10 @@ class Tally:
         added = [b - a for a, b in zip(before["lateness"], after["lateness"])]
         self.lateness = [a + b for a, b in zip(self.lateness, added)] if self.lateness else added
 
+    def late(self) -> str:
+        us = [percentile_ns(self.lateness, q) / 1e3 for q in (0.5, 0.99, 0.999)]
+        return f"lateness p50/99/99.9 {us[0]:.2f}/{us[1]:.1f}/{us[2]:.0f} us"
+
 
 def repeat(work: Callable[[], object], seconds: float) -> int:
     """Do it until the time is over, at least once; how often."""
@@ -132,20 +136,18 @@ def measure(grids: int, options: argparse.Namespace, folder: Path) -> tuple[list
         lost = service.lost_points()
     size = f"{grids:.0e}".replace("e+0", "e")
     bars = [bar(f"{size} grids: target points lost", float(lost), 0.0, "")]
-    us = {q: percentile_ns(idle.lateness, q) / 1e3 for q in (0.5, 0.99, 0.999)}
     notes = [
         f"{size} grids: {rate:.0f} target points per second; idle: {idle.overruns} overruns in {idle.cycles} "
-        f"cycles, lateness p50/99/99.9 {us[0.5]:.2f}/{us[0.99]:.1f}/{us[0.999]:.0f} us"
+        f"cycles, {idle.late()}"
     ]
     for name, tally in busy.items():
         expected = idle.overruns * tally.cycles / max(idle.cycles, 1)
         # both counts scatter
         sigma = math.sqrt(expected * (1 + tally.cycles / max(idle.cycles, 1)))
         bars.append(bar(f"{size} grids, {name}: overruns", tally.overruns, expected + 3 * sigma, ""))
-        us = {q: percentile_ns(tally.lateness, q) / 1e3 for q in (0.5, 0.99, 0.999)}
         notes.append(
             f"{size} grids, {name}: {tally.times} times, {tally.overruns} overruns in {tally.cycles} "
-            f"cycles (idle rate: {expected:.1f}); lateness p50/99/99.9 {us[0.5]:.2f}/{us[0.99]:.1f}/{us[0.999]:.0f} us"
+            f"cycles (idle rate: {expected:.1f}), {tally.late()}"
         )
     return bars, notes
 
