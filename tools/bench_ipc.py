@@ -119,8 +119,8 @@ def with_daemon(rounds: int) -> tuple[dict[str, float], dict[str, float]]:
                 raise SystemExit(f"the service did not become READY: {line!r}")
             return python_figures(name, rounds), c_figures(name, Path(path), rounds)
         finally:
-            subprocess.run([*command, "stop", "--name", name, "--purge"], check=False)
-            daemon.wait(timeout=20)
+            subprocess.run([*command, "stop", "--name", name, "--purge", "--timeout", "60"], check=False)
+            daemon.wait(timeout=90)
 
 
 def clear_debris(before: set[Path]) -> int:

@@ -235,8 +235,8 @@ def against_daemon(
         found = race(programs, python_output, name, seconds, tables["Python"])
     finally:
         robot.close()
-        subprocess.run([*command, "stop", "--name", name, "--purge"], check=False)
-        daemon.wait(timeout=20)
+        subprocess.run([*command, "stop", "--name", name, "--purge", "--timeout", "60"], check=False)
+        daemon.wait(timeout=90)
     arrays = [np.fromfile(t, np.int64).reshape(-1, 2) for t in tables.values()]
     differing = compared = 0
     for k, a in enumerate(arrays):

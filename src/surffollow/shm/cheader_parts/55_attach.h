@@ -1,0 +1,177 @@
+/* A random number that no other attachment has; 62 bits, odd. */
+static inline int64_t sf_i_random_claim(void) {
+  uint64_t r = 0;
+  ssize_t got = -1;
+  const int fd = open("/dev/urandom", O_RDONLY | O_CLOEXEC);
+  if (fd >= 0) {
+    do {
+      got = read(fd, &r, sizeof r);
+    } while (got < 0 && errno == EINTR);
+    close(fd);
+  }
+  if (got != SF_CAST(ssize_t, sizeof r))
+    r = (SF_CAST(uint64_t, sf_now_ns()) * 0x9E3779B97F4A7C15u) ^ (SF_CAST(uint64_t, getpid()) << 32);
+  return SF_CAST(int64_t, (r >> 2) | 1u);
+}
+
+static inline int sf_i_lock(int fd, off_t byte) {
+  struct flock lock;
+  memset(&lock, 0, sizeof lock);
+  lock.l_type = F_WRLCK;
+  lock.l_whence = SEEK_SET;
+  lock.l_start = byte;
+  lock.l_len = 1;
+  for (;;) {
+    /* 37: F_OFD_SETLK, which strict ISO C hides; such a lock belongs to this open and ends with it */
+    if (fcntl(fd, 37, &lock) == 0) return 0;
+    if (errno != EINTR) return errno;
+  }
+}
+
+static inline void sf_i_release_slot(sf_client *c) {
+  if (c->slot_memory != NULL) {
+    sf_slot_head *head = SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD);
+    sf_store_relaxed(&head->access, SF_ACCESS_FREE);
+    sf_store_relaxed(&head->pid, 0);
+    sf_store_release(&head->claim, 0);
+  }
+  c->slot = -1;
+  c->slot_memory = NULL;
+  c->pose_held = 0;
+  sf_i_close(&c->inbox);
+}
+
+/* Take a free slot of the inbox: its lock says who owns it, and the kernel frees it when we die. */
+static inline int sf_i_claim_slot(sf_client *c) {
+  sf_object inbox;
+  const int err = sf_i_open(c, ".inbox", 1, &inbox);
+  if (err != SF_OK) return err;
+  const sf_inbox_header *h = SF_VIEW(const sf_inbox_header *, inbox.memory);
+  if (inbox.size < SF_INBOX_BYTES || h->magic != SF_INBOX_MAGIC || h->epoch != c->epoch) {
+    sf_i_close(&inbox);
+    return SF_ERR_NOT_READY; /* of a service that is being replaced */
+  }
+  if (h->version != SF_LAYOUT_VERSION || h->layout_hash != SF_LAYOUT_HASH) {
+    sf_i_close(&inbox);
+    return SF_ERR_LAYOUT;
+  }
+  for (int slot = 0; slot < SF_CLIENTS; slot++) {
+    const off_t start = SF_PAGE + SF_CAST(off_t, slot) * SF_SLOT_BYTES;
+    const int number = sf_i_lock(inbox.fd, start);
+    if (number == EAGAIN || number == EACCES) continue;
+    if (number != 0) {
+      sf_i_close(&inbox);
+      return sf_i_errno(c, number);
+    }
+    c->inbox = inbox;
+    c->slot = slot;
+    c->slot_memory = inbox.memory + start;
+    c->claim = sf_i_random_claim();
+    c->counter = 0;
+    c->pose_held = c->abandoned = 0;
+    sf_slot_head *head = SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD);
+    sf_store_relaxed(&head->access, SF_ACCESS_FREE);
+    sf_store_relaxed(&head->pid, SF_CAST(int64_t, getpid()));
+    sf_store_relaxed(&head->heartbeat_ns, sf_now_ns());
+    memcpy(head->name, c->label, sizeof c->label);
+    sf_store_release(&head->claim, c->claim); /* last: a claim is never seen beside another's pid */
+    return SF_OK;
+  }
+  sf_i_close(&inbox);
+  return SF_ERR_SLOTS;
+}
+
+static inline void sf_i_read_pose_timeout(sf_client *c) {
+  int64_t value;
+  const size_t at = offsetof(sf_params, pose_timeout_ns);
+  c->pose_timeout_ns = 100000000;
+  if (sf_latch_read_part(c->params, sizeof(sf_params), at, 1, &value) > 0 && value > 0) c->pose_timeout_ns = value;
+}
+
+/* Give back the pose and the slot, unmap everything. Also right after a failed attach. */
+static inline void sf_detach(sf_client *c) {
+  if (c == NULL) return;
+  sf_i_release_slot(c);
+  sf_i_close(&c->board);
+  sf_i_close(&c->map);
+  c->output = c->params = c->acks = c->map_acks = c->ticker = c->map_status = c->stats = NULL;
+}
+
+/*
+ * For a child after fork(), before it does anything else with surffollow: let go of its parent's clients.
+ * The child would otherwise keep the parent's slot locked beyond the parent's death.
+ */
+static inline void sf_forget(sf_client *c) {
+  if (c == NULL) return;
+  c->slot_memory = NULL; /* the slot itself is the parent's: nothing is written to it */
+  sf_detach(c);
+}
+
+/*
+ * Attach to a running service. `options` NULL: the defaults. The client needs no initialisation;
+ * attaching one that is attached leaks.
+ * SF_OK, SF_ERR_NAME, _NOT_RUNNING, _NO_PERMISSION, _NOT_READY, _LAYOUT, _BLOCK, _SLOTS, _SYSTEM.
+ */
+static inline int sf_attach_with(sf_client *c, const char *name, const sf_options *options) {
+  if (c == NULL) return SF_ERR_ARGUMENT;
+  memset(c, 0, sizeof *c);
+  c->slot = -1;
+  sf_i_forget(&c->board);
+  sf_i_forget(&c->inbox);
+  sf_i_forget(&c->map);
+  c->options = options != NULL ? *options : sf_default_options();
+  if (c->options.stale_periods < 1 || c->options.stale_min_ns < 0) return SF_ERR_ARGUMENT;
+  if (name == NULL || !sf_i_name_ok(name)) return SF_ERR_NAME;
+  memcpy(c->name, name, strlen(name));
+  const char *label = c->options.label;
+  if (label == NULL)
+    snprintf(c->label, sizeof c->label, "C %ld", SF_CAST(long, getpid()));
+  else
+    memcpy(c->label, label, strlen(label) < sizeof c->label - 1 ? strlen(label) : sizeof c->label - 1);
+  c->options.label = NULL; /* the caller's memory may go */
+  int err = sf_i_open_board(c, c->options.ready_wait_ns);
+  if (err == SF_OK && !c->options.observe) err = sf_i_claim_slot(c);
+  if (err != SF_OK) {
+    sf_detach(c);
+    return err;
+  }
+  sf_i_read_pose_timeout(c);
+  return SF_OK;
+}
+
+/* Attach as a client that may send poses and requests. */
+static inline int sf_attach(sf_client *c, const char *name) { return sf_attach_with(c, name, NULL); }
+
+/* Attach read-only: no slot, no write permission. */
+static inline int sf_observe(sf_client *c, const char *name) {
+  sf_options o = sf_default_options();
+  o.observe = 1;
+  return sf_attach_with(c, name, &o);
+}
+
+/*
+ * Look for a newer service of this name. SF_OK: attached to the current one; the pose must be claimed
+ * anew, which the next sf_ee_pos does. Otherwise the error, and the old attachment stays.
+ */
+static inline int sf_reattach(sf_client *c) {
+  if (c == NULL || c->board.memory == NULL) return SF_ERR_ARGUMENT;
+  if (!sf_i_is_current(c, "", &c->board)) {
+    const int err = sf_i_open_board(c, 0);
+    if (err != SF_OK) return err;
+    sf_i_release_slot(c);
+  }
+  if (!c->options.observe && c->slot_memory == NULL) {
+    const int err = sf_i_claim_slot(c);
+    if (err != SF_OK) return err;
+  }
+  sf_i_read_pose_timeout(c);
+  return SF_OK;
+}
+
+/* sf_reattach, at most every 20 ms, if the options allow it. */
+static inline int sf_i_reattach_sometimes(sf_client *c, int64_t now_ns) {
+  if (!c->options.auto_reattach || now_ns < c->next_attach_ns) return SF_ERR_NOT_RUNNING;
+  c->next_attach_ns = now_ns + SF_REATTACH_EVERY_NS;
+  return sf_reattach(c);
+}
+
