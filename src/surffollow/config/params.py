@@ -96,8 +96,10 @@ def check_param(name: str, value: object) -> float:
         number = parse_quantity(value, spec.unit)
     except ValueError as e:
         raise ConfigError(f"parameter {name}: {e}") from None
-    if spec.whole and number != round(number):
-        raise ConfigError(f"parameter {name} is {value!r}; it must be a whole number")
+    if spec.whole:
+        if abs(number - round(number)) > 1e-9 * max(1.0, abs(number)):
+            raise ConfigError(f"parameter {name} is {value!r}; it must be a whole number")
+        number = float(round(number))  # "0.5 s" in ns is whole but for its last bit
     if not spec.low <= number <= spec.high:
         raise ConfigError(
             f"parameter {name} is {number:g} {spec.unit}; it must be between {spec.low:g} and {spec.high:g}"

@@ -27,7 +27,7 @@ from surffollow.forecast.adaptive_judge import note_targets
 from surffollow.forecast.adaptive_motion import measure_motion, move_set_point, pose_when
 from surffollow.forecast.adaptive_plan import invert_axis, plan_axis
 from surffollow.forecast.adaptive_plane import demand_turn, plane_height, surface_normal, take_beams
-from surffollow.forecast.adaptive_plant import learn_plant, own_axis
+from surffollow.forecast.adaptive_plant import learn_plant, own_axis, plant_error
 from surffollow.forecast.adaptive_preview import (
     COVERED,
     LEADING_M,
@@ -35,6 +35,7 @@ from surffollow.forecast.adaptive_preview import (
     gather_preview,
     move_share,
     told_height,
+    watch_error,
 )
 from surffollow.forecast.adaptive_take import is_news, take_sample
 from surffollow.forecast.adaptive_trend import take_range
@@ -114,7 +115,7 @@ def take_news(params: Any, state: Any, inputs: Any, output: Any, plane: Any, pos
     a.close_run = a.close_run + 1 if range_m < params.too_close_m else 0
     if a.close_run >= CLOSE_SAMPLES or state.paper.close != 0:
         watch_fold_back(state.paper, range_m, sensor_z, params.too_close_m, params.too_close_exit_m)
-    tool_x, tool_y = pose[0], pose[1]
+    tool_x, tool_y, tool_z = pose[0], pose[1], pose[2]
     if plane != 0:
         good, z = plane_height(params, a, t, tool_x, tool_y)
         if good == 0:
@@ -133,6 +134,8 @@ def take_news(params: Any, state: Any, inputs: Any, output: Any, plane: Any, pos
     a.foot_x_m, a.foot_y_m = x, y
     if taken == 0:
         return
+    if abs(a.lead_m) < LEADING_M:
+        watch_error(a, tool_z - drop - z)
     if inputs.n_preview > 0 and a.speed_mps >= KNOWN_DIRECTION_MPS:
         beside = (x - pose[0]) * a.speed_x_mps + (y - pose[1]) * a.speed_y_mps
         check_told(a, told_height(inputs, beside / a.speed_mps), z)
@@ -219,7 +222,7 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
         leading = 1 if a.lead_m > LEADING_M else 0
         since = a.speed_mps * (a.now_ns - pose_t_ns) * 1e-9
         known = gather_preview(a, inputs, leading, ahead - a.speed_mps * params.tick_lead_s, since)
-        move_share(a, known, leading)
+        move_share(a, known, leading, plant_error(a))
         if known >= COVERED:
             z, v = own_axis(params, a, a.now_ns)
             speed = plan_axis(params, a, known, z, v, drop)

@@ -15,11 +15,16 @@ def _table() -> Any:
     rows = []
     for qh in (3e-5, 3e-4, 2e-3, 7e-3, 2e-2, 8e-2):
         rows.append((SLOPE, 1.0, 0.0, qh))
-    for qs in (0.05, 0.15, 0.5, 1.0, 2.0, 4.0, 8.0):
+    for qs in (0.05, 0.15, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0):
         rows.append((SLOPE, 1e3, qs, 1e-5))
     for qs in (0.15, 1.0, 3.0):
         rows.append((SLOPE, 1e3, qs, 3e-3))
-    for ell, qss in ((0.015, (1.0, 4.0, 12.0)), (0.05, (0.3, 1.0, 3.0)), (0.15, (0.3, 1.0))):
+    for ell, qss in (
+        (0.006, (6.0, 16.0)),
+        (0.015, (1.0, 4.0, 12.0)),
+        (0.05, (0.3, 1.0, 3.0)),
+        (0.15, (0.3, 1.0)),
+    ):
         for qs in qss:
             rows.append((SLOPE, ell, qs, 1e-3))
     for qc in (3.0, 10.0, 30.0, 100.0, 300.0):

@@ -25,8 +25,10 @@ BEHIND_S, AHEAD_S = 0.06, 0.45
 SLOWEST_MPS, FASTEST_MPS = 5e-3, 10.0
 
 MEMORY = np.dtype(
-    [("ix", np.int64), ("iy", np.int64), ("age", np.int64), ("n", np.float64), ("height_m", np.float64)]
+    [(name, np.int64) for name in ("ix", "iy", "age")]
+    + [(name, np.float64) for name in ("n", "height_m", "n_before", "height_before_m")]
 )
+"""A cell: which it is, when it was last written, its mean, and the mean before this pass began."""
 
 
 def new_memory() -> NDArray[Any]:
@@ -54,6 +56,8 @@ def remember(memory: Any, x_m: Any, y_m: Any, height_m: Any, age: Any) -> None:
         c = (at + j) & (CELLS - 1)
         m = memory[c]
         if m.age > 0 and m.ix == ix and m.iy == iy:
+            if age - m.age > NOW_NS:
+                m.n_before, m.height_before_m = m.n, m.height_m
             m.n = min(m.n + 1.0, MOST)
             m.height_m += (height_m - m.height_m) / m.n
             m.age = age
@@ -62,11 +66,12 @@ def remember(memory: Any, x_m: Any, y_m: Any, height_m: Any, age: Any) -> None:
             chosen = c
     m = memory[chosen]
     m.ix, m.iy, m.age, m.n, m.height_m = ix, iy, age, 1.0, height_m
+    m.n_before = 0.0
 
 
 @njit(cache=True, nogil=True)
 def recall(memory: Any, x_m: Any, y_m: Any, before: Any) -> Any:
-    """Mean height around a point from cells last written before age `before`; NaN when there are none.
+    """Mean height around a point, of what was written before age `before`; NaN when there is nothing.
 
     The nine cells around the point weigh by their number of heights and their nearness.
     """
@@ -80,11 +85,12 @@ def recall(memory: Any, x_m: Any, y_m: Any, before: Any) -> Any:
             for j in range(PLACES):
                 m = memory[(at + j) & (CELLS - 1)]
                 if m.age > 0 and m.ix == ix + jx and m.iy == iy + jy:
-                    if m.age < before:
-                        dx, dy = (ix + jx) * CELL_M - x_m, (iy + jy) * CELL_M - y_m
-                        w = m.n / (1.0 + (dx * dx + dy * dy) / (CELL_M * CELL_M))
-                        total += w * m.height_m
-                        weight += w
+                    old = m.age < before
+                    n, h = (m.n, m.height_m) if old else (m.n_before, m.height_before_m)
+                    dx, dy = (ix + jx) * CELL_M - x_m, (iy + jy) * CELL_M - y_m
+                    w = n / (1.0 + (dx * dx + dy * dy) / (CELL_M * CELL_M))
+                    total += w * h
+                    weight += w
                     break
     return total / weight if weight > 0.0 else math.nan
 

@@ -1,4 +1,4 @@
-"""Find out how slow the robot's axis really is: five axes of different τ follow the own set points.
+"""Find out how slow the robot's axis really is: seven axes of different τ follow the own set points.
 
 The one that comes nearest to the reported heights tells τ; between two of them a parabola decides.
 Without motion there is nothing to tell by, and the assumed τ stays.
@@ -15,7 +15,9 @@ from surffollow.forecast.adaptive_judge import LOST_NS, STEP_NS, axis_speed
 from surffollow.shm.layout_adaptive import PLANTS, TICKS
 from surffollow.shm.layout_follow import POSES
 
-RATIO = 1.4  # between neighbouring τ
+RATIO = 1.5  # between neighbouring τ
+ALOOF_M = 1e-3  # a robot that far away is led by somebody else as well
+ASTRAY_NS = 500_000_000  # nor to plan by, for so long
 MEMORY = 0.004  # per pose report: 2.5 s at 100 Hz
 TOLD_M2 = 2.5e-9  # (50 µm)²: least difference of squared errors that tells anything
 ASTRAY_M = 3e-3  # a robot that is farther away does not obey: nothing to learn
@@ -87,7 +89,7 @@ def advance_plants(params: Any, a: Any, to_ns: Any) -> None:
 
 @njit(cache=True, nogil=True)
 def best_tau(a: Any) -> Any:
-    """τ of the least error, by a parabola through the logarithms of three; 0 when nothing is told."""
+    """τ of the least error, by a parabola through three; 0 when nothing is told."""
     b, worst = 0, 0.0
     for k in range(PLANTS):
         worst = max(worst, a.plant_m2[k])
@@ -95,12 +97,26 @@ def best_tau(a: Any) -> Any:
             b = k
     if worst - a.plant_m2[b] < TOLD_M2:
         return 0.0
+    # a parabola over √τ through three: over τ it would end too high, over log τ too low
     b = min(max(b, 1), PLANTS - 2)
-    low, mid, high = a.plant_m2[b - 1], a.plant_m2[b], a.plant_m2[b + 1]
-    bend = low - 2.0 * mid + high
-    shift = 0.5 * (low - high) / bend if bend > 0.0 else 0.0
-    shift = min(max(shift, -1.0), 1.0)
-    return a.tau_assumed_s * RATIO ** (b - PLANTS // 2 + shift)
+    middle = math.sqrt(a.tau_assumed_s * RATIO ** (b - PLANTS // 2))
+    left, right = middle / math.sqrt(RATIO), middle * math.sqrt(RATIO)
+    down = (a.plant_m2[b] - a.plant_m2[b - 1]) / (middle - left)
+    up = (a.plant_m2[b + 1] - a.plant_m2[b]) / (right - middle)
+    bend = (up - down) / (right - left)
+    if bend <= 0.0:
+        return middle * middle
+    root = min(max(0.5 * (left + middle - down / bend), left), right)
+    return root * root
+
+
+@njit(cache=True, nogil=True)
+def plant_error(a: Any) -> Any:
+    """Squared error of the axis that comes nearest to the reports [m²]."""
+    least = a.plant_m2[0]
+    for k in range(1, PLANTS):
+        least = min(least, a.plant_m2[k])
+    return least
 
 
 @njit(cache=True, nogil=True)
@@ -118,12 +134,13 @@ def learn_plant(params: Any, a: Any, sense: Any, adapt: Any) -> None:
     for k in range(PLANTS):
         least = min(least, abs(a.plant_z_m[k] - z))
     if not least < ASTRAY_M:
+        a.distrust_ns = max(a.distrust_ns, t + ASTRAY_NS)
         start_plants(params, a, t, z)
         return
     e = z - a.axis_now_m
     a.axis_now_m += OWN_HEIGHT * e
     a.axis_now_mps += OWN_SPEED_HZ * e
-    if adapt == 0:
+    if adapt == 0 or least > ALOOF_M:
         return
     for k in range(PLANTS):
         e = a.plant_z_m[k] - z

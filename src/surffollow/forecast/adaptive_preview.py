@@ -21,6 +21,11 @@ COVERED = 7  # ticks of ground that must be known: the axis' own reaction time
 SHARE_RATE = 0.15  # per tick: preview comes and goes without a jump
 BIAS_RATE = 0.002
 OFF_RATE = 0.02
+WORSE, WORSE_M2 = 9.0, 4e-6  # (2 mm)²
+WORST_M2 = 1e-4
+PLANT_M2 = 4e-8  # (0.2 mm)²: an axis known less well than that is not planned for
+PLAIN_RATE, ERROR_RATE = 0.002, 0.01
+DISTRUST_NS = 5_000_000_000
 DISTRUST_M = 1.5e-3  # remembered ground that is farther from what is seen now has changed
 
 
@@ -106,8 +111,25 @@ def check_told(a: Any, told_m: Any, h_m: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def move_share(a: Any, known: Any, leading: Any) -> None:
+def watch_error(a: Any, error_m: Any) -> None:
+    """Compare the tool's own stand-off error under preview with that without; give up a worse plan.
+
+    A robot that is not as assumed (faster, say) can make a plan of its inverse worse than none.
+    """
+    e2 = min(error_m * error_m, WORST_M2)
+    if a.preview_share == 0.0:
+        a.plain_m2 += (PLAIN_RATE if a.plain_m2 > 0.0 else 1.0) * (e2 - a.plain_m2)
+        a.error_m2 = a.plain_m2
+        return
+    a.error_m2 += ERROR_RATE * (e2 - a.error_m2)
+    if a.error_m2 > WORSE * a.plain_m2 + WORSE_M2:
+        a.distrust_ns = a.now_ns + DISTRUST_NS
+
+
+@njit(cache=True, nogil=True)
+def move_share(a: Any, known: Any, leading: Any, plant_m2: Any) -> None:
     """Let preview's share of the set point grow or shrink by one tick."""
     usable = known >= COVERED and (leading != 0 or a.preview_off_m < DISTRUST_M)
+    usable = usable and a.now_ns >= a.distrust_ns and plant_m2 < PLANT_M2
     a.preview_share += SHARE_RATE if usable else -SHARE_RATE
     a.preview_share = min(max(a.preview_share, 0.0), 1.0 if known > 0 else 0.0)

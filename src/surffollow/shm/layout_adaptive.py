@@ -12,7 +12,7 @@ HORIZON = 40  # ticks planned ahead
 TRENDS = 16  # straight lines that forecast the range
 LAGS = 4  # horizons at which they are judged
 SNAPSHOTS = 32
-PLANTS = 5  # axes of different τ
+PLANTS = 7  # axes of different τ
 TICKS = 64  # controller ticks remembered per candidate: 640 ms of set points
 
 # health of the ranging, in the order of what is reported first
@@ -84,6 +84,9 @@ class AdaptiveState(Schema):
     cell_h_m = F64(CELLS, unit="m", doc="mean height")
     cell_s_m = F64(CELLS, unit="m", doc="mean way coordinate")
     preview_share = F64(doc="share of the planned set point, 0 to 1")
+    error_m2 = F64(unit="m^2", doc="recent squared stand-off error of the tool itself")
+    plain_m2 = F64(unit="m^2", doc="the same without preview, over longer")
+    distrust_ns = I64(unit="ns", doc="no preview until then: it did worse than the models would have")
     preview_bias_m = F64(unit="m", doc="seen minus remembered ground")
     preview_off_m = F64(unit="m", doc="typical difference beyond that")
     plan_set_m = F64(unit="m", doc="set point of the plan")

@@ -1,0 +1,276 @@
+"""The follower in process: what an embedder relies on, in both modes."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import surffollow
+from surffollow.errors import ConfigError, PoseError, UsageError
+from surffollow.sim.plant import axis_step
+
+MS = 1_000_000
+T0 = 1_000 * MS
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+
+
+def at(x, z, y=0.0):
+    return (x, y, z, *LEVEL)
+
+
+def travel(follower, ground, speed=0.1, seconds=2.0, offset=0.1, sigma=0.0, seed=0, start_ns=T0, lag=True):
+    """Lead a tool over the ground; its axis is the contest's, or without any lag. Its stand-off errors."""
+    rng = np.random.default_rng(seed)
+    axis = np.array([ground(0.0) + offset, 0.0])
+    target = axis[0]
+    errors = []
+    for ms in range(int(1e3 * seconds)):
+        t, x = start_ns + ms * MS, speed * ms * 1e-3
+        errors.append(axis[0] - ground(x) - offset)
+        if ms % 4 == 0:
+            follower.step(t, [errors[-1] + offset + sigma * rng.standard_normal()])
+        if ms % 10 == 0:
+            follower.pose(t, at(x, axis[0]))
+            target = axis[0] + follower.step(t, [math.nan])[2]
+        if lag:
+            axis_step(axis, target, 0.04, 0.2, 2.0, 1e-3)
+        else:
+            axis[0] = target
+    return np.array(errors)
+
+
+def test_importing_the_package_does_not_load_numba():
+    code = "import sys, surffollow; assert 'numba' not in sys.modules; surffollow.Follower"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("mode", ["paper", "adaptive"])
+def test_without_a_pose_nothing_is_demanded(mode):
+    f = surffollow.Follower({"mode": mode}, offset_m=0.1)
+    assert not f.step(T0, [0.12]).any()
+    assert f.state()["status"] == ["NO_POSE"]
+
+
+@pytest.mark.parametrize("mode", ["paper", "adaptive"])
+def test_a_tool_that_is_too_high_is_sent_down(mode):
+    f = surffollow.Follower({"mode": mode}, offset_m=0.1)
+    demand = np.zeros(6)
+    for k in range(20):
+        f.pose(T0 + 10 * k * MS, at(0.0, 0.2))
+        demand = f.step(T0 + 10 * k * MS, [0.11])
+    assert demand.shape == (6,)
+    assert demand[2] == pytest.approx(-0.01, abs=1e-3)
+
+
+@pytest.mark.parametrize("mode", ["paper", "adaptive"])
+def test_a_stale_pose_stops_every_demand(mode):
+    f = surffollow.Follower({"mode": mode}, offset_m=0.1)
+    f.pose(T0, at(0.0, 0.2))
+    f.step(T0, [0.12])
+    assert f.step(T0 + 50 * MS, [0.12])[2] < 0.0
+    assert not f.step(T0 + 101 * MS, [0.12]).any()
+    assert "POSE_STALE" in f.state()["status"]
+
+
+@pytest.mark.parametrize("mode", ["paper", "adaptive"])
+def test_no_reading_for_the_loss_timeout_stops_the_demand(mode):
+    f = surffollow.Follower({"mode": mode, "loss_timeout": "0.5 s"}, offset_m=0.1)
+    travel(f, lambda x: 0.1 * x, seconds=1.0)
+    for k in range(70):
+        f.pose(T0 + (1000 + 10 * k) * MS, at(0.1 + 0.001 * k, 0.11))
+        demand = f.step(T0 + (1000 + 10 * k) * MS, [math.nan])
+    assert not demand.any()
+    assert "SENSOR_LOST" in f.state()["status"]
+
+
+@pytest.mark.parametrize("mode", ["paper", "adaptive"])
+def test_freeze_demands_nothing_and_dryrun_is_marked(mode):
+    f = surffollow.Follower({"mode": mode}, offset_m=0.1)
+    travel(f, lambda x: 0.05, seconds=0.5)
+    f.set_params(run="dryrun")
+    f.pose(T0 + 600 * MS, at(0.06, 0.2))
+    f.step(T0 + 600 * MS, [0.14])
+    assert "DRYRUN" in f.state()["status"]
+    assert "VALID" not in f.state()["status"]
+    f.set_params(run="freeze")
+    f.pose(T0 + 610 * MS, at(0.061, 0.2))
+    assert not f.step(T0 + 610 * MS, [0.14]).any()
+    assert "FROZEN" in f.state()["status"]
+
+
+def test_poses_that_are_not_newer_are_refused_and_counted():
+    f = surffollow.Follower(offset_m=0.1)
+    assert f.pose(T0, at(0.0, 0.1))
+    assert not f.pose(T0, at(0.0, 0.1))
+    assert not f.pose(T0 - MS, at(0.0, 0.1))
+    assert f.state()["poses_refused"] == 2
+
+
+@pytest.mark.parametrize(
+    "pose", [(1.0,) * 6, (math.nan,) * 7, (0, 0, 0, 0, 0, 0, 1.01), (0, math.inf, 0, 0, 0, 0, 1), "pose"]
+)
+def test_a_pose_that_cannot_be_one_is_an_error(pose):
+    with pytest.raises(PoseError):
+        surffollow.Follower().pose(T0, pose)
+
+
+def test_step_takes_one_to_eight_ranges():
+    f = surffollow.Follower()
+    for ranges in ([], [0.1] * 9):
+        with pytest.raises(UsageError):
+            f.step(T0, ranges)
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        {"no_such_thing": 1},
+        {"offset": "5 kg"},
+        {"offset_m": -1.0},
+        {"mode": "clever"},
+        {"sensors": []},
+        {"sensors": [{"position_m": [0, 0]}]},
+        {"sensors": [{"orientation": [0, 0, 0, 2]}]},
+        {"sensors": [{"colour": "red"}]},
+        {"plant": {"mass": 3}},
+        {"memory": "much"},
+        "/no/such/file.toml",
+    ],
+)
+def test_a_wrong_configuration_is_named(config):
+    with pytest.raises(ConfigError):
+        surffollow.Follower(config)
+
+
+def test_a_file_configures_like_a_dictionary(tmp_path):
+    file = tmp_path / "follow.toml"
+    file.write_text('[follow]\nmode = "paper"\noffset = "4 in"\n')
+    f = surffollow.Follower(file)
+    assert f.state()["mode"] == "paper"
+    assert f.state()["offset_m"] == pytest.approx(0.1016)
+
+
+def test_a_refused_change_of_parameters_changes_nothing():
+    f = surffollow.Follower(offset_m=0.1)
+    with pytest.raises(ConfigError):
+        f.set_params(offset="0.12 m", max_demand="-1 m")
+    assert f.state()["offset_m"] == 0.1
+
+
+def test_the_default_follower_learns_a_slope_and_stays_on_it():
+    f = surffollow.Follower(offset_m=0.1)
+    errors = travel(f, lambda x: 0.15 * x, seconds=3.0, sigma=0.25e-3)
+    assert np.abs(errors[1000:]).max() < 1e-3
+    told = f.state()
+    assert told["slope"] == pytest.approx(0.15, abs=0.02)
+    assert told["speed_mps"] == pytest.approx(0.1, abs=1e-6)
+    assert told["noise_m"] == pytest.approx(0.25e-3, rel=0.4)
+    assert told["health"] == "OK"
+
+
+def test_the_same_calls_give_the_same_bits():
+    def ground(x):
+        return 0.005 * math.sin(20 * x)
+
+    runs = [travel(surffollow.Follower(offset_m=0.1), ground, seconds=1.5, sigma=2e-4) for _ in range(2)]
+    assert runs[0].tobytes() == runs[1].tobytes()
+
+
+def test_a_second_pass_over_known_ground_follows_better():
+    def ground(x):
+        return 0.006 * math.sin(60 * x) * math.cos(23 * x)
+
+    f = surffollow.Follower(offset_m=0.1)
+    first = travel(f, ground, speed=0.2, seconds=3.0, sigma=2e-4)
+    second = travel(f, ground, speed=0.2, seconds=2.5, sigma=2e-4, seed=1, start_ns=T0 + 10_000 * MS)
+    assert second[1000:].std() < 0.8 * first[1000:].std()
+    assert f.state()["preview_share"] == 1.0
+
+
+def test_preview_for_a_robot_that_is_not_as_assumed_is_given_up():
+    def ground(x):
+        return 0.006 * math.sin(60 * x) * math.cos(23 * x)
+
+    f = surffollow.Follower(offset_m=0.1)
+    first = travel(f, ground, seconds=3.0, sigma=2e-4, lag=False)
+    second = travel(f, ground, seconds=3.0, sigma=2e-4, seed=1, start_ns=T0 + 10_000 * MS, lag=False)
+    assert np.abs(first[1000:]).max() < 2e-3
+    assert np.abs(second).max() < 8e-3
+
+
+def test_three_sensors_find_the_normal_and_losing_them_moves_nothing():
+    mounts = [(0.04, 0.0), (-0.02, 0.035), (-0.02, -0.035)]
+    sensors = [{"position_m": [x, y, 0.0]} for x, y in mounts]
+    f = surffollow.Follower({"sensors": sensors}, offset_m=0.1)
+    ranges = np.array([0.1 - 0.05 * x + 0.03 * y for x, y in mounts])
+    before = None
+    for k in range(400):
+        seen = ranges.copy()
+        if k >= 250:
+            seen[2] = math.nan
+        if k >= 320:
+            seen[0] = math.nan
+        if k == 100:
+            seen[1] += 0.02  # one glitch of one beam
+        f.pose(T0 + 4 * k * MS, at(0.0, 0.2))
+        demand = f.step(T0 + 4 * k * MS, seen)
+        if before is not None and k > 50:
+            assert np.abs(demand - before).max() < 1e-3, f"jump at {k}"
+        before = demand
+    normal = np.array(f.state()["normal"])
+    wanted = np.array([-0.05, 0.03, 1.0])
+    assert normal == pytest.approx(wanted / np.linalg.norm(wanted), abs=1e-3)
+    assert demand[3:] == pytest.approx([-0.03, -0.05, 0.0], abs=2e-3)
+
+
+def test_paper_mode_forecasts_the_range_by_its_slope():
+    f = surffollow.Follower({"mode": "paper"}, offset_m=0.1)
+    assert math.isnan(f.forecast_range_m(0.1))
+    f.set_params(ee_readings=1, permitted_variance="0 m")
+    travel(f, lambda x: 0.1 * x, seconds=2.0)
+    now = f.forecast_range_m(0.0)
+    assert f.forecast_range_m(1.0) - now == pytest.approx(-0.01, rel=0.1)
+
+
+def test_the_adaptive_forecast_follows_a_moving_range_and_passes_over_a_spike():
+    f = surffollow.Follower({"range_max_m": 10.0}, offset_m=1.0)
+    for k in range(300):
+        t = T0 + 100 * k * MS
+        f.pose(t, at(0.0, 5.0))
+        f.step(t, [2.0 + 0.02 * 0.1 * k + (3.0 if k == 290 else 0.0)])
+    assert f.forecast_range_m(1.0) == pytest.approx(2.0 + 0.02 * 0.1 * 299 + 0.02, abs=5e-3)
+
+
+numbers = st.one_of(st.floats(), st.floats(0.0, 0.3), st.sampled_from([math.nan, math.inf, 0.0]))
+moves = st.tuples(
+    st.sampled_from(["pose", "step", "late"]),
+    st.integers(0, 200),
+    st.floats(-1e3, 1e3),
+    st.floats(-10.0, 10.0),
+    st.lists(numbers, min_size=1, max_size=8),
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.sampled_from([1, 3, 8]), st.floats(1e-4, 0.2), st.lists(moves, max_size=60))
+def test_no_input_makes_a_demand_that_is_not_finite_or_beyond_its_limits(n, most, calls):
+    sensors = [{"position_m": [0.03 * math.cos(k), 0.03 * math.sin(k), 0.0]} for k in range(n)]
+    f = surffollow.Follower({"sensors": sensors, "max_demand_m": most, "memory": False}, offset_m=0.1)
+    t = T0
+    for what, ms, x, z, ranges in calls:
+        t += ms * MS // 10
+        if what == "pose":
+            f.pose(t, at(x, z, 0.3 * x))
+            continue
+        demand = f.step(t - 30 * MS if what == "late" else t, ranges)
+        assert np.isfinite(demand).all()
+        assert abs(demand[2]) <= most
+        assert np.linalg.norm(demand[3:]) <= 0.35 + 1e-12
+        told = f.state()
+        assert all(math.isfinite(told[k]) for k in ("height_m", "slope", "sigma_m", "noise_m", "tau_s"))
