@@ -246,8 +246,12 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         try:
             for number in range(args.kills):
                 trial.kill_one(number, check=number % args.every == args.every - 1)
-                if trial.hangs > 3:
+                if trial.hangs > 3 or time.monotonic() - start > args.seconds:
                     break
+                if number % 50 == 49:
+                    print(
+                        f"{number + 1} kills, {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True
+                    )
             left = trial.end()
         finally:
             for part in trial.parts.values():
@@ -258,7 +262,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     ends = {p.name: p.own_ends for p in trial.parts.values()}
     kills = {p.name: p.kills for p in trial.parts.values()}
     return {
-        "what": f"{args.kills} SIGKILLs at random moments, seed {args.seed}: {kills}",
+        "what": f"{sum(kills.values())} SIGKILLs at random moments, seed {args.seed}: {kills}",
         "machine": f"{time.monotonic() - start:.0f} s",
         "kills": kills,
         "seed": args.seed,
@@ -276,6 +280,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--kills", type=int, default=1000)
+    parser.add_argument("--seconds", type=float, default=3600.0, help="begin no kill after so long")
     parser.add_argument("--every", type=int, default=5, help="wait for health after so many kills")
     parser.add_argument("--seed", type=int, default=random.SystemRandom().randrange(1 << 31))
     parser.add_argument("--json", action="store_true")
