@@ -59,7 +59,7 @@ PARAMS: dict[str, ParamSpec] = {
     "step_way_m": ParamSpec(2.5e-3, 0.0, 10.0, "m"),
     "step_samples": ParamSpec(3, 1, 100, whole=True),
     "tick_lead_s": ParamSpec(0.005, 0.0, 1.0, "s"),
-    "plan_calm_s4": ParamSpec(4e-8, 0.0, 1.0),
+    "plan_calm_s4": ParamSpec(3e-8, 0.0, 1.0),
     "orient": ParamSpec(1, 0, 1, whole=True, choices=("off", "on")),
     "max_turn_rad": ParamSpec(0.35, 0.0, 1.6, "rad"),
     "permitted_turn_rad": ParamSpec(1e-3, 0.0, 1.6, "rad"),

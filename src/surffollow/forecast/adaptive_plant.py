@@ -16,8 +16,8 @@ from surffollow.shm.layout_adaptive import PLANTS, TICKS
 from surffollow.shm.layout_follow import POSES
 
 RATIO = 1.5  # between neighbouring τ
-ALOOF_M = 1e-3  # a robot that far away is led by somebody else as well
-ASTRAY_NS = 500_000_000  # nor to plan by, for so long
+ALOOF_M = 5e-4  # nor from one so far away: it is led by somebody else, or otherwise built
+ASTRAY_NS = 500_000_000  # and no plan is made for it for so long
 MEMORY = 0.004  # per pose report: 2.5 s at 100 Hz
 TOLD_M2 = 2.5e-9  # (50 µm)²: least difference of squared errors that tells anything
 ASTRAY_M = 3e-3  # a robot that is farther away does not obey: nothing to learn
@@ -133,14 +133,15 @@ def learn_plant(params: Any, a: Any, sense: Any, adapt: Any) -> None:
     least = 1e300
     for k in range(PLANTS):
         least = min(least, abs(a.plant_z_m[k] - z))
-    if not least < ASTRAY_M:
+    if not least < ALOOF_M:
         a.distrust_ns = max(a.distrust_ns, t + ASTRAY_NS)
+    if not least < ASTRAY_M:
         start_plants(params, a, t, z)
         return
     e = z - a.axis_now_m
     a.axis_now_m += OWN_HEIGHT * e
     a.axis_now_mps += OWN_SPEED_HZ * e
-    if adapt == 0 or least > ALOOF_M:
+    if adapt == 0 or not least < ALOOF_M:
         return
     for k in range(PLANTS):
         e = a.plant_z_m[k] - z
