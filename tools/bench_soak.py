@@ -24,6 +24,8 @@ PERIOD_S = 1e-4
 CONFIG = """
 period = "0.1 ms"
 log_words = 1048576
+[realtime]
+spin = "20 us"
 [driver]
 kind = "simulated"
 [driver.world]
