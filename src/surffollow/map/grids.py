@@ -83,7 +83,9 @@ def blended(height: Any, count: Any, z: Any, paper: Any, u: Any) -> Any:
 def _first_datum(w: Any, z_m: Any) -> None:
     """Centre the height range on the ground: whole quanta, so that maps differ by whole numbers."""
     w.datum_m = np.floor(z_m * w.inv_quantum_per_m + 0.5) * w.quantum_m
+    fence_release()
     w.datum_set = 1
+    fence_release()
 
 
 @njit(cache=True, nogil=True, forceinline=True)

@@ -55,7 +55,9 @@ def height_at(header: Any, pairs: Any, x_m: Any, y_m: Any) -> Any:
     generation = w.generation
     fence_acquire()
     height = np.nan
-    if w.state == _READY:
+    if w.state == _READY and w.datum_set != 0:
+        # the first sample stores the datum, then that it is set, then its height
+        fence_acquire()
         fx = (x_m - w.x0_m) * w.inv_grid_per_m
         fy = (y_m - w.y0_m) * w.inv_grid_per_m
         nx, ny = w.nx, w.ny
@@ -91,7 +93,9 @@ def surface_at(header: Any, pairs: Any, x_m: Any, y_m: Any) -> Any:
     generation = w.generation
     fence_acquire()
     height = slope_x = slope_y = np.nan
-    if w.state == _READY:
+    if w.state == _READY and w.datum_set != 0:
+        # the first sample stores the datum, then that it is set, then its height
+        fence_acquire()
         fx = (x_m - w.x0_m) * w.inv_grid_per_m
         fy = (y_m - w.y0_m) * w.inv_grid_per_m
         nx, ny, datum, quantum = w.nx, w.ny, w.datum_m, w.quantum_m
