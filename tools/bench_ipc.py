@@ -34,6 +34,8 @@ POSE = (0.05, 0.05, 0.1, 0.0, 0.0, 0.0, 1.0)
 CONFIG = """
 period = "100 us"
 log_words = 65536
+[realtime]
+cpu = CPU
 [map]
 grids = 1000
 [driver]
@@ -106,7 +108,8 @@ def with_daemon(rounds: int) -> tuple[dict[str, float], dict[str, float]]:
     command = [sys.executable, "-m", "surffollow"]
     with tempfile.TemporaryDirectory() as path:
         config = Path(path) / "bench.toml"
-        config.write_text(CONFIG, encoding="utf-8")
+        # not the last processor, which other services take, and spin on
+        config.write_text(CONFIG.replace("CPU", str(min(os.sched_getaffinity(0)))), encoding="utf-8")
         daemon = subprocess.Popen(
             [*command, "start", "--quiet", "--name", name, "--config", str(config)],
             stdout=subprocess.PIPE,

@@ -47,6 +47,7 @@ CONFIG = """
 period = "100 us"
 log_words = 65536
 [realtime]
+cpu = CPU
 spin = "20 us"
 [map]
 grids = 1000
@@ -216,7 +217,8 @@ def against_daemon(
 ) -> tuple[dict[str, Counts], int, int]:
     """Counts per reader, disagreements between readers, cycles that several of them compared."""
     name, config = f"bench-tear-{os.getpid()}", folder / "bench.toml"
-    config.write_text(CONFIG, encoding="utf-8")
+    # not the last processor, which other services take, and spin on
+    config.write_text(CONFIG.replace("CPU", str(min(os.sched_getaffinity(0)))), encoding="utf-8")
     command = [sys.executable, "-m", "surffollow"]
     robot = Robot(name)
     daemon = subprocess.Popen(

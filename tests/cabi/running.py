@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -23,6 +24,7 @@ CONFIG = """
 period = "1 ms"
 log_words = 65536
 [realtime]
+cpu = CPU
 lock_memory = false
 priority = 10
 spin = "20 us"
@@ -42,7 +44,8 @@ class Service:
 
     def __init__(self, name: str, folder: Path) -> None:
         self.name, self.config = name, folder / f"{name}.toml"
-        self.config.write_text(CONFIG)
+        # not the last processor, which other services take, and spin on
+        self.config.write_text(CONFIG.replace("CPU", str(min(os.sched_getaffinity(0)))))
         self.process: subprocess.Popen[str] | None = None
 
     def command(self, *words: str) -> list[str]:
