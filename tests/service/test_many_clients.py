@@ -159,6 +159,25 @@ def test_a_scribbled_slot_head_heals(client: Client) -> None:
     until(lambda: client.status()["main"]["pose_pid"] == os.getpid(), "the pid is right again")
 
 
+def test_a_client_that_cuts_the_inbox_short_does_not_end_the_service(make_service: Make) -> None:
+    s = make_service().start()
+    size = os.stat(f"/dev/shm/{s.name}.inbox").st_size
+    with s.observe() as watcher:
+        for cut in (0, 4096, 5000):
+            before = watcher.status()["cycles"]
+            os.truncate(f"/dev/shm/{s.name}.inbox", cut)
+            until(lambda: os.stat(f"/dev/shm/{s.name}.inbox").st_size == size, "the inbox is whole again")
+            until(lambda before=before: watcher.status()["cycles"] > before + 100, "the cycle goes on")
+        assert "cut the inbox short 3 times" in until(
+            lambda: watcher.status()["main"]["text"], "the fault is told"
+        )
+        assert watcher.status()["main"]["faults"] & 8
+        with s.attach() as client:
+            client.ee_pos(POSE)
+            client.sf_reset(0.1)
+    assert s.terminate() == 0
+
+
 def test_a_latch_generation_at_its_end_does_not_stop_a_client(client: Client) -> None:
     client.ee_pos(POSE)
     for index in (client._pose_index, client._request_index):

@@ -21,6 +21,7 @@ from surffollow.hw.driver import ConversionQueue, Driver
 from surffollow.hw.registry import make_driver
 from surffollow.service import memory as m
 from surffollow.service import realtime
+from surffollow.service.cut_inbox import mend_inbox, survive_cuts
 from surffollow.service.cycle import run_cycles
 from surffollow.service.house import House, open_house
 from surffollow.service.mapper import run_map
@@ -35,7 +36,7 @@ from surffollow.shm.python_atomics import load_acquire, store_release
 from surffollow.shm.ring import make_ring
 
 BEAT_S = 0.05
-FAULT_DRIVER, FAULT_CYCLE_STALLED, FAULT_SAMPLES_LOST = 1, 2, 4
+FAULT_DRIVER, FAULT_CYCLE_STALLED, FAULT_SAMPLES_LOST, FAULT_INBOX_CUT = 1, 2, 4, 8
 
 
 class Daemon:
@@ -58,6 +59,7 @@ class Daemon:
             raise
         self._ticker = zeros(lb.Ticker)
         self._errors: list[str] = []
+        self.inbox_cuts = 0
         self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
     # -- initialise (paper §3.3.1) ----------------------------------------------------------------
@@ -129,6 +131,7 @@ class Daemon:
         threads: list[threading.Thread] = []
         try:
             with CompileProgress(self.quiet):
+                self._sigbus = survive_cuts()
                 run_cycles(self.mem, 0, 0)
                 # the paper's initialisation of the forecast is SFReset itself
                 sf_reset(self.mem.params, self.mem.state, self.mem.params[0]["offset_m"])
@@ -203,6 +206,7 @@ class Daemon:
 
     def beat(self, faults: int = 0) -> None:
         """Look for dead clients, publish the main thread's view."""
+        self.inbox_cuts += mend_inbox(self.house.inbox, self.house.inbox_bytes.ctypes.data)
         dead = self.mem.ctx.ctypes.data + 8 * m.DEAD
         live, pose_pid = 0, 0
         pose_slot = int(self.mem.ctx[m.POSE_SLOT])
@@ -217,6 +221,9 @@ class Daemon:
                 at = self.house.inbox_bytes.ctypes.data + start + lb.SLOT_HEAD
                 pose_pid = int(load_acquire(at + lb.SlotHead.offset("pid")))
         texts = [*self.driver.faults(), *self.grants.refused]
+        if self.inbox_cuts:
+            faults |= FAULT_INBOX_CUT
+            texts.append(f"a client cut the inbox short {self.inbox_cuts} times; it was mended")
         faults |= FAULT_DRIVER if self.driver.faults() else 0
         faults |= FAULT_SAMPLES_LOST if int(self.mem.ctx[m.LOST]) else 0
         t = self._ticker[0]
