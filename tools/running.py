@@ -106,7 +106,8 @@ def running(config: str, at: tuple[float, float, float] = (0.2, 0.2, 0.1)) -> It
             line = process.stdout.readline()
             if not line.startswith("READY"):
                 raise SystemExit(f"the service did not become READY: {line!r}")
-            with attach(name, label="bench") as poses, attach(name, label="bench") as client:
+            patient = {"stale_min_s": 1.0}  # a stalled host is not what a bench is to find
+            with attach(name, **patient) as poses, attach(name, **patient) as client:
                 board, feeder = Board(name), Feeder(name, poses, *at)
                 feeder.start()
                 try:
