@@ -128,32 +128,47 @@ def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any
 
 @njit(cache=True, nogil=True)
 def quarantine(params: Any, a: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any) -> Any:
-    """Hold back an outlying innovation; the shift to apply when a step is believed, else 0."""
+    """Hold back an outlying innovation; 1 when with it a step is believed.
+
+    `a.quarantine_s_m` and `a.quarantine_h_m` sum way and height of the samples that agree.
+    """
     if a.quarantined > 0 and abs(nu_m - a.quarantine_m / a.quarantined) < gate_m:
         a.quarantined += 1
-        a.quarantine_m += nu_m
         a.quarantine_way_m += way_m
     else:
         if a.quarantined > 0:
             # outliers that do not agree with each other: the ground is rougher than thought
             a.scale_m *= DISAGREE_GROWTH
         a.quarantined = 1
-        a.quarantine_m = nu_m
+        a.quarantine_m = a.quarantine_s_m = a.quarantine_h_m = 0.0
         a.quarantine_way_m = params.step_way_m if gap else 0.0
+    a.quarantine_m += nu_m
+    a.quarantine_s_m += a.path_m
+    a.quarantine_h_m += a.height_m + nu_m
     slot = (a.quarantined - 1) & (KEPT - 1)
     a.kept_s_m[slot], a.kept_h_m[slot] = a.path_m, a.height_m + nu_m
     # where steps have always stayed, two samples tell as much as else the last of several
     need = min(params.step_samples, 2) if a.returned < STEPS_STAY else params.step_samples
-    if a.quarantined < need or a.quarantine_way_m < params.step_way_m * a.returned:
-        return 0.0
-    shift = a.quarantine_m / a.quarantined
-    for k in range(max(0, a.quarantined - KEPT), a.quarantined - 1):
+    return 1 if a.quarantined >= need and a.quarantine_way_m >= params.step_way_m * a.returned else 0
+
+
+@njit(cache=True, nogil=True)
+def believe_step(params: Any, a: Any) -> None:
+    """Shift every model to the quarantined samples' mean, its slope as it is; they become ground."""
+    n = a.quarantined
+    s, h = a.quarantine_s_m / n, a.quarantine_h_m / n
+    before = a.height_m
+    for i in range(N):
+        a.state[3 * i] += h - height_of(i, a.state) + slope_of(i, a.state) * (a.path_m - s)
+    blend(a)
+    a.recent_m[0] += a.height_m - before
+    a.recent_m[1] += a.height_m - before
+    for k in range(max(0, n - KEPT), n - 1):
         note_ground(a, a.kept_s_m[k & (KEPT - 1)], a.kept_h_m[k & (KEPT - 1)])
-    a.quarantined = 0
     # a step that is followed by another within a slot's width was a slot
     a.returned = 0.5 if a.since_step_m < params.step_way_m else 0.5 * a.returned
     a.since_step_m = 0.0
-    return shift
+    a.quarantined = 0
 
 
 @njit(cache=True, nogil=True)
@@ -185,14 +200,10 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
     gate = max(params.gate_scales * a.scale_m, params.gate_m)
     a.since_step_m += way
     if abs(nu) > gate:
-        shift = quarantine(params, a, nu, way, gate, gap)
-        if shift == 0.0:
+        if quarantine(params, a, nu, way, gate, gap) == 0:
             return 0
-        for i in range(N):
-            a.state[3 * i] += shift
-        a.recent_m[0] += shift
-        a.recent_m[1] += shift
-        nu -= shift
+        believe_step(params, a)
+        nu = h_m - a.height_m
         a.settle_ns = t_ns + SETTLE_NS
     else:
         if a.quarantined >= params.step_samples:

@@ -44,6 +44,8 @@ class AdaptiveState(Schema):
     recent_m = F64(2, unit="m", doc="the two accepted heights before the last one")
     quarantined = I64(doc="samples in quarantine that agree")
     quarantine_m = F64(unit="m", doc="sum of their innovations")
+    quarantine_s_m = F64(unit="m", doc="sum of their way coordinates")
+    quarantine_h_m = F64(unit="m", doc="sum of their heights")
     quarantine_way_m = F64(unit="m", doc="way since the first of those")
     kept_s_m = F64(KEPT, unit="m", doc="where quarantined samples were")
     kept_h_m = F64(KEPT, unit="m", doc="their heights")

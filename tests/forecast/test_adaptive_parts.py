@@ -1,0 +1,165 @@
+"""Parts of the default follower: quarantine, memory, plane, limits, trend, plant, health."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from surffollow.config.params import PARAMS
+from surffollow.forecast.adaptive_bank import BANK, SLOPE, N
+from surffollow.forecast.adaptive_memory import CELLS, new_memory, recall, remember
+from surffollow.forecast.adaptive_motion import move_set_point
+from surffollow.forecast.adaptive_preview import note_ground, seen_height
+from surffollow.forecast.adaptive_take import take_sample
+from surffollow.forecast.adaptive_trend import take_range, trend_range
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_follow import Params
+
+MS = 1_000_000
+
+
+def default_params():
+    params = zeros(Params)
+    for name, spec in PARAMS.items():
+        params[name] = spec.default
+    return params[0]
+
+
+def feed(heights, way=1e-3, sigma=2e-4, seed=0, a=None, start=1):
+    """Give heights to the bank, one every 4 ms; returns the state and which of them were accepted."""
+    params = default_params()
+    a = zeros(AdaptiveState)[0] if a is None else a
+    rng = np.random.default_rng(seed)
+    taken = []
+    for k, h in enumerate(heights):
+        t = (start + k) * 4 * MS + 10**9
+        taken.append(take_sample(params, a, t, way, h + sigma * rng.standard_normal(), 0.1, 1))
+    return a, np.array(taken)
+
+
+def test_single_glitches_never_enter_the_estimate():
+    heights = np.zeros(600)
+    heights[100::50] = 0.02
+    a, taken = feed(heights)
+    assert not taken[100::50].any()
+    assert taken.sum() == 600 - 10
+    assert abs(a["height_m"]) < 2e-4
+
+
+def test_a_slot_two_millimetres_wide_is_not_chased():
+    heights = np.zeros(600)
+    for k in range(100, 600, 100):
+        heights[k : k + 5] = -0.01
+    a, taken = feed(heights, way=0.4e-3)
+    assert not taken[heights < 0].any()
+    assert a["returned"] == 1.0
+
+
+def test_a_step_is_believed_after_its_way_and_later_ones_sooner():
+    heights = np.where((np.arange(3000) // 250) % 2, 0.01, 0.0)
+    _, taken = feed(heights, way=0.4e-3)
+    delays = [int(np.argmax(taken[k:])) for k in range(250, 3000, 250)]
+    assert delays[0] == 7  # 2.5 mm after the first sample beyond the edge
+    assert max(delays[4:]) <= 2
+
+
+def test_the_slope_stays_when_a_step_is_believed():
+    x = 1e-3 * np.arange(700)
+    model = next(i for i in range(N) if BANK[i, 0] == SLOPE and BANK[i, 1] > 1.0 and BANK[i, 2] == 0.5)
+    for k in (604, 610, 700):
+        a, taken = feed((0.1 * x + 0.01 * (np.arange(700) > 600))[:k])
+        assert a["state"][3 * model + 1] == pytest.approx(0.1, abs=0.04)
+    assert not taken[601:603].any()
+    assert taken[610:].all()
+
+
+def test_the_noise_is_told_apart_from_the_slope():
+    x = 1e-3 * np.arange(2000)
+    for sigma in (0.1e-3, 0.4e-3):
+        a, _ = feed(0.2 * x, sigma=sigma)
+        assert a["noise_m"] == pytest.approx(sigma, rel=0.3)
+
+
+def test_frozen_adaptation_keeps_weights_and_noise():
+    params = default_params()
+    a, _ = feed(np.zeros(300))
+    before = a["weight"].copy(), float(a["noise_m"]), a["score_m2"].copy()
+    rng = np.random.default_rng(1)
+    for k in range(300, 500):
+        take_sample(params, a, 10**9 + k * 4 * MS + 4 * MS, 1e-3, 1e-3 * rng.standard_normal(), 0.1, 0)
+    assert (a["weight"] == before[0]).all()
+    assert a["noise_m"] == before[1]
+    assert (a["score_m2"] == before[2]).all()
+
+
+def test_a_set_point_keeps_its_limits_and_arrives_without_overshoot():
+    params = default_params()
+    params["max_speed_mps"], params["max_accel_mps2"], params["max_jerk_mps3"] = 0.5, 20.0, 1e9
+    for wanted, most in ((0.05, 0.5), (-0.05, 0.25)):
+        a = zeros(AdaptiveState)[0]
+        path = []
+        for k in range(600):
+            move_set_point(params, a, 10**9 + k * MS, wanted, 0.0)
+            path.append(float(a["set_point_m"]))
+        path = np.array(path)
+        speed = np.diff(path) / 1e-3
+        assert np.abs(speed).max() <= most * (1 + 1e-9)
+        assert np.abs(np.diff(speed)).max() <= 20.0 * 1e-3 * (1 + 1e-6)
+        assert path[-1] == pytest.approx(wanted, abs=1e-6)
+        assert np.abs(path).max() <= 1.01 * abs(wanted)
+
+
+def test_the_ring_of_ground_gives_back_what_was_seen_and_nothing_else():
+    a = zeros(AdaptiveState)[0]
+    for s in np.arange(0.1, 0.3, 0.4e-3):
+        note_ground(a, s, 0.2 * s)
+    for s in np.arange(0.105, 0.295, 0.0013):
+        assert seen_height(a, s) == pytest.approx(0.2 * s, abs=1e-9)
+    assert math.isnan(seen_height(a, 0.05))
+    assert math.isnan(seen_height(a, 0.32))
+
+
+def test_memory_averages_a_cell_and_keeps_the_last_pass_apart():
+    memory = new_memory()
+    second = 10**9
+    for age, h in ((1, 1.0), (2, 3.0)):
+        remember(memory, 0.5, -0.25, h, age)
+    assert recall(memory, 0.5, -0.25, 100) == pytest.approx(2.0)
+    assert math.isnan(recall(memory, 0.5, -0.25, 1))
+    assert math.isnan(recall(memory, 0.6, -0.25, 100))
+    remember(memory, 0.5, -0.25, 10.0, 5 * second)
+    assert recall(memory, 0.5, -0.25, 4 * second) == pytest.approx(2.0)
+
+
+def test_a_full_memory_forgets_the_oldest_and_never_invents():
+    memory = new_memory()
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-3.0, 3.0, (2 * CELLS, 2))
+    for k, (x, y) in enumerate(points[: CELLS // 2]):
+        remember(memory, x, y, x + 2 * y, k + 1)
+    errors = [recall(memory, x, y, 10**9) - x - 2 * y for x, y in points[:2000]]
+    assert np.nanmax(np.abs(errors)) < 0.02
+    for bad in (math.nan, math.inf, 1e300):
+        remember(memory, bad, 0.0, 1.0, 10**9)
+        assert math.isnan(recall(memory, bad, 0.0, 10**9))
+
+
+def test_trend_follows_a_ramp_passes_over_a_spike_and_accepts_a_jump():
+    a = zeros(AdaptiveState)[0]
+    for k in range(400):
+        take_range(a, 10**9 + k * 100 * MS, 5.0 + 0.03 * k * 0.1 + (2.0 if k == 350 else 0.0))
+    assert trend_range(a, 0.5) == pytest.approx(5.0 + 0.03 * (39.9 + 0.5), abs=2e-3)
+    for k in range(400, 403):
+        take_range(a, 10**9 + k * 100 * MS, 8.0)
+    assert trend_range(a, 0.0) == pytest.approx(8.0, abs=0.1)
+
+
+def test_trend_does_not_forecast_what_does_not_move():
+    a = zeros(AdaptiveState)[0]
+    rng = np.random.default_rng(2)
+    for k in range(2000):
+        take_range(a, 10**9 + k * 100 * MS, 2.0 + 0.01 * rng.standard_normal())
+    assert trend_range(a, 2.0) == pytest.approx(2.0, abs=0.03)
