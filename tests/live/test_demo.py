@@ -73,8 +73,11 @@ def test_verdict_names_everything_that_went_wrong():
         "replay_identical": False,
         "grids_known": 0,
         "samples_lost": 5,
+        "seconds": 20.0,
+        "moving_s": 8.2,
     }
-    assert len(verdict(bad, 5e-3, 2e-3)) == 5
+    assert len(verdict(bad, 5e-3, 2e-3)) == 6
+    assert len(verdict(bad | {"standoff_rms_rolling_m": None}, 5e-3, 2e-3)) == 6
 
 
 def test_table_has_a_row_for_every_figure(result):

@@ -9,8 +9,9 @@ from typing import Any
 
 from surffollow.blocks import layout as bl
 from surffollow.blocks.attached import AttachedBlock
+from surffollow.config.names import check_name
 from surffollow.errors import BlockError, NameError_, NotRunningError
-from surffollow.shm.objects import SHM_ROOT, SharedObject, check_name
+from surffollow.shm.objects import SHM_ROOT, SharedObject
 
 
 def attach_unknown(object_name: str) -> AttachedBlock:

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from surffollow.blocks.attached import AttachedBlock
 from surffollow.blocks.record import Record
 from surffollow.blocks.snapshot import Snapshot
+from surffollow.config.names import check_name
 from surffollow.errors import NameError_, NotRunningError, SchemaError
-from surffollow.shm.objects import check_name
 from surffollow.shm.schema import Schema
 
 Blocks = type[Schema] | Iterable[type[Schema]] | Mapping[str, type[Schema]]

@@ -23,8 +23,8 @@ def start_command(config_path: str | None, name: str | None, quiet: bool) -> Non
     """Run the service in the foreground: prints READY when robots may attach, ends on SIGTERM or Ctrl-C."""
     import msgspec
 
+    from surffollow.config.names import check_name
     from surffollow.config.service import ServiceConfig, load_config
-    from surffollow.shm.objects import check_name
 
     config = load_config(config_path) if config_path else ServiceConfig()
     if name is not None:
@@ -41,8 +41,8 @@ def start_command(config_path: str | None, name: str | None, quiet: bool) -> Non
 @click.option("--timeout", default=10.0, show_default=True, help="Seconds to wait for its end.")
 def stop_command(name: str, purge: bool, timeout: float) -> None:
     """End a service in good order; its map is kept for the next start unless --purge is given."""
+    from surffollow.config.names import check_name
     from surffollow.errors import NotRunningError, ServiceError
-    from surffollow.shm.objects import check_name
 
     check_name(name)
     pid = running_pid(name)

@@ -106,5 +106,12 @@ def _explain(code: int, detail: int) -> str:
     if code == ERR_POSE_HELD:
         return f"refused: {text} (pid {detail})"
     if code == ERR_BAD_VALUE and detail >= 0:
-        return f"refused: {text} (parameter number {detail})"
+        from surffollow.shm.layout_follow import Params
+
+        names = [f.name for f in Params.FIELDS if f.offset == 8 * detail]
+        name = names[0] if names else f"parameter number {detail}"
+        return (
+            f"refused: {text} ({name}); the stand-off must lie within the sensor's window "
+            "(surffollow status --json shows all parameters)"
+        )
     return f"refused: {text}"

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from surffollow.config.names import check_name
 from surffollow.config.params import check_param, param_name
 from surffollow.errors import ConfigError
 from surffollow.units import parse_quantity
@@ -134,6 +135,9 @@ def _check(c: ServiceConfig) -> None:
         mode(getattr(c.access, key), key)
     for name, value in c.follow.items():
         check_param(name, value)
+    if len({param_name(n) for n in c.follow}) < len(c.follow):
+        raise ConfigError(f"a parameter is given twice under [follow]: {', '.join(c.follow)}")
+    check_name(c.name)
 
 
 def mode(text: str, key: str) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import signal
 import subprocess
@@ -16,7 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from surffollow.client import Client, attach, observe
-from surffollow.errors import FaultError, ServiceError, SurffollowError
+from surffollow.errors import FaultError, ServiceError, SurffollowError, UsageError
+from surffollow.sim.raster import MARGIN_M
+from surffollow.sim.world_surface import DEFAULT_REGION
 
 Progress = Callable[[str, float], None]
 READY_TIMEOUT_S = 180.0
@@ -32,10 +35,23 @@ class DemoConfig:
     surface: str = "fy91"
     seed: int = 91
     path: str = "raster"
-    region: tuple[float, float, float, float] = (0.2, 0.34, 0.75, 0.46)
-    lane_m: float = 0.04
+    lane_m: float = 0.03
     offset_m: float = 0.1
     follow: dict[str, object] = field(default_factory=dict)
+
+    @property
+    def region(self) -> tuple[float, float, float, float]:
+        """Where the path lies [m]: as many lanes as the time takes, half as much again for the turns."""
+        x0, x1, y0 = 0.15, 0.75, 0.3
+        lanes = math.ceil(1.5 * self.seconds * self.speed_mps / (x1 - x0 - 2 * MARGIN_M)) + 1
+        height = 2 * MARGIN_M + self.lane_m * (lanes - 1) + 1e-6
+        if y0 + height > DEFAULT_REGION[3]:
+            most = (DEFAULT_REGION[3] - y0 - 2 * MARGIN_M) / self.lane_m * (x1 - x0 - 2 * MARGIN_M) / 1.5
+            raise UsageError(
+                f"{self.seconds:g} s at {self.speed_mps:g} m/s do not fit on the simulated field; "
+                f"at this speed ask for at most {max(2.0, most / self.speed_mps):.0f} s"
+            )
+        return (x0, y0, x1, y0 + height)
 
 
 def _program(*words: str) -> list[str]:
@@ -188,6 +204,7 @@ def run_demo(config: DemoConfig, folder: Path, progress: Progress) -> dict[str, 
         "standoff_rms_rolling_m": summary["standoff_rms_rolling_m"],
         "path_m": summary["path_m"],
         "seconds": config.seconds,
+        "moving_s": summary["moving_s"],
         "speed_mps": config.speed_mps,
         "cycles": status["cycles"],
         "overruns": status["overruns"],

@@ -37,6 +37,10 @@ def verdict(result: dict[str, Any], rms_limit_m: float, rolling_limit_m: float) 
     rolling = result["standoff_rms_rolling_m"]
     if not result["standoff_rms_m"] <= rms_limit_m:
         failures.append(f"stand-off RMS {result['standoff_rms_m'] * 1e3:.2f} mm > {rms_limit_m * 1e3:g} mm")
+    if result["moving_s"] < result["seconds"] - 0.5:
+        failures.append(f"the robot moved for {result['moving_s']:.1f} s of {result['seconds']:g} s")
+    if rolling is None and result["seconds"] >= 10.0:
+        failures.append("no rolling ground was passed, so following on it was not measured")
     if rolling is not None and not rolling <= rolling_limit_m:
         failures.append(
             f"stand-off RMS on rolling ground {rolling * 1e3:.2f} mm > {rolling_limit_m * 1e3:g} mm"
@@ -57,7 +61,8 @@ def table(result: dict[str, Any]) -> str:
         ("stand-off RMS", f"{result['standoff_rms_m'] * 1e3:.2f} mm"),
         ("  on rolling parts", "-" if rolling is None else f"{rolling * 1e3:.2f} mm"),
         ("stand-off peak", f"{result['standoff_peak_m'] * 1e3:.2f} mm"),
-        ("path", f"{result['path_m']:.2f} m at {result['speed_mps'] * 1e3:g} mm/s"),
+        ("path", f"{result['path_m']:.2f} m in {result['moving_s']:.1f} s"),
+        ("speed", f"{result['speed_mps'] * 1e3:g} mm/s"),
         ("cycles", f"{result['cycles']} ({result['overruns']} overruns)"),
         (
             "lateness p50 / p99",

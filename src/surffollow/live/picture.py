@@ -94,7 +94,7 @@ def _draw_section(ax: Any, trace: dict[str, Any]) -> None:
 def _draw_error(ax: Any, trace: dict[str, Any], config: DemoConfig, result: dict[str, Any]) -> None:
     t = trace["t_s"]
     error = (trace["standoff_m"] - config.offset_m) * 1e3
-    objects = (trace["scored"] > 0) & (trace["rolling"] == 0)
+    objects = trace["rolling"] == 0
     limit = float(np.percentile(np.abs(error[trace["scored"] > 0]), 99.8)) * 1.15 if objects.any() else 2.0
     ax.fill_between(t, -limit, limit, where=objects, color=_SAND, lw=0, label="boxes and ramps near")
     ax.plot(t, error, color=_BLUE, lw=0.9)

@@ -21,9 +21,14 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises
     ------
     MapFileError
-        the directory cannot be written, or the disk is full
+        the directory cannot be written, the disk is full, or the name belongs to no plain file
     """
     target = Path(path)
+    if target.exists() and not target.is_file():
+        # renaming over a device or a pipe would take its place
+        raise MapFileError(f"{target} is there and is no plain file; choose another name")
+    if target.is_symlink():
+        target = target.resolve()
     try:
         handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=target.suffix, dir=target.parent)
         os.close(handle)

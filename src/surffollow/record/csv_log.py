@@ -15,6 +15,8 @@ from surffollow.errors import UsageError
 from surffollow.record.columns import Columns
 from surffollow.units import unit_scale
 
+MAX_SPAN_S = 1e9  # 31 years, well inside int64 nanoseconds
+
 
 @dataclass(frozen=True)
 class CsvLog:
@@ -35,6 +37,11 @@ class CsvLog:
 
     def between(self, start_s: float | None, end_s: float | None) -> CsvLog:
         """The rows from `start_s` to `end_s`, both included."""
+        for option, value in (("--start", start_s), ("--end", end_s)):
+            if value is not None and not math.isfinite(value):
+                raise UsageError(f"{option} must be a finite number of seconds, not {value}")
+        if start_s is not None and end_s is not None and end_s < start_s:
+            raise UsageError(f"--end {end_s:g} lies before --start {start_s:g}")
         keep = np.ones(self.t_s.size, bool)
         if start_s is not None:
             keep &= self.t_s >= start_s
@@ -65,6 +72,12 @@ def read_csv(path: str | Path, columns: Columns) -> CsvLog:
         raise UsageError(
             f"{path}: time goes back in row {back[0] + 2} (column {columns.time.column!r}); sort the log"
         )
+    wide = np.flatnonzero(np.abs(t_s - t_s[:1]) > MAX_SPAN_S)
+    if wide.size:
+        raise UsageError(
+            f"{path}: row {wide[0] + 1} is more than {MAX_SPAN_S:g} s after the first "
+            f"(column {columns.time.column!r}); correct or remove the row"
+        )
     reference = None
     if columns.reference is not None:
         reference = cells[columns.reference.column] * unit_scale(columns.reference.unit, "m")
@@ -94,6 +107,8 @@ def _cells(path: str, text: str, names: dict[str, bool]) -> dict[str, NDArray[np
                     f"{path} has no column {name!r}; it has {', '.join(header) or 'none'}; "
                     "change the column file to match"
                 )
+            if header.count(name) > 1:
+                raise UsageError(f"{path}: column {name!r} occurs more than once; rename the others")
             places[name] = header.index(name)
         values: dict[str, list[float]] = {name: [] for name in names}
         for row in rows:

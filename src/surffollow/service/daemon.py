@@ -36,6 +36,7 @@ from surffollow.shm.python_atomics import load_acquire, store_release
 from surffollow.shm.ring import make_ring
 
 BEAT_S = 0.05
+END_S = 8.0  # for both threads to end, the map's queue applied
 FAULT_DRIVER, FAULT_CYCLE_STALLED, FAULT_SAMPLES_LOST, FAULT_INBOX_CUT = 1, 2, 4, 8
 
 
@@ -193,14 +194,17 @@ class Daemon:
 
     def _watch(self) -> None:
         stall_s = seconds(self.config.watchdog, "watchdog", 0.01, 60.0)
-        seen, since = -1, time.monotonic()
+        seen, since, stalled = -1, time.monotonic(), False
         while not select.select([self._wake], [], [], BEAT_S)[0]:
             cycles, now = self._cycles(), time.monotonic()
             if cycles != seen:
                 seen, since = cycles, now
                 sd_notify("WATCHDOG=1")
-            faults = FAULT_CYCLE_STALLED if now - since > stall_s else 0
-            self.beat(faults)
+            if (now - since > stall_s) != stalled:
+                stalled = not stalled
+                said = f"stands still for {now - since:.3g} s; does another process hold its processor?"
+                tell(f"the cycle {said if stalled else 'runs again'}")
+            self.beat(FAULT_CYCLE_STALLED if stalled else 0)
             if self._errors:
                 raise ServiceError("; ".join(self._errors))
 
@@ -238,8 +242,14 @@ class Daemon:
         with contextlib.suppress(Exception):
             self.driver.stop()
         store_release(self.mem.ctx.ctypes.data + 8 * m.STOP, 1)
+        deadline = time.monotonic() + END_S
         for t in threads:
-            t.join(timeout=10.0)
+            t.join(timeout=max(0.0, deadline - time.monotonic()))
+        alive = [t.name for t in threads if t.is_alive()]
+        if alive:
+            # its memory must not go away under a thread: leave the names to the next start and end at once
+            tell(f"thread {', '.join(alive)} does not end; giving up")
+            os._exit(1)
         self.mem.output[0]["status"] = 0
         self.mem.output[0]["demand"] = 0.0
         latch_write(self.house.address("output"), self.mem.output.ctypes.data, Output.SIZE)
@@ -248,6 +258,11 @@ class Daemon:
         realtime.release(self.grants)
         os.close(self._wake)
         os.close(self._waker)
+
+
+def tell(text: str) -> None:
+    """One line for the service's log."""
+    print(f"surffollow: {text}", file=sys.stderr, flush=True)
 
 
 def serve(config: ServiceConfig, quiet: bool = False) -> None:

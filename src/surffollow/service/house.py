@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from surffollow.config.names import check_name
 from surffollow.config.service import ServiceConfig, metres, mode, seconds
 from surffollow.errors import (
     AlreadyRunningError,
@@ -20,7 +21,7 @@ from surffollow.map.header import header_fault, init_header
 from surffollow.shm import layout_board as lb
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype, zeros
-from surffollow.shm.objects import SharedObject, boot_id, check_name, start_ticks, unlink
+from surffollow.shm.objects import SharedObject, boot_id, start_ticks, unlink
 
 
 class House:

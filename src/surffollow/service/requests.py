@@ -47,6 +47,10 @@ _ACK_STEP = latch_bytes(Ack.SIZE)
 _ACK_BYTES = Ack.SIZE
 _PARAMS_BYTES = Params.SIZE
 _OFFSET_WORD = Params.offset("offset_m") // 8
+_NEAR_WORD = Params.offset("range_min_m") // 8
+_FAR_WORD = Params.offset("range_max_m") // 8
+_CLOSE_WORD = Params.offset("too_close_m") // 8
+_EXIT_WORD = Params.offset("too_close_exit_m") // 8
 _REQUESTS = Stats.offset("requests")
 _REFUSED = Stats.offset("requests_refused")
 _TORN = Stats.offset("torn")
@@ -105,6 +109,29 @@ def in_bounds(bounds: Any, word: Any, value: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
+def wanted_value(mem: Any, word: Any) -> Any:
+    """What a float parameter will be once the request is carried out."""
+    request, value = mem.request[0], mem.param_floats[word]
+    for k in range(request.n):
+        if request.number[k] == word:
+            value = request.value[k]
+    return value
+
+
+@njit(cache=True, nogil=True)
+def fits_together(mem: Any) -> Any:
+    """-1 when window, stand-off and fold-back fit each other after the request, else the word at fault."""
+    near, far = wanted_value(mem, _NEAR_WORD), wanted_value(mem, _FAR_WORD)
+    if not near < far:
+        return _NEAR_WORD
+    if not near < wanted_value(mem, _OFFSET_WORD) < far:
+        return _OFFSET_WORD
+    if not wanted_value(mem, _CLOSE_WORD) <= wanted_value(mem, _EXIT_WORD):
+        return _CLOSE_WORD
+    return -1
+
+
+@njit(cache=True, nogil=True)
 def do_set_params(mem: Any, t_ns: Any) -> Any:
     """Set all parameters of the request, or none; (result, number of the bad one)."""
     request = mem.request[0]
@@ -114,6 +141,9 @@ def do_set_params(mem: Any, t_ns: Any) -> Any:
     for k in range(n):
         if not in_bounds(mem.bounds, request.number[k], request.value[k]):
             return ERR_BAD_VALUE, request.number[k]
+    misfit = fits_together(mem)
+    if misfit >= 0:
+        return ERR_BAD_VALUE, misfit
     for k in range(n):
         word = request.number[k]
         if mem.bounds[word, 0] == 2.0:
@@ -211,7 +241,8 @@ def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
     code = mem.request[0].code
     if code == RQ_SF_RESET:
         offset = mem.request[0].value[0]
-        if not in_bounds(mem.bounds, _OFFSET_WORD, offset):
+        seen = mem.param_floats[_NEAR_WORD] < offset < mem.param_floats[_FAR_WORD]
+        if not seen or not in_bounds(mem.bounds, _OFFSET_WORD, offset):
             return ERR_BAD_VALUE, _OFFSET_WORD
         sf_reset(mem.params, mem.state, offset)
         log_value(mem, journal.RESET, t_ns, offset)

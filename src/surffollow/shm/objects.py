@@ -7,7 +7,6 @@ import errno
 import fcntl
 import mmap
 import os
-import re
 import stat
 import struct
 from collections.abc import Callable
@@ -15,33 +14,17 @@ from pathlib import Path
 
 import posix_ipc
 
+from surffollow.config.names import check_name
 from surffollow.errors import (
     BlockError,
     ExistsError,
-    NameError_,
     NoPermissionError,
     NoSpaceError,
     NotRunningError,
 )
 
 SHM_ROOT = Path("/dev/shm")
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,47}\Z")
 _FLOCK = struct.Struct("hhxxxxqqixxxx")
-
-
-def check_name(name: str) -> str:
-    """The name, when it can name a service or a block.
-
-    Raises
-    ------
-    NameError_  empty, longer than 48 characters, or with anything but letters, digits, '.', '_', '-'
-    """
-    if not isinstance(name, str) or not _NAME.match(name):
-        raise NameError_(
-            f"name {name!r} is not allowed; use 1 to 48 letters, digits, '.', '_' or '-', beginning with a "
-            "letter or digit (no slashes)"
-        )
-    return name
 
 
 class SharedObject:
