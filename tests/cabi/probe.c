@@ -39,6 +39,7 @@ static int answer(const char *verb, char *rest) {
     return sf_attach_with(&client, word, &options);
   }
   if (strcmp(verb, "auto") == 0) return options.auto_reattach = (int)v[0], 0;
+  if (strcmp(verb, "stale_ms") == 0) return options.stale_min_ns = (int64_t)(v[0] * 1e6), 0;
   if (strcmp(verb, "timeout_ms") == 0) return options.timeout_ns = (int64_t)(v[0] * 1e6), 0;
   if (strcmp(verb, "detach") == 0) return sf_detach(&client), 0;
   if (strcmp(verb, "fork") == 0) {

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -158,27 +160,50 @@ def test_unknown_request_is_answered(probe: Probe) -> None:
     assert answer.result == -100 - lb.ERR_UNKNOWN_REQUEST
 
 
-def test_request_cannot_overtake_one_that_the_service_has_not_seen(probe: Probe, service: Service) -> None:
+@contextlib.contextmanager
+def stopped(service: Service) -> Iterator[None]:
+    """The service stands still, every thread of it."""
     assert service.process is not None
-    os.kill(service.process.pid, signal.SIGSTOP)
+    pid = service.process.pid
+    os.kill(pid, signal.SIGSTOP)
     try:
-        assert probe(f"send {lb.RQ_SF_RESET} 0.11").result == OK
-        second = probe(f"send {lb.RQ_SF_RESET} 0.12").result
-        assert second in (-29, -20)  # busy, or already found silent
-        answer = probe("wait 60")
-        assert answer.result == -20
-        silent = probe("dev")
-        assert silent.result == NO_DEMAND
-        assert int(silent.values[2]) & STALE
-        assert not int(silent.values[2]) & VALID
-        assert silent.values[0] == 0.0
-        assert math.isnan(probe("raw 0").values[0])
-        assert probe(f"reset {STANDOFF_M}").result == -20
+        deadline = time.monotonic() + 10.0
+        states = ["R"]
+        while set(states) != {"T"}:
+            assert time.monotonic() < deadline
+            tasks = Path(f"/proc/{pid}/task").glob("*/stat")
+            states = [p.read_text().rsplit(")", 1)[1].split()[0] for p in tasks]
+        yield
     finally:
-        os.kill(service.process.pid, signal.SIGCONT)
-    assert probe.until("alive", lambda a: a.result == 1)
-    probe.until("poll", lambda a: a.result == OK)  # carried out after all
-    assert probe("get offset").values == [0.11]
+        os.kill(pid, signal.SIGCONT)
+
+
+def test_request_cannot_overtake_one_that_the_service_has_not_seen(
+    make_probe: Callable[..., Probe], service: Service
+) -> None:
+    patient = make_probe()
+    patient("stale_ms 60000")
+    assert patient(f"attach {service.name}").result == OK
+    with stopped(service):
+        assert patient(f"send {lb.RQ_SF_RESET} 0.11").result == OK
+        assert patient(f"send {lb.RQ_SF_RESET} 0.12").result == -29
+        assert patient("poll").result == PENDING
+        assert patient("wait 30").result == -27
+    patient.until("poll", lambda a: a.result == OK)  # carried out after all
+    assert patient("get offset").values == [0.11]
+    assert patient(f"reset {STANDOFF_M}").result == OK
+
+
+def test_stopped_service_is_silent_and_its_demand_is_zero(probe: Probe, service: Service) -> None:
+    with stopped(service):
+        silent = probe.until("dev", lambda a: int(a.values[2]) & STALE != 0)
+        assert silent.result == NO_DEMAND
+        assert not int(silent.values[2]) & VALID
+        assert silent.values[:2] == [0.0, 0.0]
+        assert math.isnan(probe("raw 0").values[0])
+        for line in (f"reset {STANDOFF_M}", "begin 10", "map_reset 0 0 1 1"):
+            assert probe(line).result == -20, line
+    probe.until("alive", lambda a: a.result == 1)
     assert probe(f"reset {STANDOFF_M}").result == OK
 
 
