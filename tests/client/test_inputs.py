@@ -153,7 +153,7 @@ def test_parameters_are_set_all_or_none(client: Client) -> None:
     # past the library: the service refuses the whole request for its second value
     numbers = [Params.offset(n) // 8 for n in ("interval_size_m", "range_size")]
     for bad in (0.0, 2.5, NAN, INF, 513.0):
-        with pytest.raises(RefusedError, match=f"parameter number {numbers[1]}"):
+        with pytest.raises(RefusedError, match="range_size"):
             client._request(lb.RQ_SET_PARAMS, numbers, [0.003, bad], 2).result()
     assert client.params() == before
     client.set_params(interval_size="3 mm", range_size=6)
@@ -172,7 +172,7 @@ def test_a_request_with_an_impossible_count_of_arguments_is_refused(client: Clie
 
 @pytest.mark.parametrize("number", [-1, 2**62, -(2**63), Params.offset("n_channels") // 8, Params.SIZE // 8])
 def test_a_word_that_is_no_parameter_cannot_be_set(client: Client, number: int) -> None:
-    with pytest.raises(RefusedError, match="outside its bounds"):
+    with pytest.raises(RefusedError, match="out of bounds"):
         client._request(lb.RQ_SET_PARAMS, [number], [1.0], 1).result()
 
 

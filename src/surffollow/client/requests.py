@@ -109,9 +109,5 @@ def _explain(code: int, detail: int) -> str:
         from surffollow.shm.layout_follow import Params
 
         names = [f.name for f in Params.FIELDS if f.offset == 8 * detail]
-        name = names[0] if names else f"parameter number {detail}"
-        return (
-            f"refused: {text} ({name}); the stand-off must lie within the sensor's window "
-            "(surffollow status --json shows all parameters)"
-        )
+        return f"refused: {text} ({names[0] if names else f'parameter number {detail}'})"
     return f"refused: {text}"

@@ -52,7 +52,7 @@ STATE_INITIALISING, STATE_READY, STATE_STOPPING, STATE_STOPPED = 0, 1, 2, 3
 RESULT_TEXT = (
     "done",
     "the service does not know this request",
-    "a value is not finite, outside its bounds or at odds with another",
+    "a value is not finite, out of bounds, or at odds with another (stand-off and window)",
     "another live client sends the pose",
     "the region's sides must be positive, finite and at most 1e6 m",
     "there is no map yet; call map_reset(region) first",
