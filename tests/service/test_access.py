@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from running_service import POSE, Service, program, said, until
+from running_service import POSE, READY_S, Service, program, said, until
 from surffollow.client import Client, Observer
 from surffollow.errors import NotRunningError, RefusedError, RequestTimeoutError
 from surffollow.shm.layout_board import ACCESS_FREE, ACCESS_GRANTED
@@ -149,7 +149,7 @@ def test_a_client_killed_in_any_of_the_four_steps_holds_nobody_up(keeper: Servic
 
 def test_the_service_may_be_restarted_in_any_of_the_four_steps(keeper: Service) -> None:
     with keeper.attach() as holding, keeper.attach() as waiting:
-        access, wanted = holding.exclusive(timeout_s=60.0), waiting.exclusive(timeout_s=60.0)
+        access, wanted = holding.exclusive(timeout_s=READY_S), waiting.exclusive(timeout_s=READY_S)
         access.__enter__()  # step 2
         thread = threading.Thread(target=wanted.__enter__)
         thread.start()  # step 1
