@@ -181,6 +181,20 @@ def blend_set_points(params: Any, a: Any, ahead_m: Any, drop_m: Any, tick: Any) 
 
 
 @njit(cache=True, nogil=True)
+def hold_calm(params: Any, a: Any, wanted_m: Any) -> Any:
+    """Carry the set point on along the slope while it stays near where it is wanted.
+
+    The band is `calm_share` of `permitted_variance_m`: what the paper's hysteresis does in steps.
+    """
+    dt = (a.now_ns - a.calm_ns) * 1e-9
+    band = params.calm_share * params.permitted_variance_m
+    on = a.calm_m + (a.slope * a.speed_mps * dt if 0.0 < dt < 0.1 else 0.0)
+    a.calm_ns = a.now_ns
+    a.calm_m = min(max(on, wanted_m - band), wanted_m + band)
+    return a.calm_m
+
+
+@njit(cache=True, nogil=True)
 def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any) -> Any:
     """Demand of the adaptive mode into `output`; returns status bits.
 
@@ -227,6 +241,7 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
             z, v = own_axis(params, a, a.now_ns)
             speed = plan_axis(params, a, known, z, v, drop)
             a.plan_set_m = invert_axis(params, a.tau_s, z, v, speed)
+    wanted = hold_calm(params, a, wanted)
     wanted += a.preview_share * (a.plan_set_m - wanted)
     move_set_point(params, a, a.now_ns, wanted, tool_z)
     demand = a.set_point_m - tool_z

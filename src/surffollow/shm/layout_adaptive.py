@@ -68,6 +68,8 @@ class AdaptiveState(Schema):
     height_m = F64(unit="m", doc="blended height at the last sample")
     slope = F64(unit="1", doc="blended slope there")
     sigma_m = F64(unit="m", doc="uncertainty of that height, spread of the models included")
+    calm_m = F64(unit="m", doc="set point before limits, carried on while it stays near the blend")
+    calm_ns = I64(unit="ns", doc="when")
     set_point_m = F64(unit="m", doc="set point of the tool after limits; where the demand points")
     set_speed_mps = F64(unit="m/s", doc="its rate of change")
     set_accel_mps2 = F64(unit="m/s^2", doc="and the rate of that")

@@ -89,6 +89,7 @@ class Params(Schema):
     orient = I64(doc="adaptive: 1: with 3 or more sensors, demand rotations too")
     max_turn_rad = F64(unit="rad", doc="adaptive: limit of the rotation demanded")
     permitted_turn_rad = F64(unit="rad", doc="adaptive: change of the rotation that is relayed")
+    calm_share = F64(doc="adaptive: share of Permitted_Variance within which the set point glides on")
     adapt = I64(doc="adaptive: 1: learn; 0: scores, weights, noise stay as they are")
     hold_ns = I64(unit="ns", doc="adaptive: an unchanged reading counts as new after so long")
     dropout_way_m = F64(unit="m", doc="adaptive: way over which a slope is trusted without readings")
