@@ -17,6 +17,7 @@ from surffollow.client.map_reader import copy_map
 from surffollow.errors import RequestTimeoutError
 from surffollow.map.lookup import height_at
 from surffollow.shm import map_layout as ml
+from surffollow.shm.layout_follow import POSE_STALE
 
 OK, UNKNOWN = 0, 4
 REGION = "0 0 0.1 0.08"
@@ -42,8 +43,16 @@ def probe(make_probe: Callable[..., Probe], service: Service) -> Probe:
     return p
 
 
+def settle(probe: Probe) -> None:
+    """Wait until the pose is stale, so that no sample comes any more, and all that came were applied."""
+    probe.until("dev", lambda a: int(a.values[2]) & POSE_STALE != 0)
+    applied = -1.0
+    while applied != (applied := probe("status").values[4]):
+        time.sleep(0.1)
+
+
 def test_heights_in_c_are_those_of_the_kernel(probe: Probe, robot: Client) -> None:
-    time.sleep(0.15)  # the pose grows stale, so that no sample moves a mean
+    settle(probe)
     header, pairs = copy_map(robot, 5.0)
     assert header[0]["samples"] > 40
     known = 0
@@ -67,7 +76,7 @@ def test_points_that_no_map_has_are_unknown(probe: Probe) -> None:
 def test_uploaded_file_is_the_python_clients_byte_for_byte(
     probe: Probe, robot: Client, tmp_path: Path
 ) -> None:
-    time.sleep(0.15)  # the pose grows stale, so that no sample comes between the two files
+    settle(probe)
     assert probe(f"upload {tmp_path / 'c.txt'}").result == OK
     robot.upload_map(tmp_path / "python.txt")
     assert (tmp_path / "c.txt").read_text() == (tmp_path / "python.txt").read_text()

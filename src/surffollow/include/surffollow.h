@@ -73,7 +73,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 /* ---- layout: generated ------------------------------------------------------------ */
 
 #define SF_LAYOUT_VERSION 1u
-#define SF_LAYOUT_HASH UINT64_C(6982287390704389436)
+#define SF_LAYOUT_HASH UINT64_C(742178889937842693)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_INBOX_MAGIC UINT64_C(3549485532940752211)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
@@ -176,7 +176,7 @@ static inline const char *sf_answer_text(int answer) {
   switch (answer) {
     case 0: return "done";
     case 1: return "the service does not know this request";
-    case 2: return "a value is not finite or outside its bounds";
+    case 2: return "a value is not finite, out of bounds, or at odds with another (stand-off and window)";
     case 3: return "another live client sends the pose";
     case 4: return "the region's sides must be positive, finite and at most 1e6 m";
     case 5: return "there is no map yet; call map_reset(region) first";
@@ -229,7 +229,7 @@ typedef struct sf_param_info {
   double low, high;
 } sf_param_info;
 
-#define SF_PARAMS 44
+#define SF_PARAMS 45
 static inline const sf_param_info *sf_param_table(void) {
   static const sf_param_info table[SF_PARAMS] = {
     {"mode", 0, 1, 0.0, 1.0},
@@ -269,13 +269,14 @@ static inline const sf_param_info *sf_param_table(void) {
     {"orient", 107, 1, 0.0, 1.0},
     {"max_turn_rad", 108, 0, 0.0, 1.6},
     {"permitted_turn_rad", 109, 0, 0.0, 1.6},
-    {"adapt", 110, 1, 0.0, 1.0},
-    {"hold_ns", 111, 1, 0.0, 10000000000.0},
-    {"dropout_way_m", 112, 0, 0.0001, 1000.0},
-    {"max_speed_mps", 113, 0, 0.0001, 1000.0},
-    {"max_accel_mps2", 114, 0, 0.001, 1000000.0},
-    {"max_jerk_mps3", 115, 0, 0.01, 1000000000.0},
-    {"toward_factor", 116, 0, 0.01, 1.0},
+    {"calm_share", 110, 0, 0.0, 10.0},
+    {"adapt", 111, 1, 0.0, 1.0},
+    {"hold_ns", 112, 1, 0.0, 10000000000.0},
+    {"dropout_way_m", 113, 0, 0.0001, 1000.0},
+    {"max_speed_mps", 114, 0, 0.0001, 1000.0},
+    {"max_accel_mps2", 115, 0, 0.001, 1000000.0},
+    {"max_jerk_mps3", 116, 0, 0.01, 1000000000.0},
+    {"toward_factor", 117, 0, 0.01, 1.0},
   };
   return table;
 }
@@ -367,6 +368,7 @@ typedef struct sf_params {
   int64_t orient; /* adaptive: 1: with 3 or more sensors, demand rotations too */
   double max_turn_rad; /* [rad] adaptive: limit of the rotation demanded */
   double permitted_turn_rad; /* [rad] adaptive: change of the rotation that is relayed */
+  double calm_share; /* adaptive: share of Permitted_Variance within which the set point glides on */
   int64_t adapt; /* adaptive: 1: learn; 0: scores, weights, noise stay as they are */
   int64_t hold_ns; /* [ns] adaptive: an unchanged reading counts as new after so long */
   double dropout_way_m; /* [m] adaptive: way over which a slope is trusted without readings */
@@ -375,7 +377,7 @@ typedef struct sf_params {
   double max_jerk_mps3; /* [m/s^3] adaptive: limit of the set point's jerk */
   double toward_factor; /* adaptive: share of those limits toward the surface */
 } sf_params;
-SF_STATIC_ASSERT(sizeof(sf_params) == 936, "layout of sf_params");
+SF_STATIC_ASSERT(sizeof(sf_params) == 944, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, mode) == 0, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, run) == 8, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, offset_m) == 16, "layout of sf_params");
@@ -417,13 +419,14 @@ SF_STATIC_ASSERT(offsetof(sf_params, plan_calm_s4) == 848, "layout of sf_params"
 SF_STATIC_ASSERT(offsetof(sf_params, orient) == 856, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, max_turn_rad) == 864, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, permitted_turn_rad) == 872, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, adapt) == 880, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, hold_ns) == 888, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, dropout_way_m) == 896, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_speed_mps) == 904, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_accel_mps2) == 912, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_jerk_mps3) == 920, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, toward_factor) == 928, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, calm_share) == 880, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, adapt) == 888, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, hold_ns) == 896, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, dropout_way_m) == 904, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_speed_mps) == 912, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_accel_mps2) == 920, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_jerk_mps3) == 928, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, toward_factor) == 936, "layout of sf_params");
 
 /* What a cycle publishes. */
 typedef struct sf_output {
