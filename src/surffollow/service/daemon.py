@@ -75,7 +75,9 @@ class Daemon:
         self.sample_ring = make_ring(capacity, m.SAMPLE_WORDS)
         self.sample_ring[:] = 0  # touch every page now, not in a cycle
         ctx[m.PERIOD_NS] = period
-        ctx[m.SPIN_NS] = round(seconds(config.realtime.spin, "realtime.spin", 0.0, 0.01) * 1e9)
+        # a FIFO thread that never sleeps starves every other one of its processor
+        spin = round(seconds(config.realtime.spin, "realtime.spin", 0.0, 0.01) * 1e9)
+        ctx[m.SPIN_NS] = min(spin, period // 4)
         ctx[m.CATCH_UP] = int(config.realtime.overrun == "catch-up")
         for index, part in (
             (m.OUTPUT, "output"),
