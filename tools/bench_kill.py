@@ -24,7 +24,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 import numpy as np  # noqa: E402
 
 from report import bar, finish  # noqa: E402
-from running_service import Service, World, config_text, objects_of, unique_name  # noqa: E402
+from running_service import READY_S, Service, World, config_text, objects_of, unique_name  # noqa: E402
 from surffollow.client import observe  # noqa: E402
 from surffollow.client.map_reader import open_map  # noqa: E402
 from surffollow.errors import SurffollowError  # noqa: E402
@@ -148,7 +148,8 @@ class Trial:
         command = [sys.executable, "-m", "surffollow"]
         start = [*command, "start", "--quiet", "--name", name, "--config", str(self.service.config)]
         self.parts = {"service": Part("service", start, folder / "service.log")}
-        self.wait(self.answers)
+        self.wait(self.answers, READY_S)  # the first start may have to compile the kernels
+        self.slowest_s = 0.0
         client = [sys.executable, "-c", CLIENT, name]
         self.parts["client"] = Part("client", client, folder / "client.log")
         record = [*command, "record", "--name", name, "--out", str(folder / "log.mcap")]
@@ -189,14 +190,14 @@ class Trial:
         path = self.folder / "log.mcap"
         return path.stat().st_size if path.exists() else 0
 
-    def wait(self, condition: Callable[[], bool]) -> None:
+    def wait(self, condition: Callable[[], bool], seconds: float = HEALTH_S) -> None:
         """Until all is well; a hang when it is not in time."""
         start = time.monotonic()
         while not condition():
             for part in self.parts.values():
                 # without a service there is nothing to record: an init system tries again
                 part.tend(may_end=part.name == "recorder")
-            if time.monotonic() - start > HEALTH_S:
+            if time.monotonic() - start > seconds:
                 self.hangs += 1
                 return
             time.sleep(0.02)
