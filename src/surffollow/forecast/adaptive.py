@@ -31,6 +31,7 @@ from surffollow.forecast.adaptive_plant import learn_plant, own_axis, plant_erro
 from surffollow.forecast.adaptive_preview import (
     COVERED,
     LEADING_M,
+    STEP_S,
     check_told,
     gather_preview,
     move_share,
@@ -237,10 +238,15 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
         since = a.speed_mps * (a.now_ns - pose_t_ns) * 1e-9
         known = gather_preview(a, inputs, leading, ahead - a.speed_mps * params.tick_lead_s, since)
         move_share(a, known, leading, plant_error(a))
+        a.seen_known = known if leading != 0 else 0
         if known >= COVERED:
             z, v = own_axis(params, a, a.now_ns)
             speed = plan_axis(params, a, known, z, v, drop)
             a.plan_set_m = invert_axis(params, a.tau_s, z, v, speed)
+    if a.seen_known >= 2:
+        # what a leading sensor sees is not under the tool: without a plan, follow what it saw there
+        rise = (a.plan_g_m[1] - a.plan_g_m[0]) / STEP_S
+        wanted = a.plan_g_m[0] + rise * (a.tau_s + params.tick_lead_s) + drop
     wanted = hold_calm(params, a, wanted)
     wanted += a.preview_share * (a.plan_set_m - wanted)
     move_set_point(params, a, a.now_ns, wanted, tool_z)

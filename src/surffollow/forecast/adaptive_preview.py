@@ -24,6 +24,7 @@ OFF_RATE = 0.02
 WORSE, WORSE_M2 = 9.0, 4e-6  # (2 mm)²
 WORST_M2 = 1e-4
 PLANT_M2 = 4e-8  # (0.2 mm)²: an axis known less well than that is not planned for
+LEADING_PLANT_M2 = 1e-6  # (1 mm)²
 PLAIN_RATE, ERROR_RATE = 0.002, 0.01
 DISTRUST_NS = 5_000_000_000
 DISTRUST_M = 1.5e-3  # remembered ground that is farther from what is seen now has changed
@@ -129,7 +130,8 @@ def watch_error(a: Any, error_m: Any) -> None:
 @njit(cache=True, nogil=True)
 def move_share(a: Any, known: Any, leading: Any, plant_m2: Any) -> None:
     """Let preview's share of the set point grow or shrink by one tick."""
-    usable = known >= COVERED and (leading != 0 or a.preview_off_m < DISTRUST_M)
-    usable = usable and a.now_ns >= a.distrust_ns and plant_m2 < PLANT_M2
+    # without a plan a leading sensor is worth little: there a doubtful plan is the better choice
+    trusted = a.now_ns >= a.distrust_ns and plant_m2 < PLANT_M2 and a.preview_off_m < DISTRUST_M
+    usable = known >= COVERED and (trusted or (leading != 0 and plant_m2 < LEADING_PLANT_M2))
     a.preview_share += SHARE_RATE if usable else -SHARE_RATE
     a.preview_share = min(max(a.preview_share, 0.0), 1.0 if known > 0 else 0.0)

@@ -93,6 +93,7 @@ class AdaptiveState(Schema):
     distrust_ns = I64(unit="ns", doc="no preview until then: it did worse than the models would have")
     preview_bias_m = F64(unit="m", doc="seen minus remembered ground")
     preview_off_m = F64(unit="m", doc="typical difference beyond that")
+    seen_known = I64(doc="ticks of ground that a leading sensor has seen ahead; 0: none, or it does not lead")
     plan_set_m = F64(unit="m", doc="set point of the plan")
     plan_g_m = F64(HORIZON, unit="m", doc="ground under the tool, tick by tick")
     plan_z_m = F64(HORIZON, unit="m", doc="planned axis")
