@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from surffollow.config.params import PARAMS
+from surffollow.follower import Follower
 from surffollow.forecast.adaptive_bank import BANK, SLOPE, N
 from surffollow.forecast.adaptive_memory import CELLS, new_memory, recall, remember
 from surffollow.forecast.adaptive_motion import move_set_point
 from surffollow.forecast.adaptive_preview import note_ground, seen_height
 from surffollow.forecast.adaptive_take import take_sample
 from surffollow.forecast.adaptive_trend import take_range, trend_range
+from surffollow.forecast.step import follow_step
+from surffollow.shm.conversion import pack_conversion
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_follow import Params
@@ -163,3 +166,22 @@ def test_trend_does_not_forecast_what_does_not_move():
     for k in range(2000):
         take_range(a, 10**9 + k * 100 * MS, 2.0 + 0.01 * rng.standard_normal())
     assert trend_range(a, 2.0) == pytest.approx(2.0, abs=0.03)
+
+
+def test_conversions_of_a_held_value_are_one_sample_stamped_where_it_began():
+    f = Follower({"memory": False, "sensor_latency": "30 ms"}, offset_m=0.1)
+    f._params["scale_m"], f._params["zero_m"] = 0.1 / 4096, 0.05
+    values = np.random.default_rng(0).integers(1800, 2200, 600)
+    i, t0 = f._inputs, 10**12
+    for k in range(1000):
+        t = t0 + k * MS
+        if k % 10 == 0:
+            f.pose(t - 10 * MS, (1e-4 * k, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+        stamps = range(t - MS + 40_000, t + 1, 40_000)
+        i["t_ns"], i["n_ranges"], i["n_conversions"] = t, 0, len(stamps)
+        for n, s in enumerate(stamps):
+            i["conversion"][0][n] = pack_conversion(int(values[(s - t0 + 4 * MS) // (4 * MS)]), 0, 0, s - t)
+        follow_step(f._params, f._state, i, f._output, f._scratch)
+    a = f._state["adaptive"][0]
+    assert 240 <= a["samples"] <= 252
+    assert (a["sample_ns"] + 30 * MS - t0) % (4 * MS) <= 40_000

@@ -44,6 +44,7 @@ def is_news(params: Any, a: Any, sense: Any, given: Any, channel: Any) -> Any:
     int64, float64 [m], int64 [ns]
     """
     n = sense.window_n[channel]
+    hold_ns = params.hold_ns
     if given != 0:
         if sense.fresh[channel] == 0:
             return 0, 0.0, 0
@@ -55,11 +56,12 @@ def is_news(params: Any, a: Any, sense: Any, given: Any, channel: Any) -> Any:
         newest = base + ((n - 1) & (CONVERSION_WINDOW - 1))
         value, t = sense.window_m[newest], sense.window_t_ns[newest] - params.sensor_latency_ns
         flicker = FLICKER_COUNTS * abs(params.scale_m[channel])
+        hold_ns += hold_ns // 2  # when a held value began is known to a cycle only
     if a.held_ns != 0:
         if t <= a.held_ns:
             return 0, 0.0, 0
         if abs(value - a.held_m) <= flicker:
-            if t - a.held_ns < params.hold_ns:
+            if t - a.held_ns < hold_ns:
                 return 0, 0.0, 0
             return 1, value, t
     if given == 0:
