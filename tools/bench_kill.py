@@ -161,7 +161,8 @@ class Trial:
     def answers(self) -> bool:
         try:
             with observe(self.name) as watcher:
-                return watcher.alive()
+                # for 20 ms after a kill the dead service's last demand still counts as fresh
+                return watcher.alive() and watcher.board.pid == self.parts["service"].process.pid
         except SurffollowError:
             return False
 

@@ -151,6 +151,7 @@ class Daemon:
             for t in threads:
                 t.start()
             self._await_first_cycles()
+            self._hurry(threads[0])
             self.house.set_state(lb.STATE_READY)
             sd_notify(f"READY=1\nSTATUS=cycle {self.mem.ctx[m.PERIOD_NS] / 1e6:g} ms")
             if on_ready is not None:
@@ -158,6 +159,10 @@ class Daemon:
             self._watch()
         finally:
             self._end(threads)
+
+    def _hurry(self, cycle: threading.Thread) -> None:
+        real_time = self.config.realtime
+        realtime.prepare_cycle_thread(self.grants, real_time.priority, real_time.cpu, cycle.native_id or 0)
 
     def _take_signals(self) -> None:
         if threading.current_thread() is threading.main_thread():
@@ -171,9 +176,6 @@ class Daemon:
 
     def _cycle_thread(self) -> None:
         try:
-            realtime.prepare_cycle_thread(
-                self.grants, self.config.realtime.priority, self.config.realtime.cpu
-            )
             run_cycles(self.mem, time.monotonic_ns() + 2_000_000, np.iinfo(np.int64).max)
         except Exception as e:  # the thread must never end unnoticed
             self._errors.append(f"cycle thread: {e!r}")
@@ -243,6 +245,9 @@ class Daemon:
         self.house.set_state(lb.STATE_STOPPING)
         with contextlib.suppress(Exception):
             self.driver.stop()
+        for t in threads:
+            if t.native_id is not None:
+                realtime.relax_thread(t.native_id, os.sched_getaffinity(0))
         store_release(self.mem.ctx.ctypes.data + 8 * m.STOP, 1)
         deadline = time.monotonic() + END_S
         for t in threads:

@@ -98,7 +98,7 @@ def own_run(
 
     def work() -> None:
         try:
-            realtime.prepare_cycle_thread(grants, priority, cpu)
+            realtime.prepare_cycle_thread(grants, priority, cpu, threading.get_native_id())
             result.longest_ns, result.overruns = measure_lateness(result.counts, period_ns, spin_ns, wake_ups)
         except Exception as e:
             errors.append(repr(e))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import os
@@ -48,24 +49,34 @@ def prepare_process(grants: Grants, lock_memory: bool, dma_latency: bool) -> Non
             grants.note(DMA_LATENCY, e, "give the service's user write access to /dev/cpu_dma_latency")
 
 
-def prepare_cycle_thread(grants: Grants, priority: int, cpu: int) -> None:
-    """Put the calling thread under SCHED_FIFO, on one processor when one is named.
+def prepare_cycle_thread(grants: Grants, priority: int, cpu: int, thread: int) -> None:
+    """Put a thread (its kernel number) under SCHED_FIFO, on one processor when one is named.
+
+    Called for a thread that runs a kernel without the GIL: a real-time thread that waits for its
+    processor while it holds the GIL would stop the main thread too.
 
     `cpu` -1 takes the last processor of those allowed, when there is more than one.
     """
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
         grants.note(FIFO, None, "")
     except OSError as e:
         grants.note(FIFO, e, "raise the rtprio limit: ulimit -r 99, or run under systemd with LimitRTPRIO=99")
     try:
-        allowed = sorted(os.sched_getaffinity(0))
+        allowed = sorted(os.sched_getaffinity(thread))
         chosen = cpu if cpu >= 0 else allowed[-1]
         if cpu >= 0 or len(allowed) > 1:
-            os.sched_setaffinity(0, {chosen})
+            os.sched_setaffinity(thread, {chosen})
             grants.note(AFFINITY, None, "")
     except OSError as e:
-        grants.note(AFFINITY, e, f"name a processor of {sorted(os.sched_getaffinity(0))}")
+        grants.note(AFFINITY, e, f"name a processor of {sorted(os.sched_getaffinity(thread))}")
+
+
+def relax_thread(thread: int, allowed: set[int]) -> None:
+    """Take real time and pinning off a thread again, so that it can end whoever holds its processor."""
+    with contextlib.suppress(OSError):
+        os.sched_setaffinity(thread, allowed)
+        os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
 
 
 def release(grants: Grants) -> None:
