@@ -186,6 +186,7 @@ class NaiveFollower:
 
     def take_ranges(self, t_ns, ranges):
         p, fresh = self.params, set()
+        self.valid = [False] * len(self.valid)
         for c, distance in enumerate(ranges[: p["n_channels"]]):
             self.valid[c] = p["range_min_m"] < distance < p["range_max_m"]
             if self.valid[c]:
@@ -205,7 +206,7 @@ class NaiveFollower:
         out = {"status": set(), "dz": 0.0, "fresh": set(), "targets": {}, "delta_h": 0.0, "error": 0.0}
         if not self.poses:
             out["status"] = {"NO_POSE"}
-        elif t_ns - self.poses[-1][0] > p["pose_timeout_ns"]:
+        elif abs(t_ns - self.poses[-1][0]) > p["pose_timeout_ns"]:
             out["status"] = {"POSE_STALE"}
         else:
             self.follow(t_ns, fresh, out)

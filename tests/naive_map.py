@@ -117,45 +117,45 @@ class NaiveMap:
 def refocused_quanta(heights, old, new):
     """MapRefocus into other memory: int16 in, int16 out, the very sums of the kernels in their order.
 
-    heights : (ny, nx) int16, UNKNOWN for holes; old, new : (nx, ny, x0, y0, grid).
+    Float32 up to twice as coarse, float64 beyond. heights : (ny, nx) int16, UNKNOWN for holes;
+    old, new : (nx, ny, x0, y0, grid).
     """
     ratio = new[4] / old[4]
+    f = np.float32 if ratio <= 2.0 else np.float64
     x_edges = _edges((new[2] - old[2]) / old[4], ratio, new[0], old[0])
     y_edges = _edges((new[3] - old[3]) / old[4], ratio, new[1], old[1])
     out = np.full((new[1], new[0]), UNKNOWN, np.int16)
-    values = np.where(heights == UNKNOWN, 0, heights).astype(np.float64)
-    known = (heights != UNKNOWN).astype(np.float64)
-    rows = {}
+    known = heights != UNKNOWN
+    values = np.where(known, heights, 0).astype(f)
+    ones = np.ones(old[0], f)
     for j, (y_low, y_high) in enumerate(y_edges):
         if y_high <= y_low:
             continue
-        first, last = math.floor(y_low), math.ceil(y_high) - 1
+        rows = range(math.floor(y_low), math.ceil(y_high))
+        shares = [f((min(y_high, k + 1.0) - max(y_low, float(k))) / (y_high - y_low)) for k in rows]
         if ratio <= 1.0:
-            for k in (first, last):
-                if k not in rows:
-                    rows[k] = _along_x(values[k], x_edges, ratio), _along_x(known[k], x_edges, ratio)
-            if first == last:
-                total, area = rows[first]
-            else:
-                w = (last - y_low) / (y_high - y_low)
-                total = w * rows[first][0] + (1.0 - w) * rows[last][0]
-                area = w * rows[first][1] + (1.0 - w) * rows[last][1]
-            holes = not known[[first, last]].all()
+            total, area, whole = (
+                _added(shares, [_along_x(a, x_edges, ratio) for a in parts])
+                for parts in (values[rows], known[rows].astype(f), [ones] * len(rows))
+            )
         else:
-            total = area = None
-            for k in range(first, last + 1):
-                w = (min(y_high, k + 1.0) - max(y_low, float(k))) / (y_high - y_low)
-                total = w * values[k] if total is None else total + w * values[k]
-                area = w * known[k] if area is None else area + w * known[k]
-            holes = not known[first : last + 1].all()
-            total, area = _along_x(total, x_edges, ratio), _along_x(area, x_edges, ratio)
+            total, area, whole = (
+                _along_x(_added(shares, parts), x_edges, ratio)
+                for parts in (values[rows], known[rows].astype(f), [ones] * len(rows))
+            )
         for i, (x_low, x_high) in enumerate(x_edges):
-            if x_high > x_low:
-                if not holes:
-                    out[j, i] = int(total[i] + 32768.5) - 32768
-                elif area[i] > 0:
-                    out[j, i] = int(total[i] / area[i] + 32768.5) - 32768
+            if x_high > x_low and area[i] > 0:
+                full = area[i] == whole[i] or (ratio > 2.0 and area[i] > 1.0 - 1e-9)
+                out[j, i] = np.rint(total[i] if full else total[i] / area[i])
     return out
+
+
+def _added(shares, rows):
+    """Σ share · row, from the first on."""
+    total = shares[0] * rows[0]
+    for share, row in zip(shares[1:], rows[1:], strict=True):
+        total = total + share * row
+    return total
 
 
 def _edges(shift, ratio, n_new, n_old):
@@ -168,24 +168,25 @@ def _edges(shift, ratio, n_new, n_old):
 
 
 def _along_x(row, edges, ratio):
-    out = np.zeros(len(edges))
+    f = row.dtype.type
+    out = np.zeros(len(edges), f)
     for i, (low, high) in enumerate(edges):
         if high <= low:
             continue
         first, last = math.floor(low), math.ceil(high) - 1
+        if ratio <= 2.0:
+            total = f(0.0)
+            for k in range(first, last + 1):
+                total = total + f((min(high, k + 1.0) - max(low, float(k))) / (high - low)) * row[k]
+            out[i] = total
+            continue
         per_width = 1.0 / (high - low)
         head = (min(high, first + 1.0) - low) * per_width
-        tail = (high - last) * per_width
         if first == last:
-            out[i] = row[first] if ratio <= 1.0 else head * row[first]
-        elif ratio <= 1.0:
-            out[i] = row[first] + tail * (row[last] - row[first])
-        elif ratio <= 2.0:
-            out[i] = head * row[first] + (tail if last == first + 1 else per_width) * row[first + 1]
-            out[i] += tail * row[last] if last == first + 2 else 0.0
+            out[i] = head * row[first]
         else:
             between = 0.0
             for k in range(first + 1, last):
                 between += row[k]
-            out[i] = head * row[first] + per_width * between + tail * row[last]
+            out[i] = head * row[first] + per_width * between + (high - last) * per_width * row[last]
     return out

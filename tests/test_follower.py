@@ -45,6 +45,34 @@ def travel(follower, ground, speed=0.1, seconds=2.0, offset=0.1, sigma=0.0, seed
     return np.array(errors)
 
 
+@pytest.mark.parametrize("mode", ["paper", "adaptive"])
+def test_a_clock_that_begins_at_zero_follows_as_any_other(mode):
+    def run(start_ns):
+        f = surffollow.Follower({"mode": mode}, offset_m=0.1)
+        demands = []
+        for k in range(400):
+            t = start_ns + k * MS
+            if k % 10 == 0:
+                f.pose(t, at(1e-4 * k, 0.2))
+            demands.append(f.step(t, [0.11 + 1e-5 * k if k % 4 == 0 else math.nan]))
+        return np.array(demands), f.state()
+
+    (late, told), (zero, told_zero) = run(T0), run(0)
+    assert zero[0 if mode == "paper" else 20, 2] != 0.0
+    assert np.array_equal(late, zero)
+    assert (told_zero["t_ns"], told_zero["pose_t_ns"]) == (399 * MS, 390 * MS)
+    assert (told["t_ns"], told["pose_t_ns"]) == (T0 + 399 * MS, T0 + 390 * MS)
+
+
+def test_times_before_the_clocks_beginning_or_beyond_its_end_are_refused():
+    f = surffollow.Follower()
+    for t_ns in (-7200 * 1_000_000_000, 1 << 62):
+        with pytest.raises(UsageError, match="hour"):
+            f.step(t_ns, [0.1])
+        with pytest.raises(UsageError, match="hour"):
+            f.pose(t_ns, at(0.0, 0.2))
+
+
 def test_importing_the_package_does_not_load_numba():
     code = "import sys, surffollow; assert 'numba' not in sys.modules; surffollow.Follower"
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -72,7 +100,8 @@ def test_a_tool_that_is_too_high_is_sent_down(mode):
 def test_a_stale_pose_stops_every_demand(mode):
     f = surffollow.Follower({"mode": mode}, offset_m=0.1)
     f.pose(T0, at(0.0, 0.2))
-    f.step(T0, [0.12])
+    for ms in (0, 4, 8):
+        f.step(T0 + ms * MS, [0.12])
     assert f.step(T0 + 50 * MS, [0.12])[2] < 0.0
     assert not f.step(T0 + 101 * MS, [0.12]).any()
     assert "POSE_STALE" in f.state()["status"]
@@ -274,3 +303,79 @@ def test_no_input_makes_a_demand_that_is_not_finite_or_beyond_its_limits(n, most
         assert np.linalg.norm(demand[3:]) <= 0.35 + 1e-12
         told = f.state()
         assert all(math.isfinite(told[k]) for k in ("height_m", "slope", "sigma_m", "noise_m", "tau_s"))
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        0.5,
+        [0.5],
+        "0000001",
+        [[0, 0, 0, 0, 0, 0, 1]],
+        [1e154, 0, 0, 0, 0, 0, 1],
+        [0, 0, 0, 0, 0, 0, 1j],
+        [True] * 7,
+    ],
+)
+def test_what_is_no_pose_is_refused(pose):
+    with pytest.raises(PoseError):
+        surffollow.Follower().pose(1, pose)
+
+
+@pytest.mark.parametrize("ranges", [None, 0.1, ["0.1"], "1", [[0.1]], [], [0.1] * 9, [1j]])
+def test_what_is_no_range_is_refused(ranges):
+    with pytest.raises(UsageError):
+        surffollow.Follower().step(1, ranges)
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        5,
+        b"x",
+        {1: 2},
+        {"range_min_m": 1, "range_max_m": 0.5},
+        {"sensors": [{"near_m": 0.2, "far_m": 0.1}]},
+        {"sensors": [{"position_m": [1e300, 0, 0]}]},
+        {"follow": {"offset": 0.1}, "sensors": [{}]},
+    ],
+)
+def test_contradictory_or_odd_configurations_are_refused(config):
+    with pytest.raises(ConfigError):
+        surffollow.Follower(config)
+
+
+def test_live_parameters_are_checked_together():
+    f = surffollow.Follower()
+    with pytest.raises(ConfigError):
+        f.set_params(range_min="1 m", range_max="1 mm")
+    with pytest.raises(ConfigError, match="twice"):
+        f.set_params(offset=0.1, offset_m=0.2)
+
+
+def test_one_pose_stamped_far_ahead_does_not_lock_the_follower():
+    f = surffollow.Follower(offset_m=0.1)
+    level = (0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0)
+    f.step(10**9, [0.1])
+    assert f.pose(2**61, level)
+    assert f.pose(10**9 + 10**7, level)
+    assert not f.pose(10**9, level)
+    for k in range(10):
+        t = 10**9 + (k + 2) * 10**7
+        f.pose(t, level)
+        f.step(t, [0.1])
+    assert f.state()["status"] == ["VALID"]
+
+
+def test_readings_that_come_later_than_the_pose_timeout_are_used():
+    f = surffollow.Follower(offset_m=0.1)
+    rng = np.random.default_rng(0)
+    for ms in range(3000):
+        if ms % 10 == 0:
+            f.pose(T0 + (ms - 10) * MS, at(1e-4 * (ms - 10), 0.12))
+        if ms % 4 == 0 and ms > 320:
+            f.step(T0 + (ms - 300) * MS, [0.12 + 1e-4 * rng.standard_normal()])
+        if ms % 10 == 0:
+            demand = f.step(T0 + ms * MS, [math.nan])
+    assert f.state()["status"] == ["VALID"]
+    assert demand[2] == pytest.approx(-0.02, abs=5e-4)

@@ -134,7 +134,7 @@ class Side:
         p = self.params[0]
         for name, spec in PARAMS.items():
             p[name] = spec.default
-        p["n_channels"], p["sensor_readings"] = 8, 3
+        p["mode"], p["n_channels"], p["sensor_readings"] = 0, 8, 3  # the paper
         p["scale_m"], p["zero_m"] = 0.1016 / 4095, 0.0508
         mounts = p["tool_from_sensor"].reshape(8, 7)
         mounts[:, 6] = 1.0

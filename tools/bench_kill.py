@@ -152,7 +152,7 @@ class Trial:
         self.slowest_s = 0.0
         client = [sys.executable, "-c", CLIENT, name]
         self.parts["client"] = Part("client", client, folder / "client.log")
-        record = [*command, "record", "--name", name, "--out", str(folder / "log.mcap")]
+        record = [*command, "record", "--force", "--name", name, "--out", str(folder / "log.mcap")]
         self.parts["recorder"] = Part("recorder", record, folder / "recorder.log")
         self.wait(self.healthy)
         with self.service.attach() as one:

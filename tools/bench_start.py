@@ -1,7 +1,7 @@
 """Time what a user waits for: `surffollow --help`, `import surffollow.client`, READY warm and cold.
 
 Each is a fresh process, timed from its start to its end (READY: to the line). Warm: the kernel cache
-of an earlier start; cold: an empty NUMBA_CACHE_DIR, the whole wait while kernels compile.
+of an earlier start; cold: an empty SURFFOLLOW_CACHE_DIR, the whole wait while kernels compile.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def run_s(command: list[str]) -> float:
 
 def ready_s(name: str, cache: str | None = None) -> tuple[float, int]:
     """Seconds from the start of a service to its READY, and the lines of progress it showed."""
-    environment = os.environ | ({"NUMBA_CACHE_DIR": cache} if cache else {})
+    environment = os.environ | ({"SURFFOLLOW_CACHE_DIR": cache} if cache else {})
     start = time.perf_counter()
     with tempfile.TemporaryFile("w+") as progress:
         process = subprocess.Popen(

@@ -141,6 +141,7 @@ def _counts() -> Counts:
 def compile_readers(folder: Path) -> dict[str, str]:
     """The C readers, as C and as C++; those for which there is a compiler."""
     source, out = str(Path(__file__).with_name("latch_stress.c")), {}
+    compilers = []
     for language, compiler, flags in (
         ("C", "gcc", ["-std=c11"]),
         ("C++", "g++", ["-std=c++17", "-x", "c++"]),
@@ -148,7 +149,9 @@ def compile_readers(folder: Path) -> dict[str, str]:
         if shutil.which(compiler):
             out[language] = str(folder / f"stress-{compiler}")
             command = [compiler, *flags, "-O2", f"-I{HEADER.parent}", source, "-o", out[language]]
-            subprocess.run(command, check=True)
+            compilers.append(subprocess.Popen(command))
+    if any([c.wait() for c in compilers]):
+        raise SystemExit("the readers do not compile")
     return out
 
 
@@ -158,12 +161,10 @@ def parse(text: str) -> Counts:
     return {words[i]: int(words[i + 1]) for i in range(0, len(words), 2)}
 
 
-def race(programs: dict[str, list[str]], python: Any, *arguments: Any) -> dict[str, Counts]:
-    """Run all readers at once; their counts."""
+def race(pool: Any, programs: dict[str, list[str]], python: Any, *arguments: Any) -> dict[str, Counts]:
+    """Run all readers at once, the one in Python in the pool's process; their counts."""
     started = {k: subprocess.Popen(v, stdout=subprocess.PIPE, text=True) for k, v in programs.items()}
-    found = {}
-    with mp.get_context("spawn").Pool(1) as pool:
-        found["Python"] = pool.apply(python, arguments)
+    found = {"Python": pool.apply(python, arguments)}
     for language, process in started.items():
         text = process.communicate()[0]
         if process.returncode:
@@ -213,7 +214,7 @@ class Robot:
 
 
 def against_daemon(
-    readers: dict[str, str], folder: Path, seconds: float
+    pool: Any, readers: dict[str, str], folder: Path, seconds: float
 ) -> tuple[dict[str, Counts], int, int]:
     """Counts per reader, disagreements between readers, cycles that several of them compared."""
     name, config = f"bench-tear-{os.getpid()}", folder / "bench.toml"
@@ -234,7 +235,7 @@ def against_daemon(
         robot.report_to(name)
         tables = {k: str(folder / f"table-{k}") for k in [*readers, "Python"]}
         programs = {k: [v, "output", name, str(seconds), tables[k]] for k, v in readers.items()}
-        found = race(programs, python_output, name, seconds, tables["Python"])
+        found = race(pool, programs, python_output, name, seconds, tables["Python"])
     finally:
         robot.close()
         subprocess.run([*command, "stop", "--name", name, "--purge", "--timeout", "60"], check=False)
@@ -249,12 +250,14 @@ def against_daemon(
     return found, differing, compared
 
 
-def against_writer(readers: dict[str, str], folder: Path, seconds: float) -> tuple[dict[str, Counts], int]:
+def against_writer(
+    pool: Any, readers: dict[str, str], folder: Path, seconds: float
+) -> tuple[dict[str, Counts], int]:
     """Counts per reader against a writer that only publishes, and its publications."""
     path = folder / "latch"
     path.write_bytes(bytes(-(-latch_bytes(8 * WORDS) // 4096) * 4096))
     full_speed_writer(str(path), 0.0)  # compile before the clock runs
-    writer = mp.get_context("spawn").Process(target=full_speed_writer, args=(str(path), seconds + 3.0))
+    writer = mp.get_context("spawn").Process(target=full_speed_writer, args=(str(path), seconds + 60.0))
     writer.start()
     generation = lambda: int.from_bytes(path.read_bytes()[:8], "little")  # noqa: E731
     before = generation()
@@ -263,18 +266,23 @@ def against_writer(readers: dict[str, str], folder: Path, seconds: float) -> tup
     programs = {k: [v, "words", str(path), str(WORDS), str(seconds)] for k, v in readers.items()}
     if "C" in readers:
         programs["control"] = [readers["C"], "naive", str(path), str(WORDS), str(seconds)]
-    found = race(programs, python_words, str(path), seconds)
+    found = race(pool, programs, python_words, str(path), seconds)
+    if not writer.is_alive():
+        raise SystemExit("the writer ended before the readers")
+    published = generation()
+    writer.kill()
     writer.join()
-    return found, generation()
+    return found, published
 
 
 def main(seconds: float) -> dict[str, Any]:
     """Race, count and hold against the bars."""
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, mp.get_context("spawn").Pool(1) as pool:
+        pool.apply_async(_counts)  # its process imports what it needs meanwhile
         folder = Path(name)
         readers = compile_readers(folder)
-        daemon, differing, compared = against_daemon(readers, folder, seconds)
-        writer, published = against_writer(readers, folder, max(1.0, seconds / 4))
+        daemon, differing, compared = against_daemon(pool, readers, folder, seconds)
+        writer, published = against_writer(pool, readers, folder, max(1.0, seconds / 4))
     control = writer.pop("control", _counts())
     everyone = [*daemon.values(), *writer.values()]
     total = {k: sum(c[k] for c in everyone) for k in _counts()}

@@ -254,7 +254,8 @@ static void follow_step(const Params *p, FollowState *st, const Inputs *in, Outp
   } else {
     int64_t newest = (s->pose_count - 1) & (POSES - 1);
     out->pose_t_ns = s->pose_t_ns[newest];
-    if (in->t_ns - out->pose_t_ns > p->pose_timeout_ns) {
+    int64_t age = in->t_ns - out->pose_t_ns;
+    if (age > p->pose_timeout_ns || -age > p->pose_timeout_ns) {
       out->status = POSE_STALE;
     } else {
       double sensor_z = 0.0;

@@ -49,7 +49,11 @@ static int read_words(const char *path, size_t words, double seconds, int naive)
 static int read_output(const char *name, double seconds, const char *table_path) {
   sf_client c;
   sf_output first, now;
-  if (sf_observe(&c, name) != SF_OK) return 1;
+  const int result = sf_observe(&c, name);
+  if (result != SF_OK) {
+    fprintf(stderr, "%s: %s\n", name, sf_strerror(result));
+    return 1;
+  }
   const int fd = open(table_path, O_RDWR | O_CREAT | O_TRUNC, 0600);
   const size_t bytes = sizeof(int64_t) * 2 * TABLE_ENTRIES;
   if (fd < 0 || ftruncate(fd, (off_t)bytes) != 0) return 1;
@@ -59,10 +63,10 @@ static int read_output(const char *name, double seconds, const char *table_path)
   first.cycle = -1;
   while (reads % 256 != 0 || sf_now_ns() < end) {
     const int64_t before = sf_load_acquire(c.output);
-    const int result = sf_read_output(&c, &now);
+    const int got = sf_read_output(&c, &now);
     reads++;
     overlapped += sf_load_relaxed(c.output) != before;
-    if (result != SF_OK) {
+    if (got != SF_OK) {
       failed++;
       continue;
     }

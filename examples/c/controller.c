@@ -22,6 +22,13 @@ static void on_signal(int number) {
   stop = 1;
 }
 
+/* A positive time; 0 when it is none. */
+static int read_seconds(const char *text, double *seconds) {
+  char *end;
+  *seconds = strtod(text, &end);
+  return end != text && *end == '\0' && *seconds > 0.0 && *seconds <= 1e6;
+}
+
 /* ---- the stand-in arm ---- */
 
 static double arm_x_m, arm_z_m = 0.1, arm_set_point_m = 0.1;
@@ -45,7 +52,11 @@ static void move_to(double x_m, double z_m) {
 
 int main(int argc, char **argv) {
   const char *name = argc > 1 ? argv[1] : "surf";
-  const double seconds = argc > 2 ? strtod(argv[2], NULL) : 10.0;
+  double seconds = 10.0;
+  if (argc > 3 || (argc > 2 && !read_seconds(argv[2], &seconds))) {
+    fprintf(stderr, "usage: %s [service [seconds]]; seconds: more than 0, at most 1e6\n", argv[0]);
+    return 2;
+  }
   struct sigaction action;
   memset(&action, 0, sizeof action);
   action.sa_handler = on_signal;

@@ -108,12 +108,25 @@ int run(const std::string &name, double seconds, const std::string &map_path) {
   return 0;
 }
 
+// A positive time, or nothing.
+std::optional<double> read_seconds(const char *text) {
+  char *end = nullptr;
+  const double seconds = std::strtod(text, &end);
+  if (end == text || *end != '\0' || !(seconds > 0.0 && seconds <= 1e6)) return std::nullopt;
+  return seconds;
+}
+
 } // namespace
 
 int main(int argc, char **argv) {
   std::signal(SIGINT, [](int) { stop = 1; });
+  const auto seconds = argc > 2 ? read_seconds(argv[2]) : 10.0;
+  if (argc > 4 || !seconds) {
+    std::cerr << "usage: " << argv[0] << " [service [seconds [map file]]]; seconds: more than 0, at most 1e6\n";
+    return 2;
+  }
   try {
-    return run(argc > 1 ? argv[1] : "surf", argc > 2 ? std::atof(argv[2]) : 10.0, argc > 3 ? argv[3] : "");
+    return run(argc > 1 ? argv[1] : "surf", *seconds, argc > 3 ? argv[3] : "");
   } catch (const Error &e) {
     std::cerr << "controller: " << e.what() << '\n';
     return 1;

@@ -7,6 +7,7 @@
     │   ├── ConfigError                    a configuration key, value or unit is wrong
     │   ├── PoseError                      a pose is not finite, not 7 long, not unit
     │   ├── RegionError                    a map region is empty, inverted or too large
+    │   ├── ClosedError                    the attachment was closed by its owner
     │   ├── NameError_                     a block name is not allowed
     │   └── SchemaError                    a schema declaration makes no layout
     └── FaultError                         the world is not as it must be                  exit code 1
@@ -17,6 +18,7 @@
         │   └── RequestTimeoutError        the service did not answer in time (also TimeoutError)
         ├── BlockError
         │   ├── LayoutMismatchError        the block was laid out by another version
+        │   ├── NotReadyError              the block is being made, replaced or mended; try again
         │   ├── ExistsError                a block of that name is there already
         │   ├── NoSpaceError               /dev/shm cannot hold the block
         │   ├── NoPermissionError          the block's mode forbids it (also PermissionError)
@@ -53,6 +55,10 @@ class PoseError(UsageError):
 
 class RegionError(UsageError):
     """A map region whose sides are not positive, finite and at most 1e6 m."""
+
+
+class ClosedError(UsageError):
+    """An attachment that its owner closed cannot be used any more."""
 
 
 class NameError_(UsageError):  # noqa: N801, N818 - the builtin has the plain name
@@ -97,6 +103,10 @@ class BlockError(FaultError):
 
 class LayoutMismatchError(BlockError):
     """The object's layout hash is not the one this program was built with."""
+
+
+class NotReadyError(BlockError):
+    """The object is being made, replaced or mended: the same call may succeed a moment later."""
 
 
 class ExistsError(BlockError):

@@ -4,7 +4,7 @@
     f.pose(t_ns, (x, y, z, qx, qy, qz, qw))      # whenever a pose report arrives
     demand = f.step(t_ns, [range_m])             # six numbers to add to the newest pose reported
 
-Times are int64 ns of any one clock. A reading's stamp may lie before the last step's.
+Times are int64 ns of any one clock, which may begin at 0. A reading's stamp may lie before the last step's.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from numpy.typing import NDArray
 from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.errors import ConfigError, PoseError, UsageError
 from surffollow.forecast.adaptive_bank import N
-from surffollow.forecast.adaptive_health import FAULT_NAMES
 from surffollow.forecast.adaptive_memory import new_memory, recall_ahead, remember_output
 from surffollow.forecast.horizon import forecast_range
 from surffollow.forecast.pose import push_pose
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_adaptive import HEALTH_NAMES
+from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES
 from surffollow.shm.layout_follow import (
     CHANNELS,
     MODE_ADAPTIVE,
+    POSES,
     STATUS_NAMES,
     FollowState,
     Inputs,
@@ -51,8 +51,13 @@ PAUSE_NS = 1_000_000_000
 TOO_CLOSE_BEYOND_M = 0.15 * 0.0254  # beyond the near limit of a sensor given by its window
 TOO_CLOSE_EXIT_M = 0.3 * 0.0254
 QUATERNION_TOLERANCE = 1e-3
+MOST_POSITION_M = 1e9  # as the service's client
+MOST_MOUNT_M = 1e3
+ASTRAY_NS = 1_000_000_000  # a pose so far ahead of the steps and of a newer report was stamped wrongly
 # what differs from the service's defaults: readings come ready-made and stamped with their own time
 IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "pose_interpolate": 1}
+# the kernels take a reading at 0 ns for none: their time runs ahead of the caller's by an hour
+_SHIFT_NS = 3_600_000_000_000
 _MODES = {"default": "adaptive", "ours": "adaptive"}
 _PLANT = {"tau_s": "plant_tau_s", "v_max_mps": "plant_v_max_mps", "a_max_mps2": "plant_a_max_mps2"}
 
@@ -68,9 +73,18 @@ def _read(config: Config) -> dict[str, Any]:
             raise ConfigError(f"cannot read configuration {config}: {e.strerror}") from None
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
             raise ConfigError(f"{config} is not TOML: {e}") from None
-    else:
+    elif isinstance(config, Mapping):
         data = dict(config)
-    return dict(data["follow"]) if isinstance(data.get("follow"), dict) else data
+    else:
+        raise ConfigError(f"config is {config!r}; it must be a dictionary, a TOML file's path or None")
+    if not all(isinstance(key, str) for key in data):
+        raise ConfigError("keys of the configuration must be text")
+    if not isinstance(data.get("follow"), Mapping):
+        return data
+    beside = sorted(str(k) for k in data if k != "follow")
+    if beside and not isinstance(config, (str, Path)):
+        raise ConfigError(f"give {', '.join(beside)} inside 'follow', or no 'follow' at all")
+    return dict(data["follow"])
 
 
 def _numbers(value: object, count: int, unit: str, key: str) -> list[float]:
@@ -98,8 +112,30 @@ def _mounts(sensors: object) -> list[dict[str, Any]]:
                 f"{where}.orientation is {q.tolist()}; it must be a unit quaternion qx qy qz qw"
             )
         position = _numbers(s.get("position_m", (0.0, 0.0, 0.0)), 3, "m", f"{where}.position_m")
+        if not all(abs(v) <= MOST_MOUNT_M for v in position):
+            raise ConfigError(f"{where}.position_m is {position}; it must be within {MOST_MOUNT_M:g} m")
         mounts.append({"pose": [*position, *(q / np.linalg.norm(q)).tolist()], **s})
     return mounts
+
+
+def _real(value: object) -> float:
+    """A real number as float; text and truth values are none."""
+    if isinstance(value, (str, bytes, bool, np.bool_, complex)):
+        raise TypeError(value)
+    return float(value)  # type: ignore[arg-type]
+
+
+def _check_window(params: Any) -> None:
+    """Raise when no reading could ever be valid."""
+    low, high = float(params["range_min_m"][0]), float(params["range_max_m"][0])
+    if not low < high:
+        raise ConfigError(f"range_min_m is {low:g} m and range_max_m {high:g} m; the first must be less")
+
+
+def _kernel_time(t_ns: int) -> int:
+    if isinstance(t_ns, (int, np.integer, float)) and -_SHIFT_NS < t_ns < 1 << 62:
+        return int(t_ns) + _SHIFT_NS
+    raise UsageError(f"time {t_ns} ns must be after -1 hour and before 2^62 ns of the clock in use")
 
 
 class Follower:
@@ -129,8 +165,8 @@ class Follower:
         self._n_ranges, self._given_m = self._inputs["n_ranges"], self._inputs["given_m"][0]
         self._demand = self._output["demand"][0]
         self._pose = np.zeros(7)
-        self._n_preview = self._inputs["n_preview"]
-        self._recalled_ns = 0
+        self._n_preview, self._previews = self._inputs["n_preview"], self._params["preview"]
+        self._recalled_ns = self._latest_ns = 0
         data = _read(config)
         remembers = data.pop("memory", True)
         if not isinstance(remembers, bool):
@@ -169,6 +205,7 @@ class Follower:
             values[param_name(name)] = check_param(name, value)
         for name, number in values.items():
             self._params[name] = number
+        _check_window(self._params)
 
     def _set(self, name: str, value: object) -> None:
         self._params[param_name(name)] = check_param(name, value)
@@ -180,9 +217,16 @@ class Follower:
         ------
         ConfigError  unknown name, wrong unit, value out of bounds; then nothing is changed
         """
-        checked = {param_name(n): check_param(n, v) for n, v in values.items()}
+        checked: dict[str, float] = {}
+        for n, v in values.items():
+            if param_name(n) in checked:
+                raise ConfigError(f"parameter {param_name(n)} is given twice")
+            checked[param_name(n)] = check_param(n, v)
+        trial = self._params.copy()
         for name, number in checked.items():
-            self._params[name] = number
+            trial[name] = number
+        _check_window(trial)
+        self._params[:] = trial
 
     def reset(self, offset_m: float | None = None) -> None:
         """Forget the surface (SFReset), with a new desired stand-off [m] if given; poses stay."""
@@ -208,14 +252,28 @@ class Follower:
         """
         p = self._pose
         try:
-            p[:] = pose
-        except (TypeError, ValueError):
+            if len(pose) != 7 or isinstance(pose, (str, bytes)):
+                raise TypeError
+            if isinstance(pose, np.ndarray) and pose.dtype.kind in "fiu" and pose.ndim == 1:
+                p[:] = pose
+            else:
+                p[:] = [_real(v) for v in pose]
+        except (TypeError, ValueError, OverflowError):
             raise PoseError(f"a pose is seven numbers x y z qx qy qz qw, not {pose!r}") from None
+        t = _kernel_time(t_ns)
         norm2 = p[3] * p[3] + p[4] * p[4] + p[5] * p[5] + p[6] * p[6]
         if not (math.isfinite(p[0] + p[1] + p[2]) and abs(math.sqrt(norm2) - 1.0) <= QUATERNION_TOLERANCE):
             raise PoseError(f"pose {p.tolist()} is not finite or its quaternion's norm is not 1")
+        if not max(abs(p[0]), abs(p[1]), abs(p[2])) <= MOST_POSITION_M:
+            raise PoseError(f"pose {p.tolist()} lies beyond {MOST_POSITION_M:g} m")
         p[3:] /= math.sqrt(norm2)
-        return bool(push_pose(self._sense, int(t_ns), p, 0))
+        sense = self._sense
+        n = int(sense["pose_count"])
+        if n > 0:
+            newest = int(sense["pose_t_ns"][(n - 1) % POSES])
+            if t <= newest - ASTRAY_NS and newest > max(t, int(self._t_ns[0])) + ASTRAY_NS:
+                sense["pose_count"] = 0  # else a single wrong stamp would refuse every report for ever
+        return bool(push_pose(sense, t, p, 0))
 
     def step(self, t_ns: int, ranges_m: Sequence[float] | NDArray[Any]) -> NDArray[np.float64]:
         """Step once, with readings or without.
@@ -231,15 +289,27 @@ class Follower:
 
         Raises
         ------
-        UsageError  not 1 to 8 numbers
+        UsageError  not 1 to 8 numbers, or a time more than an hour before 0
         """
-        n = len(ranges_m)
-        if not 1 <= n <= CHANNELS:
-            raise UsageError(f"step takes 1 to {CHANNELS} ranges, not {n}")
-        self._given_m[:n] = ranges_m
+        try:
+            n = len(ranges_m)
+            if not 1 <= n <= CHANNELS:
+                raise UsageError(f"step takes 1 to {CHANNELS} ranges, not {n}")
+            if isinstance(ranges_m, np.ndarray) and ranges_m.dtype.kind in "fiu" and ranges_m.ndim == 1:
+                self._given_m[:n] = ranges_m
+            else:
+                self._given_m[:n] = [_real(v) for v in ranges_m]
+        except UsageError:
+            raise
+        except (TypeError, ValueError, OverflowError):
+            raise UsageError(f"step takes a list of ranges, not {ranges_m!r}") from None
+        t = _kernel_time(t_ns)
         self._n_ranges[0] = n
-        self._t_ns[0] = self._given_t_ns[0] = t_ns
-        if self._memory is None:
+        self._t_ns[0] = self._given_t_ns[0] = t
+        self._latest_ns = max(t, self._latest_ns if self._latest_ns - t < PAUSE_NS else t)
+        if self._latest_ns - t > self._params["pose_timeout_ns"][0]:
+            self._t_ns[0] = self._latest_ns  # an old reading is no reason to take the poses for future ones
+        if self._memory is None or self._previews[0] == 0:
             self._n_preview[0] = 0
         elif t_ns >= self._recalled_ns + RECALL_NS or t_ns < self._recalled_ns - PAUSE_NS:
             recall_ahead(self._memory, self._state, self._inputs)
@@ -266,11 +336,14 @@ class Follower:
         }
         names = ("t_ns", "pose_t_ns", "cycle", "height_m", "slope", "speed_mps", "delta_h_m", "error_m")
         out.update({n: o[n].item() for n in names})
+        for stamp in ("t_ns", "pose_t_ns"):
+            out[stamp] -= _SHIFT_NS if out[stamp] else 0  # 0: before the first step, or pose
         if self._params["mode"][0] == MODE_ADAPTIVE:
             a = self._state["adaptive"][0]
             out["health"] = HEALTH_NAMES[int(o["health"])]
             out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
-            told = ("sigma_m", "noise_m", "roughness_m", "late_s", "tau_s", "beams")
+            told: tuple[str, ...] = ("sigma_m", "noise_m", "roughness_m", "late_s", "latency_s", "tau_s")
+            told += ("permitted_variance_m", "interval_size_m", "range_size", "beams")
             out.update({n: o[n].item() for n in told})
             out["preview_share"] = float(a["preview_share"])
             out["weights"] = a["weight"][:N].tolist()

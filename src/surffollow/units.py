@@ -41,6 +41,8 @@ _UNITS: dict[str, tuple[str, float]] = {
     "m/s3": ("jerk", 1.0),
     "rad/s": ("angular speed", 1.0),
     "deg/s": ("angular speed", math.pi / 180.0),
+    "rad/s^2": ("angular acceleration", 1.0),
+    "deg/s^2": ("angular acceleration", math.pi / 180.0),
     "B": ("size", 1.0),
     "KiB": ("size", 1024.0),
     "MiB": ("size", 1024.0**2),

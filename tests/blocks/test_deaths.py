@@ -12,8 +12,8 @@ import pytest
 
 from surffollow.blocks import mem_attach
 from surffollow.blocks.layout import WAITING_WORD
-from surffollow.blocks.locks import QUEUE_BYTE
 from surffollow.errors import BlockError, BlockTimeoutError
+from surffollow.shm.locks import QUEUE_BYTE
 
 from .conftest import Platform, Words, forever
 

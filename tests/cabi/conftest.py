@@ -13,6 +13,13 @@ import pytest
 from cabi.running import CPP, ROOT, SANITIZED, C, Probe, Service, StillWorld
 from surffollow.shm.cheader import header_text
 
+LARGEST = (
+    ("tests/cabi/probe.c", "gcc", "C"),
+    ("tests/cabi/probe.c", "g++", "C++"),
+    ("examples/cpp/controller.cpp", "g++", "C++"),
+    ("examples/c/controller.c", "gcc", "C"),
+)
+
 
 @pytest.fixture(scope="session")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
@@ -27,30 +34,23 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
         world.close()
 
 
-@pytest.fixture
-def own_service(tmp_path: Path) -> Iterator[Service]:
-    """A service of a test's own, not started, to be killed at will."""
-    s = Service(f"cabi-own-{os.getpid()}", tmp_path)
-    try:
-        yield s
-    finally:
-        s.stop()
-
-
 @pytest.fixture(scope="session")
-def compile_program(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+def compile_program(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Path]]:
     """Compile a file or a text as "C" or "C++"; the program's path."""
     folder = tmp_path_factory.mktemp("programs")
     # of the layout as it is; that the committed header is the same is for test_header to say
     (folder / "surffollow.h").write_text(header_text())
     made: dict[tuple[str, ...], Path] = {}
+    under_way: dict[tuple[str, ...], tuple[Path, list[str], subprocess.Popen[str]]] = {}
 
-    def build(source: Path | str, *flags: str, language: str = "C") -> Path:
+    def begin(source: Path | str, *flags: str, language: str = "C") -> tuple[str, ...]:
+        """Start the compiler and do not wait for it."""
         key = (str(source), language, *flags)
-        if key in made:
-            return made[key]
-        program = folder / f"program{len(made)}"
-        path = source if isinstance(source, Path) else folder / f"source{len(made)}.c"
+        if key in made or key in under_way:
+            return key
+        number = len(made) + len(under_way)
+        program = folder / f"program{number}"
+        path = source if isinstance(source, Path) else folder / f"source{number}.c"
         if isinstance(source, str):
             path.write_text(source)
         compiler, standard = ("gcc", C) if language == "C" else ("g++", CPP)
@@ -60,12 +60,27 @@ def compile_program(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., P
         style = ["-x", "c++", "-Wno-old-style-cast"] if path.suffix == ".c" and language != "C" else []
         include = f"-I{folder}"
         command = [compiler, *standard, *style, include, *flags, "-o", str(program), str(path)]
-        done = subprocess.run(command, capture_output=True, text=True)
-        assert done.returncode == 0, f"{' '.join(command)}\n{done.stderr}"
-        made[key] = program
-        return program
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        under_way[key] = program, command, process
+        return key
 
-    return build
+    def build(source: Path | str, *flags: str, language: str = "C") -> Path:
+        key = begin(source, *flags, language=language)
+        if key in under_way:
+            program, command, process = under_way.pop(key)
+            _, errors = process.communicate()
+            assert process.returncode == 0, f"{' '.join(command)}\n{errors}"
+            made[key] = program
+        return made[key]
+
+    # what most tests want, while the service starts
+    for source, compiler, language in LARGEST:
+        if shutil.which(compiler) is not None:
+            begin(ROOT / source, *SANITIZED, language=language)
+    yield build
+    for _, _, process in under_way.values():
+        process.kill()
+        process.communicate()
 
 
 @pytest.fixture(params=["C", "C++"])

@@ -40,6 +40,7 @@ static int answer(const char *verb, char *rest) {
   }
   if (strcmp(verb, "auto") == 0) return options.auto_reattach = (int)v[0], 0;
   if (strcmp(verb, "stale_ms") == 0) return options.stale_min_ns = (int64_t)(v[0] * 1e6), 0;
+  if (strcmp(verb, "ready_ms") == 0) return options.ready_wait_ns = (int64_t)(v[0] * 1e6), 0;
   if (strcmp(verb, "timeout_ms") == 0) return options.timeout_ns = (int64_t)(v[0] * 1e6), 0;
   if (strcmp(verb, "detach") == 0) return sf_detach(&client), 0;
   if (strcmp(verb, "fork") == 0) {
@@ -76,9 +77,21 @@ static int answer(const char *verb, char *rest) {
     printf("%.17g ", height);
     return result;
   }
+  if (strcmp(verb, "surface") == 0) {
+    double s[3] = {0.0, 0.0, 0.0};
+    const int result = sf_map_surface(&client, v[0], v[1], &s[0], &s[1], &s[2]);
+    printf("%.17g %.17g %.17g ", s[0], s[1], s[2]);
+    return result;
+  }
   if (strcmp(verb, "begin") == 0) return sf_access_begin(&client, (int64_t)(v[0] * 1e6));
   if (strcmp(verb, "end") == 0) return sf_access_end(&client);
   if (strcmp(verb, "held") == 0) return sf_access_held(&client);
+  if (strcmp(verb, "holding") == 0) { /* begin, wait v[1] ms, end */
+    const int begun = sf_access_begin(&client, (int64_t)(v[0] * 1e6));
+    if (begun != SF_OK) return begun;
+    sf_sleep_until_ns(sf_now_ns() + (int64_t)(v[1] * 1e6));
+    return sf_access_end(&client);
+  }
   if (strcmp(verb, "alive") == 0) return sf_alive(&client);
   if (strcmp(verb, "dev") == 0) {
     sf_demand d;

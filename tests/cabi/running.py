@@ -30,7 +30,7 @@ priority = 10
 spin = "20 us"
 [map]
 grids = 20000
-access_lease = "2 s"
+access_lease = "700 ms"
 [driver]
 kind = "simulated"
 [driver.world]
@@ -119,10 +119,16 @@ class Answer(NamedTuple):
 class Probe:
     """A running `probe.c`: call it with one line, get the answer."""
 
-    def __init__(self, program: Path, **options: Any) -> None:
+    def __init__(self, *program: Path | str, **options: Any) -> None:
         pipe = subprocess.PIPE
         self.process = subprocess.Popen(
-            [str(program)], stdin=pipe, stdout=pipe, stderr=pipe, text=True, bufsize=1, **options
+            [str(word) for word in program],
+            stdin=pipe,
+            stdout=pipe,
+            stderr=pipe,
+            text=True,
+            bufsize=1,
+            **options,
         )
         self.pid = self.process.pid
 

@@ -120,47 +120,51 @@ def test_hot_calls_make_no_system_call(compile_program: Callable[..., Path], ser
     assert int(total.split()[3]) < 150  # 400 calls of ours
 
 
+# one thread publishes, two read and look at every word
+THREADS = """
+#include "surffollow.h"
+#include <pthread.h>
+static _Alignas(64) int64_t latch[8 + 4 * 16];
+static int over;
+static void *write_all(void *unused) {
+  int64_t payload[16];
+  const int64_t end_ns = sf_now_ns() + 400000000; /* on a busy machine the readers come late */
+  for (int64_t n = 1; n <= 60000 || sf_now_ns() < end_ns; n++) {
+    for (int k = 0; k < 16; k++) payload[k] = n;
+    sf_latch_write(latch, sizeof payload, payload);
+  }
+  __atomic_store_n(&over, 1, __ATOMIC_RELEASE);
+  return unused;
+}
+static void *read_all(void *counts) {
+  int64_t payload[16], *count = (int64_t *)counts;
+  while (!__atomic_load_n(&over, __ATOMIC_ACQUIRE)) {
+    const int64_t g = sf_latch_read(latch, sizeof payload, payload);
+    if (g <= 0) continue;
+    count[0]++;
+    for (int k = 0; k < 16; k++) count[1] += payload[k] != g;
+  }
+  return NULL;
+}
+int main(void) {
+  int64_t counts[2][2] = {{0, 0}, {0, 0}};
+  pthread_t threads[3];
+  pthread_create(&threads[1], NULL, read_all, counts[0]);
+  pthread_create(&threads[2], NULL, read_all, counts[1]);
+  pthread_create(&threads[0], NULL, write_all, NULL);
+  for (int k = 0; k < 3; k++) pthread_join(threads[k], NULL);
+  const int64_t reads = counts[0][0] + counts[1][0], torn = counts[0][1] + counts[1][1];
+  printf("reads %" PRId64 " torn %" PRId64 "\\n", reads, torn);
+  return 0;
+}
+"""
+
+
 def test_thread_sanitizer_finds_no_race_between_writer_and_readers(
     compile_program: Callable[..., Path],
 ) -> None:
-    source = """
-    #include "surffollow.h"
-    #include <pthread.h>
-    static _Alignas(64) int64_t latch[8 + 4 * 16];
-    static int over;
-    static void *write_all(void *unused) {
-      int64_t payload[16];
-      for (int64_t n = 1; n <= 60000; n++) {
-        for (int k = 0; k < 16; k++) payload[k] = n;
-        sf_latch_write(latch, sizeof payload, payload);
-      }
-      __atomic_store_n(&over, 1, __ATOMIC_RELEASE);
-      return unused;
-    }
-    static void *read_all(void *counts) {
-      int64_t payload[16], *count = (int64_t *)counts;
-      while (!__atomic_load_n(&over, __ATOMIC_ACQUIRE)) {
-        const int64_t g = sf_latch_read(latch, sizeof payload, payload);
-        if (g <= 0) continue;
-        count[0]++;
-        for (int k = 0; k < 16; k++) count[1] += payload[k] != g;
-      }
-      return NULL;
-    }
-    int main(void) {
-      int64_t counts[2][2] = {{0, 0}, {0, 0}};
-      pthread_t threads[3];
-      pthread_create(&threads[1], NULL, read_all, counts[0]);
-      pthread_create(&threads[2], NULL, read_all, counts[1]);
-      pthread_create(&threads[0], NULL, write_all, NULL);
-      for (int k = 0; k < 3; k++) pthread_join(threads[k], NULL);
-      const int64_t reads = counts[0][0] + counts[1][0], torn = counts[0][1] + counts[1][1];
-      printf("reads %" PRId64 " torn %" PRId64 "\\n", reads, torn);
-      return 0;
-    }
-    """
     # this sanitizer does not model fences; the loads and stores they order are atomic all the same
-    program = compile_program(source, "-O1", "-g", "-fsanitize=thread", "-Wno-tsan", "-pthread")
+    program = compile_program(THREADS, "-O1", "-g", "-fsanitize=thread", "-Wno-tsan", "-pthread")
     done = subprocess.run([str(program)], capture_output=True, text=True, timeout=60)
     if "unexpected memory mapping" in done.stderr:
         pytest.skip("this kernel's address space layout does not suit the thread sanitizer")

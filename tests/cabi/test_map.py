@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import struct
 import time
@@ -14,7 +15,7 @@ import pytest
 from cabi.running import Probe, Service
 from surffollow.client import Client, attach
 from surffollow.client.map_reader import copy_map
-from surffollow.errors import RequestTimeoutError
+from surffollow.errors import RefusedError, RequestTimeoutError
 from surffollow.map.lookup import height_at
 from surffollow.shm import map_layout as ml
 from surffollow.shm.layout_follow import POSE_STALE
@@ -66,6 +67,25 @@ def test_heights_in_c_are_those_of_the_kernel(probe: Probe, robot: Client) -> No
             assert answer.values == [wanted]
             known += 1
     assert known >= 20
+
+
+def test_surface_in_c_is_pythons(probe: Probe, robot: Client) -> None:
+    settle(probe)
+    points = np.random.default_rng(8).uniform(-0.005, 0.105, (80, 2)).tolist()
+    points += [(0.0013 * k + 0.01, 0.04 + 0.0001 * (k % 5)) for k in range(60)]
+    known = slopes = 0
+    for x_m, y_m in points:
+        wanted = robot.map_surface(x_m, y_m)
+        answer = probe(f"surface {x_m!r} {y_m!r}")
+        assert answer.result == (OK if wanted.known else UNKNOWN), (x_m, y_m)
+        if wanted.known:
+            known += 1
+            slopes += wanted.slope_x == wanted.slope_x
+            np.testing.assert_allclose(answer.values, wanted[:3], rtol=1e-12, atol=1e-12)
+    assert known >= 20
+    assert slopes >= 20
+    for point in ("9 9", "nan 0", "0 inf", "1e300 1e300"):
+        assert probe(f"surface {point}").result == UNKNOWN, point
 
 
 def test_points_that_no_map_has_are_unknown(probe: Probe) -> None:
@@ -131,7 +151,7 @@ def test_map_stands_still_while_a_c_client_holds_it_and_following_goes_on(
 
 def test_holder_that_outlives_its_lease_is_told_that_its_copy_may_be_mixed(probe: Probe) -> None:
     assert probe("begin 1000").result == OK
-    probe.until("held", lambda a: a.result == 0)  # the service's lease is 2 s
+    probe.until("held", lambda a: a.result == 0)  # the service's lease is 0.7 s
     time.sleep(0.01)
     assert probe("held").result == 0  # and it is not granted again behind the holder's back
     assert probe("end").result == -31
@@ -163,6 +183,19 @@ def test_damaged_geometry_leads_no_reader_out_of_the_map(probe: Probe, service: 
         copied_map.write_bytes(map_)
         assert probe(f"observe {copy.name}").result == OK
         assert probe("height 0.05 0.04").result == OK
+        assert probe("detach").result == OK
+        copied_map.write_bytes(map_[: ml.MapHeader.SIZE + 100])  # less than the header's page
+        for call in ("observe " + copy.name, "height 0.05 0.04", "surface 0.05 0.04"):
+            assert probe(call).result == (OK if "observe" in call else -24), call
+        assert probe("detach").result == OK
+        copied_map.write_bytes(map_)
+        if os.geteuid() == 0:
+            os.chown(copied_map, 12345, -1)  # another user's, under the name of the service's
+            assert probe(f"observe {copy.name}").result == OK
+            assert probe("height 0.05 0.04").result == -24
+            assert probe("detach").result == OK
+            os.chown(copied_map, 0, -1)
+        assert probe(f"observe {copy.name}").result == OK
         for nx in (1 << 62, -1, 0, 10**9):
             with copied_map.open("r+b") as f:
                 f.seek(at)
@@ -171,3 +204,98 @@ def test_damaged_geometry_leads_no_reader_out_of_the_map(probe: Probe, service: 
     finally:
         copy.unlink()
         copied_map.unlink()
+
+
+def test_grant_of_a_killed_holder_is_not_taken_for_the_next_clients(
+    make_probe: Callable[..., Probe], service: Service, robot: Client
+) -> None:
+    for _ in range(6):
+        victim, heir = make_probe(), make_probe()
+        victim(f"attach {service.name}")
+        assert victim("begin 1000").result == OK
+        before = robot.status()["map"]["grants"]
+        victim.process.kill()
+        victim.process.wait()
+        assert heir(f"attach {service.name}").slot == victim_slot(robot)
+        assert heir("begin 1000").result == OK
+        assert robot.status()["map"]["grants"] > before, "a grant of its own"
+        assert heir("end").result == OK
+        heir("detach")
+
+
+def victim_slot(robot: Client) -> int:
+    """The lowest slot beside the one that the robot has."""
+    return 0 if robot.slot else 1
+
+
+def test_grant_given_anew_behind_the_holders_back_is_not_its_own(probe: Probe, service: Service) -> None:
+    """The service's lease is 0.7 s: a holder that sleeps through it is told, however long it slept."""
+    for over_ms in (800, 1600):
+        assert probe(f"holding 1000 {over_ms}").result == -31
+        assert probe("holding 1000 0").result == OK, "it is heard again at once"
+    with attach(service.name) as slow, attach(service.name) as watcher:
+        before = watcher.status()["map"]["grants"]
+        with pytest.raises(RefusedError, match="taken back"), slow.exclusive():
+            time.sleep(1.6)
+        assert watcher.status()["map"]["grants"] == before + 1, "a fenced holder gets no second grant"
+        with slow.exclusive():
+            pass
+
+
+def test_access_nests_and_its_holder_is_not_made_to_wait_for_itself(
+    probe: Probe, robot: Client, tmp_path: Path
+) -> None:
+    assert probe("end").result == -31, "nothing was begun"
+    assert probe("begin 1000").result == OK
+    assert probe("begin 1000").result == OK
+    assert probe("end").result == OK
+    assert probe(f"upload {tmp_path / 'inside.txt'}").result == OK
+    assert probe("held").result == 1
+    began = time.monotonic()
+    assert probe(f"map_reset {REGION}").result == -35
+    assert probe(f"map_refocus {REGION}").result == -35
+    assert time.monotonic() - began < 0.2
+    assert probe("end").result == OK
+    assert probe("held").result == 0
+    with robot.exclusive():
+        pass
+    assert probe(f"map_reset {REGION}").result == OK
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "link to a pipe"])
+def test_upload_leaves_what_is_no_plain_file(probe: Probe, tmp_path: Path, kind: str) -> None:
+    target = tmp_path / "there"
+    if kind == "device":
+        target = Path("/dev/null")
+    else:
+        os.mkfifo(tmp_path / "pipe" if "link" in kind else target)
+        if "link" in kind:
+            target.symlink_to("pipe")
+    before = os.lstat(target)
+    answer = probe(f"upload {target}")
+    assert (answer.result, answer.detail) == (-32, errno.EEXIST)
+    assert os.lstat(target).st_ino == before.st_ino
+
+
+def test_upload_follows_links_and_keeps_the_files_mode(probe: Probe, tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    real = tmp_path / "folder" / "real.txt"
+    real.write_text("old")
+    real.chmod(0o600)
+    (tmp_path / "one").symlink_to("folder/two")
+    (tmp_path / "folder" / "two").symlink_to("real.txt")
+    (tmp_path / "new").symlink_to("folder/made.txt")
+    assert probe(f"upload {tmp_path / 'one'}").result == OK
+    assert (tmp_path / "one").is_symlink()
+    assert real.read_text().startswith("surffollow-map 1")
+    assert real.stat().st_mode & 0o777 == 0o600
+    assert probe(f"upload {tmp_path / 'new'}").result == OK
+    assert (tmp_path / "folder" / "made.txt").read_text().startswith("surffollow-map 1")
+    (tmp_path / "round").symlink_to("round")
+    assert probe(f"upload {tmp_path / 'round'}").result == -32
+    assert sorted(p.name for p in (tmp_path / "folder").iterdir()) == ["made.txt", "real.txt", "two"]
+
+
+def test_parts_that_a_killed_upload_left_hinder_no_later_one(probe: Probe, tmp_path: Path) -> None:
+    (tmp_path / f"map.txt.{probe.pid}.part").write_text("left")
+    assert probe(f"upload {tmp_path / 'map.txt'}").result == OK

@@ -16,15 +16,24 @@ OK = 0
 POSE = "ee 0.05 0.05 0.1 0 0 0 1"
 
 
-@pytest.fixture
-def mortal(own_service: Service) -> Iterator[Service]:
-    """A service that a test may kill, with something to see for its sensor."""
-    world = StillWorld(own_service.name)
+@pytest.fixture(scope="module")
+def own_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A service of this module's own, not started, with something to see for its sensor."""
+    s = Service(f"cabi-own-{os.getpid()}", tmp_path_factory.mktemp("mortal"))
+    world = StillWorld(s.name)
     try:
-        own_service.start()
-        yield own_service
+        yield s
     finally:
+        s.stop()
         world.close()
+
+
+@pytest.fixture
+def mortal(own_service: Service) -> Service:
+    """A living service that a test may kill; the next test starts it again."""
+    if own_service.process is None or own_service.process.poll() is not None:
+        own_service.start()
+    return own_service
 
 
 def test_client_follows_a_killed_service_into_its_next_life(
@@ -62,6 +71,21 @@ def test_client_follows_a_killed_service_into_its_next_life(
     assert probe("reset 0.1").result == OK
     assert probe("height 0.05 0.05").result == OK
     assert fixed("reset 0.1").result == OK
+
+
+def test_holder_is_told_that_the_service_was_restarted(
+    mortal: Service, make_probe: Callable[..., Probe]
+) -> None:
+    for how in ("auto 0", "auto 1"):
+        probe = make_probe()
+        probe(how)
+        assert probe(f"attach {mortal.name}").result == OK
+        assert probe("begin 1000").result == OK
+        mortal.kill()
+        mortal.start()
+        assert probe("end").result == -31
+        probe.until("reattach", lambda a: a.result == OK)
+        assert probe("holding 1000 0").result == OK
 
 
 def test_purged_map_is_found_again_when_it_is_made_anew(

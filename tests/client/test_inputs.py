@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Callable, Iterator
 
@@ -10,7 +11,10 @@ import pytest
 
 from running_service import POSE, Service, drive, until
 from surffollow.client import Client, board
+from surffollow.client.beliefs import beliefs, numbered_faults
+from surffollow.config.params import PARAMS, param_name
 from surffollow.errors import (
+    ClosedError,
     ConfigError,
     LayoutMismatchError,
     NotRunningError,
@@ -20,6 +24,7 @@ from surffollow.errors import (
     RequestTimeoutError,
 )
 from surffollow.shm import layout_board as lb
+from surffollow.shm.layout_adaptive import HEALTH_NAMES
 from surffollow.shm.layout_follow import Params
 
 NAN, INF = math.nan, math.inf
@@ -256,3 +261,58 @@ def test_the_papers_spellings_are_the_same_functions(client: Client) -> None:
         assert getattr(Client, paper) is getattr(Client, ours)
     assert len(client.DevVector()) == 6
     drive(client, lambda: client.RawDistance() > 0, what="a distance")
+
+
+def test_faults_are_numbered_and_what_cannot_be_told_is_null(client: Client) -> None:
+    assert numbered_faults(0b10010, 0b100) == [
+        {"number": 2, "name": "STUCK"},
+        {"number": 5, "name": "CLOCK"},
+        {"number": 35, "name": "SAMPLES_LOST"},
+    ]
+    assert beliefs(None, 1) == {"mode": "adaptive"}
+    told = client.status()["follower"]
+    assert told["mode"] == "adaptive"
+    assert told["health"] in HEALTH_NAMES
+    assert told["latency_s"] == pytest.approx(0.032, abs=5e-3)
+    assert told["range_size"] >= 1
+    assert all(v is None or not isinstance(v, float) or math.isfinite(v) for v in told.values())
+
+
+def test_every_parameter_is_known_without_its_unit() -> None:
+    short = {re.sub(r"_(ns|s|m|mps|rad|radps)\d?$", "", name): name for name in PARAMS}
+    assert len(short) == len(PARAMS)
+    for name, full in short.items():
+        assert param_name(name) == full
+    for name in ("plant_a_max", "max_jerk", "max_turn", "max_turn_accel", "plan_calm"):
+        assert name in short
+
+
+def test_a_closed_client_says_that_it_was_closed(service: Service) -> None:
+    client, watcher = service.attach(), service.observe()
+    client.sf_reset(0.1)
+    watcher.map_changes()
+    for attachment in (client, watcher):
+        attachment.close()
+        attachment.close()  # twice is as good as once
+        for call in (
+            attachment.dev_vector,
+            attachment.alive,
+            attachment.status,
+            attachment.params,
+            attachment.output,
+            attachment.raw_distance,
+            attachment.reattach,
+            attachment.map_changes,
+            lambda a=attachment: a.dev_vector_into(bytearray(88)),
+            lambda a=attachment: a.map_height(0.0, 0.0),
+        ):
+            with pytest.raises(ClosedError, match="was closed"):
+                call()
+    for call in (
+        lambda: client.ee_pos(POSE),
+        lambda: client.sf_reset(0.1),
+        lambda: client.map_reset(REGION),
+        lambda: client.exclusive().__enter__(),
+    ):
+        with pytest.raises(ClosedError, match="was closed"):
+            call()

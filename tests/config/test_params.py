@@ -37,7 +37,7 @@ def test_a_parameter_is_taken_with_or_without_its_unit_ending(name, value, numbe
         ("Range_Size", 5, ["unknown parameter 'Range_Size'", "range_size"]),
         ("offset", "3 s", ["offset", "'s' is a time", "length"]),
         ("offset", "3 furlongs", ["offset", "unknown unit 'furlongs'", "use one of"]),
-        ("offset", -1.0, ["offset", "-1 m", "between 0.0001 and 1000"]),
+        ("offset", -1.0, ["offset", "-1 m", "between 0.0001 and 1000 m"]),
         ("offset", math.nan, ["offset", "finite"]),
         ("offset", math.inf, ["offset", "finite"]),
         ("offset", None, ["offset", "no quantity"]),

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-import pytest
+import os
 
+import pytest
+from click.testing import CliRunner
+
+from surffollow.cli.service import start_command
 from surffollow.config.service import ServiceConfig, follow_params, load_config, mode, parse_config, seconds
 from surffollow.errors import ConfigError
+from surffollow.shm.objects import unlink
 
 FULL = """
 name = "arm2"
@@ -63,7 +68,7 @@ def test_a_full_file_is_taken_as_written(tmp_path):
         ({"period": "1 mm"}, ["period", "'mm' is a length", "time"]),
         ({"period": "1 fortnight"}, ["period", "unknown unit 'fortnight'"]),
         ({"period": "1 us"}, ["period", "between 2e-05 and 1"]),
-        ({"period": 5}, ["period", "between 2e-05 and 1"]),
+        ({"period": 5}, ["period", "between 2e-05 and 1 s"]),
         ({"period": [1]}, ["period"]),
         ({"realtime": {"priority": 99}}, ["realtime.priority", "99", "between 1 and 98"]),
         ({"realtime": {"overrun": "panic"}}, ["realtime.overrun", "'skip' or 'catch-up'"]),
@@ -115,3 +120,25 @@ def test_a_file_in_another_encoding_is_told_and_not_a_crash(tmp_path):
 @pytest.mark.parametrize(("text", "value"), [("0640", 0o640), ("660", 0o660), ("0", 0), ("777", 0o777)])
 def test_modes_are_octal(text, value):
     assert mode(text, "board_mode") == value
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('[driver]\nkind = "telepathy"\n', "driver kind 'telepathy' is unknown"),
+        ("[driver]\nchannels = 9\n", "channels = 9"),
+        ("[follow]\noffset = 0.4\n", "outside the sensor's window"),
+    ],
+)
+def test_what_start_finds_wrong_later_names_the_file_too(tmp_path, text, says):
+    path = tmp_path / "arm.toml"
+    path.write_text(text)
+    name = f"test-wrong-{os.getpid()}"
+    try:
+        told = CliRunner().invoke(start_command, ["--config", str(path), "--name", name]).exception
+    finally:
+        for part in ("", ".inbox", ".map"):
+            unlink(name + part)
+    assert isinstance(told, ConfigError)
+    assert str(told).startswith(f"{path}: ")
+    assert says in str(told)

@@ -53,6 +53,20 @@ def test_json_has_one_row_per_method_surface_speed_and_lead(hill: str) -> None:
         assert {"p95_m", "within_1mm", "demand_accel_mps2", "lag_s", "min_clearance_m"} <= set(r)
 
 
+def test_files_of_one_stem_are_told_apart_and_nothing_runs_twice(hill: str, tmp_path: Path) -> None:
+    other = tmp_path / "other" / "hill.csv"
+    other.parent.mkdir()
+    other.write_bytes(b"\xef\xbb\xbf" + Path(hill).read_bytes())  # as spreadsheets write it
+    result = call(
+        *("--surface", hill, "--surface", str(other), "--surface", hill, "--speed", "0.4"),
+        *("--speed", "400mm/s,0.4", "--lead", "0,0mm", "--seeds", "0:1", "--methods", "p", "--json"),
+    )
+    assert result.exit_code == 0, result.output
+    rows = json.loads(result.stdout)["results"]
+    assert [r["surface"] for r in rows] == [hill, str(other)]
+    assert rows[0]["rms_m"] == rows[1]["rms_m"]
+
+
 def test_folder_gets_table_json_and_plots_and_remembers_tunings(hill: str, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     out = tmp_path / "out"
@@ -60,7 +74,9 @@ def test_folder_gets_table_json_and_plots_and_remembers_tunings(hill: str, tmp_p
     first = call(*arguments, "--out", str(out))
     assert first.exit_code == 0, first.output
     assert {p.name for p in out.iterdir()} == {"results.json", "table.md", "oracles.json", "hill-lead0.png"}
-    assert "| p:oracle |" in (out / "table.md").read_text()
+    table = (out / "table.md").read_text()
+    assert "| p:oracle |" in table
+    assert "each taken as at least 0.1" in table
     tuned = (out / "oracles.json").read_text()
     again = call(*arguments, "--out", str(out))
     assert again.output == first.output
@@ -80,6 +96,10 @@ def test_follower_of_anybody_may_enter() -> None:
         (("--surface", "nowhere.csv"), "nowhere.csv"),
         (("--methods", "magic"), "magic"),
         (("--methods", "mine=no.such:thing"), "no.such"),
+        (("--methods", "mine=os:getcwd"), "TypeError"),
+        (("--methods", "mine=builtins:str"), "no method pose"),
+        (("--methods", ""), "no method"),
+        (("--methods", " , "), "no method"),
         (("--seeds", "5:5"), "half-open"),
         (("--seeds", "x"), "A:B"),
         (("--speed", "fast"), "fast"),

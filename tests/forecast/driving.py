@@ -21,6 +21,7 @@ def default_params(**changes):
     p = params[0]
     for name, spec in PARAMS.items():
         p[name] = spec.default
+    p["mode"] = 0  # paper, unless changed
     p["n_channels"] = 1
     p["scale_m"][:] = 0.1016 / 4095
     p["zero_m"][:] = 0.0508

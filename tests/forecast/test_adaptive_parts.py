@@ -10,11 +10,12 @@ import pytest
 from surffollow.config.params import PARAMS
 from surffollow.follower import Follower
 from surffollow.forecast.adaptive_bank import BANK, SLOPE, N
+from surffollow.forecast.adaptive_limits import move_set_point
 from surffollow.forecast.adaptive_memory import CELLS, new_memory, recall, remember
-from surffollow.forecast.adaptive_motion import move_set_point
 from surffollow.forecast.adaptive_preview import note_ground, seen_height
 from surffollow.forecast.adaptive_take import take_sample
 from surffollow.forecast.adaptive_trend import take_range, trend_range
+from surffollow.forecast.pose import push_pose
 from surffollow.forecast.step import follow_step
 from surffollow.shm.conversion import pack_conversion
 from surffollow.shm.dtypes import zeros
@@ -176,7 +177,8 @@ def test_conversions_of_a_held_value_are_one_sample_stamped_where_it_began():
     for k in range(1000):
         t = t0 + k * MS
         if k % 10 == 0:
-            f.pose(t - 10 * MS, (1e-4 * k, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+            pose = np.array([1e-4 * k, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0])
+            push_pose(f._sense, t - 10 * MS, pose, 0)
         stamps = range(t - MS + 40_000, t + 1, 40_000)
         i["t_ns"], i["n_ranges"], i["n_conversions"] = t, 0, len(stamps)
         for n, s in enumerate(stamps):
@@ -184,4 +186,111 @@ def test_conversions_of_a_held_value_are_one_sample_stamped_where_it_began():
         follow_step(f._params, f._state, i, f._output, f._scratch)
     a = f._state["adaptive"][0]
     assert 240 <= a["samples"] <= 252
-    assert (a["sample_ns"] + 30 * MS - t0) % (4 * MS) <= 40_000
+    # the latency is that of the middle of a held value
+    assert (a["sample_ns"] + 30 * MS - int(f._params["hold_ns"][0]) // 2 - t0) % (4 * MS) <= 40_000
+
+
+def over_one_spot(truth_s: float, climb, seed: int = 0, sigma: float = 0.25e-3) -> Follower:
+    """A follower over one spot; `climb(t)` is the height of the tool, ranges are 30 ms + `truth_s` old."""
+    rng = np.random.default_rng(seed)
+    f = Follower({"memory": False}, offset_m=0.1)
+    for k in range(2500):
+        t = 0.001 * k
+        if k % 10 == 0:
+            z = 0.1 + climb(t - 0.01) + 5e-5 * rng.standard_normal()
+            f.pose(round((t - 0.01) * 1e9) + 10**10, (0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0))
+        if k % 4 == 0:
+            r = 0.1 + climb(t - 0.03 - truth_s) + sigma * rng.standard_normal()
+            if rng.random() < 0.01:
+                r += rng.uniform(-0.03, 0.03)
+            f.step(round((t - 0.03) * 1e9) + 10**10, [r])
+    return f
+
+
+@pytest.mark.parametrize("truth_s", [-0.02, 0.0, 0.01, 0.04])
+def test_the_age_of_ranges_is_found_while_the_tool_climbs_over_one_spot(truth_s):
+    f = over_one_spot(truth_s, lambda t: 0.006 * math.sin(2 * math.pi * 1.5 * t))
+    assert f._state["adaptive"][0]["older_s"] == pytest.approx(truth_s, abs=2e-3)
+
+
+def test_a_tool_at_rest_teaches_nothing_about_the_age_of_ranges():
+    assert over_one_spot(0.04, lambda t: 0.0)._state["adaptive"][0]["older_s"] == 0.0
+
+
+def stand_off_rms(sensors: list[dict[str, list[float]]], biases_m: list[float], seed: int = 3) -> float:
+    """Stand-off RMS [m] of a robot with τ = 40 ms over a wave of 100 mm at 100 mm/s."""
+
+    def ground(x: float) -> float:
+        return 0.005 * math.sin(2 * math.pi * x / 0.1) + 0.003 * math.sin(2 * math.pi * x / 0.061)
+
+    rng = np.random.default_rng(seed)
+    f = Follower({"memory": False, "sensors": sensors}, offset_m=0.1)
+    leads = [s.get("position_m", [0.0])[0] for s in sensors]
+    history, errors, z, v, goal = [], [], 0.1, 0.0, 0.1
+    reported = 0.1
+    for k in range(40_000):
+        t, x = k, 1e-4 * k
+        v += min(max((goal - z) / 0.04 - v, -0.002), 0.002)
+        z += 1e-3 * v
+        history.append((x, z))
+        if t % 10 == 0 and t >= 30:
+            if t > 50:
+                goal = reported + f.step(10**10 + t * MS, [math.nan])[2]
+            px, pz = history[t - 10]
+            reported = pz + 5e-5 * rng.standard_normal()
+            f.pose(10**10 + (t - 10) * MS, (px, 0.0, reported, 0.0, 0.0, 0.0, 1.0))
+        if t % 4 == 0 and t >= 40:
+            px, pz = history[t - 30]
+            ranges = [
+                pz - ground(px + c) + b + 2.5e-4 * rng.standard_normal() for c, b in zip(leads, biases_m)
+            ]
+            if rng.random() < 0.01:
+                ranges[-1] += rng.uniform(-0.03, 0.03)
+            f.step(10**10 + (t - 30) * MS, ranges)
+        if k > 20_000:
+            errors.append(z - ground(x) - 0.1)
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def test_a_second_sensor_ahead_is_worth_its_while_even_when_it_disagrees():
+    alone = stand_off_rms([{}], [0.0])
+    assert stand_off_rms([{}, {"position_m": [0.05, 0.0, 0.0]}], [0.0, 0.0]) < 0.5 * alone
+    assert stand_off_rms([{}, {"position_m": [0.05, 0.0, 0.0]}], [0.0, 1e-3]) < 0.6 * alone
+
+
+def test_a_second_sensor_beside_or_behind_changes_nothing():
+    alone = stand_off_rms([{}], [0.0])
+    for where in ([-0.05, 0.0, 0.0],):
+        both = stand_off_rms([{}, {"position_m": where}], [0.0, 0.0])
+        assert both == pytest.approx(alone, rel=0.1)
+
+
+def follow_at_rest(bad: dict[int, float], step_m: float = 0.0, count: int = 1500) -> tuple[float, float]:
+    """Lowest height of a standing tool, and when its error came below 3 mm for good, from sample 250 on [s].
+
+    `bad` adds to readings; the ground moves by `step_m` at sample 250.
+    """
+    f, rng = Follower(offset_m=0.1), np.random.default_rng(0)
+    z, v, lowest, last = 0.1, 0.0, 0.1, 0.0
+    for i in range(count):
+        t, ground = (i + 1) * 4 * MS, step_m if i >= 250 else 0.0
+        f.pose(t, (0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0))
+        d = f.step(t, [z - ground + 2e-4 * rng.standard_normal() + bad.get(i, 0.0)])
+        v += float(np.clip(np.clip(d[2] / 0.04, -0.2, 0.2) - v, -0.008, 0.008))
+        z += 0.004 * v
+        lowest = min(lowest, z)
+        if abs(z - ground - 0.1) > 3e-3:
+            last = (i - 250) * 4e-3
+    return lowest, last
+
+
+def test_a_first_reading_that_is_a_glitch_does_not_drive_a_standing_tool_to_the_surface():
+    for bad in ({0: 0.04}, {0: 0.04, 2: -0.03}, {0: -0.03}):
+        lowest, last = follow_at_rest(bad)
+        assert lowest > 0.099, bad
+        assert last <= 0.0, bad
+
+
+@pytest.mark.parametrize("step_m", [-0.02, 0.02])
+def test_ground_that_moves_under_a_standing_tool_is_believed(step_m):
+    assert follow_at_rest({}, step_m)[1] < 0.4

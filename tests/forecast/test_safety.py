@@ -49,6 +49,17 @@ def test_a_pose_older_than_its_timeout_gives_zero_and_no_sample_for_the_map():
     assert "VALID" in names_of(follow(k, T + 200 * MS, 0.12)["status"])
 
 
+def test_a_pose_from_the_future_is_as_stale_as_an_old_one():
+    k = Kernel(default_params())
+    o = k.step(T, [(T + 100 * MS, pose(0.2))], ranges=[0.12], given_t_ns=T)
+    assert "VALID" in names_of(o["status"])
+    k = Kernel(default_params())
+    o = k.step(T, [(T + 100 * MS + 1, pose(0.2))], ranges=[0.12], given_t_ns=T)
+    assert names_of(o["status"]) == {"POSE_STALE"}
+    assert not o["demand"].any()
+    assert int(o["fresh"]) == 0
+
+
 def test_a_lost_sensor_is_extrapolated_for_loss_timeout_and_then_gives_zero():
     k = Kernel(default_params(loss_timeout_ns=500 * MS))
     follow(k, T, 0.12)

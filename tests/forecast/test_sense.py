@@ -95,6 +95,16 @@ def test_given_ranges_outside_the_window_are_no_readings(value):
     assert o["range_m"][0] == 0.1
 
 
+def test_a_channel_that_is_given_no_range_any_more_has_no_reading():
+    k = Kernel(default_params(n_channels=3))
+    k.step(T, poses=[(T, (0, 0, 0.2, 0, 0, 0, 1))], ranges=[0.1, 0.11, 0.12], given_t_ns=T)
+    o = k.step(T + MS, ranges=[0.1], given_t_ns=T + MS)
+    assert int(o["fresh"]) == 1
+    assert o["range_m"][0] == 0.1
+    assert np.isnan(o["range_m"][1:]).all()
+    assert sensed(k)["valid"].tolist() == [1, 0, 0, 0, 0, 0, 0, 0]
+
+
 def test_the_largest_window_uses_all_it_keeps():
     k = Kernel(default_params(sensor_readings=64))
     for cycle in range(4):

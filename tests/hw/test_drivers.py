@@ -292,6 +292,38 @@ def test_a_schedule_that_cannot_be_is_refused(wrong: dict) -> None:
         make_driver({"kind": "none", "faults": [wrong]}, NAME)
 
 
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"faults": [{"kind": "gremlins"}]}, ["'gremlins'", "dropout, stuck, spike, late, invalid"]),
+        ({"channels": 2, "mounts": [[0, 0, 0, 0, 0, 0, 1]]}, ["1 mounts for 2 channels", "one mount per"]),
+        ({"mounts": [[0, 0, float("nan"), 0, 0, 0, 1]]}, ["mount 0", "nan", "finite"]),
+        ({"mounts": [[0, 0, 0, 0, 0, 0, 2]]}, ["mount 0", "norm is 2", "must be 1"]),
+        ({"led": {"latency_s": 3}}, ["latency_s", "3", "0.0 to 0.4 s"]),
+    ],
+)
+def test_a_wrong_set_up_is_told_with_what_would_be_right(wrong: dict, says: list) -> None:
+    with pytest.raises(ConfigError) as told:
+        make_driver(wrong, NAME)
+    for part in says:
+        assert part in str(told.value)
+
+
+def test_a_file_that_is_no_recording_is_told_without_what_numpy_says(tmp_path: Path) -> None:
+    made = {"text.npz": b"hello", "empty.npz": b"", "zip.npz": b"PK\x03\x04" + bytes(40)}
+    for name, content in made.items():
+        (tmp_path / name).write_bytes(content)
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    for name in (*made, "other.npz"):
+        with pytest.raises(RecordingError, match=r"no recording of conversions.*save_conversions") as told:
+            make_driver({"kind": "replay", "file": str(tmp_path / name)}, NAME)
+        assert "pickle" not in str(told.value)
+    with pytest.raises(RecordingError, match=r"cannot read .*No such file"):
+        make_driver({"kind": "replay", "file": str(tmp_path / "none.npz")}, NAME)
+    with pytest.raises(RecordingError, match="Is a directory"):
+        make_driver({"kind": "replay", "file": str(tmp_path)}, NAME)
+
+
 def test_registry_makes_each_kind_and_wraps_it_when_faults_are_ordered(tmp_path: Path) -> None:
     path = tmp_path / "log.npz"
     save_conversions(path, RECORDED_T, RECORDED_WORDS, INFO)

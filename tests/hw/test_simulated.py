@@ -160,7 +160,7 @@ def test_full_queue_counts_what_it_loses_and_keeps_the_oldest() -> None:
 
 
 def test_mounts_are_completed_normalised_and_checked() -> None:
-    mounts = mounts_of([(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0005)], 2)
+    mounts = mounts_of([(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0005)], 1)
     assert mounts == (IDENTITY,) * 8
     with pytest.raises(ConfigError, match="unit quaternion"):
         mounts_of([(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0)], 1)

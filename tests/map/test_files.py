@@ -50,7 +50,7 @@ def same(one, other):
             np.testing.assert_array_equal(one.header[name], other.header[name], err_msg=name)
 
 
-@pytest.mark.parametrize("suffix", [".txt", ".npz", ".anything"])
+@pytest.mark.parametrize("suffix", [".txt", ".npz", ".anything", ""])
 def test_saving_and_loading_gives_the_same_map_and_the_same_future(tmp_path, suffix):
     m = sampled(gate_m=0.004)
     m.refocus((-0.2, 0.2, 0.5, 0.7))

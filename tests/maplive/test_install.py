@@ -121,7 +121,7 @@ def test_a_client_that_leaves_half_way_leaves_an_empty_map(map_service: Service)
             if leave == "close":
                 quitter.close()
             else:  # the kernel takes the lock back, nothing else is tidied up
-                quitter._leave_slot()
+                quitter._release_inbox()
             until(lambda: observer.map_changes().generation % 2 == 0, f"the rejection after {leave}")
             window = observer.map_window()
             assert window.shape == ground.shape

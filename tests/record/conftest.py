@@ -15,7 +15,7 @@ from surffollow.record.writer import RecordingWriter
 def record(path: Path, cycles: int = 3000, step: int = 250, **options: int) -> Path:
     """A recording of a rehearsal, polled every `step` cycles."""
     rehearsal = Rehearsal(**options)
-    recorder = Recorder(rehearsal, RecordingWriter(path, {"name": "rehearsal"}))
+    recorder = Recorder(rehearsal, RecordingWriter(path, {"name": "rehearsal"}, force=True))
     for done in range(0, cycles, step):
         rehearsal.run(min(step, cycles - done))
         recorder.poll()

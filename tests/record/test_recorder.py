@@ -227,3 +227,14 @@ def test_a_full_disk_is_told_and_the_file_stays_readable_up_to_there(tmp_path: P
 def test_a_recording_that_cannot_be_opened_is_told_with_its_path(tmp_path: Path) -> None:
     with pytest.raises(FaultError, match="nowhere"):
         RecordingWriter(tmp_path / "nowhere" / "a.mcap")
+
+
+def test_a_file_that_is_there_already_is_only_replaced_by_force(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"somebody's work")
+    with pytest.raises(FaultError, match=r"exists already.*--force"):
+        RecordingWriter(path)
+    assert path.read_bytes() == b"somebody's work"
+    with RecordingWriter(path, force=True) as writer:
+        writer.finish({})
+    assert path.read_bytes().startswith(b"\x89MCAP")

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
-from surffollow.errors import RecordingError
+from surffollow.cli.record import replay_command
+from surffollow.errors import RecordingError, UsageError
 from surffollow.forecast.journal import MAP, SNAPSHOT, entry_head, entry_kind, entry_words
 from surffollow.forecast.step import follow_step
 from surffollow.map import HeightMap
@@ -16,7 +18,7 @@ from surffollow.record.reader import RecordingReader
 from surffollow.record.rehearsal import NS_PER_S, Rehearsal, invent_inputs
 from surffollow.record.remap import rebuild_map
 from surffollow.record.writer import RecordingWriter
-from surffollow.shm.layout_board import RQ_MAP_REFOCUS, RQ_MAP_RESET
+from surffollow.shm.layout_board import RQ_MAP_INSTALL, RQ_MAP_REFOCUS, RQ_MAP_RESET
 
 CYCLES = 1400  # before the rehearsal's first change of parameters
 
@@ -47,7 +49,7 @@ def with_commands(path: Path, commands: dict[int, tuple[int, tuple[float, ...]]]
         out.append(words[at : at + n])
         at += n
     changed = path.with_name("map.mcap")
-    with RecordingWriter(changed) as writer:
+    with RecordingWriter(changed, force=True) as writer:
         writer.add_batch(0, 1, 0, CYCLES, np.concatenate(out), 0, 0)
         writer.finish({"cycles": str(CYCLES)})
     return changed
@@ -88,3 +90,27 @@ def test_a_recording_without_readings_or_with_damage_makes_no_map(
     (tmp_path / "cut.mcap").write_bytes(recording_bytes[:-100])
     with pytest.raises(RecordingError, match="cannot be mapped"):
         rebuild_map(tmp_path / "cut.mcap")
+
+
+def test_a_map_that_was_installed_cannot_be_built_again_unless_a_reset_follows(
+    make_recording: Callable[..., Path],
+) -> None:
+    wide = (-0.01, -0.01, 0.08, 0.02)
+    path = with_commands(make_recording(cycles=CYCLES), {400: (RQ_MAP_INSTALL, wide)})
+    with pytest.raises(RecordingError, match=r"map was installed.*not in the recording"):
+        rebuild_map(path)
+    commands = {400: (RQ_MAP_INSTALL, wide), 900: (RQ_MAP_RESET, wide)}
+    rebuilt = rebuild_map(with_commands(make_recording(cycles=CYCLES), commands))
+    assert rebuilt.samples == (targets()[:, 0] >= 900).sum()
+
+
+def test_the_commands_map_option_knows_its_formats_and_refuses_others(
+    make_recording: Callable[..., Path], tmp_path: Path
+) -> None:
+    path, told = str(make_recording(cycles=CYCLES)), CliRunner()
+    wrong = told.invoke(replay_command, [path, "--map", str(tmp_path / "map.wurst")])
+    assert isinstance(wrong.exception, UsageError)
+    assert ".txt, .npz, .asc" in str(wrong.exception)
+    assert not (tmp_path / "map.wurst").exists()
+    assert told.invoke(replay_command, [path, "--map", str(tmp_path / "map.asc")]).exit_code == 0
+    assert (tmp_path / "map.asc").read_text().startswith("ncols")

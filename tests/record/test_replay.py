@@ -33,7 +33,7 @@ from surffollow.shm.layout_follow import Params
 )
 def test_every_recording_replays_with_the_same_bits(tmp_path: Path, step: int, **options: int) -> None:
     rehearsal = Rehearsal(**options)
-    recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "log.mcap"))
+    recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "log.mcap", force=True))
     for _ in range(max(1, 1200 // step)):
         rehearsal.run(step)
         recorder.poll()
@@ -50,7 +50,7 @@ def rewrite(path: Path, change: Callable[[list[np.ndarray]], None]) -> Path:
         summary = reader.summary
     change([w for _, w in batches])
     out = path.with_name("changed.mcap")
-    with RecordingWriter(out) as writer:
+    with RecordingWriter(out, force=True) as writer:
         for b, words in batches:
             writer.add_batch(b.segment, b.epoch, b.position, b.cycles, words, 0, 0)
         writer.finish(summary)
@@ -99,7 +99,7 @@ def test_a_missing_message_is_told(make_recording: Callable[..., Path]) -> None:
     with RecordingReader(path) as reader:
         batches = list(reader.batches())
     out = path.with_name("gap.mcap")
-    with RecordingWriter(out) as writer:
+    with RecordingWriter(out, force=True) as writer:
         for b in batches[:12] + batches[13:]:
             writer.add_batch(b[0], b[1], b[2], b[3], np.frombuffer(bytes(b.words), np.int64), 0, 0)
         writer.finish({"cycles": "3000"})

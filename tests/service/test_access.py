@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -89,6 +91,90 @@ def test_samples_wait_while_a_client_holds_the_map_and_none_is_lost(service: Ser
         finally:
             over.set()
             poses.join()
+
+
+def test_a_dead_holders_grant_is_not_taken_for_the_next_clients(keeper: Service) -> None:
+    with keeper.observe() as watcher:
+        for _ in range(3):
+            with program(STEPS, keeper.name, "2") as victim:
+                said(victim)
+                before = watcher.status()["map"]
+                victim.kill()
+                victim.wait()
+                with keeper.attach() as heir, heir.exclusive():
+                    assert heir.slot == before["access_slot"]
+                    assert watcher.status()["map"]["grants"] > before["grants"], "a grant of its own"
+
+
+def test_access_lost_and_granted_anew_is_not_reported_as_held(keeper: Service) -> None:
+    """The lease is 0.4 s; a holder that stays is fenced until it takes its flag down."""
+    with keeper.attach() as slow, keeper.observe() as watcher:
+        access = slow.exclusive().__enter__()
+        before = watcher.status()
+        until(lambda: not access.granted(), "the end of the lease")
+        assert watcher.status()["map"]["fenced"] == 1 << slow.slot
+        until(lambda: watcher.status()["cycles"] > before["cycles"] + 1300, "two more leases")
+        assert watcher.status()["map"]["grants"] == before["map"]["grants"]
+        with pytest.raises(RefusedError, match="taken back"):
+            access.__exit__(None, None, None)
+        with slow.exclusive():
+            assert watcher.status()["map"]["grants"] == before["map"]["grants"] + 1
+        assert watcher.status()["map"]["fenced"] == 0
+
+
+def test_an_interrupt_while_waiting_takes_the_request_down(keeper: Service) -> None:
+    with keeper.attach() as holding, keeper.attach() as waiting:
+        with holding.exclusive():
+            wanted = waiting.exclusive()
+            wanted._look = _interrupt  # type: ignore[method-assign]
+            with pytest.raises(KeyboardInterrupt):
+                wanted.__enter__()
+            flag = int.from_bytes(waiting._in[waiting._start + 24 : waiting._start + 32], "little")
+            assert flag == ACCESS_FREE
+        with waiting.exclusive():
+            pass
+
+
+def _interrupt() -> None:
+    raise KeyboardInterrupt
+
+
+def test_uses_nest_and_the_holder_does_not_wait_for_itself(keeper: Service, tmp_path: Path) -> None:
+    with keeper.attach() as client:
+        client.map_reset(REGION)
+        with client.exclusive() as outer:
+            with client.exclusive() as inner:
+                assert inner.granted()
+            client.upload_map(tmp_path / "inside.txt")
+            assert outer.granted(), "the inner uses did not end it"
+            for ask in (client.map_reset, client.map_refocus):
+                began = time.monotonic()
+                with pytest.raises(RefusedError, match="holds the map itself"):
+                    ask(REGION)
+                assert time.monotonic() - began < 0.2
+            with pytest.raises(RefusedError, match="holds the map itself"):
+                client.map_install(tmp_path / "inside.txt")
+        assert holder(client) == (ACCESS_FREE, -1)
+        client.map_reset(REGION)
+
+
+def test_threads_of_one_client_share_its_access(keeper: Service) -> None:
+    with keeper.attach() as client:
+        entered, leave = threading.Event(), threading.Event()
+
+        def hold() -> None:
+            with client.exclusive():
+                entered.set()
+                leave.wait()
+
+        thread = threading.Thread(target=hold)
+        thread.start()
+        entered.wait()
+        with client.exclusive() as access:
+            leave.set()
+            thread.join()
+            assert access.granted(), "one of two that left ends nothing"
+        assert holder(client) == (ACCESS_FREE, -1)
 
 
 def test_two_clients_take_turns(keeper: Service) -> None:

@@ -72,10 +72,13 @@ def test_the_demand_goes_where_the_offset_says_and_never_beyond_its_limit(client
     client.set_params(max_demand="5 mm")
     for offset, sign in ((0.08, -1), (0.12, 1)):
         client.sf_reset(offset)
-        drive(client, lambda sign=sign: client.dev_vector()[2] * sign > 4e-3, what="a demand that way")
-        demand = client.dev_vector()
-        assert abs(demand[2]) <= 5e-3
-        assert demand.status & LIMITED
+
+        def at_its_limit(sign: int = sign) -> bool:
+            demand = client.dev_vector()
+            assert abs(demand[2]) <= 5e-3
+            return bool(demand[2] * sign > 4e-3 and demand.status & LIMITED)
+
+        drive(client, at_its_limit, what="a demand that way, told as limited")
 
 
 def test_without_poses_it_is_stale_and_zero_until_they_come_again(client: Client) -> None:

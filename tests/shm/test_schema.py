@@ -186,7 +186,10 @@ def test_what_numpy_writes_struct_reads(schema, random):
             assert bytes(at) == raw[offset : offset + f.size].rstrip(b"\0"), name
         else:
             values = struct.unpack_from("<" + f.struct_format, raw, offset)
-            assert np.array(values, np.dtype(f.code)).tobytes() == np.asarray(at).tobytes(), name
+            read, written = np.array(values, np.dtype(f.code)), np.asarray(at)
+            if f.code == "f4":  # struct reads it by way of a double, which quiets a signalling NaN
+                read, written = read[~np.isnan(read)], written[~np.isnan(written)]
+            assert read.tobytes() == written.tobytes(), name
 
 
 def test_offsets_of_paths_go_through_nested_arrays():

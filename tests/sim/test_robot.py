@@ -14,7 +14,7 @@ from surffollow.errors import ConfigError, NotRunningError, PoseError, UsageErro
 from surffollow.sim.plant import PlantConfig
 from surffollow.sim.raster import MARGIN_M, line_path, raster_path, slow_down
 from surffollow.sim.robot import APPROACH_M, RobotConfig, RobotCore
-from surffollow.sim.robot_run import Controller, run_robot
+from surffollow.sim.robot_run import Controller, held_too_long, run_robot
 from surffollow.sim.surfaces import flat_field, sine_field, step_field
 from surffollow.sim.world import WorldReader
 from surffollow.sim.world_surface import WorldConfig
@@ -335,3 +335,20 @@ def test_live_run_publishes_its_true_pose_in_wall_time_and_cleans_up() -> None:
     stamps = [int(r["t_ns"][0]) for r in seen]
     assert stamps == sorted(stamps)
     assert not os.path.exists(f"/dev/shm/{name}.world")
+
+
+def test_a_robot_whose_service_was_gone_for_most_of_the_run_has_not_finished() -> None:
+    config = RobotConfig(
+        world=WorldConfig(surface="flat", region=(0.0, 0.0, 0.5, 0.2)), seconds=1.5, speed_mps=0.1
+    )
+    service = PerfectService(config.world.make())
+
+    def stopped() -> bool:
+        service.silent = len(service.poses) > 50
+        return False
+
+    core, summary = run_robot(config, f"test-robot-{os.getpid()}", lambda: service, stopped)
+    assert core.done
+    assert held_too_long(summary["ticks"], summary["held_ticks"])
+    assert not summary["finished"]
+    assert not held_too_long(2000, 200)

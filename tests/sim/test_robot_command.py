@@ -22,6 +22,7 @@ SMALL = ["--name", NAME, "--surface", "flat", "--field", "0", "0", "0.5", "0.2"]
 
 # the command against a service that knows the ground: flat, so that only the pose matters
 RUN = """
+import os
 import sys
 import surffollow.client
 from surffollow.cli.robot import robot_command
@@ -29,6 +30,7 @@ sys.path.insert(0, sys.argv[1])
 from test_robot import PerfectService
 from surffollow.sim.surfaces import flat_field
 service = PerfectService(flat_field((0.0, 0.0, 0.5, 0.2)))
+service.silent = "SILENT" in os.environ
 surffollow.client.attach = lambda name, label="": service
 robot_command(sys.argv[2:])
 """
@@ -67,6 +69,21 @@ def test_robot_ends_cleanly_when_told_and_still_prints_its_summary(number: signa
     assert "finished" in out
     assert "False" in out
     assert not os.path.exists(f"/dev/shm/{NAME}.world")
+
+
+def test_robot_that_gets_no_valid_demand_prints_its_summary_and_fails(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("SILENT", "1")
+    process = command("--seconds", "2", "--json")
+    try:
+        process.communicate(timeout=3)
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGTERM)
+    out, err = process.communicate(timeout=30)
+    assert json.loads(out)["finished"] is False
+    assert process.returncode == 1
+    assert "no valid demand" in err
 
 
 def test_wrong_unit_is_refused_before_anything_starts() -> None:

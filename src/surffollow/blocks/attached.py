@@ -18,13 +18,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from surffollow.blocks import layout as bl
-from surffollow.blocks.locks import FENCE_BASE, QUEUE_BYTE, FileLock
 from surffollow.blocks.reading import POLL_S, ReadSide
 from surffollow.blocks.record import Record
 from surffollow.blocks.snapshot import Snapshot
 from surffollow.client.fence import FENCED, fence
 from surffollow.errors import BlockError, BlockTimeoutError, BusyError
 from surffollow.shm.latch_shape import SLOTS
+from surffollow.shm.locks import FENCE_BASE, QUEUE_BYTE, FileLock
 from surffollow.shm.schema import Schema
 
 # a writer that comes back sooner than this lets queued readers go first, for at most GRACE_NS

@@ -8,12 +8,12 @@ from typing import Any
 
 from surffollow.blocks import claim
 from surffollow.blocks import layout as bl
-from surffollow.blocks.locks import WRITER_BYTE, FileLock
 from surffollow.blocks.record import Record, plan
 from surffollow.blocks.snapshot import Snapshot
 from surffollow.client.fence import FENCED, fence
 from surffollow.errors import BlockError, NotRunningError
 from surffollow.shm.latch_shape import MAX_TRIES, SLOTS
+from surffollow.shm.locks import WRITER_BYTE, FileLock
 from surffollow.shm.objects import SharedObject
 from surffollow.shm.schema import Schema
 

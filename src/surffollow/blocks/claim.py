@@ -11,10 +11,10 @@ import os
 import time
 
 from surffollow.blocks import layout as bl
-from surffollow.blocks.locks import WRITER_BYTE, FileLock
 from surffollow.client.fence import fence
 from surffollow.config.names import check_name
 from surffollow.errors import BlockError, BusyError, NoPermissionError, NotRunningError
+from surffollow.shm.locks import WRITER_BYTE, FileLock
 from surffollow.shm.objects import SHM_ROOT, SharedObject, reserve, start_ticks, unlink
 from surffollow.shm.schema import Schema
 

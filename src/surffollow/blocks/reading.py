@@ -8,11 +8,11 @@ from contextlib import contextmanager
 
 from surffollow.blocks import layout as bl
 from surffollow.blocks.attachment import Attachment
-from surffollow.blocks.locks import FENCE_BASE, QUEUE_BYTE, WRITER_BYTE, FileLock
 from surffollow.blocks.record import Record
 from surffollow.client.fence import FENCED, fence
 from surffollow.errors import BlockError, BlockTimeoutError, BusyError
 from surffollow.shm.latch_shape import SLOTS
+from surffollow.shm.locks import FENCE_BASE, QUEUE_BYTE, WRITER_BYTE, FileLock
 
 OK, STALE = "ok", "stale"
 POLL_S = 50e-6

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surffollow.cli.values import Finite
+
 if TYPE_CHECKING:
     from surffollow.blocks import AttachedBlock
 
@@ -106,9 +108,15 @@ def _text(value: Any) -> str:
 @blocks_group.command("watch")
 @click.argument("block")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
-@click.option("--every", default=0.1, show_default=True, help="Seconds between looks at the block.")
+@click.option(
+    "--every",
+    type=Finite(min=0.0),
+    default=0.1,
+    show_default=True,
+    help="Seconds between looks at the block.",
+)
 @click.option("--count", default=0, help="End after that many publications [0: go on].")
-@click.option("--seconds", default=0.0, help="End after that time [0: go on].")
+@click.option("--seconds", type=Finite(min=0.0), default=0.0, help="End after that time [0: go on].")
 def watch_command(block: str, as_json: bool, every: float, count: int, seconds: float) -> None:
     """Print BLOCK's values whenever they changed, until Ctrl-C; follows its writer through restarts."""
     from surffollow.blocks.listing import attach_unknown

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from typing import Any
 
 import click
@@ -104,13 +105,13 @@ def contest_command(
             speeds_mps=_flat(speed),
             leads_m=_flat(lead),
             seeds=seeds,
-            methods=[m.strip() for m in methods.split(",") if m.strip()] if methods else [],
+            methods=_methods(methods),
             sweeps=sweeps,
             bars=bars,
             folder=folder,
             processes=processes,
         )
-        outcome = program.run(request, None if as_json else _progress)
+        outcome = program.run(request, _Progress())
     except SurffollowError as error:
         click.echo(f"surffollow contest: {error}", err=True)
         sys.exit(error.exit_code)
@@ -118,9 +119,29 @@ def contest_command(
     sys.exit(0 if outcome.passed else 1)
 
 
-def _progress(stage: str, done: int, total: int) -> None:
-    """Show how far a stage is on a terminal's error stream."""
-    if sys.stderr.isatty():
-        end = "\n" if done == total else ""
-        sys.stderr.write(f"\r{stage}: {done}/{total}{end}")
+def _methods(text: str | None) -> list[str]:
+    """The methods of an option; none when it is not given."""
+    found = [m.strip() for m in (text or "").split(",") if m.strip()]
+    if text is not None and not found:
+        raise UsageError("--methods names no method; leave it out to run all of them")
+    return found
+
+
+LINE_EVERY_S = 30.0  # where no terminal listens
+
+
+class _Progress:
+    """Shows how far a stage is: in place on a terminal, as a line every half minute elsewhere."""
+
+    def __init__(self) -> None:
+        self._next_s = time.monotonic() + LINE_EVERY_S
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        now_s = time.monotonic()
+        if sys.stderr.isatty():
+            end = "\n" if done == total else ""
+            sys.stderr.write(f"\r{stage}: {done}/{total}{end}")
+        elif now_s >= self._next_s:
+            self._next_s = now_s + LINE_EVERY_S
+            sys.stderr.write(f"{stage}: {done}/{total}\n")
         sys.stderr.flush()

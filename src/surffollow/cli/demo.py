@@ -9,14 +9,22 @@ from pathlib import Path
 import click
 
 from surffollow.cli.robot import LENGTH, SPEED
+from surffollow.cli.values import Finite
+
+
+def _speed(ctx: click.Context, param: click.Parameter, value: str | None) -> float | None:
+    return None if value is None else float(SPEED(ctx, param, value))
 
 
 @click.command("demo")
+@click.option("--seconds", type=Finite(2.0, 3600.0), default=20.0, show_default=True, help="Of motion.")
 @click.option(
-    "--seconds", type=click.FloatRange(2.0, 3600.0), default=20.0, show_default=True, help="Of motion."
+    "--sensors",
+    type=click.IntRange(3, 8),
+    help="So many range sensors around the tool: it turns to the surface's normal, too.",
 )
-@click.option("--speed", callback=SPEED, default="50 mm/s", show_default=True, help="Along the path.")
-@click.option("--surface", default="fy91", show_default=True, help="Ground to follow.")
+@click.option("--speed", callback=_speed, help="Along the path.  [default: 50 mm/s; with --sensors 100 mm/s]")
+@click.option("--surface", help="Ground to follow.  [default: fy91; with --sensors dome]")
 @click.option("--seed", default=91, show_default=True, help="Of the ground.")
 @click.option("--path", type=click.Choice(["raster", "line"]), default="raster", show_default=True)
 @click.option("--offset", callback=LENGTH, default="0.1 m", show_default=True, help="Stand-off to keep.")
@@ -34,8 +42,9 @@ from surffollow.cli.robot import LENGTH, SPEED
 def demo_command(
     ctx: click.Context,
     seconds: float,
-    speed: float,
-    surface: str,
+    sensors: int | None,
+    speed: float | None,
+    surface: str | None,
     seed: int,
     path: str,
     offset: float,
@@ -49,8 +58,15 @@ def demo_command(
     Prints how well it went, replays the recording and compares every bit, and draws a
     picture. Exit code 1 when any of it failed.
     """
-    from surffollow.live.demo import DemoConfig, demo_folder, run_demo
+    if sensors is not None and mode == "paper":
+        raise click.UsageError("the paper's mode knows no rotations; leave --mode or --sensors out")
+    surface = surface or ("fy91" if sensors is None else "dome")
+    if speed is None:
+        speed = 0.05 if sensors is None else 0.1
+    from surffollow.live.children import ended_by_signals
+    from surffollow.live.demo import demo_folder, run_demo
     from surffollow.live.figures import table
+    from surffollow.live.task import DemoConfig, check_task
 
     config = DemoConfig(
         seconds=seconds,
@@ -60,6 +76,7 @@ def demo_command(
         path=path,
         offset_m=offset,
         follow={} if mode is None else {"mode": mode},
+        sensors=sensors or 1,
     )
     chosen = ctx.get_parameter_source("picture") is click.core.ParameterSource.COMMANDLINE
     on_terminal = sys.stderr.isatty()
@@ -70,9 +87,15 @@ def demo_command(
             sys.stderr.write(f"\r\x1b[K{bar:░<24} {text}")
             sys.stderr.flush()
 
-    with demo_folder(Path(keep) if keep else None) as folder:
+    check_task(config)
+    draws = chosen or not as_json
+    if draws:
+        from surffollow.live.picture import check_picture
+
+        check_picture(Path(picture))
+    with ended_by_signals(), demo_folder(Path(keep) if keep else None) as folder:
         result = run_demo(config, folder, progress)
-        if chosen or not as_json:
+        if draws:
             from surffollow.live.picture import draw_demo
 
             result["picture"] = str(draw_demo(folder, Path(picture), config, result))
@@ -83,6 +106,8 @@ def demo_command(
     else:
         print(f"surffollow followed {surface} (seed {seed}) for {seconds:g} s\n{table(result)}")
         print(f"  picture: {result['picture']}")
+        for note in result["notes"]:
+            print(f"  note: {note}")
         for failure in result["failures"]:
             print(f"  FAILED: {failure}")
     if result["failures"]:

@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from surffollow.cli.values import Finite
+
 _MARKS = {"good": "ok", "fair": "fair", "lacking": "LACKS", "unknown": "?"}
 _BAR = 50
 
@@ -37,7 +39,7 @@ def doctor_command(as_json: bool) -> None:
 
 
 @click.command("latency")
-@click.option("--seconds", default=3.0, show_default=True, help="Length of each run.")
+@click.option("--seconds", type=Finite(min=0.0), default=3.0, show_default=True, help="Length of each run.")
 @click.option("--period", default="1 ms", show_default=True, help="Time between wake-ups.")
 @click.option("--runs", default=2, show_default=True, help="Runs of ours, alternating with cyclictest's.")
 @click.option("--spin", default="120 us", show_default=True, help="Spin that long before each deadline.")

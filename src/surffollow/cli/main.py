@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import sys
 from typing import Any
 
@@ -74,6 +75,10 @@ def cli() -> None:
 
 def main(argv: list[str] | None = None) -> Any:
     """Entry point: errors of ours become one line and their exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        # a terminal that knows no µ gets a question mark instead of a traceback
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     try:
         return cli.main(args=argv, prog_name="surffollow", standalone_mode=True)
     except SurffollowError as e:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import click
 
-_NAME = click.option("--name", default="surf", show_default=True, help="Name of the service.")
+from surffollow.cli.values import SERVICE_NAME, Finite
+
+_NAME = click.option(
+    "--name", type=SERVICE_NAME, default="surf", show_default=True, help="Name of the service."
+)
 _TIMEOUT = click.option(
     "--timeout",
     "timeout_s",
     default=30.0,
     show_default=True,
-    type=click.FloatRange(min=0.1),
+    type=Finite(min=0.1),
     help="Seconds to wait for the service.",
 )
 

@@ -6,15 +6,18 @@ from typing import Any
 
 import click
 
+from surffollow.cli.values import SERVICE_NAME, Finite
+
 
 @click.command("record")
-@click.option("--name", default="surf", show_default=True, help="Service to record.")
+@click.option("--name", type=SERVICE_NAME, default="surf", show_default=True, help="Service to record.")
 @click.option(
     "--out", type=click.Path(dir_okay=False), default=None, help="File to write.  [default: NAME-TIME.mcap]"
 )
-@click.option("--seconds", type=click.FloatRange(min=0.0), default=None, help="Stop after this long.")
+@click.option("--seconds", type=Finite(min=0.0), default=None, help="Stop after this long.")
+@click.option("--force", is_flag=True, help="Replace an existing file.")
 @click.option("--json", "as_json", is_flag=True, help="Print the final counts as JSON.")
-def record_command(name: str, out: str | None, seconds: float | None, as_json: bool) -> None:
+def record_command(name: str, out: str | None, seconds: float | None, force: bool, as_json: bool) -> None:
     """Record every cycle of a service into an MCAP file, until Ctrl-C or --seconds.
 
     The file replays bit for bit (`surffollow replay FILE`). A service that stops is
@@ -34,7 +37,9 @@ def record_command(name: str, out: str | None, seconds: float | None, as_json: b
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     on_terminal = sys.stderr.isatty()
-    counts = record_service(name, path, stop, seconds=seconds, progress=_tell if on_terminal else None)
+    counts = record_service(
+        name, path, stop, seconds=seconds, progress=_tell if on_terminal else None, force=force
+    )
     if on_terminal:
         sys.stderr.write("\n")
     if as_json:
@@ -50,17 +55,20 @@ def record_command(name: str, out: str | None, seconds: float | None, as_json: b
 @click.argument("file", type=click.Path())
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--columns", type=click.Path(), help="FILE is a CSV log: what its columns mean (TOML).")
-@click.option("--start", type=float, help="CSV: first time, in seconds of the log.")
-@click.option("--end", type=float, help="CSV: last time, in seconds of the log.")
+@click.option("--start", type=Finite(), help="CSV: first time, in seconds of the log.")
+@click.option("--end", type=Finite(), help="CSV: last time, in seconds of the log.")
 @click.option("--mode", type=click.Choice(["paper", "adaptive"]), help="CSV: how to follow.")
 @click.option("--out", type=click.Path(dir_okay=False), help="CSV: write target points, height and slope.")
 @click.option(
-    "--map", "map_out", type=click.Path(dir_okay=False), help="Also build the run's map again: where to."
+    "--map",
+    "map_out",
+    type=click.Path(dir_okay=False),
+    help="Also build the run's map again: where to; the suffix says how.",
 )
 @click.option(
     "--live", is_flag=True, help="Play the recording into a service started for it, at its own pace."
 )
-@click.option("--name", help="Name of that service.  [default: replay-PID]")
+@click.option("--name", type=SERVICE_NAME, help="Name of that service.  [default: replay-PID]")
 def replay_command(
     file: str,
     as_json: bool,
@@ -94,13 +102,24 @@ def replay_command(
                 f"{', '.join(needless)}: only for CSV logs; a recording is played as it was made"
             )
         if map_out is not None:
-            from surffollow.record.remap import rebuild_map
-
-            rebuild_map(file).save(map_out)
+            _write_map(file, map_out)
         if live:
             _play_live(file, name, as_json)
         else:
             _replay_recording(file, as_json)
+
+
+def _write_map(file: str, map_out: str) -> None:
+    from pathlib import Path
+
+    from surffollow.errors import UsageError
+    from surffollow.map.files import EXPORTS, export
+    from surffollow.record.remap import rebuild_map
+
+    if Path(map_out).suffix.lower() not in EXPORTS:
+        raise UsageError(f"--map {map_out}: no map format ends like that; there are {', '.join(EXPORTS)}")
+    rebuilt = rebuild_map(file)
+    export(map_out, rebuilt.header, rebuilt.pairs)
 
 
 def _play_live(file: str, name: str | None, as_json: bool) -> None:

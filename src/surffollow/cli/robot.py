@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import click
+
+from surffollow.cli.values import SERVICE_NAME, Finite
 
 
 def quantity(unit: str) -> Any:
@@ -25,10 +28,12 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
 
 
 @click.command("robot")
-@click.option("--name", default="surf", show_default=True, help="Service to talk to.")
+@click.option("--name", type=SERVICE_NAME, default="surf", show_default=True, help="Service to talk to.")
 @click.option("--path", type=click.Choice(["line", "raster"]), default="line", show_default=True)
 @click.option("--speed", callback=SPEED, default="50 mm/s", show_default=True, help="Along the path.")
-@click.option("--seconds", type=float, default=20.0, show_default=True, help="Of motion; 0: to its end.")
+@click.option(
+    "--seconds", type=Finite(min=0.0), default=20.0, show_default=True, help="Of motion; 0: to its end."
+)
 @click.option("--surface", default="fy91", show_default=True, help="Ground; the service needs the same.")
 @click.option("--seed", default=91, show_default=True, help="Of the ground; the service needs the same.")
 @click.option(
@@ -36,20 +41,30 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
 )
 @click.option(
     "--field",
-    type=float,
+    type=Finite(),
     nargs=4,
     default=(0.0, 0.0, 2.0, 1.0),
     show_default=True,
     help="x_min y_min x_max y_max of the ground [m]; the service needs the same.",
 )
-@click.option("--region", type=float, nargs=4, default=None, help="x_min y_min x_max y_max of the path [m].")
+@click.option(
+    "--region", type=Finite(), nargs=4, default=None, help="x_min y_min x_max y_max of the path [m]."
+)
 @click.option("--lane", callback=LENGTH, default="20 mm", show_default=True, help="Distance of raster lanes.")
 @click.option("--standoff", callback=LENGTH, default="0.1 m", show_default=True, help="Wanted distance.")
 @click.option("--plant", type=click.Path(dir_okay=False), help="TOML file with the vertical axis.")
 @click.option("--latency", callback=TIME, default="10 ms", show_default=True, help="Of pose reports.")
 @click.option("--sigma", callback=LENGTH, default="0.05 mm", show_default=True, help="Noise of pose reports.")
+@click.option("--turn", is_flag=True, help="Heed rotations, too; count along the tool's axis.")
 @click.option("--noise-seed", default=1, show_default=True, help="Of that noise.")
-@click.option("--wait", "wait_s", default=10.0, show_default=True, help="Seconds to wait for the service.")
+@click.option(
+    "--wait",
+    "wait_s",
+    type=Finite(min=0.0),
+    default=10.0,
+    show_default=True,
+    help="Seconds to wait for the service.",
+)
 @click.option("--trace", type=click.Path(dir_okay=False), help="Write what happened, step by step (NPZ).")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
 def robot_command(
@@ -67,6 +82,7 @@ def robot_command(
     plant: str | None,
     latency: float,
     sigma: float,
+    turn: bool,
     noise_seed: int,
     wait_s: float,
     trace: str | None,
@@ -75,6 +91,7 @@ def robot_command(
     """Simulate a robot that moves over rough ground and heeds the service's demands.
 
     Ends when its time or its path is over, or on Ctrl-C or SIGTERM, and prints how it kept its stand-off.
+    Exit code 1 when it stood still for more than a tenth of the time: there was no valid demand.
     """
     from surffollow.sim.plant import PlantConfig, load_plant
     from surffollow.sim.robot import RobotConfig
@@ -90,10 +107,24 @@ def robot_command(
         standoff_m=standoff,
         report_latency_s=latency,
         report_sigma_m=sigma,
+        turn=turn,
         seed=noise_seed,
         plant=load_plant(plant) if plant else PlantConfig(),
     )
     summary = _run(config, name, wait_s, trace)
+    _tell(summary, as_json)
+    from surffollow.sim.robot_run import held_too_long
+
+    if held_too_long(summary["ticks"], summary["held_ticks"]):
+        from surffollow.errors import ServiceError
+
+        raise ServiceError(
+            f"the robot stood still in {summary['held_ticks']} of its {summary['ticks']} ticks: "
+            f"service {name!r} gave it no valid demand"
+        )
+
+
+def _tell(summary: dict[str, Any], as_json: bool) -> None:
     if as_json:
         import json
 
@@ -102,6 +133,8 @@ def robot_command(
     for key, value in summary.items():
         if key.endswith("_m") and key != "path_m" and value is not None:
             click.echo(f"{key[:-2]:24} {value * 1e3:10.3f} mm")
+        elif key.endswith("_rad") and value is not None:
+            click.echo(f"{key[:-4]:24} {math.degrees(value):10.3f} deg")
         else:
             click.echo(f"{key:24} {value if not isinstance(value, float) else round(value, 3)!s:>10}")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import signal
@@ -12,39 +11,47 @@ from typing import Any
 
 import click
 
+from surffollow.cli.values import SERVICE_NAME, Finite
+
 
 @click.command("start")
 @click.option(
     "--config", "config_path", type=click.Path(dir_okay=False), help="TOML file; see docs/configuration.md."
 )
-@click.option("--name", help="Name of the service and its shared-memory objects [surf].")
+@click.option("--name", type=SERVICE_NAME, help="Name of the service and its shared-memory objects [surf].")
 @click.option("--quiet", is_flag=True, help="Print only READY and errors.")
 def start_command(config_path: str | None, name: str | None, quiet: bool) -> None:
     """Run the service in the foreground: prints READY when robots may attach, ends on SIGTERM or Ctrl-C."""
     import msgspec
 
-    from surffollow.config.names import check_name
+    from surffollow.config.names import check_service_name
     from surffollow.config.service import ServiceConfig, load_config
+    from surffollow.errors import ConfigError
 
     config = load_config(config_path) if config_path else ServiceConfig()
     if name is not None:
         config = msgspec.structs.replace(config, name=name)
-    check_name(config.name)
+    check_service_name(config.name)
     from surffollow.service.daemon import serve
 
-    serve(config, quiet)
+    try:
+        serve(config, quiet)
+    except ConfigError as error:
+        if config_path is None or str(error).startswith(config_path):
+            raise
+        raise ConfigError(f"{config_path}: {error}") from None
 
 
 @click.command("stop")
-@click.option("--name", default="surf", show_default=True, help="Name of the service.")
+@click.option("--name", type=SERVICE_NAME, default="surf", show_default=True, help="Name of the service.")
 @click.option("--purge", is_flag=True, help="Also remove the kept map.")
-@click.option("--timeout", default=10.0, show_default=True, help="Seconds to wait for its end.")
+@click.option(
+    "--timeout", type=Finite(min=0.0), default=10.0, show_default=True, help="Seconds to wait for its end."
+)
 def stop_command(name: str, purge: bool, timeout: float) -> None:
     """End a service in good order; its map is kept for the next start unless --purge is given."""
-    from surffollow.config.names import check_name
     from surffollow.errors import NotRunningError, ServiceError
 
-    check_name(name)
     pid = running_pid(name)
     if pid:
         try:
@@ -73,13 +80,16 @@ def running_pid(name: str) -> int:
     import struct
 
     from surffollow.errors import BlockError, NotRunningError
+    from surffollow.service.stale import board_owner, has_open
     from surffollow.shm import map_layout as ml
     from surffollow.shm.layout_board import NAME_LOCK_BYTE
     from surffollow.shm.objects import SharedObject
 
     try:
         map_ = SharedObject.open(f"{name}.map")
-    except (NotRunningError, BlockError):
+    except NotRunningError:
+        return board_owner(name)  # its map was removed by hand
+    except BlockError:
         return 0
     try:
         if not map_.is_locked(NAME_LOCK_BYTE):
@@ -90,36 +100,17 @@ def running_pid(name: str) -> int:
         map_.close()
 
 
-def has_open(pid: int, identity: tuple[int, int]) -> bool:
-    """Whether a process has a file open; True when this user may not know.
-
-    Between its lock and its first line in the map's header a starting service is not yet the owner
-    that the header names: that may be anybody's pid by now.
-    """
-    try:
-        for entry in os.scandir(f"/proc/{pid}/fd"):
-            with contextlib.suppress(FileNotFoundError):
-                found = os.stat(entry.path)
-                if (found.st_dev, found.st_ino) == identity:
-                    return True
-    except PermissionError:
-        return True
-    except FileNotFoundError:
-        return False
-    return False
-
-
 def purge_leftovers(name: str) -> bool:
     """Remove the map, and what a killed service left of its board and inbox."""
     from surffollow.service.house import purge_map
-    from surffollow.shm.objects import unlink
+    from surffollow.service.stale import clear_stale
 
     purged = purge_map(name)
-    return any([purged, unlink(name), unlink(f"{name}.inbox")])
+    return clear_stale(name) or purged
 
 
 @click.command("status")
-@click.option("--name", default="surf", show_default=True, help="Name of the service.")
+@click.option("--name", type=SERVICE_NAME, default="surf", show_default=True, help="Name of the service.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def status_command(name: str, as_json: bool) -> None:
     """Say how a service is doing: health, cycles, lateness, clients, map."""
@@ -144,6 +135,23 @@ def durations(summary: dict[str, float]) -> str:
     return ", ".join(f"{k} {format_ns(summary[k + '_ns'])}" for k in ("p50", "p99", "max"))
 
 
+def follower_lines(f: dict[str, Any]) -> list[str]:
+    """What the follower believes, for people."""
+    if "health" not in f:
+        return [f"follower {f['mode']}"]
+
+    def mm(name: str) -> str:
+        return "-" if f[name] is None else f"{1e3 * f[name]:.3g} mm"
+
+    return [
+        f"follower {f['mode']}, {f['health']}; noise {mm('noise_m')}, roughness {mm('roughness_m')}, "
+        f"height to {mm('sigma_m')}",
+        f"         latency {1e3 * f['latency_s']:.1f} ms, axis τ {1e3 * f['tau_s']:.0f} ms, "
+        f"Permitted_Variance {mm('permitted_variance_m')}, "
+        f"Range_Size {f['range_size']} × {mm('interval_size_m')}",
+    ]
+
+
 def render(s: dict[str, Any]) -> str:
     """The status as a few lines for people."""
     from surffollow.service.realtime import GRANT_NAMES
@@ -164,6 +172,9 @@ def render(s: dict[str, Any]) -> str:
         f"{map_.get('lost', 0)} lost",
         f"granted  {', '.join(granted) or 'nothing'}",
     ]
+    lines[5:5] = follower_lines(s["follower"])
+    if s["faults"]:
+        lines.append("faults   " + ", ".join(f"{f['number']} {f['name']}" for f in s["faults"]))
     if main.get("text"):
         lines.append(f"note     {main['text']}")
     return "\n".join(lines)

@@ -13,10 +13,20 @@ from __future__ import annotations
 
 from surffollow.client.client import Client
 from surffollow.client.demand import STALE, Demand, status_names
-from surffollow.client.observer import Observer
+from surffollow.client.observer import DEMAND_BYTES, Observer
 from surffollow.client.requests import Ticket
 
-__all__ = ["STALE", "Client", "Demand", "Observer", "Ticket", "attach", "observe", "status_names"]
+__all__ = [
+    "DEMAND_BYTES",
+    "STALE",
+    "Client",
+    "Demand",
+    "Observer",
+    "Ticket",
+    "attach",
+    "observe",
+    "status_names",
+]
 
 
 def attach(

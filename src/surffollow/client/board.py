@@ -6,7 +6,8 @@ import struct
 import time
 from typing import Any
 
-from surffollow.errors import BlockError, LayoutMismatchError
+from surffollow.client.fence import fence
+from surffollow.errors import BlockError, ClosedError, LayoutMismatchError, NotReadyError
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.layout_board import (
     BOARD_MAGIC,
@@ -38,6 +39,16 @@ def unpack_schema(schema: type[Schema], data: Any, at: int = 0) -> dict[str, Any
     return out
 
 
+class _Closed:
+    """In the place of the words of a closed attachment: says so to whoever looks."""
+
+    def __getitem__(self, _: int) -> int:
+        raise ClosedError("this client was closed; attach again")
+
+
+CLOSED = _Closed()
+
+
 class LatchReader:
     """Reads one latch of a mapped object: bounded, load-only, never waits (steps R1-R4)."""
 
@@ -54,7 +65,9 @@ class LatchReader:
             if g == 0:
                 return None
             start = self._base + (g & (SLOTS - 1)) * self._stride
+            fence()
             data = bytes(self._memory[start : start + self.schema.SIZE])
+            fence()
             if words[index] - g <= SLOTS - 2:
                 return data
         return None
@@ -88,7 +101,7 @@ class Board:
             r["name"]: (r["offset"], r["size"]) for r in header["region"] if r["name"]
         }
         self.memory = self.object.memory
-        self.words = memoryview(self.memory).cast("Q")
+        self.words: Any = memoryview(self.memory).cast("Q")
 
     def _check(self, name: str, ready_timeout_s: float) -> None:
         memory = self.object.memory
@@ -98,9 +111,11 @@ class Board:
         while True:
             h = unpack_schema(BoardHeader, memory)
             if h["magic"] == BOARD_MAGIC and h["state"] >= STATE_READY:
+                fence()
+                h = unpack_schema(BoardHeader, memory)  # whole: `state` is stored last
                 break
             if time.monotonic() > deadline:
-                raise BlockError(
+                raise NotReadyError(
                     f"block {name!r} is not ready after {ready_timeout_s:g} s; see the service's log"
                 )
             time.sleep(0.005)
@@ -146,5 +161,7 @@ class Board:
 
     def close(self) -> None:
         """Unmap."""
-        self.words.release()
+        words, self.words = self.words, CLOSED
+        if words is not CLOSED:
+            words.release()
         self.object.close()

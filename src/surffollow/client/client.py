@@ -2,131 +2,39 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import random
-import threading
 import time
-import weakref
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from surffollow.client.fence import FENCED, fence
+from surffollow.client.inbox import check_whole
 from surffollow.client.observer import Observer
 from surffollow.client.pose import FUTURE_NS, MAX_POSITION_M, checked_pose, checked_stamp
 from surffollow.client.requests import Ticket, check_region
+from surffollow.client.slot import GENERATION, SlotHolder
 from surffollow.errors import (
-    BlockError,
     BusyError,
     ConfigError,
-    NotRunningError,
     PoseError,
     RefusedError,
-    ServiceError,
 )
 from surffollow.shm import layout_board as lb
-from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, stride
+from surffollow.shm.latch_shape import SLOTS, stride
 from surffollow.shm.layout_follow import Params
-from surffollow.shm.objects import SharedObject
 
 _POST = lb.PosePost.struct_of("t_ns", "pose")
-_REQUEST = lb.RequestPost.struct_of("counter", "value")
-_HEAD = lb.SlotHead.struct_of("pid", "name")
-_IDENTITY = lb.SlotHead.struct_of("pid", "heartbeat_ns")
 _POSE_ROLE = lb.Ticker.struct_of("t_ns", "pose_slot")
 _POSE_TIMEOUT = Params.struct_of("pose_timeout_ns", "pose_timeout_ns")
 _POSE_STRIDE = stride(lb.PosePost.SIZE)
-_REQUEST_STRIDE = stride(lb.RequestPost.SIZE)
 CLAIM_RETRY_S = 0.3
 _MAX_SIZE2 = MAX_POSITION_M**2
 LOOK_EVERY_NS = 100_000_000
-_GENERATION = (1 << 62) - 1  # 0 says nothing was published, and -1 is no generation
-_clients: weakref.WeakSet[Client] = weakref.WeakSet()
 
 
-def _forget_in_child() -> None:
-    # a forked child would keep its parent's locks, and so its slot, alive beyond the parent's death
-    for client in list(_clients):
-        if client._inbox is not None:
-            client._in_words.release()
-            client._release_inbox()
-
-
-os.register_at_fork(after_in_child=_forget_in_child)
-
-
-class Client(Observer):
-    """An attachment with a slot in the inbox; see `attach`."""
-
-    def __init__(
-        self, name: str = "surf", *, stale_periods: int = 20, stale_min_s: float = 0.005, label: str = ""
-    ) -> None:
-        self._label = (label or f"python {os.getpid()}").encode()[:31]
-        self._lock = threading.RLock()
-        self._inbox: SharedObject | None = None
-        self._pose_held, self._next_look_ns = False, 0
-        super().__init__(name, stale_periods=stale_periods, stale_min_s=stale_min_s)
-        try:
-            self._claim_slot()
-        except BaseException:
-            self.close()
-            raise
-        _clients.add(self)
-
-    # -- the slot ---------------------------------------------------------------------------------
-
-    def _claim_slot(self) -> None:
-        inbox = SharedObject.open(f"{self.name}.inbox", writable=True)
-        for slot in range(lb.CLIENTS):
-            start = lb.PAGE + slot * lb.SLOT_BYTES
-            if inbox.try_lock(start):
-                break
-        else:
-            inbox.close()
-            raise BusyError(f"all {lb.CLIENTS} client slots of service {self.name!r} are taken; end a client")
-        self._inbox, self.slot = inbox, slot
-        self._in, self._in_words = inbox.memory, memoryview(inbox.memory).cast("Q")
-        self._start = start
-        self._pose_index = (start + lb.SLOT_POSE) // 8
-        self._pose_base = start + lb.SLOT_POSE + HEAD_BYTES
-        self._request_index = (start + lb.SLOT_REQUEST) // 8
-        self._request_base = start + lb.SLOT_REQUEST + HEAD_BYTES
-        self._claim = random.SystemRandom().getrandbits(62) | 1
-        self._counter = 0
-        self._pose_held = False
-        _HEAD.pack_into(self._in, start, os.getpid(), self._claim, time.monotonic_ns(), 0, self._label)
-        self._next_look_ns = 0
-
-    def _reattached(self) -> None:
-        self._leave_slot()
-        with contextlib.suppress(ServiceError, BlockError):  # the next pose or request tries again
-            self._claim_slot()
-
-    def ensure_slot(self) -> None:
-        """Claim a slot when there is none, after a fork or when all were taken at a re-attachment."""
-        if self._inbox is None:
-            self._claim_slot()
-
-    def _leave_slot(self) -> None:
-        if self._inbox is not None:
-            # another thread may be writing into the mapping: it goes when the last reference does
-            self._inbox.unlock(self._start)
-            self._release_inbox()
-
-    def _release_inbox(self) -> None:
-        if self._inbox is not None:
-            self._inbox.close()
-            self._inbox, self._pose_held = None, False
-
-    def close(self) -> None:
-        """Give back the pose and the slot, unmap everything."""
-        _clients.discard(self)
-        if self._inbox is not None:
-            _HEAD.pack_into(self._in, self._start, 0, 0, 0, 0, b"")
-            self._leave_slot()
-            self._in_words.release()
-        super().close()
+class Client(SlotHolder):
+    """An attachment that may send poses and requests; see `attach`."""
 
     def _look_after(self, now_ns: int) -> None:
         """Ten times a second: show life, and notice what was changed behind this client's back."""
@@ -134,9 +42,24 @@ class Client(Observer):
         timeout = self.board.latch("params", Params).copy()
         if timeout is not None:
             (self._pose_timeout_ns,) = _POSE_TIMEOUT.unpack_from(timeout, Params.offset("pose_timeout_ns"))
+        # a thread that re-attaches looks after everything itself
+        if self._lock.acquire(blocking=False):
+            try:
+                self._show_life(now_ns)
+            finally:
+                self._lock.release()
+
+    def _show_life(self, now_ns: int) -> None:
         if self._inbox is None:
             return
-        _IDENTITY.pack_into(self._in, self._start, os.getpid(), self._claim, now_ns)
+        check_whole(self._inbox)
+        # whole words, and only where they differ: pack_into passes through zero, and a service that
+        # looks at the claim just then would take the pose away
+        words = self._in_words
+        for index, value in ((self._pid_index, os.getpid()), (self._pid_index + 1, self._claim)):
+            if words[index] != value:
+                words[index] = value
+        words[self._pid_index + 2] = now_ns
         ticker = self.board.latch("ticker", lb.Ticker).copy()
         if ticker is not None and self._pose_held:
             told_ns, slot = _POSE_ROLE.unpack_from(ticker)
@@ -178,13 +101,11 @@ class Client(Observer):
             t_ns = checked_stamp(t_ns, now, self._pose_timeout_ns)
         if not self._pose_held:
             self._claim_pose()
-        words, index = self._in_words, self._pose_index
-        g = (words[index] + 1) & _GENERATION or 1  # what lies there may be anything
+        words, memory, index, base = self._pose_view
+        g = (words[index] + 1) & GENERATION or 1  # what lies there may be anything
         if FENCED:
             fence()
-        _POST.pack_into(
-            self._in, self._pose_base + (g & (SLOTS - 1)) * _POSE_STRIDE, t_ns, x, y, z, qx, qy, qz, qw
-        )
+        _POST.pack_into(memory, base + (g & (SLOTS - 1)) * _POSE_STRIDE, t_ns, x, y, z, qx, qy, qz, qw)
         if FENCED:
             fence()
         words[index] = g
@@ -193,7 +114,7 @@ class Client(Observer):
         deadline = time.monotonic() + CLAIM_RETRY_S
         while True:
             try:
-                self._request(lb.RQ_CLAIM_POSE).result(1.0)
+                self._request(lb.RQ_CLAIM_POSE, patience_s=1.0).result(1.0)
                 self._pose_held, self._pose_held_ns = True, time.monotonic_ns()
                 return
             except RefusedError as e:
@@ -205,55 +126,24 @@ class Client(Observer):
     def release_pose(self) -> None:
         """Let another client send the pose."""
         if self._pose_held:
-            self._request(lb.RQ_RELEASE_POSE).result(1.0)
+            self._request(lb.RQ_RELEASE_POSE, patience_s=1.0).result(1.0)
             self._pose_held = False
 
     # -- requests ---------------------------------------------------------------------------------
-
-    def _request(
-        self, code: int, numbers: Sequence[int] = (), values: Sequence[float] = (), n: int = 0
-    ) -> Ticket:
-        with self._lock:
-            if not self.alive():
-                raise NotRunningError(
-                    f"service {self.name!r} does not answer; it ended or stands still (surffollow status)"
-                )
-            self.ensure_slot()
-            self._counter += 1
-            words, index = self._in_words, self._request_index
-            g = (words[index] + 1) & _GENERATION or 1
-            fence()
-            pad = lb.REQUEST_ARGS
-            _REQUEST.pack_into(
-                self._in,
-                self._request_base + (g & (SLOTS - 1)) * _REQUEST_STRIDE,
-                self._counter,
-                code,
-                n,
-                self._claim,
-                *numbers,
-                *([0] * (pad - len(numbers))),
-                *values,
-                *([0.0] * (pad - len(values))),
-            )
-            fence()
-            words[index] = g
-            return Ticket(self, code, self._counter)
 
     def sf_reset(self, offset_m: float, *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
         """Restart the forecast with a desired stand-off [m] (paper: SFReset)."""
         from surffollow.config.params import check_param
 
-        ticket = self._request(lb.RQ_SF_RESET, values=(check_param("offset_m", offset_m),))
-        return ticket.settle(timeout_s, wait)
+        return self._ask(lb.RQ_SF_RESET, (check_param("offset_m", offset_m),), timeout_s, wait)
 
     def map_reset(self, region: Sequence[float], *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
         """Clear the map and lay it over a region (x_min, y_min, x_max, y_max) [m] (paper: MapReset)."""
-        return self._request(lb.RQ_MAP_RESET, values=check_region(region)).settle(timeout_s, wait)
+        return self._ask(lb.RQ_MAP_RESET, check_region(region), timeout_s, wait)
 
     def map_refocus(self, region: Sequence[float], *, timeout_s: float = 30.0, wait: bool = True) -> Ticket:
         """Lay the map over another region, keeping known heights (paper: MapRefocus)."""
-        return self._request(lb.RQ_MAP_REFOCUS, values=check_region(region)).settle(timeout_s, wait)
+        return self._ask(lb.RQ_MAP_REFOCUS, check_region(region), timeout_s, wait)
 
     def set_params(self, *, timeout_s: float = 5.0, wait: bool = True, **values: object) -> Ticket:
         """Change parameters, all or none: `set_params(interval_size="2 mm", range_size=5)`.
@@ -272,7 +162,7 @@ class Client(Observer):
         if len(set(numbers)) < len(numbers):
             raise ConfigError(f"a parameter is given twice in {', '.join(values)}; give it once")
         checked = [check_param(n, v) for n, v in values.items()]
-        ticket = self._request(lb.RQ_SET_PARAMS, numbers, checked, len(numbers)).settle(timeout_s, wait)
+        ticket = self._ask(lb.RQ_SET_PARAMS, checked, timeout_s, wait, numbers)
         self._next_look_ns = 0
         return ticket
 

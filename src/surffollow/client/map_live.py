@@ -97,6 +97,7 @@ class MapReading:
         now = time.monotonic_ns()
         if m is not None and m.board is self.board and now < m.next_look_ns:
             return m
+        self.board.state()  # a closed attachment stays closed
         if m is None or m.board is not self.board or not m.object.is_current():
             fresh = _Mapped(self.name, self.board)
             self._close_map()

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
+import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surffollow.errors import BlockError, NotRunningError, RefusedError, RequestTimeoutError
+from surffollow.client.fence import fence
+from surffollow.client.inbox import check_whole
+from surffollow.errors import BlockError, NotReadyError, NotRunningError, RefusedError, RequestTimeoutError
 from surffollow.shm import layout_board as lb
 from surffollow.shm import map_layout as ml
 from surffollow.shm.objects import SharedObject
@@ -25,55 +29,117 @@ class ExclusiveAccess:
 
     Steps of the paper: this client stores 1 (requested); the service stores 2 (granted, the map
     waits); this client stores 3 (done); the service stores 0 (proceeding).
+
+    Uses of one client nest and may overlap in several threads: the map goes on with the last exit.
+    A grant is known by its number and by the claim it names, so that one given anew behind this
+    client's back, or to a dead client's slot, is never taken for the one that was entered with.
     """
 
     def __init__(self, client: Client, timeout_s: float) -> None:
         self._client, self._timeout_s = client, timeout_s
         self._board: Board | None = None
+        self._number = 0  # of the grant entered with; 0: not yet
+        self._thread = 0
 
     def _post(self, flag: int) -> None:
-        if self._client._inbox is not None:
-            _FLAG.pack_into(self._client._in, self._client._start + _ACCESS, flag)
+        client = self._client
+        if client._inbox is not None:
+            check_whole(client._inbox)
+            _FLAG.pack_into(client._in, client._start + _ACCESS, flag)
 
     def _request(self) -> None:
         """Step 1, once for every service that this client is attached to."""
         self._client.ensure_slot()
         self._board = self._client.board
         self._status = self._board.latch("map_status", lb.MapStatus)
-        self._post(lb.ACCESS_REQUESTED)
+        self._number = 0
+        self._look()
+
+    def _look(self) -> None:
+        """See whether access is granted; as long as it is not, ask for it."""
+        client = self._client
+        with client._access_lock:
+            if self._board is not client.board:
+                return
+            s = self._status.read()
+            if s is None:
+                return
+            mine = self._is_mine(s)
+            if mine and s["grants"] != client._grant_ended:
+                self._number = s["grants"]
+                return
+            # fenced, or the grant given back last still stands: the flag must be seen to come down first
+            down = mine or s["fenced"] >> client.slot & 1
+            if not down and client._inbox is not None:
+                check_whole(client._inbox)
+                client._in_words[client._pid_index + 1] = client._claim  # what the grant will name
+            self._post(lb.ACCESS_FREE if down else lb.ACCESS_REQUESTED)
+
+    def _is_mine(self, s: dict[str, Any]) -> bool:
+        holder = s["access"], s["access_slot"], s["access_claim"]
+        return holder == (lb.ACCESS_GRANTED, self._client.slot, self._client._claim)
 
     def granted(self) -> bool:
-        """Whether this client holds the map now, of the service that granted it."""
-        if self._board is not self._client.board:
+        """Whether this client holds the map now, by the very grant that it entered with."""
+        if not self._number or self._board is not self._client.board:
             return False
         s = self._status.read()
-        return s is not None and s["access"] == lb.ACCESS_GRANTED and s["access_slot"] == self._client.slot
+        return s is not None and self._is_mine(s) and s["grants"] == self._number
 
     def __enter__(self) -> ExclusiveAccess:
+        client = self._client
+        with client._access_lock:
+            client._access_users += 1
+        try:
+            self._wait()
+        except BaseException:  # an interrupt by the keyboard, too, must not leave the request up
+            self._leave(lb.ACCESS_FREE)
+            raise
+        self._thread = threading.get_ident()
+        client._holders.append(self._thread)
+        return self
+
+    def _wait(self) -> None:
         deadline = time.monotonic() + self._timeout_s
+        self._board, self._number = None, 0
         while not self.granted():
             alive = self._client.alive()  # follows the service to a new start
             if alive and self._board is not self._client.board:
                 self._request()
+            elif alive:
+                self._look()
+            if self.granted():
+                return
             if time.monotonic() > deadline:
-                self._post(lb.ACCESS_FREE)
                 if not alive:
                     raise NotRunningError(f"service {self._client.name!r} does not answer")
                 raise RequestTimeoutError(
                     f"no exclusive access to the map within {self._timeout_s:g} s; another client may hold it"
                 )
             time.sleep(0.0005)
-        return self
+
+    def _leave(self, flag: int) -> None:
+        """Count this use off; with the last one the map goes on (steps 3, 4)."""
+        client = self._client
+        with client._access_lock:
+            client._access_users -= 1
+            if client._access_users:
+                return
+            with contextlib.suppress(NotReadyError):  # cut short: the flag is gone with the rest
+                self._post(flag)
+                deadline = time.monotonic() + self._timeout_s
+                while self.granted() and client.alive() and time.monotonic() < deadline:
+                    time.sleep(0.0002)
+                self._post(lb.ACCESS_FREE)
+            if self._board is client.board:
+                client._grant_ended = self._number
 
     def __exit__(self, kind: object, value: object, trace: object) -> None:
+        fence()
         held = self.granted() and self._client.board.is_current()
-        self._post(lb.ACCESS_DONE)
-        deadline = time.monotonic() + self._timeout_s
-        while self.granted() and self._client.alive() and time.monotonic() < deadline:
-            time.sleep(0.0002)
-        if not held:
-            time.sleep(0.005)  # long enough for the service to see that the flag came down
-        self._post(lb.ACCESS_FREE)
+        if self._thread in self._client._holders:
+            self._client._holders.remove(self._thread)
+        self._leave(lb.ACCESS_DONE)
         if not held and kind is None:
             raise RefusedError(
                 "exclusive access was taken back before it ended (lease over or service restarted); "

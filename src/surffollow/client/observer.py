@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import struct
+import threading
 import time
+import weakref
 from typing import Any
 
-from surffollow.client.board import Board
+from surffollow.client.board import CLOSED, Board
 from surffollow.client.demand import STALE, Demand, status_names
 from surffollow.client.fence import FENCED, fence
 from surffollow.client.map_live import MapReading
@@ -16,10 +19,26 @@ from surffollow.shm.layout_board import STATE_READY, MapStatus, Stats, Ticker
 from surffollow.shm.layout_follow import VALID, Output, Params
 
 _HEAD = Output.struct_of("t_ns", "epoch")
+_STRIDE = stride(Output.SIZE)
+_COPY = struct.Struct(f"{_HEAD.size}s")
+DEMAND_BYTES = _HEAD.size
+_copy_of, _copy_to, _clock = _COPY.unpack_from, _COPY.pack_into, time.monotonic_ns
+_STATUS_WORD = Output.offset("status") // 8
+_SIX, _SIX_END = Output.offset("demand"), Output.offset("status")
+_NO_SIX = bytes(_SIX_END - _SIX)
 _EMPTY = (0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0)
 _RANGE = struct.Struct("<" + Output.field("range_m").struct_format)
 REATTACH_EVERY_NS = 20_000_000
+_observers: weakref.WeakSet[Observer] = weakref.WeakSet()
 STATES = ("initialising", "ready", "stopping", "stopped")
+
+
+def _renew_locks() -> None:
+    for observer in list(_observers):
+        observer._lock = threading.RLock()  # a thread that the child does not have may hold the old one
+
+
+os.register_at_fork(after_in_child=_renew_locks)
 
 
 class Observer(MapReading):
@@ -38,15 +57,22 @@ class Observer(MapReading):
         self.name = name
         self._stale_periods, self._stale_min_ns = stale_periods, int(stale_min_s * 1e9)
         self._next_attach_ns = 0
+        self._lock = threading.RLock()  # re-attaching, and what a client has beyond it
         self._take(Board(name))
+        _observers.add(self)
 
     def _take(self, board: Board) -> None:
         self.board = board
-        self._words, self._memory = board.words, board.memory
         offset = board.regions["output"][0]
-        self._index, self._base = offset // 8, offset + HEAD_BYTES
-        self._stride = stride(Output.SIZE)
         self._stale_ns = max(self._stale_periods * board.period_ns, self._stale_min_ns)
+        # one object, so that a thread that reads meanwhile never mixes two boards
+        self._view: tuple[Any, Any, int, int, int] = (
+            board.words,
+            board.memory,
+            offset // 8,
+            offset + HEAD_BYTES,
+            self._stale_ns,
+        )
 
     @property
     def epoch(self) -> int:
@@ -55,14 +81,14 @@ class Observer(MapReading):
 
     def _snapshot(self, unpack: Any, offset: int) -> Any:
         # R1-R4 of the latch over the output
-        words, index, base = self._words, self._index, self._base
+        words, memory, index, base, _ = self._view
         for _ in range(MAX_TRIES):
             g = words[index]
             if g == 0:
                 return None
             if FENCED:
                 fence()
-            values = unpack(self._memory, base + (g & (SLOTS - 1)) * self._stride + offset)
+            values = unpack(memory, base + (g & (SLOTS - 1)) * _STRIDE + offset)
             if FENCED:
                 fence()
             if words[index] - g <= SLOTS - 2:
@@ -81,6 +107,43 @@ class Observer(MapReading):
             return Demand(raw, age, raw[8])
         self._try_reattach(now)
         return Demand(raw, age, (raw[8] & ~VALID) | STALE)
+
+    def dev_vector_into(self, buffer: Any) -> bool:
+        """`dev_vector` into the caller's memory: no object is made, which takes half the time.
+
+        Parameters
+        ----------
+        buffer : writable buffer, at least DEMAND_BYTES (88) long
+            gets int64 t_ns, pose_t_ns; float64 x y z [m], rx ry rz [rad]; int64 status, cycle, epoch
+
+        Returns
+        -------
+        bool   valid; when not, the six numbers are zero and the status says why (STALE: silent or gone)
+
+        Raises
+        ------
+        ValueError   too small; TypeError: not writable. Nothing was written then
+        """
+        words, memory, index, base, stale_ns = self._view
+        # R1-R4, once and in a line; whatever is not fresh and whole takes the long way
+        g = words[index]
+        at = base + (g & (SLOTS - 1)) * _STRIDE
+        copy = _copy_of(memory, at)
+        word = at >> 3
+        valid = words[word + _STATUS_WORD] & VALID
+        try:
+            if _clock() - words[word] <= stale_ns and words[index] - g <= SLOTS - 2 and g and not FENCED:
+                if valid:
+                    _copy_to(buffer, 0, *copy)
+                    return True
+                _copy_to(buffer, 0, copy[0][:_SIX] + _NO_SIX + copy[0][_SIX_END:])
+                return False
+            demand = self.dev_vector()
+            raw = demand._raw
+            _HEAD.pack_into(buffer, 0, *raw[:2], *demand.vector, demand.status, *raw[9:])
+            return demand.valid
+        except struct.error:
+            raise ValueError(f"the buffer must have at least {DEMAND_BYTES} bytes") from None
 
     def raw_distance(self, channel: int = 0) -> float:
         """The newest smoothed sensor-to-target distance [m]; NaN when there is none or it is stale."""
@@ -106,13 +169,17 @@ class Observer(MapReading):
 
     def alive(self) -> bool:
         """Whether the service publishes now."""
-        return not self.dev_vector().status & STALE
+        # a second look: this process may have been put to sleep between the copy and the clock
+        return any(not self.dev_vector().status & STALE for _ in range(2))
 
     def status(self) -> dict[str, Any]:
         """State, health, counters, real-time grants and map of the service, ready for JSON."""
+        from surffollow.client.beliefs import beliefs, numbered_faults
         from surffollow.client.report import histogram_summary
 
         demand = self.dev_vector()
+        output = self.board.latch("output", Output).read()
+        params = self.board.latch("params", Params).read() or {}
         stats = self.board.plain("stats", Stats)
         ticker = self.board.latch("ticker", Ticker).read() or {}
         map_status = self.board.latch("map_status", MapStatus).read() or {}
@@ -132,38 +199,49 @@ class Observer(MapReading):
             **counters,
             "lateness": histogram_summary(stats["lateness"], stats["lateness_max_ns"]),
             "execution": histogram_summary(stats["execution"], stats["execution_max_ns"]),
+            "follower": beliefs(output, int(params.get("mode", 0))),
+            "faults": numbered_faults(int(output["faults"]) if output else 0, int(ticker.get("faults", 0))),
             "main": ticker,
             "map": map_status,
         }
 
-    def _try_reattach(self, now_ns: int) -> None:
+    def _try_reattach(self, now_ns: int, wait: bool = False) -> None:
         if now_ns < self._next_attach_ns:
             return
-        self._next_attach_ns = now_ns + REATTACH_EVERY_NS
-        if self.board.is_current():
+        # who wants a demand waits for no other thread; that one attaches for all
+        if not self._lock.acquire(blocking=wait):
             return
         try:
-            board = Board(self.name, ready_timeout_s=0.0)
-        except (NotRunningError, BlockError):
-            return
-        old = self.board
-        self._take(board)
-        self._reattached()
-        old.object.close()  # a thread that reads it still keeps it mapped
+            self._next_attach_ns = now_ns + REATTACH_EVERY_NS
+            if self.board.is_current():
+                return
+            try:
+                board = Board(self.name, ready_timeout_s=0.0)
+            except (NotRunningError, BlockError):
+                return
+            old = self.board
+            self._take(board)
+            self._reattached()
+            old.object.close()  # a thread that reads it still keeps it mapped
+        finally:
+            self._lock.release()
 
     def _reattached(self) -> None:
         """What else must follow the service to its new epoch."""
 
     def reattach(self) -> bool:
         """Look for a newer service of this name now; True when attached to a current one."""
+        self.board.state()  # a closed attachment stays closed
         self._next_attach_ns = 0
-        self._try_reattach(time.monotonic_ns())
+        self._try_reattach(time.monotonic_ns(), wait=True)
         return self.board.is_current()
 
     def close(self) -> None:
-        """Let go of everything."""
-        self._close_map()
-        self.board.close()
+        """Let go of everything; what is called afterwards raises ClosedError."""
+        with self._lock:
+            self._view = (CLOSED, *self._view[1:])
+            self._close_map()
+            self.board.close()
 
     def __enter__(self) -> Any:
         return self

@@ -11,9 +11,10 @@ from surffollow.errors import NotRunningError, RefusedError, RegionError, Reques
 from surffollow.shm.layout_board import ACCEPTED, ERR_BAD_VALUE, ERR_POSE_HELD, OK, RESULT_TEXT, Ack
 
 if TYPE_CHECKING:
-    from surffollow.client.client import Client
+    from surffollow.client.slot import SlotHolder
 
 MAX_REGION_M = 1e6
+LOST_S = 5.0
 _POLL_S = (0.0, 0.0002, 0.0005, 0.001, 0.002)
 
 
@@ -42,13 +43,14 @@ def check_region(region: Sequence[float]) -> tuple[float, float, float, float]:
 class Ticket:
     """A request on its way; `result()` waits for the answer."""
 
-    def __init__(self, client: Client, code: int, counter: int) -> None:
+    def __init__(self, client: SlotHolder, code: int, counter: int) -> None:
         self._client, self.code, self.counter = client, code, counter
         self._board = client.board
         self._acks = client.board.latch("acks", Ack, client.slot)
         self._map_acks = client.board.latch("map_acks", Ack, client.slot)
         self._claim = client._claim
         self._answer: dict[str, Any] | None = None
+        self._sent_s, self._given_up = time.monotonic(), False
 
     def _look(self) -> dict[str, Any] | None:
         for acks in (self._acks, self._map_acks):
@@ -64,6 +66,19 @@ class Ticket:
             self._answer = self._look()
         return self._answer is not None
 
+    def taken(self) -> bool:
+        """Whether the service has seen the request; its answer may be to come (the map's)."""
+        ack = self._acks.read()
+        mine = ack is not None and ack["counter"] == self.counter and ack["claim"] == self._claim
+        return mine or self.done()
+
+    def under_way(self) -> bool:
+        """Whether an answer is still to be expected, and to be waited for before the next request."""
+        if self._given_up or self._claim != self._client._claim or self.done():
+            return False
+        # a member of the inbox's group can wipe out a request unseen: it must not block all later ones
+        return self.taken() or time.monotonic() < self._sent_s + LOST_S
+
     def result(self, timeout_s: float = 5.0) -> int:
         """Wait for the answer; its detail number.
 
@@ -76,10 +91,12 @@ class Ticket:
         deadline, tries = time.monotonic() + timeout_s, 0
         while not self.done():
             if self._client.board is not self._board:
+                self._given_up = True
                 raise NotRunningError(
                     f"service {self._client.name!r} was restarted before it answered; ask again"
                 )
             if time.monotonic() > deadline:
+                self._given_up = True  # the next request need not wait for this one
                 if not self._client.alive():
                     raise NotRunningError(f"service {self._client.name!r} does not answer any more")
                 raise RequestTimeoutError(
@@ -89,6 +106,7 @@ class Ticket:
             time.sleep(_POLL_S[min(tries, len(_POLL_S) - 1)])
             tries += 1
         assert self._answer is not None
+        self._client._settled(self)
         code, detail = int(self._answer["result"]), int(self._answer["detail"])
         if code != OK:
             raise RefusedError(_explain(code, detail), code)

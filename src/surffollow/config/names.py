@@ -6,6 +6,7 @@ import re
 
 from surffollow.errors import NameError_
 
+OBJECTS = ("inbox", "map", "world")  # a service NAME has the objects NAME, NAME.inbox, … of its own
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,47}\Z")
 
 
@@ -20,5 +21,21 @@ def check_name(name: str) -> str:
         raise NameError_(
             f"name {name!r} is not allowed; use 1 to 48 letters, digits, '.', '_' or '-', beginning with a "
             "letter or digit (no slashes)"
+        )
+    return name
+
+
+def check_service_name(name: str) -> str:
+    """The name, when it can name a service: also none that is an object of another service.
+
+    Raises
+    ------
+    NameError_  see `check_name`, or it ends in .inbox, .map or .world
+    """
+    owner, _, last = check_name(name).rpartition(".")
+    if owner and last in OBJECTS:
+        raise NameError_(
+            f"a service cannot be called {name!r}: that is the {last} of service {owner!r}; choose a name "
+            f"that does not end in {', '.join('.' + o for o in OBJECTS)}"
         )
     return name

@@ -5,6 +5,7 @@ A parameter's number, as requests carry it, is its word index in `Params`.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from surffollow.errors import ConfigError
@@ -26,7 +27,7 @@ class ParamSpec:
 
 
 PARAMS: dict[str, ParamSpec] = {
-    "mode": ParamSpec(0, 0, 1, whole=True, choices=("paper", "adaptive")),
+    "mode": ParamSpec(1, 0, 1, whole=True, choices=("paper", "adaptive")),
     "run": ParamSpec(0, 0, 2, whole=True, choices=("normal", "dryrun", "freeze")),
     "offset_m": ParamSpec(0.1, 1e-4, 1e3, "m"),
     "sensor_readings": ParamSpec(7, 1, 64, whole=True),
@@ -63,7 +64,7 @@ PARAMS: dict[str, ParamSpec] = {
     "orient": ParamSpec(1, 0, 1, whole=True, choices=("off", "on")),
     "max_turn_rad": ParamSpec(0.35, 0.0, 1.6, "rad"),
     "permitted_turn_rad": ParamSpec(1e-3, 0.0, 1.6, "rad"),
-    "calm_share": ParamSpec(0.3, 0.0, 10.0),
+    "calm_share": ParamSpec(0.5, 0.0, 10.0),
     "adapt": ParamSpec(1, 0, 1, whole=True, choices=("frozen", "learn")),
     "hold_ns": ParamSpec(3.5e6, 0, 10e9, "ns", whole=True),
     "dropout_way_m": ParamSpec(0.06, 1e-4, 1e3, "m"),
@@ -71,7 +72,14 @@ PARAMS: dict[str, ParamSpec] = {
     "max_accel_mps2": ParamSpec(800.0, 1e-3, 1e6, "m/s^2"),
     "max_jerk_mps3": ParamSpec(4e5, 1e-2, 1e9, "m/s^3"),
     "toward_factor": ParamSpec(0.5, 0.01, 1.0),
+    "max_turn_speed_radps": ParamSpec(1.0, 1e-4, 100.0, "rad/s"),
+    "max_turn_accel_radps2": ParamSpec(20.0, 1e-3, 1e5, "rad/s^2"),
+    "preview": ParamSpec(1, 0, 1, whole=True, choices=("off", "on")),
 }
+
+_UNIT_ENDING = re.compile(r"_(?:ns|s|m|rad)(?:ps)?\d?$")
+# what a name may lack: no ending first, so that a full name is always itself
+UNIT_ENDINGS = ("", *sorted({found[0] for name in PARAMS if (found := _UNIT_ENDING.search(name))}))
 
 
 def check_param(name: str, value: object) -> float:
@@ -102,17 +110,18 @@ def check_param(name: str, value: object) -> float:
             raise ConfigError(f"parameter {name} is {value!r}; it must be a whole number")
         number = float(round(number))  # "0.5 s" in ns is whole but for its last bit
     if not spec.low <= number <= spec.high:
+        unit = "" if spec.unit == "1" else f" {spec.unit}"
         raise ConfigError(
-            f"parameter {name} is {number:g} {spec.unit}; it must be between {spec.low:g} and {spec.high:g}"
+            f"parameter {name} is {number:g}{unit}; it must be between {spec.low:g} and {spec.high:g}{unit}"
         )
     return number
 
 
 def param_name(name: str) -> str:
     """The full name of a parameter; ConfigError with the nearest names when there is none."""
-    for full in (name, f"{name}_m", f"{name}_ns", f"{name}_s", f"{name}_mps"):
-        if full in PARAMS:
-            return full
+    for ending in UNIT_ENDINGS:
+        if name + ending in PARAMS:
+            return name + ending
     import difflib
 
     near = difflib.get_close_matches(name, PARAMS, n=3)

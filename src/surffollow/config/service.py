@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from surffollow.config.names import check_name
+from surffollow.config.names import check_service_name
 from surffollow.config.params import check_param, param_name
 from surffollow.errors import ConfigError
 from surffollow.units import parse_quantity
@@ -83,7 +83,7 @@ def _quantity(value: str | float, unit: str, key: str, low: float, high: float) 
         raise ConfigError(f"configuration key {key}: {e}") from None
     if not low <= number <= high:
         raise ConfigError(
-            f"configuration key {key} is {number:g} {unit}; it must be between {low:g} and {high:g}"
+            f"configuration key {key} is {number:g} {unit}; it must be between {low:g} and {high:g} {unit}"
         )
     return number
 
@@ -120,9 +120,9 @@ def _check(c: ServiceConfig) -> None:
             f"configuration key realtime.priority is {c.realtime.priority}; it must be between 1 and 98"
         )
     if c.log_words < 1 << 16 or c.log_words & (c.log_words - 1) or c.log_words > 1 << 30:
-        raise ConfigError("configuration key log_words must be a power of two between 65536 and 2^30")
+        raise ConfigError("configuration key log_words must be a power of two between 65536 and 2^30 words")
     if not 1 <= c.map.grids <= 1_000_000_000:
-        raise ConfigError("configuration key map.grids must be between 1 and 1000000000")
+        raise ConfigError("configuration key map.grids must be between 1 and 1000000000 grids")
     if c.map.rounding not in ("unbiased", "paper"):
         raise ConfigError(f"configuration key map.rounding is {c.map.rounding!r}; use 'unbiased' or 'paper'")
     metres(c.map.finest_grid, "map.finest_grid", 1e-6, 1e4)
@@ -130,14 +130,14 @@ def _check(c: ServiceConfig) -> None:
     metres(c.map.gate, "map.gate", 0.0, 1e4)
     seconds(c.map.access_lease, "map.access_lease", 0.01, 3600.0)
     if not 1.0 <= c.map.queue_seconds <= 600.0:
-        raise ConfigError("configuration key map.queue_seconds must be between 1 and 600")
+        raise ConfigError("configuration key map.queue_seconds must be between 1 and 600 s")
     for key in ("board_mode", "inbox_mode", "map_mode"):
         mode(getattr(c.access, key), key)
     for name, value in c.follow.items():
         check_param(name, value)
     if len({param_name(n) for n in c.follow}) < len(c.follow):
         raise ConfigError(f"a parameter is given twice under [follow]: {', '.join(c.follow)}")
-    check_name(c.name)
+    check_service_name(c.name)
 
 
 def mode(text: str, key: str) -> int:

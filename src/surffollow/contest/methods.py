@@ -155,6 +155,31 @@ def outside_follower(spec: str) -> Factory:
     return factory
 
 
+def check_follower(spec: str) -> None:
+    """Make the follower given as `module:name` once, to see that it is one.
+
+    Raises
+    ------
+    UsageError
+        when there is no such factory, it fails, or what it makes has not the methods of a `FollowerLike`
+    """
+    try:
+        made = outside_follower(spec)(Conditions())
+    except UsageError:
+        raise
+    except Exception as error:
+        raise UsageError(
+            f"'{spec}' makes no follower: called with the contest's Conditions it raised "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    lacking = [name for name in ("pose", "step") if not callable(getattr(made, name, None))]
+    if lacking:
+        raise UsageError(
+            f"'{spec}' makes no follower: what it returned has no method {' and no '.join(lacking)}; "
+            "expected a factory whose product has pose(t_ns, pose) and step(t_ns, ranges_m)"
+        )
+
+
 def factory_of(method: str) -> Factory:
     """Return the factory of a row that is not a baseline: a registered follower or `NAME=module:factory`."""
     name, _, spec = method.partition("=")
@@ -185,7 +210,7 @@ def check_methods(methods: Sequence[str]) -> list[str]:
     known = set(all_methods())
     for method in methods:
         if "=" in method:
-            outside_follower(method.partition("=")[2])
+            check_follower(method.partition("=")[2])
         elif method not in known:
             raise UsageError(f"no method '{method}' here; there are {', '.join(all_methods())}")
     return list(dict.fromkeys(methods))

@@ -19,6 +19,7 @@ from surffollow.contest.suite import (
     LEADS_M,
     SPEEDS_MPS,
     main_cells,
+    surface_labels,
     surface_names,
     surface_profile,
     sweep_cells,
@@ -70,12 +71,13 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
     """
     conditions = load_conditions(request.plant) if request.plant else Conditions()
     methods = check_methods(request.methods or all_methods())
-    surfaces = request.surfaces or surface_names()
+    surfaces = list(dict.fromkeys(request.surfaces)) or surface_names()
     for surface in surfaces:
         surface_profile(surface, 0)
     full = not (request.surfaces or request.speeds_mps)
-    speeds = request.speeds_mps or list(SPEEDS_MPS)
-    leads = request.leads_m or (list(LEADS_M) if full or request.bars else [0.0])
+    # the same twice would be equal rows: "0.1" and "100mm/s" are one speed
+    speeds = list(dict.fromkeys(request.speeds_mps)) or list(SPEEDS_MPS)
+    leads = list(dict.fromkeys(request.leads_m)) or (list(LEADS_M) if full or request.bars else [0.0])
     cells = main_cells(surfaces, speeds, leads, conditions)
     wanted = request.bars or (full and not request.leads_m)
     if wanted if request.sweeps is None else request.sweeps:
@@ -86,15 +88,18 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
     def stage(name: str) -> Callable[[int, int], None] | None:
         return (lambda done, total: progress(name, done, total)) if progress else None
 
-    results = run_cells(cells, methods, request.seeds, request.processes, tuned, stage("runs"))
-    rows = [r.row() for r in results]
+    try:
+        results = run_cells(cells, methods, request.seeds, request.processes, tuned, stage("runs"))
+    finally:
+        if folder:  # what was tuned took most of the time: a run that ends early does not lose it
+            _keep_tuned(folder, tuned)
+    labels = surface_labels(r.cell.surface for r in results)
+    rows = [r.row() | {"surface": labels[r.cell.surface]} for r in results]
     main = [r for r in rows if "variant" not in r]
     swept = [r for r in rows if "variant" in r]
     found: dict[str, Any] = {"results": main}
     if swept:
         found["sweeps"] = swept
-    if folder:
-        _keep_tuned(folder, tuned)
     text = text_table(rows)
     verdicts: list[bars.Verdict] = []
     if request.bars:

@@ -11,7 +11,7 @@ import numpy as np
 from surffollow.contest.conditions import STANDOFF_M
 from surffollow.contest.methods import LIMIT, ORACLE
 from surffollow.contest.runner import Result, geometric_mean, run_method, scene_of
-from surffollow.contest.suite import surface_label
+from surffollow.contest.suite import surface_labels
 from surffollow.errors import UsageError
 
 Row = dict[str, Any]
@@ -37,7 +37,10 @@ def summary_table(rows: Sequence[Row]) -> str:
         speeds = sorted({r["speed_mps"] for r in mine})
         surfaces = len({r["surface"] for r in mine})
         title = f"Lead {1e3 * lead:g} mm" + (f", {variant}" if variant else "")
-        parts.append(f"### {title}: geometric mean over {surfaces} surfaces of the RMS [mm]\n")
+        parts.append(
+            f"### {title}: geometric mean over {surfaces} surfaces of the RMS [mm], "
+            f"each taken as at least {1e3 * FLOOR_M:g}\n"
+        )
         parts.append("| method | " + " | ".join(f"{1e3 * v:g} mm/s" for v in speeds) + " |")
         parts.append("| --- |" + " ---: |" * len(speeds))
         for method in dict.fromkeys(r["method"] for r in mine):
@@ -129,6 +132,7 @@ def write_plots(results: Sequence[Result], folder: Path) -> list[Path]:
         raise UsageError("plots need matplotlib: pip install 'surffollow[plot]'") from error
     written: list[Path] = []
     main = [r for r in results if not r.cell.variant]
+    labels = surface_labels(r.cell.surface for r in main)
     for surface, lead in dict.fromkeys((r.cell.surface, r.cell.conditions.lead_m) for r in main):
         mine = [r for r in main if (r.cell.surface, r.cell.conditions.lead_m) == (surface, lead)]
         speeds = sorted({r.cell.speed_mps for r in mine})
@@ -153,7 +157,7 @@ def write_plots(results: Sequence[Result], folder: Path) -> list[Path]:
             )
             v, y = [1e3 * r["speed_mps"] for r in rows], [max(1e3 * r["rms_m"], 1e-3) for r in rows]
             bottom.loglog(v, y, marker="o", ms=3, label=method.partition("=")[0], **_line(method))
-        top.set(ylabel="ground [mm]", title=f"{surface_label(surface)}, lead {1e3 * lead:g} mm")
+        top.set(ylabel="ground [mm]", title=f"{labels[surface]}, lead {1e3 * lead:g} mm")
         top.set_xlim(0.0, p.length_m)
         middle_axes.set(ylabel=f"error [mm] at {1e3 * middle:g} mm/s", xlabel="distance [m]")
         middle_axes.set_xlim(0.0, p.length_m)
@@ -161,7 +165,8 @@ def write_plots(results: Sequence[Result], folder: Path) -> list[Path]:
             middle_axes.set_ylim(-1.1 * scale_mm, 1.1 * scale_mm)
         bottom.set(ylabel="RMS error [mm]", xlabel="speed [mm/s]")
         bottom.legend(fontsize=7, ncols=2)
-        path = folder / f"{surface_label(surface)}-lead{1e3 * lead:g}.png"
+        # a path as a label has slashes
+        path = folder / f"{labels[surface].replace('/', '_')}-lead{1e3 * lead:g}.png"
         figure.savefig(path, dpi=100)
         written.append(path)
     return written

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -90,6 +91,13 @@ def surface_profile(surface: str, seed: int) -> Profile:
 def surface_label(surface: str) -> str:
     """What tables call a surface: a file goes by its stem."""
     return Path(surface).stem if is_file(surface) else surface
+
+
+def surface_labels(surfaces: Iterable[str]) -> dict[str, str]:
+    """What tables call each of some surfaces: its label, and its path where two would have one label."""
+    found = list(dict.fromkeys(surfaces))
+    labels = [surface_label(s) for s in found]
+    return {s: label if labels.count(label) == 1 else s for s, label in zip(found, labels)}
 
 
 def main_cells(

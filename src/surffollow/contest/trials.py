@@ -20,7 +20,7 @@ from surffollow.contest.limit import limit_path
 from surffollow.contest.methods import factory_of
 from surffollow.contest.normals import plane_trial
 from surffollow.contest.runner import in_parallel, run_method, scene_of, score_run
-from surffollow.contest.suite import LATENCIES_S, Cell, surface_label
+from surffollow.contest.suite import LATENCIES_S, Cell, surface_labels
 
 SECOND_PASS_SPEED_MPS = 0.1
 SECOND_PASS_SEEDS = 5
@@ -207,12 +207,13 @@ def run_trials(
 
     Every figure comes as its mean and, prefixed `worst_`, its greatest over seeds.
     """
+    labels = surface_labels(surfaces)
     gathered: dict[tuple[Any, ...], list[tuple[int, dict[str, float]]]] = {}
     for job, figures in in_parallel(
         do_job, jobs_for(method, conditions, surfaces, seeds), processes, progress
     ):
         latency = job.conditions.sensor.latency_s
-        name, label = job.method.partition("=")[0], surface_label(job.surface)
+        name, label = job.method.partition("=")[0], labels.get(job.surface, job.surface)
         key = (job.kind, name, label, job.speed_mps, latency, job.case)
         gathered.setdefault(key, []).append((job.seed, figures))
     rows: list[dict[str, Any]] = []

@@ -1,7 +1,7 @@
 """The default follower's cycle: take what is new, forecast where the tool should be, limit, report.
 
-sample → footprint (pose at the sample's own time) → bank of models (`adaptive_take`, `adaptive_bank`)
-now → way ahead of the last footprint → blended set point → limits (`adaptive_motion`) → demand
+sample → footprint (pose at the sample's own time) → bank of models (`adaptive_news`)
+now → way ahead of the last footprint → blended set point → limits (`adaptive_limits`) → demand
 """
 
 from __future__ import annotations
@@ -11,138 +11,51 @@ from typing import Any
 
 from numba import njit
 
+from surffollow.forecast.adaptive_adapt import report_adapted
 from surffollow.forecast.adaptive_bank import N, look_ahead
-from surffollow.forecast.adaptive_health import (
-    CLOSE_SAMPLES,
-    FAULT_CLOCK,
-    FAULT_CLOSE,
-    FAULT_LOST,
-    FAULT_NOT_FINITE,
-    FAULT_STUCK,
-    is_stuck,
-    watch_health,
-    watch_stuck,
-)
+from surffollow.forecast.adaptive_health import is_stuck, watch_health
 from surffollow.forecast.adaptive_judge import note_targets
-from surffollow.forecast.adaptive_motion import measure_motion, move_set_point, pose_when
+from surffollow.forecast.adaptive_latency import forget_rest
+from surffollow.forecast.adaptive_limits import move_set_point
+from surffollow.forecast.adaptive_motion import measure_motion
+from surffollow.forecast.adaptive_news import KNOWN_DIRECTION_MPS, take_news, tool_above, watch_clock
 from surffollow.forecast.adaptive_plan import invert_axis, plan_axis
-from surffollow.forecast.adaptive_plane import demand_turn, plane_height, surface_normal, take_beams
+from surffollow.forecast.adaptive_plane import demand_turn, surface_normal
 from surffollow.forecast.adaptive_plant import learn_plant, own_axis, plant_error
 from surffollow.forecast.adaptive_preview import (
     COVERED,
     LEADING_M,
     STEP_S,
-    check_told,
     gather_preview,
     move_share,
-    told_height,
-    watch_error,
 )
-from surffollow.forecast.adaptive_take import is_news, take_sample
-from surffollow.forecast.adaptive_trend import take_range
-from surffollow.forecast.pose import footprint, rotate
-from surffollow.forecast.safety import PROBE_M, limit, watch_fold_back
-from surffollow.shm.layout_adaptive import DROPOUT, OUT_OF_RANGE, STUCK, TICKS
+from surffollow.forecast.adaptive_scout import take_scouts
+from surffollow.forecast.adaptive_take import START_SAMPLES
+from surffollow.forecast.adaptive_tick import note_arrival, open_tick, taken_at, tick_is_due
+from surffollow.forecast.safety import PROBE_M, limit
+from surffollow.shm.layout_adaptive import (
+    DROPOUT,
+    FAULT_CLOSE,
+    FAULT_LOST,
+    FAULT_NOT_FINITE,
+    FAULT_STUCK,
+    OUT_OF_RANGE,
+    STUCK,
+    TICKS,
+)
 from surffollow.shm.layout_follow import (
     LIMITED,
     NO_SENSOR,
     POSES,
-    RUN_FREEZE,
     RUN_NORMAL,
     SENSOR_LOST,
     TOO_CLOSE,
     VALID,
 )
 
-TICK_NS = 9_999_000  # controller ticks at 100 Hz; a microsecond less, stamps may be rounded
-CLOCK_BACK_NS = 1_000_000_000  # a clock that jumps back farther than late samples may is followed
-LATE_RATE = 0.05
-LEAD_RATE = 0.05
 GRACE_S = 0.025  # a lone lost sample is no drop-out
-KNOWN_DIRECTION_MPS = 0.005  # slower, the direction of travel is not known well enough to look ahead
-
-
-@njit(cache=True, nogil=True)
-def watch_clock(a: Any, t_ns: Any, pose_t_ns: Any) -> None:
-    """The latest time heard of is now; late samples do not turn it back, a new clock does."""
-    t = max(t_ns, pose_t_ns)
-    if t < a.now_ns - CLOCK_BACK_NS:
-        a.faults |= FAULT_CLOCK
-        a.samples = 0
-        a.held_ns = a.set_ns = a.tick_ns = 0
-        a.now_ns = t
-    a.now_ns = max(a.now_ns, t)
-
-
-@njit(cache=True, nogil=True)
-def tool_above(params: Any, a: Any, sense: Any, plane: Any, pose: Any) -> Any:
-    """How much higher than the ground under it (the beam's footprint) the tool should be [m].
-
-    `pose` (7,) is scratch and holds the newest report afterwards.
-    """
-    newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
-    for i in range(7):
-        pose[i] = sense.pose[newest + i]
-    if plane == 0:
-        _, _, ground_z, _ = footprint(pose, params.tool_from_sensor, 0, params.offset_m)
-        return pose[2] - ground_z
-    tx, ty, tz = rotate(pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, 1.0)
-    along = tz - a.slope_x * tx - a.slope_y * ty  # (tool axis · normal) over the normal's z
-    return (params.offset_m - params.tool_from_sensor[2]) * along
-
-
-@njit(cache=True, nogil=True)
-def take_news(params: Any, state: Any, inputs: Any, output: Any, plane: Any, pose: Any) -> None:
-    """Take a new sample, if there is one; what does not enter the estimate is not mapped."""
-    a, sense = state.adaptive, state.sense
-    channel = 0
-    if plane != 0:
-        channel = take_beams(params, a, sense, pose)
-    else:
-        output.fresh &= ~1
-    if channel < 0:
-        return
-    news, range_m, t = is_news(params, a, sense, inputs.n_ranges, channel)
-    if news == 0:
-        return
-    take_range(a, t, range_m)
-    pose_when(a, sense, t, pose)
-    watch_stuck(a, 1 if a.held_ns != 0 and range_m == a.held_m else 0, pose[2])
-    a.held_ns, a.held_m = t, range_m
-    a.late_s += LATE_RATE * ((a.now_ns - t) * 1e-9 - a.late_s)
-    if t <= a.sample_ns or is_stuck(a, pose[2]) != 0:
-        return
-    x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)
-    a.close_run = a.close_run + 1 if range_m < params.too_close_m else 0
-    if a.close_run >= CLOSE_SAMPLES or state.paper.close != 0:
-        watch_fold_back(state.paper, range_m, sensor_z, params.too_close_m, params.too_close_exit_m)
-    tool_x, tool_y, tool_z = pose[0], pose[1], pose[2]
-    if plane != 0:
-        good, z = plane_height(params, a, t, tool_x, tool_y)
-        if good == 0:
-            return
-        x, y = tool_x, tool_y
-        for c in range(params.n_channels):
-            if a.beam_good[c] == 0:
-                output.fresh &= ~(1 << c)
-    if a.speed_mps >= KNOWN_DIRECTION_MPS:
-        lead = ((x - tool_x) * a.speed_x_mps + (y - tool_y) * a.speed_y_mps) / a.speed_mps
-        a.lead_m += (lead - a.lead_m) * (LEAD_RATE if a.samples > 0 else 1.0)
-    way = a.speed_mps * (t - a.sample_ns) * 1e-9 if a.samples > 0 else 0.0
-    adapt = 0 if params.adapt == 0 or params.run == RUN_FREEZE else 1
-    drop = tool_above(params, a, sense, plane, pose)
-    taken = take_sample(params, a, t, way, z, drop, adapt)
-    a.foot_x_m, a.foot_y_m = x, y
-    if taken == 0:
-        return
-    if abs(a.lead_m) < LEADING_M:
-        watch_error(a, tool_z - drop - z)
-    if inputs.n_preview > 0 and a.speed_mps >= KNOWN_DIRECTION_MPS:
-        beside = (x - pose[0]) * a.speed_x_mps + (y - pose[1]) * a.speed_y_mps
-        check_told(a, told_height(inputs, beside / a.speed_mps), z)
-    if plane == 0:
-        output.fresh |= 1
-        output.target_m[0], output.target_m[1], output.target_m[2] = x, y, z
+RATE_STEP_S = 0.005  # over which the rate of the blended set point is taken
+LEAST_WEIGHT = 1e-3  # candidates with less have no say in that rate
 
 
 @njit(cache=True, nogil=True)
@@ -170,26 +83,31 @@ def blend_set_points(params: Any, a: Any, ahead_m: Any, drop_m: Any, tick: Any) 
         ahead_m += params.dropout_way_m * (1.0 - fade) - lost_m
         lead *= fade
     slot = a.ticks & (TICKS - 1)
-    z = 0.0
+    step_m = a.speed_mps * RATE_STEP_S
+    z, later = 0.0, 0.0
     for i in range(N):
         t = look_ahead(i, a.state, ahead_m, lead) + drop_m
         z += a.weight[i] * t
+        if a.weight[i] > LEAST_WEIGHT:
+            later += a.weight[i] * (look_ahead(i, a.state, ahead_m + step_m, lead) + drop_m - t)
         if tick:
             a.target_m[i * TICKS + slot] = t
     if tick:
         note_targets(a, a.now_ns)
+    a.wanted_m, a.wanted_mps, a.wanted_ns = z, later / RATE_STEP_S, a.now_ns
+    a.wanted_sample_ns = a.sample_ns
     return z
 
 
 @njit(cache=True, nogil=True)
 def hold_calm(params: Any, a: Any, wanted_m: Any) -> Any:
-    """Carry the set point on along the slope while it stays near where it is wanted.
+    """Carry the set point on as the models expect while it stays near where it is wanted.
 
-    The band is `calm_share` of `permitted_variance_m`: what the paper's hysteresis does in steps.
+    The band is what the paper's hysteresis does in steps; see `adapt_band`.
     """
     dt = (a.now_ns - a.calm_ns) * 1e-9
-    band = params.calm_share * params.permitted_variance_m
-    on = a.calm_m + (a.slope * a.speed_mps * dt if 0.0 < dt < 0.1 else 0.0)
+    band = a.calm_band_m
+    on = a.calm_m + (a.wanted_mps * dt if 0.0 < dt < 0.1 else 0.0)
     a.calm_ns = a.now_ns
     a.calm_m = min(max(on, wanted_m - band), wanted_m + band)
     return a.calm_m
@@ -217,6 +135,8 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
     plane = 1 if params.orient != 0 and params.n_channels >= 3 else 0
     learn_plant(params, a, sense, 0 if params.adapt == 0 or params.run != RUN_NORMAL else 1)
     take_news(params, state, inputs, output, plane, pose)
+    if plane == 0 and params.n_channels > 1 and a.speed_mps >= KNOWN_DIRECTION_MPS:
+        take_scouts(params, a, sense, pose)
     stuck = is_stuck(a, tool_z)
     watch_health(params, a, stuck)
     status = VALID
@@ -231,16 +151,26 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
         return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
     drop = tool_above(params, a, sense, plane, pose)
     ahead = way_ahead(params, a, pose, pose_t_ns)
-    tick = 1 if a.now_ns - a.tick_ns >= TICK_NS else 0
-    wanted = blend_set_points(params, a, max(ahead, 0.0), drop, tick)
+    note_arrival(a, sense.pose_count, a.now_ns)
+    tick = tick_is_due(a, inputs.n_ranges, a.now_ns)
+    if tick != 0 or a.sample_ns != a.wanted_sample_ns or pose_t_ns != a.wanted_pose_ns:
+        wanted = blend_set_points(params, a, max(ahead, 0.0), drop, tick)
+        a.wanted_pose_ns = pose_t_ns
+    else:
+        wanted = a.wanted_m + a.wanted_mps * (a.now_ns - a.wanted_ns) * 1e-9
     if tick != 0:
         leading = 1 if a.lead_m > LEADING_M else 0
-        since = a.speed_mps * (a.now_ns - pose_t_ns) * 1e-9
-        known = gather_preview(a, inputs, leading, ahead - a.speed_mps * params.tick_lead_s, since)
+        scouted = 1 if a.scout_lead_m > LEADING_M else 0
+        open_tick(a, inputs.n_ranges, a.now_ns)
+        taken_ns = taken_at(a, inputs.n_ranges, a.now_ns)
+        since = a.speed_mps * (taken_ns - pose_t_ns) * 1e-9
+        then = ahead + a.speed_mps * ((taken_ns - a.now_ns) * 1e-9 - params.tick_lead_s)
+        bias = a.scout_bias_m if leading == 0 else 0.0
+        known = gather_preview(a, inputs, max(leading, scouted), then, since, bias)
         move_share(a, known, leading, plant_error(a))
         a.seen_known = known if leading != 0 else 0
         if known >= COVERED:
-            z, v = own_axis(params, a, a.now_ns)
+            z, v = own_axis(params, a, taken_ns)
             speed = plan_axis(params, a, known, z, v, drop)
             a.plan_set_m = invert_axis(params, a.tau_s, z, v, speed)
     if a.seen_known >= 2:
@@ -249,13 +179,12 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
         wanted = a.plan_g_m[0] + rise * (a.tau_s + params.tick_lead_s) + drop
     wanted = hold_calm(params, a, wanted)
     wanted += a.preview_share * (a.plan_set_m - wanted)
+    if a.samples < START_SAMPLES:
+        wanted = max(wanted, tool_z)  # toward the surface only when it is known
     move_set_point(params, a, a.now_ns, wanted, tool_z)
     demand = a.set_point_m - tool_z
-    if not math.isfinite(demand):
-        a.faults |= FAULT_NOT_FINITE
-        a.samples = 0
-        a.set_ns = 0
-        a.noise_m = a.returned = 0.0
+    if not math.isfinite(demand + a.height_m + a.slope + a.sigma_m):
+        forget_all(a)
         return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
     cut = limit(demand, params.max_demand_m)
     if cut != demand:
@@ -265,13 +194,28 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
         status |= TOO_CLOSE
         cut = max(cut, min(PROBE_M, params.max_demand_m))
     output.demand[2] = cut
-    if plane != 0 and a.planes > 0:
+    if state.paper.close != 0:
+        a.turn_ns = 0  # first away from the surface, then turn
+    elif plane != 0 and a.planes > 0:
         demand_turn(params, a, sense, output)
-    if a.tick_ns == a.now_ns:
+    if a.tick_ns == a.now_ns or a.tick_open != 0:
         a.own_m[(a.ticks - 1) & (TICKS - 1)] = tool_z + cut
     output.delta_h_m = a.slope * max(ahead, 0.0)
     output.error_m = params.offset_m - a.held_m
     return status
+
+
+@njit(cache=True, nogil=True)
+def forget_all(a: Any) -> None:
+    """Begin as if nothing had been seen: what is believed is not finite."""
+    a.faults |= FAULT_NOT_FINITE
+    a.samples = a.quarantined = a.set_ns = a.turn_ns = 0
+    a.noise_m = a.returned = 0.0  # scores, noise and scale begin anew with the next sample
+    a.height_m = a.slope = a.sigma_m = a.scale_m = a.gain = a.path_m = a.sample_way_m = a.lead_m = 0.0
+    a.calm_m = a.wanted_m = a.wanted_mps = a.plan_set_m = 0.0
+    a.preview_share = a.preview_bias_m = a.preview_off_m = a.error_m2 = a.plain_m2 = 0.0
+    a.scout_lead_m = a.scout_bias_m = a.older_s = a.older_sigma_s = a.tau_s = 0.0
+    forget_rest(a)
 
 
 @njit(cache=True, nogil=True)
@@ -284,9 +228,12 @@ def forget_surface(a: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def report_adaptive(a: Any, output: Any) -> None:
+def report_adaptive(params: Any, a: Any, output: Any) -> None:
     """Publish what the follower believes."""
-    output.height_m, output.slope, output.speed_mps = a.height_m, a.slope, a.speed_mps
+    report_adapted(params, a, output)
+    output.height_m, output.speed_mps = a.height_m, a.speed_mps
+    # at rest there is no direction to have a slope along
+    output.slope = a.slope if a.speed_mps >= KNOWN_DIRECTION_MPS else 0.0
     output.intervals = a.samples
     surface_normal(a, output)
     output.health, output.faults = a.health, a.faults

@@ -6,7 +6,15 @@ from typing import Any
 
 from numba import njit
 
-from surffollow.shm.layout_adaptive import DROPOUT, FAULT, OK, OUT_OF_RANGE, STUCK, SUSPECT
+from surffollow.shm.layout_adaptive import (
+    DROPOUT,
+    FAULT,
+    FAULT_NOT_FINITE,
+    OK,
+    OUT_OF_RANGE,
+    STUCK,
+    SUSPECT,
+)
 
 ENTER_NS = 10_000_000  # a worse state is shown after so long
 LEAVE_NS = 100_000_000  # a better one after so long
@@ -15,9 +23,6 @@ EDGE_M = 0.003  # a loss that began so near the window's ends is a matter of ran
 STILL_SAMPLES = 50  # one value so often …
 STILL_MOVE_M = 0.005  # … while the tool moved so far along z: the sensor is stuck
 CLOSE_SAMPLES = 3  # a lone glitch is not the fold-back
-
-FAULT_NOT_FINITE, FAULT_STUCK, FAULT_LOST, FAULT_CLOSE, FAULT_CLOCK = 1, 2, 4, 8, 16
-FAULT_NAMES = ("NOT_FINITE", "STUCK", "LOST", "TOO_CLOSE", "CLOCK")
 
 
 @njit(cache=True, nogil=True)

@@ -1,4 +1,4 @@
-"""How the tool moves, where it is at a moment, and the limits that its set point keeps."""
+"""How the tool moves and where it is at a moment."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from surffollow.shm.layout_follow import POSES
 SPEED_WINDOW_NS = 100_000_000
 CLIMB_WINDOW_NS = 30_000_000
 LONGEST_GUESS_NS = 50_000_000  # a pose is carried on by its velocity no farther
-PAUSE_NS = 100_000_000  # a set point not renewed for so long starts anew at the tool
 
 
 @njit(cache=True, nogil=True)
@@ -29,7 +28,10 @@ def oldest_within(sense: Any, window_ns: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def measure_motion(a: Any, sense: Any) -> None:
-    """Lateral and vertical velocity of the tool from its reports; 0 with one report."""
+    """Lateral and vertical velocity of the tool from its reports, when one is new; 0 with one report."""
+    if a.motion_poses == sense.pose_count:
+        return
+    a.motion_poses = sense.pose_count
     last = (sense.pose_count - 1) & (POSES - 1)
     first, near = oldest_within(sense, SPEED_WINDOW_NS), oldest_within(sense, CLIMB_WINDOW_NS)
     a.speed_x_mps = a.speed_y_mps = a.speed_mps = a.climb_mps = 0.0
@@ -53,33 +55,3 @@ def pose_when(a: Any, sense: Any, t_ns: Any, pose: Any) -> None:
         pose[0] += a.speed_x_mps * dt
         pose[1] += a.speed_y_mps * dt
         pose[2] += a.climb_mps * dt
-
-
-@njit(cache=True, nogil=True)
-def move_set_point(params: Any, a: Any, now_ns: Any, wanted_m: Any, tool_z_m: Any) -> None:
-    """Lead the set point toward where it is wanted, within speed, acceleration and jerk.
-
-    Toward the surface (down) speed and acceleration are `toward_factor` of those away from it. The
-    square root keeps it from overshooting what its acceleration can stop.
-    """
-    if a.set_ns == 0 or now_ns - a.set_ns > PAUSE_NS:
-        a.set_point_m, a.set_speed_mps, a.set_accel_mps2 = tool_z_m, 0.0, 0.0
-        a.set_ns = now_ns - 1_000_000
-    dt = (now_ns - a.set_ns) * 1e-9
-    if dt <= 0.0:
-        return
-    e = wanted_m - a.set_point_m
-    gentle = params.toward_factor if e < 0.0 else 1.0
-    a_max = gentle * params.max_accel_mps2
-    most = min(abs(e) / dt, math.sqrt(2.0 * a_max * abs(e)), gentle * params.max_speed_mps)
-    v = most if e >= 0.0 else -most
-    accel = (v - a.set_speed_mps) / dt
-    accel = min(max(accel, -params.max_accel_mps2), params.max_accel_mps2)
-    change = params.max_jerk_mps3 * dt
-    accel = min(max(accel, a.set_accel_mps2 - change), a.set_accel_mps2 + change)
-    v = a.set_speed_mps + accel * dt
-    v = min(max(v, -params.toward_factor * params.max_speed_mps), params.max_speed_mps)
-    a.set_accel_mps2 = (v - a.set_speed_mps) / dt
-    a.set_speed_mps = v
-    a.set_point_m += v * dt
-    a.set_ns = now_ns

@@ -79,7 +79,7 @@ def told_height(inputs: Any, ahead_m: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def gather_preview(a: Any, inputs: Any, leading: Any, ahead_m: Any, since_pose_m: Any) -> Any:
+def gather_preview(a: Any, inputs: Any, leading: Any, ahead_m: Any, since_pose_m: Any, bias_m: Any) -> Any:
     """Heights under the tool for the next ticks into `a.plan_g_m`; how many are known without a gap.
 
     Parameters
@@ -87,12 +87,13 @@ def gather_preview(a: Any, inputs: Any, leading: Any, ahead_m: Any, since_pose_m
     leading : int            1: from the ring, 0: from the inputs
     ahead_m : float64        tool at its next action, ahead of the last footprint (negative: behind) [m]
     since_pose_m : float64   way of the tool since its newest report, at that action [m]
+    bias_m : float64         to be added to the heights of the ring
     """
     known = 0
     for k in range(HORIZON):
         way = a.speed_mps * STEP_S * k
         if leading != 0:
-            h = seen_height(a, a.path_m + ahead_m + way)
+            h = seen_height(a, a.path_m + ahead_m + way) + bias_m
         else:
             h = told_height(inputs, since_pose_m + way) + a.preview_bias_m
         a.plan_g_m[k] = h

@@ -26,6 +26,8 @@ MEDIAN_RATE = 0.02
 MAD_TO_SIGMA = 1.4826 / math.sqrt(6.0)  # of second differences
 SCALE_RATE = 0.02
 STEPS_STAY = 0.2
+START_SAMPLES = 3  # fewer are no ground yet: one of them may be a glitch
+STANDING_NS = 120_000_000  # samples that agree for so long are ground, travelled or not
 DISAGREE_GROWTH = 1.3
 SETTLE_NS = 150_000_000  # after a step all shadows are wrong alike
 GAP_NS = 100_000_000  # after a longer gap no way is asked for: there was enough of it
@@ -56,6 +58,9 @@ def is_news(params: Any, a: Any, sense: Any, given: Any, channel: Any) -> Any:
         newest = base + ((n - 1) & (CONVERSION_WINDOW - 1))
         value, t = sense.window_m[newest], sense.window_t_ns[newest] - params.sensor_latency_ns
         flicker = FLICKER_COUNTS * abs(params.scale_m[channel])
+        # a latency is that of the middle of a held value; the first conversion of it is younger
+        t += hold_ns // 2
+        begun_ns = params.sensor_latency_ns - hold_ns // 2
         hold_ns += hold_ns // 2  # when a held value began is known to a cycle only
     if a.held_ns != 0:
         if t <= a.held_ns:
@@ -67,7 +72,7 @@ def is_news(params: Any, a: Any, sense: Any, given: Any, channel: Any) -> Any:
     if given == 0:
         k, oldest = n - 2, max(0, n - CONVERSION_WINDOW)
         while k >= oldest and abs(sense.window_m[base + (k & (CONVERSION_WINDOW - 1))] - value) <= flicker:
-            earlier = sense.window_t_ns[base + (k & (CONVERSION_WINDOW - 1))] - params.sensor_latency_ns
+            earlier = sense.window_t_ns[base + (k & (CONVERSION_WINDOW - 1))] - begun_ns
             if earlier <= a.held_ns:
                 break
             t = earlier
@@ -90,14 +95,16 @@ def watch_noise(a: Any, h_m: Any) -> None:
 @njit(cache=True, nogil=True)
 def blend(a: Any) -> None:
     """Blended height, slope and uncertainty at the last sample."""
-    h, s, var = 0.0, 0.0, 0.0
+    h, s, var, own = 0.0, 0.0, 0.0, 0.0
     for i in range(N):
         h += a.weight[i] * height_of(i, a.state)
         s += a.weight[i] * slope_of(i, a.state)
     for i in range(N):
         e = height_of(i, a.state) - h
-        var += a.weight[i] * (max(a.cov[6 * i], 0.0) + e * e)
-    a.height_m, a.slope, a.sigma_m = h, s, math.sqrt(var)
+        own += a.weight[i] * max(a.cov[6 * i], 0.0)
+        var += a.weight[i] * e * e
+    a.height_m, a.slope, a.sigma_m = h, s, math.sqrt(own + var)
+    a.gain = own / max(a.noise_m, LEAST_NOISE_M) ** 2  # just after an update
 
 
 @njit(cache=True, nogil=True)
@@ -123,7 +130,7 @@ def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any
     a.sample_ns = a.accepted_ns = t_ns
     a.settle_ns = t_ns if fresh else t_ns + SETTLE_NS
     a.since_step_m = 0.0
-    a.path_m += LONGEST_WAY_M + way_m  # nothing seen before is near
+    a.path_m += LONGEST_WAY_M + min(way_m, LONGEST_WAY_M)  # nothing seen before is near
     note_ground(a, a.path_m, h_m)
     blend(a)
 
@@ -144,6 +151,7 @@ def quarantine(params: Any, a: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any
         a.quarantined = 1
         a.quarantine_m = a.quarantine_s_m = a.quarantine_h_m = 0.0
         a.quarantine_way_m = params.step_way_m if gap else 0.0
+        a.quarantine_ns = a.sample_ns
     a.quarantine_m += nu_m
     a.quarantine_s_m += a.path_m
     a.quarantine_h_m += a.height_m + nu_m
@@ -151,7 +159,13 @@ def quarantine(params: Any, a: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any
     a.kept_s_m[slot], a.kept_h_m[slot] = a.path_m, a.height_m + nu_m
     # where steps have always stayed, two samples tell as much as else the last of several
     need = min(params.step_samples, 2) if a.returned < STEPS_STAY else params.step_samples
-    return 1 if a.quarantined >= need and a.quarantine_way_m >= params.step_way_m * a.returned else 0
+    if a.quarantined < need:
+        return 0
+    if a.quarantine_way_m >= params.step_way_m * a.returned:
+        return 1
+    # a start with a bad sample is outvoted; where the tool stands, no way will ever tell
+    outvoted = a.quarantined > a.samples
+    return 1 if outvoted or a.sample_ns - a.quarantine_ns >= STANDING_NS else 0
 
 
 @njit(cache=True, nogil=True)
@@ -167,8 +181,9 @@ def believe_step(params: Any, a: Any) -> None:
     a.recent_m[1] += a.height_m - before
     for k in range(max(0, n - KEPT), n - 1):
         note_ground(a, a.kept_s_m[k & (KEPT - 1)], a.kept_h_m[k & (KEPT - 1)])
-    # a step that is followed by another within a slot's width was a slot
-    a.returned = 0.5 if a.since_step_m < params.step_way_m else 0.5 * a.returned
+    if a.quarantine_way_m >= params.step_way_m * a.returned:
+        # a step that is followed by another within a slot's width was a slot
+        a.returned = 0.5 if a.since_step_m < params.step_way_m else 0.5 * a.returned
     a.since_step_m = 0.0
     a.quarantined = 0
 

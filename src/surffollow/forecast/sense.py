@@ -69,9 +69,10 @@ def take_conversions(params: Any, sense: Any, inputs: Any) -> None:
 
 @njit(cache=True, nogil=True, forceinline=True)
 def take_ranges(params: Any, sense: Any, inputs: Any) -> None:
-    """Take distances that come ready-made (a CSV, an embedding program); NaN is no reading."""
+    """Take distances that come ready-made (a CSV, an embedder); NaN, or none given, is no reading."""
     for c in range(CHANNELS):
         sense.fresh[c] = 0
+        sense.valid[c] = 0
     for c in range(min(inputs.n_ranges, params.n_channels)):
         range_m = inputs.given_m[c]
         if params.range_min_m < range_m < params.range_max_m:
@@ -79,8 +80,6 @@ def take_ranges(params: Any, sense: Any, inputs: Any) -> None:
             sense.range_t_ns[c] = inputs.given_t_ns - params.sensor_latency_ns
             sense.fresh[c] = 1
             sense.valid[c] = 1
-        else:
-            sense.valid[c] = 0
 
 
 @njit(cache=True, nogil=True, forceinline=True)

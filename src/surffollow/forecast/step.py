@@ -166,7 +166,8 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
         o.status = NO_POSE
     else:
         o.pose_t_ns = s.sense.pose_t_ns[(n - 1) & (POSES - 1)]
-        if i.t_ns - o.pose_t_ns > p.pose_timeout_ns:
+        # a pose from a future as far away says as little about now as an old one
+        if abs(i.t_ns - o.pose_t_ns) > p.pose_timeout_ns:
             o.status = POSE_STALE
         elif p.mode == MODE_ADAPTIVE:
             find_targets(p, s, o, scratch, 1)
@@ -182,7 +183,7 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
             o.demand[k] = 0.0
     s.cycle += 1
     if p.mode == MODE_ADAPTIVE:
-        report_adaptive(s.adaptive, o)
+        report_adaptive(p, s.adaptive, o)
         return
     paper = s.paper
     o.slope, o.speed_mps = paper.slope, paper.speed_mps

@@ -56,18 +56,30 @@ class DriverInfo(msgspec.Struct, frozen=True):
 def mounts_of(given: list[Mount] | tuple[Mount, ...], n_channels: int) -> tuple[Mount, ...]:
     """Eight mounts from those given: normalised, identity for the rest.
 
+    Parameters
+    ----------
+    given : one mount per channel; none: every sensor at the tool's origin, looking along −z
+
     Raises
     ------
     ConfigError
-        more mounts than channels, or one that is no pose
+        another number of mounts than channels, or one that is no pose
     """
-    if len(given) > n_channels:
-        raise ConfigError(f"{len(given)} mounts for {n_channels} channels")
+    if given and len(given) != n_channels:
+        raise ConfigError(
+            f"{len(given)} mounts for {n_channels} channels; give one mount per channel, or none when every "
+            "sensor looks from the tool's origin along -z"
+        )
     out: list[Mount] = []
-    for mount in given:
+    for n, mount in enumerate(given):
+        if not np.isfinite(mount).all():
+            raise ConfigError(f"mount {n} holds {mount}; x y z [m] and qx qy qz qw must be finite numbers")
         norm = float(np.linalg.norm(mount[3:]))
-        if not np.isfinite(mount).all() or abs(norm - 1.0) > 1e-3:
-            raise ConfigError(f"mount {mount}: expected x y z and a unit quaternion, its norm is {norm:.4g}")
+        if abs(norm - 1.0) > 1e-3:
+            raise ConfigError(
+                f"mount {n}: qx qy qz qw = {mount[3:]} is no unit quaternion, its norm is {norm:.4g}; "
+                "it must be 1"
+            )
         x, y, z, qx, qy, qz, qw = mount
         out.append((x, y, z, qx / norm, qy / norm, qz / norm, qw / norm))
     return tuple(out) + (IDENTITY,) * (CHANNELS - len(out))

@@ -77,7 +77,8 @@ class LedConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         for name, (low, high) in bounds.items():
             value = getattr(self, name)
             if not low <= value <= high:
-                raise ConfigError(f"sensor {name} = {value}, expected {low} to {high}")
+                unit = {"m": " m", "s": " s", "hz": " Hz", "deg": " deg"}.get(name.rpartition("_")[2], "")
+                raise ConfigError(f"sensor {name} = {value}{unit}, expected {low} to {high}{unit}")
 
 
 class LedPhysics(Schema):

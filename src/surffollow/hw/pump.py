@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import threading
 from collections.abc import Callable
 
@@ -15,6 +17,7 @@ CONTROL_WORDS = 16
 PERIOD_NS = 500_000
 CATCH_UP_NS = 100_000_000  # a pump that was held up longer drops what it missed, and counts it
 JOIN_S = 5.0
+FIFO_PRIORITY = 30  # hardware does not wait for a busy machine; below the cycle, above a simulated robot
 
 
 class Pump:
@@ -56,6 +59,10 @@ class Pump:
         self.control[STOP] = 0
         self._thread = threading.Thread(target=kernel, args=(self.address,), name=self.name, daemon=True)
         self._thread.start()
+        if self._thread.native_id is not None:
+            with contextlib.suppress(OSError):  # not permitted: then it goes on as everybody else
+                param = os.sched_param(FIFO_PRIORITY)
+                os.sched_setscheduler(self._thread.native_id, os.SCHED_FIFO, param)
 
     @property
     def running(self) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -80,13 +79,26 @@ class ReplayedDriver:
             when the file cannot be read or is no such recording
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
                 if int(file["version"]) != _FILE_VERSION:
                     raise RecordingError(f"'{path}' has version {file['version']}, expected {_FILE_VERSION}")
                 info = msgspec.json.decode(bytes(file["info"]), type=DriverInfo)
-                return cls(file["t_ns"], file["word"], info)
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile, msgspec.MsgspecError) as error:
-            raise RecordingError(f"'{path}' is no recording of conversions: {error}") from error
+                t_ns, words = file["t_ns"], file["word"]
+        except OSError as error:
+            raise RecordingError(f"cannot read '{path}': {error.strerror or error}") from None
+        except RecordingError:
+            raise
+        except Exception:  # what numpy, zip and JSON say about bytes that are not theirs helps nobody
+            raise RecordingError(
+                f"'{path}' is no recording of conversions, or is cut short; a replay driver's file is the "
+                ".npz that hw.replayed.save_conversions writes (a recorder's .mcap plays with "
+                f"`surffollow replay {path} --live`)"
+            ) from None
+        if t_ns.dtype.kind != "i" or words.dtype.kind != "i":
+            raise RecordingError(
+                f"'{path}' holds times as {t_ns.dtype} and words as {words.dtype}; expected int64"
+            )
+        return cls(t_ns, words, info)
 
     @property
     def info(self) -> DriverInfo:

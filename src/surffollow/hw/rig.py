@@ -29,7 +29,7 @@ class SimulatedConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes
     ----------
     channels : sensors, 1 to 8
-    mounts : tool from sensor for the first of them; identity for the rest
+    mounts : tool from sensor, one per channel; none: every sensor at the tool's origin, along −z
     seed : of noise, characteristic and phases
     adc_noise_counts : standard deviation of the converter's own noise
     led : the sensors
@@ -47,7 +47,8 @@ class SimulatedConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if not 1 <= self.channels <= CHANNELS:
             raise ConfigError(f"channels = {self.channels}, expected 1 to {CHANNELS}")
         if not 0.0 <= self.adc_noise_counts <= 100.0:
-            raise ConfigError(f"adc_noise_counts = {self.adc_noise_counts}, expected 0 to 100")
+            raise ConfigError(f"adc_noise_counts = {self.adc_noise_counts}, expected 0 to 100 counts")
+        mounts_of(self.mounts, self.channels)
 
 
 class Rig(Schema):

@@ -73,7 +73,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 /* ---- layout: generated ------------------------------------------------------------ */
 
 #define SF_LAYOUT_VERSION 1u
-#define SF_LAYOUT_HASH UINT64_C(6874870537407123608)
+#define SF_LAYOUT_HASH UINT64_C(5548354577488288324)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_INBOX_MAGIC UINT64_C(3549485532940752211)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
@@ -229,7 +229,8 @@ typedef struct sf_param_info {
   double low, high;
 } sf_param_info;
 
-#define SF_PARAMS 45
+#define SF_PARAMS 48
+#define SF_PARAM_ENDINGS "", "_m", "_mps", "_mps2", "_mps3", "_ns", "_rad", "_radps", "_radps2", "_s", "_s4"
 static inline const sf_param_info *sf_param_table(void) {
   static const sf_param_info table[SF_PARAMS] = {
     {"mode", 0, 1, 0.0, 1.0},
@@ -277,6 +278,9 @@ static inline const sf_param_info *sf_param_table(void) {
     {"max_accel_mps2", 115, 0, 0.001, 1000000.0},
     {"max_jerk_mps3", 116, 0, 0.01, 1000000000.0},
     {"toward_factor", 117, 0, 0.01, 1.0},
+    {"max_turn_speed_radps", 118, 0, 0.0001, 100.0},
+    {"max_turn_accel_radps2", 119, 0, 0.001, 100000.0},
+    {"preview", 120, 1, 0.0, 1.0},
   };
   return table;
 }
@@ -367,7 +371,7 @@ typedef struct sf_params {
   double plan_calm_s4; /* [s^4] adaptive: squared error worth a squared planned acceleration */
   int64_t orient; /* adaptive: 1: with 3 or more sensors, demand rotations too */
   double max_turn_rad; /* [rad] adaptive: limit of the rotation demanded */
-  double permitted_turn_rad; /* [rad] adaptive: change of the rotation that is relayed */
+  double permitted_turn_rad; /* [rad] adaptive: tilt of the surface that turns nothing */
   double calm_share; /* adaptive: share of Permitted_Variance within which the set point glides on */
   int64_t adapt; /* adaptive: 1: learn; 0: scores, weights, noise stay as they are */
   int64_t hold_ns; /* [ns] adaptive: an unchanged reading counts as new after so long */
@@ -376,8 +380,11 @@ typedef struct sf_params {
   double max_accel_mps2; /* [m/s^2] adaptive: limit of the set point's acceleration */
   double max_jerk_mps3; /* [m/s^3] adaptive: limit of the set point's jerk */
   double toward_factor; /* adaptive: share of those limits toward the surface */
+  double max_turn_speed_radps; /* [rad/s] adaptive: limit of the turning set point's speed */
+  double max_turn_accel_radps2; /* [rad/s^2] adaptive: limit of its acceleration */
+  int64_t preview; /* adaptive: 1: plan over ground remembered ahead (the service: its map's) */
 } sf_params;
-SF_STATIC_ASSERT(sizeof(sf_params) == 944, "layout of sf_params");
+SF_STATIC_ASSERT(sizeof(sf_params) == 968, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, mode) == 0, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, run) == 8, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, offset_m) == 16, "layout of sf_params");
@@ -427,6 +434,9 @@ SF_STATIC_ASSERT(offsetof(sf_params, max_speed_mps) == 912, "layout of sf_params
 SF_STATIC_ASSERT(offsetof(sf_params, max_accel_mps2) == 920, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, max_jerk_mps3) == 928, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, toward_factor) == 936, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_turn_speed_radps) == 944, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_turn_accel_radps2) == 952, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, preview) == 960, "layout of sf_params");
 
 /* What a cycle publishes. */
 typedef struct sf_output {
@@ -452,11 +462,15 @@ typedef struct sf_output {
   double noise_m; /* [m] adaptive: noise of the readings */
   double roughness_m; /* [m] adaptive: what the models do not foresee, noise taken off */
   double late_s; /* [s] adaptive: how late readings arrive */
+  double latency_s; /* [s] adaptive: age of a range when it is read, as calibrated */
+  double permitted_variance_m; /* [m] adaptive: hysteresis in force, Permitted_Variance as adapted */
+  double interval_size_m; /* [m] adaptive: Interval_Size as adapted */
+  int64_t range_size; /* adaptive: Range_Size as adapted */
   double tau_s; /* [s] adaptive: time constant of the robot's axis as found */
   double normal[3]; /* [1] adaptive, 3 or more sensors: unit normal of the surface */
   int64_t beams; /* adaptive, 3 or more sensors: bit per channel that agrees with the plane */
 } sf_output;
-SF_STATIC_ASSERT(sizeof(sf_output) == 552, "layout of sf_output");
+SF_STATIC_ASSERT(sizeof(sf_output) == 584, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, t_ns) == 0, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, pose_t_ns) == 8, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, demand) == 16, "layout of sf_output");
@@ -479,9 +493,13 @@ SF_STATIC_ASSERT(offsetof(sf_output, sigma_m) == 480, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, noise_m) == 488, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, roughness_m) == 496, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, late_s) == 504, "layout of sf_output");
-SF_STATIC_ASSERT(offsetof(sf_output, tau_s) == 512, "layout of sf_output");
-SF_STATIC_ASSERT(offsetof(sf_output, normal) == 520, "layout of sf_output");
-SF_STATIC_ASSERT(offsetof(sf_output, beams) == 544, "layout of sf_output");
+SF_STATIC_ASSERT(offsetof(sf_output, latency_s) == 512, "layout of sf_output");
+SF_STATIC_ASSERT(offsetof(sf_output, permitted_variance_m) == 520, "layout of sf_output");
+SF_STATIC_ASSERT(offsetof(sf_output, interval_size_m) == 528, "layout of sf_output");
+SF_STATIC_ASSERT(offsetof(sf_output, range_size) == 536, "layout of sf_output");
+SF_STATIC_ASSERT(offsetof(sf_output, tau_s) == 544, "layout of sf_output");
+SF_STATIC_ASSERT(offsetof(sf_output, normal) == 552, "layout of sf_output");
+SF_STATIC_ASSERT(offsetof(sf_output, beams) == 576, "layout of sf_output");
 
 /* The service's answer to a slot's newest request. */
 typedef struct sf_ack {
@@ -525,8 +543,11 @@ typedef struct sf_map_status {
   int64_t access_slot; /* -1: none */
   int64_t busy; /* request code under way; 0: none */
   double progress; /* 0 to 1 of the request under way */
+  int64_t access_claim; /* claim of the slot that access was granted to; 0: none */
+  int64_t grants; /* grants of access since the service started: another number, another grant */
+  int64_t fenced; /* bit per slot: its request outlived a lease and is not heard until its flag is 0 */
 } sf_map_status;
-SF_STATIC_ASSERT(sizeof(sf_map_status) == 64, "layout of sf_map_status");
+SF_STATIC_ASSERT(sizeof(sf_map_status) == 88, "layout of sf_map_status");
 SF_STATIC_ASSERT(offsetof(sf_map_status, t_ns) == 0, "layout of sf_map_status");
 SF_STATIC_ASSERT(offsetof(sf_map_status, queued) == 8, "layout of sf_map_status");
 SF_STATIC_ASSERT(offsetof(sf_map_status, applied) == 16, "layout of sf_map_status");
@@ -535,6 +556,9 @@ SF_STATIC_ASSERT(offsetof(sf_map_status, access) == 32, "layout of sf_map_status
 SF_STATIC_ASSERT(offsetof(sf_map_status, access_slot) == 40, "layout of sf_map_status");
 SF_STATIC_ASSERT(offsetof(sf_map_status, busy) == 48, "layout of sf_map_status");
 SF_STATIC_ASSERT(offsetof(sf_map_status, progress) == 56, "layout of sf_map_status");
+SF_STATIC_ASSERT(offsetof(sf_map_status, access_claim) == 64, "layout of sf_map_status");
+SF_STATIC_ASSERT(offsetof(sf_map_status, grants) == 72, "layout of sf_map_status");
+SF_STATIC_ASSERT(offsetof(sf_map_status, fenced) == 80, "layout of sf_map_status");
 
 /* Counters of the cycle thread; single words, each read by itself. */
 typedef struct sf_stats {
@@ -817,6 +841,7 @@ enum {
   SF_ERR_FILE = -32,
   SF_ERR_MEMORY = -33,
   SF_ERR_SYSTEM = -34,
+  SF_ERR_HELD = -35,
   /* the service refused: SF_REFUSED_...; `detail` of the client holds the answer's number */
   SF_REFUSED = -100
 };
@@ -851,6 +876,7 @@ static inline const char *sf_strerror(int result) {
     case SF_ERR_ACCESS_LOST: return "exclusive access was taken back before it ended; the copy may be mixed";
     case SF_ERR_FILE: return "the file cannot be written; the client's detail holds errno";
     case SF_ERR_MEMORY: return "not enough memory for a copy of the map";
+    case SF_ERR_HELD: return "this client holds the map itself, which would wait for ever; call sf_access_end first";
     case SF_ERR_SYSTEM: return "a system call failed; the client's detail holds errno";
     default: break;
   }
@@ -950,6 +976,7 @@ typedef struct sf_object {
   unsigned char *memory;
   size_t size;
   uint64_t device, inode;
+  uid_t owner;
   int fd; /* -1 unless it carries a lock */
 } sf_object;
 
@@ -980,7 +1007,10 @@ typedef struct sf_client {
   unsigned char *slot_memory;
   int64_t stale_ns, next_attach_ns, next_look_ns, pose_timeout_ns, pose_held_ns;
   int64_t claim, counter;
+  int64_t asked_ns;
   int pose_held, abandoned;
+  int64_t grant;    /* number of the newest grant of the map to this attachment */
+  int access_depth; /* sf_access_begin that were not ended */
 } sf_client;
 
 /* The defaults: a client, re-attaching, stale after 20 periods but not before 5 ms, requests wait 5 s. */
@@ -1065,6 +1095,7 @@ static inline int sf_i_open(sf_client *c, const char *suffix, int writable, sf_o
   o->size = SF_CAST(size_t, status.st_size);
   o->device = SF_CAST(uint64_t, status.st_dev);
   o->inode = SF_CAST(uint64_t, status.st_ino);
+  o->owner = status.st_uid;
   o->fd = fd;
   if (!writable) {
     close(fd);
@@ -1144,7 +1175,12 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
   if (!sf_i_is_current(c, ".map", &c->map)) {
     sf_object map; /* without it only the map's functions fail */
     sf_i_close(&c->map);
-    if (sf_i_open(c, ".map", 0, &map) == SF_OK) c->map = map;
+    if (sf_i_open(c, ".map", 0, &map) == SF_OK) {
+      if (map.owner == c->board.owner)
+        c->map = map;
+      else /* somebody else's, under the name of the service's */
+        sf_i_close(&map);
+    }
   }
   return SF_OK;
 }
@@ -1197,14 +1233,15 @@ static inline int sf_i_claim_slot(sf_client *c) {
   sf_object inbox;
   const int err = sf_i_open(c, ".inbox", 1, &inbox);
   if (err != SF_OK) return err;
-  const sf_inbox_header *h = SF_VIEW(const sf_inbox_header *, inbox.memory);
-  if (inbox.size < SF_INBOX_BYTES || h->magic != SF_INBOX_MAGIC || h->epoch != c->epoch) {
+  if (inbox.owner != c->board.owner) { /* somebody else's, under the name of the service's */
     sf_i_close(&inbox);
-    return SF_ERR_NOT_READY; /* of a service that is being replaced */
+    return SF_ERR_NO_PERMISSION;
   }
-  if (h->version != SF_LAYOUT_VERSION || h->layout_hash != SF_LAYOUT_HASH) {
+  const sf_inbox_header *h = SF_VIEW(const sf_inbox_header *, inbox.memory);
+  if (inbox.size < SF_INBOX_BYTES || h->magic != SF_INBOX_MAGIC || h->epoch != c->epoch ||
+      h->version != SF_LAYOUT_VERSION || h->layout_hash != SF_LAYOUT_HASH) {
     sf_i_close(&inbox);
-    return SF_ERR_LAYOUT;
+    return SF_ERR_NOT_READY; /* of a service that is being replaced, or scribbled on: the service mends it */
   }
   for (int slot = 0; slot < SF_CLIENTS; slot++) {
     const off_t start = SF_PAGE + SF_CAST(off_t, slot) * SF_SLOT_BYTES;
@@ -1220,6 +1257,7 @@ static inline int sf_i_claim_slot(sf_client *c) {
     c->claim = sf_i_random_claim();
     c->counter = 0;
     c->pose_held = c->abandoned = 0;
+    c->grant = 0;
     sf_slot_head *head = SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD);
     sf_store_relaxed(&head->access, SF_ACCESS_FREE);
     sf_store_relaxed(&head->pid, SF_CAST(int64_t, getpid()));
@@ -1243,6 +1281,7 @@ static inline void sf_i_read_pose_timeout(sf_client *c) {
 static inline void sf_detach(sf_client *c) {
   if (c == NULL) return;
   sf_i_release_slot(c);
+  c->access_depth = 0;
   sf_i_close(&c->board);
   sf_i_close(&c->map);
   c->output = c->params = c->acks = c->map_acks = c->ticker = c->map_status = c->stats = NULL;
@@ -1281,7 +1320,13 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
     memcpy(c->label, label, strlen(label) < sizeof c->label - 1 ? strlen(label) : sizeof c->label - 1);
   c->options.label = NULL; /* the caller's memory may go */
   int err = sf_i_open_board(c, c->options.ready_wait_ns);
-  if (err == SF_OK && !c->options.observe) err = sf_i_claim_slot(c);
+  const int64_t deadline = sf_now_ns() + c->options.ready_wait_ns;
+  while (err == SF_OK && !c->options.observe && (err = sf_i_claim_slot(c)) == SF_ERR_NOT_READY &&
+         sf_now_ns() < deadline) {
+    /* the service was replaced between our looks at its board and at its inbox */
+    sf_sleep_until_ns(sf_now_ns() + 5000000);
+    err = sf_i_is_current(c, "", &c->board) ? SF_OK : sf_i_open_board(c, c->options.ready_wait_ns);
+  }
   if (err != SF_OK) {
     sf_detach(c);
     return err;
@@ -1434,6 +1479,12 @@ static inline int sf_i_read_ack(const unsigned char *acks, int slot, sf_ack *ack
   return sf_latch_read(acks + step * SF_CAST(size_t, slot), sizeof *ack, ack) > 0;
 }
 
+/* Whether the inbox still has its size: to touch a page that somebody cut off is SIGBUS. */
+static inline int sf_i_inbox_is_whole(const sf_client *c) {
+  struct stat status;
+  return fstat(c->inbox.fd, &status) == 0 && status.st_size >= SF_CAST(off_t, SF_INBOX_BYTES);
+}
+
 /*
  * Send a request without waiting: `code` SF_RQ_..., up to SF_REQUEST_ARGS numbers and values.
  * SF_ERR_BUSY while the last one is not acknowledged: a second one could overtake it unseen.
@@ -1444,8 +1495,11 @@ static inline int sf_request_send(sf_client *c, int64_t code, int n, const int64
   if (c->options.observe) return SF_ERR_OBSERVER;
   if (c->slot_memory == NULL || !sf_alive(c)) sf_i_reattach_sometimes(c, sf_now_ns());
   if (c->slot_memory == NULL || !sf_alive(c)) return SF_ERR_NOT_RUNNING;
+  if (!sf_i_inbox_is_whole(c)) return SF_ERR_NOT_READY; /* cut short; the service mends it */
+  const int64_t now = sf_now_ns();
   sf_ack last;
-  if (c->counter > 0 && !c->abandoned &&
+  /* a member of the inbox's group can wipe out a request unseen: it must not block all later ones */
+  if (c->counter > 0 && !c->abandoned && now < c->asked_ns + c->options.timeout_ns &&
       !(sf_i_read_ack(c->acks, c->slot, &last) && last.counter == c->counter && last.claim == c->claim))
     return SF_ERR_BUSY;
   sf_request_post r;
@@ -1459,6 +1513,7 @@ static inline int sf_request_send(sf_client *c, int64_t code, int n, const int64
     if (values != NULL) r.value[k] = values[k];
   }
   c->abandoned = 0;
+  c->asked_ns = now;
   sf_latch_write(c->slot_memory + SF_SLOT_REQUEST, sizeof r, &r);
   ticket->counter = r.counter;
   ticket->claim = r.claim;
@@ -1604,9 +1659,9 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
 
 /* ---- parameters ----------------------------------------------------------------------------- */
 
-/* A parameter by its name, with or without its unit ("offset_m", "offset"); NULL when there is none. */
+/* A parameter by its name, with or without its unit ("max_jerk_mps3", "max_jerk"); NULL when there is none. */
 static inline const sf_param_info *sf_find_param(const char *name) {
-  static const char *const endings[] = {"", "_m", "_ns", "_s", "_mps"};
+  static const char *const endings[] = {SF_PARAM_ENDINGS};
   if (name == NULL) return NULL;
   const size_t n = strlen(name);
   for (size_t e = 0; e < sizeof endings / sizeof endings[0]; e++)
@@ -1725,6 +1780,7 @@ static inline int sf_i_region_ok(const double region[4]) {
 static inline int sf_i_map_request(sf_client *c, int64_t code, const double region[4]) {
   if (c == NULL || region == NULL) return SF_ERR_ARGUMENT;
   if (!sf_i_region_ok(region)) return SF_ERR_REGION;
+  if (c->access_depth > 0) return SF_ERR_HELD; /* it would wait for this client itself */
   return sf_i_request(c, code, 4, NULL, region, 6 * c->options.timeout_ns);
 }
 
@@ -1740,13 +1796,14 @@ static inline int sf_map_refocus(sf_client *c, const double region[4]) {
 
 /* The map's header, or NULL: not mapped, of another release, or not a map. */
 static inline const sf_map_header *sf_i_map(const sf_client *c) {
-  if (c->map.memory == NULL || c->map.size < sizeof(sf_map_header)) return NULL;
+  if (c->map.memory == NULL || c->map.size < SF_MAP_HEADER_BYTES) return NULL;
   const sf_map_header *h = SF_VIEW(const sf_map_header *, c->map.memory);
   return h->magic == SF_MAP_MAGIC && h->layout_hash == SF_MAP_LAYOUT_HASH ? h : NULL;
 }
 
 /* Whether so many grids lie inside the mapped object. */
 static inline int sf_i_map_holds(const sf_client *c, int64_t nx, int64_t ny) {
+  if (c->map.size < SF_MAP_HEADER_BYTES) return 0;
   const int64_t room = SF_CAST(int64_t, (c->map.size - SF_MAP_HEADER_BYTES) / sizeof(sf_grid_pair)) * 2;
   return nx > 0 && ny > 0 && nx <= room / ny;
 }
@@ -1784,32 +1841,142 @@ static inline int sf_map_height(const sf_client *c, double x_m, double y_m, doub
   return SF_OK;
 }
 
+/* One grid's height in quanta; SF_MAP_UNKNOWN_HEIGHT beside the map too. */
+static inline int sf_i_quanta(const sf_grid_pair *pairs, int64_t nx, int64_t ny, int64_t ix, int64_t iy) {
+  if (ix < 0 || ix >= nx || iy < 0 || iy >= ny) return SF_MAP_UNKNOWN_HEIGHT;
+  const size_t i = SF_CAST(size_t, iy * nx + ix);
+  return __atomic_load_n(&pairs[i / 2].h[i % 2], __ATOMIC_RELAXED);
+}
+
+/* Quanta per grid from the neighbours that are known; NaN without any. */
+static inline double sf_i_slope(int own, int before, int after) {
+  const uint64_t nan_bits = UINT64_C(0x7FF8000000000000);
+  double slope;
+  memcpy(&slope, &nan_bits, 8);
+  if (before != SF_MAP_UNKNOWN_HEIGHT && after != SF_MAP_UNKNOWN_HEIGHT) return 0.5 * (after - before);
+  if (after != SF_MAP_UNKNOWN_HEIGHT) return after - own;
+  if (before != SF_MAP_UNKNOWN_HEIGHT) return own - before;
+  return slope;
+}
+
+/* Bilinear height and slopes at (fx, fy) in grids, in quanta (per grid); 0: the grid there is unknown. */
+static inline int sf_i_surface(const sf_grid_pair *pairs, int64_t nx, int64_t ny, double fx, double fy,
+                               double surface[3]) {
+  const int64_t ix = SF_CAST(int64_t, fx), iy = SF_CAST(int64_t, fy);
+  const int own = sf_i_quanta(pairs, nx, ny, ix, iy);
+  if (own == SF_MAP_UNKNOWN_HEIGHT) return 0;
+  /* the centres around: a point left of its grid's centre lies between it and its left neighbour */
+  const int64_t bx = fx - SF_CAST(double, ix) < 0.5 ? ix - 1 : ix;
+  const int64_t by = fy - SF_CAST(double, iy) < 0.5 ? iy - 1 : iy;
+  const double tx = fx - 0.5 - SF_CAST(double, bx), ty = fy - 0.5 - SF_CAST(double, by);
+  double total = 0.0, weight = 0.0;
+  for (int k = 0; k < 4; k++) {
+    const int dx = k & 1, dy = k >> 1;
+    const int q = sf_i_quanta(pairs, nx, ny, bx + dx, by + dy);
+    const double part = (dx ? tx : 1.0 - tx) * (dy ? ty : 1.0 - ty);
+    if (q == SF_MAP_UNKNOWN_HEIGHT) continue;
+    total += part * q;
+    weight += part;
+  }
+  if (!(weight > 0.0)) return 0; /* cleared meanwhile */
+  surface[0] = total / weight;
+  surface[1] = sf_i_slope(own, sf_i_quanta(pairs, nx, ny, ix - 1, iy), sf_i_quanta(pairs, nx, ny, ix + 1, iy));
+  surface[2] = sf_i_slope(own, sf_i_quanta(pairs, nx, ny, ix, iy - 1), sf_i_quanta(pairs, nx, ny, ix, iy + 1));
+  return 1;
+}
+
+/*
+ * Height [m] between grid centres, and slopes dz/dx and dz/dy, at a point [m] of the live map; load-only
+ * and bounded, never waits. The grid that holds the point must be known; unknown neighbours leave the
+ * bilinear mean. Slopes are central differences, one-sided at the edge of the known, NaN without neighbours.
+ * All three are of one geometry of the map; SF_OK; SF_UNKNOWN as in sf_map_height, the results untouched.
+ */
+static inline int sf_map_surface(const sf_client *c, double x_m, double y_m, double *height_m, double *slope_x,
+                                 double *slope_y) {
+  if (c == NULL || c->output == NULL || height_m == NULL || slope_x == NULL || slope_y == NULL)
+    return SF_ERR_ARGUMENT;
+  const sf_map_header *h = sf_i_map(c);
+  if (h == NULL) return SF_ERR_BLOCK;
+  const sf_grid_pair *pairs = SF_VIEW(const sf_grid_pair *, c->map.memory + SF_MAP_HEADER_BYTES);
+  for (int tries = 0; tries < SF_LATCH_MAX_TRIES; tries++) {
+    const int64_t generation = sf_load_acquire(&h->generation);
+    if (generation & 1 || sf_load_relaxed(&h->state) != SF_MAP_READY || sf_load_acquire(&h->datum_set) == 0)
+      return SF_UNKNOWN;
+    const int64_t nx = sf_load_relaxed(&h->nx), ny = sf_load_relaxed(&h->ny);
+    const double per_m = sf_i_load_double(&h->inv_grid_per_m), quantum_m = sf_i_load_double(&h->quantum_m);
+    const double datum_m = sf_i_load_double(&h->datum_m);
+    const double fx = (x_m - sf_i_load_double(&h->x0_m)) * per_m;
+    const double fy = (y_m - sf_i_load_double(&h->y0_m)) * per_m;
+    double s[3] = {0.0, 0.0, 0.0};
+    int known = 0;
+    if (sf_i_map_holds(c, nx, ny) && fx >= 0.0 && fx < SF_CAST(double, nx) && fy >= 0.0 &&
+        fy < SF_CAST(double, ny))
+      known = sf_i_surface(pairs, nx, ny, fx, fy, s);
+    __atomic_thread_fence(__ATOMIC_ACQUIRE);
+    if (sf_load_relaxed(&h->generation) != generation) continue;
+    if (!known) return SF_UNKNOWN;
+    *height_m = datum_m + quantum_m * s[0];
+    *slope_x = s[1] * (quantum_m * per_m);
+    *slope_y = s[2] * (quantum_m * per_m);
+    return SF_OK;
+  }
+  return SF_UNKNOWN;
+}
+
 /* ---- exclusive access: the paper's four steps ------------------------------------------------ */
 
-/* Whether this client holds the map now: 1 or 0. */
+/* Whether the service's grant is for this very attachment; a slot's number alone may be a dead client's. */
+static inline int sf_i_is_mine(const sf_client *c, const sf_map_status *s) {
+  return s->access == SF_ACCESS_GRANTED && s->access_slot == c->slot && s->access_claim == c->claim;
+}
+
+/* Whether this client holds the map now, without a break since sf_access_begin: 1 or 0. */
 static inline int sf_access_held(const sf_client *c) {
   sf_map_status s;
-  if (c == NULL || c->output == NULL || c->slot < 0) return 0;
+  if (c == NULL || c->output == NULL || c->slot < 0 || c->access_depth < 1) return 0;
   if (sf_latch_read(c->map_status, sizeof s, &s) <= 0) return 0;
-  return s.access == SF_ACCESS_GRANTED && s.access_slot == c->slot;
+  return sf_i_is_mine(c, &s) && s.grants == c->grant;
 }
 
 static inline void sf_i_post_access(sf_client *c, int64_t flag) {
+  if (c->slot_memory == NULL || !sf_i_inbox_is_whole(c)) return;
   sf_store_release(&SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD)->access, flag);
+}
+
+/* One look for the grant; as long as there is none, ask for it (step 1). */
+static inline int sf_i_look_for_grant(sf_client *c) {
+  sf_map_status s;
+  if (c->slot_memory == NULL || sf_latch_read(c->map_status, sizeof s, &s) <= 0) return 0;
+  if (sf_i_is_mine(c, &s) && s.grants != c->grant) {
+    c->grant = s.grants;
+    return 1;
+  }
+  /* fenced, or the grant given back last still stands: the flag must be seen to come down first */
+  const int down = (s.fenced >> c->slot & 1) != 0 || sf_i_is_mine(c, &s);
+  if (!down && sf_i_inbox_is_whole(c)) /* the grant names the claim that the slot shows */
+    sf_store_release(&SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD)->claim, c->claim);
+  sf_i_post_access(c, down ? SF_ACCESS_FREE : SF_ACCESS_REQUESTED);
+  return 0;
 }
 
 /*
  * Ask for the map to stand still, and wait until it does (steps 1, 2). Following goes on; samples and
- * map requests queue up. End it with sf_access_end within the service's lease (30 s by default).
+ * map requests queue up. End it with sf_access_end within the service's lease (30 s by default). Calls
+ * nest: the map goes on with the last sf_access_end. SF_ERR_ACCESS_LOST: an outer one is lost, end it first.
  */
 static inline int sf_access_begin(sf_client *c, int64_t timeout_ns) {
   if (c == NULL || c->output == NULL) return SF_ERR_ARGUMENT;
   if (c->options.observe) return SF_ERR_OBSERVER;
+  if (c->access_depth > 0) {
+    if (!sf_access_held(c)) return SF_ERR_ACCESS_LOST;
+    c->access_depth++;
+    return SF_OK;
+  }
   if (c->slot_memory == NULL || !sf_alive(c)) sf_i_reattach_sometimes(c, sf_now_ns());
   if (c->slot_memory == NULL || !sf_alive(c)) return SF_ERR_NOT_RUNNING;
+  if (!sf_i_inbox_is_whole(c)) return SF_ERR_NOT_READY; /* cut short; the service mends it */
   const int64_t deadline = sf_now_ns() + timeout_ns;
-  sf_i_post_access(c, SF_ACCESS_REQUESTED); /* 1 */
-  while (!sf_access_held(c)) {              /* 2 is the service's */
+  while (!sf_i_look_for_grant(c)) { /* 2 is the service's */
     const int alive = sf_alive(c);
     if (!alive || sf_now_ns() > deadline) {
       sf_i_post_access(c, SF_ACCESS_FREE);
@@ -1817,23 +1984,27 @@ static inline int sf_access_begin(sf_client *c, int64_t timeout_ns) {
     }
     sf_sleep_until_ns(sf_now_ns() + 200000);
   }
+  c->access_depth = 1;
   return SF_OK;
 }
 
 /*
  * Let the map go on (steps 3, 4). SF_ERR_ACCESS_LOST: the lease was over or the service restarted before
- * this call, so what was read may be mixed.
+ * this call, even if access was granted again since, so what was read may be mixed.
  */
 static inline int sf_access_end(sf_client *c) {
   if (c == NULL || c->output == NULL) return SF_ERR_ARGUMENT;
-  if (c->slot_memory == NULL) return SF_ERR_ACCESS_LOST;
-  const int held = sf_access_held(c);
-  const int64_t deadline = sf_now_ns() + c->options.timeout_ns;
-  sf_i_post_access(c, SF_ACCESS_DONE);                                        /* 3 */
-  while (sf_access_held(c) && sf_alive(c) && sf_now_ns() < deadline)          /* 4 is the service's */
-    sf_sleep_until_ns(sf_now_ns() + 200000);
-  if (!held) sf_sleep_until_ns(sf_now_ns() + 5000000); /* the service must see that the flag came down */
-  sf_i_post_access(c, SF_ACCESS_FREE);
+  if (c->access_depth < 1) return SF_ERR_ACCESS_LOST;
+  __atomic_thread_fence(__ATOMIC_ACQUIRE); /* what was read was read before this look */
+  const int held = sf_access_held(c) && sf_i_is_current(c, "", &c->board);
+  if (c->access_depth == 1) {
+    const int64_t deadline = sf_now_ns() + c->options.timeout_ns;
+    sf_i_post_access(c, SF_ACCESS_DONE);                               /* 3 */
+    while (sf_access_held(c) && sf_alive(c) && sf_now_ns() < deadline) /* 4 is the service's */
+      sf_sleep_until_ns(sf_now_ns() + 200000);
+    sf_i_post_access(c, SF_ACCESS_FREE);
+  }
+  c->access_depth--;
   return held ? SF_OK : SF_ERR_ACCESS_LOST;
 }
 
@@ -1966,6 +2137,11 @@ static inline int sf_i_copy_map(sf_client *c, sf_map_header *header, sf_grid_pai
   if (h == NULL) return SF_ERR_BLOCK;
   int err = sf_access_begin(c, c->options.timeout_ns);
   if (err != SF_OK) return err;
+  h = sf_i_map(c); /* beginning may have followed the service to a new start */
+  if (h == NULL) {
+    sf_access_end(c);
+    return SF_ERR_BLOCK;
+  }
   memcpy(header, h, sizeof *header);
   if (header->state != SF_MAP_READY)
     err = header->state == SF_MAP_NO_MAP ? SF_REFUSED_NO_MAP : SF_REFUSED_MAP_BUSY;
@@ -1983,35 +2159,88 @@ static inline int sf_i_copy_map(sf_client *c, sf_map_header *header, sf_grid_pai
   return err != SF_OK ? err : ended;
 }
 
+/* How many bytes of a path lead to its folder, the last slash included. */
+static inline size_t sf_i_folder(const char *path) {
+  const char *slash = strrchr(path, '/');
+  return slash == NULL ? 0 : SF_CAST(size_t, slash - path) + 1;
+}
+
+/* Where a file of this name lies when links are followed; 0, or an errno: EEXIST, it is no plain file. */
+static inline int sf_i_plain_target(const char *path, char target[4096], mode_t *mode) {
+  char link[4096];
+  struct stat status;
+  size_t n = strlen(path);
+  if (n >= 4096) return ENAMETOOLONG;
+  memcpy(target, path, n + 1);
+  for (int hops = 0;; hops++) {
+    const ssize_t got = readlink(target, link, sizeof link);
+    if (got < 0) break;
+    const size_t folder = link[0] == '/' ? 0 : sf_i_folder(target);
+    n = SF_CAST(size_t, got);
+    if (hops == 40) return ELOOP;
+    if (folder + n >= 4096) return ENAMETOOLONG;
+    memcpy(target + folder, link, n);
+    target[folder + n] = '\0';
+  }
+  *mode = 0;
+  if (stat(target, &status) != 0) return 0; /* nothing there; what else is wrong shows when it is written */
+  *mode = status.st_mode & 0777;
+  return S_ISREG(status.st_mode) ? 0 : EEXIST; /* to rename over a device or a pipe would take its place */
+}
+
+/* After a rename: without this a power cut may undo it. */
+static inline void sf_i_sync_folder(char path[4096]) {
+  const size_t n = sf_i_folder(path);
+  path[n] = '\0';
+  const int fd = open(n > 0 ? path : ".", O_RDONLY | O_CLOEXEC);
+  if (fd < 0) return;
+  fsync(fd);
+  close(fd);
+}
+
 /*
  * Write the map's header and all grids to a text file, with this process's own rights (paper: UpLoadMap).
- * The map stands still only while it is copied; the file appears whole or not at all.
+ * The map stands still only while it is copied; the file appears whole or not at all. Links are followed;
+ * what is there and is no plain file stays: SF_ERR_FILE with EEXIST in the client's `detail`.
  */
 static inline int sf_upload_map(sf_client *c, const char *path) {
-  char part[4096];
+  char part[4096 + 64], target[4096];
+  mode_t mode = 0;
   sf_map_header header;
   sf_grid_pair *pairs;
   if (c == NULL || c->output == NULL || path == NULL || path[0] == '\0') return SF_ERR_ARGUMENT;
-  const int n = snprintf(part, sizeof part, "%s.%ld.part", path, SF_CAST(long, getpid()));
-  if (n < 0 || SF_CAST(size_t, n) >= sizeof part) return SF_ERR_ARGUMENT;
-  int err = sf_i_copy_map(c, &header, &pairs);
+  int number = sf_i_plain_target(path, target, &mode);
+  int err = number == 0 ? sf_i_copy_map(c, &header, &pairs) : SF_ERR_FILE;
+  if (number != 0) c->detail = number;
   if (err != SF_OK) {
-    free(pairs);
+    if (number == 0) free(pairs);
     return err;
   }
-  int written = 0;
-  const int fd = open(part, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0666);
+  int written = 0, fd = -1;
+  for (int tries = 0; fd < 0 && tries < 8; tries++) { /* a part of a process that was killed may be there */
+    snprintf(part, sizeof part, "%s.%06x.part", target, SF_CAST(unsigned, sf_i_random_claim() >> 8 & 0xFFFFFF));
+    fd = open(part, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0666);
+    if (fd < 0 && errno != EEXIST && errno != EINTR) break;
+  }
   FILE *f = fd >= 0 ? fdopen(fd, "w") : NULL;
+  number = errno;
   if (f != NULL) {
+    errno = 0;
+    if (mode != 0) (void)!fchmod(fd, mode); /* as the file that it replaces */
     sf_i_write_map(f, &header, pairs);
     written = !ferror(f) && fflush(f) == 0 && fsync(fd) == 0;
-    written = fclose(f) == 0 && written && rename(part, path) == 0;
+    number = errno;
+    if (fclose(f) != 0 && written) written = 0, number = errno;
+    if (written && rename(part, target) != 0) written = 0, number = errno;
   }
   free(pairs);
-  if (written) return SF_OK;
-  c->detail = errno;
+  if (written) {
+    sf_i_sync_folder(target);
+    return SF_OK;
+  }
   if (f == NULL && fd >= 0) close(fd);
   if (fd >= 0) unlink(part);
+  c->detail = number;
   return SF_ERR_FILE;
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -31,15 +32,23 @@ def map_figures(client: Client, path: Path) -> dict[str, Any]:
     return {"grids_known": int(known.sum()), "grids": nx * ny, "grid_m": float(h["grid_m"])}
 
 
-def verdict(result: dict[str, Any], rms_limit_m: float, rolling_limit_m: float) -> list[str]:
+def verdict(
+    result: dict[str, Any], rms_limit_m: float, rolling_limit_m: float, angle_limit_deg: float = math.inf
+) -> list[str]:
     """What did not come out as it must."""
     failures = []
+    rms = result["standoff_rms_m"]
+    if rms is None:
+        failures.append("nothing scored: the path ended before the score begins; ask for more --seconds")
+    angle = result.get("angle_rms_deg")
+    if angle is not None and not angle <= angle_limit_deg:
+        failures.append(f"angle RMS {angle:.2f} degrees > {angle_limit_deg:g} degrees")
     rolling = result["standoff_rms_rolling_m"]
-    if not result["standoff_rms_m"] <= rms_limit_m:
-        failures.append(f"stand-off RMS {result['standoff_rms_m'] * 1e3:.2f} mm > {rms_limit_m * 1e3:g} mm")
+    if rms is not None and not rms <= rms_limit_m:
+        failures.append(f"stand-off RMS {rms * 1e3:.2f} mm > {rms_limit_m * 1e3:g} mm")
     if result["moving_s"] < result["seconds"] - 0.5:
         failures.append(f"the robot moved for {result['moving_s']:.1f} s of {result['seconds']:g} s")
-    if rolling is None and result["seconds"] >= 10.0:
+    if rms is not None and rolling is None and result["seconds"] >= 10.0:
         failures.append("no rolling ground was passed, so following on it was not measured")
     if rolling is not None and not rolling <= rolling_limit_m:
         failures.append(
@@ -56,11 +65,19 @@ def verdict(result: dict[str, Any], rms_limit_m: float, rolling_limit_m: float) 
 
 def table(result: dict[str, Any]) -> str:
     """The figures for people."""
+
+    def mm(name: str) -> str:
+        return "nothing scored" if result[name] is None else f"{result[name] * 1e3:.2f} mm"
+
+    def degrees(name: str) -> str:
+        return "nothing scored" if result[name] is None else f"{result[name]:.2f} degrees"
+
     rolling = result["standoff_rms_rolling_m"]
+    along = " along the tool's axis" if "sensors" in result else ""
     rows = [
-        ("stand-off RMS", f"{result['standoff_rms_m'] * 1e3:.2f} mm"),
+        (f"stand-off RMS{along}", mm("standoff_rms_m")),
         ("  on rolling parts", "-" if rolling is None else f"{rolling * 1e3:.2f} mm"),
-        ("stand-off peak", f"{result['standoff_peak_m'] * 1e3:.2f} mm"),
+        ("stand-off peak", mm("standoff_peak_m")),
         ("path", f"{result['path_m']:.2f} m in {result['moving_s']:.1f} s"),
         ("speed", f"{result['speed_mps'] * 1e3:g} mm/s"),
         ("cycles", f"{result['cycles']} ({result['overruns']} overruns)"),
@@ -80,5 +97,13 @@ def table(result: dict[str, Any]) -> str:
             f"{result['replay_cycles_per_s'] / 1e6:.1f} million cycles/s",
         ),
     ]
+    if "sensors" in result:
+        rows[1:2] = []
+        rows[2:2] = [
+            ("angle to the normal, RMS", degrees("angle_rms_deg")),
+            ("angle to the normal, peak", degrees("angle_peak_deg")),
+            ("steepest ground", degrees("tilt_peak_deg")),
+            ("sensors", f"{result['sensors']}"),
+        ]
     width = max(len(r[0]) for r in rows)
     return "\n".join(f"  {name:<{width}}  {value}" for name, value in rows)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,6 +18,8 @@ Progress = Callable[[float], object]
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path beside `path`; on a clean exit it is fsynced and takes its name, else it goes.
+
+    A file that was there keeps its mode, a new one gets what the umask says; nobody else reads it before.
 
     Raises
     ------
@@ -36,12 +39,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise MapFileError(f"cannot write beside {target}: {e.strerror or e}") from e
     temporary = Path(name)
     try:
-        # mkstemp's 0600 is for secrets; a map gets what the user's umask says
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
+        mode = _mode_for(target)
         yield temporary
-        _sync(temporary)
+        _sync(temporary, mode)
         temporary.replace(target)
         _sync(target.parent)
     except OSError as e:
@@ -50,9 +50,20 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def _sync(path: Path) -> None:
+def _mode_for(target: Path) -> int:
+    try:
+        return stat.S_IMODE(target.stat().st_mode) & 0o777
+    except FileNotFoundError:
+        mask = os.umask(0)
+        os.umask(mask)
+        return 0o666 & ~mask
+
+
+def _sync(path: Path, mode: int | None = None) -> None:
     handle = os.open(path, os.O_RDONLY)
     try:
+        if mode is not None:
+            os.fchmod(handle, mode)
         os.fsync(handle)
     finally:
         os.close(handle)

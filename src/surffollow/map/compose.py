@@ -17,8 +17,13 @@ from surffollow.map.height_map import HeightMap
 from surffollow.map.resample_areas import lattice_sums, overlap_lengths
 from surffollow.shm import map_layout as ml
 
+MOST_TIMES = 8  # as many grids as the maps have together: what their places may ask for unasked
+LEAST_GRIDS = 1_000_000  # that are never too many
+GRID_BYTES = 100  # at the peak, per grid of the result; 70 measured at nine million grids
+BLOCK_BYTES = 250  # per grid of a block of rows, and per edge of the lattice and map
 
-def _lattice(maps: Sequence[HeightMap], grids: int) -> tuple[int, int, float, float, float]:
+
+def _lattice(maps: Sequence[HeightMap], grids: int, coarsen: bool) -> tuple[int, int, float, float, float]:
     """(nx, ny, x0, y0, grid) over all maps: the finest one's own lattice where memory allows."""
     extents = np.array([m.extent_m for m in maps])
     x0, y0 = extents[:, 0].min(), extents[:, 1].min()
@@ -30,11 +35,47 @@ def _lattice(maps: Sequence[HeightMap], grids: int) -> tuple[int, int, float, fl
     x0_own, y0_own = finest.origin_m[0] - left * grid, finest.origin_m[1] - below * grid
     nx = max(1, math.ceil((x1 - x0_own) / grid - 1e-6))
     ny = max(1, math.ceil((y1 - y0_own) / grid - 1e-6))
-    if nx * ny <= grids:
+    if nx * ny <= grids or not coarsen:
         return nx, ny, x0_own, y0_own, grid
     columns, rows, grid = fit_grids(x1 - x0, y1 - y0, grids, grid)
     nx, ny = int(columns), int(rows)
     return nx, ny, (x0 + x1 - nx * grid) / 2, (y0 + y1 - ny * grid) / 2, float(grid)
+
+
+def _bytes_needed(nx: int, ny: int, maps: int) -> int:
+    """Memory that composing takes at its peak, about."""
+    return GRID_BYTES * nx * ny + BLOCK_BYTES * (min(nx * ny, max(nx, 1 << 20)) + maps * (nx + ny))
+
+
+def _bytes_available() -> float:
+    """Memory that this machine can still give; infinite where the system does not say."""
+    try:
+        with open("/proc/meminfo", encoding="ascii") as f:
+            lines = dict(line.split(":", 1) for line in f)
+        return 1024.0 * int(lines["MemAvailable"].split()[0])
+    except (OSError, KeyError, ValueError, IndexError):
+        return math.inf
+
+
+def _size(maps: Sequence[HeightMap], grids: int | None) -> tuple[int, int, float, float, float]:
+    """`_lattice`, or UsageError where places far apart, or the memory, forbid it: before any is taken."""
+    together = sum(m.shape[0] * m.shape[1] for m in maps)
+    most = max(MOST_TIMES * together, LEAST_GRIDS) if grids is None else grids
+    nx, ny, x0, y0, grid = _lattice(maps, min(most, 10**9), grids is not None)
+    needed = _bytes_needed(nx, ny, len(maps))
+    what = (
+        f"the maps lie within {nx * grid:.6g} m × {ny * grid:.6g} m: in grids of {grid:.6g} m that is "
+        f"{nx * ny} grids and {needed / 1e9:.3g} GB of memory"
+    )
+    if nx * ny > min(most, 10**9):
+        raise UsageError(
+            f"{what}, for maps of {together} grids; are they in the right places? "
+            "Say how many grids to take (grids, --grids) for a coarser map"
+        )
+    available = _bytes_available()
+    if needed > available:
+        raise UsageError(f"{what}, of which {available / 1e9:.3g} GB are free; take fewer grids (--grids)")
+    return nx, ny, x0, y0, grid
 
 
 def _fields(m: HeightMap, prior: bool) -> Any:
@@ -58,7 +99,8 @@ def compose(
     Parameters
     ----------
     maps : sequence of HeightMap
-    grids : int             memory, at most 1e9; default: what the finest resolution needs
+    grids : int             memory, at most 1e9: coarser where the finest resolution needs more; default:
+        what that needs, refused beyond 8 times the grids of all maps (and a million)
     progress : callable     gets the finished fraction; returning False cancels
 
     Returns
@@ -70,11 +112,12 @@ def compose(
     Raises
     ------
     UsageError
-        no maps, or heights too far apart for the finest quantum
+        no maps, heights too far apart for the finest quantum, maps too far apart for the finest grid, or
+        more memory than is free
     """
     if not maps:
         raise UsageError("compose needs at least one map")
-    nx, ny, x0, y0, grid = _lattice(maps, 10**9 if grids is None else grids)
+    nx, ny, x0, y0, grid = _size(maps, grids)
     weights = [
         (
             overlap_lengths(m.shape[0], m.origin_m[1], m.grid_m, ny, y0, grid),

@@ -14,12 +14,15 @@ from numpy.typing import NDArray
 from surffollow.errors import MapFileError
 from surffollow.map import access
 from surffollow.map.atomic_file import Progress, replacing, report
-from surffollow.map.text_file import read_text, write_text
+from surffollow.map.header import header_fault, numbers_fault, tile_shift_of
+from surffollow.map.text_file import OTHER_SUFFIXES, read_text, write_text
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype
 
-EXPORTS = (".txt", ".npz", ".asc", ".tif", ".tiff", ".ply", ".png")
+EXPORTS = (".txt", *OTHER_SUFFIXES)
 _FORMAT = "surffollow-map-npz-1"
+# a .npy file, a foreign archive, objects, impossible shapes: each has its own exception in NumPy
+_NOT_OURS = (ValueError, KeyError, TypeError, AttributeError, IndexError, MemoryError, NotImplementedError)
 
 
 def save(
@@ -29,7 +32,13 @@ def save(
     *,
     progress: Progress | None = None,
 ) -> None:
-    """Write a map losslessly, atomically: NumPy archive for .npz, else the text format."""
+    """Write a map losslessly, atomically: NumPy archive for .npz, else the text format.
+
+    Raises
+    ------
+    MapFileError
+        the suffix is that of a format for `export`, or the file cannot be written
+    """
     if Path(path).suffix.lower() == ".npz":
         _write_npz(path, header, pairs, progress)
     else:
@@ -89,6 +98,8 @@ def load(
     MapFileError
     """
     suffix = Path(path).suffix.lower()
+    if Path(path).is_char_device() or Path(path).is_block_device():
+        raise MapFileError(f"{path} is a device, no map file")
     if suffix == ".npz":
         return _read_npz(path)
     if suffix in (".asc", ".tif", ".tiff"):
@@ -97,6 +108,9 @@ def load(
 
         read = read_esri_ascii if suffix == ".asc" else read_geotiff
         heights, origin, grid = read(path)
+        fault = numbers_fault(grid, ml.DEFAULT_QUANTUM_M, x0_m=origin[0], y0_m=origin[1])
+        if fault:
+            raise MapFileError(f"{path} holds no usable map: {fault}")
         report(progress, 0.5)
         made = HeightMap.from_heights(heights, origin_m=origin, grid_m=grid)
         return made.header, made.pairs
@@ -125,17 +139,34 @@ def _write_npz(
         report(progress, 1.0)
 
 
-def _read_npz(path: str | os.PathLike[str]) -> tuple[NDArray[Any], NDArray[Any]]:
-    from surffollow.map.header import header_fault
+def _settle(header: NDArray[Any], known: bool) -> None:
+    """Derive again what kernels trust, whatever the archive says of it."""
+    w = header[0]
+    w["inv_grid_per_m"], w["inv_quantum_per_m"] = 1.0 / w["grid_m"], 1.0 / w["quantum_m"]
+    w["finest_grid_m"] = w["finest_grid_m"] if w["finest_grid_m"] > 0 else w["grid_m"]
+    w["tile_shift"] = shift = tile_shift_of(int(w["nx"]), int(w["ny"]))
+    w["tiles_x"] = ((int(w["nx"]) - 1) >> shift) + 1
+    w["journal_op"] = w["journal_progress"] = w["generation"] = 0
+    w["rounding"] = w["rounding"] if w["rounding"] in range(len(ml.ROUNDING_NAMES)) else ml.ROUND_UNBIASED
+    w["datum_set"] = 1 if known or w["datum_set"] else 0
+    if not (0 <= w["gate_m"] < np.inf and 1 <= w["gate_min_count"] <= ml.FULL_COUNT):
+        w["gate_m"], w["gate_min_count"] = 0.0, 8
 
+
+def _read_npz(path: str | os.PathLike[str]) -> tuple[NDArray[Any], NDArray[Any]]:
     try:
         with np.load(path, allow_pickle=False) as data:
             if "format" not in data or str(data["format"]) != _FORMAT:
                 raise MapFileError(f"{path} is not a map archive of this version ({_FORMAT})")
             raw, heights, counts = data["header"], data["quanta"], data["counts"]
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as e:
+    except (OSError, EOFError, zipfile.BadZipFile, zlib.error, *_NOT_OURS) as e:
         raise MapFileError(f"cannot read {path}: {e}") from e
-    if raw.size != ml.MapHeader.SIZE or heights.dtype != np.int16 or counts.shape != heights.shape:
+    kinds = (raw.dtype, heights.dtype, counts.dtype)
+    if (
+        kinds != (np.uint8, np.int16, np.uint8)
+        or raw.shape != (ml.MapHeader.SIZE,)
+        or counts.shape != heights.shape
+    ):
         raise MapFileError(f"{path} is damaged: its arrays do not belong together")
     header = raw.reshape(-1).view(numpy_dtype(ml.MapHeader)).copy()
     header["capacity_grids"] = heights.size
@@ -143,7 +174,14 @@ def _read_npz(path: str | os.PathLike[str]) -> tuple[NDArray[Any], NDArray[Any]]
     fault = header_fault(header, len(pairs))
     if not fault and (int(header[0]["ny"]), int(header[0]["nx"])) != heights.shape:
         fault = "its header and grids have different shapes"
-    if fault or int(header[0]["state"]) != ml.READY:
-        raise MapFileError(f"{path} holds no usable map: {fault or 'its state is not ready'}")
+    w = header[0]
+    if not fault and int(w["state"]) != ml.READY:
+        fault = "its state is not ready"
+    if not fault:
+        positions = {key: float(w[key]) for key in ("x0_m", "y0_m", "datum_m", "finest_grid_m")}
+        fault = numbers_fault(float(w["grid_m"]), float(w["quantum_m"]), **positions)
+    if fault:
+        raise MapFileError(f"{path} holds no usable map: {fault}")
+    _settle(header, bool((heights != ml.UNKNOWN).any()))
     access.store(pairs, 0, heights.reshape(-1), counts.reshape(-1))
     return header, pairs

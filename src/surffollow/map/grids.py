@@ -82,7 +82,9 @@ def blended(height: Any, count: Any, z: Any, paper: Any, u: Any) -> Any:
 @njit(cache=True, nogil=True, forceinline=True)
 def _first_datum(w: Any, z_m: Any) -> None:
     """Centre the height range on the ground: whole quanta, so that maps differ by whole numbers."""
-    w.datum_m = np.floor(z_m * w.inv_quantum_per_m + 0.5) * w.quantum_m
+    datum_m = np.floor(z_m * w.inv_quantum_per_m + 0.5) * w.quantum_m
+    # a height beyond all numbers of quanta is clipped; it must not take the datum with it
+    w.datum_m = datum_m if np.isfinite(datum_m) else 0.0
     fence_release()
     w.datum_set = 1
     fence_release()

@@ -11,6 +11,25 @@ from surffollow.errors import UsageError
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 
+_FINEST_M, _FARTHEST_M = 1e-12, 1e12
+
+
+def numbers_fault(grid_m: float, quantum_m: float, **positions_m: float) -> str:
+    """What makes these numbers no map's, or "".
+
+    Parameters
+    ----------
+    grid_m, quantum_m : float       side of a grid, height of a count [m]: 1e-12 … 1e6
+    **positions_m : float           by name; at most 1e12 m from the origin
+    """
+    for name, value in (("grid_m", grid_m), ("quantum_m", quantum_m)):
+        if not _FINEST_M <= value <= ml.MAX_REGION_M:
+            return f"{name} must be within {_FINEST_M:g} … {ml.MAX_REGION_M:g}, not {value!r}"
+    for name, value in positions_m.items():
+        if not abs(value) <= _FARTHEST_M:
+            return f"{name} must be finite and at most {_FARTHEST_M:g}, not {value!r}"
+    return ""
+
 
 def init_header(
     header: np.ndarray[Any, Any],
@@ -45,17 +64,17 @@ def init_header(
     UsageError
         a value out of its range
     """
+    if not 0 <= seed < 2**64:
+        raise UsageError(f"seed must be 0 … 2^64-1, not {seed!r}")
     if not 1 <= capacity_grids <= 1_000_000_000:
         raise UsageError(f"capacity_grids must be 1 … 1e9, not {capacity_grids!r}")
-    for name, value in (("finest_grid_m", finest_grid_m), ("quantum_m", quantum_m)):
-        if not (math.isfinite(value) and value > 0):
-            raise UsageError(f"{name} must be positive and finite, not {value!r}")
+    fault = numbers_fault(finest_grid_m, quantum_m, datum_m=0.0 if datum_m is None else datum_m)
+    if fault:
+        raise UsageError(fault.replace("grid_m", "finest_grid_m", 1))
     if rounding not in ml.ROUNDING_NAMES:
         raise UsageError(f"rounding must be one of {', '.join(ml.ROUNDING_NAMES)}, not {rounding!r}")
     if not (math.isfinite(gate_m) and gate_m >= 0) or not 1 <= gate_min_count <= ml.FULL_COUNT:
         raise UsageError(f"gate_m must be ≥ 0 and gate_min_count 1 … 255, not {gate_m!r}, {gate_min_count!r}")
-    if datum_m is not None and not math.isfinite(datum_m):
-        raise UsageError(f"datum_m must be finite, not {datum_m!r}")
     if scratch_bytes is None:
         scratch_bytes = ml.scratch_bytes(ml.default_scratch_columns(capacity_grids))
     header[...] = zeros(ml.MapHeader)
@@ -71,6 +90,14 @@ def init_header(
     w["dither_seed"] = seed
     w["state"] = ml.NO_MAP
     w["magic"] = ml.MAGIC
+
+
+def tile_shift_of(nx: int, ny: int) -> int:
+    """`geometry.tile_shift_for` for programs without the kernels."""
+    shift = 4
+    while (((nx - 1) >> shift) + 1) * (((ny - 1) >> shift) + 1) > ml.DIRTY_TILES:
+        shift += 1
+    return shift
 
 
 def header_fault(header: np.ndarray[Any, Any], n_pairs: int) -> str:

@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,10 +15,10 @@ from surffollow.map import access
 from surffollow.map.atomic_file import Progress
 from surffollow.map.geometry import reset_begin, reset_step
 from surffollow.map.grids import add_points
-from surffollow.map.header import init_header
+from surffollow.map.header import init_header, numbers_fault
 from surffollow.map.install import install_begin, install_end
-from surffollow.map.lookup import surface_at
 from surffollow.map.refocus import refocus_begin, refocus_step
+from surffollow.map.view import MapView
 from surffollow.map.words import clear_grids
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype, zeros
@@ -28,15 +27,12 @@ Region = Sequence[float]
 _SLICE = 1 << 20
 
 
-class HeightMap:
+class HeightMap(MapView):
     """A rectangle of square grids with mean heights and sample counts (3 bytes per grid).
 
     Make one with `over`, `load` or `from_heights`. `header` and `pairs` are the map's memory as in the
-    daemon's map object, for use with the kernels.
+    daemon's map object, for use with the kernels; what the map tells is in `MapView`.
     """
-
-    def __init__(self, header: NDArray[Any], pairs: NDArray[Any]) -> None:
-        self.header, self.pairs = header, pairs
 
     @classmethod
     def over(
@@ -101,7 +97,7 @@ class HeightMap:
 
         Parameters
         ----------
-        heights_m : (ny, nx) float [m]        NaN unknown; rows ascend in y, columns in x
+        heights_m : (ny, nx) float [m]        NaN or masked: unknown; rows ascend in y, columns in x
         origin_m : (x, y) [m]                 outer corner of heights_m[0, 0]
         grid_m : float                        side of a grid [m]
         counts : (ny, nx) int 0 … 255         samples behind each height
@@ -111,24 +107,35 @@ class HeightMap:
         Raises
         ------
         UsageError
-            the heights do not fit the range of `quantum_m`, or an array has the wrong shape
+            the heights do not fit the range of `quantum_m`, or an array has the wrong shape or type
         """
-        z = np.array(heights_m, dtype=np.float64, ndmin=2)
+        z = _floats("heights_m", heights_m)
+        if z.ndim != 2 or z.size == 0:
+            raise UsageError(f"heights_m must have shape (ny, nx) and at least one grid, not {z.shape}")
+        corner = _floats("origin_m", origin_m)
+        if corner.shape != (2,):
+            raise UsageError(f"origin_m is x, y; its shape is {corner.shape}")
         known = np.isfinite(z)
         low, high = (float(z[known].min()), float(z[known].max())) if known.any() else (0.0, 0.0)
+        given = ml.DEFAULT_QUANTUM_M if quantum_m is None else quantum_m
+        fault = numbers_fault(grid_m, given, datum_m=datum_m or 0.0, lowest_m=low, highest_m=high)
+        if fault:
+            raise UsageError(fault)
         if quantum_m is None:
             quantum_m = max(ml.DEFAULT_QUANTUM_M, _tidy((high - low) / (2 * ml.MAX_HEIGHT - 2)))
         if datum_m is None:
             datum_m = math.floor((low + high) / 2 / quantum_m + 0.5) * quantum_m
         scaled = np.floor((np.where(known, z, datum_m) - datum_m) / quantum_m + 0.5)
-        if z.ndim != 2 or z.size == 0 or np.abs(scaled).max() > ml.MAX_HEIGHT:
+        if np.abs(scaled).max() > ml.MAX_HEIGHT:
             raise UsageError(
                 f"heights of shape {z.shape} from {low} to {high} m do not fit ±{ml.MAX_HEIGHT} quanta of "
                 f"{quantum_m} m around {datum_m} m; give a coarser quantum_m"
             )
-        samples = None if counts is None else np.asarray(counts)
+        samples = None if counts is None else _floats("counts", counts)
         if samples is not None and samples.shape != z.shape:
             raise UsageError(f"counts have shape {samples.shape}, heights {z.shape}")
+        if samples is not None and not np.isfinite(samples).all():
+            raise UsageError("counts must be finite")
         header = zeros(ml.MapHeader)
         init_header(header, capacity_grids=z.size, quantum_m=quantum_m, finest_grid_m=grid_m)
         answer = install_begin(
@@ -136,8 +143,8 @@ class HeightMap:
             z.shape[1],
             z.shape[0],
             float(grid_m),
-            float(origin_m[0]),
-            float(origin_m[1]),
+            float(corner[0]),
+            float(corner[1]),
             float(datum_m),
             float(quantum_m),
         )
@@ -160,10 +167,15 @@ class HeightMap:
         Returns
         -------
         int  points that changed a grid; see `samples`, `outside`, `clipped`, `gated`, `invalid`
+
+        Raises
+        ------
+        UsageError
+            not numbers, or of another shape; a point that is not finite, or masked, is counted as `invalid`
         """
-        points = np.ascontiguousarray(points_m, dtype=np.float64)
-        if points.ndim == 1 and points.size == 3:
-            points = points.reshape(1, 3)
+        points = np.ascontiguousarray(_floats("points_m", points_m))
+        if points.ndim == 1 and points.size in (0, 3):
+            points = points.reshape(-1, 3)
         if points.ndim != 2 or points.shape[1] != 3:
             raise UsageError(f"points_m must have shape (n, 3), not {points.shape}")
         return int(add_points(self.header, self.pairs, points))
@@ -190,96 +202,15 @@ class HeightMap:
         if done < 0:
             raise MapFileError("the map could not be refocused in place; it is lost, reset it")
 
-    def height_at(self, x_m: float, y_m: float) -> float:
-        """Height between grid centres [m], NaN where unknown."""
-        return float(surface_at(self.header, self.pairs, float(x_m), float(y_m))[0])
-
-    def slope_at(self, x_m: float, y_m: float) -> tuple[float, float]:
-        """(dz/dx, dz/dy) over the neighbouring grids, NaN where unknown."""
-        _, slope_x, slope_y, _ = surface_at(self.header, self.pairs, float(x_m), float(y_m))
-        return float(slope_x), float(slope_y)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(ny, nx)."""
-        return access.shape_of(self.header)
-
-    @property
-    def heights_m(self) -> NDArray[np.float64]:
-        """(ny, nx) mean heights [m], NaN for unknown grids; a copy."""
-        ny, nx = self.shape
-        return access.metres(self.header, access.quanta(self.pairs, 0, ny * nx)).reshape(ny, nx)
-
-    @property
-    def counts(self) -> NDArray[np.uint8]:
-        """(ny, nx) samples behind each height, at most 255; 0 for priors and unknown grids; a copy."""
-        ny, nx = self.shape
-        return access.counts(self.pairs, 0, ny * nx).reshape(ny, nx)
-
-    @property
-    def origin_m(self) -> tuple[float, float]:
-        """Outer corner of heights_m[0, 0] [m]; rows ascend in y, columns in x."""
-        return float(self.header[0]["x0_m"]), float(self.header[0]["y0_m"])
-
-    @property
-    def grid_m(self) -> float:
-        """Side of a grid [m]."""
-        return float(self.header[0]["grid_m"])
-
-    @property
-    def quantum_m(self) -> float:
-        """Height of one count [m]."""
-        return float(self.header[0]["quantum_m"])
-
-    @property
-    def datum_m(self) -> float:
-        """Height of quantum 0 [m]."""
-        return float(self.header[0]["datum_m"])
-
-    @property
-    def region_m(self) -> tuple[float, float, float, float]:
-        """The region of interest that the map was laid over: x_min, y_min, x_max, y_max [m]."""
-        a, b, c, d = (float(v) for v in self.header[0]["region_m"])
-        return a, b, c, d
-
-    @property
-    def extent_m(self) -> tuple[float, float, float, float]:
-        """What the grids cover: x_min, y_min, x_max, y_max [m]."""
-        ny, nx = self.shape
-        x0, y0 = self.origin_m
-        return x0, y0, x0 + nx * self.grid_m, y0 + ny * self.grid_m
-
-    @property
-    def samples(self) -> int:
-        """Points that changed a grid."""
-        return int(self.header[0]["samples"])
-
-    @property
-    def outside(self) -> int:
-        """Points beside the map."""
-        return int(self.header[0]["outside"])
-
-    @property
-    def clipped(self) -> int:
-        """Points beyond the height range, stored at its end."""
-        return int(self.header[0]["clipped"])
-
-    @property
-    def gated(self) -> int:
-        """Points refused as outliers."""
-        return int(self.header[0]["gated"])
-
-    @property
-    def invalid(self) -> int:
-        """Points that were not finite."""
-        return int(self.header[0]["invalid"])
-
     def copy(self) -> HeightMap:
         """An independent map with the same memory."""
         return HeightMap(self.header.copy(), self.pairs.copy())
 
     def save(self, path: str | os.PathLike[str], *, progress: Progress | None = None) -> None:
-        """Write the lossless text file (or .npz, by suffix), atomically; see `files.export` for others."""
+        """Write the lossless text file (or .npz, by suffix), atomically.
+
+        A suffix of another format is refused: `map.files.export` writes those.
+        """
         from surffollow.map.files import save
 
         save(path, self.header, self.pairs, progress=progress)
@@ -310,16 +241,6 @@ class HeightMap:
             clear_grids(pairs, n, 2 * len(pairs))
         return cls(header, pairs)
 
-    def __repr__(self) -> str:
-        if int(self.header[0]["state"]) != ml.READY:
-            return f"<HeightMap {ml.STATE_NAMES[int(self.header[0]['state'])]}>"
-        ny, nx = self.shape
-        x0, y0, x1, y1 = self.extent_m
-        return (
-            f"<HeightMap {nx} × {ny} grids of {self.grid_m:.6g} m, x {x0:.6g} … {x1:.6g} m, "
-            f"y {y0:.6g} … {y1:.6g} m, {self.samples} samples>"
-        )
-
 
 def _tidy(value: float) -> float:
     """The next 1, 2 or 5 times a power of ten."""
@@ -329,8 +250,24 @@ def _tidy(value: float) -> float:
     return next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= value)
 
 
+def _floats(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """Real numbers, whatever holds them; NaN where a mask hides them."""
+    try:
+        if isinstance(values, (list, tuple)) and any(np.ma.isMaskedArray(v) for v in values):
+            values = np.ma.array(values)
+        given = np.ma.asarray(values) if np.ma.isMaskedArray(values) else np.asarray(values)
+        if given.dtype.kind not in "biufO":
+            raise TypeError(f"their type is {given.dtype}")
+        return np.asarray(np.ma.filled(given.astype(np.float64), np.nan))
+    except (TypeError, ValueError) as e:
+        raise UsageError(f"{name} must be an array of real numbers: {e}") from e
+
+
 def _region(region: Region) -> tuple[float, float, float, float]:
-    values = [float(v) for v in region]
+    try:
+        values = [float(v) for v in region]
+    except (TypeError, ValueError) as e:
+        raise RegionError(f"a region is four numbers x_min, y_min, x_max, y_max, not {region!r}") from e
     if len(values) != 4:
         raise RegionError(f"a region is x_min, y_min, x_max, y_max; {len(values)} numbers were given")
     return values[0], values[1], values[2], values[3]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,13 +13,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import MapFileError
+from surffollow.errors import MapFileError, UsageError
 from surffollow.map import access
 from surffollow.map.atomic_file import Progress, replacing, report
 from surffollow.shm import map_layout as ml
+from surffollow.units import unit_scale
 
 Raster = tuple[NDArray[np.float64], tuple[float, float], float]
 _NODATA = -9999.0
+_UNIT_NAMES = {
+    "": "m",
+    "metre": "m",
+    "metres": "m",
+    "meter": "m",
+    "meters": "m",
+    "foot": "ft",
+    "feet": "ft",
+    "inch": "in",
+    "millimetre": "mm",
+    "millimeter": "mm",
+}
+_SURVEY_FEET = ("us-ft", "us survey foot", "ftus")
+_SURVEY_FOOT_M = 1200.0 / 3937.0
+_WKT_UNIT = re.compile(r'UNIT\["[^"]*",\s*([-+.\deE]+)')
 
 
 def _nodata(header: NDArray[Any]) -> float:
@@ -81,11 +98,13 @@ def read_esri_ascii(path: str | os.PathLike[str]) -> Raster:
             values = np.array(f.read().split(), dtype=np.float64)
     except OSError as e:
         raise MapFileError(f"cannot read {path}: {e.strerror or e}") from e
-    except ValueError as e:
+    except (ValueError, MemoryError) as e:
         raise MapFileError(f"{path} is not an ESRI ASCII grid: {e}") from e
     missing = [k for k in ("ncols", "nrows", "cellsize") if k not in head]
     if missing:
         raise MapFileError(f"{path} is not an ESRI ASCII grid: it lacks {', '.join(missing)}")
+    if not all(math.isfinite(v) for k, v in head.items() if k != "nodata_value"):
+        raise MapFileError(f"{path} is not an ESRI ASCII grid: its header has numbers that are not finite")
     nx, ny, grid = int(head["ncols"]), int(head["nrows"]), head["cellsize"]
     if nx < 1 or ny < 1 or values.size != nx * ny or not 0 < grid < math.inf:
         raise MapFileError(f"{path} has {values.size} values for {nx} × {ny} cells of {grid} m")
@@ -147,21 +166,67 @@ def write_geotiff(
 
 
 def read_geotiff(path: str | os.PathLike[str]) -> Raster:
-    """Read band 1 of a GeoTIFF with square, unrotated cells; returns as `read_esri_ascii`."""
+    """Read band 1 of a GeoTIFF with square, unrotated cells in metres; returns as `read_esri_ascii`.
+
+    The band's scale and offset are applied and its unit converted. A coordinate system in degrees or feet is
+    refused: a map is flat and in metres.
+    """
     rasterio = _rasterio()
     try:
         with _quiet(), rasterio.open(path) as source:
             t = source.transform
+            _check_places(path, source.crs, rasterio.errors.CRSError)
+            scale, offset = float(source.scales[0]), float(source.offsets[0])
+            metres = _metres_per_unit(path, source.units[0], source.crs)
             heights = source.read(1, masked=True)
     except (rasterio.errors.RasterioError, OSError) as e:
         raise MapFileError(f"cannot read {path}: {e}") from e
+    if not (math.isfinite(scale) and math.isfinite(offset)) or scale == 0:
+        raise MapFileError(
+            f"{path} has the scale {scale} and the offset {offset}; heights cannot be had of it"
+        )
     z = np.ma.filled(heights.astype(np.float64), np.nan)
+    if (scale, offset, metres) != (1.0, 0.0, 1.0):
+        z = (z * scale + offset) * metres
     square = math.isclose(abs(t.a), abs(t.e), rel_tol=1e-6)
     if t.b or t.d or not square or t.a <= 0:
         raise MapFileError(f"{path} has rotated or oblong cells; resample it to square ones first")
     if t.e > 0:
         return z, (t.c, t.f), t.a
     return z[::-1], (t.c, t.f - z.shape[0] * t.a), t.a
+
+
+def _check_places(path: str | os.PathLike[str], crs: Any, crs_error: type[Exception]) -> None:
+    """Refuse a coordinate system whose x and y are no metres in a plane."""
+    if not crs:
+        return
+    try:
+        flat, factor = crs.is_projected, crs.linear_units_factor[1] if crs.is_projected else math.nan
+        if not flat and not crs.is_geographic:
+            # a local system: what its text says
+            text = crs.to_wkt()
+            flat = text.startswith(("LOCAL_CS", "ENGCRS"))
+            units = {float(u) for u in _WKT_UNIT.findall(text)}
+            factor = units.pop() if len(units) == 1 else math.nan
+    except (crs_error, ValueError) as e:
+        raise MapFileError(f"{path} has a coordinate system that cannot be understood: {e}") from e
+    if not flat or factor != 1.0:
+        kind = "degrees" if crs.is_geographic else f"units of {factor} m" if flat else "no plane"
+        raise MapFileError(
+            f"{path} has places in {kind}, not in metres; reproject it to a system in metres first (gdalwarp)"
+        )
+
+
+def _metres_per_unit(path: str | os.PathLike[str], unit: str | None, crs: Any) -> float:
+    """Metres in the unit of a band's heights: the band's own, else the vertical one of its system."""
+    vertical = crs.to_dict().get("vunits") if crs else None
+    given = (unit or vertical or "").strip()
+    if given.lower() in _SURVEY_FEET:
+        return _SURVEY_FOOT_M
+    try:
+        return unit_scale(_UNIT_NAMES.get(given.lower(), given), "m")
+    except UsageError as e:
+        raise MapFileError(f"{path} has heights in a unit that is not known: {e}") from e
 
 
 @contextmanager

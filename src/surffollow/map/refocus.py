@@ -25,19 +25,22 @@ from surffollow.map.refocus_rows import (
     BACKWARD,
     FORWARD,
     HEAD,
-    RING_ROWS,
     TAIL,
-    held_of,
     new_row,
     new_row_span,
     old_part,
     place_finer,
+)
+from surffollow.map.refocus_scratch import (
+    RING_ROWS,
+    forget_rows,
+    held_of,
+    prepare,
     ring_of,
     scratch_words,
-    tables_of,
 )
-from surffollow.map.resample import axis_overlap, fill_tables
-from surffollow.map.words import clear_grids, copy_row, pack_row, place_row
+from surffollow.map.resample import axis_overlap
+from surffollow.map.words import clear_grids, copy_row, pack_row, place_row, unowned
 from surffollow.shm import map_layout as ml
 from surffollow.shm.atomics import fence_release
 
@@ -86,8 +89,8 @@ def refocus_begin(
     n_new = (in_x[1] - in_x[0]) * (in_y[1] - in_y[0])
     n_old = (in_x[3] - in_x[2]) * (in_y[3] - in_y[2])
     w.journal_forward = 1 if n_new < n_old else 0
-    first, last, weights = tables_of(scratch, columns)
-    fill_tables(first, last, weights, shift_x, ratio, (in_x[0], in_x[1], in_x[2], in_x[3], w.nx))
+    held_of(scratch, columns)[:] = -1
+    prepare(w, scratch, columns)
     open_journal(header, _REFOCUSING)
     return _OK
 
@@ -164,8 +167,10 @@ def _place_directly(w: Any, pairs: Any, scratch: Any, columns: Any, j: Any, star
     first = w.overlap_new[0]
     if w.journal_forward == 1:
         pack_row(pairs.view(np.int16)[j * width : (j + 1) * width], pairs, start + first)
-    elif w.journal_grid_m > w.grid_m or not place_finer(w, pairs, scratch, columns, j, start + first, width):
+    elif w.journal_grid_m > w.grid_m:
         return False
+    else:
+        place_finer(w, pairs, scratch, columns, j, start + first)
     clear_grids(pairs, start, start + first)
     clear_grids(pairs, start + first + width, start + w.journal_nx)
     return True
@@ -248,19 +253,19 @@ def refocus_step(header: Any, pairs: Any, scratch: Any, budget_grids: Any) -> An
         return 1
     columns = max(w.overlap_new[1] - w.overlap_new[0], w.overlap_old[1] - w.overlap_old[0])
     budget = max(budget_grids, 1)
-    held = held_of(scratch, columns)
-    held[:] = -1
+    pairs, scratch = unowned(pairs), unowned(scratch)
+    prepare(w, scratch, columns)
     while budget > 0:
         phase = w.journal_progress >> 48
         if phase == FORWARD:
             budget = _forward_rows(w, pairs, scratch, columns, budget)
-            held[:] = -1
+            forget_rows(scratch, columns)
         elif phase == TAIL:
             start, stop = w.overlap_new[3] * w.journal_nx, w.journal_nx * w.journal_ny
             budget = _clear_some(w, pairs, TAIL, start, stop, budget)
         elif phase == BACKWARD:
             budget = _backward_rows(w, pairs, scratch, columns, budget)
-            held[:] = -1
+            forget_rows(scratch, columns)
         elif phase == HEAD:
             budget = _clear_some(w, pairs, HEAD, 0, w.overlap_new[2] * w.journal_nx, budget)
         else:

@@ -4,7 +4,8 @@ Edges of the new grids are expressed in old grids; the overlap of a new grid wit
 product of its overlaps along x and along y, so a row is done in two steps: along one axis, then
 along the other (the weights and the sum of weights over known grids alike), and divided once.
 Finer or equal grids go along x first, since each old row then serves several new ones; coarser
-grids go along y first, where whole rows are added up in vector registers.
+grids go along y first, where whole rows are added up in vector registers. Up to twice as coarse
+is `row_means`; here is what both share, and the sums of grids that are coarser than that.
 
 An edge within a millionth of an old grid's edge is that edge: the difference is rounding.
 """
@@ -20,7 +21,7 @@ from surffollow.shm import map_layout as ml
 
 _UNKNOWN = np.int16(ml.UNKNOWN)
 _SNAP = 1e-6
-_U1, _U2 = np.uint64(1), np.uint64(2)
+_WHOLE = 1.0 - 1e-9  # a known share beyond this is all: the difference is rounding
 
 
 @njit(cache=True, nogil=True)
@@ -75,8 +76,7 @@ def fill_tables(first_old: Any, last_old: Any, weights: Any, shift: Any, ratio: 
     Parameters
     ----------
     first_old, last_old : (w,) int64          out, counted from the first old column of the overlap
-    weights : (3, w) float64                  out: first, second and third old column's share where
-        ratio ≤ 2; else first's, last's, and that of each one between
+    weights : (3, w) float64                  out: first's share, last's, and that of each one between
     overlap : (a, b, c, d, n_old)             as from `axis_overlap`
     """
     a, b, c, _, n_old = overlap
@@ -87,20 +87,13 @@ def fill_tables(first_old: Any, last_old: Any, weights: Any, shift: Any, ratio: 
         head = (min(high, first + 1.0) - low) * per_width
         tail = (high - last) * per_width
         weights[0, i] = head
-        if ratio > 2.0:
-            weights[1, i] = tail if last > first else 0.0
-            weights[2, i] = per_width
-        else:
-            weights[1, i] = 0.0 if last == first else (tail if last == first + 1 else per_width)
-            weights[2, i] = tail if last == first + 2 else 0.0
+        weights[1, i] = tail if last > first else 0.0
+        weights[2, i] = per_width
 
 
 @njit(cache=True, nogil=True)
 def set_row(row: Any, weight: Any, total: Any, known: Any, holes: Any) -> None:
-    """total = weight·height and, where there are holes, known = weight, 0 over unknown grids.
-
-    The two entries behind the row become 0: `along_x` may read them with weight 0.
-    """
+    """total = weight·height and, where there are holes, known = weight, 0 over unknown grids."""
     n = row.shape[0]
     if holes:
         for i in range(n):
@@ -110,8 +103,6 @@ def set_row(row: Any, weight: Any, total: Any, known: Any, holes: Any) -> None:
     else:
         for i in range(n):
             total[i] = weight * row[i]
-    total[n], total[n + 1] = 0.0, 0.0
-    known[n], known[n + 1] = 0.0, 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -128,92 +119,31 @@ def add_row(row: Any, weight: Any, total: Any, known: Any, holes: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def along_x(values: Any, first_old: Any, last_old: Any, weights: Any, ratio: Any, out: Any) -> None:
-    """Weighted means of old columns under each new one.
-
-    `values` has two more entries than there are old columns, finite: weight 0 may fall on them.
-    """
-    n = out.shape[0]
+def along_x(values: Any, first_old: Any, last_old: Any, weights: Any, out: Any) -> None:
+    """Weighted means of old columns under each new one."""
     w0, w1, w2 = weights[0], weights[1], weights[2]
-    if ratio <= 1.0:
-        for i in range(n):
-            k = np.uint64(first_old[i])
-            value = values[k]
-            out[i] = value + w1[i] * (values[k + _U1] - value)
-    elif ratio <= 2.0:
-        for i in range(n):
-            k = np.uint64(first_old[i])
-            out[i] = w0[i] * values[k] + w1[i] * values[k + _U1] + w2[i] * values[k + _U2]
-    else:
-        for i in range(n):
-            first, last = first_old[i], last_old[i]
-            between = 0.0
-            for k in range(first + 1, last):
-                between += values[k]
-            out[i] = w0[i] * values[first] + w2[i] * between + w1[i] * values[last]
+    for i in range(out.shape[0]):
+        first, last = first_old[i], last_old[i]
+        between = 0.0
+        for k in range(first + 1, last):
+            between += values[k]
+        out[i] = w0[i] * values[first] + w2[i] * between + w1[i] * values[last]
 
 
 @njit(cache=True, nogil=True)
 def round_row(total: Any, out: Any) -> None:
-    """Nearest quanta, halves up."""
+    """Nearest quanta, halves to even."""
     for i in range(out.shape[0]):
-        out[i] = np.int16(np.int32(total[i] + 32768.5) - 32768)
+        out[i] = np.int16(np.rint(total[i]))
 
 
 @njit(cache=True, nogil=True)
 def divide_row(total: Any, known: Any, out: Any) -> None:
     """Mean over the known part, nearest quanta; UNKNOWN where nothing is known."""
     for i in range(out.shape[0]):
-        if known[i] > 0.0:
-            out[i] = np.int16(np.int32(total[i] / known[i] + 32768.5) - 32768)
-        else:
-            out[i] = _UNKNOWN
-
-
-@njit(cache=True, nogil=True)
-def blend_rows(one: Any, other: Any, weight: Any, out: Any) -> None:
-    """Nearest quanta of weight·one + (1 − weight)·other."""
-    rest = 1.0 - weight
-    for i in range(out.shape[0]):
-        out[i] = _blended(one[i], other[i], weight, rest)
-
-
-@njit(cache=True, nogil=True)
-def _blended(one: Any, other: Any, weight: Any, rest: Any) -> Any:
-    return np.int16(np.int32(weight * one + rest * other + 32768.5) - 32768)
-
-
-@njit(cache=True, nogil=True)
-def blend_into_pairs(one: Any, other: Any, weight: Any, pairs: Any, start: Any) -> None:
-    """`blend_rows` into grids start …, count 0: computing goes on while the memory takes the stores."""
-    rest = 1.0 - weight
-    n = one.shape[0]
-    k = 0
-    if start & 1 and n > 0:
-        pairs[start >> 1].h[1] = _blended(one[0], other[0], weight, rest)
-        pairs[start >> 1].c[1] = 0
-        k = 1
-    m = (n - k) >> 1
-    first = 3 * ((start + k) >> 1)
-    words = pairs.view(np.int16)[first : first + 3 * m]
-    a, b = one[k : k + 2 * m], other[k : k + 2 * m]
-    for i in range(m):
-        words[3 * i] = _blended(a[2 * i], b[2 * i], weight, rest)
-        words[3 * i + 1] = _blended(a[2 * i + 1], b[2 * i + 1], weight, rest)
-        words[3 * i + 2] = 0
-    if (n - k) & 1:
-        pairs[(start + n - 1) >> 1].h[0] = _blended(one[n - 1], other[n - 1], weight, rest)
-        pairs[(start + n - 1) >> 1].c[0] = 0
-
-
-@njit(cache=True, nogil=True)
-def blend_known(one: Any, one_known: Any, other: Any, other_known: Any, weight: Any, out: Any) -> None:
-    """`blend_rows` where either row has holes: renormalised over what is known."""
-    rest = 1.0 - weight
-    for i in range(out.shape[0]):
-        known = weight * one_known[i] + rest * other_known[i]
-        if known > 0.0:
-            total = weight * one[i] + rest * other[i]
-            out[i] = np.int16(np.int32(total / known + 32768.5) - 32768)
+        if known[i] > _WHOLE:
+            out[i] = np.int16(np.rint(total[i]))
+        elif known[i] > 0.0:
+            out[i] = np.int16(np.rint(total[i] / known[i]))
         else:
             out[i] = _UNKNOWN

@@ -5,8 +5,8 @@ The grammar is in docs/map-file-format.md. NumPy only: the client library upload
 
 from __future__ import annotations
 
-import math
 import os
+import stat
 import zlib
 from collections.abc import Callable, Iterator
 from typing import Any, TextIO
@@ -17,10 +17,14 @@ from numpy.typing import NDArray
 from surffollow.errors import MapFileError
 from surffollow.map import access
 from surffollow.map.atomic_file import Progress, replacing, report
+from surffollow.map.header import numbers_fault, tile_shift_of
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 
 FIRST_LINE = "surffollow-map 1"
+_HEAD_LINE = 4096
+OTHER_SUFFIXES = (".npz", ".asc", ".tif", ".tiff", ".ply", ".png")  # a reader goes by them
+_LONGEST_NUMBER = 24  # characters of a value, or of value*times, and the space behind it
 _RUN = 4  # shorter runs are shorter written out
 _FLOATS = ("grid_m", "x0_m", "y0_m", "datum_m", "quantum_m", "finest_grid_m", "gate_m")
 _INTS = (
@@ -76,10 +80,13 @@ def write_text(
     Raises
     ------
     MapFileError
-        no map, or the file cannot be written
+        no map, a suffix that names another format, or the file cannot be written
     MapCancelledError
         cancelled; the old file, if any, is untouched
     """
+    if (suffix := os.path.splitext(path)[1].lower()) in OTHER_SUFFIXES:
+        other = f"{os.fspath(path)}: '{suffix}' is the suffix of another format than the map's text file"
+        raise MapFileError(f"{other}; choose .txt, or map.files.export and `surffollow map export`")
     ny, nx = access.shape_of(header)
     w = header[0]
     with replacing(path) as temporary, open(temporary, "w", encoding="ascii", newline="\n") as f:
@@ -133,6 +140,8 @@ def read_text(
             return _Reader(f, str(path)).read(capacity_grids, progress)
     except OSError as e:
         raise MapFileError(f"cannot read {path}: {e.strerror or e}") from e
+    except MemoryError as e:
+        raise MapFileError(f"{path} holds a map that is too large for this machine's memory") from e
     except UnicodeDecodeError as e:
         raise MapFileError(f"{path} is not a map text file: it holds bytes that are not ASCII") from e
 
@@ -146,9 +155,12 @@ class _Reader:
     def fail(self, what: str) -> MapFileError:
         return MapFileError(f"{self.name}:{self.number}: {what}")
 
-    def line(self) -> str:
+    def line(self, longest: int = _HEAD_LINE) -> str:
         self.number += 1
-        text = self.f.readline()
+        # a file that is one endless line must not fill the memory
+        text = self.f.readline(longest)
+        if len(text) == longest:
+            raise self.fail(f"the line is longer than {longest} characters; this is not a map text file")
         if not text.endswith("\n"):
             raise self.fail("the file ends too early; it was cut short")
         return text.rstrip("\r\n")
@@ -180,6 +192,11 @@ class _Reader:
         pairs = zeros(ml.GridPair, ml.pairs_of(capacity))
         pairs["h"] = ml.UNKNOWN
         crc = self._grids(pairs, nx, ny, progress)
+        unknown = pairs["h"] == ml.UNKNOWN
+        pairs["c"][unknown] = 0
+        if not unknown.all():
+            # or the next sample would move the datum under the heights
+            w["datum_set"] = 1
         end = self.line().split()
         if len(end) != 2 or end[0] != "end" or end[1] != f"{crc:08x}":
             raise self.fail(
@@ -195,7 +212,10 @@ class _Reader:
             elif key in _FLOATS:
                 w[key] = float(value)
             elif key == "region_m":
-                w[key] = [float(v) for v in value.split()]
+                corners = [float(v) for v in value.split()]
+                if len(corners) != 4 or not np.isfinite(corners).all():
+                    raise ValueError("a region has four corners")
+                w[key] = corners
             elif key == "rounding":
                 w[key] = ml.ROUNDING_NAMES.index(value)
             # other keys: a later version may add some
@@ -205,14 +225,20 @@ class _Reader:
     def _check(self, w: Any, nx: int, ny: int, capacity: int) -> None:
         if nx < 1 or ny < 1 or nx * ny > 10**9:
             raise self.fail(f"a map has 1 … 1e9 grids, this one has {nx} × {ny}")
+        # before memory for a billion grids is touched: a row takes four characters or more, if it has
+        # so many grids, and there are two parts
+        status = os.fstat(self.f.fileno())
+        least = 2 * ny * min(2 * nx, 4)
+        if stat.S_ISREG(status.st_mode) and status.st_size < least:
+            raise self.fail(f"the file is cut short: {nx} × {ny} grids take {least} bytes or more")
         if nx * ny > capacity:
             raise self.fail(f"the map has {nx * ny} grids, the memory has room for {capacity}")
-        for key in ("grid_m", "quantum_m"):
-            if not 0 < float(w[key]) < math.inf:
-                raise self.fail(f"{key} must be positive and finite, not {float(w[key])}")
-        for key in ("x0_m", "y0_m", "datum_m"):
-            if not math.isfinite(w[key]):
-                raise self.fail(f"{key} must be finite, not {float(w[key])}")
+        positions = {key: float(w[key]) for key in ("x0_m", "y0_m", "datum_m", "finest_grid_m")}
+        fault = numbers_fault(float(w["grid_m"]), float(w["quantum_m"]), **positions)
+        if fault:
+            raise self.fail(fault)
+        if not 1 <= int(w["gate_min_count"]) <= ml.FULL_COUNT or not 0 <= float(w["gate_m"]) < np.inf:
+            raise self.fail("gate_m must be ≥ 0 and gate_min_count 1 … 255")
 
     def _grids(self, pairs: NDArray[Any], nx: int, ny: int, progress: Progress | None) -> int:
         crc = 0
@@ -234,7 +260,7 @@ class _Reader:
         return crc
 
     def _row(self, nx: int, low: int, high: int) -> NDArray[np.int64]:
-        text = self.line()
+        text = self.line(_LONGEST_NUMBER * nx + _HEAD_LINE)
         try:
             if "*" not in text:
                 values = np.array(text.split(), dtype=np.int64)
@@ -268,8 +294,6 @@ class _Reader:
         if not w["region_m"].any():
             x0, y0, grid = float(w["x0_m"]), float(w["y0_m"]), float(w["grid_m"])
             w["region_m"] = [x0, y0, x0 + w["nx"] * grid, y0 + w["ny"] * grid]
-        shift = 4
-        while (((w["nx"] - 1) >> shift) + 1) * (((w["ny"] - 1) >> shift) + 1) > ml.DIRTY_TILES:
-            shift += 1
+        shift = tile_shift_of(int(w["nx"]), int(w["ny"]))
         w["tile_shift"], w["tiles_x"] = shift, ((w["nx"] - 1) >> shift) + 1
         w["state"], w["magic"] = ml.READY, ml.MAGIC

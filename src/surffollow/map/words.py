@@ -1,7 +1,6 @@
 """Move heights between six-byte pairs and dense int16 rows, and clear grids, several at a stroke.
 
-Two grids' heights are one 32-bit word at an even address; loading them as such beats any shuffle
-that the compiler finds, and is what unaligned little-endian machines (x86-64, aarch64) allow.
+Sixteen grids are one vector of 24 words of 16 bits; LLVM makes of its shuffle what the processor has.
 """
 
 from __future__ import annotations
@@ -21,14 +20,24 @@ _CLEAR = np.frombuffer(np.array([ml.UNKNOWN, ml.UNKNOWN, 0] * 4, "<i2").tobytes(
 _CLEAR0, _CLEAR1, _CLEAR2 = (int(v) for v in _CLEAR)
 
 
-def _make_load(bits: int, result: Any) -> Any:
-    def load(typingctx: Any, address: Any) -> Any:
+def _make_shuffle(words_in: int, words_out: int, mask: list[int]) -> Any:
+    """Copy `words_in` 16-bit words to `words_out` others; those from `words_in` on in the mask are zeros."""
+
+    def shuffle(typingctx: Any, source: Any, target: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            return builder.load(builder.inttoptr(args[0], ir.IntType(bits).as_pointer()), align=2)
+            def vector(address: Any, n: int) -> Any:
+                return builder.inttoptr(address, ir.VectorType(ir.IntType(16), n).as_pointer())
 
-        return result(types.int64), codegen
+            words = builder.load(vector(args[0], words_in), align=2)
+            chosen = ir.Constant(ir.VectorType(ir.IntType(32), words_out), mask)
+            zeros = ir.Constant(words.type, None)
+            moved = builder.shuffle_vector(words, zeros, chosen)
+            builder.store(moved, vector(args[1], words_out), align=2)
+            return context.get_dummy_value()
 
-    return intrinsic(load)
+        return types.void(types.int64, types.int64), codegen
+
+    return intrinsic(shuffle)
 
 
 def _make_store(bits: int, value_type: Any) -> Any:
@@ -42,9 +51,28 @@ def _make_store(bits: int, value_type: Any) -> Any:
     return intrinsic(store)
 
 
-_load_i32 = _make_load(32, types.int32)
-_store_i32 = _make_store(32, types.int32)
 _store_i64 = _make_store(64, types.int64)
+# sixteen grids: eight pairs of (height, height, counts)
+_unpack_16 = _make_shuffle(24, 16, [w for m in range(8) for w in (3 * m, 3 * m + 1)])
+_pack_16 = _make_shuffle(16, 24, [w for m in range(8) for w in (2 * m, 2 * m + 1, 16)])
+
+
+def _unowned(typingctx: Any, array: Any) -> Any:
+    """The same array without its owner: slices of it cost no reference counting (a locked add each).
+
+    For kernels that cut many slices of an array that their caller keeps.
+    """
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        view = context.make_array(signature.return_type)(context, builder, args[0])
+        view.meminfo = ir.Constant(view.meminfo.type, None)
+        view.parent = ir.Constant(view.parent.type, None)
+        return view._getvalue()
+
+    return array(array), codegen
+
+
+unowned: Any = intrinsic(_unowned)
 
 
 @njit(cache=True, nogil=True)
@@ -64,8 +92,13 @@ def unpack_row(pairs: Any, start: Any, out: Any) -> None:
         k = 1
     source = pairs.ctypes.data + 6 * ((start + k) >> 1)
     target = out.ctypes.data + 2 * k
-    for m in range((n - k) >> 1):
-        _store_i32(target + 4 * m, _load_i32(source + 6 * m))
+    groups = (n - k) >> 4
+    for m in range(groups):
+        _unpack_16(source + 48 * m, target + 32 * m)
+    k += 16 * groups
+    for m in range(k, n - 1, 2):
+        out[m] = pairs[(start + m) >> 1].h[0]
+        out[m + 1] = pairs[(start + m) >> 1].h[1]
     if (n - k) & 1:
         out[n - 1] = pairs[(start + n - 1) >> 1].h[0]
 
@@ -79,14 +112,18 @@ def pack_row(row: Any, pairs: Any, start: Any) -> None:
         pairs[start >> 1].h[1] = row[0]
         pairs[start >> 1].c[1] = 0
         k = 1
-    m = (n - k) >> 1
-    first = 3 * ((start + k) >> 1)
-    words = pairs.view(np.int16)[first : first + 3 * m]
-    dense = row[k : k + 2 * m]
-    for i in range(m):
-        words[3 * i] = dense[2 * i]
-        words[3 * i + 1] = dense[2 * i + 1]
-        words[3 * i + 2] = 0
+    source = row.ctypes.data + 2 * k
+    target = pairs.ctypes.data + 6 * ((start + k) >> 1)
+    groups = (n - k) >> 4
+    for m in range(groups):
+        _pack_16(source + 32 * m, target + 48 * m)
+    k += 16 * groups
+    for m in range(k, n - 1, 2):
+        pair = pairs[(start + m) >> 1]
+        pair.h[0] = row[m]
+        pair.h[1] = row[m + 1]
+        pair.c[0] = 0
+        pair.c[1] = 0
     if (n - k) & 1:
         pairs[(start + n - 1) >> 1].h[0] = row[n - 1]
         pairs[(start + n - 1) >> 1].c[0] = 0

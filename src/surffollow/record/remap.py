@@ -27,7 +27,7 @@ from surffollow.map import HeightMap
 from surffollow.record.kernels import entry_length, params_in_bounds
 from surffollow.record.reader import RecordingReader
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_board import RQ_MAP_REFOCUS, RQ_MAP_RESET
+from surffollow.shm.layout_board import RQ_MAP_INSTALL, RQ_MAP_REFOCUS, RQ_MAP_RESET
 from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, Params
 
 _POINTS = 1 << 16
@@ -90,6 +90,7 @@ class _Remapper:
     def __init__(self) -> None:
         self.map: HeightMap | None = None
         self.waiting: list[NDArray[np.float64]] = []
+        self.installed_ns = 0
         self.points = np.zeros((_POINTS, 3))
         self.params, self.state = zeros(Params), zeros(FollowState)
         self.inputs, self.output = zeros(Inputs), zeros(Output)
@@ -105,7 +106,7 @@ class _Remapper:
             self._add(self.points[: self.out[1]])
             stuck, at = int(self.out[0]) == at and self.out[1] == 0, int(self.out[0])
             if at < words.size and entry_kind(words[at]) == MAP:
-                self._command(int(words[at + 2]), floats[at + 3 : at + 7])
+                self._command(int(words[at + 2]), int(words[at + 1]), floats[at + 3 : at + 7])
                 at += int(entry_words(words[at]))
             elif stuck:
                 raise RecordingError(f"the word at {at} of a segment begins no entry")
@@ -116,14 +117,22 @@ class _Remapper:
         else:
             self.map.add(points)
 
-    def _command(self, code: int, values: NDArray[np.float64]) -> None:
+    def _command(self, code: int, t_ns: int, values: NDArray[np.float64]) -> None:
         x0, y0, x1, y1 = (float(v) for v in values)
         if code == RQ_MAP_RESET:
-            self.map, self.waiting = HeightMap.over((x0, y0, x1, y1)), []
+            self.map, self.waiting, self.installed_ns = HeightMap.over((x0, y0, x1, y1)), [], 0
+        elif code == RQ_MAP_INSTALL:
+            self.installed_ns = t_ns
         elif code == RQ_MAP_REFOCUS and self.map is not None:
             self.map.refocus((x0, y0, x1, y1))
 
     def finish(self) -> HeightMap:
+        if self.installed_ns:
+            raise RecordingError(
+                f"at {self.installed_ns * 1e-9:.3f} s of the service's clock a map was installed "
+                "(map_install), whose heights are not in the recording: the run's map cannot be built again. "
+                "Keep the live one with `surffollow map upload`"
+            )
         if self.map is None:
             points = np.concatenate([*self.waiting, np.zeros((0, 3))])
             if not len(points):
@@ -142,11 +151,12 @@ def rebuild_map(path: str | Path) -> HeightMap:
     """The map that the recorded run's target points make, with the default memory and resolution.
 
     A MapReset in the recording begins it anew, a MapRefocus is carried out where it was asked for.
-    Without a MapReset the map lies over all target points.
+    Without a MapReset the map lies over all target points. A recording does not hold the
+    heights of a map that was installed: unless a MapReset follows, such a run is refused.
 
     Raises
     ------
-    RecordingError  not readable, damaged, or without one target point
+    RecordingError  not readable, damaged, without one target point, or with an installed map at its end
     """
     segments: dict[int, list[NDArray[np.int64]]] = {}
     with RecordingReader(path) as reader:

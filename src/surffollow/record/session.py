@@ -23,20 +23,22 @@ def record_service(
     *,
     seconds: float | None = None,
     progress: Callable[[str], None] | None = None,
+    force: bool = False,
 ) -> Counts:
     """Record the service `name` into `out` until `stop` is set or `seconds` have passed.
 
-    A service that stops is waited for: its next start becomes the next segment.
+    A service that stops is waited for: its next start becomes the next segment. An existing file is
+    replaced only with `force`.
 
     Raises
     ------
     NotRunningError, NoPermissionError, LayoutMismatchError   no service to attach to
-    FaultError                                                the file cannot be written
+    FaultError                                                the file exists or cannot be written
     """
     log = ServiceLog(name)
     begin = time.monotonic()
     try:
-        with RecordingWriter(out, log.about()) as writer:
+        with RecordingWriter(out, log.about(), force=force) as writer:
             recorder = Recorder(log, writer)
             told = begin
             while not stop.is_set():

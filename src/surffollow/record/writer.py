@@ -38,17 +38,23 @@ class RecordingWriter:
 
     Parameters
     ----------
-    path : where to write; an existing file is replaced
+    path : where to write
     about : text values kept with the layout: name, period, …
     stream : instead of opening `path` (for trials)
+    force : replace an existing file
 
     Raises
     ------
-    FaultError  the file cannot be opened or written
+    FaultError  the file is there already, or cannot be opened or written
     """
 
     def __init__(
-        self, path: str | Path, about: dict[str, str] | None = None, *, stream: BinaryIO | None = None
+        self,
+        path: str | Path,
+        about: dict[str, str] | None = None,
+        *,
+        stream: BinaryIO | None = None,
+        force: bool = False,
     ) -> None:
         self.path = Path(path)
         self.bytes_written = 0
@@ -56,7 +62,11 @@ class RecordingWriter:
         self._finished = False
         try:
             # unbuffered below: what `write` returned from belongs to the kernel
-            self._stream: Any = stream or open(self.path, "wb", buffering=0)  # noqa: SIM115
+            self._stream: Any = stream or open(self.path, "wb" if force else "xb", buffering=0)  # noqa: SIM115
+        except FileExistsError:
+            raise FaultError(
+                f"recording {self.path} exists already; choose another --out, or replace it with --force"
+            ) from None
         except OSError as e:
             raise FaultError(
                 f"cannot write recording {self.path}: {e.strerror}; choose another --out"

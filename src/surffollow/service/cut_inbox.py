@@ -1,4 +1,6 @@
-"""Live on when a client cuts the inbox short: who may write a file may truncate it; a look is SIGBUS then.
+"""Live on when a client damages the inbox: its header, or its size.
+
+Who may write a file may truncate it, and a look at what is gone is SIGBUS.
 
 The handler puts a page of zeros where the missing one was, so that the cycle goes on over an inbox that says
 nothing; the main thread then gives the object its size again and maps it where it was. (Sealing the
@@ -60,19 +62,24 @@ def survive_cuts() -> Any:
 
 
 def mend_inbox(inbox: SharedObject, address: int) -> bool:
-    """Give a cut inbox its size again and map it where it was; False when it is whole.
+    """Give a damaged inbox its size and its header again; False when it is whole.
 
     Parameters
     ----------
     inbox : SharedObject, as it was made
     address : int, where it is mapped
     """
-    if os.fstat(inbox.fd).st_size >= inbox.size:
-        return False
-    reserve(inbox.name, inbox.fd, inbox.size)
-    libc = ctypes.CDLL(None, use_errno=True)
-    libc.mmap.restype = ctypes.c_void_p
-    libc.mmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t, *(ctypes.c_int,) * 3, ctypes.c_long)
-    if libc.mmap(address, inbox.size, _READ_WRITE, _SHARED_FIXED, inbox.fd, 0) != address:
-        raise OSError(ctypes.get_errno(), f"cannot map {inbox.name} again")
+    cut = os.fstat(inbox.fd).st_size < inbox.size
+    if cut:
+        reserve(inbox.name, inbox.fd, inbox.size)
+        libc = ctypes.CDLL(None, use_errno=True)
+        libc.mmap.restype = ctypes.c_void_p
+        libc.mmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t, *(ctypes.c_int,) * 3, ctypes.c_long)
+        if libc.mmap(address, inbox.size, _READ_WRITE, _SHARED_FIXED, inbox.fd, 0) != address:
+            raise OSError(ctypes.get_errno(), f"cannot map {inbox.name} again")
+    # without its header nobody could attach any more
+    n = len(inbox.first_bytes)
+    if inbox.memory[:n] == inbox.first_bytes:
+        return cut
+    inbox.memory[:n] = inbox.first_bytes
     return True

@@ -10,6 +10,7 @@ from surffollow.forecast import journal
 from surffollow.forecast.step import follow_step
 from surffollow.service import memory as m
 from surffollow.service.inbox import POSE_BAD, POSE_OK, POSE_TORN, read_pose
+from surffollow.service.preview import fill_preview
 from surffollow.service.requests import count, process_requests
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns
@@ -126,6 +127,7 @@ def one_cycle(mem: Any, t_ns: Any) -> None:
         count(ctx[m.STATS], _TORN, 1)
     drain_conversions(mem, t_ns)
     mem.inputs[0].t_ns = t_ns
+    fill_preview(mem)
     follow_step(mem.params, mem.state, mem.inputs, mem.output, mem.pose)
     mem.output[0].epoch = ctx[m.EPOCH]
     latch_write(ctx[m.OUTPUT], mem.output.ctypes.data, _OUTPUT_BYTES)

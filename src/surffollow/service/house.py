@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.config.names import check_name
+from surffollow.config.names import check_service_name
 from surffollow.config.service import ServiceConfig, metres, mode, seconds
 from surffollow.errors import (
     AlreadyRunningError,
@@ -18,6 +18,7 @@ from surffollow.errors import (
     NoPermissionError,
 )
 from surffollow.map.header import header_fault, init_header
+from surffollow.service.stale import clear_stale
 from surffollow.shm import layout_board as lb
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype, zeros
@@ -141,10 +142,31 @@ def _map_header(map_: SharedObject) -> Any:
     return np.frombuffer(map_.memory, np.uint8)[: ml.MapHeader.SIZE].view(numpy_dtype(ml.MapHeader))
 
 
-def _check_kept_map(config: ServiceConfig, map_: SharedObject) -> None:
+def _check_owner(config: ServiceConfig, map_: SharedObject, group: int) -> None:
+    """Adopt only a map that nobody but the service's own user could have changed."""
+    status, me = os.fstat(map_.fd), os.geteuid()
+    name, wanted = map_.name, mode(config.access.map_mode, "map_mode")
+    remedy = f"look at it (ls -l /dev/shm), then remove it: surffollow stop --name {config.name} --purge"
+    if status.st_uid != me:
+        raise NoPermissionError(
+            f"the kept map {name!r} belongs to user {status.st_uid}, the service runs as {me}; {remedy}"
+        )
+    if status.st_mode & 0o022 & ~wanted:
+        raise NoPermissionError(
+            f"the kept map {name!r} has mode {status.st_mode & 0o777:o}: others could write it; {remedy}"
+        )
+    if status.st_nlink > 1:
+        raise NoPermissionError(f"the kept map {name!r} has another name (a hard link); {remedy}")
+    if group >= 0:
+        os.fchown(map_.fd, -1, group)
+    os.fchmod(map_.fd, wanted)
+
+
+def _check_kept_map(config: ServiceConfig, map_: SharedObject, group: int) -> None:
     purge = f"keep it elsewhere first if you need it, then `surffollow stop --name {config.name} --purge`"
     if map_.size < ml.HEADER_BYTES + ml.PAIR_BYTES:
         raise BlockError(f"the kept map {map_.name!r} is only {map_.size} bytes long; {purge}")
+    _check_owner(config, map_, group)
     header = _map_header(map_)
     n_pairs = (map_.size - ml.pairs_offset()) // ml.PAIR_BYTES
     fault = header_fault(header, n_pairs)
@@ -171,17 +193,16 @@ def open_house(config: ServiceConfig) -> House:
 
     Raises
     ------
-    AlreadyRunningError, NoSpaceError, NoPermissionError, BlockError, ConfigError
+    NameError_, AlreadyRunningError, NoSpaceError, NoPermissionError, BlockError, ConfigError
     """
-    name = check_name(config.name)
+    name = check_service_name(config.name)
     group = _group_id(config.access.group)
     map_, fresh = _take_map(config, group)
     made = [map_] if fresh else []
     try:
         if not fresh:
-            _check_kept_map(config, map_)
-        for stale in (name, f"{name}.inbox"):
-            unlink(stale)
+            _check_kept_map(config, map_, group)
+        clear_stale(name)
         board_mode = mode(config.access.board_mode, "board_mode")
         inbox_mode = mode(config.access.inbox_mode, "inbox_mode")
         made.append(SharedObject.create(name, lb.board_bytes(config.log_words), board_mode, group))
@@ -205,6 +226,7 @@ def _fill_headers(house: House) -> None:
     inbox["version"], inbox["slots"] = lb.LAYOUT_VERSION, lb.CLIENTS
     inbox["layout_hash"], inbox["epoch"], inbox["size"] = lb.layout_hash(), house.epoch, lb.inbox_bytes()
     inbox["magic"] = lb.INBOX_MAGIC
+    house.inbox.first_bytes = house.inbox_bytes[: lb.InboxHeader.SIZE].tobytes()
     header = zeros(lb.BoardHeader)
     h: Any = header[0]
     h["version"], h["layout_hash"] = lb.LAYOUT_VERSION, lb.layout_hash()

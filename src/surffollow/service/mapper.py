@@ -143,8 +143,8 @@ def step_job(mem: Any, t_ns: Any) -> Any:
 def end_access(mem: Any, t_ns: Any) -> None:
     """Step 4, or the fence: go on when the holder is done, dead or late.
 
-    A holder that is late still asks with its flag, perhaps stopped for ever: for the length of a
-    lease, or until it takes the flag down, it is not heard again.
+    A holder that is late still asks with its flag, perhaps stopped for ever: it is not heard again
+    until it takes the flag down (`hear_again`).
     """
     ctx, s, job = mem.ctx, mem.status[0], mem.job
     slot = s.access_slot
@@ -153,10 +153,31 @@ def end_access(mem: Any, t_ns: Any) -> None:
     gone = holder_is_gone(ctx, slot, job[HOLDER_CLAIM], job[GRANTED_NS])
     if flag == ACCESS_REQUESTED and not late and not gone:
         return
-    ctx[m.FENCED + slot] = t_ns + ctx[m.LEASE_NS] if late else 0
+    if late and not gone:
+        ctx[m.FENCED + slot] = job[HOLDER_CLAIM]
+        s.fenced |= 1 << slot
     job[LAST_HOLDER] = slot
-    s.access, s.access_slot = ACCESS_FREE, -1
+    s.access, s.access_slot, s.access_claim = ACCESS_FREE, -1, 0
     publish_status(mem, t_ns)
+
+
+@njit(cache=True, nogil=True)
+def hear_again(mem: Any, t_ns: Any) -> None:
+    """Lift the fence off slots whose flag came down or that belong to somebody else by now."""
+    ctx, s = mem.ctx, mem.status[0]
+    if s.fenced == 0:
+        return
+    before = s.fenced
+    for slot in range(CLIENTS):
+        if (s.fenced >> slot) & 1 == 0:
+            continue
+        address = slot_address(ctx[m.INBOX], slot)
+        down = at.load_acquire_i64(address + _ACCESS) == ACCESS_FREE
+        if down or at.load_relaxed_i64(address + _CLAIM) != ctx[m.FENCED + slot]:
+            ctx[m.FENCED + slot] = 0
+            s.fenced &= ~(1 << slot)
+    if s.fenced != before:
+        publish_status(mem, t_ns)
 
 
 @njit(cache=True, nogil=True)
@@ -170,14 +191,16 @@ def watch_access(mem: Any, t_ns: Any) -> None:
         slot = (job[LAST_HOLDER] + 1 + k) % CLIENTS
         address = slot_address(ctx[m.INBOX], slot)
         if at.load_acquire_i64(address + _ACCESS) != ACCESS_REQUESTED:
-            ctx[m.FENCED + slot] = 0
             continue
         # nobody is there until the main thread has seen the lock
         locked = at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.DEAD + slot)) == 0
-        if not locked or t_ns < ctx[m.FENCED + slot]:
+        claim = at.load_relaxed_i64(address + _CLAIM)
+        # a slot without a claim is being taken or given back
+        if not locked or claim == 0 or (s.fenced >> slot) & 1 == 1:
             continue
-        job[HOLDER_CLAIM], job[GRANTED_NS] = at.load_relaxed_i64(address + _CLAIM), t_ns
-        s.access, s.access_slot = ACCESS_GRANTED, slot
+        job[HOLDER_CLAIM], job[GRANTED_NS] = claim, t_ns
+        s.access, s.access_slot, s.access_claim = ACCESS_GRANTED, slot, claim
+        s.grants += 1
         publish_status(mem, t_ns)
         return
 
@@ -202,6 +225,7 @@ def drain_samples(mem: Any) -> Any:
 @njit(cache=True, nogil=True)
 def map_pass(mem: Any, t_ns: Any) -> Any:
     """One look around; 1 when there was something to do."""
+    hear_again(mem, t_ns)
     if mem.job[JOB_SLOT] != -1:
         # access comes after it: a holder must not see half of an operation
         return step_job(mem, t_ns)
@@ -243,7 +267,7 @@ def run_map(mem: Any) -> None:
             told = t_ns
         if busy == 0:
             sleep_until_ns(t_ns + (IDLE_NS if mem.job[JOB_SLOT] == -1 else STREAM_IDLE_NS))
-    mem.status[0].access, mem.status[0].access_slot = ACCESS_FREE, -1
+    mem.status[0].access, mem.status[0].access_slot, mem.status[0].access_claim = ACCESS_FREE, -1, 0
     end_job(mem)
     while drain_samples(mem) > 0:
         end_job(mem)

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from surffollow.config.params import PARAMS
 from surffollow.forecast.journal import CYCLE_MAX, SNAPSHOT_WORDS
+from surffollow.map.ahead import new_kept
+from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_board import CLIENTS, Ack, PosePost, RequestPost
 from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
@@ -53,7 +55,7 @@ PENDING = COUNTER + CLIENTS  # per slot, 1: a map request is under way
 REGION = PENDING + CLIENTS  # per slot, four float64 of that request, its claim, an installed map's numbers
 REGION_WORDS = 16
 INSTALL_WORD = 5  # grid, x0, y0, datum, quantum [m] as float64; columns, rows, whether the datum is set
-FENCED = REGION + CLIENTS * REGION_WORDS  # per slot, until when its request for access is not heard [ns]
+FENCED = REGION + CLIENTS * REGION_WORDS  # per slot, the claim whose request for access is not heard; 0: none
 CTX_WORDS = FENCED + CLIENTS
 
 SAMPLE_WORDS = 4  # kind | slot << 8 (0: a sample), then x y z [m] or the request's counter
@@ -79,6 +81,9 @@ class CycleMemory(NamedTuple):
     request: Any
     ack: Any
     bounds: NDArray[np.float64]
+    header: Any  # the map's, which the map thread writes
+    pairs: Any
+    kept: Any  # its grids ahead, as they were before the tool came
 
 
 def bounds_table() -> NDArray[np.float64]:
@@ -90,8 +95,8 @@ def bounds_table() -> NDArray[np.float64]:
     return table
 
 
-def make_cycle_memory() -> CycleMemory:
-    """All zeroed; the daemon fills in `ctx` and `params`."""
+def make_cycle_memory(header: Any = None, pairs: Any = None) -> CycleMemory:
+    """All zeroed; the daemon fills in `ctx` and `params`, and gives its map's header and pairs."""
     params, state = zeros(Params), zeros(FollowState)
     entry = np.zeros(max(CYCLE_MAX, SNAPSHOT_WORDS), np.int64)
     item = np.zeros(SAMPLE_WORDS, np.int64)
@@ -115,4 +120,7 @@ def make_cycle_memory() -> CycleMemory:
         zeros(RequestPost),
         zeros(Ack),
         bounds_table(),
+        zeros(ml.MapHeader) if header is None else header,
+        zeros(ml.GridPair) if pairs is None else pairs,
+        new_kept(),
     )

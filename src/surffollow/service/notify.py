@@ -51,14 +51,19 @@ class CompileProgress:
     def compiling(self, happened: Any) -> None:
         """One more kernel begins to compile."""
         self.count += 1
+        dispatcher = happened.data.get("dispatcher")
+        self._tell(f"{self.count}: {getattr(getattr(dispatcher, 'py_func', None), '__name__', '?')}")
+
+    def waiting(self) -> None:
+        """A second process still compiles the map's."""
+        self._tell("waiting for the map's")
+
+    def _tell(self, what: str) -> None:
         now = time.monotonic()
         if self.quiet or now - self._told < (0.1 if self._tty else 2.0):
             return
         self._told = now
-        dispatcher = happened.data.get("dispatcher")
-        name = getattr(getattr(dispatcher, "py_func", None), "__name__", "?")
-        elapsed = f"{now - self._start:.0f} s"
-        text = f"surffollow: compiling kernels for this machine, {self.count}: {name} ({elapsed})"
+        text = f"surffollow: compiling kernels for this machine, {what} ({now - self._start:.0f} s)"
         print(
             f"\r\033[K{text}" if self._tty else text,
             end="" if self._tty else "\n",

@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from surffollow.config.params import PARAMS
+from surffollow.config.params import PARAMS, UNIT_ENDINGS
 from surffollow.errors import SchemaError
 from surffollow.shm import latch_shape, layout_follow
 from surffollow.shm import layout_board as lb
@@ -162,6 +162,7 @@ def _param_table() -> str:
         "typedef struct sf_param_info {\n  const char *name;\n  int64_t number;\n  int whole;\n"
         "  double low, high;\n} sf_param_info;\n\n"
         f"#define SF_PARAMS {len(PARAMS)}\n"
+        f"#define SF_PARAM_ENDINGS {', '.join(f'{chr(34)}{e}{chr(34)}' for e in UNIT_ENDINGS)}\n"
         "static inline const sf_param_info *sf_param_table(void) {\n"
         "  static const sf_param_info table[SF_PARAMS] = {\n"
         + "\n".join(rows)

@@ -48,9 +48,12 @@ def log_copy(log: Any, capacity: Any, position: Any, target: Any, most: Any) -> 
 
     Returns
     -------
-    int64  words copied (0: nothing new), or -1: the words were overwritten; go on at `log_head`
+    int64  words copied (0: nothing new), or -1: the words were overwritten, or `position` was never
+        written (of another log); go on at `log_head`
     """
     n = min(at.load_acquire_i64(log + HEAD) - position, most)
+    if n < 0:
+        return -1
     mask = capacity - 1
     for i in range(n):
         at.store_relaxed_i64(target + 8 * i, at.load_relaxed_i64(log + WORDS + 8 * ((position + i) & mask)))

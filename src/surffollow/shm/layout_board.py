@@ -127,6 +127,9 @@ class MapStatus(Schema):
     access_slot = I64(doc="-1: none")
     busy = I64(doc="request code under way; 0: none")
     progress = F64(doc="0 to 1 of the request under way")
+    access_claim = I64(doc="claim of the slot that access was granted to; 0: none")
+    grants = I64(doc="grants of access since the service started: another number, another grant")
+    fenced = I64(doc="bit per slot: its request outlived a lease and is not heard until its flag is 0")
 
 
 class Stats(Schema):

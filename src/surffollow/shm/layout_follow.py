@@ -88,7 +88,7 @@ class Params(Schema):
     plan_calm_s4 = F64(unit="s^4", doc="adaptive: squared error worth a squared planned acceleration")
     orient = I64(doc="adaptive: 1: with 3 or more sensors, demand rotations too")
     max_turn_rad = F64(unit="rad", doc="adaptive: limit of the rotation demanded")
-    permitted_turn_rad = F64(unit="rad", doc="adaptive: change of the rotation that is relayed")
+    permitted_turn_rad = F64(unit="rad", doc="adaptive: tilt of the surface that turns nothing")
     calm_share = F64(doc="adaptive: share of Permitted_Variance within which the set point glides on")
     adapt = I64(doc="adaptive: 1: learn; 0: scores, weights, noise stay as they are")
     hold_ns = I64(unit="ns", doc="adaptive: an unchanged reading counts as new after so long")
@@ -97,6 +97,9 @@ class Params(Schema):
     max_accel_mps2 = F64(unit="m/s^2", doc="adaptive: limit of the set point's acceleration")
     max_jerk_mps3 = F64(unit="m/s^3", doc="adaptive: limit of the set point's jerk")
     toward_factor = F64(doc="adaptive: share of those limits toward the surface")
+    max_turn_speed_radps = F64(unit="rad/s", doc="adaptive: limit of the turning set point's speed")
+    max_turn_accel_radps2 = F64(unit="rad/s^2", doc="adaptive: limit of its acceleration")
+    preview = I64(doc="adaptive: 1: plan over ground remembered ahead (the service: its map's)")
 
 
 class SenseState(Schema):
@@ -196,6 +199,10 @@ class Output(Schema):
     noise_m = F64(unit="m", doc="adaptive: noise of the readings")
     roughness_m = F64(unit="m", doc="adaptive: what the models do not foresee, noise taken off")
     late_s = F64(unit="s", doc="adaptive: how late readings arrive")
+    latency_s = F64(unit="s", doc="adaptive: age of a range when it is read, as calibrated")
+    permitted_variance_m = F64(unit="m", doc="adaptive: hysteresis in force, Permitted_Variance as adapted")
+    interval_size_m = F64(unit="m", doc="adaptive: Interval_Size as adapted")
+    range_size = I64(doc="adaptive: Range_Size as adapted")
     tau_s = F64(unit="s", doc="adaptive: time constant of the robot's axis as found")
     normal = F64(3, unit="1", doc="adaptive, 3 or more sensors: unit normal of the surface")
     beams = I64(doc="adaptive, 3 or more sensors: bit per channel that agrees with the plane")

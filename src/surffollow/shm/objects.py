@@ -20,6 +20,7 @@ from surffollow.errors import (
     ExistsError,
     NoPermissionError,
     NoSpaceError,
+    NotReadyError,
     NotRunningError,
 )
 
@@ -36,10 +37,12 @@ class SharedObject:
     size : int            bytes
     memory : mmap.mmap    read-only unless opened for writing
     fd : int              kept open: it carries this process's locks
+    first_bytes : bytes   how the owner wants the object to begin, when others can write it
     """
 
     def __init__(self, name: str, fd: int, size: int, writable: bool) -> None:
         self.name, self.fd, self.size, self.writable = name, fd, size, writable
+        self.first_bytes = b""
         prot = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
         self.memory = mmap.mmap(fd, size, mmap.MAP_SHARED, prot)
         status = os.fstat(fd)
@@ -103,7 +106,8 @@ class SharedObject:
         ------
         NotRunningError    there is none of that name
         NoPermissionError  its mode forbids it
-        BlockError         it is empty or not a plain object
+        NotReadyError      it is empty: being made, or cut short and not mended yet
+        BlockError         it is not a plain object
         """
         check_name(name)
         try:
@@ -121,9 +125,12 @@ class SharedObject:
             raise BlockError(f"cannot open shared-memory object {name!r}: {e}") from None
         fd = int(raw.fd)
         status = os.fstat(fd)
-        if not stat.S_ISREG(status.st_mode) or status.st_size == 0:
+        if not stat.S_ISREG(status.st_mode):
             os.close(fd)
-            raise BlockError(f"shared-memory object {name!r} is being made or is not one; try again")
+            raise BlockError(f"{SHM_ROOT}/{name} is no shared-memory object")
+        if status.st_size == 0:
+            os.close(fd)
+            raise NotReadyError(f"shared-memory object {name!r} is being made or mended; try again")
         return cls(name, fd, status.st_size, writable)
 
     def is_current(self) -> bool:

@@ -66,7 +66,7 @@ def read_csv(path: str | Path) -> Profile:
         when the file cannot be read, has fewer than two rows, or x does not grow from row to row
     """
     try:
-        with open(path, encoding="utf-8") as stream:
+        with open(path, encoding="utf-8-sig") as stream:
             lines = [line.strip() for line in stream if line.strip() and not line.startswith("#")]
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"cannot read the surface '{path}': {error}") from error

@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from surffollow.sim.profiles import (
     PART_BOX,
@@ -69,11 +68,18 @@ def bumps(seed: int = 0, per_m: float = 3.0) -> Profile:
     return made("bumps", x, h)
 
 
+def _smooth(noise: NDArray[np.float64], sigma: float, mode: str) -> NDArray[np.float64]:
+    from scipy.ndimage import gaussian_filter1d  # half a second that a service without a simulation saves
+
+    smoothed: NDArray[np.float64] = gaussian_filter1d(noise, sigma, mode=mode)
+    return smoothed
+
+
 def rough_smooth_rough(seed: int = 0, piece_m: float = 0.75, rough_m: float = 2e-3) -> Profile:
     """Rough pieces (2 mm RMS, correlation 4 mm) and smooth ones in turn, on gently rolling ground."""
     x = grid_x()
     rng = np.random.default_rng([seed, 41])
-    texture = gaussian_filter1d(rng.standard_normal(len(x)), 4e-3 / SPACING_M, mode="wrap")
+    texture = _smooth(rng.standard_normal(len(x)), 4e-3 / SPACING_M, mode="wrap")
     texture *= rough_m / texture.std()
     blend = 0.5 + 0.5 * np.tanh(np.sin(np.pi * (x / piece_m + rng.uniform(0.0, 2.0))) / 0.1)
     return made("rough-smooth-rough", x, texture * blend + rolling(x, rng, (0.5, 1.5), 0.01))
@@ -128,7 +134,7 @@ def fy91_profile(seed: int = 91) -> Profile:
     x = grid_x()
     rng = np.random.default_rng([seed, 91])
     ground = rolling(x, rng, FY91_WAVELENGTHS_M, FY91_PEAK_TO_PEAK_M)
-    texture = gaussian_filter1d(rng.standard_normal(len(x)), FY91_TEXTURE_CORRELATION_M / SPACING_M)
+    texture = _smooth(rng.standard_normal(len(x)), FY91_TEXTURE_CORRELATION_M / SPACING_M, mode="reflect")
     heights, parts = fy91_objects(rng, x)
     return made("fy91", x, ground + texture * (FY91_TEXTURE_M / texture.std()) + heights, parts)
 

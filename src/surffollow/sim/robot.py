@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -19,6 +20,7 @@ from surffollow.shm.dtypes import zeros
 from surffollow.sim.plant import PlantConfig, set_point_for
 from surffollow.sim.raster import KINDS, Path, line_path, raster_path
 from surffollow.sim.robot_motion import STEP_NS, TRACE_COLUMNS, Motion, run_until
+from surffollow.sim.robot_turn import turned
 from surffollow.sim.surfaces import HeightField, Region
 from surffollow.sim.world import WorldPose
 from surffollow.sim.world_surface import WorldConfig
@@ -26,7 +28,7 @@ from surffollow.sim.world_surface import WorldConfig
 REPORTS_KEPT = 256
 TRACE_ROWS = 1_000_000
 APPROACH_M = 0.010  # the tool starts that much above the wanted stand-off
-SETTLED_M = 1.5e-3
+SETTLED_M, SETTLED_RAD = 1.5e-3, 0.02
 SETTLED_TICKS = 30
 FOR_EVER_S = 86_400.0
 
@@ -45,6 +47,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     standoff_m : wanted distance of the tool above the ground [m]
     unscored_m : first piece of the path, where the follower still learns [m]
     report_latency_s, report_sigma_m : of pose reports [s], noise of x, y and z [m]
+    turn, report_turn_sigma_rad : heed the demanded rotations, too; noise of the reported attitude [rad]
     seed : of that noise
     plant : vertical axis and rate of controller and reports
     """
@@ -60,6 +63,8 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     unscored_m: float = 0.1
     report_latency_s: float = 0.010
     report_sigma_m: float = 0.05e-3
+    turn: bool = False
+    report_turn_sigma_rad: float = 0.1e-3
     seed: int = 1
     plant: PlantConfig = PlantConfig()
 
@@ -75,6 +80,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             "unscored_m": (0.0, 1e3),
             "report_latency_s": (0.0, 0.09),
             "report_sigma_m": (0.0, 0.1),
+            "report_turn_sigma_rad": (0.0, 0.1),
         }
         for name, (low, high) in bounds.items():
             value = getattr(self, name)
@@ -113,6 +119,8 @@ class RobotCore:
         m["a_max_mps2"], m["accel_mps2"] = config.plant.a_max_mps2, config.accel_mps2
         m["spacing_m"], m["standoff_m"] = self.path.spacing_m, config.standoff_m
         m["score_from_m"] = config.unscored_m
+        m["turns"] = config.turn
+        m["attitude"][0, 3] = m["attitude_set"][0, 3] = 1.0
         steps = self.expected_steps
         m["trace_every"] = -(-steps // TRACE_ROWS)
         self._trace = np.zeros((min(steps, TRACE_ROWS), len(TRACE_COLUMNS)))
@@ -121,8 +129,8 @@ class RobotCore:
         self.world = zeros(WorldPose)
         self._rng = np.random.default_rng(config.seed)
         self._waiting: deque[tuple[int, NDArray[np.float64]]] = deque()
-        self._sent: dict[int, float] = {}
-        self._newest_m = float(m["set_point_m"][0])
+        self._sent: dict[int, NDArray[np.float64]] = {}
+        self._newest = np.array([x, y, m["set_point_m"][0], 0.0, 0.0, 0.0, 1.0])
         self.holding = True
         self._settled = 0
         self.started_ns = 0
@@ -178,6 +186,9 @@ class RobotCore:
         pose = np.array(
             [m["x_m"] + noise[0], m["y_m"] + noise[1], m["axis"][0] + noise[2], 0.0, 0.0, 0.0, 1.0]
         )
+        if self.config.turn:
+            x, y, z = self._rng.normal(0.0, 1.0, 3) * self.config.report_turn_sigma_rad
+            turned(m["attitude"], x, y, z, pose[3:])
         self._waiting.append((self.t_ns, pose))
 
     def reports(self) -> list[tuple[int, NDArray[np.float64]]]:
@@ -186,27 +197,34 @@ class RobotCore:
         out = []
         while self._waiting and self._waiting[0][0] <= due_ns:
             t_ns, pose = self._waiting.popleft()
-            self._newest_m = self._sent[t_ns] = float(pose[2])
+            self._newest = self._sent[t_ns] = pose
             out.append((t_ns, pose))
         while len(self._sent) > REPORTS_KEPT:
             del self._sent[next(iter(self._sent))]
         return out
 
-    def command(self, demand_m: float, pose_t_ns: int) -> None:
+    def command(self, demand_m: float, pose_t_ns: int, turn_rad: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         """Heed a demand: it is added to the report that it refers to, never to a newer one.
 
         Parameters
         ----------
         demand_m : vertical demand [m]
         pose_t_ns : stamp of that report [ns]; an unknown one makes the robot hold
+        turn_rad : rotation vector demanded, world axes [rad]; heeded when the configuration says so
         """
-        if pose_t_ns not in self._sent or not math.isfinite(demand_m):
+        x, y, z = turn_rad
+        if pose_t_ns not in self._sent or not math.isfinite(demand_m + x + y + z):
             self.hold()
             return
         self.holding = False
-        self.motion["set_point_m"] = set_point_for(self._sent[pose_t_ns], demand_m)
+        report = self._sent[pose_t_ns]
+        self.motion["set_point_m"] = set_point_for(float(report[2]), demand_m)
+        settled = abs(demand_m) < SETTLED_M
+        if self.config.turn:
+            turned(report[3:], x, y, z, self.motion["attitude_set"][0])
+            settled = settled and math.hypot(x, y, z) < SETTLED_RAD
         if self.started_ns == 0:
-            self._settled = self._settled + 1 if abs(demand_m) < SETTLED_M else 0
+            self._settled = self._settled + 1 if settled else 0
             if self._settled < SETTLED_TICKS:
                 return
             self.started_ns = self.t_ns
@@ -216,7 +234,8 @@ class RobotCore:
         """Without a demand to trust: stay at the height last reported, and stop along the path."""
         if not self.holding:
             self.holding = True
-            self.motion["set_point_m"] = self._newest_m
+            self.motion["set_point_m"] = self._newest[2]
+            self.motion["attitude_set"] = self._newest[3:]
         self._settled = 0
         self.motion["moving"] = 0
 
@@ -233,7 +252,14 @@ class RobotCore:
             return math.sqrt(sum_sq / n) if n else None
 
         n, n_rolling = int(m["n"]), int(m["n_rolling"])
-        return {
+        angles: dict[str, Any] = {}
+        if self.config.turn:
+            angles = {
+                "angle_rms_rad": rms(float(m["sum_sq_rad2"]), n),
+                "angle_peak_rad": float(m["peak_rad"]) if n else None,
+                "tilt_peak_rad": float(m["peak_tilt_rad"]) if n else None,
+            }
+        return angles | {
             "standoff_rms_m": rms(float(m["sum_sq_m2"]), n),
             "standoff_peak_m": float(m["peak_m"]) if n else None,
             "standoff_rms_rolling_m": rms(float(m["sum_sq_rolling_m2"]), n_rolling),

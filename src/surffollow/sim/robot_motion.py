@@ -1,4 +1,4 @@
-"""The simulated robot's motion in steps of 1 ms: along its path by itself, vertically as its controller says.
+"""The simulated robot's motion in steps of 1 ms: along its path by itself, up, down and round as it is told.
 
 Each step publishes the true pose for the simulated sensors, and adds the true stand-off to the score.
 """
@@ -13,13 +13,17 @@ from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.latch import latch_write
 from surffollow.shm.schema import F64, I64, Schema
 from surffollow.sim.plant import axis_step
+from surffollow.sim.robot_turn import along_axis, wrist_step
 from surffollow.sim.surfaces import field_height, field_part
 from surffollow.sim.world import WorldPose
 
 STEP_NS = 1_000_000
 CREEP_MPS = 1e-3  # a limit of zero is passed at this speed: a corner, not an end
 FROZEN_NS = 100_000_000  # a process that was stopped longer takes its world's time with it
-TRACE_COLUMNS = ("t_s", "x_m", "y_m", "z_m", "surface_m", "standoff_m", "rolling", "scored", "set_point_m")
+TRACE_COLUMNS = (
+    *("t_s", "x_m", "y_m", "z_m", "surface_m", "standoff_m", "rolling", "scored", "set_point_m"),
+    *("angle_rad", "tilt_rad"),
+)
 WORLD_BYTES = WorldPose.SIZE
 
 
@@ -37,6 +41,11 @@ class Motion(Schema):
     y_m = F64(unit="m")
     axis = F64(2, unit="m, m/s", doc="height and vertical speed")
     set_point_m = F64(unit="m")
+    turns = I64(doc="1: the wrist turns; stand-off and angle count along the tool's axis")
+    attitude = F64(4, doc="qx qy qz qw, world from tool")
+    spin_radps = F64(3, unit="rad/s", doc="angular velocity, world axes")
+    attitude_set = F64(4, doc="attitude wanted")
+    scratch = F64(4)
     frozen_ns = I64(unit="ns", doc="time that the process was stopped")
     tau_s = F64(unit="s", doc="see PlantConfig")
     v_max_mps = F64(unit="m/s")
@@ -50,6 +59,9 @@ class Motion(Schema):
     n = I64(doc="steps scored")
     sum_sq_m2 = F64(unit="m^2")
     peak_m = F64(unit="m")
+    sum_sq_rad2 = F64(unit="rad^2", doc="of the angle between the tool's axis and the normal")
+    peak_rad = F64(unit="rad")
+    peak_tilt_rad = F64(unit="rad", doc="of the normal")
     n_rolling = I64(doc="of them on rolling ground")
     sum_sq_rolling_m2 = F64(unit="m^2")
     peak_rolling_m = F64(unit="m")
@@ -123,22 +135,34 @@ def one_step(m: Any, points: Any, z: Any, frame: Any, rolling: Any, world: Any, 
     m[0].step = r.step + 1
     vx, vy = move_along(m, points)
     axis_step(r.axis, r.set_point_m, r.tau_s, r.v_max_mps, r.a_max_mps2, STEP_NS * 1e-9)
-    ground = field_height(z, frame[0], frame[1], frame[2], r.x_m, r.y_m)
-    standoff = r.axis[0] - ground
+    angle = tilt = 0.0
+    if r.turns != 0:
+        wrist_step(r.attitude, r.spin_radps, r.attitude_set, r.scratch, STEP_NS * 1e-9)
+        standoff, ground, angle, tilt = along_axis(z, frame, r.x_m, r.y_m, r.axis[0], r.attitude)
+    else:
+        ground = field_height(z, frame[0], frame[1], frame[2], r.x_m, r.y_m)
+        standoff = r.axis[0] - ground
     is_rolling = field_part(rolling, frame[0], frame[1], frame[2], r.x_m, r.y_m) != 0
     counts = r.moving != 0 and r.arrived == 0 and r.path_m >= r.score_from_m
     if counts:
         score(m, standoff - r.standoff_m, is_rolling)
+        m[0].sum_sq_rad2 = r.sum_sq_rad2 + angle * angle
+        m[0].peak_rad = max(r.peak_rad, angle)
+        m[0].peak_tilt_rad = max(r.peak_tilt_rad, tilt)
     p = world[0]
     p.t_ns, p.standoff_m, p.ground_m, p.path_m = r.t_ns, standoff, ground, r.path_m
     p.scored, p.step = (1 if counts else 0), r.step
-    p.pose[0], p.pose[1], p.pose[2], p.pose[6] = r.x_m, r.y_m, r.axis[0], 1.0
+    p.pose[0], p.pose[1], p.pose[2] = r.x_m, r.y_m, r.axis[0]
+    for k in range(4):
+        p.pose[3 + k] = r.attitude[k]
     p.velocity[0], p.velocity[1], p.velocity[2] = vx, vy, r.axis[1]
+    for k in range(3):
+        p.velocity[3 + k] = r.spin_radps[k]
     if r.step % r.trace_every == 0 and r.trace_rows < len(trace):
         row = trace[r.trace_rows]
         row[0], row[1], row[2], row[3] = (r.t_ns - r.start_ns) * 1e-9, r.x_m, r.y_m, r.axis[0]
         row[4], row[5], row[6], row[7] = ground, standoff, is_rolling, counts
-        row[8] = r.set_point_m
+        row[8], row[9], row[10] = r.set_point_m, angle, tilt
         m[0].trace_rows = r.trace_rows + 1
 
 

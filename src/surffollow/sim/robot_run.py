@@ -16,6 +16,9 @@ RETRY_NS = 200_000_000
 FIFO_PRIORITY = 20  # above other programs, below any service
 
 
+HELD_PART, HELD_TICKS = 0.1, 50  # of its ticks, and the first half second: more is no following
+
+
 class SomeDemand(Protocol):
     """What the robot looks at in a demand."""
 
@@ -105,7 +108,7 @@ class Controller:
                 self._epoch = demand.epoch
             elif demand.valid:
                 self._epoch = demand.epoch
-                core.command(demand[2], demand.pose_t_ns)
+                core.command(demand[2], demand.pose_t_ns, (demand[3], demand[4], demand[5]))
             else:
                 core.hold()
             self.held += core.holding
@@ -124,6 +127,11 @@ class Controller:
         if self._service is not None:
             service, self._service = self._service, None
             service.close()
+
+
+def held_too_long(ticks: int, held: int) -> bool:
+    """Whether a robot stood still, for want of a valid demand, for so long that it did not follow."""
+    return held > HELD_PART * ticks + HELD_TICKS
 
 
 def claim_priority() -> None:
@@ -178,6 +186,6 @@ def run_robot(
         "held_ticks": controller.held,
         "refused_reports": controller.refused,
         "attachments": controller.attachments,
-        "finished": core.done,
+        "finished": core.done and not held_too_long(controller.ticks, controller.held),
     }
     return core, summary

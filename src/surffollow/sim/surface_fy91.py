@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from surffollow.sim.profiles_random import (
     FY91_PEAK_TO_PEAK_M,
@@ -38,6 +37,8 @@ def fy91_field(
     RegionError
         see `field_axes`
     """
+    from scipy.ndimage import gaussian_filter  # half a second that a service without a simulation saves
+
     x, y = field_axes(region, grid_m)
     rng = np.random.default_rng([seed, 1991])
     # plane waves of every direction: along a straight path none looks shorter than it is

@@ -1,39 +1,34 @@
 """The block `NAME.world`: where the simulated robot truly is, written by the robot, read by its sensors.
 
-One POSIX object: a header of one page, then a latch over `WorldPose`. A kernel-released lock on the object
-says who writes; a writer that finds the leavings of a dead one carries on in them with a new epoch.
-The service never reads this block: it sees only the reports that come through the client library.
+One shared object as the service's own are (`shm.objects`): a header of one page, then a latch over
+`WorldPose`. A kernel-released lock (`shm.locks`) says who writes; a writer that finds the leavings of a
+dead one carries on in them with a new epoch. The service never reads this block: it sees only the
+reports that come through the client library.
 """
 
 from __future__ import annotations
 
-import fcntl
-import mmap
 import os
-import re
 import time
 from typing import Any
 
 import numpy as np
-import posix_ipc
 from numpy.typing import NDArray
 
-from surffollow.errors import (
-    BlockError,
-    BusyError,
-    LayoutMismatchError,
-    NameError_,
-    NoPermissionError,
-    NotRunningError,
-)
-from surffollow.shm.dtypes import zeros
+from surffollow.config.names import check_name, check_service_name
+from surffollow.errors import BusyError, ExistsError, LayoutMismatchError, NotReadyError, NotRunningError
+from surffollow.shm.dtypes import numpy_dtype, zeros
 from surffollow.shm.latch import latch_read, latch_write
 from surffollow.shm.latch_shape import latch_bytes
+from surffollow.shm.locks import WRITER_BYTE, FileLock
+from surffollow.shm.objects import SharedObject, unlink
 from surffollow.shm.schema import F64, I64, U64, Schema
 
 MAGIC = int.from_bytes(b"SURFWLD1", "little")
 PAGE = 4096
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
+MODE = 0o640
+# a robot that was just killed holds its lock until the kernel has taken it apart
+DYING_S, POLL_S = 0.1, 0.005
 
 
 class WorldHeader(Schema):
@@ -62,45 +57,80 @@ SIZE = PAGE + -(-latch_bytes(WorldPose.SIZE) // PAGE) * PAGE
 
 
 def object_name(name: str) -> str:
-    """POSIX name of the world block of service `name`.
+    """Name of the world block of service `name`.
 
     Raises
     ------
     NameError_
         when the name has characters that a path could misread
     """
-    if not _NAME.fullmatch(name):
-        raise NameError_(f"name {name!r}: letters, digits, '_', '-' and '.', at most 64, not a '.' first")
-    return f"/{name}.world"
+    return check_name(f"{check_service_name(name)}.world")
 
 
-class _Mapping:
-    """One map of the object; `identity` changes when another object took its name."""
+class _View:
+    """The object's header and where its latch is."""
 
-    def __init__(self, shm: posix_ipc.SharedMemory, writable: bool) -> None:
-        status = os.fstat(shm.fd)
-        access = mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ
-        self._map = mmap.mmap(shm.fd, SIZE, access=access)
-        self._bytes: NDArray[Any] | None = np.frombuffer(self._map, np.uint8)
-        self.identity = (status.st_dev, status.st_ino)
-        self.address = int(self._bytes.ctypes.data)
-        self.latch = self.address + PAGE
-
-    @property
-    def header(self) -> Any:
-        assert self._bytes is not None
-        return self._bytes[: WorldHeader.SIZE].view(zeros(WorldHeader).dtype)
-
-    def close(self) -> None:
-        self._bytes = None
-        self._map.close()
+    def __init__(self, obj: SharedObject) -> None:
+        self._bytes: NDArray[Any] = np.frombuffer(obj.memory, np.uint8)
+        self.header: Any = self._bytes[: WorldHeader.SIZE].view(numpy_dtype(WorldHeader))[0]
+        self.latch = int(self._bytes.ctypes.data) + PAGE
 
 
-def _open(name: str, flags: int = 0, read_only: bool = False) -> posix_ipc.SharedMemory:
+def _sign(obj: SharedObject) -> None:
+    header = _View(obj).header
+    header["layout_hash"], header["pid"] = WorldPose.HASH, os.getpid()
+    # the clock, so that an object made anew under the name never repeats an epoch
+    header["epoch"] = time.monotonic_ns()
+    header["magic"] = MAGIC
+
+
+def _make(name: str) -> tuple[SharedObject, FileLock]:
+    """A new block, locked and signed before it has its name."""
+    locks: list[FileLock] = []
+
+    def prepare(obj: SharedObject) -> None:
+        locks.append(FileLock.beside(obj.fd, True))
+        locks[0].exclusive(WRITER_BYTE)
+        _sign(obj)
+
     try:
-        return posix_ipc.SharedMemory(name, flags, mode=0o640, size=0, read_only=read_only)
-    except posix_ipc.PermissionsError as error:
-        raise NoPermissionError(f"block '{name}' belongs to another user; read it as that user") from error
+        return SharedObject.create(name, SIZE, MODE, prepare=prepare), locks[0]
+    except BaseException:
+        for lock in locks:
+            lock.close()
+        raise
+
+
+def _claim(name: str) -> tuple[SharedObject, FileLock]:
+    """The block, made or taken over from a dead writer, and the lock that makes it ours."""
+    deadline = time.monotonic() + DYING_S
+    while True:
+        try:
+            obj = SharedObject.open(name, writable=True)
+        except NotRunningError:
+            try:
+                return _make(name)
+            except ExistsError:
+                continue  # another robot was faster: look at what it made
+        except NotReadyError:
+            unlink(name)  # empty, as no robot makes it
+            continue
+        lock = FileLock.beside(obj.fd, True)
+        if lock.exclusive(WRITER_BYTE):
+            fits = obj.size == SIZE and int(_View(obj).header["layout_hash"]) == WorldPose.HASH
+            if fits and obj.is_current():
+                _sign(obj)
+                return obj, lock
+            if obj.is_current():
+                unlink(name)  # another version's: never changed under its readers
+        elif time.monotonic() > deadline:
+            lock.close()
+            obj.close()
+            raise BusyError(f"block {name!r} has a live writer; stop that robot first")
+        else:
+            time.sleep(POLL_S)
+        lock.close()
+        obj.close()
 
 
 class WorldWriter:
@@ -112,82 +142,40 @@ class WorldWriter:
         another live robot writes this block
     NoPermissionError
         the object belongs to another user
+    NoSpaceError
+        /dev/shm cannot hold it
     """
 
     def __init__(self, name: str) -> None:
         self.name = object_name(name)
-        self._fd = self._claim()
-        try:
-            self._start()
-        except BaseException:
-            os.close(self._fd)
-            raise
-
-    def _claim(self) -> int:
-        while True:
-            fd: int = _open(self.name, posix_ipc.O_CREAT).fd
-            try:
-                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                os.close(fd)
-                raise BusyError(f"block '{self.name}' has a live writer; stop that robot first") from error
-            size = os.fstat(fd).st_size
-            if self._is_current(fd) and size in (0, SIZE):
-                return fd
-            if size not in (0, SIZE) and self._is_current(fd):
-                posix_ipc.unlink_shared_memory(self.name)  # another version's: never shrunk under its readers
-            os.close(fd)
-
-    def _is_current(self, fd: int) -> bool:
-        """Tell whether the object behind `fd` still bears the name: a writer may just have unlinked it."""
-        try:
-            other = _open(self.name, read_only=True)
-        except posix_ipc.ExistentialError:
-            return False
-        try:
-            return os.path.samestat(os.fstat(fd), os.fstat(other.fd))
-        finally:
-            other.close_fd()
-
-    def _start(self) -> None:
-        os.ftruncate(self._fd, SIZE)
-
-        class _Shm:
-            fd = self._fd
-
-        self._mapping = _Mapping(_Shm(), writable=True)
-        header = self._mapping.header
-        if int(header["magic"][0]) != MAGIC or int(header["layout_hash"][0]) != WorldPose.HASH:
-            header["magic"] = 0
-            header["layout_hash"] = WorldPose.HASH
-        # the clock, so that an object made anew under the name never repeats an epoch
-        header["epoch"] = time.monotonic_ns()
-        header["pid"] = os.getpid()
-        header["magic"] = MAGIC
+        self._object, self._lock = _claim(self.name)
+        self._view: _View | None = _View(self._object)
 
     @property
     def latch(self) -> int:
         """Address of the latch, for kernels that publish by themselves."""
-        return self._mapping.latch
+        assert self._view is not None
+        return self._view.latch
 
     @property
     def epoch(self) -> int:
         """Number of this writer, larger than that of all before."""
-        return int(self._mapping.header["epoch"][0])
+        assert self._view is not None
+        return int(self._view.header["epoch"])
 
     def write(self, record: NDArray[Any]) -> None:
         """Publish a `WorldPose` record, shape (1,)."""
-        latch_write(self._mapping.latch, record.ctypes.data, WorldPose.SIZE)
+        latch_write(self.latch, record.ctypes.data, WorldPose.SIZE)
 
-    def close(self, unlink: bool = True) -> None:
-        """Give the block up; `unlink` removes it, as a robot does that ends in peace."""
-        if self._fd < 0:
+    def close(self, unlink_it: bool = True) -> None:
+        """Give the block up; `unlink_it` removes it, as a robot does that ends in peace."""
+        if self._view is None:
             return
-        if unlink and self._is_current(self._fd):
-            posix_ipc.unlink_shared_memory(self.name)
-        self._mapping.close()
-        os.close(self._fd)
-        self._fd = -1
+        if unlink_it and self._object.is_current():
+            unlink(self.name)
+        self._view = None
+        self._lock.close()
+        self._object.close()
 
 
 class WorldReader:
@@ -196,7 +184,7 @@ class WorldReader:
     Raises
     ------
     NotRunningError
-        there is no such block, or its writer has not finished making it
+        there is no such block, or it has not been finished
     LayoutMismatchError
         it was made by another version
     """
@@ -204,56 +192,55 @@ class WorldReader:
     def __init__(self, name: str) -> None:
         self.name = object_name(name)
         try:
-            shm = _open(self.name, read_only=True)
-        except posix_ipc.ExistentialError as error:
-            raise NotRunningError(f"no block '{self.name}'; start a robot: surffollow robot") from error
+            self._object = SharedObject.open(self.name)
+        except NotRunningError as error:
+            raise NotRunningError(f"no block {self.name!r}; start a robot: surffollow robot") from error
+        except NotReadyError as error:
+            raise NotRunningError(f"block {self.name!r} is not ready") from error
         try:
-            if os.fstat(shm.fd).st_size != SIZE:
-                raise NotRunningError(f"block '{self.name}' is not ready")
-            self._mapping = _Mapping(shm, writable=False)
-        finally:
-            shm.close_fd()
-        header = self._mapping.header
-        magic, found = int(header["magic"][0]), int(header["layout_hash"][0])
-        del header
+            self._check()
+        except BaseException:
+            self._object.close()
+            raise
+        self._view: _View | None = _View(self._object)
+
+    def _check(self) -> None:
+        if self._object.size != SIZE:
+            raise NotRunningError(f"block {self.name!r} is not ready")
+        header = _View(self._object).header
+        magic, found = int(header["magic"]), int(header["layout_hash"])
+        if magic == 0:
+            raise NotRunningError(f"block {self.name!r} is not ready")
         if magic != MAGIC or found != WorldPose.HASH:
-            self._mapping.close()
-            if magic == 0:
-                raise NotRunningError(f"block '{self.name}' is not ready")
             raise LayoutMismatchError(
-                f"block '{self.name}' has layout {found:016x}, expected {WorldPose.HASH:016x}; "
+                f"block {self.name!r} has layout {found:016x}, expected {WorldPose.HASH:016x}; "
                 "start robot and reader from the same version"
             )
 
     @property
     def latch(self) -> int:
         """Address of the latch, for kernels; valid until `close`."""
-        return self._mapping.latch
+        assert self._view is not None
+        return self._view.latch
 
     @property
     def epoch(self) -> int:
         """Number of the writer; changes when a robot starts."""
-        return int(self._mapping.header["epoch"][0])
+        assert self._view is not None
+        return int(self._view.header["epoch"])
 
     @property
     def is_current(self) -> bool:
         """False once another object bears the name, or none does."""
-        try:
-            shm = _open(self.name, read_only=True)
-        except (posix_ipc.ExistentialError, BlockError):
-            return False
-        try:
-            status = os.fstat(shm.fd)
-            return (status.st_dev, status.st_ino) == self._mapping.identity
-        finally:
-            shm.close_fd()
+        return self._object.is_current()
 
     def latest(self) -> NDArray[Any] | None:
         """Newest `WorldPose` record, shape (1,); None before the first, or when it was torn too often."""
         record = zeros(WorldPose)
-        generation = latch_read(self._mapping.latch, record.ctypes.data, WorldPose.SIZE)
+        generation = latch_read(self.latch, record.ctypes.data, WorldPose.SIZE)
         return record if generation > 0 else None
 
     def close(self) -> None:
         """Unmap; no kernel may use `latch` any more."""
-        self._mapping.close()
+        self._view = None
+        self._object.close()

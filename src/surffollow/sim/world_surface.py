@@ -30,6 +30,7 @@ _MAKERS: dict[str, Callable[[int, Region, float], HeightField]] = {
     "step": lambda seed, region, grid_m: step_field(region, 0.5 * (region[0] + region[2]), 0.01, grid_m),
     "sine": lambda seed, region, grid_m: sine_field(region, 0.2, 0.01, grid_m),
     "shell": lambda seed, region, grid_m: shell_field(region, grid_m=grid_m),
+    "dome": lambda seed, region, grid_m: shell_field(region, 1.0, 0.9, grid_m),
 }
 SURFACES = (*_MAKERS, *(k for k in RANDOM if k not in _MAKERS))
 

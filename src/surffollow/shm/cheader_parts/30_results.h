@@ -32,6 +32,7 @@ enum {
   SF_ERR_FILE = -32,
   SF_ERR_MEMORY = -33,
   SF_ERR_SYSTEM = -34,
+  SF_ERR_HELD = -35,
   /* the service refused: SF_REFUSED_...; `detail` of the client holds the answer's number */
   SF_REFUSED = -100
 };
@@ -66,6 +67,7 @@ static inline const char *sf_strerror(int result) {
     case SF_ERR_ACCESS_LOST: return "exclusive access was taken back before it ended; the copy may be mixed";
     case SF_ERR_FILE: return "the file cannot be written; the client's detail holds errno";
     case SF_ERR_MEMORY: return "not enough memory for a copy of the map";
+    case SF_ERR_HELD: return "this client holds the map itself, which would wait for ever; call sf_access_end first";
     case SF_ERR_SYSTEM: return "a system call failed; the client's detail holds errno";
     default: break;
   }

@@ -5,6 +5,7 @@ typedef struct sf_object {
   unsigned char *memory;
   size_t size;
   uint64_t device, inode;
+  uid_t owner;
   int fd; /* -1 unless it carries a lock */
 } sf_object;
 
@@ -35,7 +36,10 @@ typedef struct sf_client {
   unsigned char *slot_memory;
   int64_t stale_ns, next_attach_ns, next_look_ns, pose_timeout_ns, pose_held_ns;
   int64_t claim, counter;
+  int64_t asked_ns;
   int pose_held, abandoned;
+  int64_t grant;    /* number of the newest grant of the map to this attachment */
+  int access_depth; /* sf_access_begin that were not ended */
 } sf_client;
 
 /* The defaults: a client, re-attaching, stale after 20 periods but not before 5 ms, requests wait 5 s. */
@@ -120,6 +124,7 @@ static inline int sf_i_open(sf_client *c, const char *suffix, int writable, sf_o
   o->size = SF_CAST(size_t, status.st_size);
   o->device = SF_CAST(uint64_t, status.st_dev);
   o->inode = SF_CAST(uint64_t, status.st_ino);
+  o->owner = status.st_uid;
   o->fd = fd;
   if (!writable) {
     close(fd);
@@ -199,7 +204,12 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
   if (!sf_i_is_current(c, ".map", &c->map)) {
     sf_object map; /* without it only the map's functions fail */
     sf_i_close(&c->map);
-    if (sf_i_open(c, ".map", 0, &map) == SF_OK) c->map = map;
+    if (sf_i_open(c, ".map", 0, &map) == SF_OK) {
+      if (map.owner == c->board.owner)
+        c->map = map;
+      else /* somebody else's, under the name of the service's */
+        sf_i_close(&map);
+    }
   }
   return SF_OK;
 }

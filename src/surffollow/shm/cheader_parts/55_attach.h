@@ -46,14 +46,15 @@ static inline int sf_i_claim_slot(sf_client *c) {
   sf_object inbox;
   const int err = sf_i_open(c, ".inbox", 1, &inbox);
   if (err != SF_OK) return err;
-  const sf_inbox_header *h = SF_VIEW(const sf_inbox_header *, inbox.memory);
-  if (inbox.size < SF_INBOX_BYTES || h->magic != SF_INBOX_MAGIC || h->epoch != c->epoch) {
+  if (inbox.owner != c->board.owner) { /* somebody else's, under the name of the service's */
     sf_i_close(&inbox);
-    return SF_ERR_NOT_READY; /* of a service that is being replaced */
+    return SF_ERR_NO_PERMISSION;
   }
-  if (h->version != SF_LAYOUT_VERSION || h->layout_hash != SF_LAYOUT_HASH) {
+  const sf_inbox_header *h = SF_VIEW(const sf_inbox_header *, inbox.memory);
+  if (inbox.size < SF_INBOX_BYTES || h->magic != SF_INBOX_MAGIC || h->epoch != c->epoch ||
+      h->version != SF_LAYOUT_VERSION || h->layout_hash != SF_LAYOUT_HASH) {
     sf_i_close(&inbox);
-    return SF_ERR_LAYOUT;
+    return SF_ERR_NOT_READY; /* of a service that is being replaced, or scribbled on: the service mends it */
   }
   for (int slot = 0; slot < SF_CLIENTS; slot++) {
     const off_t start = SF_PAGE + SF_CAST(off_t, slot) * SF_SLOT_BYTES;
@@ -69,6 +70,7 @@ static inline int sf_i_claim_slot(sf_client *c) {
     c->claim = sf_i_random_claim();
     c->counter = 0;
     c->pose_held = c->abandoned = 0;
+    c->grant = 0;
     sf_slot_head *head = SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD);
     sf_store_relaxed(&head->access, SF_ACCESS_FREE);
     sf_store_relaxed(&head->pid, SF_CAST(int64_t, getpid()));
@@ -92,6 +94,7 @@ static inline void sf_i_read_pose_timeout(sf_client *c) {
 static inline void sf_detach(sf_client *c) {
   if (c == NULL) return;
   sf_i_release_slot(c);
+  c->access_depth = 0;
   sf_i_close(&c->board);
   sf_i_close(&c->map);
   c->output = c->params = c->acks = c->map_acks = c->ticker = c->map_status = c->stats = NULL;
@@ -130,7 +133,13 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
     memcpy(c->label, label, strlen(label) < sizeof c->label - 1 ? strlen(label) : sizeof c->label - 1);
   c->options.label = NULL; /* the caller's memory may go */
   int err = sf_i_open_board(c, c->options.ready_wait_ns);
-  if (err == SF_OK && !c->options.observe) err = sf_i_claim_slot(c);
+  const int64_t deadline = sf_now_ns() + c->options.ready_wait_ns;
+  while (err == SF_OK && !c->options.observe && (err = sf_i_claim_slot(c)) == SF_ERR_NOT_READY &&
+         sf_now_ns() < deadline) {
+    /* the service was replaced between our looks at its board and at its inbox */
+    sf_sleep_until_ns(sf_now_ns() + 5000000);
+    err = sf_i_is_current(c, "", &c->board) ? SF_OK : sf_i_open_board(c, c->options.ready_wait_ns);
+  }
   if (err != SF_OK) {
     sf_detach(c);
     return err;

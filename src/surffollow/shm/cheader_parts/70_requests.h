@@ -10,6 +10,12 @@ static inline int sf_i_read_ack(const unsigned char *acks, int slot, sf_ack *ack
   return sf_latch_read(acks + step * SF_CAST(size_t, slot), sizeof *ack, ack) > 0;
 }
 
+/* Whether the inbox still has its size: to touch a page that somebody cut off is SIGBUS. */
+static inline int sf_i_inbox_is_whole(const sf_client *c) {
+  struct stat status;
+  return fstat(c->inbox.fd, &status) == 0 && status.st_size >= SF_CAST(off_t, SF_INBOX_BYTES);
+}
+
 /*
  * Send a request without waiting: `code` SF_RQ_..., up to SF_REQUEST_ARGS numbers and values.
  * SF_ERR_BUSY while the last one is not acknowledged: a second one could overtake it unseen.
@@ -20,8 +26,11 @@ static inline int sf_request_send(sf_client *c, int64_t code, int n, const int64
   if (c->options.observe) return SF_ERR_OBSERVER;
   if (c->slot_memory == NULL || !sf_alive(c)) sf_i_reattach_sometimes(c, sf_now_ns());
   if (c->slot_memory == NULL || !sf_alive(c)) return SF_ERR_NOT_RUNNING;
+  if (!sf_i_inbox_is_whole(c)) return SF_ERR_NOT_READY; /* cut short; the service mends it */
+  const int64_t now = sf_now_ns();
   sf_ack last;
-  if (c->counter > 0 && !c->abandoned &&
+  /* a member of the inbox's group can wipe out a request unseen: it must not block all later ones */
+  if (c->counter > 0 && !c->abandoned && now < c->asked_ns + c->options.timeout_ns &&
       !(sf_i_read_ack(c->acks, c->slot, &last) && last.counter == c->counter && last.claim == c->claim))
     return SF_ERR_BUSY;
   sf_request_post r;
@@ -35,6 +44,7 @@ static inline int sf_request_send(sf_client *c, int64_t code, int n, const int64
     if (values != NULL) r.value[k] = values[k];
   }
   c->abandoned = 0;
+  c->asked_ns = now;
   sf_latch_write(c->slot_memory + SF_SLOT_REQUEST, sizeof r, &r);
   ticket->counter = r.counter;
   ticket->claim = r.claim;
@@ -180,9 +190,9 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
 
 /* ---- parameters ----------------------------------------------------------------------------- */
 
-/* A parameter by its name, with or without its unit ("offset_m", "offset"); NULL when there is none. */
+/* A parameter by its name, with or without its unit ("max_jerk_mps3", "max_jerk"); NULL when there is none. */
 static inline const sf_param_info *sf_find_param(const char *name) {
-  static const char *const endings[] = {"", "_m", "_ns", "_s", "_mps"};
+  static const char *const endings[] = {SF_PARAM_ENDINGS};
   if (name == NULL) return NULL;
   const size_t n = strlen(name);
   for (size_t e = 0; e < sizeof endings / sizeof endings[0]; e++)

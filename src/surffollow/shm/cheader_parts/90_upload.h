@@ -127,6 +127,11 @@ static inline int sf_i_copy_map(sf_client *c, sf_map_header *header, sf_grid_pai
   if (h == NULL) return SF_ERR_BLOCK;
   int err = sf_access_begin(c, c->options.timeout_ns);
   if (err != SF_OK) return err;
+  h = sf_i_map(c); /* beginning may have followed the service to a new start */
+  if (h == NULL) {
+    sf_access_end(c);
+    return SF_ERR_BLOCK;
+  }
   memcpy(header, h, sizeof *header);
   if (header->state != SF_MAP_READY)
     err = header->state == SF_MAP_NO_MAP ? SF_REFUSED_NO_MAP : SF_REFUSED_MAP_BUSY;
@@ -144,35 +149,88 @@ static inline int sf_i_copy_map(sf_client *c, sf_map_header *header, sf_grid_pai
   return err != SF_OK ? err : ended;
 }
 
+/* How many bytes of a path lead to its folder, the last slash included. */
+static inline size_t sf_i_folder(const char *path) {
+  const char *slash = strrchr(path, '/');
+  return slash == NULL ? 0 : SF_CAST(size_t, slash - path) + 1;
+}
+
+/* Where a file of this name lies when links are followed; 0, or an errno: EEXIST, it is no plain file. */
+static inline int sf_i_plain_target(const char *path, char target[4096], mode_t *mode) {
+  char link[4096];
+  struct stat status;
+  size_t n = strlen(path);
+  if (n >= 4096) return ENAMETOOLONG;
+  memcpy(target, path, n + 1);
+  for (int hops = 0;; hops++) {
+    const ssize_t got = readlink(target, link, sizeof link);
+    if (got < 0) break;
+    const size_t folder = link[0] == '/' ? 0 : sf_i_folder(target);
+    n = SF_CAST(size_t, got);
+    if (hops == 40) return ELOOP;
+    if (folder + n >= 4096) return ENAMETOOLONG;
+    memcpy(target + folder, link, n);
+    target[folder + n] = '\0';
+  }
+  *mode = 0;
+  if (stat(target, &status) != 0) return 0; /* nothing there; what else is wrong shows when it is written */
+  *mode = status.st_mode & 0777;
+  return S_ISREG(status.st_mode) ? 0 : EEXIST; /* to rename over a device or a pipe would take its place */
+}
+
+/* After a rename: without this a power cut may undo it. */
+static inline void sf_i_sync_folder(char path[4096]) {
+  const size_t n = sf_i_folder(path);
+  path[n] = '\0';
+  const int fd = open(n > 0 ? path : ".", O_RDONLY | O_CLOEXEC);
+  if (fd < 0) return;
+  fsync(fd);
+  close(fd);
+}
+
 /*
  * Write the map's header and all grids to a text file, with this process's own rights (paper: UpLoadMap).
- * The map stands still only while it is copied; the file appears whole or not at all.
+ * The map stands still only while it is copied; the file appears whole or not at all. Links are followed;
+ * what is there and is no plain file stays: SF_ERR_FILE with EEXIST in the client's `detail`.
  */
 static inline int sf_upload_map(sf_client *c, const char *path) {
-  char part[4096];
+  char part[4096 + 64], target[4096];
+  mode_t mode = 0;
   sf_map_header header;
   sf_grid_pair *pairs;
   if (c == NULL || c->output == NULL || path == NULL || path[0] == '\0') return SF_ERR_ARGUMENT;
-  const int n = snprintf(part, sizeof part, "%s.%ld.part", path, SF_CAST(long, getpid()));
-  if (n < 0 || SF_CAST(size_t, n) >= sizeof part) return SF_ERR_ARGUMENT;
-  int err = sf_i_copy_map(c, &header, &pairs);
+  int number = sf_i_plain_target(path, target, &mode);
+  int err = number == 0 ? sf_i_copy_map(c, &header, &pairs) : SF_ERR_FILE;
+  if (number != 0) c->detail = number;
   if (err != SF_OK) {
-    free(pairs);
+    if (number == 0) free(pairs);
     return err;
   }
-  int written = 0;
-  const int fd = open(part, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0666);
+  int written = 0, fd = -1;
+  for (int tries = 0; fd < 0 && tries < 8; tries++) { /* a part of a process that was killed may be there */
+    snprintf(part, sizeof part, "%s.%06x.part", target, SF_CAST(unsigned, sf_i_random_claim() >> 8 & 0xFFFFFF));
+    fd = open(part, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0666);
+    if (fd < 0 && errno != EEXIST && errno != EINTR) break;
+  }
   FILE *f = fd >= 0 ? fdopen(fd, "w") : NULL;
+  number = errno;
   if (f != NULL) {
+    errno = 0;
+    if (mode != 0) (void)!fchmod(fd, mode); /* as the file that it replaces */
     sf_i_write_map(f, &header, pairs);
     written = !ferror(f) && fflush(f) == 0 && fsync(fd) == 0;
-    written = fclose(f) == 0 && written && rename(part, path) == 0;
+    number = errno;
+    if (fclose(f) != 0 && written) written = 0, number = errno;
+    if (written && rename(part, target) != 0) written = 0, number = errno;
   }
   free(pairs);
-  if (written) return SF_OK;
-  c->detail = errno;
+  if (written) {
+    sf_i_sync_folder(target);
+    return SF_OK;
+  }
   if (f == NULL && fd >= 0) close(fd);
   if (fd >= 0) unlink(part);
+  c->detail = number;
   return SF_ERR_FILE;
 }
 

@@ -1,0 +1,124 @@
+"""What is new in a cycle: the latest sample becomes ground for the models, the tool's way is kept.
+
+range → pose at the range's own time → footprint → latency, health, plane → bank of models (`adaptive_take`)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import njit
+
+from surffollow.forecast.adaptive_adapt import adapt_band
+from surffollow.forecast.adaptive_health import CLOSE_SAMPLES, is_stuck, watch_stuck
+from surffollow.forecast.adaptive_latency import learn_lag
+from surffollow.forecast.adaptive_motion import pose_when
+from surffollow.forecast.adaptive_plane import plane_height, take_beams
+from surffollow.forecast.adaptive_preview import LEADING_M, check_told, told_height, watch_error
+from surffollow.forecast.adaptive_scout import check_scouts
+from surffollow.forecast.adaptive_take import is_news, take_sample
+from surffollow.forecast.adaptive_trend import take_range
+from surffollow.forecast.pose import footprint, rotate
+from surffollow.forecast.safety import watch_fold_back
+from surffollow.shm.layout_adaptive import FAULT_CLOCK
+from surffollow.shm.layout_follow import POSES, RUN_FREEZE
+
+CLOCK_BACK_NS = 1_000_000_000  # a clock that jumps back farther than late samples may is followed
+LATE_RATE = 0.05
+LEAD_RATE = 0.05
+SAMPLE_WAY_RATE = 0.05
+KNOWN_DIRECTION_MPS = 0.005  # slower, the direction of travel is not known well enough to look ahead
+
+
+@njit(cache=True, nogil=True)
+def watch_clock(a: Any, t_ns: Any, pose_t_ns: Any) -> None:
+    """The latest time heard of is now; late samples do not turn it back, a new clock does."""
+    t = max(t_ns, pose_t_ns)
+    if t < a.now_ns - CLOCK_BACK_NS:
+        a.faults |= FAULT_CLOCK
+        a.samples = 0
+        a.held_ns = a.set_ns = a.tick_ns = 0
+        a.now_ns = t
+    a.now_ns = max(a.now_ns, t)
+
+
+@njit(cache=True, nogil=True)
+def tool_above(params: Any, a: Any, sense: Any, plane: Any, pose: Any) -> Any:
+    """How much higher than the ground under it (the beam's footprint) the tool should be [m].
+
+    `pose` (7,) is scratch and holds the newest report afterwards.
+    """
+    newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
+    for i in range(7):
+        pose[i] = sense.pose[newest + i]
+    if plane == 0:
+        _, _, ground_z, _ = footprint(pose, params.tool_from_sensor, 0, params.offset_m)
+        return pose[2] - ground_z
+    tx, ty, tz = rotate(pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, 1.0)
+    along = tz - a.slope_x * tx - a.slope_y * ty  # (tool axis · normal) over the normal's z
+    return (params.offset_m - params.tool_from_sensor[2]) * along
+
+
+@njit(cache=True, nogil=True)
+def take_news(params: Any, state: Any, inputs: Any, output: Any, plane: Any, pose: Any) -> None:
+    """Take a new sample, if there is one; what does not enter the estimate is not mapped."""
+    a, sense = state.adaptive, state.sense
+    channel = 0
+    if plane != 0:
+        channel = take_beams(params, a, sense, pose)
+    else:
+        output.fresh &= ~1
+    if channel < 0:
+        return
+    news, range_m, t = is_news(params, a, sense, inputs.n_ranges, channel)
+    if news == 0:
+        return
+    take_range(a, t, range_m)
+    repeated = 1 if a.held_ns != 0 and range_m == a.held_m else 0
+    a.held_ns, a.held_m = t, range_m
+    if plane == 0:  # beams are stamped one by one
+        t -= int(a.older_s * 1e9)
+    a.late_s += LATE_RATE * ((a.now_ns - t) * 1e-9 - a.late_s)
+    pose_when(a, sense, t, pose)
+    watch_stuck(a, repeated, pose[2])
+    if t <= a.sample_ns or is_stuck(a, pose[2]) != 0:
+        return
+    adapt = 0 if params.adapt == 0 or params.run == RUN_FREEZE else 1
+    x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)
+    still = 1 if a.speed_mps < KNOWN_DIRECTION_MPS else 0
+    if plane == 0 and (still != 0 or a.rest_n > 0):
+        learn_lag(a, sense, t, z, still, adapt, pose)
+        pose_when(a, sense, t, pose)
+    a.close_run = a.close_run + 1 if range_m < params.too_close_m else 0
+    if a.close_run >= CLOSE_SAMPLES or state.paper.close != 0:
+        watch_fold_back(state.paper, range_m, sensor_z, params.too_close_m, params.too_close_exit_m)
+    tool_x, tool_y, tool_z = pose[0], pose[1], pose[2]
+    if plane != 0:
+        good, z = plane_height(params, a, t, tool_x, tool_y)
+        if good == 0:
+            return
+        x, y = tool_x, tool_y
+        for c in range(params.n_channels):
+            if a.beam_good[c] == 0:
+                output.fresh &= ~(1 << c)
+    if a.speed_mps >= KNOWN_DIRECTION_MPS:
+        lead = ((x - tool_x) * a.speed_x_mps + (y - tool_y) * a.speed_y_mps) / a.speed_mps
+        a.lead_m += (lead - a.lead_m) * (LEAD_RATE if a.samples > 0 else 1.0)
+    way = a.speed_mps * (t - a.sample_ns) * 1e-9 if a.samples > 0 else 0.0
+    drop = tool_above(params, a, sense, plane, pose)
+    a.sample_way_m += SAMPLE_WAY_RATE * (way - a.sample_way_m)
+    check_scouts(a, a.path_m + way, z)
+    taken = take_sample(params, a, t, way, z, drop, adapt)
+    a.foot_x_m, a.foot_y_m = x, y
+    if taken == 0:
+        return
+    if adapt != 0 or a.permitted_m == 0.0:
+        adapt_band(params, a)
+    if abs(a.lead_m) < LEADING_M:
+        watch_error(a, tool_z - drop - z)
+    if inputs.n_preview > 0 and a.speed_mps >= KNOWN_DIRECTION_MPS:
+        beside = (x - pose[0]) * a.speed_x_mps + (y - pose[1]) * a.speed_y_mps
+        check_told(a, told_height(inputs, beside / a.speed_mps), z)
+    if plane == 0:
+        output.fresh |= 1
+        output.target_m[0], output.target_m[1], output.target_m[2] = x, y, z

@@ -1,0 +1,65 @@
+"""Further sensors that look ahead of the tool: what they see is kept in the ring of ground until it is there.
+
+Channel 0 stays the one that is followed. A scout's heights are taken as they come, lone outliers left out;
+its difference to channel 0, which two sensors always have, is learned where channel 0 comes by.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numba import njit
+
+from surffollow.forecast.adaptive_motion import pose_when
+from surffollow.forecast.adaptive_preview import LEADING_M, note_ground, seen_height
+from surffollow.forecast.pose import footprint
+
+AGREE_M = 1.5e-3  # heights of two samples in a row that confirm each other
+BIAS_RATE = 0.02
+MOST_BIAS_M = 5e-3
+REACH_M = 0.4  # of the ring of ground
+PAUSE_NS = 200_000_000  # a scout silent for so long no longer leads
+
+
+@njit(cache=True, nogil=True)
+def take_scouts(params: Any, a: Any, sense: Any, pose: Any) -> None:
+    """Note the ground that channels 1 and up see ahead of channel 0's footprint.
+
+    Parameters
+    ----------
+    params, a, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
+    pose : (7,) float64 scratch
+    """
+    if a.now_ns - a.scouted_ns > PAUSE_NS:
+        a.scout_lead_m = 0.0
+    if a.samples == 0:
+        return
+    for c in range(1, params.n_channels):
+        t = sense.range_t_ns[c]
+        if sense.fresh[c] == 0 or t < a.scout_ns[c] + params.hold_ns:
+            continue
+        a.scout_ns[c] = t
+        t -= int(a.older_s * 1e9)
+        pose_when(a, sense, t, pose)
+        x, y, z, _ = footprint(pose, params.tool_from_sensor, c, sense.range_m[c])
+        along = ((x - a.foot_x_m) * a.speed_x_mps + (y - a.foot_y_m) * a.speed_y_mps) / a.speed_mps
+        aside = ((x - a.foot_x_m) * a.speed_y_mps - (y - a.foot_y_m) * a.speed_x_mps) / a.speed_mps
+        agrees = abs(z - a.scout_h_m[c]) < AGREE_M
+        a.scout_h_m[c] = z
+        if not agrees or not LEADING_M < along < REACH_M or abs(aside) > LEADING_M:
+            continue
+        note_ground(a, a.path_m + along, z)
+        a.scout_lead_m = along
+        a.scouted_ns = a.now_ns
+
+
+@njit(cache=True, nogil=True)
+def check_scouts(a: Any, s_m: Any, h_m: Any) -> None:
+    """Compare what was seen ahead with what channel 0 sees there now; learn the difference."""
+    if a.scout_lead_m == 0.0:
+        return
+    seen = seen_height(a, s_m)
+    if math.isfinite(seen):
+        e = min(max(h_m - seen, -MOST_BIAS_M), MOST_BIAS_M)
+        a.scout_bias_m += BIAS_RATE * (e - a.scout_bias_m)

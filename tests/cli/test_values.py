@@ -1,0 +1,55 @@
+"""What every verb refuses on its command line before it does anything."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+from click.testing import CliRunner
+
+from surffollow.cli.main import cli
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf", "soon"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("demo", "--seconds"),
+        ("record", "--seconds"),
+        ("stop", "--timeout"),
+        ("robot", "--seconds"),
+        ("robot", "--wait"),
+        ("replay", "a.csv", "--start"),
+        ("latency", "--seconds"),
+        ("blocks", "watch", "a.b", "--every"),
+        ("map", "upload", "a.map", "--timeout"),
+    ],
+)
+def test_a_number_that_is_none_is_refused(words: tuple[str, ...], value: str) -> None:
+    done = CliRunner().invoke(cli, [*words, value])
+    assert done.exit_code == 2, done.output
+    assert value in done.output
+    assert words[-1] in done.output
+
+
+def test_numbers_out_of_bounds_are_refused_and_others_taken() -> None:
+    assert CliRunner().invoke(cli, ["demo", "--seconds", "1.5"]).exit_code == 2
+    done = CliRunner().invoke(cli, ["stop", "--name", "values-none", "--timeout", "1e1"])
+    assert "no service 'values-none'" in str(done.exception)
+
+
+def test_help_of_every_verb_names_what_an_option_takes() -> None:
+    assert "--timeout NUMBER" in CliRunner().invoke(cli, ["stop", "--help"]).output
+
+
+def test_a_terminal_that_knows_ascii_only_gets_question_marks() -> None:
+    code = "import surffollow.cli.main as m; m.cli.main = lambda **_: print('12 \\u00b5s'); m.main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )
+    assert (done.returncode, done.stdout) == (0, "12 ?s\n"), done.stderr

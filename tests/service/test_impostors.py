@@ -1,0 +1,300 @@
+"""Objects under a service's names that are not the service's, and an inbox that somebody damages."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from running_service import POSE, READY_S, Service, objects_of, program, said, until
+from service.test_many_clients import free_of_poses
+from surffollow.client import Client
+from surffollow.errors import (
+    AlreadyRunningError,
+    BlockError,
+    BusyError,
+    NameError_,
+    NoPermissionError,
+    NotReadyError,
+)
+from surffollow.service import house
+from surffollow.shm import layout_board as lb
+from surffollow.shm.objects import SharedObject, unlink
+
+Make = Callable[..., Service]
+NOBODY = 65534
+ROOT_ONLY = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file away")
+FORKER = f"""
+import os, sys, time
+from surffollow.client import attach
+client = attach(sys.argv[1])
+client.ee_pos({POSE})
+pins = memoryview(client._in), client._in_words  # mappings that a child cannot let go of
+child = os.fork()
+if child == 0:
+    try:
+        client.release_pose()
+        client.close()
+    finally:
+        time.sleep(60)
+print("forked", child, flush=True)
+while True:
+    client.ee_pos({POSE})
+    time.sleep(0.002)
+"""
+OWN_SLOT = f"""
+import os, sys
+from surffollow.client import attach
+client = attach(sys.argv[1])
+client.ee_pos({POSE})
+parents = client.slot
+child = os.fork()
+if child == 0:
+    client.sf_reset(0.1)
+    os._exit(0 if client.slot != parents else 1)
+ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+client.ee_pos({POSE})
+client.release_pose()
+print("child", ended, flush=True)
+"""
+
+
+@contextlib.contextmanager
+def frozen(s: Service) -> Iterator[None]:
+    """The service stands still, every thread of it."""
+    s.send(signal.SIGSTOP)
+    tasks = Path(f"/proc/{s.pid}/task")
+    try:
+        until(
+            lambda: {p.read_text().rsplit(")", 1)[1].split()[0] for p in tasks.glob("*/stat")} == {"T"},
+            "standstill",
+        )
+        yield
+    finally:
+        s.send(signal.SIGCONT)
+
+
+def attach_soon(s: Service) -> Client:
+    """Attach though the machine may be busy."""
+
+    def tried() -> Client | None:
+        with contextlib.suppress(NotReadyError):
+            return s.attach()
+        return None
+
+    return until(tried, "an attachment")  # type: ignore[no-any-return]
+
+
+def test_a_forked_child_neither_holds_nor_gives_back_what_is_its_parents(make_service: Make) -> None:
+    s = make_service().start()
+    with s.attach() as client, program(FORKER, s.name) as parent:
+        child = int(said(parent).split()[1])
+        try:
+            before = client.status()["poses"]
+            until(lambda: client.status()["poses"] > before + 10, "the parent goes on")
+            until(lambda: client.status()["main"]["pose_pid"] == parent.pid, "it holds the pose")
+            parent.kill()
+            parent.wait()
+            os.kill(child, 0)
+            free_of_poses(s)
+            until(lambda: client.status()["main"]["clients"] == 1, "the child keeps no slot")
+            client.ee_pos(POSE)
+        finally:
+            os.kill(child, signal.SIGKILL)
+        client.release_pose()
+        with program(OWN_SLOT, s.name) as parent:
+            assert said(parent) == "child 0"
+
+
+def test_a_request_does_not_overtake_one_that_the_service_has_not_seen(make_service: Make) -> None:
+    s = make_service().start()
+    with s.attach(stale_min_s=3600.0) as client:
+        with frozen(s):
+            first = client.sf_reset(0.11, wait=False)
+            with pytest.raises(BusyError, match="still under way"):
+                client.sf_reset(0.12, wait=False)
+            with pytest.raises(BusyError):
+                client.set_params(range_size=7, timeout_s=0.05)
+            assert not first.done()
+        assert first.result() == 0
+        assert client.params()["offset_m"] == 0.11
+        assert client.sf_reset(0.12, wait=False).result() == 0
+        # a call that waits waits for its turn too, and each ticket gets its own answer
+        tickets = [client.map_reset((0.0, 0.0, 0.1, 0.1), wait=False)]
+        client.sf_reset(0.1)
+        client.set_params(range_size=5)
+        client.map_refocus((0.0, 0.0, 0.05, 0.05))
+        assert tickets[0].done()
+        assert tickets[0].result(0.0) == 0
+
+
+def test_a_request_that_was_wiped_out_does_not_block_the_next_for_ever(
+    make_service: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from surffollow.client import requests
+
+    s = make_service().start()
+    with s.attach(stale_min_s=3600.0) as client:
+        with frozen(s):
+            lost = client.sf_reset(0.11, wait=False)
+            client._in_words[client._request_index] -= 1
+        with pytest.raises(BusyError):
+            client.sf_reset(0.12, wait=False)
+        monkeypatch.setattr(requests, "LOST_S", 0.0)
+        client.sf_reset(0.12)
+        assert not lost.done()
+        assert client.params()["offset_m"] == 0.12
+
+
+def test_a_cut_inbox_is_an_error_for_a_client_that_asks_and_no_crash(make_service: Make) -> None:
+    s = make_service().start()
+    path = Path(f"/dev/shm/{s.name}.inbox")
+    size = path.stat().st_size
+    with s.attach(stale_min_s=3600.0) as client:
+        client.ee_pos(POSE)
+        with frozen(s):
+            os.truncate(path, 0)
+            with pytest.raises(NotReadyError, match="mends"):
+                client.sf_reset(0.11, wait=False)
+            client._next_look_ns = 0
+            with pytest.raises(NotReadyError):
+                client.ee_pos(POSE)
+            with pytest.raises(NotReadyError):
+                client._claim_slot()
+        until(lambda: path.stat().st_size == size, "the inbox is whole again")
+        client.sf_reset(0.11)
+        until(lambda: client.ee_pos(POSE) is None)
+    attach_soon(s).close()
+
+
+def test_an_inbox_whose_header_was_overwritten_is_mended_and_attached_to(make_service: Make) -> None:
+    s = make_service().start()
+    with s.attach() as client:
+        client._in[0:64] = os.urandom(64)
+        with attach_soon(s) as late:
+            late.sf_reset(0.1)
+        assert "1 times" in until(lambda: client.status()["main"]["text"], "the fault is told")
+        assert client.status()["main"]["faults"] & 8
+
+
+def test_an_inbox_that_is_not_the_boards_is_refused(make_service: Make) -> None:
+    s = make_service().start()
+    path = Path(f"/dev/shm/{s.name}.inbox")
+    content = bytearray(path.read_bytes())
+    content[lb.InboxHeader.offset("epoch")] ^= 1
+    path.rename(path.with_suffix(".aside"))
+    try:
+        path.write_bytes(content)
+        with pytest.raises(NotReadyError, match="does not belong to the running service"):
+            s.attach()
+        if os.geteuid() == 0:
+            content[lb.InboxHeader.offset("epoch")] ^= 1
+            path.write_bytes(content)
+            os.chown(path, NOBODY, NOBODY)
+            with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}"):
+                s.attach()
+    finally:
+        path.with_suffix(".aside").rename(path)
+    s.attach().close()
+
+
+@pytest.mark.parametrize(
+    ("how", "why"),
+    [
+        pytest.param("owner", f"belongs to user {NOBODY}", marks=ROOT_ONLY),
+        ("mode", "others could write it"),
+        ("link", "another name"),
+    ],
+)
+def test_a_map_that_another_could_have_made_or_changed_is_not_adopted(
+    make_service: Make, how: str, why: str
+) -> None:
+    s = make_service()
+    rooms = house.open_house(s.settings())
+    rooms.leave()
+    path, other = Path(f"/dev/shm/{s.name}.map"), Path(f"/dev/shm/{s.name}.map-2")
+    before = path.read_bytes()
+    if how == "owner":
+        os.chown(path, NOBODY, NOBODY)
+    elif how == "mode":
+        path.chmod(0o660)
+    else:
+        os.link(path, other)
+    try:
+        with pytest.raises(NoPermissionError, match=why):
+            house.open_house(s.settings())
+    finally:
+        other.unlink(missing_ok=True)
+    assert path.read_bytes() == before, "nothing of it was touched"
+    path.chmod(0o600)
+    if os.geteuid() == 0:
+        os.chown(path, 0, 0)
+    house.open_house(s.settings()).leave()
+    assert path.stat().st_mode & 0o777 == 0o640, "and it gets the mode that the configuration says"
+
+
+@pytest.mark.parametrize("ending", [".inbox", ".map", ".world"])
+def test_a_service_named_like_an_object_of_another_is_refused_and_that_one_goes_on(
+    make_service: Make, ending: str
+) -> None:
+    s = make_service().start()
+    before = objects_of(s.name)
+    for verb in ("start", "stop", "status", "robot", "record"):
+        done = subprocess.run(
+            [sys.executable, "-m", "surffollow", verb, "--name", s.name + ending],
+            capture_output=True,
+            text=True,
+            timeout=READY_S,
+        )
+        assert done.returncode == 2, (verb, done.stderr)
+        assert "cannot be called" in done.stderr, verb
+    with pytest.raises(NameError_):
+        house.open_house(msgspec.structs.replace(s.settings(), name=s.name + ending))
+    assert objects_of(s.name) == before
+    with s.attach() as client:
+        client.sf_reset(0.1)
+
+
+def test_a_service_whose_map_was_removed_by_hand_keeps_its_name(make_service: Make) -> None:
+    s = make_service().start()
+    unlink(f"{s.name}.map")
+    with pytest.raises(AlreadyRunningError, match=f"pid {s.pid}"):
+        house.open_house(s.settings())
+    assert objects_of(s.name) == {s.name, f"{s.name}.inbox"}, "and the attempt leaves nothing behind"
+    s.attach().close()
+    assert s.run("stop", "--purge").returncode == 0, "it is still the one to stop"
+    assert objects_of(s.name) == set()
+
+
+def test_a_block_of_somebody_elses_under_the_services_name_is_not_removed(make_service: Make) -> None:
+    s = make_service()
+    s.name += ".scan"
+    path = Path(f"/dev/shm/{s.name}")
+    path.write_bytes(b"SURFBLK1" + bytes(4096))
+    try:
+        with pytest.raises(BlockError, match="no service's board"):
+            house.open_house(s.settings())
+        assert objects_of(s.name) == {s.name}
+        assert s.run("stop", "--purge").returncode == 1
+        assert objects_of(s.name) == {s.name}
+    finally:
+        path.unlink()
+
+
+def test_the_lock_of_a_refused_map_is_given_back(make_service: Make) -> None:
+    s = make_service()
+    house.open_house(s.settings()).leave()
+    map_ = SharedObject.open(f"{s.name}.map", writable=True)
+    os.fchmod(map_.fd, 0o666)
+    with pytest.raises(NoPermissionError):
+        house.open_house(s.settings())
+    assert not map_.is_locked(lb.NAME_LOCK_BYTE)
+    map_.close()
+    unlink(f"{s.name}.map")

@@ -1,0 +1,92 @@
+"""Robot, simulated sensors and the follower's kernels over a curved shell, without processes or clocks."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from shell_loop import ShellLoop
+from surffollow.hw.faults import FaultConfig
+from surffollow.shm.layout_follow import VALID
+from surffollow.sim.robot import RobotConfig
+from surffollow.sim.world_surface import WorldConfig
+
+DOME = WorldConfig(surface="dome", region=(0.0, 0.0, 1.2, 1.0), grid_m=2e-3)
+# down the steep side, round the turn and back
+REGION = (0.63, 0.35, 0.99, 0.65)
+
+
+def follow(seconds: float, sensors: int = 4, faults: tuple[FaultConfig, ...] = ()) -> ShellLoop:
+    task = RobotConfig(
+        world=DOME,
+        path="raster",
+        region=REGION,
+        speed_mps=0.1,
+        lane_m=0.1,
+        seconds=seconds,
+        turn=True,
+        unscored_m=0.03,
+    )
+    loop = ShellLoop(task, sensors, faults)
+    loop.run(seconds + 3.0)
+    return loop
+
+
+def scored(loop: ShellLoop) -> dict[str, Any]:
+    trace = loop.core.trace()
+    return {k: v[trace["scored"] > 0] for k, v in trace.items()}
+
+
+def changes(loop: ShellLoop) -> tuple[np.ndarray, np.ndarray]:
+    """Changes of the demand from cycle to cycle of one pose, after the start: z [m], rotation [rad]."""
+    demand, pose, status = (loop.column(n) for n in ("demand", "pose_t_ns", "status"))
+    same = (pose[1:] == pose[:-1]) & (status[1:] & status[:-1] & VALID != 0)
+    same &= np.arange(1, len(pose)) > 1500
+    step = np.diff(demand, axis=0)[same]
+    return np.abs(step[:, 2]), np.linalg.norm(step[:, 3:], axis=1)
+
+
+@pytest.mark.parametrize("sensors", [3, 4])
+def test_the_tool_keeps_its_stand_off_and_stays_normal_to_a_shell(sensors: int) -> None:
+    loop = follow(5.0, sensors)
+    summary, trace = loop.core.summary(), scored(loop)
+    assert np.degrees(trace["tilt_rad"]).max() > 17.0
+    # a ring alone cannot tell the shell's bulge, 0.45 mm
+    assert summary["standoff_rms_m"] <= (0.4e-3 if sensors == 4 else 0.7e-3)
+    assert math.degrees(summary["angle_rms_rad"]) <= 0.4
+    assert loop.controller.held < 20
+
+
+def test_sensors_that_drop_out_one_by_one_and_come_back_make_no_jump_on_a_shell() -> None:
+    faults = (
+        FaultConfig("dropout", 1.8, 4.6, channel=0),
+        FaultConfig("invalid", 2.4, 4.2, channel=3),
+        FaultConfig("dropout", 3.0, 3.8, channel=1),
+    )
+    loop = follow(5.5, 4, faults)
+    beams = loop.column("beams")
+    assert {0b0100, 0b0110, 0b1110, 0b1111} <= set(beams.tolist())
+    rise, turn = changes(loop)
+    assert rise.max() < 1e-3
+    assert turn.max() <= 1.02e-3  # max_turn_speed_radps at 1 kHz, as a rotation vector
+    demand = loop.column("demand")
+    assert np.isfinite(demand).all()
+    assert (loop.column("status")[1500:] & VALID != 0).all()
+    trace = scored(loop)
+    assert np.abs(trace["standoff_m"] - 0.1).max() < 5e-3
+    assert np.degrees(trace["angle_rad"]).max() < 8.0
+    settled = trace["t_s"] > 5.6
+    assert np.degrees(trace["angle_rad"][settled]).max() < 1.0
+
+
+@pytest.mark.parametrize("kind", ["stuck", "spike"])
+def test_one_bad_sensor_of_four_hardly_moves_the_tool(kind: Any) -> None:
+    loop = follow(4.0, 4, (FaultConfig(kind, 1.5, 5.0, channel=2),))
+    trace, (rise, turn) = scored(loop), changes(loop)
+    assert np.abs(trace["standoff_m"] - 0.1).max() < 1.5e-3
+    assert np.degrees(trace["angle_rad"]).max() < 2.0
+    assert rise.max() < 1e-3
+    assert turn.max() <= 1.02e-3
