@@ -10,16 +10,15 @@ Times are int64 ns of any one clock, which may begin at 0. A reading's stamp may
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.config.params import PARAMS, check_param, param_name
+from surffollow.config.params import check_param, param_name
 from surffollow.errors import ConfigError, PoseError, UsageError
+from surffollow.follower.setup import QUATERNION_TOLERANCE, Config, check_window, read_setup
 from surffollow.forecast.adaptive_bank import N
 from surffollow.forecast.adaptive_memory import new_memory, recall_ahead, remember_output
 from surffollow.forecast.horizon import forecast_range
@@ -37,85 +36,13 @@ from surffollow.shm.layout_follow import (
     Output,
     Params,
 )
-from surffollow.units import parse_quantity
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
-Config = Mapping[str, Any] | str | Path | None
 
 RECALL_NS = 5_000_000  # remembered ground is looked up at most so often
 PAUSE_NS = 1_000_000_000
-TOO_CLOSE_BEYOND_M = 0.15 * 0.0254  # beyond the near limit of a sensor given by its window
-TOO_CLOSE_EXIT_M = 0.3 * 0.0254
-QUATERNION_TOLERANCE = 1e-3
 MOST_POSITION_M = 1e9  # as the service's client
-MOST_MOUNT_M = 1e3
 ASTRAY_NS = 1_000_000_000  # a pose so far ahead of the steps and of a newer report was stamped wrongly
-# what differs from the service's defaults: readings come ready-made and stamped with their own time
-IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "pose_interpolate": 1}
 # the kernels take a reading at 0 ns for none: their time runs ahead of the caller's by an hour
 _SHIFT_NS = 3_600_000_000_000
-_MODES = {"default": "adaptive", "ours": "adaptive"}
-_PLANT = {"tau_s": "plant_tau_s", "v_max_mps": "plant_v_max_mps", "a_max_mps2": "plant_a_max_mps2"}
-
-
-def _read(config: Config) -> dict[str, Any]:
-    """The configuration as a dictionary; of a service's file its [follow]."""
-    if config is None:
-        return {}
-    if isinstance(config, (str, Path)):
-        try:
-            data: dict[str, Any] = tomllib.loads(Path(config).read_text(encoding="utf-8"))
-        except OSError as e:
-            raise ConfigError(f"cannot read configuration {config}: {e.strerror}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
-            raise ConfigError(f"{config} is not TOML: {e}") from None
-    elif isinstance(config, Mapping):
-        data = dict(config)
-    else:
-        raise ConfigError(f"config is {config!r}; it must be a dictionary, a TOML file's path or None")
-    if not all(isinstance(key, str) for key in data):
-        raise ConfigError("keys of the configuration must be text")
-    if not isinstance(data.get("follow"), Mapping):
-        return data
-    beside = sorted(str(k) for k in data if k != "follow")
-    if beside and not isinstance(config, (str, Path)):
-        raise ConfigError(f"give {', '.join(beside)} inside 'follow', or no 'follow' at all")
-    return dict(data["follow"])
-
-
-def _numbers(value: object, count: int, unit: str, key: str) -> list[float]:
-    if not isinstance(value, (list, tuple, np.ndarray)) or len(value) != count:
-        raise ConfigError(f"{key} is {value!r}; it must be {count} numbers")
-    try:
-        return [parse_quantity(float(v) if isinstance(v, np.number) else v, unit) for v in value]
-    except ValueError as e:
-        raise ConfigError(f"{key}: {e}") from None
-
-
-def _mounts(sensors: object) -> list[dict[str, Any]]:
-    """Check the `sensors` list: mount and window of every channel."""
-    if not isinstance(sensors, (list, tuple)) or not 1 <= len(sensors) <= CHANNELS:
-        raise ConfigError(f"sensors must be a list of 1 to {CHANNELS} tables, not {sensors!r}")
-    mounts: list[dict[str, Any]] = []
-    for n, s in enumerate(sensors):
-        where = f"sensors[{n}]"
-        known = {"position_m", "orientation", "near_m", "far_m"}
-        if not isinstance(s, Mapping) or not set(s) <= known:
-            raise ConfigError(f"{where} is {s!r}; its keys are {', '.join(sorted(known))}")
-        q = np.array(_numbers(s.get("orientation", (0.0, 0.0, 0.0, 1.0)), 4, "1", f"{where}.orientation"))
-        if abs(float(np.linalg.norm(q)) - 1.0) > QUATERNION_TOLERANCE:
-            raise ConfigError(
-                f"{where}.orientation is {q.tolist()}; it must be a unit quaternion qx qy qz qw"
-            )
-        position = _numbers(s.get("position_m", (0.0, 0.0, 0.0)), 3, "m", f"{where}.position_m")
-        if not all(abs(v) <= MOST_MOUNT_M for v in position):
-            raise ConfigError(f"{where}.position_m is {position}; it must be within {MOST_MOUNT_M:g} m")
-        mounts.append({"pose": [*position, *(q / np.linalg.norm(q)).tolist()], **s})
-    return mounts
 
 
 def _real(value: object) -> float:
@@ -123,13 +50,6 @@ def _real(value: object) -> float:
     if isinstance(value, (str, bytes, bool, np.bool_, complex)):
         raise TypeError(value)
     return float(value)  # type: ignore[arg-type]
-
-
-def _check_window(params: Any) -> None:
-    """Raise when no reading could ever be valid."""
-    low, high = float(params["range_min_m"][0]), float(params["range_max_m"][0])
-    if not low < high:
-        raise ConfigError(f"range_min_m is {low:g} m and range_max_m {high:g} m; the first must be less")
 
 
 def _kernel_time(t_ns: int) -> int:
@@ -167,45 +87,18 @@ class Follower:
         self._pose = np.zeros(7)
         self._n_preview, self._previews = self._inputs["n_preview"], self._params["preview"]
         self._recalled_ns = self._latest_ns = 0
-        data = _read(config)
-        remembers = data.pop("memory", True)
-        if not isinstance(remembers, bool):
-            raise ConfigError(f"memory is {remembers!r}; it must be true or false")
-        self._configure(data)
+        setup = read_setup(config)
+        for name, number in setup.values.items():
+            self._params[name] = number
+        self._params["n_channels"] = len(setup.mounts)
+        mounts = self._params["tool_from_sensor"][0].reshape(CHANNELS, 7)
+        mounts[:, 6] = 1.0
+        mounts[: len(setup.mounts)] = setup.mounts
         adaptive = self._params["mode"][0] == MODE_ADAPTIVE
-        self._memory = new_memory() if remembers and adaptive else None
+        self._memory = new_memory() if setup.remembers and adaptive else None
         if offset_m is not None:
             self._set("offset_m", offset_m)
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
-
-    def _configure(self, data: dict[str, Any]) -> None:
-        values = {name: spec.default for name, spec in PARAMS.items()} | IN_PROCESS
-        self._params["tool_from_sensor"][0].reshape(CHANNELS, 7)[:, 6] = 1.0
-        mounts = _mounts(data.pop("sensors", [{}]))
-        self._params["n_channels"] = len(mounts)
-        for n, m in enumerate(mounts):
-            self._params["tool_from_sensor"][0, 7 * n : 7 * n + 7] = m["pose"]
-        windows = [m for m in mounts if "near_m" in m]
-        if windows:
-            values["range_min_m"] = min(check_param("range_min_m", m["near_m"]) for m in windows)
-            values["too_close_m"] = values["range_min_m"] + TOO_CLOSE_BEYOND_M
-            values["too_close_exit_m"] = values["range_min_m"] + TOO_CLOSE_EXIT_M
-        if any("far_m" in m for m in mounts):
-            values["range_max_m"] = max(
-                check_param("range_max_m", m["far_m"]) for m in mounts if "far_m" in m
-            )
-        plant = data.pop("plant", {})
-        if not isinstance(plant, Mapping) or not set(plant) <= set(_PLANT):
-            raise ConfigError(f"plant is {plant!r}; its keys are {', '.join(_PLANT)}")
-        for key, value in plant.items():
-            values[_PLANT[key]] = check_param(_PLANT[key], value)
-        if isinstance(data.get("mode"), str):
-            data["mode"] = _MODES.get(data["mode"], data["mode"])
-        for name, value in data.items():
-            values[param_name(name)] = check_param(name, value)
-        for name, number in values.items():
-            self._params[name] = number
-        _check_window(self._params)
 
     def _set(self, name: str, value: object) -> None:
         self._params[param_name(name)] = check_param(name, value)
@@ -225,7 +118,7 @@ class Follower:
         trial = self._params.copy()
         for name, number in checked.items():
             trial[name] = number
-        _check_window(trial)
+        check_window(float(trial["range_min_m"][0]), float(trial["range_max_m"][0]))
         self._params[:] = trial
 
     def reset(self, offset_m: float | None = None) -> None:

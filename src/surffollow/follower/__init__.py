@@ -1,0 +1,5 @@
+"""The embedders' door: `Follower`, the service's kernels in process."""
+
+from surffollow.follower.in_process import Follower
+
+__all__ = ["Follower"]
