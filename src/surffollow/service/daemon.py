@@ -13,32 +13,35 @@ from collections.abc import Callable
 
 import numpy as np
 
-from surffollow.config.params import PARAMS
-from surffollow.config.service import ServiceConfig, follow_params, seconds
-from surffollow.errors import ConfigError, ServiceError
+from surffollow.config.service import ServiceConfig, seconds
+from surffollow.errors import ServiceError
 from surffollow.forecast.step import sf_reset
 from surffollow.hw.driver import ConversionQueue, Driver
 from surffollow.hw.registry import make_driver
 from surffollow.service import memory as m
 from surffollow.service import realtime
-from surffollow.service.cut_inbox import mend_inbox, survive_cuts
+from surffollow.service.beat import FAULT_CYCLE_STALLED, Beat
+from surffollow.service.cut_inbox import survive_cuts
 from surffollow.service.cycle import run_cycles
 from surffollow.service.house import House, open_house
+from surffollow.service.initialise import (
+    initialise_constants,
+    initialise_log,
+    initialise_memory,
+    make_sample_ring,
+)
 from surffollow.service.mapper import run_map
 from surffollow.service.mapper_memory import make_map_memory
 from surffollow.service.notify import CompileProgress, sd_notify
 from surffollow.service.requests import publish_params
 from surffollow.service.side_compile import SideCompile, note_complete
 from surffollow.shm import layout_board as lb
-from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch import latch_write
-from surffollow.shm.layout_follow import CHANNELS, INTERVALS, POSES, Output
+from surffollow.shm.layout_follow import Output
 from surffollow.shm.python_atomics import load_acquire, store_release
-from surffollow.shm.ring import make_ring
 
 BEAT_S = 0.05
 END_S = 8.0  # for both threads to end, the map's queue applied
-FAULT_DRIVER, FAULT_CYCLE_STALLED, FAULT_SAMPLES_LOST, FAULT_INBOX_CUT = 1, 2, 4, 8  # SERVICE_FAULT_NAMES
 
 
 class Daemon:
@@ -51,80 +54,19 @@ class Daemon:
         self.house: House = open_house(config)
         try:
             self.queue = ConversionQueue(1 << 15)
-            self.mem = self._initialise_memory()
+            self.samples = make_sample_ring(config, int(self.house.header[0]["period_ns"]))
+            self.mem = initialise_memory(config, self.house, self.queue, self.samples)
             self.map_mem = make_map_memory(
                 self.mem.ctx, self.house.map_header, self.house.pairs, self.house.scratch
             )
-            self._initialise_constants()
+            initialise_constants(self.mem.params, config, self.driver.info)
+            initialise_log(config, self.house)
         except BaseException:
             self.house.leave()
             raise
-        self._ticker = zeros(lb.Ticker)
+        self._beat = Beat(self.house, self.mem.ctx, self.driver, self.grants)
         self._errors: list[str] = []
-        self.inbox_cuts = 0
         self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-
-    # -- initialise (paper §3.3.1) ----------------------------------------------------------------
-
-    def _initialise_memory(self) -> m.CycleMemory:
-        config, house = self.config, self.house
-        mem = m.make_cycle_memory(house.map_header, house.pairs)
-        ctx = mem.ctx
-        period = int(house.header[0]["period_ns"])
-        per_second = CHANNELS * 1e9 / period
-        capacity = 1 << max(12, int(np.ceil(np.log2(config.map.queue_seconds * per_second))))
-        capacity = min(capacity, 1 << max(12, int(np.ceil(np.log2(config.map.queue_seconds * 25000)))))
-        self.sample_ring = make_ring(capacity, m.SAMPLE_WORDS)
-        self.sample_ring[:] = 0  # touch every page now, not in a cycle
-        ctx[m.PERIOD_NS] = period
-        # a FIFO thread that never sleeps starves every other one of its processor; a quarter of 100 us is
-        # less than a busy kernel takes to wake it (median lateness 9 us, with half of it 9 ns)
-        spin = round(seconds(config.realtime.spin, "realtime.spin", 0.0, 0.01) * 1e9)
-        ctx[m.SPIN_NS] = min(spin, period // 2)
-        ctx[m.CATCH_UP] = int(config.realtime.overrun == "catch-up")
-        for index, part in (
-            (m.OUTPUT, "output"),
-            (m.PARAMS_LATCH, "params"),
-            (m.ACKS, "acks"),
-            (m.MAP_ACKS, "map_acks"),
-            (m.MAP_STATUS, "map_status"),
-            (m.STATS, "stats"),
-            (m.LOG, "log"),
-        ):
-            ctx[index] = house.address(part)
-        ctx[m.LOG_CAPACITY] = config.log_words
-        ctx[m.INBOX] = house.inbox_bytes.ctypes.data
-        ctx[m.CONVERSIONS], ctx[m.CONVERSIONS_CAPACITY] = self.queue.address, self.queue.capacity
-        ctx[m.SAMPLES], ctx[m.SAMPLES_CAPACITY] = self.sample_ring.ctypes.data, capacity
-        snapshot = seconds(config.snapshot, "snapshot", 0.01, 3600.0)
-        ctx[m.SNAPSHOT_CYCLES] = max(1, round(snapshot * 1e9 / period))
-        ctx[m.LEASE_NS] = round(seconds(config.map.access_lease, "map.access_lease", 0.01, 3600.0) * 1e9)
-        ctx[m.EPOCH] = house.epoch
-        return mem
-
-    def _initialise_constants(self) -> None:
-        p = self.mem.params[0]
-        for name, spec in PARAMS.items():
-            p[name] = spec.default
-        info = self.driver.info
-        p["n_channels"] = info.n_channels
-        p["scale_m"], p["zero_m"] = info.scale_m, info.zero_m
-        p["range_min_m"], p["range_max_m"] = info.range_min_m, info.range_max_m
-        p["sensor_latency_ns"] = info.latency_ns
-        p["tool_from_sensor"] = np.array(info.mounts, np.float64).reshape(-1)
-        for name, value in follow_params(self.config).items():
-            p[name] = value
-        if not p["range_min_m"] < p["offset_m"] < p["range_max_m"]:
-            raise ConfigError(
-                f"offset {p['offset_m']:g} m is outside the sensor's window {p['range_min_m']:g} to "
-                f"{p['range_max_m']:g} m; set follow.offset or the driver's window"
-            )
-        assert 2 * PARAMS["range_size"].high <= INTERVALS
-        assert POSES & (POSES - 1) == 0
-        log_header = zeros(lb.LogHead)
-        log_header[0]["capacity"] = self.config.log_words
-        at = self.house.regions["log"][0]
-        self.house.board_bytes[at : at + lb.LogHead.SIZE] = log_header.view(np.uint8)
 
     # -- run --------------------------------------------------------------------------------------
 
@@ -169,7 +111,7 @@ class Daemon:
             store_release(stop, 1)
             run_map(self.map_mem)
             publish_params(self.mem)
-            self.beat()
+            self._beat.beat()
             self.driver.start(self.queue)
         store_release(stop, 0)
         note_complete()
@@ -223,39 +165,9 @@ class Daemon:
                 stalled = not stalled
                 said = f"stands still for {now - since:.3g} s; does another process hold its processor?"
                 tell(f"the cycle {said if stalled else 'runs again'}")
-            self.beat(FAULT_CYCLE_STALLED if stalled else 0)
+            self._beat.beat(FAULT_CYCLE_STALLED if stalled else 0)
             if self._errors:
                 raise ServiceError("; ".join(self._errors))
-
-    def beat(self, faults: int = 0) -> None:
-        """Look for dead clients, publish the main thread's view."""
-        self.inbox_cuts += mend_inbox(self.house.inbox, self.house.inbox_bytes.ctypes.data)
-        dead = self.mem.ctx.ctypes.data + 8 * m.DEAD
-        live, pose_pid, told_ns = 0, 0, time.monotonic_ns()  # before what it tells was looked at
-        pose_slot = int(self.mem.ctx[m.POSE_SLOT])
-        for slot in range(lb.CLIENTS):
-            start, looked_ns = lb.PAGE + slot * lb.SLOT_BYTES, time.monotonic_ns()
-            if not self.house.inbox.is_locked(start):
-                store_release(dead + 8 * slot, looked_ns)
-                continue
-            store_release(dead + 8 * slot, 0)
-            live += 1
-            if slot == pose_slot:
-                at = self.house.inbox_bytes.ctypes.data + start + lb.SLOT_HEAD
-                pose_pid = int(load_acquire(at + lb.SlotHead.offset("pid")))
-        texts = [*self.driver.faults(), *self.grants.refused]
-        if self.inbox_cuts:
-            faults |= FAULT_INBOX_CUT
-            texts.append(
-                f"a client damaged the inbox {self.inbox_cuts} times (size or header); it was mended"
-            )
-        faults |= FAULT_DRIVER if self.driver.faults() else 0
-        faults |= FAULT_SAMPLES_LOST if int(self.mem.ctx[m.LOST]) else 0
-        t = self._ticker[0]
-        t["t_ns"], t["pose_slot"], t["pose_pid"] = told_ns, pose_slot, pose_pid
-        t["clients"], t["granted"], t["faults"] = live, self.grants.bits, faults
-        t["text"] = "; ".join(texts).encode()[:511]
-        latch_write(self.house.address("ticker"), self._ticker.ctypes.data, lb.Ticker.SIZE)
 
     def _end(self, threads: list[threading.Thread]) -> None:
         sd_notify("STOPPING=1")

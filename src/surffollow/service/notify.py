@@ -27,7 +27,7 @@ class CompileProgress:
     """Shows which kernel numba compiles while a cold start lasts."""
 
     def __init__(self, quiet: bool = False) -> None:
-        self.quiet, self.count, self._depth = quiet, 0, 0
+        self.quiet, self.count = quiet, 0
         self._start = self._told = time.monotonic()
         self._tty = sys.stderr.isatty()
         self._guard: Any = None

@@ -1,0 +1,104 @@
+"""Initialise a service's memory and constants (paper §3.3.1)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.config.params import PARAMS
+from surffollow.config.service import ServiceConfig, follow_params, seconds
+from surffollow.errors import ConfigError
+from surffollow.hw.driver import ConversionQueue, DriverInfo
+from surffollow.service import memory as m
+from surffollow.service.house import House
+from surffollow.shm import layout_board as lb
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_follow import CHANNELS, INTERVALS, POSES
+from surffollow.shm.ring import make_ring
+
+
+def make_sample_ring(config: ServiceConfig, period_ns: int) -> tuple[NDArray[Any], int]:
+    """The map's queue with its capacity in samples, every page touched: not in a cycle."""
+    per_second = min(CHANNELS * 1e9 / period_ns, 25000)
+    capacity = 1 << max(12, int(np.ceil(np.log2(config.map.queue_seconds * per_second))))
+    ring = make_ring(capacity, m.SAMPLE_WORDS)
+    ring[:] = 0
+    return ring, capacity
+
+
+def initialise_memory(
+    config: ServiceConfig, house: House, queue: ConversionQueue, samples: tuple[NDArray[Any], int]
+) -> m.CycleMemory:
+    """Memory of the cycle thread, which knows where everything lies and how it is to run.
+
+    Parameters
+    ----------
+    config : ServiceConfig
+    house : House                     the service's shared memory
+    queue : ConversionQueue           what the driver fills
+    samples : ring and capacity       of `make_sample_ring`; must live as long as the memory
+    """
+    mem = m.make_cycle_memory(house.map_header, house.pairs)
+    ctx = mem.ctx
+    period = int(house.header[0]["period_ns"])
+    ctx[m.PERIOD_NS] = period
+    # a FIFO thread that never sleeps starves every other one of its processor; a quarter of 100 us is
+    # less than a busy kernel takes to wake it (median lateness 9 us, with half of it 9 ns)
+    spin = round(seconds(config.realtime.spin, "realtime.spin", 0.0, 0.01) * 1e9)
+    ctx[m.SPIN_NS] = min(spin, period // 2)
+    ctx[m.CATCH_UP] = int(config.realtime.overrun == "catch-up")
+    for index, part in (
+        (m.OUTPUT, "output"),
+        (m.PARAMS_LATCH, "params"),
+        (m.ACKS, "acks"),
+        (m.MAP_ACKS, "map_acks"),
+        (m.MAP_STATUS, "map_status"),
+        (m.STATS, "stats"),
+        (m.LOG, "log"),
+    ):
+        ctx[index] = house.address(part)
+    ctx[m.LOG_CAPACITY] = config.log_words
+    ctx[m.INBOX] = house.inbox_bytes.ctypes.data
+    ctx[m.CONVERSIONS], ctx[m.CONVERSIONS_CAPACITY] = queue.address, queue.capacity
+    ctx[m.SAMPLES], ctx[m.SAMPLES_CAPACITY] = samples[0].ctypes.data, samples[1]
+    snapshot = seconds(config.snapshot, "snapshot", 0.01, 3600.0)
+    ctx[m.SNAPSHOT_CYCLES] = max(1, round(snapshot * 1e9 / period))
+    ctx[m.LEASE_NS] = round(seconds(config.map.access_lease, "map.access_lease", 0.01, 3600.0) * 1e9)
+    ctx[m.EPOCH] = house.epoch
+    return mem
+
+
+def initialise_constants(params: Any, config: ServiceConfig, info: DriverInfo) -> None:
+    """Fill in the parameters: their defaults, what the driver says of its sensors, the configuration.
+
+    Raises
+    ------
+    ConfigError  the stand-off lies outside the sensor's window
+    """
+    assert 2 * PARAMS["range_size"].high <= INTERVALS
+    assert POSES & (POSES - 1) == 0
+    p = params[0]
+    for name, spec in PARAMS.items():
+        p[name] = spec.default
+    p["n_channels"] = info.n_channels
+    p["scale_m"], p["zero_m"] = info.scale_m, info.zero_m
+    p["range_min_m"], p["range_max_m"] = info.range_min_m, info.range_max_m
+    p["sensor_latency_ns"] = info.latency_ns
+    p["tool_from_sensor"] = np.array(info.mounts, np.float64).reshape(-1)
+    for name, value in follow_params(config).items():
+        p[name] = value
+    if not p["range_min_m"] < p["offset_m"] < p["range_max_m"]:
+        raise ConfigError(
+            f"offset {p['offset_m']:g} m is outside the sensor's window {p['range_min_m']:g} to "
+            f"{p['range_max_m']:g} m; set follow.offset or the driver's window"
+        )
+
+
+def initialise_log(config: ServiceConfig, house: House) -> None:
+    """An empty cycle log in the board."""
+    log_header = zeros(lb.LogHead)
+    log_header[0]["capacity"] = config.log_words
+    at = house.regions["log"][0]
+    house.board_bytes[at : at + lb.LogHead.SIZE] = log_header.view(np.uint8)
