@@ -26,10 +26,10 @@ import numpy as np  # noqa: E402
 from report import bar, finish  # noqa: E402
 from running_service import READY_S, Service, World, config_text, objects_of, unique_name  # noqa: E402
 from surffollow.client import observe  # noqa: E402
-from surffollow.client.map_reader import open_map  # noqa: E402
 from surffollow.errors import SurffollowError  # noqa: E402
 from surffollow.shm import map_layout as ml  # noqa: E402
 from surffollow.shm.dtypes import numpy_dtype  # noqa: E402
+from surffollow.shm.objects import SharedObject  # noqa: E402
 
 HEALTH_S = 90.0
 GRIDS = 20_000
@@ -104,7 +104,7 @@ class Part:
 def map_of(name: str) -> tuple[Any, Any, tuple[Any, ...]] | None:
     """Heights, counts and shape of the kept map; None when there is none yet."""
     try:
-        map_ = open_map(name)
+        map_ = SharedObject.open(f"{name}.map")
     except SurffollowError:
         return None
     data = np.frombuffer(bytes(map_.memory), np.uint8)

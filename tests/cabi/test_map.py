@@ -15,8 +15,9 @@ import pytest
 from cabi.running import Probe, Service
 from surffollow.client import Client, attach
 from surffollow.client.map_reader import copy_map
-from surffollow.errors import RefusedError, RequestTimeoutError
+from surffollow.errors import MapFileError, RefusedError, RequestTimeoutError
 from surffollow.map.lookup import height_at
+from surffollow.map.text_file import OTHER_SUFFIXES
 from surffollow.shm import map_layout as ml
 from surffollow.shm.layout_follow import POSE_STALE
 
@@ -294,6 +295,27 @@ def test_upload_follows_links_and_keeps_the_files_mode(probe: Probe, tmp_path: P
     (tmp_path / "round").symlink_to("round")
     assert probe(f"upload {tmp_path / 'round'}").result == -32
     assert sorted(p.name for p in (tmp_path / "folder").iterdir()) == ["made.txt", "real.txt", "two"]
+
+
+@pytest.mark.parametrize("suffix", [*OTHER_SUFFIXES, ".PNG"])
+def test_upload_refuses_the_suffixes_that_the_python_client_refuses(
+    probe: Probe, robot: Client, tmp_path: Path, suffix: str
+) -> None:
+    target = tmp_path / f"map{suffix}"
+    with pytest.raises(MapFileError, match="another format"):
+        robot.upload_map(target)
+    answer = probe(f"upload {target}")
+    assert (answer.result, answer.detail) == (-32, errno.EINVAL)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["map", "map.npz.txt", ".png", "map.tif.", "folder.tif/map"])
+def test_upload_goes_by_the_last_suffix_of_the_name_alone(
+    probe: Probe, robot: Client, tmp_path: Path, name: str
+) -> None:
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    assert probe(f"upload {tmp_path / name}").result == OK
+    robot.upload_map(tmp_path / name)
 
 
 def test_parts_that_a_killed_upload_left_hinder_no_later_one(probe: Probe, tmp_path: Path) -> None:

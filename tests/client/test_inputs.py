@@ -10,13 +10,14 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from running_service import POSE, Service, drive, until
-from surffollow.client import Client, board
+from surffollow.client import Client, attach, board, observe
 from surffollow.client.beliefs import beliefs, numbered_faults
 from surffollow.config.params import PARAMS, param_name
 from surffollow.errors import (
     ClosedError,
     ConfigError,
     LayoutMismatchError,
+    NameError_,
     NotRunningError,
     PoseError,
     RefusedError,
@@ -241,6 +242,18 @@ def test_a_client_of_another_layout_is_refused_with_both_hashes(
         service.attach()
     with pytest.raises(LayoutMismatchError):
         service.observe()
+
+
+@pytest.mark.parametrize(
+    "name", ["", "a/b", "../surf", ".surf", "a b", "x" * 49, "surf.map", "surf.inbox", None, 7]
+)
+@pytest.mark.parametrize("look", [attach, observe])
+def test_a_name_that_no_service_can_have_is_a_value_error(
+    look: Callable[[str], object], name: object
+) -> None:
+    with pytest.raises(NameError_, match=r"not allowed|cannot be called") as caught:
+        look(name)  # type: ignore[arg-type]
+    assert isinstance(caught.value, ValueError)
 
 
 def test_a_stopped_service_refuses_requests_at_once(make_service: Callable[..., Service]) -> None:

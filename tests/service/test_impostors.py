@@ -205,6 +205,31 @@ def test_an_inbox_that_is_not_the_boards_is_refused(make_service: Make) -> None:
     s.attach().close()
 
 
+@ROOT_ONLY
+def test_a_map_of_another_user_than_the_boards_is_not_read(make_service: Make, tmp_path: Path) -> None:
+    s = make_service().start()
+    path = Path(f"/dev/shm/{s.name}.map")
+    content = path.read_bytes()
+    path.rename(path.with_suffix(".aside"))
+    try:
+        path.write_bytes(content)
+        os.chown(path, NOBODY, NOBODY)
+        with s.attach() as client, s.observe() as watcher:
+            for read in (
+                lambda: watcher.map_height(0.0, 0.0),
+                lambda: watcher.map_surface(0.0, 0.0),
+                watcher.map_window,
+                watcher.map_changes,
+                lambda: client.upload_map(tmp_path / "map.txt"),
+            ):
+                with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, the board to user 0"):
+                    read()
+    finally:
+        path.with_suffix(".aside").rename(path)
+    with s.observe() as watcher:
+        assert watcher.map_height(0.0, 0.0) != 0.0
+
+
 @pytest.mark.parametrize(
     ("how", "why"),
     [

@@ -43,6 +43,7 @@ def attach(
 
     Raises
     ------
+    NameError_            (a ValueError) no name that a service can have
     NotRunningError       no service of that name
     NoPermissionError     not a member of the inbox's group
     LayoutMismatchError   the service is of another release

@@ -7,7 +7,13 @@ import time
 from typing import Any
 
 from surffollow.client.fence import fence
-from surffollow.errors import BlockError, ClosedError, LayoutMismatchError, NotReadyError
+from surffollow.errors import (
+    BlockError,
+    ClosedError,
+    LayoutMismatchError,
+    NoPermissionError,
+    NotReadyError,
+)
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.layout_board import (
     BOARD_MAGIC,
@@ -165,3 +171,17 @@ class Board:
         if words is not CLOSED:
             words.release()
         self.object.close()
+
+
+def check_owner(part: SharedObject, board: Board) -> None:
+    """See that another object under a service's name belongs to the user that the board belongs to.
+
+    Raises
+    ------
+    NoPermissionError   it does not: somebody else made it
+    """
+    if part.owner != board.object.owner:
+        raise NoPermissionError(
+            f"block {part.name!r} belongs to user {part.owner}, the board to user {board.object.owner}: "
+            "it is not the service's; remove it and restart the service"
+        )

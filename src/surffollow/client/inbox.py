@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 
-from surffollow.client.board import LAYOUT_HASH, Board
-from surffollow.errors import NoPermissionError, NotReadyError
+from surffollow.client.board import LAYOUT_HASH, Board, check_owner
+from surffollow.errors import NotReadyError
 from surffollow.shm.layout_board import INBOX_MAGIC, LAYOUT_VERSION, InboxHeader, inbox_bytes
 from surffollow.shm.objects import SharedObject
 
@@ -24,12 +24,7 @@ def open_inbox(board: Board) -> SharedObject:
     name = f"{board.name}.inbox"
     inbox = SharedObject.open(name, writable=True)
     try:
-        owner, expected = os.fstat(inbox.fd).st_uid, os.fstat(board.object.fd).st_uid
-        if owner != expected:
-            raise NoPermissionError(
-                f"block {name!r} belongs to user {owner}, the board to user {expected}: it is not the "
-                "service's; remove it and restart the service"
-            )
+        check_owner(inbox, board)
         if inbox.size < inbox_bytes():
             raise NotReadyError(f"block {name!r} is only {inbox.size} bytes long; the service mends it")
         magic, version, _, layout, epoch, _ = _HEADER.unpack_from(inbox.memory)

@@ -71,8 +71,8 @@ _NOWHERE = SurfacePoint(_NAN, _NAN, _NAN, False)
 class _Mapped:
     """One mapping of the map object, as words and as 16-bit heights."""
 
-    def __init__(self, name: str, board: Board) -> None:
-        self.object, self.board = open_map(name), board
+    def __init__(self, board: Board) -> None:
+        self.object, self.board = open_map(board), board
         self.memory = self.object.memory
         self.words = memoryview(self.memory).cast("q")
         self.heights = memoryview(self.memory).cast("h")
@@ -88,7 +88,6 @@ class _Mapped:
 class MapReading:
     """The methods of every attachment, read-only or not, that look at the live map."""
 
-    name: str
     board: Board
     _map: _Mapped | None = None
 
@@ -99,7 +98,7 @@ class MapReading:
             return m
         self.board.state()  # a closed attachment stays closed
         if m is None or m.board is not self.board or not m.object.is_current():
-            fresh = _Mapped(self.name, self.board)
+            fresh = _Mapped(self.board)
             self._close_map()
             self._map = m = fresh
         m.next_look_ns = now + LOOK_AGAIN_NS
@@ -118,6 +117,7 @@ class MapReading:
         Raises
         ------
         NotRunningError    there is no map object of this name (any more)
+        NoPermissionError  it may not be read, or it belongs to another user than the board
         """
         m = self._mapped()
         words, at = m.words, _GENERATION // 8
@@ -148,6 +148,7 @@ class MapReading:
         Raises
         ------
         NotRunningError    there is no map object of this name (any more)
+        NoPermissionError  it may not be read, or it belongs to another user than the board
         """
         m = self._mapped()
         words, at = m.words, _GENERATION // 8
@@ -182,6 +183,7 @@ class MapReading:
         Raises
         ------
         NotRunningError    there is no map object of this name (any more)
+        NoPermissionError  it may not be read, or it belongs to another user than the board
         RefusedError       there is no map yet, or it is being laid anew
         RegionError        not a region, or beside the map
         """
@@ -200,6 +202,7 @@ class MapReading:
         Raises
         ------
         NotRunningError    there is no map object of this name (any more)
+        NoPermissionError  it may not be read, or it belongs to another user than the board
         """
         m = self._mapped()
         at = _GENERATION // 8

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from surffollow.client.board import check_owner
 from surffollow.client.fence import fence
 from surffollow.client.inbox import check_whole
 from surffollow.errors import BlockError, NotReadyError, NotRunningError, RefusedError, RequestTimeoutError
@@ -147,18 +148,29 @@ class ExclusiveAccess:
             )
 
 
-def open_map(name: str) -> SharedObject:
-    """Map a service's map object read-only and check its layout."""
-    map_ = SharedObject.open(f"{name}.map")
-    header = map_.memory[: ml.MapHeader.SIZE]
-    at = ml.MapHeader.offset("layout_hash")
-    found = int.from_bytes(header[at : at + 8], "little")
-    if found != ml.LAYOUT_HASH:
+def open_map(board: Board) -> SharedObject:
+    """Map the map object of a board's service read-only, its owner and layout checked.
+
+    Raises
+    ------
+    NotRunningError      there is no map object of this name (any more)
+    NoPermissionError    it may not be read, or it belongs to another user than the board
+    BlockError           it is of another release
+    """
+    map_ = SharedObject.open(f"{board.name}.map")
+    try:
+        check_owner(map_, board)
+        header = map_.memory[: ml.MapHeader.SIZE]
+        at = ml.MapHeader.offset("layout_hash")
+        found = int.from_bytes(header[at : at + 8], "little")
+        if found != ml.LAYOUT_HASH:
+            raise BlockError(
+                f"map {board.name!r} has layout {found:016x}, this client expects {ml.LAYOUT_HASH:016x}; "
+                "use client and service of one release"
+            )
+    except BaseException:
         map_.close()
-        raise BlockError(
-            f"map {name!r} has layout {found:016x}, this client expects {ml.LAYOUT_HASH:016x}; "
-            "use client and service of one release"
-        )
+        raise
     return map_
 
 
@@ -168,7 +180,7 @@ def copy_map(client: Client, timeout_s: float) -> tuple[Any, Any]:
 
     from surffollow.shm.dtypes import numpy_dtype
 
-    map_ = open_map(client.name)
+    map_ = open_map(client.board)
     try:
         whole = np.frombuffer(map_.memory, np.uint8)
         with ExclusiveAccess(client, timeout_s):

@@ -13,6 +13,7 @@ from surffollow.client.board import CLOSED, Board
 from surffollow.client.demand import STALE, Demand, status_names
 from surffollow.client.fence import FENCED, fence
 from surffollow.client.map_live import MapReading
+from surffollow.config.names import check_service_name
 from surffollow.errors import BlockError, NotRunningError
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.layout_board import STATE_READY, MapStatus, Stats, Ticker
@@ -49,12 +50,16 @@ class Observer(MapReading):
     name : str             of the service
     stale_periods : int    cycles without a new output after which the demand is stale
     stale_min_s : float    but never sooner than this
+
+    Raises
+    ------
+    NameError_    (a ValueError) no name that a service can have
     """
 
     def __init__(self, name: str = "surf", *, stale_periods: int = 20, stale_min_s: float = 0.005) -> None:
         if stale_periods < 1:
             raise ValueError(f"stale_periods must be at least 1, not {stale_periods}")
-        self.name = name
+        self.name = check_service_name(name)
         self._stale_periods, self._stale_min_ns = stale_periods, int(stale_min_s * 1e9)
         self._next_attach_ns = 0
         self._lock = threading.RLock()  # re-attaching, and what a client has beyond it

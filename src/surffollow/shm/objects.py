@@ -37,6 +37,7 @@ class SharedObject:
     size : int            bytes
     memory : mmap.mmap    read-only unless opened for writing
     fd : int              kept open: it carries this process's locks
+    owner : int           user that the object belonged to when it was opened
     first_bytes : bytes   how the owner wants the object to begin, when others can write it
     """
 
@@ -46,7 +47,7 @@ class SharedObject:
         prot = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
         self.memory = mmap.mmap(fd, size, mmap.MAP_SHARED, prot)
         status = os.fstat(fd)
-        self.identity = (status.st_dev, status.st_ino)
+        self.identity, self.owner = (status.st_dev, status.st_ino), status.st_uid
 
     @classmethod
     def create(

@@ -155,6 +155,17 @@ static inline size_t sf_i_folder(const char *path) {
   return slash == NULL ? 0 : SF_CAST(size_t, slash - path) + 1;
 }
 
+/* Whether a file's name ends in the suffix of another format than the map's text file: a reader goes by it. */
+static inline int sf_i_is_other_format(const char *path) {
+  static const char *const others[] = {".npz", ".asc", ".tif", ".tiff", ".ply", ".png"};
+  const char *name = path + sf_i_folder(path);
+  while (*name == '.') name++; /* a dot at the beginning begins no suffix */
+  const char *suffix = strrchr(name, '.');
+  for (size_t k = 0; suffix != NULL && k < sizeof others / sizeof others[0]; k++)
+    if (strcasecmp(suffix, others[k]) == 0) return 1;
+  return 0;
+}
+
 /* Where a file of this name lies when links are followed; 0, or an errno: EEXIST, it is no plain file. */
 static inline int sf_i_plain_target(const char *path, char target[4096], mode_t *mode) {
   char link[4096];
@@ -191,7 +202,8 @@ static inline void sf_i_sync_folder(char path[4096]) {
 /*
  * Write the map's header and all grids to a text file, with this process's own rights (paper: UpLoadMap).
  * The map stands still only while it is copied; the file appears whole or not at all. Links are followed;
- * what is there and is no plain file stays: SF_ERR_FILE with EEXIST in the client's `detail`.
+ * what is there and is no plain file stays: SF_ERR_FILE with EEXIST in the client's `detail`. A name that
+ * ends in the suffix of another format (.npz .asc .tif .tiff .ply .png) is refused: SF_ERR_FILE with EINVAL.
  */
 static inline int sf_upload_map(sf_client *c, const char *path) {
   char part[4096 + 64], target[4096];
@@ -199,7 +211,7 @@ static inline int sf_upload_map(sf_client *c, const char *path) {
   sf_map_header header;
   sf_grid_pair *pairs;
   if (c == NULL || c->output == NULL || path == NULL || path[0] == '\0') return SF_ERR_ARGUMENT;
-  int number = sf_i_plain_target(path, target, &mode);
+  int number = sf_i_is_other_format(path) ? EINVAL : sf_i_plain_target(path, target, &mode);
   int err = number == 0 ? sf_i_copy_map(c, &header, &pairs) : SF_ERR_FILE;
   if (number != 0) c->detail = number;
   if (err != SF_OK) {
