@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from surffollow.config.service import parse_config
+from surffollow.map.files import EXPORTS
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -33,6 +34,15 @@ def test_example_configuration_is_accepted():
     config = parse_config(tomllib.loads(example[1]))
     assert config.name == "surf"
     assert config.map.grids == 1_000_000
+
+
+def test_every_map_format_is_described_and_how_a_geotiff_is_read():
+    text = (ROOT / "docs" / "map-file-format.md").read_text()
+    table = text.split("## Other formats")[1]
+    for suffix in EXPORTS[1:]:
+        assert f"`{suffix}`" in table, suffix
+    for word in ("scale", "offset", "unit", "coordinate system"):
+        assert word in table, word
 
 
 @pytest.mark.parametrize(

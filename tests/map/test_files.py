@@ -310,3 +310,22 @@ def test_map_commands_work_on_files(tmp_path):
     both = str(tmp_path / "both.txt")
     assert run.invoke(map_group, ["compose", source, new, "-o", both]).exit_code == 0
     assert HeightMap.load(both).shape[0] > 10
+
+
+def test_grids_of_a_composed_map_are_at_most_those_asked_for(tmp_path):
+    run = CliRunner()
+    for name, x0 in (("a", 0.0), ("b", 0.5)):
+        heights = np.zeros((10, 10)) + x0
+        HeightMap.from_heights(heights, origin_m=(x0, 0.0), grid_m=0.05).save(tmp_path / f"{name}.txt")
+    files = [str(tmp_path / "a.txt"), str(tmp_path / "b.txt"), "-o", str(tmp_path / "whole.txt"), "--json"]
+    grids = {}
+    for asked in ([], ["--grids", "50"], ["--grids", "1000"]):
+        result = run.invoke(map_group, ["compose", *files, *asked])
+        assert result.exit_code == 0, result.output
+        facts = json.loads(result.output)
+        grids[" ".join(asked)] = facts["grids"], facts["grid_m"] > 0.0501
+    assert grids[""] == grids["--grids 1000"] == (200, False), "the finest map's grids where they fit"
+    assert grids["--grids 50"][0] <= 50
+    assert grids["--grids 50"][1]
+    told = " ".join(run.invoke(map_group, ["compose", "--help"]).output.split())
+    assert "Most grids in the result: coarser ones where" in told

@@ -162,7 +162,12 @@ def export_command(file: str, target: str) -> None:
 @map_group.command("compose")
 @click.argument("files", nargs=-1, required=True, type=_EXISTING)
 @click.option("-o", "--output", required=True, type=_FILE, help="Map file to write.")
-@click.option("--grids", type=click.IntRange(1, 10**9), help="Memory; default: what the finest map needs.")
+@click.option(
+    "--grids",
+    type=click.IntRange(1, 10**9),
+    help="Most grids in the result: coarser ones where the finest map's would be more. Default: the finest "
+    "map's grids, as many as the whole area takes, up to 8 times those of all files (or a million).",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the facts of the result as JSON.")
 def compose_command(files: Sequence[str], output: str, grids: int | None, as_json: bool) -> None:
     """Put several maps together into one, weighted by sample counts."""
@@ -179,7 +184,11 @@ def compose_command(files: Sequence[str], output: str, grids: int | None, as_jso
 @click.argument("file", type=_EXISTING)
 @click.argument("region", nargs=4, type=LENGTH, metavar="X_MIN Y_MIN X_MAX Y_MAX")
 @click.option("-o", "--output", required=True, type=_FILE, help="Map file to write.")
-@click.option("--grids", type=click.IntRange(1, 10**9), help="Memory; default: the file's grids.")
+@click.option(
+    "--grids",
+    type=click.IntRange(1, 10**9),
+    help="Most grids in the result, no fewer than FILE has; default: just so many.",
+)
 @click.option("--finest", type=LENGTH, help="Finest useful grid; default: the file's.")
 @click.option("--json", "as_json", is_flag=True, help="Print the facts of the result as JSON.")
 def refocus_command(
