@@ -9,7 +9,6 @@ compared bit for bit after the run.
 from __future__ import annotations
 
 import ctypes
-import platform
 import subprocess
 import sys
 import tempfile
@@ -21,7 +20,7 @@ import numba
 import numpy as np
 from numba import njit
 
-from report import bar, finish
+from report import bar, finish, machine
 from surffollow.config.params import PARAMS
 from surffollow.forecast.step import follow_step
 from surffollow.map.geometry import reset_begin, reset_step
@@ -197,7 +196,7 @@ def main() -> dict[str, Any]:
     c, k = got["c"], got["kernel"]
     return {
         "what": "one cycle: follow_step with 8 channels and 8 update_map, paper mode, beside plain C",
-        "machine": f"{platform.machine()}, numba {numba.__version__}, {compiler}",
+        "machine": machine(f"numba {numba.__version__}", compiler),
         **got,
         "bars": [
             bar("cycle p50", k["p50_ns"], BAR_NS, "ns"),

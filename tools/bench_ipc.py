@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import platform
 import random
 import shutil
 import subprocess
@@ -24,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from ipc_others import WAYS, measure
-from report import bar, finish
+from report import bar, finish, result
 from surffollow.client import DEMAND_BYTES, Client, attach
 from surffollow.shm.cheader import HEADER
 from surffollow.shm.dtypes import zeros
@@ -189,15 +188,8 @@ def main(rounds: int) -> dict[str, Any]:
         )
     if debris:
         notes.append(f"  iceoryx2 left {debris} objects in /dev/shm, removed here")
-    return {
-        "what": "Calls of the clients, pose to demand through the daemon at 10 kHz, and other ways",
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
-        "bars": bars,
-        "notes": notes,
-        "python": python,
-        "c": c,
-        "others": others,
-    }
+    what = "Calls of the clients, pose to demand through the daemon at 10 kHz, and other ways"
+    return result(what, bars, notes, python=python, c=c, others=others)
 
 
 if __name__ == "__main__":

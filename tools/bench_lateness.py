@@ -8,7 +8,6 @@ never beside them. Without cyclictest or the right to SCHED_FIFO that bar is not
 from __future__ import annotations
 
 import os
-import platform
 import re
 import shutil
 import signal
@@ -20,7 +19,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from report import bar, finish
+from report import bar, finish, machine
 from surffollow.client.board import Board
 from surffollow.client.report import percentile_ns
 from surffollow.shm.layout_board import Stats
@@ -119,7 +118,7 @@ def main() -> dict[str, Any]:
         notes.append(f"p99 per run, daemon/cyclictest [µs]: {pairs}")
     return {
         "what": f"wake-up lateness at 1 kHz, {RUNS} runs of {SECONDS:g} s alternating with cyclictest",
-        "machine": f"{platform.machine()}, {platform.release()}, {os.cpu_count()} processors",
+        "machine": machine(),
         "daemon_ns": {str(q): v for q, v in ours.items()},
         "cyclictest_ns": {str(q): v for q, v in theirs.items()} if measured else None,
         "cycles": cycles,

@@ -14,21 +14,18 @@ import platform
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
 from numba import njit
-from scipy.ndimage import map_coordinates
 
-from surffollow.hw.led_sensor import LedConfig
+from map_scans import area_means, measured_surfaces, scan
 from surffollow.map import HeightMap
 from surffollow.map.geometry import reset_begin, reset_step
 from surffollow.map.grids import add_points, update_map
 from surffollow.map.refocus import refocus_begin, refocus_step
 from surffollow.shm import map_layout as ml
-from surffollow.sim.robot import RobotConfig
 from surffollow.sim.surface_fy91 import fy91_field
 
 OUTER, INNER = (0.0, 0.0, 2.54, 2.54), (0.381, 0.381, 2.159, 2.159)
@@ -251,75 +248,13 @@ def bench_refocus(table: Table, big: bool) -> None:
     table.add("  MapReset, 100M grids", (time.perf_counter() - start) * 1e3, "ms")
 
 
-def scan(
-    field: np.ndarray, spacing_m: float, region: tuple[float, float, float, float], seed: int
-) -> np.ndarray:
-    """Target points of a raster over a field: 50 mm/s, 250 Hz, lines a grid apart, default noise.
-
-    field : (ny, nx) heights [m] every `spacing_m` from the region's lower corner on.
-    The range has the sensor's noise and the converter's steps, the pose the robot's noise, and the
-    point is where the tool was 1 ms before or after (what latency calibration leaves).
-    """
-    rng = np.random.default_rng(seed)
-    x0, y0, x1, y1 = region
-    lines = np.arange(y0 + 1.27e-3, y1, 2.54e-3)
-    along = np.arange(x0, x1, 0.05 / 250)
-    sensor, sigma = LedConfig(), RobotConfig().report_sigma_m
-    parts = []
-    for y in lines:
-        n = along.size
-        truth = map_coordinates(
-            field, [np.full(n, (y - y0) / spacing_m), (along - x0) / spacing_m], order=1, mode="nearest"
-        )
-        step = 4 * 0.0254 / 4096  # 12 bits over the range of 2 to 6 in
-        standoff = 0.1 + rng.normal(0, 1e-3, n)
-        seen = standoff + rng.normal(0, sensor.noise_m, n)
-        seen += sensor.nonlinearity_m * np.sin(2 * np.pi * standoff / (4 * 0.0254))
-        seen = np.rint(seen / step) * step
-        tool = truth + standoff + rng.normal(0, sigma, n)
-        x = along + rng.normal(0, sigma, n) + 0.05e-3 * rng.choice([-1, 1])
-        parts.append(np.stack([x, y + rng.normal(0, sigma, n), tool - seen], axis=1))
-    return np.concatenate(parts)
-
-
-def area_means(field: np.ndarray, spacing_m: float, m: HeightMap, x0: float, y0: float) -> np.ndarray:
-    """True mean height over each grid of a map, from 5 × 5 points in it."""
-    ny, nx = m.shape
-    total = np.zeros((ny, nx))
-    for dy in (np.arange(5) + 0.5) / 5:
-        for dx in (np.arange(5) + 0.5) / 5:
-            y = (m.origin_m[1] + (np.arange(ny) + dy) * m.grid_m - y0) / spacing_m
-            x = (m.origin_m[0] + (np.arange(nx) + dx) * m.grid_m - x0) / spacing_m
-            yy, xx = np.meshgrid(y, x, indexing="ij")
-            total += map_coordinates(field, [yy, xx], order=1, mode="nearest")
-    return total / 25
-
-
-def measured_fields() -> dict[str, np.ndarray]:
-    """Surfaces of shared/data, scaled to 2 m² and 30 mm peak to peak; empty where absent."""
-    root = (
-        Path(os.environ.get("SURFFOLLOW_DATA", Path(__file__).parents[1] / ".." / "shared" / "data"))
-        / "surfaces"
-    )
-    if not root.is_dir():
-        return {}
-    dem = np.load(root / "jacksboro_fault_dem.npz")["elevation"].astype(float)
-    microscope = np.load(root / "microscope_height_maps.npz")
-    fields = {"Jacksboro fault": dem}
-    for key in ("st_sur-2_sur", "st_x3p-2_x3p"):
-        fields[f"microscope {key[3:6]}"] = microscope[key].astype(float)
-    for name, z in fields.items():
-        z = np.where(np.isfinite(z), z, np.nanmedian(z))
-        fields[name] = (z - z.mean()) * (0.03 / np.ptp(z))
-    return fields
-
-
 def bench_accuracy(table: Table) -> None:
     """Mean absolute error of maps of 0.1 in grids over 2 m²."""
     region = (0.0, 0.0, 2.0, 1.0)
     fields = {"FY91 field": (fy91_field(91, region, 1e-3).heights_m, 1e-3)}
-    for name, z in measured_fields().items():
-        fields[name] = (z[: z.shape[1] // 2 + 1], 2.0 / (z.shape[1] - 1))
+    for name, z in measured_surfaces().items():
+        flat = (z - z.mean()) * (0.03 / np.ptp(z))  # 30 mm peak to peak over 2 m
+        fields[name] = (flat[: z.shape[1] // 2 + 1], 2.0 / (z.shape[1] - 1))
     for name, (z, spacing) in fields.items():
         extent = (0.0, 0.0, (z.shape[1] - 1) * spacing, (z.shape[0] - 1) * spacing)
         points = scan(z, spacing, extent, 5)

@@ -8,10 +8,7 @@ and to its 30 mm peak to peak. `--quick`: a fifth of the lanes.
 
 from __future__ import annotations
 
-import os
-import platform
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +16,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from report import bar, finish
+from map_scans import area_means, measured_surfaces
+from report import bar, finish, result
 from surffollow.config.params import PARAMS
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.hw.driver import ConversionQueue
@@ -138,24 +136,8 @@ def scan(field: HeightField, lane_m: float, **given: float) -> HeightMap:
     return made
 
 
-def true_heights(field: HeightField, made: HeightMap) -> NDArray[np.float64]:
-    """Mean height of the ground in every grid of a map, from 5 × 5 points of each."""
-    ny, nx = made.shape
-    part = (np.arange(5) + 0.5) / 5
-    total = np.zeros((ny, nx))
-    for dy in part:
-        for dx in part:
-            x = (made.origin_m[0] + (np.arange(nx) + dx) * made.grid_m - field.x0_m) / field.grid_m
-            y = (made.origin_m[1] + (np.arange(ny) + dy) * made.grid_m - field.y0_m) / field.grid_m
-            at_yx = np.meshgrid(y, x, indexing="ij")
-            total += map_coordinates(field.heights_m, at_yx, order=1, mode="nearest")
-    return total / 25
-
-
-def scaled(heights: NDArray[Any]) -> HeightField:
+def scaled(z: NDArray[np.float64]) -> HeightField:
     """A measured surface stretched over the region, 30 mm peak to peak."""
-    z = np.asarray(heights, np.float64)
-    z = np.where(np.isfinite(z), z, np.nanmedian(z))
     z = (z - z.min()) / np.ptp(z) * PEAK_TO_PEAK_M
     grid = 2e-3
     y = np.linspace(0, z.shape[0] - 1, round((REGION[3] - REGION[1]) / grid) + 1)
@@ -166,17 +148,8 @@ def scaled(heights: NDArray[Any]) -> HeightField:
 
 def grounds() -> dict[str, HeightField]:
     """All grounds; the measured ones only where the data is."""
-    out = {"FY91 field": fy91_field(91, REGION, 1e-3)}
-    folder = (
-        Path(os.environ.get("SURFFOLLOW_DATA", Path(__file__).parents[2] / "shared" / "data")) / "surfaces"
-    )
-    if folder.is_dir():
-        dem = np.load(folder / "jacksboro_fault_dem.npz")
-        out["measured: fault DEM"] = scaled(dem["elevation"])
-        maps = np.load(folder / "microscope_height_maps.npz")
-        for key in ("st_sur-2_sur", "st_x3p-2_x3p"):
-            out[f"measured: microscope {key}"] = scaled(maps[key])
-    return out
+    measured = {f"measured: {name}": scaled(z) for name, z in measured_surfaces().items()}
+    return {"FY91 field": fy91_field(91, REGION, 1e-3), **measured}
 
 
 def main() -> dict[str, Any]:
@@ -186,7 +159,8 @@ def main() -> dict[str, Any]:
     for name, field in grounds().items():
         for setting, given in (("default", {}), ("pose_interpolate = 1", {"pose_interpolate": 1.0})):
             made = scan(field, lane_m, **given)
-            error = made.heights_m - true_heights(field, made)
+            truth = area_means(field.heights_m, field.grid_m, made, field.x0_m, field.y0_m)
+            error = made.heights_m - truth
             known = np.isfinite(error)
             error = error[known]
             mae = float(np.mean(np.abs(error))) if error.size else float("nan")
@@ -197,12 +171,8 @@ def main() -> dict[str, Any]:
                 f"{error.mean() * 1e3:+.3f} mm, rms {error.std() * 1e3:.3f}, p50/95/99 "
                 f"{p[0]:.3f}/{p[1]:.3f}/{p[2]:.3f} mm, clipped {made.clipped}"
             )
-    return {
-        "what": f"map accuracy, lanes of {lane_m * 1e3:g} mm at {SPEED_MPS:g} m/s, {GRID_M * 1e3:g} mm grids",
-        "machine": f"{platform.machine()}, {platform.release()}, {os.cpu_count()} processors",
-        "bars": bars,
-        "notes": notes,
-    }
+    what = f"map accuracy, lanes of {lane_m * 1e3:g} mm at {SPEED_MPS:g} m/s, {GRID_M * 1e3:g} mm grids"
+    return result(what, bars, notes)
 
 
 if __name__ == "__main__":

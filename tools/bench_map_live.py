@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import math
 import os
-import platform
 import sys
 import tempfile
 import time
@@ -23,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from report import bar, finish
+from report import bar, finish, result
 from running import Running, running
 from surffollow.client.report import percentile_ns
 from surffollow.map import HeightMap
@@ -171,14 +170,8 @@ def main() -> dict[str, Any]:
         with tempfile.TemporaryDirectory(dir=options.folder) as folder:
             b, n = measure(grids, options, Path(folder))
         bars, notes = bars + b, notes + n
-    load = f"load {os.getloadavg()[0]:.1f}"
     each = f"{options.seconds:g} s each in {options.rounds} rounds"
-    return {
-        "what": f"map operations beside following at 1 kHz, {each}",
-        "machine": f"{platform.machine()}, {platform.release()}, {os.cpu_count()} processors, {load}",
-        "bars": bars,
-        "notes": notes,
-    }
+    return result(f"map operations beside following at 1 kHz, {each}", bars, notes)
 
 
 if __name__ == "__main__":

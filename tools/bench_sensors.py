@@ -2,7 +2,7 @@
 
     python tools/bench_sensors.py [--json]
 
-Runs `surffollow demo --sensors 4` (service, robot and recorder as real processes over a curved shell), and
+Runs `surffollow demo --sensors 4` (service, robot and recorder as real processes over a dome), and
 beside it the same with three and eight sensors. Execution is from a cycle's first clock reading to its
 last, as the board's histogram has it.
 """
@@ -10,13 +10,11 @@ last, as the board's histogram has it.
 from __future__ import annotations
 
 import json
-import os
-import platform
 import subprocess
 import sys
 from typing import Any
 
-from report import bar, finish
+from report import bar, finish, machine
 
 SECONDS = 8.0
 P99_NS = 50_000.0  # 5 % of the period
@@ -43,12 +41,12 @@ def note(sensors: int, r: dict[str, Any]) -> str:
 
 def main() -> dict[str, Any]:
     """Run and hold against the bar."""
-    load = os.getloadavg()[0]
+    begun_on = machine()
     runs = {n: demo_run(n) for n in (3, 4, 8)}
     notes = [note(n, r) for n, r in runs.items()]
     return {
-        "what": f"the service with several sensors, adaptive mode, 1 kHz, {SECONDS:g} s over a shell",
-        "machine": f"{platform.machine()}, {os.cpu_count()} processors, load {load:.1f} at the start",
+        "what": f"the service with several sensors, adaptive mode, 1 kHz, {SECONDS:g} s over a dome",
+        "machine": begun_on,
         "runs": runs,
         "bars": [bar("execution p99, 4 sensors", runs[4]["work_p99_ns"], P99_NS, "ns")],
         "notes": notes,

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import platform
 import sys
 import time
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from report import bar, finish
+from report import bar, finish, machine
 from running import running
 
 PERIOD_S = 1e-4
@@ -68,7 +67,7 @@ def main() -> dict[str, Any]:
     drift = abs(rates[1][0] / rates[0][0] - 1)
     return {
         "what": f"soak at 10 kHz for {seconds:g} s with samples flowing",
-        "machine": f"{platform.machine()}, {platform.release()}, {os.cpu_count()} processors",
+        "machine": machine(),
         "bars": [
             bar("drift of the update rate", drift, RATE_DRIFT, ""),
             bar("growth of the resident set", float(settled[-1] - settled[0]), RSS_DRIFT_KIB, "KiB"),

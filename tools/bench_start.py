@@ -7,7 +7,6 @@ of an earlier start; cold: an empty SURFFOLLOW_CACHE_DIR, the whole wait while k
 from __future__ import annotations
 
 import os
-import platform
 import resource
 import signal
 import subprocess
@@ -19,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from report import bar, finish
+from report import bar, finish, machine
 from surffollow.shm.objects import unlink
 
 REPEATS = 7
@@ -81,7 +80,7 @@ def main() -> dict[str, Any]:
         size = sum(f.stat().st_size for f in Path(cache).rglob("*") if f.is_file())
     return {
         "what": "start-up times, each of a fresh process",
-        "machine": f"{platform.machine()}, Python {platform.python_version()}",
+        "machine": machine(),
         "bars": [
             bar("surffollow --help", help_s, HELP_S, "s"),
             bar(
@@ -98,7 +97,6 @@ def main() -> dict[str, Any]:
         ],
         "notes": [
             f"kernel cache {size / 2**20:.1f} MiB; {lines} lines of progress shown while it was empty",
-            f"load of the machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors",
         ],
     }
 

@@ -11,37 +11,34 @@ blind. A read "overlapped" when something was published while it went on.
 from __future__ import annotations
 
 import argparse
-import mmap
 import multiprocessing as mp
 import os
-import platform
-import shutil
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from report import bar, finish
+from report import bar, finish, result
 from surffollow.client import attach
-from surffollow.client.board import Board, LatchReader
-from surffollow.shm import atomics as at
-from surffollow.shm.cheader import HEADER
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.latch import latch_write
 from surffollow.shm.latch_shape import latch_bytes
-from surffollow.shm.layout_follow import Output
-from surffollow.shm.schema import I64, Schema
 from surffollow.sim.world import WorldPose, WorldWriter
+from tearing_readers import (
+    WORDS,
+    Counts,
+    compile_readers,
+    full_speed_writer,
+    no_counts,
+    python_output,
+    python_words,
+    race,
+)
 
-WORDS = Output.SIZE // 8
-TABLE_ENTRIES = 1 << 20
 LEAST_READS = 10**7
 CONFIG = """
 period = "100 us"
@@ -55,122 +52,6 @@ grids = 1000
 surface = "flat"
 region = [0.0, 0.0, 0.1, 0.1]
 """
-
-
-class Words(Schema):
-    """A payload as long as `Output`."""
-
-    word = I64(WORDS)
-
-
-Counts = dict[str, int]
-
-
-@njit(cache=True, nogil=True)
-def publish_until(latch: Any, payload: Any, stop: Any) -> Any:
-    """Publish payloads whose words are all their generation, without a pause, until `stop` is set."""
-    n, g = payload.shape[0], at.load_relaxed_i64(latch)
-    while at.load_relaxed_i64(stop.ctypes.data) == 0:
-        g += 1
-        for k in range(n):
-            payload[k] = g
-        latch_write(latch, payload.ctypes.data, n * 8)
-    return g
-
-
-def full_speed_writer(path: str, seconds: float) -> None:
-    """Body of the writer's process."""
-    with open(path, "r+b") as f:
-        memory = np.frombuffer(mmap.mmap(f.fileno(), 0), np.uint8)
-    stop = np.zeros(1, np.int64)
-    threading.Timer(seconds, stop.fill, (1,)).start()
-    publish_until(int(memory.ctypes.data), np.zeros(WORDS, np.int64), stop)
-
-
-def python_words(path: str, seconds: float) -> Counts:
-    """The Python client's reader over the writer's latch."""
-    with open(path, "rb") as f:
-        memory = mmap.mmap(f.fileno(), 0, prot=mmap.PROT_READ)
-    words = memoryview(memory).cast("Q")
-    reader, count = LatchReader(words, memory, 0, Words), _counts()
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        before = words[0]
-        data = reader.copy()
-        count["reads"] += 1
-        count["overlapped"] += words[0] != before
-        if data is None:
-            count["failed"] += before != 0
-        else:
-            count["torn"] += data != data[:8] * WORDS
-    return count
-
-
-def python_output(name: str, seconds: float, table_path: str) -> Counts:
-    """The Python client's reader over a service's output; fills the table as latch_stress.c does."""
-    board, count = Board(name), _counts()
-    words, index = board.words, board.regions["output"][0] // 8
-    reader = board.latch("output", Output)
-    at_cycle = Output.offset("cycle")
-    table = np.zeros((TABLE_ENTRIES, 2), np.int64)
-    first, cycle = b"", -1
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        before = words[index]
-        data = reader.copy()
-        count["reads"] += 1
-        count["overlapped"] += words[index] != before
-        if data is None:
-            count["failed"] += 1
-            continue
-        now = int.from_bytes(data[at_cycle : at_cycle + 8], "little")
-        if now == cycle:
-            count["torn"] += data != first
-            continue
-        count["torn"] += now < cycle
-        first, cycle = data, now
-        table[now % TABLE_ENTRIES] = now, zlib.crc32(data)
-    table.tofile(table_path)
-    return count
-
-
-def _counts() -> Counts:
-    return {"reads": 0, "overlapped": 0, "torn": 0, "failed": 0}
-
-
-def compile_readers(folder: Path) -> dict[str, str]:
-    """The C readers, as C and as C++; those for which there is a compiler."""
-    source, out = str(Path(__file__).with_name("latch_stress.c")), {}
-    compilers = []
-    for language, compiler, flags in (
-        ("C", "gcc", ["-std=c11"]),
-        ("C++", "g++", ["-std=c++17", "-x", "c++"]),
-    ):
-        if shutil.which(compiler):
-            out[language] = str(folder / f"stress-{compiler}")
-            command = [compiler, *flags, "-O2", f"-I{HEADER.parent}", source, "-o", out[language]]
-            compilers.append(subprocess.Popen(command))
-    if any([c.wait() for c in compilers]):
-        raise SystemExit("the readers do not compile")
-    return out
-
-
-def parse(text: str) -> Counts:
-    """`reads 5 overlapped 1 ...` as counts."""
-    words = text.split()
-    return {words[i]: int(words[i + 1]) for i in range(0, len(words), 2)}
-
-
-def race(pool: Any, programs: dict[str, list[str]], python: Any, *arguments: Any) -> dict[str, Counts]:
-    """Run all readers at once, the one in Python in the pool's process; their counts."""
-    started = {k: subprocess.Popen(v, stdout=subprocess.PIPE, text=True) for k, v in programs.items()}
-    found = {"Python": pool.apply(python, arguments)}
-    for language, process in started.items():
-        text = process.communicate()[0]
-        if process.returncode:
-            raise SystemExit(f"the {language} reader ended with {process.returncode}")
-        found[language] = parse(text)
-    return found
 
 
 class Robot:
@@ -278,14 +159,14 @@ def against_writer(
 def main(seconds: float) -> dict[str, Any]:
     """Race, count and hold against the bars."""
     with tempfile.TemporaryDirectory() as name, mp.get_context("spawn").Pool(1) as pool:
-        pool.apply_async(_counts)  # its process imports what it needs meanwhile
+        pool.apply_async(no_counts)  # its process imports what it needs meanwhile
         folder = Path(name)
         readers = compile_readers(folder)
         daemon, differing, compared = against_daemon(pool, readers, folder, seconds)
         writer, published = against_writer(pool, readers, folder, max(1.0, seconds / 4))
-    control = writer.pop("control", _counts())
+    control = writer.pop("control", no_counts())
     everyone = [*daemon.values(), *writer.values()]
-    total = {k: sum(c[k] for c in everyone) for k in _counts()}
+    total = {k: sum(c[k] for c in everyone) for k in no_counts()}
     blind = [k for k in daemon if not daemon[k]["overlapped"] + writer[k]["overlapped"]]
     failed = sum(c["failed"] for c in daemon.values())
     missing = max(0, round(LEAST_READS * seconds / 60) - sum(c["reads"] for c in daemon.values()))
@@ -307,16 +188,8 @@ def main(seconds: float) -> dict[str, Any]:
         bar("reader failures against the daemon", failed, 0, ""),
         bar("torn ones that the control missed", 0 if control["torn"] or not readers else 1, 0, ""),
     ]
-    return {
-        "what": f"Tearing, {seconds:g} s of daemon and {max(1.0, seconds / 4):g} s of a full-speed writer",
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
-        "bars": bars,
-        "notes": notes,
-        "daemon": daemon,
-        "writer": writer,
-        "control": control,
-        "compared": compared,
-    }
+    what = f"Tearing, {seconds:g} s of daemon and {max(1.0, seconds / 4):g} s of a full-speed writer"
+    return result(what, bars, notes, daemon=daemon, writer=writer, control=control, compared=compared)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import platform
 import sys
 from typing import Any
 
@@ -26,6 +28,23 @@ def bar_line(b: dict[str, Any]) -> str:
     limit = f"{b.get('sense', '≤')} {b['limit']:.4g} {unit}" if b.get("limit") is not None else f"  {unit}"
     verdict = {True: "met", False: "MISSED", None: "-"}[b.get("ok")]
     return f"{b['bar']:<44} {got:>12}  {limit:<18} {verdict:<6} {b.get('note', '')}".rstrip()
+
+
+def machine(*more: str) -> str:
+    """The machine that figures are of, and how busy it is, in a line; `more`: what else they hang on."""
+    facts = (
+        platform.machine(),
+        f"Linux {platform.release()}",
+        f"{os.cpu_count()} processors",
+        f"load {os.getloadavg()[0]:.1f}",
+        f"Python {platform.python_version()}",
+    )
+    return ", ".join((*facts, *more))
+
+
+def result(what: str, bars: list[dict[str, Any]], notes: list[str], **figures: Any) -> dict[str, Any]:
+    """All that a bench tells: what was measured, where, its bars and notes; `figures` for programs."""
+    return {"what": what, "machine": machine(), "bars": bars, "notes": notes, **figures}
 
 
 def finish(result: dict[str, Any]) -> int:
