@@ -14,7 +14,6 @@ import contextlib
 import json
 import math
 import os
-import platform
 import signal
 import subprocess
 import sys
@@ -27,10 +26,11 @@ from typing import Any
 import numba
 import numpy as np
 
-from report import bar, finish
+from report import bar, finish, machine
 from surffollow.client import attach
 from surffollow.contest.limit import limit_path
 from surffollow.record.replay import replay_file
+from surffollow.service.end_child import end_child
 from surffollow.shm.objects import unlink
 from surffollow.sim.plant import PlantConfig
 
@@ -68,13 +68,7 @@ def program(*words: str) -> Iterator[subprocess.Popen[str]]:
     try:
         yield child
     finally:
-        if child.poll() is None:
-            child.send_signal(signal.SIGINT)
-        try:
-            child.communicate(timeout=30)
-        except subprocess.TimeoutExpired:
-            child.kill()
-            child.communicate()
+        end_child(child, signal.SIGINT, 30.0)
 
 
 def passes(trace: Any, x0: float, x1: float) -> list[dict[str, float]]:
@@ -158,7 +152,7 @@ def contest_bound_m(first: dict[str, float]) -> float:
 
 def main() -> dict[str, Any]:
     """Both surfaces with preview, and without for comparison."""
-    load = os.getloadavg()[0]
+    begun_on = machine(f"numba {numba.__version__}")
     every = [[there_and_back(s) for _ in range(RUNS)] for s in SURFACES]
     on = [sorted(runs, key=lambda r: r["passes"][1]["rms_m"])[RUNS // 2] for runs in every]
     off = [there_and_back(s, preview="off", record=False) for s in SURFACES]
@@ -186,7 +180,7 @@ def main() -> dict[str, Any]:
             notes.append(f"{r['surface']}, preview {what}: RMS {told} mm, {work}, {run['overruns']} overruns")
     return {
         "what": f"a line there and back at {SPEED_MPS * 1e3:g} mm/s, the map empty before",
-        "machine": f"{platform.machine()}, numba {numba.__version__}, load {load:.1f}",
+        "machine": begun_on,
         "runs": [run for runs in every for run in runs] + off,
         "bars": bars,
         "notes": notes,

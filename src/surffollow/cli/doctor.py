@@ -61,8 +61,8 @@ def latency_command(
     from surffollow.errors import UsageError
     from surffollow.units import parse_quantity
 
-    period_ns = round(_quantity(parse_quantity, period) * 1e9)
-    spin_ns = round(_quantity(parse_quantity, spin) * 1e9)
+    # a bare number is in seconds
+    period_ns, spin_ns = (round(parse_quantity(text, "s") * 1e9) for text in (period, spin))
     for name, value, low, high in (
         ("--seconds", seconds, 0.01, 3600.0),
         ("--period", period_ns / 1e9, 20e-6, 1.0),
@@ -87,19 +87,6 @@ def latency_command(
         print(json.dumps(result, indent=2))
     else:
         print("\n".join(render(result)))
-
-
-def _quantity(parse: Any, text: str) -> float:
-    # a bare number is in seconds
-    return float(parse(text if not _is_number(text) else float(text), "s"))
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def render(r: dict[str, Any]) -> list[str]:

@@ -14,12 +14,7 @@ from surffollow.client.observer import Observer
 from surffollow.client.pose import FUTURE_NS, MAX_POSITION_M, checked_pose, checked_stamp
 from surffollow.client.requests import Ticket, check_region
 from surffollow.client.slot import GENERATION, SlotHolder
-from surffollow.errors import (
-    BusyError,
-    ConfigError,
-    PoseError,
-    RefusedError,
-)
+from surffollow.errors import BusyError, ConfigError, PoseError, RefusedError
 from surffollow.shm import layout_board as lb
 from surffollow.shm.latch_shape import SLOTS, stride
 from surffollow.shm.layout_follow import Params

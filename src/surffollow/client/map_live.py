@@ -109,6 +109,27 @@ class MapReading:
             self._map.close()
             self._map = None
 
+    def _look(self, x_m: float, y_m: float, look: Any, nothing: Any) -> Any:
+        """`look` at the grids about a point, by the three steps; `nothing` when it cannot be told."""
+        m = self._mapped()
+        words, at = m.words, _GENERATION // 8
+        for _ in range(TRIES):
+            before = words[at]
+            if before & 1 or not words[_DATUM_SET // 8]:
+                return nothing
+            fence()
+            g = _GEOMETRY.unpack_from(m.memory, _GENERATION)
+            _, state, nx, ny, _, x0, y0, inv_grid, datum, quantum = g[:10]
+            found = nothing
+            if state == _READY and nx * ny <= m.room:
+                fx, fy = (x_m - x0) * inv_grid, (y_m - y0) * inv_grid
+                if 0.0 <= fx < nx and 0.0 <= fy < ny:
+                    found = look(m.heights, nx, ny, fx, fy, inv_grid, datum, quantum)
+            fence()
+            if words[at] == before:
+                return found
+        return nothing
+
     def map_height(self, x_m: float, y_m: float) -> float:
         """Mean height of the grid that holds a point [m]; NaN where unknown.
 
@@ -119,25 +140,7 @@ class MapReading:
         NotRunningError    there is no map object of this name (any more)
         NoPermissionError  it may not be read, or it belongs to another user than the board
         """
-        m = self._mapped()
-        words, at = m.words, _GENERATION // 8
-        for _ in range(TRIES):
-            before = words[at]
-            if before & 1 or not words[_DATUM_SET // 8]:
-                return _NAN
-            fence()
-            g = _GEOMETRY.unpack_from(m.memory, _GENERATION)
-            _, state, nx, ny, _, x0, y0, inv_grid, datum, quantum = g[:10]
-            q = _UNKNOWN
-            if state == _READY and nx * ny <= m.room:
-                fx, fy = (x_m - x0) * inv_grid, (y_m - y0) * inv_grid
-                if 0.0 <= fx < nx and 0.0 <= fy < ny:
-                    i = int(fy) * nx + int(fx)
-                    q = m.heights[_FIRST_PAIR + 3 * (i >> 1) + (i & 1)]
-            fence()
-            if words[at] == before:
-                return _NAN if q == _UNKNOWN else float(datum + q * quantum)
-        return _NAN
+        return float(self._look(x_m, y_m, _mean, _NAN))
 
     def map_surface(self, x_m: float, y_m: float) -> SurfacePoint:
         """Height between grid centres, and slope, at a point of the live map; never waits.
@@ -150,27 +153,8 @@ class MapReading:
         NotRunningError    there is no map object of this name (any more)
         NoPermissionError  it may not be read, or it belongs to another user than the board
         """
-        m = self._mapped()
-        words, at = m.words, _GENERATION // 8
-        for _ in range(TRIES):
-            before = words[at]
-            if before & 1 or not words[_DATUM_SET // 8]:
-                return _NOWHERE
-            fence()
-            g = _GEOMETRY.unpack_from(m.memory, _GENERATION)
-            _, state, nx, ny, _, x0, y0, inv_grid, datum, quantum = g[:10]
-            point = _NOWHERE
-            if state == _READY and nx * ny <= m.room:
-                fx, fy = (x_m - x0) * inv_grid, (y_m - y0) * inv_grid
-                if 0.0 <= fx < nx and 0.0 <= fy < ny:
-                    z, sx, sy = _surface(m.heights, nx, ny, fx, fy)
-                    if z == z:
-                        unit = quantum * inv_grid
-                        point = SurfacePoint(datum + quantum * z, sx * unit, sy * unit, True)
-            fence()
-            if words[at] == before:
-                return point
-        return _NOWHERE
+        point: SurfacePoint = self._look(x_m, y_m, _point, _NOWHERE)
+        return point
 
     def map_window(self, region: Sequence[float] | None = None) -> MapWindow:
         """The live grids as read-only NumPy views, nothing copied.
@@ -219,6 +203,26 @@ class MapReading:
                 old = since.counters if since is not None and since.generation == before else None
                 return MapChanges(before, _tiles(old, counters, nx, ny, shift, tiles_x), counters)
         return MapChanges(m.words[at] | 1, (), ())
+
+
+def _mean(
+    heights: Any, nx: int, ny: int, fx: float, fy: float, inv_grid: float, datum: float, quantum: float
+) -> float:
+    """Mean height of the grid at (fx, fy) [m]; NaN: unknown."""
+    i = int(fy) * nx + int(fx)
+    q = heights[_FIRST_PAIR + 3 * (i >> 1) + (i & 1)]
+    return _NAN if q == _UNKNOWN else datum + q * quantum
+
+
+def _point(
+    heights: Any, nx: int, ny: int, fx: float, fy: float, inv_grid: float, datum: float, quantum: float
+) -> SurfacePoint:
+    """Height between grid centres, and slopes, at (fx, fy)."""
+    z, sx, sy = _surface(heights, nx, ny, fx, fy)
+    if z != z:
+        return _NOWHERE
+    unit = quantum * inv_grid
+    return SurfacePoint(datum + quantum * z, sx * unit, sy * unit, True)
 
 
 def _surface(heights: Any, nx: int, ny: int, fx: float, fy: float) -> tuple[float, float, float]:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from surffollow.errors import AlreadyRunningError, ServiceError, SurffollowError
+from surffollow.service.end_child import end_child
 
 # PR_SET_PDEATHSIG: SIGTERM when the demonstration dies, and an end at once when it is dead by then
 _CHILD = """
@@ -56,15 +57,9 @@ class Child:
 
     def end(self, timeout_s: float = 15.0) -> str:
         """Interrupt it and take what it printed."""
-        if self.child.poll() is None:
-            self.child.send_signal(signal.SIGINT)
-        try:
-            out, _ = self.child.communicate(timeout=timeout_s)
-        except subprocess.TimeoutExpired:
-            self.child.kill()
-            out, _ = self.child.communicate()
+        out = end_child(self.child, signal.SIGINT, timeout_s)
         self._errors.close()
-        return str(out)
+        return out
 
     def result(self, timeout_s: float) -> dict[str, Any]:
         """Wait for its end and parse the JSON object that it printed; code 1 is for the caller to judge."""

@@ -26,6 +26,7 @@ from surffollow.hw.driver import DriverInfo
 from surffollow.hw.replayed import save_conversions
 from surffollow.record.playback import Playback, load_playback
 from surffollow.record.service_log import ServiceLog
+from surffollow.service.end_child import end_child
 from surffollow.shm.conversion import FLAG_INVALID, conversion_dt_ns, pack_conversion
 from surffollow.shm.cycle_log import log_copy
 from surffollow.shm.layout_follow import CHANNELS
@@ -117,13 +118,7 @@ def running_service(config: Path, name: str) -> Iterator[subprocess.Popen[str]]:
             _await_ready(child, errors)
             yield child
         finally:
-            if child.poll() is None:
-                child.send_signal(signal.SIGTERM)
-            try:
-                child.communicate(timeout=15.0)
-            except subprocess.TimeoutExpired:
-                child.kill()
-                child.communicate()
+            end_child(child, signal.SIGTERM, 15.0)
             if not had_map:
                 unlink(f"{name}.map")
 

@@ -97,7 +97,6 @@ class _Segments:
         self.scratch = np.zeros(7)
         self.first = np.zeros(9, np.int64)
         self.tally = np.zeros(R_COUNT, np.int64)
-        self.last_cycle: dict[int, int] = {}
 
     def add(self, batch: Batch) -> None:
         n = len(batch.words) // 8

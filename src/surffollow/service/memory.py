@@ -45,9 +45,7 @@ from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
     POSE_SINCE_NS,  # when that was granted
     POSE_SEEN,  # generation of the pose read last
     LEASE_NS,  # of exclusive access
-    MAP_RUNNING,  # map thread → main
-    CYCLE_RUNNING,
-) = range(27)
+) = range(25)
 DEAD = 32  # main → threads: per slot, when it was last found without a lock [ns]; 0: it is locked
 SEEN = DEAD + CLIENTS  # per slot, generation of the request read last
 COUNTER = SEEN + CLIENTS  # per slot, counter answered last

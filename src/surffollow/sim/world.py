@@ -133,7 +133,25 @@ def _claim(name: str) -> tuple[SharedObject, FileLock]:
         obj.close()
 
 
-class WorldWriter:
+class _Mapped:
+    """What both ends see of the block while they have it mapped."""
+
+    _view: _View | None
+
+    @property
+    def latch(self) -> int:
+        """Address of the latch, for kernels; valid until `close`."""
+        assert self._view is not None
+        return self._view.latch
+
+    @property
+    def epoch(self) -> int:
+        """Number of the writer, larger than that of all before; changes when a robot starts."""
+        assert self._view is not None
+        return int(self._view.header["epoch"])
+
+
+class WorldWriter(_Mapped):
     """The robot's end: the one writer of the block.
 
     Raises
@@ -149,19 +167,7 @@ class WorldWriter:
     def __init__(self, name: str) -> None:
         self.name = object_name(name)
         self._object, self._lock = _claim(self.name)
-        self._view: _View | None = _View(self._object)
-
-    @property
-    def latch(self) -> int:
-        """Address of the latch, for kernels that publish by themselves."""
-        assert self._view is not None
-        return self._view.latch
-
-    @property
-    def epoch(self) -> int:
-        """Number of this writer, larger than that of all before."""
-        assert self._view is not None
-        return int(self._view.header["epoch"])
+        self._view = _View(self._object)
 
     def write(self, record: NDArray[Any]) -> None:
         """Publish a `WorldPose` record, shape (1,)."""
@@ -178,7 +184,7 @@ class WorldWriter:
         self._object.close()
 
 
-class WorldReader:
+class WorldReader(_Mapped):
     """A read-only map of the block; it stays valid after the writer's end and shows the last pose.
 
     Raises
@@ -202,7 +208,7 @@ class WorldReader:
         except BaseException:
             self._object.close()
             raise
-        self._view: _View | None = _View(self._object)
+        self._view = _View(self._object)
 
     def _check(self) -> None:
         if self._object.size != SIZE:
@@ -216,18 +222,6 @@ class WorldReader:
                 f"block {self.name!r} has layout {found:016x}, expected {WorldPose.HASH:016x}; "
                 "start robot and reader from the same version"
             )
-
-    @property
-    def latch(self) -> int:
-        """Address of the latch, for kernels; valid until `close`."""
-        assert self._view is not None
-        return self._view.latch
-
-    @property
-    def epoch(self) -> int:
-        """Number of the writer; changes when a robot starts."""
-        assert self._view is not None
-        return int(self._view.header["epoch"])
 
     @property
     def is_current(self) -> bool:
