@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import platform
 import sys
 import time
 from collections.abc import Callable
@@ -21,6 +19,7 @@ import numpy as np
 from numba import njit
 
 from map_scans import area_means, measured_surfaces, scan
+from report import machine
 from surffollow.map import HeightMap
 from surffollow.map.geometry import reset_begin, reset_step
 from surffollow.map.grids import add_points, update_map
@@ -287,19 +286,11 @@ def main() -> None:
     for name, part in parts.items():
         if options.only in (None, name):
             part()
-    machine = {
-        "machine": platform.machine(),
-        "cpus": os.cpu_count(),
-        "load": [round(v, 1) for v in os.getloadavg()],
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "numba": numba.__version__,
-    }
+    here = machine(f"numpy {np.__version__}", f"numba {numba.__version__}")
     if options.json:
-        print(json.dumps({"machine": machine, "rows": table.rows}))
+        print(json.dumps({"machine": here, "rows": table.rows}))
     else:
-        print(" ".join(f"{k} {v}" for k, v in machine.items()))
-        print(table.text())
+        print(here, table.text(), sep="\n")
     sys.exit(any(r["met"] is False for r in table.rows))
 
 
