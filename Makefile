@@ -22,7 +22,7 @@ demo: $(STAMP)
 	$(VENV)/bin/surffollow demo
 
 test: $(STAMP)
-	$(PY) -m pytest
+	$(PY) -m pytest -n 2
 
 bench: $(STAMP)
 	$(PY) tools/bench.py

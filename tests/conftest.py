@@ -8,6 +8,13 @@ from pathlib import Path
 import pytest
 
 from running_service import Service, World, config_text
+from two_workers import make_scheduler
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """With `-n`: whole modules, the long ones first."""
+    return make_scheduler(config, log)
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import struct
-import time
 import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -44,7 +43,7 @@ class Child:
         self._r, self._w = os.pipe()
         self.pid = os.fork()
         if self.pid == 0:
-            signal.alarm(60)  # it must not outlive a test run that was killed
+            signal.alarm(300)  # it must not outlive a test run that was killed
             try:
                 work(self)
             except BaseException:
@@ -105,4 +104,4 @@ def child() -> Iterator[Callable[[Callable[[Child], None]], Child]]:
 def forever() -> None:
     """What a child does that is to be killed."""
     while True:
-        time.sleep(1.0)
+        signal.pause()

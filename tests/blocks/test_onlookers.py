@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
-import threading
+import sys
 from pathlib import Path
 
 import pytest
@@ -71,14 +71,12 @@ def test_show_prints_values_with_units_from_the_block_itself(space, platform):
 
 
 def test_watch_prints_each_change_it_sees(space, platform):
-    def write_on():
+    words = [sys.executable, "-m", "surffollow", "blocks", "watch", f"{space}.platform", "--json"]
+    with subprocess.Popen([*words, "--every", "0.005", "--count", "2"], stdout=subprocess.PIPE) as watch:
+        lines = [watch.stdout.readline()]
         with platform.write() as slot:
             slot.t_ns = 6
-
-    timer = threading.Timer(0.05, write_on)
-    timer.start()
-    lines = run("watch", f"{space}.platform", "--json", "--every", "0.005", "--count", "2").splitlines()
-    timer.join()
+        lines += watch.stdout.readlines()
     assert [json.loads(line)["values"]["t_ns"] for line in lines] == [5, 6]
     assert "state='home'" in run("watch", f"{space}.platform", "--count", "1")
 

@@ -68,9 +68,9 @@ class Service:
 
     def stop(self) -> None:
         """End it and remove all that it left."""
-        subprocess.run(self.command("stop", "--purge"), timeout=30, check=False, capture_output=True)
+        subprocess.run(self.command("stop", "--purge"), timeout=120, check=False, capture_output=True)
         if self.process is not None:
-            self.process.wait(timeout=10)
+            self.process.wait(timeout=60)
 
 
 class StillWorld:
@@ -94,7 +94,7 @@ class StillWorld:
         self._writer.close()
 
 
-def run(program: Path, *words: str, timeout_s: float = 30.0, code: int = 0) -> str:
+def run(program: Path, *words: str, timeout_s: float = 120.0, code: int = 0) -> str:
     """Run a program to its end; what it printed."""
     done = subprocess.run([str(program), *words], capture_output=True, text=True, timeout=timeout_s)
     assert done.returncode == code, f"{words}: {done.returncode}\n{done.stdout}\n{done.stderr}"
@@ -141,7 +141,7 @@ class Probe:
             raise AssertionError(f"the probe died of {line!r}: {self.process.communicate()[1]}")
         return Answer(int(words[-3]), int(words[-2]), int(words[-1]), [float(w) for w in words[:-3]])
 
-    def until(self, line: str, condition: Callable[[Answer], bool], timeout_s: float = 10.0) -> Answer:
+    def until(self, line: str, condition: Callable[[Answer], bool], timeout_s: float = 60.0) -> Answer:
         """Repeat a call until its answer is as wanted."""
         deadline = time.monotonic() + timeout_s
         while not condition(answer := self(line)):
@@ -151,5 +151,5 @@ class Probe:
     def end(self) -> None:
         """Let it detach and end; sanitizers complain by the exit code."""
         if self.process.poll() is None:
-            _, errors = self.process.communicate(timeout=10)
+            _, errors = self.process.communicate(timeout=60)
             assert self.process.returncode == 0, errors

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import struct
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 
 from cabi.running import Probe, Service
+from running_service import quickest, until
 from surffollow.client import Client, attach
 from surffollow.client.map_reader import copy_map
 from surffollow.errors import MapFileError, RefusedError, RequestTimeoutError
@@ -37,24 +37,23 @@ def probe(make_probe: Callable[..., Probe], service: Service) -> Probe:
     p = make_probe()
     assert p(f"attach {service.name}").result == OK
     assert p(f"map_reset {REGION}").result == OK
-    before = p("status").values[4]
+    before, cycle = p("status").values[4], p("status").values[2]
     for k in range(40):
-        assert p(f"ee {0.002 * k + 0.01} 0.04 {0.1 + 0.0005 * k} 0 0 0 1").result == OK
-        time.sleep(0.004)
-    p.until("status", lambda a: a.values[4] >= before + 40)
+        pose = f"ee {0.002 * k + 0.01} 0.04 {0.1 + 0.0005 * k} 0 0 0 1"
+        assert p(pose).result == OK
+        cycle = p.until("status", lambda a, last=cycle: a.values[2] >= last + 4).values[2]
+    p.until(pose, lambda _: p("status").values[4] >= before + 40)
     return p
 
 
-def settle(probe: Probe) -> None:
+def settle(probe: Probe, robot: Client) -> None:
     """Wait until the pose is stale, so that no sample comes any more, and all that came were applied."""
     probe.until("dev", lambda a: int(a.values[2]) & POSE_STALE != 0)
-    applied = -1.0
-    while applied != (applied := probe("status").values[4]):
-        time.sleep(0.1)
+    until(lambda: (s := robot.status())["map"]["applied"] == s["samples"], "an empty queue")
 
 
 def test_heights_in_c_are_those_of_the_kernel(probe: Probe, robot: Client) -> None:
-    settle(probe)
+    settle(probe, robot)
     header, pairs = copy_map(robot, 5.0)
     assert header[0]["samples"] > 40
     known = 0
@@ -71,7 +70,7 @@ def test_heights_in_c_are_those_of_the_kernel(probe: Probe, robot: Client) -> No
 
 
 def test_surface_in_c_is_pythons(probe: Probe, robot: Client) -> None:
-    settle(probe)
+    settle(probe, robot)
     points = np.random.default_rng(8).uniform(-0.005, 0.105, (80, 2)).tolist()
     points += [(0.0013 * k + 0.01, 0.04 + 0.0001 * (k % 5)) for k in range(60)]
     known = slopes = 0
@@ -97,7 +96,7 @@ def test_points_that_no_map_has_are_unknown(probe: Probe) -> None:
 def test_uploaded_file_is_the_python_clients_byte_for_byte(
     probe: Probe, robot: Client, tmp_path: Path
 ) -> None:
-    settle(probe)
+    settle(probe, robot)
     assert probe(f"upload {tmp_path / 'c.txt'}").result == OK
     robot.upload_map(tmp_path / "python.txt")
     assert (tmp_path / "c.txt").read_text() == (tmp_path / "python.txt").read_text()
@@ -136,12 +135,12 @@ def test_map_stands_still_while_a_c_client_holds_it_and_following_goes_on(
     assert probe("begin 1000").result == OK
     assert probe("held").result == 1
     assert robot.status()["map"]["access_slot"] == probe("held").slot
-    applied, cycles = probe("status").values[4], probe("status").values[2]
-    for _ in range(10):
+    _, _, cycles, _, applied, _ = probe("status").values
+    seen = set()
+    while (now := probe("status").values)[2] <= cycles + 40:
         assert probe("ee 0.05 0.05 0.1 0 0 0 1").result == OK
-        time.sleep(0.004)
-    assert probe("status").values[4] == applied
-    assert probe("status").values[2] > cycles + 20
+        seen.add(now[4])
+    assert seen == {applied}
     with pytest.raises(RequestTimeoutError), robot.exclusive(timeout_s=0.05):
         pass
     assert probe("end").result == OK
@@ -153,8 +152,10 @@ def test_map_stands_still_while_a_c_client_holds_it_and_following_goes_on(
 def test_holder_that_outlives_its_lease_is_told_that_its_copy_may_be_mixed(probe: Probe) -> None:
     assert probe("begin 1000").result == OK
     probe.until("held", lambda a: a.result == 0)  # the service's lease is 0.7 s
-    time.sleep(0.01)
-    assert probe("held").result == 0  # and it is not granted again behind the holder's back
+    cycles = probe("status").values[2]
+    # and it is not granted again behind the holder's back
+    probe.until("status", lambda a: probe("held").result != 0 or a.values[2] > cycles + 20)
+    assert probe("held").result == 0
     assert probe("end").result == -31
     assert probe("begin 1000").result == OK
     assert probe("end").result == OK
@@ -235,9 +236,9 @@ def test_grant_given_anew_behind_the_holders_back_is_not_its_own(probe: Probe, s
         assert probe(f"holding 1000 {over_ms}").result == -31
         assert probe("holding 1000 0").result == OK, "it is heard again at once"
     with attach(service.name) as slow, attach(service.name) as watcher:
-        before = watcher.status()["map"]["grants"]
+        before, cycles = watcher.status()["map"]["grants"], watcher.status()["cycles"]
         with pytest.raises(RefusedError, match="taken back"), slow.exclusive():
-            time.sleep(1.6)
+            until(lambda: watcher.status()["cycles"] > cycles + 1600, "two leases and more")
         assert watcher.status()["map"]["grants"] == before + 1, "a fenced holder gets no second grant"
         with slow.exclusive():
             pass
@@ -252,15 +253,17 @@ def test_access_nests_and_its_holder_is_not_made_to_wait_for_itself(
     assert probe("end").result == OK
     assert probe(f"upload {tmp_path / 'inside.txt'}").result == OK
     assert probe("held").result == 1
-    began = time.monotonic()
-    assert probe(f"map_reset {REGION}").result == -35
-    assert probe(f"map_refocus {REGION}").result == -35
-    assert time.monotonic() - began < 0.2
+    for ask in ("map_reset", "map_refocus"):
+        assert quickest(lambda ask=ask: refused(probe, ask)) < 0.1
     assert probe("end").result == OK
     assert probe("held").result == 0
     with robot.exclusive():
         pass
     assert probe(f"map_reset {REGION}").result == OK
+
+
+def refused(probe: Probe, ask: str) -> None:
+    assert probe(f"{ask} {REGION}").result == -35
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device", "link to a pipe"])

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
+from running_service import objects_of
 from surffollow.live.figures import table, verdict
 
 KEYS = {
@@ -27,21 +27,23 @@ KEYS = {
 def result(tmp_path_factory):
     folder = tmp_path_factory.mktemp("demo")
     words = ["demo", "--seconds", "4", "--json", "--picture", str(folder / "demo.png"), "--keep", str(folder)]
-    done = subprocess.run(
-        [sys.executable, "-m", "surffollow", *words], capture_output=True, text=True, timeout=400
-    )
-    assert done.returncode == 0, done.stderr + done.stdout
-    return folder, json.loads(done.stdout)
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        [sys.executable, "-m", "surffollow", *words], stdout=pipe, stderr=pipe, text=True
+    ) as demo:
+        out, errors = demo.communicate(timeout=400)
+    assert demo.returncode == 0, errors + out
+    return folder, json.loads(out), demo.pid
 
 
 def test_demo_prints_one_json_object_with_the_promised_figures(result):
-    _, figures = result
+    _, figures, _ = result
     assert figures.keys() >= KEYS
     assert figures["failures"] == []
 
 
 def test_demo_follows_within_its_bars_and_maps_where_it_went(result):
-    _, figures = result
+    _, figures, _ = result
     assert figures["standoff_rms_m"] <= 5e-3
     # 4 s at 50 mm/s pass about 80 grids of 2.54 mm
     assert figures["grids_known"] >= 40
@@ -49,21 +51,21 @@ def test_demo_follows_within_its_bars_and_maps_where_it_went(result):
 
 
 def test_demo_replays_with_the_same_bits(result):
-    folder, figures = result
+    folder, figures, _ = result
     assert figures["replay_identical"] is True
     assert figures["replay_cycles"] > 3000
     assert (folder / "demo.mcap").stat().st_size > 0
 
 
 def test_demo_draws_a_picture(result):
-    folder, _ = result
+    folder, _, _ = result
     data = (folder / "demo.png").read_bytes()
     assert data[:8] == b"\x89PNG\r\n\x1a\n"
     assert len(data) > 20_000
 
 
 def test_demo_leaves_nothing_in_shared_memory(result):
-    assert not [p.name for p in Path("/dev/shm").glob("demo-*")]
+    assert objects_of(f"demo-{result[2]}") == set()
 
 
 def test_verdict_names_everything_that_went_wrong():
@@ -81,7 +83,7 @@ def test_verdict_names_everything_that_went_wrong():
 
 
 def test_table_has_a_row_for_every_figure(result):
-    _, figures = result
+    _, figures, _ = result
     text = table(figures)
     for word in ("stand-off RMS", "lateness", "grids mapped", "replay", "overruns"):
         assert word in text

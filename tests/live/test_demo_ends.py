@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from running_service import objects_of, until
+from running_service import READY_S, objects_of, until
 from surffollow.cli.demo import demo_command
 from surffollow.errors import SurffollowError
 from surffollow.live.figures import table, verdict
@@ -67,8 +67,8 @@ def test_a_demonstration_that_is_ended_by_a_signal_leaves_no_process_and_no_memo
     demo = subprocess.Popen([sys.executable, "-m", "surffollow", *words], stdout=subprocess.DEVNULL)
     name = f"demo-{demo.pid}"
     try:
-        until(lambda: len(objects_of(name)) == 4 or demo.poll() is not None, "service and robot", 180.0)
-        assert len(living(name)) == 4, "service, recorder, robot, and who purges"
+        # service, recorder, robot, and who purges
+        until(lambda: len(objects_of(name)) == len(living(name)) == 4, "service and robot", READY_S)
         demo.send_signal(number)
         code = demo.wait(60.0)
         assert code == (-number if number == signal.SIGKILL else 128 + number)

@@ -13,12 +13,12 @@ from surffollow.client import Client
 from surffollow.map import HeightMap
 
 GRIDS = 200_000
-LEASE_S = 0.5
+LEASE_S = 2.0
 
 
 @pytest.fixture(scope="module")
 def map_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """No sensors, room for 200,000 grids, a lease of half a second; alive for the whole module."""
+    """No sensors, room for 200,000 grids, a lease of two seconds; alive for the whole module."""
     text = config_text(grids=GRIDS, map=f'access_lease = "{LEASE_S} s"')
     s = Service(tmp_path_factory.mktemp("map_service"), text)
     try:

@@ -86,11 +86,15 @@ def test_only_the_tile_under_the_sensor_counts_as_changed(make_service: Callable
             everything = robot.map_changes()
             ny, nx = robot.map_window().map_shape
             assert sum((r1 - r0) * (c1 - c0) for r0, r1, c0, c1 in everything.tiles) == ny * nx
-            drive(robot, lambda: robot.map_surface(*POSE[:2]).known, what="a sample in the map")
-            changes = robot.map_changes(everything)
+            changes = drive(
+                robot,
+                lambda: (
+                    robot.map_surface(*POSE[:2]).known and (c := robot.map_changes(everything)).tiles and c
+                ),
+                what="a sample in the map",
+            )
             w = robot.map_window()
             row, column = ((POSE[k] - w.origin_m[1 - i]) / w.grid_m for i, k in enumerate((1, 0)))
-            assert changes.tiles, "a sample changes its tile"
             for r0, r1, c0, c1 in changes.tiles:
                 # the sensor's scatter is far smaller than a tile
                 assert r0 - 1 <= row <= r1 + 1
@@ -132,7 +136,9 @@ def test_a_reader_never_mixes_two_maps(client: Client, map_service: Service, tmp
     reader = threading.Thread(target=read)
     reader.start()
     try:
-        for _ in range(8):
+        for k in range(200):
+            if k >= 8 and min(seen.values()) > 0:
+                break
             for path in paths:
                 client.map_install(path)
     finally:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from running_service import POSE, STANDOFF_M, Service, drive, until
-from surffollow.client import Client, Demand
+from surffollow.client import STALE, Client, Demand
 from surffollow.client.demand import VALID
 from surffollow.shm.layout_follow import (
     DRYRUN,
@@ -49,22 +49,34 @@ def client(service: Service, request: pytest.FixtureRequest) -> Iterator[Client]
 
 
 def follow(service: Service, client: Client, height_m: float) -> Demand:
-    """Move the tool, truly and as reported, and stay until the sensor has seen it."""
+    """Move the tool, truly and as reported, and stay until the sensor has seen it; a demand of then."""
     assert service.world is not None
     service.world.pose = pose = at_height(height_m)
     end = client.status()["cycles"] + 120
-    drive(client, lambda: client.status()["cycles"] > end, pose, "120 cycles")
-    client.ee_pos(pose)
-    return client.dev_vector()
+
+    def after() -> Demand | None:
+        passed = client.status()["cycles"] > end
+        demand = client.dev_vector()
+        return demand if passed and not demand.status & (STALE | POSE_STALE) else None
+
+    return drive(client, after, pose, "120 cycles")  # type: ignore[no-any-return]
+
+
+def distance_m(client: Client) -> float:
+    """The distance, once there is one."""
+    return until(lambda: (d := client.raw_distance()) > 0.0 and d, "a distance")  # type: ignore[no-any-return]
 
 
 def test_over_level_ground_at_its_standoff_it_demands_next_to_nothing(client: Client) -> None:
-    drive(client, lambda: client.dev_vector().valid and abs(client.dev_vector()[2]) < 2e-3)
-    demand = client.dev_vector()
+    demand = drive(
+        client,
+        lambda: (d := client.dev_vector()).valid and abs(d[2]) < 2e-3 and d.age_ns < 20_000_000 and d,
+        what="a fresh demand of next to nothing",
+    )
     assert demand[:2] == (0.0, 0.0)
     assert demand.pose_t_ns > 0
-    assert 0 <= demand.age_ns < 20_000_000
-    assert client.raw_distance() == pytest.approx(STANDOFF_M, abs=1e-3)
+    assert demand.age_ns >= 0
+    assert distance_m(client) == pytest.approx(STANDOFF_M, abs=1e-3)
     assert math.isnan(client.raw_distance(3)), "a channel without a sensor"
 
 
@@ -91,7 +103,7 @@ def test_without_poses_it_is_stale_and_zero_until_they_come_again(client: Client
     cycles = client.status()["cycles"]
     until(lambda: client.status()["cycles"] > cycles + 50)
     assert client.status()["map"]["applied"] == applied, "the map takes nothing from an unknown place"
-    assert client.raw_distance() == pytest.approx(STANDOFF_M, abs=1e-3), "the distance is still told"
+    assert distance_m(client) == pytest.approx(STANDOFF_M, abs=1e-3), "the distance is still told"
     drive(client, lambda: client.dev_vector().valid, what="a demand again")
 
 
@@ -139,4 +151,4 @@ def test_dry_run_and_freeze_publish_no_demand_that_a_robot_could_heed(
     else:
         assert output["demand"] == ZERO
     client.set_params(run="normal")
-    drive(client, lambda: client.dev_vector().valid and client.dev_vector()[2] > 1e-3, what="a demand")
+    drive(client, lambda: (d := client.dev_vector()).valid and d[2] > 1e-3, what="a demand")

@@ -22,9 +22,18 @@ def bench(name: str, *words: str) -> dict[str, Any]:
     return result
 
 
+def enough(result: dict[str, Any]) -> bool:
+    runs = result["runs"]
+    some = min(runs["bytes"]["writes"], runs["commands"]["requests"], result["checked_against_limit"])
+    return bool(some > 1000)
+
+
 def test_random_bytes_over_the_whole_inbox_neither_stop_nor_mislead_the_service() -> None:
     # overruns are judged by the long form on a quiet machine: here other tests run beside
-    result = bench("bench_fuzz.py", "--seconds", "2", "--slack", "1e5")
+    for seconds in ("2", "10", "40"):  # until it wrote enough to prove something
+        result = bench("bench_fuzz.py", "--seconds", seconds, "--slack", "1e5")
+        if enough(result):
+            break
     assert result["works_afterwards"]
     assert result["runs"]["bytes"]["writes"] >= 1000
     assert result["runs"]["commands"]["requests"] > 1000

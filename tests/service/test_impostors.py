@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from running_service import POSE, READY_S, Service, objects_of, program, said, until
+from running_service import ATTACHED, POSE, READY_S, SENDING, Service, objects_of, program, said, until
 from service.test_many_clients import free_of_poses
 from surffollow.client import Client
 from surffollow.errors import (
@@ -31,11 +31,7 @@ from surffollow.shm.objects import SharedObject, unlink
 Make = Callable[..., Service]
 NOBODY = 65534
 ROOT_ONLY = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file away")
-FORKER = f"""
-import os, sys, time
-from surffollow.client import attach
-client = attach(sys.argv[1])
-client.ee_pos({POSE})
+FORKER = f"""{ATTACHED}
 pins = memoryview(client._in), client._in_words  # mappings that a child cannot let go of
 child = os.fork()
 if child == 0:
@@ -45,15 +41,8 @@ if child == 0:
     finally:
         time.sleep(60)
 print("forked", child, flush=True)
-while True:
-    client.ee_pos({POSE})
-    time.sleep(0.002)
-"""
-OWN_SLOT = f"""
-import os, sys
-from surffollow.client import attach
-client = attach(sys.argv[1])
-client.ee_pos({POSE})
+{SENDING}"""
+OWN_SLOT = f"""{ATTACHED}
 parents = client.slot
 child = os.fork()
 if child == 0:
@@ -180,8 +169,8 @@ def test_an_inbox_whose_header_was_overwritten_is_mended_and_attached_to(make_se
         client._in[0:64] = os.urandom(64)
         with attach_soon(s) as late:
             late.sf_reset(0.1)
-        assert "1 times" in until(lambda: client.status()["main"]["text"], "the fault is told")
-        assert client.status()["main"]["faults"] & 8
+        told = until(lambda: "1 times" in (m := client.status()["main"])["text"] and m, "the fault is told")
+        assert told["faults"] & 8
 
 
 def test_an_inbox_that_is_not_the_boards_is_refused(make_service: Make) -> None:

@@ -12,41 +12,30 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from running_service import POSE, Service, objects_of, program, said, until
+from running_service import ATTACHED, PATIENT_S, POSE, SENDING, Service, objects_of, program, said, until
 from surffollow.client import Client
 from surffollow.errors import BusyError, RefusedError
 from surffollow.shm import layout_board as lb
 
 Make = Callable[..., Service]
 NOBODY = ("setpriv", "--reuid=65534", "--regid=65534", "--clear-groups")
-SENDER = f"""
-import sys, time
-from surffollow.client import attach
-client = attach(sys.argv[1])
-client.ee_pos({POSE})
+SENDER = f"""{ATTACHED}
 print("sending", client.slot, flush=True)
-while True:
-    client.ee_pos({POSE})
-    time.sleep(0.005)
-"""
-FORKER = f"""
-import os, sys, time
-from surffollow.client import attach
-client = attach(sys.argv[1])
-client.ee_pos({POSE})
+{SENDING}"""
+FORKER = f"""{ATTACHED}
 child = os.fork()
 if child == 0:
     time.sleep(60)
 print("forked", child, flush=True)
 time.sleep(60)
 """
-STRANGER = """
+STRANGER = f"""
 import sys
 from surffollow.client import attach, observe
 from surffollow.errors import NoPermissionError
 for what in (observe, attach):
     try:
-        door = what(sys.argv[1])
+        door = what(sys.argv[1], stale_min_s={PATIENT_S})
         print(what.__name__, door.status()["state"], door.dev_vector().names)
     except NoPermissionError as e:
         print(what.__name__, "refused:", e)
@@ -167,8 +156,8 @@ def test_a_client_that_cuts_the_inbox_short_does_not_end_the_service(make_servic
             os.truncate(f"/dev/shm/{s.name}.inbox", cut)
             until(lambda: os.stat(f"/dev/shm/{s.name}.inbox").st_size == size, "the inbox is whole again")
             until(lambda before=before: watcher.status()["cycles"] > before + 100, "the cycle goes on")
-        assert "3 times" in until(lambda: watcher.status()["main"]["text"], "the fault is told")
-        assert watcher.status()["main"]["faults"] & 8
+        told = until(lambda: "3 times" in (m := watcher.status()["main"])["text"] and m, "the fault is told")
+        assert told["faults"] & 8
         with s.attach() as client:
             client.ee_pos(POSE)
             client.sf_reset(0.1)

@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from running_service import until
 from surffollow.cli.robot import robot_command
 from surffollow.errors import ConfigError, NotRunningError
 from surffollow.sim.robot_motion import TRACE_COLUMNS
+from surffollow.sim.world import WorldReader
 
 NAME = f"test-robot-command-{os.getpid()}"
 SMALL = ["--name", NAME, "--surface", "flat", "--field", "0", "0", "0.5", "0.2"]
@@ -40,6 +42,20 @@ def command(*arguments: str) -> subprocess.Popen[str]:
     here = str(Path(__file__).parent)
     line = [sys.executable, "-c", RUN, here, *SMALL, *arguments]
     return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def robot_time_ns(process: subprocess.Popen[str]) -> int:
+    """What the robot's world says that the time is; 0 before it says anything."""
+    assert process.poll() is None, process.communicate()[1]
+    try:
+        reader = WorldReader(NAME)
+    except NotRunningError:
+        return 0
+    try:
+        record = reader.latest()
+        return 0 if record is None else int(record[0]["t_ns"])
+    finally:
+        reader.close()
 
 
 def test_robot_prints_one_json_object_and_writes_its_trace(tmp_path: Path) -> None:
@@ -76,10 +92,9 @@ def test_robot_that_gets_no_valid_demand_prints_its_summary_and_fails(
 ) -> None:
     monkeypatch.setenv("SILENT", "1")
     process = command("--seconds", "2", "--json")
-    try:
-        process.communicate(timeout=3)
-    except subprocess.TimeoutExpired:
-        process.send_signal(signal.SIGTERM)
+    begun = until(lambda: robot_time_ns(process), "a robot")
+    until(lambda: robot_time_ns(process) > begun + 1_500_000_000, "three times what a robot may stand still")
+    process.send_signal(signal.SIGTERM)
     out, err = process.communicate(timeout=30)
     assert json.loads(out)["finished"] is False
     assert process.returncode == 1
