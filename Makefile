@@ -22,6 +22,7 @@ demo: $(STAMP)
 	$(VENV)/bin/surffollow demo
 
 test: $(STAMP)
+	$(PY) tests/warm.py
 	$(PY) -m pytest -n 2
 
 bench: $(STAMP)
