@@ -87,3 +87,26 @@ def test_table_has_a_row_for_every_figure(result):
     text = table(figures)
     for word in ("stand-off RMS", "lateness", "grids mapped", "replay", "overruns"):
         assert word in text
+
+
+def test_closeness_above_the_bars_speed_is_told_not_judged_and_a_folder_may_be_used_again(result):
+    folder, _, _ = result
+    words = [
+        "demo",
+        "--mode",
+        "paper",
+        "--speed",
+        "200 mm/s",
+        "--seconds",
+        "3",
+        "--json",
+        "--keep",
+        str(folder),
+    ]
+    done = subprocess.run(
+        [sys.executable, "-m", "surffollow", *words], capture_output=True, text=True, timeout=400
+    )
+    figures = json.loads(done.stdout)
+    assert done.returncode == 0, figures["failures"]
+    assert figures["standoff_rms_m"] > 0.0
+    assert "50 mm/s" in figures["notes"][0]
