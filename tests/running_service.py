@@ -147,6 +147,15 @@ class Service:
         """Send it a signal."""
         os.kill(self.pid, number)
 
+    def freeze(self) -> None:
+        """SIGSTOP, and wait until every thread of it stands still."""
+        self.send(signal.SIGSTOP)
+        tasks = Path(f"/proc/{self.pid}/task")
+        until(
+            lambda: {p.read_text().rsplit(")", 1)[1].split()[0] for p in tasks.glob("*/stat")} == {"T"},
+            "standstill",
+        )
+
     def kill(self) -> None:
         """SIGKILL: nothing is tidied up."""
         assert self.process is not None
