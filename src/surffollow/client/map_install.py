@@ -2,7 +2,8 @@
 
 The file is read and checked as a whole before the service hears of it. Piece k (from 1) goes into
 half k & 1 of the slot's stream area once piece k - 2 was taken; its number is stored last. The service
-acknowledges with the number of grids it has taken.
+acknowledges with the number of grids it has taken, first with 0 when the installation's turn has come:
+no piece is written before, so that one who gives up or dies while he waits leaves the old map untouched.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class MapStream:
         w = header[0]
         self.client, self.pairs, self.timeout_s = client, pairs, timeout_s
         nx, ny = int(w["nx"]), int(w["ny"])
-        self.total, self.posted, self.taken = nx * ny, 0, 0
+        self.total, self.posted, self.taken, self.called = nx * ny, 0, 0, False
         values = [float(v) for v in w["region_m"]]
         values += [float(w[name]) for name in ("grid_m", "x0_m", "y0_m", "datum_m", "quantum_m")]
         numbers = (nx, ny, int(w["datum_set"]))
@@ -45,16 +46,16 @@ class MapStream:
         ack = self.acks.read() or {}
         mine = (ack.get("counter"), ack.get("claim")) == (self.ticket.counter, self.claim)
         if mine and ack["result"] == lb.ACCEPTED:
-            self.taken = int(ack["detail"])
+            self.taken, self.called = int(ack["detail"]), True
         return self.taken
 
     def wait_for_room(self, timeout_s: float) -> bool:
-        """Wait until the next piece has a free half; False when the service has answered instead."""
+        """Wait until the service takes the next piece; False when it has answered instead."""
         number, seen = self.posted + 1, -1
         deadline = time.monotonic() + timeout_s
         while True:
             taken = self.grids_taken()
-            if number <= taken // lb.PIECE_GRIDS + 2:
+            if self.called and number <= taken // lb.PIECE_GRIDS + 2:
                 return True
             if self.ticket.done():
                 return False
@@ -67,6 +68,7 @@ class MapStream:
                 raise RequestTimeoutError(
                     f"service {self.client.name!r} took no piece of the map within {timeout_s:g} s; "
                     "another client may hold the map (surffollow status)"
+                    + ("" if self.posted else "; the map is as it was")
                 )
             time.sleep(_POLL_S)
 
@@ -88,7 +90,9 @@ class MapStream:
     def give_up(self) -> None:
         """Tell the service not to wait for more."""
         with contextlib.suppress(NotRunningError, RequestTimeoutError):
-            if self.wait_for_room(_GIVE_UP_S):
+            # before the turn has come the first half is free, too
+            early = self.posted == 0 and self.client.alive() and self.client.board is self.board
+            if early or self.wait_for_room(_GIVE_UP_S):
                 self.post(-1, b"", b"")
 
     def run(self, progress: Any) -> None:

@@ -21,6 +21,29 @@ _MAX_REGION = ml.MAX_REGION_M
 
 
 @njit(cache=True, nogil=True)
+def install_fault(
+    header: Any, nx: Any, ny: Any, grid_m: Any, x0_m: Any, y0_m: Any, datum_m: Any, quantum_m: Any
+) -> Any:
+    """What `install_begin` would answer to the same arguments; nothing is touched.
+
+    Returns
+    -------
+    int64  OK, BUSY, TOO_SMALL (memory), BAD_MAP (numbers that no map has)
+    """
+    w = header[0]
+    if w.journal_op != 0:
+        return _BUSY
+    if not (0.0 < grid_m <= _MAX_REGION and 0.0 < quantum_m <= _MAX_REGION and nx >= 1 and ny >= 1):
+        return _BAD_MAP
+    if not (np.isfinite(x0_m) and np.isfinite(y0_m) and np.isfinite(datum_m)):
+        return _BAD_MAP
+    # the sides first: their product may overflow
+    if nx > w.capacity_grids or ny > w.capacity_grids or nx * ny > w.capacity_grids:
+        return _TOO_SMALL
+    return _OK
+
+
+@njit(cache=True, nogil=True)
 def install_begin(
     header: Any, nx: Any, ny: Any, grid_m: Any, x0_m: Any, y0_m: Any, datum_m: Any, quantum_m: Any
 ) -> Any:
@@ -37,16 +60,10 @@ def install_begin(
     -------
     int64  OK, BUSY, TOO_SMALL (memory), BAD_MAP (numbers that no map has)
     """
+    fault = install_fault(header, nx, ny, grid_m, x0_m, y0_m, datum_m, quantum_m)
+    if fault != _OK:
+        return fault
     w = header[0]
-    if w.journal_op != 0:
-        return _BUSY
-    if not (0.0 < grid_m <= _MAX_REGION and 0.0 < quantum_m <= _MAX_REGION and nx >= 1 and ny >= 1):
-        return _BAD_MAP
-    if not (np.isfinite(x0_m) and np.isfinite(y0_m) and np.isfinite(datum_m)):
-        return _BAD_MAP
-    # the sides first: their product may overflow
-    if nx > w.capacity_grids or ny > w.capacity_grids or nx * ny > w.capacity_grids:
-        return _TOO_SMALL
     w.journal_nx, w.journal_ny, w.journal_grid_m = nx, ny, grid_m
     w.journal_x0_m, w.journal_y0_m = x0_m, y0_m
     w.journal_datum_m, w.journal_datum_set, w.journal_quantum_m = datum_m, 1, quantum_m

@@ -15,7 +15,14 @@ from surffollow.map.install import operation_progress, reject
 from surffollow.map.refocus import refocus_begin, refocus_step
 from surffollow.service import memory as m
 from surffollow.service.inbox import slot_address
-from surffollow.service.mapper_install import NOTHING, WHOLE, begin_install, step_install
+from surffollow.service.mapper_install import (
+    FAILED,
+    NOTHING,
+    WHOLE,
+    awaits_first_piece,
+    begin_install,
+    step_install,
+)
 from surffollow.service.mapper_memory import (
     GRANTED_NS,
     HOLDER_CLAIM,
@@ -103,7 +110,7 @@ def begin_job(mem: Any) -> None:
     if code == RQ_MAP_RESET:
         result = reset_begin(mem.header, x0, y0, x1, y1)
     elif code == RQ_MAP_INSTALL:
-        result = begin_install(mem, base)
+        result = begin_install(mem)
     else:
         result = refocus_begin(mem.header, mem.pairs, mem.scratch, x0, y0, x1, y1)
     if result == ml.BAD_REGION:
@@ -122,10 +129,12 @@ def begin_job(mem: Any) -> None:
 def step_job(mem: Any, t_ns: Any) -> Any:
     """One slice of the map operation under way; 0 when it waits for its client."""
     operation = mem.header[0].journal_op
-    if operation == _INSTALLING:
+    if operation == _INSTALLING or awaits_first_piece(mem):
         answer = step_install(mem, t_ns)
         if answer == WHOLE:
             finish_job(mem, OK)
+        elif answer == FAILED and awaits_first_piece(mem):
+            finish_job(mem, ERR_CANCELLED)  # the old map stays
         return 0 if answer == NOTHING else 1
     if operation == _REFOCUSING:
         done = refocus_step(mem.header, mem.pairs, mem.scratch, SLICE_GRIDS)
@@ -239,6 +248,9 @@ def map_pass(mem: Any, t_ns: Any) -> Any:
 def end_job(mem: Any) -> None:
     """Carry the operation under way to its end; an installation is given up."""
     while mem.job[JOB_SLOT] != -1:
+        if awaits_first_piece(mem):
+            finish_job(mem, ERR_CANCELLED)  # the map stays as it is
+            return
         reject(mem.header)
         step_job(mem, now_ns())
 

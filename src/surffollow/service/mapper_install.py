@@ -1,10 +1,12 @@
 """Install a map that a client streams through its slot, piece by piece (docs/map.md).
 
-The client writes piece k (k = 1, 2, …) into half k & 1 of its stream area and stores the piece's
-number last; the map thread copies the half, checks the copy, installs it, and acknowledges with
-ACCEPTED and the number of grids taken. Then that half may carry piece k + 2. A client that gives up,
-dies, leaves its slot or is too slow is not waited for: the old map is gone by then, so what is left
-is an empty map over the announced grids, and the answer ERR_CANCELLED.
+When an installation's turn comes, the map thread checks its numbers and acknowledges with ACCEPTED
+and 0 grids taken. The client writes piece k (k = 1, 2, …) into half k & 1 of its stream area and stores
+the piece's number last; the map thread copies the half, checks the copy, installs it, and
+acknowledges with ACCEPTED and the number of grids taken. Then that half may carry piece k + 2. A client
+that gives up, dies, leaves its slot or is too slow is not waited for, and the answer is ERR_CANCELLED. Up
+to its first piece the old map is untouched; from then on what is left is an empty map over the
+announced grids.
 """
 
 from __future__ import annotations
@@ -13,12 +15,13 @@ from typing import Any
 
 from numba import njit
 
-from surffollow.map.install import install_begin, install_end, install_grids, reject
+from surffollow.map.install import install_begin, install_end, install_fault, install_grids, reject
 from surffollow.service import memory as m
 from surffollow.service.inbox import slot_address
 from surffollow.service.mapper_memory import (
     JOB_BEGAN_NS,
     JOB_CLAIM,
+    JOB_CODE,
     JOB_COUNTER,
     JOB_PIECE,
     JOB_SLOT,
@@ -29,7 +32,14 @@ from surffollow.shm import map_layout as ml
 from surffollow.shm.clock import now_ns
 from surffollow.shm.latch import latch_write
 from surffollow.shm.latch_shape import latch_bytes
-from surffollow.shm.layout_board import ACCEPTED, PIECE_BYTES, PIECE_GRIDS, SLOT_STREAM, Ack
+from surffollow.shm.layout_board import (
+    ACCEPTED,
+    PIECE_BYTES,
+    PIECE_GRIDS,
+    RQ_MAP_INSTALL,
+    SLOT_STREAM,
+    Ack,
+)
 
 _ACK_STEP, _ACK_BYTES = latch_bytes(Ack.SIZE), Ack.SIZE
 _PIECE_WORDS = PIECE_BYTES // 8
@@ -39,17 +49,31 @@ NOTHING, TAKEN, WHOLE, FAILED = range(4)
 
 
 @njit(cache=True, nogil=True)
-def begin_install(mem: Any, words: Any) -> Any:
-    """Announce the map whose numbers the request left at `words`.
+def _announced(mem: Any) -> Any:
+    """Where the request under way left its numbers: region, then the map's."""
+    return mem.ctx.ctypes.data + 8 * (m.REGION + mem.job[JOB_SLOT] * m.REGION_WORDS)
+
+
+@njit(cache=True, nogil=True)
+def _acknowledge(mem: Any, taken: Any) -> None:
+    """Tell the client that it is its turn, and how many grids were taken."""
+    a, job = mem.ack[0], mem.job
+    a.counter, a.claim = job[JOB_COUNTER], job[JOB_CLAIM]
+    a.result, a.detail = ACCEPTED, taken
+    latch_write(mem.ctx[m.MAP_ACKS] + job[JOB_SLOT] * _ACK_STEP, mem.ack.ctypes.data, _ACK_BYTES)
+
+
+@njit(cache=True, nogil=True)
+def begin_install(mem: Any) -> Any:
+    """Check the numbers of the announced map and call for its first piece; the map is untouched.
 
     Returns
     -------
     int64  OK, BAD_MAP, TOO_SMALL, BUSY of the map library
     """
     f, i = at.load_relaxed_f64, at.load_relaxed_i64
-    w, job = mem.header[0], mem.job
-    first = words + 8 * m.INSTALL_WORD
-    answer = install_begin(
+    first = _announced(mem) + 8 * m.INSTALL_WORD
+    answer = install_fault(
         mem.header,
         i(first + 40),
         i(first + 48),
@@ -60,44 +84,72 @@ def begin_install(mem: Any, words: Any) -> Any:
         f(first + 32),
     )
     if answer == ml.OK:
-        for k in range(4):
-            w.journal_region_m[k] = f(words + 8 * k)
-        w.journal_datum_set = 1 if i(first + 56) != 0 else 0
-        job[JOB_PIECE], job[JOB_BEGAN_NS] = 1, now_ns()
+        mem.job[JOB_PIECE], mem.job[JOB_BEGAN_NS] = 1, now_ns()
+        _acknowledge(mem, 0)
     return answer
 
 
 @njit(cache=True, nogil=True)
-def _acknowledge(mem: Any) -> None:
-    """Tell the client how many grids were taken."""
-    a, job = mem.ack[0], mem.job
-    a.counter, a.claim = job[JOB_COUNTER], job[JOB_CLAIM]
-    a.result, a.detail = ACCEPTED, mem.header[0].journal_progress
-    latch_write(mem.ctx[m.MAP_ACKS] + job[JOB_SLOT] * _ACK_STEP, mem.ack.ctypes.data, _ACK_BYTES)
+def awaits_first_piece(mem: Any) -> Any:
+    """Whether an installation is under way that has not begun: the old map is whole."""
+    job = mem.job
+    return job[JOB_SLOT] >= 0 and job[JOB_CODE] == RQ_MAP_INSTALL and mem.header[0].journal_op == 0
+
+
+@njit(cache=True, nogil=True)
+def _open_install(mem: Any) -> Any:
+    """Let the old map go: the first piece is here; whether the map library agrees."""
+    f, i = at.load_relaxed_f64, at.load_relaxed_i64
+    words = _announced(mem)
+    first, w = words + 8 * m.INSTALL_WORD, mem.header[0]
+    answer = install_begin(
+        mem.header,
+        i(first + 40),
+        i(first + 48),
+        f(first),
+        f(first + 8),
+        f(first + 16),
+        f(first + 24),
+        f(first + 32),
+    )
+    if answer != ml.OK:
+        return False
+    for k in range(4):
+        w.journal_region_m[k] = f(words + 8 * k)
+    w.journal_datum_set = 1 if i(first + 56) != 0 else 0
+    mem.job[JOB_BEGAN_NS] = now_ns()
+    return True
 
 
 @njit(cache=True, nogil=True)
 def take_piece(mem: Any) -> Any:
     """Install the next piece when it is there; NOTHING, TAKEN, WHOLE or FAILED."""
     ctx, job, piece, w = mem.ctx, mem.job, mem.piece, mem.header[0]
-    number = job[JOB_PIECE]
-    half = slot_address(ctx[m.INBOX], job[JOB_SLOT]) + SLOT_STREAM + (number & 1) * PIECE_BYTES
+    number, slot = job[JOB_PIECE], job[JOB_SLOT]
+    half = slot_address(ctx[m.INBOX], slot) + SLOT_STREAM + (number & 1) * PIECE_BYTES
     if at.load_acquire_i64(half) != number:
+        return NOTHING
+    # nobody is there until the main thread has seen the lock: no first piece of the dead
+    if number == 1 and at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.DEAD + slot)) != 0:
         return NOTHING
     for k in range(_PIECE_WORDS):
         piece[k] = at.load_relaxed_i64(half + 8 * k)
-    # of an earlier installation through this slot
     if piece[1] != job[JOB_COUNTER] or piece[2] != job[JOB_CLAIM]:
-        return NOTHING
+        # of an earlier installation through this slot, or of a later one: the client is past this one
+        return FAILED if piece[2] == job[JOB_CLAIM] and piece[1] > job[JOB_COUNTER] else NOTHING
+    numbers = _announced(mem) + 8 * (m.INSTALL_WORD + 5)
+    total = at.load_relaxed_i64(numbers) * at.load_relaxed_i64(numbers + 8)
     start, n = piece[3], piece[4]
-    total = w.journal_nx * w.journal_ny
-    if start < 0 or n != min(total - w.journal_progress, PIECE_GRIDS):
+    begun = 0 if number == 1 else w.journal_progress
+    if start != begun or n != min(total - begun, PIECE_GRIDS):
+        return FAILED
+    if number == 1 and not _open_install(mem):
         return FAILED
     heights, counts = mem.piece_heights[:n], mem.piece_counts[:n]
     if install_grids(mem.header, mem.pairs, start, heights, counts) != ml.OK:
         return FAILED
     job[JOB_PIECE] = number + 1
-    _acknowledge(mem)
+    _acknowledge(mem, w.journal_progress)
     if start + n < total:
         return TAKEN
     install_end(mem.header)
@@ -106,11 +158,15 @@ def take_piece(mem: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def step_install(mem: Any, t_ns: Any) -> Any:
-    """Go on with the installation; NOTHING, TAKEN, WHOLE, or FAILED: rejected, `reset_step` clears it."""
+    """Go on with the installation; NOTHING, TAKEN, WHOLE or FAILED.
+
+    One that failed after its first piece is rejected: `reset_step` clears the map.
+    """
     job, ctx = mem.job, mem.ctx
     answer = take_piece(mem)
     if answer == NOTHING:
-        late = t_ns - job[JOB_BEGAN_NS] > ctx[m.LEASE_NS] + NS_PER_GRID * mem.header[0].journal_progress
+        taken = 0 if job[JOB_PIECE] == 1 else mem.header[0].journal_progress
+        late = t_ns - job[JOB_BEGAN_NS] > ctx[m.LEASE_NS] + NS_PER_GRID * taken
         if late or holder_is_gone(ctx, job[JOB_SLOT], job[JOB_CLAIM], job[JOB_BEGAN_NS]):
             answer = FAILED
     if answer == FAILED:
