@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from running_service import READY_S, WAIT_S, Service, config_text, objects_of, until
@@ -19,6 +20,7 @@ from surffollow.cli.service import running_pid
 from surffollow.client import attach
 from surffollow.errors import AlreadyRunningError, ConfigError, NameError_, NoSpaceError, NotRunningError
 from surffollow.hw.registry import make_driver
+from surffollow.map import HeightMap
 from surffollow.service import house
 from surffollow.shm import objects
 
@@ -202,6 +204,29 @@ def test_the_map_survives_a_restart_and_a_sigkill_byte_for_byte(make_service: Ma
         assert watcher.epoch == 3
     assert s.run("stop", "--purge").returncode == 0
     assert objects_of(s.name) == set()
+
+
+def test_the_configured_quantum_holds_from_every_map_reset_on(make_service: Make, tmp_path: Path) -> None:
+    s = make_service().start()
+    with s.attach() as client:
+        client.map_reset((0.0, 0.0, 1.0, 1.0))
+        of_old = client.map_window().quantum_m
+    assert s.terminate() == 0
+    s.config.write_text(config_text(map='quantum = "0.1 mm"'))
+    s.start()
+    with s.attach() as client:
+        assert client.map_window().quantum_m == of_old
+        assert of_old == pytest.approx(25.4e-6)
+        client.map_refocus((0.2, 0.2, 0.8, 0.8))  # its heights are counts of the old quantum
+        assert client.map_window().quantum_m == of_old
+        client.map_reset((0.0, 0.0, 1.0, 1.0))
+        assert client.map_window().quantum_m == 1e-4
+        other = HeightMap.from_heights(np.zeros((4, 5)), origin_m=(0.0, 0.0), grid_m=0.1, quantum_m=5e-5)
+        other.save(tmp_path / "other.txt")
+        client.map_install(tmp_path / "other.txt")
+        assert client.map_window().quantum_m == 5e-5
+        client.map_reset((0.0, 0.0, 1.0, 1.0))
+        assert client.map_window().quantum_m == 1e-4
 
 
 def test_purge_after_a_sigkill_removes_what_was_left(own_service: Service) -> None:

@@ -171,13 +171,14 @@ def close_journal(header: Any, state: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def reset_begin(header: Any, x_min: Any, y_min: Any, x_max: Any, y_max: Any) -> Any:
+def reset_begin(header: Any, x_min: Any, y_min: Any, x_max: Any, y_max: Any, quantum_m: Any = 0.0) -> Any:
     """Start a MapReset; `reset_step` carries it out.
 
     Parameters
     ----------
     header : (1,) structured `MapHeader`
     x_min, y_min, x_max, y_max : float64      region of interest [m]
+    quantum_m : float64                       height of one count from now on [m]; 0: as before
 
     Returns
     -------
@@ -189,6 +190,8 @@ def reset_begin(header: Any, x_min: Any, y_min: Any, x_max: Any, y_max: Any) -> 
     w = header[0]
     if w.datum_auto != 0:
         w.journal_datum_set = 0
+    if quantum_m > 0.0:
+        w.journal_quantum_m = quantum_m
     open_journal(header, _RESETTING)
     return _OK
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from surffollow.config.service import ServiceConfig, seconds
+from surffollow.config.service import ServiceConfig, metres, seconds
 from surffollow.errors import ServiceError
 from surffollow.forecast.step import sf_reset
 from surffollow.hw.driver import ConversionQueue, Driver
@@ -57,7 +57,11 @@ class Daemon:
             self.samples = make_sample_ring(config, int(self.house.header[0]["period_ns"]))
             self.mem = initialise_memory(config, self.house, self.queue, self.samples)
             self.map_mem = make_map_memory(
-                self.mem.ctx, self.house.map_header, self.house.pairs, self.house.scratch
+                self.mem.ctx,
+                self.house.map_header,
+                self.house.pairs,
+                self.house.scratch,
+                metres(config.map.quantum, "map.quantum", 1e-9, 10.0),
             )
             initialise_constants(self.mem.params, config, self.driver.info)
             initialise_log(config, self.house)

@@ -108,7 +108,7 @@ def begin_job(mem: Any) -> None:
     x0, y0 = at.load_relaxed_f64(base), at.load_relaxed_f64(base + 8)
     x1, y1 = at.load_relaxed_f64(base + 16), at.load_relaxed_f64(base + 24)
     if code == RQ_MAP_RESET:
-        result = reset_begin(mem.header, x0, y0, x1, y1)
+        result = reset_begin(mem.header, x0, y0, x1, y1, mem.quantum_m)
     elif code == RQ_MAP_INSTALL:
         result = begin_install(mem)
     else:

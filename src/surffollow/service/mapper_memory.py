@@ -33,6 +33,7 @@ class MapMemory(NamedTuple):
     piece: Any  # copy of a piece of an installed map, as int64 words
     piece_heights: Any
     piece_counts: Any
+    quantum_m: float  # of the configuration: what every MapReset goes back to
 
 
 # slot of the request under way (-1: none, -2: recovery after a cut-off), its code, counter and
@@ -52,8 +53,8 @@ class MapMemory(NamedTuple):
 JOB_WORDS = 16
 
 
-def make_map_memory(ctx: Any, header: Any, pairs: Any, scratch: Any) -> MapMemory:
-    """Everything idle; `header`, `pairs` and `scratch` are the map object's."""
+def make_map_memory(ctx: Any, header: Any, pairs: Any, scratch: Any, quantum_m: float) -> MapMemory:
+    """Everything idle; header, pairs and scratch are the map object's, the quantum [m] the configuration's."""
     item, status = np.zeros(m.SAMPLE_WORDS, np.int64), zeros(MapStatus)
     status[0]["access_slot"] = -1
     piece = np.zeros(PIECE_BYTES // 8, np.int64)
@@ -71,4 +72,5 @@ def make_map_memory(ctx: Any, header: Any, pairs: Any, scratch: Any) -> MapMemor
         piece,
         piece.view(np.int16)[heights : heights + PIECE_GRIDS],
         piece.view(np.uint8)[counts : counts + PIECE_GRIDS],
+        quantum_m,
     )

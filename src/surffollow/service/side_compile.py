@@ -103,7 +103,7 @@ class SideCompile:
 def compile_map() -> None:
     """Compile the map thread into the cache, or find it there."""
     ctx = make_cycle_memory().ctx
-    mem = make_map_memory(ctx, zeros(ml.MapHeader), zeros(ml.GridPair), np.zeros(1))
+    mem = make_map_memory(ctx, zeros(ml.MapHeader), zeros(ml.GridPair), np.zeros(1), ml.DEFAULT_QUANTUM_M)
     run_map.compile((numba.typeof(mem),))  # type: ignore[no-untyped-call]
 
 
