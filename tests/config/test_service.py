@@ -128,6 +128,8 @@ def test_modes_are_octal(text, value):
         ('[driver]\nkind = "telepathy"\n', "driver kind 'telepathy' is unknown"),
         ("[driver]\nchannels = 9\n", "channels = 9"),
         ("[follow]\noffset = 0.4\n", "outside the sensor's window"),
+        ('[follow]\ntoo_close = "80 mm"\n', "too_close 0.08 m is above too_close_exit 0.05842 m"),
+        ('[follow]\nrange_min = "0.2 m"\n', "range_min 0.2 m is not below range_max"),
     ],
 )
 def test_what_start_finds_wrong_later_names_the_file_too(tmp_path, text, says):

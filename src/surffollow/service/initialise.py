@@ -13,9 +13,10 @@ from surffollow.errors import ConfigError
 from surffollow.hw.driver import ConversionQueue, DriverInfo
 from surffollow.service import memory as m
 from surffollow.service.house import House
+from surffollow.service.requests import misfit
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_follow import CHANNELS, INTERVALS, POSES
+from surffollow.shm.layout_follow import CHANNELS, INTERVALS, POSES, Params
 from surffollow.shm.ring import make_ring
 
 
@@ -75,7 +76,7 @@ def initialise_constants(params: Any, config: ServiceConfig, info: DriverInfo) -
 
     Raises
     ------
-    ConfigError  the stand-off lies outside the sensor's window
+    ConfigError  window, stand-off and fold-back do not fit each other
     """
     assert 2 * PARAMS["range_size"].high <= INTERVALS
     assert POSES & (POSES - 1) == 0
@@ -89,11 +90,27 @@ def initialise_constants(params: Any, config: ServiceConfig, info: DriverInfo) -
     p["tool_from_sensor"] = np.array(info.mounts, np.float64).reshape(-1)
     for name, value in follow_params(config).items():
         p[name] = value
-    if not p["range_min_m"] < p["offset_m"] < p["range_max_m"]:
-        raise ConfigError(
-            f"offset {p['offset_m']:g} m is outside the sensor's window {p['range_min_m']:g} to "
-            f"{p['range_max_m']:g} m; set follow.offset or the driver's window"
-        )
+    _check_fit(p)
+
+
+def _check_fit(p: Any) -> None:
+    """Refuse what `requests.misfit` would refuse of every later request."""
+    near, far, offset = float(p["range_min_m"]), float(p["range_max_m"]), float(p["offset_m"])
+    close, until = float(p["too_close_m"]), float(p["too_close_exit_m"])
+    word = misfit.py_func(near, far, offset, close, until)
+    if word < 0:
+        return
+    name = next(f.name for f in Params.FIELDS if f.offset == 8 * word)
+    raise ConfigError(
+        {
+            "range_min_m": f"range_min {near:g} m is not below range_max {far:g} m; set follow.range_min and "
+            "follow.range_max, or the driver's window",
+            "offset_m": f"offset {offset:g} m is outside the sensor's window {near:g} to {far:g} m; set "
+            "follow.offset or the driver's window",
+            "too_close_m": f"too_close {close:g} m is above too_close_exit {until:g} m; set both "
+            "follow.too_close and follow.too_close_exit",
+        }[name]
+    )
 
 
 def initialise_log(config: ServiceConfig, house: House) -> None:

@@ -119,16 +119,38 @@ def wanted_value(mem: Any, word: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def fits_together(mem: Any) -> Any:
-    """-1 when window, stand-off and fold-back fit each other after the request, else the word at fault."""
-    near, far = wanted_value(mem, _NEAR_WORD), wanted_value(mem, _FAR_WORD)
-    if not near < far:
+def misfit(near_m: Any, far_m: Any, offset_m: Any, close_m: Any, exit_m: Any) -> Any:
+    """Whether window, stand-off and fold-back fit each other, at the start and after every request.
+
+    Parameters
+    ----------
+    near_m, far_m : float64      limits of the sensor's window [m]
+    offset_m : float64           stand-off [m]
+    close_m, exit_m : float64    where TOO_CLOSE begins and ends [m]
+
+    Returns
+    -------
+    int64  -1 when they do, else the word of the parameter at fault
+    """
+    if not near_m < far_m:
         return _NEAR_WORD
-    if not near < wanted_value(mem, _OFFSET_WORD) < far:
+    if not near_m < offset_m < far_m:
         return _OFFSET_WORD
-    if not wanted_value(mem, _CLOSE_WORD) <= wanted_value(mem, _EXIT_WORD):
+    if not close_m <= exit_m:
         return _CLOSE_WORD
     return -1
+
+
+@njit(cache=True, nogil=True)
+def misfit_after(mem: Any) -> Any:
+    """What `misfit` says of the parameters as the request would leave them."""
+    return misfit(
+        wanted_value(mem, _NEAR_WORD),
+        wanted_value(mem, _FAR_WORD),
+        wanted_value(mem, _OFFSET_WORD),
+        wanted_value(mem, _CLOSE_WORD),
+        wanted_value(mem, _EXIT_WORD),
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -141,9 +163,9 @@ def do_set_params(mem: Any, t_ns: Any) -> Any:
     for k in range(n):
         if not in_bounds(mem.bounds, request.number[k], request.value[k]):
             return ERR_BAD_VALUE, request.number[k]
-    misfit = fits_together(mem)
-    if misfit >= 0:
-        return ERR_BAD_VALUE, misfit
+    word = misfit_after(mem)
+    if word >= 0:
+        return ERR_BAD_VALUE, word
     for k in range(n):
         word = request.number[k]
         if mem.bounds[word, 0] == 2.0:
