@@ -188,6 +188,30 @@ def test_geotiff_is_what_rasterio_expects(tmp_path):
         assert raster.read(2)[row, column] == m.counts[3, 10]
 
 
+@pytest.mark.parametrize("share", [0.05, 0.5, 0.9, 0.999])
+def test_a_geotiff_that_a_full_disk_cuts_short_does_not_replace_a_good_one(tmp_path, share):
+    pytest.importorskip("rasterio", reason="extra geo is not installed")
+    heights = np.random.default_rng(3).random((200, 200))
+    m = HeightMap.from_heights(heights, origin_m=(0, 0), grid_m=0.01)
+    path = tmp_path / "m.tif"
+    export(path, m.header, m.pairs)
+    good = path.read_bytes()
+    m.save(tmp_path / "m.npz")
+    limit = int(share * len(good))
+    code = (
+        "import resource, sys\n"
+        "from surffollow.cli.main import main\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, resource.RLIM_INFINITY))\n"
+        f"main(['map', 'export', {str(tmp_path / 'm.npz')!r}, {str(path)!r}])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 1, done.stderr
+    assert f"cannot write {path}" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert path.read_bytes() == good
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["m.npz", "m.tif"]
+
+
 def test_esri_grids_of_others_are_read(tmp_path):
     path = tmp_path / "dem.asc"
     path.write_text(

@@ -6,6 +6,7 @@ import math
 import os
 import re
 import warnings
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -135,7 +136,11 @@ def write_geotiff(
     *,
     progress: Progress | None = None,
 ) -> None:
-    """Write a GeoTIFF: band 1 heights [m] (NaN unknown), band 2 counts; no coordinate system, metres."""
+    """Write a GeoTIFF: band 1 heights [m] (NaN unknown), band 2 counts; no coordinate system, metres.
+
+    What was written is read back before it takes the name: GDAL does not tell of a write that
+    fails when it closes the file.
+    """
     rasterio = _rasterio()
     ny, nx = access.shape_of(header)
     w = header[0]
@@ -152,17 +157,43 @@ def write_geotiff(
         "compress": "deflate",
         "BIGTIFF": "IF_SAFER",
     }
-    with replacing(path) as temporary, _quiet(), rasterio.open(temporary, "w", **profile) as out:
-        out.set_band_description(1, "height [m]")
-        out.set_band_description(2, "samples")
-        for first, last in access.row_blocks(ny, nx):
-            low, high = ny - last, ny - first
-            z = access.metres(header, access.quanta(pairs, low * nx, high * nx)).reshape(-1, nx)
-            c = access.counts(pairs, low * nx, high * nx).reshape(-1, nx)
-            window = rasterio.windows.Window(0, first, nx, last - first)
-            out.write(z[::-1], 1, window=window)
-            out.write(c[::-1].astype(np.float64), 2, window=window)
-            report(progress, last / ny)
+    with replacing(path) as temporary, _quiet():
+        crc = 0
+        with rasterio.open(temporary, "w", **profile) as out:
+            out.set_band_description(1, "height [m]")
+            out.set_band_description(2, "samples")
+            for first, last in access.row_blocks(ny, nx):
+                low, high = ny - last, ny - first
+                z = access.metres(header, access.quanta(pairs, low * nx, high * nx)).reshape(-1, nx)
+                c = access.counts(pairs, low * nx, high * nx).reshape(-1, nx)
+                bands = np.stack([z[::-1], c[::-1].astype(np.float64)])
+                out.write(bands, window=rasterio.windows.Window(0, first, nx, last - first))
+                crc = zlib.crc32(bands.tobytes(), crc)
+                report(progress, last / ny / 2)
+        _read_back(rasterio, temporary, path, (ny, nx), crc, progress)
+
+
+def _read_back(
+    rasterio: Any,
+    written: os.PathLike[str],
+    path: str | os.PathLike[str],
+    shape: tuple[int, int],
+    crc: int,
+    progress: Progress | None,
+) -> None:
+    """Raise MapFileError unless a GeoTIFF holds what went into it."""
+    ny, nx = shape
+    found, why = 0, "it does not hold what was written"
+    try:
+        with rasterio.open(written) as source:
+            for first, last in access.row_blocks(ny, nx):
+                bands = source.read(window=rasterio.windows.Window(0, first, nx, last - first))
+                found = zlib.crc32(bands.tobytes(), found)
+                report(progress, (1 + last / ny) / 2)
+    except rasterio.errors.RasterioError as e:
+        found, why = crc ^ 1, f"it cannot be read back ({e})"
+    if found != crc:
+        raise MapFileError(f"cannot write {path}: {why}; is the disk full?")
 
 
 def read_geotiff(path: str | os.PathLike[str]) -> Raster:
