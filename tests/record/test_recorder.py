@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -227,6 +228,21 @@ def test_a_full_disk_is_told_and_the_file_stays_readable_up_to_there(tmp_path: P
 def test_a_recording_that_cannot_be_opened_is_told_with_its_path(tmp_path: Path) -> None:
     with pytest.raises(FaultError, match="nowhere"):
         RecordingWriter(tmp_path / "nowhere" / "a.mcap")
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_what_is_no_plain_file_is_refused_at_once(tmp_path: Path, force: bool) -> None:
+    pipe = tmp_path / "pipe.mcap"
+    os.mkfifo(pipe)
+    # opened for reading and writing it lets nobody wait, whatever the writer does
+    end = os.open(pipe, os.O_RDWR)
+    try:
+        for path in (pipe, Path("/dev/null"), tmp_path):
+            with pytest.raises(FaultError, match="no plain file"):
+                RecordingWriter(path, force=force)
+    finally:
+        os.close(end)
+    assert pipe.is_fifo()
 
 
 def test_a_file_that_is_there_already_is_only_replaced_by_force(tmp_path: Path) -> None:

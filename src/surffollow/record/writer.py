@@ -45,7 +45,7 @@ class RecordingWriter:
 
     Raises
     ------
-    FaultError  the file is there already, or cannot be opened or written
+    FaultError  the file is there already, is no plain file, or cannot be opened or written
     """
 
     def __init__(
@@ -60,6 +60,9 @@ class RecordingWriter:
         self.bytes_written = 0
         self._whole = 0
         self._finished = False
+        if stream is None and self.path.exists() and not self.path.is_file():
+            # a pipe would wait for its reader, and a device keeps nothing
+            raise FaultError(f"recording {self.path} is there and is no plain file; choose another --out")
         try:
             # unbuffered below: what `write` returned from belongs to the kernel
             self._stream: Any = stream or open(self.path, "wb" if force else "xb", buffering=0)  # noqa: SIM115
