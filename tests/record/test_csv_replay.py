@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import os
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -190,6 +191,45 @@ def test_a_forecast_uses_no_row_after_its_own(tmp_path: Path, mode: str | None) 
     part = run_csv(slope_log(tmp_path, 33), plain(), mode)
     np.testing.assert_array_equal(part.forecast_m, whole.forecast_m[:33])
     np.testing.assert_array_equal(part.height_m, whole.height_m[:33])
+
+
+@pytest.mark.parametrize("origin_ms", ["0", "86400000", "1763765270123", "-62135596800000"])
+@pytest.mark.parametrize("cut", [False, True])
+def test_the_clocks_origin_changes_no_figure(tmp_path: Path, origin_ms: str, cut: bool) -> None:
+    rng = np.random.default_rng(8)
+    steps_us = 100_000 * np.arange(60)
+    steps_us[5::7] += rng.integers(1, 90_000, steps_us[5::7].size)
+    heights_cm = 200.0 + 5.0 * np.sin(np.arange(60) / 9.0)
+
+    def figures(origin: Decimal) -> dict[str, object]:
+        rows = "".join(
+            f"{origin + Decimal(int(us)) / 1000},{h:.3f},{us / 100:.2f},0,0,0,0,0\n"
+            for us, h in zip(steps_us, heights_cm)
+        )
+        columns = plain(forecast={"horizons": ["0.2 s", "1 s", "3 s"], "match": "0.1 s"})
+        log = log_of(tmp_path, HEADER + rows, columns)
+        if cut:
+            log = log.between(float(origin + 1050) / 1000, None)
+        out = summarise("log.csv", run_csv(log, columns), columns)
+        return {k: v for k, v in out.items() if k not in ("start_s", "end_s")}
+
+    assert figures(Decimal(origin_ms)) == figures(Decimal(0))
+
+
+@pytest.mark.parametrize("origin_s", [0.0, 1763765270.123])
+def test_times_that_were_printed_with_a_floats_last_bit_are_judged_alike(
+    tmp_path: Path, origin_s: float
+) -> None:
+    times = "".join(f"{origin_s + 0.1 * k:.18e},200,0,0,0,0,0,0\n" for k in range(40))
+    columns = plain(time={"column": "t", "unit": "s"}, forecast={"horizons": ["1 s"], "match": 0})
+    [row] = score_forecast(run_csv(log := log_of(tmp_path, HEADER + times, columns), columns), columns)
+    assert log.t_s.size == 40
+    assert row["n"] == 30
+
+
+def test_a_time_that_no_decimal_holds_is_read_as_a_float(tmp_path: Path) -> None:
+    log = log_of(tmp_path, HEADER + "1e-99999999999999999999,200,0,0,0,0,0,0\n1,200,0,0,0,0,0,0\n")
+    assert log.elapsed_s().tolist() == [0.0, 0.001]
 
 
 def test_start_and_end_choose_rows_and_an_empty_choice_is_told(tmp_path: Path) -> None:

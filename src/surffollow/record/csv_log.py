@@ -6,6 +6,7 @@ import csv
 import io
 import math
 from dataclasses import dataclass
+from decimal import Decimal, localcontext
 from pathlib import Path
 
 import numpy as np
@@ -28,12 +29,24 @@ class CsvLog:
     range_m : (n,) float64      [m]; NaN: no reading
     pose : (n, 7) float64       x y z [m], unit quaternion qx qy qz qw, world from vehicle
     reference_m : (n,) float64  somebody else's surface height [m], or None
+    since_s : (n,) float64      time since the first row [s] by the digits as written: a clock's origin takes
+                                none of a float64's; None: `t_s` less its first
     """
 
     t_s: NDArray[np.float64]
     range_m: NDArray[np.float64]
     pose: NDArray[np.float64]
     reference_m: NDArray[np.float64] | None
+    since_s: NDArray[np.float64] | None = None
+
+    def elapsed_s(self) -> NDArray[np.float64]:
+        """Time since the first row [s], (n,)."""
+        times = self.t_s if self.since_s is None else self.since_s
+        return times - times[:1]
+
+    def slack_s(self) -> float:
+        """By how much times may be off [s]: a nanosecond, or what a float64 cannot tell at these times."""
+        return max(1e-9, 2.0 * float(np.spacing(np.abs(self.t_s).max(initial=0.0))))
 
     def between(self, start_s: float | None, end_s: float | None) -> CsvLog:
         """The rows from `start_s` to `end_s`, both included."""
@@ -48,7 +61,8 @@ class CsvLog:
         if end_s is not None:
             keep &= self.t_s <= end_s
         reference = None if self.reference_m is None else self.reference_m[keep]
-        return CsvLog(self.t_s[keep], self.range_m[keep], self.pose[keep], reference)
+        since = None if self.since_s is None else self.since_s[keep]
+        return CsvLog(self.t_s[keep], self.range_m[keep], self.pose[keep], reference, since)
 
 
 def read_csv(path: str | Path, columns: Columns) -> CsvLog:
@@ -65,7 +79,7 @@ def read_csv(path: str | Path, columns: Columns) -> CsvLog:
     except UnicodeDecodeError:
         raise UsageError(f"log {path} is not text; a recording must have a name ending in .mcap") from None
     names = _names(columns)
-    cells = _cells(str(path), text, names)
+    cells, times = _cells(str(path), text, names, columns.time.column)
     t_s = cells[columns.time.column] * unit_scale(columns.time.unit, "s")
     back = np.flatnonzero(np.diff(t_s) < 0.0)
     if back.size:
@@ -81,7 +95,19 @@ def read_csv(path: str | Path, columns: Columns) -> CsvLog:
     reference = None
     if columns.reference is not None:
         reference = cells[columns.reference.column] * unit_scale(columns.reference.unit, "m")
-    return CsvLog(t_s, _ranges(columns, cells), _poses(columns, cells, t_s.size), reference)
+    since_s = _since(times, unit_scale(columns.time.unit, "s"))
+    return CsvLog(t_s, _ranges(columns, cells), _poses(columns, cells, t_s.size), reference, since_s)
+
+
+def _since(times: list[str], scale: float) -> NDArray[np.float64] | None:
+    """Numbers less the first, subtracted as decimals, times a scale; None when a decimal cannot hold them."""
+    with localcontext() as context:
+        context.prec = 60
+        try:
+            first = Decimal(times[0]) if times else Decimal(0)
+            return np.array([float(Decimal(t) - first) for t in times], np.float64) * scale
+        except ArithmeticError:
+            return None
 
 
 def _names(c: Columns) -> dict[str, bool]:
@@ -96,7 +122,10 @@ def _names(c: Columns) -> dict[str, bool]:
     return names
 
 
-def _cells(path: str, text: str, names: dict[str, bool]) -> dict[str, NDArray[np.float64]]:
+def _cells(
+    path: str, text: str, names: dict[str, bool], verbatim: str
+) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
+    """The columns as numbers, and one of them as it is written."""
     rows = csv.reader(io.StringIO(text, newline=""))
     try:
         header = [name.strip() for name in next(rows, [])]
@@ -111,15 +140,18 @@ def _cells(path: str, text: str, names: dict[str, bool]) -> dict[str, NDArray[np
                 raise UsageError(f"{path}: column {name!r} occurs more than once; rename the others")
             places[name] = header.index(name)
         values: dict[str, list[float]] = {name: [] for name in names}
+        written: list[str] = []
         for row in rows:
             if not any(cell.strip() for cell in row):
                 continue
             for name, optional in names.items():
                 cell = row[places[name]].strip() if places[name] < len(row) else ""
                 values[name].append(_number(cell, optional, f"{path}, line {rows.line_num}, column {name!r}"))
+                if name == verbatim:
+                    written.append(cell)
     except csv.Error as e:
         raise UsageError(f"{path}, line {rows.line_num}: {e}") from None
-    return {name: np.array(v, np.float64) for name, v in values.items()}
+    return {name: np.array(v, np.float64) for name, v in values.items()}, written
 
 
 def _number(cell: str, optional: bool, where: str) -> float:

@@ -91,8 +91,9 @@ def run_csv(log: CsvLog, columns: Columns, mode: str | None = None) -> CsvReplay
     height, slope = np.full(n, np.nan), np.full(n, np.nan)
     forecast = np.full((n, len(horizons)), np.nan)
     known = False
+    elapsed_s = log.elapsed_s()
     for i in range(n):
-        t_ns = round(float(log.t_s[i] - log.t_s[0]) * 1e9) + 1_000_000_000
+        t_ns = round(float(elapsed_s[i]) * 1e9) + 1_000_000_000
         follower.pose(t_ns, log.pose[i])
         follower.step(t_ns, [float(log.range_m[i])])
         reading = math.isfinite(log.range_m[i])
@@ -124,14 +125,14 @@ def score_forecast(replay: CsvReplay, columns: Columns) -> list[dict[str, float]
     at or after t + horizon, unless it is more than the column file's `match` later.
     """
     has = np.isfinite(replay.log.range_m)
-    t, r = replay.log.t_s[has], replay.log.range_m[has]
+    t, r = replay.log.elapsed_s()[has], replay.log.range_m[has]
+    slack_s = replay.log.slack_s()  # times written as decimals must not miss by their last bit
     rows = []
     for k, horizon_s in enumerate(columns.horizons_s):
         forecast = replay.forecast_m[has, k]
-        # a nanosecond: times written as decimals must not miss by their last bit
-        j = np.searchsorted(t, t + horizon_s - 1e-9)
+        j = np.searchsorted(t, t + horizon_s - slack_s)
         inside = (j < t.size) & np.isfinite(forecast)
-        inside[inside] &= t[j[inside]] - t[inside] - horizon_s <= columns.match_s + 1e-9
+        inside[inside] &= t[j[inside]] - t[inside] - horizon_s <= columns.match_s + slack_s
         truth = r[j[inside]]
         n = int(inside.sum())
         rows.append(
