@@ -68,6 +68,18 @@ static int answer(const char *verb, char *rest) {
     printf("%.17g ", v[0]);
     return result;
   }
+  if (strcmp(verb, "params") == 0) {
+    sf_params p;
+    const int result = sf_read_params(&client, &p);
+    printf("%" PRId64 " ", result == SF_OK ? p.range_size : 0);
+    return result;
+  }
+  if (strcmp(verb, "output") == 0) {
+    static sf_output o;
+    const int result = sf_read_output(&client, &o);
+    printf("%" PRId64 " ", result == SF_OK ? o.epoch : 0);
+    return result;
+  }
   if (strcmp(verb, "map_reset") == 0) return sf_map_reset(&client, v);
   if (strcmp(verb, "map_refocus") == 0) return sf_map_refocus(&client, v);
   if (strcmp(verb, "upload") == 0) return sf_upload_map(&client, word);
@@ -109,8 +121,8 @@ static int answer(const char *verb, char *rest) {
   if (strcmp(verb, "status") == 0) {
     sf_status_info s;
     const int result = sf_status(&client, &s);
-    printf("%d %" PRId64 " %" PRId64 " %" PRId64 " %" PRId64 " %" PRId64 " ", s.alive, s.pid, s.cycles,
-           s.ticker.pose_pid, s.map.applied, s.ticker.clients);
+    printf("%d %" PRId64 " %" PRId64 " %" PRId64 " %" PRId64 " %" PRId64 " %" PRId64 " ", s.alive, s.pid, s.cycles,
+           s.ticker.pose_pid, s.map.applied, s.ticker.clients, s.poses);
     return result;
   }
   if (strcmp(verb, "send") == 0) return sf_request_send(&client, (int64_t)v[0], 1, NULL, &v[1], &ticket);

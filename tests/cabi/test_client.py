@@ -277,7 +277,7 @@ def test_status_names_the_pose_sender_and_counts(probe: Probe, service: Service)
     assert service.process is not None
     probe(POSE)
     answer = probe.until("status", lambda a: a.values[3] == probe.pid)
-    alive, pid, cycles, _, _, clients = answer.values
+    alive, pid, cycles, _, _, clients, _ = answer.values
     assert (alive, pid) == (1, service.process.pid)
     assert clients >= 1
     assert probe("status").values[2] >= cycles

@@ -135,7 +135,7 @@ def test_map_stands_still_while_a_c_client_holds_it_and_following_goes_on(
     assert probe("begin 1000").result == OK
     assert probe("held").result == 1
     assert robot.status()["map"]["access_slot"] == probe("held").slot
-    _, _, cycles, _, applied, _ = probe("status").values
+    _, _, cycles, _, applied, *_ = probe("status").values
     seen = set()
     while (now := probe("status").values)[2] <= cycles + 40:
         assert probe("ee 0.05 0.05 0.1 0 0 0 1").result == OK

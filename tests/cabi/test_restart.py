@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import signal
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -11,7 +13,7 @@ from cabi.running import Probe, Service, StillWorld
 from surffollow.client import STALE
 from surffollow.shm.layout_follow import VALID
 
-OK = 0
+OK, NOT_RUNNING = 0, -20
 SILENCE_NS = 20_000_000
 POSE = "ee 0.05 0.05 0.1 0 0 0 1"
 
@@ -113,3 +115,87 @@ def test_attaching_to_what_a_killed_service_left_is_safe(
     assert probe("status").values[0] == 0
     assert probe("upload /dev/null/x").result == -20
     assert os.path.exists(f"/dev/shm/{mortal.name}.map")
+
+
+def start_with_other_memory(service: Service) -> None:
+    """A new start: the board's parts lie elsewhere, and the map is another object."""
+    service.stop()
+    text = service.config.read_text()
+    words = "131072" if "log_words = 65536" in text else "65536"
+    service.config.write_text(re.sub(r"log_words = \d+", f"log_words = {words}", text))
+    service.start()
+
+
+def test_client_that_only_posts_poses_is_told_of_the_end_and_goes_on_after_it(
+    mortal: Service, make_probe: Callable[..., Probe]
+) -> None:
+    probe, fixed, watcher = make_probe(), make_probe(), make_probe()
+    fixed("auto 0")
+    for p, how in ((probe, "attach"), (fixed, "attach"), (watcher, "observe")):
+        assert p(f"{how} {mortal.name}").result == OK
+    assert probe(POSE).result == OK
+    mortal.kill()
+    probe.until(POSE, lambda a: a.result == NOT_RUNNING)
+    assert probe(POSE).result == NOT_RUNNING
+    start_with_other_memory(mortal)
+    probe.until(POSE, lambda a: a.result in (OK, NOT_RUNNING) and watcher("status").values[6] > 3)
+    assert fixed(POSE).result == NOT_RUNNING, "told not to look by itself"
+    assert probe("release").result == OK
+    assert fixed("reattach").result == OK
+    assert fixed(POSE).result == OK
+
+
+def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(
+    mortal: Service, make_probe: Callable[..., Probe]
+) -> None:
+    ended = ("get range_size", "params", "output")
+    purged = ("height 0.05 0.05", "surface 0.05 0.05")
+    silent = {"alive": 0, "raw 0": 3}
+    reads = {line: make_probe() for line in (*ended, *purged, *silent, "status")}
+    robot = make_probe()
+    for p in reads.values():
+        assert p(f"observe {mortal.name}").result == OK
+    assert robot(f"attach {mortal.name}").result == OK
+    assert robot("map_reset 0 0 0.1 0.1").result == OK
+    robot.until(POSE, lambda a: robot("height 0.05 0.05").result == OK)
+    robot.until(POSE, lambda a: reads["raw 0"]("raw 0").result == OK)
+    for line in (*ended, *purged):
+        assert reads[line](line).result == OK, line
+    mortal.kill()
+    for line in ended:
+        reads[line].until(line, lambda a: a.result == NOT_RUNNING)
+    for line, result in silent.items():
+        reads[line].until(line, lambda a, result=result: a.result == result)
+    reads["status"].until("status", lambda a: a.values[0] == 0)
+    for line in purged:
+        assert reads[line](line).result == OK, "the map outlives the service"
+    mortal.stop()
+    for line in purged:
+        reads[line].until(line, lambda a: a.result == NOT_RUNNING)
+    start_with_other_memory(mortal)
+    new = make_probe()
+    assert new(f"attach {mortal.name}").result == OK
+    assert new("map_reset 0 0 0.1 0.1").result == OK
+    new.until(POSE, lambda a: new("height 0.05 0.05").result == OK)
+    for line in (*ended, *purged):
+        reads[line].until(line, lambda a: a.result == OK)
+    reads["alive"].until("alive", lambda a: a.result == 1)
+    reads["status"].until("status", lambda a: a.values[0] == 1)
+    new.until(POSE, lambda a: reads["raw 0"]("raw 0").result == OK)
+
+
+def test_poll_of_a_dead_services_answer_says_so(mortal: Service, make_probe: Callable[..., Probe]) -> None:
+    probe = make_probe()
+    assert probe(f"attach {mortal.name}").result == OK
+    assert mortal.process is not None
+    os.kill(mortal.process.pid, signal.SIGSTOP)
+    assert probe("send 1 0.1").result == OK
+    assert probe("poll").result == 2
+    probe.until("alive", lambda a: a.result == 0)
+    assert probe("poll").result == 2, "it only stands still"
+    assert probe("get range_size").result == OK
+    mortal.kill()
+    probe.until("poll", lambda a: a.result == NOT_RUNNING)
+    assert probe("wait 1000000").result == NOT_RUNNING, "at once"
+    mortal.start()
+    probe.until("poll", lambda a: a.result == -28)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -115,10 +116,12 @@ def purge_leftovers(name: str) -> bool:
 def status_command(name: str, as_json: bool) -> None:
     """Say how a service is doing: health, cycles, lateness, clients, map."""
     from surffollow.client import observe
+    from surffollow.errors import NotRunningError
 
     with observe(name) as watcher:
         status = watcher.status()
-        status["params"] = watcher.params()
+        with contextlib.suppress(NotRunningError):  # nothing is in force there any more
+            status["params"] = watcher.params()
     if as_json:
         json.dump(status, sys.stdout, indent=2, allow_nan=False, default=str)
         print()

@@ -13,11 +13,13 @@ from surffollow.errors import (
     LayoutMismatchError,
     NoPermissionError,
     NotReadyError,
+    NotRunningError,
 )
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.layout_board import (
     BOARD_MAGIC,
     LAYOUT_VERSION,
+    NAME_LOCK_BYTE,
     STATE_READY,
     BoardHeader,
     layout_hash,
@@ -164,6 +166,19 @@ class Board:
     def is_current(self) -> bool:
         """Whether the name still leads to this board."""
         return self.object.is_current()
+
+    def has_ended(self) -> bool:
+        """Whether the service, which fell silent, ended; one that stands still keeps its lock on the name."""
+        if not self.is_current():
+            return True
+        try:
+            map_ = SharedObject.open(f"{self.name}.map")
+        except (NotRunningError, BlockError):
+            return True  # gone, or not to be looked at: then silence is all there is to go by
+        try:
+            return not map_.is_locked(NAME_LOCK_BYTE)
+        finally:
+            map_.close()
 
     def close(self) -> None:
         """Unmap."""

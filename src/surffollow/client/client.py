@@ -32,8 +32,16 @@ class Client(SlotHolder):
     """An attachment that may send poses and requests; see `attach`."""
 
     def _look_after(self, now_ns: int) -> None:
-        """Ten times a second: show life, and notice what was changed behind this client's back."""
-        self._next_look_ns = now_ns + LOOK_EVERY_NS
+        """As often as a service falls silent: whether it is there. Ten times a second: show life.
+
+        Then, too, notice what was changed behind this client's back.
+        """
+        self._next_look_ns = 0
+        self._must_be_there()
+        self._next_look_ns = now_ns + min(self._stale_ns, LOOK_EVERY_NS)
+        if now_ns < self._next_life_ns:
+            return
+        self._next_life_ns = now_ns + LOOK_EVERY_NS
         timeout = self.board.latch("params", Params).copy()
         if timeout is not None:
             (self._pose_timeout_ns,) = _POSE_TIMEOUT.unpack_from(timeout, Params.offset("pose_timeout_ns"))
@@ -73,9 +81,10 @@ class Client(SlotHolder):
 
         Raises
         ------
-        PoseError     (a ValueError) not seven finite numbers, quaternion norm off by more than 1e-3,
-                      stamped more than 1 ms ahead or longer ago than `pose_timeout_ns`
-        BusyError     another live client sends the pose; its process is named
+        PoseError         (a ValueError) not seven finite numbers, quaternion norm off by more than 1e-3,
+                          stamped more than 1 ms ahead or longer ago than `pose_timeout_ns`
+        BusyError         another live client sends the pose; its process is named
+        NotRunningError   the service ended; once it is started again, the next call goes on
         """
         try:
             x, y, z, qx, qy, qz, qw = pose
@@ -120,6 +129,7 @@ class Client(SlotHolder):
 
     def release_pose(self) -> None:
         """Let another client send the pose."""
+        self._follow()  # of a service that was started anew this client holds nothing
         if self._pose_held:
             self._request(lb.RQ_RELEASE_POSE, patience_s=1.0).result(1.0)
             self._pose_held = False
@@ -158,7 +168,7 @@ class Client(SlotHolder):
             raise ConfigError(f"a parameter is given twice in {', '.join(values)}; give it once")
         checked = [check_param(n, v) for n, v in values.items()]
         ticket = self._ask(lb.RQ_SET_PARAMS, checked, timeout_s, wait, numbers)
-        self._next_look_ns = 0
+        self._next_look_ns = self._next_life_ns = 0
         return ticket
 
     def upload_map(self, path: str | Path, *, timeout_s: float = 30.0, progress: Any = None) -> Path:

@@ -91,12 +91,16 @@ class MapReading:
     board: Board
     _map: _Mapped | None = None
 
+    def _follow(self) -> bool:
+        """Follow a silent service to its new start; see `Observer`."""
+        raise NotImplementedError
+
     def _mapped(self) -> _Mapped:
         m = self._map
         now = time.monotonic_ns()
         if m is not None and m.board is self.board and now < m.next_look_ns:
             return m
-        self.board.state()  # a closed attachment stays closed
+        self._follow()  # a closed attachment stays closed
         if m is None or m.board is not self.board or not m.object.is_current():
             fresh = _Mapped(self.board)
             self._close_map()

@@ -82,7 +82,10 @@ class ExclusiveAccess:
 
     def granted(self) -> bool:
         """Whether this client holds the map now, by the very grant that it entered with."""
-        if not self._number or self._board is not self._client.board:
+        if not self._number:
+            return False
+        self._client._follow()
+        if self._board is not self._client.board:
             return False
         s = self._status.read()
         return s is not None and self._is_mine(s) and s["grants"] == self._number

@@ -44,7 +44,7 @@ class MapWindow:
     """
 
     def __init__(self, object_: SharedObject, header: Any, row: int, column: int, rows: int, columns: int):
-        w = header[0]
+        w, self._object = header[0], object_
         self._memory: NDArray[np.uint8] = np.frombuffer(object_.memory, np.uint8)
         self._memory.flags.writeable = False
         self._header = self._memory[: ml.MapHeader.SIZE].view(numpy_dtype(ml.MapHeader))
@@ -70,8 +70,8 @@ class MapWindow:
         return float(self._header[0]["datum_m"])
 
     def current(self) -> bool:
-        """Whether the map still has the geometry that the window was made for."""
-        return int(self._header[0]["generation"]) == self.generation
+        """Whether the map is still there, with the geometry that the window was made for."""
+        return int(self._header[0]["generation"]) == self.generation and self._object.is_current()
 
     def quanta(self) -> NDArray[np.int16]:
         """(rows, columns) heights in quanta, -32768 unknown; a copy.

@@ -28,6 +28,7 @@ _STATUS_WORD = Output.offset("status") // 8
 _SIX, _SIX_END = Output.offset("demand"), Output.offset("status")
 _NO_SIX = bytes(_SIX_END - _SIX)
 _EMPTY = (0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0)
+_STAMP = Output.struct_of("t_ns", "t_ns")
 _RANGE = struct.Struct("<" + Output.field("range_m").struct_format)
 REATTACH_EVERY_NS = 20_000_000
 _observers: weakref.WeakSet[Observer] = weakref.WeakSet()
@@ -61,13 +62,13 @@ class Observer(MapReading):
             raise ValueError(f"stale_periods must be at least 1, not {stale_periods}")
         self.name = check_service_name(name)
         self._stale_periods, self._stale_min_ns = stale_periods, int(stale_min_s * 1e9)
-        self._next_attach_ns = 0
+        self._next_attach_ns, self._ended = 0, False
         self._lock = threading.RLock()  # re-attaching, and what a client has beyond it
         self._take(Board(name))
         _observers.add(self)
 
     def _take(self, board: Board) -> None:
-        self.board = board
+        self.board, self._ended = board, False
         offset = board.regions["output"][0]
         self._stale_ns = max(self._stale_periods * board.period_ns, self._stale_min_ns)
         # one object, so that a thread that reads meanwhile never mixes two boards
@@ -160,13 +161,25 @@ class Observer(MapReading):
         return float("nan") if values is None else float(values[channel])
 
     def output(self) -> dict[str, Any] | None:
-        """Everything the newest cycle published, as a dictionary; None before the first."""
+        """Everything the newest cycle published, as a dictionary; None before the first.
+
+        Raises
+        ------
+        NotRunningError   the service ended; one that stands still leaves its last words, see their `t_ns`
+        """
+        self._must_be_there()
         return self.board.latch("output", Output).read()
 
     def params(self) -> dict[str, float | int]:
-        """The parameters in force, name → value in SI units (times in ns)."""
+        """The parameters in force, name → value in SI units (times in ns).
+
+        Raises
+        ------
+        NotRunningError   the service ended
+        """
         from surffollow.config.params import PARAMS
 
+        self._must_be_there()
         values = self.board.latch("params", Params).read()
         if values is None:
             raise BlockError(f"service {self.name!r} has published no parameters yet")
@@ -178,11 +191,13 @@ class Observer(MapReading):
         return any(not self.dev_vector().status & STALE for _ in range(2))
 
     def status(self) -> dict[str, Any]:
-        """State, health, counters, real-time grants and map of the service, ready for JSON."""
+        """State, health, counters, grants and map of the service, ready for JSON; works on a dead one too."""
         from surffollow.client.beliefs import beliefs, numbered_faults
         from surffollow.client.report import histogram_summary
 
         demand = self.dev_vector()
+        if demand.status & STALE:  # that look may have followed the service to a new start
+            demand = self.dev_vector()
         output = self.board.latch("output", Output).read()
         params = self.board.latch("params", Params).read() or {}
         stats = self.board.plain("stats", Stats)
@@ -210,6 +225,22 @@ class Observer(MapReading):
             "map": map_status,
         }
 
+    def _follow(self) -> bool:
+        """Follow a silent service to its new start; False: it ended, and there is no other."""
+        now = time.monotonic_ns()
+        stamp = self._snapshot(_STAMP.unpack_from, 0)
+        if stamp is not None and now - stamp[0] <= self._stale_ns:
+            return True
+        self._try_reattach(now)
+        return not self._ended
+
+    def _must_be_there(self) -> None:
+        if not self._follow():
+            raise NotRunningError(
+                f"service {self.name!r} ended; start it again (surffollow start --name {self.name}), "
+                "and this attachment follows"
+            )
+
     def _try_reattach(self, now_ns: int, wait: bool = False) -> None:
         if now_ns < self._next_attach_ns:
             return
@@ -219,10 +250,12 @@ class Observer(MapReading):
         try:
             self._next_attach_ns = now_ns + REATTACH_EVERY_NS
             if self.board.is_current():
+                self._ended = self.board.has_ended()
                 return
             try:
                 board = Board(self.name, ready_timeout_s=0.0)
             except (NotRunningError, BlockError):
+                self._ended = True
                 return
             old = self.board
             self._take(board)

@@ -61,7 +61,10 @@ class Ticket:
         return None
 
     def done(self) -> bool:
-        """Whether the service has answered."""
+        """Whether nothing is left to wait for: answered, or the service ended or was restarted."""
+        return self._answered() or not self._client._follow() or self._client.board is not self._board
+
+    def _answered(self) -> bool:
         if self._answer is None:
             self._answer = self._look()
         return self._answer is not None
@@ -70,7 +73,7 @@ class Ticket:
         """Whether the service has seen the request; its answer may be to come (the map's)."""
         ack = self._acks.read()
         mine = ack is not None and ack["counter"] == self.counter and ack["claim"] == self._claim
-        return mine or self.done()
+        return mine or self._answered()
 
     def under_way(self) -> bool:
         """Whether an answer is still to be expected, and to be waited for before the next request."""
@@ -89,15 +92,18 @@ class Ticket:
         NotRunningError       the service died meanwhile
         """
         deadline, tries = time.monotonic() + timeout_s, 0
-        while not self.done():
+        while not self._answered():
+            there = self._client._follow()
+            if self._answered():  # before it ended
+                break
             if self._client.board is not self._board:
                 self._given_up = True
                 raise NotRunningError(
                     f"service {self._client.name!r} was restarted before it answered; ask again"
                 )
-            if time.monotonic() > deadline:
+            if not there or time.monotonic() > deadline:
                 self._given_up = True  # the next request need not wait for this one
-                if not self._client.alive():
+                if not there or not self._client.alive():
                     raise NotRunningError(f"service {self._client.name!r} does not answer any more")
                 raise RequestTimeoutError(
                     f"service {self._client.name!r} did not answer within {timeout_s:g} s; "

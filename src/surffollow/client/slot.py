@@ -66,7 +66,7 @@ class SlotHolder(Observer):
         self._holders: list[int] = []
         self._inbox: SharedObject | None = None
         self._open: list[Ticket] = []
-        self._pose_held, self._next_look_ns = False, 0
+        self._pose_held, self._next_look_ns, self._next_life_ns = False, 0, 0
         super().__init__(name, stale_periods=stale_periods, stale_min_s=stale_min_s)
         try:
             self._claim_first_slot()
@@ -120,7 +120,7 @@ class SlotHolder(Observer):
             self._pose_index,
             self._pose_base,
         )
-        self._next_look_ns = 0
+        self._next_look_ns = self._next_life_ns = 0
         self._inbox = inbox
 
     def _reattached(self) -> None:
@@ -177,8 +177,8 @@ class SlotHolder(Observer):
                     raise NotRunningError(
                         f"service {self.name!r} does not answer; it ended or stands still (surffollow status)"
                     )
-                self.ensure_slot()
                 under_way = self._under_way(code)
+                self.ensure_slot()
                 if under_way is None:
                     return self._post_request(code, numbers, values, n)
             if time.monotonic() >= deadline:

@@ -102,6 +102,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 #define SF_MAX_REGION_M 1000000.0
 #define SF_REATTACH_EVERY_NS 20000000
 #define SF_LOOK_EVERY_NS 100000000
+#define SF_NAME_LOCK_BYTE INT64_C(4611686018427387904)
 #define SF_POSE_FUTURE_NS 1000000
 #define SF_MAX_POSITION_M 1000000000.0
 
@@ -985,8 +986,8 @@ typedef struct sf_object {
 typedef struct sf_options {
   const char *label;    /* how the service's status names this client; copied */
   int observe;          /* 1: read only; no slot, no write permission needed */
-  int auto_reattach;    /* 1: sf_dev_vector looks for a restarted service itself (system calls, every 20 ms
-                           while stale); 0: call sf_reattach where it suits */
+  int auto_reattach;    /* 1: whatever is called looks for a restarted service itself (system calls, every
+                           20 ms while stale); 0: call sf_reattach where it suits */
   int64_t stale_periods; /* cycles of silence after which demands become zero ... */
   int64_t stale_min_ns;  /* ... but never sooner than this */
   int64_t ready_wait_ns; /* how long to wait for a service that is starting */
@@ -1006,10 +1007,11 @@ typedef struct sf_client {
   sf_object board, inbox, map;
   const unsigned char *output, *params, *acks, *map_acks, *ticker, *map_status, *stats;
   unsigned char *slot_memory;
-  int64_t stale_ns, next_attach_ns, next_look_ns, pose_timeout_ns, pose_held_ns;
+  int64_t stale_ns, next_attach_ns, next_look_ns, next_life_ns, pose_timeout_ns, pose_held_ns;
   int64_t claim, counter;
   int64_t asked_ns;
   int pose_held, abandoned;
+  int ended; /* at the last look the service was silent and its lock on the name gone */
   int64_t grant;    /* number of the newest grant of the map to this attachment */
   int access_depth; /* sf_access_begin that were not ended */
 } sf_client;
@@ -1169,6 +1171,8 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
   c->board = board;
   c->output = output, c->params = params, c->acks = acks, c->map_acks = map_acks;
   c->ticker = ticker, c->map_status = map_status, c->stats = stats;
+  c->ended = 0;
+  c->next_look_ns = c->next_life_ns = 0;
   c->epoch = h->epoch;
   c->period_ns = h->period_ns;
   c->stale_ns = c->options.stale_periods * h->period_ns;
@@ -1365,11 +1369,50 @@ static inline int sf_reattach(sf_client *c) {
   return SF_OK;
 }
 
-/* sf_reattach, at most every 20 ms, if the options allow it. */
-static inline int sf_i_reattach_sometimes(sf_client *c, int64_t now_ns) {
-  if (!c->options.auto_reattach || now_ns < c->next_attach_ns) return SF_ERR_NOT_RUNNING;
+/* Whether the service, which fell silent, ended; what only stands still keeps its lock on the name. */
+static inline int sf_i_has_ended(const sf_client *c) {
+  char path[96];
+  struct flock lock;
+  if (!sf_i_is_current(c, "", &c->board) || !sf_i_path(c->name, ".map", path)) return 1;
+  const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
+  if (fd < 0) return 1; /* gone, or not to be looked at: then silence is all there is to go by */
+  memset(&lock, 0, sizeof lock);
+  lock.l_type = F_WRLCK;
+  lock.l_whence = SEEK_SET;
+  lock.l_start = SF_NAME_LOCK_BYTE;
+  lock.l_len = 1;
+  const int asked = fcntl(fd, 36, &lock); /* 36: F_OFD_GETLK, which strict ISO C hides */
+  close(fd);
+  return asked != 0 || lock.l_type == F_UNLCK;
+}
+
+/* Look for a newer service and for an end of this one, at most every 20 ms. */
+static inline void sf_i_look_again(sf_client *c, int64_t now_ns) {
+  if (now_ns < c->next_attach_ns) return;
   c->next_attach_ns = now_ns + SF_REATTACH_EVERY_NS;
-  return sf_reattach(c);
+  if (c->options.auto_reattach) sf_reattach(c);
+  c->ended = sf_i_has_ended(c);
+  /* purged: what is mapped is nobody's map any more */
+  if (c->map.memory != NULL && !sf_i_is_current(c, ".map", &c->map)) sf_i_close(&c->map);
+}
+
+/* sf_i_look_again if the options allow it. */
+static inline void sf_i_reattach_sometimes(sf_client *c, int64_t now_ns) {
+  if (c->options.auto_reattach) sf_i_look_again(c, now_ns);
+}
+
+/* Whether nothing was published for so long, or nothing at all. */
+static inline int sf_i_is_silent(const sf_client *c, int64_t now_ns) {
+  int64_t t_ns;
+  if (sf_latch_read_part(c->output, sizeof(sf_output), offsetof(sf_output, t_ns), 1, &t_ns) <= 0) return 1;
+  return now_ns - t_ns > c->stale_ns;
+}
+
+/* Follow a silent service to its new start. SF_ERR_NOT_RUNNING: it ended, and there is no other. */
+static inline int sf_i_follow(sf_client *c, int64_t now_ns) {
+  if (!sf_i_is_silent(c, now_ns)) return SF_OK;
+  sf_i_look_again(c, now_ns);
+  return c->ended ? SF_ERR_NOT_RUNNING : SF_OK;
 }
 
 /* ---- demands and distances ------------------------------------------------------------------ */
@@ -1426,18 +1469,22 @@ static inline int sf_dev_vector(sf_client *c, sf_demand *d) {
   return result;
 }
 
-/* Whether the service publishes now: 1 or 0. */
-static inline int sf_alive(const sf_client *c) {
-  sf_demand d;
-  int64_t now;
+/* Whether the service publishes now: 1 or 0; looks for a restarted one as sf_dev_vector does. */
+static inline int sf_alive(sf_client *c) {
   if (c == NULL || c->output == NULL) return 0;
-  sf_i_demand(c, &d, &now);
-  return !(d.status & SF_STALE);
+  const int64_t now = sf_now_ns();
+  if (!sf_i_is_silent(c, now)) return 1;
+  sf_i_reattach_sometimes(c, now);
+  return !sf_i_is_silent(c, now);
 }
 
-/* Everything the newest cycle published. SF_OK, SF_NO_READING (no cycle yet), SF_ERR_TORN. */
-static inline int sf_read_output(const sf_client *c, sf_output *output) {
+/*
+ * Everything the newest cycle published. SF_OK, SF_NO_READING (no cycle yet), SF_ERR_TORN, or
+ * SF_ERR_NOT_RUNNING: the service ended; one that stands still leaves its last words, see their `t_ns`.
+ */
+static inline int sf_read_output(sf_client *c, sf_output *output) {
   if (c == NULL || c->output == NULL || output == NULL) return SF_ERR_ARGUMENT;
+  if (sf_i_follow(c, sf_now_ns()) != SF_OK) return SF_ERR_NOT_RUNNING;
   const int64_t g = sf_latch_read(c->output, sizeof *output, output);
   return g > 0 ? SF_OK : g == 0 ? SF_NO_READING : SF_ERR_TORN;
 }
@@ -1494,8 +1541,9 @@ static inline int sf_request_send(sf_client *c, int64_t code, int n, const int64
                                   sf_ticket *ticket) {
   if (c == NULL || c->output == NULL || ticket == NULL || n < 0 || n > SF_REQUEST_ARGS) return SF_ERR_ARGUMENT;
   if (c->options.observe) return SF_ERR_OBSERVER;
-  if (c->slot_memory == NULL || !sf_alive(c)) sf_i_reattach_sometimes(c, sf_now_ns());
-  if (c->slot_memory == NULL || !sf_alive(c)) return SF_ERR_NOT_RUNNING;
+  const int alive = sf_alive(c);
+  if (alive && c->slot_memory == NULL) sf_i_reattach_sometimes(c, sf_now_ns());
+  if (!alive || c->slot_memory == NULL) return SF_ERR_NOT_RUNNING;
   if (!sf_i_inbox_is_whole(c)) return SF_ERR_NOT_READY; /* cut short; the service mends it */
   const int64_t now = sf_now_ns();
   sf_ack last;
@@ -1523,10 +1571,12 @@ static inline int sf_request_send(sf_client *c, int64_t code, int n, const int64
 
 /*
  * Look for the answer to a request, without waiting.
- * SF_OK, SF_PENDING, SF_ERR_RESTARTED, or SF_REFUSED_...; the client's `detail` holds its number.
+ * SF_OK, SF_PENDING, SF_ERR_RESTARTED, SF_ERR_NOT_RUNNING when the service ended, or SF_REFUSED_...; the
+ * client's `detail` holds its number.
  */
 static inline int sf_request_poll(sf_client *c, const sf_ticket *ticket) {
   if (c == NULL || c->output == NULL || ticket == NULL || ticket->counter < 1) return SF_ERR_ARGUMENT;
+  const int there = sf_i_follow(c, sf_now_ns()); /* before the look for an answer: it may be its last word */
   if (c->slot_memory == NULL || ticket->claim != c->claim) return SF_ERR_RESTARTED;
   for (int k = 0; k < 2; k++) {
     sf_ack a;
@@ -1536,22 +1586,20 @@ static inline int sf_request_poll(sf_client *c, const sf_ticket *ticket) {
     if (a.result == SF_ANSWER_OK) return SF_OK;
     return a.result > 0 && a.result < SF_ANSWERS ? SF_REFUSED - SF_CAST(int, a.result) : SF_ERR_BLOCK;
   }
-  return SF_PENDING;
+  return there == SF_OK ? SF_PENDING : there;
 }
 
-/* Wait for the answer; as sf_request_poll, SF_ERR_TIMEOUT, or SF_ERR_NOT_RUNNING when the service is gone. */
+/* Wait for the answer; as sf_request_poll, or SF_ERR_TIMEOUT (SF_ERR_NOT_RUNNING: the service is silent, too). */
 static inline int sf_request_wait(sf_client *c, const sf_ticket *ticket, int64_t timeout_ns) {
   const int64_t deadline = sf_now_ns() + timeout_ns;
   int64_t pause_ns = 50000;
   for (;;) {
     const int result = sf_request_poll(c, ticket);
-    if (result != SF_PENDING) return result;
     const int64_t now = sf_now_ns();
-    const int gone = !sf_alive(c) && !sf_i_is_current(c, "", &c->board);
-    if (gone || now >= deadline) {
-      c->abandoned = 1; /* the next request need not wait for this one */
-      return gone || !sf_alive(c) ? SF_ERR_NOT_RUNNING : SF_ERR_TIMEOUT;
-    }
+    const int over = result == SF_PENDING && now >= deadline;
+    if (over || result == SF_ERR_NOT_RUNNING) c->abandoned = 1; /* the next request need not wait for this one */
+    if (over) return sf_i_is_silent(c, now) ? SF_ERR_NOT_RUNNING : SF_ERR_TIMEOUT;
+    if (result != SF_PENDING) return result;
     sf_sleep_until_ns(now + pause_ns < deadline ? now + pause_ns : deadline);
     if (pause_ns < 2000000) pause_ns *= 2;
   }
@@ -1590,6 +1638,7 @@ static inline int sf_claim_pose(sf_client *c) {
 /* Let another client send the pose. */
 static inline int sf_release_pose(sf_client *c) {
   if (c == NULL) return SF_ERR_ARGUMENT;
+  if (c->output != NULL) sf_i_follow(c, sf_now_ns()); /* of a service started anew this client holds nothing */
   if (!c->pose_held) return SF_OK;
   c->pose_held = 0;
   return sf_i_request(c, SF_RQ_RELEASE_POSE, 0, NULL, NULL, c->options.timeout_ns);
@@ -1615,9 +1664,9 @@ static inline int sf_i_check_pose(const double pose[7], double out[7]) {
 }
 
 /* Ten times a second: show life, and notice what was changed behind this client's back. */
-static inline void sf_i_look_after(sf_client *c, int64_t now_ns) {
+static inline void sf_i_show_life(sf_client *c, int64_t now_ns) {
   sf_ticker t;
-  c->next_look_ns = now_ns + SF_LOOK_EVERY_NS;
+  c->next_life_ns = now_ns + SF_LOOK_EVERY_NS;
   sf_i_read_pose_timeout(c);
   if (c->slot_memory == NULL) return;
   sf_slot_head *head = SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD);
@@ -1630,14 +1679,25 @@ static inline void sf_i_look_after(sf_client *c, int64_t now_ns) {
   if (t.pose_slot != c->slot && t.t_ns > c->pose_held_ns + SF_LOOK_EVERY_NS) c->pose_held = 0;
 }
 
+/* As often as a service falls silent: whether it is there. SF_OK or SF_ERR_NOT_RUNNING. */
+static inline int sf_i_look_after(sf_client *c, int64_t now_ns) {
+  c->next_look_ns = 0;
+  const int there = sf_i_follow(c, now_ns);
+  if (there != SF_OK) return there;
+  c->next_look_ns = now_ns + (c->stale_ns < SF_LOOK_EVERY_NS ? c->stale_ns : SF_LOOK_EVERY_NS);
+  if (now_ns > c->next_life_ns) sf_i_show_life(c, now_ns);
+  return SF_OK;
+}
+
 #define SF_NOW INT64_MIN
 
 /*
  * Tell the service where the tool is, or was: x y z [m], unit quaternion qx qy qz qw, world from tool,
- * true at `t_ns` (SF_NOW: now). The first call of an attachment claims the pose and waits for the
- * answer (sf_claim_pose does that beforehand); later ones never wait and make no system call but the clock's.
- * SF_OK, SF_ERR_POSE, _POSE_FUTURE, _POSE_OLD, _OBSERVER, _NOT_RUNNING, or SF_REFUSED_POSE_HELD
- * with the holder's pid in the client's `detail`.
+ * true at `t_ns` (SF_NOW: now). The first call of an attachment, and of one that followed the service to a
+ * new start, claims the pose and waits for the answer (sf_claim_pose does that beforehand); others never
+ * wait, and make no system call but the clock's unless the service is silent.
+ * SF_OK, SF_ERR_POSE, _POSE_FUTURE, _POSE_OLD, _OBSERVER, _NOT_RUNNING (it ended; call again when it may have been
+ * started), or SF_REFUSED_POSE_HELD with the holder's pid in the client's `detail`.
  */
 static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   if (c == NULL || c->output == NULL || pose == NULL) return SF_ERR_ARGUMENT;
@@ -1646,7 +1706,7 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   const int err = sf_i_check_pose(pose, post.pose);
   if (err != SF_OK) return err;
   const int64_t now = sf_now_ns();
-  if (now > c->next_look_ns) sf_i_look_after(c, now);
+  if (now > c->next_look_ns && sf_i_look_after(c, now) != SF_OK) return SF_ERR_NOT_RUNNING;
   post.t_ns = t_ns == SF_NOW ? now : t_ns;
   if (post.t_ns > now + SF_POSE_FUTURE_NS) return SF_ERR_POSE_FUTURE;
   if (post.t_ns < now - c->pose_timeout_ns) return SF_ERR_POSE_OLD;
@@ -1673,18 +1733,20 @@ static inline const sf_param_info *sf_find_param(const char *name) {
   return NULL;
 }
 
-/* All parameters in force. SF_OK, SF_ERR_NOT_READY, SF_ERR_TORN. */
-static inline int sf_read_params(const sf_client *c, sf_params *params) {
+/* All parameters in force. SF_OK, SF_ERR_NOT_READY, SF_ERR_TORN, or SF_ERR_NOT_RUNNING: the service ended. */
+static inline int sf_read_params(sf_client *c, sf_params *params) {
   if (c == NULL || c->params == NULL || params == NULL) return SF_ERR_ARGUMENT;
+  if (sf_i_follow(c, sf_now_ns()) != SF_OK) return SF_ERR_NOT_RUNNING;
   const int64_t g = sf_latch_read(c->params, sizeof *params, params);
   return g > 0 ? SF_OK : g == 0 ? SF_ERR_NOT_READY : SF_ERR_TORN;
 }
 
-/* The value of a parameter in force, in SI units (times in ns). */
-static inline int sf_get_param(const sf_client *c, const char *name, double *value) {
+/* The value of a parameter in force, in SI units (times in ns). SF_ERR_PARAM, or as sf_read_params. */
+static inline int sf_get_param(sf_client *c, const char *name, double *value) {
   if (c == NULL || c->params == NULL || value == NULL) return SF_ERR_ARGUMENT;
   const sf_param_info *p = sf_find_param(name);
   if (p == NULL) return SF_ERR_PARAM;
+  if (sf_i_follow(c, sf_now_ns()) != SF_OK) return SF_ERR_NOT_RUNNING;
   int64_t word;
   const int64_t g = sf_latch_read_part(c->params, sizeof(sf_params), SF_CAST(size_t, p->number) * 8, 1, &word);
   if (g <= 0) return g == 0 ? SF_ERR_NOT_READY : SF_ERR_TORN;
@@ -1710,7 +1772,7 @@ static inline int sf_set_params(sf_client *c, int n, const char *const *names, c
     numbers[k] = p->number;
   }
   const int result = sf_i_request(c, SF_RQ_SET_PARAMS, n, numbers, values, c->options.timeout_ns);
-  c->next_look_ns = 0;
+  c->next_look_ns = c->next_life_ns = 0;
   return result;
 }
 
@@ -1735,8 +1797,9 @@ typedef struct sf_status_info {
 } sf_status_info;
 
 /* Ask how the service is doing; works on a dead one too. SF_OK or SF_ERR_ARGUMENT. */
-static inline int sf_status(const sf_client *c, sf_status_info *s) {
+static inline int sf_status(sf_client *c, sf_status_info *s) {
   if (c == NULL || c->output == NULL || s == NULL) return SF_ERR_ARGUMENT;
+  sf_alive(c); /* which follows it to a new start */
   sf_demand d;
   int64_t now;
   memset(s, 0, sizeof *s);
@@ -1795,11 +1858,17 @@ static inline int sf_map_refocus(sf_client *c, const double region[4]) {
   return sf_i_map_request(c, SF_RQ_MAP_REFOCUS, region);
 }
 
-/* The map's header, or NULL: not mapped, of another release, or not a map. */
-static inline const sf_map_header *sf_i_map(const sf_client *c) {
+/* The map's header, or NULL: not mapped, of another release, or not a map. It outlives a service. */
+static inline const sf_map_header *sf_i_map(sf_client *c) {
+  sf_i_follow(c, sf_now_ns()); /* the next one's map may be another */
   if (c->map.memory == NULL || c->map.size < SF_MAP_HEADER_BYTES) return NULL;
   const sf_map_header *h = SF_VIEW(const sf_map_header *, c->map.memory);
   return h->magic == SF_MAP_MAGIC && h->layout_hash == SF_MAP_LAYOUT_HASH ? h : NULL;
+}
+
+/* Why there is no map's header. */
+static inline int sf_i_no_map(const sf_client *c) {
+  return c->map.memory == NULL && c->ended ? SF_ERR_NOT_RUNNING : SF_ERR_BLOCK;
 }
 
 /* Whether so many grids lie inside the mapped object. */
@@ -1820,10 +1889,10 @@ static inline double sf_i_load_double(const void *word) {
  * Mean height of the grid that holds a point [m], read from the live map without waiting.
  * SF_OK; SF_UNKNOWN: nobody has been there, it is beside the map, or the map is being laid anew.
  */
-static inline int sf_map_height(const sf_client *c, double x_m, double y_m, double *height_m) {
+static inline int sf_map_height(sf_client *c, double x_m, double y_m, double *height_m) {
   if (c == NULL || c->output == NULL || height_m == NULL) return SF_ERR_ARGUMENT;
   const sf_map_header *h = sf_i_map(c);
-  if (h == NULL) return SF_ERR_BLOCK;
+  if (h == NULL) return sf_i_no_map(c);
   const int64_t generation = sf_load_acquire(&h->generation);
   if (generation & 1 || sf_load_relaxed(&h->state) != SF_MAP_READY) return SF_UNKNOWN;
   const int64_t nx = sf_load_relaxed(&h->nx), ny = sf_load_relaxed(&h->ny);
@@ -1892,12 +1961,12 @@ static inline int sf_i_surface(const sf_grid_pair *pairs, int64_t nx, int64_t ny
  * bilinear mean. Slopes are central differences, one-sided at the edge of the known, NaN without neighbours.
  * All three are of one geometry of the map; SF_OK; SF_UNKNOWN as in sf_map_height, the results untouched.
  */
-static inline int sf_map_surface(const sf_client *c, double x_m, double y_m, double *height_m, double *slope_x,
+static inline int sf_map_surface(sf_client *c, double x_m, double y_m, double *height_m, double *slope_x,
                                  double *slope_y) {
   if (c == NULL || c->output == NULL || height_m == NULL || slope_x == NULL || slope_y == NULL)
     return SF_ERR_ARGUMENT;
   const sf_map_header *h = sf_i_map(c);
-  if (h == NULL) return SF_ERR_BLOCK;
+  if (h == NULL) return sf_i_no_map(c);
   const sf_grid_pair *pairs = SF_VIEW(const sf_grid_pair *, c->map.memory + SF_MAP_HEADER_BYTES);
   for (int tries = 0; tries < SF_LATCH_MAX_TRIES; tries++) {
     const int64_t generation = sf_load_acquire(&h->generation);
@@ -1932,9 +2001,11 @@ static inline int sf_i_is_mine(const sf_client *c, const sf_map_status *s) {
 }
 
 /* Whether this client holds the map now, without a break since sf_access_begin: 1 or 0. */
-static inline int sf_access_held(const sf_client *c) {
+static inline int sf_access_held(sf_client *c) {
   sf_map_status s;
-  if (c == NULL || c->output == NULL || c->slot < 0 || c->access_depth < 1) return 0;
+  if (c == NULL || c->output == NULL || c->access_depth < 1) return 0;
+  sf_i_follow(c, sf_now_ns());
+  if (c->slot < 0) return 0;
   if (sf_latch_read(c->map_status, sizeof s, &s) <= 0) return 0;
   return sf_i_is_mine(c, &s) && s.grants == c->grant;
 }
@@ -1973,8 +2044,9 @@ static inline int sf_access_begin(sf_client *c, int64_t timeout_ns) {
     c->access_depth++;
     return SF_OK;
   }
-  if (c->slot_memory == NULL || !sf_alive(c)) sf_i_reattach_sometimes(c, sf_now_ns());
-  if (c->slot_memory == NULL || !sf_alive(c)) return SF_ERR_NOT_RUNNING;
+  const int there = sf_alive(c);
+  if (there && c->slot_memory == NULL) sf_i_reattach_sometimes(c, sf_now_ns());
+  if (!there || c->slot_memory == NULL) return SF_ERR_NOT_RUNNING;
   if (!sf_i_inbox_is_whole(c)) return SF_ERR_NOT_READY; /* cut short; the service mends it */
   const int64_t deadline = sf_now_ns() + timeout_ns;
   while (!sf_i_look_for_grant(c)) { /* 2 is the service's */
@@ -2135,7 +2207,7 @@ static inline void sf_i_write_map(FILE *f, const sf_map_header *h, const sf_grid
 static inline int sf_i_copy_map(sf_client *c, sf_map_header *header, sf_grid_pair **pairs) {
   const sf_map_header *h = sf_i_map(c);
   *pairs = NULL;
-  if (h == NULL) return SF_ERR_BLOCK;
+  if (h == NULL) return sf_i_no_map(c);
   int err = sf_access_begin(c, c->options.timeout_ns);
   if (err != SF_OK) return err;
   h = sf_i_map(c); /* beginning may have followed the service to a new start */

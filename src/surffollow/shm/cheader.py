@@ -125,6 +125,7 @@ def _defines() -> Iterator[tuple[str, str]]:
     yield "MAX_REGION_M", str(ml.MAX_REGION_M)
     yield "REATTACH_EVERY_NS", str(REATTACH_EVERY_NS)
     yield "LOOK_EVERY_NS", str(LOOK_EVERY_NS)
+    yield "NAME_LOCK_BYTE", word(lb.NAME_LOCK_BYTE)
     yield "POSE_FUTURE_NS", str(POSE_FUTURE_NS)
     yield "MAX_POSITION_M", str(MAX_POSITION_M)
 

@@ -13,8 +13,8 @@ typedef struct sf_object {
 typedef struct sf_options {
   const char *label;    /* how the service's status names this client; copied */
   int observe;          /* 1: read only; no slot, no write permission needed */
-  int auto_reattach;    /* 1: sf_dev_vector looks for a restarted service itself (system calls, every 20 ms
-                           while stale); 0: call sf_reattach where it suits */
+  int auto_reattach;    /* 1: whatever is called looks for a restarted service itself (system calls, every
+                           20 ms while stale); 0: call sf_reattach where it suits */
   int64_t stale_periods; /* cycles of silence after which demands become zero ... */
   int64_t stale_min_ns;  /* ... but never sooner than this */
   int64_t ready_wait_ns; /* how long to wait for a service that is starting */
@@ -34,10 +34,11 @@ typedef struct sf_client {
   sf_object board, inbox, map;
   const unsigned char *output, *params, *acks, *map_acks, *ticker, *map_status, *stats;
   unsigned char *slot_memory;
-  int64_t stale_ns, next_attach_ns, next_look_ns, pose_timeout_ns, pose_held_ns;
+  int64_t stale_ns, next_attach_ns, next_look_ns, next_life_ns, pose_timeout_ns, pose_held_ns;
   int64_t claim, counter;
   int64_t asked_ns;
   int pose_held, abandoned;
+  int ended; /* at the last look the service was silent and its lock on the name gone */
   int64_t grant;    /* number of the newest grant of the map to this attachment */
   int access_depth; /* sf_access_begin that were not ended */
 } sf_client;
@@ -197,6 +198,8 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
   c->board = board;
   c->output = output, c->params = params, c->acks = acks, c->map_acks = map_acks;
   c->ticker = ticker, c->map_status = map_status, c->stats = stats;
+  c->ended = 0;
+  c->next_look_ns = c->next_life_ns = 0;
   c->epoch = h->epoch;
   c->period_ns = h->period_ns;
   c->stale_ns = c->options.stale_periods * h->period_ns;

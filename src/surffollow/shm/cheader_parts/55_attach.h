@@ -177,10 +177,49 @@ static inline int sf_reattach(sf_client *c) {
   return SF_OK;
 }
 
-/* sf_reattach, at most every 20 ms, if the options allow it. */
-static inline int sf_i_reattach_sometimes(sf_client *c, int64_t now_ns) {
-  if (!c->options.auto_reattach || now_ns < c->next_attach_ns) return SF_ERR_NOT_RUNNING;
+/* Whether the service, which fell silent, ended; what only stands still keeps its lock on the name. */
+static inline int sf_i_has_ended(const sf_client *c) {
+  char path[96];
+  struct flock lock;
+  if (!sf_i_is_current(c, "", &c->board) || !sf_i_path(c->name, ".map", path)) return 1;
+  const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
+  if (fd < 0) return 1; /* gone, or not to be looked at: then silence is all there is to go by */
+  memset(&lock, 0, sizeof lock);
+  lock.l_type = F_WRLCK;
+  lock.l_whence = SEEK_SET;
+  lock.l_start = SF_NAME_LOCK_BYTE;
+  lock.l_len = 1;
+  const int asked = fcntl(fd, 36, &lock); /* 36: F_OFD_GETLK, which strict ISO C hides */
+  close(fd);
+  return asked != 0 || lock.l_type == F_UNLCK;
+}
+
+/* Look for a newer service and for an end of this one, at most every 20 ms. */
+static inline void sf_i_look_again(sf_client *c, int64_t now_ns) {
+  if (now_ns < c->next_attach_ns) return;
   c->next_attach_ns = now_ns + SF_REATTACH_EVERY_NS;
-  return sf_reattach(c);
+  if (c->options.auto_reattach) sf_reattach(c);
+  c->ended = sf_i_has_ended(c);
+  /* purged: what is mapped is nobody's map any more */
+  if (c->map.memory != NULL && !sf_i_is_current(c, ".map", &c->map)) sf_i_close(&c->map);
+}
+
+/* sf_i_look_again if the options allow it. */
+static inline void sf_i_reattach_sometimes(sf_client *c, int64_t now_ns) {
+  if (c->options.auto_reattach) sf_i_look_again(c, now_ns);
+}
+
+/* Whether nothing was published for so long, or nothing at all. */
+static inline int sf_i_is_silent(const sf_client *c, int64_t now_ns) {
+  int64_t t_ns;
+  if (sf_latch_read_part(c->output, sizeof(sf_output), offsetof(sf_output, t_ns), 1, &t_ns) <= 0) return 1;
+  return now_ns - t_ns > c->stale_ns;
+}
+
+/* Follow a silent service to its new start. SF_ERR_NOT_RUNNING: it ended, and there is no other. */
+static inline int sf_i_follow(sf_client *c, int64_t now_ns) {
+  if (!sf_i_is_silent(c, now_ns)) return SF_OK;
+  sf_i_look_again(c, now_ns);
+  return c->ended ? SF_ERR_NOT_RUNNING : SF_OK;
 }
 

@@ -52,18 +52,22 @@ static inline int sf_dev_vector(sf_client *c, sf_demand *d) {
   return result;
 }
 
-/* Whether the service publishes now: 1 or 0. */
-static inline int sf_alive(const sf_client *c) {
-  sf_demand d;
-  int64_t now;
+/* Whether the service publishes now: 1 or 0; looks for a restarted one as sf_dev_vector does. */
+static inline int sf_alive(sf_client *c) {
   if (c == NULL || c->output == NULL) return 0;
-  sf_i_demand(c, &d, &now);
-  return !(d.status & SF_STALE);
+  const int64_t now = sf_now_ns();
+  if (!sf_i_is_silent(c, now)) return 1;
+  sf_i_reattach_sometimes(c, now);
+  return !sf_i_is_silent(c, now);
 }
 
-/* Everything the newest cycle published. SF_OK, SF_NO_READING (no cycle yet), SF_ERR_TORN. */
-static inline int sf_read_output(const sf_client *c, sf_output *output) {
+/*
+ * Everything the newest cycle published. SF_OK, SF_NO_READING (no cycle yet), SF_ERR_TORN, or
+ * SF_ERR_NOT_RUNNING: the service ended; one that stands still leaves its last words, see their `t_ns`.
+ */
+static inline int sf_read_output(sf_client *c, sf_output *output) {
   if (c == NULL || c->output == NULL || output == NULL) return SF_ERR_ARGUMENT;
+  if (sf_i_follow(c, sf_now_ns()) != SF_OK) return SF_ERR_NOT_RUNNING;
   const int64_t g = sf_latch_read(c->output, sizeof *output, output);
   return g > 0 ? SF_OK : g == 0 ? SF_NO_READING : SF_ERR_TORN;
 }

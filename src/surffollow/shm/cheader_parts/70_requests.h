@@ -24,8 +24,9 @@ static inline int sf_request_send(sf_client *c, int64_t code, int n, const int64
                                   sf_ticket *ticket) {
   if (c == NULL || c->output == NULL || ticket == NULL || n < 0 || n > SF_REQUEST_ARGS) return SF_ERR_ARGUMENT;
   if (c->options.observe) return SF_ERR_OBSERVER;
-  if (c->slot_memory == NULL || !sf_alive(c)) sf_i_reattach_sometimes(c, sf_now_ns());
-  if (c->slot_memory == NULL || !sf_alive(c)) return SF_ERR_NOT_RUNNING;
+  const int alive = sf_alive(c);
+  if (alive && c->slot_memory == NULL) sf_i_reattach_sometimes(c, sf_now_ns());
+  if (!alive || c->slot_memory == NULL) return SF_ERR_NOT_RUNNING;
   if (!sf_i_inbox_is_whole(c)) return SF_ERR_NOT_READY; /* cut short; the service mends it */
   const int64_t now = sf_now_ns();
   sf_ack last;
@@ -53,10 +54,12 @@ static inline int sf_request_send(sf_client *c, int64_t code, int n, const int64
 
 /*
  * Look for the answer to a request, without waiting.
- * SF_OK, SF_PENDING, SF_ERR_RESTARTED, or SF_REFUSED_...; the client's `detail` holds its number.
+ * SF_OK, SF_PENDING, SF_ERR_RESTARTED, SF_ERR_NOT_RUNNING when the service ended, or SF_REFUSED_...; the
+ * client's `detail` holds its number.
  */
 static inline int sf_request_poll(sf_client *c, const sf_ticket *ticket) {
   if (c == NULL || c->output == NULL || ticket == NULL || ticket->counter < 1) return SF_ERR_ARGUMENT;
+  const int there = sf_i_follow(c, sf_now_ns()); /* before the look for an answer: it may be its last word */
   if (c->slot_memory == NULL || ticket->claim != c->claim) return SF_ERR_RESTARTED;
   for (int k = 0; k < 2; k++) {
     sf_ack a;
@@ -66,22 +69,20 @@ static inline int sf_request_poll(sf_client *c, const sf_ticket *ticket) {
     if (a.result == SF_ANSWER_OK) return SF_OK;
     return a.result > 0 && a.result < SF_ANSWERS ? SF_REFUSED - SF_CAST(int, a.result) : SF_ERR_BLOCK;
   }
-  return SF_PENDING;
+  return there == SF_OK ? SF_PENDING : there;
 }
 
-/* Wait for the answer; as sf_request_poll, SF_ERR_TIMEOUT, or SF_ERR_NOT_RUNNING when the service is gone. */
+/* Wait for the answer; as sf_request_poll, or SF_ERR_TIMEOUT (SF_ERR_NOT_RUNNING: the service is silent, too). */
 static inline int sf_request_wait(sf_client *c, const sf_ticket *ticket, int64_t timeout_ns) {
   const int64_t deadline = sf_now_ns() + timeout_ns;
   int64_t pause_ns = 50000;
   for (;;) {
     const int result = sf_request_poll(c, ticket);
-    if (result != SF_PENDING) return result;
     const int64_t now = sf_now_ns();
-    const int gone = !sf_alive(c) && !sf_i_is_current(c, "", &c->board);
-    if (gone || now >= deadline) {
-      c->abandoned = 1; /* the next request need not wait for this one */
-      return gone || !sf_alive(c) ? SF_ERR_NOT_RUNNING : SF_ERR_TIMEOUT;
-    }
+    const int over = result == SF_PENDING && now >= deadline;
+    if (over || result == SF_ERR_NOT_RUNNING) c->abandoned = 1; /* the next request need not wait for this one */
+    if (over) return sf_i_is_silent(c, now) ? SF_ERR_NOT_RUNNING : SF_ERR_TIMEOUT;
+    if (result != SF_PENDING) return result;
     sf_sleep_until_ns(now + pause_ns < deadline ? now + pause_ns : deadline);
     if (pause_ns < 2000000) pause_ns *= 2;
   }
@@ -120,6 +121,7 @@ static inline int sf_claim_pose(sf_client *c) {
 /* Let another client send the pose. */
 static inline int sf_release_pose(sf_client *c) {
   if (c == NULL) return SF_ERR_ARGUMENT;
+  if (c->output != NULL) sf_i_follow(c, sf_now_ns()); /* of a service started anew this client holds nothing */
   if (!c->pose_held) return SF_OK;
   c->pose_held = 0;
   return sf_i_request(c, SF_RQ_RELEASE_POSE, 0, NULL, NULL, c->options.timeout_ns);
@@ -145,9 +147,9 @@ static inline int sf_i_check_pose(const double pose[7], double out[7]) {
 }
 
 /* Ten times a second: show life, and notice what was changed behind this client's back. */
-static inline void sf_i_look_after(sf_client *c, int64_t now_ns) {
+static inline void sf_i_show_life(sf_client *c, int64_t now_ns) {
   sf_ticker t;
-  c->next_look_ns = now_ns + SF_LOOK_EVERY_NS;
+  c->next_life_ns = now_ns + SF_LOOK_EVERY_NS;
   sf_i_read_pose_timeout(c);
   if (c->slot_memory == NULL) return;
   sf_slot_head *head = SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD);
@@ -160,14 +162,25 @@ static inline void sf_i_look_after(sf_client *c, int64_t now_ns) {
   if (t.pose_slot != c->slot && t.t_ns > c->pose_held_ns + SF_LOOK_EVERY_NS) c->pose_held = 0;
 }
 
+/* As often as a service falls silent: whether it is there. SF_OK or SF_ERR_NOT_RUNNING. */
+static inline int sf_i_look_after(sf_client *c, int64_t now_ns) {
+  c->next_look_ns = 0;
+  const int there = sf_i_follow(c, now_ns);
+  if (there != SF_OK) return there;
+  c->next_look_ns = now_ns + (c->stale_ns < SF_LOOK_EVERY_NS ? c->stale_ns : SF_LOOK_EVERY_NS);
+  if (now_ns > c->next_life_ns) sf_i_show_life(c, now_ns);
+  return SF_OK;
+}
+
 #define SF_NOW INT64_MIN
 
 /*
  * Tell the service where the tool is, or was: x y z [m], unit quaternion qx qy qz qw, world from tool,
- * true at `t_ns` (SF_NOW: now). The first call of an attachment claims the pose and waits for the
- * answer (sf_claim_pose does that beforehand); later ones never wait and make no system call but the clock's.
- * SF_OK, SF_ERR_POSE, _POSE_FUTURE, _POSE_OLD, _OBSERVER, _NOT_RUNNING, or SF_REFUSED_POSE_HELD
- * with the holder's pid in the client's `detail`.
+ * true at `t_ns` (SF_NOW: now). The first call of an attachment, and of one that followed the service to a
+ * new start, claims the pose and waits for the answer (sf_claim_pose does that beforehand); others never
+ * wait, and make no system call but the clock's unless the service is silent.
+ * SF_OK, SF_ERR_POSE, _POSE_FUTURE, _POSE_OLD, _OBSERVER, _NOT_RUNNING (it ended; call again when it may have been
+ * started), or SF_REFUSED_POSE_HELD with the holder's pid in the client's `detail`.
  */
 static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   if (c == NULL || c->output == NULL || pose == NULL) return SF_ERR_ARGUMENT;
@@ -176,7 +189,7 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   const int err = sf_i_check_pose(pose, post.pose);
   if (err != SF_OK) return err;
   const int64_t now = sf_now_ns();
-  if (now > c->next_look_ns) sf_i_look_after(c, now);
+  if (now > c->next_look_ns && sf_i_look_after(c, now) != SF_OK) return SF_ERR_NOT_RUNNING;
   post.t_ns = t_ns == SF_NOW ? now : t_ns;
   if (post.t_ns > now + SF_POSE_FUTURE_NS) return SF_ERR_POSE_FUTURE;
   if (post.t_ns < now - c->pose_timeout_ns) return SF_ERR_POSE_OLD;
@@ -203,18 +216,20 @@ static inline const sf_param_info *sf_find_param(const char *name) {
   return NULL;
 }
 
-/* All parameters in force. SF_OK, SF_ERR_NOT_READY, SF_ERR_TORN. */
-static inline int sf_read_params(const sf_client *c, sf_params *params) {
+/* All parameters in force. SF_OK, SF_ERR_NOT_READY, SF_ERR_TORN, or SF_ERR_NOT_RUNNING: the service ended. */
+static inline int sf_read_params(sf_client *c, sf_params *params) {
   if (c == NULL || c->params == NULL || params == NULL) return SF_ERR_ARGUMENT;
+  if (sf_i_follow(c, sf_now_ns()) != SF_OK) return SF_ERR_NOT_RUNNING;
   const int64_t g = sf_latch_read(c->params, sizeof *params, params);
   return g > 0 ? SF_OK : g == 0 ? SF_ERR_NOT_READY : SF_ERR_TORN;
 }
 
-/* The value of a parameter in force, in SI units (times in ns). */
-static inline int sf_get_param(const sf_client *c, const char *name, double *value) {
+/* The value of a parameter in force, in SI units (times in ns). SF_ERR_PARAM, or as sf_read_params. */
+static inline int sf_get_param(sf_client *c, const char *name, double *value) {
   if (c == NULL || c->params == NULL || value == NULL) return SF_ERR_ARGUMENT;
   const sf_param_info *p = sf_find_param(name);
   if (p == NULL) return SF_ERR_PARAM;
+  if (sf_i_follow(c, sf_now_ns()) != SF_OK) return SF_ERR_NOT_RUNNING;
   int64_t word;
   const int64_t g = sf_latch_read_part(c->params, sizeof(sf_params), SF_CAST(size_t, p->number) * 8, 1, &word);
   if (g <= 0) return g == 0 ? SF_ERR_NOT_READY : SF_ERR_TORN;
@@ -240,7 +255,7 @@ static inline int sf_set_params(sf_client *c, int n, const char *const *names, c
     numbers[k] = p->number;
   }
   const int result = sf_i_request(c, SF_RQ_SET_PARAMS, n, numbers, values, c->options.timeout_ns);
-  c->next_look_ns = 0;
+  c->next_look_ns = c->next_life_ns = 0;
   return result;
 }
 
@@ -265,8 +280,9 @@ typedef struct sf_status_info {
 } sf_status_info;
 
 /* Ask how the service is doing; works on a dead one too. SF_OK or SF_ERR_ARGUMENT. */
-static inline int sf_status(const sf_client *c, sf_status_info *s) {
+static inline int sf_status(sf_client *c, sf_status_info *s) {
   if (c == NULL || c->output == NULL || s == NULL) return SF_ERR_ARGUMENT;
+  sf_alive(c); /* which follows it to a new start */
   sf_demand d;
   int64_t now;
   memset(s, 0, sizeof *s);

@@ -27,11 +27,17 @@ static inline int sf_map_refocus(sf_client *c, const double region[4]) {
   return sf_i_map_request(c, SF_RQ_MAP_REFOCUS, region);
 }
 
-/* The map's header, or NULL: not mapped, of another release, or not a map. */
-static inline const sf_map_header *sf_i_map(const sf_client *c) {
+/* The map's header, or NULL: not mapped, of another release, or not a map. It outlives a service. */
+static inline const sf_map_header *sf_i_map(sf_client *c) {
+  sf_i_follow(c, sf_now_ns()); /* the next one's map may be another */
   if (c->map.memory == NULL || c->map.size < SF_MAP_HEADER_BYTES) return NULL;
   const sf_map_header *h = SF_VIEW(const sf_map_header *, c->map.memory);
   return h->magic == SF_MAP_MAGIC && h->layout_hash == SF_MAP_LAYOUT_HASH ? h : NULL;
+}
+
+/* Why there is no map's header. */
+static inline int sf_i_no_map(const sf_client *c) {
+  return c->map.memory == NULL && c->ended ? SF_ERR_NOT_RUNNING : SF_ERR_BLOCK;
 }
 
 /* Whether so many grids lie inside the mapped object. */
@@ -52,10 +58,10 @@ static inline double sf_i_load_double(const void *word) {
  * Mean height of the grid that holds a point [m], read from the live map without waiting.
  * SF_OK; SF_UNKNOWN: nobody has been there, it is beside the map, or the map is being laid anew.
  */
-static inline int sf_map_height(const sf_client *c, double x_m, double y_m, double *height_m) {
+static inline int sf_map_height(sf_client *c, double x_m, double y_m, double *height_m) {
   if (c == NULL || c->output == NULL || height_m == NULL) return SF_ERR_ARGUMENT;
   const sf_map_header *h = sf_i_map(c);
-  if (h == NULL) return SF_ERR_BLOCK;
+  if (h == NULL) return sf_i_no_map(c);
   const int64_t generation = sf_load_acquire(&h->generation);
   if (generation & 1 || sf_load_relaxed(&h->state) != SF_MAP_READY) return SF_UNKNOWN;
   const int64_t nx = sf_load_relaxed(&h->nx), ny = sf_load_relaxed(&h->ny);
@@ -124,12 +130,12 @@ static inline int sf_i_surface(const sf_grid_pair *pairs, int64_t nx, int64_t ny
  * bilinear mean. Slopes are central differences, one-sided at the edge of the known, NaN without neighbours.
  * All three are of one geometry of the map; SF_OK; SF_UNKNOWN as in sf_map_height, the results untouched.
  */
-static inline int sf_map_surface(const sf_client *c, double x_m, double y_m, double *height_m, double *slope_x,
+static inline int sf_map_surface(sf_client *c, double x_m, double y_m, double *height_m, double *slope_x,
                                  double *slope_y) {
   if (c == NULL || c->output == NULL || height_m == NULL || slope_x == NULL || slope_y == NULL)
     return SF_ERR_ARGUMENT;
   const sf_map_header *h = sf_i_map(c);
-  if (h == NULL) return SF_ERR_BLOCK;
+  if (h == NULL) return sf_i_no_map(c);
   const sf_grid_pair *pairs = SF_VIEW(const sf_grid_pair *, c->map.memory + SF_MAP_HEADER_BYTES);
   for (int tries = 0; tries < SF_LATCH_MAX_TRIES; tries++) {
     const int64_t generation = sf_load_acquire(&h->generation);
@@ -164,9 +170,11 @@ static inline int sf_i_is_mine(const sf_client *c, const sf_map_status *s) {
 }
 
 /* Whether this client holds the map now, without a break since sf_access_begin: 1 or 0. */
-static inline int sf_access_held(const sf_client *c) {
+static inline int sf_access_held(sf_client *c) {
   sf_map_status s;
-  if (c == NULL || c->output == NULL || c->slot < 0 || c->access_depth < 1) return 0;
+  if (c == NULL || c->output == NULL || c->access_depth < 1) return 0;
+  sf_i_follow(c, sf_now_ns());
+  if (c->slot < 0) return 0;
   if (sf_latch_read(c->map_status, sizeof s, &s) <= 0) return 0;
   return sf_i_is_mine(c, &s) && s.grants == c->grant;
 }
@@ -205,8 +213,9 @@ static inline int sf_access_begin(sf_client *c, int64_t timeout_ns) {
     c->access_depth++;
     return SF_OK;
   }
-  if (c->slot_memory == NULL || !sf_alive(c)) sf_i_reattach_sometimes(c, sf_now_ns());
-  if (c->slot_memory == NULL || !sf_alive(c)) return SF_ERR_NOT_RUNNING;
+  const int there = sf_alive(c);
+  if (there && c->slot_memory == NULL) sf_i_reattach_sometimes(c, sf_now_ns());
+  if (!there || c->slot_memory == NULL) return SF_ERR_NOT_RUNNING;
   if (!sf_i_inbox_is_whole(c)) return SF_ERR_NOT_READY; /* cut short; the service mends it */
   const int64_t deadline = sf_now_ns() + timeout_ns;
   while (!sf_i_look_for_grant(c)) { /* 2 is the service's */

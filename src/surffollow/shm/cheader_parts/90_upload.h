@@ -124,7 +124,7 @@ static inline void sf_i_write_map(FILE *f, const sf_map_header *h, const sf_grid
 static inline int sf_i_copy_map(sf_client *c, sf_map_header *header, sf_grid_pair **pairs) {
   const sf_map_header *h = sf_i_map(c);
   *pairs = NULL;
-  if (h == NULL) return SF_ERR_BLOCK;
+  if (h == NULL) return sf_i_no_map(c);
   int err = sf_access_begin(c, c->options.timeout_ns);
   if (err != SF_OK) return err;
   h = sf_i_map(c); /* beginning may have followed the service to a new start */
