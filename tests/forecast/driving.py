@@ -106,6 +106,7 @@ class Pair:
             "slope": float(o["slope"]),
             "speed": float(o["speed_mps"]),
             "intervals": int(o["intervals"]),
+            "range_m": [None if r != r else r for r in o["range_m"].tolist()],
         }
         assert got == want, f"t {t_ns} ns:\nkernel {got}\ntwin   {want}"
         assert not o["demand"][[0, 1, 3, 4, 5]].any()

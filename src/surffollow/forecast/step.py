@@ -86,8 +86,11 @@ def find_targets(params: Any, state: Any, output: Any, pose: Any, interpolate: A
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def clear_output(state: Any, inputs: Any, output: Any) -> None:
-    """The output of a cycle that demands nothing."""
+def clear_output(params: Any, state: Any, inputs: Any, output: Any) -> None:
+    """The output of a cycle that demands nothing; distances are told no longer than they are extrapolated.
+
+    What stops coming leaves its last reading behind, which is as good as any until `loss_timeout_ns`.
+    """
     output.t_ns = inputs.t_ns
     output.cycle = state.cycle
     for i in range(6):
@@ -96,8 +99,10 @@ def clear_output(state: Any, inputs: Any, output: Any) -> None:
     output.delta_h_m = 0.0
     output.error_m = 0.0
     for c in range(CHANNELS):
-        valid = state.sense.valid[c] != 0
-        output.range_m[c] = state.sense.range_m[c] if valid else math.nan
+        sense = state.sense
+        age_ns = inputs.t_ns - params.sensor_latency_ns - sense.range_t_ns[c]
+        told = sense.valid[c] != 0 and (sense.fresh[c] != 0 or age_ns <= params.loss_timeout_ns)
+        output.range_m[c] = sense.range_m[c] if told else math.nan
         output.range_t_ns[c] = state.sense.range_t_ns[c]
 
 
@@ -159,7 +164,7 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
         take_ranges(p, s.sense, i)
     else:
         take_conversions(p, s.sense, i)
-    clear_output(s, i, o)
+    clear_output(p, s, i, o)
     n = s.sense.pose_count
     if n == 0:
         o.pose_t_ns = 0

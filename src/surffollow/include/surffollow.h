@@ -448,7 +448,7 @@ typedef struct sf_output {
   int64_t status; /* bits, see STATUS_NAMES */
   int64_t cycle; /* cycle number */
   int64_t epoch; /* of the service; changes with every start */
-  double range_m[8]; /* [m] smoothed distances; NaN: none */
+  double range_m[8]; /* [m] smoothed distances; NaN: none, or older than loss_timeout_ns */
   int64_t range_t_ns[8]; /* [ns] */
   int64_t fresh; /* bit per channel: a new valid reading in this cycle */
   double target_m[24]; /* [m] footprints in the world (fresh ones) */

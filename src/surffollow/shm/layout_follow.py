@@ -183,7 +183,7 @@ class Output(Schema):
     status = I64(doc="bits, see STATUS_NAMES")
     cycle = I64(doc="cycle number")
     epoch = I64(doc="of the service; changes with every start")
-    range_m = F64(CHANNELS, unit="m", doc="smoothed distances; NaN: none")
+    range_m = F64(CHANNELS, unit="m", doc="smoothed distances; NaN: none, or older than loss_timeout_ns")
     range_t_ns = I64(CHANNELS, unit="ns")
     fresh = I64(doc="bit per channel: a new valid reading in this cycle")
     target_m = F64(CHANNELS * 3, unit="m", doc="footprints in the world (fresh ones)")
