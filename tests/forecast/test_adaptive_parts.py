@@ -190,11 +190,13 @@ def test_conversions_of_a_held_value_are_one_sample_stamped_where_it_began():
     assert (a["sample_ns"] + 30 * MS - int(f._params["hold_ns"][0]) // 2 - t0) % (4 * MS) <= 40_000
 
 
-def over_one_spot(truth_s: float, climb, seed: int = 0, sigma: float = 0.25e-3) -> Follower:
+def over_one_spot(
+    truth_s: float, climb, seed: int = 0, sigma: float = 0.25e-3, f: Follower | None = None, steps=range(2500)
+) -> Follower:
     """A follower over one spot; `climb(t)` is the height of the tool, ranges are 30 ms + `truth_s` old."""
     rng = np.random.default_rng(seed)
-    f = Follower({"memory": False}, offset_m=0.1)
-    for k in range(2500):
+    f = f or Follower({"memory": False}, offset_m=0.1)
+    for k in steps:
         t = 0.001 * k
         if k % 10 == 0:
             z = 0.1 + climb(t - 0.01) + 5e-5 * rng.standard_normal()
@@ -211,6 +213,24 @@ def over_one_spot(truth_s: float, climb, seed: int = 0, sigma: float = 0.25e-3) 
 def test_the_age_of_ranges_is_found_while_the_tool_climbs_over_one_spot(truth_s):
     f = over_one_spot(truth_s, lambda t: 0.006 * math.sin(2 * math.pi * 1.5 * t))
     assert f._state["adaptive"][0]["older_s"] == pytest.approx(truth_s, abs=2e-3)
+
+
+def bobbing_m(t: float) -> float:
+    return 0.006 * math.sin(2 * math.pi * 1.5 * t)
+
+
+def test_a_latency_set_by_hand_takes_the_place_of_what_was_learnt():
+    f = over_one_spot(0.02, bobbing_m)
+    assumed_s = f.state()["latency_s"] - f._state["adaptive"][0]["older_s"]
+    assert f.state()["latency_s"] == pytest.approx(assumed_s + 0.02, abs=2e-3)
+    f.set_params(sensor_latency=f"{assumed_s + 0.015} s")
+    over_one_spot(0.02, bobbing_m, f=f, steps=range(2500, 2530))
+    assert f.state()["latency_s"] == pytest.approx(assumed_s + 0.015, abs=1e-9)
+    f.set_params(max_demand="0.04 m")
+    f.set_params(sensor_latency=f"{assumed_s + 0.015} s")
+    before = f._state["adaptive"][0]["rest_n"]
+    over_one_spot(0.02, bobbing_m, f=f, steps=range(2530, 2560))
+    assert f._state["adaptive"][0]["rest_n"] > before, "the same latency again drops nothing"
 
 
 def test_a_tool_at_rest_teaches_nothing_about_the_age_of_ranges():

@@ -3,7 +3,8 @@
 While the tool rests laterally but moves up or down (the approach to a surface does), a range that is δ
 older than its stamp says makes the ground seem to rise by δ times the climb. The regression of the height
 on the climb gives δ; when the rest ends, what was found enters the estimate by its uncertainty. Travelling
-over ground teaches nothing: there the tool's climb and the ground's shape go together.
+over ground teaches nothing: there the tool's climb and the ground's shape go together. A latency that is
+set by hand is taken at its word.
 """
 
 from __future__ import annotations
@@ -31,6 +32,15 @@ def forget_rest(a: Any) -> None:
     """Begin anew."""
     a.rest_n = 0
     a.rest_climb_mps = a.rest_h_m = a.rest_cc = a.rest_ch = a.rest_hh = 0.0
+
+
+@njit(cache=True, nogil=True)
+def assume_latency(params: Any, a: Any) -> None:
+    """What was found beside another configured latency is no correction of this one: find it anew."""
+    if a.latency_assumed_ns != params.sensor_latency_ns:
+        a.latency_assumed_ns = params.sensor_latency_ns
+        a.older_s = a.older_sigma_s = 0.0
+        forget_rest(a)
 
 
 @njit(cache=True, nogil=True)

@@ -8,6 +8,7 @@ from typing import Any
 from numba import njit
 
 from surffollow.forecast.adaptive import adaptive_demand, forget_surface, report_adaptive
+from surffollow.forecast.adaptive_latency import assume_latency
 from surffollow.forecast.paper import average_point, paper_forecast, paper_update, relay
 from surffollow.forecast.pose import footprint, pose_at
 from surffollow.forecast.safety import PROBE_M, limit, watch_fold_back
@@ -165,6 +166,8 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
     else:
         take_conversions(p, s.sense, i)
     clear_output(p, s, i, o)
+    if p.mode == MODE_ADAPTIVE:
+        assume_latency(p, s.adaptive)
     n = s.sense.pose_count
     if n == 0:
         o.pose_t_ns = 0

@@ -36,6 +36,7 @@ class AdaptiveState(Schema):
     late_s = F64(unit="s", doc="how late samples arrive")
     older_s = F64(unit="s", doc="how much older ranges are than their stamps say, as found")
     older_sigma_s = F64(unit="s", doc="uncertainty of that; 0: nothing found yet")
+    latency_assumed_ns = I64(unit="ns", doc="sensor_latency_ns beside which that was found")
     rest_n = I64(doc="samples of the present rest, for the lag")
     rest_climb_mps = F64(unit="m/s", doc="their mean climb")
     rest_h_m = F64(unit="m", doc="their mean height")
