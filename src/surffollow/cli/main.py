@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import io
+import os
 import sys
 from typing import Any
 
 import click
 
 from surffollow.errors import SurffollowError
+
+# a disk, or a share of it, that is full or gone
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 # verb → (module, click command object, what it does)
 VERBS = {
@@ -80,7 +85,12 @@ def main(argv: list[str] | None = None) -> Any:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        return cli.main(args=argv, prog_name="surffollow", standalone_mode=True)
+        try:
+            return cli.main(args=argv, prog_name="surffollow", standalone_mode=True)
+        finally:
+            # what fails here would else fail after the last line of ours, with a traceback
+            if sys.stdout is not None:
+                sys.stdout.flush()
     except SurffollowError as e:
         print(f"surffollow: {e}", file=sys.stderr)
         sys.exit(e.exit_code)
@@ -88,6 +98,22 @@ def main(argv: list[str] | None = None) -> Any:
         sys.exit(130)
     except BrokenPipeError:
         sys.exit(141)
+    except OSError as e:
+        if e.errno not in NO_ROOM:
+            raise
+        throw_output_away()
+        print(f"surffollow: cannot write the output: {e.strerror}", file=sys.stderr)
+        sys.exit(1)
+
+
+def throw_output_away() -> None:
+    """Let what waits for a standard output that takes nothing go: the interpreter flushes once more."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
 
 
 if __name__ == "__main__":

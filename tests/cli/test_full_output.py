@@ -1,0 +1,79 @@
+"""Standard output that takes nothing, as on a full disk: a line and exit code 1."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from running_service import READY_S, Service, objects_of
+from surffollow.map import HeightMap
+
+
+@pytest.fixture(params=["", "1"], autouse=True)
+def buffering(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether the interpreter keeps what is printed back for a while."""
+    monkeypatch.setenv("PYTHONUNBUFFERED", request.param)
+
+
+def into_full(*words: str) -> subprocess.CompletedProcess[str]:
+    with open("/dev/full", "w") as full:
+        return subprocess.run(
+            [sys.executable, "-m", "surffollow", *words],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=READY_S,
+        )
+
+
+def is_told(done: subprocess.CompletedProcess[str]) -> bool:
+    """Whether the last line says so, after whatever else was said, and nothing follows."""
+    lines = done.stderr.splitlines()
+    return (
+        done.returncode == 1
+        and lines[-1] == "surffollow: cannot write the output: No space left on device"
+        and "Traceback" not in done.stderr
+        and "Exception ignored" not in done.stderr
+    )
+
+
+@pytest.mark.parametrize("words", [("--help",), ("header",), ("header", "--cflags"), ("blocks", "ls")])
+def test_a_verb_that_needs_nothing_else(words: tuple[str, ...]) -> None:
+    done = into_full(*words)
+    assert is_told(done), done
+
+
+def test_a_map_files_facts(tmp_path: Path) -> None:
+    HeightMap.over((0.0, 0.0, 1.0, 1.0), grids=100).save(tmp_path / "a.txt")
+    done = into_full("map", "info", "--json", str(tmp_path / "a.txt"))
+    assert is_told(done), done
+
+
+@pytest.mark.parametrize("words", [("status",), ("status", "--json")])
+def test_the_status_of_a_service(service: Service, words: tuple[str, ...]) -> None:
+    done = into_full(*words, "--name", service.name)
+    assert is_told(done), done
+
+
+def test_a_start_that_cannot_say_ready_leaves_nothing_running(make_service: Callable[..., Service]) -> None:
+    s = make_service()
+    done = into_full("start", "--quiet", "--config", str(s.config), "--name", s.name)
+    assert is_told(done), done
+    assert objects_of(s.name) == {f"{s.name}.map"}
+
+
+def test_an_error_of_its_own_is_told_as_such() -> None:
+    done = into_full("status", "--name", "nobody-runs-this")
+    assert done.returncode == 1
+    assert "No space" not in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_closed_output_is_no_fault() -> None:
+    words = ["sh", "-c", 'exec "$@" >&-', "-", sys.executable, "-m", "surffollow", "blocks", "ls"]
+    done = subprocess.run(words, stderr=subprocess.PIPE, text=True, timeout=READY_S)
+    assert (done.returncode, done.stderr) == (0, "")
