@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -152,14 +153,18 @@ def test_command_prints_the_header_and_the_way_to_it() -> None:
     assert runner.invoke(cli, ["header", "--cflags", "--pkg-config"]).exit_code == 2
 
 
-def test_installed_header_is_found_by_pkg_config(tmp_path: Path) -> None:
+@pytest.mark.parametrize("folder", ["plain", "with a space", 'it\'s $HOME, (5%) "off" #1;\\'])
+def test_installed_header_is_found_by_pkg_config(tmp_path: Path, folder: str) -> None:
+    tmp_path /= folder
     result = CliRunner().invoke(cli, ["header", "--install", str(tmp_path)])
     assert result.exit_code == 0, result.output
     assert (tmp_path / "include/surffollow.h").read_bytes() == cheader.HEADER.read_bytes()
     if shutil.which("pkg-config") is None:
+        if folder != "plain":
+            return
         assert f"includedir={tmp_path}/include" in (tmp_path / "lib/pkgconfig/surffollow.pc").read_text()
         return
     where = os.environ | {"PKG_CONFIG_PATH": str(tmp_path / "lib/pkgconfig")}
     command = ["pkg-config", "--cflags", "surffollow"]
     flags = subprocess.run(command, env=where, capture_output=True, text=True, check=True).stdout
-    assert flags.strip() == f"-I{tmp_path}/include"
+    assert shlex.split(flags) == [f"-I{tmp_path}/include"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from importlib.metadata import version
 from pathlib import Path
 
@@ -21,7 +22,9 @@ Cflags: -I${{includedir}}
 
 def pkg_config_text(includedir: str) -> str:
     """The text of `surffollow.pc` for a header in that directory."""
-    return PKG_CONFIG.format(includedir=includedir, version=version("surffollow"))
+    # pkg-config takes words apart as a shell does; a dollar without a brace is one
+    escaped = re.sub(r"([^\w/.,:+@%=~$-])", r"\\\1", includedir)
+    return PKG_CONFIG.format(includedir=escaped, version=version("surffollow"))
 
 
 @click.command("header")
