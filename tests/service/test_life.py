@@ -167,7 +167,7 @@ def test_too_little_room_in_dev_shm_is_said_with_both_sizes_and_leaves_nothing(
 
     monkeypatch.setattr(objects.os, "statvfs", lambda _: Room)
     s = make_service(grids=1_000_000)
-    with pytest.raises(NoSpaceError, match=r"needs .* MiB and /dev/shm has 0\.4 MiB free.*map_grids"):
+    with pytest.raises(NoSpaceError, match=r"needs .* MiB and /dev/shm has 0\.4 MiB free.*fewer map\.grids"):
         house.open_house(s.settings())
     assert objects_of(s.name) == set()
 

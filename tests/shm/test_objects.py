@@ -159,6 +159,21 @@ def test_a_file_system_that_fills_up_meanwhile_leaves_nothing_behind(name, monke
     assert not (SHM_ROOT / name).exists()
 
 
+@pytest.mark.parametrize(
+    ("part", "advice"),
+    [
+        ("", "fewer log_words"),
+        (".map", r"fewer map\.grids"),
+        (".inbox", "nobody needs"),
+        (".poses", "a block"),
+    ],
+)
+def test_the_advice_for_too_little_room_fits_the_object(name, monkeypatch, part, advice):
+    monkeypatch.setattr(os, "statvfs", lambda _: SimpleNamespace(f_bavail=1, f_frsize=4096))
+    with pytest.raises(NoSpaceError, match=f"remount.* or .*{advice}"):
+        SharedObject.create(name.replace(".", "-") + part, 8192, 0o600)
+
+
 def test_a_group_that_may_not_be_given_leaves_nothing_behind(name, monkeypatch):
     def refused(*_):
         raise PermissionError(1, "Operation not permitted")

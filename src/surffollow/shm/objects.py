@@ -193,7 +193,7 @@ def reserve(name: str, fd: int, size: int) -> None:
     room = os.statvfs(SHM_ROOT)
     free = room.f_bavail * room.f_frsize
     need = f"object {name!r} needs {size / 2**20:.1f} MiB and /dev/shm has {free / 2**20:.1f} MiB free"
-    remedy = "make it larger (mount -o remount,size=... /dev/shm) or ask for less (map_grids, log_words)"
+    remedy = f"make it larger (mount -o remount,size=... /dev/shm) or {_less(name)}"
     if size > free:
         raise NoSpaceError(f"{need}; {remedy}")
     try:
@@ -203,6 +203,18 @@ def reserve(name: str, fd: int, size: int) -> None:
         if e.errno in (errno.ENOSPC, errno.ENOMEM, errno.EFBIG, errno.EDQUOT):
             raise NoSpaceError(f"{need}; {remedy}") from None
         raise
+
+
+def _less(name: str) -> str:
+    """How to need less room for an object, by the names of docs/protocol.md and docs/blocks.md."""
+    service, _, part = name.partition(".")
+    if part == "map":
+        return "configure fewer map.grids"
+    if not part:
+        return "configure fewer log_words"
+    if part in ("inbox", "world"):
+        return f"remove what nobody needs (ls -l /dev/shm): service {service!r} cannot do with less"
+    return "declare a block with fewer elements, or remove what nobody needs (surffollow blocks ls)"
 
 
 def unlink(name: str) -> bool:
