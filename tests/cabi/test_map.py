@@ -175,6 +175,7 @@ def test_killed_holder_does_not_keep_the_map(
 
 def test_damaged_geometry_leads_no_reader_out_of_the_map(probe: Probe, service: Service) -> None:
     """The map's writer is trusted; a reader of a damaged copy still stays inside its mapping."""
+    probe.until("ee 0.05 0.04 0.1 0 0 0 1", lambda _: probe("height 0.05 0.04").result == OK)
     live, copy = Path(f"/dev/shm/{service.name}"), Path(f"/dev/shm/cabi-copy-{os.getpid()}")
     board, map_ = live.read_bytes(), bytearray(live.with_name(live.name + ".map").read_bytes())
     at = ml.MapHeader.offset("nx")

@@ -37,7 +37,10 @@ static inline const sf_map_header *sf_i_map(sf_client *c) {
 
 /* Why there is no map's header. */
 static inline int sf_i_no_map(const sf_client *c) {
-  return c->map.memory == NULL && c->ended ? SF_ERR_NOT_RUNNING : SF_ERR_BLOCK;
+  char path[96];
+  struct stat status;
+  if (c->map.memory != NULL || !sf_i_path(c->name, ".map", path)) return SF_ERR_BLOCK;
+  return lstat(path, &status) != 0 && errno == ENOENT ? SF_ERR_NOT_RUNNING : SF_ERR_BLOCK;
 }
 
 /* Whether so many grids lie inside the mapped object. */
