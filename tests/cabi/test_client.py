@@ -14,6 +14,7 @@ import pytest
 
 from cabi.running import STANDOFF_M, Probe, Service
 from surffollow.client import STALE, attach, observe
+from surffollow.config.names import OBJECTS
 from surffollow.config.params import PARAMS, UNIT_ENDINGS
 from surffollow.errors import BusyError, RefusedError
 from surffollow.shm import layout_board as lb
@@ -38,6 +39,12 @@ def test_names_that_no_service_can_have_are_refused_before_any_file_is_opened(
     for name in ("../etc/passwd", "a/b", ".hidden", "x" * 49, "a b", "ä"):
         assert probe(f"observe {name}").result == (-20 if name == "a b" else -2), name
     assert probe(f"observe {'x' * 48}").result == -20
+    for last in OBJECTS:
+        for how in ("attach", "observe"):
+            assert probe(f"{how} surf.{last}").result == -2, "an object of the service surf"
+        assert probe(f"observe surf{last}").result == -20
+        assert probe(f"observe surf.{last}s").result == -20
+        assert probe(f"observe {last}").result == -20
     assert probe("dev").result == -1
 
 
@@ -230,7 +237,7 @@ def test_cut_inbox_is_an_error_for_a_request_and_is_mended(
     assert os.stat(path).st_size == size
     with open(path, "r+b") as inbox:
         inbox.write(os.urandom(64))
-    with stopped(service), open(path, "r+b") as inbox:
+    with stopped(service), open(path, "r+b", buffering=0) as inbox:
         inbox.write(bytes(64))
         assert late(f"attach {service.name}").result == -22
     late.until(f"attach {service.name}", lambda a: a.result == OK)

@@ -63,6 +63,12 @@ static inline int sf_i_name_ok(const char *name) {
     if (!letter && (n == 0 || (ch != '.' && ch != '_' && ch != '-'))) return 0;
     if (n >= 48) return 0;
   }
+  /* the names of a service's own objects */
+  static const char *const objects[] = {".inbox", ".map", ".world"};
+  for (size_t k = 0; k < sizeof objects / sizeof objects[0]; k++) {
+    const size_t m = strlen(objects[k]);
+    if (n > m && strcmp(name + n - m, objects[k]) == 0) return 0;
+  }
   return n > 0;
 }
 
