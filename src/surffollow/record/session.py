@@ -27,8 +27,9 @@ def record_service(
 ) -> Counts:
     """Record the service `name` into `out` until `stop` is set or `seconds` have passed.
 
-    A service that stops is waited for: its next start becomes the next segment. An existing file is
-    replaced only with `force`.
+    The seconds count from the first cycle recorded: kernels may be compiled before it. Where no cycle
+    comes because no service is alive, they count from the first look at its log. A service that stops
+    is waited for: its next start becomes the next segment. An existing file is replaced only with `force`.
 
     Raises
     ------
@@ -36,23 +37,26 @@ def record_service(
     FaultError                                                the file exists or cannot be written
     """
     log = ServiceLog(name)
-    begin = time.monotonic()
     try:
         with RecordingWriter(out, log.about(), force=force) as writer:
             recorder = Recorder(log, writer)
-            told = begin
+            recorder.poll()
+            begin = told = time.monotonic()
+            begun = recorder.counts.cycles > 0
             while not stop.is_set():
                 now = time.monotonic()
-                if seconds is not None and now - begin >= seconds:
+                if seconds is not None and now - begin >= seconds and (begun or not log.alive()):
                     break
                 recorder.poll()
                 if not log.alive():
                     recorder.restart()
+                if not begun and recorder.counts.cycles > 0:
+                    begin, begun = time.monotonic(), True
                 if progress is not None and now - told >= PROGRESS_S:
                     told = now
                     progress(progress_line(recorder, log, now - begin))
-                left = POLL_S if seconds is None else max(0.0, min(POLL_S, begin + seconds - now))
-                stop.wait(left)
+                left = POLL_S if seconds is None or not begun else begin + seconds - now
+                stop.wait(max(0.0, min(POLL_S, left)))
             return recorder.finish()
     finally:
         log.close()
