@@ -55,6 +55,9 @@ from surffollow.shm.layout_follow import (
 
 GRACE_S = 0.025  # a lone lost sample is no drop-out
 RATE_STEP_S = 0.005  # over which the rate of the blended set point is taken
+CALM_S = 0.01  # in which an excess as large as SOFT bands is halved
+SOFT = 2.5
+CALM_GAP_S = 0.1  # after a longer pause the set point begins where it is wanted
 LEAST_WEIGHT = 1e-3  # candidates with less have no say in that rate
 
 
@@ -103,13 +106,23 @@ def blend_set_points(params: Any, a: Any, ahead_m: Any, drop_m: Any, tick: Any) 
 def hold_calm(params: Any, a: Any, wanted_m: Any) -> Any:
     """Carry the set point on as the models expect while it stays near where it is wanted.
 
-    The band is what the paper's hysteresis does in steps; see `adapt_band`.
+    Beyond the band (see `adapt_band`) the excess x shrinks by dx/dt = -x² / (SOFT · band · CALM_S): what is
+    large goes at once, what may be noise slowly, and the length of the cycle makes no difference.
     """
     dt = (a.now_ns - a.calm_ns) * 1e-9
-    band = a.calm_band_m
-    on = a.calm_m + (a.wanted_mps * dt if 0.0 < dt < 0.1 else 0.0)
+    if dt == 0.0:
+        return a.calm_m
     a.calm_ns = a.now_ns
-    a.calm_m = min(max(on, wanted_m - band), wanted_m + band)
+    if not 0.0 < dt < CALM_GAP_S:
+        a.calm_m = wanted_m
+        return wanted_m
+    a.calm_m += a.wanted_mps * dt
+    e = wanted_m - a.calm_m
+    excess = abs(e) - a.calm_band_m
+    if excess > 0.0:
+        soft = SOFT * a.calm_band_m
+        left = a.calm_band_m + excess * soft / (soft + excess * dt / CALM_S)
+        a.calm_m = wanted_m - math.copysign(left, e)
     return a.calm_m
 
 

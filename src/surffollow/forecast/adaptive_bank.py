@@ -164,3 +164,13 @@ def look_ahead(i: Any, x: Any, d: Any, lead: Any) -> Any:
         return x[k] + d * x[k + 1] + a * (d - g) * x[k + 2] + lead * (x[k + 1] + g * x[k + 2])
     cs, sn = math.cos(a * d), math.sin(a * d)
     return x[k] + cs * x[k + 1] + sn * x[k + 2] + lead * a * (cs * x[k + 2] - sn * x[k + 1])
+
+
+@njit(cache=True, nogil=True)
+def look_ahead_variance(i: Any, p: Any, d: Any) -> Any:
+    """Variance of the height that model i expects d [m] ahead, by its own account [m²]."""
+    c = 6 * i
+    if BANK[i, 0] == WAVE:
+        d *= BANK[i, 1]
+        return max(p[c] + 2.0 * p[c + 1] + p[c + 3] + 2.0 * d * (p[c + 2] + p[c + 4]) + d * d * p[c + 5], 0.0)
+    return max(p[c] + 2.0 * d * p[c + 1] + d * d * p[c + 3], 0.0)

@@ -13,7 +13,7 @@ from typing import Any
 
 from numba import njit
 
-from surffollow.forecast.adaptive_bank import BANK, PRIOR, N
+from surffollow.forecast.adaptive_bank import BANK, PRIOR, N, look_ahead_variance
 from surffollow.shm.layout_adaptive import TICKS
 
 STEP_NS = 2_000_000  # of the shadow axes
@@ -22,6 +22,9 @@ LOST_NS = 250_000_000  # beyond, the shadows are set to where they were going
 EFFORT_MEMORY = 0.02  # per tick
 EFFORT_MOST = 100.0  # (10 m/s²)²: a step's jump shall not count for ever
 TICK_HZ2 = 1e4
+MOSTLY_NOISE = 1.4  # mean squares up to so many times that of the noise are all noise
+CAUTION = 3.0  # power of that claim, while nothing else is known
+JUDGED, SHARP = 200, 500  # samples after which scores count fully, and as sharply as they may
 
 
 @njit(cache=True, nogil=True)
@@ -79,6 +82,7 @@ def score(params: Any, a: Any, way_m: Any, dt_s: Any, wanted_m: Any) -> None:
         e = a.axis_z_m[i] - wanted_m
         a.score_m2[i] += f * (e * e - a.score_m2[i])
         a.long_m2[i] += g * (e * e - a.long_m2[i])
+    a.scored = min(a.scored + 1, SHARP)
     weigh(params, a)
 
 
@@ -94,11 +98,22 @@ def weigh(params: Any, a: Any) -> None:
     off_long = params.noise_share * min(noise, best_long)
     floor = params.score_floor_m * params.score_floor_m
     mu = params.effort_m * params.effort_m
+    # where noise hides the differences they are small, yet tell; great errors are of few places, often chance
+    share = min(MOSTLY_NOISE * noise, best) / best if best > 0.0 else 1.0
+    # what a few samples say is mostly luck, and fine differences are told by many only
+    told = min(a.scored / JUDGED, 1.0)
+    sharp = share * share * a.scored / SHARP
+    power = params.long_power + (params.score_power - params.long_power) * sharp
+    # until then a model counts for as much as it claims to know
+    ahead_m = a.speed_mps * (a.late_s + a.tau_s)
     least = 1e300
     for i in range(N):
         extra = floor + mu * a.effort[i]
-        c = params.score_power * math.log(a.score_m2[i] - off + extra)
-        c += params.long_power * math.log(a.long_m2[i] - off_long + extra) + PRIOR[int(BANK[i, 0])]
+        c = power * math.log(a.score_m2[i] - off + extra)
+        c += params.long_power * math.log(a.long_m2[i] - off_long + extra)
+        c = told * c + PRIOR[int(BANK[i, 0])]
+        if told < 1.0:
+            c += CAUTION * (1.0 - told) * math.log(look_ahead_variance(i, a.cov, ahead_m) + noise)
         a.cost[i] = c
         least = min(least, c)
     total = 0.0

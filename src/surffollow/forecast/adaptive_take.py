@@ -29,6 +29,8 @@ STEPS_STAY = 0.2
 START_SAMPLES = 3  # fewer are no ground yet: one of them may be a glitch
 STANDING_NS = 120_000_000  # samples that agree for so long are ground, travelled or not
 DISAGREE_GROWTH = 1.3
+EDGES = 2  # a slot has two: readings across them agree with nothing
+DOUBT = 0.5  # of the gate: beyond, one sample alone is not believed
 SETTLE_NS = 150_000_000  # after a step all shadows are wrong alike
 GAP_NS = 100_000_000  # after a longer gap no way is asked for: there was enough of it
 LONGEST_WAY_M = 0.5  # unseen ground of this length: what was known is of no use
@@ -119,6 +121,7 @@ def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any
             a.score_m2[i] = a.long_m2[i] = 1e-6
             a.effort[i] = 0.0
     if fresh:
+        a.scored = 0
         a.noise_m = FIRST_NOISE_M
         a.median_m = FIRST_NOISE_M / MAD_TO_SIGMA
         a.scale_m = 2.0 * FIRST_NOISE_M
@@ -126,7 +129,8 @@ def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any
         a.late_s = 0.0
     weigh(params, a)
     a.samples = 1
-    a.quarantined = 0
+    a.quarantined = a.disagreed = 0
+    a.doubted_m = 0.0
     a.sample_ns = a.accepted_ns = t_ns
     a.settle_ns = t_ns if fresh else t_ns + SETTLE_NS
     a.since_step_m = 0.0
@@ -146,6 +150,8 @@ def quarantine(params: Any, a: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any
         a.quarantine_way_m += way_m
     else:
         if a.quarantined > 0:
+            a.disagreed += 1
+        if a.disagreed > EDGES:
             # outliers that do not agree with each other: the ground is rougher than thought
             a.scale_m *= DISAGREE_GROWTH
         a.quarantined = 1
@@ -185,7 +191,18 @@ def believe_step(params: Any, a: Any) -> None:
         # a step that is followed by another within a slot's width was a slot
         a.returned = 0.5 if a.since_step_m < params.step_way_m else 0.5 * a.returned
     a.since_step_m = 0.0
-    a.quarantined = 0
+    a.quarantined = a.disagreed = 0
+
+
+@njit(cache=True, nogil=True)
+def is_doubtful(a: Any, nu_m: Any, gate_m: Any) -> Any:
+    """1 for a lone innovation near the gate: half on a slot's edge, or a small glitch; a second is believed."""
+    before = a.doubted_m
+    a.doubted_m = 0.0
+    if not DOUBT * gate_m < abs(nu_m) <= gate_m or before * nu_m > 0.0:
+        return 0
+    a.doubted_m = nu_m
+    return 1
 
 
 @njit(cache=True, nogil=True)
@@ -216,16 +233,23 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
     nu = h_m - a.height_m
     gate = max(params.gate_scales * a.scale_m, params.gate_m)
     a.since_step_m += way
+    if is_doubtful(a, nu, gate) != 0:
+        return 0
     if abs(nu) > gate:
         if quarantine(params, a, nu, way, gate, gap) == 0:
             return 0
+        if a.quarantined > a.samples:
+            # the start was bad, and what was learned from it
+            a.returned = a.noise_m = 0.0
+            start_bank(params, a, t_ns, 0.0, a.quarantine_h_m / a.quarantined, drop_m)
+            return 1
         believe_step(params, a)
         nu = h_m - a.height_m
         a.settle_ns = t_ns + SETTLE_NS
     else:
         if a.quarantined >= params.step_samples:
             a.returned = 1.0
-        a.quarantined = 0
+        a.quarantined = a.disagreed = 0
     if gap:
         a.settle_ns = t_ns + SETTLE_NS
     if adapt != 0:
