@@ -196,7 +196,7 @@ def believe_step(params: Any, a: Any) -> None:
 
 @njit(cache=True, nogil=True)
 def is_doubtful(a: Any, nu_m: Any, gate_m: Any) -> Any:
-    """1 for a lone innovation near the gate: half on a slot's edge, or a small glitch; a second is believed."""
+    """1 for a lone innovation near the gate, on a slot's edge or a small glitch; a second is believed."""
     before = a.doubted_m
     a.doubted_m = 0.0
     if not DOUBT * gate_m < abs(nu_m) <= gate_m or before * nu_m > 0.0:
