@@ -23,7 +23,7 @@ EFFORT_MEMORY = 0.02  # per tick
 EFFORT_MOST = 100.0  # (10 m/s²)²: a step's jump shall not count for ever
 TICK_HZ2 = 1e4
 MOSTLY_NOISE = 1.4  # mean squares up to so many times that of the noise are all noise
-CAUTION = 3.0  # power of that claim, while nothing else is known
+CAUTION = 3.0  # power of what a model claims to know, while nothing else is known
 JUDGED, SHARP = 200, 500  # samples after which scores count fully, and as sharply as they may
 
 
@@ -104,7 +104,8 @@ def weigh(params: Any, a: Any) -> None:
     told = min(a.scored / JUDGED, 1.0)
     sharp = share * share * a.scored / SHARP
     power = params.long_power + (params.score_power - params.long_power) * sharp
-    # until then a model counts for as much as it claims to know
+    # until then, and after a new start, a model counts for as much as it claims to know
+    young = max(1.0 - told, 1.0 - a.samples / JUDGED)
     ahead_m = a.speed_mps * (a.late_s + a.tau_s)
     least = 1e300
     for i in range(N):
@@ -112,8 +113,8 @@ def weigh(params: Any, a: Any) -> None:
         c = power * math.log(a.score_m2[i] - off + extra)
         c += params.long_power * math.log(a.long_m2[i] - off_long + extra)
         c = told * c + PRIOR[int(BANK[i, 0])]
-        if told < 1.0:
-            c += CAUTION * (1.0 - told) * math.log(look_ahead_variance(i, a.cov, ahead_m) + noise)
+        if young > 0.0:
+            c += CAUTION * young * math.log(look_ahead_variance(i, a.cov, ahead_m) + noise)
         a.cost[i] = c
         least = min(least, c)
     total = 0.0

@@ -12,17 +12,23 @@ from surffollow.shm.layout_follow import POSES
 
 SPEED_WINDOW_NS = 100_000_000
 CLIMB_WINDOW_NS = 30_000_000
+LONGEST_GAP_NS = 1_000_000_000  # a report so much older than the newest is of another motion
 LONGEST_GUESS_NS = 50_000_000  # a pose is carried on by its velocity no farther
 
 
 @njit(cache=True, nogil=True)
 def oldest_within(sense: Any, window_ns: Any) -> Any:
-    """Slot of the first pose report that lies `window_ns` or more before the newest, or of the oldest."""
+    """Slot of the first pose report that lies `window_ns` or more before the newest, or of the oldest.
+
+    None from before a long gap counts; after one the newest may stand alone.
+    """
     k = sense.pose_count - 1
     oldest = max(0, k - POSES + 1)
     t = sense.pose_t_ns[k & (POSES - 1)]
     while k > oldest and t - sense.pose_t_ns[k & (POSES - 1)] < window_ns:
         k -= 1
+    if t - sense.pose_t_ns[k & (POSES - 1)] > LONGEST_GAP_NS:
+        k += 1
     return k & (POSES - 1)
 
 

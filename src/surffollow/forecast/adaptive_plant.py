@@ -141,6 +141,8 @@ def learn_plant(params: Any, a: Any, sense: Any, adapt: Any) -> None:
     e = z - a.axis_now_m
     a.axis_now_m += OWN_HEIGHT * e
     a.axis_now_mps += OWN_SPEED_HZ * e
+    most = params.plant_v_max_mps
+    a.axis_now_mps = min(max(a.axis_now_mps, -most), most)
     if adapt == 0 or not least < ALOOF_M:
         return
     for k in range(PLANTS):
