@@ -316,21 +316,23 @@ def test_live_run_publishes_its_true_pose_in_wall_time_and_cleans_up() -> None:
     config = RobotConfig(
         world=WorldConfig(surface="flat", region=(0.0, 0.0, 0.5, 0.2)), seconds=0.2, speed_mps=0.1
     )
-    seen: list[Any] = []
 
-    def stopped() -> bool:
-        if service.poses:
-            reader = WorldReader(name)
-            seen.append(reader.latest())
-            reader.close()
-        return False
-
-    for _ in range(5):  # a machine that stops the robot for 50 ms freezes its ways: another try
+    def run() -> tuple[Any, Any, PerfectService, list[Any]]:
         service = PerfectService(config.world.make())
-        seen.clear()
-        core, summary = run_robot(config, name, lambda: service, stopped)
-        if summary["frozen_s"] == 0.0:
-            break
+        seen: list[Any] = []
+
+        def stopped() -> bool:
+            if service.poses:
+                reader = WorldReader(name)
+                seen.append(reader.latest())
+                reader.close()
+            return False
+
+        return *run_robot(config, name, lambda: service, stopped), service, seen
+
+    # a machine that stops the robot for 50 ms freezes its ways: another try
+    tries = (run() for _ in range(5))
+    core, summary, service, seen = next((t for t in tries if t[1]["frozen_s"] == 0.0), None) or run()
     assert core.done
     assert summary["finished"]
     assert summary["held_ticks"] < 10
