@@ -38,6 +38,9 @@ class Client(SlotHolder):
         """
         self._next_look_ns = 0
         self._must_be_there()
+        inbox = self._inbox
+        if inbox is not None:
+            check_whole(inbox)
         self._next_look_ns = now_ns + min(self._stale_ns, LOOK_EVERY_NS)
         if now_ns < self._next_life_ns:
             return
@@ -55,7 +58,6 @@ class Client(SlotHolder):
     def _show_life(self, now_ns: int) -> None:
         if self._inbox is None:
             return
-        check_whole(self._inbox)
         # whole words, and only where they differ: pack_into passes through zero, and a service that
         # looks at the claim just then would take the pose away
         words = self._in_words
