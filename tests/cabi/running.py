@@ -133,9 +133,15 @@ class Probe:
         self.pid = self.process.pid
 
     def __call__(self, line: str) -> Answer:
+        self.ask(line)
+        return self.answer(line)
+
+    def ask(self, line: str) -> None:
         assert self.process.stdin is not None
-        assert self.process.stdout is not None
         self.process.stdin.write(line + "\n")
+
+    def answer(self, line: str) -> Answer:
+        assert self.process.stdout is not None
         words = self.process.stdout.readline().split()
         if not words:
             raise AssertionError(f"the probe died of {line!r}: {self.process.communicate()[1]}")

@@ -268,6 +268,15 @@ def test_stopped_service_is_silent_and_its_demand_is_zero(probe: Probe, service:
     assert probe(f"reset {STANDOFF_M}").result == OK
 
 
+@pytest.mark.parametrize("line", [f"reset {STANDOFF_M}", "begin 5000", "map_reset 0 0 0.1 0.1"])
+def test_request_outlasts_a_stall_shorter_than_its_time(probe: Probe, service: Service, line: str) -> None:
+    with stopped(service):
+        probe.until("alive", lambda a: a.result == 0)
+        probe.ask(line)
+    assert probe.answer(line).result == OK
+    probe("end")
+
+
 def test_signals_do_not_disturb_any_call(probe: Probe) -> None:
     probe("interrupt")
     for _ in range(20):

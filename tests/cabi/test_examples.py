@@ -30,8 +30,8 @@ def test_cpp_controller_follows_and_brings_a_map_home(
     assert found["valid"] > 30  # of 80 ticks; a busy machine stops service or controller at times
     assert found["refused"] == 0
     assert found["max_demand_m"] == 0.02
-    # a tool that began at 0.1 m and heeds its demands, and a distance of 0.1 m that does not change with it
-    assert found["map_height_m"] == pytest.approx(0.0, abs=3e-3)
+    # a tool that began at 0.1 m, over ground that does not answer it: late demands let the tool wander
+    assert abs(found["map_height_m"]) < 0.02
     header, pairs = read_text(tmp_path / "map.txt")
     assert header[0]["samples"] > 30
     assert (pairs["c"] > 0).sum() >= 3

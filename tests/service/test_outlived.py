@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -130,6 +131,22 @@ def test_ticket_of_a_dead_service_is_done_and_says_so_at_once(mortal: Service) -
         until(ticket.done, "the end of the wait")
         with pytest.raises(NotRunningError, match="does not answer"):
             ticket.result(1e9)
+
+
+def test_request_outlasts_a_stall_shorter_than_its_time(mortal: Service) -> None:
+    with mortal.attach() as client, ThreadPoolExecutor(1) as asker:
+        mortal.send(signal.SIGSTOP)
+        until(lambda: not client.alive(), "silence")
+        with pytest.raises(NotRunningError, match="does not answer"):
+            client.sf_reset(0.1, timeout_s=0.05)
+        with pytest.raises(NotRunningError, match="does not answer"):
+            client.sf_reset(0.1, wait=False)
+        looks = client._next_attach_ns
+        asked = asker.submit(client.sf_reset, 0.1, timeout_s=60.0)
+        until(lambda: client._next_attach_ns > looks, "the asker's look for a service")
+        assert not asked.done()
+        mortal.send(signal.SIGCONT)
+        assert asked.result(60.0).done()
 
 
 def test_service_that_only_stands_still_is_not_taken_for_dead(mortal: Service) -> None:

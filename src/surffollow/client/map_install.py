@@ -38,7 +38,7 @@ class MapStream:
         values = [float(v) for v in w["region_m"]]
         values += [float(w[name]) for name in ("grid_m", "x0_m", "y0_m", "datum_m", "quantum_m")]
         numbers = (nx, ny, int(w["datum_set"]))
-        self.ticket = client._request(lb.RQ_MAP_INSTALL, numbers, values, len(values))
+        self.ticket = client._request(lb.RQ_MAP_INSTALL, numbers, values, len(values), stall_s=timeout_s)
         self.acks = client.board.latch("map_acks", lb.Ack, client.slot)
         self.claim, self.board = client._claim, client.board
 

@@ -163,8 +163,14 @@ class SlotHolder(Observer):
         n: int = 0,
         patience_s: float = 0.0,
         wait: bool = False,
+        stall_s: float = 0.0,
     ) -> Ticket:
-        deadline = time.monotonic() + patience_s
+        """Send a request.
+
+        `patience_s` is how long an earlier one may be under way, `stall_s` how long the service may stand
+        still without having ended; who waits in a control loop gives neither.
+        """
+        asked = time.monotonic()
         if (wait or code == lb.RQ_MAP_INSTALL) and code in _OF_THE_MAP and self._holds_the_map():
             raise RefusedError(
                 "this thread holds the map itself (exclusive()), so the answer would never come; "
@@ -173,15 +179,17 @@ class SlotHolder(Observer):
             )
         while True:
             with self._lock:
-                if not self.alive():
+                under_way = None
+                if self.alive():
+                    under_way = self._under_way(code)
+                    self.ensure_slot()
+                    if under_way is None:
+                        return self._post_request(code, numbers, values, n)
+                elif time.monotonic() >= asked + stall_s or not self._follow():
                     raise NotRunningError(
                         f"service {self.name!r} does not answer; it ended or stands still (surffollow status)"
                     )
-                under_way = self._under_way(code)
-                self.ensure_slot()
-                if under_way is None:
-                    return self._post_request(code, numbers, values, n)
-            if time.monotonic() >= deadline:
+            if under_way is not None and time.monotonic() >= asked + patience_s:
                 raise BusyError(
                     f"the last request (code {under_way.code}) is still under way, and a second one could "
                     "overtake it unseen; wait for its ticket's result()"
@@ -238,5 +246,6 @@ class SlotHolder(Observer):
         numbers: Sequence[int] = (),
     ) -> Ticket:
         """Send a request; one that waits for its answer waits for its turn too."""
-        ticket = self._request(code, numbers, values, len(numbers), timeout_s if wait else 0.0, wait)
+        patience_s = timeout_s if wait else 0.0
+        ticket = self._request(code, numbers, values, len(numbers), patience_s, wait, stall_s=patience_s)
         return ticket.settle(timeout_s, wait)

@@ -168,7 +168,7 @@ def look_ahead(i: Any, x: Any, d: Any, lead: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def look_ahead_variance(i: Any, p: Any, d: Any) -> Any:
-    """Variance of the height that model i expects d [m] ahead, by its own account [m²]."""
+    """Variance of the height d [m] ahead by model i's own account, were its slope to stay as it is [m²]."""
     c = 6 * i
     if BANK[i, 0] == WAVE:
         d *= BANK[i, 1]

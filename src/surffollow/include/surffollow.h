@@ -1611,11 +1611,23 @@ static inline int sf_request_wait(sf_client *c, const sf_ticket *ticket, int64_t
   }
 }
 
+/* Send and wait for the answer; `stall_ns`: how long a service may stand still that has not ended. */
+static inline int sf_i_ask(sf_client *c, int64_t code, int n, const int64_t *numbers, const double *values,
+                           int64_t timeout_ns, int64_t stall_ns) {
+  sf_ticket ticket;
+  const int64_t asked = sf_now_ns();
+  for (;;) {
+    const int err = sf_request_send(c, code, n, numbers, values, &ticket);
+    if (err == SF_OK) return sf_request_wait(c, &ticket, timeout_ns);
+    const int64_t now = sf_now_ns();
+    if (err != SF_ERR_NOT_RUNNING || now >= asked + stall_ns || sf_i_follow(c, now) != SF_OK) return err;
+    sf_sleep_until_ns(now + 1000000);
+  }
+}
+
 static inline int sf_i_request(sf_client *c, int64_t code, int n, const int64_t *numbers, const double *values,
                                int64_t timeout_ns) {
-  sf_ticket ticket;
-  const int err = sf_request_send(c, code, n, numbers, values, &ticket);
-  return err != SF_OK ? err : sf_request_wait(c, &ticket, timeout_ns);
+  return sf_i_ask(c, code, n, numbers, values, timeout_ns, timeout_ns);
 }
 
 /* Restart the forecast with a desired stand-off [m] (paper: SFReset). */
@@ -1630,7 +1642,7 @@ static inline int sf_claim_pose(sf_client *c) {
   if (c->pose_held) return SF_OK;
   const int64_t deadline = sf_now_ns() + 300000000;
   for (;;) {
-    const int result = sf_i_request(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, c->options.timeout_ns);
+    const int result = sf_i_ask(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, c->options.timeout_ns, 0);
     if (result == SF_OK) {
       c->pose_held = 1;
       c->pose_held_ns = sf_now_ns();
@@ -1647,7 +1659,7 @@ static inline int sf_release_pose(sf_client *c) {
   if (c->output != NULL) sf_i_follow(c, sf_now_ns()); /* of a service started anew this client holds nothing */
   if (!c->pose_held) return SF_OK;
   c->pose_held = 0;
-  return sf_i_request(c, SF_RQ_RELEASE_POSE, 0, NULL, NULL, c->options.timeout_ns);
+  return sf_i_ask(c, SF_RQ_RELEASE_POSE, 0, NULL, NULL, c->options.timeout_ns, 0);
 }
 
 /* Check a pose; a quaternion's norm may be off by 1e-3 and is then made 1. */
@@ -1723,7 +1735,6 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   sf_latch_write(c->slot_memory + SF_SLOT_POSE, sizeof post, &post);
   return SF_OK;
 }
-
 /* ---- parameters ----------------------------------------------------------------------------- */
 
 /* A parameter by its name, with or without its unit ("max_jerk_mps3", "max_jerk"); NULL when there is none. */
@@ -2053,18 +2064,20 @@ static inline int sf_access_begin(sf_client *c, int64_t timeout_ns) {
     c->access_depth++;
     return SF_OK;
   }
-  const int there = sf_alive(c);
-  if (there && c->slot_memory == NULL) sf_i_reattach_sometimes(c, sf_now_ns());
-  if (!there || c->slot_memory == NULL) return SF_ERR_NOT_RUNNING;
-  if (!sf_i_inbox_is_whole(c)) return SF_ERR_NOT_READY; /* cut short; the service mends it */
   const int64_t deadline = sf_now_ns() + timeout_ns;
-  while (!sf_i_look_for_grant(c)) { /* 2 is the service's */
+  for (;;) { /* a service that stands still may go on; one that ended has no map to give */
+    const int64_t now = sf_now_ns();
     const int alive = sf_alive(c);
-    if (!alive || sf_now_ns() > deadline) {
+    if (alive && c->slot_memory == NULL) sf_i_reattach_sometimes(c, now);
+    if (alive && c->slot_memory != NULL) {
+      if (!sf_i_inbox_is_whole(c)) return SF_ERR_NOT_READY; /* cut short; the service mends it */
+      if (sf_i_look_for_grant(c)) break;                    /* 2 is the service's */
+    }
+    if (now > deadline || sf_i_follow(c, now) != SF_OK) {
       sf_i_post_access(c, SF_ACCESS_FREE);
       return alive ? SF_ERR_TIMEOUT : SF_ERR_NOT_RUNNING;
     }
-    sf_sleep_until_ns(sf_now_ns() + 200000);
+    sf_sleep_until_ns(now + 200000);
   }
   c->access_depth = 1;
   return SF_OK;

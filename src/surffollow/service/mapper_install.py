@@ -55,6 +55,22 @@ def _announced(mem: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
+def _announced_grids(mem: Any) -> Any:
+    """Columns, rows, side of a grid, corner, datum and quantum of the announced map."""
+    f, i = at.load_relaxed_f64, at.load_relaxed_i64
+    first = _announced(mem) + 8 * m.INSTALL_WORD
+    return (
+        i(first + 40),
+        i(first + 48),
+        f(first),
+        f(first + 8),
+        f(first + 16),
+        f(first + 24),
+        f(first + 32),
+    )
+
+
+@njit(cache=True, nogil=True)
 def _acknowledge(mem: Any, taken: Any) -> None:
     """Tell the client that it is its turn, and how many grids were taken."""
     a, job = mem.ack[0], mem.job
@@ -71,18 +87,7 @@ def begin_install(mem: Any) -> Any:
     -------
     int64  OK, BAD_MAP, TOO_SMALL, BUSY of the map library
     """
-    f, i = at.load_relaxed_f64, at.load_relaxed_i64
-    first = _announced(mem) + 8 * m.INSTALL_WORD
-    answer = install_fault(
-        mem.header,
-        i(first + 40),
-        i(first + 48),
-        f(first),
-        f(first + 8),
-        f(first + 16),
-        f(first + 24),
-        f(first + 32),
-    )
+    answer = install_fault(mem.header, *_announced_grids(mem))
     if answer == ml.OK:
         mem.job[JOB_PIECE], mem.job[JOB_BEGAN_NS] = 1, now_ns()
         _acknowledge(mem, 0)
@@ -102,16 +107,7 @@ def _open_install(mem: Any) -> Any:
     f, i = at.load_relaxed_f64, at.load_relaxed_i64
     words = _announced(mem)
     first, w = words + 8 * m.INSTALL_WORD, mem.header[0]
-    answer = install_begin(
-        mem.header,
-        i(first + 40),
-        i(first + 48),
-        f(first),
-        f(first + 8),
-        f(first + 16),
-        f(first + 24),
-        f(first + 32),
-    )
+    answer = install_begin(mem.header, *_announced_grids(mem))
     if answer != ml.OK:
         return False
     for k in range(4):

@@ -216,18 +216,20 @@ static inline int sf_access_begin(sf_client *c, int64_t timeout_ns) {
     c->access_depth++;
     return SF_OK;
   }
-  const int there = sf_alive(c);
-  if (there && c->slot_memory == NULL) sf_i_reattach_sometimes(c, sf_now_ns());
-  if (!there || c->slot_memory == NULL) return SF_ERR_NOT_RUNNING;
-  if (!sf_i_inbox_is_whole(c)) return SF_ERR_NOT_READY; /* cut short; the service mends it */
   const int64_t deadline = sf_now_ns() + timeout_ns;
-  while (!sf_i_look_for_grant(c)) { /* 2 is the service's */
+  for (;;) { /* a service that stands still may go on; one that ended has no map to give */
+    const int64_t now = sf_now_ns();
     const int alive = sf_alive(c);
-    if (!alive || sf_now_ns() > deadline) {
+    if (alive && c->slot_memory == NULL) sf_i_reattach_sometimes(c, now);
+    if (alive && c->slot_memory != NULL) {
+      if (!sf_i_inbox_is_whole(c)) return SF_ERR_NOT_READY; /* cut short; the service mends it */
+      if (sf_i_look_for_grant(c)) break;                    /* 2 is the service's */
+    }
+    if (now > deadline || sf_i_follow(c, now) != SF_OK) {
       sf_i_post_access(c, SF_ACCESS_FREE);
       return alive ? SF_ERR_TIMEOUT : SF_ERR_NOT_RUNNING;
     }
-    sf_sleep_until_ns(sf_now_ns() + 200000);
+    sf_sleep_until_ns(now + 200000);
   }
   c->access_depth = 1;
   return SF_OK;
