@@ -91,16 +91,21 @@ def test_one_whose_program_was_ended_behind_exclusive_access(
     assert untouched(client, live)
 
 
-@pytest.mark.parametrize("leave", ["close", "die"])
-def test_one_whose_client_wrote_its_pieces_early_and_went(
+@pytest.mark.parametrize("leave", ["close", "die", "stay"])
+def test_one_whose_client_wrote_its_pieces_early(
     client: Client, live: MapWindow, other: Client, leave: str
 ) -> None:
     with client.exclusive():
-        post_early(announce(other), 2)
+        stream = announce(other)
+        post_early(stream, 2)
         if leave == "close":
             other.close()
-        else:  # the kernel takes the lock back, nothing else is tidied up
+        elif leave == "die":  # the kernel takes the lock back, nothing else is tidied up
             other._release_inbox()
+    if leave == "stay":
+        with pytest.raises(RefusedError) as caught:
+            stream.ticket.result(30.0)
+        assert caught.value.code == lb.ERR_CANCELLED
     let_through(client)
     assert untouched(client, live)
 

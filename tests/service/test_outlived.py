@@ -12,6 +12,7 @@ import pytest
 from running_service import POSE, Service, World, drive, until
 from surffollow.client import Client, Observer
 from surffollow.errors import NotRunningError
+from surffollow.shm.layout_follow import POSE_STALE
 
 Make = Callable[..., Service]
 REGION = (0.0, 0.0, 0.1, 0.1)
@@ -48,6 +49,12 @@ def start_with_other_memory(s: Service) -> None:
 def make_map(client: Client) -> None:
     client.map_reset(REGION)
     drive(client, lambda: client.map_height(*SPOT) == client.map_height(*SPOT), what="a height")
+
+
+def settle(client: Client) -> None:
+    """Wait until no sample comes any more, the pose being stale, and all that came are in the map."""
+    until(lambda: client.dev_vector().status & POSE_STALE, "a stale pose")
+    until(lambda: (s := client.status())["map"]["applied"] == s["samples"], "an empty queue")
 
 
 def test_client_that_only_posts_poses_is_told_of_the_end_and_goes_on_after_it(mortal: Service) -> None:
@@ -98,6 +105,7 @@ def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(mortal: Se
     watchers = {name: mortal.observe() for name in READS}
     with mortal.attach() as client:
         make_map(client)
+        settle(client)
         old = watchers["map_window"].map_window()
         assert old.current()
         held = [o.map_height(*SPOT) for o in watchers.values()]

@@ -4,7 +4,7 @@ When an installation's turn comes, the map thread checks its numbers and acknowl
 and 0 grids taken. The client writes piece k (k = 1, 2, …) into half k & 1 of its stream area and stores
 the piece's number last; the map thread copies the half, checks the copy, installs it, and
 acknowledges with ACCEPTED and the number of grids taken. Then that half may carry piece k + 2. A client
-that gives up, dies, leaves its slot or is too slow is not waited for, and the answer is ERR_CANCELLED. Up
+that gives up, dies, leaves its slot, is too slow or writes before it is called is not waited for, and the answer is ERR_CANCELLED. Up
 to its first piece the old map is untouched; from then on what is left is an empty map over the
 announced grids.
 """
@@ -58,16 +58,8 @@ def _announced(mem: Any) -> Any:
 def _announced_grids(mem: Any) -> Any:
     """Columns, rows, side of a grid, corner, datum and quantum of the announced map."""
     f, i = at.load_relaxed_f64, at.load_relaxed_i64
-    first = _announced(mem) + 8 * m.INSTALL_WORD
-    return (
-        i(first + 40),
-        i(first + 48),
-        f(first),
-        f(first + 8),
-        f(first + 16),
-        f(first + 24),
-        f(first + 32),
-    )
+    w = _announced(mem) + 8 * m.INSTALL_WORD
+    return i(w + 40), i(w + 48), f(w), f(w + 8), f(w + 16), f(w + 24), f(w + 32)
 
 
 @njit(cache=True, nogil=True)
@@ -80,6 +72,14 @@ def _acknowledge(mem: Any, taken: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
+def _is_early(mem: Any) -> Any:
+    """Whether the first piece lies there uncalled for: nothing tells whether its client still lives."""
+    i, job = at.load_acquire_i64, mem.job
+    half = slot_address(mem.ctx[m.INBOX], job[JOB_SLOT]) + SLOT_STREAM + PIECE_BYTES
+    return i(half) == 1 and i(half + 8) == job[JOB_COUNTER] and i(half + 16) == job[JOB_CLAIM]
+
+
+@njit(cache=True, nogil=True)
 def begin_install(mem: Any) -> Any:
     """Check the numbers of the announced map and call for its first piece; the map is untouched.
 
@@ -89,7 +89,7 @@ def begin_install(mem: Any) -> Any:
     """
     answer = install_fault(mem.header, *_announced_grids(mem))
     if answer == ml.OK:
-        mem.job[JOB_PIECE], mem.job[JOB_BEGAN_NS] = 1, now_ns()
+        mem.job[JOB_PIECE], mem.job[JOB_BEGAN_NS] = 0 if _is_early(mem) else 1, now_ns()
         _acknowledge(mem, 0)
     return answer
 
@@ -122,6 +122,8 @@ def take_piece(mem: Any) -> Any:
     """Install the next piece when it is there; NOTHING, TAKEN, WHOLE or FAILED."""
     ctx, job, piece, w = mem.ctx, mem.job, mem.piece, mem.header[0]
     number, slot = job[JOB_PIECE], job[JOB_SLOT]
+    if number == 0:
+        return FAILED
     half = slot_address(ctx[m.INBOX], slot) + SLOT_STREAM + (number & 1) * PIECE_BYTES
     if at.load_acquire_i64(half) != number:
         return NOTHING
@@ -161,7 +163,7 @@ def step_install(mem: Any, t_ns: Any) -> Any:
     job, ctx = mem.job, mem.ctx
     answer = take_piece(mem)
     if answer == NOTHING:
-        taken = 0 if job[JOB_PIECE] == 1 else mem.header[0].journal_progress
+        taken = 0 if job[JOB_PIECE] <= 1 else mem.header[0].journal_progress
         late = t_ns - job[JOB_BEGAN_NS] > ctx[m.LEASE_NS] + NS_PER_GRID * taken
         if late or holder_is_gone(ctx, job[JOB_SLOT], job[JOB_CLAIM], job[JOB_BEGAN_NS]):
             answer = FAILED
