@@ -1,12 +1,12 @@
 """Install a map that a client streams through its slot, piece by piece (docs/map.md).
 
-When an installation's turn comes, the map thread checks its numbers and acknowledges with ACCEPTED
-and 0 grids taken. The client writes piece k (k = 1, 2, …) into half k & 1 of its stream area and stores
-the piece's number last; the map thread copies the half, checks the copy, installs it, and
-acknowledges with ACCEPTED and the number of grids taken. Then that half may carry piece k + 2. A client
-that gives up, dies, leaves its slot, is too slow or writes before it is called is not waited for, and the answer is ERR_CANCELLED. Up
-to its first piece the old map is untouched; from then on what is left is an empty map over the
-announced grids.
+When an installation's turn comes, the map thread checks its numbers and acknowledges with ACCEPTED and
+0 grids taken. The client writes piece k (k = 1, 2, …) into half k & 1 of its stream area and stores the
+piece's number last; the map thread copies the half, checks the copy, installs it, and acknowledges with
+ACCEPTED and the number of grids taken. Then that half may carry piece k + 2. A client that gives up,
+dies, leaves its slot, is too slow or writes before it is called is not waited for, and the answer is
+ERR_CANCELLED. Up to its first piece the old map is untouched; from then on what is left is an empty map
+over the announced grids.
 """
 
 from __future__ import annotations
