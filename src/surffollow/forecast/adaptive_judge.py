@@ -14,6 +14,7 @@ from typing import Any
 from numba import njit
 
 from surffollow.forecast.adaptive_bank import BANK, PRIOR, N, look_ahead_variance
+from surffollow.forecast.adaptive_preview import LEADING_M
 from surffollow.shm.layout_adaptive import TICKS
 
 STEP_NS = 2_000_000  # of the shadow axes
@@ -106,6 +107,8 @@ def weigh(params: Any, a: Any) -> None:
     power = params.long_power + (params.score_power - params.long_power) * sharp
     # until then, and after a new start, a model counts for as much as it claims to know
     young = max(1.0 - told, 1.0 - a.samples / JUDGED)
+    if a.lead_m > LEADING_M:
+        young = 0.0  # what was seen there is followed, not what they expect
     ahead_m = a.speed_mps * (a.late_s + a.tau_s)
     least = 1e300
     for i in range(N):
