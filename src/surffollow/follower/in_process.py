@@ -9,7 +9,6 @@ Times are int64 ns of any one clock, which may begin at 0. A reading's stamp may
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,18 +17,17 @@ from numpy.typing import NDArray
 
 from surffollow.config.params import check_param, param_name
 from surffollow.errors import ConfigError, PoseError, UsageError
-from surffollow.follower.setup import QUATERNION_TOLERANCE, Config, check_window, read_setup
+from surffollow.follower.setup import Config, check_window, read_setup
 from surffollow.forecast.adaptive_bank import N
 from surffollow.forecast.adaptive_memory import new_memory, recall_ahead, remember_output
 from surffollow.forecast.horizon import forecast_range
-from surffollow.forecast.pose import push_pose
+from surffollow.forecast.pose import MOST_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES
 from surffollow.shm.layout_follow import (
     CHANNELS,
     MODE_ADAPTIVE,
-    POSES,
     STATUS_NAMES,
     FollowState,
     Inputs,
@@ -39,8 +37,6 @@ from surffollow.shm.layout_follow import (
 
 RECALL_NS = 5_000_000  # remembered ground is looked up at most so often
 PAUSE_NS = 1_000_000_000
-MOST_POSITION_M = 1e9  # as the service's client
-ASTRAY_NS = 1_000_000_000  # a pose so far ahead of the steps and of a newer report was stamped wrongly
 # the kernels take a reading at 0 ns for none: their time runs ahead of the caller's by an hour
 _SHIFT_NS = 3_600_000_000_000
 
@@ -86,6 +82,7 @@ class Follower:
         self._demand = self._output["demand"][0]
         self._pose = np.zeros(7)
         self._n_preview, self._previews = self._inputs["n_preview"], self._params["preview"]
+        self._pose_timeout_ns = self._params["pose_timeout_ns"]
         self._recalled_ns = self._latest_ns = 0
         setup = read_setup(config)
         for name, number in setup.values.items():
@@ -154,19 +151,12 @@ class Follower:
         except (TypeError, ValueError, OverflowError):
             raise PoseError(f"a pose is seven numbers x y z qx qy qz qw, not {pose!r}") from None
         t = _kernel_time(t_ns)
-        norm2 = p[3] * p[3] + p[4] * p[4] + p[5] * p[5] + p[6] * p[6]
-        if not (math.isfinite(p[0] + p[1] + p[2]) and abs(math.sqrt(norm2) - 1.0) <= QUATERNION_TOLERANCE):
+        found = report_pose(self._state, self._t_ns[0], t, p)
+        if found == NO_POSE:
             raise PoseError(f"pose {p.tolist()} is not finite or its quaternion's norm is not 1")
-        if not max(abs(p[0]), abs(p[1]), abs(p[2])) <= MOST_POSITION_M:
+        if found == TOO_FAR:
             raise PoseError(f"pose {p.tolist()} lies beyond {MOST_POSITION_M:g} m")
-        p[3:] /= math.sqrt(norm2)
-        sense = self._sense
-        n = int(sense["pose_count"])
-        if n > 0:
-            newest = int(sense["pose_t_ns"][(n - 1) % POSES])
-            if t <= newest - ASTRAY_NS and newest > max(t, int(self._t_ns[0])) + ASTRAY_NS:
-                sense["pose_count"] = 0  # else a single wrong stamp would refuse every report for ever
-        return bool(push_pose(sense, t, p, 0))
+        return bool(found == TAKEN)
 
     def step(self, t_ns: int, ranges_m: Sequence[float] | NDArray[Any]) -> NDArray[np.float64]:
         """Step once, with readings or without.
@@ -200,7 +190,7 @@ class Follower:
         self._n_ranges[0] = n
         self._t_ns[0] = self._given_t_ns[0] = t
         self._latest_ns = max(t, self._latest_ns if self._latest_ns - t < PAUSE_NS else t)
-        if self._latest_ns - t > self._params["pose_timeout_ns"][0]:
+        if self._latest_ns - t > self._pose_timeout_ns[0]:
             self._t_ns[0] = self._latest_ns  # an old reading is no reason to take the poses for future ones
         if self._memory is None or self._previews[0] == 0:
             self._n_preview[0] = 0

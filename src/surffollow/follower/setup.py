@@ -11,6 +11,7 @@ import numpy as np
 
 from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.errors import ConfigError
+from surffollow.forecast.pose import QUATERNION_TOLERANCE
 from surffollow.shm.layout_follow import CHANNELS, MODE_ADAPTIVE
 from surffollow.units import parse_quantity
 
@@ -23,7 +24,6 @@ Config = Mapping[str, Any] | str | Path | None
 
 TOO_CLOSE_BEYOND_M = 0.15 * 0.0254  # beyond the near limit of a sensor given by its window
 TOO_CLOSE_EXIT_M = 0.3 * 0.0254
-QUATERNION_TOLERANCE = 1e-3
 MOST_MOUNT_M = 1e3
 # what differs from the service's defaults: readings come ready-made and stamped with their own time
 IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "pose_interpolate": 1}

@@ -84,7 +84,9 @@ def recall(memory: Any, x_m: Any, y_m: Any, before: Any) -> Any:
             at = _start(ix + jx, iy + jy)
             for j in range(PLACES):
                 m = memory[(at + j) & (CELLS - 1)]
-                if m.age > 0 and m.ix == ix + jx and m.iy == iy + jy:
+                if m.age == 0:
+                    break  # places are taken in turn, and never given back
+                if m.ix == ix + jx and m.iy == iy + jy:
                     old = m.age < before
                     n, h = (m.n, m.height_m) if old else (m.n_before, m.height_before_m)
                     dx, dy = (ix + jx) * CELL_M - x_m, (iy + jy) * CELL_M - y_m

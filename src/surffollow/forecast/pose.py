@@ -5,11 +5,17 @@ A pose is seven numbers, x y z [m] and a unit quaternion qx qy qz qw.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from numba import njit
 
 from surffollow.shm.layout_follow import POSES
+
+QUATERNION_TOLERANCE = 1e-3
+MOST_POSITION_M = 1e9  # as the service's client
+ASTRAY_NS = 1_000_000_000  # a pose so far ahead of the steps and of a newer report was stamped wrongly
+REFUSED, TAKEN, NO_POSE, TOO_FAR = range(4)
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -38,6 +44,36 @@ def push_pose(sense: Any, t_ns: Any, pose: Any, at: Any) -> Any:
         sense.pose[slot * 7 + i] = pose[at + i]
     sense.pose_count = n + 1
     return 1
+
+
+@njit(cache=True, nogil=True)
+def report_pose(state: Any, step_ns: Any, t_ns: Any, pose: Any) -> Any:
+    """Check a pose report, make its quaternion one of norm 1, and append it to the history.
+
+    Parameters
+    ----------
+    state : (1,) records of `FollowState`
+    step_ns, t_ns : int64     time of the latest step; when the pose was true
+    pose : (7,) float64       x y z [m], qx qy qz qw; normalised in place
+
+    Returns
+    -------
+    int64  TAKEN; REFUSED: not newer than the last; NO_POSE: not finite, or the norm is off; TOO_FAR
+    """
+    norm2 = pose[3] * pose[3] + pose[4] * pose[4] + pose[5] * pose[5] + pose[6] * pose[6]
+    norm = math.sqrt(norm2)
+    if not (math.isfinite(pose[0] + pose[1] + pose[2]) and abs(norm - 1.0) <= QUATERNION_TOLERANCE):
+        return NO_POSE
+    if not max(abs(pose[0]), abs(pose[1]), abs(pose[2])) <= MOST_POSITION_M:
+        return TOO_FAR
+    for i in range(3, 7):
+        pose[i] /= norm
+    sense = state[0].sense
+    if sense.pose_count > 0:
+        newest = sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
+        if t_ns <= newest - ASTRAY_NS and newest > max(t_ns, step_ns) + ASTRAY_NS:
+            sense.pose_count = 0  # else a single wrong stamp would refuse every report for ever
+    return push_pose(sense, t_ns, pose, 0)
 
 
 @njit(cache=True, nogil=True, forceinline=True)
