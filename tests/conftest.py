@@ -17,9 +17,9 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
     return make_scheduler(config, log)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """One simulated sensor 0.1 m over flat ground, alive for the whole session; do not kill it."""
+    """One simulated sensor 0.1 m over flat ground, alive for the whole module; do not kill it."""
     s = Service(tmp_path_factory.mktemp("service"), config_text(kind="simulated"))
     s.world = world = World(s.name)
     try:

@@ -18,13 +18,14 @@ import msgspec
 
 from surffollow.client import Client, Observer, attach, observe
 from surffollow.config.service import ServiceConfig, load_config
+from surffollow.errors import BusyError
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.objects import unlink
 from surffollow.sim.world import WorldPose, WorldWriter
 
 READY_S = 400.0  # a start on a busy machine with a cold kernel cache
 WAIT_S = 60.0  # only there to fail
-PATIENT_S = 0.5  # silence that a busy machine may cause and that is not what a test is about
+PATIENT_S = 1.0  # silence that a busy machine may cause and that is not what a test is about
 STANDOFF_M = 0.1
 POSE = (0.05, 0.05, STANDOFF_M, 0.0, 0.0, 0.0, 1.0)
 # a service takes the last processor unless told otherwise: tests keep off those that run beside
@@ -241,6 +242,18 @@ class World:
         self._over.set()
         self._thread.join()
         self._writer.close()
+
+
+def take_pose(client: Client) -> None:
+    """Send a pose though its last holder has only just died, which the service sees at its own beat."""
+
+    def taken() -> bool:
+        with contextlib.suppress(BusyError):
+            client.ee_pos(POSE)
+            return True
+        return False
+
+    until(taken, "a free pose", 20.0)
 
 
 def drive(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from cabi.running import CPP, ROOT, SANITIZED, C, Probe, Service, StillWorld
+from cabi.running import CPP, PATIENT_MS, ROOT, SANITIZED, C, Probe, Service, StillWorld
 from surffollow.shm.cheader import header_text
 
 LARGEST = (
@@ -21,7 +21,7 @@ LARGEST = (
 )
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service that lives as long as this folder's tests, with one sensor 0.1 m over the ground."""
     s = Service(f"cabi-{os.getpid()}", tmp_path_factory.mktemp("service"))
@@ -92,8 +92,10 @@ def make_probe(
     source = ROOT / "tests/cabi/probe.c"
     program = compile_program(source, *SANITIZED, language=request.param)
 
-    def make(**options: object) -> Probe:
+    def make(stale_ms: int = PATIENT_MS, **options: object) -> Probe:
         probes.append(Probe(program, **options))
+        if stale_ms:
+            probes[-1](f"stale_ms {stale_ms}")
         return probes[-1]
 
     yield make

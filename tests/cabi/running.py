@@ -18,6 +18,8 @@ ROOT = Path(__file__).parents[2]
 WARNINGS = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wshadow", "-Wconversion", "-Wundef"]
 C = ["-std=c11", *WARNINGS]
 CPP = ["-std=c++17", *WARNINGS, "-Wold-style-cast"]
+# silence that a busy machine may cause; what holds a client's patience to 20 periods says so
+PATIENT_MS = 500
 SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 STANDOFF_M = 0.1
 CONFIG = """
@@ -30,7 +32,7 @@ priority = 10
 spin = "20 us"
 [map]
 grids = 20000
-access_lease = "700 ms"
+access_lease = "LEASE"
 [driver]
 kind = "simulated"
 [driver.world]
@@ -42,10 +44,11 @@ region = [0.0, 0.0, 0.1, 0.1]
 class Service:
     """A running `surffollow start`, told by its name."""
 
-    def __init__(self, name: str, folder: Path) -> None:
+    def __init__(self, name: str, folder: Path, lease: str = "60 s") -> None:
         self.name, self.config = name, folder / f"{name}.toml"
         # not the last processor, which other services take, and spin on
-        self.config.write_text(CONFIG.replace("CPU", str(min(os.sched_getaffinity(0)))))
+        cpu = str(min(os.sched_getaffinity(0)))
+        self.config.write_text(CONFIG.replace("CPU", cpu).replace("LEASE", lease))
         self.process: subprocess.Popen[str] | None = None
 
     def command(self, *words: str) -> list[str]:

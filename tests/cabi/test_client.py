@@ -12,8 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from cabi.running import STANDOFF_M, Probe, Service
-from surffollow.client import STALE, attach, observe
+from cabi.running import PATIENT_MS, STANDOFF_M, Answer, Probe, Service
+from running_service import until
+from surffollow.client import STALE, Client, Demand, observe
+from surffollow.client import attach as attach_hasty
 from surffollow.config.names import OBJECTS
 from surffollow.config.params import PARAMS, UNIT_ENDINGS
 from surffollow.errors import BusyError, RefusedError
@@ -22,6 +24,11 @@ from surffollow.shm.layout_follow import NO_POSE, POSE_STALE, VALID
 
 OK, NO_DEMAND, PENDING, NO_READING = 0, 1, 2, 3
 POSE = "ee 0.05 0.05 0.1 0 0 0 1"
+
+
+def attach(name: str, label: str = "") -> Client:
+    """A Python client as patient as the probes."""
+    return attach_hasty(name, label=label, stale_min_s=PATIENT_MS / 1000)
 
 
 @pytest.fixture
@@ -50,18 +57,23 @@ def test_names_that_no_service_can_have_are_refused_before_any_file_is_opened(
 
 def test_demand_is_the_one_that_the_python_client_reads(probe: Probe, service: Service) -> None:
     assert probe(f"reset {STANDOFF_M}").result == OK
-    probe(POSE)
-    answer = probe.until(f"{POSE}", lambda a: probe("dev").result == OK)
-    assert answer.result == OK
     with observe(service.name) as watcher:
-        c, python = probe("dev"), watcher.dev_vector()
-        assert int(c.values[2]) == python.status & ~STALE
-        assert python.status & VALID
+
+        def both() -> tuple[Answer, Demand] | None:
+            assert probe(POSE).result == OK
+            c, python = probe("dev"), watcher.dev_vector()
+            # neither process was put to sleep between the two reads
+            alike = c.result == OK and python.valid and int(c.values[2]) == python.status
+            return (c, python) if alike and 0 <= c.values[4] < 20e6 else None
+
+        c, python = until(both, "one demand seen by both")
+        assert int(c.values[2]) & VALID
         assert c.values[3] == python.epoch
         assert c.values[0] == pytest.approx(python[2], abs=1e-3)
-        assert 0 <= c.values[4] < 20e6
-        assert probe("raw 0").values[0] == pytest.approx(watcher.raw_distance(), abs=1e-3)
-    assert probe("raw 0").values[0] == pytest.approx(STANDOFF_M, abs=1e-3)
+        python_m = until(lambda: (d := watcher.raw_distance()) > 0.0 and d, "a distance")
+    c_m = probe.until("raw 0", lambda a: a.result == OK).values[0]
+    assert c_m == pytest.approx(python_m, abs=1e-3)
+    assert c_m == pytest.approx(STANDOFF_M, abs=1e-3)
 
 
 def test_channel_without_a_sensor_gives_no_reading(probe: Probe) -> None:
@@ -113,20 +125,20 @@ def test_pose_of_a_killed_sender_is_free_again(
     probe.process.wait()
     other = make_probe()
     other(f"attach {service.name}")
-    assert other(POSE).result == OK
+    other.until(POSE, lambda a: a.result == OK)
 
 
 def test_child_that_forgot_its_parents_client_does_not_keep_the_slot(
     probe: Probe, make_probe: Callable[..., Probe], service: Service
 ) -> None:
     assert probe(POSE).result == OK
-    assert probe("fork 1500").result == OK
+    assert probe("fork 20000").result == OK
     assert probe(POSE).result == OK
     probe.process.kill()
     probe.process.wait()
     other = make_probe()
     other(f"attach {service.name}")
-    assert other(POSE).result == OK
+    other.until(POSE, lambda a: a.result == OK, 10.0)  # long before the child ends
 
 
 def test_parameters_set_in_c_are_read_in_python_and_the_other_way_round(
@@ -255,7 +267,12 @@ def test_inbox_of_another_user_than_the_board_is_refused(
         os.chown(path, 0, -1)
 
 
-def test_stopped_service_is_silent_and_its_demand_is_zero(probe: Probe, service: Service) -> None:
+def test_stopped_service_is_silent_and_its_demand_is_zero(
+    make_probe: Callable[..., Probe], service: Service
+) -> None:
+    probe = make_probe()
+    probe("timeout_ms 300")
+    assert probe(f"attach {service.name}").result == OK
     with stopped(service):
         silent = probe.until("dev", lambda a: int(a.values[2]) & STALE != 0)
         assert silent.result == NO_DEMAND
@@ -265,10 +282,10 @@ def test_stopped_service_is_silent_and_its_demand_is_zero(probe: Probe, service:
         for line in (f"reset {STANDOFF_M}", "begin 10", "map_reset 0 0 1 1"):
             assert probe(line).result == -20, line
     probe.until("alive", lambda a: a.result == 1)
-    assert probe(f"reset {STANDOFF_M}").result == OK
+    probe.until(f"reset {STANDOFF_M}", lambda a: a.result == OK)
 
 
-@pytest.mark.parametrize("line", [f"reset {STANDOFF_M}", "begin 5000", "map_reset 0 0 0.1 0.1"])
+@pytest.mark.parametrize("line", [f"reset {STANDOFF_M}", "begin 60000", "map_reset 0 0 0.1 0.1"])
 def test_request_outlasts_a_stall_shorter_than_its_time(probe: Probe, service: Service, line: str) -> None:
     with stopped(service):
         probe.until("alive", lambda a: a.result == 0)
@@ -285,7 +302,7 @@ def test_signals_do_not_disturb_any_call(probe: Probe) -> None:
         assert probe("set range_size 5").result == OK
         assert probe("dev").result in (OK, NO_DEMAND)
     assert probe("map_reset 0 0 0.1 0.1").result == OK
-    assert probe("begin 1000").result == OK
+    assert probe("begin 60000").result == OK
     assert probe("end").result == OK
 
 
@@ -328,7 +345,7 @@ def test_c_client_takes_the_slot_next_to_a_python_client(
 def test_observer_sees_demands_but_cannot_send(make_probe: Callable[..., Probe], service: Service) -> None:
     probe = make_probe()
     assert probe(f"observe {service.name}") == (OK, 0, -1, [])
-    assert probe("alive").result == 1
+    probe.until("alive", lambda a: a.result == 1)
     assert int(probe("dev").values[2]) & (VALID | NO_POSE | POSE_STALE)
     for line in (POSE, "reset 0.1", "claim", "set range_size 5", "begin 10", "map_reset 0 0 1 1"):
         assert probe(line).result == -26, line
@@ -348,7 +365,7 @@ def test_other_users_are_refused_by_the_kernel_and_told_so(
     os.chmod(board, 0o644)
     try:
         assert stranger(f"observe {service.name}").result == OK
-        assert stranger("alive").result == 1
+        stranger.until("alive", lambda a: a.result == 1)
         assert stranger("height 0 0").result == -24  # the map has its own mode
         stranger("auto 1")
         assert stranger("detach").result == OK
@@ -384,7 +401,7 @@ def test_block_of_another_release_is_refused(make_probe: Callable[..., Probe], s
         started, hasty = time.monotonic(), make_probe()
         hasty("ready_ms 400")
         assert hasty(f"observe {os.path.basename(other)}").result == -22
-        assert 0.3 < time.monotonic() - started < 5.0
+        assert 0.3 < time.monotonic() - started < 30.0
     finally:
         os.unlink(other)
 

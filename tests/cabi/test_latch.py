@@ -89,12 +89,14 @@ int main(int argc, char **argv) {
   if (argc < 2 || sf_attach_with(&c, argv[1], &patient) != SF_OK || sf_claim_pose(&c) != SF_OK) return 1;
   sf_demand d;
   double range;
-  for (int k = 0; k < 100; k++) {
+  for (int k = 0; k <= 100; k++) {
+    if (k == 1) getppid(); /* for who counts what the hundred rounds after the first ask of the kernel */
     if (sf_ee_pos(&c, pose, SF_NOW) != SF_OK) return 2;
     sf_dev_vector(&c, &d);
     sf_raw_distance(&c, 0, &range);
     sf_map_height(&c, 0.05, 0.05, &range);
   }
+  getppid();
   printf("calls %ld n 1\\n", calls);
   sf_detach(&c);
   return 0;
@@ -112,12 +114,10 @@ def test_hot_calls_make_no_system_call(compile_program: Callable[..., Path], ser
     if subprocess.run(["which", "strace"], capture_output=True).returncode:
         pytest.skip("no strace on this machine")
     program = compile_program(HOT, "-O2", "-Wl,--wrap=malloc", "-Wl,--wrap=calloc")
-    traced = subprocess.run(
-        ["strace", "-f", "-c", str(program), service.name], capture_output=True, text=True
-    )
+    traced = subprocess.run(["strace", "-f", str(program), service.name], capture_output=True, text=True)
     assert traced.returncode == 0, traced.stderr
-    total = next(line for line in traced.stderr.splitlines() if line.endswith("total"))
-    assert int(total.split()[3]) < 150  # 400 calls of ours
+    _, hot, _ = traced.stderr.split("getppid()")
+    assert len(hot.splitlines()) < 50, hot  # 400 calls of ours, a look at the service ten times a second
 
 
 # one thread publishes, two read and look at every word
@@ -126,10 +126,12 @@ THREADS = """
 #include <pthread.h>
 static _Alignas(64) int64_t latch[8 + 4 * 16];
 static int over;
+static int64_t seen;
 static void *write_all(void *unused) {
   int64_t payload[16];
-  const int64_t end_ns = sf_now_ns() + 400000000; /* on a busy machine the readers come late */
+  const int64_t end_ns = sf_now_ns() + 30000000000; /* on a busy machine the readers come late */
   for (int64_t n = 1; n <= 60000 || sf_now_ns() < end_ns; n++) {
+    if (n > 60000 && __atomic_load_n(&seen, __ATOMIC_RELAXED) >= 1000) break;
     for (int k = 0; k < 16; k++) payload[k] = n;
     sf_latch_write(latch, sizeof payload, payload);
   }
@@ -142,6 +144,7 @@ static void *read_all(void *counts) {
     const int64_t g = sf_latch_read(latch, sizeof payload, payload);
     if (g <= 0) continue;
     count[0]++;
+    __atomic_fetch_add(&seen, 1, __ATOMIC_RELAXED);
     for (int k = 0; k < 16; k++) count[1] += payload[k] != g;
   }
   return NULL;

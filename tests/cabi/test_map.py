@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cabi.running import Probe, Service
+from cabi.running import PATIENT_MS, Probe, Service
 from running_service import quickest, until
-from surffollow.client import Client, attach
+from surffollow.client import Client, attach, observe
 from surffollow.client.map_reader import copy_map
 from surffollow.errors import MapFileError, RefusedError, RequestTimeoutError
 from surffollow.map.lookup import height_at
@@ -27,7 +27,7 @@ REGION = "0 0 0.1 0.08"
 
 @pytest.fixture
 def robot(service: Service) -> Iterator[Client]:
-    with attach(service.name, label="python") as client:
+    with attach(service.name, label="python", stale_min_s=PATIENT_MS / 1000) as client:
         yield client
 
 
@@ -42,7 +42,7 @@ def probe(make_probe: Callable[..., Probe], service: Service) -> Probe:
         pose = f"ee {0.002 * k + 0.01} 0.04 {0.1 + 0.0005 * k} 0 0 0 1"
         assert p(pose).result == OK
         cycle = p.until("status", lambda a, last=cycle: a.values[2] >= last + 4).values[2]
-    p.until(pose, lambda _: p("status").values[4] >= before + 40)
+    p.until(pose, lambda _: p("status").values[4] > before + 40)
     return p
 
 
@@ -110,7 +110,7 @@ def test_upload_that_cannot_be_written_leaves_nothing_behind(probe: Probe, tmp_p
     assert answer.detail in (17, 21, 39)
     assert probe(f"upload {tmp_path / 'no/such/folder'}").result == -32
     assert [p.name for p in tmp_path.iterdir()] == ["taken"]
-    assert probe("begin 1000").result == OK  # access was given back
+    assert probe("begin 60000").result == OK  # access was given back
     assert probe("end").result == OK
 
 
@@ -132,7 +132,7 @@ def test_regions_without_an_area_are_refused_at_once(probe: Probe, region: str) 
 def test_map_stands_still_while_a_c_client_holds_it_and_following_goes_on(
     probe: Probe, robot: Client
 ) -> None:
-    assert probe("begin 1000").result == OK
+    assert probe("begin 60000").result == OK
     assert probe("held").result == 1
     assert robot.status()["map"]["access_slot"] == probe("held").slot
     _, _, cycles, _, applied, *_ = probe("status").values
@@ -149,27 +149,41 @@ def test_map_stands_still_while_a_c_client_holds_it_and_following_goes_on(
         assert probe("begin 50").result == -27
 
 
-def test_holder_that_outlives_its_lease_is_told_that_its_copy_may_be_mixed(probe: Probe) -> None:
-    assert probe("begin 1000").result == OK
+@pytest.fixture(scope="module")
+def hasty_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A service whose lease is 0.7 s, for those who outlive it."""
+    s = Service(f"cabi-hasty-{os.getpid()}", tmp_path_factory.mktemp("hasty"), "700 ms")
+    try:
+        s.start()
+        yield s
+    finally:
+        s.stop()
+
+
+def test_holder_that_outlives_its_lease_is_told_that_its_copy_may_be_mixed(
+    make_probe: Callable[..., Probe], hasty_service: Service
+) -> None:
+    probe = make_probe()
+    assert probe(f"attach {hasty_service.name}").result == OK
+    assert probe("begin 60000").result == OK
     probe.until("held", lambda a: a.result == 0)  # the service's lease is 0.7 s
     cycles = probe("status").values[2]
     # and it is not granted again behind the holder's back
     probe.until("status", lambda a: probe("held").result != 0 or a.values[2] > cycles + 20)
     assert probe("held").result == 0
     assert probe("end").result == -31
-    assert probe("begin 1000").result == OK
-    assert probe("end").result == OK
+    probe.until("holding 60000 0", lambda a: a.result == OK)
 
 
 def test_killed_holder_does_not_keep_the_map(
     probe: Probe, make_probe: Callable[..., Probe], service: Service
 ) -> None:
-    assert probe("begin 1000").result == OK
+    assert probe("begin 60000").result == OK
     probe.process.kill()
     probe.process.wait()
     other = make_probe()
     other(f"attach {service.name}")
-    assert other("begin 1000").result == OK
+    assert other("begin 60000").result == OK
     assert other("end").result == OK
 
 
@@ -215,12 +229,12 @@ def test_grant_of_a_killed_holder_is_not_taken_for_the_next_clients(
     for _ in range(6):
         victim, heir = make_probe(), make_probe()
         victim(f"attach {service.name}")
-        assert victim("begin 1000").result == OK
+        assert victim("begin 60000").result == OK
         before = robot.status()["map"]["grants"]
         victim.process.kill()
         victim.process.wait()
         assert heir(f"attach {service.name}").slot == victim_slot(robot)
-        assert heir("begin 1000").result == OK
+        assert heir("begin 60000").result == OK
         assert robot.status()["map"]["grants"] > before, "a grant of its own"
         assert heir("end").result == OK
         heir("detach")
@@ -231,26 +245,39 @@ def victim_slot(robot: Client) -> int:
     return 0 if robot.slot else 1
 
 
-def test_grant_given_anew_behind_the_holders_back_is_not_its_own(probe: Probe, service: Service) -> None:
+def test_grant_given_anew_behind_the_holders_back_is_not_its_own(
+    make_probe: Callable[..., Probe], hasty_service: Service
+) -> None:
     """The service's lease is 0.7 s: a holder that sleeps through it is told, however long it slept."""
+    probe, name = make_probe(), hasty_service.name
+    assert probe(f"attach {name}").result == OK
     for over_ms in (800, 1600):
-        assert probe(f"holding 1000 {over_ms}").result == -31
-        assert probe("holding 1000 0").result == OK, "it is heard again at once"
-    with attach(service.name) as slow, attach(service.name) as watcher:
+        assert probe(f"holding 60000 {over_ms}").result == -31
+        probe.until("holding 60000 0", lambda a: a.result == OK)  # it is heard again
+    patience = PATIENT_MS / 1000
+    with attach(name, stale_min_s=patience) as slow, observe(name, stale_min_s=patience) as watcher:
         before, cycles = watcher.status()["map"]["grants"], watcher.status()["cycles"]
         with pytest.raises(RefusedError, match="taken back"), slow.exclusive():
             until(lambda: watcher.status()["cycles"] > cycles + 1600, "two leases and more")
         assert watcher.status()["map"]["grants"] == before + 1, "a fenced holder gets no second grant"
-        with slow.exclusive():
-            pass
+        until(lambda: holds_for_a_moment(slow), "access once more")
+
+
+def holds_for_a_moment(client: Client) -> bool:
+    """Take and give back the map; False when this process slept through the lease."""
+    try:
+        with client.exclusive(timeout_s=60.0):
+            return True
+    except RefusedError:
+        return False
 
 
 def test_access_nests_and_its_holder_is_not_made_to_wait_for_itself(
     probe: Probe, robot: Client, tmp_path: Path
 ) -> None:
     assert probe("end").result == -31, "nothing was begun"
-    assert probe("begin 1000").result == OK
-    assert probe("begin 1000").result == OK
+    assert probe("begin 60000").result == OK
+    assert probe("begin 60000").result == OK
     assert probe("end").result == OK
     assert probe(f"upload {tmp_path / 'inside.txt'}").result == OK
     assert probe("held").result == 1

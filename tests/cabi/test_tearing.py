@@ -8,12 +8,22 @@ import sys
 
 from cabi.running import ROOT
 
+TOO_FEW = (
+    "reads missing to 1e7 per minute",
+    "readers without an overlapped read",
+    "torn ones that the control missed",
+)
+
 
 def test_no_reader_sees_a_torn_snapshot_though_reads_overlap_writes() -> None:
-    command = [sys.executable, str(ROOT / "tools/bench_tearing.py"), "--seconds", "2", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=100)
-    assert done.stdout, done.stderr
-    found = json.loads(done.stdout)
+    for seconds in ("2", "10", "30"):  # until readers and writers met often enough to prove something
+        command = [sys.executable, str(ROOT / "tools/bench_tearing.py"), "--seconds", seconds, "--json"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+        assert done.stdout, done.stderr
+        found = json.loads(done.stdout)
+        missed = {bar["bar"] for bar in found["bars"] if not bar["ok"]}
+        if found["compared"] > 100 and missed.isdisjoint(TOO_FEW):
+            break
     for bar in found["bars"]:
         assert bar["ok"], (bar, found["notes"])
     assert set(found["daemon"]) >= {"Python"}

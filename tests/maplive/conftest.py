@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +13,25 @@ from surffollow.client import Client
 from surffollow.map import HeightMap
 
 GRIDS = 200_000
-LEASE_S = 2.0
+LEASE_S = 60.0
+SHORT_S = 2.0  # of those who are to outlive it
 
 
 @pytest.fixture(scope="module")
 def map_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """No sensors, room for 200,000 grids, a lease of two seconds; alive for the whole module."""
+    """No sensors, room for 200,000 grids, a lease that nobody outlives; alive for the whole module."""
     text = config_text(grids=GRIDS, map=f'access_lease = "{LEASE_S} s"')
     s = Service(tmp_path_factory.mktemp("map_service"), text)
     try:
         yield s.start()
     finally:
         s.purge()
+
+
+@pytest.fixture
+def hasty_service(make_service: Callable[..., Service]) -> Service:
+    """As `map_service`, with a lease of two seconds."""
+    return make_service(grids=GRIDS, map=f'access_lease = "{SHORT_S} s"').start()
 
 
 @pytest.fixture

@@ -74,6 +74,11 @@ def test_a_service_killed_in_a_refocus_has_the_old_map_or_the_whole_new_one(
             np.testing.assert_array_equal(found, wanted[found.shape])
 
 
+def begun(folder: Path, upload: subprocess.Popen[str]) -> bool:
+    """Whether an upload has begun to write beside the old file, or ended."""
+    return len(list(folder.iterdir())) == 2 or upload.poll() is not None
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_upload_cut_off_leaves_the_old_file_and_lets_the_map_go(
     large_service: tuple[Service, Path], tmp_path: Path, number: int
@@ -84,12 +89,17 @@ def test_an_upload_cut_off_leaves_the_old_file_and_lets_the_map_go(
     with service.attach() as robot:
         robot.map_install(path)
         command = [sys.executable, "-m", "surffollow", "map", "upload", "--name", service.name, str(target)]
-        with subprocess.Popen(
-            command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-        ) as upload:
-            until(lambda: len(list(tmp_path.iterdir())) == 2, "the upload's temporary file")
-            upload.send_signal(number)
-            _, error = upload.communicate(timeout=60)
+        for _ in range(5):  # this process may sleep until it is too late to cut it off
+            with subprocess.Popen(
+                command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+            ) as upload:
+                until(partial(begun, tmp_path, upload), "the upload's temporary file")
+                upload.send_signal(number)
+                _, error = upload.communicate(timeout=60)
+            if upload.returncode != 0:
+                break
+            assert target.read_text() != "old"
+            target.write_text("old")
         assert upload.returncode != 0
         assert "Traceback" not in error
         assert target.read_text() == "old"

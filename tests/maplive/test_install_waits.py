@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from maplive.conftest import GRIDS, LEASE_S, some_map
+from maplive.conftest import GRIDS, LEASE_S, SHORT_S, some_map
 from maplive.test_install import known_grids
 from running_service import Service, config_text, until
 from surffollow.client import Client
@@ -40,7 +40,7 @@ def other(map_service: Service) -> Iterator[Client]:
 
 def announce(client: Client) -> MapStream:
     """Ask for an installation; the service has queued it."""
-    stream = MapStream(client, GROUND.header, GROUND.pairs, 5.0)
+    stream = MapStream(client, GROUND.header, GROUND.pairs, 30.0)
     until(stream.ticket.taken, "the service's receipt")
     return stream
 
@@ -122,7 +122,7 @@ def test_one_whose_client_gave_up_before_its_turn(client: Client, live: MapWindo
 
 def test_one_whose_client_goes_on_to_a_later_one(client: Client, live: MapWindow, other: Client) -> None:
     stream = announce(other)
-    assert stream.wait_for_room(5.0)
+    assert stream.wait_for_room(30.0)
     stream.ticket.counter += 1
     post_early(stream, 1)
     stream.ticket.counter -= 1
@@ -132,12 +132,15 @@ def test_one_whose_client_goes_on_to_a_later_one(client: Client, live: MapWindow
     assert untouched(client, live)
 
 
-def test_one_whose_client_never_sends_a_piece(client: Client, live: MapWindow, other: Client) -> None:
-    stream = announce(other)
-    with pytest.raises(RefusedError) as caught:
-        stream.ticket.result(LEASE_S + 30.0)
-    assert caught.value.code == lb.ERR_CANCELLED
-    assert untouched(client, live)
+def test_one_whose_client_never_sends_a_piece(hasty_service: Service, map_file: Path) -> None:
+    with hasty_service.attach() as client, hasty_service.attach() as other:
+        client.map_install(map_file)
+        live = client.map_window()
+        stream = announce(other)
+        with pytest.raises(RefusedError) as caught:
+            stream.ticket.result(SHORT_S + 30.0)
+        assert caught.value.code == lb.ERR_CANCELLED
+        assert untouched(client, live)
 
 
 @pytest.mark.parametrize("held", [True, False])
@@ -152,7 +155,7 @@ def test_one_that_waits_when_the_service_is_stopped(tmp_path: Path, held: bool) 
                 robot.exclusive().__enter__()
                 post_early(announce(other), 2)
             else:
-                assert announce(other).wait_for_room(5.0)
+                assert announce(other).wait_for_room(30.0)
             assert s.terminate() == 0
         s.start()
         with s.attach() as robot:

@@ -27,7 +27,7 @@ def test_a_killed_service_is_stale_after_the_configured_periods_and_demands_zero
 ) -> None:
     s = make_service().start()
     with s.observe(stale_periods=periods) as watcher:
-        assert not watcher.dev_vector().status & STALE
+        until(lambda: not watcher.dev_vector().status & STALE, "a fresh demand")
         s.kill()
         killed_ns, fresh = time.monotonic_ns(), []
         while not (demand := watcher.dev_vector()).status & STALE:
@@ -67,7 +67,7 @@ def test_clients_follow_a_killed_and_restarted_service_by_themselves(make_servic
 
 def test_a_request_that_is_under_way_when_the_service_dies_says_so(make_service: Make) -> None:
     s = make_service().start()
-    with s.attach() as client:
+    with s.attach(stale_min_s=3.0) as client:  # the request is sent before that
         s.freeze()
         ticket = client.sf_reset(0.1, wait=False)
         s.kill()

@@ -57,7 +57,7 @@ def follow(service: Service, client: Client, height_m: float) -> Demand:
     def after() -> Demand | None:
         passed = client.status()["cycles"] > end
         demand = client.dev_vector()
-        return demand if passed and not demand.status & (STALE | POSE_STALE) else None
+        return demand if passed and not demand.status & (STALE | POSE_STALE | NO_SENSOR) else None
 
     return drive(client, after, pose, "120 cycles")  # type: ignore[no-any-return]
 

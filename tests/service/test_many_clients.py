@@ -12,7 +12,18 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from running_service import ATTACHED, PATIENT_S, POSE, SENDING, Service, objects_of, program, said, until
+from running_service import (
+    ATTACHED,
+    PATIENT_S,
+    POSE,
+    SENDING,
+    Service,
+    objects_of,
+    program,
+    said,
+    take_pose,
+    until,
+)
 from surffollow.client import Client
 from surffollow.errors import BusyError, RefusedError
 from surffollow.shm import layout_board as lb
@@ -73,7 +84,7 @@ def test_a_second_pose_writer_is_refused_with_the_pid_of_the_first(crowd: Servic
         until(lambda: client.status()["poses"] > status["poses"] + 10, "the first goes on")
         first.kill()
         first.wait()
-        client.ee_pos(POSE)
+        take_pose(client)
     until(lambda: client.status()["main"]["pose_pid"] == os.getpid(), "the second holds the pose")
 
 
@@ -97,7 +108,7 @@ def test_a_slot_taken_over_from_a_dead_pose_writer_does_not_inherit_its_pose(cro
         first.wait()
         with crowd.attach() as heir, crowd.attach() as other:
             assert heir.slot == slot
-            other.ee_pos(POSE)
+            take_pose(other)
 
 
 def test_a_forked_child_does_not_keep_its_dead_parents_pose(crowd: Service, client: Client) -> None:
@@ -108,7 +119,7 @@ def test_a_forked_child_does_not_keep_its_dead_parents_pose(crowd: Service, clie
             parent.kill()
             parent.wait()
             os.kill(child, 0)
-            client.ee_pos(POSE)
+            take_pose(client)
         finally:
             os.kill(child, signal.SIGKILL)
 
@@ -118,7 +129,7 @@ def test_a_pose_claimed_through_a_slot_that_nobody_holds_is_freed_again(crowd: S
         scribbler._slot_lock.release(scribbler._start)  # alive, but without the lock that says so
         with contextlib.suppress(RefusedError):
             scribbler._request(lb.RQ_CLAIM_POSE).result()
-        client.ee_pos(POSE)
+        take_pose(client)
 
 
 def test_a_client_whose_pose_was_given_back_in_its_name_takes_it_again(client: Client) -> None:

@@ -131,7 +131,7 @@ def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(mortal: Se
 
 
 def test_ticket_of_a_dead_service_is_done_and_says_so_at_once(mortal: Service) -> None:
-    with mortal.attach() as client:
+    with mortal.attach(stale_min_s=3.0) as client:  # the request is sent before that
         mortal.send(signal.SIGSTOP)
         ticket = client.sf_reset(0.1, wait=False)
         assert not ticket.done()

@@ -80,7 +80,7 @@ def test_robot_ends_cleanly_when_told_and_still_prints_its_summary(number: signa
         assert process.poll() is None
         os.sched_yield()
     process.send_signal(number)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     assert "finished" in out
     assert "False" in out
@@ -95,7 +95,7 @@ def test_robot_that_gets_no_valid_demand_prints_its_summary_and_fails(
     begun = until(lambda: robot_time_ns(process), "a robot")
     until(lambda: robot_time_ns(process) > begun + 1_500_000_000, "three times what a robot may stand still")
     process.send_signal(signal.SIGTERM)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=120)
     assert json.loads(out)["finished"] is False
     assert process.returncode == 1
     assert "no valid demand" in err
