@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
+import secrets
 import stat
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,13 +32,13 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise MapFileError(f"{target} is there and is no plain file; choose another name")
     if target.is_symlink():
         target = target.resolve()
+    # named before it is made: an interrupt at any moment finds what to remove
+    temporary = target.with_name(f".{target.name}.{secrets.token_hex(8)}{target.suffix}")
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=target.suffix, dir=target.parent)
-        os.close(handle)
-    except OSError as e:
-        raise MapFileError(f"cannot write beside {target}: {e.strerror or e}") from e
-    temporary = Path(name)
-    try:
+        try:
+            os.close(os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
+        except OSError as e:
+            raise MapFileError(f"cannot write beside {target}: {e.strerror or e}") from e
         mode = _mode_for(target)
         yield temporary
         _sync(temporary, mode)

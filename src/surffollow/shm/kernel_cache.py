@@ -35,6 +35,7 @@ _IMPORT = re.compile(
 )
 
 
+@cache
 def _file_of(dotted: str) -> Path | None:
     base = PACKAGE.joinpath(*[p for p in dotted.split(".") if p])
     for candidate in (base.with_suffix(".py"), base / "__init__.py"):
@@ -60,7 +61,16 @@ def _imports(path: Path) -> tuple[Path, ...]:
 
 @cache
 def _digest(path: Path) -> bytes:
-    return hashlib.blake2b(path.read_bytes(), digest_size=16).digest()
+    """A module's name within the package, and a hash over its source."""
+    name = str(path.relative_to(PACKAGE)).encode()
+    return name + hashlib.blake2b(path.read_bytes(), digest_size=16).digest()
+
+
+@cache
+def _resolved(py_file: str) -> Path | None:
+    """The path of a module of this package; None for anybody else's."""
+    path = Path(py_file)
+    return resolved if path.is_file() and PACKAGE in (resolved := path.resolve()).parents else None
 
 
 @cache
@@ -74,7 +84,7 @@ def source_stamp(path: Path) -> str:
                 waiting.append(target)
     total = hashlib.blake2b(digest_size=16)
     for file in sorted(reached):
-        total.update(str(file.relative_to(PACKAGE)).encode() + _digest(file))
+        total.update(_digest(file))
     return total.hexdigest()
 
 
@@ -106,7 +116,7 @@ class KernelCacheLocator(_CacheLocator):  # type: ignore[misc]
     """numba's question "where, and how fresh?" answered for the kernels of this package."""
 
     def __init__(self, py_func: Any, py_file: str) -> None:
-        self._path = Path(py_file).resolve()
+        self._path = _resolved(py_file) or Path(py_file).resolve()
         self._line = py_func.__code__.co_firstlineno
         inside = self._path.relative_to(PACKAGE).parent
         self._folder = Path(cache_directory(), inside)
@@ -126,10 +136,7 @@ class KernelCacheLocator(_CacheLocator):  # type: ignore[misc]
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> KernelCacheLocator | None:
         """The locator of a kernel of ours; None for anybody else's."""
-        path = Path(py_file)
-        if not path.is_file() or PACKAGE not in path.resolve().parents:
-            return None
-        return cls(py_func, py_file)
+        return None if _resolved(py_file) is None else cls(py_func, py_file)
 
 
 @contextlib.contextmanager
