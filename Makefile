@@ -21,6 +21,8 @@ $(STAMP): requirements/dev.txt pyproject.toml
 demo: $(STAMP)
 	$(VENV)/bin/surffollow demo
 
+# a hundred processes import the package: bytecode is written even where the environment says not to
+test: export PYTHONDONTWRITEBYTECODE :=
 test: $(STAMP)
 	$(PY) tests/warm.py
 	$(PY) -m pytest -n 2 || $(PY) tests/again.py

@@ -28,7 +28,7 @@ def test_threads_that_find_the_service_restarted_claim_one_slot_together(
             wrong: list[BaseException] = []
 
             def work(number: int) -> None:
-                while not over.is_set():
+                while not over.wait(0.0005):
                     try:
                         if number == 0:
                             client.ee_pos(POSE)
