@@ -1,9 +1,10 @@
 """Plan the axis over ground known ahead: least squares with bounded acceleration, then invert the axis.
 
-    min  ½ Σ (z − g)² + ½ λ Σ a²   with |a| ≤ a_max, from where the axis is and how it moves
+    min  ½ Σ w (z − g)² + ½ λ Σ a²   with |a| ≤ a_max, from where the axis is and how it moves
 
 solved by the alternating direction method: one pentadiagonal system, factored once, and a clip, a fixed
-number of times, warm-started from the last tick. Unknown ground carries no weight.
+number of times, warm-started from the last tick. Just beyond the known ground the last height carries
+half the weight, lest the axis arrive there at a speed it cannot lose; farther on nothing does.
 """
 
 from __future__ import annotations
@@ -22,6 +23,15 @@ A_SHARE = 0.9  # of the axis' acceleration: what is left corrects
 INVERT_ROUNDS = 24
 INVERT_STEPS = 5  # axis steps of 2 ms in a tick
 UNKNOWN_WEIGHT = 1e-6
+AFTER, AFTER_WEIGHT = 16, 0.5  # ticks beyond the known ground, which is guessed to stay as it ended there
+
+
+@njit(cache=True, nogil=True)
+def ground_weight(k: Any, known: Any) -> Any:
+    """How much point k of the plan, k + 1 ticks from now, counts."""
+    if k + 1 < known:
+        return 1.0
+    return AFTER_WEIGHT if k + 1 < known + AFTER else UNKNOWN_WEIGHT
 
 
 @njit(cache=True, nogil=True)
@@ -33,8 +43,7 @@ def factor(a: Any, known: Any, stiff: Any) -> None:
         d = 1.0 + (4.0 if k + 1 < n else 0.0) + (1.0 if k + 2 < n else 0.0)
         e = (-2.0 if k + 1 < n else 0.0) + (-2.0 if k + 2 < n else 0.0)
         f = 1.0 if k + 2 < n else 0.0
-        w = 1.0 if k + 1 < known else UNKNOWN_WEIGHT
-        d, e, f = w + stiff * d, stiff * e, stiff * f
+        d, e, f = ground_weight(k, known) + stiff * d, stiff * e, stiff * f
         if k >= 1:
             d -= a.band_1[k - 1] ** 2 * a.band_0[k - 1]
             e -= a.band_1[k - 1] * a.band_2[k - 1] * a.band_0[k - 1]
@@ -91,7 +100,8 @@ def plan_axis(params: Any, a: Any, known: Any, z_m: Any, v_mps: Any, drop_m: Any
     for _ in range(ROUNDS):
         for k in range(n):
             # point k lies k + 1 ticks from now
-            a.plan_z_m[k] = a.plan_g_m[k + 1] + drop_m - z_m if k + 1 < known else 0.0
+            ground = a.plan_g_m[min(k + 1, known - 1)] + drop_m - z_m
+            a.plan_z_m[k] = ground_weight(k, known) * ground
         for k in range(n):
             # difference k spans points k-2, k-1 and k; the point before point 0 is now, at 0
             r = RHO * (a.plan_u[k] - a.plan_y[k]) - (stiff * before if k == 0 else 0.0)
