@@ -87,17 +87,23 @@ def planned(ground, v, known=HORIZON, rounds=40):
     return speed, a[0]
 
 
+@pytest.mark.parametrize("known", [HORIZON, 12])
 @pytest.mark.parametrize("seed", range(5))
-def test_the_plan_is_the_bounded_least_squares_solution(seed):
+def test_the_plan_is_the_bounded_least_squares_solution(seed, known):
     rng = np.random.default_rng(seed)
     k = np.arange(HORIZON)
     ground = 0.005 * np.sin(0.3 * k + rng.uniform(0, 6)) + 0.01 * (k > rng.integers(8, 30))
     v, dt, n = rng.uniform(-0.05, 0.05), 0.01, HORIZON
-    _, a = planned(ground, v)
+    ground[known:] = np.nan
+    _, a = planned(ground, v, known)
+    ground[known:] = ground[known - 1]  # the guess, with half the weight, for 16 ticks
+    after = np.arange(1, n + 1)
+    weight = np.where(after < known, 1.0, np.where(after < known + 16, 0.5, 1e-6))
+    aims = np.append(ground[1:], ground[-1])
     # positions are linear in the accelerations: p = v·dt·(k+1) + S·u with u in metres per tick²
     s = np.array([[max(0, i - j + 1) for j in range(n)] for i in range(n)], float)
-    rows = np.vstack([s[: n - 1], math.sqrt(4e-8 / dt**4) * np.eye(n)])
-    wanted = np.concatenate([ground[1:] - v * dt * np.arange(1, n), np.zeros(n)])
+    rows = np.vstack([np.sqrt(weight)[:, None] * s, math.sqrt(4e-8 / dt**4) * np.eye(n)])
+    wanted = np.concatenate([np.sqrt(weight) * (aims - v * dt * after), np.zeros(n)])
     best = lsq_linear(rows, wanted, bounds=(-0.9 * 2.0 * dt * dt, 0.9 * 2.0 * dt * dt), tol=1e-12)
     cost = 0.5 * np.sum((rows @ a["plan_u"] - wanted) ** 2)
     assert cost <= 1.01 * best.cost + 1e-9
