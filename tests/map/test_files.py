@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 import subprocess
 import sys
@@ -113,7 +114,7 @@ def test_a_damaged_text_file_is_refused_with_its_line(tmp_path):
     path = tmp_path / "m.txt"
     m = sampled(grids=100)
     m.save(path)
-    good = path.read_text()
+    good = re.sub(r"(?m)^head_crc .*\n", "", path.read_text())  # or that would tell of each
     lines = good.splitlines(keepends=True)
     row = next(i for i, text in enumerate(lines) if text == "heights\n") + 1
     damaged = {
@@ -139,6 +140,30 @@ def test_a_damaged_text_file_is_refused_with_its_line(tmp_path):
     (tmp_path / "m.npz").write_bytes(b"PK\x03\x04 no archive")
     with pytest.raises(MapFileError, match="cannot read"):
         HeightMap.load(tmp_path / "m.npz")
+
+
+def test_a_header_that_was_damaged_is_refused_and_one_changed_by_hand_read_without_its_checksum(tmp_path):
+    path = tmp_path / "m.txt"
+    m = sampled(grids=100)
+    m.save(path)
+    good = path.read_text()
+    head, tail = good.split("head_crc ")
+    values = [i for i, c in enumerate(head) if c.isdigit() and i > head.index("\nnx ")]
+    for i in values:
+        other = "0123456789"[(int(head[i]) + 1) % 10]
+        path.write_text(f"{head[:i]}{other}{head[i + 1 :]}head_crc {tail}")
+        with pytest.raises(MapFileError, match=r"m\.txt"):
+            HeightMap.load(path)
+    path.write_text(good.replace("\nsamples ", "\nsamples 1"))
+    with pytest.raises(MapFileError, match="delete the line head_crc"):
+        HeightMap.load(path)
+    path.write_text(good.replace("\nheights\n", "\nx0_m 3.0\nheights\n"))
+    with pytest.raises(MapFileError, match="follows the header's checksum"):
+        HeightMap.load(path)
+    path.write_text(re.sub(r"(?m)^x0_m .*$", "x0_m 3.0", head) + tail.split("\n", 1)[1])
+    assert HeightMap.load(path).origin_m[0] == 3.0
+    path.write_bytes(good.replace("\n", "\r\n").encode())
+    same(m, HeightMap.load(path))
 
 
 @pytest.mark.parametrize("suffix", EXPORTS)

@@ -147,9 +147,10 @@ def text(tmp_path):
 
 
 def changed(text, key, value):
+    """As somebody changes a header by hand, who deletes its checksum."""
     new, n = re.subn(rf"(?m)^{key} .*$", f"{key} {value}", text)
     assert n == 1
-    return new
+    return re.sub(r"(?m)^head_crc .*\n", "", new)
 
 
 @pytest.mark.parametrize(

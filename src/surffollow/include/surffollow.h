@@ -2205,9 +2205,7 @@ static inline void sf_i_write_numbers(FILE *f, const sf_map_header *h) {
   }
 }
 
-static inline void sf_i_write_map(FILE *f, const sf_map_header *h, const sf_grid_pair *pairs) {
-  const int64_t grids = h->nx * h->ny;
-  uint32_t crc = 0;
+static inline void sf_i_write_head(FILE *f, const sf_map_header *h) {
   fputs("surffollow-map 1\n", f);
   fputs("# rows ascend in y, columns in x; x0_m, y0_m: outer corner of the first grid\n", f);
   fprintf(f, "# height [m] = datum_m + quantum_m * value; %d is unknown; v*n is n times v\n", SF_MAP_UNKNOWN_HEIGHT);
@@ -2218,11 +2216,31 @@ static inline void sf_i_write_map(FILE *f, const sf_map_header *h, const sf_grid
     sf_i_write_double(f, h->region_m[k]);
   }
   fprintf(f, "\nrounding %s\n", h->rounding == SF_MAP_ROUND_PAPER ? "paper" : "unbiased");
+}
+
+/* 0 when there is no memory for the header; errors of the file are its own. */
+static inline int sf_i_write_map(FILE *f, const sf_map_header *h, const sf_grid_pair *pairs) {
+  const int64_t grids = h->nx * h->ny;
+  char *head = NULL;
+  size_t size = 0;
+  FILE *memory = open_memstream(&head, &size);
+  if (memory == NULL) return 0;
+  sf_i_write_head(memory, h);
+  const int whole = !ferror(memory);
+  if (fclose(memory) != 0 || !whole) {
+    free(head);
+    return 0;
+  }
+  fwrite(head, 1, size, f);
+  fprintf(f, "head_crc %08" PRIx32 "\n", sf_i_crc32(0, SF_VIEW(const unsigned char *, head), size));
+  free(head);
+  uint32_t crc = 0;
   for (int what = 0; what < 2; what++) {
     fputs(what == 0 ? "heights\n" : "counts\n", f);
     for (int64_t start = 0; start < grids; start += h->nx) crc = sf_i_write_row(f, pairs, start, h->nx, what, crc);
   }
   fprintf(f, "end %08" PRIx32 "\n", crc);
+  return 1;
 }
 
 /* Copy header and grids under exclusive access; the caller frees `*pairs`. */
@@ -2334,8 +2352,7 @@ static inline int sf_upload_map(sf_client *c, const char *path) {
   if (f != NULL) {
     errno = 0;
     if (mode != 0) (void)!fchmod(fd, mode); /* as the file that it replaces */
-    sf_i_write_map(f, &header, pairs);
-    written = !ferror(f) && fflush(f) == 0 && fsync(fd) == 0;
+    written = sf_i_write_map(f, &header, pairs) && !ferror(f) && fflush(f) == 0 && fsync(fd) == 0;
     number = errno;
     if (fclose(f) != 0 && written) written = 0, number = errno;
     if (written && rename(part, target) != 0) written = 0, number = errno;
