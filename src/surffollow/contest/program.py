@@ -25,7 +25,7 @@ from surffollow.contest.suite import (
     sweep_cells,
 )
 from surffollow.contest.trials import run_trials
-from surffollow.errors import UsageError
+from surffollow.errors import FaultError, UsageError
 
 ORACLES_FILE = "oracles.json"
 
@@ -88,8 +88,9 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
     def stage(name: str) -> Callable[[int, int], None] | None:
         return (lambda done, total: progress(name, done, total)) if progress else None
 
+    faults: list[str] = []
     try:
-        results = run_cells(cells, methods, request.seeds, request.processes, tuned, stage("runs"))
+        results = run_cells(cells, methods, request.seeds, request.processes, tuned, stage("runs"), faults)
     finally:
         if folder:  # what was tuned took most of the time: a run that ends early does not lose it
             _keep_tuned(folder, tuned)
@@ -118,6 +119,10 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
         judged_table = bars.text(verdicts, markdown=True) if verdicts else ""
         _write(folder, found, judged_table, summary_table(rows), markdown_table(rows))
         write_plots(results, folder)
+    if faults:  # what was found is kept: it took long, and shows where to look
+        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+        kept = f"; the results are in {folder}" if folder else ""
+        raise FaultError(f"{faults[0]}{more}{kept}")
     return Outcome(found, text, all(v.passed for v in verdicts), results)
 
 
