@@ -127,7 +127,7 @@ def test_number_of_processes_changes_nothing() -> None:
     assert [r.row() for r in alone] == [r.row() for r in together]
 
 
-def test_row_that_beats_the_limit_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_row_that_beats_the_limit_is_an_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     real = runner.limit_path
 
     def too_strict(*arguments: Any) -> Any:
@@ -137,6 +137,11 @@ def test_row_that_beats_the_limit_is_an_error(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(runner, "limit_path", too_strict)
     with pytest.raises(FaultError, match="beats the limit"):
         run_cells([Cell("flat", 0.4)], ["p"], [0], processes=1)
+    one = ("--surface", "flat", "--speed", "0.4", "--seeds", "0:1", "--methods", "p", "--processes", "1")
+    result = call(*one, "--out", str(tmp_path))
+    assert result.exit_code != 0
+    assert "beats the limit" in result.output + result.stderr
+    assert json.loads((tmp_path / "results.json").read_text())["results"], "what was found is kept"
 
 
 def test_full_table_covers_every_surface_speed_lead_and_sweep() -> None:
