@@ -130,6 +130,18 @@ def test_young_models_count_for_what_they_claim_to_know_and_judged_ones_do_not()
     assert shares[3] == pytest.approx(1.0)
 
 
+def test_what_a_leading_sensor_saw_is_followed_so_nothing_need_be_cautious():
+    shares = []
+    for lead_m in (-0.05, 0.0, 0.05):
+        a = judged(JUDGED, 0)
+        a["lead_m"] = lead_m
+        a["cov"][6 * 10 + 3] = 1.0  # no idea of its slope
+        weigh(default_params(), a)
+        shares.append(a["weight"][10] / a["weight"][11])
+    assert max(shares[:2]) < 1e-3
+    assert shares[2] > 0.1
+
+
 def test_small_differences_count_sharply_in_noise_and_mildly_in_great_errors():
     def advantage(factor, scored):
         a = judged(JUDGED, scored)
