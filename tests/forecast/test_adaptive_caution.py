@@ -10,7 +10,7 @@ import pytest
 from surffollow.contest.conditions import Conditions
 from surffollow.contest.trials import Job, excursion
 from surffollow.forecast.adaptive import CALM_S, SOFT, hold_calm
-from surffollow.forecast.adaptive_bank import BANK, WAVE, N, look_ahead, look_ahead_variance
+from surffollow.forecast.adaptive_bank import BANK, LEAD_SHARE, MODEL, WAVE, C, N, look_ahead, look_ahead_variance
 from surffollow.forecast.adaptive_judge import JUDGED, SHARP, weigh
 from surffollow.forecast.adaptive_motion import measure_motion
 from surffollow.forecast.pose import push_pose
@@ -101,7 +101,7 @@ def test_a_bad_first_reading_is_forgotten_with_all_that_was_learned_from_it():
     assert list(taken) == [1, 0, 0]
     a, _ = feed([0.0] * 3, a=a, start=4, seed=1)
     assert abs(a["height_m"]) < 1e-3
-    assert np.abs(a["axis_z_m"][:N] - 0.1).max() < 1e-3, "the shadows stand where the ground is"
+    assert np.abs(a["axis_z_m"][:C] - 0.1).max() < 1e-3, "the shadows stand where the ground is"
     assert a["returned"] == 1.0, "no step was seen"
 
 
@@ -110,7 +110,7 @@ def judged(samples, scored):
     a = zeros(AdaptiveState)[0]
     a["samples"], a["scored"] = samples, scored
     a["noise_m"], a["speed_mps"], a["tau_s"], a["late_s"] = 2.5e-4, 0.1, 0.04, 0.03
-    a["score_m2"][:N] = a["long_m2"][:N] = 1.1 * a["noise_m"] ** 2
+    a["score_m2"][:C] = a["long_m2"][:C] = 1.1 * a["noise_m"] ** 2
     for i in range(N):
         a["cov"][6 * i] = 1e-10
     return a
@@ -145,7 +145,7 @@ def test_what_a_leading_sensor_saw_is_followed_so_nothing_need_be_cautious():
 def test_small_differences_count_sharply_in_noise_and_mildly_in_great_errors():
     def advantage(factor, scored):
         a = judged(JUDGED, scored)
-        a["score_m2"][:N] *= factor
+        a["score_m2"][:C] *= factor
         a["score_m2"][10] *= 0.99
         weigh(default_params(), a)
         return a["weight"][10] / a["weight"][11]
@@ -153,6 +153,17 @@ def test_small_differences_count_sharply_in_noise_and_mildly_in_great_errors():
     assert advantage(1.0, SHARP) > 3.0
     assert 1.0 < advantage(1.0, JUDGED) < 0.5 * advantage(1.0, SHARP), "many samples must tell so"
     assert 1.0 < advantage(400.0, SHARP) < 1.1
+
+
+def test_candidates_of_one_model_count_together_as_one_and_lead_by_their_share():
+    assert sorted(set(MODEL)) == list(range(N))
+    assert len({(m, s) for m, s in zip(MODEL, LEAD_SHARE)}) == C
+    a = judged(JUDGED, SHARP)
+    weigh(default_params(), a)
+    of_model = np.bincount(MODEL, a["weight"][:C])
+    levels_and_slopes = of_model[BANK[:, 0] == 0]
+    assert levels_and_slopes == pytest.approx(levels_and_slopes[0])
+    assert (LEAD_SHARE[:N] == 1.0).all() and set(LEAD_SHARE[N:]) == {0.0, 0.5}
 
 
 @pytest.mark.parametrize("i", range(N))

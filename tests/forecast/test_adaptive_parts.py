@@ -62,12 +62,57 @@ def test_a_slot_two_millimetres_wide_is_not_chased():
     assert a["returned"] == 1.0
 
 
-def test_a_step_is_believed_after_its_way_and_later_ones_sooner():
-    heights = np.where((np.arange(3000) // 250) % 2, 0.01, 0.0)
+def delays_of_steps(heights, edges):
+    """Readings that each step at `edges` waits for before one is taken."""
     _, taken = feed(heights, way=0.4e-3)
-    delays = [int(np.argmax(taken[k:])) for k in range(250, 3000, 250)]
+    return [int(np.argmax(taken[k:])) for k in edges]
+
+
+def test_a_step_down_is_believed_after_its_way_and_later_ones_sooner():
+    edges = range(250, 3000, 250)
+    delays = delays_of_steps(-0.01 * np.ceil((np.arange(3000) - 249) / 250), edges)
     assert delays[0] == 7  # 2.5 mm after the first sample beyond the edge
-    assert max(delays[4:]) <= 2
+    assert 2 <= delays[1] <= 3
+    assert max(delays[2:]) <= 2
+
+
+def test_a_step_up_is_believed_with_three_samples_however_little_way_they_cover():
+    delays = delays_of_steps(0.01 * np.ceil((np.arange(3000) - 249) / 250), range(250, 3000, 250))
+    assert delays[0] == 2
+    assert max(delays) <= 2
+
+
+def test_steps_up_that_stayed_make_the_first_step_down_quicker():
+    heights = np.zeros(1500)
+    heights[300:600], heights[600:900], heights[900:] = 0.01, 0.02, 0.01
+    assert delays_of_steps(heights, [900])[0] <= 3
+
+
+def test_a_step_that_comes_in_pieces_is_no_slot():
+    heights = np.zeros(1500)
+    for k, edge in enumerate(range(200, 1400, 200)):
+        sign = 1.0 if k % 2 == 0 else -1.0
+        heights[edge : edge + 10] += sign * 0.001 * np.arange(10)
+        heights[edge + 10 :] += sign * 0.01
+    a, taken = feed(heights, way=0.1e-3)
+    assert a["returned"] < 0.1
+    assert abs(a["height_m"] - heights[-1]) < 1e-3
+
+
+def test_the_noise_is_told_to_a_tenth_and_soon():
+    found = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        a = None
+        for k in range(0, 6000, 500):
+            heights = 2.5e-4 * rng.standard_normal(500)
+            a, _ = feed(heights, sigma=0.0, a=a, start=1 + k)
+            found.append((k, float(a["noise_m"])))
+    settled = np.array([n for k, n in found if k >= 2000])
+    assert np.std(settled) < 0.1 * 2.5e-4
+    assert abs(np.mean(settled) - 2.5e-4) < 0.05 * 2.5e-4
+    early = np.array([n for k, n in found if k == 0])
+    assert (np.abs(early - 2.5e-4) < 0.4 * 2.5e-4).all()
 
 
 def test_the_slope_stays_when_a_step_is_believed():

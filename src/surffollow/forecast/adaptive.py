@@ -12,7 +12,7 @@ from typing import Any
 from numba import njit
 
 from surffollow.forecast.adaptive_adapt import report_adapted
-from surffollow.forecast.adaptive_bank import N, look_ahead
+from surffollow.forecast.adaptive_bank import LEAD_SHARE, MODEL, C, look_ahead
 from surffollow.forecast.adaptive_health import is_stuck, watch_health
 from surffollow.forecast.adaptive_judge import note_targets
 from surffollow.forecast.adaptive_latency import forget_rest
@@ -88,11 +88,13 @@ def blend_set_points(params: Any, a: Any, ahead_m: Any, drop_m: Any, tick: Any) 
     slot = a.ticks & (TICKS - 1)
     step_m = a.speed_mps * RATE_STEP_S
     z, later = 0.0, 0.0
-    for i in range(N):
-        t = look_ahead(i, a.state, ahead_m, lead) + drop_m
+    for i in range(C):
+        t = look_ahead(MODEL[i], a.state, ahead_m, LEAD_SHARE[i] * lead) + drop_m
         z += a.weight[i] * t
         if a.weight[i] > LEAST_WEIGHT:
-            later += a.weight[i] * (look_ahead(i, a.state, ahead_m + step_m, lead) + drop_m - t)
+            later += a.weight[i] * (
+                look_ahead(MODEL[i], a.state, ahead_m + step_m, LEAD_SHARE[i] * lead) + drop_m - t
+            )
         if tick:
             a.target_m[i * TICKS + slot] = t
     if tick:

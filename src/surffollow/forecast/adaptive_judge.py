@@ -13,7 +13,7 @@ from typing import Any
 
 from numba import njit
 
-from surffollow.forecast.adaptive_bank import BANK, PRIOR, N, look_ahead_variance
+from surffollow.forecast.adaptive_bank import MODEL, PRIOR, C, look_ahead_variance
 from surffollow.forecast.adaptive_preview import LEADING_M
 from surffollow.shm.layout_adaptive import TICKS
 
@@ -47,7 +47,7 @@ def advance_shadows(params: Any, a: Any, from_ns: Any, to_ns: Any) -> None:
         return
     if span > LOST_NS:
         slot = (a.ticks - 1) & (TICKS - 1)
-        for i in range(N):
+        for i in range(C):
             a.axis_z_m[i] = a.target_m[i * TICKS + slot]
             a.axis_v_mps[i] = 0.0
         return
@@ -61,7 +61,7 @@ def advance_shadows(params: Any, a: Any, from_ns: Any, to_ns: Any) -> None:
         while k + 1 < a.ticks and a.tick_t_ns[(k + 1) & (TICKS - 1)] <= t:
             k += 1
         slot = k & (TICKS - 1)
-        for i in range(N):
+        for i in range(C):
             d = a.target_m[i * TICKS + slot] - a.axis_z_m[i]
             w = axis_speed(d, tau, a_max)
             most = min(v_max, abs(d) / dt)
@@ -79,7 +79,7 @@ def score(params: Any, a: Any, way_m: Any, dt_s: Any, wanted_m: Any) -> None:
     first = 1.0 / (1.0 + a.samples)
     f = max(1.0 - math.exp(-rate), first)
     g = max(1.0 - math.exp(-rate / params.long_factor), first)
-    for i in range(N):
+    for i in range(C):
         e = a.axis_z_m[i] - wanted_m
         a.score_m2[i] += f * (e * e - a.score_m2[i])
         a.long_m2[i] += g * (e * e - a.long_m2[i])
@@ -91,7 +91,7 @@ def score(params: Any, a: Any, way_m: Any, dt_s: Any, wanted_m: Any) -> None:
 def weigh(params: Any, a: Any) -> None:
     """Turn scores into weights: powers of recent and longer cost, noise taken off."""
     best, best_long = a.score_m2[0], a.long_m2[0]
-    for i in range(1, N):
+    for i in range(1, C):
         best = min(best, a.score_m2[i])
         best_long = min(best_long, a.long_m2[i])
     noise = a.noise_m * a.noise_m
@@ -111,21 +111,21 @@ def weigh(params: Any, a: Any) -> None:
         young = 0.0  # what was seen there is followed, not what they expect
     ahead_m = a.speed_mps * (a.late_s + a.tau_s)
     least = 1e300
-    for i in range(N):
+    for i in range(C):
         extra = floor + mu * a.effort[i]
         c = power * math.log(a.score_m2[i] - off + extra)
         c += params.long_power * math.log(a.long_m2[i] - off_long + extra)
-        c = told * c + PRIOR[int(BANK[i, 0])]
+        c = told * c + PRIOR[i]
         if young > 0.0:
-            c += CAUTION * young * math.log(look_ahead_variance(i, a.cov, ahead_m) + noise)
+            c += CAUTION * young * math.log(look_ahead_variance(MODEL[i], a.cov, ahead_m) + noise)
         a.cost[i] = c
         least = min(least, c)
     total = 0.0
-    for i in range(N):
+    for i in range(C):
         w = math.exp(least - a.cost[i])
         a.weight[i] = w
         total += w
-    for i in range(N):
+    for i in range(C):
         a.weight[i] /= total
 
 
@@ -135,7 +135,7 @@ def note_targets(a: Any, now_ns: Any) -> None:
     slot = a.ticks & (TICKS - 1)
     one, two = (slot - 1) & (TICKS - 1), (slot - 2) & (TICKS - 1)
     if a.ticks > 1:
-        for i in range(N):
+        for i in range(C):
             b = i * TICKS
             accel = (a.target_m[b + slot] - 2.0 * a.target_m[b + one] + a.target_m[b + two]) * TICK_HZ2
             a.effort[i] += EFFORT_MEMORY * (min(accel * accel, EFFORT_MOST) - a.effort[i])

@@ -1,8 +1,9 @@
 """Take samples into the bank: what is news, what is noise, what is a glitch, a slot or a step.
 
 An innovation far beyond the usual is quarantined: the models are carried over it without learning.
-When enough samples agree, over some way, the step is believed: heights are shifted, slopes stay, and the
-desired stand-off never moves. How much way it takes is learned: slots come back, steps do not.
+When enough samples agree the step is believed: heights are shifted, slopes stay, and the desired stand-off
+never moves. What rises toward the tool is believed at once, a hollow after some way, for it may be a slot.
+How much way that takes is learned: slots come back, steps do not.
 """
 
 from __future__ import annotations
@@ -12,7 +13,16 @@ from typing import Any
 
 from numba import njit
 
-from surffollow.forecast.adaptive_bank import N, height_of, predict_model, slope_of, start_model, update_model
+from surffollow.forecast.adaptive_bank import (
+    MODEL,
+    C,
+    N,
+    height_of,
+    predict_model,
+    slope_of,
+    start_model,
+    update_model,
+)
 from surffollow.forecast.adaptive_judge import advance_shadows, score, weigh
 from surffollow.forecast.adaptive_preview import LEADING_M, note_ground
 from surffollow.shm.layout_adaptive import KEPT
@@ -22,10 +32,12 @@ FLICKER_COUNTS = 1.5  # an A/D's last bit is no news
 LEAST_SPEED_MPS = 1e-3  # a tool at rest still learns
 LEAST_NOISE_M = 50e-6
 FIRST_NOISE_M = 300e-6
-MEDIAN_RATE = 0.02
+MEDIAN_RATE, MEDIAN_FIRST_RATE = 0.004, 0.02
+MEDIAN_SAMPLES = 2.0  # the rate is this over the samples so far, between the two
 MAD_TO_SIGMA = 1.4826 / math.sqrt(6.0)  # of second differences
 SCALE_RATE = 0.02
 STEPS_STAY = 0.2
+STAYED, LEAST_RETURNED = 0.3, 0.01  # a step that stays makes the next one likelier to
 START_SAMPLES = 3  # fewer are no ground yet: one of them may be a glitch
 STANDING_NS = 120_000_000  # samples that agree for so long are ground, travelled or not
 DISAGREE_GROWTH = 1.3
@@ -87,7 +99,8 @@ def watch_noise(a: Any, h_m: Any) -> None:
     """Reading noise from second differences of accepted heights: a running median, free of slopes."""
     if a.samples > 2:
         e = abs(h_m - 2.0 * a.recent_m[0] + a.recent_m[1])
-        step = MEDIAN_RATE * max(a.median_m, 1e-5)
+        rate = min(max(MEDIAN_SAMPLES / max(a.scored, 1), MEDIAN_RATE), MEDIAN_FIRST_RATE)
+        step = rate * max(a.median_m, 1e-5)
         a.median_m += step if e > a.median_m else -step
         a.noise_m = MAD_TO_SIGMA * a.median_m
     a.recent_m[1] = a.recent_m[0]
@@ -98,12 +111,12 @@ def watch_noise(a: Any, h_m: Any) -> None:
 def blend(a: Any) -> None:
     """Blended height, slope and uncertainty at the last sample."""
     h, s, var, own = 0.0, 0.0, 0.0, 0.0
-    for i in range(N):
-        h += a.weight[i] * height_of(i, a.state)
-        s += a.weight[i] * slope_of(i, a.state)
-    for i in range(N):
-        e = height_of(i, a.state) - h
-        own += a.weight[i] * max(a.cov[6 * i], 0.0)
+    for i in range(C):
+        h += a.weight[i] * height_of(MODEL[i], a.state)
+        s += a.weight[i] * slope_of(MODEL[i], a.state)
+    for i in range(C):
+        e = height_of(MODEL[i], a.state) - h
+        own += a.weight[i] * max(a.cov[6 * MODEL[i]], 0.0)
         var += a.weight[i] * e * e
     a.height_m, a.slope, a.sigma_m = h, s, math.sqrt(own + var)
     a.gain = own / max(a.noise_m, LEAST_NOISE_M) ** 2  # just after an update
@@ -115,6 +128,7 @@ def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any
     fresh = a.returned == 0.0 and a.noise_m == 0.0
     for i in range(N):
         start_model(i, a.state, a.cov, h_m, FIRST_NOISE_M * FIRST_NOISE_M)
+    for i in range(C):
         a.axis_z_m[i] = h_m + drop_m
         a.axis_v_mps[i] = 0.0
         if fresh:
@@ -133,7 +147,7 @@ def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any
     a.doubted_m = 0.0
     a.sample_ns = a.accepted_ns = t_ns
     a.settle_ns = t_ns if fresh else t_ns + SETTLE_NS
-    a.since_step_m = 0.0
+    a.since_step_m = a.step_m = 0.0
     a.path_m += LONGEST_WAY_M + min(way_m, LONGEST_WAY_M)  # nothing seen before is near
     note_ground(a, a.path_m, h_m)
     blend(a)
@@ -163,11 +177,13 @@ def quarantine(params: Any, a: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any
     a.quarantine_h_m += a.height_m + nu_m
     slot = (a.quarantined - 1) & (KEPT - 1)
     a.kept_s_m[slot], a.kept_h_m[slot] = a.path_m, a.height_m + nu_m
-    # where steps have always stayed, two samples tell as much as else the last of several
-    need = min(params.step_samples, 2) if a.returned < STEPS_STAY else params.step_samples
+    # where steps have always stayed, and on a step's way up or down, two samples tell enough
+    goes_on = a.since_step_m < params.step_way_m and nu_m * a.step_m > 0.0
+    few = a.returned < STEPS_STAY or goes_on
+    need = min(params.step_samples, 2) if few else params.step_samples
     if a.quarantined < need:
         return 0
-    if a.quarantine_way_m >= params.step_way_m * a.returned:
+    if nu_m > 0.0 or goes_on or a.quarantine_way_m >= params.step_way_m * a.returned:
         return 1
     # a start with a bad sample is outvoted; where the tool stands, no way will ever tell
     outvoted = a.quarantined > a.samples
@@ -187,10 +203,10 @@ def believe_step(params: Any, a: Any) -> None:
     a.recent_m[1] += a.height_m - before
     for k in range(max(0, n - KEPT), n - 1):
         note_ground(a, a.kept_s_m[k & (KEPT - 1)], a.kept_h_m[k & (KEPT - 1)])
-    if a.quarantine_way_m >= params.step_way_m * a.returned:
-        # a step that is followed by another within a slot's width was a slot
-        a.returned = 0.5 if a.since_step_m < params.step_way_m else 0.5 * a.returned
+    if a.since_step_m < params.step_way_m and a.quarantine_m * a.step_m < 0.0:
+        a.returned = 0.5  # back within a slot's width: what was believed was a slot
     a.since_step_m = 0.0
+    a.step_m = a.quarantine_m / n
     a.quarantined = a.disagreed = 0
 
 
@@ -232,6 +248,8 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
     blend(a)
     nu = h_m - a.height_m
     gate = max(params.gate_scales * a.scale_m, params.gate_m)
+    if a.since_step_m < params.step_way_m <= a.since_step_m + way and a.step_m != 0.0:
+        a.returned = max(STAYED * a.returned, LEAST_RETURNED)
     a.since_step_m += way
     if is_doubtful(a, nu, gate) != 0:
         return 0

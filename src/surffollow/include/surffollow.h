@@ -74,7 +74,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 /* ---- layout: generated ------------------------------------------------------------ */
 
 #define SF_LAYOUT_VERSION 1u
-#define SF_LAYOUT_HASH UINT64_C(1814306285587116100)
+#define SF_LAYOUT_HASH UINT64_C(773176270059974763)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_INBOX_MAGIC UINT64_C(3549485532940752211)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
@@ -367,7 +367,7 @@ typedef struct sf_params {
   double score_floor_m; /* [m] adaptive: stand-off errors below this are as good as none */
   double gate_scales; /* adaptive: innovations beyond so many scales are quarantined */
   double gate_m; /* [m] adaptive: least innovation that is quarantined */
-  double step_way_m; /* [m] adaptive: way after which a quarantined step is believed */
+  double step_way_m; /* [m] adaptive: way after which a quarantined step down is believed */
   int64_t step_samples; /* adaptive: agreeing samples after which a quarantined step is believed */
   double tick_lead_s; /* [s] adaptive: mean time a demand waits for the controller */
   double plan_calm_s4; /* [s^4] adaptive: squared error worth a squared planned acceleration */

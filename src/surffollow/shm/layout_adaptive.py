@@ -5,7 +5,7 @@ from __future__ import annotations
 from surffollow.shm.schema import F64, I64, Schema
 
 BEAMS = 8
-CANDIDATES = 48  # most models in the bank
+CANDIDATES = 64  # most candidates, and models
 CELLS = 512  # of ground seen ahead, 1 mm each
 KEPT = 32  # quarantined samples that become ground when they are believed
 HORIZON = 40  # ticks planned ahead
@@ -69,6 +69,7 @@ class AdaptiveState(Schema):
     scored = I64(doc="samples that judged the models, up to what makes their judgement count fully")
     returned = F64(doc="how likely a quarantine ends without a step: 1 unknown or slots, to 0 steps")
     since_step_m = F64(unit="m", doc="way since the last believed step")
+    step_m = F64(unit="m", doc="height of the last believed step; 0: none")
     settle_ns = I64(unit="ns", doc="scores are frozen until this time")
     tick_ns = I64(unit="ns", doc="last controller tick assumed")
     arrival_ns = I64(unit="ns", doc="when the last pose report came")

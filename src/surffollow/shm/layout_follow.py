@@ -82,7 +82,7 @@ class Params(Schema):
     score_floor_m = F64(unit="m", doc="adaptive: stand-off errors below this are as good as none")
     gate_scales = F64(doc="adaptive: innovations beyond so many scales are quarantined")
     gate_m = F64(unit="m", doc="adaptive: least innovation that is quarantined")
-    step_way_m = F64(unit="m", doc="adaptive: way after which a quarantined step is believed")
+    step_way_m = F64(unit="m", doc="adaptive: way after which a quarantined step down is believed")
     step_samples = I64(doc="adaptive: agreeing samples after which a quarantined step is believed")
     tick_lead_s = F64(unit="s", doc="adaptive: mean time a demand waits for the controller")
     plan_calm_s4 = F64(unit="s^4", doc="adaptive: squared error worth a squared planned acceleration")
