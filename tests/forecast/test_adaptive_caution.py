@@ -10,7 +10,16 @@ import pytest
 from surffollow.contest.conditions import Conditions
 from surffollow.contest.trials import Job, excursion
 from surffollow.forecast.adaptive import CALM_S, SOFT, hold_calm
-from surffollow.forecast.adaptive_bank import BANK, LEAD_SHARE, MODEL, WAVE, C, N, look_ahead, look_ahead_variance
+from surffollow.forecast.adaptive_bank import (
+    BANK,
+    LEAD_SHARE,
+    MODEL,
+    WAVE,
+    C,
+    N,
+    look_ahead,
+    look_ahead_variance,
+)
 from surffollow.forecast.adaptive_judge import JUDGED, SHARP, weigh
 from surffollow.forecast.adaptive_motion import measure_motion
 from surffollow.forecast.pose import push_pose
@@ -157,13 +166,14 @@ def test_small_differences_count_sharply_in_noise_and_mildly_in_great_errors():
 
 def test_candidates_of_one_model_count_together_as_one_and_lead_by_their_share():
     assert sorted(set(MODEL)) == list(range(N))
-    assert len({(m, s) for m, s in zip(MODEL, LEAD_SHARE)}) == C
+    assert len(set(zip(MODEL, LEAD_SHARE))) == C
     a = judged(JUDGED, SHARP)
     weigh(default_params(), a)
     of_model = np.bincount(MODEL, a["weight"][:C])
     levels_and_slopes = of_model[BANK[:, 0] == 0]
     assert levels_and_slopes == pytest.approx(levels_and_slopes[0])
-    assert (LEAD_SHARE[:N] == 1.0).all() and set(LEAD_SHARE[N:]) == {0.0, 0.5}
+    assert (LEAD_SHARE[:N] == 1.0).all()
+    assert set(LEAD_SHARE[N:]) == {0.0, 0.5}
 
 
 @pytest.mark.parametrize("i", range(N))

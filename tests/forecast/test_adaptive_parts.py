@@ -94,7 +94,7 @@ def test_a_step_that_comes_in_pieces_is_no_slot():
         sign = 1.0 if k % 2 == 0 else -1.0
         heights[edge : edge + 10] += sign * 0.001 * np.arange(10)
         heights[edge + 10 :] += sign * 0.01
-    a, taken = feed(heights, way=0.1e-3)
+    a, _ = feed(heights, way=0.1e-3)
     assert a["returned"] < 0.1
     assert abs(a["height_m"] - heights[-1]) < 1e-3
 
