@@ -9,7 +9,7 @@ import pytest
 
 from surffollow.contest.conditions import Conditions
 from surffollow.contest.trials import Job, excursion
-from surffollow.forecast.adaptive import CALM_S, SOFT, hold_calm
+from surffollow.forecast.adaptive import CALM_S, SOFT, blend_set_points, hold_calm
 from surffollow.forecast.adaptive_bank import (
     BANK,
     LEAD_SHARE,
@@ -24,7 +24,7 @@ from surffollow.forecast.adaptive_judge import JUDGED, SHARP, weigh
 from surffollow.forecast.adaptive_motion import measure_motion
 from surffollow.forecast.pose import push_pose
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_adaptive import TICKS, AdaptiveState
 from surffollow.shm.layout_follow import FollowState
 
 from .test_adaptive_parts import MS, default_params, feed
@@ -174,6 +174,20 @@ def test_candidates_of_one_model_count_together_as_one_and_lead_by_their_share()
     assert levels_and_slopes == pytest.approx(levels_and_slopes[0])
     assert (LEAD_SHARE[:N] == 1.0).all()
     assert set(LEAD_SHARE[N:]) == {0.0, 0.5}
+
+
+def test_a_candidate_leads_by_its_share_of_the_slope():
+    a = judged(JUDGED, SHARP)
+    for i in range(N):
+        if BANK[i, 0] != WAVE:
+            a["state"][3 * i + 1] = 0.2
+    blend_set_points(default_params(), a, 0.0, 0.1, 1)
+    targets = a["target_m"].reshape(-1, TICKS)[:C, 0]
+    lead_m = 0.1 * 0.04  # speed times τ
+    slopes = BANK[MODEL, 2] > 0.0
+    rising = slopes & (BANK[MODEL, 0] != WAVE)
+    assert targets[rising] == pytest.approx(0.1 + 0.2 * lead_m * LEAD_SHARE[rising])
+    assert targets[~rising] == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("i", range(N))
