@@ -19,6 +19,7 @@ from surffollow.shm.layout_adaptive import TICKS
 
 STEP_NS = 2_000_000  # of the shadow axes
 MAX_STEPS = 32
+LEAST_TAU_S = 1e-3
 LOST_NS = 250_000_000  # beyond, the shadows are set to where they were going
 EFFORT_MEMORY = 0.02  # per tick
 EFFORT_MOST = 100.0  # (10 m/s²)²: a step's jump shall not count for ever
@@ -40,6 +41,14 @@ def axis_speed(distance_m: Any, tau_s: Any, a_max_mps2: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
+def put_shadows(a: Any, z_m: Any) -> None:
+    """Put every shadow axis to rest at a height."""
+    for i in range(C):
+        a.axis_z_m[i] = z_m
+        a.axis_v_mps[i] = 0.0
+
+
+@njit(cache=True, nogil=True)
 def advance_shadows(params: Any, a: Any, from_ns: Any, to_ns: Any) -> None:
     """Carry every shadow axis on with the set points of its candidate."""
     span = to_ns - from_ns
@@ -53,7 +62,7 @@ def advance_shadows(params: Any, a: Any, from_ns: Any, to_ns: Any) -> None:
         return
     steps = min(max((span + STEP_NS - 1) // STEP_NS, 1), MAX_STEPS)
     dt = span * 1e-9 / steps
-    tau, v_max, a_max = a.tau_s, params.plant_v_max_mps, params.plant_a_max_mps2
+    tau, v_max, a_max = max(a.tau_s, LEAST_TAU_S), params.plant_v_max_mps, params.plant_a_max_mps2
     dv = a_max * dt
     k = max(0, a.ticks - TICKS)
     for j in range(steps):
@@ -76,7 +85,8 @@ def advance_shadows(params: Any, a: Any, from_ns: Any, to_ns: Any) -> None:
 def score(params: Any, a: Any, way_m: Any, dt_s: Any, wanted_m: Any) -> None:
     """Score every shadow against where the tool should have been at the sample, and weigh anew."""
     rate = way_m / params.score_way_m + dt_s / params.score_time_s
-    first = 1.0 / (1.0 + a.samples)
+    # after a start anew it is the samples since then that count
+    first = 1.0 / (1.0 + (min(a.samples, a.scored) if a.scored < SHARP else a.samples))
     f = max(1.0 - math.exp(-rate), first)
     g = max(1.0 - math.exp(-rate / params.long_factor), first)
     for i in range(C):

@@ -23,7 +23,7 @@ from surffollow.forecast.adaptive_bank import (
     start_model,
     update_model,
 )
-from surffollow.forecast.adaptive_judge import advance_shadows, score, weigh
+from surffollow.forecast.adaptive_judge import advance_shadows, put_shadows, score, weigh
 from surffollow.forecast.adaptive_preview import LEADING_M, note_ground
 from surffollow.shm.layout_adaptive import KEPT
 from surffollow.shm.layout_follow import CONVERSION_WINDOW
@@ -43,7 +43,10 @@ STANDING_NS = 120_000_000  # samples that agree for so long are ground, travelle
 DISAGREE_GROWTH = 1.3
 EDGES = 2  # a slot has two: readings across them agree with nothing
 DOUBT = 0.5  # of the gate: beyond, one sample alone is not believed
+FIRST_DOUBT = 0.125  # the same for the second sample: the first may have been the bad one
+ALIKE = 0.25  # of the innovation: two as near to each other outvote the first sample
 SETTLE_NS = 150_000_000  # after a step all shadows are wrong alike
+FIRST_SETTLE_NS = 60_000_000  # after a start, until set points made of a few samples have had effect
 GAP_NS = 100_000_000  # after a longer gap no way is asked for: there was enough of it
 LONGEST_WAY_M = 0.5  # unseen ground of this length: what was known is of no use
 
@@ -101,7 +104,7 @@ def watch_noise(a: Any, h_m: Any) -> None:
         e = abs(h_m - 2.0 * a.recent_m[0] + a.recent_m[1])
         rate = min(max(MEDIAN_SAMPLES / max(a.scored, 1), MEDIAN_RATE), MEDIAN_FIRST_RATE)
         step = rate * max(a.median_m, 1e-5)
-        a.median_m += step if e > a.median_m else -step
+        a.median_m = max(a.median_m + (step if e > a.median_m else -step), 0.0)
         a.noise_m = MAD_TO_SIGMA * a.median_m
     a.recent_m[1] = a.recent_m[0]
     a.recent_m[0] = h_m
@@ -123,30 +126,29 @@ def blend(a: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any) -> None:
+def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any, adapt: Any) -> None:
     """Begin with level ground at the first height; scores from before a loss are kept."""
     fresh = a.returned == 0.0 and a.noise_m == 0.0
     for i in range(N):
         start_model(i, a.state, a.cov, h_m, FIRST_NOISE_M * FIRST_NOISE_M)
-    for i in range(C):
-        a.axis_z_m[i] = h_m + drop_m
-        a.axis_v_mps[i] = 0.0
-        if fresh:
+    put_shadows(a, h_m + drop_m)
+    if fresh:
+        for i in range(C):
             a.score_m2[i] = a.long_m2[i] = 1e-6
             a.effort[i] = 0.0
-    if fresh:
         a.scored = 0
         a.noise_m = FIRST_NOISE_M
         a.median_m = FIRST_NOISE_M / MAD_TO_SIGMA
         a.scale_m = 2.0 * FIRST_NOISE_M
         a.returned = 1.0
         a.late_s = 0.0
-    weigh(params, a)
     a.samples = 1
+    if fresh or adapt != 0:
+        weigh(params, a)
     a.quarantined = a.disagreed = 0
     a.doubted_m = 0.0
     a.sample_ns = a.accepted_ns = t_ns
-    a.settle_ns = t_ns if fresh else t_ns + SETTLE_NS
+    a.settle_ns = t_ns + (FIRST_SETTLE_NS if fresh else SETTLE_NS)
     a.since_step_m = a.step_m = 0.0
     a.path_m += LONGEST_WAY_M + min(way_m, LONGEST_WAY_M)  # nothing seen before is near
     note_ground(a, a.path_m, h_m)
@@ -154,7 +156,15 @@ def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any
 
 
 @njit(cache=True, nogil=True)
-def quarantine(params: Any, a: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any) -> Any:
+def start_again(params: Any, a: Any, t_ns: Any, h_m: Any, drop_m: Any, adapt: Any) -> None:
+    """Begin anew where the start was bad, and forget what was learned from it; what was known before stays."""
+    if a.scored <= a.samples:
+        a.returned = a.noise_m = 0.0
+    start_bank(params, a, t_ns, 0.0, h_m, drop_m, adapt)
+
+
+@njit(cache=True, nogil=True)
+def quarantine(params: Any, a: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any, adapt: Any) -> Any:
     """Hold back an outlying innovation; 1 when with it a step is believed.
 
     `a.quarantine_s_m` and `a.quarantine_h_m` sum way and height of the samples that agree.
@@ -165,7 +175,7 @@ def quarantine(params: Any, a: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any
     else:
         if a.quarantined > 0:
             a.disagreed += 1
-        if a.disagreed > EDGES:
+        if a.disagreed > EDGES and adapt != 0:
             # outliers that do not agree with each other: the ground is rougher than thought
             a.scale_m *= DISAGREE_GROWTH
         a.quarantined = 1
@@ -215,7 +225,8 @@ def is_doubtful(a: Any, nu_m: Any, gate_m: Any) -> Any:
     """1 for a lone innovation near the gate, on a slot's edge or a small glitch; a second is believed."""
     before = a.doubted_m
     a.doubted_m = 0.0
-    if not DOUBT * gate_m < abs(nu_m) <= gate_m or before * nu_m > 0.0:
+    least = DOUBT if a.samples > 1 else FIRST_DOUBT
+    if not least * gate_m < abs(nu_m) <= gate_m or before != 0.0:
         return 0
     a.doubted_m = nu_m
     return 1
@@ -236,7 +247,7 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
     """
     dt = (t_ns - a.sample_ns) * 1e-9
     if a.samples == 0 or way_m > LONGEST_WAY_M or t_ns - a.accepted_ns > params.loss_timeout_ns:
-        start_bank(params, a, t_ns, way_m, h_m, drop_m)
+        start_bank(params, a, t_ns, way_m, h_m, drop_m, adapt)
         return 1
     gap = t_ns - a.sample_ns > GAP_NS
     way = max(way_m, LEAST_SPEED_MPS * dt)
@@ -251,15 +262,17 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
     if a.since_step_m < params.step_way_m <= a.since_step_m + way and a.step_m != 0.0:
         a.returned = max(STAYED * a.returned, LEAST_RETURNED)
     a.since_step_m += way
+    doubted = a.doubted_m
     if is_doubtful(a, nu, gate) != 0:
         return 0
+    if a.samples == 1 and doubted != 0.0 and abs(nu - doubted) < ALIKE * abs(nu):
+        start_again(params, a, t_ns, h_m, drop_m, adapt)
+        return 1
     if abs(nu) > gate:
-        if quarantine(params, a, nu, way, gate, gap) == 0:
+        if quarantine(params, a, nu, way, gate, gap, adapt) == 0:
             return 0
         if a.quarantined > a.samples:
-            # the start was bad, and what was learned from it
-            a.returned = a.noise_m = 0.0
-            start_bank(params, a, t_ns, 0.0, a.quarantine_h_m / a.quarantined, drop_m)
+            start_again(params, a, t_ns, a.quarantine_h_m / a.quarantined, drop_m, adapt)
             return 1
         believe_step(params, a)
         nu = h_m - a.height_m
@@ -280,6 +293,8 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
     for i in range(N):
         update_model(i, a.state, a.cov, h_m, r)
     blend(a)
+    if a.scored == 0:
+        put_shadows(a, a.height_m + drop_m)
     a.samples += 1
     a.accepted_ns = t_ns
     note_ground(a, a.path_m, h_m)
