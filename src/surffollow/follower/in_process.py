@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from surffollow.config.params import check_param, param_name
 from surffollow.errors import ConfigError, PoseError, UsageError
 from surffollow.follower.setup import Config, check_window, read_setup
-from surffollow.forecast.adaptive_bank import N
+from surffollow.forecast.adaptive_bank import C
 from surffollow.forecast.adaptive_memory import new_memory, recall_ahead, remember_output
 from surffollow.forecast.horizon import forecast_range
 from surffollow.forecast.pose import MOST_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
@@ -208,7 +208,10 @@ class Follower:
         return float(forecast_range(self._params, self._state, float(horizon_s)))
 
     def state(self) -> dict[str, Any]:
-        """What the follower knows: estimates, health, adapted parameters; plain Python values."""
+        """What the follower knows: estimates, health, adapted parameters; plain Python values.
+
+        `weights` are the shares of all candidates in the blend (`adaptive_bank`); their sum is 1.
+        """
         o = self._output[0]
         bits = int(o["status"])
         out: dict[str, Any] = {
@@ -229,7 +232,7 @@ class Follower:
             told += ("permitted_variance_m", "interval_size_m", "range_size", "beams")
             out.update({n: o[n].item() for n in told})
             out["preview_share"] = float(a["preview_share"])
-            out["weights"] = a["weight"][:N].tolist()
+            out["weights"] = a["weight"][:C].tolist()
             if a["planes"] > 0:
                 out["normal"] = o["normal"].tolist()
         out["demand"] = self._demand.tolist()
