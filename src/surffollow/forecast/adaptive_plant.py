@@ -126,7 +126,8 @@ def learn_plant(params: Any, a: Any, sense: Any, adapt: Any) -> None:
     t, z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
     if t == a.plant_ns:
         return
-    if a.ticks == 0 or a.set_ns == 0 or t <= a.plant_ns or t - a.plant_ns > LOST_NS:
+    gap = t <= a.plant_ns or t - a.plant_ns > LOST_NS
+    if a.ticks == 0 or a.set_ns == 0 or gap or a.tau_assumed_s != params.plant_tau_s:
         start_plants(params, a, t, z)
         return
     advance_plants(params, a, t)
