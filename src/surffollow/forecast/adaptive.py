@@ -39,6 +39,7 @@ from surffollow.shm.layout_adaptive import (
     FAULT_LOST,
     FAULT_NOT_FINITE,
     FAULT_STUCK,
+    HORIZON,
     OUT_OF_RANGE,
     STUCK,
     TICKS,
@@ -162,7 +163,8 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
     if a.samples == 0 or a.now_ns - a.accepted_ns > params.loss_timeout_ns:
         if a.samples > 0:
             a.faults |= FAULT_LOST
-        a.set_ns = 0
+        a.set_ns = a.seen_known = 0
+        a.preview_share = 0.0
         return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
     drop = tool_above(params, a, sense, plane, pose)
     ahead = way_ahead(params, a, pose, pose_t_ns)
@@ -224,12 +226,14 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
 def forget_all(a: Any) -> None:
     """Begin as if nothing had been seen: what is believed is not finite."""
     a.faults |= FAULT_NOT_FINITE
-    a.samples = a.quarantined = a.set_ns = a.turn_ns = 0
+    a.samples = a.quarantined = a.set_ns = a.turn_ns = a.seen_known = 0
     a.noise_m = a.returned = 0.0  # scores, noise and scale begin anew with the next sample
     a.height_m = a.slope = a.sigma_m = a.scale_m = a.gain = a.path_m = a.sample_way_m = a.lead_m = 0.0
     a.calm_m = a.wanted_m = a.wanted_mps = a.plan_set_m = 0.0
     a.preview_share = a.preview_bias_m = a.preview_off_m = a.error_m2 = a.plain_m2 = 0.0
     a.scout_lead_m = a.scout_bias_m = a.older_s = a.older_sigma_s = a.tau_s = 0.0
+    for k in range(HORIZON):
+        a.plan_u[k] = a.plan_y[k] = 0.0
     forget_rest(a)
 
 
@@ -238,7 +242,8 @@ def forget_surface(a: Any) -> None:
     """SFReset: start anew with the next sample; noise, scores and what steps do here are kept."""
     a.samples = 0
     a.quarantined = 0
-    a.set_ns = 0
+    a.set_ns = a.seen_known = 0
+    a.preview_share = 0.0  # its plan was made over other ground
     a.faults = 0
 
 
