@@ -20,7 +20,7 @@ from surffollow.forecast.adaptive_take import is_news, take_sample
 from surffollow.forecast.adaptive_trend import take_range
 from surffollow.forecast.pose import footprint, rotate
 from surffollow.forecast.safety import watch_fold_back
-from surffollow.shm.layout_adaptive import FAULT_CLOCK
+from surffollow.shm.layout_adaptive import BEAMS, FAULT_CLOCK
 from surffollow.shm.layout_follow import POSES, RUN_FREEZE
 
 CLOCK_BACK_NS = 1_000_000_000  # a clock that jumps back farther than late samples may is followed
@@ -31,14 +31,30 @@ KNOWN_DIRECTION_MPS = 0.005  # slower, the direction of travel is not known well
 
 
 @njit(cache=True, nogil=True)
+def forget_stamps(a: Any) -> None:
+    """Forget whatever is stamped by a clock that is no more: its times may lie ahead for long.
+
+    Stamps that are compared for being the same, or that a restart sets, need no care.
+    """
+    a.held_ns = a.sample_ns = a.accepted_ns = a.trend_ns = 0
+    a.set_ns = a.turn_ns = a.tick_ns = a.calm_ns = a.wanted_ns = 0
+    a.ticks = a.tick_open = 0  # set points of future ticks would never be taken
+    a.plant_ns = a.distrust_ns = a.arrival_ns = 0
+    a.scouted_ns = a.beams_ns = a.plane_ns = 0
+    a.scout_lead_m = 0.0
+    for c in range(BEAMS):
+        a.scout_ns[c] = a.beam_ns[c] = a.beam_changed_ns[c] = 0
+
+
+@njit(cache=True, nogil=True)
 def watch_clock(a: Any, t_ns: Any, pose_t_ns: Any) -> None:
     """The latest time heard of is now; late samples do not turn it back, a new clock does."""
     t = max(t_ns, pose_t_ns)
     if t < a.now_ns - CLOCK_BACK_NS:
         a.faults |= FAULT_CLOCK
         a.samples = 0
-        a.held_ns = a.set_ns = a.tick_ns = 0
-        a.now_ns = t
+        forget_stamps(a)
+        a.now_ns = a.health_ns = t
     a.now_ns = max(a.now_ns, t)
 
 
