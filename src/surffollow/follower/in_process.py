@@ -118,10 +118,17 @@ class Follower:
         check_window(float(trial["range_min_m"][0]), float(trial["range_max_m"][0]))
         self._params[:] = trial
 
-    def reset(self, offset_m: float | None = None) -> None:
-        """Forget the surface (SFReset), with a new desired stand-off [m] if given; poses stay."""
+    def reset(self, offset_m: float | None = None, *, keep_memory: bool = False) -> None:
+        """Forget the surface, with a new desired stand-off [m] if given; poses stay.
+
+        Ground remembered from earlier passes is forgotten too. With `keep_memory` it stays, as the
+        service's map does in a SFReset: for another stand-off over a part that was not moved.
+        """
         if offset_m is not None:
             self._set("offset_m", offset_m)
+        if self._memory is not None and not keep_memory:
+            self._memory[:] = np.zeros((), self._memory.dtype)
+            self._n_preview[0] = self._recalled_ns = 0
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
 
     def pose(self, t_ns: int, pose: Sequence[float] | NDArray[Any]) -> bool:
