@@ -48,6 +48,8 @@ from surffollow.shm.layout_follow import (
     LIMITED,
     NO_SENSOR,
     POSES,
+    RUN_DRYRUN,
+    RUN_FREEZE,
     RUN_NORMAL,
     SENSOR_LOST,
     TOO_CLOSE,
@@ -130,6 +132,18 @@ def hold_calm(params: Any, a: Any, wanted_m: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
+def restart_untaken(params: Any, a: Any) -> None:
+    """After a DRYRUN let the set points begin at the tool.
+
+    In DRYRUN they go on, for they are shown; that they were not taken is kept as the sign of their stamps.
+    """
+    if params.run == RUN_DRYRUN:
+        a.set_ns, a.turn_ns = abs(a.set_ns), abs(a.turn_ns)
+    else:
+        a.set_ns, a.turn_ns = max(a.set_ns, 0), max(a.turn_ns, 0)
+
+
+@njit(cache=True, nogil=True)
 def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any) -> Any:
     """Demand of the adaptive mode into `output`; returns status bits.
 
@@ -166,6 +180,7 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
         a.set_ns = a.seen_known = 0
         a.preview_share = 0.0
         return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
+    restart_untaken(params, a)
     drop = tool_above(params, a, sense, plane, pose)
     ahead = way_ahead(params, a, pose, pose_t_ns)
     note_arrival(a, sense.pose_count, a.now_ns)
@@ -216,7 +231,11 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
     elif plane != 0 and a.planes > 0:
         demand_turn(params, a, sense, output)
     if a.tick_ns == a.now_ns or a.tick_open != 0:
-        a.own_m[(a.ticks - 1) & (TICKS - 1)] = tool_z + cut
+        a.own_m[(a.ticks - 1) & (TICKS - 1)] = tool_z + (cut if params.run == RUN_NORMAL else 0.0)
+    if params.run == RUN_DRYRUN:
+        a.set_ns, a.turn_ns = -a.set_ns, -a.turn_ns
+    elif params.run == RUN_FREEZE:
+        a.set_ns = 0  # nobody moves: afterwards it starts at the tool
     output.delta_h_m = a.slope * max(ahead, 0.0)
     output.error_m = params.offset_m - a.held_m
     return status

@@ -21,7 +21,7 @@ from surffollow.forecast.adaptive_trend import take_range
 from surffollow.forecast.pose import footprint, rotate
 from surffollow.forecast.safety import watch_fold_back
 from surffollow.shm.layout_adaptive import BEAMS, FAULT_CLOCK
-from surffollow.shm.layout_follow import POSES, RUN_FREEZE
+from surffollow.shm.layout_follow import POSES, RUN_FREEZE, RUN_NORMAL
 
 CLOCK_BACK_NS = 1_000_000_000  # a clock that jumps back farther than late samples may is followed
 LATE_RATE = 0.05
@@ -130,7 +130,7 @@ def take_news(params: Any, state: Any, inputs: Any, output: Any, plane: Any, pos
         return
     if adapt != 0 or a.permitted_m == 0.0:
         adapt_band(params, a)
-    if abs(a.lead_m) < LEADING_M:
+    if abs(a.lead_m) < LEADING_M and params.run == RUN_NORMAL:
         watch_error(a, tool_z - drop - z)
     if inputs.n_preview > 0 and a.speed_mps >= KNOWN_DIRECTION_MPS:
         beside = (x - pose[0]) * a.speed_x_mps + (y - pose[1]) * a.speed_y_mps

@@ -1,0 +1,150 @@
+"""What goes wrong around the default follower: clocks, runs nobody obeys, slow callers, dead and stuck sensors."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from surffollow.follower import Follower
+
+MS = 1_000_000
+NAN = float("nan")
+
+
+class Bench:
+    """A follower over ground at 0, its tool held wherever a test puts it."""
+
+    def __init__(self, sigma_m: float = 2e-5, **config: object) -> None:
+        self.f = Follower({"memory": False, **config}, offset_m=0.1)
+        self.a = self.f._state["adaptive"][0]
+        self.rng = np.random.default_rng(1)
+        self.t_ns, self.x_m, self.sigma_m = 10**10, 0.0, sigma_m
+
+    def go(self, count: int, z_m: float, period_ns: int = MS, speed_mps: float = 0.0, every: int = 1):
+        """Step `count` times, with a reading in each `every`th (0: none); the vertical demands [m]."""
+        demands = []
+        for k in range(count):
+            self.t_ns += period_ns
+            self.x_m += speed_mps * period_ns * 1e-9
+            self.f.pose(self.t_ns, (self.x_m, 0.0, z_m, 0.0, 0.0, 0.0, 1.0))
+            r = z_m + self.sigma_m * self.rng.standard_normal() if every and k % every == 0 else NAN
+            demands.append(float(self.f.step(self.t_ns, [r])[2]))
+        return np.array(demands)
+
+
+@pytest.mark.parametrize("back_s", [2, 10, 36_000])
+def test_a_clock_that_is_turned_back_blinds_nobody(back_s):
+    b = Bench()
+    b.t_ns = 10**14
+    b.go(500, 0.1, speed_mps=0.1)
+    b.t_ns -= back_s * 10**9
+    b.go(10, 0.1, speed_mps=0.1)
+    demands = b.go(140, 0.102, speed_mps=0.1)
+    state = b.f.state()
+    assert "CLOCK" in state["faults"]
+    assert "VALID" in state["status"]
+    assert state["health"] == "OK"
+    assert demands[-1] == pytest.approx(-2e-3, abs=2e-4)
+
+
+def test_a_clock_turned_back_blinds_no_plane_either():
+    ring = [{"position_m": [0.03 * math.cos(k), 0.03 * math.sin(k), 0.0]} for k in (0.0, 2.1, 4.2)]
+    b = Bench(sensors=ring)
+    for back in (0, 1):
+        b.t_ns -= back * 10 * 10**9
+        for _ in range(200):
+            b.t_ns += 4 * MS
+            b.f.pose(b.t_ns, (0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+            b.f.step(b.t_ns, 0.1 + 2e-5 * b.rng.standard_normal(3))
+        assert b.f.state()["health"] == "OK"
+        assert b.f.state()["beams"] == 7
+
+
+@pytest.mark.parametrize("run", ["freeze", "dryrun"])
+def test_after_a_run_that_nobody_obeyed_the_set_point_starts_at_the_tool(run):
+    b = Bench()
+    b.go(500, 0.1)
+    b.f.set_params(run=run)
+    shown = b.go(1000, 0.13)
+    assert shown[-1] == pytest.approx(0.0 if run == "freeze" else -0.03, abs=1e-4)
+    b.f.set_params(run="normal")
+    demands = b.go(60, 0.13)
+    # what 4 m/s, 800 m/s² and 4e5 m/s³ allow, half of the first two toward the surface
+    assert -0.5e-3 < demands[0] < 0.0
+    assert np.abs(np.diff(demands)).max() <= 2.0 * 1e-3 + 1e-9
+    assert demands[-1] == pytest.approx(-0.03, abs=1e-4)
+
+
+def test_a_dry_run_of_four_sensors_leaves_no_turn_behind():
+    ring = [{"position_m": [0.03 * math.cos(k), 0.03 * math.sin(k), 0.0]} for k in (0.0, 2.1, 4.2)]
+    b, turns = Bench(sensors=ring), []
+    for k in range(600):
+        if k in (100, 500):
+            b.f.set_params(run="dryrun" if k == 100 else "normal")
+        slope = 0.1 if k >= 100 else 0.0
+        b.t_ns += 4 * MS
+        b.f.pose(b.t_ns, (0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+        ranges = [0.1 - slope * m["position_m"][0] + 2e-5 * b.rng.standard_normal() for m in ring]
+        turns.append(float(np.linalg.norm(b.f.step(b.t_ns, ranges)[3:])))
+    assert turns[499] == pytest.approx(math.atan(0.1), abs=5e-3), "shown"
+    assert turns[500] < 1e-3, "begins at the tool"
+
+
+def test_another_assumed_time_constant_counts_at_once():
+    b = Bench()
+    b.go(300, 0.1, speed_mps=0.1)
+    b.f.set_params(plant_tau_s=0.2, adapt=0)
+    b.go(20, 0.1, speed_mps=0.1)
+    assert b.f.state()["tau_s"] == 0.2
+
+
+def test_the_weights_told_are_those_of_all_candidates():
+    b = Bench()
+    b.go(300, 0.1, speed_mps=0.1)
+    assert sum(b.f.state()["weights"]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("rate_hz", [5, 10, 15, 25])
+def test_a_slow_sensor_is_healthy_until_it_stops(rate_hz):
+    b, every = Bench(), 1000 // rate_hz
+    b.go(20 * every, 0.1, every=every)
+    for k in range(20 * every):
+        b.go(1, 0.1, every=1 if k % every == 0 else 0)
+        assert b.f.state()["health"] == "OK"
+    b.go(1100, 0.1, every=0)
+    assert b.f.state()["health"] == "DROPOUT"
+
+
+def remembering(passes: int = 1) -> Bench:
+    """A bench whose follower has seen 0.2 m of ground and stands at its begin."""
+    b = Bench(memory=True)
+    for _ in range(passes):
+        b.x_m = 0.0
+        b.go(2000, 0.1, speed_mps=0.1)
+        b.t_ns += 2 * 10**9
+    b.x_m = 0.0
+    return b
+
+
+def test_a_reset_forgets_remembered_ground_unless_it_is_to_be_kept():
+    for keep, most, least in ((False, 0.0, 0.0), (True, 1.0, 0.9)):
+        b = remembering()
+        b.f.reset(keep_memory=keep)
+        b.go(1000, 0.1, speed_mps=0.1)
+        assert least <= b.f.state()["preview_share"] <= most
+
+
+def test_a_plan_over_lost_ground_leaves_no_share_behind():
+    b = remembering()
+    b.go(1000, 0.1, speed_mps=0.1)
+    assert b.f.state()["preview_share"] > 0.9
+    b.f.reset(keep_memory=True)
+    b.go(1, 0.1, speed_mps=0.1)
+    assert b.f.state()["preview_share"] <= 0.2
+    b.go(500, 0.1, speed_mps=0.1)
+    b.t_ns += 3 * 10**9
+    b.go(1, 0.1, every=0)
+    assert "SENSOR_LOST" in b.f.state()["status"]
+    assert b.f.state()["preview_share"] == 0.0
