@@ -1,4 +1,4 @@
-"""What goes wrong around the default follower: clocks, runs nobody obeys, slow callers, dead and stuck sensors."""
+"""What goes wrong around the default follower: clocks, runs nobody obeys, slow callers, stuck sensors."""
 
 from __future__ import annotations
 
@@ -148,3 +148,27 @@ def test_a_plan_over_lost_ground_leaves_no_share_behind():
     b.go(1, 0.1, every=0)
     assert "SENSOR_LOST" in b.f.state()["status"]
     assert b.f.state()["preview_share"] == 0.0
+
+
+@pytest.mark.parametrize("rate_hz", [1, 2, 5, 9])
+def test_a_slow_caller_is_followed_within_the_limits_of_the_elapsed_time(rate_hz):
+    dt_s = 1.0 / rate_hz
+    b = Bench(max_speed_mps=0.02, max_accel_mps2=0.1)
+    z, zs = 0.12, []
+    for _ in range(20 + 3 * rate_hz):
+        for k in range(5):  # poses come more often
+            b.f.pose(b.t_ns + round((k + 1) * dt_s * 2e8), (0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0))
+        b.t_ns += round(dt_s * 1e9)
+        z += float(b.f.step(b.t_ns, [z + 2e-5 * b.rng.standard_normal()])[2])
+        zs.append(z)
+    assert abs(z - 0.1) < 1e-4
+    assert np.diff(zs).min() >= -0.01 * dt_s - 1e-9, "half of max_speed toward the surface"
+
+
+def test_after_a_pause_the_set_point_starts_at_the_tool():
+    for period_ns, pause_ns in ((MS, 110 * MS), (200 * MS, 900 * MS)):
+        b = Bench()
+        b.go(60, 0.1, period_ns=period_ns)
+        b.t_ns += pause_ns
+        demand = b.go(1, 0.13, period_ns=MS)[0]
+        assert -0.5e-3 < demand < 0.0

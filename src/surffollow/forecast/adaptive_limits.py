@@ -12,9 +12,13 @@ from typing import Any
 
 from numba import njit
 
-PAUSE_NS = 100_000_000  # a set point not renewed for so long starts anew at the tool
-FIRST_NS = 1_000_000  # the cycle assumed before the first
-LONGEST_S = 0.02  # a cycle that took longer moves the set point no farther
+PAUSE_S = 0.1  # a set point not renewed for so long starts anew at the tool …
+PAUSE_CYCLES = 3.0  # … unless the caller is as slow as that: then for so many of its intervals
+SLOWEST_S = 1.5  # of callers whose interval is learned
+FIRST_CYCLE_S = 0.05  # a first long interval counts as this, and later ones at most double it
+CYCLE_RATE = 0.2
+FIRST_S = 0.001  # the cycle assumed before the first
+LONGEST_S = 0.02  # a cycle that took longer moves the set point no farther, unless all are long
 ROUNDS = 8  # of bisection: 1/256 of what the jerk allows in a cycle
 
 
@@ -80,6 +84,40 @@ def next_accel(e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, v_max: Any, a_max: 
 
 
 @njit(cache=True, nogil=True)
+def pause_s(a: Any) -> Any:
+    """For how long a set point must not have been renewed to start anew at the tool [s]."""
+    return max(PAUSE_S, PAUSE_CYCLES * a.cycle_s)
+
+
+@njit(cache=True, nogil=True)
+def learn_cycle(a: Any, dt_s: Any) -> None:
+    """Take an interval between calls: one pause tells little, intervals that stay long are the caller's."""
+    if dt_s > a.cycle_s:
+        a.cycle_s = min(dt_s, max(2.0 * a.cycle_s, FIRST_CYCLE_S), SLOWEST_S)
+    else:
+        a.cycle_s += CYCLE_RATE * (dt_s - a.cycle_s)
+
+
+@njit(cache=True, nogil=True)
+def advance_set_point(params: Any, a: Any, wanted_m: Any, dt_s: Any) -> None:
+    """Move the set point for a time at one acceleration."""
+    e = wanted_m - a.set_point_m
+    up, gentle = (1.0, 1.0) if e >= 0.0 else (-1.0, params.toward_factor)
+    accel = up * next_accel(
+        up * e,
+        up * a.set_speed_mps,
+        up * a.set_accel_mps2,
+        dt_s,
+        gentle * params.max_speed_mps,
+        gentle * params.max_accel_mps2,
+        params.max_jerk_mps3,
+    )
+    a.set_accel_mps2 = accel
+    a.set_speed_mps += accel * dt_s
+    a.set_point_m += a.set_speed_mps * dt_s
+
+
+@njit(cache=True, nogil=True)
 def move_set_point(params: Any, a: Any, now_ns: Any, wanted_m: Any, tool_z_m: Any) -> None:
     """Lead `a.set_point_m` toward where it is wanted; after a pause it starts anew at the tool.
 
@@ -89,24 +127,22 @@ def move_set_point(params: Any, a: Any, now_ns: Any, wanted_m: Any, tool_z_m: An
     now_ns : int64
     wanted_m, tool_z_m : float64
     """
-    if a.set_ns == 0 or now_ns - a.set_ns > PAUSE_NS:
-        a.set_point_m, a.set_speed_mps, a.set_accel_mps2 = tool_z_m, 0.0, 0.0
-        a.set_ns = now_ns - FIRST_NS
-    dt = min((now_ns - a.set_ns) * 1e-9, LONGEST_S)
-    if dt <= 0.0:
-        return
-    e = wanted_m - a.set_point_m
-    up, gentle = (1.0, 1.0) if e >= 0.0 else (-1.0, params.toward_factor)
-    accel = up * next_accel(
-        up * e,
-        up * a.set_speed_mps,
-        up * a.set_accel_mps2,
-        dt,
-        gentle * params.max_speed_mps,
-        gentle * params.max_accel_mps2,
-        params.max_jerk_mps3,
-    )
-    a.set_accel_mps2 = accel
-    a.set_speed_mps += accel * dt
-    a.set_point_m += a.set_speed_mps * dt
+    if a.set_ns == 0:
+        dt = FIRST_S
+    else:
+        dt = (now_ns - a.set_ns) * 1e-9
+        if dt <= 0.0:
+            return
+    pause = a.set_ns == 0 or dt > pause_s(a)
+    if a.set_ns != 0:
+        learn_cycle(a, dt)
     a.set_ns = now_ns
+    if pause:
+        a.set_point_m, a.set_speed_mps, a.set_accel_mps2 = tool_z_m, 0.0, 0.0
+        dt = FIRST_S
+    if dt <= PAUSE_S:
+        advance_set_point(params, a, wanted_m, min(dt, LONGEST_S))
+        return
+    steps = math.ceil(dt / LONGEST_S)
+    for _ in range(steps):
+        advance_set_point(params, a, wanted_m, dt / steps)

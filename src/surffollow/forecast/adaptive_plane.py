@@ -13,6 +13,7 @@ from typing import Any
 
 from numba import njit
 
+from surffollow.forecast.adaptive_limits import pause_s
 from surffollow.forecast.adaptive_motion import pose_when
 from surffollow.forecast.adaptive_plane_fit import (
     carry_slopes,
@@ -25,7 +26,6 @@ from surffollow.forecast.pose import footprint, rotate
 from surffollow.shm.layout_follow import CHANNELS, POSES, RUN_FREEZE
 
 PACE_NS = 12_000_000  # a beam this much older than the newest no longer sets the pace
-PAUSE_NS = 100_000_000  # a set point not renewed for so long starts anew at the tool
 FIRST_NS = 100_000_000  # so long one or two beams wait for a third at the start
 FORESEE_S = 0.2  # slopes are carried on by their rates no farther
 
@@ -155,7 +155,7 @@ def demand_turn(params: Any, a: Any, sense: Any, output: Any) -> None:
         a.turn_ns = 0  # afterwards it starts at the tool
         return
     since = a.now_ns - a.turn_ns
-    if a.turn_ns == 0 or since < 0 or since > PAUSE_NS:
+    if a.turn_ns == 0 or since < 0 or since * 1e-9 > pause_s(a):
         a.turn_axis[0], a.turn_axis[1], a.turn_axis[2] = tx, ty, tz
         for k in range(3):
             a.turn_speed_radps[k] = 0.0
