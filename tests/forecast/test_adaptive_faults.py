@@ -7,7 +7,12 @@ import math
 import numpy as np
 import pytest
 
+from surffollow.config.params import PARAMS
 from surffollow.follower import Follower
+from surffollow.forecast.adaptive_limits import move_set_point
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_follow import Params
 
 MS = 1_000_000
 NAN = float("nan")
@@ -172,3 +177,21 @@ def test_after_a_pause_the_set_point_starts_at_the_tool():
         b.t_ns += pause_ns
         demand = b.go(1, 0.13, period_ns=MS)[0]
         assert -0.5e-3 < demand < 0.0
+
+
+@pytest.mark.parametrize("intervals_ms", [(1, 20), (2, 4), (0.05, 3, 30), (0.1, 20)])
+def test_a_set_point_in_irregular_cycles_does_not_overshoot(intervals_ms):
+    params, a, rng = zeros(Params), zeros(AdaptiveState)[0], np.random.default_rng(0)
+    for name, spec in PARAMS.items():
+        params[name] = spec.default
+    t, z, over = 10**10, 0.0, []
+    for _ in range(100):
+        to = z + float(rng.choice([-0.02, -5e-3, -5e-4, 5e-4, 5e-3, 0.02]))
+        most = 0.0
+        for _ in range(60):
+            t += int(rng.choice(intervals_ms) * MS)
+            move_set_point(params[0], a, t, to, z)
+            most = max(most, (a["set_point_m"] - to) * np.sign(to - z))
+        z = to
+        over.append(most)
+    assert max(over[2:]) < 0.15e-3

@@ -1,7 +1,8 @@
-"""Lead the set point within limits of speed, acceleration and jerk, without ever overshooting for them.
+"""Lead the set point within limits of speed, acceleration and jerk, without overshooting for them.
 
 Each cycle takes the greatest acceleration from which the set point can still be brought to rest at the
-wanted height; when it can land on that height in this cycle and stop in the next, it does. Toward the
+wanted height; when it can land on that height in this cycle and stop in the next, were that as short as
+the shortest lately, it does; only a cycle shorter than any lately can make it overshoot. Toward the
 surface speed and acceleration are `toward_factor` of those away from it.
 """
 
@@ -17,6 +18,8 @@ PAUSE_CYCLES = 3.0  # … unless the caller is as slow as that: then for so many
 SLOWEST_S = 1.5  # of callers whose interval is learned
 FIRST_CYCLE_S = 0.05  # a first long interval counts as this, and later ones at most double it
 CYCLE_RATE = 0.2
+LEAST_RATE = 0.002  # at which the shortest interval is forgotten
+LEAST_S = 5e-4  # shorter ones are not reckoned with: what they overshoot is little
 FIRST_S = 0.001  # the cycle assumed before the first
 LONGEST_S = 0.02  # a cycle that took longer moves the set point no farther, unless all are long
 ROUNDS = 8  # of bisection: 1/256 of what the jerk allows in a cycle
@@ -49,25 +52,28 @@ def can_stop(e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, v_max: Any, a_max: An
 
 
 @njit(cache=True, nogil=True)
-def next_accel(e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, v_max: Any, a_max: Any, jerk: Any) -> Any:
+def next_accel(
+    e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, next_s: Any, v_max: Any, a_max: Any, jerk: Any
+) -> Any:
     """Acceleration of the next cycle toward a set point `e_m` ≥ 0 ahead [m/s²].
 
     Parameters
     ----------
     e_m, v_mps, a_mps2 : float64   way to go, speed and acceleration now, positive toward it
     dt_s : float64                 length of the cycle
+    next_s : float64               shortest that the next one may be
     v_max, a_max, jerk : float64   limits [m/s, m/s², m/s³]
     """
     change = jerk * dt_s
     low = min(max(a_mps2 - change, -a_max), a_mps2 + change)
     high = max(min(a_mps2 + change, a_max), a_mps2 - change)
     speed = e_m / dt_s
-    land, brake = (speed - v_mps) / dt_s, -speed / dt_s
+    land, brake = (speed - v_mps) / dt_s, -speed / next_s
     if (
         low <= land <= high
         and speed <= v_max
-        and abs(brake) <= min(a_max, change)
-        and abs(brake - land) <= change
+        and abs(brake) <= min(a_max, jerk * next_s)
+        and abs(brake - land) <= jerk * next_s
     ):
         return land
     if can_stop(e_m, v_mps, high, dt_s, v_max, a_max, jerk):
@@ -96,6 +102,10 @@ def learn_cycle(a: Any, dt_s: Any) -> None:
         a.cycle_s = min(dt_s, max(2.0 * a.cycle_s, FIRST_CYCLE_S), SLOWEST_S)
     else:
         a.cycle_s += CYCLE_RATE * (dt_s - a.cycle_s)
+    if a.cycle_least_s == 0.0 or dt_s < a.cycle_least_s:
+        a.cycle_least_s = dt_s
+    else:
+        a.cycle_least_s += LEAST_RATE * (dt_s - a.cycle_least_s)
 
 
 @njit(cache=True, nogil=True)
@@ -108,6 +118,7 @@ def advance_set_point(params: Any, a: Any, wanted_m: Any, dt_s: Any) -> None:
         up * a.set_speed_mps,
         up * a.set_accel_mps2,
         dt_s,
+        dt_s if a.cycle_least_s == 0.0 else min(dt_s, max(a.cycle_least_s, LEAST_S)),
         gentle * params.max_speed_mps,
         gentle * params.max_accel_mps2,
         params.max_jerk_mps3,

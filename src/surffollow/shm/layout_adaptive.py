@@ -107,6 +107,7 @@ class AdaptiveState(Schema):
     set_accel_mps2 = F64(unit="m/s^2", doc="and the rate of that")
     set_ns = I64(unit="ns", doc="when it was made; 0: never; negative: shown only (DRYRUN)")
     cycle_s = F64(unit="s", doc="usual interval at which it is made, rather too long; 0: not known")
+    cycle_least_s = F64(unit="s", doc="shortest interval lately; 0: not known")
     own_m = F64(TICKS, unit="m", doc="ring of own set points")
     plant_z_m = F64(PLANTS, unit="m", doc="axes of different τ that follow them")
     plant_v_mps = F64(PLANTS, unit="m/s")
