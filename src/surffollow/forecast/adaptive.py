@@ -61,6 +61,7 @@ RATE_STEP_S = 0.005  # over which the rate of the blended set point is taken
 CALM_S = 0.01  # in which an excess as large as SOFT bands is halved
 SOFT = 2.5
 CALM_GAP_S = 0.1  # after a longer pause the set point begins where it is wanted
+SURE_SAMPLES = 25  # fewer, and then none: not enough to go down for
 LEAST_WEIGHT = 1e-3  # candidates with less have no say in that rate
 
 
@@ -75,13 +76,20 @@ def way_ahead(params: Any, a: Any, pose: Any, pose_t_ns: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
+def lost_for_s(a: Any) -> Any:
+    """Time beyond the usual delay and a lone lost sample since ground was last seen [s]; ≤ 0: not lost."""
+    return (a.now_ns - a.accepted_ns) * 1e-9 - a.late_s - GRACE_S
+
+
+@njit(cache=True, nogil=True)
 def blend_set_points(params: Any, a: Any, ahead_m: Any, drop_m: Any, tick: Any) -> Any:
     """Blend the candidates' set points; on a tick remember each.
 
     The assumed axis lags by τ, so its set point is the height plus τ times the height's rate of change.
-    In a drop-out the way ahead is drawn in: slopes are trusted over `dropout_way_m`, no farther.
+    In a drop-out the way ahead is drawn in: slopes are trusted over `dropout_way_m`, no farther. A step
+    toward the surface believed just before is taken back: it may have been bad readings.
     """
-    lost_s = (a.now_ns - a.accepted_ns) * 1e-9 - a.late_s - GRACE_S
+    lost_s = lost_for_s(a)
     lead = a.speed_mps * a.tau_s
     if lost_s > 0.0:
         lost_m = min(a.speed_mps * lost_s, ahead_m)
@@ -100,6 +108,8 @@ def blend_set_points(params: Any, a: Any, ahead_m: Any, drop_m: Any, tick: Any) 
             )
         if tick:
             a.target_m[i * TICKS + slot] = t
+    if lost_s > 0.0 and a.step_m < 0.0 and a.since_step_m < params.step_way_m:
+        z -= a.step_m
     if tick:
         note_targets(a, a.now_ns)
     a.wanted_m, a.wanted_mps, a.wanted_ns = z, later / RATE_STEP_S, a.now_ns
@@ -211,7 +221,7 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
         wanted = a.plan_g_m[0] + rise * (a.tau_s + params.tick_lead_s) + drop
     wanted = hold_calm(params, a, wanted)
     wanted += a.preview_share * (a.plan_set_m - wanted)
-    if a.samples < START_SAMPLES:
+    if a.samples < START_SAMPLES or (a.samples < SURE_SAMPLES and lost_for_s(a) > 0.0):
         wanted = max(wanted, tool_z)  # toward the surface only when it is known
     move_set_point(params, a, a.now_ns, wanted, tool_z)
     demand = a.set_point_m - tool_z

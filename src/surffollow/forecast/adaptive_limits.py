@@ -22,6 +22,7 @@ LEAST_RATE = 0.002  # at which the shortest interval is forgotten
 LEAST_S = 5e-4  # shorter ones are not reckoned with: what they overshoot is little
 FIRST_S = 0.001  # the cycle assumed before the first
 LONGEST_S = 0.02  # a cycle that took longer moves the set point no farther, unless all are long
+AXIS_SPEEDS, AXIS_ACCELS = 2.0, 20.0  # of what the assumed axis can do: quicker set points are only restless
 ROUNDS = 8  # of bisection: 1/256 of what the jerk allows in a cycle
 
 
@@ -109,6 +110,15 @@ def learn_cycle(a: Any, dt_s: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
+def highest(most: Any, axis_can: Any, preview_share: Any) -> Any:
+    """Limit in force: what the axis can make use of, up to all that is permitted to a plan over known ground.
+
+    A plan's set points run far ahead of the axis, to make it answer sooner.
+    """
+    return most + (1.0 - preview_share) * (min(most, axis_can) - most)
+
+
+@njit(cache=True, nogil=True)
 def advance_set_point(params: Any, a: Any, wanted_m: Any, dt_s: Any) -> None:
     """Move the set point for a time at one acceleration."""
     e = wanted_m - a.set_point_m
@@ -119,8 +129,8 @@ def advance_set_point(params: Any, a: Any, wanted_m: Any, dt_s: Any) -> None:
         up * a.set_accel_mps2,
         dt_s,
         dt_s if a.cycle_least_s == 0.0 else min(dt_s, max(a.cycle_least_s, LEAST_S)),
-        gentle * params.max_speed_mps,
-        gentle * params.max_accel_mps2,
+        gentle * highest(params.max_speed_mps, AXIS_SPEEDS * params.plant_v_max_mps, a.preview_share),
+        gentle * highest(params.max_accel_mps2, AXIS_ACCELS * params.plant_a_max_mps2, a.preview_share),
         params.max_jerk_mps3,
     )
     a.set_accel_mps2 = accel

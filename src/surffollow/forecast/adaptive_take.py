@@ -111,6 +111,12 @@ def watch_noise(a: Any, h_m: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
+def watch_scale(a: Any, nu_m: Any, gate_m: Any) -> None:
+    """How large innovations usually are."""
+    a.scale_m += SCALE_RATE * (1.25 * min(abs(nu_m), gate_m) - a.scale_m)
+
+
+@njit(cache=True, nogil=True)
 def blend(a: Any) -> None:
     """Blended height, slope and uncertainty at the last sample."""
     h, s, var, own = 0.0, 0.0, 0.0, 0.0
@@ -169,7 +175,8 @@ def quarantine(params: Any, a: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any
 
     `a.quarantine_s_m` and `a.quarantine_h_m` sum way and height of the samples that agree.
     """
-    if a.quarantined > 0 and abs(nu_m - a.quarantine_m / a.quarantined) < gate_m:
+    last = a.kept_h_m[(a.quarantined - 1) & (KEPT - 1)]
+    if a.quarantined > 0 and abs(a.height_m + nu_m - last) < gate_m:
         a.quarantined += 1
         a.quarantine_way_m += way_m
     else:
@@ -226,7 +233,7 @@ def is_doubtful(a: Any, nu_m: Any, gate_m: Any) -> Any:
     before = a.doubted_m
     a.doubted_m = 0.0
     least = DOUBT if a.samples > 1 else FIRST_DOUBT
-    if not least * gate_m < abs(nu_m) <= gate_m or before != 0.0:
+    if not least * gate_m < abs(nu_m) <= gate_m or before * nu_m > 0.0:
         return 0
     a.doubted_m = nu_m
     return 1
@@ -264,6 +271,8 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
     a.since_step_m += way
     doubted = a.doubted_m
     if is_doubtful(a, nu, gate) != 0:
+        if adapt != 0 and a.samples > 1:
+            watch_scale(a, nu, gate)  # many are rough ground
         return 0
     if a.samples == 1 and doubted != 0.0 and abs(nu - doubted) < ALIKE * abs(nu):
         start_again(params, a, t_ns, h_m, drop_m, adapt)
@@ -284,7 +293,7 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
     if gap:
         a.settle_ns = t_ns + SETTLE_NS
     if adapt != 0:
-        a.scale_m += SCALE_RATE * (1.25 * min(abs(nu), gate) - a.scale_m)
+        watch_scale(a, nu, gate)
         # a shadow stands where the tool is: only heights measured there can judge it
         if t_ns > a.settle_ns and abs(a.lead_m) < LEADING_M:
             score(params, a, way, dt, h_m + drop_m)
