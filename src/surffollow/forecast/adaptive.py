@@ -175,8 +175,8 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
     plane = 1 if params.orient != 0 and params.n_channels >= 3 else 0
     learn_plant(params, a, sense, 0 if params.adapt == 0 or params.run != RUN_NORMAL else 1)
     take_news(params, state, inputs, output, plane, pose)
-    if plane == 0 and params.n_channels > 1 and a.speed_mps >= KNOWN_DIRECTION_MPS:
-        take_scouts(params, a, sense, pose)
+    if plane == 0 and params.n_channels > 1:
+        take_scouts(params, a, sense, 1 if a.speed_mps >= KNOWN_DIRECTION_MPS else 0, pose)
     stuck = is_stuck(a, tool_z)
     watch_health(params, a, stuck)
     status = VALID

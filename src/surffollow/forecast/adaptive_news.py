@@ -123,9 +123,9 @@ def take_news(params: Any, state: Any, inputs: Any, output: Any, plane: Any, pos
     way = a.speed_mps * (t - a.sample_ns) * 1e-9 if a.samples > 0 else 0.0
     drop = tool_above(params, a, sense, plane, pose)
     a.sample_way_m += SAMPLE_WAY_RATE * (way - a.sample_way_m)
-    check_scouts(a, a.path_m + way, z)
+    a.foot_x_m, a.foot_y_m, a.foot_s_m = x, y, a.path_m + way
+    check_scouts(a, a.foot_s_m, z)
     taken = take_sample(params, a, t, way, z, drop, adapt)
-    a.foot_x_m, a.foot_y_m = x, y
     if taken == 0:
         return
     if adapt != 0 or a.permitted_m == 0.0:

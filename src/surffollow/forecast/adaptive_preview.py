@@ -1,7 +1,8 @@
 """Ground that is known before the tool is there: seen by a leading sensor, or remembered (a map).
 
-A leading sensor's heights are kept in a ring of cells by way travelled. Remembered heights come as an
-input of the cycle, at equal distances ahead of the newest reported pose, so that a replay has them too.
+A leading sensor's heights are kept in a ring of cells by way travelled, each with the place where it was
+seen: after a turn the way leads elsewhere, and what lies beside it does not count. Remembered heights come as
+an input of the cycle, at equal distances ahead of the newest reported pose, so that a replay has them too.
 """
 
 from __future__ import annotations
@@ -16,6 +17,10 @@ from surffollow.shm.layout_adaptive import CELLS, HORIZON
 CELL_M = 1e-3
 LEADING_M = 0.005  # a sensor this far ahead leads
 REACH_CELLS = 8  # holes up to this long are bridged
+ASIDE_M, ASIDE_SHARE = (
+    5e-3,
+    0.2,
+)  # ground is on the way when no farther off it, or than this share of its distance
 STEP_S = 0.01  # of the plan: one controller tick
 COVERED = 7  # ticks of ground that must be known: the axis' own reaction time
 SHARE_RATE = 0.15  # per tick: preview comes and goes without a jump
@@ -31,12 +36,36 @@ DISTRUST_M = 1.5e-3  # remembered ground that is farther from what is seen now h
 
 
 @njit(cache=True, nogil=True)
+def place_on_way(a: Any, s_m: Any) -> Any:
+    """Where a way coordinate lies: straight on, or back, from the last footprint [m]."""
+    if a.speed_mps == 0.0:
+        return a.foot_x_m, a.foot_y_m
+    t = (s_m - a.foot_s_m) / a.speed_mps
+    return a.foot_x_m + t * a.speed_x_mps, a.foot_y_m + t * a.speed_y_mps
+
+
+@njit(cache=True, nogil=True)
+def is_off(a: Any, c: Any, s_m: Any, x_m: Any, y_m: Any) -> Any:
+    """Whether cell c was seen elsewhere than at a place on the way."""
+    most = max(ASIDE_M, ASIDE_SHARE * abs(s_m - a.foot_s_m))
+    return (a.cell_x_m[c] - x_m) ** 2 + (a.cell_y_m[c] - y_m) ** 2 > most * most
+
+
+@njit(cache=True, nogil=True)
 def note_ground(a: Any, s_m: Any, h_m: Any) -> None:
     """Put an accepted height into the cell of its way coordinate."""
+    x, y = place_on_way(a, s_m)
+    note_ground_at(a, s_m, h_m, x, y)
+
+
+@njit(cache=True, nogil=True)
+def note_ground_at(a: Any, s_m: Any, h_m: Any, x_m: Any, y_m: Any) -> None:
+    """Put a height seen at a place into the cell of its way coordinate; what was seen elsewhere goes."""
     k = int(s_m / CELL_M)
     c = k & (CELLS - 1)
-    if a.cell_k[c] != k + 1:
+    if a.cell_k[c] != k + 1 or is_off(a, c, s_m, x_m, y_m):
         a.cell_k[c] = k + 1
+        a.cell_x_m[c], a.cell_y_m[c] = x_m, y_m
         a.cell_n[c] = 0.0
         a.cell_h_m[c] = a.cell_s_m[c] = 0.0
     n = a.cell_n[c] + 1.0
@@ -47,7 +76,10 @@ def note_ground(a: Any, s_m: Any, h_m: Any) -> None:
 
 @njit(cache=True, nogil=True)
 def seen_height(a: Any, s_m: Any) -> Any:
-    """Height at a way coordinate from the ring, linear between its neighbours; NaN where nothing was seen."""
+    """Height at a way coordinate from the ring, linear between its neighbours; NaN where nothing was seen.
+
+    After a turn what was seen straight on is not on the way any more: NaN, too.
+    """
     k = math.floor(s_m / CELL_M)
     below, above = -1, -1
     for j in range(REACH_CELLS):
@@ -60,6 +92,9 @@ def seen_height(a: Any, s_m: Any) -> Any:
         if below >= 0 and above >= 0:
             break
     if below < 0 or above < 0:
+        return math.nan
+    x, y = place_on_way(a, s_m)
+    if is_off(a, below, s_m, x, y) or is_off(a, above, s_m, x, y):
         return math.nan
     f = (s_m - a.cell_s_m[below]) / (a.cell_s_m[above] - a.cell_s_m[below])
     return a.cell_h_m[below] * (1.0 - f) + a.cell_h_m[above] * f

@@ -12,7 +12,7 @@ from typing import Any
 from numba import njit
 
 from surffollow.forecast.adaptive_motion import pose_when
-from surffollow.forecast.adaptive_preview import LEADING_M, note_ground, seen_height
+from surffollow.forecast.adaptive_preview import LEADING_M, note_ground_at, seen_height
 from surffollow.forecast.pose import footprint
 
 AGREE_M = 1.5e-3  # heights of two samples in a row that confirm each other
@@ -23,17 +23,18 @@ PAUSE_NS = 200_000_000  # a scout silent for so long no longer leads
 
 
 @njit(cache=True, nogil=True)
-def take_scouts(params: Any, a: Any, sense: Any, pose: Any) -> None:
+def take_scouts(params: Any, a: Any, sense: Any, moving: Any, pose: Any) -> None:
     """Note the ground that channels 1 and up see ahead of channel 0's footprint.
 
     Parameters
     ----------
     params, a, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
+    moving : int             1: fast enough for a direction; at rest none of them leads
     pose : (7,) float64 scratch
     """
-    if a.now_ns - a.scouted_ns > PAUSE_NS:
+    if moving == 0 or a.now_ns - a.scouted_ns > PAUSE_NS:
         a.scout_lead_m = 0.0
-    if a.samples == 0:
+    if moving == 0 or a.samples == 0:
         return
     for c in range(1, params.n_channels):
         t = sense.range_t_ns[c]
@@ -49,7 +50,7 @@ def take_scouts(params: Any, a: Any, sense: Any, pose: Any) -> None:
         a.scout_h_m[c] = z
         if not agrees or not LEADING_M < along < REACH_M or abs(aside) > LEADING_M:
             continue
-        note_ground(a, a.path_m + along, z)
+        note_ground_at(a, a.path_m + along, z, x, y)
         a.scout_lead_m = along
         a.scouted_ns = a.now_ns
 
