@@ -126,3 +126,11 @@ def test_on_a_gentle_curve_what_is_seen_ahead_still_helps(sensors):
 
     alone = Run([{}], way, slopes, 12.0).rms_m(6.0)
     assert Run(sensors, way, slopes, 12.0).rms_m(6.0) < 0.6 * alone
+
+
+@pytest.mark.parametrize("speed_mps", [0.05, 0.1, 0.3])
+def test_a_hollow_seen_ahead_is_not_entered_before_its_edge(speed_mps):
+    run = Run(UNDER_AND_AHEAD, lambda t: (speed_mps * t, 0.0, 0.0), hollow_from(0.3), 0.3 / speed_mps)
+    assert run.least_m(0.1 / speed_mps) > -3e-3
+    run = Run(UNDER_AND_AHEAD, lambda t: (speed_mps * t, 0.0, 0.0), hollow_from(0.3, 0.003), 0.5 / speed_mps)
+    assert run.rms_m(0.2 / speed_mps) < 0.7e-3, "a low step is still taken half before"

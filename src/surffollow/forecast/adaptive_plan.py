@@ -5,6 +5,9 @@
 solved by the alternating direction method: one pentadiagonal system, factored once, and a clip, a fixed
 number of times, warm-started from the last tick. Just beyond the known ground the last height carries
 half the weight, lest the axis arrive there at a speed it cannot lose; farther on nothing does.
+
+Alone that would take half of a step down before its edge, toward solid ground. So what goes down before the
+ground does costs more: ½ W (b − z)² where z is below b, with W large. Then the system is factored anew.
 """
 
 from __future__ import annotations
@@ -17,12 +20,14 @@ from surffollow.forecast.adaptive_judge import axis_speed
 from surffollow.shm.layout_adaptive import HORIZON
 
 TICK_S = 0.01
-ROUNDS = 25
+ROUNDS, EARLY_ROUNDS = 25, 50  # the more where points are early
 RHO = 60.0
 A_SHARE = 0.9  # of the axis' acceleration: what is left corrects
 INVERT_ROUNDS = 24
 INVERT_STEPS = 5  # axis steps of 2 ms in a tick
 UNKNOWN_WEIGHT = 1e-6
+EARLY_M, EARLY_WEIGHT = 1.5e-3, 300.0  # lower than that before the ground falls away is early
+EDGE_M = 6e-4  # an edge may lie so much farther on than seen
 AFTER, AFTER_WEIGHT = 16, 0.5  # ticks beyond the known ground, which is guessed to stay as it ended there
 
 
@@ -35,6 +40,25 @@ def ground_weight(k: Any, known: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
+def find_early(a: Any, known: Any, drop_m: Any, z_m: Any) -> Any:
+    """Mark in `a.plan_early` the points that go down before the ground does; how many marks changed.
+
+    They are below the lowest stand-off until then by more than `EARLY_M`, and below the axis as it is now:
+    one that is late on its way up is not early.
+    """
+    lowest, changed = a.plan_g_m[0] + drop_m - z_m, 0
+    late = min(int(EDGE_M / max(a.speed_mps * TICK_S, 1e-6)), HORIZON)
+    for k in range(min(known - 1, HORIZON)):
+        lowest = min(lowest, a.plan_g_m[max(k + 1 - late, 0)] + drop_m - z_m)
+        a.plan_bound_m[k] = min(lowest - EARLY_M, 0.0)
+        early = 1 if a.plan_z_m[k] < a.plan_bound_m[k] else 0
+        if early != a.plan_early[k]:
+            a.plan_early[k] = early
+            changed += 1
+    return changed
+
+
+@njit(cache=True, nogil=True)
 def factor(a: Any, known: Any, stiff: Any) -> None:
     """LDLᵀ of W + stiff·DᵀD for second differences D that begin with two known points."""
     n = HORIZON
@@ -44,6 +68,8 @@ def factor(a: Any, known: Any, stiff: Any) -> None:
         e = (-2.0 if k + 1 < n else 0.0) + (-2.0 if k + 2 < n else 0.0)
         f = 1.0 if k + 2 < n else 0.0
         d, e, f = ground_weight(k, known) + stiff * d, stiff * e, stiff * f
+        if a.plan_early[k] != 0:
+            d += EARLY_WEIGHT
         if k >= 1:
             d -= a.band_1[k - 1] ** 2 * a.band_0[k - 1]
             e -= a.band_1[k - 1] * a.band_2[k - 1] * a.band_0[k - 1]
@@ -91,17 +117,24 @@ def plan_axis(params: Any, a: Any, known: Any, z_m: Any, v_mps: Any, drop_m: Any
     most = A_SHARE * params.plant_a_max_mps2 * TICK_S * TICK_S
     calm = params.plan_calm_s4 / TICK_S**4
     stiff = calm + RHO
+    for k in range(n):
+        a.plan_early[k] = 0
     factor(a, known, stiff)
     before = -v_mps * TICK_S  # the point before now, relative to now
     for k in range(n - 1):
         a.plan_u[k] = a.plan_u[k + 1]
         a.plan_y[k] = a.plan_y[k + 1]
     a.plan_u[n - 1] = a.plan_y[n - 1] = 0.0
-    for _ in range(ROUNDS):
+    rounds = ROUNDS
+    for i in range(EARLY_ROUNDS):
+        if i >= rounds:
+            break
         for k in range(n):
             # point k lies k + 1 ticks from now
             ground = a.plan_g_m[min(k + 1, known - 1)] + drop_m - z_m
             a.plan_z_m[k] = ground_weight(k, known) * ground
+            if a.plan_early[k] != 0:
+                a.plan_z_m[k] += EARLY_WEIGHT * a.plan_bound_m[k]
         for k in range(n):
             # difference k spans points k-2, k-1 and k; the point before point 0 is now, at 0
             r = RHO * (a.plan_u[k] - a.plan_y[k]) - (stiff * before if k == 0 else 0.0)
@@ -111,6 +144,9 @@ def plan_axis(params: Any, a: Any, known: Any, z_m: Any, v_mps: Any, drop_m: Any
             if k >= 2:
                 a.plan_z_m[k - 2] += r
         solve(a)
+        if find_early(a, known, drop_m, z_m) > 0:
+            factor(a, known, stiff)
+            rounds = EARLY_ROUNDS
         z2, z1 = before, 0.0
         for k in range(n):
             b = a.plan_z_m[k] - 2.0 * z1 + z2
