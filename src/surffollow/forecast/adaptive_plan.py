@@ -28,6 +28,8 @@ INVERT_STEPS = 5  # axis steps of 2 ms in a tick
 UNKNOWN_WEIGHT = 1e-6
 EARLY_M, EARLY_WEIGHT = 1.5e-3, 300.0  # lower than that before the ground falls away is early
 EDGE_M = 6e-4  # an edge may lie so much farther on than seen
+FORESEEN = 5  # ticks from now on; the errors until then may be the robot's own
+FADE = 0.98  # per tick: readings tell of an error late
 AFTER, AFTER_WEIGHT = 16, 0.5  # ticks beyond the known ground, which is guessed to stay as it ended there
 
 
@@ -56,6 +58,14 @@ def find_early(a: Any, known: Any, drop_m: Any, z_m: Any) -> Any:
             a.plan_early[k] = early
             changed += 1
     return changed
+
+
+@njit(cache=True, nogil=True)
+def note_foreseen(a: Any, known: Any, drop_m: Any, z_m: Any) -> None:
+    """Remember how far off the stand-off a good robot will be, at a step say: that tells nothing against the plan."""
+    a.plan_error_m *= FADE
+    for k in range(FORESEEN, min(known - 1, HORIZON)):
+        a.plan_error_m = max(a.plan_error_m, abs(a.plan_z_m[k] - (a.plan_g_m[k + 1] + drop_m - z_m)))
 
 
 @njit(cache=True, nogil=True)
@@ -154,6 +164,7 @@ def plan_axis(params: Any, a: Any, known: Any, z_m: Any, v_mps: Any, drop_m: Any
             u = min(max(b + a.plan_y[k], -most), most)
             a.plan_y[k] += b - u
             a.plan_u[k] = u
+    note_foreseen(a, known, drop_m, z_m)
     # the clipped accelerations are feasible, the points only nearly
     return v_mps + (a.plan_u[0] + 0.5 * a.plan_u[1]) / TICK_S
 

@@ -151,9 +151,11 @@ def check_told(a: Any, told_m: Any, h_m: Any) -> None:
 def watch_error(a: Any, error_m: Any) -> None:
     """Compare the tool's own stand-off error under preview with that without; give up a worse plan.
 
-    A robot that is not as assumed (faster, say) can make a plan of its inverse worse than none.
+    A robot that is not as assumed (faster, say) can make a plan of its inverse worse than none. Errors that the
+    plan foresaw, as no robot can be at both ends of a step at once, are none of it.
     """
-    e2 = min(error_m * error_m, WORST_M2)
+    e = max(abs(error_m) - (a.plan_error_m if a.preview_share > 0.0 else 0.0), 0.0)
+    e2 = min(e * e, WORST_M2)
     if a.preview_share == 0.0:
         a.plain_m2 += (PLAIN_RATE if a.plain_m2 > 0.0 else 1.0) * (e2 - a.plain_m2)
         a.error_m2 = a.plain_m2

@@ -139,6 +139,7 @@ class AdaptiveState(Schema):
     plan_set_m = F64(unit="m", doc="set point of the plan")
     plan_g_m = F64(HORIZON, unit="m", doc="ground under the tool, tick by tick")
     plan_z_m = F64(HORIZON, unit="m", doc="planned axis")
+    plan_error_m = F64(unit="m", doc="greatest stand-off error that plans foresaw, fading")
     plan_early = I64(HORIZON, doc="1: the plan goes down there before the ground does")
     plan_bound_m = F64(HORIZON, unit="m", doc="how low it may there, from where the axis is")
     plan_u = F64(HORIZON, unit="m", doc="planned accelerations, in metres per tick²")
