@@ -1,4 +1,4 @@
-"""A first sample that is bad, falling walls, what may be learned while frozen, and what a drop-out takes back."""
+"""A bad first sample, falling walls, what may be learned while frozen, and what a drop-out takes back."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_frozen_the_gate_does_not_grow():
 
 
 def standoffs(sensor, seconds, config=None, speed_mps=0.1):
-    """True stand-offs [m] of a tool led over flat ground, its readings (250 Hz) as `sensor(t_s, range)` says."""
+    """True stand-offs [m] of a tool led over flat ground, read at 250 Hz as `sensor(t_s, range)` says."""
     f = Follower({"memory": False, **(config or {})}, offset_m=0.1)
     rng = np.random.default_rng(2)
     z, set_m, out = 0.1, 0.1, []

@@ -62,7 +62,7 @@ def find_early(a: Any, known: Any, drop_m: Any, z_m: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def note_foreseen(a: Any, known: Any, drop_m: Any, z_m: Any) -> None:
-    """Remember how far off the stand-off a good robot will be, at a step say: that tells nothing against the plan."""
+    """Remember how far off a good robot will be, at a step say: that tells nothing against the plan."""
     a.plan_error_m *= FADE
     for k in range(FORESEEN, min(known - 1, HORIZON)):
         a.plan_error_m = max(a.plan_error_m, abs(a.plan_z_m[k] - (a.plan_g_m[k + 1] + drop_m - z_m)))

@@ -17,10 +17,8 @@ from surffollow.shm.layout_adaptive import CELLS, HORIZON
 CELL_M = 1e-3
 LEADING_M = 0.005  # a sensor this far ahead leads
 REACH_CELLS = 8  # holes up to this long are bridged
-ASIDE_M, ASIDE_SHARE = (
-    5e-3,
-    0.2,
-)  # ground is on the way when no farther off it, or than this share of its distance
+# on the way is what lies no farther off it, or than this share of its distance
+ASIDE_M, ASIDE_SHARE = 5e-3, 0.2
 STEP_S = 0.01  # of the plan: one controller tick
 COVERED = 7  # ticks of ground that must be known: the axis' own reaction time
 SHARE_RATE = 0.15  # per tick: preview comes and goes without a jump
@@ -151,8 +149,8 @@ def check_told(a: Any, told_m: Any, h_m: Any) -> None:
 def watch_error(a: Any, error_m: Any) -> None:
     """Compare the tool's own stand-off error under preview with that without; give up a worse plan.
 
-    A robot that is not as assumed (faster, say) can make a plan of its inverse worse than none. Errors that the
-    plan foresaw, as no robot can be at both ends of a step at once, are none of it.
+    A robot that is not as assumed (faster, say) can make a plan of its inverse worse than none. Errors that
+    the plan foresaw, as no robot can be at both ends of a step at once, are none of it.
     """
     e = max(abs(error_m) - (a.plan_error_m if a.preview_share > 0.0 else 0.0), 0.0)
     e2 = min(e * e, WORST_M2)

@@ -163,7 +163,7 @@ def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any
 
 @njit(cache=True, nogil=True)
 def start_again(params: Any, a: Any, t_ns: Any, h_m: Any, drop_m: Any, adapt: Any) -> None:
-    """Begin anew where the start was bad, and forget what was learned from it; what was known before stays."""
+    """Begin anew where the start was bad, and forget what it taught; what was known before stays."""
     if a.scored <= a.samples:
         a.returned = a.noise_m = 0.0
     start_bank(params, a, t_ns, 0.0, h_m, drop_m, adapt)
