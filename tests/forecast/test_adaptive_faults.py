@@ -195,3 +195,75 @@ def test_a_set_point_in_irregular_cycles_does_not_overshoot(intervals_ms):
         z = to
         over.append(most)
     assert max(over[2:]) < 0.15e-3
+
+
+class Robot:
+    """A follower whose demands a robot of τ = 40 ms takes 100 times a second; 100 poses per second."""
+
+    def __init__(self, ground, speed_mps: float, rate_hz: int = 250, mounts=(0.0,), config=None) -> None:
+        sensors = [{"position_m": [m, 0.0, 0.0]} for m in mounts]
+        self.f = Follower({"memory": False, "sensors": sensors, **(config or {})}, offset_m=0.1)
+        self.ground, self.speed_mps, self.every, self.mounts = ground, speed_mps, 1000 // rate_hz, mounts
+        self.rng, self.k, self.z_m, self.v_mps = np.random.default_rng(3), 0, 0.1 + ground(0.0), 0.0
+        self.goal_m, self.demand_m, self.reported_m = self.z_m, 0.0, self.z_m
+
+    def run(self, seconds: float, sigma_m: float = 5e-5, lsb_m: float = 0.0, held_m=None):
+        """Stand-off of every millisecond [m]; `held_m`: the readings that the sensors repeat."""
+        out = []
+        for _ in range(round(seconds * 1000)):
+            t_ns, x_m = 10**10 + self.k * MS, self.k * 1e-3 * self.speed_mps
+            if self.k % 10 == 0:
+                self.reported_m = self.z_m
+                self.f.pose(t_ns, (x_m, 0.0, self.z_m, 0.0, 0.0, 0.0, 1.0))
+            if self.k % self.every == 0:
+                ranges = held_m or [
+                    self.z_m - self.ground(x_m + m) + sigma_m * self.rng.standard_normal()
+                    for m in self.mounts
+                ]
+                if lsb_m > 0.0:
+                    ranges = [round(r / lsb_m) * lsb_m for r in ranges]
+                self.demand_m = self.reported_m + float(self.f.step(t_ns, ranges)[2])
+            if self.k % 10 == 0:
+                self.goal_m = self.demand_m
+            wish = min(max((self.goal_m - self.z_m) / 0.04, -0.2), 0.2)
+            self.v_mps += min(max(wish - self.v_mps, -2e-3), 2e-3)
+            self.z_m += 1e-3 * self.v_mps
+            self.k += 1
+            out.append(self.z_m - self.ground(x_m))
+        return np.array(out)
+
+
+@pytest.mark.parametrize("rate_hz", [50, 250, 1000])
+@pytest.mark.parametrize("held_m", [0.1002, 0.1005, 0.103])
+def test_a_stuck_sensor_does_not_drive_the_tool_to_the_surface(rate_hz, held_m):
+    robot = Robot(lambda x: 0.0, 0.1, rate_hz)
+    robot.run(3.0)
+    assert robot.run(5.0, held_m=[held_m]).min() > 0.092
+    state = robot.f.state()
+    assert state["health"] == "STUCK"
+    assert "STUCK" in state["faults"]
+    assert "VALID" not in state["status"]
+    robot.run(1.0)
+    assert robot.f.state()["health"] == "OK"
+    assert np.abs(robot.run(1.0) - 0.1).max() < 5e-4
+
+
+def test_four_stuck_sensors_do_not_drive_the_tool_to_the_surface():
+    robot = Robot(lambda x: 0.0, 0.1, mounts=(0.0, 0.03, -0.015, 0.01))
+    robot.run(2.0)
+    assert robot.run(4.0, held_m=[0.1007, 0.1006, 0.1008, 0.1007]).min() > 0.095
+    assert robot.f.state()["health"] == "STUCK"
+
+
+@pytest.mark.parametrize(
+    ("slope", "speed_mps", "lsb_m"), [(0.2, 0.4, 1e-4), (0.3, 0.1, 1e-4), (0.2, 0.4, 2.5e-4)]
+)
+def test_a_coarse_sensor_on_a_ramp_is_not_taken_for_stuck(slope, speed_mps, lsb_m):
+    robot = Robot(lambda x: slope * x, speed_mps)
+    robot.run(1.0, sigma_m=1e-6, lsb_m=lsb_m)
+    stuck = 0
+    for _ in range(50):
+        robot.run(0.1, sigma_m=1e-6, lsb_m=lsb_m)
+        stuck += robot.f.state()["health"] == "STUCK"
+    assert stuck <= 2
+    assert abs(robot.run(0.5, sigma_m=1e-6, lsb_m=lsb_m) - 0.1).max() < 2e-3

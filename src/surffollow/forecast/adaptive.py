@@ -13,7 +13,7 @@ from numba import njit
 
 from surffollow.forecast.adaptive_adapt import report_adapted
 from surffollow.forecast.adaptive_bank import LEAD_SHARE, MODEL, C, look_ahead
-from surffollow.forecast.adaptive_health import is_stuck, watch_health
+from surffollow.forecast.adaptive_health import has_been_stuck, is_stuck, watch_health
 from surffollow.forecast.adaptive_judge import note_targets
 from surffollow.forecast.adaptive_latency import forget_rest
 from surffollow.forecast.adaptive_limits import move_set_point
@@ -177,15 +177,17 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
     take_news(params, state, inputs, output, plane, pose)
     if plane == 0 and params.n_channels > 1:
         take_scouts(params, a, sense, 1 if a.speed_mps >= KNOWN_DIRECTION_MPS else 0, pose)
-    stuck = is_stuck(a, tool_z)
+    stuck = is_stuck(a)
     watch_health(params, a, stuck)
     status = VALID
     if a.health == DROPOUT or a.health == OUT_OF_RANGE or a.health == STUCK:
         status |= NO_SENSOR
     if stuck != 0:
         a.faults |= FAULT_STUCK
-    if a.samples == 0 or a.now_ns - a.accepted_ns > params.loss_timeout_ns:
-        if a.samples > 0:
+        if has_been_stuck(a) != 0:
+            a.samples = 0
+    if a.samples == 0 or stuck != 0 or a.now_ns - a.accepted_ns > params.loss_timeout_ns:
+        if a.samples > 0 and stuck == 0:
             a.faults |= FAULT_LOST
         a.set_ns = a.seen_known = 0
         a.preview_share = 0.0

@@ -13,6 +13,7 @@ from surffollow.shm.layout_adaptive import (
     OK,
     OUT_OF_RANGE,
     STUCK,
+    STUCK_RUN,
     SUSPECT,
 )
 
@@ -24,23 +25,65 @@ DROPOUT_MOST_NS = 1_000_000_000  # … but never for longer
 EDGE_M = 0.003  # a loss that began so near the window's ends is a matter of range
 STILL_SAMPLES = 50  # one value so often …
 STILL_MOVE_M = 0.005  # … while the tool moved so far along z: the sensor is stuck
+STILL_MORE, STILL_RUNS = 2.0, 3.0  # sooner or later where this and so many usual runs of equal samples are …
+STILL_MOST = 150.0  # … fewer or more than those, but never later than this
+FOR_GOOD = 4.0  # after so many times the believable run, what it said before is not believed either
+LEAST_MOVE_M = 0.002  # sooner, too, but not for less motion than noise may hide
+RUN_RATE, RUN_FIRST_RATE, RUN_SAMPLES = 0.02, 0.05, 200  # longest runs are forgotten, the first ones soon
 CLOSE_SAMPLES = 3  # a lone glitch is not the fold-back
 
 
 @njit(cache=True, nogil=True)
-def watch_stuck(a: Any, repeated: Any, tool_z_m: Any) -> None:
-    """Count equal samples in a row while the tool moves."""
-    if repeated == 0 or a.still == 0:
-        a.still = 1
-        a.still_z_m = tool_z_m
-    else:
-        a.still += 1
+def most_still(a: Any) -> Any:
+    """How many equal samples in a row are still believable: a multiple of the usual, if that is known."""
+    if a.still_usual == 0.0:
+        return 1.0 * STILL_SAMPLES
+    return min(STILL_RUNS * a.still_usual + STILL_MORE, STILL_MOST)
 
 
 @njit(cache=True, nogil=True)
-def is_stuck(a: Any, tool_z_m: Any) -> Any:
+def learn_run(a: Any, n: Any) -> None:
+    """Take the length of a run of equal samples: the longest lately is the usual."""
+    if a.still_usual == 0.0:
+        a.still_usual = (STILL_SAMPLES - STILL_MORE) / STILL_RUNS
+    if n > a.still_usual:
+        a.still_usual = n
+    else:
+        a.still_usual += (RUN_RATE if a.scored >= RUN_SAMPLES else RUN_FIRST_RATE) * (n - a.still_usual)
+
+
+@njit(cache=True, nogil=True)
+def watch_stuck(a: Any, repeated: Any, tool_z_m: Any) -> None:
+    """Count equal samples in a row; the sensor is stuck when the tool moved along z during too many.
+
+    `tool_z_m` is where the tool was at the sample. A tool that follows well sees equal samples, too, of a
+    sensor that is coarser than its noise: how many is learned. What is stuck stays so until it changes.
+    """
+    if repeated == 0 or a.still == 0:
+        if a.still > 0 and has_been_stuck(a) == 0:
+            learn_run(a, a.still & (STUCK_RUN - 1))
+        a.still = 1
+        a.still_z_m = tool_z_m
+        return
+    a.still += 1
+    if a.still >= STUCK_RUN:
+        return
+    most = most_still(a)
+    move_m = min(max(STILL_MOVE_M * most / STILL_SAMPLES, LEAST_MOVE_M), STILL_MOVE_M)
+    if a.still > most and abs(tool_z_m - a.still_z_m) > move_m:
+        a.still += STUCK_RUN
+
+
+@njit(cache=True, nogil=True)
+def is_stuck(a: Any) -> Any:
     """1 when one value came for long although the tool moved along z."""
-    return 1 if a.still > STILL_SAMPLES and abs(tool_z_m - a.still_z_m) > STILL_MOVE_M else 0
+    return 1 if a.still >= STUCK_RUN else 0
+
+
+@njit(cache=True, nogil=True)
+def has_been_stuck(a: Any) -> Any:
+    """1 when a sensor is stuck for good: a coarse one that was held for stuck changes as the tool stops."""
+    return 1 if a.still > STUCK_RUN + FOR_GOOD * most_still(a) else 0
 
 
 @njit(cache=True, nogil=True)

@@ -13,7 +13,7 @@ from surffollow.forecast.adaptive_adapt import adapt_band
 from surffollow.forecast.adaptive_health import CLOSE_SAMPLES, is_stuck, watch_stuck
 from surffollow.forecast.adaptive_latency import learn_lag
 from surffollow.forecast.adaptive_motion import pose_when
-from surffollow.forecast.adaptive_plane import plane_height, take_beams
+from surffollow.forecast.adaptive_plane import beams_changed, plane_height, take_beams
 from surffollow.forecast.adaptive_preview import LEADING_M, check_told, told_height, watch_error
 from surffollow.forecast.adaptive_scout import check_scouts
 from surffollow.forecast.adaptive_take import is_news, take_sample
@@ -91,13 +91,15 @@ def take_news(params: Any, state: Any, inputs: Any, output: Any, plane: Any, pos
         return
     take_range(a, t, range_m)
     repeated = 1 if a.held_ns != 0 and range_m == a.held_m else 0
+    if plane != 0 and beams_changed(a, params.n_channels, a.held_ns) != 0:
+        repeated = 0
     a.held_ns, a.held_m = t, range_m
     if plane == 0:  # beams are stamped one by one
         t -= int(a.older_s * 1e9)
     a.late_s += LATE_RATE * ((a.now_ns - t) * 1e-9 - a.late_s)
     pose_when(a, sense, t, pose)
     watch_stuck(a, repeated, pose[2])
-    if t <= a.sample_ns or is_stuck(a, pose[2]) != 0:
+    if t <= a.sample_ns or is_stuck(a) != 0:
         return
     adapt = 0 if params.adapt == 0 or params.run == RUN_FREEZE else 1
     x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)

@@ -54,6 +54,15 @@ def choose_pace(params: Any, a: Any, sense: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
+def beams_changed(a: Any, n_channels: Any, since_ns: Any) -> Any:
+    """1 when a beam that still delivers has changed its reading since then: not all sensors are stuck."""
+    for c in range(n_channels):
+        if a.beam_ns[c] > since_ns and a.beam_changed_ns[c] > since_ns:
+            return 1
+    return 0
+
+
+@njit(cache=True, nogil=True)
 def take_beams(params: Any, a: Any, sense: Any, pose: Any) -> Any:
     """Footprints of all fresh channels; the channel whose samples set the pace, or -1.
 

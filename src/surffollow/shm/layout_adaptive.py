@@ -23,6 +23,8 @@ HEALTH_NAMES = ("OK", "SUSPECT", "DROPOUT", "STUCK", "OUT_OF_RANGE", "FAULT")
 FAULT_NOT_FINITE, FAULT_STUCK, FAULT_LOST, FAULT_CLOSE, FAULT_CLOCK = 1, 2, 4, 8, 16
 FAULT_NAMES = ("NOT_FINITE", "STUCK", "LOST", "TOO_CLOSE", "CLOCK")
 
+STUCK_RUN = 1 << 40  # equal samples: those of a stuck sensor
+
 
 class AdaptiveState(Schema):
     """State of the adaptive mode; all zero means nothing seen yet."""
@@ -192,6 +194,7 @@ class AdaptiveState(Schema):
     health_ns = I64(unit="ns", doc="since when the wanted health differs from the shown one")
     health_next = I64(doc="the wanted health")
     close_run = I64(doc="samples in a row near the fold-back")
-    still = I64(doc="samples in a row of one value while the tool moved")
+    still = I64(doc="equal samples in a row; STUCK_RUN: too many of them, the sensor is stuck")
     still_z_m = F64(unit="m", doc="height of the tool where that began")
+    still_usual = F64(doc="longest such run lately; 0: not known")
     faults = I64(doc="bits of FAULT_NAMES, latched until the reset")
