@@ -90,7 +90,7 @@ def is_news(params: Any, a: Any, sense: Any, given: Any, channel: Any) -> Any:
         k, oldest = n - 2, max(0, n - CONVERSION_WINDOW)
         while k >= oldest and abs(sense.window_m[base + (k & (CONVERSION_WINDOW - 1))] - value) <= flicker:
             earlier = sense.window_t_ns[base + (k & (CONVERSION_WINDOW - 1))] - begun_ns
-            if earlier <= a.held_ns:
+            if earlier <= a.held_ns or earlier > t:  # or of a clock since turned back
                 break
             t = earlier
             k -= 1
