@@ -164,21 +164,10 @@ def watch_error(a: Any, error_m: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def drop_lead(a: Any) -> None:
-    """Take back a set point that a plan, now at an end, led far beyond where the axis is and should be."""
-    low, high = min(a.calm_m, a.axis_now_m), max(a.calm_m, a.axis_now_m)
-    if not low <= a.set_point_m <= high:
-        a.set_point_m = min(max(a.set_point_m, low), high)
-        a.set_speed_mps = a.set_accel_mps2 = 0.0
-
-
-@njit(cache=True, nogil=True)
 def move_share(a: Any, known: Any, leading: Any, plant_m2: Any) -> None:
     """Let preview's share of the set point grow or shrink by one tick."""
     # without a plan a leading sensor is worth little: there a doubtful plan is the better choice
     trusted = a.now_ns >= a.distrust_ns and plant_m2 < PLANT_M2 and a.preview_off_m < DISTRUST_M
     usable = known >= COVERED and (trusted or (leading != 0 and plant_m2 < LEADING_PLANT_M2))
-    if known == 0 and a.preview_share > 0.0:
-        drop_lead(a)
     a.preview_share += SHARE_RATE if usable else -SHARE_RATE
     a.preview_share = min(max(a.preview_share, 0.0), 1.0 if known > 0 else 0.0)
