@@ -99,6 +99,12 @@ def test_a_hollow_seen_ahead_is_not_followed_round_a_corner():
     assert run.least_m() > -1e-3
 
 
+@pytest.mark.parametrize("speed_mps", [0.1, 0.2])
+def test_a_corner_just_before_a_hollow_stops_the_dive_that_has_begun(speed_mps):
+    run = Run(UNDER_AND_AHEAD, corner(speed_mps, 0.3), hollow_from(0.305), 0.3 / speed_mps + 1.0)
+    assert run.least_m() > -10e-3
+
+
 def test_a_trench_that_a_lone_sensor_saw_ahead_is_not_followed_round_a_corner():
     trench = lambda x, y: -0.02 if 0.32 < x < 0.34 else 0.0  # noqa: E731
     run = Run([AHEAD], corner(0.1, 0.3), trench, 4.5)

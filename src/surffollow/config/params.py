@@ -52,7 +52,7 @@ PARAMS: dict[str, ParamSpec] = {
     "score_power": ParamSpec(20.0, 0.0, 100.0),
     "long_power": ParamSpec(3.0, 0.0, 100.0),
     "long_factor": ParamSpec(6.0, 1.0, 1e3),
-    "effort_m": ParamSpec(5e-6, 0.0, 1.0),
+    "effort_m": ParamSpec(2.5e-6, 0.0, 1.0),
     "noise_share": ParamSpec(0.97, 0.0, 1.0),
     "score_floor_m": ParamSpec(3e-5, 1e-7, 1.0, "m"),
     "gate_scales": ParamSpec(8.0, 1.0, 1e3),

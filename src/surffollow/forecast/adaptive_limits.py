@@ -23,6 +23,7 @@ LEAST_S = 5e-4  # shorter ones are not reckoned with: what they overshoot is lit
 FIRST_S = 0.001  # the cycle assumed before the first
 LONGEST_S = 0.02  # a cycle that took longer moves the set point no farther, unless all are long
 AXIS_SPEEDS, AXIS_ACCELS = 2.0, 20.0  # of what the assumed axis can do: quicker set points are only restless
+HOME_M, HOME_MPS = 1e-3, 0.02
 ROUNDS = 8  # of bisection: 1/256 of what the jerk allows in a cycle
 
 
@@ -110,18 +111,27 @@ def learn_cycle(a: Any, dt_s: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def highest(most: Any, axis_can: Any, preview_share: Any) -> Any:
+def highest(most: Any, axis_can: Any, quick: Any) -> Any:
     """Limit in force: what the axis can make use of, up to all that is permitted to a plan over known ground.
 
     A plan's set points run far ahead of the axis, to make it answer sooner.
     """
-    return most + (1.0 - preview_share) * (min(most, axis_can) - most)
+    return most + (1.0 - quick) * (min(most, axis_can) - most)
+
+
+@njit(cache=True, nogil=True)
+def is_home(params: Any, a: Any, e_m: Any) -> Any:
+    """Whether a set point that a plan led far ahead is back: until then it may move as quickly as it went."""
+    calm = params.toward_factor * AXIS_ACCELS * params.plant_a_max_mps2
+    return abs(e_m) < HOME_M and abs(a.set_speed_mps) < HOME_MPS and abs(a.set_accel_mps2) <= calm
 
 
 @njit(cache=True, nogil=True)
 def advance_set_point(params: Any, a: Any, wanted_m: Any, dt_s: Any) -> None:
     """Move the set point for a time at one acceleration."""
     e = wanted_m - a.set_point_m
+    if a.preview_share > a.set_quick or is_home(params, a, e):
+        a.set_quick = a.preview_share
     up, gentle = (1.0, 1.0) if e >= 0.0 else (-1.0, params.toward_factor)
     accel = up * next_accel(
         up * e,
@@ -129,8 +139,8 @@ def advance_set_point(params: Any, a: Any, wanted_m: Any, dt_s: Any) -> None:
         up * a.set_accel_mps2,
         dt_s,
         dt_s if a.cycle_least_s == 0.0 else min(dt_s, max(a.cycle_least_s, LEAST_S)),
-        gentle * highest(params.max_speed_mps, AXIS_SPEEDS * params.plant_v_max_mps, a.preview_share),
-        gentle * highest(params.max_accel_mps2, AXIS_ACCELS * params.plant_a_max_mps2, a.preview_share),
+        gentle * highest(params.max_speed_mps, AXIS_SPEEDS * params.plant_v_max_mps, a.set_quick),
+        gentle * highest(params.max_accel_mps2, AXIS_ACCELS * params.plant_a_max_mps2, a.set_quick),
         params.max_jerk_mps3,
     )
     a.set_accel_mps2 = accel
@@ -160,6 +170,7 @@ def move_set_point(params: Any, a: Any, now_ns: Any, wanted_m: Any, tool_z_m: An
     a.set_ns = now_ns
     if pause:
         a.set_point_m, a.set_speed_mps, a.set_accel_mps2 = tool_z_m, 0.0, 0.0
+        a.set_quick = 0.0
         dt = FIRST_S
     if dt <= PAUSE_S:
         advance_set_point(params, a, wanted_m, min(dt, LONGEST_S))

@@ -108,6 +108,7 @@ class AdaptiveState(Schema):
     set_point_m = F64(unit="m", doc="set point of the tool after limits; where the demand points")
     set_speed_mps = F64(unit="m/s", doc="its rate of change")
     set_accel_mps2 = F64(unit="m/s^2", doc="and the rate of that")
+    set_quick = F64(doc="share of preview that led it to where it is, 0 to 1: so quickly it may go back")
     set_ns = I64(unit="ns", doc="when it was made; 0: never; negative: shown only (DRYRUN)")
     cycle_s = F64(unit="s", doc="usual interval at which it is made, rather too long; 0: not known")
     cycle_least_s = F64(unit="s", doc="shortest interval lately; 0: not known")
