@@ -30,7 +30,7 @@ from surffollow.forecast.adaptive_preview import (
     move_share,
 )
 from surffollow.forecast.adaptive_scout import take_scouts
-from surffollow.forecast.adaptive_take import START_SAMPLES
+from surffollow.forecast.adaptive_take import SETTLE_NS, START_SAMPLES
 from surffollow.forecast.adaptive_tick import note_arrival, open_tick, taken_at, tick_is_due
 from surffollow.forecast.safety import PROBE_M, limit
 from surffollow.shm.layout_adaptive import (
@@ -56,7 +56,8 @@ from surffollow.shm.layout_follow import (
     VALID,
 )
 
-GRACE_S = 0.025  # a lone lost sample is no drop-out
+GRACE_S, GRACE_MOST_S = 0.025, 1.0  # a lone lost sample is no drop-out …
+GRACE_SAMPLES = 2.5  # … of a slow sensor neither
 RATE_STEP_S = 0.005  # over which the rate of the blended set point is taken
 CALM_S = 0.01  # in which an excess as large as SOFT bands is halved
 SOFT = 2.5
@@ -78,7 +79,8 @@ def way_ahead(params: Any, a: Any, pose: Any, pose_t_ns: Any) -> Any:
 @njit(cache=True, nogil=True)
 def lost_for_s(a: Any) -> Any:
     """Time beyond the usual delay and a lone lost sample since ground was last seen [s]; ≤ 0: not lost."""
-    return (a.now_ns - a.accepted_ns) * 1e-9 - a.late_s - GRACE_S
+    grace_s = max(GRACE_S, min(GRACE_SAMPLES * a.trend_dt_s, GRACE_MOST_S))
+    return (a.now_ns - a.accepted_ns) * 1e-9 - a.late_s - grace_s
 
 
 @njit(cache=True, nogil=True)
@@ -108,7 +110,8 @@ def blend_set_points(params: Any, a: Any, ahead_m: Any, drop_m: Any, tick: Any) 
             )
         if tick:
             a.target_m[i * TICKS + slot] = t
-    if lost_s > 0.0 and a.step_m < 0.0 and a.since_step_m < params.step_way_m:
+    new = a.accepted_ns - a.step_ns < SETTLE_NS and a.since_step_m < params.step_way_m
+    if lost_s > 0.0 and a.step_m < 0.0 and new:
         z -= a.step_m
     if tick:
         note_targets(a, a.now_ns)

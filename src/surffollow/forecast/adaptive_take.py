@@ -156,6 +156,7 @@ def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any
     a.sample_ns = a.accepted_ns = t_ns
     a.settle_ns = t_ns + (FIRST_SETTLE_NS if fresh else SETTLE_NS)
     a.since_step_m = a.step_m = 0.0
+    a.step_ns = 0
     a.path_m += LONGEST_WAY_M + min(way_m, LONGEST_WAY_M)  # nothing seen before is near
     note_ground(a, a.path_m, h_m)
     blend(a)
@@ -224,6 +225,7 @@ def believe_step(params: Any, a: Any) -> None:
         a.returned = 0.5  # back within a slot's width: what was believed was a slot
     a.since_step_m = 0.0
     a.step_m = a.quarantine_m / n
+    a.step_ns = a.sample_ns
     a.quarantined = a.disagreed = 0
 
 

@@ -73,6 +73,7 @@ class AdaptiveState(Schema):
     returned = F64(doc="how likely a quarantine ends without a step: 1 unknown or slots, to 0 steps")
     since_step_m = F64(unit="m", doc="way since the last believed step")
     step_m = F64(unit="m", doc="height of the last believed step; 0: none")
+    step_ns = I64(unit="ns", doc="when it was believed")
     settle_ns = I64(unit="ns", doc="scores are frozen until this time")
     tick_ns = I64(unit="ns", doc="last controller tick assumed")
     arrival_ns = I64(unit="ns", doc="when the last pose report came")
