@@ -209,15 +209,20 @@ def test_a_reading_never_mixes_the_ground_of_two_maps_that_are_laid_meanwhile():
     lay_anew(m.header, m.pairs, 2)
     over[0] = 1
     look_all_the_time(m.header, m.pairs, m.kept, m.out, over)
-    over[0] = 0
-    reader = threading.Thread(
-        target=lambda: found.append(look_all_the_time(m.header, m.pairs, m.kept, m.out, over))
-    )
-    reader.start()
-    lay_anew(m.header, m.pairs, 8000)
-    over[0] = 1
-    reader.join()
-    [(mixed, some, none)] = found
+    total = np.zeros(3, np.int64)
+    for _ in range(20):  # until enough is proved: how the two share the machine is not ours to say
+        over[0] = 0
+        reader = threading.Thread(
+            target=lambda: found.append(look_all_the_time(m.header, m.pairs, m.kept, m.out, over))
+        )
+        reader.start()
+        lay_anew(m.header, m.pairs, 8000)
+        over[0] = 1
+        reader.join()
+        total += found[-1]
+        if total[1:].min() > 100:
+            break
+    mixed, some, none = total
+    assert mixed == 0, (mixed, some, none)
     assert some > 100
     assert none > 100
-    assert mixed == 0, (mixed, some, none)
