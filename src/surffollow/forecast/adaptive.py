@@ -13,7 +13,7 @@ from numba import njit
 
 from surffollow.forecast.adaptive_adapt import report_adapted
 from surffollow.forecast.adaptive_bank import LEAD_SHARE, MODEL, C, look_ahead
-from surffollow.forecast.adaptive_health import has_been_stuck, is_stuck, watch_health
+from surffollow.forecast.adaptive_health import has_been_stuck, is_stuck, patience_s, watch_health
 from surffollow.forecast.adaptive_judge import note_targets
 from surffollow.forecast.adaptive_latency import forget_rest
 from surffollow.forecast.adaptive_limits import move_set_point
@@ -56,8 +56,7 @@ from surffollow.shm.layout_follow import (
     VALID,
 )
 
-GRACE_S, GRACE_MOST_S = 0.025, 1.0  # a lone lost sample is no drop-out …
-GRACE_SAMPLES = 2.5  # … of a slow sensor neither
+GRACE_S = 0.025  # a lone lost sample is no drop-out
 RATE_STEP_S = 0.005  # over which the rate of the blended set point is taken
 CALM_S = 0.01  # in which an excess as large as SOFT bands is halved
 SOFT = 2.5
@@ -79,8 +78,7 @@ def way_ahead(params: Any, a: Any, pose: Any, pose_t_ns: Any) -> Any:
 @njit(cache=True, nogil=True)
 def lost_for_s(a: Any) -> Any:
     """Time beyond the usual delay and a lone lost sample since ground was last seen [s]; ≤ 0: not lost."""
-    grace_s = max(GRACE_S, min(GRACE_SAMPLES * a.trend_dt_s, GRACE_MOST_S))
-    return (a.now_ns - a.accepted_ns) * 1e-9 - a.late_s - grace_s
+    return (a.now_ns - a.accepted_ns) * 1e-9 - a.late_s - max(GRACE_S, patience_s(a))
 
 
 @njit(cache=True, nogil=True)
@@ -145,18 +143,6 @@ def hold_calm(params: Any, a: Any, wanted_m: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def restart_untaken(params: Any, a: Any) -> None:
-    """After a DRYRUN let the set points begin at the tool.
-
-    In DRYRUN they go on, for they are shown; that they were not taken is kept as the sign of their stamps.
-    """
-    if params.run == RUN_DRYRUN:
-        a.set_ns, a.turn_ns = abs(a.set_ns), abs(a.turn_ns)
-    else:
-        a.set_ns, a.turn_ns = max(a.set_ns, 0), max(a.turn_ns, 0)
-
-
-@njit(cache=True, nogil=True)
 def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any) -> Any:
     """Demand of the adaptive mode into `output`; returns status bits.
 
@@ -195,7 +181,8 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
         a.set_ns = a.seen_known = 0
         a.preview_share = 0.0
         return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
-    restart_untaken(params, a)
+    if a.shown != 0 and params.run != RUN_DRYRUN:
+        a.shown = a.set_ns = a.turn_ns = 0  # nobody took those set points: begin at the tool
     drop = tool_above(params, a, sense, plane, pose)
     ahead = way_ahead(params, a, pose, pose_t_ns)
     note_arrival(a, sense.pose_count, a.now_ns)
@@ -248,7 +235,7 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
     if a.tick_ns == a.now_ns or a.tick_open != 0:
         a.own_m[(a.ticks - 1) & (TICKS - 1)] = tool_z + (cut if params.run == RUN_NORMAL else 0.0)
     if params.run == RUN_DRYRUN:
-        a.set_ns, a.turn_ns = -a.set_ns, -a.turn_ns
+        a.shown = 1
     elif params.run == RUN_FREEZE:
         a.set_ns = 0  # nobody moves: afterwards it starts at the tool
     output.delta_h_m = a.slope * max(ahead, 0.0)

@@ -11,43 +11,53 @@ from numba import njit
 SLOPE, CURVE, WAVE = 0, 1, 2
 
 
-def _table() -> Any:
-    rows = []
+# Of a model's candidates the first leads by its whole slope; less is calmer, and where slopes do not last it
+# is nearer the ground too. The same filter serves all candidates of a model.
+_HALF, _NONE = 0.5, 0.0
+
+
+def _models() -> Any:
+    """Rows of (kind, scale, noise of slope or curve, noise of height), and shares to lead by besides 1."""
+    rows: list[tuple[tuple[float, ...], tuple[float, ...]]] = []
+
+    def add(*row: float, shares: tuple[float, ...] = ()) -> None:
+        rows.append((row, shares))
+
     for qh in (3e-5, 3e-4, 2e-3, 7e-3, 2e-2, 8e-2):
-        rows.append((SLOPE, 1.0, 0.0, qh))
-    for qs in (0.05, 0.15, 0.5, 1.0, 2.0, 4.0):
-        rows.append((SLOPE, 1e3, qs, 1e-5))
-    for qs in (0.15, 1.0, 3.0):
-        rows.append((SLOPE, 1e3, qs, 3e-3))
-    for ell, qss in (
-        (0.006, (6.0, 16.0)),
-        (0.015, (1.0, 4.0, 12.0)),
-        (0.05, (0.3, 1.0, 3.0)),
-        (0.15, (0.3, 1.0)),
-    ):
-        for qs in qss:
-            rows.append((SLOPE, ell, qs, 1e-3))
+        add(SLOPE, 1.0, 0.0, qh)
+    for qs in (0.05, 0.15):
+        add(SLOPE, 1e3, qs, 1e-5)
+    for qs in (0.5, 1.0, 2.0):
+        add(SLOPE, 1e3, qs, 1e-5, shares=(_HALF,))
+    add(SLOPE, 1e3, 4.0, 1e-5, shares=(_NONE,))
+    add(SLOPE, 1e3, 0.15, 3e-3, shares=(_NONE,))
+    for qs in (1.0, 3.0):
+        add(SLOPE, 1e3, qs, 3e-3)
+    for qs in (6.0, 16.0):
+        add(SLOPE, 0.006, qs, 1e-3, shares=(_HALF, _NONE))
+    for qs in (1.0, 4.0):
+        add(SLOPE, 0.015, qs, 1e-3, shares=(_HALF, _NONE))
+    add(SLOPE, 0.015, 12.0, 1e-3)
+    add(SLOPE, 0.05, 0.3, 1e-3, shares=(_NONE,))
+    add(SLOPE, 0.05, 1.0, 1e-3, shares=(_HALF,))
+    add(SLOPE, 0.05, 3.0, 1e-3, shares=(_NONE,))
+    for qs in (0.3, 1.0):
+        add(SLOPE, 0.15, qs, 1e-3)
     for qc in (3.0, 10.0, 30.0, 100.0, 300.0):
-        rows.append((CURVE, 0.3, qc, 1e-5))
+        add(CURVE, 0.3, qc, 1e-5)
     for lam in (0.063, 0.08, 0.1, 0.126, 0.16, 0.2, 0.252, 0.32, 0.4, 0.5, 0.63):
-        rows.append((WAVE, 2 * math.pi / lam, 3e-3, 1e-3))
-    return np.array(rows)
+        add(WAVE, 2 * math.pi / lam, 3e-3, 1e-3)
+    return rows
 
 
-BANK = _table()
+_MODELS = _models()
+BANK = np.array([row for row, _ in _MODELS])
 N = len(BANK)
-
-# A candidate is a model and the share of its slope that the set point leads by: less is calmer, and
-# where slopes do not last it is nearer the ground too. The same filter serves all candidates of a model.
-_SHARED = (
-    (0.5, (8, 9, 10, 15, 16, 17, 18, 21)),
-    (0.0, (11, 12, 15, 16, 17, 18, 20, 22)),
-)
 
 
 def _candidates() -> Any:
     rows = [(i, 1.0) for i in range(N)]
-    return np.array(rows + [(i, share) for share, models in _SHARED for i in models])
+    return np.array(rows + [(i, s) for s in (_HALF, _NONE) for i in range(N) if s in _MODELS[i][1]])
 
 
 _CANDIDATES = _candidates()

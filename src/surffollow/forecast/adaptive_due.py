@@ -10,9 +10,9 @@ from typing import Any
 
 from numba import njit
 
+from surffollow.forecast.adaptive_held import FLICKER_COUNTS
 from surffollow.forecast.adaptive_news import KNOWN_DIRECTION_MPS
 from surffollow.forecast.adaptive_preview import LEADING_M, STEP_S
-from surffollow.forecast.adaptive_take import FLICKER_COUNTS
 from surffollow.forecast.adaptive_tick import tick_is_due
 from surffollow.shm.conversion import (
     FLAG_INVALID,

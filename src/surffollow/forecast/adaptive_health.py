@@ -20,8 +20,8 @@ from surffollow.shm.layout_adaptive import (
 ENTER_NS = 10_000_000  # a worse state is shown after so long
 LEAVE_NS = 100_000_000  # a better one after so long
 DROPOUT_NS = 50_000_000  # no sample for so long beyond the usual delay …
-DROPOUT_INTERVALS = 2.5  # … or for so many usual intervals of a slow sensor …
-DROPOUT_MOST_NS = 1_000_000_000  # … but never for longer
+PATIENT_SAMPLES = 2.5  # … or for so many usual intervals of a slow sensor …
+PATIENT_S = 1.0  # … but never for longer
 EDGE_M = 0.003  # a loss that began so near the window's ends is a matter of range
 STILL_SAMPLES = 50  # one value so often …
 STILL_MOVE_M = 0.005  # … while the tool moved so far along z: the sensor is stuck
@@ -87,10 +87,15 @@ def has_been_stuck(a: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
+def patience_s(a: Any) -> Any:
+    """For how long a sensor as slow as this one may say nothing beyond its usual delay [s]."""
+    return min(PATIENT_SAMPLES * a.trend_dt_s, PATIENT_S)
+
+
+@njit(cache=True, nogil=True)
 def is_missing(a: Any) -> Any:
     """Whether samples of channel 0 stay away for longer than they usually do."""
-    usual_ns = min(DROPOUT_INTERVALS * a.trend_dt_s * 1e9, DROPOUT_MOST_NS)
-    return a.now_ns - a.held_ns > a.late_s * 1e9 + max(DROPOUT_NS, usual_ns)
+    return a.now_ns - a.held_ns > a.late_s * 1e9 + max(DROPOUT_NS, patience_s(a) * 1e9)
 
 
 @njit(cache=True, nogil=True)

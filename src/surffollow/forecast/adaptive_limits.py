@@ -23,7 +23,7 @@ LEAST_S = 5e-4  # shorter ones are not reckoned with: what they overshoot is lit
 FIRST_S = 0.001  # the cycle assumed before the first
 LONGEST_S = 0.02  # a cycle that took longer moves the set point no farther, unless all are long
 AXIS_SPEEDS, AXIS_ACCELS = 2.0, 20.0  # of what the assumed axis can do: quicker set points are only restless
-HOME_M, HOME_MPS = 1e-3, 0.02
+HOME_M, HOME_MPS = 1e-3, 0.02  # so near where it is wanted, and so slow, a set point is back from a plan
 ROUNDS = 8  # of bisection: 1/256 of what the jerk allows in a cycle
 
 

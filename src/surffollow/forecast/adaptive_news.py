@@ -11,12 +11,13 @@ from numba import njit
 
 from surffollow.forecast.adaptive_adapt import adapt_band
 from surffollow.forecast.adaptive_health import CLOSE_SAMPLES, is_stuck, watch_stuck
+from surffollow.forecast.adaptive_held import is_news
 from surffollow.forecast.adaptive_latency import learn_lag
 from surffollow.forecast.adaptive_motion import pose_when
 from surffollow.forecast.adaptive_plane import beams_changed, plane_height, take_beams
 from surffollow.forecast.adaptive_preview import LEADING_M, check_told, told_height, watch_error
 from surffollow.forecast.adaptive_scout import check_scouts
-from surffollow.forecast.adaptive_take import is_news, take_sample
+from surffollow.forecast.adaptive_take import take_sample
 from surffollow.forecast.adaptive_trend import take_range
 from surffollow.forecast.pose import footprint, rotate
 from surffollow.forecast.safety import watch_fold_back

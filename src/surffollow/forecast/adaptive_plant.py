@@ -127,7 +127,7 @@ def learn_plant(params: Any, a: Any, sense: Any, adapt: Any) -> None:
     if t == a.plant_ns:
         return
     gap = t <= a.plant_ns or t - a.plant_ns > LOST_NS
-    if a.ticks == 0 or a.set_ns <= 0 or gap or a.tau_assumed_s != params.plant_tau_s:
+    if a.ticks == 0 or a.set_ns == 0 or a.shown != 0 or gap or a.tau_assumed_s != params.plant_tau_s:
         start_plants(params, a, t, z)
         return
     advance_plants(params, a, t)
