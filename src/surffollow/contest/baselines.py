@@ -10,10 +10,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from surffollow.contest.loop import END, SAMPLE, STEP_S, TICK, World, advance
+from surffollow.shm.jit import jit
 
 HOLD, P, PI, LPF_GATE, KALMAN_FF = 0, 1, 2, 3, 4
 
@@ -36,7 +36,7 @@ DROPOUT_AFTER_MS = 25.0  # no reading for so long beyond the sensor's latency: a
 POLICY_EXTRAPOLATE, POLICY_HOLD = 0.0, 1.0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def pose_at(s: Any, w: World, ms: float) -> tuple[float, float]:
     """x and z at a time [ms] from the reports that have arrived, linear between and beyond them.
 
@@ -58,7 +58,7 @@ def pose_at(s: Any, w: World, ms: float) -> tuple[float, float]:
     return x, z
 
 
-@njit(cache=True, nogil=True)
+@jit
 def lateral_speed(s: Any, w: World) -> float:
     """Lateral speed [m/s] over the last ten reports that have arrived; 0 before the second."""
     last = s.poses - 1
@@ -70,7 +70,7 @@ def lateral_speed(s: Any, w: World) -> float:
     )
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _note(m: NDArray[Any], track: NDArray[Any]) -> None:
     """Append the estimate to the track."""
     n = int(m[_COUNT])
@@ -80,7 +80,7 @@ def _note(m: NDArray[Any], track: NDArray[Any]) -> None:
     m[_COUNT] = n + 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _height_at(m: NDArray[Any], track: NDArray[Any], x_m: float) -> float:
     """Estimated height at x: from the track where a leading sensor has been, else by the last slope."""
     n = int(m[_COUNT])
@@ -97,7 +97,7 @@ def _height_at(m: NDArray[Any], track: NDArray[Any], x_m: float) -> float:
     return float(track[i, _TRACK_H] + f * (track[i + 1, _TRACK_H] - track[i, _TRACK_H]))
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _lpf_sample(
     p: NDArray[Any], m: NDArray[Any], track: NDArray[Any], dt_s: float, x_m: float, h_m: float
 ) -> None:
@@ -116,7 +116,7 @@ def _lpf_sample(
     _note(m, track)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _kalman_sample(p: NDArray[Any], m: NDArray[Any], track: NDArray[Any], x_m: float, h_m: float) -> None:
     """Update height and slope (p: slope noise, height noise, gate [σ], rejects to reset, lag [s])."""
     r = KALMAN_SIGMA_M * KALMAN_SIGMA_M
@@ -153,7 +153,7 @@ def _kalman_sample(p: NDArray[Any], m: NDArray[Any], track: NDArray[Any], x_m: f
     _note(m, track)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def on_sample(kind: int, p: NDArray[Any], m: NDArray[Any], track: NDArray[Any], s: Any, w: World) -> None:
     """Take the reading that has just arrived (index `samples` − 1)."""
     i = s.samples - 1
@@ -175,7 +175,7 @@ def on_sample(kind: int, p: NDArray[Any], m: NDArray[Any], track: NDArray[Any], 
             _kalman_sample(p, m, track, x + s.lead_m, z - r)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def on_tick(kind: int, p: NDArray[Any], m: NDArray[Any], track: NDArray[Any], s: Any, w: World) -> float:
     """Demand [m] to be added to the newest report that has arrived; 0 before anything is known."""
     if s.poses == 0:
@@ -207,7 +207,7 @@ def on_tick(kind: int, p: NDArray[Any], m: NDArray[Any], track: NDArray[Any], s:
     return float(m[_TARGET] - z_report)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def run_baseline(kind: int, p: NDArray[Any], m: NDArray[Any], track: NDArray[Any], s: Any, w: World) -> None:
     """Run one baseline to the end of the path.
 

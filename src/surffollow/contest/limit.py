@@ -11,8 +11,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from surffollow.shm.jit import jit
 
 TOLERANCE = 1e-4  # relative duality gap
 FLOOR_M2 = 1e-12  # a mean square below (1 µm)² is as good as none
@@ -21,7 +22,7 @@ MAX_ITERATIONS = 100
 MAX_POINTS = 80_000  # coarser, the edges of rough ground are lost: 15 ms apart told 5 % too much
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _differences(z: NDArray[Any], d1: NDArray[Any], d2: NDArray[Any]) -> None:
     """First and second differences; d1 has n − 1 entries, d2 n − 2 (entry k belongs to point k + 1)."""
     for k in range(z.shape[0] - 1):
@@ -30,7 +31,7 @@ def _differences(z: NDArray[Any], d1: NDArray[Any], d2: NDArray[Any]) -> None:
         d2[k] = d1[k + 1] - d1[k]
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _adjoint(y1: NDArray[Any], y2: NDArray[Any], out: NDArray[Any]) -> None:
     """out = D1ᵀ·y1 + D2ᵀ·y2."""
     n = out.shape[0]
@@ -45,7 +46,7 @@ def _adjoint(y1: NDArray[Any], y2: NDArray[Any], out: NDArray[Any]) -> None:
         out[k + 2] += y2[k]
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _factor(w1: NDArray[Any], w2: NDArray[Any], band: NDArray[Any]) -> None:
     """LDLᵀ of I + D1ᵀ·W1·D1 + D2ᵀ·W2·D2 in place; band rows: diagonal, first, second subdiagonal."""
     n = band.shape[1]
@@ -77,7 +78,7 @@ def _factor(w1: NDArray[Any], w2: NDArray[Any], band: NDArray[Any]) -> None:
         band[2, k] = l2
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _solve(band: NDArray[Any], b: NDArray[Any]) -> None:
     """Solve with the factors of `_factor`, in place."""
     n = b.shape[0]
@@ -94,7 +95,7 @@ def _solve(band: NDArray[Any], b: NDArray[Any]) -> None:
             b[k] -= band[2, k] * b[k + 2]
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _dual(r: NDArray[Any], lam: NDArray[Any], h: NDArray[Any], y: NDArray[Any], d: NDArray[Any]) -> float:
     """Value of the dual: λᵀ(G·r − h) − ½·|Gᵀλ|²."""
     n = r.shape[0]
@@ -113,7 +114,7 @@ def _dual(r: NDArray[Any], lam: NDArray[Any], h: NDArray[Any], y: NDArray[Any], 
     return total
 
 
-@njit(cache=True, nogil=True)
+@jit
 def bounded_path(r: NDArray[Any], d1_max: float, d2_max: float, z: NDArray[Any]) -> tuple[float, int]:
     """Path nearest to r (least squares) with bounded first and second differences.
 

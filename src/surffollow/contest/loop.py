@@ -10,9 +10,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from surffollow.shm.jit import jit
 from surffollow.sim.plant import axis_step, set_point_for
 from surffollow.sim.profiles import profile_height
 
@@ -60,7 +60,7 @@ class World(NamedTuple):
     z: NDArray[Any]
 
 
-@njit(cache=True, nogil=True)
+@jit
 def read_range(s: Any, range_m: float, noise_m: float) -> float:
     """Range as the sensor gives it: noise, window, A/D steps; NaN when there is no reading."""
     r = range_m + noise_m
@@ -69,7 +69,7 @@ def read_range(s: Any, range_m: float, noise_m: float) -> float:
     return float(s.near_m + s.quantum_m * math.floor((r - s.near_m) / s.quantum_m + 0.5))
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _make_reports(s: Any, heights: NDArray[Any], reports: NDArray[Any], readings: NDArray[Any]) -> None:
     """Write the pose report and the reading that are stamped with this millisecond, if any."""
     x = s.start_m + s.speed_mps * s.ms * STEP_S
@@ -87,7 +87,7 @@ def _make_reports(s: Any, heights: NDArray[Any], reports: NDArray[Any], readings
     s.samples_made = i
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _move(s: Any, reports: NDArray[Any], readings: NDArray[Any], z: NDArray[Any]) -> None:
     """Step the axis to the next millisecond in which anything but motion happens."""
     until = min(s.end_ms, (s.ms // s.tick_ms + 1) * s.tick_ms)
@@ -110,7 +110,7 @@ def _move(s: Any, reports: NDArray[Any], readings: NDArray[Any], z: NDArray[Any]
     s.ms = ms
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _apply_demand(s: Any, reports: NDArray[Any], orders: NDArray[Any]) -> None:
     """Let the controller add the demand to the report that it refers to."""
     if not math.isfinite(s.demand_m):
@@ -123,7 +123,7 @@ def _apply_demand(s: Any, reports: NDArray[Any], orders: NDArray[Any]) -> None:
     s.ticks += 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def advance(s: Any, w: World) -> int:
     """Run the world until something concerns the follower.
 
@@ -164,13 +164,13 @@ def advance(s: Any, w: World) -> int:
         s.phase = _MOVE
 
 
-@njit(cache=True, nogil=True)
+@jit
 def advance_to_tick(s: Any, w: World) -> int:
     """Run to the next `TICK` or to the `END`, past arrivals: `poses` and `samples` say what came meanwhile.
 
     What a follower is told between ticks changes nothing before the next tick, so it can be told then.
     """
     while True:
-        event = advance(s, w)
+        event: int = advance(s, w)
         if event in (TICK, END):
             return event

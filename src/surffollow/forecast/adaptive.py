@@ -9,8 +9,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.adaptive_adapt import report_adapted
 from surffollow.forecast.adaptive_bank import LEAD_SHARE, MODEL, C, look_ahead
 from surffollow.forecast.adaptive_health import has_been_stuck, is_stuck, patience_s, watch_health
@@ -33,6 +31,7 @@ from surffollow.forecast.adaptive_scout import take_scouts
 from surffollow.forecast.adaptive_take import SETTLE_NS, START_SAMPLES
 from surffollow.forecast.adaptive_tick import note_arrival, open_tick, taken_at, tick_is_due
 from surffollow.forecast.safety import PROBE_M, limit
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import (
     DROPOUT,
     FAULT_CLOSE,
@@ -65,7 +64,7 @@ SURE_SAMPLES = 25  # fewer, and then none: not enough to go down for
 LEAST_WEIGHT = 1e-3  # candidates with less have no say in that rate
 
 
-@njit(cache=True, nogil=True)
+@jit
 def way_ahead(params: Any, a: Any, pose: Any, pose_t_ns: Any) -> Any:
     """How far ahead of the last footprint the tool will be when the controller acts [m]."""
     if a.speed_mps < KNOWN_DIRECTION_MPS:
@@ -75,13 +74,13 @@ def way_ahead(params: Any, a: Any, pose: Any, pose_t_ns: Any) -> Any:
     return gap / a.speed_mps + a.speed_mps * soon
 
 
-@njit(cache=True, nogil=True)
+@jit
 def lost_for_s(a: Any) -> Any:
     """Time beyond the usual delay and a lone lost sample since ground was last seen [s]; ≤ 0: not lost."""
     return (a.now_ns - a.accepted_ns) * 1e-9 - a.late_s - max(GRACE_S, patience_s(a))
 
 
-@njit(cache=True, nogil=True)
+@jit
 def blend_set_points(params: Any, a: Any, ahead_m: Any, drop_m: Any, tick: Any) -> Any:
     """Blend the candidates' set points; on a tick remember each.
 
@@ -118,7 +117,7 @@ def blend_set_points(params: Any, a: Any, ahead_m: Any, drop_m: Any, tick: Any) 
     return z
 
 
-@njit(cache=True, nogil=True)
+@jit
 def hold_calm(params: Any, a: Any, wanted_m: Any) -> Any:
     """Carry the set point on as the models expect while it stays near where it is wanted.
 
@@ -142,7 +141,7 @@ def hold_calm(params: Any, a: Any, wanted_m: Any) -> Any:
     return a.calm_m
 
 
-@njit(cache=True, nogil=True)
+@jit
 def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any) -> Any:
     """Demand of the adaptive mode into `output`; returns status bits.
 
@@ -243,7 +242,7 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
     return status
 
 
-@njit(cache=True, nogil=True)
+@jit
 def forget_all(a: Any) -> None:
     """Begin as if nothing had been seen: what is believed is not finite."""
     a.faults |= FAULT_NOT_FINITE
@@ -258,7 +257,7 @@ def forget_all(a: Any) -> None:
     forget_rest(a)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def forget_surface(a: Any) -> None:
     """SFReset: start anew with the next sample; noise, scores and what steps do here are kept."""
     a.samples = 0
@@ -268,7 +267,7 @@ def forget_surface(a: Any) -> None:
     a.faults = 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def report_adaptive(params: Any, a: Any, output: Any) -> None:
     """Publish what the follower believes."""
     report_adapted(params, a, output)

@@ -9,22 +9,21 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import INTERVALS
 
 MOST_M = 2e-3
 LEAST_GAIN = 1e-4
 
 
-@njit(cache=True, nogil=True)
+@jit
 def adapt_band(params: Any, a: Any) -> None:
     """Set the way that the set point may stay away from where it is wanted."""
     a.permitted_m = max(params.permitted_variance_m, min(a.sigma_m, MOST_M))
     a.calm_band_m = params.calm_share * a.permitted_m
 
 
-@njit(cache=True, nogil=True)
+@jit
 def report_adapted(params: Any, a: Any, output: Any) -> None:
     """Tell Permitted_Variance, Interval_Size and Range_Size in force.
 

@@ -6,7 +6,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from surffollow.shm.jit import jit
 
 SLOPE, CURVE, WAVE = 0, 1, 2
 
@@ -69,7 +70,7 @@ _BOLD = np.array([0.0, 0.8, 0.8])
 PRIOR = _BOLD[BANK[MODEL, 0].astype(np.int64)] + np.log(np.bincount(MODEL)[MODEL])
 
 
-@njit(cache=True, nogil=True)
+@jit
 def start_model(i: Any, x: Any, p: Any, h_m: Any, r: Any) -> None:
     """Set model i to level ground at height h."""
     kind = BANK[i, 0]
@@ -86,7 +87,7 @@ def start_model(i: Any, x: Any, p: Any, h_m: Any, r: Any) -> None:
         p[c + 5] = 1e-5
 
 
-@njit(cache=True, nogil=True)
+@jit
 def predict_model(i: Any, x: Any, p: Any, d: Any) -> None:
     """Carry model i on by d [m]."""
     kind, a, q, qh = BANK[i, 0], BANK[i, 1], BANK[i, 2], BANK[i, 3]
@@ -135,7 +136,7 @@ def predict_model(i: Any, x: Any, p: Any, d: Any) -> None:
         p[c + 5] = cs * a22 - sn * a21 + q * q * d
 
 
-@njit(cache=True, nogil=True)
+@jit
 def height_of(i: Any, x: Any) -> Any:
     """Height that model i gives where it stands."""
     if BANK[i, 0] == WAVE:
@@ -143,7 +144,7 @@ def height_of(i: Any, x: Any) -> Any:
     return x[3 * i]
 
 
-@njit(cache=True, nogil=True)
+@jit
 def slope_of(i: Any, x: Any) -> Any:
     """Slope that model i gives where it stands."""
     if BANK[i, 0] == WAVE:
@@ -151,7 +152,7 @@ def slope_of(i: Any, x: Any) -> Any:
     return x[3 * i + 1]
 
 
-@njit(cache=True, nogil=True)
+@jit
 def update_model(i: Any, x: Any, p: Any, h_m: Any, r: Any) -> None:
     """Let model i learn a height with variance r."""
     kind = BANK[i, 0]
@@ -177,7 +178,7 @@ def update_model(i: Any, x: Any, p: Any, h_m: Any, r: Any) -> None:
     p[c + 5] = p22 - g2 * g2 * f
 
 
-@njit(cache=True, nogil=True)
+@jit
 def look_ahead(i: Any, x: Any, d: Any, lead: Any) -> Any:
     """Height that model i expects d [m] ahead plus `lead` [m] times the slope there."""
     kind, a = BANK[i, 0], BANK[i, 1]
@@ -195,7 +196,7 @@ def look_ahead(i: Any, x: Any, d: Any, lead: Any) -> Any:
     return x[k] + cs * x[k + 1] + sn * x[k + 2] + lead * a * (cs * x[k + 2] - sn * x[k + 1])
 
 
-@njit(cache=True, nogil=True)
+@jit
 def look_ahead_variance(i: Any, p: Any, d: Any) -> Any:
     """Variance of the height d [m] ahead by model i's own account, were its slope to stay as it is [m²]."""
     c = 6 * i

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.adaptive_held import FLICKER_COUNTS
 from surffollow.forecast.adaptive_news import KNOWN_DIRECTION_MPS
 from surffollow.forecast.adaptive_preview import LEADING_M, STEP_S
@@ -21,6 +19,7 @@ from surffollow.shm.conversion import (
     conversion_dt_ns,
     conversion_flags,
 )
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, POSES
 
@@ -30,7 +29,7 @@ STAMP_S = 0.008  # how far from the usual a sample's stamp may lie
 MARGIN_M = 1.5e-3  # for a place between two heights, and for noise of the reports
 
 
-@njit(cache=True, nogil=True)
+@jit
 def newest_conversion(inputs: Any) -> Any:
     """Index of the cycle's last conversion of channel 0, -1: none, or it is no measurement."""
     for j in range(inputs.n_conversions):
@@ -41,7 +40,7 @@ def newest_conversion(inputs: Any) -> Any:
     return -1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def preview_due(params: Any, a: Any, inputs: Any, now_ns: Any) -> Any:
     """What the coming cycle would use a preview for: FOR_SAMPLE, FOR_TICK, both or 0.
 
@@ -72,7 +71,7 @@ def preview_due(params: Any, a: Any, inputs: Any, now_ns: Any) -> Any:
     return due
 
 
-@njit(cache=True, nogil=True)
+@jit
 def preview_place(params: Any, state: Any, inputs: Any) -> Any:
     """What a preview is due for in the coming cycle, and which piece of the way ahead it must cover.
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import (
     DROPOUT,
     FAULT,
@@ -33,7 +32,7 @@ RUN_RATE, RUN_FIRST_RATE, RUN_SAMPLES = 0.02, 0.05, 200  # longest runs are forg
 CLOSE_SAMPLES = 3  # a lone glitch is not the fold-back
 
 
-@njit(cache=True, nogil=True)
+@jit
 def most_still(a: Any) -> Any:
     """How many equal samples in a row are still believable: a multiple of the usual, if that is known."""
     if a.still_usual == 0.0:
@@ -41,7 +40,7 @@ def most_still(a: Any) -> Any:
     return min(STILL_RUNS * a.still_usual + STILL_MORE, STILL_MOST)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def learn_run(a: Any, n: Any) -> None:
     """Take the length of a run of equal samples: the longest lately is the usual."""
     if a.still_usual == 0.0:
@@ -52,7 +51,7 @@ def learn_run(a: Any, n: Any) -> None:
         a.still_usual += (RUN_RATE if a.scored >= RUN_SAMPLES else RUN_FIRST_RATE) * (n - a.still_usual)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def watch_stuck(a: Any, repeated: Any, tool_z_m: Any) -> None:
     """Count equal samples in a row; the sensor is stuck when the tool moved along z during too many.
 
@@ -74,31 +73,31 @@ def watch_stuck(a: Any, repeated: Any, tool_z_m: Any) -> None:
         a.still += STUCK_RUN
 
 
-@njit(cache=True, nogil=True)
+@jit
 def is_stuck(a: Any) -> Any:
     """1 when one value came for long although the tool moved along z."""
     return 1 if a.still >= STUCK_RUN else 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def has_been_stuck(a: Any) -> Any:
     """1 when a sensor is stuck for good: a coarse one that was held for stuck changes as the tool stops."""
     return 1 if a.still > STUCK_RUN + FOR_GOOD * most_still(a) else 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def patience_s(a: Any) -> Any:
     """For how long a sensor as slow as this one may say nothing beyond its usual delay [s]."""
     return min(PATIENT_SAMPLES * a.trend_dt_s, PATIENT_S)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def is_missing(a: Any) -> Any:
     """Whether samples of channel 0 stay away for longer than they usually do."""
     return a.now_ns - a.held_ns > a.late_s * 1e9 + max(DROPOUT_NS, patience_s(a) * 1e9)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def watch_health(params: Any, a: Any, stuck: Any) -> None:
     """Find the state of the ranging now and show it with hysteresis."""
     wanted = OK

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CONVERSION_WINDOW
 
 FLICKER_COUNTS = 1.5  # an A/D's last bit is no news
 
 
-@njit(cache=True, nogil=True)
+@jit
 def is_news(params: Any, a: Any, sense: Any, given: Any, channel: Any) -> Any:
     """Whether a channel has a new sample, and its value and stamp.
 

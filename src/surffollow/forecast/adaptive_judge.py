@@ -11,10 +11,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.adaptive_bank import MODEL, PRIOR, C, look_ahead_variance
 from surffollow.forecast.adaptive_preview import LEADING_M
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import TICKS
 
 STEP_NS = 2_000_000  # of the shadow axes
@@ -29,7 +28,7 @@ CAUTION = 3.0  # power of what a model claims to know, while nothing else is kno
 JUDGED, SHARP = 200, 500  # samples after which scores count fully, and as sharply as they may
 
 
-@njit(cache=True, nogil=True)
+@jit
 def axis_speed(distance_m: Any, tau_s: Any, a_max_mps2: Any) -> Any:
     """Speed at which the assumed axis heads for its set point: proportional, then square root."""
     linear = a_max_mps2 * tau_s * tau_s
@@ -40,7 +39,7 @@ def axis_speed(distance_m: Any, tau_s: Any, a_max_mps2: Any) -> Any:
     return distance_m / tau_s
 
 
-@njit(cache=True, nogil=True)
+@jit
 def put_shadows(a: Any, z_m: Any) -> None:
     """Put every shadow axis to rest at a height."""
     for i in range(C):
@@ -48,7 +47,7 @@ def put_shadows(a: Any, z_m: Any) -> None:
         a.axis_v_mps[i] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def advance_shadows(params: Any, a: Any, from_ns: Any, to_ns: Any) -> None:
     """Carry every shadow axis on with the set points of its candidate."""
     span = to_ns - from_ns
@@ -81,7 +80,7 @@ def advance_shadows(params: Any, a: Any, from_ns: Any, to_ns: Any) -> None:
             a.axis_z_m[i] += v * dt
 
 
-@njit(cache=True, nogil=True)
+@jit
 def score(params: Any, a: Any, way_m: Any, dt_s: Any, wanted_m: Any) -> None:
     """Score every shadow against where the tool should have been at the sample, and weigh anew."""
     rate = way_m / params.score_way_m + dt_s / params.score_time_s
@@ -97,7 +96,7 @@ def score(params: Any, a: Any, way_m: Any, dt_s: Any, wanted_m: Any) -> None:
     weigh(params, a)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def weigh(params: Any, a: Any) -> None:
     """Turn scores into weights: powers of recent and longer cost, noise taken off."""
     best, best_long = a.score_m2[0], a.long_m2[0]
@@ -139,7 +138,7 @@ def weigh(params: Any, a: Any) -> None:
         a.weight[i] /= total
 
 
-@njit(cache=True, nogil=True)
+@jit
 def note_targets(a: Any, now_ns: Any) -> None:
     """Close a tick whose set points stand in slot `ticks`: restlessness, time, count."""
     slot = a.ticks & (TICKS - 1)

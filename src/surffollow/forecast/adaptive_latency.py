@@ -12,9 +12,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.pose import pose_at
+from surffollow.shm.jit import jit
 
 PRIOR_S = 0.03  # how wrong the configured latency may well be
 HALF_SPAN_NS = 15_000_000  # climb at a sample: between the poses so long before and after
@@ -27,14 +26,14 @@ RESIDUAL_M = 0.5e-3  # left by the regression, beyond the noise: the ground was 
 DRIFT_S = 1e-3  # the lag may wander by as much from rest to rest
 
 
-@njit(cache=True, nogil=True)
+@jit
 def forget_rest(a: Any) -> None:
     """Begin anew."""
     a.rest_n = 0
     a.rest_climb_mps = a.rest_h_m = a.rest_cc = a.rest_ch = a.rest_hh = 0.0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def assume_latency(params: Any, a: Any) -> None:
     """What was found beside another configured latency is no correction of this one: find it anew."""
     if a.latency_assumed_ns != params.sensor_latency_ns:
@@ -43,7 +42,7 @@ def assume_latency(params: Any, a: Any) -> None:
         forget_rest(a)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def conclude_rest(a: Any, adapt: Any) -> None:
     """Let what a rest told enter the lag, and begin anew."""
     n = a.rest_n
@@ -60,7 +59,7 @@ def conclude_rest(a: Any, adapt: Any) -> None:
     forget_rest(a)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def learn_lag(a: Any, sense: Any, t_ns: Any, h_m: Any, still: Any, adapt: Any, pose: Any) -> None:
     """Take a sample's height, made with the pose at its stamp less the lag found so far.
 

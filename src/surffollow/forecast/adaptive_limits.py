@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
+from surffollow.shm.jit import jit
 
 PAUSE_S = 0.1  # a set point not renewed for so long starts anew at the tool …
 PAUSE_CYCLES = 3.0  # … unless the caller is as slow as that: then for so many of its intervals
@@ -27,7 +27,7 @@ HOME_M, HOME_MPS = 1e-3, 0.02  # so near where it is wanted, and so slow, a set 
 ROUNDS = 8  # of bisection: 1/256 of what the jerk allows in a cycle
 
 
-@njit(cache=True, nogil=True)
+@jit
 def way_to_rest(speed_mps: Any, accel_mps2: Any, a_max_mps2: Any, jerk_mps3: Any) -> Any:
     """Way until speed and acceleration are zero, from a speed ≥ 0, by the quickest braking [m]."""
     t = abs(accel_mps2) / jerk_mps3
@@ -42,7 +42,7 @@ def way_to_rest(speed_mps: Any, accel_mps2: Any, a_max_mps2: Any, jerk_mps3: Any
     return first + v * math.sqrt(v / jerk_mps3)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def can_stop(e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, v_max: Any, a_max: Any, jerk: Any) -> Any:
     """Whether a cycle at an acceleration leaves room to stop within `e_m` ≥ 0 and below `v_max`."""
     v = v_mps + a_mps2 * dt_s
@@ -53,7 +53,7 @@ def can_stop(e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, v_max: Any, a_max: An
     return v * dt_s + way_to_rest(v, a_mps2, a_max, jerk) <= e_m
 
 
-@njit(cache=True, nogil=True)
+@jit
 def next_accel(
     e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, next_s: Any, v_max: Any, a_max: Any, jerk: Any
 ) -> Any:
@@ -91,13 +91,13 @@ def next_accel(
     return low
 
 
-@njit(cache=True, nogil=True)
+@jit
 def pause_s(a: Any) -> Any:
     """For how long a set point must not have been renewed to start anew at the tool [s]."""
     return max(PAUSE_S, PAUSE_CYCLES * a.cycle_s)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def learn_cycle(a: Any, dt_s: Any) -> None:
     """Take an interval between calls: one pause tells little, intervals that stay long are the caller's."""
     if dt_s > a.cycle_s:
@@ -110,7 +110,7 @@ def learn_cycle(a: Any, dt_s: Any) -> None:
         a.cycle_least_s += LEAST_RATE * (dt_s - a.cycle_least_s)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def highest(most: Any, axis_can: Any, quick: Any) -> Any:
     """Limit in force: what the axis can make use of, up to all that is permitted to a plan over known ground.
 
@@ -119,14 +119,14 @@ def highest(most: Any, axis_can: Any, quick: Any) -> Any:
     return most + (1.0 - quick) * (min(most, axis_can) - most)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def is_home(params: Any, a: Any, e_m: Any) -> Any:
     """Whether a set point that a plan led far ahead is back: until then it may move as quickly as it went."""
     calm = params.toward_factor * AXIS_ACCELS * params.plant_a_max_mps2
     return abs(e_m) < HOME_M and abs(a.set_speed_mps) < HOME_MPS and abs(a.set_accel_mps2) <= calm
 
 
-@njit(cache=True, nogil=True)
+@jit
 def advance_set_point(params: Any, a: Any, wanted_m: Any, dt_s: Any) -> None:
     """Move the set point for a time at one acceleration."""
     e = wanted_m - a.set_point_m
@@ -148,7 +148,7 @@ def advance_set_point(params: Any, a: Any, wanted_m: Any, dt_s: Any) -> None:
     a.set_point_m += a.set_speed_mps * dt_s
 
 
-@njit(cache=True, nogil=True)
+@jit
 def move_set_point(params: Any, a: Any, now_ns: Any, wanted_m: Any, tool_z_m: Any) -> None:
     """Lead `a.set_point_m` toward where it is wanted; after a pause it starts anew at the tool.
 

@@ -10,9 +10,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import MAX_PREVIEW, POSES
 
 CELLS = 1 << 16
@@ -36,7 +36,7 @@ def new_memory() -> NDArray[Any]:
     return np.zeros(CELLS, MEMORY)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _start(ix: Any, iy: Any) -> Any:
     """First place of a cell: a mix of its two indices."""
     h = (ix * 73856093) ^ (iy * 19349663)
@@ -44,7 +44,7 @@ def _start(ix: Any, iy: Any) -> Any:
     return h & (CELLS - 1)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def remember(memory: Any, x_m: Any, y_m: Any, height_m: Any, age: Any) -> None:
     """Average a height into its cell at an age (> 0, growing) [ns]; far-off coordinates are ignored."""
     if not (abs(x_m) < CELL_M * KEY and abs(y_m) < CELL_M * KEY and math.isfinite(height_m)):
@@ -69,7 +69,7 @@ def remember(memory: Any, x_m: Any, y_m: Any, height_m: Any, age: Any) -> None:
     m.n_before = 0.0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def recall(memory: Any, x_m: Any, y_m: Any, before: Any) -> Any:
     """Mean height around a point, of what was written before age `before`; NaN when there is nothing.
 
@@ -97,7 +97,7 @@ def recall(memory: Any, x_m: Any, y_m: Any, before: Any) -> Any:
     return total / weight if weight > 0.0 else math.nan
 
 
-@njit(cache=True, nogil=True)
+@jit
 def recall_ahead(memory: Any, state: Any, inputs: Any) -> None:
     """Fill a cycle's preview with what is remembered along the direction of travel.
 
@@ -132,7 +132,7 @@ def recall_ahead(memory: Any, state: Any, inputs: Any) -> None:
         i.n_preview, i.preview_from_m, i.preview_step_m = MAX_PREVIEW, first, step
 
 
-@njit(cache=True, nogil=True)
+@jit
 def remember_output(memory: Any, state: Any, output: Any) -> None:
     """Average the footprint that entered the estimate in this cycle, if one did, into its cell."""
     o = output[0]

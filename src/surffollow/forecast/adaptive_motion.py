@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.pose import pose_at
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import POSES
 
 SPEED_WINDOW_NS = 100_000_000
@@ -16,7 +15,7 @@ LONGEST_GAP_NS = 1_000_000_000  # a report so much older than the newest is of a
 LONGEST_GUESS_NS = 50_000_000  # a pose is carried on by its velocity no farther
 
 
-@njit(cache=True, nogil=True)
+@jit
 def oldest_within(sense: Any, window_ns: Any) -> Any:
     """Slot of the first pose report that lies `window_ns` or more before the newest, or of the oldest.
 
@@ -32,7 +31,7 @@ def oldest_within(sense: Any, window_ns: Any) -> Any:
     return k & (POSES - 1)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def measure_motion(a: Any, sense: Any) -> None:
     """Lateral and vertical velocity of the tool from its reports, when one is new; 0 with one report."""
     if a.motion_poses == sense.pose_count:
@@ -51,7 +50,7 @@ def measure_motion(a: Any, sense: Any) -> None:
     a.climb_mps = (sense.pose[7 * last + 2] - sense.pose[7 * near + 2]) / dt
 
 
-@njit(cache=True, nogil=True)
+@jit
 def pose_when(a: Any, sense: Any, t_ns: Any, pose: Any) -> None:
     """The tool's pose at a time into `pose` (7,); after the newest report carried on by the velocity."""
     pose_at(sense, t_ns, 1, pose)

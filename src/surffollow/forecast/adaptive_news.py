@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.adaptive_adapt import adapt_band
 from surffollow.forecast.adaptive_health import CLOSE_SAMPLES, is_stuck, watch_stuck
 from surffollow.forecast.adaptive_held import is_news
@@ -21,6 +19,7 @@ from surffollow.forecast.adaptive_take import take_sample
 from surffollow.forecast.adaptive_trend import take_range
 from surffollow.forecast.pose import footprint, rotate
 from surffollow.forecast.safety import watch_fold_back
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import BEAMS, FAULT_CLOCK
 from surffollow.shm.layout_follow import POSES, RUN_FREEZE, RUN_NORMAL
 
@@ -31,7 +30,7 @@ SAMPLE_WAY_RATE = 0.05
 KNOWN_DIRECTION_MPS = 0.005  # slower, the direction of travel is not known well enough to look ahead
 
 
-@njit(cache=True, nogil=True)
+@jit
 def forget_stamps(a: Any) -> None:
     """Forget whatever is stamped by a clock that is no more: its times may lie ahead for long.
 
@@ -47,7 +46,7 @@ def forget_stamps(a: Any) -> None:
         a.scout_ns[c] = a.beam_ns[c] = a.beam_changed_ns[c] = 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def watch_clock(a: Any, t_ns: Any, pose_t_ns: Any) -> None:
     """The latest time heard of is now; late samples do not turn it back, a new clock does."""
     t = max(t_ns, pose_t_ns)
@@ -59,7 +58,7 @@ def watch_clock(a: Any, t_ns: Any, pose_t_ns: Any) -> None:
     a.now_ns = max(a.now_ns, t)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def tool_above(params: Any, a: Any, sense: Any, plane: Any, pose: Any) -> Any:
     """How much higher than the ground under it (the beam's footprint) the tool should be [m].
 
@@ -76,7 +75,7 @@ def tool_above(params: Any, a: Any, sense: Any, plane: Any, pose: Any) -> Any:
     return (params.offset_m - params.tool_from_sensor[2]) * along
 
 
-@njit(cache=True, nogil=True)
+@jit
 def take_news(params: Any, state: Any, inputs: Any, output: Any, plane: Any, pose: Any) -> None:
     """Take a new sample, if there is one; what does not enter the estimate is not mapped."""
     a, sense = state.adaptive, state.sense

@@ -14,9 +14,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.adaptive_judge import axis_speed
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 
 TICK_S = 0.01
@@ -33,7 +32,7 @@ FADE = 0.98  # per tick: readings tell of an error late
 AFTER, AFTER_WEIGHT = 16, 0.5  # ticks beyond the known ground, which is guessed to stay as it ended there
 
 
-@njit(cache=True, nogil=True)
+@jit
 def ground_weight(k: Any, known: Any) -> Any:
     """How much point k of the plan, k + 1 ticks from now, counts."""
     if k + 1 < known:
@@ -41,7 +40,7 @@ def ground_weight(k: Any, known: Any) -> Any:
     return AFTER_WEIGHT if k + 1 < known + AFTER else UNKNOWN_WEIGHT
 
 
-@njit(cache=True, nogil=True)
+@jit
 def find_early(a: Any, known: Any, drop_m: Any, z_m: Any) -> Any:
     """Mark in `a.plan_early` the points that go down before the ground does; how many marks changed.
 
@@ -60,7 +59,7 @@ def find_early(a: Any, known: Any, drop_m: Any, z_m: Any) -> Any:
     return changed
 
 
-@njit(cache=True, nogil=True)
+@jit
 def note_foreseen(a: Any, known: Any, drop_m: Any, z_m: Any) -> None:
     """Remember how far off a good robot will be, at a step say: that tells nothing against the plan."""
     a.plan_error_m *= FADE
@@ -68,7 +67,7 @@ def note_foreseen(a: Any, known: Any, drop_m: Any, z_m: Any) -> None:
         a.plan_error_m = max(a.plan_error_m, abs(a.plan_z_m[k] - (a.plan_g_m[k + 1] + drop_m - z_m)))
 
 
-@njit(cache=True, nogil=True)
+@jit
 def factor(a: Any, known: Any, stiff: Any) -> None:
     """LDLᵀ of W + stiff·DᵀD for second differences D that begin with two known points."""
     n = HORIZON
@@ -90,7 +89,7 @@ def factor(a: Any, known: Any, stiff: Any) -> None:
         a.band_2[k] = f / d
 
 
-@njit(cache=True, nogil=True)
+@jit
 def solve(a: Any) -> None:
     """Solve with those factors in place of `a.plan_z_m`."""
     n = HORIZON
@@ -108,7 +107,7 @@ def solve(a: Any) -> None:
             z[k] -= a.band_2[k] * z[k + 2]
 
 
-@njit(cache=True, nogil=True)
+@jit
 def plan_axis(params: Any, a: Any, known: Any, z_m: Any, v_mps: Any, drop_m: Any) -> Any:
     """Plan from the axis' state and return the speed that it should have one tick from now.
 
@@ -169,7 +168,7 @@ def plan_axis(params: Any, a: Any, known: Any, z_m: Any, v_mps: Any, drop_m: Any
     return v_mps + (a.plan_u[0] + 0.5 * a.plan_u[1]) / TICK_S
 
 
-@njit(cache=True, nogil=True)
+@jit
 def axis_after_tick(params: Any, tau_s: Any, z_m: Any, v_mps: Any, target_m: Any) -> Any:
     """Speed of the axis one tick from now with a set point."""
     dt = TICK_S / INVERT_STEPS
@@ -183,7 +182,7 @@ def axis_after_tick(params: Any, tau_s: Any, z_m: Any, v_mps: Any, target_m: Any
     return v_mps
 
 
-@njit(cache=True, nogil=True)
+@jit
 def invert_axis(params: Any, tau_s: Any, z_m: Any, v_mps: Any, wanted_mps: Any) -> Any:
     """Set point with which the axis has a speed one tick from now (bisection; the axis is monotone in it)."""
     v = abs(wanted_mps)

@@ -11,8 +11,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.adaptive_limits import pause_s
 from surffollow.forecast.adaptive_motion import pose_when
 from surffollow.forecast.adaptive_plane_fit import (
@@ -23,6 +21,7 @@ from surffollow.forecast.adaptive_plane_fit import (
     note_track,
 )
 from surffollow.forecast.pose import footprint, rotate
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CHANNELS, POSES, RUN_FREEZE
 
 PACE_NS = 12_000_000  # a beam this much older than the newest no longer sets the pace
@@ -30,7 +29,7 @@ FIRST_NS = 100_000_000  # so long one or two beams wait for a third at the start
 FORESEE_S = 0.2  # slopes are carried on by their rates no farther
 
 
-@njit(cache=True, nogil=True)
+@jit
 def choose_pace(params: Any, a: Any, sense: Any) -> Any:
     """The channel whose samples set the pace: the last one while it delivers and agrees; -1: none."""
     newest = 0
@@ -53,7 +52,7 @@ def choose_pace(params: Any, a: Any, sense: Any) -> Any:
     return best
 
 
-@njit(cache=True, nogil=True)
+@jit
 def beams_changed(a: Any, n_channels: Any, since_ns: Any) -> Any:
     """1 when a beam that still delivers has changed its reading since then: not all sensors are stuck."""
     for c in range(n_channels):
@@ -62,7 +61,7 @@ def beams_changed(a: Any, n_channels: Any, since_ns: Any) -> Any:
     return 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def take_beams(params: Any, a: Any, sense: Any, pose: Any) -> Any:
     """Footprints of all fresh channels; the channel whose samples set the pace, or -1.
 
@@ -86,7 +85,7 @@ def take_beams(params: Any, a: Any, sense: Any, pose: Any) -> Any:
     return choose_pace(params, a, sense)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def plane_height(params: Any, a: Any, t_ns: Any, x_m: Any, y_m: Any) -> Any:
     """Height under the tool from all good beams, slopes renewed; 0 beams when there are none.
 
@@ -110,7 +109,7 @@ def plane_height(params: Any, a: Any, t_ns: Any, x_m: Any, y_m: Any) -> Any:
     return good, mean_height(a, params.n_channels, x_m, y_m)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def wanted_axis(params: Any, a: Any) -> Any:
     """The surface normal as it will be when the robot's axis answers: unit vector."""
     ahead = min(max((a.now_ns - a.plane_ns) * 1e-9 + params.tick_lead_s + a.tau_s, 0.0), FORESEE_S)
@@ -119,7 +118,7 @@ def wanted_axis(params: Any, a: Any) -> Any:
     return -sx / length, -sy / length, 1.0 / length
 
 
-@njit(cache=True, nogil=True)
+@jit
 def rotation_between(ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> Any:
     """Rotation vector that turns unit vector a into b the short way, and its angle; no turn when opposite."""
     cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -130,7 +129,7 @@ def rotation_between(ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> An
     return cx * angle / sine, cy * angle / sine, cz * angle / sine, angle
 
 
-@njit(cache=True, nogil=True)
+@jit
 def move_axis(params: Any, a: Any, nx: Any, ny: Any, nz: Any, dt: Any) -> None:
     """Lead the axis' set point toward a direction, within speed and acceleration.
 
@@ -154,7 +153,7 @@ def move_axis(params: Any, a: Any, nx: Any, ny: Any, nz: Any, dt: Any) -> None:
     u[0], u[1], u[2] = x / length, y / length, z / length
 
 
-@njit(cache=True, nogil=True)
+@jit
 def demand_turn(params: Any, a: Any, sense: Any, output: Any) -> None:
     """Rotation vector from the tool's axis as reported to the axis' set point, limited to `max_turn_rad`."""
     q = 7 * ((sense.pose_count - 1) & (POSES - 1)) + 3
@@ -183,7 +182,7 @@ def demand_turn(params: Any, a: Any, sense: Any, output: Any) -> None:
     output.demand[3], output.demand[4], output.demand[5] = wx * cut, wy * cut, wz * cut
 
 
-@njit(cache=True, nogil=True)
+@jit
 def surface_normal(a: Any, output: Any) -> None:
     """Publish the normal; straight up while no plane is known."""
     length = math.sqrt(a.slope_x * a.slope_x + a.slope_y * a.slope_y + 1.0)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
+from surffollow.shm.jit import jit
 
 FRESH_NS = 25_000_000  # older footprints do not belong to the same plane
 STILL_NS = 100_000_000  # a reading that stays the same so long while the others change is stuck
@@ -32,7 +32,7 @@ CURVE_SPREAD_M2 = 1e-4  # least spread of half the squared distances from the ax
 CURVE_MOST = 10.0  # 1/m
 
 
-@njit(cache=True, nogil=True)
+@jit
 def carry_slopes(a: Any, t_ns: Any) -> Any:
     """Carry the slopes on to a sample by their rates; the time since the last one [s], 0 after a gap."""
     dt = (t_ns - a.plane_ns) * 1e-9
@@ -47,7 +47,7 @@ def carry_slopes(a: Any, t_ns: Any) -> Any:
     return dt
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _median(values: Any, n: Any) -> Any:
     """Median of the first n values, which are sorted in place."""
     for i in range(1, n):
@@ -59,21 +59,21 @@ def _median(values: Any, n: Any) -> Any:
     return values[n // 2] if n % 2 == 1 else 0.5 * (values[n // 2 - 1] + values[n // 2])
 
 
-@njit(cache=True, nogil=True)
+@jit
 def bulge(a: Any, c: Any) -> Any:
     """Half the squared distance of a beam's footprint from the tool's axis [m²]."""
     dx, dy = a.beam_m[3 * c] - a.axis_x_m, a.beam_m[3 * c + 1] - a.axis_y_m
     return 0.5 * (dx * dx + dy * dy)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def beam_height(a: Any, c: Any, x_m: Any, y_m: Any) -> Any:
     """Height at (x, y) of the plane through a beam's footprint, the curvature's share taken off [m]."""
     dx, dy = a.beam_m[3 * c] - x_m, a.beam_m[3 * c + 1] - y_m
     return a.beam_m[3 * c + 2] - a.slope_x * dx - a.slope_y * dy - a.curve * bulge(a, c)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def judge_beams(a: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any) -> Any:
     """Mark the beams that agree, weigh them, and return how many there are."""
     n, still = 0, 0
@@ -118,7 +118,7 @@ def judge_beams(a: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any) -> Any:
     return good
 
 
-@njit(cache=True, nogil=True)
+@jit
 def mean_height(a: Any, n_channels: Any, x_m: Any, y_m: Any) -> Any:
     """Weighted mean of the good beams' heights at (x, y) [m]."""
     total, weights = 0.0, 0.0
@@ -129,7 +129,7 @@ def mean_height(a: Any, n_channels: Any, x_m: Any, y_m: Any) -> Any:
     return total / weights
 
 
-@njit(cache=True, nogil=True)
+@jit
 def renew_slopes(a: Any, ex: Any, ey: Any, dt: Any) -> None:
     """Take a share of an innovation into slopes and rates; the first planes count in full."""
     share = min(2.2 * BANDWIDTH * dt, 0.5)
@@ -140,7 +140,7 @@ def renew_slopes(a: Any, ex: Any, ey: Any, dt: Any) -> None:
     a.slope_y = min(max(a.slope_y + share * ey, -STEEPEST), STEEPEST)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def fit_slopes(a: Any, n_channels: Any, good: Any, dt: Any) -> None:
     """Move the slopes toward those of the good beams: a plane, or a line along two.
 
@@ -219,7 +219,7 @@ def fit_slopes(a: Any, n_channels: Any, good: Any, dt: Any) -> None:
         a.planes += 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def note_track(a: Any, c: Any) -> None:
     """Add a beam's footprint to the track that it draws on the ground; older ones are forgotten by the way.
 
@@ -247,7 +247,7 @@ def note_track(a: Any, c: Any) -> None:
     k[7], k[8] = k[7] * keep + more * dx * dz, k[8] * keep + more * dy * dz
 
 
-@njit(cache=True, nogil=True)
+@jit
 def track_slope(a: Any) -> Any:
     """Direction of the track (ux, uy) and the slope along it where the beam is; NaN when it is too short."""
     k = a.track
@@ -260,7 +260,7 @@ def track_slope(a: Any) -> Any:
     return ux, uy, (k[7] * ux + k[8] * uy) / along + a.curve * on
 
 
-@njit(cache=True, nogil=True)
+@jit
 def learn_from_way(a: Any, dt: Any, ux: Any, uy: Any, slope: Any) -> None:
     """Take a share of a slope along (ux, uy) that a beam's track tells where others are missing."""
     if not math.isfinite(slope):
@@ -270,7 +270,7 @@ def learn_from_way(a: Any, dt: Any, ux: Any, uy: Any, slope: Any) -> None:
     a.slope_y = min(max(a.slope_y + e * uy, -STEEPEST), STEEPEST)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def learn_curve(a: Any, n_channels: Any, dt: Any, mean: Any, of_height: Any, of_bulge: Any) -> None:
     """Take a share of the mean curvature that remains beyond the plane.
 

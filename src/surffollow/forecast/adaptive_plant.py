@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.adaptive_judge import LOST_NS, STEP_NS, axis_speed
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import PLANTS, TICKS
 from surffollow.shm.layout_follow import POSES
 
@@ -26,7 +25,7 @@ OWN_HEIGHT = 0.3  # how far a report pulls the own axis
 OWN_SPEED_HZ = 2.0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def start_plants(params: Any, a: Any, t_ns: Any, z_m: Any) -> None:
     """Put all axes where the tool is."""
     for k in range(PLANTS):
@@ -39,7 +38,7 @@ def start_plants(params: Any, a: Any, t_ns: Any, z_m: Any) -> None:
             a.plant_m2[k] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def own_axis(params: Any, a: Any, to_ns: Any) -> Any:
     """Height and speed of the robot's axis at a later time, carried on from `plant_ns` with τ as found."""
     z, v = a.axis_now_m, a.axis_now_mps
@@ -62,7 +61,7 @@ def own_axis(params: Any, a: Any, to_ns: Any) -> Any:
     return z, v
 
 
-@njit(cache=True, nogil=True)
+@jit
 def advance_plants(params: Any, a: Any, to_ns: Any) -> None:
     """Carry the axes on with the own set points."""
     span = to_ns - a.plant_ns
@@ -87,7 +86,7 @@ def advance_plants(params: Any, a: Any, to_ns: Any) -> None:
     a.plant_ns = to_ns
 
 
-@njit(cache=True, nogil=True)
+@jit
 def best_tau(a: Any) -> Any:
     """τ of the least error, by a parabola through three; 0 when nothing is told."""
     b, worst = 0, 0.0
@@ -110,7 +109,7 @@ def best_tau(a: Any) -> Any:
     return root * root
 
 
-@njit(cache=True, nogil=True)
+@jit
 def plant_error(a: Any) -> Any:
     """Squared error of the axis that comes nearest to the reports [m²]."""
     least = a.plant_m2[0]
@@ -119,7 +118,7 @@ def plant_error(a: Any) -> Any:
     return least
 
 
-@njit(cache=True, nogil=True)
+@jit
 def learn_plant(params: Any, a: Any, sense: Any, adapt: Any) -> None:
     """Compare the axes with a new pose report and move τ toward the best."""
     newest = (sense.pose_count - 1) & (POSES - 1)

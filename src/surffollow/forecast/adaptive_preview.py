@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import CELLS, HORIZON
 
 CELL_M = 1e-3
@@ -33,7 +32,7 @@ DISTRUST_NS = 5_000_000_000
 DISTRUST_M = 1.5e-3  # remembered ground that is farther from what is seen now has changed
 
 
-@njit(cache=True, nogil=True)
+@jit
 def place_on_way(a: Any, s_m: Any) -> Any:
     """Where a way coordinate lies: straight on, or back, from the last footprint [m]."""
     if a.speed_mps == 0.0:
@@ -42,21 +41,21 @@ def place_on_way(a: Any, s_m: Any) -> Any:
     return a.foot_x_m + t * a.speed_x_mps, a.foot_y_m + t * a.speed_y_mps
 
 
-@njit(cache=True, nogil=True)
+@jit
 def is_off(a: Any, c: Any, s_m: Any, x_m: Any, y_m: Any) -> Any:
     """Whether cell c was seen elsewhere than at a place on the way."""
     most = max(ASIDE_M, ASIDE_SHARE * abs(s_m - a.foot_s_m))
     return (a.cell_x_m[c] - x_m) ** 2 + (a.cell_y_m[c] - y_m) ** 2 > most * most
 
 
-@njit(cache=True, nogil=True)
+@jit
 def note_ground(a: Any, s_m: Any, h_m: Any) -> None:
     """Put an accepted height into the cell of its way coordinate."""
     x, y = place_on_way(a, s_m)
     note_ground_at(a, s_m, h_m, x, y)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def note_ground_at(a: Any, s_m: Any, h_m: Any, x_m: Any, y_m: Any) -> None:
     """Put a height seen at a place into the cell of its way coordinate; what was seen elsewhere goes."""
     k = int(s_m / CELL_M)
@@ -72,7 +71,7 @@ def note_ground_at(a: Any, s_m: Any, h_m: Any, x_m: Any, y_m: Any) -> None:
     a.cell_s_m[c] += (s_m - a.cell_s_m[c]) / n
 
 
-@njit(cache=True, nogil=True)
+@jit
 def seen_height(a: Any, s_m: Any) -> Any:
     """Height at a way coordinate from the ring, linear between its neighbours; NaN where nothing was seen.
 
@@ -98,7 +97,7 @@ def seen_height(a: Any, s_m: Any) -> Any:
     return a.cell_h_m[below] * (1.0 - f) + a.cell_h_m[above] * f
 
 
-@njit(cache=True, nogil=True)
+@jit
 def told_height(inputs: Any, ahead_m: Any) -> Any:
     """Remembered height so far ahead of the newest pose, linear between samples; NaN when unknown."""
     step = inputs.preview_step_m
@@ -111,7 +110,7 @@ def told_height(inputs: Any, ahead_m: Any) -> Any:
     return inputs.preview_m[i] * (1.0 - (f - i)) + inputs.preview_m[i + 1] * (f - i)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def gather_preview(a: Any, inputs: Any, leading: Any, ahead_m: Any, since_pose_m: Any, bias_m: Any) -> Any:
     """Heights under the tool for the next ticks into `a.plan_g_m`; how many are known without a gap.
 
@@ -135,7 +134,7 @@ def gather_preview(a: Any, inputs: Any, leading: Any, ahead_m: Any, since_pose_m
     return known
 
 
-@njit(cache=True, nogil=True)
+@jit
 def check_told(a: Any, told_m: Any, h_m: Any) -> None:
     """Compare remembered ground with what is seen: learn its bias, and whether to trust it."""
     if not math.isfinite(told_m):
@@ -145,7 +144,7 @@ def check_told(a: Any, told_m: Any, h_m: Any) -> None:
     a.preview_bias_m += BIAS_RATE * (min(max(e, -0.02), 0.02) - a.preview_bias_m)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def watch_error(a: Any, error_m: Any) -> None:
     """Compare the tool's own stand-off error under preview with that without; give up a worse plan.
 
@@ -163,7 +162,7 @@ def watch_error(a: Any, error_m: Any) -> None:
         a.distrust_ns = a.now_ns + DISTRUST_NS
 
 
-@njit(cache=True, nogil=True)
+@jit
 def move_share(a: Any, known: Any, leading: Any, plant_m2: Any) -> None:
     """Let preview's share of the set point grow or shrink by one tick."""
     # without a plan a leading sensor is worth little: there a doubtful plan is the better choice

@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.adaptive_motion import pose_when
 from surffollow.forecast.adaptive_preview import LEADING_M, note_ground_at, seen_height
 from surffollow.forecast.pose import footprint
+from surffollow.shm.jit import jit
 
 AGREE_M = 1.5e-3  # heights of two samples in a row that confirm each other
 BIAS_RATE = 0.02
@@ -22,7 +21,7 @@ REACH_M = 0.4  # of the ring of ground
 PAUSE_NS = 200_000_000  # a scout silent for so long no longer leads
 
 
-@njit(cache=True, nogil=True)
+@jit
 def take_scouts(params: Any, a: Any, sense: Any, moving: Any, pose: Any) -> None:
     """Note the ground that channels 1 and up see ahead of channel 0's footprint.
 
@@ -55,7 +54,7 @@ def take_scouts(params: Any, a: Any, sense: Any, moving: Any, pose: Any) -> None
         a.scouted_ns = a.now_ns
 
 
-@njit(cache=True, nogil=True)
+@jit
 def check_scouts(a: Any, s_m: Any, h_m: Any) -> None:
     """Compare what was seen ahead with what channel 0 sees there now; learn the difference."""
     if a.scout_lead_m == 0.0:

@@ -11,8 +11,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.adaptive_bank import (
     MODEL,
     C,
@@ -25,6 +23,7 @@ from surffollow.forecast.adaptive_bank import (
 )
 from surffollow.forecast.adaptive_judge import advance_shadows, put_shadows, score, weigh
 from surffollow.forecast.adaptive_preview import LEADING_M, note_ground
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import KEPT
 
 LEAST_SPEED_MPS = 1e-3  # a tool at rest still learns
@@ -49,7 +48,7 @@ GAP_NS = 100_000_000  # after a longer gap no way is asked for: there was enough
 LONGEST_WAY_M = 0.5  # unseen ground of this length: what was known is of no use
 
 
-@njit(cache=True, nogil=True)
+@jit
 def watch_noise(a: Any, h_m: Any) -> None:
     """Reading noise from second differences of accepted heights: a running median, free of slopes."""
     if a.samples > 2:
@@ -62,13 +61,13 @@ def watch_noise(a: Any, h_m: Any) -> None:
     a.recent_m[0] = h_m
 
 
-@njit(cache=True, nogil=True)
+@jit
 def watch_scale(a: Any, nu_m: Any, gate_m: Any) -> None:
     """How large innovations usually are."""
     a.scale_m += SCALE_RATE * (1.25 * min(abs(nu_m), gate_m) - a.scale_m)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def blend(a: Any) -> None:
     """Blended height, slope and uncertainty at the last sample."""
     h, s, var, own = 0.0, 0.0, 0.0, 0.0
@@ -83,7 +82,7 @@ def blend(a: Any) -> None:
     a.gain = own / max(a.noise_m, LEAST_NOISE_M) ** 2  # just after an update
 
 
-@njit(cache=True, nogil=True)
+@jit
 def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any, adapt: Any) -> None:
     """Begin with level ground at the first height; scores from before a loss are kept."""
     fresh = a.returned == 0.0 and a.noise_m == 0.0
@@ -114,7 +113,7 @@ def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any
     blend(a)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def start_again(params: Any, a: Any, t_ns: Any, h_m: Any, drop_m: Any, adapt: Any) -> None:
     """Begin anew where the start was bad, and forget what it taught; what was known before stays."""
     if a.scored <= a.samples:
@@ -122,7 +121,7 @@ def start_again(params: Any, a: Any, t_ns: Any, h_m: Any, drop_m: Any, adapt: An
     start_bank(params, a, t_ns, 0.0, h_m, drop_m, adapt)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def quarantine(params: Any, a: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any, adapt: Any) -> Any:
     """Hold back an outlying innovation; 1 when with it a step is believed.
 
@@ -160,7 +159,7 @@ def quarantine(params: Any, a: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any
     return 1 if outvoted or a.sample_ns - a.quarantine_ns >= STANDING_NS else 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def believe_step(params: Any, a: Any) -> None:
     """Shift every model to the quarantined samples' mean, its slope as it is; they become ground."""
     n = a.quarantined
@@ -181,7 +180,7 @@ def believe_step(params: Any, a: Any) -> None:
     a.quarantined = a.disagreed = 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def is_doubtful(a: Any, nu_m: Any, gate_m: Any) -> Any:
     """1 for a lone innovation near the gate, on a slot's edge or a small glitch; a second is believed."""
     before = a.doubted_m
@@ -193,7 +192,7 @@ def is_doubtful(a: Any, nu_m: Any, gate_m: Any) -> Any:
     return 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any, adapt: Any) -> Any:
     """Let the bank learn one footprint height; 1 when it entered the estimate, 0 when quarantined.
 

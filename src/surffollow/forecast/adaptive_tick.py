@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import TICKS
 
 TICK_NS = 9_999_000  # 100 Hz; a microsecond less, stamps may be rounded
@@ -24,14 +23,14 @@ LOST_NS = 50_000_000  # without a report for so long the rhythm is lost
 RATE = 0.1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def led_by_reports(a: Any, given: Any, now_ns: Any) -> Any:
     """Whether reports come like a controller's ticks, and distances do not come ready-made (`given` > 0)."""
     steady = abs(a.arrival_dt_ns - 10e6) < RHYTHM_NS
     return given <= 0 and steady and 0 <= now_ns - a.arrival_ns < LOST_NS
 
 
-@njit(cache=True, nogil=True)
+@jit
 def tick_is_due(a: Any, given: Any, now_ns: Any) -> Any:
     """1 when it is time to prepare what the controller takes next.
 
@@ -52,7 +51,7 @@ def tick_is_due(a: Any, given: Any, now_ns: Any) -> Any:
     )
 
 
-@njit(cache=True, nogil=True)
+@jit
 def taken_at(a: Any, given: Any, now_ns: Any) -> Any:
     """When the controller will take its next demand [ns]."""
     if not led_by_reports(a, given, now_ns):
@@ -62,14 +61,14 @@ def taken_at(a: Any, given: Any, now_ns: Any) -> Any:
     return now_ns + period - since % period
 
 
-@njit(cache=True, nogil=True)
+@jit
 def open_tick(a: Any, given: Any, now_ns: Any) -> None:
     """Move the tick that `note_targets` closed to when its demand will be taken; until then it may change."""
     a.tick_t_ns[(a.ticks - 1) & (TICKS - 1)] = taken_at(a, given, now_ns)
     a.tick_open = 1 if led_by_reports(a, given, now_ns) else 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def note_arrival(a: Any, poses: Any, now_ns: Any) -> None:
     """Learn the rhythm of pose reports from their arrival (`poses` counts them); the open tick is over."""
     if poses == a.arrival_poses:

@@ -10,8 +10,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import LAGS, SNAPSHOTS, TRENDS
 
 SNAPSHOT_NS = 90_000_000  # between snapshots, or the readings' own interval if that is longer
@@ -34,13 +34,13 @@ def _models() -> np.ndarray[Any, Any]:
 MODELS = _models()
 
 
-@njit(cache=True, nogil=True)
+@jit
 def reach(horizon_s: Any, damping_s: Any) -> Any:
     """How long a damped rate acts within a horizon [s]."""
     return damping_s * (1.0 - math.exp(-horizon_s / damping_s))
 
 
-@njit(cache=True, nogil=True)
+@jit
 def start_trends(a: Any, t_ns: Any, range_m: Any) -> None:
     """Begin at a first range."""
     for k in range(TRENDS):
@@ -51,7 +51,7 @@ def start_trends(a: Any, t_ns: Any, range_m: Any) -> None:
     a.snapshots = 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def judge_trends(a: Any, t_ns: Any, range_m: Any) -> None:
     """Score the forecasts of earlier snapshots against a range, then take a snapshot."""
     for j in range(LAGS):
@@ -72,7 +72,7 @@ def judge_trends(a: Any, t_ns: Any, range_m: Any) -> None:
     a.snapshots += 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def take_range(a: Any, t_ns: Any, range_m: Any) -> None:
     """Let all lines learn a range; a lone outlier is passed over."""
     dt = (t_ns - a.trend_ns) * 1e-9
@@ -118,7 +118,7 @@ def take_range(a: Any, t_ns: Any, range_m: Any) -> None:
         judge_trends(a, t_ns, range_m)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def trend_range(a: Any, horizon_s: Any) -> Any:
     """Range some time after the last reading; NaN before the first."""
     if a.trend_ns == 0:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.adaptive_trend import trend_range
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import MODE_ADAPTIVE
 
 
-@njit(cache=True, nogil=True)
+@jit
 def forecast_range(params: Any, state: Any, horizon_s: Any) -> Any:
     """Range of channel 0 some time after its last valid reading.
 

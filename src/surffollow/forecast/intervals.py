@@ -10,14 +10,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
+from surffollow.shm.jit import jit_inlined
 from surffollow.shm.layout_follow import INTERVALS
 
 _MASK = INTERVALS - 1
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def open_interval(paper: Any, x_m: Any, y_m: Any, h_m: Any) -> None:
     """Make a new interval, centred at the point, the current one."""
     slot = paper.interval_count & _MASK
@@ -28,7 +27,7 @@ def open_interval(paper: Any, x_m: Any, y_m: Any, h_m: Any) -> None:
     paper.interval_count += 1
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def add_point(paper: Any, x_m: Any, y_m: Any, h_m: Any, interval_size_m: Any) -> Any:
     """Average one target point into the current interval, or open new ones.
 
@@ -75,7 +74,7 @@ def add_point(paper: Any, x_m: Any, y_m: Any, h_m: Any, interval_size_m: Any) ->
     return opened
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def cut_ranges(paper: Any, range_size: Any) -> None:
     """Re-cut the two newest ranges after an interval was opened; nothing until both are full."""
     paper.range_cut = range_size
@@ -95,7 +94,7 @@ def cut_ranges(paper: Any, range_size: Any) -> None:
     paper.range_gap_m = (gap_x * gap_x + gap_y * gap_y) ** 0.5 / range_size
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def range_slope(paper: Any, range_size: Any) -> Any:
     """Φ: two-point linear extrapolation of the two newest ranges; 0 until both are full."""
     count = paper.interval_count

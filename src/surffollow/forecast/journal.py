@@ -20,8 +20,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
+from surffollow.shm.jit import jit, jit_pasted
 from surffollow.shm.layout_follow import (
     CHANNELS,
     MAX_CONVERSIONS,
@@ -39,25 +38,25 @@ STATE_WORDS = FollowState.SIZE // 8
 SNAPSHOT_WORDS = 2 + PARAMS_WORDS + STATE_WORDS
 
 
-@njit(cache=True, nogil=True, inline="always")
+@jit_pasted
 def entry_head(kind: Any, n_words: Any) -> Any:
     """The first word of an entry without conversions, poses or ranges."""
     return kind | (n_words << 8)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@jit_pasted
 def entry_kind(word: Any) -> Any:
     """Kind of the entry that begins with this word."""
     return word & 0xFF
 
 
-@njit(cache=True, nogil=True, inline="always")
+@jit_pasted
 def entry_words(word: Any) -> Any:
     """Length of the entry that begins with this word, in words."""
     return (word >> 8) & 0xFFFFFF
 
 
-@njit(cache=True, nogil=True)
+@jit
 def encode_cycle(words: Any, floats: Any, inputs: Any, output: Any) -> Any:
     """Write a CYCLE entry; returns its length.
 
@@ -94,7 +93,7 @@ def encode_cycle(words: Any, floats: Any, inputs: Any, output: Any) -> Any:
     return n
 
 
-@njit(cache=True, nogil=True)
+@jit
 def decode_cycle(words: Any, floats: Any, at: Any, inputs: Any) -> Any:
     """Read the inputs of the CYCLE entry at index `at`; its length, or -1 when it cannot be one.
 
@@ -135,7 +134,7 @@ def decode_cycle(words: Any, floats: Any, at: Any, inputs: Any) -> Any:
     return expected
 
 
-@njit(cache=True, nogil=True)
+@jit
 def same_outcome(words: Any, at: Any, output_words: Any, demand_word: Any, status: Any, cycle: Any) -> Any:
     """1 when cycle number, status and all six demands of the entry at `at` have the same bits.
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.intervals import add_point, cut_ranges, range_slope
+from surffollow.shm.jit import jit_inlined
 from surffollow.shm.layout_follow import POINTS, POSES
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def average_point(paper: Any, channel: Any, readings: Any, point: Any) -> None:
     """Replace the target point (3,) by the rolling mean of the channel's last `readings` ones."""
     n = paper.point_count[channel]
@@ -31,7 +30,7 @@ def average_point(paper: Any, channel: Any, readings: Any, point: Any) -> None:
     point[0], point[1], point[2] = x / used, y / used, z / used
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def measure_speed(paper: Any, sense: Any, x_m: Any, y_m: Any) -> None:
     """Lateral speed of the footprint, between the target points at successive pose updates."""
     if sense.pose_count == paper.speed_pose:
@@ -45,7 +44,7 @@ def measure_speed(paper: Any, sense: Any, x_m: Any, y_m: Any) -> None:
     paper.speed_pose = sense.pose_count
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def paper_update(params: Any, paper: Any, sense: Any, x_m: Any, y_m: Any, h_m: Any) -> None:
     """Take a new averaged target point of channel 0 into intervals, ranges, slope and speed."""
     opened = add_point(paper, x_m, y_m, h_m, params.interval_size_m)
@@ -55,7 +54,7 @@ def paper_update(params: Any, paper: Any, sense: Any, x_m: Any, y_m: Any, h_m: A
     measure_speed(paper, sense, x_m, y_m)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def paper_forecast(params: Any, paper: Any, t_ns: Any, fresh: Any, range_m: Any, sensor_z_m: Any) -> Any:
     """ΔH, the stand-off error and the vertical demand before limits and hysteresis.
 
@@ -78,7 +77,7 @@ def paper_forecast(params: Any, paper: Any, t_ns: Any, fresh: Any, range_m: Any,
     return delta_h, params.offset_m - (paper.reading_m + sensor_z_m - paper.reading_z_m)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def relay(paper: Any, demand_m: Any, permitted_variance_m: Any) -> Any:
     """The paper's hysteresis: the last relayed demand stays until the new one differs by more."""
     if abs(demand_m - paper.relayed_m) > permitted_variance_m:

@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import POSES
 
 QUATERNION_TOLERANCE = 1e-3
@@ -18,7 +17,7 @@ ASTRAY_NS = 1_000_000_000  # a pose so far ahead of the steps and of a newer rep
 REFUSED, TAKEN, NO_POSE, TOO_FAR = range(4)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def rotate(qx: Any, qy: Any, qz: Any, qw: Any, x: Any, y: Any, z: Any) -> Any:
     """The vector (x, y, z) turned by the unit quaternion: v + 2 q × (q × v + w v)."""
     tx = qy * z - qz * y + qw * x
@@ -31,7 +30,7 @@ def rotate(qx: Any, qy: Any, qz: Any, qw: Any, x: Any, y: Any, z: Any) -> Any:
     )
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def push_pose(sense: Any, t_ns: Any, pose: Any, at: Any) -> Any:
     """Append the pose at `pose[at:at+7]` to the history; 0 when it is not newer than the last (refused)."""
     n = sense.pose_count
@@ -46,7 +45,7 @@ def push_pose(sense: Any, t_ns: Any, pose: Any, at: Any) -> Any:
     return 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def report_pose(state: Any, step_ns: Any, t_ns: Any, pose: Any) -> Any:
     """Check a pose report, make its quaternion one of norm 1, and append it to the history.
 
@@ -76,7 +75,7 @@ def report_pose(state: Any, step_ns: Any, t_ns: Any, pose: Any) -> Any:
     return push_pose(sense, t_ns, pose, 0)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def pose_at(sense: Any, t_ns: Any, interpolate: Any, out: Any) -> None:
     """The tool's pose at `t_ns` into `out` (7,): the latest, or interpolated between its neighbours.
 
@@ -111,7 +110,7 @@ def pose_at(sense: Any, t_ns: Any, interpolate: Any, out: Any) -> None:
         out[i] *= scale
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def footprint(tool: Any, mounts: Any, channel: Any, range_m: Any) -> Any:
     """World coordinates where the beam of a channel ends, and the sensor's height.
 

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
+from surffollow.shm.jit import jit_inlined
 
 BRANCH_TEST_M = 0.002  # tool travel over which the sign of d(reading)/dz is judged
 PROBE_M = 0.001  # least demand away from the surface while the branch is in doubt
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def watch_fold_back(paper: Any, range_m: Any, sensor_z_m: Any, too_close_m: Any, exit_m: Any) -> None:
     """Latch or release TOO_CLOSE with one valid reading."""
     if paper.close == 0:
@@ -35,7 +35,7 @@ def watch_fold_back(paper: Any, range_m: Any, sensor_z_m: Any, too_close_m: Any,
     paper.close_range_m = range_m
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def limit(value: Any, most: Any) -> Any:
     """`value` cut to ±`most`; NaN gives 0."""
     if value > most:

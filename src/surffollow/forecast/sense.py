@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.pose import push_pose
 from surffollow.shm.conversion import (
     FLAG_INVALID,
@@ -14,10 +12,11 @@ from surffollow.shm.conversion import (
     conversion_dt_ns,
     conversion_flags,
 )
+from surffollow.shm.jit import jit_inlined
 from surffollow.shm.layout_follow import CHANNELS, CONVERSION_WINDOW
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def take_conversions(params: Any, sense: Any, inputs: Any) -> None:
     """Add the cycle's conversions to their windows and average the newest `sensor_readings`.
 
@@ -67,7 +66,7 @@ def take_conversions(params: Any, sense: Any, inputs: Any) -> None:
         sense.valid[c] = 1
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def take_ranges(params: Any, sense: Any, inputs: Any) -> None:
     """Take distances that come ready-made (a CSV, an embedder); NaN, or none given, is no reading."""
     for c in range(CHANNELS):
@@ -82,7 +81,7 @@ def take_ranges(params: Any, sense: Any, inputs: Any) -> None:
             sense.valid[c] = 1
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def take_poses(sense: Any, inputs: Any) -> None:
     """Append the cycle's new poses to the history."""
     for k in range(inputs.n_poses):

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.adaptive import adaptive_demand, forget_surface, report_adaptive
 from surffollow.forecast.adaptive_latency import assume_latency
 from surffollow.forecast.paper import average_point, paper_forecast, paper_update, relay
 from surffollow.forecast.pose import footprint, pose_at
 from surffollow.forecast.safety import PROBE_M, limit, watch_fold_back
 from surffollow.forecast.sense import take_conversions, take_poses, take_ranges
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import (
     CHANNELS,
     DRYRUN,
@@ -37,7 +36,7 @@ from surffollow.shm.layout_follow import (
 ABSENT_NS = 10_000_000
 
 
-@njit(cache=True, nogil=True)
+@jit
 def sf_reset(params: Any, state: Any, offset_m: Any) -> None:
     """SFReset: clear intervals, ranges and the previous demand, set the desired stand-off (§3.2.5).
 
@@ -63,7 +62,7 @@ def sf_reset(params: Any, state: Any, offset_m: Any) -> None:
     forget_surface(state[0].adaptive)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def find_targets(params: Any, state: Any, output: Any, pose: Any, interpolate: Any) -> Any:
     """Footprints of all fresh readings into `output.target_m`; the sensor height of channel 0 [m].
 
@@ -86,7 +85,7 @@ def find_targets(params: Any, state: Any, output: Any, pose: Any, interpolate: A
     return sensor_z
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def clear_output(params: Any, state: Any, inputs: Any, output: Any) -> None:
     """The output of a cycle that demands nothing; distances are told no longer than they are extrapolated.
 
@@ -107,7 +106,7 @@ def clear_output(params: Any, state: Any, inputs: Any, output: Any) -> None:
         output.range_t_ns[c] = state.sense.range_t_ns[c]
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def demand_z(params: Any, state: Any, inputs: Any, output: Any, sensor_z_m: Any, pose: Any) -> Any:
     """The paper's vertical demand with limits, hysteresis and fold-back; returns status bits."""
     p = state.paper
@@ -142,7 +141,7 @@ def demand_z(params: Any, state: Any, inputs: Any, output: Any, sensor_z_m: Any,
     return status
 
 
-@njit(cache=True, nogil=True)
+@jit
 def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any) -> None:
     """Step the follower once: smoothing, target point, intervals, ranges, forecast.
 

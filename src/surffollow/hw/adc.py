@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from surffollow.hw.counter_noise import hashed_normal
+from surffollow.shm.jit import jit, jit_pasted
 
 BITS = 12
 CHANNELS = 8
@@ -21,7 +20,7 @@ COUNTS = 1 << BITS
 STREAM_ADC = 7
 
 
-@njit(cache=True, nogil=True)
+@jit
 def quantise(volts: Any) -> Any:
     """Counts of a voltage, 0 to 4095; beyond the input range the end of the scale (NaN: its upper end).
 
@@ -41,7 +40,7 @@ def quantise(volts: Any) -> Any:
     return COUNTS - 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def convert(volts: Any, noise_counts: Any, seed: Any, number: Any) -> Any:
     """Counts of conversion `number`, the converter's own noise included.
 
@@ -59,7 +58,7 @@ def convert(volts: Any, noise_counts: Any, seed: Any, number: Any) -> Any:
     return quantise(volts + noise_v)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@jit_pasted
 def first_number_from(t_ns: Any) -> Any:
     """Return the number of the first conversion that ends at `t_ns` or later [ns]."""
     return -(-t_ns // CONVERSION_NS)

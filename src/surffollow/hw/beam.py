@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
+from surffollow.shm.jit import jit, jit_pasted
 from surffollow.sim.surfaces import field_height
 
 MARCH_STEPS = 512
@@ -14,7 +13,7 @@ BISECTIONS = 30
 NO_HIT = math.inf
 
 
-@njit(cache=True, nogil=True, inline="always")
+@jit_pasted
 def rotate(qx: Any, qy: Any, qz: Any, qw: Any, x: Any, y: Any, z: Any) -> Any:
     """Turn a vector by a unit quaternion; returns its three components."""
     tx = 2.0 * (qy * z - qz * y)
@@ -27,7 +26,7 @@ def rotate(qx: Any, qy: Any, qz: Any, qw: Any, x: Any, y: Any, z: Any) -> Any:
     )
 
 
-@njit(cache=True, nogil=True)
+@jit
 def compose(a: Any, b: Any, out: Any) -> None:
     """Chain two poses: out = a ∘ b.
 
@@ -43,7 +42,7 @@ def compose(a: Any, b: Any, out: Any) -> None:
     out[6] = a[6] * b[6] - a[3] * b[3] - a[4] * b[4] - a[5] * b[5]
 
 
-@njit(cache=True, nogil=True)
+@jit
 def cast_ray(z: Any, frame: Any, origin: Any, direction: Any, reach_m: Any) -> Any:
     """Distance along a ray to the first point of a height field.
 

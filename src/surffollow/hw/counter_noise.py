@@ -10,7 +10,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from surffollow.shm.jit import jit, jit_pasted
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -18,14 +19,14 @@ _MIX_2 = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@jit_pasted
 def _mix(x: Any) -> Any:
     x = (x ^ (x >> _S30)) * _MIX_1
     x = (x ^ (x >> _S27)) * _MIX_2
     return x ^ (x >> _S31)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def hashed_uniform(seed: Any, stream: Any, index: Any) -> Any:
     """Return a number of the open interval (0, 1).
 
@@ -43,7 +44,7 @@ def hashed_uniform(seed: Any, stream: Any, index: Any) -> Any:
     return (np.float64(x >> _S11) + 0.5) * (1.0 / 9007199254740992.0)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def hashed_normal(seed: Any, stream: Any, index: Any) -> Any:
     """Return a number of mean 0 and standard deviation 1 (Box-Muller); arguments as `hashed_uniform`."""
     u = hashed_uniform(seed, 2 * stream, index)

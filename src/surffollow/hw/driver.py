@@ -10,12 +10,12 @@ from typing import Any, Protocol, runtime_checkable
 
 import msgspec
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from surffollow.errors import ConfigError
 from surffollow.shm import atomics as at
 from surffollow.shm.conversion import ITEM_WORDS
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CHANNELS
 from surffollow.shm.ring import make_ring, ring_drop, ring_length, ring_peek, ring_push
 
@@ -131,7 +131,7 @@ class ConversionQueue:
         return out
 
 
-@njit(cache=True, nogil=True)
+@jit
 def push_conversion(ring: Any, capacity: Any, lost: Any, item: Any, t_ns: Any, word: Any) -> None:
     """Append a conversion, or count it as lost.
 

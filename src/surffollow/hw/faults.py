@@ -13,7 +13,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from surffollow.errors import ConfigError
@@ -33,6 +32,7 @@ from surffollow.shm.conversion import (
     pack_conversion,
 )
 from surffollow.shm.dtypes import numpy_dtype, zeros
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CHANNELS
 from surffollow.shm.ring import ring_drop, ring_peek
 from surffollow.shm.schema import F64, I64, Schema
@@ -119,7 +119,7 @@ def fault_table(faults: list[FaultConfig] | tuple[FaultConfig, ...], info: Drive
     return table
 
 
-@njit(cache=True, nogil=True)
+@jit
 def fault_hits(table: Any, number: Any, state: Any, t_ns: Any, channel: Any) -> Any:
     """Tell whether fault `number` of the table hits a conversion of that time and channel."""
     f = table[number]
@@ -130,7 +130,7 @@ def fault_hits(table: Any, number: Any, state: Any, t_ns: Any, channel: Any) -> 
     return hashed_uniform(state[0].seed, 16 * number + channel, piece) < f.probability
 
 
-@njit(cache=True, nogil=True)
+@jit
 def fault_delay_ns(table: Any, state: Any, t_ns: Any, word: Any) -> Any:
     """Longest delay that the schedule orders for a conversion [ns]; arguments as `spoil`."""
     delay = 0
@@ -140,7 +140,7 @@ def fault_delay_ns(table: Any, state: Any, t_ns: Any, word: Any) -> Any:
     return delay
 
 
-@njit(cache=True, nogil=True)
+@jit
 def spoil(table: Any, state: Any, t_ns: Any, word: Any) -> Any:
     """Apply the schedule to one conversion; conversions come in order of time.
 
@@ -191,7 +191,7 @@ class Relay(Schema):
     item_address = I64()
 
 
-@njit(cache=True, nogil=True)
+@jit
 def run_relay(control: Any, relay: Any, table: Any, state: Any) -> None:
     """Pass conversions on until `STOP`; see `spoil`.
 

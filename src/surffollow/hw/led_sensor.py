@@ -12,7 +12,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from surffollow.errors import ConfigError
@@ -20,6 +19,7 @@ from surffollow.hw.adc import FULL_SCALE_V
 from surffollow.hw.beam import NO_HIT, cast_ray, rotate
 from surffollow.hw.counter_noise import hashed_normal, hashed_uniform
 from surffollow.shm.dtypes import zeros
+from surffollow.shm.jit import jit
 from surffollow.shm.schema import F64, I64, Schema
 from surffollow.sim.surfaces import field_height
 
@@ -112,7 +112,7 @@ def physics(config: LedConfig, seed: int) -> NDArray[Any]:
     return p
 
 
-@njit(cache=True, nogil=True)
+@jit
 def refresh_at(p: Any, channel: Any, t_ns: Any) -> Any:
     """Number of the refresh that the output shows at a time, and when it happened.
 
@@ -133,7 +133,7 @@ def refresh_at(p: Any, channel: Any, t_ns: Any) -> Any:
     return number, number * hold + phase
 
 
-@njit(cache=True, nogil=True)
+@jit
 def gloss_is_seen(p: Any, z: Any, frame: Any, sensor: Any, range_m: Any) -> Any:
     """Tell whether the spot can be seen: always on matte ground, on gloss at some incidences only.
 
@@ -162,7 +162,7 @@ def gloss_is_seen(p: Any, z: Any, frame: Any, sensor: Any, range_m: Any) -> Any:
     )
 
 
-@njit(cache=True, nogil=True)
+@jit
 def spot_range(p: Any, z: Any, frame: Any, sensor: Any) -> Any:
     """Mean distance over the light spot: five rays, its middle and four around it.
 
@@ -186,7 +186,7 @@ def spot_range(p: Any, z: Any, frame: Any, sensor: Any) -> Any:
     return 0.2 * total
 
 
-@njit(cache=True, nogil=True)
+@jit
 def characteristic(p: Any, range_m: Any) -> Any:
     """Distance that the sensor shows for a true one, without noise; NaN out of view.
 
@@ -208,7 +208,7 @@ def characteristic(p: Any, range_m: Any) -> Any:
     return shown + p[0].nonlinearity_m * math.sin(3.0 * math.pi * u + p[0].shape_rad)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def output_volts(p: Any, z: Any, frame: Any, sensor: Any, channel: Any, refresh: Any) -> Any:
     """Voltage from one refresh to the next.
 

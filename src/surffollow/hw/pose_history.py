@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
+from surffollow.shm.jit import jit
 from surffollow.shm.schema import F64, I64, Schema
 
 POSES = 1024  # at the pump's 2 kHz: 0.5 s, more than the largest latency
@@ -23,7 +22,7 @@ class PoseHistory(Schema):
     velocity = F64(POSES * 6, unit="m/s, rad/s", doc="linear, angular; world axes")
 
 
-@njit(cache=True, nogil=True)
+@jit
 def add_pose(history: Any, t_ns: Any, pose: Any, velocity: Any) -> Any:
     """Append a pose that is newer than all before.
 
@@ -52,7 +51,7 @@ def add_pose(history: Any, t_ns: Any, pose: Any, velocity: Any) -> Any:
     return 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def pose_at(history: Any, t_ns: Any, out: Any) -> Any:
     """Pose at a time: interpolated, or extrapolated by the velocity for at most 20 ms and then held.
 
@@ -117,7 +116,7 @@ def pose_at(history: Any, t_ns: Any, out: Any) -> Any:
     return 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _normalise(pose: Any) -> None:
     norm = math.sqrt(pose[3] ** 2 + pose[4] ** 2 + pose[5] ** 2 + pose[6] ** 2)
     for k in range(3, 7):

@@ -8,7 +8,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from surffollow.errors import RecordingError
@@ -16,12 +15,13 @@ from surffollow.hw.driver import ConversionQueue, DriverInfo, push_conversion
 from surffollow.hw.pump import PERIOD_NS, STOP, USER, Pump
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns
+from surffollow.shm.jit import jit
 
 PLAYED = USER  # control word: conversions played
 _FILE_VERSION = 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def run_replay(control: Any, t_ns: Any, words: Any, start_ns: Any, queue: Any) -> None:
     """Push each conversion when its time has come, until `STOP`.
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numba import njit
 
 from surffollow.errors import ConfigError
 from surffollow.hw import adc
@@ -16,6 +15,7 @@ from surffollow.hw.led_sensor import RAIL_V, LedConfig, output_volts, refresh_at
 from surffollow.hw.pose_history import pose_at
 from surffollow.shm.conversion import FLAG_INVALID, pack_conversion
 from surffollow.shm.dtypes import zeros
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CHANNELS
 from surffollow.shm.schema import F64, I64, Schema
 from surffollow.sim.world_surface import WorldConfig
@@ -84,7 +84,7 @@ def make_rig(config: SimulatedConfig, queue: ConversionQueue, start_ns: int) -> 
     return rig
 
 
-@njit(cache=True, nogil=True)
+@jit
 def produce(rig: Any, led: Any, history: Any, z: Any, frame: Any, t_ns: Any) -> Any:
     """Push every conversion that ended before `t_ns`; the pieces in which time passes do not matter.
 

@@ -12,18 +12,18 @@ import time
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from surffollow.errors import BlockError, NotRunningError
 from surffollow.hw import adc
 from surffollow.hw.driver import ConversionQueue, DriverInfo, Eight, mounts_of
 from surffollow.hw.led_sensor import FAR_M, NEAR_M, physics
 from surffollow.hw.pose_history import PoseHistory, add_pose
-from surffollow.hw.pump import CATCH_UP_NS, PERIOD_NS, STOP, USER, Pump
+from surffollow.hw.pump import CATCH_UP_NS, CONTROL_WORDS, PERIOD_NS, STOP, USER, Pump
 from surffollow.hw.rig import SimulatedConfig, make_rig, produce
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.dtypes import zeros
+from surffollow.shm.jit import jit
 from surffollow.shm.latch import latch_read
 from surffollow.shm.layout_follow import CHANNELS
 from surffollow.sim.surfaces import HeightField
@@ -35,7 +35,7 @@ WATCH_S = 0.05
 STALE_WORLD_NS = 100_000_000
 
 
-@njit(cache=True, nogil=True)
+@jit
 def run_rig(control: Any, rig: Any, led: Any, history: Any, z: Any, frame: Any, world: Any) -> None:
     """Follow the world block and the clock until `STOP`.
 
@@ -68,6 +68,18 @@ def run_rig(control: Any, rig: Any, led: Any, history: Any, z: Any, frame: Any, 
         produce(rig, led, history, z, frame, now)
         wake = max(wake + PERIOD_NS, now)
         wait_until_ns(wake, 0)
+
+
+def warm_up() -> None:
+    """Compile the sensors' kernels, or find them compiled; no sensor begins to run."""
+    config = SimulatedConfig()
+    control = np.zeros(CONTROL_WORDS, np.int64)
+    control[STOP] = 1
+    led, heights_m = physics(config.led, config.seed), np.zeros((2, 2))
+    rig = make_rig(config, ConversionQueue(2), 0)
+    history, frame, world = zeros(PoseHistory), np.zeros(3), zeros(WorldPose)
+    produce(rig, led, history, heights_m, frame, 0)
+    run_rig(control.ctypes.data, rig, led, history, heights_m, frame, world)
 
 
 class SimulatedDriver:

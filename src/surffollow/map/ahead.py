@@ -12,13 +12,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from surffollow.map.words import unowned
 from surffollow.shm import map_layout as ml
 from surffollow.shm.atomics import fence_acquire
 from surffollow.shm.dtypes import zeros
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.schema import F64, I64, Schema
 
 NOW_NS = 1_000_000_000
@@ -49,7 +49,7 @@ def new_kept() -> NDArray[Any]:
     return zeros(KeptGrid, SIDE * SIDE)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def kept_grid(pairs: Any, nx: Any, ny: Any, generation: Any, kept: Any, now_ns: Any, ix: Any, iy: Any) -> Any:
     """Height [quanta] and weight of grid (ix, iy) from the table, or from the map if it is new there.
 
@@ -70,7 +70,7 @@ def kept_grid(pairs: Any, nx: Any, ny: Any, generation: Any, kept: Any, now_ns: 
     return k.quanta, k.weight
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def mean_of(tx: Any, ty: Any, q: Any, weights: Any) -> Any:
     """Height [quanta] between four centres, from their heights and weights; NaN where it is not known.
 
@@ -97,7 +97,7 @@ def mean_of(tx: Any, ty: Any, q: Any, weights: Any) -> Any:
     return total / weight if own_known or near >= LEAST_NEAR else np.nan
 
 
-@njit(cache=True, nogil=True)
+@jit
 def grid_width(header: Any) -> Any:
     """Side of the map's grids [m]; 0.0 while there is no map, or another is being laid."""
     w = header[0]
@@ -106,7 +106,7 @@ def grid_width(header: Any) -> Any:
     return w.grid_m
 
 
-@njit(cache=True, nogil=True)
+@jit
 def heights_along(
     header: Any,
     pairs: Any,
@@ -178,7 +178,7 @@ def heights_along(
     return known if w.generation == generation else 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def bridge_gaps(heights_m: Any, n: Any, most: Any) -> Any:
     """Fill gaps of at most `most` unknown places between known ones, linearly; how many places are known.
 

@@ -10,11 +10,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from surffollow.map.words import clear_grids
 from surffollow.shm import map_layout as ml
 from surffollow.shm.atomics import fence_release
+from surffollow.shm.jit import jit
 
 _OK, _BAD_REGION, _BUSY = ml.OK, ml.BAD_REGION, ml.BUSY
 _MAX_REGION = ml.MAX_REGION_M
@@ -22,14 +22,14 @@ _NO_MAP, _READY, _RESETTING, _INSTALLING = ml.NO_MAP, ml.READY, ml.RESETTING, ml
 _TILES = ml.DIRTY_TILES
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _cells(side_m: Any, grid_m: Any) -> Any:
     """Grids along a side; a remainder of 1e-9 grids is a rounding error, not one more grid."""
     q = side_m / grid_m
     return max(1.0, np.ceil(q * (1.0 - 1e-12) - 1e-9))
 
 
-@njit(cache=True, nogil=True)
+@jit
 def fit_grids(width_m: Any, height_m: Any, capacity_grids: Any, finest_grid_m: Any) -> Any:
     """The finest square grids that cover a rectangle.
 
@@ -62,7 +62,7 @@ def fit_grids(width_m: Any, height_m: Any, capacity_grids: Any, finest_grid_m: A
     return np.int64(_cells(width_m, grid_m)), np.int64(_cells(height_m, grid_m)), grid_m
 
 
-@njit(cache=True, nogil=True)
+@jit
 def margin_grids(nx: Any, ny: Any, capacity_grids: Any) -> Any:
     """Grids to add on every side: the largest m with (nx + 2m)(ny + 2m) ≤ capacity_grids."""
     total = float(nx) + float(ny)
@@ -76,7 +76,7 @@ def margin_grids(nx: Any, ny: Any, capacity_grids: Any) -> Any:
     return m
 
 
-@njit(cache=True, nogil=True)
+@jit
 def tile_shift_for(nx: Any, ny: Any) -> Any:
     """Smallest tile of at least 16 grids (2^4) for which the header's counters suffice."""
     shift = 4
@@ -85,7 +85,7 @@ def tile_shift_for(nx: Any, ny: Any) -> Any:
     return shift
 
 
-@njit(cache=True, nogil=True)
+@jit
 def region_status(x_min: Any, y_min: Any, x_max: Any, y_max: Any) -> Any:
     """OK, or BAD_REGION: not finite, or a side that is not within (0, 1e6] m."""
     width, height = x_max - x_min, y_max - y_min
@@ -96,7 +96,7 @@ def region_status(x_min: Any, y_min: Any, x_max: Any, y_max: Any) -> Any:
     return _OK
 
 
-@njit(cache=True, nogil=True)
+@jit
 def plan_geometry(header: Any, x_min: Any, y_min: Any, x_max: Any, y_max: Any) -> Any:
     """Write the geometry for a region into the header's journal; the map itself is not touched.
 
@@ -130,7 +130,7 @@ def plan_geometry(header: Any, x_min: Any, y_min: Any, x_max: Any, y_max: Any) -
     return _OK
 
 
-@njit(cache=True, nogil=True)
+@jit
 def open_journal(header: Any, operation: Any) -> None:
     """From here on the grids belong to the operation: readers look away, a restart takes it up."""
     w = header[0]
@@ -144,7 +144,7 @@ def open_journal(header: Any, operation: Any) -> None:
     fence_release()
 
 
-@njit(cache=True, nogil=True)
+@jit
 def close_journal(header: Any, state: Any) -> None:
     """Put the planned geometry in force. May be cut off anywhere and run again."""
     w = header[0]
@@ -170,7 +170,7 @@ def close_journal(header: Any, state: Any) -> None:
     fence_release()
 
 
-@njit(cache=True, nogil=True)
+@jit
 def reset_begin(header: Any, x_min: Any, y_min: Any, x_max: Any, y_max: Any, quantum_m: Any = 0.0) -> Any:
     """Start a MapReset; `reset_step` carries it out.
 
@@ -196,7 +196,7 @@ def reset_begin(header: Any, x_min: Any, y_min: Any, x_max: Any, y_max: Any, qua
     return _OK
 
 
-@njit(cache=True, nogil=True)
+@jit
 def reset_step(header: Any, pairs: Any, budget_grids: Any) -> Any:
     """Clear at most `budget_grids` more grids.
 

@@ -16,10 +16,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from surffollow.shm import map_layout as ml
 from surffollow.shm.atomics import fence_release
+from surffollow.shm.jit import jit, jit_inlined
 
 _RECIPROCAL = 1.0 / np.arange(1, 257)
 _GOLDEN32 = np.uint32(0x9E3779B9)
@@ -37,7 +37,7 @@ _READY = ml.READY
 _UPDATED, _OUTSIDE, _CLIPPED, _GATED, _INVALID, _NOT_READY = range(6)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def dither_rotation(seed: Any, block: Any) -> Any:
     """Hash of a 64-number block of the rounding sequence (splitmix64), as 32 bits in an int64."""
     z = np.uint64(seed) + np.uint64(block) * _GOLDEN64
@@ -46,13 +46,13 @@ def dither_rotation(seed: Any, block: Any) -> Any:
     return np.int64((z ^ (z >> np.uint64(31))) >> np.uint64(32))
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def dither_at(rotation: Any, count: Any) -> Any:
     """Number `count` of the sequence in [0, 1), given its block's rotation."""
     return float(np.uint32(np.uint32(rotation) + np.uint32(count) * _GOLDEN32)) * _ULP32
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def blended(height: Any, count: Any, z: Any, paper: Any, u: Any) -> Any:
     """The stored mean after one more sample.
 
@@ -79,7 +79,7 @@ def blended(height: Any, count: Any, z: Any, paper: Any, u: Any) -> Any:
     return np.int64(np.int32(mean + (z - mean) * _RECIPROCAL[count] + (u + 32768.0))) - 32768
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def _first_datum(w: Any, z_m: Any) -> None:
     """Centre the height range on the ground: whole quanta, so that maps differ by whole numbers."""
     datum_m = np.floor(z_m * w.inv_quantum_per_m + 0.5) * w.quantum_m
@@ -90,7 +90,7 @@ def _first_datum(w: Any, z_m: Any) -> None:
     fence_release()
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def _grid_of(w: Any, x_m: Any, y_m: Any, z_m: Any) -> Any:
     """Status, column and row of the grid under a target point; UPDATED: there is one."""
     if w.state != _READY:
@@ -106,7 +106,7 @@ def _grid_of(w: Any, x_m: Any, y_m: Any, z_m: Any) -> Any:
     return _UPDATED, np.int64(fx), np.int64(fy)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def _average_in(w: Any, pair: Any, lane: Any, ix: Any, iy: Any, z_m: Any) -> Any:
     """Average a height into the grid in column `ix`, row `iy`, which is `lane` of `pair`."""
     if w.datum_set == 0:
@@ -144,7 +144,7 @@ def _average_in(w: Any, pair: Any, lane: Any, ix: Any, iy: Any, z_m: Any) -> Any
     return status
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@jit_inlined
 def update_map(header: Any, pairs: Any, x_m: Any, y_m: Any, z_m: Any) -> Any:
     """Average one target point into its grid (paper §3.1.1).
 
@@ -174,7 +174,7 @@ def update_map(header: Any, pairs: Any, x_m: Any, y_m: Any, z_m: Any) -> Any:
     return _average_in(w, pairs[i >> _U1], i & _U1, ix, iy, z_m)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def add_points(header: Any, pairs: Any, points: Any) -> Any:
     """Average many target points into the map: the same bits as `update_map` one by one.
 
@@ -202,7 +202,7 @@ def add_points(header: Any, pairs: Any, points: Any) -> Any:
     return w.samples - before
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _add_unbiased(w: Any, pairs: Any, points: Any, start: Any) -> None:
     """`update_map` for a ready map without gate, everything loop-invariant in locals."""
     x0, y0, per_grid = w.x0_m, w.y0_m, w.inv_grid_per_m

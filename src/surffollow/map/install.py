@@ -9,18 +9,18 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from surffollow.map.geometry import close_journal, open_journal
 from surffollow.shm import map_layout as ml
 from surffollow.shm.atomics import fence_release
+from surffollow.shm.jit import jit
 
 _OK, _BUSY, _TOO_SMALL, _BAD_MAP = ml.OK, ml.BUSY, ml.TOO_SMALL, ml.BAD_MAP
 _READY, _INSTALLING, _RESETTING = ml.READY, ml.INSTALLING, ml.RESETTING
 _MAX_REGION = ml.MAX_REGION_M
 
 
-@njit(cache=True, nogil=True)
+@jit
 def install_fault(
     header: Any, nx: Any, ny: Any, grid_m: Any, x0_m: Any, y0_m: Any, datum_m: Any, quantum_m: Any
 ) -> Any:
@@ -43,7 +43,7 @@ def install_fault(
     return _OK
 
 
-@njit(cache=True, nogil=True)
+@jit
 def install_begin(
     header: Any, nx: Any, ny: Any, grid_m: Any, x0_m: Any, y0_m: Any, datum_m: Any, quantum_m: Any
 ) -> Any:
@@ -75,7 +75,7 @@ def install_begin(
     return _OK
 
 
-@njit(cache=True, nogil=True)
+@jit
 def install_grids(header: Any, pairs: Any, start: Any, heights: Any, counts: Any) -> Any:
     """Store grids start … start+n−1 of the announced map; pieces come in order.
 
@@ -106,7 +106,7 @@ def install_grids(header: Any, pairs: Any, start: Any, heights: Any, counts: Any
     return _OK
 
 
-@njit(cache=True, nogil=True)
+@jit
 def install_end(header: Any) -> Any:
     """Show the installed map.
 
@@ -122,7 +122,7 @@ def install_end(header: Any) -> Any:
     return _OK
 
 
-@njit(cache=True, nogil=True)
+@jit
 def reject(header: Any) -> Any:
     """Give up an installation (or, at start, one that was cut off): `reset_step` then clears the map.
 
@@ -141,7 +141,7 @@ def reject(header: Any) -> Any:
     return 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def operation_progress(header: Any) -> Any:
     """How far the running operation is, 0 … 1; 1 when none runs.
 

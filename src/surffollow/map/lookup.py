@@ -11,17 +11,17 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from surffollow.shm import map_layout as ml
 from surffollow.shm.atomics import fence_acquire
+from surffollow.shm.jit import jit
 
 _U1 = np.uint64(1)
 _UNKNOWN = ml.UNKNOWN
 _READY = ml.READY
 
 
-@njit(cache=True, nogil=True)
+@jit
 def height_quanta(pairs: Any, nx: Any, ny: Any, ix: Any, iy: Any) -> Any:
     """Height of grid (ix, iy) in quanta; UNKNOWN beside the map."""
     if ix < 0 or ix >= nx or iy < 0 or iy >= ny:
@@ -30,14 +30,14 @@ def height_quanta(pairs: Any, nx: Any, ny: Any, ix: Any, iy: Any) -> Any:
     return np.int64(pairs[i >> _U1].h[i & _U1])
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _stable(header: Any, generation: Any) -> Any:
     """No operation began since `generation` was read: the grids read belong to the geometry read."""
     fence_acquire()
     return header[0].generation == generation and generation & 1 == 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def height_at(header: Any, pairs: Any, x_m: Any, y_m: Any) -> Any:
     """Mean height of the grid that holds a point.
 
@@ -70,7 +70,7 @@ def height_at(header: Any, pairs: Any, x_m: Any, y_m: Any) -> Any:
     return height, not np.isnan(height)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def surface_at(header: Any, pairs: Any, x_m: Any, y_m: Any) -> Any:
     """Height between grid centres (bilinear over the known ones) and slope at a point.
 
@@ -116,7 +116,7 @@ def surface_at(header: Any, pairs: Any, x_m: Any, y_m: Any) -> Any:
     return height, slope_x, slope_y, not np.isnan(height)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _bilinear(pairs: Any, nx: Any, ny: Any, fx: Any, fy: Any) -> Any:
     """Weighted mean of the known ones of the four centres around (fx, fy), in quanta."""
     ix, iy = np.int64(np.floor(fx)), np.int64(np.floor(fy))
@@ -132,7 +132,7 @@ def _bilinear(pairs: Any, nx: Any, ny: Any, fx: Any, fy: Any) -> Any:
     return total / weight
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _slope(own: Any, before: Any, after: Any) -> Any:
     """Height difference per grid, in quanta, from the neighbours that are known."""
     if before != _UNKNOWN and after != _UNKNOWN:

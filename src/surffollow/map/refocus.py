@@ -18,7 +18,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from surffollow.map.geometry import close_journal, open_journal, plan_geometry
 from surffollow.map.refocus_rows import (
@@ -43,12 +42,13 @@ from surffollow.map.resample import axis_overlap
 from surffollow.map.words import clear_grids, copy_row, pack_row, place_row, unowned
 from surffollow.shm import map_layout as ml
 from surffollow.shm.atomics import fence_release
+from surffollow.shm.jit import jit
 
 _OK, _NO_SCRATCH, _NOT_MAPPED, _BUSY = ml.OK, ml.NO_SCRATCH, ml.NOT_MAPPED, ml.BUSY
 _READY, _REFOCUSING, _RESETTING = ml.READY, ml.REFOCUSING, ml.RESETTING
 
 
-@njit(cache=True, nogil=True)
+@jit
 def refocus_begin(
     header: Any, pairs: Any, scratch: Any, x_min: Any, y_min: Any, x_max: Any, y_max: Any
 ) -> Any:
@@ -95,7 +95,7 @@ def refocus_begin(
     return _OK
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _forward_limit(w: Any, done: Any, n_rows: Any) -> Any:
     """Bytes from the start that no row from `done` on will read."""
     if done >= n_rows:
@@ -106,7 +106,7 @@ def _forward_limit(w: Any, done: Any, n_rows: Any) -> Any:
     return 3 * (row * w.nx + w.overlap_old[0]) - 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _backward_limit(w: Any, left: Any) -> Any:
     """Bytes from the start that rows 0 … left−1 will still read."""
     if left <= 0:
@@ -117,14 +117,14 @@ def _backward_limit(w: Any, left: Any) -> Any:
     return 2 * (last - w.overlap_old[2] + 1) * (w.overlap_old[1] - w.overlap_old[0])
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _store_progress(w: Any, phase: Any, pending: Any, done: Any) -> None:
     fence_release()
     w.journal_progress = (phase << 48) + (pending << 40) + done
     fence_release()
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _forward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) -> Any:
     """Pack rows to the front; returns the budget that is left, -1 when the ring was too short."""
     resample = w.journal_forward == 1
@@ -161,7 +161,7 @@ def _forward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) -
     return max(budget, 0)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _place_directly(w: Any, pairs: Any, scratch: Any, columns: Any, j: Any, start: Any, width: Any) -> Any:
     """Row j into its place, which nobody, this row included, will read; False: not a case for this."""
     first = w.overlap_new[0]
@@ -176,7 +176,7 @@ def _place_directly(w: Any, pairs: Any, scratch: Any, columns: Any, j: Any, star
     return True
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _backward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) -> Any:
     """Put packed rows into their places; returns the budget that is left, -1 when the ring was too short."""
     width, n_rows = w.overlap_new[1] - w.overlap_new[0], w.overlap_new[3] - w.overlap_new[2]
@@ -220,7 +220,7 @@ def _backward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) 
     return max(budget, 0)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _clear_some(w: Any, pairs: Any, phase: Any, start: Any, stop: Any, budget: Any) -> Any:
     """Clear grids start … stop−1, going on where the journal says; returns the budget that is left."""
     done = w.journal_progress & 0xFFFFFFFFFF
@@ -234,7 +234,7 @@ def _clear_some(w: Any, pairs: Any, phase: Any, start: Any, stop: Any, budget: A
     return 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def refocus_step(header: Any, pairs: Any, scratch: Any, budget_grids: Any) -> Any:
     """Do at least one row and about `budget_grids` grids of the running MapRefocus.
 

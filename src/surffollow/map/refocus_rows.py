@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from surffollow.map.refocus_scratch import (
     DENSE_ROWS,
@@ -32,6 +31,7 @@ from surffollow.map.row_means import (
     to_floats_known,
 )
 from surffollow.map.words import copy_row, has_unknown, pack_row, unpack_row
+from surffollow.shm.jit import jit
 
 FORWARD, TAIL, BACKWARD, HEAD, CLOSE = range(5)
 _BACKWARD = BACKWARD
@@ -39,14 +39,14 @@ _STRIP = 1024  # columns whose sums stay in the first cache
 _ONE = np.float32(1.0)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def new_row_span(w: Any, j: Any) -> Any:
     """`span` along y of row j of the overlap in the new map."""
     shift_y = (w.journal_y0_m - w.y0_m) / w.grid_m
     return span(shift_y, w.journal_grid_m / w.grid_m, w.overlap_new[2] + j, w.ny)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def old_part(w: Any, pairs: Any, k: Any, start: Any, part: Any) -> None:
     """Heights of old row k of the overlap from its column `start` on, as many as `part` takes."""
     if w.journal_forward == 0 and (w.journal_progress >> 48) == _BACKWARD:
@@ -56,7 +56,7 @@ def old_part(w: Any, pairs: Any, k: Any, start: Any, part: Any) -> None:
         unpack_row(pairs, (w.overlap_old[2] + k) * w.nx + w.overlap_old[0] + start, part)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _old_row(w: Any, pairs: Any, scratch: Any, columns: Any, k: Any, slot: Any) -> Any:
     """Old row k of the overlap in a dense row of the scratch; whether it has holes."""
     held = held_of(scratch, columns)
@@ -69,7 +69,7 @@ def _old_row(w: Any, pairs: Any, scratch: Any, columns: Any, k: Any, slot: Any) 
     return held[6] & bit != 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _much_coarser(w: Any, pairs: Any, scratch: Any, columns: Any, at: Any, out: Any) -> None:
     """One new row from many old ones, a strip of columns at a time: along y, then along x."""
     first, last, low, high = at
@@ -102,7 +102,7 @@ def _much_coarser(w: Any, pairs: Any, scratch: Any, columns: Any, at: Any, out: 
             round_row(sums[2, left:right], out[left:right])
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _coarser(w: Any, pairs: Any, scratch: Any, columns: Any, at: Any, out: Any) -> None:
     """One new row from the up to three old ones in its span `at`: along y, then along x."""
     first, last, low, high = at
@@ -139,7 +139,7 @@ def _coarser(w: Any, pairs: Any, scratch: Any, columns: Any, at: Any, out: Any) 
             round_means(total[left:right], out[left:right])
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _row_along_x(w: Any, pairs: Any, scratch: Any, columns: Any, k: Any, n: Any) -> Any:
     """Old row k along x, in sums 0, 1 (k even) or 2, 3 for the next new row too; whether it has holes."""
     odd = k & 1
@@ -168,7 +168,7 @@ def _row_along_x(w: Any, pairs: Any, scratch: Any, columns: Any, k: Any, n: Any)
     return held[6] & bit != 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _finer(w: Any, pairs: Any, scratch: Any, columns: Any, at: Any, target: Any) -> None:
     """One new row from the one or two old ones in its span `at`: along x, then along y.
 
@@ -204,7 +204,7 @@ def _finer(w: Any, pairs: Any, scratch: Any, columns: Any, at: Any, target: Any)
             pack_row(part, pairs, grid + left)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def place_finer(w: Any, pairs: Any, scratch: Any, columns: Any, j: Any, grid: Any) -> None:
     """Row j of the overlap, of finer or equal grids, straight into the map's grids from `grid` on.
 
@@ -214,7 +214,7 @@ def place_finer(w: Any, pairs: Any, scratch: Any, columns: Any, j: Any, grid: An
     _finer(w, pairs, scratch, columns, new_row_span(w, j), (nowhere, grid))
 
 
-@njit(cache=True, nogil=True)
+@jit
 def new_row(w: Any, pairs: Any, scratch: Any, columns: Any, j: Any, out: Any) -> None:
     """Row j of the overlap in the new map, resampled into the dense row `out`."""
     at = new_row_span(w, j)

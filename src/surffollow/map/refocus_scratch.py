@@ -10,10 +10,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from surffollow.map.resample import fill_tables
 from surffollow.map.row_means import fill_columns
+from surffollow.shm.jit import jit
 
 RING_ROWS = 8
 NARROW_RATIO = 2.0
@@ -24,19 +24,19 @@ _HELD = 8
 _MARGIN = 16
 
 
-@njit(cache=True, nogil=True)
+@jit
 def scratch_words(columns: Any) -> Any:
     """float64 words of scratch for rows of so many columns; `map_layout.scratch_bytes` is 8 times that."""
     return 14 * (columns + 64)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def ring_of(scratch: Any, columns: Any) -> Any:
     """Eight dense rows, one after the other."""
     return scratch[: 2 * columns].view(np.int16)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def held_of(scratch: Any, columns: Any) -> Any:
     """Old rows in the dense rows (0-3) and in the sums (4, 5); holes of the six (6: bits); layout (7).
 
@@ -46,7 +46,7 @@ def held_of(scratch: Any, columns: Any) -> Any:
     return scratch[end - _HELD : end].view(np.int64)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def forget_rows(scratch: Any, columns: Any) -> None:
     """No old row is held any more: they lie elsewhere now, or the memory is another process's."""
     held = held_of(scratch, columns)
@@ -54,7 +54,7 @@ def forget_rows(scratch: Any, columns: Any) -> None:
     held[6] = 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def columns_of(scratch: Any, columns: Any) -> Any:
     """(first_old, weights) as `fill_columns` filled them."""
     at, size = 4 * columns, columns + _MARGIN
@@ -63,7 +63,7 @@ def columns_of(scratch: Any, columns: Any) -> Any:
     return first_old, words[at + size : at + 4 * size].reshape(3, size)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def sums_of(scratch: Any, columns: Any) -> Any:
     """Six rows of float32: sums and known weights of an even and an odd row, and two of old columns."""
     size = columns + _MARGIN
@@ -71,7 +71,7 @@ def sums_of(scratch: Any, columns: Any) -> Any:
     return scratch.view(np.float32)[at : at + 6 * size].reshape(6, size)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def dense_of(scratch: Any, columns: Any) -> Any:
     """Four rows of old heights."""
     size = columns + _MARGIN
@@ -79,7 +79,7 @@ def dense_of(scratch: Any, columns: Any) -> Any:
     return scratch.view(np.int16)[at : at + DENSE_ROWS * size].reshape(DENSE_ROWS, size)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def wide_tables_of(scratch: Any, columns: Any) -> Any:
     """(first_old, last_old, weights) as `fill_tables` filled them."""
     at, size = 2 * columns, columns + 2
@@ -88,7 +88,7 @@ def wide_tables_of(scratch: Any, columns: Any) -> Any:
     return first, last, scratch[at + 2 * size : at + 5 * size].reshape(3, size)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def wide_buffers_of(scratch: Any, columns: Any) -> Any:
     """(sums (4, columns + 2) float64, one dense row)."""
     size = columns + 2
@@ -97,7 +97,7 @@ def wide_buffers_of(scratch: Any, columns: Any) -> Any:
     return scratch[at:end].reshape(4, size), scratch[end : end + columns // 4 + 1].view(np.int16)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def prepare(w: Any, scratch: Any, columns: Any) -> None:
     """Make the tables of the planned MapRefocus, unless they are there."""
     held = held_of(scratch, columns)

@@ -15,16 +15,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from surffollow.shm import map_layout as ml
+from surffollow.shm.jit import jit
 
 _UNKNOWN = np.int16(ml.UNKNOWN)
 _SNAP = 1e-6
 _WHOLE = 1.0 - 1e-9  # a known share beyond this is all: the difference is rounding
 
 
-@njit(cache=True, nogil=True)
+@jit
 def edge(shift: Any, ratio: Any, i: Any) -> Any:
     """Lower edge of new grid i along an axis, in old grids from the old map's corner."""
     e = shift + i * ratio
@@ -32,7 +32,7 @@ def edge(shift: Any, ratio: Any, i: Any) -> Any:
     return whole if abs(e - whole) < _SNAP * min(1.0, ratio) else e
 
 
-@njit(cache=True, nogil=True)
+@jit
 def span(shift: Any, ratio: Any, i: Any, n_old: Any) -> Any:
     """Old grids under new grid i, which must overlap the old map.
 
@@ -45,7 +45,7 @@ def span(shift: Any, ratio: Any, i: Any, n_old: Any) -> Any:
     return np.int64(np.floor(low)), np.int64(np.ceil(high)) - 1, low, high
 
 
-@njit(cache=True, nogil=True)
+@jit
 def axis_overlap(shift: Any, ratio: Any, n_new: Any, n_old: Any) -> Any:
     """New grids a … b−1 that cover some of the old map along an axis, and old grids c … d−1 under them.
 
@@ -69,7 +69,7 @@ def axis_overlap(shift: Any, ratio: Any, n_new: Any, n_old: Any) -> Any:
     return a, b, c, d
 
 
-@njit(cache=True, nogil=True)
+@jit
 def fill_tables(first_old: Any, last_old: Any, weights: Any, shift: Any, ratio: Any, overlap: Any) -> None:
     """Old columns under each new column of the overlap, and their shares of its covered width.
 
@@ -91,7 +91,7 @@ def fill_tables(first_old: Any, last_old: Any, weights: Any, shift: Any, ratio: 
         weights[2, i] = per_width
 
 
-@njit(cache=True, nogil=True)
+@jit
 def set_row(row: Any, weight: Any, total: Any, known: Any, holes: Any) -> None:
     """total = weight·height and, where there are holes, known = weight, 0 over unknown grids."""
     n = row.shape[0]
@@ -105,7 +105,7 @@ def set_row(row: Any, weight: Any, total: Any, known: Any, holes: Any) -> None:
             total[i] = weight * row[i]
 
 
-@njit(cache=True, nogil=True)
+@jit
 def add_row(row: Any, weight: Any, total: Any, known: Any, holes: Any) -> None:
     """total += weight·height and, where there are holes, known += weight over known grids."""
     if holes:
@@ -118,7 +118,7 @@ def add_row(row: Any, weight: Any, total: Any, known: Any, holes: Any) -> None:
             total[i] += weight * row[i]
 
 
-@njit(cache=True, nogil=True)
+@jit
 def along_x(values: Any, first_old: Any, last_old: Any, weights: Any, out: Any) -> None:
     """Weighted means of old columns under each new one."""
     w0, w1, w2 = weights[0], weights[1], weights[2]
@@ -130,14 +130,14 @@ def along_x(values: Any, first_old: Any, last_old: Any, weights: Any, out: Any) 
         out[i] = w0[i] * values[first] + w2[i] * between + w1[i] * values[last]
 
 
-@njit(cache=True, nogil=True)
+@jit
 def round_row(total: Any, out: Any) -> None:
     """Nearest quanta, halves to even."""
     for i in range(out.shape[0]):
         out[i] = np.int16(np.rint(total[i]))
 
 
-@njit(cache=True, nogil=True)
+@jit
 def divide_row(total: Any, known: Any, out: Any) -> None:
     """Mean over the known part, nearest quanta; UNKNOWN where nothing is known."""
     for i in range(out.shape[0]):

@@ -15,11 +15,12 @@ from typing import Any
 import llvmlite.binding as llvm
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
 from surffollow.map.resample import span
 from surffollow.shm import map_layout as ml
+from surffollow.shm.jit import jit
 
 _UNKNOWN = np.int16(ml.UNKNOWN)
 _ZERO, _F32 = np.float32(0.0), np.float32
@@ -82,7 +83,7 @@ _means_of_two = _make_means(8, 2)
 _means_of_three = _make_means(4, 3)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def fill_columns(first_old: Any, weights: Any, shift: Any, ratio: Any, overlap: Any) -> None:
     """First old column under each new column of the overlap, and the shares of it and the next two.
 
@@ -100,13 +101,13 @@ def fill_columns(first_old: Any, weights: Any, shift: Any, ratio: Any, overlap: 
             weights[tap, i] = overlap_share(first + tap, low, high) if first + tap <= last else 0.0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def overlap_share(k: Any, low: Any, high: Any) -> Any:
     """Share of [low, high] that grid k covers, float32."""
     return _F32((min(high, k + 1.0) - max(low, float(k))) / (high - low))
 
 
-@njit(cache=True, nogil=True)
+@jit
 def to_floats(row: Any, total: Any) -> None:
     """Heights as float32, and two zeros behind them, on which weight 0 may fall."""
     n = row.shape[0]
@@ -115,7 +116,7 @@ def to_floats(row: Any, total: Any) -> None:
     total[n], total[n + 1] = _ZERO, _ZERO
 
 
-@njit(cache=True, nogil=True)
+@jit
 def to_floats_known(row: Any, total: Any, known: Any) -> None:
     """`to_floats` with 0 for unknown heights, and which are known as 1 and 0."""
     n = row.shape[0]
@@ -127,7 +128,7 @@ def to_floats_known(row: Any, total: Any, known: Any) -> None:
     known[n], known[n + 1] = _ZERO, _ZERO
 
 
-@njit(cache=True, nogil=True)
+@jit
 def add_three(a: Any, b: Any, c: Any, weights: Any, total: Any) -> None:
     """Weighted sum of three rows of heights, and two zeros behind it."""
     n = a.shape[0]
@@ -137,7 +138,7 @@ def add_three(a: Any, b: Any, c: Any, weights: Any, total: Any) -> None:
     total[n], total[n + 1] = _ZERO, _ZERO
 
 
-@njit(cache=True, nogil=True)
+@jit
 def add_three_known(a: Any, b: Any, c: Any, weights: Any, total: Any, known: Any) -> None:
     """`add_three` over known heights alone, and the sum of their weights."""
     n = a.shape[0]
@@ -152,7 +153,7 @@ def add_three_known(a: Any, b: Any, c: Any, weights: Any, total: Any, known: Any
     known[n], known[n + 1] = _ZERO, _ZERO
 
 
-@njit(cache=True, nogil=True)
+@jit
 def along_columns(values: Any, first_old: Any, weights: Any, ratio: Any, out: Any) -> None:
     """Weighted sums of old columns under each new one.
 
@@ -186,19 +187,19 @@ def along_columns(values: Any, first_old: Any, weights: Any, ratio: Any, out: An
             out[m] = w0[m] * values[k] + w1[m] * values[k + _U1] + w2[m] * values[k + _U2]
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _quanta(value: Any) -> Any:
     return np.int16(np.rint(value))
 
 
-@njit(cache=True, nogil=True)
+@jit
 def round_means(total: Any, out: Any) -> None:
     """Nearest quanta, halves to even."""
     for i in range(out.shape[0]):
         out[i] = _quanta(total[i])
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _known_mean(total: Any, known: Any, whole: Any) -> Any:
     """Mean over the known part of a grid, whose known weight is `whole` when it has no hole."""
     if known > _ZERO:
@@ -206,7 +207,7 @@ def _known_mean(total: Any, known: Any, whole: Any) -> Any:
     return _UNKNOWN
 
 
-@njit(cache=True, nogil=True)
+@jit
 def round_known(total: Any, known: Any, weights: Any, height: Any, out: Any) -> None:
     """`round_means` over what is known, UNKNOWN where nothing is.
 
@@ -218,14 +219,14 @@ def round_known(total: Any, known: Any, weights: Any, height: Any, out: Any) -> 
         out[i] = _known_mean(total[i], known[i], whole)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def blend_means(one: Any, other: Any, weight: Any, rest: Any, out: Any) -> None:
     """Nearest quanta of weight·one + rest·other."""
     for i in range(out.shape[0]):
         out[i] = _quanta(weight * one[i] + rest * other[i])
 
 
-@njit(cache=True, nogil=True)
+@jit
 def blend_known(one: Any, other: Any, weight: Any, rest: Any, weights: Any, out: Any) -> None:
     """`blend_means` over what is known; `one` and `other` are (sums, known weights)."""
     w0, w1 = weights[0], weights[1]
@@ -238,7 +239,7 @@ def blend_known(one: Any, other: Any, weight: Any, rest: Any, weights: Any, out:
         )
 
 
-@njit(cache=True, nogil=True)
+@jit
 def all_known(weights: Any, known: Any) -> None:
     """The known weights of a row without holes."""
     for i in range(known.shape[0]):

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
 from surffollow.shm import map_layout as ml
+from surffollow.shm.jit import jit
 
 _UNKNOWN = np.int16(ml.UNKNOWN)
 # four unknown pairs are 24 bytes: three 64-bit words
@@ -75,14 +76,14 @@ def _unowned(typingctx: Any, array: Any) -> Any:
 unowned: Any = intrinsic(_unowned)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def copy_row(source: Any, target: Any) -> None:
     """Copy a dense row; numba's own slice assignment is five times slower."""
     for i in range(target.shape[0]):
         target[i] = source[i]
 
 
-@njit(cache=True, nogil=True)
+@jit
 def unpack_row(pairs: Any, start: Any, out: Any) -> None:
     """Heights of grids start … start+len(out)−1, as a dense int16 row."""
     n = out.shape[0]
@@ -103,7 +104,7 @@ def unpack_row(pairs: Any, start: Any, out: Any) -> None:
         out[n - 1] = pairs[(start + n - 1) >> 1].h[0]
 
 
-@njit(cache=True, nogil=True)
+@jit
 def pack_row(row: Any, pairs: Any, start: Any) -> None:
     """Store a dense int16 row at grids start …, count 0 (a prior, or unknown)."""
     n = row.shape[0]
@@ -129,7 +130,7 @@ def pack_row(row: Any, pairs: Any, start: Any) -> None:
         pairs[(start + n - 1) >> 1].c[0] = 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def clear_grids(pairs: Any, start: Any, stop: Any) -> None:
     """Make grids start … stop−1 unknown, count 0.
 
@@ -160,7 +161,7 @@ def clear_grids(pairs: Any, start: Any, stop: Any) -> None:
         pair.c[1] = 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def place_row(row: Any, pairs: Any, row_start: Any, nx: Any, first: Any) -> None:
     """Write a whole map row of nx grids: unknown, the dense row from column `first` on, unknown."""
     pack_row(row, pairs, row_start + first)
@@ -168,7 +169,7 @@ def place_row(row: Any, pairs: Any, row_start: Any, nx: Any, first: Any) -> None
     clear_grids(pairs, row_start + first + row.shape[0], row_start + nx)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def has_unknown(row: Any) -> Any:
     """Whether a dense row has an unknown grid."""
     lowest = np.int16(0)

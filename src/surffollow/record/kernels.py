@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from surffollow.config.params import PARAMS as TABLE
 from surffollow.forecast.journal import (
@@ -29,6 +28,7 @@ from surffollow.forecast.journal import (
     same_outcome,
 )
 from surffollow.forecast.step import follow_step, sf_reset
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CHANNELS, FollowState, Output, Params
 
 MAP_WORDS = 7
@@ -59,7 +59,7 @@ _WHOLE = np.array(
 ) = range(9)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def entry_length(word: Any) -> Any:
     """Words of the entry that begins with `word`; 0 when none can."""
     kind, n = entry_kind(word), entry_words(word)
@@ -76,7 +76,7 @@ def entry_length(word: Any) -> Any:
     return 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def walk_entries(words: Any, n: Any, most_cycles: Any, stop_at_snapshot: Any, walk: Any) -> None:
     """Take whole entries from the front of `words[:n]`, at most `most_cycles` cycles of them.
 
@@ -132,7 +132,7 @@ def walk_entries(words: Any, n: Any, most_cycles: Any, stop_at_snapshot: Any, wa
 ) = range(11)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def same_words(a: Any, b: Any, at: Any) -> Any:
     """1 when `a` equals the words of `b` from index `at` on."""
     for k in range(a.size):
@@ -141,7 +141,7 @@ def same_words(a: Any, b: Any, at: Any) -> Any:
     return 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def params_in_bounds(words: Any, at: Any) -> Any:
     """Whether the `Params` of the entry at `at` keep every kernel inside its arrays and its time."""
     for k in range(_WHOLE.shape[0]):  # noqa: SIM110 - numba has no all() over a generator
@@ -150,7 +150,7 @@ def params_in_bounds(words: Any, at: Any) -> Any:
     return True
 
 
-@njit(cache=True, nogil=True)
+@jit
 def take_snapshot(words: Any, at: Any, params_words: Any, state_words: Any, tally: Any) -> None:
     """Load the first snapshot of a segment; compare the later ones with the replayed state."""
     params_at, state_at = at + 2, at + 2 + PARAMS_WORDS
@@ -169,7 +169,7 @@ def take_snapshot(words: Any, at: Any, params_words: Any, state_words: Any, tall
         tally[R_STATES_DIFFERING] += 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def replay_words(
     words: Any, floats: Any, n: Any, records: Any, views: Any, scratch: Any, first: Any, tally: Any
 ) -> Any:

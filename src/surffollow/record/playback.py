@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from surffollow.config.params import PARAMS as TABLE
@@ -25,13 +24,14 @@ from surffollow.forecast.journal import (
 from surffollow.record.reader import RecordingReader
 from surffollow.shm.conversion import conversion_dt_ns
 from surffollow.shm.dtypes import numpy_dtype
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import Params
 
 SEGMENT_GAP_NS = 100_000_000
 POSE_COLUMNS = 9  # arrival, stamp, x y z qx qy qz qw
 
 
-@njit(cache=True, nogil=True)
+@jit
 def count_inputs(words: Any, counts: Any) -> None:
     """Add the conversions, poses and other entries of a run of whole entries to `counts` (3,)."""
     at = 0
@@ -45,7 +45,7 @@ def count_inputs(words: Any, counts: Any) -> None:
         at += entry_words(head)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def take_inputs(
     words: Any, shift_ns: Any, t_ns: Any, conversion: Any, poses: Any, events: Any, at_out: Any
 ) -> None:

@@ -10,7 +10,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from surffollow.config.params import PARAMS
@@ -29,6 +28,7 @@ from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.shm.conversion import FLAG_INVALID, pack_conversion
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.dtypes import zeros
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import LogHead
 from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, Params
 
@@ -37,7 +37,7 @@ SPEED_MPS = 0.05
 RANGE_M, SWELL_M, WAVELENGTH_M = 0.1, 0.005, 0.3
 
 
-@njit(cache=True, nogil=True)
+@jit
 def noise(seed: Any) -> Any:
     """A reproducible number in [-1, 1) from an integer (SplitMix64's mixing)."""
     z = (seed + 0x9E3779B97F4A7C) * 6364136223846793005
@@ -46,7 +46,7 @@ def noise(seed: Any) -> Any:
     return ((z >> 11) & 0x1FFFFFFFFFFFFF) / 4503599627370496.0 - 1.0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def invent_inputs(params: Any, inputs: Any, cycle: Any, seed: Any, per_cycle: Any, period_ns: Any) -> None:
     """A cycle's conversions and poses: a swell under a tool at constant speed, noise, losses, odd poses."""
     p, i = params[0], inputs[0]
@@ -77,14 +77,14 @@ def invent_inputs(params: Any, inputs: Any, cycle: Any, seed: Any, per_cycle: An
             i.pose[7 * k + 6] = 1.0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def append_event(log: Any, capacity: Any, words: Any, address: Any, kind: Any, t_ns: Any, n: Any) -> None:
     """Append the entry whose words from the third on are already in `words`."""
     words[0], words[1] = entry_head(kind, n), t_ns
     log_append(log, capacity, address, n)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def rehearse(
     log: Any, capacity: Any, words: Any, floats: Any, address: Any, records: Any, views: Any, plan: Any
 ) -> None:

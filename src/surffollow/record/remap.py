@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from surffollow.errors import RecordingError
@@ -27,6 +26,7 @@ from surffollow.map import HeightMap
 from surffollow.record.kernels import entry_length, params_in_bounds
 from surffollow.record.reader import RecordingReader
 from surffollow.shm.dtypes import zeros
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import RQ_MAP_INSTALL, RQ_MAP_REFOCUS, RQ_MAP_RESET
 from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, Params
 
@@ -35,7 +35,7 @@ _POINTS = 1 << 16
 _LEAST_SIDE_M = 0.01
 
 
-@njit(cache=True, nogil=True)
+@jit
 def collect_targets(
     words: Any, floats: Any, begin: Any, records: Any, views: Any, scratch: Any, points: Any, out: Any
 ) -> None:

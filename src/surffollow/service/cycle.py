@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast import journal
 from surffollow.forecast.step import follow_step
 from surffollow.service import memory as m
@@ -16,6 +14,7 @@ from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.conversion import ITEM_WORDS
 from surffollow.shm.cycle_log import log_append
+from surffollow.shm.jit import jit
 from surffollow.shm.latch import latch_write
 from surffollow.shm.layout_board import HISTOGRAM_BINS, Stats
 from surffollow.shm.layout_follow import MAX_CONVERSIONS, Output
@@ -39,7 +38,7 @@ _SAMPLES = Stats.offset("samples")
 _DT_LIMIT_NS = (1 << 31) - 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def histogram_bin(t_ns: Any) -> Any:
     """Bin of a duration: exact below 8 ns, then 8 bins to the octave (client/report.py inverts it)."""
     if t_ns < 8:
@@ -50,7 +49,7 @@ def histogram_bin(t_ns: Any) -> Any:
     return min(octave * 8 + (t_ns >> octave), HISTOGRAM_BINS - 1)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def count_duration(stats: Any, histogram: Any, longest: Any, t_ns: Any) -> None:
     """Add one duration to a histogram and its maximum."""
     count(stats, histogram + 8 * histogram_bin(t_ns), 1)
@@ -58,7 +57,7 @@ def count_duration(stats: Any, histogram: Any, longest: Any, t_ns: Any) -> None:
         at.store_relaxed_i64(stats + longest, t_ns)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def drain_conversions(mem: Any, t_ns: Any) -> None:
     """Take the conversions finished since the last cycle; the oldest beyond MAX_CONVERSIONS are skipped."""
     ctx, inputs = mem.ctx, mem.inputs[0]
@@ -82,7 +81,7 @@ def drain_conversions(mem: Any, t_ns: Any) -> None:
     count(stats, _CONVERSIONS, n)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def push_samples(mem: Any) -> None:
     """Hand every fresh target point to the map thread."""
     ctx, output, item = mem.ctx, mem.output[0], mem.item
@@ -99,7 +98,7 @@ def push_samples(mem: Any) -> None:
             at.store_relaxed_i64(lost, at.load_relaxed_i64(lost) + 1)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def log_snapshot(mem: Any, t_ns: Any) -> None:
     """Write a SNAPSHOT entry: parameters and state before this cycle."""
     entry = mem.entry
@@ -111,7 +110,7 @@ def log_snapshot(mem: Any, t_ns: Any) -> None:
     log_append(mem.ctx[m.LOG], mem.ctx[m.LOG_CAPACITY], entry.ctypes.data, journal.SNAPSHOT_WORDS)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def one_cycle(mem: Any, t_ns: Any) -> None:
     """All of a cycle but the waiting: requests first, then data."""
     ctx = mem.ctx
@@ -137,7 +136,7 @@ def one_cycle(mem: Any, t_ns: Any) -> None:
     count(ctx[m.STATS], _CYCLES, 1)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def run_cycles(mem: Any, first_ns: Any, most_cycles: Any) -> Any:
     """Cycle until STOP is set, or `most_cycles` were run; the number of cycles.
 

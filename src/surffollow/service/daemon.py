@@ -18,6 +18,7 @@ from surffollow.errors import ServiceError
 from surffollow.forecast.step import sf_reset
 from surffollow.hw.driver import ConversionQueue, Driver
 from surffollow.hw.registry import make_driver
+from surffollow.hw.simulated import SimulatedDriver
 from surffollow.service import memory as m
 from surffollow.service import realtime
 from surffollow.service.beat import FAULT_CYCLE_STALLED, Beat
@@ -77,7 +78,7 @@ class Daemon:
     def run(self, on_ready: Callable[[], None] | None = None) -> None:
         """Start the threads, announce READY, beat until asked to stop, end cleanly."""
         self._take_signals()
-        side = SideCompile()
+        side = SideCompile(with_sensors=isinstance(self.driver, SimulatedDriver))
         threads: list[threading.Thread] = []
         try:
             realtime.prepare_process(

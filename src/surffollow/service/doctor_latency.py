@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from surffollow.client.report import bin_edges_ns, histogram_summary
@@ -24,13 +23,14 @@ from surffollow.errors import ServiceError
 from surffollow.service import realtime
 from surffollow.service.cycle import histogram_bin
 from surffollow.shm.clock import now_ns, wait_until_ns
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import HISTOGRAM_BINS
 
 LEAD_NS = 5_000_000
 CYCLICTEST_MOST_US = 20_000
 
 
-@njit(cache=True, nogil=True)
+@jit
 def measure_lateness(counts: Any, period_ns: Any, spin_ns: Any, n: Any) -> Any:
     """Wait for `n` deadlines one period apart and count how late each wake-up was.
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from surffollow.service import memory as m
 from surffollow.shm import atomics as at
+from surffollow.shm.jit import jit, jit_pasted
 from surffollow.shm.latch import latch_read
 from surffollow.shm.layout_board import PAGE, SLOT_BYTES, SLOT_POSE, SLOT_REQUEST, PosePost, RequestPost
 from surffollow.shm.layout_follow import POSES
@@ -18,13 +17,13 @@ POSE_OK, POSE_NONE, POSE_BAD, POSE_TORN = 0, 1, 2, 3
 _POST_BYTES, _REQUEST_BYTES = PosePost.SIZE, RequestPost.SIZE
 
 
-@njit(cache=True, nogil=True, inline="always")
+@jit_pasted
 def slot_address(inbox: Any, slot: Any) -> Any:
     """Where a slot of the inbox begins."""
     return inbox + PAGE + slot * SLOT_BYTES
 
 
-@njit(cache=True, nogil=True)
+@jit
 def check_pose(post: Any, now_ns: Any, oldest_ns: Any, pose: Any) -> Any:
     """Check and normalise a copied pose into `pose` (7,).
 
@@ -51,7 +50,7 @@ def check_pose(post: Any, now_ns: Any, oldest_ns: Any, pose: Any) -> Any:
     return POSE_OK
 
 
-@njit(cache=True, nogil=True)
+@jit
 def read_pose(mem: Any, now_ns: Any) -> Any:
     """Take a new pose of the pose writer into the cycle's inputs.
 
@@ -88,7 +87,7 @@ def read_pose(mem: Any, now_ns: Any) -> Any:
     return POSE_OK
 
 
-@njit(cache=True, nogil=True)
+@jit
 def new_request(mem: Any, slot: Any) -> Any:
     """Copy a slot's request when it changed; 1: `mem.request` holds a new one, 0: nothing, -1: torn."""
     ctx = mem.ctx

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from surffollow.map.geometry import reset_begin, reset_step
 from surffollow.map.grids import update_map
 from surffollow.map.install import operation_progress, reject
@@ -36,6 +34,7 @@ from surffollow.service.requests import holder_is_gone
 from surffollow.shm import atomics as at
 from surffollow.shm import map_layout as ml
 from surffollow.shm.clock import now_ns, sleep_until_ns
+from surffollow.shm.jit import jit
 from surffollow.shm.latch import latch_write
 from surffollow.shm.latch_shape import latch_bytes
 from surffollow.shm.layout_board import (
@@ -70,7 +69,7 @@ STREAM_IDLE_NS = 50_000  # between looks for the next piece of a map that is bei
 _REFOCUSING, _INSTALLING = ml.REFOCUSING, ml.INSTALLING
 
 
-@njit(cache=True, nogil=True)
+@jit
 def publish_status(mem: Any, t_ns: Any) -> None:
     """Tell what the map is doing."""
     ctx, s, header = mem.ctx, mem.status[0], mem.header[0]
@@ -82,7 +81,7 @@ def publish_status(mem: Any, t_ns: Any) -> None:
     latch_write(ctx[m.MAP_STATUS], mem.status.ctypes.data, _STATUS_BYTES)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def finish_job(mem: Any, result: Any) -> None:
     """Answer the request under way and free its slot for the next."""
     job, ctx = mem.job, mem.ctx
@@ -96,7 +95,7 @@ def finish_job(mem: Any, result: Any) -> None:
     job[JOB_SLOT] = -1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def begin_job(mem: Any) -> None:
     """Start the request at the head of the queue (in `mem.item`)."""
     ctx, job = mem.ctx, mem.job
@@ -125,7 +124,7 @@ def begin_job(mem: Any) -> None:
         finish_job(mem, ERR_MAP_BUSY)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def step_job(mem: Any, t_ns: Any) -> Any:
     """One slice of the map operation under way; 0 when it waits for its client."""
     operation = mem.header[0].journal_op
@@ -148,7 +147,7 @@ def step_job(mem: Any, t_ns: Any) -> Any:
     return 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def end_access(mem: Any, t_ns: Any) -> None:
     """Step 4, or the fence: go on when the holder is done, dead or late.
 
@@ -170,7 +169,7 @@ def end_access(mem: Any, t_ns: Any) -> None:
     publish_status(mem, t_ns)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def hear_again(mem: Any, t_ns: Any) -> None:
     """Lift the fence off slots whose flag came down or that belong to somebody else by now."""
     ctx, s = mem.ctx, mem.status[0]
@@ -189,7 +188,7 @@ def hear_again(mem: Any, t_ns: Any) -> None:
         publish_status(mem, t_ns)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def watch_access(mem: Any, t_ns: Any) -> None:
     """The four-step flag: 1 requested → 2 granted → 3 done → 0; slots take turns."""
     ctx, s, job = mem.ctx, mem.status[0], mem.job
@@ -214,7 +213,7 @@ def watch_access(mem: Any, t_ns: Any) -> None:
         return
 
 
-@njit(cache=True, nogil=True)
+@jit
 def drain_samples(mem: Any) -> Any:
     """Apply queued samples up to the next request; the number of items taken."""
     ctx, item, floats, s = mem.ctx, mem.item, mem.item_floats, mem.status[0]
@@ -231,7 +230,7 @@ def drain_samples(mem: Any) -> Any:
     return taken
 
 
-@njit(cache=True, nogil=True)
+@jit
 def map_pass(mem: Any, t_ns: Any) -> Any:
     """One look around; 1 when there was something to do."""
     hear_again(mem, t_ns)
@@ -244,7 +243,7 @@ def map_pass(mem: Any, t_ns: Any) -> Any:
     return 1 if drain_samples(mem) > 0 else 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def end_job(mem: Any) -> None:
     """Carry the operation under way to its end; an installation is given up."""
     while mem.job[JOB_SLOT] != -1:
@@ -255,7 +254,7 @@ def end_job(mem: Any) -> None:
         step_job(mem, now_ns())
 
 
-@njit(cache=True, nogil=True)
+@jit
 def recover(mem: Any) -> None:
     """Take up the operation that a dead service left; an installation cannot be completed."""
     operation = mem.header[0].journal_op
@@ -265,7 +264,7 @@ def recover(mem: Any) -> None:
         reject(mem.header)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def run_map(mem: Any) -> None:
     """Serve the map until STOP is set; then apply what is still queued and end."""
     ctx = mem.ctx

@@ -13,8 +13,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from surffollow.map.install import install_begin, install_end, install_fault, install_grids, reject
 from surffollow.service import memory as m
 from surffollow.service.inbox import slot_address
@@ -30,6 +28,7 @@ from surffollow.service.requests import holder_is_gone
 from surffollow.shm import atomics as at
 from surffollow.shm import map_layout as ml
 from surffollow.shm.clock import now_ns
+from surffollow.shm.jit import jit
 from surffollow.shm.latch import latch_write
 from surffollow.shm.latch_shape import latch_bytes
 from surffollow.shm.layout_board import (
@@ -48,13 +47,13 @@ NS_PER_GRID = 2000
 NOTHING, TAKEN, WHOLE, FAILED = range(4)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _announced(mem: Any) -> Any:
     """Where the request under way left its numbers: region, then the map's."""
     return mem.ctx.ctypes.data + 8 * (m.REGION + mem.job[JOB_SLOT] * m.REGION_WORDS)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _announced_grids(mem: Any) -> Any:
     """Columns, rows, side of a grid, corner, datum and quantum of the announced map."""
     f, i = at.load_relaxed_f64, at.load_relaxed_i64
@@ -62,7 +61,7 @@ def _announced_grids(mem: Any) -> Any:
     return i(w + 40), i(w + 48), f(w), f(w + 8), f(w + 16), f(w + 24), f(w + 32)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _acknowledge(mem: Any, taken: Any) -> None:
     """Tell the client that it is its turn, and how many grids were taken."""
     a, job = mem.ack[0], mem.job
@@ -71,7 +70,7 @@ def _acknowledge(mem: Any, taken: Any) -> None:
     latch_write(mem.ctx[m.MAP_ACKS] + job[JOB_SLOT] * _ACK_STEP, mem.ack.ctypes.data, _ACK_BYTES)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _is_early(mem: Any) -> Any:
     """Whether the first piece lies there uncalled for: nothing tells whether its client still lives."""
     i, job = at.load_acquire_i64, mem.job
@@ -79,7 +78,7 @@ def _is_early(mem: Any) -> Any:
     return i(half) == 1 and i(half + 8) == job[JOB_COUNTER] and i(half + 16) == job[JOB_CLAIM]
 
 
-@njit(cache=True, nogil=True)
+@jit
 def begin_install(mem: Any) -> Any:
     """Check the numbers of the announced map and call for its first piece; the map is untouched.
 
@@ -94,14 +93,14 @@ def begin_install(mem: Any) -> Any:
     return answer
 
 
-@njit(cache=True, nogil=True)
+@jit
 def awaits_first_piece(mem: Any) -> Any:
     """Whether an installation is under way that has not begun: the old map is whole."""
     job = mem.job
     return job[JOB_SLOT] >= 0 and job[JOB_CODE] == RQ_MAP_INSTALL and mem.header[0].journal_op == 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def _open_install(mem: Any) -> Any:
     """Let the old map go: the first piece is here; whether the map library agrees."""
     f, i = at.load_relaxed_f64, at.load_relaxed_i64
@@ -117,7 +116,7 @@ def _open_install(mem: Any) -> Any:
     return True
 
 
-@njit(cache=True, nogil=True)
+@jit
 def take_piece(mem: Any) -> Any:
     """Install the next piece when it is there; NOTHING, TAKEN, WHOLE or FAILED."""
     ctx, job, piece, w = mem.ctx, mem.job, mem.piece, mem.header[0]
@@ -154,7 +153,7 @@ def take_piece(mem: Any) -> Any:
     return WHOLE
 
 
-@njit(cache=True, nogil=True)
+@jit
 def step_install(mem: Any, t_ns: Any) -> Any:
     """Go on with the installation; NOTHING, TAKEN, WHOLE or FAILED.
 

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.adaptive_due import preview_place
 from surffollow.map.ahead import bridge_gaps, grid_width, heights_along
+from surffollow.shm.jit import jit, jit_pasted
 from surffollow.shm.layout_follow import MAX_PREVIEW, MODE_ADAPTIVE
 
 COARSEST_M = 5.08e-3  # coarser grids blur what a plan would be for
@@ -19,7 +18,7 @@ PER_GRID = 2.0
 BRIDGE_M = 8e-3  # holes up to this long are bridged, as those of a leading sensor
 
 
-@njit(cache=True, nogil=True)
+@jit
 def look_ahead(mem: Any) -> None:
     """Set n_preview, preview_from_m, preview_step_m and preview_m of the coming cycle's inputs."""
     due, x, y, ux, uy, first, last = preview_place(mem.params, mem.state, mem.inputs)
@@ -48,7 +47,7 @@ def look_ahead(mem: Any) -> None:
         i.n_preview, i.preview_from_m, i.preview_step_m = n, first, step
 
 
-@njit(cache=True, nogil=True, inline="always")
+@jit_pasted
 def fill_preview(mem: Any) -> None:
     """Preview of the coming cycle; in paper mode nothing is looked at."""
     mem.inputs[0].n_preview = 0

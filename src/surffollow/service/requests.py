@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast import journal
 from surffollow.forecast.step import sf_reset
 from surffollow.service import memory as m
@@ -13,6 +11,7 @@ from surffollow.service.inbox import new_request, slot_address
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns
 from surffollow.shm.cycle_log import log_append
+from surffollow.shm.jit import jit, jit_pasted
 from surffollow.shm.latch import latch_write
 from surffollow.shm.latch_shape import latch_bytes
 from surffollow.shm.layout_board import (
@@ -59,13 +58,13 @@ _CLAIM = SlotHead.offset("claim")
 _MAX_SIDE_M = 1e6
 
 
-@njit(cache=True, nogil=True, inline="always")
+@jit_pasted
 def count(stats: Any, offset: Any, n: Any) -> None:
     """Add to a counter that only this thread writes."""
     at.store_relaxed_i64(stats + offset, at.load_relaxed_i64(stats + offset) + n)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def write_ack(latch: Any, ack: Any, request: Any, result: Any, detail: Any) -> None:
     """Publish the answer to a request."""
     a = ack[0]
@@ -74,13 +73,13 @@ def write_ack(latch: Any, ack: Any, request: Any, result: Any, detail: Any) -> N
     latch_write(latch, ack.ctypes.data, _ACK_BYTES)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def publish_params(mem: Any) -> None:
     """Publish the parameters in force."""
     latch_write(mem.ctx[m.PARAMS_LATCH], mem.params.ctypes.data, _PARAMS_BYTES)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def log_params(mem: Any, t_ns: Any) -> None:
     """Write a PARAMS entry: in force from the next cycle on."""
     n = 2 + journal.PARAMS_WORDS
@@ -90,7 +89,7 @@ def log_params(mem: Any, t_ns: Any) -> None:
     log_append(mem.ctx[m.LOG], mem.ctx[m.LOG_CAPACITY], mem.entry.ctypes.data, n)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def log_value(mem: Any, kind: Any, t_ns: Any, value: Any) -> None:
     """Write an entry of one float64, e.g. RESET."""
     mem.entry[0], mem.entry[1] = journal.entry_head(kind, 3), t_ns
@@ -98,7 +97,7 @@ def log_value(mem: Any, kind: Any, t_ns: Any, value: Any) -> None:
     log_append(mem.ctx[m.LOG], mem.ctx[m.LOG_CAPACITY], mem.entry.ctypes.data, 3)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def in_bounds(bounds: Any, word: Any, value: Any) -> Any:
     """Whether a parameter word may have this value."""
     if not 0 <= word < bounds.shape[0] or bounds[word, 0] == 0.0:
@@ -108,7 +107,7 @@ def in_bounds(bounds: Any, word: Any, value: Any) -> Any:
     return bounds[word, 0] == 1.0 or value == float(int(value))
 
 
-@njit(cache=True, nogil=True)
+@jit
 def wanted_value(mem: Any, word: Any) -> Any:
     """What a float parameter will be once the request is carried out."""
     request, value = mem.request[0], mem.param_floats[word]
@@ -118,7 +117,7 @@ def wanted_value(mem: Any, word: Any) -> Any:
     return value
 
 
-@njit(cache=True, nogil=True)
+@jit
 def misfit(near_m: Any, far_m: Any, offset_m: Any, close_m: Any, exit_m: Any) -> Any:
     """Whether window, stand-off and fold-back fit each other, at the start and after every request.
 
@@ -141,7 +140,7 @@ def misfit(near_m: Any, far_m: Any, offset_m: Any, close_m: Any, exit_m: Any) ->
     return -1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def misfit_after(mem: Any) -> Any:
     """What `misfit` says of the parameters as the request would leave them."""
     return misfit(
@@ -153,7 +152,7 @@ def misfit_after(mem: Any) -> Any:
     )
 
 
-@njit(cache=True, nogil=True)
+@jit
 def do_set_params(mem: Any, t_ns: Any) -> Any:
     """Set all parameters of the request, or none; (result, number of the bad one)."""
     request = mem.request[0]
@@ -177,7 +176,7 @@ def do_set_params(mem: Any, t_ns: Any) -> Any:
     return OK, 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def holder_is_gone(ctx: Any, slot: Any, claim: Any, since_ns: Any) -> Any:
     """Whether who held something through this slot since then died, or left the slot to another.
 
@@ -188,7 +187,7 @@ def holder_is_gone(ctx: Any, slot: Any, claim: Any, since_ns: Any) -> Any:
     return at.load_relaxed_i64(slot_address(ctx[m.INBOX], slot) + SLOT_HEAD + _CLAIM) != claim
 
 
-@njit(cache=True, nogil=True)
+@jit
 def drop_dead_pose_writer(mem: Any) -> None:
     """Free the pose when its writer died or closed."""
     ctx = mem.ctx
@@ -197,7 +196,7 @@ def drop_dead_pose_writer(mem: Any) -> None:
         ctx[m.POSE_SLOT] = -1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def do_pose_role(mem: Any, slot: Any, code: Any) -> Any:
     """CLAIM_POSE and RELEASE_POSE; (result, pid of the holder)."""
     ctx, claim = mem.ctx, mem.request[0].claim
@@ -218,7 +217,7 @@ def do_pose_role(mem: Any, slot: Any, code: Any) -> Any:
     return OK, 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def region_ok(request: Any) -> Any:
     """Whether the request's four values are a region."""
     v = request.value
@@ -228,7 +227,7 @@ def region_ok(request: Any) -> Any:
     return 0.0 < v[2] - v[0] <= _MAX_SIDE_M and 0.0 < v[3] - v[1] <= _MAX_SIDE_M
 
 
-@njit(cache=True, nogil=True)
+@jit
 def do_map_request(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
     """Queue a map request behind the samples taken so far; (result, detail)."""
     ctx, request = mem.ctx, mem.request[0]
@@ -257,7 +256,7 @@ def do_map_request(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
     return ACCEPTED, 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
     """Carry out the request in `mem.request`; (result, detail)."""
     code = mem.request[0].code
@@ -279,7 +278,7 @@ def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
     return ERR_UNKNOWN_REQUEST, 0
 
 
-@njit(cache=True, nogil=True)
+@jit
 def process_requests(mem: Any, t_ns: Any) -> None:
     """Look at every slot once and answer what is new."""
     ctx = mem.ctx

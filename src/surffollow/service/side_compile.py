@@ -1,6 +1,6 @@
-"""At a cold start, compile the map thread's kernels in a second process beside the cycle's.
+"""At a cold start, compile the kernels of the map thread and of simulated sensors in a second process.
 
-The two take about as long as each other, and both end up in the kernel cache: the service then loads
+They take about as long as the cycle's, and all end up in the kernel cache: the service then loads
 what the other process compiled. A service whose helper dies, or that cannot start one, compiles
 everything by itself. The helper dies with the service.
 """
@@ -25,6 +25,7 @@ import numba
 import numpy as np
 from llvmlite import binding as llvm
 
+from surffollow.hw import simulated
 from surffollow.service.mapper import run_map
 from surffollow.service.mapper_memory import make_map_memory
 from surffollow.service.memory import make_cycle_memory
@@ -64,13 +65,20 @@ def note_complete() -> None:
 
 
 class SideCompile:
-    """The helper process of one start; none when the cache is warm or there is one processor only."""
+    """The helper process of one start; none when the cache is warm or there is one processor only.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    with_sensors : whether simulated sensors will be needed
+    """
+
+    def __init__(self, with_sensors: bool = False) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         if not is_cold() or len(os.sched_getaffinity(0)) < 2:
             return
         command = [sys.executable, "-m", "surffollow.service.side_compile", str(os.getpid())]
+        if with_sensors:
+            command.append("sensors")
         with contextlib.suppress(OSError, ValueError):
             self._process = subprocess.Popen(
                 command,
@@ -107,7 +115,7 @@ def compile_map() -> None:
     run_map.compile((numba.typeof(mem),))  # type: ignore[no-untyped-call]
 
 
-def main(parent: int) -> None:
+def main(parent: int, with_sensors: bool) -> None:
     """The helper: ends with its parent, whatever that ends of. One compiles at a time, the others load."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:  # it died before the line above
@@ -116,7 +124,9 @@ def main(parent: int) -> None:
         with contextlib.suppress(OSError):
             fcntl.flock(turn, fcntl.LOCK_EX)
         compile_map()
+        if with_sensors:
+            simulated.warm_up()
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]))
+    main(int(sys.argv[1]), "sensors" in sys.argv[2:])

@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
+
+from surffollow.shm.jit import jit
 
 CLOCK_MONOTONIC = 1
 TIMER_ABSTIME = 1
@@ -58,7 +60,7 @@ now_ns: Any = intrinsic(_now)
 sleep_until_ns: Any = intrinsic(_sleep_until)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def wait_until_ns(t_ns: Any, spin_ns: Any) -> Any:
     """Sleep to `spin_ns` before `t_ns`, then spin; returns the time at the end [ns].
 

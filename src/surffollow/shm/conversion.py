@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
+from surffollow.shm.jit import jit_pasted
 
 FLAG_INVALID = 1  # the driver knows that this is no measurement (out of view, over-range, NaN)
 COUNTS_MIN, COUNTS_MAX = -(1 << 23), (1 << 23) - 1
@@ -17,31 +17,31 @@ COUNTS_MIN, COUNTS_MAX = -(1 << 23), (1 << 23) - 1
 ITEM_WORDS = 2
 
 
-@njit(cache=True, nogil=True, inline="always")
+@jit_pasted
 def pack_conversion(counts: Any, channel: Any, flags: Any, dt_ns: Any) -> Any:
     """The word of a conversion (int64); `dt_ns` must fit 32 bits, `counts` 24."""
     return (dt_ns << 32) | ((flags & 31) << 27) | ((channel & 7) << 24) | (counts & 0xFFFFFF)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@jit_pasted
 def conversion_counts(word: Any) -> Any:
     """Counts, -2**23 to 2**23-1."""
     return ((word & 0xFFFFFF) ^ 0x800000) - 0x800000
 
 
-@njit(cache=True, nogil=True, inline="always")
+@jit_pasted
 def conversion_channel(word: Any) -> Any:
     """Channel, 0 to 7."""
     return (word >> 24) & 7
 
 
-@njit(cache=True, nogil=True, inline="always")
+@jit_pasted
 def conversion_flags(word: Any) -> Any:
     """Flags, see FLAG_…"""
     return (word >> 27) & 31
 
 
-@njit(cache=True, nogil=True, inline="always")
+@jit_pasted
 def conversion_dt_ns(word: Any) -> Any:
     """Time relative to the reference [ns]."""
     return word >> 32

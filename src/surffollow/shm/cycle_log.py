@@ -14,9 +14,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from surffollow.shm import atomics as at
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import LogHead
 
 RESERVED = LogHead.offset("reserved")
@@ -24,7 +23,7 @@ HEAD = LogHead.offset("head")
 WORDS = LogHead.SIZE
 
 
-@njit(cache=True, nogil=True)
+@jit
 def log_append(log: Any, capacity: Any, entry: Any, n_words: Any) -> None:
     """Append `n_words` words at private address `entry` (steps L1-L4)."""
     head = at.load_relaxed_i64(log + HEAD)
@@ -36,13 +35,13 @@ def log_append(log: Any, capacity: Any, entry: Any, n_words: Any) -> None:
     at.store_release_i64(log + HEAD, head + n_words)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def log_head(log: Any) -> Any:
     """Words appended so far: where a new reader begins (an entry starts there)."""
     return at.load_acquire_i64(log + HEAD)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def log_copy(log: Any, capacity: Any, position: Any, target: Any, most: Any) -> Any:
     """Copy at most `most` words from `position` on to private address `target`.
 

@@ -16,20 +16,19 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from surffollow.shm import atomics as at
+from surffollow.shm.jit import jit, jit_pasted
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS
 
 
-@njit(cache=True, nogil=True, inline="always")
+@jit_pasted
 def copy_words_out(source: Any, n_words: Any, target: Any) -> None:
     """Relaxed loads from shared `source` to private `target` (addresses; 8-byte words)."""
     for i in range(n_words):
         at.store_relaxed_i64(target + 8 * i, at.load_relaxed_i64(source + 8 * i))
 
 
-@njit(cache=True, nogil=True)
+@jit
 def latch_write(latch: Any, payload: Any, payload_bytes: Any) -> None:
     """Publish the payload at private address `payload` (steps W1-W3)."""
     g = at.load_relaxed_i64(latch) + 1
@@ -40,7 +39,7 @@ def latch_write(latch: Any, payload: Any, payload_bytes: Any) -> None:
     at.store_release_i64(latch, g)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def latch_read(latch: Any, payload: Any, payload_bytes: Any) -> Any:
     """Copy the newest payload to private address `payload` (steps R1-R4).
 

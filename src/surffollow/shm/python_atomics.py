@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from surffollow.shm import atomics as at
+from surffollow.shm.jit import jit
 
 
-@njit(cache=True, nogil=True)
+@jit
 def store_release(address: Any, value: Any) -> None:
     """Store an int64 after everything written before it."""
     at.store_release_i64(address, value)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def load_acquire(address: Any) -> Any:
     """Load an int64 before everything read after it."""
     return at.load_acquire_i64(address)

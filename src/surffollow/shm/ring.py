@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from surffollow.shm import atomics as at
+from surffollow.shm.jit import jit
 
 HEAD, TAIL, ITEMS = 0, 64, 128
 
@@ -28,7 +28,7 @@ def make_ring(capacity: int, words: int) -> np.ndarray[Any, np.dtype[np.uint64]]
     return np.zeros(ring_bytes(capacity, words) // 8, np.uint64)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def ring_push(ring: Any, capacity: Any, words: Any, item: Any) -> Any:
     """Append the item at address `item`; 1 when it went in, 0 when the ring is full (producer only)."""
     head = at.load_relaxed_i64(ring + HEAD)
@@ -41,7 +41,7 @@ def ring_push(ring: Any, capacity: Any, words: Any, item: Any) -> Any:
     return 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def ring_peek(ring: Any, capacity: Any, words: Any, item: Any) -> Any:
     """Copy the oldest item to address `item` without taking it; 1, or 0 when empty (consumer only)."""
     tail = at.load_relaxed_i64(ring + TAIL)
@@ -53,13 +53,13 @@ def ring_peek(ring: Any, capacity: Any, words: Any, item: Any) -> Any:
     return 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def ring_drop(ring: Any, count: Any) -> None:
     """Take the `count` oldest items (consumer only; they must be there)."""
     at.store_release_i64(ring + TAIL, at.load_relaxed_i64(ring + TAIL) + count)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def ring_length(ring: Any) -> Any:
     """Items waiting; exact for the consumer, a lower bound of free space for the producer."""
     return at.load_acquire_i64(ring + HEAD) - at.load_acquire_i64(ring + TAIL)

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
-from numba import njit
 from numpy.typing import NDArray
 
 from surffollow.errors import ConfigError, UsageError
+from surffollow.shm.jit import jit
 from surffollow.units import parse_quantity
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -111,7 +111,7 @@ def load_plant(path: str | Path) -> PlantConfig:
     return from_table(axis, PlantConfig, f"plant '{path}'")
 
 
-@njit(cache=True, nogil=True)
+@jit
 def sqrt_velocity(distance_m: float, gain_hz: float, a_max_mps2: float, dt_s: float) -> float:
     """Velocity from which the axis can still stop at the set point with `a_max` (sqrt controller).
 
@@ -139,7 +139,7 @@ def sqrt_velocity(distance_m: float, gain_hz: float, a_max_mps2: float, dt_s: fl
     return min(max(v, -reach), reach)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def axis_step(
     axis: NDArray[Any], set_point_m: float, tau_s: float, v_max_mps: float, a_max_mps2: float, dt_s: float
 ) -> None:
@@ -161,7 +161,7 @@ def axis_step(
     axis[0] += v * dt_s
 
 
-@njit(cache=True, nogil=True)
+@jit
 def set_point_for(report_m: float, demand_m: float) -> float:
     """Set point from a demand and the report it refers to; a demand that is not finite holds the report.
 

@@ -12,10 +12,10 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from surffollow.errors import UsageError
+from surffollow.shm.jit import jit
 
 PATH_LENGTH_M = 6.0
 MARGIN_M = 0.2  # ground before the start and after the end: a leading sensor and a look-back need it
@@ -81,7 +81,7 @@ class Profile:
         return np.asarray(counts[high] > counts[low])
 
 
-@njit(cache=True, nogil=True)
+@jit
 def profile_height(heights_m: NDArray[Any], x0_m: float, dx_m: float, x_m: float) -> float:
     """Linear look-up in a profile; the end heights go on for ever.
 

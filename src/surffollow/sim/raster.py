@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from surffollow.errors import UsageError
+from surffollow.shm.jit import jit
 from surffollow.sim.surfaces import Region
 
 SPACING_M = 1e-3  # of a path's points
@@ -113,7 +113,7 @@ def _path(
     return Path(np.ascontiguousarray(points), SPACING_M)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def slow_down(limit_mps: Any, accel_mps2: Any, spacing_m: Any) -> None:
     """Lower speed limits so that each can be reached from the one before with the given deceleration.
 

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from surffollow.shm.clock import now_ns, wait_until_ns
+from surffollow.shm.jit import jit
 from surffollow.shm.latch import latch_write
 from surffollow.shm.schema import F64, I64, Schema
 from surffollow.sim.plant import axis_step
@@ -67,7 +66,7 @@ class Motion(Schema):
     peak_rolling_m = F64(unit="m")
 
 
-@njit(cache=True, nogil=True)
+@jit
 def move_along(m: Any, points: Any) -> Any:
     """Advance along the path by one step.
 
@@ -104,7 +103,7 @@ def move_along(m: Any, points: Any) -> Any:
     return (points[i + 1, 0] - points[i, 0]) * along, (points[i + 1, 1] - points[i, 1]) * along
 
 
-@njit(cache=True, nogil=True)
+@jit
 def score(m: Any, error_m: Any, rolling: Any) -> None:
     """Add one step's stand-off error [m] to the sums; `rolling`: no box or ramp is near."""
     r = m[0]
@@ -117,7 +116,7 @@ def score(m: Any, error_m: Any, rolling: Any) -> None:
         m[0].peak_rolling_m = max(r.peak_rolling_m, abs(error_m))
 
 
-@njit(cache=True, nogil=True)
+@jit
 def one_step(m: Any, points: Any, z: Any, frame: Any, rolling: Any, world: Any, trace: Any) -> None:
     """Make one step of 1 ms and describe where it led.
 
@@ -166,7 +165,7 @@ def one_step(m: Any, points: Any, z: Any, frame: Any, rolling: Any, world: Any, 
         m[0].trace_rows = r.trace_rows + 1
 
 
-@njit(cache=True, nogil=True)
+@jit
 def run_until(
     m: Any, until_ns: Any, points: Any, z: Any, frame: Any, rolling: Any, world: Any, trace: Any, latch: Any
 ) -> None:

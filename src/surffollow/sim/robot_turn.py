@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
 from surffollow.forecast.pose import rotate
+from surffollow.shm.jit import jit
 from surffollow.sim.surfaces import field_height
 
 TAU_S = 0.040  # time constant of the wrist, that of the vertical axis
@@ -21,7 +20,7 @@ NORMAL_M = 2e-3  # half the distance over which the true slope is taken
 AXIS_STEPS = 16
 
 
-@njit(cache=True, nogil=True)
+@jit
 def turned(q: Any, x_rad: Any, y_rad: Any, z_rad: Any, out: Any) -> None:
     """Attitude q turned by a rotation vector in world axes into `out` (4,), normalised; `out` is not q."""
     angle = math.sqrt(x_rad * x_rad + y_rad * y_rad + z_rad * z_rad)
@@ -36,7 +35,7 @@ def turned(q: Any, x_rad: Any, y_rad: Any, z_rad: Any, out: Any) -> None:
         out[k] /= norm
 
 
-@njit(cache=True, nogil=True)
+@jit
 def wrist_step(q: Any, w: Any, wanted: Any, scratch: Any, dt_s: Any) -> None:
     """Advance the wrist by one step.
 
@@ -67,7 +66,7 @@ def wrist_step(q: Any, w: Any, wanted: Any, scratch: Any, dt_s: Any) -> None:
         q[k] = scratch[k]
 
 
-@njit(cache=True, nogil=True)
+@jit
 def along_axis(z: Any, frame: Any, x_m: Any, y_m: Any, z_m: Any, q: Any) -> Any:
     """What a tilted tool is over: stand-off along its axis, angle to the normal there, tilt of the normal.
 

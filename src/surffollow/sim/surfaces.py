@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from surffollow.errors import RegionError, UsageError
+from surffollow.shm.jit import jit
 from surffollow.sim.profiles import PART_ROLLING
 
 MAX_CELLS = 40_000_000  # 320 MB of heights: beyond that a finer grid is surely a slip of the pen
@@ -77,7 +77,7 @@ class HeightField:
         return np.asarray(~near)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def field_height(z: NDArray[Any], x0_m: float, y0_m: float, grid_m: float, x_m: float, y_m: float) -> float:
     """Bilinear height of a field; outside, that of the nearest edge.
 
@@ -103,7 +103,7 @@ def field_height(z: NDArray[Any], x0_m: float, y0_m: float, grid_m: float, x_m: 
     return float(low * (1.0 - wy) + high * wy)
 
 
-@njit(cache=True, nogil=True)
+@jit
 def field_part(parts: NDArray[Any], x0_m: float, y0_m: float, grid_m: float, x_m: float, y_m: float) -> int:
     """Label at the grid point nearest to (x, y); arguments as in `field_height`."""
     ny, nx = parts.shape
