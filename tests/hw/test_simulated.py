@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -166,3 +169,17 @@ def test_mounts_are_completed_normalised_and_checked() -> None:
         mounts_of([(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0)], 1)
     with pytest.raises(ConfigError, match="2 mounts for 1"):
         mounts_of([IDENTITY, IDENTITY], 1)
+
+
+def test_what_a_helper_compiles_is_what_a_driver_runs() -> None:
+    program = """
+from surffollow.hw.driver import ConversionQueue
+from surffollow.hw.simulated import SimulatedDriver, produce, run_rig, warm_up
+warm_up()
+driver = SimulatedDriver("warm")
+driver.start(ConversionQueue(1 << 10))
+driver.stop()
+print(len(produce.signatures), len(run_rig.signatures))
+"""
+    out = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout
+    assert out.split() == ["1", "1"]

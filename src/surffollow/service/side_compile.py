@@ -115,7 +115,7 @@ def compile_map() -> None:
     run_map.compile((numba.typeof(mem),))  # type: ignore[no-untyped-call]
 
 
-def main(parent: int, with_sensors: bool) -> None:
+def main(parent: int, with_sensors: bool = False) -> None:
     """The helper: ends with its parent, whatever that ends of. One compiles at a time, the others load."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:  # it died before the line above
