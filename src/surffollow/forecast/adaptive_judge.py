@@ -3,7 +3,8 @@
 Every candidate drives a shadow of the robot's vertical axis with the set points it asks for; when a
 reading comes in, the shadow's stand-off error against it is the candidate's score. Common noise of the
 readings is taken off, restless set points cost, and two horizons are looked at: the recent one finds
-changes, the longer one keeps luck from deciding.
+changes, the longer one keeps luck from deciding. Sooner than both a model shows that the ground has changed:
+its innovations lie on one side.
 """
 
 from __future__ import annotations
@@ -11,7 +12,17 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.forecast.adaptive_bank import MODEL, PRIOR, C, look_ahead_variance
+from surffollow.forecast.adaptive_bank import (
+    BANK,
+    MODEL,
+    PRIOR,
+    WAVE,
+    C,
+    N,
+    height_of,
+    height_variance,
+    look_ahead_variance,
+)
 from surffollow.forecast.adaptive_preview import LEADING_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import TICKS
@@ -25,6 +36,9 @@ EFFORT_MOST = 100.0  # (10 m/s²)²: a step's jump shall not count for ever
 TICK_HZ2 = 1e4
 MOSTLY_NOISE = 1.4  # mean squares up to so many times that of the noise are all noise
 CAUTION = 3.0  # power of what a model claims to know, while nothing else is known
+BIAS_RATE = 0.2  # per sample
+BIAS_MOST = 4.0  # standard deviations that one innovation counts at most
+BIAS_SURE, BIAS_COST, BIAS_COST_MOST = 16.0, 1.0, 20.0  # beyond four standard deviations it is no chance
 JUDGED, SHARP = 200, 500  # samples after which scores count fully, and as sharply as they may
 
 
@@ -97,6 +111,21 @@ def score(params: Any, a: Any, way_m: Any, dt_s: Any, wanted_m: Any) -> None:
 
 
 @jit
+def watch_bias(a: Any, h_m: Any, variance_m2: Any) -> None:
+    """Average every model's innovations, each over its standard deviation, before they learn the height."""
+    for i in range(N):
+        z = (h_m - height_of(i, a.state)) / math.sqrt(height_variance(i, a.cov) + variance_m2)
+        a.bias[i] += BIAS_RATE * (min(max(z, -BIAS_MOST), BIAS_MOST) - a.bias[i])
+
+
+@jit
+def bias_cost(bias: Any, least_bias2: Any) -> Any:
+    """What a model's bias costs it beyond that of the least biased: nothing until chance is ruled out."""
+    excess = (bias * bias - least_bias2) * (2.0 - BIAS_RATE) / BIAS_RATE  # in variances of white innovations
+    return min(BIAS_COST * max(excess - BIAS_SURE, 0.0), BIAS_COST_MOST)
+
+
+@jit
 def weigh(params: Any, a: Any) -> None:
     """Turn scores into weights: powers of recent and longer cost, noise taken off."""
     best, best_long = a.score_m2[0], a.long_m2[0]
@@ -119,12 +148,17 @@ def weigh(params: Any, a: Any) -> None:
     if a.lead_m > LEADING_M:
         young = 0.0  # what was seen there is followed, not what they expect
     ahead_m = a.speed_mps * (a.late_s + a.tau_s)
+    least_bias2 = 1e300
+    for i in range(N):
+        least_bias2 = min(least_bias2, a.bias[i] * a.bias[i])
     least = 1e300
     for i in range(C):
         extra = floor + mu * a.effort[i]
         c = power * math.log(a.score_m2[i] - off + extra)
         c += params.long_power * math.log(a.long_m2[i] - off_long + extra)
-        c = told * c + PRIOR[i]
+        # rough ground biases all but the quickest, which follow every bump; a wave is the right one or not
+        sure = 1.0 if BANK[MODEL[i], 0] == WAVE else share * share
+        c = told * (c + sure * bias_cost(a.bias[MODEL[i]], least_bias2)) + PRIOR[i]
         if young > 0.0:
             c += CAUTION * young * math.log(look_ahead_variance(MODEL[i], a.cov, ahead_m) + noise)
         a.cost[i] = c

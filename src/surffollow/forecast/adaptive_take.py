@@ -21,7 +21,7 @@ from surffollow.forecast.adaptive_bank import (
     start_model,
     update_model,
 )
-from surffollow.forecast.adaptive_judge import advance_shadows, put_shadows, score, weigh
+from surffollow.forecast.adaptive_judge import advance_shadows, put_shadows, score, watch_bias, weigh
 from surffollow.forecast.adaptive_preview import LEADING_M, note_ground
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import KEPT
@@ -88,6 +88,7 @@ def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any
     fresh = a.returned == 0.0 and a.noise_m == 0.0
     for i in range(N):
         start_model(i, a.state, a.cov, h_m, FIRST_NOISE_M * FIRST_NOISE_M)
+        a.bias[i] = 0.0
     put_shadows(a, h_m + drop_m)
     if fresh:
         for i in range(C):
@@ -246,6 +247,7 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
     if gap:
         a.settle_ns = t_ns + SETTLE_NS
     if adapt != 0:
+        watch_bias(a, h_m, max(a.noise_m, LEAST_NOISE_M) ** 2)
         watch_scale(a, nu, gate)
         # a shadow stands where the tool is: only heights measured there can judge it
         if t_ns > a.settle_ns and abs(a.lead_m) < LEADING_M:

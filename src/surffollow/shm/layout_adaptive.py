@@ -90,6 +90,7 @@ class AdaptiveState(Schema):
     score_m2 = F64(CANDIDATES, unit="m^2", doc="recent squared stand-off error of the shadow")
     long_m2 = F64(CANDIDATES, unit="m^2", doc="the same over a longer way")
     effort = F64(CANDIDATES, unit="m^2/s^4", doc="recent squared acceleration of the set points")
+    bias = F64(CANDIDATES, doc="mean of a model's recent innovations, each over its standard deviation")
     cost = F64(CANDIDATES, doc="what the weights are made of")
     weight = F64(CANDIDATES, doc="share of the candidate in the blend")
     height_m = F64(unit="m", doc="blended height at the last sample")
