@@ -96,6 +96,22 @@ def finish_job(mem: Any, result: Any) -> None:
 
 
 @jit
+def refusal(begun: Any) -> Any:
+    """What a client is told when the map says this to the start of an operation; `OK`: it goes on."""
+    if begun == ml.OK:
+        return OK
+    if begun == ml.BAD_REGION:
+        return ERR_BAD_REGION
+    if begun == ml.NOT_MAPPED:
+        return ERR_NO_MAP
+    if begun == ml.BAD_MAP:
+        return ERR_BAD_VALUE
+    if begun in (ml.TOO_SMALL, ml.NO_SCRATCH):
+        return ERR_MAP_TOO_LARGE
+    return ERR_MAP_BUSY
+
+
+@jit
 def begin_job(mem: Any) -> None:
     """Start the request at the head of the queue (in `mem.item`)."""
     ctx, job = mem.ctx, mem.job
@@ -112,16 +128,9 @@ def begin_job(mem: Any) -> None:
         result = begin_install(mem)
     else:
         result = refocus_begin(mem.header, mem.pairs, mem.scratch, x0, y0, x1, y1)
-    if result == ml.BAD_REGION:
-        finish_job(mem, ERR_BAD_REGION)
-    elif result == ml.NOT_MAPPED:
-        finish_job(mem, ERR_NO_MAP)
-    elif result == ml.BAD_MAP:
-        finish_job(mem, ERR_BAD_VALUE)
-    elif result in (ml.TOO_SMALL, ml.NO_SCRATCH):
-        finish_job(mem, ERR_MAP_TOO_LARGE)
-    elif result != ml.OK:
-        finish_job(mem, ERR_MAP_BUSY)
+    answer = refusal(result)
+    if answer != OK:
+        finish_job(mem, answer)
 
 
 @jit

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from surffollow.forecast import journal
 from surffollow.forecast.step import sf_reset
 from surffollow.service import memory as m
@@ -50,6 +52,8 @@ _NEAR_WORD = Params.offset("range_min_m") // 8
 _FAR_WORD = Params.offset("range_max_m") // 8
 _CLOSE_WORD = Params.offset("too_close_m") // 8
 _EXIT_WORD = Params.offset("too_close_exit_m") // 8
+# numba compiles a kernel anew for every literal it is called with, but once for what stands in an array
+_FIT_WORDS = np.array([_NEAR_WORD, _FAR_WORD, _OFFSET_WORD, _CLOSE_WORD, _EXIT_WORD])
 _REQUESTS = Stats.offset("requests")
 _REFUSED = Stats.offset("requests_refused")
 _TORN = Stats.offset("torn")
@@ -144,11 +148,11 @@ def misfit(near_m: Any, far_m: Any, offset_m: Any, close_m: Any, exit_m: Any) ->
 def misfit_after(mem: Any) -> Any:
     """What `misfit` says of the parameters as the request would leave them."""
     return misfit(
-        wanted_value(mem, _NEAR_WORD),
-        wanted_value(mem, _FAR_WORD),
-        wanted_value(mem, _OFFSET_WORD),
-        wanted_value(mem, _CLOSE_WORD),
-        wanted_value(mem, _EXIT_WORD),
+        wanted_value(mem, _FIT_WORDS[0]),
+        wanted_value(mem, _FIT_WORDS[1]),
+        wanted_value(mem, _FIT_WORDS[2]),
+        wanted_value(mem, _FIT_WORDS[3]),
+        wanted_value(mem, _FIT_WORDS[4]),
     )
 
 
