@@ -257,7 +257,7 @@ def test_the_service_may_be_restarted_in_any_of_the_four_steps(keeper: Service) 
         with pytest.raises(RefusedError, match="restarted"):
             access.__exit__(None, None, None)
         # step 3: done is stored, the service is not there to see it
-        keeper.send(signal.SIGSTOP)
+        keeper.freeze()
         ending = threading.Thread(target=_end, args=(wanted,))
         ending.start()
         keeper.kill()

@@ -84,7 +84,7 @@ def test_a_stopped_and_continued_service_recovers_and_keeps_its_clients(make_ser
     with s.attach() as client:
         client.ee_pos(POSE)
         for _ in range(2):
-            s.send(signal.SIGSTOP)
+            s.freeze()
             until(lambda: not client.alive(), "silence")
             assert list(client.dev_vector()) == ZERO
             assert client.status()["state"] == "stale"
@@ -143,7 +143,7 @@ def test_overruns_are_skipped_or_caught_up_as_the_policy_says(make_service: Make
     s = make_service(realtime=f'overrun = "{policy}"').start()
     with s.observe() as watcher:
         before = watcher.status()
-        s.send(signal.SIGSTOP)
+        s.freeze()
         until(lambda: watcher.dev_vector().age_ns > 200_000_000, "200 ms of silence")
         s.send(signal.SIGCONT)
         start_ns = time.monotonic_ns()

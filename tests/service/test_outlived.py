@@ -132,7 +132,7 @@ def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(mortal: Se
 
 def test_ticket_of_a_dead_service_is_done_and_says_so_at_once(mortal: Service) -> None:
     with mortal.attach(stale_min_s=3.0) as client:  # the request is sent before that
-        mortal.send(signal.SIGSTOP)
+        mortal.freeze()
         ticket = client.sf_reset(0.1, wait=False)
         assert not ticket.done()
         mortal.kill()
@@ -143,7 +143,7 @@ def test_ticket_of_a_dead_service_is_done_and_says_so_at_once(mortal: Service) -
 
 def test_request_outlasts_a_stall_shorter_than_its_time(mortal: Service) -> None:
     with mortal.attach() as client, ThreadPoolExecutor(1) as asker:
-        mortal.send(signal.SIGSTOP)
+        mortal.freeze()
         until(lambda: not client.alive(), "silence")
         with pytest.raises(NotRunningError, match="does not answer"):
             client.sf_reset(0.1, timeout_s=0.05)
@@ -160,7 +160,7 @@ def test_request_outlasts_a_stall_shorter_than_its_time(mortal: Service) -> None
 def test_service_that_only_stands_still_is_not_taken_for_dead(mortal: Service) -> None:
     with mortal.attach() as client:
         client.ee_pos(POSE)
-        mortal.send(signal.SIGSTOP)
+        mortal.freeze()
         until(lambda: not client.alive(), "silence")
         for _ in range(3):
             client._next_look_ns = client._next_attach_ns = 0
