@@ -145,14 +145,6 @@ def height_of(i: Any, x: Any) -> Any:
 
 
 @jit
-def height_variance(i: Any, p: Any) -> Any:
-    """Variance of the height that model i gives where it stands, by its own account [m²]."""
-    c = 6 * i
-    own = p[c] + 2.0 * p[c + 1] + p[c + 3] if BANK[i, 0] == WAVE else p[c]
-    return max(own, 0.0)
-
-
-@jit
 def slope_of(i: Any, x: Any) -> Any:
     """Slope that model i gives where it stands."""
     if BANK[i, 0] == WAVE:

@@ -20,7 +20,6 @@ from surffollow.forecast.adaptive_bank import (
     C,
     N,
     height_of,
-    height_variance,
     look_ahead_variance,
 )
 from surffollow.forecast.adaptive_preview import LEADING_M
@@ -38,7 +37,7 @@ MOSTLY_NOISE = 1.4  # mean squares up to so many times that of the noise are all
 CAUTION = 3.0  # power of what a model claims to know, while nothing else is known
 BIAS_RATE = 0.2  # per sample
 BIAS_MOST = 4.0  # standard deviations that one innovation counts at most
-BIAS_SURE, BIAS_COST, BIAS_COST_MOST = 16.0, 1.0, 20.0  # beyond four standard deviations it is no chance
+BIAS_SURE, BIAS_COST_MOST = 16.0, 20.0  # beyond four standard deviations it is no chance
 JUDGED, SHARP = 200, 500  # samples after which scores count fully, and as sharply as they may
 
 
@@ -114,7 +113,7 @@ def score(params: Any, a: Any, way_m: Any, dt_s: Any, wanted_m: Any) -> None:
 def watch_bias(a: Any, h_m: Any, variance_m2: Any) -> None:
     """Average every model's innovations, each over its standard deviation, before they learn the height."""
     for i in range(N):
-        z = (h_m - height_of(i, a.state)) / math.sqrt(height_variance(i, a.cov) + variance_m2)
+        z = (h_m - height_of(i, a.state)) / math.sqrt(look_ahead_variance(i, a.cov, 0.0) + variance_m2)
         a.bias[i] += BIAS_RATE * (min(max(z, -BIAS_MOST), BIAS_MOST) - a.bias[i])
 
 
@@ -122,7 +121,7 @@ def watch_bias(a: Any, h_m: Any, variance_m2: Any) -> None:
 def bias_cost(bias: Any, least_bias2: Any) -> Any:
     """What a model's bias costs it beyond that of the least biased: nothing until chance is ruled out."""
     excess = (bias * bias - least_bias2) * (2.0 - BIAS_RATE) / BIAS_RATE  # in variances of white innovations
-    return min(BIAS_COST * max(excess - BIAS_SURE, 0.0), BIAS_COST_MOST)
+    return min(max(excess - BIAS_SURE, 0.0), BIAS_COST_MOST)
 
 
 @jit

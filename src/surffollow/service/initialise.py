@@ -12,8 +12,8 @@ from surffollow.config.service import ServiceConfig, follow_params, seconds
 from surffollow.errors import ConfigError
 from surffollow.hw.driver import ConversionQueue, DriverInfo
 from surffollow.service import memory as m
+from surffollow.service.fitting import misfit
 from surffollow.service.house import House
-from surffollow.service.requests import misfit
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import CHANNELS, INTERVALS, POSES, Params
@@ -94,7 +94,7 @@ def initialise_constants(params: Any, config: ServiceConfig, info: DriverInfo) -
 
 
 def _check_fit(p: Any) -> None:
-    """Refuse what `requests.misfit` would refuse of every later request."""
+    """Refuse what `fitting.misfit` would refuse of every later request."""
     near, far, offset = float(p["range_min_m"]), float(p["range_max_m"]), float(p["offset_m"])
     close, until = float(p["too_close_m"]), float(p["too_close_exit_m"])
     word = misfit.py_func(near, far, offset, close, until)

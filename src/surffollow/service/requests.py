@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from surffollow.forecast import journal
 from surffollow.forecast.step import sf_reset
 from surffollow.service import memory as m
+from surffollow.service.fitting import FAR_WORD, NEAR_WORD, OFFSET_WORD, in_bounds, misfit_after
 from surffollow.service.inbox import new_request, slot_address
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns
@@ -47,13 +46,6 @@ from surffollow.shm.ring import ring_push
 _ACK_STEP = latch_bytes(Ack.SIZE)
 _ACK_BYTES = Ack.SIZE
 _PARAMS_BYTES = Params.SIZE
-_OFFSET_WORD = Params.offset("offset_m") // 8
-_NEAR_WORD = Params.offset("range_min_m") // 8
-_FAR_WORD = Params.offset("range_max_m") // 8
-_CLOSE_WORD = Params.offset("too_close_m") // 8
-_EXIT_WORD = Params.offset("too_close_exit_m") // 8
-# numba compiles a kernel anew for every literal it is called with, but once for what stands in an array
-_FIT_WORDS = np.array([_NEAR_WORD, _FAR_WORD, _OFFSET_WORD, _CLOSE_WORD, _EXIT_WORD])
 _REQUESTS = Stats.offset("requests")
 _REFUSED = Stats.offset("requests_refused")
 _TORN = Stats.offset("torn")
@@ -99,61 +91,6 @@ def log_value(mem: Any, kind: Any, t_ns: Any, value: Any) -> None:
     mem.entry[0], mem.entry[1] = journal.entry_head(kind, 3), t_ns
     mem.entry_floats[2] = value
     log_append(mem.ctx[m.LOG], mem.ctx[m.LOG_CAPACITY], mem.entry.ctypes.data, 3)
-
-
-@jit
-def in_bounds(bounds: Any, word: Any, value: Any) -> Any:
-    """Whether a parameter word may have this value."""
-    if not 0 <= word < bounds.shape[0] or bounds[word, 0] == 0.0:
-        return False
-    if not bounds[word, 1] <= value <= bounds[word, 2]:
-        return False
-    return bounds[word, 0] == 1.0 or value == float(int(value))
-
-
-@jit
-def wanted_value(mem: Any, word: Any) -> Any:
-    """What a float parameter will be once the request is carried out."""
-    request, value = mem.request[0], mem.param_floats[word]
-    for k in range(request.n):
-        if request.number[k] == word:
-            value = request.value[k]
-    return value
-
-
-@jit
-def misfit(near_m: Any, far_m: Any, offset_m: Any, close_m: Any, exit_m: Any) -> Any:
-    """Whether window, stand-off and fold-back fit each other, at the start and after every request.
-
-    Parameters
-    ----------
-    near_m, far_m : float64      limits of the sensor's window [m]
-    offset_m : float64           stand-off [m]
-    close_m, exit_m : float64    where TOO_CLOSE begins and ends [m]
-
-    Returns
-    -------
-    int64  -1 when they do, else the word of the parameter at fault
-    """
-    if not near_m < far_m:
-        return _NEAR_WORD
-    if not near_m < offset_m < far_m:
-        return _OFFSET_WORD
-    if not close_m <= exit_m:
-        return _CLOSE_WORD
-    return -1
-
-
-@jit
-def misfit_after(mem: Any) -> Any:
-    """What `misfit` says of the parameters as the request would leave them."""
-    return misfit(
-        wanted_value(mem, _FIT_WORDS[0]),
-        wanted_value(mem, _FIT_WORDS[1]),
-        wanted_value(mem, _FIT_WORDS[2]),
-        wanted_value(mem, _FIT_WORDS[3]),
-        wanted_value(mem, _FIT_WORDS[4]),
-    )
 
 
 @jit
@@ -266,9 +203,9 @@ def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
     code = mem.request[0].code
     if code == RQ_SF_RESET:
         offset = mem.request[0].value[0]
-        seen = mem.param_floats[_NEAR_WORD] < offset < mem.param_floats[_FAR_WORD]
-        if not seen or not in_bounds(mem.bounds, _OFFSET_WORD, offset):
-            return ERR_BAD_VALUE, _OFFSET_WORD
+        seen = mem.param_floats[NEAR_WORD] < offset < mem.param_floats[FAR_WORD]
+        if not seen or not in_bounds(mem.bounds, OFFSET_WORD, offset):
+            return ERR_BAD_VALUE, OFFSET_WORD
         sf_reset(mem.params, mem.state, offset)
         log_value(mem, journal.RESET, t_ns, offset)
         publish_params(mem)
