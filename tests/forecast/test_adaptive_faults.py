@@ -248,6 +248,16 @@ def test_a_stuck_sensor_does_not_drive_the_tool_to_the_surface(rate_hz, held_m):
     assert np.abs(robot.run(1.0) - 0.1).max() < 5e-4
 
 
+@pytest.mark.parametrize("rate_hz", [20, 50, 100])
+@pytest.mark.parametrize("after_s", [0.3, 0.5, 0.9])
+def test_a_slow_sensor_that_sticks_at_once_is_found_in_time(rate_hz, after_s):
+    for slope in (0.0, -0.1, -0.2):
+        robot = Robot(lambda x, slope=slope: slope * x, 0.1, rate_hz)
+        robot.run(after_s, sigma_m=2.5e-4)
+        assert robot.run(5.0, held_m=[0.1004]).min() > 0.095, f"slope {slope}"
+        assert robot.f.state()["health"] == "STUCK"
+
+
 def test_four_stuck_sensors_do_not_drive_the_tool_to_the_surface():
     robot = Robot(lambda x: 0.0, 0.1, mounts=(0.0, 0.03, -0.015, 0.01))
     robot.run(2.0)

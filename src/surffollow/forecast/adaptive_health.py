@@ -23,6 +23,7 @@ PATIENT_SAMPLES = 2.5  # … or for so many usual intervals of a slow sensor …
 PATIENT_S = 1.0  # … but never for longer
 EDGE_M = 0.003  # a loss that began so near the window's ends is a matter of range
 STILL_SAMPLES = 50  # one value so often …
+STILL_S, STILL_LEAST = 0.4, 8.0  # … or, of a slow sensor, for so long, but not less often than this …
 STILL_MOVE_M = 0.005  # … while the tool moved so far along z: the sensor is stuck
 STILL_MORE, STILL_RUNS = 2.0, 3.0  # sooner or later where this and so many usual runs of equal samples are …
 STILL_MOST = 150.0  # … fewer or more than those, but never later than this
@@ -33,10 +34,18 @@ CLOSE_SAMPLES = 3  # a lone glitch is not the fold-back
 
 
 @jit
+def first_still(a: Any) -> Any:
+    """How many equal samples in a row are believable of a sensor that has shown nothing yet."""
+    if a.trend_dt_s <= 0.0:
+        return 1.0 * STILL_SAMPLES
+    return min(max(STILL_S / a.trend_dt_s, STILL_LEAST), 1.0 * STILL_SAMPLES)
+
+
+@jit
 def most_still(a: Any) -> Any:
     """How many equal samples in a row are still believable: a multiple of the usual, if that is known."""
     if a.still_usual == 0.0:
-        return 1.0 * STILL_SAMPLES
+        return first_still(a)
     return min(STILL_RUNS * a.still_usual + STILL_MORE, STILL_MOST)
 
 
@@ -44,7 +53,7 @@ def most_still(a: Any) -> Any:
 def learn_run(a: Any, n: Any) -> None:
     """Take the length of a run of equal samples: the longest lately is the usual."""
     if a.still_usual == 0.0:
-        a.still_usual = (STILL_SAMPLES - STILL_MORE) / STILL_RUNS
+        a.still_usual = (first_still(a) - STILL_MORE) / STILL_RUNS
     if n > a.still_usual:
         a.still_usual = n
     else:

@@ -18,6 +18,7 @@ SNAPSHOT_NS = 90_000_000  # between snapshots, or the readings' own interval if 
 LAG = np.array([2, 5, 10, 20])
 SCORE_RATE = 0.01
 POWER = 5.0
+INTERVAL_RATE = 0.1
 GATE = 8.0
 SCALE_RATE = 0.05
 LEAST_SCALE = 1e-6
@@ -79,7 +80,7 @@ def take_range(a: Any, t_ns: Any, range_m: Any) -> None:
     if a.trend_ns == 0 or dt <= 0.0 or dt > GAP_S * max(a.trend_dt_s, 1.0):
         start_trends(a, t_ns, range_m)
         return
-    a.trend_dt_s += 0.1 * (dt - a.trend_dt_s)
+    a.trend_dt_s += (INTERVAL_RATE if a.trend_dt_s > 0.0 else 1.0) * (dt - a.trend_dt_s)
     middle = 0.0
     for k in range(TRENDS):
         middle += (a.trend_m[k] + a.trend_mps[k] * reach(dt, MODELS[k, 1])) / TRENDS
