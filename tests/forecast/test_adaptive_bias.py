@@ -32,7 +32,7 @@ def judged(rms_m: float, biases: dict[int, float], least: float = 0.0) -> np.nda
     a["bias"][:N] = least * deviation
     for model, bias in biases.items():
         a["bias"][model] = bias * deviation
-    weigh(default_params(), a)
+    weigh(default_params(), a, 1.0)
     return np.bincount(MODEL, a["weight"][:C], N)
 
 

@@ -131,7 +131,7 @@ def test_young_models_count_for_what_they_claim_to_know_and_judged_ones_do_not()
     for samples, scored in ((1, 0), (1, SHARP), (JUDGED, 0), (JUDGED, SHARP)):
         a = judged(samples, scored)
         a["cov"][6 * bold + 3] = 1.0  # no idea of its slope
-        weigh(default_params(), a)
+        weigh(default_params(), a, 1.0)
         shares.append(a["weight"][bold] / a["weight"][bold + 1])
     assert shares[0] < 1e-3
     assert shares[1] < 1e-3, "a new start after a loss is young too"
@@ -145,7 +145,7 @@ def test_what_a_leading_sensor_saw_is_followed_so_nothing_need_be_cautious():
         a = judged(JUDGED, 0)
         a["lead_m"] = lead_m
         a["cov"][6 * 10 + 3] = 1.0  # no idea of its slope
-        weigh(default_params(), a)
+        weigh(default_params(), a, 1.0)
         shares.append(a["weight"][10] / a["weight"][11])
     assert max(shares[:2]) < 1e-3
     assert shares[2] > 0.1
@@ -156,7 +156,7 @@ def test_small_differences_count_sharply_in_noise_and_mildly_in_great_errors():
         a = judged(JUDGED, scored)
         a["score_m2"][:C] *= factor
         a["score_m2"][10] *= 0.99
-        weigh(default_params(), a)
+        weigh(default_params(), a, 1.0)
         return a["weight"][10] / a["weight"][11]
 
     assert advantage(1.0, SHARP) > 3.0
@@ -168,7 +168,7 @@ def test_candidates_of_one_model_count_together_as_one_and_lead_by_their_share()
     assert sorted(set(MODEL)) == list(range(N))
     assert len(set(zip(MODEL, LEAD_SHARE))) == C
     a = judged(JUDGED, SHARP)
-    weigh(default_params(), a)
+    weigh(default_params(), a, 1.0)
     of_model = np.bincount(MODEL, a["weight"][:C])
     levels_and_slopes = of_model[BANK[:, 0] == 0]
     assert levels_and_slopes == pytest.approx(levels_and_slopes[0])

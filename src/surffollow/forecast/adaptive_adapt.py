@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from surffollow.forecast.adaptive_judge import SHARP, noise_part
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import INTERVALS
 
 MOST_M = 2e-3
+YOUNG_BAND = 2.0  # so much wider is the band at first
 LEAST_GAIN = 1e-4
 
 
@@ -20,7 +22,10 @@ LEAST_GAIN = 1e-4
 def adapt_band(params: Any, a: Any) -> None:
     """Set the way that the set point may stay away from where it is wanted."""
     a.permitted_m = max(params.permitted_variance_m, min(a.sigma_m, MOST_M))
-    a.calm_band_m = params.calm_share * a.permitted_m
+    # while scores are young and all is noise, what models say is luck
+    young = 1.0 - min(max(a.samples, a.scored), SHARP) / SHARP
+    noise = noise_part(a)
+    a.calm_band_m = params.calm_share * a.permitted_m * (1.0 + YOUNG_BAND * young * noise * noise)
 
 
 @jit

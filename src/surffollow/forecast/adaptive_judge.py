@@ -38,6 +38,11 @@ CAUTION = 3.0  # power of what a model claims to know, while nothing else is kno
 BIAS_RATE = 0.2  # per sample
 BIAS_MOST = 4.0  # standard deviations that one innovation counts at most
 BIAS_SURE, BIAS_COST_MOST = 16.0, 20.0  # beyond four standard deviations it is no chance
+WEIGHT_S, LEAST_WEIGHT_S = (
+    0.01,
+    1e-6,
+)  # in which weights come nearer to what the scores say, where all is noise
+BIASED = 4.5  # cost of the bias in force that halves that
 JUDGED, SHARP = 200, 500  # samples after which scores count fully, and as sharply as they may
 
 
@@ -106,7 +111,7 @@ def score(params: Any, a: Any, way_m: Any, dt_s: Any, wanted_m: Any) -> None:
         a.score_m2[i] += f * (e * e - a.score_m2[i])
         a.long_m2[i] += g * (e * e - a.long_m2[i])
     a.scored = min(a.scored + 1, SHARP)
-    weigh(params, a)
+    weigh(params, a, dt_s)
 
 
 @jit
@@ -125,8 +130,21 @@ def bias_cost(bias: Any, least_bias2: Any) -> Any:
 
 
 @jit
-def weigh(params: Any, a: Any) -> None:
-    """Turn scores into weights: powers of recent and longer cost, noise taken off."""
+def noise_part(a: Any) -> Any:
+    """How much of the least score is the readings' noise, 0 to 1: where it is all, nothing else is seen."""
+    best = a.score_m2[0]
+    for i in range(1, C):
+        best = min(best, a.score_m2[i])
+    return min(MOSTLY_NOISE * a.noise_m * a.noise_m, best) / best if best > 0.0 else 1.0
+
+
+@jit
+def weigh(params: Any, a: Any, dt_s: Any) -> None:
+    """Turn scores into weights: powers of recent and longer cost, noise taken off.
+
+    Where all is noise a few readings may turn the weights over, and the next ones back: there they follow
+    slowly, unless the models in force are biased.
+    """
     best, best_long = a.score_m2[0], a.long_m2[0]
     for i in range(1, C):
         best = min(best, a.score_m2[i])
@@ -137,7 +155,7 @@ def weigh(params: Any, a: Any) -> None:
     floor = params.score_floor_m * params.score_floor_m
     mu = params.effort_m * params.effort_m
     # where noise hides the differences they are small, yet tell; great errors are of few places, often chance
-    share = min(MOSTLY_NOISE * noise, best) / best if best > 0.0 else 1.0
+    share = noise_part(a)
     # what a few samples say is mostly luck, and fine differences are told by many only
     told = min(a.scored / JUDGED, 1.0)
     sharp = share * share * a.scored / SHARP
@@ -150,25 +168,28 @@ def weigh(params: Any, a: Any) -> None:
     least_bias2 = 1e300
     for i in range(N):
         least_bias2 = min(least_bias2, a.bias[i] * a.bias[i])
-    least = 1e300
+    least, biased = 1e300, 0.0
     for i in range(C):
         extra = floor + mu * a.effort[i]
         c = power * math.log(a.score_m2[i] - off + extra)
         c += params.long_power * math.log(a.long_m2[i] - off_long + extra)
         # rough ground biases all but the quickest, which follow every bump; a wave is the right one or not
         sure = 1.0 if BANK[MODEL[i], 0] == WAVE else share * share
-        c = told * (c + sure * bias_cost(a.bias[MODEL[i]], least_bias2)) + PRIOR[i]
+        bias = bias_cost(a.bias[MODEL[i]], least_bias2)
+        biased += a.weight[i] * bias
+        c = told * (c + sure * bias) + PRIOR[i]
         if young > 0.0:
             c += CAUTION * young * math.log(look_ahead_variance(MODEL[i], a.cov, ahead_m) + noise)
         a.cost[i] = c
         least = min(least, c)
     total = 0.0
     for i in range(C):
-        w = math.exp(least - a.cost[i])
-        a.weight[i] = w
-        total += w
+        a.cost[i] = math.exp(least - a.cost[i])
+        total += a.cost[i]
+    slow_s = WEIGHT_S * share * share / (1.0 + (biased / BIASED) ** 2)
+    rate = 1.0 - math.exp(-dt_s / max(slow_s, LEAST_WEIGHT_S))
     for i in range(C):
-        a.weight[i] /= total
+        a.weight[i] += rate * (a.cost[i] / total - a.weight[i])
 
 
 @jit

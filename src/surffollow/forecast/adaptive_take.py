@@ -35,6 +35,7 @@ MAD_TO_SIGMA = 1.4826 / math.sqrt(6.0)  # of second differences
 SCALE_RATE = 0.02
 STEPS_STAY = 0.2
 STAYED, LEAST_RETURNED = 0.3, 0.01  # a step that stays makes the next one likelier to
+AT_ONCE_S = 1.0  # long enough for any weights
 START_SAMPLES = 3  # fewer are no ground yet: one of them may be a glitch
 STANDING_NS = 120_000_000  # samples that agree for so long are ground, travelled or not
 DISAGREE_GROWTH = 1.3
@@ -102,7 +103,7 @@ def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any
         a.late_s = 0.0
     a.samples = 1
     if fresh or adapt != 0:
-        weigh(params, a)
+        weigh(params, a, AT_ONCE_S)
     a.quarantined = a.disagreed = 0
     a.doubted_m = 0.0
     a.sample_ns = a.accepted_ns = t_ns
