@@ -66,10 +66,11 @@ LEAST_WEIGHT = 1e-3  # candidates with less have no say in that rate
 
 @jit
 def way_ahead(params: Any, a: Any, pose: Any, pose_t_ns: Any) -> Any:
-    """How far ahead of the last footprint the tool will be when the controller acts [m]."""
+    """How far ahead of the last footprint what the tool points at will be when the controller acts [m]."""
     if a.speed_mps < KNOWN_DIRECTION_MPS:
         return 0.0
-    gap = (pose[0] - a.foot_x_m) * a.speed_x_mps + (pose[1] - a.foot_y_m) * a.speed_y_mps
+    gap_x, gap_y = pose[0] + a.tip_x_m - a.foot_x_m, pose[1] + a.tip_y_m - a.foot_y_m
+    gap = gap_x * a.speed_x_mps + gap_y * a.speed_y_mps
     soon = (a.now_ns - pose_t_ns) * 1e-9 + params.tick_lead_s
     return gap / a.speed_mps + a.speed_mps * soon
 
@@ -249,6 +250,7 @@ def forget_all(a: Any) -> None:
     a.samples = a.quarantined = a.set_ns = a.turn_ns = a.seen_known = 0
     a.noise_m = a.returned = 0.0  # scores, noise and scale begin anew with the next sample
     a.height_m = a.slope = a.sigma_m = a.scale_m = a.gain = a.path_m = a.sample_way_m = a.lead_m = 0.0
+    a.tip_x_m = a.tip_y_m = 0.0
     a.calm_m = a.wanted_m = a.wanted_mps = a.plan_set_m = 0.0
     a.preview_share = a.preview_bias_m = a.preview_off_m = a.error_m2 = a.plain_m2 = 0.0
     a.scout_lead_m = a.scout_bias_m = a.older_s = a.older_sigma_s = a.tau_s = 0.0

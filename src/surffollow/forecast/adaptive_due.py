@@ -82,8 +82,8 @@ def preview_place(params: Any, state: Any, inputs: Any) -> Any:
     Returns
     -------
     due, x_m, y_m, direction_x, direction_y, first_m, last_m
-        FOR_ bits (0: none, the rest means nothing); newest pose of the coming cycle; unit vector of
-        travel; piece of the way, ahead of that pose [m]
+        FOR_ bits (0: none, the rest means nothing); where the tool points at the newest pose of the coming
+        cycle; unit vector of travel; piece of the way, ahead of that place [m]
     """
     p, a, sense, i = params[0], state[0].adaptive, state[0].sense, inputs[0]
     if i.n_poses > 0:
@@ -106,4 +106,4 @@ def preview_place(params: Any, state: Any, inputs: Any) -> Any:
         at = v * ((now_ns - pose_t_ns) * 1e-9 - a.late_s) + a.lead_m
         reach = v * STAMP_S + MARGIN_M
         first, last = min(first, at - reach), max(last, at + reach)
-    return due, x, y, a.speed_x_mps / v, a.speed_y_mps / v, first, last
+    return due, x + a.tip_x_m, y + a.tip_y_m, a.speed_x_mps / v, a.speed_y_mps / v, first, last

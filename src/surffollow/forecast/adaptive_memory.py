@@ -117,7 +117,7 @@ def recall_ahead(memory: Any, state: Any, inputs: Any) -> None:
     if sense.pose_count == 0 or not SLOWEST_MPS <= v < FASTEST_MPS:
         return
     tool = 7 * ((sense.pose_count - 1) & (POSES - 1))
-    x, y = sense.pose[tool], sense.pose[tool + 1]
+    x, y = sense.pose[tool] + a.tip_x_m, sense.pose[tool + 1] + a.tip_y_m
     first = -BEHIND_S * v - 2.0 * CELL_M
     step = max(CELL_M, (AHEAD_S * v + 2.0 * CELL_M - first) / (MAX_PREVIEW - 1))
     before = max(i.t_ns, a.now_ns) - NOW_NS

@@ -76,6 +76,13 @@ def tool_above(params: Any, a: Any, sense: Any, plane: Any, pose: Any) -> Any:
 
 
 @jit
+def watch_tip(params: Any, a: Any, pose: Any) -> None:
+    """Find the point on the tool's axis that should touch the ground: beside a tilted tool, not below it."""
+    reach = params.tool_from_sensor[2] - params.offset_m
+    a.tip_x_m, a.tip_y_m, _ = rotate(pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, reach)
+
+
+@jit
 def take_news(params: Any, state: Any, inputs: Any, output: Any, plane: Any, pose: Any) -> None:
     """Take a new sample, if there is one; what does not enter the estimate is not mapped."""
     a, sense = state.adaptive, state.sense
@@ -119,8 +126,12 @@ def take_news(params: Any, state: Any, inputs: Any, output: Any, plane: Any, pos
         for c in range(params.n_channels):
             if a.beam_good[c] == 0:
                 output.fresh &= ~(1 << c)
+    a.tip_x_m = a.tip_y_m = 0.0
+    if plane == 0:
+        watch_tip(params, a, pose)
     if a.speed_mps >= KNOWN_DIRECTION_MPS:
-        lead = ((x - tool_x) * a.speed_x_mps + (y - tool_y) * a.speed_y_mps) / a.speed_mps
+        lead_x, lead_y = x - tool_x - a.tip_x_m, y - tool_y - a.tip_y_m
+        lead = (lead_x * a.speed_x_mps + lead_y * a.speed_y_mps) / a.speed_mps
         a.lead_m += (lead - a.lead_m) * (LEAD_RATE if a.samples > 0 else 1.0)
     way = a.speed_mps * (t - a.sample_ns) * 1e-9 if a.samples > 0 else 0.0
     drop = tool_above(params, a, sense, plane, pose)
@@ -135,7 +146,8 @@ def take_news(params: Any, state: Any, inputs: Any, output: Any, plane: Any, pos
     if abs(a.lead_m) < LEADING_M and params.run == RUN_NORMAL:
         watch_error(a, tool_z - drop - z)
     if inputs.n_preview > 0 and a.speed_mps >= KNOWN_DIRECTION_MPS:
-        beside = (x - pose[0]) * a.speed_x_mps + (y - pose[1]) * a.speed_y_mps
+        beside_x, beside_y = x - pose[0] - a.tip_x_m, y - pose[1] - a.tip_y_m
+        beside = beside_x * a.speed_x_mps + beside_y * a.speed_y_mps
         check_told(a, told_height(inputs, beside / a.speed_mps), z)
     if plane == 0:
         output.fresh |= 1

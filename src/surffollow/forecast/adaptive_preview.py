@@ -2,7 +2,8 @@
 
 A leading sensor's heights are kept in a ring of cells by way travelled, each with the place where it was
 seen: after a turn the way leads elsewhere, and what lies beside it does not count. Remembered heights come as
-an input of the cycle, at equal distances ahead of the newest reported pose, so that a replay has them too.
+an input of the cycle, so that a replay has them too, at equal distances ahead of where the tool points at its
+newest pose.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ def seen_height(a: Any, s_m: Any) -> Any:
 
 @jit
 def told_height(inputs: Any, ahead_m: Any) -> Any:
-    """Remembered height so far ahead of the newest pose, linear between samples; NaN when unknown."""
+    """Remembered height so far ahead of where the tool points, linear between samples; NaN when unknown."""
     step = inputs.preview_step_m
     if inputs.n_preview < 2 or not step > 0.0:
         return math.nan
@@ -112,12 +113,12 @@ def told_height(inputs: Any, ahead_m: Any) -> Any:
 
 @jit
 def gather_preview(a: Any, inputs: Any, leading: Any, ahead_m: Any, since_pose_m: Any, bias_m: Any) -> Any:
-    """Heights under the tool for the next ticks into `a.plan_g_m`; how many are known without a gap.
+    """Heights where the tool will point in the next ticks into `a.plan_g_m`; how many are known.
 
     Parameters
     ----------
     leading : int            1: from the ring, 0: from the inputs
-    ahead_m : float64        tool at its next action, ahead of the last footprint (negative: behind) [m]
+    ahead_m : float64        that point at its next action, ahead of the last footprint (negative: behind) [m]
     since_pose_m : float64   way of the tool since its newest report, at that action [m]
     bias_m : float64         to be added to the heights of the ring
     """

@@ -169,7 +169,9 @@ class Inputs(Schema):
     given_m = F64(CHANNELS, unit="m", doc="given distances; NaN: none")
     given_t_ns = I64(unit="ns", doc="when they were true")
     n_preview = I64(doc="remembered heights along the direction of travel; 0: none")
-    preview_from_m = F64(unit="m", doc="where the first is, ahead of the newest pose (negative: behind)")
+    preview_from_m = F64(
+        unit="m", doc="where the first is, ahead of where the tool points (negative: behind)"
+    )
     preview_step_m = F64(unit="m", doc="distance between them")
     preview_m = F64(MAX_PREVIEW, unit="m", doc="heights; NaN: unknown")
 

@@ -1,0 +1,102 @@
+"""A tilted tool: its stand-off is kept along its axis, to the ground that it points at."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from surffollow import Follower
+
+MS = 1_000_000
+
+
+def turned(pitch_deg: float, roll_deg: float = 0.0) -> tuple[float, float, float, float]:
+    """Unit quaternion: first rolled about x, then pitched about y."""
+    p, r = math.radians(pitch_deg) / 2.0, math.radians(roll_deg) / 2.0
+    cp, sp, cr, sr = math.cos(p), math.sin(p), math.cos(r), math.sin(r)
+    return cp * sr, sp * cr, -sp * sr, cp * cr
+
+
+def beam_of(q: tuple[float, float, float, float]) -> np.ndarray:
+    """Where the tool's -z axis points in the world."""
+    x, y, z, w = q
+    return -np.array([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)])
+
+
+class Tilted:
+    """A robot of τ = 40 ms with a tilted tool over a plane, or over hills with flanks along x."""
+
+    def __init__(
+        self, q, slope: float = 0.0, hill_m: float = 0.0, config=None, offset_m: float = 0.1
+    ) -> None:
+        self.f = Follower(config, offset_m=offset_m)
+        self.q, self.beam, self.slope, self.hill_m, self.offset_m = q, beam_of(q), slope, hill_m, offset_m
+        self.rng, self.t_ms, self.v_mps = np.random.default_rng(7), 10_000, 0.0
+        self.z_m = self.ground(self.beam[0] * offset_m) - self.beam[2] * offset_m
+
+    def ground(self, x_m: float) -> float:
+        return self.slope * x_m + self.hill_m * math.tanh(3.0 * math.sin(27.0 * x_m) + math.sin(11.0 * x_m))
+
+    def range_at(self, x_m: float) -> float:
+        r = self.offset_m
+        for _ in range(30):
+            gap = self.z_m + self.beam[2] * r - self.ground(x_m + self.beam[0] * r)
+            r -= gap / (self.beam[2] - self.slope * self.beam[0])
+        return r
+
+    def carry(self, speed_mps: float, way_m: float) -> np.ndarray:
+        """Errors of the range along the axis of every millisecond of a way from x = 0 [m]."""
+        out = []
+        for k in range(round(way_m / speed_mps * 1e3)):
+            t_ns, x_m = (self.t_ms + k) * MS, speed_mps * k * 1e-3
+            r = self.range_at(x_m)
+            if k % 10 == 0:
+                reported = self.z_m
+                self.f.pose(t_ns, (x_m, 0.0, self.z_m, *self.q))
+            if k % 4 == 0:
+                self.f.step(t_ns, [r + 1e-4 * self.rng.standard_normal()])
+            if k % 10 == 0:
+                goal = reported + float(self.f.step(t_ns, [math.nan])[2])
+            wish = min(max((goal - self.z_m) / 0.04, -0.2), 0.2)
+            self.v_mps += min(max(wish - self.v_mps, -2e-3), 2e-3)
+            self.z_m += 1e-3 * self.v_mps
+            out.append(r - self.offset_m)
+        self.t_ms += round(way_m / speed_mps * 1e3)
+        return np.array(out)
+
+    def go_back(self) -> None:
+        """Lifted, carried back to x = 0 and put down where it started, without readings."""
+        begin, end = self.ground(self.beam[0] * self.offset_m) - self.beam[2] * self.offset_m, self.z_m
+        for k in range(320):
+            f = min(k / 300.0, 1.0)
+            z_m = end + f * (begin - end) + 0.05 * min(1.0, 10.0 * f, 10.0 * (1.0 - f))
+            self.f.pose((self.t_ms + 10 * k) * MS, (0.6 * (1.0 - f), 0.0, z_m, *self.q))
+            self.f.step((self.t_ms + 10 * k) * MS, [math.nan])
+        self.t_ms += 3200
+        self.z_m, self.v_mps = begin, 0.0
+
+
+@pytest.mark.parametrize("pitch_deg", [-30.0, -10.0, -3.0, 3.0, 10.0, 30.0])
+@pytest.mark.parametrize("slope", [-0.2, 0.0, 0.2])
+def test_a_tilted_tool_keeps_its_distance_along_its_axis(pitch_deg, slope):
+    e = Tilted(turned(pitch_deg), slope).carry(0.1, 0.4)[2000:]
+    assert abs(e.mean()) < 1.5e-4
+    assert e.std() < 1.5e-4
+
+
+@pytest.mark.parametrize("q", [turned(-20.0), turned(20.0), turned(0.0, 20.0), turned(10.0, -15.0)])
+def test_over_hills_it_follows_like_an_upright_one(q):
+    upright = Tilted(turned(0.0), hill_m=4e-3).carry(0.1, 1.0)[3000:].std()
+    assert Tilted(q, hill_m=4e-3).carry(0.1, 1.0)[3000:].std() < 1.3 * upright + 1e-4
+
+
+@pytest.mark.parametrize("q", [turned(-20.0), turned(20.0), turned(0.0, 20.0), turned(10.0, -15.0)])
+def test_what_it_remembers_serves_where_it_points(q):
+    robot = Tilted(q, hill_m=6e-3)
+    first = robot.carry(0.2, 0.6)[500:]
+    robot.go_back()
+    second = robot.carry(0.2, 0.45)[500:]
+    assert robot.f.state()["preview_share"] == 1.0
+    assert second.std() < 0.9 * first.std()
