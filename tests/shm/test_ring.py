@@ -159,7 +159,7 @@ def append_until_stopped(log, capacity, stop):
 
 @njit(nogil=True)
 def follow_log(log, capacity, most, copies):
-    """Copy on and on: words, mistakes, losses; after a loss from half a ring back: on one core it is there."""
+    """Copy on: words, mistakes, losses; after one from half a ring back, which is there on one core, too."""
     out = np.zeros(most, np.int64)
     position, words, wrong, lost = log_head(log), 0, 0, 0
     for _ in range(copies):
