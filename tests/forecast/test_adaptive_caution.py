@@ -154,8 +154,9 @@ def test_what_a_leading_sensor_saw_is_followed_so_nothing_need_be_cautious():
 def test_small_differences_count_sharply_in_noise_and_mildly_in_great_errors():
     def advantage(factor, scored):
         a = judged(JUDGED, scored)
-        a["score_m2"][:C] *= factor
-        a["score_m2"][10] *= 0.99
+        for horizon in ("score_m2", "long_m2"):
+            a[horizon][:C] *= factor
+            a[horizon][10] *= 0.99
         weigh(default_params(), a, 1.0)
         return a["weight"][10] / a["weight"][11]
 
@@ -170,8 +171,10 @@ def test_candidates_of_one_model_count_together_as_one_and_lead_by_their_share()
     a = judged(JUDGED, SHARP)
     weigh(default_params(), a, 1.0)
     of_model = np.bincount(MODEL, a["weight"][:C])
-    levels_and_slopes = of_model[BANK[:, 0] == 0]
+    stiffest = int(np.argmin(np.where((BANK[:, 0] == 0) & (BANK[:, 2] > 0.0), BANK[:, 2], np.inf)))
+    levels_and_slopes = of_model[(BANK[:, 0] == 0) & (np.arange(N) != stiffest)]
     assert levels_and_slopes == pytest.approx(levels_and_slopes[0])
+    assert of_model[stiffest] < 0.1 * levels_and_slopes[0], "it is surer of its slope than anybody can be"
     assert (LEAD_SHARE[:N] == 1.0).all()
     assert set(LEAD_SHARE[N:]) == {0.0, 0.5}
 

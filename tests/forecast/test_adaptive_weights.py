@@ -10,7 +10,7 @@ import pytest
 from surffollow.contest.conditions import Conditions
 from surffollow.contest.trials import Job, excursion
 from surffollow.forecast.adaptive_adapt import adapt_band
-from surffollow.forecast.adaptive_bank import C, N
+from surffollow.forecast.adaptive_bank import CALM, C, N
 from surffollow.forecast.adaptive_judge import BIAS_RATE, BIASED, SHARP, WEIGHT_S, weigh
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
@@ -19,6 +19,7 @@ from .test_adaptive_parts import default_params
 
 NOISE_M = 2.5e-4
 OLD, NEW = 0, 2
+QUICK = 13
 AT_ONCE_S = 1.0
 
 
@@ -64,6 +65,27 @@ def test_the_weights_of_a_sensor_without_any_noise_stay_finite():
         a["score_m2"][:C] = a["long_m2"][:C] = score_m2
         weigh(default_params(), a, 0.004)
         assert np.isfinite(a["weight"][:C]).all()
+
+
+def long_odds(recent: float, ever: float, quick_recent: float = 1.3, quick_ever: float = 1.0) -> float:
+    """Weight of a quick model over that of the calm one, whose scores these are, in noise variances."""
+    a = zeros(AdaptiveState)[0]
+    a["noise_m"], a["scored"], a["samples"] = NOISE_M, SHARP, SHARP
+    a["score_m2"][:C] = 2.0 * recent * NOISE_M**2
+    a["long_m2"][:C] = 2.0 * ever * NOISE_M**2
+    a["score_m2"][[CALM, QUICK]] = np.array([recent, quick_recent]) * NOISE_M**2
+    a["long_m2"][[CALM, QUICK]] = np.array([ever, quick_ever]) * NOISE_M**2
+    weigh(default_params(), a, AT_ONCE_S)
+    return float(a["weight"][QUICK] / a["weight"][CALM])
+
+
+def test_between_grooves_the_model_that_was_right_all_along_counts():
+    """The calm one fits the quiet stretch better, and failed at the last groove."""
+    assert long_odds(1.05, 3.0) > 30.0
+    assert long_odds(1.0, 1.03, quick_recent=1.075) > 30.0, "even a small difference, kept for long"
+    assert long_odds(1.05, 1.05, quick_ever=1.3) < 1e-3, "where both were always right the calmer one"
+    assert long_odds(1.05, 60.0, quick_ever=30.0) < 0.1, "on rough ground the longer horizon says little"
+    assert long_odds(20.0, 1.2, quick_ever=6.0) > 1e3, "nor while the ground is lively: a wave was just found"
 
 
 def band_m(samples: int, scored: int, rms_m: float) -> float:

@@ -15,6 +15,10 @@ SLOPE, CURVE, WAVE = 0, 1, 2
 # Of a model's candidates the first leads by its whole slope; less is calmer, and where slopes do not last it
 # is nearer the ground too. The same filter serves all candidates of a model.
 _HALF, _NONE = 0.5, 0.0
+_STIFF, _CALM = (
+    0.01,
+    0.05,
+)  # noise of slopes that last: of a gently curved panel, and of a plane with few bends
 
 
 def _models() -> Any:
@@ -26,7 +30,7 @@ def _models() -> Any:
 
     for qh in (3e-5, 3e-4, 2e-3, 7e-3, 2e-2, 8e-2):
         add(SLOPE, 1.0, 0.0, qh)
-    for qs in (0.05, 0.15):
+    for qs in (_STIFF, _CALM, 0.15):
         add(SLOPE, 1e3, qs, 1e-5)
     for qs in (0.5, 1.0, 2.0):
         add(SLOPE, 1e3, qs, 1e-5, shares=(_HALF,))
@@ -54,6 +58,7 @@ def _models() -> Any:
 _MODELS = _models()
 BANK = np.array([row for row, _ in _MODELS])
 N = len(BANK)
+CALM = int(np.flatnonzero((BANK[:, 0] == SLOPE) & (BANK[:, 2] == _CALM))[0])
 
 
 def _candidates() -> Any:
@@ -64,10 +69,12 @@ def _candidates() -> Any:
 _CANDIDATES = _candidates()
 MODEL, LEAD_SHARE = _CANDIDATES[:, 0].astype(np.int64), _CANDIDATES[:, 1].copy()
 C = len(MODEL)
-# what must be overcome by evidence: models that extrapolate boldly are wrong more often than they fit
+# what must be overcome by evidence: models that extrapolate boldly are wrong more often than they fit,
+# and one that hardly lets its slope change is sure of it when nobody can be
 _BOLD = np.array([0.0, 0.8, 0.8])
+_SURE = np.where((BANK[:, 0] == SLOPE) & (BANK[:, 2] == _STIFF), 3.0, 0.0)
 # several candidates of one model count no more than one would
-PRIOR = _BOLD[BANK[MODEL, 0].astype(np.int64)] + np.log(np.bincount(MODEL)[MODEL])
+PRIOR = _BOLD[BANK[MODEL, 0].astype(np.int64)] + _SURE[MODEL] + np.log(np.bincount(MODEL)[MODEL])
 
 
 @jit

@@ -14,6 +14,7 @@ from typing import Any
 
 from surffollow.forecast.adaptive_bank import (
     BANK,
+    CALM,
     MODEL,
     PRIOR,
     WAVE,
@@ -42,6 +43,10 @@ WEIGHT_S, LEAST_WEIGHT_S = (
     0.01,
     1e-6,
 )  # in which weights come nearer to what the scores say, where all is noise
+LONG_SHARP, LONG_SHARE = (
+    30.0,
+    0.9,
+)  # power of the longer horizon where it decides; what it takes off the other
 BIASED = 4.5  # cost of the bias in force that halves that
 JUDGED, SHARP = 200, 500  # samples after which scores count fully, and as sharply as they may
 
@@ -130,12 +135,28 @@ def bias_cost(bias: Any, least_bias2: Any) -> Any:
 
 
 @jit
+def noise_in(score_m2: Any, noise_m: Any) -> Any:
+    """How much of a score is the readings' noise, 0 to 1: where it is all, nothing else is seen."""
+    return min(MOSTLY_NOISE * noise_m * noise_m, score_m2) / score_m2 if score_m2 > 0.0 else 1.0
+
+
+@jit
 def noise_part(a: Any) -> Any:
-    """How much of the least score is the readings' noise, 0 to 1: where it is all, nothing else is seen."""
+    """How much of the least score is noise."""
     best = a.score_m2[0]
     for i in range(1, C):
         best = min(best, a.score_m2[i])
-    return min(MOSTLY_NOISE * a.noise_m * a.noise_m, best) / best if best > 0.0 else 1.0
+    return noise_in(best, a.noise_m)
+
+
+@jit
+def settled(a: Any, best_long_m2: Any) -> Any:
+    """How far the longer horizon decides instead of the recent one, 0 to 1.
+
+    Between two bends, beads or grooves everything fits, and recent scores would choose what is calmest and
+    fails at the next: when the ground is quiet now, what has been right all along is the better choice.
+    """
+    return noise_in(a.score_m2[CALM], a.noise_m) * noise_in(best_long_m2, a.noise_m) * a.scored / SHARP
 
 
 @jit
@@ -159,7 +180,9 @@ def weigh(params: Any, a: Any, dt_s: Any) -> None:
     # what a few samples say is mostly luck, and fine differences are told by many only
     told = min(a.scored / JUDGED, 1.0)
     sharp = share * share * a.scored / SHARP
-    power = params.long_power + (params.score_power - params.long_power) * sharp
+    long = settled(a, best_long)
+    power = params.long_power + (params.score_power - params.long_power) * sharp * (1.0 - LONG_SHARE * long)
+    long_power = params.long_power + (LONG_SHARP - params.long_power) * long
     # until then, and after a new start, a model counts for as much as it claims to know
     young = max(1.0 - told, 1.0 - a.samples / JUDGED)
     if a.lead_m > LEADING_M:
@@ -172,7 +195,7 @@ def weigh(params: Any, a: Any, dt_s: Any) -> None:
     for i in range(C):
         extra = floor + mu * a.effort[i]
         c = power * math.log(a.score_m2[i] - off + extra)
-        c += params.long_power * math.log(a.long_m2[i] - off_long + extra)
+        c += long_power * math.log(a.long_m2[i] - off_long + extra)
         # rough ground biases all but the quickest, which follow every bump; a wave is the right one or not
         sure = 1.0 if BANK[MODEL[i], 0] == WAVE else share * share
         bias = bias_cost(a.bias[MODEL[i]], least_bias2)
