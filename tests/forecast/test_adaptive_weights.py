@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from surffollow.contest.conditions import Conditions
+from surffollow.contest.runner import run_method, score_run
+from surffollow.contest.scene import make_scene
 from surffollow.contest.trials import Job, excursion
 from surffollow.forecast.adaptive_adapt import adapt_band
 from surffollow.forecast.adaptive_bank import CALM, C, N
 from surffollow.forecast.adaptive_judge import BIAS_RATE, BIASED, SHARP, WEIGHT_S, weigh
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.sim.profiles import Profile
 
 from .test_adaptive_parts import default_params
 
@@ -114,3 +117,30 @@ def test_the_band_is_wider_while_models_are_young_and_all_is_noise():
 def test_a_few_readings_on_flat_ground_are_not_gone_after(case, speed_mps, seed):
     job = Job("excursion", "ours", seed, Conditions(), speed_mps=speed_mps, case=case)
     assert excursion(job)["excursion_m"] < 0.12e-3
+
+
+def ran_over(heights_m: np.ndarray, speed_mps: float) -> tuple[float, float]:
+    """Stand-off error and set-point acceleration, RMS of two runs over 6 m of ground given per millimetre."""
+    squares = []
+    for seed in range(2):
+        scene = make_scene(Profile("ground", 0.0, 1e-3, heights_m), speed_mps, seed, Conditions())
+        result = score_run(scene, *run_method("ours", scene))
+        squares.append((result.rms_m**2, result.demand_accel_mps2**2))
+    rms_m, accel_mps2 = np.sqrt(np.mean(squares, axis=0))
+    return float(rms_m), float(accel_mps2)
+
+
+WAY_M = np.arange(0.0, 6.5, 1e-3)
+
+
+def test_a_gently_curved_panel_is_followed_within_a_fifth_of_the_noise_and_calmly():
+    rms_m, accel_mps2 = ran_over(0.03 * np.sin(np.pi * WAY_M / 6.0) ** 2, 0.1)
+    assert rms_m < 0.2 * NOISE_M
+    assert accel_mps2 < 0.25
+
+
+def test_grooves_far_apart_do_not_surprise_it_every_time():
+    """4 mm deep, 40 mm wide, one every half metre; between them the ground is flat."""
+    off_m = np.abs(WAY_M % 0.5 - 0.25)
+    rms_m, _ = ran_over(-0.004 * np.maximum(0.0, 1.0 - off_m / 0.02), 0.1)
+    assert rms_m < 0.338e-3

@@ -119,12 +119,22 @@ def plant_error(a: Any) -> Any:
 
 
 @jit
+def forget_error(a: Any) -> None:
+    """Forget what nobody's axis did, as the robot was led by somebody else; what tells τ stays."""
+    least = plant_error(a)
+    for k in range(PLANTS):
+        a.plant_m2[k] -= least
+
+
+@jit
 def learn_plant(params: Any, a: Any, sense: Any, adapt: Any) -> None:
     """Compare the axes with a new pose report and move τ toward the best."""
     newest = (sense.pose_count - 1) & (POSES - 1)
     t, z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
     if t == a.plant_ns:
         return
+    if a.set_ns == 0:
+        forget_error(a)
     gap = t <= a.plant_ns or t - a.plant_ns > LOST_NS
     if a.ticks == 0 or a.set_ns == 0 or a.shown != 0 or gap or a.tau_assumed_s != params.plant_tau_s:
         start_plants(params, a, t, z)
