@@ -36,6 +36,11 @@ def rms(method: str, surface: str, conditions: Conditions, speed: float = 0.1) -
     return score_run(scene, *run_method(method, scene)).rms_m
 
 
+@pytest.mark.parametrize("sensor_latency_s", [0.0, 0.03, 0.1])
+def test_holding_keeps_the_first_height_whichever_comes_first_a_reading_or_a_pose(sensor_latency_s) -> None:
+    assert rms("hold", "flat", Conditions(sensor=SensorConfig(latency_s=sensor_latency_s))) < 0.2e-3
+
+
 def test_every_loop_follows_far_better_than_not_following() -> None:
     for surface in ("ramp-5", "hump", "sine-400"):
         held = rms("hold", surface, Conditions())

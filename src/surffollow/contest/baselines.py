@@ -182,8 +182,8 @@ def on_tick(kind: int, p: NDArray[Any], m: NDArray[Any], track: NDArray[Any], s:
         return 0.0
     z_report = w.reports[s.poses - 1].z
     if kind == HOLD:
-        if m[_SEEN] == 0.0:
-            m[_SEEN] = 1.0
+        if m[_COUNT] == 0.0:
+            m[_COUNT] = 1.0
             m[_TARGET] = z_report
         return float(m[_TARGET] - z_report)
     if m[_SEEN] == 0.0:
