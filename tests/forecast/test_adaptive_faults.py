@@ -277,3 +277,19 @@ def test_a_coarse_sensor_on_a_ramp_is_not_taken_for_stuck(slope, speed_mps, lsb_
         stuck += robot.f.state()["health"] == "STUCK"
     assert stuck <= 2
     assert abs(robot.run(0.5, sigma_m=1e-6, lsb_m=lsb_m) - 0.1).max() < 2e-3
+
+
+@pytest.mark.parametrize(
+    "name", ["weight", "score_m2", "long_m2", "state", "cov", "bias", "noise_m", "effort"]
+)
+def test_what_is_not_finite_inside_is_thrown_away_and_following_goes_on(name):
+    """No input is known to make it so; should one be found, it must not be for good."""
+    robot = Robot(lambda x: 0.0, 0.1)
+    robot.run(1.5)
+    inside = robot.f._state["adaptive"][name]
+    inside.reshape(-1)[0] = np.nan
+    robot.run(1.0)
+    state = robot.f.state()
+    assert "VALID" in state["status"]
+    assert "NOT_FINITE" in state["faults"]
+    assert np.abs(robot.run(0.5) - 0.1).max() < 5e-4

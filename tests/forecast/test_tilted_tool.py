@@ -10,6 +10,8 @@ import pytest
 from surffollow import Follower
 
 MS = 1_000_000
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+Z_DOWN, X_DOWN = (1.0, 0.0, 0.0, 0.0), (0.0, -math.sqrt(0.5), 0.0, math.sqrt(0.5))
 
 
 def turned(pitch_deg: float, roll_deg: float = 0.0) -> tuple[float, float, float, float]:
@@ -19,42 +21,66 @@ def turned(pitch_deg: float, roll_deg: float = 0.0) -> tuple[float, float, float
     return cp * sr, sp * cr, -sp * sr, cp * cr
 
 
-def beam_of(q: tuple[float, float, float, float]) -> np.ndarray:
-    """Where the tool's -z axis points in the world."""
-    x, y, z, w = q
-    return -np.array([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)])
+def times(p, q) -> tuple[float, float, float, float]:
+    """Product of two quaternions: first q's rotation, then p's."""
+    u, v = np.array(p[:3]), np.array(q[:3])
+    x, y, z = p[3] * v + q[3] * u + np.cross(u, v)
+    return x, y, z, p[3] * q[3] - u @ v
+
+
+def rotated(q, v) -> np.ndarray:
+    u, v = np.array(q[:3]), np.array(v)
+    return v + 2.0 * np.cross(u, np.cross(u, v) + q[3] * v)
+
+
+def beam_of(q) -> np.ndarray:
+    """Where a sensor of this orientation looks."""
+    return rotated(q, [0.0, 0.0, -1.0])
 
 
 class Tilted:
     """A robot of τ = 40 ms with a tilted tool over a plane, or over hills with flanks along x."""
 
     def __init__(
-        self, q, slope: float = 0.0, hill_m: float = 0.0, config=None, offset_m: float = 0.1
+        self, q, slope: float = 0.0, hill_m: float = 0.0, mount=(0.0, 0.0, 0.0), turn=UPRIGHT, frame=UPRIGHT
     ) -> None:
-        self.f = Follower(config, offset_m=offset_m)
-        self.q, self.beam, self.slope, self.hill_m, self.offset_m = q, beam_of(q), slope, hill_m, offset_m
+        """`mount`, `turn`: the sensor's place beside the axis and rotation, at an untilted tool.
+
+        `frame`: how the tool's axes are named; what it does is the same.
+        """
+        back = (*(-np.array(frame[:3])), frame[3])
+        sensor = {"position_m": rotated(frame, mount).tolist(), "orientation": times(frame, turn)}
+        self.f = Follower({"sensors": [sensor]}, offset_m=0.1)
+        self.q, self.beam, self.slope, self.hill_m, self.offset_m = q, beam_of(q), slope, hill_m, 0.1
+        self.sees_from, self.sees_along, self.pose_q = (
+            rotated(q, mount),
+            beam_of(times(q, turn)),
+            times(q, back),
+        )
+        offset_m = self.offset_m
         self.rng, self.t_ms, self.v_mps = np.random.default_rng(7), 10_000, 0.0
         self.z_m = self.ground(self.beam[0] * offset_m) - self.beam[2] * offset_m
 
     def ground(self, x_m: float) -> float:
         return self.slope * x_m + self.hill_m * math.tanh(3.0 * math.sin(27.0 * x_m) + math.sin(11.0 * x_m))
 
-    def range_at(self, x_m: float) -> float:
+    def range_at(self, x_m: float, origin, along) -> float:
+        """How far the ground is from a point beside the tool."""
         r = self.offset_m
         for _ in range(30):
-            gap = self.z_m + self.beam[2] * r - self.ground(x_m + self.beam[0] * r)
-            r -= gap / (self.beam[2] - self.slope * self.beam[0])
+            gap = self.z_m + origin[2] + along[2] * r - self.ground(x_m + origin[0] + along[0] * r)
+            r -= gap / (along[2] - self.slope * along[0])
         return r
 
     def carry(self, speed_mps: float, way_m: float) -> np.ndarray:
-        """Errors of the range along the axis of every millisecond of a way from x = 0 [m]."""
+        """Errors of the distance along the axis of every millisecond of a way from x = 0 [m]."""
         out = []
         for k in range(round(way_m / speed_mps * 1e3)):
             t_ns, x_m = (self.t_ms + k) * MS, speed_mps * k * 1e-3
-            r = self.range_at(x_m)
+            r = self.range_at(x_m, self.sees_from, self.sees_along)
             if k % 10 == 0:
                 reported = self.z_m
-                self.f.pose(t_ns, (x_m, 0.0, self.z_m, *self.q))
+                self.f.pose(t_ns, (x_m, 0.0, self.z_m, *self.pose_q))
             if k % 4 == 0:
                 self.f.step(t_ns, [r + 1e-4 * self.rng.standard_normal()])
             if k % 10 == 0:
@@ -62,7 +88,7 @@ class Tilted:
             wish = min(max((goal - self.z_m) / 0.04, -0.2), 0.2)
             self.v_mps += min(max(wish - self.v_mps, -2e-3), 2e-3)
             self.z_m += 1e-3 * self.v_mps
-            out.append(r - self.offset_m)
+            out.append(self.range_at(x_m, (0.0, 0.0, 0.0), self.beam) - self.offset_m)
         self.t_ms += round(way_m / speed_mps * 1e3)
         return np.array(out)
 
@@ -72,7 +98,7 @@ class Tilted:
         for k in range(320):
             f = min(k / 300.0, 1.0)
             z_m = end + f * (begin - end) + 0.05 * min(1.0, 10.0 * f, 10.0 * (1.0 - f))
-            self.f.pose((self.t_ms + 10 * k) * MS, (0.6 * (1.0 - f), 0.0, z_m, *self.q))
+            self.f.pose((self.t_ms + 10 * k) * MS, (0.6 * (1.0 - f), 0.0, z_m, *self.pose_q))
             self.f.step((self.t_ms + 10 * k) * MS, [math.nan])
         self.t_ms += 3200
         self.z_m, self.v_mps = begin, 0.0
@@ -84,6 +110,32 @@ def test_a_tilted_tool_keeps_its_distance_along_its_axis(pitch_deg, slope):
     e = Tilted(turned(pitch_deg), slope).carry(0.1, 0.4)[2000:]
     assert abs(e.mean()) < 1.5e-4
     assert e.std() < 1.5e-4
+
+
+@pytest.mark.parametrize("frame", [Z_DOWN, X_DOWN])
+@pytest.mark.parametrize("pitch_deg", [-20.0, 0.0, 20.0])
+def test_how_the_axes_of_the_tool_are_named_makes_no_difference(frame, pitch_deg):
+    assert abs(abs(beam_of(frame)).max() - 1.0) < 1e-12
+    plain = Tilted(turned(pitch_deg), hill_m=4e-3).carry(0.1, 0.5)
+    np.testing.assert_allclose(
+        Tilted(turned(pitch_deg), hill_m=4e-3, frame=frame).carry(0.1, 0.5), plain, atol=2e-5
+    )
+
+
+@pytest.mark.parametrize("pitch_deg", [-20.0, -10.0, 10.0, 20.0])
+@pytest.mark.parametrize("beside_m", [0.02, 0.05])
+def test_a_sensor_before_a_tilted_tool_keeps_the_tools_distance_not_its_own(pitch_deg, beside_m):
+    for slope in (0.0, 0.2, math.tan(math.radians(-pitch_deg))):
+        e = Tilted(turned(pitch_deg), slope, mount=(beside_m, 0.0, 0.0)).carry(0.1, 0.4)[2500:]
+        assert abs(e.mean()) < 2e-4, f"slope {slope:.2f}"
+
+
+@pytest.mark.parametrize("slope", [-0.2, 0.0, 0.2])
+def test_a_beam_tilted_forward_under_an_upright_tool_leads(slope):
+    robot = Tilted(UPRIGHT, slope, turn=turned(-20.0))
+    e = robot.carry(0.1, 0.4)[2500:]
+    assert abs(e.mean() + 0.1 * (1.0 - math.cos(math.radians(20.0)))) < 2e-4, "its length is the stand-off"
+    assert robot.f.state()["preview_share"] == 1.0
 
 
 @pytest.mark.parametrize("q", [turned(-20.0), turned(20.0), turned(0.0, 20.0), turned(10.0, -15.0)])

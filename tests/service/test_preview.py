@@ -157,6 +157,19 @@ def test_a_preview_is_due_for_ticks_and_new_samples_and_never_in_paper_mode():
     assert due(loop) == 0, "a leading sensor sees better than memory"
 
 
+def test_the_map_is_read_where_a_tilted_tool_points():
+    loop = MapLoop("flat")
+    loop.run(3.0)
+    a, i, sense = loop.state["adaptive"][0], loop.inputs[0], loop.state["sense"][0]
+    i["n_poses"], a["tick_ns"] = 0, 0
+    newest = 7 * ((int(sense["pose_count"]) - 1) % (len(sense["pose"]) // 7))
+    _, x, y, *_ = preview_place(loop.params, loop.state, loop.inputs)
+    assert (x, y) == pytest.approx(tuple(sense["pose"][newest : newest + 2]), abs=1e-9)
+    a["tip_x_m"], a["tip_y_m"] = 0.03, -0.01
+    _, tip_x, tip_y, *_ = preview_place(loop.params, loop.state, loop.inputs)
+    assert (tip_x - x, tip_y - y) == pytest.approx((0.03, -0.01))
+
+
 def test_ticks_are_put_before_reports_that_come_a_hundred_times_a_second():
     a = zeros(AdaptiveState)[0]
     ticks, late = [], np.random.default_rng(5).uniform(0, 300_000, 3000)

@@ -40,6 +40,7 @@ from surffollow.shm.layout_adaptive import (
     FAULT_STUCK,
     HORIZON,
     OUT_OF_RANGE,
+    PLANTS,
     STUCK,
     TICKS,
 )
@@ -218,7 +219,7 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
     move_set_point(params, a, a.now_ns, wanted, tool_z)
     demand = a.set_point_m - tool_z
     if not math.isfinite(demand + a.height_m + a.slope + a.sigma_m):
-        forget_all(a)
+        forget_all(params, a)
         return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
     cut = limit(demand, params.max_demand_m)
     if cut != demand:
@@ -244,7 +245,7 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
 
 
 @jit
-def forget_all(a: Any) -> None:
+def forget_all(params: Any, a: Any) -> None:
     """Begin as if nothing had been seen: what is believed is not finite."""
     a.faults |= FAULT_NOT_FINITE
     a.samples = a.quarantined = a.set_ns = a.turn_ns = a.seen_known = 0
@@ -253,7 +254,12 @@ def forget_all(a: Any) -> None:
     a.tip_x_m = a.tip_y_m = 0.0
     a.calm_m = a.wanted_m = a.wanted_mps = a.plan_set_m = 0.0
     a.preview_share = a.preview_bias_m = a.preview_off_m = a.error_m2 = a.plain_m2 = 0.0
-    a.scout_lead_m = a.scout_bias_m = a.older_s = a.older_sigma_s = a.tau_s = 0.0
+    a.scout_lead_m = a.scout_bias_m = a.older_s = a.older_sigma_s = 0.0
+    a.tau_s = a.tau_assumed_s = params.plant_tau_s
+    for k in range(PLANTS):
+        a.plant_m2[k] = 0.0
+    for i in range(C):
+        a.weight[i] = 0.0  # new ones would follow from these
     for k in range(HORIZON):
         a.plan_u[k] = a.plan_y[k] = 0.0
     forget_rest(a)

@@ -39,14 +39,10 @@ CAUTION = 3.0  # power of what a model claims to know, while nothing else is kno
 BIAS_RATE = 0.2  # per sample
 BIAS_MOST = 4.0  # standard deviations that one innovation counts at most
 BIAS_SURE, BIAS_COST_MOST = 16.0, 20.0  # beyond four standard deviations it is no chance
-WEIGHT_S, LEAST_WEIGHT_S = (
-    0.01,
-    1e-6,
-)  # in which weights come nearer to what the scores say, where all is noise
-LONG_SHARP, LONG_SHARE = (
-    30.0,
-    0.9,
-)  # power of the longer horizon where it decides; what it takes off the other
+WEIGHT_S = 0.01  # in which weights come nearer to what the scores say, where all is noise
+LEAST_WEIGHT_S = 1e-6
+LONG_SHARP = 10.0  # times its power has the longer horizon where it decides …
+LONG_SHARE = 0.9  # … and takes off the other's
 BIASED = 4.5  # cost of the bias in force that halves that
 JUDGED, SHARP = 200, 500  # samples after which scores count fully, and as sharply as they may
 
@@ -182,7 +178,7 @@ def weigh(params: Any, a: Any, dt_s: Any) -> None:
     sharp = share * share * a.scored / SHARP
     long = settled(a, best_long)
     power = params.long_power + (params.score_power - params.long_power) * sharp * (1.0 - LONG_SHARE * long)
-    long_power = params.long_power + (LONG_SHARP - params.long_power) * long
+    long_power = params.long_power + (LONG_SHARP * params.long_power - params.long_power) * long
     # until then, and after a new start, a model counts for as much as it claims to know
     young = max(1.0 - told, 1.0 - a.samples / JUDGED)
     if a.lead_m > LEADING_M:

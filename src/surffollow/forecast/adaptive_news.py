@@ -59,8 +59,28 @@ def watch_clock(a: Any, t_ns: Any, pose_t_ns: Any) -> None:
 
 
 @jit
+def tool_tip(params: Any) -> Any:
+    """Find the point on the tool's axis that should touch the ground, and how far the beam ends beside it.
+
+    The axis is that of the tool's frame which channel 0's beam lies nearest to.
+
+    Returns
+    -------
+    6 float64  in the tool's frame: the point, and from there to the beam's end at the desired stand-off [m]
+    """
+    m = params.tool_from_sensor
+    bx, by, bz = rotate(m[3], m[4], m[5], m[6], 0.0, 0.0, -1.0)
+    x, y, z = m[0] + params.offset_m * bx, m[1] + params.offset_m * by, m[2] + params.offset_m * bz
+    if abs(bz) >= abs(bx) and abs(bz) >= abs(by):
+        return 0.0, 0.0, z, x, y, 0.0
+    if abs(bx) >= abs(by):
+        return x, 0.0, 0.0, 0.0, y, z
+    return 0.0, y, 0.0, x, 0.0, z
+
+
+@jit
 def tool_above(params: Any, a: Any, sense: Any, plane: Any, pose: Any) -> Any:
-    """How much higher than the ground under it (the beam's footprint) the tool should be [m].
+    """How much higher than the ground that it points at the tool should be [m].
 
     `pose` (7,) is scratch and holds the newest report afterwards.
     """
@@ -69,7 +89,9 @@ def tool_above(params: Any, a: Any, sense: Any, plane: Any, pose: Any) -> Any:
         pose[i] = sense.pose[newest + i]
     if plane == 0:
         _, _, ground_z, _ = footprint(pose, params.tool_from_sensor, 0, params.offset_m)
-        return pose[2] - ground_z
+        _, _, _, bx, by, bz = tool_tip(params)
+        _, _, beside_z = rotate(pose[3], pose[4], pose[5], pose[6], bx, by, bz)
+        return pose[2] - ground_z + beside_z
     tx, ty, tz = rotate(pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, 1.0)
     along = tz - a.slope_x * tx - a.slope_y * ty  # (tool axis · normal) over the normal's z
     return (params.offset_m - params.tool_from_sensor[2]) * along
@@ -77,9 +99,9 @@ def tool_above(params: Any, a: Any, sense: Any, plane: Any, pose: Any) -> Any:
 
 @jit
 def watch_tip(params: Any, a: Any, pose: Any) -> None:
-    """Find the point on the tool's axis that should touch the ground: beside a tilted tool, not below it."""
-    reach = params.tool_from_sensor[2] - params.offset_m
-    a.tip_x_m, a.tip_y_m, _ = rotate(pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, reach)
+    """Note where the tool points: beside it when it is tilted, not below it."""
+    x, y, z, _, _, _ = tool_tip(params)
+    a.tip_x_m, a.tip_y_m, _ = rotate(pose[3], pose[4], pose[5], pose[6], x, y, z)
 
 
 @jit

@@ -120,7 +120,7 @@ def plant_error(a: Any) -> Any:
 
 @jit
 def forget_error(a: Any) -> None:
-    """Forget what nobody's axis did, as the robot was led by somebody else; what tells τ stays."""
+    """Forget by how much all axes were wrong: others have led the robot since; what tells τ stays."""
     least = plant_error(a)
     for k in range(PLANTS):
         a.plant_m2[k] -= least

@@ -360,7 +360,7 @@ typedef struct sf_params {
   double score_way_m; /* [m] adaptive: way over which models are judged */
   double score_time_s; /* [s] adaptive: time over which models are judged */
   double score_power; /* adaptive: how strongly the recently better model is preferred */
-  double long_power; /* adaptive: how strongly the model that was better over a longer way is preferred */
+  double long_power; /* adaptive: how strongly the model better over a longer way is preferred; where it is quiet x 10 */
   double long_factor; /* adaptive: longer way and time of judgement, as a multiple */
   double effort_m; /* [m s^2/m] adaptive: stand-off error worth a set point acceleration of 1 m/s^2 */
   double noise_share; /* adaptive: share of the reading noise taken off the scores */

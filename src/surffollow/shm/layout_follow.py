@@ -75,7 +75,9 @@ class Params(Schema):
     score_way_m = F64(unit="m", doc="adaptive: way over which models are judged")
     score_time_s = F64(unit="s", doc="adaptive: time over which models are judged")
     score_power = F64(doc="adaptive: how strongly the recently better model is preferred")
-    long_power = F64(doc="adaptive: how strongly the model that was better over a longer way is preferred")
+    long_power = F64(
+        doc="adaptive: how strongly the model better over a longer way is preferred; where it is quiet × 10"
+    )
     long_factor = F64(doc="adaptive: longer way and time of judgement, as a multiple")
     effort_m = F64(unit="m s^2/m", doc="adaptive: stand-off error worth a set point acceleration of 1 m/s^2")
     noise_share = F64(doc="adaptive: share of the reading noise taken off the scores")
