@@ -109,10 +109,17 @@ def test_the_band_is_wider_while_models_are_young_and_all_is_noise():
     assert band_m(1, 1, 5.0 * NOISE_M) < 1.1 * usual
 
 
-# in each of these runs two or three readings made the follower go up to 0.2 mm after them
+# in each of these runs two or three readings made the follower go up to 0.2 mm after them; in the last one it
+# started in a slot, took its end for a step that stays, and the next slot for a step: 3 mm
 @pytest.mark.parametrize(
     ("case", "speed_mps", "seed"),
-    [("slot", 0.4, 308), ("glitch", 0.1, 313), ("glitch", 0.2, 315), ("glitch", 0.4, 306)],
+    [
+        ("slot", 0.4, 308),
+        ("glitch", 0.1, 313),
+        ("glitch", 0.2, 315),
+        ("glitch", 0.4, 306),
+        ("slot", 0.1, 7013),
+    ],
 )
 def test_a_few_readings_on_flat_ground_are_not_gone_after(case, speed_mps, seed):
     job = Job("excursion", "ours", seed, Conditions(), speed_mps=speed_mps, case=case)

@@ -176,8 +176,10 @@ def believe_step(params: Any, a: Any) -> None:
         note_ground(a, a.kept_s_m[k & (KEPT - 1)], a.kept_h_m[k & (KEPT - 1)])
     if a.since_step_m < params.step_way_m and a.quarantine_m * a.step_m < 0.0:
         a.returned = 0.5  # back within a slot's width: what was believed was a slot
+    # a start in a slot: that the ground outside it stays says nothing about steps
+    began_in_slot = a.step_ns == 0 and a.since_step_m < params.step_way_m and a.quarantine_m > 0.0
     a.since_step_m = 0.0
-    a.step_m = a.quarantine_m / n
+    a.step_m = 0.0 if began_in_slot else a.quarantine_m / n
     a.step_ns = a.sample_ns
     a.quarantined = a.disagreed = 0
 
