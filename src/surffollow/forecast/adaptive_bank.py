@@ -15,10 +15,8 @@ SLOPE, CURVE, WAVE = 0, 1, 2
 # Of a model's candidates the first leads by its whole slope; less is calmer, and where slopes do not last it
 # is nearer the ground too. The same filter serves all candidates of a model.
 _HALF, _NONE = 0.5, 0.0
-_STIFF, _CALM = (
-    0.01,
-    0.05,
-)  # noise of slopes that last: of a gently curved panel, and of a plane with few bends
+_STIFF = 0.01  # noise of slopes that last, as those of a gently curved panel …
+_CALM = 0.05  # … or of planes with few bends
 
 
 def _models() -> Any:

@@ -172,7 +172,7 @@ def weigh(params: Any, a: Any, dt_s: Any) -> None:
     floor = params.score_floor_m * params.score_floor_m
     mu = params.effort_m * params.effort_m
     # where noise hides the differences they are small, yet tell; great errors are of few places, often chance
-    share = noise_part(a)
+    share = noise_in(best, a.noise_m)
     # what a few samples say is mostly luck, and fine differences are told by many only
     told = min(a.scored / JUDGED, 1.0)
     sharp = share * share * a.scored / SHARP
