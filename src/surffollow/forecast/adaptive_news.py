@@ -59,23 +59,19 @@ def watch_clock(a: Any, t_ns: Any, pose_t_ns: Any) -> None:
 
 
 @jit
-def tool_tip(params: Any) -> Any:
-    """Find the point on the tool's axis that should touch the ground, and how far the beam ends beside it.
+def tool_tip(params: Any, pose: Any) -> Any:
+    """Find the point on the tool's axis that should touch the ground, from the tool, in the world's axes [m].
 
     The axis is that of the tool's frame which channel 0's beam lies nearest to.
-
-    Returns
-    -------
-    6 float64  in the tool's frame: the point, and from there to the beam's end at the desired stand-off [m]
     """
     m = params.tool_from_sensor
-    bx, by, bz = rotate(m[3], m[4], m[5], m[6], 0.0, 0.0, -1.0)
-    x, y, z = m[0] + params.offset_m * bx, m[1] + params.offset_m * by, m[2] + params.offset_m * bz
-    if abs(bz) >= abs(bx) and abs(bz) >= abs(by):
-        return 0.0, 0.0, z, x, y, 0.0
-    if abs(bx) >= abs(by):
-        return x, 0.0, 0.0, 0.0, y, z
-    return 0.0, y, 0.0, x, 0.0, z
+    x, y, z = rotate(m[3], m[4], m[5], m[6], 0.0, 0.0, -params.offset_m)
+    along_z = abs(z) >= abs(x) and abs(z) >= abs(y)
+    along_x = not along_z and abs(x) >= abs(y)
+    x = m[0] + x if along_x else 0.0
+    y = 0.0 if along_x or along_z else m[1] + y
+    z = m[2] + z if along_z else 0.0
+    return rotate(pose[3], pose[4], pose[5], pose[6], x, y, z)
 
 
 @jit
@@ -88,20 +84,11 @@ def tool_above(params: Any, a: Any, sense: Any, plane: Any, pose: Any) -> Any:
     for i in range(7):
         pose[i] = sense.pose[newest + i]
     if plane == 0:
-        _, _, ground_z, _ = footprint(pose, params.tool_from_sensor, 0, params.offset_m)
-        _, _, _, bx, by, bz = tool_tip(params)
-        _, _, beside_z = rotate(pose[3], pose[4], pose[5], pose[6], bx, by, bz)
-        return pose[2] - ground_z + beside_z
+        _, _, tip_z = tool_tip(params, pose)
+        return -tip_z
     tx, ty, tz = rotate(pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, 1.0)
     along = tz - a.slope_x * tx - a.slope_y * ty  # (tool axis · normal) over the normal's z
     return (params.offset_m - params.tool_from_sensor[2]) * along
-
-
-@jit
-def watch_tip(params: Any, a: Any, pose: Any) -> None:
-    """Note where the tool points: beside it when it is tilted, not below it."""
-    x, y, z, _, _, _ = tool_tip(params)
-    a.tip_x_m, a.tip_y_m, _ = rotate(pose[3], pose[4], pose[5], pose[6], x, y, z)
 
 
 @jit
@@ -150,7 +137,7 @@ def take_news(params: Any, state: Any, inputs: Any, output: Any, plane: Any, pos
                 output.fresh &= ~(1 << c)
     a.tip_x_m = a.tip_y_m = 0.0
     if plane == 0:
-        watch_tip(params, a, pose)
+        a.tip_x_m, a.tip_y_m, _ = tool_tip(params, pose)
     if a.speed_mps >= KNOWN_DIRECTION_MPS:
         lead_x, lead_y = x - tool_x - a.tip_x_m, y - tool_y - a.tip_y_m
         lead = (lead_x * a.speed_x_mps + lead_y * a.speed_y_mps) / a.speed_mps
