@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from surffollow.contest.report import markdown_table
 from surffollow.contest.runner import run_cells
 from surffollow.contest.suite import Cell, main_cells, surface_names, sweep_cells
 from surffollow.errors import FaultError, UsageError
+from surffollow.sim.plant import PlantConfig
 
 from .naive_world import make_python_p
 
@@ -51,6 +53,26 @@ def test_json_has_one_row_per_method_surface_speed_and_lead(hill: str) -> None:
         assert 0.0 <= r["rms_m"] <= r["peak_m"] < 0.05
         assert r["rms_ci95_m"][0] <= r["rms_m"] <= r["rms_ci95_m"][1]
         assert {"p95_m", "within_1mm", "demand_accel_mps2", "lag_s", "min_clearance_m"} <= set(r)
+
+
+def test_what_two_cells_share_is_run_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    main = Cell("iso-c", 0.4)
+    slow_axis = main.conditions.but(plant=PlantConfig(tau_s=0.06))
+    cells = [main, replace(main, variant="latency=0.03")]  # a sweep's point that is in the main table too
+    cells += [Cell("iso-c", 0.4, main.conditions.but(lead_m=0.05)), Cell("iso-c", 0.4, slow_axis)]
+    alone = [run_cells([cell], ["p", "limit"], [0, 1], processes=1) for cell in cells]
+    done: list[tuple[str, float, float]] = []
+    do_task = runner.do_task
+
+    def counted(task: runner.Task) -> runner.Result:
+        done.append((task.method, task.cell.conditions.lead_m, task.cell.conditions.plant.tau_s))
+        return do_task(task)
+
+    monkeypatch.setattr(runner, "do_task", counted)
+    together = run_cells(cells, ["p", "limit"], [0, 1], processes=1)
+    assert sorted(done) == [("limit", 0.0, 0.04), ("p", 0.0, 0.04), ("p", 0.0, 0.06), ("p", 0.05, 0.04)]
+    assert [r.row() for r in together] == [r.row() for part in alone for r in part]
+    assert [r.cell for r in together] == [cell for cell in cells for _ in range(2)]
 
 
 def test_files_of_one_stem_are_told_apart_and_nothing_runs_twice(hill: str, tmp_path: Path) -> None:

@@ -31,6 +31,8 @@ def drive(follower: FollowerLike, s: Any, w: World, start_ns: int = START_NS) ->
     nothing = np.array([math.nan])
     step, pose = follower.step, follower.pose
     reports, readings = w.reports, w.readings
+    run = s.base  # the array whose record this is: numba takes it in a sixth of the time
+    now_ms, poses_told, samples_told, demand_m = run["ms"], run["poses"], run["samples"], run["demand_m"]
     pose_ns = (start_ns + reports["ms"] * MS_NS).tolist()
     sample_ns = (start_ns + readings["ms"] * MS_NS).tolist()
     ranges, x, z = readings["range"], reports["x"], reports["z"]
@@ -39,17 +41,18 @@ def drive(follower: FollowerLike, s: Any, w: World, start_ns: int = START_NS) ->
     order = np.argsort(arrivals, kind="stable").tolist()
     told, poses = 0, len(reports)
     while True:
-        event = advance_to_tick(s, w)
-        for k in order[told : int(s["poses"]) + int(s["samples"])]:
+        event = advance_to_tick(run, w)
+        arrived = int(poses_told[0] + samples_told[0])
+        for k in order[told:arrived]:
             if k < poses:
                 pose(pose_ns[k], np.array([x[k], 0.0, z[k], 0.0, 0.0, 0.0, 1.0]))
             else:
                 i = k - poses
                 step(sample_ns[i], ranges[i : i + 1].copy())
-        told = int(s["poses"]) + int(s["samples"])
+        told = arrived
         if event == END:
             return
-        s["demand_m"] = step(start_ns + int(s["ms"]) * MS_NS, nothing)[2]
+        demand_m[0] = step(start_ns + int(now_ms[0]) * MS_NS, nothing)[2]
 
 
 def travel_back(follower: FollowerLike, scene: Scene, z_m: float, start_ns: int) -> int:

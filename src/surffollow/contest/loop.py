@@ -165,12 +165,13 @@ def advance(s: Any, w: World) -> int:
 
 
 @jit
-def advance_to_tick(s: Any, w: World) -> int:
+def advance_to_tick(run: NDArray[Any], w: World) -> int:
     """Run to the next `TICK` or to the `END`, past arrivals: `poses` and `samples` say what came meanwhile.
 
     What a follower is told between ticks changes nothing before the next tick, so it can be told then.
+    `run` is (1,) of `RUN`.
     """
     while True:
-        event: int = advance(s, w)
+        event: int = advance(run[0], w)
         if event in (TICK, END):
             return event
