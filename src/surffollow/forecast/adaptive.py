@@ -10,7 +10,7 @@ import math
 from typing import Any
 
 from surffollow.forecast.adaptive_adapt import report_adapted
-from surffollow.forecast.adaptive_bank import LEAD_SHARE, MODEL, C, look_ahead
+from surffollow.forecast.adaptive_bank import LEAD_SHARE, MODEL, C, height_of, look_ahead
 from surffollow.forecast.adaptive_health import has_been_stuck, is_stuck, patience_s, watch_health
 from surffollow.forecast.adaptive_judge import note_targets
 from surffollow.forecast.adaptive_latency import forget_rest
@@ -63,6 +63,9 @@ SOFT = 2.5
 CALM_GAP_S = 0.1  # after a longer pause the set point begins where it is wanted
 SURE_SAMPLES = 25  # fewer, and then none: not enough to go down for
 LEAST_WEIGHT = 1e-3  # candidates with less have no say in that rate
+STEEP = 0.2  # slopes that may go on anywhere …
+STEEPER = 3.0  # … and multiples of the RMS slope of the last metre …
+FLANK_M = 1e-3  # … and so much more in any case
 
 
 @jit
@@ -83,6 +86,17 @@ def lost_for_s(a: Any) -> Any:
 
 
 @jit
+def set_point_of(i: Any, a: Any, ahead_m: Any, lead_m: Any, steepest: Any) -> Any:
+    """Height that candidate i asks for `ahead_m` beyond the last footprint, leading by `lead_m` more.
+
+    Ground far steeper than it has been is a flank, and ends soon: it is not expected to go on at that rate.
+    """
+    h = height_of(MODEL[i], a.state)
+    most = FLANK_M + steepest * (abs(ahead_m) + lead_m)
+    return h + min(max(look_ahead(MODEL[i], a.state, ahead_m, lead_m) - h, -most), most)
+
+
+@jit
 def blend_set_points(params: Any, a: Any, ahead_m: Any, drop_m: Any, tick: Any) -> Any:
     """Blend the candidates' set points; on a tick remember each.
 
@@ -99,14 +113,14 @@ def blend_set_points(params: Any, a: Any, ahead_m: Any, drop_m: Any, tick: Any) 
         lead *= fade
     slot = a.ticks & (TICKS - 1)
     step_m = a.speed_mps * RATE_STEP_S
+    steepest = max(STEEP, STEEPER * math.sqrt(a.slope_power))
     z, later = 0.0, 0.0
     for i in range(C):
-        t = look_ahead(MODEL[i], a.state, ahead_m, LEAD_SHARE[i] * lead) + drop_m
+        lead_m = LEAD_SHARE[i] * lead
+        t = set_point_of(i, a, ahead_m, lead_m, steepest) + drop_m
         z += a.weight[i] * t
         if a.weight[i] > LEAST_WEIGHT:
-            later += a.weight[i] * (
-                look_ahead(MODEL[i], a.state, ahead_m + step_m, LEAD_SHARE[i] * lead) + drop_m - t
-            )
+            later += a.weight[i] * (set_point_of(i, a, ahead_m + step_m, lead_m, steepest) + drop_m - t)
         if tick:
             a.target_m[i * TICKS + slot] = t
     new = a.accepted_ns - a.step_ns < SETTLE_NS and a.since_step_m < params.step_way_m
@@ -251,7 +265,7 @@ def forget_all(params: Any, a: Any) -> None:
     a.samples = a.quarantined = a.set_ns = a.turn_ns = a.seen_known = 0
     a.noise_m = a.returned = 0.0  # scores, noise and scale begin anew with the next sample
     a.height_m = a.slope = a.sigma_m = a.scale_m = a.gain = a.path_m = a.sample_way_m = a.lead_m = 0.0
-    a.tip_x_m = a.tip_y_m = 0.0
+    a.tip_x_m = a.tip_y_m = a.slope_power = 0.0
     a.calm_m = a.wanted_m = a.wanted_mps = a.plan_set_m = 0.0
     a.preview_share = a.preview_bias_m = a.preview_off_m = a.error_m2 = a.plain_m2 = 0.0
     a.scout_lead_m = a.scout_bias_m = a.older_s = a.older_sigma_s = 0.0

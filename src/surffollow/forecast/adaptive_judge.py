@@ -12,6 +12,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from surffollow.forecast.adaptive_bank import (
     BANK,
     CALM,
@@ -39,12 +41,16 @@ CAUTION = 3.0  # power of what a model claims to know, while nothing else is kno
 BIAS_RATE = 0.2  # per sample
 BIAS_MOST = 4.0  # standard deviations that one innovation counts at most
 BIAS_SURE, BIAS_COST_MOST = 16.0, 20.0  # beyond four standard deviations it is no chance
-WEIGHT_S = 0.01  # in which weights come nearer to what the scores say, where all is noise
+WEIGHT_S = 0.01  # in which weights come nearer to what the scores say, where all is noise …
+ROUGH_WEIGHT_S = 0.05  # … and where much is seen that no model foresaw
 LEAST_WEIGHT_S = 1e-6
 LONG_SHARP = 10.0  # times its power has the longer horizon where it decides …
 LONG_SHARE = 0.9  # … and takes off the other's
 BIASED = 4.5  # cost of the bias in force that halves that
 JUDGED, SHARP = 200, 500  # samples after which scores count fully, and as sharply as they may
+# where all is noise a wave fits some of it for a while, and a curve some: what chance must be outdone by
+LUCK = np.array([0.0, 1.0, 3.0])[BANK[MODEL, 0].astype(np.int64)]
+YOUNG_LUCK = 4.0  # times as much at the very beginning
 
 
 @jit
@@ -159,8 +165,8 @@ def settled(a: Any, best_long_m2: Any) -> Any:
 def weigh(params: Any, a: Any, dt_s: Any) -> None:
     """Turn scores into weights: powers of recent and longer cost, noise taken off.
 
-    Where all is noise a few readings may turn the weights over, and the next ones back: there they follow
-    slowly, unless the models in force are biased.
+    A few readings may turn the weights over, and the next ones back: where all is noise, and in the middle of
+    what nobody foresaw. There weights follow slowly, unless the models in force are biased.
     """
     best, best_long = a.score_m2[0], a.long_m2[0]
     for i in range(1, C):
@@ -174,8 +180,8 @@ def weigh(params: Any, a: Any, dt_s: Any) -> None:
     # where noise hides the differences they are small, yet tell; great errors are of few places, often chance
     share = noise_in(best, a.noise_m)
     # what a few samples say is mostly luck, and fine differences are told by many only
-    told = min(a.scored / JUDGED, 1.0)
-    sharp = share * share * a.scored / SHARP
+    told, old = min(a.scored / JUDGED, 1.0), a.scored / SHARP
+    sharp = share * share * old
     long = settled(a, best_long)
     power = params.long_power + (params.score_power - params.long_power) * sharp * (1.0 - LONG_SHARE * long)
     long_power = params.long_power + (LONG_SHARP * params.long_power - params.long_power) * long
@@ -184,6 +190,7 @@ def weigh(params: Any, a: Any, dt_s: Any) -> None:
     if a.lead_m > LEADING_M:
         young = 0.0  # what was seen there is followed, not what they expect
     ahead_m = a.speed_mps * (a.late_s + a.tau_s)
+    luck = share * share * (YOUNG_LUCK - (YOUNG_LUCK - 1.0) * old)
     least_bias2 = 1e300
     for i in range(N):
         least_bias2 = min(least_bias2, a.bias[i] * a.bias[i])
@@ -196,7 +203,7 @@ def weigh(params: Any, a: Any, dt_s: Any) -> None:
         sure = 1.0 if BANK[MODEL[i], 0] == WAVE else share * share
         bias = bias_cost(a.bias[MODEL[i]], least_bias2)
         biased += a.weight[i] * bias
-        c = told * (c + sure * bias) + PRIOR[i]
+        c = told * (c + sure * bias) + PRIOR[i] + luck * LUCK[i]
         if young > 0.0:
             c += CAUTION * young * math.log(look_ahead_variance(MODEL[i], a.cov, ahead_m) + noise)
         a.cost[i] = c
@@ -205,7 +212,8 @@ def weigh(params: Any, a: Any, dt_s: Any) -> None:
     for i in range(C):
         a.cost[i] = math.exp(least - a.cost[i])
         total += a.cost[i]
-    slow_s = WEIGHT_S * share * share / (1.0 + (biased / BIASED) ** 2)
+    slow_s = WEIGHT_S * share * share + ROUGH_WEIGHT_S * (1.0 - share * share) * old
+    slow_s /= 1.0 + (biased / BIASED) ** 2
     rate = 1.0 - math.exp(-dt_s / max(slow_s, LEAST_WEIGHT_S))
     for i in range(C):
         a.weight[i] += rate * (a.cost[i] / total - a.weight[i])

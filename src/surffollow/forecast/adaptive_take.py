@@ -47,6 +47,7 @@ SETTLE_NS = 150_000_000  # after a step all shadows are wrong alike
 FIRST_SETTLE_NS = 60_000_000  # after a start, until set points made of a few samples have had effect
 GAP_NS = 100_000_000  # after a longer gap no way is asked for: there was enough of it
 LONGEST_WAY_M = 0.5  # unseen ground of this length: what was known is of no use
+STEEP_WAY_M = 1.0  # over which it is learnt how steep the ground is
 
 
 @jit
@@ -260,6 +261,7 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
     for i in range(N):
         update_model(i, a.state, a.cov, h_m, r)
     blend(a)
+    a.slope_power += (1.0 - math.exp(-way / STEEP_WAY_M)) * (a.slope * a.slope - a.slope_power)
     if a.scored == 0:
         put_shadows(a, a.height_m + drop_m)
     a.samples += 1

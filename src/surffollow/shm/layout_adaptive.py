@@ -97,6 +97,7 @@ class AdaptiveState(Schema):
     weight = F64(CANDIDATES, doc="share of the candidate in the blend")
     height_m = F64(unit="m", doc="blended height at the last sample")
     slope = F64(unit="1", doc="blended slope there")
+    slope_power = F64(unit="1", doc="its mean square over the last metre")
     gain = F64(doc="share of a new sample in the blended height")
     sample_way_m = F64(unit="m", doc="usual way between samples")
     sigma_m = F64(unit="m", doc="uncertainty of that height, spread of the models included")
