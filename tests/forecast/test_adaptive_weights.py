@@ -29,7 +29,7 @@ AT_ONCE_S = 1.0
 def turned(rms_m: float, dt_s: float, deviations: float = 0.0, scored: int = SHARP) -> float:
     """How much of its way the weight of a model goes in a time after it has become the best one.
 
-    `deviations`: bias of the model that was the best before, in standard deviations; `scored`: samples judged.
+    `deviations`: bias of the model that was best before, in standard deviations; `scored`: samples judged.
     """
     a = zeros(AdaptiveState)[0]
     a["noise_m"], a["scored"], a["samples"] = NOISE_M, scored, SHARP
