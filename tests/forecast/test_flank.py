@@ -8,8 +8,8 @@ import pytest
 from surffollow.contest.conditions import STANDOFF_M, Conditions
 from surffollow.contest.runner import run_method
 from surffollow.contest.scene import make_scene
-from surffollow.forecast.adaptive import FLANK_M, set_point_of
 from surffollow.forecast.adaptive_bank import BANK, MODEL, SLOPE, C, height_of, look_ahead
+from surffollow.forecast.adaptive_blend import FLANK_M, set_point_of
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.sim.profiles_measured import from_points
