@@ -43,10 +43,10 @@ BIAS_MOST = 4.0  # standard deviations that one innovation counts at most
 BIAS_SURE, BIAS_COST_MOST = 16.0, 20.0  # beyond four standard deviations it is no chance
 WEIGHT_S = 0.01  # in which weights come nearer to what the scores say, where all is noise …
 ROUGH_WEIGHT_S = 0.05  # … and where much is seen that no model foresaw
+BIASED = 4.5  # cost of the bias in force that halves these times
 LEAST_WEIGHT_S = 1e-6
 LONG_SHARP = 10.0  # times its power has the longer horizon where it decides …
 LONG_SHARE = 0.9  # … and takes off the other's
-BIASED = 4.5  # cost of the bias in force that halves that
 JUDGED, SHARP = 200, 500  # samples after which scores count fully, and as sharply as they may
 # where all is noise a wave fits some of it for a while, and a curve some: what chance must be outdone by
 LUCK = np.array([0.0, 1.0, 3.0])[BANK[MODEL, 0].astype(np.int64)]
