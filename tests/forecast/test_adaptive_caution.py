@@ -9,7 +9,7 @@ import pytest
 
 from surffollow.contest.conditions import Conditions
 from surffollow.contest.trials import Job, excursion
-from surffollow.forecast.adaptive import CALM_S, SOFT, blend_set_points, hold_calm
+from surffollow.forecast.adaptive_blend import CALM_S, SOFT, blend_set_points, hold_calm
 from surffollow.forecast.adaptive_bank import (
     BANK,
     LEAD_SHARE,
