@@ -34,6 +34,7 @@ lint: $(STAMP)
 	$(VENV)/bin/ruff check src tests tools
 	$(VENV)/bin/ruff format --check src tests tools
 	$(VENV)/bin/mypy
+	$(VENV)/bin/mypy --config-file tests/mypy.ini
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info src/*.egg-info

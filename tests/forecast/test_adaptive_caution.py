@@ -9,7 +9,6 @@ import pytest
 
 from surffollow.contest.conditions import Conditions
 from surffollow.contest.trials import Job, excursion
-from surffollow.forecast.adaptive_blend import CALM_S, SOFT, blend_set_points, hold_calm
 from surffollow.forecast.adaptive_bank import (
     BANK,
     LEAD_SHARE,
@@ -20,6 +19,7 @@ from surffollow.forecast.adaptive_bank import (
     look_ahead,
     look_ahead_variance,
 )
+from surffollow.forecast.adaptive_blend import CALM_S, SOFT, blend_set_points, hold_calm
 from surffollow.forecast.adaptive_judge import JUDGED, SHARP, weigh
 from surffollow.forecast.adaptive_motion import measure_motion
 from surffollow.forecast.pose import push_pose

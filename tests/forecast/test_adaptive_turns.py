@@ -25,7 +25,7 @@ class Run:
         mounts = [s.get("position_m", [0.0])[0] for s in sensors]
         rng = np.random.default_rng(0)
         z, v, goal = 0.1 + ground(*way(0.0)[:2]), 0.0, 0.0
-        self.errors, self.way_m = [], []
+        errors = []
         for k in range(int(seconds * 1e3)):
             t, (x, y, yaw) = 10**10 + k * MS, way(1e-3 * k)
             if k % 10 == 0:
@@ -39,8 +39,8 @@ class Run:
             wanted = np.clip((goal - z) / 0.04, -0.2, 0.2)
             v += float(np.clip(wanted - v, -2e-3, 2e-3))
             z += 1e-3 * v
-            self.errors.append(z - ground(x, y) - 0.1)
-        self.errors = np.array(self.errors)
+            errors.append(z - ground(x, y) - 0.1)
+        self.errors = np.array(errors)
 
     def rms_m(self, from_s: float) -> float:
         return float(np.sqrt(np.mean(self.errors[int(from_s * 1e3) :] ** 2)))

@@ -151,8 +151,8 @@ def test_while_the_map_is_being_laid_nothing_is_known():
 def test_a_place_that_is_nowhere_is_unknown(bad):
     m = Map()
     m.add(3, 5, 0.01)
-    for place in ((bad, 0.0, GRID, 0.0), (0.0, bad, GRID, 0.0), (0.0, 0.0, bad, 0.0), (0.0, 0.0, 0.0, bad)):
-        assert m.look(START, *place, 20)[0] == 0
+    for x, y, dx, dy in ((bad, 0, GRID, 0), (0, bad, GRID, 0), (0, 0, bad, 0), (0, 0, 0, bad)):
+        assert m.look(START, float(x), float(y), float(dx), float(dy), 20)[0] == 0
 
 
 def test_a_line_on_the_border_of_two_rows_knows_what_either_row_knows():
