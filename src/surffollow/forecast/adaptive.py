@@ -11,6 +11,7 @@ from typing import Any
 
 from surffollow.forecast.adaptive_adapt import report_adapted
 from surffollow.forecast.adaptive_bank import C
+from surffollow.forecast.adaptive_beyond import forget_beyond, guess_beyond
 from surffollow.forecast.adaptive_blend import blend_set_points, hold_calm, lost_for_s
 from surffollow.forecast.adaptive_health import has_been_stuck, is_stuck, watch_health
 from surffollow.forecast.adaptive_latency import forget_rest
@@ -127,12 +128,13 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
         taken_ns = taken_at(a, inputs.n_ranges, a.now_ns)
         since = a.speed_mps * (taken_ns - pose_t_ns) * 1e-9
         then = ahead + a.speed_mps * ((taken_ns - a.now_ns) * 1e-9 - params.tick_lead_s)
-        bias = a.scout_bias_m if leading == 0 else 0.0
+        bias = a.scout_bias_m if scouted != 0 and leading == 0 else 0.0
         known = gather_preview(a, inputs, max(leading, scouted), then, since, bias)
         move_share(a, known, leading, plant_error(a))
         a.seen_known = known if leading != 0 else 0
         if known >= COVERED:
             z, v = own_axis(params, a, taken_ns)
+            guess_beyond(a, known, a.path_m + then, bias)
             speed = plan_axis(params, a, known, z, v, drop)
             a.plan_set_m = invert_axis(params, a.tau_s, z, v, speed)
     if a.seen_known >= 2:
@@ -190,6 +192,7 @@ def forget_all(params: Any, a: Any) -> None:
     for k in range(HORIZON):
         a.plan_u[k] = a.plan_y[k] = 0.0
     forget_rest(a)
+    forget_beyond(a)
 
 
 @jit

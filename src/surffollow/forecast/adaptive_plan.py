@@ -3,8 +3,9 @@
     min  ½ Σ w (z − g)² + ½ λ Σ a²   with |a| ≤ a_max, from where the axis is and how it moves
 
 solved by the alternating direction method: one pentadiagonal system, factored once, and a clip, a fixed
-number of times, warm-started from the last tick. Just beyond the known ground the last height carries
-half the weight, lest the axis arrive there at a speed it cannot lose; farther on nothing does.
+number of times, warm-started from the last tick. Just beyond the known ground what is guessed
+(`adaptive_beyond`) carries half the weight, lest the axis arrive there at a speed it cannot lose; farther on
+nothing does.
 
 Alone that would take half of a step down before its edge, toward solid ground. So what goes down before the
 ground does costs more: ½ W (b − z)² where z is below b, with W large. Then the system is factored anew.
@@ -29,7 +30,7 @@ EARLY_M, EARLY_WEIGHT = 1.5e-3, 300.0  # lower than that before the ground falls
 EDGE_M = 6e-4  # an edge may lie so much farther on than seen
 FORESEEN = 5  # ticks from now on; the errors until then may be the robot's own
 FADE = 0.98  # per tick: readings tell of an error late
-AFTER, AFTER_WEIGHT = 16, 0.5  # ticks beyond the known ground, which is guessed to stay as it ended there
+AFTER, AFTER_WEIGHT = 16, 0.5  # ticks beyond the known ground
 
 
 @jit
@@ -113,7 +114,7 @@ def plan_axis(params: Any, a: Any, known: Any, z_m: Any, v_mps: Any, drop_m: Any
 
     Parameters
     ----------
-    params, a : records of `Params`, `AdaptiveState`; `a.plan_g_m` holds the ground, from now on
+    params, a : records of `Params`, `AdaptiveState`; `a.plan_g_m` holds all ground from now on
     known : int            ticks of ground known
     z_m, v_mps : float64   axis now
     drop_m : float64       tool above ground
@@ -140,7 +141,7 @@ def plan_axis(params: Any, a: Any, known: Any, z_m: Any, v_mps: Any, drop_m: Any
             break
         for k in range(n):
             # point k lies k + 1 ticks from now
-            ground = a.plan_g_m[min(k + 1, known - 1)] + drop_m - z_m
+            ground = a.plan_g_m[min(k + 1, n - 1)] + drop_m - z_m
             a.plan_z_m[k] = ground_weight(k, known) * ground
             if a.plan_early[k] != 0:
                 a.plan_z_m[k] += EARLY_WEIGHT * a.plan_bound_m[k]

@@ -21,6 +21,7 @@ from surffollow.forecast.adaptive_bank import (
     start_model,
     update_model,
 )
+from surffollow.forecast.adaptive_beyond import learn_beyond
 from surffollow.forecast.adaptive_judge import advance_shadows, put_shadows, score, watch_bias, weigh
 from surffollow.forecast.adaptive_preview import LEADING_M, note_ground
 from surffollow.shm.jit import jit
@@ -113,6 +114,7 @@ def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any
     a.step_ns = 0
     a.path_m += LONGEST_WAY_M + min(way_m, LONGEST_WAY_M)  # nothing seen before is near
     note_ground(a, a.path_m, h_m)
+    a.mean_m, a.mean_way_m = h_m, 0.0
     blend(a)
 
 
@@ -267,4 +269,6 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
     a.samples += 1
     a.accepted_ns = t_ns
     note_ground(a, a.path_m, h_m)
+    if adapt != 0:
+        learn_beyond(a, h_m, way)
     return 1

@@ -6,6 +6,7 @@ from surffollow.shm.schema import F64, I64, Schema
 
 BEAMS = 8
 CANDIDATES = 64  # most candidates, and models
+BEYOND = 3  # distances beyond the ground seen ahead for which it is guessed
 CELLS = 512  # of ground seen ahead, 1 mm each
 KEPT = 32  # quarantined samples that become ground when they are believed
 HORIZON = 40  # ticks planned ahead
@@ -133,6 +134,14 @@ class AdaptiveState(Schema):
     cell_s_m = F64(CELLS, unit="m", doc="mean way coordinate")
     cell_x_m = F64(CELLS, unit="m", doc="where it was seen first")
     cell_y_m = F64(CELLS, unit="m")
+    mean_m = F64(unit="m", doc="mean height of the way lately")
+    mean_way_m = F64(unit="m", doc="over how much of it")
+    beyond_oo_m2 = F64(BEYOND, unit="m^2", doc="of ground some way back its squared distance from the mean")
+    beyond_or_m2 = F64(BEYOND, unit="m^2", doc="that distance times its rise just before")
+    beyond_rr_m2 = F64(BEYOND, unit="m^2", doc="that rise squared")
+    beyond_om_m2 = F64(BEYOND, unit="m^2", doc="that distance times the rise since")
+    beyond_rm_m2 = F64(BEYOND, unit="m^2", doc="the rise before times that since")
+    beyond_mm_m2 = F64(BEYOND, unit="m^2", doc="the rise since squared")
     preview_share = F64(doc="share of the planned set point, 0 to 1")
     error_m2 = F64(unit="m^2", doc="recent squared stand-off error of the tool itself")
     plain_m2 = F64(unit="m^2", doc="the same without preview, over longer")

@@ -1,0 +1,171 @@
+"""Ground beyond what is seen ahead: planes go on, waves turn, boxes end, what is unknown stays as it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from surffollow.contest.conditions import Conditions
+from surffollow.contest.runner import run_method, scene_of, score_run
+from surffollow.contest.suite import Cell
+from surffollow.forecast import adaptive_beyond as beyond
+from surffollow.forecast.adaptive_preview import STEP_S, note_ground, seen_height
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import HORIZON, AdaptiveState
+
+STEP_M = 1.6e-3  # between samples: 250 Hz at 400 mm/s
+KNOWN = 8
+Ground = Callable[[float], float]
+
+
+def seen(ground: Ground, way_m: float, sigma_m: float = 0.0, seed: int = 0) -> np.void:
+    """A follower that has seen so much of this ground, at 400 mm/s."""
+    rng = np.random.default_rng(seed)
+    a = zeros(AdaptiveState)[0]
+    a["speed_mps"] = a["speed_x_mps"] = 0.4
+    a["path_m"] = 1.0
+    for k in range(int(way_m / STEP_M)):
+        a["path_m"] += STEP_M if k else 0.0
+        h = ground(a["path_m"] - 1.0) + sigma_m * rng.standard_normal()
+        note_ground(a, a["path_m"], h)
+        beyond.learn_beyond(a, h, STEP_M)
+    return a
+
+
+def guess(a: np.void, ground: Ground, bias_m: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Guessed heights and the way beyond the end of the ground seen."""
+    step = 0.4 * STEP_S
+    start = a["path_m"] - step * (KNOWN - 1) - 1e-9
+    a["plan_g_m"] = np.nan
+    a["plan_g_m"][:KNOWN] = [ground(start + step * k - 1.0) + bias_m for k in range(KNOWN)]
+    beyond.guess_beyond(a, KNOWN, start, bias_m)
+    return a["plan_g_m"][KNOWN:].copy(), step * np.arange(1, HORIZON - KNOWN + 1)
+
+
+def plane(s: float) -> float:
+    return 0.2 * s
+
+
+def wave(s: float) -> float:
+    return 5e-3 * math.sin(2 * math.pi * s / 0.2)
+
+
+def boxes(s: float) -> float:
+    return 0.02 if math.sin(2 * math.pi * s / 0.11) + math.sin(2 * math.pi * s / 0.17) > 0.9 else 0.0
+
+
+@pytest.mark.parametrize("ground", [plane, wave])
+def test_a_plane_goes_on_and_a_wave_turns(ground: Ground) -> None:
+    for way in (2.0, 2.03, 2.07, 2.12):
+        a = seen(ground, way)
+        got, x = guess(a, ground)
+        end = a["path_m"] - 1.0
+        near = x <= 0.08
+        true = np.array([ground(end + d) for d in x[near]])
+        stay = np.abs(true - ground(end)).max()
+        assert np.abs(got[near] - true).max() < 0.4 * max(stay, 4e-3)
+
+
+def test_ground_of_which_little_was_seen_stays_as_it_ended() -> None:
+    a = seen(plane, 0.03)
+    got, _ = guess(a, plane)
+    assert got == pytest.approx(np.full(HORIZON - KNOWN, plane(a["path_m"] - 1.0)), abs=1e-9)
+
+
+def test_noise_on_level_ground_moves_the_guess_by_less_than_itself() -> None:
+    a = seen(lambda s: 0.0, 3.0, sigma_m=2.5e-4, seed=3)
+    got, _ = guess(a, lambda s: 0.0)
+    assert np.abs(got).max() < 2.5e-4
+
+
+def test_a_box_comes_to_an_end_and_so_does_the_hollow_between_two() -> None:
+    tried = {True: 0, False: 0}
+    for way in np.arange(3.0, 4.2, 0.013):
+        a = seen(boxes, float(way))
+        end = boxes(a["path_m"] - 1.0)
+        if boxes(a["path_m"] - 1.03) != end:
+            continue  # just behind an edge that edge tells more
+        got, x = guess(a, boxes)
+        tried[end > 0] += 1
+        low, high = min(end, a["mean_m"]), max(end, a["mean_m"])
+        far = got[x >= 0.04]
+        assert np.all((far >= low - 3e-3) & (far <= high + 3e-3))
+        assert abs(far[-1] - end) > 0.3 * (high - low)
+    assert min(tried.values()) > 3
+
+
+def test_the_guess_begins_at_the_end_and_rises_by_45_degrees_at_most() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        table = np.cumsum(0.03 * rng.standard_normal(2000))
+        a = seen(lambda s, t=table: float(t[int(s / 5e-3)]), 2.0)
+        got, x = guess(a, lambda s, t=table: float(t[int(s / 5e-3)]))
+        last = a["plan_g_m"][KNOWN - 1]
+        assert np.all(np.abs(got - last) <= np.minimum(x, 0.08) + 1e-12)
+
+
+def test_the_bias_of_scouts_lifts_the_guess_and_changes_nothing_else() -> None:
+    a = seen(wave, 2.0)
+    plain, _ = guess(a, wave)
+    lifted, _ = guess(a, wave, bias_m=3e-3)
+    assert lifted - 3e-3 == pytest.approx(plain, abs=1e-12)
+
+
+def test_the_sums_are_those_of_the_slow_twin() -> None:
+    rng = np.random.default_rng(11)
+    table = np.cumsum(1e-3 * rng.standard_normal(4000))
+    a = seen(lambda s: float(table[round(s / STEP_M)]), 1.5)
+    heights, mean, way = table[: int(1.5 / STEP_M)], 0.0, 0.0
+    places = 1.0 + STEP_M * np.arange(len(heights))
+    sums = np.zeros((len(beyond.BEYOND_M), 6))
+    rate = 1.0 - math.exp(-STEP_M / beyond.LEARN_WAY_M)
+    for n, (place, h) in enumerate(zip(places, heights, strict=True)):
+        way = min(way + STEP_M, beyond.MEAN_WAY_M)
+        mean += STEP_M / way * (h - mean)
+        for j, d in enumerate(beyond.BEYOND_M):
+            if place - d - beyond.RISE_M < places[0]:
+                continue
+            before, earlier = np.interp(
+                [place - d, place - d - beyond.RISE_M], places[: n + 1], heights[: n + 1]
+            )
+            o, r, m = before - mean, before - earlier, h - before
+            sums[j] += rate * (np.array([o * o, o * r, r * r, o * m, r * m, m * m]) - sums[j])
+    names = ("oo", "or", "rr", "om", "rm", "mm")
+    got = np.array([a[f"beyond_{name}_m2"] for name in names]).T
+    assert a["mean_m"] == pytest.approx(mean, abs=1e-12)
+    assert got == pytest.approx(sums, rel=1e-6, abs=1e-15)
+    o, r = 4e-3, -2e-3
+    for j, (oo, both, rr, om, rm, mm) in enumerate(sums):
+        sure = beyond.SURE_M2 * np.eye(2)
+        p = np.linalg.solve(np.array([[oo, both], [both, rr]]) + sure, [om, rm])
+        more = p @ [o, r]
+        share = beyond.OPEN * max(mm - p @ [om, rm], 0.0) / (oo + beyond.SURE_M2)
+        more -= (o + more) * min(share, 1.0)
+        assert beyond.rise_beyond(a, j, o, r) == pytest.approx(more, rel=1e-6)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -1e300])
+def test_what_is_no_ground_is_not_learnt(bad: float) -> None:
+    a = seen(wave, 1.0)
+    before = a.copy()
+    beyond.learn_beyond(a, bad, STEP_M)
+    for name in ("oo", "or", "rr", "om", "rm", "mm"):
+        assert np.array_equal(a[f"beyond_{name}_m2"], before[f"beyond_{name}_m2"])
+
+
+def test_a_height_just_seen_is_found_again() -> None:
+    """The ring gives the twin above its heights: linear between them."""
+    a = seen(wave, 0.3)
+    s = a["path_m"] - 0.05
+    assert seen_height(a, s) == pytest.approx(wave(s - 1.0), abs=5e-6)
+
+
+def test_on_boxes_at_speed_a_leading_sensor_halves_the_error() -> None:
+    def rms_m(lead_m: float) -> float:
+        scenes = [scene_of(Cell("fy91", 0.4, Conditions().but(lead_m=lead_m)), k) for k in range(40, 44)]
+        return float(np.mean([score_run(s, *run_method("ours", s)).rms_m for s in scenes]))
+
+    assert rms_m(0.05) < 0.5 * rms_m(0.0)
