@@ -64,7 +64,7 @@ PARAMS: dict[str, ParamSpec] = {
     "orient": ParamSpec(1, 0, 1, whole=True, choices=("off", "on")),
     "max_turn_rad": ParamSpec(0.35, 0.0, 1.6, "rad"),
     "permitted_turn_rad": ParamSpec(1e-3, 0.0, 1.6, "rad"),
-    "calm_share": ParamSpec(0.15, 0.0, 10.0),
+    "calm_share": ParamSpec(0.1, 0.0, 10.0),
     "adapt": ParamSpec(1, 0, 1, whole=True, choices=("frozen", "learn")),
     "hold_ns": ParamSpec(3.5e6, 0, 10e9, "ns", whole=True),
     "dropout_way_m": ParamSpec(0.06, 1e-4, 1e3, "m"),

@@ -14,7 +14,7 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import INTERVALS
 
 MOST_M = 2e-3
-YOUNG_BAND = 2.0  # so much wider is the band at first
+YOUNG_BAND = 3.5  # so much wider is the band at first
 LEAST_GAIN = 1e-4
 
 

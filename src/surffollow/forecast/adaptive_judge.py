@@ -49,8 +49,12 @@ LONG_SHARP = 10.0  # times its power has the longer horizon where it decides …
 LONG_SHARE = 0.9  # … and takes off the other's
 JUDGED, SHARP = 200, 500  # samples after which scores count fully, and as sharply as they may
 # where all is noise a wave fits some of it for a while, and a curve some: what chance must be outdone by
-LUCK = np.array([0.0, 1.0, 3.0])[BANK[MODEL, 0].astype(np.int64)]
+LUCK = np.array([0.0, 1.0, 5.0])[BANK[MODEL, 0].astype(np.int64)]
 YOUNG_LUCK = 4.0  # times as much at the very beginning
+# what restlessness costs, as a power of the set points' squared acceleration over that of EFFORT_LEAST: where
+# all errors are great the calmer is the better of two, and at first what follows the noise may just be lucky
+ROUGH_EFFORT, YOUNG_EFFORT = 0.8, 6.0
+EFFORT_LEAST = 1.0  # (1 m/s²)²
 
 
 @jit
@@ -181,7 +185,7 @@ def weigh(params: Any, a: Any, dt_s: Any) -> None:
     share = noise_in(best, a.noise_m)
     # what a few samples say is mostly luck, and fine differences are told by many only
     told, old = min(a.scored / JUDGED, 1.0), a.scored / SHARP
-    sharp = share * share * old
+    sharp = share * share * old * old
     long = settled(a, best_long)
     power = params.long_power + (params.score_power - params.long_power) * sharp * (1.0 - LONG_SHARE * long)
     long_power = params.long_power + (LONG_SHARP * params.long_power - params.long_power) * long
@@ -191,6 +195,8 @@ def weigh(params: Any, a: Any, dt_s: Any) -> None:
         young = 0.0  # what was seen there is followed, not what they expect
     ahead_m = a.speed_mps * (a.late_s + a.tau_s)
     luck = share * share * (YOUNG_LUCK - (YOUNG_LUCK - 1.0) * old)
+    rough = (1.0 - share) * (1.0 - share)
+    restless = ROUGH_EFFORT * rough + YOUNG_EFFORT * share * share * (1.0 - old)
     least_bias2 = 1e300
     for i in range(N):
         least_bias2 = min(least_bias2, a.bias[i] * a.bias[i])
@@ -199,6 +205,7 @@ def weigh(params: Any, a: Any, dt_s: Any) -> None:
         extra = floor + mu * a.effort[i]
         c = power * math.log(a.score_m2[i] - off + extra)
         c += long_power * math.log(a.long_m2[i] - off_long + extra)
+        c += restless * math.log(a.effort[i] / EFFORT_LEAST + 1.0)
         # rough ground biases all but the quickest, which follow every bump; a wave is the right one or not
         sure = 1.0 if BANK[MODEL[i], 0] == WAVE else share * share
         bias = bias_cost(a.bias[MODEL[i]], least_bias2)
