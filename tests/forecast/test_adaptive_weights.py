@@ -12,8 +12,16 @@ from surffollow.contest.runner import run_method, score_run
 from surffollow.contest.scene import make_scene
 from surffollow.contest.trials import Job, excursion
 from surffollow.forecast.adaptive_adapt import adapt_band
-from surffollow.forecast.adaptive_bank import BANK, CALM, CURVE, MODEL, WAVE, C, N
-from surffollow.forecast.adaptive_judge import BIAS_RATE, BIASED, ROUGH_WEIGHT_S, SHARP, WEIGHT_S, weigh
+from surffollow.forecast.adaptive_bank import BANK, CALM, CURVE, MODEL, SLOPE, WAVE, C, N
+from surffollow.forecast.adaptive_judge import (
+    BIAS_RATE,
+    BIASED,
+    ROUGH_EFFORT,
+    ROUGH_WEIGHT_S,
+    SHARP,
+    WEIGHT_S,
+    weigh,
+)
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.sim.profiles import Profile
@@ -88,6 +96,28 @@ def test_a_wave_that_fits_noise_must_outdo_chance_most_of_all_at_first():
     assert odds_of(WAVE, noise, SHARP) < odds_of(CURVE, noise, SHARP) / 5.0
 
 
+def calmer_odds(rms_m: float, scored: int) -> float:
+    """Weight of a model whose set points lie still over that of a like one that jumps, both fitting alike."""
+    a = zeros(AdaptiveState)[0]
+    a["noise_m"], a["scored"], a["samples"] = NOISE_M, scored, SHARP
+    a["score_m2"][:C] = a["long_m2"][:C] = rms_m * rms_m
+    still, jumpy = 3, 4  # both follow levels
+    assert tuple(BANK[MODEL[[still, jumpy]], 0]) == (SLOPE, SLOPE)
+    a["effort"][jumpy] = 100.0
+    weigh(default_params(), a, AT_ONCE_S)
+    return float(a["weight"][still] / a["weight"][jumpy])
+
+
+def test_of_two_models_that_fit_rough_ground_alike_the_calmer_one_counts():
+    assert calmer_odds(20.0 * NOISE_M, SHARP) == pytest.approx(101.0**ROUGH_EFFORT, rel=0.05)
+    assert calmer_odds(20.0 * NOISE_M, SHARP // 4) < 101.0**ROUGH_EFFORT
+
+
+def test_at_first_what_follows_the_noise_may_be_lucky():
+    assert calmer_odds(NOISE_M, SHARP // 4) > 1e5
+    assert calmer_odds(NOISE_M, SHARP // 4) > calmer_odds(NOISE_M, 3 * SHARP // 4)
+
+
 def test_the_weights_of_a_sensor_without_any_noise_stay_finite():
     a = zeros(AdaptiveState)[0]
     a["scored"], a["samples"] = SHARP, SHARP
@@ -128,7 +158,7 @@ def band_m(samples: int, scored: int, rms_m: float) -> float:
 
 def test_the_band_is_wider_while_models_are_young_and_all_is_noise():
     usual = band_m(SHARP, SHARP, NOISE_M)
-    assert usual == pytest.approx(0.15 * 3e-4)
+    assert usual == pytest.approx(0.1 * 3e-4)
     assert band_m(1, 1, NOISE_M) > 2.5 * usual
     assert usual < band_m(SHARP // 2, SHARP // 2, NOISE_M) < band_m(1, 1, NOISE_M)
     assert band_m(1, SHARP, NOISE_M) == usual, "a new start after a loss knows what to think of its models"
@@ -146,6 +176,8 @@ def test_the_band_is_wider_while_models_are_young_and_all_is_noise():
         ("glitch", 0.2, 315),
         ("glitch", 0.4, 306),
         ("slot", 0.1, 7013),
+        ("glitch", 0.2, 8008),
+        ("glitch", 0.4, 7000),
     ],
 )
 def test_a_few_readings_on_flat_ground_are_not_gone_after(case, speed_mps, seed):
