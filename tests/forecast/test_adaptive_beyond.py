@@ -31,7 +31,7 @@ def seen(ground: Ground, way_m: float, sigma_m: float = 0.0, seed: int = 0) -> n
         a["path_m"] += STEP_M if k else 0.0
         h = ground(a["path_m"] - 1.0) + sigma_m * rng.standard_normal()
         note_ground(a, a["path_m"], h)
-        beyond.learn_beyond(a, h, STEP_M)
+        beyond.learn_beyond(a, h, STEP_M, 1)
     return a
 
 
@@ -151,7 +151,17 @@ def test_the_sums_are_those_of_the_slow_twin() -> None:
 def test_what_is_no_ground_is_not_learnt(bad: float) -> None:
     a = seen(wave, 1.0)
     before = a.copy()
-    beyond.learn_beyond(a, bad, STEP_M)
+    beyond.learn_beyond(a, bad, STEP_M, 1)
+    for name in ("oo", "or", "rr", "om", "rm", "mm"):
+        assert np.array_equal(a[f"beyond_{name}_m2"], before[f"beyond_{name}_m2"])
+
+
+def test_frozen_it_keeps_what_it_learnt_and_still_knows_where_the_ground_is() -> None:
+    a = seen(boxes, 2.0)
+    before = a.copy()
+    for _ in range(2000):
+        beyond.learn_beyond(a, 0.3, STEP_M, 0)
+    assert a["mean_m"] == pytest.approx(0.3, abs=5e-3)
     for name in ("oo", "or", "rr", "om", "rm", "mm"):
         assert np.array_equal(a[f"beyond_{name}_m2"], before[f"beyond_{name}_m2"])
 

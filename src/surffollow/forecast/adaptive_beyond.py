@@ -28,7 +28,7 @@ MOST_M = 1.0  # heights differ by no more; a reading that does is not for learni
 
 
 @jit
-def learn_beyond(a: Any, h_m: Any, way_m: Any) -> None:
+def learn_beyond(a: Any, h_m: Any, way_m: Any, adapt: Any) -> None:
     """Learn from a height at the end of the way what the ground before it told.
 
     Parameters
@@ -36,12 +36,13 @@ def learn_beyond(a: Any, h_m: Any, way_m: Any) -> None:
     a : record of `AdaptiveState` (updated)
     h_m : float64            height seen at `a.path_m` [m]
     way_m : float64          way since the last one [m]
+    adapt : int              0: keep what was learnt; only where the mean is goes on
     """
     if not abs(h_m - a.mean_m) < MOST_M:
         a.mean_m, a.mean_way_m = h_m, 0.0
     a.mean_way_m = min(a.mean_way_m + way_m, MEAN_WAY_M)
     a.mean_m += min(way_m / max(a.mean_way_m, LEAST_WAY_M), 1.0) * (h_m - a.mean_m)
-    rate = 1.0 - math.exp(-way_m / LEARN_WAY_M)
+    rate = 1.0 - math.exp(-way_m / LEARN_WAY_M) if adapt != 0 else 0.0
     for j in range(BEYOND):
         before = seen_height(a, a.path_m - BEYOND_M[j])
         rise = before - seen_height(a, a.path_m - BEYOND_M[j] - RISE_M)

@@ -269,6 +269,5 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
     a.samples += 1
     a.accepted_ns = t_ns
     note_ground(a, a.path_m, h_m)
-    if adapt != 0:
-        learn_beyond(a, h_m, way)
+    learn_beyond(a, h_m, way, adapt)
     return 1
