@@ -96,7 +96,17 @@ def random_cycles(
         if abs(o.demand[2]) > p.max_demand_m or turn > p.max_turn_rad * (1.0 + 1e-12):
             beyond += 1
         if not math.isfinite(
-            a.height_m + a.slope + a.sigma_m + a.noise_m + a.tau_s + a.set_point_m + a.scale_m
+            a.height_m
+            + a.slope
+            + a.sigma_m
+            + a.noise_m
+            + a.tau_s
+            + a.set_point_m
+            + a.scale_m
+            + a.mean_m
+            + a.beyond_oo_m2[0]
+            + a.beyond_mm_m2[2]
+            + a.plan_set_m
         ):
             sick += 1
     return bad, beyond, sick
@@ -109,6 +119,10 @@ def _follower(channels: int) -> Follower:
     ]
     sensors = [{"position_m": [float(x), float(y), 0.0]} for x, y in ring]
     return Follower({"sensors": sensors, "memory": False}, offset_m=0.1)
+
+
+def _leading() -> Follower:
+    return Follower({"sensors": [{"position_m": [0.05, 0.0, 0.0]}], "memory": False}, offset_m=0.1)
 
 
 def time_cycles(f: Follower, channels: int, cycles: int = 20_000) -> dict[str, float]:
@@ -139,14 +153,12 @@ def main() -> int:
     options = parser.parse_args()
     found: dict[str, Any] = {"machine": platform.machine(), "python": platform.python_version()}
     found["cycle"] = {str(n): time_cycles(_follower(n), n) for n in (1, 4, CHANNELS)}
-    leading = Follower({"sensors": [{"position_m": [0.05, 0.0, 0.0]}], "memory": False}, offset_m=0.1)
-    found["cycle"]["leading"] = time_cycles(leading, 1)
+    found["cycle"]["leading"] = time_cycles(_leading(), 1)
     sums = np.zeros(3, np.int64)
     begin = time.perf_counter()
-    for n in (1, 4):
-        f = _follower(n)
+    for n, f in enumerate((_follower(1), _follower(4), _leading()), 1):
         sums += random_cycles(
-            f._params, f._state, f._inputs, f._output, f._scratch, options.cycles // 2, np.uint64(n)
+            f._params, f._state, f._inputs, f._output, f._scratch, -(-options.cycles // 3), np.uint64(n)
         )
     found["random"] = {
         "cycles": options.cycles,

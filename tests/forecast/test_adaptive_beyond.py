@@ -8,10 +8,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from surffollow import Follower
 from surffollow.contest.conditions import Conditions
 from surffollow.contest.runner import run_method, scene_of, score_run
 from surffollow.contest.suite import Cell
 from surffollow.forecast import adaptive_beyond as beyond
+from surffollow.forecast.adaptive import forget_all
 from surffollow.forecast.adaptive_preview import STEP_S, note_ground, seen_height
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import HORIZON, AdaptiveState
@@ -107,11 +109,14 @@ def test_the_guess_begins_at_the_end_and_rises_by_45_degrees_at_most() -> None:
         assert np.all(np.abs(got - last) <= np.minimum(x, 0.08) + 1e-12)
 
 
-def test_the_bias_of_scouts_lifts_the_guess_and_changes_nothing_else() -> None:
+def test_a_scout_that_reads_low_is_put_right_in_the_guess_too() -> None:
+    """The mean is of what channel 0 sees, the ring ahead of what the scout saw."""
+    plain, _ = guess(seen(wave, 2.0), wave)
     a = seen(wave, 2.0)
-    plain, _ = guess(a, wave)
-    lifted, _ = guess(a, wave, bias_m=3e-3)
-    assert lifted - 3e-3 == pytest.approx(plain, abs=1e-12)
+    cells = a["cell_n"] > 0.0
+    a["cell_h_m"][cells] -= 3e-3
+    low, _ = guess(a, lambda s: wave(s) - 3e-3, bias_m=3e-3)
+    assert low == pytest.approx(plain, abs=1e-12)
 
 
 def test_the_sums_are_those_of_the_slow_twin() -> None:
@@ -154,6 +159,32 @@ def test_what_is_no_ground_is_not_learnt(bad: float) -> None:
     beyond.learn_beyond(a, bad, STEP_M, 1)
     for name in ("oo", "or", "rr", "om", "rm", "mm"):
         assert np.array_equal(a[f"beyond_{name}_m2"], before[f"beyond_{name}_m2"])
+    beyond.learn_beyond(a, 0.01, STEP_M, 1)
+    assert a["mean_m"] == pytest.approx(0.01), "the next height is ground again"
+
+
+@pytest.mark.parametrize("name", ["oo", "or", "rr", "om", "rm", "mm"])
+def test_sums_that_are_not_finite_are_learnt_anew(name: str) -> None:
+    a = seen(wave, 1.0)
+    a[f"beyond_{name}_m2"][1] = math.nan
+    beyond.learn_beyond(a, wave(a["path_m"] - 1.0), STEP_M, 1)
+    assert a[f"beyond_{name}_m2"][1] == 0.0
+    assert np.isfinite(guess(a, wave)[0]).all()
+
+
+def test_all_is_forgotten_with_what_is_not_finite() -> None:
+    f = Follower({"sensors": [{"position_m": [0.05, 0.0, 0.0]}], "memory": False}, offset_m=0.1)
+    a = f._state["adaptive"][0]
+    for k in range(600):
+        t, x = 10**12 + k * 4_000_000, 4e-4 * k
+        f.pose(t, (x, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+        f.step(t, [0.1 - boxes(x + 0.05)])
+    assert a["beyond_oo_m2"].min() > 0.0
+    assert a["mean_way_m"] > 0.1
+    forget_all(f._params[0], a)
+    assert a["mean_m"] == a["mean_way_m"] == 0.0
+    for sums in ("oo", "or", "rr", "om", "rm", "mm"):
+        assert (a[f"beyond_{sums}_m2"] == 0.0).all()
 
 
 def test_frozen_it_keeps_what_it_learnt_and_still_knows_where_the_ground_is() -> None:

@@ -197,7 +197,7 @@ def forget_all(params: Any, a: Any) -> None:
 
 @jit
 def forget_surface(a: Any) -> None:
-    """SFReset: start anew with the next sample; noise, scores and what steps do here are kept."""
+    """SFReset: start anew with the next sample; what was learnt of noise, models and ground is kept."""
     a.samples = 0
     a.quarantined = 0
     a.set_ns = a.seen_known = 0

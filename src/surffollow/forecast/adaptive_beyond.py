@@ -1,7 +1,7 @@
 """Ground beyond what is seen ahead: how heights go on here is learnt from the way so far.
 
-For a few distances a height is regressed on what was known that much earlier: how far the ground was from
-its mean, and how much it had risen. So planes go on, waves turn, boxes come to an end; where little was
+For a few distances a height is regressed on the ground that much earlier: how far it was from the mean of
+the way lately, and how much it had risen. So planes go on, waves turn, boxes come to an end; where little was
 learnt the ground stays as it ended. What the regression leaves open draws the guess on to the mean: from
 there the axis, whose acceleration is bounded, is in time wherever the ground goes.
 """
@@ -28,6 +28,13 @@ MOST_M = 1.0  # heights differ by no more; a reading that does is not for learni
 
 
 @jit
+def forget_distance(a: Any, j: Any) -> None:
+    """Know nothing of how heights go on over `BEYOND_M[j]`."""
+    a.beyond_oo_m2[j] = a.beyond_or_m2[j] = a.beyond_rr_m2[j] = 0.0
+    a.beyond_om_m2[j] = a.beyond_rm_m2[j] = a.beyond_mm_m2[j] = 0.0
+
+
+@jit
 def learn_beyond(a: Any, h_m: Any, way_m: Any, adapt: Any) -> None:
     """Learn from a height at the end of the way what the ground before it told.
 
@@ -35,7 +42,7 @@ def learn_beyond(a: Any, h_m: Any, way_m: Any, adapt: Any) -> None:
     ----------
     a : record of `AdaptiveState` (updated)
     h_m : float64            height seen at `a.path_m` [m]
-    way_m : float64          way since the last one [m]
+    way_m : float64          way since the last sample [m]
     adapt : int              0: keep what was learnt; only where the mean is goes on
     """
     if not abs(h_m - a.mean_m) < MOST_M:
@@ -55,6 +62,10 @@ def learn_beyond(a: Any, h_m: Any, way_m: Any, adapt: Any) -> None:
         a.beyond_om_m2[j] += rate * (off * more - a.beyond_om_m2[j])
         a.beyond_rm_m2[j] += rate * (rise * more - a.beyond_rm_m2[j])
         a.beyond_mm_m2[j] += rate * (more * more - a.beyond_mm_m2[j])
+        known = a.beyond_oo_m2[j] + a.beyond_or_m2[j] + a.beyond_rr_m2[j]
+        known += a.beyond_om_m2[j] + a.beyond_rm_m2[j] + a.beyond_mm_m2[j]
+        if not math.isfinite(known):
+            forget_distance(a, j)
 
 
 @jit
@@ -62,8 +73,7 @@ def forget_beyond(a: Any) -> None:
     """Know nothing of how heights go on."""
     a.mean_m = a.mean_way_m = 0.0
     for j in range(BEYOND):
-        a.beyond_oo_m2[j] = a.beyond_or_m2[j] = a.beyond_rr_m2[j] = 0.0
-        a.beyond_om_m2[j] = a.beyond_rm_m2[j] = a.beyond_mm_m2[j] = 0.0
+        forget_distance(a, j)
 
 
 @jit
@@ -96,10 +106,10 @@ def guess_beyond(a: Any, known: Any, from_m: Any, bias_m: Any) -> None:
     a : record of `AdaptiveState` (updated)
     known : int              points of `a.plan_g_m` that are known, ≥ 1
     from_m : float64         way coordinate of point 0 [m]
-    bias_m : float64         what was added to the heights of the ring [m]
+    bias_m : float64         what was added to the heights of the ring; the mean is without it [m]
     """
     last = a.plan_g_m[known - 1]
-    off = last - bias_m - a.mean_m
+    off = last - a.mean_m
     rise = last - bias_m - seen_height(a, from_m + a.speed_mps * STEP_S * (known - 1) - RISE_M)
     x0, x1, more0, more1, j = 0.0, 0.0, 0.0, 0.0, 0
     for k in range(known, HORIZON):

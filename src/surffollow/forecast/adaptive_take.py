@@ -210,7 +210,7 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
     way_m : float64          way of the footprint since the last sample [m], ≥ 0
     h_m : float64            height [m]
     drop_m : float64         how much higher the tool should be [m]
-    adapt : int              0: keep scores, weights and noise as they are
+    adapt : int              0: keep scores, weights, noise and how ground goes on as they are
     """
     dt = (t_ns - a.sample_ns) * 1e-9
     if a.samples == 0 or way_m > LONGEST_WAY_M or t_ns - a.accepted_ns > params.loss_timeout_ns:

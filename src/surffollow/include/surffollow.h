@@ -375,7 +375,7 @@ typedef struct sf_params {
   double max_turn_rad; /* [rad] adaptive: limit of the rotation demanded */
   double permitted_turn_rad; /* [rad] adaptive: tilt of the surface that turns nothing */
   double calm_share; /* adaptive: share of Permitted_Variance within which the set point glides on */
-  int64_t adapt; /* adaptive: 1: learn; 0: scores, weights, noise stay as they are */
+  int64_t adapt; /* adaptive: 1: learn; 0: scores, weights, noise, how ground goes on stay as they are */
   int64_t hold_ns; /* [ns] adaptive: an unchanged reading counts as new after so long */
   double dropout_way_m; /* [m] adaptive: way over which a slope is trusted without readings */
   double max_speed_mps; /* [m/s] adaptive: limit of the set point's speed, away from the surface */

@@ -92,7 +92,7 @@ class Params(Schema):
     max_turn_rad = F64(unit="rad", doc="adaptive: limit of the rotation demanded")
     permitted_turn_rad = F64(unit="rad", doc="adaptive: tilt of the surface that turns nothing")
     calm_share = F64(doc="adaptive: share of Permitted_Variance within which the set point glides on")
-    adapt = I64(doc="adaptive: 1: learn; 0: scores, weights, noise stay as they are")
+    adapt = I64(doc="adaptive: 1: learn; 0: scores, weights, noise, how ground goes on stay as they are")
     hold_ns = I64(unit="ns", doc="adaptive: an unchanged reading counts as new after so long")
     dropout_way_m = F64(unit="m", doc="adaptive: way over which a slope is trusted without readings")
     max_speed_mps = F64(unit="m/s", doc="adaptive: limit of the set point's speed, away from the surface")
