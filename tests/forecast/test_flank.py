@@ -48,7 +48,7 @@ def errors_m(x_m: np.ndarray, heights_m: np.ndarray, speed_mps: float) -> np.nda
 
 
 def test_the_first_narrow_bump_after_gentle_ground_throws_the_tool_up_less() -> None:
-    """Were its flank of 9 mm expected to go on, the tool would stand 12 mm too high behind it."""
+    """Were its flank of 9 mm expected to go on, the tool would stand 11 mm too high behind it."""
     x = np.arange(0.0, 3.5, 1e-3)
     gentle = 2e-3 * np.sin(2 * np.pi * x / 0.35) + 1.5e-3 * np.sin(2 * np.pi * x / 0.23)
     bump = 9e-3 * np.exp(-0.5 * ((x - 3.0) / 0.013) ** 2)
