@@ -187,6 +187,17 @@ def test_all_is_forgotten_with_what_is_not_finite() -> None:
         assert (a[f"beyond_{sums}_m2"] == 0.0).all()
 
 
+def test_after_a_loss_the_mean_begins_where_the_ground_is_now() -> None:
+    f = Follower({"sensors": [{"position_m": [0.05, 0.0, 0.0]}], "memory": False}, offset_m=0.1)
+    a = f._state["adaptive"][0]
+    for k in range(2020):
+        t, x = 10**12 + k * 4_000_000, 4e-4 * k
+        f.pose(t, (x, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+        height = 0.0 if k < 300 else 0.02
+        f.step(t, [math.nan if 300 <= k < 2000 else 0.1 - height])
+    assert a["mean_m"] == pytest.approx(0.02, abs=1e-3)
+
+
 def test_frozen_it_keeps_what_it_learnt_and_still_knows_where_the_ground_is() -> None:
     a = seen(boxes, 2.0)
     before = a.copy()

@@ -1,4 +1,4 @@
-"""How soon weights follow the scores, what chance must be outdone by, and how far a flank is believed."""
+"""How soon weights follow the scores, and what chance must be outdone by."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from surffollow.contest.conditions import Conditions
 from surffollow.contest.runner import run_method, score_run
 from surffollow.contest.scene import make_scene
 from surffollow.contest.trials import Job, excursion
-from surffollow.forecast.adaptive_adapt import YOUNG_BAND, adapt_band
+from surffollow.forecast.adaptive_adapt import adapt_band
 from surffollow.forecast.adaptive_bank import BANK, CALM, CURVE, MODEL, SLOPE, WAVE, C, N
 from surffollow.forecast.adaptive_judge import (
     BIAS_RATE,
@@ -118,6 +118,24 @@ def test_at_first_what_follows_the_noise_may_be_lucky():
     assert calmer_odds(NOISE_M, SHARP // 4) > calmer_odds(NOISE_M, 3 * SHARP // 4)
 
 
+def fine_log_odds(scored: int) -> float:
+    """How much a score better by 2 % says in noise, while nothing was right for long."""
+    logs = []
+    for better in (0.98, 1.0):
+        a = zeros(AdaptiveState)[0]
+        a["noise_m"], a["scored"], a["samples"] = NOISE_M, scored, SHARP
+        a["score_m2"][:C], a["long_m2"][:C] = NOISE_M**2, 1e6 * NOISE_M**2
+        a["score_m2"][OLD] *= better
+        weigh(default_params(), a, AT_ONCE_S)
+        logs.append(math.log(a["weight"][OLD] / a["weight"][NEW]))
+    return logs[0] - logs[1]
+
+
+def test_fine_differences_count_sharply_only_after_many_samples():
+    powers = [3.0 + 17.0 * (scored / SHARP) ** 2 for scored in (SHARP, SHARP // 2)]
+    assert fine_log_odds(SHARP) / fine_log_odds(SHARP // 2) == pytest.approx(powers[0] / powers[1], rel=0.01)
+
+
 def test_the_weights_of_a_sensor_without_any_noise_stay_finite():
     a = zeros(AdaptiveState)[0]
     a["scored"], a["samples"] = SHARP, SHARP
@@ -159,7 +177,7 @@ def band_m(samples: int, scored: int, rms_m: float) -> float:
 def test_the_band_is_wider_while_models_are_young_and_all_is_noise():
     usual = band_m(SHARP, SHARP, NOISE_M)
     assert usual == pytest.approx(0.1 * 3e-4)
-    assert band_m(1, 1, NOISE_M) == pytest.approx((1.0 + YOUNG_BAND) * usual, rel=0.01)
+    assert band_m(1, 1, NOISE_M) == pytest.approx(4.5 * usual, rel=0.01)
     assert usual < band_m(SHARP // 2, SHARP // 2, NOISE_M) < band_m(1, 1, NOISE_M)
     assert band_m(1, SHARP, NOISE_M) == usual, "a new start after a loss knows what to think of its models"
     assert band_m(SHARP, 0, NOISE_M) == usual, "and so does, by then, one that is led by what was seen before"
