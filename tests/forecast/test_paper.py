@@ -18,7 +18,7 @@ LEVEL = (0.0, 0.0, 0.0, 1.0)
 
 
 def paper(**changes):
-    plain = {"offset_m": 0.1, "ee_readings": 1, "permitted_variance_m": 0.0, "range_size": 3}
+    plain = {"offset_m": 0.1, "sensor_readings": 1, "ee_readings": 1, "permitted_variance_m": 0.0, "range_size": 3}
     return Kernel(default_params(**(plain | {"interval_size_m": 0.002} | changes)))
 
 
