@@ -269,7 +269,7 @@ class NaiveFollower:
     def target_point(self, c):
         """Sensor height, mean of the channel's last EE_Readings footprints, and the point for the map.
 
-        The map gets the footprint itself where the mean lies farther than Interval_Size from every footprint in it.
+        The map gets the footprint itself where the mean lies farther than Interval_Size from all in it.
         """
         p = self.params
         if c in self.begin_anew:
@@ -339,7 +339,7 @@ class NaiveFollower:
         self.speed_from = (number, stamp, x, y)
 
     def relay(self, demand, sensor_z):
-        """Nothing new until the demand changes by more than Permitted_Variance: the tool goes where it was sent."""
+        """Nothing new until the demand changes by more than Permitted_Variance: go where sent."""
         if self.relayed is None:
             self.relayed = (0.0, sensor_z)
         before, z = self.relayed
@@ -350,7 +350,7 @@ class NaiveFollower:
         return demand
 
     def forecast(self, t_ns, reading_z, sensor_z):
-        """ΔH since the previous reading, and desired minus previous actual offset; the first counts at once."""
+        """ΔH since the previous reading, desired minus previous actual offset; the first counts at once."""
         fresh = None if reading_z is None else (t_ns, self.range_m[0], reading_z)
         previous = self.reading
         if fresh and (previous is None or t_ns - previous[0] > self.params["loss_timeout_ns"]):

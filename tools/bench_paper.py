@@ -1,4 +1,4 @@
-"""Hold paper mode against lost readings: random runs over ramps, with losses, reversals and slow cycles or poses.
+"""Hold paper mode against lost readings: random runs over ramps, with reversals and slow cycles or poses.
 
     python tools/bench_paper.py [--runs 10000] [--seed 1] [--json]
 
@@ -45,10 +45,12 @@ CONVERSION_S = 320e-6  # 25 kHz over eight channels
 QUANTUM_M = 1e-7  # of a conversion: fine, as the bar is on the algorithm and not on the converter
 KEPT = 64  # places of readings: as many as the longest mean
 SPEED_ROUNDING = 1e-4  # mean stamps are whole nanoseconds
-# worst excess of a demand [m], the same with the ramp's slope, of a mapped point [Interval_Size], of a speed [of the true one]; counts
+# worst: excess of a demand [m], the same with the ramp's slope [m], distance of a mapped point from a
+# measured place [Interval_Size], measured speed [of the true one]; then counts
 EXCESS, STRICT, GHOST, SPEED, DEMANDS, POINTS, LOSSES, TURNS, OVER, FIGURES = range(10)
 
 
+# not cached: a cache entry would keep old kernels inlined when only their files change
 @njit(nogil=True)
 def draw(seed: Any) -> Any:
     """SplitMix64: a number in [0, 1); `seed` (1,) uint64 moves on."""
@@ -78,7 +80,7 @@ def choose(params: Any, seed: Any) -> None:
 
 @njit(nogil=True)
 def give(i: Any, ready_made: Any, lost: Any, nan: Any, range_m: Any, before_m: Any, dt: Any) -> None:
-    """A step's readings: the range moved evenly from `before_m` within `dt` [s]; or a loss, seen as NaN or not."""
+    """A step's readings: the range moved evenly from `before_m` within `dt` [s]; or a loss, as NaN or not."""
     i.n_ranges = i.n_conversions = 0
     if ready_made:
         i.n_ranges = 1
@@ -236,7 +238,8 @@ def main() -> dict[str, Any]:
             bar("lateral speed measured / true", got["speed"], 1.0 + SPEED_ROUNDING, "", "worst"),
         ],
         [
-            f"{got['demands']} demands, {got['losses']} losses, {got['turns']} reversals, {got['points']} points",
+            f"{got['demands']} demands, {got['losses']} losses, {got['turns']} reversals, "
+            f"{got['points']} points",
             f"with the ramp's slope alone {got['beyond_ramp_m'] * 1e3:.2f} mm at the worst, "
             f"{got['beyond_ramp']} demands over {ALLOWED_M * 1e3:g} mm",
         ],

@@ -19,7 +19,13 @@ LEVEL = (0.0, 0.0, 0.0, 1.0)
 
 
 def paper(**changes):
-    plain = {"offset_m": 0.1, "sensor_readings": 1, "ee_readings": 1, "permitted_variance_m": 0.0, "range_size": 3}
+    plain = {
+        "offset_m": 0.1,
+        "sensor_readings": 1,
+        "ee_readings": 1,
+        "permitted_variance_m": 0.0,
+        "range_size": 3,
+    }
     return Kernel(default_params(**(plain | {"interval_size_m": 0.002} | changes)))
 
 
@@ -55,7 +61,9 @@ def test_a_change_is_counted_once_from_the_previous_reading_on():
     k = paper()
     ramp(k, slope=0.1, speed=0.1, cycles=400)
     before = float(k.state[0]["paper"]["reading_m"])
-    o = k.step(T + 400 * MS, [(T + 400 * MS, (0.04, 0, 0.151, *LEVEL))], ranges=[0.147], given_t_ns=T + 400 * MS)
+    o = k.step(
+        T + 400 * MS, [(T + 400 * MS, (0.04, 0, 0.151, *LEVEL))], ranges=[0.147], given_t_ns=T + 400 * MS
+    )
     assert before == pytest.approx(0.15 - 0.1 * 0.0399)
     assert o["error_m"] == pytest.approx(0.1 - (before + 0.001), abs=1e-12), "and the tool rose by 1 mm"
     assert o["delta_h_m"] == o["slope"] * o["speed_mps"] * 1e-3

@@ -116,7 +116,9 @@ def test_slow_steps_with_a_reading_each_are_no_losses():
 def test_after_the_loss_timeout_a_reading_counts_as_the_first():
     k = kernel(loss_timeout_ns=200 * MS, pose_timeout_ns=1000 * MS)
     for ms, reading in ((0, 0.1), (1, 0.1), (300, 0.104)):  # no step between: no loss was seen
-        o = k.step(T + ms * MS, [(T + ms * MS, (0, 0, 0.2, *LEVEL))], ranges=[reading], given_t_ns=T + ms * MS)
+        o = k.step(
+            T + ms * MS, [(T + ms * MS, (0, 0, 0.2, *LEVEL))], ranges=[reading], given_t_ns=T + ms * MS
+        )
     assert o["error_m"] == 0.1 - 0.104
 
 

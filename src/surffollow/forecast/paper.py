@@ -133,7 +133,7 @@ def paper_forecast(
 
 @jit_inlined
 def relay(paper: Any, demand_m: Any, sensor_z_m: Any, permitted_variance_m: Any) -> Any:
-    """The paper's hysteresis: nothing new is relayed until the demand changes by more than Permitted_Variance.
+    """The paper's hysteresis: relay nothing new until the demand changes by more than Permitted_Variance.
 
     Until then the position demanded last stays: the demand less the tool's own motion since, because a
     demand is added to the newest pose, again in every cycle.

@@ -31,7 +31,7 @@ def lose_channel(sense: Any, c: Any) -> None:
 
 @jit_inlined
 def note_spacing(sense: Any, c: Any, t_ns: Any) -> None:
-    """Take the time of a step's newest sample into the usual spacing, which shrinks at once and grows slowly."""
+    """Update the usual spacing with a step's newest sample: it shrinks at once and grows slowly."""
     if sense.seen_t_ns[c] != 0:
         gap_ns = t_ns - sense.seen_t_ns[c]
         if sense.spacing_ns[c] == 0 or gap_ns < sense.spacing_ns[c]:

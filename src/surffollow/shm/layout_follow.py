@@ -116,7 +116,9 @@ class SenseState(Schema):
     valid = I64(CHANNELS, doc="1: the newest conversion is valid and the window is full")
     missed = I64(CHANNELS, doc="1: a step without a valid sample since the last one")
     seen_t_ns = I64(CHANNELS, unit="ns", doc="time of the newest valid sample; 0: none yet")
-    spacing_ns = I64(CHANNELS, unit="ns", doc="usual time between the newest samples of two steps; 0: not known")
+    spacing_ns = I64(
+        CHANNELS, unit="ns", doc="usual time between the newest samples of two steps; 0: not known"
+    )
     losses = I64(CHANNELS, doc="losses so far: invalid samples and gaps")
     pose_t_ns = I64(POSES, unit="ns", doc="ring of stamps, ascending")
     pose = F64(POSES * 7, unit="m, 1", doc="ring of x y z qx qy qz qw, world from tool")
