@@ -139,7 +139,7 @@ def test_what_start_finds_wrong_later_names_the_file_too(tmp_path, text, says):
     try:
         told = CliRunner().invoke(start_command, ["--config", str(path), "--name", name]).exception
     finally:
-        for part in ("", ".inbox", ".map"):
+        for part in ("", ".sock", ".lock", ".map"):
             unlink(name + part)
     assert isinstance(told, ConfigError)
     assert str(told).startswith(f"{path}: ")
