@@ -192,6 +192,10 @@ def give_up(obj: SharedObject, lock: FileLock, own: NameLock, keep: bool) -> Non
                 words[bl.STATE_WORD] = bl.STATE_GONE
             with contextlib.suppress(NoPermissionError):
                 unlink(obj.name)
+        else:
+            # the process lives on, but writes it no more
+            ticks = bl.BlockHeader.offset("writer_start_ticks")
+            obj.memory[ticks : ticks + 8] = bytes(8)
         own.release()
     lock.close()
     obj.close()
