@@ -60,7 +60,7 @@ def in_child(act, uid=None):
         "a\0",
         "a\n",
         "ä",
-        "x" * 49,
+        "x" * 65,
         None,
         7,
         b"x",
