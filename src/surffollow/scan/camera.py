@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from surffollow.errors import ScanInputError
 from surffollow.scan.checks import Floats, finite, positive, real_array
@@ -160,6 +160,3 @@ def looking_down(
     made[:3, :3] = np.stack([right, down, forward], axis=1)
     made[:3, 3] = (x_m, y_m, z_m)
     return made
-
-
-Mask = NDArray[np.bool_]

@@ -103,9 +103,9 @@ class TerrainGrid:
     def centres_m(self) -> tuple[Floats, Floats]:
         """x of every column and y of every row [m]."""
         rows, cols = self.shape
-        x: Floats = self.origin_m[0] + (np.arange(cols) + 0.5) * self.grid_m
-        y: Floats = self.origin_m[1] + (np.arange(rows) + 0.5) * self.grid_m
-        return x, y
+        x = self.origin_m[0] + (np.arange(cols, dtype=np.float64) + 0.5) * self.grid_m
+        y = self.origin_m[1] + (np.arange(rows, dtype=np.float64) + 0.5) * self.grid_m
+        return np.asarray(x, np.float64), np.asarray(y, np.float64)
 
     def with_heights(self, heights_m: Floats) -> TerrainGrid:
         """The same cells with other heights."""

@@ -53,7 +53,7 @@ class WristLimits:
 
     @classmethod
     def of(cls, limits: Any) -> WristLimits:
-        """Limits from a number, ((pitch_min, pitch_max), (roll_min, roll_max)), or limits themselves [rad]."""
+        """Limits [rad] from a number, ((pitch_min, pitch_max), (roll_min, roll_max)), or limits."""
         if isinstance(limits, WristLimits):
             return limits
         values = np.asarray(limits, np.float64)
@@ -73,7 +73,7 @@ class WristLimits:
         low = np.array([self.pitch_min, self.roll_min])
         high = np.array([self.pitch_max, self.roll_max])
         inside = np.clip(angles, low, high)
-        changed = (np.abs(inside - angles) > 1e-12).any(axis=1)
+        changed: NDArray[np.bool_] = np.any(np.abs(inside - angles) > 1e-12, axis=1)
         return np.where(changed[:, None], normals_of(inside, azimuth_rad), normal), changed
 
 

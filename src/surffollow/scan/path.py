@@ -105,7 +105,7 @@ class ScanPath:
 
     def has(self, flag: int) -> NDArray[np.bool_]:
         """(n,) bool, true where any bit of `flag` is set."""
-        return (self.flags & np.uint32(flag)) != 0
+        return np.asarray((self.flags & np.uint32(flag)) != 0)
 
     def changed(self, **columns: Any) -> ScanPath:
         """A copy with other columns."""
