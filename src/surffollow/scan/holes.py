@@ -1,4 +1,4 @@
-"""Fill holes of a terrain grid up to a stated width, linearly between the known cells at both sides (§2.2)."""
+"""Fill holes of a terrain grid up to a stated width, linearly between known cells at both sides (§2.2)."""
 
 from __future__ import annotations
 
