@@ -9,11 +9,12 @@ from surffollow.scan.surface_lookup import height_at
 from surffollow.shm.jit import jit
 
 MOST_POINTS = 128  # control points of a body
-HALVINGS = 6  # of the step, down to 1/64 of it
+HALVINGS = 4  # of the step near the equilibrium, down to 1/16 of it
+DOUBLINGS = 3  # of the step while every turn relieves
 MOST_TURNS = 400  # per sample; the step alone ends the search long before
-RASTER = 9  # attitudes per axis tried where the first equilibrium needs a lift
-STARTS = 2
-WORTH_M = 2e-4  # lifts below this are left as they are
+GILBERT_STEPS = 12
+RASTER = 5  # attitudes per axis tried where the first equilibrium needs a lift
+WORTH_M = 5e-4  # lifts below this are left as they are
 CLEAR_M = 1e-7  # deeper than this is below the envelope
 
 
@@ -51,22 +52,30 @@ def deviations(
 
 @jit
 def steepest_relief(gp: Any, gr: Any, n: Any) -> tuple[float, float]:
-    """The shortest vector of the hull of n gradients (gp, gr); (0, 0): no turn relieves all of them."""
-    best, bp, br = math.inf, 0.0, 0.0
-    for i in range(n):
-        for j in range(i, n):
-            # the point of the segment between gradients i and j that is nearest to 0
-            dp, dr = gp[j] - gp[i], gr[j] - gr[i]
-            square = dp * dp + dr * dr
-            t = 0.0 if square == 0.0 else min(max(-(gp[i] * dp + gr[i] * dr) / square, 0.0), 1.0)
-            cp, cr = gp[i] + t * dp, gr[i] + t * dr
-            size = cp * cp + cr * cr
-            if size < best:
-                best, bp, br = size, cp, cr
-    for k in range(n):
-        if gp[k] * bp + gr[k] * br < best * (1.0 - 1e-9) - 1e-18:
+    """The shortest vector of the hull of n gradients (gp, gr); (0, 0): no turn relieves all of them.
+
+    Gilbert's algorithm: walk from the shortest gradient towards the one that lies farthest behind, as long
+    as that shortens the vector.
+    """
+    vp, vr = gp[0], gr[0]
+    for k in range(1, n):
+        if gp[k] * gp[k] + gr[k] * gr[k] < vp * vp + vr * vr:
+            vp, vr = gp[k], gr[k]
+    for _ in range(GILBERT_STEPS):
+        least, at = math.inf, 0
+        for k in range(n):
+            along = gp[k] * vp + gr[k] * vr
+            if along < least:
+                least, at = along, k
+        square = vp * vp + vr * vr
+        if least >= square * (1.0 - 1e-3):
+            return vp, vr
+        dp, dr = gp[at] - vp, gr[at] - vr
+        t = min(max(-(vp * dp + vr * dr) / (dp * dp + dr * dr), 0.0), 1.0)
+        vp, vr = vp + t * dp, vr + t * dr
+        if vp * vp + vr * vr < 1e-12:
             return 0.0, 0.0
-    return bp, br
+    return vp, vr
 
 
 @jit
@@ -89,7 +98,8 @@ def settle_attitude(
     ----------
     angles : (2,) float64 [rad]      pitch and roll, within the limits; updated in place
     limits : (4,) float64 [rad]      pitch_min, pitch_max, roll_min, roll_max
-    step : float [rad]               first turn; halved whenever no turn of that size relieves the deepest
+    step : float [rad]               first turn; doubled up to thrice while turns relieve the deepest point,
+        halved whenever no turn of that size does
     s : (5, m) float64               scratch
 
     Notes
@@ -105,25 +115,19 @@ def settle_attitude(
         reach = max(reach, math.hypot(body[k, 0], body[k, 1]))
     p, r = angles[0], angles[1]
     depth = deviations(z, scale, u0, v0, tip_z, azimuth, p, r, body, dev)
-    smallest = step / 2.0**HALVINGS
+    smallest, small, largest = step / 2.0**HALVINGS, step, step * 2.0**DOUBLINGS
     turns = 0
     while depth > CLEAR_M and step >= smallest and turns < MOST_TURNS:
         turns += 1
-        deviations(z, scale, u0, v0, tip_z, azimuth, p + 0.5 * step, r, body, trial)
-        deviations(z, scale, u0, v0, tip_z, azimuth, p - 0.5 * step, r, body, more)
+        h = 0.25 * min(step, small)
+        deviations(z, scale, u0, v0, tip_z, azimuth, p + h, r, body, trial)
+        deviations(z, scale, u0, v0, tip_z, azimuth, p, r + h, body, more)
         n = 0
         for k in range(m):
-            if dev[k] >= depth - step * reach:
-                g = (trial[k] - more[k]) / step
-                gp[n] = g if math.isfinite(g) else 0.0
-                n += 1
-        deviations(z, scale, u0, v0, tip_z, azimuth, p, r + 0.5 * step, body, trial)
-        deviations(z, scale, u0, v0, tip_z, azimuth, p, r - 0.5 * step, body, more)
-        n = 0
-        for k in range(m):
-            if dev[k] >= depth - step * reach:
-                g = (trial[k] - more[k]) / step
-                gr[n] = g if math.isfinite(g) else 0.0
+            if dev[k] >= depth - min(step, small) * reach:
+                tp, tr = (trial[k] - dev[k]) / h, (more[k] - dev[k]) / h
+                gp[n] = tp if math.isfinite(tp) else 0.0
+                gr[n] = tr if math.isfinite(tr) else 0.0
                 n += 1
         dp, dr = steepest_relief(gp, gr, n)
         size = math.hypot(dp, dr)
@@ -133,7 +137,7 @@ def settle_attitude(
             d = deviations(z, scale, u0, v0, tip_z, azimuth, np_, nr, body, trial)
             if d < best:
                 best, best_p, best_r = d, np_, nr
-        if best == depth:
+        if best == depth and step <= small:
             for k in range(8):
                 turn = k * math.pi / 4.0
                 np_, nr = _inside(p + step * math.cos(turn), r + step * math.sin(turn), limits)
@@ -143,6 +147,7 @@ def settle_attitude(
         if best < depth:
             p, r = best_p, best_r
             depth = deviations(z, scale, u0, v0, tip_z, azimuth, p, r, body, dev)
+            step = min(2.0 * step, largest) if step >= small else step
         else:
             step *= 0.5
     angles[0], angles[1] = p, r
@@ -165,28 +170,36 @@ def search_attitude(
 ) -> float:
     """`settle_attitude` from the angles given, and where the body still has to be lifted, from others too.
 
-    On broken ground the equilibrium next to the normal may be a poor one. The best `STARTS` attitudes of a
+    On broken ground the equilibrium next to the normal may be a poor one. The best two attitudes of a
     coarse raster over the wrist's range are settled as well; one of them is taken when it saves more than a
     twentieth of the lift.
     """
-    first_p, first_r = angles[0], angles[1]
     best = settle_attitude(z, scale, u0, v0, tip_z, azimuth, angles, body, limits, step, s)
     if best <= WORTH_M:
         return best  # type: ignore[no-any-return]
     best_p, best_r = angles[0], angles[1]
-    bound = -math.inf
-    for _ in range(STARTS):
-        # the attitude of the raster with the least depth above those tried before
-        least, p, r = math.inf, first_p, first_r
-        for i in range(RASTER):
-            for j in range(RASTER):
-                tp = limits[0] + (limits[1] - limits[0]) * i / (RASTER - 1)
-                tr = limits[2] + (limits[3] - limits[2]) * j / (RASTER - 1)
-                d = deviations(z, scale, u0, v0, tip_z, azimuth, tp, tr, body, s[0])
-                if bound < d < least:
-                    least, p, r = d, tp, tr
-        bound = least
-        angles[0], angles[1] = p, r
+    reach = 0.0
+    for k in range(body.shape[0]):
+        reach = max(reach, math.hypot(body[k, 0], body[k, 1]))
+    wide_p, wide_r = (limits[1] - limits[0]) / (RASTER - 1), (limits[3] - limits[2]) / (RASTER - 1)
+    # what settling may save at most: turning by about a step of the raster
+    d1 = d2 = 0.95 * best + reach * math.sin(0.75 * max(wide_p, wide_r))
+    p1, r1, p2, r2 = best_p, best_r, best_p, best_r
+    for i in range(RASTER):
+        for j in range(RASTER):
+            p, r = limits[0] + wide_p * i, limits[2] + wide_r * j
+            if abs(p - best_p) <= wide_p and abs(r - best_r) <= wide_r:
+                continue  # would settle in the same place
+            d = deviations(z, scale, u0, v0, tip_z, azimuth, p, r, body, s[0])
+            if d < d1:
+                d2, p2, r2 = d1, p1, r1
+                d1, p1, r1 = d, p, r
+            elif d < d2:
+                d2, p2, r2 = d, p, r
+    for k in range(2):
+        angles[0], angles[1] = (p1, r1) if k == 0 else (p2, r2)
+        if angles[0] == best_p and angles[1] == best_r:
+            continue
         d = settle_attitude(z, scale, u0, v0, tip_z, azimuth, angles, body, limits, step, s)
         if d < 0.95 * best:
             best, best_p, best_r = d, angles[0], angles[1]

@@ -1,4 +1,4 @@
-"""Lay a planar path on the envelope: heights, normals (eqs 5-7), the attitude of the body (paper §3.2-3.3)."""
+"""Lay a planar path on the envelope: heights, normals (eqs 5-7), attitude of the body (paper §3.2-3.3)."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def advanced_terrain_following(
 
     Notes
     -----
-    Paper §3.3. A sample whose body is clear keeps its attitude. The step is halved to 1/64 of itself near
+    Paper §3.3. A sample whose body is clear keeps its attitude. The step is halved to 1/16 of itself near
     the equilibrium, so that the lift is close to the least one of any attitude. The lift comes last: whatever
     the attitude, every control point is at or above the interpolated envelope.
     """
