@@ -151,7 +151,7 @@ def settle_attitude(
         else:
             step *= 0.5
     angles[0], angles[1] = p, r
-    return depth
+    return depth  # type: ignore[no-any-return]
 
 
 @jit

@@ -73,15 +73,20 @@ class TerrainGrid:
 
     @classmethod
     def from_map(cls, m: HeightMap) -> TerrainGrid:
-        """The heights of a map; cells with samples and priors both count as measured."""
-        return cls.of(m.heights_m, origin_m=m.origin_m, grid_m=m.grid_m)
+        """The heights of a map; beside cells with samples, priors (count 0) are FILLED, else MEASURED."""
+        z, counts = m.heights_m, m.counts
+        cells = np.where(np.isfinite(z), MEASURED, UNKNOWN).astype(np.uint8)
+        if (counts > 0).any():
+            cells[np.isfinite(z) & (counts == 0)] = FILLED
+        return cls.of(z, origin_m=m.origin_m, grid_m=m.grid_m, cells=cells)
 
     def to_map(self) -> HeightMap:
-        """A `HeightMap` of priors (count 0), ready for `save` or `client.map_install`."""
+        """A `HeightMap`, ready for `save` or `client.map_install`: measured cells count 1, filled ones 0."""
         from surffollow.map import HeightMap
 
         z = np.where(np.isfinite(self.heights_m), self.heights_m, np.nan)
-        return HeightMap.from_heights(z, origin_m=self.origin_m, grid_m=self.grid_m)
+        counts = (self.cells == MEASURED).astype(np.uint8)
+        return HeightMap.from_heights(z, origin_m=self.origin_m, grid_m=self.grid_m, counts=counts)
 
     @property
     def shape(self) -> tuple[int, int]:

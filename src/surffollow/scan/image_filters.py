@@ -162,7 +162,7 @@ def gauss_weights(sigma_px: float, r: int) -> Floats:
     """(2r + 1,) weights of a Gaussian cut at ±r, sum 1."""
     k = np.arange(-r, r + 1)
     w: Floats = np.exp(-0.5 * (k / sigma_px) ** 2)
-    return w / w.sum()
+    return np.asarray(w / w.sum(), np.float64)
 
 
 def pad(values: Floats, r: int) -> Floats:

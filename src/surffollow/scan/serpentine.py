@@ -56,7 +56,7 @@ def strips(low: float, high: float, swath_m: float) -> tuple[Floats, float]:
     """Middles of the fewest equal strips no wider than a swath that cover low … high, and their width."""
     n = max(1, math.ceil((high - low) / swath_m - 1e-9))
     width = (high - low) / n
-    return low + (np.arange(n) + 0.5) * width, width
+    return np.asarray(low + (np.arange(n) + 0.5) * width, np.float64), width
 
 
 def joined(
