@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import maximum_filter
 
 from surffollow.errors import ScanInputError
 from surffollow.scan.camera import Camera, depth_image
@@ -58,6 +59,7 @@ def coherent_patches(
     support_m: float = 0.1,
     steepest_rad: float = STEEPEST_RAD,
     region: Sequence[float] | None = None,
+    border_px: int = 0,
 ) -> Patches:
     """Label connected pixels without depth jumps, and say which patches can be terrain.
 
@@ -72,6 +74,8 @@ def coherent_patches(
         below than this, along most of its outline
     steepest_rad : float [rad]            a patch whose mean normal is farther from up is *overhanging*
     region : (x_min, y_min, x_max, y_max) work space [m]; a patch without a pixel in it is *outside*
+    border_px : int                       pixels this close to a jump or hole are no terrain: a block matcher
+        widens objects by half of its block
 
     Returns
     -------
@@ -91,7 +95,7 @@ def coherent_patches(
     scale = 1.0 / camera.stereo_factor_m_px() if camera.baseline_m > 0.0 else JUMP_PER_M
     jump = positive("jump_px", jump_px, "px") * scale * z * z
     eye = camera.pose()[:3, 3]
-    return judge(
+    made = judge(
         z,
         points,
         jump,
@@ -102,6 +106,18 @@ def coherent_patches(
         steepest_rad=steepest_rad,
         region=region,
     )
+    return made if border_px <= 0 else replace(made, terrain=made.terrain & ~_near_border(made, border_px))
+
+
+def _near_border(patches: Patches, border_px: int) -> NDArray[np.bool_]:
+    """(rows, cols) bool: a pixel of another patch, or without data, next to one within border_px."""
+    labels = patches.labels
+    edge = np.zeros(labels.shape, np.bool_)
+    for a, b in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+        change = labels[a] != labels[b]
+        edge[a] |= change
+        edge[b] |= change
+    return np.asarray(maximum_filter(edge, size=2 * border_px + 1, mode="constant"), np.bool_)
 
 
 def judge(
