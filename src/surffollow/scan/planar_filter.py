@@ -25,7 +25,7 @@ from surffollow.shm.jit import jit_arrays
 
 NO_DATA, ROUGH, PLANAR = 0, 1, 2
 # deviation over that of noise alone → strength; between the knots linear
-CURVE = ((1.5, 1.0), (3.0, 0.0))
+CURVE = ((2.0, 1.0), (4.0, 0.0))
 NOISE_QUANTILE = 0.25  # deviations of the most planar quarter are noise
 PLANAR_STRENGTH = 0.5  # labelled planar from here
 LEAST_NOISE_PX = 1e-9  # in an image without noise only exact planes are planar
