@@ -22,6 +22,16 @@ _HOME = {
     "ring": "body",
     "rectangle": "body",
     "parse_body": "body",
+    "Arm": "arm",
+    "PolarCorrection": "polar",
+    "polar_correction": "polar",
+    "CalibrationMatrix": "calibration",
+    "Shaper": "shaping",
+    "Mode": "modes",
+    "identify_mode": "modes",
+    "SignalMap": "signal_map",
+    "trapezoid": "motion_profile",
+    "jerk_limited": "motion_profile",
 }
 
 __all__ = sorted(_HOME)
