@@ -43,31 +43,41 @@ class SignalMap:
         y = self.origin_m[1] + (np.arange(rows) + 0.5) * self.grid_m
         return np.asarray(x, np.float64), np.asarray(y, np.float64)
 
-    def peak_m(self, *, part: float = 0.5) -> tuple[float, float, float]:
+    def peak_m(self, *, part: float = 0.4, reach_m: float = 0.2) -> tuple[float, float, float]:
         """Place (x, y) [m] of the strongest response, and its height above the background (median).
+
+        Parameters
+        ----------
+        part : float         cells whose mean is above this part of the peak are used
+        reach_m : float      and no farther from the strongest cell than this
+
+        Raises
+        ------
+        ScanInputError
+            a map without samples
 
         Notes
         -----
-        The centroid of the cells around the strongest one whose mean is above `part` of the peak, weighted by
-        what they are above it.
+        The top of a round paraboloid fitted to the logarithm of the response, which finds it between passes;
+        where the cells lie on one line or the fit has no top among them, their weighted centroid.
         """
-        from scipy.ndimage import label
-
         known = self.count > 0
         if not known.any():
             raise ScanInputError("the signal map has no sample; nothing was scanned")
-        level = float(np.median(self.mean[known]))
-        above = np.where(known, self.mean - level, 0.0)
-        top = float(above.max())
-        patches, _ = label(above > part * top, structure=np.ones((3, 3)))
-        at = np.unravel_index(int(np.argmax(above)), above.shape)
-        own = patches == patches[at] if patches[at] else np.zeros(above.shape, np.bool_)
-        if not own.any():
-            own[at] = True
-        weight = np.where(own, above - part * top + 1e-300, 0.0)
-        x, y = self.centres_m()
-        whole = float(weight.sum())
-        return float((weight.sum(0) * x).sum() / whole), float((weight.sum(1) * y).sum() / whole), top
+        above = np.where(known, self.mean - float(np.median(self.mean[known])), 0.0)
+        row, col = np.unravel_index(int(np.argmax(above)), above.shape)
+        top = float(above[row, col])
+        xs, ys = self.centres_m()
+        xx, yy = np.meshgrid(xs - xs[col], ys - ys[row])
+        own = (above >= part * top) & known & (np.hypot(xx, yy) <= reach_m)
+        x, y, v = xx[own], yy[own], above[own]
+        at = np.array([(v * x).sum(), (v * y).sum()]) / v.sum() if top > 0.0 else np.zeros(2)
+        basis = np.column_stack([np.ones(len(x)), x, y, x * x + y * y]) * v[:, None]
+        if top > 0.0 and len(x) > 4 and np.linalg.matrix_rank(basis) == 4:
+            _, b, c, k = np.linalg.lstsq(basis, np.log(v) * v, rcond=None)[0]
+            found = np.array([b, c]) / (-2.0 * k) if k < 0.0 else at
+            at = found if float(np.hypot(*(found - at))) <= reach_m else at
+        return float(xs[col] + at[0]), float(ys[row] + at[1]), top
 
     def save_geotiff(self, path: str | os.PathLike[str]) -> None:
         """Write mean, max and count as three float32 bands, northernmost row first (extra `geo`)."""
