@@ -10,7 +10,7 @@ import numpy as np
 
 from surffollow.live.field import make_field, survey_field
 from surffollow.live.field_calibration import calibrate
-from surffollow.live.field_demo import FILTERS, HUMP_TASK, PASS_M, Demonstration, shaper_of
+from surffollow.live.field_demo import FILTERS, PASS_TASK, Demonstration, shaper_of
 from surffollow.live.field_scan import plan, run
 from surffollow.live.field_vibration import line, shapers
 from surffollow.scan.pictures import _figure, _relief, _save
@@ -47,7 +47,7 @@ def _scene(axes: Any, made: Demonstration, figure: Any) -> None:
 def _gaps(axes: Any, seed: int) -> None:
     place = make_field("hump", seed)
     found = calibrate(place)
-    task = replace(HUMP_TASK, following="none", margin_m=0.0, region_m=PASS_M)
+    task = replace(PASS_TASK, following="none")
     for which in FILTERS:
         wanted = plan(survey_field(place, image_filter=which), task, shaper_of(found))
         one = run(place, wanted, found, task)
@@ -88,5 +88,5 @@ def _signal(axes: Any, made: Demonstration, figure: Any) -> None:
     axes.plot(*made.figures["target"]["found_m"], "wx", ms=8, label="found")
     axes.set_aspect("equal")
     axes.set_facecolor("0.6")
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(-0.9, 1.0))
     axes.set_title(f"signal map: {1e3 * made.figures['target']['error_m']:.0f} mm off")

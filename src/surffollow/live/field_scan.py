@@ -94,7 +94,7 @@ class Run:
     gap_m: float
 
     def figures(self) -> dict[str, Any]:
-        """Gap errors [m] of the nearest control point and of the laser (P99: of absolute values), and more."""
+        """Gap errors [m] of the nearest control point and of the laser (P99 of absolute values)."""
         on = self.scored & np.isfinite(self.clearance_m)
         if not on.any():
             raise ScanInputError("no sample of the run lies on a pass within the region; nothing to score")
