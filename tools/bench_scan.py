@@ -33,6 +33,7 @@ from surffollow.scan.body import disc  # noqa: E402
 from surffollow.scan.camera import Camera, looking_down  # noqa: E402
 from surffollow.scan.check import check_path  # noqa: E402
 from surffollow.scan.clearance import clear_ground, control_points  # noqa: E402
+from surffollow.scan.deviation import planar_deviation  # noqa: E402
 from surffollow.scan.envelope import ball_envelope, ball_heights, envelope_of  # noqa: E402
 from surffollow.scan.following import advanced_terrain_following, reactionary, sample_terrain  # noqa: E402
 from surffollow.scan.grid import TerrainGrid  # noqa: E402
@@ -43,7 +44,6 @@ from surffollow.scan.patch_labels import label_patches  # noqa: E402
 from surffollow.scan.patches import cloud_patches, coherent_patches  # noqa: E402
 from surffollow.scan.path_file import write_path  # noqa: E402
 from surffollow.scan.plan import PlanSettings, plan_scan  # noqa: E402
-from surffollow.scan.planar_deviation import planar_deviation  # noqa: E402
 from surffollow.scan.planar_filter import conditional_planar_filter  # noqa: E402
 from surffollow.scan.schemes import arcs, lanes  # noqa: E402
 from surffollow.scan.terrain import terrain_map  # noqa: E402

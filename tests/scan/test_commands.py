@@ -141,7 +141,7 @@ def test_an_interrupt_leaves_the_old_map(survey, tmp_path):
     out = tmp_path / "g.npz"
     out.write_bytes(b"old")
     code = (
-        "import sys, surffollow.scan.survey as s\n"
+        "import sys, surffollow.scan.surveying as s\n"
         "def stop(*_, **__): raise KeyboardInterrupt\n"
         "s.terrain_map = stop\n"
         "from surffollow.cli.main import main\nmain(sys.argv[1:])"

@@ -120,7 +120,7 @@ def map_command(
 
     from surffollow.scan.cloud_files import CLOUD_SUFFIXES, read_cloud
     from surffollow.scan.image_files import read_images
-    from surffollow.scan.survey import SurveySettings, survey
+    from surffollow.scan.surveying import SurveySettings, survey
 
     if picture:
         _check_picture(picture)
@@ -308,7 +308,10 @@ def _print(facts: dict[str, Any], as_json: bool) -> None:
         elif isinstance(value, dict):
             value = ", ".join(f"{k} {v}" for k, v in value.items() if v)
         elif isinstance(value, (list, tuple)) and value and isinstance(value[0], dict):
-            value = "; ".join(str(v) for v in value)
+            for one in value:
+                patches = ", ".join(f"{n} {k}" for k, n in one.get("patches", {}).items() if n)
+                click.echo(f"{one.get('name', key):<{width}}  patches: {patches}")
+            continue
         elif isinstance(value, (list, tuple)):
             value = " ".join(f"{v:.6g}" for v in value)
         click.echo(f"{key:<{width}}  {'-' if value is None else value}")

@@ -19,8 +19,8 @@ from surffollow.errors import ScanInputError
 from surffollow.scan.bands import in_bands
 from surffollow.scan.camera import Camera, depth_image
 from surffollow.scan.checks import Floats, positive, real_array
+from surffollow.scan.deviation import MODES, deviations, half_width
 from surffollow.scan.image_filters import gauss_row, gauss_weights, medians, moments_row
-from surffollow.scan.planar_deviation import MODES, deviations, half_width
 from surffollow.shm.jit import jit_arrays
 
 NO_DATA, ROUGH, PLANAR = 0, 1, 2
