@@ -99,6 +99,9 @@ def scan_group() -> None:
 @click.option("--fill", type=LENGTH, help="Widest hole that is filled.  [default: 10 cells]")
 @click.option("--support", type=LENGTH, default="10cm", show_default=True, help="Patches higher up float.")
 @click.option("--min-pixels", type=click.IntRange(1), default=50, show_default=True, help="Of a patch.")
+@click.option(
+    "--border", type=click.IntRange(0, 64), default=0, show_default=True, help="Pixels left out beside jumps."
+)
 @_PICTURE
 @_JSON
 def map_command(
@@ -112,6 +115,7 @@ def map_command(
     fill: float | None,
     support: float,
     min_pixels: int,
+    border: int,
     picture: str | None,
     as_json: bool,
 ) -> None:
@@ -131,6 +135,7 @@ def map_command(
         window=window,
         min_pixels=min_pixels,
         support_m=support,
+        border_px=border,
         fill_m=fill,
     )
     clouds = [d for d in depths if Path(d).suffix.lower() in CLOUD_SUFFIXES]

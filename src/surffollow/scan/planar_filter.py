@@ -234,8 +234,10 @@ def _as_disparity(image: ArrayLike, camera: Camera, kind: str) -> tuple[Floats, 
         q = real_array("disparity_px", image, (None, None))
         if q.size == 0:
             raise ScanInputError(f"the disparity image of {camera.name} has shape {q.shape}; it has no pixel")
-        depth_image(camera.depth_m(q), camera)
-        return np.where(np.isfinite(q) & np.isfinite(camera.depth_m(q)), q, np.nan), None
+        seen = depth_image(camera.depth_m(q), camera)
+        q = q.copy()
+        q[np.isnan(seen)] = np.nan
+        return q, None
     if kind != "depth":
         raise ScanInputError(f"kind is '{kind}'; expected depth or disparity")
     z = depth_image(image, camera)
