@@ -9,8 +9,7 @@ import pytest
 
 import naive_field as naive
 from surffollow.errors import ScanInputError
-from surffollow.scan import Shaper, identify_mode, jerk_limited, trapezoid
-from surffollow.scan.signal_map import signal_map
+from surffollow.scan import Shaper, identify_mode, jerk_limited, signal_map, trapezoid
 
 KINDS = {"zv": Shaper.zv, "zvd": Shaper.zvd, "ei": Shaper.ei}
 

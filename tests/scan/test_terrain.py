@@ -11,7 +11,7 @@ from surffollow.map import HeightMap
 from surffollow.scan.envelope import ball_envelope, envelope_of
 from surffollow.scan.grid import FILLED, MEASURED, UNKNOWN, TerrainGrid
 from surffollow.scan.holes import fill_holes
-from surffollow.scan.normal_offset import disagreement, normal_offset
+from surffollow.scan.offset_surface import disagreement, normal_offset
 from surffollow.scan.terrain import compose_stations, terrain_map
 
 

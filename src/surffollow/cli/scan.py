@@ -100,6 +100,9 @@ def scan_group() -> None:
 @click.option("--fill", type=LENGTH, help="Widest hole that is filled.  [default: 10 cells]")
 @click.option("--support", type=LENGTH, default="10cm", show_default=True, help="Patches higher up float.")
 @click.option("--min-pixels", type=click.IntRange(1), default=50, show_default=True, help="Of a patch.")
+@click.option(
+    "--border", type=click.IntRange(0, 64), default=0, show_default=True, help="Pixels left out beside jumps."
+)
 @_PICTURE
 @_JSON
 def map_command(
@@ -113,6 +116,7 @@ def map_command(
     fill: float | None,
     support: float,
     min_pixels: int,
+    border: int,
     picture: str | None,
     as_json: bool,
 ) -> None:
@@ -121,7 +125,7 @@ def map_command(
 
     from surffollow.scan.cloud_files import CLOUD_SUFFIXES, read_cloud
     from surffollow.scan.image_files import read_images
-    from surffollow.scan.survey import SurveySettings, survey
+    from surffollow.scan.surveying import SurveySettings, survey
 
     if picture:
         _check_picture(picture)
@@ -132,6 +136,7 @@ def map_command(
         window=window,
         min_pixels=min_pixels,
         support_m=support,
+        border_px=border,
         fill_m=fill,
     )
     clouds = [d for d in depths if Path(d).suffix.lower() in CLOUD_SUFFIXES]
@@ -309,7 +314,10 @@ def _print(facts: dict[str, Any], as_json: bool) -> None:
         elif isinstance(value, dict):
             value = ", ".join(f"{k} {v}" for k, v in value.items() if v)
         elif isinstance(value, (list, tuple)) and value and isinstance(value[0], dict):
-            value = "; ".join(str(v) for v in value)
+            for one in value:
+                patches = ", ".join(f"{n} {k}" for k, n in one.get("patches", {}).items() if n)
+                click.echo(f"{one.get('name', key):<{width}}  patches: {patches}")
+            continue
         elif isinstance(value, (list, tuple)):
             value = " ".join(f"{v:.6g}" for v in value)
         click.echo(f"{key:<{width}}  {'-' if value is None else value}")

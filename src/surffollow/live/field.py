@@ -16,7 +16,7 @@ from surffollow.scan.camera import Camera, looking_down
 from surffollow.scan.checks import Floats
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.image_files import DepthImage
-from surffollow.scan.survey import SurveySettings, survey
+from surffollow.scan.surveying import SurveySettings, survey
 from surffollow.sim.field_ground import make_ground
 from surffollow.sim.flexible_tip import Compliance
 from surffollow.sim.stereo_camera import render_depth, stereo_disparity

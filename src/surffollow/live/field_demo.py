@@ -15,7 +15,7 @@ from surffollow.live.field_scan import Run, Task, plan, run
 from surffollow.live.field_vibration import vibration_table
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.shaping import Shaper
-from surffollow.scan.signal_map import SignalMap, signal_map
+from surffollow.scan.signals import SignalMap, signal_map
 from surffollow.sim.field_sensors import target_signal
 
 Progress = Callable[[str, float], Any]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -141,7 +142,7 @@ def plan(ground: TerrainGrid, task: Task, shaper: Shaper) -> ScanPath:
         axes = [np.hypot(xy[:, 0], xy[:, 1]), np.unwrap(np.arctan2(xy[:, 1], xy[:, 0]))]
     else:
         axes = [xy[:, 0], xy[:, 1]]
-    a, b = (shaper.function(lambda at, v=v: np.interp(at, laid.t_s, v))(t) for v in axes)
+    a, b = (shaper.function(partial(_at_times, laid.t_s, v))(t) for v in axes)
     shaped = (
         np.column_stack([a * np.cos(b), a * np.sin(b)]) if task.scheme == "arcs" else np.column_stack([a, b])
     )
@@ -152,6 +153,10 @@ def plan(ground: TerrainGrid, task: Task, shaper: Shaper) -> ScanPath:
         shaped, np.where(moving, laid.passes[nearest], -1).astype(np.int32), facts=laid.facts
     )
     return _smoothed(_laid(made, envelope, ground, task), task).changed(t_s=t)
+
+
+def _at_times(t_s: Floats, values: Floats, at_s: Floats) -> Floats:
+    return np.interp(at_s, t_s, values)
 
 
 def _smoothed(path: ScanPath, task: Task) -> ScanPath:

@@ -19,8 +19,8 @@ from surffollow.errors import ScanInputError
 from surffollow.scan.bands import in_bands
 from surffollow.scan.camera import Camera, depth_image
 from surffollow.scan.checks import Floats, positive, real_array
+from surffollow.scan.deviation import MODES, deviations, half_width
 from surffollow.scan.image_filters import gauss_row, gauss_weights, medians, moments_row
-from surffollow.scan.planar_deviation import MODES, deviations, half_width
 from surffollow.shm.jit import jit_arrays
 
 NO_DATA, ROUGH, PLANAR = 0, 1, 2
@@ -234,8 +234,10 @@ def _as_disparity(image: ArrayLike, camera: Camera, kind: str) -> tuple[Floats, 
         q = real_array("disparity_px", image, (None, None))
         if q.size == 0:
             raise ScanInputError(f"the disparity image of {camera.name} has shape {q.shape}; it has no pixel")
-        depth_image(camera.depth_m(q), camera)
-        return np.where(np.isfinite(q) & np.isfinite(camera.depth_m(q)), q, np.nan), None
+        seen = depth_image(camera.depth_m(q), camera)
+        q = q.copy()
+        q[np.isnan(seen)] = np.nan
+        return q, None
     if kind != "depth":
         raise ScanInputError(f"kind is '{kind}'; expected depth or disparity")
     z = depth_image(image, camera)

@@ -76,9 +76,9 @@ def terrain_map(
         raise ScanInputError(f"no point lies in the region {x0:g}, {y0:g}, {x1:g}, {y1:g} m")
     nodes = averages(points, w, (x0, y0), side)
     cells = np.column_stack([(nodes[:, 0] - x0) / g - 0.5, (nodes[:, 1] - y0) / g - 0.5, nodes[:, 2]])
+    triangles = delaunay(cells[:, :2])  # before the grid: its working memory is the larger one
     z = np.full((rows, cols), np.nan)
     flags = np.full((rows, cols), UNKNOWN, np.uint8)
-    triangles = delaunay(cells[:, :2])
     lay_triangles(cells, triangles, fill / g, False, np.ones((rows, cols), np.bool_), z)
     flags[np.isfinite(z)] = FILLED
     own = nodes if side == g else averages(points, w, (x0, y0), g)

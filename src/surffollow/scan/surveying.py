@@ -30,7 +30,7 @@ class SurveySettings:
     region : (x_min, y_min, x_max, y_max) [m] or None
     filter : str                  one of FILTERS
     window : int [px]             of the conditional planar filter; the Gaussian has sigma window / 4
-    min_pixels, support_m         of `coherent_patches`
+    min_pixels, support_m, border_px        of `coherent_patches`
     fill_m, average_m             of `terrain_map`
     """
 
@@ -40,6 +40,7 @@ class SurveySettings:
     window: int = 9
     min_pixels: int = 50
     support_m: float = 0.1
+    border_px: int = 0
     fill_m: float | None = None
     average_m: float | None = None
 
@@ -95,6 +96,7 @@ def terrain_points(image: DepthImage, settings: SurveySettings) -> tuple[Floats,
         min_pixels=settings.min_pixels,
         support_m=settings.support_m,
         region=settings.region,
+        border_px=settings.border_px,
     )
     kept = np.where(patches.terrain, depth, np.nan)
     report: dict[str, Any] = {
