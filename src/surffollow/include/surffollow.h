@@ -590,7 +590,7 @@ typedef struct sf_stats {
   int64_t poses_refused; /* not finite, not unit, not newer, from the future or too old */
   int64_t requests;
   int64_t requests_refused;
-  int64_t torn; /* inbox reads given up */
+  int64_t torn; /* reads of a slot given up */
   int64_t lateness_max_ns; /* [ns] */
   int64_t execution_max_ns; /* [ns] */
   int64_t lateness[512]; /* [ns] wake-up after the deadline */
