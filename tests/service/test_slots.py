@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from raw_slot import MESSAGE, raw_slot
 from running_service import POSE, READY_S, Service, config_text, program, said, take_pose, until
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from surffollow.client import attach
@@ -27,7 +28,6 @@ from surffollow.shm.unix_socket import listen, new_socket, socket_path
 
 OPEN_TO_ALL = 'board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"\nslots_per_user = 3\n'
 LIMITS = OPEN_TO_ALL + "slots_per_process = 2\n"
-MESSAGE = lb.SlotMessage.struct_of("magic", "name")
 PUNCH_AND_KEEP_SIZE = 3
 
 
@@ -39,26 +39,6 @@ def open_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
         yield s.start()
     finally:
         s.purge()
-
-
-def raw_slot(name: str) -> tuple[socket.socket, int, mmap.mmap, int]:
-    """Connection, descriptor, mapping and number of a slot that is offered and mapped, not yet granted."""
-    sock = new_socket()
-    sock.connect(str(socket_path(name)))
-    board = Board(name)
-    epoch = board.epoch
-    board.close()
-    fields = [lb.SLOT_MAGIC, LAYOUT_HASH, lb.SLOT_ASK, epoch, 0, 0, 0, 0, b"attacker"]
-    sock.send(MESSAGE.pack(*fields))
-    data, fds, _, _ = socket.recv_fds(sock, MESSAGE.size, 1)
-    _, _, step, _, _, _, slot, claim, _ = MESSAGE.unpack(data)
-    assert step == lb.SLOT_OFFER
-    memory = mmap.mmap(fds[0], lb.SLOT_BYTES)
-    fields[2], fields[6], fields[7] = lb.SLOT_MAPPED, slot, claim
-    sock.send(MESSAGE.pack(*fields))
-    data = sock.recv(MESSAGE.size)
-    assert MESSAGE.unpack(data)[2] == lb.SLOT_GRANT
-    return sock, fds[0], memory, slot
 
 
 def attacks_on_memory(name: str) -> dict[str, str]:
