@@ -79,7 +79,7 @@ class Ticket:
         """Whether an answer is still to be expected, and to be waited for before the next request."""
         if self._given_up or self._claim != self._client._claim or self.done():
             return False
-        # a member of the inbox's group can wipe out a request unseen: it must not block all later ones
+        # one that was lost must not block all later ones
         return self.taken() or time.monotonic() < self._sent_s + LOST_S
 
     def result(self, timeout_s: float = 5.0) -> int:
