@@ -130,6 +130,17 @@ class Client(SlotHolder):
                     raise BusyError(f"{e}; end that client or let it call release_pose()") from None
                 time.sleep(0.02)
 
+    def claim_pose(self) -> None:
+        """Become the one who sends the pose, and may so set parameters; `ee_pos` does it when needed.
+
+        Raises
+        ------
+        BusyError   another live client sends the pose; its process is named
+        """
+        self._must_be_there()
+        if not self._pose_held:
+            self._claim_pose()
+
     def release_pose(self) -> None:
         """Let another client send the pose."""
         self._follow()  # of a service that was started anew this client holds nothing

@@ -74,7 +74,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 /* ---- layout: generated ------------------------------------------------------------ */
 
 #define SF_LAYOUT_VERSION 1u
-#define SF_LAYOUT_HASH UINT64_C(8716202269013744294)
+#define SF_LAYOUT_HASH UINT64_C(6605807534027206498)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_INBOX_MAGIC UINT64_C(3549485532940752211)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
@@ -646,8 +646,8 @@ typedef struct sf_audit_entry {
   char name[32]; /* as the client calls itself */
   int64_t code; /* RQ_... */
   int64_t word; /* number of the parameter; -1: none */
-  double old; /* its value before, NaN: none; in the unit of the parameter */
-  double new; /* its value wanted, NaN: none */
+  double old_value; /* its value before, NaN: none; in the unit of the parameter */
+  double new_value; /* its value wanted, NaN: none */
   int64_t result; /* OK, ACCEPTED or ERR_... */
   int64_t detail; /* of the answer; of a stop: its causes */
   int64_t count; /* times that this was refused since the entry before of the same kind; else 1 */
@@ -662,8 +662,8 @@ SF_STATIC_ASSERT(offsetof(sf_audit_entry, claim) == 32, "layout of sf_audit_entr
 SF_STATIC_ASSERT(offsetof(sf_audit_entry, name) == 40, "layout of sf_audit_entry");
 SF_STATIC_ASSERT(offsetof(sf_audit_entry, code) == 72, "layout of sf_audit_entry");
 SF_STATIC_ASSERT(offsetof(sf_audit_entry, word) == 80, "layout of sf_audit_entry");
-SF_STATIC_ASSERT(offsetof(sf_audit_entry, old) == 88, "layout of sf_audit_entry");
-SF_STATIC_ASSERT(offsetof(sf_audit_entry, new) == 96, "layout of sf_audit_entry");
+SF_STATIC_ASSERT(offsetof(sf_audit_entry, old_value) == 88, "layout of sf_audit_entry");
+SF_STATIC_ASSERT(offsetof(sf_audit_entry, new_value) == 96, "layout of sf_audit_entry");
 SF_STATIC_ASSERT(offsetof(sf_audit_entry, result) == 104, "layout of sf_audit_entry");
 SF_STATIC_ASSERT(offsetof(sf_audit_entry, detail) == 112, "layout of sf_audit_entry");
 SF_STATIC_ASSERT(offsetof(sf_audit_entry, count) == 120, "layout of sf_audit_entry");

@@ -1,7 +1,7 @@
 """The audit trail: who asked for which change and what came of it, on the board and in the service's log.
 
-The cycle queues an entry per change (`service.changes`); the main thread looks up who it was, gathers refusals
-that repeat, publishes the entries in the board's ring and tells them as lines.
+The cycle queues an entry per change (`service.changes`); the main thread looks up who it was, gathers
+refusals that repeat, publishes the entries in the board's ring and tells them as lines.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Housekeeping that may fail without ending the service: faults are latched and told, the work tried again."""
+"""Housekeeping that may fail and does not end the service: faults are latched and told, work is repeated."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Lines for people and for the service manager, written by a thread of their own.
 
 A terminal that is stopped, a full pipe, a reader that went away: a write may block for ever or fail, and
-following must not notice. Whoever has a line puts it into a bounded queue and goes on; lines that find no room,
-come too fast or cannot be written are counted.
+following must not notice. Lines wait in a bounded queue; those that find no room, come too fast or cannot be
+written are counted.
 """
 
 from __future__ import annotations
