@@ -1,10 +1,9 @@
-"""Take away service, controller or driver at random while the simulated robot moves: is its tool at rest in time?
+"""Take away service, controller or driver while the simulated robot moves: is its tool at rest in time?
 
-The body and its drives run here, in wall time; controller and service are processes of their own, as they are
-around a real robot. In turn, after a random time of motion at full speed: SIGKILL to the service, SIGSTOP to the
-service, SIGKILL to the controller, no more news from the driver, a stop asked for by another client. From the
-stated time on the tool must be at rest along the path, and hold its height or retract (docs/protocol.md,
-"Stop"). `--retract` lets it retract by 20 mm.
+The body and its drives run here, in wall time; controller and service are processes of their own. In turn, after
+a random time of motion at full speed: SIGKILL to the service, SIGSTOP to the service, SIGKILL to the controller,
+no more news from the driver, a stop asked for by another client. From the stated time on the tool must be at rest
+along the path, and hold its height or retract (docs/protocol.md, "Stop"). `--retract` lets it retract by 20 mm.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ HEALTH_S = 120.0
 
 
 def noticed_s(kind: str, config: RobotConfig) -> float:
-    """Time from the event until a tick of the controller, or the drives' watchdog, can miss the demand [s]."""
+    """Time from the event until a tick of the controller, or the drives' watchdog, misses the demand [s]."""
     return {
         "service killed": STALE_S,
         "service stopped": STALE_S,

@@ -1,4 +1,4 @@
-"""A controller as a process of its own, for `bench_stop.py`: reports of the body in, commands for its drives out.
+"""A controller as a process of its own, for `bench_stop.py`: reports of the body in, commands out.
 
 Each message is one datagram of the socket whose descriptor is the second word of the command line: from the
 body int64 kind (0 report, 1 reset the stop), t_ns, seven float64; to the body int64 kind (1 follow, 0 hold),
@@ -15,7 +15,7 @@ import sys
 import time
 
 from surffollow.client import Client, attach
-from surffollow.errors import SurffollowError
+from surffollow.errors import PoseError, SurffollowError
 
 REPORT, COMMAND = struct.Struct("<qq7d"), struct.Struct("<qqd")
 TICK_S = 0.01
@@ -31,7 +31,8 @@ def obey(client: Client, link: socket.socket) -> None:
                 if kind == 1:
                     client.reset_stop(timeout_s=1.0)
                 else:
-                    client.ee_pos(pose, t_ns)
+                    with contextlib.suppress(PoseError):  # it waited while this process was starting
+                        client.ee_pos(pose, t_ns)
         demand = client.dev_vector()
         if demand.valid:
             follow, pose_t_ns, z = 1, demand.pose_t_ns, demand[2]
