@@ -61,6 +61,7 @@ def sf_reset(params: Any, state: Any, offset_m: Any) -> None:
     p.reading_z_m = 0.0
     p.relayed_m = 0.0
     forget_surface(state[0].adaptive)
+    state[0].stop_armed = 0
 
 
 @jit

@@ -37,12 +37,15 @@ def latch_stop(state: Any, causes: Any) -> None:
 
 
 @jit_inlined
-def causes_seen(params: Any, output: Any) -> Any:
-    """Causes in this cycle's status and health: bits of `STOP_NAMES`."""
+def causes_seen(params: Any, state: Any, output: Any) -> Any:
+    """Causes in this cycle's status and health: bits of `STOP_NAMES`.
+
+    A forecast that has not begun yet is without a reading, which is no loss.
+    """
     causes = 0
     if output.status & POSE_STALE:
         causes |= STOP_POSE_STALE
-    if output.status & SENSOR_LOST:
+    if output.status & SENSOR_LOST and state.stop_armed != 0:
         causes |= STOP_SENSOR_LOST
     if output.status & TOO_CLOSE:
         causes |= STOP_TOO_CLOSE
@@ -54,7 +57,9 @@ def causes_seen(params: Any, output: Any) -> Any:
 @jit_inlined
 def obey_stop(params: Any, state: Any, output: Any) -> None:
     """Latch the causes that the configuration names; while stopped the demand is zero and not valid."""
-    output.stop_now = causes_seen(params, output)
+    if output.status & VALID:
+        state.stop_armed = 1
+    output.stop_now = causes_seen(params, state, output)
     state.stop |= output.stop_now & params.stop_on
     output.stop = state.stop
     if state.stop != 0:

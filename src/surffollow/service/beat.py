@@ -92,6 +92,7 @@ class Beat:
             start, looked_ns = lb.PAGE + slot * lb.SLOT_BYTES, time.monotonic_ns()
             if not self._house.inbox.is_locked(start):
                 store_release(dead + 8 * slot, looked_ns)
+                store_release(base + 8 * (m.OWNER_PID + slot), 0)
                 continue
             store_release(dead + 8 * slot, 0)
             live += 1

@@ -15,7 +15,8 @@ from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import (
     AUDIT_ENTRY_WORDS,
-    OK,
+    ERR_BAD_VALUE,
+    ERR_BEYOND_LIMITS,
     REQUEST_ARGS,
     RQ_SET_PARAMS,
     RQ_SF_RESET,
@@ -98,8 +99,9 @@ def fill_entry(mem: Any, slot: Any, claim: Any, code: Any, t_ns: Any, result: An
     entry[_PID] = at.load_relaxed_i64(base + 8 * (m.OWNER_PID + slot))
     entry[_UID] = at.load_relaxed_i64(base + 8 * (m.OWNER_UID + slot))
     head = slot_address(ctx[m.INBOX], slot) + SLOT_HEAD
-    if entry[_PID] == 0:  # not looked up yet
-        entry[_PID] = at.load_relaxed_i64(head + _HEAD_PID)
+    pid = at.load_relaxed_i64(head + _HEAD_PID)
+    if entry[_PID] != pid:  # not looked up yet since the slot has this client
+        entry[_PID], entry[_UID] = pid, -1
     for k in range(_NAME_WORDS):
         entry[_NAME + k] = at.load_relaxed_i64(head + _HEAD_NAME + 8 * k)
 
@@ -116,15 +118,17 @@ def note_change(mem: Any, slot: Any, t_ns: Any, result: Any, detail: Any) -> Non
         entry[_WORD] = _OFFSET_WORD
         mem.audit_floats[_OLD], mem.audit_floats[_NEW] = mem.old_values[0], request.value[0]
     elif request.code == RQ_SET_PARAMS and 1 <= request.n <= REQUEST_ARGS:
+        # where one parameter is at fault that one is told: nothing was changed
+        one = result in (ERR_BAD_VALUE, ERR_BEYOND_LIMITS) and detail >= 0
         for k in range(request.n):
-            # of a refused request only the parameter at fault: nothing was changed
-            if result == OK or request.number[k] == detail or (detail < 0 and k == 0):
-                entry[_WORD] = request.number[k]
-                mem.audit_floats[_OLD], mem.audit_floats[_NEW] = mem.old_values[k], request.value[k]
-                push_entry(mem)
-                if result != OK:
-                    return
-        if entry[_WORD] >= 0:
+            if one and request.number[k] != detail:
+                continue
+            entry[_WORD] = request.number[k]
+            mem.audit_floats[_OLD], mem.audit_floats[_NEW] = mem.old_values[k], request.value[k]
+            push_entry(mem)
+            if one:
+                return
+        if not one:
             return
     push_entry(mem)
 

@@ -169,6 +169,7 @@ class FollowState(Schema):
 
     cycle = I64(doc="cycles stepped")
     stop = I64(doc="causes of the latched stop, bits of STOP_NAMES; 0: not stopped")
+    stop_armed = I64(doc="1: a demand was valid since the last reset, so that its loss is one")
     sense = Nested(SenseState)
     paper = Nested(PaperState)
     adaptive = Nested(AdaptiveState)
