@@ -35,7 +35,7 @@ Make = Callable[..., Service]
 NOBODY = 65534
 SECOND_USER = pytest.mark.skipif(os.geteuid() != 0, reason="only root can run a client as another user")
 AS_NOBODY = ("setpriv", "--reuid", str(NOBODY), "--regid", str(NOBODY), "--clear-groups")
-OPEN = 'board_mode = "0644"\ninbox_mode = "0666"\nmap_mode = "0644"'
+OPEN = 'board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"'
 
 
 @pytest.fixture(scope="module")

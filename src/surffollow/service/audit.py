@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from surffollow.client.audit import audit_line, readable
 from surffollow.service import memory as m
 from surffollow.service.house import House
-from surffollow.service.slot_owner import user_of
 from surffollow.shm import layout_board as lb
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.dtypes import numpy_dtype
@@ -36,11 +35,18 @@ class AuditTrail:
     ----------
     house : House                      its board has the ring
     ctx : (n,) int64                   the words that the service's threads share
+    named : gives the name of the client with a claim
     tell : called with one line per entry
     """
 
-    def __init__(self, house: House, ctx: NDArray[np.int64], tell: Callable[[str], None]) -> None:
-        self._ring, self._ctx, self._tell = house.address("audit"), ctx, tell
+    def __init__(
+        self,
+        house: House,
+        ctx: NDArray[np.int64],
+        named: Callable[[int], str],
+        tell: Callable[[str], None],
+    ) -> None:
+        self._ring, self._ctx, self._named, self._tell = house.address("audit"), ctx, named, tell
         self._entry: Any = np.zeros(1, numpy_dtype(lb.AuditEntry))
         # kind of refusal → (entry, when it was told, times since)
         self._gathered: dict[tuple[int, ...], tuple[Any, int, int]] = {}
@@ -71,8 +77,8 @@ class AuditTrail:
         e = entry[0]
         if int(e["slot"]) < 0:
             e["pid"], e["uid"], e["name"] = os.getpid(), os.geteuid(), b"service"
-        elif int(e["uid"]) < 0 and 0 < int(e["pid"]) < 1 << 31:
-            e["uid"] = user_of(int(e["pid"]))
+        else:
+            e["name"] = self._named(int(e["claim"])).encode()[:31]
         if int(e["result"]) in (lb.OK, lb.ACCEPTED):
             self._append(entry)
             return

@@ -10,21 +10,20 @@ import math
 from typing import Any
 
 from surffollow.service import memory as m
-from surffollow.service.inbox import slot_address
+from surffollow.service.inbox import claim_of
 from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import (
     AUDIT_ENTRY_WORDS,
     ERR_BAD_VALUE,
     ERR_BEYOND_LIMITS,
+    OK,
     REQUEST_ARGS,
     RQ_SET_PARAMS,
     RQ_SF_RESET,
     RQ_STOP,
-    SLOT_HEAD,
     STOP_TEXT_WORDS,
     AuditEntry,
-    SlotHead,
 )
 from surffollow.shm.layout_follow import Params
 from surffollow.shm.ring import ring_push
@@ -34,8 +33,6 @@ _SLOT = AuditEntry.offset("slot") // 8
 _PID = AuditEntry.offset("pid") // 8
 _UID = AuditEntry.offset("uid") // 8
 _CLAIM = AuditEntry.offset("claim") // 8
-_NAME = AuditEntry.offset("name") // 8
-_NAME_WORDS = AuditEntry.field("name").size // 8
 _CODE = AuditEntry.offset("code") // 8
 _WORD = AuditEntry.offset("word") // 8
 _OLD = AuditEntry.offset("old_value") // 8
@@ -44,8 +41,6 @@ _RESULT = AuditEntry.offset("result") // 8
 _DETAIL = AuditEntry.offset("detail") // 8
 _COUNT = AuditEntry.offset("count") // 8
 _TEXT = AuditEntry.offset("text") // 8
-_HEAD_PID = SlotHead.offset("pid")
-_HEAD_NAME = SlotHead.offset("name")
 _OFFSET_WORD = Params.offset("offset_m") // 8
 
 
@@ -92,25 +87,17 @@ def fill_entry(mem: Any, slot: Any, claim: Any, code: Any, t_ns: Any, result: An
         entry[_TEXT + k] = 0
     if slot < 0:
         entry[_PID], entry[_UID] = 0, -1
-        for k in range(_NAME_WORDS):
-            entry[_NAME + k] = 0
         return
     base = ctx.ctypes.data
-    entry[_PID] = at.load_relaxed_i64(base + 8 * (m.OWNER_PID + slot))
-    entry[_UID] = at.load_relaxed_i64(base + 8 * (m.OWNER_UID + slot))
-    head = slot_address(ctx[m.INBOX], slot) + SLOT_HEAD
-    pid = at.load_relaxed_i64(head + _HEAD_PID)
-    if entry[_PID] != pid:  # not looked up yet since the slot has this client
-        entry[_PID], entry[_UID] = pid, -1
-    for k in range(_NAME_WORDS):
-        entry[_NAME + k] = at.load_relaxed_i64(head + _HEAD_NAME + 8 * k)
+    entry[_PID] = at.load_relaxed_i64(base + 8 * (m.PID + slot))
+    entry[_UID] = at.load_relaxed_i64(base + 8 * (m.UID + slot))
 
 
 @jit
 def note_change(mem: Any, slot: Any, t_ns: Any, result: Any, detail: Any) -> None:
     """Queue an entry for the request in `mem.request`, one per parameter where several were set."""
     request, entry = mem.request[0], mem.audit
-    fill_entry(mem, slot, request.claim, request.code, t_ns, result, detail)
+    fill_entry(mem, slot, claim_of(mem.ctx, slot), request.code, t_ns, result, detail)
     if request.code == RQ_STOP:
         for k in range(STOP_TEXT_WORDS):
             entry[_TEXT + k] = request.number[k]

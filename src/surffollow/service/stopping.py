@@ -9,7 +9,7 @@ from surffollow.forecast.step import reset_stop
 from surffollow.forecast.stop import latch_stop
 from surffollow.service import memory as m
 from surffollow.service.changes import note_stop
-from surffollow.service.inbox import slot_address
+from surffollow.service.inbox import claim_of
 from surffollow.shm import atomics as at
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.jit import jit
@@ -18,14 +18,11 @@ from surffollow.shm.layout_board import (
     ERR_STOP_REMAINS,
     OK,
     RQ_STOP,
-    SLOT_HEAD,
-    SlotHead,
 )
 from surffollow.shm.layout_follow import STOP_REQUEST
 from surffollow.shm.map_layout import MapHeader
 
 _KEPT = MapHeader.offset("stop")
-_PID = SlotHead.offset("pid")
 
 
 @jit
@@ -67,7 +64,7 @@ def holder_pid(ctx: Any) -> Any:
     slot = ctx[m.POSE_SLOT]
     if slot < 0:
         return 0
-    return at.load_relaxed_i64(slot_address(ctx[m.INBOX], slot) + SLOT_HEAD + _PID)
+    return at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.PID + slot))
 
 
 @jit
@@ -77,7 +74,7 @@ def do_stop(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
     if code == RQ_STOP:
         stop_for(mem, t_ns, STOP_REQUEST)
         return OK, mem.state[0].stop
-    if ctx[m.POSE_SLOT] != slot or ctx[m.POSE_CLAIM] != mem.request[0].claim:
+    if ctx[m.POSE_SLOT] != slot or ctx[m.POSE_CLAIM] != claim_of(ctx, slot):
         return ERR_NOT_POSE_HOLDER, holder_pid(ctx)
     left = (mem.output[0].stop_now & mem.params[0].stop_on) | asked_causes(mem)
     if left != 0:
