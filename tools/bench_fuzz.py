@@ -116,6 +116,7 @@ def works(service: Service) -> bool:
         defaults = {n: s.default for n, s in PARAMS.items() if not n.startswith(("range_", "sensor_latency"))}
         window = {"range_min_m": PARAMS["range_min_m"].default, "range_max_m": PARAMS["range_max_m"].default}
         values = {**window, **defaults, "range_size": 5, "sensor_latency_ns": 30e6, "mode": 0}
+        client.claim_pose()
         for k in range(0, len(values), lb.REQUEST_ARGS):
             client.set_params(**dict(list(values.items())[k : k + lb.REQUEST_ARGS]))
         client.sf_reset(0.1)

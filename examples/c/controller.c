@@ -67,8 +67,8 @@ int main(int argc, char **argv) {
 
   sf_client robot;
   int result = sf_attach(&robot, name);
+  if (result == SF_OK) result = sf_claim_pose(&robot); /* who sends the pose may set parameters */
   if (result == SF_OK) result = sf_sf_reset(&robot, STANDOFF_M);
-  if (result == SF_OK) result = sf_claim_pose(&robot);
   if (result != SF_OK) {
     fprintf(stderr, "controller: %s (%" PRId64 ")\n", sf_strerror(result), robot.detail);
     sf_detach(&robot);

@@ -77,10 +77,10 @@ constexpr double path_accel_mps2 = 0.2; // at rest 0.25 s after the tick that mi
 
 int run(const std::string &name, double seconds, const std::string &map_path) {
   Robot robot(name);
+  robot.claim_pose(); // who sends the pose may set parameters
   robot.reset(0.1);
   robot.set("max_demand", 0.02);
   robot.map_reset({-0.05, -0.05, 0.05 + path_speed_mps * seconds, 0.05});
-  robot.claim_pose();
 
   std::deque<std::pair<std::int64_t, double>> sent; // stamps and heights: demands refer to them
   double x_m = 0.0, z_m = 0.1, set_point_m = 0.1, speed_mps = 0.0;
