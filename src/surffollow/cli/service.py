@@ -20,7 +20,7 @@ from surffollow.cli.values import SERVICE_NAME, Finite
     "--config", "config_path", type=click.Path(dir_okay=False), help="TOML file; see docs/configuration.md."
 )
 @click.option("--name", type=SERVICE_NAME, help="Name of the service and its shared-memory objects [surf].")
-@click.option("--quiet", is_flag=True, help="Print only READY and errors.")
+@click.option("--quiet", is_flag=True, help="Print only READY, errors and the audit trail.")
 @click.option(
     "--strict", is_flag=True, help="Refuse to start without real-time priority, locked memory, processor."
 )
