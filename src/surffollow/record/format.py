@@ -36,6 +36,7 @@ ENTRY_KINDS = {
     "PARAMS": journal.PARAMS,
     "RESET": journal.RESET,
     "MAP": journal.MAP,
+    "STOP": journal.STOP,
 }
 
 
