@@ -27,6 +27,7 @@ VERBS = {
     "replay": ("record", "replay_command", "Run a recording or a CSV log through the same kernels."),
     "map": ("map", "map_group", "Map files, and the map of a running service."),
     "contest": ("contest", "contest_command", "Compare following methods on one plant."),
+    "scan": ("scan", "scan_group", "Map ground from depth images, plan a scan and check it."),
     "blocks": ("blocks", "blocks_group", "List, show and watch shared blocks."),
     "header": ("header", "header_command", "Print the C header of the client library."),
     "doctor": ("doctor", "doctor_command", "Say what this machine lacks for hard timing."),
