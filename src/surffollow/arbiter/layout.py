@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from surffollow.arbiter import table
 from surffollow.shm.latch_shape import latch_bytes
+from surffollow.shm.layout_board import LogHead
 from surffollow.shm.schema import F64, I64, U64, Nested, Schema, Text
 
 BOARD_MAGIC = int.from_bytes(b"SURFARB1", "little")
@@ -32,9 +33,28 @@ ITEM_REQUEST, ITEM_COMMAND, ITEM_RELINQUISH = 1, 2, 3
 FLAG_WAIT = 1
 MAILBOX_ITEMS = 64
 
-# why SAFE was published, besides the events of the table; bit of `Command.flags`
+# where the command of a resource comes from; a bit of `Command.flags`
 SOURCE_SAFE, SOURCE_HOLDER, SOURCE_COMBINED = 0, 1, 2
 FLAG_LIMITED = 1
+
+# the handshake
+HELLO_MAGIC = int.from_bytes(b"SURFHEL1", "little")
+(
+    HELLO_OK,
+    HELLO_BAD,
+    HELLO_UNKNOWN_CLIENT,
+    HELLO_TAKEN,
+    HELLO_FULL,
+    HELLO_USER,
+) = range(6)
+HELLO_TEXT = (
+    "welcome",
+    "the message is of another release; update the older of client and server",
+    "the configuration declares no client of that name; add it under [clients]",
+    "a client of that name is attached already; end that one",
+    "all client slots are taken; end a client",
+    "this user may not attach; add it to users in the configuration",
+)
 
 
 class Item(Schema):
@@ -174,8 +194,7 @@ class BoardHeader(Schema):
     name = Text(48)
     state = I64(align=64, doc="0 starting, 1 ready, 2 ended")
     beat_ns = I64(align=64, unit="ns", doc="last round of the server")
-    rounds = I64()
-    asleep = I64(align=64, doc="1: the server waits for a doorbell")
+    rounds = I64(doc="looks at the mailboxes so far")
 
 
 class Command(Schema):
@@ -192,6 +211,25 @@ class Command(Schema):
     n_values = I64()
     value = F64(VALUES)
     safe = F64(VALUES, doc="what to do when nothing is valid")
+
+
+class Hello(Schema):
+    """What a client says first."""
+
+    magic = U64()
+    layout_hash = U64()
+    name = Text(48)
+
+
+class Welcome(Schema):
+    """The server's answer; with it come the descriptors of mailbox and board."""
+
+    magic = U64()
+    result = I64()
+    slot = I64()
+    number = I64(doc="of the client")
+    epoch = I64()
+    detail = I64(doc="pid of the client that bears the name")
 
 
 REPLY_BYTES = latch_bytes(Reply.SIZE)
@@ -211,7 +249,7 @@ def board_regions(history_records: int) -> dict[str, tuple[int, int]]:
         ("clients", _up(ClientEntry.SIZE) * CLIENTS),
         ("desks", _up(ClientDesk.SIZE) * CLIENTS),
         ("replies", REPLY_BYTES * CLIENTS),
-        ("history", 64 * 2 + history_records * Event.SIZE),
+        ("history", LogHead.SIZE + history_records * Event.SIZE),
     )
     regions, at = {}, 0
     for name, size in parts:
