@@ -12,12 +12,11 @@ import numpy as np
 from surffollow.arbiter import layout as al
 from surffollow.arbiter.config import ArbiterConfig, limits
 from surffollow.blocks import layout as bl
-from surffollow.blocks.claim import claim_writer
+from surffollow.blocks.claim import claim_writer, give_up
 from surffollow.config.service import mode, seconds
 from surffollow.errors import BlockError, ConfigError, NoPermissionError, NotReadyError, NotRunningError
 from surffollow.shm.dtypes import numpy_dtype
 from surffollow.shm.layout_board import LogHead
-from surffollow.shm.locks import FileLock
 from surffollow.shm.objects import SharedObject, start_ticks, unlink
 from surffollow.shm.python_atomics import store_release
 
@@ -139,13 +138,13 @@ class Board:
 
 
 class CommandBlock:
-    """The command block of one resource, made anew: the socket's name is the right to do so."""
+    """The command block of one resource, or of a combination."""
 
     def __init__(self, name: str, access: int, group: int) -> None:
-        _drop_old(name)
-        self.object, self._lock = claim_writer(
+        self._claimed: Any = claim_writer(
             name, al.Command, mode=access, group=group, lease_ns=500_000_000
         )
+        self.object: SharedObject = self._claimed[0]
         self._bytes = np.frombuffer(self.object.memory, np.uint8)
         base = int(self._bytes.ctypes.data)
         self.latch = base + bl.read_header(self.object.memory)["latch_offset"]
@@ -153,24 +152,4 @@ class CommandBlock:
 
     def remove(self) -> None:
         """Tell readers that no more will come, and take the name away."""
-        from surffollow.blocks.claim import give_up
-
-        lock: FileLock = self._lock
-        give_up(self.object, lock, keep=False)
-
-
-def _drop_old(name: str) -> None:
-    try:
-        old = SharedObject.open(name, writable=True)
-    except NotRunningError:
-        return
-    try:
-        if old.owner != os.geteuid():
-            raise NoPermissionError(f"block {name!r} belongs to another user; remove it (ls -l /dev/shm)")
-        if not bl.is_block(old):
-            raise BlockError(f"shared-memory object {name!r} is there and is no block; take another name")
-        with memoryview(old.memory).cast("Q") as words:
-            words[bl.STATE_WORD] = bl.STATE_GONE
-        unlink(name)
-    finally:
-        old.close()
+        give_up(*self._claimed, keep=False)
