@@ -141,9 +141,7 @@ class CommandBlock:
     """The command block of one resource, or of a combination."""
 
     def __init__(self, name: str, access: int, group: int) -> None:
-        self._claimed: Any = claim_writer(
-            name, al.Command, mode=access, group=group, lease_ns=500_000_000
-        )
+        self._claimed: Any = claim_writer(name, al.Command, mode=access, group=group, lease_ns=500_000_000)
         self.object: SharedObject = self._claimed[0]
         self._bytes = np.frombuffer(self.object.memory, np.uint8)
         base = int(self._bytes.ctypes.data)

@@ -128,7 +128,9 @@ def header_text() -> str:
     """The whole header; needs the source tree, for the parts are not installed."""
     structs = "\n".join(c_struct(s, "sfa_") for s in SCHEMAS)
     # the structure of the command block; sfa_command is the call
-    structs = structs.replace("sfa_command;", "sfa_command_block;").replace("struct sfa_command ", "struct sfa_command_block ")
+    structs = structs.replace("sfa_command;", "sfa_command_block;").replace(
+        "struct sfa_command ", "struct sfa_command_block "
+    )
     structs = structs.replace("sizeof(sfa_command)", "sizeof(sfa_command_block)")
     structs = structs.replace("offsetof(sfa_command,", "offsetof(sfa_command_block,")
     parts = "".join(p.read_text() for p in sorted(PARTS.glob("*.h")))

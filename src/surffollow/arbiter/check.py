@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.arbiter import table as t
+import surffollow.arbiter.table as t
 from surffollow.arbiter.machine import find_row, forget_client, guards_of, transition
 from surffollow.arbiter.properties import PROPERTIES, N, fault_of_step
 from surffollow.arbiter.records import MAX_EFFECTS, Clients, Effect, Happening, Machine

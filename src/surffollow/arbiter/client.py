@@ -18,7 +18,7 @@ from surffollow.arbiter.handshake import Welcomed, knock
 from surffollow.arbiter.observer import ArbiterObserver, BoardReader
 from surffollow.client.fence import FENCED, fence
 from surffollow.config.names import check_name
-from surffollow.errors import ClosedError, NotRunningError, RequestTimeoutError, UsageError
+from surffollow.errors import ClosedError, NotRunningError, RefusedError, RequestTimeoutError, UsageError
 
 _DESK = -(-al.ClientDesk.SIZE // 64) * 64
 _ENTRY = -(-al.ClientEntry.SIZE // 64) * 64
@@ -32,6 +32,7 @@ _clock = time.monotonic_ns
 _NO_POSE = (0.0,) * al.POSE
 BEATS_PER_LEASE = 5
 ATTACH_POLL_S = 0.02
+DYING_S = 0.3
 WAIT_SLICE_S = 0.05
 
 
@@ -373,11 +374,16 @@ def attach(name: str, client: str, *, timeout_s: float = 5.0) -> ArbiterClient:
     """
     check_name(f"{name}.arbiter")
     check_name(client)
-    deadline = time.monotonic() + timeout_s
+    began = time.monotonic()
+    deadline = began + timeout_s
     while True:
         try:
             return ArbiterClient(name, client, knock(name, client, timeout_s))
         except NotRunningError:
             if time.monotonic() >= deadline:
+                raise
+        except RefusedError as e:
+            # a client that ended just now holds its name until the server has let it go
+            if e.code not in (al.HELLO_TAKEN, al.HELLO_FULL) or time.monotonic() - began > DYING_S:
                 raise
         time.sleep(ATTACH_POLL_S)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.arbiter import layout as al
+import surffollow.arbiter.layout as al
 from surffollow.arbiter.publish import put_command
 from surffollow.arbiter.table import FREE
 from surffollow.shm.jit import jit

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.arbiter import publish as p
-from surffollow.arbiter import table as t
+import surffollow.arbiter.publish as p
+import surffollow.arbiter.table as t
 from surffollow.arbiter.machine import transition
 from surffollow.shm.jit import jit
 

@@ -7,7 +7,7 @@ Times are CLOCK_MONOTONIC [ns]. Token: epoch << 32 | number of the grant.
 
 from __future__ import annotations
 
-from surffollow.arbiter import table
+import surffollow.arbiter.table as table
 from surffollow.shm.latch_shape import latch_bytes
 from surffollow.shm.layout_board import LogHead
 from surffollow.shm.schema import F64, I64, U64, Nested, Schema, Text

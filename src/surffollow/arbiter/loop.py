@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.arbiter import layout as al
-from surffollow.arbiter import memory as m
-from surffollow.arbiter import table as t
+import surffollow.arbiter.layout as al
+import surffollow.arbiter.memory as m
+import surffollow.arbiter.table as t
 from surffollow.arbiter.combine import publish_combination
 from surffollow.arbiter.effects import happen
 from surffollow.arbiter.futex import FUTEX_32, futex_wait_any
-from surffollow.arbiter.mailbox import drain, join, leave, watch_lease
+from surffollow.arbiter.mailbox import drain, join, leave
 from surffollow.arbiter.publish import ring_bells
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, sleep_until_ns
@@ -51,7 +51,6 @@ def look_at_clients(mem: Any, t_ns: Any) -> None:
         if state == m.JOINING:
             join(mem, slot, t_ns)
         elif state == m.IN:
-            watch_lease(mem, slot, t_ns)
             drain(mem, slot, t_ns)
         elif state == m.LEAVING:
             leave(mem, slot, t_ns)  # what a dead client still had in its mailbox is never looked at

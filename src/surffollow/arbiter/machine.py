@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.arbiter import table as t
+import surffollow.arbiter.table as t
 from surffollow.shm.jit import jit
 
 _GRANT, _GRANT_HEAD, _ENQUEUE, _DEQUEUE = t.GRANT, t.GRANT_HEAD, t.ENQUEUE, t.DEQUEUE

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.arbiter import layout as al
-from surffollow.arbiter import memory as m
-from surffollow.arbiter import publish as p
-from surffollow.arbiter import table as t
+import surffollow.arbiter.layout as al
+import surffollow.arbiter.memory as m
+import surffollow.arbiter.publish as p
+import surffollow.arbiter.table as t
 from surffollow.arbiter.effects import happen
 from surffollow.arbiter.machine import forget_client
 from surffollow.shm import atomics as at
@@ -41,8 +41,7 @@ def note(mem: Any, t_ns: Any, slot: Any, event: Any) -> None:
 def join(mem: Any, slot: Any, t_ns: Any) -> None:
     """A client was given this slot; the main thread filled in its mailbox, number and priority."""
     person = mem.people[slot]
-    person.tail = at.load_acquire_i64(person.mailbox + _HEAD)
-    person.beat = at.load_relaxed_i64(person.mailbox + _BEAT)
+    person.tail = person.beat = 0  # as the mailbox was made; its client may have begun already
     person.seen_ns = t_ns
     person.changed = person.broken = person.denied = person.waited_ns = 0
     person.log_ns = t_ns - p.LOG_BURST_NS
@@ -50,8 +49,9 @@ def join(mem: Any, slot: Any, t_ns: Any) -> None:
         person.queued_ns[r] = 0
         forget_client(mem.machines[r : r + 1], slot)
         p.tell_held(mem, slot, r, 0)
-    entry = p.entry_of(mem, slot)
-    at.store_relaxed_i64(entry + _CONSUMED, person.tail)
+    # what the slot's last client was answered must not answer this one
+    p.answer(mem, t_ns, slot, 0, 0, 0, 0)
+    person.changed = 0
     mem.clients[0].live[slot] = 1
     note(mem, t_ns, slot, al.EVENT_ATTACH)
     tell(mem, slot)
@@ -83,11 +83,11 @@ def tell(mem: Any, slot: Any) -> None:
 
 
 @jit
-def watch_lease(mem: Any, slot: Any, t_ns: Any) -> None:
-    """See whether the client lives: any change of its heartbeat counts, whatever it says."""
+def watch_lease(mem: Any, slot: Any, says_something: Any, t_ns: Any) -> None:
+    """See whether the client lives: any change of its heartbeat counts, and any item in its mailbox."""
     person, ctx = mem.people[slot], mem.ctx
     beat = at.load_relaxed_i64(person.mailbox + _BEAT)
-    if beat != person.beat:
+    if beat != person.beat or says_something:
         person.beat, person.seen_ns = beat, t_ns
         if mem.clients[0].live[slot] == 0:
             mem.clients[0].live[slot] = 1
@@ -137,20 +137,21 @@ def take_item(mem: Any, slot: Any, t_ns: Any) -> None:
 
 
 @jit
-def drain(mem: Any, slot: Any, t_ns: Any) -> Any:
-    """Take all items that are in a client's mailbox; their number."""
+def drain(mem: Any, slot: Any, t_ns: Any) -> None:
+    """See whether a client lives, and take all items that are in its mailbox."""
     person = mem.people[slot]
     head = at.load_acquire_i64(person.mailbox + _HEAD)
     waiting = head - person.tail
+    watch_lease(mem, slot, waiting != 0, t_ns)
     if waiting == 0:
-        return 0
+        return
     if waiting < 0 or waiting > _CAPACITY:
         person.tail = head
         person.broken += 1
         if p.may_log(mem, t_ns, slot) != 0:
             note(mem, t_ns, slot, al.EVENT_BROKEN)
         tell(mem, slot)
-        return 0
+        return
     item = mem.item.ctypes.data
     for k in range(waiting):
         place = (person.tail + k) & (_CAPACITY - 1)
@@ -158,4 +159,3 @@ def drain(mem: Any, slot: Any, t_ns: Any) -> Any:
         take_item(mem, slot, t_ns)
     person.tail = head
     tell(mem, slot)
-    return waiting

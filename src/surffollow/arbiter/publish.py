@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.arbiter import layout as al
-from surffollow.arbiter import memory as m
-from surffollow.arbiter import table as t
+import surffollow.arbiter.layout as al
+import surffollow.arbiter.memory as m
+import surffollow.arbiter.table as t
 from surffollow.arbiter.futex import futex_wake
 from surffollow.shm import atomics as at
 from surffollow.shm.cycle_log import log_append

@@ -259,6 +259,7 @@ class Server:
             answer = hs.welcome(al.HELLO_OK, slot, self._number, self.board.epoch)
             guest.name, guest.slot, self._slots[slot] = name, slot, guest
             self._sign(guest)
+            self._await_joined(slot)
             socket.send_fds(guest.sock, [answer], [fd, board], socket.MSG_NOSIGNAL)
         finally:
             os.close(fd)
@@ -288,6 +289,12 @@ class Server:
         person["number"] = entry["number"] = self._number
         store_release(self._slot_state(guest.slot), m.JOINING)
         self._wake_loop()
+
+    def _await_joined(self, slot: int) -> None:
+        """Until the loop has cleared what the slot's last client left: the next round, at once."""
+        deadline = time.monotonic() + hs.HELLO_TIMEOUT_S
+        while load_acquire(self._slot_state(slot)) == m.JOINING and time.monotonic() < deadline:
+            time.sleep(20e-6)
 
     def _end(self, thread: threading.Thread) -> None:
         for slot, guest in enumerate(self._slots):
