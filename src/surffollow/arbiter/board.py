@@ -17,7 +17,8 @@ from surffollow.config.service import mode, seconds
 from surffollow.errors import BlockError, ConfigError, NoPermissionError, NotReadyError, NotRunningError
 from surffollow.shm.dtypes import numpy_dtype
 from surffollow.shm.layout_board import LogHead
-from surffollow.shm.objects import SharedObject, start_ticks, unlink
+from surffollow.shm.objects import SharedObject, unlink
+from surffollow.shm.process import start_ticks
 from surffollow.shm.python_atomics import store_release
 
 EPOCH_LIMIT = (1 << 31) - 2
@@ -141,8 +142,8 @@ class CommandBlock:
     """The command block of one resource, or of a combination."""
 
     def __init__(self, name: str, access: int, group: int) -> None:
-        self._claimed: Any = claim_writer(name, al.Command, mode=access, group=group, lease_ns=500_000_000)
-        self.object: SharedObject = self._claimed[0]
+        self._claimed = claim_writer(name, al.Command, mode=access, group=group, lease_ns=500_000_000)
+        self.object = self._claimed[0]
         self._bytes = np.frombuffer(self.object.memory, np.uint8)
         base = int(self._bytes.ctypes.data)
         self.latch = base + bl.read_header(self.object.memory)["latch_offset"]
@@ -150,4 +151,5 @@ class CommandBlock:
 
     def remove(self) -> None:
         """Tell readers that no more will come, and take the name away."""
-        give_up(*self._claimed, keep=False)
+        block, lock, own = self._claimed
+        give_up(block, lock, own, keep=False)

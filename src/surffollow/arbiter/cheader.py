@@ -9,6 +9,7 @@ from pathlib import Path
 
 from surffollow.arbiter import layout as al
 from surffollow.arbiter import table
+from surffollow.arbiter.handshake import MAPPED
 from surffollow.blocks.cheader import reader_text
 from surffollow.shm.cheader import c_struct
 
@@ -105,6 +106,7 @@ def _defines() -> str:
         ("DESK_BYTES", -(-al.ClientDesk.SIZE // 64) * 64),
         *((f"{n.upper()}_AT", regions[n][0]) for n in ("config", "status", "clients", "desks", "replies")),
         ("REFUSED", "(-1000)"),
+        ("MAPPED", f'"{MAPPED.decode()}"'),
         ("SYS_FUTEX", "SYS_futex"),
     ]
     lines = [f"#define SFA_{name} {value}" for name, value in pairs]

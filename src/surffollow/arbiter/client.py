@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from surffollow.arbiter import layout as al
 from surffollow.arbiter import python_futex, table
-from surffollow.arbiter.handshake import Welcomed, knock
+from surffollow.arbiter.handshake import Welcomed, enter, knock
 from surffollow.arbiter.observer import ArbiterObserver, BoardReader
 from surffollow.client.fence import FENCED, fence
 from surffollow.config.names import check_name
@@ -180,6 +180,7 @@ class ArbiterClient(ArbiterObserver):
         os.close(mailbox)
         os.close(board)
         met.fds.clear()
+        enter(met.sock, name)
         self._board_words = self.board.words
         regions = self.board.regions
         self._desk = regions["desks"][0] + self.slot * _DESK

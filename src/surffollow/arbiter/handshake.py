@@ -2,24 +2,22 @@
 
 The socket's name is abstract: the kernel takes it back with the server's process, and it is what makes the
 server the only one of its name. SO_PEERCRED says who the other side is. A mailbox is a memory file whose
-size is sealed: nobody can cut it under the server's hands.
+size is sealed, and once the client has its mapping nothing but that mapping can change it.
 """
 
 from __future__ import annotations
 
-import fcntl
 import os
 import socket
-import struct
 
 from surffollow.arbiter import layout as al
 from surffollow.client.board import unpack_schema
 from surffollow.errors import AlreadyRunningError, NotRunningError, RefusedError, RequestTimeoutError
+from surffollow.shm.unix_socket import new_socket
 
 HELLO_TIMEOUT_S = 1.0
-_CREDENTIALS = struct.Struct("3i")
+MAPPED = b"mapped"
 _HELLO, _WELCOME = al.Hello.struct_of("magic", "name"), al.Welcome.struct_of("magic", "detail")
-_SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
 
 
 def address(name: str) -> str:
@@ -34,7 +32,7 @@ def listen(name: str) -> socket.socket:
     ------
     AlreadyRunningError  a live process is
     """
-    sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC)
+    sock = new_socket()
     try:
         sock.bind(address(name))
     except OSError:
@@ -45,26 +43,6 @@ def listen(name: str) -> socket.socket:
     sock.listen(64)
     sock.setblocking(False)
     return sock
-
-
-def peer(sock: socket.socket) -> tuple[int, int]:
-    """Process and user at the other end of a connection."""
-    raw = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-    pid, uid, _ = _CREDENTIALS.unpack(raw)
-    return pid, uid
-
-
-def make_mailbox() -> int:
-    """A new mailbox, sealed; its descriptor."""
-    fd = os.memfd_create("surffollow-mailbox", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
-    try:
-        os.ftruncate(fd, al.MAILBOX_BYTES)
-        os.posix_fallocate(fd, 0, al.MAILBOX_BYTES)
-        fcntl.fcntl(fd, fcntl.F_ADD_SEALS, _SEALS)
-    except BaseException:
-        os.close(fd)
-        raise
-    return fd
 
 
 def read_hello(data: bytes) -> str | None:
@@ -80,6 +58,22 @@ def read_hello(data: bytes) -> str | None:
 def welcome(result: int, slot: int = -1, number: int = 0, epoch: int = 0, detail: int = 0) -> bytes:
     """The server's answer."""
     return _WELCOME.pack(al.HELLO_MAGIC, result, slot, number, epoch, detail)
+
+
+def enter(sock: socket.socket, name: str) -> None:
+    """Tell the server that the mailbox is mapped, and wait until it looks into it.
+
+    Raises
+    ------
+    NotRunningError  it ended meanwhile
+    """
+    try:
+        sock.send(MAPPED)
+        heard = sock.recv(len(MAPPED)) == MAPPED
+    except OSError:
+        heard = False
+    if not heard:
+        raise NotRunningError(f"arbiter {name!r} ended while this client attached; attach again")
 
 
 class Welcomed:
@@ -99,7 +93,7 @@ def knock(name: str, client: str, timeout_s: float) -> Welcomed:
     RefusedError         the server says no; `code` is one of layout.HELLO_…
     RequestTimeoutError  it says nothing
     """
-    sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC)
+    sock = new_socket()
     fds: list[int] = []
     try:
         sock.settimeout(max(timeout_s, 0.001))

@@ -14,7 +14,8 @@ from surffollow.client.fence import FENCED, fence
 from surffollow.config.names import check_name
 from surffollow.errors import BlockError, LayoutMismatchError, NotRunningError, UsageError
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
-from surffollow.shm.objects import SharedObject, start_ticks
+from surffollow.shm.objects import SharedObject
+from surffollow.shm.process import start_ticks
 
 _ENTRY = -(-al.ClientEntry.SIZE // 64) * 64
 _STATE, _BEAT = al.BoardHeader.offset("state") // 8, al.BoardHeader.offset("beat_ns") // 8

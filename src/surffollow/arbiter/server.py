@@ -28,6 +28,8 @@ from surffollow.arbiter.loop import run_rounds
 from surffollow.config.service import mode
 from surffollow.errors import ConfigError, ServiceError
 from surffollow.shm.python_atomics import load_acquire, store_release
+from surffollow.shm.sealed import make_sealed, seal_for_good
+from surffollow.shm.unix_socket import peer_of, peer_pidfd
 
 _SYS_FUTEX_WAITV, _ENOSYS = 449, 38
 WATCH_S = 0.2
@@ -38,18 +40,18 @@ class Guest:
 
     def __init__(self, sock: socket.socket, pid: int, uid: int) -> None:
         self.sock, self.pid, self.uid = sock, pid, uid
-        self.name, self.slot = "", -1
+        self.name, self.slot, self.number = "", -1, 0
         self.since = time.monotonic()
-        self.pidfd = -1
-        with contextlib.suppress(OSError):  # what it inherited to children must not keep it alive
-            self.pidfd = os.pidfd_open(pid)
+        self.pidfd = peer_pidfd(sock, pid)  # a child that inherited the connection does not keep it alive
+        self.mailbox_fd, self.joined = -1, False
         self.mailbox: mmap.mmap | None = None
 
     def close(self) -> None:
         self.sock.close()
-        if self.pidfd >= 0:
-            os.close(self.pidfd)
-            self.pidfd = -1
+        for fd in (self.pidfd, self.mailbox_fd):
+            if fd >= 0:
+                os.close(fd)
+        self.pidfd = self.mailbox_fd = -1
 
 
 def users_of(config: ArbiterConfig) -> set[int] | None:
@@ -179,7 +181,7 @@ class Server:
         with poll:
             while True:
                 waiting = any(g is not None and g.slot < 0 for g in self._slots)
-                hurry = waiting or any(g.slot < 0 for g in self._guests.values())
+                hurry = waiting or any(not g.joined for g in self._guests.values())
                 for fd, _ in poll.poll(0.005 if waiting else WATCH_S if hurry else -1):
                     if fd == self._wake:
                         if self._error:
@@ -191,7 +193,7 @@ class Server:
                         self._hear(poll, self._guests[fd], fd)
                 self._free_slots()
                 for guest in {id(g): g for g in self._guests.values()}.values():
-                    if guest.slot < 0 and time.monotonic() - guest.since > hs.HELLO_TIMEOUT_S:
+                    if not guest.joined and time.monotonic() - guest.since > hs.HELLO_TIMEOUT_S:
                         self._part(poll, guest)
 
     def _accept(self, poll: select.epoll) -> None:
@@ -200,9 +202,10 @@ class Server:
         except OSError:
             return
         sock.setblocking(False)
-        guest = Guest(sock, *hs.peer(sock))
+        who = peer_of(sock)
+        guest = Guest(sock, who.pid, who.uid)
         # who is over the limit is not listened to; descriptors are for clients
-        strangers = sum(g.slot < 0 for g in self._guests.values())
+        strangers = sum(not g.joined for g in self._guests.values())
         if strangers > 4 * al.CLIENTS:
             guest.close()
             return
@@ -217,7 +220,9 @@ class Server:
             if fd >= 0 and self._guests.pop(fd, None) is not None:
                 poll.unregister(fd)
         guest.close()
-        if guest.slot >= 0:
+        if guest.slot >= 0 and not guest.joined:
+            self._slots[guest.slot] = None
+        elif guest.slot >= 0:
             store_release(self._slot_state(guest.slot), m.LEAVING)
             guest.slot = -1  # `_slots` keeps it until the loop has let its mailbox go
             self._wake_loop()
@@ -230,40 +235,54 @@ class Server:
                 guest.mailbox = self._slots[slot] = None
 
     def _hear(self, poll: select.epoll, guest: Guest, fd: int) -> None:
-        if fd == guest.pidfd or guest.slot >= 0:
-            with contextlib.suppress(BlockingIOError):
-                if fd == guest.pidfd or not guest.sock.recv(64):
-                    self._part(poll, guest)
+        if fd == guest.pidfd:
+            self._part(poll, guest)
             return
         try:
-            name = hs.read_hello(guest.sock.recv(256))
-            self._admit(guest, name)
+            data = guest.sock.recv(256)
+            if guest.slot < 0:
+                self._offer(guest, hs.read_hello(data))
+            elif not guest.joined and data == hs.MAPPED:
+                self._admit(guest)
+            elif not data or not guest.joined:
+                self._part(poll, guest)
+        except BlockingIOError:
+            return
         except OSError:
             self._part(poll, guest)
             return
         if guest.slot < 0:
             self._part(poll, guest)
 
-    def _admit(self, guest: Guest, name: str | None) -> None:
+    def _offer(self, guest: Guest, name: str | None) -> None:
+        """Answer the first message: refuse, or hand out a mailbox."""
         self._free_slots()
         result, detail = self._may_enter(guest, name)
         if result != al.HELLO_OK:
             guest.sock.send(hs.welcome(result, detail=detail), socket.MSG_NOSIGNAL)
             return
         assert name is not None
-        slot = self._slots.index(None)
-        fd, board = hs.make_mailbox(), self.board.reading_end()
+        guest.mailbox_fd = make_sealed("surffollow-mailbox", al.MAILBOX_BYTES)
+        board = self.board.reading_end()
         try:
-            guest.mailbox = mmap.mmap(fd, al.MAILBOX_BYTES)
+            guest.name, guest.slot = name, self._slots.index(None)
+            self._slots[guest.slot] = guest
             self._number += 1
-            answer = hs.welcome(al.HELLO_OK, slot, self._number, self.board.epoch)
-            guest.name, guest.slot, self._slots[slot] = name, slot, guest
-            self._sign(guest)
-            self._await_joined(slot)
-            socket.send_fds(guest.sock, [answer], [fd, board], socket.MSG_NOSIGNAL)
+            guest.number = self._number
+            answer = hs.welcome(al.HELLO_OK, guest.slot, guest.number, self.board.epoch)
+            socket.send_fds(guest.sock, [answer], [guest.mailbox_fd, board], socket.MSG_NOSIGNAL)
         finally:
-            os.close(fd)
             os.close(board)
+
+    def _admit(self, guest: Guest) -> None:
+        """The client has its mapping: nobody can change the mailbox in any other way from now on."""
+        seal_for_good(guest.mailbox_fd)
+        guest.mailbox = mmap.mmap(guest.mailbox_fd, al.MAILBOX_BYTES, mmap.MAP_SHARED, mmap.PROT_READ)
+        os.close(guest.mailbox_fd)
+        guest.mailbox_fd, guest.joined = -1, True
+        self._sign(guest)
+        self._await_joined(guest.slot)
+        guest.sock.send(hs.MAPPED, socket.MSG_NOSIGNAL)
 
     def _may_enter(self, guest: Guest, name: str | None) -> tuple[int, int]:
         if name is None:
@@ -286,7 +305,7 @@ class Server:
         mem.clients[0]["priority"][guest.slot] = priority
         person = mem.people[guest.slot]
         person["mailbox"] = np.frombuffer(guest.mailbox, np.uint8).ctypes.data  # type: ignore[arg-type]
-        person["number"] = entry["number"] = self._number
+        person["number"] = entry["number"] = guest.number
         store_release(self._slot_state(guest.slot), m.JOINING)
         self._wake_loop()
 
@@ -298,7 +317,7 @@ class Server:
 
     def _end(self, thread: threading.Thread) -> None:
         for slot, guest in enumerate(self._slots):
-            if guest is not None and guest.slot >= 0:
+            if guest is not None and guest.joined and guest.slot >= 0:
                 store_release(self._slot_state(slot), m.LEAVING)
         self._wake_loop()
         deadline = time.monotonic() + 2.0

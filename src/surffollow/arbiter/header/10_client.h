@@ -107,6 +107,18 @@ static inline int sfa_i_map(sfa_client *a, const int fds[2]) {
   return 0;
 }
 
+/* Tell the server that the mailbox is mapped, and wait until it looks into it. */
+static inline int sfa_i_enter(sfa_client *a) {
+  char heard[8];
+  ssize_t got;
+  if (send(a->sock, SFA_MAPPED, sizeof SFA_MAPPED - 1, MSG_NOSIGNAL) < 0) return -ENOENT;
+  do {
+    got = recv(a->sock, heard, sizeof heard, 0);
+  } while (got < 0 && errno == EINTR);
+  if (got < 0) return errno == EAGAIN || errno == EWOULDBLOCK ? -ETIMEDOUT : -ENOENT;
+  return got == SF_CAST(ssize_t, sizeof SFA_MAPPED - 1) ? 0 : -ENOENT;
+}
+
 /* End: whatever this client holds or waits for is given up. */
 static inline void sfa_detach(sfa_client *a) {
   if (a->sock >= 0) close(a->sock);
@@ -146,6 +158,7 @@ static inline int sfa_attach(sfa_client *a, const char *name, const char *client
   if (err == 0) err = sfa_i_map(a, fds);
   for (n = 0; n < 2; n++)
     if (fds[n] >= 0) close(fds[n]);
+  if (err == 0) err = sfa_i_enter(a);
   if (err != 0) sfa_detach(a);
   return err;
 }
