@@ -79,15 +79,19 @@ class Board:
         )
         self.regions = al.board_regions(config.history)
         size = al.board_bytes(config.history)
-        self.object = SharedObject.create(name, size, mode(config.mode, "mode"), group_id(config.group))
-        self.bytes = np.frombuffer(self.object.memory, np.uint8)
-        self.header = self.bytes[: al.BoardHeader.SIZE].view(numpy_dtype(al.BoardHeader))
-        at, _ = self.regions["config"]
-        end = at + al.ResourceConfig.SIZE * al.RESOURCES
-        self.config = self.bytes[at:end].view(numpy_dtype(al.ResourceConfig))
-        at, n = self.regions["clients"]
-        self._entry_bytes = n // al.CLIENTS
-        self._declare(config, size)
+
+        def prepare(made: SharedObject) -> None:
+            self.object = made
+            self.bytes = np.frombuffer(made.memory, np.uint8)
+            self.header = self.bytes[: al.BoardHeader.SIZE].view(numpy_dtype(al.BoardHeader))
+            at, _ = self.regions["config"]
+            end = at + al.ResourceConfig.SIZE * al.RESOURCES
+            self.config = self.bytes[at:end].view(numpy_dtype(al.ResourceConfig))
+            self._entry_bytes = self.regions["clients"][1] // al.CLIENTS
+            self._declare(config, size)
+
+        # nobody sees half of it: it gets its name when it is declared
+        SharedObject.create(name, size, mode(config.mode, "mode"), group_id(config.group), prepare)
 
     def _declare(self, config: ArbiterConfig, size: int) -> None:
         h = self.header[0]
