@@ -40,6 +40,7 @@ class Book:
     def __init__(self) -> None:
         self.violations: list[str] = []
         self.counts = {"records": 0, "grants": 0, "forwarded": 0, "revoked": 0, "servers": 0, "lost": 0}
+        self.forwarded_of: dict[int, int] = {}
         self.highest = 0
         self.begin()
 
@@ -81,6 +82,7 @@ class Book:
             self.owes_safe.add(resource)
         elif event == FORWARD:
             self.counts["forwarded"] += 1
+            self.forwarded_of[client] = self.forwarded_of.get(client, 0) + 1
             if self.held.get(resource) != (client, token) or client not in self.attached:
                 self.blame(record, "forwarded a command of a client that does not hold the resource")
 
@@ -147,7 +149,7 @@ def main() -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda n, _: stopped.append(n))
     book = audit(words.name, stopped)
-    result = {**book.counts, "violations": book.violations}
+    result = {**book.counts, "forwarded_of": book.forwarded_of, "violations": book.violations}
     print(json.dumps(result) if words.json else result, flush=True)
     return 1 if book.violations else 0
 

@@ -21,6 +21,7 @@ from surffollow.errors import SurffollowError
 LEASE_S, PERIOD_S = 0.3, 0.001
 CONFIG = """
 history = 65536
+mode = "0644"
 [clients]
 avoid = 40
 wall = 30
@@ -87,6 +88,10 @@ class Nursery:
 
     def kill(self) -> None:
         os.kill(self.pid, signal.SIGKILL)
+
+    def restart(self) -> None:
+        self.kill()
+        self.start()
 
     def close(self) -> None:
         with contextlib.suppress(OSError):

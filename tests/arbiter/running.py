@@ -1,4 +1,4 @@
-"""A running arbiter, children that attach to it and can be killed, and an independent audit of its history."""
+"""A running arbiter, clients in forked children that can be killed, and waiting for conditions."""
 
 from __future__ import annotations
 

@@ -19,6 +19,7 @@ from surffollow.arbiter.observer import ArbiterObserver, BoardReader
 from surffollow.client.fence import FENCED, fence
 from surffollow.config.names import check_name
 from surffollow.errors import ClosedError, NotRunningError, RefusedError, RequestTimeoutError, UsageError
+from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, stride
 
 _DESK = -(-al.ClientDesk.SIZE // 64) * 64
 _ENTRY = -(-al.ClientEntry.SIZE // 64) * 64
@@ -28,12 +29,14 @@ _BEAT, _HEAD, _DOORBELL, _ITEMS = (al.Mailbox.offset(n) // 8 for n in ("beat_ns"
 _ITEM = struct.Struct(f"<5q{al.VALUES}d{al.POSE}d")
 _PLAIN = struct.Struct(f"<5q{al.VALUES}d")
 _MASK = al.MAILBOX_ITEMS - 1
+_REPLY, _REPLY_STRIDE = al.Reply.struct_of("seq", "holder_priority"), stride(al.Reply.SIZE)
 _clock = time.monotonic_ns
 _NO_POSE = (0.0,) * al.POSE
 BEATS_PER_LEASE = 5
 ATTACH_POLL_S = 0.02
 DYING_S = 0.3
 WAIT_SLICE_S = 0.05
+SPINS = 500  # looks at the board before sleeping, some 15 us
 
 
 class Reply(NamedTuple):
@@ -188,6 +191,8 @@ class ArbiterClient(ArbiterObserver):
         self._bell = (self._desk + _BELL) // 8
         self._bell_address = _address(memory) + self._desk + _BELL
         self._doorbell = ctypes.addressof(ctypes.c_char.from_buffer(self._put)) + 8 * _DOORBELL
+        base = regions["replies"][0] + self.slot * al.REPLY_BYTES
+        self._reply_word, self._reply_at = base // 8, base + HEAD_BYTES
         self._over = threading.Event()
         self._gone = False
         self._lock = threading.Lock()
@@ -253,54 +258,70 @@ class ArbiterClient(ArbiterObserver):
         return int(head) + 1
 
     def _await_bell(self, seen: int, deadline: float) -> None:
+        words, index = self._board_words, self._bell
+        for _ in range(SPINS):  # an answer takes less time than falling asleep and waking up
+            if words[index] != seen:
+                return
         left = deadline - time.monotonic()
-        if left > 0 and self._board_words[self._bell] == seen:
+        if left > 0:
             python_futex.wait(self._bell_address, seen, min(left, WAIT_SLICE_S))
 
     def _request(self, resource: int, wait: bool, timeout_s: float) -> Reply:
         deadline = time.monotonic() + timeout_s
         words, held = self._board_words, self._desk_words(resource)[0]
-        bell = words[self._bell]
-        seq = self._post(al.ITEM_REQUEST | resource << 8 | (al.FLAG_WAIT << 16 if wait else 0))
-        reply = self._reply()
-        while reply["seq"] != seq:
-            self._here()
-            if time.monotonic() > deadline:
-                raise RequestTimeoutError(f"arbiter {self.name!r} did not answer in {timeout_s:g} s")
-            self._await_bell(bell, deadline)
-            bell = words[self._bell]
-            reply = self._reply()
-        if reply["result"] != table.ENQUEUE:
-            return self._verdict(reply, reply["result"] in (table.GRANT, table.KEEP))
+        reply = self._ask(al.ITEM_REQUEST | resource << 8 | (al.FLAG_WAIT << 16 if wait else 0), deadline)
+        if reply is None:
+            raise RequestTimeoutError(f"arbiter {self.name!r} did not answer in {timeout_s:g} s")
+        result = reply[1]
+        if result in (table.GRANT, table.KEEP):
+            return Reply(True, al.EVENT_NAMES[result], reply[2], "", 0)
+        if result != table.ENQUEUE:
+            return self._denied(reply, al.EVENT_NAMES.get(result, str(result)))
         while words[held] == 0 and time.monotonic() < deadline:
             self._here()
             bell = words[self._bell]
             if words[held] == 0:
                 self._await_bell(bell, deadline)
         if words[held] == 0:
-            self._relinquish(resource, wait_s=1.0)
+            self._relinquish(resource)
         if words[held] != 0:
             return Reply(True, "GRANT", int(words[held]), "", 0)
-        return self._verdict(reply, False)._replace(reason="TIMEOUT")
+        return self._denied(reply, "TIMEOUT")
 
-    def _reply(self) -> dict[str, Any]:
-        return self.board.latch("replies", al.Reply, self.slot, al.REPLY_BYTES)
-
-    def _verdict(self, reply: dict[str, Any], granted: bool) -> Reply:
-        name = ""
-        for slot in range(al.CLIENTS) if not granted else ():
-            entry = self.board.entry(slot)
-            if reply["holder"] and entry["number"] == reply["holder"]:
-                name = str(entry["name"])
-        reason = al.EVENT_NAMES.get(reply["result"], str(reply["result"]))
-        return Reply(granted, reason, reply["token"], name, reply["holder_priority"])
-
-    def _relinquish(self, resource: int, wait_s: float = 1.0) -> None:
-        bell = self._board_words[self._bell]
-        seq, deadline = self._post(al.ITEM_RELINQUISH | resource << 8), time.monotonic() + wait_s
-        while self._reply()["seq"] != seq and time.monotonic() < deadline and not self._gone:
+    def _ask(self, what: int, deadline: float) -> tuple[int, ...] | None:
+        """Post something; the answer to it: (seq, result, token, holder, its priority), or None: too late."""
+        words, index = self._board_words, self._reply_word
+        bell = words[self._bell]
+        seq = self._post(what)
+        while True:
+            # R1-R4 of the latch; one that is overtaken is read again
+            g = words[index]
+            if FENCED:
+                fence()
+            at = self._reply_at + (g & (SLOTS - 1)) * _REPLY_STRIDE
+            reply = _REPLY.unpack_from(self.board.memory, at)
+            if FENCED:
+                fence()
+            if words[index] - g > SLOTS - 2:
+                continue
+            if reply[0] == seq:
+                return reply
+            self._here()
+            if time.monotonic() > deadline:
+                return None
             self._await_bell(bell, deadline)
-            bell = self._board_words[self._bell]
+            bell = words[self._bell]
+
+    def _denied(self, reply: tuple[int, ...], reason: str) -> Reply:
+        name = ""
+        for slot in range(al.CLIENTS):
+            entry = self.board.entry(slot)
+            if reply[3] and entry["number"] == reply[3]:
+                name = str(entry["name"])
+        return Reply(False, reason, 0, name, reply[4])
+
+    def _relinquish(self, resource: int) -> None:
+        self._ask(al.ITEM_RELINQUISH | resource << 8, time.monotonic() + 1.0)
 
     def close(self) -> None:
         """End: whatever this client holds or waits for is given up."""
