@@ -1,4 +1,4 @@
-"""`surffollow arbiter start`, `status`, `history` and `check`."""
+"""`surffollow arbiter start`, `status`, `history`, `check`, `header`, `follow` and `demo`."""
 
 from __future__ import annotations
 
@@ -135,4 +135,69 @@ def check_command(with_mutants: bool, as_json: bool) -> None:
             for what in survivors:
                 print(f"  {what}")
     if survivors or any(f.fault for f in found):
+        sys.exit(1)
+
+
+@arbiter_group.command("header")
+def header_command() -> None:
+    """Print the C header of arbiter clients; it stands beside surffollow.h (surffollow --includedir)."""
+    from pathlib import Path
+
+    header = Path(__file__).parents[1] / "include" / "surffollow_arbiter.h"
+    click.echo(header.read_text(encoding="ascii"), nl=False)
+
+
+def _stop_on_signals() -> list[int]:
+    import signal
+
+    stopped: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda n, _: stopped.append(n))
+    return stopped
+
+
+@arbiter_group.command("follow")
+@click.option("--name", type=SERVICE_NAME, default="cell", show_default=True, help="Name of the arbiter.")
+@click.option("--service", type=SERVICE_NAME, default="surf", show_default=True, help="Following service.")
+@click.option("--resource", default="tool", show_default=True, help="Resource to command.")
+@click.option("--client", default="follow", show_default=True, help="Name in the configuration.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object at the end.")
+def follow_command(name: str, service: str, resource: str, client: str, as_json: bool) -> None:
+    """Hand a service's demands to an arbiter's resource, as one client among others, until Ctrl-C.
+
+    While others hold the resource the service runs in DRYRUN and learns nothing.
+    """
+    from surffollow.live.shared_tool import follow
+
+    stopped = _stop_on_signals()
+    counts = follow(service, name, resource, lambda: bool(stopped), client)
+    print(json.dumps(counts) if as_json else ", ".join(f"{k} {v}" for k, v in counts.items()))
+
+
+@arbiter_group.command("demo")
+@click.option("--seconds", type=Finite(min=8.0, max=120.0), default=20.0, show_default=True)
+@click.option("--combine", type=click.Choice(["priority", "sum"]), default="priority", show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def demo_command(seconds: float, combine: str, as_json: bool) -> None:
+    """Follow a surface, see an obstacle, lift the tool over it, bring it back: five processes share a robot.
+
+    Exit code 1 when the tool came too near, or was not brought back.
+    """
+    import tempfile
+    from pathlib import Path
+
+    from surffollow.live.children import ended_by_signals
+    from surffollow.live.shared_demo import run_shared_demo
+
+    def progress(text: str) -> None:
+        print(f"surffollow: {text}", file=sys.stderr, flush=True)
+
+    with ended_by_signals(), tempfile.TemporaryDirectory() as folder:
+        result = run_shared_demo(seconds, combine, Path(folder), progress)
+    if as_json:
+        print(json.dumps(result, indent=2))
+    else:
+        for key, value in result.items():
+            print(f"{key:32} {value}")
+    if result["failures"]:
         sys.exit(1)
