@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import mmap
 import time
 from typing import Any, NamedTuple
@@ -110,9 +111,10 @@ class BoardReader:
         return unpack_schema(al.ClientEntry, self.memory, self.regions["clients"][0] + slot * _ENTRY)
 
     def close(self) -> None:
-        """Unmap."""
+        """Unmap; a history that is still read keeps the memory mapped."""
         self.words.release()
-        self.memory.close()
+        with contextlib.suppress(BufferError):
+            self.memory.close()
 
 
 class ArbiterObserver:
