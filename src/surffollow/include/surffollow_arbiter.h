@@ -379,6 +379,7 @@ typedef struct sfb_block {
   size_t size, payload_bytes;
   const unsigned char *latch;
   uid_t owner; /* the user whose block it is */
+  ino_t inode;
 } sfb_block;
 
 static inline uint64_t sfb_word(const unsigned char *memory, size_t at) {
@@ -429,6 +430,7 @@ static inline int sfb_open_owner(sfb_block *block, const char *object_name, uint
     block->latch = block->memory + latch;
   }
   block->owner = status.st_uid;
+  block->inode = status.st_ino;
   return 0;
 }
 
