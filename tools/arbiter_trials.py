@@ -191,6 +191,7 @@ class Trials:
         self.reader = command_reader(self.name, "robot")
         self.times_s: dict[str, list[float]] = {n: [] for n in ("holder", "stopped", "requester", "server")}
         self.hangs: list[str] = []
+        self.observer = observe(self.name)
 
     def _is_safe_and_free(self) -> bool:
         return self.reader.latest().safe and self.observer.holder("robot") is None
@@ -260,7 +261,6 @@ class Trials:
 
     def run(self, count: int, progress: Callable[[str], None]) -> None:
         """Do so many trials, of all kinds in turn."""
-        self.observer = observe(self.name)
         kinds = ("holder", "requester", "holder", "server", "holder", "requester", "stopped", "holder")
         for k in range(count):
             kind = kinds[k % len(kinds)]
