@@ -79,7 +79,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 /* ---- layout: generated ------------------------------------------------------------ */
 
 #define SF_LAYOUT_VERSION 2u
-#define SF_LAYOUT_HASH UINT64_C(7641254991741082320)
+#define SF_LAYOUT_HASH UINT64_C(6513188785957265923)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_SLOT_MAGIC UINT64_C(3554549926447961427)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
@@ -353,7 +353,7 @@ typedef struct sf_params {
   int64_t mode; /* 0: paper, 1: adaptive (default follower) */
   int64_t run; /* 0: normal, 1: DRYRUN, 2: FREEZE */
   double offset_m; /* [m] desired stand-off along the beam of channel 0 */
-  int64_t sensor_readings; /* conversions averaged into a reading (paper: 7) */
+  int64_t sensor_readings; /* conversions averaged into a reading (paper: 7; in process: 1) */
   int64_t ee_readings; /* target points in the rolling mean */
   double interval_size_m; /* [m] radius of an interval */
   int64_t range_size; /* intervals in a range */
@@ -361,7 +361,7 @@ typedef struct sf_params {
   double max_demand_m; /* [m] limit of the vertical demand */
   int64_t pose_timeout_ns; /* [ns] older poses give a zero demand */
   int64_t loss_timeout_ns; /* [ns] longest extrapolation without a valid reading */
-  int64_t pose_interpolate; /* 1: pose at the sample's own time; 0: the latest (paper) */
+  int64_t pose_interpolate; /* paper mode: 1: pose at the sample's own time; 0: the latest (paper) */
   double too_close_m; /* [m] nearer readings count as near the fold-back */
   double too_close_exit_m; /* [m] farther readings on the true branch end TOO_CLOSE */
   double range_min_m; /* [m] nearest valid reading */
@@ -468,7 +468,7 @@ typedef struct sf_output {
   double range_m[8]; /* [m] smoothed distances; NaN: none, or older than loss_timeout_ns */
   int64_t range_t_ns[8]; /* [ns] */
   int64_t fresh; /* bit per channel: a new valid reading in this cycle */
-  double target_m[24]; /* [m] footprints in the world (fresh ones) */
+  double target_m[24]; /* [m] target points in the world, as mapped (fresh ones) */
   double height_m; /* [m] surface height of the current interval */
   double slope; /* [1] along the path */
   double speed_mps; /* [m/s] lateral speed of the footprint */
