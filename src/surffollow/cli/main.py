@@ -29,6 +29,7 @@ VERBS = {
     "contest": ("contest", "contest_command", "Compare following methods on one plant."),
     "scan": ("scan", "scan_group", "Map ground from depth images, plan a scan and check it."),
     "blocks": ("blocks", "blocks_group", "List, show and watch shared blocks."),
+    "arbiter": ("arbiter", "arbiter_group", "Share a robot among clients by priority."),
     "header": ("header", "header_command", "Print the C header of the client library."),
     "doctor": ("doctor", "doctor_command", "Say what this machine lacks for hard timing."),
     "latency": ("doctor", "latency_command", "Measure wake-up latency, beside cyclictest."),
