@@ -206,10 +206,13 @@ class Belief:
             np.isfinite(ranges),
             verdicts,
         )
+        against = verdicts == CONTRADICTION
+        if self.k == 1:  # one wall has to explain every echo
+            against |= np.isfinite(ranges) & (verdicts != INLIER)
         return replace(
             hypothesis,
             corroborated=hypothesis.corroborated + int((verdicts == INLIER).sum()),
-            refuted=hypothesis.refuted + int((verdicts == CONTRADICTION).sum()),
+            refuted=hypothesis.refuted + int(against.sum()),
         )
 
     def _estimate(self, before: list[Hypothesis]) -> None:

@@ -144,7 +144,8 @@ def find_candidates(
     ----------
     positions_m : (m, 2) float64   headings_rad, ranges_m, sigmas_m : (m,) float64
     free : (m,) bool               echoes that no wall explains yet
-    by_beams : bool                use `beam_solution` for pairs without a solution
+    by_beams : bool                use `beam_solution` for pairs without a solution, and stop at a candidate
+                                   that explains every free echo
     found : (19, 5) float64        verdicts : (m,) int64   scratch
     candidates : (c, 10) float64   written: solution, cost, pair, inliers, contradictions
 
@@ -152,12 +153,15 @@ def find_candidates(
     -------
     int64   number of candidates; those beyond c are left out
     """
-    n = 0
-    for i in range(ranges_m.size):
-        if not (free[i] and math.isfinite(ranges_m[i])):
-            continue
-        for j in range(i + 1, ranges_m.size):
-            if not (free[j] and math.isfinite(ranges_m[j])):
+    n = echoes = 0
+    size = ranges_m.size
+    for i in range(size):
+        echoes += free[i] and math.isfinite(ranges_m[i])
+    # pairs far apart come first: their solutions are the most certain
+    for gap in range(size - 1, 0, -1):
+        for i in range(size - gap):
+            j = i + gap
+            if not (free[i] and free[j] and math.isfinite(ranges_m[i]) and math.isfinite(ranges_m[j])):
                 continue
             # a wall is seen by both only when their beams can face one normal
             if abs(wrap(headings_rad[i] - headings_rad[j])) > 2.0 * max_incidence_rad + MERGE and (
@@ -194,6 +198,8 @@ def find_candidates(
                 )
                 candidates[n, INLIERS], candidates[n, CONTRADICTIONS] = inliers, contradictions
                 n += 1
+                if by_beams and inliers == echoes and contradictions == 0:
+                    return n
     return n
 
 
