@@ -136,7 +136,7 @@ def c_header(schemas: type[Schema] | Iterable[type[Schema]], prefix: str = "sfb_
     lines += [c_struct(s, prefix) for s in ordered]
     for s in tops:
         lines.append(f"#define {c_name(s, prefix).upper()}_HASH UINT64_C({s.HASH})")
-    lines += [_reader_text(), "#ifdef __cplusplus", "}", "#endif", ""]
+    lines += [reader_text(), "#ifdef __cplusplus", "}", "#endif", ""]
     return "\n".join(lines)
 
 
@@ -147,7 +147,8 @@ def _with_nested(schema: type[Schema], ordered: dict[type[Schema], None]) -> Non
     ordered.setdefault(schema)
 
 
-def _reader_text() -> str:
+def reader_text() -> str:
+    """C text of the reader (and writer) of any block, guarded against being included twice."""
     at = bl.BlockHeader.offset
     values = {
         "head_bytes": bl.PAGE,

@@ -1,0 +1,138 @@
+"""`surffollow arbiter start`, `status`, `history` and `check`."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from typing import Any
+
+import click
+
+from surffollow.cli.values import SERVICE_NAME, Finite
+
+
+@click.group("arbiter")
+def arbiter_group() -> None:
+    """Share a robot among clients by priority: the server, and a look at it."""
+
+
+@arbiter_group.command("start")
+@click.argument("config_path", metavar="CONFIG.toml", type=click.Path(dir_okay=False))
+@click.option("--name", type=SERVICE_NAME, help="Name of the arbiter [the configuration's].")
+@click.option("--quiet", is_flag=True, help="Print only READY and errors.")
+def start_command(config_path: str, name: str | None, quiet: bool) -> None:
+    """Run the server in the foreground: prints READY when clients may attach, ends on SIGTERM or Ctrl-C."""
+    import msgspec
+
+    from surffollow.arbiter.config import load_config
+
+    config = load_config(config_path)
+    if name is not None:
+        config = msgspec.structs.replace(config, name=name)
+    from surffollow.arbiter.server import serve
+
+    serve(config, quiet)
+
+
+@arbiter_group.command("status")
+@click.option("--name", type=SERVICE_NAME, default="cell", show_default=True, help="Name of the arbiter.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def status_command(name: str, as_json: bool) -> None:
+    """Show who holds what, who is attached, what was denied and how long clients waited."""
+    from surffollow.arbiter import observe
+    from surffollow.units import format_ns
+
+    with observe(name) as arbiter:
+        status = arbiter.status()
+    if as_json:
+        print(json.dumps(status, indent=2))
+        return
+    running = "runs" if status["alive"] else "does not run (its last board)"
+    print(f"arbiter {name} {running}, pid {status['pid']}, epoch {status['epoch']}")
+    for resource, s in status["resources"].items():
+        by = f" by {s['holder']} (priority {s['priority']})" if s["holder"] else ""
+        print(
+            f"  {resource}: {s['state']}{by}, {s['queue']} waiting; {s['grants']} grants, {s['preempted']} "
+            f"preempted, {s['forwarded']} forwarded, {s['rejected']} rejected, {s['denied']} denied"
+        )
+    for c in status["clients"]:
+        life = "" if c["live"] else ", no heartbeat"
+        print(
+            f"  client {c['name']}: number {c['number']}, pid {c['pid']}, priority {c['priority']}, denied "
+            f"{c['denied']}, longest wait {format_ns(c['waited_ns'])}, broken mailbox {c['broken']}{life}"
+        )
+
+
+@arbiter_group.command("history")
+@click.option("--name", type=SERVICE_NAME, default="cell", show_default=True, help="Name of the arbiter.")
+@click.option("--last", default=50, show_default=True, help="Newest records to print at first.")
+@click.option("--follow", is_flag=True, help="Go on until Ctrl-C.")
+@click.option("--seconds", type=Finite(min=0.0), default=0.0, help="With --follow: end after that time.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
+def history_command(name: str, last: int, follow: bool, seconds: float, as_json: bool) -> None:
+    """Print who asked, held, lost and commanded what."""
+    from surffollow.arbiter import observe
+
+    until = time.monotonic() + seconds if seconds > 0 else float("inf")
+    with observe(name) as arbiter:
+        history = arbiter.history()
+        for event in history.newest(last):
+            _print_event(event, as_json)
+        while follow and time.monotonic() < until and arbiter.alive():
+            for event in history:
+                _print_event(event, as_json)
+            sys.stdout.flush()
+            time.sleep(0.01)
+    if history.lost:
+        print(f"surffollow: {history.lost} records were overwritten before they were read", file=sys.stderr)
+
+
+def _print_event(event: Any, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(event._asdict()))
+        return
+    values = " ".join(f"{v:g}" for v in event.command) if event.event in ("FORWARD", "SAFE") else ""
+    token = f"{event.token:#x}" if event.token else "-"
+    print(
+        f"{event.seq:>8} {event.t_ns / 1e9:14.6f} {event.resource or '-':12} client {event.client:<4} "
+        f"{event.event:20} {event.reason:12} {token:>18} {values}".rstrip()
+    )
+
+
+@arbiter_group.command("check")
+@click.option("--mutants", "with_mutants", is_flag=True, help="Also show that every altered table is caught.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def check_command(with_mutants: bool, as_json: bool) -> None:
+    """Explore every state that three clients can bring a resource into, by the table that the server runs.
+
+    Exit code 1 when a property is broken, or an altered table was not caught.
+    """
+    from surffollow.arbiter.check import check_table, is_caught
+    from surffollow.arbiter.mutants import mutants
+
+    found = check_table()
+    survivors, tried = [], 0
+    if with_mutants:
+        for what, rows in mutants():
+            tried += 1
+            if not is_caught(rows):
+                survivors.append(what)
+    result = {
+        "policies": [
+            {"policy": f.policy, "states": f.states, "steps": f.steps, "fault": f.fault} for f in found
+        ],
+        "mutants": tried,
+        "survivors": survivors,
+    }
+    if as_json:
+        print(json.dumps(result, indent=2))
+    else:
+        for f in found:
+            print(f"{f.policy:24} {f.states:6} states {f.steps:8} steps   {f.fault or 'no fault'}")
+        if with_mutants:
+            print(f"{tried} altered tables, {len(survivors)} not caught")
+            for what in survivors:
+                print(f"  {what}")
+    if survivors or any(f.fault for f in found):
+        sys.exit(1)
