@@ -2,8 +2,8 @@
 
     python tools/bench_wall.py [--json] [--seeds A:B]
 
-"distance RMS" is that of the distance to the followed wall about its mean over four laps. "heading repeats" is the standard
-deviation, over the laps, of the mean heading along each wall.
+"distance RMS" is that of the distance to the followed wall about its mean over four laps. "heading repeats"
+is the standard deviation, over the laps, of the mean heading along each wall.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 from report import bar, finish, result
-
 from surffollow.live.wall_following import EXPERIMENTS, figures, run_experiment
 
 LAPS = 4
