@@ -1,4 +1,4 @@
-"""Decode the two MCAP records made of texts: schemas and metadata."""
+"""Decode the MCAP records made of texts: schemas, channels and metadata."""
 
 from __future__ import annotations
 
@@ -13,15 +13,27 @@ def _text(body: memoryview, at: int) -> tuple[str, int]:
     return bytes(body[at + 4 : end]).decode(), end
 
 
-def read_schema(body: memoryview) -> tuple[str, str, bytes]:
-    """Name, encoding and text of a schema record; empty when it is damaged."""
+def read_schema(body: memoryview) -> tuple[int, str, str, bytes]:
+    """Number, name, encoding and text of a schema record; empty when it is damaged."""
     try:
+        (number,) = struct.unpack_from("<H", body)
         name, at = _text(body, 2)
         encoding, at = _text(body, at)
         (length,) = struct.unpack_from("<I", body, at)
     except (struct.error, ValueError):
-        return "", "", b""
-    return name, encoding, bytes(body[at + 4 : at + 4 + length])
+        return 0, "", "", b""
+    return number, name, encoding, bytes(body[at + 4 : at + 4 + length])
+
+
+def read_channel(body: memoryview) -> tuple[int, int, str, str]:
+    """Number, schema's number, topic and encoding of a channel record; empty when it is damaged."""
+    try:
+        number, schema = struct.unpack_from("<HH", body)
+        topic, at = _text(body, 4)
+        encoding, _ = _text(body, at)
+    except (struct.error, ValueError):
+        return -1, 0, "", ""
+    return number, schema, topic, encoding
 
 
 def read_metadata(body: memoryview) -> tuple[str, dict[str, str]]:
