@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from surffollow.cli.values import SERVICE_NAME, Finite
+from surffollow.cli.values import DURATION, SERVICE_NAME, SIZE, Finite
 
 
 @click.command("record")
@@ -15,38 +15,69 @@ from surffollow.cli.values import SERVICE_NAME, Finite
     "--out", type=click.Path(dir_okay=False), default=None, help="File to write.  [default: NAME-TIME.mcap]"
 )
 @click.option("--seconds", type=Finite(min=0.0), default=None, help="Stop after this long.")
+@click.option(
+    "--rate",
+    type=Finite(min=0.0, max=10_000.0),
+    default=100.0,
+    show_default=True,
+    help="Samples per second of the channels for viewers; 0: only what a replay needs.",
+)
+@click.option(
+    "--rotate-size", type=SIZE, default=None, help="Begin another file after so many bytes, such as 100MB."
+)
+@click.option("--rotate-time", type=DURATION, default=None, help="Begin another file after this long: 10min.")
+@click.option(
+    "--keep",
+    type=click.IntRange(1),
+    default=None,
+    help="With --rotate-…: remove the oldest files of this recording beyond so many.",
+)
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 @click.option("--json", "as_json", is_flag=True, help="Print the final counts as JSON.")
-def record_command(name: str, out: str | None, seconds: float | None, force: bool, as_json: bool) -> None:
+def record_command(
+    name: str,
+    out: str | None,
+    seconds: float | None,
+    rate: float,
+    rotate_size: int | None,
+    rotate_time: float | None,
+    keep: int | None,
+    force: bool,
+    as_json: bool,
+) -> None:
     """Record every cycle of a service into an MCAP file, until Ctrl-C or --seconds.
 
-    The file replays bit for bit (`surffollow replay FILE`). A service that stops is
+    The file replays bit for bit (`surffollow replay FILE`), and Foxglove and Rerun show its standard
+    channels: poses, demands, distances, health, parameters, the map. A service that stops is
     waited for; its next start becomes another segment.
     """
     import json
-    import signal
-    import sys
-    import threading
     import time
     from dataclasses import asdict
 
+    from surffollow.cli.progress import stop_event, tell
     from surffollow.record.session import record_service
 
     path = out or time.strftime(f"{name}-%Y%m%d-%H%M%S.mcap")
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    on_terminal = sys.stderr.isatty()
-    counts = record_service(
-        name, path, stop, seconds=seconds, progress=_tell if on_terminal else None, force=force
-    )
-    if on_terminal:
-        sys.stderr.write("\n")
+    with tell() as progress:
+        counts = record_service(
+            name,
+            path,
+            stop_event(),
+            seconds=seconds,
+            progress=progress,
+            force=force,
+            rate_hz=rate,
+            rotate_bytes=rotate_size or 0,
+            rotate_s=rotate_time or 0.0,
+            keep=keep or 0,
+        )
     if as_json:
-        click.echo(json.dumps({"file": path, **asdict(counts)}))
+        click.echo(json.dumps({"file": counts.files[0], **asdict(counts)}))
     else:
+        several = f"{counts.files[0]} … {counts.files[-1]}" if len(counts.files) > 1 else counts.files[0]
         click.echo(
-            f"{path}: {counts.cycles} cycles in {counts.segments} segment(s); "
+            f"{several}: {counts.cycles} cycles in {counts.segments} segment(s); "
             f"lost {counts.lost_cycles} cycles ({counts.lost_words} words) in {counts.losses} place(s)"
         )
 
@@ -124,20 +155,13 @@ def _write_map(file: str, map_out: str) -> None:
 
 def _play_live(file: str, name: str | None, as_json: bool) -> None:
     import json
-    import signal
-    import sys
-    import threading
     from dataclasses import asdict
 
+    from surffollow.cli.progress import stop_event, tell
     from surffollow.record.live import play_live
 
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    on_terminal = sys.stderr.isatty()
-    r = play_live(file, name=name, stop=stop, progress=_tell if on_terminal else None)
-    if on_terminal:
-        sys.stderr.write("\n")
+    with tell() as progress:
+        r = play_live(file, name=name, stop=stop_event(), progress=progress)
     if as_json:
         click.echo(json.dumps(asdict(r)))
     else:
@@ -147,13 +171,6 @@ def _play_live(file: str, name: str | None, as_json: bool) -> None:
             f"{r.seconds:.1f} s, {r.cycles} cycles; {r.valid} of {r.poses} demands valid"
             + ("" if r.finished else "; ended early")
         )
-
-
-def _tell(line: str) -> None:
-    import sys
-
-    sys.stderr.write(f"\r\x1b[K{line}")
-    sys.stderr.flush()
 
 
 def _replay_recording(file: str, as_json: bool) -> None:

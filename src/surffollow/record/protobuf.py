@@ -97,6 +97,87 @@ class Message:
                 _encode_field(out, self.by_name[name], value)
         return bytes(out)
 
+    def decode(self, data: bytes) -> dict[str, Any]:
+        """The values in an encoded message; fields that are absent are absent, unknown ones passed over.
+
+        Raises
+        ------
+        ValueError  the data is cut short or no such message
+        """
+        numbers = {f.number: f for f in self.fields}
+        out: dict[str, Any] = {f.name: [] for f in self.fields if f.repeated}
+        at = 0
+        while at < len(data):
+            tag, at = _read_varint(data, at)
+            value, at = _read_value(data, at, tag & 7)
+            f = numbers.get(tag >> 3)
+            if f is None:
+                continue
+            values = (
+                _unpacked(f, value) if f.repeated and KINDS[f.kind][1] != _BYTES else [_as_value(f, value)]
+            )
+            if f.repeated:
+                out[f.name] += values
+            else:
+                out[f.name] = values[0]
+        return out
+
+
+def _read_varint(data: bytes, at: int) -> tuple[int, int]:
+    value = shift = 0
+    while at < len(data) and shift < 64:
+        byte = data[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+        shift += 7
+    raise ValueError("a message is cut short")
+
+
+def _read_value(data: bytes, at: int, wire: int) -> tuple[Any, int]:
+    if wire == _VARINT:
+        return _read_varint(data, at)
+    if wire == _BYTES:
+        length, at = _read_varint(data, at)
+    elif wire in (_FIXED64, _FIXED32):
+        length = 8 if wire == _FIXED64 else 4
+    else:
+        raise ValueError(f"a message has a field of the unknown wire type {wire}")
+    if at + length > len(data):
+        raise ValueError("a message is cut short")
+    return data[at : at + length], at + length
+
+
+def _as_value(f: Field, value: Any) -> Any:
+    _, wire, letter = KINDS[f.kind]
+    if wire == _VARINT:
+        return value - (1 << 64) if value >= 1 << 63 else value
+    if wire in (_FIXED64, _FIXED32):
+        try:
+            return struct.unpack(f"<{letter}", value)[0]
+        except struct.error as e:
+            raise ValueError(f"field {f.name}: {e}") from None
+    if f.kind == "string":
+        return value.decode("utf-8", "replace")
+    return f.of.decode(value) if isinstance(f.of, Message) else value
+
+
+def _unpacked(f: Field, value: Any) -> list[Any]:
+    _, wire, letter = KINDS[f.kind]
+    if not isinstance(value, bytes):
+        return [_as_value(f, value)]
+    if wire != _VARINT:
+        size = struct.calcsize(letter)
+        if len(value) % size:
+            raise ValueError(f"field {f.name} does not hold whole numbers")
+        return list(struct.unpack(f"<{len(value) // size}{letter}", value))
+    out, at = [], 0
+    while at < len(value):
+        number, at = _read_varint(value, at)
+        out.append(_as_value(f, number))
+    return out
+
 
 def varint(value: int) -> bytes:
     """A whole number in groups of seven bits; negative ones as two's complement of 64 bits."""

@@ -91,6 +91,7 @@ class McapReader:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.damage = Damage()
+        self.at = 0  # how far `records` came [B]
         try:
             self._file: Any = open(self.path, "rb")  # noqa: SIM115 - closed by close()
             self._size = self._file.seek(0, os.SEEK_END)
@@ -143,6 +144,7 @@ class McapReader:
     def records(self) -> Iterator[tuple[int, memoryview]]:
         """The records of the data section, those inside chunks in their places."""
         at, size = len(MAGIC), self._size
+        self.at = at
         while at + _RECORD.size <= size:
             head = self._read(at, _RECORD.size)
             opcode, length = _RECORD.unpack(head) if len(head) == _RECORD.size else (0, 0)
@@ -158,7 +160,7 @@ class McapReader:
             elif self._sound:
                 # outside chunks only the checksum over the file vouches for a record
                 yield opcode, memoryview(self._read(at + _RECORD.size, length))
-            at = end
+            self.at = at = end
         if at < size:
             self.damage.add(f"the last {size - at} bytes are lost", lost_bytes=size - at)
 
@@ -252,7 +254,7 @@ class RecordingReader(McapReader):
                 if name == SCHEMA_NAME and encoding == SCHEMA_ENCODING:
                     self.layout = _check_layout(self.path, text)
             elif opcode == CHANNEL:
-                number, _, topic, _ = read_channel(body)
+                number, _, topic, _, _ = read_channel(body)
                 if topic == TOPIC and self.layout:
                     self._log_channel = number
                     break

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +85,7 @@ def collect_targets(
     out[0], out[1] = at, kept
 
 
-class _Remapper:
+class Remapper:
     """Target points and map commands into one map; until the first MapReset the points wait."""
 
     def __init__(self) -> None:
@@ -97,27 +98,30 @@ class _Remapper:
         self.scratch, self.out = np.zeros(7), np.zeros(3, np.int64)
 
     def segment(self, words: NDArray[np.int64]) -> None:
+        """Step over the words of a whole segment."""
         records = (self.params, self.state, self.inputs, self.output)
         views = (self.params.view(np.int64), self.state.view(np.int64))
         floats, at = words.view(np.float64), 0
         self.out[2] = 0
         while at < words.size:
             collect_targets(words, floats, at, records, views, self.scratch, self.points, self.out)
-            self._add(self.points[: self.out[1]])
+            self.add(self.points[: self.out[1]])
             stuck, at = int(self.out[0]) == at and self.out[1] == 0, int(self.out[0])
             if at < words.size and entry_kind(words[at]) == MAP:
-                self._command(int(words[at + 2]), int(words[at + 1]), floats[at + 3 : at + 7])
+                self.command(int(words[at + 2]), int(words[at + 1]), floats[at + 3 : at + 7].tolist())
                 at += int(entry_words(words[at]))
             elif stuck:
                 raise RecordingError(f"the word at {at} of a segment begins no entry")
 
-    def _add(self, points: NDArray[np.float64]) -> None:
+    def add(self, points: NDArray[np.float64]) -> None:
+        """Take target points (n, 3) [m]."""
         if self.map is None:
             self.waiting.append(points.copy())
         else:
             self.map.add(points)
 
-    def _command(self, code: int, t_ns: int, values: NDArray[np.float64]) -> None:
+    def command(self, code: int, t_ns: int, values: Sequence[float]) -> None:
+        """Carry out a map command of the log."""
         x0, y0, x1, y1 = (float(v) for v in values)
         if code == RQ_MAP_RESET:
             self.map, self.waiting, self.installed_ns = HeightMap.over((x0, y0, x1, y1)), [], 0
@@ -127,6 +131,12 @@ class _Remapper:
             self.map.refocus((x0, y0, x1, y1))
 
     def finish(self) -> HeightMap:
+        """The map at the end; without a MapReset one over all points.
+
+        Raises
+        ------
+        RecordingError  a map was installed, whose heights are not in the log, or there is no point
+        """
         if self.installed_ns:
             raise RecordingError(
                 f"at {self.installed_ns * 1e-9:.3f} s of the service's clock a map was installed "
@@ -165,7 +175,7 @@ def rebuild_map(path: str | Path) -> HeightMap:
             segments.setdefault(batch.segment, []).append(words)
         if reader.damage:
             raise RecordingError(f"{path} cannot be mapped: {reader.damage}")
-    remapper = _Remapper()
+    remapper = Remapper()
     for runs in segments.values():
         remapper.segment(np.concatenate(runs))
     return remapper.finish()

@@ -41,6 +41,7 @@ class Sample(Schema):
     output = Nested(Output)
     pose = F64(7, unit="m, 1", doc="newest pose reported: x y z qx qy qz qw, world from tool")
     pose_delay_ns = I64(unit="ns", doc="how old that pose was when it arrived; -1: none arrived yet")
+    seen = I64(doc="bit per channel: `target_m` is newer than the sample before")
     points = I64(doc="target points of this run up to and with this cycle")
 
 
@@ -49,11 +50,12 @@ _OUTPUT_WORDS = Output.SIZE // 8
 _DEMAND_WORD = Output.offset("demand") // 8
 _POSE_WORD = Sample.offset("pose") // 8
 _DELAY_WORD = Sample.offset("pose_delay_ns") // 8
+_SEEN_WORD = Sample.offset("seen") // 8
 _POINTS_WORD = Sample.offset("points") // 8
 _ROWS, _POINTS = 1024, 8192
 # plan: when the next sample is due, its period (0: every cycle), 1: a snapshot was loaded, cycles that came
-# out otherwise than logged, delay of the newest pose
-_NEXT, _PERIOD, _STARTED, _DIFFERING, _DELAY, _PLAN = 0, 1, 2, 3, 4, 5
+# out otherwise than logged, delay of the newest pose, channels seen since the last sample
+_NEXT, _PERIOD, _STARTED, _DIFFERING, _DELAY, _SEEN, _PLAN = 0, 1, 2, 3, 4, 5, 6
 
 
 @jit
@@ -79,7 +81,7 @@ def step_samples(
     begin : int64
     records : (params, state, inputs, output), views : (output,) as int64 words
     scratch : (7,) float64
-    plan : (5,) int64                       updated
+    plan : (6,) int64                       updated
     kept : (rows (r, SAMPLE_WORDS) int64, the same as float64, points (p, 3) float64 [m])
     out : (3,) int64                        where it ended, rows kept, points kept
     """
@@ -99,6 +101,7 @@ def step_samples(
             plan[_DIFFERING] += 1
         if i.n_poses > 0:
             plan[_DELAY] = i.t_ns - i.pose_t_ns[i.n_poses - 1]
+        plan[_SEEN] |= o.fresh
         for c in range(params[0].n_channels):
             if (o.fresh >> c) & 1 != 0:
                 for k in range(3):
@@ -113,6 +116,7 @@ def step_samples(
             for k in range(7):
                 row_floats[n_rows, _POSE_WORD + k] = s.pose[7 * newest + k]
             rows[n_rows, _DELAY_WORD] = plan[_DELAY]
+            rows[n_rows, _SEEN_WORD], plan[_SEEN] = plan[_SEEN], 0
             rows[n_rows, _POINTS_WORD] = n_points
             n_rows += 1
         at += length
@@ -176,7 +180,7 @@ class Sampler:
 
     def begin(self) -> None:
         """The next words begin a segment."""
-        self._plan[_NEXT], self._plan[_STARTED], self._plan[_DELAY] = 0, 0, -1
+        self._plan[[_NEXT, _STARTED, _DELAY, _SEEN]] = 0, 0, -1, 0
 
     def warm_up(self) -> None:
         """Compile the kernel or load it from the cache."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from surffollow.errors import UsageError
@@ -34,7 +34,7 @@ class Files:
     out: Path
     about: dict[str, str]
     force: bool = False
-    max_bytes: int = 0
+    max_bytes: float = 0
     max_s: float = 0.0
     keep: int = 0
 
@@ -67,6 +67,13 @@ class Files:
         return writer
 
 
+@dataclass
+class Recorded(Counts):
+    """Counts of all files together, and the files that are there."""
+
+    files: list[str] = field(default_factory=list)
+
+
 def record_service(
     name: str,
     out: str | Path,
@@ -76,10 +83,10 @@ def record_service(
     progress: Callable[[str], None] | None = None,
     force: bool = False,
     rate_hz: float = RATE_HZ,
-    rotate_bytes: int = 0,
+    rotate_bytes: float = 0,
     rotate_s: float = 0.0,
     keep: int = 0,
-) -> Counts:
+) -> Recorded:
     """Record the service `name` into `out` until `stop` is set or `seconds` have passed.
 
     The seconds count from the first cycle recorded: kernels may be compiled before it. Where no cycle
@@ -90,6 +97,10 @@ def record_service(
     ----------
     rate_hz : of the standard channels; 0: only the words that a replay needs
     rotate_bytes, rotate_s, keep : see `Files`
+
+    Returns
+    -------
+    Recorded   counts of all files together, and the files that are there
 
     Raises
     ------
@@ -105,7 +116,8 @@ def record_service(
             feed = ChannelFeed(writer, round(1e9 / rate_hz), log)
         recorder = Recorder(log, writer, feed, files if files.rotates else None)
         try:
-            return _run(recorder, log, feed, stop, seconds, progress)
+            counts = _run(recorder, log, feed, stop, seconds, progress)
+            return Recorded(**asdict(counts), files=[str(p) for p in files.paths[-files.keep :]])
         finally:
             recorder.writer.close()
     finally:

@@ -115,12 +115,17 @@ class MessageWriter:
         }
         self._guard(self._mcap.add_metadata, CLOCK_NAME, clock)
 
-    def _channel_of(self, topic: str, kind: Message) -> int:
+    def declare(self, topic: str, kind: Message, about: dict[str, str] | None = None) -> None:
+        """Declare a channel before its first message, with texts that stay with it."""
+        self._guard(self._channel_of, topic, kind, about)
+
+    def _channel_of(self, topic: str, kind: Message, about: dict[str, str] | None = None) -> int:
         if topic not in self._channels:
             name = kind.full_name
             if name not in self._schemas:
                 self._schemas[name] = self._mcap.register_schema(name, PROTOBUF, descriptor_set(kind))
-            self._channels[topic] = self._mcap.register_channel(topic, PROTOBUF, self._schemas[name])
+            schema = self._schemas[name]
+            self._channels[topic] = self._mcap.register_channel(topic, PROTOBUF, schema, about or {})
         return self._channels[topic]
 
     def add_message(self, topic: str, kind: Message, t_ns: int, data: bytes) -> None:
