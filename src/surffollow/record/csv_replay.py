@@ -6,7 +6,7 @@ import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ class CsvReplay:
     height_m, slope : (n,) float64 the follower's surface; NaN before the first reading
     forecast_m : (n, h) float64    range expected at each horizon after the row; NaN without a reading
     mode : str
+    depth : bool                   the readings are depths, straight down
     """
 
     log: CsvLog
@@ -39,6 +40,7 @@ class CsvReplay:
     slope: NDArray[np.float64]
     forecast_m: NDArray[np.float64]
     mode: str
+    depth: bool = False
 
 
 def make_follower(columns: Columns, log: CsvLog, mode: str | None) -> Follower:
@@ -124,26 +126,41 @@ def score_forecast(replay: CsvReplay, columns: Columns) -> list[dict[str, float]
     A pair is a row with a reading and a forecast at t, and the first later row with a reading
     at or after t + horizon, unless it is more than the column file's `match` later.
     """
-    has = np.isfinite(replay.log.range_m)
-    t, r = replay.log.elapsed_s()[has], replay.log.range_m[has]
-    slack_s = replay.log.slack_s()  # times written as decimals must not miss by their last bit
     rows = []
     for k, horizon_s in enumerate(columns.horizons_s):
-        forecast = replay.forecast_m[has, k]
-        j = np.searchsorted(t, t + horizon_s - slack_s)
-        inside = (j < t.size) & np.isfinite(forecast)
-        inside[inside] &= t[j[inside]] - t[inside] - horizon_s <= columns.match_s + slack_s
-        truth = r[j[inside]]
-        n = int(inside.sum())
+        pairs = pair_forecasts(replay, columns, k)
         rows.append(
             {
                 "horizon_s": horizon_s,
-                "rms_m": _rms(forecast[inside] - truth),
-                "no_change_rms_m": _rms(r[inside] - truth),
-                "n": n,
+                "rms_m": _rms(pairs.forecast_m - pairs.truth_m),
+                "no_change_rms_m": _rms(pairs.present_m - pairs.truth_m),
+                "n": pairs.t_s.size,
             }
         )
     return rows
+
+
+class Pairs(NamedTuple):
+    """Forecasts and what came, (n,) each: time of the truth [s], forecast, truth, reading then [m]."""
+
+    t_s: NDArray[np.float64]
+    forecast_m: NDArray[np.float64]
+    truth_m: NDArray[np.float64]
+    present_m: NDArray[np.float64]
+
+
+def pair_forecasts(replay: CsvReplay, columns: Columns, horizon: int) -> Pairs:
+    """The pairs of one horizon (by its number) that `score_forecast` scores."""
+    has = np.isfinite(replay.log.range_m)
+    t, r = replay.log.elapsed_s()[has], replay.log.range_m[has]
+    slack_s = replay.log.slack_s()  # times written as decimals must not miss by their last bit
+    horizon_s = columns.horizons_s[horizon]
+    forecast = replay.forecast_m[has, horizon]
+    j = np.searchsorted(t, t + horizon_s - slack_s)
+    inside = (j < t.size) & np.isfinite(forecast)
+    inside[inside] &= t[j[inside]] - t[inside] - horizon_s <= columns.match_s + slack_s
+    then = j[inside]
+    return Pairs(t[then], forecast[inside], r[then], r[inside])
 
 
 def _rms(errors: NDArray[np.float64]) -> float:

@@ -144,17 +144,26 @@ class Remapper:
                 "Keep the live one with `surffollow map upload`"
             )
         if self.map is None:
-            points = np.concatenate([*self.waiting, np.zeros((0, 3))])
-            if not len(points):
-                raise RecordingError(
-                    "no cycle of the recording found a target point; there is nothing to map"
-                )
-            low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-            pad = np.maximum(0.0, _LEAST_SIDE_M - (high - low)) / 2 + 1e-6
-            (x0, y0), (x1, y1) = (low - pad).tolist(), (high + pad).tolist()
-            self.map = HeightMap.over((x0, y0, x1, y1))
-            self.map.add(points)
+            self.map = map_of_points(np.concatenate([*self.waiting, np.zeros((0, 3))]))
         return self.map
+
+
+def map_of_points(points_m: NDArray[np.float64]) -> HeightMap:
+    """A map over target points (n, 3) [m], with the default memory and resolution; NaN: no point.
+
+    Raises
+    ------
+    RecordingError  there is no point
+    """
+    points = points_m[np.isfinite(points_m).all(axis=1)]
+    if not len(points):
+        raise RecordingError("no target point was found; there is nothing to map")
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    pad = np.maximum(0.0, _LEAST_SIDE_M - (high - low)) / 2 + 1e-6
+    (x0, y0), (x1, y1) = (low - pad).tolist(), (high + pad).tolist()
+    made = HeightMap.over((x0, y0, x1, y1))
+    made.add(points)
+    return made
 
 
 def rebuild_map(path: str | Path) -> HeightMap:
