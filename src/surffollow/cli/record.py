@@ -317,6 +317,7 @@ def csv_text(summary: dict[str, Any]) -> str:
                 f"{what} less {reference['column']}: mean {figure(d['mean_m'])} m, "
                 f"std {figure(d['std_m'])} m over {d['n']} rows"
             )
+    lines += [f"note: {note}" for note in summary["notes"]]
     return "\n".join(lines)
 
 

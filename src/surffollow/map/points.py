@@ -83,9 +83,10 @@ def write_las(
         raise MapFileError("a point cloud needs a known grid, the map has none")
     report(progress, 0.3)
     step = max(min(_FINEST_STEP_M, grid / 100.0), max(nx, ny) * grid / _LAS_MOST)
-    las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
-    las.header.offsets = [float(w["x0_m"]), float(w["y0_m"]), float(w["datum_m"])]
-    las.header.scales = [step, step, quantum]
+    las_header = laspy.LasHeader(point_format=6, version="1.4")
+    las_header.offsets = np.array([float(w["x0_m"]), float(w["y0_m"]), float(w["datum_m"])])
+    las_header.scales = np.array([step, step, quantum])
+    las = laspy.LasData(las_header)
     las.X = np.rint((at % nx + 0.5) * (grid / step)).astype(np.int32)
     las.Y = np.rint((at // nx + 0.5) * (grid / step)).astype(np.int32)
     las.Z = q[at].astype(np.int32)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.config.params import param_name
 from surffollow.errors import FaultError, UsageError
 from surffollow.follower import Follower
 from surffollow.record.columns import Columns
@@ -105,7 +106,27 @@ def run_csv(log: CsvLog, columns: Columns, mode: str | None = None) -> CsvReplay
             height[i], slope[i] = state["height_m"], state["slope"]
         if reading:
             forecast[i] = [follower.forecast_range_m(h) for h in horizons]
-    return CsvReplay(log, target_points(log, columns), height, slope, forecast, follower.state()["mode"])
+    told = follower.state()["mode"]
+    return CsvReplay(
+        log, target_points(log, columns), height, slope, forecast, told, columns.range.kind == "depth"
+    )
+
+
+# what of [follow] bears upon height, slope and forecast: in the paper's mode these alone, in the adaptive
+# mode not the sizes of the paper's means. Ready-made ranges are not averaged (sensor_readings).
+PAPER_HEEDS = ("mode", "ee_readings", "interval_size_m", "range_size", "sensor_latency_ns")
+ADAPTIVE_IGNORES = ("sensor_readings", "ee_readings", "interval_size_m", "range_size", "pose_interpolate")
+
+
+def follow_notes(columns: Columns, mode: str) -> list[str]:
+    """What the column file sets in [follow] and the replay in this mode does not heed, for people."""
+    names = {key: param_name(key) for key in columns.follow if key not in ("sensors",)}
+    paper = mode == "paper"
+    idle = [k for k, n in names.items() if (n not in PAPER_HEEDS if paper else n in ADAPTIVE_IGNORES)]
+    if not idle:
+        return []
+    other = "; --mode paper heeds some" if not paper else ""
+    return [f"[follow] {', '.join(idle)}: without effect on height, slope and forecast in {mode} mode{other}"]
 
 
 def target_points(log: CsvLog, columns: Columns) -> NDArray[np.float64]:
@@ -188,6 +209,7 @@ def summarise(path: str | Path, replay: CsvReplay, columns: Columns) -> dict[str
         "end_s": float(log.t_s[-1]),
         "height_m": {"min": float(heights.min()), "mean": float(heights.mean()), "max": float(heights.max())},
         "slope": {"min": float(slopes.min()), "mean": float(slopes.mean()), "max": float(slopes.max())},
+        "notes": follow_notes(columns, replay.mode),
         "forecast": [
             {k: None if v != v else v for k, v in row.items()} for row in score_forecast(replay, columns)
         ],

@@ -315,6 +315,7 @@ def _draw_latency(ax: Any, story: Story, service: dict[str, Any] | None) -> None
     ax.tick_params(axis="x", which="minor", bottom=False)
     ax.set_title("Latencies")
     ax.set_ylim(0.0, ax.get_ylim()[1] * 1.5)
+    ax.set_yticks([v for v in ax.get_yticks() if v <= 100.0])
     if ax.get_legend_handles_labels()[1]:
         ax.legend(loc="upper left")
 
@@ -344,7 +345,7 @@ def _draw_ground_plan(figure: Any, ax: Any, story: Story) -> None:
         )
         return
     heights, frame = story.map
-    ax.set_title("Map, built again from the target points" + fg.draw_map(figure, ax, heights, frame))
+    ax.set_title("Map of the target points" + fg.draw_map(figure, ax, heights, frame))
     has_pose = story.rows["output"]["pose_t_ns"] != 0
     pose = story.rows["pose"][has_pose]
     ax.plot(pose[:, 0], pose[:, 1], color=fg.ORANGE, lw=0.5, alpha=0.8)

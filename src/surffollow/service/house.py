@@ -30,6 +30,7 @@ class House:
 
     def __init__(self, config: ServiceConfig, board: SharedObject, inbox: SharedObject, map_: SharedObject):
         self.config, self.board, self.inbox, self.map = config, board, inbox, map_
+        self.map_is_new = False  # made by this start, which has not been ready yet
         self.regions = lb.board_regions(config.log_words)
         self.board_bytes = np.frombuffer(board.memory, np.uint8)
         self.inbox_bytes = np.frombuffer(inbox.memory, np.uint8)
@@ -54,11 +55,14 @@ class House:
         """Store the service's state, after all that it announces."""
         from surffollow.shm.python_atomics import store_release
 
+        if state == lb.STATE_READY:
+            self.map_is_new = False
         store_release(int(self.board_bytes.ctypes.data) + lb.BoardHeader.offset("state"), state)
 
     def leave(self) -> None:
-        """Unlink board and inbox (the map stays) and give up the name."""
-        for part in (self.board, self.inbox):
+        """Unlink board and inbox and give up the name; the map stays, unless a refused start made it."""
+        refused = (self.map,) if self.map_is_new else ()
+        for part in (self.board, self.inbox, *refused):
             if part.is_current():
                 unlink(part.name)
         self.map.unlock(lb.NAME_LOCK_BYTE)
@@ -215,6 +219,7 @@ def open_house(config: ServiceConfig) -> House:
             part.close()
         raise
     house = House(config, made[-2], made[-1], map_)
+    house.map_is_new = fresh
     house.map_header[0]["owner_epoch"] += 1
     _fill_headers(house)
     return house
