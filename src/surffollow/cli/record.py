@@ -334,6 +334,8 @@ def report_text(file: str, report: object) -> str:
     ]
     if not r.complete:
         lines.append(f"DAMAGED: {r.damage}; {r.lost_bytes} bytes lost; judged is only what is whole")
+    elif r.lost_bytes:
+        lines.append(f"recovered: {r.lost_bytes} bytes of the file that it was made of were lost")
     if r.differing:
         lines.append(f"DIFFERENT: {r.differing} cycles; first {r.first_difference}")
     if r.states_differing:
