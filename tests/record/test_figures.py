@@ -79,7 +79,7 @@ def test_a_log_becomes_a_figure_with_its_outlier_gap_and_forecast(log: Path, tmp
     out = tmp_path / "log.svg"
     words = [str(log), "--columns", str(tmp_path / "columns.toml"), "--out", str(out)]
     CliRunner().invoke(plot_command, words, catch_exceptions=False)
-    for text in ("1 outliers", "no reading", "Forecast error by horizon", "0.5 s ahead", "from above"):
+    for text in ("1 outlier", "no reading", "Forecast error by horizon", "0.5 s ahead", "from above"):
         assert text in words_of(out), text
 
 

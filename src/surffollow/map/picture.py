@@ -13,7 +13,7 @@ from surffollow.map import access
 from surffollow.map.atomic_file import Progress, replacing, report
 from surffollow.shm import map_layout as ml
 
-_MAX_SIDE = 2000
+_MAX_SIDE = 800  # as many as a figure has dots
 _STRIP = 8  # a map so many times longer than wide is stretched
 
 
@@ -81,20 +81,29 @@ def aspect_of(ny: int, nx: int) -> tuple[str, str]:
 def _thinned(
     header: NDArray[Any], pairs: NDArray[Any], progress: Progress | None
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8], float, tuple[float, float, float, float]]:
-    """Heights and counts of what is shown, spacing and extent [m]; every k-th grid of a large map."""
+    """Heights and counts of what is shown, spacing and extent [m]; of blocks of a large map."""
     _, nx = access.shape_of(header)
     r0, r1, c0, c1 = _shown(header, pairs)
     step = max(1, -(-max(r1 - r0, c1 - c0) // _MAX_SIDE))
-    rows, known = [], []
+    at = np.arange(0, c1 - c0, step)
+    rows, most = [], []
     for row in range(r0, r1, step):
-        first, last = row * nx + c0, row * nx + c1
-        rows.append(access.metres(header, access.quanta(pairs, first, last))[::step])
-        known.append(access.counts(pairs, first, last)[::step])
+        total, n, count = np.zeros(at.size), np.zeros(at.size), np.zeros(at.size, np.uint8)
+        for k in range(row, min(row + step, r1)):
+            first, last = k * nx + c0, k * nx + c1
+            z = access.metres(header, access.quanta(pairs, first, last))
+            known = np.isfinite(z)
+            total += np.add.reduceat(np.where(known, z, 0.0), at)
+            n += np.add.reduceat(known.astype(np.float64), at)
+            count = np.maximum(count, np.maximum.reduceat(access.counts(pairs, first, last), at))
+        rows.append(np.divide(total, n, out=np.full(at.size, np.nan), where=n > 0))
+        most.append(count)
         report(progress, 0.5 * (row - r0) / (r1 - r0))
     w, grid = header[0], float(header[0]["grid_m"])
     x0, y0 = float(w["x0_m"]), float(w["y0_m"])
+    r1, c1 = r0 + len(rows) * step, c0 + at.size * step
     extent = (x0 + c0 * grid, x0 + c1 * grid, y0 + r0 * grid, y0 + r1 * grid)
-    return np.array(rows), np.array(known), grid * step, extent
+    return np.array(rows), np.array(most), grid * step, extent
 
 
 def known_part(m: Any) -> tuple[NDArray[np.float64], tuple[float, float, float]] | None:
@@ -117,7 +126,7 @@ def write_picture(
 ) -> None:
     """Write shaded relief and counts as PNG, SVG or PDF by the suffix (extra `plot`).
 
-    Shown is what is known, with a margin; of a large map every k-th grid, at most 2000 a side.
+    Shown is what is known, with a margin; of a large map the means of blocks of grids, at most 800 a side.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -140,7 +149,7 @@ def write_picture(
     }
     known = np.isfinite(heights)
     spread = float(np.ptp(heights[known])) if known.any() else 0.0
-    factor, unit = (1e3, "mm") if spread < 2.0 else (1.0, "m")
+    factor, unit = (1e3, "mm") if spread < 0.5 else (1.0, "m")
     relief = relief_axes.imshow(heights * factor, cmap="viridis", **common)
     relief_axes.imshow(shaded_relief(heights, spacing), cmap="gray", alpha=0.35, vmin=0, vmax=1, **common)
     figure.colorbar(relief, ax=relief_axes, label=f"height [{unit}]", shrink=0.8)

@@ -87,10 +87,10 @@ def save_figure(figure: Any, path: str | Path) -> None:
 
 
 def length_scale(values: NDArray[np.float64]) -> tuple[float, str]:
-    """Factor and unit in which lengths read well: mm below 2 m of spread, else m."""
+    """Factor and unit in which lengths read well: mm below half a metre of spread, else m."""
     finite = values[np.isfinite(values)]
     spread = float(np.ptp(finite)) if finite.size else 0.0
-    return (1e3, "mm") if spread < 2.0 else (1.0, "m")
+    return (1e3, "mm") if spread < 0.5 else (1.0, "m")
 
 
 def spans(t: NDArray[np.float64], where: NDArray[np.bool_]) -> list[tuple[float, float]]:
@@ -120,6 +120,16 @@ def outliers(values: NDArray[np.float64]) -> NDArray[np.bool_]:
     sigma = max(sigma, float(np.median(steps)), float(np.percentile(np.abs(off), 90)) / 1.645, 1e-9)
     found[has] = np.abs(off) > OUTLIER_SIGMAS * sigma
     return found
+
+
+def mark_outliers(
+    ax: Any, t: NDArray[np.float64], values: NDArray[np.float64], odd: NDArray[np.bool_]
+) -> None:
+    """Cross them out, with their number in the legend."""
+    n = int(odd.sum())
+    if n:
+        label = f"{n} outlier{'s' * (n != 1)}"
+        ax.plot(t[odd], values[odd], "x", ms=5, mew=1.2, color=RED, label=label)
 
 
 def robust_limits(values: NDArray[np.float64], part: float = 99.5) -> tuple[float, float]:

@@ -76,8 +76,7 @@ def _draw_ground(ax: Any, t: NDArray[np.float64], replay: CsvReplay, columns: Co
     if reference is not None and columns.reference is not None:
         ax.plot(t, reference * factor, color=fg.GREEN, lw=0.9, label=f"reference: {columns.reference.column}")
     ax.plot(t, vehicle * factor, color=fg.BLUE, lw=1.0, label="vehicle")
-    if odd.any():
-        ax.plot(t[odd], ground[odd] * factor, "x", ms=5, mew=1.2, color=fg.RED, label=f"{odd.sum()} outliers")
+    fg.mark_outliers(ax, t, ground * factor, odd)
     ax.set_ylim(*fg.with_room(np.concatenate([ground, vehicle]) * factor))
     ax.set_title("Ground and vehicle")
     ax.set(ylabel=f"height [{unit}]")
@@ -90,10 +89,7 @@ def _draw_readings(ax: Any, t: NDArray[np.float64], replay: CsvReplay) -> None:
     factor, unit = fg.length_scale(readings)
     fg.shade(ax, _gaps(t, replay), fg.SAND, "no reading")
     ax.plot(t, readings * factor, ".-", ms=2.5, lw=0.6, color=fg.BLUE, label="reading")
-    if odd.any():
-        ax.plot(
-            t[odd], readings[odd] * factor, "x", ms=5, mew=1.2, color=fg.RED, label=f"{odd.sum()} outliers"
-        )
+    fg.mark_outliers(ax, t, readings * factor, odd)
     ax.set_ylim(*fg.with_room(readings * factor))
     ax.set_title("Distance" if not replay.depth else "Depth")
     ax.set(ylabel=f"{'distance' if not replay.depth else 'depth'} [{unit}]")

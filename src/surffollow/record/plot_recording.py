@@ -181,8 +181,7 @@ def _draw_ground(ax: Any, story: Story) -> None:
     ax.plot(t, _breaks(height, story) * factor, color=fg.INK, lw=0.8, label="surface, as the follower has it")
     ax.plot(t, _breaks(goal, story) * factor, color=fg.ORANGE, lw=0.8, label="set point: pose and demand")
     ax.plot(t, _breaks(tool, story) * factor, color=fg.BLUE, lw=1.0, label="tool, as reported")
-    if odd.any():
-        ax.plot(t[odd], ground[odd] * factor, "x", ms=5, mew=1.2, color=fg.RED, label=f"{odd.sum()} outliers")
+    fg.mark_outliers(ax, t, ground * factor, odd)
     shown = np.concatenate([ground[~odd], tool, height]) * factor
     ax.set_ylim(*fg.with_room(shown))
     ax.set(ylabel=f"height [{unit}]")

@@ -26,6 +26,7 @@ from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.map import HeightMap
 from surffollow.record.kernels import entry_length, params_in_bounds
 from surffollow.record.reader import RecordingReader
+from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import RQ_MAP_INSTALL, RQ_MAP_REFOCUS, RQ_MAP_RESET
@@ -149,7 +150,10 @@ class Remapper:
 
 
 def map_of_points(points_m: NDArray[np.float64]) -> HeightMap:
-    """A map over target points (n, 3) [m], with the default memory and resolution; NaN: no point.
+    """A map over target points (n, 3) [m], NaN: no point; its memory is the default.
+
+    Grids are as fine as memory allows, but no finer than the default or than the usual distance from
+    point to point; a count of height is as coarse as all heights need.
 
     Raises
     ------
@@ -158,10 +162,20 @@ def map_of_points(points_m: NDArray[np.float64]) -> HeightMap:
     points = points_m[np.isfinite(points_m).all(axis=1)]
     if not len(points):
         raise RecordingError("no target point was found; there is nothing to map")
-    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-    pad = np.maximum(0.0, _LEAST_SIDE_M - (high - low)) / 2 + 1e-6
-    (x0, y0), (x1, y1) = (low - pad).tolist(), (high + pad).tolist()
-    made = HeightMap.over((x0, y0, x1, y1))
+    low, high = points.min(axis=0), points.max(axis=0)
+    pad = np.maximum(0.0, _LEAST_SIDE_M - (high - low)[:2]) / 2 + 1e-6
+    (x0, y0), (x1, y1) = (low[:2] - pad).tolist(), (high[:2] + pad).tolist()
+    steps = np.hypot(*np.diff(points[:, :2], axis=0).T)
+    usual_m = float(np.median(steps)) if steps.size else 0.0
+    # room beyond both ends, for the mean of a grid lies between them anyway
+    needed_m = float(high[2] - low[2]) / (2 * ml.MAX_HEIGHT - 2)
+    quantum_m = max(ml.DEFAULT_QUANTUM_M, needed_m)
+    made = HeightMap.over(
+        (x0, y0, x1, y1),
+        finest_m=max(ml.DEFAULT_FINEST_GRID_M, usual_m),
+        quantum_m=quantum_m,
+        datum_m=round(float(low[2] + high[2]) / 2 / quantum_m) * quantum_m,
+    )
     made.add(points)
     return made
 
