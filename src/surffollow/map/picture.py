@@ -156,10 +156,11 @@ def write_picture(
     shown = np.ma.masked_where(~known, counts)
     image = count_axes.imshow(shown, cmap="cividis", vmin=0, **common)
     figure.colorbar(image, ax=count_axes, label="samples per grid", shrink=0.8)
-    grid_mm, n = float(header[0]["grid_m"]) * 1e3, header[0]["nx"] * header[0]["ny"]
+    grid, n = float(header[0]["grid_m"]), header[0]["nx"] * header[0]["ny"]
+    side_text = f"{grid:.4g} m" if grid >= 1.0 else f"{grid * 1e3:.4g} mm"
     bounds = known_bounds(header, pairs)
     for axes, title in (
-        (relief_axes, f"Shaded relief, grids of {grid_mm:.4g} mm{remark}"),
+        (relief_axes, f"Shaded relief, grids of {side_text}{remark}"),
         (count_axes, f"Samples (0: prior); {bounds[4] if bounds else 0} of {n} grids known"),
     ):
         axes.set_title(title, loc="left", fontsize=10, fontweight="bold")
