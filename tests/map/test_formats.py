@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
 from surffollow.cli.map import map_group
 from surffollow.errors import MapFileError
@@ -25,7 +25,7 @@ def small(seed: int = 1) -> HeightMap:
     )
 
 
-def call(*words: object) -> object:
+def call(*words: object) -> Result:
     return CliRunner().invoke(map_group, [str(w) for w in words])
 
 

@@ -40,6 +40,7 @@ PLAIN = {
     "forecast": {"horizons": ["1 s"], "match": "0.3 s"},
     "follow": {"interval_size": "0.5 m", "range_size": 2, "ee_readings": 1},
 }
+DEPTH: dict[str, object] = {"column": "d", "unit": "cm", "min": "5 cm", "max": "10 m", "kind": "depth"}
 HEADER = "t,d,n,e,u,roll,pitch,yaw\n"
 
 
@@ -336,7 +337,7 @@ def test_an_axis_without_a_column_is_zero_and_its_column_need_not_be_there(
 
 
 def test_a_depth_is_straight_down_however_the_vehicle_is_tilted(tmp_path: Path) -> None:
-    columns = plain(range={**PLAIN["range"], "kind": "depth"})
+    columns = plain(range=DEPTH)
     log = log_of(tmp_path, HEADER + "0,400,0,0,1000,20,-30,77\n", columns)
     np.testing.assert_allclose(target_points(log, columns)[0], [0.0, 0.0, 1.0 - 4.0], atol=1e-12)
 
@@ -346,10 +347,10 @@ def test_a_depth_is_straight_down_however_the_vehicle_is_tilted(tmp_path: Path) 
     [
         ({"position": {"unit": "m"}}, "names no column"),
         (
-            {"range": {**PLAIN["range"], "kind": "depth"}, "mount": {"position": ["1 m", "0 m", "0 m"]}},
+            {"range": DEPTH, "mount": {"position": ["1 m", "0 m", "0 m"]}},
             "straight down",
         ),
-        ({"range": {**PLAIN["range"], "kind": "sonar"}}, "kind"),
+        ({"range": {**DEPTH, "kind": "sonar"}}, "kind"),
     ],
 )
 def test_a_column_file_that_contradicts_itself_is_refused(change: dict[str, object], message: str) -> None:

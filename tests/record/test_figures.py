@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
 from surffollow.cli.plot import plot_command
 from surffollow.cli.record import replay_command
@@ -92,7 +92,7 @@ def test_a_map_file_becomes_a_figure(tmp_path: Path) -> None:
 def test_replay_writes_tables_and_figures_and_nothing_in_disguise(
     recording: Path, log: Path, tmp_path: Path
 ) -> None:
-    def replay(*words: str) -> object:
+    def replay(*words: object) -> Result:
         return CliRunner().invoke(replay_command, [str(w) for w in words])
 
     assert replay(recording, "--out", tmp_path / "run.csv").exit_code == 0

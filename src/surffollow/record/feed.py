@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surffollow.client.board import Board
 from surffollow.client.map_live import MapReading
 from surffollow.client.report import histogram_summary
-from surffollow.errors import BlockError, FaultError
+from surffollow.errors import BlockError, FaultError, RecordingError
 from surffollow.record import foxglove as fx
 from surffollow.record.channels import PACKAGE, StandardChannels
 from surffollow.record.map_channel import MapPace, known_points
@@ -87,7 +87,7 @@ class ChannelFeed:
         self.sampler = Sampler(period_ns)
         self.channels = StandardChannels(writer, self.sampler.params)
         self._waiting: deque[tuple[int, NDArray[np.int64]]] = deque()
-        self._segment = -1
+        self._segment, self._given_up = -1, -2
         self._told = 0
         self._log, self._service_at = log, 0.0
         self._map = None if log is None else _LiveMap(log)
@@ -95,6 +95,11 @@ class ChannelFeed:
         self._changes: Any = None
         self._ready = threading.Thread(target=self.sampler.warm_up, daemon=True)
         self._ready.start()
+
+    @property
+    def compiling(self) -> bool:
+        """Whether batches wait for the kernel."""
+        return self._ready.is_alive() and bool(self._waiting)
 
     def take(self, segment: int, words: NDArray[np.int64]) -> None:
         """Keep a batch for the next `work`."""
@@ -118,9 +123,16 @@ class ChannelFeed:
             if segment != self._segment:
                 self._segment = segment
                 self.sampler.begin()
-            for part in self.sampler.feed(words):
-                self.channels.take(part)
             most -= 1
+            if self._segment == self._given_up:
+                continue
+            try:
+                for part in self.sampler.feed(words):
+                    self.channels.take(part)
+            except RecordingError as e:
+                # the words go on; the next segment begins with a snapshot again
+                self._given_up = self._segment
+                self.channels.say(time.monotonic_ns(), f"no more samples of this segment: {e}", fx.WARNING)
         if self.sampler.differing > self._told:
             self._told = self.sampler.differing
             text = f"{self._told} cycles came out otherwise here than in the service: another release?"

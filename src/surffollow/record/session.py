@@ -150,7 +150,8 @@ def _run(
             begin, begun = time.monotonic(), True
         if progress is not None and now - told >= PROGRESS_S:
             told = now
-            progress(progress_line(recorder, log, now - begin))
+            waits = "; channels follow when their kernel is compiled" if feed and feed.compiling else ""
+            progress(progress_line(recorder, log, now - begin) + waits)
         left = POLL_S if seconds is None or not begun else begin + seconds - now
         stop.wait(max(0.0, min(POLL_S, left)))
     return recorder.finish()
