@@ -113,9 +113,9 @@ def run_csv(log: CsvLog, columns: Columns, mode: str | None = None) -> CsvReplay
 
 
 # what of [follow] bears upon height, slope and forecast: in the paper's mode these alone, in the adaptive
-# mode not the sizes of the paper's means. Ready-made ranges are not averaged (sensor_readings).
-PAPER_HEEDS = ("mode", "ee_readings", "interval_size_m", "range_size", "sensor_latency_ns")
-ADAPTIVE_IGNORES = ("sensor_readings", "ee_readings", "interval_size_m", "range_size", "pose_interpolate")
+# mode not the sizes of the paper's means of target points and intervals
+PAPER_HEEDS = ("mode", "sensor_readings", "ee_readings", "interval_size_m", "range_size", "sensor_latency_ns")
+ADAPTIVE_IGNORES = ("ee_readings", "interval_size_m", "range_size", "pose_interpolate")
 
 
 def follow_notes(columns: Columns, mode: str) -> list[str]:
