@@ -188,6 +188,8 @@ def render(s: dict[str, Any]) -> str:
         f"{map_.get('lost', 0)} lost",
         f"granted  {', '.join(granted) or 'nothing'}",
     ]
+    for c in reversed(s["clients"]):
+        lines.insert(7, f"         slot {c['slot']}: {c['name']}, pid {c['pid']}, user {c['uid']}")
     lines[5:5] = follower_lines(s["follower"])
     if s["stopped"]:
         lines.append(f"STOPPED  {', '.join(s['stopped'])}; the pose's holder resets it")
