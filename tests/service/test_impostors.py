@@ -45,7 +45,7 @@ OWN_SLOT = f"""{ATTACHED}
 parents = client.slot
 child = os.fork()
 if child == 0:
-    client.sf_reset(0.1)
+    client.map_reset((0.0, 0.0, 0.1, 0.1))
     os._exit(0 if client.slot != parents else 1)
 ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 client.ee_pos({POSE})
