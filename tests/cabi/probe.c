@@ -39,6 +39,7 @@ static int answer(const char *verb, char *rest) {
     return sf_attach_with(&client, word, &options);
   }
   if (strcmp(verb, "auto") == 0) return options.auto_reattach = (int)v[0], 0;
+  if (strcmp(verb, "owner") == 0) return options.owner = (int64_t)v[0], 0;
   if (strcmp(verb, "stale_ms") == 0) return options.stale_min_ns = (int64_t)(v[0] * 1e6), 0;
   if (strcmp(verb, "ready_ms") == 0) return options.ready_wait_ns = (int64_t)(v[0] * 1e6), 0;
   if (strcmp(verb, "timeout_ms") == 0) return options.timeout_ns = (int64_t)(v[0] * 1e6), 0;
@@ -57,6 +58,8 @@ static int answer(const char *verb, char *rest) {
   if (strcmp(verb, "release") == 0) return sf_release_pose(&client);
   if (strcmp(verb, "ee") == 0) return sf_ee_pos(&client, v, SF_NOW);
   if (strcmp(verb, "ee_at") == 0) return sf_ee_pos(&client, v, sf_now_ns() + (int64_t)v[7]);
+  if (strcmp(verb, "stop") == 0) return sf_stop(&client, word[0] != '\0' ? word : NULL);
+  if (strcmp(verb, "stop_reset") == 0) return sf_stop_reset(&client);
   if (strcmp(verb, "reset") == 0) return sf_sf_reset(&client, v[0]);
   if (strcmp(verb, "set") == 0) {
     const char *name = strtok(rest, " ");

@@ -253,7 +253,7 @@ def test_a_client_of_another_layout_is_refused_with_both_hashes(
 
 
 @pytest.mark.parametrize(
-    "name", ["", "a/b", "../surf", ".surf", "a b", "x" * 49, "surf.map", "surf.inbox", None, 7]
+    "name", ["", "a/b", "../surf", ".surf", "a b", "x" * 49, "surf.map", "surf.sock", "surf.lock", None, 7]
 )
 @pytest.mark.parametrize("look", [attach, observe])
 def test_a_name_that_no_service_can_have_is_a_value_error(

@@ -45,7 +45,7 @@ OWN_SLOT = f"""{ATTACHED}
 parents = client.slot
 child = os.fork()
 if child == 0:
-    client.sf_reset(0.1)
+    client.map_reset((0.0, 0.0, 0.1, 0.1))
     os._exit(0 if client.slot != parents else 1)
 ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 client.ee_pos({POSE})
@@ -223,9 +223,8 @@ def test_a_service_whose_map_was_removed_by_hand_keeps_its_name(make_service: Ma
     unlink(f"{s.name}.map")
     with pytest.raises(AlreadyRunningError, match=f"pid {s.pid}"):
         house.open_house(s.settings())
-    assert objects_of(s.name) == {s.name + part for part in ("", ".sock", ".lock")}, (
-        "and the attempt leaves nothing behind"
-    )
+    # and the attempt leaves nothing behind
+    assert objects_of(s.name) == {s.name + part for part in ("", ".sock", ".lock")}
     s.attach().close()
     assert s.run("stop", "--purge").returncode == 0, "it is still the one to stop"
     assert objects_of(s.name) == set()
