@@ -12,6 +12,7 @@ from surffollow.cli.main import cli
 from surffollow.live.field import Errors, make_field, survey_field
 from surffollow.live.field_calibration import as_seen, calibrate, touch
 from surffollow.live.field_demo import demonstrate, failures, shaper_of
+from surffollow.live.field_report import write_report
 from surffollow.live.field_scan import Task, plan, run
 from surffollow.map import HeightMap
 from surffollow.scan.calibration import CalibrationMatrix
@@ -34,6 +35,16 @@ def test_a_scan_with_everything_on_keeps_the_gap_and_finds_the_target(made):
     assert f["shaped"]["tip_acceleration_rms_mps2"] < f["unshaped"]["tip_acceleration_rms_mps2"]
     assert f["calibration"]["mode_hz"] == pytest.approx(2.0, rel=0.02)
     json.dumps(f, allow_nan=False)
+
+
+def test_the_report_is_one_page_with_picture_and_figures(made, tmp_path):
+    pytest.importorskip("matplotlib", reason="extra `plot`")
+    write_report(tmp_path / "scan.html", made, {"elements": [{"switched_off": "<noise>", "x_m": 0.5}]})
+    page = (tmp_path / "scan.html").read_text(encoding="utf-8")
+    assert "all bars met" in page
+    assert page.count("data:image/png;base64,") == 1
+    assert "&lt;noise&gt;" in page
+    assert f"{made.figures['shaped']['gap_error_p99_m']:.4g}" in page
 
 
 def test_a_missed_bar_is_told(made):

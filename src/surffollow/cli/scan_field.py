@@ -27,10 +27,18 @@ _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON obj
     "--tables", is_flag=True, help="Also each element switched off, and filter × correction × shaping."
 )
 @click.option("--picture", type=_OUT, help="Draw a PNG (extra `plot`).")
+@click.option("--report", type=_OUT, help="Write one HTML page with figures and picture (extra `plot`).")
 @click.option("--signal", type=_OUT, help="Write the signal map as a GeoTIFF (extra `geo`).")
 @_JSON
 def demo_command(
-    seed: int, seeds: int, ground: str, tables: bool, picture: str | None, signal: str | None, as_json: bool
+    seed: int,
+    seeds: int,
+    ground: str,
+    tables: bool,
+    picture: str | None,
+    report: str | None,
+    signal: str | None,
+    as_json: bool,
 ) -> None:
     """Scan a simulated field: survey, filter, map, plan, calibrate, shaped scan, signal map.
 
@@ -38,10 +46,10 @@ def demo_command(
     """
     from surffollow.live.field_demo import demonstrate, elements_table, filters_table
 
-    if picture:
+    if picture or report:
         from surffollow.scan.pictures import check_picture
 
-        check_picture(picture)
+        check_picture(picture or "report.png")
 
     def tell(text: str, part: float) -> None:
         click.echo(f"surffollow: {text} ({100 * part:.0f} %)", err=True)
@@ -56,6 +64,11 @@ def demo_command(
 
         tell("picture", 1.0)
         draw_field(picture, made[0])
+    if report:
+        from surffollow.live.field_report import write_report
+
+        tell("report", 1.0)
+        write_report(report, made[0], {k: v for k, v in facts.items() if k != "runs"})
     if signal:
         made[0].signal.save_geotiff(signal)
     if as_json:

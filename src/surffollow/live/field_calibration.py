@@ -10,6 +10,7 @@ import numpy as np
 from surffollow.live.field import Field, survey_field, view_joints
 from surffollow.scan.calibration import CalibrationMatrix
 from surffollow.scan.checks import Floats
+from surffollow.scan.envelope import Envelope
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.modes import Mode, identify_mode
 from surffollow.scan.motion_profile import trapezoid
@@ -35,19 +36,21 @@ class Calibration:
     polar : PolarCorrection
     matrix : CalibrationMatrix
     mode : Mode                of the arm across its plane
+    surface : Envelope         z is sampled again from it as in equation 10; None: z of the wanted place
     """
 
     polar: PolarCorrection
     matrix: CalibrationMatrix
     mode: Mode
+    surface: Envelope | None = None
 
     def apply(self, path: ScanPath) -> ScanPath:
         """Commands that bring the real tip to a path in map coordinates: equations 8, 9 and 11.
 
-        z stays that of the wanted place: the map is what is right here, and the arm is sent elsewhere to
-        reach it. Equation 10 samples z again at the corrected place.
+        Without `surface` z stays that of the wanted place: the map is what is right here, and the arm is sent
+        elsewhere to reach it.
         """
-        return self.matrix.apply(polar_correction(path, self.polar))
+        return self.matrix.apply(polar_correction(path, self.polar, self.surface))
 
 
 def calibrate(place: Field) -> Calibration:

@@ -13,6 +13,7 @@ from surffollow.live.field import Errors, Field, make_field, survey_field
 from surffollow.live.field_calibration import Calibration, calibrate
 from surffollow.live.field_scan import Run, Task, plan, run
 from surffollow.live.field_vibration import vibration_table
+from surffollow.scan.envelope import envelope_of
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.shaping import Shaper
 from surffollow.scan.signals import SignalMap, signal_map
@@ -169,6 +170,8 @@ def elements_table(seed: int, progress: Progress | None = None) -> list[dict[str
         add("both corrections (eqs 8-11)", run(place, wanted, None, task))
         only = replace(found, polar=replace(found.polar, scale=1.0, offset_m=0.0, offset_rad=0.0))
         add("polar correction (eqs 8-10)", run(place, wanted, only, task))
+        again = replace(found, surface=envelope_of(ground, task.gap_m))
+        add("z of the wanted place (eq 10)", run(place, wanted, again, task))
         add("shaping", run(place, plan(ground, task, Shaper.none()), found, task))
         for change in ({"following": "reactionary"}, {"smooth_m": 0.0}):
             other = replace(task, **change)  # type: ignore[arg-type]
