@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.live.field import make_field, survey_field
+from surffollow.live.field import STEEP_AVERAGE_M, make_field, survey_field
 from surffollow.live.field_calibration import calibrate
 from surffollow.live.field_demo import FILTERS, PASS_TASK, Demonstration, shaper_of
 from surffollow.live.field_scan import plan, run
@@ -49,7 +49,8 @@ def _gaps(axes: Any, seed: int) -> None:
     found = calibrate(place)
     task = replace(PASS_TASK, following="none")
     for which in FILTERS:
-        wanted = plan(survey_field(place, image_filter=which), task, shaper_of(found))
+        ground = survey_field(place, image_filter=which, average_m=STEEP_AVERAGE_M)
+        wanted = plan(ground, task, shaper_of(found))
         one = run(place, wanted, found, task)
         on = one.scored & np.isfinite(one.clearance_m)
         order = np.argsort(one.tip_m[on, 1])
@@ -85,8 +86,8 @@ def _signal(axes: Any, made: Demonstration, figure: Any) -> None:
     )
     figure.colorbar(image, ax=axes, label="signal", shrink=0.8)
     axes.plot(*made.target_m[:2], "r+", ms=14, label="buried target")
-    axes.plot(*made.figures["target"]["found_m"], "wx", ms=8, label="found")
+    axes.plot(*made.figures["target"]["found_m"], "kx", ms=8, label="found")
     axes.set_aspect("equal")
     axes.set_facecolor("0.6")
-    axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(-0.9, 1.0))
+    axes.legend(fontsize=7, loc="upper right", bbox_to_anchor=(-0.3, 1.0))
     axes.set_title(f"signal map: {1e3 * made.figures['target']['error_m']:.0f} mm off")
