@@ -17,14 +17,17 @@ from numpy.typing import NDArray
 
 from surffollow.config.params import check_param, param_name
 from surffollow.errors import ConfigError, PoseError, UsageError
-from surffollow.follower.setup import Config, check_window, read_setup
+from surffollow.follower.setup import MULTIMODEL, Config, check_window, read_setup
 from surffollow.forecast.adaptive_bank import C
 from surffollow.forecast.adaptive_memory import new_memory, recall_ahead, remember_output
+from surffollow.forecast.estimation.models import N
 from surffollow.forecast.horizon import forecast_range
+from surffollow.forecast.multimodel import multimodel_step, reset_estimate
 from surffollow.forecast.pose import MOST_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES
+from surffollow.shm.layout_multimodel import N_MODELS, REASON_NAMES, MultimodelState
 from surffollow.shm.layout_follow import (
     CHANNELS,
     MODE_ADAPTIVE,
@@ -87,11 +90,13 @@ class Follower:
         setup = read_setup(config)
         for name, number in setup.values.items():
             self._params[name] = number
+        self._multimodel = zeros(MultimodelState) if setup.multimodel else None
+        self._setpoints = np.zeros(N_MODELS)
         self._params["n_channels"] = len(setup.mounts)
         mounts = self._params["tool_from_sensor"][0].reshape(CHANNELS, 7)
         mounts[:, 6] = 1.0
         mounts[: len(setup.mounts)] = setup.mounts
-        adaptive = self._params["mode"][0] == MODE_ADAPTIVE
+        adaptive = self._params["mode"][0] == MODE_ADAPTIVE and not setup.multimodel
         self._memory = new_memory() if setup.remembers and adaptive else None
         if offset_m is not None:
             self._set("offset_m", offset_m)
@@ -130,6 +135,8 @@ class Follower:
             self._memory[:] = np.zeros((), self._memory.dtype)
             self._n_preview[0] = self._recalled_ns = 0
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
+        if self._multimodel is not None:
+            reset_estimate(self._multimodel[0], 0)
 
     def pose(self, t_ns: int, pose: Sequence[float] | NDArray[Any]) -> bool:
         """Take a pose report.
@@ -204,6 +211,18 @@ class Follower:
         elif t_ns >= self._recalled_ns + RECALL_NS or t_ns < self._recalled_ns - PAUSE_NS:
             recall_ahead(self._memory, self._state, self._inputs)
             self._recalled_ns = t_ns
+        if self._multimodel is not None:
+            multimodel_step(
+                self._params,
+                self._state,
+                self._multimodel,
+                self._inputs,
+                self._output,
+                self._setpoints,
+                self._scratch,
+            )
+            copied: NDArray[np.float64] = self._demand.copy()
+            return copied
         follow_step(self._params, self._state, self._inputs, self._output, self._scratch)
         if self._memory is not None:
             remember_output(self._memory, self._state, self._output)
@@ -231,7 +250,15 @@ class Follower:
         out.update({n: o[n].item() for n in names})
         for stamp in ("t_ns", "pose_t_ns"):
             out[stamp] -= _SHIFT_NS if out[stamp] else 0  # 0: before the first step, or pose
-        if self._params["mode"][0] == MODE_ADAPTIVE:
+        if self._multimodel is not None:
+            m = self._multimodel[0]
+            out["mode"] = MULTIMODEL
+            out["health"] = HEALTH_NAMES[int(o["health"])]
+            out["reason"] = REASON_NAMES[int(m["health"]["reason"])]
+            out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
+            out.update({n: o[n].item() for n in ("sigma_m", "noise_m", "roughness_m", "late_s", "tau_s")})
+            out["weights"] = m["weights"]["w"][:N].tolist()
+        elif self._params["mode"][0] == MODE_ADAPTIVE:
             a = self._state["adaptive"][0]
             out["health"] = HEALTH_NAMES[int(o["health"])]
             out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]

@@ -12,6 +12,7 @@ import numpy as np
 from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.errors import ConfigError
 from surffollow.forecast.pose import QUATERNION_TOLERANCE
+from surffollow.forecast.scales import DERIVED
 from surffollow.shm.layout_follow import CHANNELS, MODE_ADAPTIVE
 from surffollow.units import parse_quantity
 
@@ -27,6 +28,17 @@ TOO_CLOSE_EXIT_M = 0.3 * 0.0254
 MOST_MOUNT_M = 1e3
 # what differs from the service's defaults: readings come ready-made and stamped with their own time
 IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "pose_interpolate": 1}
+MULTIMODEL = "multimodel"
+# what follows from window, stand-off and plant in that mode unless it is set (`forecast.scales`)
+DERIVED_IN_MULTIMODEL: dict[str, float] = {
+    "max_demand_m": DERIVED,
+    "pose_timeout_ns": DERIVED,
+    "loss_timeout_ns": DERIVED,
+    "too_close_m": DERIVED,
+    "too_close_exit_m": DERIVED,
+    "permitted_variance_m": DERIVED,
+    "toward_factor": 1.0,
+}
 _MODES = {"default": "adaptive", "ours": "adaptive"}
 _PLANT = {"tau_s": "plant_tau_s", "v_max_mps": "plant_v_max_mps", "a_max_mps2": "plant_a_max_mps2"}
 
@@ -39,11 +51,13 @@ class FollowerSetup(NamedTuple):
     values : dict          every parameter by its full name, in the parameter's unit
     mounts : list          per channel x y z [m], unit quaternion qx qy qz qw: tool from sensor
     remembers : bool       use ground seen on earlier passes
+    multimodel : bool      the experimental multiple-model follower
     """
 
     values: dict[str, float]
     mounts: list[list[float]]
     remembers: bool
+    multimodel: bool
 
 
 def read_setup(config: Config) -> FollowerSetup:
@@ -76,12 +90,16 @@ def read_setup(config: Config) -> FollowerSetup:
         raise ConfigError(f"plant is {plant!r}; its keys are {', '.join(_PLANT)}")
     for key, value in plant.items():
         values[_PLANT[key]] = check_param(_PLANT[key], value)
+    multimodel = data.get("mode") == MULTIMODEL
+    if multimodel:
+        del data["mode"]
+        values.update(DERIVED_IN_MULTIMODEL)
     if isinstance(data.get("mode"), str):
         data["mode"] = _MODES.get(data["mode"], data["mode"])
     for name, value in data.items():
         values[param_name(name)] = check_param(name, value)
     check_window(values["range_min_m"], values["range_max_m"])
-    return FollowerSetup(values, [m["pose"] for m in mounts], remembers)
+    return FollowerSetup(values, [m["pose"] for m in mounts], remembers, multimodel)
 
 
 def check_window(low_m: float, high_m: float) -> None:
