@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from typing import Any, Protocol
 
 from surffollow.contest import baselines as b
-from surffollow.contest.conditions import STANDOFF_M, Conditions
+from surffollow.contest.conditions import Conditions
 from surffollow.errors import UsageError
 
 LIMIT = "limit"
@@ -122,7 +122,7 @@ def follower_config(conditions: Conditions) -> dict[str, Any]:
 def _follower_factory(choices: dict[str, Any]) -> Factory:
     def make(conditions: Conditions) -> FollowerLike:
         follower: Any = importlib.import_module("surffollow").Follower
-        made: FollowerLike = follower(config=follower_config(conditions) | choices, offset_m=STANDOFF_M)
+        made: FollowerLike = follower(config=follower_config(conditions) | choices, offset_m=conditions.standoff_m)
         return made
 
     return make
@@ -136,6 +136,7 @@ def followers() -> dict[str, Factory]:
     return {
         "paper": _follower_factory({"mode": "paper", "pose_interpolate": "latest"}),
         "ours": _follower_factory({}),
+        "multimodel": _follower_factory({"mode": "multimodel"}),
     }
 
 
