@@ -20,14 +20,14 @@ from surffollow.errors import ConfigError, PoseError, UsageError
 from surffollow.follower.setup import MULTIMODEL, Config, check_window, read_setup
 from surffollow.forecast.adaptive_bank import C
 from surffollow.forecast.adaptive_memory import new_memory, recall_ahead, remember_output
-from surffollow.forecast.estimation.models import N
 from surffollow.forecast.horizon import forecast_range
 from surffollow.forecast.multimodel import multimodel_step, reset_estimate
+from surffollow.forecast.tuning import new_multimodel
 from surffollow.forecast.pose import MOST_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES
-from surffollow.shm.layout_multimodel import N_MODELS, REASON_NAMES, MultimodelState
+from surffollow.shm.layout_multimodel import N_MODELS, REASON_NAMES
 from surffollow.shm.layout_follow import (
     CHANNELS,
     MODE_ADAPTIVE,
@@ -90,7 +90,7 @@ class Follower:
         setup = read_setup(config)
         for name, number in setup.values.items():
             self._params[name] = number
-        self._multimodel = zeros(MultimodelState) if setup.multimodel else None
+        self._multimodel = new_multimodel(setup.tuning) if setup.multimodel else None
         self._setpoints = np.zeros(N_MODELS)
         self._params["n_channels"] = len(setup.mounts)
         mounts = self._params["tool_from_sensor"][0].reshape(CHANNELS, 7)
@@ -257,7 +257,7 @@ class Follower:
             out["reason"] = REASON_NAMES[int(m["health"]["reason"])]
             out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
             out.update({n: o[n].item() for n in ("sigma_m", "noise_m", "roughness_m", "late_s", "tau_s")})
-            out["weights"] = m["weights"]["w"][:N].tolist()
+            out["weights"] = m["weights"]["w"][: int(m["tuning"]["n_models"])].tolist()
         elif self._params["mode"][0] == MODE_ADAPTIVE:
             a = self._state["adaptive"][0]
             out["health"] = HEALTH_NAMES[int(o["health"])]

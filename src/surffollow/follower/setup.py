@@ -13,6 +13,7 @@ from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.errors import ConfigError
 from surffollow.forecast.pose import QUATERNION_TOLERANCE
 from surffollow.forecast.scales import DERIVED
+from surffollow.forecast.tuning import check_tuning
 from surffollow.shm.layout_follow import CHANNELS, MODE_ADAPTIVE
 from surffollow.units import parse_quantity
 
@@ -52,12 +53,14 @@ class FollowerSetup(NamedTuple):
     mounts : list          per channel x y z [m], unit quaternion qx qy qz qw: tool from sensor
     remembers : bool       use ground seen on earlier passes
     multimodel : bool      the experimental multiple-model follower
+    tuning : dict          its constants that differ from `forecast.tuning.DEFAULTS`
     """
 
     values: dict[str, float]
     mounts: list[list[float]]
     remembers: bool
     multimodel: bool
+    tuning: dict[str, Any]
 
 
 def read_setup(config: Config) -> FollowerSetup:
@@ -94,12 +97,13 @@ def read_setup(config: Config) -> FollowerSetup:
     if multimodel:
         del data["mode"]
         values.update(DERIVED_IN_MULTIMODEL)
+    tuning = check_tuning(data.pop("tuning", {})) if multimodel else {}
     if isinstance(data.get("mode"), str):
         data["mode"] = _MODES.get(data["mode"], data["mode"])
     for name, value in data.items():
         values[param_name(name)] = check_param(name, value)
     check_window(values["range_min_m"], values["range_max_m"])
-    return FollowerSetup(values, [m["pose"] for m in mounts], remembers, multimodel)
+    return FollowerSetup(values, [m["pose"] for m in mounts], remembers, multimodel, tuning)
 
 
 def check_window(low_m: float, high_m: float) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 
 from surffollow.forecast.estimation.estimate import estimate
 from surffollow.forecast.estimation.model_bank import is_finite, reset_bank
-from surffollow.forecast.estimation.models import N
 from surffollow.forecast.estimation.noise import forget_noise
 from surffollow.forecast.plant.identification import identify, reset_identification
 from surffollow.forecast.plant.shadow_axes import period_is_over, record_setpoints, reset_shadows
@@ -128,7 +127,7 @@ def demand_of(params: Any, m: Any, sense: Any, inputs: Any, output: Any, setpoin
         cut = max(cut, min(PROBE_SHARE * r.standoff, r.max_demand))
     output.demand[2] = cut * r.length_m
     if period_is_over(m) != 0:
-        record_setpoints(m, setpoints, N, k.z + (cut if params.run == RUN_NORMAL else 0.0))
+        record_setpoints(m, setpoints, m.tuning.n_models, k.z + (cut if params.run == RUN_NORMAL else 0.0))
     return status
 
 

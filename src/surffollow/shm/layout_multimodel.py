@@ -15,6 +15,48 @@ SETPOINTS = 64  # controller periods that the shadow axes look back
 BUFFER = 512  # accepted heights that the terrain buffer holds
 
 
+class Tuning(Schema):
+    """Constants of the follower, all dimensionless; defaults in `forecast.tuning`. No kernel writes them."""
+
+    n_models = I64(doc="models in the bank")
+    models = F64(N_MODELS * 4, doc="per model: kind, memory [samples], fading distance [reactions], lead share")
+    wave_reference = I64(doc="model whose height and slope tell the wave number")
+    wave_memory = F64(doc="wavelengths over which the wave number is averaged")
+    wave_highpass = F64(doc="corner of the running means, in wave numbers")
+    wave_drift = F64(doc="drift of the wave's amplitudes, in wave numbers")
+    wave_mean_drift = F64(doc="drift of its mean")
+    first_wave_reactions = F64(doc="wavelength assumed at first, in reaction distances")
+    gate_gate = F64(doc="gate, in usual innovations")
+    gate_rate = F64(doc="rate of the usual innovation, per sample")
+    gate_first_scale = F64(doc="usual innovation before any is known, share of the stand-off")
+    gate_confirm = I64(doc="agreeing samples that confirm a step …")
+    gate_confirm_slow = I64(doc="… when a sample interval is long for the axis")
+    gate_slow = F64(doc="such an interval, in time constants of the axis")
+    gate_slot_share = F64(doc="hollows wider than this share of the stand-off are ground")
+    gate_standing_taus = F64(doc="samples that agree for so many time constants are ground")
+    gate_growth = F64(doc="growth of the usual innovation per outlier that agrees with none")
+    gate_disagree = I64(doc="so many outliers that do not agree are the edges of a slot")
+    gate_gap_taus = F64(doc="after a longer gap, in time constants, a step needs no travel")
+    index_recent = F64(doc="recent horizon, in reaction times")
+    index_longer = F64(doc="longer horizon")
+    index_power = F64(doc="power of the recent index")
+    index_longer_power = F64(doc="power of the longer index")
+    index_noise_share = F64(doc="share of the noise variance, common to all models, taken off")
+    index_floor = F64(doc="errors below this share of the noise are equal")
+    index_effort = F64(doc="effort penalty: acceleration × τ² that counts as a stand-off error")
+    index_caution = F64(doc="power of a model's own prediction variance during burn-in …")
+    index_burn_in = F64(doc="… which lasts so many reaction times")
+    index_settle = F64(doc="reaction times after a start or step without scores")
+    index_smoothing = F64(doc="time constant of the weights, in time constants of the axis")
+    index_wave_penalty = F64(doc="complexity penalty of the wave model")
+    setpoint_grace_intervals = F64(doc="sample intervals without samples that are no drop-out …")
+    setpoint_grace_taus = F64(doc="… or time constants")
+    setpoint_fade_reactions = F64(doc="distance over which slopes are trusted without samples")
+    setpoint_band = F64(doc="deadband, in uncertainties of the height")
+    setpoint_soft = F64(doc="deadbands: an excess so large is halved in …")
+    setpoint_soft_taus = F64(doc="… so many time constants")
+
+
 class Reference(Schema):
     """Reference scales and what was told, in plain numbers (`scales`)."""
 
@@ -190,6 +232,7 @@ class Buffer(Schema):
 class MultimodelState(Schema):
     """State of the multiple-model follower; all zero means nothing seen yet."""
 
+    tuning = Nested(Tuning)
     reference = Nested(Reference)
     kinematics = Nested(Kinematics)
     sample = Nested(Sample)

@@ -21,7 +21,6 @@ from surffollow.forecast.estimation.model_weights import (
     score_models,
     weigh_models,
 )
-from surffollow.forecast.estimation.models import N
 from surffollow.forecast.estimation.noise import observe_noise, reset_noise, shift_noise
 from surffollow.forecast.plant.shadow_axes import advance_models
 from surffollow.forecast.sensing.sample import is_leading
@@ -53,7 +52,7 @@ def estimate(m: Any, learn: Any, loss_timeout: Any) -> Any:
     if m.bank.samples == 0 or s.t - m.gate.accepted_t > loss_timeout:
         start_estimate(m)
         return 1
-    advance_models(m, N)
+    advance_models(m, m.tuning.n_models)
     predict_bank(m)
     blend_estimate(m)
     judge_innovation(m, m.weights.height, learn)

@@ -6,10 +6,8 @@ import math
 from typing import Any
 
 from surffollow.forecast.estimation.models import (
-    MODELS,
     SLOPE,
     WAVE,
-    N,
     height_of,
     predict_model,
     slope_of,
@@ -19,12 +17,8 @@ from surffollow.forecast.estimation.models import (
 from surffollow.forecast.sensing.sample import reaction_time
 from surffollow.shm.jit import jit
 
-WAVE_REFERENCE = 7  # model whose height and slope tell the wave number
-WAVE_MEMORY = 2.0  # wavelengths over which it is averaged
-WAVE_HIGHPASS = 0.25  # corner of the running means, in wave numbers
 LEAST_REACTION = 1e-6  # of the stand-off: never 0
 SAME_DIRECTION = 0.9  # a sharper turn turns the slopes
-FIRST_WAVE_REACTIONS = 20.0  # wavelength assumed at first, in reaction distances
 
 
 @jit
@@ -40,8 +34,8 @@ def reaction_distance(m: Any) -> Any:
 def start_bank(m: Any) -> None:
     """Begin with level ground at the newest sample."""
     b = m.bank
-    for i in range(N):
-        start_model(i, b.x, b.p, m.sample.height, m.sample.spacing, b.omega)
+    for i in range(m.tuning.n_models):
+        start_model(m.tuning, i, b.x, b.p, m.sample.height, m.sample.spacing, b.omega)
     b.mean_h, b.mean_s = m.sample.height, 0.0
     b.samples = 1
 
@@ -61,16 +55,16 @@ def predict_bank(m: Any) -> None:
     reaction = reaction_distance(m)
     if s.turn < SAME_DIRECTION:
         turn = max(s.turn, -1.0)
-        for i in range(N):
-            if MODELS[i, 0] == SLOPE:
+        for i in range(m.tuning.n_models):
+            if m.tuning.models[4 * i] == SLOPE:
                 b.x[3 * i + 1] *= turn
-            elif MODELS[i, 0] == WAVE:
+            elif m.tuning.models[4 * i] == WAVE:
                 b.x[3 * i + 2] *= turn
     if b.samples == 1 and s.way > 0.0:
-        for i in range(N):
-            start_model(i, b.x, b.p, b.x[0], s.spacing, b.omega)
-    for i in range(N):
-        predict_model(i, b.x, b.p, s.way, s.spacing, reaction, b.omega)
+        for i in range(m.tuning.n_models):
+            start_model(m.tuning, i, b.x, b.p, b.x[0], s.spacing, b.omega)
+    for i in range(m.tuning.n_models):
+        predict_model(m.tuning, i, b.x, b.p, s.way, s.spacing, reaction, b.omega)
 
 
 @jit
@@ -78,8 +72,8 @@ def update_bank(m: Any) -> None:
     """Let all models learn the newest height."""
     b, s = m.bank, m.sample
     resting = 1 if s.way == 0.0 else 0
-    for i in range(N):
-        update_model(i, b.x, b.p, s.height, resting)
+    for i in range(m.tuning.n_models):
+        update_model(m.tuning, i, b.x, b.p, s.height, resting)
     b.samples += 1
     if resting == 0:
         _follow_wave(m)
@@ -90,8 +84,8 @@ def shift_bank(m: Any, shift: Any) -> None:
     """Shift all models' heights by a confirmed step, each to the same height; slopes stay."""
     b = m.bank
     height = m.weights.height + shift
-    for i in range(N):
-        b.x[3 * i] += height - height_of(i, b.x)
+    for i in range(m.tuning.n_models):
+        b.x[3 * i] += height - height_of(m.tuning, i, b.x)
 
 
 @jit
@@ -99,12 +93,12 @@ def _follow_wave(m: Any) -> None:
     """Estimate the wave number: ω² = variance of the slope / variance of the height, both high-passed alike."""
     b, s = m.bank, m.sample
     if b.omega == 0.0:
-        b.omega = 2.0 * math.pi / (FIRST_WAVE_REACTIONS * reaction_distance(m))
-    h, slope = height_of(WAVE_REFERENCE, b.x), slope_of(WAVE_REFERENCE, b.x, b.omega)
-    f = 1.0 - math.exp(-WAVE_HIGHPASS * b.omega * s.way)
+        b.omega = 2.0 * math.pi / (m.tuning.first_wave_reactions * reaction_distance(m))
+    h, slope = height_of(m.tuning, m.tuning.wave_reference, b.x), slope_of(m.tuning, m.tuning.wave_reference, b.x, b.omega)
+    f = 1.0 - math.exp(-m.tuning.wave_highpass * b.omega * s.way)
     b.mean_h += f * (h - b.mean_h)
     b.mean_s += f * (slope - b.mean_s)
-    g = 1.0 - math.exp(-b.omega * s.way / (2.0 * math.pi * WAVE_MEMORY))
+    g = 1.0 - math.exp(-b.omega * s.way / (2.0 * math.pi * m.tuning.wave_memory))
     b.power_h += g * ((h - b.mean_h) ** 2 - b.power_h)
     b.power_s += g * ((slope - b.mean_s) ** 2 - b.power_s)
     if b.power_h > 0.0 and b.power_s > 0.0:
@@ -118,8 +112,8 @@ def _follow_wave(m: Any) -> None:
 def is_finite(m: Any) -> Any:
     """1 while every state and covariance is finite."""
     total = 0.0
-    for i in range(3 * N):
+    for i in range(3 * m.tuning.n_models):
         total += m.bank.x[i]
-    for i in range(6 * N):
+    for i in range(6 * m.tuning.n_models):
         total += m.bank.p[i]
     return 1 if math.isfinite(total) else 0

@@ -11,21 +11,11 @@ import math
 from typing import Any
 
 from surffollow.forecast.estimation.model_bank import reaction_distance
-from surffollow.forecast.estimation.models import MODELS, WAVE, N, height_of, slope_of, variance_ahead
+from surffollow.forecast.estimation.models import WAVE, height_of, slope_of, variance_ahead
 from surffollow.forecast.plant.shadow_axes import place_models
 from surffollow.forecast.sensing.sample import reaction_time
 from surffollow.shm.jit import jit
 
-RECENT, LONGER = 12.0, 144.0  # horizons, in reaction times
-POWER, LONGER_POWER = 5.0, 5.0
-NOISE_SHARE = 0.97  # of the noise variance, common to all models, that is taken off the index
-FLOOR = 0.1  # errors below this share of the noise are equal
-EFFORT = 2e-3  # penalty: acceleration × τ² that counts as a stand-off error
-CAUTION = 3.0  # power of a model's own prediction variance during burn-in …
-BURN_IN = 6.0  # … which lasts so many reaction times
-SETTLE = 0.7  # reaction times after a start or a step in which all shadows are wrong alike
-SMOOTHING = 0.25  # time constant of the weights, in time constants of the axis
-WAVE_PENALTY = 0.8
 
 
 @jit
@@ -34,15 +24,15 @@ def reset_weights(m: Any) -> None:
     w = m.weights
     w.scored = 0
     w.since = m.sample.t
-    for i in range(N):
+    for i in range(m.tuning.n_models):
         w.recent[i] = w.longer[i] = 0.0
-        w.w[i] = 1.0 / N
+        w.w[i] = 1.0 / m.tuning.n_models
 
 
 @jit
 def hold_scores(m: Any) -> None:
     """Score nothing for a while: all shadows are wrong alike."""
-    m.weights.hold_t = m.sample.t + SETTLE * reaction_time(m)
+    m.weights.hold_t = m.sample.t + m.tuning.index_settle * reaction_time(m)
 
 
 @jit
@@ -54,10 +44,10 @@ def score_models(m: Any) -> None:
     w.scored += 1
     first = 1.0 / w.scored
     time = reaction_time(m)
-    f = max(1.0 - math.exp(-s.dt / (RECENT * time)), first)
-    g = max(1.0 - math.exp(-s.dt / (LONGER * time)), first)
+    f = max(1.0 - math.exp(-s.dt / (m.tuning.index_recent * time)), first)
+    g = max(1.0 - math.exp(-s.dt / (m.tuning.index_longer * time)), first)
     wanted = s.height + m.kinematics.drop
-    for i in range(N):
+    for i in range(m.tuning.n_models):
         e = m.shadow.z[i] - wanted
         w.recent[i] += f * (e * e - w.recent[i])
         w.longer[i] += g * (e * e - w.longer[i])
@@ -68,34 +58,34 @@ def weigh_models(m: Any) -> None:
     """Turn the index into weights; during burn-in a model counts as much as it claims to know."""
     w, s = m.weights, m.sample
     recent, longer = w.recent[0], w.longer[0]
-    for i in range(1, N):
+    for i in range(1, m.tuning.n_models):
         recent, longer = min(recent, w.recent[i]), min(longer, w.longer[i])
     noise = m.noise.sigma * m.noise.sigma
-    off, off_longer = NOISE_SHARE * min(noise, recent), NOISE_SHARE * min(noise, longer)
-    floor = (FLOOR * m.noise.sigma) ** 2
-    effort = (EFFORT * m.plant.tau * m.plant.tau) ** 2
-    told = min((s.t - w.since) / (BURN_IN * reaction_time(m)), 1.0) if w.scored > 0 else 0.0
+    off, off_longer = m.tuning.index_noise_share * min(noise, recent), m.tuning.index_noise_share * min(noise, longer)
+    floor = (m.tuning.index_floor * m.noise.sigma) ** 2
+    effort = (m.tuning.index_effort * m.plant.tau * m.plant.tau) ** 2
+    told = min((s.t - w.since) / (m.tuning.index_burn_in * reaction_time(m)), 1.0) if w.scored > 0 else 0.0
     ahead = reaction_distance(m)
     least = math.inf
-    for i in range(N):
+    for i in range(m.tuning.n_models):
         extra = floor + effort * m.shadow.effort[i]
         c = told * (
-            POWER * math.log(w.recent[i] - off + extra) + LONGER_POWER * math.log(w.longer[i] - off_longer + extra)
+            m.tuning.index_power * math.log(w.recent[i] - off + extra) + m.tuning.index_longer_power * math.log(w.longer[i] - off_longer + extra)
         )
         if told < 1.0:
-            c += (1.0 - told) * CAUTION * math.log(variance_ahead(i, m.bank.p, ahead, m.bank.omega) + 1.0)
-        if MODELS[i, 0] == WAVE:
-            c += WAVE_PENALTY
+            c += (1.0 - told) * m.tuning.index_caution * math.log(variance_ahead(m.tuning, i, m.bank.p, ahead, m.bank.omega) + 1.0)
+        if m.tuning.models[4 * i] == WAVE:
+            c += m.tuning.index_wave_penalty
         w.cost[i] = c
         least = min(least, c)
     total = 0.0
-    for i in range(N):
+    for i in range(m.tuning.n_models):
         w.cost[i] = math.exp(least - w.cost[i])
         total += w.cost[i]
     rate = 1.0
     if w.scored > 1:
-        rate = 1.0 - math.exp(-s.dt / (SMOOTHING * m.plant.tau))
-    for i in range(N):
+        rate = 1.0 - math.exp(-s.dt / (m.tuning.index_smoothing * m.plant.tau))
+    for i in range(m.tuning.n_models):
         w.w[i] += rate * (w.cost[i] / total - w.w[i])
 
 
@@ -104,12 +94,12 @@ def blend_estimate(m: Any) -> None:
     """Blend height, slope and uncertainty at the newest sample."""
     w, b = m.weights, m.bank
     h = slope = own = spread = 0.0
-    for i in range(N):
-        h += w.w[i] * height_of(i, b.x)
-        slope += w.w[i] * slope_of(i, b.x, b.omega)
+    for i in range(m.tuning.n_models):
+        h += w.w[i] * height_of(m.tuning, i, b.x)
+        slope += w.w[i] * slope_of(m.tuning, i, b.x, b.omega)
         own += w.w[i] * b.p[6 * i]
-    for i in range(N):
-        e = height_of(i, b.x) - h
+    for i in range(m.tuning.n_models):
+        e = height_of(m.tuning, i, b.x) - h
         spread += w.w[i] * e * e
     w.height, w.slope = h, slope
     w.sigma = math.sqrt(max(own, 0.0) * m.noise.sigma * m.noise.sigma + spread)
@@ -118,4 +108,4 @@ def blend_estimate(m: Any) -> None:
 @jit
 def place_shadows(m: Any) -> None:
     """Put the shadow axes where the tool should be."""
-    place_models(m, m.weights.height + m.kinematics.drop, N)
+    place_models(m, m.weights.height + m.kinematics.drop, m.tuning.n_models)

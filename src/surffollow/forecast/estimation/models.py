@@ -9,40 +9,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from surffollow.shm.jit import jit
 
 LEVEL, SLOPE, WAVE = 0, 1, 2
 
-# kind, memory in samples, fading distance of the slope in reaction distances (0: the slope stays),
-# share of the slope by which the set point leads
-_ROWS = (
-    (LEVEL, 1.3, 0.0, 0.0),
-    (LEVEL, 3.0, 0.0, 0.0),
-    (LEVEL, 10.0, 0.0, 0.0),
-    (LEVEL, 40.0, 0.0, 0.0),
-    (SLOPE, 1.5, 0.0, 1.0),
-    (SLOPE, 2.5, 0.0, 1.0),
-    (SLOPE, 4.0, 0.0, 1.0),
-    (SLOPE, 7.0, 0.0, 1.0),
-    (SLOPE, 13.0, 0.0, 1.0),
-    (SLOPE, 25.0, 0.0, 1.0),
-    (SLOPE, 60.0, 0.0, 1.0),
-    (SLOPE, 1.5, 0.7, 1.0),
-    (SLOPE, 3.0, 0.7, 1.0),
-    (SLOPE, 2.0, 2.5, 1.0),
-    (SLOPE, 4.0, 2.5, 1.0),
-    (WAVE, 6.0, 0.0, 1.0),
-)
-MODELS = np.array(_ROWS)
-N = len(MODELS)
-
-
 @jit
-def start_model(i: Any, x: Any, p: Any, h: Any, spacing: Any, omega: Any) -> None:
+def start_model(u: Any, i: Any, x: Any, p: Any, h: Any, spacing: Any, omega: Any) -> None:
     """Set model i to level ground at h, its slope as uncertain as over its memory it would be."""
-    kind, n = MODELS[i, 0], MODELS[i, 1]
+    kind, n = u.models[4 * i], u.models[4 * i + 1]
     k, c = 3 * i, 6 * i
     x[k], x[k + 1], x[k + 2] = h, 0.0, 0.0
     for j in range(6):
@@ -55,9 +29,9 @@ def start_model(i: Any, x: Any, p: Any, h: Any, spacing: Any, omega: Any) -> Non
 
 
 @jit
-def predict_model(i: Any, x: Any, p: Any, d: Any, spacing: Any, reaction: Any, omega: Any) -> None:
+def predict_model(u: Any, i: Any, x: Any, p: Any, d: Any, spacing: Any, reaction: Any, omega: Any) -> None:
     """Carry model i on by a distance d; d = 0: the tool rests, and only the height may drift."""
-    kind, n, fade = MODELS[i, 0], MODELS[i, 1], MODELS[i, 2]
+    kind, n, fade = u.models[4 * i], u.models[4 * i + 1], u.models[4 * i + 2]
     k, c = 3 * i, 6 * i
     gain = 1.0 / n
     if kind == LEVEL or d == 0.0:
@@ -85,31 +59,28 @@ def predict_model(i: Any, x: Any, p: Any, d: Any, spacing: Any, reaction: Any, o
     a11, a12 = cs * p11 + sn * p12, cs * p12 + sn * p22
     a21, a22 = cs * p12 - sn * p11, cs * p22 - sn * p12
     # memory of the amplitudes in samples: that of a slope of the wave's own length
-    q = (WAVE_DRIFT * omega) ** 2 * d
-    p[c] += (WAVE_MEAN_DRIFT * omega) ** 2 * d * d + q
+    q = (u.wave_drift * omega) ** 2 * d
+    p[c] += (u.wave_mean_drift * omega) ** 2 * d * d + q
     p[c + 1], p[c + 2] = b01, b02
     p[c + 3] = cs * a11 + sn * a12 + q
     p[c + 4] = cs * a12 - sn * a11
     p[c + 5] = cs * a22 - sn * a21 + q
 
 
-WAVE_DRIFT = 0.3
-WAVE_MEAN_DRIFT = 0.1
-
 
 @jit
-def update_model(i: Any, x: Any, p: Any, h: Any, resting: Any) -> None:
+def update_model(u: Any, i: Any, x: Any, p: Any, h: Any, resting: Any) -> None:
     """Let model i learn a height; at rest the height alone."""
     k, c = 3 * i, 6 * i
     p00, p01, p02, p11, p12, p22 = p[c], p[c + 1], p[c + 2], p[c + 3], p[c + 4], p[c + 5]
-    wave = MODELS[i, 0] == WAVE
+    wave = u.models[4 * i] == WAVE
     if wave:
         g0, g1, g2 = p00 + p01, p01 + p11, p02 + p12
         s = g0 + g1 + 1.0
     else:
         g0, g1, g2 = p00, p01, p02
         s = g0 + 1.0
-    nu = (h - height_of(i, x)) / s
+    nu = (h - height_of(u, i, x)) / s
     x[k] += g0 * nu
     if resting == 0:
         x[k + 1] += g1 * nu
@@ -124,21 +95,21 @@ def update_model(i: Any, x: Any, p: Any, h: Any, resting: Any) -> None:
 
 
 @jit
-def height_of(i: Any, x: Any) -> Any:
+def height_of(u: Any, i: Any, x: Any) -> Any:
     """Height of model i where it stands."""
-    return x[3 * i] + x[3 * i + 1] if MODELS[i, 0] == WAVE else x[3 * i]
+    return x[3 * i] + x[3 * i + 1] if u.models[4 * i] == WAVE else x[3 * i]
 
 
 @jit
-def slope_of(i: Any, x: Any, omega: Any) -> Any:
+def slope_of(u: Any, i: Any, x: Any, omega: Any) -> Any:
     """Slope of model i where it stands."""
-    return omega * x[3 * i + 2] if MODELS[i, 0] == WAVE else x[3 * i + 1]
+    return omega * x[3 * i + 2] if u.models[4 * i] == WAVE else x[3 * i + 1]
 
 
 @jit
-def setpoint_of(i: Any, x: Any, d: Any, lead: Any, reaction: Any, spacing: Any, omega: Any) -> Any:
+def setpoint_of(u: Any, i: Any, x: Any, d: Any, lead: Any, reaction: Any, spacing: Any, omega: Any) -> Any:
     """Height that model i expects a distance d ahead, plus `lead` times the slope there."""
-    kind, fade, share = MODELS[i, 0], MODELS[i, 2], MODELS[i, 3]
+    kind, fade, share = u.models[4 * i], u.models[4 * i + 2], u.models[4 * i + 3]
     k = 3 * i
     if kind == LEVEL:
         return x[k]
@@ -154,10 +125,10 @@ def setpoint_of(i: Any, x: Any, d: Any, lead: Any, reaction: Any, spacing: Any, 
 
 
 @jit
-def variance_ahead(i: Any, p: Any, d: Any, omega: Any) -> Any:
+def variance_ahead(u: Any, i: Any, p: Any, d: Any, omega: Any) -> Any:
     """Variance of the height a distance d ahead by model i's own account, in noise variances."""
     c = 6 * i
-    if MODELS[i, 0] == WAVE:
+    if u.models[4 * i] == WAVE:
         d *= omega
         return max(p[c] + 2.0 * p[c + 1] + p[c + 3] + 2.0 * d * (p[c + 2] + p[c + 4]) + d * d * p[c + 5], 0.0)
     return max(p[c] + 2.0 * d * p[c + 1] + d * d * p[c + 3], 0.0)

@@ -6,16 +6,11 @@ import math
 from typing import Any
 
 from surffollow.forecast.estimation.model_bank import reaction_distance
-from surffollow.forecast.estimation.models import N, setpoint_of
+from surffollow.forecast.estimation.models import setpoint_of
 from surffollow.forecast.sensing.sample import control_delay, distance_ahead, is_leading
 from surffollow.forecast.terrain.buffer import buffered_height
 from surffollow.shm.jit import jit
 
-GRACE_INTERVALS, GRACE_TAUS = 4.0, 0.5  # a few lost samples are no drop-out
-FADE_REACTIONS = 8.0  # distance over which slopes are trusted without samples, in reaction distances
-BAND = 0.3  # deadband, in uncertainties of the height
-SOFT = 2.5  # deadbands: an excess so large is halved in SOFT_TAUS
-SOFT_TAUS = 0.25
 RATE_TAUS = 0.125  # over which the rate of the blend is taken
 LEAST_WEIGHT = 1e-3  # models with less do not enter that rate
 PAUSE_TAUS = 2.5  # a set point not renewed for so long begins anew at the tool
@@ -26,7 +21,7 @@ START_SAMPLES = 3  # fewer are not enough to go toward the surface
 def time_lost(m: Any) -> Any:
     """Time without samples beyond the usual delay and a few lost ones; ≤ 0: none."""
     s = m.sample
-    grace = max(GRACE_INTERVALS * s.interval, GRACE_TAUS * m.plant.tau)
+    grace = max(m.tuning.setpoint_grace_intervals * s.interval, m.tuning.setpoint_grace_taus * m.plant.tau)
     return m.kinematics.now - m.gate.accepted_t - s.delay - grace
 
 
@@ -43,7 +38,7 @@ def blend_setpoints(m: Any, setpoints: Any) -> None:
     lead = speed * m.plant.tau
     lost = speed * time_lost(m)
     if lost > 0.0:
-        fading = FADE_REACTIONS * max(reaction, spacing)
+        fading = m.tuning.setpoint_fade_reactions * max(reaction, spacing)
         fade = math.exp(-lost / fading)
         ahead += fading * (1.0 - fade) - min(lost, ahead)
         lead *= fade
@@ -52,10 +47,10 @@ def blend_setpoints(m: Any, setpoints: Any) -> None:
     seen = math.nan
     if is_leading(m) != 0:
         seen = buffered_height(m, ahead + lead)
-    for i in range(N):
-        z = setpoint_of(i, b.x, ahead, lead, reaction, spacing, b.omega)
+    for i in range(m.tuning.n_models):
+        z = setpoint_of(m.tuning, i, b.x, ahead, lead, reaction, spacing, b.omega)
         if w.w[i] > LEAST_WEIGHT:
-            change += w.w[i] * (setpoint_of(i, b.x, ahead + step, lead, reaction, spacing, b.omega) - z)
+            change += w.w[i] * (setpoint_of(m.tuning, i, b.x, ahead + step, lead, reaction, spacing, b.omega) - z)
         raw += w.w[i] * z
         setpoints[i] = z + m.kinematics.drop
     p.rate = change / (RATE_TAUS * m.plant.tau)
@@ -70,7 +65,7 @@ def blend_setpoints(m: Any, setpoints: Any) -> None:
 def filter_setpoint(m: Any, permitted: Any) -> None:
     """Carry the set point on at the rate the models expect; correct what exceeds the deadband.
 
-    The excess x beyond the band shrinks by dx/dt = −x² / (SOFT · band · SOFT_TAUS · τ): a large one at once,
+    The excess x beyond the band shrinks by dx/dt = −x² / (m.tuning.setpoint_soft · band · m.tuning.setpoint_soft_taus · τ): a large one at once,
     a small one slowly, whatever the cycle.
     """
     p, k = m.setpoint, m.kinematics
@@ -80,10 +75,10 @@ def filter_setpoint(m: Any, permitted: Any) -> None:
     elif dt > 0.0:
         p.filtered += p.rate * dt
     p.t = k.now
-    band = max(BAND * m.weights.sigma, permitted)
+    band = max(m.tuning.setpoint_band * m.weights.sigma, permitted)
     e = p.raw - p.filtered
     excess = abs(e) - band
     if excess > 0.0 and dt > 0.0:
-        soft = SOFT * band
-        left = band + excess * soft / (soft + excess * dt / (SOFT_TAUS * m.plant.tau))
+        soft = m.tuning.setpoint_soft * band
+        left = band + excess * soft / (soft + excess * dt / (m.tuning.setpoint_soft_taus * m.plant.tau))
         p.filtered = p.raw - math.copysign(left, e)
