@@ -26,7 +26,7 @@ from surffollow.contest.families import PERIODIC
 from surffollow.contest.methods import follower_config
 from surffollow.contest.runner import scene_of, score_run
 from surffollow.contest.suite import Cell
-from surffollow.forecast.estimation.models import LEVEL, SLOPE, WAVE
+from surffollow.forecast.estimation.models import LEVEL, WAVE
 from surffollow.forecast.tuning import MODELS
 
 SURFACES = ("ramp-20", "step", "hump", "iso-c", "fy91", "weld", "hull", "casting", "lap-joints", "pipes", "terrain",
@@ -38,9 +38,7 @@ _FADING = [i for i, row in enumerate(MODELS) if row[2] > 0.0]
 
 
 def _bank(keep: Any) -> dict[str, Any]:
-    rows = [list(row) for i, row in enumerate(MODELS) if keep(i, row)]
-    reference = [i for i, row in enumerate(rows) if row[0] == SLOPE]
-    return {"models": rows, "wave_reference": reference[len(reference) // 3] if reference else 0}
+    return {"models": [list(row) for i, row in enumerate(MODELS) if keep(i, row)]}
 
 
 VARIANTS: dict[str, dict[str, Any]] = {

@@ -36,14 +36,13 @@ MODELS: tuple[tuple[float, float, float, float], ...] = (
     (SLOPE, 3.0, 0.7, 1.0),
     (SLOPE, 2.0, 2.5, 1.0),
     (SLOPE, 4.0, 2.5, 1.0),
-    (WAVE, 6.0, 0.0, 1.0),
+    (WAVE, 5.0, 0.0, 1.0),
+    (WAVE, 20.0, 0.0, 1.0),
 )
 
 DEFAULTS: dict[str, float] = {
-    "wave_reference": 7,
-    "wave_memory": 2.0,
+    "wave_memory": 0.6,
     "wave_highpass": 0.25,
-    "wave_drift": 0.3,
     "wave_mean_drift": 0.1,
     "first_wave_reactions": 20.0,
     "gate_gate": 8.0,
@@ -51,6 +50,7 @@ DEFAULTS: dict[str, float] = {
     "gate_first_scale": 8e-3,
     "gate_confirm": 3,
     "gate_confirm_slow": 2,
+    "gate_stays": 0.3,
     "gate_slow": 0.25,
     "gate_slot_share": 0.025,
     "gate_standing_taus": 3.0,
@@ -72,7 +72,7 @@ DEFAULTS: dict[str, float] = {
     "setpoint_grace_intervals": 4.0,
     "setpoint_grace_taus": 0.5,
     "setpoint_fade_reactions": 8.0,
-    "setpoint_band": 0.3,
+    "setpoint_band": 0.15,
     "setpoint_soft": 2.5,
     "setpoint_soft_taus": 0.25,
 }

@@ -1,7 +1,7 @@
 """The innovation gate: outliers stay pending until enough of them agree, then they are a step.
 
 A step toward the tool is confirmed by agreeing samples, one away from it also by distance travelled: it may be a
-slot. Outliers that do not agree widen the gate: the ground is rougher than was thought.
+slot. How much is learned: slots come back, steps do not. Outliers that do not agree widen the gate: the ground is rougher than was thought.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ def reset_gate(m: Any) -> None:
     g.pending = g.rejected = 0
     g.shift = g.innovation = 0.0
     g.verdict = START
+    g.since = g.stepped = 0.0
     g.accepted_t = m.sample.t
 
 
@@ -28,6 +29,7 @@ def reset_gate(m: Any) -> None:
 def forget_scale(m: Any) -> None:
     """Assume the usual innovation of a start without knowledge."""
     m.gate.scale = m.tuning.gate_first_scale * m.reference.standoff
+    m.gate.slots = 1.0
 
 
 @jit
@@ -37,8 +39,14 @@ def judge_innovation(m: Any, predicted: Any, learn: Any) -> None:
     nu = s.height - predicted
     width = m.tuning.gate_gate * max(g.scale, 0.5 * m.noise.sigma)
     g.innovation = nu
+    slot = m.tuning.gate_slot_share * m.reference.standoff
+    if g.since < slot <= g.since + s.way and g.stepped != 0.0 and learn != 0:
+        g.slots *= m.tuning.gate_stays
+    g.since += s.way
     rate = max(m.tuning.gate_rate, 1.0 / (m.bank.samples + 1))
     if abs(nu) <= width:
+        if g.pending >= m.tuning.gate_confirm and learn != 0:
+            g.slots = 1.0
         g.pending = g.rejected = 0
         g.verdict = ACCEPTED
         g.accepted_t = s.t
@@ -55,17 +63,20 @@ def judge_innovation(m: Any, predicted: Any, learn: Any) -> None:
         if g.rejected > m.tuning.gate_disagree and learn != 0:
             g.scale *= m.tuning.gate_growth
         g.pending, g.pending_sum, g.pending_t = 1, 0.0, s.t
-        g.pending_way = m.tuning.gate_slot_share * m.reference.standoff if gap else 0.0
+        g.pending_way = slot if gap else 0.0
     g.pending_sum += nu
     g.pending_last = s.height
     g.verdict = PENDING
     need = m.tuning.gate_confirm_slow if s.interval > m.tuning.gate_slow * m.plant.tau else m.tuning.gate_confirm
     if g.pending < need:
         return
-    wide = g.pending_way >= m.tuning.gate_slot_share * m.reference.standoff
+    wide = g.pending_way >= slot * g.slots
     standing = s.t - g.pending_t >= m.tuning.gate_standing_taus * m.plant.tau
     if nu > 0.0 or wide or standing or g.pending > m.bank.samples:
         g.verdict = RESTART if g.pending > m.bank.samples else STEP
         g.shift = g.pending_sum / g.pending
+        if g.since < slot and g.shift * g.stepped < 0.0:
+            g.slots = 1.0
+        g.since, g.stepped = 0.0, g.shift
         g.pending = g.rejected = 0
         g.accepted_t = s.t

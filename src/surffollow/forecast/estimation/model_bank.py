@@ -90,11 +90,21 @@ def shift_bank(m: Any, shift: Any) -> None:
 
 @jit
 def _follow_wave(m: Any) -> None:
-    """Estimate the wave number: ω² = variance of the slope / variance of the height, both high-passed alike."""
+    """Estimate the wave number: ω² = variance of the slope / variance of the height, both high-passed alike.
+
+    Height and slope are those of the slope model with the least recent index.
+    """
     b, s = m.bank, m.sample
     if b.omega == 0.0:
         b.omega = 2.0 * math.pi / (m.tuning.first_wave_reactions * reaction_distance(m))
-    h, slope = height_of(m.tuning, m.tuning.wave_reference, b.x), slope_of(m.tuning, m.tuning.wave_reference, b.x, b.omega)
+    best = -1
+    for i in range(m.tuning.n_models):
+        slope_stays = m.tuning.models[4 * i] == SLOPE and m.tuning.models[4 * i + 2] == 0.0
+        if slope_stays and (best < 0 or m.weights.recent[i] < m.weights.recent[best]):
+            best = i
+    if best < 0:
+        return
+    h, slope = b.x[3 * best], b.x[3 * best + 1]
     f = 1.0 - math.exp(-m.tuning.wave_highpass * b.omega * s.way)
     b.mean_h += f * (h - b.mean_h)
     b.mean_s += f * (slope - b.mean_s)

@@ -25,7 +25,7 @@ def start_model(u: Any, i: Any, x: Any, p: Any, h: Any, spacing: Any, omega: Any
     if kind == SLOPE and spacing > 0.0:
         p[c + 3] = 4.0 / (n * spacing) ** 2
     elif kind == WAVE and omega > 0.0 and spacing > 0.0:
-        p[c + 3] = p[c + 5] = 4.0 / (n * spacing * omega) ** 2
+        p[c + 3] = p[c + 5] = 1.0
 
 
 @jit
@@ -58,9 +58,8 @@ def predict_model(u: Any, i: Any, x: Any, p: Any, d: Any, spacing: Any, reaction
     b01, b02 = cs * p01 + sn * p02, cs * p02 - sn * p01
     a11, a12 = cs * p11 + sn * p12, cs * p12 + sn * p22
     a21, a22 = cs * p12 - sn * p11, cs * p22 - sn * p12
-    # memory of the amplitudes in samples: that of a slope of the wave's own length
-    q = (u.wave_drift * omega) ** 2 * d
-    p[c] += (u.wave_mean_drift * omega) ** 2 * d * d + q
+    q = 2.0 * gain * gain * d / spacing
+    p[c] += u.wave_mean_drift * u.wave_mean_drift * q
     p[c + 1], p[c + 2] = b01, b02
     p[c + 3] = cs * a11 + sn * a12 + q
     p[c + 4] = cs * a12 - sn * a11
