@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from surffollow.config.params import check_param, param_name
 from surffollow.errors import ConfigError, PoseError, UsageError
-from surffollow.follower.setup import MULTIMODEL, Config, check_window, read_setup
+from surffollow.follower.setup import MULTIMODEL, Config, check_standoff, check_window, read_setup
 from surffollow.forecast.adaptive_bank import C
 from surffollow.forecast.adaptive_memory import new_memory, recall_ahead, remember_output
 from surffollow.forecast.horizon import forecast_range
@@ -64,7 +64,7 @@ class Follower:
     ----------
     config : dict, path of a TOML file, or None
         parameters by name (`surffollow.config.params`), SI numbers or text with units; `mode` is
-        "adaptive" (default) or "paper". `sensors`: list of tables with `position_m` (3), `orientation`
+        "adaptive" (default), "paper" or "multimodel" (experimental, one sensor). `sensors`: list of tables with `position_m` (3), `orientation`
         (unit quaternion, 4), `near_m`, `far_m`; `plant`: table with `tau_s`, `v_max_mps`, `a_max_mps2`.
         `memory` = false: do not use ground seen on earlier passes
     offset_m : float, optional
@@ -72,7 +72,7 @@ class Follower:
 
     Raises
     ------
-    ConfigError  unknown key, wrong unit, value out of bounds
+    ConfigError  unknown key, wrong unit, value out of bounds, a stand-off that cannot be kept
     """
 
     def __init__(self, config: Config = None, offset_m: float | None = None) -> None:
@@ -87,7 +87,7 @@ class Follower:
         self._n_preview, self._previews = self._inputs["n_preview"], self._params["preview"]
         self._pose_timeout_ns = self._params["pose_timeout_ns"]
         self._recalled_ns = self._latest_ns = 0
-        setup = read_setup(config)
+        setup = read_setup(config, offset_m)
         for name, number in setup.values.items():
             self._params[name] = number
         self._multimodel = new_multimodel(setup.tuning) if setup.multimodel else None
@@ -98,12 +98,8 @@ class Follower:
         mounts[: len(setup.mounts)] = setup.mounts
         adaptive = self._params["mode"][0] == MODE_ADAPTIVE and not setup.multimodel
         self._memory = new_memory() if setup.remembers and adaptive else None
-        if offset_m is not None:
-            self._set("offset_m", offset_m)
+        check_standoff(self._params[0])
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
-
-    def _set(self, name: str, value: object) -> None:
-        self._params[param_name(name)] = check_param(name, value)
 
     def set_params(self, **values: object) -> None:
         """Change parameters from the next step on.
@@ -121,6 +117,7 @@ class Follower:
         for name, number in checked.items():
             trial[name] = number
         check_window(float(trial["range_min_m"][0]), float(trial["range_max_m"][0]))
+        check_standoff(trial[0])
         self._params[:] = trial
 
     def reset(self, offset_m: float | None = None, *, keep_memory: bool = False) -> None:
@@ -130,7 +127,10 @@ class Follower:
         service's map does in a SFReset: for another stand-off over a part that was not moved.
         """
         if offset_m is not None:
-            self._set("offset_m", offset_m)
+            trial = self._params.copy()
+            trial["offset_m"] = check_param("offset_m", offset_m)
+            check_standoff(trial[0])
+            self._params[:] = trial
         if self._memory is not None and not keep_memory:
             self._memory[:] = np.zeros((), self._memory.dtype)
             self._n_preview[0] = self._recalled_ns = 0
