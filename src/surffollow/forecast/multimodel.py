@@ -29,6 +29,7 @@ from surffollow.forecast.setpoint.blend import blend_setpoints, filter_setpoint
 from surffollow.forecast.setpoint.limits import limit_setpoint, release_setpoint
 from surffollow.forecast.terrain.buffer import reset_buffer, store_height
 from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive import SUSPECT
 from surffollow.shm.layout_follow import (
     CHANNELS,
     DRYRUN,
@@ -107,27 +108,28 @@ def demand_of(params: Any, m: Any, sense: Any, inputs: Any, output: Any, setpoin
     assess(m, lost)
     if taken != 0:
         output.fresh |= 1
-    if lost != 0:
+    k, r = m.kinematics, m.reference
+    status, cut = NO_SENSOR | SENSOR_LOST, 0.0
+    if lost == 0:
+        blend_setpoints(m, setpoints)
+        filter_setpoint(m, max(params.permitted_variance_m, 0.0) / r.length_m)
+        limit_setpoint(m)
+        status = VALID | (NO_SENSOR if m.health.state > SUSPECT else 0)
+        demand = m.setpoint.value - k.z
+        cut = min(max(demand, -r.max_demand), r.max_demand)
+        if cut != demand:
+            status |= LIMITED
+        if m.health.close != 0:
+            cut = max(cut, min(PROBE_SHARE * r.standoff, r.max_demand))
+        if period_is_over(m) != 0:
+            own = k.z + (cut if params.run == RUN_NORMAL else 0.0)
+            record_setpoints(m, setpoints, m.tuning.n_models, own)
+    else:
         release_setpoint(m)
         reset_shadows(m)
-        return NO_SENSOR | SENSOR_LOST | (TOO_CLOSE if m.health.close != 0 else 0)
-    blend_setpoints(m, setpoints)
-    filter_setpoint(m, max(params.permitted_variance_m, 0.0) / m.reference.length_m)
-    limit_setpoint(m)
-    status = VALID
-    if m.health.state > 1:
-        status |= NO_SENSOR
-    k, r = m.kinematics, m.reference
-    demand = m.setpoint.value - k.z
-    cut = min(max(demand, -r.max_demand), r.max_demand)
-    if cut != demand:
-        status |= LIMITED
     if m.health.close != 0:
         status |= TOO_CLOSE
-        cut = max(cut, min(PROBE_SHARE * r.standoff, r.max_demand))
     output.demand[2] = cut * r.length_m
-    if period_is_over(m) != 0:
-        record_setpoints(m, setpoints, m.tuning.n_models, k.z + (cut if params.run == RUN_NORMAL else 0.0))
     return status
 
 

@@ -151,6 +151,8 @@ class Gate(Schema):
     pending = I64(doc="unconfirmed samples that agree")
     pending_sum = F64(doc="sum of their innovations")
     pending_last = F64(doc="height of the last of them")
+    pending_change = F64(doc="its rise over the one before")
+    course = I64(doc="1: they agree on a steady course, not on a height")
     pending_way = F64(doc="distance travelled since the first")
     pending_t = F64(doc="timestamp of the first")
     rejected = I64(doc="outliers in a row that did not agree with the one before")

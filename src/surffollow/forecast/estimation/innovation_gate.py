@@ -1,7 +1,9 @@
 """The innovation gate: outliers stay pending until enough of them agree, then they are a step.
 
 A step toward the tool is confirmed by agreeing samples, one away from it also by distance travelled: it may be a
-slot. How much is learned: slots come back, steps do not. Outliers that do not agree widen the gate: the ground is rougher than was thought.
+slot. How much is learned: slots come back, steps do not. Outliers on a steady course, a flank, agree too; then the
+gate opens wide enough for the course to go on. Outliers that do not agree widen the gate: the ground is rougher than
+was thought.
 """
 
 from __future__ import annotations
@@ -11,6 +13,8 @@ from typing import Any
 from surffollow.shm.jit import jit
 
 START, ACCEPTED, PENDING, STEP, RESTART = 0, 1, 2, 3, 4
+
+COURSE_WIDTH = 2.0  # width of the gate after a flank, in its rise per sample
 
 
 
@@ -54,20 +58,27 @@ def judge_innovation(m: Any, predicted: Any, learn: Any) -> None:
             g.scale += rate * (1.25 * abs(nu) - g.scale)
         return
     gap = s.dt > m.tuning.gate_gap_taus * m.plant.tau
-    if g.pending > 0 and abs(s.height - g.pending_last) < width:
+    change = s.height - g.pending_last
+    same = abs(change) < width
+    steady = abs(change - g.pending_change) < width
+    if g.pending > 0 and (same or (nu * g.pending_sum > 0.0 and (g.pending == 1 or steady))):
         g.pending += 1
         g.pending_way += s.way
+        g.course = 0 if same else 1
+        g.pending_change = change
     else:
         if g.pending > 0:
             g.rejected += 1
         if g.rejected > m.tuning.gate_disagree and learn != 0:
             g.scale *= m.tuning.gate_growth
         g.pending, g.pending_sum, g.pending_t = 1, 0.0, s.t
+        g.course, g.pending_change = 0, 0.0
         g.pending_way = slot if gap else 0.0
     g.pending_sum += nu
     g.pending_last = s.height
     g.verdict = PENDING
-    need = m.tuning.gate_confirm_slow if s.interval > m.tuning.gate_slow * m.plant.tau else m.tuning.gate_confirm
+    slow = s.interval > m.tuning.gate_slow * m.plant.tau and g.course == 0
+    need = m.tuning.gate_confirm_slow if slow else m.tuning.gate_confirm
     if g.pending < need:
         return
     wide = g.pending_way >= slot * g.slots
@@ -75,6 +86,10 @@ def judge_innovation(m: Any, predicted: Any, learn: Any) -> None:
     if nu > 0.0 or wide or standing or g.pending > m.bank.samples:
         g.verdict = RESTART if g.pending > m.bank.samples else STEP
         g.shift = g.pending_sum / g.pending
+        if g.course != 0:
+            g.shift = nu
+            if learn != 0:
+                g.scale = max(g.scale, COURSE_WIDTH * abs(change) / m.tuning.gate_gate)
         if g.since < slot and g.shift * g.stepped < 0.0:
             g.slots = 1.0
         g.since, g.stepped = 0.0, g.shift
