@@ -51,7 +51,7 @@ DEFAULTS: dict[str, float] = {
     "gate_confirm": 3,
     "gate_confirm_slow": 2,
     "gate_stays": 0.3,
-    "gate_slow": 0.25,
+    "gate_slow": 0.15,
     "gate_slot_share": 0.025,
     "gate_standing_taus": 3.0,
     "gate_growth": 1.3,
@@ -74,6 +74,8 @@ DEFAULTS: dict[str, float] = {
     "setpoint_fade_reactions": 8.0,
     "setpoint_band": 0.15,
     "setpoint_soft": 2.5,
+    "setpoint_drive": 0.1,
+    "setpoint_drive_max": 1.0,
     "setpoint_soft_taus": 0.25,
 }
 

@@ -53,6 +53,8 @@ class Tuning(Schema):
     setpoint_fade_reactions = F64(doc="distance over which slopes are trusted without samples")
     setpoint_band = F64(doc="deadband, in uncertainties of the height")
     setpoint_soft = F64(doc="deadbands: an excess so large is halved in …")
+    setpoint_drive = F64(doc="gain on the predicted position error, per τ over the dead time of the poses …")
+    setpoint_drive_max = F64(doc="… and at most")
     setpoint_soft_taus = F64(doc="… so many time constants")
 
 
@@ -220,6 +222,7 @@ class Setpoint(Schema):
     active = I64(doc="1: there is a set point to go on from")
     raw = F64(doc="blend of the models' set points")
     rate = F64(doc="how fast the models expect it to change")
+    position = F64(doc="where the axis should be when the demand acts")
     filtered = F64(doc="behind the deadband")
     value = F64(doc="behind the limits: where the demand points")
 

@@ -98,6 +98,26 @@ def advance_plants(m: Any) -> None:
 
 
 @jit
+def predict_own(m: Any, to_t: Any) -> Any:
+    """Where the axis will be at a time: from the newest report on with the own set points."""
+    s, r, k = m.shadow, m.reference, m.kinematics
+    z, v = k.z, s.v[N_MODELS + N_PLANTS // 2]
+    span = to_t - k.pose_t
+    if s.ticks == 0 or span <= 0.0:
+        return z
+    steps = min(max(int(math.ceil(span * STEPS_PER_TAU / m.plant.tau)), 1), MOST_STEPS)
+    dt = span / steps
+    n = max(0, s.ticks - SETPOINTS)
+    for j in range(steps):
+        t = k.pose_t + j * dt
+        while n + 1 < s.ticks and s.t[(n + 1) & (SETPOINTS - 1)] <= t:
+            n += 1
+        own = s.setpoint[N_MODELS * SETPOINTS + (n & (SETPOINTS - 1))]
+        z, v = axis_step(z, v, own, m.plant.tau, r.v_max, r.a_max, dt)
+    return z
+
+
+@jit
 def place_models(m: Any, z: Any, n_models: Any) -> None:
     """Put the models' axes to rest at a position."""
     for i in range(n_models):
