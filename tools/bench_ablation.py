@@ -29,8 +29,20 @@ from surffollow.contest.suite import Cell
 from surffollow.forecast.estimation.models import LEVEL, WAVE
 from surffollow.forecast.tuning import MODELS
 
-SURFACES = ("ramp-20", "step", "hump", "iso-c", "fy91", "weld", "hull", "casting", "lap-joints", "pipes", "terrain",
-            "sine-200")
+SURFACES = (
+    "ramp-20",
+    "step",
+    "hump",
+    "iso-c",
+    "fy91",
+    "weld",
+    "hull",
+    "casting",
+    "lap-joints",
+    "pipes",
+    "terrain",
+    "sine-200",
+)
 SINES = PERIODIC | {"sine-100", "sine-200", "sine-400", "chirp"}
 SPEEDS_MPS = (0.1, 0.4)
 FLOOR_M = 0.1e-3
@@ -89,7 +101,8 @@ def measure(
         found = [run(job) for job in jobs]
     means = np.array(found).reshape(len(variants), len(cells), len(seeds), 2).mean(axis=2)
     return {
-        name: {c: (float(r), float(a)) for c, (r, a) in zip(cells, rows)} for name, rows in zip(variants, means)
+        name: {c: (float(r), float(a)) for c, (r, a) in zip(cells, rows)}
+        for name, rows in zip(variants, means)
     }
 
 
@@ -108,7 +121,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", default="300:304", help="A:B, half-open")
     parser.add_argument("--surface", action="append")
     parser.add_argument("--variant", action="append", help="only these, beside the full one")
-    parser.add_argument("--try", dest="tries", action="append", default=[], help="JSON table of constants to try")
+    parser.add_argument(
+        "--try", dest="tries", action="append", default=[], help="JSON table of constants to try"
+    )
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--cells", action="store_true", help="every cell's RMS [mm]")
     parser.add_argument("--json", action="store_true")

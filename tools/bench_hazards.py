@@ -17,7 +17,17 @@ from multiprocessing import get_context
 from typing import Any
 
 from surffollow import Follower
-from surffollow.contest.hazards import FAMILIES, FAR_M, NEAR_M, STANDOFF_M, PLoop, Scenario, draw, play, shrink
+from surffollow.contest.hazards import (
+    FAMILIES,
+    FAR_M,
+    NEAR_M,
+    STANDOFF_M,
+    PLoop,
+    Scenario,
+    draw,
+    play,
+    shrink,
+)
 
 BELOW_P_M = 5e-3
 METHODS = ("multimodel", "adaptive", "paper", "p")
@@ -63,31 +73,44 @@ def main(argv: Sequence[str] | None = None) -> int:
     for family in FAMILIES:
         of = [r for r in found if r["scenario"]["family"] == family]
         worst = max(of, key=lambda r: r["p"]["clearance_m"] - r[first]["clearance_m"])
-        rows.append({
-            "family": family,
-            "least_m": {m: min(r[m]["clearance_m"] for r in of) for m in methods},
-            "below_p_m": {m: max(r["p"]["clearance_m"] - r[m]["clearance_m"] for r in of) for m in methods},
-            "contact_valid": {m: sum(r[m]["contact_valid"] for r in of) for m in methods},
-            "worst": worst["scenario"],
-        })
+        rows.append(
+            {
+                "family": family,
+                "least_m": {m: min(r[m]["clearance_m"] for r in of) for m in methods},
+                "below_p_m": {
+                    m: max(r["p"]["clearance_m"] - r[m]["clearance_m"] for r in of) for m in methods
+                },
+                "contact_valid": {m: sum(r[m]["contact_valid"] for r in of) for m in methods},
+                "worst": worst["scenario"],
+            }
+        )
         if rows[-1]["below_p_m"][first] > BELOW_P_M:
             least = shrink(Scenario(**worst["scenario"]), lambda s: below_p_m(first, s) > BELOW_P_M)
             rows[-1]["shrunk"] = asdict(least)
     met = all(r["below_p_m"][first] <= BELOW_P_M and r["contact_valid"][first] == 0 for r in rows)
     if given.json:
-        done = {"rows": rows, "scenarios": len(jobs), "limit_m": BELOW_P_M, "met": met, "cpu_s": time.process_time() - begun}
+        done = {
+            "rows": rows,
+            "scenarios": len(jobs),
+            "limit_m": BELOW_P_M,
+            "met": met,
+            "cpu_s": time.process_time() - begun,
+        }
         print(json.dumps(done, indent=1))
         return 0 if met else 1
     print("| family |" + "".join(f" {m}: least, below p [mm], VALID contacts |" for m in methods))
     print("| --- |" + " --- |" * len(methods))
     for r in rows:
         cells = (
-            f" {1e3 * r['least_m'][m]:.1f}, {1e3 * r['below_p_m'][m]:.1f}, {r['contact_valid'][m]} |" for m in methods
+            f" {1e3 * r['least_m'][m]:.1f}, {1e3 * r['below_p_m'][m]:.1f}, {r['contact_valid'][m]} |"
+            for m in methods
         )
         print(f"| {r['family']} |" + "".join(cells))
         if "shrunk" in r:
             print(f"least harmful scenario: {r['shrunk']}", file=sys.stderr)
-    print(f"{len(jobs)} scenarios; {first} {'meets' if met else 'misses'} {1e3 * BELOW_P_M:g} mm below p, no VALID contact")
+    print(
+        f"{len(jobs)} scenarios; {first} {'meets' if met else 'misses'} {1e3 * BELOW_P_M:g} mm below p, no VALID contact"
+    )
     return 0 if met else 1
 
 

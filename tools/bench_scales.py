@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from surffollow.contest import families as f
-from surffollow.contest.baselines import KALMAN_FF, KALMAN_SIGMA_M, P, POLICY_EXTRAPOLATE, run_jitted
+from surffollow.contest.baselines import KALMAN_FF, KALMAN_SIGMA_M, POLICY_EXTRAPOLATE, P, run_jitted
 from surffollow.contest.conditions import Conditions, PoseConfig, SensorConfig
 from surffollow.contest.door import drive
 from surffollow.contest.methods import factory_of
@@ -62,7 +62,14 @@ class Case:
             plant=PlantConfig(self.tau_s, self.v_max_mps, self.a_max_mps2, self.pose_hz),
             pose=PoseConfig(self.pose_hz, 0.01, 0.2 * self.sigma_m),
             sensor=SensorConfig(
-                self.sensor_hz, self.latency_s, self.sigma_m, near, far, 14, self.spikes, 0.3 * self.standoff_m
+                self.sensor_hz,
+                self.latency_s,
+                self.sigma_m,
+                near,
+                far,
+                14,
+                self.spikes,
+                0.3 * self.standoff_m,
             ),
             believed_tau_s=self.tau_s,
             standoff_m=self.standoff_m,
@@ -80,17 +87,53 @@ class Case:
         return scene
 
 
-def _torch(name: str, v: float, hz: float, sigma: float, tau: float, pose_hz: float, h: float, **sizes: float) -> Case:
-    return Case(name, f.weld, sizes, h, (0.12 * h, 3.0 * h), v, hz, sigma, 0.005, tau, 0.2, 4.0, pose_hz, duration_s=20.0)
+def _torch(
+    name: str, v: float, hz: float, sigma: float, tau: float, pose_hz: float, h: float, **sizes: float
+) -> Case:
+    return Case(
+        name,
+        f.weld,
+        sizes,
+        h,
+        (0.12 * h, 3.0 * h),
+        v,
+        hz,
+        sigma,
+        0.005,
+        tau,
+        0.2,
+        4.0,
+        pose_hz,
+        duration_s=20.0,
+    )
 
 
-def _drone(name: str, ground: Any, v: float, hz: float, sigma: float, tau: float, h: float, **sizes: float) -> Case:
-    return Case(name, ground, sizes, h, (0.2, 12.0), v, hz, sigma, 0.05, tau, 2.5, 5.0, 50.0, 0.02, duration_s=80.0)
+def _drone(
+    name: str, ground: Any, v: float, hz: float, sigma: float, tau: float, h: float, **sizes: float
+) -> Case:
+    return Case(
+        name, ground, sizes, h, (0.2, 12.0), v, hz, sigma, 0.05, tau, 2.5, 5.0, 50.0, 0.02, duration_s=80.0
+    )
 
 
 def _auv(name: str, v: float, hz: float, tau: float, h: float, **sizes: float) -> Case:
     return Case(
-        name, f.terrain, sizes, h, (0.5, 50.0), v, hz, 0.1, 0.05, tau, 0.8, 0.4, 10.0, 0.02, 0.07, duration_s=400.0
+        name,
+        f.terrain,
+        sizes,
+        h,
+        (0.5, 50.0),
+        v,
+        hz,
+        0.1,
+        0.05,
+        tau,
+        0.8,
+        0.4,
+        10.0,
+        0.02,
+        0.07,
+        duration_s=400.0,
     )
 
 
@@ -102,10 +145,40 @@ CASES: dict[str, list[Case]] = {
     "tune": [
         _torch("torch 4 mm, 50 mm/s", 0.05, 500.0, 0.05e-3, 0.03, 200.0, 0.004, **_SMALL),
         _torch("weld 6 mm, 20 mm/s", 0.02, 250.0, 0.02e-3, 0.05, 100.0, 0.006, **_SMALL),
-        Case("cell 100 mm, 100 mm/s", f.casting, {}, 0.1, (0.05, 0.15), 0.1, 250.0, 0.25e-3, 0.03, 0.04, 0.2, 2.0, 100.0),
-        Case("cell 60 mm, 50 Hz", f.hull, {}, 0.06, (0.02, 0.2), 0.2, 50.0, 0.5e-3, 0.02, 0.1, 0.2, 1.0, 100.0),
-        Case("hull 0.5 m, 20 Hz", f.hull, {"dish_m": 0.03, "frame_m": 1.5, "seam_m": 0.01}, 0.5, (0.1, 2.0), 0.3, 20.0,
-             4e-3, 0.05, 0.2, 0.3, 0.6, 50.0, duration_s=80.0),
+        Case(
+            "cell 100 mm, 100 mm/s",
+            f.casting,
+            {},
+            0.1,
+            (0.05, 0.15),
+            0.1,
+            250.0,
+            0.25e-3,
+            0.03,
+            0.04,
+            0.2,
+            2.0,
+            100.0,
+        ),
+        Case(
+            "cell 60 mm, 50 Hz", f.hull, {}, 0.06, (0.02, 0.2), 0.2, 50.0, 0.5e-3, 0.02, 0.1, 0.2, 1.0, 100.0
+        ),
+        Case(
+            "hull 0.5 m, 20 Hz",
+            f.hull,
+            {"dish_m": 0.03, "frame_m": 1.5, "seam_m": 0.01},
+            0.5,
+            (0.1, 2.0),
+            0.3,
+            20.0,
+            4e-3,
+            0.05,
+            0.2,
+            0.3,
+            0.6,
+            50.0,
+            duration_s=80.0,
+        ),
         _drone("drone 1 m/s, 10 Hz", f.hedges, 1.0, 10.0, 0.02, 0.5, 3.0),
         _drone("drone 3 m/s, 10 Hz", f.hedges, 3.0, 10.0, 0.02, 0.5, 3.0),
         _auv("AUV 10 m, 5 Hz", 1.5, 5.0, 2.0, 10.0, **_BED),
@@ -113,13 +186,81 @@ CASES: dict[str, list[Case]] = {
     # … and figures are published on these
     "publish": [
         _torch("torch 3 mm, 100 mm/s", 0.1, 1000.0, 0.03e-3, 0.02, 250.0, 0.003, **_SMALL),
-        _torch("weld 5 mm, 60 mm/s", 0.06, 300.0, 0.08e-3, 0.04, 125.0, 0.005, bow_m=1e-3, bead_m=1e-3, width_m=5e-3, every_m=0.08),
-        Case("cell 40 mm, 50 mm/s", f.lap_joints, {}, 0.04, (0.02, 0.1), 0.05, 500.0, 0.05e-3, 0.004, 0.03, 0.2, 3.0, 100.0),
-        Case("cell 150 mm, 300 mm/s", f.terrain, {"rms_m": 0.01}, 0.15, (0.05, 0.4), 0.3, 100.0, 1e-3, 0.05, 0.08, 0.3, 2.0, 100.0),
-        Case("hull 0.3 m, 10 Hz", f.hull, {"dish_m": 0.02, "frame_m": 1.0, "seam_m": 5e-3}, 0.3, (0.1, 1.5), 0.15, 10.0,
-             3e-3, 0.05, 0.3, 0.3, 0.5, 20.0, duration_s=120.0),
-        Case("field robot 0.8 m, 50 Hz", f.terrain, {"rms_m": 0.1, "longest_m": 15.0, "shortest_m": 0.4}, 0.8, (0.2, 3.0), 1.0,
-             50.0, 8e-3, 0.03, 0.15, 0.5, 2.0, 50.0, duration_s=60.0),
+        _torch(
+            "weld 5 mm, 60 mm/s",
+            0.06,
+            300.0,
+            0.08e-3,
+            0.04,
+            125.0,
+            0.005,
+            bow_m=1e-3,
+            bead_m=1e-3,
+            width_m=5e-3,
+            every_m=0.08,
+        ),
+        Case(
+            "cell 40 mm, 50 mm/s",
+            f.lap_joints,
+            {},
+            0.04,
+            (0.02, 0.1),
+            0.05,
+            500.0,
+            0.05e-3,
+            0.004,
+            0.03,
+            0.2,
+            3.0,
+            100.0,
+        ),
+        Case(
+            "cell 150 mm, 300 mm/s",
+            f.terrain,
+            {"rms_m": 0.01},
+            0.15,
+            (0.05, 0.4),
+            0.3,
+            100.0,
+            1e-3,
+            0.05,
+            0.08,
+            0.3,
+            2.0,
+            100.0,
+        ),
+        Case(
+            "hull 0.3 m, 10 Hz",
+            f.hull,
+            {"dish_m": 0.02, "frame_m": 1.0, "seam_m": 5e-3},
+            0.3,
+            (0.1, 1.5),
+            0.15,
+            10.0,
+            3e-3,
+            0.05,
+            0.3,
+            0.3,
+            0.5,
+            20.0,
+            duration_s=120.0,
+        ),
+        Case(
+            "field robot 0.8 m, 50 Hz",
+            f.terrain,
+            {"rms_m": 0.1, "longest_m": 15.0, "shortest_m": 0.4},
+            0.8,
+            (0.2, 3.0),
+            1.0,
+            50.0,
+            8e-3,
+            0.03,
+            0.15,
+            0.5,
+            2.0,
+            50.0,
+            duration_s=60.0,
+        ),
         _drone("drone 2 m/s, sea, 20 Hz", f.sea, 2.0, 20.0, 0.03, 0.4, 2.0),
         _drone("drone 5 m/s, 50 Hz", f.hedges, 5.0, 50.0, 0.02, 0.6, 4.5, every_m=60.0),
         _auv("AUV 15 m, 2 Hz", 1.2, 2.0, 3.0, 15.0, **_BED),
@@ -151,7 +292,9 @@ def baseline_values(case: Case) -> dict[str, list[tuple[int, tuple[float, ...]]]
     for n in KALMAN_MEMORIES:
         slope = 0.5 / n**2 * KALMAN_SIGMA_M / spacing**1.5
         level = KALMAN_LEVEL * KALMAN_SIGMA_M / spacing**0.5
-        kalman.append((KALMAN_FF, (slope, level, KALMAN_GATE / of_sigma, KALMAN_REJECTS, lag, POLICY_EXTRAPOLATE)))
+        kalman.append(
+            (KALMAN_FF, (slope, level, KALMAN_GATE / of_sigma, KALMAN_REJECTS, lag, POLICY_EXTRAPOLATE))
+        )
     return {"p": [(P, (g,)) for g in gains], "kalman-ff": kalman}
 
 
@@ -193,20 +336,34 @@ def main(argv: Sequence[str] | None = None) -> int:
             continue
         rows.append(run_case(case, seeds, methods))
         told = ", ".join(f"{m} {rows[-1][f'{m} ratio']:.2f}" for m in methods)
-        print(f"{case.name}: p {rows[-1]['p']:.2e} m, kalman-ff {rows[-1]['kalman-ff']:.2e} m; {told}", file=sys.stderr)
+        print(
+            f"{case.name}: p {rows[-1]['p']:.2e} m, kalman-ff {rows[-1]['kalman-ff']:.2e} m; {told}",
+            file=sys.stderr,
+        )
     ratios = {m: [r[f"{m} ratio"] for r in rows] for m in methods}
     summary = {m: {"worst": max(v), "mean": math.exp(float(np.mean(np.log(v))))} for m, v in ratios.items()}
-    done = {"set": given.set, "seeds": given.seeds, "rows": rows, "summary": summary,
-            "limits": {"each": EACH, "mean": MEAN}, "cpu_s": time.process_time() - begun}
+    done = {
+        "set": given.set,
+        "seeds": given.seeds,
+        "rows": rows,
+        "summary": summary,
+        "limits": {"each": EACH, "mean": MEAN},
+        "cpu_s": time.process_time() - begun,
+    }
     if given.json:
         print(json.dumps(done, indent=1))
     else:
         print("| case | p [m] | kalman-ff [m] |" + "".join(f" {m} |" for m in methods))
         print("| --- | ---: | ---: |" + " ---: |" * len(methods))
         for r in rows:
-            print(f"| {r['case']} | {r['p']:.3g} | {r['kalman-ff']:.3g} |" + "".join(f" {r[f'{m} ratio']:.2f} |" for m in methods))
+            print(
+                f"| {r['case']} | {r['p']:.3g} | {r['kalman-ff']:.3g} |"
+                + "".join(f" {r[f'{m} ratio']:.2f} |" for m in methods)
+            )
         for m, s in summary.items():
-            print(f"{m}: worst {s['worst']:.2f} (limit {EACH}), geometric mean {s['mean']:.2f} (limit {MEAN})")
+            print(
+                f"{m}: worst {s['worst']:.2f} (limit {EACH}), geometric mean {s['mean']:.2f} (limit {MEAN})"
+            )
     met = summary[methods[0]]
     return 0 if met["worst"] <= EACH and met["mean"] <= MEAN else 1
 

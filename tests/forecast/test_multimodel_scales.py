@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
-from surffollow.errors import ConfigError
 
 TICK_NS, READING_NS = 1 << 23, 1 << 22  # 8.4 and 4.2 ms: divisible by every factor tried
 LENGTHS = [2.0**k for k in range(-8, 9)]
@@ -53,7 +52,8 @@ def closed_loop(length, time_power, cycles=700, tuning=None):
 @pytest.fixture(scope="module")
 def reference():
     found = closed_loop(1.0, 0)
-    assert np.abs(found).max() > 1e-3 and np.isfinite(found).all()
+    assert np.abs(found).max() > 1e-3
+    assert np.isfinite(found).all()
     return found
 
 

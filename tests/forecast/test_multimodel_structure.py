@@ -28,8 +28,21 @@ OWNERS = {
     "buffer": "terrain/buffer.py",
     "tuning": "none",
 }
-STAGES = ("observe_motion", "take_sample", "watch_readings", "watch_ranges", "identify", "estimate", "store_height",
-          "is_lost", "assess", "blend_setpoints", "filter_setpoint", "limit_setpoint", "record_setpoints")
+STAGES = (
+    "observe_motion",
+    "take_sample",
+    "watch_readings",
+    "watch_ranges",
+    "identify",
+    "estimate",
+    "store_height",
+    "is_lost",
+    "assess",
+    "blend_setpoints",
+    "filter_setpoint",
+    "limit_setpoint",
+    "record_setpoints",
+)
 
 
 def records_written(path):
@@ -42,11 +55,18 @@ def records_written(path):
             if not isinstance(node, ast.Assign):
                 continue
             names, values = node.targets[0], node.value
-            pairs = zip(names.elts, values.elts) if isinstance(values, ast.Tuple) and isinstance(
-                names, ast.Tuple) else [(names, values)]
+            pairs = (
+                zip(names.elts, values.elts)
+                if isinstance(values, ast.Tuple) and isinstance(names, ast.Tuple)
+                else [(names, values)]
+            )
             for name, value in pairs:
-                if isinstance(name, ast.Name) and ast.unparse(value).startswith("m.") and isinstance(
-                    value, ast.Attribute) and ast.unparse(value).count(".") == 1:
+                if (
+                    isinstance(name, ast.Name)
+                    and ast.unparse(value).startswith("m.")
+                    and isinstance(value, ast.Attribute)
+                    and ast.unparse(value).count(".") == 1
+                ):
                     aliases[name.id] = value.attr
         for node in ast.walk(function):
             if isinstance(node, (ast.Attribute, ast.Subscript)) and isinstance(node.ctx, ast.Store):
@@ -82,7 +102,8 @@ def test_a_cycle_enters_each_stage_once_in_order_and_returns_at_its_end():
     order = [n.func.id for n in sorted(calls, key=lambda n: (n.lineno, n.col_offset)) if n.func.id in STAGES]
     assert order == list(STAGES)
     returns = [n for n in ast.walk(cycle) if isinstance(n, ast.Return)]
-    assert len(returns) == 1 and returns[0] is cycle.body[-1]
+    assert len(returns) == 1
+    assert returns[0] is cycle.body[-1]
 
 
 def test_every_constant_of_the_table_has_a_default_and_a_meaning():
@@ -124,7 +145,9 @@ def test_a_model_is_the_textbook_filter(kind, seed):
         mean, cov = mean + k * (h - see @ mean), cov - np.outer(k, see @ cov)
         predict_model(u, 0, x, p, d, spacing, reaction, omega)
         update_model(u, 0, x, p, h, 0)
-        np.testing.assert_allclose(x[: 2 if kind == SLOPE else 3], mean[: 2 if kind == SLOPE else 3], atol=1e-9)
+        np.testing.assert_allclose(
+            x[: 2 if kind == SLOPE else 3], mean[: 2 if kind == SLOPE else 3], atol=1e-9
+        )
         np.testing.assert_allclose(p[[0, 1, 3]], [cov[0, 0], cov[0, 1], cov[1, 1]], atol=1e-9)
     ahead = setpoint_of(u, 0, x, 0.03, 0.0, reaction, spacing, omega)
     if kind == SLOPE and seed != 1:

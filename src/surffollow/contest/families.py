@@ -6,6 +6,7 @@ arguments, so the same family serves a weld seam and a hillside. Those in `PERIO
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -27,7 +28,12 @@ def _places(rng: np.random.Generator, x: Heights, spacing_m: float, jitter: floa
 
 
 def fractal(
-    rng: np.random.Generator, x: Heights, rms_m: float, longest_m: float, shortest_m: float, power: float = 2.0
+    rng: np.random.Generator,
+    x: Heights,
+    rms_m: float,
+    longest_m: float,
+    shortest_m: float,
+    power: float = 2.0,
 ) -> Heights:
     """Sum of 80 waves whose spectral density falls as the wave number to −`power`."""
     k = np.exp(rng.uniform(np.log(2 * np.pi / longest_m), np.log(2 * np.pi / shortest_m), 80))
@@ -37,7 +43,11 @@ def fractal(
 
 
 def weld(
-    rng: np.random.Generator, x: Heights, bow_m: float = 2e-3, bead_m: float = 1.5e-3, width_m: float = 6e-3,
+    rng: np.random.Generator,
+    x: Heights,
+    bow_m: float = 2e-3,
+    bead_m: float = 1.5e-3,
+    width_m: float = 6e-3,
     every_m: float = 0.12,
 ) -> Heights:
     """Bowed plate with weld beads across the path and tacks between them."""
@@ -56,7 +66,7 @@ def hull(
     """Plates dished between frames, with seams."""
     edges = _places(rng, x, frame_m, 0.25)
     h = fractal(rng, x, 4.0 * dish_m, 20.0 * frame_m, 6.0 * frame_m)
-    for a, b in zip(edges[:-1], edges[1:]):
+    for a, b in itertools.pairwise(edges):
         u = np.clip((x - a) / (b - a), 0.0, 1.0)
         h = h - dish_m * rng.uniform(0.3, 1.5) * np.sin(np.pi * u) ** 2
     for c in _places(rng, x, 3.0 * frame_m):
@@ -103,25 +113,39 @@ def pipes(rng: np.random.Generator, x: Heights, radius_m: float = 0.03, every_m:
 
 
 def terrain(
-    rng: np.random.Generator, x: Heights, rms_m: float = 6e-3, longest_m: float = 1.5, shortest_m: float = 0.02
+    rng: np.random.Generator,
+    x: Heights,
+    rms_m: float = 6e-3,
+    longest_m: float = 1.5,
+    shortest_m: float = 0.02,
 ) -> Heights:
     """Rolling ground with a fractal spectrum."""
     return fractal(rng, x, rms_m, longest_m, shortest_m, 3.0)
 
 
-def corrugated(rng: np.random.Generator, x: Heights, amplitude_m: float = 8e-3, wave_m: float = 0.08) -> Heights:
+def corrugated(
+    rng: np.random.Generator, x: Heights, amplitude_m: float = 8e-3, wave_m: float = 0.08
+) -> Heights:
     """Corrugated sheet."""
-    return np.asarray(amplitude_m * np.sin(2 * np.pi * x / (wave_m * rng.uniform(0.8, 1.25)) + rng.uniform(0, 6.3)))
+    return np.asarray(
+        amplitude_m * np.sin(2 * np.pi * x / (wave_m * rng.uniform(0.8, 1.25)) + rng.uniform(0, 6.3))
+    )
 
 
 def furrows(rng: np.random.Generator, x: Heights, depth_m: float = 0.02, every_m: float = 0.3) -> Heights:
     """Ploughed furrows, clods on them."""
     u = (x / (every_m * rng.uniform(0.9, 1.1)) + rng.uniform()) % 1.0
-    return np.asarray(depth_m * np.abs(2.0 * u - 1.0) + fractal(rng, x, 0.05 * depth_m, 0.3 * every_m, 0.02 * every_m))
+    return np.asarray(
+        depth_m * np.abs(2.0 * u - 1.0) + fractal(rng, x, 0.05 * depth_m, 0.3 * every_m, 0.02 * every_m)
+    )
 
 
 def hedges(
-    rng: np.random.Generator, x: Heights, hill_m: float = 2.0, height_m: float = 1.2, width_m: float = 2.0,
+    rng: np.random.Generator,
+    x: Heights,
+    hill_m: float = 2.0,
+    height_m: float = 1.2,
+    width_m: float = 2.0,
     every_m: float = 40.0,
 ) -> Heights:
     """Fields with hedges and, now and then, a gabled roof."""

@@ -37,8 +37,6 @@ class Scenario:
     late_s: float = 0.0
 
 
-
-
 @dataclass(frozen=True)
 class Outcome:
     """Least clearance [m]; whether the tool touched the ground, and whether with a VALID demand."""
@@ -118,7 +116,9 @@ def play(follower: Any, s: Scenario) -> Outcome:
     """Run a follower through a scenario; see `FollowerLike`, and `state()["status"]`."""
     heights, x0 = _ground(s)
     rng = np.random.default_rng([s.seed, 89])
-    h = np.interp(s.speed_mps * 1e-3 * np.arange(int(SECONDS * 1e3) + 1), x0 + 0.5e-3 * np.arange(len(heights)), heights)
+    h = np.interp(
+        s.speed_mps * 1e-3 * np.arange(int(SECONDS * 1e3) + 1), x0 + 0.5e-3 * np.arange(len(heights)), heights
+    )
     axis = np.array([h[0] + STANDOFF_M, 0.0])
     target, held, wrong_n = axis[0], STANDOFF_M, 0
     readings: list[tuple[int, int, float]] = []
@@ -154,7 +154,9 @@ def play(follower: Any, s: Scenario) -> Outcome:
             _, at, r = readings.pop(0)
             follower.step((1000 + at) * 1_000_000, np.array([r]))
         if ms % TICK_MS == 0:
-            target = set_point_for(report, float(follower.step((1000 + ms) * 1_000_000, np.array([math.nan]))[2]))
+            target = set_point_for(
+                report, float(follower.step((1000 + ms) * 1_000_000, np.array([math.nan]))[2])
+            )
         axis_step(axis, target, PLANT.tau_s, PLANT.v_max_mps, PLANT.a_max_mps2, 1e-3)
     return Outcome(least, contact, contact_valid)
 

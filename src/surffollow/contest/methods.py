@@ -122,7 +122,9 @@ def follower_config(conditions: Conditions) -> dict[str, Any]:
 def _follower_factory(choices: dict[str, Any]) -> Factory:
     def make(conditions: Conditions) -> FollowerLike:
         follower: Any = importlib.import_module("surffollow").Follower
-        made: FollowerLike = follower(config=follower_config(conditions) | choices, offset_m=conditions.standoff_m)
+        made: FollowerLike = follower(
+            config=follower_config(conditions) | choices, offset_m=conditions.standoff_m
+        )
         return made
 
     return make

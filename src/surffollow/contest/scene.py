@@ -74,8 +74,10 @@ def make_scene(
     if not (np.isfinite(speed_mps) and 1e-3 <= speed_mps <= 10.0):
         raise UsageError(f"speed {speed_mps} m/s, expected 0.001 to 10")
     if profile.length_m < 1.5 * conditions.unscored_m:
-        raise UsageError(f"surface '{profile.name}' is {profile.length_m} m long, "
-            f"expected at least {1.5 * conditions.unscored_m:g} m")
+        raise UsageError(
+            f"surface '{profile.name}' is {profile.length_m} m long, "
+            f"expected at least {1.5 * conditions.unscored_m:g} m"
+        )
     c = conditions
     duration_ms = int(profile.length_m / speed_mps * 1e3)
     rng = np.random.default_rng([stream, seed, 101])

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import msgspec
 
-from surffollow.contest.families import FAMILY_SURFACES
 from surffollow.contest.conditions import PAPER_PROFILE, Conditions
+from surffollow.contest.families import FAMILY_SURFACES
 from surffollow.errors import UsageError
 from surffollow.sim.profiles import SHAPES, Profile
 from surffollow.sim.profiles_measured import MEASURED, data_dir, read_csv

@@ -22,12 +22,11 @@ from surffollow.forecast.adaptive_bank import C
 from surffollow.forecast.adaptive_memory import new_memory, recall_ahead, remember_output
 from surffollow.forecast.horizon import forecast_range
 from surffollow.forecast.multimodel import multimodel_step, reset_estimate
-from surffollow.forecast.tuning import new_multimodel
 from surffollow.forecast.pose import MOST_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
 from surffollow.forecast.step import follow_step, sf_reset
+from surffollow.forecast.tuning import new_multimodel
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES
-from surffollow.shm.layout_multimodel import N_MODELS, REASON_NAMES
 from surffollow.shm.layout_follow import (
     CHANNELS,
     MODE_ADAPTIVE,
@@ -37,6 +36,7 @@ from surffollow.shm.layout_follow import (
     Output,
     Params,
 )
+from surffollow.shm.layout_multimodel import N_MODELS, REASON_NAMES
 
 RECALL_NS = 5_000_000  # remembered ground is looked up at most so often
 PAUSE_NS = 1_000_000_000

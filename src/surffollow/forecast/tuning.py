@@ -98,9 +98,13 @@ def check_tuning(tuning: object) -> dict[str, Any]:
         if name == "models":
             rows = np.asarray(value, np.float64)
             if rows.ndim != 2 or rows.shape[1] != 4 or not 1 <= len(rows) <= N_MODELS:
-                raise ConfigError(f"tuning.models has shape {rows.shape}; it must have 1 to {N_MODELS} rows of 4")
+                raise ConfigError(
+                    f"tuning.models has shape {rows.shape}; it must have 1 to {N_MODELS} rows of 4"
+                )
             if not (rows[:, 1] > 1.0).all():
-                raise ConfigError(f"tuning.models has memories {rows[:, 1].tolist()}; they must be above 1 sample")
+                raise ConfigError(
+                    f"tuning.models has memories {rows[:, 1].tolist()}; they must be above 1 sample"
+                )
             checked[name] = rows
         elif name not in DEFAULTS:
             raise ConfigError(f"tuning has no constant {name!r}; it has {', '.join(DEFAULTS)}")

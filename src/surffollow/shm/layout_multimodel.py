@@ -19,7 +19,9 @@ class Tuning(Schema):
     """Constants of the follower, all dimensionless; defaults in `forecast.tuning`. No kernel writes them."""
 
     n_models = I64(doc="models in the bank")
-    models = F64(N_MODELS * 4, doc="per model: kind, memory [samples], fading distance [reactions], lead share")
+    models = F64(
+        N_MODELS * 4, doc="per model: kind, memory [samples], fading distance [reactions], lead share"
+    )
     wave_memory = F64(doc="wavelengths over which the wave number is averaged")
     wave_highpass = F64(doc="corner of the running means, in wave numbers")
     wave_mean_drift = F64(doc="drift of a wave's mean, share of its amplitudes' drift")

@@ -17,7 +17,6 @@ START, ACCEPTED, PENDING, STEP, RESTART = 0, 1, 2, 3, 4
 COURSE_WIDTH = 2.0  # width of the gate after a flank, in its rise per sample
 
 
-
 @jit
 def reset_gate(m: Any) -> None:
     """Begin at the newest sample."""

@@ -10,7 +10,6 @@ from surffollow.forecast.estimation.models import (
     WAVE,
     height_of,
     predict_model,
-    slope_of,
     start_model,
     update_model,
 )

@@ -17,7 +17,6 @@ from surffollow.forecast.sensing.sample import reaction_time
 from surffollow.shm.jit import jit
 
 
-
 @jit
 def reset_weights(m: Any) -> None:
     """Forget the index: nothing was scored."""
@@ -61,7 +60,10 @@ def weigh_models(m: Any) -> None:
     for i in range(1, m.tuning.n_models):
         recent, longer = min(recent, w.recent[i]), min(longer, w.longer[i])
     noise = m.noise.sigma * m.noise.sigma
-    off, off_longer = m.tuning.index_noise_share * min(noise, recent), m.tuning.index_noise_share * min(noise, longer)
+    off, off_longer = (
+        m.tuning.index_noise_share * min(noise, recent),
+        m.tuning.index_noise_share * min(noise, longer),
+    )
     floor = (m.tuning.index_floor * m.noise.sigma) ** 2
     effort = (m.tuning.index_effort * m.plant.tau * m.plant.tau) ** 2
     told = min((s.t - w.since) / (m.tuning.index_burn_in * reaction_time(m)), 1.0) if w.scored > 0 else 0.0
@@ -70,10 +72,15 @@ def weigh_models(m: Any) -> None:
     for i in range(m.tuning.n_models):
         extra = floor + effort * m.shadow.effort[i]
         c = told * (
-            m.tuning.index_power * math.log(w.recent[i] - off + extra) + m.tuning.index_longer_power * math.log(w.longer[i] - off_longer + extra)
+            m.tuning.index_power * math.log(w.recent[i] - off + extra)
+            + m.tuning.index_longer_power * math.log(w.longer[i] - off_longer + extra)
         )
         if told < 1.0:
-            c += (1.0 - told) * m.tuning.index_caution * math.log(variance_ahead(m.tuning, i, m.bank.p, ahead, m.bank.omega) + 1.0)
+            c += (
+                (1.0 - told)
+                * m.tuning.index_caution
+                * math.log(variance_ahead(m.tuning, i, m.bank.p, ahead, m.bank.omega) + 1.0)
+            )
         if m.tuning.models[4 * i] == WAVE:
             c += m.tuning.index_wave_penalty
         w.cost[i] = c

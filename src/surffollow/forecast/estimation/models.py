@@ -13,6 +13,7 @@ from surffollow.shm.jit import jit
 
 LEVEL, SLOPE, WAVE = 0, 1, 2
 
+
 @jit
 def start_model(u: Any, i: Any, x: Any, p: Any, h: Any, spacing: Any, omega: Any) -> None:
     """Set model i to level ground at h, its slope as uncertain as over its memory it would be."""
@@ -64,7 +65,6 @@ def predict_model(u: Any, i: Any, x: Any, p: Any, d: Any, spacing: Any, reaction
     p[c + 3] = cs * a11 + sn * a12 + q
     p[c + 4] = cs * a12 - sn * a11
     p[c + 5] = cs * a22 - sn * a21 + q
-
 
 
 @jit

@@ -42,7 +42,11 @@ def period_is_over(m: Any) -> Any:
 def record_setpoints(m: Any, setpoints: Any, n_models: Any, own: Any) -> None:
     """Append the models' set points and the own one; update the effort of every model."""
     s = m.shadow
-    slot, one, two = s.ticks & (SETPOINTS - 1), (s.ticks - 1) & (SETPOINTS - 1), (s.ticks - 2) & (SETPOINTS - 1)
+    slot, one, two = (
+        s.ticks & (SETPOINTS - 1),
+        (s.ticks - 1) & (SETPOINTS - 1),
+        (s.ticks - 2) & (SETPOINTS - 1),
+    )
     now = m.kinematics.now
     if s.ticks > 1:
         dt = 0.5 * (now - s.t[two])
@@ -65,7 +69,7 @@ def _simulate(m: Any, first: Any, count: Any, from_t: Any, to_t: Any) -> None:
     span = to_t - from_t
     if s.ticks == 0 or span <= 0.0:
         return
-    steps = min(max(int(math.ceil(span * STEPS_PER_TAU / m.plant.tau)), 1), MOST_STEPS)
+    steps = min(max(math.ceil(span * STEPS_PER_TAU / m.plant.tau), 1), MOST_STEPS)
     dt = span / steps
     k = max(0, s.ticks - SETPOINTS)
     for j in range(steps):
@@ -105,7 +109,7 @@ def predict_own(m: Any, to_t: Any) -> Any:
     span = to_t - k.pose_t
     if s.ticks == 0 or span <= 0.0:
         return z
-    steps = min(max(int(math.ceil(span * STEPS_PER_TAU / m.plant.tau)), 1), MOST_STEPS)
+    steps = min(max(math.ceil(span * STEPS_PER_TAU / m.plant.tau), 1), MOST_STEPS)
     dt = span / steps
     n = max(0, s.ticks - SETPOINTS)
     for j in range(steps):

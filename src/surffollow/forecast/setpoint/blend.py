@@ -50,7 +50,9 @@ def blend_setpoints(m: Any, setpoints: Any) -> None:
     for i in range(m.tuning.n_models):
         z = setpoint_of(m.tuning, i, b.x, ahead, lead, reaction, spacing, b.omega)
         if w.w[i] > LEAST_WEIGHT:
-            change += w.w[i] * (setpoint_of(m.tuning, i, b.x, ahead + step, lead, reaction, spacing, b.omega) - z)
+            change += w.w[i] * (
+                setpoint_of(m.tuning, i, b.x, ahead + step, lead, reaction, spacing, b.omega) - z
+            )
         raw += w.w[i] * z
         here += w.w[i] * setpoint_of(m.tuning, i, b.x, ahead, 0.0, reaction, spacing, b.omega)
         setpoints[i] = z + m.kinematics.drop
