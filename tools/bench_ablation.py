@@ -1,7 +1,7 @@
 """Leave out one mechanism of the multiple-model follower after the other, and see what each is worth.
 
-Every variant changes constants of `forecast.tuning`. Printed is the geometric mean of its RMS and of its set point
-acceleration over those of the full follower, on the same surfaces, speeds and seeds.
+Every variant changes constants of `forecast.tuning`. Printed is the geometric mean of its RMS and of its
+set point acceleration over those of the full follower, on the same surfaces, speeds and seeds.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Search for hazards: scenarios of sensor faults, three followers and a plain P loop side by side.
 
-Printed per family: the least clearance of each [mm, 100 wanted], how far the first follower came nearer to the
-ground than the P loop did, and contacts while the demand was VALID. The worst scenario is shrunk.
+Printed per family: the least clearance of each [mm, 100 wanted], how far the first follower came nearer to
+the ground than the P loop did, and contacts while the demand was VALID. The worst scenario is shrunk.
 """
 
 from __future__ import annotations
@@ -109,7 +109,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if "shrunk" in r:
             print(f"least harmful scenario: {r['shrunk']}", file=sys.stderr)
     print(
-        f"{len(jobs)} scenarios; {first} {'meets' if met else 'misses'} {1e3 * BELOW_P_M:g} mm below p, no VALID contact"
+        f"{len(jobs)} scenarios; {first} {'meets' if met else 'misses'}: "
+        f"{1e3 * BELOW_P_M:g} mm below p, no VALID contact"
     )
     return 0 if met else 1
 

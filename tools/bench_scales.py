@@ -1,6 +1,8 @@
-"""Follow surfaces at every scale: torch, robot cell, hull crawler, drone and AUV, told window, plant and stand-off only.
+"""Follow surfaces at every scale: torch, robot cell, hull crawler, drone and AUV, told window, plant and
+stand-off only.
 
-Each case is run with the contest's simulation. The baselines are a P loop and a plain Kalman feed-forward with
+Each case is run with the contest's simulation. The baselines are a P loop and a plain Kalman feed-forward
+with
 values that an engineer would try by hand: three gains, three memories, of which the better one on other seeds
 counts. What is printed is each follower's RMS over the better of the two baselines on the same seeds.
 """

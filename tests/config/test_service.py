@@ -8,7 +8,15 @@ import pytest
 from click.testing import CliRunner
 
 from surffollow.cli.service import start_command
-from surffollow.config.service import ServiceConfig, follow_params, load_config, mode, parse_config, seconds
+from surffollow.config.service import (
+    ServiceConfig,
+    follow_params,
+    load_config,
+    map_rounding,
+    mode,
+    parse_config,
+    seconds,
+)
 from surffollow.errors import ConfigError
 from surffollow.shm.objects import unlink
 
@@ -83,7 +91,7 @@ def test_a_full_file_is_taken_as_written(tmp_path):
         ({"map": {"queue_seconds": 0.5}}, ["map.queue_seconds", "between 1 and 600"]),
         ({"map": {"access_lease": "0 s"}}, ["map.access_lease"]),
         ({"access": {"board_mode": "rw-r--"}}, ["access.board_mode", "octal"]),
-        ({"access": {"inbox_mode": "7777"}}, ["access.inbox_mode", "octal"]),
+        ({"access": {"socket_mode": "7777"}}, ["access.socket_mode", "octal"]),
         ({"follow": {"ofset": 1}}, ["ofset", "did you mean offset_m"]),
         ({"follow": {"offset": "1 s"}}, ["offset", "time"]),
         ({"follow": 3}, ["follow"]),
@@ -139,8 +147,23 @@ def test_what_start_finds_wrong_later_names_the_file_too(tmp_path, text, says):
     try:
         told = CliRunner().invoke(start_command, ["--config", str(path), "--name", name]).exception
     finally:
-        for part in ("", ".inbox", ".map"):
+        for part in ("", ".sock", ".lock", ".map"):
             unlink(name + part)
     assert isinstance(told, ConfigError)
     assert str(told).startswith(f"{path}: ")
     assert says in str(told)
+
+
+@pytest.mark.parametrize(
+    ("rounding", "follow", "wanted"),
+    [
+        ({}, {}, "unbiased"),
+        ({}, {"mode": "adaptive"}, "unbiased"),
+        ({}, {"mode": "paper"}, "paper"),
+        ({}, {"mode": 0}, "paper"),
+        ({"rounding": "unbiased"}, {"mode": "paper"}, "unbiased"),
+        ({"rounding": "paper"}, {}, "paper"),
+    ],
+)
+def test_paper_mode_is_one_setting_the_maps_rounding_included(rounding, follow, wanted):
+    assert map_rounding(parse_config({"map": rounding, "follow": follow})) == wanted

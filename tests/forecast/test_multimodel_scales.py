@@ -13,7 +13,7 @@ TIMES = range(-4, 9)
 
 
 def closed_loop(length, time_power, cycles=700, tuning=None):
-    """Demands of a follower over a wavy, stepped, noisy path with losses; every length × and time × 2^power."""
+    """Demands over a wavy, stepped, noisy path with losses; all lengths × `length`, times × 2^power."""
 
     def stretched(t_ns):
         return t_ns << time_power if time_power >= 0 else t_ns >> -time_power

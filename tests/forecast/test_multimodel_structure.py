@@ -1,4 +1,4 @@
-"""The multiple-model follower is built as its block diagram: one owner per record, one way through the stages."""
+"""The multiple-model follower is its block diagram: one owner per record, one way through the stages."""
 
 import ast
 from pathlib import Path
@@ -46,7 +46,7 @@ STAGES = (
 
 
 def records_written(path):
-    """(line, record) of every assignment to a field of a record of `m`, aliases like `g = m.gate` followed."""
+    """(line, record) of every assignment to a record of `m`, aliases like `g = m.gate` followed."""
     for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if not isinstance(function, ast.FunctionDef):
             continue

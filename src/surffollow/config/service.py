@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from surffollow.config.names import check_service_name
-from surffollow.config.params import check_param, param_name
+from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.errors import ConfigError
 from surffollow.units import parse_quantity
 
@@ -17,6 +17,9 @@ if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
+
+
+_PAPER_MODE = PARAMS["mode"].choices.index("paper")
 
 
 class Realtime(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -36,19 +39,24 @@ class MapConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     grids: int = 1_000_000
     finest_grid: str | float = "0.1 in"
     quantum: str | float = "0.001 in"
-    rounding: str = "unbiased"
+    rounding: str = "mode"
     gate: str | float = 0.0
     queue_seconds: float = 60.0
     access_lease: str | float = "30 s"
 
 
+MOST_SLOTS = 16  # that a service has (shm.layout_board.CLIENTS)
+
+
 class AccessConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Modes and group of the shared-memory objects."""
+    """Modes and group of what is shared, and how many clients one user or process may have."""
 
     board_mode: str = "0640"
-    inbox_mode: str = "0660"
+    socket_mode: str = "0660"
     map_mode: str = "0640"
     group: str = ""
+    slots_per_user: int = 8
+    slots_per_process: int = 4
 
 
 class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -123,16 +131,21 @@ def _check(c: ServiceConfig) -> None:
         raise ConfigError("configuration key log_words must be a power of two between 65536 and 2^30 words")
     if not 1 <= c.map.grids <= 1_000_000_000:
         raise ConfigError("configuration key map.grids must be between 1 and 1000000000 grids")
-    if c.map.rounding not in ("unbiased", "paper"):
-        raise ConfigError(f"configuration key map.rounding is {c.map.rounding!r}; use 'unbiased' or 'paper'")
+    if c.map.rounding not in ("mode", "unbiased", "paper"):
+        raise ConfigError(
+            f"configuration key map.rounding is {c.map.rounding!r}; use 'mode', 'unbiased' or 'paper'"
+        )
     metres(c.map.finest_grid, "map.finest_grid", 1e-6, 1e4)
     metres(c.map.quantum, "map.quantum", 1e-9, 10.0)
     metres(c.map.gate, "map.gate", 0.0, 1e4)
     seconds(c.map.access_lease, "map.access_lease", 0.01, 3600.0)
     if not 1.0 <= c.map.queue_seconds <= 600.0:
         raise ConfigError("configuration key map.queue_seconds must be between 1 and 600 s")
-    for key in ("board_mode", "inbox_mode", "map_mode"):
+    for key in ("board_mode", "socket_mode", "map_mode"):
         mode(getattr(c.access, key), key)
+    for key in ("slots_per_user", "slots_per_process"):
+        if not 1 <= getattr(c.access, key) <= MOST_SLOTS:
+            raise ConfigError(f"configuration key access.{key} must be a whole number from 1 to {MOST_SLOTS}")
     for name, value in c.follow.items():
         check_param(name, value)
     if len({param_name(n) for n in c.follow}) < len(c.follow):
@@ -154,6 +167,13 @@ def mode(text: str, key: str) -> int:
 def follow_params(c: ServiceConfig) -> dict[str, float]:
     """The parameters set by the configuration: full name → value in the parameter's unit."""
     return {param_name(n): check_param(n, v) for n, v in c.follow.items()}
+
+
+def map_rounding(c: ServiceConfig) -> str:
+    """The map's rounding: as configured, or by default that of the follower's mode at the start."""
+    if c.map.rounding != "mode":
+        return c.map.rounding
+    return "paper" if follow_params(c).get("mode") == _PAPER_MODE else "unbiased"
 
 
 def load_config(path: str | Path) -> ServiceConfig:

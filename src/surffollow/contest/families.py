@@ -1,7 +1,8 @@
 """Families of surfaces as random generators, drawn anew by seed: what engineers of the field follow.
 
 Each generator takes a random generator and positions x [m] along the path and returns heights [m]. Sizes are
-arguments, so the same family serves a weld seam and a hillside. Those in `PERIODIC` are left out of headlines.
+arguments, so the same family serves a weld seam and a hillside. Those in `PERIODIC` are left out of
+headlines.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Hazards: what a range sensor does at its worst, closed loop, and how near the tool comes to the ground.
 
-A scenario is a family, a seed for ground and noise, and numbers that can be made smaller: `shrink` finds the least
-scenario that still does harm.
+A scenario is a family, a seed for ground and noise, and numbers that can be made smaller: `shrink` finds
+the least scenario that still does harm.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PLANT = PlantConfig()
 
 @dataclass(frozen=True)
 class Scenario:
-    """One hazard: `size_m` is how wrong readings are, `length_s` for how long (`late_s`: how old stamps are)."""
+    """One hazard: readings wrong by `size_m` for `length_s`, or stamps too old by `late_s`."""
 
     family: str
     seed: int
@@ -97,8 +97,8 @@ def _ground(s: Scenario) -> tuple[NDArray[np.float64], float]:
     return make(rng, x), float(x[0])
 
 
-def _misread(s: Scenario, k: int, r: float, held: float, rng: np.random.Generator) -> float:
-    """What the sensor gives instead of `r`, at reading k of the fault; `held` is what it read as that began."""
+def _misread(s: Scenario, r: float, held: float, rng: np.random.Generator) -> float:
+    """What the sensor gives instead of `r`; `held` is what it read when the fault began."""
     if s.family == "stuck":
         return held + s.size_m + COUNT_M * int(rng.integers(0, 2))
     if s.family in ("biased", "near"):
@@ -142,7 +142,7 @@ def play(follower: Any, s: Scenario) -> Outcome:
             if BEGIN_S <= t < BEGIN_S + s.length_s:
                 if wrong_n == 0:
                     held = r
-                r = _misread(s, wrong_n, r, held, rng)
+                r = _misread(s, r, held, rng)
                 stamp = ms - round(1e3 * s.late_s)
                 wrong_n += 1
             readings.append((ms + LATE_MS, stamp, r if NEAR_M < r < FAR_M else math.nan))

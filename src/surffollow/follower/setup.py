@@ -28,7 +28,7 @@ TOO_CLOSE_BEYOND_M = 0.15 * 0.0254  # beyond the near limit of a sensor given by
 TOO_CLOSE_EXIT_M = 0.3 * 0.0254  # but no more than the shares of the way to the stand-off
 MOST_MOUNT_M = 1e3
 # what differs from the service's defaults: readings come ready-made and stamped with their own time
-IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "pose_interpolate": 1}
+IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "sensor_readings": 1}
 MULTIMODEL = "multimodel"
 # what follows from window, stand-off and plant in that mode unless it is set (`forecast.scales`)
 DERIVED_IN_MULTIMODEL: dict[str, float] = {

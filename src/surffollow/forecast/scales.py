@@ -1,8 +1,8 @@
 """Reference scales: the kernels of the multiple-model follower see plain numbers.
 
 The reference length is the greatest power of two metres up to the stand-off, the reference time the greatest
-power of two nanoseconds up to the assumed time constant of the axis. Multiplying by a power of two is exact, so
-lengths × 2^k and times × 2^m give the same plain numbers and the demand scales bit for bit.
+power of two nanoseconds up to the assumed time constant of the axis. Multiplying by a power of two is
+exact, so lengths × 2^k and times × 2^m give the same plain numbers and the demand scales bit for bit.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """The constants of the multiple-model follower: dimensionless, in one place, read by the kernels at run time.
 
-Lengths are shares of the stand-off, multiples of the noise or of the reaction distance (what the tool travels in the
-reaction time: delay of the readings, half a sample interval, half a controller period, τ); times are multiples of
-the sample interval, the reaction time or τ.
+Lengths are shares of the stand-off, multiples of the noise or of the reaction distance (what the tool
+travels in the
+reaction time: delay of the readings, half a sample interval, half a controller period, τ); times are
+multiples of the sample interval, the reaction time or τ.
 """
 
 from __future__ import annotations

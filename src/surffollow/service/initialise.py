@@ -61,7 +61,7 @@ def initialise_memory(
     ):
         ctx[index] = house.address(part)
     ctx[m.LOG_CAPACITY] = config.log_words
-    ctx[m.INBOX] = house.inbox_bytes.ctypes.data
+    ctx[m.INBOX] = house.slots.address
     ctx[m.CONVERSIONS], ctx[m.CONVERSIONS_CAPACITY] = queue.address, queue.capacity
     ctx[m.SAMPLES], ctx[m.SAMPLES_CAPACITY] = samples[0].ctypes.data, samples[1]
     snapshot = seconds(config.snapshot, "snapshot", 0.01, 3600.0)

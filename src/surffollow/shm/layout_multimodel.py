@@ -1,6 +1,7 @@
 """State of the multiple-model follower: one record per stage of its block diagram.
 
-Lengths and times are plain numbers: multiples of `Reference.length_m` and `Reference.time_ns`, two powers of two
+Lengths and times are plain numbers: multiples of `Reference.length_m` and `Reference.time_ns`, two powers
+of two
 that follow from the stand-off and the axis' time constant. Only the stage that owns a record writes it.
 """
 
@@ -196,7 +197,7 @@ class Weights(Schema):
 
 
 class Shadow(Schema):
-    """Simulated axes (`plant.shadow_axes`): one per model, and some of other time constants behind the own set point."""
+    """Simulated axes (`plant.shadow_axes`): one per model, and some of other τ behind the own set point."""
 
     ticks = I64(doc="controller periods recorded")
     t = F64(SETPOINTS, doc="ring of their times")

@@ -1,13 +1,14 @@
 """The block `NAME.world`: where the simulated robot truly is, written by the robot, read by its sensors.
 
 One shared object as the service's own are (`shm.objects`): a header of one page, then a latch over
-`WorldPose`. A kernel-released lock (`shm.locks`) says who writes; a writer that finds the leavings of a
+`WorldPose`. A kernel-released lock (`shm.name_lock`) says who writes; a writer that finds the leavings of a
 dead one carries on in them with a new epoch. The service never reads this block: it sees only the
 reports that come through the client library.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from typing import Any
@@ -20,7 +21,7 @@ from surffollow.errors import BusyError, ExistsError, LayoutMismatchError, NotRe
 from surffollow.shm.dtypes import numpy_dtype, zeros
 from surffollow.shm.latch import latch_read, latch_write
 from surffollow.shm.latch_shape import latch_bytes
-from surffollow.shm.locks import WRITER_BYTE, FileLock
+from surffollow.shm.name_lock import NameLock
 from surffollow.shm.objects import SharedObject, unlink
 from surffollow.shm.schema import F64, I64, U64, Schema
 
@@ -84,53 +85,37 @@ def _sign(obj: SharedObject) -> None:
     header["magic"] = MAGIC
 
 
-def _make(name: str) -> tuple[SharedObject, FileLock]:
-    """A new block, locked and signed before it has its name."""
-    locks: list[FileLock] = []
-
-    def prepare(obj: SharedObject) -> None:
-        locks.append(FileLock.beside(obj.fd, True))
-        locks[0].exclusive(WRITER_BYTE)
-        _sign(obj)
-
+def _claim(name: str) -> tuple[SharedObject, NameLock]:
+    """The block, made or taken over from a dead writer, and the lock that makes it ours."""
+    own = _take_name(name)
     try:
-        return SharedObject.create(name, SIZE, MODE, prepare=prepare), locks[0]
+        while True:
+            try:
+                obj = SharedObject.open(name, writable=True, owners=(os.geteuid(),))
+            except NotRunningError:
+                with contextlib.suppress(ExistsError):  # somebody was faster: look at what it made
+                    return SharedObject.create(name, SIZE, MODE, prepare=_sign), own
+                continue
+            except NotReadyError:
+                unlink(name)  # empty, as no robot makes it
+                continue
+            if obj.size == SIZE and int(_View(obj).header["layout_hash"]) == WorldPose.HASH:
+                _sign(obj)
+                return obj, own
+            obj.close()
+            unlink(name)  # another version's: never changed under its readers
     except BaseException:
-        for lock in locks:
-            lock.close()
+        own.release()
         raise
 
 
-def _claim(name: str) -> tuple[SharedObject, FileLock]:
-    """The block, made or taken over from a dead writer, and the lock that makes it ours."""
+def _take_name(name: str) -> NameLock:
     deadline = time.monotonic() + DYING_S
-    while True:
-        try:
-            obj = SharedObject.open(name, writable=True)
-        except NotRunningError:
-            try:
-                return _make(name)
-            except ExistsError:
-                continue  # another robot was faster: look at what it made
-        except NotReadyError:
-            unlink(name)  # empty, as no robot makes it
-            continue
-        lock = FileLock.beside(obj.fd, True)
-        if lock.exclusive(WRITER_BYTE):
-            fits = obj.size == SIZE and int(_View(obj).header["layout_hash"]) == WorldPose.HASH
-            if fits and obj.is_current():
-                _sign(obj)
-                return obj, lock
-            if obj.is_current():
-                unlink(name)  # another version's: never changed under its readers
-        elif time.monotonic() > deadline:
-            lock.close()
-            obj.close()
+    while (own := NameLock.take(name)) is None:
+        if time.monotonic() > deadline:
             raise BusyError(f"block {name!r} has a live writer; stop that robot first")
-        else:
-            time.sleep(POLL_S)
-        lock.close()
-        obj.close()
+        time.sleep(POLL_S)
+    return own
 
 
 class _Mapped:
@@ -180,7 +165,7 @@ class WorldWriter(_Mapped):
         if unlink_it and self._object.is_current():
             unlink(self.name)
         self._view = None
-        self._lock.close()
+        self._lock.release()
         self._object.close()
 
 

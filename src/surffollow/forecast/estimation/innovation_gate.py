@@ -1,9 +1,11 @@
 """The innovation gate: outliers stay pending until enough of them agree, then they are a step.
 
-A step toward the tool is confirmed by agreeing samples, one away from it also by distance travelled: it may be a
-slot. How much is learned: slots come back, steps do not. Outliers on a steady course, a flank, agree too; then the
-gate opens wide enough for the course to go on. Outliers that do not agree widen the gate: the ground is rougher than
-was thought.
+A step toward the tool is confirmed by agreeing samples, one away from it also by distance travelled: it may
+be a
+slot. How much is learned: slots come back, steps do not. Outliers on a steady course, a flank, agree too;
+then the
+gate opens wide enough for the course to go on. Outliers that do not agree widen the gate: the ground is
+rougher than was thought.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Weights of the models: multiple-model switching and tuning with a two-horizon performance index.
 
-Every model's set points drive a simulated axis (Narendra and Balakrishnan's scheme). The squared error of that axis
-against the heights measured, averaged over a recent and a longer horizon, with an effort penalty, is the index J;
-the weights are proportional to 1/J^p of both.
+Every model's set points drive a simulated axis (Narendra and Balakrishnan's scheme). The squared error of
+that axis
+against the heights measured, averaged over a recent and a longer horizon, with an effort penalty, is the
+index J; the weights are proportional to 1/J^p of both.
 """
 
 from __future__ import annotations

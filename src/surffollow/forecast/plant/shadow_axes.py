@@ -1,6 +1,7 @@
 """Shadow axes: what the axis would have done with each model's set points.
 
-Axes 0 … N_MODELS−1 follow the models' set points with the identified time constant; the last `N_PLANTS` follow
+Axes 0 … N_MODELS−1 follow the models' set points with the identified time constant; the last `N_PLANTS`
+follow
 the own set point with other time constants, for identification. Set points are recorded once per controller
 period.
 """

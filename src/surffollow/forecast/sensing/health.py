@@ -47,8 +47,8 @@ def watch_ranges(m: Any) -> None:
     """Look at the newest range: stuck-at fault and fold-back.
 
     A sensor is stuck when its ranges lie closer together
-    than its own noise allows while the tool moves up or down: a live one answers to the tool's motion, or shows
-    its noise when the ground rises with the tool.
+    than its own noise allows while the tool moves up or down: a live one answers to the tool's motion, or
+    shows its noise when the ground rises with the tool.
     """
     h, s, k = m.health, m.sample, m.kinematics
     if s.fresh == 0:
@@ -79,8 +79,8 @@ def watch_ranges(m: Any) -> None:
 def _watch_fold_back(m: Any) -> None:
     """Latch or release TOO_CLOSE.
 
-    Nearer than its near limit a triangulating sensor reads like a farther target. The latch is released when a
-    move of the tool shows the range to move with it beyond the exit distance.
+    Nearer than its near limit a triangulating sensor reads like a farther target. The latch is released
+    when a move of the tool shows the range to move with it beyond the exit distance.
     """
     h, s, z = m.health, m.sample, m.kinematics.z
     if h.close == 0:

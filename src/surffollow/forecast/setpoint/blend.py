@@ -71,8 +71,8 @@ def blend_setpoints(m: Any, setpoints: Any) -> None:
 def filter_setpoint(m: Any, permitted: Any) -> None:
     """Carry the set point on at the rate the models expect; correct what exceeds the deadband.
 
-    The excess x beyond the band shrinks by dx/dt = −x² / (m.tuning.setpoint_soft · band · m.tuning.setpoint_soft_taus · τ): a large one at once,
-    a small one slowly, whatever the cycle.
+    The excess x beyond the band shrinks by dx/dt = −x² / (m.tuning.setpoint_soft · band ·
+    m.tuning.setpoint_soft_taus · τ): a large one at once, a small one slowly, whatever the cycle.
     """
     p, k = m.setpoint, m.kinematics
     dt = k.now - p.t
