@@ -93,7 +93,7 @@ def _ground(s: Scenario) -> tuple[NDArray[np.float64], float]:
     """Heights every 0.5 mm along the path, and where it begins [m]."""
     rng = np.random.default_rng([s.seed, 83])
     x = -0.01 + 0.5e-3 * np.arange(int((SECONDS * s.speed_mps + 0.1) / 0.5e-3))
-    make = (hull, lap_joints, terrain)[s.seed % 3]
+    make: Any = (hull, lap_joints, terrain)[s.seed % 3]
     return make(rng, x), float(x[0])
 
 
