@@ -138,8 +138,11 @@ def followers() -> dict[str, Factory]:
     return {
         "paper": _follower_factory({"mode": "paper", "pose_interpolate": "latest"}),
         "ours": _follower_factory({}),
-        "multimodel": _follower_factory({"mode": "multimodel"}),
     }
+
+
+# rows that run when they are named, not by default
+EXPERIMENTAL: dict[str, Factory] = {"multimodel": _follower_factory({"mode": "multimodel"})}
 
 
 def outside_follower(spec: str) -> Factory:
@@ -188,7 +191,7 @@ def factory_of(method: str) -> Factory:
     name, _, spec = method.partition("=")
     if spec:
         return outside_follower(spec)
-    known = followers()
+    known = followers() | EXPERIMENTAL
     if name not in known:
         raise UsageError(f"no method '{name}' here; there are {', '.join(all_methods())}")
     return known[name]
@@ -210,7 +213,7 @@ def check_methods(methods: Sequence[str]) -> list[str]:
     UsageError
         for a method that does not exist
     """
-    known = set(all_methods())
+    known = {*all_methods(), *EXPERIMENTAL}
     for method in methods:
         if "=" in method:
             check_follower(method.partition("=")[2])
