@@ -130,6 +130,17 @@ def test_a_stand_off_that_cannot_be_kept_is_refused(mode, config, offset_m, word
         Follower({"mode": mode, **config}, offset_m=offset_m)
 
 
+def test_a_second_sensor_is_refused():
+    with pytest.raises(ConfigError, match="one sensor"):
+        Follower({"mode": "multimodel", "sensors": [WINDOW, WINDOW]}, offset_m=STANDOFF_M)
+
+
+def test_a_range_is_not_forecast_before_the_default_follower_saw_one():
+    follower = multimodel()
+    list(drive(follower, noisy(50)))
+    assert math.isnan(follower.forecast_range_m(0.1))
+
+
 def test_a_reset_to_an_impossible_stand_off_changes_nothing():
     follower = multimodel()
     with pytest.raises(ConfigError, match="outside the sensor's window"):

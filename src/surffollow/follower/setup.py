@@ -100,6 +100,10 @@ def read_setup(config: Config, offset_m: float | None = None) -> FollowerSetup:
         values["too_close_m"], values["too_close_exit_m"] = too_close
     multimodel = data.get("mode") == MULTIMODEL
     if multimodel:
+        if len(mounts) > 1:
+            raise ConfigError(
+                f"mode {MULTIMODEL!r} follows with one sensor, not {len(mounts)}; use 'adaptive'"
+            )
         del data["mode"]
         values.update(DERIVED_IN_MULTIMODEL)
     tuning = check_tuning(data.pop("tuning", {})) if multimodel else {}

@@ -46,7 +46,7 @@ def set_reference(params: Any, m: Any, t_ns: Any) -> Any:
     r.standoff = params.offset_m / length
     r.v_max = params.plant_v_max_mps * tau_s / length
     r.a_max = params.plant_a_max_mps2 * tau_s * tau_s / length
-    r.near, r.far = params.range_min_m / length, params.range_max_m / length
+    r.near = params.range_min_m / length
     room = r.standoff - r.near
     r.too_close = r.near + TOO_CLOSE_SHARE * room
     r.too_close_exit = r.near + TOO_CLOSE_EXIT_SHARE * room

@@ -76,7 +76,6 @@ class Reference(Schema):
     too_close = F64(doc="nearer ranges latch TOO_CLOSE")
     too_close_exit = F64(doc="farther ranges may release it")
     near = F64(doc="nearest range of the window")
-    far = F64(doc="farthest range of the window")
 
 
 class Kinematics(Schema):
