@@ -20,7 +20,9 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """One simulated sensor 0.1 m over flat ground, alive for the whole module; do not kill it."""
-    s = Service(tmp_path_factory.mktemp("service"), config_text(kind="simulated"))
+    # many clients of many tests share it: who may set parameters is for service/test_policy.py
+    text = config_text(kind="simulated", access='parameters = "any"')
+    s = Service(tmp_path_factory.mktemp("service"), text)
     s.world = world = World(s.name)
     try:
         yield s.start()

@@ -78,6 +78,9 @@ class ShellLoop:
         self.controller = Controller(self.core, lambda: self)
         self.controller.connect(0.0)
 
+    def claim_pose(self) -> None:
+        """Nobody else sends one."""
+
     def sf_reset(self, offset_m: float) -> None:
         sf_reset(self.params, self.state, offset_m)
 

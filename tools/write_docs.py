@@ -1,18 +1,23 @@
-"""Write the generated part of docs/configuration.md from the table of parameters; `--check` only compares."""
+"""Write the generated parts of the documentation from what the program declares; `--check` only compares.
+
+docs/configuration.md   the table of parameters
+docs/arbiter.md         the arbiter's state diagram and its table
+"""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from surffollow.arbiter.diagram import state_diagram, transition_table
 from surffollow.config.params import PARAMS
 from surffollow.shm.layout_follow import Params
 
-PAGE = Path(__file__).parents[1] / "docs" / "configuration.md"
-BEGIN, END = "<!-- parameters: written by tools/write_docs.py -->\n", "<!-- end of parameters -->"
+DOCS = Path(__file__).parents[1] / "docs"
 
 
-def table() -> str:
+def parameters() -> str:
     """The parameters as a Markdown table."""
     lines = ["| parameter | default | from | to | unit | meaning |", "| --- | --- | --- | --- | --- | --- |"]
     for name, spec in PARAMS.items():
@@ -23,15 +28,30 @@ def table() -> str:
     return "\n".join(lines) + "\n"
 
 
-def page() -> str:
-    """The page as it should be."""
-    text = PAGE.read_text(encoding="utf-8")
-    head, rest = text.split(BEGIN, 1)
-    return head + BEGIN + table() + END + rest.split(END, 1)[1]
+# page, mark, what stands between <!-- MARK: written by tools/write_docs.py --> and <!-- end of MARK -->
+PARTS: tuple[tuple[str, str, Callable[[], str]], ...] = (
+    ("configuration.md", "parameters", parameters),
+    ("arbiter.md", "state diagram", state_diagram),
+    ("arbiter.md", "transitions", transition_table),
+)
+
+
+def pages() -> Iterator[tuple[Path, str, str]]:
+    """Each page with generated parts: where, as it is, as it should be."""
+    for name in dict.fromkeys(page for page, _, _ in PARTS):
+        path = DOCS / name
+        text = wanted = path.read_text(encoding="utf-8")
+        for page, mark, make in PARTS:
+            if page == name:
+                begin, end = f"<!-- {mark}: written by tools/write_docs.py -->\n", f"<!-- end of {mark} -->"
+                head, rest = wanted.split(begin, 1)
+                wanted = head + begin + make() + end + rest.split(end, 1)[1]
+        yield path, text, wanted
 
 
 if __name__ == "__main__":
-    wanted = page()
+    stale = [(path, wanted) for path, text, wanted in pages() if text != wanted]
     if "--check" in sys.argv[1:]:
-        sys.exit(0 if wanted == PAGE.read_text(encoding="utf-8") else "docs/configuration.md is out of date")
-    PAGE.write_text(wanted, encoding="utf-8")
+        sys.exit("\n".join(f"docs/{path.name} is out of date" for path, _ in stale) or 0)
+    for path, wanted in stale:
+        path.write_text(wanted, encoding="utf-8")

@@ -5,7 +5,8 @@
  *     ./controller surf 10
  *
  * The arm is a stand-in: an axis that reaches its set point within a speed limit. Put your own
- * read_pose() and move_to() in its place; the rest is what a real controller does.
+ * read_pose() and move_to() in its place; the rest is what a real controller does. Without a valid demand
+ * (stale, in doubt, the stop is latched) it brakes along the path and holds its height: docs/protocol.md, "Stop".
  */
 #include "surffollow.h"
 
@@ -14,6 +15,7 @@
 #define TICK_NS 10000000
 #define STANDOFF_M 0.1
 #define SPEED_MPS 0.05
+#define ACCEL_MPS2 0.2 /* along the path: at rest 0.25 s after the tick that missed the demand */
 
 static volatile sig_atomic_t stop;
 
@@ -65,15 +67,17 @@ int main(int argc, char **argv) {
 
   sf_client robot;
   int result = sf_attach(&robot, name);
+  if (result == SF_OK) result = sf_claim_pose(&robot); /* who sends the pose may set parameters */
   if (result == SF_OK) result = sf_sf_reset(&robot, STANDOFF_M);
-  if (result == SF_OK) result = sf_claim_pose(&robot);
   if (result != SF_OK) {
     fprintf(stderr, "controller: %s (%" PRId64 ")\n", sf_strerror(result), robot.detail);
     sf_detach(&robot);
     return 1;
   }
 
-  int64_t valid = 0, silent = 0, refused = 0, worst_age_ns = 0;
+  int64_t valid = 0, silent = 0, stopped = 0, refused = 0, worst_age_ns = 0;
+  double x_m = 0.0, speed_mps = 0.0;
+  int following = 0;
   /* where the tool was at the last ticks, for a demand refers to the pose it was computed from */
   enum { HISTORY = 64 };
   int64_t sent_ns[HISTORY] = {0};
@@ -88,17 +92,24 @@ int main(int argc, char **argv) {
     sent_ns[k % HISTORY] = now;
     sent_z_m[k % HISTORY] = pose[2];
 
-    double set_point_m = arm_set_point_m;
+    /* follow a valid demand; without one, or with one for a pose unknown here: hold the height, brake, stay */
+    double set_point_m = following ? arm_z_m : arm_set_point_m;
+    following = 0;
     sf_demand d;
     if (sf_dev_vector(&robot, &d) == SF_OK) {
       for (int i = 0; i < HISTORY; i++)
-        if (sent_ns[i] == d.pose_t_ns) set_point_m = sent_z_m[i] + d.demand[2];
+        if (sent_ns[i] == d.pose_t_ns) set_point_m = sent_z_m[i] + d.demand[2], following = 1;
       valid++;
       if (d.age_ns > worst_age_ns) worst_age_ns = d.age_ns;
     } else if (d.status & SF_STALE) {
       silent++;
+    } else if (d.status & SF_STOPPED) {
+      stopped++; /* until the one who watches the robot has found out why and calls sf_stop_reset */
     }
-    move_to((double)k * SPEED_MPS * TICK_NS * 1e-9, set_point_m);
+    speed_mps += (following ? ACCEL_MPS2 : -ACCEL_MPS2) * TICK_NS * 1e-9;
+    speed_mps = speed_mps < 0.0 ? 0.0 : speed_mps > SPEED_MPS ? SPEED_MPS : speed_mps;
+    x_m += speed_mps * TICK_NS * 1e-9;
+    move_to(x_m, set_point_m);
     sf_sleep_until_ns(start + (k + 1) * TICK_NS);
   }
 
@@ -106,9 +117,9 @@ int main(int argc, char **argv) {
   result = sf_raw_distance(&robot, 0, &range_m);
   sf_status_info s;
   sf_status(&robot, &s);
-  printf("valid %" PRId64 " stale %" PRId64 " refused %" PRId64 " worst_age_us %" PRId64 " distance_m %.6f z_m %.6f "
+  printf("x_m %.6f speed_mps %.6f stopped %" PRId64 " valid %" PRId64 " stale %" PRId64 " refused %" PRId64 " worst_age_us %" PRId64 " distance_m %.6f z_m %.6f "
          "epoch %" PRId64 " poses %" PRId64 "\n",
-         valid, silent, refused, worst_age_ns / 1000, result == SF_OK ? range_m : -1.0, arm_z_m, robot.epoch, s.poses);
+         x_m, speed_mps, stopped, valid, silent, refused, worst_age_ns / 1000, result == SF_OK ? range_m : -1.0, arm_z_m, robot.epoch, s.poses);
   sf_detach(&robot);
   return 0;
 }

@@ -5,6 +5,7 @@
 //     ./controller surf 10 map.txt
 #include "surffollow.h"
 
+#include <algorithm>
 #include <array>
 #include <csignal>
 #include <cstdlib>
@@ -71,17 +72,19 @@ class Robot {
 };
 
 constexpr std::int64_t tick_ns = 10'000'000;
-constexpr double speed_mps = 0.05;
+constexpr double path_speed_mps = 0.05;
+constexpr double path_accel_mps2 = 0.2; // at rest 0.25 s after the tick that missed the demand
 
 int run(const std::string &name, double seconds, const std::string &map_path) {
   Robot robot(name);
+  robot.claim_pose(); // who sends the pose may set parameters
   robot.reset(0.1);
   robot.set("max_demand", 0.02);
-  robot.map_reset({-0.05, -0.05, 0.05 + speed_mps * seconds, 0.05});
-  robot.claim_pose();
+  robot.map_reset({-0.05, -0.05, 0.05 + path_speed_mps * seconds, 0.05});
 
   std::deque<std::pair<std::int64_t, double>> sent; // stamps and heights: demands refer to them
-  double x_m = 0.0, z_m = 0.1, set_point_m = 0.1;
+  double x_m = 0.0, z_m = 0.1, set_point_m = 0.1, speed_mps = 0.0;
+  bool following = false;
   std::int64_t valid = 0, refused = 0;
   const std::int64_t start = sf_now_ns();
   const auto ticks = static_cast<std::int64_t>(seconds * 1e9) / tick_ns;
@@ -90,15 +93,24 @@ int run(const std::string &name, double seconds, const std::string &map_path) {
     if (!robot.ee_pos({x_m, 0.0, z_m, 0.0, 0.0, 0.0, 1.0}, now)) ++refused;
     sent.emplace_back(now, z_m);
     if (sent.size() > 64) sent.pop_front();
+    // without a valid demand (stale, in doubt, the stop is latched): hold the height and brake along the path, as
+    // docs/protocol.md says under "Stop"
+    if (following) set_point_m = z_m;
+    following = false;
     if (const auto d = robot.demand()) {
       for (const auto &[t_ns, height_m] : sent)
-        if (t_ns == d->pose_t_ns) set_point_m = height_m + d->demand[2];
+        if (t_ns == d->pose_t_ns) {
+          set_point_m = height_m + d->demand[2];
+          following = true;
+        }
       ++valid;
     }
     const double most = 0.2 * static_cast<double>(tick_ns) * 1e-9; // the stand-in arm: 0.2 m/s
     const double step = set_point_m - z_m;
     z_m += step > most ? most : step < -most ? -most : step;
-    x_m += speed_mps * static_cast<double>(tick_ns) * 1e-9;
+    const double tick_s = static_cast<double>(tick_ns) * 1e-9;
+    speed_mps = std::clamp(speed_mps + (following ? path_accel_mps2 : -path_accel_mps2) * tick_s, 0.0, path_speed_mps);
+    x_m += speed_mps * tick_s;
     sf_sleep_until_ns(start + (k + 1) * tick_ns);
   }
   if (!map_path.empty()) robot.upload_map(map_path);

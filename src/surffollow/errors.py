@@ -9,6 +9,7 @@
     │   ├── RegionError                    a map region is empty, inverted or too large
     │   ├── ClosedError                    the attachment was closed by its owner
     │   ├── NameError_                     a block name is not allowed
+    │   ├── ScanInputError                 an image, path or limit that no scan can be planned with
     │   └── SchemaError                    a schema declaration makes no layout
     └── FaultError                         the world is not as it must be                  exit code 1
         ├── ServiceError
@@ -27,6 +28,7 @@
         ├── RecordingError                 a recording or log cannot be read
         ├── MapFileError                   a map file cannot be read or written
         │   └── MapCancelledError          the caller cancelled reading or writing it
+        ├── ScanFileError                  a depth image, camera or path file cannot be read or written
         └── DriverError                    a sensor driver cannot start or go on
 """
 
@@ -63,6 +65,10 @@ class ClosedError(UsageError):
 
 class NameError_(UsageError):  # noqa: N801, N818 - the builtin has the plain name
     """A service or block name with characters that a path could misread."""
+
+
+class ScanInputError(UsageError):
+    """An image, camera, region, path or limit with which no scan can be planned."""
 
 
 class SchemaError(UsageError):
@@ -139,6 +145,10 @@ class MapFileError(FaultError):
 
 class MapCancelledError(MapFileError):
     """The caller's progress callback asked to stop; nothing was changed."""
+
+
+class ScanFileError(FaultError):
+    """A depth image, camera table, point cloud or path file that cannot be read or written."""
 
 
 class DriverError(FaultError):

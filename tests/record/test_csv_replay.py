@@ -15,10 +15,12 @@ from click.testing import CliRunner
 
 from surffollow.cli.record import replay_command
 from surffollow.errors import UsageError
+from surffollow.map import HeightMap
 from surffollow.record.columns import Columns, load_columns, parse_columns
 from surffollow.record.csv_log import CsvLog, read_csv
 from surffollow.record.csv_replay import (
     CsvReplay,
+    follow_notes,
     run_csv,
     score_forecast,
     summarise,
@@ -38,6 +40,7 @@ PLAIN = {
     "forecast": {"horizons": ["1 s"], "match": "0.3 s"},
     "follow": {"interval_size": "0.5 m", "range_size": 2, "ee_readings": 1},
 }
+DEPTH: dict[str, object] = {"column": "d", "unit": "cm", "min": "5 cm", "max": "10 m", "kind": "depth"}
 HEADER = "t,d,n,e,u,roll,pitch,yaw\n"
 
 
@@ -311,3 +314,98 @@ def test_the_echo_sounders_zeros_are_no_readings() -> None:
     still = [row["no_change_rms_m"] for row in summary["forecast"]]
     np.testing.assert_allclose(still, [0.19, 0.52, 0.95], rtol=0.02)
     assert summary["height_m"]["max"] < -4.0, "a zero depth would put the bottom at the surface"
+
+
+@pytest.mark.parametrize(
+    ("position", "expected"),
+    [
+        ({"up": "u", "unit": "m"}, [0.0, 0.0, 3.0]),
+        ({"east": "e", "unit": "m"}, [2.0, 0.0, 0.0]),
+        ({"north": "n", "up": "u", "unit": "m"}, [0.0, 1.0, 3.0]),
+    ],
+)
+def test_an_axis_without_a_column_is_zero_and_its_column_need_not_be_there(
+    tmp_path: Path, position: dict[str, str], expected: list[float]
+) -> None:
+    values = {"n": 1, "e": 2, "u": 3}
+    used = [v for k, v in position.items() if k != "unit"]
+    header = ",".join(["t", "d", *used])
+    row = ",".join(["0", "200", *(str(values[c]) for c in used)])
+    columns = parse_columns({"time": PLAIN["time"], "range": PLAIN["range"], "position": position})
+    log = log_of(tmp_path, f"{header}\n{row}\n", columns)
+    assert log.pose[0, :3].tolist() == expected
+
+
+def test_a_depth_is_straight_down_however_the_vehicle_is_tilted(tmp_path: Path) -> None:
+    columns = plain(range=DEPTH)
+    log = log_of(tmp_path, HEADER + "0,400,0,0,1000,20,-30,77\n", columns)
+    np.testing.assert_allclose(target_points(log, columns)[0], [0.0, 0.0, 1.0 - 4.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"position": {"unit": "m"}}, "names no column"),
+        (
+            {"range": DEPTH, "mount": {"position": ["1 m", "0 m", "0 m"]}},
+            "straight down",
+        ),
+        ({"range": {**DEPTH, "kind": "sonar"}}, "kind"),
+    ],
+)
+def test_a_column_file_that_contradicts_itself_is_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        plain(**change)
+
+
+@pytest.mark.parametrize("mode", ["paper", "adaptive"])
+def test_what_a_note_calls_idle_changes_nothing_and_what_it_does_not_changes_something(
+    tmp_path: Path, mode: str
+) -> None:
+    log = slope_log(tmp_path)
+    before = run_csv(log, plain(follow={}), mode)
+    changes = {
+        "ee_readings": 2,
+        "interval_size": "0.1 m",
+        "range_size": 3,
+        "sensor_readings": 3,
+        "permitted_variance": "1 mm",
+    }
+    seen = []
+    for key, value in changes.items():
+        columns = plain(follow={key: value})
+        after = run_csv(log, columns, mode)
+        same = all(
+            np.array_equal(getattr(after, name), getattr(before, name), equal_nan=True)
+            for name in ("height_m", "slope", "forecast_m", "target_m")
+        )
+        if follow_notes(columns, mode):
+            assert same, key
+            seen.append(key)
+        elif mode == "paper" or key == "sensor_readings":
+            assert not same, key
+    assert "sensor_readings" not in seen
+    assert ("interval_size" in seen) == (mode == "adaptive")
+
+
+def test_a_log_becomes_a_map_of_all_its_heights(tmp_path: Path) -> None:
+    rows = "".join(f"{500 * k},{300 + 10 * k},{1000 * k},0,0,0,0,0\n" for k in range(60))
+    (tmp_path / "log.csv").write_text(HEADER + rows)
+    (tmp_path / "c.toml").write_text(
+        '[time]\ncolumn="t"\nunit="ms"\n[range]\ncolumn="d"\nunit="cm"\nmax="10 m"\n'
+        '[position]\nnorth="n"\nunit="mm"\n'
+    )
+    words = [
+        str(tmp_path / "log.csv"),
+        "--columns",
+        str(tmp_path / "c.toml"),
+        "--map",
+        str(tmp_path / "m.txt"),
+    ]
+    done = CliRunner().invoke(replay_command, words, catch_exceptions=False)
+    assert done.exit_code == 0
+    made = HeightMap.load(tmp_path / "m.txt")
+    heights = made.heights_m[np.isfinite(made.heights_m)]
+    assert made.clipped == 0
+    assert heights.size == pytest.approx(60, abs=2)
+    assert (heights.max(), heights.min()) == (pytest.approx(-3.0, abs=1e-3), pytest.approx(-8.9, abs=1e-3))

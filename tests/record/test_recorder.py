@@ -171,7 +171,8 @@ def test_any_mcap_reader_opens_the_recording_and_finds_the_layout(
     assert code == "f8"
     assert np.frombuffer(message.data[begin : begin + 8], np.float64)[0] == 0.1
     assert metadata["surffollow.summary"]["cycles"] == "1000"
-    assert message.log_time == 1_000_000_000
+    offset_ns = int(metadata["surffollow.clock"]["wall_minus_monotonic_ns"])
+    assert message.log_time == 1_000_000_000 + offset_ns
 
 
 def test_a_log_of_another_version_is_refused_and_not_recorded_as_one_long_loss(tmp_path: Path) -> None:

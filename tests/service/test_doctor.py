@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 import time
@@ -15,8 +16,9 @@ from click.testing import CliRunner
 from surffollow.cli.doctor import doctor_command, latency_command, render
 from surffollow.client.report import percentile_ns
 from surffollow.errors import UsageError
-from surffollow.service import doctor
+from surffollow.service import doctor, doctor_host
 from surffollow.service.doctor_latency import Lateness, measure_lateness, parse_cyclictest
+from surffollow.service.doctor_unit import examine_unit
 from surffollow.shm.layout_board import HISTOGRAM_BINS
 
 
@@ -178,3 +180,130 @@ def test_latency_measures_and_prints_percentiles_and_a_histogram():
 )
 def test_latency_refuses_what_cannot_be(line):
     assert isinstance(CliRunner().invoke(latency_command, line).exception, UsageError)
+
+
+LOGIND = "run__systemd__system__x"
+
+
+@pytest.mark.parametrize(
+    ("uid", "files", "state", "found"),
+    [
+        (1000, {}, "good", "no systemd-logind"),
+        (1000, {LOGIND: ""}, "lacking", "built-in default"),
+        (999, {LOGIND: ""}, "good", "system users"),
+        (
+            1000,
+            {LOGIND: "", "etc__systemd__logind.conf": "[Login]\nRemoveIPC=no"},
+            "good",
+            "no (/etc/systemd/logind",
+        ),
+        (1000, {LOGIND: "", "etc__systemd__logind.conf": "[Login]\n#RemoveIPC=no"}, "lacking", "default"),
+        (
+            1000,
+            {
+                LOGIND: "",
+                "etc__systemd__logind.conf": "RemoveIPC=no",
+                "etc__systemd__logind.conf.d__a.conf": "RemoveIPC = yes",
+            },
+            "lacking",
+            "logind.conf.d/a.conf",
+        ),
+    ],
+)
+def test_logind_that_removes_the_objects_at_logout_is_found(tmp_path, monkeypatch, uid, files, state, found):
+    monkeypatch.setattr(doctor_host.os, "geteuid", lambda: uid)
+    got = doctor_host.check_remove_ipc(tree(tmp_path, **files))
+    assert (got.state, found in got.found) == (state, True), got
+    assert ("systemctl restart systemd-logind" in got.remedy) == (state == "lacking")
+
+
+def test_interrupts_on_the_cycles_processor_are_counted(tmp_path, monkeypatch):
+    monkeypatch.setattr(doctor_host.os, "sched_getaffinity", lambda _: {0, 1, 2, 3})
+    files = {
+        "sys__devices__system__cpu__online": "0-3",
+        "proc__irq__9__effective_affinity_list": "3",
+        "proc__irq__9__smp_affinity_list": "0-3",
+        "proc__irq__9__nvme__x": "",
+        "proc__irq__10__effective_affinity_list": "1",
+        "proc__irq__10__smp_affinity_list": "0-3",
+        "proc__irq__10__eth__x": "",
+        "proc__irq__11__effective_affinity_list": "3",
+        "proc__irq__11__smp_affinity_list": "3",  # no driver has asked for it
+    }
+    got = doctor_host.check_interrupts(tree(tmp_path / "bad", **files))
+    assert got.state == "lacking"
+    assert "processor 3: 1 interrupts come to it, 1 more may" in got.found
+    assert "echo 0,1,2 > $f" in got.remedy
+    files |= {
+        f"proc__irq__{n}__{f}": "0-2"
+        for n in (9, 10)
+        for f in ("effective_affinity_list", "smp_affinity_list")
+    }
+    assert doctor_host.check_interrupts(tree(tmp_path / "good", **files)).state == "good"
+
+
+@pytest.mark.parametrize(
+    ("text", "state"),
+    [
+        ("[always] madvise never", "lacking"),
+        ("always [madvise] never", "good"),
+        ("always madvise [never]", "good"),
+    ],
+)
+def test_huge_pages_are_told_apart(tmp_path, text, state):
+    got = doctor_host.check_huge_pages(tree(tmp_path, sys__kernel__mm__transparent_hugepage__enabled=text))
+    assert got.state == state
+    assert ("echo madvise" in got.remedy) == (state == "lacking")
+
+
+@pytest.mark.parametrize(
+    ("lines", "state"),
+    [("", "good"), ("/dev/sda2 partition 1000 0 -2", "fair"), ("/f file 9 5 -2", "lacking")],
+)
+def test_swap_is_found(tmp_path, lines, state):
+    got = doctor_host.check_swap(tree(tmp_path, proc__swaps=f"Filename Type Size Used Priority\n{lines}"))
+    assert got.state == state
+    assert ("swapoff -a" in got.remedy) == (state != "good")
+
+
+UNIT = Path(__file__).parents[2] / "examples" / "systemd" / "surffollow.service"
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
+def test_the_example_unit_is_valid_and_shut_in_and_a_bad_one_is_not(tmp_path):
+    text = UNIT.read_text().replace("/usr/local/bin/surffollow", sys.executable)
+    unit = tmp_path / "surffollow.service"
+    unit.write_text(text)
+    got = CliRunner().invoke(doctor_command, ["--unit", str(unit), "--json"], catch_exceptions=False)
+    checks = {c["name"]: c for c in json.loads(got.output)["checks"]}
+    assert {n: c["state"] for n, c in checks.items()} == {"unit": "good", "exposure": "good"}, checks
+    unit.write_text(
+        text.replace("Restart=on-failure", "Restrat=on-failure").replace("NoNewPrivileges=yes", "")
+    )
+    bad = {f.name: f for f in examine_unit(unit)}
+    assert bad["unit"].state == "lacking"
+    assert "Restrat" in bad["unit"].found
+    unit.write_text("[Service]\nExecStart=/bin/true\n")
+    assert {f.name: f.state for f in examine_unit(unit)}["exposure"] == "lacking"
+
+
+def test_a_unit_file_that_is_not_there_and_a_machine_without_systemd(tmp_path, monkeypatch):
+    with pytest.raises(UsageError, match="no unit file"):
+        examine_unit(tmp_path / "none.service")
+    monkeypatch.setattr("surffollow.service.doctor_unit.shutil.which", lambda _: None)
+    assert {f.state for f in examine_unit(UNIT)} == {"unknown"}
+
+
+def test_the_unit_asks_for_all_that_the_service_asks_the_kernel_for():
+    text = UNIT.read_text()
+    for line in (
+        "LimitRTPRIO=99",
+        "LimitMEMLOCK=infinity",
+        "DeviceAllow=/dev/cpu_dma_latency rw",
+        "Type=notify",
+    ):
+        assert f"\n{line}\n" in text
+    rule = UNIT.with_name("60-surffollow.rules").read_text()
+    assert 'KERNEL=="cpu_dma_latency"' in rule
+    group = next(line for line in text.splitlines() if line.startswith("Group=")).partition("=")[2]
+    assert f'GROUP="{group}"' in rule

@@ -40,6 +40,9 @@ class PerfectService:
         self.field, self.offset_m, self.poses = field, 0.0, []
         self.silent, self.closed, self.epoch, self.resets = False, False, 1, 0
 
+    def claim_pose(self) -> None:
+        pass
+
     def sf_reset(self, offset_m: float) -> None:
         self.offset_m = offset_m
         self.resets += 1

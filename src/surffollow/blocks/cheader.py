@@ -1,4 +1,4 @@
-"""C for user blocks: the structures of any schema, and how to map a block and read it without waiting.
+"""C for user blocks: the structures of any schema, how to map a block, read it and write it.
 
 The text stands on `surffollow.h` (`surffollow header`), which brings the latch and the fences.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from surffollow.blocks import layout as bl
+from surffollow.blocks.cwriter import schema_constant, writer_text
 from surffollow.shm.schema import Schema
 
 _READER = """
@@ -19,6 +20,7 @@ typedef struct sfb_block {
   size_t size, payload_bytes;
   const unsigned char *latch;
   uid_t owner; /* the user whose block it is */
+  ino_t inode;
 } sfb_block;
 
 static inline uint64_t sfb_word(const unsigned char *memory, size_t at) {
@@ -69,6 +71,7 @@ static inline int sfb_open_owner(sfb_block *block, const char *object_name, uint
     block->latch = block->memory + latch;
   }
   block->owner = status.st_uid;
+  block->inode = status.st_ino;
   return 0;
 }
 
@@ -114,7 +117,7 @@ static inline void sfb_close(sfb_block *block) {
 
 
 def c_header(schemas: type[Schema] | Iterable[type[Schema]], prefix: str = "sfb_") -> str:
-    """C11/C++17 text for blocks: their structures, hashes, and a reader that never waits.
+    """C11/C++17 text for blocks: their structures, hashes, readers and a writer.
 
     Parameters
     ----------
@@ -136,7 +139,9 @@ def c_header(schemas: type[Schema] | Iterable[type[Schema]], prefix: str = "sfb_
     lines += [c_struct(s, prefix) for s in ordered]
     for s in tops:
         lines.append(f"#define {c_name(s, prefix).upper()}_HASH UINT64_C({s.HASH})")
-    lines += [_reader_text(), "#ifdef __cplusplus", "}", "#endif", ""]
+    lines += [reader_text(), writer_text()]
+    lines += [schema_constant(s, c_name(s, prefix)) for s in tops]
+    lines += ["#ifdef __cplusplus", "}", "#endif", ""]
     return "\n".join(lines)
 
 
@@ -147,7 +152,8 @@ def _with_nested(schema: type[Schema], ordered: dict[type[Schema], None]) -> Non
     ordered.setdefault(schema)
 
 
-def _reader_text() -> str:
+def reader_text() -> str:
+    """C text of the reader of any block, guarded against being included twice."""
     at = bl.BlockHeader.offset
     values = {
         "head_bytes": bl.PAGE,

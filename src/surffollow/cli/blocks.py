@@ -1,4 +1,4 @@
-"""`surffollow blocks ls`, `show`, `watch` and `header`."""
+"""`surffollow blocks ls`, `show`, `watch`, `record` and `header`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WATCH_POLL_S = 0.001
 
 @click.group("blocks")
 def blocks_group() -> None:
-    """List, show and watch shared blocks (NAME.BLOCK), without disturbing who uses them."""
+    """List, show, watch and record shared blocks (NAME.BLOCK), without disturbing who uses them."""
 
 
 @blocks_group.command("ls")
@@ -157,6 +157,40 @@ def _flat(value: Any) -> str:
     if isinstance(value, list) and value and isinstance(value[0], dict):
         return "[" + ", ".join(_flat(v) for v in value[:4]) + "]"
     return _text(value)
+
+
+@blocks_group.command("record")
+@click.argument("blocks", nargs=-1, required=True, metavar="BLOCK...")
+@click.option("--out", type=click.Path(dir_okay=False), required=True, help="MCAP file to write.")
+@click.option(
+    "--every",
+    type=Finite(min=0.0),
+    default=0.005,
+    show_default=True,
+    help="Seconds between looks; what is published in between is missed, and counted.",
+)
+@click.option("--seconds", type=Finite(min=0.0), default=None, help="Stop after this long.")
+@click.option("--force", is_flag=True, help="Replace an existing file.")
+@click.option("--json", "as_json", is_flag=True, help="Print the counts as JSON.")
+def record_command(
+    blocks: tuple[str, ...], out: str, every: float, seconds: float | None, force: bool, as_json: bool
+) -> None:
+    """Record every publication of BLOCKs (NAME.BLOCK) into an MCAP file, until Ctrl-C or --seconds.
+
+    Viewers such as Foxglove plot it; `surffollow convert FILE --to csv` makes tables of it.
+    """
+    from surffollow.cli.progress import stop_event
+    from surffollow.errors import UsageError
+    from surffollow.record.block_file import record_blocks
+
+    if every < WATCH_POLL_S:
+        raise UsageError(f"--every must be at least {WATCH_POLL_S:g} s, not {every:g}")
+    counts = record_blocks(blocks, out, stop_event(), every_s=every, seconds=seconds, force=force)
+    if as_json:
+        print(json.dumps({"file": out, "publications": counts.publications, "missed": counts.missed}))
+        return
+    for name, n in counts.publications.items():
+        print(f"{out}: {n} publications of {name}, {counts.missed[name]} missed")
 
 
 @blocks_group.command("header")

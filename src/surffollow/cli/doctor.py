@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import click
@@ -15,11 +16,18 @@ _BAR = 50
 
 @click.command("doctor")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def doctor_command(as_json: bool) -> None:
-    """Say what this machine lacks for hard timing, why it matters and how to get it. Changes nothing."""
-    from surffollow.service.doctor import examine, machine
+@click.option(
+    "--unit", type=click.Path(dir_okay=False), help="Judge this systemd unit file instead of the machine."
+)
+def doctor_command(as_json: bool, unit: str | None) -> None:
+    """Say what this machine lacks for hard timing, why it matters and how to get it. Changes nothing.
 
-    findings = examine()
+    With --unit: what systemd-analyze says of a unit file, where that is installed.
+    """
+    from surffollow.service.doctor import examine, machine
+    from surffollow.service.doctor_unit import examine_unit
+
+    findings = examine() if unit is None else examine_unit(Path(unit))
     lacking = [f.name for f in findings if f.state == "lacking"]
     if as_json:
         checks = [f.as_dict() for f in findings]
@@ -35,7 +43,8 @@ def doctor_command(as_json: bool) -> None:
             if f.remedy:
                 print(f"{'':7}{'':{width}}  get: {f.remedy}")
     print(f"{len(lacking)} of {len(findings)} lacking" + (f": {', '.join(lacking)}" if lacking else ""))
-    print("measure what comes of it: surffollow latency")
+    if unit is None:
+        print("measure what comes of it: surffollow latency")
 
 
 @click.command("latency")

@@ -43,8 +43,9 @@ LENGTH = Length()
 def map_group() -> None:
     """Show, export, compose, refocus and compare map files; upload and install a service's map.
 
-    Files are the text format of UpLoadMap or .npz (both lossless); .asc and .tif rasters are read as
-    a prior (count 0).
+    Every command reads the text format of UpLoadMap and .npz (lossless), ESRI ASCII grids and GeoTIFF
+    (as a prior, count 0), by their content. Every command writes what the suffix says: .txt .npz .asc
+    .tif .ply .xyz .las .png .svg .pdf.
     """
 
 
@@ -150,10 +151,12 @@ def show_command(file: str, width: int, show_counts: bool) -> None:
 def export_command(file: str, target: str) -> None:
     """Write a map as TARGET; its suffix says how.
 
-    .txt .npz lossless; .asc ESRI ASCII grid; .tif GeoTIFF; .ply mesh; .png shaded relief and counts.
+    .txt .npz lossless; .asc ESRI ASCII grid; .tif GeoTIFF; .ply mesh; .xyz and .las points of known
+    grids; .png .svg .pdf shaded relief and counts of what is known.
     """
-    from surffollow.map.files import export
+    from surffollow.map.files import check_suffix, export
 
+    check_suffix(target)
     m = _load(file)
     with progress_bar("exporting") as progress:
         export(target, m.header, m.pairs, progress=progress)
@@ -172,8 +175,9 @@ def export_command(file: str, target: str) -> None:
 def compose_command(files: Sequence[str], output: str, grids: int | None, as_json: bool) -> None:
     """Put several maps together into one, weighted by sample counts."""
     from surffollow.map.compose import compose
-    from surffollow.map.files import export
+    from surffollow.map.files import check_suffix, export
 
+    check_suffix(output)
     with progress_bar("composing") as progress:
         whole = compose([_load(f) for f in files], grids=grids, progress=progress)
     export(output, whole.header, whole.pairs)
@@ -201,19 +205,46 @@ def refocus_command(
 ) -> None:
     """Lay a map over another region; heights are carried over, counts become 0.
 
+    Grids are as fine as memory (--grids) and --finest allow. Where the size of the grids stays, whole
+    grids are moved and no height changes; other sizes are area-weighted means.
+
     Negative coordinates need `--` before them: refocus -o new.txt old.txt -- -1 -1 1 1
     """
     from surffollow.map import HeightMap
-    from surffollow.map.files import export
+    from surffollow.map.files import check_suffix, export
 
+    check_suffix(output)
     m = HeightMap.load(file, grids=grids)
+    before, known = m.grid_m, _known(m)
     if finest is not None:
         if not finest > 0:
             raise UsageError(f"--finest must be positive, not {finest}")
         m.header["finest_grid_m"] = finest
     m.refocus(region)
     export(output, m.header, m.pairs)
-    _print(_facts(m), as_json)
+    facts = _facts(m)
+    _print({**facts, "grid_before_m": before, "known_before": known}, as_json)
+    if not as_json:
+        click.echo(_kept_text(before, m, finest), err=True)
+
+
+def _known(m: HeightMap) -> int:
+    import numpy as np
+
+    return int(np.isfinite(m.heights_m).sum())
+
+
+def _kept_text(before_m: float, m: HeightMap, finest: float | None) -> str:
+    """What a MapRefocus did to the resolution, and what would change it."""
+    after_m = m.grid_m
+    sizes = f"grids of {before_m * 1e3:.6g} mm"
+    if abs(after_m - before_m) <= 1e-9 * before_m:
+        text = f"{sizes} kept, heights as they were"
+        return text if finest is not None else f"{text}; --finest LENGTH lays finer ones"
+    text = f"{sizes} became {after_m * 1e3:.6g} mm: heights are area-weighted means"
+    if after_m < before_m:
+        return f"{text}; no detail is gained until new samples come"
+    return f"{text}; --grids N (more memory) keeps finer ones"
 
 
 @map_group.command("diff")

@@ -24,12 +24,21 @@ _TIMEOUT = click.option(
 @_NAME
 @_TIMEOUT
 def upload_command(file: str, name: str, timeout_s: float) -> None:
-    """Write the map of a running service to FILE (text, lossless); an old file is replaced at the end."""
+    """Write the map of a running service to FILE, in the format of its suffix; an old file is replaced.
+
+    .txt and .npz are lossless; the others are those of `map export`.
+    """
+    from pathlib import Path
+
     from surffollow.cli.map import progress_bar
     from surffollow.client import attach
+    from surffollow.client.map_reader import copy_live_map
+    from surffollow.map.files import check_suffix, export
 
+    check_suffix(file)
     with attach(name, label="map upload") as client, progress_bar("writing") as progress:
-        client.upload_map(file, timeout_s=timeout_s, progress=progress)
+        header, pairs = copy_live_map(client, timeout_s)
+        export(Path(file), header, pairs, progress=progress)
 
 
 @click.command("install")
@@ -39,7 +48,8 @@ def upload_command(file: str, name: str, timeout_s: float) -> None:
 def install_command(file: str, name: str, timeout_s: float) -> None:
     """Put a map FILE in the place of a running service's map; following goes on meanwhile.
 
-    The file is checked as a whole first. Interrupted after that, the map is empty.
+    FILE is the map's text file, .npz, an ESRI ASCII grid or a GeoTIFF, whatever its name ends in.
+    It is checked as a whole first. Interrupted after that, the map is empty.
     """
     from surffollow.cli.map import progress_bar
     from surffollow.client import attach

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from surffollow.cli.values import SERVICE_NAME, Finite
+from surffollow.cli.values import DURATION, SERVICE_NAME, SIZE, Finite
+
+if TYPE_CHECKING:
+    from surffollow.record.columns import Columns
+    from surffollow.record.csv_replay import CsvReplay
+
+TABLES = (".csv", ".parquet")
 
 
 @click.command("record")
@@ -15,38 +21,69 @@ from surffollow.cli.values import SERVICE_NAME, Finite
     "--out", type=click.Path(dir_okay=False), default=None, help="File to write.  [default: NAME-TIME.mcap]"
 )
 @click.option("--seconds", type=Finite(min=0.0), default=None, help="Stop after this long.")
+@click.option(
+    "--rate",
+    type=Finite(min=0.0, max=10_000.0),
+    default=100.0,
+    show_default=True,
+    help="Samples per second of the channels for viewers; 0: only what a replay needs.",
+)
+@click.option(
+    "--rotate-size", type=SIZE, default=None, help="Begin another file after so many bytes, such as 100MB."
+)
+@click.option("--rotate-time", type=DURATION, default=None, help="Begin another file after this long: 10min.")
+@click.option(
+    "--keep",
+    type=click.IntRange(1),
+    default=None,
+    help="With --rotate-…: remove the oldest files of this recording beyond so many.",
+)
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 @click.option("--json", "as_json", is_flag=True, help="Print the final counts as JSON.")
-def record_command(name: str, out: str | None, seconds: float | None, force: bool, as_json: bool) -> None:
+def record_command(
+    name: str,
+    out: str | None,
+    seconds: float | None,
+    rate: float,
+    rotate_size: int | None,
+    rotate_time: float | None,
+    keep: int | None,
+    force: bool,
+    as_json: bool,
+) -> None:
     """Record every cycle of a service into an MCAP file, until Ctrl-C or --seconds.
 
-    The file replays bit for bit (`surffollow replay FILE`). A service that stops is
+    The file replays bit for bit (`surffollow replay FILE`), and Foxglove and Rerun show its standard
+    channels: poses, demands, distances, health, parameters, the map. A service that stops is
     waited for; its next start becomes another segment.
     """
     import json
-    import signal
-    import sys
-    import threading
     import time
     from dataclasses import asdict
 
+    from surffollow.cli.progress import stop_event, tell
     from surffollow.record.session import record_service
 
     path = out or time.strftime(f"{name}-%Y%m%d-%H%M%S.mcap")
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    on_terminal = sys.stderr.isatty()
-    counts = record_service(
-        name, path, stop, seconds=seconds, progress=_tell if on_terminal else None, force=force
-    )
-    if on_terminal:
-        sys.stderr.write("\n")
+    with tell() as progress:
+        counts = record_service(
+            name,
+            path,
+            stop_event(),
+            seconds=seconds,
+            progress=progress,
+            force=force,
+            rate_hz=rate,
+            rotate_bytes=rotate_size or 0,
+            rotate_s=rotate_time or 0.0,
+            keep=keep or 0,
+        )
     if as_json:
-        click.echo(json.dumps({"file": path, **asdict(counts)}))
+        click.echo(json.dumps({"file": counts.files[0], **asdict(counts)}))
     else:
+        several = f"{counts.files[0]} … {counts.files[-1]}" if len(counts.files) > 1 else counts.files[0]
         click.echo(
-            f"{path}: {counts.cycles} cycles in {counts.segments} segment(s); "
+            f"{several}: {counts.cycles} cycles in {counts.segments} segment(s); "
             f"lost {counts.lost_cycles} cycles ({counts.lost_words} words) in {counts.losses} place(s)"
         )
 
@@ -58,7 +95,14 @@ def record_command(name: str, out: str | None, seconds: float | None, force: boo
 @click.option("--start", type=Finite(), help="CSV: first time, in seconds of the log.")
 @click.option("--end", type=Finite(), help="CSV: last time, in seconds of the log.")
 @click.option("--mode", type=click.Choice(["paper", "adaptive"]), help="CSV: how to follow.")
-@click.option("--out", type=click.Path(dir_okay=False), help="CSV: write target points, height and slope.")
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False),
+    help="Write a table (.csv; of a recording also .parquet, 100 rows/s) or a figure (.png, .svg, .pdf).",
+)
+@click.option(
+    "--plot", type=click.Path(dir_okay=False), help="Draw a figure (.png, .svg, .pdf), as `plot` does."
+)
 @click.option(
     "--map",
     "map_out",
@@ -77,6 +121,7 @@ def replay_command(
     end: float | None,
     mode: str | None,
     out: str | None,
+    plot: str | None,
     map_out: str | None,
     live: bool,
     name: str | None,
@@ -90,12 +135,23 @@ def replay_command(
 
     if name is not None and not live:
         raise UsageError("--name goes with --live")
+    suffix = None if out is None else _suffix_of_out(out)
+    if plot is not None:
+        from surffollow.record.figure import check_figure
+
+        check_figure(plot)
+    if map_out is not None:
+        from surffollow.map.files import check_suffix
+
+        check_suffix(map_out)
     if columns is not None or file.lower().endswith(".csv"):
-        if live or map_out is not None:
-            raise UsageError("--live and --map are for recordings (.mcap), not CSV logs")
-        _replay_csv(file, columns, start, end, mode, out, as_json)
+        if live:
+            raise UsageError("--live is for recordings (.mcap), not CSV logs")
+        if suffix == ".parquet":
+            raise UsageError(f"--out {out}: the table of a CSV log is a .csv file")
+        _replay_csv(file, columns, start, end, mode, out, map_out, plot, as_json)
     else:
-        given = {"--start": start, "--end": end, "--mode": mode, "--out": out}
+        given = {"--start": start, "--end": end, "--mode": mode}
         needless = [option for option, value in given.items() if value is not None]
         if needless:
             raise UsageError(
@@ -103,6 +159,15 @@ def replay_command(
             )
         if map_out is not None:
             _write_map(file, map_out)
+        for figure in (plot, out if suffix not in TABLES else None):
+            if figure is not None:
+                from surffollow.record.plot_recording import plot_recording
+
+                plot_recording(file, figure)
+        if out is not None and suffix in TABLES:
+            from surffollow.record.convert import convert
+
+            convert([file], "parquet" if suffix == ".parquet" else "csv", out, force=True)
         if live:
             _play_live(file, name, as_json)
         else:
@@ -110,34 +175,22 @@ def replay_command(
 
 
 def _write_map(file: str, map_out: str) -> None:
-    from pathlib import Path
-
-    from surffollow.errors import UsageError
-    from surffollow.map.files import EXPORTS, export
+    from surffollow.map.files import export
     from surffollow.record.remap import rebuild_map
 
-    if Path(map_out).suffix.lower() not in EXPORTS:
-        raise UsageError(f"--map {map_out}: no map format ends like that; there are {', '.join(EXPORTS)}")
     rebuilt = rebuild_map(file)
     export(map_out, rebuilt.header, rebuilt.pairs)
 
 
 def _play_live(file: str, name: str | None, as_json: bool) -> None:
     import json
-    import signal
-    import sys
-    import threading
     from dataclasses import asdict
 
+    from surffollow.cli.progress import stop_event, tell
     from surffollow.record.live import play_live
 
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    on_terminal = sys.stderr.isatty()
-    r = play_live(file, name=name, stop=stop, progress=_tell if on_terminal else None)
-    if on_terminal:
-        sys.stderr.write("\n")
+    with tell() as progress:
+        r = play_live(file, name=name, stop=stop_event(), progress=progress)
     if as_json:
         click.echo(json.dumps(asdict(r)))
     else:
@@ -147,13 +200,6 @@ def _play_live(file: str, name: str | None, as_json: bool) -> None:
             f"{r.seconds:.1f} s, {r.cycles} cycles; {r.valid} of {r.poses} demands valid"
             + ("" if r.finished else "; ended early")
         )
-
-
-def _tell(line: str) -> None:
-    import sys
-
-    sys.stderr.write(f"\r\x1b[K{line}")
-    sys.stderr.flush()
 
 
 def _replay_recording(file: str, as_json: bool) -> None:
@@ -169,6 +215,51 @@ def _replay_recording(file: str, as_json: bool) -> None:
         sys.exit(1)
 
 
+def replay_csv_log(
+    file: str, columns: str | None, start: float | None, end: float | None, mode: str | None
+) -> tuple[CsvReplay, Columns]:
+    """Read a CSV log by its column file and follow it."""
+    from surffollow.errors import UsageError
+    from surffollow.record.columns import load_columns
+    from surffollow.record.csv_log import read_csv
+    from surffollow.record.csv_replay import run_csv
+
+    if columns is None:
+        raise UsageError(
+            f"{file} is a CSV log: say what its columns mean with --columns (see examples/columns/)"
+        )
+    meaning = load_columns(columns)
+    return run_csv(read_csv(file, meaning).between(start, end), meaning, mode), meaning
+
+
+def _write_csv_rows(out: str, replay: CsvReplay, meaning: Columns, file: str) -> None:
+    from surffollow.record.csv_replay import write_rows
+
+    if _suffix_of_out(out) in TABLES:
+        write_rows(out, replay)
+    else:
+        from surffollow.record.plot_csv import plot_csv
+
+        plot_csv(file, replay, meaning, out)
+
+
+def _suffix_of_out(out: str) -> str:
+    """The suffix of --out in lower case; refused where it is neither a table's nor a figure's."""
+    from pathlib import Path
+
+    from surffollow.errors import UsageError
+    from surffollow.record.figure import SUFFIXES, check_figure
+
+    suffix = Path(out).suffix.lower()
+    if suffix not in (*TABLES, *SUFFIXES):
+        raise UsageError(
+            f"--out {out}: a table ends in {', '.join(TABLES)}, a figure in {', '.join(SUFFIXES)}"
+        )
+    if suffix in SUFFIXES:
+        check_figure(out)
+    return suffix
+
+
 def _replay_csv(
     file: str,
     columns: str | None,
@@ -176,23 +267,27 @@ def _replay_csv(
     end: float | None,
     mode: str | None,
     out: str | None,
+    map_out: str | None,
+    plot: str | None,
     as_json: bool,
 ) -> None:
     import json
 
-    from surffollow.errors import UsageError
-    from surffollow.record.columns import load_columns
-    from surffollow.record.csv_log import read_csv
-    from surffollow.record.csv_replay import run_csv, summarise, write_rows
+    from surffollow.record.csv_replay import summarise
 
-    if columns is None:
-        raise UsageError(
-            f"{file} is a CSV log: say what its columns mean with --columns (see examples/columns/)"
-        )
-    meaning = load_columns(columns)
-    replay = run_csv(read_csv(file, meaning).between(start, end), meaning, mode)
+    replay, meaning = replay_csv_log(file, columns, start, end, mode)
     if out is not None:
-        write_rows(out, replay)
+        _write_csv_rows(out, replay, meaning, file)
+    if map_out is not None:
+        from surffollow.map.files import export
+        from surffollow.record.remap import map_of_points
+
+        made = map_of_points(replay.target_m)
+        export(map_out, made.header, made.pairs)
+    if plot is not None:
+        from surffollow.record.plot_csv import plot_csv
+
+        plot_csv(file, replay, meaning, plot)
     summary = summarise(file, replay, meaning)
     click.echo(json.dumps(summary) if as_json else csv_text(summary))
 
@@ -222,6 +317,7 @@ def csv_text(summary: dict[str, Any]) -> str:
                 f"{what} less {reference['column']}: mean {figure(d['mean_m'])} m, "
                 f"std {figure(d['std_m'])} m over {d['n']} rows"
             )
+    lines += [f"note: {note}" for note in summary["notes"]]
     return "\n".join(lines)
 
 
@@ -238,6 +334,8 @@ def report_text(file: str, report: object) -> str:
     ]
     if not r.complete:
         lines.append(f"DAMAGED: {r.damage}; {r.lost_bytes} bytes lost; judged is only what is whole")
+    elif r.lost_bytes:
+        lines.append(f"recovered: {r.lost_bytes} bytes of the file that it was made of were lost")
     if r.differing:
         lines.append(f"DIFFERENT: {r.differing} cycles; first {r.first_difference}")
     if r.states_differing:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import click
@@ -65,6 +66,8 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
     show_default=True,
     help="Seconds to wait for the service.",
 )
+@click.option("--arbiter", type=SERVICE_NAME, help="Obey this arbiter instead of the service itself.")
+@click.option("--resource", default="tool", show_default=True, help="With --arbiter: what to obey.")
 @click.option("--trace", type=click.Path(dir_okay=False), help="Write what happened, step by step (NPZ).")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
 def robot_command(
@@ -85,6 +88,8 @@ def robot_command(
     turn: bool,
     noise_seed: int,
     wait_s: float,
+    arbiter: str | None,
+    resource: str,
     trace: str | None,
     as_json: bool,
 ) -> None:
@@ -111,7 +116,7 @@ def robot_command(
         seed=noise_seed,
         plant=load_plant(plant) if plant else PlantConfig(),
     )
-    summary = _run(config, name, wait_s, trace)
+    summary = _run(config, name, wait_s, trace, arbiter, resource)
     _tell(summary, as_json)
     from surffollow.sim.robot_run import held_too_long
 
@@ -139,10 +144,21 @@ def _tell(summary: dict[str, Any], as_json: bool) -> None:
             click.echo(f"{key:24} {value if not isinstance(value, float) else round(value, 3)!s:>10}")
 
 
-def _run(config: Any, name: str, wait_s: float, trace: str | None) -> dict[str, Any]:
+def _attachment(name: str, arbiter: str | None, resource: str) -> Callable[[], Any]:
+    from surffollow.client import attach
+
+    if arbiter is None:
+        return lambda: attach(name, label="simulated robot")
+    from surffollow.live.shared_tool import attach_arbitrated
+
+    return lambda: attach_arbitrated(name, arbiter, resource)
+
+
+def _run(
+    config: Any, name: str, wait_s: float, trace: str | None, arbiter: str | None, resource: str
+) -> dict[str, Any]:
     import signal
 
-    from surffollow.client import attach
     from surffollow.sim.robot_run import claim_priority, run_robot
 
     claim_priority()
@@ -153,7 +169,7 @@ def _run(config: Any, name: str, wait_s: float, trace: str | None) -> dict[str, 
     }
     try:
         core, summary = run_robot(
-            config, name, lambda: attach(name, label="simulated robot"), lambda: bool(stop), wait_s
+            config, name, _attachment(name, arbiter, resource), lambda: bool(stop), wait_s
         )
     finally:
         for number, handler in handlers.items():

@@ -20,9 +20,15 @@ from surffollow.cli.values import SERVICE_NAME, Finite
     "--config", "config_path", type=click.Path(dir_okay=False), help="TOML file; see docs/configuration.md."
 )
 @click.option("--name", type=SERVICE_NAME, help="Name of the service and its shared-memory objects [surf].")
-@click.option("--quiet", is_flag=True, help="Print only READY and errors.")
-def start_command(config_path: str | None, name: str | None, quiet: bool) -> None:
+@click.option("--quiet", is_flag=True, help="Print only READY, errors and the audit trail.")
+@click.option(
+    "--strict", is_flag=True, help="Refuse to start without real-time priority, locked memory, processor."
+)
+def start_command(config_path: str | None, name: str | None, quiet: bool, strict: bool) -> None:
     """Run the service in the foreground: prints READY when robots may attach, ends on SIGTERM or Ctrl-C."""
+    from surffollow.service.messages import hold_standard_files
+
+    hold_standard_files()
     import msgspec
 
     from surffollow.config.names import check_service_name
@@ -32,6 +38,10 @@ def start_command(config_path: str | None, name: str | None, quiet: bool) -> Non
     config = load_config(config_path) if config_path else ServiceConfig()
     if name is not None:
         config = msgspec.structs.replace(config, name=name)
+    if strict:
+        config = msgspec.structs.replace(
+            config, realtime=msgspec.structs.replace(config.realtime, strict=True)
+        )
     check_service_name(config.name)
     from surffollow.service.daemon import serve
 
@@ -96,7 +106,8 @@ def purge_leftovers(name: str) -> bool:
 @click.command("status")
 @click.option("--name", type=SERVICE_NAME, default="surf", show_default=True, help="Name of the service.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def status_command(name: str, as_json: bool) -> None:
+@click.option("--audit", is_flag=True, help="Who changed or tried to change what, oldest first.")
+def status_command(name: str, as_json: bool, audit: bool) -> None:
     """Say how a service is doing: health, cycles, lateness, clients, map."""
     from surffollow.client import observe
     from surffollow.errors import NotRunningError
@@ -105,13 +116,32 @@ def status_command(name: str, as_json: bool) -> None:
         status = watcher.status()
         with contextlib.suppress(NotRunningError):  # nothing is in force there any more
             status["params"] = watcher.params()
+        if audit:
+            status["audit"] = watcher.audit()
     if as_json:
         json.dump(status, sys.stdout, indent=2, allow_nan=False, default=str)
         print()
+    elif audit:
+        print("\n".join(audit_lines(status)))
     else:
         print(render(status))
     if not status["alive"]:
         sys.exit(1)
+
+
+def audit_lines(status: dict[str, Any]) -> list[str]:
+    """The audit trail for people, with local times."""
+    from datetime import datetime, timedelta
+
+    from surffollow.client.audit import audit_line
+
+    now = datetime.now()
+    lost = int(status["main"].get("audit_lost", 0))
+    lines = [
+        f"{now - timedelta(seconds=e['age_s']):%Y-%m-%d %H:%M:%S.%f}"[:-3] + " " + audit_line(e)[7:]
+        for e in status["audit"]
+    ]
+    return (lines or ["nobody has asked for a change"]) + ([f"{lost} entries were lost"] if lost else [])
 
 
 def durations(summary: dict[str, float]) -> str:
@@ -161,6 +191,8 @@ def render(s: dict[str, Any]) -> str:
     for c in reversed(s["clients"]):
         lines.insert(7, f"         slot {c['slot']}: {c['name']}, pid {c['pid']}, user {c['uid']}")
     lines[5:5] = follower_lines(s["follower"])
+    if s["stopped"]:
+        lines.append(f"STOPPED  {', '.join(s['stopped'])}; the pose's holder resets it")
     if s["faults"]:
         lines.append("faults   " + ", ".join(f"{f['number']} {f['name']}" for f in s["faults"]))
     if main.get("text"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -117,6 +118,17 @@ class Client(SlotHolder):
                     raise BusyError(f"{e}; end that client or let it call release_pose()") from None
                 time.sleep(0.02)
 
+    def claim_pose(self) -> None:
+        """Become the one who sends the pose, and may so set parameters; `ee_pos` does it when needed.
+
+        Raises
+        ------
+        BusyError   another live client sends the pose; its process is named
+        """
+        self._must_be_there()
+        if not self._pose_held:
+            self._claim_pose()
+
     def release_pose(self) -> None:
         """Let another client send the pose."""
         self._follow()  # of a service that was started anew this client holds nothing
@@ -131,6 +143,32 @@ class Client(SlotHolder):
         from surffollow.config.params import check_param
 
         return self._ask(lb.RQ_SF_RESET, (check_param("offset_m", offset_m),), timeout_s, wait)
+
+    # -- stop -------------------------------------------------------------------------------------
+
+    def stop(self, reason: str = "", *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
+        """Stop: from the next cycle on no demand is valid, until the pose's holder calls `reset_stop`.
+
+        Any client may ask. What the robot's controller does then stands in docs/protocol.md. This is no
+        safety function: it needs the service, the controller and the machine between them.
+
+        Parameters
+        ----------
+        reason : str   for the audit trail; its first 63 bytes as UTF-8 are kept
+        """
+        data = reason.encode()[: 8 * lb.STOP_TEXT_WORDS - 1]
+        numbers = struct.unpack(f"<{lb.STOP_TEXT_WORDS}q", data.ljust(8 * lb.STOP_TEXT_WORDS, b"\0"))
+        return self._ask(lb.RQ_STOP, (), timeout_s, wait, numbers)
+
+    def reset_stop(self, *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
+        """Leave the latched stop; the forecast restarts with the stand-off in force (see `sf_reset`).
+
+        Raises
+        ------
+        RefusedError   this client does not send the pose, or a cause that the configuration names is
+                       still there (the text says which)
+        """
+        return self._ask(lb.RQ_STOP_RESET, (), timeout_s, wait)
 
     def map_reset(self, region: Sequence[float], *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
         """Clear the map and lay it over a region (x_min, y_min, x_max, y_max) [m] (paper: MapReset)."""

@@ -189,12 +189,23 @@ def copy_map(client: Client, timeout_s: float) -> tuple[Any, Any]:
     return header, pairs.view(numpy_dtype(ml.GridPair))
 
 
+def copy_live_map(client: Client, timeout_s: float) -> tuple[Any, Any]:
+    """`copy_map` of a map that is there.
+
+    Raises
+    ------
+    RefusedError    there is no map yet
+    """
+    header, pairs = copy_map(client, timeout_s)
+    if int(header[0]["state"]) == ml.NO_MAP:
+        raise RefusedError("refused: there is no map yet; call map_reset(region) first", lb.ERR_NO_MAP)
+    return header, pairs
+
+
 def upload_map(client: Client, path: Path, timeout_s: float, progress: Any) -> Path:
     """Copy the map under exclusive access, then write it with this process's own rights."""
     from surffollow.map.text_file import write_text
 
-    header, pairs = copy_map(client, timeout_s)
-    if int(header[0]["state"]) == ml.NO_MAP:
-        raise RefusedError("refused: there is no map yet; call map_reset(region) first", lb.ERR_NO_MAP)
+    header, pairs = copy_live_map(client, timeout_s)
     write_text(path, header, pairs, progress=progress)
     return path

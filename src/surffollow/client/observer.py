@@ -208,6 +208,7 @@ class Observer(MapReading):
         """State, health, counters, grants and map of the service, ready for JSON; works on a dead one too."""
         from surffollow.client.beliefs import beliefs, numbered_faults
         from surffollow.client.report import histogram_summary
+        from surffollow.config.stop_causes import stop_names
 
         demand = self.dev_vector()
         if demand.status & STALE:  # that look may have followed the service to a new start
@@ -235,6 +236,7 @@ class Observer(MapReading):
             "execution": histogram_summary(stats["execution"], stats["execution_max_ns"]),
             "follower": beliefs(output, int(params.get("mode", 0))),
             "faults": numbered_faults(int(output["faults"]) if output else 0, int(ticker.get("faults", 0))),
+            "stopped": list(stop_names(int(output["stop"]) if output else 0)),
             "main": ticker,
             "clients": self.clients(),
             "map": map_status,
@@ -249,6 +251,18 @@ class Observer(MapReading):
                 told = {k: info[k] for k in ("pid", "uid", "since_ns", "name")}
                 found.append({"slot": slot, **told})
         return found
+
+    def audit(self) -> list[dict[str, Any]]:
+        """Changes that clients asked for, oldest first: who, what, when, with what result; of a dead one too.
+
+        Returns
+        -------
+        list of dict   the newest `AUDIT_ENTRIES` at most: pid, uid, client, request, parameter, old, new,
+                       result, t_ns (CLOCK_MONOTONIC), age_s, and causes and reason of stops
+        """
+        from surffollow.client.audit import read_audit
+
+        return read_audit(self.board)
 
     def _follow(self) -> bool:
         """Follow a silent service to its new start; False: it ended, and there is no other."""

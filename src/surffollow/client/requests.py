@@ -8,7 +8,17 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from surffollow.errors import NotRunningError, RefusedError, RegionError, RequestTimeoutError
-from surffollow.shm.layout_board import ACCEPTED, ERR_BAD_VALUE, ERR_POSE_HELD, OK, RESULT_TEXT, Ack
+from surffollow.shm.layout_board import (
+    ACCEPTED,
+    ERR_BAD_VALUE,
+    ERR_BEYOND_LIMITS,
+    ERR_NOT_POSE_HOLDER,
+    ERR_POSE_HELD,
+    ERR_STOP_REMAINS,
+    OK,
+    RESULT_TEXT,
+    Ack,
+)
 
 if TYPE_CHECKING:
     from surffollow.client.slot import SlotHolder
@@ -129,7 +139,13 @@ def _explain(code: int, detail: int) -> str:
     text = RESULT_TEXT[code] if 0 <= code < len(RESULT_TEXT) else f"result {code}"
     if code == ERR_POSE_HELD:
         return f"refused: {text} (pid {detail})"
-    if code == ERR_BAD_VALUE and detail >= 0:
+    if code == ERR_NOT_POSE_HOLDER:
+        return f"refused: {text}; " + (f"now that is pid {detail}" if detail else "nobody sends it now")
+    if code == ERR_STOP_REMAINS:
+        from surffollow.config.stop_causes import stop_names
+
+        return f"refused: {text} ({', '.join(stop_names(detail))})"
+    if code in (ERR_BAD_VALUE, ERR_BEYOND_LIMITS) and detail >= 0:
         from surffollow.shm.layout_follow import Params
 
         names = [f.name for f in Params.FIELDS if f.offset == 8 * detail]

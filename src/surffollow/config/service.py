@@ -8,8 +8,10 @@ from typing import Any
 
 import msgspec
 
+from surffollow.config.limits import PARAMETERS_BY, check_within_limits, client_limits
 from surffollow.config.names import check_service_name
 from surffollow.config.params import PARAMS, check_param, param_name
+from surffollow.config.stop_causes import stop_causes
 from surffollow.errors import ConfigError
 from surffollow.units import parse_quantity
 
@@ -23,13 +25,14 @@ _PAPER_MODE = PARAMS["mode"].choices.index("paper")
 
 
 class Realtime(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Scheduling; what is not permitted is reported and gone without."""
+    """Scheduling; what is not permitted is reported and gone without, unless `strict` is set."""
 
     priority: int = 80
     cpu: int = -1
     lock_memory: bool = True
     dma_latency: bool = True
     spin: str | float = "120 us"
+    strict: bool = False
     overrun: str = "skip"
 
 
@@ -49,7 +52,7 @@ MOST_SLOTS = 16  # that a service has (shm.layout_board.CLIENTS)
 
 
 class AccessConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Modes and group of what is shared, and how many clients one user or process may have."""
+    """Modes and group of what is shared, slots that one user or process may have, who sets parameters."""
 
     board_mode: str = "0640"
     socket_mode: str = "0660"
@@ -57,6 +60,13 @@ class AccessConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     group: str = ""
     slots_per_user: int = 8
     slots_per_process: int = 4
+    parameters: str = "holder"
+
+
+class StopConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Causes that latch the stop, beside a client's request."""
+
+    on: list[str] = []
 
 
 class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -70,6 +80,8 @@ class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     realtime: Realtime = Realtime()
     map: MapConfig = MapConfig()
     access: AccessConfig = AccessConfig()
+    limits: dict[str, dict[str, Any]] = {}
+    stop: StopConfig = StopConfig()
     driver: dict[str, Any] = {}
     follow: dict[str, Any] = {}
 
@@ -114,10 +126,20 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Service
     return config
 
 
+WATCHDOG_PERIODS = 5  # fewer, and a cycle that is only late counts as stalled
+
+
 def _check(c: ServiceConfig) -> None:
-    seconds(c.period, "period", 20e-6, 1.0)
     seconds(c.snapshot, "snapshot", 0.01, 3600.0)
-    seconds(c.watchdog, "watchdog", 0.01, 60.0)
+    watchdog_s, period_s = (
+        seconds(c.watchdog, "watchdog", 0.01, 60.0),
+        seconds(c.period, "period", 20e-6, 1.0),
+    )
+    if watchdog_s < WATCHDOG_PERIODS * period_s:
+        raise ConfigError(
+            f"configuration key watchdog is {c.watchdog!r}, less than {WATCHDOG_PERIODS} periods of "
+            f"{c.period!r}: a cycle in good order would count as stalled; set it to more"
+        )
     seconds(c.realtime.spin, "realtime.spin", 0.0, 0.01)
     if c.realtime.overrun not in ("skip", "catch-up"):
         raise ConfigError(
@@ -150,6 +172,13 @@ def _check(c: ServiceConfig) -> None:
         check_param(name, value)
     if len({param_name(n) for n in c.follow}) < len(c.follow):
         raise ConfigError(f"a parameter is given twice under [follow]: {', '.join(c.follow)}")
+    if c.access.parameters not in PARAMETERS_BY:
+        raise ConfigError(
+            f"configuration key access.parameters is {c.access.parameters!r}; use one of "
+            f"{', '.join(repr(n) for n in PARAMETERS_BY)}"
+        )
+    check_within_limits(follow_params(c), client_limits(c.limits))
+    stop_causes(c.stop.on)
     check_service_name(c.name)
 
 

@@ -13,6 +13,7 @@ SNAPSHOT t_ns, `Params`, `FollowState`: the state before the next cycle
 PARAMS   t_ns, `Params` in force from the next cycle on
 RESET    t_ns, offset_m: SFReset before the next cycle
 MAP      t_ns, request code, 4 float64 of its region: a map command between samples
+STOP     t_ns, bits: causes added to the latched stop before the next cycle; 0: it was reset
 ======== ==========================================================================
 """
 
@@ -30,7 +31,7 @@ from surffollow.shm.layout_follow import (
     Params,
 )
 
-CYCLE, SNAPSHOT, PARAMS, RESET, MAP = 1, 2, 3, 4, 5
+CYCLE, SNAPSHOT, PARAMS, RESET, MAP, STOP = 1, 2, 3, 4, 5, 6
 CYCLE_HEAD = 10
 CYCLE_MAX = CYCLE_HEAD + 8 * MAX_POSES + MAX_CONVERSIONS + 1 + CHANNELS + 2 + MAX_PREVIEW
 PARAMS_WORDS = Params.SIZE // 8

@@ -16,6 +16,7 @@ from surffollow.forecast.paper import (
 from surffollow.forecast.pose import footprint, pose_at
 from surffollow.forecast.safety import PROBE_M, limit, watch_fold_back
 from surffollow.forecast.sense import ABSENT_NS, take_conversions, take_poses, take_ranges
+from surffollow.forecast.stop import obey_stop
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import (
     CHANNELS,
@@ -64,6 +65,17 @@ def sf_reset(params: Any, state: Any, offset_m: Any) -> None:
     p.relayed_m = 0.0
     p.relayed_z_m = 0.0
     forget_surface(state[0].adaptive)
+    state[0].stop_armed = 0
+
+
+@jit
+def reset_stop(params: Any, state: Any) -> None:
+    """Leave the latched stop; the forecast restarts, as by SFReset with the stand-off in force.
+
+    What was planned before the stop says nothing about where the tool stands now.
+    """
+    state[0].stop = 0
+    sf_reset(params, state, params[0].offset_m)
 
 
 @jit_inlined
@@ -207,9 +219,15 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
     s.cycle += 1
     if p.mode == MODE_ADAPTIVE:
         report_adaptive(p, s.adaptive, o)
-        return
-    paper = s.paper
-    o.slope, o.speed_mps = paper.slope, paper.speed_mps
-    o.intervals = paper.interval_count
+    else:
+        report_paper(s.paper, o)
+    obey_stop(p, s, o)
+
+
+@jit_inlined
+def report_paper(paper: Any, output: Any) -> None:
+    """Publish what the paper's follower believes."""
+    output.slope, output.speed_mps = paper.slope, paper.speed_mps
+    output.intervals = paper.interval_count
     if paper.interval_count > 0:
-        o.height_m = paper.interval_h_m[(paper.interval_count - 1) & (paper.interval_h_m.size - 1)]
+        output.height_m = paper.interval_h_m[(paper.interval_count - 1) & (paper.interval_h_m.size - 1)]

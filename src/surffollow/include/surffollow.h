@@ -79,11 +79,11 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 /* ---- layout: generated ------------------------------------------------------------ */
 
 #define SF_LAYOUT_VERSION 2u
-#define SF_LAYOUT_HASH UINT64_C(6513188785957265923)
+#define SF_LAYOUT_HASH UINT64_C(4469410322130514014)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_SLOT_MAGIC UINT64_C(3554549926447961427)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
-#define SF_MAP_LAYOUT_HASH UINT64_C(5526371732307386036)
+#define SF_MAP_LAYOUT_HASH UINT64_C(5652084181357192297)
 #define SF_CLIENTS 16
 #define SF_PAGE 4096
 #define SF_REQUEST_ARGS 16
@@ -96,6 +96,10 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 #define SF_PIECE_GRIDS 9536
 #define SF_PIECE_HEIGHTS 64
 #define SF_PIECE_COUNTS 19136
+#define SF_STOP_TEXT_WORDS 8
+#define SF_AUDIT_WORDS 8192
+#define SF_AUDIT_ENTRY_WORDS 24
+#define SF_AUDIT_ENTRIES 340
 #define SF_REGIONS 16
 #define SF_CHANNELS 8
 #define SF_LATCH_SLOTS 4
@@ -118,7 +122,9 @@ enum {
   SF_RQ_RELEASE_POSE = 4,
   SF_RQ_MAP_RESET = 5,
   SF_RQ_MAP_REFOCUS = 6,
-  SF_RQ_MAP_INSTALL = 7
+  SF_RQ_MAP_INSTALL = 7,
+  SF_RQ_STOP = 8,
+  SF_RQ_STOP_RESET = 9
 };
 
 enum {
@@ -174,9 +180,12 @@ enum {
   SF_ANSWER_ERR_NOT_HOLDER = 8,
   SF_ANSWER_ERR_CANCELLED = 9,
   SF_ANSWER_ACCEPTED = 10,
-  SF_ANSWER_ERR_MAP_TOO_LARGE = 11
+  SF_ANSWER_ERR_MAP_TOO_LARGE = 11,
+  SF_ANSWER_ERR_BEYOND_LIMITS = 12,
+  SF_ANSWER_ERR_NOT_POSE_HOLDER = 13,
+  SF_ANSWER_ERR_STOP_REMAINS = 14
 };
-#define SF_ANSWERS 12
+#define SF_ANSWERS 15
 enum {
   SF_REFUSED_UNKNOWN_REQUEST = -101,
   SF_REFUSED_BAD_VALUE = -102,
@@ -187,7 +196,10 @@ enum {
   SF_REFUSED_QUEUE_FULL = -107,
   SF_REFUSED_NOT_HOLDER = -108,
   SF_REFUSED_CANCELLED = -109,
-  SF_REFUSED_MAP_TOO_LARGE = -111
+  SF_REFUSED_MAP_TOO_LARGE = -111,
+  SF_REFUSED_BEYOND_LIMITS = -112,
+  SF_REFUSED_NOT_POSE_HOLDER = -113,
+  SF_REFUSED_STOP_REMAINS = -114
 };
 
 /* An answer of the service in words; never NULL. */
@@ -205,6 +217,9 @@ static inline const char *sf_answer_text(int answer) {
     case 9: return "the request was cancelled";
     case 10: return "accepted, the map's answer follows";
     case 11: return "the service's map memory (map.grids) has no room for this map";
+    case 12: return "the service's configuration ([limits]) does not let any client set this value";
+    case 13: return "only the client that sends the pose may do this (access.parameters in the configuration)";
+    case 14: return "a cause of the stop is still there; mend it, then reset the stop again";
     default: return "unknown result";
   }
 }
@@ -220,6 +235,7 @@ enum {
   SF_DRYRUN = 64,
   SF_FROZEN = 128,
   SF_SENSOR_LOST = 256,
+  SF_STOPPED = 512,
   SF_STALE = 65536
 };
 
@@ -235,10 +251,23 @@ static inline const char *sf_status_name(int64_t bit) {
     case 64: return "DRYRUN";
     case 128: return "FROZEN";
     case 256: return "SENSOR_LOST";
+    case 512: return "STOPPED";
     case 65536: return "STALE";
     default: return "?";
   }
 }
+
+/* causes of a latched stop: bits of sf_output's `stop` */
+enum {
+  SF_STOP_REQUEST = 1,
+  SF_STOP_POSE_STALE = 2,
+  SF_STOP_SENSOR_LOST = 4,
+  SF_STOP_STUCK = 8,
+  SF_STOP_TOO_CLOSE = 16,
+  SF_STOP_POSE_LOST = 32,
+  SF_STOP_DRIVER = 64,
+  SF_STOP_START = 128
+};
 
 /* A parameter that may be set: its number in requests, whether it is whole, its bounds. */
 typedef struct sf_param_info {
@@ -402,8 +431,9 @@ typedef struct sf_params {
   double max_turn_speed_radps; /* [rad/s] adaptive: limit of the turning set point's speed */
   double max_turn_accel_radps2; /* [rad/s^2] adaptive: limit of its acceleration */
   int64_t preview; /* adaptive: 1: plan over ground remembered ahead (the service: its map's) */
+  int64_t stop_on; /* causes that latch the stop, bits of STOP_NAMES; set by the configuration alone */
 } sf_params;
-SF_STATIC_ASSERT(sizeof(sf_params) == 968, "layout of sf_params");
+SF_STATIC_ASSERT(sizeof(sf_params) == 976, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, mode) == 0, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, run) == 8, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, offset_m) == 16, "layout of sf_params");
@@ -456,6 +486,7 @@ SF_STATIC_ASSERT(offsetof(sf_params, toward_factor) == 936, "layout of sf_params
 SF_STATIC_ASSERT(offsetof(sf_params, max_turn_speed_radps) == 944, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, max_turn_accel_radps2) == 952, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, preview) == 960, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, stop_on) == 968, "layout of sf_params");
 
 /* What a cycle publishes. */
 typedef struct sf_output {
@@ -488,8 +519,10 @@ typedef struct sf_output {
   double tau_s; /* [s] adaptive: time constant of the robot's axis as found */
   double normal[3]; /* [1] adaptive, 3 or more sensors: unit normal of the surface */
   int64_t beams; /* adaptive, 3 or more sensors: bit per channel that agrees with the plane */
+  int64_t stop; /* causes of the latched stop, bits of STOP_NAMES; 0: not stopped */
+  int64_t stop_now; /* causes that this cycle saw, whether the configuration names them or not */
 } sf_output;
-SF_STATIC_ASSERT(sizeof(sf_output) == 584, "layout of sf_output");
+SF_STATIC_ASSERT(sizeof(sf_output) == 600, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, t_ns) == 0, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, pose_t_ns) == 8, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, demand) == 16, "layout of sf_output");
@@ -519,6 +552,8 @@ SF_STATIC_ASSERT(offsetof(sf_output, range_size) == 536, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, tau_s) == 544, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, normal) == 552, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, beams) == 576, "layout of sf_output");
+SF_STATIC_ASSERT(offsetof(sf_output, stop) == 584, "layout of sf_output");
+SF_STATIC_ASSERT(offsetof(sf_output, stop_now) == 592, "layout of sf_output");
 
 /* The service's answer to a slot's newest request. */
 typedef struct sf_ack {
@@ -541,16 +576,20 @@ typedef struct sf_ticker {
   int64_t clients; /* live clients */
   int64_t granted; /* bits: FIFO, affinity, mlockall, dma latency */
   int64_t faults; /* bits, numbered in docs/protocol.md */
+  int64_t messages_lost; /* lines for stderr that found no room or no reader */
+  int64_t audit_lost; /* changes that are in no audit entry: the main thread stood still */
   char text[512]; /* one line for people */
 } sf_ticker;
-SF_STATIC_ASSERT(sizeof(sf_ticker) == 560, "layout of sf_ticker");
+SF_STATIC_ASSERT(sizeof(sf_ticker) == 576, "layout of sf_ticker");
 SF_STATIC_ASSERT(offsetof(sf_ticker, t_ns) == 0, "layout of sf_ticker");
 SF_STATIC_ASSERT(offsetof(sf_ticker, pose_slot) == 8, "layout of sf_ticker");
 SF_STATIC_ASSERT(offsetof(sf_ticker, pose_pid) == 16, "layout of sf_ticker");
 SF_STATIC_ASSERT(offsetof(sf_ticker, clients) == 24, "layout of sf_ticker");
 SF_STATIC_ASSERT(offsetof(sf_ticker, granted) == 32, "layout of sf_ticker");
 SF_STATIC_ASSERT(offsetof(sf_ticker, faults) == 40, "layout of sf_ticker");
-SF_STATIC_ASSERT(offsetof(sf_ticker, text) == 48, "layout of sf_ticker");
+SF_STATIC_ASSERT(offsetof(sf_ticker, messages_lost) == 48, "layout of sf_ticker");
+SF_STATIC_ASSERT(offsetof(sf_ticker, audit_lost) == 56, "layout of sf_ticker");
+SF_STATIC_ASSERT(offsetof(sf_ticker, text) == 64, "layout of sf_ticker");
 
 /* What the map thread tells. */
 typedef struct sf_map_status {
@@ -614,7 +653,40 @@ SF_STATIC_ASSERT(offsetof(sf_stats, lateness) == 96, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, execution) == 4192, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, samples) == 8288, "layout of sf_stats");
 
-/* Positions in the cycle log, in words since the start; the words follow. */
+/* One change that somebody asked for, or a stop by the service itself; `audit` holds a stream of them. */
+typedef struct sf_audit_entry {
+  int64_t t_ns; /* [ns] when the cycle answered it */
+  int64_t slot; /* of the client; -1: the service itself */
+  int64_t pid; /* of the client; 0: unknown */
+  int64_t uid; /* of the client; -1: unknown */
+  int64_t claim; /* of the client */
+  char name[32]; /* as the client calls itself */
+  int64_t code; /* RQ_... */
+  int64_t word; /* number of the parameter; -1: none */
+  double old_value; /* its value before, NaN: none; in the unit of the parameter */
+  double new_value; /* its value wanted, NaN: none */
+  int64_t result; /* OK, ACCEPTED or ERR_... */
+  int64_t detail; /* of the answer; of a stop: its causes */
+  int64_t count; /* times that this was refused since the entry before of the same kind; else 1 */
+  char text[64]; /* reason of a stop */
+} sf_audit_entry;
+SF_STATIC_ASSERT(sizeof(sf_audit_entry) == 192, "layout of sf_audit_entry");
+SF_STATIC_ASSERT(offsetof(sf_audit_entry, t_ns) == 0, "layout of sf_audit_entry");
+SF_STATIC_ASSERT(offsetof(sf_audit_entry, slot) == 8, "layout of sf_audit_entry");
+SF_STATIC_ASSERT(offsetof(sf_audit_entry, pid) == 16, "layout of sf_audit_entry");
+SF_STATIC_ASSERT(offsetof(sf_audit_entry, uid) == 24, "layout of sf_audit_entry");
+SF_STATIC_ASSERT(offsetof(sf_audit_entry, claim) == 32, "layout of sf_audit_entry");
+SF_STATIC_ASSERT(offsetof(sf_audit_entry, name) == 40, "layout of sf_audit_entry");
+SF_STATIC_ASSERT(offsetof(sf_audit_entry, code) == 72, "layout of sf_audit_entry");
+SF_STATIC_ASSERT(offsetof(sf_audit_entry, word) == 80, "layout of sf_audit_entry");
+SF_STATIC_ASSERT(offsetof(sf_audit_entry, old_value) == 88, "layout of sf_audit_entry");
+SF_STATIC_ASSERT(offsetof(sf_audit_entry, new_value) == 96, "layout of sf_audit_entry");
+SF_STATIC_ASSERT(offsetof(sf_audit_entry, result) == 104, "layout of sf_audit_entry");
+SF_STATIC_ASSERT(offsetof(sf_audit_entry, detail) == 112, "layout of sf_audit_entry");
+SF_STATIC_ASSERT(offsetof(sf_audit_entry, count) == 120, "layout of sf_audit_entry");
+SF_STATIC_ASSERT(offsetof(sf_audit_entry, text) == 128, "layout of sf_audit_entry");
+
+/* Positions in a log of the board, in words since the start; the words follow. */
 typedef struct sf_log_head {
   SF_ALIGNAS(64) int64_t reserved; /* the writer may be writing below this */
   SF_ALIGNAS(64) int64_t head; /* all below this is written */
@@ -727,6 +799,7 @@ typedef struct sf_map_header {
   int64_t scratch_bytes; /* room for a refocus, behind the pairs */
   int64_t owner_pid; /* the process that writes the map */
   int64_t owner_epoch; /* its epoch */
+  int64_t stop; /* causes of the service's latched stop: it outlives the service; 0: not stopped */
   SF_ALIGNAS(64) int64_t generation; /* odd while the grids are being laid anew; readers check it twice */
   int64_t state; /* NO_MAP, READY, RESETTING, REFOCUSING, INSTALLING */
   int64_t nx; /* columns */
@@ -784,6 +857,7 @@ SF_STATIC_ASSERT(offsetof(sf_map_header, capacity_grids) == 24, "layout of sf_ma
 SF_STATIC_ASSERT(offsetof(sf_map_header, scratch_bytes) == 32, "layout of sf_map_header");
 SF_STATIC_ASSERT(offsetof(sf_map_header, owner_pid) == 40, "layout of sf_map_header");
 SF_STATIC_ASSERT(offsetof(sf_map_header, owner_epoch) == 48, "layout of sf_map_header");
+SF_STATIC_ASSERT(offsetof(sf_map_header, stop) == 56, "layout of sf_map_header");
 SF_STATIC_ASSERT(offsetof(sf_map_header, generation) == 64, "layout of sf_map_header");
 SF_STATIC_ASSERT(offsetof(sf_map_header, state) == 72, "layout of sf_map_header");
 SF_STATIC_ASSERT(offsetof(sf_map_header, nx) == 80, "layout of sf_map_header");
@@ -2054,6 +2128,30 @@ static inline int sf_status(sf_client *c, sf_status_info *s) {
   if (sf_latch_read(c->map_status, sizeof s->map, &s->map) <= 0) memset(&s->map, 0, sizeof s->map);
   s->ticker.text[sizeof s->ticker.text - 1] = '\0';
   return SF_OK;
+}
+
+/* ---- stop ----------------------------------------------------------------------------------- */
+
+/*
+ * Stop: from the next cycle on no demand is valid (SF_STOPPED), until the client that sends the pose calls
+ * sf_stop_reset. Any client may ask; `reason` (may be NULL) is kept in the audit trail, its first 63 bytes.
+ * What the controller does then stands in docs/protocol.md. This is no safety function.
+ */
+static inline int sf_stop(sf_client *c, const char *reason) {
+  if (c == NULL) return SF_ERR_ARGUMENT;
+  int64_t words[SF_STOP_TEXT_WORDS];
+  memset(words, 0, sizeof words);
+  if (reason != NULL) memcpy(words, reason, strnlen(reason, sizeof words - 1));
+  return sf_i_request(c, SF_RQ_STOP, SF_STOP_TEXT_WORDS, words, NULL, c->options.timeout_ns);
+}
+
+/*
+ * Leave the latched stop; the forecast restarts with the stand-off in force. SF_OK, SF_REFUSED_NOT_POSE_HOLDER
+ * (`detail` of the client: who sends the pose, 0: nobody), or SF_REFUSED_STOP_REMAINS (`detail`: SF_STOP_... causes).
+ */
+static inline int sf_stop_reset(sf_client *c) {
+  if (c == NULL) return SF_ERR_ARGUMENT;
+  return sf_i_request(c, SF_RQ_STOP_RESET, 0, NULL, NULL, c->options.timeout_ns);
 }
 
 /* ---- the map -------------------------------------------------------------------------------- */

@@ -1,4 +1,4 @@
-"""Save, load and export maps: which suffix means which format."""
+"""Save, load and export maps: written by the suffix, read by the content; the same everywhere."""
 
 from __future__ import annotations
 
@@ -19,10 +19,26 @@ from surffollow.map.text_file import OTHER_SUFFIXES, read_text, write_text
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype
 
+PICTURES = (".png", ".svg", ".pdf")
 EXPORTS = (".txt", *OTHER_SUFFIXES)
+READS = "the map's text file, .npz, ESRI ASCII grid, GeoTIFF"
 _FORMAT = "surffollow-map-npz-1"
 # a .npy file, a foreign archive, objects, impossible shapes: each has its own exception in NumPy
 _NOT_OURS = (ValueError, KeyError, TypeError, AttributeError, IndexError, MemoryError, NotImplementedError)
+
+
+def check_suffix(path: str | os.PathLike[str]) -> str:
+    """The suffix of a file that a map can be written to, in lower case.
+
+    Raises
+    ------
+    MapFileError    no format ends like that; the text names those that there are
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in EXPORTS:
+        ending = f"ends in '{suffix}'" if suffix else "has no suffix"
+        raise MapFileError(f"{path}: no map format {ending}; there are {', '.join(EXPORTS)}")
+    return suffix
 
 
 def save(
@@ -57,7 +73,7 @@ def export(
     Parameters
     ----------
     path : path             .txt and .npz lossless; .asc ESRI ASCII grid; .tif GeoTIFF (extra `geo`);
-        .ply mesh; .png shaded relief and counts (extra `plot`)
+        .ply mesh; .xyz points; .las points (extra `las`); .png, .svg, .pdf pictures (extra `plot`)
     header : (1,) structured `MapHeader`
     pairs : (n,) structured `GridPair`        must not change meanwhile
     progress : callable     gets the finished fraction; returning False cancels
@@ -67,7 +83,7 @@ def export(
     MapFileError
         unknown suffix, a missing extra, nothing to write, or a file that cannot be written
     """
-    suffix = Path(path).suffix.lower()
+    suffix = check_suffix(path)
     if suffix in (".txt", ".npz"):
         save(path, header, pairs, progress=progress)
         return
@@ -77,17 +93,19 @@ def export(
         from surffollow.map.raster import write_geotiff as write
     elif suffix == ".ply":
         from surffollow.map.mesh import write_ply as write
-    elif suffix == ".png":
-        from surffollow.map.picture import write_png as write
+    elif suffix in PICTURES:
+        from surffollow.map.picture import write_picture as write
+    elif suffix == ".xyz":
+        from surffollow.map.points import write_xyz as write
     else:
-        raise MapFileError(f"no map format ends in '{suffix}'; there are {', '.join(EXPORTS)}")
+        from surffollow.map.points import write_las as write
     write(path, header, pairs, progress=progress)
 
 
 def load(
     path: str | os.PathLike[str], *, progress: Progress | None = None
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Read a map: text or .npz losslessly; .asc and .tif rasters as a prior (count 0).
+    """Read a map, whatever its name ends in: text or .npz losslessly; rasters as a prior (count 0).
 
     Returns
     -------
@@ -97,12 +115,12 @@ def load(
     ------
     MapFileError
     """
-    suffix = Path(path).suffix.lower()
     if Path(path).is_char_device() or Path(path).is_block_device():
         raise MapFileError(f"{path} is a device, no map file")
+    suffix = _kind(path)
     if suffix == ".npz":
         return _read_npz(path)
-    if suffix in (".asc", ".tif", ".tiff"):
+    if suffix in (".asc", ".tif"):
         from surffollow.map.height_map import HeightMap
         from surffollow.map.raster import read_esri_ascii, read_geotiff
 
@@ -115,6 +133,46 @@ def load(
         made = HeightMap.from_heights(heights, origin_m=origin, grid_m=grid)
         return made.header, made.pairs
     return read_text(path, progress=progress)
+
+
+# how files begin → what they are; a suffix in capitals says nothing to a reader
+_BEGINNINGS = (
+    (b"surffollow-map", ".txt"),
+    (b"PK\x03\x04", ".npz"),
+    (b"II*\0", ".tif"),
+    (b"MM\0*", ".tif"),
+    (b"II+\0", ".tif"),
+    (b"MM\0+", ".tif"),
+)
+_OTHERS = (
+    (b"\x89PNG", "a PNG picture"),
+    (b"%PDF", "a PDF picture"),
+    (b"<?xml", "an SVG picture"),
+    (b"ply\n", "a PLY mesh"),
+    (b"LASF", "a LAS point cloud"),
+    (b"\x89MCAP0", "a recording, of which `surffollow replay --map` makes a map"),
+)
+
+
+def _kind(path: str | os.PathLike[str]) -> str:
+    """What a file is by how it begins, else by its suffix: .txt, .npz, .asc or .tif."""
+    suffix = Path(path).suffix.lower()
+    try:
+        with open(path, "rb") as f:
+            begins = f.read(64) if Path(path).is_file() else b""
+    except OSError:
+        begins = b""  # who reads it says what is wrong
+    for beginning, kind in _BEGINNINGS:
+        if begins.startswith(beginning):
+            return kind
+    for beginning, what in _OTHERS:
+        if begins.startswith(beginning):
+            raise MapFileError(f"{path} is {what}; maps are read from {READS}")
+    if begins.lstrip()[:5].lower() in (b"ncols", b"nrows", b"xllco", b"xllce", b"cells"):
+        return ".asc"
+    if suffix == ".xyz":
+        raise MapFileError(f"{path} is a list of points; maps are read from {READS}")
+    return ".tif" if suffix == ".tiff" else suffix
 
 
 def _write_npz(

@@ -15,11 +15,12 @@ are intact, and storing a row twice is storing it once.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
-from surffollow.map.geometry import close_journal, open_journal, plan_geometry
+from surffollow.map.geometry import close_journal, margin_grids, open_journal, plan_geometry
 from surffollow.map.refocus_rows import (
     BACKWARD,
     FORWARD,
@@ -45,7 +46,36 @@ from surffollow.shm.atomics import fence_release
 from surffollow.shm.jit import jit
 
 _OK, _NO_SCRATCH, _NOT_MAPPED, _BUSY = ml.OK, ml.NO_SCRATCH, ml.NOT_MAPPED, ml.BUSY
+_PAPER = ml.ROUND_PAPER
+# grid sizes that differ by less are the same size, edges that differ by less the same edge (of a grid)
+_SAME_GRID, EDGE = 1e-9, 1e-6
 _READY, _REFOCUSING, _RESETTING = ml.READY, ml.REFOCUSING, ml.RESETTING
+
+
+@jit
+def snap_to_grids(w: Any) -> None:
+    """Move a planned geometry of the same grid size onto the old lattice, so that no height changes.
+
+    Only whole grids are then moved. The plan is made anew from the whole grids that the region
+    touches; where memory has no room for these (a region that fills it), the plan is moved by at most half a
+    grid instead. The paper's rounding keeps the paper's geometry.
+    """
+    if w.rounding == _PAPER or abs(w.journal_grid_m - w.grid_m) > _SAME_GRID * w.grid_m:
+        return
+    grid = w.grid_m
+    left = math.floor((w.journal_region_m[0] - w.x0_m) / grid + EDGE)
+    bottom = math.floor((w.journal_region_m[1] - w.y0_m) / grid + EDGE)
+    nx = max(np.int64(math.ceil((w.journal_region_m[2] - w.x0_m) / grid - EDGE) - left), 1)
+    ny = max(np.int64(math.ceil((w.journal_region_m[3] - w.y0_m) / grid - EDGE) - bottom), 1)
+    if nx * ny <= w.capacity_grids:
+        m = margin_grids(nx, ny, w.capacity_grids)
+        w.journal_nx, w.journal_ny = nx + 2 * m, ny + 2 * m
+        left, bottom = left - m, bottom - m
+    else:
+        left = math.floor((w.journal_x0_m - w.x0_m) / grid + 0.5)
+        bottom = math.floor((w.journal_y0_m - w.y0_m) / grid + 0.5)
+    w.journal_grid_m = grid
+    w.journal_x0_m, w.journal_y0_m = w.x0_m + left * grid, w.y0_m + bottom * grid
 
 
 @jit
@@ -73,6 +103,7 @@ def refocus_begin(
     answer = plan_geometry(header, x_min, y_min, x_max, y_max)
     if answer != _OK:
         return answer
+    snap_to_grids(w)
     ratio = w.journal_grid_m / w.grid_m
     shift_x, shift_y = (w.journal_x0_m - w.x0_m) / w.grid_m, (w.journal_y0_m - w.y0_m) / w.grid_m
     in_x = axis_overlap(shift_x, ratio, w.journal_nx, w.nx)

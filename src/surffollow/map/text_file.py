@@ -19,7 +19,8 @@ from surffollow.map.atomic_file import Progress, replacing, report
 from surffollow.map.text_reader import FIRST_LINE, REAL, WHOLE, Reader
 from surffollow.shm import map_layout as ml
 
-OTHER_SUFFIXES = (".npz", ".asc", ".tif", ".tiff", ".ply", ".png")  # a reader goes by them
+# of other formats than this one
+OTHER_SUFFIXES = (".npz", ".asc", ".tif", ".tiff", ".ply", ".xyz", ".las", ".png", ".svg", ".pdf")
 _RUN = 4  # shorter runs are shorter written out
 
 
@@ -78,7 +79,9 @@ def write_text(
     """
     if (suffix := os.path.splitext(path)[1].lower()) in OTHER_SUFFIXES:
         other = f"{os.fspath(path)}: '{suffix}' is the suffix of another format than the map's text file"
-        raise MapFileError(f"{other}; choose .txt, or map.files.export and `surffollow map export`")
+        raise MapFileError(
+            f"{other}; choose .txt, or map.files.export, `surffollow map upload` and `map export`"
+        )
     ny, nx = access.shape_of(header)
     w = header[0]
     with replacing(path) as temporary, open(temporary, "w", encoding="ascii", newline="\n") as f:

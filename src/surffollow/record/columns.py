@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -28,10 +28,15 @@ class TimeColumn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RangeColumn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The distance along the beam; limits are inclusive, `no_reading` values are in the column's unit."""
+    """The reading; limits are inclusive, `no_reading` values are in the column's unit.
+
+    `kind` "range": the distance along the beam, which attitude and mount tilt. "depth": how far the ground
+    lies straight below the position, positive down, as echo sounders and their programs log it.
+    """
 
     column: str
     unit: str
+    kind: Literal["range", "depth"] = "range"
     min: Quantity = 0.0
     max: Quantity = 1e5
     no_reading: tuple[float, ...] = ()
@@ -39,12 +44,12 @@ class RangeColumn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PositionColumns(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where the vehicle is."""
+    """Where the vehicle is; an axis without a column is 0."""
 
-    north: str
-    east: str
-    up: str
     unit: str
+    north: str | None = None
+    east: str | None = None
+    up: str | None = None
 
 
 class AttitudeColumns(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -143,6 +148,12 @@ def parse_columns(data: dict[str, Any], source: str = "column file") -> Columns:
 
 
 def _check(c: Columns) -> None:
+    if c.position is not None and not (c.position.north or c.position.east or c.position.up):
+        raise UsageError("[position] names no column; give north, east or up, or leave the table out")
+    if c.range.kind == "depth" and c.mount != Mount():
+        raise UsageError(
+            '[mount] tilts and moves a beam; a depth (kind = "depth") is straight down: leave it out'
+        )
     low, high = c.limits_m
     if not 0.0 <= low < high:
         raise UsageError(f"[range] min {low:g} m must be at least 0 and below max {high:g} m")

@@ -114,7 +114,8 @@ def _names(c: Columns) -> dict[str, bool]:
     """The columns that are needed → whether a cell may be empty."""
     names = {c.time.column: False, c.range.column: True}
     if c.position is not None:
-        names |= dict.fromkeys((c.position.north, c.position.east, c.position.up), False)
+        axes = (c.position.north, c.position.east, c.position.up)
+        names |= dict.fromkeys([name for name in axes if name is not None], False)
     if c.attitude is not None:
         names |= dict.fromkeys((c.attitude.roll, c.attitude.pitch, c.attitude.yaw), False)
     if c.reference is not None:
@@ -182,8 +183,10 @@ def _poses(c: Columns, cells: dict[str, NDArray[np.float64]], n: int) -> NDArray
     if c.position is not None:
         scale = unit_scale(c.position.unit, "m")
         for k, name in enumerate((c.position.east, c.position.north, c.position.up)):
-            pose[:, k] = cells[name] * scale
-    if c.attitude is not None and n > 0:
+            if name is not None:
+                pose[:, k] = cells[name] * scale
+    # a depth is straight down, however the vehicle is tilted
+    if c.attitude is not None and n > 0 and c.range.kind == "range":
         scale = unit_scale(c.attitude.unit, "rad")
         angles = [cells[name] * scale for name in (c.attitude.yaw, c.attitude.pitch, c.attitude.roll)]
         north_east_down = Rotation.from_euler("ZYX", np.stack(angles, axis=1))

@@ -6,11 +6,12 @@ import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.config.params import param_name
 from surffollow.errors import FaultError, UsageError
 from surffollow.follower import Follower
 from surffollow.record.columns import Columns
@@ -31,6 +32,7 @@ class CsvReplay:
     height_m, slope : (n,) float64 the follower's surface; NaN before the first reading
     forecast_m : (n, h) float64    range expected at each horizon after the row; NaN without a reading
     mode : str
+    depth : bool                   the readings are depths, straight down
     """
 
     log: CsvLog
@@ -39,6 +41,7 @@ class CsvReplay:
     slope: NDArray[np.float64]
     forecast_m: NDArray[np.float64]
     mode: str
+    depth: bool = False
 
 
 def make_follower(columns: Columns, log: CsvLog, mode: str | None) -> Follower:
@@ -103,7 +106,27 @@ def run_csv(log: CsvLog, columns: Columns, mode: str | None = None) -> CsvReplay
             height[i], slope[i] = state["height_m"], state["slope"]
         if reading:
             forecast[i] = [follower.forecast_range_m(h) for h in horizons]
-    return CsvReplay(log, target_points(log, columns), height, slope, forecast, follower.state()["mode"])
+    told = follower.state()["mode"]
+    return CsvReplay(
+        log, target_points(log, columns), height, slope, forecast, told, columns.range.kind == "depth"
+    )
+
+
+# what of [follow] bears upon height, slope and forecast: in the paper's mode these alone, in the adaptive
+# mode not the sizes of the paper's means of target points and intervals
+PAPER_HEEDS = ("mode", "sensor_readings", "ee_readings", "interval_size_m", "range_size", "sensor_latency_ns")
+ADAPTIVE_IGNORES = ("ee_readings", "interval_size_m", "range_size", "pose_interpolate")
+
+
+def follow_notes(columns: Columns, mode: str) -> list[str]:
+    """What the column file sets in [follow] and the replay in this mode does not heed, for people."""
+    names = {key: param_name(key) for key in columns.follow if key not in ("sensors",)}
+    paper = mode == "paper"
+    idle = [k for k, n in names.items() if (n not in PAPER_HEEDS if paper else n in ADAPTIVE_IGNORES)]
+    if not idle:
+        return []
+    other = "; --mode paper heeds some" if not paper else ""
+    return [f"[follow] {', '.join(idle)}: without effect on height, slope and forecast in {mode} mode{other}"]
 
 
 def target_points(log: CsvLog, columns: Columns) -> NDArray[np.float64]:
@@ -124,26 +147,41 @@ def score_forecast(replay: CsvReplay, columns: Columns) -> list[dict[str, float]
     A pair is a row with a reading and a forecast at t, and the first later row with a reading
     at or after t + horizon, unless it is more than the column file's `match` later.
     """
-    has = np.isfinite(replay.log.range_m)
-    t, r = replay.log.elapsed_s()[has], replay.log.range_m[has]
-    slack_s = replay.log.slack_s()  # times written as decimals must not miss by their last bit
     rows = []
     for k, horizon_s in enumerate(columns.horizons_s):
-        forecast = replay.forecast_m[has, k]
-        j = np.searchsorted(t, t + horizon_s - slack_s)
-        inside = (j < t.size) & np.isfinite(forecast)
-        inside[inside] &= t[j[inside]] - t[inside] - horizon_s <= columns.match_s + slack_s
-        truth = r[j[inside]]
-        n = int(inside.sum())
+        pairs = pair_forecasts(replay, columns, k)
         rows.append(
             {
                 "horizon_s": horizon_s,
-                "rms_m": _rms(forecast[inside] - truth),
-                "no_change_rms_m": _rms(r[inside] - truth),
-                "n": n,
+                "rms_m": _rms(pairs.forecast_m - pairs.truth_m),
+                "no_change_rms_m": _rms(pairs.present_m - pairs.truth_m),
+                "n": pairs.t_s.size,
             }
         )
     return rows
+
+
+class Pairs(NamedTuple):
+    """Forecasts and what came, (n,) each: time of the truth [s], forecast, truth, reading then [m]."""
+
+    t_s: NDArray[np.float64]
+    forecast_m: NDArray[np.float64]
+    truth_m: NDArray[np.float64]
+    present_m: NDArray[np.float64]
+
+
+def pair_forecasts(replay: CsvReplay, columns: Columns, horizon: int) -> Pairs:
+    """The pairs of one horizon (by its number) that `score_forecast` scores."""
+    has = np.isfinite(replay.log.range_m)
+    t, r = replay.log.elapsed_s()[has], replay.log.range_m[has]
+    slack_s = replay.log.slack_s()  # times written as decimals must not miss by their last bit
+    horizon_s = columns.horizons_s[horizon]
+    forecast = replay.forecast_m[has, horizon]
+    j = np.searchsorted(t, t + horizon_s - slack_s)
+    inside = (j < t.size) & np.isfinite(forecast)
+    inside[inside] &= t[j[inside]] - t[inside] - horizon_s <= columns.match_s + slack_s
+    then = j[inside]
+    return Pairs(t[then], forecast[inside], r[then], r[inside])
 
 
 def _rms(errors: NDArray[np.float64]) -> float:
@@ -171,6 +209,7 @@ def summarise(path: str | Path, replay: CsvReplay, columns: Columns) -> dict[str
         "end_s": float(log.t_s[-1]),
         "height_m": {"min": float(heights.min()), "mean": float(heights.mean()), "max": float(heights.max())},
         "slope": {"min": float(slopes.min()), "mean": float(slopes.mean()), "max": float(slopes.max())},
+        "notes": follow_notes(columns, replay.mode),
         "forecast": [
             {k: None if v != v else v for k, v in row.items()} for row in score_forecast(replay, columns)
         ],

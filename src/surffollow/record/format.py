@@ -1,4 +1,4 @@
-"""What a recording is made of: an MCAP file whose messages are runs of the cycle log's own words.
+"""What a recording is made of: an MCAP file with runs of the cycle log's own words on one channel.
 
 One schema record holds the layout as JSON, so that a reader without this program can
 decode the words; every message begins with a `BatchHead`. Entries are never split.
@@ -25,6 +25,7 @@ SCHEMA_NAME = "surffollow.CycleLog"
 SCHEMA_ENCODING = "x-surffollow-layout"
 MESSAGE_ENCODING = "x-surffollow-words"
 SUMMARY_NAME = "surffollow.summary"
+CLOCK_NAME = "surffollow.clock"
 # a killed recorder loses what is in its unfinished chunk: 0.4 s of a 1 kHz service
 CHUNK_BYTES = 128 * 1024
 # one message per cycle reads back at 0.1 M cycles/s, a hundred at several M/s
@@ -36,6 +37,7 @@ ENTRY_KINDS = {
     "PARAMS": journal.PARAMS,
     "RESET": journal.RESET,
     "MAP": journal.MAP,
+    "STOP": journal.STOP,
 }
 
 

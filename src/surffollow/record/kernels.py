@@ -22,12 +22,14 @@ from surffollow.forecast.journal import (
     SNAPSHOT,
     SNAPSHOT_WORDS,
     STATE_WORDS,
+    STOP,
     decode_cycle,
     entry_kind,
     entry_words,
     same_outcome,
 )
-from surffollow.forecast.step import follow_step, sf_reset
+from surffollow.forecast.step import follow_step, reset_stop, sf_reset
+from surffollow.forecast.stop import latch_stop
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CHANNELS, FollowState, Output, Params
 
@@ -69,7 +71,7 @@ def entry_length(word: Any) -> Any:
         return n if n == SNAPSHOT_WORDS else 0
     if kind == PARAMS:
         return n if n == 2 + PARAMS_WORDS else 0
-    if kind == RESET:
+    if kind in (RESET, STOP):
         return n if n == 3 else 0
     if kind == MAP:
         return n if 2 <= n <= MAP_WORDS else 0
@@ -127,7 +129,7 @@ def walk_entries(words: Any, n: Any, most_cycles: Any, stop_at_snapshot: Any, wa
     R_FIRST_STATE_CYCLE,  # cycle of the first such snapshot
     R_LAST_CYCLE,
     R_GAPS,  # cycles whose number does not follow the one before
-    R_EVENTS,  # PARAMS, RESET and MAP entries
+    R_EVENTS,  # PARAMS, RESET, MAP and STOP entries
     R_COUNT,
 ) = range(11)
 
@@ -227,5 +229,9 @@ def replay_words(
                     params_words[k] = words[at + 2 + k]
             elif kind == RESET:
                 sf_reset(params, state, floats[at + 2])
+            elif kind == STOP and words[at + 2] != 0:
+                latch_stop(state, words[at + 2])
+            elif kind == STOP:
+                reset_stop(params, state)
         at += length
     return at

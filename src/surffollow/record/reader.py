@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 
@@ -25,17 +25,21 @@ from surffollow.record.format import (
     SCHEMA_ENCODING,
     SCHEMA_NAME,
     SUMMARY_NAME,
+    TOPIC,
     layout_hashes,
     program_version,
 )
-from surffollow.record.mcap_records import read_metadata, read_schema
+from surffollow.record.mcap_records import read_channel, read_metadata, read_schema
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 MAGIC = b"\x89MCAP0\r\n"
-_FOOTER, _SCHEMA, _MESSAGE, _CHUNK, _METADATA, _DATA_END_CODE = 2, 3, 5, 6, 12, 15
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 2, 3, 4, 5, 6, 12, 15
 _LAST_OPCODE = 15
 _RECORD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
+MESSAGE_HEAD = struct.Struct("<HIQQ")
 _FOOTER_BODY = struct.Struct("<QQI")
 _BATCH_HEAD = struct.Struct(f"<{HEAD_WORDS}q")
 _TAIL_BYTES = _RECORD.size + _FOOTER_BODY.size + len(MAGIC)
@@ -76,25 +80,18 @@ class Damage:
         return shown + (f"; and {len(self.reasons) - 3} more" if len(self.reasons) > 3 else "")
 
 
-class RecordingReader:
-    """An open recording; iterate `batches()`, then look at `damage` and `summary`.
-
-    Attributes
-    ----------
-    layout : dict     what the schema record says (version, machine, hashes, …)
-    summary : dict    what the recorder counted; empty when it was killed
-    damage : Damage
+class McapReader:
+    """An open MCAP file whose chunks may be damaged; iterate `records()`, then look at `damage`.
 
     Raises
     ------
-    RecordingError  not to be opened, no recording, or of another layout
+    RecordingError  not to be opened, or no MCAP file
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.damage = Damage()
-        self.layout: dict[str, Any] = {}
-        self.summary: dict[str, str] = {}
+        self.at = 0  # how far `records` came [B]
         try:
             self._file: Any = open(self.path, "rb")  # noqa: SIM115 - closed by close()
             self._size = self._file.seek(0, os.SEEK_END)
@@ -107,7 +104,6 @@ class RecordingReader:
                 "(a CSV log needs --columns and a name ending in .csv)"
             )
         self._sound = self._check_whole()
-        self._find_layout()
 
     def _read(self, at: int, n: int) -> bytes:
         try:
@@ -133,11 +129,11 @@ class RecordingReader:
         opcode, length = _RECORD.unpack_from(tail)
         summary, _, summary_crc = _FOOTER_BODY.unpack_from(tail, _RECORD.size)
         data_end = summary - _DATA_END.size
-        if opcode != _FOOTER or length != _FOOTER_BODY.size or not len(MAGIC) <= data_end < summary <= start:
+        if opcode != FOOTER or length != _FOOTER_BODY.size or not len(MAGIC) <= data_end < summary <= start:
             self.damage.add("the footer is damaged")
             return False
         opcode, length, data_crc = _DATA_END.unpack(self._read(data_end, _DATA_END.size))
-        if opcode != _DATA_END_CODE or length != 4 or self._crc(0, data_end) != data_crc:
+        if opcode != DATA_END or length != 4 or self._crc(0, data_end) != data_crc:
             self.damage.add("the checksum over the file's data is wrong")
             return False
         if self._crc(summary, self._size - len(MAGIC) - 4) != summary_crc:
@@ -145,42 +141,10 @@ class RecordingReader:
             return False
         return True
 
-    def _find_layout(self) -> None:
-        found = Damage(list(self.damage.reasons))
-        for opcode, body in self._records():
-            if opcode == _SCHEMA:
-                name, encoding, text = read_schema(body)
-                if name == SCHEMA_NAME and encoding == SCHEMA_ENCODING:
-                    self.layout = _check_layout(self.path, text)
-                    break
-        if not self.layout:
-            raise RecordingError(
-                f"{self.path} is an MCAP file, but no whole recording of the cycle log begins in it"
-                + (f" ({self.damage})" if self.damage else "")
-            )
-        # what this first look stumbled over will be met and counted again
-        self.damage = found
-
-    def batches(self) -> Iterator[Batch]:
-        """All messages that are whole, in the order of the file."""
-        for opcode, body in self._records():
-            if opcode == _MESSAGE:
-                size = len(body) - _MESSAGE_HEAD.size - _BATCH_HEAD.size
-                if size < 0 or size % 8:
-                    self.damage.add("a message is not made of whole words", lost_bytes=len(body))
-                    continue
-                head = _BATCH_HEAD.unpack_from(body, _MESSAGE_HEAD.size)
-                segment, epoch, position, cycles = head
-                words = body[_MESSAGE_HEAD.size + _BATCH_HEAD.size :]
-                yield Batch(segment, epoch, position, cycles, words)
-            elif opcode == _METADATA:
-                name, values = read_metadata(body)
-                if name == SUMMARY_NAME:
-                    self.summary = values
-
-    def _records(self) -> Iterator[tuple[int, memoryview]]:
+    def records(self) -> Iterator[tuple[int, memoryview]]:
         """The records of the data section, those inside chunks in their places."""
         at, size = len(MAGIC), self._size
+        self.at = at
         while at + _RECORD.size <= size:
             head = self._read(at, _RECORD.size)
             opcode, length = _RECORD.unpack(head) if len(head) == _RECORD.size else (0, 0)
@@ -189,14 +153,14 @@ class RecordingReader:
                 what = f"what begins at byte {at} is cut short or no record"
                 self.damage.add(f"{what}: the last {size - at} bytes are lost", lost_bytes=size - at)
                 return
-            if opcode == _DATA_END_CODE:
+            if opcode == DATA_END:
                 return
-            if opcode == _CHUNK:
+            if opcode == CHUNK:
                 yield from self._chunk(memoryview(self._read(at + _RECORD.size, length)), at)
             elif self._sound:
                 # outside chunks only the checksum over the file vouches for a record
                 yield opcode, memoryview(self._read(at + _RECORD.size, length))
-            at = end
+            self.at = at = end
         if at < size:
             self.damage.add(f"the last {size - at} bytes are lost", lost_bytes=size - at)
 
@@ -243,11 +207,83 @@ class RecordingReader:
         """Let go of the file."""
         self._file.close()
 
-    def __enter__(self) -> RecordingReader:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+class RecordingReader(McapReader):
+    """An open recording; iterate `batches()`, then look at `damage` and `summary`.
+
+    Attributes
+    ----------
+    layout : dict     what the schema record says (version, machine, hashes, …)
+    summary : dict    what the recorder counted; empty when it was killed
+    damage : Damage
+
+    Raises
+    ------
+    RecordingError  not to be opened, no recording, or of another layout
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        super().__init__(path)
+        self.layout: dict[str, Any] = {}
+        self.summary: dict[str, str] = {}
+        self._log_channel = -1
+        self._find_layout()
+
+    @property
+    def about(self) -> dict[str, str]:
+        """What the recorder kept about the service: name, period, clocks."""
+        return dict(self.layout.get("about", {}))
+
+    @property
+    def wall_offset_ns(self) -> int:
+        """CLOCK_REALTIME less CLOCK_MONOTONIC; 0: the recording does not say."""
+        text = self.about.get("wall_minus_monotonic_ns", "0")
+        return int(text) if text.lstrip("-").isdigit() else 0
+
+    def _find_layout(self) -> None:
+        found = Damage(list(self.damage.reasons))
+        for opcode, body in self.records():
+            if opcode == SCHEMA:
+                _, name, encoding, text = read_schema(body)
+                if name == SCHEMA_NAME and encoding == SCHEMA_ENCODING:
+                    self.layout = _check_layout(self.path, text)
+            elif opcode == CHANNEL:
+                number, _, topic, _, _ = read_channel(body)
+                if topic == TOPIC and self.layout:
+                    self._log_channel = number
+                    break
+        if self._log_channel < 0:
+            raise RecordingError(
+                f"{self.path} is an MCAP file, but no whole recording of the cycle log begins in it"
+                + (f" ({self.damage})" if self.damage else "")
+            )
+        # what this first look stumbled over will be met and counted again
+        self.damage = found
+
+    def batches(self) -> Iterator[Batch]:
+        """All whole messages of the cycle log, in the order of the file; other channels are passed over."""
+        for opcode, body in self.records():
+            if opcode == MESSAGE:
+                if body[0] | body[1] << 8 != self._log_channel:
+                    continue
+                size = len(body) - MESSAGE_HEAD.size - _BATCH_HEAD.size
+                if size < 0 or size % 8:
+                    self.damage.add("a message is not made of whole words", lost_bytes=len(body))
+                    continue
+                head = _BATCH_HEAD.unpack_from(body, MESSAGE_HEAD.size)
+                segment, epoch, position, cycles = head
+                words = body[MESSAGE_HEAD.size + _BATCH_HEAD.size :]
+                yield Batch(segment, epoch, position, cycles, words)
+            elif opcode == METADATA:
+                name, values = read_metadata(body)
+                if name == SUMMARY_NAME:
+                    self.summary = values
 
 
 def _check_layout(path: Path, text: bytes) -> dict[str, Any]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surffollow.errors import LayoutMismatchError
 from surffollow.forecast.journal import SNAPSHOT_WORDS
@@ -73,16 +74,54 @@ class Counts:
         return {name: str(value) for name, value in asdict(self).items()}
 
 
+class Feed(Protocol):
+    """Who else gets what is recorded: the standard channels."""
+
+    def take(self, segment: int, words: NDArray[np.int64]) -> None:
+        """A batch of whole entries of a segment, in order."""
+
+    def change_file(self, writer: RecordingWriter) -> None:
+        """What comes now belongs into another file."""
+
+    def finish(self) -> None:
+        """Nothing more comes for this file."""
+
+
+class Rotation(Protocol):
+    """When to begin another file, and which."""
+
+    def due(self, writer: RecordingWriter) -> bool:
+        """Whether the file in progress is to end at the next snapshot."""
+
+    def open_next(self) -> RecordingWriter:
+        """The next file."""
+
+
 class Recorder:
     """Moves what a log gained into a recording; `poll` often enough that the log does not go once around.
 
     A recording begins, and goes on after a loss, with a SNAPSHOT entry. What lies between
     the loss and that snapshot is counted as lost too.
+
+    Parameters
+    ----------
+    source, writer
+    feed : who else gets every batch that is written
+    rotation : when to go over to another file, which begins with a snapshot, too; nothing is lost between
     """
 
-    def __init__(self, source: LogSource, writer: RecordingWriter) -> None:
-        self.source, self.writer = source, writer
+    def __init__(
+        self,
+        source: LogSource,
+        writer: RecordingWriter,
+        feed: Feed | None = None,
+        rotation: Rotation | None = None,
+    ) -> None:
+        self.source, self.writer, self.feed, self.rotation = source, writer, feed, rotation
         self.counts = Counts()
+        self._before = Counts()  # in the files that ended already
+        self._segment = -1  # in this file
+        self._new_file = True
         self._buffer = np.zeros(_COPY_WORDS, np.int64)
         self._walk = np.zeros(W_COUNT, np.int64)
         self._pending = np.zeros(_BATCH_WORDS + _COPY_WORDS, np.int64)
@@ -145,10 +184,15 @@ class Recorder:
             self._in_segment = True
             self._first_of_segment = True
             self.counts.segments += 1
+            self._segment += 1
             self._clear_pending()
         at = 0
         while at < n:
-            walk_entries(self._buffer[at:], n - at, BATCH_CYCLES - self._pending_cycles, 0, walk)
+            due = not self._new_file and self.rotation is not None and self.rotation.due(self.writer)
+            walk_entries(self._buffer[at:], n - at, BATCH_CYCLES - self._pending_cycles, int(due), walk)
+            if due and walk[W_END] == 0 and walk[W_SNAPSHOT] == 0:
+                self._change_file()
+                continue
             self._append(at)
             at += int(walk[W_END])
             if walk[W_BAD]:
@@ -191,6 +235,7 @@ class Recorder:
         self._pending_cycles += int(walk[W_CYCLES])
         self._pending_last_t_ns = int(walk[W_LAST_T_NS])
         self._position += n
+        self._new_file = False
         self.counts.cycles += int(walk[W_CYCLES])
         self.counts.last_t_ns = self._pending_last_t_ns
         if self.counts.first_t_ns == 0:
@@ -201,15 +246,18 @@ class Recorder:
     def flush(self) -> None:
         """Hand the batch in progress to the file."""
         if self._pending_words > 0:
+            words = self._pending[: self._pending_words]
             self.writer.add_batch(
-                self.counts.segments - 1,
+                self._segment,
                 self.source.epoch,
                 self._pending_position,
                 self._pending_cycles,
-                self._pending[: self._pending_words],
+                words,
                 self._pending_first_t_ns,
                 self._pending_last_t_ns,
             )
+            if self.feed is not None:
+                self.feed.take(self.counts.segments - 1, words)
         self._clear_pending()
 
     def _lose(self) -> None:
@@ -231,9 +279,31 @@ class Recorder:
         self._attach()
         return True
 
+    def _change_file(self) -> None:
+        assert self.rotation is not None
+        self.flush()
+        self._end_file()
+        self.writer = self.rotation.open_next()
+        if self.feed is not None:
+            self.feed.change_file(self.writer)
+        self._before = replace(self.counts)
+        self._segment, self._new_file = 0, True
+
+    def _end_file(self) -> None:
+        if self.feed is not None:
+            self.feed.finish()
+        here = {k: v - getattr(self._before, k) for k, v in asdict(self.counts).items()}
+        first_ns = self.counts.first_t_ns if self._before.cycles == 0 else self._before.last_t_ns
+        here |= {
+            "segments": self._segment + 1,
+            "first_t_ns": first_ns,
+            "last_t_ns": self.counts.last_t_ns,
+        }
+        self.writer.finish(Counts(**here).as_text())
+
     def finish(self) -> Counts:
-        """Take the rest, write the summary and end the file."""
+        """Take the rest, write the summary and end the file; the counts of all files together."""
         self.poll()
         self.flush()
-        self.writer.finish(self.counts.as_text())
+        self._end_file()
         return self.counts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.map import HeightMap
 from surffollow.record.kernels import entry_length, params_in_bounds
 from surffollow.record.reader import RecordingReader
+from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import RQ_MAP_INSTALL, RQ_MAP_REFOCUS, RQ_MAP_RESET
@@ -84,7 +86,7 @@ def collect_targets(
     out[0], out[1] = at, kept
 
 
-class _Remapper:
+class Remapper:
     """Target points and map commands into one map; until the first MapReset the points wait."""
 
     def __init__(self) -> None:
@@ -97,27 +99,30 @@ class _Remapper:
         self.scratch, self.out = np.zeros(7), np.zeros(3, np.int64)
 
     def segment(self, words: NDArray[np.int64]) -> None:
+        """Step over the words of a whole segment."""
         records = (self.params, self.state, self.inputs, self.output)
         views = (self.params.view(np.int64), self.state.view(np.int64))
         floats, at = words.view(np.float64), 0
         self.out[2] = 0
         while at < words.size:
             collect_targets(words, floats, at, records, views, self.scratch, self.points, self.out)
-            self._add(self.points[: self.out[1]])
+            self.add(self.points[: self.out[1]])
             stuck, at = int(self.out[0]) == at and self.out[1] == 0, int(self.out[0])
             if at < words.size and entry_kind(words[at]) == MAP:
-                self._command(int(words[at + 2]), int(words[at + 1]), floats[at + 3 : at + 7])
+                self.command(int(words[at + 2]), int(words[at + 1]), floats[at + 3 : at + 7].tolist())
                 at += int(entry_words(words[at]))
             elif stuck:
                 raise RecordingError(f"the word at {at} of a segment begins no entry")
 
-    def _add(self, points: NDArray[np.float64]) -> None:
+    def add(self, points: NDArray[np.float64]) -> None:
+        """Take target points (n, 3) [m]."""
         if self.map is None:
             self.waiting.append(points.copy())
         else:
             self.map.add(points)
 
-    def _command(self, code: int, t_ns: int, values: NDArray[np.float64]) -> None:
+    def command(self, code: int, t_ns: int, values: Sequence[float]) -> None:
+        """Carry out a map command of the log."""
         x0, y0, x1, y1 = (float(v) for v in values)
         if code == RQ_MAP_RESET:
             self.map, self.waiting, self.installed_ns = HeightMap.over((x0, y0, x1, y1)), [], 0
@@ -127,6 +132,12 @@ class _Remapper:
             self.map.refocus((x0, y0, x1, y1))
 
     def finish(self) -> HeightMap:
+        """The map at the end; without a MapReset one over all points.
+
+        Raises
+        ------
+        RecordingError  a map was installed, whose heights are not in the log, or there is no point
+        """
         if self.installed_ns:
             raise RecordingError(
                 f"at {self.installed_ns * 1e-9:.3f} s of the service's clock a map was installed "
@@ -134,17 +145,39 @@ class _Remapper:
                 "Keep the live one with `surffollow map upload`"
             )
         if self.map is None:
-            points = np.concatenate([*self.waiting, np.zeros((0, 3))])
-            if not len(points):
-                raise RecordingError(
-                    "no cycle of the recording found a target point; there is nothing to map"
-                )
-            low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-            pad = np.maximum(0.0, _LEAST_SIDE_M - (high - low)) / 2 + 1e-6
-            (x0, y0), (x1, y1) = (low - pad).tolist(), (high + pad).tolist()
-            self.map = HeightMap.over((x0, y0, x1, y1))
-            self.map.add(points)
+            self.map = map_of_points(np.concatenate([*self.waiting, np.zeros((0, 3))]))
         return self.map
+
+
+def map_of_points(points_m: NDArray[np.float64]) -> HeightMap:
+    """A map over target points (n, 3) [m], NaN: no point; its memory is the default.
+
+    Grids are as fine as memory allows, but no finer than the default or than the usual distance from
+    point to point; a count of height is as coarse as all heights need.
+
+    Raises
+    ------
+    RecordingError  there is no point
+    """
+    points = points_m[np.isfinite(points_m).all(axis=1)]
+    if not len(points):
+        raise RecordingError("no target point was found; there is nothing to map")
+    low, high = points.min(axis=0), points.max(axis=0)
+    pad = np.maximum(0.0, _LEAST_SIDE_M - (high - low)[:2]) / 2 + 1e-6
+    (x0, y0), (x1, y1) = (low[:2] - pad).tolist(), (high[:2] + pad).tolist()
+    steps = np.hypot(*np.diff(points[:, :2], axis=0).T)
+    usual_m = float(np.median(steps)) if steps.size else 0.0
+    # room beyond both ends, for the mean of a grid lies between them anyway
+    needed_m = float(high[2] - low[2]) / (2 * ml.MAX_HEIGHT - 2)
+    quantum_m = max(ml.DEFAULT_QUANTUM_M, needed_m)
+    made = HeightMap.over(
+        (x0, y0, x1, y1),
+        finest_m=max(ml.DEFAULT_FINEST_GRID_M, usual_m),
+        quantum_m=quantum_m,
+        datum_m=round(float(low[2] + high[2]) / 2 / quantum_m) * quantum_m,
+    )
+    made.add(points)
+    return made
 
 
 def rebuild_map(path: str | Path) -> HeightMap:
@@ -165,7 +198,7 @@ def rebuild_map(path: str | Path) -> HeightMap:
             segments.setdefault(batch.segment, []).append(words)
         if reader.damage:
             raise RecordingError(f"{path} cannot be mapped: {reader.damage}")
-    remapper = _Remapper()
+    remapper = Remapper()
     for runs in segments.values():
         remapper.segment(np.concatenate(runs))
     return remapper.finish()

@@ -1,12 +1,15 @@
-"""Run a recorder until told to stop: poll, go over to restarted services, tell the progress."""
+"""Run a recorder until told to stop: poll, go over to restarted services, rotate files, tell the progress."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from surffollow.errors import UsageError
+from surffollow.record.feed import ChannelFeed
 from surffollow.record.recorder import Counts, Recorder
 from surffollow.record.service_log import ServiceLog
 from surffollow.record.writer import RecordingWriter
@@ -14,6 +17,61 @@ from surffollow.record.writer import RecordingWriter
 # a default log goes once around in 20 s; 20 ms behind keeps a watching eye current
 POLL_S = 0.02
 PROGRESS_S = 1.0
+RATE_HZ = 100.0
+
+
+@dataclass
+class Files:
+    """Names of a recording's files, when the next is due, and how many are kept.
+
+    Parameters
+    ----------
+    out : of the file; with a limit -0000, -0001, … are put before its suffix
+    max_bytes, max_s : a file that reached one of them ends at the next snapshot (one a second); 0: no limit
+    keep : files of this recording that stay, older ones are removed; 0: all
+    """
+
+    out: Path
+    about: dict[str, str]
+    force: bool = False
+    max_bytes: float = 0
+    max_s: float = 0.0
+    keep: int = 0
+
+    def __post_init__(self) -> None:
+        self.paths: list[Path] = []
+        self._begin = 0.0
+        if self.keep and not self.rotates:
+            raise UsageError("how many files to keep was told, but not when to begin another (size or time)")
+
+    @property
+    def rotates(self) -> bool:
+        """Whether there may be more than one file."""
+        return self.max_bytes > 0 or self.max_s > 0.0
+
+    def due(self, writer: RecordingWriter) -> bool:
+        """Whether the file in progress is to end at the next snapshot."""
+        full = 0 < self.max_bytes <= writer.bytes_written
+        return full or 0.0 < self.max_s <= time.monotonic() - self._begin
+
+    def open_next(self) -> RecordingWriter:
+        """The next file; the oldest goes when there are more than are to be kept."""
+        path = self.out
+        if self.rotates:
+            path = path.with_name(f"{path.stem}-{len(self.paths):04d}{path.suffix}")
+        writer = RecordingWriter(path, self.about, force=self.force)
+        self._begin = time.monotonic()
+        self.paths.append(path)
+        if self.keep and len(self.paths) > self.keep:
+            self.paths[-self.keep - 1].unlink(missing_ok=True)
+        return writer
+
+
+@dataclass
+class Recorded(Counts):
+    """Counts of all files together, and the files that are there."""
+
+    files: list[str] = field(default_factory=list)
 
 
 def record_service(
@@ -24,12 +82,25 @@ def record_service(
     seconds: float | None = None,
     progress: Callable[[str], None] | None = None,
     force: bool = False,
-) -> Counts:
+    rate_hz: float = RATE_HZ,
+    rotate_bytes: float = 0,
+    rotate_s: float = 0.0,
+    keep: int = 0,
+) -> Recorded:
     """Record the service `name` into `out` until `stop` is set or `seconds` have passed.
 
     The seconds count from the first cycle recorded: kernels may be compiled before it. Where no cycle
     comes because no service is alive, they count from the first look at its log. A service that stops
     is waited for: its next start becomes the next segment. An existing file is replaced only with `force`.
+
+    Parameters
+    ----------
+    rate_hz : of the standard channels; 0: only the words that a replay needs
+    rotate_bytes, rotate_s, keep : see `Files`
+
+    Returns
+    -------
+    Recorded   counts of all files together, and the files that are there
 
     Raises
     ------
@@ -37,29 +108,53 @@ def record_service(
     FaultError                                                the file exists or cannot be written
     """
     log = ServiceLog(name)
+    feed: ChannelFeed | None = None
     try:
-        with RecordingWriter(out, log.about(), force=force) as writer:
-            recorder = Recorder(log, writer)
-            recorder.poll()
-            begin = told = time.monotonic()
-            begun = recorder.counts.cycles > 0
-            while not stop.is_set():
-                now = time.monotonic()
-                if seconds is not None and now - begin >= seconds and (begun or not log.alive()):
-                    break
-                recorder.poll()
-                if not log.alive():
-                    recorder.restart()
-                if not begun and recorder.counts.cycles > 0:
-                    begin, begun = time.monotonic(), True
-                if progress is not None and now - told >= PROGRESS_S:
-                    told = now
-                    progress(progress_line(recorder, log, now - begin))
-                left = POLL_S if seconds is None or not begun else begin + seconds - now
-                stop.wait(max(0.0, min(POLL_S, left)))
-            return recorder.finish()
+        files = Files(Path(out), log.about(), force, rotate_bytes, rotate_s, keep)
+        writer = files.open_next()
+        if rate_hz > 0:
+            feed = ChannelFeed(writer, round(1e9 / rate_hz), log)
+        recorder = Recorder(log, writer, feed, files if files.rotates else None)
+        try:
+            counts = _run(recorder, log, feed, stop, seconds, progress)
+            return Recorded(**asdict(counts), files=[str(p) for p in files.paths[-files.keep :]])
+        finally:
+            recorder.writer.close()
     finally:
+        if feed is not None:
+            feed.close()
         log.close()
+
+
+def _run(
+    recorder: Recorder,
+    log: ServiceLog,
+    feed: ChannelFeed | None,
+    stop: threading.Event,
+    seconds: float | None,
+    progress: Callable[[str], None] | None,
+) -> Counts:
+    recorder.poll()
+    begin = told = time.monotonic()
+    begun = recorder.counts.cycles > 0
+    while not stop.is_set():
+        now = time.monotonic()
+        if seconds is not None and now - begin >= seconds and (begun or not log.alive()):
+            break
+        recorder.poll()
+        if feed is not None:
+            feed.work()
+        if not log.alive():
+            recorder.restart()
+        if not begun and recorder.counts.cycles > 0:
+            begin, begun = time.monotonic(), True
+        if progress is not None and now - told >= PROGRESS_S:
+            told = now
+            waits = "; channels follow when their kernel is compiled" if feed and feed.compiling else ""
+            progress(progress_line(recorder, log, now - begin) + waits)
+        left = POLL_S if seconds is None or not begun else begin + seconds - now
+        stop.wait(max(0.0, min(POLL_S, left)))
+    return recorder.finish()
 
 
 def progress_line(recorder: Recorder, log: ServiceLog, elapsed_s: float) -> str:

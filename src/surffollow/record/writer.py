@@ -1,13 +1,14 @@
-"""Write a recording: batches of cycle-log words into a chunked MCAP file that survives its writer's death."""
+"""Write MCAP files that survive their writer's death: cycle-log words, and messages for viewers."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import os
+import time
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from surffollow.errors import FaultError
 from surffollow.record.format import (
     CHUNK_BYTES,
+    CLOCK_NAME,
     HEAD_WORDS,
     MESSAGE_ENCODING,
     PROFILE,
@@ -26,10 +28,25 @@ from surffollow.record.format import (
     layout_description,
     program_version,
 )
+from surffollow.record.protobuf import Message, descriptor_set
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+PROTOBUF = "protobuf"
 
 
-class RecordingWriter:
-    """An open recording.
+def wall_offset_ns() -> int:
+    """CLOCK_REALTIME less CLOCK_MONOTONIC now, from the closest of a few looks at both."""
+    looks = []
+    for _ in range(5):
+        before, wall, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        looks.append((after - before, wall - (before + after) // 2))
+    return min(looks)[1]
+
+
+class MessageWriter:
+    """An open MCAP file for messages of protocol buffers; a channel and its schema are declared at first use.
 
     Each finished chunk goes to the kernel at once, so that a killed process loses only
     the chunk it was filling. LZ4 because the replay must read a million cycles a second:
@@ -39,9 +56,10 @@ class RecordingWriter:
     Parameters
     ----------
     path : where to write
-    about : text values kept with the layout: name, period, …
     stream : instead of opening `path` (for trials)
     force : replace an existing file
+    wall_offset : CLOCK_REALTIME less CLOCK_MONOTONIC [ns]; log times are wall-clock times by it,
+        publish times those of CLOCK_MONOTONIC. None: as the clocks say now. 0: no wall clock is known
 
     Raises
     ------
@@ -51,15 +69,19 @@ class RecordingWriter:
     def __init__(
         self,
         path: str | Path,
-        about: dict[str, str] | None = None,
         *,
         stream: BinaryIO | None = None,
         force: bool = False,
+        wall_offset: int | None = None,
     ) -> None:
         self.path = Path(path)
         self.bytes_written = 0
+        self.messages = 0
+        self.wall_offset_ns = wall_offset_ns() if wall_offset is None else wall_offset
         self._whole = 0
         self._finished = False
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
         if stream is None and self.path.exists() and not self.path.is_file():
             # a pipe would wait for its reader, and a device keeps nothing
             raise FaultError(f"recording {self.path} is there and is no plain file; choose another --out")
@@ -78,10 +100,120 @@ class RecordingWriter:
         self._mcap = Writer(
             sink, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4, enable_data_crcs=True
         )
-        self._guard(self._begin, about or {})
+        self._guard(self._begin)
 
-    def _begin(self, about: dict[str, str]) -> None:
+    def _begin(self) -> None:
         self._mcap.start(PROFILE, f"surffollow {program_version()}")
+
+    def note_clock(self) -> None:
+        """Say in a metadata record what the times are."""
+        known = self.wall_offset_ns != 0
+        clock = {
+            "wall_minus_monotonic_ns": str(self.wall_offset_ns),
+            "log_time": "CLOCK_REALTIME" if known else "CLOCK_MONOTONIC (the wall clock is not known)",
+            "publish_time": "CLOCK_MONOTONIC",
+        }
+        self._guard(self._mcap.add_metadata, CLOCK_NAME, clock)
+
+    def declare(self, topic: str, kind: Message, about: dict[str, str] | None = None) -> None:
+        """Declare a channel before its first message, with texts that stay with it."""
+        self._guard(self._channel_of, topic, kind, about)
+
+    def _channel_of(self, topic: str, kind: Message, about: dict[str, str] | None = None) -> int:
+        if topic not in self._channels:
+            name = kind.full_name
+            if name not in self._schemas:
+                self._schemas[name] = self._mcap.register_schema(name, PROTOBUF, descriptor_set(kind))
+            schema = self._schemas[name]
+            self._channels[topic] = self._mcap.register_channel(topic, PROTOBUF, schema, about or {})
+        return self._channels[topic]
+
+    def add_message(self, topic: str, kind: Message, t_ns: int, data: bytes) -> None:
+        """Append one message.
+
+        Parameters
+        ----------
+        topic : of the channel, which always has messages of one kind
+        kind : its type
+        t_ns : int64        CLOCK_MONOTONIC [ns]
+        data : encoded with `kind`
+
+        Raises
+        ------
+        FaultError  the disk is full or gone; what was written stays readable
+        """
+        self._guard(self._append, topic, kind, t_ns, data)
+        self.messages += 1
+
+    def _append(self, topic: str, kind: Message, t_ns: int, data: bytes) -> None:
+        log_ns = max(0, t_ns + self.wall_offset_ns)
+        self._mcap.add_message(self._channel_of(topic, kind), log_ns, data, max(0, t_ns), self.messages)
+
+    def finish(self, summary: dict[str, str]) -> None:
+        """Write the summary record, the indexes and the end mark, and close the file."""
+        if self._finished:
+            return
+        self.note_clock()
+        self._guard(self._mcap.add_metadata, SUMMARY_NAME, summary)
+        self._guard(self._mcap.finish)
+        self.close()
+
+    def close(self) -> None:
+        """Close the file as it is; without `finish` it counts as cut short."""
+        self._finished = True
+        self._stream.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not self._finished:
+            self.close()
+
+    def _guard(self, call: Any, *arguments: Any) -> None:
+        try:
+            call(*arguments)
+        except OSError as e:
+            self._give_up()
+            what = "the disk is full" if e.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) else e.strerror
+            raise FaultError(
+                f"recording {self.path} ends after {self._whole} bytes: {what}; it is readable up to there "
+                "(surffollow replay); free some space or choose another --out"
+            ) from None
+
+    def _give_up(self) -> None:
+        self._finished = True
+        # where that fails, the reader recognises the half record at the end
+        with contextlib.suppress(OSError, AttributeError, ValueError):
+            os.ftruncate(self._stream.fileno(), self._whole)
+        self._stream.close()
+
+
+class RecordingWriter(MessageWriter):
+    """An open recording: batches of cycle-log words, and standard channels beside them.
+
+    Parameters
+    ----------
+    path, stream, force : see `MessageWriter`
+    about : text values kept with the layout: name, period, …
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        about: dict[str, str] | None = None,
+        *,
+        stream: BinaryIO | None = None,
+        force: bool = False,
+    ) -> None:
+        self._about = dict(about or {})
+        super().__init__(path, stream=stream, force=force)
+
+    def _begin(self) -> None:
+        super()._begin()
+        about = {**self._about, "wall_minus_monotonic_ns": str(self.wall_offset_ns)}
         schema = self._mcap.register_schema(SCHEMA_NAME, SCHEMA_ENCODING, layout_description(about))
         self._channel = self._mcap.register_channel(TOPIC, MESSAGE_ENCODING, schema, about)
         self._sequence = 0
@@ -111,54 +243,15 @@ class RecordingWriter:
         head = np.array([segment, epoch, position, cycles], np.int64)
         assert head.size == HEAD_WORDS
         data = head.tobytes() + words.tobytes()
-        self._guard(self._mcap.add_message, self._channel, first_t_ns, data, last_t_ns, self._sequence)
+        log_ns = first_t_ns + self.wall_offset_ns
+        self._guard(self._mcap.add_message, self._channel, log_ns, data, last_t_ns, self._sequence)
         self._sequence += 1
-
-    def finish(self, summary: dict[str, str]) -> None:
-        """Write the summary record, the indexes and the end mark, and close the file."""
-        if self._finished:
-            return
-        self._guard(self._mcap.add_metadata, SUMMARY_NAME, summary)
-        self._guard(self._mcap.finish)
-        self.close()
-
-    def close(self) -> None:
-        """Close the file as it is; without `finish` it counts as cut short."""
-        self._finished = True
-        self._stream.close()
-
-    def __enter__(self) -> RecordingWriter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if not self._finished:
-            self.close()
-
-    def _guard(self, call: Any, *arguments: Any) -> None:
-        try:
-            call(*arguments)
-        except OSError as e:
-            self._give_up()
-            what = "the disk is full" if e.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) else e.strerror
-            raise FaultError(
-                f"recording {self.path} ends after {self._whole} bytes: {what}; it is readable up to there "
-                "(surffollow replay); free some space or choose another --out"
-            ) from None
-
-    def _give_up(self) -> None:
-        self._finished = True
-        # where that fails, the reader recognises the half record at the end
-        with contextlib.suppress(OSError, AttributeError, ValueError):
-            os.ftruncate(self._stream.fileno(), self._whole)
-        self._stream.close()
 
 
 class _Sink:
     """What the MCAP writer writes to: counts bytes, and remembers where the last whole record ended."""
 
-    def __init__(self, owner: RecordingWriter) -> None:
+    def __init__(self, owner: MessageWriter) -> None:
         self._owner = owner
 
     def write(self, data: bytes) -> int:

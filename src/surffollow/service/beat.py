@@ -7,45 +7,67 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.hw.driver import Driver
 from surffollow.service import memory as m
+from surffollow.service.audit import AuditTrail
+from surffollow.service.driver_watch import DriverWatch
+from surffollow.service.guard import Guard
 from surffollow.service.house import House
+from surffollow.service.messages import Messages
 from surffollow.service.realtime import Grants
 from surffollow.service.slot_server import SlotServer
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch import latch_write
+from surffollow.shm.layout_follow import STOP_DRIVER
+from surffollow.shm.python_atomics import store_release
 
-FAULT_DRIVER, FAULT_CYCLE_STALLED, FAULT_SAMPLES_LOST, FAULT_SLOTS = 1, 2, 4, 8  # SERVICE_FAULT_NAMES
+# SERVICE_FAULT_NAMES
+FAULT_DRIVER, FAULT_CYCLE_STALLED, FAULT_SAMPLES_LOST, FAULT_SLOTS, FAULT_HOUSEKEEPING = 1, 2, 4, 8, 16
 
 
 class Beat:
     """What the main thread tells clients about itself, the driver and who is alive.
 
+    Parts of it may fail: the fault is latched and told, and the part is tried again at the next beat.
+
     Parameters
     ----------
     house : House            the board
     ctx : (n,) int64         the words that the service's threads share (`service.memory`)
-    driver : Driver          asked for its faults
+    watch : DriverWatch      knows the driver's faults
     grants : Grants          what the kernel granted
     server : SlotServer      who holds which slot
+    messages : Messages      lines for people
+
+    Attributes
+    ----------
+    guard : Guard            for all that the main thread does beside the cycle
     """
 
     def __init__(
-        self, house: House, ctx: NDArray[np.int64], driver: Driver, grants: Grants, server: SlotServer
+        self,
+        house: House,
+        ctx: NDArray[np.int64],
+        watch: DriverWatch,
+        grants: Grants,
+        server: SlotServer,
+        messages: Messages,
     ) -> None:
-        self._house, self._ctx, self._driver, self._grants = house, ctx, driver, grants
-        self._server = server
+        self._house, self._ctx, self._watch, self._grants = house, ctx, watch, grants
+        self._server, self._messages, self.guard = server, messages, Guard(messages.tell)
+        self._audit = AuditTrail(house, ctx, server.table.named, messages.tell)
         self._ticker = zeros(lb.Ticker)
 
     def beat(self, faults: int = 0) -> None:
-        """Look once and publish; `faults` are bits that the caller found itself."""
-        house = self._house
+        """Look once and publish; `faults` are bits that the caller found itself. Raises nothing."""
         told_ns = time.monotonic_ns()  # before what it tells was looked at
         clients, pose_slot = self._server.table, int(self._ctx[m.POSE_SLOT])
         sender = clients.who(pose_slot)
-        driver_faults = self._driver.faults()
-        texts = [*driver_faults, *self._grants.refused]
+        driver_faults = self._watch.faults()
+        causes = STOP_DRIVER if driver_faults else 0
+        store_release(self._ctx.ctypes.data + 8 * m.STOP_ASKED, causes)
+        self.guard.run("the audit trail", self._audit.publish, None)
+        texts = [*driver_faults, *self._grants.refused, *self.guard.texts()]
         if self._server.failures:
             faults |= FAULT_SLOTS
             texts.append(
@@ -54,8 +76,10 @@ class Beat:
             )
         faults |= FAULT_DRIVER if driver_faults else 0
         faults |= FAULT_SAMPLES_LOST if int(self._ctx[m.LOST]) else 0
+        faults |= FAULT_HOUSEKEEPING if self.guard.failed else 0
         t = self._ticker[0]
         t["t_ns"], t["pose_slot"], t["pose_pid"] = told_ns, pose_slot, sender.pid if sender else 0
         t["clients"], t["granted"], t["faults"] = clients.held(), self._grants.bits, faults
-        t["text"] = "; ".join(texts).encode()[:511]
-        latch_write(house.address("ticker"), self._ticker.ctypes.data, lb.Ticker.SIZE)
+        t["messages_lost"], t["audit_lost"] = self._messages.lost, self._audit.lost
+        t["text"] = "; ".join(texts).encode(errors="replace")[:511]
+        latch_write(self._house.address("ticker"), self._ticker.ctypes.data, lb.Ticker.SIZE)

@@ -23,6 +23,7 @@ from surffollow.shm.python_atomics import load_acquire, store_release
 _STEP = latch_bytes(lb.ClientInfo.SIZE)
 # a thread that saw a slot in use has left the pass in which it did so when its counter grew by two
 PASSES = 2
+NAMES = 256  # of clients remembered: more than come and go in a beat
 
 
 @dataclass(frozen=True)
@@ -74,10 +75,15 @@ class ClientTable:
         self._retired: dict[int, tuple[int, int]] = {}  # slot → cycles and passes of the map then
         self._random = random.SystemRandom()
         self._info = zeros(lb.ClientInfo)
+        self._names: dict[int, str] = {}  # by claim, of clients that have gone, too
 
     def who(self, slot: int) -> ClientId | None:
         """Who holds a slot; None: nobody."""
         return self._who[slot] if 0 <= slot < lb.CLIENTS and self._held[slot] else None
+
+    def named(self, claim: int) -> str:
+        """How the client with this claim calls itself, also when it has just gone; empty when unknown."""
+        return self._names.get(claim, "")
 
     def held(self) -> int:
         """How many clients there are."""
@@ -120,6 +126,9 @@ class ClientTable:
         client = self._who[slot]
         assert client is not None
         self._held[slot] = True
+        self._names[claim] = client.name
+        while len(self._names) > NAMES:
+            del self._names[next(iter(self._names))]
         self._publish(slot, client)
         words = self._ctx.ctypes.data
         for block, value in ((m.SEEN, 0), (m.PID, client.pid), (m.UID, client.uid), (m.CLAIM, claim)):

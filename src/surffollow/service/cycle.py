@@ -10,6 +10,7 @@ from surffollow.service import memory as m
 from surffollow.service.inbox import POSE_BAD, POSE_OK, POSE_TORN, read_pose
 from surffollow.service.preview import fill_preview
 from surffollow.service.requests import count, process_requests
+from surffollow.service.stopping import keep_stop
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.conversion import ITEM_WORDS
@@ -127,7 +128,9 @@ def one_cycle(mem: Any, t_ns: Any) -> None:
     drain_conversions(mem, t_ns)
     mem.inputs[0].t_ns = t_ns
     fill_preview(mem)
+    stop = mem.state[0].stop
     follow_step(mem.params, mem.state, mem.inputs, mem.output, mem.pose)
+    keep_stop(mem, stop, t_ns)
     mem.output[0].epoch = ctx[m.EPOCH]
     latch_write(ctx[m.OUTPUT], mem.output.ctypes.data, _OUTPUT_BYTES)
     n = journal.encode_cycle(mem.entry, mem.entry_floats, mem.inputs, mem.output)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -23,15 +23,18 @@ from surffollow.service import realtime
 from surffollow.service.beat import FAULT_CYCLE_STALLED, Beat
 from surffollow.service.client_table import ClientTable, Limits
 from surffollow.service.cycle import run_cycles
+from surffollow.service.driver_watch import DriverWatch
 from surffollow.service.house import House, open_house
 from surffollow.service.initialise import (
     initialise_constants,
     initialise_log,
     initialise_memory,
+    make_change_queue,
     make_sample_ring,
 )
 from surffollow.service.mapper import run_map
 from surffollow.service.mapper_memory import make_map_memory
+from surffollow.service.messages import STDOUT, Messages
 from surffollow.service.notify import CompileProgress, sd_notify
 from surffollow.service.requests import publish_params
 from surffollow.service.side_compile import SideCompile, note_complete
@@ -42,13 +45,14 @@ from surffollow.shm.layout_follow import Output
 from surffollow.shm.python_atomics import load_acquire, store_release
 
 BEAT_S = 0.05
+DRIVER_END_S = 4.0
 END_S = 8.0  # for both threads to end, the map's queue applied
 
 
 class Daemon:
     """One running service; `run` returns when a signal asks it to end."""
 
-    def __init__(self, config: ServiceConfig, quiet: bool = False) -> None:
+    def __init__(self, config: ServiceConfig, quiet: bool = False, messages: Messages | None = None) -> None:
         self.config, self.quiet = config, quiet
         self.grants = realtime.Grants()
         self.driver: Driver = make_driver(config.driver, config.name)
@@ -69,8 +73,13 @@ class Daemon:
         except BaseException:
             self.house.leave()
             raise
+        self.messages = Messages() if messages is None else messages
+        self._changes = make_change_queue(self.mem)
+        self._driver_watch = DriverWatch(self.driver)
         self._slots = self._make_slot_server()
-        self._beat = Beat(self.house, self.mem.ctx, self.driver, self.grants, self._slots)
+        self._beat = Beat(
+            self.house, self.mem.ctx, self._driver_watch, self.grants, self._slots, self.messages
+        )
         self._errors: list[str] = []
         self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
@@ -91,6 +100,7 @@ class Daemon:
             realtime.prepare_process(
                 self.grants, self.config.realtime.lock_memory, self.config.realtime.dma_latency
             )
+            self._insist(realtime.MLOCKALL)
             if not self._compile(side):
                 return
             threads = [
@@ -101,6 +111,7 @@ class Daemon:
                 t.start()
             self._await_first_cycles()
             self._hurry(threads[0])
+            self._insist(realtime.FIFO | realtime.AFFINITY | realtime.MLOCKALL)
             self.house.set_state(lb.STATE_READY)
             sd_notify(f"READY=1\nSTATUS=cycle {self.mem.ctx[m.PERIOD_NS] / 1e6:g} ms")
             if on_ready is not None:
@@ -110,10 +121,19 @@ class Daemon:
             side.end()
             self._end(threads)
 
+    def _insist(self, bits: int) -> None:
+        """Refuse to start without what the configuration wants of the kernel, when it is strict about it."""
+        missing = realtime.missing(self.grants, self.config.realtime, bits)
+        if missing and self.config.realtime.strict:
+            raise ServiceError(
+                f"strict start: the kernel does not grant {'; '.join(missing)}; "
+                "`surffollow doctor` says how to get it, or start without --strict (realtime.strict)"
+            )
+
     def _compile(self, side: SideCompile) -> bool:
         """Call every kernel once, which compiles it or loads it; False when asked to end meanwhile."""
         stop = self.mem.ctx.ctypes.data + 8 * m.STOP
-        with CompileProgress(self.quiet) as progress:
+        with CompileProgress(self.messages.write, self.quiet) as progress:
             run_cycles(self.mem, 0, 0)
             # the paper's initialisation of the forecast is SFReset itself
             sf_reset(self.mem.params, self.mem.state, self.mem.params[0]["offset_m"])
@@ -124,6 +144,7 @@ class Daemon:
             publish_params(self.mem)
             self._beat.beat()
             self.driver.start(self.queue)
+            self._driver_watch.start()
         store_release(stop, 0)
         note_complete()
         return True
@@ -164,10 +185,17 @@ class Daemon:
                 raise ServiceError(f"the cycle did not start: {'; '.join(self._errors) or 'no cycle in 5 s'}")
             time.sleep(0.001)
 
+    def _serve(self) -> bool:
+        """Serve the clients until the next beat; True when asked to end."""
+        asked = self._beat.guard.run(
+            "serving the clients", lambda: self._slots.serve(self._wake, BEAT_S), None
+        )
+        return bool(select.select([self._wake], [], [], BEAT_S)[0]) if asked is None else asked
+
     def _watch(self) -> None:
         stall_s = seconds(self.config.watchdog, "watchdog", 0.01, 60.0)
         seen, since, stalled = -1, time.monotonic(), False
-        while not self._slots.serve(self._wake, BEAT_S):
+        while not self._serve():
             cycles, now = self._cycles(), time.monotonic()
             if cycles != seen:
                 seen, since = cycles, now
@@ -175,7 +203,7 @@ class Daemon:
             if (now - since > stall_s) != stalled:
                 stalled = not stalled
                 said = f"stands still for {now - since:.3g} s; does another process hold its processor?"
-                tell(f"the cycle {said if stalled else 'runs again'}")
+                self.messages.tell(f"the cycle {said if stalled else 'runs again'}")
             self._beat.beat(FAULT_CYCLE_STALLED if stalled else 0)
             if self._errors:
                 raise ServiceError("; ".join(self._errors))
@@ -183,8 +211,7 @@ class Daemon:
     def _end(self, threads: list[threading.Thread]) -> None:
         sd_notify("STOPPING=1")
         self.house.set_state(lb.STATE_STOPPING)
-        with contextlib.suppress(Exception):
-            self.driver.stop()
+        self._driver_watch.stop(DRIVER_END_S)
         for t in threads:
             if t.native_id is not None:
                 realtime.relax_thread(t.native_id, os.sched_getaffinity(0))
@@ -195,36 +222,34 @@ class Daemon:
         alive = [t.name for t in threads if t.is_alive()]
         if alive:
             # its memory must not go away under a thread: leave the names to the next start and end at once
-            tell(f"thread {', '.join(alive)} does not end; giving up")
+            self.messages.tell(f"thread {', '.join(alive)} does not end; giving up")
+            self.messages.end()
             os._exit(1)
         self.mem.output[0]["status"] = 0
         self.mem.output[0]["demand"] = 0.0
         latch_write(self.house.address("output"), self.mem.output.ctypes.data, Output.SIZE)
         self.house.set_state(lb.STATE_STOPPED)
-        self._slots.close()
+        with contextlib.suppress(OSError):
+            self._slots.close()
         self.house.leave()
         realtime.release(self.grants)
         os.close(self._wake)
         os.close(self._waker)
 
 
-def tell(text: str) -> None:
-    """One line for the service's log."""
-    print(f"surffollow: {text}", file=sys.stderr, flush=True)
-
-
 def serve(config: ServiceConfig, quiet: bool = False) -> None:
     """Run a service in the foreground until SIGTERM or SIGINT."""
-    daemon = Daemon(config, quiet)
+    messages = Messages().start()
+    try:
+        daemon = Daemon(config, quiet, messages)
 
-    def ready() -> None:
-        refused = "; ".join(daemon.grants.refused)
-        if not quiet:
-            granted = ", ".join(daemon.grants.names()) or "nothing"
-            print(
-                f"surffollow: real time granted: {granted}" + (f"; refused: {refused}" if refused else ""),
-                file=sys.stderr,
-            )
-        print(f"READY {config.name} pid {os.getpid()}", flush=True)
+        def ready() -> None:
+            refused = "; ".join(daemon.grants.refused)
+            if not quiet:
+                granted = ", ".join(daemon.grants.names()) or "nothing"
+                messages.tell(f"real time granted: {granted}" + (f"; refused: {refused}" if refused else ""))
+            messages.write(f"READY {config.name} pid {os.getpid()}\n", fd=STDOUT, limited=False)
 
-    daemon.run(ready)
+        daemon.run(ready)
+    finally:
+        messages.end()

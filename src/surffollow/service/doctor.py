@@ -13,38 +13,19 @@ import resource
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-GOOD, FAIR, LACKING, UNKNOWN = "good", "fair", "lacking", "unknown"
+from surffollow.service.doctor_host import check_huge_pages, check_interrupts, check_remove_ipc, check_swap
+from surffollow.service.finding import FAIR, GOOD, LACKING, UNKNOWN, Finding, read_text
+
 PRIORITY = 80
 # a service with the default map of a million grids needs about 4 MiB, logs and blocks more
 SHM_GOOD_BYTES = 64 << 20
 JITTER_S = 0.25
 JITTER_GOOD_NS, JITTER_FAIR_NS = 50_000, 1_000_000
 _CAP_IPC_LOCK = 14
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One check: `state` good, fair, lacking or unknown; `remedy` is empty when there is nothing to do."""
-
-    name: str
-    state: str
-    found: str
-    why: str
-    remedy: str = ""
-
-    def as_dict(self) -> dict[str, str]:
-        return asdict(self)
-
-
-def _text(path: Path) -> str | None:
-    try:
-        return path.read_text(errors="replace").strip()
-    except OSError:
-        return None
+_CLOCK = "devices/system/clocksource/clocksource0"
 
 
 def check_priority(root: Path) -> Finding:
@@ -78,7 +59,7 @@ def check_priority(root: Path) -> Finding:
 def check_memory_lock(root: Path) -> Finding:
     """Whether all memory may be locked."""
     soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    status = _text(root / "proc/self/status") or ""
+    status = read_text(root / "proc/self/status") or ""
     capabilities = re.search(r"^CapEff:\s*([0-9a-f]+)", status, re.MULTILINE)
     may = bool(capabilities and int(capabilities[1], 16) >> _CAP_IPC_LOCK & 1)
     why = "a page fault in the cycle costs from microseconds to the time of a disk"
@@ -94,14 +75,14 @@ def check_memory_lock(root: Path) -> Finding:
 
 def check_preemption(root: Path) -> Finding:
     """The kernel's preemption model."""
-    version = _text(root / "proc/version") or platform.version()
+    version = read_text(root / "proc/version") or platform.version()
     # debugfs says what is in force, and needs root; the command line says what was asked for
-    chosen = re.search(r"\((\w+)\)", _text(root / "sys/kernel/debug/sched/preempt") or "") or re.search(
-        r"\bpreempt=(\w+)", _text(root / "proc/cmdline") or ""
+    chosen = re.search(r"\((\w+)\)", read_text(root / "sys/kernel/debug/sched/preempt") or "") or re.search(
+        r"\bpreempt=(\w+)", read_text(root / "proc/cmdline") or ""
     )
     why = "without full preemption a driver or system call of any process may delay the cycle by milliseconds"
     remedy = "install a PREEMPT_RT kernel (Debian: linux-image-rt-amd64; since 6.12 CONFIG_PREEMPT_RT=y)"
-    if _text(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version:
+    if read_text(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version:
         return Finding("kernel preemption", GOOD, "PREEMPT_RT", why)
     if "PREEMPT_DYNAMIC" in version:
         mode = f", now {chosen[1]}" if chosen else ""
@@ -122,7 +103,7 @@ def check_governor(root: Path) -> Finding:
     """Whether processors keep their clock rate."""
     why = "a processor that slowed down does the same cycle in several times the time"
     cpus = root / "sys/devices/system/cpu"
-    governors = {_text(p) or "?" for p in cpus.glob("cpu[0-9]*/cpufreq/scaling_governor")}
+    governors = {read_text(p) or "?" for p in cpus.glob("cpu[0-9]*/cpufreq/scaling_governor")}
     if not governors:
         return Finding(
             "clock governor", UNKNOWN, "not controlled from here (a virtual machine, or firmware)", why
@@ -130,13 +111,19 @@ def check_governor(root: Path) -> Finding:
     found = ", ".join(sorted(governors))
     if governors == {"performance"}:
         return Finding("clock governor", GOOD, found, why)
-    return Finding("clock governor", LACKING, found, why, "cpupower frequency-set -g performance")
+    return Finding(
+        "clock governor",
+        LACKING,
+        found,
+        why,
+        "cpupower frequency-set -g performance; boot with cpufreq.default_governor=performance",
+    )
 
 
 def check_isolation(root: Path) -> Finding:
     """Whether processors are kept free for the cycle."""
     cpus = root / "sys/devices/system/cpu"
-    isolated, tickless = _text(cpus / "isolated") or "", _text(cpus / "nohz_full") or ""
+    isolated, tickless = read_text(cpus / "isolated") or "", read_text(cpus / "nohz_full") or ""
     tickless = "" if tickless == "(null)" else tickless
     allowed = len(os.sched_getaffinity(0))
     why = "on a processor of its own the cycle meets no other thread, and no timer tick, at its deadline"
@@ -155,8 +142,8 @@ def check_isolation(root: Path) -> Finding:
 def check_throttling(root: Path) -> Finding:
     """Whether the kernel takes real-time threads off the processor."""
     why = "real-time threads are stopped when they used more than this share of each second"
-    runtime = _text(root / "proc/sys/kernel/sched_rt_runtime_us")
-    period = _text(root / "proc/sys/kernel/sched_rt_period_us")
+    runtime = read_text(root / "proc/sys/kernel/sched_rt_runtime_us")
+    period = read_text(root / "proc/sys/kernel/sched_rt_period_us")
     if runtime is None or period is None:
         return Finding("real-time throttling", UNKNOWN, "sched_rt_runtime_us cannot be read", why)
     if int(runtime) < 0:
@@ -209,23 +196,29 @@ def check_shm(root: Path) -> Finding:
 def check_clock(root: Path) -> Finding:
     """Whether reading the clock is cheap."""
     why = "the cycle reads the clock some ten times; a slow source makes each a system call"
-    source = _text(root / "sys/devices/system/clocksource/clocksource0/current_clocksource")
+    source = read_text(root / "sys" / _CLOCK / "current_clocksource")
     if source is None:
         return Finding("clock source", UNKNOWN, "not told by the kernel", why)
     if source in ("tsc", "kvm-clock", "arch_sys_counter", "hyperv_clocksource_tsc_page"):
         return Finding("clock source", GOOD, source, why)
-    return Finding("clock source", LACKING, source, why, "boot with tsc=reliable if the processor's is")
+    return Finding(
+        "clock source",
+        LACKING,
+        source,
+        why,
+        f"echo tsc > /sys/{_CLOCK}/current_clocksource, if it is offered there; boot with tsc=reliable",
+    )
 
 
 def check_hypervisor(root: Path) -> Finding:
     """Whether a host may take the processor away."""
     why = "the host of a virtual machine takes the processor away without telling, for milliseconds"
-    flags = re.search(r"^flags\s*:(.*)$", _text(root / "proc/cpuinfo") or "", re.MULTILINE)
-    kind = _text(root / "sys/hypervisor/type")
+    flags = re.search(r"^flags\s*:(.*)$", read_text(root / "proc/cpuinfo") or "", re.MULTILINE)
+    kind = read_text(root / "sys/hypervisor/type")
     virtual = kind or ("yes" if flags and "hypervisor" in flags[1].split() else "")
     if not virtual:
         return Finding("virtual machine", GOOD, "none seen", why)
-    stolen = re.search(r"^cpu\s+(?:\d+\s+){7}(\d+)", _text(root / "proc/stat") or "", re.MULTILINE)
+    stolen = re.search(r"^cpu\s+(?:\d+\s+){7}(\d+)", read_text(root / "proc/stat") or "", re.MULTILINE)
     ticks = f", {int(stolen[1]) / 100:.1f} s of processor time stolen since boot" if stolen else ""
     remedy = "move a robot's controller to a real machine; or pin the guest's processors on its host"
     return Finding("virtual machine", FAIR, f"{virtual}{ticks}", why, remedy)
@@ -274,11 +267,15 @@ CHECKS: tuple[Callable[[Path], Finding], ...] = (
     check_dma_latency,
     check_preemption,
     check_isolation,
+    check_interrupts,
     check_throttling,
     check_governor,
+    check_huge_pages,
+    check_swap,
     check_clock,
     check_hypervisor,
     check_shm,
+    check_remove_ipc,
     check_jitter,
 )
 

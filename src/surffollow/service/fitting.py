@@ -29,6 +29,12 @@ def in_bounds(bounds: Any, word: Any, value: Any) -> Any:
 
 
 @jit
+def within_limits(bounds: Any, word: Any, value: Any) -> Any:
+    """Whether the configuration ([limits]) lets a client give a parameter this value."""
+    return bounds[word, 3] <= value <= bounds[word, 4]
+
+
+@jit
 def wanted_value(mem: Any, word: Any) -> Any:
     """What a float parameter will be once the request is carried out."""
     request, value = mem.request[0], mem.param_floats[word]

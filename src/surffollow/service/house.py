@@ -48,6 +48,7 @@ class House:
     ) -> None:
         self.config, self.board, self.map = config, board, map_
         self.lock, self.slots, self.listener = lock, slots, listener
+        self.map_is_new = False  # made by this start, which has not been ready yet
         self.regions = lb.board_regions(config.log_words)
         self.board_bytes = np.frombuffer(board.memory, np.uint8)
         self.header = self.board_bytes[: lb.BoardHeader.SIZE].view(numpy_dtype(lb.BoardHeader))
@@ -71,14 +72,18 @@ class House:
         """Store the service's state, after all that it announces."""
         from surffollow.shm.python_atomics import store_release
 
+        if state == lb.STATE_READY:
+            self.map_is_new = False
         store_release(int(self.board_bytes.ctypes.data) + lb.BoardHeader.offset("state"), state)
 
     def leave(self) -> None:
-        """Unlink board and socket (the map stays) and give up the name."""
+        """Unlink board and socket and give up the name; the map stays, unless a refused start made it."""
         self.listener.close()
         for part in (socket_path(self.config.name).name, self.board.name):
             if part != self.board.name or self.board.is_current():
                 unlink(part)
+        if self.map_is_new and self.map.is_current():
+            unlink(self.map.name)
         self.lock.release()
 
 
@@ -222,6 +227,7 @@ def open_house(config: ServiceConfig) -> House:
         lock.release()
         raise
     house = House(config, lock, made[-1], map_, slots, listener)
+    house.map_is_new = fresh
     header = house.map_header[0]
     header["owner_epoch"] = new_epoch(int(header["owner_epoch"]))
     _fill_headers(house)

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.config.limits import PARAMETERS_BY, client_limits
 from surffollow.config.params import PARAMS
 from surffollow.config.service import ServiceConfig, follow_params, seconds
+from surffollow.config.stop_causes import STOP_NAMES, stop_causes
 from surffollow.errors import ConfigError
 from surffollow.hw.driver import ConversionQueue, DriverInfo
 from surffollow.service import memory as m
@@ -16,8 +18,10 @@ from surffollow.service.fitting import misfit
 from surffollow.service.house import House
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_follow import CHANNELS, INTERVALS, POSES, Params
+from surffollow.shm.layout_follow import CHANNELS, INTERVALS, POSES, STOP_START, Params
 from surffollow.shm.ring import make_ring
+
+CHANGES = 2048  # entries for the audit trail between two looks of the main thread
 
 
 def make_sample_ring(config: ServiceConfig, period_ns: int) -> tuple[NDArray[Any], int]:
@@ -68,7 +72,26 @@ def initialise_memory(
     ctx[m.SNAPSHOT_CYCLES] = max(1, round(snapshot * 1e9 / period))
     ctx[m.LEASE_NS] = round(seconds(config.map.access_lease, "map.access_lease", 0.01, 3600.0) * 1e9)
     ctx[m.EPOCH] = house.epoch
+    ctx[m.PARAMS_BY] = PARAMETERS_BY.index(config.access.parameters)
+    for name, ends in client_limits(config.limits).items():
+        mem.bounds[Params.offset(name) // 8, 3:5] = ends
+    _begin_stopped(mem, config, house)
     return mem
+
+
+def _begin_stopped(mem: m.CycleMemory, config: ServiceConfig, house: House) -> None:
+    """A stop outlives the service: only the pose's holder ends it."""
+    known = (1 << len(STOP_NAMES)) - 1
+    causes = int(house.map_header[0]["stop"]) & known
+    mem.state[0]["stop"] = causes | (stop_causes(config.stop.on) & STOP_START)
+
+
+def make_change_queue(mem: m.CycleMemory) -> NDArray[Any]:
+    """The audit trail's queue, known to the cycle; must live as long as the memory."""
+    ring = make_ring(CHANGES, lb.AUDIT_ENTRY_WORDS)
+    ring[:] = 0
+    mem.ctx[m.CHANGES], mem.ctx[m.CHANGES_CAPACITY] = ring.ctypes.data, CHANGES
+    return ring
 
 
 def initialise_constants(params: Any, config: ServiceConfig, info: DriverInfo) -> None:
@@ -88,6 +111,7 @@ def initialise_constants(params: Any, config: ServiceConfig, info: DriverInfo) -
     p["range_min_m"], p["range_max_m"] = info.range_min_m, info.range_max_m
     p["sensor_latency_ns"] = info.latency_ns
     p["tool_from_sensor"] = np.array(info.mounts, np.float64).reshape(-1)
+    p["stop_on"] = stop_causes(config.stop.on)
     for name, value in follow_params(config).items():
         p[name] = value
     _check_fit(p)
@@ -114,8 +138,11 @@ def _check_fit(p: Any) -> None:
 
 
 def initialise_log(config: ServiceConfig, house: House) -> None:
-    """An empty cycle log in the board."""
+    """An empty cycle log and an empty audit trail in the board."""
     log_header = zeros(lb.LogHead)
     log_header[0]["capacity"] = config.log_words
     at = house.regions["log"][0]
+    house.board_bytes[at : at + lb.LogHead.SIZE] = log_header.view(np.uint8)
+    log_header[0]["capacity"] = lb.AUDIT_WORDS
+    at = house.regions["audit"][0]
     house.board_bytes[at : at + lb.LogHead.SIZE] = log_header.view(np.uint8)

@@ -16,7 +16,7 @@ from surffollow.forecast.journal import CYCLE_MAX, SNAPSHOT_WORDS
 from surffollow.map.ahead import new_kept
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_board import CLIENTS, Ack, PosePost, RequestPost
+from surffollow.shm.layout_board import AUDIT_ENTRY_WORDS, CLIENTS, REQUEST_ARGS, Ack, PosePost, RequestPost
 from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
 
 (
@@ -57,7 +57,17 @@ REGION = PENDING + CLIENTS  # per slot, four float64 of that request, its claim,
 REGION_WORDS = 16
 INSTALL_WORD = 5  # grid, x0, y0, datum, quantum [m] as float64; columns, rows, whether the datum is set
 FENCED = REGION + CLIENTS * REGION_WORDS  # per slot, the claim whose request for access is not heard; 0: none
-CTX_WORDS = FENCED + CLIENTS
+POLICY = FENCED + CLIENTS
+(
+    STOP_ASKED,  # main → cycle: causes of a stop that the main thread sees now
+    PARAMS_BY,  # who may set parameters: BY_ANY, BY_HOLDER, BY_HOLDER_ONLY
+    CHANGES,  # the audit trail's queue, cycle → main
+    CHANGES_CAPACITY,
+    CHANGES_LOST,  # entries that found no room
+) = range(POLICY, POLICY + 5)
+CTX_WORDS = POLICY + 8
+
+BY_ANY, BY_HOLDER, BY_HOLDER_ONLY = 0, 1, 2
 
 SAMPLE_WORDS = 4  # kind | slot << 8 (0: a sample), then x y z [m] or the request's counter
 
@@ -85,14 +95,18 @@ class CycleMemory(NamedTuple):
     header: Any  # the map's, which the map thread writes
     pairs: Any
     kept: Any  # its grids ahead, as they were before the tool came
+    audit: NDArray[np.int64]  # an `AuditEntry` that is being filled
+    audit_floats: NDArray[np.float64]
+    old_values: NDArray[np.float64]  # of the parameters that a request is about to change
 
 
 def bounds_table() -> NDArray[np.float64]:
-    """Per parameter word: settable (1 float, 2 whole, 0 no), low, high."""
-    table = np.zeros((Params.SIZE // 8, 3))
+    """Per parameter word: settable (1 float, 2 whole, 0 no), low, high, least and most for clients."""
+    table = np.zeros((Params.SIZE // 8, 5))
     for name, spec in PARAMS.items():
         whole = Params.field(name).code == "i8"
-        table[Params.offset(name) // 8] = (2.0 if whole else 1.0, spec.low, spec.high)
+        bounds = (spec.low, spec.high)
+        table[Params.offset(name) // 8] = (2.0 if whole else 1.0, *bounds, *bounds)
     return table
 
 
@@ -103,6 +117,7 @@ def make_cycle_memory(header: Any = None, pairs: Any = None) -> CycleMemory:
     item = np.zeros(SAMPLE_WORDS, np.int64)
     ctx = np.zeros(CTX_WORDS, np.int64)
     ctx[POSE_SLOT] = -1
+    audit = np.zeros(AUDIT_ENTRY_WORDS, np.int64)
     return CycleMemory(
         ctx,
         params,
@@ -124,4 +139,7 @@ def make_cycle_memory(header: Any = None, pairs: Any = None) -> CycleMemory:
         zeros(ml.MapHeader) if header is None else header,
         zeros(ml.GridPair) if pairs is None else pairs,
         new_kept(),
+        audit,
+        audit.view(np.float64),
+        np.zeros(REQUEST_ARGS),
     )

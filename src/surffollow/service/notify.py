@@ -1,12 +1,14 @@
-"""Tell systemd how the service is doing (sd_notify), and people on stderr."""
+"""Tell systemd how the service is doing (sd_notify), and people how far compiling has come."""
 
 from __future__ import annotations
 
 import os
 import socket
-import sys
 import time
+from collections.abc import Callable
 from typing import Any
+
+from surffollow.service.messages import STDERR
 
 
 def sd_notify(message: str) -> bool:
@@ -17,6 +19,7 @@ def sd_notify(message: str) -> bool:
     address = "\0" + path[1:] if path.startswith("@") else path
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as s:
+            s.setblocking(False)  # a manager that does not read must not hold the beat up
             s.sendto(message.encode(), address)
     except OSError:
         return False
@@ -24,12 +27,18 @@ def sd_notify(message: str) -> bool:
 
 
 class CompileProgress:
-    """Shows which kernel numba compiles while a cold start lasts."""
+    """Shows which kernel numba compiles while a cold start lasts.
 
-    def __init__(self, quiet: bool = False) -> None:
-        self.quiet, self.count = quiet, 0
+    Parameters
+    ----------
+    write : takes text for stderr and never blocks
+    quiet : show nothing
+    """
+
+    def __init__(self, write: Callable[[str], None], quiet: bool = False) -> None:
+        self._write, self.quiet, self.count = write, quiet, 0
         self._start = self._told = time.monotonic()
-        self._tty = sys.stderr.isatty()
+        self._tty = os.isatty(STDERR)
         self._guard: Any = None
 
     def __enter__(self) -> CompileProgress:
@@ -64,14 +73,9 @@ class CompileProgress:
             return
         self._told = now
         text = f"surffollow: compiling kernels for this machine, {what} ({now - self._start:.0f} s)"
-        print(
-            f"\r\033[K{text}" if self._tty else text,
-            end="" if self._tty else "\n",
-            file=sys.stderr,
-            flush=True,
-        )
+        self._write(f"\r\033[K{text}" if self._tty else f"{text}\n")
 
     def __exit__(self, *exc: object) -> None:
         self._guard.__exit__(*exc)
         if self._tty and self.count and not self.quiet:
-            print("\r\033[K", end="", file=sys.stderr, flush=True)
+            self._write("\r\033[K")

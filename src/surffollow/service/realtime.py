@@ -8,6 +8,8 @@ import gc
 import os
 from dataclasses import dataclass, field
 
+from surffollow.config.service import Realtime
+
 GRANT_NAMES = ("fifo", "affinity", "mlockall", "dma_latency")
 FIFO, AFFINITY, MLOCKALL, DMA_LATENCY = (1 << i for i in range(4))
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
@@ -30,6 +32,19 @@ class Grants:
         else:
             name = GRANT_NAMES[bit.bit_length() - 1]
             self.refused.append(f"{name}: {error.strerror or error} ({remedy})")
+
+
+def missing(grants: Grants, wanted: Realtime, bits: int) -> list[str]:
+    """What the configuration wants of these grants and the kernel refused, with the reasons.
+
+    The wait for a processor of one's own counts only where one is named: else any will do.
+    """
+    if not wanted.lock_memory:
+        bits &= ~MLOCKALL
+    if wanted.cpu < 0:
+        bits &= ~AFFINITY
+    names = [n for i, n in enumerate(GRANT_NAMES) if bits & ~grants.bits & 1 << i]
+    return [next((text for text in grants.refused if text.startswith(f"{n}:")), n) for n in names]
 
 
 def prepare_process(grants: Grants, lock_memory: bool, dma_latency: bool) -> None:

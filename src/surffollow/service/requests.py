@@ -7,8 +7,17 @@ from typing import Any
 from surffollow.forecast import journal
 from surffollow.forecast.step import sf_reset
 from surffollow.service import memory as m
-from surffollow.service.fitting import FAR_WORD, NEAR_WORD, OFFSET_WORD, in_bounds, misfit_after
+from surffollow.service.changes import note_change, note_old_values, note_stop
+from surffollow.service.fitting import (
+    FAR_WORD,
+    NEAR_WORD,
+    OFFSET_WORD,
+    in_bounds,
+    misfit_after,
+    within_limits,
+)
 from surffollow.service.inbox import claim_of, new_request, slot_address
+from surffollow.service.stopping import do_stop, holder_pid, stop_as_asked, stop_for
 from surffollow.shm import atomics as at
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.jit import jit, jit_pasted
@@ -19,8 +28,10 @@ from surffollow.shm.layout_board import (
     CLIENTS,
     ERR_BAD_REGION,
     ERR_BAD_VALUE,
+    ERR_BEYOND_LIMITS,
     ERR_MAP_BUSY,
     ERR_NOT_HOLDER,
+    ERR_NOT_POSE_HOLDER,
     ERR_POSE_HELD,
     ERR_QUEUE_FULL,
     ERR_UNKNOWN_REQUEST,
@@ -33,11 +44,13 @@ from surffollow.shm.layout_board import (
     RQ_RELEASE_POSE,
     RQ_SET_PARAMS,
     RQ_SF_RESET,
+    RQ_STOP,
+    RQ_STOP_RESET,
     SLOT_POSE,
     Ack,
     Stats,
 )
-from surffollow.shm.layout_follow import Params
+from surffollow.shm.layout_follow import STOP_POSE_LOST, Params
 from surffollow.shm.ring import ring_push
 
 _ACK_STEP = latch_bytes(Ack.SIZE)
@@ -98,6 +111,8 @@ def do_set_params(mem: Any, t_ns: Any) -> Any:
     for k in range(n):
         if not in_bounds(mem.bounds, request.number[k], request.value[k]):
             return ERR_BAD_VALUE, request.number[k]
+        if not within_limits(mem.bounds, request.number[k], request.value[k]):
+            return ERR_BEYOND_LIMITS, request.number[k]
     word = misfit_after(mem)
     if word >= 0:
         return ERR_BAD_VALUE, word
@@ -119,12 +134,26 @@ def holder_is_gone(ctx: Any, slot: Any, claim: Any) -> Any:
 
 
 @jit
-def drop_dead_pose_writer(mem: Any) -> None:
-    """Free the pose when its writer died or closed."""
+def drop_dead_pose_writer(mem: Any, t_ns: Any) -> None:
+    """Free the pose when its writer died or closed; where the configuration says so, stop."""
     ctx = mem.ctx
     slot = ctx[m.POSE_SLOT]
     if slot >= 0 and holder_is_gone(ctx, slot, ctx[m.POSE_CLAIM]):
         ctx[m.POSE_SLOT] = -1
+        causes = STOP_POSE_LOST & mem.params[0].stop_on & ~mem.state[0].stop
+        if causes != 0:
+            stop_for(mem, t_ns, causes)
+            note_stop(mem, t_ns, causes)
+
+
+@jit
+def may_set(ctx: Any, slot: Any) -> Any:
+    """Whether this client may set parameters and the stand-off (access.parameters)."""
+    if ctx[m.PARAMS_BY] == m.BY_ANY:
+        return True
+    if ctx[m.POSE_SLOT] < 0:
+        return ctx[m.PARAMS_BY] == m.BY_HOLDER
+    return ctx[m.POSE_SLOT] == slot and ctx[m.POSE_CLAIM] == claim_of(ctx, slot)
 
 
 @jit
@@ -139,7 +168,7 @@ def do_pose_role(mem: Any, slot: Any, code: Any) -> Any:
         ctx[m.POSE_SLOT] = -1
         return OK, 0
     if holder >= 0 and holder != slot:
-        return ERR_POSE_HELD, at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.PID + holder))
+        return ERR_POSE_HELD, holder_pid(ctx)
     ctx[m.POSE_SLOT], ctx[m.POSE_CLAIM] = slot, claim
     # what was posted before the pose was claimed does not count
     ctx[m.POSE_SEEN] = at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + SLOT_POSE)
@@ -189,11 +218,15 @@ def do_map_request(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
 def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
     """Carry out the request in `mem.request`; (result, detail)."""
     code = mem.request[0].code
+    if code in (RQ_SF_RESET, RQ_SET_PARAMS) and not may_set(mem.ctx, slot):
+        return ERR_NOT_POSE_HOLDER, holder_pid(mem.ctx)
     if code == RQ_SF_RESET:
         offset = mem.request[0].value[0]
         seen = mem.param_floats[NEAR_WORD] < offset < mem.param_floats[FAR_WORD]
         if not seen or not in_bounds(mem.bounds, OFFSET_WORD, offset):
             return ERR_BAD_VALUE, OFFSET_WORD
+        if not within_limits(mem.bounds, OFFSET_WORD, offset):
+            return ERR_BEYOND_LIMITS, OFFSET_WORD
         sf_reset(mem.params, mem.state, offset)
         log_value(mem, journal.RESET, t_ns, offset)
         publish_params(mem)
@@ -202,6 +235,8 @@ def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
         return do_set_params(mem, t_ns)
     if code in (RQ_CLAIM_POSE, RQ_RELEASE_POSE):
         return do_pose_role(mem, slot, code)
+    if code in (RQ_STOP, RQ_STOP_RESET):
+        return do_stop(mem, slot, code, t_ns)
     if code in (RQ_MAP_RESET, RQ_MAP_REFOCUS, RQ_MAP_INSTALL):
         return do_map_request(mem, slot, code, t_ns)
     return ERR_UNKNOWN_REQUEST, 0
@@ -212,7 +247,8 @@ def process_requests(mem: Any, t_ns: Any) -> None:
     """Look at every slot that somebody holds once and answer what is new."""
     ctx = mem.ctx
     stats = ctx[m.STATS]
-    drop_dead_pose_writer(mem)
+    drop_dead_pose_writer(mem, t_ns)
+    stop_as_asked(mem, t_ns)
     for slot in range(CLIENTS):
         if claim_of(ctx, slot) == 0:
             continue
@@ -223,7 +259,9 @@ def process_requests(mem: Any, t_ns: Any) -> None:
             count(stats, _TORN, 1)
             continue
         count(stats, _REQUESTS, 1)
+        note_old_values(mem)
         result, detail = answer(mem, slot, t_ns)
+        note_change(mem, slot, t_ns, result, detail)
         if result != OK and result != ACCEPTED:
             count(stats, _REFUSED, 1)
         write_ack(ctx[m.ACKS] + slot * _ACK_STEP, mem.ack, mem.request, result, detail)

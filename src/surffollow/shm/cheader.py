@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from surffollow.config.params import PARAMS, UNIT_ENDINGS
+from surffollow.config.stop_causes import STOP_NAMES
 from surffollow.errors import SchemaError
 from surffollow.shm import latch_shape, layout_follow
 from surffollow.shm import layout_board as lb
@@ -28,6 +29,7 @@ SCHEMAS: tuple[type[Schema], ...] = (
     lb.Ticker,
     lb.MapStatus,
     lb.Stats,
+    lb.AuditEntry,
     lb.LogHead,
     lb.SlotMessage,
     lb.ClientInfo,
@@ -118,6 +120,7 @@ def _defines() -> Iterator[tuple[str, str]]:
     for name in (
         *("CLIENTS", "PAGE", "REQUEST_ARGS", "SLOT_BYTES", "SLOT_HEAD", "SLOT_POSE", "SLOT_REQUEST"),
         *("SLOT_STREAM", "PIECE_BYTES", "PIECE_GRIDS", "PIECE_HEIGHTS", "PIECE_COUNTS"),
+        *("STOP_TEXT_WORDS", "AUDIT_WORDS", "AUDIT_ENTRY_WORDS", "AUDIT_ENTRIES"),
     ):
         yield name, str(getattr(lb, name))
     yield "REGIONS", str(lb.BoardHeader.field("region").count)
@@ -205,6 +208,8 @@ def layout_text() -> str:
         _enum(rounding),
         _answers(),
         _status_bits(),
+        "/* causes of a latched stop: bits of sf_output's `stop` */\n"
+        + _enum((f"STOP_{n.upper()}", 1 << k) for k, n in enumerate(STOP_NAMES)),
         _param_table(),
         *(c_struct(s) for s in SCHEMAS),
     ]

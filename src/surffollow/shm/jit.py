@@ -19,6 +19,8 @@ _NO_C_ENTRY: dict[str, Any] = {"no_cfunc_wrapper": True}
 
 jit = njit(cache=True, nogil=True, **_NO_C_ENTRY)
 jit_inlined = njit(cache=True, nogil=True, forceinline=True, **_NO_C_ENTRY)  # by LLVM
+# for long loops over arrays: a division by zero gives inf or NaN, so that LLVM can vectorise the loop
+jit_arrays = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, **_NO_C_ENTRY)
 jit_pasted = njit(cache=True, nogil=True, inline="always", **_NO_C_ENTRY)  # by numba, before it finds types
 
 

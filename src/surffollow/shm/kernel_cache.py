@@ -14,12 +14,15 @@ and names data by the stamp.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import fcntl
 import hashlib
 import itertools
 import os
 import re
+import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from functools import cache
@@ -28,6 +31,8 @@ from typing import Any
 
 from numba.core import caching
 from numba.core.caching import IndexDataCacheFile, _CacheLocator
+
+from surffollow.shm.trusted_folder import why_not_trusted
 
 PACKAGE = Path(__file__).resolve().parents[1]
 _IMPORT = re.compile(
@@ -90,7 +95,11 @@ def source_stamp(path: Path) -> str:
 
 @cache
 def cache_directory() -> str:
-    """SURFFOLLOW_CACHE_DIR, NUMBA_CACHE_DIR, the user's cache, or else a temporary folder of theirs."""
+    """SURFFOLLOW_CACHE_DIR, NUMBA_CACHE_DIR, the user's cache, or else a temporary folder of theirs.
+
+    A folder that somebody else can change, at any component of its path, is passed over and named on stderr:
+    what is kept in it is run.
+    """
     home = os.environ.get("HOME", "")
     candidates = [
         os.environ.get("SURFFOLLOW_CACHE_DIR", ""),
@@ -99,17 +108,46 @@ def cache_directory() -> str:
         str(Path(home, ".cache")) if home else "",
         str(Path(tempfile.gettempdir(), f"surffollow-cache-{os.getuid()}")),
     ]
+    refused: list[str] = []
     for candidate in filter(None, candidates):
-        folder = Path(candidate, "surffollow")
+        folder = Path(os.path.abspath(candidate), "surffollow")
         try:
-            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            _make_private(folder)
         except OSError:
             continue
-        if os.access(folder, os.W_OK) and folder.stat().st_uid == os.getuid():
+        fault = why_not_trusted(folder)
+        if not fault and os.access(folder, os.W_OK):
+            _say_refused(refused, folder)
             return str(folder)
-    folder = Path(tempfile.mkdtemp(prefix="surffollow-cache-"), "surffollow")
-    folder.mkdir()
+        if fault:
+            refused.append(fault)
+    fresh = tempfile.mkdtemp(prefix="surffollow-cache-")
+    atexit.register(_remove, fresh, os.getpid())
+    folder = Path(fresh, "surffollow")
+    folder.mkdir(mode=0o700)
+    _say_refused(refused, folder)
     return str(folder)
+
+
+def _make_private(folder: Path) -> None:
+    """Make a folder and what is missing of the way to it, for this user alone."""
+    for part in (*reversed(folder.parents), folder):
+        with contextlib.suppress(FileExistsError):
+            part.mkdir(mode=0o700)
+
+
+def _remove(folder: str, maker: int) -> None:
+    if os.getpid() == maker:  # not in a forked child
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _say_refused(refused: list[str], instead: Path) -> None:
+    if refused:
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            sys.stderr.write(
+                f"surffollow: others could write the kernel cache: {'; '.join(refused)}; {instead} is used; "
+                "name a folder of your own: SURFFOLLOW_CACHE_DIR\n"
+            )
 
 
 class KernelCacheLocator(_CacheLocator):  # type: ignore[misc]

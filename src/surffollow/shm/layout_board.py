@@ -30,7 +30,9 @@ STATE_INITIALISING, STATE_READY, STATE_STOPPING, STATE_STOPPED = 0, 1, 2, 3
     RQ_MAP_RESET,
     RQ_MAP_REFOCUS,
     RQ_MAP_INSTALL,
-) = range(8)
+    RQ_STOP,
+    RQ_STOP_RESET,
+) = range(10)
 
 # how the service answers
 (
@@ -46,7 +48,10 @@ STATE_INITIALISING, STATE_READY, STATE_STOPPING, STATE_STOPPED = 0, 1, 2, 3
     ERR_CANCELLED,
     ACCEPTED,
     ERR_MAP_TOO_LARGE,
-) = range(12)
+    ERR_BEYOND_LIMITS,
+    ERR_NOT_POSE_HOLDER,
+    ERR_STOP_REMAINS,
+) = range(15)
 RESULT_TEXT = (
     "done",
     "the service does not know this request",
@@ -60,6 +65,9 @@ RESULT_TEXT = (
     "the request was cancelled",
     "accepted, the map's answer follows",
     "the service's map memory (map.grids) has no room for this map",
+    "the service's configuration ([limits]) does not let any client set this value",
+    "only the client that sends the pose may do this (access.parameters in the configuration)",
+    "a cause of the stop is still there; mend it, then reset the stop again",
 )
 
 # steps of the exchange that gives a client its slot (docs/protocol.md)
@@ -124,6 +132,8 @@ class Ticker(Schema):
     clients = I64(doc="live clients")
     granted = I64(doc="bits: FIFO, affinity, mlockall, dma latency")
     faults = I64(doc="bits, numbered in docs/protocol.md")
+    messages_lost = I64(doc="lines for stderr that found no room or no reader")
+    audit_lost = I64(doc="changes that are in no audit entry: the main thread stood still")
     text = Text(512, doc="one line for people")
 
 
@@ -163,8 +173,27 @@ class Stats(Schema):
     samples = I64(doc="target points for the map, those that found no room included")
 
 
+class AuditEntry(Schema):
+    """One change that somebody asked for, or a stop by the service itself; `audit` holds a stream of them."""
+
+    t_ns = I64(unit="ns", doc="when the cycle answered it")
+    slot = I64(doc="of the client; -1: the service itself")
+    pid = I64(doc="of the client; 0: unknown")
+    uid = I64(doc="of the client; -1: unknown")
+    claim = I64(doc="of the client")
+    name = Text(32, doc="as the client calls itself")
+    code = I64(doc="RQ_...")
+    word = I64(doc="number of the parameter; -1: none")
+    old_value = F64(doc="its value before, NaN: none; in the unit of the parameter")
+    new_value = F64(doc="its value wanted, NaN: none")
+    result = I64(doc="OK, ACCEPTED or ERR_...")
+    detail = I64(doc="of the answer; of a stop: its causes")
+    count = I64(doc="times that this was refused since the entry before of the same kind; else 1")
+    text = Text(64, doc="reason of a stop")
+
+
 class LogHead(Schema):
-    """Positions in the cycle log, in words since the start; the words follow."""
+    """Positions in a log of the board, in words since the start; the words follow."""
 
     reserved = I64(doc="the writer may be writing below this", align=64)
     head = I64(doc="all below this is written", align=64)
@@ -245,6 +274,10 @@ PIECE_BYTES = (SLOT_BYTES - SLOT_STREAM) // 2
 PIECE_GRIDS = (PIECE_BYTES - StreamPiece.SIZE) // 24 * 8  # whole words of heights and of counts
 PIECE_HEIGHTS = StreamPiece.SIZE
 PIECE_COUNTS = PIECE_HEIGHTS + 2 * PIECE_GRIDS
+STOP_TEXT_WORDS = 8  # of a stop's reason, in the numbers of its request: UTF-8, filled up with NUL
+AUDIT_WORDS = 1 << 13
+AUDIT_ENTRY_WORDS = AuditEntry.SIZE // 8
+AUDIT_ENTRIES = AUDIT_WORDS // AUDIT_ENTRY_WORDS - 1  # the oldest may be half overwritten
 
 BOARD_PARTS: tuple[tuple[str, type[Schema], int], ...] = (
     ("params", Params, latch_bytes(Params.SIZE)),
@@ -255,6 +288,7 @@ BOARD_PARTS: tuple[tuple[str, type[Schema], int], ...] = (
     ("clients", ClientInfo, CLIENTS * latch_bytes(ClientInfo.SIZE)),
     ("map_status", MapStatus, latch_bytes(MapStatus.SIZE)),
     ("stats", Stats, Stats.SIZE),
+    ("audit", LogHead, LogHead.SIZE + 8 * AUDIT_WORDS),
     ("log", LogHead, LogHead.SIZE),
 )
 
@@ -296,6 +330,7 @@ def layout_hash() -> int:
         PosePost,
         RequestPost,
         StreamPiece,
+        AuditEntry,
         FollowState,
         Inputs,
         *(s for _, s, _ in BOARD_PARTS),

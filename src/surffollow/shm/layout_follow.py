@@ -7,6 +7,7 @@ together are the snapshot that makes a recording replayable. Every field of
 
 from __future__ import annotations
 
+from surffollow.config.stop_causes import STOP_NAMES
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.schema import F64, I64, Nested, Schema
 
@@ -32,6 +33,7 @@ LIMITED = 1 << 5  # |demand| was cut to max_demand
 DRYRUN = 1 << 6  # computed and logged, not to be applied
 FROZEN = 1 << 7  # FREEZE: zero demand, adaptation stopped
 SENSOR_LOST = 1 << 8  # stuck, or extrapolated for longer than loss_timeout: zero demand
+STOPPED = 1 << 9  # the stop is latched: zero demand until the pose's holder resets it
 STATUS_NAMES = (
     "VALID",
     "NO_POSE",
@@ -42,7 +44,19 @@ STATUS_NAMES = (
     "DRYRUN",
     "FROZEN",
     "SENSOR_LOST",
+    "STOPPED",
 )
+
+# causes of the latched stop: bits of `Params.stop_on`, `FollowState.stop` and `Output.stop`
+STOP_REQUEST = 1 << 0  # a client asked for it
+STOP_POSE_STALE = 1 << 1  # POSE_STALE
+STOP_SENSOR_LOST = 1 << 2  # SENSOR_LOST
+STOP_STUCK = 1 << 3  # adaptive: the sensor shows one value although the tool moves
+STOP_TOO_CLOSE = 1 << 4  # TOO_CLOSE
+STOP_POSE_LOST = 1 << 5  # the pose's holder died, or left its slot without giving the pose back
+STOP_DRIVER = 1 << 6  # the driver reports a fault
+STOP_START = 1 << 7  # the service started: the first demand waits for a reset
+assert 1 << STOP_NAMES.index("start") == STOP_START
 
 
 class Params(Schema):
@@ -102,6 +116,7 @@ class Params(Schema):
     max_turn_speed_radps = F64(unit="rad/s", doc="adaptive: limit of the turning set point's speed")
     max_turn_accel_radps2 = F64(unit="rad/s^2", doc="adaptive: limit of its acceleration")
     preview = I64(doc="adaptive: 1: plan over ground remembered ahead (the service: its map's)")
+    stop_on = I64(doc="causes that latch the stop, bits of STOP_NAMES; set by the configuration alone")
 
 
 class SenseState(Schema):
@@ -164,6 +179,8 @@ class FollowState(Schema):
     """All that a cycle remembers for the next one."""
 
     cycle = I64(doc="cycles stepped")
+    stop = I64(doc="causes of the latched stop, bits of STOP_NAMES; 0: not stopped")
+    stop_armed = I64(doc="1: a demand was valid since the last reset, so that its loss is one")
     sense = Nested(SenseState)
     paper = Nested(PaperState)
     adaptive = Nested(AdaptiveState)
@@ -221,3 +238,5 @@ class Output(Schema):
     tau_s = F64(unit="s", doc="adaptive: time constant of the robot's axis as found")
     normal = F64(3, unit="1", doc="adaptive, 3 or more sensors: unit normal of the surface")
     beams = I64(doc="adaptive, 3 or more sensors: bit per channel that agrees with the plane")
+    stop = I64(doc="causes of the latched stop, bits of STOP_NAMES; 0: not stopped")
+    stop_now = I64(doc="causes that this cycle saw, whether the configuration names them or not")

@@ -55,6 +55,7 @@ class MapHeader(Schema):
     scratch_bytes = I64(doc="room for a refocus, behind the pairs")
     owner_pid = I64(doc="the process that writes the map")
     owner_epoch = I64(doc="its epoch")
+    stop = I64(doc="causes of the service's latched stop: it outlives the service; 0: not stopped")
 
     generation = I64(align=64, doc="odd while the grids are being laid anew; readers check it twice")
     state = I64(doc="NO_MAP, READY, RESETTING, REFOCUSING, INSTALLING")

@@ -47,6 +47,8 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     standoff_m : wanted distance of the tool above the ground [m]
     unscored_m : first piece of the path, where the follower still learns [m]
     report_latency_s, report_sigma_m : of pose reports [s], noise of x, y and z [m]
+    retract_m : without a valid demand, rise so far above the held height [m]; 0: hold it
+    command_timeout_s : a controller that says nothing for so long is dead: the drives stop by themselves [s]
     turn, report_turn_sigma_rad : heed the demanded rotations, too; noise of the reported attitude [rad]
     seed : of that noise
     plant : vertical axis and rate of controller and reports
@@ -63,6 +65,8 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     unscored_m: float = 0.1
     report_latency_s: float = 0.010
     report_sigma_m: float = 0.05e-3
+    retract_m: float = 0.0
+    command_timeout_s: float = 0.05
     turn: bool = False
     report_turn_sigma_rad: float = 0.1e-3
     seed: int = 1
@@ -80,6 +84,8 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             "unscored_m": (0.0, 1e3),
             "report_latency_s": (0.0, 0.09),
             "report_sigma_m": (0.0, 0.1),
+            "retract_m": (0.0, 1.0),
+            "command_timeout_s": (0.01, 10.0),
             "report_turn_sigma_rad": (0.0, 0.1),
         }
         for name, (low, high) in bounds.items():
@@ -134,6 +140,7 @@ class RobotCore:
         self.holding = True
         self._settled = 0
         self.started_ns = 0
+        self._heard_ns = start_ns
 
     @property
     def expected_steps(self) -> int:
@@ -176,7 +183,7 @@ class RobotCore:
 
     def restart_clock(self, t_ns: int) -> None:
         """Let it be `t_ns` [ns] now, and nothing traced yet."""
-        self.motion["t_ns"] = self.motion["start_ns"] = t_ns
+        self.motion["t_ns"] = self.motion["start_ns"] = self._heard_ns = t_ns
         self.motion["trace_rows"] = 0
 
     def measure(self) -> None:
@@ -212,6 +219,7 @@ class RobotCore:
         pose_t_ns : stamp of that report [ns]; an unknown one makes the robot hold
         turn_rad : rotation vector demanded, world axes [rad]; heeded when the configuration says so
         """
+        self._heard_ns = self.t_ns
         x, y, z = turn_rad
         if pose_t_ns not in self._sent or not math.isfinite(demand_m + x + y + z):
             self.hold()
@@ -231,13 +239,21 @@ class RobotCore:
         self.motion["moving"] = 1
 
     def hold(self) -> None:
-        """Without a demand to trust: stay at the height last reported, and stop along the path."""
+        """Without a demand to trust: stop along the path; stay at the height last reported, or retract."""
+        self._heard_ns = self.t_ns
         if not self.holding:
             self.holding = True
-            self.motion["set_point_m"] = self._newest[2]
+            self.motion["set_point_m"] = self._newest[2] + self.config.retract_m
             self.motion["attitude_set"] = self._newest[3:]
         self._settled = 0
         self.motion["moving"] = 0
+
+    def watch_commands(self) -> None:
+        """Hold when the controller has said nothing for too long: the drives' own watchdog."""
+        heard_ns = self._heard_ns
+        if self.t_ns - heard_ns > round(self.config.command_timeout_s * 1e9):
+            self.hold()
+            self._heard_ns = heard_ns
 
     def trace(self) -> dict[str, NDArray[np.float64]]:
         """Columns of what happened so far, by the names of `TRACE_COLUMNS`."""

@@ -175,7 +175,8 @@ static inline size_t sf_i_folder(const char *path) {
 
 /* Whether a file's name ends in the suffix of another format than the map's text file: a reader goes by it. */
 static inline int sf_i_is_other_format(const char *path) {
-  static const char *const others[] = {".npz", ".asc", ".tif", ".tiff", ".ply", ".png"};
+  static const char *const others[] = {".npz", ".asc", ".tif", ".tiff", ".ply",
+                                       ".xyz", ".las", ".png", ".svg", ".pdf"};
   const char *name = path + sf_i_folder(path);
   while (*name == '.') name++; /* a dot at the beginning begins no suffix */
   const char *suffix = strrchr(name, '.');
@@ -221,7 +222,8 @@ static inline void sf_i_sync_folder(char path[4096]) {
  * Write the map's header and all grids to a text file, with this process's own rights (paper: UpLoadMap).
  * The map stands still only while it is copied; the file appears whole or not at all. Links are followed;
  * what is there and is no plain file stays: SF_ERR_FILE with EEXIST in the client's `detail`. A name that
- * ends in the suffix of another format (.npz .asc .tif .tiff .ply .png) is refused: SF_ERR_FILE with EINVAL.
+ * ends in the suffix of another format (.npz .asc .tif .tiff .ply .xyz .las .png .svg .pdf) is refused: SF_ERR_FILE
+ * with EINVAL.
  */
 static inline int sf_upload_map(sf_client *c, const char *path) {
   char part[4096 + 64], target[4096];

@@ -1,0 +1,83 @@
+"""Render a small survey for `surffollow scan`: disparity images of bumpy ground with a steep hump.
+
+    python examples/scan/survey.py FOLDER [--seed 1]
+
+Writes view0.npz … view3.npz and cameras.toml. Two of the views show a board that hangs over the ground.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+import numpy as np
+
+from surffollow.scan import Camera, looking_down
+
+SHAPE, FOCAL_PX, BASELINE_M, NOISE_PX = (240, 320), 260.0, 0.12, 0.08
+FLANK = math.tan(math.radians(70.0))
+
+
+def ground(x, y):
+    """Height of the ground [m]: bumps of 3 cm, and a hump of 12 cm with flanks of 70°."""
+    bumps = 0.015 * np.sin(5.0 * x + 1.0) * np.cos(4.0 * y) + 0.01 * np.sin(9.0 * y)
+    return bumps + np.clip((0.18 - np.hypot(x - 0.9, y - 0.6)) * FLANK, 0.0, 0.12)
+
+
+def render(camera, board):
+    """Depth image [m]: march along every ray until it is below the ground or hits the board."""
+    pose = camera.pose()
+    rays = camera.rays(SHAPE) @ pose[:3, :3].T
+    depth, before = np.full(SHAPE, np.nan), np.zeros(SHAPE)
+    for d in np.linspace(0.5, 3.5, 500):
+        p = pose[:3, 3] + rays * d
+        over = (
+            (np.abs(p[..., 0] - 0.3) < 0.1)
+            & (np.abs(p[..., 1] - 0.8) < 0.1)
+            & (np.abs(p[..., 2] - 0.57) < 0.03)
+        )
+        hit = np.isnan(depth) & ((p[..., 2] <= ground(p[..., 0], p[..., 1])) | (over & board))
+        low, high = before[hit], np.full(np.count_nonzero(hit), d)
+        for _ in range(16):
+            middle = 0.5 * (low + high)
+            q = pose[:3, 3] + rays[hit] * middle[:, None]
+            below = (q[:, 2] <= ground(q[:, 0], q[:, 1])) | (over[hit] & board & (q[:, 2] < 0.6))
+            low, high = np.where(below, low, middle), np.where(below, middle, high)
+        depth[hit] = 0.5 * (low + high)
+        before[:] = d
+    return depth
+
+
+def main():
+    """Render the views and write their cameras."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(options.seed)
+    lines = [
+        "[default]",
+        f"fx_px = {FOCAL_PX}",
+        f"fy_px = {FOCAL_PX}",
+        f"cx_px = {(SHAPE[1] - 1) / 2}",
+        f"cy_px = {(SHAPE[0] - 1) / 2}",
+        f"baseline_m = {BASELINE_M}",
+        'kind = "disparity"',
+    ]
+    for k, (x, y, heading) in enumerate(
+        ((0.2, 0.2, 0.6), (1.2, 0.2, 2.4), (1.2, 1.0, -2.4), (0.2, 1.0, -0.6))
+    ):
+        pose = looking_down(x, y, 1.6, tilt_rad=0.25, heading_rad=heading)
+        camera = Camera(FOCAL_PX, FOCAL_PX, (SHAPE[1] - 1) / 2, (SHAPE[0] - 1) / 2, pose, BASELINE_M)
+        q = camera.disparity_px(render(camera, board=k in (0, 3)))
+        q += rng.normal(0.0, NOISE_PX, SHAPE)
+        q[rng.random(SHAPE) < 0.02] = np.nan  # pixels without texture
+        np.savez_compressed(options.folder / f"view{k}.npz", disparity_px=q.astype(np.float32))
+        lines += ["", f'[images."view{k}.npz"]', f"ground_from_camera = {pose.round(12).tolist()}"]
+    (options.folder / "cameras.toml").write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()

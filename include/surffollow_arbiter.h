@@ -1,0 +1,1 @@
+../src/surffollow/include/surffollow_arbiter.h

@@ -1,0 +1,159 @@
+"""Make the board and the command blocks of a server that starts, in the place of a dead one's."""
+
+from __future__ import annotations
+
+import grp
+import os
+import time
+from typing import Any
+
+import numpy as np
+
+from surffollow.arbiter import layout as al
+from surffollow.arbiter.config import ArbiterConfig, limits
+from surffollow.blocks import layout as bl
+from surffollow.blocks.claim import claim_writer, give_up
+from surffollow.config.service import mode, seconds
+from surffollow.errors import BlockError, ConfigError, NoPermissionError, NotReadyError, NotRunningError
+from surffollow.shm.dtypes import numpy_dtype
+from surffollow.shm.layout_board import LogHead
+from surffollow.shm.objects import SharedObject, unlink
+from surffollow.shm.process import start_ticks
+from surffollow.shm.python_atomics import store_release
+
+EPOCH_LIMIT = (1 << 31) - 2
+_STATE = al.BoardHeader.offset("state")
+
+
+def group_id(name: str) -> int:
+    """Number of a group, -1 for none."""
+    if not name:
+        return -1
+    try:
+        return grp.getgrnam(name).gr_gid
+    except KeyError:
+        raise ConfigError(f"configuration key group is {name!r}; there is no such group") from None
+
+
+def take_old_board(name: str) -> int:
+    """Remove a dead server's board; its epoch, 0 when there was none.
+
+    Raises
+    ------
+    NoPermissionError  it belongs to another user
+    BlockError         what bears the name is no board
+    """
+    try:
+        old = SharedObject.open(name, writable=True)
+    except NotRunningError:
+        return 0
+    except NotReadyError:
+        unlink(name)
+        return 0
+    try:
+        if old.owner != os.geteuid():
+            raise NoPermissionError(f"the board {name!r} belongs to another user; remove it (ls -l /dev/shm)")
+        if old.size < al.PAGE:
+            raise BlockError(f"shared-memory object {name!r} is there and is no board; take another name")
+        bytes_ = np.frombuffer(old.memory, np.uint8)
+        header = bytes_[: al.BoardHeader.SIZE].view(numpy_dtype(al.BoardHeader))[0]
+        if header["magic"] != al.BOARD_MAGIC:
+            raise BlockError(f"shared-memory object {name!r} is there and is no board; take another name")
+        header["state"] = al.STATE_ENDED
+        epoch = int(header["epoch"])
+        del header, bytes_
+        unlink(name)
+        return epoch if 0 < epoch < EPOCH_LIMIT else 0
+    finally:
+        old.close()
+
+
+class Board:
+    """The board of a running server."""
+
+    def __init__(self, config: ArbiterConfig) -> None:
+        name = f"{config.name}.arbiter"
+        # a start whose predecessor left nothing must not repeat its epoch either
+        self.epoch = max(
+            take_old_board(name) + 1, (int(time.time() * 8) - (1_750_000_000 << 3)) & EPOCH_LIMIT
+        )
+        self.regions = al.board_regions(config.history)
+        size = al.board_bytes(config.history)
+
+        def prepare(made: SharedObject) -> None:
+            self.object = made
+            self.bytes = np.frombuffer(made.memory, np.uint8)
+            self.header = self.bytes[: al.BoardHeader.SIZE].view(numpy_dtype(al.BoardHeader))
+            at, _ = self.regions["config"]
+            end = at + al.ResourceConfig.SIZE * al.RESOURCES
+            self.config = self.bytes[at:end].view(numpy_dtype(al.ResourceConfig))
+            self._entry_bytes = self.regions["clients"][1] // al.CLIENTS
+            self._declare(config, size)
+
+        # nobody sees half of it: it gets its name when it is declared
+        SharedObject.create(name, size, mode(config.mode, "mode"), group_id(config.group), prepare)
+
+    def _declare(self, config: ArbiterConfig, size: int) -> None:
+        h = self.header[0]
+        h["version"], h["layout_hash"], h["size"] = al.LAYOUT_VERSION, al.layout_hash(), size
+        h["epoch"], h["server_pid"] = self.epoch, os.getpid()
+        h["server_start_ticks"], h["started_ns"] = start_ticks(os.getpid()), time.monotonic_ns()
+        h["n_resources"], h["n_combinations"] = len(config.resources), len(config.combine)
+        h["history_capacity"], h["lease_ns"] = config.history, config.lease_ns
+        h["period_ns"], h["name"] = config.period_ns, config.name.encode()
+        for c, (name, spec) in zip(self.config, config.resources.items()):
+            c["name"], c["status_block"] = name.encode(), spec.status.encode()
+            c["fields"], c["units"] = ",".join(spec.command).encode(), ",".join(spec.units).encode()
+            c["n_values"], c["cooperative"] = len(spec.command), spec.policy == "cooperative"
+            c["newcomer"] = spec.equal == "newcomer"
+            for key in ("ttl", "safe_period", "grace"):
+                c[f"{key}_ns"] = round(seconds(getattr(spec, key), key, 0.001, 60.0) * 1e9)
+            c["low"], c["high"] = limits(spec)
+            c["safe"][: len(spec.safe)] = spec.safe
+            c["combined_into"] = next(
+                (k for k, x in enumerate(config.combine.values()) if name in x.parts), -1
+            )
+        at, _ = self.regions["history"]
+        head = self.bytes[at : at + LogHead.SIZE].view(numpy_dtype(LogHead))
+        head["capacity"] = config.history * al.EVENT_WORDS
+        h["magic"] = al.BOARD_MAGIC
+
+    def address(self, part: str) -> int:
+        """Address of a part."""
+        return int(self.bytes.ctypes.data) + self.regions[part][0]
+
+    def entry(self, slot: int) -> Any:
+        """The public entry of a slot, as a record."""
+        at = self.regions["clients"][0] + slot * self._entry_bytes
+        return self.bytes[at : at + al.ClientEntry.SIZE].view(numpy_dtype(al.ClientEntry))[0]
+
+    def set_state(self, state: int) -> None:
+        """Store the server's state, after all that it announces."""
+        store_release(int(self.bytes.ctypes.data) + _STATE, state)
+
+    def reading_end(self) -> int:
+        """A descriptor of the board that can only be read."""
+        return os.open(f"/proc/self/fd/{self.object.fd}", os.O_RDONLY | os.O_CLOEXEC)
+
+    def remove(self) -> None:
+        """Take the name away; who has it mapped keeps it."""
+        self.set_state(al.STATE_ENDED)
+        if self.object.is_current():
+            unlink(self.object.name)
+
+
+class CommandBlock:
+    """The command block of one resource, or of a combination."""
+
+    def __init__(self, name: str, access: int, group: int) -> None:
+        self._claimed = claim_writer(name, al.Command, mode=access, group=group, lease_ns=500_000_000)
+        self.object = self._claimed[0]
+        self._bytes = np.frombuffer(self.object.memory, np.uint8)
+        base = int(self._bytes.ctypes.data)
+        self.latch = base + bl.read_header(self.object.memory)["latch_offset"]
+        self.fence = base + 8 * bl.FENCE_WORD
+
+    def remove(self) -> None:
+        """Tell readers that no more will come, and take the name away."""
+        block, lock, own = self._claimed
+        give_up(block, lock, own, keep=False)

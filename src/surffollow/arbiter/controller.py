@@ -1,0 +1,91 @@
+"""The low-level controller's side: what a resource is to do now, or what is safe."""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+from surffollow.arbiter import layout as al
+from surffollow.blocks.attached import AttachedBlock
+from surffollow.config.names import check_name
+from surffollow.errors import BlockError, NotRunningError
+
+_RETRY_NS = 20_000_000
+
+
+class ResourceCommand(NamedTuple):
+    """A command.
+
+    Attributes
+    ----------
+    values : tuple of floats   as many as the resource declares; the safe ones when nothing valid is there
+    safe : bool                True: nobody commands, the holder is late, or the server is gone
+    seq : int                  rises with each publication; 0: none yet
+    client : int               number of the client, 0: none
+    t_ns : int                 when it was made [ns]
+    ref_t_ns : int             stamp of the pose that the values are relative to; 0: none
+    limited : bool             a value was brought within its limits
+    """
+
+    values: tuple[float, ...]
+    safe: bool
+    seq: int
+    client: int
+    t_ns: int
+    ref_t_ns: int
+    limited: bool
+
+    def age_ns(self, now_ns: int | None = None) -> int:
+        """How long ago it was made [ns]."""
+        return (time.monotonic_ns() if now_ns is None else now_ns) - self.t_ns
+
+
+class CommandReader:
+    """Reads the command block of one resource, or of a combination; follows restarts of the server."""
+
+    def __init__(self, name: str, resource: str) -> None:
+        self._block = AttachedBlock(resource, check_name(f"{name}.{resource}"), al.Command)
+        self._next_try_ns = 0
+        self._n, self._safe = 0, (0.0,) * al.VALUES
+
+    @property
+    def attached(self) -> bool:
+        """Whether there is, or was, a server."""
+        return self._block.attached
+
+    def latest(self) -> ResourceCommand:
+        """What to do now; never waits."""
+        now = time.monotonic_ns()
+        if not self._block.attached and now >= self._next_try_ns:
+            self._next_try_ns = now + _RETRY_NS
+            try:
+                self._block.attach_reader()
+            except (NotRunningError, BlockError):
+                return ResourceCommand((), True, 0, 0, now, 0, False)
+        snapshot = self._block.latest()
+        if snapshot.generation == 0:
+            return ResourceCommand(self._safe[: self._n], True, 0, 0, now, 0, False)
+        c = snapshot.values
+        self._n, self._safe = c.n_values, c.safe
+        # a server that died cannot say that its last command is over
+        good = c.source != al.SOURCE_SAFE and now < c.valid_until_ns
+        values = (c.value if good else c.safe)[: self._n]
+        ref = c.ref_t_ns if good else 0
+        return ResourceCommand(
+            values, not good, c.seq, c.client, c.t_ns, ref, bool(c.flags & al.FLAG_LIMITED)
+        )
+
+    def close(self) -> None:
+        """Detach."""
+        self._block.close()
+
+    def __enter__(self) -> CommandReader:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def command_reader(name: str, resource: str) -> CommandReader:
+    """Read what a resource of an arbiter is to do; attaches when the server appears."""
+    return CommandReader(name, resource)

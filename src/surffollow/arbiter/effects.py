@@ -1,0 +1,90 @@
+"""Let events happen to a resource, and carry out what its state machine did."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import surffollow.arbiter.publish as p
+import surffollow.arbiter.table as t
+from surffollow.arbiter.machine import transition
+from surffollow.shm.jit import jit
+
+
+@jit
+def carry_out(mem: Any, resource: Any, effect: Any, t_ns: Any) -> None:
+    """Do what one effect means outside the state machine."""
+    run, status, action, slot = mem.runs[resource], mem.status[resource], effect.action, effect.client
+    if action == t.GRANT:
+        queued = mem.people[slot].queued_ns[resource]
+        if queued != 0:
+            mem.people[slot].waited_ns = max(mem.people[slot].waited_ns, t_ns - queued)
+            mem.people[slot].queued_ns[resource] = 0
+        run.item_seq, run.command_ns, run.valid_until_ns = 0, t_ns, 0
+        status.grants += 1
+        status.since_ns = t_ns
+        p.tell_held(mem, slot, resource, effect.token)
+    elif action in (t.REVOKE, t.RELEASE):
+        if action == t.REVOKE:
+            status.preempted += 1
+        status.since_ns = t_ns
+        p.tell_held(mem, slot, resource, 0)
+    elif action == t.ASK:
+        run.asked_ns = t_ns
+        p.tell_asked(mem, slot, resource, 1)
+    elif action == t.UNASK:
+        p.tell_asked(mem, slot, resource, 0)
+    elif action == t.ENQUEUE:
+        if mem.people[slot].queued_ns[resource] == 0:
+            mem.people[slot].queued_ns[resource] = t_ns
+    elif action == t.DEQUEUE:
+        mem.people[slot].queued_ns[resource] = 0
+    elif action == t.DENY:
+        status.denied += 1
+        mem.people[slot].denied += 1
+    elif action == t.SAFE:
+        p.publish_safe(mem, resource, t_ns)
+    elif action == t.FORWARD:
+        run.item_seq = mem.item[0].seq
+        p.forward(mem, resource, slot, effect.token, t_ns)
+    elif p.is_refusal(action) and action >= t.REJECT_NO_CONTROL and action != t.NOTHING:
+        status.rejected += 1
+
+
+@jit
+def happen(mem: Any, resource: Any, event: Any, slot: Any, token: Any, guards: Any, t_ns: Any) -> None:
+    """Let one event happen to a resource.
+
+    Parameters
+    ----------
+    mem : Memory
+    resource, event, slot, token, guards : int64   see `records.Happening`
+    t_ns : int64                                   now
+    """
+    h, record = mem.happening[0], mem.event[0]
+    h.event, h.client, h.token, h.guards = event, slot, token, guards
+    from_item = event in (t.REQUEST, t.COMMAND, t.RELINQUISH)
+    record.item = mem.item[0].seq if from_item else 0
+    n = transition(mem.table, mem.machines[resource : resource + 1], mem.clients, mem.happening, mem.effects)
+    for k in range(n):
+        effect = mem.effects[k]
+        if event == t.COMMAND:
+            for i in range(len(record.command)):
+                record.command[i] = mem.item[0].value[i]
+        else:
+            for i in range(len(record.command)):
+                record.command[i] = 0.0
+        carry_out(mem, resource, effect, t_ns)
+        quiet = event == t.LATE and mem.runs[resource].late != 0
+        if p.is_refusal(effect.action) and p.may_log(mem, t_ns, slot) == 0:
+            quiet = True
+        if not quiet:
+            p.log_event(mem, t_ns, effect.client, resource, effect.action, effect.token, event)
+        asked_for_it = effect.client == slot and event in (t.REQUEST, t.RELINQUISH)
+        if asked_for_it and effect.action != t.SAFE:
+            p.answer(mem, t_ns, slot, mem.item[0].seq, effect.action, effect.token, resource)
+    if event == t.LATE:
+        mem.runs[resource].late = 1
+    if n > 0:
+        p.publish_status(mem, resource)
+        if mem.runs[resource].combination >= 0:
+            mem.combinations[mem.runs[resource].combination].changed = 1

@@ -1,0 +1,129 @@
+"""Meet over a Unix socket: a client gets its mailbox, and its connection is what shows that it lives.
+
+The socket's name is abstract: the kernel takes it back with the server's process, and it is what makes the
+server the only one of its name. SO_PEERCRED says who the other side is. A mailbox is a memory file whose
+size is sealed, and once the client has its mapping nothing but that mapping can change it.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+
+from surffollow.arbiter import layout as al
+from surffollow.client.board import unpack_schema
+from surffollow.errors import AlreadyRunningError, NotRunningError, RefusedError, RequestTimeoutError
+from surffollow.shm.unix_socket import new_socket
+
+HELLO_TIMEOUT_S = 1.0
+MAPPED = b"mapped"
+_HELLO, _WELCOME = al.Hello.struct_of("magic", "name"), al.Welcome.struct_of("magic", "detail")
+
+
+def address(name: str) -> str:
+    """Abstract address of an arbiter's socket."""
+    return f"\0surffollow.{name}.arbiter"
+
+
+def listen(name: str) -> socket.socket:
+    """Become the arbiter of this name.
+
+    Raises
+    ------
+    AlreadyRunningError  a live process is
+    """
+    sock = new_socket()
+    try:
+        sock.bind(address(name))
+    except OSError:
+        sock.close()
+        raise AlreadyRunningError(
+            f"an arbiter {name!r} runs already; end it, or start this one under another name (--name)"
+        ) from None
+    sock.listen(64)
+    sock.setblocking(False)
+    return sock
+
+
+def read_hello(data: bytes) -> str | None:
+    """The name in a client's first message; None when it is no such message."""
+    if len(data) != al.Hello.SIZE:
+        return None
+    magic, layout, raw = _HELLO.unpack(data)
+    if magic != al.HELLO_MAGIC or layout != al.layout_hash():
+        return None
+    return str(raw.split(b"\0", 1)[0].decode("utf-8", "replace"))
+
+
+def welcome(result: int, slot: int = -1, number: int = 0, epoch: int = 0, detail: int = 0) -> bytes:
+    """The server's answer."""
+    return _WELCOME.pack(al.HELLO_MAGIC, result, slot, number, epoch, detail)
+
+
+def enter(sock: socket.socket, name: str) -> None:
+    """Tell the server that the mailbox is mapped, and wait until it looks into it.
+
+    Raises
+    ------
+    NotRunningError  it ended meanwhile
+    """
+    try:
+        sock.send(MAPPED)
+        heard = sock.recv(len(MAPPED)) == MAPPED
+    except OSError:
+        heard = False
+    if not heard:
+        raise NotRunningError(f"arbiter {name!r} ended while this client attached; attach again")
+
+
+class Welcomed:
+    """What a client was given; the connection must be kept open for as long as it lives."""
+
+    def __init__(self, sock: socket.socket, answer: dict[str, int], fds: list[int]) -> None:
+        self.sock, self.fds = sock, fds
+        self.slot, self.number, self.epoch = answer["slot"], answer["number"], answer["epoch"]
+
+
+def knock(name: str, client: str, timeout_s: float) -> Welcomed:
+    """Connect to an arbiter and ask for a slot.
+
+    Raises
+    ------
+    NotRunningError      nobody listens
+    RefusedError         the server says no; `code` is one of layout.HELLO_…
+    RequestTimeoutError  it says nothing
+    """
+    sock = new_socket()
+    fds: list[int] = []
+    try:
+        sock.settimeout(max(timeout_s, 0.001))
+        try:
+            sock.connect(address(name))
+            sock.send(_HELLO.pack(al.HELLO_MAGIC, al.layout_hash(), client.encode()[:47]))
+            data, fds, _, _ = socket.recv_fds(sock, al.Welcome.SIZE, 2)
+        except TimeoutError:
+            raise RequestTimeoutError(f"arbiter {name!r} did not answer in {timeout_s:g} s") from None
+        except OSError:
+            data = b""
+        if len(data) != al.Welcome.SIZE:
+            raise NotRunningError(
+                f"no arbiter {name!r} runs here; start it: surffollow arbiter start CONFIG.toml"
+            )
+        answer = unpack_schema(al.Welcome, data)
+        if answer["magic"] != al.HELLO_MAGIC or answer["result"] != al.HELLO_OK or len(fds) != 2:
+            _refuse(name, client, answer)
+        for fd in fds:
+            os.set_inheritable(fd, False)
+        return Welcomed(sock, answer, fds)
+    except BaseException:
+        for fd in fds:
+            os.close(fd)
+        sock.close()
+        raise
+
+
+def _refuse(name: str, client: str, answer: dict[str, int]) -> None:
+    code = answer["result"]
+    text = al.HELLO_TEXT[code] if 0 < code < len(al.HELLO_TEXT) else "the answer makes no sense"
+    by = f" (process {answer['detail']})" if code == al.HELLO_TAKEN and answer["detail"] else ""
+    raise RefusedError(f"arbiter {name!r} refused client {client!r}: {text}{by}", code)

@@ -1,0 +1,309 @@
+/* ---- a client of an arbiter ----------------------------------------------------------------- */
+
+/*
+ * One attachment; for one thread. Every call of sfa_command, sfa_request, sfa_relinquish and sfa_beat shows
+ * that the client lives: call one of them at least every 100 ms (the lease is `lease_ns` of the board).
+ */
+typedef struct sfa_client {
+  unsigned char *mailbox;
+  unsigned char *board; /* mapped without write permission */
+  size_t board_bytes;
+  int sock;
+  int64_t slot, number, epoch, head;
+  size_t status_at, desk_at, reply_at, entry_at;
+} sfa_client;
+
+/* One English sentence for a negative result; never NULL. */
+static inline const char *sfa_strerror(int result) {
+  if (result <= SFA_REFUSED) return sfa_hello_text(SFA_REFUSED - result);
+  switch (-result) {
+    case ENOENT: return "no arbiter of that name runs here, or it ended; start it: surffollow arbiter start";
+    case EPROTO: return "the arbiter is of another release than this header; rebuild or restart";
+    case ETIMEDOUT: return "the arbiter did not answer in time";
+    case EINVAL: return "an argument is missing or outside its range";
+    case EAGAIN: return "the mailbox is full; the arbiter takes nothing";
+    default: return strerror(-result);
+  }
+}
+
+static inline long sfa_i_futex(const void *word, int wake, int64_t value, int64_t timeout_ns) {
+  struct timespec limit;
+  limit.tv_sec = SF_CAST(time_t, timeout_ns / 1000000000);
+  limit.tv_nsec = SF_CAST(long, timeout_ns % 1000000000);
+  if (wake) return syscall(SFA_SYS_FUTEX, word, 1, 0x7FFFFFFF, NULL, NULL, 0);
+  return syscall(SFA_SYS_FUTEX, word, 0, SF_CAST(uint32_t, value & 0xFFFFFFFF), &limit, NULL, 0);
+}
+
+static inline int sfa_i_descriptors(struct msghdr *message, int fds[2]) {
+  struct cmsghdr *c = CMSG_FIRSTHDR(message);
+  if (c == NULL || c->cmsg_level != SOL_SOCKET || c->cmsg_type != SCM_RIGHTS) return 0;
+  if (c->cmsg_len == CMSG_LEN(2 * sizeof(int))) {
+    memcpy(fds, CMSG_DATA(c), 2 * sizeof(int));
+    return 2;
+  }
+  return 0;
+}
+
+/* Say hello on a connected socket, take what the server gives: 0 or a negative result. */
+static inline int sfa_i_greet(sfa_client *a, const char *client, int fds[2]) {
+  sfa_hello hello;
+  sfa_welcome answer;
+  struct iovec part;
+  struct msghdr message;
+  union {
+    char bytes[CMSG_SPACE(2 * sizeof(int))];
+    struct cmsghdr align;
+  } control;
+  ssize_t got;
+  int n;
+  memset(&hello, 0, sizeof hello);
+  memset(&answer, 0, sizeof answer);
+  memset(&message, 0, sizeof message);
+  memset(&control, 0, sizeof control);
+  hello.magic = SFA_HELLO_MAGIC;
+  hello.layout_hash = SFA_LAYOUT_HASH;
+  strncpy(hello.name, client, sizeof hello.name - 1);
+  if (send(a->sock, &hello, sizeof hello, MSG_NOSIGNAL) != SF_CAST(ssize_t, sizeof hello)) return -ENOENT;
+  part.iov_base = &answer;
+  part.iov_len = sizeof answer;
+  message.msg_iov = &part;
+  message.msg_iovlen = 1;
+  message.msg_control = control.bytes;
+  message.msg_controllen = sizeof control.bytes;
+  do {
+    got = recvmsg(a->sock, &message, 0);
+  } while (got < 0 && errno == EINTR);
+  n = sfa_i_descriptors(&message, fds);
+  if (got < 0) return errno == EAGAIN || errno == EWOULDBLOCK ? -ETIMEDOUT : -ENOENT;
+  if (got != SF_CAST(ssize_t, sizeof answer) || answer.magic != SFA_HELLO_MAGIC) return got == 0 ? -ENOENT : -EPROTO;
+  if (answer.result != SFA_HELLO_OK) return SFA_REFUSED - SF_CAST(int, answer.result);
+  if (n != 2 || answer.slot < 0 || answer.slot >= SFA_CLIENTS) return -EPROTO;
+  a->slot = answer.slot;
+  a->number = answer.number;
+  a->epoch = answer.epoch;
+  return 0;
+}
+
+/* Map mailbox and board, and find our places in them. */
+static inline int sfa_i_map(sfa_client *a, const int fds[2]) {
+  struct stat status;
+  const sfa_board_header *h;
+  size_t slot = SF_CAST(size_t, a->slot);
+  void *memory = mmap(NULL, SFA_MAILBOX_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED, fds[0], 0);
+  if (memory == MAP_FAILED) return -errno;
+  a->mailbox = SF_CAST(unsigned char *, memory);
+  if (fstat(fds[1], &status) != 0 || status.st_size < SF_PAGE) return -EPROTO;
+  a->board_bytes = SF_CAST(size_t, status.st_size);
+  memory = mmap(NULL, a->board_bytes, PROT_READ, MAP_SHARED, fds[1], 0);
+  if (memory == MAP_FAILED) return -errno;
+  a->board = SF_CAST(unsigned char *, memory);
+  h = SF_VIEW(const sfa_board_header *, a->board);
+  if (h->magic != SFA_BOARD_MAGIC || h->layout_hash != SFA_LAYOUT_HASH || h->size > a->board_bytes) return -EPROTO;
+  a->status_at = SFA_STATUS_AT;
+  a->desk_at = SFA_DESKS_AT + slot * SFA_DESK_BYTES;
+  a->reply_at = SFA_REPLIES_AT + slot * SFA_REPLY_BYTES;
+  a->entry_at = SFA_CLIENTS_AT + slot * SFA_ENTRY_BYTES;
+  a->head = sf_load_relaxed(a->mailbox + offsetof(sfa_mailbox, head));
+  return 0;
+}
+
+/* Tell the server that the mailbox is mapped, and wait until it looks into it. */
+static inline int sfa_i_enter(sfa_client *a) {
+  char heard[8];
+  ssize_t got;
+  if (send(a->sock, SFA_MAPPED, sizeof SFA_MAPPED - 1, MSG_NOSIGNAL) < 0) return -ENOENT;
+  do {
+    got = recv(a->sock, heard, sizeof heard, 0);
+  } while (got < 0 && errno == EINTR);
+  if (got < 0) return errno == EAGAIN || errno == EWOULDBLOCK ? -ETIMEDOUT : -ENOENT;
+  return got == SF_CAST(ssize_t, sizeof SFA_MAPPED - 1) ? 0 : -ENOENT;
+}
+
+/* End: whatever this client holds or waits for is given up. */
+static inline void sfa_detach(sfa_client *a) {
+  if (a->sock >= 0) close(a->sock);
+  if (a->mailbox != NULL) munmap(a->mailbox, SFA_MAILBOX_BYTES);
+  if (a->board != NULL) munmap(a->board, a->board_bytes);
+  memset(a, 0, sizeof *a);
+  a->sock = -1;
+}
+
+/*
+ * Attach to arbiter `name` as `client`, a name that its configuration declares.
+ * Returns 0; -ENOENT no such arbiter, -EPROTO another release, SFA_REFUSED - SFA_HELLO_...: refused.
+ */
+static inline int sfa_attach(sfa_client *a, const char *name, const char *client, int timeout_ms) {
+  struct sockaddr_un address;
+  struct timeval limit;
+  int fds[2] = {-1, -1}, err, n;
+  memset(a, 0, sizeof *a);
+  memset(&address, 0, sizeof address);
+  a->sock = -1;
+  if (name == NULL || client == NULL || strlen(client) >= 48) return -EINVAL;
+  address.sun_family = AF_UNIX;
+  n = snprintf(address.sun_path + 1, sizeof address.sun_path - 1, "surffollow.%s.arbiter", name);
+  if (n < 0 || SF_CAST(size_t, n) >= sizeof address.sun_path - 1) return -EINVAL;
+  a->sock = socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0);
+  if (a->sock < 0) return -errno;
+  limit.tv_sec = timeout_ms / 1000;
+  limit.tv_usec = (timeout_ms % 1000) * 1000;
+  setsockopt(a->sock, SOL_SOCKET, SO_RCVTIMEO, &limit, sizeof limit);
+  if (connect(a->sock, SF_VIEW(const struct sockaddr *, &address),
+              SF_CAST(socklen_t, offsetof(struct sockaddr_un, sun_path) + 1 + SF_CAST(size_t, n))) != 0) {
+    err = errno == ECONNREFUSED ? -ENOENT : -errno;
+    sfa_detach(a);
+    return err;
+  }
+  err = sfa_i_greet(a, client, fds);
+  if (err == 0) err = sfa_i_map(a, fds);
+  for (n = 0; n < 2; n++)
+    if (fds[n] >= 0) close(fds[n]);
+  if (err == 0) err = sfa_i_enter(a);
+  if (err != 0) sfa_detach(a);
+  return err;
+}
+
+/* Number of a resource, or -EINVAL. */
+static inline int sfa_resource(const sfa_client *a, const char *name) {
+  const sfa_board_header *h = SF_VIEW(const sfa_board_header *, a->board);
+  int64_t r;
+  for (r = 0; r < h->n_resources && r < SFA_RESOURCES; r++) {
+    const sfa_resource_config *c =
+        SF_VIEW(const sfa_resource_config *, a->board + SFA_CONFIG_AT + SF_CAST(size_t, r) * sizeof(sfa_resource_config));
+    if (strncmp(c->name, name, sizeof c->name) == 0) return SF_CAST(int, r);
+  }
+  return -EINVAL;
+}
+
+/* Show that this client lives. */
+static inline void sfa_beat(sfa_client *a) {
+  sf_store_relaxed(a->mailbox + offsetof(sfa_mailbox, beat_ns), sf_now_ns());
+}
+
+/* The token of a resource that this client holds, 0: none; from memory, never waits. */
+static inline int64_t sfa_held(const sfa_client *a, int resource) {
+  return sf_load_acquire(a->board + a->desk_at + offsetof(sfa_client_desk, held) + 8 * SF_CAST(size_t, resource));
+}
+
+/* Whether the server asks this holder to relinquish (cooperative policy). */
+static inline int sfa_asked(const sfa_client *a, int resource) {
+  return sf_load_acquire(a->board + a->desk_at + offsetof(sfa_client_desk, asked) + 8 * SF_CAST(size_t, resource)) != 0;
+}
+
+/* Whether the server ended, or was replaced: then detach and attach again. */
+static inline int sfa_ended(const sfa_client *a) {
+  char byte;
+  const ssize_t got = recv(a->sock, &byte, 1, MSG_PEEK | MSG_DONTWAIT);
+  return got == 0 || (got < 0 && errno != EAGAIN && errno != EWOULDBLOCK && errno != EINTR);
+}
+
+/* Status of a resource: 1, or 0 when there is none whole yet. */
+static inline int sfa_status(const sfa_client *a, int resource, sfa_resource_status *out) {
+  return sf_latch_read(a->board + a->status_at + SF_CAST(size_t, resource) * SFA_STATUS_BYTES, sizeof *out, out) > 0;
+}
+
+static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t now, const double *values, int n,
+                             int64_t ref_t_ns, const double *ref_pose) {
+  unsigned char *item = a->mailbox + offsetof(sfa_mailbox, item) +
+                        sizeof(sfa_item) * SF_CAST(size_t, a->head & (SFA_MAILBOX_ITEMS - 1));
+  int k;
+  if (a->head - sf_load_acquire(a->board + a->entry_at + offsetof(sfa_client_entry, consumed)) >= SFA_MAILBOX_ITEMS)
+    return -EAGAIN;
+  sf_store_relaxed(item + offsetof(sfa_item, seq), a->head + 1);
+  sf_store_relaxed(item + offsetof(sfa_item, what), what);
+  sf_store_relaxed(item + offsetof(sfa_item, token), token);
+  sf_store_relaxed(item + offsetof(sfa_item, t_ns), now);
+  sf_store_relaxed(item + offsetof(sfa_item, ref_t_ns), ref_t_ns);
+  for (k = 0; k < n; k++) {
+    int64_t word;
+    memcpy(&word, values + k, 8);
+    sf_store_relaxed(item + offsetof(sfa_item, value) + 8 * SF_CAST(size_t, k), word);
+  }
+  for (k = 0; ref_pose != NULL && k < SFA_POSE; k++) {
+    int64_t word;
+    memcpy(&word, ref_pose + k, 8);
+    sf_store_relaxed(item + offsetof(sfa_item, ref_pose) + 8 * SF_CAST(size_t, k), word);
+  }
+  a->head++;
+  sf_store_release(a->mailbox + offsetof(sfa_mailbox, head), a->head);
+  sf_store_relaxed(a->mailbox + offsetof(sfa_mailbox, beat_ns), now);
+  return 0;
+}
+
+/*
+ * Command a resource that this client holds: `n` values, as many as the resource declares, relative to the
+ * pose stamped `ref_t_ns` (0: none; then `ref_pose` may be NULL). Never waits.
+ * Returns 1; 0: the resource is not ours (any more), nothing was sent; -EAGAIN: the mailbox is full.
+ */
+static inline int sfa_command_at(sfa_client *a, int resource, const double *values, int n, int64_t ref_t_ns,
+                                 const double *ref_pose) {
+  const int64_t token = sfa_held(a, resource);
+  int err;
+  if (token == 0) return 0;
+  if (n < 0 || n > SFA_VALUES) return -EINVAL;
+  err = sfa_i_post(a, SFA_ITEM_COMMAND | SF_CAST(int64_t, resource) << 8, token, sf_now_ns(), values, n, ref_t_ns,
+                   ref_pose);
+  return err == 0 ? 1 : err;
+}
+
+/* The same, relative to no pose. */
+static inline int sfa_command(sfa_client *a, int resource, const double *values, int n) {
+  return sfa_command_at(a, resource, values, n, 0, NULL);
+}
+
+/* Post a request or relinquishment, ring, wait for the answer to it. */
+static inline int sfa_i_ask(sfa_client *a, int64_t what, int64_t deadline, sfa_reply *reply) {
+  const unsigned char *bell_word = a->board + a->desk_at + offsetof(sfa_client_desk, bell);
+  unsigned char *doorbell = a->mailbox + offsetof(sfa_mailbox, doorbell);
+  int64_t bell = sf_load_acquire(bell_word), seq;
+  const int err = sfa_i_post(a, what, 0, sf_now_ns(), NULL, 0, 0, NULL);
+  if (err != 0) return err;
+  seq = a->head;
+  sf_store_release(doorbell, sf_load_relaxed(doorbell) + 1);
+  sfa_i_futex(doorbell, 1, 0, 0);
+  for (;;) {
+    const int64_t got = sf_latch_read(a->board + a->reply_at, sizeof *reply, reply);
+    int64_t left;
+    if (got > 0 && reply->seq == seq) return 0;
+    left = deadline - sf_now_ns();
+    if (left <= 0) return sfa_ended(a) ? -ENOENT : -ETIMEDOUT;
+    if (left > 50000000) left = 50000000;
+    sfa_i_futex(bell_word, 0, bell, left);
+    bell = sf_load_acquire(bell_word);
+    sfa_beat(a);
+  }
+}
+
+/* Give control back, or leave the queue: 0 or a negative result. */
+static inline int sfa_relinquish(sfa_client *a, int resource) {
+  sfa_reply reply;
+  return sfa_i_ask(a, SFA_ITEM_RELINQUISH | SF_CAST(int64_t, resource) << 8, sf_now_ns() + 1000000000, &reply);
+}
+
+/*
+ * Ask for control; `wait` not 0: stand in the queue until then.
+ * Returns 1: granted; 0: denied (`reply`, may be NULL, says who holds it); below 0 an error.
+ */
+static inline int sfa_request(sfa_client *a, int resource, int wait, int timeout_ms, sfa_reply *reply) {
+  const int64_t deadline = sf_now_ns() + SF_CAST(int64_t, timeout_ms) * 1000000;
+  const unsigned char *bell_word = a->board + a->desk_at + offsetof(sfa_client_desk, bell);
+  sfa_reply own;
+  int err;
+  if (resource < 0 || resource >= SFA_RESOURCES) return -EINVAL;
+  if (reply == NULL) reply = &own;
+  err = sfa_i_ask(a, SFA_ITEM_REQUEST | SF_CAST(int64_t, resource) << 8 | (wait ? 1 << 16 : 0), deadline, reply);
+  if (err != 0) return err;
+  if (reply->result == SFA_GRANT || reply->result == SFA_KEEP) return 1;
+  if (reply->result != SFA_ENQUEUE) return 0;
+  for (;;) {
+    const int64_t bell = sf_load_acquire(bell_word);
+    int64_t left;
+    if (sfa_held(a, resource) != 0) return 1;
+    left = deadline - sf_now_ns();
+    if (left <= 0 || sfa_ended(a)) break;
+    sfa_i_futex(bell_word, 0, bell, left < 50000000 ? left : 50000000);
+    sfa_beat(a);
+  }
+  err = sfa_relinquish(a, resource); /* leave the queue; a grant on the last moment is given back */
+  return err;
+}

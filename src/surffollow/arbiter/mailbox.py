@@ -1,0 +1,161 @@
+"""Take what clients say: their coming and going, heartbeats, requests and commands.
+
+A mailbox may hold anything at any time. An item is copied once, then looked at; the position up to which
+the mailbox was taken is the server's own.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import surffollow.arbiter.layout as al
+import surffollow.arbiter.memory as m
+import surffollow.arbiter.publish as p
+import surffollow.arbiter.table as t
+from surffollow.arbiter.effects import happen
+from surffollow.arbiter.machine import forget_client
+from surffollow.shm import atomics as at
+from surffollow.shm.jit import jit
+from surffollow.shm.latch import copy_words_out
+
+_BEAT, _HEAD, _ITEMS = (al.Mailbox.offset(n) for n in ("beat_ns", "head", "item"))
+_ITEM_BYTES, _ITEM_WORDS, _CAPACITY = al.Item.SIZE, al.ITEM_WORDS, al.MAILBOX_ITEMS
+_NUMBER, _CONSUMED, _LIVE, _DENIED, _WAITED, _BROKEN = (
+    al.ClientEntry.offset(n) for n in ("number", "consumed", "live", "denied", "waited_ns", "broken")
+)
+_FUTURE_NS = 1_000_000
+
+
+@jit
+def note(mem: Any, t_ns: Any, slot: Any, event: Any) -> None:
+    """Log an event that concerns a client and no resource."""
+    record = mem.event[0]
+    record.item = 0
+    for k in range(len(record.command)):
+        record.command[k] = 0.0
+    p.log_event(mem, t_ns, slot, -1, event, 0, 0)
+
+
+@jit
+def join(mem: Any, slot: Any, t_ns: Any) -> None:
+    """A client was given this slot; the main thread filled in its mailbox, number and priority."""
+    person = mem.people[slot]
+    person.tail = person.beat = 0  # as the mailbox was made; its client may have begun already
+    person.seen_ns = t_ns
+    person.changed = person.broken = person.denied = person.waited_ns = 0
+    person.log_ns = t_ns - p.LOG_BURST_NS
+    for r in range(mem.ctx[m.N_RESOURCES]):
+        person.queued_ns[r] = 0
+        forget_client(mem.machines[r : r + 1], slot)
+        p.tell_held(mem, slot, r, 0)
+    # what the slot's last client was answered must not answer this one
+    p.answer(mem, t_ns, slot, 0, 0, 0, 0)
+    person.changed = 0
+    mem.clients[0].live[slot] = 1
+    note(mem, t_ns, slot, al.EVENT_ATTACH)
+    tell(mem, slot)
+    at.store_release_i64(mem.ctx.ctypes.data + 8 * (m.SLOT_STATE + slot), m.IN)
+
+
+@jit
+def leave(mem: Any, slot: Any, t_ns: Any) -> None:
+    """The client of this slot is gone: it holds nothing from now on."""
+    mem.clients[0].live[slot] = 0
+    for r in range(mem.ctx[m.N_RESOURCES]):
+        happen(mem, r, t.GONE, slot, 0, 0, t_ns)
+        forget_client(mem.machines[r : r + 1], slot)
+    note(mem, t_ns, slot, al.EVENT_DETACH)
+    mem.people[slot].changed = 0
+    at.store_release_i64(p.entry_of(mem, slot) + _NUMBER, 0)
+    at.store_release_i64(mem.ctx.ctypes.data + 8 * (m.SLOT_STATE + slot), m.LEFT)
+
+
+@jit
+def tell(mem: Any, slot: Any) -> None:
+    """Publish a client's counters."""
+    entry, person = p.entry_of(mem, slot), mem.people[slot]
+    at.store_relaxed_i64(entry + _LIVE, mem.clients[0].live[slot])
+    at.store_relaxed_i64(entry + _DENIED, person.denied)
+    at.store_relaxed_i64(entry + _WAITED, person.waited_ns)
+    at.store_relaxed_i64(entry + _BROKEN, person.broken)
+    at.store_release_i64(entry + _CONSUMED, person.tail)
+
+
+@jit
+def watch_lease(mem: Any, slot: Any, says_something: Any, t_ns: Any) -> None:
+    """See whether the client lives: any change of its heartbeat counts, and any item in its mailbox."""
+    person, ctx = mem.people[slot], mem.ctx
+    beat = at.load_relaxed_i64(person.mailbox + _BEAT)
+    if beat != person.beat or says_something:
+        person.beat, person.seen_ns = beat, t_ns
+        if mem.clients[0].live[slot] == 0:
+            mem.clients[0].live[slot] = 1
+            note(mem, t_ns, slot, al.EVENT_LEASE_BACK)
+            tell(mem, slot)
+    else:
+        # while the server itself stood still nobody could be seen
+        silent_ns = t_ns - max(person.seen_ns, ctx[m.RESUMED_NS])
+        if mem.clients[0].live[slot] != 0 and silent_ns > ctx[m.LEASE_NS]:
+            mem.clients[0].live[slot] = 0
+            for r in range(ctx[m.N_RESOURCES]):
+                happen(mem, r, t.LEASE_OVER, slot, 0, 0, t_ns)
+            tell(mem, slot)
+
+
+@jit
+def command_guards(mem: Any, resource: Any, t_ns: Any) -> Any:
+    """FRESH and SOUND, as far as they hold of the command in `mem.item`."""
+    item, run, found = mem.item[0], mem.runs[resource], 0
+    # with a time from anywhere in 64 bits the difference may wrap: compare, do not subtract first
+    if item.seq > run.item_seq and t_ns - run.ttl_ns < item.t_ns < t_ns + _FUTURE_NS:
+        found |= t.FRESH
+    sound = True
+    for k in range(run.n_values):
+        sound = sound and math.isfinite(item.value[k])
+    for k in range(len(item.ref_pose)):
+        sound = sound and (item.ref_t_ns == 0 or math.isfinite(item.ref_pose[k]))
+    return found | t.SOUND if sound else found
+
+
+@jit
+def take_item(mem: Any, slot: Any, t_ns: Any) -> None:
+    """Do what the item in `mem.item` says."""
+    item, ctx = mem.item[0], mem.ctx
+    what, resource = item.what & 0xFF, (item.what >> 8) & 0xFF
+    if resource >= ctx[m.N_RESOURCES] or what < al.ITEM_REQUEST or what > al.ITEM_RELINQUISH:
+        mem.people[slot].broken += 1
+        if p.may_log(mem, t_ns, slot) != 0:
+            note(mem, t_ns, slot, al.EVENT_BROKEN)
+    elif what == al.ITEM_COMMAND:
+        happen(mem, resource, t.COMMAND, slot, item.token, command_guards(mem, resource, t_ns), t_ns)
+    elif what == al.ITEM_REQUEST:
+        wait = t.WAIT if (item.what >> 16) & al.FLAG_WAIT else 0
+        happen(mem, resource, t.REQUEST, slot, 0, wait, t_ns)
+    else:
+        happen(mem, resource, t.RELINQUISH, slot, 0, 0, t_ns)
+
+
+@jit
+def drain(mem: Any, slot: Any, t_ns: Any) -> None:
+    """See whether a client lives, and take all items that are in its mailbox."""
+    person = mem.people[slot]
+    head = at.load_acquire_i64(person.mailbox + _HEAD)
+    waiting = head - person.tail
+    watch_lease(mem, slot, waiting != 0, t_ns)
+    if waiting == 0:
+        return
+    if waiting < 0 or waiting > _CAPACITY:
+        person.tail = head
+        person.broken += 1
+        if p.may_log(mem, t_ns, slot) != 0:
+            note(mem, t_ns, slot, al.EVENT_BROKEN)
+        tell(mem, slot)
+        return
+    item = mem.item.ctypes.data
+    for k in range(waiting):
+        place = (person.tail + k) & (_CAPACITY - 1)
+        copy_words_out(person.mailbox + _ITEMS + _ITEM_BYTES * place, _ITEM_WORDS, item)
+        take_item(mem, slot, t_ns)
+    person.tail = head
+    tell(mem, slot)

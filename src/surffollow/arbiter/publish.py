@@ -1,0 +1,181 @@
+"""What the loop tells others: the history, answers, who holds what, and the command of each resource."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import surffollow.arbiter.layout as al
+import surffollow.arbiter.memory as m
+import surffollow.arbiter.table as t
+from surffollow.arbiter.futex import futex_wake
+from surffollow.shm import atomics as at
+from surffollow.shm.cycle_log import log_append
+from surffollow.shm.jit import jit
+from surffollow.shm.latch import latch_write
+
+_ENTRY, _DESK = -(-al.ClientEntry.SIZE // 64) * 64, -(-al.ClientDesk.SIZE // 64) * 64
+_REPLY, _REPLY_LATCH, _STATUS, _STATUS_LATCH = (
+    al.Reply.SIZE,
+    al.REPLY_BYTES,
+    al.ResourceStatus.SIZE,
+    al.STATUS_BYTES,
+)
+_HELD, _ASKED, _BELL = (al.ClientDesk.offset(n) for n in ("held", "asked", "bell"))
+_SLOT_BYTES = m.CommandSlot.SIZE
+_EVENT_WORDS, _VALUES, _POSE = al.EVENT_WORDS, al.VALUES, al.POSE
+_SOURCE_SAFE, _LIMITED = al.SOURCE_SAFE, al.FLAG_LIMITED
+# a client that is refused over and over fills the history no faster than this
+LOG_EVERY_NS, LOG_BURST_NS = 1_000_000, 256_000_000
+
+
+@jit
+def entry_of(mem: Any, slot: Any) -> Any:
+    """Address of a slot's public entry."""
+    return mem.ctx[m.CLIENT_ENTRIES] + _ENTRY * slot
+
+
+@jit
+def desk_of(mem: Any, slot: Any) -> Any:
+    """Address of what a slot's client is told."""
+    return mem.ctx[m.DESKS] + _DESK * slot
+
+
+@jit
+def log_event(mem: Any, t_ns: Any, slot: Any, resource: Any, event: Any, token: Any, reason: Any) -> None:
+    """Append one record to the history; its values are in `mem.event`, its item in `mem.event[0].item`."""
+    e, ctx = mem.event[0], mem.ctx
+    ctx[m.HISTORY_SEQ] += 1
+    e.seq, e.t_ns, e.resource, e.event = ctx[m.HISTORY_SEQ], t_ns, resource, event
+    e.token, e.reason = token, reason
+    e.client = mem.people[slot].number if slot >= 0 else 0
+    log_append(ctx[m.HISTORY], ctx[m.HISTORY_WORDS], mem.event.ctypes.data, _EVENT_WORDS)
+
+
+@jit
+def may_log(mem: Any, t_ns: Any, slot: Any) -> Any:
+    """Whether a client's refusals may take one more record of the history."""
+    p = mem.people[slot]
+    p.log_ns = max(p.log_ns, t_ns - LOG_BURST_NS) + LOG_EVERY_NS
+    if p.log_ns > t_ns:
+        p.log_ns -= LOG_EVERY_NS
+        return 0
+    return 1
+
+
+@jit
+def answer(mem: Any, t_ns: Any, slot: Any, seq: Any, result: Any, token: Any, resource: Any) -> None:
+    """Answer a client's request or relinquishment."""
+    r, machine = mem.reply[0], mem.machines[resource]
+    r.seq, r.result, r.token, r.t_ns = seq, result, token, t_ns
+    r.holder = r.holder_priority = 0
+    if machine.holder >= 0:
+        r.holder = mem.people[machine.holder].number
+        r.holder_priority = mem.clients[0].priority[machine.holder]
+    latch_write(mem.ctx[m.REPLIES] + _REPLY_LATCH * slot, mem.reply.ctypes.data, _REPLY)
+    mem.people[slot].changed = 1
+
+
+@jit
+def tell_held(mem: Any, slot: Any, resource: Any, token: Any) -> None:
+    """Tell a client which token of a resource it holds now; 0: none."""
+    desk = desk_of(mem, slot)
+    at.store_relaxed_i64(desk + _ASKED + 8 * resource, 0)
+    at.store_release_i64(desk + _HELD + 8 * resource, token)
+    mem.people[slot].changed = 1
+
+
+@jit
+def tell_asked(mem: Any, slot: Any, resource: Any, asked: Any) -> None:
+    """Tell a holder that it is to relinquish, or not any more."""
+    at.store_release_i64(desk_of(mem, slot) + _ASKED + 8 * resource, asked)
+    mem.people[slot].changed = 1
+
+
+@jit
+def ring_bells(mem: Any) -> None:
+    """Wake every client that was told something."""
+    for slot in range(mem.clients[0].n):
+        p = mem.people[slot]
+        if p.changed != 0:
+            p.changed = 0
+            p.bell += 1
+            bell = desk_of(mem, slot) + _BELL
+            at.store_release_i64(bell, p.bell)
+            futex_wake(bell)
+
+
+@jit
+def publish_status(mem: Any, resource: Any) -> None:
+    """Publish who holds a resource."""
+    s, machine = mem.status[resource], mem.machines[resource]
+    s.state, s.holder, s.token = machine.state, machine.holder, machine.token
+    s.client = s.priority = s.queue = 0
+    if machine.holder >= 0:
+        s.client = mem.people[machine.holder].number
+        s.priority = mem.clients[0].priority[machine.holder]
+    for c in range(mem.clients[0].n):
+        if machine.ticket[c] != 0:
+            s.queue += 1
+    s.command_ns = mem.runs[resource].command_ns
+    address = mem.status.ctypes.data + _STATUS * resource
+    latch_write(mem.ctx[m.STATUS] + _STATUS_LATCH * resource, address, _STATUS)
+
+
+@jit
+def put_command(mem: Any, block: Any, fence: Any, t_ns: Any) -> None:
+    """Publish `mem.slot` in a command block; a reader that holds it is told that it is stale."""
+    head = mem.slot[0].head
+    head.generation, head.t_ns = at.load_relaxed_i64(block) + 1, t_ns
+    head.epoch = mem.machines[0].epoch
+    latch_write(block, mem.slot.ctypes.data, _SLOT_BYTES)
+    at.store_release_i64(fence, at.load_relaxed_i64(fence) + 1)
+
+
+@jit
+def publish_safe(mem: Any, resource: Any, t_ns: Any) -> None:
+    """Send the safe command to a resource."""
+    run, c = mem.runs[resource], mem.slot[0].command
+    run.command_seq += 1
+    run.safe_ns = t_ns
+    run.valid_until_ns = 0
+    c.seq, c.t_ns, c.valid_until_ns = run.command_seq, t_ns, t_ns + 3 * run.safe_period_ns
+    c.source, c.flags, c.client, c.token, c.ref_t_ns, c.n_values = _SOURCE_SAFE, 0, 0, 0, 0, run.n_values
+    for k in range(_VALUES):
+        c.value[k] = c.safe[k] = mem.event[0].command[k] = run.safe[k]
+    put_command(mem, run.block, run.fence, t_ns)
+    mem.status[resource].safes += 1
+
+
+@jit
+def forward(mem: Any, resource: Any, slot: Any, token: Any, t_ns: Any) -> None:
+    """Send the command in `mem.item` to a resource, within its limits."""
+    run, c, item = mem.runs[resource], mem.slot[0].command, mem.item[0]
+    run.command_seq += 1
+    run.command_ns, run.late = t_ns, 0
+    run.valid_until_ns = t_ns + run.ttl_ns
+    c.seq, c.t_ns, c.valid_until_ns = run.command_seq, item.t_ns, run.valid_until_ns
+    c.source, c.flags, c.client, c.token = al.SOURCE_HOLDER, 0, mem.people[slot].number, token
+    c.ref_t_ns, c.n_values = item.ref_t_ns, run.n_values
+    for k in range(_VALUES):
+        value = 0.0
+        if k < run.n_values:
+            value = min(max(item.value[k], run.low[k]), run.high[k])
+            if value != item.value[k]:
+                c.flags |= _LIMITED
+        c.value[k] = run.value[k] = mem.event[0].command[k] = value
+        c.safe[k] = run.safe[k]
+    run.ref_t_ns = item.ref_t_ns
+    for k in range(_POSE):
+        run.ref_pose[k] = item.ref_pose[k]
+    put_command(mem, run.block, run.fence, t_ns)
+    mem.status[resource].forwarded += 1
+
+
+@jit
+def is_refusal(action: Any) -> Any:
+    """Whether an action only tells a client what it may not have."""
+    return (
+        action in (t.KEEP, t.DENY, t.DENY_LEASE, t.NOTHING, t.REJECT_NO_CONTROL)
+        or action == t.REJECT_STALE_TOKEN
+        or action in (t.REJECT_OLD, t.REJECT_BAD)
+    )

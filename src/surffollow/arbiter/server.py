@@ -1,0 +1,357 @@
+"""The arbiter's process: the loop in a thread without the GIL, comings and goings in the main thread."""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import os
+import pwd
+import select
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from surffollow.arbiter import handshake as hs
+from surffollow.arbiter import layout as al
+from surffollow.arbiter import memory as m
+from surffollow.arbiter import table as t
+from surffollow.arbiter.board import Board, CommandBlock, group_id
+from surffollow.arbiter.config import ArbiterConfig, limits
+from surffollow.arbiter.effects import happen
+from surffollow.arbiter.loop import run_rounds
+from surffollow.config.service import mode
+from surffollow.errors import ConfigError, ServiceError
+from surffollow.shm.python_atomics import load_acquire, store_release
+from surffollow.shm.sealed import make_sealed, seal_for_good
+from surffollow.shm.unix_socket import peer_of, peer_pidfd
+
+_SYS_FUTEX_WAITV, _ENOSYS = 449, 38
+WATCH_S = 0.2
+
+
+class Guest:
+    """A connection: it owns a slot from its welcome to its end."""
+
+    def __init__(self, sock: socket.socket, pid: int, uid: int) -> None:
+        self.sock, self.pid, self.uid = sock, pid, uid
+        self.name, self.slot, self.number = "", -1, 0
+        self.since = time.monotonic()
+        self.pidfd = peer_pidfd(sock, pid)  # a child that inherited the connection does not keep it alive
+        self.mailbox_fd, self.joined = -1, False
+        self.mailbox: mmap.mmap | None = None
+
+    def close(self) -> None:
+        self.sock.close()
+        for fd in (self.pidfd, self.mailbox_fd):
+            if fd >= 0:
+                os.close(fd)
+        self.pidfd = self.mailbox_fd = -1
+
+
+def users_of(config: ArbiterConfig) -> set[int] | None:
+    """Who may attach; None: everybody."""
+    if "*" in config.users:
+        return None
+    allowed = {0, os.geteuid()}
+    for name in config.users:
+        try:
+            allowed.add(pwd.getpwnam(name).pw_uid)
+        except KeyError:
+            raise ConfigError(f"configuration key users names {name!r}; there is no such user") from None
+    return allowed
+
+
+class Server:
+    """One arbiter; `run` returns when a signal asks it to end."""
+
+    def __init__(self, config: ArbiterConfig) -> None:
+        self.config, self._users = config, users_of(config)
+        self._listener = hs.listen(config.name)
+        self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._guests: dict[int, Guest] = {}
+        self._slots: list[Guest | None] = [None] * al.CLIENTS
+        self._number = 0
+        self._error = ""
+        self._blocks: list[CommandBlock] = []
+        try:
+            self.board = Board(config)
+            access, group = mode(config.mode, "mode"), group_id(config.group)
+            for name in (*config.resources, *config.combine):
+                self._blocks.append(CommandBlock(f"{config.name}.{name}", access, group))
+        except BaseException:
+            for block in self._blocks:
+                block.remove()
+            self._listener.close()
+            raise
+        self.mem = m.make_memory()
+        self._fill()
+
+    # -- set-up -----------------------------------------------------------------------------------
+
+    def _fill(self) -> None:
+        mem, board, ctx = self.mem, self.board, self.mem.ctx
+        ctx[m.N_RESOURCES], ctx[m.N_COMBINATIONS] = len(self.config.resources), len(self.config.combine)
+        ctx[m.LEASE_NS], ctx[m.PERIOD_NS] = self.config.lease_ns, self.config.period_ns
+        for word, part in ((m.HEADER, "header"), (m.STATUS, "status"), (m.CLIENT_ENTRIES, "clients")):
+            ctx[word] = board.address(part)
+        for word, part in ((m.DESKS, "desks"), (m.REPLIES, "replies"), (m.HISTORY, "history")):
+            ctx[word] = board.address(part)
+        ctx[m.HISTORY_WORDS] = self.config.history * al.EVENT_WORDS
+        ctx[m.HAS_WAITV] = has_waitv()
+        mem.clients["n"] = al.CLIENTS
+        now = time.monotonic_ns()
+        for r in range(len(self.config.resources)):
+            c, run = board.config[r], mem.runs[r]
+            for key in ("n_values", "ttl_ns", "safe_period_ns", "grace_ns", "low", "high", "safe"):
+                run[key] = c[key]
+            run["combination"] = c["combined_into"]
+            run["block"], run["fence"] = self._blocks[r].latch, self._blocks[r].fence
+            run["command_ns"] = now - int(c["ttl_ns"])
+            machine = mem.machines[r]
+            machine["cooperative"], machine["newcomer"] = c["cooperative"], c["newcomer"]
+            machine["epoch"] = board.epoch - 1  # the event RESTART makes it the new one
+        names = list(self.config.resources)
+        for k, spec in enumerate(self.config.combine.values()):
+            x, block = mem.combinations[k], self._blocks[len(names) + k]
+            first = self.config.resources[spec.parts[0]]
+            parts = [names.index(p) for p in spec.parts]
+            x["n_parts"], x["part"][: len(parts)] = len(parts), parts
+            x["required"][: len(parts)] = [p in spec.required for p in spec.parts]
+            x["n_values"], x["low"], x["high"] = len(first.command), *limits(spec)
+            x["block"], x["fence"], x["changed"] = block.latch, block.fence, 1
+            x["period_ns"] = mem.runs[parts[0]]["safe_period_ns"]
+            x["ttl_ns"] = mem.runs[parts[0]]["ttl_ns"]
+
+    def _start_resources(self) -> None:
+        for r in range(len(self.config.resources)):
+            happen(self.mem, r, t.RESTART, -1, 0, 0, time.monotonic_ns())
+
+    # -- run --------------------------------------------------------------------------------------
+
+    def run(self, on_ready: Callable[[], None] | None = None) -> None:
+        """Start the loop, announce READY, welcome clients until asked to stop, end cleanly."""
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGTERM, signal.SIGINT):
+                signal.signal(number, lambda *_: self.stop())
+        self._start_resources()
+        run_rounds(self.mem, 0)  # compiles, or loads what was compiled
+        self._wake_loop()
+        thread = threading.Thread(target=self._loop_thread, name="arbiter", daemon=True)
+        thread.start()
+        try:
+            self.board.set_state(al.STATE_READY)
+            if on_ready is not None:
+                on_ready()
+            self._welcome_clients()
+        finally:
+            self._end(thread)
+
+    def _loop_thread(self) -> None:
+        try:
+            run_rounds(self.mem, np.iinfo(np.int64).max)
+        except Exception as e:  # the thread must never end unnoticed
+            self._error = repr(e)
+            self.stop()
+
+    def stop(self) -> None:
+        """Ask `run` to end, from a signal handler or another thread."""
+        with contextlib.suppress(OSError):
+            os.write(self._waker, b"x")
+
+    def _wake_loop(self) -> None:
+        from surffollow.arbiter.python_futex import wake
+
+        address = int(self.mem.ctx.ctypes.data) + 8 * m.DOORBELL
+        store_release(address, load_acquire(address) + 1)
+        wake(address)
+
+    def _slot_state(self, slot: int) -> int:
+        return int(self.mem.ctx.ctypes.data) + 8 * (m.SLOT_STATE + slot)
+
+    def _welcome_clients(self) -> None:
+        poll = select.epoll()
+        poll.register(self._listener.fileno(), select.EPOLLIN)
+        poll.register(self._wake, select.EPOLLIN)
+        with poll:
+            while True:
+                waiting = any(g is not None and g.slot < 0 for g in self._slots)
+                hurry = waiting or any(not g.joined for g in self._guests.values())
+                for fd, _ in poll.poll(0.005 if waiting else WATCH_S if hurry else -1):
+                    if fd == self._wake:
+                        if self._error:
+                            raise ServiceError(f"the arbiter's loop failed: {self._error}")
+                        return
+                    if fd == self._listener.fileno():
+                        self._accept(poll)
+                    elif fd in self._guests:
+                        self._hear(poll, self._guests[fd], fd)
+                self._free_slots()
+                for guest in {id(g): g for g in self._guests.values()}.values():
+                    if not guest.joined and time.monotonic() - guest.since > hs.HELLO_TIMEOUT_S:
+                        self._part(poll, guest)
+
+    def _accept(self, poll: select.epoll) -> None:
+        try:
+            sock, _ = self._listener.accept()
+        except OSError:
+            return
+        sock.setblocking(False)
+        who = peer_of(sock)
+        guest = Guest(sock, who.pid, who.uid)
+        # who is over the limit is not listened to; descriptors are for clients
+        strangers = sum(not g.joined for g in self._guests.values())
+        if strangers > 4 * al.CLIENTS:
+            guest.close()
+            return
+        for fd in (sock.fileno(), guest.pidfd):
+            if fd >= 0:
+                self._guests[fd] = guest
+                poll.register(fd, select.EPOLLIN)
+
+    def _part(self, poll: select.epoll, guest: Guest) -> None:
+        """The connection is over: its slot is, too."""
+        for fd in (guest.sock.fileno(), guest.pidfd):
+            if fd >= 0 and self._guests.pop(fd, None) is not None:
+                poll.unregister(fd)
+        guest.close()
+        if guest.slot >= 0 and not guest.joined:
+            self._slots[guest.slot] = None
+        elif guest.slot >= 0:
+            store_release(self._slot_state(guest.slot), m.LEAVING)
+            guest.slot = -1  # `_slots` keeps it until the loop has let its mailbox go
+            self._wake_loop()
+
+    def _free_slots(self) -> None:
+        for slot, guest in enumerate(self._slots):
+            if guest is not None and guest.slot < 0 and load_acquire(self._slot_state(slot)) == m.LEFT:
+                store_release(self._slot_state(slot), m.EMPTY)
+                self.mem.people[slot]["mailbox"] = 0
+                guest.mailbox = self._slots[slot] = None
+
+    def _hear(self, poll: select.epoll, guest: Guest, fd: int) -> None:
+        if fd == guest.pidfd:
+            self._part(poll, guest)
+            return
+        try:
+            data = guest.sock.recv(256)
+            if guest.slot < 0:
+                self._offer(guest, hs.read_hello(data))
+            elif not guest.joined and data == hs.MAPPED:
+                self._admit(guest)
+            elif not data or not guest.joined:
+                self._part(poll, guest)
+        except BlockingIOError:
+            return
+        except OSError:
+            self._part(poll, guest)
+            return
+        if guest.slot < 0:
+            self._part(poll, guest)
+
+    def _offer(self, guest: Guest, name: str | None) -> None:
+        """Answer the first message: refuse, or hand out a mailbox."""
+        self._free_slots()
+        result, detail = self._may_enter(guest, name)
+        if result != al.HELLO_OK:
+            guest.sock.send(hs.welcome(result, detail=detail), socket.MSG_NOSIGNAL)
+            return
+        assert name is not None
+        guest.mailbox_fd = make_sealed("surffollow-mailbox", al.MAILBOX_BYTES)
+        board = self.board.reading_end()
+        try:
+            guest.name, guest.slot = name, self._slots.index(None)
+            self._slots[guest.slot] = guest
+            self._number += 1
+            guest.number = self._number
+            answer = hs.welcome(al.HELLO_OK, guest.slot, guest.number, self.board.epoch)
+            socket.send_fds(guest.sock, [answer], [guest.mailbox_fd, board], socket.MSG_NOSIGNAL)
+        finally:
+            os.close(board)
+
+    def _admit(self, guest: Guest) -> None:
+        """The client has its mapping: nobody can change the mailbox in any other way from now on."""
+        seal_for_good(guest.mailbox_fd)
+        guest.mailbox = mmap.mmap(guest.mailbox_fd, al.MAILBOX_BYTES, mmap.MAP_SHARED, mmap.PROT_READ)
+        os.close(guest.mailbox_fd)
+        guest.mailbox_fd, guest.joined = -1, True
+        self._sign(guest)
+        self._await_joined(guest.slot)
+        guest.sock.send(hs.MAPPED, socket.MSG_NOSIGNAL)
+
+    def _may_enter(self, guest: Guest, name: str | None) -> tuple[int, int]:
+        if name is None:
+            return al.HELLO_BAD, 0
+        if self._users is not None and guest.uid not in self._users:
+            return al.HELLO_USER, 0
+        if name not in self.config.clients:
+            return al.HELLO_UNKNOWN_CLIENT, 0
+        for other in self._slots:
+            if other is not None and other.name == name:
+                return al.HELLO_TAKEN, other.pid
+        return (al.HELLO_OK, 0) if None in self._slots else (al.HELLO_FULL, 0)
+
+    def _sign(self, guest: Guest) -> None:
+        """Fill in the slot's public entry and hand the mailbox to the loop."""
+        mem, entry = self.mem, self.board.entry(guest.slot)
+        priority = self.config.clients[guest.name]
+        entry["name"], entry["pid"], entry["uid"] = guest.name.encode(), guest.pid, guest.uid
+        entry["priority"], entry["attached_ns"] = priority, time.monotonic_ns()
+        mem.clients[0]["priority"][guest.slot] = priority
+        person = mem.people[guest.slot]
+        person["mailbox"] = np.frombuffer(guest.mailbox, np.uint8).ctypes.data  # type: ignore[arg-type]
+        person["number"] = entry["number"] = guest.number
+        store_release(self._slot_state(guest.slot), m.JOINING)
+        self._wake_loop()
+
+    def _await_joined(self, slot: int) -> None:
+        """Until the loop has cleared what the slot's last client left: the next round, at once."""
+        deadline = time.monotonic() + hs.HELLO_TIMEOUT_S
+        while load_acquire(self._slot_state(slot)) == m.JOINING and time.monotonic() < deadline:
+            time.sleep(20e-6)
+
+    def _end(self, thread: threading.Thread) -> None:
+        for slot, guest in enumerate(self._slots):
+            if guest is not None and guest.joined and guest.slot >= 0:
+                store_release(self._slot_state(slot), m.LEAVING)
+        self._wake_loop()
+        deadline = time.monotonic() + 2.0
+        while time.monotonic() < deadline and thread.is_alive():
+            if all(load_acquire(self._slot_state(s)) in (m.EMPTY, m.LEFT) for s in range(al.CLIENTS)):
+                break
+            time.sleep(0.001)
+        store_release(int(self.mem.ctx.ctypes.data) + 8 * m.STOP, 1)
+        self._wake_loop()
+        thread.join(2.0)
+        if thread.is_alive():
+            os._exit(1)  # its memory must not go away under it
+        for block in self._blocks:
+            block.remove()
+        self.board.remove()
+        for guest in {id(g): g for g in self._guests.values()}.values():
+            guest.close()
+        self._listener.close()
+        os.close(self._wake)
+        os.close(self._waker)
+
+
+def has_waitv() -> int:
+    """Whether this kernel knows futex_waitv (1, 0); without it the loop looks every millisecond."""
+    import ctypes
+
+    libc: Any = ctypes.CDLL(None, use_errno=True)
+    failed = libc.syscall(_SYS_FUTEX_WAITV, None, 0, 0, None, 0) < 0
+    return int(not (failed and ctypes.get_errno() == _ENOSYS))
+
+
+def serve(config: ArbiterConfig, quiet: bool = False) -> None:
+    """Run an arbiter in the foreground until SIGTERM or SIGINT."""
+    if not quiet:
+        print(f"surffollow: starting arbiter {config.name!r}", file=sys.stderr, flush=True)
+    server = Server(config)
+    server.run(lambda: print(f"READY {config.name} pid {os.getpid()}", flush=True))

@@ -1,0 +1,203 @@
+"""`surffollow arbiter start`, `status`, `history`, `check`, `header`, `follow` and `demo`."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from typing import Any
+
+import click
+
+from surffollow.cli.values import SERVICE_NAME, Finite
+
+
+@click.group("arbiter")
+def arbiter_group() -> None:
+    """Share a robot among clients by priority: the server, and a look at it."""
+
+
+@arbiter_group.command("start")
+@click.argument("config_path", metavar="CONFIG.toml", type=click.Path(dir_okay=False))
+@click.option("--name", type=SERVICE_NAME, help="Name of the arbiter [the configuration's].")
+@click.option("--quiet", is_flag=True, help="Print only READY and errors.")
+def start_command(config_path: str, name: str | None, quiet: bool) -> None:
+    """Run the server in the foreground: prints READY when clients may attach, ends on SIGTERM or Ctrl-C."""
+    import msgspec
+
+    from surffollow.arbiter.config import load_config
+
+    config = load_config(config_path)
+    if name is not None:
+        config = msgspec.structs.replace(config, name=name)
+    from surffollow.arbiter.server import serve
+
+    serve(config, quiet)
+
+
+@arbiter_group.command("status")
+@click.option("--name", type=SERVICE_NAME, default="cell", show_default=True, help="Name of the arbiter.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def status_command(name: str, as_json: bool) -> None:
+    """Show who holds what, who is attached, what was denied and how long clients waited."""
+    from surffollow.arbiter import observe
+    from surffollow.units import format_ns
+
+    with observe(name) as arbiter:
+        status = arbiter.status()
+    if as_json:
+        print(json.dumps(status, indent=2))
+        return
+    running = "runs" if status["alive"] else "does not run (its last board)"
+    print(f"arbiter {name} {running}, pid {status['pid']}, epoch {status['epoch']}")
+    for resource, s in status["resources"].items():
+        by = f" by {s['holder']} (priority {s['priority']})" if s["holder"] else ""
+        print(
+            f"  {resource}: {s['state']}{by}, {s['queue']} waiting; {s['grants']} grants, {s['preempted']} "
+            f"preempted, {s['forwarded']} forwarded, {s['rejected']} rejected, {s['denied']} denied"
+        )
+    for c in status["clients"]:
+        life = "" if c["live"] else ", no heartbeat"
+        print(
+            f"  client {c['name']}: number {c['number']}, pid {c['pid']}, priority {c['priority']}, denied "
+            f"{c['denied']}, longest wait {format_ns(c['waited_ns'])}, broken mailbox {c['broken']}{life}"
+        )
+
+
+@arbiter_group.command("history")
+@click.option("--name", type=SERVICE_NAME, default="cell", show_default=True, help="Name of the arbiter.")
+@click.option("--last", default=50, show_default=True, help="Newest records to print at first.")
+@click.option("--follow", is_flag=True, help="Go on until Ctrl-C.")
+@click.option("--seconds", type=Finite(min=0.0), default=0.0, help="With --follow: end after that time.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
+def history_command(name: str, last: int, follow: bool, seconds: float, as_json: bool) -> None:
+    """Print who asked, held, lost and commanded what."""
+    from surffollow.arbiter import observe
+
+    until = time.monotonic() + seconds if seconds > 0 else float("inf")
+    with observe(name) as arbiter:
+        history = arbiter.history()
+        for event in history.newest(last):
+            _print_event(event, as_json)
+        while follow and time.monotonic() < until and arbiter.alive():
+            for event in history:
+                _print_event(event, as_json)
+            sys.stdout.flush()
+            time.sleep(0.01)
+    if history.lost:
+        print(f"surffollow: {history.lost} records were overwritten before they were read", file=sys.stderr)
+
+
+def _print_event(event: Any, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(event._asdict()))
+        return
+    values = " ".join(f"{v:g}" for v in event.command) if event.event in ("FORWARD", "SAFE") else ""
+    token = f"{event.token:#x}" if event.token else "-"
+    print(
+        f"{event.seq:>8} {event.t_ns / 1e9:14.6f} {event.resource or '-':12} client {event.client:<4} "
+        f"{event.event:20} {event.reason:12} {token:>18} {values}".rstrip()
+    )
+
+
+@arbiter_group.command("check")
+@click.option("--mutants", "with_mutants", is_flag=True, help="Also show that every altered table is caught.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def check_command(with_mutants: bool, as_json: bool) -> None:
+    """Explore every state that three clients can bring a resource into, by the table that the server runs.
+
+    Exit code 1 when a property is broken, or an altered table was not caught.
+    """
+    from surffollow.arbiter.check import check_table, is_caught
+    from surffollow.arbiter.mutants import mutants
+
+    found = check_table()
+    survivors, tried = [], 0
+    if with_mutants:
+        for what, rows in mutants():
+            tried += 1
+            if not is_caught(rows):
+                survivors.append(what)
+    result = {
+        "policies": [
+            {"policy": f.policy, "states": f.states, "steps": f.steps, "fault": f.fault} for f in found
+        ],
+        "mutants": tried,
+        "survivors": survivors,
+    }
+    if as_json:
+        print(json.dumps(result, indent=2))
+    else:
+        for f in found:
+            print(f"{f.policy:24} {f.states:6} states {f.steps:8} steps   {f.fault or 'no fault'}")
+        if with_mutants:
+            print(f"{tried} altered tables, {len(survivors)} not caught")
+            for what in survivors:
+                print(f"  {what}")
+    if survivors or any(f.fault for f in found):
+        sys.exit(1)
+
+
+@arbiter_group.command("header")
+def header_command() -> None:
+    """Print the C header of arbiter clients; it stands beside surffollow.h (surffollow --includedir)."""
+    from pathlib import Path
+
+    header = Path(__file__).parents[1] / "include" / "surffollow_arbiter.h"
+    click.echo(header.read_text(encoding="ascii"), nl=False)
+
+
+def _stop_on_signals() -> list[int]:
+    import signal
+
+    stopped: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda n, _: stopped.append(n))
+    return stopped
+
+
+@arbiter_group.command("follow")
+@click.option("--name", type=SERVICE_NAME, default="cell", show_default=True, help="Name of the arbiter.")
+@click.option("--service", type=SERVICE_NAME, default="surf", show_default=True, help="Following service.")
+@click.option("--resource", default="tool", show_default=True, help="Resource to command.")
+@click.option("--client", default="follow", show_default=True, help="Name in the configuration.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object at the end.")
+def follow_command(name: str, service: str, resource: str, client: str, as_json: bool) -> None:
+    """Hand a service's demands to an arbiter's resource, as one client among others, until Ctrl-C.
+
+    While others hold the resource the service runs in DRYRUN and learns nothing.
+    """
+    from surffollow.live.shared_tool import follow
+
+    stopped = _stop_on_signals()
+    counts = follow(service, name, resource, lambda: bool(stopped), client)
+    print(json.dumps(counts) if as_json else ", ".join(f"{k} {v}" for k, v in counts.items()))
+
+
+@arbiter_group.command("demo")
+@click.option("--seconds", type=Finite(min=8.0, max=120.0), default=20.0, show_default=True)
+@click.option("--combine", type=click.Choice(["priority", "sum"]), default="priority", show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def demo_command(seconds: float, combine: str, as_json: bool) -> None:
+    """Follow a surface, see an obstacle, lift the tool over it, bring it back: five processes share a robot.
+
+    Exit code 1 when the tool came too near, or was not brought back.
+    """
+    import tempfile
+    from pathlib import Path
+
+    from surffollow.live.children import ended_by_signals
+    from surffollow.live.shared_demo import run_shared_demo
+
+    def progress(text: str) -> None:
+        print(f"surffollow: {text}", file=sys.stderr, flush=True)
+
+    with ended_by_signals(), tempfile.TemporaryDirectory() as folder:
+        result = run_shared_demo(seconds, combine, Path(folder), progress)
+    if as_json:
+        print(json.dumps(result, indent=2))
+    else:
+        for key, value in result.items():
+            print(f"{key:32} {value}")
+    if result["failures"]:
+        sys.exit(1)

@@ -1,0 +1,149 @@
+"""`surffollow base`, `base-client` and `wall-follow`: a simulated mobile base and the experiments with it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import click
+
+from surffollow.cli.values import SERVICE_NAME, Finite
+
+CLIENTS = ("avoid", "follow-wall", "follow-wall-2", "go")
+EXPERIMENTS = ("paper", "1", "1-pair", "2")
+
+
+@click.command("base")
+@click.option(
+    "--name", type=SERVICE_NAME, default="cell", show_default=True, help="Arbiter, and prefix of blocks."
+)
+@click.option("--seconds", type=Finite(min=0.0), default=60.0, show_default=True, help="Of motion.")
+@click.option("--seed", default=1, show_default=True, help="Of range noise and slip.")
+@click.option(
+    "--start",
+    type=Finite(),
+    nargs=3,
+    default=(1.5, 1.05, 0.0),
+    show_default=True,
+    help="x [m], y [m] and heading [rad] in the room.",
+)
+@click.option("--log", type=click.Path(dir_okay=False), help="Write the true motion to this CSV file.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def base_command(
+    name: str, seconds: float, seed: int, start: tuple[float, float, float], log: str | None, as_json: bool
+) -> None:
+    """Simulate a base with sonars: obeys the arbiter, publishes NAME.base and NAME.true_base."""
+    from surffollow.live.wall_processes import run_base
+    from surffollow.sim.base import BaseConfig
+
+    said = run_base(name, seconds, seed=seed, log=log, config=BaseConfig(start=start))
+    if as_json:
+        print(json.dumps(said))
+    else:
+        print(f"{said['seconds']:.1f} s, least gap to a wall {1e3 * said['least_gap_m']:.0f} mm")
+
+
+@click.command("base-client")
+@click.argument("client", type=click.Choice(CLIENTS))
+@click.option(
+    "--name", type=SERVICE_NAME, default="cell", show_default=True, help="Arbiter, and prefix of blocks."
+)
+@click.option("--experiment", type=click.Choice(EXPERIMENTS), default="2", show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def base_client_command(client: str, name: str, experiment: str, as_json: bool) -> None:
+    """Run one client of the wall-following experiments until the base ends."""
+    from surffollow.live.wall_processes import run_client
+
+    said = run_client(name, client, experiment)
+    print(
+        json.dumps(said) if as_json else f"{client}: {said['commands']} commands, {said['requests']} requests"
+    )
+
+
+def seeds_of(ctx: click.Context, param: click.Parameter, value: str) -> range:
+    """Option callback: "A:B" or one number."""
+    first, _, last = value.partition(":")
+    try:
+        seeds = range(int(first), int(last) if last else int(first) + 1)
+    except ValueError:
+        seeds = range(0)
+    if not seeds:
+        raise click.BadParameter(f"{value!r} names no seeds; write 1:21 or 7", ctx, param)
+    return seeds
+
+
+@click.command("wall-follow")
+@click.option("--experiment", type=click.Choice(EXPERIMENTS), default="2", show_default=True)
+@click.option("--laps", type=click.IntRange(min=1), default=4, show_default=True)
+@click.option("--seeds", callback=seeds_of, default="1", show_default=True, help="A:B or one number.")
+@click.option(
+    "--processes", is_flag=True, help="Real time: arbiter, base and clients as processes (one seed)."
+)
+@click.option(
+    "--seconds", type=Finite(min=1.0), default=90.0, show_default=True, help="Of motion with --processes."
+)
+@click.option("--plot", type=click.Path(dir_okay=False), help="Draw the first seed's run: PNG, SVG or PDF.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def wall_follow_command(
+    experiment: str, laps: int, seeds: range, processes: bool, seconds: float, plot: str | None, as_json: bool
+) -> None:
+    """Follow the walls of a room by clients that share a base, and print the figures of merit.
+
+    Experiment "paper": go and follow-wall by a pair of sonars. "1": with avoid, fused pose. "1-pair": with
+    avoid, by a pair. "2": with follow-wall-2, too.
+    """
+    from surffollow.live.wall_following import figures, run_experiment
+
+    runs: list[dict[str, Any]] = []
+    first = None
+    for seed in seeds[:1] if processes else seeds:
+        if processes:
+            from surffollow.live.wall_processes import run_processes
+
+            run, history = run_processes(experiment, seconds, seed=seed)
+            more: dict[str, Any] = {"events": len(history)}
+        else:
+            run, more = run_experiment(experiment, laps=laps, seed=seed), {}
+        first = first or run
+        runs.append({"seed": seed, **figures(run), **more})
+        if len(seeds) > 1 and not as_json:
+            print(f"seed {seed}: {line_of(runs[-1])}", file=sys.stderr, flush=True)
+    if plot is not None and first is not None:
+        from surffollow.live.wall_pictures import draw_run
+
+        draw_run(first, plot, f"experiment {experiment}, seed {runs[0]['seed']}")
+    median = median_of(runs)
+    said = {"experiment": experiment, "runs": runs, "median": median}
+    text = f"experiment {experiment}, median of {len(runs)}: {line_of(median)}"
+    print(json.dumps(without_nan(said)) if as_json else text)
+
+
+def without_nan(value: Any) -> Any:
+    """The same with None for NaN, which JSON does not know."""
+    if isinstance(value, dict):
+        return {k: without_nan(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [without_nan(v) for v in value]
+    return None if isinstance(value, float) and value != value else value
+
+
+def median_of(runs: list[dict[str, Any]]) -> dict[str, float]:
+    """Median of every figure, and the sum of the contacts."""
+    import statistics
+
+    keys = [k for k in runs[0] if k != "seed"]
+    said = {k: float(statistics.median(r[k] for r in runs)) for k in keys}
+    return {**said, "contacts": float(sum(r["contacts"] for r in runs))}
+
+
+def line_of(f: dict[str, Any]) -> str:
+    """The figures in one line."""
+    import math
+
+    return (
+        f"distance RMS {1e3 * f['distance_rms_m']:.0f} mm, heading repeats within "
+        f"{math.degrees(f['heading_repeatability_rad']):.2f}°, off the wall by "
+        f"{math.degrees(f['heading_rms_rad']):.2f}° RMS, least gap {1e3 * f['least_gap_m']:.0f} mm, "
+        f"{f['contacts']:.0f} contacts, {f['laps']:.2f} laps in {f['seconds']:.0f} s"
+    )

@@ -1,0 +1,87 @@
+"""`surffollow convert` and `surffollow recover`: recordings into other files."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import click
+
+from surffollow.cli.values import Finite
+
+
+@click.command("convert")
+@click.argument("files", nargs=-1, required=True, type=click.Path(), metavar="FILE...")
+@click.option(
+    "--to",
+    type=click.Choice(["foxglove", "csv", "parquet"]),
+    required=True,
+    help="foxglove: channels for Foxglove and Rerun; csv, parquet (extra `parquet`): one row per sample.",
+)
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False),
+    default=None,
+    help="File to write.  [default: FILE with .foxglove.mcap, .csv or .parquet]",
+)
+@click.option(
+    "--rate",
+    type=Finite(min=0.0, max=10_000.0),
+    default=100.0,
+    show_default=True,
+    help="Samples per second; 0: every cycle.",
+)
+@click.option("--force", is_flag=True, help="Replace an existing file.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def convert_command(
+    files: tuple[str, ...], to: str, out: str | None, rate: float, force: bool, as_json: bool
+) -> None:
+    """Turn recordings into a table, or into channels for viewers; several FILEs in order become one.
+
+    Distances, heights and health come out of the same kernels as in the service, so recordings
+    of any age work. Of a damaged FILE what is whole is converted, and the rest is told.
+    """
+    from dataclasses import asdict
+
+    from surffollow.cli.progress import tell
+    from surffollow.record.convert import convert
+
+    with tell() as show:
+        progress = None if show is None else lambda part: show(f"{part:6.1%} converted")
+        done = convert(files, to, out, rate_hz=rate, force=force, progress=progress)
+    for text in done.damage:
+        print(f"surffollow: damaged: {text}", file=sys.stderr)
+    if done.differing:
+        text = (
+            f"{done.differing} cycles came out otherwise than recorded: made by another release or machine?"
+        )
+        print(f"surffollow: {text}", file=sys.stderr)
+    if as_json:
+        click.echo(json.dumps(asdict(done)))
+        return
+    what = f"{done.messages} messages" if to == "foxglove" else f"{done.rows} rows"
+    click.echo(f"{', '.join(done.files)}: {what}" + (f" of {done.cycles} cycles" if done.cycles else ""))
+
+
+@click.command("recover")
+@click.argument("file", type=click.Path())
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False),
+    default=None,
+    help="File to write.  [default: FILE-recovered.mcap]",
+)
+@click.option("--force", is_flag=True, help="Replace an existing file.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def recover_command(file: str, out: str | None, force: bool, as_json: bool) -> None:
+    """Rewrite the whole chunks of a cut or damaged recording into a file that every reader opens."""
+    from dataclasses import asdict
+
+    from surffollow.record.recover import recover
+
+    done = recover(file, out, force=force)
+    if as_json:
+        click.echo(json.dumps(asdict(done)))
+        return
+    lost = f"; {done.lost_bytes} bytes lost: {done.damage}" if done.damage else "; nothing was wrong with it"
+    click.echo(f"{done.file}: {done.messages} messages, {done.cycles} cycles{lost}")

@@ -1,0 +1,76 @@
+"""`surffollow plot`: a recording, a CSV log or a map as a figure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from surffollow.cli.values import Finite
+
+
+@click.command("plot")
+@click.argument("file", type=click.Path())
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False),
+    default=None,
+    help="Figure to write: .png, .svg or .pdf.  [default: FILE with .png]",
+)
+@click.option("--columns", type=click.Path(), help="FILE is a CSV log: what its columns mean (TOML).")
+@click.option("--start", type=Finite(), help="CSV: first time, in seconds of the log.")
+@click.option("--end", type=Finite(), help="CSV: last time, in seconds of the log.")
+@click.option("--mode", type=click.Choice(["paper", "adaptive"]), help="CSV: how to follow.")
+def plot_command(
+    file: str,
+    out: str | None,
+    columns: str | None,
+    start: float | None,
+    end: float | None,
+    mode: str | None,
+) -> None:
+    """Draw FILE on one page: a recording (.mcap), a CSV log with --columns, or a map file.
+
+    A recording: ground, tool, stand-off, forecast, health, latencies, map. A CSV log: ground, readings,
+    forecasts against what came. A map: relief and samples of what is known. Needs the extra `plot`.
+    """
+    from surffollow.errors import UsageError
+    from surffollow.record.figure import check_figure
+
+    target = out or str(Path(file).with_suffix(".png"))
+    check_figure(target)
+    is_csv = columns is not None or file.lower().endswith(".csv")
+    given = {"--start": start, "--end": end, "--mode": mode}
+    needless = [option for option, value in given.items() if value is not None]
+    if needless and not is_csv:
+        raise UsageError(f"{', '.join(needless)}: only for CSV logs")
+    if is_csv:
+        from surffollow.cli.record import replay_csv_log
+        from surffollow.record.plot_csv import plot_csv
+
+        replay, meaning = replay_csv_log(file, columns, start, end, mode)
+        plot_csv(file, replay, meaning, target)
+    elif _is_recording(file):
+        from surffollow.cli.progress import tell
+        from surffollow.record.plot_recording import plot_recording
+
+        with tell() as show:
+            plot_recording(file, target, None if show is None else lambda part: show(f"{part:6.1%} read"))
+    else:
+        from surffollow.map import HeightMap
+        from surffollow.map.files import export
+
+        m = HeightMap.load(file)
+        export(target, m.header, m.pairs)
+    click.echo(target)
+
+
+def _is_recording(file: str) -> bool:
+    """Whether a file begins as recordings do, or calls itself one."""
+    from surffollow.errors import RecordingError
+
+    try:
+        with open(file, "rb") as f:
+            return f.read(5) == b"\x89MCAP" or file.lower().endswith(".mcap")
+    except OSError as e:
+        raise RecordingError(f"cannot read {file}: {e.strerror}") from None

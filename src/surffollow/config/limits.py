@@ -1,0 +1,66 @@
+"""What a configuration lets clients set: [limits], and whom: access.parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from surffollow.config.params import PARAMS, check_param, param_name
+from surffollow.errors import ConfigError
+
+# who may call SFReset and set parameters
+PARAMETERS_BY = ("any", "holder", "holder-only")
+
+
+def client_limits(limits: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[float, float]]:
+    """Least and most that clients may set: full name → bounds in the parameter's unit.
+
+    Parameters
+    ----------
+    limits : name → {"min": value, "max": value}, either may be missing; values as in [follow]
+
+    Raises
+    ------
+    ConfigError  unknown parameter or key, a value that the parameter cannot have, min above max, given twice
+    """
+    out: dict[str, tuple[float, float]] = {}
+    for name, ends in limits.items():
+        full = param_name(name)
+        if full in out:
+            raise ConfigError(f"a parameter is given twice under [limits]: {name}")
+        if not isinstance(ends, Mapping) or not ends or not set(ends) <= {"min", "max"}:
+            raise ConfigError(
+                f"configuration key limits.{name} is {ends!r}; write for example "
+                f'{name} = {{ max = "20 mm" }}, with min, max or both'
+            )
+        spec = PARAMS[full]
+        low, high = (
+            check_param(full, ends.get("min", spec.low)),
+            check_param(full, ends.get("max", spec.high)),
+        )
+        if low > high:
+            raise ConfigError(f"configuration key limits.{name}: min {low:g} is above max {high:g}")
+        out[full] = (low, high)
+    return out
+
+
+def check_within_limits(params: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> None:
+    """See that the parameters at the start keep the limits that clients must keep.
+
+    Parameters
+    ----------
+    params : full name → value set by the configuration; others have their defaults
+    limits : of `client_limits`
+
+    Raises
+    ------
+    ConfigError  one does not; the text says which and what to set
+    """
+    for name, (low, high) in limits.items():
+        value = params.get(name, PARAMS[name].default)
+        if not low <= value <= high:
+            how = "" if name in params else " (its default)"
+            raise ConfigError(
+                f"parameter {name} is {value:g}{how}, and [limits] allows {low:g} to {high:g}; "
+                f"set it under [follow], or widen limits.{name}"
+            )

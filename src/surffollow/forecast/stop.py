@@ -1,0 +1,68 @@
+"""The latched stop: causes found in a cycle, kept until the pose's holder resets them (docs/protocol.md).
+
+Causes from outside (requests, a driver's fault, a holder that died) come in through `latch_stop`, which the
+service logs as a STOP entry; causes in the cycle's own status come from `Params.stop_on`. Both are replayed.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.shm.jit import jit, jit_inlined
+from surffollow.shm.layout_adaptive import STUCK
+from surffollow.shm.layout_follow import (
+    MODE_ADAPTIVE,
+    POSE_STALE,
+    SENSOR_LOST,
+    STOP_POSE_STALE,
+    STOP_SENSOR_LOST,
+    STOP_STUCK,
+    STOP_TOO_CLOSE,
+    STOPPED,
+    TOO_CLOSE,
+    VALID,
+)
+
+
+@jit
+def latch_stop(state: Any, causes: Any) -> None:
+    """Stop, for these causes (bits of `STOP_NAMES`) beside those latched before.
+
+    Parameters
+    ----------
+    state : (1,) record of `FollowState`, updated
+    causes : int64, not 0
+    """
+    state[0].stop |= causes
+
+
+@jit_inlined
+def causes_seen(params: Any, state: Any, output: Any) -> Any:
+    """Causes in this cycle's status and health: bits of `STOP_NAMES`.
+
+    A forecast that has not begun yet is without a reading, which is no loss.
+    """
+    causes = 0
+    if output.status & POSE_STALE:
+        causes |= STOP_POSE_STALE
+    if output.status & SENSOR_LOST and state.stop_armed != 0:
+        causes |= STOP_SENSOR_LOST
+    if output.status & TOO_CLOSE:
+        causes |= STOP_TOO_CLOSE
+    if params.mode == MODE_ADAPTIVE and output.health == STUCK:
+        causes |= STOP_STUCK
+    return causes
+
+
+@jit_inlined
+def obey_stop(params: Any, state: Any, output: Any) -> None:
+    """Latch the causes that the configuration names; while stopped the demand is zero and not valid."""
+    if output.status & VALID:
+        state.stop_armed = 1
+    output.stop_now = causes_seen(params, state, output)
+    state.stop |= output.stop_now & params.stop_on
+    output.stop = state.stop
+    if state.stop != 0:
+        output.status = (output.status & ~VALID) | STOPPED
+        for k in range(6):
+            output.demand[k] = 0.0

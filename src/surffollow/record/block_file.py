@@ -1,0 +1,197 @@
+"""User blocks in recordings: written as they are published, read back as tables."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from surffollow.blocks import AttachedBlock
+from surffollow.blocks.layout import schema_from_text, schema_text
+from surffollow.blocks.listing import attach_unknown
+from surffollow.errors import RecordingError, SchemaError, UsageError
+from surffollow.record import foxglove as fx
+from surffollow.record.mcap_records import read_channel
+from surffollow.record.protobuf import Field, Message, message_of
+from surffollow.record.reader import CHANNEL, MESSAGE, MESSAGE_HEAD, Damage, McapReader
+from surffollow.record.writer import MessageWriter
+from surffollow.shm.schema import Schema
+
+PACKAGE = "surffollow.blocks"
+DECLARATION = "surffollow.block"
+# before a block's own fields; a block's field of the same name takes the place
+_BEFORE = (
+    Field("timestamp", 1, "message", of=fx.TIMESTAMP),
+    Field("block_t_ns", 2, "sfixed64"),
+    Field("block_generation", 3, "fixed64"),
+    Field("block_epoch", 4, "fixed64"),
+)
+
+
+def block_message(schema: type[Schema]) -> Message:
+    """The message type of a block: its fields behind the time and number of publication."""
+    return message_of(schema, PACKAGE, _BEFORE)
+
+
+@dataclass
+class BlockCounts:
+    """What was recorded; `missed` publications came and went between two looks."""
+
+    publications: dict[str, int] = field(default_factory=dict)
+    missed: dict[str, int] = field(default_factory=dict)
+
+
+class _Followed:
+    """One block that is recorded."""
+
+    def __init__(self, name: str) -> None:
+        self.block: AttachedBlock = attach_unknown(name)
+        self.name = name
+        self.kind = block_message(self.block.schema)
+        self.last = (-1, -1)
+
+    def look(self, writer: MessageWriter, counts: BlockCounts) -> None:
+        snapshot = self.block.latest()
+        this = (int(snapshot.epoch), int(snapshot.generation))
+        if this == self.last or not snapshot.generation:
+            return
+        if self.last[1] >= 0:
+            counts.missed[self.name] += max(0, this[1] - self.last[1] - 1)
+        self.last = this
+        t_ns = int(snapshot.t_ns)
+        values = {
+            "timestamp": fx.stamp(t_ns + writer.wall_offset_ns),
+            "block_t_ns": t_ns,
+            "block_generation": this[1],
+            "block_epoch": this[0],
+            **snapshot.values.as_dict(),
+        }
+        writer.add_message(f"/blocks/{self.name}", self.kind, t_ns, self.kind.encode(values))
+        counts.publications[self.name] += 1
+
+
+def record_blocks(
+    names: Sequence[str],
+    out: str | Path,
+    stop: threading.Event,
+    *,
+    every_s: float = 0.005,
+    seconds: float | None = None,
+    force: bool = False,
+) -> BlockCounts:
+    """Write every publication of blocks that is seen into an MCAP file, until `stop` or for `seconds`.
+
+    Publications that came and went between two looks are counted as missed.
+
+    Raises
+    ------
+    NotRunningError, BlockError   a block is not there, or is none
+    UsageError                    a block is named twice
+    FaultError                    the file exists or cannot be written
+    """
+    if len(set(names)) < len(names):
+        raise UsageError("a block is named twice")
+    followed: list[_Followed] = []
+    try:
+        for name in names:
+            followed.append(_Followed(name))
+        counts = BlockCounts(dict.fromkeys(names, 0), dict.fromkeys(names, 0))
+        with MessageWriter(out, force=force) as writer:
+            for f in followed:
+                declaration = {DECLARATION: schema_text(f.block.schema)}
+                writer.declare(f"/blocks/{f.name}", f.kind, declaration)
+            end = None if seconds is None else time.monotonic() + seconds
+            while not stop.is_set() and (end is None or time.monotonic() < end):
+                for f in followed:
+                    f.look(writer, counts)
+                stop.wait(every_s)
+            for f in followed:
+                f.look(writer, counts)
+            writer.finish(
+                {"publications": json.dumps(counts.publications), "missed": json.dumps(counts.missed)}
+            )
+        return counts
+    finally:
+        for f in followed:
+            f.block.close()
+
+
+class BlockFile(McapReader):
+    """A recording of blocks."""
+
+    @classmethod
+    def opened(cls, path: str | Path) -> BlockFile | None:
+        """The file, when blocks are declared in it; None: it is another kind of MCAP file.
+
+        Raises
+        ------
+        RecordingError  no MCAP file
+        """
+        reader = cls(path)
+        found = Damage(list(reader.damage.reasons))
+        for opcode, body in reader.records():
+            if opcode == CHANNEL:
+                if DECLARATION in read_channel(body)[4]:
+                    # what this look stumbled over will be met and counted again
+                    reader.damage = found
+                    return reader
+                break
+            if opcode == MESSAGE:
+                break
+        reader.close()
+        return None
+
+    def tables(self) -> dict[str, dict[str, list[Any]]]:
+        """Per block a table: column → values in the order of publication.
+
+        Raises
+        ------
+        RecordingError  no publication in it
+        """
+        kinds: dict[int, tuple[str, Message, type[Schema]]] = {}
+        rows: dict[str, list[dict[str, Any]]] = {}
+        for opcode, body in self.records():
+            if opcode == CHANNEL:
+                number, _, topic, _, about = read_channel(body)
+                if DECLARATION in about and number not in kinds:
+                    try:
+                        schema = schema_from_text(about[DECLARATION])
+                    except SchemaError as e:
+                        raise RecordingError(f"{self.path}: {e}") from None
+                    kinds[number] = topic.removeprefix("/blocks/"), block_message(schema), schema
+            elif opcode == MESSAGE:
+                number = int.from_bytes(body[:2], "little")
+                if number in kinds:
+                    name, kind, schema = kinds[number]
+                    values = kind.decode(bytes(body[MESSAGE_HEAD.size :]))
+                    rows.setdefault(name, []).append(_flat(schema, values))
+        if not rows:
+            raise RecordingError(f"{self.path} holds no publication of a block")
+        return {name: {k: [row[k] for row in found] for k in found[0]} for name, found in rows.items()}
+
+
+def _flat(schema: type[Schema], values: dict[str, Any]) -> dict[str, Any]:
+    """One row: the publication's time and number, then every number and text of the block."""
+    out = {f.name: values.get(f.name, 0) for f in _BEFORE[1:]}
+    _flatten(schema, values, "", out)
+    return out
+
+
+def _flatten(schema: type[Schema], values: dict[str, Any], prefix: str, out: dict[str, Any]) -> None:
+    for f in schema.FIELDS:
+        name = f"{prefix}{f.name}"
+        value = values.get(f.name)
+        if f.nested is not None:
+            items = value if f.count > 1 else [value]
+            for k, item in enumerate(items or []):
+                _flatten(f.nested, item or {}, f"{name}{k if f.count > 1 else ''}_", out)
+        elif f.is_text:
+            out[name] = value or ""
+        elif f.count > 1:
+            out |= {f"{name}{k}": v for k, v in enumerate(value or [0] * f.count)}
+        else:
+            out[name] = value if value is not None else 0

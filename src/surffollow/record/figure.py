@@ -1,0 +1,187 @@
+"""What figures have in common: which files can be written, style, shading, scales."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.errors import FaultError, UsageError
+from surffollow.map.atomic_file import replacing
+
+SUFFIXES = (".png", ".svg", ".pdf")
+INK, BLUE, ORANGE, GREEN, RED, SAND, GREY = (
+    "#22303c",
+    "#2b7bba",
+    "#d9772b",
+    "#3a8f5c",
+    "#c0392b",
+    "#efe6d6",
+    "#8a949c",
+)
+STYLE: Any = {
+    "font.size": 8.5,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.titleweight": "bold",
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": True,
+    "legend.framealpha": 0.9,
+    "legend.edgecolor": "none",
+    "legend.fontsize": 7.5,
+    "svg.fonttype": "none",
+    "pdf.fonttype": 42,
+}
+A4_IN = (8.27, 11.69)
+# a reading is an outlier when it is so many standard deviations from the median of its neighbours
+OUTLIER_SIGMAS, NEIGHBOURS = 8.0, 9
+
+
+def check_figure(path: str | Path) -> None:
+    """Find out before the work whether a figure can be drawn.
+
+    Raises
+    ------
+    UsageError  the suffix is of no kind that is drawn
+    FaultError  matplotlib is missing
+    """
+    from importlib.util import find_spec
+
+    if Path(path).suffix.lower() not in SUFFIXES:
+        raise UsageError(f"{path}: figures end in {', '.join(SUFFIXES)}; choose one of them")
+    if find_spec("matplotlib") is None:
+        raise FaultError("drawing needs matplotlib: install the extra 'plot' (surffollow[plot])")
+
+
+def new_figure(size_in: tuple[float, float] = A4_IN) -> Any:
+    """An empty figure in this style, without a window."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    figure = Figure(figsize=size_in, layout=ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.06))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_figure(figure: Any, path: str | Path) -> None:
+    """Write it in the format that the suffix names, atomically.
+
+    Raises
+    ------
+    MapFileError  the file cannot be written
+    """
+    suffix = Path(path).suffix.lower()
+    # no date in it: the same data make the same file
+    metadata: dict[str, dict[str, None]] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format=suffix[1:], dpi=150, metadata=metadata.get(suffix))
+
+
+def length_scale(values: NDArray[np.float64]) -> tuple[float, str]:
+    """Factor and unit in which lengths read well: mm below half a metre of spread, else m."""
+    finite = values[np.isfinite(values)]
+    spread = float(np.ptp(finite)) if finite.size else 0.0
+    return (1e3, "mm") if spread < 0.5 else (1.0, "m")
+
+
+def spans(t: NDArray[np.float64], where: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Begin and end of each run of samples where something holds; a run ends with the sample after it."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], where, [False])).astype(np.int8)))
+    return [(float(t[a]), float(t[min(b, len(t) - 1)])) for a, b in edges.reshape(-1, 2)]
+
+
+def shade(ax: Any, found: list[tuple[float, float]], color: str, label: str) -> None:
+    """Shade spans of time; one entry in the legend."""
+    for k, (a, b) in enumerate(found):
+        ax.axvspan(a, b, color=color, lw=0, zorder=0, label=label if k == 0 else None)
+
+
+def outliers(values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which values (NaN: none) lie far from the median of their neighbours, by the usual scatter about it."""
+    from scipy.ndimage import median_filter
+
+    found = np.zeros(values.size, bool)
+    has = np.flatnonzero(np.isfinite(values))
+    if has.size < NEIGHBOURS:
+        return found
+    off = values[has] - median_filter(values[has], NEIGHBOURS, mode="nearest")
+    sigma = 1.4826 * float(np.median(np.abs(off)))
+    # a sensor of coarse steps scatters by nothing at all most of the time
+    steps = np.abs(np.diff(values[has]))
+    sigma = max(sigma, float(np.median(steps)), float(np.percentile(np.abs(off), 90)) / 1.645, 1e-9)
+    found[has] = np.abs(off) > OUTLIER_SIGMAS * sigma
+    return found
+
+
+def mark_outliers(
+    ax: Any, t: NDArray[np.float64], values: NDArray[np.float64], odd: NDArray[np.bool_]
+) -> None:
+    """Cross them out, with their number in the legend."""
+    n = int(odd.sum())
+    if n:
+        label = f"{n} outlier{'s' * (n != 1)}"
+        ax.plot(t[odd], values[odd], "x", ms=5, mew=1.2, color=RED, label=label)
+
+
+def robust_limits(values: NDArray[np.float64], part: float = 99.5) -> tuple[float, float]:
+    """Limits of an axis that a few wild values do not set."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return -1.0, 1.0
+    low, high = np.percentile(finite, [100.0 - part, part])
+    pad = 0.12 * max(high - low, 1e-9)
+    return float(low - pad), float(high + pad)
+
+
+def with_room(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Limits of all values with room for a legend above."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return 0.0, 1.0
+    low, high = float(finite.min()), float(finite.max())
+    span = max(high - low, 1e-6)
+    return low - 0.05 * span, high + 0.38 * span
+
+
+def rms(values: NDArray[np.float64]) -> float:
+    """Root of the mean square of the finite values; NaN without one."""
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
+
+
+def draw_map(figure: Any, ax: Any, heights_m: NDArray[np.float64], frame: tuple[float, float, float]) -> str:
+    """A shaded map with a scale; `frame` is x and y of the outer corner and the grid [m].
+
+    Returns
+    -------
+    str   what the title must say beyond: a strip is stretched across
+    """
+    from surffollow.map.picture import aspect_of, shaded_relief
+
+    x0, y0, grid = frame
+    ny, nx = heights_m.shape
+    factor, unit = length_scale(heights_m)
+    common: dict[str, Any] = {
+        "origin": "lower",
+        "extent": (x0, x0 + nx * grid, y0, y0 + ny * grid),
+        "interpolation": "nearest",
+    }
+    image = ax.imshow(heights_m * factor, cmap="viridis", **common)
+    ax.imshow(shaded_relief(heights_m, grid), cmap="gray", alpha=0.3, vmin=0, vmax=1, **common)
+    aspect, remark = aspect_of(ny, nx)
+    wide = aspect == "equal" and nx > 2 * ny
+    figure.colorbar(
+        image, ax=ax, label=f"height [{unit}]", shrink=0.9, location="bottom" if wide else "right", aspect=25
+    )
+    ax.set(xlabel="x [m]", ylabel="y [m]", aspect=aspect)
+    ax.ticklabel_format(useOffset=False)
+    return remark

@@ -1,0 +1,159 @@
+"""The replay of a CSV log on one page: ground, readings, forecasts against what came, map."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.record import figure as fg
+from surffollow.record.columns import Columns
+from surffollow.record.csv_replay import CsvReplay, pair_forecasts, score_forecast
+
+# without a horizontal way of this many typical distances there is no map to draw
+_LEAST_WAY = 1.0
+
+
+def plot_csv(file: str | Path, replay: CsvReplay, columns: Columns, out: str | Path) -> Path:
+    """Draw a CSV replay; the path of the figure.
+
+    Raises
+    ------
+    UsageError, FaultError  the figure cannot be drawn or written
+    """
+    fg.check_figure(out)
+    import matplotlib as mpl
+
+    with mpl.rc_context(fg.STYLE):
+        figure = fg.new_figure()
+        grid = figure.add_gridspec(4, 2, height_ratios=(1.2, 1.0, 1.0, 1.1))
+        axes = [figure.add_subplot(grid[k, :]) for k in range(3)]
+        for ax in axes[1:]:
+            ax.sharex(axes[0])
+        t = replay.log.elapsed_s()
+        figure.suptitle(_headline(file, replay), x=0.02, ha="left", fontsize=9)
+        _draw_ground(axes[0], t, replay, columns)
+        _draw_readings(axes[1], t, replay)
+        _draw_forecast(axes[2], t, replay, columns)
+        axes[0].set_xlim(0.0, max(float(t[-1]), 1e-3))
+        axes[2].set(xlabel=f"time [s] since {replay.log.t_s[0]:.6g} s of the log")
+        _draw_scores(figure.add_subplot(grid[3, 0]), replay, columns)
+        _draw_way(figure, figure.add_subplot(grid[3, 1]), replay)
+        fg.save_figure(figure, out)
+    return Path(out)
+
+
+def _headline(file: str | Path, replay: CsvReplay) -> str:
+    has = np.isfinite(replay.log.range_m)
+    return (
+        f"{Path(file).name}: {replay.log.elapsed_s()[-1]:.6g} s, {has.size} rows, {int(has.sum())} readings "
+        f"({1.0 - has.mean():.1%} of the rows without), {replay.mode} mode"
+    )
+
+
+def _gaps(t: NDArray[np.float64], replay: CsvReplay) -> list[tuple[float, float]]:
+    """Spans without a reading: rows that have none, and pauses of five usual intervals."""
+    has = np.isfinite(replay.log.range_m)
+    found = fg.spans(t, ~has)
+    step = np.diff(t)
+    usual = float(np.median(step)) if step.size else 0.0
+    pauses = np.flatnonzero((step > 5.0 * usual) & (usual > 0.0)).tolist()
+    return found + [(float(t[k]), float(t[k + 1])) for k in pauses]
+
+
+def _draw_ground(ax: Any, t: NDArray[np.float64], replay: CsvReplay, columns: Columns) -> None:
+    ground = replay.target_m[:, 2]
+    odd = fg.outliers(ground)
+    vehicle = replay.log.pose[:, 2]
+    reference = replay.log.reference_m
+    factor, unit = fg.length_scale(np.concatenate([ground, vehicle]))
+    fg.shade(ax, _gaps(t, replay), fg.SAND, "no reading")
+    ax.plot(t, ground * factor, ".", ms=2.5, color=fg.GREY, label="target points")
+    ax.plot(t, replay.height_m * factor, color=fg.INK, lw=0.9, label="surface, as the follower has it")
+    if reference is not None and columns.reference is not None:
+        ax.plot(t, reference * factor, color=fg.GREEN, lw=0.9, label=f"reference: {columns.reference.column}")
+    ax.plot(t, vehicle * factor, color=fg.BLUE, lw=1.0, label="vehicle")
+    fg.mark_outliers(ax, t, ground * factor, odd)
+    ax.set_ylim(*fg.with_room(np.concatenate([ground, vehicle]) * factor))
+    ax.set_title("Ground and vehicle")
+    ax.set(ylabel=f"height [{unit}]")
+    ax.legend(loc="upper right", ncols=3, markerscale=2)
+
+
+def _draw_readings(ax: Any, t: NDArray[np.float64], replay: CsvReplay) -> None:
+    readings = replay.log.range_m
+    odd = fg.outliers(readings)
+    factor, unit = fg.length_scale(readings)
+    fg.shade(ax, _gaps(t, replay), fg.SAND, "no reading")
+    ax.plot(t, readings * factor, ".-", ms=2.5, lw=0.6, color=fg.BLUE, label="reading")
+    fg.mark_outliers(ax, t, readings * factor, odd)
+    ax.set_ylim(*fg.with_room(readings * factor))
+    ax.set_title("Distance" if not replay.depth else "Depth")
+    ax.set(ylabel=f"{'distance' if not replay.depth else 'depth'} [{unit}]")
+    ax.legend(loc="upper right", ncols=3, markerscale=2)
+
+
+def _draw_forecast(ax: Any, t: NDArray[np.float64], replay: CsvReplay, columns: Columns) -> None:
+    """Errors of the forecasts at the first horizon, at the time that they were for."""
+    pairs = pair_forecasts(replay, columns, 0)
+    guess, still = pairs.forecast_m - pairs.truth_m, pairs.present_m - pairs.truth_m
+    both = np.concatenate([guess, still])
+    factor, unit = fg.length_scale(both)
+    fg.shade(ax, _gaps(t, replay), fg.SAND, "no reading")
+    ax.axhline(0.0, color=fg.INK, lw=0.6)
+    for values, color, label in (
+        (still, fg.GREY, "no change"),
+        (guess, fg.ORANGE, "forecast"),
+    ):
+        text = f"{label}: RMS {fg.rms(values) * factor:.3g} {unit}"
+        ax.plot(pairs.t_s, values * factor, ".", ms=2.5, color=color, label=text)
+    low, high = fg.robust_limits(both * factor)
+    reach = max(abs(low), abs(high))
+    ax.set_ylim(-reach, 1.35 * reach)
+    outside = int(np.sum(np.abs(both * factor) > reach))
+    beyond = f" ({outside} beyond the axis)" if outside else ""
+    ax.set_title(f"Distance {columns.horizons_s[0]:g} s ahead: forecast less the reading that came{beyond}")
+    ax.set(ylabel=f"error [{unit}]")
+    ax.legend(loc="upper right", ncols=3, markerscale=3)
+
+
+def _draw_scores(ax: Any, replay: CsvReplay, columns: Columns) -> None:
+    scores = [s for s in score_forecast(replay, columns) if math.isfinite(s["rms_m"])]
+    ax.set_title("Forecast error by horizon")
+    if not scores:
+        ax.axis("off")
+        ax.text(0.0, 0.9, "no forecast has a reading to compare with", va="top", transform=ax.transAxes)
+        return
+    at = np.arange(len(scores))
+    values = np.array([[s["rms_m"], s["no_change_rms_m"]] for s in scores])
+    factor, unit = fg.length_scale(values.ravel())
+    ax.bar(at - 0.2, values[:, 1] * factor, 0.38, color=fg.GREY, label="no change")
+    bars = ax.bar(at + 0.2, values[:, 0] * factor, 0.38, color=fg.ORANGE, label="forecast")
+    ratios = values[:, 0] / np.where(values[:, 1] > 0, values[:, 1], np.nan)
+    ax.bar_label(bars, [f"× {r:.2f}" if r == r else "" for r in ratios], fontsize=7, padding=2)
+    ax.set_xticks(at, [f"{s['horizon_s']:g} s\nn = {s['n']:.0f}" for s in scores])
+    ax.set(ylabel=f"RMS [{unit}]", xlabel="horizon")
+    ax.set_ylim(0.0, 1.3 * float(values.max()) * factor)
+    ax.legend(loc="upper left")
+
+
+def _draw_way(figure: Any, ax: Any, replay: CsvReplay) -> None:
+    has = np.isfinite(replay.target_m).all(axis=1)
+    points = replay.target_m[has]
+    way = np.ptp(points[:, :2], axis=0)
+    typical = float(np.median(np.abs(replay.log.range_m[has]))) if has.any() else 0.0
+    if float(np.hypot(*way)) < _LEAST_WAY * typical * 1e-3 or float(np.hypot(*way)) == 0.0:
+        ax.axis("off")
+        ax.set_title("Way")
+        ax.text(0.0, 0.9, "the log has no horizontal position", va="top", transform=ax.transAxes)
+        return
+    factor, unit = fg.length_scale(points[:, 2])
+    image = ax.scatter(points[:, 0], points[:, 1], c=points[:, 2] * factor, s=4, cmap="viridis", lw=0)
+    figure.colorbar(image, ax=ax, label=f"height [{unit}]", shrink=0.9, aspect=25)
+    ax.set_title("Target points from above")
+    ax.set(xlabel="east [m]", ylabel="north [m]")
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.ticklabel_format(useOffset=False)

@@ -1,0 +1,350 @@
+"""A recording on one page: ground and tool, stand-off, forecast, health, latencies, map."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.client.report import bin_edges_ns
+from surffollow.errors import RecordingError
+from surffollow.map.picture import known_part
+from surffollow.record import figure as fg
+from surffollow.record.feed import SERVICE
+from surffollow.record.mcap_records import read_channel
+from surffollow.record.reader import CHANNEL, MESSAGE, MESSAGE_HEAD, McapReader
+from surffollow.record.remap import Remapper
+from surffollow.record.samples import Event
+from surffollow.record.sampling import FileSamples
+from surffollow.shm.layout_adaptive import HEALTH_NAMES
+from surffollow.shm.layout_follow import MODE_ADAPTIVE, STATUS_NAMES, VALID
+from surffollow.units import format_ns
+
+HORIZON_S = 0.1
+_RATE_NS = 10_000_000
+_MOST_SAMPLES = 40_000
+_HEALTH_COLORS = (fg.GREEN, "#d8b13a", fg.ORANGE, fg.RED, "#8e44ad", fg.RED)
+
+
+@dataclass
+class Story:
+    """What a recording tells, sampled.
+
+    Attributes
+    ----------
+    t_s : (n,) float64        since the first sample
+    rows : (n,) records of `Sample`
+    offset_m : (n,) float64   stand-off wanted at that time
+    map : heights (ny, nx) [m], (x, y, grid) [m] of what is known; None: it cannot be built again
+    """
+
+    source: FileSamples
+    t_s: NDArray[np.float64]
+    rows: NDArray[Any]
+    offset_m: NDArray[np.float64]
+    map: tuple[NDArray[np.float64], tuple[float, float, float]] | None
+    map_fault: str = ""
+
+    @property
+    def ground_m(self) -> NDArray[np.float64]:
+        """Height of channel 0's newest target point (n,) [m]; NaN where there is no new one."""
+        return np.where(self.rows["seen"] & 1 != 0, self.rows["output"]["target_m"][:, 2], np.nan)
+
+    @property
+    def error_m(self) -> NDArray[np.float64]:
+        """Stand-off less the wanted one (n,) [m]; NaN without a distance."""
+        error: NDArray[np.float64] = self.rows["output"]["range_m"][:, 0] - self.offset_m
+        return error
+
+
+def read_story(path: str | Path, progress: Any = None) -> Story:
+    """Sample a recording and build its map again.
+
+    Raises
+    ------
+    RecordingError  no recording, or no whole cycle in it
+    """
+    source = FileSamples([path], _RATE_NS, progress)
+    mapped, rows, offsets = Remapper(), [], []
+    for part in source:
+        if isinstance(part, Event):
+            if part.kind == "map":
+                mapped.command(part.code, part.t_ns, part.values)
+            continue
+        mapped.add(part.points_m)
+        rows.append(part.rows)
+        offsets.append(np.full(len(part.rows), float(source.sampler.params[0]["offset_m"])))
+    if not sum(map(len, rows)):
+        raise RecordingError(f"{path} holds no whole cycle")
+    every = max(1, sum(map(len, rows)) // _MOST_SAMPLES)
+    all_rows, all_offsets = np.concatenate(rows)[::every], np.concatenate(offsets)[::every]
+    t_s = (all_rows["output"]["t_ns"] - all_rows["output"]["t_ns"][0]) * 1e-9
+    try:
+        found, fault = known_part(mapped.finish()), ""
+    except RecordingError as e:
+        found, fault = None, str(e)
+    return Story(source, t_s, all_rows, all_offsets, found, fault)
+
+
+def plot_recording(path: str | Path, out: str | Path, progress: Any = None) -> Path:
+    """Draw a recording; the path of the figure.
+
+    Raises
+    ------
+    RecordingError  see `read_story`
+    UsageError, FaultError  the figure cannot be drawn or written
+    """
+    fg.check_figure(out)
+    story = read_story(path, progress)
+    service = _last_service(path)
+    import matplotlib as mpl
+
+    with mpl.rc_context(fg.STYLE):
+        figure = fg.new_figure()
+        grid = figure.add_gridspec(5, 2, height_ratios=(1.15, 1.0, 1.0, 0.5, 1.25))
+        axes = [figure.add_subplot(grid[k, :]) for k in range(4)]
+        for ax in axes[1:]:
+            ax.sharex(axes[0])
+        figure.suptitle(_headline(path, story), x=0.02, ha="left", fontsize=9)
+        _draw_ground(axes[0], story)
+        _draw_error(axes[1], story)
+        _draw_forecast(axes[2], story)
+        _draw_states(axes[3], story)
+        axes[0].set_xlim(0.0, max(float(story.t_s[-1]), 1e-3))
+        _draw_latency(figure.add_subplot(grid[4, 0]), story, service)
+        _draw_ground_plan(figure, figure.add_subplot(grid[4, 1]), story)
+        fg.save_figure(figure, out)
+    return Path(out)
+
+
+def _last_service(path: str | Path) -> dict[str, Any] | None:
+    """The newest counters and histograms of the service, when the recording has them."""
+    newest, number = None, -1
+    with McapReader(path) as reader:
+        for opcode, body in reader.records():
+            if opcode == CHANNEL:
+                found, _, topic, _, _ = read_channel(body)
+                number = found if topic == "/service" else number
+            elif opcode == MESSAGE and int.from_bytes(body[:2], "little") == number:
+                newest = bytes(body[MESSAGE_HEAD.size :])
+    return None if newest is None else SERVICE.decode(newest)
+
+
+def _headline(path: str | Path, story: Story) -> str:
+    o, source = story.rows["output"], story.source
+    mode = "adaptive" if int(source.sampler.params[0]["mode"]) == MODE_ADAPTIVE else "paper"
+    begin_ns = int(o["t_ns"][0]) + source.wall_offset_ns
+    when = ""
+    if source.wall_offset_ns:
+        when = time.strftime("%Y-%m-%d %H:%M:%S UTC, ", time.gmtime(begin_ns // 1_000_000_000))
+    valid = float(np.mean((o["status"] & VALID) != 0))
+    text = (
+        f"{Path(path).name}: {when}{story.t_s[-1]:.1f} s, {source.cycles} cycles of "
+        f"{source.period_cycle_ns / 1e6:g} ms, {mode} mode\n"
+        f"stand-off RMS {fg.rms(story.error_m) * 1e3:.2f} mm where there was a distance; "
+        f"demand valid {valid:.1%} of the time"
+    )
+    if source.segment > 0:
+        text += f"; {source.segment + 1} segments"
+    if source.damage:
+        text += "\nDAMAGED: only what is whole is drawn"
+    if source.differing:
+        text += f"\n{source.differing} cycles came out otherwise than recorded (another release?)"
+    return text
+
+
+def _gaps(story: Story) -> list[tuple[float, float]]:
+    return fg.spans(story.t_s, np.isnan(story.rows["output"]["range_m"][:, 0]))
+
+
+def _breaks(values: NDArray[np.float64], story: Story) -> NDArray[np.float64]:
+    """Values with NaN behind breaks in time, so that no line bridges them."""
+    dt = np.diff(story.t_s, prepend=story.t_s[0])
+    usual = float(np.median(dt)) if dt.size else 0.0
+    return np.where(dt > 5.0 * max(usual, 1e-9), np.nan, values)
+
+
+def _draw_ground(ax: Any, story: Story) -> None:
+    o, t = story.rows["output"], story.t_s
+    has_pose = o["pose_t_ns"] != 0
+    tool = np.where(has_pose, story.rows["pose"][:, 2], np.nan)
+    goal = np.where((o["status"] & VALID) != 0, tool + o["demand"][:, 2], np.nan)
+    ground, odd = story.ground_m, fg.outliers(story.ground_m)
+    factor, unit = fg.length_scale(np.concatenate([ground, tool]))
+    fg.shade(ax, _gaps(story), fg.SAND, "no distance")
+    height = np.where(np.isfinite(ground) | (o["height_m"] != 0.0), o["height_m"], np.nan)
+    ax.plot(t, ground * factor, ".", ms=3.0, color=fg.GREY, label="target points", rasterized=True)
+    ax.plot(t, _breaks(height, story) * factor, color=fg.INK, lw=0.8, label="surface, as the follower has it")
+    ax.plot(t, _breaks(goal, story) * factor, color=fg.ORANGE, lw=0.8, label="set point: pose and demand")
+    ax.plot(t, _breaks(tool, story) * factor, color=fg.BLUE, lw=1.0, label="tool, as reported")
+    fg.mark_outliers(ax, t, ground * factor, odd)
+    shown = np.concatenate([ground[~odd], tool, height]) * factor
+    ax.set_ylim(*fg.with_room(shown))
+    ax.set(ylabel=f"height [{unit}]")
+    ax.set_title("Ground and tool")
+    ax.legend(loc="upper right", ncols=3)
+
+
+def _draw_error(ax: Any, story: Story) -> None:
+    error = story.error_m * 1e3
+    fg.shade(ax, _gaps(story), fg.SAND, "no distance")
+    invalid = (story.rows["output"]["status"] & VALID) == 0
+    fg.shade(ax, fg.spans(story.t_s, invalid), "#f6d5cf", "demand not valid")
+    ax.axhline(0.0, color=fg.INK, lw=0.6)
+    ax.plot(story.t_s, _breaks(error, story), color=fg.BLUE, lw=0.8)
+    low, high = fg.robust_limits(error)
+    reach = max(abs(low), abs(high))
+    ax.set_ylim(-reach, reach)
+    outside = int(np.sum(np.abs(error) > reach))
+    finite = np.abs(error[np.isfinite(error)])
+    text = f"Stand-off error: RMS {fg.rms(error):.2f} mm"
+    if finite.size:
+        text += f", 99 % within {np.percentile(finite, 99):.2f} mm, greatest {finite.max():.2f} mm"
+    ax.set_title(text + (f" ({outside} samples beyond the axis)" if outside else ""))
+    ax.set(ylabel="actual − wanted [mm]")
+    if ax.get_legend_handles_labels()[1]:
+        ax.legend(loc="upper right", ncols=2)
+
+
+def forecast_errors(
+    story: Story, horizon_s: float = HORIZON_S
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Errors (n,) [m] of "height + slope · speed · horizon" and of "as it is", against the ground found then.
+
+    The truth is the first target point at or after the horizon, at most one and a half samples late.
+    """
+    o, t, ground = story.rows["output"], story.t_s, story.ground_m
+    has = np.flatnonzero(np.isfinite(ground))
+    out = np.full((2, t.size), np.nan)
+    if has.size > 1:
+        step = float(np.median(np.diff(t[has])))
+        j = np.searchsorted(t[has], t[has] + horizon_s - 1e-6)
+        good = j < has.size
+        good[good] &= t[has][j[good]] - t[has][good] - horizon_s <= 1.5 * step
+        at, then = has[good], has[j[good]]
+        guess = o["height_m"][at] + o["slope"][at] * o["speed_mps"][at] * horizon_s
+        out[0, then] = guess - ground[then]
+        out[1, then] = ground[at] - ground[then]
+    return out[0], out[1]
+
+
+def _draw_forecast(ax: Any, story: Story) -> None:
+    guess, still = forecast_errors(story)
+    fg.shade(ax, _gaps(story), fg.SAND, "no distance")
+    ax.axhline(0.0, color=fg.INK, lw=0.6)
+    ax.plot(
+        story.t_s,
+        still * 1e3,
+        ".",
+        ms=1.2,
+        color=fg.GREY,
+        rasterized=True,
+        label=f"ground taken as level: RMS {fg.rms(still) * 1e3:.2f} mm",
+    )
+    ax.plot(
+        story.t_s,
+        guess * 1e3,
+        ".",
+        ms=1.4,
+        color=fg.ORANGE,
+        rasterized=True,
+        label=f"forecast by height and slope: RMS {fg.rms(guess) * 1e3:.2f} mm",
+    )
+    low, high = fg.robust_limits(np.concatenate([guess, still]) * 1e3)
+    reach = max(abs(low), abs(high))
+    ax.set_ylim(-reach, 1.35 * reach)
+    ax.set_title(f"Ground {HORIZON_S:g} s ahead: forecast less what was found then")
+    ax.set(ylabel="error [mm]")
+    ax.legend(loc="upper right", ncols=3, markerscale=5)
+
+
+def _draw_states(ax: Any, story: Story) -> None:
+    o, t = story.rows["output"], story.t_s
+    lanes: list[tuple[str, list[tuple[NDArray[np.bool_], str]]]] = []
+    if int(story.source.sampler.params[0]["mode"]) == MODE_ADAPTIVE:
+        parts = [(o["health"] == k, _HEALTH_COLORS[k]) for k in range(len(HEALTH_NAMES))]
+        lanes.append(("health", parts))
+    for k, name in enumerate(STATUS_NAMES):
+        on = (o["status"] >> k & 1) != 0
+        if name == "VALID" or on.any():
+            lanes.append((name, [(on, fg.GREEN if name == "VALID" else fg.ORANGE)]))
+    for lane, (_, parts) in enumerate(lanes):
+        for on, color in parts:
+            bars = [(a, max(b - a, 1e-3)) for a, b in fg.spans(t, on)]
+            ax.broken_barh(bars, (lane - 0.38, 0.76), color=color, lw=0)
+    ax.set_yticks(range(len(lanes)), [name for name, _ in lanes], fontsize=7)
+    ax.set_ylim(len(lanes) - 0.5, -0.5)
+    ax.set(xlabel="time [s]")
+    seen = [k for k in range(len(HEALTH_NAMES)) if lanes[0][0] == "health" and (o["health"] == k).any()]
+    title = "Health and status"
+    if seen:
+        title += ": " + ", ".join(f"{HEALTH_NAMES[k]} {np.mean(o['health'] == k):.1%}" for k in seen)
+    ax.set_title(title)
+
+
+def _draw_latency(ax: Any, story: Story, service: dict[str, Any] | None) -> None:
+    """Shares of durations, in bins of a tenth of a decade, so that all kinds compare."""
+    from matplotlib.ticker import EngFormatter
+
+    o = story.rows["output"]
+    delay = story.rows["pose_delay_ns"]
+    seen = np.isfinite(o["range_m"][:, 0]) & (o["range_t_ns"][:, 0] > 0)
+    age = (o["t_ns"] - o["range_t_ns"][:, 0])[seen]
+    kinds = [
+        ("pose, when it arrives", fg.BLUE, delay[delay > 0], np.ones(int((delay > 0).sum()))),
+        ("distance, when it is used", fg.ORANGE, age[age > 0], np.ones(int((age > 0).sum()))),
+    ]
+    for name, color, label in (("lateness", fg.GREY, "wake-up"), ("execution", fg.INK, "cycle's work")):
+        if service is not None and sum(service.get(name, [])):
+            counts = np.array(service[name], float)
+            centres = np.array([sum(bin_edges_ns(b)) / 2 for b in range(counts.size)])
+            kinds.append((label, color, centres[counts > 0], counts[counts > 0]))
+    for label, color, values_ns, weights in kinds:
+        if values_ns.size:
+            share, edges = log_histogram(values_ns, weights)
+            median = float(values_ns[np.argsort(values_ns)][_middle(values_ns, weights)])
+            text = f"{label}: median {format_ns(median)}"
+            ax.stairs(share, edges * 1e-9, fill=True, alpha=0.6, color=color, label=text)
+    ax.set(xscale="log", xlabel="age or duration", ylabel="share [%]")
+    ax.xaxis.set_major_formatter(EngFormatter(unit="s"))
+    ax.tick_params(axis="x", which="minor", bottom=False)
+    ax.set_title("Latencies")
+    ax.set_ylim(0.0, ax.get_ylim()[1] * 1.5)
+    ax.set_yticks([v for v in ax.get_yticks() if v <= 100.0])
+    if ax.get_legend_handles_labels()[1]:
+        ax.legend(loc="upper left")
+
+
+def _middle(values: NDArray[Any], weights: NDArray[np.float64]) -> int:
+    """Index of the weighted median among the sorted values."""
+    total = np.cumsum(weights[np.argsort(values)])
+    return int(np.searchsorted(total, total[-1] / 2))
+
+
+def log_histogram(
+    values_ns: NDArray[Any], weights: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Shares [%] and edges [ns] of bins of a tenth of a decade."""
+    at = np.floor(10.0 * np.log10(values_ns)).astype(int)
+    first, last = int(at.min()), int(at.max())
+    share = np.bincount(at - first, weights=weights, minlength=last - first + 1)
+    return 100.0 * share / share.sum(), 10.0 ** (np.arange(first, last + 2) / 10.0)
+
+
+def _draw_ground_plan(figure: Any, ax: Any, story: Story) -> None:
+    if story.map is None:
+        ax.set_title("Map")
+        ax.axis("off")
+        ax.text(
+            0.0, 0.9, story.map_fault or "nothing was mapped", wrap=True, va="top", transform=ax.transAxes
+        )
+        return
+    heights, frame = story.map
+    ax.set_title("Map of the target points" + fg.draw_map(figure, ax, heights, frame))
+    has_pose = story.rows["output"]["pose_t_ns"] != 0
+    pose = story.rows["pose"][has_pose]
+    ax.plot(pose[:, 0], pose[:, 1], color=fg.ORANGE, lw=0.5, alpha=0.8)

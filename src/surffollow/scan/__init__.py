@@ -1,0 +1,68 @@
+"""Terrain modelling and scan planning: depth images to a terrain grid, an envelope and a checked path.
+
+One module per stage; each function takes and gives NumPy arrays or the small types of `grid`, `camera`
+and `path`. Names here load their module when they are used first.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+# name → module
+_HOME = {
+    "Annulus": "limits",
+    "Camera": "camera",
+    "Envelope": "envelope",
+    "FilteredImage": "planar_filter",
+    "MotionLimits": "timing",
+    "Patches": "patches",
+    "PlanSettings": "plan",
+    "ScanPath": "path",
+    "SurveySettings": "surveying",
+    "TerrainGrid": "grid",
+    "WorkSpace": "limits",
+    "WristLimits": "limits",
+    "advanced_terrain_following": "following",
+    "arcs": "schemes",
+    "ball_envelope": "envelope",
+    "check_path": "check",
+    "clear_ground": "clearance",
+    "cloud_patches": "patches",
+    "coherent_patches": "patches",
+    "compose_stations": "terrain",
+    "conditional_planar_filter": "planar_filter",
+    "disagreement": "offset_surface",
+    "disc": "body",
+    "envelope_of": "envelope",
+    "fill_holes": "holes",
+    "gaussian_filter": "image_filters",
+    "lanes": "schemes",
+    "live_grid": "live_map",
+    "looking_down": "camera",
+    "median_filter": "image_filters",
+    "normal_offset": "offset_surface",
+    "parse_body": "body",
+    "plan_figures": "plan",
+    "plan_scan": "plan",
+    "planar_deviation": "deviation",
+    "reactionary": "following",
+    "read_cloud": "cloud_files",
+    "read_images": "image_files",
+    "read_path": "path_file",
+    "rectangle": "body",
+    "ring": "body",
+    "sample_terrain": "following",
+    "survey": "surveying",
+    "terrain_map": "terrain",
+    "timed": "timing",
+    "write_path": "path_file",
+}
+
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(importlib.import_module(f"surffollow.scan.{_HOME[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

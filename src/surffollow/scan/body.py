@@ -1,0 +1,84 @@
+"""The body that is carried over the ground: control points on its underside, in its own frame.
+
+z = 0 is the underside and z points away from the ground; the first point is the middle, which is the tip.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from surffollow.errors import ScanInputError
+from surffollow.scan.checks import Floats, positive, real_array
+from surffollow.units import parse_quantity
+
+SHAPES = "disc:RADIUS, ring:RADIUS, rectangle:LENGTHxWIDTH or point"
+
+
+def disc(radius_m: float, rings: int = 2, per_ring: int = 12) -> Floats:
+    """(1 + rings·per_ring, 3) points [m] of a disc: the middle and equal rings, the last on its edge."""
+    radius = positive("radius of the disc", radius_m)
+    points = [(0.0, 0.0, 0.0)]
+    for k in range(1, rings + 1):
+        points += [tuple(p) for p in _circle(radius * k / rings, per_ring, (k % 2) * 0.5)]
+    return np.array(points)
+
+
+def ring(radius_m: float, per_ring: int = 16) -> Floats:
+    """(1 + per_ring, 3) points [m] of a ring and its middle (a search coil)."""
+    return np.vstack([np.zeros((1, 3)), _circle(positive("radius of the ring", radius_m), per_ring, 0.0)])
+
+
+def rectangle(length_m: float, width_m: float, along: int = 5, across: int = 5) -> Floats:
+    """(along·across [+ 1], 3) points [m] of a plate, its length along body x; the middle comes first."""
+    x = np.linspace(-0.5, 0.5, along) * positive("length of the rectangle", length_m)
+    y = np.linspace(-0.5, 0.5, across) * positive("width of the rectangle", width_m)
+    plate = np.array([(u, v, 0.0) for v in y for u in x if (u, v) != (0.0, 0.0)])
+    return np.vstack([np.zeros((1, 3)), plate])
+
+
+def _circle(radius: float, n: int, first: float) -> Floats:
+    angle = 2.0 * math.pi * (np.arange(n) + first) / n
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(n)])
+
+
+def body_points(points_m: object) -> Floats:
+    """Any list of control points as (m, 3) float64, checked.
+
+    Raises
+    ------
+    ScanInputError
+        none, not finite, or farther than 10 m from the tip (wrong unit?)
+    """
+    points = real_array("body_points_m", points_m, (None, 3))  # type: ignore[arg-type]
+    if len(points) == 0 or not np.isfinite(points).all():
+        raise ScanInputError("body_points_m needs at least one point, all finite")
+    reach = float(np.linalg.norm(points, axis=1).max())
+    if reach > 10.0:
+        raise ScanInputError(f"a control point lies {reach:g} m from the tip; expected metres, at most 10")
+    return points
+
+
+def parse_body(text: str) -> Floats:
+    """Control points of a description such as `disc:0.1`, `ring:12cm`, `rectangle:0.3x0.2` or `point`.
+
+    Raises
+    ------
+    ScanInputError
+        another shape, or a size that is no positive length
+    """
+    shape, _, size = text.strip().partition(":")
+    try:
+        if shape == "point" and not size:
+            return np.zeros((1, 3))
+        if shape == "disc":
+            return disc(parse_quantity(size, "m"))
+        if shape == "ring":
+            return ring(parse_quantity(size, "m"))
+        if shape == "rectangle":
+            length, _, width = size.partition("x")
+            return rectangle(parse_quantity(length, "m"), parse_quantity(width, "m"))
+    except ValueError as e:
+        raise ScanInputError(f"cannot read the body '{text}': {e}; expected {SHAPES}") from e
+    raise ScanInputError(f"unknown body '{text}'; expected {SHAPES}")

@@ -1,0 +1,121 @@
+"""Read depth images and their cameras: NPZ or TIFF images, a TOML table of cameras (`docs/scan.md`)."""
+
+from __future__ import annotations
+
+import os
+import sys
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surffollow.errors import ScanFileError
+from surffollow.scan.camera import Camera
+from surffollow.scan.checks import Floats
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+IMAGE_SUFFIXES = (".npz", ".tif", ".tiff")
+KEYS = {"depth_m": "depth", "disparity_px": "disparity"}
+CAMERA_KEYS = (
+    "fx_px",
+    "fy_px",
+    "cx_px",
+    "cy_px",
+    "ground_from_camera",
+    "baseline_m",
+    "disparity_offset_px",
+    "min_range_m",
+    "max_range_m",
+)
+
+
+@dataclass(frozen=True)
+class DepthImage:
+    """One image and its camera; `kind` says whether its values are depths or disparities."""
+
+    values: Floats
+    kind: str
+    camera: Camera
+
+
+def read_images(
+    files: list[str | os.PathLike[str]], cameras: str | os.PathLike[str] | None
+) -> list[DepthImage]:
+    """Images with the cameras that a TOML file gives them by file name.
+
+    Raises
+    ------
+    ScanFileError
+        a file that cannot be read, or an image without camera
+    """
+    table = _cameras(cameras) if cameras is not None else {}
+    return [_read(Path(f), table, cameras) for f in files]
+
+
+def _read(path: Path, table: dict[str, Any], cameras: Any) -> DepthImage:
+    values, kind = _npz(path) if path.suffix.lower() == ".npz" else _tiff(path)
+    images = table.get("images", {})
+    own = images.get(path.name)
+    if own is None:
+        where = f'[images."{path.name}"] in {cameras}' if cameras else "a TOML file (--cameras)"
+        raise ScanFileError(f"{path} has no camera; give it in {where}")
+    given = table.get("default", {}) | own
+    kind = str(given.get("kind", kind))
+    unknown = sorted(set(given) - set(CAMERA_KEYS) - {"kind"})
+    if unknown:
+        raise ScanFileError(
+            f"{cameras}: unknown keys {', '.join(unknown)}; there are {', '.join(CAMERA_KEYS)}"
+        )
+    missing = [k for k in CAMERA_KEYS[:4] if k not in given]
+    if missing:
+        raise ScanFileError(f"{cameras}: the camera of {path.name} lacks {', '.join(missing)}")
+    if kind not in ("depth", "disparity"):
+        raise ScanFileError(f"{cameras}: kind of {path.name} is '{kind}'; expected depth or disparity")
+    return DepthImage(
+        values, kind, Camera(**{k: given[k] for k in CAMERA_KEYS if k in given}, name=path.name)
+    )
+
+
+def _npz(path: Path) -> tuple[Floats, str]:
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            for key, kind in KEYS.items():
+                if key in data:
+                    return np.asarray(data[key], np.float64), kind
+            names = list(data)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, TypeError, AttributeError) as e:
+        raise ScanFileError(f"cannot read {path}: {e}") from e
+    raise ScanFileError(f"{path} holds {', '.join(names) or 'nothing'}; expected depth_m or disparity_px")
+
+
+def _tiff(path: Path) -> tuple[Floats, str]:
+    if path.suffix.lower() not in IMAGE_SUFFIXES:
+        raise ScanFileError(f"{path} is no depth image; expected one of {', '.join(IMAGE_SUFFIXES)}")
+    try:
+        import rasterio
+        from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
+    except ImportError as e:
+        raise ScanFileError("TIFF images need rasterio: install the extra 'geo' (surffollow[geo])") from e
+    import warnings
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(path) as source:
+                return np.asarray(source.read(1, masked=True).astype(np.float64).filled(np.nan)), "depth"
+    except RasterioIOError as e:
+        raise ScanFileError(f"cannot read {path}: {e}") from e
+
+
+def _cameras(path: str | os.PathLike[str]) -> dict[str, Any]:
+    try:
+        table: dict[str, Any] = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        return table
+    except (OSError, ValueError) as e:
+        raise ScanFileError(f"cannot read the cameras {path}: {e}") from e

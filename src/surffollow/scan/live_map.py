@@ -1,0 +1,31 @@
+"""The map of a running service as a terrain grid."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from surffollow.client import observe
+from surffollow.scan.checks import Floats
+from surffollow.scan.grid import FILLED, MEASURED, UNKNOWN, TerrainGrid
+
+
+def live_grid(name: str, region: tuple[float, float, float, float] | None = None) -> TerrainGrid:
+    """A copy of the service's grids as they are now; samples MEASURED, priors FILLED beside them.
+
+    Raises
+    ------
+    NotRunningError, RefusedError, RegionError
+        no service, no map, or a region beside it
+    """
+    observer = observe(name)
+    try:
+        window = observer.map_window(region)
+        z: Floats = window.heights_m()
+        counts = window.samples()
+        origin, grid = window.origin_m, window.grid_m
+    finally:
+        observer.close()
+    cells = np.where(np.isfinite(z), MEASURED, UNKNOWN).astype(np.uint8)
+    if (counts > 0).any():
+        cells[np.isfinite(z) & (counts == 0)] = FILLED
+    return TerrainGrid.of(z, origin_m=origin, grid_m=grid, cells=cells)

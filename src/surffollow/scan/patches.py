@@ -1,0 +1,264 @@
+"""Split depth images and point clouds into coherent patches, and drop those that cannot be terrain (§2)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import maximum_filter
+
+from surffollow.errors import ScanInputError
+from surffollow.scan.camera import Camera, depth_image
+from surffollow.scan.checks import Floats, positive, real_array, region_of
+from surffollow.scan.patch_labels import label_patches, patch_sums
+from surffollow.scan.patch_support import floating_patches
+
+KEPT, TOO_SMALL, OVERHANGING, OUTSIDE, FLOATING = 0, 1, 2, 3, 4
+FATES = ("kept", "too_small", "overhanging", "outside", "floating")
+STEEPEST_RAD = math.radians(80.0)  # of a patch's mean normal from up
+JUMP_PX = 1.0  # of disparity between neighbours
+JUMP_PER_M = 0.02  # of a camera without baseline: depth jump over depth squared [1 / m]
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Patches of one image.
+
+    Attributes
+    ----------
+    labels : (rows, cols) int32            number of the patch, -1 without data
+    fate : (n,) uint8                      per patch: KEPT or why it was dropped
+    pixels : (n,) int64                    per patch
+    terrain : (rows, cols) bool            pixels of kept patches within the region
+    """
+
+    labels: NDArray[np.int32]
+    fate: NDArray[np.uint8]
+    pixels: NDArray[np.int64]
+    terrain: NDArray[np.bool_]
+
+    def counts(self) -> dict[str, int]:
+        """Patches by what became of them."""
+        return {name: int(np.count_nonzero(self.fate == k)) for k, name in enumerate(FATES)}
+
+    def pixel_counts(self) -> dict[str, int]:
+        """Pixels by what became of their patch."""
+        return {name: int(self.pixels[self.fate == k].sum()) for k, name in enumerate(FATES)}
+
+
+def coherent_patches(
+    depth_m: ArrayLike,
+    camera: Camera,
+    *,
+    jump_px: float = JUMP_PX,
+    min_pixels: int = 50,
+    support_m: float = 0.1,
+    steepest_rad: float = STEEPEST_RAD,
+    region: Sequence[float] | None = None,
+    border_px: int = 0,
+) -> Patches:
+    """Label connected pixels without depth jumps, and say which patches can be terrain.
+
+    Parameters
+    ----------
+    depth_m : (rows, cols) float [m]      NaN or 0: none
+    camera : Camera                       with its pose
+    jump_px : float [px]                  largest difference of disparity between neighbours of a patch; in
+        depth it grows with z², as stereo noise does. Without baseline: 0.02 z² per unit of `jump_px`
+    min_pixels : int                      smaller patches are *too small*
+    support_m : float [m]                 a patch is *floating* when what lies below and beside it is farther
+        below than this, along most of its outline
+    steepest_rad : float [rad]            a patch whose mean normal is farther from up is *overhanging*
+    region : (x_min, y_min, x_max, y_max) work space [m]; a patch without a pixel in it is *outside*
+    border_px : int                       pixels this close to a jump or hole are no terrain: a block matcher
+        widens objects by half of its block
+
+    Returns
+    -------
+    Patches
+
+    Raises
+    ------
+    ScanInputError
+        no pixel, depths that cannot be, a camera without pose
+
+    Notes
+    -----
+    Paper §2. The mean normal is the area-weighted one, turned towards the camera.
+    """
+    z = depth_image(depth_m, camera)
+    points = camera.points_m(z)
+    scale = 1.0 / camera.stereo_factor_m_px() if camera.baseline_m > 0.0 else JUMP_PER_M
+    jump = positive("jump_px", jump_px, "px") * scale * z * z
+    eye = camera.pose()[:3, 3]
+    made = judge(
+        z,
+        points,
+        jump,
+        eye,
+        min_pixels=min_pixels,
+        support_m=positive("support_m", support_m),
+        cell_m=max(support_m, _pixel_size(z, camera)),
+        steepest_rad=steepest_rad,
+        region=region,
+    )
+    return made if border_px <= 0 else replace(made, terrain=made.terrain & ~_near_border(made, border_px))
+
+
+def _near_border(patches: Patches, border_px: int) -> NDArray[np.bool_]:
+    """(rows, cols) bool: a pixel of another patch, or without data, next to one within border_px."""
+    labels = patches.labels
+    edge = np.zeros(labels.shape, np.bool_)
+    for a, b in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+        change = labels[a] != labels[b]
+        edge[a] |= change
+        edge[b] |= change
+    return np.asarray(maximum_filter(edge, size=2 * border_px + 1, mode="constant"), np.bool_)
+
+
+def judge(
+    z: Floats,
+    points: Floats,
+    jump: Floats,
+    eye: Floats,
+    *,
+    min_pixels: int,
+    support_m: float,
+    cell_m: float,
+    steepest_rad: float,
+    region: Sequence[float] | None,
+) -> Patches:
+    """Patches of an image of points (rows, cols, 3) whose values z may jump by at most `jump` per pixel."""
+    rows, cols = z.shape
+    labels = np.empty((rows, cols), np.int32)
+    n = int(label_patches(z, jump, np.empty(rows * cols, np.int32), labels))
+    sums = np.zeros((n, 4))
+    patch_sums(points, labels, sums)
+    pixels = sums[:, 3].astype(np.int64)
+    fate = np.full(n, KEPT, np.uint8)
+    inside = np.isfinite(z)
+    if region is not None:
+        x0, y0, x1, y1 = region_of(region)
+        with np.errstate(invalid="ignore"):
+            inside &= (points[..., 0] >= x0) & (points[..., 0] <= x1)
+            inside &= (points[..., 1] >= y0) & (points[..., 1] <= y1)
+        seen = np.bincount(labels[inside], minlength=n)
+        fate[seen == 0] = OUTSIDE
+    fate[_overhanging(points, labels, sums, eye, steepest_rad)] = OVERHANGING
+    fate[pixels < min_pixels] = TOO_SMALL
+    while True:
+        kept = fate == KEPT
+        use = (labels >= 0) & kept[np.maximum(labels, 0)] if n else np.zeros(z.shape, np.bool_)
+        dropped = floating_patches(points[use], labels[use], pixels, support_m, cell_m)
+        if not dropped.any():
+            break
+        fate[dropped] = FLOATING
+    terrain = inside & (labels >= 0)
+    if n:
+        terrain &= fate[np.maximum(labels, 0)] == KEPT
+    return Patches(labels, fate, pixels, terrain)
+
+
+def _overhanging(
+    points: Floats, labels: NDArray[np.int32], sums: Floats, eye: Floats, steepest_rad: float
+) -> NDArray[np.bool_]:
+    """(n,) bool: the area vector, turned towards the eye, is farther from up than allowed."""
+    n = len(sums)
+    area = sums[:, :3]
+    good = labels >= 0
+    middle = np.stack(
+        [np.bincount(labels[good], weights=points[..., k][good], minlength=n) for k in range(3)], axis=1
+    ) / np.maximum(sums[:, 3:], 1.0)
+    towards = np.einsum("ij,ij->i", area, eye - middle)
+    size = np.linalg.norm(area, axis=1)
+    up = np.where(towards < 0.0, -area[:, 2], area[:, 2])
+    return np.asarray((size > 0.0) & (up < math.cos(steepest_rad) * size))
+
+
+def _pixel_size(z: Floats, camera: Camera) -> float:
+    """Ground covered by some pixels at the median depth [m]: cells smaller than that would stay empty."""
+    known = z[np.isfinite(z)]
+    return 3.0 * float(np.median(known)) / camera.fx_px if known.size else 0.0
+
+
+@dataclass(frozen=True)
+class CloudPatches:
+    """Which points of a cloud can be terrain.
+
+    Attributes
+    ----------
+    ground : (n,) bool              per point
+    patches : Patches               of the image of lowest points
+    """
+
+    ground: NDArray[np.bool_]
+    patches: Patches
+
+
+def cloud_patches(
+    points_m: ArrayLike,
+    *,
+    cell_m: float,
+    slope: float = 0.45,
+    min_points: int = 20,
+    support_m: float = 1.0,
+    tolerance_m: float = 0.7,
+) -> CloudPatches:
+    """The same test for a point cloud seen from above.
+
+    Parameters
+    ----------
+    points_m : (n, 3) float [m]
+    cell_m : float [m]            side of the cells whose lowest points form the image
+    slope : float                 neighbours may differ by this times their distance, plus support_m / 3
+    min_points, support_m         as `coherent_patches`, in cells
+    tolerance_m : float [m]       points this close to the terrain of the kept patches are ground
+
+    Returns
+    -------
+    CloudPatches
+    """
+    from surffollow.scan.cloud_terrain import terrain_heights_at
+
+    points = real_array("points_m", points_m, (None, 3))
+    if len(points) == 0 or not np.isfinite(points).all():
+        raise ScanInputError("points_m needs at least one point, all finite")
+    cell = positive("cell_m", cell_m)
+    image, lowest = _lowest(points, cell)
+    jump = np.full(image.shape[:2], slope * cell + support_m / 3.0)
+    above = np.array([image[..., 0].mean(), image[..., 1].mean(), 1e9])
+    patches = judge(
+        lowest,
+        image,
+        jump,
+        above,
+        min_pixels=min_points,
+        support_m=support_m,
+        cell_m=cell,
+        steepest_rad=STEEPEST_RAD,
+        region=None,
+    )
+    heights, local_slope = terrain_heights_at(image[patches.terrain], points)
+    with np.errstate(invalid="ignore"):
+        ground = np.abs(points[:, 2] - heights) <= tolerance_m * (1.0 + local_slope)
+    return CloudPatches(ground, patches)
+
+
+def _lowest(points: Floats, cell: float) -> tuple[Floats, Floats]:
+    """(rows, cols, 3) lowest point of every cell, its cell's middle where there is none, and its height."""
+    low = points[:, :2].min(axis=0)
+    at: NDArray[Any] = np.floor((points[:, :2] - low) / cell).astype(np.int64)
+    cols, rows = (int(v) + 1 for v in at.max(axis=0))
+    order = np.lexsort((points[:, 2], at[:, 0], at[:, 1]))
+    number = at[order, 1] * cols + at[order, 0]
+    first = order[np.r_[True, np.diff(number) != 0]]
+    image = np.full((rows, cols, 3), np.nan)
+    row, col = np.indices((rows, cols))
+    image[..., 0] = low[0] + (col + 0.5) * cell
+    image[..., 1] = low[1] + (row + 0.5) * cell
+    image[at[first, 1], at[first, 0]] = points[first]
+    return image, np.ascontiguousarray(image[..., 2])

@@ -1,0 +1,97 @@
+"""Pictures of a map and of a plan over it (extra `plot`)."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from surffollow.errors import ScanFileError
+from surffollow.map.atomic_file import replacing
+from surffollow.map.picture import shaded_relief
+from surffollow.scan.grid import FILLED, TerrainGrid
+from surffollow.scan.path import UNKNOWN_BENEATH, WRIST_LIMIT, ScanPath
+
+_MOST = 1200  # cells a side that are drawn
+
+
+def _figure(columns: int, width: float, height: float) -> tuple[Any, Any]:
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as e:
+        raise ScanFileError("a picture needs matplotlib: install the extra 'plot' (surffollow[plot])") from e
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(1, columns)
+
+
+def _relief(axes: Any, ground: TerrainGrid, figure: Any) -> None:
+    step = max(1, -(-max(ground.shape) // _MOST))
+    z = np.where(ground.known, ground.heights_m, np.nan)[::step, ::step]
+    x0, y0, x1, y1 = ground.extent_m
+    common: dict[str, Any] = {"origin": "lower", "extent": (x0, x1, y0, y1), "interpolation": "nearest"}
+    image = axes.imshow(1e3 * z, cmap="terrain", **common)
+    axes.imshow(shaded_relief(z, ground.grid_m * step), cmap="gray", alpha=0.45, vmin=0.0, vmax=1.0, **common)
+    figure.colorbar(image, ax=axes, label="height [mm]", shrink=0.8)
+    axes.set_facecolor("0.5")
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+
+
+def check_picture(path: str | os.PathLike[str]) -> None:
+    """Fail before the work when a picture cannot be drawn."""
+    if not str(path).lower().endswith(".png"):
+        raise ScanFileError(f"pictures are PNG files; {path} has another suffix")
+    _figure(1, 1.0, 1.0)
+
+
+def draw_map(path: str | os.PathLike[str], ground: TerrainGrid) -> None:
+    """Shaded relief, and where heights were measured, filled or are unknown."""
+    figure, (left, right) = _figure(2, 11.0, 4.8)
+    _relief(left, ground, figure)
+    left.set_title("terrain map")
+    x0, y0, x1, y1 = ground.extent_m
+    step = max(1, -(-max(ground.shape) // _MOST))
+    kinds = ground.cells[::step, ::step]
+    shown = right.imshow(
+        kinds, origin="lower", extent=(x0, x1, y0, y1), interpolation="nearest", vmin=0, vmax=FILLED
+    )
+    bar = figure.colorbar(shown, ax=right, ticks=[0, 1, 2], shrink=0.8)
+    bar.ax.set_yticklabels(["unknown", "measured", "filled"])
+    right.set_title("cells")
+    _save(figure, path)
+
+
+def draw_plan(path: str | os.PathLike[str], ground: TerrainGrid, plan: ScanPath) -> None:
+    """The path over the ground, and clearance, lift, tilt and height over time."""
+    figure, (left, right) = _figure(2, 12.0, 5.2)
+    _relief(left, ground, figure)
+    x, y = plan.position_m[:, 0], plan.position_m[:, 1]
+    left.plot(x, y, color="black", lw=0.8)
+    for flag, colour, label in (
+        (UNKNOWN_BENEATH, "red", "unknown beneath"),
+        (WRIST_LIMIT, "magenta", "wrist limit"),
+    ):
+        at = plan.has(flag)
+        if at.any():
+            left.plot(x[at], y[at], ".", color=colour, ms=2, label=f"{label} ({int(at.sum())})")
+    if left.get_legend_handles_labels()[0]:
+        left.legend(loc="upper right", fontsize=8)
+    left.set_aspect("equal")
+    left.set_title(f"{int(plan.passes.max()) + 1} passes, {plan.t_s[-1]:.1f} s")
+    t = plan.t_s
+    right.plot(t, 1e3 * plan.clearance_m, label="clearance [mm]", lw=0.9)
+    right.plot(t, 1e3 * plan.lift_m, label="lift [mm]", lw=0.9)
+    tilt = np.degrees(np.arccos(np.clip(plan.normal[:, 2], -1.0, 1.0)))
+    right.plot(t, tilt, label="tilt [°]", lw=0.7)
+    right.set_xlabel("time [s]")
+    right.legend(fontsize=8)
+    right.grid(alpha=0.3)
+    _save(figure, path)
+
+
+def _save(figure: Any, path: str | os.PathLike[str]) -> None:
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110)

@@ -1,0 +1,195 @@
+"""From a terrain grid to a timed path with attitudes: envelope, scheme, sampling, following, clearance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surffollow.errors import ScanInputError
+from surffollow.scan.body import body_points
+from surffollow.scan.checks import Floats, positive
+from surffollow.scan.clearance import clear_ground
+from surffollow.scan.envelope import Envelope, envelope_of
+from surffollow.scan.following import advanced_terrain_following, reactionary, sample_terrain
+from surffollow.scan.grid import TerrainGrid
+from surffollow.scan.limits import WorkSpace, WristLimits
+from surffollow.scan.path import OUT_OF_REACH, ScanPath, flag_counts
+from surffollow.scan.schemes import arcs, lanes
+from surffollow.scan.serpentine import outline
+from surffollow.scan.timing import MotionLimits, timed
+
+SCHEMES = ("lanes", "arcs")
+FOLLOWING = ("atf", "reactionary")
+
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """What a plan is made for.
+
+    Attributes
+    ----------
+    region : (4,) or (n, 2) [m]         rectangle or polygon to be scanned
+    gap_m : float [m]                   scanning gap
+    body_m : (m, 3) float [m]           control points (`body`)
+    swath_m : float [m]                 distance of passes; None: the body's width
+    scheme : str                        "lanes" or "arcs"
+    angle_rad : float                   direction of lanes
+    base_m : (x, y, z) [m]              of the arm; arcs need it (or a work space)
+    following : str                     "atf" or "reactionary"
+    wrist : WristLimits
+    motion : MotionLimits
+    step_m : float [m]                  between samples; None: the larger of one cell and 5 mm
+    span_m : float [m]                  slopes are taken over ± this; None: half the body's radius
+    work_space : WorkSpace              reach of the arm; None: not looked at
+    """
+
+    region: ArrayLike
+    gap_m: float
+    body_m: ArrayLike
+    swath_m: float | None = None
+    scheme: str = "lanes"
+    angle_rad: float = 0.0
+    base_m: Sequence[float] | None = None
+    following: str = "atf"
+    wrist: WristLimits = field(default_factory=WristLimits)
+    motion: MotionLimits = field(default_factory=MotionLimits)
+    step_m: float | None = None
+    span_m: float | None = None
+    work_space: WorkSpace | None = None
+
+
+def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
+    """Plan a scan.
+
+    Parameters
+    ----------
+    ground : TerrainGrid       not expanded; cells outside the region and its margin are not used
+    settings : PlanSettings
+
+    Returns
+    -------
+    ScanPath     facts hold everything that `scan check` needs
+
+    Raises
+    ------
+    ScanInputError
+        a region beside the map or without known ground, a gap as large as the region, a scheme that is none
+    """
+    body = body_points(settings.body_m)
+    gap = positive("gap_m", settings.gap_m)
+    corners = outline(settings.region)
+    radius = float(np.hypot(body[:, 0], body[:, 1]).max())
+    swath = settings.swath_m if settings.swath_m is not None else 2.0 * radius
+    if swath <= 0.0:
+        raise ScanInputError("a body that is one point has no width; give swath_m")
+    sides = np.ptp(corners, axis=0)
+    if gap > float(sides.max()):
+        raise ScanInputError(
+            f"gap_m {gap:g} m is larger than the region ({sides[0]:g} × {sides[1]:g} m); is the unit metres?"
+        )
+    local = _around(ground, corners, gap + radius + 1.5 * swath)
+    envelope = envelope_of(local, gap)
+    step = settings.step_m if settings.step_m is not None else max(ground.grid_m, 0.005)
+    path = _scheme(settings, swath, step)
+    base = settings.base_m
+    span = settings.span_m if settings.span_m is not None else max(ground.grid_m, 0.5 * radius)
+    path = sample_terrain(path, envelope, span_m=span)
+    path = _followed(path, body, envelope, settings)
+    path = clear_ground(path, body, local, gap)
+    if settings.work_space is not None:
+        base = settings.work_space.base_m if base is None else base
+        path = path.with_flag(OUT_OF_REACH, ~settings.work_space.reachable(path.position_m, path.normal))
+    path = timed(path, settings.motion)
+    facts = path.facts | {
+        "gap_m": gap,
+        "grid_m": ground.grid_m,
+        "region_m": corners.tolist(),
+        "body_m": np.round(body, 9).tolist(),
+        "wrist_rad": settings.wrist.as_array().tolist(),
+        "following": settings.following,
+        "speed_mps": settings.motion.speed_mps,
+        "acceleration_mps2": settings.motion.acceleration_mps2,
+        "lateral_mps2": settings.motion.lateral_mps2,
+        "vertical_mps": settings.motion.vertical_mps,
+    }
+    if base is not None:
+        facts["base_m"] = [float(v) for v in base]
+    return path.changed(facts=facts)
+
+
+def _around(ground: TerrainGrid, corners: Floats, margin_m: float) -> TerrainGrid:
+    box = [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()]
+    inside = ground.window(box)
+    if not inside.known.any():
+        raise ScanInputError(
+            f"no cell of the region {box[0]:g}, {box[1]:g}, {box[2]:g}, {box[3]:g} m is known; map it first"
+        )
+    return ground.window(box, margin_m)
+
+
+def _scheme(settings: PlanSettings, swath: float, step: float) -> ScanPath:
+    if settings.scheme == "lanes":
+        path = lanes(settings.region, swath, step_m=step, angle_rad=settings.angle_rad)
+        if settings.work_space is not None:
+            tip = np.nan_to_num(path.position_m)
+            return path.changed(azimuth_rad=settings.work_space.azimuth_rad(tip))
+        return path
+    if settings.scheme != "arcs":
+        raise ScanInputError(f"scheme is '{settings.scheme}'; expected one of {', '.join(SCHEMES)}")
+    base = settings.base_m
+    if base is None and settings.work_space is not None:
+        base = settings.work_space.base_m
+    if base is None:
+        raise ScanInputError("arcs need the place of the arm's base joint; give base_m")
+    return arcs(settings.region, swath, step_m=step, base_m=base)
+
+
+def _followed(path: ScanPath, body: Floats, envelope: Envelope, settings: PlanSettings) -> ScanPath:
+    if settings.following == "atf":
+        return advanced_terrain_following(path, body, envelope, settings.wrist)
+    if settings.following == "reactionary":
+        return reactionary(path, body, envelope, settings.wrist)
+    raise ScanInputError(f"following is '{settings.following}'; expected one of {', '.join(FOLLOWING)}")
+
+
+def plan_figures(path: ScanPath) -> dict[str, Any]:
+    """What an operator wants to know of a plan before anything moves."""
+    on = path.passes >= 0
+    known = on & np.isfinite(path.clearance_m)
+    tilt = np.degrees(np.arccos(np.clip(path.normal[:, 2], -1.0, 1.0)))
+    dt = np.diff(path.t_s)
+    z = path.position_m[:, 2]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        climb = np.abs(np.diff(z)) / dt
+    length = float(np.sum(np.linalg.norm(np.diff(path.position_m[on][:, :2], axis=0), axis=1)))
+
+    def of(values: Floats, how: Any) -> float | None:
+        good = values[np.isfinite(values)]
+        return float(how(good)) if good.size else None
+
+    return {
+        "samples": len(path),
+        "passes": int(path.passes.max()) + 1,
+        "duration_s": float(path.t_s[-1]),
+        "length_m": length,
+        "clearance_min_m": of(path.clearance_m[known], np.min),
+        "clearance_mean_m": of(path.clearance_m[known], np.mean),
+        "lift_max_m": of(path.lift_m[on], np.max),
+        "lift_mean_m": of(path.lift_m[on], np.mean),
+        "tilt_max_deg": of(tilt[on], np.max),
+        "climb_max_mps": of(climb, np.max),
+        "unplanned": int(np.count_nonzero(np.isnan(z))),
+        "flags": flag_counts(path.flags),
+        "scan_rate_m2ps": _rate(path, length),
+    }
+
+
+def _rate(path: ScanPath, length: float) -> float | None:
+    swath = path.facts.get("swath_m")
+    t = float(path.t_s[-1])
+    return None if swath is None or t <= 0.0 or not math.isfinite(t) else length * float(swath) / t

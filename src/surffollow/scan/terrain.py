@@ -1,0 +1,174 @@
+"""Points to a terrain grid: weighted averages, Delaunay triangles, linear interpolation (paper §2.2)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import Delaunay, QhullError
+
+from surffollow.errors import ScanInputError
+from surffollow.scan.checks import Floats, positive, real_array, region_of
+from surffollow.scan.grid import FILLED, MEASURED, UNKNOWN, TerrainGrid
+from surffollow.scan.triangles import lay_triangles
+
+FILL_CELLS = 10.0  # holes this wide are filled unless told otherwise
+MOST_CELLS = 100_000_000
+
+
+def terrain_map(
+    points_m: ArrayLike,
+    grid_m: float,
+    *,
+    region: Sequence[float] | None = None,
+    weights: ArrayLike | None = None,
+    average_m: float | None = None,
+    fill_m: float | None = None,
+) -> TerrainGrid:
+    """A uniform height map of scattered points.
+
+    Parameters
+    ----------
+    points_m : (n, 3) float [m]             ground frame; points that are not finite are left out
+    grid_m : float [m]                      side of a cell
+    region : (x_min, y_min, x_max, y_max)   what the grid covers [m]; None: the points
+    weights : (n,) float                    1 / variance of each height; None: equal
+    average_m : float [m]                   points in squares of this side are averaged; None: grid_m
+    fill_m : float [m]                      holes are filled by triangles whose edges are at most this long;
+        None: 10 cells
+
+    Returns
+    -------
+    TerrainGrid     cells MEASURED hold a point, FILLED are interpolated, UNKNOWN are NaN
+
+    Raises
+    ------
+    ScanInputError
+        no finite point, none in the region, negative weights, or more than 1e8 cells
+
+    Notes
+    -----
+    Averages stand at the weighted mean place of their points, so that a plane keeps its height at every
+    cell. Cells that hold a point outside every triangle take the mean of their points.
+    """
+    points, w = _points(points_m, weights)
+    g = positive("grid_m", grid_m)
+    side = g if average_m is None else positive("average_m", average_m)
+    fill = FILL_CELLS * g if fill_m is None else positive("fill_m", fill_m)
+    x0, y0, x1, y1 = region_of(region) if region is not None else _around(points, g)
+    cols, rows = math.ceil((x1 - x0) / g - 1e-9), math.ceil((y1 - y0) / g - 1e-9)
+    if rows * cols > MOST_CELLS:
+        raise ScanInputError(
+            f"{x1 - x0:g} × {y1 - y0:g} m in cells of {g:g} m are {rows * cols} cells; at most {MOST_CELLS}; "
+            "are the points in metres?"
+        )
+    near = (
+        (points[:, 0] >= x0 - fill)
+        & (points[:, 0] < x1 + fill)
+        & (points[:, 1] >= y0 - fill)
+        & (points[:, 1] < y1 + fill)
+    )
+    points, w = points[near], w[near]
+    if len(points) == 0:
+        raise ScanInputError(f"no point lies in the region {x0:g}, {y0:g}, {x1:g}, {y1:g} m")
+    nodes = averages(points, w, (x0, y0), side)
+    cells = np.column_stack([(nodes[:, 0] - x0) / g - 0.5, (nodes[:, 1] - y0) / g - 0.5, nodes[:, 2]])
+    triangles = delaunay(cells[:, :2])  # before the grid: its working memory is the larger one
+    z = np.full((rows, cols), np.nan)
+    flags = np.full((rows, cols), UNKNOWN, np.uint8)
+    lay_triangles(cells, triangles, fill / g, False, np.ones((rows, cols), np.bool_), z)
+    flags[np.isfinite(z)] = FILLED
+    own = nodes if side == g else averages(points, w, (x0, y0), g)
+    row, col = _cell_of(own, (x0, y0), g)
+    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    row, col, height = row[inside], col[inside], own[inside, 2]
+    alone = np.isnan(z[row, col])
+    z[row[alone], col[alone]] = height[alone]
+    flags[row, col] = MEASURED
+    return TerrainGrid(z, (x0, y0), g, flags)
+
+
+def averages(points: Floats, weights: Floats, origin_m: tuple[float, float], side_m: float) -> Floats:
+    """(m, 3) weighted mean points of the squares that hold any, square by square along rows."""
+    row, col = _cell_of(points, origin_m, side_m)
+    number = (row - row.min()) * (int(col.max() - col.min()) + 1) + (col - col.min())
+    order = np.argsort(number, kind="stable")
+    first = np.flatnonzero(np.r_[True, np.diff(number[order]) != 0])
+    if len(first) == len(points):
+        return np.ascontiguousarray(points[order])
+    w = weights[order]
+    total = np.add.reduceat(w, first)
+    # relative to a place amid the points: sums of large coordinates would lose digits
+    middle = points.mean(axis=0)
+    sums = np.add.reduceat((points[order] - middle) * w[:, None], first)
+    made: Floats = sums / total[:, None] + middle
+    return made
+
+
+def delaunay(xy: Floats) -> NDArray[np.int32]:
+    """(m, 3) triangles of points in the plane; none for fewer than three or all on a line."""
+    if len(xy) < 3:
+        return np.empty((0, 3), np.int32)
+    try:
+        return np.asarray(Delaunay(xy - xy.mean(axis=0)).simplices, np.int32)
+    except QhullError:
+        return np.empty((0, 3), np.int32)
+
+
+def compose_stations(
+    stations: Sequence[tuple[TerrainGrid, ArrayLike]],
+    grid_m: float,
+    *,
+    region: Sequence[float] | None = None,
+    fill_m: float | None = None,
+) -> TerrainGrid:
+    """One map of several local ones, each with the pose of its station.
+
+    Parameters
+    ----------
+    stations : [(grid, common_from_station), …]     local map and (4, 4) pose of its frame in the common one
+    grid_m, region, fill_m                          as `terrain_map`
+
+    Returns
+    -------
+    TerrainGrid     measured cells of all stations averaged where they overlap, holes filled anew
+    """
+    from surffollow.scan.camera import rigid_transform
+
+    if not stations:
+        raise ScanInputError("no station to compose; give at least one map")
+    parts = []
+    for grid, pose in stations:
+        m = rigid_transform(pose)
+        x, y = grid.centres_m()
+        row, col = np.nonzero(grid.cells == MEASURED)
+        local = np.column_stack([x[col], y[row], grid.heights_m[row, col]])
+        parts.append(local @ m[:3, :3].T + m[:3, 3])
+    return terrain_map(np.vstack(parts), grid_m, region=region, fill_m=fill_m)
+
+
+def _points(points_m: ArrayLike, weights: ArrayLike | None) -> tuple[Floats, Floats]:
+    points = real_array("points_m", points_m, (None, 3))
+    w = np.ones(len(points)) if weights is None else real_array("weights", weights, (len(points),))
+    good = np.isfinite(points).all(axis=1) & np.isfinite(w)
+    if not good.any():
+        raise ScanInputError(f"none of the {len(points)} points is finite; a terrain map needs at least one")
+    if (w[good] <= 0.0).any():
+        raise ScanInputError("weights must be above 0 (1 / variance)")
+    return points[good], w[good]
+
+
+def _around(points: Floats, g: float) -> tuple[float, float, float, float]:
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    x0, y0 = (math.floor(float(v) / g + 1e-9) * g for v in low)
+    x1, y1 = ((math.floor(float(v) / g + 1e-9) + 1) * g for v in high)
+    return x0, y0, x1, y1
+
+
+def _cell_of(points: Floats, origin_m: tuple[float, float], side_m: float) -> tuple[Any, Any]:
+    col = np.floor((points[:, 0] - origin_m[0]) / side_m + 1e-9).astype(np.int64)
+    row = np.floor((points[:, 1] - origin_m[1]) / side_m + 1e-9).astype(np.int64)
+    return row, col

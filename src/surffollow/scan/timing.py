@@ -1,0 +1,103 @@
+"""When the tip is where: the fastest run along a path within limits of speed, turn rate and acceleration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from surffollow.scan.checks import positive
+from surffollow.scan.path import SLOWED, STOP, ScanPath
+from surffollow.shm.jit import jit
+
+SLOWED_PART = 0.99  # of the speed asked for; below it a sample is flagged
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """Limits of the tip's motion.
+
+    Attributes
+    ----------
+    speed_mps : float                 over the ground, horizontally
+    acceleration_mps2 : float         along the path
+    lateral_mps2 : float              across it, in turns
+    vertical_mps : float              up and down
+    tilt_radps : float                of the normal
+    """
+
+    speed_mps: float = 0.5
+    acceleration_mps2: float = 2.66
+    lateral_mps2: float = 2.66
+    vertical_mps: float = 1.5
+    tilt_radps: float = 3.0
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            positive(name, getattr(self, name), "(SI)")
+
+
+@jit
+def speed_profile(cap: Any, ds: Any, acceleration: Any, speed: Any) -> None:
+    """Speeds that never exceed `cap` (n,) and change by at most the acceleration; at rest at both ends.
+
+    Notes
+    -----
+    v² rises and falls by at most 2 a ds between samples: one pass forwards, one backwards.
+    """
+    n = cap.shape[0]
+    speed[0] = 0.0
+    for k in range(1, n):
+        speed[k] = min(cap[k], (speed[k - 1] ** 2 + 2.0 * acceleration * ds[k - 1]) ** 0.5)
+    speed[n - 1] = 0.0
+    for k in range(n - 2, -1, -1):
+        speed[k] = min(speed[k], (speed[k + 1] ** 2 + 2.0 * acceleration * ds[k]) ** 0.5)
+
+
+def timed(path: ScanPath, limits: MotionLimits) -> ScanPath:
+    """Give every sample its time; the tip rests at the first and last sample only.
+
+    Parameters
+    ----------
+    path : ScanPath           positions and normals
+    limits : MotionLimits
+
+    Returns
+    -------
+    ScanPath     SLOWED where a pass is slower than asked for; STOP at both ends
+    """
+    n = len(path)
+    xy, z = path.position_m[:, :2], path.position_m[:, 2]
+    step = np.diff(xy, axis=0)
+    ds = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-12)
+    cap = np.full(n, limits.speed_mps)
+    if n > 1:
+        # what happens between two samples limits both of them
+        rise = np.abs(np.nan_to_num(np.diff(z))) / ds
+        tilt = np.linalg.norm(np.diff(path.normal, axis=0), axis=1) / ds
+        between = np.minimum(
+            limits.vertical_mps / np.maximum(rise, 1e-12), limits.tilt_radps / np.maximum(tilt, 1e-12)
+        )
+        cap[:-1] = np.minimum(cap[:-1], between)
+        cap[1:] = np.minimum(cap[1:], between)
+    if n > 2:
+        heading = np.arctan2(step[:, 1], step[:, 0])
+        bend = np.abs((np.diff(heading) + np.pi) % (2 * np.pi) - np.pi) / (0.5 * (ds[1:] + ds[:-1]))
+        cap[1:-1] = np.minimum(cap[1:-1], np.sqrt(limits.lateral_mps2 / np.maximum(bend, 1e-12)))
+    speed = np.zeros(n)
+    if n > 1:
+        speed_profile(cap, ds, limits.acceleration_mps2, speed)
+    mean = 0.5 * (speed[1:] + speed[:-1])
+    # two samples at rest with nothing between them: the ends of a path of two samples
+    duration = np.where(
+        mean > 0.0, ds / np.maximum(mean, 1e-12), 2.0 * np.sqrt(ds / limits.acceleration_mps2)
+    )
+    t = np.r_[0.0, np.cumsum(duration)]
+    ends = np.zeros(n, np.bool_)
+    ends[[0, -1]] = True
+    made = path.changed(t_s=t).with_flag(STOP, ends)
+    slow = (
+        (speed < SLOWED_PART * limits.speed_mps) & (path.passes >= 0) & (cap < SLOWED_PART * limits.speed_mps)
+    )
+    return made.with_flag(SLOWED, slow)

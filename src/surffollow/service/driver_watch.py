@@ -1,0 +1,61 @@
+"""Ask the driver for its faults in a thread of its own: a driver that raises or blocks delays nobody."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+from surffollow.hw.driver import Driver
+
+EVERY_S = 0.05
+SILENT_S = 1.0
+
+
+class DriverWatch:
+    """The driver's newest answer; `faults` never blocks and never raises.
+
+    Parameters
+    ----------
+    driver : Driver, started or not
+    """
+
+    def __init__(self, driver: Driver) -> None:
+        self._driver = driver
+        self._faults: list[str] = []
+        self._asked_s = 0.0  # 0: not asked now
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._ask, name="driver-faults", daemon=True)
+
+    def start(self) -> None:
+        """Begin to ask."""
+        self._thread.start()
+
+    def faults(self) -> list[str]:
+        """What the driver said last, or that it does not answer."""
+        asked, now = self._asked_s, time.monotonic()
+        if asked and now - asked > SILENT_S:
+            return [f"the driver has not answered faults() for {now - asked:.0f} s"]
+        return self._faults
+
+    def _ask(self) -> None:
+        while not self._over.wait(EVERY_S):
+            self._asked_s = time.monotonic()
+            try:
+                found = [str(text) for text in self._driver.faults()]
+            except Exception as e:
+                found = [f"the driver's faults() raised {e!r}"]
+            self._faults, self._asked_s = found, 0.0
+
+    def stop(self, patience_s: float) -> None:
+        """Ask no more and stop the driver; one that does not return in time is left to itself."""
+        self._over.set()
+
+        def end() -> None:
+            try:
+                self._driver.stop()
+            except Exception as e:
+                self._faults = [f"the driver's stop() raised {e!r}"]
+
+        ending = threading.Thread(target=end, name="driver-stop", daemon=True)
+        ending.start()
+        ending.join(patience_s)

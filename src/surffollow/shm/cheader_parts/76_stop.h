@@ -1,0 +1,24 @@
+/* ---- stop ----------------------------------------------------------------------------------- */
+
+/*
+ * Stop: from the next cycle on no demand is valid (SF_STOPPED), until the client that sends the pose calls
+ * sf_stop_reset. Any client may ask; `reason` (may be NULL) is kept in the audit trail, its first 63 bytes.
+ * What the controller does then stands in docs/protocol.md. This is no safety function.
+ */
+static inline int sf_stop(sf_client *c, const char *reason) {
+  if (c == NULL) return SF_ERR_ARGUMENT;
+  int64_t words[SF_STOP_TEXT_WORDS];
+  memset(words, 0, sizeof words);
+  if (reason != NULL) memcpy(words, reason, strnlen(reason, sizeof words - 1));
+  return sf_i_request(c, SF_RQ_STOP, SF_STOP_TEXT_WORDS, words, NULL, c->options.timeout_ns);
+}
+
+/*
+ * Leave the latched stop; the forecast restarts with the stand-off in force. SF_OK, SF_REFUSED_NOT_POSE_HOLDER
+ * (`detail` of the client: who sends the pose, 0: nobody), or SF_REFUSED_STOP_REMAINS (`detail`: SF_STOP_... causes).
+ */
+static inline int sf_stop_reset(sf_client *c) {
+  if (c == NULL) return SF_ERR_ARGUMENT;
+  return sf_i_request(c, SF_RQ_STOP_RESET, 0, NULL, NULL, c->options.timeout_ns);
+}
+

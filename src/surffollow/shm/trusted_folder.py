@@ -1,0 +1,57 @@
+"""Whether only this user, and root, can change what a folder holds: every component of its path is looked at.
+
+The kernel cache holds pickles: who can put a file there runs code as this user.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+_LINKS = 40  # as many as the kernel follows
+
+
+def why_not_trusted(folder: str | Path) -> str:
+    """What lets another user change the folder or the way to it; empty when nothing does.
+
+    Parameters
+    ----------
+    folder : path     absolute; it must exist
+    """
+    waiting = list(Path(os.path.abspath(folder)).parts[1:])
+    at, links = Path("/"), 0
+    fault = _fault(at, last=not waiting)
+    while waiting and not fault:
+        part = waiting.pop(0)
+        if part == "..":
+            at = at.parent
+            continue
+        at = at / part
+        try:
+            is_link = at.is_symlink()
+            if is_link and os.lstat(at).st_uid not in (0, os.geteuid()):
+                return f"{at} is a link of user {os.lstat(at).st_uid}"
+            if is_link:
+                links += 1
+                target = os.readlink(at)
+                waiting = [p for p in Path(target).parts if p != "/"] + waiting
+                at = Path("/") if target.startswith("/") else at.parent
+                fault = f"{at} leads through too many links" if links > _LINKS else ""
+                continue
+            fault = _fault(at, last=not waiting)
+        except OSError as e:
+            return f"{at}: {e.strerror}"
+    return fault
+
+
+def _fault(at: Path, last: bool) -> str:
+    status = os.stat(at)
+    if not stat.S_ISDIR(status.st_mode):
+        return f"{at} is no folder"
+    if status.st_uid not in (0, os.geteuid()) or (last and status.st_uid != os.geteuid()):
+        return f"{at} belongs to user {status.st_uid}"
+    # in a sticky folder, such as /tmp, nobody can replace what belongs to somebody else
+    if status.st_mode & 0o022 and (last or not status.st_mode & stat.S_ISVTX):
+        return f"{at} can be written by others (mode {status.st_mode & 0o7777:o})"
+    return ""

@@ -1,0 +1,124 @@
+"""Agreement of a supposed wall with every reading of a ring."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.shm.jit import jit
+from surffollow.sonar.beam import predicted_range, sensitivity, wrap
+from surffollow.sonar.pair import COV, DISTANCE, N_SIGMA, PHI, VAR_DISTANCE, VAR_PHI
+
+EXACT_M = 1e-9  # tolerance of ranges without noise
+UNEXPLAINED, INLIER, CONTRADICTION = 0, 1, -1
+
+
+@jit
+def compare_reading(
+    positions_m: Any,
+    headings_rad: Any,
+    ranges_m: Any,
+    sigmas_m: Any,
+    i: Any,
+    half_beam_rad: Any,
+    max_incidence_rad: Any,
+    max_range_m: Any,
+    wall: Any,
+    nx: Any,
+    ny: Any,
+) -> Any:
+    """How reading i stands to a wall.
+
+    A reading beyond the predicted range, silence included, contradicts the wall: its echo would have come
+    first. A nearer reading is unexplained: something else stands in front. NaN was not measured.
+    The tolerance is three standard deviations of the reading and of the wall's own prediction.
+
+    Parameters
+    ----------
+    wall : (5,) float64   φ, d, var φ, covariance, var d
+    nx, ny : float64      cos φ, sin φ
+
+    Returns
+    -------
+    int64   INLIER, UNEXPLAINED or CONTRADICTION
+    """
+    r = ranges_m[i]
+    if math.isnan(r):
+        return UNEXPLAINED
+    x, y, heading = positions_m[i, 0], positions_m[i, 1], headings_rad[i]
+    phi, var_phi = wall[PHI], wall[VAR_PHI]
+    incidence = abs(wrap(phi - heading))
+    doubt_rad = N_SIGMA * math.sqrt(var_phi) if math.isfinite(var_phi) else math.pi
+    expected = predicted_range(x, y, heading, half_beam_rad, max_incidence_rad, phi, nx, ny, wall[DISTANCE])
+    if math.isinf(expected):
+        # an echo may still come from this wall when its normal is uncertain
+        reachable = incidence <= max_incidence_rad + doubt_rad
+        if not reachable or math.isinf(r):
+            return UNEXPLAINED
+        expected = predicted_range(
+            x, y, heading, half_beam_rad, max_incidence_rad + doubt_rad, phi, nx, ny, wall[DISTANCE]
+        )
+        if math.isinf(expected):
+            return UNEXPLAINED
+    # an error of the reading moves the equation by cos e, an error of the wall by (slope, 1)
+    slope, cos_edge = sensitivity(x, y, heading, expected, half_beam_rad, phi, nx, ny)
+    sigma = sigmas_m[i]
+    variance = sigma * sigma
+    if math.isfinite(var_phi) and cos_edge > 0.0:
+        own = slope * slope * var_phi + 2.0 * slope * wall[COV] + wall[VAR_DISTANCE]
+        variance += max(0.0, own) / (cos_edge * cos_edge)
+    tolerance = EXACT_M + N_SIGMA * math.sqrt(variance)
+    if math.isfinite(r) and abs(r - expected) <= tolerance:
+        return INLIER
+    if r < expected:
+        return UNEXPLAINED
+    if expected > max_range_m - tolerance or incidence > max_incidence_rad - doubt_rad - 1e-9:
+        return UNEXPLAINED
+    return CONTRADICTION
+
+
+@jit
+def count_agreement(
+    positions_m: Any,
+    headings_rad: Any,
+    ranges_m: Any,
+    sigmas_m: Any,
+    half_beam_rad: Any,
+    max_incidence_rad: Any,
+    max_range_m: Any,
+    wall: Any,
+    free: Any,
+    verdicts: Any,
+) -> Any:
+    """Inliers among the free readings and contradictions among all; `verdicts` (m,) int64 is written.
+
+    A reading that agrees but is not free belongs to another wall: UNEXPLAINED.
+
+    Returns
+    -------
+    int64, int64
+    """
+    inliers = contradictions = 0
+    nx, ny = math.cos(wall[PHI]), math.sin(wall[PHI])
+    for i in range(ranges_m.size):
+        verdicts[i] = compare_reading(
+            positions_m,
+            headings_rad,
+            ranges_m,
+            sigmas_m,
+            i,
+            half_beam_rad,
+            max_incidence_rad,
+            max_range_m,
+            wall,
+            nx,
+            ny,
+        )
+        if verdicts[i] == INLIER:
+            if free[i]:
+                inliers += 1
+            else:
+                verdicts[i] = UNEXPLAINED
+        elif verdicts[i] == CONTRADICTION:
+            contradictions += 1
+    return inliers, contradictions

@@ -1,0 +1,246 @@
+"""What the readings so far say about the walls of an enclosure, over several poses of the robot.
+
+Readings of earlier poses stay: they are sonars at other places in the belief's frame, so one sonar that
+moves (1W1S with motion) is handled like a ring. The odometry between the poses is taken as exact.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surffollow.errors import UsageError
+from surffollow.sonar.agreement import CONTRADICTION, INLIER, count_agreement
+from surffollow.sonar.poses import WallPose, incidence_limit, wall_pose, walls
+
+Pose = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class SonarRing:
+    """The sonars of a robot.
+
+    Attributes
+    ----------
+    positions_m : (m, 2) ndarray    in the robot frame
+    headings_rad : (m,) ndarray     axes of the beams, in the robot frame
+    half_beam_rad, max_incidence_rad : float   α and δ_max
+    range_sigma : float             standard deviation of a range as a share of the range
+    max_range_m : float             no echo comes from beyond
+    """
+
+    positions_m: NDArray[np.float64]
+    headings_rad: NDArray[np.float64]
+    half_beam_rad: float
+    max_incidence_rad: float
+    range_sigma: float = 0.01
+    max_range_m: float = 10.0
+
+    @classmethod
+    def regular(
+        cls,
+        count: int = 24,
+        radius_m: float = 0.35,
+        half_beam_rad: float = math.radians(11.25),
+        model: str = "specular",
+        max_incidence_rad: float | None = None,
+        range_sigma: float = 0.01,
+        max_range_m: float = 10.0,
+    ) -> SonarRing:
+        """Sonars at equal angles on a circle, looking outward; the first looks ahead."""
+        headings = np.arange(count, dtype=np.float64) * (2.0 * math.pi / count)
+        positions = radius_m * np.column_stack([np.cos(headings), np.sin(headings)])
+        limit = incidence_limit(half_beam_rad, model, max_incidence_rad)
+        return cls(positions, headings, half_beam_rad, limit, range_sigma, max_range_m)
+
+    @property
+    def spacing_rad(self) -> float:
+        """Least angle between two beams; the full beam of a single sonar."""
+        if self.headings_rad.size < 2:
+            return 2.0 * self.half_beam_rad
+        ordered = np.sort(np.mod(self.headings_rad, 2.0 * math.pi))
+        gaps = np.diff(np.append(ordered, ordered[0] + 2.0 * math.pi))
+        return float(gaps[gaps > 1e-9].min())
+
+    def at(self, pose: Pose) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions (m, 2) and headings (m,) of the sonars of a robot at a pose x, y [m], heading [rad]."""
+        x, y, heading = pose
+        c, s = math.cos(heading), math.sin(heading)
+        turned = self.positions_m @ np.array([[c, s], [-s, c]])
+        return turned + (x, y), self.headings_rad + heading
+
+    def sigmas(self, ranges_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Standard deviations [m] of ranges; that of the maximum range where there was no echo."""
+        return self.range_sigma * np.where(np.isfinite(ranges_m), ranges_m, self.max_range_m)
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A supposed wall and what later readings said of it.
+
+    Attributes
+    ----------
+    wall : WallPose      in the belief's frame
+    corroborated : int   later readings that it predicted
+    refuted : int        later readings that it forbids
+    """
+
+    wall: WallPose
+    corroborated: int = 0
+    refuted: int = 0
+
+    @property
+    def state(self) -> Literal["supposed", "corroborated", "refuted"]:
+        """What the later readings make of it."""
+        if self.refuted > self.corroborated:
+            return "refuted"
+        return "corroborated" if self.corroborated else "supposed"
+
+
+class Belief:
+    """Hypotheses about k walls from all readings so far.
+
+    Parameters
+    ----------
+    ring : SonarRing
+    k : int                      walls to find
+    phi_bound_rad, distance_bound_m : float   standard deviations under which a wall counts as known
+    """
+
+    def __init__(
+        self,
+        ring: SonarRing,
+        k: int = 4,
+        *,
+        phi_bound_rad: float = math.radians(1.5),
+        distance_bound_m: float = 0.03,
+    ) -> None:
+        if k < 1:
+            raise UsageError(f"a belief about {k} walls says nothing; k must be at least 1")
+        self.ring, self.k = ring, k
+        self.phi_bound_rad, self.distance_bound_m = phi_bound_rad, distance_bound_m
+        self.pose: Pose = (0.0, 0.0, 0.0)
+        self.positions_m, self.headings_rad = np.empty((0, 2)), np.empty(0)
+        self.ranges_m = np.empty(0)
+        self.hypotheses: list[Hypothesis] = []
+        self.refuted: list[Hypothesis] = []
+        self._fired: set[int] = set()
+
+    @property
+    def walls(self) -> list[WallPose]:
+        """The walls of the hypotheses, in the belief's frame."""
+        return [h.wall for h in self.hypotheses]
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether several hypotheses compete for one wall."""
+        return self.k == 1 and len(self.hypotheses) > 1
+
+    def is_known(self, wall: WallPose) -> bool:
+        """Whether both standard deviations of a wall are within the bounds."""
+        return wall.phi_std_rad <= self.phi_bound_rad and wall.distance_std_m <= self.distance_bound_m
+
+    @property
+    def settled(self) -> bool:
+        """Whether k walls are known and nothing is ambiguous."""
+        return not self.ambiguous and sum(self.is_known(w) for w in self.walls) >= self.k
+
+    def unfired(self) -> tuple[int, ...]:
+        """Sonars that have not been read at the present pose."""
+        return tuple(i for i in range(self.ring.headings_rad.size) if i not in self._fired)
+
+    def move(self, turn_rad: float = 0.0, drive_m: float = 0.0) -> None:
+        """The robot turned, then drove straight ahead; sonars may be read anew."""
+        x, y, heading = self.pose
+        heading += turn_rad
+        self.pose = (x + drive_m * math.cos(heading), y + drive_m * math.sin(heading), heading)
+        self._fired.clear()
+
+    def add(self, ranges_m: ArrayLike, sensors: tuple[int, ...] | None = None) -> None:
+        """Take readings at the present pose and judge the hypotheses by them.
+
+        Parameters
+        ----------
+        ranges_m : (n,) array     readings; inf: no echo, NaN: not measured
+        sensors : tuple of int    their sonars; all of the ring when None
+
+        Raises
+        ------
+        UsageError  the numbers of readings and sonars differ
+        """
+        chosen = tuple(range(self.ring.headings_rad.size)) if sensors is None else tuple(sensors)
+        ranges = np.array(ranges_m, np.float64)
+        if ranges.shape != (len(chosen),):
+            raise UsageError(f"{ranges.size} readings for {len(chosen)} sonars")
+        positions, headings = self.ring.at(self.pose)
+        index = list(chosen)
+        before = [self._judged(h, positions[index], headings[index], ranges) for h in self.hypotheses]
+        self.positions_m = np.vstack([self.positions_m, positions[index]])
+        self.headings_rad = np.append(self.headings_rad, headings[index])
+        self.ranges_m = np.append(self.ranges_m, ranges)
+        self._fired.update(chosen)
+        self._estimate(before)
+
+    def _judged(
+        self,
+        hypothesis: Hypothesis,
+        positions: NDArray[np.float64],
+        headings: NDArray[np.float64],
+        ranges: NDArray[np.float64],
+    ) -> Hypothesis:
+        wall, verdicts = hypothesis.wall, np.empty(ranges.size, np.int64)
+        row = np.array([wall.phi_rad, wall.distance_m, *wall.covariance[0], wall.covariance[1, 1]])
+        count_agreement(
+            np.ascontiguousarray(positions),
+            np.ascontiguousarray(headings),
+            ranges,
+            self.ring.sigmas(ranges),
+            self.ring.half_beam_rad,
+            self.ring.max_incidence_rad,
+            self.ring.max_range_m,
+            row,
+            np.isfinite(ranges),
+            verdicts,
+        )
+        against = verdicts == CONTRADICTION
+        if self.k == 1:  # one wall has to explain every echo
+            against |= np.isfinite(ranges) & (verdicts != INLIER)
+        return replace(
+            hypothesis,
+            corroborated=hypothesis.corroborated + int((verdicts == INLIER).sum()),
+            refuted=hypothesis.refuted + int(against.sum()),
+        )
+
+    def _estimate(self, before: list[Hypothesis]) -> None:
+        options: dict[str, Any] = {
+            "max_incidence_rad": self.ring.max_incidence_rad,
+            "sigma_m": self.ring.sigmas(self.ranges_m),
+            "max_range_m": self.ring.max_range_m,
+        }
+        readings = (self.positions_m, self.headings_rad, self.ranges_m, self.ring.half_beam_rad)
+        found = walls(*readings, self.k, min_sensors=1, **options)
+        if self.k == 1:
+            # alternatives of one wall: a pair may allow a mirrored one
+            allowed = wall_pose(*readings, **options)
+            if len(allowed) > 1:
+                found = allowed
+        matched: list[Hypothesis] = []
+        left = list(before)
+        for wall in found:
+            own = [h for h in left if self._same(h.wall, wall)]
+            if own:
+                left.remove(own[0])
+                matched.append(replace(own[0], wall=wall))
+            else:
+                matched.append(Hypothesis(wall))
+        self.hypotheses = matched
+        self.refuted += [h for h in left if h.state == "refuted"]
+
+    def _same(self, a: WallPose, b: WallPose) -> bool:
+        turn = abs(math.remainder(a.phi_rad - b.phi_rad, 2.0 * math.pi))
+        doubt = 3.0 * math.hypot(a.distance_std_m, b.distance_std_m)
+        return turn <= self.ring.half_beam_rad and abs(a.distance_m - b.distance_m) <= doubt

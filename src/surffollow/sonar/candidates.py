@@ -1,0 +1,269 @@
+"""Walls that some pair of readings allows, ranked by their agreement with all readings."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.shm.jit import jit
+from surffollow.sonar.agreement import count_agreement
+from surffollow.sonar.beam import wrap
+from surffollow.sonar.pair import (
+    COV,
+    DISTANCE,
+    MAX_SOLUTIONS,
+    MERGE,
+    N_SIGMA,
+    PHI,
+    SOLUTION,
+    VAR_DISTANCE,
+    VAR_PHI,
+    solve_pair,
+)
+
+COST, FIRST, SECOND, INLIERS, CONTRADICTIONS = range(SOLUTION, SOLUTION + 5)
+CANDIDATE = SOLUTION + 5  # columns of a candidate
+CONTRADICTION_WEIGHT = 3  # inliers that one contradiction outweighs
+REFERENCE_LENGTH_M = 1.0  # L in L²·var φ + var d
+
+
+@jit
+def candidate_cost(wall: Any) -> Any:
+    """L²·var φ + var d [m²] with L = 1 m: the criterion of the optimal pair."""
+    return REFERENCE_LENGTH_M * REFERENCE_LENGTH_M * wall[VAR_PHI] + wall[VAR_DISTANCE]
+
+
+@jit
+def bound_by_beams(
+    positions_m: Any, headings_rad: Any, i: Any, j: Any, max_incidence_rad: Any, solution: Any, bounded: Any
+) -> None:
+    """Restrict a pair's solution to normals that both sonars can answer.
+
+    Two adjacent sonars fix φ far worse by their ranges than by their beams. φ is clamped to the overlap of
+    the beams, its variance to that of a uniform distribution over it, and d follows by its regression on φ.
+
+    Parameters
+    ----------
+    solution, bounded : (5,) float64   φ, d, var φ, covariance, var d; `bounded` is written
+    """
+    bounded[:] = solution
+    if not solution[VAR_PHI] > 0.0:
+        return
+    middle = headings_rad[i] + 0.5 * wrap(headings_rad[j] - headings_rad[i])
+    half = max_incidence_rad - 0.5 * abs(wrap(headings_rad[j] - headings_rad[i]))
+    variance = max(half, 0.0) ** 2 / 3.0
+    if not math.isfinite(solution[VAR_PHI]) or variance >= solution[VAR_PHI]:
+        return
+    gain = solution[COV] / solution[VAR_PHI]
+    offset = wrap(solution[PHI] - middle)
+    clamped = min(max(offset, -half), half)
+    bounded[PHI] = wrap(middle + clamped)
+    bounded[DISTANCE] += gain * (clamped - offset)
+    bounded[VAR_DISTANCE] += gain * gain * (variance - solution[VAR_PHI])
+    bounded[VAR_PHI], bounded[COV] = variance, gain * variance
+
+
+@jit
+def beam_solution(
+    positions_m: Any,
+    headings_rad: Any,
+    ranges_m: Any,
+    sigmas_m: Any,
+    i: Any,
+    j: Any,
+    half_beam_rad: Any,
+    found: Any,
+) -> Any:
+    """The wall that two overlapping beams allow where the noise of the ranges leaves no closed-form solution.
+
+    Parameters
+    ----------
+    found : (19, 5) float64   the first row is written
+
+    Returns
+    -------
+    int64   1, or 0 where the beams do not overlap or the ranges differ by more than their noise explains
+    """
+    apart = wrap(headings_rad[j] - headings_rad[i])
+    half = half_beam_rad - 0.5 * abs(apart)
+    if half <= 0.0:
+        return 0
+    phi = headings_rad[i] + 0.5 * apart
+    nx, ny = math.cos(phi), math.sin(phi)
+    d_i = ranges_m[i] + nx * positions_m[i, 0] + ny * positions_m[i, 1]
+    d_j = ranges_m[j] + nx * positions_m[j, 0] + ny * positions_m[j, 1]
+    slope_i = nx * positions_m[i, 1] - ny * positions_m[i, 0]
+    slope_j = nx * positions_m[j, 1] - ny * positions_m[j, 0]
+    noise = N_SIGMA * math.hypot(sigmas_m[i], sigmas_m[j])
+    if abs(d_i - d_j) > noise + half * abs(slope_i - slope_j):
+        return 0
+    wall, slope = found[0], 0.5 * (slope_i + slope_j)
+    wall[PHI], wall[DISTANCE] = wrap(phi), 0.5 * (d_i + d_j)
+    wall[VAR_PHI] = half * half / 3.0
+    wall[COV] = slope * wall[VAR_PHI]
+    wall[VAR_DISTANCE] = slope * wall[COV] + 0.25 * (sigmas_m[i] ** 2 + sigmas_m[j] ** 2)
+    return 1
+
+
+@jit
+def same_wall(a: Any, b: Any, half_beam_rad: Any) -> Any:
+    """Whether two candidates are one wall: equal, or within three standard deviations and a half beam."""
+    turn, shift = wrap(a[PHI] - b[PHI]), a[DISTANCE] - b[DISTANCE]
+    if abs(turn) < MERGE and abs(shift) < MERGE:
+        return True
+    if abs(turn) > half_beam_rad:
+        return False
+    v = a[VAR_PHI] + b[VAR_PHI]
+    c = a[COV] + b[COV]
+    w = a[VAR_DISTANCE] + b[VAR_DISTANCE]
+    determinant = v * w - c * c
+    if not math.isfinite(determinant) or determinant <= 0.0:
+        return False
+    squared = (w * turn * turn - 2.0 * c * turn * shift + v * shift * shift) / determinant
+    return squared <= N_SIGMA * N_SIGMA
+
+
+@jit
+def find_candidates(
+    positions_m: Any,
+    headings_rad: Any,
+    ranges_m: Any,
+    sigmas_m: Any,
+    free: Any,
+    half_beam_rad: Any,
+    max_incidence_rad: Any,
+    max_range_m: Any,
+    by_beams: Any,
+    found: Any,
+    verdicts: Any,
+    candidates: Any,
+) -> Any:
+    """Solve every pair of free echoes and count how all readings stand to each solution.
+
+    Parameters
+    ----------
+    positions_m : (m, 2) float64   headings_rad, ranges_m, sigmas_m : (m,) float64
+    free : (m,) bool               echoes that no wall explains yet
+    by_beams : bool                use `beam_solution` for pairs without a solution, and stop at a candidate
+                                   that explains every free echo
+    found : (19, 5) float64        verdicts : (m,) int64   scratch
+    candidates : (c, 10) float64   written: solution, cost, pair, inliers, contradictions
+
+    Returns
+    -------
+    int64   number of candidates; those beyond c are left out
+    """
+    n = echoes = 0
+    size = ranges_m.size
+    for i in range(size):
+        echoes += free[i] and math.isfinite(ranges_m[i])
+    # pairs far apart come first: their solutions are the most certain
+    for gap in range(size - 1, 0, -1):
+        for i in range(size - gap):
+            j = i + gap
+            if not (free[i] and free[j] and math.isfinite(ranges_m[i]) and math.isfinite(ranges_m[j])):
+                continue
+            # a wall is seen by both only when their beams can face one normal
+            if abs(wrap(headings_rad[i] - headings_rad[j])) > 2.0 * max_incidence_rad + MERGE and (
+                max_incidence_rad < 0.5 * math.pi
+            ):
+                continue
+            m = solve_pair(
+                positions_m, headings_rad, ranges_m, sigmas_m, i, j, half_beam_rad, max_incidence_rad, found
+            )
+            if m == 0 and by_beams:
+                m = beam_solution(positions_m, headings_rad, ranges_m, sigmas_m, i, j, half_beam_rad, found)
+            for k in range(m):
+                if n == candidates.shape[0]:
+                    return n
+                bounded = found[MAX_SOLUTIONS]
+                bound_by_beams(positions_m, headings_rad, i, j, max_incidence_rad, found[k], bounded)
+                inliers, contradictions = count_agreement(
+                    positions_m,
+                    headings_rad,
+                    ranges_m,
+                    sigmas_m,
+                    half_beam_rad,
+                    max_incidence_rad,
+                    max_range_m,
+                    bounded,
+                    free,
+                    verdicts,
+                )
+                candidates[n, :SOLUTION] = found[k]
+                candidates[n, COST], candidates[n, FIRST], candidates[n, SECOND] = (
+                    candidate_cost(found[k]),
+                    i,
+                    j,
+                )
+                candidates[n, INLIERS], candidates[n, CONTRADICTIONS] = inliers, contradictions
+                n += 1
+                if by_beams and inliers == echoes and contradictions == 0:
+                    return n
+    return n
+
+
+@jit
+def candidate_score(candidate: Any) -> Any:
+    """Inliers less three times the contradictions."""
+    return candidate[INLIERS] - CONTRADICTION_WEIGHT * candidate[CONTRADICTIONS]
+
+
+@jit
+def best_candidate(candidates: Any, n: Any) -> Any:
+    """Index of the candidate with the highest score, then the least cost; −1 of none."""
+    best = -1
+    for k in range(n):
+        if (
+            best < 0
+            or candidate_score(candidates[k]) > candidate_score(candidates[best])
+            or (
+                candidate_score(candidates[k]) == candidate_score(candidates[best])
+                and candidates[k, COST] < candidates[best, COST]
+            )
+        ):
+            best = k
+    return best
+
+
+@jit
+def distinct_walls(candidates: Any, n: Any, n_readings: Any, half_beam_rad: Any, order: Any) -> Any:
+    """Indices of distinct candidates that every echo agrees with, cheapest first.
+
+    Candidates of different pairs that describe one wall are represented by the cheapest.
+
+    Parameters
+    ----------
+    n_readings : int64      echoes that must all be inliers
+    order : (c,) int64      written
+
+    Returns
+    -------
+    int64   number of indices
+    """
+    kept = 0
+    for k in range(n):
+        if candidates[k, CONTRADICTIONS] > 0 or candidates[k, INLIERS] < n_readings:
+            continue
+        at = kept
+        while at > 0 and candidates[order[at - 1], COST] > candidates[k, COST]:
+            order[at] = order[at - 1]
+            at -= 1
+        order[at] = k
+        kept += 1
+    distinct = 0
+    for k in range(kept):
+        candidate = candidates[order[k]]
+        known = False
+        for d in range(distinct):
+            other = candidates[order[d]]
+            own_pair = candidate[FIRST] == other[FIRST] and candidate[SECOND] == other[SECOND]
+            turn, shift = abs(wrap(candidate[PHI] - other[PHI])), abs(candidate[DISTANCE] - other[DISTANCE])
+            if (turn < MERGE and shift < MERGE) or (
+                not own_pair and same_wall(candidate, other, half_beam_rad)
+            ):
+                known = True
+        if not known:
+            order[distinct] = order[k]
+            distinct += 1
+    return distinct

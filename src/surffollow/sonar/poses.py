@@ -1,0 +1,290 @@
+"""Wall poses from sonar readings: the calls for programs (docs/sonar.md).
+
+Angles are in radians, lengths in metres, everything in the frame that the sonars' positions are given in.
+A range of inf means no echo, NaN means not measured.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surffollow.errors import UsageError
+from surffollow.sonar import candidates as cd
+from surffollow.sonar.pair import MAX_SOLUTIONS, SOLUTION
+from surffollow.sonar.posterior import N_POINTS
+from surffollow.sonar.ring_walls import find_walls
+
+MAX_CANDIDATES = 8192
+MODELS = ("specular", "diffuse")
+
+
+@dataclass(frozen=True)
+class WallPose:
+    """One wall {x : x·cos φ + y·sin φ = d}.
+
+    Attributes
+    ----------
+    phi_rad : float                  direction of the normal, from the origin to the wall, in [−π, π)
+    distance_m : float               from the origin, > 0
+    covariance : (2, 2) ndarray      of (φ, d): rad², rad m, m²
+    sensors : tuple of int           indices of the readings that it was computed from
+    ambiguous : bool                 another wall explains the same readings
+    """
+
+    phi_rad: float
+    distance_m: float
+    covariance: NDArray[np.float64]
+    sensors: tuple[int, ...]
+    ambiguous: bool = False
+
+    @property
+    def phi_std_rad(self) -> float:
+        """Standard deviation of φ [rad]."""
+        return math.sqrt(self.covariance[0, 0])
+
+    @property
+    def distance_std_m(self) -> float:
+        """Standard deviation of d [m]."""
+        return math.sqrt(self.covariance[1, 1])
+
+    def moved(self, x_m: float, y_m: float, heading_rad: float) -> WallPose:
+        """The same wall in the frame of a pose (x, y, heading) that is given in this wall's frame."""
+        n = np.array([math.cos(self.phi_rad), math.sin(self.phi_rad)])
+        slope = x_m * n[1] - y_m * n[0]
+        turn = np.array([[1.0, 0.0], [slope, 1.0]])
+        distance = self.distance_m - float(n @ (x_m, y_m))
+        phi = math.remainder(self.phi_rad - heading_rad, 2.0 * math.pi)
+        return WallPose(phi, distance, turn @ self.covariance @ turn.T, self.sensors, self.ambiguous)
+
+
+class Ring(NamedTuple):
+    """Checked readings, as the kernels take them."""
+
+    positions_m: NDArray[np.float64]
+    headings_rad: NDArray[np.float64]
+    ranges_m: NDArray[np.float64]
+    sigmas_m: NDArray[np.float64]
+    half_beam_rad: float
+    max_incidence_rad: float
+    max_range_m: float
+
+
+def incidence_limit(half_beam_rad: float, model: str, max_incidence_rad: float | None) -> float:
+    """δ_max [rad]: as given, or α of a specular wall, or α + 90° of a diffuse one.
+
+    Raises
+    ------
+    UsageError  the model is unknown, or an angle is outside its bounds
+    """
+    if not 0.0 < half_beam_rad < 0.5 * math.pi:
+        raise UsageError(f"half_beam_rad is {half_beam_rad}; expected an angle between 0 and π/2 rad")
+    if max_incidence_rad is None:
+        if model not in MODELS:
+            raise UsageError(f"sonar model {model!r} is unknown; choose one of {', '.join(MODELS)}")
+        return half_beam_rad + (0.5 * math.pi if model == "diffuse" else 0.0)
+    if not half_beam_rad <= max_incidence_rad <= half_beam_rad + 0.5 * math.pi:
+        raise UsageError(
+            f"max_incidence_rad is {max_incidence_rad}; expected half_beam_rad ({half_beam_rad}) to "
+            f"half_beam_rad + π/2"
+        )
+    return float(max_incidence_rad)
+
+
+def _checked(
+    positions_m: ArrayLike,
+    headings_rad: ArrayLike,
+    ranges_m: ArrayLike,
+    half_beam_rad: float,
+    model: str,
+    max_incidence_rad: float | None,
+    sigma_m: ArrayLike,
+    max_range_m: float,
+) -> Ring:
+    limit = incidence_limit(half_beam_rad, model, max_incidence_rad)
+    positions = np.ascontiguousarray(positions_m, np.float64)
+    headings = np.ascontiguousarray(headings_rad, np.float64)
+    ranges = np.ascontiguousarray(ranges_m, np.float64)
+    m = headings.size
+    if headings.shape != (m,) or ranges.shape != (m,) or positions.shape != (m, 2):
+        raise UsageError(
+            f"positions_m has shape {positions.shape}, headings_rad {headings.shape}, ranges_m "
+            f"{ranges.shape}; expected (m, 2), (m,), (m,)"
+        )
+    if not (np.isfinite(positions).all() and np.isfinite(headings).all()):
+        raise UsageError("positions_m or headings_rad is not finite; leave such a sonar out")
+    if (ranges <= 0.0).any():
+        raise UsageError(
+            f"ranges_m has the value {ranges[ranges <= 0.0][0]}; use inf for no echo, NaN for none measured"
+        )
+    sigmas = np.ascontiguousarray(np.broadcast_to(np.asarray(sigma_m, np.float64), (m,)))
+    if not (np.isfinite(sigmas) & (sigmas >= 0.0)).all():
+        raise UsageError("sigma_m must be finite and not negative")
+    return Ring(positions, headings, ranges, sigmas, float(half_beam_rad), limit, float(max_range_m))
+
+
+def _wall(row: NDArray[np.float64], sensors: tuple[int, ...], ambiguous: bool = False) -> WallPose:
+    covariance = np.array([[row[2], row[3]], [row[3], row[4]]])
+    return WallPose(float(row[0]), float(row[1]), covariance, sensors, ambiguous)
+
+
+def _candidates(ring: Ring) -> tuple[NDArray[np.float64], int]:
+    m = ring.ranges_m.size
+    found = np.empty((MAX_SOLUTIONS + 1, SOLUTION))
+    rows = np.empty((min(MAX_CANDIDATES, MAX_SOLUTIONS * m * (m - 1) // 2 + 1), cd.CANDIDATE))
+    free = np.isfinite(ring.ranges_m)
+    n = cd.find_candidates(*ring[:4], free, *ring[4:], False, found, np.empty(m, np.int64), rows)
+    return rows, int(n)
+
+
+def wall_pose(
+    positions_m: ArrayLike,
+    headings_rad: ArrayLike,
+    ranges_m: ArrayLike,
+    half_beam_rad: float,
+    *,
+    model: str = "specular",
+    max_incidence_rad: float | None = None,
+    sigma_m: ArrayLike = 0.0,
+    max_range_m: float = math.inf,
+) -> list[WallPose]:
+    """Every wall that two or more readings of one wall allow (1W2S, 1WmS).
+
+    Parameters
+    ----------
+    positions_m : (m, 2) array      the sonars
+    headings_rad : (m,) array       axes of their beams
+    ranges_m : (m,) array           readings; inf: no echo, NaN: not measured
+    half_beam_rad : float           α, half of the full spread (Polaroid: 11.25°)
+    model : {"specular", "diffuse"} echoes up to δ_max = α, or up to α + 90°
+    max_incidence_rad : float       δ_max itself, instead of a model
+    sigma_m : float or (m,) array   standard deviation of the ranges; 0: exact
+    max_range_m : float             silence beyond it says nothing
+
+    Returns
+    -------
+    list of WallPose
+        The walls that every reading agrees with, the least L²·var φ + var d (L = 1 m) first. `ambiguous` is
+        set in all of them when there are several. Covariance alone must not choose: it prefers mirrored
+        walls.
+
+    Raises
+    ------
+    UsageError  shapes, units or the model are wrong
+
+    Notes
+    -----
+    Dekhil and Henderson, section 1 (two readings of one wall); closed forms in docs/sonar.md.
+    """
+    ring = _checked(
+        positions_m, headings_rad, ranges_m, half_beam_rad, model, max_incidence_rad, sigma_m, max_range_m
+    )
+    rows, n = _candidates(ring)
+    order = np.empty(max(n, 1), np.int64)
+    echoes = int(np.isfinite(ring.ranges_m).sum())
+    kept = int(cd.distinct_walls(rows, n, echoes, ring.half_beam_rad, order))
+    pairs = [(rows[k], (int(rows[k, cd.FIRST]), int(rows[k, cd.SECOND]))) for k in order[:kept]]
+    return [_wall(row, pair, kept > 1) for row, pair in pairs]
+
+
+def optimal_pair(
+    positions_m: ArrayLike, headings_rad: ArrayLike, ranges_m: ArrayLike, half_beam_rad: float, **options: Any
+) -> WallPose | None:
+    """The wall of the pair with the least L²·var φ + var d (L = 1 m) among all that agree with every reading.
+
+    Parameters and errors as `wall_pose`, whose first result this is; None where no wall agrees.
+    """
+    found = wall_pose(positions_m, headings_rad, ranges_m, half_beam_rad, **options)
+    return found[0] if found else None
+
+
+def fused_pose(
+    positions_m: ArrayLike,
+    headings_rad: ArrayLike,
+    ranges_m: ArrayLike,
+    half_beam_rad: float,
+    *,
+    sigma_m: ArrayLike,
+    model: str = "specular",
+    max_incidence_rad: float | None = None,
+    max_range_m: float = math.inf,
+) -> WallPose | None:
+    """One wall from all readings: posterior mean over the normals that echoes and silence allow.
+
+    The likelihood of the ranges is taken over the intersection of the answering beams without the beams that
+    were silent. Where it is narrow, weighted least squares refine it. The wall with the most inliers is
+    returned.
+
+    Parameters and errors as `wall_pose`; `sigma_m` must be positive. None where no echo came.
+    """
+    found = walls(
+        positions_m,
+        headings_rad,
+        ranges_m,
+        half_beam_rad,
+        1,
+        sigma_m=sigma_m,
+        model=model,
+        max_incidence_rad=max_incidence_rad,
+        max_range_m=max_range_m,
+        min_sensors=1,
+    )
+    return found[0] if found else None
+
+
+def walls(
+    positions_m: ArrayLike,
+    headings_rad: ArrayLike,
+    ranges_m: ArrayLike,
+    half_beam_rad: float,
+    k: int = 4,
+    *,
+    sigma_m: ArrayLike,
+    model: str = "specular",
+    max_incidence_rad: float | None = None,
+    max_range_m: float = math.inf,
+    min_sensors: int = 2,
+) -> list[WallPose]:
+    """Up to k walls from m sonars (kWmS).
+
+    All pairs are scored by inliers − 3·contradictions over all readings. The best one is refined with its
+    inliers, its readings are set aside, and the next is looked for.
+
+    Parameters
+    ----------
+    k : int              most walls to look for
+    min_sensors : int    1: a lone echo counts as a wall, too, with the covariance that its beam leaves
+    others               as `wall_pose`; `sigma_m` must be positive
+
+    Returns
+    -------
+    list of WallPose, in the order they were found; `sensors` are the inliers of each
+
+    Raises
+    ------
+    UsageError  shapes, units or the model are wrong, or sigma_m is not positive
+    """
+    ring = _checked(
+        positions_m, headings_rad, ranges_m, half_beam_rad, model, max_incidence_rad, sigma_m, max_range_m
+    )
+    if not (ring.sigmas_m > 0.0).all():
+        raise UsageError("sigma_m must be positive: the readings are weighed by it")
+    m = ring.ranges_m.size
+    rows = np.empty((min(MAX_CANDIDATES, MAX_SOLUTIONS * m * (m - 1) // 2 + 1), cd.CANDIDATE))
+    result, owner = np.empty((max(k, 0), SOLUTION)), np.empty(m, np.int64)
+    n = find_walls(
+        *ring,
+        min_sensors,
+        np.empty((MAX_SOLUTIONS + 1, SOLUTION)),
+        rows,
+        np.empty((N_POINTS, 4)),
+        np.empty(m, np.bool_),
+        np.empty(m, np.int64),
+        result,
+        owner,
+    )
+    return [_wall(result[w], tuple(int(i) for i in np.flatnonzero(owner == w))) for w in range(n)]

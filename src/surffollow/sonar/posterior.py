@@ -1,0 +1,257 @@
+"""Wall pose from all readings that see one wall: posterior over φ, refined by least squares.
+
+Every echo bounds φ to its beam, every silent or farther sonar excludes the normals that it would have
+answered, and the ranges weigh what remains. With few echoes the bounds say more than the ranges: the
+posterior mean is the estimate. With many the likelihood is narrow and least squares are exact.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.shm.jit import jit
+from surffollow.sonar.agreement import INLIER
+from surffollow.sonar.beam import MIN_COS_EDGE, predicted_range, sensitivity, wrap
+from surffollow.sonar.pair import COV, DISTANCE, N_SIGMA, PHI, VAR_DISTANCE, VAR_PHI
+
+N_POINTS = 181
+MAX_PASSES = 12
+NEGLIGIBLE = 40.0  # half the chi-square beyond the best that no longer counts: e^−40
+NARROW = 0.1  # standard deviation over the support's width below which the likelihood decides alone
+MAX_ITERATIONS = 50
+
+
+@jit
+def _profile(
+    positions_m: Any,
+    headings_rad: Any,
+    ranges_m: Any,
+    sigmas_m: Any,
+    verdicts: Any,
+    half_beam_rad: Any,
+    phi_rad: Any,
+) -> Any:
+    """Best distance for one φ, its information, half the chi-square left, and whether φ is possible."""
+    nx, ny = math.cos(phi_rad), math.sin(phi_rad)
+    total = moment = 0.0
+    for i in range(ranges_m.size):
+        if verdicts[i] != INLIER:
+            continue
+        edge = max(0.0, abs(wrap(phi_rad - headings_rad[i])) - half_beam_rad)
+        cos_edge = math.cos(edge)
+        if cos_edge < MIN_COS_EDGE:
+            return 0.0, 0.0, 0.0, False
+        weight = 1.0 / (sigmas_m[i] * cos_edge) ** 2
+        total += weight
+        moment += weight * (ranges_m[i] * cos_edge + nx * positions_m[i, 0] + ny * positions_m[i, 1])
+    distance = moment / total
+    half_chi = 0.0
+    for i in range(ranges_m.size):
+        if verdicts[i] != INLIER:
+            continue
+        edge = max(0.0, abs(wrap(phi_rad - headings_rad[i])) - half_beam_rad)
+        cos_edge = math.cos(edge)
+        left = ranges_m[i] * cos_edge + nx * positions_m[i, 0] + ny * positions_m[i, 1] - distance
+        half_chi += 0.5 * (left / (sigmas_m[i] * cos_edge)) ** 2
+    return distance, total, half_chi, distance > 0.0
+
+
+@jit
+def _is_excluded(
+    positions_m: Any,
+    headings_rad: Any,
+    ranges_m: Any,
+    sigmas_m: Any,
+    verdicts: Any,
+    half_beam_rad: Any,
+    max_incidence_rad: Any,
+    max_range_m: Any,
+    phi_rad: Any,
+    distance_m: Any,
+) -> Any:
+    """Whether a silent or farther sonar would have answered this wall."""
+    nx, ny = math.cos(phi_rad), math.sin(phi_rad)
+    for i in range(ranges_m.size):
+        if verdicts[i] == INLIER or math.isnan(ranges_m[i]):
+            continue
+        expected = predicted_range(
+            positions_m[i, 0],
+            positions_m[i, 1],
+            headings_rad[i],
+            half_beam_rad,
+            max_incidence_rad,
+            phi_rad,
+            nx,
+            ny,
+            distance_m,
+        )
+        if expected < min(ranges_m[i], max_range_m) - 2.0 * N_SIGMA * sigmas_m[i]:
+            return True
+    return False
+
+
+@jit
+def beam_interval(
+    headings_rad: Any, verdicts: Any, max_incidence_rad: Any, near_rad: Any, reach_rad: Any
+) -> Any:
+    """Normals [rad] within `reach_rad` of `near_rad` that all inliers can answer.
+
+    Returns
+    -------
+    float64, float64   low end and width; the width is negative for none
+    """
+    low, high = -reach_rad, reach_rad
+    for i in range(headings_rad.size):
+        if verdicts[i] == INLIER:
+            offset = wrap(headings_rad[i] - near_rad)
+            low, high = max(low, offset - max_incidence_rad), min(high, offset + max_incidence_rad)
+    return near_rad + low, high - low
+
+
+@jit
+def fuse(
+    positions_m: Any,
+    headings_rad: Any,
+    ranges_m: Any,
+    sigmas_m: Any,
+    verdicts: Any,
+    half_beam_rad: Any,
+    max_incidence_rad: Any,
+    max_range_m: Any,
+    near_rad: Any,
+    reach_rad: Any,
+    points: Any,
+    wall: Any,
+) -> Any:
+    """Posterior mean and covariance of one wall from its inliers, bounded by all other readings.
+
+    Parameters
+    ----------
+    positions_m : (m, 2) float64   headings_rad, ranges_m, sigmas_m : (m,) float64, sigmas > 0
+    verdicts : (m,) int64          INLIER: reading of this wall
+    near_rad, reach_rad : float64  only normals within `reach_rad` of `near_rad` are looked at
+    points : (181, 4) float64      scratch: distance, information, log weight, possible
+    wall : (5,) float64            written: φ, d, var φ, covariance, var d
+
+    Returns
+    -------
+    bool   False when no normal agrees with all readings
+    """
+    low, width = beam_interval(headings_rad, verdicts, max_incidence_rad, near_rad, reach_rad)
+    if width < 0.0:
+        return False
+    mean = mean_d = var_phi = cov = var_d = support = 0.0
+    for attempt in range(MAX_PASSES):
+        step = width / N_POINTS
+        best = -math.inf
+        for k in range(N_POINTS):
+            phi = low + (k + 0.5) * step
+            distance, information, half_chi, possible = _profile(
+                positions_m, headings_rad, ranges_m, sigmas_m, verdicts, half_beam_rad, phi
+            )
+            if possible:
+                possible = not _is_excluded(
+                    positions_m,
+                    headings_rad,
+                    ranges_m,
+                    sigmas_m,
+                    verdicts,
+                    half_beam_rad,
+                    max_incidence_rad,
+                    max_range_m,
+                    phi,
+                    distance,
+                )
+            points[k, 0], points[k, 1], points[k, 3] = distance, information, 1.0 if possible else 0.0
+            points[k, 2] = -half_chi - 0.5 * math.log(information) if possible else -math.inf
+            best = max(best, points[k, 2])
+        if best == -math.inf:
+            return False
+        first, last, possible_points = N_POINTS, -1, 0
+        total = mean = mean_d = 0.0
+        for k in range(N_POINTS):
+            if points[k, 3] == 0.0:
+                continue
+            possible_points += 1
+            if points[k, 2] < best - NEGLIGIBLE:
+                continue
+            first, last = min(first, k), k
+            weight = math.exp(points[k, 2] - best)
+            total += weight
+            mean += weight * (k + 0.5)
+            mean_d += weight * points[k, 0]
+        if attempt == 0:
+            support = possible_points * step
+        mean, mean_d = mean / total, mean_d / total
+        var_phi = cov = var_d = 0.0
+        for k in range(first, last + 1):
+            if points[k, 3] == 0.0:
+                continue
+            weight = math.exp(points[k, 2] - best) / total
+            turn, shift = (k + 0.5 - mean) * step, points[k, 0] - mean_d
+            var_phi += weight * (turn * turn + step * step / 12.0)
+            cov += weight * turn * shift
+            var_d += weight * (shift * shift + 1.0 / points[k, 1])
+        mean = low + mean * step
+        if 2 * (last - first + 3) >= N_POINTS or attempt == MAX_PASSES - 1:
+            break
+        low, width = low + (first - 1) * step, (last - first + 3) * step
+    wall[PHI], wall[DISTANCE] = wrap(mean), mean_d
+    wall[VAR_PHI], wall[COV], wall[VAR_DISTANCE] = var_phi, cov, var_d
+    if math.sqrt(var_phi) < NARROW * support:
+        least_squares(positions_m, headings_rad, ranges_m, sigmas_m, verdicts, half_beam_rad, wall)
+    return True
+
+
+@jit
+def least_squares(
+    positions_m: Any,
+    headings_rad: Any,
+    ranges_m: Any,
+    sigmas_m: Any,
+    verdicts: Any,
+    half_beam_rad: Any,
+    wall: Any,
+) -> Any:
+    """Refine a wall by Gauss-Newton steps on d − n·p − r·cos e, weighted by 1/(σ cos e)².
+
+    Parameters
+    ----------
+    wall : (5,) float64   start, and result with its covariance (AᵀWA)⁻¹; unchanged where the steps diverge
+
+    Returns
+    -------
+    bool   whether the steps converged
+    """
+    phi, distance = wall[PHI], wall[DISTANCE]
+    for _ in range(MAX_ITERATIONS):
+        s_aa = s_a = s_1 = b_a = b_1 = 0.0
+        nx, ny = math.cos(phi), math.sin(phi)
+        for i in range(ranges_m.size):
+            if verdicts[i] != INLIER:
+                continue
+            x, y = positions_m[i, 0], positions_m[i, 1]
+            slope, cos_edge = sensitivity(x, y, headings_rad[i], ranges_m[i], half_beam_rad, phi, nx, ny)
+            if cos_edge < MIN_COS_EDGE:
+                return False
+            weight = 1.0 / (sigmas_m[i] * cos_edge) ** 2
+            left = distance - nx * x - ny * y - ranges_m[i] * cos_edge
+            s_aa += weight * slope * slope
+            s_a += weight * slope
+            s_1 += weight
+            b_a -= weight * slope * left
+            b_1 -= weight * left
+        determinant = s_aa * s_1 - s_a * s_a
+        if determinant <= 1e-12 * s_aa * s_1:
+            return False
+        turn = (s_1 * b_a - s_a * b_1) / determinant
+        shift = (s_aa * b_1 - s_a * b_a) / determinant
+        phi, distance = phi + turn, distance + shift
+        if abs(wrap(phi - wall[PHI])) > math.radians(30.0) or distance <= 0.0:
+            return False
+        if abs(turn) < 1e-14 and abs(shift) < 1e-14 * distance:
+            break
+    wall[PHI], wall[DISTANCE] = wrap(phi), distance
+    wall[VAR_PHI], wall[COV], wall[VAR_DISTANCE] = s_1 / determinant, -s_a / determinant, s_aa / determinant
+    return True

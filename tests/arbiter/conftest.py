@@ -1,0 +1,47 @@
+"""Running arbiters and their children."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from arbiter.running import Child, Running
+
+
+@pytest.fixture(scope="module")
+def arbiter(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    """A server for the whole module; do not kill it, leave its resources free."""
+    one = Running(tmp_path_factory.mktemp("arbiter"))
+    try:
+        yield one.start()
+    finally:
+        one.purge()
+
+
+@pytest.fixture
+def make_arbiter(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Running]]:
+    """Servers of a test's own, not started."""
+    made: list[Running] = []
+
+    def make(**options: str) -> Running:
+        made.append(Running(tmp_path_factory.mktemp("arbiter"), **options))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.purge()
+
+
+@pytest.fixture
+def child() -> Iterator[Callable[..., Child]]:
+    """Forked clients that are gone when the test ends."""
+    made: list[Child] = []
+
+    def start(work: Callable[..., None]) -> Child:
+        made.append(Child(work))
+        return made[-1]
+
+    yield start
+    for one in made:
+        one.kill()

@@ -1,0 +1,145 @@
+"""A running arbiter, clients in forked children that can be killed, and waiting for conditions."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+CONFIG = """
+[clients]
+avoid = 40
+wall = 30
+wall-2 = 30
+go = 10
+MORE_CLIENTS
+
+[resources.robot]
+command = ["speed", "turn_rate"]
+units = ["m/s", "rad/s"]
+safe = [0.0, 0.0]
+low = [-0.5, -1.0]
+high = [0.5, 1.0]
+status = "cell.base"
+
+[resources.camera]
+command = ["pan"]
+safe = [0.0]
+policy = "cooperative"
+grace = "50 ms"
+
+[resources.speaker]
+command = ["tone"]
+safe = [0.0]
+equal = "newcomer"
+"""
+
+
+class Running:
+    """A server process of a test's own."""
+
+    def __init__(self, folder: Path, text: str = CONFIG, name: str = "", more_clients: str = "") -> None:
+        self.name = name or f"a{uuid.uuid4().hex[:10]}"
+        self.path = folder / f"{self.name}.toml"
+        self.path.write_text(text.replace("MORE_CLIENTS", more_clients))
+        self.process: subprocess.Popen[str] | None = None
+
+    def start(self) -> Running:
+        words = [sys.executable, "-m", "surffollow", "arbiter", "start", "--quiet", "--name", self.name]
+        self.process = subprocess.Popen([*words, str(self.path)], stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        assert line.startswith("READY"), f"the arbiter did not start: {line!r}"
+        return self
+
+    def kill(self) -> None:
+        assert self.process is not None
+        self.process.kill()
+        self.process.wait()
+
+    def stop(self) -> int:
+        assert self.process is not None
+        self.process.terminate()
+        return self.process.wait(timeout=60)
+
+    def purge(self) -> None:
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+        for left in Path("/dev/shm").glob(f"{self.name}*"):
+            left.unlink()
+
+    def command(self, *words: str) -> Any:
+        done = subprocess.run(
+            [sys.executable, "-m", "surffollow", "arbiter", *words, "--name", self.name, "--json"],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=True,
+        )
+        return json.loads(done.stdout)
+
+
+class Child:
+    """A forked client; `work` gets a pipe to speak through. It never returns into pytest."""
+
+    def __init__(self, work: Callable[[Callable[[bytes], object]], None]) -> None:
+        self._r, w = os.pipe()
+        self.pid = os.fork()
+        if self.pid == 0:
+            signal.alarm(120)
+            try:
+                os.close(self._r)
+                work(lambda data: os.write(w, data))
+            except BaseException:
+                os._exit(1)
+            os._exit(0)
+        os.close(w)
+
+    def hear(self) -> bytes:
+        return os.read(self._r, 1)
+
+    def signal(self, number: int) -> None:
+        os.kill(self.pid, number)
+        if number == signal.SIGSTOP:
+            os.waitpid(self.pid, os.WUNTRACED)
+
+    def kill(self) -> None:
+        if self.pid > 0:
+            os.kill(self.pid, signal.SIGKILL)
+            os.waitpid(self.pid, 0)
+            os.close(self._r)
+            self.pid = -1
+
+
+def until(condition: Callable[[], Any], timeout_s: float = 20.0) -> Any:
+    """Wait for a condition; what it gave."""
+    deadline = time.monotonic() + timeout_s
+    while not (got := condition()):
+        assert time.monotonic() < deadline, "the condition did not come true"
+        time.sleep(0.001)
+    return got
+
+
+def holding(name: str, client: str, resource: str, speed: float = 0.1) -> Callable[[Any], None]:
+    """Work of a child that takes a resource and commands it until it is killed."""
+
+    def work(say: Callable[[bytes], object]) -> None:
+        from surffollow.arbiter import attach
+
+        mine = attach(name, client).resource(resource)
+        assert mine.request(wait=True, timeout_s=20.0)
+        mine.command(*(speed,) * mine.n_values)
+        say(b"h")
+        while True:
+            mine.command(*(speed,) * mine.n_values)
+            time.sleep(0.002)
+
+    return work

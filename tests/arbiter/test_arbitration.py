@@ -1,0 +1,267 @@
+"""What clients and controllers see: priorities, queues, cooperation, limits, safe commands, restarts."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+
+import pytest
+
+from arbiter.running import until
+from surffollow.arbiter import attach, command_reader, observe
+from surffollow.arbiter import layout as al
+from surffollow.errors import NotRunningError, RefusedError, UsageError
+
+
+@pytest.fixture
+def people(arbiter):
+    """Attach clients by name; they are closed at the end."""
+    with contextlib.ExitStack() as stack:
+        yield lambda client: stack.enter_context(attach(arbiter.name, client))
+
+
+def test_the_higher_priority_wins_and_the_lower_is_told_who_holds(people):
+    go, wall = people("go").resource("robot"), people("wall").resource("robot")
+    assert go.request().reason == "GRANT"
+    first = go.token
+    assert wall.request()
+    until(lambda: not go.held)
+    assert wall.token > first
+    reply = go.request()
+    assert not reply
+    assert (reply.reason, reply.holder, reply.holder_priority) == ("DENY", "wall", 30)
+    assert not go.command(0.1, 0.1)
+    wall.relinquish()
+    assert go.holder() is None
+    assert go.request()
+
+
+def test_asking_again_gives_the_same_token(people):
+    go = people("go").resource("robot")
+    first = go.request()
+    again = go.request()
+    assert (again.reason, again.token) == ("KEEP", first.token)
+
+
+def test_the_incumbent_keeps_among_equals_and_the_newcomer_takes_where_configured(people):
+    one, two = people("wall"), people("wall-2")
+    assert one.resource("robot").request()
+    assert not two.resource("robot").request()
+    assert one.resource("speaker").request()
+    assert two.resource("speaker").request()
+    until(lambda: not one.resource("speaker").held)
+
+
+def test_who_waits_gets_its_turn_by_priority_then_by_patience(people):
+    import threading
+
+    clients = {n: people(n) for n in ("avoid", "go", "wall", "wall-2")}
+    assert clients["avoid"].resource("robot").request()
+    turns, threads = [], []
+
+    def wait(name):
+        mine = clients[name].resource("robot")
+        assert mine.request(wait=True, timeout_s=20.0)
+        turns.append(name)
+        mine.relinquish()
+
+    for k, name in enumerate(("go", "wall-2", "wall")):
+        threads.append(threading.Thread(target=wait, args=(name,)))
+        threads[-1].start()
+        until(lambda k=k: clients["avoid"].status()["resources"]["robot"]["queue"] == k + 1)
+    clients["avoid"].resource("robot").relinquish()
+    for thread in threads:
+        thread.join(20.0)
+    assert turns == ["wall-2", "wall", "go"]
+
+
+def test_a_wait_in_vain_leaves_the_queue(people):
+    go, wall = people("go"), people("wall")
+    assert wall.resource("robot").request()
+    reply = go.resource("robot").request(wait=True, timeout_s=0.1)
+    assert (reply.granted, reply.reason) == (False, "TIMEOUT")
+    assert go.status()["resources"]["robot"]["queue"] == 0
+    wall.resource("robot").relinquish()
+    assert go.holder("robot") is None
+
+
+def test_a_cooperative_holder_is_asked_and_fenced_after_the_grace(people):
+    go, wall = people("go").resource("camera"), people("wall").resource("camera")
+    assert go.request()
+    history = go._client.history()
+    assert wall.request(timeout_s=5.0)
+    events = [e for e in history if e.resource == "camera"]
+    asked = next(e for e in events if e.event == "ASK")
+    revoked = next(e for e in events if e.event == "REVOKE")
+    assert revoked.reason == "GRACE_OVER"
+    assert revoked.t_ns - asked.t_ns >= 50e6
+    assert [e.event for e in events] == ["ENQUEUE", "ASK", "REVOKE", "SAFE", "GRANT"]
+
+
+def test_a_cooperative_holder_that_relinquishes_when_asked_is_not_fenced(people):
+    import threading
+
+    go, wall = people("go").resource("camera"), people("wall").resource("camera")
+    assert go.request()
+    history = go._client.history()
+    thread = threading.Thread(target=lambda: wall.request(timeout_s=5.0))
+    thread.start()
+    until(lambda: go.asked)
+    go.relinquish()
+    thread.join(20.0)
+    assert wall.held
+    assert [e.event for e in history if e.resource == "camera"][-3:] == ["RELEASE", "SAFE", "GRANT"]
+
+
+def test_commands_reach_the_controller_within_limits_and_safe_when_late(arbiter, people):
+    go = people("go").resource("robot")
+    with command_reader(arbiter.name, "robot") as reader:
+        assert reader.latest().safe
+        assert go.request()
+        assert go.command(0.2, 7.0)
+        got = until(lambda: (c := reader.latest()) and not c.safe and c)
+        assert got.values == (0.2, 1.0)
+        assert got.limited
+        assert got.client == go._client.number
+        # it keeps control and sends nothing: safe after the time to live, at a fixed rate from then on
+        late = until(lambda: (c := reader.latest()).safe and c)
+        assert late.values == (0.0, 0.0)
+        assert go.held
+        until(lambda: reader.latest().seq > late.seq + 2)
+        assert go.command(0.1, 0.0)
+        until(lambda: not reader.latest().safe)
+
+
+def test_a_command_block_can_be_read_by_name_as_any_block(arbiter, people):
+    from surffollow.blocks.listing import attach_unknown
+
+    go = people("go").resource("robot")
+    assert go.request()
+    assert go.command(0.25, -0.5)
+    block = attach_unknown(f"{arbiter.name}.robot")
+    try:
+        values = until(lambda: (s := block.latest()).values.source == al.SOURCE_HOLDER and s.values.value)
+    finally:
+        block.close()
+    assert values[:2] == (0.25, -0.5)
+
+
+def test_commands_that_are_no_numbers_old_or_repeated_are_rejected(people):
+    client = people("go")
+    go = client.resource("robot")
+    assert go.request()
+    history = client.history()
+    go.command(float("nan"), 0.0)
+    go.command(0.1, 0.0, t_ns=time.monotonic_ns() - 10**9)
+    go.command(0.1, 0.0, t_ns=time.monotonic_ns() + 10**9)
+    go.command(0.1, 0.0)
+    events = []
+    until(lambda: events.extend(e for e in history if e.item) or len(events) >= 4)
+    assert [e.event for e in events] == ["REJECT_BAD", "REJECT_OLD", "REJECT_OLD", "FORWARD"]
+
+
+def test_every_command_is_in_the_history_in_order(people):
+    client = people("go")
+    go = client.resource("robot")
+    assert go.request()
+    history, seen = client.history(), []
+    for k in range(2000):
+        until(lambda k=k: go.command(k / 10_000.0, 0.0))
+        seen += [e.command[0] for e in history if e.event == "FORWARD"]
+    until(lambda: seen.extend(e.command[0] for e in history if e.event == "FORWARD") or len(seen) >= 2000)
+    assert seen == [k / 10_000.0 for k in range(2000)]
+    assert history.lost == 0
+
+
+def test_a_slot_used_before_answers_its_next_client_anew(arbiter):
+    for _ in range(20):
+        with attach(arbiter.name, "go") as one:
+            mine = one.resource("robot")
+            assert mine.request()
+            assert mine.command(0.1, 0.1)
+
+
+def test_overwritten_history_is_noticed(arbiter, people):
+    client = people("go")
+    go = client.resource("robot")
+    assert go.request()
+    history = client.history()
+    next_of = iter(history)
+    for _ in range(5000):
+        until(lambda: go.command(0.1, 0.0))
+    until(lambda: client.status()["resources"]["robot"]["forwarded"] >= 5000)
+    seqs = [e.seq for e in next_of]
+    assert history.lost > 0
+    assert seqs == list(range(seqs[0], seqs[0] + len(seqs)))
+
+
+def test_wrong_calls_are_refused_with_reason(arbiter, people):
+    with pytest.raises(RefusedError, match="declares no client"):
+        attach(arbiter.name, "stranger")
+    one = people("go")
+    with pytest.raises(RefusedError, match="attached already") as caught:
+        attach(arbiter.name, "go")
+    assert caught.value.code == al.HELLO_TAKEN
+    with pytest.raises(UsageError, match="has no resource"):
+        one.resource("arm")
+    mine = one.resource("robot")
+    assert mine.request()
+    for e in one.history().newest(30):
+        print(e[:8])
+    print(mine.token, mine._held, one.number, one.slot)
+    with pytest.raises(UsageError, match="takes 2 values"):
+        mine.command(1.0)
+    with pytest.raises(NotRunningError, match="start it"):
+        attach("nobody-here", "go", timeout_s=0.0)
+
+
+def test_status_and_history_commands_tell_what_clients_did(arbiter, people):
+    go = people("go").resource("robot")
+    go.request()
+    go.command(0.3, 0.0)
+    until(lambda: observe(arbiter.name).status()["resources"]["robot"]["forwarded"] > 0)
+    status = arbiter.command("status")
+    assert status["alive"]
+    assert status["resources"]["robot"]["holder"] == "go"
+    assert status["resources"]["robot"]["units"] == ["m/s", "rad/s"]
+    assert [c["name"] for c in status["clients"]] == ["go"]
+
+
+def test_after_a_restart_every_token_is_void_and_clients_ask_again(make_arbiter):
+    server = make_arbiter().start()
+    go = attach(server.name, "go")
+    robot = go.resource("robot")
+    reader = command_reader(server.name, "robot")
+    assert robot.request()
+    old = robot.token
+    until(lambda: robot.command(0.2, 0.0) and not reader.latest().safe)
+    server.kill()
+    until(lambda: not robot.held and not go.connected)
+    until(lambda: reader.latest().safe)  # nobody says so: the last command's time is over
+    with pytest.raises(NotRunningError, match="every token is void"):
+        robot.request()
+    assert [e.event for e in observe(server.name).history().newest(1)] == ["FORWARD"]
+    server.start()
+    with attach(server.name, "go") as again:
+        mine = again.resource("robot")
+        assert mine.request()
+        assert mine.token >> 32 > old >> 32
+        # the old token in the new epoch
+        forged = al.ITEM_COMMAND
+        history = again.history()
+        _send_raw(again, forged, old)
+        got = until(lambda: [e.event for e in history if e.item])
+        assert got == ["REJECT_STALE_TOKEN"]
+        until(lambda: mine.command(0.2, 0.0) and not reader.latest().safe)
+    assert server.stop() == 0
+    reader.close()
+
+
+def _send_raw(client, what, token):
+    """Put an item into a client's own mailbox, whatever the library would say."""
+    from surffollow.arbiter import client as ac
+
+    words, head = client._post_words, client._post_words[ac._HEAD]
+    at = 8 * ac._ITEMS + (head & ac._MASK) * al.Item.SIZE
+    ac._PLAIN.pack_into(client._put, at, head + 1, what, token, time.monotonic_ns(), 0, *(0.1,) * al.VALUES)
+    words[ac._HEAD] = head + 1

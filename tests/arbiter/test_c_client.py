@@ -1,0 +1,69 @@
+"""The C header: current, free of warnings, and a client in C that shares the robot with one in Python."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from arbiter.running import CONFIG, until
+from surffollow.arbiter import attach, command_reader
+from surffollow.arbiter.cheader import HEADER, header_text
+
+ROOT = Path(__file__).parents[2]
+WARNINGS = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wshadow", "-Wconversion", "-Wundef"]
+
+
+def test_the_committed_header_is_current():
+    assert header_text() == HEADER.read_text(), "run python -m surffollow.arbiter.cheader"
+
+
+@pytest.fixture(scope="module", params=["C", "C++"])
+def patrol(request, tmp_path_factory):
+    """The tutorial's client, with sanitizers."""
+    compiler = {"C": ["gcc", "-std=c11"], "C++": ["g++", "-std=c++17", "-x", "c++"]}[request.param]
+    if shutil.which(compiler[0]) is None:
+        pytest.skip(f"no {compiler[0]} on this machine")
+    program = tmp_path_factory.mktemp("c") / "patrol"
+    flags = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    source = ROOT / "examples/arbiter/patrol.c"
+    done = subprocess.run(
+        [*compiler, *WARNINGS, *flags, f"-I{ROOT / 'include'}", "-o", str(program), str(source)],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return program
+
+
+def test_a_client_in_c_is_preempted_waits_and_goes_on(make_arbiter, patrol):
+    server = make_arbiter(text=CONFIG.replace("go = 10", "go = 10\npatrol = 10")).start()
+    process = subprocess.Popen(
+        [str(patrol), server.name, "4"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    with attach(server.name, "wall") as one, command_reader(server.name, "robot") as reader:
+        mine = one.resource("robot")
+
+        def c_leads():
+            command, holder = reader.latest(), mine.holder()
+            return not command.safe and holder and holder.name == "patrol" and command.values[0] == 0.4
+
+        until(c_leads)
+        assert mine.request()
+        until(lambda: mine.command(-0.1, 0.0) and reader.latest().values[0] == -0.1)
+        mine.relinquish()
+        until(c_leads)
+    out, errors = process.communicate(timeout=60)
+    assert process.returncode == 0, errors
+    words = out.split()
+    assert int(words[5]) >= 2, out
+
+
+def test_a_client_in_c_says_why_it_cannot_attach(arbiter, patrol):
+    done = subprocess.run([str(patrol), arbiter.name, "1"], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "declares no client" in done.stderr
+    done = subprocess.run([str(patrol), "nobody-here", "1"], capture_output=True, text=True)
+    assert "no arbiter of that name" in done.stderr

@@ -1,0 +1,148 @@
+"""Sums of demands: validity, one reported pose, limits; against a twin with matrices."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from arbiter.running import until
+from surffollow.arbiter import attach, command_reader
+from surffollow.arbiter.combine import to_pose
+
+SIX = '["x", "y", "z", "rx", "ry", "rz"]'
+CONFIG = f"""
+[clients]
+follow = 10
+avoid = 20
+reflex = 90
+
+[resources.follow]
+command = {SIX}
+safe = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+ttl = "200 ms"
+[resources.offset]
+command = {SIX}
+safe = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+ttl = "200 ms"
+
+[combine.tool]
+parts = ["follow", "offset"]
+low = [-0.05, -0.05, -0.05, -0.1, -0.1, -0.1]
+high = [0.05, 0.05, 0.05, 0.1, 0.1, 0.1]
+required = ["follow"]
+"""
+
+
+def pose_of(rng):
+    q = Rotation.random(random_state=int(rng.integers(1 << 31))).as_quat()
+    return np.concatenate([rng.normal(0.0, 1.0, 3), q])
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_demand_asks_for_the_same_pose_whatever_pose_it_is_relative_to(seed):
+    rng = np.random.default_rng(seed)
+    one, other = pose_of(rng), pose_of(rng)
+    demand, out = np.zeros(8), np.zeros(8)
+    demand[:3] = rng.normal(0.0, 0.1, 3)
+    demand[3:6] = rng.normal(0.0, 1.0, 3) * rng.choice([1.0, 1e-9, 0.0])
+    to_pose(demand, one, other, 6, np.zeros(12), out)
+    np.testing.assert_allclose(other[:3] + out[:3], one[:3] + demand[:3], atol=1e-12)
+    wanted = Rotation.from_rotvec(demand[3:6]) * Rotation.from_quat(one[3:])
+    got = Rotation.from_rotvec(out[3:6]) * Rotation.from_quat(other[3:])
+    assert (wanted.inv() * got).magnitude() < 1e-7
+    assert np.linalg.norm(out[3:6]) <= np.pi + 1e-9
+
+
+@pytest.fixture(scope="module")
+def tool(tmp_path_factory):
+    """A server with one combination, its clients and a reader of the sum."""
+    from arbiter.running import Running
+
+    server = Running(tmp_path_factory.mktemp("tool"), CONFIG)
+    try:
+        server.start()
+        yield server
+    finally:
+        server.purge()
+
+
+@pytest.fixture
+def parts(tool):
+    with contextlib.ExitStack() as stack:
+        enter = stack.enter_context
+        follow = enter(attach(tool.name, "follow")).resource("follow")
+        avoid = enter(attach(tool.name, "avoid")).resource("offset")
+        yield follow, avoid, enter(command_reader(tool.name, "tool"))
+
+
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+
+
+def see(reader, wanted, *sends):
+    """Send until the sum is as wanted; commands end with their time to live."""
+
+    def look():
+        for send in sends:
+            send()
+        c = reader.latest()
+        return c if not c.safe and np.allclose(c.values, wanted, atol=1e-12) else None
+
+    return until(look)
+
+
+def test_the_sum_is_relative_to_the_followers_pose_and_others_are_converted(parts):
+    follow, avoid, reader = parts
+    assert follow.request()
+    assert avoid.request()
+    t0, t1 = time.monotonic_ns() - 2000, time.monotonic_ns() - 1000
+
+    def follows():
+        follow.command(0.0, 0.0, -0.01, 0.0, 0.0, 0.0, ref_t_ns=t0, ref_pose=(1.0, 2.0, 0.100, *LEVEL))
+
+    def lifts(pose, ref):
+        avoid.command(0.0, 0.0, 0.02, 0.0, 0.0, 0.0, ref_t_ns=ref, ref_pose=pose)
+
+    # an offset to nothing in particular is added as it is
+    got = see(reader, (0, 0, 0.01, 0, 0, 0), follows, lambda: lifts(None, 0))
+    assert got.ref_t_ns == t0
+    # one that counts from another pose is converted: 20 mm above 0.104 is 24 mm above 0.100
+    got = see(reader, (0, 0, 0.014, 0, 0, 0), follows, lambda: lifts((1.0, 2.0, 0.104, *LEVEL), t1))
+    assert got.ref_t_ns == t0
+
+
+def test_limits_hold_for_the_sum(parts):
+    follow, avoid, reader = parts
+    assert follow.request()
+    assert avoid.request()
+    got = see(
+        reader,
+        (0, 0, 0.05, 0, 0, 0),
+        lambda: follow.command(0, 0, 0.04, 0, 0, 0),
+        lambda: avoid.command(0, 0, 0.04, 0, 0, 0),
+    )
+    assert got.limited
+
+
+def test_the_sum_is_valid_only_while_every_part_is(parts):
+    follow, avoid, reader = parts
+    assert follow.request()
+    alone = (0, 0, 0.01, 0, 0, 0)
+    see(reader, alone, lambda: follow.command(*alone))
+    assert avoid.request()
+    # it holds its part and says nothing: no sum
+    until(lambda: follow.command(*alone) and reader.latest().safe)
+    see(reader, (0, 0, 0.02, 0, 0, 0), lambda: follow.command(*alone), lambda: avoid.command(*alone))
+    # it falls silent: no sum from the end of its time on
+    until(lambda: follow.command(*alone) and reader.latest().safe)
+    # it gives its part back: the rest is the sum
+    avoid.relinquish()
+    see(reader, alone, lambda: follow.command(*alone))
+    # a required part that nobody holds: no sum
+    assert avoid.request()
+    follow.relinquish()
+    until(lambda: avoid.command(*alone) and reader.latest().safe)
+    assert reader.latest().values == (0.0,) * 6

@@ -1,0 +1,161 @@
+"""Deaths, stops, hostile clients: the resource comes free, the safe command goes out, nobody else waits."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import time
+
+import pytest
+
+from arbiter.running import holding, until
+from surffollow.arbiter import attach, command_reader, observe
+from surffollow.arbiter import client as ac
+from surffollow.arbiter import layout as al
+
+
+@pytest.fixture(scope="module")
+def server(arbiter):
+    arbiter.stop()
+    arbiter.path.write_text(
+        arbiter.path.read_text().replace("[clients]", 'lease = "100 ms"\n[clients]\nattacker = 20')
+    )
+    return arbiter.start()
+
+
+@pytest.mark.parametrize(("number", "reason"), [(signal.SIGKILL, "GONE"), (signal.SIGSTOP, "LEASE_OVER")])
+def test_a_dead_or_stopped_holder_loses_the_resource_and_the_safe_command_goes_out(
+    server, child, number, reason
+):
+    with observe(server.name) as watcher, command_reader(server.name, "robot") as reader:
+        history = watcher.history()
+        holder = child(holding(server.name, "go", "robot"))
+        assert holder.hear() == b"h"
+        until(lambda: not reader.latest().safe)
+        holder.signal(number)
+        until(lambda: watcher.holder("robot") is None)
+        assert reader.latest().safe
+        events = [e for e in history if e.resource == "robot"]
+        ends = [k for k, e in enumerate(events) if e.event == "REVOKE"]
+        assert [events[k].reason for k in ends] == [reason]
+        after = [e.event for e in events[ends[0] + 1 :]]
+        assert after[0] == "SAFE"
+        assert "FORWARD" not in after
+    with attach(server.name, "wall") as other:
+        assert other.resource("robot").request()
+
+
+def test_a_stopped_holder_that_comes_back_commands_nothing_until_it_asks_again(server, child):
+    def work(say):
+        mine = attach(server.name, "go").resource("robot")
+        assert mine.request()
+        say(b"h")
+        while mine.held:
+            mine.command(0.1, 0.1)
+            time.sleep(0.001)
+        say(b"l")
+        assert mine.request()
+        say(b"a")
+        signal.pause()
+
+    with observe(server.name) as watcher:
+        one = child(work)
+        assert one.hear() == b"h"
+        one.signal(signal.SIGSTOP)
+        until(lambda: watcher.holder("robot") is None)
+        one.signal(signal.SIGCONT)
+        assert one.hear() == b"l"
+        assert one.hear() == b"a"
+
+
+def test_a_dead_client_in_the_queue_is_not_served(server, child):
+    with attach(server.name, "avoid") as one, attach(server.name, "wall") as two:
+        assert one.resource("robot").request()
+        waiting = child(holding(server.name, "go", "robot"))
+        until(lambda: one.status()["resources"]["robot"]["queue"] == 1)
+        waiting.kill()
+        until(lambda: one.status()["resources"]["robot"]["queue"] == 0)
+        one.resource("robot").relinquish()
+        assert one.holder("robot") is None
+        assert two.resource("robot").request()
+
+
+def test_a_child_that_inherits_the_connection_does_not_keep_its_parent_alive(server, child):
+    def work(say):
+        mine = attach(server.name, "go").resource("robot")
+        assert mine.request()
+        if os.fork() == 0:
+            signal.alarm(60)
+            say(b"c")
+            signal.pause()
+        signal.pause()
+
+    one = child(work)
+    assert one.hear() == b"c"
+    one.kill()
+    with observe(server.name) as watcher:
+        until(lambda: watcher.holder("robot") is None)
+
+
+def raw(client, what, token):
+    words, head = client._post_words, client._post_words[ac._HEAD]
+    at = 8 * ac._ITEMS + (head & ac._MASK) * al.Item.SIZE
+    ac._PLAIN.pack_into(client._put, at, head + 1, what, token, time.monotonic_ns(), 0, *(0.4,) * al.VALUES)
+    words[ac._HEAD] = head + 1
+
+
+def test_a_token_seen_on_the_board_forwards_nothing(server):
+    with attach(server.name, "wall") as one, attach(server.name, "attacker") as other:
+        mine = one.resource("robot")
+        assert mine.request()
+        history = one.history()
+        for token in (mine.token, mine.token + 1, mine.token ^ (1 << 32), 0, -1):
+            raw(other, al.ITEM_COMMAND, token)
+        events = []
+        until(lambda: events.extend(e for e in history if e.client == other.number) or len(events) >= 5)
+        assert {e.event for e in events} == {"REJECT_NO_CONTROL"}
+        assert mine.held
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_client_that_scribbles_over_its_mailbox_harms_only_itself(server, seed):
+    rng = random.Random(seed)
+    with attach(server.name, "wall") as one, attach(server.name, "attacker") as other:
+        mine, words = one.resource("robot"), other._post_words
+        history = one.history()
+        for _ in range(200):
+            for _ in range(50):
+                words[rng.randrange(len(words))] = rng.choice((0, -1, 1, 1 << 62, rng.getrandbits(62)))
+            assert mine.request()
+            assert mine.command(0.1, 0.1)
+            mine.relinquish()
+        forwarded = {e.client for e in history if e.event == "FORWARD"}
+        assert history.lost == 0
+        assert forwarded <= {one.number}
+        words[ac._HEAD] = -5
+        until(lambda: one.board.entry(other.slot)["broken"] > 0)
+
+
+def test_nobody_can_cut_grow_or_punch_a_mailbox(server):
+    import socket
+
+    from surffollow.arbiter import handshake as hs
+
+    met = hs.knock(server.name, "attacker", 5.0)
+    import mmap
+
+    mapped = mmap.mmap(met.fds[0], al.MAILBOX_BYTES)
+    hs.enter(met.sock, server.name)
+    for size in (0, 64, 2 * al.MAILBOX_BYTES):
+        with pytest.raises(PermissionError):
+            os.ftruncate(met.fds[0], size)
+    with pytest.raises(PermissionError):
+        mmap.mmap(met.fds[0], al.MAILBOX_BYTES)
+    with pytest.raises(PermissionError):
+        mmap.mmap(met.fds[1], 0)  # the board, to write
+    mapped.close()
+    for fd in met.fds:
+        os.close(fd)
+    met.sock.shutdown(socket.SHUT_RDWR)
+    met.sock.close()

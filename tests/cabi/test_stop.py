@@ -1,0 +1,89 @@
+"""The latched stop and the refusals of the service's policy, as a C client sees them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+from cabi.running import PATIENT_MS, ROOT, SANITIZED, STANDOFF_M, Probe, Service, numbers
+from running_service import program, until
+from surffollow.client import attach
+from surffollow.shm import layout_board as lb
+from surffollow.shm.layout_follow import STOPPED, VALID
+
+POSE = "ee 0.05 0.05 0.1 0 0 0 1"
+
+
+def refused(error: int) -> int:
+    return -100 - error
+
+
+def demands(probe: Probe, wanted: int) -> None:
+    """Send poses until the demand has these status bits."""
+
+    def step() -> bool:
+        assert probe(POSE).result == 0
+        answer = probe("dev")
+        assert (answer.result == 0) == bool(int(answer.values[2]) & VALID)
+        return bool(int(answer.values[2]) & wanted)
+
+    until(step, f"status {wanted:#x}")
+
+
+def test_a_c_client_stops_and_only_the_poses_holder_resets(
+    make_probe: Callable[..., Probe], service: Service
+) -> None:
+    driver, other = make_probe(), make_probe()
+    for p in (driver, other):
+        assert p(f"attach {service.name}").result == 0
+    assert driver(f"reset {STANDOFF_M}").result == 0
+    demands(driver, VALID)
+    assert other("stop smoke").result == 0
+    demands(driver, STOPPED)
+    answer = other("stop_reset")
+    assert (answer.result, answer.detail) == (refused(lb.ERR_NOT_POSE_HOLDER), driver.pid)
+    assert other("set max_demand 0.01").result == refused(lb.ERR_NOT_POSE_HOLDER)
+    assert other(f"reset {STANDOFF_M}").result == refused(lb.ERR_NOT_POSE_HOLDER)
+    assert driver("stop_reset").result == 0
+    demands(driver, VALID)
+    with attach(service.name, stale_min_s=PATIENT_MS / 1000) as watcher:
+        stops = until(lambda: [e for e in watcher.audit() if e["request"] == "stop"], "the trail")
+        assert (stops[-1]["pid"], stops[-1]["uid"], stops[-1]["reason"]) == (other.pid, os.geteuid(), "smoke")
+    assert other("stop").result == 0, "a reason is not needed"
+    demands(driver, STOPPED)
+    assert driver("stop_reset").result == 0
+
+
+# stops the service named by the first word as soon as somebody is driven
+STOPPER = """
+import sys, time
+from surffollow.client import attach
+c = attach(sys.argv[1], stale_min_s=1.0)
+while not c.dev_vector().valid:
+    time.sleep(0.002)
+c.stop("test")
+print("stopped", flush=True)
+sys.stdin.readline()
+"""
+
+
+def test_the_example_controller_brakes_and_stays_when_the_service_is_stopped(
+    service: Service, compile_program: Callable[..., Path]
+) -> None:
+    controller = compile_program(ROOT / "examples/c/controller.c", *SANITIZED)
+    with program(STOPPER, service.name):
+        done = subprocess.run(
+            [str(controller), service.name, "3"], capture_output=True, text=True, timeout=120
+        )
+    try:
+        assert done.returncode == 0, done.stderr
+        found = numbers(done.stdout)
+        assert found["stopped"] > 50
+        assert found["speed_mps"] == 0.0
+        assert found["x_m"] < 3 * 0.05 - 0.02, "it did not go on to the end of its way"
+    finally:
+        with attach(service.name, stale_min_s=PATIENT_MS / 1000) as driver:
+            driver.claim_pose()
+            driver.reset_stop()

@@ -1,0 +1,97 @@
+"""User blocks in recordings: every publication seen, decoded by a public reader and as a table."""
+
+from __future__ import annotations
+
+import os
+import threading
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from surffollow.blocks import F32, F64, I64, U8, Block, Nested, Text, mem_attach
+from surffollow.errors import UsageError
+from surffollow.record.block_file import record_blocks
+from surffollow.record.convert import convert
+from surffollow.record.recover import recover
+from surffollow.shm.schema import Schema
+
+
+class Axis(Schema):
+    """One axis."""
+
+    value = F64(unit="m")
+    home = U8()
+
+
+class Joystick(Block):
+    """All kinds of fields."""
+
+    deadman = I64()
+    axes = F64(3, unit="m/s")
+    gain = F32()
+    name = Text(8)
+    parts = Nested(Axis, 2)
+
+
+def test_publications_are_read_back_by_a_public_reader_and_as_a_table(tmp_path: Path) -> None:
+    path, cell = tmp_path / "blocks.mcap", f"rec{os.getpid()}"
+    with mem_attach(Joystick, cell, write=True) as mem:
+
+        def publish(k: int) -> None:
+            with mem.joystick.write() as slot:
+                slot.deadman, slot.axes, slot.gain = -k, [0.5 * k, 1.0, 2.0], 0.25
+                slot.name = f"n{k}"
+                slot.parts[1].value = 7.0 + k
+
+        publish(0)
+
+        class Stop(threading.Event):
+            """Publishes between two looks, in the recorder's own pace."""
+
+            n = 0
+
+            def wait(self, timeout: float | None = None) -> bool:
+                self.n += 1
+                if self.n < 10:
+                    publish(self.n)
+                else:
+                    self.set()
+                return self.is_set()
+
+        counts = record_blocks([f"{cell}.joystick"], path, Stop(), every_s=0.001)
+    assert counts.publications == {f"{cell}.joystick": 10}
+    assert counts.missed == {f"{cell}.joystick": 0}
+    with open(path, "rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        messages = [m for *_, m in reader.iter_decoded_messages()]
+    assert [m.deadman for m in messages] == [-k for k in range(10)]
+    assert list(messages[3].axes) == [1.5, 1.0, 2.0]
+    assert (messages[3].name, messages[3].gain, messages[3].parts[1].value) == ("n3", 0.25, 10.0)
+    done = convert([path], "csv")
+    [table] = done.files
+    rows = [line.split(",") for line in Path(table).read_text().splitlines()]
+    row = dict(zip(rows[0], rows[4]))
+    assert (row["deadman"], row["axes0"], row["name"], row["parts1_value"]) == ("-3", "1.5", "n3", "10.0")
+    assert done.rows == 10
+
+
+def test_a_cut_recording_of_blocks_is_recovered(tmp_path: Path) -> None:
+    path, cell = tmp_path / "blocks.mcap", f"cut{os.getpid()}"
+    with mem_attach(Joystick, cell, write=True) as mem:
+        with mem.joystick.write() as slot:
+            slot.deadman = 1
+        stop = threading.Event()
+        stop.set()
+        record_blocks([f"{cell}.joystick"], path, stop)
+    data = path.read_bytes()
+    path.write_bytes(data[:-40])  # its footer
+    done = recover(path)
+    assert (done.messages, done.cycles) == (1, 0)
+    assert convert([done.file], "csv").rows == 1
+
+
+def test_a_block_named_twice_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="twice"):
+        record_blocks(["a.b", "a.b"], tmp_path / "x.mcap", threading.Event())

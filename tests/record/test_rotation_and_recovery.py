@@ -1,0 +1,96 @@
+"""Recordings in several files, and files that were cut: nothing lost that need not be."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from mcap.reader import make_reader
+
+from surffollow.cli.convert import convert_command, recover_command
+from surffollow.errors import UsageError
+from surffollow.record.convert import convert
+from surffollow.record.feed import ChannelFeed
+from surffollow.record.recorder import Recorder
+from surffollow.record.recover import recover
+from surffollow.record.rehearsal import Rehearsal
+from surffollow.record.replay import replay_file
+from surffollow.record.session import Files
+
+
+def recorded(folder: Path, cycles: int, **limits: float) -> tuple[Recorder, Files]:
+    rehearsal = Rehearsal(snapshot_cycles=500)
+    files = Files(folder / "run.mcap", {"name": "rehearsal"}, **limits)  # type: ignore[arg-type]
+    writer = files.open_next()
+    recorder = Recorder(rehearsal, writer, ChannelFeed(writer, 10_000_000), files)
+    for _ in range(0, cycles, 100):
+        rehearsal.run(100)
+        recorder.poll()
+    recorder.finish()
+    return recorder, files
+
+
+def test_files_that_follow_each_other_hold_every_cycle_and_replay_each_by_itself(tmp_path: Path) -> None:
+    recorder, files = recorded(tmp_path, 6000, max_bytes=150_000)
+    assert len(files.paths) >= 3
+    reports = [replay_file(path) for path in files.paths]
+    assert all(r.identical for r in reports), reports
+    assert sum(r.cycles for r in reports) == recorder.counts.cycles == 6000
+    assert (recorder.counts.losses, recorder.counts.segments) == (0, 1)
+    done = convert(files.paths, "csv", tmp_path / "all.csv", rate_hz=0)
+    rows = (tmp_path / "all.csv").read_text().splitlines()
+    place = rows[0].split(",").index("cycle")
+    cycles = np.array([int(row.split(",")[place]) for row in rows[1:]])
+    assert done.rows == 6000
+    assert (np.diff(cycles) == 1).all()
+    with open(files.paths[-1], "rb") as file:
+        topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
+    assert {"/params", "/tf", "/state"} <= topics, "a later file is understood without the first"
+
+
+def test_the_oldest_files_go_when_only_some_are_kept(tmp_path: Path) -> None:
+    _, files = recorded(tmp_path, 6000, max_bytes=150_000, keep=2)
+    assert sorted(tmp_path.iterdir()) == files.paths[-2:]
+    assert files.paths[-1].name == f"run-{len(files.paths) - 1:04d}.mcap"
+
+
+def test_keeping_without_rotation_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="when to begin another"):
+        Files(tmp_path / "run.mcap", {}, keep=2)
+
+
+@pytest.mark.parametrize("part", [0.35, 0.5, 0.9])
+def test_a_cut_recording_is_recovered_up_to_its_last_whole_chunk(
+    tmp_path: Path, recording_bytes: bytes, part: float
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(recording_bytes[: int(len(recording_bytes) * part)])
+    before = replay_file(cut)
+    done = recover(cut)
+    after = replay_file(done.file)
+    assert after.identical, after
+    assert after.cycles == before.cycles == done.cycles > 0
+    assert after.lost_bytes == done.lost_bytes == before.lost_bytes > 0
+    with open(done.file, "rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert sum(1 for _ in reader.iter_messages()) == done.messages
+        told = {m.name: m.metadata for m in reader.iter_metadata()}
+    assert "ends early" in told["surffollow.recovered"]["damage"]
+
+
+def test_the_commands_keep_what_is_there_and_tell_damage(tmp_path: Path, recording_bytes: bytes) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(recording_bytes[: len(recording_bytes) // 2])
+    found = CliRunner().invoke(recover_command, [str(cut), "--json"])
+    assert json.loads(found.stdout)["lost_bytes"] > 0
+    again = CliRunner().invoke(recover_command, [str(cut)])
+    assert isinstance(again.exception, UsageError)
+    table = CliRunner().invoke(convert_command, [str(cut), "--to", "csv", "--json"])
+    assert "ends early" in table.stderr
+    assert json.loads(table.stdout)["rows"] > 0
+    again = CliRunner().invoke(convert_command, [str(cut), "--to", "csv"])
+    assert isinstance(again.exception, UsageError)
+    assert "--force" in str(again.exception)

@@ -1,0 +1,337 @@
+"""Paths: coverage, attitudes against the linear programme, clearance, times, files, the checker."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+import naive_scan as naive
+from surffollow.errors import ScanFileError, ScanInputError
+from surffollow.scan import TerrainGrid, WristLimits, disc, parse_body
+from surffollow.scan.attitude_angles import body_axes, normals_of, wrist_angles
+from surffollow.scan.check import check_path
+from surffollow.scan.clearance import clear_ground, control_points
+from surffollow.scan.envelope import envelope_of
+from surffollow.scan.following import advanced_terrain_following, reactionary, sample_terrain
+from surffollow.scan.limits import Annulus
+from surffollow.scan.path import OUT_OF_REACH, STOP, TURN, UNKNOWN_BENEATH, WRIST_LIMIT
+from surffollow.scan.path_file import read_path, write_path
+from surffollow.scan.plan import PlanSettings, plan_figures, plan_scan
+from surffollow.scan.schemes import arcs, lanes
+from surffollow.scan.timing import MotionLimits, timed
+
+GRID = 0.01
+BODY = disc(0.1)
+
+
+def ground_of(seed, n=90, **options):
+    return TerrainGrid.of(naive.rough_ground(np.random.default_rng(seed), n, GRID, **options), grid_m=GRID)
+
+
+def sampled(ground, gap=0.05, step=0.03):
+    envelope = envelope_of(ground, gap)
+    return sample_terrain(lanes((0.25, 0.25, 0.65, 0.65), 0.1, step_m=step), envelope), envelope
+
+
+@pytest.mark.parametrize("scheme", ["lanes", "arcs"])
+def test_every_point_of_the_region_is_within_half_a_swath_of_a_pass(scheme):
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        sides, swath = rng.uniform(0.3, 1.5, 2), float(rng.uniform(0.02, 0.3))
+        if scheme == "lanes":
+            path = lanes((0, 0, *sides), swath, step_m=0.01, angle_rad=float(rng.uniform(-4, 4)))
+        else:
+            path = arcs((0, 0, *sides), swath, step_m=0.01, base_m=(-0.6, float(rng.uniform(-2, 2))))
+        xy = path.position_m[:, :2]
+        step = np.linalg.norm(np.diff(xy, axis=0), axis=1).max()
+        points = rng.uniform(0, 1, (1500, 2)) * sides
+        d = cKDTree(xy[path.passes >= 0]).query(points)[0]
+        assert np.sqrt(np.maximum(d**2 - (step / 2) ** 2, 0)).max() <= swath / 2 + 1e-9, f"seed {seed}"
+        assert step < 0.02
+
+
+def test_polygons_are_covered_and_turns_are_smooth():
+    corners = np.array([[0.0, 0.0], [1.0, 0.2], [0.7, 0.9], [0.1, 0.6]])
+    path = lanes(corners, 0.1, step_m=0.002, angle_rad=0.4)
+    step = np.diff(path.position_m[:, :2], axis=0)
+    heading = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+    assert np.abs(np.diff(heading)).max() < 0.12
+    assert path.has(TURN).any()
+    assert (np.linalg.norm(step, axis=1) > 0).all()
+
+
+def test_arcs_move_the_base_joint_alone_along_a_pass():
+    base = (-0.5, 0.3)
+    path = arcs((0, 0, 1, 1), 0.15, step_m=0.01, base_m=base)
+    d = path.position_m[:, :2] - base
+    for k in range(path.passes.max() + 1):
+        on = path.passes == k
+        assert np.ptp(np.hypot(d[on, 0], d[on, 1])) < 1e-12
+    np.testing.assert_allclose(np.arctan2(d[:, 1], d[:, 0]), path.azimuth_rad, atol=1e-12)
+
+
+def test_wrist_angles_normals_and_quaternions_belong_together():
+    rng = np.random.default_rng(1)
+    angles, azimuth = rng.uniform(-1.2, 1.2, (50, 2)), rng.uniform(-3.1, 3.1, 50)
+    normal = normals_of(angles, azimuth)
+    np.testing.assert_allclose(wrist_angles(normal, azimuth), angles, atol=1e-9)
+    for axes, (pitch, roll), psi in zip(body_axes(normal, azimuth), angles, azimuth):
+        np.testing.assert_allclose(axes, naive.rotation(psi, pitch, roll), atol=1e-9)
+
+
+def test_heights_and_normals_on_a_slope_are_those_of_the_equations():
+    y, x = np.mgrid[0:90, 0:90] * GRID + GRID / 2
+    path, _ = sampled(TerrainGrid.of(0.5 * x - 0.2 * y, grid_m=GRID))
+    normal = np.array([-0.5, 0.2, 1.0]) / math.sqrt(1.29)
+    np.testing.assert_allclose(path.normal, np.tile(normal, (len(path), 1)), atol=1e-9)
+    above = 0.5 * path.position_m[:, 0] - 0.2 * path.position_m[:, 1]
+    assert np.abs(path.position_m[:, 2] - above - 0.05 * math.sqrt(1.29)).max() < 3e-4
+
+
+def test_attitude_needs_no_more_lift_than_the_linear_programme():
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        ground = ground_of(seed, steepest=1.0)
+        path, envelope = sampled(ground)
+        limit = math.radians(45)
+        got = advanced_terrain_following(path, BODY, envelope, limit)
+        e, points = envelope.grid.heights_m, control_points(got, BODY)
+        over = naive.bilinear(e, GRID, points[..., 0], points[..., 1]) - points[..., 2]
+        assert over.max() < 1e-6, f"seed {seed}"
+        angles = wrist_angles(got.normal, got.azimuth_rad)
+        assert np.abs(angles).max() <= limit + 1e-9
+        for i in rng.choice(len(got), 3, replace=False):
+            offsets = (points[i] - got.position_m[i])[:, :2]
+            slopes = (math.tan(limit), math.tan(limit) / math.cos(angles[i, 0]))
+            lp = naive.least_lift_lp(e, GRID, path.position_m[i], offsets, slopes)
+            assert got.lift_m[i] <= 1.05 * lp + 5e-4, f"seed {seed}, sample {i}"
+
+
+def test_attitude_on_broken_ground_is_as_good_as_a_search_over_attitudes():
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        path, envelope = sampled(ground_of(seed))
+        limit = math.radians(float(rng.choice([20, 45])))
+        got = advanced_terrain_following(path, BODY, envelope, limit)
+        for i in rng.choice(len(got), 3, replace=False):
+            best = naive.least_lift_search(envelope.grid.heights_m, GRID, path.position_m[i], BODY, limit, 21)
+            assert got.lift_m[i] <= 1.05 * best + 5e-4, f"seed {seed}, sample {i}"
+
+
+def test_turning_saves_lift_over_the_reactionary_baseline():
+    saved = []
+    for seed in range(5):
+        path, envelope = sampled(ground_of(seed, steepest=1.0))
+        turned = advanced_terrain_following(path, BODY, envelope, 0.8)
+        lifted = reactionary(path, BODY, envelope)
+        np.testing.assert_array_equal(lifted.normal, path.normal)
+        saved.append(lifted.lift_m.mean() - turned.lift_m.mean())
+    assert min(saved) > 0.0
+
+
+def test_flat_ground_is_followed_without_turning_or_lifting():
+    path, envelope = sampled(TerrainGrid.of(np.zeros((90, 90)), grid_m=GRID))
+    got = advanced_terrain_following(path, BODY, envelope, 0.5)
+    np.testing.assert_array_equal(got.normal, path.normal)
+    assert got.lift_m.max() == 0.0
+
+
+def test_a_slope_beyond_the_wrist_is_flagged():
+    x = np.tile(np.arange(90) * GRID, (90, 1))
+    path, envelope = sampled(TerrainGrid.of(0.8 * x, grid_m=GRID))
+    got = advanced_terrain_following(path, BODY, envelope, math.radians(20))
+    assert got.has(WRIST_LIMIT).all()
+    assert np.abs(wrist_angles(got.normal, got.azimuth_rad)).max() <= math.radians(20) + 1e-9
+    assert (got.lift_m > 0.0).all()
+
+
+def test_no_control_point_is_inside_the_gap_after_the_last_lift():
+    for seed in range(12):
+        ground = ground_of(seed)
+        path, envelope = sampled(ground)
+        got = clear_ground(advanced_terrain_following(path, BODY, envelope, 0.6), BODY, ground, 0.05)
+        y, x = np.indices(ground.shape)
+        cells = np.column_stack(
+            [(x.ravel() + 0.5) * GRID, (y.ravel() + 0.5) * GRID, ground.heights_m.ravel()]
+        )
+        d = cKDTree(cells).query(control_points(got, BODY).reshape(-1, 3))[0].reshape(len(got), -1)
+        assert d.min() >= 0.05
+        near = np.isfinite(got.clearance_m)
+        np.testing.assert_allclose(got.clearance_m[near], d.min(axis=1)[near], atol=1e-12)
+
+
+def test_speeds_keep_their_limits_and_the_tip_rests_at_both_ends_only():
+    limits = MotionLimits(speed_mps=0.4, acceleration_mps2=1.0, lateral_mps2=0.5)
+    path = timed(lanes((0, 0, 1, 0.5), 0.1, step_m=0.005), limits)
+    ds = np.linalg.norm(np.diff(path.position_m[:, :2], axis=0), axis=1)
+    speed = ds / np.diff(path.t_s)
+    assert speed.max() <= 0.4 + 1e-9
+    assert speed.max() > 0.39
+    dt = np.diff(path.t_s)
+    assert (np.abs(np.diff(speed)) / (0.5 * (dt[1:] + dt[:-1]))).max() <= 1.05
+    assert speed[20:-20].min() > 0.05
+    assert np.flatnonzero(path.has(STOP)).tolist() == [0, len(path) - 1]
+
+
+def plan_of(tmp_path, ground, **options):
+    settings = PlanSettings(
+        **({"region": (0.3, 0.3, 0.9, 0.9), "gap_m": 0.05, "body_m": disc(0.08)} | options)
+    )
+    plan = plan_scan(ground, settings)
+    file = tmp_path / "path.csv"
+    write_path(file, plan)
+    return plan, file
+
+
+def failed(ground, file):
+    found = check_path(ground.heights_m, ground.origin_m, ground.grid_m, file)
+    return {f.name for f in found if not f.ok}
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"scheme": "arcs", "base_m": (-0.6, 0.5)}, {"following": "reactionary"}]
+)
+def test_the_checker_accepts_a_plan(tmp_path, options):
+    ground = ground_of(3, 120)
+    plan, file = plan_of(tmp_path, ground, **options)
+    assert failed(ground, file) == set()
+    figures = plan_figures(plan)
+    assert figures["unplanned"] == 0
+    assert figures["clearance_min_m"] >= 0.05
+
+
+def test_a_path_file_gives_back_what_was_written(tmp_path):
+    plan, file = plan_of(tmp_path, ground_of(4, 120))
+    back = read_path(file)
+    np.testing.assert_allclose(back.poses, plan.poses, atol=1e-8)
+    np.testing.assert_array_equal(back.flags, plan.flags)
+    np.testing.assert_array_equal(back.passes, plan.passes)
+    assert back.facts["gap_m"] == 0.05
+
+
+def damage(file, column, change):
+    lines = file.read_text().splitlines()
+    head = next(k for k, line in enumerate(lines) if not line.startswith("#"))
+    names = lines[head].split(",")
+    at, on = names.index(column), names.index("pass")
+    middle = head + len(lines[head:]) // 2
+    row = next(k for k in range(middle, len(lines)) if int(lines[k].split(",")[on]) >= 0)
+    cells = lines[row].split(",")
+    cells[at] = f"{change(float(cells[at])):.9g}"
+    lines[row] = ",".join(cells)
+    file.write_text("\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("column", "change", "finding"),
+    [
+        ("z_m", lambda v: v - 0.01, "clearance"),
+        ("z_m", lambda v: float("nan"), "unplanned"),
+        ("clearance_m", lambda v: v + 0.01, "clearance_column"),
+        ("qx", lambda v: v + 0.1, "pose"),
+        ("t_s", lambda v: v - 1.0, "time"),
+        ("flags", lambda v: OUT_OF_REACH, "reach"),
+    ],
+)
+def test_the_checker_finds_a_fault_in_one_row(tmp_path, column, change, finding):
+    ground = ground_of(5, 120)
+    _, file = plan_of(tmp_path, ground)
+    damage(file, column, change)
+    assert finding in failed(ground, file)
+
+
+def test_the_checker_finds_missing_passes_and_speed_and_wrist_beyond_their_limits(tmp_path):
+    ground = ground_of(6, 120)
+    _, file = plan_of(tmp_path, ground)
+    text = file.read_text()
+    for fact, value, finding in (
+        ("swath_m", "0.05", "coverage"),
+        ("speed_mps", "0.1", "speed"),
+        ("wrist_rad", "[-0.01, 0.01, -0.01, 0.01]", "wrist"),
+        ("gap_m", "0.06", "clearance"),
+    ):
+        lines = [f"# {fact} = {value}" if x.startswith(f"# {fact} =") else x for x in text.splitlines()]
+        file.write_text("\n".join(lines) + "\n")
+        assert finding in failed(ground, file), finding
+
+
+def test_unknown_ground_is_flagged_and_its_silence_is_found(tmp_path):
+    ground = ground_of(7, 120, steepest=0.5)
+    ground.heights_m[55:75, 55:75] = np.nan
+    plan, file = plan_of(tmp_path, ground)
+    assert plan.has(UNKNOWN_BENEATH).any()
+    assert not plan.has(UNKNOWN_BENEATH).all()
+    assert "unknown_beneath" not in failed(ground, file)
+    lines = file.read_text().splitlines()
+    quiet = [x if x[0] in "#t" else ",".join([*x.split(",")[:-1], "0"]) for x in lines]
+    file.write_text("\n".join(quiet) + "\n")
+    assert "unknown_beneath" in failed(ground, file)
+
+
+def test_the_checker_imports_nothing_of_the_planner():
+    code = "import sys, surffollow.scan.check; print(*[m for m in sys.modules if 'surffollow.scan' in m])"
+    got = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert set(got.stdout.split()) == {"surffollow.scan", "surffollow.scan.check"}
+
+
+def test_a_plan_out_of_reach_is_flagged():
+    ground = ground_of(8, 120, steepest=0.5)
+    near = Annulus((-0.2, 0.6, 0.0), radius_max_m=0.9)
+    plan = plan_scan(ground, PlanSettings((0.3, 0.3, 0.9, 0.9), 0.05, BODY, work_space=near))
+    out = plan.has(OUT_OF_REACH)
+    d = np.hypot(plan.position_m[:, 0] + 0.2, plan.position_m[:, 1] - 0.6)
+    np.testing.assert_array_equal(out, d > 0.9)
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"region": (5, 5, 6, 6)}, "beside the map"),
+        ({"region": (0, 0, 0, 1)}, "positive sides"),
+        ({"gap_m": 0.7}, "larger than the region"),
+        ({"gap_m": float("nan")}, "finite"),
+        ({"scheme": "spiral"}, "lanes, arcs"),
+        ({"scheme": "arcs"}, "base"),
+        ({"scheme": "arcs", "base_m": (0.5, 0.5)}, "inside the region"),
+        ({"body_m": np.zeros((1, 3))}, "swath"),
+        ({"body_m": np.full((2, 3), 100.0)}, "metres"),
+    ],
+)
+def test_plans_that_cannot_be_are_refused(options, match):
+    given = {"region": (0.3, 0.3, 0.9, 0.9), "gap_m": 0.05, "body_m": BODY} | options
+    with pytest.raises(ScanInputError, match=match):
+        plan_scan(ground_of(9, 120), PlanSettings(**given))
+
+
+def test_a_region_without_known_ground_is_refused():
+    ground = TerrainGrid.of(np.full((50, 50), np.nan), grid_m=0.02)
+    with pytest.raises(ScanInputError, match="known"):
+        plan_scan(ground, PlanSettings((0.2, 0.2, 0.8, 0.8), 0.05, BODY))
+
+
+def test_bodies_and_limits_that_cannot_be_are_refused():
+    for text in ("disc", "disc:-1", "disc:0.1kg", "ball:0.1", "rectangle:0.1"):
+        with pytest.raises(ScanInputError):
+            parse_body(text)
+    assert len(parse_body("rectangle:30cmx0.2")) == 25
+    with pytest.raises(ScanInputError, match="wrist"):
+        WristLimits.symmetric(2.0)
+    with pytest.raises(ScanInputError, match="shape"):
+        WristLimits.of([1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x,y\n1,2\n", "# format = 3\n", '# format = "surffollow-scan-path-1"\n']
+)
+def test_files_that_are_no_paths_are_refused(tmp_path, text):
+    file = tmp_path / "p.csv"
+    file.write_text(text)
+    with pytest.raises(ScanFileError):
+        read_path(file)
+    with pytest.raises(ScanFileError):
+        check_path(np.zeros((3, 3)), (0.0, 0.0), 0.1, file)

@@ -1,0 +1,266 @@
+"""Nothing on the main thread ends or freezes following: broken logs, a full /dev/shm, a bad driver."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from running_service import Service, program, said, until
+from surffollow.client import Client
+from surffollow.service.driver_watch import DriverWatch
+from surffollow.service.guard import Guard
+from surffollow.service.messages import BURST, WAITING, Messages
+
+Make = Callable[..., Service]
+F_SETPIPE_SZ = 1031
+
+
+def start_with(s: Service, stderr: int, *before: str) -> Service:
+    """Start with a standard error of the test's own; `before` runs the command, e.g. a shell."""
+    words = [*before, *s.command("start", "--config", str(s.config))]
+    s.process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=stderr, text=True)
+    assert s.process.stdout is not None
+    line = s.process.stdout.readline()
+    assert line.startswith("READY"), line
+    return s
+
+
+def goes_on(client: Client) -> None:
+    """The cycle and the main thread's beat go on, and the service answers."""
+    before = client.status()
+    until(lambda: client.status()["cycles"] > before["cycles"] + 100, "100 cycles")
+    until(lambda: client.status()["main"]["t_ns"] > before["main"]["t_ns"], "a beat")
+    client.set_params(max_demand="20 mm")
+
+
+def chatter(client: Client) -> None:
+    """Make the service tell more lines than it may, and than any pipe holds."""
+
+    def lost() -> int:
+        for _ in range(50):
+            client.set_params(max_demand="20 mm")
+        return int(client.status()["main"]["messages_lost"])
+
+    until(lost, "a line that is lost")
+
+
+@contextlib.contextmanager
+def stopped_terminal() -> Iterator[int]:
+    """A terminal whose other side reads nothing."""
+    other, terminal = os.openpty()
+    try:
+        yield terminal
+    finally:
+        os.close(other)
+        os.close(terminal)
+
+
+@contextlib.contextmanager
+def stopped_reader() -> Iterator[int]:
+    """A full pipe into a process that is stopped, as a pager or a log shipper may be."""
+    reader = subprocess.Popen(["cat"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+    assert reader.stdin is not None
+    fcntl.fcntl(reader.stdin.fileno(), F_SETPIPE_SZ, 4096)
+    reader.send_signal(signal.SIGSTOP)
+    try:
+        yield reader.stdin.fileno()
+    finally:
+        reader.kill()
+        reader.communicate()
+
+
+@contextlib.contextmanager
+def gone_reader() -> Iterator[int]:
+    """A pipe whose reader is gone."""
+    out, into = os.pipe()
+    os.close(out)
+    try:
+        yield into
+    finally:
+        os.close(into)
+
+
+@pytest.mark.parametrize("stderr", [stopped_terminal, stopped_reader, gone_reader])
+def test_a_log_that_nobody_takes_neither_ends_nor_freezes_the_beat(
+    make_service: Make, stderr: Callable[[], contextlib.AbstractContextManager[int]]
+) -> None:
+    with stderr() as fd:
+        s = start_with(make_service(), fd)
+        with s.attach() as client:
+            chatter(client)
+            goes_on(client)
+        began = time.monotonic()
+        assert s.terminate() == 0
+        assert time.monotonic() - began < 20.0, "the queue was not waited for"
+
+
+def test_with_standard_error_closed_no_message_lands_in_a_shared_object(make_service: Make) -> None:
+    s = start_with(make_service(), subprocess.DEVNULL, "sh", "-c", 'exec "$@" 2>&-', "sh")
+    assert os.readlink(f"/proc/{s.pid}/fd/2") == os.devnull
+    with s.attach() as client:
+        header = client.board.header()
+        chatter(client)
+        goes_on(client)
+        assert client.board.header() == header
+
+
+# a small /dev/shm of its own, which is filled up while the service runs
+FULL = """
+import os, sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from running_service import Service, config_text, until, POSE
+s = Service(Path(sys.argv[2]), config_text())
+filler = os.open("/dev/shm/filler", os.O_WRONLY | os.O_CREAT)
+def fill():
+    try:
+        while True:
+            os.write(filler, bytes(4096))
+    except OSError:
+        pass
+try:
+    s.start()
+    with s.attach() as client:
+        client.ee_pos(POSE)
+        fill()
+        before = client.status()
+        for _ in range(5):  # slots come and go
+            with s.attach() as other:
+                other.stop()
+            client.reset_stop()
+        client.map_reset((0.0, 0.0, 0.1, 0.1))
+        until(lambda: client.status()["cycles"] > before["cycles"] + 200, "200 cycles")
+        until(lambda: client.status()["main"]["t_ns"] > before["main"]["t_ns"], "a beat")
+        print("goes on", client.status()["main"]["text"], flush=True)
+    print("end", s.terminate(), flush=True)
+finally:
+    s.purge()
+"""
+
+
+def may_mount() -> bool:
+    done = shutil.which("unshare") and subprocess.run(
+        ["unshare", "-m", "mount", "-t", "tmpfs", "tmpfs", "/dev/shm"], capture_output=True
+    )
+    return bool(done) and done.returncode == 0  # type: ignore[union-attr]
+
+
+def test_a_full_dev_shm_takes_nothing_from_a_running_service(tmp_path: Path) -> None:
+    if not may_mount():
+        pytest.skip("needs a mount name space of its own: root, and unshare")
+    tests = str(Path(__file__).parents[1])
+    mount = 'mount -t tmpfs -o size=16m tmpfs /dev/shm && exec "$@"'
+    with program(FULL, tests, str(tmp_path), before=("unshare", "-m", "sh", "-c", mount, "sh")) as child:
+        assert said(child).startswith("goes on")
+        assert said(child) == "end 0"
+
+
+# a real service whose driver raises, or blocks, whenever it is asked, or a part of whose main thread raises
+BAD_DRIVER = """
+import sys, threading
+from surffollow.config.service import load_config
+from surffollow.service import daemon
+import msgspec
+class Bad:
+    def __init__(self, inner): self.inner = inner
+    @property
+    def info(self): return self.inner.info
+    def start(self, queue): self.inner.start(queue)
+    def stop(self):
+        if how == "blocks": threading.Event().wait()
+        raise RuntimeError("broken stop")
+    def faults(self):
+        if how == "blocks": threading.Event().wait()
+        raise RuntimeError("broken driver")
+def fail(*words):
+    raise OSError(28, "broken part")
+how = sys.argv[3]
+if how == "audit":
+    daemon.Beat.__init__.__globals__["AuditTrail"].publish = fail
+elif how == "slots":
+    serve, turns = daemon.SlotServer.serve, iter(range(10**9))
+    daemon.SlotServer.serve = lambda *words: fail() if next(turns) % 5 == 4 else serve(*words)
+else:
+    make = daemon.make_driver
+    daemon.make_driver = lambda *words: Bad(make(*words))
+daemon.DRIVER_END_S = 0.2
+daemon.serve(msgspec.structs.replace(load_config(sys.argv[1]), name=sys.argv[2]), quiet=True)
+"""
+
+
+@pytest.mark.parametrize(
+    ("how", "text", "fault"),
+    [
+        ("raises", "broken driver", "DRIVER"),
+        ("blocks", "has not answered", "DRIVER"),
+        ("audit", "the audit trail failed", "HOUSEKEEPING"),
+        ("slots", "serving the clients failed", "HOUSEKEEPING"),
+    ],
+)
+def test_a_driver_or_a_part_of_the_main_thread_that_fails_is_a_fault_and_no_more(
+    make_service: Make, how: str, text: str, fault: str
+) -> None:
+    s = make_service()
+    with program(BAD_DRIVER, str(s.config), s.name, how) as service:
+        assert said(service).startswith("READY")
+        with s.attach() as client:
+            until(lambda: text in client.status()["main"]["text"], text)
+            assert fault in [f["name"] for f in client.status()["faults"]]
+            goes_on(client)
+        service.send_signal(signal.SIGTERM)
+        assert service.wait(timeout=60) == 0, "it ends although the driver does not"
+
+
+def test_the_rate_of_lines_is_limited_and_what_is_dropped_is_counted(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    messages = Messages().start()
+    for k in range(int(BURST) + 300):
+        messages.tell(f"line {k}")
+    messages.end()
+    lines = capfd.readouterr().err.splitlines()
+    assert messages.lost >= 250
+    assert lines[0] == "surffollow: line 0"
+    assert sum(line.startswith("surffollow: line") for line in lines) + messages.lost == BURST + 300
+    assert any("messages were lost" in line for line in lines)
+
+
+def test_the_queue_is_bounded_when_nothing_is_written() -> None:
+    messages = Messages()  # not started: a thread that never gets to write
+    for _ in range(WAITING + 10):
+        messages.write("x", limited=False)
+    assert messages.lost == 10
+
+
+def test_a_part_that_fails_is_told_once_and_latched_until_the_end() -> None:
+    told: list[str] = []
+    guard = Guard(told.append)
+
+    def fail() -> int:
+        raise OSError(28, "No space left on device")
+
+    assert [guard.run("mending", fail, 7) for _ in range(3)] == [7, 7, 7]
+    assert len(told) == 1
+    assert "No space" in guard.texts()[0]
+    assert "3 times" in guard.texts()[0]
+    assert guard.run("mending", lambda: 8, 7) == 8
+    assert guard.failed
+    assert guard.texts() == ["mending failed 3 times, works again"]
+    assert told[1] == "mending works again"
+
+
+def test_a_driver_that_is_not_started_has_nothing_to_say() -> None:
+    class Driver:
+        def faults(self) -> list[str]:
+            raise AssertionError("nobody asked it")
+
+    assert DriverWatch(Driver()).faults() == []  # type: ignore[arg-type]

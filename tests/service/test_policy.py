@@ -1,0 +1,234 @@
+"""Who may change what, how far, and how it is kept: [limits], access.parameters, the audit trail."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from running_service import POSE, Service, config_text, program, said, until
+from surffollow.client.audit import audit_line, printable
+from surffollow.config.service import parse_config
+from surffollow.errors import ConfigError, RefusedError
+from surffollow.shm import layout_board as lb
+
+Make = Callable[..., Service]
+NOBODY = 65534
+SECOND_USER = pytest.mark.skipif(os.geteuid() != 0, reason="only root can run a client as another user")
+AS_NOBODY = ("setpriv", "--reuid", str(NOBODY), "--regid", str(NOBODY), "--clear-groups")
+# a client that tries to change everything dangerous, and says how it fared
+MEDDLER = """
+import os, sys
+from surffollow.client import attach
+from surffollow.errors import SurffollowError
+client = attach(sys.argv[1], stale_min_s=1.0, label="meddler\\x1b[2J")
+print(os.getpid(), flush=True)
+for values in ({"max_demand": 0.05}, {"max_speed": 3.0}, {"pose_timeout": "90 ms"}):
+    try:
+        client.set_params(**values)
+        print("set", flush=True)
+    except SurffollowError as e:
+        print(getattr(e, "code", -1), e, flush=True)
+try:
+    client.sf_reset(0.09)
+    print("reset", flush=True)
+except SurffollowError as e:
+    print(getattr(e, "code", -1), e, flush=True)
+sys.stdin.readline()
+"""
+LIMITS = """[limits]
+max_demand = { max = "60 mm" }
+max_speed = { max = "4 m/s" }
+offset = { min = "80 mm", max = "120 mm" }
+"""
+
+
+@pytest.fixture(scope="module")
+def limited(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A service with ceilings, whose objects everybody may use."""
+    text = config_text(access='board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"') + LIMITS
+    s = Service(tmp_path_factory.mktemp("limited"), text)
+    try:
+        yield s.start()
+    finally:
+        s.purge()
+
+
+def test_no_client_passes_a_ceiling_or_a_floor_of_the_configuration(limited: Service) -> None:
+    with limited.attach() as client:
+        client.ee_pos(POSE)  # not even the pose's holder
+        for values in ({"max_demand": 0.061}, {"max_speed": 4.01}, {"offset": 0.079}, {"offset": "121 mm"}):
+            before = client.params()
+            with pytest.raises(RefusedError, match=r"\[limits\]") as refused:
+                client.set_params(**values)
+            assert refused.value.code == lb.ERR_BEYOND_LIMITS
+            assert next(iter(values)) in str(refused.value), "it names the parameter"
+            assert client.params() == before
+        for offset in (0.0799, 0.1201):
+            with pytest.raises(RefusedError, match=r"\[limits\].*offset"):
+                client.sf_reset(offset)
+        client.set_params(max_demand="60 mm", max_speed=4.0)
+        client.sf_reset(0.12)
+        client.sf_reset(0.1)
+
+
+def test_all_or_none_holds_across_a_limit(limited: Service) -> None:
+    with limited.attach() as client:
+        before = client.params()
+        with pytest.raises(RefusedError):
+            client.set_params(interval_size="3 mm", max_demand=0.5)
+        assert client.params() == before
+
+
+def test_who_does_not_hold_the_pose_changes_nothing_while_another_drives(limited: Service) -> None:
+    with limited.attach() as driver, limited.attach() as other:
+        driver.ee_pos(POSE)
+        before = driver.params()
+        for ask in (lambda: other.set_params(max_demand=0.01), lambda: other.sf_reset(0.11)):
+            with pytest.raises(RefusedError, match=f"pid {os.getpid()}") as refused:
+                ask()
+            assert refused.value.code == lb.ERR_NOT_POSE_HOLDER
+        assert driver.params() == before
+        driver.set_params(max_demand=0.02)
+        driver.release_pose()
+        other.set_params(max_demand=0.03)  # nobody is driven now
+
+
+@SECOND_USER
+def test_another_user_without_the_pose_changes_nothing_and_is_in_the_audit_trail(limited: Service) -> None:
+    with limited.attach() as driver:
+        driver.ee_pos(POSE)
+        before = driver.params()
+        with program(MEDDLER, limited.name, before=AS_NOBODY) as meddler:
+            pid = int(said(meddler))
+            answers = [said(meddler) for _ in range(4)]
+            assert all(a.startswith(f"{lb.ERR_NOT_POSE_HOLDER} ") for a in answers), answers
+            assert driver.params() == before
+
+            def entries() -> list[dict[str, object]]:
+                return [e for e in driver.audit() if e["pid"] == pid]
+
+            until(lambda: len(entries()) >= 4, "four entries")
+        for e, parameter in zip(entries(), ("max_demand_m", "max_speed_mps", "pose_timeout_ns", "offset_m")):
+            assert (e["uid"], e["parameter"], e["accepted"]) == (NOBODY, parameter, False)
+            assert e["client"] == "meddler?[2J", "nothing that steers a terminal"
+            assert e["result"] == "not_pose_holder"
+
+
+def test_the_audit_trail_says_who_set_what_from_what_to_what(limited: Service) -> None:
+    with limited.attach(label="the driver") as client:
+        client.ee_pos(POSE)
+        client.set_params(max_demand=0.021, interval_size="2 mm")
+        client.set_params(max_demand=0.022, interval_size="3 mm")
+        mine = until(
+            lambda: [e for e in client.audit() if e["client"] == "the driver" and e["new"] == 0.022], "it"
+        )
+        (e,) = mine
+        assert (e["parameter"], e["old"], e["new"]) == ("max_demand_m", 0.021, 0.022)
+        assert (e["pid"], e["uid"], e["accepted"], e["result"]) == (os.getpid(), os.geteuid(), True, "ok")
+        assert 0.0 <= e["age_s"] < 60.0
+        shown = limited.run("status", "--audit").stdout
+        assert (
+            f"pid {os.getpid()} uid {os.geteuid()} the driver: set_params max_demand_m 0.021 -> 0.022: ok"
+            in shown
+        )
+        told = json.loads(limited.run("status", "--audit", "--json").stdout)
+        assert e | {"age_s": 0} in [t | {"age_s": 0} for t in told["audit"]]
+
+
+def test_a_flood_of_refusals_is_gathered_and_leaves_what_was_accepted(limited: Service) -> None:
+    with limited.attach(label="accepted") as driver, limited.attach(label="flood") as other:
+        driver.ee_pos(POSE)
+        driver.set_params(max_demand=0.0123)
+        for _ in range(lb.AUDIT_ENTRIES + 100):
+            ticket = other.set_params(max_demand=0.5, wait=False)
+            with pytest.raises(RefusedError):
+                ticket.result()
+        entries = until(
+            lambda: (
+                [e for e in driver.audit() if e["client"] == "flood" and e["count"] > 1] and driver.audit()
+            ),
+            "a gathered entry",
+        )
+        assert any(e["new"] == 0.0123 for e in entries), "the ring was not flooded"
+        assert sum(e["client"] == "flood" for e in entries) < 20
+
+
+def test_the_log_keeps_the_audit_trail(make_service: Make, tmp_path: Path) -> None:
+    s, log = make_service(), tmp_path / "log"
+
+    with open(log, "w") as err:
+        words = s.command("start", "--quiet", "--config", str(s.config))
+        s.process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=err, text=True)
+        assert s.process.stdout is not None
+        assert s.process.stdout.readline().startswith("READY")
+    with s.attach(label="logged") as client:
+        client.set_params(max_demand=0.0456)
+        until(lambda: "0.0456" in log.read_text(), "a line of the log")
+    line = next(text for text in log.read_text().splitlines() if "0.0456" in text)
+    assert f"audit: pid {os.getpid()} uid {os.geteuid()} logged: set_params max_demand_m" in line
+
+
+@pytest.mark.parametrize(
+    ("policy", "without", "as_other"),
+    [("any", True, True), ("holder", True, False), ("holder-only", False, False)],
+)
+def test_the_configuration_says_who_may_set_parameters(
+    make_service: Make, policy: str, without: bool, as_other: bool
+) -> None:
+    s = make_service(access=f'parameters = "{policy}"').start()
+
+    def may(client) -> bool:
+        try:
+            client.set_params(interval_size="3 mm")
+        except RefusedError as e:
+            if e.code == lb.ERR_NOT_POSE_HOLDER:
+                return False
+            raise
+        return True
+
+    with s.attach() as driver, s.attach() as other:
+        assert may(driver) is without
+        driver.claim_pose()
+        assert may(driver)
+        assert may(other) is as_other
+
+
+@pytest.mark.parametrize(
+    ("table", "match"),
+    [
+        ({"limits": {"max_demand": {"max": 0.01}}}, r"max_demand_m is 0.05 \(its default\)"),
+        (
+            {"limits": {"max_demand": {"max": "10 mm"}}, "follow": {"max_demand": "20 mm"}},
+            "max_demand_m is 0.02",
+        ),
+        ({"limits": {"nonsense": {"max": 1}}}, "unknown parameter"),
+        ({"limits": {"max_demand": {"most": 1}}}, "limits.max_demand"),
+        ({"limits": {"max_demand": {}}}, "limits.max_demand"),
+        ({"limits": {"max_demand": {"max": "1 s"}}}, "max_demand"),
+        ({"limits": {"max_demand": {"max": 2e3}}}, "max_demand"),
+        ({"limits": {"max_demand": {"min": 0.2, "max": 0.1}}}, "above max"),
+        ({"limits": {"max_demand": {"max": 1}, "max_demand_m": {"max": 1}}}, "twice"),
+        ({"access": {"parameters": "everybody"}}, "access.parameters"),
+        ({"stop": {"on": ["thunder"]}}, "stop.on names 'thunder'"),
+        ({"stop": {"on": ["request"]}}, "stop.on"),
+        ({"watchdog": "4 ms"}, "watchdog"),
+        ({"watchdog": "20 ms", "period": "10 ms"}, "less than 5 periods"),
+    ],
+)
+def test_a_configuration_that_contradicts_itself_is_refused_by_name(table: dict, match: str) -> None:
+    with pytest.raises(ConfigError, match=match):
+        parse_config(table)
+
+
+def test_what_a_client_wrote_steers_no_terminal() -> None:
+    assert printable("a\x1b]0;x\x07\nb\u202e") == "a?]0;x??b?"
+    entry = {
+        **{"pid": 1, "uid": -1, "client": "", "request": "stop", "parameter": None, "old": None, "new": None},
+        **{"result": "ok", "count": 3, "causes": ["request"], "reason": 'say "no"'},
+    }
+    assert audit_line(entry) == 'audit: pid 1 uid unknown -: stop (request) "say \\"no\\"": ok (3 times)'

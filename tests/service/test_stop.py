@@ -1,0 +1,220 @@
+"""The latched stop in real services: who enters it, who leaves it, what a kill and a replay make of it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from running_service import (
+    ATTACHED,
+    POSE,
+    READY_S,
+    SENDING,
+    STANDOFF_M,
+    Service,
+    World,
+    config_text,
+    drive,
+    program,
+    said,
+    until,
+)
+from surffollow.client import Client
+from surffollow.errors import RefusedError
+from surffollow.record.replay import replay_file
+from surffollow.shm import layout_board as lb
+from surffollow.shm.layout_follow import STOPPED, VALID
+
+Make = Callable[..., Service]
+NOBODY = 65534
+SECOND_USER = pytest.mark.skipif(os.geteuid() != 0, reason="only root can run a client as another user")
+AS_NOBODY = ("setpriv", "--reuid", str(NOBODY), "--regid", str(NOBODY), "--clear-groups")
+OPEN = 'board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"'
+
+
+@pytest.fixture(scope="module")
+def following(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A service with a simulated sensor, whose objects everybody may use."""
+    s = Service(tmp_path_factory.mktemp("stop"), config_text(kind="simulated", access=OPEN))
+    s.world = world = World(s.name)
+    try:
+        yield s.start()
+    finally:
+        s.purge()
+        world.close()
+
+
+def is_stopped(client: Client) -> bool:
+    demand = client.dev_vector()
+    if demand.status & STOPPED:
+        assert not demand.status & VALID
+        assert list(demand) == [0.0] * 6
+        return True
+    return False
+
+
+def valid(client: Client) -> bool:
+    return client.dev_vector().valid
+
+
+def test_any_client_stops_and_only_the_poses_holder_resets(following: Service) -> None:
+    with following.attach() as driver, following.attach(label="operator") as other:
+        driver.sf_reset(STANDOFF_M)
+        drive(driver, lambda: valid(driver), what="a demand")
+        other.stop("smoke over cell 3")
+        drive(driver, lambda: is_stopped(driver), what="the stop")
+        assert driver.status()["stopped"] == ["request"]
+        with pytest.raises(RefusedError, match="sends the pose") as refused:
+            other.reset_stop()
+        assert refused.value.code == lb.ERR_NOT_POSE_HOLDER
+        driver.sf_reset(STANDOFF_M)  # no way out
+        driver.set_params(run="normal")
+        seen = driver.status()["cycles"]
+        drive(driver, lambda: driver.status()["cycles"] > seen + 200, what="200 cycles")
+        assert is_stopped(driver)
+        driver.reset_stop()
+        drive(driver, lambda: valid(driver), what="a demand after the reset")
+        assert driver.status()["stopped"] == []
+        entries = until(
+            lambda: (
+                [e for e in driver.audit() if e["request"] in ("stop", "stop_reset")][-3:][2:]
+                and driver.audit()
+            ),
+            "the trail",
+        )
+        stop, refused_reset, reset = [e for e in entries if e["request"] in ("stop", "stop_reset")][-3:]
+        assert (stop["client"], stop["reason"], stop["causes"]) == (
+            "operator",
+            "smoke over cell 3",
+            ["request"],
+        )
+        assert (refused_reset["accepted"], reset["accepted"]) == (False, True)
+
+
+@SECOND_USER
+def test_another_user_may_stop_but_not_start_again(following: Service) -> None:
+    code = (
+        "import sys; from surffollow.client import attach; from surffollow.errors import RefusedError\n"
+        "c = attach(sys.argv[1], stale_min_s=1.0); c.stop('from nobody')\n"
+        "try:\n    c.reset_stop(); print('reset')\nexcept RefusedError as e:\n    print(e.code, flush=True)\n"
+        "sys.stdin.readline()"
+    )
+    with following.attach() as driver:
+        drive(driver, lambda: valid(driver), what="a demand")
+        with program(code, following.name, before=AS_NOBODY) as other:
+            assert said(other) == str(lb.ERR_NOT_POSE_HOLDER)
+            drive(driver, lambda: is_stopped(driver), what="the stop")
+        driver.reset_stop()
+        drive(driver, lambda: valid(driver), what="a demand after the reset")
+
+
+def test_a_stop_outlives_the_kill_of_its_service(make_service: Make) -> None:
+    s = make_service(kind="simulated")
+    s.world = world = World(s.name)
+    try:
+        with s.start().attach() as driver:
+            driver.sf_reset(STANDOFF_M)
+            drive(driver, lambda: valid(driver), what="a demand")
+            driver.stop()
+            drive(driver, lambda: is_stopped(driver), what="the stop")
+            s.kill()
+            s.start()
+            until(driver.reattach, "the new service")
+            drive(driver, lambda: is_stopped(driver), what="the stop, still")
+            assert driver.status()["stopped"] == ["request"]
+            driver.reset_stop()
+            drive(driver, lambda: valid(driver), what="a demand after the reset")
+    finally:
+        world.close()
+
+
+def test_named_causes_stop_and_cannot_be_reset_while_they_last(make_service: Make) -> None:
+    causes = ("pose_stale", "sensor_lost", "too_close", "pose_lost", "driver", "start")
+    s = make_service(kind="simulated", follow='loss_timeout = "0.2 s"')
+    s.config.write_text(s.config.read_text() + f"[stop]\non = {list(causes)}\n")
+    s.world = world = World(s.name)
+    try:
+        s.start()
+        with s.attach() as driver:
+            driver.ee_pos(POSE)
+            assert driver.status()["stopped"][-1] == "start", "the first demand waits for a reset"
+            # the sensor and the driver may have been late to begin
+            drive(driver, lambda: _resets(driver), what="a reset")
+            drive(driver, lambda: valid(driver), what="a demand")
+            # the pose grows stale
+            until(lambda: "pose_stale" in driver.status()["stopped"], "pose_stale")
+            with pytest.raises(RefusedError, match="pose_stale") as refused:
+                driver.reset_stop()
+            assert refused.value.code == lb.ERR_STOP_REMAINS
+            drive(driver, lambda: _resets(driver), what="a reset with a fresh pose")
+            # the ground goes out of the sensor's sight
+            drive(driver, lambda: valid(driver), what="a demand")
+            world.pose = (*POSE[:2], 5.0, *POSE[3:])
+            drive(driver, lambda: "sensor_lost" in driver.status()["stopped"], POSE, "sensor_lost")
+            with pytest.raises(RefusedError, match="sensor_lost"):
+                driver.reset_stop()
+            world.pose = POSE
+            drive(driver, lambda: _resets(driver), what="a reset with the ground in sight")
+            drive(driver, lambda: valid(driver), what="a demand")
+        # the holder dies
+        with program(ATTACHED + SENDING, s.name) as holder, s.observe() as watcher:
+            until(lambda: watcher.status()["main"]["pose_pid"] == holder.pid, "another holder")
+            holder.kill()
+            until(lambda: "pose_lost" in watcher.status()["stopped"], "pose_lost")
+        # the driver has no news
+        with s.attach() as driver:
+            drive(driver, lambda: _resets(driver), what="a reset")
+            world.close()
+            drive(driver, lambda: "driver" in driver.status()["stopped"], what="driver")
+            expected = {"pose_stale", "sensor_lost", "pose_lost", "driver"}
+            until(lambda: expected <= causes_by_service(driver), "what the service stopped for by itself")
+    finally:
+        world.close()
+
+
+def causes_by_service(client: Client) -> set[str]:
+    return {c for e in client.audit() if e["client"] == "service" for c in e["causes"]}
+
+
+def _resets(client: Client) -> bool:
+    try:
+        client.reset_stop()
+    except RefusedError as e:
+        if e.code == lb.ERR_STOP_REMAINS:
+            return False
+        raise
+    return True
+
+
+def test_a_recording_with_stops_replays_to_the_same_bits(following: Service, tmp_path: Path) -> None:
+    out = tmp_path / "run.mcap"
+
+    def size() -> int:
+        return out.stat().st_size if out.exists() else 0
+
+    with following.attach() as driver, following.attach() as other:
+        drive(driver, lambda: valid(driver), what="a demand")
+        words = [sys.executable, "-m", "surffollow", "record", "--name", following.name, "--out", str(out)]
+        recorder = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            drive(driver, lambda: size() > 400_000, what="a recording of a second")
+            for _ in range(2):
+                drive(driver, lambda: valid(driver), what="a demand")
+                other.stop()
+                drive(driver, lambda: is_stopped(driver), what="the stop")
+                driver.reset_stop()
+            drive(driver, lambda: valid(driver), what="a demand")
+            now = size()
+            drive(driver, lambda: size() > now + 400_000, what="a recording of another second")
+        finally:
+            recorder.send_signal(signal.SIGINT)
+            recorder.wait(timeout=READY_S)
+    report = replay_file(out)
+    assert report.identical, report
+    assert report.events >= 4

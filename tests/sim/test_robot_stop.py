@@ -1,0 +1,102 @@
+"""The simulated robot without a valid demand: how it comes to rest, and within what time."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_robot import MS, REGION, drive, robot
+
+from surffollow.errors import ConfigError
+from surffollow.sim.robot import RobotConfig
+from surffollow.sim.robot_stop import REST_MPS, clearance_m, stopping_distance_m, time_to_rest_s
+from surffollow.sim.surfaces import sine_field
+
+TOOLS = Path(__file__).parents[2] / "tools"
+
+
+def speeds(core: Any) -> tuple[float, float]:
+    return float(core.motion["speed_mps"][0]), float(core.motion["axis"][0, 1])
+
+
+@pytest.mark.parametrize("settings", [{}, {"speed_mps": 0.2, "accel_mps2": 0.5}, {"report_latency_s": 0.05}])
+@pytest.mark.parametrize("retract_m", [0.0, 0.02])
+def test_without_a_demand_it_is_at_rest_in_the_stated_time_and_within_the_stated_way(
+    settings: dict[str, float], retract_m: float
+) -> None:
+    core, controller, service = robot(sine_field(REGION), seconds=60.0, retract_m=retract_m, **settings)
+    drive(core, controller, 300)
+    config = core.config
+    assert speeds(core)[0] == pytest.approx(config.speed_mps, rel=0.2)
+    service.silent = True
+    began_m = float(core.motion["path_m"][0])
+    z_m = float(core.motion["axis"][0, 0])
+    ticks = math.ceil(time_to_rest_s(config) * config.plant.tick_hz)
+    drive(core, controller, ticks)
+
+    def rests() -> None:
+        along, up = speeds(core)
+        assert along == 0.0
+        assert up > -REST_MPS, "never down"
+
+    rests()
+    drive(core, controller, 100, rests)
+    way_m = float(core.motion["path_m"][0]) - began_m
+    assert 0.0 < way_m <= stopping_distance_m(config, 1.0 / config.plant.tick_hz) * 1.01
+    # as last reported: late by the reports' latency
+    late_m = config.plant.v_max_mps * config.report_latency_s
+    assert float(core.motion["axis"][0, 0]) == pytest.approx(z_m + retract_m, abs=1e-3 + late_m)
+
+
+def test_drives_whose_controller_says_nothing_more_stop_by_themselves() -> None:
+    core, controller, _ = robot(seconds=60.0, command_timeout_s=0.05)
+    drive(core, controller, 300)
+    assert speeds(core)[0] > 0.04
+
+    def tick() -> None:
+        core.watch_commands()
+        core.advance(core.t_ns + 10 * MS)
+
+    for _ in range(4):
+        tick()
+    assert not core.holding, "not before its time"
+    for _ in range(3 + math.ceil(time_to_rest_s(core.config) * 100)):
+        tick()
+    assert core.holding
+    assert speeds(core)[0] == 0.0
+
+
+def test_a_steep_way_needs_more_clearance_than_a_flat_one() -> None:
+    config = RobotConfig(speed_mps=0.1, accel_mps2=0.2)
+    assert stopping_distance_m(config, 0.03) == pytest.approx(0.1 * 0.03 + 0.1**2 / 0.4)
+    assert clearance_m(config, 0.03, 0.0) == 0.0
+    assert clearance_m(config, 0.03, math.pi / 4) == pytest.approx(stopping_distance_m(config, 0.03))
+
+
+@pytest.mark.parametrize("settings", [{"retract_m": -0.1}, {"command_timeout_s": 0.0}])
+def test_a_robot_that_cannot_stop_is_refused(settings: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match=next(iter(settings))):
+        RobotConfig(**settings)
+
+
+def test_the_tool_is_at_rest_in_time_whatever_is_taken_away() -> None:
+    words = [
+        sys.executable,
+        str(TOOLS / "bench_stop.py"),
+        "--json",
+        "--trials",
+        "5",
+        "--seed",
+        "3",
+        "--retract",
+    ]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=400)
+    assert done.stdout, done.stderr
+    result = json.loads(done.stdout)
+    assert (done.returncode, result["failed"]) == (0, []), result
+    assert [row["trials"] for row in result["kinds"].values()] == [1] * 5
