@@ -7,7 +7,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.hw.driver import Driver
+from surffollow.hw.driver import Driver, notes_of
 from surffollow.service import memory as m
 from surffollow.service.cut_inbox import mend_inbox
 from surffollow.service.house import House
@@ -43,7 +43,7 @@ class Beat:
         told_ns = time.monotonic_ns()  # before what it tells was looked at
         live, pose_slot, pose_pid = self._look_for_dead()
         driver_faults = self._driver.faults()
-        texts = [*driver_faults, *self._grants.refused]
+        texts = [*driver_faults, *notes_of(self._driver), *self._grants.refused]
         if self._inbox_cuts:
             faults |= FAULT_INBOX_CUT
             texts.append(

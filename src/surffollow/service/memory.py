@@ -45,7 +45,9 @@ from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
     POSE_SINCE_NS,  # when that was granted
     POSE_SEEN,  # generation of the pose read last
     LEASE_NS,  # of exclusive access
-) = range(25)
+    REPORTS,  # a simulated sensor's queue of accepted poses; 0: the driver wants none
+    REPORTS_CAPACITY,
+) = range(27)
 DEAD = 32  # main → threads: per slot, when it was last found without a lock [ns]; 0: it is locked
 SEEN = DEAD + CLIENTS  # per slot, generation of the request read last
 COUNTER = SEEN + CLIENTS  # per slot, counter answered last

@@ -1,0 +1,148 @@
+"""The block `NAME.world`: where the tool of a simulation truly is. Its layout, and who may write it.
+
+One shared object as the service's own are (`shm.objects`): a header of one page, then a latch over
+`WorldPose`. A lock that the kernel releases (`shm.locks`) says who writes; a writer that finds what a dead
+one left carries on in it with a new epoch. The service reads this block nowhere but in the simulated sensor.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+
+from surffollow.config.names import check_name, check_service_name
+from surffollow.errors import BusyError, ExistsError, NotReadyError, NotRunningError
+from surffollow.shm.latch_shape import latch_bytes
+from surffollow.shm.locks import WRITER_BYTE, FileLock
+from surffollow.shm.objects import SharedObject, unlink
+from surffollow.shm.schema import F64, I64, U64, Schema
+
+MAGIC = int.from_bytes(b"SURFWLD1", "little")
+PAGE = 4096
+MODE = 0o640
+# a writer that was just killed holds its lock until the kernel has taken it apart
+DYING_S, POLL_S = 0.1, 0.005
+
+
+class WorldHeader(Schema):
+    """First page of a world block; `magic` is stored last."""
+
+    magic = U64(doc="'SURFWLD1'")
+    layout_hash = U64(doc="of WorldPose")
+    epoch = I64(doc="grows with every writer")
+    pid = I64(doc="of the writer")
+
+
+class WorldPose(Schema):
+    """The true state of the tool."""
+
+    t_ns = I64(unit="ns", doc="when it was true, CLOCK_MONOTONIC")
+    pose = F64(7, unit="m, 1", doc="x y z qx qy qz qw, world from tool")
+    velocity = F64(6, unit="m/s, rad/s", doc="linear, angular; world axes")
+    standoff_m = F64(unit="m", doc="tool above the ground, along z; NaN: the writer does not know")
+    ground_m = F64(unit="m", doc="height of the ground under the tool; NaN: the writer does not know")
+    path_m = F64(unit="m", doc="distance travelled along the path")
+    scored = I64(doc="1: this part of the run counts")
+    step = I64(doc="steps since the writer started")
+
+
+SIZE = PAGE + -(-latch_bytes(WorldPose.SIZE) // PAGE) * PAGE
+
+
+def object_name(name: str) -> str:
+    """Name of the world block of service `name`.
+
+    Raises
+    ------
+    NameError_
+        when the name has characters that a path could misread
+    """
+    return check_name(f"{check_service_name(name)}.world")
+
+
+def _sign(obj: SharedObject) -> None:
+    words = memoryview(obj.memory).cast("Q")
+    words[WorldHeader.offset("layout_hash") // 8] = WorldPose.HASH
+    words[WorldHeader.offset("pid") // 8] = os.getpid()
+    # the clock, so that an object made anew under the name never repeats an epoch
+    words[WorldHeader.offset("epoch") // 8] = time.monotonic_ns()
+    words[WorldHeader.offset("magic") // 8] = MAGIC
+    words.release()
+
+
+def _fits(obj: SharedObject) -> bool:
+    if obj.size != SIZE:
+        return False
+    words = memoryview(obj.memory).cast("Q")
+    found = words[WorldHeader.offset("layout_hash") // 8]
+    words.release()
+    return found == WorldPose.HASH
+
+
+def _make(name: str) -> tuple[SharedObject, FileLock]:
+    """A new block, locked and signed before it has its name."""
+    locks: list[FileLock] = []
+
+    def prepare(obj: SharedObject) -> None:
+        locks.append(FileLock.beside(obj.fd, True))
+        locks[0].exclusive(WRITER_BYTE)
+        _sign(obj)
+
+    try:
+        return SharedObject.create(name, SIZE, MODE, prepare=prepare), locks[0]
+    except BaseException:
+        for lock in locks:
+            lock.close()
+        raise
+
+
+def claim_world(name: str) -> tuple[SharedObject, FileLock]:
+    """Become the one writer of a block, made now or taken over from a dead writer.
+
+    Parameters
+    ----------
+    name : str   of the block, see `object_name`
+
+    Returns
+    -------
+    the mapped object, signed, and the lock that makes it the caller's
+
+    Raises
+    ------
+    BusyError
+        another live process writes this block
+    NoPermissionError
+        the object belongs to another user
+    NoSpaceError
+        /dev/shm cannot hold it
+    """
+    deadline = time.monotonic() + DYING_S
+    while True:
+        try:
+            obj = SharedObject.open(name, writable=True)
+        except NotRunningError:
+            try:
+                return _make(name)
+            except ExistsError:
+                continue  # another writer was faster: look at what it made
+        except NotReadyError:
+            unlink(name)  # empty, as no writer makes it
+            continue
+        lock = FileLock.beside(obj.fd, True)
+        if lock.exclusive(WRITER_BYTE):
+            if _fits(obj) and obj.is_current():
+                _sign(obj)
+                return obj, lock
+            if obj.is_current():
+                unlink(name)  # another version's: never changed under its readers
+        elif time.monotonic() > deadline:
+            lock.close()
+            obj.close()
+            raise BusyError(
+                f"block {name!r} has a live writer: a simulated robot, or a client that calls sim_pose(); "
+                "stop that one first"
+            )
+        else:
+            time.sleep(POLL_S)
+        lock.close()
+        obj.close()
