@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+
 from surffollow.client.fence import fence
 from surffollow.client.pose import checked_pose
 from surffollow.errors import PoseError

@@ -90,10 +90,11 @@ static inline void sf_i_read_pose_timeout(sf_client *c) {
   if (sf_latch_read_part(c->params, sizeof(sf_params), at, 1, &value) > 0 && value > 0) c->pose_timeout_ns = value;
 }
 
-/* Give back the pose and the slot, unmap everything. Also right after a failed attach. */
+/* Give back the pose and the slot, remove the world block of sf_sim_pose, unmap everything. Also right after a failed attach. */
 static inline void sf_detach(sf_client *c) {
   if (c == NULL) return;
   sf_i_release_slot(c);
+  sf_i_release_world(c, 1);
   c->access_depth = 0;
   sf_i_close(&c->board);
   sf_i_close(&c->map);
@@ -107,6 +108,7 @@ static inline void sf_detach(sf_client *c) {
 static inline void sf_forget(sf_client *c) {
   if (c == NULL) return;
   c->slot_memory = NULL; /* the slot itself is the parent's: nothing is written to it */
+  sf_i_release_world(c, 0);
   sf_detach(c);
 }
 
@@ -122,6 +124,7 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
   sf_i_forget(&c->board);
   sf_i_forget(&c->inbox);
   sf_i_forget(&c->map);
+  sf_i_forget(&c->world);
   c->options = options != NULL ? *options : sf_default_options();
   if (c->options.stale_periods < 1 || c->options.stale_min_ns < 0) return SF_ERR_ARGUMENT;
   if (name == NULL || !sf_i_name_ok(name)) return SF_ERR_NAME;

@@ -1,0 +1,107 @@
+/* ---- simulation: the true pose, for the service's simulated sensor ------------------------------ */
+
+static inline void sf_i_sign_world(sf_client *c) {
+  sf_world_header *h = SF_VIEW(sf_world_header *, c->world.memory);
+  h->layout_hash = SF_WORLD_LAYOUT_HASH;
+  h->pid = SF_CAST(int64_t, getpid());
+  h->epoch = sf_now_ns(); /* the clock, so that a block made anew never repeats an epoch */
+  sf_store_release(&h->magic, SF_WORLD_MAGIC);
+}
+
+/* A new world block: it gets its name when it is whole and locked. */
+static inline int sf_i_make_world(sf_client *c) {
+  char path[96], nameless[64];
+  if (!sf_i_path(c->name, ".world", path)) return SF_ERR_NAME;
+  /* 020000000: the bit of O_TMPFILE beside O_DIRECTORY, which strict ISO C hides */
+  const int fd = open("/dev/shm", 020000000 | O_DIRECTORY | O_RDWR | O_CLOEXEC, 0640);
+  if (fd < 0) return sf_i_errno(c, errno);
+  int number = posix_fallocate(fd, 0, SF_WORLD_BYTES);
+  struct stat status;
+  if (number == 0 && (fchmod(fd, 0640) != 0 || fstat(fd, &status) != 0)) number = errno;
+  if (number == 0) number = sf_i_lock(fd, 0);
+  void *memory = MAP_FAILED;
+  if (number == 0) {
+    memory = mmap(NULL, SF_WORLD_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+    if (memory == MAP_FAILED) number = errno;
+  }
+  if (number != 0) {
+    close(fd);
+    return sf_i_errno(c, number);
+  }
+  c->world.memory = SF_CAST(unsigned char *, memory);
+  c->world.size = SF_WORLD_BYTES;
+  c->world.device = SF_CAST(uint64_t, status.st_dev);
+  c->world.inode = SF_CAST(uint64_t, status.st_ino);
+  c->world.owner = status.st_uid;
+  c->world.fd = fd;
+  sf_i_sign_world(c);
+  snprintf(nameless, sizeof nameless, "/proc/self/fd/%d", fd);
+  if (linkat(AT_FDCWD, nameless, AT_FDCWD, path, AT_SYMLINK_FOLLOW) == 0) return SF_OK;
+  number = errno;
+  sf_i_close(&c->world);
+  return number == EEXIST ? SF_ERR_BUSY : sf_i_errno(c, number);
+}
+
+/* Become the one writer of the service's world block: make it, or carry on in a dead writer's. */
+static inline int sf_i_claim_world(sf_client *c) {
+  sf_i_close(&c->world);
+  for (int k = 0; k < 20; k++) {
+    sf_object found;
+    const int err = sf_i_open(c, ".world", 1, &found);
+    if (err == SF_ERR_NOT_RUNNING) { /* there is none */
+      const int made = sf_i_make_world(c);
+      if (made != SF_ERR_BUSY) return made;
+      continue; /* another writer was faster */
+    }
+    if (err != SF_OK) return err;
+    const sf_world_header *h = SF_VIEW(const sf_world_header *, found.memory);
+    const int fits = found.size == SF_WORLD_BYTES && h->layout_hash == SF_WORLD_LAYOUT_HASH;
+    const int number = fits ? sf_i_lock(found.fd, 0) : 0;
+    if (fits && number == 0 && sf_i_is_current(c, ".world", &found)) {
+      c->world = found;
+      sf_i_sign_world(c);
+      return SF_OK;
+    }
+    sf_i_close(&found);
+    if (!fits) return SF_ERR_LAYOUT;
+    if (number != 0 && number != EAGAIN && number != EACCES) return sf_i_errno(c, number);
+    /* a writer that was just killed holds its lock until the kernel has taken it apart */
+    sf_sleep_until_ns(sf_now_ns() + 5000000);
+  }
+  return SF_ERR_WORLD_HELD;
+}
+
+/*
+ * Tell the simulated sensor where the tool truly is, where reports are noisy or late: `pose` as in sf_ee_pos,
+ * true at `t_ns`; `velocity` m/s and rad/s, world axes, NULL: at rest. The service itself never reads it.
+ * Without it the simulated sensor rides on the reported poses, whose errors then cancel. The first call makes
+ * the block NAME.world; sf_detach removes it.
+ * SF_OK, SF_ERR_POSE, _OBSERVER, _WORLD_HELD (a simulated robot or another client writes it), _LAYOUT, _SYSTEM, ...
+ */
+static inline int sf_sim_pose(sf_client *c, int64_t t_ns, const double pose[7], const double velocity[6]) {
+  if (c == NULL || c->output == NULL || pose == NULL) return SF_ERR_ARGUMENT;
+  if (c->options.observe) return SF_ERR_OBSERVER;
+  sf_world_pose post;
+  memset(&post, 0, sizeof post);
+  const int err = sf_i_check_pose(pose, post.pose);
+  if (err != SF_OK) return err;
+  for (int k = 0; k < 6 && velocity != NULL; k++) {
+    if (!sf_i_is_finite(velocity[k])) return SF_ERR_POSE;
+    post.velocity[k] = velocity[k];
+  }
+  const int64_t now = sf_now_ns();
+  if (c->world.memory == NULL || now > c->next_world_look_ns) {
+    c->next_world_look_ns = now + SF_LOOK_EVERY_NS;
+    if (c->world.memory == NULL || !sf_i_is_current(c, ".world", &c->world)) {
+      const int claimed = sf_i_claim_world(c);
+      if (claimed != SF_OK) return claimed;
+    }
+  }
+  post.t_ns = t_ns;
+  const uint64_t nan_bits = UINT64_C(0x7FF8000000000000); /* what the writer does not know */
+  memcpy(&post.standoff_m, &nan_bits, sizeof nan_bits);
+  memcpy(&post.ground_m, &nan_bits, sizeof nan_bits);
+  sf_latch_write(c->world.memory + SF_PAGE, sizeof post, &post);
+  return SF_OK;
+}
+
