@@ -2,9 +2,9 @@
 
     python tools/bench_serial.py --seconds 60 --json
 
-A second process writes frames of 8 bytes with a CRC at a fixed rate and notes when. Hand-over is the time from
-there to the conversion's place in the service's queue. A stamp is right when it is the writing's time less the
-frame's time on the line, here at 115200 baud; its error is given in frame times.
+A second process writes frames of 8 bytes with a CRC at a fixed rate and notes when. Hand-over is the time
+from there to the conversion's place in the service's queue. A stamp is right when it is the writing's time
+less the frame's time on the line, here at 115200 baud; its error is given in frame times.
 """
 
 from __future__ import annotations
