@@ -34,7 +34,7 @@ from surffollow.shm.objects import SharedObject  # noqa: E402
 HEALTH_S = 90.0
 GRIDS = 20_000
 PARTS = ("client", "recorder", "service")
-OWN = ("", ".inbox", ".map", ".world")
+OWN = ("", ".sock", ".lock", ".map", ".world", ".world.lock")
 # moves with the world: the tool's place is a function of the clock, and the client knows it
 PLACE = "0.05 + 0.04 * math.cos(t), 0.05 + 0.04 * math.sin(1.3 * t), 0.1, 0.0, 0.0, 0.0, 1.0"
 CLIENT = f"""

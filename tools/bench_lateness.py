@@ -53,7 +53,7 @@ def daemon_run(name: str, seconds: float) -> dict[str, Any]:
         finally:
             process.send_signal(signal.SIGTERM)
             process.wait(timeout=20)
-            for part in ("", ".inbox", ".map"):
+            for part in ("", ".sock", ".lock", ".map"):
                 unlink(name + part)
     counts = [b - a for a, b in zip(before["lateness"], after["lateness"])]
     return {

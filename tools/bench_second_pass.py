@@ -100,7 +100,7 @@ def there_and_back(
         config.write_text(
             CONFIG.format(surface=surface, seed=SEED, field=field, offset=STANDOFF_M, preview=preview)
         )
-        for part in ("", ".inbox", ".map", ".world"):
+        for part in ("", ".sock", ".lock", ".map", ".world", ".world.lock"):
             stack.callback(unlink, name + part)
         service = stack.enter_context(program("start", "--quiet", "--name", name, "--config", str(config)))
         assert service.stdout is not None

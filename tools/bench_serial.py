@@ -73,7 +73,7 @@ def measure(seconds: float, rate_hz: float) -> dict[str, float]:
         "baud": BAUD,
         "format": FRAME_FORMAT,
         "range_min_m": 0.05,
-        "range_max_m": 8.0,
+        "range_max_m": 7.0,
     }
     driver, queue = make_driver(settings, "bench"), TimedQueue()
     driver.start(queue)

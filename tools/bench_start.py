@@ -58,7 +58,7 @@ def ready_s(name: str, cache: str | None = None) -> tuple[float, int]:
         finally:
             process.send_signal(signal.SIGTERM)
             process.wait(timeout=20)
-            for part in ("", ".inbox", ".map"):
+            for part in ("", ".sock", ".lock", ".map"):
                 unlink(name + part)
         progress.seek(0)
         shown = progress.read()

@@ -118,5 +118,5 @@ def running(config: str, at: tuple[float, float, float] = (0.2, 0.2, 0.1)) -> It
         finally:
             process.send_signal(signal.SIGTERM)
             process.wait(timeout=30)
-            for part in ("", ".inbox", ".map", ".world"):
+            for part in ("", ".sock", ".lock", ".map", ".world", ".world.lock"):
                 unlink(name + part)

@@ -214,59 +214,6 @@ def test_request_cannot_overtake_one_that_the_service_has_not_seen(
     assert patient(f"reset {STANDOFF_M}").result == OK
 
 
-def test_request_that_was_wiped_out_does_not_block_later_ones_for_ever(
-    make_probe: Callable[..., Probe], service: Service
-) -> None:
-    victim = make_probe()
-    victim("stale_ms 60000")
-    victim("timeout_ms 300")
-    assert victim(f"attach {service.name}").result == OK
-    slot = victim("poll").slot
-    with stopped(service), open(f"/dev/shm/{service.name}.inbox", "r+b") as inbox:
-        assert victim(f"send {lb.RQ_SF_RESET} 0.11").result == OK
-        inbox.seek(lb.PAGE + slot * lb.SLOT_BYTES + lb.SLOT_REQUEST)
-        inbox.write(bytes(8))  # as any member of the group can
-    assert victim(f"send {lb.RQ_SF_RESET} {STANDOFF_M}").result == -29
-    victim.until(f"send {lb.RQ_SF_RESET} {STANDOFF_M}", lambda a: a.result == OK)
-    victim.until("poll", lambda a: a.result == OK)
-
-
-def test_cut_inbox_is_an_error_for_a_request_and_is_mended(
-    make_probe: Callable[..., Probe], service: Service
-) -> None:
-    probe, path = make_probe(), f"/dev/shm/{service.name}.inbox"
-    probe("stale_ms 60000")
-    probe("ready_ms 0")
-    assert probe(f"attach {service.name}").result == OK
-    size = os.stat(path).st_size
-    with stopped(service):
-        os.truncate(path, 4096)
-        assert probe("reset 0.1").result == -22
-        late = make_probe()
-        late("ready_ms 0")
-        assert late(f"attach {service.name}").result == -22
-    probe.until("reset 0.1", lambda a: a.result == OK)
-    assert os.stat(path).st_size == size
-    with open(path, "r+b") as inbox:
-        inbox.write(os.urandom(64))
-    with stopped(service), open(path, "r+b", buffering=0) as inbox:
-        inbox.write(bytes(64))
-        assert late(f"attach {service.name}").result == -22
-    late.until(f"attach {service.name}", lambda a: a.result == OK)
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file away")
-def test_inbox_of_another_user_than_the_board_is_refused(
-    make_probe: Callable[..., Probe], service: Service
-) -> None:
-    path = f"/dev/shm/{service.name}.inbox"
-    os.chown(path, 65534, -1)
-    try:
-        assert make_probe()(f"attach {service.name}").result == -21
-    finally:
-        os.chown(path, 0, -1)
-
-
 def test_stopped_service_is_silent_and_its_demand_is_zero(
     make_probe: Callable[..., Probe], service: Service
 ) -> None:

@@ -12,7 +12,7 @@ from running_service import until
 from surffollow.errors import NotRunningError
 from surffollow.sim.world import WorldReader, WorldWriter
 
-HELD, OBSERVER, POSE = -36, -26, -3
+HELD, OBSERVER, POSE = -37, -26, -3
 TRUE = "0.1 0.2 0.3 0 0 0 1"
 
 

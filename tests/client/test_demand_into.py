@@ -98,7 +98,7 @@ def test_a_silent_dead_or_restarted_service_never_leaves_an_old_demand(
         old = c.epoch
         s.start()
         until(lambda: not stale(c, buffer), "the new service")
-        assert LAYOUT.unpack(buffer)[10] == c.epoch == old + 1
+        assert LAYOUT.unpack(buffer)[10] == c.epoch > old
 
 
 def test_the_fenced_path_of_other_machines_gives_the_same(

@@ -83,7 +83,7 @@ def test_a_full_file_is_taken_as_written(tmp_path):
         ({"map": {"queue_seconds": 0.5}}, ["map.queue_seconds", "between 1 and 600"]),
         ({"map": {"access_lease": "0 s"}}, ["map.access_lease"]),
         ({"access": {"board_mode": "rw-r--"}}, ["access.board_mode", "octal"]),
-        ({"access": {"inbox_mode": "7777"}}, ["access.inbox_mode", "octal"]),
+        ({"access": {"socket_mode": "7777"}}, ["access.socket_mode", "octal"]),
         ({"follow": {"ofset": 1}}, ["ofset", "did you mean offset_m"]),
         ({"follow": {"offset": "1 s"}}, ["offset", "time"]),
         ({"follow": 3}, ["follow"]),
@@ -139,7 +139,7 @@ def test_what_start_finds_wrong_later_names_the_file_too(tmp_path, text, says):
     try:
         told = CliRunner().invoke(start_command, ["--config", str(path), "--name", name]).exception
     finally:
-        for part in ("", ".inbox", ".map"):
+        for part in ("", ".sock", ".lock", ".map"):
             unlink(name + part)
     assert isinstance(told, ConfigError)
     assert str(told).startswith(f"{path}: ")

@@ -120,8 +120,8 @@ def test_a_client_that_leaves_half_way_leaves_an_empty_map(map_service: Service)
             assert math.isnan(observer.map_height(ground.origin_m[0] + 0.05, ground.origin_m[1] + 0.05))
             if leave == "close":
                 quitter.close()
-            else:  # the kernel takes the lock back, nothing else is tidied up
-                quitter._release_inbox()
+            else:  # the kernel closes the connection, nothing else is tidied up
+                quitter._release_slot()
             until(lambda: observer.map_changes().generation % 2 == 0, f"the rejection after {leave}")
             window = observer.map_window()
             assert window.shape == ground.shape

@@ -100,8 +100,8 @@ def test_one_whose_client_wrote_its_pieces_early(
         post_early(stream, 2)
         if leave == "close":
             other.close()
-        elif leave == "die":  # the kernel takes the lock back, nothing else is tidied up
-            other._release_inbox()
+        elif leave == "die":  # the kernel closes the connection, nothing else is tidied up
+            other._release_slot()
     if leave == "stay":
         with pytest.raises(RefusedError) as caught:
             stream.ticket.result(30.0)

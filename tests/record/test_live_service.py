@@ -41,7 +41,7 @@ def name() -> Iterator[str]:
     """A service name of this test's own; nothing of it is left."""
     text = f"test-record-{os.getpid()}"
     yield text
-    for part in ("", ".inbox", ".map", ".world"):
+    for part in ("", ".sock", ".lock", ".map", ".world", ".world.lock"):
         unlink(text + part)
 
 

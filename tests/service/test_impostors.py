@@ -1,4 +1,4 @@
-"""Objects under a service's names that are not the service's, and an inbox that somebody damages."""
+"""Objects under a service's names that are not the service's, and what a forked child may not touch."""
 
 from __future__ import annotations
 
@@ -25,8 +25,7 @@ from surffollow.errors import (
     NotReadyError,
 )
 from surffollow.service import house
-from surffollow.shm import layout_board as lb
-from surffollow.shm.objects import SharedObject, unlink
+from surffollow.shm.objects import unlink
 
 Make = Callable[..., Service]
 NOBODY = 65534
@@ -137,58 +136,6 @@ def test_a_request_that_was_wiped_out_does_not_block_the_next_for_ever(
         assert client.params()["offset_m"] == 0.12
 
 
-def test_a_cut_inbox_is_an_error_for_a_client_that_asks_and_no_crash(make_service: Make) -> None:
-    s = make_service().start()
-    path = Path(f"/dev/shm/{s.name}.inbox")
-    size = path.stat().st_size
-    with s.attach(stale_min_s=3600.0) as client:
-        client.ee_pos(POSE)
-        with frozen(s):
-            os.truncate(path, 0)
-            with pytest.raises(NotReadyError, match="mends"):
-                client.sf_reset(0.11, wait=False)
-            client._next_look_ns = 0
-            with pytest.raises(NotReadyError):
-                client.ee_pos(POSE)
-            with pytest.raises(NotReadyError):
-                client._claim_slot()
-        until(lambda: path.stat().st_size == size, "the inbox is whole again")
-        client.sf_reset(0.11)
-        until(lambda: client.ee_pos(POSE) is None)
-    attach_soon(s).close()
-
-
-def test_an_inbox_whose_header_was_overwritten_is_mended_and_attached_to(make_service: Make) -> None:
-    s = make_service().start()
-    with s.attach() as client:
-        client._in[0:64] = os.urandom(64)
-        with attach_soon(s) as late:
-            late.sf_reset(0.1)
-        told = until(lambda: "1 times" in (m := client.status()["main"])["text"] and m, "the fault is told")
-        assert told["faults"] & 8
-
-
-def test_an_inbox_that_is_not_the_boards_is_refused(make_service: Make) -> None:
-    s = make_service().start()
-    path = Path(f"/dev/shm/{s.name}.inbox")
-    content = bytearray(path.read_bytes())
-    content[lb.InboxHeader.offset("epoch")] ^= 1
-    path.rename(path.with_suffix(".aside"))
-    try:
-        path.write_bytes(content)
-        with pytest.raises(NotReadyError, match="does not belong to the running service"):
-            s.attach()
-        if os.geteuid() == 0:
-            content[lb.InboxHeader.offset("epoch")] ^= 1
-            path.write_bytes(content)
-            os.chown(path, NOBODY, NOBODY)
-            with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}"):
-                s.attach()
-    finally:
-        path.with_suffix(".aside").rename(path)
-    s.attach().close()
-
-
 @ROOT_ONLY
 def test_a_map_of_another_user_than_the_boards_is_not_read(make_service: Make, tmp_path: Path) -> None:
     s = make_service().start()
@@ -249,7 +196,7 @@ def test_a_map_that_another_could_have_made_or_changed_is_not_adopted(
     assert path.stat().st_mode & 0o777 == 0o640, "and it gets the mode that the configuration says"
 
 
-@pytest.mark.parametrize("ending", [".inbox", ".map", ".world"])
+@pytest.mark.parametrize("ending", [".sock", ".lock", ".map", ".world"])
 def test_a_service_named_like_an_object_of_another_is_refused_and_that_one_goes_on(
     make_service: Make, ending: str
 ) -> None:
@@ -276,7 +223,9 @@ def test_a_service_whose_map_was_removed_by_hand_keeps_its_name(make_service: Ma
     unlink(f"{s.name}.map")
     with pytest.raises(AlreadyRunningError, match=f"pid {s.pid}"):
         house.open_house(s.settings())
-    assert objects_of(s.name) == {s.name, f"{s.name}.inbox"}, "and the attempt leaves nothing behind"
+    assert objects_of(s.name) == {s.name + part for part in ("", ".sock", ".lock")}, (
+        "and the attempt leaves nothing behind"
+    )
     s.attach().close()
     assert s.run("stop", "--purge").returncode == 0, "it is still the one to stop"
     assert objects_of(s.name) == set()
@@ -297,13 +246,12 @@ def test_a_block_of_somebody_elses_under_the_services_name_is_not_removed(make_s
         path.unlink()
 
 
-def test_the_lock_of_a_refused_map_is_given_back(make_service: Make) -> None:
+def test_the_name_of_a_refused_start_is_given_back(make_service: Make) -> None:
     s = make_service()
     house.open_house(s.settings()).leave()
-    map_ = SharedObject.open(f"{s.name}.map", writable=True)
-    os.fchmod(map_.fd, 0o666)
+    path = Path(f"/dev/shm/{s.name}.map")
+    path.chmod(0o666)
     with pytest.raises(NoPermissionError):
         house.open_house(s.settings())
-    assert not map_.is_locked(lb.NAME_LOCK_BYTE)
-    map_.close()
+    assert objects_of(s.name) == {f"{s.name}.map"}, "no lock and no socket"
     unlink(f"{s.name}.map")

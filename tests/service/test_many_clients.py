@@ -107,7 +107,7 @@ def test_a_slot_taken_over_from_a_dead_pose_writer_does_not_inherit_its_pose(cro
         first.kill()
         first.wait()
         with crowd.attach() as heir, crowd.attach() as other:
-            assert heir.slot == slot
+            assert heir.slot in (slot, slot + 1), "the slot is used again, or retired a moment ago"
             take_pose(other)
 
 
@@ -124,14 +124,6 @@ def test_a_forked_child_does_not_keep_its_dead_parents_pose(crowd: Service, clie
             os.kill(child, signal.SIGKILL)
 
 
-def test_a_pose_claimed_through_a_slot_that_nobody_holds_is_freed_again(crowd: Service) -> None:
-    with crowd.attach() as scribbler, crowd.attach() as client:
-        scribbler._slot_lock.release(scribbler._start)  # alive, but without the lock that says so
-        with contextlib.suppress(RefusedError):
-            scribbler._request(lb.RQ_CLAIM_POSE).result()
-        take_pose(client)
-
-
 def test_a_client_whose_pose_was_given_back_in_its_name_takes_it_again(client: Client) -> None:
     client.ee_pos(POSE)
     client._request(lb.RQ_RELEASE_POSE).result()
@@ -142,37 +134,6 @@ def test_a_client_whose_pose_was_given_back_in_its_name_takes_it_again(client: C
         return bool(client.status()["poses"] > before + 3)
 
     until(back, "poses are taken again")
-
-
-def test_a_scribbled_slot_head_heals(client: Client) -> None:
-    client.ee_pos(POSE)
-    lb_head = slice(client._start, client._start + lb.SlotHead.SIZE)
-    client._in[lb_head] = os.urandom(lb.SlotHead.SIZE)
-    before = client.status()["poses"]
-
-    def back() -> bool:
-        client.ee_pos(POSE)
-        return bool(client.status()["poses"] > before + 3)
-
-    until(back, "poses are taken again")
-    until(lambda: client.status()["main"]["pose_pid"] == os.getpid(), "the pid is right again")
-
-
-def test_a_client_that_cuts_the_inbox_short_does_not_end_the_service(make_service: Make) -> None:
-    s = make_service().start()
-    size = os.stat(f"/dev/shm/{s.name}.inbox").st_size
-    with s.observe() as watcher:
-        for cut in (0, 4096, 5000):
-            before = watcher.status()["cycles"]
-            os.truncate(f"/dev/shm/{s.name}.inbox", cut)
-            until(lambda: os.stat(f"/dev/shm/{s.name}.inbox").st_size == size, "the inbox is whole again")
-            until(lambda before=before: watcher.status()["cycles"] > before + 100, "the cycle goes on")
-        told = until(lambda: "3 times" in (m := watcher.status()["main"])["text"] and m, "the fault is told")
-        assert told["faults"] & 8
-        with s.attach() as client:
-            client.ee_pos(POSE)
-            client.sf_reset(0.1)
-    assert s.terminate() == 0
 
 
 def test_a_latch_generation_at_its_end_does_not_stop_a_client(client: Client) -> None:
@@ -190,7 +151,7 @@ def test_sixteen_clients_fit_the_seventeenth_is_refused_and_a_freed_slot_is_used
         assert sorted(c.slot for c in all_) == list(range(lb.CLIENTS))
         for c in all_:
             c.sf_reset(0.1)
-        with pytest.raises(BusyError, match="16 client slots"):
+        with pytest.raises(BusyError, match=r"all client slots are taken.*limit 16"):
             crowd.attach()
         until(lambda: all_[0].status()["main"]["clients"] == lb.CLIENTS, "the status counts them")
         all_[5].close()
@@ -217,8 +178,8 @@ def test_modes_decide_who_may_watch_and_who_may_command(make_service: Make, crow
     s = make_service(access='board_mode = "0644"\nmap_mode = "0644"').start()
     watch, attach = as_nobody(s)
     assert watch == "observe ready ('NO_POSE',)"
-    assert attach.startswith("attach refused: no permission to write")
-    assert f"{s.name}.inbox" in attach
+    assert attach.startswith("attach refused: no permission to connect")
+    assert f"{s.name}.sock" in attach
 
 
 def test_objects_have_the_modes_that_the_configuration_says(make_service: Make, crowd: Service) -> None:
@@ -226,10 +187,10 @@ def test_objects_have_the_modes_that_the_configuration_says(make_service: Make, 
         found = {n.removeprefix(s.name): os.stat(f"/dev/shm/{n}").st_mode & 0o777 for n in objects_of(s.name)}
         return {n: f"{mode:03o}" for n, mode in found.items()}
 
-    assert modes(crowd) == {"": "640", ".inbox": "660", ".map": "640"}
+    assert modes(crowd) == {"": "640", ".sock": "660", ".lock": "600", ".map": "640"}
     before = os.umask(0o077)
     try:
-        s = make_service(access='board_mode = "0604"\ninbox_mode = "0606"\nmap_mode = "0600"').start()
+        s = make_service(access='board_mode = "0604"\nsocket_mode = "0606"\nmap_mode = "0600"').start()
     finally:
         os.umask(before)
-    assert modes(s) == {"": "604", ".inbox": "606", ".map": "600"}
+    assert modes(s) == {"": "604", ".sock": "606", ".lock": "600", ".map": "600"}

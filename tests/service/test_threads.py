@@ -21,9 +21,9 @@ def test_threads_that_find_the_service_restarted_claim_one_slot_together(
         service.start()
         with service.attach() as client:
             client.ee_pos(POSE)
-            # every look may re-attach, and to open the inbox takes long enough for others to come
+            # every look may re-attach, and to get a slot takes long enough for others to come
             monkeypatch.setattr(observer, "REATTACH_EVERY_NS", 0)
-            monkeypatch.setattr(slot, "open_inbox", slowly(slot.open_inbox))
+            monkeypatch.setattr(slot, "request_slot", slowly(slot.request_slot))
             over = threading.Event()
             wrong: list[BaseException] = []
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import signal
 import stat
 from types import SimpleNamespace
 
 import pytest
 
+from surffollow.config.names import check_name
 from surffollow.errors import (
     BlockError,
     NameError_,
@@ -16,7 +16,8 @@ from surffollow.errors import (
     NoSpaceError,
     NotRunningError,
 )
-from surffollow.shm.objects import SHM_ROOT, SharedObject, boot_id, check_name, start_ticks, unlink
+from surffollow.shm.objects import SHM_ROOT, SharedObject, unlink
+from surffollow.shm.process import boot_id, start_ticks
 
 NOBODY = 65534
 
@@ -59,7 +60,7 @@ def in_child(act, uid=None):
         "a\0",
         "a\n",
         "ä",
-        "x" * 49,
+        "x" * 65,
         None,
         7,
         b"x",
@@ -164,7 +165,7 @@ def test_a_file_system_that_fills_up_meanwhile_leaves_nothing_behind(name, monke
     [
         ("", "fewer log_words"),
         (".map", r"fewer map\.grids"),
-        (".inbox", "nobody needs"),
+        (".world", "nobody needs"),
         (".poses", "a block"),
     ],
 )
@@ -224,44 +225,6 @@ def test_an_object_knows_when_its_name_leads_elsewhere(name):
     assert new.memory[0] == 0
     old.close()
     new.close()
-
-
-def test_a_lock_is_seen_by_others_refused_to_them_and_given_back(name):
-    a = SharedObject.create(name, 4096, 0o600)
-    b = SharedObject.open(name, writable=True)
-    assert a.try_lock(100)
-    assert b.is_locked(100)
-    assert not b.is_locked(101)
-    assert not b.try_lock(100)
-    assert b.try_lock(101)
-    a.unlock(100)
-    assert not b.is_locked(100)
-    assert b.try_lock(100)
-    for o in (a, b):
-        o.close()
-
-
-def test_the_kernel_releases_the_lock_of_a_killed_process(name):
-    a = SharedObject.create(name, 4096, 0o600)
-    ready_r, ready_w = os.pipe()
-    pid = os.fork()
-    if pid == 0:
-        try:
-            own = SharedObject.open(name, writable=True)
-            os.write(ready_w, b"y" if own.try_lock(0, 64) else b"n")
-            signal.pause()
-        finally:
-            os._exit(1)
-    try:
-        assert os.read(ready_r, 1) == b"y"
-        assert a.is_locked(63)
-    finally:
-        os.kill(pid, signal.SIGKILL)
-        os.waitpid(pid, 0)
-        os.close(ready_r)
-        os.close(ready_w)
-    assert not a.is_locked(0, 64)
-    a.close()
 
 
 def test_closing_twice_and_while_views_are_held_is_harmless(name):

@@ -7,14 +7,16 @@ A1 a reader enters unless the writer waits: shared lock on byte FENCE_BASE + fen
 A2 the writer says that it waits, which closes the door to further readers (the turnstile);
 A3 it takes the byte exclusively; a reader that still has it after the lease is fenced: the
    fence number goes up by one, and with it the byte that counts;
-A4 a fenced reader learns it from `read_done`.
+A4 a fenced reader learns it from `read_done`;
+A5 who has the new byte locked already keeps to no rules: the writer goes on behind the closed door, with no
+   lock and with no further wait, at this write and the next, until the byte is free again.
 """
 
 from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 
 from surffollow.blocks import layout as bl
@@ -37,11 +39,19 @@ class AttachedBlock(ReadSide):
     """A block of this process; made by `mem_attach`. For one thread at a time: attach once per thread.
 
     `latest` and `get_read_ok` / `read_done` are everybody's, `get_write_ok` / `write_done` the writer's.
+
+    Attributes
+    ----------
+    barred : bool          somebody locks bytes of the block against the rules: the writer waits for no reader
+    hook_failures : int    calls of `on_write_done` hooks that failed
     """
 
-    def __init__(self, name: str, object_name: str, schema: type[Schema]) -> None:
-        super().__init__(name, object_name, schema)
+    def __init__(
+        self, name: str, object_name: str, schema: type[Schema], owners: Collection[int] = ()
+    ) -> None:
+        super().__init__(name, object_name, schema, owners)
         self._done_ns, self._queue_stuck = 0, False
+        self.barred = False
         self._hooks: list[Callable[[Snapshot], object]] = []
         self.hook_failures = 0
 
@@ -65,8 +75,10 @@ class AttachedBlock(ReadSide):
         if _clock() - self._done_ns < BUSY_NS:
             self._let_queued_in(lock)
         number = words[bl.FENCE_WORD]
-        if not lock.exclusive(FENCE_BASE + number):
-            number = self._wait_for_readers(lock, timeout_s)
+        if lock.exclusive(FENCE_BASE + number):
+            self.barred = False
+        else:
+            number = self._pass_bar() if self.barred else self._wait_for_readers(lock, timeout_s)
         g = words[self._generation_word]
         old = self._slots + (g & (SLOTS - 1)) * self._stride + bl.HEAD
         new = self._slots + ((g + 1) & (SLOTS - 1)) * self._stride + bl.HEAD
@@ -111,9 +123,9 @@ class AttachedBlock(ReadSide):
                 if now - seen > lease:  # we were stopped, not they
                     words[bl.WAITING_WORD] = since = now
                 elif now - since >= lease:
-                    words[bl.FENCE_WORD] = number + 1
-                    words[bl.WAITING_WORD] = since = seen = now
-                    continue
+                    number += 1
+                    words[bl.FENCE_WORD] = number
+                    return number if lock.exclusive(FENCE_BASE + number) else self._pass_bar()
                 seen = now
                 if now >= deadline:
                     raise BlockTimeoutError(
@@ -122,7 +134,22 @@ class AttachedBlock(ReadSide):
                     )
                 time.sleep(POLL_S)
         finally:
-            words[bl.WAITING_WORD] = 0
+            if not self.barred:
+                words[bl.WAITING_WORD] = 0
+
+    def _pass_bar(self) -> int:
+        """Write without the lock: the door stays closed, and a read under way becomes stale (A5)."""
+        words = self._words
+        if not self.barred:
+            self.barred = True
+            warnings.warn(
+                f"somebody who may read block {self.object_name!r} locks bytes of it against its rules; "
+                "writing goes on without waiting for readers; look for it (lslocks), and let it read no more",
+                stacklevel=4,
+            )
+        words[bl.WAITING_WORD] = _clock()
+        words[bl.FENCE_WORD] += 1
+        return int(words[bl.FENCE_WORD])
 
     def write_done(self) -> int:
         """Publish the slot, let readers in, tell the hooks; returns the new generation."""
@@ -135,7 +162,7 @@ class AttachedBlock(ReadSide):
         if FENCED:
             fence()
         words[self._generation_word] = g
-        self._here().release(FENCE_BASE + self._fence)
+        self._open_door()
         if self._hooks:
             self._replicate(Snapshot(self.schema, self._memory[start : start + self._size], g, False))
         return int(g)
@@ -150,7 +177,12 @@ class AttachedBlock(ReadSide):
     def abandon(self) -> None:
         """End the write without publishing: readers keep the values they had."""
         self._end_write("abandon")
+        self._open_door()
+
+    def _open_door(self) -> None:
         self._here().release(FENCE_BASE + self._fence)
+        if self.barred:
+            self._words[bl.WAITING_WORD] = 0
 
     @contextmanager
     def write(self, timeout_s: float = 5.0) -> Iterator[Record]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Collection
 from typing import Any
 
 from surffollow.blocks import claim
@@ -13,8 +14,10 @@ from surffollow.blocks.snapshot import Snapshot
 from surffollow.client.fence import FENCED, fence
 from surffollow.errors import BlockError, NotRunningError
 from surffollow.shm.latch_shape import MAX_TRIES, SLOTS
-from surffollow.shm.locks import WRITER_BYTE, FileLock
+from surffollow.shm.locks import FileLock
+from surffollow.shm.name_lock import NameLock
 from surffollow.shm.objects import SharedObject
+from surffollow.shm.process import is_running
 from surffollow.shm.schema import Schema
 
 REATTACH_EVERY_NS = 20_000_000
@@ -34,12 +37,16 @@ class Attachment:
     is_writer : bool
     """
 
-    def __init__(self, name: str, object_name: str, schema: type[Schema]) -> None:
+    def __init__(
+        self, name: str, object_name: str, schema: type[Schema], owners: Collection[int] = ()
+    ) -> None:
         plan(schema)
+        self._owners = frozenset(owners)  # whose block it may be; from the first attachment on that one's
         self.name, self.object_name, self.schema = name, object_name, schema
         self.is_writer = False
         self._object: SharedObject | None = None
         self._lock: FileLock | None = None
+        self._own: NameLock | None = None  # of the writer
         self._words = _NOTHING
         self._memory: Any = b""
         self._readonly = self._writable = _NO_MEMORY
@@ -55,18 +62,20 @@ class Attachment:
 
     def attach_reader(self) -> None:
         """Map the block read-only; raises as `claim.open_reader`."""
-        self._adopt(*claim.open_reader(self.object_name, self.schema))
+        self._adopt(*claim.open_reader(self.object_name, self.schema, self._owners))
 
     def attach_writer(self, mode: int, group: int, lease_ns: int) -> None:
         """Become the block's writer; raises as `claim.claim_writer`."""
-        self._adopt(
-            *claim.claim_writer(self.object_name, self.schema, mode=mode, group=group, lease_ns=lease_ns)
+        obj, lock, own = claim.claim_writer(
+            self.object_name, self.schema, mode=mode, group=group, lease_ns=lease_ns
         )
-        self.is_writer = True
+        self._adopt(obj, lock)
+        self._own, self.is_writer = own, True
 
     def _adopt(self, obj: SharedObject, lock: FileLock) -> None:
         self._let_go()
         self._object, self._lock, self._memory = obj, lock, obj.memory
+        self._owners = frozenset((obj.owner,))
         self._words = memoryview(obj.memory).cast("Q")
         self._writable = memoryview(obj.memory)
         self._readonly = self._writable.toreadonly()
@@ -79,12 +88,12 @@ class Attachment:
             for view in (self._words, self._readonly, self._writable):
                 with contextlib.suppress(BufferError):  # a NumPy view is still held: it keeps the map
                     view.release()
-            if self.is_writer:
-                claim.give_up(obj, lock, keep)
+            if self._own is not None:
+                claim.give_up(obj, lock, self._own, keep)
             else:
                 lock.close()
                 obj.close()
-        self._object, self._lock, self._words = None, None, _NOTHING
+        self._object, self._lock, self._own, self._words = None, None, None, _NOTHING
         self._memory, self._readonly, self._writable = b"", _NO_MEMORY, _NO_MEMORY
         self._generation_word = 0
         self.is_writer = False
@@ -101,7 +110,7 @@ class Attachment:
             return False
         self._next_attach_ns = now + REATTACH_EVERY_NS
         try:
-            self._adopt(*claim.open_reader(self.object_name, self.schema))
+            self._adopt(*claim.open_reader(self.object_name, self.schema, self._owners))
         except NotRunningError:
             return False
         return True
@@ -144,7 +153,12 @@ class Attachment:
         """Whether the writer's process lives (stopped ones do) and has not given the block up."""
         if self._lock is None or not self._refresh():
             return False
-        return self.is_writer or self._lock.held_elsewhere(WRITER_BYTE)
+        return self.is_writer or self._writer_runs()
+
+    def _writer_runs(self) -> bool:
+        # by process and start time, which the writer's own user wrote: a lock anybody could hold
+        header = bl.read_header(self._memory)
+        return is_running(int(header["writer_pid"]), int(header["writer_start_ticks"]))
 
     def latest(self) -> Snapshot:
         """A private copy of the newest publication, at once; never blocks anybody and never raises.

@@ -18,25 +18,34 @@ typedef struct sfb_block {
   unsigned char *memory;
   size_t size, payload_bytes;
   const unsigned char *latch;
+  uid_t owner; /* the user whose block it is */
 } sfb_block;
 
 static inline uint64_t sfb_word(const unsigned char *memory, size_t at) {
   return SF_CAST(uint64_t, sf_load_acquire(memory + at));
 }
 
-/* Map block NAME.BLOCK if it has this schema's hash: 0, or a negative errno
- * (ENOENT no such block, EACCES no permission, EPROTO another schema or no block). */
-static inline int sfb_open(sfb_block *block, const char *object_name, uint64_t hash, size_t payload_bytes) {
+/* Map block NAME.BLOCK if it has this schema's hash and belongs to user `owner` (SF_OWNER_DEFAULT: this
+ * process's own user, root, or the one that SURFFOLLOW_OWNER names): 0, or a negative errno (ENOENT no such
+ * block, EACCES no permission, EPERM another user's, EPROTO another schema or no block). */
+static inline int sfb_open_owner(sfb_block *block, const char *object_name, uint64_t hash,
+                                 size_t payload_bytes, int64_t owner) {
   char path[80];
   struct stat status;
   void *memory;
   int fd;
   memset(block, 0, sizeof *block);
   if (object_name[0] == '.' || strchr(object_name, '/') != NULL) return -EINVAL;
-  if (snprintf(path, sizeof path, "/%s", object_name) >= SF_CAST(int, sizeof path)) return -ENAMETOOLONG;
-  fd = shm_open(path, O_RDONLY, 0);
+  if (snprintf(path, sizeof path, "/dev/shm/%s", object_name) >= SF_CAST(int, sizeof path))
+    return -ENAMETOOLONG;
+  /* what stands under the name may be anything of anybody's: nothing here waits for it */
+  fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK | O_NOCTTY);
   if (fd < 0) return -errno;
-  if (fstat(fd, &status) != 0 || status.st_size < {head_bytes}) {
+  if (fstat(fd, &status) == 0 && S_ISREG(status.st_mode) && !sf_i_owner_ok(owner, status.st_uid)) {
+    close(fd);
+    return -EPERM;
+  }
+  if (fstat(fd, &status) != 0 || !S_ISREG(status.st_mode) || status.st_size < {head_bytes}) {
     close(fd);
     return -EPROTO;
   }
@@ -59,7 +68,13 @@ static inline int sfb_open(sfb_block *block, const char *object_name, uint64_t h
     }
     block->latch = block->memory + latch;
   }
+  block->owner = status.st_uid;
   return 0;
+}
+
+/* sfb_open_owner with SF_OWNER_DEFAULT. After a writer's restart open again with the `owner` found first. */
+static inline int sfb_open(sfb_block *block, const char *object_name, uint64_t hash, size_t payload_bytes) {
+  return sfb_open_owner(block, object_name, hash, payload_bytes, SF_OWNER_DEFAULT);
 }
 
 /* Whether the writer gave this object up: close it and open the name again. */

@@ -1,7 +1,7 @@
 """Open a block to read it, or become its one writer: make it, or take it over from a dead one.
 
-A new block appears under its name complete: it is made nameless (O_TMPFILE), locked,
-filled in and then linked, so a maker killed at any moment leaves nothing behind.
+Who writes a block owns its name (`shm.name_lock`): the lock lies in a file of its own, for a reader may lock
+any byte of the block itself. A new block appears under its name complete.
 """
 
 from __future__ import annotations
@@ -9,13 +9,16 @@ from __future__ import annotations
 import contextlib
 import os
 import time
+from collections.abc import Collection
 
 from surffollow.blocks import layout as bl
 from surffollow.client.fence import fence
 from surffollow.config.names import check_name
-from surffollow.errors import BlockError, BusyError, NoPermissionError, NotRunningError
-from surffollow.shm.locks import WRITER_BYTE, FileLock
-from surffollow.shm.objects import SHM_ROOT, SharedObject, reserve, start_ticks, unlink
+from surffollow.errors import BlockError, BusyError, ExistsError, NoPermissionError, NotRunningError
+from surffollow.shm.locks import FileLock
+from surffollow.shm.name_lock import NameLock, holder
+from surffollow.shm.objects import SharedObject, unlink
+from surffollow.shm.process import start_ticks
 from surffollow.shm.schema import Schema
 
 POLL_S = 0.005
@@ -23,15 +26,17 @@ POLL_S = 0.005
 DYING_S = 0.1
 
 
-def open_reader(name: str, schema: type[Schema]) -> tuple[SharedObject, FileLock]:
-    """Map a block read-only.
+def open_reader(
+    name: str, schema: type[Schema], owners: Collection[int] = ()
+) -> tuple[SharedObject, FileLock]:
+    """Map a block read-only; `owners`: whose it may be (empty: anybody's).
 
     Raises
     ------
     NotRunningError, NoPermissionError, BlockError, LayoutMismatchError
     """
     try:
-        obj = SharedObject.open(name)
+        obj = SharedObject.open(name, owners=owners)
     except NotRunningError:
         raise NotRunningError(
             f"there is no block {name!r}; start its writer, or look with `surffollow blocks ls`"
@@ -46,54 +51,64 @@ def open_reader(name: str, schema: type[Schema]) -> tuple[SharedObject, FileLock
 
 def claim_writer(
     name: str, schema: type[Schema], *, mode: int, group: int, lease_ns: int
-) -> tuple[SharedObject, FileLock]:
-    """Become the block's one writer; the lock is the claim and ends with the process.
+) -> tuple[SharedObject, FileLock, NameLock]:
+    """Become the block's one writer: the owner of its name, until the process ends.
+
+    Returns
+    -------
+    SharedObject, FileLock, NameLock   the block, an open of it for the fences, and what makes it ours
 
     Raises
     ------
     BusyError           another live process writes it; its pid is named
-    NoPermissionError   it belongs to another user
+    NoPermissionError   it belongs to another user, or its lock file does
     NoSpaceError        /dev/shm cannot hold it
     BlockError          something that is no block bears the name
     """
+    own = _take_name(name)
+    try:
+        while True:
+            try:
+                obj = SharedObject.open(name, writable=True)
+            except NotRunningError:
+                try:
+                    return *_make(name, schema, mode, group, lease_ns), own
+                except ExistsError:
+                    continue  # somebody made something under the name just now: look at it
+            try:
+                if not bl.is_block(obj):
+                    raise BlockError(
+                        f"shared-memory object {name!r} is there and is no block; take another name"
+                    )
+                if obj.owner != os.geteuid():
+                    raise NoPermissionError(
+                        f"block {name!r} belongs to user {obj.owner}, expected user {os.geteuid()}: its "
+                        "owner could change it; remove it, or choose another name"
+                    )
+                if _take_over(obj, schema, mode, group, lease_ns):
+                    return obj, FileLock.beside(obj.fd, True), own
+            except BaseException:
+                obj.close()
+                raise
+            obj.close()
+    except BaseException:
+        own.release()
+        raise
+
+
+def _take_name(name: str) -> NameLock:
     deadline = time.monotonic() + DYING_S
     while True:
-        try:
-            obj = SharedObject.open(name, writable=True)
-        except NotRunningError:
-            made = _make(name, schema, mode, group, lease_ns)
-            if made is not None:
-                return made
-            continue  # another maker was faster: look at what it made
-        lock = None
-        try:
-            if not bl.is_block(obj):
-                raise BlockError(f"shared-memory object {name!r} is there and is no block; take another name")
-            if os.fstat(obj.fd).st_uid != os.geteuid():
-                raise NoPermissionError(
-                    f"block {name!r} belongs to another user, who could change it; remove it"
-                )
-            lock = FileLock.beside(obj.fd, True)
-            if lock.exclusive(WRITER_BYTE):
-                if obj.is_current() and _take_over(obj, schema, mode, group, lease_ns):
-                    return obj, lock
-            elif time.monotonic() > deadline:
-                pid = bl.read_header(obj.memory)["writer_pid"]
-                raise BusyError(
-                    f"block {name!r} is written by process {pid}; a block has one writer: end that one"
-                )
-            else:
-                time.sleep(POLL_S)
-        except BaseException:
-            _drop(obj, lock)
-            raise
-        _drop(obj, lock)
-
-
-def _drop(obj: SharedObject, lock: FileLock | None) -> None:
-    if lock is not None:
-        lock.close()
-    obj.close()
+        own = NameLock.take(check_name(name))
+        if own is not None:
+            return own
+        if time.monotonic() > deadline:
+            pid = holder(name)
+            raise BusyError(
+                f"block {name!r} is written by process {pid if pid > 0 else '(unknown)'}; a block has one "
+                "writer: end that one"
+            )
+        time.sleep(POLL_S)
 
 
 def _take_over(obj: SharedObject, schema: type[Schema], mode: int, group: int, lease_ns: int) -> bool:
@@ -133,21 +148,11 @@ def _set_access(name: str, fd: int, mode: int, group: int) -> None:
 
 def _make(
     name: str, schema: type[Schema], mode: int, group: int, lease_ns: int
-) -> tuple[SharedObject, FileLock] | None:
-    """A new block, locked by us; None when the name was taken meanwhile."""
-    check_name(name)
+) -> tuple[SharedObject, FileLock]:
+    """A new block, complete before it has its name; ExistsError when the name was taken meanwhile."""
     text_bytes, latch, size = bl.sizes(schema)
-    root = os.open(SHM_ROOT, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    lock: FileLock | None = None
-    try:
-        try:
-            lock = FileLock(os.open(SHM_ROOT, os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC, 0o600))
-        except PermissionError as e:
-            raise NoPermissionError(f"cannot create shared-memory object {name!r}: {e}") from None
-        reserve(name, lock.fd, size)
-        lock.exclusive(WRITER_BYTE)
-        fd = os.open(f"/proc/self/fd/{lock.fd}", os.O_RDWR | os.O_CLOEXEC)
-        obj = SharedObject(name, fd, size, writable=True)
+
+    def prepare(obj: SharedObject) -> None:
         h = bl.BlockHeader
         h.struct_of("version", "size").pack_into(
             obj.memory,
@@ -169,27 +174,28 @@ def _make(
             words[bl.STATE_WORD] = bl.STATE_LIVE
             fence()
             words[0] = bl.BLOCK_MAGIC
-        _set_access(name, lock.fd, mode, group)
-        try:
-            os.link(f"/proc/self/fd/{lock.fd}", name, dst_dir_fd=root, follow_symlinks=True)
-        except FileExistsError:
-            _drop(obj, lock)
-            return None
-        # the object was made without its name, so its identity is what the name leads to from now on
-        return obj, lock
+
+    obj = SharedObject.create(name, size, mode, group, prepare)
+    try:
+        return obj, FileLock.beside(obj.fd, True)
     except BaseException:
-        if lock is not None:
-            lock.close()
+        obj.close()
+        unlink(name)
         raise
-    finally:
-        os.close(root)
 
 
-def give_up(obj: SharedObject, lock: FileLock, keep: bool) -> None:
+def give_up(obj: SharedObject, lock: FileLock, own: NameLock, keep: bool) -> None:
     """The writer's end in peace: the name goes, unless the values are to stay for the next writer."""
-    if not keep and lock.fd >= 0 and obj.is_current():
-        with memoryview(obj.memory).cast("Q") as words:
-            words[bl.STATE_WORD] = bl.STATE_GONE
-        with contextlib.suppress(NoPermissionError):
-            unlink(obj.name)
-    _drop(obj, lock)
+    if own.held:
+        if not keep and obj.is_current():
+            with memoryview(obj.memory).cast("Q") as words:
+                words[bl.STATE_WORD] = bl.STATE_GONE
+            with contextlib.suppress(NoPermissionError):
+                unlink(obj.name)
+        else:
+            # the process lives on, but writes it no more
+            ticks = bl.BlockHeader.offset("writer_start_ticks")
+            obj.memory[ticks : ticks + 8] = bytes(8)
+        own.release()
+    lock.close()
+    obj.close()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
+from collections.abc import Collection
 from typing import Any
 
 from surffollow.blocks import layout as bl
@@ -14,7 +15,7 @@ from surffollow.errors import BlockError, NameError_, NotRunningError
 from surffollow.shm.objects import SHM_ROOT, SharedObject
 
 
-def attach_unknown(object_name: str) -> AttachedBlock:
+def attach_unknown(object_name: str, owners: Collection[int] = ()) -> AttachedBlock:
     """Attach read-only to a block whose schema this program has not: it is read from the block.
 
     Raises
@@ -23,14 +24,14 @@ def attach_unknown(object_name: str) -> AttachedBlock:
     """
     check_name(object_name)
     try:
-        obj = SharedObject.open(object_name)
+        obj = SharedObject.open(object_name, owners=owners)
     except NotRunningError:
         raise NotRunningError(f"there is no block {object_name!r}; see `surffollow blocks ls`") from None
     try:
         schema = bl.declared_schema(obj)
     finally:
         obj.close()
-    block = AttachedBlock(object_name.rpartition(".")[2], object_name, schema)
+    block = AttachedBlock(object_name.rpartition(".")[2], object_name, schema, owners or (obj.owner,))
     block.attach_reader()
     return block
 

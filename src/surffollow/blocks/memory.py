@@ -9,14 +9,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from surffollow.blocks.attached import AttachedBlock
 from surffollow.blocks.record import Record
 from surffollow.blocks.snapshot import Snapshot
-from surffollow.config.names import check_name
+from surffollow.config.names import OBJECTS, check_name
+from surffollow.config.owner import trusted_owners
 from surffollow.errors import NameError_, NotRunningError, SchemaError
 from surffollow.shm.schema import Schema
 
 Blocks = type[Schema] | Iterable[type[Schema]] | Mapping[str, type[Schema]]
 ATTACH_POLL_S = 0.005
-# the service's own objects are called NAME.map and NAME.inbox
-_TAKEN = frozenset(("map", "inbox"))
+_TAKEN = frozenset(OBJECTS)  # the service's own objects are called NAME.map, NAME.sock, …
 
 
 def block_name(schema: type[Schema]) -> str:
@@ -69,6 +69,7 @@ def mem_attach(
     mode: int = 0o640,
     group: str = "",
     lease_s: float = 0.5,
+    owner: int | str | None = None,
 ) -> Memory:
     """Attach blocks: map them, check their schema hashes, become the writer of some.
 
@@ -83,6 +84,8 @@ def mem_attach(
     lazy : bool           do not wait for them: they attach when they appear
     mode, group           of blocks written here: who may read them
     lease_s : float       of blocks written here: how long a reader may hold up a waiting writer
+    owner : int or str    of blocks read here: number or name of the user whose they must be; None: this
+        process's own, root, or the user that SURFFOLLOW_OWNER names. Another one's is refused then and later
 
     Raises
     ------
@@ -98,12 +101,13 @@ def mem_attach(
     if mode & ~0o666 or mode & 0o600 != 0o600:
         raise ValueError(f"mode must give its owner 0o600 and nobody more than 0o666, not {mode:#o}")
     group_id = _group_id(group)
+    owners = trusted_owners(owner)
     attached: dict[str, AttachedBlock] = {}
     deadline = time.monotonic() + timeout_s
     try:
         # what we write first: others may be waiting for it while we wait for theirs
         for block in sorted(named, key=lambda n: n not in writes):
-            attached[block] = one = AttachedBlock(block, _object_name(name, block), named[block])
+            attached[block] = one = AttachedBlock(block, _object_name(name, block), named[block], owners)
             if block in writes:
                 one.attach_writer(mode, group_id, round(lease_s * 1e9))
             else:

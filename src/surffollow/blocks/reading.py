@@ -12,15 +12,18 @@ from surffollow.blocks.record import Record
 from surffollow.client.fence import FENCED, fence
 from surffollow.errors import BlockError, BlockTimeoutError, BusyError
 from surffollow.shm.latch_shape import SLOTS
-from surffollow.shm.locks import FENCE_BASE, QUEUE_BYTE, WRITER_BYTE, FileLock
+from surffollow.shm.locks import FENCE_BASE, QUEUE_BYTE, FileLock
 
 OK, STALE = "ok", "stale"
 POLL_S = 50e-6
+LOOK_NS = 1_000_000  # between looks at the writer's process while one waits
 _clock = time.monotonic_ns
 
 
 class ReadSide(Attachment):
     """An attachment that can read; steps A1 and A4 of `attached`."""
+
+    _next_look_ns = 0
 
     def get_read_ok(self, timeout_s: float = 5.0) -> tuple[Record, int]:
         """Wait until writing has finished and keep the writer out.
@@ -61,13 +64,18 @@ class ReadSide(Attachment):
         self._view, self._fence, self._generation = view, number, g
         return view, g
 
-    def _may_enter(self, lock: FileLock) -> bool:
+    def _may_enter(self) -> bool:
         waiting = self._words[bl.WAITING_WORD]
         if not waiting:
             return True
         # a writer waits no longer than a lease: beyond twice that it was stopped, or it died
-        overdue = _clock() - waiting > 2 * self._words[bl.LEASE_WORD]
-        return overdue or (not self.is_writer and not lock.held_elsewhere(WRITER_BYTE))
+        now = _clock()
+        if now - waiting > 2 * self._words[bl.LEASE_WORD]:
+            return True
+        if self.is_writer or now < self._next_look_ns:
+            return False
+        self._next_look_ns = now + LOOK_NS
+        return not self._writer_runs()
 
     def _wait_to_read(self, timeout_s: float) -> tuple[Record, int]:
         deadline = time.monotonic() + timeout_s
@@ -80,7 +88,7 @@ class ReadSide(Attachment):
                     number = words[bl.FENCE_WORD]
                     if (
                         words[self._generation_word]
-                        and self._may_enter(lock)
+                        and self._may_enter()
                         and lock.shared(FENCE_BASE + number)
                     ):
                         if words[bl.FENCE_WORD] == number:

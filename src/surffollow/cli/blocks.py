@@ -60,8 +60,9 @@ def _age(age_s: float | None) -> str:
 def show_command(block: str, as_json: bool) -> None:
     """Show the newest values of BLOCK (NAME.BLOCK) with their units; the block brings its own schema."""
     from surffollow.blocks.listing import attach_unknown, describe_block
+    from surffollow.config.owner import trusted_owners
 
-    attached = attach_unknown(block)
+    attached = attach_unknown(block, trusted_owners())
     try:
         about = describe_block(attached)
         snapshot = attached.latest()
@@ -120,11 +121,12 @@ def _text(value: Any) -> str:
 def watch_command(block: str, as_json: bool, every: float, count: int, seconds: float) -> None:
     """Print BLOCK's values whenever they changed, until Ctrl-C; follows its writer through restarts."""
     from surffollow.blocks.listing import attach_unknown
+    from surffollow.config.owner import trusted_owners
     from surffollow.errors import UsageError
 
     if every < WATCH_POLL_S:
         raise UsageError(f"--every must be at least {WATCH_POLL_S:g} s, not {every:g}")
-    attached = attach_unknown(block)
+    attached = attach_unknown(block, trusted_owners())
     deadline = time.monotonic() + seconds if seconds > 0 else None
     try:
         _watch(attached, as_json, every, count, deadline)
@@ -163,8 +165,9 @@ def header_command(block: str) -> None:
     """Print a C header for BLOCK's structure and a reader that never waits (needs surffollow.h)."""
     from surffollow.blocks.cheader import c_header
     from surffollow.blocks.listing import attach_unknown
+    from surffollow.config.owner import trusted_owners
 
-    attached = attach_unknown(block)
+    attached = attach_unknown(block, trusted_owners())
     try:
         sys.stdout.write(c_header(attached.schema))
     finally:

@@ -70,12 +70,20 @@ def print_includedir(ctx: click.Context, param: click.Parameter, wanted: bool) -
     callback=print_includedir,
     help="Print the directory of surffollow.h.",
 )
-def cli() -> None:
+@click.option(
+    "--owner",
+    metavar="USER",
+    envvar="SURFFOLLOW_OWNER",
+    help="User (name or number) whose service is believed, beside root and yourself.",
+)
+def cli(owner: str | None) -> None:
     """Real-time surface following, mapping and scanning for robot controllers.
 
     Begin with `surffollow demo`, or `surffollow start` and a program that imports
     surffollow.client. Exit codes: 0 done, 1 fault, 2 wrong usage.
     """
+    if owner:
+        os.environ["SURFFOLLOW_OWNER"] = owner
 
 
 def main(argv: list[str] | None = None) -> Any:

@@ -78,36 +78,19 @@ def stop_command(name: str, purge: bool, timeout: float) -> None:
 
 def running_pid(name: str) -> int:
     """The pid of the live process that holds a service's name; 0 when there is none."""
-    import struct
+    from surffollow.service.stale import board_owner
+    from surffollow.shm.name_lock import holder
 
-    from surffollow.errors import BlockError, NotRunningError
-    from surffollow.service.stale import board_owner, has_open
-    from surffollow.shm import map_layout as ml
-    from surffollow.shm.layout_board import NAME_LOCK_BYTE
-    from surffollow.shm.objects import SharedObject
-
-    try:
-        map_ = SharedObject.open(f"{name}.map")
-    except NotRunningError:
-        return board_owner(name)  # its map was removed by hand
-    except BlockError:
-        return 0
-    try:
-        if not map_.is_locked(NAME_LOCK_BYTE):
-            return 0
-        pid = int(struct.unpack_from("<q", map_.memory, ml.MapHeader.offset("owner_pid"))[0])
-        return pid if has_open(pid, map_.identity) else 0
-    finally:
-        map_.close()
+    pid = holder(name)
+    # another user's lock cannot be looked at, and a lock may have been removed by hand: the board tells
+    return pid if pid > 0 else board_owner(name)
 
 
 def purge_leftovers(name: str) -> bool:
-    """Remove the map, and what a killed service left of its board and inbox."""
+    """Remove the map, and what a killed service left of its board and socket."""
     from surffollow.service.house import purge_map
-    from surffollow.service.stale import clear_stale
 
-    purged = purge_map(name)
-    return clear_stale(name) or purged
+    return purge_map(name)
 
 
 @click.command("status")

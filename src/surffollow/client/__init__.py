@@ -30,7 +30,12 @@ __all__ = [
 
 
 def attach(
-    name: str = "surf", *, stale_periods: int = 20, stale_min_s: float = 0.005, label: str = ""
+    name: str = "surf",
+    *,
+    stale_periods: int = 20,
+    stale_min_s: float = 0.005,
+    label: str = "",
+    owner: int | str | None = None,
 ) -> Client:
     """Attach to a running service as a client that may send poses and requests.
 
@@ -40,18 +45,26 @@ def attach(
     stale_periods : int    cycles of silence after which demands become zero
     stale_min_s : float    but never sooner than this
     label : str            how the service's status names this client
+    owner : int or str     number or name of the user whose service to believe; None: this process's own
+        user, root, or the one that SURFFOLLOW_OWNER names. Whose it is at first it must be ever after
 
     Raises
     ------
     NameError_            (a ValueError) no name that a service can have
     NotRunningError       no service of that name
-    NoPermissionError     not a member of the inbox's group
+    NoPermissionError     not a member of the socket's group, or the service is another user's
     LayoutMismatchError   the service is of another release
-    BusyError             all slots are taken
+    BusyError             all slots are taken, or as many as this user or process may have
     """
-    return Client(name, stale_periods=stale_periods, stale_min_s=stale_min_s, label=label)
+    return Client(name, stale_periods=stale_periods, stale_min_s=stale_min_s, label=label, owner=owner)
 
 
-def observe(name: str = "surf", *, stale_periods: int = 20, stale_min_s: float = 0.005) -> Observer:
+def observe(
+    name: str = "surf",
+    *,
+    stale_periods: int = 20,
+    stale_min_s: float = 0.005,
+    owner: int | str | None = None,
+) -> Observer:
     """Attach read-only: no slot, no write permission needed; raises as `attach`."""
-    return Observer(name, stale_periods=stale_periods, stale_min_s=stale_min_s)
+    return Observer(name, stale_periods=stale_periods, stale_min_s=stale_min_s, owner=owner)

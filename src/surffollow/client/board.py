@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import time
+from collections.abc import Collection
 from typing import Any
 
 from surffollow.client.fence import fence
@@ -13,18 +14,17 @@ from surffollow.errors import (
     LayoutMismatchError,
     NoPermissionError,
     NotReadyError,
-    NotRunningError,
 )
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.layout_board import (
     BOARD_MAGIC,
     LAYOUT_VERSION,
-    NAME_LOCK_BYTE,
     STATE_READY,
     BoardHeader,
     layout_hash,
 )
 from surffollow.shm.objects import SharedObject
+from surffollow.shm.process import is_running
 from surffollow.shm.schema import Schema
 
 LAYOUT_HASH = layout_hash()
@@ -87,7 +87,7 @@ class LatchReader:
 
 
 class Board:
-    """A service's board, mapped read-only and checked.
+    """A service's board, mapped read-only and checked; `owners`: whose it may be (empty: anybody's).
 
     Raises
     ------
@@ -95,8 +95,8 @@ class Board:
     LayoutMismatchError                  it was laid out by another version
     """
 
-    def __init__(self, name: str, ready_timeout_s: float = 2.0) -> None:
-        self.object = SharedObject.open(name)
+    def __init__(self, name: str, ready_timeout_s: float = 2.0, owners: Collection[int] = ()) -> None:
+        self.object = SharedObject.open(name, owners=owners)
         try:
             self._check(name, ready_timeout_s)
         except BlockError:
@@ -104,7 +104,7 @@ class Board:
             raise
         header = self.header()
         self.name, self.epoch, self.pid = name, int(header["epoch"]), int(header["pid"])
-        self.period_ns = int(header["period_ns"])
+        self.period_ns, self.start_ticks = int(header["period_ns"]), int(header["start_ticks"])
         self.regions: dict[str, tuple[int, int]] = {
             r["name"]: (r["offset"], r["size"]) for r in header["region"] if r["name"]
         }
@@ -164,21 +164,13 @@ class Board:
         return int(base.ctypes.data) + self.regions[part][0]
 
     def is_current(self) -> bool:
-        """Whether the name still leads to this board."""
-        return self.object.is_current()
+        """Whether the name still leads to this board, and the board to the start that it was opened of."""
+        same_start = int(self.words[BoardHeader.offset("epoch") // 8]) == self.epoch
+        return same_start and self.object.is_current()
 
     def has_ended(self) -> bool:
-        """Whether the service, which fell silent, ended; one that stands still keeps its lock on the name."""
-        if not self.is_current():
-            return True
-        try:
-            map_ = SharedObject.open(f"{self.name}.map")
-        except (NotRunningError, BlockError):
-            return True  # gone, or not to be looked at: then silence is all there is to go by
-        try:
-            return not map_.is_locked(NAME_LOCK_BYTE)
-        finally:
-            map_.close()
+        """Whether the service, which fell silent, ended; one that stands still is still a process."""
+        return not (self.is_current() and is_running(self.pid, self.start_ticks))
 
     def close(self) -> None:
         """Unmap."""

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surffollow.client.fence import FENCED, fence
-from surffollow.client.inbox import check_whole
 from surffollow.client.observer import Observer
 from surffollow.client.pose import FUTURE_NS, MAX_POSITION_M, checked_pose, checked_stamp
 from surffollow.client.requests import Ticket, check_region
@@ -37,15 +35,9 @@ class Client(SlotHolder):
     _tool: SimulatedTool | None = None
 
     def _look_after(self, now_ns: int) -> None:
-        """As often as a service falls silent: whether it is there. Ten times a second: show life.
-
-        Then, too, notice what was changed behind this client's back.
-        """
+        """As often as a service falls silent: whether it is there. Ten times a second: our slot."""
         self._next_look_ns = 0
         self._must_be_there()
-        inbox = self._inbox
-        if inbox is not None:
-            check_whole(inbox)
         self._next_look_ns = now_ns + min(self._stale_ns, LOOK_EVERY_NS)
         if now_ns < self._next_life_ns:
             return
@@ -56,25 +48,21 @@ class Client(SlotHolder):
         # a thread that re-attaches looks after everything itself
         if self._lock.acquire(blocking=False):
             try:
-                self._show_life(now_ns)
+                self._look_at_slot()
             finally:
                 self._lock.release()
 
-    def _show_life(self, now_ns: int) -> None:
-        if self._inbox is None:
+    def _look_at_slot(self) -> None:
+        if self._grant is None:
             return
-        # whole words, and only where they differ: pack_into passes through zero, and a service that
-        # looks at the claim just then would take the pose away
-        words = self._in_words
-        for index, value in ((self._pid_index, os.getpid()), (self._pid_index + 1, self._claim)):
-            if words[index] != value:
-                words[index] = value
-        words[self._pid_index + 2] = now_ns
+        if not self._grant.is_open():
+            self._release_slot()  # the service took it back: the next pose or request asks for another
+            return
         ticker = self.board.latch("ticker", lb.Ticker).copy()
         if ticker is not None and self._pose_held:
             told_ns, slot = _POSE_ROLE.unpack_from(ticker)
             if slot != self.slot and told_ns > self._pose_held_ns + LOOK_EVERY_NS:
-                self._pose_held = False  # somebody gave it back in our name: ask for it again
+                self._pose_held = False  # it is not ours any more: ask for it again
 
     # -- poses ------------------------------------------------------------------------------------
 

@@ -76,7 +76,7 @@ class MapStream:
         """Write the next piece into its half; the caller knows that it is free."""
         client, number = self.client, self.posted + 1
         memory = client._in
-        at = client._start + lb.SLOT_STREAM + (number & 1) * lb.PIECE_BYTES
+        at = lb.SLOT_STREAM + (number & 1) * lb.PIECE_BYTES
         words = client._in_words
         words[at // 8] = 0  # an earlier installation's number may be there
         fence()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import struct
 import threading
 import time
 from pathlib import Path
@@ -11,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from surffollow.client.board import check_owner
 from surffollow.client.fence import fence
-from surffollow.client.inbox import check_whole
-from surffollow.errors import BlockError, NotReadyError, NotRunningError, RefusedError, RequestTimeoutError
+from surffollow.errors import BlockError, NotRunningError, RefusedError, RequestTimeoutError
 from surffollow.shm import layout_board as lb
 from surffollow.shm import map_layout as ml
 from surffollow.shm.objects import SharedObject
@@ -21,8 +18,7 @@ if TYPE_CHECKING:
     from surffollow.client.board import Board
     from surffollow.client.client import Client
 
-_ACCESS = lb.SLOT_HEAD + lb.SlotHead.offset("access")
-_FLAG = struct.Struct("<q")
+_ACCESS_WORD = (lb.SLOT_HEAD + lb.SlotHead.offset("access")) // 8
 
 
 class ExclusiveAccess:
@@ -44,9 +40,9 @@ class ExclusiveAccess:
 
     def _post(self, flag: int) -> None:
         client = self._client
-        if client._inbox is not None:
-            check_whole(client._inbox)
-            _FLAG.pack_into(client._in, client._start + _ACCESS, flag)
+        if client._grant is not None:
+            # one whole word: `pack_into` passes through zero, and the service looks at any moment
+            client._in_words[_ACCESS_WORD] = flag
 
     def _request(self) -> None:
         """Step 1, once for every service that this client is attached to."""
@@ -71,9 +67,6 @@ class ExclusiveAccess:
                 return
             # fenced, or the grant given back last still stands: the flag must be seen to come down first
             down = mine or s["fenced"] >> client.slot & 1
-            if not down and client._inbox is not None:
-                check_whole(client._inbox)
-                client._in_words[client._pid_index + 1] = client._claim  # what the grant will name
             self._post(lb.ACCESS_FREE if down else lb.ACCESS_REQUESTED)
 
     def _is_mine(self, s: dict[str, Any]) -> bool:
@@ -129,12 +122,11 @@ class ExclusiveAccess:
             client._access_users -= 1
             if client._access_users:
                 return
-            with contextlib.suppress(NotReadyError):  # cut short: the flag is gone with the rest
-                self._post(flag)
-                deadline = time.monotonic() + self._timeout_s
-                while self.granted() and client.alive() and time.monotonic() < deadline:
-                    time.sleep(0.0002)
-                self._post(lb.ACCESS_FREE)
+            self._post(flag)
+            deadline = time.monotonic() + self._timeout_s
+            while self.granted() and client.alive() and time.monotonic() < deadline:
+                time.sleep(0.0002)
+            self._post(lb.ACCESS_FREE)
             if self._board is client.board:
                 client._grant_ended = self._number
 

@@ -14,7 +14,8 @@ from surffollow.client.demand import STALE, Demand, status_names
 from surffollow.client.fence import FENCED, fence
 from surffollow.client.map_live import MapReading
 from surffollow.config.names import check_service_name
-from surffollow.errors import BlockError, NotRunningError
+from surffollow.config.owner import trusted_owners
+from surffollow.errors import BlockError, NotReadyError, NotRunningError
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.layout_board import STATE_READY, MapStatus, Stats, Ticker
 from surffollow.shm.layout_follow import VALID, Output, Params
@@ -51,20 +52,33 @@ class Observer(MapReading):
     name : str             of the service
     stale_periods : int    cycles without a new output after which the demand is stale
     stale_min_s : float    but never sooner than this
+    owner : int or str     number or name of the user whose service to believe; None: this process's own
+        user, root, or the one that SURFFOLLOW_OWNER names. Whose it is at first it must be ever after
 
     Raises
     ------
-    NameError_    (a ValueError) no name that a service can have
+    NameError_         (a ValueError) no name that a service can have
+    NoPermissionError  it belongs to another user; both are named
     """
 
-    def __init__(self, name: str = "surf", *, stale_periods: int = 20, stale_min_s: float = 0.005) -> None:
+    def __init__(
+        self,
+        name: str = "surf",
+        *,
+        stale_periods: int = 20,
+        stale_min_s: float = 0.005,
+        owner: int | str | None = None,
+    ) -> None:
         if stale_periods < 1:
             raise ValueError(f"stale_periods must be at least 1, not {stale_periods}")
         self.name = check_service_name(name)
         self._stale_periods, self._stale_min_ns = stale_periods, int(stale_min_s * 1e9)
         self._next_attach_ns, self._ended = 0, False
         self._lock = threading.RLock()  # re-attaching, and what a client has beyond it
-        self._take(Board(name))
+        self._refusal = ""  # why what bears the name now is not attached to
+        board = Board(name, owners=trusted_owners(owner))
+        self._owners = frozenset((board.object.owner,))
+        self._take(board)
         _observers.add(self)
 
     def _take(self, board: Board) -> None:
@@ -238,7 +252,7 @@ class Observer(MapReading):
         if not self._follow():
             raise NotRunningError(
                 f"service {self.name!r} ended; start it again (surffollow start --name {self.name}), "
-                "and this attachment follows"
+                f"and this attachment follows{self._refusal}"
             )
 
     def _try_reattach(self, now_ns: int, wait: bool = False) -> None:
@@ -250,19 +264,24 @@ class Observer(MapReading):
         try:
             self._next_attach_ns = now_ns + REATTACH_EVERY_NS
             if self.board.is_current():
-                self._ended = self.board.has_ended()
+                self._ended = self._has_ended()
                 return
             try:
-                board = Board(self.name, ready_timeout_s=0.0)
-            except (NotRunningError, BlockError):
+                board = Board(self.name, ready_timeout_s=0.0, owners=self._owners)
+            except (NotRunningError, BlockError) as e:
                 self._ended = True
+                self._refusal = "" if isinstance(e, NotRunningError | NotReadyError) else f": {e}"
                 return
+            self._refusal = ""
             old = self.board
             self._take(board)
             self._reattached()
             old.object.close()  # a thread that reads it still keeps it mapped
         finally:
             self._lock.release()
+
+    def _has_ended(self) -> bool:
+        return self.board.has_ended()
 
     def _reattached(self) -> None:
         """What else must follow the service to its new epoch."""

@@ -95,7 +95,7 @@ class SimulatedTool:
             if self._pid == os.getpid() and self._object.is_current():
                 unlink(self._object.name)
             self._words.release()
-            self._lock.close()
+            self._lock.release()
             self._object.close()
 
 

@@ -6,8 +6,9 @@ import re
 
 from surffollow.errors import NameError_
 
-OBJECTS = ("inbox", "map", "world")  # a service NAME has the objects NAME, NAME.inbox, … of its own
+OBJECTS = ("sock", "lock", "map", "world")  # a service NAME has the files NAME, NAME.sock, … of its own
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,47}\Z")
+_OBJECT_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}\Z")
 
 
 def check_name(name: str) -> str:
@@ -25,12 +26,25 @@ def check_name(name: str) -> str:
     return name
 
 
+def check_object_name(name: str) -> str:
+    """The name, when it can be that of an object in /dev/shm: a service's or block's with an ending.
+
+    Raises
+    ------
+    NameError_  see `check_name`; up to 64 characters here
+    """
+    if not isinstance(name, str) or not _OBJECT_NAME.match(name):
+        check_name(name)
+        raise NameError_(f"name {name!r} is not allowed; an object's name has at most 64 characters")
+    return name
+
+
 def check_service_name(name: str) -> str:
     """The name, when it can name a service: also none that is an object of another service.
 
     Raises
     ------
-    NameError_  see `check_name`, or it ends in .inbox, .map or .world
+    NameError_  see `check_name`, or it ends in .sock, .lock, .map or .world
     """
     owner, _, last = check_name(name).rpartition(".")
     if owner and last in OBJECTS:

@@ -42,13 +42,18 @@ class MapConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     access_lease: str | float = "30 s"
 
 
+MOST_SLOTS = 16  # that a service has (shm.layout_board.CLIENTS)
+
+
 class AccessConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Modes and group of the shared-memory objects."""
+    """Modes and group of what is shared, and how many clients one user or process may have."""
 
     board_mode: str = "0640"
-    inbox_mode: str = "0660"
+    socket_mode: str = "0660"
     map_mode: str = "0640"
     group: str = ""
+    slots_per_user: int = 8
+    slots_per_process: int = 4
 
 
 class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -131,8 +136,11 @@ def _check(c: ServiceConfig) -> None:
     seconds(c.map.access_lease, "map.access_lease", 0.01, 3600.0)
     if not 1.0 <= c.map.queue_seconds <= 600.0:
         raise ConfigError("configuration key map.queue_seconds must be between 1 and 600 s")
-    for key in ("board_mode", "inbox_mode", "map_mode"):
+    for key in ("board_mode", "socket_mode", "map_mode"):
         mode(getattr(c.access, key), key)
+    for key in ("slots_per_user", "slots_per_process"):
+        if not 1 <= getattr(c.access, key) <= MOST_SLOTS:
+            raise ConfigError(f"configuration key access.{key} must be a whole number from 1 to {MOST_SLOTS}")
     for name, value in c.follow.items():
         check_param(name, value)
     if len({param_name(n) for n in c.follow}) < len(c.follow):

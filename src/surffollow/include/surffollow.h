@@ -34,6 +34,8 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <inttypes.h>
+#include <poll.h>
+#include <pwd.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -41,8 +43,11 @@
 #include <string.h>
 #include <strings.h>
 #include <sys/mman.h>
+#include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/types.h>
+#include <sys/uio.h>
+#include <sys/un.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -73,10 +78,10 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 
 /* ---- layout: generated ------------------------------------------------------------ */
 
-#define SF_LAYOUT_VERSION 1u
-#define SF_LAYOUT_HASH UINT64_C(9160339716002885141)
+#define SF_LAYOUT_VERSION 2u
+#define SF_LAYOUT_HASH UINT64_C(7641254991741082320)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
-#define SF_INBOX_MAGIC UINT64_C(3549485532940752211)
+#define SF_SLOT_MAGIC UINT64_C(3554549926447961427)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
 #define SF_MAP_LAYOUT_HASH UINT64_C(5526371732307386036)
 #define SF_WORLD_MAGIC INT64_C(3550046344000460115)
@@ -94,7 +99,6 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 #define SF_PIECE_GRIDS 9536
 #define SF_PIECE_HEIGHTS 64
 #define SF_PIECE_COUNTS 19136
-#define SF_INBOX_BYTES 1052672
 #define SF_REGIONS 16
 #define SF_CHANNELS 8
 #define SF_LATCH_SLOTS 4
@@ -105,7 +109,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 #define SF_MAX_REGION_M 1000000.0
 #define SF_REATTACH_EVERY_NS 20000000
 #define SF_LOOK_EVERY_NS 100000000
-#define SF_NAME_LOCK_BYTE INT64_C(4611686018427387904)
+#define SF_SLOT_WAIT_NS 2000000000
 #define SF_POSE_FUTURE_NS 1000000
 #define SF_MAX_POSITION_M 1000000000.0
 
@@ -132,6 +136,19 @@ enum {
   SF_ACCESS_REQUESTED = 1,
   SF_ACCESS_GRANTED = 2,
   SF_ACCESS_DONE = 3
+};
+
+enum {
+  SF_SLOT_ASK = 1,
+  SF_SLOT_OFFER = 2,
+  SF_SLOT_MAPPED = 3,
+  SF_SLOT_GRANT = 4,
+  SF_SLOT_REFUSE = 5,
+  SF_SLOT_ALL_TAKEN = 1,
+  SF_SLOT_USER_LIMIT = 2,
+  SF_SLOT_PROCESS_LIMIT = 3,
+  SF_SLOT_OTHER_RUN = 4,
+  SF_SLOT_BAD_MESSAGE = 5
 };
 
 enum {
@@ -308,10 +325,10 @@ typedef struct sf_board_header {
   uint64_t magic;
   uint32_t version;
   uint32_t n_regions;
-  uint64_t layout_hash; /* of all schemas of the board and the inbox */
+  uint64_t layout_hash; /* of all schemas of the board and the slots */
   uint64_t size; /* [B] of the whole object */
   int64_t state; /* INITIALISING, READY, STOPPING, STOPPED */
-  int64_t epoch; /* counts the starts of this name since boot */
+  int64_t epoch; /* of this start: no other start of the name has it */
   int64_t pid; /* of the service */
   int64_t start_ticks; /* start time of that process, clock ticks since boot */
   char boot_id[40];
@@ -613,37 +630,52 @@ SF_STATIC_ASSERT(offsetof(sf_log_head, head) == 64, "layout of sf_log_head");
 SF_STATIC_ASSERT(offsetof(sf_log_head, capacity) == 128, "layout of sf_log_head");
 SF_STATIC_ASSERT(offsetof(sf_log_head, pad) == 136, "layout of sf_log_head");
 
-/* First page of the inbox. */
-typedef struct sf_inbox_header {
-  uint64_t magic;
-  uint32_t version;
-  uint32_t slots;
-  uint64_t layout_hash;
-  int64_t epoch;
-  uint64_t size; /* [B] */
-} sf_inbox_header;
-SF_STATIC_ASSERT(sizeof(sf_inbox_header) == 40, "layout of sf_inbox_header");
-SF_STATIC_ASSERT(offsetof(sf_inbox_header, magic) == 0, "layout of sf_inbox_header");
-SF_STATIC_ASSERT(offsetof(sf_inbox_header, version) == 8, "layout of sf_inbox_header");
-SF_STATIC_ASSERT(offsetof(sf_inbox_header, slots) == 12, "layout of sf_inbox_header");
-SF_STATIC_ASSERT(offsetof(sf_inbox_header, layout_hash) == 16, "layout of sf_inbox_header");
-SF_STATIC_ASSERT(offsetof(sf_inbox_header, epoch) == 24, "layout of sf_inbox_header");
-SF_STATIC_ASSERT(offsetof(sf_inbox_header, size) == 32, "layout of sf_inbox_header");
+/* Every message on NAME.sock, in both directions. */
+typedef struct sf_slot_message {
+  uint64_t magic; /* 'SURFSLT1' */
+  uint64_t layout_hash; /* as in the board's header */
+  int64_t step; /* SLOT_ASK, SLOT_OFFER, SLOT_MAPPED, SLOT_GRANT or SLOT_REFUSE */
+  int64_t epoch; /* of the board that the client has opened */
+  int64_t result; /* SLOT_OK, or why the client gets no slot */
+  int64_t detail; /* of a refusal: the limit that is reached */
+  int64_t slot; /* number of the slot offered or granted */
+  int64_t claim; /* number of this attachment, never 0, which answers and grants bear */
+  char name[32]; /* how the service's status names the client */
+} sf_slot_message;
+SF_STATIC_ASSERT(sizeof(sf_slot_message) == 96, "layout of sf_slot_message");
+SF_STATIC_ASSERT(offsetof(sf_slot_message, magic) == 0, "layout of sf_slot_message");
+SF_STATIC_ASSERT(offsetof(sf_slot_message, layout_hash) == 8, "layout of sf_slot_message");
+SF_STATIC_ASSERT(offsetof(sf_slot_message, step) == 16, "layout of sf_slot_message");
+SF_STATIC_ASSERT(offsetof(sf_slot_message, epoch) == 24, "layout of sf_slot_message");
+SF_STATIC_ASSERT(offsetof(sf_slot_message, result) == 32, "layout of sf_slot_message");
+SF_STATIC_ASSERT(offsetof(sf_slot_message, detail) == 40, "layout of sf_slot_message");
+SF_STATIC_ASSERT(offsetof(sf_slot_message, slot) == 48, "layout of sf_slot_message");
+SF_STATIC_ASSERT(offsetof(sf_slot_message, claim) == 56, "layout of sf_slot_message");
+SF_STATIC_ASSERT(offsetof(sf_slot_message, name) == 64, "layout of sf_slot_message");
 
-/* Who holds the slot. */
+/* Who holds a slot, as the kernel told the service (SO_PEERCRED). */
+typedef struct sf_client_info {
+  int64_t pid; /* 0: the slot is free */
+  int64_t uid;
+  int64_t since_ns; /* [ns] when the slot was granted */
+  char name[32]; /* as the client calls itself */
+  int64_t pad;
+} sf_client_info;
+SF_STATIC_ASSERT(sizeof(sf_client_info) == 64, "layout of sf_client_info");
+SF_STATIC_ASSERT(offsetof(sf_client_info, pid) == 0, "layout of sf_client_info");
+SF_STATIC_ASSERT(offsetof(sf_client_info, uid) == 8, "layout of sf_client_info");
+SF_STATIC_ASSERT(offsetof(sf_client_info, since_ns) == 16, "layout of sf_client_info");
+SF_STATIC_ASSERT(offsetof(sf_client_info, name) == 24, "layout of sf_client_info");
+SF_STATIC_ASSERT(offsetof(sf_client_info, pad) == 56, "layout of sf_client_info");
+
+/* First line of a slot. */
 typedef struct sf_slot_head {
-  int64_t pid;
-  int64_t claim; /* random number of this attachment; 0: free */
-  int64_t heartbeat_ns; /* [ns] */
   int64_t access; /* the client's half of the four-step flag */
-  char name[32];
+  int64_t pad[7];
 } sf_slot_head;
 SF_STATIC_ASSERT(sizeof(sf_slot_head) == 64, "layout of sf_slot_head");
-SF_STATIC_ASSERT(offsetof(sf_slot_head, pid) == 0, "layout of sf_slot_head");
-SF_STATIC_ASSERT(offsetof(sf_slot_head, claim) == 8, "layout of sf_slot_head");
-SF_STATIC_ASSERT(offsetof(sf_slot_head, heartbeat_ns) == 16, "layout of sf_slot_head");
-SF_STATIC_ASSERT(offsetof(sf_slot_head, access) == 24, "layout of sf_slot_head");
-SF_STATIC_ASSERT(offsetof(sf_slot_head, name) == 32, "layout of sf_slot_head");
+SF_STATIC_ASSERT(offsetof(sf_slot_head, access) == 0, "layout of sf_slot_head");
+SF_STATIC_ASSERT(offsetof(sf_slot_head, pad) == 8, "layout of sf_slot_head");
 
 /* What ee_pos posts. */
 typedef struct sf_pose_post {
@@ -659,7 +691,7 @@ typedef struct sf_request_post {
   int64_t counter;
   int64_t code; /* RQ_... */
   int64_t n; /* arguments used */
-  int64_t claim; /* random number of this attachment */
+  int64_t claim; /* of this attachment */
   int64_t number[16]; /* parameter numbers, map sizes, ... */
   double value[16]; /* values, region, offset */
 } sf_request_post;
@@ -881,7 +913,8 @@ enum {
   SF_ERR_MEMORY = -33,
   SF_ERR_SYSTEM = -34,
   SF_ERR_HELD = -35,
-  SF_ERR_WORLD_HELD = -36,
+  SF_ERR_OWNER = -36,
+  SF_ERR_WORLD_HELD = -37,
   /* the service refused: SF_REFUSED_...; `detail` of the client holds the answer's number */
   SF_REFUSED = -100
 };
@@ -895,7 +928,7 @@ static inline const char *sf_strerror(int result) {
     case SF_NO_READING: return "there is no valid distance now";
     case SF_UNKNOWN: return "no height is known there";
     case SF_ERR_ARGUMENT: return "an argument is missing or outside its range";
-    case SF_ERR_NAME: return "a service's name is 1 to 48 letters, digits, '.', '_' or '-', none of '._-' first, no .inbox, .map or .world last";
+    case SF_ERR_NAME: return "a service's name is 1 to 48 letters, digits, '.', '_' or '-', none of '._-' first, no .sock, .lock, .map or .world last";
     case SF_ERR_POSE: return "a pose is seven finite numbers: x y z within 1e9 m, a quaternion of norm 1 within 1e-3";
     case SF_ERR_POSE_FUTURE: return "the pose is stamped more than 1 ms ahead; use CLOCK_MONOTONIC";
     case SF_ERR_POSE_OLD: return "the pose is older than pose_timeout_ns; the service takes none so old";
@@ -903,11 +936,11 @@ static inline const char *sf_strerror(int result) {
     case SF_ERR_PARAM: return "there is no parameter of that name, or it cannot be set";
     case SF_ERR_BOUNDS: return "the value is not finite, not whole, or outside the parameter's bounds";
     case SF_ERR_NOT_RUNNING: return "no live service of that name; start it: surffollow start --name ...";
-    case SF_ERR_NO_PERMISSION: return "no permission; join the group of the service's objects (ls -l /dev/shm): sf_observe must read them, sf_attach write, too";
+    case SF_ERR_NO_PERMISSION: return "no permission; join the group of the board and the socket (ls -l /dev/shm): sf_observe needs the board, sf_attach both";
     case SF_ERR_NOT_READY: return "the service is starting or being replaced; try again";
     case SF_ERR_LAYOUT: return "the service is of another release than this header; rebuild or restart";
     case SF_ERR_BLOCK: return "the shared-memory object is damaged or not one; restart the service";
-    case SF_ERR_SLOTS: return "all client slots are taken; end a client";
+    case SF_ERR_SLOTS: return "all client slots are taken, or as many as this user or process may have (the client's detail); end a client";
     case SF_ERR_OBSERVER: return "an observer cannot send; attach with sf_attach";
     case SF_ERR_TIMEOUT: return "the service did not answer in time";
     case SF_ERR_RESTARTED: return "the service was restarted before it answered; ask again";
@@ -918,6 +951,7 @@ static inline const char *sf_strerror(int result) {
     case SF_ERR_MEMORY: return "not enough memory for a copy of the map";
     case SF_ERR_HELD: return "this client holds the map itself, which would wait for ever; call sf_access_end first";
     case SF_ERR_WORLD_HELD: return "a simulated robot or another client publishes the true pose; stop that one";
+    case SF_ERR_OWNER: return "the service belongs to a user who is not trusted (in the client's detail); name him: sf_attach_owner, SURFFOLLOW_OWNER";
     case SF_ERR_SYSTEM: return "a system call failed; the client's detail holds errno";
     default: break;
   }
@@ -965,7 +999,7 @@ static inline int64_t sf_latch_read_part(const void *latch, size_t payload_bytes
       memcpy(to + 8 * k, &word, 8);
     }
     __atomic_thread_fence(__ATOMIC_ACQUIRE); /* R3 */
-    /* R4; unsigned: the inbox may hold anything */
+    /* R4; unsigned: shared memory may hold anything */
     if (SF_CAST(uint64_t, sf_load_relaxed(base)) - SF_CAST(uint64_t, g) <= SF_LATCH_SLOTS - 2) return g;
   }
   return -1;
@@ -1018,8 +1052,11 @@ typedef struct sf_object {
   size_t size;
   uint64_t device, inode;
   uid_t owner;
-  int fd; /* -1 unless it carries a lock */
+  int fd; /* of a slot: the connection that owns it; else -1 */
 } sf_object;
+
+/* Whose shared memory is believed: this process's own user, root, and the one that SURFFOLLOW_OWNER names. */
+#define SF_OWNER_DEFAULT INT64_C(-1)
 
 /* How to attach; begin with sf_default_options(). */
 typedef struct sf_options {
@@ -1031,6 +1068,8 @@ typedef struct sf_options {
   int64_t stale_min_ns;  /* ... but never sooner than this */
   int64_t ready_wait_ns; /* how long to wait for a service that is starting */
   int64_t timeout_ns;    /* how long a request waits for its answer (map requests: six times this) */
+  int64_t owner;         /* number of the user whose service to believe, or SF_OWNER_DEFAULT; whose it is at
+                            first it must be ever after */
 } sf_options;
 
 /* A client; the caller's memory, filled by sf_attach. Only the first group is for reading. */
@@ -1038,19 +1077,20 @@ typedef struct sf_client {
   int64_t epoch;     /* of the service attached to; changes when it was restarted */
   int64_t period_ns; /* of its cycle */
   int64_t detail;    /* after an error: errno, holder's pid, refused parameter's number */
-  int slot;          /* of the inbox; -1: none */
+  int slot;          /* number of the slot it holds; -1: none */
   /* private */
   char name[64];
   char label[32];
   sf_options options;
-  sf_object board, inbox, map;
+  sf_object board, held, map; /* held: the slot's memory, and the connection that owns it */
   const unsigned char *output, *params, *acks, *map_acks, *ticker, *map_status, *stats;
   unsigned char *slot_memory;
   int64_t stale_ns, next_attach_ns, next_look_ns, next_life_ns, pose_timeout_ns, pose_held_ns;
   int64_t claim, counter;
+  int64_t owner; /* the user whose service it attached to first; -1: not yet */
   int64_t asked_ns;
   int pose_held, abandoned;
-  int ended; /* at the last look the service was silent and its lock on the name gone */
+  int ended; /* at the last look the service was silent and its process gone */
   int64_t grant;    /* number of the newest grant of the map to this attachment */
   int access_depth; /* sf_access_begin that were not ended */
   sf_object world;  /* of sf_sim_pose */
@@ -1066,6 +1106,7 @@ static inline sf_options sf_default_options(void) {
   o.stale_min_ns = 5000000;
   o.ready_wait_ns = 2000000000;
   o.timeout_ns = 5000000000;
+  o.owner = SF_OWNER_DEFAULT;
   return o;
 }
 
@@ -1078,7 +1119,7 @@ static inline int sf_i_name_ok(const char *name) {
     if (n >= 48) return 0;
   }
   /* the names of a service's own objects */
-  static const char *const objects[] = {".inbox", ".map", ".world"};
+  static const char *const objects[] = {".sock", ".lock", ".map", ".world"};
   for (size_t k = 0; k < sizeof objects / sizeof objects[0]; k++) {
     const size_t m = strlen(objects[k]);
     if (n > m && strcmp(name + n - m, objects[k]) == 0) return 0;
@@ -1095,7 +1136,8 @@ static inline int sf_i_errno(sf_client *c, int number) {
   c->detail = number;
   if (number == ENOENT) return SF_ERR_NOT_RUNNING;
   if (number == EACCES || number == EPERM) return SF_ERR_NO_PERMISSION;
-  if (number == ELOOP) return SF_ERR_BLOCK; /* a link: never followed */
+  /* a link, which is never followed, or a socket or device */
+  if (number == ELOOP || number == ENXIO || number == ENODEV || number == EISDIR) return SF_ERR_BLOCK;
   return SF_ERR_SYSTEM;
 }
 
@@ -1110,15 +1152,36 @@ static inline void sf_i_close(sf_object *o) {
   sf_i_forget(o);
 }
 
-/* Map NAME + suffix; with `writable` the descriptor stays open, for it carries this process's locks. */
-static inline int sf_i_open(sf_client *c, const char *suffix, int writable, sf_object *o) {
+/* The number of the user that SURFFOLLOW_OWNER names, by number or name; -1: none. */
+static inline int64_t sf_i_configured_owner(void) {
+  const char *text = getenv("SURFFOLLOW_OWNER");
+  char room[4096], *end;
+  struct passwd entry, *found = NULL;
+  if (text == NULL || text[0] == '\0') return -1;
+  const long long number = strtoll(text, &end, 10);
+  if (*end == '\0') return number >= 0 ? SF_CAST(int64_t, number) : -1;
+  if (getpwnam_r(text, &entry, room, sizeof room, &found) != 0 || found == NULL) return -1;
+  return SF_CAST(int64_t, found->pw_uid);
+}
+
+/* Whether an object of user `found` is believed; `owner`: one user's number, or SF_OWNER_DEFAULT. */
+static inline int sf_i_owner_ok(int64_t owner, uid_t found) {
+  if (owner != SF_OWNER_DEFAULT) return owner == SF_CAST(int64_t, found);
+  return found == 0 || found == geteuid() || SF_CAST(int64_t, found) == sf_i_configured_owner();
+}
+
+/*
+ * Map NAME + suffix read-only. What stands under the name may be anything of anybody's: nothing here waits
+ * for it (O_NONBLOCK), follows a link, or maps what is no plain file of a user who is believed.
+ */
+static inline int sf_i_open(sf_client *c, const char *suffix, sf_object *o) {
   char path[96];
   struct stat status;
   sf_i_forget(o);
   if (!sf_i_path(c->name, suffix, path)) return SF_ERR_NAME;
   int fd;
   do {
-    fd = open(path, (writable ? O_RDWR : O_RDONLY) | O_CLOEXEC | O_NOFOLLOW);
+    fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK | O_NOCTTY);
   } while (fd < 0 && errno == EINTR);
   if (fd < 0) return sf_i_errno(c, errno);
   if (fstat(fd, &status) != 0) {
@@ -1130,27 +1193,24 @@ static inline int sf_i_open(sf_client *c, const char *suffix, int writable, sf_o
     close(fd);
     return SF_ERR_BLOCK;
   }
+  if (!sf_i_owner_ok(c->owner >= 0 ? c->owner : c->options.owner, status.st_uid)) {
+    close(fd);
+    c->detail = SF_CAST(int64_t, status.st_uid);
+    return SF_ERR_OWNER;
+  }
   if (status.st_size < SF_PAGE) { /* created, not yet laid out */
     close(fd);
     return SF_ERR_NOT_READY;
   }
-  void *memory = mmap(NULL, SF_CAST(size_t, status.st_size), writable ? PROT_READ | PROT_WRITE : PROT_READ,
-                      MAP_SHARED, fd, 0);
-  if (memory == MAP_FAILED) {
-    const int number = errno;
-    close(fd);
-    return sf_i_errno(c, number);
-  }
+  void *memory = mmap(NULL, SF_CAST(size_t, status.st_size), PROT_READ, MAP_SHARED, fd, 0);
+  const int number = errno;
+  close(fd);
+  if (memory == MAP_FAILED) return sf_i_errno(c, number);
   o->memory = SF_CAST(unsigned char *, memory);
   o->size = SF_CAST(size_t, status.st_size);
   o->device = SF_CAST(uint64_t, status.st_dev);
   o->inode = SF_CAST(uint64_t, status.st_ino);
   o->owner = status.st_uid;
-  o->fd = fd;
-  if (!writable) {
-    close(fd);
-    o->fd = -1;
-  }
   return SF_OK;
 }
 
@@ -1166,7 +1226,10 @@ static inline int sf_i_is_current(const sf_client *c, const char *suffix, const 
 static inline void sf_i_release_world(sf_client *c, int remove) {
   char path[96];
   if (c->world.memory == NULL) return;
-  if (remove && sf_i_is_current(c, ".world", &c->world) && sf_i_path(c->name, ".world", path)) unlink(path);
+  if (remove) {
+    if (sf_i_is_current(c, ".world", &c->world) && sf_i_path(c->name, ".world", path)) unlink(path);
+    if (sf_i_path(c->name, ".world.lock", path)) unlink(path);
+  }
   sf_i_close(&c->world);
 }
 
@@ -1195,7 +1258,7 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
   const int64_t deadline = sf_now_ns() + wait_ns;
   int err;
   for (;;) {
-    err = sf_i_open(c, "", 0, &board);
+    err = sf_i_open(c, "", &board);
     if (err == SF_OK) {
       const sf_board_header *h = SF_VIEW(const sf_board_header *, board.memory);
       const int64_t state = sf_load_acquire(&h->state); /* stored last, so that all else is there */
@@ -1224,6 +1287,7 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
   }
   sf_i_close(&c->board);
   c->board = board;
+  c->owner = SF_CAST(int64_t, board.owner); /* no other user's from now on */
   c->output = output, c->params = params, c->acks = acks, c->map_acks = map_acks;
   c->ticker = ticker, c->map_status = map_status, c->stats = stats;
   c->ended = 0;
@@ -1235,7 +1299,7 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
   if (!sf_i_is_current(c, ".map", &c->map)) {
     sf_object map; /* without it only the map's functions fail */
     sf_i_close(&c->map);
-    if (sf_i_open(c, ".map", 0, &map) == SF_OK) {
+    if (sf_i_open(c, ".map", &map) == SF_OK) {
       if (map.owner == c->board.owner)
         c->map = map;
       else /* somebody else's, under the name of the service's */
@@ -1243,6 +1307,210 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
     }
   }
   return SF_OK;
+}
+
+/* ---- a slot of the service, through its socket (docs/protocol.md, "Getting a slot") ----------- */
+
+/* Numbers that strict ISO C hides; the same on x86-64 and aarch64. */
+#define SF_I_SO_PEERCRED 17
+#define SF_I_GET_SEALS 1034
+#define SF_I_SIZE_SEALS 6 /* F_SEAL_SHRINK, F_SEAL_GROW */
+
+/* Wait until a socket can be read. 0, or an errno: ETIMEDOUT. */
+static inline int sf_i_await(int fd, int64_t deadline_ns) {
+  for (;;) {
+    struct pollfd wanted;
+    const int64_t left_ns = deadline_ns - sf_now_ns();
+    wanted.fd = fd;
+    wanted.events = POLLIN;
+    wanted.revents = 0;
+    const int got = poll(&wanted, 1, left_ns > 0 ? SF_CAST(int, left_ns / 1000000) + 1 : 0);
+    if (got > 0) return 0;
+    if (got == 0 && sf_now_ns() >= deadline_ns) return ETIMEDOUT;
+    if (got < 0 && errno != EINTR) return errno;
+  }
+}
+
+/* Connect to NAME.sock; the descriptor, or a negative result. */
+static inline int sf_i_connect(sf_client *c, int64_t deadline_ns) {
+  char path[96];
+  struct sockaddr_un address;
+  if (!sf_i_path(c->name, ".sock", path)) return SF_ERR_NAME;
+  memset(&address, 0, sizeof address);
+  address.sun_family = AF_UNIX;
+  memcpy(address.sun_path, path, strlen(path) + 1); /* 96 of 108 bytes */
+  const int fd = socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+  if (fd < 0) return sf_i_errno(c, errno);
+  while (connect(fd, SF_VIEW(const struct sockaddr *, &address), SF_CAST(socklen_t, sizeof address)) != 0) {
+    const int number = errno;
+    if (number == EINTR || (number == EAGAIN && sf_now_ns() < deadline_ns)) { /* many clients come at once */
+      if (number == EAGAIN) sf_sleep_until_ns(sf_now_ns() + 2000000);
+      continue;
+    }
+    close(fd);
+    if (number == ENOENT || number == ECONNREFUSED || number == EAGAIN) return SF_ERR_NOT_READY;
+    if (number == EPROTOTYPE || number == ENOTSOCK) return SF_ERR_BLOCK;
+    return sf_i_errno(c, number);
+  }
+  int32_t peer[3] = {0, -1, -1}; /* pid, uid, gid of the process that listens, as the kernel tells it */
+  socklen_t size = sizeof peer;
+  if (getsockopt(fd, SOL_SOCKET, SF_I_SO_PEERCRED, peer, &size) != 0 ||
+      SF_CAST(uid_t, peer[1]) != c->board.owner) {
+    close(fd);
+    c->detail = peer[1];
+    return SF_ERR_OWNER;
+  }
+  return fd;
+}
+
+/* Send one message of the exchange. 0, or an errno; never a signal. */
+static inline int sf_i_say(const sf_client *c, int fd, int64_t step, const sf_slot_message *offer) {
+  sf_slot_message m;
+  memset(&m, 0, sizeof m);
+  m.magic = SF_SLOT_MAGIC;
+  m.layout_hash = SF_LAYOUT_HASH;
+  m.step = step;
+  m.epoch = c->epoch;
+  if (offer != NULL) m.slot = offer->slot, m.claim = offer->claim;
+  memcpy(m.name, c->label, sizeof m.name);
+  for (;;) {
+    const ssize_t sent = send(fd, &m, sizeof m, MSG_NOSIGNAL);
+    if (sent == SF_CAST(ssize_t, sizeof m)) return 0;
+    if (sent >= 0) return EMSGSIZE;
+    if (errno != EINTR) return errno;
+  }
+}
+
+/* Receive one message and, with it, at most one descriptor (else -1). SF_OK or an error. */
+static inline int sf_i_hear(sf_client *c, int fd, int64_t deadline_ns, sf_slot_message *m, int *memory_fd) {
+  /* the control data of one descriptor, aligned as its head wants it */
+  union {
+    struct cmsghdr head;
+    unsigned char bytes[CMSG_SPACE(sizeof(int))];
+  } control;
+  struct iovec piece;
+  struct msghdr message;
+  *memory_fd = -1;
+  const int number = sf_i_await(fd, deadline_ns);
+  if (number == ETIMEDOUT) return SF_ERR_NOT_READY;
+  if (number != 0) return sf_i_errno(c, number);
+  memset(&control, 0, sizeof control);
+  memset(&message, 0, sizeof message);
+  piece.iov_base = m;
+  piece.iov_len = sizeof *m;
+  message.msg_iov = &piece;
+  message.msg_iovlen = 1;
+  message.msg_control = &control;
+  message.msg_controllen = sizeof control;
+  ssize_t got;
+  do {
+    got = recvmsg(fd, &message, MSG_CMSG_CLOEXEC);
+  } while (got < 0 && errno == EINTR);
+  if (got <= 0) return SF_ERR_NOT_READY; /* it closed the connection: it is being replaced */
+  const struct cmsghdr *head = CMSG_FIRSTHDR(&message);
+  if (head != NULL && head->cmsg_level == SOL_SOCKET && head->cmsg_type == SCM_RIGHTS &&
+      head->cmsg_len == CMSG_LEN(sizeof(int)))
+    memcpy(memory_fd, CMSG_DATA(head), sizeof(int));
+  if (message.msg_flags & MSG_CTRUNC) {
+    c->detail = EMFILE;
+    return SF_ERR_SYSTEM;
+  }
+  if (got != SF_CAST(ssize_t, sizeof *m) || (message.msg_flags & MSG_TRUNC) || m->magic != SF_SLOT_MAGIC)
+    return SF_ERR_BLOCK;
+  if (m->step == SF_SLOT_REFUSE) {
+    c->detail = m->detail;
+    if (m->result == SF_SLOT_OTHER_RUN) return SF_ERR_NOT_READY;
+    if (m->result == SF_SLOT_ALL_TAKEN || m->result == SF_SLOT_USER_LIMIT || m->result == SF_SLOT_PROCESS_LIMIT)
+      return SF_ERR_SLOTS;
+    return SF_ERR_LAYOUT;
+  }
+  return m->layout_hash == SF_LAYOUT_HASH ? SF_OK : SF_ERR_LAYOUT;
+}
+
+/* Map what the service handed out; its size is sealed, so that no access to it can ever be a signal. */
+static inline int sf_i_map_slot(sf_client *c, int fd, unsigned char **slot) {
+  struct stat status;
+  const int seals = fd >= 0 ? fcntl(fd, SF_I_GET_SEALS) : -1;
+  if (seals < 0 || (seals & SF_I_SIZE_SEALS) != SF_I_SIZE_SEALS || fstat(fd, &status) != 0 ||
+      status.st_size != SF_SLOT_BYTES)
+    return SF_ERR_BLOCK;
+  void *memory = mmap(NULL, SF_SLOT_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+  if (memory == MAP_FAILED) return sf_i_errno(c, errno);
+  *slot = SF_CAST(unsigned char *, memory);
+  return SF_OK;
+}
+
+static inline int sf_i_exchange(sf_client *c, int fd, int64_t deadline_ns, sf_slot_message *offer,
+                                unsigned char **slot) {
+  sf_slot_message grant;
+  int memory_fd = -1, none = -1;
+  if (sf_i_say(c, fd, SF_SLOT_ASK, NULL) != 0) return SF_ERR_NOT_READY;
+  int err = sf_i_hear(c, fd, deadline_ns, offer, &memory_fd);
+  if (err == SF_OK && (offer->step != SF_SLOT_OFFER || offer->slot < 0 || offer->slot >= SF_CLIENTS ||
+                       offer->claim == 0))
+    err = SF_ERR_BLOCK;
+  if (err == SF_OK) err = sf_i_map_slot(c, memory_fd, slot);
+  if (memory_fd >= 0) close(memory_fd);
+  if (err != SF_OK) return err;
+  if (sf_i_say(c, fd, SF_SLOT_MAPPED, offer) != 0) return SF_ERR_NOT_READY;
+  err = sf_i_hear(c, fd, deadline_ns, &grant, &none);
+  if (none >= 0) close(none);
+  return err == SF_OK && grant.step != SF_SLOT_GRANT ? SF_ERR_BLOCK : err;
+}
+
+/*
+ * Get a slot: the connection says who owns it, and the kernel closes that when we die. Waits for the
+ * service's main thread, as a rule well below a millisecond. SF_OK, SF_ERR_NOT_READY (the service is being
+ * replaced or stands still), SF_ERR_SLOTS (`detail`: the limit), SF_ERR_OWNER, _NO_PERMISSION, _BLOCK, ...
+ */
+static inline int sf_i_claim_slot(sf_client *c) {
+  const int64_t deadline_ns = sf_now_ns() + SF_SLOT_WAIT_NS;
+  sf_slot_message offer;
+  unsigned char *slot = NULL;
+  const int fd = sf_i_connect(c, deadline_ns);
+  if (fd < 0) return fd;
+  memset(&offer, 0, sizeof offer);
+  const int err = sf_i_exchange(c, fd, deadline_ns, &offer, &slot);
+  if (err != SF_OK) {
+    if (slot != NULL) munmap(slot, SF_SLOT_BYTES);
+    close(fd);
+    return err;
+  }
+  c->held.memory = slot;
+  c->held.size = SF_SLOT_BYTES;
+  c->held.fd = fd;
+  c->slot_memory = slot;
+  c->slot = SF_CAST(int, offer.slot);
+  c->claim = offer.claim;
+  c->counter = 0;
+  c->pose_held = c->abandoned = 0;
+  c->grant = 0;
+  return SF_OK;
+}
+
+/* Whether the service holds its end of the connection: it closes it when it ends or takes the slot back. */
+static inline int sf_i_slot_is_open(const sf_client *c) {
+  char byte;
+  for (;;) {
+    const ssize_t got = recv(c->held.fd, &byte, 1, MSG_PEEK | MSG_DONTWAIT);
+    if (got > 0) return 1;
+    if (got == 0) return 0;
+    if (errno != EINTR) return errno == EAGAIN || errno == EWOULDBLOCK;
+  }
+}
+
+/* Give the slot back: nothing is written to it, the closed connection says it all. */
+static inline void sf_i_release_slot(sf_client *c) {
+  c->slot = -1;
+  c->slot_memory = NULL;
+  c->pose_held = 0;
+  sf_i_close(&c->held);
+}
+
+/* A slot when there is none: after a restart of the service, or when it took the last one back. */
+static inline int sf_i_ensure_slot(sf_client *c) {
+  if (c->slot_memory != NULL) return SF_OK;
+  return c->options.auto_reattach ? sf_i_claim_slot(c) : SF_ERR_NOT_RUNNING;
 }
 
 /* A random number that no other attachment has; 62 bits, odd. */
@@ -1259,75 +1527,6 @@ static inline int64_t sf_i_random_claim(void) {
   if (got != SF_CAST(ssize_t, sizeof r))
     r = (SF_CAST(uint64_t, sf_now_ns()) * 0x9E3779B97F4A7C15u) ^ (SF_CAST(uint64_t, getpid()) << 32);
   return SF_CAST(int64_t, (r >> 2) | 1u);
-}
-
-static inline int sf_i_lock(int fd, off_t byte) {
-  struct flock lock;
-  memset(&lock, 0, sizeof lock);
-  lock.l_type = F_WRLCK;
-  lock.l_whence = SEEK_SET;
-  lock.l_start = byte;
-  lock.l_len = 1;
-  for (;;) {
-    /* 37: F_OFD_SETLK, which strict ISO C hides; such a lock belongs to this open and ends with it */
-    if (fcntl(fd, 37, &lock) == 0) return 0;
-    if (errno != EINTR) return errno;
-  }
-}
-
-static inline void sf_i_release_slot(sf_client *c) {
-  if (c->slot_memory != NULL) {
-    sf_slot_head *head = SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD);
-    sf_store_relaxed(&head->access, SF_ACCESS_FREE);
-    sf_store_relaxed(&head->pid, 0);
-    sf_store_release(&head->claim, 0);
-  }
-  c->slot = -1;
-  c->slot_memory = NULL;
-  c->pose_held = 0;
-  sf_i_close(&c->inbox);
-}
-
-/* Take a free slot of the inbox: its lock says who owns it, and the kernel frees it when we die. */
-static inline int sf_i_claim_slot(sf_client *c) {
-  sf_object inbox;
-  const int err = sf_i_open(c, ".inbox", 1, &inbox);
-  if (err != SF_OK) return err;
-  if (inbox.owner != c->board.owner) { /* somebody else's, under the name of the service's */
-    sf_i_close(&inbox);
-    return SF_ERR_NO_PERMISSION;
-  }
-  const sf_inbox_header *h = SF_VIEW(const sf_inbox_header *, inbox.memory);
-  if (inbox.size < SF_INBOX_BYTES || h->magic != SF_INBOX_MAGIC || h->epoch != c->epoch ||
-      h->version != SF_LAYOUT_VERSION || h->layout_hash != SF_LAYOUT_HASH) {
-    sf_i_close(&inbox);
-    return SF_ERR_NOT_READY; /* of a service that is being replaced, or scribbled on: the service mends it */
-  }
-  for (int slot = 0; slot < SF_CLIENTS; slot++) {
-    const off_t start = SF_PAGE + SF_CAST(off_t, slot) * SF_SLOT_BYTES;
-    const int number = sf_i_lock(inbox.fd, start);
-    if (number == EAGAIN || number == EACCES) continue;
-    if (number != 0) {
-      sf_i_close(&inbox);
-      return sf_i_errno(c, number);
-    }
-    c->inbox = inbox;
-    c->slot = slot;
-    c->slot_memory = inbox.memory + start;
-    c->claim = sf_i_random_claim();
-    c->counter = 0;
-    c->pose_held = c->abandoned = 0;
-    c->grant = 0;
-    sf_slot_head *head = SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD);
-    sf_store_relaxed(&head->access, SF_ACCESS_FREE);
-    sf_store_relaxed(&head->pid, SF_CAST(int64_t, getpid()));
-    sf_store_relaxed(&head->heartbeat_ns, sf_now_ns());
-    memcpy(head->name, c->label, sizeof c->label);
-    sf_store_release(&head->claim, c->claim); /* last: a claim is never seen beside another's pid */
-    return SF_OK;
-  }
-  sf_i_close(&inbox);
-  return SF_ERR_SLOTS;
 }
 
 static inline void sf_i_read_pose_timeout(sf_client *c) {
@@ -1350,11 +1549,10 @@ static inline void sf_detach(sf_client *c) {
 
 /*
  * For a child after fork(), before it does anything else with surffollow: let go of its parent's clients.
- * The child would otherwise keep the parent's slot locked beyond the parent's death.
+ * The child would otherwise write into its parent's slot.
  */
 static inline void sf_forget(sf_client *c) {
   if (c == NULL) return;
-  c->slot_memory = NULL; /* the slot itself is the parent's: nothing is written to it */
   sf_i_release_world(c, 0);
   sf_detach(c);
 }
@@ -1362,18 +1560,20 @@ static inline void sf_forget(sf_client *c) {
 /*
  * Attach to a running service. `options` NULL: the defaults. The client needs no initialisation;
  * attaching one that is attached leaks.
- * SF_OK, SF_ERR_NAME, _NOT_RUNNING, _NO_PERMISSION, _NOT_READY, _LAYOUT, _BLOCK, _SLOTS, _SYSTEM.
+ * SF_OK, SF_ERR_NAME, _NOT_RUNNING, _NO_PERMISSION, _NOT_READY, _LAYOUT, _BLOCK, _SLOTS, _OWNER, _SYSTEM.
  */
 static inline int sf_attach_with(sf_client *c, const char *name, const sf_options *options) {
   if (c == NULL) return SF_ERR_ARGUMENT;
   memset(c, 0, sizeof *c);
   c->slot = -1;
   sf_i_forget(&c->board);
-  sf_i_forget(&c->inbox);
+  sf_i_forget(&c->held);
+  c->owner = -1;
   sf_i_forget(&c->map);
   sf_i_forget(&c->world);
   c->options = options != NULL ? *options : sf_default_options();
-  if (c->options.stale_periods < 1 || c->options.stale_min_ns < 0) return SF_ERR_ARGUMENT;
+  if (c->options.stale_periods < 1 || c->options.stale_min_ns < 0 || c->options.owner < SF_OWNER_DEFAULT)
+    return SF_ERR_ARGUMENT;
   if (name == NULL || !sf_i_name_ok(name)) return SF_ERR_NAME;
   memcpy(c->name, name, strlen(name));
   const char *label = c->options.label;
@@ -1386,7 +1586,7 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
   const int64_t deadline = sf_now_ns() + c->options.ready_wait_ns;
   while (err == SF_OK && !c->options.observe && (err = sf_i_claim_slot(c)) == SF_ERR_NOT_READY &&
          sf_now_ns() < deadline) {
-    /* the service was replaced between our looks at its board and at its inbox */
+    /* the service was replaced between our looks at its board and at its socket */
     sf_sleep_until_ns(sf_now_ns() + 5000000);
     err = sf_i_is_current(c, "", &c->board) ? SF_OK : sf_i_open_board(c, c->options.ready_wait_ns);
   }
@@ -1401,6 +1601,13 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
 /* Attach as a client that may send poses and requests. */
 static inline int sf_attach(sf_client *c, const char *name) { return sf_attach_with(c, name, NULL); }
 
+/* sf_attach, believing no service but that of user number `owner`. */
+static inline int sf_attach_owner(sf_client *c, const char *name, uid_t owner) {
+  sf_options o = sf_default_options();
+  o.owner = SF_CAST(int64_t, owner);
+  return sf_attach_with(c, name, &o);
+}
+
 /* Attach read-only: no slot, no write permission. */
 static inline int sf_observe(sf_client *c, const char *name) {
   sf_options o = sf_default_options();
@@ -1408,47 +1615,59 @@ static inline int sf_observe(sf_client *c, const char *name) {
   return sf_attach_with(c, name, &o);
 }
 
-/*
- * Look for a newer service of this name. SF_OK: attached to the current one; the pose must be claimed
- * anew, which the next sf_ee_pos does. Otherwise the error, and the old attachment stays.
- */
-static inline int sf_reattach(sf_client *c) {
-  if (c == NULL || c->board.memory == NULL) return SF_ERR_ARGUMENT;
+/* Go over to a newer service's board; its slot is asked for when it is needed. */
+static inline int sf_i_reattach_board(sf_client *c) {
   if (!sf_i_is_current(c, "", &c->board)) {
     const int err = sf_i_open_board(c, 0);
     if (err != SF_OK) return err;
     sf_i_release_slot(c);
   }
-  if (!c->options.observe && c->slot_memory == NULL) {
-    const int err = sf_i_claim_slot(c);
-    if (err != SF_OK) return err;
-  }
   sf_i_read_pose_timeout(c);
   return SF_OK;
 }
 
-/* Whether the service, which fell silent, ended; what only stands still keeps its lock on the name. */
-static inline int sf_i_has_ended(const sf_client *c) {
-  char path[96];
-  struct flock lock;
-  if (!sf_i_is_current(c, "", &c->board) || !sf_i_path(c->name, ".map", path)) return 1;
-  const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
-  if (fd < 0) return 1; /* gone, or not to be looked at: then silence is all there is to go by */
-  memset(&lock, 0, sizeof lock);
-  lock.l_type = F_WRLCK;
-  lock.l_whence = SEEK_SET;
-  lock.l_start = SF_NAME_LOCK_BYTE;
-  lock.l_len = 1;
-  const int asked = fcntl(fd, 36, &lock); /* 36: F_OFD_GETLK, which strict ISO C hides */
+/*
+ * Look for a newer service of this name. SF_OK: attached to the current one; the pose must be claimed
+ * anew, which the next sf_ee_pos does. Otherwise the error, and the old attachment stays; SF_ERR_OWNER:
+ * what bears the name now belongs to another user (`detail`) than the service attached to first.
+ */
+static inline int sf_reattach(sf_client *c) {
+  if (c == NULL || c->board.memory == NULL) return SF_ERR_ARGUMENT;
+  const int err = sf_i_reattach_board(c);
+  if (err != SF_OK || c->options.observe || c->slot_memory != NULL) return err;
+  return sf_i_claim_slot(c);
+}
+
+/* Whether the process that was started then still has memory: one that dies gives that up first. */
+static inline int sf_i_is_running(int64_t pid, int64_t start_ticks) {
+  char path[40], text[1024];
+  snprintf(path, sizeof path, "/proc/%" PRId64 "/stat", pid);
+  const int fd = open(path, O_RDONLY | O_CLOEXEC);
+  if (fd < 0) return 0;
+  const ssize_t got = read(fd, text, sizeof text - 1);
   close(fd);
-  return asked != 0 || lock.l_type == F_UNLCK;
+  if (got <= 0) return 0;
+  text[got] = '\0';
+  const char *p = strrchr(text, ')'); /* a program's name may hold anything */
+  for (int field = 0; p != NULL && field < 20; field++) p = strchr(p + 1, ' ');
+  char *end;
+  if (p == NULL || strtoll(p, &end, 10) != start_ticks) return 0; /* field 22 */
+  return strtoull(end, NULL, 10) > 0;
+}
+
+/* Whether the service, which fell silent, ended; one that stands still keeps our connection, and is a process. */
+static inline int sf_i_has_ended(const sf_client *c) {
+  const sf_board_header *h = SF_VIEW(const sf_board_header *, c->board.memory);
+  if (!sf_i_is_current(c, "", &c->board)) return 1;
+  if (c->slot_memory != NULL) return !sf_i_slot_is_open(c);
+  return !sf_i_is_running(h->pid, h->start_ticks);
 }
 
 /* Look for a newer service and for an end of this one, at most every 20 ms. */
 static inline void sf_i_look_again(sf_client *c, int64_t now_ns) {
   if (now_ns < c->next_attach_ns) return;
   c->next_attach_ns = now_ns + SF_REATTACH_EVERY_NS;
-  if (c->options.auto_reattach) sf_reattach(c);
+  if (c->options.auto_reattach) sf_i_reattach_board(c);
   c->ended = sf_i_has_ended(c);
   /* purged: what is mapped is nobody's map any more */
   if (c->map.memory != NULL && !sf_i_is_current(c, ".map", &c->map)) sf_i_close(&c->map);
@@ -1585,27 +1804,21 @@ static inline int sf_i_read_ack(const unsigned char *acks, int slot, sf_ack *ack
   return sf_latch_read(acks + step * SF_CAST(size_t, slot), sizeof *ack, ack) > 0;
 }
 
-/* Whether the inbox still has its size: to touch a page that somebody cut off is SIGBUS. */
-static inline int sf_i_inbox_is_whole(const sf_client *c) {
-  struct stat status;
-  return fstat(c->inbox.fd, &status) == 0 && status.st_size >= SF_CAST(off_t, SF_INBOX_BYTES);
-}
-
 /*
- * Send a request without waiting: `code` SF_RQ_..., up to SF_REQUEST_ARGS numbers and values.
+ * Send a request without waiting: `code` SF_RQ_..., up to SF_REQUEST_ARGS numbers and values. Only the first
+ * one after a restart of the service waits, for the slot.
  * SF_ERR_BUSY while the last one is not acknowledged: a second one could overtake it unseen.
  */
 static inline int sf_request_send(sf_client *c, int64_t code, int n, const int64_t *numbers, const double *values,
                                   sf_ticket *ticket) {
   if (c == NULL || c->output == NULL || ticket == NULL || n < 0 || n > SF_REQUEST_ARGS) return SF_ERR_ARGUMENT;
   if (c->options.observe) return SF_ERR_OBSERVER;
-  const int alive = sf_alive(c);
-  if (alive && c->slot_memory == NULL) sf_i_reattach_sometimes(c, sf_now_ns());
-  if (!alive || c->slot_memory == NULL) return SF_ERR_NOT_RUNNING;
-  if (!sf_i_inbox_is_whole(c)) return SF_ERR_NOT_READY; /* cut short; the service mends it */
+  if (!sf_alive(c)) return SF_ERR_NOT_RUNNING;
+  const int slot = sf_i_ensure_slot(c);
+  if (slot != SF_OK) return slot == SF_ERR_NOT_READY ? SF_ERR_NOT_RUNNING : slot;
   const int64_t now = sf_now_ns();
   sf_ack last;
-  /* a member of the inbox's group can wipe out a request unseen: it must not block all later ones */
+  /* one that was lost with its service's start must not block all later ones */
   if (c->counter > 0 && !c->abandoned && now < c->asked_ns + c->options.timeout_ns &&
       !(sf_i_read_ack(c->acks, c->slot, &last) && last.counter == c->counter && last.claim == c->claim))
     return SF_ERR_BUSY;
@@ -1733,20 +1946,19 @@ static inline int sf_i_check_pose(const double pose[7], double out[7]) {
   return SF_OK;
 }
 
-/* Ten times a second: show life, and notice what was changed behind this client's back. */
-static inline void sf_i_show_life(sf_client *c, int64_t now_ns) {
+/* Ten times a second: whether the slot and the pose are ours still. */
+static inline void sf_i_look_at_slot(sf_client *c, int64_t now_ns) {
   sf_ticker t;
   c->next_life_ns = now_ns + SF_LOOK_EVERY_NS;
   sf_i_read_pose_timeout(c);
   if (c->slot_memory == NULL) return;
-  sf_slot_head *head = SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD);
-  sf_store_relaxed(&head->pid, SF_CAST(int64_t, getpid()));
-  sf_store_relaxed(&head->heartbeat_ns, now_ns);
-  sf_store_release(&head->claim, c->claim);
+  if (!sf_i_slot_is_open(c)) { /* the service took it back: the next pose or request asks for another */
+    sf_i_release_slot(c);
+    return;
+  }
   const size_t words = offsetof(sf_ticker, pose_pid) / 8;
   if (!c->pose_held || sf_latch_read_part(c->ticker, sizeof t, 0, words, &t) <= 0) return;
-  /* somebody gave the pose back in our name: ask for it again */
-  if (t.pose_slot != c->slot && t.t_ns > c->pose_held_ns + SF_LOOK_EVERY_NS) c->pose_held = 0;
+  if (t.pose_slot != c->slot && t.t_ns > c->pose_held_ns + SF_LOOK_EVERY_NS) c->pose_held = 0; /* ask again */
 }
 
 /* As often as a service falls silent: whether it is there. SF_OK or SF_ERR_NOT_RUNNING. */
@@ -1755,7 +1967,7 @@ static inline int sf_i_look_after(sf_client *c, int64_t now_ns) {
   const int there = sf_i_follow(c, now_ns);
   if (there != SF_OK) return there;
   c->next_look_ns = now_ns + (c->stale_ns < SF_LOOK_EVERY_NS ? c->stale_ns : SF_LOOK_EVERY_NS);
-  if (now_ns > c->next_life_ns) sf_i_show_life(c, now_ns);
+  if (now_ns > c->next_life_ns) sf_i_look_at_slot(c, now_ns);
   return SF_OK;
 }
 
@@ -1797,67 +2009,114 @@ static inline void sf_i_sign_world(sf_client *c) {
   sf_store_release(&h->magic, SF_WORLD_MAGIC);
 }
 
-/* A new world block: it gets its name when it is whole and locked. */
-static inline int sf_i_make_world(sf_client *c) {
-  char path[96], nameless[64];
-  if (!sf_i_path(c->name, ".world", path)) return SF_ERR_NAME;
-  /* 020000000: the bit of O_TMPFILE beside O_DIRECTORY, which strict ISO C hides */
-  const int fd = open("/dev/shm", 020000000 | O_DIRECTORY | O_RDWR | O_CLOEXEC, 0640);
-  if (fd < 0) return sf_i_errno(c, errno);
-  int number = posix_fallocate(fd, 0, SF_WORLD_BYTES);
-  struct stat status;
-  if (number == 0 && (fchmod(fd, 0640) != 0 || fstat(fd, &status) != 0)) number = errno;
-  if (number == 0) number = sf_i_lock(fd, 0);
-  void *memory = MAP_FAILED;
-  if (number == 0) {
-    memory = mmap(NULL, SF_WORLD_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
-    if (memory == MAP_FAILED) number = errno;
-  }
-  if (number != 0) {
+/*
+ * Take the lock on the world block's name: a file that only its owner may open, locked while this process
+ * lives. The descriptor, or an error.
+ */
+static inline int sf_i_lock_world(sf_client *c) {
+  char path[96];
+  struct stat status, there;
+  struct flock lock;
+  if (!sf_i_path(c->name, ".world.lock", path)) return SF_ERR_NAME;
+  for (int k = 0; k < 20; k++) {
+    const int fd = open(path, O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK, 0600);
+    if (fd < 0) return sf_i_errno(c, errno);
+    memset(&lock, 0, sizeof lock);
+    lock.l_type = F_WRLCK;
+    lock.l_whence = SEEK_SET;
+    lock.l_len = 1;
+    const int known = fstat(fd, &status) == 0;
+    if (!known || !S_ISREG(status.st_mode) || status.st_uid != geteuid() || (status.st_mode & 0177) != 0) {
+      close(fd);
+      return SF_ERR_NO_PERMISSION; /* somebody else's file stands there, or others may lock it */
+    }
+    /* 37: F_OFD_SETLK, which strict ISO C hides; such a lock belongs to this open and ends with it */
+    if (fcntl(fd, 37, &lock) == 0) {
+      /* its last owner may have removed it between our open and our lock */
+      if (lstat(path, &there) == 0 && there.st_dev == status.st_dev && there.st_ino == status.st_ino) return fd;
+      close(fd);
+      continue;
+    }
     close(fd);
-    return sf_i_errno(c, number);
+    /* a writer that was just killed holds its lock until the kernel has taken it apart */
+    sf_sleep_until_ns(sf_now_ns() + 5000000);
   }
+  return SF_ERR_WORLD_HELD;
+}
+
+/* Map a world block that is there, to carry on in it. SF_ERR_NOT_RUNNING: there is none. */
+static inline int sf_i_adopt_world(sf_client *c, const char *path) {
+  struct stat status;
+  const int fd = open(path, O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
+  if (fd < 0) return sf_i_errno(c, errno);
+  if (fstat(fd, &status) != 0 || !S_ISREG(status.st_mode) || status.st_uid != geteuid() ||
+      status.st_size != SF_WORLD_BYTES) {
+    close(fd);
+    return SF_ERR_BLOCK;
+  }
+  void *memory = mmap(NULL, SF_WORLD_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+  close(fd);
+  if (memory == MAP_FAILED) return sf_i_errno(c, errno);
   c->world.memory = SF_CAST(unsigned char *, memory);
   c->world.size = SF_WORLD_BYTES;
   c->world.device = SF_CAST(uint64_t, status.st_dev);
   c->world.inode = SF_CAST(uint64_t, status.st_ino);
   c->world.owner = status.st_uid;
-  c->world.fd = fd;
-  sf_i_sign_world(c);
-  snprintf(nameless, sizeof nameless, "/proc/self/fd/%d", fd);
-  if (linkat(AT_FDCWD, nameless, AT_FDCWD, path, AT_SYMLINK_FOLLOW) == 0) return SF_OK;
-  number = errno;
-  sf_i_close(&c->world);
-  return number == EEXIST ? SF_ERR_BUSY : sf_i_errno(c, number);
+  return SF_VIEW(const sf_world_header *, memory)->layout_hash == SF_WORLD_LAYOUT_HASH ? SF_OK : SF_ERR_LAYOUT;
+}
+
+/* A new world block: it gets its name when it is whole. */
+static inline int sf_i_make_world(sf_client *c, const char *path) {
+  char nameless[64];
+  struct stat status;
+  /* 020000000: the bit of O_TMPFILE beside O_DIRECTORY, which strict ISO C hides */
+  const int fd = open("/dev/shm", 020000000 | O_DIRECTORY | O_RDWR | O_CLOEXEC, 0640);
+  if (fd < 0) return sf_i_errno(c, errno);
+  int number = posix_fallocate(fd, 0, SF_WORLD_BYTES);
+  if (number == 0 && (fchmod(fd, 0640) != 0 || fstat(fd, &status) != 0)) number = errno;
+  void *memory = MAP_FAILED;
+  if (number == 0) {
+    memory = mmap(NULL, SF_WORLD_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+    if (memory == MAP_FAILED) number = errno;
+  }
+  if (number == 0) {
+    c->world.memory = SF_CAST(unsigned char *, memory);
+    c->world.size = SF_WORLD_BYTES;
+    c->world.device = SF_CAST(uint64_t, status.st_dev);
+    c->world.inode = SF_CAST(uint64_t, status.st_ino);
+    c->world.owner = status.st_uid;
+    sf_i_sign_world(c);
+    snprintf(nameless, sizeof nameless, "/proc/self/fd/%d", fd);
+    if (linkat(AT_FDCWD, nameless, AT_FDCWD, path, AT_SYMLINK_FOLLOW) != 0) number = errno;
+  }
+  close(fd);
+  return number == 0 ? SF_OK : sf_i_errno(c, number);
 }
 
 /* Become the one writer of the service's world block: make it, or carry on in a dead writer's. */
 static inline int sf_i_claim_world(sf_client *c) {
-  sf_i_close(&c->world);
-  for (int k = 0; k < 20; k++) {
-    sf_object found;
-    const int err = sf_i_open(c, ".world", 1, &found);
-    if (err == SF_ERR_NOT_RUNNING) { /* there is none */
-      const int made = sf_i_make_world(c);
-      if (made != SF_ERR_BUSY) return made;
-      continue; /* another writer was faster */
-    }
-    if (err != SF_OK) return err;
-    const sf_world_header *h = SF_VIEW(const sf_world_header *, found.memory);
-    const int fits = found.size == SF_WORLD_BYTES && h->layout_hash == SF_WORLD_LAYOUT_HASH;
-    const int number = fits ? sf_i_lock(found.fd, 0) : 0;
-    if (fits && number == 0 && sf_i_is_current(c, ".world", &found)) {
-      c->world = found;
-      sf_i_sign_world(c);
-      return SF_OK;
-    }
-    sf_i_close(&found);
-    if (!fits) return SF_ERR_LAYOUT;
-    if (number != 0 && number != EAGAIN && number != EACCES) return sf_i_errno(c, number);
-    /* a writer that was just killed holds its lock until the kernel has taken it apart */
-    sf_sleep_until_ns(sf_now_ns() + 5000000);
+  char path[96];
+  sf_i_release_world(c, 0);
+  if (!sf_i_path(c->name, ".world", path)) return SF_ERR_NAME;
+  const int lock = sf_i_lock_world(c);
+  if (lock < 0) return lock;
+  int result = sf_i_adopt_world(c, path);
+  if (result == SF_OK) {
+    sf_i_sign_world(c);
+  } else {
+    sf_i_close(&c->world);
+    /* another version's, or cut short: never changed under its readers */
+    if (result == SF_ERR_LAYOUT || result == SF_ERR_BLOCK) unlink(path);
+    if (result == SF_ERR_LAYOUT || result == SF_ERR_BLOCK || result == SF_ERR_NOT_RUNNING)
+      result = sf_i_make_world(c, path);
   }
-  return SF_ERR_WORLD_HELD;
+  if (result != SF_OK) {
+    sf_i_close(&c->world);
+    close(lock);
+    return result;
+  }
+  c->world.fd = lock; /* closing it gives the name back */
+  return SF_OK;
 }
 
 /*
@@ -2190,7 +2449,7 @@ static inline int sf_access_held(sf_client *c) {
 }
 
 static inline void sf_i_post_access(sf_client *c, int64_t flag) {
-  if (c->slot_memory == NULL || !sf_i_inbox_is_whole(c)) return;
+  if (c->slot_memory == NULL) return;
   sf_store_release(&SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD)->access, flag);
 }
 
@@ -2204,8 +2463,6 @@ static inline int sf_i_look_for_grant(sf_client *c) {
   }
   /* fenced, or the grant given back last still stands: the flag must be seen to come down first */
   const int down = (s.fenced >> c->slot & 1) != 0 || sf_i_is_mine(c, &s);
-  if (!down && sf_i_inbox_is_whole(c)) /* the grant names the claim that the slot shows */
-    sf_store_release(&SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD)->claim, c->claim);
   sf_i_post_access(c, down ? SF_ACCESS_FREE : SF_ACCESS_REQUESTED);
   return 0;
 }
@@ -2227,11 +2484,7 @@ static inline int sf_access_begin(sf_client *c, int64_t timeout_ns) {
   for (;;) { /* a service that stands still may go on; one that ended has no map to give */
     const int64_t now = sf_now_ns();
     const int alive = sf_alive(c);
-    if (alive && c->slot_memory == NULL) sf_i_reattach_sometimes(c, now);
-    if (alive && c->slot_memory != NULL) {
-      if (!sf_i_inbox_is_whole(c)) return SF_ERR_NOT_READY; /* cut short; the service mends it */
-      if (sf_i_look_for_grant(c)) break;                    /* 2 is the service's */
-    }
+    if (alive && sf_i_ensure_slot(c) == SF_OK && sf_i_look_for_grant(c)) break; /* 2 is the service's */
     if (now > deadline || sf_i_follow(c, now) != SF_OK) {
       sf_i_post_access(c, SF_ACCESS_FREE);
       return alive ? SF_ERR_TIMEOUT : SF_ERR_NOT_RUNNING;

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from surffollow.client.board import Board
+from surffollow.config.owner import trusted_owners
 from surffollow.errors import BlockError, NotRunningError
 from surffollow.shm.layout_board import STATE_READY, BoardHeader, LogHead
 
@@ -24,7 +25,9 @@ class ServiceLog:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._take(Board(name))
+        board = Board(name, owners=trusted_owners())
+        self._owners = frozenset((board.object.owner,))  # no other user's from now on
+        self._take(board)
 
     def _take(self, board: Board) -> None:
         self.board = board
@@ -70,7 +73,7 @@ class ServiceLog:
         if self.board.is_current() and self._same_start():
             return False
         try:
-            board = Board(self.name, ready_timeout_s=0.0)
+            board = Board(self.name, ready_timeout_s=0.0, owners=self._owners)
         except (NotRunningError, BlockError):
             return False
         old = self.board

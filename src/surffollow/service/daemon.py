@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import select
 import signal
 import sys
 import threading
@@ -22,7 +21,7 @@ from surffollow.hw.simulated import SimulatedDriver
 from surffollow.service import memory as m
 from surffollow.service import realtime
 from surffollow.service.beat import FAULT_CYCLE_STALLED, Beat
-from surffollow.service.cut_inbox import survive_cuts
+from surffollow.service.client_table import ClientTable, Limits
 from surffollow.service.cycle import run_cycles
 from surffollow.service.house import House, open_house
 from surffollow.service.initialise import (
@@ -36,6 +35,7 @@ from surffollow.service.mapper_memory import make_map_memory
 from surffollow.service.notify import CompileProgress, sd_notify
 from surffollow.service.requests import publish_params
 from surffollow.service.side_compile import SideCompile, note_complete
+from surffollow.service.slot_server import SlotServer
 from surffollow.shm import layout_board as lb
 from surffollow.shm.latch import latch_write
 from surffollow.shm.layout_follow import Output
@@ -71,9 +71,16 @@ class Daemon:
         except BaseException:
             self.house.leave()
             raise
-        self._beat = Beat(self.house, self.mem.ctx, self.driver, self.grants)
+        self._slots = self._make_slot_server()
+        self._beat = Beat(self.house, self.mem.ctx, self.driver, self.grants, self._slots)
         self._errors: list[str] = []
         self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+
+    def _make_slot_server(self) -> SlotServer:
+        house, access = self.house, self.config.access
+        limits = Limits(access.slots_per_user, access.slots_per_process)
+        table = ClientTable(house.slots, self.mem.ctx, house.address("clients"), self._cycles, limits)
+        return SlotServer(house.listener, table, house.epoch)
 
     # -- run --------------------------------------------------------------------------------------
 
@@ -109,7 +116,6 @@ class Daemon:
         """Call every kernel once, which compiles it or loads it; False when asked to end meanwhile."""
         stop = self.mem.ctx.ctypes.data + 8 * m.STOP
         with CompileProgress(self.quiet) as progress:
-            self._sigbus = survive_cuts()
             run_cycles(self.mem, 0, 0)
             # the paper's initialisation of the forecast is SFReset itself
             sf_reset(self.mem.params, self.mem.state, self.mem.params[0]["offset_m"])
@@ -163,7 +169,7 @@ class Daemon:
     def _watch(self) -> None:
         stall_s = seconds(self.config.watchdog, "watchdog", 0.01, 60.0)
         seen, since, stalled = -1, time.monotonic(), False
-        while not select.select([self._wake], [], [], BEAT_S)[0]:
+        while not self._slots.serve(self._wake, BEAT_S):
             cycles, now = self._cycles(), time.monotonic()
             if cycles != seen:
                 seen, since = cycles, now
@@ -197,6 +203,7 @@ class Daemon:
         self.mem.output[0]["demand"] = 0.0
         latch_write(self.house.address("output"), self.mem.output.ctypes.data, Output.SIZE)
         self.house.set_state(lb.STATE_STOPPED)
+        self._slots.close()
         self.house.leave()
         realtime.release(self.grants)
         os.close(self._wake)

@@ -1,9 +1,12 @@
-"""Make and heal the three shared objects of a service: the map is kept, board and inbox are made anew."""
+"""Make and heal what a service shares: the map is kept; board, slots and their socket are made anew."""
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import os
-import struct
+import socket
+import time
 from typing import Any
 
 import numpy as np
@@ -14,25 +17,39 @@ from surffollow.errors import (
     AlreadyRunningError,
     BlockError,
     ConfigError,
-    ExistsError,
     NoPermissionError,
+    NoSpaceError,
+    NotRunningError,
 )
 from surffollow.map.header import header_fault, init_header
+from surffollow.service.slot_memory import SlotMemory
+from surffollow.service.slot_server import BACKLOG
 from surffollow.service.stale import clear_stale
 from surffollow.shm import layout_board as lb
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype, zeros
-from surffollow.shm.objects import SharedObject, boot_id, start_ticks, unlink
+from surffollow.shm.name_lock import NameLock, holder
+from surffollow.shm.objects import SharedObject, unlink
+from surffollow.shm.process import boot_id, start_ticks
+from surffollow.shm.unix_socket import listen, socket_path
 
 
 class House:
-    """The objects of one running service; made by `open_house`."""
+    """What one running service shares and owns; made by `open_house`."""
 
-    def __init__(self, config: ServiceConfig, board: SharedObject, inbox: SharedObject, map_: SharedObject):
-        self.config, self.board, self.inbox, self.map = config, board, inbox, map_
+    def __init__(
+        self,
+        config: ServiceConfig,
+        lock: NameLock,
+        board: SharedObject,
+        map_: SharedObject,
+        slots: SlotMemory,
+        listener: socket.socket,
+    ) -> None:
+        self.config, self.board, self.map = config, board, map_
+        self.lock, self.slots, self.listener = lock, slots, listener
         self.regions = lb.board_regions(config.log_words)
         self.board_bytes = np.frombuffer(board.memory, np.uint8)
-        self.inbox_bytes = np.frombuffer(inbox.memory, np.uint8)
         self.header = self.board_bytes[: lb.BoardHeader.SIZE].view(numpy_dtype(lb.BoardHeader))
         map_bytes = np.frombuffer(map_.memory, np.uint8)
         self.map_header = map_bytes[: ml.MapHeader.SIZE].view(numpy_dtype(ml.MapHeader))
@@ -57,11 +74,12 @@ class House:
         store_release(int(self.board_bytes.ctypes.data) + lb.BoardHeader.offset("state"), state)
 
     def leave(self) -> None:
-        """Unlink board and inbox (the map stays) and give up the name."""
-        for part in (self.board, self.inbox):
-            if part.is_current():
-                unlink(part.name)
-        self.map.unlock(lb.NAME_LOCK_BYTE)
+        """Unlink board and socket (the map stays) and give up the name."""
+        self.listener.close()
+        for part in (socket_path(self.config.name).name, self.board.name):
+            if part != self.board.name or self.board.is_current():
+                unlink(part)
+        self.lock.release()
 
 
 def _group_id(name: str) -> int:
@@ -75,54 +93,35 @@ def _group_id(name: str) -> int:
         raise ConfigError(f"configuration key access.group is {name!r}; there is no such group") from None
 
 
-def owner_pid(map_: SharedObject) -> int:
-    """The pid that a map's header names as its owner."""
-    return int(struct.unpack_from("<q", map_.memory, ml.MapHeader.offset("owner_pid"))[0])
-
-
-def hold_map(name: str) -> SharedObject | None:
-    """Open and lock the map of a name, or None when there is none.
+def take_name(name: str) -> NameLock:
+    """Become the owner of a service's name and of its map.
 
     Raises
     ------
-    AlreadyRunningError  a live process holds it
+    AlreadyRunningError, NoPermissionError, BlockError, NoSpaceError
     """
-    from surffollow.errors import NotRunningError
-
-    while True:
-        try:
-            map_ = SharedObject.open(f"{name}.map", writable=True)
-        except NotRunningError:
-            return None
-        if not map_.try_lock(lb.NAME_LOCK_BYTE):
-            pid = owner_pid(map_) if map_.size >= ml.HEADER_BYTES else 0
-            map_.close()
-            raise AlreadyRunningError(
-                f"service {name!r} runs already (pid {pid}); stop it with `surffollow stop --name {name}` or "
-                "start this one under another name (--name)"
-            )
-        if map_.is_current():
-            return map_
-        map_.close()  # purged between open and lock: look again
+    lock = NameLock.take(name)
+    if lock is None:
+        pid = holder(name)
+        raise AlreadyRunningError(
+            f"service {name!r} runs already (pid {pid if pid > 0 else 'unknown'}); stop it with "
+            f"`surffollow stop --name {name}` or start this one under another name (--name)"
+        )
+    return lock
 
 
 def _take_map(config: ServiceConfig, group: int) -> tuple[SharedObject, bool]:
-    """The locked map of the name, and whether it was made now."""
-    while True:
-        kept = hold_map(config.name)
-        if kept is not None:
-            return kept, False
-        try:
-            return _make_map(config, group), True
-        except ExistsError:
-            continue  # somebody else made it just now: look again
+    """The map of the name, which is ours by its lock, and whether it was made now."""
+    try:
+        return SharedObject.open(f"{config.name}.map", writable=True), False
+    except NotRunningError:
+        return _make_map(config, group), True
 
 
 def _make_map(config: ServiceConfig, group: int) -> SharedObject:
     grids = config.map.grids
 
     def prepare(map_: SharedObject) -> None:
-        map_.try_lock(lb.NAME_LOCK_BYTE)
         header = _map_header(map_)
         init_header(
             header,
@@ -189,7 +188,7 @@ def _check_kept_map(config: ServiceConfig, map_: SharedObject, group: int) -> No
 
 
 def open_house(config: ServiceConfig) -> House:
-    """Take the name, heal what a dead service left, and make board and inbox.
+    """Take the name, heal what a dead service left, and make the board, the slots and their socket.
 
     Raises
     ------
@@ -197,36 +196,69 @@ def open_house(config: ServiceConfig) -> House:
     """
     name = check_service_name(config.name)
     group = _group_id(config.access.group)
-    map_, fresh = _take_map(config, group)
+    lock = take_name(name)
+    try:
+        map_, fresh = _take_map(config, group)
+    except BaseException:
+        lock.release()
+        raise
     made = [map_] if fresh else []
+    slots: SlotMemory | None = None
     try:
         if not fresh:
             _check_kept_map(config, map_, group)
         clear_stale(name)
         board_mode = mode(config.access.board_mode, "board_mode")
-        inbox_mode = mode(config.access.inbox_mode, "inbox_mode")
         made.append(SharedObject.create(name, lb.board_bytes(config.log_words), board_mode, group))
-        made.append(SharedObject.create(f"{name}.inbox", lb.inbox_bytes(), inbox_mode, group))
+        slots = _make_slots(name)
+        listener = _listen(config, group)
     except BaseException:
-        map_.unlock(lb.NAME_LOCK_BYTE)
+        if slots is not None:
+            slots.close()
         map_.close()
         for part in made:
             unlink(part.name)
             part.close()
+        lock.release()
         raise
-    house = House(config, made[-2], made[-1], map_)
-    house.map_header[0]["owner_epoch"] += 1
+    house = House(config, lock, made[-1], map_, slots, listener)
+    header = house.map_header[0]
+    header["owner_epoch"] = new_epoch(int(header["owner_epoch"]))
     _fill_headers(house)
     return house
 
 
+def new_epoch(before: int) -> int:
+    """A number that no other start has: the clock's second, and what differs between starts within one.
+
+    It grows while the map is kept, and stays below 2^53 for programs that only have float64.
+    """
+    text = f"{boot_id()} {time.monotonic_ns()} {os.getpid()}".encode()
+    low = int.from_bytes(hashlib.blake2b(text, digest_size=4).digest(), "little") & 0xFFFFF
+    return max(int(time.time()) << 20 | low, before + 1)
+
+
+def _make_slots(name: str) -> SlotMemory:
+    try:
+        return SlotMemory(name)
+    except OSError as e:
+        raise NoSpaceError(
+            f"cannot make the memory of {lb.CLIENTS} client slots ({lb.inbox_bytes()} bytes): {e}; raise the "
+            "limits of memory, locked memory or open files (ulimit -v, -l, -n)"
+        ) from None
+
+
+def _listen(config: ServiceConfig, group: int) -> socket.socket:
+    path = socket_path(config.name)
+    try:
+        return listen(path, mode(config.access.socket_mode, "socket_mode"), group, BACKLOG)
+    except OSError as e:
+        kind = NoPermissionError if e.errno in (errno.EPERM, errno.EACCES) else BlockError
+        raise kind(f"cannot listen on {path}: {e}; look at it (ls -l {path}) and remove it") from None
+
+
 def _fill_headers(house: House) -> None:
     config = house.config
-    inbox = house.inbox_bytes[: lb.InboxHeader.SIZE].view(numpy_dtype(lb.InboxHeader))[0]
-    inbox["version"], inbox["slots"] = lb.LAYOUT_VERSION, lb.CLIENTS
-    inbox["layout_hash"], inbox["epoch"], inbox["size"] = lb.layout_hash(), house.epoch, lb.inbox_bytes()
-    inbox["magic"] = lb.INBOX_MAGIC
-    house.inbox.first_bytes = house.inbox_bytes[: lb.InboxHeader.SIZE].tobytes()
     header = zeros(lb.BoardHeader)
     h: Any = header[0]
     h["version"], h["layout_hash"] = lb.LAYOUT_VERSION, lb.layout_hash()
@@ -244,17 +276,15 @@ def _fill_headers(house: House) -> None:
 
 
 def purge_map(name: str) -> bool:
-    """Remove the kept map of a name that no service runs under; False when there is none.
+    """Remove the kept map of a name and what a killed service left; False when there was nothing.
 
     Raises
     ------
-    AlreadyRunningError, NoPermissionError
+    AlreadyRunningError, NoPermissionError, BlockError
     """
-    map_ = hold_map(name)
-    if map_ is None:
-        return False
-    if not os.access(f"/dev/shm/{map_.name}", os.W_OK):
-        raise NoPermissionError(f"no permission to remove map {map_.name!r}")
-    unlink(map_.name)
-    map_.close()
-    return True
+    lock = take_name(name)
+    try:
+        purged = unlink(f"{name}.map")
+        return clear_stale(name) or purged
+    finally:
+        lock.release()

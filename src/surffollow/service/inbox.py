@@ -8,7 +8,7 @@ from surffollow.service import memory as m
 from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit, jit_pasted
 from surffollow.shm.latch import latch_read
-from surffollow.shm.layout_board import PAGE, SLOT_BYTES, SLOT_POSE, SLOT_REQUEST, PosePost, RequestPost
+from surffollow.shm.layout_board import SLOT_BYTES, SLOT_POSE, SLOT_REQUEST, PosePost, RequestPost
 from surffollow.shm.layout_follow import POSES
 
 FUTURE_NS = 2_000_000
@@ -19,8 +19,14 @@ _POST_BYTES, _REQUEST_BYTES = PosePost.SIZE, RequestPost.SIZE
 
 @jit_pasted
 def slot_address(inbox: Any, slot: Any) -> Any:
-    """Where a slot of the inbox begins."""
-    return inbox + PAGE + slot * SLOT_BYTES
+    """Where a slot begins."""
+    return inbox + slot * SLOT_BYTES
+
+
+@jit_pasted
+def claim_of(ctx: Any, slot: Any) -> Any:
+    """The claim of the client that holds a slot; 0: nobody does, and its memory must not be looked at."""
+    return at.load_acquire_i64(ctx.ctypes.data + 8 * (m.CLAIM + slot))
 
 
 @jit
@@ -93,10 +99,11 @@ def new_request(mem: Any, slot: Any) -> Any:
     ctx = mem.ctx
     latch = slot_address(ctx[m.INBOX], slot) + SLOT_REQUEST
     generation = at.load_acquire_i64(latch)
-    if generation == ctx[m.SEEN + slot]:
+    seen = ctx.ctypes.data + 8 * (m.SEEN + slot)
+    if generation == at.load_relaxed_i64(seen):
         return 0
     got = latch_read(latch, mem.request.ctypes.data, _REQUEST_BYTES)
     if got == -1:
         return -1
-    ctx[m.SEEN + slot] = got
+    at.store_relaxed_i64(seen, got)
     return 1 if got > 0 or got < -1 else 0

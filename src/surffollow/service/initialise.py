@@ -68,7 +68,7 @@ def initialise_memory(
     ):
         ctx[index] = house.address(part)
     ctx[m.LOG_CAPACITY] = config.log_words
-    ctx[m.INBOX] = house.inbox_bytes.ctypes.data
+    ctx[m.INBOX] = house.slots.address
     ctx[m.CONVERSIONS], ctx[m.CONVERSIONS_CAPACITY] = queue.address, queue.capacity
     if reports is not None:
         ctx[m.REPORTS], ctx[m.REPORTS_CAPACITY] = reports.address, reports.capacity

@@ -12,7 +12,7 @@ from surffollow.map.grids import update_map
 from surffollow.map.install import operation_progress, reject
 from surffollow.map.refocus import refocus_begin, refocus_step
 from surffollow.service import memory as m
-from surffollow.service.inbox import slot_address
+from surffollow.service.inbox import claim_of, slot_address
 from surffollow.service.mapper_install import (
     FAILED,
     NOTHING,
@@ -60,7 +60,6 @@ from surffollow.shm.layout_board import (
 from surffollow.shm.ring import ring_drop, ring_length, ring_peek
 
 _ACCESS = SLOT_HEAD + SlotHead.offset("access")
-_CLAIM = SLOT_HEAD + SlotHead.offset("claim")
 _ACK_STEP, _ACK_BYTES, _STATUS_BYTES = latch_bytes(Ack.SIZE), Ack.SIZE, MapStatus.SIZE
 SLICE_GRIDS = 100_000  # per look at the flags: 0.1 to 1 ms
 SLICE_SAMPLES = 4096
@@ -165,10 +164,10 @@ def end_access(mem: Any, t_ns: Any) -> None:
     """
     ctx, s, job = mem.ctx, mem.status[0], mem.job
     slot = s.access_slot
-    flag = at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + _ACCESS)
     late = t_ns - job[GRANTED_NS] > ctx[m.LEASE_NS]
-    gone = holder_is_gone(ctx, slot, job[HOLDER_CLAIM], job[GRANTED_NS])
-    if flag == ACCESS_REQUESTED and not late and not gone:
+    gone = holder_is_gone(ctx, slot, job[HOLDER_CLAIM])
+    asks = not gone and at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + _ACCESS) == ACCESS_REQUESTED
+    if asks and not late:
         return
     if late and not gone:
         ctx[m.FENCED + slot] = job[HOLDER_CLAIM]
@@ -188,9 +187,8 @@ def hear_again(mem: Any, t_ns: Any) -> None:
     for slot in range(CLIENTS):
         if (s.fenced >> slot) & 1 == 0:
             continue
-        address = slot_address(ctx[m.INBOX], slot)
-        down = at.load_acquire_i64(address + _ACCESS) == ACCESS_FREE
-        if down or at.load_relaxed_i64(address + _CLAIM) != ctx[m.FENCED + slot]:
+        gone = holder_is_gone(ctx, slot, ctx[m.FENCED + slot])
+        if gone or at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + _ACCESS) == ACCESS_FREE:
             ctx[m.FENCED + slot] = 0
             s.fenced &= ~(1 << slot)
     if s.fenced != before:
@@ -206,14 +204,10 @@ def watch_access(mem: Any, t_ns: Any) -> None:
         return
     for k in range(CLIENTS):
         slot = (job[LAST_HOLDER] + 1 + k) % CLIENTS
-        address = slot_address(ctx[m.INBOX], slot)
-        if at.load_acquire_i64(address + _ACCESS) != ACCESS_REQUESTED:
+        claim = claim_of(ctx, slot)
+        if claim == 0 or (s.fenced >> slot) & 1 == 1:
             continue
-        # nobody is there until the main thread has seen the lock
-        locked = at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.DEAD + slot)) == 0
-        claim = at.load_relaxed_i64(address + _CLAIM)
-        # a slot without a claim is being taken or given back
-        if not locked or claim == 0 or (s.fenced >> slot) & 1 == 1:
+        if at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + _ACCESS) != ACCESS_REQUESTED:
             continue
         job[HOLDER_CLAIM], job[GRANTED_NS] = claim, t_ns
         s.access, s.access_slot, s.access_claim = ACCESS_GRANTED, slot, claim
@@ -278,9 +272,10 @@ def run_map(mem: Any) -> None:
     """Serve the map until STOP is set; then apply what is still queued and end."""
     ctx = mem.ctx
     recover(mem)
-    told = 0
+    told, passes = 0, ctx.ctypes.data + 8 * m.MAP_PASSES
     while at.load_relaxed_i64(ctx.ctypes.data + 8 * m.STOP) == 0:
         t_ns = now_ns()
+        at.store_release_i64(passes, at.load_relaxed_i64(passes) + 1)
         busy = map_pass(mem, t_ns)
         if t_ns - told > 5_000_000:
             publish_status(mem, t_ns)

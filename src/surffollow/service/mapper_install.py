@@ -74,6 +74,8 @@ def _acknowledge(mem: Any, taken: Any) -> None:
 def _is_early(mem: Any) -> Any:
     """Whether the first piece lies there uncalled for: nothing tells whether its client still lives."""
     i, job = at.load_acquire_i64, mem.job
+    if holder_is_gone(mem.ctx, job[JOB_SLOT], job[JOB_CLAIM]):
+        return False
     half = slot_address(mem.ctx[m.INBOX], job[JOB_SLOT]) + SLOT_STREAM + PIECE_BYTES
     return i(half) == 1 and i(half + 8) == job[JOB_COUNTER] and i(half + 16) == job[JOB_CLAIM]
 
@@ -121,13 +123,10 @@ def take_piece(mem: Any) -> Any:
     """Install the next piece when it is there; NOTHING, TAKEN, WHOLE or FAILED."""
     ctx, job, piece, w = mem.ctx, mem.job, mem.piece, mem.header[0]
     number, slot = job[JOB_PIECE], job[JOB_SLOT]
-    if number == 0:
+    if number == 0 or holder_is_gone(ctx, slot, job[JOB_CLAIM]):
         return FAILED
     half = slot_address(ctx[m.INBOX], slot) + SLOT_STREAM + (number & 1) * PIECE_BYTES
     if at.load_acquire_i64(half) != number:
-        return NOTHING
-    # nobody is there until the main thread has seen the lock: no first piece of the dead
-    if number == 1 and at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.DEAD + slot)) != 0:
         return NOTHING
     for k in range(_PIECE_WORDS):
         piece[k] = at.load_relaxed_i64(half + 8 * k)
@@ -163,8 +162,7 @@ def step_install(mem: Any, t_ns: Any) -> Any:
     answer = take_piece(mem)
     if answer == NOTHING:
         taken = 0 if job[JOB_PIECE] <= 1 else mem.header[0].journal_progress
-        late = t_ns - job[JOB_BEGAN_NS] > ctx[m.LEASE_NS] + NS_PER_GRID * taken
-        if late or holder_is_gone(ctx, job[JOB_SLOT], job[JOB_CLAIM], job[JOB_BEGAN_NS]):
+        if t_ns - job[JOB_BEGAN_NS] > ctx[m.LEASE_NS] + NS_PER_GRID * taken:
             answer = FAILED
     if answer == FAILED:
         reject(mem.header)

@@ -1,6 +1,6 @@
 """What the service's threads share: addresses and flags in one word array, records for the kernels.
 
-Words that more than one thread touches (STOP, DEAD, PENDING, LOST, …) are only
+Words that more than one thread touches (STOP, CLAIM, PENDING, LOST, …) are only
 reached through the atomics module, by `ctx.ctypes.data + 8 * index`.
 """
 
@@ -32,7 +32,7 @@ from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
     STATS,
     LOG,
     LOG_CAPACITY,
-    INBOX,
+    INBOX,  # where the slots are mapped
     CONVERSIONS,  # the driver's queue
     CONVERSIONS_CAPACITY,
     SAMPLES,  # the map's queue
@@ -42,14 +42,17 @@ from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
     LOST,  # cycle → map thread: samples that found no room
     POSE_SLOT,  # cycle → main: who sends the pose, -1: nobody
     POSE_CLAIM,
-    POSE_SINCE_NS,  # when that was granted
     POSE_SEEN,  # generation of the pose read last
     LEASE_NS,  # of exclusive access
     REPORTS,  # a simulated sensor's queue of accepted poses; 0: the driver wants none
     REPORTS_CAPACITY,
+    MAP_PASSES,  # map → main: looks around that have begun
 ) = range(27)
-DEAD = 32  # main → threads: per slot, when it was last found without a lock [ns]; 0: it is locked
-SEEN = DEAD + CLIENTS  # per slot, generation of the request read last
+# main → threads: per slot, the claim of the client that holds it; 0: nobody does, its memory is not read
+CLAIM = 32
+PID = CLAIM + CLIENTS  # per slot, that client's process and user, as the kernel told them
+UID = PID + CLIENTS
+SEEN = UID + CLIENTS  # per slot, generation of the request read last; 0 when the slot is granted
 COUNTER = SEEN + CLIENTS  # per slot, counter answered last
 PENDING = COUNTER + CLIENTS  # per slot, 1: a map request is under way
 REGION = PENDING + CLIENTS  # per slot, four float64 of that request, its claim, an installed map's numbers

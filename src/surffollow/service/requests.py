@@ -8,9 +8,8 @@ from surffollow.forecast import journal
 from surffollow.forecast.step import sf_reset
 from surffollow.service import memory as m
 from surffollow.service.fitting import FAR_WORD, NEAR_WORD, OFFSET_WORD, in_bounds, misfit_after
-from surffollow.service.inbox import new_request, slot_address
+from surffollow.service.inbox import claim_of, new_request, slot_address
 from surffollow.shm import atomics as at
-from surffollow.shm.clock import now_ns
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.jit import jit, jit_pasted
 from surffollow.shm.latch import latch_write
@@ -34,10 +33,8 @@ from surffollow.shm.layout_board import (
     RQ_RELEASE_POSE,
     RQ_SET_PARAMS,
     RQ_SF_RESET,
-    SLOT_HEAD,
     SLOT_POSE,
     Ack,
-    SlotHead,
     Stats,
 )
 from surffollow.shm.layout_follow import Params
@@ -49,8 +46,6 @@ _PARAMS_BYTES = Params.SIZE
 _REQUESTS = Stats.offset("requests")
 _REFUSED = Stats.offset("requests_refused")
 _TORN = Stats.offset("torn")
-_PID = SlotHead.offset("pid")
-_CLAIM = SlotHead.offset("claim")
 _MAX_SIDE_M = 1e6
 
 
@@ -118,14 +113,9 @@ def do_set_params(mem: Any, t_ns: Any) -> Any:
 
 
 @jit
-def holder_is_gone(ctx: Any, slot: Any, claim: Any, since_ns: Any) -> Any:
-    """Whether who held something through this slot since then died, or left the slot to another.
-
-    The lock decides (the main thread looks for it), not what the slot says: anybody may write that.
-    """
-    if at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.DEAD + slot)) > since_ns:
-        return True
-    return at.load_relaxed_i64(slot_address(ctx[m.INBOX], slot) + SLOT_HEAD + _CLAIM) != claim
+def holder_is_gone(ctx: Any, slot: Any, claim: Any) -> Any:
+    """Whether who held something through this slot died or let go of it, as the kernel tells."""
+    return claim_of(ctx, slot) != claim
 
 
 @jit
@@ -133,14 +123,14 @@ def drop_dead_pose_writer(mem: Any) -> None:
     """Free the pose when its writer died or closed."""
     ctx = mem.ctx
     slot = ctx[m.POSE_SLOT]
-    if slot >= 0 and holder_is_gone(ctx, slot, ctx[m.POSE_CLAIM], ctx[m.POSE_SINCE_NS]):
+    if slot >= 0 and holder_is_gone(ctx, slot, ctx[m.POSE_CLAIM]):
         ctx[m.POSE_SLOT] = -1
 
 
 @jit
 def do_pose_role(mem: Any, slot: Any, code: Any) -> Any:
     """CLAIM_POSE and RELEASE_POSE; (result, pid of the holder)."""
-    ctx, claim = mem.ctx, mem.request[0].claim
+    ctx, claim = mem.ctx, claim_of(mem.ctx, slot)
     holder = ctx[m.POSE_SLOT]
     mine = holder == slot and ctx[m.POSE_CLAIM] == claim
     if code == RQ_RELEASE_POSE:
@@ -149,11 +139,9 @@ def do_pose_role(mem: Any, slot: Any, code: Any) -> Any:
         ctx[m.POSE_SLOT] = -1
         return OK, 0
     if holder >= 0 and holder != slot:
-        return ERR_POSE_HELD, at.load_relaxed_i64(slot_address(ctx[m.INBOX], holder) + SLOT_HEAD + _PID)
+        return ERR_POSE_HELD, at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.PID + holder))
     ctx[m.POSE_SLOT], ctx[m.POSE_CLAIM] = slot, claim
-    # read now: the holder's lock is older than this, whenever the cycle began
-    ctx[m.POSE_SINCE_NS] = now_ns()
-    # what an earlier holder of the slot posted is not this one's
+    # what was posted before the pose was claimed does not count
     ctx[m.POSE_SEEN] = at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + SLOT_POSE)
     return OK, 0
 
@@ -180,7 +168,7 @@ def do_map_request(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
     side = m.REGION + slot * m.REGION_WORDS
     for k in range(4):
         at.store_relaxed_f64(base + 8 * (side + k), request.value[k])
-    at.store_relaxed_i64(base + 8 * (side + 4), request.claim)
+    at.store_relaxed_i64(base + 8 * (side + 4), claim_of(ctx, slot))
     for k in range(5):
         at.store_relaxed_f64(base + 8 * (side + m.INSTALL_WORD + k), request.value[4 + k])
     for k in range(3):
@@ -221,11 +209,13 @@ def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
 
 @jit
 def process_requests(mem: Any, t_ns: Any) -> None:
-    """Look at every slot once and answer what is new."""
+    """Look at every slot that somebody holds once and answer what is new."""
     ctx = mem.ctx
     stats = ctx[m.STATS]
     drop_dead_pose_writer(mem)
     for slot in range(CLIENTS):
+        if claim_of(ctx, slot) == 0:
+            continue
         state = new_request(mem, slot)
         if state == 0:
             continue

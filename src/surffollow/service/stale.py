@@ -4,51 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import os
-from pathlib import Path
+import stat
 from typing import Any
 
 import numpy as np
 
 from surffollow.errors import AlreadyRunningError, BlockError, NotReadyError, NotRunningError
 from surffollow.shm import layout_board as lb
+from surffollow.shm.checked_open import kind_of
 from surffollow.shm.dtypes import numpy_dtype
-from surffollow.shm.objects import SharedObject, boot_id, unlink
-
-
-def has_open(pid: int, identity: tuple[int, int]) -> bool:
-    """Whether a process has a file open; True when this user may not know.
-
-    Between its lock and its first line in the map's header a starting service is not yet the owner
-    that the header names: that may be anybody's pid by now.
-    """
-    try:
-        for entry in os.scandir(f"/proc/{pid}/fd"):
-            with contextlib.suppress(FileNotFoundError):
-                found = os.stat(entry.path)
-                if (found.st_dev, found.st_ino) == identity:
-                    return True
-    except PermissionError:
-        return True
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-    return False
+from surffollow.shm.objects import SharedObject, unlink
+from surffollow.shm.process import boot_id, is_running
+from surffollow.shm.unix_socket import socket_path
 
 
 def _opened(name: str) -> SharedObject | None:
-    """The object; None when there is none or it is empty, as a damaged inbox may be."""
+    """The object; None when there is none or it is empty."""
     try:
         return SharedObject.open(name)
     except (NotRunningError, NotReadyError):
         return None
-
-
-def _lives(pid: int, ticks: int) -> bool:
-    """Whether the process that was started then still has memory: one that dies gives that up first."""
-    try:
-        words = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-    except OSError:
-        return False
-    return int(words[19]) == ticks and int(words[20]) > 0
 
 
 def _live_owner(part: SharedObject) -> int:
@@ -60,13 +35,13 @@ def _live_owner(part: SharedObject) -> int:
     pid = int(h["pid"])
     if int(h["magic"]) != lb.BOARD_MAGIC or bytes(h["boot_id"]) != boot_id().encode():
         return 0
-    if pid <= 0 or not _lives(pid, int(h["start_ticks"])):
+    if pid <= 0 or not is_running(pid, int(h["start_ticks"])):
         return 0
-    # a client may write what it likes into an inbox: only the object's own user can be its service
-    with contextlib.suppress(FileNotFoundError):
-        if os.stat(f"/proc/{pid}").st_uid != os.fstat(part.fd).st_uid:
-            return 0
-    return pid if has_open(pid, part.identity) else 0
+    # anybody may write a board of his own: only the object's own user can be its service
+    try:
+        return pid if os.stat(f"/proc/{pid}").st_uid == part.owner else 0
+    except OSError:
+        return 0
 
 
 def board_owner(name: str) -> int:
@@ -84,34 +59,40 @@ def board_owner(name: str) -> int:
 
 
 def clear_stale(name: str) -> bool:
-    """Unlink the board and the inbox that a dead service left; False when there were none.
+    """Unlink the board and the socket that a dead service left; False when there were none.
 
-    Whoever calls it has the name: the kept map's lock. That proves nothing when somebody removed
-    the map of a running service by hand, nor about an object that only looks like one of ours.
+    Whoever calls it has the name (its lock). That proves nothing when somebody removed the lock of a
+    running service by hand, nor about an object that only looks like one of ours.
 
     Raises
     ------
-    AlreadyRunningError  a live service has one of them
-    BlockError           there is something else under the board's name
+    AlreadyRunningError  a live service has the board
+    NoPermissionError    one of them is another user's
+    BlockError           there is something else under the board's name or the socket's
     """
-    parts = (name, f"{name}.inbox")
-    for part in parts:
-        found = _opened(part)
-        if found is None:
-            continue
+    found = _opened(name)
+    if found is not None:
         try:
             pid, magic = _live_owner(found), int.from_bytes(found.memory[:8], "little")
         finally:
             found.close()
         if pid:
             raise AlreadyRunningError(
-                f"the shared-memory object {part!r} belongs to a running service (pid {pid}); stop that "
+                f"the shared-memory object {name!r} belongs to a running service (pid {pid}); stop that "
                 "first, or choose another name (--name)"
             )
         # a board gets its header after its name: one without belonged to a start that was killed
-        if part == name and magic not in (0, lb.BOARD_MAGIC):
+        if magic not in (0, lb.BOARD_MAGIC):
             raise BlockError(
                 f"there is a shared-memory object {name!r} that is no service's board; choose another name "
                 f"(--name), or look at it (ls -l /dev/shm/{name}) and remove it"
             )
-    return any([unlink(part) for part in parts])
+    path = socket_path(name)
+    with contextlib.suppress(FileNotFoundError):
+        kind = os.lstat(path).st_mode
+        if not stat.S_ISSOCK(kind):
+            raise BlockError(
+                f"{path} is {kind_of(kind)}, expected the service's socket; look at it (ls -l {path}) and "
+                "remove it, or choose another name (--name)"
+            )
+    return any([unlink(part) for part in (name, path.name)])

@@ -30,7 +30,8 @@ SCHEMAS: tuple[type[Schema], ...] = (
     lb.MapStatus,
     lb.Stats,
     lb.LogHead,
-    lb.InboxHeader,
+    lb.SlotMessage,
+    lb.ClientInfo,
     lb.SlotHead,
     lb.PosePost,
     lb.RequestPost,
@@ -41,9 +42,14 @@ SCHEMAS: tuple[type[Schema], ...] = (
     wb.WorldPose,
 )
 # rules of the client library, the same in Python (a test compares)
+_SLOT_WORDS = (
+    *("SLOT_ASK", "SLOT_OFFER", "SLOT_MAPPED", "SLOT_GRANT", "SLOT_REFUSE"),
+    *("SLOT_ALL_TAKEN", "SLOT_USER_LIMIT", "SLOT_PROCESS_LIMIT", "SLOT_OTHER_RUN", "SLOT_BAD_MESSAGE"),
+)
 STALE = 1 << 16
 REATTACH_EVERY_NS = 20_000_000
 LOOK_EVERY_NS = 100_000_000
+SLOT_WAIT_NS = 2_000_000_000  # for the service to hand out a slot
 POSE_FUTURE_NS = 1_000_000
 MAX_POSITION_M = 1e9
 
@@ -109,7 +115,7 @@ def _defines() -> Iterator[tuple[str, str]]:
     yield "LAYOUT_VERSION", f"{lb.LAYOUT_VERSION}u"
     yield "LAYOUT_HASH", f"UINT64_C({lb.layout_hash()})"
     yield "BOARD_MAGIC", word(lb.BOARD_MAGIC)
-    yield "INBOX_MAGIC", f"UINT64_C({lb.INBOX_MAGIC})"
+    yield "SLOT_MAGIC", f"UINT64_C({lb.SLOT_MAGIC})"
     yield "MAP_MAGIC", f"UINT64_C({ml.MAGIC})"
     yield "MAP_LAYOUT_HASH", f"UINT64_C({ml.LAYOUT_HASH})"
     yield "WORLD_MAGIC", word(wb.MAGIC)
@@ -120,7 +126,6 @@ def _defines() -> Iterator[tuple[str, str]]:
         *("SLOT_STREAM", "PIECE_BYTES", "PIECE_GRIDS", "PIECE_HEIGHTS", "PIECE_COUNTS"),
     ):
         yield name, str(getattr(lb, name))
-    yield "INBOX_BYTES", str(lb.inbox_bytes())
     yield "REGIONS", str(lb.BoardHeader.field("region").count)
     yield "CHANNELS", str(layout_follow.CHANNELS)
     yield "LATCH_SLOTS", str(latch_shape.SLOTS)
@@ -131,7 +136,7 @@ def _defines() -> Iterator[tuple[str, str]]:
     yield "MAX_REGION_M", str(ml.MAX_REGION_M)
     yield "REATTACH_EVERY_NS", str(REATTACH_EVERY_NS)
     yield "LOOK_EVERY_NS", str(LOOK_EVERY_NS)
-    yield "NAME_LOCK_BYTE", word(lb.NAME_LOCK_BYTE)
+    yield "SLOT_WAIT_NS", str(SLOT_WAIT_NS)
     yield "POSE_FUTURE_NS", str(POSE_FUTURE_NS)
     yield "MAX_POSITION_M", str(MAX_POSITION_M)
 
@@ -201,6 +206,7 @@ def layout_text() -> str:
         _enum(_constants("RQ_")),
         _enum(_constants("STATE_")),
         _enum(_constants("ACCESS_")),
+        _enum((n, int(getattr(lb, n))) for n in _SLOT_WORDS),
         _enum(map_states),
         _enum(rounding),
         _answers(),

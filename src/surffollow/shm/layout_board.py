@@ -1,7 +1,7 @@
-"""The three POSIX objects of the service: board, inbox, and what their parts are called.
+"""The board of the service, the slots of its clients, and the messages by which a client gets its slot.
 
-The board NAME is written by the service alone. The inbox NAME.inbox holds one
-page-aligned slot per client. (The map object NAME.map is in `map_layout`.)
+The board NAME is written by the service alone. A slot is a sealed memfd that the service makes and hands
+to one client through the socket NAME.sock. (The map object NAME.map is in `map_layout`.)
 """
 
 from __future__ import annotations
@@ -11,13 +11,11 @@ from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
 from surffollow.shm.schema import F64, I64, U32, U64, Nested, Schema, Text
 
 BOARD_MAGIC = int.from_bytes(b"SURFBRD1", "little")
-INBOX_MAGIC = int.from_bytes(b"SURFINB1", "little")
-LAYOUT_VERSION = 1
+SLOT_MAGIC = int.from_bytes(b"SURFSLT1", "little")
+LAYOUT_VERSION = 2
 CLIENTS = 16
 PAGE = 4096
 REQUEST_ARGS = 16
-# the lock on this byte of the map object is the service's name: it may lie beyond the end
-NAME_LOCK_BYTE = 1 << 62
 HISTOGRAM_BINS = 512  # 8 per octave of nanoseconds
 
 STATE_INITIALISING, STATE_READY, STATE_STOPPING, STATE_STOPPED = 0, 1, 2, 3
@@ -64,6 +62,19 @@ RESULT_TEXT = (
     "the service's map memory (map.grids) has no room for this map",
 )
 
+# steps of the exchange that gives a client its slot (docs/protocol.md)
+SLOT_ASK, SLOT_OFFER, SLOT_MAPPED, SLOT_GRANT, SLOT_REFUSE = range(1, 6)
+# why a client gets none
+SLOT_OK, SLOT_ALL_TAKEN, SLOT_USER_LIMIT, SLOT_PROCESS_LIMIT, SLOT_OTHER_RUN, SLOT_BAD_MESSAGE = range(6)
+SLOT_TEXT = (
+    "granted",
+    "all client slots are taken; end a client",
+    "this user holds as many slots as access.slots_per_user allows; end one of its clients",
+    "this process holds as many slots as access.slots_per_process allows; close an attachment",
+    "the service was restarted since the board was opened; attach again",
+    "the message is not of this release's protocol; use client and service of one release",
+)
+
 # exclusive access, the paper's four steps
 ACCESS_FREE, ACCESS_REQUESTED, ACCESS_GRANTED, ACCESS_DONE = 0, 1, 2, 3
 
@@ -83,10 +94,10 @@ class BoardHeader(Schema):
     magic = U64()
     version = U32()
     n_regions = U32()
-    layout_hash = U64(doc="of all schemas of the board and the inbox")
+    layout_hash = U64(doc="of all schemas of the board and the slots")
     size = U64(unit="B", doc="of the whole object")
     state = I64(doc="INITIALISING, READY, STOPPING, STOPPED")
-    epoch = I64(doc="counts the starts of this name since boot")
+    epoch = I64(doc="of this start: no other start of the name has it")
     pid = I64(doc="of the service")
     start_ticks = I64(doc="start time of that process, clock ticks since boot")
     boot_id = Text(40)
@@ -161,17 +172,6 @@ class LogHead(Schema):
     pad = I64(7)
 
 
-class InboxHeader(Schema):
-    """First page of the inbox."""
-
-    magic = U64()
-    version = U32()
-    slots = U32()
-    layout_hash = U64()
-    epoch = I64()
-    size = U64(unit="B")
-
-
 class PosePost(Schema):
     """What ee_pos posts."""
 
@@ -185,19 +185,40 @@ class RequestPost(Schema):
     counter = I64()
     code = I64(doc="RQ_…")
     n = I64(doc="arguments used")
-    claim = I64(doc="random number of this attachment")
+    claim = I64(doc="of this attachment")
     number = I64(REQUEST_ARGS, doc="parameter numbers, map sizes, …")
     value = F64(REQUEST_ARGS, doc="values, region, offset")
 
 
 class SlotHead(Schema):
-    """Who holds the slot."""
+    """First line of a slot."""
 
-    pid = I64()
-    claim = I64(doc="random number of this attachment; 0: free")
-    heartbeat_ns = I64(unit="ns")
     access = I64(doc="the client's half of the four-step flag")
-    name = Text(32)
+    pad = I64(7)
+
+
+class SlotMessage(Schema):
+    """Every message on NAME.sock, in both directions."""
+
+    magic = U64(doc="'SURFSLT1'")
+    layout_hash = U64(doc="as in the board's header")
+    step = I64(doc="SLOT_ASK, SLOT_OFFER, SLOT_MAPPED, SLOT_GRANT or SLOT_REFUSE")
+    epoch = I64(doc="of the board that the client has opened")
+    result = I64(doc="SLOT_OK, or why the client gets no slot")
+    detail = I64(doc="of a refusal: the limit that is reached")
+    slot = I64(doc="number of the slot offered or granted")
+    claim = I64(doc="number of this attachment, never 0, which answers and grants bear")
+    name = Text(32, doc="how the service's status names the client")
+
+
+class ClientInfo(Schema):
+    """Who holds a slot, as the kernel told the service (SO_PEERCRED)."""
+
+    pid = I64(doc="0: the slot is free")
+    uid = I64()
+    since_ns = I64(unit="ns", doc="when the slot was granted")
+    name = Text(32, doc="as the client calls itself")
+    pad = I64()
 
 
 class StreamPiece(Schema):
@@ -214,7 +235,7 @@ class StreamPiece(Schema):
     pad = I64(3)
 
 
-# offsets inside an inbox slot
+# offsets inside a slot; bytes 2560 to 8191 are free for more latches of the client
 SLOT_BYTES = 65536
 SLOT_HEAD = 0
 SLOT_POSE = 256
@@ -231,6 +252,7 @@ BOARD_PARTS: tuple[tuple[str, type[Schema], int], ...] = (
     ("acks", Ack, CLIENTS * latch_bytes(Ack.SIZE)),
     ("map_acks", Ack, CLIENTS * latch_bytes(Ack.SIZE)),
     ("ticker", Ticker, latch_bytes(Ticker.SIZE)),
+    ("clients", ClientInfo, CLIENTS * latch_bytes(ClientInfo.SIZE)),
     ("map_status", MapStatus, latch_bytes(MapStatus.SIZE)),
     ("stats", Stats, Stats.SIZE),
     ("log", LogHead, LogHead.SIZE),
@@ -260,8 +282,8 @@ def board_bytes(log_words: int) -> int:
 
 
 def inbox_bytes() -> int:
-    """Size of the inbox object [B]."""
-    return PAGE + CLIENTS * SLOT_BYTES
+    """All slots as the service maps them, one behind the other [B]."""
+    return CLIENTS * SLOT_BYTES
 
 
 def layout_hash() -> int:
@@ -269,7 +291,7 @@ def layout_hash() -> int:
     total = LAYOUT_VERSION
     schemas: list[type[Schema]] = [
         BoardHeader,
-        InboxHeader,
+        SlotMessage,
         SlotHead,
         PosePost,
         RequestPost,

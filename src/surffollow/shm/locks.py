@@ -20,7 +20,6 @@ _SET, _GET = fcntl.F_OFD_SETLK, fcntl.F_OFD_GETLK
 _READ, _WRITE, _FREE = fcntl.F_RDLCK, fcntl.F_WRLCK, fcntl.F_UNLCK
 _fcntl = fcntl.fcntl
 # the bytes that are locked; they need not exist
-WRITER_BYTE = 0
 QUEUE_BYTE = 1
 FENCE_BASE = 1 << 32
 
@@ -87,7 +86,12 @@ class FileLock:
 
     def held_elsewhere(self, at: int) -> bool:
         """Whether another open holds any lock on byte `at`."""
-        answer = _fcntl(self.fd, _GET, _pack(_WRITE, at))
+        return self.is_held(self.fd, at)
+
+    @staticmethod
+    def is_held(fd: int, at: int) -> bool:
+        """Whether an open other than `fd` holds any lock on byte `at` of the same file."""
+        answer = _fcntl(fd, _GET, _pack(_WRITE, at))
         return bool(_FLOCK.unpack(answer)[0] != _FREE)
 
     def close(self) -> None:

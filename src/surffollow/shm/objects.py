@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import mmap
 import os
-import stat
-import struct
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
-import posix_ipc
-
-from surffollow.config.names import check_name
+from surffollow.config.names import check_object_name
 from surffollow.errors import (
     BlockError,
     ExistsError,
@@ -23,9 +18,9 @@ from surffollow.errors import (
     NotReadyError,
     NotRunningError,
 )
+from surffollow.shm.checked_open import open_plain
 
 SHM_ROOT = Path("/dev/shm")
-_FLOCK = struct.Struct("hhxxxxqqixxxx")
 
 
 class SharedObject:
@@ -36,14 +31,12 @@ class SharedObject:
     name : str
     size : int            bytes
     memory : mmap.mmap    read-only unless opened for writing
-    fd : int              kept open: it carries this process's locks
+    fd : int
     owner : int           user that the object belonged to when it was opened
-    first_bytes : bytes   how the owner wants the object to begin, when others can write it
     """
 
     def __init__(self, name: str, fd: int, size: int, writable: bool) -> None:
         self.name, self.fd, self.size, self.writable = name, fd, size, writable
-        self.first_bytes = b""
         prot = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
         self.memory = mmap.mmap(fd, size, mmap.MAP_SHARED, prot)
         status = os.fstat(fd)
@@ -69,7 +62,7 @@ class SharedObject:
         NoSpaceError       /dev/shm cannot hold it
         NoPermissionError  /dev/shm or the group cannot be used
         """
-        check_name(name)
+        check_object_name(name)
         try:
             fd = os.open(SHM_ROOT, os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC, 0o600)
         except OSError as e:
@@ -100,39 +93,40 @@ class SharedObject:
             raise BlockError(f"cannot map shared-memory object {name!r} of {size} bytes: {e}") from e
 
     @classmethod
-    def open(cls, name: str, *, writable: bool = False) -> SharedObject:
-        """Map an object that exists.
+    def open(cls, name: str, *, writable: bool = False, owners: Collection[int] = ()) -> SharedObject:
+        """Map an object that exists; `owners`: whose it may be (empty: anybody's).
 
         Raises
         ------
         NotRunningError    there is none of that name
-        NoPermissionError  its mode forbids it
-        NotReadyError      it is empty: being made, or cut short and not mended yet
+        NoPermissionError  its mode forbids it, or it belongs to another user than those
+        NotReadyError      it is empty: being made
         BlockError         it is not a plain object
         """
-        check_name(name)
+        path = SHM_ROOT / check_object_name(name)
         try:
-            raw = posix_ipc.SharedMemory("/" + name, 0, read_only=not writable)
-        except posix_ipc.ExistentialError:
+            fd, status = open_plain(path, os.O_RDWR if writable else os.O_RDONLY, owners=owners)
+        except BlockError:
+            raise
+        except FileNotFoundError:
             raise NotRunningError(
                 f"no shared-memory object {name!r}; is the service running? (surffollow start --name ...)"
             ) from None
-        except (posix_ipc.PermissionsError, PermissionError):
+        except PermissionError:
             raise NoPermissionError(
                 f"no permission to {'write' if writable else 'read'} shared-memory object {name!r}; "
                 "join its group (ls -l /dev/shm) or run as the service's user"
             ) from None
         except OSError as e:
             raise BlockError(f"cannot open shared-memory object {name!r}: {e}") from None
-        fd = int(raw.fd)
-        status = os.fstat(fd)
-        if not stat.S_ISREG(status.st_mode):
-            os.close(fd)
-            raise BlockError(f"{SHM_ROOT}/{name} is no shared-memory object")
         if status.st_size == 0:
             os.close(fd)
-            raise NotReadyError(f"shared-memory object {name!r} is being made or mended; try again")
-        return cls(name, fd, status.st_size, writable)
+            raise NotReadyError(f"shared-memory object {name!r} is being made; try again")
+        try:
+            return cls(name, fd, status.st_size, writable)
+        except OSError as e:
+            os.close(fd)
+            raise BlockError(f"cannot map shared-memory object {name!r}: {e}") from None
 
     def is_current(self) -> bool:
         """Whether the name still leads to this very object."""
@@ -141,20 +135,6 @@ class SharedObject:
         except OSError:
             return False
         return (status.st_dev, status.st_ino) == self.identity
-
-    def try_lock(self, start: int, length: int = 1) -> bool:
-        """Take an exclusive lock on bytes of the object; the kernel releases it with this process."""
-        return _lock(self.fd, fcntl.F_WRLCK, start, length)
-
-    def unlock(self, start: int, length: int = 1) -> None:
-        """Give the lock back."""
-        _lock(self.fd, fcntl.F_UNLCK, start, length)
-
-    def is_locked(self, start: int, length: int = 1) -> bool:
-        """Whether another open of the object holds a lock on these bytes."""
-        query = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, start, length, 0)
-        answer = fcntl.fcntl(self.fd, fcntl.F_OFD_GETLK, query)
-        return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)
 
     def close(self) -> None:
         """Unmap and close; views of `memory` that are still held keep it mapped."""
@@ -172,14 +152,6 @@ def _link(fd: int, name: str) -> None:
         os.link(f"/proc/self/fd/{fd}", name, dst_dir_fd=folder, follow_symlinks=True)
     finally:
         os.close(folder)
-
-
-def _lock(fd: int, kind: int, start: int, length: int) -> bool:
-    try:
-        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(kind, os.SEEK_SET, start, length, 0))
-    except (BlockingIOError, PermissionError):
-        return False
-    return True
 
 
 def reserve(name: str, fd: int, size: int) -> None:
@@ -212,7 +184,7 @@ def _less(name: str) -> str:
         return "configure fewer map.grids"
     if not part:
         return "configure fewer log_words"
-    if part in ("inbox", "world"):
+    if part in ("sock", "lock", "world"):
         return f"remove what nobody needs (ls -l /dev/shm): service {service!r} cannot do with less"
     return "declare a block with fewer elements, or remove what nobody needs (surffollow blocks ls)"
 
@@ -220,23 +192,15 @@ def _less(name: str) -> str:
 def unlink(name: str) -> bool:
     """Remove the name; False when there was none."""
     try:
-        posix_ipc.unlink_shared_memory("/" + check_name(name))
-    except posix_ipc.ExistentialError:
+        os.unlink(SHM_ROOT / check_object_name(name))
+    except FileNotFoundError:
         return False
-    except (posix_ipc.PermissionsError, PermissionError):
-        raise NoPermissionError(f"no permission to remove shared-memory object {name!r}") from None
+    except IsADirectoryError:
+        raise BlockError(
+            f"{SHM_ROOT}/{name} is a directory, expected a plain file; remove it, or choose another name"
+        ) from None
+    except PermissionError:
+        raise NoPermissionError(
+            f"no permission to remove {SHM_ROOT}/{name}; ask its owner or root (ls -l {SHM_ROOT}/{name})"
+        ) from None
     return True
-
-
-def boot_id() -> str:
-    """The kernel's identity of this boot."""
-    return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-
-
-def start_ticks(pid: int) -> int:
-    """Start time of a process in clock ticks since boot; 0 when there is no such process."""
-    try:
-        text = Path(f"/proc/{pid}/stat").read_text()
-    except OSError:
-        return 0
-    return int(text.rsplit(")", 1)[1].split()[19])

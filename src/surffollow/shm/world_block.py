@@ -1,19 +1,20 @@
 """The block `NAME.world`: where the tool of a simulation truly is. Its layout, and who may write it.
 
 One shared object as the service's own are (`shm.objects`): a header of one page, then a latch over
-`WorldPose`. A lock that the kernel releases (`shm.locks`) says who writes; a writer that finds what a dead
-one left carries on in it with a new epoch. The service reads this block nowhere but in the simulated sensor.
+`WorldPose`. A lock that the kernel releases (`shm.name_lock`) says who writes; a writer that finds what a
+dead one left carries on in it with a new epoch. The service reads this block in the simulated sensor only.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 
 from surffollow.config.names import check_name, check_service_name
 from surffollow.errors import BusyError, ExistsError, NotReadyError, NotRunningError
 from surffollow.shm.latch_shape import latch_bytes
-from surffollow.shm.locks import WRITER_BYTE, FileLock
+from surffollow.shm.name_lock import NameLock
 from surffollow.shm.objects import SharedObject, unlink
 from surffollow.shm.schema import F64, I64, U64, Schema
 
@@ -79,24 +80,7 @@ def _fits(obj: SharedObject) -> bool:
     return found == WorldPose.HASH
 
 
-def _make(name: str) -> tuple[SharedObject, FileLock]:
-    """A new block, locked and signed before it has its name."""
-    locks: list[FileLock] = []
-
-    def prepare(obj: SharedObject) -> None:
-        locks.append(FileLock.beside(obj.fd, True))
-        locks[0].exclusive(WRITER_BYTE)
-        _sign(obj)
-
-    try:
-        return SharedObject.create(name, SIZE, MODE, prepare=prepare), locks[0]
-    except BaseException:
-        for lock in locks:
-            lock.close()
-        raise
-
-
-def claim_world(name: str) -> tuple[SharedObject, FileLock]:
+def claim_world(name: str) -> tuple[SharedObject, NameLock]:
     """Become the one writer of a block, made now or taken over from a dead writer.
 
     Parameters
@@ -116,33 +100,35 @@ def claim_world(name: str) -> tuple[SharedObject, FileLock]:
     NoSpaceError
         /dev/shm cannot hold it
     """
-    deadline = time.monotonic() + DYING_S
-    while True:
-        try:
-            obj = SharedObject.open(name, writable=True)
-        except NotRunningError:
+    own = _take_name(name)
+    try:
+        while True:
             try:
-                return _make(name)
-            except ExistsError:
-                continue  # another writer was faster: look at what it made
-        except NotReadyError:
-            unlink(name)  # empty, as no writer makes it
-            continue
-        lock = FileLock.beside(obj.fd, True)
-        if lock.exclusive(WRITER_BYTE):
-            if _fits(obj) and obj.is_current():
+                obj = SharedObject.open(name, writable=True, owners=(os.geteuid(),))
+            except NotRunningError:
+                with contextlib.suppress(ExistsError):  # somebody was faster: look at what it made
+                    return SharedObject.create(name, SIZE, MODE, prepare=_sign), own
+                continue
+            except NotReadyError:
+                unlink(name)  # empty, as no writer makes it
+                continue
+            if _fits(obj):
                 _sign(obj)
-                return obj, lock
-            if obj.is_current():
-                unlink(name)  # another version's: never changed under its readers
-        elif time.monotonic() > deadline:
-            lock.close()
+                return obj, own
             obj.close()
+            unlink(name)  # another version's: never changed under its readers
+    except BaseException:
+        own.release()
+        raise
+
+
+def _take_name(name: str) -> NameLock:
+    deadline = time.monotonic() + DYING_S
+    while (own := NameLock.take(name)) is None:
+        if time.monotonic() > deadline:
             raise BusyError(
                 f"block {name!r} has a live writer: a simulated robot, or a client that calls sim_pose(); "
                 "stop that one first"
             )
-        else:
-            time.sleep(POLL_S)
-        lock.close()
-        obj.close()
+        time.sleep(POLL_S)
+    return own

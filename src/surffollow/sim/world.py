@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from surffollow.errors import LayoutMismatchError, NotReadyError, NotRunningError
 from surffollow.shm.dtypes import numpy_dtype, zeros
 from surffollow.shm.latch import latch_read, latch_write
-from surffollow.shm.locks import WRITER_BYTE
+from surffollow.shm.name_lock import holder
 from surffollow.shm.objects import SharedObject, unlink
 from surffollow.shm.world_block import MAGIC, PAGE, SIZE, WorldHeader, WorldPose, claim_world, object_name
 
@@ -73,7 +73,7 @@ class WorldWriter(_Mapped):
         if unlink_it and self._object.is_current():
             unlink(self.name)
         self._view = None
-        self._lock.close()
+        self._lock.release()
         self._object.close()
 
 
@@ -124,7 +124,7 @@ class WorldReader(_Mapped):
     @property
     def has_writer(self) -> bool:
         """Whether a live process writes the block."""
-        return self._object.is_locked(WRITER_BYTE)
+        return holder(self.name) != 0
 
     def latest(self) -> NDArray[Any] | None:
         """Newest `WorldPose` record, shape (1,); None before the first, or when it was torn too often."""

@@ -33,7 +33,8 @@ enum {
   SF_ERR_MEMORY = -33,
   SF_ERR_SYSTEM = -34,
   SF_ERR_HELD = -35,
-  SF_ERR_WORLD_HELD = -36,
+  SF_ERR_OWNER = -36,
+  SF_ERR_WORLD_HELD = -37,
   /* the service refused: SF_REFUSED_...; `detail` of the client holds the answer's number */
   SF_REFUSED = -100
 };
@@ -47,7 +48,7 @@ static inline const char *sf_strerror(int result) {
     case SF_NO_READING: return "there is no valid distance now";
     case SF_UNKNOWN: return "no height is known there";
     case SF_ERR_ARGUMENT: return "an argument is missing or outside its range";
-    case SF_ERR_NAME: return "a service's name is 1 to 48 letters, digits, '.', '_' or '-', none of '._-' first, no .inbox, .map or .world last";
+    case SF_ERR_NAME: return "a service's name is 1 to 48 letters, digits, '.', '_' or '-', none of '._-' first, no .sock, .lock, .map or .world last";
     case SF_ERR_POSE: return "a pose is seven finite numbers: x y z within 1e9 m, a quaternion of norm 1 within 1e-3";
     case SF_ERR_POSE_FUTURE: return "the pose is stamped more than 1 ms ahead; use CLOCK_MONOTONIC";
     case SF_ERR_POSE_OLD: return "the pose is older than pose_timeout_ns; the service takes none so old";
@@ -55,11 +56,11 @@ static inline const char *sf_strerror(int result) {
     case SF_ERR_PARAM: return "there is no parameter of that name, or it cannot be set";
     case SF_ERR_BOUNDS: return "the value is not finite, not whole, or outside the parameter's bounds";
     case SF_ERR_NOT_RUNNING: return "no live service of that name; start it: surffollow start --name ...";
-    case SF_ERR_NO_PERMISSION: return "no permission; join the group of the service's objects (ls -l /dev/shm): sf_observe must read them, sf_attach write, too";
+    case SF_ERR_NO_PERMISSION: return "no permission; join the group of the board and the socket (ls -l /dev/shm): sf_observe needs the board, sf_attach both";
     case SF_ERR_NOT_READY: return "the service is starting or being replaced; try again";
     case SF_ERR_LAYOUT: return "the service is of another release than this header; rebuild or restart";
     case SF_ERR_BLOCK: return "the shared-memory object is damaged or not one; restart the service";
-    case SF_ERR_SLOTS: return "all client slots are taken; end a client";
+    case SF_ERR_SLOTS: return "all client slots are taken, or as many as this user or process may have (the client's detail); end a client";
     case SF_ERR_OBSERVER: return "an observer cannot send; attach with sf_attach";
     case SF_ERR_TIMEOUT: return "the service did not answer in time";
     case SF_ERR_RESTARTED: return "the service was restarted before it answered; ask again";
@@ -70,6 +71,7 @@ static inline const char *sf_strerror(int result) {
     case SF_ERR_MEMORY: return "not enough memory for a copy of the map";
     case SF_ERR_HELD: return "this client holds the map itself, which would wait for ever; call sf_access_end first";
     case SF_ERR_WORLD_HELD: return "a simulated robot or another client publishes the true pose; stop that one";
+    case SF_ERR_OWNER: return "the service belongs to a user who is not trusted (in the client's detail); name him: sf_attach_owner, SURFFOLLOW_OWNER";
     case SF_ERR_SYSTEM: return "a system call failed; the client's detail holds errno";
     default: break;
   }

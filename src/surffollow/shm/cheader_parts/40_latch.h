@@ -39,7 +39,7 @@ static inline int64_t sf_latch_read_part(const void *latch, size_t payload_bytes
       memcpy(to + 8 * k, &word, 8);
     }
     __atomic_thread_fence(__ATOMIC_ACQUIRE); /* R3 */
-    /* R4; unsigned: the inbox may hold anything */
+    /* R4; unsigned: shared memory may hold anything */
     if (SF_CAST(uint64_t, sf_load_relaxed(base)) - SF_CAST(uint64_t, g) <= SF_LATCH_SLOTS - 2) return g;
   }
   return -1;

@@ -6,8 +6,11 @@ typedef struct sf_object {
   size_t size;
   uint64_t device, inode;
   uid_t owner;
-  int fd; /* -1 unless it carries a lock */
+  int fd; /* of a slot: the connection that owns it; else -1 */
 } sf_object;
+
+/* Whose shared memory is believed: this process's own user, root, and the one that SURFFOLLOW_OWNER names. */
+#define SF_OWNER_DEFAULT INT64_C(-1)
 
 /* How to attach; begin with sf_default_options(). */
 typedef struct sf_options {
@@ -19,6 +22,8 @@ typedef struct sf_options {
   int64_t stale_min_ns;  /* ... but never sooner than this */
   int64_t ready_wait_ns; /* how long to wait for a service that is starting */
   int64_t timeout_ns;    /* how long a request waits for its answer (map requests: six times this) */
+  int64_t owner;         /* number of the user whose service to believe, or SF_OWNER_DEFAULT; whose it is at
+                            first it must be ever after */
 } sf_options;
 
 /* A client; the caller's memory, filled by sf_attach. Only the first group is for reading. */
@@ -26,19 +31,20 @@ typedef struct sf_client {
   int64_t epoch;     /* of the service attached to; changes when it was restarted */
   int64_t period_ns; /* of its cycle */
   int64_t detail;    /* after an error: errno, holder's pid, refused parameter's number */
-  int slot;          /* of the inbox; -1: none */
+  int slot;          /* number of the slot it holds; -1: none */
   /* private */
   char name[64];
   char label[32];
   sf_options options;
-  sf_object board, inbox, map;
+  sf_object board, held, map; /* held: the slot's memory, and the connection that owns it */
   const unsigned char *output, *params, *acks, *map_acks, *ticker, *map_status, *stats;
   unsigned char *slot_memory;
   int64_t stale_ns, next_attach_ns, next_look_ns, next_life_ns, pose_timeout_ns, pose_held_ns;
   int64_t claim, counter;
+  int64_t owner; /* the user whose service it attached to first; -1: not yet */
   int64_t asked_ns;
   int pose_held, abandoned;
-  int ended; /* at the last look the service was silent and its lock on the name gone */
+  int ended; /* at the last look the service was silent and its process gone */
   int64_t grant;    /* number of the newest grant of the map to this attachment */
   int access_depth; /* sf_access_begin that were not ended */
   sf_object world;  /* of sf_sim_pose */
@@ -54,6 +60,7 @@ static inline sf_options sf_default_options(void) {
   o.stale_min_ns = 5000000;
   o.ready_wait_ns = 2000000000;
   o.timeout_ns = 5000000000;
+  o.owner = SF_OWNER_DEFAULT;
   return o;
 }
 
@@ -66,7 +73,7 @@ static inline int sf_i_name_ok(const char *name) {
     if (n >= 48) return 0;
   }
   /* the names of a service's own objects */
-  static const char *const objects[] = {".inbox", ".map", ".world"};
+  static const char *const objects[] = {".sock", ".lock", ".map", ".world"};
   for (size_t k = 0; k < sizeof objects / sizeof objects[0]; k++) {
     const size_t m = strlen(objects[k]);
     if (n > m && strcmp(name + n - m, objects[k]) == 0) return 0;
@@ -83,7 +90,8 @@ static inline int sf_i_errno(sf_client *c, int number) {
   c->detail = number;
   if (number == ENOENT) return SF_ERR_NOT_RUNNING;
   if (number == EACCES || number == EPERM) return SF_ERR_NO_PERMISSION;
-  if (number == ELOOP) return SF_ERR_BLOCK; /* a link: never followed */
+  /* a link, which is never followed, or a socket or device */
+  if (number == ELOOP || number == ENXIO || number == ENODEV || number == EISDIR) return SF_ERR_BLOCK;
   return SF_ERR_SYSTEM;
 }
 
@@ -98,15 +106,36 @@ static inline void sf_i_close(sf_object *o) {
   sf_i_forget(o);
 }
 
-/* Map NAME + suffix; with `writable` the descriptor stays open, for it carries this process's locks. */
-static inline int sf_i_open(sf_client *c, const char *suffix, int writable, sf_object *o) {
+/* The number of the user that SURFFOLLOW_OWNER names, by number or name; -1: none. */
+static inline int64_t sf_i_configured_owner(void) {
+  const char *text = getenv("SURFFOLLOW_OWNER");
+  char room[4096], *end;
+  struct passwd entry, *found = NULL;
+  if (text == NULL || text[0] == '\0') return -1;
+  const long long number = strtoll(text, &end, 10);
+  if (*end == '\0') return number >= 0 ? SF_CAST(int64_t, number) : -1;
+  if (getpwnam_r(text, &entry, room, sizeof room, &found) != 0 || found == NULL) return -1;
+  return SF_CAST(int64_t, found->pw_uid);
+}
+
+/* Whether an object of user `found` is believed; `owner`: one user's number, or SF_OWNER_DEFAULT. */
+static inline int sf_i_owner_ok(int64_t owner, uid_t found) {
+  if (owner != SF_OWNER_DEFAULT) return owner == SF_CAST(int64_t, found);
+  return found == 0 || found == geteuid() || SF_CAST(int64_t, found) == sf_i_configured_owner();
+}
+
+/*
+ * Map NAME + suffix read-only. What stands under the name may be anything of anybody's: nothing here waits
+ * for it (O_NONBLOCK), follows a link, or maps what is no plain file of a user who is believed.
+ */
+static inline int sf_i_open(sf_client *c, const char *suffix, sf_object *o) {
   char path[96];
   struct stat status;
   sf_i_forget(o);
   if (!sf_i_path(c->name, suffix, path)) return SF_ERR_NAME;
   int fd;
   do {
-    fd = open(path, (writable ? O_RDWR : O_RDONLY) | O_CLOEXEC | O_NOFOLLOW);
+    fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK | O_NOCTTY);
   } while (fd < 0 && errno == EINTR);
   if (fd < 0) return sf_i_errno(c, errno);
   if (fstat(fd, &status) != 0) {
@@ -118,27 +147,24 @@ static inline int sf_i_open(sf_client *c, const char *suffix, int writable, sf_o
     close(fd);
     return SF_ERR_BLOCK;
   }
+  if (!sf_i_owner_ok(c->owner >= 0 ? c->owner : c->options.owner, status.st_uid)) {
+    close(fd);
+    c->detail = SF_CAST(int64_t, status.st_uid);
+    return SF_ERR_OWNER;
+  }
   if (status.st_size < SF_PAGE) { /* created, not yet laid out */
     close(fd);
     return SF_ERR_NOT_READY;
   }
-  void *memory = mmap(NULL, SF_CAST(size_t, status.st_size), writable ? PROT_READ | PROT_WRITE : PROT_READ,
-                      MAP_SHARED, fd, 0);
-  if (memory == MAP_FAILED) {
-    const int number = errno;
-    close(fd);
-    return sf_i_errno(c, number);
-  }
+  void *memory = mmap(NULL, SF_CAST(size_t, status.st_size), PROT_READ, MAP_SHARED, fd, 0);
+  const int number = errno;
+  close(fd);
+  if (memory == MAP_FAILED) return sf_i_errno(c, number);
   o->memory = SF_CAST(unsigned char *, memory);
   o->size = SF_CAST(size_t, status.st_size);
   o->device = SF_CAST(uint64_t, status.st_dev);
   o->inode = SF_CAST(uint64_t, status.st_ino);
   o->owner = status.st_uid;
-  o->fd = fd;
-  if (!writable) {
-    close(fd);
-    o->fd = -1;
-  }
   return SF_OK;
 }
 
@@ -154,7 +180,10 @@ static inline int sf_i_is_current(const sf_client *c, const char *suffix, const 
 static inline void sf_i_release_world(sf_client *c, int remove) {
   char path[96];
   if (c->world.memory == NULL) return;
-  if (remove && sf_i_is_current(c, ".world", &c->world) && sf_i_path(c->name, ".world", path)) unlink(path);
+  if (remove) {
+    if (sf_i_is_current(c, ".world", &c->world) && sf_i_path(c->name, ".world", path)) unlink(path);
+    if (sf_i_path(c->name, ".world.lock", path)) unlink(path);
+  }
   sf_i_close(&c->world);
 }
 
@@ -183,7 +212,7 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
   const int64_t deadline = sf_now_ns() + wait_ns;
   int err;
   for (;;) {
-    err = sf_i_open(c, "", 0, &board);
+    err = sf_i_open(c, "", &board);
     if (err == SF_OK) {
       const sf_board_header *h = SF_VIEW(const sf_board_header *, board.memory);
       const int64_t state = sf_load_acquire(&h->state); /* stored last, so that all else is there */
@@ -212,6 +241,7 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
   }
   sf_i_close(&c->board);
   c->board = board;
+  c->owner = SF_CAST(int64_t, board.owner); /* no other user's from now on */
   c->output = output, c->params = params, c->acks = acks, c->map_acks = map_acks;
   c->ticker = ticker, c->map_status = map_status, c->stats = stats;
   c->ended = 0;
@@ -223,7 +253,7 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
   if (!sf_i_is_current(c, ".map", &c->map)) {
     sf_object map; /* without it only the map's functions fail */
     sf_i_close(&c->map);
-    if (sf_i_open(c, ".map", 0, &map) == SF_OK) {
+    if (sf_i_open(c, ".map", &map) == SF_OK) {
       if (map.owner == c->board.owner)
         c->map = map;
       else /* somebody else's, under the name of the service's */

@@ -14,75 +14,6 @@ static inline int64_t sf_i_random_claim(void) {
   return SF_CAST(int64_t, (r >> 2) | 1u);
 }
 
-static inline int sf_i_lock(int fd, off_t byte) {
-  struct flock lock;
-  memset(&lock, 0, sizeof lock);
-  lock.l_type = F_WRLCK;
-  lock.l_whence = SEEK_SET;
-  lock.l_start = byte;
-  lock.l_len = 1;
-  for (;;) {
-    /* 37: F_OFD_SETLK, which strict ISO C hides; such a lock belongs to this open and ends with it */
-    if (fcntl(fd, 37, &lock) == 0) return 0;
-    if (errno != EINTR) return errno;
-  }
-}
-
-static inline void sf_i_release_slot(sf_client *c) {
-  if (c->slot_memory != NULL) {
-    sf_slot_head *head = SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD);
-    sf_store_relaxed(&head->access, SF_ACCESS_FREE);
-    sf_store_relaxed(&head->pid, 0);
-    sf_store_release(&head->claim, 0);
-  }
-  c->slot = -1;
-  c->slot_memory = NULL;
-  c->pose_held = 0;
-  sf_i_close(&c->inbox);
-}
-
-/* Take a free slot of the inbox: its lock says who owns it, and the kernel frees it when we die. */
-static inline int sf_i_claim_slot(sf_client *c) {
-  sf_object inbox;
-  const int err = sf_i_open(c, ".inbox", 1, &inbox);
-  if (err != SF_OK) return err;
-  if (inbox.owner != c->board.owner) { /* somebody else's, under the name of the service's */
-    sf_i_close(&inbox);
-    return SF_ERR_NO_PERMISSION;
-  }
-  const sf_inbox_header *h = SF_VIEW(const sf_inbox_header *, inbox.memory);
-  if (inbox.size < SF_INBOX_BYTES || h->magic != SF_INBOX_MAGIC || h->epoch != c->epoch ||
-      h->version != SF_LAYOUT_VERSION || h->layout_hash != SF_LAYOUT_HASH) {
-    sf_i_close(&inbox);
-    return SF_ERR_NOT_READY; /* of a service that is being replaced, or scribbled on: the service mends it */
-  }
-  for (int slot = 0; slot < SF_CLIENTS; slot++) {
-    const off_t start = SF_PAGE + SF_CAST(off_t, slot) * SF_SLOT_BYTES;
-    const int number = sf_i_lock(inbox.fd, start);
-    if (number == EAGAIN || number == EACCES) continue;
-    if (number != 0) {
-      sf_i_close(&inbox);
-      return sf_i_errno(c, number);
-    }
-    c->inbox = inbox;
-    c->slot = slot;
-    c->slot_memory = inbox.memory + start;
-    c->claim = sf_i_random_claim();
-    c->counter = 0;
-    c->pose_held = c->abandoned = 0;
-    c->grant = 0;
-    sf_slot_head *head = SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD);
-    sf_store_relaxed(&head->access, SF_ACCESS_FREE);
-    sf_store_relaxed(&head->pid, SF_CAST(int64_t, getpid()));
-    sf_store_relaxed(&head->heartbeat_ns, sf_now_ns());
-    memcpy(head->name, c->label, sizeof c->label);
-    sf_store_release(&head->claim, c->claim); /* last: a claim is never seen beside another's pid */
-    return SF_OK;
-  }
-  sf_i_close(&inbox);
-  return SF_ERR_SLOTS;
-}
-
 static inline void sf_i_read_pose_timeout(sf_client *c) {
   int64_t value;
   const size_t at = offsetof(sf_params, pose_timeout_ns);
@@ -103,11 +34,10 @@ static inline void sf_detach(sf_client *c) {
 
 /*
  * For a child after fork(), before it does anything else with surffollow: let go of its parent's clients.
- * The child would otherwise keep the parent's slot locked beyond the parent's death.
+ * The child would otherwise write into its parent's slot.
  */
 static inline void sf_forget(sf_client *c) {
   if (c == NULL) return;
-  c->slot_memory = NULL; /* the slot itself is the parent's: nothing is written to it */
   sf_i_release_world(c, 0);
   sf_detach(c);
 }
@@ -115,18 +45,20 @@ static inline void sf_forget(sf_client *c) {
 /*
  * Attach to a running service. `options` NULL: the defaults. The client needs no initialisation;
  * attaching one that is attached leaks.
- * SF_OK, SF_ERR_NAME, _NOT_RUNNING, _NO_PERMISSION, _NOT_READY, _LAYOUT, _BLOCK, _SLOTS, _SYSTEM.
+ * SF_OK, SF_ERR_NAME, _NOT_RUNNING, _NO_PERMISSION, _NOT_READY, _LAYOUT, _BLOCK, _SLOTS, _OWNER, _SYSTEM.
  */
 static inline int sf_attach_with(sf_client *c, const char *name, const sf_options *options) {
   if (c == NULL) return SF_ERR_ARGUMENT;
   memset(c, 0, sizeof *c);
   c->slot = -1;
   sf_i_forget(&c->board);
-  sf_i_forget(&c->inbox);
+  sf_i_forget(&c->held);
+  c->owner = -1;
   sf_i_forget(&c->map);
   sf_i_forget(&c->world);
   c->options = options != NULL ? *options : sf_default_options();
-  if (c->options.stale_periods < 1 || c->options.stale_min_ns < 0) return SF_ERR_ARGUMENT;
+  if (c->options.stale_periods < 1 || c->options.stale_min_ns < 0 || c->options.owner < SF_OWNER_DEFAULT)
+    return SF_ERR_ARGUMENT;
   if (name == NULL || !sf_i_name_ok(name)) return SF_ERR_NAME;
   memcpy(c->name, name, strlen(name));
   const char *label = c->options.label;
@@ -139,7 +71,7 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
   const int64_t deadline = sf_now_ns() + c->options.ready_wait_ns;
   while (err == SF_OK && !c->options.observe && (err = sf_i_claim_slot(c)) == SF_ERR_NOT_READY &&
          sf_now_ns() < deadline) {
-    /* the service was replaced between our looks at its board and at its inbox */
+    /* the service was replaced between our looks at its board and at its socket */
     sf_sleep_until_ns(sf_now_ns() + 5000000);
     err = sf_i_is_current(c, "", &c->board) ? SF_OK : sf_i_open_board(c, c->options.ready_wait_ns);
   }
@@ -154,6 +86,13 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
 /* Attach as a client that may send poses and requests. */
 static inline int sf_attach(sf_client *c, const char *name) { return sf_attach_with(c, name, NULL); }
 
+/* sf_attach, believing no service but that of user number `owner`. */
+static inline int sf_attach_owner(sf_client *c, const char *name, uid_t owner) {
+  sf_options o = sf_default_options();
+  o.owner = SF_CAST(int64_t, owner);
+  return sf_attach_with(c, name, &o);
+}
+
 /* Attach read-only: no slot, no write permission. */
 static inline int sf_observe(sf_client *c, const char *name) {
   sf_options o = sf_default_options();
@@ -161,47 +100,59 @@ static inline int sf_observe(sf_client *c, const char *name) {
   return sf_attach_with(c, name, &o);
 }
 
-/*
- * Look for a newer service of this name. SF_OK: attached to the current one; the pose must be claimed
- * anew, which the next sf_ee_pos does. Otherwise the error, and the old attachment stays.
- */
-static inline int sf_reattach(sf_client *c) {
-  if (c == NULL || c->board.memory == NULL) return SF_ERR_ARGUMENT;
+/* Go over to a newer service's board; its slot is asked for when it is needed. */
+static inline int sf_i_reattach_board(sf_client *c) {
   if (!sf_i_is_current(c, "", &c->board)) {
     const int err = sf_i_open_board(c, 0);
     if (err != SF_OK) return err;
     sf_i_release_slot(c);
   }
-  if (!c->options.observe && c->slot_memory == NULL) {
-    const int err = sf_i_claim_slot(c);
-    if (err != SF_OK) return err;
-  }
   sf_i_read_pose_timeout(c);
   return SF_OK;
 }
 
-/* Whether the service, which fell silent, ended; what only stands still keeps its lock on the name. */
-static inline int sf_i_has_ended(const sf_client *c) {
-  char path[96];
-  struct flock lock;
-  if (!sf_i_is_current(c, "", &c->board) || !sf_i_path(c->name, ".map", path)) return 1;
-  const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
-  if (fd < 0) return 1; /* gone, or not to be looked at: then silence is all there is to go by */
-  memset(&lock, 0, sizeof lock);
-  lock.l_type = F_WRLCK;
-  lock.l_whence = SEEK_SET;
-  lock.l_start = SF_NAME_LOCK_BYTE;
-  lock.l_len = 1;
-  const int asked = fcntl(fd, 36, &lock); /* 36: F_OFD_GETLK, which strict ISO C hides */
+/*
+ * Look for a newer service of this name. SF_OK: attached to the current one; the pose must be claimed
+ * anew, which the next sf_ee_pos does. Otherwise the error, and the old attachment stays; SF_ERR_OWNER:
+ * what bears the name now belongs to another user (`detail`) than the service attached to first.
+ */
+static inline int sf_reattach(sf_client *c) {
+  if (c == NULL || c->board.memory == NULL) return SF_ERR_ARGUMENT;
+  const int err = sf_i_reattach_board(c);
+  if (err != SF_OK || c->options.observe || c->slot_memory != NULL) return err;
+  return sf_i_claim_slot(c);
+}
+
+/* Whether the process that was started then still has memory: one that dies gives that up first. */
+static inline int sf_i_is_running(int64_t pid, int64_t start_ticks) {
+  char path[40], text[1024];
+  snprintf(path, sizeof path, "/proc/%" PRId64 "/stat", pid);
+  const int fd = open(path, O_RDONLY | O_CLOEXEC);
+  if (fd < 0) return 0;
+  const ssize_t got = read(fd, text, sizeof text - 1);
   close(fd);
-  return asked != 0 || lock.l_type == F_UNLCK;
+  if (got <= 0) return 0;
+  text[got] = '\0';
+  const char *p = strrchr(text, ')'); /* a program's name may hold anything */
+  for (int field = 0; p != NULL && field < 20; field++) p = strchr(p + 1, ' ');
+  char *end;
+  if (p == NULL || strtoll(p, &end, 10) != start_ticks) return 0; /* field 22 */
+  return strtoull(end, NULL, 10) > 0;
+}
+
+/* Whether the service, which fell silent, ended; one that stands still keeps our connection, and is a process. */
+static inline int sf_i_has_ended(const sf_client *c) {
+  const sf_board_header *h = SF_VIEW(const sf_board_header *, c->board.memory);
+  if (!sf_i_is_current(c, "", &c->board)) return 1;
+  if (c->slot_memory != NULL) return !sf_i_slot_is_open(c);
+  return !sf_i_is_running(h->pid, h->start_ticks);
 }
 
 /* Look for a newer service and for an end of this one, at most every 20 ms. */
 static inline void sf_i_look_again(sf_client *c, int64_t now_ns) {
   if (now_ns < c->next_attach_ns) return;
   c->next_attach_ns = now_ns + SF_REATTACH_EVERY_NS;
-  if (c->options.auto_reattach) sf_reattach(c);
+  if (c->options.auto_reattach) sf_i_reattach_board(c);
   c->ended = sf_i_has_ended(c);
   /* purged: what is mapped is nobody's map any more */
   if (c->map.memory != NULL && !sf_i_is_current(c, ".map", &c->map)) sf_i_close(&c->map);

@@ -10,27 +10,21 @@ static inline int sf_i_read_ack(const unsigned char *acks, int slot, sf_ack *ack
   return sf_latch_read(acks + step * SF_CAST(size_t, slot), sizeof *ack, ack) > 0;
 }
 
-/* Whether the inbox still has its size: to touch a page that somebody cut off is SIGBUS. */
-static inline int sf_i_inbox_is_whole(const sf_client *c) {
-  struct stat status;
-  return fstat(c->inbox.fd, &status) == 0 && status.st_size >= SF_CAST(off_t, SF_INBOX_BYTES);
-}
-
 /*
- * Send a request without waiting: `code` SF_RQ_..., up to SF_REQUEST_ARGS numbers and values.
+ * Send a request without waiting: `code` SF_RQ_..., up to SF_REQUEST_ARGS numbers and values. Only the first
+ * one after a restart of the service waits, for the slot.
  * SF_ERR_BUSY while the last one is not acknowledged: a second one could overtake it unseen.
  */
 static inline int sf_request_send(sf_client *c, int64_t code, int n, const int64_t *numbers, const double *values,
                                   sf_ticket *ticket) {
   if (c == NULL || c->output == NULL || ticket == NULL || n < 0 || n > SF_REQUEST_ARGS) return SF_ERR_ARGUMENT;
   if (c->options.observe) return SF_ERR_OBSERVER;
-  const int alive = sf_alive(c);
-  if (alive && c->slot_memory == NULL) sf_i_reattach_sometimes(c, sf_now_ns());
-  if (!alive || c->slot_memory == NULL) return SF_ERR_NOT_RUNNING;
-  if (!sf_i_inbox_is_whole(c)) return SF_ERR_NOT_READY; /* cut short; the service mends it */
+  if (!sf_alive(c)) return SF_ERR_NOT_RUNNING;
+  const int slot = sf_i_ensure_slot(c);
+  if (slot != SF_OK) return slot == SF_ERR_NOT_READY ? SF_ERR_NOT_RUNNING : slot;
   const int64_t now = sf_now_ns();
   sf_ack last;
-  /* a member of the inbox's group can wipe out a request unseen: it must not block all later ones */
+  /* one that was lost with its service's start must not block all later ones */
   if (c->counter > 0 && !c->abandoned && now < c->asked_ns + c->options.timeout_ns &&
       !(sf_i_read_ack(c->acks, c->slot, &last) && last.counter == c->counter && last.claim == c->claim))
     return SF_ERR_BUSY;
@@ -158,20 +152,19 @@ static inline int sf_i_check_pose(const double pose[7], double out[7]) {
   return SF_OK;
 }
 
-/* Ten times a second: show life, and notice what was changed behind this client's back. */
-static inline void sf_i_show_life(sf_client *c, int64_t now_ns) {
+/* Ten times a second: whether the slot and the pose are ours still. */
+static inline void sf_i_look_at_slot(sf_client *c, int64_t now_ns) {
   sf_ticker t;
   c->next_life_ns = now_ns + SF_LOOK_EVERY_NS;
   sf_i_read_pose_timeout(c);
   if (c->slot_memory == NULL) return;
-  sf_slot_head *head = SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD);
-  sf_store_relaxed(&head->pid, SF_CAST(int64_t, getpid()));
-  sf_store_relaxed(&head->heartbeat_ns, now_ns);
-  sf_store_release(&head->claim, c->claim);
+  if (!sf_i_slot_is_open(c)) { /* the service took it back: the next pose or request asks for another */
+    sf_i_release_slot(c);
+    return;
+  }
   const size_t words = offsetof(sf_ticker, pose_pid) / 8;
   if (!c->pose_held || sf_latch_read_part(c->ticker, sizeof t, 0, words, &t) <= 0) return;
-  /* somebody gave the pose back in our name: ask for it again */
-  if (t.pose_slot != c->slot && t.t_ns > c->pose_held_ns + SF_LOOK_EVERY_NS) c->pose_held = 0;
+  if (t.pose_slot != c->slot && t.t_ns > c->pose_held_ns + SF_LOOK_EVERY_NS) c->pose_held = 0; /* ask again */
 }
 
 /* As often as a service falls silent: whether it is there. SF_OK or SF_ERR_NOT_RUNNING. */
@@ -180,7 +173,7 @@ static inline int sf_i_look_after(sf_client *c, int64_t now_ns) {
   const int there = sf_i_follow(c, now_ns);
   if (there != SF_OK) return there;
   c->next_look_ns = now_ns + (c->stale_ns < SF_LOOK_EVERY_NS ? c->stale_ns : SF_LOOK_EVERY_NS);
-  if (now_ns > c->next_life_ns) sf_i_show_life(c, now_ns);
+  if (now_ns > c->next_life_ns) sf_i_look_at_slot(c, now_ns);
   return SF_OK;
 }
 

@@ -8,67 +8,114 @@ static inline void sf_i_sign_world(sf_client *c) {
   sf_store_release(&h->magic, SF_WORLD_MAGIC);
 }
 
-/* A new world block: it gets its name when it is whole and locked. */
-static inline int sf_i_make_world(sf_client *c) {
-  char path[96], nameless[64];
-  if (!sf_i_path(c->name, ".world", path)) return SF_ERR_NAME;
-  /* 020000000: the bit of O_TMPFILE beside O_DIRECTORY, which strict ISO C hides */
-  const int fd = open("/dev/shm", 020000000 | O_DIRECTORY | O_RDWR | O_CLOEXEC, 0640);
-  if (fd < 0) return sf_i_errno(c, errno);
-  int number = posix_fallocate(fd, 0, SF_WORLD_BYTES);
-  struct stat status;
-  if (number == 0 && (fchmod(fd, 0640) != 0 || fstat(fd, &status) != 0)) number = errno;
-  if (number == 0) number = sf_i_lock(fd, 0);
-  void *memory = MAP_FAILED;
-  if (number == 0) {
-    memory = mmap(NULL, SF_WORLD_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
-    if (memory == MAP_FAILED) number = errno;
-  }
-  if (number != 0) {
+/*
+ * Take the lock on the world block's name: a file that only its owner may open, locked while this process
+ * lives. The descriptor, or an error.
+ */
+static inline int sf_i_lock_world(sf_client *c) {
+  char path[96];
+  struct stat status, there;
+  struct flock lock;
+  if (!sf_i_path(c->name, ".world.lock", path)) return SF_ERR_NAME;
+  for (int k = 0; k < 20; k++) {
+    const int fd = open(path, O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK, 0600);
+    if (fd < 0) return sf_i_errno(c, errno);
+    memset(&lock, 0, sizeof lock);
+    lock.l_type = F_WRLCK;
+    lock.l_whence = SEEK_SET;
+    lock.l_len = 1;
+    const int known = fstat(fd, &status) == 0;
+    if (!known || !S_ISREG(status.st_mode) || status.st_uid != geteuid() || (status.st_mode & 0177) != 0) {
+      close(fd);
+      return SF_ERR_NO_PERMISSION; /* somebody else's file stands there, or others may lock it */
+    }
+    /* 37: F_OFD_SETLK, which strict ISO C hides; such a lock belongs to this open and ends with it */
+    if (fcntl(fd, 37, &lock) == 0) {
+      /* its last owner may have removed it between our open and our lock */
+      if (lstat(path, &there) == 0 && there.st_dev == status.st_dev && there.st_ino == status.st_ino) return fd;
+      close(fd);
+      continue;
+    }
     close(fd);
-    return sf_i_errno(c, number);
+    /* a writer that was just killed holds its lock until the kernel has taken it apart */
+    sf_sleep_until_ns(sf_now_ns() + 5000000);
   }
+  return SF_ERR_WORLD_HELD;
+}
+
+/* Map a world block that is there, to carry on in it. SF_ERR_NOT_RUNNING: there is none. */
+static inline int sf_i_adopt_world(sf_client *c, const char *path) {
+  struct stat status;
+  const int fd = open(path, O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
+  if (fd < 0) return sf_i_errno(c, errno);
+  if (fstat(fd, &status) != 0 || !S_ISREG(status.st_mode) || status.st_uid != geteuid() ||
+      status.st_size != SF_WORLD_BYTES) {
+    close(fd);
+    return SF_ERR_BLOCK;
+  }
+  void *memory = mmap(NULL, SF_WORLD_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+  close(fd);
+  if (memory == MAP_FAILED) return sf_i_errno(c, errno);
   c->world.memory = SF_CAST(unsigned char *, memory);
   c->world.size = SF_WORLD_BYTES;
   c->world.device = SF_CAST(uint64_t, status.st_dev);
   c->world.inode = SF_CAST(uint64_t, status.st_ino);
   c->world.owner = status.st_uid;
-  c->world.fd = fd;
-  sf_i_sign_world(c);
-  snprintf(nameless, sizeof nameless, "/proc/self/fd/%d", fd);
-  if (linkat(AT_FDCWD, nameless, AT_FDCWD, path, AT_SYMLINK_FOLLOW) == 0) return SF_OK;
-  number = errno;
-  sf_i_close(&c->world);
-  return number == EEXIST ? SF_ERR_BUSY : sf_i_errno(c, number);
+  return SF_VIEW(const sf_world_header *, memory)->layout_hash == SF_WORLD_LAYOUT_HASH ? SF_OK : SF_ERR_LAYOUT;
+}
+
+/* A new world block: it gets its name when it is whole. */
+static inline int sf_i_make_world(sf_client *c, const char *path) {
+  char nameless[64];
+  struct stat status;
+  /* 020000000: the bit of O_TMPFILE beside O_DIRECTORY, which strict ISO C hides */
+  const int fd = open("/dev/shm", 020000000 | O_DIRECTORY | O_RDWR | O_CLOEXEC, 0640);
+  if (fd < 0) return sf_i_errno(c, errno);
+  int number = posix_fallocate(fd, 0, SF_WORLD_BYTES);
+  if (number == 0 && (fchmod(fd, 0640) != 0 || fstat(fd, &status) != 0)) number = errno;
+  void *memory = MAP_FAILED;
+  if (number == 0) {
+    memory = mmap(NULL, SF_WORLD_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+    if (memory == MAP_FAILED) number = errno;
+  }
+  if (number == 0) {
+    c->world.memory = SF_CAST(unsigned char *, memory);
+    c->world.size = SF_WORLD_BYTES;
+    c->world.device = SF_CAST(uint64_t, status.st_dev);
+    c->world.inode = SF_CAST(uint64_t, status.st_ino);
+    c->world.owner = status.st_uid;
+    sf_i_sign_world(c);
+    snprintf(nameless, sizeof nameless, "/proc/self/fd/%d", fd);
+    if (linkat(AT_FDCWD, nameless, AT_FDCWD, path, AT_SYMLINK_FOLLOW) != 0) number = errno;
+  }
+  close(fd);
+  return number == 0 ? SF_OK : sf_i_errno(c, number);
 }
 
 /* Become the one writer of the service's world block: make it, or carry on in a dead writer's. */
 static inline int sf_i_claim_world(sf_client *c) {
-  sf_i_close(&c->world);
-  for (int k = 0; k < 20; k++) {
-    sf_object found;
-    const int err = sf_i_open(c, ".world", 1, &found);
-    if (err == SF_ERR_NOT_RUNNING) { /* there is none */
-      const int made = sf_i_make_world(c);
-      if (made != SF_ERR_BUSY) return made;
-      continue; /* another writer was faster */
-    }
-    if (err != SF_OK) return err;
-    const sf_world_header *h = SF_VIEW(const sf_world_header *, found.memory);
-    const int fits = found.size == SF_WORLD_BYTES && h->layout_hash == SF_WORLD_LAYOUT_HASH;
-    const int number = fits ? sf_i_lock(found.fd, 0) : 0;
-    if (fits && number == 0 && sf_i_is_current(c, ".world", &found)) {
-      c->world = found;
-      sf_i_sign_world(c);
-      return SF_OK;
-    }
-    sf_i_close(&found);
-    if (!fits) return SF_ERR_LAYOUT;
-    if (number != 0 && number != EAGAIN && number != EACCES) return sf_i_errno(c, number);
-    /* a writer that was just killed holds its lock until the kernel has taken it apart */
-    sf_sleep_until_ns(sf_now_ns() + 5000000);
+  char path[96];
+  sf_i_release_world(c, 0);
+  if (!sf_i_path(c->name, ".world", path)) return SF_ERR_NAME;
+  const int lock = sf_i_lock_world(c);
+  if (lock < 0) return lock;
+  int result = sf_i_adopt_world(c, path);
+  if (result == SF_OK) {
+    sf_i_sign_world(c);
+  } else {
+    sf_i_close(&c->world);
+    /* another version's, or cut short: never changed under its readers */
+    if (result == SF_ERR_LAYOUT || result == SF_ERR_BLOCK) unlink(path);
+    if (result == SF_ERR_LAYOUT || result == SF_ERR_BLOCK || result == SF_ERR_NOT_RUNNING)
+      result = sf_i_make_world(c, path);
   }
-  return SF_ERR_WORLD_HELD;
+  if (result != SF_OK) {
+    sf_i_close(&c->world);
+    close(lock);
+    return result;
+  }
+  c->world.fd = lock; /* closing it gives the name back */
+  return SF_OK;
 }
 
 /*

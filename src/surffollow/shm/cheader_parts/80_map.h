@@ -183,7 +183,7 @@ static inline int sf_access_held(sf_client *c) {
 }
 
 static inline void sf_i_post_access(sf_client *c, int64_t flag) {
-  if (c->slot_memory == NULL || !sf_i_inbox_is_whole(c)) return;
+  if (c->slot_memory == NULL) return;
   sf_store_release(&SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD)->access, flag);
 }
 
@@ -197,8 +197,6 @@ static inline int sf_i_look_for_grant(sf_client *c) {
   }
   /* fenced, or the grant given back last still stands: the flag must be seen to come down first */
   const int down = (s.fenced >> c->slot & 1) != 0 || sf_i_is_mine(c, &s);
-  if (!down && sf_i_inbox_is_whole(c)) /* the grant names the claim that the slot shows */
-    sf_store_release(&SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD)->claim, c->claim);
   sf_i_post_access(c, down ? SF_ACCESS_FREE : SF_ACCESS_REQUESTED);
   return 0;
 }
@@ -220,11 +218,7 @@ static inline int sf_access_begin(sf_client *c, int64_t timeout_ns) {
   for (;;) { /* a service that stands still may go on; one that ended has no map to give */
     const int64_t now = sf_now_ns();
     const int alive = sf_alive(c);
-    if (alive && c->slot_memory == NULL) sf_i_reattach_sometimes(c, now);
-    if (alive && c->slot_memory != NULL) {
-      if (!sf_i_inbox_is_whole(c)) return SF_ERR_NOT_READY; /* cut short; the service mends it */
-      if (sf_i_look_for_grant(c)) break;                    /* 2 is the service's */
-    }
+    if (alive && sf_i_ensure_slot(c) == SF_OK && sf_i_look_for_grant(c)) break; /* 2 is the service's */
     if (now > deadline || sf_i_follow(c, now) != SF_OK) {
       sf_i_post_access(c, SF_ACCESS_FREE);
       return alive ? SF_ERR_TIMEOUT : SF_ERR_NOT_RUNNING;

@@ -1,0 +1,46 @@
+"""Whose shared memory a program believes: its own user's, root's, and the configured service user's."""
+
+from __future__ import annotations
+
+import os
+
+from surffollow.errors import ConfigError
+
+ENVIRONMENT = "SURFFOLLOW_OWNER"
+ROOT = 0
+
+
+def user_id(owner: int | str) -> int:
+    """The number of a user who is given by number or name.
+
+    Raises
+    ------
+    ConfigError   there is no such user
+    """
+    if isinstance(owner, int):
+        return owner
+    if owner.isascii() and owner.isdigit():
+        return int(owner)
+    import pwd
+
+    try:
+        return pwd.getpwnam(owner).pw_uid
+    except KeyError:
+        raise ConfigError(
+            f"there is no user {owner!r} on this machine; name the service's user by number or name "
+            f"(owner=, --owner, {ENVIRONMENT})"
+        ) from None
+
+
+def trusted_owners(owner: int | str | None = None) -> frozenset[int]:
+    """The users whose objects are believed at the first attachment.
+
+    Parameters
+    ----------
+    owner : number or name of the one user to believe; None: this process's own user, root, and the one that
+        the environment's SURFFOLLOW_OWNER names
+    """
+    if owner is not None:
+        return frozenset((user_id(owner),))
+    configured = os.environ.get(ENVIRONMENT, "")
+    return frozenset((os.geteuid(), ROOT, *((user_id(configured),) if configured else ())))

@@ -1,0 +1,162 @@
+"""Who holds which slot, as the kernel told it, and how many slots one user or process may hold."""
+
+from __future__ import annotations
+
+import os
+import random
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.service import memory as m
+from surffollow.service.slot_memory import SlotMemory
+from surffollow.shm import layout_board as lb
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.latch import latch_write
+from surffollow.shm.latch_shape import latch_bytes
+from surffollow.shm.python_atomics import load_acquire, store_release
+
+_STEP = latch_bytes(lb.ClientInfo.SIZE)
+# a thread that saw a slot in use has left the pass in which it did so when its counter grew by two
+PASSES = 2
+
+
+@dataclass(frozen=True)
+class ClientId:
+    """A client; pid and uid are the kernel's word, the name is the client's own."""
+
+    pid: int
+    uid: int
+    name: str
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How many slots one user and one process may hold; root and the service's own user are exempt."""
+
+    per_user: int
+    per_process: int
+
+
+class ClientTable:
+    """The slots: free, promised to a client, held, or retired until no thread can look at them.
+
+    Parameters
+    ----------
+    memory : SlotMemory       where the slots lie
+    ctx : (n,) int64          words that the service's threads share; the claims there are written here alone
+    clients : int             address of the board's part of that name
+    cycles : callable         cycles run, counted when they end
+    limits : Limits
+    """
+
+    def __init__(
+        self,
+        memory: SlotMemory,
+        ctx: NDArray[np.int64],
+        clients: int,
+        cycles: Callable[[], int],
+        limits: Limits,
+    ) -> None:
+        self._memory, self._ctx, self._clients, self._cycles, self._limits = (
+            memory,
+            ctx,
+            clients,
+            cycles,
+            limits,
+        )
+        self._who: list[ClientId | None] = [None] * lb.CLIENTS
+        self._held = [False] * lb.CLIENTS
+        self._retired: dict[int, tuple[int, int]] = {}  # slot → cycles and passes of the map then
+        self._random = random.SystemRandom()
+        self._info = zeros(lb.ClientInfo)
+
+    def who(self, slot: int) -> ClientId | None:
+        """Who holds a slot; None: nobody."""
+        return self._who[slot] if 0 <= slot < lb.CLIENTS and self._held[slot] else None
+
+    def held(self) -> int:
+        """How many clients there are."""
+        return sum(self._held)
+
+    @property
+    def retiring(self) -> bool:
+        """Whether slots will be free in a moment."""
+        return bool(self._retired)
+
+    def refusal(self, uid: int, pid: int) -> tuple[int, int]:
+        """Why a client gets no slot and the limit that is reached; SLOT_OK when it may have one."""
+        if uid not in (0, os.geteuid()):
+            taken = [w for w in self._who if w is not None and w.uid == uid]
+            if len(taken) >= self._limits.per_user:
+                return lb.SLOT_USER_LIMIT, self._limits.per_user
+            if sum(w.pid == pid for w in taken) >= self._limits.per_process:
+                return lb.SLOT_PROCESS_LIMIT, self._limits.per_process
+        return lb.SLOT_OK, 0
+
+    def promise(self, client: ClientId) -> int:
+        """Set a free slot aside; -1 when there is none."""
+        for slot in range(lb.CLIENTS):
+            if self._who[slot] is None and slot not in self._retired:
+                self._who[slot] = client
+                return slot
+        return -1
+
+    def new_claim(self) -> int:
+        """A number that no other attachment has."""
+        return self._random.getrandbits(62) | 1
+
+    def descriptor(self, slot: int) -> int:
+        """The memory of a promised slot."""
+        return self._memory.descriptor(slot)
+
+    def grant(self, slot: int, claim: int) -> None:
+        """Seal a promised slot that its client has mapped, and let the threads look at it."""
+        self._memory.seal(slot)
+        client = self._who[slot]
+        assert client is not None
+        self._held[slot] = True
+        self._publish(slot, client)
+        words = self._ctx.ctypes.data
+        for block, value in ((m.SEEN, 0), (m.PID, client.pid), (m.UID, client.uid), (m.CLAIM, claim)):
+            store_release(words + 8 * (block + slot), value)
+
+    def retire(self, slot: int) -> None:
+        """Take a slot back: what its holder has mapped is looked at by nobody from now on."""
+        if self._who[slot] is None:
+            return
+        store_release(self._ctx.ctypes.data + 8 * (m.CLAIM + slot), 0)
+        if self._held[slot]:
+            self._publish(slot, None)
+        self._who[slot], self._held[slot] = None, False
+        self._retired[slot] = self._now()
+
+    def renew_retired(self) -> None:
+        """Give retired slots fresh memory as soon as no thread can be looking at the old.
+
+        Raises
+        ------
+        OSError   no memory or no descriptors; the slots stay retired, and the next call tries again
+        """
+        if not self._retired:
+            return
+        now = self._now()
+        for slot, then in list(self._retired.items()):
+            if all(b - a >= PASSES for a, b in zip(then, now, strict=True)):
+                self._memory.renew(slot)
+                del self._retired[slot]
+
+    def _now(self) -> tuple[int, int]:
+        return self._cycles(), int(load_acquire(self._ctx.ctypes.data + 8 * m.MAP_PASSES))
+
+    def _publish(self, slot: int, client: ClientId | None) -> None:
+        info: Any = self._info[0]
+        info["pid"], info["uid"], info["since_ns"], info["name"] = 0, 0, 0, b""
+        if client is not None:
+            info["pid"], info["uid"] = client.pid, client.uid
+            info["since_ns"], info["name"] = time.monotonic_ns(), client.name.encode()[:31]
+        latch_write(self._clients + slot * _STEP, self._info.ctypes.data, lb.ClientInfo.SIZE)

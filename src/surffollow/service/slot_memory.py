@@ -1,0 +1,70 @@
+"""The memory of all client slots: one sealed memfd each, mapped side by side for the service's threads."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+
+from surffollow.shm import sealed
+from surffollow.shm.layout_board import CLIENTS, SLOT_BYTES, inbox_bytes
+
+
+class SlotMemory:
+    """Slots of a service, mapped read-only from `address` on, slot k at `address + k * SLOT_BYTES`.
+
+    A slot that was handed to a client is never used again: `renew` puts fresh memory in its place, and what
+    its last holder still has mapped is nobody's any more.
+
+    Raises
+    ------
+    OSError   no memory or no descriptors
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._fds = [-1] * CLIENTS
+        self.can_punch = False  # whether this kernel lets clients punch holes into their own slots
+        self.address = sealed.reserve_addresses(inbox_bytes())
+        try:
+            for slot in range(CLIENTS):
+                self.renew(slot)
+        except BaseException:
+            self.close()
+            raise
+
+    def _at(self, slot: int) -> int:
+        return self.address + slot * SLOT_BYTES
+
+    def renew(self, slot: int) -> None:
+        """Put fresh memory under a slot that no thread reads; OSError leaves the old."""
+        fd = sealed.make_sealed(f"{self.name}.slot{slot}", SLOT_BYTES)
+        try:
+            sealed.map_readable(self._at(slot), SLOT_BYTES, fd)
+        except BaseException:
+            os.close(fd)
+            raise
+        self._drop(slot)
+        self._fds[slot] = fd
+
+    def descriptor(self, slot: int) -> int:
+        """What a client gets to map its slot."""
+        return self._fds[slot]
+
+    def seal(self, slot: int) -> None:
+        """After the client has mapped it: no hole from now on, and every page present."""
+        if not sealed.seal_for_good(self._fds[slot]):
+            self.can_punch = True
+        sealed.touch(self._at(slot), SLOT_BYTES)
+        self._drop(slot)
+
+    def _drop(self, slot: int) -> None:
+        fd, self._fds[slot] = self._fds[slot], -1
+        if fd >= 0:
+            os.close(fd)
+
+    def close(self) -> None:
+        """Unmap everything; no thread may read it any more."""
+        for slot in range(CLIENTS):
+            with contextlib.suppress(OSError):
+                self._drop(slot)
+        sealed.unmap(self.address, inbox_bytes())

@@ -1,0 +1,249 @@
+"""Hand out slots on NAME.sock, and notice when a client lets go of its own or dies.
+
+A connection is the ownership of a slot: the kernel closes it with the client's last copy of it, and a pidfd
+tells of the end of the process that connected, whatever its children still have open. Steps of the exchange:
+docs/protocol.md. Everything here runs in the main thread, beside the cycle: no call waits, the work per beat
+is bounded, and whatever fails costs one connection.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import time
+from dataclasses import dataclass, field
+
+from surffollow.service.client_table import ClientId, ClientTable
+from surffollow.shm import layout_board as lb
+from surffollow.shm.unix_socket import Peer, peer_of, peer_pidfd
+
+EXCHANGE_S = 1.0  # for a client to answer
+FULL_S = 0.1  # for a slot of a client that is just ending to come free
+EVENTS_PER_BEAT = 256
+GUESTS, GUESTS_PER_USER = 32, 8  # connections without a slot
+BACKLOG = 64
+_RENEW_S = 0.002
+_MESSAGE = lb.SlotMessage.struct_of("magic", "name")
+_LAYOUT_HASH = lb.layout_hash()
+ASKED, OFFERED, HELD = range(3)
+
+
+@dataclass(eq=False)
+class Guest:
+    """One connection."""
+
+    sock: socket.socket
+    peer: Peer
+    deadline: float
+    pidfd: int = -1
+    stage: int = -1  # nothing was heard yet
+    name: str = ""
+    slot: int = -1
+    claim: int = 0
+    asked: float = 0.0
+    fds: list[int] = field(default_factory=list)
+
+
+class SlotServer:
+    """Serves the clients of one service.
+
+    Parameters
+    ----------
+    listener : socket.socket   of NAME.sock, not blocking
+    table : ClientTable
+    epoch : int                of this start
+    """
+
+    def __init__(self, listener: socket.socket, table: ClientTable, epoch: int) -> None:
+        self.table, self._listener, self._epoch = table, listener, epoch
+        self._guests: dict[int, Guest] = {}  # by each of their descriptors
+        self._epoll = select.epoll()
+        self._epoll.register(listener.fileno(), select.EPOLLIN)
+        self._listening = True
+        self.failures, self.last_failure = 0, ""
+
+    def serve(self, wake: int, seconds: float) -> bool:
+        """Serve for so long; True as soon as the descriptor `wake` can be read."""
+        end, events_left = time.monotonic() + seconds, EVENTS_PER_BEAT
+        self._listen(True)
+        with contextlib.suppress(FileExistsError):
+            self._epoll.register(wake, select.EPOLLIN)
+        while (left := end - time.monotonic()) > 0:
+            if events_left <= 0:
+                return bool(select.select([wake], [], [], left)[0])
+            pause = min(left, _RENEW_S) if self.table.retiring else left
+            events = self._epoll.poll(pause, 16)
+            if any(fd == wake for fd, _ in events):
+                return True
+            for fd, mask in sorted(events, key=self._comes_later):  # who goes makes room for who comes
+                events_left -= 1
+                self._guard(self._on_event, fd, mask)
+            self._guard(self._housekeeping)
+        return False
+
+    def _comes_later(self, event: tuple[int, int]) -> bool:
+        return not event[1] & (select.EPOLLHUP | select.EPOLLRDHUP) and event[0] == self._listener.fileno()
+
+    def _guard(self, action: object, *args: object) -> None:
+        try:
+            action(*args)  # type: ignore[operator]
+        except Exception as e:  # nothing here may end following
+            self.failures, self.last_failure = self.failures + 1, f"{type(e).__name__}: {e}"
+            self._listen(False)  # until the next beat: perhaps there are no descriptors left
+
+    def _listen(self, wanted: bool) -> None:
+        if wanted != self._listening and self._listener.fileno() >= 0:
+            self._listening = wanted
+            self._epoll.modify(self._listener.fileno(), select.EPOLLIN if wanted else 0)
+
+    def _on_event(self, fd: int, mask: int) -> None:
+        if fd == self._listener.fileno():
+            self._accept()
+            return
+        guest = self._guests.get(fd)
+        if guest is None:
+            return
+        try:
+            if fd == guest.pidfd or mask & (select.EPOLLHUP | select.EPOLLERR | select.EPOLLRDHUP):
+                self._drop(guest)
+            else:
+                self._hear(guest)
+        except Exception:
+            self._drop(guest)
+            raise
+
+    def _accept(self) -> None:
+        try:
+            sock, _ = self._listener.accept()
+        except (BlockingIOError, ConnectionAbortedError):
+            return
+        try:
+            sock.setblocking(False)
+            peer = peer_of(sock)
+            waiting = [g for g in set(self._guests.values()) if g.stage != HELD]
+            theirs = sum(g.peer.uid == peer.uid for g in waiting)
+            if len(waiting) >= GUESTS or (theirs >= GUESTS_PER_USER and peer.uid not in (0, os.geteuid())):
+                sock.close()
+                return
+            guest = Guest(sock, peer, time.monotonic() + EXCHANGE_S)
+            self._watch(guest, sock.fileno(), select.EPOLLIN | select.EPOLLRDHUP)
+            guest.pidfd = peer_pidfd(sock, peer.pid)
+            if guest.pidfd >= 0:
+                self._watch(guest, guest.pidfd, select.EPOLLIN)
+        except BaseException:
+            sock.close()
+            raise
+
+    def _watch(self, guest: Guest, fd: int, events: int) -> None:
+        self._epoll.register(fd, events)
+        self._guests[fd] = guest
+        guest.fds.append(fd)
+
+    def _hear(self, guest: Guest) -> None:
+        try:
+            data = guest.sock.recv(4 * _MESSAGE.size)
+        except BlockingIOError:
+            return
+        if not data:
+            self._drop(guest)
+            return
+        if len(data) != _MESSAGE.size:
+            self._refuse(guest, lb.SLOT_BAD_MESSAGE)
+            return
+        magic, layout, step, epoch, _, _, _, claim, name = _MESSAGE.unpack(data)
+        if magic != lb.SLOT_MAGIC or layout != _LAYOUT_HASH:
+            self._refuse(guest, lb.SLOT_BAD_MESSAGE)
+        elif step == lb.SLOT_ASK and guest.stage == -1:
+            self._ask(guest, epoch, name)
+        elif step == lb.SLOT_MAPPED and guest.stage == OFFERED and claim == guest.claim:
+            self._grant(guest)
+        else:
+            self._refuse(guest, lb.SLOT_BAD_MESSAGE)
+
+    def _ask(self, guest: Guest, epoch: int, name: bytes) -> None:
+        if epoch != self._epoch:
+            self._refuse(guest, lb.SLOT_OTHER_RUN)
+            return
+        text = name.split(b"\0", 1)[0].decode("utf-8", "replace")
+        guest.name = "".join(c if c.isprintable() else "?" for c in text)
+        guest.stage, guest.asked = ASKED, time.monotonic()
+        self._offer(guest)
+
+    def _offer(self, guest: Guest) -> None:
+        result, detail = self.table.refusal(guest.peer.uid, guest.peer.pid)
+        if result != lb.SLOT_OK:
+            self._refuse(guest, result, detail)
+            return
+        slot = self.table.promise(ClientId(guest.peer.pid, guest.peer.uid, guest.name))
+        if slot < 0:
+            if not self.table.retiring and time.monotonic() - guest.asked > FULL_S:
+                self._refuse(guest, lb.SLOT_ALL_TAKEN, lb.CLIENTS)
+            return
+        guest.slot, guest.claim, guest.stage = slot, self.table.new_claim(), OFFERED
+        message = self._message(guest, lb.SLOT_OFFER)
+        socket.send_fds(
+            guest.sock, [message], [self.table.descriptor(slot)], socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT
+        )
+
+    def _grant(self, guest: Guest) -> None:
+        self.table.grant(guest.slot, guest.claim)
+        guest.stage = HELD
+        guest.sock.send(self._message(guest, lb.SLOT_GRANT), socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
+
+    def _refuse(self, guest: Guest, result: int, detail: int = 0) -> None:
+        with contextlib.suppress(OSError):
+            message = self._message(guest, lb.SLOT_REFUSE, result, detail)
+            guest.sock.send(message, socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
+        self._drop(guest)
+
+    def _message(self, guest: Guest, step: int, result: int = lb.SLOT_OK, detail: int = 0) -> bytes:
+        return _MESSAGE.pack(
+            lb.SLOT_MAGIC,
+            _LAYOUT_HASH,
+            step,
+            self._epoch,
+            result,
+            detail,
+            guest.slot,
+            guest.claim,
+            guest.name.encode()[:31],
+        )
+
+    def _drop(self, guest: Guest) -> None:
+        for fd in guest.fds:
+            self._guests.pop(fd, None)
+            with contextlib.suppress(OSError):
+                self._epoll.unregister(fd)
+        guest.fds.clear()
+        guest.sock.close()
+        if guest.pidfd >= 0:
+            os.close(guest.pidfd)
+            guest.pidfd = -1
+        if guest.slot >= 0:
+            slot, guest.slot = guest.slot, -1
+            self.table.retire(slot)
+
+    def _housekeeping(self) -> None:
+        """Renew slots, offer them to clients that wait for one, end exchanges that take too long."""
+        self.table.renew_retired()
+        now = time.monotonic()
+        for guest in sorted(set(self._guests.values()), key=lambda g: g.asked):
+            if guest.stage == HELD:
+                continue
+            if now > guest.deadline:
+                self._drop(guest)
+            elif guest.stage == ASKED:
+                try:
+                    self._offer(guest)
+                except Exception:
+                    self._drop(guest)
+                    raise
+
+    def close(self) -> None:
+        """Let all clients go."""
+        for guest in set(self._guests.values()):
+            self._drop(guest)
+        self._epoll.close()
+        self._listener.close()

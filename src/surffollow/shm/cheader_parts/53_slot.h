@@ -1,0 +1,204 @@
+/* ---- a slot of the service, through its socket (docs/protocol.md, "Getting a slot") ----------- */
+
+/* Numbers that strict ISO C hides; the same on x86-64 and aarch64. */
+#define SF_I_SO_PEERCRED 17
+#define SF_I_GET_SEALS 1034
+#define SF_I_SIZE_SEALS 6 /* F_SEAL_SHRINK, F_SEAL_GROW */
+
+/* Wait until a socket can be read. 0, or an errno: ETIMEDOUT. */
+static inline int sf_i_await(int fd, int64_t deadline_ns) {
+  for (;;) {
+    struct pollfd wanted;
+    const int64_t left_ns = deadline_ns - sf_now_ns();
+    wanted.fd = fd;
+    wanted.events = POLLIN;
+    wanted.revents = 0;
+    const int got = poll(&wanted, 1, left_ns > 0 ? SF_CAST(int, left_ns / 1000000) + 1 : 0);
+    if (got > 0) return 0;
+    if (got == 0 && sf_now_ns() >= deadline_ns) return ETIMEDOUT;
+    if (got < 0 && errno != EINTR) return errno;
+  }
+}
+
+/* Connect to NAME.sock; the descriptor, or a negative result. */
+static inline int sf_i_connect(sf_client *c, int64_t deadline_ns) {
+  char path[96];
+  struct sockaddr_un address;
+  if (!sf_i_path(c->name, ".sock", path)) return SF_ERR_NAME;
+  memset(&address, 0, sizeof address);
+  address.sun_family = AF_UNIX;
+  memcpy(address.sun_path, path, strlen(path) + 1); /* 96 of 108 bytes */
+  const int fd = socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+  if (fd < 0) return sf_i_errno(c, errno);
+  while (connect(fd, SF_VIEW(const struct sockaddr *, &address), SF_CAST(socklen_t, sizeof address)) != 0) {
+    const int number = errno;
+    if (number == EINTR || (number == EAGAIN && sf_now_ns() < deadline_ns)) { /* many clients come at once */
+      if (number == EAGAIN) sf_sleep_until_ns(sf_now_ns() + 2000000);
+      continue;
+    }
+    close(fd);
+    if (number == ENOENT || number == ECONNREFUSED || number == EAGAIN) return SF_ERR_NOT_READY;
+    if (number == EPROTOTYPE || number == ENOTSOCK) return SF_ERR_BLOCK;
+    return sf_i_errno(c, number);
+  }
+  int32_t peer[3] = {0, -1, -1}; /* pid, uid, gid of the process that listens, as the kernel tells it */
+  socklen_t size = sizeof peer;
+  if (getsockopt(fd, SOL_SOCKET, SF_I_SO_PEERCRED, peer, &size) != 0 ||
+      SF_CAST(uid_t, peer[1]) != c->board.owner) {
+    close(fd);
+    c->detail = peer[1];
+    return SF_ERR_OWNER;
+  }
+  return fd;
+}
+
+/* Send one message of the exchange. 0, or an errno; never a signal. */
+static inline int sf_i_say(const sf_client *c, int fd, int64_t step, const sf_slot_message *offer) {
+  sf_slot_message m;
+  memset(&m, 0, sizeof m);
+  m.magic = SF_SLOT_MAGIC;
+  m.layout_hash = SF_LAYOUT_HASH;
+  m.step = step;
+  m.epoch = c->epoch;
+  if (offer != NULL) m.slot = offer->slot, m.claim = offer->claim;
+  memcpy(m.name, c->label, sizeof m.name);
+  for (;;) {
+    const ssize_t sent = send(fd, &m, sizeof m, MSG_NOSIGNAL);
+    if (sent == SF_CAST(ssize_t, sizeof m)) return 0;
+    if (sent >= 0) return EMSGSIZE;
+    if (errno != EINTR) return errno;
+  }
+}
+
+/* Receive one message and, with it, at most one descriptor (else -1). SF_OK or an error. */
+static inline int sf_i_hear(sf_client *c, int fd, int64_t deadline_ns, sf_slot_message *m, int *memory_fd) {
+  /* the control data of one descriptor, aligned as its head wants it */
+  union {
+    struct cmsghdr head;
+    unsigned char bytes[CMSG_SPACE(sizeof(int))];
+  } control;
+  struct iovec piece;
+  struct msghdr message;
+  *memory_fd = -1;
+  const int number = sf_i_await(fd, deadline_ns);
+  if (number == ETIMEDOUT) return SF_ERR_NOT_READY;
+  if (number != 0) return sf_i_errno(c, number);
+  memset(&control, 0, sizeof control);
+  memset(&message, 0, sizeof message);
+  piece.iov_base = m;
+  piece.iov_len = sizeof *m;
+  message.msg_iov = &piece;
+  message.msg_iovlen = 1;
+  message.msg_control = &control;
+  message.msg_controllen = sizeof control;
+  ssize_t got;
+  do {
+    got = recvmsg(fd, &message, MSG_CMSG_CLOEXEC);
+  } while (got < 0 && errno == EINTR);
+  if (got <= 0) return SF_ERR_NOT_READY; /* it closed the connection: it is being replaced */
+  const struct cmsghdr *head = CMSG_FIRSTHDR(&message);
+  if (head != NULL && head->cmsg_level == SOL_SOCKET && head->cmsg_type == SCM_RIGHTS &&
+      head->cmsg_len == CMSG_LEN(sizeof(int)))
+    memcpy(memory_fd, CMSG_DATA(head), sizeof(int));
+  if (message.msg_flags & MSG_CTRUNC) {
+    c->detail = EMFILE;
+    return SF_ERR_SYSTEM;
+  }
+  if (got != SF_CAST(ssize_t, sizeof *m) || (message.msg_flags & MSG_TRUNC) || m->magic != SF_SLOT_MAGIC)
+    return SF_ERR_BLOCK;
+  if (m->step == SF_SLOT_REFUSE) {
+    c->detail = m->detail;
+    if (m->result == SF_SLOT_OTHER_RUN) return SF_ERR_NOT_READY;
+    if (m->result == SF_SLOT_ALL_TAKEN || m->result == SF_SLOT_USER_LIMIT || m->result == SF_SLOT_PROCESS_LIMIT)
+      return SF_ERR_SLOTS;
+    return SF_ERR_LAYOUT;
+  }
+  return m->layout_hash == SF_LAYOUT_HASH ? SF_OK : SF_ERR_LAYOUT;
+}
+
+/* Map what the service handed out; its size is sealed, so that no access to it can ever be a signal. */
+static inline int sf_i_map_slot(sf_client *c, int fd, unsigned char **slot) {
+  struct stat status;
+  const int seals = fd >= 0 ? fcntl(fd, SF_I_GET_SEALS) : -1;
+  if (seals < 0 || (seals & SF_I_SIZE_SEALS) != SF_I_SIZE_SEALS || fstat(fd, &status) != 0 ||
+      status.st_size != SF_SLOT_BYTES)
+    return SF_ERR_BLOCK;
+  void *memory = mmap(NULL, SF_SLOT_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+  if (memory == MAP_FAILED) return sf_i_errno(c, errno);
+  *slot = SF_CAST(unsigned char *, memory);
+  return SF_OK;
+}
+
+static inline int sf_i_exchange(sf_client *c, int fd, int64_t deadline_ns, sf_slot_message *offer,
+                                unsigned char **slot) {
+  sf_slot_message grant;
+  int memory_fd = -1, none = -1;
+  if (sf_i_say(c, fd, SF_SLOT_ASK, NULL) != 0) return SF_ERR_NOT_READY;
+  int err = sf_i_hear(c, fd, deadline_ns, offer, &memory_fd);
+  if (err == SF_OK && (offer->step != SF_SLOT_OFFER || offer->slot < 0 || offer->slot >= SF_CLIENTS ||
+                       offer->claim == 0))
+    err = SF_ERR_BLOCK;
+  if (err == SF_OK) err = sf_i_map_slot(c, memory_fd, slot);
+  if (memory_fd >= 0) close(memory_fd);
+  if (err != SF_OK) return err;
+  if (sf_i_say(c, fd, SF_SLOT_MAPPED, offer) != 0) return SF_ERR_NOT_READY;
+  err = sf_i_hear(c, fd, deadline_ns, &grant, &none);
+  if (none >= 0) close(none);
+  return err == SF_OK && grant.step != SF_SLOT_GRANT ? SF_ERR_BLOCK : err;
+}
+
+/*
+ * Get a slot: the connection says who owns it, and the kernel closes that when we die. Waits for the
+ * service's main thread, as a rule well below a millisecond. SF_OK, SF_ERR_NOT_READY (the service is being
+ * replaced or stands still), SF_ERR_SLOTS (`detail`: the limit), SF_ERR_OWNER, _NO_PERMISSION, _BLOCK, ...
+ */
+static inline int sf_i_claim_slot(sf_client *c) {
+  const int64_t deadline_ns = sf_now_ns() + SF_SLOT_WAIT_NS;
+  sf_slot_message offer;
+  unsigned char *slot = NULL;
+  const int fd = sf_i_connect(c, deadline_ns);
+  if (fd < 0) return fd;
+  memset(&offer, 0, sizeof offer);
+  const int err = sf_i_exchange(c, fd, deadline_ns, &offer, &slot);
+  if (err != SF_OK) {
+    if (slot != NULL) munmap(slot, SF_SLOT_BYTES);
+    close(fd);
+    return err;
+  }
+  c->held.memory = slot;
+  c->held.size = SF_SLOT_BYTES;
+  c->held.fd = fd;
+  c->slot_memory = slot;
+  c->slot = SF_CAST(int, offer.slot);
+  c->claim = offer.claim;
+  c->counter = 0;
+  c->pose_held = c->abandoned = 0;
+  c->grant = 0;
+  return SF_OK;
+}
+
+/* Whether the service holds its end of the connection: it closes it when it ends or takes the slot back. */
+static inline int sf_i_slot_is_open(const sf_client *c) {
+  char byte;
+  for (;;) {
+    const ssize_t got = recv(c->held.fd, &byte, 1, MSG_PEEK | MSG_DONTWAIT);
+    if (got > 0) return 1;
+    if (got == 0) return 0;
+    if (errno != EINTR) return errno == EAGAIN || errno == EWOULDBLOCK;
+  }
+}
+
+/* Give the slot back: nothing is written to it, the closed connection says it all. */
+static inline void sf_i_release_slot(sf_client *c) {
+  c->slot = -1;
+  c->slot_memory = NULL;
+  c->pose_held = 0;
+  sf_i_close(&c->held);
+}
+
+/* A slot when there is none: after a restart of the service, or when it took the last one back. */
+static inline int sf_i_ensure_slot(sf_client *c) {
+  if (c->slot_memory != NULL) return SF_OK;
+  return c->options.auto_reattach ? sf_i_claim_slot(c) : SF_ERR_NOT_RUNNING;
+}
+

@@ -1,0 +1,91 @@
+"""Open a name that others can make: never wait for it, follow no link, and look before it is used.
+
+/dev/shm is open to all users, so a FIFO, a device, a directory or a link may stand where an object is
+expected. To open a FIFO without O_NONBLOCK waits for ever.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from collections.abc import Collection
+from pathlib import Path
+
+from surffollow.errors import BlockError, NoPermissionError
+
+_ALWAYS = os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NOCTTY
+_KINDS = (
+    (stat.S_ISDIR, "a directory"),
+    (stat.S_ISFIFO, "a FIFO"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISLNK, "a symbolic link"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+def kind_of(mode: int) -> str:
+    """What `st_mode` says a name leads to, in words."""
+    return next((text for test, text in _KINDS if test(mode)), "a plain file")
+
+
+def open_plain(path: Path, flags: int, *, owners: Collection[int] = ()) -> tuple[int, os.stat_result]:
+    """Open a regular file; O_NONBLOCK, O_NOFOLLOW and O_CLOEXEC are added to `flags`.
+
+    Parameters
+    ----------
+    path : Path
+    flags : int             O_RDONLY, O_RDWR, O_CREAT, …
+    owners : users          whose file it may be; empty: anybody's
+
+    Returns
+    -------
+    int, os.stat_result     descriptor, and what fstat said of it
+
+    Raises
+    ------
+    NoPermissionError   it belongs to another user than those
+    BlockError          it is no plain file
+    OSError             whatever else the kernel says: FileNotFoundError, PermissionError, …
+    """
+    try:
+        fd = os.open(path, flags | _ALWAYS, 0o600)
+    except OSError as e:
+        if e.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO, errno.ENODEV, errno.EOPNOTSUPP):
+            raise BlockError(_odd(path, _lstat_kind(path))) from None
+        raise
+    try:
+        status = os.fstat(fd)
+        if not stat.S_ISREG(status.st_mode):
+            raise BlockError(_odd(path, kind_of(status.st_mode)))
+        if owners and status.st_uid not in owners:
+            raise NoPermissionError(foreign(path.name, status.st_uid, owners))
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd, status
+
+
+def foreign(name: str, found: int, owners: Collection[int]) -> str:
+    """What is said of an object of a user who is not trusted."""
+    wanted = " or ".join(str(u) for u in sorted(owners))
+    return (
+        f"shared-memory object {name!r} belongs to user {found}, expected user {wanted}: somebody else may "
+        f"have made it; look at it (ls -ln /dev/shm/{name}), or name the service's user (owner=, "
+        "SURFFOLLOW_OWNER)"
+    )
+
+
+def _lstat_kind(path: Path) -> str:
+    try:
+        return kind_of(os.lstat(path).st_mode)
+    except OSError:
+        return "no plain file"
+
+
+def _odd(path: Path, kind: str) -> str:
+    return (
+        f"{path} is {kind}, expected a plain file: it is no shared-memory object; look at it "
+        f"(ls -l {path}) and remove it, or choose another name"
+    )

@@ -1,0 +1,142 @@
+"""Who owns a name: a lock on a file that only the owner's user can open.
+
+A lock on a file that others may read can be held by them, too. NAME.lock has mode 0600, so that nobody but
+its owner and root ever has an open of it. The kernel gives the lock back when its process ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+
+from surffollow.errors import BlockError, NoPermissionError, NoSpaceError
+from surffollow.shm.checked_open import open_plain
+from surffollow.shm.locks import FileLock
+from surffollow.shm.objects import SHM_ROOT
+from surffollow.shm.process import is_running, start_ticks
+
+ENDING = ".lock"
+_BYTE = 0
+
+
+class NameLock:
+    """Ownership of a name, held until `release` or the end of this process; not by forked children."""
+
+    def __init__(self, name: str, lock: FileLock) -> None:
+        self.name, self._lock = name, lock
+
+    @classmethod
+    def take(cls, name: str) -> NameLock | None:
+        """Become the owner of a name; None when another live process is (see `holder`).
+
+        Raises
+        ------
+        NoPermissionError  somebody else's file stands in the place of the lock
+        BlockError         what stands there is no plain file, or others may open it
+        NoSpaceError       /dev/shm has no room for one more file
+        """
+        path = SHM_ROOT / (name + ENDING)
+        while True:
+            fd = _open_own(name)
+            if fd < 0:
+                continue
+            lock = FileLock(fd)
+            try:
+                if not lock.exclusive(_BYTE):
+                    lock.close()
+                    return None
+                found = os.fstat(fd)
+                with contextlib.suppress(FileNotFoundError):
+                    there = os.lstat(path)
+                    if (there.st_dev, there.st_ino) == (found.st_dev, found.st_ino):
+                        with contextlib.suppress(OSError):  # a full /dev/shm: the pid only serves messages
+                            os.ftruncate(fd, 0)
+                            os.pwrite(fd, f"{os.getpid()} {start_ticks(os.getpid())}\n".encode(), 0)
+                        return cls(name, lock)
+                lock.close()  # its last owner removed it between our open and our lock
+            except BaseException:
+                lock.close()
+                raise
+
+    @property
+    def held(self) -> bool:
+        """Whether this process has it still: a forked child has not."""
+        return self._lock.fd >= 0
+
+    def release(self) -> None:
+        """Give the name back and remove the file."""
+        if not self.held:
+            return
+        path, found = SHM_ROOT / (self.name + ENDING), os.fstat(self._lock.fd)
+        with contextlib.suppress(OSError):
+            there = os.lstat(path)
+            if (there.st_dev, there.st_ino) == (found.st_dev, found.st_ino):
+                os.unlink(path)
+        self._lock.close()
+
+    def abandon(self) -> None:
+        """Give the name back as a killed process does: the file stays for the next owner."""
+        self._lock.close()
+
+
+def _open_own(name: str) -> int:
+    """The lock's file, made when there is none; -1 when it came or went meanwhile."""
+    path, me = SHM_ROOT / (name + ENDING), os.geteuid()
+    remedy = f"look at it (ls -l {path}) and remove it, or choose another name"
+    try:
+        try:
+            fd, status = open_plain(path, os.O_RDWR)
+        except FileNotFoundError:
+            fd, status = open_plain(path, os.O_RDWR | os.O_CREAT | os.O_EXCL)
+            os.fchmod(fd, 0o600)
+            status = os.fstat(fd)
+    except (FileExistsError, FileNotFoundError):
+        return -1
+    except BlockError:
+        raise
+    except PermissionError:
+        raise NoPermissionError(
+            f"the lock file {path} belongs to {_owner_of(name)}, expected user {me}: only its owner may hold "
+            f"the name {name!r}; {remedy}"
+        ) from None
+    except OSError as e:
+        raise NoSpaceError(f"cannot make the lock file {path}: {e}; remove what nobody needs") from None
+    why = ""
+    if status.st_uid != me:
+        why = f"belongs to user {status.st_uid}, expected user {me}"
+    elif status.st_mode & 0o177:
+        why = f"has mode {status.st_mode & 0o777:o}, expected 600: others could hold it"
+    elif status.st_nlink > 1:
+        why = "has another name (a hard link)"
+    if why:
+        os.close(fd)
+        kind = BlockError if status.st_uid == me else NoPermissionError
+        raise kind(f"the lock file {path} {why}; {remedy}")
+    return fd
+
+
+def _owner_of(name: str) -> str:
+    try:
+        return f"user {os.lstat(SHM_ROOT / (name + ENDING)).st_uid}"
+    except OSError:
+        return "another user"
+
+
+def holder(name: str) -> int:
+    """The pid of the live process that owns a name; 0: nobody does, -1: this user may not know."""
+    try:
+        fd, status = open_plain(SHM_ROOT / (name + ENDING), os.O_RDONLY)
+    except FileNotFoundError:
+        return 0
+    except (OSError, BlockError):
+        return -1
+    try:
+        if status.st_mode & 0o077 or not FileLock.is_held(fd, _BYTE):
+            return 0 if not status.st_mode & 0o077 else -1
+        words = os.pread(fd, 64, 0).split()
+        pid, ticks = (int(words[0]), int(words[1])) if len(words) == 2 else (0, 0)
+        return pid if pid > 0 and is_running(pid, ticks) else -1
+    except (OSError, ValueError):
+        return -1
+    finally:
+        os.close(fd)

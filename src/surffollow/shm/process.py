@@ -1,0 +1,29 @@
+"""Whether a process that was started then still runs: pid and start time, as /proc tells them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def _words(pid: int) -> list[str]:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    except (OSError, IndexError):
+        return []
+
+
+def start_ticks(pid: int) -> int:
+    """Start time of a process in clock ticks since boot; 0 when there is no such process."""
+    words = _words(pid)
+    return int(words[19]) if words else 0
+
+
+def is_running(pid: int, ticks: int) -> bool:
+    """Whether the process that was started then still has memory: one that dies gives that up first."""
+    words = _words(pid) if pid > 0 else []
+    return bool(words) and int(words[19]) == ticks and int(words[20]) > 0
+
+
+def boot_id() -> str:
+    """The kernel's identity of this boot."""
+    return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
