@@ -28,6 +28,7 @@ VERBS = {
     "map": ("map", "map_group", "Map files, and the map of a running service."),
     "contest": ("contest", "contest_command", "Compare following methods on one plant."),
     "blocks": ("blocks", "blocks_group", "List, show and watch shared blocks."),
+    "calibrate": ("calibrate", "calibrate_group", "Calibrate a sensor: range table, latency, mount."),
     "header": ("header", "header_command", "Print the C header of the client library."),
     "doctor": ("doctor", "doctor_command", "Say what this machine lacks for hard timing."),
     "latency": ("doctor", "latency_command", "Measure wake-up latency, beside cyclictest."),

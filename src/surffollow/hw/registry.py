@@ -10,6 +10,8 @@ from typing import Any
 import msgspec
 
 from surffollow.errors import ConfigError
+from surffollow.hw.calibrated import calibrated
+from surffollow.hw.calibration import load_calibration
 from surffollow.hw.driver import Driver
 from surffollow.hw.faults import FaultConfig, FaultyDriver
 from surffollow.hw.replayed import ReplayedDriver
@@ -30,6 +32,7 @@ class _Replay(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class _Faults(msgspec.Struct, frozen=True):
     faults: tuple[FaultConfig, ...] = ()
     fault_seed: int = 0
+    calibration: str = ""
 
 
 def _simulated(settings: dict[str, Any], name: str) -> Driver:
@@ -171,8 +174,9 @@ def make_driver(config: Mapping[str, Any], name: str) -> Driver:
     Parameters
     ----------
     config : `kind` (default "simulated"; see `factory_of`), the settings of that kind (`SimulatedConfig`;
-        `file` of a replay), and for any kind `faults` (list of `FaultConfig`) and `fault_seed`; values of
-        keys that end in _m, _s, _hz or _deg may be written with a unit ("0.1 in")
+        `file` of a replay), and for any kind `faults` (list of `FaultConfig`), `fault_seed` and `calibration`
+        (a file of `surffollow calibrate`); values of keys that end in _m, _s, _hz or _deg may be written with
+        a unit ("0.1 in")
     name : of the service
 
     Raises
@@ -187,9 +191,11 @@ def make_driver(config: Mapping[str, Any], name: str) -> Driver:
     factory = factory_of(str(kind))
     try:
         order = msgspec.convert(
-            {k: settings.pop(k) for k in ("faults", "fault_seed") if k in settings}, _Faults
+            {k: settings.pop(k) for k in ("faults", "fault_seed", "calibration") if k in settings}, _Faults
         )
         driver = factory(settings, name)
     except msgspec.ValidationError as error:
         raise ConfigError(f"driver '{kind}': {error}") from error
-    return FaultyDriver(driver, order.faults, order.fault_seed) if order.faults else driver
+    if order.faults:
+        driver = FaultyDriver(driver, order.faults, order.fault_seed)
+    return calibrated(driver, load_calibration(order.calibration)) if order.calibration else driver
