@@ -14,6 +14,7 @@ from surffollow.hw.calibrated import calibrated
 from surffollow.hw.calibration import load_calibration
 from surffollow.hw.driver import Driver
 from surffollow.hw.faults import FaultConfig, FaultyDriver
+from surffollow.hw.led_sensor import LedConfig
 from surffollow.hw.replayed import ReplayedDriver
 from surffollow.hw.rig import SimulatedConfig
 from surffollow.hw.silent import SilentDriver
@@ -73,12 +74,24 @@ KINDS: dict[str, Factory] = {
 }
 
 
-_SUFFIX_UNITS = {"_m": "m", "_s": "s", "_hz": "Hz", "_deg": "deg"}
+_SUFFIX_UNITS = {
+    "_m": "m",
+    "_s": "s",
+    "_hz": "Hz",
+    "_deg": "deg",
+    "_share": "1",
+    "_rate": "1",
+    "_counts": "1",
+}
+# names that may lack their ending, as in `window = ["1 in", "5 in"]`
+_ENDINGS = {field.rpartition("_")[0]: field for field in LedConfig.__struct_fields__ if "_" in field}
 
 
 def _in_si(value: Any, key: str = "") -> Any:
     """Replace quantities written with units, in keys that end in one, by numbers."""
     if isinstance(value, Mapping):
+        if key == "led":
+            value = {_ENDINGS.get(str(k), k): v for k, v in value.items()}
         return {k: _in_si(v, str(k)) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [_in_si(v, key) for v in value]
@@ -175,8 +188,8 @@ def make_driver(config: Mapping[str, Any], name: str) -> Driver:
     ----------
     config : `kind` (default "simulated"; see `factory_of`), the settings of that kind (`SimulatedConfig`;
         `file` of a replay), and for any kind `faults` (list of `FaultConfig`), `fault_seed` and `calibration`
-        (a file of `surffollow calibrate`); values of keys that end in _m, _s, _hz or _deg may be written with
-        a unit ("0.1 in")
+        (a file of `surffollow calibrate`); values of keys that end in _m, _s, _hz, _deg, _share or _rate may
+        be written with a unit ("0.1 in")
     name : of the service
 
     Raises
