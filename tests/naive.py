@@ -2,12 +2,14 @@
 
 Written from the specification (§3-4), not from the kernels. Where bits are compared the order of the
 arithmetic is part of the definition and stands here: sums run from the oldest to the newest, a running
-mean is (mean * n + new) / (n + 1), the way between two ranges is the mean of the ways between their
-corresponding intervals, a vector v is turned by v + 2 q × (q × v + w v).
+mean is (mean * n + new) / (n + 1), the run between two ranges is the mean over their corresponding
+intervals of the distance along the path (pieces from the oldest to the newest, each times the number of
+pairs it lies between), a vector v is turned by v + 2 q × (q × v + w v).
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 
 RING = 1024
@@ -116,9 +118,10 @@ class NaiveIntervals:
         if ranges is None:
             return 0.0
         previous, current = ranges
-        way_x = total(b.x - a.x for a, b in zip(previous, current))
-        way_y = total(b.y - a.y for a, b in zip(previous, current))
-        way = math.sqrt(way_x * way_x + way_y * way_y) / size
+        path = [*previous, *current]
+        pieces = [math.sqrt((b.x - a.x) ** 2 + (b.y - a.y) ** 2) for a, b in itertools.pairwise(path)]
+        pairs_across = [len([i for i in range(size) if i <= k < i + size]) for k in range(len(pieces))]
+        way = total(n * piece for n, piece in zip(pairs_across, pieces)) / size
         if way <= 0.0:
             return 0.0
         heights = [total(i.height for i in r) / size for r in (previous, current)]
@@ -132,6 +135,9 @@ class NaiveFollower:
         self.params = dict(params)
         n = 8
         self.windows = [[] for _ in range(n)]
+        self.last_sample_ns, self.spacing_ns = [None] * n, [0] * n
+        self.steps_without = [0] * n  # since the last valid sample
+        self.begin_anew = set()  # channels with a loss since their last target point
         self.range_m, self.range_t_ns, self.valid = [0.0] * n, [0] * n, [False] * n
         self.poses, self.pose_number, self.refused = [], 0, 0
         self.close, self.close_z, self.close_range = False, 0.0, 0.0
@@ -140,12 +146,12 @@ class NaiveFollower:
 
     def forget(self):
         """What SFReset clears."""
-        self.points = [[] for _ in range(8)]
+        self.points = [[] for _ in range(8)]  # per channel (stamp of the pose used, point)
         self.intervals = NaiveIntervals()
         self.slope, self.speed = 0.0, 0.0
-        self.speed_from = None  # (pose number, stamp, x, y)
+        self.speed_from = None  # (pose number, mean stamp, x, y)
         self.reading = None  # (cycle time, distance, sensor height)
-        self.relayed = 0.0
+        self.relayed = None  # (demand, sensor height when it was relayed)
 
     def reset(self, offset_m):
         self.params["offset_m"] = offset_m
@@ -160,38 +166,69 @@ class NaiveFollower:
 
     # -- sensor smoothing
 
+    def lose(self, c):
+        """No mean and no speed may span what happened between the samples before and after."""
+        self.windows[c], self.valid[c] = [], False
+        self.begin_anew.add(c)
+
+    def sample(self, c, t_ns, distance):
+        if self.steps_without[c] and self.last_sample_ns[c] is not None:
+            gap = t_ns - self.last_sample_ns[c]
+            if gap > max(ABSENT_NS, 2 * self.spacing_ns[c]):
+                self.lose(c)
+        self.steps_without[c] = 0
+        self.windows[c] = [*self.windows[c], (t_ns, distance)][-64:]
+
+    def in_range(self, distance):
+        return self.params["range_min_m"] < distance < self.params["range_max_m"]
+
     def take_conversions(self, t_ns, conversions):
-        p, fresh = self.params, set()
+        p, sampled = self.params, set()
         for dt_ns, c, flags, counts in conversions:
             if c >= p["n_channels"]:
                 continue
             distance = p["zero_m"][c] + p["scale_m"][c] * counts
-            if flags & 1 or not p["range_min_m"] < distance < p["range_max_m"]:
-                self.windows[c], self.valid[c] = [], False
-                fresh.discard(c)
+            if flags & 1 or not self.in_range(distance):
+                self.lose(c)
+                sampled.discard(c)
             else:
-                self.windows[c] = [*self.windows[c], (t_ns + dt_ns, distance)][-64:]
-                fresh.add(c)
-        wanted = p["sensor_readings"]
-        for c in list(fresh):
-            if len(self.windows[c]) < wanted:
-                fresh.discard(c)
-                continue
-            last = self.windows[c][-wanted:]
-            self.range_m[c] = total(d for _, d in last) / wanted
-            middle = last[0][0] + (last[-1][0] - last[0][0]) // 2
-            self.range_t_ns[c] = middle - p["sensor_latency_ns"]
-            self.valid[c] = True
-        return fresh
+                self.sample(c, t_ns + dt_ns, distance)
+                sampled.add(c)
+        return self.smooth(sampled)
 
     def take_ranges(self, t_ns, ranges):
-        p, fresh = self.params, set()
+        sampled = set()
         self.valid = [False] * len(self.valid)
-        for c, distance in enumerate(ranges[: p["n_channels"]]):
-            self.valid[c] = p["range_min_m"] < distance < p["range_max_m"]
-            if self.valid[c]:
-                self.range_m[c], self.range_t_ns[c] = distance, t_ns - p["sensor_latency_ns"]
-                fresh.add(c)
+        for c, distance in enumerate(ranges[: self.params["n_channels"]]):
+            if self.in_range(distance):
+                self.sample(c, t_ns, distance)
+                sampled.add(c)
+            elif not math.isnan(distance):
+                self.lose(c)
+        return self.smooth(sampled)
+
+    def smooth(self, sampled):
+        """The channels with a new reading: the mean of the last Sensor_Readings samples."""
+        p, fresh = self.params, set()
+        wanted = p["sensor_readings"]
+        for c in range(p["n_channels"]):
+            if c not in sampled:
+                self.steps_without[c] += 1
+                continue
+            newest = self.windows[c][-1][0]
+            if self.last_sample_ns[c] is not None:
+                gap, usual = newest - self.last_sample_ns[c], self.spacing_ns[c]
+                slower = usual > 0 and gap >= usual
+                self.spacing_ns[c] = usual + (gap - usual) // 8 if slower else max(gap, 1)
+            self.last_sample_ns[c] = newest
+            last = self.windows[c][-wanted:]
+            if len(last) < wanted:
+                continue
+            self.range_m[c] = total(d for _, d in last) / wanted
+            middle = last[0][0] + (newest - last[0][0]) // 2
+            self.range_t_ns[c] = middle - p["sensor_latency_ns"]
+            self.valid[c] = True
+            fresh.add(c)
         return fresh
 
     def told(self, c, t_ns, fresh):
@@ -215,6 +252,7 @@ class NaiveFollower:
             out["status"] = {"NO_POSE"}
         elif abs(t_ns - self.poses[-1][0]) > p["pose_timeout_ns"]:
             out["status"] = {"POSE_STALE"}
+            self.begin_anew = set(range(8))
         else:
             self.follow(t_ns, fresh, out)
         if p["run"] == 1:
@@ -229,33 +267,42 @@ class NaiveFollower:
         return out
 
     def target_point(self, c):
-        """Footprint of a channel's reading, averaged over the channel's last EE_Readings footprints."""
+        """Sensor height, mean of the channel's last EE_Readings footprints, and the point for the map.
+
+        The map gets the footprint itself where the mean lies farther than Interval_Size from all in it.
+        """
         p = self.params
-        tool = (
-            interpolated_pose(self.poses, self.range_t_ns[c]) if p["pose_interpolate"] else self.poses[-1][1]
-        )
+        if c in self.begin_anew:
+            self.begin_anew.discard(c)
+            self.points[c] = []
+            if c == 0:
+                self.speed_from = self.reading = None
+        tool, stamp = self.poses[-1][1], self.poses[-1][0]
+        if p["pose_interpolate"]:
+            tool = interpolated_pose(self.poses, self.range_t_ns[c])
+            stamp = sorted([self.poses[0][0], self.range_t_ns[c], stamp])[1]
         face, point = sensor_and_footprint(tool, p["tool_from_sensor"][c], self.range_m[c])
-        self.points[c] = [*self.points[c], point][-64:]
-        last = self.points[c][-p["ee_readings"] :]
-        return face[2], [total(q[i] for q in last) / len(last) for i in range(3)]
+        self.points[c] = [*self.points[c], (stamp, point)][-64:]
+        last = [q for _, q in self.points[c][-p["ee_readings"] :]]
+        mean = [total(q[i] for q in last) / len(last) for i in range(3)] if len(last) > 1 else point
+        near = [(mean[0] - q[0]) ** 2 + (mean[1] - q[1]) ** 2 <= p["interval_size_m"] ** 2 for q in last]
+        return face[2], mean, mean if any(near) else point
 
     def follow(self, t_ns, fresh, out):
         p = self.params
         out["fresh"] = fresh
-        heights = {}
+        means, heights = {}, {}
         for c in sorted(fresh):
-            heights[c], out["targets"][c] = self.target_point(c)
+            heights[c], means[c], out["targets"][c] = self.target_point(c)
+        face, _ = sensor_and_footprint(self.poses[-1][1], p["tool_from_sensor"][0], 0.0)
+        sensor_z = face[2]
         if 0 in fresh:
-            sensor_z = heights[0]
-            x, y, h = out["targets"][0]
+            x, y, h = means[0]
             self.intervals.add(x, y, h, p["interval_size_m"])
             self.slope = self.intervals.slope(p["range_size"])
             self.measure_speed(x, y)
-            self.watch_fold_back(sensor_z)
-        else:
-            face, _ = sensor_and_footprint(self.poses[-1][1], p["tool_from_sensor"][0], 0.0)
-            sensor_z = face[2]
-        delta_h, error = self.forecast(t_ns, 0 in fresh, sensor_z)
+            self.watch_fold_back(heights[0])
+        delta_h, error = self.forecast(t_ns, heights.get(0), sensor_z)
         out["delta_h"], out["error"] = delta_h, error
         status = {"VALID"}
         age = None if self.reading is None else t_ns - self.reading[0]
@@ -265,10 +312,8 @@ class NaiveFollower:
         cut = max(-p["max_demand_m"], min(p["max_demand_m"], wanted))
         if cut != wanted:
             status.add("LIMITED")
-        if abs(cut - self.relayed) > p["permitted_variance_m"]:
-            self.relayed = cut
-        # a limit that was lowered holds for what was relayed before, too
-        dz = max(-p["max_demand_m"], min(p["max_demand_m"], self.relayed))
+        # the limit holds for what was relayed before, too
+        dz = max(-p["max_demand_m"], min(p["max_demand_m"], self.relay(cut, sensor_z)))
         lost = age is None or age > p["loss_timeout_ns"]
         if lost:
             status = (status - {"VALID", "LIMITED"}) | {"SENSOR_LOST"}
@@ -280,28 +325,44 @@ class NaiveFollower:
         out["status"], out["dz"] = status, dz
 
     def measure_speed(self, x, y):
-        """Lateral speed of the footprint between successive pose updates."""
-        number, stamp = self.pose_number, self.poses[-1][0]
+        """Lateral speed of the mean footprint between successive pose updates, over its own mean time."""
+        number = self.pose_number
+        if self.speed_from is not None and self.speed_from[0] == number:
+            return
+        stamps = [s for s, _ in self.points[0][-self.params["ee_readings"] :]]
+        stamp = stamps[-1] - sum(stamps[-1] - s for s in stamps) // len(stamps)
         if self.speed_from is not None:
-            if self.speed_from[0] == number:
-                return
             _, t0, x0, y0 = self.speed_from
             way = math.sqrt((x - x0) * (x - x0) + (y - y0) * (y - y0))
-            self.speed = way / ((stamp - t0) * 1e-9)
+            if stamp > t0:
+                self.speed = way / ((stamp - t0) * 1e-9)
         self.speed_from = (number, stamp, x, y)
 
-    def forecast(self, t_ns, fresh, sensor_z):
-        """ΔH since the last reading, and desired minus actual offset."""
-        if self.reading is None and not fresh:
-            return 0.0, 0.0
-        elapsed_s = 0.0 if self.reading is None else (t_ns - self.reading[0]) * 1e-9
-        delta_h = self.slope * self.speed * elapsed_s
+    def relay(self, demand, sensor_z):
+        """Nothing new until the demand changes by more than Permitted_Variance: go where sent."""
+        if self.relayed is None:
+            self.relayed = (0.0, sensor_z)
+        before, z = self.relayed
+        kept = before - (sensor_z - z)
+        if abs(demand - kept) <= self.params["permitted_variance_m"]:
+            return kept
+        self.relayed = (demand, sensor_z)
+        return demand
+
+    def forecast(self, t_ns, reading_z, sensor_z):
+        """ΔH since the previous reading, desired minus previous actual offset; the first counts at once."""
+        fresh = None if reading_z is None else (t_ns, self.range_m[0], reading_z)
+        previous = self.reading
+        if fresh and (previous is None or t_ns - previous[0] > self.params["loss_timeout_ns"]):
+            previous = fresh
         if fresh:
-            self.reading = (t_ns, self.range_m[0], sensor_z)
-            return delta_h, self.params["offset_m"] - self.range_m[0]
+            self.reading = fresh
+        if previous is None:
+            return 0.0, 0.0
+        since_ns, distance, z = previous
         # the tool's own motion since is known, and no part of the surface's
-        _, distance, z = self.reading
-        return delta_h, self.params["offset_m"] - (distance + sensor_z - z)
+        actual = distance + (sensor_z - z)
+        return self.slope * self.speed * ((t_ns - since_ns) * 1e-9), self.params["offset_m"] - actual
 
     def watch_fold_back(self, sensor_z):
         """TOO_CLOSE begins near the near limit and ends when the reading rises with the tool, far enough."""

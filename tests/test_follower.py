@@ -379,3 +379,35 @@ def test_readings_that_come_later_than_the_pose_timeout_are_used():
             demand = f.step(T0 + ms * MS, [math.nan])
     assert f.state()["status"] == ["VALID"]
     assert demand[2] == pytest.approx(-0.02, abs=5e-4)
+
+
+@pytest.mark.parametrize(("config", "wanted"), [({}, 0.0), ({"pose_interpolate": "interpolated"}, 0.005)])
+def test_paper_mode_takes_the_latest_pose_unless_it_is_told_to_interpolate(config, wanted):
+    f = surffollow.Follower({"mode": "paper", "permitted_variance": "0 m", **config}, offset_m=0.1)
+    f.pose(T0, at(0.0, 0.2))
+    f.pose(T0 + 10 * MS, at(0.0, 0.21))
+    # read half way between the two poses: interpolation knows that the tool has risen by 5 mm since
+    assert f.step(T0 + 5 * MS, [0.1])[2] == pytest.approx(-wanted)
+
+
+@pytest.mark.parametrize("mode", ["paper", "adaptive"])
+def test_sensor_readings_averages_so_many_ranges_and_no_reading_between_them_matters(mode):
+    f = surffollow.Follower({"mode": mode, "sensor_readings": 3}, offset_m=0.1)
+    f.pose(T0, at(0.0, 0.2))
+    ranges = [0.110, math.nan, 0.111, 0.115, 0.118]
+    told = []
+    for k, r in enumerate(ranges):
+        f.step(T0 + k * MS, [r])
+        told.append(f.state()["range_m"][0])
+    assert [v != v for v in told] == [True, True, True, False, False]
+    assert told[3:] == pytest.approx([0.112, (0.111 + 0.115 + 0.118) / 3])
+    f.step(T0 + 5 * MS, [9.0])
+    f.step(T0 + 6 * MS, [0.118])
+    assert math.isnan(f.state()["range_m"][0]), "a mean does not span a loss"
+
+
+def test_without_sensor_readings_every_range_is_a_reading():
+    f = surffollow.Follower({"mode": "paper"}, offset_m=0.1)
+    f.pose(T0, at(0.0, 0.2))
+    f.step(T0, [0.11])
+    assert f.state()["range_m"] == [0.11]

@@ -1,206 +1,289 @@
-"""Scribble over all that clients may write, at full speed, while a robot works; what the service made of it.
+"""Attack a service at random while a robot works: seven kinds of attack, by a user with no rights but a slot.
 
-Three runs alternate: `idle` (nobody writes), `bytes` (random bytes over the whole inbox: heads, claims,
-generations, poses, requests, access flags, streams, other clients' slots) and `commands` (well-formed poses
-and requests with extreme values, in everybody's name). Overruns are compared with a run beside the same
-writer on private memory (`neighbour`): on a machine of few processors a busy process alone costs some.
+`scribble` random bytes and extreme commands in its slot, `cut` and `restore` its size, `punch` holes, `lock`
+every byte that a reader can lock, `impostor` a forged board under the service's name between its end and its
+next start, `full` fill /dev/shm. Idle pieces of the same length alternate with the attacks, for comparison.
 
-Fails when the service dies or stalls, an output is not finite or beyond its limit, overruns exceed those of
-the quiet runs, nothing was refused and counted, or the service does not work normally afterwards.
+Fails when the service ends, a demand is not finite, beyond its limit or an impostor's, more cycles take
+longer than 300 us under attack than idle, or a good client that attaches after an attack waits longer than
+200 ms for an answer. Runs as root, with a small /dev/shm in a mount namespace of its own where that is
+allowed; else `full` is left out.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import ctypes
 import json
 import math
+import mmap
 import os
+import random
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-SCRIBBLER = Path(__file__).with_name("scribbler.py")
 sys.path.insert(0, str(ROOT / "tests"))
 
-import numpy as np  # noqa: E402
-
+from raw_slot import raw_slot  # noqa: E402
 from report import bar, bar_line  # noqa: E402
 from running_service import POSE, Service, World, config_text, objects_of, until  # noqa: E402
+from scribbler import Writer  # noqa: E402
+from second_user import NOBODY, OtherUser  # noqa: E402
+from service.test_foreign_names import forged_board, lock_everything  # noqa: E402
 from surffollow.client import Client  # noqa: E402
-from surffollow.client.report import percentile_ns  # noqa: E402
-from surffollow.config.params import PARAMS  # noqa: E402
 from surffollow.errors import SurffollowError  # noqa: E402
+from surffollow.service.cycle import histogram_bin  # noqa: E402
 from surffollow.shm import layout_board as lb  # noqa: E402
 from surffollow.shm.layout_follow import Output, Params  # noqa: E402
 
-RUNS = ("idle", "neighbour", "bytes", "commands")
-COUNTERS = ("cycles", "overruns", "skipped", "poses_refused", "requests", "requests_refused", "torn")
+KINDS = ("scribble", "cut", "restore", "punch", "lock", "impostor", "full")
+ACCESS = 'board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"\n'
+LONG_NS = 300_000
+ANSWER_S = 0.2
+FORGED_M = -0.5
+_CLONE_NEWNS, _PUNCH_AND_KEEP_SIZE = 0x20000, 3
+SHM = Path("/dev/shm")
+
+
+def private_shm(megabytes: int) -> bool:
+    """A /dev/shm that no other process of the machine sees; False where that is not allowed."""
+    if ctypes.CDLL(None, use_errno=True).unshare(_CLONE_NEWNS) != 0:
+        return False
+    commands = (
+        ["mount", "--make-rprivate", "/"],
+        ["mount", "-t", "tmpfs", "-o", f"size={megabytes}m,mode=1777", "tmpfs", str(SHM)],
+    )
+    return all(subprocess.run(c, capture_output=True).returncode == 0 for c in commands)
+
+
+def attack(kind: str, name: str, seed: int) -> Callable[[OtherUser], None]:
+    """What the attacker's process does until it is killed; it says how often it has."""
+    libc = ctypes.CDLL(None)
+
+    def scribble(step: int, held: tuple[int, mmap.mmap, Writer]) -> None:
+        writer = held[2]
+        writer.noise() if step % 2 else writer.commands(step)
+
+    def cut(_: int, held: tuple[int, mmap.mmap, Writer]) -> None:
+        for path in (SHM / name, SHM / f"{name}.map"):
+            with contextlib.suppress(OSError):
+                os.truncate(path, 0)
+        os.ftruncate(held[0], 0)
+
+    def restore(_: int, held: tuple[int, mmap.mmap, Writer]) -> None:
+        with contextlib.suppress(OSError):
+            os.ftruncate(held[0], 0)
+        time.sleep(0.004)
+        os.ftruncate(held[0], lb.SLOT_BYTES)
+
+    def punch(_: int, held: tuple[int, mmap.mmap, Writer]) -> None:
+        libc.fallocate(held[0], _PUNCH_AND_KEEP_SIZE, ctypes.c_long(0), ctypes.c_long(lb.SLOT_BYTES))
+        held[1].madvise(mmap.MADV_REMOVE)
+
+    one = {"scribble": scribble, "cut": cut, "restore": restore, "punch": punch}
+
+    def on_slot(child: OtherUser) -> None:
+        _sock, fd, memory, _ = raw_slot(name)
+        held = fd, memory, Writer(memory, seed)
+        child.say("attacks")
+        step = 0
+        while True:
+            step += 1
+            with contextlib.suppress(OSError):
+                one[kind](step, held)
+
+    def lock(child: OtherUser) -> None:
+        held = [lock_everything(SHM / part) for part in (name, f"{name}.map")]
+        child.say("attacks")
+        while held:
+            with contextlib.suppress(OSError):
+                held.append(lock_everything(SHM / f"{name}.lock"))
+            time.sleep(0.001)
+
+    def full(child: OtherUser) -> None:
+        with (SHM / f"{name}.filler").open("wb", buffering=0) as f, contextlib.suppress(OSError):
+            while f.write(bytes(1 << 20)):
+                pass
+        child.say("attacks")
+        while True:
+            with contextlib.suppress(OSError), (SHM / f"{name}.filler").open("ab", buffering=0) as f:
+                f.write(bytes(4096))
+            time.sleep(0.001)
+
+    return {"lock": lock, "full": full}.get(kind, on_slot)
 
 
 class Robot:
-    """A robot that works as if nothing were wrong, and checks every output that it sees."""
+    """A robot that works as if nothing were wrong, and checks every demand that it sees."""
 
     def __init__(self, service: Service) -> None:
+        self.service = service
         self.client: Client = service.attach()
-        self.outputs = self.poses = self.limited = self.refusals = 0
+        self.demands = self.poses = self.refusals = 0
         self.faults: list[str] = []
-
-    def params(self) -> tuple[int, float]:
-        reader = self.client.board.latch("params", Params)
-        generation = self.client.board.words[self.client.board.regions["params"][0] // 8]
-        data = reader.read()
-        return generation, math.inf if data is None else float(data["max_demand_m"])
+        self.slowest_s = 0.0
 
     def step(self) -> None:
+        """One pose, one look at the demand."""
         try:
             self.client.ee_pos(POSE)
             self.poses += 1
         except SurffollowError:
             self.refusals += 1
-        before, limit = self.params()
-        output = self.client.board.latch("output", Output).read()
-        after, _ = self.params()
-        if output is None:
-            return
-        self.outputs += 1
-        if not all(math.isfinite(v) for v in output["demand"]):
-            self.faults.append(f"cycle {output['cycle']}: demand {output['demand']}")
-        if before == after:
-            self.limited += 1
-            if abs(output["demand"][2]) > limit:
-                self.faults.append(f"cycle {output['cycle']}: {output['demand'][2]} m beyond {limit} m")
-        if output["status"] < 0 or not all(math.isfinite(v) for v in self.client.dev_vector()):
-            self.faults.append(f"cycle {output['cycle']}: status {output['status']}")
+        demand = self.client.dev_vector()
+        self.demands += 1
+        board = self.client.board
+        limits = [board.latch("params", Params).read() for _ in range(2)]
+        output = board.latch("output", Output).read()
+        highest = max((math.inf if p is None else float(p["max_demand_m"])) for p in limits)
+        values = [*demand, *(output["demand"] if output else ())]
+        if not all(math.isfinite(v) for v in values):
+            self.faults.append(f"cycle {demand.cycle}: demand {values}")
+        elif any(abs(v) > highest for v in values[2::6]) or demand[2] == FORGED_M:
+            self.faults.append(f"cycle {demand.cycle}: {values} m beyond {highest} m")
+
+    def work(self, seconds: float) -> None:
+        """Many steps."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.step()
+            if self.service.process is not None and self.service.process.poll() is not None:
+                self.faults.append("the service ended")
+                return
+
+    def ask(self, kind: str) -> None:
+        """A good client that comes after an attack: how long until it is answered."""
+        began = time.monotonic()
+        try:
+            with self.service.attach() as client:
+                client.sf_reset(0.1)
+        except SurffollowError as e:
+            self.faults.append(f"after {kind}: {e}")
+        self.slowest_s = max(self.slowest_s, time.monotonic() - began)
 
 
-def counters(robot: Robot) -> dict[str, int]:
-    status = robot.client.status()
-    return {k: int(status[k]) for k in COUNTERS}
+def long_cycles(robot: Robot) -> tuple[int, int, int]:
+    """Epoch, cycles, and those that took longer than 300 us."""
+    stats = robot.client.board.plain("stats", lb.Stats)
+    first = histogram_bin.py_func(LONG_NS) + 1
+    return robot.client.epoch, int(stats["cycles"]), sum(stats["execution"][first:])
 
 
-def one_run(service: Service, robot: Robot, kind: str, seconds: float, seed: int) -> dict[str, Any]:
-    """One piece of one kind of run; what the counters gained."""
-    child = None
-    if kind != "idle":
-        words = [sys.executable, str(SCRIBBLER), service.name, kind, str(seed)]
-        child = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-        assert child.stdout is not None
-        child.stdout.readline()
-    before, end = counters(robot), time.monotonic() + seconds
-    work = robot.client.board.plain("stats", lb.Stats)["execution"]
-    while time.monotonic() < end:
-        robot.step()
-        if service.process is None or service.process.poll() is not None:
-            robot.faults.append(f"the service ended during {kind}")
-            break
-    after = counters(robot)
-    gained: dict[str, Any] = {k: after[k] - before[k] for k in COUNTERS}
-    now = robot.client.board.plain("stats", lb.Stats)["execution"]
-    gained["work"] = np.array(now) - np.array(work)
-    if child is not None:
-        child.kill()
-        text, _ = child.communicate()
-        gained["writes"] = int(text.split()[-1]) if text.split() else 1
-    return gained
+def impersonate(service: Service, robot: Robot, seconds: float) -> None:
+    """End the service, let somebody else take its name, end him, start it again."""
+    path = SHM / service.name
+    forged = forged_board(path.read_bytes(), robot.client.board.regions["output"][0])
+    service.terminate()
+
+    def there(child: OtherUser) -> None:
+        path.write_bytes(forged)
+        path.chmod(0o666)
+        child.say("attacks")
+        child.hear()
+
+    with OtherUser(there, NOBODY if os.geteuid() == 0 else os.getuid()) as other:
+        other.hear()
+        if os.geteuid() == 0:
+            robot.work(seconds)
+    path.unlink(missing_ok=True)
+    service.start()
+    until(robot.client.alive, "the service again")
 
 
-def works(service: Service) -> bool:
-    """Whether a fresh robot gets a demand, answers and a map."""
-    with service.attach() as client:
-        defaults = {n: s.default for n, s in PARAMS.items() if not n.startswith(("range_", "sensor_latency"))}
-        window = {"range_min_m": PARAMS["range_min_m"].default, "range_max_m": PARAMS["range_max_m"].default}
-        values = {**window, **defaults, "range_size": 5, "sensor_latency_ns": 30e6, "mode": 0}
-        for k in range(0, len(values), lb.REQUEST_ARGS):
-            client.set_params(**dict(list(values.items())[k : k + lb.REQUEST_ARGS]))
-        client.sf_reset(0.1)
-        client.map_reset((0.0, 0.0, 0.1, 0.1), timeout_s=30.0)
-
-        def good() -> bool:
-            client.ee_pos(POSE)
-            return client.dev_vector().valid
-
-        until(good, "a demand after the fuzzing")
-        with client.exclusive(timeout_s=40.0):
-            return True
-
-
-def run(args: argparse.Namespace) -> dict[str, Any]:
-    pieces = max(1, round(args.seconds / 5))
-    piece_s = args.seconds / pieces
-    totals: dict[str, dict[str, Any]] = {k: dict.fromkeys(COUNTERS, 0) for k in RUNS}
-    report: dict[str, Any] = {"seconds": args.seconds, "seed": args.seed, "cpus": os.cpu_count()}
+def run(args: argparse.Namespace, private: bool) -> dict[str, Any]:
+    rng = random.Random(args.seed)
+    kinds = [k for k in KINDS if private or k != "full"]
+    totals = {k: {"pieces": 0, "cycles": 0, "long": 0} for k in ("idle", *kinds)}
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
-        config = config_text(kind="simulated", period=args.period, map='access_lease = "1 s"')
+        config = config_text(kind="simulated", period=args.period, map='access_lease = "1 s"', access=ACCESS)
         service = Service(Path(folder), config)
         stack.callback(service.purge)
         world = World(service.name)
         stack.callback(world.close)
         service.start()
         robot = Robot(service)
-        for piece in range(pieces):
-            for kind in RUNS:
-                gained = one_run(service, robot, kind, piece_s, args.seed + piece)
-                for k, v in gained.items():
-                    totals[kind][k] = totals[kind].get(k, 0) + v
+        robot.ask("start")
+        robot.slowest_s = 0.0
+        end, order = time.monotonic() + args.seconds, list(kinds)
+        while time.monotonic() < end or order:
+            if not order:
+                order = list(kinds)
+            kind = order.pop(rng.randrange(len(order)))  # each comes, in any order
+            seconds = rng.uniform(0.5, 1.5) * args.piece
+            for what in ("idle", kind):
+                before = long_cycles(robot)
+                if what == "impostor":
+                    impersonate(service, robot, seconds)
+                elif what == "idle":
+                    robot.work(seconds)
+                else:
+                    with OtherUser(attack(what, service.name, rng.randrange(1 << 30))) as attacker:
+                        began = attacker.hear()
+                        if began != "attacks":
+                            raise SystemExit(f"the attack {what} did not begin: {began}")
+                        robot.work(seconds)
+                    (SHM / f"{service.name}.filler").unlink(missing_ok=True)
+                if what != "idle":
+                    robot.ask(what)
+                after = long_cycles(robot)
+                t = totals[what]
+                t["pieces"] += 1
+                if before[0] == after[0]:
+                    t["cycles"] += after[1] - before[1]
+                    t["long"] += after[2] - before[2]
         robot.client.close()
-        report["works_afterwards"] = works(service)
-        report["exit_code"] = service.terminate(signal.SIGTERM)
-        report["left"] = sorted(objects_of(service.name) - {f"{service.name}.map", f"{service.name}.world"})
-    for t in totals.values():
-        work = t.pop("work").tolist()
-        t["work_p50_ns"], t["work_p99_9_ns"] = (round(percentile_ns(work, f)) for f in (0.5, 0.999))
-        t["overruns_per_100000"] = round(1e5 * t["overruns"] / max(1, t["cycles"]), 1)
-    report |= {"runs": totals, "outputs": robot.outputs, "checked_against_limit": robot.limited}
-    report |= {
+        code = service.terminate(signal.SIGTERM)
+        own = {f"{service.name}{part}" for part in (".map", ".world", ".world.lock")}
+        left = sorted(objects_of(service.name) - own)
+    attacked = [totals[k] for k in kinds]
+    cycles, long = sum(t["cycles"] for t in attacked), sum(t["long"] for t in attacked)
+    idle = totals["idle"]
+    share = cycles / max(1, idle["cycles"])
+    # they come by chance: two equal runs differ by so much and more once in forty times
+    most = idle["long"] * share + 2 * math.sqrt(idle["long"] * share * (1 + share)) + args.slack
+    return {
+        "seconds": args.seconds,
+        "seed": args.seed,
+        "cpus": os.cpu_count(),
+        "private_shm": private,
+        "runs": totals,
+        "demands": robot.demands,
         "poses": robot.poses,
         "refusals_seen_by_the_robot": robot.refusals,
         "faults": robot.faults[:10],
+        "bars": [
+            bar("bad demands, refused clients and ends of the service", len(robot.faults), 0, ""),
+            bar(
+                "cycles over 300 us under attack", long, most, "", f"idle {idle['long']} of {idle['cycles']}"
+            ),
+            bar("slowest answer after an attack", robot.slowest_s, args.answer, "s"),
+            bar("service's exit code", abs(code), 0, ""),
+            bar("objects left", len(left), 0, "", str(left)),
+        ],
     }
-    rate = {k: totals[k]["overruns_per_100000"] for k in RUNS}
-    quiet = max(rate["idle"], rate["neighbour"]) + args.slack
-    # overruns come by chance: two equal runs differ by so much and more once in forty times
-    most = max(totals[k]["overruns"] for k in ("idle", "neighbour"))
-    noise = 2e5 * math.sqrt(2 * most) / max(1, totals["idle"]["cycles"])
-    counted = sum(totals["bytes"][k] for k in ("poses_refused", "requests_refused", "torn"))
-    unit = "in 100,000 cycles"
-    report["bars"] = [
-        bar("bad outputs", len(robot.faults), 0, ""),
-        bar(
-            "overruns while scribbled at",
-            rate["bytes"],
-            quiet + noise,
-            unit,
-            f"quiet {quiet:.1f}, chance {noise:.1f}",
-        ),
-        bar(
-            "overruns in a flood of commands",
-            rate["commands"],
-            quiet + noise,
-            unit,
-            f"quiet {quiet:.1f}, chance {noise:.1f}",
-        ),
-        bar("damage that was not counted", int(counted == 0), 0, "", f"counted {counted}"),
-        bar("service's exit code", abs(report["exit_code"]), 0, ""),
-        bar("objects left", len(report["left"]), 0, ""),
-    ]
-    return report
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=60.0, help="of each kind of run")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of attacks and idle pieces together")
+    parser.add_argument("--piece", type=float, default=1.0, help="of an attack, at the mean [s]")
     parser.add_argument("--period", default="1 ms", help="of the service's cycle")
     parser.add_argument("--seed", type=int, default=91)
-    parser.add_argument("--slack", type=float, default=0.0, help="more overruns allowed in 100,000 cycles")
+    parser.add_argument("--slack", type=float, default=0.0, help="more long cycles allowed")
+    parser.add_argument("--answer", type=float, default=ANSWER_S, help="longest wait for an answer [s]")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    report = run(args)
+    if os.geteuid() != 0:
+        raise SystemExit("bench_fuzz attacks as another user: run it as root")
+    report = run(args, private_shm(256))
     if args.json:
         print(json.dumps(report))
     else:

@@ -136,8 +136,8 @@ def lost_grids(before: Any, after: Any) -> int:
 class Trial:
     """The three programs, and what went wrong."""
 
-    def __init__(self, folder: Path, seed: int) -> None:
-        self.rng = random.Random(seed)
+    def __init__(self, folder: Path, seed: int, pause_s: float) -> None:
+        self.rng, self.pause_s = random.Random(seed), pause_s
         name = unique_name("kill")
         self.service = Service(folder, config_text(kind="simulated", grids=GRIDS), name)
         self.name, self.folder = name, folder
@@ -206,7 +206,7 @@ class Trial:
 
     def kill_one(self, number: int, check: bool) -> None:
         part = self.parts[PARTS[number % 3]]
-        time.sleep(self.rng.random() ** 2 * 1.5)
+        time.sleep(self.rng.random() ** 2 * self.pause_s)
         if part.process.poll() is not None:
             part.tend(may_end=part.name == "recorder")
         part.kill()
@@ -244,7 +244,7 @@ class Trial:
 def run(args: argparse.Namespace) -> dict[str, Any]:
     start = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
-        trial = Trial(Path(folder), args.seed)
+        trial = Trial(Path(folder), args.seed, args.pause)
         try:
             for number in range(args.kills):
                 trial.kill_one(number, check=number % args.every == args.every - 1)
@@ -283,7 +283,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--kills", type=int, default=1000)
     parser.add_argument("--seconds", type=float, default=3600.0, help="begin no kill after so long")
-    parser.add_argument("--every", type=int, default=5, help="wait for health after so many kills")
+    parser.add_argument("--every", type=int, default=20, help="wait for health after so many kills")
+    parser.add_argument("--pause", type=float, default=0.9, help="longest time from one kill to the next [s]")
     parser.add_argument("--seed", type=int, default=random.SystemRandom().randrange(1 << 31))
     parser.add_argument("--json", action="store_true")
     return finish(run(parser.parse_args()))

@@ -7,6 +7,7 @@
 
 enum { CHANNELS = 8, WINDOW = 64, POSES = 256, POINTS = 64, INTERVALS = 1024 };
 enum { VALID = 1, NO_POSE = 2, POSE_STALE = 4, NO_SENSOR = 8, TOO_CLOSE = 16, LIMITED = 32, SENSOR_LOST = 256 };
+enum { ABSENT_NS = 10000000 };
 
 static void take_poses(SenseState *s, const Inputs *in) {
   for (int64_t k = 0; k < in->n_poses; k++) {
@@ -22,6 +23,35 @@ static void take_poses(SenseState *s, const Inputs *in) {
   }
 }
 
+static void lose_channel(SenseState *s, int64_t c) {
+  s->window_n[c] = s->valid[c] = s->fresh[c] = 0;
+  s->losses[c]++;
+}
+
+static void push_sample(SenseState *s, int64_t c, int64_t t, double range) {
+  if (s->missed[c]) {
+    s->missed[c] = 0;
+    int64_t gap = t - s->seen_t_ns[c];
+    if (s->seen_t_ns[c] != 0 && gap > ABSENT_NS && gap > 2 * s->spacing_ns[c]) lose_channel(s, c);
+  }
+  int64_t slot = c * WINDOW + (s->window_n[c] & (WINDOW - 1));
+  s->window_m[slot] = range;
+  s->window_t_ns[slot] = t;
+  s->window_n[c]++;
+  s->fresh[c] = 1;
+}
+
+static void note_spacing(SenseState *s, int64_t c, int64_t t) {
+  if (s->seen_t_ns[c] != 0) {
+    int64_t gap = t - s->seen_t_ns[c], usual = s->spacing_ns[c];
+    if (usual == 0 || gap < usual)
+      s->spacing_ns[c] = gap > 1 ? gap : 1;
+    else
+      s->spacing_ns[c] += (gap - usual) / 8;
+  }
+  s->seen_t_ns[c] = t;
+}
+
 static void take_conversions(const Params *p, SenseState *s, const Inputs *in) {
   for (int c = 0; c < CHANNELS; c++) s->fresh[c] = 0;
   for (int64_t k = 0; k < in->n_conversions; k++) {
@@ -30,27 +60,27 @@ static void take_conversions(const Params *p, SenseState *s, const Inputs *in) {
     if (c >= p->n_channels) continue;
     int64_t counts = ((word & 0xFFFFFF) ^ 0x800000) - 0x800000;
     double range = p->zero_m[c] + p->scale_m[c] * (double)counts;
-    if (((word >> 27) & 1) || !(p->range_min_m < range && range < p->range_max_m)) {
-      s->window_n[c] = s->valid[c] = s->fresh[c] = 0;
-      continue;
-    }
-    int64_t slot = c * WINDOW + (s->window_n[c] & (WINDOW - 1));
-    s->window_m[slot] = range;
-    s->window_t_ns[slot] = in->t_ns + (word >> 32);
-    s->window_n[c]++;
-    s->fresh[c] = 1;
+    if (((word >> 27) & 1) || !(p->range_min_m < range && range < p->range_max_m))
+      lose_channel(s, c);
+    else
+      push_sample(s, c, in->t_ns + (word >> 32), range);
   }
   int64_t readings = p->sensor_readings;
   for (int64_t c = 0; c < p->n_channels; c++) {
+    if (!s->fresh[c]) {
+      s->missed[c] = 1;
+      continue;
+    }
     int64_t n = s->window_n[c], base = c * WINDOW;
-    if (!s->fresh[c] || n < readings) {
+    int64_t last = s->window_t_ns[base + ((n - 1) & (WINDOW - 1))];
+    note_spacing(s, c, last);
+    if (n < readings) {
       s->fresh[c] = 0;
       continue;
     }
     double total = 0.0;
     for (int64_t i = n - readings; i < n; i++) total += s->window_m[base + (i & (WINDOW - 1))];
     int64_t first = s->window_t_ns[base + ((n - readings) & (WINDOW - 1))];
-    int64_t last = s->window_t_ns[base + ((n - 1) & (WINDOW - 1))];
     s->range_m[c] = total / (double)readings;
     s->range_t_ns[c] = first + (last - first) / 2 - p->sensor_latency_ns;
     s->valid[c] = 1;
@@ -79,16 +109,37 @@ static double footprint(const double *tool, const double *mount, double range, d
   return sensor_z;
 }
 
-static void average_point(PaperState *s, int64_t c, int64_t readings, double *point) {
+static void average_point(const Params *p, PaperState *s, const SenseState *sense, int64_t c, int64_t pose_t,
+                          double *point) {
+  if (s->point_losses[c] != sense->losses[c]) {
+    s->point_losses[c] = sense->losses[c];
+    s->point_count[c] = 0;
+    if (c == 0) s->speed_pose = s->reading_t_ns = 0;
+  }
   int64_t n = s->point_count[c], base = c * POINTS * 3;
   for (int i = 0; i < 3; i++) s->point_m[base + (n & (POINTS - 1)) * 3 + i] = point[i];
   s->point_count[c] = n + 1;
-  int64_t used = n + 1 < readings ? n + 1 : readings;
-  if (used == 1) return;
-  double sum[3] = {0.0, 0.0, 0.0};
-  for (int64_t k = n + 1 - used; k < n + 1; k++)
-    for (int i = 0; i < 3; i++) sum[i] += s->point_m[base + (k & (POINTS - 1)) * 3 + i];
-  for (int i = 0; i < 3; i++) point[i] = sum[i] / (double)used;
+  int64_t used = n + 1 < p->ee_readings ? n + 1 : p->ee_readings;
+  double mean[3] = {point[0], point[1], point[2]};
+  if (used > 1) {
+    double sum[3] = {0.0, 0.0, 0.0};
+    for (int64_t k = n + 1 - used; k < n + 1; k++)
+      for (int i = 0; i < 3; i++) sum[i] += s->point_m[base + (k & (POINTS - 1)) * 3 + i];
+    for (int i = 0; i < 3; i++) mean[i] = sum[i] / (double)used;
+  }
+  if (c == 0) {
+    s->point_t_ns[n & (POINTS - 1)] = pose_t;
+    for (int i = 0; i < 3; i++) s->mean_m[i] = mean[i];
+  }
+  double reach2 = p->interval_size_m * p->interval_size_m;
+  for (int64_t k = n; k > n - used; k--) {
+    const double *q = s->point_m + base + (k & (POINTS - 1)) * 3;
+    double dx = mean[0] - q[0], dy = mean[1] - q[1];
+    if (dx * dx + dy * dy <= reach2) {
+      for (int i = 0; i < 3; i++) point[i] = mean[i];
+      return;
+    }
+  }
 }
 
 static void open_interval(PaperState *s, double x, double y, double h) {
@@ -130,19 +181,22 @@ static int64_t add_point(PaperState *s, double x, double y, double h, double siz
 
 static void cut_ranges(PaperState *s, int64_t size) {
   s->range_cut = size;
-  int64_t count = s->interval_count;
-  if (count < 2 * size) return;
-  double rest = 0.0, prev = 0.0, gap_x = 0.0, gap_y = 0.0;
-  for (int64_t i = count - 2 * size; i < count - size; i++) {
-    int64_t a = i & (INTERVALS - 1), b = (i + size) & (INTERVALS - 1);
-    prev += s->interval_h_m[a];
-    if (i + size < count - 1) rest += s->interval_h_m[b];
-    gap_x += s->interval_x_m[b] - s->interval_x_m[a];
-    gap_y += s->interval_y_m[b] - s->interval_y_m[a];
+  int64_t first = s->interval_count - 2 * size;
+  if (first < 0) return;
+  double rest = 0.0, prev = 0.0, run = 0.0;
+  for (int64_t k = 0; k < 2 * size - 1; k++) {
+    int64_t a = (first + k) & (INTERVALS - 1), b = (first + k + 1) & (INTERVALS - 1);
+    if (k < size)
+      prev += s->interval_h_m[a];
+    else
+      rest += s->interval_h_m[a];
+    double dx = s->interval_x_m[b] - s->interval_x_m[a], dy = s->interval_y_m[b] - s->interval_y_m[a];
+    int64_t pairs = k + 1 < 2 * size - 1 - k ? k + 1 : 2 * size - 1 - k;
+    run += (double)pairs * sqrt(dx * dx + dy * dy);
   }
   s->rest_h_m = rest;
   s->range_prev_h_m = prev / (double)size;
-  s->range_gap_m = sqrt(gap_x * gap_x + gap_y * gap_y) / (double)size;
+  s->range_gap_m = run / (double)size;
 }
 
 static double range_slope(const PaperState *s, int64_t size) {
@@ -151,15 +205,18 @@ static double range_slope(const PaperState *s, int64_t size) {
   return ((s->rest_h_m + newest) / (double)size - s->range_prev_h_m) / s->range_gap_m;
 }
 
-static void measure_speed(PaperState *s, const SenseState *sense, double x, double y) {
+static void measure_speed(const Params *p, PaperState *s, const SenseState *sense) {
   if (sense->pose_count == s->speed_pose) return;
-  int64_t t = sense->pose_t_ns[(sense->pose_count - 1) & (POSES - 1)];
+  int64_t n = s->point_count[0], used = n < p->ee_readings ? n : p->ee_readings, older = 0;
+  int64_t newest = s->point_t_ns[(n - 1) & (POINTS - 1)];
+  for (int64_t k = n - used; k < n; k++) older += newest - s->point_t_ns[k & (POINTS - 1)];
+  int64_t t = newest - older / used;
   if (s->speed_pose > 0 && t > s->speed_t_ns) {
-    double dx = x - s->speed_x_m, dy = y - s->speed_y_m;
+    double dx = s->mean_m[0] - s->speed_x_m, dy = s->mean_m[1] - s->speed_y_m;
     s->speed_mps = sqrt(dx * dx + dy * dy) / ((double)(t - s->speed_t_ns) * 1e-9);
   }
-  s->speed_x_m = x;
-  s->speed_y_m = y;
+  s->speed_x_m = s->mean_m[0];
+  s->speed_y_m = s->mean_m[1];
   s->speed_t_ns = t;
   s->speed_pose = sense->pose_count;
 }
@@ -184,6 +241,19 @@ static double limit(double value, double most) {
   return value > most ? most : value < -most ? -most : value == value ? value : 0.0;
 }
 
+static double relay(PaperState *s, double demand, double sensor_z, double permitted) {
+  if (!s->relayed) {
+    s->relayed = 1;
+    s->relayed_m = 0.0;
+    s->relayed_z_m = sensor_z;
+  }
+  double kept = s->relayed_m - (sensor_z - s->relayed_z_m);
+  if (fabs(demand - kept) <= permitted) return kept;
+  s->relayed_m = demand;
+  s->relayed_z_m = sensor_z;
+  return demand;
+}
+
 static int64_t demand_z(const Params *p, FollowState *st, const Inputs *in, Output *out, double sensor_z) {
   PaperState *s = &st->paper;
   SenseState *sense = &st->sense;
@@ -191,27 +261,30 @@ static int64_t demand_z(const Params *p, FollowState *st, const Inputs *in, Outp
   int64_t fresh = out->fresh & 1;
   double range = sense->range_m[0], point[3];
   if (fresh) {
-    const double *t = out->target_m;
-    if (add_point(s, t[0], t[1], t[2], p->interval_size_m) > 0 || s->range_cut != p->range_size)
+    const double *m = s->mean_m;
+    if (add_point(s, m[0], m[1], m[2], p->interval_size_m) > 0 || s->range_cut != p->range_size)
       cut_ranges(s, p->range_size);
     s->slope = range_slope(s, p->range_size);
-    measure_speed(s, sense, t[0], t[1]);
+    measure_speed(p, s, sense);
     watch_fold_back(s, range, sensor_z, p->too_close_m, p->too_close_exit_m);
   } else {
     sensor_z = footprint(tool, p->tool_from_sensor, 0.0, point);
   }
   double delta_h = 0.0, error = 0.0;
-  if (s->reading_t_ns != 0 || fresh) {
-    double elapsed = s->reading_t_ns == 0 ? 0.0 : (double)(in->t_ns - s->reading_t_ns) * 1e-9;
-    delta_h = s->slope * s->speed_mps * elapsed;
-    if (fresh) {
-      s->reading_t_ns = in->t_ns;
-      s->reading_m = range;
-      s->reading_z_m = sensor_z;
-      error = p->offset_m - range;
-    } else {
-      error = p->offset_m - (s->reading_m + sensor_z - s->reading_z_m);
-    }
+  int first = s->reading_t_ns == 0 || in->t_ns - s->reading_t_ns > p->loss_timeout_ns;
+  if (fresh && first) {
+    s->reading_t_ns = in->t_ns;
+    s->reading_m = range;
+    s->reading_z_m = sensor_z;
+  }
+  if (s->reading_t_ns != 0) {
+    delta_h = s->slope * s->speed_mps * ((double)(in->t_ns - s->reading_t_ns) * 1e-9);
+    error = p->offset_m - (s->reading_m + (sensor_z - s->reading_z_m));
+  }
+  if (fresh) {
+    s->reading_t_ns = in->t_ns;
+    s->reading_m = range;
+    s->reading_z_m = sensor_z;
   }
   out->delta_h_m = delta_h;
   out->error_m = error;
@@ -219,8 +292,7 @@ static int64_t demand_z(const Params *p, FollowState *st, const Inputs *in, Outp
   if (!fresh && (!sense->valid[0] || age > 10000000)) status |= NO_SENSOR;
   double wanted = delta_h + error, cut = limit(wanted, p->max_demand_m);
   if (cut != wanted) status |= LIMITED;
-  if (fabs(cut - s->relayed_m) > p->permitted_variance_m) s->relayed_m = cut;
-  double dz = limit(s->relayed_m, p->max_demand_m);
+  double dz = limit(relay(s, cut, sensor_z, p->permitted_variance_m), p->max_demand_m);
   int lost = s->reading_t_ns == 0 || age > p->loss_timeout_ns;
   if (lost) {
     status = (status & ~(int64_t)(VALID | LIMITED)) | SENSOR_LOST;
@@ -257,6 +329,7 @@ static void follow_step(const Params *p, FollowState *st, const Inputs *in, Outp
     int64_t age = in->t_ns - out->pose_t_ns;
     if (age > p->pose_timeout_ns || -age > p->pose_timeout_ns) {
       out->status = POSE_STALE;
+      for (int c = 0; c < CHANNELS; c++) s->losses[c]++;
     } else {
       double sensor_z = 0.0;
       for (int64_t c = 0; c < p->n_channels; c++) {
@@ -264,7 +337,7 @@ static void follow_step(const Params *p, FollowState *st, const Inputs *in, Outp
         double *target = out->target_m + 3 * c;
         double z = footprint(s->pose + newest * 7, p->tool_from_sensor + c * 7, s->range_m[c], target);
         if (c == 0) sensor_z = z;
-        average_point(&st->paper, c, p->ee_readings, target);
+        average_point(p, &st->paper, s, c, out->pose_t_ns, target);
         out->fresh |= (int64_t)1 << c;
       }
       out->status = demand_z(p, st, in, out, sensor_z);

@@ -43,22 +43,24 @@ def objects_table() -> Iterator[str]:
     yield "Board (offsets are in its region table; these are those of the default `log_words` = 2^20):\n"
     yield "| offset | bytes | part | holds |\n| ---: | ---: | --- | --- |"
     yield f"| 0 | {lb.BoardHeader.SIZE} | header | `{c_name(lb.BoardHeader)}` |"
-    latched = {"params", "output", "acks", "map_acks", "ticker", "map_status"}
+    latched = {"params", "output", "ticker", "map_status"}
     schemas = {name: schema for name, schema, _ in lb.BOARD_PARTS}
     for name, (offset, size) in lb.board_regions(1 << 20).items():
-        n = f"{lb.CLIENTS} latches" if name.endswith("acks") else "latch" if name in latched else "plain"
+        n = (
+            f"{lb.CLIENTS} latches"
+            if name.endswith("acks") or name == "clients"
+            else "latch"
+            if name in latched
+            else "plain"
+        )
         words = ", then the log's words" if name == "log" else ""
         yield f"| {offset} | {size} | {name} | {n}, `{c_name(schemas[name])}`{words} |"
-    yield "\nInbox: a page of header, then one slot per client:\n"
-    yield "| offset | bytes | part | holds |\n| ---: | ---: | --- | --- |"
-    yield f"| 0 | {lb.PAGE} | header | `{c_name(lb.InboxHeader)}` |"
-    yield f"| {lb.PAGE} + {lb.SLOT_BYTES}·slot | {lb.SLOT_BYTES} | slot 0 … {lb.CLIENTS - 1} | see below |"
     slot: tuple[tuple[int, type[Schema], bool], ...] = (
         (lb.SLOT_HEAD, lb.SlotHead, False),
         (lb.SLOT_POSE, lb.PosePost, True),
         (lb.SLOT_REQUEST, lb.RequestPost, True),
     )
-    yield "\nA slot:\n"
+    yield f"\nA slot, {lb.SLOT_BYTES} bytes:\n"
     yield "| offset | bytes | holds |\n| ---: | ---: | --- |"
     for offset, schema, is_latch in slot:
         size = latch_bytes(schema.SIZE) if is_latch else schema.SIZE
@@ -93,6 +95,11 @@ def code_table() -> Iterator[str]:
     yield from (f"| {v} | {n} |" for v, n in requests)
     yield "\n| answer | meaning |\n| ---: | --- |"
     yield from (f"| {v} | {text} |" for v, text in enumerate(lb.RESULT_TEXT))
+    yield "\n| step on NAME.sock | message |\n| ---: | --- |"
+    steps = ("SLOT_ASK", "SLOT_OFFER", "SLOT_MAPPED", "SLOT_GRANT", "SLOT_REFUSE")
+    yield from (f"| {getattr(lb, n)} | {n} |" for n in steps)
+    yield "\n| result of SLOT_REFUSE | meaning |\n| ---: | --- |"
+    yield from (f"| {v} | {text} |" for v, text in enumerate(lb.SLOT_TEXT) if v)
     yield ""
 
 

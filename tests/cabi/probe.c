@@ -39,6 +39,7 @@ static int answer(const char *verb, char *rest) {
     return sf_attach_with(&client, word, &options);
   }
   if (strcmp(verb, "auto") == 0) return options.auto_reattach = (int)v[0], 0;
+  if (strcmp(verb, "owner") == 0) return options.owner = (int64_t)v[0], 0;
   if (strcmp(verb, "stale_ms") == 0) return options.stale_min_ns = (int64_t)(v[0] * 1e6), 0;
   if (strcmp(verb, "ready_ms") == 0) return options.ready_wait_ns = (int64_t)(v[0] * 1e6), 0;
   if (strcmp(verb, "timeout_ms") == 0) return options.timeout_ns = (int64_t)(v[0] * 1e6), 0;

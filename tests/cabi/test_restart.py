@@ -109,11 +109,13 @@ def test_attaching_to_what_a_killed_service_left_is_safe(
 ) -> None:
     mortal.kill()
     probe = make_probe()
-    assert probe(f"attach {mortal.name}").result == OK
+    probe("ready_ms 100")
+    assert probe(f"attach {mortal.name}").result == NOT_RUNNING
+    assert probe(f"observe {mortal.name}").result == OK
     probe.until("alive", lambda a: a.result == 0)
-    assert probe(POSE).result == -20
+    assert probe(POSE).result == -26
     assert probe("status").values[0] == 0
-    assert probe("upload /dev/null/x").result == -20
+    assert probe("upload /dev/null/x").result == -26
     assert os.path.exists(f"/dev/shm/{mortal.name}.map")
 
 

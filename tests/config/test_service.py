@@ -8,7 +8,15 @@ import pytest
 from click.testing import CliRunner
 
 from surffollow.cli.service import start_command
-from surffollow.config.service import ServiceConfig, follow_params, load_config, mode, parse_config, seconds
+from surffollow.config.service import (
+    ServiceConfig,
+    follow_params,
+    load_config,
+    map_rounding,
+    mode,
+    parse_config,
+    seconds,
+)
 from surffollow.errors import ConfigError
 from surffollow.shm.objects import unlink
 
@@ -144,3 +152,18 @@ def test_what_start_finds_wrong_later_names_the_file_too(tmp_path, text, says):
     assert isinstance(told, ConfigError)
     assert str(told).startswith(f"{path}: ")
     assert says in str(told)
+
+
+@pytest.mark.parametrize(
+    ("rounding", "follow", "wanted"),
+    [
+        ({}, {}, "unbiased"),
+        ({}, {"mode": "adaptive"}, "unbiased"),
+        ({}, {"mode": "paper"}, "paper"),
+        ({}, {"mode": 0}, "paper"),
+        ({"rounding": "unbiased"}, {"mode": "paper"}, "unbiased"),
+        ({"rounding": "paper"}, {}, "paper"),
+    ],
+)
+def test_paper_mode_is_one_setting_the_maps_rounding_included(rounding, follow, wanted):
+    assert map_rounding(parse_config({"map": rounding, "follow": follow})) == wanted

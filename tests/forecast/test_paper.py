@@ -9,6 +9,7 @@ import pytest
 
 from forecast.driving import MS, Kernel, default_params, names_of
 from surffollow.forecast.horizon import forecast_range
+from surffollow.sim.plant import axis_step
 
 T = 10_000 * MS
 # the current interval's mean still lacks its far points: up to half an interval in the mean of a range
@@ -18,7 +19,13 @@ LEVEL = (0.0, 0.0, 0.0, 1.0)
 
 
 def paper(**changes):
-    plain = {"offset_m": 0.1, "ee_readings": 1, "permitted_variance_m": 0.0, "range_size": 3}
+    plain = {
+        "offset_m": 0.1,
+        "sensor_readings": 1,
+        "ee_readings": 1,
+        "permitted_variance_m": 0.0,
+        "range_size": 3,
+    }
     return Kernel(default_params(**(plain | {"interval_size_m": 0.002} | changes)))
 
 
@@ -46,6 +53,19 @@ def test_a_ramp_adds_slope_times_speed_times_time_since_the_previous_reading():
     o = ramp(k, slope=0.1, speed=0.1, cycles=400)[-1]
     assert o["slope"] == pytest.approx(0.1, rel=PARTIAL)
     assert o["speed_mps"] == pytest.approx(0.1, rel=1e-6)
+    assert o["delta_h_m"] == o["slope"] * o["speed_mps"] * 1e-3
+    assert o["demand"][2] == o["delta_h_m"] + o["error_m"]
+
+
+def test_a_change_is_counted_once_from_the_previous_reading_on():
+    k = paper()
+    ramp(k, slope=0.1, speed=0.1, cycles=400)
+    before = float(k.state[0]["paper"]["reading_m"])
+    o = k.step(
+        T + 400 * MS, [(T + 400 * MS, (0.04, 0, 0.151, *LEVEL))], ranges=[0.147], given_t_ns=T + 400 * MS
+    )
+    assert before == pytest.approx(0.15 - 0.1 * 0.0399)
+    assert o["error_m"] == pytest.approx(0.1 - (before + 0.001), abs=1e-12), "and the tool rose by 1 mm"
     assert o["delta_h_m"] == o["slope"] * o["speed_mps"] * 1e-3
     assert o["demand"][2] == o["delta_h_m"] + o["error_m"]
 
@@ -84,15 +104,17 @@ def test_after_a_loss_the_way_between_is_interpolated_linearly_in_position_and_h
     assert outs[500]["slope"] == pytest.approx(0.1, rel=0.02)
 
 
+def relayed_after(kernel, range_m, t_ns, z=0.3):
+    """The demand of the cycle after a reading: the paper's counts from the reading before."""
+    pose = (0, 0, z, *LEVEL)
+    kernel.step(t_ns, [(t_ns, pose)], ranges=[range_m], given_t_ns=t_ns)
+    return float(kernel.step(t_ns + MS, [(t_ns + MS, pose)], ranges=[math.nan])["demand"][2])
+
+
 def test_hysteresis_keeps_the_relayed_demand_until_it_changes_by_more_than_permitted_variance():
     k = paper(permitted_variance_m=0.001)
     readings = (0.12, 0.1209, 0.1211, 0.1202, 0.1200, 0.1221)
-    relayed = []
-    for n, r in enumerate(readings):
-        t_ns = T + n * MS
-        relayed.append(
-            float(k.step(t_ns, [(t_ns, (0, 0, 0.3, *LEVEL))], ranges=[r], given_t_ns=t_ns)["demand"][2])
-        )
+    relayed = [relayed_after(k, r, T + 2 * n * MS) for n, r in enumerate(readings)]
     first, second = 0.1 - 0.12, 0.1 - 0.1211
     assert relayed == [first, first, second, second, 0.1 - 0.1200, 0.1 - 0.1221]
 
@@ -100,9 +122,32 @@ def test_hysteresis_keeps_the_relayed_demand_until_it_changes_by_more_than_permi
 def test_a_change_of_exactly_permitted_variance_is_not_relayed():
     k = paper(permitted_variance_m=0.25, max_demand_m=1.0, range_max_m=2.0, offset_m=0.5)
     for n, (r, wanted) in enumerate([(0.5, 0.0), (0.75, 0.0), (0.7500001, 0.5 - 0.7500001)]):
+        assert relayed_after(k, r, T + 2 * n * MS, z=0.9) == wanted
+
+
+def test_while_nothing_new_is_relayed_the_tools_own_motion_counts_against_the_demand():
+    k = paper(permitted_variance_m=0.001)
+    assert relayed_after(k, 0.12, T) == pytest.approx(-0.02)
+    # 15 mm of the 20 are done: what remains is demanded, not the 20 mm again
+    assert relayed_after(k, 0.1055, T + 2 * MS, z=0.285) == pytest.approx(-0.005)
+
+
+@pytest.mark.parametrize("permitted_mm", [0.0, 0.1, 1.0, 3.0])
+def test_a_still_tool_that_heeds_the_demands_comes_to_rest_within_permitted_variance(permitted_mm):
+    k = paper(permitted_variance_m=1e-3 * permitted_mm)
+    axis, target = np.array([0.109, 0.0]), 0.109
+    heights = []
+    for n in range(3000):
         t_ns = T + n * MS
-        o = k.step(t_ns, [(t_ns, (0, 0, 0.9, *LEVEL))], ranges=[r], given_t_ns=t_ns)
-        assert o["demand"][2] == wanted
+        axis_step(axis, target, 0.04, 0.2, 2.0, 1e-3)
+        poses = [(t_ns, (0.0, 0.0, axis[0], *LEVEL))] if n % 10 == 0 else []
+        o = k.step(t_ns, poses, ranges=[axis[0]], given_t_ns=t_ns)
+        if poses:
+            target = axis[0] + float(o["demand"][2])
+        heights.append(axis[0] - 0.1)
+    rest = np.array(heights[2000:])
+    assert np.ptp(rest) < 1e-6, f"it moves by {np.ptp(rest) * 1e3:.3f} mm"
+    assert abs(rest[-1]) <= 1e-3 * permitted_mm + 1e-6
 
 
 def test_ee_averaging_delays_a_step_of_the_tool_by_about_half_its_window():
@@ -167,3 +212,15 @@ def test_the_range_forecast_carries_the_two_range_slope_on():
     o = ramp(k, slope=0.1, speed=0.1, cycles=400)[-1]
     got = forecast_range(k.params, k.state, 0.5)
     assert got == o["range_m"][0] - o["slope"] * o["speed_mps"] * 0.5
+
+
+def test_in_a_turn_back_the_slope_is_never_steeper_than_the_ground():
+    k = paper()
+    slopes = []
+    for n in range(1200):
+        t_ns, x = T + n * MS, 1e-4 * (n if n < 600 else 1200 - n)
+        o = k.step(t_ns, [(t_ns, (x, 0.0, 0.15, *LEVEL))], ranges=[0.15 - 0.1 * x], given_t_ns=t_ns)
+        slopes.append(float(o["slope"]))
+    assert max(map(abs, slopes)) <= 0.1 * (1 + PARTIAL)
+    assert slopes[590] == pytest.approx(0.1, rel=2 * PARTIAL)
+    assert slopes[-1] == pytest.approx(-0.1, rel=2 * PARTIAL)

@@ -9,11 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from forecast.driving import MS, Kernel, default_params, names_of
+from forecast.driving import MS, Kernel, names_of
+from forecast.driving import default_params as conversion_params
 from surffollow.forecast.safety import PROBE_M, limit
 
 T = 10_000 * MS
 LEVEL = (0.0, 0.0, 0.0, 1.0)
+
+
+def default_params(**changes):
+    """Parameters for ready-made ranges, one to a reading."""
+    return conversion_params(**({"sensor_readings": 1} | changes))
 
 
 def pose(z, x=0.0):

@@ -105,7 +105,7 @@ def test_a_reading_that_just_came_is_told_whatever_its_age():
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 0.0, -0.1, 0.0508, 0.1524, 1e308])
 def test_given_ranges_outside_the_window_are_no_readings(value):
-    k = Kernel(default_params())
+    k = Kernel(default_params(sensor_readings=1))
     pose = [(T, (0, 0, 0.2, 0, 0, 0, 1))]
     o = k.step(T, poses=pose, ranges=[value], given_t_ns=T)
     assert int(o["fresh"]) == 0
@@ -116,7 +116,7 @@ def test_given_ranges_outside_the_window_are_no_readings(value):
 
 
 def test_a_channel_that_is_given_no_range_any_more_has_no_reading():
-    k = Kernel(default_params(n_channels=3))
+    k = Kernel(default_params(n_channels=3, sensor_readings=1))
     k.step(T, poses=[(T, (0, 0, 0.2, 0, 0, 0, 1))], ranges=[0.1, 0.11, 0.12], given_t_ns=T)
     o = k.step(T + MS, ranges=[0.1], given_t_ns=T + MS)
     assert int(o["fresh"]) == 1

@@ -111,7 +111,6 @@ def test_a_dead_holders_grant_is_not_taken_for_the_next_clients(service: Service
                 victim.kill()
                 victim.wait()
                 with service.attach() as heir, heir.exclusive():
-                    assert heir.slot == before["access_slot"]
                     assert watcher.status()["map"]["grants"] > before["grants"], "a grant of its own"
 
 

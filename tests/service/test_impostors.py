@@ -223,9 +223,8 @@ def test_a_service_whose_map_was_removed_by_hand_keeps_its_name(make_service: Ma
     unlink(f"{s.name}.map")
     with pytest.raises(AlreadyRunningError, match=f"pid {s.pid}"):
         house.open_house(s.settings())
-    assert objects_of(s.name) == {s.name + part for part in ("", ".sock", ".lock")}, (
-        "and the attempt leaves nothing behind"
-    )
+    # and the attempt leaves nothing behind
+    assert objects_of(s.name) == {s.name + part for part in ("", ".sock", ".lock")}
     s.attach().close()
     assert s.run("stop", "--purge").returncode == 0, "it is still the one to stop"
     assert objects_of(s.name) == set()

@@ -158,6 +158,8 @@ def render(s: dict[str, Any]) -> str:
         f"{map_.get('lost', 0)} lost",
         f"granted  {', '.join(granted) or 'nothing'}",
     ]
+    for c in reversed(s["clients"]):
+        lines.insert(7, f"         slot {c['slot']}: {c['name']}, pid {c['pid']}, user {c['uid']}")
     lines[5:5] = follower_lines(s["follower"])
     if s["faults"]:
         lines.append("faults   " + ", ".join(f"{f['number']} {f['name']}" for f in s["faults"]))

@@ -17,7 +17,7 @@ from surffollow.config.names import check_service_name
 from surffollow.config.owner import trusted_owners
 from surffollow.errors import BlockError, NotReadyError, NotRunningError
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
-from surffollow.shm.layout_board import STATE_READY, MapStatus, Stats, Ticker
+from surffollow.shm.layout_board import CLIENTS, STATE_READY, ClientInfo, MapStatus, Stats, Ticker
 from surffollow.shm.layout_follow import VALID, Output, Params
 
 _HEAD = Output.struct_of("t_ns", "epoch")
@@ -236,8 +236,19 @@ class Observer(MapReading):
             "follower": beliefs(output, int(params.get("mode", 0))),
             "faults": numbered_faults(int(output["faults"]) if output else 0, int(ticker.get("faults", 0))),
             "main": ticker,
+            "clients": self.clients(),
             "map": map_status,
         }
+
+    def clients(self) -> list[dict[str, Any]]:
+        """Who holds slots, as the kernel told the service: slot, pid, uid, since_ns, and their own name."""
+        found = []
+        for slot in range(CLIENTS):
+            info = self.board.latch("clients", ClientInfo, slot).read()
+            if info and info["pid"]:
+                told = {k: info[k] for k in ("pid", "uid", "since_ns", "name")}
+                found.append({"slot": slot, **told})
+        return found
 
     def _follow(self) -> bool:
         """Follow a silent service to its new start; False: it ended, and there is no other."""

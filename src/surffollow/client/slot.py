@@ -82,7 +82,15 @@ class SlotHolder(Observer):
             # the service was replaced between our looks at its board and at its socket
             time.sleep(CLAIM_PAUSE_S)
             self.reattach()
-        return self.ensure_slot()
+        try:
+            self.ensure_slot()
+        except NotReadyError:
+            if not self.board.has_ended():
+                raise
+            raise NotRunningError(
+                f"service {self.name!r} ended and left its board; start it again (surffollow start --name "
+                f"{self.name}), or only look: observe()"
+            ) from None
 
     def _claim_slot(self) -> None:
         grant = request_slot(self.board, self._label, EXCHANGE_S)

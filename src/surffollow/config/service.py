@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from surffollow.config.names import check_service_name
-from surffollow.config.params import check_param, param_name
+from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.errors import ConfigError
 from surffollow.units import parse_quantity
 
@@ -17,6 +17,9 @@ if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
+
+
+_PAPER_MODE = PARAMS["mode"].choices.index("paper")
 
 
 class Realtime(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -36,7 +39,7 @@ class MapConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     grids: int = 1_000_000
     finest_grid: str | float = "0.1 in"
     quantum: str | float = "0.001 in"
-    rounding: str = "unbiased"
+    rounding: str = "mode"
     gate: str | float = 0.0
     queue_seconds: float = 60.0
     access_lease: str | float = "30 s"
@@ -128,8 +131,10 @@ def _check(c: ServiceConfig) -> None:
         raise ConfigError("configuration key log_words must be a power of two between 65536 and 2^30 words")
     if not 1 <= c.map.grids <= 1_000_000_000:
         raise ConfigError("configuration key map.grids must be between 1 and 1000000000 grids")
-    if c.map.rounding not in ("unbiased", "paper"):
-        raise ConfigError(f"configuration key map.rounding is {c.map.rounding!r}; use 'unbiased' or 'paper'")
+    if c.map.rounding not in ("mode", "unbiased", "paper"):
+        raise ConfigError(
+            f"configuration key map.rounding is {c.map.rounding!r}; use 'mode', 'unbiased' or 'paper'"
+        )
     metres(c.map.finest_grid, "map.finest_grid", 1e-6, 1e4)
     metres(c.map.quantum, "map.quantum", 1e-9, 10.0)
     metres(c.map.gate, "map.gate", 0.0, 1e4)
@@ -162,6 +167,13 @@ def mode(text: str, key: str) -> int:
 def follow_params(c: ServiceConfig) -> dict[str, float]:
     """The parameters set by the configuration: full name → value in the parameter's unit."""
     return {param_name(n): check_param(n, v) for n, v in c.follow.items()}
+
+
+def map_rounding(c: ServiceConfig) -> str:
+    """The map's rounding: as configured, or by default that of the follower's mode at the start."""
+    if c.map.rounding != "mode":
+        return c.map.rounding
+    return "paper" if follow_params(c).get("mode") == _PAPER_MODE else "unbiased"
 
 
 def load_config(path: str | Path) -> ServiceConfig:

@@ -63,7 +63,8 @@ class Follower:
         parameters by name (`surffollow.config.params`), SI numbers or text with units; `mode` is
         "adaptive" (default) or "paper". `sensors`: list of tables with `position_m` (3), `orientation`
         (unit quaternion, 4), `near_m`, `far_m`; `plant`: table with `tau_s`, `v_max_mps`, `a_max_mps2`.
-        `memory` = false: do not use ground seen on earlier passes
+        `memory` = false: do not use ground seen on earlier passes. `sensor_readings` (default 1 here):
+        so many ranges of a channel are averaged into a reading
     offset_m : float, optional
         desired stand-off along the beam of channel 0 [m]; default that of the configuration
 
@@ -171,7 +172,8 @@ class Follower:
         Parameters
         ----------
         t_ns : int               when the ranges were read; without any, now
-        ranges_m : up to 8       distances per channel [m]; NaN or outside the window: no reading
+        ranges_m : up to 8       distances per channel [m]; NaN: no reading in this step; a number outside
+                                 the window: the sensor lost the surface
 
         Returns
         -------

@@ -26,7 +26,7 @@ TOO_CLOSE_BEYOND_M = 0.15 * 0.0254  # beyond the near limit of a sensor given by
 TOO_CLOSE_EXIT_M = 0.3 * 0.0254
 MOST_MOUNT_M = 1e3
 # what differs from the service's defaults: readings come ready-made and stamped with their own time
-IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "pose_interpolate": 1}
+IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "sensor_readings": 1}
 _MODES = {"default": "adaptive", "ours": "adaptive"}
 _PLANT = {"tau_s": "plant_tau_s", "v_max_mps": "plant_v_max_mps", "a_max_mps2": "plant_a_max_mps2"}
 

@@ -76,22 +76,33 @@ def add_point(paper: Any, x_m: Any, y_m: Any, h_m: Any, interval_size_m: Any) ->
 
 @jit_inlined
 def cut_ranges(paper: Any, range_size: Any) -> None:
-    """Re-cut the two newest ranges after an interval was opened; nothing until both are full."""
+    """Re-cut the two newest ranges after an interval was opened; nothing until both are full.
+
+    Notes
+    -----
+    The run between them is the mean distance along the path from an interval of the previous range to
+    its counterpart in the current one. A chord would vanish in a U-turn and make the slope grow without
+    limit; along the path a slope is never steeper than the ground between the intervals.
+    """
     paper.range_cut = range_size
     count = paper.interval_count
     if count < 2 * range_size:
         return
-    rest, prev, gap_x, gap_y = 0.0, 0.0, 0.0, 0.0
-    for i in range(count - 2 * range_size, count - range_size):
-        a, b = i & _MASK, (i + range_size) & _MASK
-        prev += paper.interval_h_m[a]
-        if i + range_size < count - 1:
-            rest += paper.interval_h_m[b]
-        gap_x += paper.interval_x_m[b] - paper.interval_x_m[a]
-        gap_y += paper.interval_y_m[b] - paper.interval_y_m[a]
+    first = count - 2 * range_size
+    rest, prev, run = 0.0, 0.0, 0.0
+    for k in range(2 * range_size - 1):
+        a, b = (first + k) & _MASK, (first + k + 1) & _MASK
+        if k < range_size:
+            prev += paper.interval_h_m[a]
+        else:
+            rest += paper.interval_h_m[a]
+        dx = paper.interval_x_m[b] - paper.interval_x_m[a]
+        dy = paper.interval_y_m[b] - paper.interval_y_m[a]
+        # this piece lies between so many pairs of counterparts
+        run += min(k + 1, 2 * range_size - 1 - k) * (dx * dx + dy * dy) ** 0.5
     paper.rest_h_m = rest
     paper.range_prev_h_m = prev / range_size
-    paper.range_gap_m = (gap_x * gap_x + gap_y * gap_y) ** 0.5 / range_size
+    paper.range_gap_m = run / range_size
 
 
 @jit_inlined

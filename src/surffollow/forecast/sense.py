@@ -15,70 +15,122 @@ from surffollow.shm.conversion import (
 from surffollow.shm.jit import jit_inlined
 from surffollow.shm.layout_follow import CHANNELS, CONVERSION_WINDOW
 
+# a reading this old no longer counts as present, whatever the cycle rate
+ABSENT_NS = 10_000_000
+SPACING_GROWTH = 8  # a few losses between lone readings do not make a slow sensor
+
 
 @jit_inlined
-def take_conversions(params: Any, sense: Any, inputs: Any) -> None:
-    """Add the cycle's conversions to their windows and average the newest `sensor_readings`.
+def lose_channel(sense: Any, c: Any) -> None:
+    """A loss of channel `c`: its window is emptied, and all that averages its readings begins anew."""
+    sense.window_n[c] = 0
+    sense.valid[c] = 0
+    sense.fresh[c] = 0
+    sense.losses[c] += 1
 
-    A conversion on or outside the valid range, or flagged by its driver, empties its
-    channel's window: a mean never spans a loss. The reading is stamped at the middle of
-    its conversions, less the sensor's latency.
 
-    Parameters
-    ----------
-    params, sense, inputs : records of `Params`, `SenseState` (updated), `Inputs`
+@jit_inlined
+def note_spacing(sense: Any, c: Any, t_ns: Any) -> None:
+    """Update the usual spacing with a step's newest sample: it shrinks at once and grows slowly."""
+    if sense.seen_t_ns[c] != 0:
+        gap_ns = t_ns - sense.seen_t_ns[c]
+        if sense.spacing_ns[c] == 0 or gap_ns < sense.spacing_ns[c]:
+            sense.spacing_ns[c] = max(gap_ns, 1)
+        else:
+            sense.spacing_ns[c] += (gap_ns - sense.spacing_ns[c]) // SPACING_GROWTH
+    sense.seen_t_ns[c] = t_ns
+
+
+@jit_inlined
+def push_sample(sense: Any, c: Any, t_ns: Any, range_m: Any) -> None:
+    """Append a valid sample to the channel's window, which a gap before it empties.
+
+    A gap is longer than `ABSENT_NS` and than twice the usual spacing of samples (a slow sensor has no
+    gaps), with a step in it that brought no sample (a slow cycle makes no gaps).
     """
-    n_channels = params.n_channels
-    for c in range(CHANNELS):
-        sense.fresh[c] = 0
-    for k in range(inputs.n_conversions):
-        word = inputs.conversion[k]
-        c = conversion_channel(word)
-        if c >= n_channels:
-            continue
-        range_m = params.zero_m[c] + params.scale_m[c] * conversion_counts(word)
-        bad = (conversion_flags(word) & FLAG_INVALID) != 0
-        if bad or not (params.range_min_m < range_m < params.range_max_m):
-            sense.window_n[c] = 0
-            sense.valid[c] = 0
-            sense.fresh[c] = 0
-            continue
-        n = sense.window_n[c]
-        slot = c * CONVERSION_WINDOW + (n & (CONVERSION_WINDOW - 1))
-        sense.window_m[slot] = range_m
-        sense.window_t_ns[slot] = inputs.t_ns + conversion_dt_ns(word)
-        sense.window_n[c] = n + 1
-        sense.fresh[c] = 1
+    if sense.missed[c] != 0:
+        sense.missed[c] = 0
+        gap_ns = t_ns - sense.seen_t_ns[c]
+        if sense.seen_t_ns[c] != 0 and gap_ns > ABSENT_NS and gap_ns > 2 * sense.spacing_ns[c]:
+            lose_channel(sense, c)
+    n = sense.window_n[c]
+    slot = c * CONVERSION_WINDOW + (n & (CONVERSION_WINDOW - 1))
+    sense.window_m[slot] = range_m
+    sense.window_t_ns[slot] = t_ns
+    sense.window_n[c] = n + 1
+    sense.fresh[c] = 1
+
+
+@jit_inlined
+def average_windows(params: Any, sense: Any) -> None:
+    """Make a reading of every channel with a sample in this step and `sensor_readings` of them in a row.
+
+    It is stamped at the middle of its samples, less the sensor's latency.
+    """
     readings = params.sensor_readings
-    for c in range(n_channels):
+    for c in range(params.n_channels):
+        if sense.fresh[c] == 0:
+            sense.missed[c] = 1
+            continue
         n = sense.window_n[c]
-        if sense.fresh[c] == 0 or n < readings:
+        base = c * CONVERSION_WINDOW
+        last_ns = sense.window_t_ns[base + ((n - 1) & (CONVERSION_WINDOW - 1))]
+        note_spacing(sense, c, last_ns)
+        if n < readings:
             sense.fresh[c] = 0
             continue
         total = 0.0
-        base = c * CONVERSION_WINDOW
         for i in range(n - readings, n):
             total += sense.window_m[base + (i & (CONVERSION_WINDOW - 1))]
         first_ns = sense.window_t_ns[base + ((n - readings) & (CONVERSION_WINDOW - 1))]
-        last_ns = sense.window_t_ns[base + ((n - 1) & (CONVERSION_WINDOW - 1))]
         sense.range_m[c] = total / readings
         sense.range_t_ns[c] = first_ns + (last_ns - first_ns) // 2 - params.sensor_latency_ns
         sense.valid[c] = 1
 
 
 @jit_inlined
+def take_conversions(params: Any, sense: Any, inputs: Any) -> None:
+    """Add the cycle's conversions to their windows and average the newest `sensor_readings`.
+
+    A conversion on or outside the valid range, or flagged by its driver, is a loss of its channel:
+    a mean never spans one.
+
+    Parameters
+    ----------
+    params, sense, inputs : records of `Params`, `SenseState` (updated), `Inputs`
+    """
+    for c in range(CHANNELS):
+        sense.fresh[c] = 0
+    for k in range(inputs.n_conversions):
+        word = inputs.conversion[k]
+        c = conversion_channel(word)
+        if c >= params.n_channels:
+            continue
+        range_m = params.zero_m[c] + params.scale_m[c] * conversion_counts(word)
+        bad = (conversion_flags(word) & FLAG_INVALID) != 0
+        if bad or not (params.range_min_m < range_m < params.range_max_m):
+            lose_channel(sense, c)
+        else:
+            push_sample(sense, c, inputs.t_ns + conversion_dt_ns(word), range_m)
+    average_windows(params, sense)
+
+
+@jit_inlined
 def take_ranges(params: Any, sense: Any, inputs: Any) -> None:
-    """Take distances that come ready-made (a CSV, an embedder); NaN, or none given, is no reading."""
+    """Take distances that come ready-made (a CSV, an embedder), averaged like conversions.
+
+    NaN, or none given, is no reading in this step; a number on or outside the valid range is a loss.
+    """
     for c in range(CHANNELS):
         sense.fresh[c] = 0
         sense.valid[c] = 0
     for c in range(min(inputs.n_ranges, params.n_channels)):
         range_m = inputs.given_m[c]
         if params.range_min_m < range_m < params.range_max_m:
-            sense.range_m[c] = range_m
-            sense.range_t_ns[c] = inputs.given_t_ns - params.sensor_latency_ns
-            sense.fresh[c] = 1
-            sense.valid[c] = 1
+            push_sample(sense, c, inputs.given_t_ns, range_m)
+        elif range_m == range_m:
+            lose_channel(sense, c)
+    average_windows(params, sense)
 
 
 @jit_inlined

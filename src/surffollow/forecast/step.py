@@ -7,10 +7,15 @@ from typing import Any
 
 from surffollow.forecast.adaptive import adaptive_demand, forget_surface, report_adaptive
 from surffollow.forecast.adaptive_latency import assume_latency
-from surffollow.forecast.paper import average_point, paper_forecast, paper_update, relay
+from surffollow.forecast.paper import (
+    average_point,
+    paper_forecast,
+    paper_update,
+    relay,
+)
 from surffollow.forecast.pose import footprint, pose_at
 from surffollow.forecast.safety import PROBE_M, limit, watch_fold_back
-from surffollow.forecast.sense import take_conversions, take_poses, take_ranges
+from surffollow.forecast.sense import ABSENT_NS, take_conversions, take_poses, take_ranges
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import (
     CHANNELS,
@@ -32,9 +37,6 @@ from surffollow.shm.layout_follow import (
 # `forceinline` on what runs per channel or conversion: numba hands an array over as seven words and a
 # counted reference, which costs more than the arithmetic (tools/bench_cycle.py)
 
-# a reading this old no longer counts as present, whatever the cycle rate
-ABSENT_NS = 10_000_000
-
 
 @jit
 def sf_reset(params: Any, state: Any, offset_m: Any) -> None:
@@ -47,6 +49,7 @@ def sf_reset(params: Any, state: Any, offset_m: Any) -> None:
     params[0].offset_m = offset_m
     for c in range(CHANNELS):
         p.point_count[c] = 0
+    p.speed_pose = 0
     p.interval_count = 0
     p.rest_h_m = 0.0
     p.range_prev_h_m = 0.0
@@ -54,32 +57,39 @@ def sf_reset(params: Any, state: Any, offset_m: Any) -> None:
     p.slope = 0.0
     p.speed_mps = 0.0
     p.speed_t_ns = 0
-    p.speed_pose = 0
     p.reading_t_ns = 0
     p.reading_m = 0.0
     p.reading_z_m = 0.0
+    p.relayed = 0
     p.relayed_m = 0.0
+    p.relayed_z_m = 0.0
     forget_surface(state[0].adaptive)
 
 
 @jit_inlined
 def find_targets(params: Any, state: Any, output: Any, pose: Any, interpolate: Any) -> Any:
-    """Footprints of all fresh readings into `output.target_m`; the sensor height of channel 0 [m].
+    """Target points of all fresh readings into `output.target_m`; the sensor height of channel 0 [m].
 
     `pose` (7,) is scratch, `interpolate` as in `pose_at`. The mean over `ee_readings` points replaces
-    each footprint (§3.2.1).
+    each footprint (§3.2.1), see `average_point`.
     """
+    sense = state.sense
     fresh, sensor_z = 0, 0.0
+    oldest_ns = sense.pose_t_ns[max(0, sense.pose_count - POSES) & (POSES - 1)]
+    newest_ns = sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
     for c in range(params.n_channels):
-        if state.sense.fresh[c] == 0:
+        if sense.fresh[c] == 0:
             continue
-        pose_at(state.sense, state.sense.range_t_ns[c], interpolate, pose)
-        x, y, z, height = footprint(pose, params.tool_from_sensor, c, state.sense.range_m[c])
+        pose_at(sense, sense.range_t_ns[c], interpolate, pose)
+        pose_t_ns = newest_ns
+        if interpolate != 0:
+            pose_t_ns = min(max(sense.range_t_ns[c], oldest_ns), newest_ns)
+        x, y, z, height = footprint(pose, params.tool_from_sensor, c, sense.range_m[c])
         if c == 0:
             sensor_z = height
         target = output.target_m[3 * c : 3 * c + 3]
         target[0], target[1], target[2] = x, y, z
-        average_point(state.paper, c, params.ee_readings, target)
+        average_point(params, state.paper, sense, c, pose_t_ns, target)
         fresh |= 1 << c
     output.fresh = fresh
     return sensor_z
@@ -107,18 +117,22 @@ def clear_output(params: Any, state: Any, inputs: Any, output: Any) -> None:
 
 
 @jit_inlined
-def demand_z(params: Any, state: Any, inputs: Any, output: Any, sensor_z_m: Any, pose: Any) -> Any:
-    """The paper's vertical demand with limits, hysteresis and fold-back; returns status bits."""
+def demand_z(params: Any, state: Any, inputs: Any, output: Any, reading_z_m: Any, pose: Any) -> Any:
+    """The paper's vertical demand with limits, hysteresis and fold-back; returns status bits.
+
+    `reading_z_m` is the sensor's height [m] in the pose of a fresh reading, `pose` (7,) scratch.
+    """
     p = state.paper
     fresh = output.fresh & 1
+    range_m = state.sense.range_m[0]
+    sensor_z_m = reading_z_m
     if fresh != 0:
-        target = output.target_m
-        paper_update(params, p, state.sense, target[0], target[1], target[2])
-        watch_fold_back(p, state.sense.range_m[0], sensor_z_m, params.too_close_m, params.too_close_exit_m)
-    else:
+        paper_update(params, p, state.sense)
+        watch_fold_back(p, range_m, reading_z_m, params.too_close_m, params.too_close_exit_m)
+    if fresh == 0 or params.pose_interpolate != 0:
         pose_at(state.sense, inputs.t_ns, 0, pose)
         _, _, _, sensor_z_m = footprint(pose, params.tool_from_sensor, 0, 0.0)
-    delta_h, error = paper_forecast(params, p, inputs.t_ns, fresh, state.sense.range_m[0], sensor_z_m)
+    delta_h, error = paper_forecast(params, p, inputs.t_ns, fresh, range_m, reading_z_m, sensor_z_m)
     output.delta_h_m, output.error_m = delta_h, error
     status = VALID
     if fresh == 0 and (state.sense.valid[0] == 0 or inputs.t_ns - p.reading_t_ns > ABSENT_NS):
@@ -127,8 +141,8 @@ def demand_z(params: Any, state: Any, inputs: Any, output: Any, sensor_z_m: Any,
     cut = limit(wanted, params.max_demand_m)
     if cut != wanted:
         status |= LIMITED
-    # once more: hysteresis keeps what was relayed before max_demand was lowered
-    dz = limit(relay(p, cut, params.permitted_variance_m), params.max_demand_m)
+    # once more: hysteresis keeps what was relayed, up to Permitted_Variance beyond the limit
+    dz = limit(relay(p, cut, sensor_z_m, params.permitted_variance_m), params.max_demand_m)
     lost = p.reading_t_ns == 0 or inputs.t_ns - p.reading_t_ns > params.loss_timeout_ns
     if lost:
         status = (status & ~(VALID | LIMITED)) | SENSOR_LOST
@@ -176,6 +190,8 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
         # a pose from a future as far away says as little about now as an old one
         if abs(i.t_ns - o.pose_t_ns) > p.pose_timeout_ns:
             o.status = POSE_STALE
+            for c in range(CHANNELS):
+                s.sense.losses[c] += 1  # readings without a pose are as good as lost
         elif p.mode == MODE_ADAPTIVE:
             find_targets(p, s, o, scratch, 1)
             o.status = adaptive_demand(p, s, i, o, scratch)

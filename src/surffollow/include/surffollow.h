@@ -79,7 +79,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 /* ---- layout: generated ------------------------------------------------------------ */
 
 #define SF_LAYOUT_VERSION 2u
-#define SF_LAYOUT_HASH UINT64_C(7641254991741082320)
+#define SF_LAYOUT_HASH UINT64_C(6513188785957265923)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_SLOT_MAGIC UINT64_C(3554549926447961427)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
@@ -356,7 +356,7 @@ typedef struct sf_params {
   int64_t mode; /* 0: paper, 1: adaptive (default follower) */
   int64_t run; /* 0: normal, 1: DRYRUN, 2: FREEZE */
   double offset_m; /* [m] desired stand-off along the beam of channel 0 */
-  int64_t sensor_readings; /* conversions averaged into a reading (paper: 7) */
+  int64_t sensor_readings; /* conversions averaged into a reading (paper: 7; in process: 1) */
   int64_t ee_readings; /* target points in the rolling mean */
   double interval_size_m; /* [m] radius of an interval */
   int64_t range_size; /* intervals in a range */
@@ -364,7 +364,7 @@ typedef struct sf_params {
   double max_demand_m; /* [m] limit of the vertical demand */
   int64_t pose_timeout_ns; /* [ns] older poses give a zero demand */
   int64_t loss_timeout_ns; /* [ns] longest extrapolation without a valid reading */
-  int64_t pose_interpolate; /* 1: pose at the sample's own time; 0: the latest (paper) */
+  int64_t pose_interpolate; /* paper mode: 1: pose at the sample's own time; 0: the latest (paper) */
   double too_close_m; /* [m] nearer readings count as near the fold-back */
   double too_close_exit_m; /* [m] farther readings on the true branch end TOO_CLOSE */
   double range_min_m; /* [m] nearest valid reading */
@@ -471,7 +471,7 @@ typedef struct sf_output {
   double range_m[8]; /* [m] smoothed distances; NaN: none, or older than loss_timeout_ns */
   int64_t range_t_ns[8]; /* [ns] */
   int64_t fresh; /* bit per channel: a new valid reading in this cycle */
-  double target_m[24]; /* [m] footprints in the world (fresh ones) */
+  double target_m[24]; /* [m] target points in the world, as mapped (fresh ones) */
   double height_m; /* [m] surface height of the current interval */
   double slope; /* [1] along the path */
   double speed_mps; /* [m/s] lateral speed of the footprint */
@@ -593,7 +593,7 @@ typedef struct sf_stats {
   int64_t poses_refused; /* not finite, not unit, not newer, from the future or too old */
   int64_t requests;
   int64_t requests_refused;
-  int64_t torn; /* inbox reads given up */
+  int64_t torn; /* reads of a slot given up */
   int64_t lateness_max_ns; /* [ns] */
   int64_t execution_max_ns; /* [ns] */
   int64_t lateness[512]; /* [ns] wake-up after the deadline */
@@ -1529,6 +1529,31 @@ static inline int64_t sf_i_random_claim(void) {
   return SF_CAST(int64_t, (r >> 2) | 1u);
 }
 
+/* Whether the process that was started then still has memory: one that dies gives that up first. */
+static inline int sf_i_is_running(int64_t pid, int64_t start_ticks) {
+  char path[40], text[1024];
+  snprintf(path, sizeof path, "/proc/%" PRId64 "/stat", pid);
+  const int fd = open(path, O_RDONLY | O_CLOEXEC);
+  if (fd < 0) return 0;
+  const ssize_t got = read(fd, text, sizeof text - 1);
+  close(fd);
+  if (got <= 0) return 0;
+  text[got] = '\0';
+  const char *p = strrchr(text, ')'); /* a program's name may hold anything */
+  for (int field = 0; p != NULL && field < 20; field++) p = strchr(p + 1, ' ');
+  char *end;
+  if (p == NULL || strtoll(p, &end, 10) != start_ticks) return 0; /* field 22 */
+  return strtoull(end, NULL, 10) > 0;
+}
+
+/* Whether the service, which fell silent, ended; one that stands still keeps our connection, and is a process. */
+static inline int sf_i_has_ended(const sf_client *c) {
+  const sf_board_header *h = SF_VIEW(const sf_board_header *, c->board.memory);
+  if (!sf_i_is_current(c, "", &c->board)) return 1;
+  if (c->slot_memory != NULL) return !sf_i_slot_is_open(c);
+  return !sf_i_is_running(h->pid, h->start_ticks);
+}
+
 static inline void sf_i_read_pose_timeout(sf_client *c) {
   int64_t value;
   const size_t at = offsetof(sf_params, pose_timeout_ns);
@@ -1591,6 +1616,7 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
     err = sf_i_is_current(c, "", &c->board) ? SF_OK : sf_i_open_board(c, c->options.ready_wait_ns);
   }
   if (err != SF_OK) {
+    if (err == SF_ERR_NOT_READY && c->board.memory != NULL && sf_i_has_ended(c)) err = SF_ERR_NOT_RUNNING;
     sf_detach(c);
     return err;
   }
@@ -1636,31 +1662,6 @@ static inline int sf_reattach(sf_client *c) {
   const int err = sf_i_reattach_board(c);
   if (err != SF_OK || c->options.observe || c->slot_memory != NULL) return err;
   return sf_i_claim_slot(c);
-}
-
-/* Whether the process that was started then still has memory: one that dies gives that up first. */
-static inline int sf_i_is_running(int64_t pid, int64_t start_ticks) {
-  char path[40], text[1024];
-  snprintf(path, sizeof path, "/proc/%" PRId64 "/stat", pid);
-  const int fd = open(path, O_RDONLY | O_CLOEXEC);
-  if (fd < 0) return 0;
-  const ssize_t got = read(fd, text, sizeof text - 1);
-  close(fd);
-  if (got <= 0) return 0;
-  text[got] = '\0';
-  const char *p = strrchr(text, ')'); /* a program's name may hold anything */
-  for (int field = 0; p != NULL && field < 20; field++) p = strchr(p + 1, ' ');
-  char *end;
-  if (p == NULL || strtoll(p, &end, 10) != start_ticks) return 0; /* field 22 */
-  return strtoull(end, NULL, 10) > 0;
-}
-
-/* Whether the service, which fell silent, ended; one that stands still keeps our connection, and is a process. */
-static inline int sf_i_has_ended(const sf_client *c) {
-  const sf_board_header *h = SF_VIEW(const sf_board_header *, c->board.memory);
-  if (!sf_i_is_current(c, "", &c->board)) return 1;
-  if (c->slot_memory != NULL) return !sf_i_slot_is_open(c);
-  return !sf_i_is_running(h->pid, h->start_ticks);
 }
 
 /* Look for a newer service and for an end of this one, at most every 20 ms. */

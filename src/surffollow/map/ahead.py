@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.map.lookup import count_of, generation_of, geometry_of, grid_side, has_heights, quanta_of
 from surffollow.map.words import unowned
 from surffollow.shm import map_layout as ml
 from surffollow.shm.atomics import fence_acquire
@@ -29,8 +30,7 @@ LEAST_NEAR = 0.4  # share of known grids in a mean that stands for a place in an
 MOST_SAMPLES = 8  # a grid seen more often weighs no more beside its neighbours
 FASTEST_GRIDS = 1e9  # of a coordinate, in grids from the map's corner: beyond, no whole number is exact
 _MASK = SIDE - 1
-_U1 = np.uint64(1)
-_UNKNOWN, _READY = ml.UNKNOWN, ml.READY
+_UNKNOWN = ml.UNKNOWN
 
 
 class KeptGrid(Schema):
@@ -53,7 +53,7 @@ def new_kept() -> NDArray[Any]:
 def kept_grid(pairs: Any, nx: Any, ny: Any, generation: Any, kept: Any, now_ns: Any, ix: Any, iy: Any) -> Any:
     """Height [quanta] and weight of grid (ix, iy) from the table, or from the map if it is new there.
 
-    UNKNOWN and 0.0 beside the map.
+    `pairs` is the address of the map's pairs. UNKNOWN and 0.0 beside the map.
     """
     if ix < 0 or ix >= nx or iy < 0 or iy >= ny:
         return _UNKNOWN, 0.0
@@ -61,10 +61,8 @@ def kept_grid(pairs: Any, nx: Any, ny: Any, generation: Any, kept: Any, now_ns: 
     grid = iy * nx + ix
     known = k.grid == grid + 1 and k.generation == generation
     if not (known and 0 <= now_ns - k.looked_ns <= NOW_NS and now_ns - k.since_ns <= PASS_NS):
-        i = np.uint64(grid)
-        pair = pairs[i >> _U1]
-        k.quanta = np.int64(pair.h[i & _U1])
-        k.weight = float(min(max(np.int64(pair.c[i & _U1]), 1), MOST_SAMPLES))
+        k.quanta = quanta_of(pairs, grid)
+        k.weight = float(min(max(count_of(pairs, grid), 1), MOST_SAMPLES))
         k.grid, k.generation, k.since_ns = grid + 1, generation, now_ns
     k.looked_ns = now_ns
     return k.quanta, k.weight
@@ -100,10 +98,9 @@ def mean_of(tx: Any, ty: Any, q: Any, weights: Any) -> Any:
 @jit
 def grid_width(header: Any) -> Any:
     """Side of the map's grids [m]; 0.0 while there is no map, or another is being laid."""
-    w = header[0]
-    if w.generation & 1 != 0 or w.state != _READY or w.datum_set == 0:
+    if generation_of(header) & 1 != 0 or not has_heights(header):
         return 0.0
-    return w.grid_m
+    return grid_side(header)
 
 
 @jit
@@ -140,21 +137,17 @@ def heights_along(
     -----
     Bounded by n, no waiting, no allocation.
     """
-    w = header[0]
-    generation = w.generation
-    fence_acquire()
+    generation = generation_of(header)
     known = 0
-    nx, ny, per_grid, datum, quantum = w.nx, w.ny, w.inv_grid_per_m, w.datum_m, w.quantum_m
-    usable = generation & 1 == 0 and w.state == _READY and w.datum_set != 0
-    # the first sample stores the datum, then that it is set, then its height
-    fence_acquire()
+    usable = generation & 1 == 0 and has_heights(header)
+    nx, ny, x0_m, y0_m, per_grid, datum, quantum = geometry_of(header)
     if not usable or nx < 1 or ny < 1 or nx * ny > 2 * pairs.shape[0]:
         return 0
-    fx, fy = (x_m - w.x0_m) * per_grid, (y_m - w.y0_m) * per_grid
+    fx, fy = (x_m - x0_m) * per_grid, (y_m - y0_m) * per_grid
     dx, dy = step_x_m * per_grid, step_y_m * per_grid
     if not (abs(fx) + n * abs(dx) < FASTEST_GRIDS and abs(fy) + n * abs(dy) < FASTEST_GRIDS):
         return 0
-    pairs, kept = unowned(pairs), unowned(kept)
+    grids, kept = pairs.ctypes.data, unowned(kept)
     last_x = last_y = np.int64(-2)
     q = (_UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN)
     weights = (0.0, 0.0, 0.0, 0.0)
@@ -164,10 +157,10 @@ def heights_along(
         if 0.0 <= gx < nx and 0.0 <= gy < ny:
             ix, iy = np.int64(gx + 0.5) - 1, np.int64(gy + 0.5) - 1
             if ix != last_x or iy != last_y:
-                q0, w0 = kept_grid(pairs, nx, ny, generation, kept, now_ns, ix, iy)
-                q1, w1 = kept_grid(pairs, nx, ny, generation, kept, now_ns, ix + 1, iy)
-                q2, w2 = kept_grid(pairs, nx, ny, generation, kept, now_ns, ix, iy + 1)
-                q3, w3 = kept_grid(pairs, nx, ny, generation, kept, now_ns, ix + 1, iy + 1)
+                q0, w0 = kept_grid(grids, nx, ny, generation, kept, now_ns, ix, iy)
+                q1, w1 = kept_grid(grids, nx, ny, generation, kept, now_ns, ix + 1, iy)
+                q2, w2 = kept_grid(grids, nx, ny, generation, kept, now_ns, ix, iy + 1)
+                q3, w3 = kept_grid(grids, nx, ny, generation, kept, now_ns, ix + 1, iy + 1)
                 q, weights = (q0, q1, q2, q3), (w0, w1, w2, w3)
                 last_x, last_y = ix, iy
             height = datum + quantum * mean_of(gx - 0.5 - ix, gy - 0.5 - iy, q, weights)
@@ -175,7 +168,7 @@ def heights_along(
                 known += 1
         heights_m[k] = height
     fence_acquire()
-    return known if w.generation == generation else 0
+    return known if generation_of(header) == generation else 0
 
 
 @jit

@@ -12,13 +12,65 @@ from typing import Any
 
 import numpy as np
 
+from surffollow.shm import atomics as at
 from surffollow.shm import map_layout as ml
-from surffollow.shm.atomics import fence_acquire
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_pasted
 
-_U1 = np.uint64(1)
 _UNKNOWN = ml.UNKNOWN
 _READY = ml.READY
+_PAIR_BYTES, _COUNTS = ml.PAIR_BYTES, ml.GridPair.offset("c")
+_at = ml.MapHeader.offset
+_GENERATION, _STATE, _DATUM_SET = _at("generation"), _at("state"), _at("datum_set")
+_NX, _NY, _GRID = _at("nx"), _at("ny"), _at("grid_m")
+_X0, _Y0, _PER_M = _at("x0_m"), _at("y0_m"), _at("inv_grid_per_m")
+_DATUM, _QUANTUM = _at("datum_m"), _at("quantum_m")
+
+
+@jit_pasted
+def generation_of(header: Any) -> Any:
+    """The map's generation, loaded before all that is loaded after it."""
+    return at.load_acquire_i64(header.ctypes.data + _GENERATION)
+
+
+@jit_pasted
+def has_heights(header: Any) -> Any:
+    """Whether there is a map with a datum; what the first sample stored before that is loaded after it."""
+    # the first sample stores the datum, then that it is set, then its height
+    w = header.ctypes.data
+    return at.load_relaxed_i64(w + _STATE) == _READY and at.load_acquire_i64(w + _DATUM_SET) != 0
+
+
+@jit_pasted
+def grid_side(header: Any) -> Any:
+    """Side of a grid [m]."""
+    return at.load_relaxed_f64(header.ctypes.data + _GRID)
+
+
+@jit_pasted
+def geometry_of(header: Any) -> Any:
+    """Columns, rows, outer corner x, y [m], grids per metre, datum [m] and quantum [m]."""
+    w = header.ctypes.data
+    return (
+        at.load_relaxed_i64(w + _NX),
+        at.load_relaxed_i64(w + _NY),
+        at.load_relaxed_f64(w + _X0),
+        at.load_relaxed_f64(w + _Y0),
+        at.load_relaxed_f64(w + _PER_M),
+        at.load_relaxed_f64(w + _DATUM),
+        at.load_relaxed_f64(w + _QUANTUM),
+    )
+
+
+@jit_pasted
+def quanta_of(pairs: Any, grid: Any) -> Any:
+    """Height of a grid in quanta, from the address of the pairs."""
+    return at.load_relaxed_i16(pairs + (grid >> 1) * _PAIR_BYTES + 2 * (grid & 1))
+
+
+@jit_pasted
+def count_of(pairs: Any, grid: Any) -> Any:
+    """Samples in a grid's mean, from the address of the pairs."""
+    return at.load_relaxed_u8(pairs + (grid >> 1) * _PAIR_BYTES + _COUNTS + (grid & 1))
 
 
 @jit
@@ -26,15 +78,14 @@ def height_quanta(pairs: Any, nx: Any, ny: Any, ix: Any, iy: Any) -> Any:
     """Height of grid (ix, iy) in quanta; UNKNOWN beside the map."""
     if ix < 0 or ix >= nx or iy < 0 or iy >= ny:
         return _UNKNOWN
-    i = np.uint64(iy * nx + ix)
-    return np.int64(pairs[i >> _U1].h[i & _U1])
+    return quanta_of(pairs.ctypes.data, iy * nx + ix)
 
 
 @jit
 def _stable(header: Any, generation: Any) -> Any:
     """No operation began since `generation` was read: the grids read belong to the geometry read."""
-    fence_acquire()
-    return header[0].generation == generation and generation & 1 == 0
+    at.fence_acquire()
+    return generation_of(header) == generation and generation & 1 == 0
 
 
 @jit
@@ -51,20 +102,15 @@ def height_at(header: Any, pairs: Any, x_m: Any, y_m: Any) -> Any:
     -------
     (height_m, known)  float64, bool; (NaN, False) where unknown, outside, or overtaken by a change
     """
-    w = header[0]
-    generation = w.generation
-    fence_acquire()
+    generation = generation_of(header)
     height = np.nan
-    if w.state == _READY and w.datum_set != 0:
-        # the first sample stores the datum, then that it is set, then its height
-        fence_acquire()
-        fx = (x_m - w.x0_m) * w.inv_grid_per_m
-        fy = (y_m - w.y0_m) * w.inv_grid_per_m
-        nx, ny = w.nx, w.ny
+    if has_heights(header):
+        nx, ny, x0_m, y0_m, per_m, datum, quantum = geometry_of(header)
+        fx, fy = (x_m - x0_m) * per_m, (y_m - y0_m) * per_m
         if 0.0 <= fx < nx and 0.0 <= fy < ny and nx * ny <= 2 * pairs.shape[0]:
             q = height_quanta(pairs, nx, ny, np.int64(fx), np.int64(fy))
             if q != _UNKNOWN:
-                height = w.datum_m + q * w.quantum_m
+                height = datum + q * quantum
     if not _stable(header, generation):
         height = np.nan
     return height, not np.isnan(height)
@@ -89,17 +135,12 @@ def surface_at(header: Any, pairs: Any, x_m: Any, y_m: Any) -> Any:
     Unknown corners leave the bilinear mean and the rest is renormalised, as in MapRefocus; the
     grid that holds the point must itself be known.
     """
-    w = header[0]
-    generation = w.generation
-    fence_acquire()
+    generation = generation_of(header)
     height = slope_x = slope_y = np.nan
-    if w.state == _READY and w.datum_set != 0:
-        # the first sample stores the datum, then that it is set, then its height
-        fence_acquire()
-        fx = (x_m - w.x0_m) * w.inv_grid_per_m
-        fy = (y_m - w.y0_m) * w.inv_grid_per_m
-        nx, ny, datum, quantum = w.nx, w.ny, w.datum_m, w.quantum_m
-        slope_unit = quantum * w.inv_grid_per_m
+    if has_heights(header):
+        nx, ny, x0_m, y0_m, per_m, datum, quantum = geometry_of(header)
+        fx, fy = (x_m - x0_m) * per_m, (y_m - y0_m) * per_m
+        slope_unit = quantum * per_m
         if 0.0 <= fx < nx and 0.0 <= fy < ny and nx * ny <= 2 * pairs.shape[0]:
             ix, iy = np.int64(fx), np.int64(fy)
             own = height_quanta(pairs, nx, ny, ix, iy)

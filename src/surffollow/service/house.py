@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from surffollow.config.names import check_service_name
-from surffollow.config.service import ServiceConfig, metres, mode, seconds
+from surffollow.config.service import ServiceConfig, map_rounding, metres, mode, seconds
 from surffollow.errors import (
     AlreadyRunningError,
     BlockError,
@@ -128,7 +128,7 @@ def _make_map(config: ServiceConfig, group: int) -> SharedObject:
             capacity_grids=grids,
             finest_grid_m=metres(config.map.finest_grid, "map.finest_grid", 1e-6, 1e4),
             quantum_m=metres(config.map.quantum, "map.quantum", 1e-9, 10.0),
-            rounding=config.map.rounding,
+            rounding=map_rounding(config),
             gate_m=metres(config.map.gate, "map.gate", 0.0, 1e4),
         )
         header[0]["owner_pid"] = os.getpid()
@@ -181,7 +181,7 @@ def _check_kept_map(config: ServiceConfig, map_: SharedObject, group: int) -> No
             f"{config.map.grids} (map.grids); use that number, or {purge}"
         )
     # these only matter from the next sample or reset on
-    w["rounding"] = ml.ROUNDING_NAMES.index(config.map.rounding)
+    w["rounding"] = ml.ROUNDING_NAMES.index(map_rounding(config))
     w["gate_m"] = metres(config.map.gate, "map.gate", 0.0, 1e4)
     w["finest_grid_m"] = metres(config.map.finest_grid, "map.finest_grid", 1e-6, 1e4)
     w["owner_pid"] = os.getpid()

@@ -45,9 +45,23 @@ def _make_store(ordering: str, value_type: Any, floating: bool = False) -> Any:
     return intrinsic(store)
 
 
+def _make_narrow_load(bits: int, signed: bool) -> Any:
+    def load(typingctx: Any, address: Any) -> Any:
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            pointer = builder.inttoptr(args[0], ir.IntType(bits).as_pointer())
+            value = builder.load_atomic(pointer, "monotonic", bits // 8)
+            return builder.sext(value, _I64) if signed else builder.zext(value, _I64)
+
+        return types.int64(types.int64), codegen
+
+    return intrinsic(load)
+
+
 load_acquire_i64 = _make_load("acquire", types.int64)
 load_relaxed_i64 = _make_load("monotonic", types.int64)
 load_relaxed_f64 = _make_load("monotonic", types.float64, floating=True)
+load_relaxed_i16 = _make_narrow_load(16, signed=True)  # heights of the map
+load_relaxed_u8 = _make_narrow_load(8, signed=False)  # and their counts
 store_release_i64 = _make_store("release", types.int64)
 store_relaxed_i64 = _make_store("monotonic", types.int64)
 store_relaxed_f64 = _make_store("monotonic", types.float64, floating=True)

@@ -155,7 +155,7 @@ class Stats(Schema):
     poses_refused = I64(doc="not finite, not unit, not newer, from the future or too old")
     requests = I64()
     requests_refused = I64()
-    torn = I64(doc="inbox reads given up")
+    torn = I64(doc="reads of a slot given up")
     lateness_max_ns = I64(unit="ns")
     execution_max_ns = I64(unit="ns")
     lateness = I64(HISTOGRAM_BINS, unit="ns", doc="wake-up after the deadline")

@@ -14,6 +14,31 @@ static inline int64_t sf_i_random_claim(void) {
   return SF_CAST(int64_t, (r >> 2) | 1u);
 }
 
+/* Whether the process that was started then still has memory: one that dies gives that up first. */
+static inline int sf_i_is_running(int64_t pid, int64_t start_ticks) {
+  char path[40], text[1024];
+  snprintf(path, sizeof path, "/proc/%" PRId64 "/stat", pid);
+  const int fd = open(path, O_RDONLY | O_CLOEXEC);
+  if (fd < 0) return 0;
+  const ssize_t got = read(fd, text, sizeof text - 1);
+  close(fd);
+  if (got <= 0) return 0;
+  text[got] = '\0';
+  const char *p = strrchr(text, ')'); /* a program's name may hold anything */
+  for (int field = 0; p != NULL && field < 20; field++) p = strchr(p + 1, ' ');
+  char *end;
+  if (p == NULL || strtoll(p, &end, 10) != start_ticks) return 0; /* field 22 */
+  return strtoull(end, NULL, 10) > 0;
+}
+
+/* Whether the service, which fell silent, ended; one that stands still keeps our connection, and is a process. */
+static inline int sf_i_has_ended(const sf_client *c) {
+  const sf_board_header *h = SF_VIEW(const sf_board_header *, c->board.memory);
+  if (!sf_i_is_current(c, "", &c->board)) return 1;
+  if (c->slot_memory != NULL) return !sf_i_slot_is_open(c);
+  return !sf_i_is_running(h->pid, h->start_ticks);
+}
+
 static inline void sf_i_read_pose_timeout(sf_client *c) {
   int64_t value;
   const size_t at = offsetof(sf_params, pose_timeout_ns);
@@ -76,6 +101,7 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
     err = sf_i_is_current(c, "", &c->board) ? SF_OK : sf_i_open_board(c, c->options.ready_wait_ns);
   }
   if (err != SF_OK) {
+    if (err == SF_ERR_NOT_READY && c->board.memory != NULL && sf_i_has_ended(c)) err = SF_ERR_NOT_RUNNING;
     sf_detach(c);
     return err;
   }
@@ -121,31 +147,6 @@ static inline int sf_reattach(sf_client *c) {
   const int err = sf_i_reattach_board(c);
   if (err != SF_OK || c->options.observe || c->slot_memory != NULL) return err;
   return sf_i_claim_slot(c);
-}
-
-/* Whether the process that was started then still has memory: one that dies gives that up first. */
-static inline int sf_i_is_running(int64_t pid, int64_t start_ticks) {
-  char path[40], text[1024];
-  snprintf(path, sizeof path, "/proc/%" PRId64 "/stat", pid);
-  const int fd = open(path, O_RDONLY | O_CLOEXEC);
-  if (fd < 0) return 0;
-  const ssize_t got = read(fd, text, sizeof text - 1);
-  close(fd);
-  if (got <= 0) return 0;
-  text[got] = '\0';
-  const char *p = strrchr(text, ')'); /* a program's name may hold anything */
-  for (int field = 0; p != NULL && field < 20; field++) p = strchr(p + 1, ' ');
-  char *end;
-  if (p == NULL || strtoll(p, &end, 10) != start_ticks) return 0; /* field 22 */
-  return strtoull(end, NULL, 10) > 0;
-}
-
-/* Whether the service, which fell silent, ended; one that stands still keeps our connection, and is a process. */
-static inline int sf_i_has_ended(const sf_client *c) {
-  const sf_board_header *h = SF_VIEW(const sf_board_header *, c->board.memory);
-  if (!sf_i_is_current(c, "", &c->board)) return 1;
-  if (c->slot_memory != NULL) return !sf_i_slot_is_open(c);
-  return !sf_i_is_running(h->pid, h->start_ticks);
 }
 
 /* Look for a newer service and for an end of this one, at most every 20 ms. */

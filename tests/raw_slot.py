@@ -1,0 +1,31 @@
+"""The exchange that gives a client its slot, step by step, with the descriptor that a client closes."""
+
+from __future__ import annotations
+
+import mmap
+import socket
+
+from surffollow.client.board import LAYOUT_HASH, Board
+from surffollow.shm import layout_board as lb
+from surffollow.shm.unix_socket import new_socket, socket_path
+
+MESSAGE = lb.SlotMessage.struct_of("magic", "name")
+
+
+def raw_slot(name: str) -> tuple[socket.socket, int, mmap.mmap, int]:
+    """Connection, descriptor, mapping and number of a slot of the service `name`, as an attacker gets it."""
+    sock = new_socket()
+    sock.connect(str(socket_path(name)))
+    board = Board(name)
+    epoch = board.epoch
+    board.close()
+    fields = [lb.SLOT_MAGIC, LAYOUT_HASH, lb.SLOT_ASK, epoch, 0, 0, 0, 0, b"attacker"]
+    sock.send(MESSAGE.pack(*fields))
+    data, fds, _, _ = socket.recv_fds(sock, MESSAGE.size, 1)
+    _, _, step, _, result, _, slot, claim, _ = MESSAGE.unpack(data)
+    assert step == lb.SLOT_OFFER, lb.SLOT_TEXT[result]
+    memory = mmap.mmap(fds[0], lb.SLOT_BYTES)
+    fields[2], fields[6], fields[7] = lb.SLOT_MAPPED, slot, claim
+    sock.send(MESSAGE.pack(*fields))
+    assert MESSAGE.unpack(sock.recv(MESSAGE.size))[2] == lb.SLOT_GRANT
+    return sock, fds[0], memory, slot

@@ -1,0 +1,268 @@
+"""What another user puts under a service's names in /dev/shm is refused, at once and in words."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import socket
+import stat
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from running_service import POSE, Service, objects_of, until
+from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
+from surffollow.blocks.listing import list_blocks
+from surffollow.cli.service import purge_leftovers, running_pid
+from surffollow.client import STALE, attach, observe
+from surffollow.config.owner import trusted_owners
+from surffollow.errors import ConfigError, FaultError, NoPermissionError, NotRunningError
+from surffollow.record.service_log import ServiceLog
+from surffollow.service import house
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, stride
+from surffollow.shm.layout_follow import VALID, Output
+
+Make = Callable[..., Service]
+ODD = ("fifo", "directory", "link", "socket", "device")
+AT_ONCE_S = 20.0  # on a busy machine; what hangs hangs for ever
+FLOCK = struct.Struct("hhxxxxqqixxxx")
+
+
+def put(path: Path, kind: str) -> None:
+    """Make something that is no plain file."""
+    if kind == "fifo":
+        os.mkfifo(path, 0o666)
+    elif kind == "directory":
+        path.mkdir()
+    elif kind == "link":
+        path.symlink_to("/dev/zero")
+    elif kind == "socket":
+        sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        sock.bind(str(path))
+        sock.close()
+    else:
+        os.mknod(path, 0o666 | stat.S_IFCHR, os.makedev(1, 5))
+
+
+def remove(path: Path) -> None:
+    """Remove whatever it is."""
+    if path.is_dir() and not path.is_symlink():
+        path.rmdir()
+    else:
+        path.unlink(missing_ok=True)
+
+
+def at_once(action: Callable[[], Any]) -> str:
+    """What an action says, which must not wait for anybody."""
+    told: list[str] = []
+    thread = threading.Thread(target=lambda: told.append(outcome(action)), daemon=True)
+    thread.start()
+    thread.join(AT_ONCE_S)
+    assert told, "it hangs"
+    return told[0]
+
+
+@pytest.fixture
+def odd_name(make_service: Make) -> Iterator[Service]:
+    """A service that was never started, and its names."""
+    s = make_service()
+    try:
+        yield s
+    finally:
+        for name in objects_of(s.name):
+            remove(Path(f"/dev/shm/{name}"))
+
+
+@pytest.mark.parametrize("kind", ODD)
+@pytest.mark.parametrize("part", ["", ".map", ".lock", ".sock"])
+def test_what_is_no_plain_file_is_an_error_with_a_remedy_for_everybody(
+    odd_name: Service, part: str, kind: str
+) -> None:
+    if kind == "device" and os.geteuid() != 0:
+        pytest.skip("only root can make a device")
+    if part == ".sock" and kind == "socket":
+        pytest.skip("that is what a killed service leaves")
+    name, path = odd_name.name, Path(f"/dev/shm/{odd_name.name}{part}")
+    put(path, kind)
+    if part == "":
+        for door in (attach, observe, ServiceLog):
+            told = at_once(lambda door=door: door(name))
+            assert told.startswith("BlockError"), told
+            assert str(path) in told
+            assert "remove it" in told
+    told = at_once(lambda: house.open_house(odd_name.settings()))
+    assert told.split(":")[0] in ("BlockError", "NoPermissionError"), told
+    assert str(path) in told
+    told = at_once(lambda: purge_leftovers(name))
+    assert told == "done" or str(path) in told
+    assert at_once(lambda: running_pid(name)) == "done"
+    assert at_once(list_blocks) == "done"
+    assert objects_of(name) <= {path.name}, "nothing else is left"
+
+
+@needs_root
+@pytest.mark.parametrize("kind", ["fifo", "directory", "link"])
+def test_a_client_that_runs_bears_what_takes_the_place_of_its_service(make_service: Make, kind: str) -> None:
+    s = make_service().start()
+    path = Path(f"/dev/shm/{s.name}")
+    with s.attach(stale_min_s=0.05) as client, s.observe(stale_min_s=0.05) as watcher:
+        client.ee_pos(POSE)
+        assert s.terminate() == 0
+        assert as_other_user(lambda _: outcome(lambda: put(path, kind))) == "done"
+        try:
+            for one in (client, watcher):
+                until(lambda one=one: one.dev_vector().status & STALE, "silence")
+                for _ in range(20):
+                    one._next_attach_ns = 0
+                    assert at_once(one.dev_vector) == "done"
+                    assert not one.dev_vector().valid
+            assert at_once(lambda: client.ee_pos(POSE)).startswith("NotRunningError")
+        finally:
+            remove(path)
+
+
+def forged_board(content: bytes, offset: int) -> bytes:
+    """A service's board with a fresh and valid demand that drives the tool half a metre down."""
+    import time
+
+    output = zeros(Output)
+    o = output[0]
+    o["t_ns"], o["status"], o["epoch"] = time.monotonic_ns() + 3_600_000_000_000, VALID, 1
+    o["demand"] = (0.0, 0.0, -0.5, 0.0, 0.0, 0.0)
+    data, step = bytearray(content), stride(Output.SIZE)
+    for k in range(SLOTS):
+        at = offset + HEAD_BYTES + k * step
+        data[at : at + Output.SIZE] = output.tobytes()
+    return bytes(data)
+
+
+@needs_root
+def test_an_impostor_after_a_clean_stop_moves_nobody(make_service: Make) -> None:
+    s = make_service().start()
+    path = Path(f"/dev/shm/{s.name}")
+    log = ServiceLog(s.name)
+    with s.attach(stale_min_s=0.05) as client, s.observe(stale_min_s=0.05) as watcher:
+        client.ee_pos(POSE)
+        forged = forged_board(path.read_bytes(), client.board.regions["output"][0])
+        assert s.terminate() == 0
+
+        def impersonate(child: OtherUser) -> str:
+            path.write_bytes(forged)
+            path.chmod(0o666)
+            child.say("there")
+            return str(child.hear())
+
+        with OtherUser(impersonate) as impostor:
+            assert impostor.hear() == "there"
+            for one in (client, watcher):
+                until(lambda one=one: one.dev_vector().status & STALE, "silence")
+            for _ in range(30):
+                for one in (client, watcher):
+                    one._next_attach_ns = 0
+                    demand = one.dev_vector()
+                    assert not demand.valid
+                    assert list(demand) == [0.0] * 6
+                    assert not one.reattach()
+                assert not log.reattach()
+            for action in (lambda: client.ee_pos(POSE), lambda: client.sf_reset(0.1), watcher.params):
+                with pytest.raises(NotRunningError, match=f"belongs to user {NOBODY}, expected user 0"):
+                    action()
+            for door in (attach, observe, ServiceLog):
+                with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0"):
+                    door(s.name)
+            # who says that he believes that user does
+            with observe(s.name, owner=NOBODY) as fooled:
+                assert fooled.dev_vector()[2] == -0.5
+        path.unlink()
+        s.start()
+        until(client.alive, "its own service is followed again")
+        until(lambda: client.ee_pos(POSE) is None)
+    log.close()
+
+
+@needs_root
+def test_the_configured_user_is_believed_and_nobody_else(
+    make_service: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    s = make_service(access='board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"').start()
+    assert as_other_user(lambda _: outcome(lambda: attach(s.name, stale_min_s=1.0).close())) == "done"
+    for door in (attach, observe):
+        with pytest.raises(NoPermissionError, match="belongs to user 0, expected user 1234"):
+            door(s.name, owner=1234)
+    with observe(s.name, owner="root", stale_min_s=1.0) as watcher:
+        assert watcher.alive()
+    monkeypatch.setenv("SURFFOLLOW_OWNER", "1234")
+    assert trusted_owners() == {0, 1234}
+    monkeypatch.setenv("SURFFOLLOW_OWNER", "no-such-user")
+    with pytest.raises(ConfigError, match="no user 'no-such-user'"):
+        observe(s.name)
+
+
+@needs_root
+def test_a_squatted_lock_file_is_an_error_that_names_its_user(make_service: Make) -> None:
+    s = make_service()
+    path = Path(f"/dev/shm/{s.name}.lock")
+    assert as_other_user(lambda _: outcome(lambda: path.write_bytes(b""))) == "done"
+    try:
+        with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0.*remove it"):
+            house.open_house(s.settings())
+        assert objects_of(s.name) == {path.name}
+    finally:
+        path.unlink()
+    path.write_bytes(b"")
+    path.chmod(0o644)
+    with pytest.raises(FaultError, match="mode 644, expected 600"):
+        house.open_house(s.settings())
+    path.unlink()
+    house.open_house(s.settings()).leave()
+
+
+def lock_everything(path: Path) -> int:
+    """Hold a read lock on every byte that a file could have."""
+    fd = os.open(path, os.O_RDONLY)
+    fcntl.fcntl(fd, fcntl.F_OFD_SETLK, FLOCK.pack(fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0))
+    return fd
+
+
+@needs_root
+def test_a_reader_that_locks_every_byte_keeps_no_service_from_its_name(
+    make_service: Make, tmp_path: Path
+) -> None:
+    s = make_service(access='board_mode = "0644"\nmap_mode = "0644"').start()
+
+    def locking(child: OtherUser) -> str:
+        told = [outcome(lambda: os.open(f"/dev/shm/{s.name}.lock", os.O_RDONLY))]
+        held = [lock_everything(Path(f"/dev/shm/{s.name}{part}")) for part in ("", ".map")]
+        child.say(told + [str(len(held))])
+        child.hear()
+        return "over"
+
+    with OtherUser(locking) as reader, s.attach(stale_min_s=0.05) as client:
+        told = reader.hear()
+        assert told[0].startswith("PermissionError")
+        assert told[1] == "2"
+        s.kill()
+        until(lambda: not client.alive(), "silence")
+        client._next_attach_ns = 0
+        with pytest.raises(NotRunningError, match="ended"):  # and does not only stand still
+            client.params()
+        with observe(s.name) as watcher:
+            until(lambda: not watcher.alive(), "silence")
+            assert watcher.board.has_ended()
+        s.start()
+        until(client.alive, "the new service")
+        s.kill()
+        assert s.run("stop", "--purge").returncode == 0
+        assert objects_of(s.name) == set()
+
+
+def test_epochs_differ_between_starts_also_after_a_purge() -> None:
+    epochs = [house.new_epoch(0) for _ in range(50)]
+    assert len(set(epochs)) == 50
+    assert all(0 < e < 1 << 53 for e in epochs)
+    assert house.new_epoch(1 << 52) == (1 << 52) + 1, "it grows while the map is kept"

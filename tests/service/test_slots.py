@@ -1,0 +1,300 @@
+"""Slots behind the socket: nobody cuts them, keeps them, takes more than his share, or speaks for another."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import mmap
+import os
+import signal
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from raw_slot import MESSAGE, raw_slot
+from running_service import POSE, READY_S, Service, config_text, program, said, take_pose, until
+from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
+from surffollow.client import attach
+from surffollow.client.board import LAYOUT_HASH, Board
+from surffollow.client.slot_request import request_slot
+from surffollow.errors import BusyError, NoPermissionError, NotReadyError
+from surffollow.shm import layout_board as lb
+from surffollow.shm import sealed
+from surffollow.shm.unix_socket import listen, new_socket, socket_path
+
+OPEN_TO_ALL = 'board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"\nslots_per_user = 3\n'
+LIMITS = OPEN_TO_ALL + "slots_per_process = 2\n"
+PUNCH_AND_KEEP_SIZE = 3
+
+
+@pytest.fixture(scope="module")
+def open_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A service that any user may command."""
+    s = Service(tmp_path_factory.mktemp("open"), config_text(access=LIMITS))
+    try:
+        yield s.start()
+    finally:
+        s.purge()
+
+
+def attacks_on_memory(name: str) -> dict[str, str]:
+    """What the kernel says to each way of taking pages out of a slot."""
+    sock, fd, memory, _ = raw_slot(name)
+    libc = ctypes.CDLL(None, use_errno=True)
+
+    def punch() -> None:
+        if libc.fallocate(fd, PUNCH_AND_KEEP_SIZE, ctypes.c_long(0), ctypes.c_long(lb.SLOT_BYTES)) != 0:
+            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+
+    def reopened() -> None:
+        again = os.open(f"/proc/self/fd/{fd}", os.O_RDWR)
+        mmap.mmap(again, lb.SLOT_BYTES)
+
+    memory[:] = b"\xff" * lb.SLOT_BYTES
+    try:
+        return {
+            "cut": outcome(lambda: os.ftruncate(fd, 0)),
+            "grow": outcome(lambda: os.ftruncate(fd, 1 << 20)),
+            "punch": outcome(punch),
+            "remove": outcome(lambda: memory.madvise(mmap.MADV_REMOVE)),
+            "write": outcome(lambda: os.pwrite(fd, b"x", 0)),
+            "map again": outcome(lambda: mmap.mmap(fd, lb.SLOT_BYTES)),
+            "open again": outcome(reopened),
+        }
+    finally:
+        sock.close()
+
+
+@needs_root
+def test_no_client_can_cut_grow_or_punch_its_slot(open_service: Service) -> None:
+    with open_service.attach() as watcher:
+        before = watcher.status()
+        told = as_other_user(lambda _: attacks_on_memory(open_service.name))
+        assert set(told.values()) == {told["cut"]}, told
+        assert told["cut"].startswith("PermissionError"), told
+        open_service.cycles(50)
+        after = watcher.status()
+        assert after["alive"]
+        assert after["main"]["faults"] == before["main"]["faults"]
+        watcher.sf_reset(0.1)
+
+
+def test_what_a_client_that_let_go_has_mapped_is_nobodys(open_service: Service) -> None:
+    sock, _, memory, slot = raw_slot(open_service.name)
+    with open_service.observe() as watcher:
+        until(lambda: any(c["slot"] == slot for c in watcher.clients()), "the slot is told of")
+        sock.close()
+        until(lambda: not any(c["slot"] == slot for c in watcher.clients()), "the slot is free")
+        open_service.cycles(10)  # it is renewed
+        heirs = []
+        try:
+            while not heirs or heirs[-1].slot != slot:
+                heirs.append(open_service.attach())
+            heir = heirs[-1]
+            heir.ee_pos(POSE)
+            before = watcher.status()
+            memory[: lb.SLOT_STREAM] = os.urandom(lb.SLOT_STREAM)
+            open_service.cycles(50)
+            after = watcher.status()
+            for counter in ("requests", "requests_refused", "poses_refused", "torn"):
+                assert after[counter] == before[counter], counter
+            assert heir._in[: lb.SlotHead.SIZE] == bytes(lb.SlotHead.SIZE)
+        finally:
+            for one in heirs:
+                one.close()
+
+
+@needs_root
+def test_one_user_and_one_process_hold_no_more_slots_than_allowed(open_service: Service) -> None:
+    name = open_service.name
+
+    def crowd_of_one_process(child: OtherUser) -> list[str]:
+        held = [attach(name, stale_min_s=1.0) for _ in range(2)]
+        told = outcome(lambda: attach(name, stale_min_s=1.0))
+        child.say([told, len(held)])
+        child.hear()
+        return []
+
+    with OtherUser(crowd_of_one_process) as first, OtherUser(crowd_of_one_process) as second:
+        told, held = first.hear()
+        assert held == 2
+        assert told.startswith("BusyError"), told
+        assert "this process" in told
+        assert "limit 2" in told
+        assert "this user" in second.hear()["failed"], "three for the user, two of which are taken"
+        with open_service.observe() as watcher:
+            assert {c["uid"] for c in watcher.clients()} == {NOBODY}
+            assert len(watcher.clients()) in (2, 3)
+        others = [open_service.attach() for _ in range(12)]  # root is exempt
+        for one in others:
+            one.close()
+
+
+@needs_root
+def test_pid_and_user_in_the_status_are_the_kernels_word(open_service: Service) -> None:
+    def held(child: OtherUser) -> None:
+        sock, _, memory, slot = raw_slot(open_service.name)
+        memory[:] = b"\x01" * len(memory)
+        child.say(slot)
+        child.hear()
+        sock.close()
+
+    with OtherUser(held) as other, open_service.observe() as watcher:
+        slot = other.hear()
+        (told,) = [c for c in watcher.clients() if c["slot"] == slot]
+        assert (told["pid"], told["uid"], told["name"]) == (other.pid, NOBODY, "attacker")
+
+
+def test_a_child_that_keeps_every_descriptor_does_not_keep_its_dead_parents_slot(
+    open_service: Service,
+) -> None:
+    code = """
+import os, sys, time
+from surffollow.client import attach
+client = attach(sys.argv[1], stale_min_s=1.0)
+client.ee_pos((0.05, 0.05, 0.1, 0.0, 0.0, 0.0, 1.0))
+kept = os.dup(client._grant._sock.fileno())  # which no hook knows of
+child = os.fork()
+if child == 0:
+    time.sleep(60)
+print("forked", child, flush=True)
+time.sleep(60)
+"""
+    with program(code, open_service.name) as parent, open_service.attach() as client:
+        child = int(said(parent).split()[1])
+        try:
+            parent.kill()
+            parent.wait()
+            os.kill(child, 0)
+            take_pose(client)
+        finally:
+            os.kill(child, signal.SIGKILL)
+        client.release_pose()
+
+
+@pytest.mark.parametrize("what", ["nothing", "garbage", "half", "the second step first", "twice the first"])
+def test_who_does_not_keep_to_the_exchange_is_let_go_and_holds_nobody_up(
+    open_service: Service, what: str
+) -> None:
+    with open_service.observe() as watcher:
+        epoch = watcher.epoch
+        fields = [lb.SLOT_MAGIC, LAYOUT_HASH, lb.SLOT_ASK, epoch, 0, 0, 0, 0, b""]
+        ask = MESSAGE.pack(*fields)
+        fields[2] = lb.SLOT_MAPPED
+        sent = {
+            "nothing": [],
+            "garbage": [os.urandom(MESSAGE.size)],
+            "half": [ask[:40]],
+            "the second step first": [MESSAGE.pack(*fields)],
+            "twice the first": [ask, ask],
+        }[what]
+        for _ in range(6):
+            sock = new_socket()
+            sock.settimeout(READY_S)
+            sock.connect(str(socket_path(open_service.name)))
+            with contextlib.suppress(ConnectionError):
+                for message in sent:
+                    sock.send(message)
+            with open_service.attach() as client:
+                client.sf_reset(0.1)
+            with contextlib.suppress(ConnectionError):
+                while sock.recv(4096):  # refused, then closed
+                    pass
+            sock.close()
+        until(lambda: not watcher.clients(), "no slot is kept")
+
+
+def test_a_client_that_is_killed_in_the_exchange_takes_no_slot_along(open_service: Service) -> None:
+    for _ in range(lb.CLIENTS + 2):
+        sock = new_socket()
+        sock.connect(str(socket_path(open_service.name)))
+        with open_service.observe() as watcher:
+            fields = (lb.SLOT_MAGIC, LAYOUT_HASH, lb.SLOT_ASK, watcher.epoch, 0, 0, 0, 0, b"")
+        sock.send(MESSAGE.pack(*fields))
+        _, fds, _, _ = socket.recv_fds(sock, MESSAGE.size, 1)
+        sock.close()
+        for fd in fds:
+            os.close(fd)
+    with open_service.attach() as client:
+        client.sf_reset(0.1)
+
+
+@needs_root
+def test_a_socket_of_another_user_is_refused_with_both_users(open_service: Service) -> None:
+    path = socket_path(open_service.name)
+    aside = Path(f"{path}.aside")
+
+    def listening(child: OtherUser) -> None:
+        sock = listen(path, 0o666, -1, 8)
+        child.say("listens")
+        child.hear()
+        sock.close()
+
+    path.rename(aside)
+    try:
+        with OtherUser(listening) as impostor:
+            assert impostor.hear() == "listens"
+            with pytest.raises(NoPermissionError, match=f"runs as user {NOBODY}.*expected user 0"):
+                open_service.attach()
+    finally:
+        path.unlink(missing_ok=True)
+        aside.rename(path)
+    open_service.attach().close()
+
+
+def test_a_service_that_stands_still_hands_out_no_slot_and_says_so(
+    open_service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board = Board(open_service.name)
+    open_service.freeze()
+    try:
+        began = time.monotonic()
+        with pytest.raises(NotReadyError, match=r"did not hand out a slot within 0\.2 s"):
+            request_slot(board, b"", 0.2)
+        assert time.monotonic() - began < READY_S
+    finally:
+        open_service.send(signal.SIGCONT)
+        board.close()
+    open_service.attach().close()
+
+
+def test_a_client_whose_slot_the_service_took_back_gets_another(open_service: Service) -> None:
+    with open_service.attach() as client:
+        client.ee_pos(POSE)
+        client._grant._sock.shutdown(socket.SHUT_RDWR)  # as if the connection had broken
+        before = client.status()["poses"]
+
+        def again() -> bool:
+            client.ee_pos(POSE)
+            return bool(client.status()["poses"] > before + 3)
+
+        until(again, "poses through another slot")
+
+
+def test_sealed_memory_keeps_its_size_and_its_pages() -> None:
+    fd = sealed.make_sealed("test", lb.SLOT_BYTES)
+    assert sealed.has_sealed_size(fd, lb.SLOT_BYTES)
+    assert not sealed.has_sealed_size(fd, lb.SLOT_BYTES + 1)
+    memory = mmap.mmap(fd, lb.SLOT_BYTES)
+    assert sealed.seal_for_good(fd)
+    with pytest.raises(PermissionError) as caught:
+        memory.madvise(mmap.MADV_REMOVE)
+    assert caught.value.errno == errno.EPERM
+    memory[0] = 1
+    with open(os.devnull, "rb") as other:
+        assert not sealed.has_sealed_size(other.fileno(), 0)
+    os.close(fd)
+
+
+def test_a_full_house_is_an_error_with_a_remedy(open_service: Service) -> None:
+    held = [open_service.attach() for _ in range(lb.CLIENTS)]
+    try:
+        with pytest.raises(BusyError, match="end a client"):
+            open_service.attach()
+    finally:
+        for one in held:
+            one.close()
