@@ -1,15 +1,18 @@
 // A robot controller in C++17: attachment as a value, a thin wrapper over surffollow.h, the same loop as
 // examples/c/controller.c with a map of the way made at its end.
 //
+//     surffollow start &
 //     c++ -std=c++17 -O2 $(surffollow header --cflags) -o controller controller.cpp
-//     ./controller surf 10 map.txt
+//     ./controller surf 20 map.txt
 #include "surffollow.h"
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <csignal>
 #include <cstdlib>
 #include <deque>
+#include <fstream>
 #include <iostream>
 #include <optional>
 #include <stdexcept>
@@ -54,12 +57,12 @@ class Robot {
     return d;
   }
   std::optional<double> distance(int channel = 0) noexcept {
-    double range_m;
+    double range_m = 0.0;
     if (sf_raw_distance(&client_, channel, &range_m) != SF_OK) return std::nullopt;
     return range_m;
   }
   std::optional<double> map_height(double x_m, double y_m) noexcept {
-    double height_m;
+    double height_m = 0.0;
     if (sf_map_height(&client_, x_m, y_m, &height_m) != SF_OK) return std::nullopt;
     return height_m;
   }
@@ -72,51 +75,86 @@ class Robot {
 };
 
 constexpr std::int64_t tick_ns = 10'000'000;
-constexpr double path_speed_mps = 0.05;
+constexpr double standoff_m = 0.1, path_speed_mps = 0.05;
 constexpr double path_accel_mps2 = 0.2; // at rest 0.25 s after the tick that missed the demand
+// a circle between the boxes of the default simulated ground
+constexpr double centre_x_m = 0.937, centre_y_m = 0.6, radius_m = 0.08;
+// the path begins when the demand was that small for so many ticks
+constexpr double settled_m = 0.5e-3;
+constexpr int settled_ticks = 30;
 
-int run(const std::string &name, double seconds, const std::string &map_path) {
+// The stand-in: an axis that moves at most 0.2 m/s.
+struct Arm {
+  double x_m = centre_x_m + radius_m, y_m = centre_y_m, z_m = standoff_m;
+  std::array<double, 7> read_pose() const { return {x_m, y_m, z_m, 0.0, 0.0, 0.0, 1.0}; }
+  void move_to(double path_m, double set_point_m) {
+    const double most = 0.2 * static_cast<double>(tick_ns) * 1e-9;
+    z_m += std::clamp(set_point_m - z_m, -most, most);
+    x_m = centre_x_m + radius_m * std::cos(path_m / radius_m);
+    y_m = centre_y_m + radius_m * std::sin(path_m / radius_m);
+  }
+};
+
+int run(const std::string &name, double seconds, const std::string &map_path, const std::string &trace_path) {
   Robot robot(name);
   robot.claim_pose(); // who sends the pose may set parameters
-  robot.reset(0.1);
+  robot.reset(standoff_m);
   robot.set("max_demand", 0.02);
-  robot.map_reset({-0.05, -0.05, 0.05 + path_speed_mps * seconds, 0.05});
+  robot.map_reset({centre_x_m - 0.1, centre_y_m - 0.1, centre_x_m + 0.1, centre_y_m + 0.1});
+  std::ofstream trace;
+  if (!trace_path.empty()) trace.open(trace_path);
+  trace << "t_s,x_m,y_m,z_m,range_m,demand_m\n";
 
   std::deque<std::pair<std::int64_t, double>> sent; // stamps and heights: demands refer to them
-  double x_m = 0.0, z_m = 0.1, set_point_m = 0.1, speed_mps = 0.0;
+  Arm arm;
+  double set_point_m = standoff_m, path_m = 0.0, speed_mps = 0.0, sum_sq_m2 = 0.0;
+  int settled = 0;
   bool following = false;
-  std::int64_t valid = 0, refused = 0;
+  std::int64_t valid = 0, refused = 0, readings = 0;
   const std::int64_t start = sf_now_ns();
   const auto ticks = static_cast<std::int64_t>(seconds * 1e9) / tick_ns;
   for (std::int64_t k = 0; k < ticks && stop == 0; ++k) {
     const std::int64_t now = sf_now_ns();
-    if (!robot.ee_pos({x_m, 0.0, z_m, 0.0, 0.0, 0.0, 1.0}, now)) ++refused;
-    sent.emplace_back(now, z_m);
+    const auto pose = arm.read_pose();
+    if (!robot.ee_pos(pose, now)) ++refused;
+    sent.emplace_back(now, pose[2]);
     if (sent.size() > 64) sent.pop_front();
     // without a valid demand (stale, in doubt, the stop is latched): hold the height and brake along the path, as
     // docs/protocol.md says under "Stop"
-    if (following) set_point_m = z_m;
+    if (following) set_point_m = pose[2];
     following = false;
-    if (const auto d = robot.demand()) {
+    const auto d = robot.demand();
+    if (d) {
       for (const auto &[t_ns, height_m] : sent)
         if (t_ns == d->pose_t_ns) {
           set_point_m = height_m + d->demand[2];
           following = true;
         }
       ++valid;
+      if (std::fabs(d->demand[2]) < settled_m) ++settled;
     }
-    const double most = 0.2 * static_cast<double>(tick_ns) * 1e-9; // the stand-in arm: 0.2 m/s
-    const double step = set_point_m - z_m;
-    z_m += step > most ? most : step < -most ? -most : step;
     const double tick_s = static_cast<double>(tick_ns) * 1e-9;
-    speed_mps = std::clamp(speed_mps + (following ? path_accel_mps2 : -path_accel_mps2) * tick_s, 0.0, path_speed_mps);
-    x_m += speed_mps * tick_s;
+    const double wanted = following && settled >= settled_ticks ? path_accel_mps2 : -path_accel_mps2;
+    speed_mps = std::clamp(speed_mps + wanted * tick_s, 0.0, path_speed_mps);
+    path_m += speed_mps * tick_s;
+    if (following && speed_mps > 0.0) {
+      const auto range_m = robot.distance();
+      if (range_m) {
+        sum_sq_m2 += (*range_m - standoff_m) * (*range_m - standoff_m);
+        ++readings;
+      }
+      trace << static_cast<double>(now - start) * 1e-9 << ',' << pose[0] << ',' << pose[1] << ',' << pose[2] << ','
+            << range_m.value_or(-1.0) << ',' << d->demand[2] << '\n';
+    }
+    arm.move_to(path_m, set_point_m);
     sf_sleep_until_ns(start + (k + 1) * tick_ns);
   }
   if (!map_path.empty()) robot.upload_map(map_path);
   std::cout << "valid " << valid << " refused " << refused << " distance_m " << robot.distance().value_or(-1.0)
             << " max_demand_m " << robot.get("max_demand_m") << " map_height_m "
-            << robot.map_height(0.0, 0.0).value_or(-1e9) << std::endl;
+            << robot.map_height(centre_x_m + radius_m, centre_y_m).value_or(-1e9) << " readings " << readings
+            << " standoff_rms_mm "
+            << (readings > 0 ? 1e3 * std::sqrt(sum_sq_m2 / static_cast<double>(readings)) : -1.0) << std::endl;
   return 0;
 }
 
@@ -132,13 +170,14 @@ std::optional<double> read_seconds(const char *text) {
 
 int main(int argc, char **argv) {
   std::signal(SIGINT, [](int) { stop = 1; });
-  const auto seconds = argc > 2 ? read_seconds(argv[2]) : 10.0;
-  if (argc > 4 || !seconds) {
-    std::cerr << "usage: " << argv[0] << " [service [seconds [map file]]]; seconds: more than 0, at most 1e6\n";
+  const auto seconds = argc > 2 ? read_seconds(argv[2]) : 20.0;
+  if (argc > 5 || !seconds) {
+    std::cerr << "usage: " << argv[0] << " [service [seconds [map file [trace.csv]]]]; "
+                 "seconds: more than 0, at most 1e6\n";
     return 2;
   }
   try {
-    return run(argc > 1 ? argv[1] : "surf", *seconds, argc > 3 ? argv[3] : "");
+    return run(argc > 1 ? argv[1] : "surf", *seconds, argc > 3 ? argv[3] : "", argc > 4 ? argv[4] : "");
   } catch (const Error &e) {
     std::cerr << "controller: " << e.what() << '\n';
     return 1;

@@ -59,7 +59,7 @@ def compile_program(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callab
         # programs of ours in C, compiled as C++, cast as C does; what the header says is stricter
         style = ["-x", "c++", "-Wno-old-style-cast"] if path.suffix == ".c" and language != "C" else []
         include = f"-I{folder}"
-        command = [compiler, *standard, *style, include, *flags, "-o", str(program), str(path)]
+        command = [compiler, *standard, *style, include, *flags, "-o", str(program), str(path), "-lm"]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         under_way[key] = program, command, process
         return key

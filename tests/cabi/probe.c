@@ -60,6 +60,7 @@ static int answer(const char *verb, char *rest) {
   if (strcmp(verb, "ee_at") == 0) return sf_ee_pos(&client, v, sf_now_ns() + (int64_t)v[7]);
   if (strcmp(verb, "stop") == 0) return sf_stop(&client, word[0] != '\0' ? word : NULL);
   if (strcmp(verb, "stop_reset") == 0) return sf_stop_reset(&client);
+  if (strcmp(verb, "sim") == 0) return sf_sim_pose(&client, sf_now_ns(), v, NULL);
   if (strcmp(verb, "reset") == 0) return sf_sf_reset(&client, v[0]);
   if (strcmp(verb, "set") == 0) {
     const char *name = strtok(rest, " ");

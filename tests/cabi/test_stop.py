@@ -82,7 +82,7 @@ def test_the_example_controller_brakes_and_stays_when_the_service_is_stopped(
         found = numbers(done.stdout)
         assert found["stopped"] > 50
         assert found["speed_mps"] == 0.0
-        assert found["x_m"] < 3 * 0.05 - 0.02, "it did not go on to the end of its way"
+        assert found["path_m"] < 3 * 0.05 - 0.02, "it did not go on to the end of its way"
     finally:
         with attach(service.name, stale_min_s=PATIENT_MS / 1000) as driver:
             driver.claim_pose()

@@ -1,8 +1,9 @@
-"""The controller's loop of the README, as it is pasted, against a real service."""
+"""The README's control loop, as it is pasted: it follows, holds, and survives the service's end."""
 
 from __future__ import annotations
 
 import re
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 from running_service import PATIENT_S, POSE, Service, until
 from surffollow.client import Client
 from surffollow.errors import NotRunningError
+from surffollow.sim.world_surface import WorldConfig
 
 ROOT = Path(__file__).parents[2]
 
@@ -75,3 +77,58 @@ def test_the_loop_follows_holds_when_stopped_or_interrupted_and_goes_on(
     assert (tmp_path / "ground.map").exists()
     with service.observe() as watcher:
         until(lambda: watcher.status()["main"]["pose_slot"] == -1, "the pose's release")
+
+
+class Arm:
+    """What a reader of the page brings: a robot that moves at 50 mm/s and within 0.2 m/s up and down."""
+
+    def __init__(self) -> None:
+        self.pose, self.over, self.held = [0.845, 0.55, 0.1, 0.0, 0.0, 0.0, 1.0], False, 0
+        self.errors: list[float] = []
+        self.field = WorldConfig().make()
+
+    def moving(self) -> bool:
+        return not self.over
+
+    def read_pose(self) -> tuple[int, tuple[float, ...]]:
+        time.sleep(0.01)
+        return time.monotonic_ns(), tuple(self.pose)
+
+    def move_to(self, pose: tuple[float, ...], demand: Any) -> None:
+        self.pose[0] = min(self.pose[0] + 0.0005, 1.03)
+        self.pose[2] += max(-0.002, min(0.002, pose[2] + demand[2] - self.pose[2]))
+        self.errors.append(abs(self.pose[2] - self.field.height_m(*self.pose[:2]) - 0.1))
+
+    def hold(self) -> None:
+        self.held += 1
+
+
+def test_the_loop_closes_over_the_simulated_sensor_and_survives_a_kill(tmp_path: Path) -> None:
+    own = Service(tmp_path, "log_words = 65536\n[map]\ngrids = 20000\n")
+    code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
+    assert code is not None
+    text = code[1].replace('attach("surf")', f"attach({own.name!r})")
+    text = text.replace('"ground.map"', repr(str(tmp_path / "ground.map")))
+    arm = Arm()
+    names = {"moving": arm.moving, "read_pose": arm.read_pose, "move_to": arm.move_to, "hold": arm.hold}
+    try:
+        own.start()
+        loop = threading.Thread(target=exec, args=(text, names), daemon=True)
+        loop.start()
+        until(lambda: len(arm.errors) > 300, "three seconds of following")
+        # the ground at 50 mm/s, some ticks late at most, on a busy machine
+        assert sorted(arm.errors[100:])[len(arm.errors[100:]) // 2] < 1.5e-3
+        assert max(arm.errors[100:]) < 10e-3, "the tool swings"
+        own.kill()
+        held = arm.held
+        until(lambda: arm.held > held + 20, "holding while the service is away")
+        own.start()
+        followed = len(arm.errors)
+        until(lambda: len(arm.errors) > followed + 50, "following again")
+        arm.over = True
+        loop.join(60.0)
+        assert not loop.is_alive()
+        assert (tmp_path / "ground.map").exists()
+    finally:
+        arm.over = True
+        own.purge()

@@ -145,7 +145,7 @@ def test_every_driver_goes_on_and_counts_when_nobody_drains(driver: Driver) -> N
 def test_simulated_sensor_finds_the_robot_says_when_it_is_gone_and_finds_the_next(
     robot: WorldWriter,
 ) -> None:
-    driver = simulated()
+    driver = SimulatedDriver(NAME, SimulatedConfig(channels=2, pose="world"), FLAT)
     queue = ConversionQueue()
     driver.start(queue)
 
@@ -171,7 +171,7 @@ def test_simulated_sensor_finds_the_robot_says_when_it_is_gone_and_finds_the_nex
 
 
 def test_simulated_sensor_never_touches_a_block_that_was_taken_away() -> None:
-    driver = simulated()
+    driver = SimulatedDriver(NAME, SimulatedConfig(channels=2, pose="world"), FLAT)
     driver.start(ConversionQueue())
     for k in range(30):
         writer = WorldWriter(NAME)

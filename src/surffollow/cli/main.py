@@ -36,6 +36,7 @@ VERBS = {
     "base": ("base", "base_command", "Simulate a mobile base with sonars."),
     "base-client": ("base", "base_client_command", "Run one client of the wall-following experiments."),
     "wall-follow": ("base", "wall_follow_command", "Follow walls by clients that share a base."),
+    "calibrate": ("calibrate", "calibrate_group", "Calibrate a sensor: range table, latency, mount."),
     "header": ("header", "header_command", "Print the C header of the client library."),
     "doctor": ("doctor", "doctor_command", "Say what this machine lacks for hard timing."),
     "latency": ("doctor", "latency_command", "Measure wake-up latency, beside cyclictest."),

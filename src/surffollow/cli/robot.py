@@ -30,7 +30,12 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
 
 @click.command("robot")
 @click.option("--name", type=SERVICE_NAME, default="surf", show_default=True, help="Service to talk to.")
-@click.option("--path", type=click.Choice(["line", "raster"]), default="line", show_default=True)
+@click.option(
+    "--path",
+    default="line",
+    show_default=True,
+    help="line, raster, or a CSV or NPZ file with x_m, y_m.",
+)
 @click.option("--speed", callback=SPEED, default="50 mm/s", show_default=True, help="Along the path.")
 @click.option(
     "--seconds", type=Finite(min=0.0), default=20.0, show_default=True, help="Of motion; 0: to its end."

@@ -179,8 +179,8 @@ def render(s: dict[str, Any]) -> str:
     lines = [
         f"service {s['name']}: {s['state']}, pid {s['pid']}, epoch {s['epoch']}",
         f"cycle    {format_ns(s['period_ns'])}, {s['cycles']} run, {s['overruns']} overruns",
-        f"lateness {durations(late)}",
-        f"work     {durations(run)}",
+        f"lateness {durations(late)} (from a cycle's deadline to its start; 1-20 ns: it was spinning)",
+        f"work     {durations(run)} (from its start to the published demand)",
         f"demand   {'|'.join(s['demand_status']) or 'none'}, age {format_ns(s['age_ns'])}",
         f"poses    {s['poses']} taken, {s['poses_refused']} refused; sent by {pose}",
         f"clients  {main.get('clients', 0)}; requests {s['requests']}, refused {s['requests_refused']}",

@@ -6,7 +6,7 @@ import struct
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from surffollow.client.fence import FENCED, fence
 from surffollow.client.observer import Observer
@@ -17,6 +17,9 @@ from surffollow.errors import BusyError, ConfigError, PoseError, RefusedError
 from surffollow.shm import layout_board as lb
 from surffollow.shm.latch_shape import SLOTS, stride
 from surffollow.shm.layout_follow import Params
+
+if TYPE_CHECKING:
+    from surffollow.client.sim_pose import SimulatedTool
 
 _POST = lb.PosePost.struct_of("t_ns", "pose")
 _POSE_ROLE = lb.Ticker.struct_of("t_ns", "pose_slot")
@@ -29,6 +32,8 @@ LOOK_EVERY_NS = 100_000_000
 
 class Client(SlotHolder):
     """An attachment that may send poses and requests; see `attach`."""
+
+    _tool: SimulatedTool | None = None
 
     def _look_after(self, now_ns: int) -> None:
         """As often as a service falls silent: whether it is there. Ten times a second: our slot."""
@@ -135,6 +140,37 @@ class Client(SlotHolder):
         if self._pose_held:
             self._request(lb.RQ_RELEASE_POSE, patience_s=1.0).result(1.0)
             self._pose_held = False
+
+    def sim_pose(self, t_ns: int, pose: Sequence[float], velocity: Sequence[float] | None = None) -> None:
+        """Tell the simulated sensor where the tool truly is, where reports are noisy or late.
+
+        The service itself never reads it. Without it the simulated sensor rides on the reported poses, whose
+        errors then cancel. The first call makes the block NAME.world, `close` removes it.
+
+        Parameters
+        ----------
+        t_ns : int                when that is true, CLOCK_MONOTONIC [ns]
+        pose : seven floats       x y z [m], qx qy qz qw (unit), world from tool
+        velocity : six floats     linear [m/s] and angular [rad/s], world axes; by default the difference to
+                                  the pose before
+
+        Raises
+        ------
+        PoseError         (a ValueError) no pose, no velocity, or no time
+        BusyError         a simulated robot or another client publishes it
+        """
+        if self._tool is None:
+            from surffollow.client.sim_pose import SimulatedTool
+
+            self._tool = SimulatedTool(self.name)
+        self._tool.publish(t_ns, pose, velocity)
+
+    def close(self) -> None:
+        """Give back the pose and the slot, remove the world block, unmap everything."""
+        if self._tool is not None:
+            tool, self._tool = self._tool, None
+            tool.close()
+        super().close()
 
     # -- requests ---------------------------------------------------------------------------------
 

@@ -28,7 +28,8 @@ STATE_SIZE = 14
 _TRACK_X, _TRACK_H, _TRACK_S = 0, 1, 2
 TRACK_COLUMNS = 3
 
-READING_TIMEOUT_MS = 100.0  # p and pi act on no reading older than this
+READING_TIMEOUT_MS = 100.0  # p and pi act on no reading older than this …
+READING_TIMEOUT_PERIODS = 3.0  # … or so many intervals of a slow sensor
 INTEGRAL_LIMIT_M = 0.02
 GLITCH_SAMPLES = 3
 KALMAN_SIGMA_M = 0.3e-3  # reading and pose noise that the filter assumes
@@ -189,7 +190,10 @@ def on_tick(kind: int, p: NDArray[Any], m: NDArray[Any], track: NDArray[Any], s:
     if m[_SEEN] == 0.0:
         return 0.0
     if kind in (P, PI):
-        if s.ms - m[_STAMP] > READING_TIMEOUT_MS + (w.readings[0].arrival_ms - w.readings[0].ms):
+        patience_ms = READING_TIMEOUT_MS
+        if w.readings.shape[0] > 1:
+            patience_ms = max(patience_ms, READING_TIMEOUT_PERIODS * (w.readings[1].ms - w.readings[0].ms))
+        if s.ms - m[_STAMP] > patience_ms + (w.readings[0].arrival_ms - w.readings[0].ms):
             return 0.0
         if kind == P:
             return float(-p[0] * m[_ERROR])

@@ -70,6 +70,8 @@ class Conditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reference : what the controller adds a demand to: the newest report the follower had ("report"),
         or the newest report there is ("newest", which costs every method)
     believed_tau_s : what a follower is told about the plant [s]
+    standoff_m : wanted distance between tool and ground [m]
+    unscored_m : so much of the path does not count at first [m]
     """
 
     plant: PlantConfig = PlantConfig()
@@ -78,9 +80,11 @@ class Conditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     lead_m: float = 0.0
     reference: Literal["report", "newest"] = "report"
     believed_tau_s: float = 0.040
+    standoff_m: float = STANDOFF_M
+    unscored_m: float = UNSCORED_M
 
     def __post_init__(self) -> None:
-        _check(self, positive=("believed_tau_s",), not_negative=("lead_m",))
+        _check(self, positive=("believed_tau_s", "standoff_m"), not_negative=("lead_m", "unscored_m"))
 
     def but(self, **changes: object) -> Conditions:
         """Return a copy in which some fields differ."""

@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from typing import Any, Protocol
 
 from surffollow.contest import baselines as b
-from surffollow.contest.conditions import STANDOFF_M, Conditions
+from surffollow.contest.conditions import Conditions
 from surffollow.errors import UsageError
 
 LIMIT = "limit"
@@ -122,7 +122,9 @@ def follower_config(conditions: Conditions) -> dict[str, Any]:
 def _follower_factory(choices: dict[str, Any]) -> Factory:
     def make(conditions: Conditions) -> FollowerLike:
         follower: Any = importlib.import_module("surffollow").Follower
-        made: FollowerLike = follower(config=follower_config(conditions) | choices, offset_m=STANDOFF_M)
+        made: FollowerLike = follower(
+            config=follower_config(conditions) | choices, offset_m=conditions.standoff_m
+        )
         return made
 
     return make
@@ -137,6 +139,10 @@ def followers() -> dict[str, Factory]:
         "paper": _follower_factory({"mode": "paper", "pose_interpolate": "latest"}),
         "ours": _follower_factory({}),
     }
+
+
+# rows that run when they are named, not by default
+EXPERIMENTAL: dict[str, Factory] = {"multimodel": _follower_factory({"mode": "multimodel"})}
 
 
 def outside_follower(spec: str) -> Factory:
@@ -185,7 +191,7 @@ def factory_of(method: str) -> Factory:
     name, _, spec = method.partition("=")
     if spec:
         return outside_follower(spec)
-    known = followers()
+    known = followers() | EXPERIMENTAL
     if name not in known:
         raise UsageError(f"no method '{name}' here; there are {', '.join(all_methods())}")
     return known[name]
@@ -207,7 +213,7 @@ def check_methods(methods: Sequence[str]) -> list[str]:
     UsageError
         for a method that does not exist
     """
-    known = set(all_methods())
+    known = {*all_methods(), *EXPERIMENTAL}
     for method in methods:
         if "=" in method:
             check_follower(method.partition("=")[2])

@@ -42,9 +42,11 @@ class Score(msgspec.Struct, frozen=True):
     bad_demands: int
 
 
-def standoff_error(z_m: NDArray[np.float64], ground_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def standoff_error(
+    z_m: NDArray[np.float64], ground_m: NDArray[np.float64], standoff_m: float = STANDOFF_M
+) -> NDArray[np.float64]:
     """Stand-off error [m]: positive when the tool is too high."""
-    return np.asarray(z_m - ground_m - STANDOFF_M, np.float64)
+    return np.asarray(z_m - ground_m - standoff_m, np.float64)
 
 
 def score(
@@ -56,6 +58,7 @@ def score(
     speed_mps: float,
     bad_demands: int = 0,
     lag: bool = True,
+    standoff_m: float = STANDOFF_M,
 ) -> Score:
     """Score one run.
 
@@ -65,9 +68,10 @@ def score(
     set_points_m : (ticks,) float64 [m]
     first_ms : the first millisecond that counts
     tick_ms, speed_mps : of the run
+    standoff_m : wanted distance between tool and ground [m]
     lag : False leaves the (slow) cross-correlation out
     """
-    e = np.abs(standoff_error(z_m, ground_m)[first_ms:])
+    e = np.abs(standoff_error(z_m, ground_m, standoff_m)[first_ms:])
     p = set_points_m[first_ms // tick_ms : (len(z_m) - 1) // tick_ms + 1]
     dt = tick_ms * 1e-3
     accel = np.diff(p, 2) / dt**2

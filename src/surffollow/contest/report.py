@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.contest.conditions import STANDOFF_M
 from surffollow.contest.methods import LIMIT, ORACLE
 from surffollow.contest.runner import Result, geometric_mean, run_method, scene_of
 from surffollow.contest.suite import surface_labels
@@ -145,7 +144,7 @@ def write_plots(results: Sequence[Result], folder: Path) -> list[Path]:
             scene = scene_of(r.cell, min(r.scores))
             _, w = run_method(r.method, scene, r.params)
             x = middle * 1e-3 * (scene.first_ms + np.arange(len(w.z) - scene.first_ms))
-            e = 1e3 * (w.z - scene.ground_m - STANDOFF_M)[scene.first_ms :]
+            e = 1e3 * (w.z - scene.ground_m - scene.conditions.standoff_m)[scene.first_ms :]
             middle_axes.plot(x[::5], e[::5], **_line(r.method))
             if r.method != "hold":  # not following at all is off the scale of all others
                 scale_mm = max(scale_mm, float(np.abs(e).max()))

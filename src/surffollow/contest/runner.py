@@ -106,7 +106,16 @@ def score_run(scene: Scene, s: Any, w: World) -> Score:
     """Score a finished run."""
     orders = w.orders["set_point"][: int(s["ticks"])]
     tick_ms, bad = int(s["tick_ms"]), int(s["bad_demands"])
-    return score(w.z, scene.ground_m, orders, scene.first_ms, tick_ms, scene.speed_mps, bad)
+    return score(
+        w.z,
+        scene.ground_m,
+        orders,
+        scene.first_ms,
+        tick_ms,
+        scene.speed_mps,
+        bad,
+        standoff_m=scene.conditions.standoff_m,
+    )
 
 
 def score_limit(scene: Scene) -> Score:

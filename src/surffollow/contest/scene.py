@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.contest.conditions import STANDOFF_M, UNSCORED_M, Conditions
+from surffollow.contest.conditions import Conditions
 from surffollow.contest.loop import MS_NS, ORDER, READING, REPORT, RUN, World
 from surffollow.errors import UsageError
 from surffollow.sim.profiles import Profile
@@ -73,8 +73,11 @@ def make_scene(
     """
     if not (np.isfinite(speed_mps) and 1e-3 <= speed_mps <= 10.0):
         raise UsageError(f"speed {speed_mps} m/s, expected 0.001 to 10")
-    if profile.length_m < UNSCORED_M + 0.05:
-        raise UsageError(f"surface '{profile.name}' is {profile.length_m} m long, expected at least 0.15 m")
+    if profile.length_m < 1.5 * conditions.unscored_m:
+        raise UsageError(
+            f"surface '{profile.name}' is {profile.length_m} m long, "
+            f"expected at least {1.5 * conditions.unscored_m:g} m"
+        )
     c = conditions
     duration_ms = int(profile.length_m / speed_mps * 1e3)
     rng = np.random.default_rng([stream, seed, 101])
@@ -94,7 +97,7 @@ def make_scene(
     x = np.asarray(profile.start_m + speed_mps * 1e-3 * np.arange(duration_ms), np.float64)
     ground = profile.wanted_height_m(x)
     ticks = duration_ms // max(1, round(1e3 / c.plant.tick_hz)) + 1
-    start_z = float(ground[0]) + STANDOFF_M  # every run begins at the right height, at rest
+    start_z = float(ground[0]) + c.standoff_m  # every run begins at the right height, at rest
     z = np.full(duration_ms, start_z)
     world = World(profile.heights_m, reports, readings, np.zeros(ticks, ORDER), z)
     run = np.zeros(1, RUN)
@@ -114,12 +117,12 @@ def make_scene(
         "near_m": c.sensor.near_m,
         "far_m": c.sensor.far_m,
         "quantum_m": (c.sensor.far_m - c.sensor.near_m) / 2**c.sensor.bits,
-        "standoff_m": STANDOFF_M,
+        "standoff_m": c.standoff_m,
         "set_point_m": start_z,
     }
     for name, value in fields.items():
         run[name] = value
-    first_ms = int(np.ceil(UNSCORED_M / speed_mps * 1e3))
+    first_ms = int(np.ceil(c.unscored_m / speed_mps * 1e3))
     return Scene(profile, speed_mps, seed, conditions, world, run, ground, first_ms)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import msgspec
 
 from surffollow.contest.conditions import PAPER_PROFILE, Conditions
+from surffollow.contest.families import FAMILY_SURFACES
 from surffollow.errors import UsageError
 from surffollow.sim.profiles import SHAPES, Profile
 from surffollow.sim.profiles_measured import MEASURED, data_dir, read_csv
@@ -64,6 +65,7 @@ def is_file(surface: str) -> bool:
     return (
         surface not in SHAPES
         and surface not in RANDOM
+        and surface not in FAMILY_SURFACES
         and surface not in MEASURED
         and Path(surface).is_file()
     )
@@ -78,7 +80,7 @@ def surface_profile(surface: str, seed: int) -> Profile:
     UsageError
         for a name that is neither a surface nor a readable file
     """
-    for known in (SHAPES, RANDOM, MEASURED):
+    for known in (SHAPES, RANDOM, FAMILY_SURFACES, MEASURED):
         if surface in known:
             return known[surface](seed)
     if not is_file(surface):

@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from surffollow.contest.baselines import run_jitted
-from surffollow.contest.conditions import STANDOFF_M
 from surffollow.contest.methods import Baseline
 from surffollow.contest.scene import Scene
 
@@ -44,7 +43,7 @@ def rms_of(baseline: Baseline, params: Sequence[float], scene: Scene) -> float:
     """RMS stand-off error [m] of one run of a baseline."""
     s, w = scene.fresh()
     run_jitted(baseline.kind, tuple(params) + baseline.fixed, s, w)
-    e = w.z[scene.first_ms :] - scene.ground_m[scene.first_ms :] - STANDOFF_M
+    e = w.z[scene.first_ms :] - scene.ground_m[scene.first_ms :] - scene.conditions.standoff_m
     return float(np.sqrt(np.mean(e * e)))
 
 

@@ -17,12 +17,14 @@ from numpy.typing import NDArray
 
 from surffollow.config.params import check_param, param_name
 from surffollow.errors import ConfigError, PoseError, UsageError
-from surffollow.follower.setup import Config, check_window, read_setup
+from surffollow.follower.setup import MULTIMODEL, Config, check_standoff, check_window, read_setup
 from surffollow.forecast.adaptive_bank import C
 from surffollow.forecast.adaptive_memory import new_memory, recall_ahead, remember_output
 from surffollow.forecast.horizon import forecast_range
+from surffollow.forecast.multimodel import multimodel_step, reset_estimate
 from surffollow.forecast.pose import MOST_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
 from surffollow.forecast.step import follow_step, sf_reset
+from surffollow.forecast.tuning import new_multimodel
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES
 from surffollow.shm.layout_follow import (
@@ -34,6 +36,7 @@ from surffollow.shm.layout_follow import (
     Output,
     Params,
 )
+from surffollow.shm.layout_multimodel import N_MODELS, REASON_NAMES
 
 RECALL_NS = 5_000_000  # remembered ground is looked up at most so often
 PAUSE_NS = 1_000_000_000
@@ -61,16 +64,16 @@ class Follower:
     ----------
     config : dict, path of a TOML file, or None
         parameters by name (`surffollow.config.params`), SI numbers or text with units; `mode` is
-        "adaptive" (default) or "paper". `sensors`: list of tables with `position_m` (3), `orientation`
-        (unit quaternion, 4), `near_m`, `far_m`; `plant`: table with `tau_s`, `v_max_mps`, `a_max_mps2`.
-        `memory` = false: do not use ground seen on earlier passes. `sensor_readings` (default 1 here):
-        so many ranges of a channel are averaged into a reading
+        "adaptive" (default), "paper" or "multimodel" (experimental, one sensor). `sensors`: list of tables
+        with `position_m` (3), `orientation` (unit quaternion, 4), `near_m`, `far_m`; `plant`: table with
+        `tau_s`, `v_max_mps`, `a_max_mps2`. `memory` = false: do not use ground seen on earlier passes.
+        `sensor_readings` (default 1 here): so many ranges of a channel are averaged into a reading
     offset_m : float, optional
         desired stand-off along the beam of channel 0 [m]; default that of the configuration
 
     Raises
     ------
-    ConfigError  unknown key, wrong unit, value out of bounds
+    ConfigError  unknown key, wrong unit, value out of bounds, a stand-off that cannot be kept
     """
 
     def __init__(self, config: Config = None, offset_m: float | None = None) -> None:
@@ -85,21 +88,19 @@ class Follower:
         self._n_preview, self._previews = self._inputs["n_preview"], self._params["preview"]
         self._pose_timeout_ns = self._params["pose_timeout_ns"]
         self._recalled_ns = self._latest_ns = 0
-        setup = read_setup(config)
+        setup = read_setup(config, offset_m)
         for name, number in setup.values.items():
             self._params[name] = number
+        self._multimodel = new_multimodel(setup.tuning) if setup.multimodel else None
+        self._setpoints = np.zeros(N_MODELS)
         self._params["n_channels"] = len(setup.mounts)
         mounts = self._params["tool_from_sensor"][0].reshape(CHANNELS, 7)
         mounts[:, 6] = 1.0
         mounts[: len(setup.mounts)] = setup.mounts
-        adaptive = self._params["mode"][0] == MODE_ADAPTIVE
+        adaptive = self._params["mode"][0] == MODE_ADAPTIVE and not setup.multimodel
         self._memory = new_memory() if setup.remembers and adaptive else None
-        if offset_m is not None:
-            self._set("offset_m", offset_m)
+        check_standoff(self._params[0])
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
-
-    def _set(self, name: str, value: object) -> None:
-        self._params[param_name(name)] = check_param(name, value)
 
     def set_params(self, **values: object) -> None:
         """Change parameters from the next step on.
@@ -117,6 +118,7 @@ class Follower:
         for name, number in checked.items():
             trial[name] = number
         check_window(float(trial["range_min_m"][0]), float(trial["range_max_m"][0]))
+        check_standoff(trial[0])
         self._params[:] = trial
 
     def reset(self, offset_m: float | None = None, *, keep_memory: bool = False) -> None:
@@ -126,11 +128,16 @@ class Follower:
         service's map does in a SFReset: for another stand-off over a part that was not moved.
         """
         if offset_m is not None:
-            self._set("offset_m", offset_m)
+            trial = self._params.copy()
+            trial["offset_m"] = check_param("offset_m", offset_m)
+            check_standoff(trial[0])
+            self._params[:] = trial
         if self._memory is not None and not keep_memory:
             self._memory[:] = np.zeros((), self._memory.dtype)
             self._n_preview[0] = self._recalled_ns = 0
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
+        if self._multimodel is not None:
+            reset_estimate(self._multimodel[0], 0)
 
     def pose(self, t_ns: int, pose: Sequence[float] | NDArray[Any]) -> bool:
         """Take a pose report.
@@ -206,6 +213,18 @@ class Follower:
         elif t_ns >= self._recalled_ns + RECALL_NS or t_ns < self._recalled_ns - PAUSE_NS:
             recall_ahead(self._memory, self._state, self._inputs)
             self._recalled_ns = t_ns
+        if self._multimodel is not None:
+            multimodel_step(
+                self._params,
+                self._state,
+                self._multimodel,
+                self._inputs,
+                self._output,
+                self._setpoints,
+                self._scratch,
+            )
+            copied: NDArray[np.float64] = self._demand.copy()
+            return copied
         follow_step(self._params, self._state, self._inputs, self._output, self._scratch)
         if self._memory is not None:
             remember_output(self._memory, self._state, self._output)
@@ -233,7 +252,15 @@ class Follower:
         out.update({n: o[n].item() for n in names})
         for stamp in ("t_ns", "pose_t_ns"):
             out[stamp] -= _SHIFT_NS if out[stamp] else 0  # 0: before the first step, or pose
-        if self._params["mode"][0] == MODE_ADAPTIVE:
+        if self._multimodel is not None:
+            m = self._multimodel[0]
+            out["mode"] = MULTIMODEL
+            out["health"] = HEALTH_NAMES[int(o["health"])]
+            out["reason"] = REASON_NAMES[int(m["health"]["reason"])]
+            out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
+            out.update({n: o[n].item() for n in ("sigma_m", "noise_m", "roughness_m", "late_s", "tau_s")})
+            out["weights"] = m["weights"]["w"][: int(m["tuning"]["n_models"])].tolist()
+        elif self._params["mode"][0] == MODE_ADAPTIVE:
             a = self._state["adaptive"][0]
             out["health"] = HEALTH_NAMES[int(o["health"])]
             out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]

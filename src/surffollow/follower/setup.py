@@ -12,6 +12,8 @@ import numpy as np
 from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.errors import ConfigError
 from surffollow.forecast.pose import QUATERNION_TOLERANCE
+from surffollow.forecast.scales import DERIVED, TOO_CLOSE_EXIT_SHARE, TOO_CLOSE_SHARE
+from surffollow.forecast.tuning import check_tuning
 from surffollow.shm.layout_follow import CHANNELS, MODE_ADAPTIVE
 from surffollow.units import parse_quantity
 
@@ -23,10 +25,21 @@ else:
 Config = Mapping[str, Any] | str | Path | None
 
 TOO_CLOSE_BEYOND_M = 0.15 * 0.0254  # beyond the near limit of a sensor given by its window
-TOO_CLOSE_EXIT_M = 0.3 * 0.0254
+TOO_CLOSE_EXIT_M = 0.3 * 0.0254  # but no more than the shares of the way to the stand-off
 MOST_MOUNT_M = 1e3
 # what differs from the service's defaults: readings come ready-made and stamped with their own time
 IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "sensor_readings": 1}
+MULTIMODEL = "multimodel"
+# what follows from window, stand-off and plant in that mode unless it is set (`forecast.scales`)
+DERIVED_IN_MULTIMODEL: dict[str, float] = {
+    "max_demand_m": DERIVED,
+    "pose_timeout_ns": DERIVED,
+    "loss_timeout_ns": DERIVED,
+    "too_close_m": DERIVED,
+    "too_close_exit_m": DERIVED,
+    "permitted_variance_m": DERIVED,
+    "toward_factor": 1.0,
+}
 _MODES = {"default": "adaptive", "ours": "adaptive"}
 _PLANT = {"tau_s": "plant_tau_s", "v_max_mps": "plant_v_max_mps", "a_max_mps2": "plant_a_max_mps2"}
 
@@ -39,19 +52,24 @@ class FollowerSetup(NamedTuple):
     values : dict          every parameter by its full name, in the parameter's unit
     mounts : list          per channel x y z [m], unit quaternion qx qy qz qw: tool from sensor
     remembers : bool       use ground seen on earlier passes
+    multimodel : bool      the experimental multiple-model follower
+    tuning : dict          its constants that differ from `forecast.tuning.DEFAULTS`
     """
 
     values: dict[str, float]
     mounts: list[list[float]]
     remembers: bool
+    multimodel: bool
+    tuning: dict[str, Any]
 
 
-def read_setup(config: Config) -> FollowerSetup:
+def read_setup(config: Config, offset_m: float | None = None) -> FollowerSetup:
     """Read and check what `Follower` is given.
 
     Parameters
     ----------
     config : dict, path of a TOML file, or None     see `Follower`
+    offset_m : float, optional                      instead of that of the configuration [m]
 
     Raises
     ------
@@ -66,8 +84,6 @@ def read_setup(config: Config) -> FollowerSetup:
     near = [check_param("range_min_m", m["near_m"]) for m in mounts if "near_m" in m]
     if near:
         values["range_min_m"] = min(near)
-        values["too_close_m"] = min(near) + TOO_CLOSE_BEYOND_M
-        values["too_close_exit_m"] = min(near) + TOO_CLOSE_EXIT_M
     far = [check_param("range_max_m", m["far_m"]) for m in mounts if "far_m" in m]
     if far:
         values["range_max_m"] = max(far)
@@ -76,18 +92,62 @@ def read_setup(config: Config) -> FollowerSetup:
         raise ConfigError(f"plant is {plant!r}; its keys are {', '.join(_PLANT)}")
     for key, value in plant.items():
         values[_PLANT[key]] = check_param(_PLANT[key], value)
+    if offset_m is not None:
+        data = {k: v for k, v in data.items() if k not in ("offset", "offset_m")} | {"offset_m": offset_m}
+    if near:
+        wanted = data.get("offset_m", data.get("offset", values["offset_m"]))
+        too_close = default_too_close(min(near), check_param("offset_m", wanted))
+        values["too_close_m"], values["too_close_exit_m"] = too_close
+    multimodel = data.get("mode") == MULTIMODEL
+    if multimodel:
+        if len(mounts) > 1:
+            raise ConfigError(
+                f"mode {MULTIMODEL!r} follows with one sensor, not {len(mounts)}; use 'adaptive'"
+            )
+        del data["mode"]
+        values.update(DERIVED_IN_MULTIMODEL)
+    tuning = check_tuning(data.pop("tuning", {})) if multimodel else {}
     if isinstance(data.get("mode"), str):
         data["mode"] = _MODES.get(data["mode"], data["mode"])
     for name, value in data.items():
         values[param_name(name)] = check_param(name, value)
     check_window(values["range_min_m"], values["range_max_m"])
-    return FollowerSetup(values, [m["pose"] for m in mounts], remembers)
+    return FollowerSetup(values, [m["pose"] for m in mounts], remembers, multimodel, tuning)
 
 
 def check_window(low_m: float, high_m: float) -> None:
     """Raise ConfigError when no reading could ever be valid."""
     if not low_m < high_m:
         raise ConfigError(f"range_min_m is {low_m:g} m and range_max_m {high_m:g} m; the first must be less")
+
+
+def check_standoff(params: Any) -> None:
+    """Raise ConfigError when the stand-off could never be kept.
+
+    Parameters
+    ----------
+    params : record of `Params`   `too_close_m` below 0: it follows from window and stand-off
+    """
+    offset, near, far = float(params["offset_m"]), float(params["range_min_m"]), float(params["range_max_m"])
+    if not near < offset < far:
+        raise ConfigError(
+            f"offset_m is {offset:g} m, outside the sensor's window of {near:g} to {far:g} m; "
+            "give the sensor's near_m and far_m, or another offset_m"
+        )
+    if float(params["too_close_m"]) >= offset:
+        raise ConfigError(
+            f"too_close_m is {float(params['too_close_m']):g} m and offset_m {offset:g} m; "
+            "the first must be less, or every reading would be too close"
+        )
+
+
+def default_too_close(near_m: float, offset_m: float) -> tuple[float, float]:
+    """`too_close_m` and `too_close_exit_m` of a window that begins at `near_m`, for a stand-off."""
+    room = max(offset_m - near_m, 0.0)
+    return (
+        near_m + min(TOO_CLOSE_BEYOND_M, TOO_CLOSE_SHARE * room),
+        near_m + min(TOO_CLOSE_EXIT_M, TOO_CLOSE_EXIT_SHARE * room),
+    )
 
 
 def _read(config: Config) -> dict[str, Any]:

@@ -6,6 +6,7 @@ Each item is the time at which a conversion ended and the conversion's word (`sh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import msgspec
@@ -131,6 +132,34 @@ class ConversionQueue:
         return out
 
 
+REPORT_WORDS = 8  # time stamp [ns], x y z [m] and unit quaternion
+
+
+class PoseQueue:
+    """Poses that the service accepted, for a driver that simulates sensors on them; see `reports_of`.
+
+    Parameters
+    ----------
+    capacity : int, a power of two; 256 holds 0.25 s of the fastest reports
+    """
+
+    def __init__(self, capacity: int = 256) -> None:
+        self.capacity = capacity
+        self._ring = make_ring(capacity, REPORT_WORDS)
+
+    @property
+    def address(self) -> int:
+        """Of the ring, for `shm.ring`'s kernels."""
+        return int(self._ring.ctypes.data)
+
+    def push(self, t_ns: int, pose: Sequence[float]) -> bool:
+        """Append a pose (producer only); False when the queue is full."""
+        item = np.zeros(REPORT_WORDS, np.int64)
+        item[0] = t_ns
+        item[1:].view(np.float64)[:] = pose
+        return bool(ring_push(self.address, self.capacity, REPORT_WORDS, item.ctypes.data))
+
+
 @jit
 def push_conversion(ring: Any, capacity: Any, lost: Any, item: Any, t_ns: Any, word: Any) -> None:
     """Append a conversion, or count it as lost.
@@ -167,3 +196,15 @@ class Driver(Protocol):
     def faults(self) -> list[str]:
         """What is wrong now, one line each; empty when all is well."""
         ...
+
+
+def reports_of(driver: Driver) -> PoseQueue | None:
+    """The queue of reported poses that a driver wants filled: its attribute `reports`, if it has one."""
+    found = getattr(driver, "reports", None)
+    return found if isinstance(found, PoseQueue) else None
+
+
+def notes_of(driver: Driver) -> list[str]:
+    """What a user should know of a driver that is no fault: its method `notes()`, if it has one."""
+    tell = getattr(driver, "notes", None)
+    return list(tell()) if callable(tell) else []

@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 
 from surffollow.errors import ConfigError
 from surffollow.hw.counter_noise import hashed_uniform
-from surffollow.hw.driver import ConversionQueue, Driver, DriverInfo, push_conversion
+from surffollow.hw.driver import (
+    ConversionQueue,
+    Driver,
+    DriverInfo,
+    PoseQueue,
+    notes_of,
+    push_conversion,
+    reports_of,
+)
 from surffollow.hw.pump import PERIOD_NS, STOP, Pump
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns
@@ -240,6 +248,15 @@ class FaultyDriver:
     def info(self) -> DriverInfo:
         """The inner driver's."""
         return self._inner.info
+
+    @property
+    def reports(self) -> PoseQueue | None:
+        """The inner driver's."""
+        return reports_of(self._inner)
+
+    def notes(self) -> list[str]:
+        """The inner driver's."""
+        return notes_of(self._inner)
 
     def start(self, queue: ConversionQueue) -> None:
         """Begin to fill the queue; see `Driver`."""

@@ -1,8 +1,9 @@
 """The range sensor of the simulation: a Spectronics 204-4, LED triangulation (paper §2.1).
 
-It sees 2 to 6 in; 0 V is 2 in and 10 V is 6 in. Nearer than 2 in the voltage folds back: a closer target
-reads like a farther one. Out of view it gives a rail voltage. Its output is refreshed at 250 Hz with what
-was measured a while before. All of it is a function of time, pose and seed: there is no state.
+It sees 2 to 6 in, unless told otherwise; 0 V is the nearest and 10 V the farthest distance. Nearer than
+that the voltage folds back: a closer target reads like a farther one. Out of view it gives a rail voltage.
+Its output is refreshed at 250 Hz with what was measured a while before. All of it is a function of time,
+pose and seed: there is no state.
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ class LedConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gloss_low_deg, gloss_high_deg : incidence at which gloss is seen, in the plane of triangulation
         (the sensor's x-z), positive when the surface leans toward +x
     glitch_rate, glitch_m : share of refreshed values that are off by a uniform error in ±glitch_m [m]
+    window_m : nearest and farthest distance that it shows, at 0 V and at full scale [m]
     """
 
     noise_m: float = 0.25e-3
@@ -60,8 +62,15 @@ class LedConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gloss_high_deg: float = 20.0
     glitch_rate: float = 0.0
     glitch_m: float = 0.030
+    window_m: tuple[float, float] = (NEAR_M, FAR_M)
 
     def __post_init__(self) -> None:
+        near, far = self.window_m
+        if not 1e-4 <= near < far <= 1e3:
+            raise ConfigError(
+                f"sensor window_m = ({near:g} m, {far:g} m), expected nearest < farthest, both within 0.0001 "
+                "to 1000 m"
+            )
         bounds = {
             "noise_m": (0.0, 0.05),
             "nonlinearity_m": (0.0, ACCURACY_M),
@@ -95,6 +104,8 @@ class LedPhysics(Schema):
     gloss_high_rad = F64(unit="rad")
     glitch_rate = F64()
     glitch_m = F64(unit="m")
+    near_m = F64(unit="m", doc="distance at 0 V")
+    far_m = F64(unit="m", doc="distance at full scale")
     seed = I64()
 
 
@@ -103,6 +114,7 @@ def physics(config: LedConfig, seed: int) -> NDArray[Any]:
     p = zeros(LedPhysics)
     for name in ("noise_m", "nonlinearity_m", "footprint_m", "gloss_share", "glitch_rate", "glitch_m"):
         p[name] = getattr(config, name)
+    p["near_m"], p["far_m"] = config.window_m
     p["gloss_low_rad"] = np.radians(config.gloss_low_deg)
     p["gloss_high_rad"] = np.radians(config.gloss_high_deg)
     p["latency_ns"] = round(config.latency_s * 1e9)
@@ -171,6 +183,7 @@ def spot_range(p: Any, z: Any, frame: Any, sensor: Any) -> Any:
     float64 [m]; 0 in or under the surface, `NO_HIT` without a target; arguments as `gloss_is_seen`
     """
     qx, qy, qz, qw = sensor[3], sensor[4], sensor[5], sensor[6]
+    sight_m = 2.0 * p[0].far_m
     beam = rotate(qx, qy, qz, qw, 0.0, 0.0, -1.0)
     total = 0.0
     # five rays with a disc's second moment, r²/4 per axis
@@ -179,7 +192,7 @@ def spot_range(p: Any, z: Any, frame: Any, sensor: Any) -> Any:
         x = reach if k == 1 else (-reach if k == 2 else 0.0)
         y = reach if k == 3 else (-reach if k == 4 else 0.0)
         ox, oy, oz = rotate(qx, qy, qz, qw, x, y, 0.0)
-        distance = cast_ray(z, frame, (sensor[0] + ox, sensor[1] + oy, sensor[2] + oz), beam, 2.0 * FAR_M)
+        distance = cast_ray(z, frame, (sensor[0] + ox, sensor[1] + oy, sensor[2] + oz), beam, sight_m)
         if distance == 0.0 or distance == NO_HIT:
             return distance
         total += distance
@@ -190,7 +203,7 @@ def spot_range(p: Any, z: Any, frame: Any, sensor: Any) -> Any:
 def characteristic(p: Any, range_m: Any) -> Any:
     """Distance that the sensor shows for a true one, without noise; NaN out of view.
 
-    Nearer than 2 in the image of the spot comes back over the detector: the shown distance grows again.
+    Nearer than the window the image of the spot comes back over the detector: the shown distance grows again.
 
     Parameters
     ----------
@@ -199,12 +212,13 @@ def characteristic(p: Any, range_m: Any) -> Any:
 
     Returns
     -------
-    float64 [m], 2 to 6 in and the error of the characteristic
+    float64 [m], within the window and the error of the characteristic
     """
-    if not 0.0 < range_m <= FAR_M:
+    near, far = p[0].near_m, p[0].far_m
+    if not 0.0 < range_m <= far:
         return math.nan
-    shown = range_m if range_m >= NEAR_M else 2.0 * NEAR_M - range_m
-    u = (shown - NEAR_M) / (FAR_M - NEAR_M)
+    shown = range_m if range_m >= near else 2.0 * near - range_m
+    u = (shown - near) / (far - near)
     return shown + p[0].nonlinearity_m * math.sin(3.0 * math.pi * u + p[0].shape_rad)
 
 
@@ -221,7 +235,7 @@ def output_volts(p: Any, z: Any, frame: Any, sensor: Any, channel: Any, refresh:
 
     Returns
     -------
-    float64 [V], 0 to 10 over 2 to 6 in; `RAIL_V` when nothing is in view
+    float64 [V], 0 to 10 over the window; `RAIL_V` when nothing is in view
     """
     for k in range(7):
         if not math.isfinite(sensor[k]):
@@ -234,5 +248,5 @@ def output_volts(p: Any, z: Any, frame: Any, sensor: Any, channel: Any, refresh:
     shown += p[0].noise_m * hashed_normal(p[0].seed, STREAM_NOISE, key)
     if p[0].glitch_rate > 0.0 and hashed_uniform(p[0].seed, STREAM_GLITCH, key) < p[0].glitch_rate:
         shown += p[0].glitch_m * (2.0 * hashed_uniform(p[0].seed, STREAM_GLITCH_SIZE, key) - 1.0)
-    volts = (shown - NEAR_M) * (FULL_SCALE_V / (FAR_M - NEAR_M))
+    volts = (shown - p[0].near_m) * (FULL_SCALE_V / (p[0].far_m - p[0].near_m))
     return min(max(volts, 0.0), RAIL_V)

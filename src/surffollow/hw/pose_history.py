@@ -10,6 +10,7 @@ from surffollow.shm.schema import F64, I64, Schema
 
 POSES = 1024  # at the pump's 2 kHz: 0.5 s, more than the largest latency
 EXTRAPOLATE_NS = 20_000_000
+REPORT_GAPS = 1.5  # how long a report is carried on by its velocity, as a multiple of the last two's distance
 STALE_NS = 100_000_000
 
 
@@ -17,6 +18,7 @@ class PoseHistory(Schema):
     """A ring of poses, stamps ascending."""
 
     count = I64(doc="poses ever added")
+    carry_ns = I64(unit="ns", doc="how long the newest pose is carried on by its velocity; at least 20 ms")
     t_ns = I64(POSES, unit="ns")
     pose = F64(POSES * 7, unit="m, 1", doc="x y z qx qy qz qw, world from tool")
     velocity = F64(POSES * 6, unit="m/s, rad/s", doc="linear, angular; world axes")
@@ -52,8 +54,49 @@ def add_pose(history: Any, t_ns: Any, pose: Any, velocity: Any) -> Any:
 
 
 @jit
+def add_report(history: Any, t_ns: Any, pose: Any, velocity: Any) -> Any:
+    """Append a pose that came without a velocity: the difference to the report before gives it.
+
+    Parameters
+    ----------
+    history : (1,) `PoseHistory`, updated in place
+    t_ns, pose : see `add_pose`
+    velocity : (6,) float64, scratch
+
+    Returns
+    -------
+    int64  1: added; 0: not newer
+    """
+    h = history[0]
+    count = h.count
+    for k in range(6):
+        velocity[k] = 0.0
+    carry_ns = 0
+    if count > 0:
+        last = (count - 1) % POSES
+        gap = t_ns - h.t_ns[last]
+        if 0 < gap <= STALE_NS:
+            carry_ns = min(int(REPORT_GAPS * gap), STALE_NS)
+            rate = 1e9 / gap
+            for k in range(3):
+                velocity[k] = (pose[k] - h.pose[7 * last + k]) * rate
+            # twice the vector part of (new attitude ∘ inverse of the last): the angle, where it is small
+            ax, ay, az, aw = pose[3], pose[4], pose[5], pose[6]
+            i = 7 * last
+            bx, by, bz, bw = -h.pose[i + 3], -h.pose[i + 4], -h.pose[i + 5], h.pose[i + 6]
+            sign = 2.0 * rate if aw * bw - ax * bx - ay * by - az * bz >= 0.0 else -2.0 * rate
+            velocity[3] = sign * (aw * bx + ax * bw + ay * bz - az * by)
+            velocity[4] = sign * (aw * by - ax * bz + ay * bw + az * bx)
+            velocity[5] = sign * (aw * bz + ax * by - ay * bx + az * bw)
+    if add_pose(history, t_ns, pose, velocity) == 0:
+        return 0
+    history[0].carry_ns = carry_ns
+    return 1
+
+
+@jit
 def pose_at(history: Any, t_ns: Any, out: Any) -> Any:
-    """Pose at a time: interpolated, or extrapolated by the velocity for at most 20 ms and then held.
+    """Pose at a time: interpolated, or extrapolated by the velocity for at most `carry_ns` and then held.
 
     Parameters
     ----------
@@ -74,7 +117,7 @@ def pose_at(history: Any, t_ns: Any, out: Any) -> Any:
         age = t_ns - h.t_ns[last]
         if age > STALE_NS:
             return 0
-        dt = min(age, EXTRAPOLATE_NS) * 1e-9
+        dt = min(age, max(EXTRAPOLATE_NS, h.carry_ns)) * 1e-9
         for k in range(3):
             out[k] = h.pose[7 * last + k] + dt * h.velocity[6 * last + k]
         qx, qy, qz, qw = (

@@ -1,15 +1,20 @@
-"""Make a driver from its part of a configuration file."""
+"""Make a driver from its part of a configuration file: a built-in one, or another package's."""
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Mapping
+from importlib.metadata import entry_points
 from typing import Any
 
 import msgspec
 
 from surffollow.errors import ConfigError
+from surffollow.hw.calibrated import calibrated
+from surffollow.hw.calibration import load_calibration
 from surffollow.hw.driver import Driver
 from surffollow.hw.faults import FaultConfig, FaultyDriver
+from surffollow.hw.led_sensor import LedConfig
 from surffollow.hw.replayed import ReplayedDriver
 from surffollow.hw.rig import SimulatedConfig
 from surffollow.hw.silent import SilentDriver
@@ -28,6 +33,7 @@ class _Replay(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class _Faults(msgspec.Struct, frozen=True):
     faults: tuple[FaultConfig, ...] = ()
     fault_seed: int = 0
+    calibration: str = ""
 
 
 def _simulated(settings: dict[str, Any], name: str) -> Driver:
@@ -43,19 +49,49 @@ def _replay(settings: dict[str, Any], name: str) -> Driver:
     return ReplayedDriver.from_file(msgspec.convert(settings, _Replay).file)
 
 
-KINDS: dict[str, Callable[[dict[str, Any], str], Driver]] = {
+Factory = Callable[[dict[str, Any], str], Driver]
+ENTRY_POINTS = "surffollow.drivers"
+
+
+def _lazily(module: str) -> Factory:
+    """A built-in kind whose module, and the extra that it needs, are loaded when it is asked for."""
+
+    def make(settings: dict[str, Any], name: str) -> Driver:
+        driver: Driver = importlib.import_module(f"surffollow.hw.{module}").make(settings, name)
+        return driver
+
+    return make
+
+
+KINDS: dict[str, Factory] = {
     "simulated": _simulated,
     "none": _none,
     "replay": _replay,
+    "serial": _lazily("serial_port"),
+    "iio": _lazily("iio"),
+    "can": _lazily("can_bus"),
+    "udp": _lazily("udp"),
 }
 
 
-_SUFFIX_UNITS = {"_m": "m", "_s": "s", "_hz": "Hz", "_deg": "deg"}
+_SUFFIX_UNITS = {
+    "_m": "m",
+    "_s": "s",
+    "_hz": "Hz",
+    "_deg": "deg",
+    "_share": "1",
+    "_rate": "1",
+    "_counts": "1",
+}
+# names that may lack their ending, as in `window = ["1 in", "5 in"]`
+_ENDINGS = {field.rpartition("_")[0]: field for field in LedConfig.__struct_fields__ if "_" in field}
 
 
 def _in_si(value: Any, key: str = "") -> Any:
     """Replace quantities written with units, in keys that end in one, by numbers."""
     if isinstance(value, Mapping):
+        if key == "led":
+            value = {_ENDINGS.get(str(k), k): v for k, v in value.items()}
         return {k: _in_si(v, str(k)) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [_in_si(v, key) for v in value]
@@ -68,14 +104,92 @@ def _in_si(value: Any, key: str = "") -> Any:
         raise ConfigError(f"driver setting {key}: {error}") from error
 
 
+def _in_other_package(kind: str) -> Factory:
+    """The factory that "package.module:factory" names.
+
+    Raises
+    ------
+    ConfigError
+        no such module or no such factory
+    """
+    module, _, attribute = kind.partition(":")
+    try:
+        found: Any = importlib.import_module(module)
+        for part in attribute.split("."):
+            found = getattr(found, part)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigError(
+            f"driver kind '{kind}' cannot be loaded: {error}; install its package into the service's "
+            'environment and write kind = "package.module:factory"'
+        ) from error
+    return _checked(found, kind)
+
+
+def _installed(kind: str) -> Factory | None:
+    """The factory that an installed package offers under that name in the group surffollow.drivers."""
+    found = [p for p in entry_points(group=ENTRY_POINTS) if p.name == kind]
+    if not found:
+        return None
+    if len({p.value for p in found}) > 1:
+        raise ConfigError(
+            f"driver kind '{kind}' is offered by several packages ({', '.join(p.value for p in found)}); "
+            "write the one that is meant as kind"
+        )
+    try:
+        return _checked(found[0].load(), kind)
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(f"driver kind '{kind}' ({found[0].value}) cannot be loaded: {error}") from error
+
+
+def _checked(factory: Any, kind: str) -> Factory:
+    if not callable(factory):
+        raise ConfigError(
+            f"driver kind '{kind}' is {factory!r}; it must be callable: factory(settings, name)"
+        )
+
+    def make(settings: dict[str, Any], name: str) -> Driver:
+        driver = factory(settings, name)
+        if not isinstance(driver, Driver):
+            raise ConfigError(
+                f"driver kind '{kind}' made a {type(driver).__name__}, which lacks one of info, start, stop, "
+                "faults; see surffollow.hw.Driver"
+            )
+        return driver
+
+    return make
+
+
+def factory_of(kind: str) -> Factory:
+    """What makes drivers of a kind: built in, installed by another package, or named by its module.
+
+    Raises
+    ------
+    ConfigError
+        there is none
+    """
+    if kind in KINDS:
+        return KINDS[kind]
+    if ":" in kind:
+        return _in_other_package(kind)
+    factory = _installed(kind)
+    if factory is None:
+        others = sorted({p.name for p in entry_points(group=ENTRY_POINTS)} - set(KINDS))
+        raise ConfigError(
+            f"driver kind '{kind}' is unknown; one of: {', '.join((*KINDS, *others))}; or "
+            '"package.module:factory"'
+        )
+    return factory
+
+
 def make_driver(config: Mapping[str, Any], name: str) -> Driver:
     """Make the driver that a configuration describes; it is not started.
 
     Parameters
     ----------
-    config : `kind` ("simulated", "none" or "replay"; default "simulated"), the settings of that kind
-        (`SimulatedConfig`; `file` of a replay), and for any kind `faults` (list of `FaultConfig`) and
-        `fault_seed`; values of keys that end in _m, _s, _hz or _deg may be written with a unit ("0.1 in")
+    config : `kind` (default "simulated"; see `factory_of`), the settings of that kind (`SimulatedConfig`;
+        `file` of a replay), and for any kind `faults` (list of `FaultConfig`), `fault_seed` and `calibration`
+        (a file of `surffollow calibrate`); values of keys that end in _m, _s, _hz, _deg, _share or _rate may
+        be written with a unit ("0.1 in")
     name : of the service
 
     Raises
@@ -87,13 +201,14 @@ def make_driver(config: Mapping[str, Any], name: str) -> Driver:
     """
     settings: dict[str, Any] = _in_si(config)
     kind = settings.pop("kind", "simulated")
-    if kind not in KINDS:
-        raise ConfigError(f"driver kind '{kind}' is unknown; one of: {', '.join(KINDS)}")
+    factory = factory_of(str(kind))
     try:
         order = msgspec.convert(
-            {k: settings.pop(k) for k in ("faults", "fault_seed") if k in settings}, _Faults
+            {k: settings.pop(k) for k in ("faults", "fault_seed", "calibration") if k in settings}, _Faults
         )
-        driver = KINDS[kind](settings, name)
+        driver = factory(settings, name)
     except msgspec.ValidationError as error:
         raise ConfigError(f"driver '{kind}': {error}") from error
-    return FaultyDriver(driver, order.faults, order.fault_seed) if order.faults else driver
+    if order.faults:
+        driver = FaultyDriver(driver, order.faults, order.fault_seed)
+    return calibrated(driver, load_calibration(order.calibration)) if order.calibration else driver

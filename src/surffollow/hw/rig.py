@@ -21,6 +21,7 @@ from surffollow.shm.schema import F64, I64, Schema
 from surffollow.sim.world_surface import WorldConfig
 
 NEVER = -(1 << 62)
+POSE_SOURCES = ("auto", "reported", "world")
 
 
 class SimulatedConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -34,6 +35,8 @@ class SimulatedConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     adc_noise_counts : standard deviation of the converter's own noise
     led : the sensors
     world : the ground, the same as the robot's
+    pose : what the sensors ride on: "world": the true pose of the block NAME.world; "reported": the poses
+        that clients report; "auto": the world block while somebody writes it, else the reports
     """
 
     channels: int = 1
@@ -42,10 +45,13 @@ class SimulatedConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     adc_noise_counts: float = 0.5
     led: LedConfig = LedConfig()
     world: WorldConfig = WorldConfig()
+    pose: str = "auto"
 
     def __post_init__(self) -> None:
         if not 1 <= self.channels <= CHANNELS:
             raise ConfigError(f"channels = {self.channels}, expected 1 to {CHANNELS}")
+        if self.pose not in POSE_SOURCES:
+            raise ConfigError(f"pose = '{self.pose}', expected one of: {', '.join(POSE_SOURCES)}")
         if not 0.0 <= self.adc_noise_counts <= 100.0:
             raise ConfigError(f"adc_noise_counts = {self.adc_noise_counts}, expected 0 to 100 counts")
         mounts_of(self.mounts, self.channels)

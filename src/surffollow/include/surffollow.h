@@ -84,6 +84,9 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 #define SF_SLOT_MAGIC UINT64_C(3554549926447961427)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
 #define SF_MAP_LAYOUT_HASH UINT64_C(5652084181357192297)
+#define SF_WORLD_MAGIC INT64_C(3550046344000460115)
+#define SF_WORLD_LAYOUT_HASH UINT64_C(13052016008935378148)
+#define SF_WORLD_BYTES 8192
 #define SF_CLIENTS 16
 #define SF_PAGE 4096
 #define SF_REQUEST_ARGS 16
@@ -298,9 +301,9 @@ static inline const sf_param_info *sf_param_table(void) {
     {"range_min_m", 14, 0, 0.0, 1000000.0},
     {"range_max_m", 15, 0, 1e-06, 1000000.0},
     {"sensor_latency_ns", 17, 1, 0.0, 10000000000.0},
-    {"plant_tau_s", 90, 0, 0.001, 10.0},
-    {"plant_v_max_mps", 91, 0, 0.0001, 100.0},
-    {"plant_a_max_mps2", 92, 0, 0.001, 10000.0},
+    {"plant_tau_s", 90, 0, 0.0001, 1000.0},
+    {"plant_v_max_mps", 91, 0, 1e-06, 1000.0},
+    {"plant_a_max_mps2", 92, 0, 1e-08, 1000000.0},
     {"score_way_m", 93, 0, 0.001, 1000.0},
     {"score_time_s", 94, 0, 0.01, 1000.0},
     {"score_power", 95, 0, 0.0, 100.0},
@@ -915,6 +918,40 @@ SF_STATIC_ASSERT(sizeof(sf_grid_pair) == 6, "layout of sf_grid_pair");
 SF_STATIC_ASSERT(offsetof(sf_grid_pair, h) == 0, "layout of sf_grid_pair");
 SF_STATIC_ASSERT(offsetof(sf_grid_pair, c) == 4, "layout of sf_grid_pair");
 
+/* First page of a world block; `magic` is stored last. */
+typedef struct sf_world_header {
+  uint64_t magic; /* 'SURFWLD1' */
+  uint64_t layout_hash; /* of WorldPose */
+  int64_t epoch; /* grows with every writer */
+  int64_t pid; /* of the writer */
+} sf_world_header;
+SF_STATIC_ASSERT(sizeof(sf_world_header) == 32, "layout of sf_world_header");
+SF_STATIC_ASSERT(offsetof(sf_world_header, magic) == 0, "layout of sf_world_header");
+SF_STATIC_ASSERT(offsetof(sf_world_header, layout_hash) == 8, "layout of sf_world_header");
+SF_STATIC_ASSERT(offsetof(sf_world_header, epoch) == 16, "layout of sf_world_header");
+SF_STATIC_ASSERT(offsetof(sf_world_header, pid) == 24, "layout of sf_world_header");
+
+/* The true state of the tool. */
+typedef struct sf_world_pose {
+  int64_t t_ns; /* [ns] when it was true, CLOCK_MONOTONIC */
+  double pose[7]; /* [m, 1] x y z qx qy qz qw, world from tool */
+  double velocity[6]; /* [m/s, rad/s] linear, angular; world axes */
+  double standoff_m; /* [m] tool above the ground, along z; NaN: the writer does not know */
+  double ground_m; /* [m] height of the ground under the tool; NaN: the writer does not know */
+  double path_m; /* [m] distance travelled along the path */
+  int64_t scored; /* 1: this part of the run counts */
+  int64_t step; /* steps since the writer started */
+} sf_world_pose;
+SF_STATIC_ASSERT(sizeof(sf_world_pose) == 152, "layout of sf_world_pose");
+SF_STATIC_ASSERT(offsetof(sf_world_pose, t_ns) == 0, "layout of sf_world_pose");
+SF_STATIC_ASSERT(offsetof(sf_world_pose, pose) == 8, "layout of sf_world_pose");
+SF_STATIC_ASSERT(offsetof(sf_world_pose, velocity) == 64, "layout of sf_world_pose");
+SF_STATIC_ASSERT(offsetof(sf_world_pose, standoff_m) == 112, "layout of sf_world_pose");
+SF_STATIC_ASSERT(offsetof(sf_world_pose, ground_m) == 120, "layout of sf_world_pose");
+SF_STATIC_ASSERT(offsetof(sf_world_pose, path_m) == 128, "layout of sf_world_pose");
+SF_STATIC_ASSERT(offsetof(sf_world_pose, scored) == 136, "layout of sf_world_pose");
+SF_STATIC_ASSERT(offsetof(sf_world_pose, step) == 144, "layout of sf_world_pose");
+
 /* ---- results ------------------------------------------------------------------------------- */
 
 enum {
@@ -951,6 +988,7 @@ enum {
   SF_ERR_SYSTEM = -34,
   SF_ERR_HELD = -35,
   SF_ERR_OWNER = -36,
+  SF_ERR_WORLD_HELD = -37,
   /* the service refused: SF_REFUSED_...; `detail` of the client holds the answer's number */
   SF_REFUSED = -100
 };
@@ -972,7 +1010,7 @@ static inline const char *sf_strerror(int result) {
     case SF_ERR_PARAM: return "there is no parameter of that name, or it cannot be set";
     case SF_ERR_BOUNDS: return "the value is not finite, not whole, or outside the parameter's bounds";
     case SF_ERR_NOT_RUNNING: return "no live service of that name; start it: surffollow start --name ...";
-    case SF_ERR_NO_PERMISSION: return "no permission; join the group of the board and the socket (ls -l /dev/shm) or use sf_observe";
+    case SF_ERR_NO_PERMISSION: return "no permission; join the group of the board and the socket (ls -l /dev/shm): sf_observe needs the board, sf_attach both";
     case SF_ERR_NOT_READY: return "the service is starting or being replaced; try again";
     case SF_ERR_LAYOUT: return "the service is of another release than this header; rebuild or restart";
     case SF_ERR_BLOCK: return "the shared-memory object is damaged or not one; restart the service";
@@ -986,6 +1024,7 @@ static inline const char *sf_strerror(int result) {
     case SF_ERR_FILE: return "the file cannot be written; the client's detail holds errno";
     case SF_ERR_MEMORY: return "not enough memory for a copy of the map";
     case SF_ERR_HELD: return "this client holds the map itself, which would wait for ever; call sf_access_end first";
+    case SF_ERR_WORLD_HELD: return "a simulated robot or another client publishes the true pose; stop that one";
     case SF_ERR_OWNER: return "the service belongs to a user who is not trusted (in the client's detail); name him: sf_attach_owner, SURFFOLLOW_OWNER";
     case SF_ERR_SYSTEM: return "a system call failed; the client's detail holds errno";
     default: break;
@@ -1128,6 +1167,8 @@ typedef struct sf_client {
   int ended; /* at the last look the service was silent and its process gone */
   int64_t grant;    /* number of the newest grant of the map to this attachment */
   int access_depth; /* sf_access_begin that were not ended */
+  sf_object world;  /* of sf_sim_pose */
+  int64_t next_world_look_ns;
 } sf_client;
 
 /* The defaults: a client, re-attaching, stale after 20 periods but not before 5 ms, requests wait 5 s. */
@@ -1253,6 +1294,17 @@ static inline int sf_i_is_current(const sf_client *c, const char *suffix, const 
   struct stat status;
   if (o->memory == NULL || !sf_i_path(c->name, suffix, path) || lstat(path, &status) != 0) return 0;
   return SF_CAST(uint64_t, status.st_dev) == o->device && SF_CAST(uint64_t, status.st_ino) == o->inode;
+}
+
+/* Give up the world block of sf_sim_pose; with `remove` its name goes, too. */
+static inline void sf_i_release_world(sf_client *c, int remove) {
+  char path[96];
+  if (c->world.memory == NULL) return;
+  if (remove) {
+    if (sf_i_is_current(c, ".world", &c->world) && sf_i_path(c->name, ".world", path)) unlink(path);
+    if (sf_i_path(c->name, ".world.lock", path)) unlink(path);
+  }
+  sf_i_close(&c->world);
 }
 
 /* A part of a board, by its name; NULL when it is missing, too small or outside the object. */
@@ -1583,10 +1635,11 @@ static inline void sf_i_read_pose_timeout(sf_client *c) {
   if (sf_latch_read_part(c->params, sizeof(sf_params), at, 1, &value) > 0 && value > 0) c->pose_timeout_ns = value;
 }
 
-/* Give back the pose and the slot, unmap everything. Also right after a failed attach. */
+/* Give back the pose and the slot, remove the world block of sf_sim_pose, unmap everything. Also right after a failed attach. */
 static inline void sf_detach(sf_client *c) {
   if (c == NULL) return;
   sf_i_release_slot(c);
+  sf_i_release_world(c, 1);
   c->access_depth = 0;
   sf_i_close(&c->board);
   sf_i_close(&c->map);
@@ -1599,6 +1652,7 @@ static inline void sf_detach(sf_client *c) {
  */
 static inline void sf_forget(sf_client *c) {
   if (c == NULL) return;
+  sf_i_release_world(c, 0);
   sf_detach(c);
 }
 
@@ -1615,6 +1669,7 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
   sf_i_forget(&c->held);
   c->owner = -1;
   sf_i_forget(&c->map);
+  sf_i_forget(&c->world);
   c->options = options != NULL ? *options : sf_default_options();
   if (c->options.stale_periods < 1 || c->options.stale_min_ns < 0 || c->options.owner < SF_OWNER_DEFAULT)
     return SF_ERR_ARGUMENT;
@@ -2019,6 +2074,160 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   sf_latch_write(c->slot_memory + SF_SLOT_POSE, sizeof post, &post);
   return SF_OK;
 }
+/* ---- simulation: the true pose, for the service's simulated sensor ------------------------------ */
+
+static inline void sf_i_sign_world(sf_client *c) {
+  sf_world_header *h = SF_VIEW(sf_world_header *, c->world.memory);
+  h->layout_hash = SF_WORLD_LAYOUT_HASH;
+  h->pid = SF_CAST(int64_t, getpid());
+  h->epoch = sf_now_ns(); /* the clock, so that a block made anew never repeats an epoch */
+  sf_store_release(&h->magic, SF_WORLD_MAGIC);
+}
+
+/*
+ * Take the lock on the world block's name: a file that only its owner may open, locked while this process
+ * lives. The descriptor, or an error.
+ */
+static inline int sf_i_lock_world(sf_client *c) {
+  char path[96];
+  struct stat status, there;
+  struct flock lock;
+  if (!sf_i_path(c->name, ".world.lock", path)) return SF_ERR_NAME;
+  for (int k = 0; k < 20; k++) {
+    const int fd = open(path, O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK, 0600);
+    if (fd < 0) return sf_i_errno(c, errno);
+    memset(&lock, 0, sizeof lock);
+    lock.l_type = F_WRLCK;
+    lock.l_whence = SEEK_SET;
+    lock.l_len = 1;
+    const int known = fstat(fd, &status) == 0;
+    if (!known || !S_ISREG(status.st_mode) || status.st_uid != geteuid() || (status.st_mode & 0177) != 0) {
+      close(fd);
+      return SF_ERR_NO_PERMISSION; /* somebody else's file stands there, or others may lock it */
+    }
+    /* 37: F_OFD_SETLK, which strict ISO C hides; such a lock belongs to this open and ends with it */
+    if (fcntl(fd, 37, &lock) == 0) {
+      /* its last owner may have removed it between our open and our lock */
+      if (lstat(path, &there) == 0 && there.st_dev == status.st_dev && there.st_ino == status.st_ino) return fd;
+      close(fd);
+      continue;
+    }
+    close(fd);
+    /* a writer that was just killed holds its lock until the kernel has taken it apart */
+    sf_sleep_until_ns(sf_now_ns() + 5000000);
+  }
+  return SF_ERR_WORLD_HELD;
+}
+
+/* Map a world block that is there, to carry on in it. SF_ERR_NOT_RUNNING: there is none. */
+static inline int sf_i_adopt_world(sf_client *c, const char *path) {
+  struct stat status;
+  const int fd = open(path, O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
+  if (fd < 0) return sf_i_errno(c, errno);
+  if (fstat(fd, &status) != 0 || !S_ISREG(status.st_mode) || status.st_uid != geteuid() ||
+      status.st_size != SF_WORLD_BYTES) {
+    close(fd);
+    return SF_ERR_BLOCK;
+  }
+  void *memory = mmap(NULL, SF_WORLD_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+  close(fd);
+  if (memory == MAP_FAILED) return sf_i_errno(c, errno);
+  c->world.memory = SF_CAST(unsigned char *, memory);
+  c->world.size = SF_WORLD_BYTES;
+  c->world.device = SF_CAST(uint64_t, status.st_dev);
+  c->world.inode = SF_CAST(uint64_t, status.st_ino);
+  c->world.owner = status.st_uid;
+  return SF_VIEW(const sf_world_header *, memory)->layout_hash == SF_WORLD_LAYOUT_HASH ? SF_OK : SF_ERR_LAYOUT;
+}
+
+/* A new world block: it gets its name when it is whole. */
+static inline int sf_i_make_world(sf_client *c, const char *path) {
+  char nameless[64];
+  struct stat status;
+  /* 020000000: the bit of O_TMPFILE beside O_DIRECTORY, which strict ISO C hides */
+  const int fd = open("/dev/shm", 020000000 | O_DIRECTORY | O_RDWR | O_CLOEXEC, 0640);
+  if (fd < 0) return sf_i_errno(c, errno);
+  int number = posix_fallocate(fd, 0, SF_WORLD_BYTES);
+  if (number == 0 && (fchmod(fd, 0640) != 0 || fstat(fd, &status) != 0)) number = errno;
+  void *memory = MAP_FAILED;
+  if (number == 0) {
+    memory = mmap(NULL, SF_WORLD_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+    if (memory == MAP_FAILED) number = errno;
+  }
+  if (number == 0) {
+    c->world.memory = SF_CAST(unsigned char *, memory);
+    c->world.size = SF_WORLD_BYTES;
+    c->world.device = SF_CAST(uint64_t, status.st_dev);
+    c->world.inode = SF_CAST(uint64_t, status.st_ino);
+    c->world.owner = status.st_uid;
+    sf_i_sign_world(c);
+    snprintf(nameless, sizeof nameless, "/proc/self/fd/%d", fd);
+    if (linkat(AT_FDCWD, nameless, AT_FDCWD, path, AT_SYMLINK_FOLLOW) != 0) number = errno;
+  }
+  close(fd);
+  return number == 0 ? SF_OK : sf_i_errno(c, number);
+}
+
+/* Become the one writer of the service's world block: make it, or carry on in a dead writer's. */
+static inline int sf_i_claim_world(sf_client *c) {
+  char path[96];
+  sf_i_release_world(c, 0);
+  if (!sf_i_path(c->name, ".world", path)) return SF_ERR_NAME;
+  const int lock = sf_i_lock_world(c);
+  if (lock < 0) return lock;
+  int result = sf_i_adopt_world(c, path);
+  if (result == SF_OK) {
+    sf_i_sign_world(c);
+  } else {
+    sf_i_close(&c->world);
+    /* another version's, or cut short: never changed under its readers */
+    if (result == SF_ERR_LAYOUT || result == SF_ERR_BLOCK) unlink(path);
+    if (result == SF_ERR_LAYOUT || result == SF_ERR_BLOCK || result == SF_ERR_NOT_RUNNING)
+      result = sf_i_make_world(c, path);
+  }
+  if (result != SF_OK) {
+    sf_i_close(&c->world);
+    close(lock);
+    return result;
+  }
+  c->world.fd = lock; /* closing it gives the name back */
+  return SF_OK;
+}
+
+/*
+ * Tell the simulated sensor where the tool truly is, where reports are noisy or late: `pose` as in sf_ee_pos,
+ * true at `t_ns`; `velocity` m/s and rad/s, world axes, NULL: at rest. The service itself never reads it.
+ * Without it the simulated sensor rides on the reported poses, whose errors then cancel. The first call makes
+ * the block NAME.world; sf_detach removes it.
+ * SF_OK, SF_ERR_POSE, _OBSERVER, _WORLD_HELD (a simulated robot or another client writes it), _LAYOUT, _SYSTEM, ...
+ */
+static inline int sf_sim_pose(sf_client *c, int64_t t_ns, const double pose[7], const double velocity[6]) {
+  if (c == NULL || c->output == NULL || pose == NULL) return SF_ERR_ARGUMENT;
+  if (c->options.observe) return SF_ERR_OBSERVER;
+  sf_world_pose post;
+  memset(&post, 0, sizeof post);
+  const int err = sf_i_check_pose(pose, post.pose);
+  if (err != SF_OK) return err;
+  for (int k = 0; k < 6 && velocity != NULL; k++) {
+    if (!sf_i_is_finite(velocity[k])) return SF_ERR_POSE;
+    post.velocity[k] = velocity[k];
+  }
+  const int64_t now = sf_now_ns();
+  if (c->world.memory == NULL || now > c->next_world_look_ns) {
+    c->next_world_look_ns = now + SF_LOOK_EVERY_NS;
+    if (c->world.memory == NULL || !sf_i_is_current(c, ".world", &c->world)) {
+      const int claimed = sf_i_claim_world(c);
+      if (claimed != SF_OK) return claimed;
+    }
+  }
+  post.t_ns = t_ns;
+  const uint64_t nan_bits = UINT64_C(0x7FF8000000000000); /* what the writer does not know */
+  memcpy(&post.standoff_m, &nan_bits, sizeof nan_bits);
+  memcpy(&post.ground_m, &nan_bits, sizeof nan_bits);
+  sf_latch_write(c->world.memory + SF_PAGE, sizeof post, &post);
+  return SF_OK;
+}
+
 /* ---- parameters ----------------------------------------------------------------------------- */
 
 /* A parameter by its name, with or without its unit ("max_jerk_mps3", "max_jerk"); NULL when there is none. */
@@ -2582,7 +2791,8 @@ static inline size_t sf_i_folder(const char *path) {
 
 /* Whether a file's name ends in the suffix of another format than the map's text file: a reader goes by it. */
 static inline int sf_i_is_other_format(const char *path) {
-  static const char *const others[] = {".npz", ".asc", ".tif", ".tiff", ".ply", ".png"};
+  static const char *const others[] = {".npz", ".asc", ".tif", ".tiff", ".ply",
+                                       ".xyz", ".las", ".png", ".svg", ".pdf"};
   const char *name = path + sf_i_folder(path);
   while (*name == '.') name++; /* a dot at the beginning begins no suffix */
   const char *suffix = strrchr(name, '.');
@@ -2628,7 +2838,8 @@ static inline void sf_i_sync_folder(char path[4096]) {
  * Write the map's header and all grids to a text file, with this process's own rights (paper: UpLoadMap).
  * The map stands still only while it is copied; the file appears whole or not at all. Links are followed;
  * what is there and is no plain file stays: SF_ERR_FILE with EEXIST in the client's `detail`. A name that
- * ends in the suffix of another format (.npz .asc .tif .tiff .ply .png) is refused: SF_ERR_FILE with EINVAL.
+ * ends in the suffix of another format (.npz .asc .tif .tiff .ply .xyz .las .png .svg .pdf) is refused: SF_ERR_FILE
+ * with EINVAL.
  */
 static inline int sf_upload_map(sf_client *c, const char *path) {
   char part[4096 + 64], target[4096];

@@ -67,7 +67,7 @@ class Beat:
         causes = STOP_DRIVER if driver_faults else 0
         store_release(self._ctx.ctypes.data + 8 * m.STOP_ASKED, causes)
         self.guard.run("the audit trail", self._audit.publish, None)
-        texts = [*driver_faults, *self._grants.refused, *self.guard.texts()]
+        texts = [*driver_faults, *self._watch.notes(), *self._grants.refused, *self.guard.texts()]
         if self._server.failures:
             faults |= FAULT_SLOTS
             texts.append(

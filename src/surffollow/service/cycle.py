@@ -6,6 +6,7 @@ from typing import Any
 
 from surffollow.forecast import journal
 from surffollow.forecast.step import follow_step
+from surffollow.hw.driver import REPORT_WORDS
 from surffollow.service import memory as m
 from surffollow.service.inbox import POSE_BAD, POSE_OK, POSE_TORN, read_pose
 from surffollow.service.preview import fill_preview
@@ -112,6 +113,16 @@ def log_snapshot(mem: Any, t_ns: Any) -> None:
 
 
 @jit
+def hand_report(mem: Any) -> None:
+    """Give the pose that was just accepted to the simulated sensor, when there is one."""
+    ctx, inputs = mem.ctx, mem.inputs[0]
+    mem.entry[0] = inputs.pose_t_ns[0]
+    for i in range(7):
+        mem.entry_floats[1 + i] = inputs.pose[i]
+    ring_push(ctx[m.REPORTS], ctx[m.REPORTS_CAPACITY], REPORT_WORDS, mem.entry.ctypes.data)
+
+
+@jit
 def one_cycle(mem: Any, t_ns: Any) -> None:
     """All of a cycle but the waiting: requests first, then data."""
     ctx = mem.ctx
@@ -121,6 +132,8 @@ def one_cycle(mem: Any, t_ns: Any) -> None:
     answer = read_pose(mem, t_ns)
     if answer == POSE_OK:
         count(ctx[m.STATS], _POSES, 1)
+        if ctx[m.REPORTS] != 0:
+            hand_report(mem)
     elif answer == POSE_BAD:
         count(ctx[m.STATS], _POSES_REFUSED, 1)
     elif answer == POSE_TORN:

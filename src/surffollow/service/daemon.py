@@ -15,7 +15,7 @@ import numpy as np
 from surffollow.config.service import ServiceConfig, metres, seconds
 from surffollow.errors import ServiceError
 from surffollow.forecast.step import sf_reset
-from surffollow.hw.driver import ConversionQueue, Driver
+from surffollow.hw.driver import ConversionQueue, Driver, reports_of
 from surffollow.hw.registry import make_driver
 from surffollow.hw.simulated import SimulatedDriver
 from surffollow.service import memory as m
@@ -60,7 +60,9 @@ class Daemon:
         try:
             self.queue = ConversionQueue(1 << 15)
             self.samples = make_sample_ring(config, int(self.house.header[0]["period_ns"]))
-            self.mem = initialise_memory(config, self.house, self.queue, self.samples)
+            self.mem = initialise_memory(
+                config, self.house, self.queue, self.samples, reports_of(self.driver)
+            )
             self.map_mem = make_map_memory(
                 self.mem.ctx,
                 self.house.map_header,

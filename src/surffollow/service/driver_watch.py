@@ -1,11 +1,11 @@
-"""Ask the driver for its faults in a thread of its own: a driver that raises or blocks delays nobody."""
+"""Ask the driver for faults and notes in a thread of its own: one that raises or blocks delays nobody."""
 
 from __future__ import annotations
 
 import threading
 import time
 
-from surffollow.hw.driver import Driver
+from surffollow.hw.driver import Driver, notes_of
 
 EVERY_S = 0.05
 SILENT_S = 1.0
@@ -22,6 +22,7 @@ class DriverWatch:
     def __init__(self, driver: Driver) -> None:
         self._driver = driver
         self._faults: list[str] = []
+        self._notes: list[str] = []
         self._asked_s = 0.0  # 0: not asked now
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._ask, name="driver-faults", daemon=True)
@@ -37,11 +38,16 @@ class DriverWatch:
             return [f"the driver has not answered faults() for {now - asked:.0f} s"]
         return self._faults
 
+    def notes(self) -> list[str]:
+        """What a user should know of the driver that is no fault, as it said last."""
+        return self._notes
+
     def _ask(self) -> None:
         while not self._over.wait(EVERY_S):
             self._asked_s = time.monotonic()
             try:
                 found = [str(text) for text in self._driver.faults()]
+                self._notes = [str(text) for text in notes_of(self._driver)]
             except Exception as e:
                 found = [f"the driver's faults() raised {e!r}"]
             self._faults, self._asked_s = found, 0.0

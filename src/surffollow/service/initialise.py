@@ -12,7 +12,7 @@ from surffollow.config.params import PARAMS
 from surffollow.config.service import ServiceConfig, follow_params, seconds
 from surffollow.config.stop_causes import STOP_NAMES, stop_causes
 from surffollow.errors import ConfigError
-from surffollow.hw.driver import ConversionQueue, DriverInfo
+from surffollow.hw.driver import ConversionQueue, DriverInfo, PoseQueue
 from surffollow.service import memory as m
 from surffollow.service.fitting import misfit
 from surffollow.service.house import House
@@ -22,6 +22,7 @@ from surffollow.shm.layout_follow import CHANNELS, INTERVALS, POSES, STOP_START,
 from surffollow.shm.ring import make_ring
 
 CHANGES = 2048  # entries for the audit trail between two looks of the main thread
+TOO_CLOSE_SHARE, TOO_CLOSE_EXIT_SHARE = 0.0375, 0.075
 
 
 def make_sample_ring(config: ServiceConfig, period_ns: int) -> tuple[NDArray[Any], int]:
@@ -34,7 +35,11 @@ def make_sample_ring(config: ServiceConfig, period_ns: int) -> tuple[NDArray[Any
 
 
 def initialise_memory(
-    config: ServiceConfig, house: House, queue: ConversionQueue, samples: tuple[NDArray[Any], int]
+    config: ServiceConfig,
+    house: House,
+    queue: ConversionQueue,
+    samples: tuple[NDArray[Any], int],
+    reports: PoseQueue | None = None,
 ) -> m.CycleMemory:
     """Memory of the cycle thread, which knows where everything lies and how it is to run.
 
@@ -44,6 +49,7 @@ def initialise_memory(
     house : House                     the service's shared memory
     queue : ConversionQueue           what the driver fills
     samples : ring and capacity       of `make_sample_ring`; must live as long as the memory
+    reports : PoseQueue, optional     where accepted poses go, for a simulated sensor
     """
     mem = m.make_cycle_memory(house.map_header, house.pairs)
     ctx = mem.ctx
@@ -67,6 +73,8 @@ def initialise_memory(
     ctx[m.LOG_CAPACITY] = config.log_words
     ctx[m.INBOX] = house.slots.address
     ctx[m.CONVERSIONS], ctx[m.CONVERSIONS_CAPACITY] = queue.address, queue.capacity
+    if reports is not None:
+        ctx[m.REPORTS], ctx[m.REPORTS_CAPACITY] = reports.address, reports.capacity
     ctx[m.SAMPLES], ctx[m.SAMPLES_CAPACITY] = samples[0].ctypes.data, samples[1]
     snapshot = seconds(config.snapshot, "snapshot", 0.01, 3600.0)
     ctx[m.SNAPSHOT_CYCLES] = max(1, round(snapshot * 1e9 / period))
@@ -112,6 +120,10 @@ def initialise_constants(params: Any, config: ServiceConfig, info: DriverInfo) -
     p["sensor_latency_ns"] = info.latency_ns
     p["tool_from_sensor"] = np.array(info.mounts, np.float64).reshape(-1)
     p["stop_on"] = stop_causes(config.stop.on)
+    # the default sensor's 2.15 and 2.3 in, as shares of its window
+    near, width = info.range_min_m, info.range_max_m - info.range_min_m
+    p["too_close_m"] = near + TOO_CLOSE_SHARE * width
+    p["too_close_exit_m"] = near + TOO_CLOSE_EXIT_SHARE * width
     for name, value in follow_params(config).items():
         p[name] = value
     _check_fit(p)

@@ -44,8 +44,10 @@ from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
     POSE_CLAIM,
     POSE_SEEN,  # generation of the pose read last
     LEASE_NS,  # of exclusive access
+    REPORTS,  # a simulated sensor's queue of accepted poses; 0: the driver wants none
+    REPORTS_CAPACITY,
     MAP_PASSES,  # map → main: looks around that have begun
-) = range(25)
+) = range(27)
 # main → threads: per slot, the claim of the client that holds it; 0: nobody does, its memory is not read
 CLAIM = 32
 PID = CLAIM + CLIENTS  # per slot, that client's process and user, as the kernel told them

@@ -15,6 +15,7 @@ from surffollow.errors import SchemaError
 from surffollow.shm import latch_shape, layout_follow
 from surffollow.shm import layout_board as lb
 from surffollow.shm import map_layout as ml
+from surffollow.shm import world_block as wb
 from surffollow.shm.layout_follow import Output, Params
 from surffollow.shm.schema import SCALARS, Field, Schema
 
@@ -39,6 +40,8 @@ SCHEMAS: tuple[type[Schema], ...] = (
     lb.StreamPiece,
     ml.MapHeader,
     ml.GridPair,
+    wb.WorldHeader,
+    wb.WorldPose,
 )
 # rules of the client library, the same in Python (a test compares)
 _SLOT_WORDS = (
@@ -117,6 +120,9 @@ def _defines() -> Iterator[tuple[str, str]]:
     yield "SLOT_MAGIC", f"UINT64_C({lb.SLOT_MAGIC})"
     yield "MAP_MAGIC", f"UINT64_C({ml.MAGIC})"
     yield "MAP_LAYOUT_HASH", f"UINT64_C({ml.LAYOUT_HASH})"
+    yield "WORLD_MAGIC", word(wb.MAGIC)
+    yield "WORLD_LAYOUT_HASH", f"UINT64_C({wb.WorldPose.HASH})"
+    yield "WORLD_BYTES", str(wb.SIZE)
     for name in (
         *("CLIENTS", "PAGE", "REQUEST_ARGS", "SLOT_BYTES", "SLOT_HEAD", "SLOT_POSE", "SLOT_REQUEST"),
         *("SLOT_STREAM", "PIECE_BYTES", "PIECE_GRIDS", "PIECE_HEIGHTS", "PIECE_COUNTS"),

@@ -15,6 +15,7 @@ from surffollow.sim.surfaces import Region
 
 SPACING_M = 1e-3  # of a path's points
 KINDS = ("line", "raster")
+FILES = (".csv", ".npz")
 MARGIN_M = 0.05  # of a path to the edge of its region
 MAX_LENGTH_M = 20_000.0
 
@@ -74,6 +75,11 @@ def raster_path(region: Region, speed_mps: float, accel_mps2: float, lane_m: flo
         raise UsageError(f"region {region} leaves no room for lanes {MARGIN_M} m from its edges")
     pieces, speeds = [], []
     lanes = int((y1 - y0) / lane_m + 1e-9) + 1
+    if lanes < 2:
+        raise UsageError(
+            f"region {region} leaves room for one lane only: {MARGIN_M} m stay free at its edges and lanes "
+            f"lie {lane_m} m apart; a raster needs two (larger region, smaller lane, or path line)"
+        )
     _check_length(lanes * (x1 - x0 + math.pi * radius))
     for k in range(lanes):
         y, forward = y0 + k * lane_m, k % 2 == 0
@@ -86,6 +92,62 @@ def raster_path(region: Region, speed_mps: float, accel_mps2: float, lane_m: flo
             pieces.append(np.c_[b + side * radius * np.cos(angle), y + radius + radius * np.sin(angle)])
             speeds.append(min(speed_mps, math.sqrt(accel_mps2 * radius)))
     return _path(pieces, speeds, accel_mps2, stop_between=False)
+
+
+def file_path(file: str, speed_mps: float, accel_mps2: float) -> Path:
+    """A planner's path from a file.
+
+    Parameters
+    ----------
+    file : CSV with a header line, or NPZ: `x_m`, `y_m` [m] of the corners, and, where they are given,
+        `speed_mps` (limit on the way to a corner) and `stop` (1: come to rest there, 0: pass); other columns,
+        as t_s, z_m or an attitude, are passed over: the robot keeps its own time, height and attitude
+    speed_mps, accel_mps2 : limits along the path [m/s], [m/s²]
+
+    Raises
+    ------
+    UsageError
+        it cannot be read, lacks x_m or y_m, or is no path
+    """
+    x, y, speed, stop = _read_corners(file, speed_mps)
+    keep = np.concatenate([[True], np.hypot(np.diff(x), np.diff(y)) > 0.0])
+    x, y, speed, stop = x[keep], y[keep], speed[keep], stop[keep]
+    if len(x) < 2 or not all(np.isfinite(c).all() for c in (x, y, speed)) or not (speed > 0.0).all():
+        raise UsageError(f"path '{file}' needs two or more different corners, finite, with speeds above 0")
+    _check_length(float(np.hypot(np.diff(x), np.diff(y)).sum()))
+    corners = [np.array([(x[k], y[k]), (x[k + 1], y[k + 1])]) for k in range(len(x) - 1)]
+    path = _path(corners, np.minimum(speed[1:], speed_mps).tolist(), accel_mps2, stop_between=False)
+    along = np.cumsum(np.hypot(np.diff(x), np.diff(y)))[stop[1:] != 0.0]
+    path.points[np.minimum(np.round(along / SPACING_M).astype(np.int64), len(path.points) - 1), 2] = 0.0
+    limit = np.ascontiguousarray(path.points[:, 2])
+    slow_down(limit, accel_mps2, SPACING_M)
+    slow_down(limit[::-1], accel_mps2, SPACING_M)
+    path.points[:, 2] = limit
+    return path
+
+
+def _read_corners(file: str, speed_mps: float) -> tuple[NDArray[np.float64], ...]:
+    columns: dict[str, NDArray[np.float64]] = {}
+    try:
+        if file.lower().endswith(".npz"):
+            with np.load(file, allow_pickle=False) as stored:
+                columns = {name: np.asarray(stored[name], float) for name in stored.files}
+        else:
+            rows = np.genfromtxt(file, delimiter=",", names=True, dtype=float, ndmin=1)
+            columns = {name: rows[name] for name in rows.dtype.names or ()}
+    except (OSError, ValueError) as error:
+        raise UsageError(f"cannot read the path '{file}': {error}") from None
+    if not {"x_m", "y_m"} <= set(columns):
+        raise UsageError(
+            f"path '{file}' has the columns {', '.join(columns) or 'none'}; x_m and y_m are needed"
+        )
+    x = columns["x_m"]
+    return (
+        x,
+        columns["y_m"],
+        columns.get("speed_mps", np.full(len(x), speed_mps)),
+        columns.get("stop", 0.0 * x),
+    )
 
 
 def _check_length(length_m: float) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from surffollow.errors import ConfigError
 from surffollow.shm.dtypes import zeros
 from surffollow.sim.plant import PlantConfig, set_point_for
-from surffollow.sim.raster import KINDS, Path, line_path, raster_path
+from surffollow.sim.raster import FILES, KINDS, Path, file_path, line_path, raster_path
 from surffollow.sim.robot_motion import STEP_NS, TRACE_COLUMNS, Motion, run_until
 from surffollow.sim.robot_turn import turned
 from surffollow.sim.surfaces import HeightField, Region
@@ -39,7 +39,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes
     ----------
     world : the ground, the same as the service's simulated sensors have
-    path : "line" (to and fro through the middle) or "raster"
+    path : "line" (to and fro through the middle), "raster", or a file (see `raster.file_path`)
     region : part of the ground that the path keeps to; None: all of it
     speed_mps, accel_mps2 : along the path [m/s], [m/s²]
     lane_m : distance of a raster's lanes [m]
@@ -73,8 +73,11 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     plant: PlantConfig = PlantConfig()
 
     def __post_init__(self) -> None:
-        if self.path not in KINDS:
-            raise ConfigError(f"path '{self.path}' is unknown; one of: {', '.join(KINDS)}")
+        if self.path not in KINDS and not self.path.lower().endswith(FILES):
+            raise ConfigError(
+                f"path '{self.path}' is unknown; one of: {', '.join(KINDS)}, or a file that ends in "
+                f"{' or '.join(FILES)}"
+            )
         bounds = {
             "speed_mps": (1e-3, 2.0),
             "accel_mps2": (1e-2, 10.0),
@@ -97,6 +100,8 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def make_path(config: RobotConfig, field: HeightField) -> Path:
     """Lay the path of a configuration over a field."""
     region = config.region if config.region is not None else field.region
+    if config.path not in KINDS:
+        return file_path(config.path, config.speed_mps, config.accel_mps2)
     if config.path == "raster":
         return raster_path(region, config.speed_mps, config.accel_mps2, config.lane_m)
     seconds = config.seconds if config.seconds > 0.0 else 3600.0

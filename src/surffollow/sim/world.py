@@ -1,71 +1,20 @@
-"""The block `NAME.world`: where the simulated robot truly is, written by the robot, read by its sensors.
-
-One shared object as the service's own are (`shm.objects`): a header of one page, then a latch over
-`WorldPose`. A kernel-released lock (`shm.name_lock`) says who writes; a writer that finds the leavings of a
-dead one carries on in them with a new epoch. The service never reads this block: it sees only the
-reports that come through the client library.
-"""
+"""Both ends of the block `NAME.world` (`shm.world_block`): a simulated robot writes, its sensors read."""
 
 from __future__ import annotations
 
-import contextlib
-import os
-import time
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.config.names import check_name, check_service_name
-from surffollow.errors import BusyError, ExistsError, LayoutMismatchError, NotReadyError, NotRunningError
+from surffollow.errors import LayoutMismatchError, NotReadyError, NotRunningError
 from surffollow.shm.dtypes import numpy_dtype, zeros
 from surffollow.shm.latch import latch_read, latch_write
-from surffollow.shm.latch_shape import latch_bytes
-from surffollow.shm.name_lock import NameLock
+from surffollow.shm.name_lock import holder
 from surffollow.shm.objects import SharedObject, unlink
-from surffollow.shm.schema import F64, I64, U64, Schema
+from surffollow.shm.world_block import MAGIC, PAGE, SIZE, WorldHeader, WorldPose, claim_world, object_name
 
-MAGIC = int.from_bytes(b"SURFWLD1", "little")
-PAGE = 4096
-MODE = 0o640
-# a robot that was just killed holds its lock until the kernel has taken it apart
-DYING_S, POLL_S = 0.1, 0.005
-
-
-class WorldHeader(Schema):
-    """First page of the object; `magic` is stored last."""
-
-    magic = U64(doc="'SURFWLD1'")
-    layout_hash = U64(doc="of WorldPose")
-    epoch = I64(doc="grows with every writer")
-    pid = I64(doc="of the writer")
-
-
-class WorldPose(Schema):
-    """The true state of the tool."""
-
-    t_ns = I64(unit="ns", doc="when it was true, CLOCK_MONOTONIC")
-    pose = F64(7, unit="m, 1", doc="x y z qx qy qz qw, world from tool")
-    velocity = F64(6, unit="m/s, rad/s", doc="linear, angular; world axes")
-    standoff_m = F64(unit="m", doc="tool above the ground, along z")
-    ground_m = F64(unit="m", doc="height of the ground under the tool")
-    path_m = F64(unit="m", doc="distance travelled along the path")
-    scored = I64(doc="1: this part of the run counts")
-    step = I64(doc="steps since the writer started")
-
-
-SIZE = PAGE + -(-latch_bytes(WorldPose.SIZE) // PAGE) * PAGE
-
-
-def object_name(name: str) -> str:
-    """Name of the world block of service `name`.
-
-    Raises
-    ------
-    NameError_
-        when the name has characters that a path could misread
-    """
-    return check_name(f"{check_service_name(name)}.world")
+__all__ = ["WorldPose", "WorldReader", "WorldWriter", "object_name"]
 
 
 class _View:
@@ -75,47 +24,6 @@ class _View:
         self._bytes: NDArray[Any] = np.frombuffer(obj.memory, np.uint8)
         self.header: Any = self._bytes[: WorldHeader.SIZE].view(numpy_dtype(WorldHeader))[0]
         self.latch = int(self._bytes.ctypes.data) + PAGE
-
-
-def _sign(obj: SharedObject) -> None:
-    header = _View(obj).header
-    header["layout_hash"], header["pid"] = WorldPose.HASH, os.getpid()
-    # the clock, so that an object made anew under the name never repeats an epoch
-    header["epoch"] = time.monotonic_ns()
-    header["magic"] = MAGIC
-
-
-def _claim(name: str) -> tuple[SharedObject, NameLock]:
-    """The block, made or taken over from a dead writer, and the lock that makes it ours."""
-    own = _take_name(name)
-    try:
-        while True:
-            try:
-                obj = SharedObject.open(name, writable=True, owners=(os.geteuid(),))
-            except NotRunningError:
-                with contextlib.suppress(ExistsError):  # somebody was faster: look at what it made
-                    return SharedObject.create(name, SIZE, MODE, prepare=_sign), own
-                continue
-            except NotReadyError:
-                unlink(name)  # empty, as no robot makes it
-                continue
-            if obj.size == SIZE and int(_View(obj).header["layout_hash"]) == WorldPose.HASH:
-                _sign(obj)
-                return obj, own
-            obj.close()
-            unlink(name)  # another version's: never changed under its readers
-    except BaseException:
-        own.release()
-        raise
-
-
-def _take_name(name: str) -> NameLock:
-    deadline = time.monotonic() + DYING_S
-    while (own := NameLock.take(name)) is None:
-        if time.monotonic() > deadline:
-            raise BusyError(f"block {name!r} has a live writer; stop that robot first")
-        time.sleep(POLL_S)
-    return own
 
 
 class _Mapped:
@@ -151,7 +59,7 @@ class WorldWriter(_Mapped):
 
     def __init__(self, name: str) -> None:
         self.name = object_name(name)
-        self._object, self._lock = _claim(self.name)
+        self._object, self._lock = claim_world(self.name)
         self._view = _View(self._object)
 
     def write(self, record: NDArray[Any]) -> None:
@@ -212,6 +120,11 @@ class WorldReader(_Mapped):
     def is_current(self) -> bool:
         """False once another object bears the name, or none does."""
         return self._object.is_current()
+
+    @property
+    def has_writer(self) -> bool:
+        """Whether a live process writes the block."""
+        return holder(self.name) != 0
 
     def latest(self) -> NDArray[Any] | None:
         """Newest `WorldPose` record, shape (1,); None before the first, or when it was torn too often."""

@@ -44,16 +44,47 @@ class WorldConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seed : of its random parts
     region : (x_min, y_min, x_max, y_max) [m]
     grid_m : spacing of its heights [m]
+    file : heights from a map file (see `HeightMap.load`; every grid known) instead of a made surface; a
+        relative path starts where the program runs
     """
 
     surface: str = "fy91"
     seed: int = 91
     region: Region = DEFAULT_REGION
     grid_m: float = 1e-3
+    file: str = ""
 
     def make(self) -> HeightField:
         """Build it; see `world_surface`."""
+        if self.file:
+            return file_surface(self.file)
         return world_surface(self.surface, self.seed, self.region, self.grid_m)
+
+
+def file_surface(file: str) -> HeightField:
+    """The ground of a map file; a grid's height holds at its centre.
+
+    Raises
+    ------
+    ConfigError
+        unknown grids, or fewer than 2 × 2
+    MapFileError
+        it is no map
+    """
+    import numpy as np
+
+    from surffollow.map.height_map import HeightMap
+
+    found = HeightMap.load(file)
+    heights_m, half_m = np.array(found.heights_m, float), 0.5 * found.grid_m
+    if min(heights_m.shape) < 2 or not np.isfinite(heights_m).all():
+        unknown = int((~np.isfinite(heights_m)).sum())
+        raise ConfigError(
+            f"ground '{file}' has {unknown} unknown grids of {heights_m.shape[1]} × {heights_m.shape[0]}; a "
+            "simulated ground needs 2 × 2 or more, all known (crop or fill it: surffollow map --help)"
+        )
+    x0, y0 = found.origin_m
+    return HeightField(heights_m, x0 + half_m, y0 + half_m, found.grid_m)
 
 
 def world_surface(

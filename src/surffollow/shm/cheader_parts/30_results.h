@@ -34,6 +34,7 @@ enum {
   SF_ERR_SYSTEM = -34,
   SF_ERR_HELD = -35,
   SF_ERR_OWNER = -36,
+  SF_ERR_WORLD_HELD = -37,
   /* the service refused: SF_REFUSED_...; `detail` of the client holds the answer's number */
   SF_REFUSED = -100
 };
@@ -55,7 +56,7 @@ static inline const char *sf_strerror(int result) {
     case SF_ERR_PARAM: return "there is no parameter of that name, or it cannot be set";
     case SF_ERR_BOUNDS: return "the value is not finite, not whole, or outside the parameter's bounds";
     case SF_ERR_NOT_RUNNING: return "no live service of that name; start it: surffollow start --name ...";
-    case SF_ERR_NO_PERMISSION: return "no permission; join the group of the board and the socket (ls -l /dev/shm) or use sf_observe";
+    case SF_ERR_NO_PERMISSION: return "no permission; join the group of the board and the socket (ls -l /dev/shm): sf_observe needs the board, sf_attach both";
     case SF_ERR_NOT_READY: return "the service is starting or being replaced; try again";
     case SF_ERR_LAYOUT: return "the service is of another release than this header; rebuild or restart";
     case SF_ERR_BLOCK: return "the shared-memory object is damaged or not one; restart the service";
@@ -69,6 +70,7 @@ static inline const char *sf_strerror(int result) {
     case SF_ERR_FILE: return "the file cannot be written; the client's detail holds errno";
     case SF_ERR_MEMORY: return "not enough memory for a copy of the map";
     case SF_ERR_HELD: return "this client holds the map itself, which would wait for ever; call sf_access_end first";
+    case SF_ERR_WORLD_HELD: return "a simulated robot or another client publishes the true pose; stop that one";
     case SF_ERR_OWNER: return "the service belongs to a user who is not trusted (in the client's detail); name him: sf_attach_owner, SURFFOLLOW_OWNER";
     case SF_ERR_SYSTEM: return "a system call failed; the client's detail holds errno";
     default: break;

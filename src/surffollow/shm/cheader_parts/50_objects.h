@@ -47,6 +47,8 @@ typedef struct sf_client {
   int ended; /* at the last look the service was silent and its process gone */
   int64_t grant;    /* number of the newest grant of the map to this attachment */
   int access_depth; /* sf_access_begin that were not ended */
+  sf_object world;  /* of sf_sim_pose */
+  int64_t next_world_look_ns;
 } sf_client;
 
 /* The defaults: a client, re-attaching, stale after 20 periods but not before 5 ms, requests wait 5 s. */
@@ -172,6 +174,17 @@ static inline int sf_i_is_current(const sf_client *c, const char *suffix, const 
   struct stat status;
   if (o->memory == NULL || !sf_i_path(c->name, suffix, path) || lstat(path, &status) != 0) return 0;
   return SF_CAST(uint64_t, status.st_dev) == o->device && SF_CAST(uint64_t, status.st_ino) == o->inode;
+}
+
+/* Give up the world block of sf_sim_pose; with `remove` its name goes, too. */
+static inline void sf_i_release_world(sf_client *c, int remove) {
+  char path[96];
+  if (c->world.memory == NULL) return;
+  if (remove) {
+    if (sf_i_is_current(c, ".world", &c->world) && sf_i_path(c->name, ".world", path)) unlink(path);
+    if (sf_i_path(c->name, ".world.lock", path)) unlink(path);
+  }
+  sf_i_close(&c->world);
 }
 
 /* A part of a board, by its name; NULL when it is missing, too small or outside the object. */

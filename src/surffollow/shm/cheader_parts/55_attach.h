@@ -46,10 +46,11 @@ static inline void sf_i_read_pose_timeout(sf_client *c) {
   if (sf_latch_read_part(c->params, sizeof(sf_params), at, 1, &value) > 0 && value > 0) c->pose_timeout_ns = value;
 }
 
-/* Give back the pose and the slot, unmap everything. Also right after a failed attach. */
+/* Give back the pose and the slot, remove the world block of sf_sim_pose, unmap everything. Also right after a failed attach. */
 static inline void sf_detach(sf_client *c) {
   if (c == NULL) return;
   sf_i_release_slot(c);
+  sf_i_release_world(c, 1);
   c->access_depth = 0;
   sf_i_close(&c->board);
   sf_i_close(&c->map);
@@ -62,6 +63,7 @@ static inline void sf_detach(sf_client *c) {
  */
 static inline void sf_forget(sf_client *c) {
   if (c == NULL) return;
+  sf_i_release_world(c, 0);
   sf_detach(c);
 }
 
@@ -78,6 +80,7 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
   sf_i_forget(&c->held);
   c->owner = -1;
   sf_i_forget(&c->map);
+  sf_i_forget(&c->world);
   c->options = options != NULL ? *options : sf_default_options();
   if (c->options.stale_periods < 1 || c->options.stale_min_ns < 0 || c->options.owner < SF_OWNER_DEFAULT)
     return SF_ERR_ARGUMENT;

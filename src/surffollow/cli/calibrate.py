@@ -1,0 +1,245 @@
+"""`surffollow calibrate`: a sensor's range table, latency and mount, for `[driver] calibration`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from surffollow.cli.values import SERVICE_NAME, Finite
+
+FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+OUT = click.option(
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    required=True,
+    help="Calibration file; what it holds of other kinds or channels stays.",
+)
+CHANNEL = click.option(
+    "--channel", type=click.IntRange(0, 7), default=0, show_default=True, help="Of the sensor."
+)
+JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+
+
+@click.group("calibrate")
+def calibrate_group() -> None:
+    """Calibrate a sensor; the file goes into a configuration as [driver] calibration = "FILE"."""
+
+
+def read_columns(path: Path, names: tuple[str, ...]) -> list[Any]:
+    """Columns of a CSV file with a header line, as float64 arrays in the order of `names`."""
+    import csv
+
+    import numpy as np
+
+    from surffollow.errors import ConfigError
+
+    with open(path, newline="", encoding="utf-8") as file:
+        rows = csv.DictReader(file)
+        missing = [n for n in names if n not in (rows.fieldnames or ())]
+        if missing:
+            raise ConfigError(
+                f"{path} has the columns {', '.join(rows.fieldnames or ())}; {', '.join(missing)} is missing "
+                f"(expected: {', '.join(names)})"
+            )
+        try:
+            table = [[float(row[n] or "nan") for n in names] for row in rows]
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"{path}, line {rows.line_num}: {error}") from None
+    return list(np.array(table, float).reshape(-1, len(names)).T)
+
+
+def tell(as_json: bool, found: dict[str, Any], text: str) -> None:
+    """Print what was found."""
+    if as_json:
+        json.dump(found, sys.stdout, indent=2, allow_nan=False)
+        print()
+    else:
+        print(text)
+
+
+@calibrate_group.command("range")
+@click.argument("pairs", type=FILE, required=False)
+@click.option("--name", type=SERVICE_NAME, help="Guided: read this service's sensor beside typed distances.")
+@click.option("--seconds", type=Finite(min=0.05), default=1.0, show_default=True, help="Guided: mean over.")
+@click.option("--unit", default="m", show_default=True, help="Of the distances in PAIRS, and of typed ones.")
+@click.option("--plot", type=click.Path(dir_okay=False), help="Draw table and residuals (extra plot).")
+@CHANNEL
+@OUT
+@JSON
+def range_command(
+    pairs: Path | None,
+    name: str | None,
+    seconds: float,
+    unit: str,
+    plot: str | None,
+    channel: int,
+    out: Path,
+    as_json: bool,
+) -> None:
+    """Find what a sensor's volts (or metres) mean, from PAIRS: CSV with the columns indicated and true."""
+    import numpy as np
+
+    from surffollow.hw.calibration import merged, save_calibration
+    from surffollow.live.fit_range import fit_range
+    from surffollow.units import unit_scale
+
+    if (pairs is None) == (name is None):
+        raise click.UsageError("give either PAIRS or --name")
+    scale = unit_scale(unit, "m")
+    if pairs is not None:
+        indicated, true = read_columns(pairs, ("indicated", "true"))
+    else:
+        indicated, true = guided(str(name), channel, seconds, unit)
+    fit = fit_range(np.asarray(indicated), scale * np.asarray(true), channel)
+    about = {
+        f"range {channel}": {
+            "method": fit.method,
+            "pairs": len(indicated),
+            "residuals_m": list(fit.residuals_m),
+        }
+    }
+    save_calibration(out, merged(out, tables=(fit.table,), about=about))
+    if plot:
+        draw(plot, np.asarray(indicated), scale * np.asarray(true), fit)
+    worst_m = max(map(abs, fit.residuals_m), default=0.0)
+    tell(
+        as_json,
+        {"method": fit.method, "residuals_m": list(fit.residuals_m), "rms_m": fit.rms_m, "out": str(out)},
+        f"{fit.method} through {len(indicated)} pairs; each pair against the curve without it: RMS "
+        f"{1e3 * fit.rms_m:.3g} mm, worst {1e3 * worst_m:.3g} mm; wrote {out}",
+    )
+
+
+def guided(name: str, channel: int, seconds: float, unit: str) -> tuple[list[float], list[float]]:
+    """Ask for true distances one after the other; the sensor's mean beside each."""
+    import math
+    import time
+
+    from surffollow.client import observe
+    from surffollow.units import parse_quantity
+
+    indicated: list[float] = []
+    true: list[float] = []
+    with observe(name) as watcher:
+        while True:
+            print(
+                f"distance of the target [{unit}], or an empty line to end: ",
+                end="",
+                file=sys.stderr,
+                flush=True,
+            )
+            text = sys.stdin.readline().strip()
+            if not text:
+                return indicated, true
+            try:
+                distance = parse_quantity(text, unit)
+            except ValueError as error:
+                print(f"  {error}", file=sys.stderr)
+                continue
+            readings, end = [], time.monotonic() + seconds
+            while time.monotonic() < end:
+                value = watcher.raw_distance(channel)
+                if math.isfinite(value):
+                    readings.append(value)
+                time.sleep(0.005)
+            if not readings:
+                print("  the sensor sees nothing there; not taken", file=sys.stderr)
+                continue
+            indicated.append(sum(readings) / len(readings))
+            true.append(distance)
+            print(f"  {len(true)}: indicated {indicated[-1]:.6g}", file=sys.stderr)
+
+
+def draw(path: str, indicated: Any, true_m: Any, fit: Any) -> None:
+    """Table and residuals as a picture."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import numpy as np
+    from matplotlib import pyplot
+
+    figure, (curve, rest) = pyplot.subplots(2, sharex=True, figsize=(7, 5), layout="constrained")
+    curve.plot(fit.table.indicated, 1e3 * np.array(fit.table.range_m), label=fit.method)
+    curve.plot(indicated, 1e3 * true_m, "o", label="pairs")
+    curve.set_ylabel("distance [mm]")
+    curve.legend()
+    inner = np.unique(indicated)[1:-1]
+    rest.stem(inner, 1e3 * np.array(fit.residuals_m))
+    rest.set(ylabel="residual without the pair [mm]", xlabel="indicated")
+    figure.savefig(path)
+
+
+@calibrate_group.command("latency")
+@click.argument("move", type=FILE, required=False)
+@click.option("--name", type=SERVICE_NAME, help="Take what this service's follower has learned instead.")
+@OUT
+@JSON
+def latency_command(move: Path | None, name: str | None, out: Path, as_json: bool) -> None:
+    """Find the age of distances from MOVE, up and down over one spot: CSV with t_s, z_m and range_m."""
+    from surffollow.errors import ConfigError
+    from surffollow.hw.calibration import merged, save_calibration
+
+    if (move is None) == (name is None):
+        raise click.UsageError("give either MOVE or --name")
+    if move is not None:
+        from surffollow.live.fit_latency import fit_latency
+
+        t_s, z_m, range_m = read_columns(move, ("t_s", "z_m", "range_m"))
+        fit = fit_latency(t_s, z_m, t_s, range_m)
+        latency_s, found = fit.latency_s, {"sigma_s": fit.sigma_s, "scatter_m": fit.scatter_m}
+    else:
+        from surffollow.client import observe
+
+        with observe(str(name)) as watcher:
+            told = watcher.status()["follower"].get("latency_s")
+        if told is None:
+            raise ConfigError(
+                f"service {name!r} has learned no latency; it does in mode adaptive, on an approach or a "
+                "move up and down over one spot"
+            )
+        latency_s, found = float(told), {}
+    save_calibration(out, merged(out, latency_s=latency_s, about={"latency": found}))
+    more = f" ± {1e3 * found['sigma_s']:.2g} ms" if found else ", as the follower learned it"
+    tell(
+        as_json,
+        {"latency_s": latency_s, **found, "out": str(out)},
+        f"latency {1e3 * latency_s:.2f} ms{more}; wrote {out}",
+    )
+
+
+@calibrate_group.command("mount")
+@click.argument("moves", type=FILE)
+@CHANNEL
+@OUT
+@JSON
+def mount_command(moves: Path, channel: int, out: Path, as_json: bool) -> None:
+    """Find where a sensor sits from MOVES over a flat plate: CSV with x y z qx qy qz qw range_m."""
+    import math
+
+    import numpy as np
+
+    from surffollow.hw.calibration import load_calibration, merged, save_calibration
+    from surffollow.hw.driver import IDENTITY
+    from surffollow.live.fit_mount import fit_mount
+
+    *poses, range_m = read_columns(moves, ("x", "y", "z", "qx", "qy", "qz", "qw", "range_m"))
+    fit = fit_mount(np.array(poses).T, range_m)
+    mounts = list((load_calibration(out).mounts or ()) if out.exists() else ())
+    mounts += [IDENTITY] * (channel + 1 - len(mounts))
+    mounts[channel] = fit.mount
+    about = {
+        f"mount {channel}": {"covariance": fit.covariance, "plate": fit.plate, "scatter_m": fit.scatter_m}
+    }
+    save_calibration(out, merged(out, mounts=tuple(mounts), about=about))
+    sigma = np.sqrt(np.diag(np.array(fit.covariance)))
+    x, y, z = (1e3 * v for v in fit.mount[:3])
+    tell(
+        as_json,
+        {"mount": fit.mount, "covariance": fit.covariance, "scatter_m": fit.scatter_m, "out": str(out)},
+        f"mount x {x:.2f} ± {1e3 * sigma[0]:.2g}, y {y:.2f} ± {1e3 * sigma[1]:.2g}, z {z:.2f} ± "
+        f"{1e3 * sigma[2]:.2g} mm; beam ± {math.degrees(max(sigma[3:])):.2g} deg; wrote {out}",
+    )

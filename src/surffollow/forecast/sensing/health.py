@@ -1,0 +1,153 @@
+"""Health of the ranging: stuck-at fault, fold-back, window, losses, each with its reason."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive import (
+    DROPOUT,
+    FAULT,
+    FAULT_CLOSE,
+    FAULT_LOST,
+    FAULT_NOT_FINITE,
+    FAULT_STUCK,
+    OK,
+    OUT_OF_RANGE,
+    STUCK,
+    SUSPECT,
+)
+
+(
+    REASON_NONE,
+    REASON_FIRST,
+    REASON_PENDING,
+    REASON_NO_READING,
+    REASON_OUTSIDE,
+    REASON_STUCK,
+    REASON_LOST,
+    REASON_NOT_FINITE,
+) = range(8)
+
+STUCK_SAMPLES = 14  # within the band: one noise run in 5e7 is as quiet
+STUCK_BAND = 0.5  # in standard deviations of a range
+STUCK_TRAVEL = 3.0  # in the same: the tool must have moved so far up or down
+EQUAL_SAMPLES = 50  # of a sensor whose noise is below its resolution …
+EQUAL_TRAVEL_SHARE = 0.02  # … and travel, of the stand-off
+FLICKER_RATE, FIRST_FLICKER_RATE = 0.01, 0.3
+FLICKER_SIGMA = 0.605  # standard deviation per median of |second difference|
+LEAST_FLICKER = 3e-4  # of the stand-off: less is the resolution, not the noise
+BRANCH_SHARE = 0.02  # of the stand-off: travel over which the branch of the fold-back is judged
+DROPOUT_INTERVALS, DROPOUT_TAUS = 6.0, 1.0
+FIRST_SAMPLES = 20
+
+
+@jit
+def watch_ranges(m: Any) -> None:
+    """Look at the newest range: stuck-at fault and fold-back.
+
+    A sensor is stuck when its ranges lie closer together
+    than its own noise allows while the tool moves up or down: a live one answers to the tool's motion, or
+    shows its noise when the ground rises with the tool.
+    """
+    h, s, k = m.health, m.sample, m.kinematics
+    if s.fresh == 0:
+        return
+    standoff = m.reference.standoff
+    if s.count > 2 and h.stuck == 0:
+        e = abs(s.range - 2.0 * s.range_1 + s.range_2)
+        rate = min(max(2.0 / s.count, FLICKER_RATE), FIRST_FLICKER_RATE)
+        step = rate * max(h.flicker, 0.1 * LEAST_FLICKER * standoff)
+        h.flicker = max(h.flicker + (step if e > h.flicker else -step), 0.0)
+    noisy = h.flicker > LEAST_FLICKER * standoff
+    sigma = FLICKER_SIGMA * h.flicker
+    if h.stuck_n > 0 and abs(s.range - h.stuck_range) <= (STUCK_BAND * sigma if noisy else 0.0):
+        h.stuck_n += 1
+    else:
+        h.stuck_n, h.stuck, h.stuck_z, h.stuck_range = 1, 0, k.z, s.range
+    moved = abs(k.z - h.stuck_z)
+    if noisy and h.stuck_n >= STUCK_SAMPLES and moved > STUCK_TRAVEL * sigma:
+        h.stuck = 1
+    if h.stuck_n >= EQUAL_SAMPLES and moved > EQUAL_TRAVEL_SHARE * standoff:
+        h.stuck = 1
+    if h.stuck != 0:
+        h.faults |= FAULT_STUCK
+    _watch_fold_back(m)
+
+
+@jit
+def _watch_fold_back(m: Any) -> None:
+    """Latch or release TOO_CLOSE.
+
+    Nearer than its near limit a triangulating sensor reads like a farther target. The latch is released
+    when a move of the tool shows the range to move with it beyond the exit distance.
+    """
+    h, s, z = m.health, m.sample, m.kinematics.z
+    if h.close == 0:
+        if s.range < m.reference.too_close:
+            h.close, h.close_z, h.close_range = 1, z, s.range
+            h.faults |= FAULT_CLOSE
+        return
+    rise = z - h.close_z
+    if abs(rise) < BRANCH_SHARE * m.reference.standoff:
+        return
+    if (s.range - h.close_range) * rise > 0.5 * rise * rise and s.range > m.reference.too_close_exit:
+        h.close = 0
+    h.close_z, h.close_range = z, s.range
+
+
+@jit
+def watch_readings(m: Any, given: Any, seen: Any) -> None:
+    """Count readings outside the window: `given` 1 when a finite one came, `seen` 1 when it was inside."""
+    if seen != 0:
+        m.health.missed = 0
+    elif given != 0:
+        m.health.missed += 1
+
+
+@jit
+def is_lost(m: Any, loss_timeout: Any) -> Any:
+    """1 when no sample entered the estimate within the loss time-out, or there is none to rely on."""
+    return 1 if m.bank.samples == 0 or m.kinematics.now - m.gate.accepted_t > loss_timeout else 0
+
+
+@jit
+def assess(m: Any, lost: Any) -> None:
+    """Set the state and its reason."""
+    h, s = m.health, m.sample
+    silent = m.kinematics.now - s.t - s.delay
+    patience = max(DROPOUT_INTERVALS * s.interval, DROPOUT_TAUS * m.plant.tau)
+    if h.faults & FAULT_NOT_FINITE:
+        h.state, h.reason = FAULT, REASON_NOT_FINITE
+    elif h.stuck != 0:
+        h.state, h.reason = STUCK, REASON_STUCK
+    elif h.missed > 2 and silent > patience:
+        h.state, h.reason = OUT_OF_RANGE, REASON_OUTSIDE
+    elif lost != 0:
+        h.state, h.reason = DROPOUT, REASON_LOST
+    elif silent > patience:
+        h.state, h.reason = DROPOUT, REASON_NO_READING
+    elif m.gate.pending > 0 or m.gate.rejected > 0:
+        h.state, h.reason = SUSPECT, REASON_PENDING
+    elif m.bank.samples < FIRST_SAMPLES:
+        h.state, h.reason = SUSPECT, REASON_FIRST
+    else:
+        h.state, h.reason = OK, REASON_NONE
+    if lost != 0 and s.count > 0:
+        h.faults |= FAULT_LOST
+
+
+@jit
+def note_not_finite(m: Any) -> None:
+    """Latch that the estimate began anew."""
+    m.health.faults |= FAULT_NOT_FINITE
+
+
+@jit
+def reset_health(m: Any, scales: Any) -> None:
+    """Clear latched faults; the fold-back latch is safety and stays unless the reference scales changed."""
+    h = m.health
+    h.faults = h.stuck = h.stuck_n = h.missed = 0
+    if scales != 0:
+        h.close = 0
+        h.flicker = 0.0

@@ -1,0 +1,224 @@
+"""Any driver behind a calibration: tables turn what it indicates into distances, in a relay thread."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.errors import ConfigError
+from surffollow.hw.calibration import Calibration
+from surffollow.hw.driver import (
+    ConversionQueue,
+    Driver,
+    DriverInfo,
+    PoseQueue,
+    mounts_of,
+    notes_of,
+    push_conversion,
+    reports_of,
+)
+from surffollow.hw.pump import PERIOD_NS, STOP, Pump
+from surffollow.hw.ranges import FINEST_M
+from surffollow.shm import atomics as at
+from surffollow.shm.clock import now_ns, wait_until_ns
+from surffollow.shm.conversion import (
+    COUNTS_MAX,
+    FLAG_INVALID,
+    ITEM_WORDS,
+    conversion_channel,
+    conversion_counts,
+    conversion_flags,
+    pack_conversion,
+)
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_follow import CHANNELS
+from surffollow.shm.ring import ring_drop, ring_peek
+from surffollow.shm.schema import F64, I64, Schema
+
+INNER_CAPACITY = 1 << 14
+BEYOND_SHARE = 0.02  # of a table's length: so far beyond its ends it is carried on, farther is no measurement
+
+
+class Linearizer(Schema):
+    """What the relay needs to know."""
+
+    inner_ring = I64()
+    inner_capacity = I64()
+    ring = I64()
+    capacity = I64()
+    lost = I64()
+    item = I64(2)
+    item_address = I64()
+    rows = I64(CHANNELS, doc="of the channel's table; 0: none, the driver's own scale holds")
+    scale = F64(CHANNELS, doc="indicated per count")
+    zero = F64(CHANNELS, doc="indicated at 0 counts")
+    quantum_m = F64(unit="m", doc="distance of one count")
+
+
+@jit
+def linearize(relay: Any, indicated: Any, range_m: Any, word: Any) -> Any:
+    """One conversion, its counts replaced by those of the distance that they mean.
+
+    Parameters
+    ----------
+    relay : (1,) `Linearizer`
+    indicated, range_m : (CHANNELS, rows) float64, the tables
+    word : int64, packed conversion
+
+    Returns
+    -------
+    int64  packed conversion; flagged as no measurement beyond the table's ends
+    """
+    r = relay[0]
+    channel, flags = conversion_channel(word), conversion_flags(word)
+    value = r.zero[channel] + r.scale[channel] * conversion_counts(word)
+    n = r.rows[channel]
+    if n > 0:
+        x, y = indicated[channel], range_m[channel]
+        beyond = BEYOND_SHARE * (x[n - 1] - x[0])
+        if not x[0] - beyond <= value <= x[n - 1] + beyond:
+            flags |= FLAG_INVALID
+        low, high = 0, n - 1
+        while high - low > 1:
+            middle = (low + high) // 2
+            if x[middle] <= value:
+                low = middle
+            else:
+                high = middle
+        value = y[low] + (y[low + 1] - y[low]) * (value - x[low]) / (x[low + 1] - x[low])
+    counts = round(value / r.quantum_m)
+    if not -COUNTS_MAX <= counts <= COUNTS_MAX:
+        counts, flags = 0, flags | FLAG_INVALID
+    return pack_conversion(counts, channel, flags, 0)
+
+
+@jit
+def run_linearizer(control: Any, relay: Any, indicated: Any, range_m: Any) -> None:
+    """Pass conversions on until `STOP`; see `linearize`.
+
+    Parameters
+    ----------
+    control : int64, address of the pump's control words
+    relay, indicated, range_m : see `linearize`
+    """
+    r = relay[0]
+    wake = now_ns()
+    while at.load_acquire_i64(control + 8 * STOP) == 0:
+        while ring_peek(r.inner_ring, r.inner_capacity, ITEM_WORDS, r.item_address) == 1:
+            t_ns = at.load_relaxed_i64(r.item_address)
+            word = at.load_relaxed_i64(r.item_address + 8)
+            ring_drop(r.inner_ring, 1)
+            word = linearize(relay, indicated, range_m, word)
+            push_conversion(r.ring, r.capacity, r.lost, r.item_address, t_ns, word)
+        wake = max(wake + PERIOD_NS, now_ns())
+        wait_until_ns(wake, 0)
+
+
+def tables_of(calibration: Calibration) -> tuple[NDArray[Any], NDArray[Any], list[int]]:
+    """Tables as the kernel takes them: indicated, distances, rows per channel."""
+    most = max((len(t.indicated) for t in calibration.tables), default=2)
+    x, y = np.zeros((CHANNELS, most)), np.zeros((CHANNELS, most))
+    rows = [0] * CHANNELS
+    for t in calibration.tables:
+        n = rows[t.channel] = len(t.indicated)
+        x[t.channel, :n], y[t.channel, :n] = t.indicated, t.range_m
+    return x, y, rows
+
+
+def _described(inner: DriverInfo, calibration: Calibration) -> DriverInfo:
+    changes: dict[str, Any] = {"name": f"{inner.name}, calibrated"}
+    if calibration.latency_s is not None:
+        changes["latency_ns"] = round(calibration.latency_s * 1e9)
+    if calibration.mounts is not None:
+        changes["mounts"] = mounts_of(list(calibration.mounts), inner.n_channels)
+    if calibration.tables:
+        if {t.channel for t in calibration.tables} - set(range(inner.n_channels)):
+            raise ConfigError(
+                f"the calibration has tables of channels {[t.channel for t in calibration.tables]}, the "
+                f"driver has {inner.n_channels} channels; calibrate this driver, or set its channels"
+            )
+        ends = [end for t in calibration.tables for end in (t.range_m[0], t.range_m[-1])]
+        every = len(calibration.tables) == inner.n_channels
+        low = min(ends) if every else min(*ends, inner.range_min_m)
+        high = max(ends) if every else max(*ends, inner.range_max_m)
+        quantum_m = max(FINEST_M, 1.05 * high / COUNTS_MAX)
+        changes |= {
+            "range_min_m": max(low, 0.0),
+            "range_max_m": high,
+            "scale_m": (quantum_m,) * 8,
+            "zero_m": (0.0,) * 8,
+        }
+    return msgspec.structs.replace(inner, **changes)
+
+
+class CalibratedDriver:
+    """Any driver, whose conversions are turned into distances by a calibration; see `calibrated`."""
+
+    def __init__(self, inner: Driver, calibration: Calibration) -> None:
+        self._inner, self._calibration = inner, calibration
+        self._info = _described(inner.info, calibration)
+        self._pump = Pump(self._info.name)
+        self._between = ConversionQueue(INNER_CAPACITY)
+
+    @property
+    def info(self) -> DriverInfo:
+        """The inner driver's, with what was calibrated."""
+        return self._info
+
+    @property
+    def reports(self) -> PoseQueue | None:
+        """The inner driver's."""
+        return reports_of(self._inner)
+
+    def notes(self) -> list[str]:
+        """The inner driver's."""
+        return notes_of(self._inner)
+
+    def start(self, queue: ConversionQueue) -> None:
+        """Begin to fill the queue; see `Driver`."""
+        if not self._calibration.tables:
+            self._inner.start(queue)
+            return
+        between, relay = ConversionQueue(INNER_CAPACITY), zeros(Linearizer)
+        relay["inner_ring"], relay["inner_capacity"] = between.address, INNER_CAPACITY
+        relay["ring"], relay["capacity"], relay["lost"] = queue.address, queue.capacity, queue.lost_address
+        relay["item_address"] = relay.ctypes.data + Linearizer.offset("item")
+        relay["scale"], relay["zero"] = self._inner.info.scale_m, self._inner.info.zero_m
+        relay["quantum_m"] = self._info.scale_m[0]
+        indicated, range_m, relay["rows"] = tables_of(self._calibration)
+
+        def kernel(control: int) -> None:
+            run_linearizer(control, relay, indicated, range_m)
+
+        self._pump.start(kernel, keep=(queue, between))
+        self._between = between
+        try:
+            self._inner.start(between)
+        except BaseException:
+            self._pump.stop()
+            raise
+
+    def stop(self) -> None:
+        """End both; see `Driver`."""
+        self._inner.stop()
+        self._pump.stop()
+
+    def faults(self) -> list[str]:
+        """The inner driver's, and conversions that were lost between."""
+        lost = self._between.overflow
+        return self._inner.faults() + ([f"the calibration lost {lost} conversions"] if lost else [])
+
+
+def calibrated(driver: Driver, calibration: Calibration) -> Driver:
+    """A driver behind a calibration.
+
+    Raises
+    ------
+    ConfigError
+        tables of channels that the driver has not, or another number of mounts than it has channels
+    """
+    return CalibratedDriver(driver, calibration)

@@ -1,0 +1,273 @@
+"""A/D converters of Linux IIO (kind = "iio"): buffered reads of the character device, stamped by it.
+
+Every file is looked for under a configurable root, so that a tree of plain files and a FIFO can stand for a
+device. Units: an IIO voltage is (raw + offset) · scale in millivolts.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import select
+import struct
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from surffollow.errors import ConfigError, DriverError
+from surffollow.hw.driver import Driver, DriverInfo, Eight, Mount, mounts_of
+from surffollow.hw.polled import SILENCE_S, PolledDriver
+from surffollow.hw.ranges import pack_counts
+from surffollow.shm.layout_follow import CHANNELS
+
+READ_SCANS = 256
+_TYPE = re.compile(r"(be|le):([us])(\d+)/(\d+)(?:X(\d+))?(?:>>(\d+))?")
+SYSFS = "sys/bus/iio/devices"
+
+
+class IioConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A converter of Linux IIO.
+
+    Attributes
+    ----------
+    device : its name (the file `name` of the device, "ads1115") or directory ("iio:device0")
+    inputs : channels by their IIO names ("voltage0"), in the order of this service's channels
+    metres_per_volt, metres_at_zero : distance of a voltage [m/V], [m]; 1 and 0 leave volts for a calibration
+    range_min_m, range_max_m : the sensors' window [m]
+    buffer : scans that the kernel keeps
+    trigger : name of an IIO trigger to set; empty: as it is
+    root : where sys and dev are looked for
+    latency_s : age of the distance at a scan's time stamp [s]
+    mounts, silence_s : see `serial_port.SerialConfig`
+    """
+
+    device: str
+    inputs: tuple[str, ...]
+    range_min_m: float
+    range_max_m: float
+    metres_per_volt: float = 1.0
+    metres_at_zero: float = 0.0
+    buffer: int = 1024
+    trigger: str = ""
+    root: str = "/"
+    latency_s: float = 0.0
+    mounts: tuple[Mount, ...] = ()
+    silence_s: float = SILENCE_S
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.inputs) <= CHANNELS:
+            raise ConfigError(f"{len(self.inputs)} inputs, expected 1 to {CHANNELS}")
+        if not self.range_min_m < self.range_max_m:
+            raise ConfigError(f"window {self.range_min_m} to {self.range_max_m} m, expected min < max")
+        if self.metres_per_volt == 0.0:
+            raise ConfigError("metres_per_volt is 0; a distance must follow from a voltage")
+
+
+class Element(msgspec.Struct, frozen=True):
+    """One number of a scan: where it is and how it is written."""
+
+    name: str
+    index: int
+    offset: int
+    reader: struct.Struct
+    shift: int
+    bits: int
+    signed: bool
+
+    @property
+    def dropped(self) -> int:
+        """Low bits that a conversion's 24 have no room for."""
+        return max(0, self.bits - 24 + (not self.signed))
+
+    def value(self, scan: bytes, at: int) -> int:
+        """Its raw value in a scan that begins at byte `at`."""
+        raw = int(self.reader.unpack_from(scan, at + self.offset)[0]) >> self.shift
+        raw &= (1 << self.bits) - 1
+        return raw - (1 << self.bits) if self.signed and raw >> (self.bits - 1) else raw
+
+
+def find_device(root: Path, wanted: str) -> Path:
+    """The directory of a device in sysfs, by its directory's or its own name.
+
+    Raises
+    ------
+    DriverError
+        there is none, or more than one of that name
+    """
+    base = root / SYSFS
+    if (base / wanted).is_dir():
+        return base / wanted
+    names = {}
+    for folder in sorted(base.glob("iio:device*")):
+        with contextlib.suppress(OSError):
+            names[folder] = (folder / "name").read_text().strip()
+    found = [f for f, n in names.items() if n == wanted]
+    if len(found) != 1:
+        there = ", ".join(f"{f.name} ({n})" for f, n in names.items()) or "none"
+        many = "several devices" if found else "no device"
+        raise DriverError(f"{many} '{wanted}' under {base}; there are: {there}")
+    return found[0]
+
+
+def _number(folder: Path, *names: str) -> float:
+    for name in names:
+        with contextlib.suppress(OSError, ValueError):
+            return float((folder / name).read_text())
+    return float("nan")
+
+
+def calibration_of(folder: Path, input_name: str) -> tuple[float, float]:
+    """Scale [V/count] and offset [counts] of an input; 1 mV and 0 where sysfs says nothing.
+
+    The file of the input comes before the one that all inputs share.
+    """
+    kind = re.sub(r"\d.*$", "", input_name)
+    scale = _number(folder, f"in_{input_name}_scale", f"in_{kind}_scale")
+    offset = _number(folder, f"in_{input_name}_offset", f"in_{kind}_offset")
+    return (1e-3 * scale if scale == scale else 1e-3), (offset if offset == offset else 0.0)
+
+
+def scan_layout(folder: Path, wanted: tuple[str, ...]) -> tuple[dict[str, Element], int]:
+    """Elements of a scan by name, and its size in bytes, as the enabled ones are laid out.
+
+    An element lies at a multiple of its own size, a scan at a multiple of its largest element's.
+    """
+    rows = []
+    for name in (*wanted, "timestamp"):
+        stem = folder / "scan_elements" / f"in_{name}" if name != "timestamp" else (
+            folder / "scan_elements" / "in_timestamp"
+        )  # fmt: skip
+        text = stem.with_name(stem.name + "_type").read_text().strip()
+        match = _TYPE.fullmatch(text)
+        if match is None:
+            raise DriverError(f"{stem.name}_type is '{text}', expected like 'le:s12/16>>4'")
+        order, sign, bits, storage, repeat, shift = match.groups()
+        size = int(storage) // 8
+        if size not in (1, 2, 4, 8) or (repeat or "1") not in ("0", "1"):
+            raise DriverError(
+                f"{stem.name}_type is '{text}': only single numbers of 8 to 64 bits can be read"
+            )
+        index = int(stem.with_name(stem.name + "_index").read_text())
+        code = ("<" if order == "le" else ">") + {1: "B", 2: "H", 4: "I", 8: "Q"}[size]
+        rows.append((index, name, struct.Struct(code), int(shift or 0), int(bits), sign == "s"))
+    at, largest, layout = 0, 1, {}
+    for index, name, reader, shift, bits, signed in sorted(rows, key=lambda row: row[0]):
+        at = -(-at // reader.size) * reader.size
+        layout[name] = Element(name, index, at, reader, shift, bits, signed)
+        at, largest = at + reader.size, max(largest, reader.size)
+    return layout, -(-at // largest) * largest
+
+
+class IioSource:
+    """The device; see `polled.Source`."""
+
+    def __init__(self, config: IioConfig) -> None:
+        self.name = f"IIO device {config.device}"
+        self.rejected = 0
+        self._config, self._root = config, Path(config.root)
+        self._folder: Path | None = None
+        self._fd = -1
+        self._rest = b""
+
+    def open(self) -> None:
+        """Enable the inputs and the time stamp, set the clock, start the buffer."""
+        c = self._config
+        folder = self._folder = find_device(self._root, c.device)
+        self._write("buffer/enable", "0")
+        with contextlib.suppress(OSError):  # kernels before 4.8 stamp with the wall clock
+            self._write("current_timestamp_clock", "monotonic")
+        for path in sorted((folder / "scan_elements").glob("*_en")):
+            name = path.name.removeprefix("in_").removesuffix("_en")
+            path.write_text("1" if name in c.inputs or name == "timestamp" else "0")
+        if c.trigger:
+            self._write("trigger/current_trigger", c.trigger)
+        self._layout, self._size = scan_layout(folder, c.inputs)
+        self._write("buffer/length", str(c.buffer))
+        with contextlib.suppress(OSError):
+            self._write("buffer/watermark", "1")
+        self._write("buffer/enable", "1")
+        self._fd = os.open(self._root / "dev" / folder.name, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        self._rest = b""
+
+    def _write(self, name: str, text: str) -> None:
+        assert self._folder is not None
+        (self._folder / name).write_text(text)
+
+    def read(self, timeout_s: float) -> list[tuple[int, int]]:
+        """Conversions, stamped by the device."""
+        if not select.select([self._fd], [], [], timeout_s)[0]:
+            return []
+        try:
+            data = os.read(self._fd, self._size * READ_SCANS)
+        except BlockingIOError:
+            return []
+        if not data:
+            raise DriverError("the device is gone")
+        data, out = self._rest + data, []
+        whole = len(data) // self._size * self._size
+        self._rest = data[whole:]
+        stamp, now_ns = self._layout["timestamp"], time.monotonic_ns()
+        for at in range(0, whole, self._size):
+            t_ns = stamp.value(data, at)
+            # a device whose clock is another one is stamped by arrival
+            if not 0 <= now_ns - t_ns <= 2_000_000_000:
+                t_ns = now_ns
+            for channel, name in enumerate(self._config.inputs):
+                element = self._layout[name]
+                raw = element.value(data, at) >> element.dropped
+                out.append((t_ns, pack_counts(raw, channel)))
+        return out
+
+    def close(self) -> None:
+        """Stop the buffer."""
+        fd, self._fd = self._fd, -1
+        if fd >= 0:
+            os.close(fd)
+        if self._folder is not None:
+            with contextlib.suppress(OSError):
+                self._write("buffer/enable", "0")
+
+
+def describe(config: IioConfig) -> DriverInfo:
+    """The driver's description, from sysfs; the device must be there once, for its scale.
+
+    Raises
+    ------
+    ConfigError
+        it is not, or an input is missing
+    """
+    try:
+        folder = find_device(Path(config.root), config.device)
+        layout, _ = scan_layout(folder, config.inputs)
+    except (OSError, DriverError) as error:
+        raise ConfigError(f"driver 'iio': {error}") from error
+    scale, zero = [], []
+    for name in config.inputs:
+        volts, offset = calibration_of(folder, name)
+        scale.append(config.metres_per_volt * volts * (1 << layout[name].dropped))
+        zero.append(config.metres_at_zero + config.metres_per_volt * volts * offset)
+    return DriverInfo(
+        name=f"IIO device {config.device}",
+        n_channels=len(config.inputs),
+        scale_m=_eight(scale),
+        zero_m=_eight(zero),
+        range_min_m=config.range_min_m,
+        range_max_m=config.range_max_m,
+        latency_ns=round(config.latency_s * 1e9),
+        conversion_period_ns=0,
+        mounts=mounts_of(list(config.mounts), len(config.inputs)),
+    )
+
+
+def _eight(values: list[float]) -> Eight:
+    a, b, c, d, e, f, g, h = (*values, *[values[-1]] * (8 - len(values)))
+    return (a, b, c, d, e, f, g, h)
+
+
+def make(settings: dict[str, Any], name: str) -> Driver:
+    """Make an IIO driver from its settings."""
+    config = msgspec.convert(settings, IioConfig)
+    return PolledDriver(describe(config), IioSource(config), config.silence_s)

@@ -1,0 +1,158 @@
+"""A driver over a device that is opened, read and lost: a thread of its own, health states, reconnection."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import time
+from collections.abc import Sequence
+from typing import Protocol
+
+from surffollow.errors import DriverError
+from surffollow.hw.driver import ConversionQueue, DriverInfo
+from surffollow.hw.pump import FIFO_PRIORITY, JOIN_S
+from surffollow.hw.ranges import RangeWriter
+from surffollow.units import format_ns
+
+POLL_S = 0.05  # how long a read may wait, and `stop` for it
+RETRY_S = 0.2
+SILENCE_S = 0.5
+# the states of a polled driver
+STOPPED, WAITING, SILENT, GARBLED, RUNNING = "stopped", "waiting", "silent", "garbled", "running"
+
+
+class Source(Protocol):
+    """What a polled driver reads."""
+
+    @property
+    def name(self) -> str:
+        """For fault texts: "serial port /dev/ttyUSB0"."""
+        ...
+
+    @property
+    def rejected(self) -> int:
+        """Pieces of input, frames or lines, that were none, since it was made."""
+        ...
+
+    def open(self) -> None:
+        """Connect; OSError or DriverError says why not."""
+        ...
+
+    def read(self, timeout_s: float) -> Sequence[tuple[int, int]]:
+        """Conversions that arrived, time [ns] and packed word; waits at most `timeout_s` for the first.
+
+        An exception means that the device is lost: it is closed and opened again.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let go; harmless when not open."""
+        ...
+
+
+class PolledDriver:
+    """A `Driver` over a `Source`.
+
+    Parameters
+    ----------
+    info : of the sensors
+    source : the device
+    silence_s : a device that is connected and gives nothing for so long is a fault [s]
+    """
+
+    def __init__(self, info: DriverInfo, source: Source, silence_s: float = SILENCE_S) -> None:
+        self._info, self._source = info, source
+        self._silence_ns = round(silence_s * 1e9)
+        self._thread: threading.Thread | None = None
+        self._end = threading.Event()
+        self._trouble = ""
+        self._connected = False
+        self._heard_ns = self._read_ns = 0
+        self._rejected_before = 0
+        self.conversions = self.connections = 0
+
+    @property
+    def info(self) -> DriverInfo:
+        """Calibration, window, latency and mounts."""
+        return self._info
+
+    @property
+    def state(self) -> str:
+        """What it does: STOPPED, WAITING (not connected), SILENT, GARBLED (nothing fits), RUNNING."""
+        if self._thread is None:
+            return STOPPED
+        if not self._connected:
+            return WAITING
+        if time.monotonic_ns() - self._heard_ns <= self._silence_ns:
+            return RUNNING
+        return GARBLED if self._source.rejected > self._rejected_before else SILENT
+
+    def start(self, queue: ConversionQueue) -> None:
+        """Begin to fill the queue; a device that is not there is waited for."""
+        if self._thread is not None:
+            raise DriverError(f"driver '{self._source.name}' was started twice; stop it first")
+        self._end.clear()
+        self._trouble, self._heard_ns = "", time.monotonic_ns()
+        writer = RangeWriter(queue, self._info)
+        self._thread = threading.Thread(target=self._run, args=(writer,), name="sensor", daemon=True)
+        self._thread.start()
+        if self._thread.native_id is not None:
+            with contextlib.suppress(OSError):  # not permitted: then it goes on as everybody else
+                param = os.sched_param(FIFO_PRIORITY)
+                os.sched_setscheduler(self._thread.native_id, os.SCHED_FIFO, param)
+
+    def stop(self) -> None:
+        """End the thread; see `Driver`."""
+        if self._thread is None:
+            return
+        self._end.set()
+        self._thread.join(JOIN_S)
+        if self._thread.is_alive():
+            raise DriverError(f"the thread of driver '{self._source.name}' did not end within {JOIN_S:g} s")
+        self._thread = None
+
+    def faults(self) -> list[str]:
+        """What is wrong now."""
+        state, name = self.state, self._source.name
+        if state == WAITING:
+            return [f"{name}: {self._trouble or 'not connected yet'}; it is tried again every {RETRY_S:g} s"]
+        if state in (SILENT, GARBLED):
+            since = format_ns(time.monotonic_ns() - self._heard_ns)
+            if state == SILENT:
+                return [f"{name}: connected, but nothing was received for {since}"]
+            return [
+                f"{name}: what arrives is no measurement ({self._source.rejected} pieces rejected, the last "
+                f"good one {since} ago); check baud rate, format and checksum"
+            ]
+        return []
+
+    def _run(self, writer: RangeWriter) -> None:
+        while not self._end.is_set():
+            try:
+                self._source.open()
+                self._connected, self._heard_ns = True, time.monotonic_ns()
+                self._rejected_before = self._source.rejected
+                self.connections += 1
+                self._trouble = ""
+                self._read(writer)
+            except Exception as error:  # whatever a device or its library says, it is tried again
+                self._trouble = _text(error)
+            self._connected = False
+            with contextlib.suppress(Exception):
+                self._source.close()
+            self._end.wait(RETRY_S)
+
+    def _read(self, writer: RangeWriter) -> None:
+        while not self._end.is_set():
+            for t_ns, word in self._source.read(POLL_S):
+                writer.push_word(t_ns, word)
+                self.conversions += 1
+                self._heard_ns = time.monotonic_ns()
+                self._rejected_before = self._source.rejected
+
+
+def _text(error: Exception) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.strerror} ({error.filename})" if error.filename else error.strerror
+    return str(error) or type(error).__name__

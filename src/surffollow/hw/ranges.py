@@ -1,0 +1,103 @@
+"""Distances in metres as a driver hands them over: the description, the packed word, the writer."""
+
+from __future__ import annotations
+
+import math
+import time
+
+from surffollow.errors import ConfigError
+from surffollow.hw.driver import ConversionQueue, DriverInfo, Eight, Mount, mounts_of
+from surffollow.shm.conversion import COUNTS_MAX, FLAG_INVALID
+from surffollow.shm.layout_follow import CHANNELS
+
+FINEST_M = 1e-6  # one count, where 24 bits hold the window: up to 8.3 m
+
+
+def metre_info(
+    name: str,
+    range_min_m: float,
+    range_max_m: float,
+    *,
+    n_channels: int = 1,
+    latency_ns: int = 0,
+    period_ns: int = 0,
+    mounts: tuple[Mount, ...] | list[Mount] = (),
+) -> DriverInfo:
+    """Describe sensors that measure metres; counts are micrometres, or as fine as the window allows.
+
+    Parameters
+    ----------
+    name : for people
+    range_min_m, range_max_m : the sensors' window [m]
+    n_channels : 1 to 8
+    latency_ns : mean age of a distance at the time that it is stamped with [ns]
+    period_ns : from one conversion of any channel to the next [ns]; 0: irregular
+    mounts : tool from sensor, one per channel; none: every sensor at the tool's origin, along −z
+
+    Raises
+    ------
+    ConfigError
+        no window, too many channels, a wrong mount
+    """
+    if not 0.0 <= range_min_m < range_max_m < 1e5:
+        raise ConfigError(
+            f"driver window {range_min_m} to {range_max_m} m, expected 0 <= range_min_m < range_max_m < 1e5"
+        )
+    if not 1 <= n_channels <= CHANNELS:
+        raise ConfigError(f"driver has {n_channels} channels, expected 1 to {CHANNELS}")
+    scale_m = max(FINEST_M, 1.05 * range_max_m / COUNTS_MAX)
+    scale: Eight = (scale_m,) * 8
+    zero: Eight = (0.0,) * 8
+    told = mounts_of(list(mounts), n_channels)
+    return DriverInfo(name, n_channels, scale, zero, range_min_m, range_max_m, latency_ns, period_ns, told)
+
+
+def pack_counts(counts: int | None, channel: int) -> int:
+    """The word of a conversion for a driver's queue; None, or what 24 bits do not hold: no measurement."""
+    if counts is None or not -COUNTS_MAX <= counts <= COUNTS_MAX:
+        return FLAG_INVALID << 27 | (channel & 7) << 24
+    return (channel & 7) << 24 | counts & 0xFFFFFF
+
+
+def pack_range(info: DriverInfo, channel: int, range_m: float | None) -> int:
+    """The word of a distance in metres for a driver's queue.
+
+    Parameters
+    ----------
+    info : the driver's own description
+    channel : 0 to n_channels − 1
+    range_m : distance [m]; None or NaN: the sensor sees nothing
+    """
+    if range_m is None or not math.isfinite(range_m):
+        return pack_counts(None, channel)
+    return pack_counts(round((range_m - info.zero_m[channel]) / info.scale_m[channel]), channel)
+
+
+class RangeWriter:
+    """Puts distances into a driver's queue, with stamps that never go back and never lie ahead.
+
+    Parameters
+    ----------
+    queue : the one that `Driver.start` was given
+    info : the driver's own description
+    """
+
+    def __init__(self, queue: ConversionQueue, info: DriverInfo) -> None:
+        self._queue, self._info, self._last_ns = queue, info, 0
+        ConversionQueue(2).push(0, 0)  # compiles: no first distance waits for that
+
+    def push(self, t_ns: int, range_m: float | None, channel: int = 0) -> None:
+        """Hand over one distance.
+
+        Parameters
+        ----------
+        t_ns : when it was measured, or when its conversion ended, CLOCK_MONOTONIC [ns]
+        range_m : see `pack_range`
+        channel : 0 to n_channels − 1
+        """
+        self.push_word(t_ns, pack_range(self._info, channel, range_m))
+
+    def push_word(self, t_ns: int, word: int) -> None:
+        """Hand over a packed conversion."""
+        self._last_ns = t_ns = max(self._last_ns, min(t_ns, time.monotonic_ns()))
+        self._queue.push(t_ns, word)

@@ -1,0 +1,176 @@
+"""Calibrations: what they find on simulated faults, what they refuse, and that a driver uses them."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+
+from click.testing import CliRunner, Result
+
+from bench_calibrate import latency_error_s, measure, range_error_m
+from surffollow.cli.calibrate import calibrate_group
+from surffollow.errors import ConfigError
+from surffollow.hw.calibrated import CalibratedDriver
+from surffollow.hw.calibration import Calibration, RangeTable, load_calibration, save_calibration
+from surffollow.hw.contract import check_driver
+from surffollow.hw.driver import ConversionQueue
+from surffollow.hw.registry import make_driver
+from surffollow.hw.replayed import save_conversions
+from surffollow.live.fit_latency import fit_latency
+from surffollow.live.fit_mount import beam_of, fit_mount
+from surffollow.live.fit_range import fit_range
+from surffollow.shm.conversion import FLAG_INVALID, conversion_counts, conversion_flags, pack_conversion
+
+MS = 1_000_000
+SEEDS = 20
+
+
+def test_all_three_find_simulated_faults_within_their_limits() -> None:
+    found = measure(SEEDS)
+    assert found["range_worst_mm"] <= 0.05
+    assert found["latency_worst_ms"] <= 2.0
+    assert found["mount_worst_mm"] <= 0.2
+    assert found["mount_worst_deg"] <= 0.1
+    assert 0.6 < found["latency_rms_sigmas"] < 1.5
+    assert found["mount_chi2_p"] > 1e-3, "the covariance does not hold"
+
+
+def test_fewer_pairs_and_more_noise_are_worse_as_the_residuals_say() -> None:
+    assert range_error_m(1, pairs=6) > range_error_m(1)
+    assert latency_error_s(1, noise_m=3e-3)[0] > 0
+
+
+@pytest.mark.parametrize(
+    ("indicated", "true", "says"),
+    [
+        ([1.0, 2.0, 3.0], [0.1, 0.2, 0.3], "too few"),
+        ([1.0, 2.0, 3.0, 4.0], [0.1, 0.3, 0.2, 0.4], "not monotone: 2 → 0.3 m and 3 → 0.2 m"),
+        ([1.0, 2.0, math.nan, 4.0], [0.1, 0.2, 0.3, 0.4], "finite"),
+    ],
+)
+def test_pairs_that_make_no_table_are_refused(indicated: list, true: list, says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        fit_range(np.array(indicated), np.array(true))
+
+
+def test_a_curve_with_a_kink_stays_monotone_where_a_spline_would_not() -> None:
+    x = np.arange(8.0)
+    y = np.array([0.0, 0.001, 0.002, 0.003, 0.1, 0.101, 0.102, 0.103])
+    fit = fit_range(x, y)
+    assert fit.method == "monotone cubic"
+    assert (np.diff(fit.table.range_m) > 0).all()
+    falling = fit_range(x, y[::-1])
+    assert (np.diff(falling.table.range_m) < 0).all()
+
+
+def test_a_move_that_cannot_tell_the_latency_is_refused() -> None:
+    t = np.arange(0.0, 5.0, 0.01)
+    still = np.full_like(t, 0.1) + np.random.default_rng(0).normal(0.0, 1e-4, len(t))
+    with pytest.raises(ConfigError, match="does not tell the latency"):
+        fit_latency(t, np.full_like(t, 0.1), t, still)
+    with pytest.raises(ConfigError, match="at least 30"):
+        fit_latency(t[:60], t[:60], t[:60], t[:60])
+
+
+@pytest.mark.parametrize(("tilt_x", "tilt_y"), [(0.0, 0.0), (0.4, 0.0), (0.0, 0.4)])
+def test_moves_that_cannot_tell_the_mount_are_refused(tilt_x: float, tilt_y: float) -> None:
+    from scipy.spatial.transform import Rotation
+
+    rng = np.random.default_rng(3)
+    n = 200
+    tilts = np.column_stack([rng.uniform(-tilt_x, tilt_x, n), rng.uniform(-tilt_y, tilt_y, n), np.zeros(n)])
+    turns = Rotation.from_euler("xyz", tilts)
+    t = np.column_stack([rng.uniform(-0.2, 0.2, (n, 2)), rng.uniform(0.15, 0.25, n)])
+    ranges = (-(t + turns.apply([0.01, 0.02, 0.0]))[:, 2]) / turns.apply(beam_of(0, 0))[:, 2]
+    with pytest.raises(ConfigError, match="cannot tell"):
+        fit_mount(np.hstack([t, turns.as_quat()]), ranges + rng.normal(0.0, 1e-4, n))
+
+
+def run(*words: object) -> Result:
+    return CliRunner().invoke(calibrate_group, [str(w) for w in words], catch_exceptions=False)
+
+
+def test_the_commands_write_one_file_that_keeps_what_others_found(tmp_path: Path) -> None:
+    out = tmp_path / "laser.json"
+    pairs = "indicated,true\n" + "".join(f"{v},{20 + 10 * v}\n" for v in range(11))
+    (tmp_path / "pairs.csv").write_text(pairs)
+    done = run("range", tmp_path / "pairs.csv", "--unit", "mm", "--out", out, "--json")
+    assert json.loads(done.output)["rms_m"] == pytest.approx(0.0, abs=1e-12)
+    t = np.arange(0.0, 4.0, 0.01)
+    z, r = 0.1 + 0.005 * np.sin(6 * t), 0.1 + 0.005 * np.sin(6 * (t - 0.05))
+    rows = "t_s,z_m,range_m\n" + "".join(f"{a},{b},{c}\n" for a, b, c in zip(t, z, r))
+    (tmp_path / "move.csv").write_text(rows)
+    assert "latency 50.0" in run("latency", tmp_path / "move.csv", "--out", out).output
+    found = load_calibration(out)
+    assert found.latency_s == pytest.approx(0.05, abs=1e-4)
+    assert found.tables[0].range_m[-1] == pytest.approx(0.12)
+    assert set(found.about) == {"range 0", "latency"}
+
+
+def test_a_driver_with_a_calibration_delivers_linear_distances_latency_and_keeps_the_contract(
+    tmp_path: Path,
+) -> None:
+    # volts in steps of a millivolt from 0 to 0.999; distance is the square of the voltage and 50 mm
+    info = make_driver({"kind": "none"}, "x").info
+    import msgspec
+
+    info = msgspec.structs.replace(
+        info, scale_m=(1e-3,) * 8, zero_m=(0.0,) * 8, range_min_m=0.0, range_max_m=1.0
+    )
+    words = np.array([pack_conversion(k % 1000, 0, 0, 0) for k in range(1000)])
+    save_conversions(tmp_path / "volts.npz", np.arange(1000) * MS // 4, words, info)
+    volts = np.linspace(0.1, 0.9, 401)
+    table = RangeTable(0, tuple(volts.tolist()), tuple((0.05 + volts**2).tolist()))
+    save_calibration(tmp_path / "laser.json", Calibration(tables=(table,), latency_s=0.012))
+    settings = {
+        "kind": "replay",
+        "file": str(tmp_path / "volts.npz"),
+        "calibration": str(tmp_path / "laser.json"),
+    }
+    driver = make_driver(settings, "x")
+    assert isinstance(driver, CalibratedDriver)
+    assert driver.info.latency_ns == 12 * MS
+    assert (driver.info.range_min_m, driver.info.range_max_m) == (pytest.approx(0.06), pytest.approx(0.86))
+    queue = ConversionQueue()
+    driver.start(queue)
+    end = time.monotonic() + 60.0
+    while len(queue) < 1000 and time.monotonic() < end:
+        time.sleep(0.001)
+    driver.stop()
+    got = queue.drain()[:, 1].tolist()
+    assert len(got) == 1000
+    for k, word in enumerate(got):
+        inside = 84 <= k <= 916  # two per cent beyond the ends are carried on
+        assert bool(conversion_flags(word) & FLAG_INVALID) != inside
+        if 100 <= k <= 900:
+            range_m = driver.info.zero_m[0] + driver.info.scale_m[0] * conversion_counts(word)
+            assert range_m == pytest.approx(0.05 + (1e-3 * k) ** 2, abs=4e-6)
+    assert len(check_driver(lambda: make_driver(settings, "x"))) == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("{}x", "no calibration"),
+        ('{"version": 7}', "version 7"),
+        ('{"latency_s": -1}', "latency_s"),
+        ('{"tables": [{"channel": 0, "indicated": [1, 1], "range_m": [1, 2]}]}', "not monotone"),
+        (
+            '{"tables": [{"channel": 3, "indicated": [1, 2], "range_m": [1, 2]}]}',
+            r"channels \[3\], the driver has 1",
+        ),
+        ('{"mounts": [[0, 0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 0, 0, 1]]}', "2 mounts for 1"),
+    ],
+)
+def test_a_file_that_is_no_calibration_of_this_driver_is_told(text: str, says: str, tmp_path: Path) -> None:
+    (tmp_path / "c.json").write_text(text)
+    with pytest.raises(ConfigError, match=says):
+        make_driver({"kind": "none", "calibration": str(tmp_path / "c.json")}, "x")

@@ -1,0 +1,79 @@
+"""The commands of the tutorials, run as printed in a fresh home; their output is what the page says."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PAGES = Path(__file__).parents[2] / "docs" / "tutorials"
+BLOCK = re.compile(r"```(\w+)\n(.*?)```", re.S)
+FILE = re.compile(r"(?:#|/\*) (\S+\.\w+)")
+NEEDS = {"pretend-laser": "serial"}
+
+
+def distances_mm(text: str) -> list[float]:
+    return [float(d) for d in re.findall(r"([0-9.]+) mm", text)]
+
+
+def near_100(text: str) -> bool:
+    found = distances_mm(text)
+    return len(found) >= 6 and max(abs(d - 100.0) for d in found[2:]) < 3.0
+
+
+SAYS = {
+    "python-loop": near_100,
+    "c-loop": near_100,
+    "pretend-laser": lambda text: "123.456 mm" in text and text.count("ok:") == 4,
+}
+
+
+@pytest.mark.parametrize("name", sorted(p.stem for p in PAGES.glob("*.md")))
+def test_a_tutorial_does_what_it_says(name: str, tmp_path: Path) -> None:
+    if name in NEEDS:
+        pytest.importorskip(NEEDS[name])
+    home = tmp_path / "home"
+    home.mkdir()
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    env = os.environ | {"HOME": str(home), "PATH": path}
+    shown, terminals = "", []
+    try:
+        for kind, text in BLOCK.findall((PAGES / f"{name}.md").read_text()):
+            stored = FILE.match(text)
+            if kind != "sh":
+                assert stored is not None, f"a {kind} block without the name of its file"
+                (tmp_path / stored[1]).write_text(text)
+            elif text.startswith("# terminal"):
+                process = subprocess.Popen(
+                    ["bash", "-c", f"exec {text.split(chr(10), 1)[1]}"],
+                    cwd=tmp_path,
+                    env=env,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.DEVNULL,
+                    text=True,
+                )
+                terminals.append(process)
+                assert process.stdout is not None
+                assert process.stdout.readline().startswith("READY")
+            else:
+                done = subprocess.run(
+                    ["bash", "-e", "-c", text],
+                    cwd=tmp_path,
+                    env=env,
+                    capture_output=True,
+                    text=True,
+                    timeout=120,
+                )
+                assert done.returncode == 0, f"{text}\n{done.stdout}\n{done.stderr}"
+                shown += done.stdout
+    finally:
+        for process in terminals:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+            process.communicate(timeout=60)
+    assert SAYS[name](shown), shown

@@ -1,0 +1,210 @@
+"""The public contract, run on every built-in driver, on the example, and on drivers that break it."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hw.wires import FRAME_FORMAT, WINDOW, FakeIio, Pty, datagrams, feeding, frame
+from running_service import World, unique_name
+from surffollow.hw import ConversionQueue, Driver, DriverInfo, RangeWriter, metre_info
+from surffollow.hw.contract import ContractError, check_driver
+from surffollow.hw.registry import make_driver
+from surffollow.hw.replayed import save_conversions
+
+ROOT = Path(__file__).parents[2]
+MS = 1_000_000
+Made = tuple[Callable[[], Driver], bool]
+
+
+@contextlib.contextmanager
+def simulated(folder: Path) -> Iterator[Made]:
+    name = unique_name()
+    world = World(name)
+    settings = {"world": {"surface": "flat", "region": [0, 0, 0.1, 0.1]}}
+    yield (lambda: make_driver(settings, name)), True
+    world.close()
+
+
+@contextlib.contextmanager
+def silent(folder: Path) -> Iterator[Made]:
+    yield (lambda: make_driver({"kind": "none"}, "x")), False
+
+
+@contextlib.contextmanager
+def replayed(folder: Path) -> Iterator[Made]:
+    import numpy as np
+
+    info = make_driver({"kind": "none"}, "x").info
+    save_conversions(folder / "log.npz", np.arange(400) * MS, np.arange(400), info)
+    settings = {"kind": "replay", "file": str(folder / "log.npz"), "faults": [{"kind": "spike"}]}
+    yield (lambda: make_driver(settings, "x")), True
+
+
+@contextlib.contextmanager
+def serial(folder: Path) -> Iterator[Made]:
+    pytest.importorskip("serial")
+    tty = Pty(folder)
+    settings = {"kind": "serial", "port": str(tty.path), "format": FRAME_FORMAT, **WINDOW}
+    with feeding(lambda range_m: tty.write(frame(range_m))):
+        yield (lambda: make_driver(settings, "x")), True
+    tty.unplug()
+
+
+@contextlib.contextmanager
+def udp(folder: Path) -> Iterator[Made]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    settings = {"kind": "udp", "port": port, "format": FRAME_FORMAT, **WINDOW}
+    send = datagrams(lambda: port)
+    with feeding(lambda range_m: send(frame(range_m))):
+        yield (lambda: make_driver(settings, "x")), True
+
+
+@contextlib.contextmanager
+def can(folder: Path) -> Iterator[Made]:
+    library = pytest.importorskip("can")
+    name = unique_name()
+    settings = {
+        "kind": "can",
+        "interface": "virtual",
+        "bus": name,
+        "messages": [{"id": 0x123, "format": FRAME_FORMAT}],
+        **WINDOW,
+    }
+    with library.Bus(channel=name, interface="virtual") as bus:
+
+        def send(range_m: float) -> None:
+            bus.send(library.Message(arbitration_id=0x123, data=frame(range_m), is_extended_id=False))
+
+        with feeding(send):
+            yield (lambda: make_driver(settings, "x")), True
+
+
+@contextlib.contextmanager
+def iio(folder: Path) -> Iterator[Made]:
+    device = FakeIio(folder)
+    settings = {
+        "kind": "iio",
+        "device": device.name,
+        "inputs": ["voltage0", "voltage1"],
+        "root": str(folder),
+        "metres_per_volt": 0.1,
+        **WINDOW,
+    }
+    with feeding(lambda range_m: device.write(device.scan(1000, 100))):
+        yield (lambda: make_driver(settings, "x")), True
+
+
+@contextlib.contextmanager
+def example(folder: Path) -> Iterator[Made]:
+    settings = {"kind": "own_driver:make", "range_m": 0.1}
+    sys.path.insert(0, str(ROOT / "examples/driver"))
+    try:
+        yield (lambda: make_driver(settings, "x")), True
+    finally:
+        sys.path.remove(str(ROOT / "examples/driver"))
+
+
+DRIVERS = (simulated, silent, replayed, serial, udp, can, iio, example)
+
+
+@pytest.mark.parametrize("there", DRIVERS, ids=lambda f: f.__name__)
+def test_every_driver_keeps_the_contract(there: Callable[[Path], Any], tmp_path: Path) -> None:
+    with there(tmp_path) as (make, delivers):
+        assert len(check_driver(make, delivers=delivers)) == 4
+
+
+def test_the_contract_runs_from_a_shell(tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text('[driver]\nkind = "own_driver:make"\nrange_m = 0.1\n')
+    done = subprocess.run(
+        [sys.executable, "-m", "surffollow.hw.contract", str(tmp_path / "own.toml")],
+        capture_output=True,
+        text=True,
+        cwd=ROOT / "examples/driver",
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("ok:") == 4
+    wrong = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "import sys; from surffollow.hw import contract as c; sys.exit(c.main(sys.argv[1:]))",
+        ]
+        + [str(tmp_path / "none.toml")],
+        capture_output=True,
+        text=True,
+    )
+    assert wrong.returncode == 1
+    assert "cannot read" in wrong.stderr
+
+
+class Good:
+    """A driver that is right, for others to be wrong in one thing."""
+
+    ahead_ns, channel, quiet_after_stop, twice = 0, 0, True, False
+
+    def __init__(self) -> None:
+        self._info = metre_info("good", 0.05, 0.5)
+        self._writer: RangeWriter | None = None
+
+    @property
+    def info(self) -> DriverInfo:
+        return self._info
+
+    def start(self, queue: ConversionQueue) -> None:
+        from surffollow.errors import DriverError
+
+        if self._writer is not None and not self.twice:
+            raise DriverError("started twice")
+        self._writer = RangeWriter(queue, self._info)
+        for k in range(20):
+            queue.push(
+                time.monotonic_ns() + self.ahead_ns - (k if self.ahead_ns < 0 else 0) * MS,
+                100 | self.channel << 24,
+            )
+
+    def stop(self) -> None:
+        if self._writer is not None and not self.quiet_after_stop:
+            import threading
+
+            writer = self._writer
+            threading.Timer(0.01, lambda: writer.push(time.monotonic_ns(), 0.1)).start()
+        self._writer = None
+
+    def faults(self) -> list[str]:
+        return []
+
+
+WRONG = {
+    "lies ahead": {"ahead_ns": 10**9},
+    "go back": {"ahead_ns": -1},
+    "channel 3 of 1": {"channel": 3},
+    "after stop": {"quiet_after_stop": False},
+    "second start": {"twice": True},
+    "expected a list of texts": {"faults": lambda self: ["", 3]},
+    "lacks info, start, stop or faults": {"start": None, "faults": 5, "info": 3, "stop": None},
+}
+
+
+def test_a_driver_that_is_right_passes() -> None:
+    assert len(check_driver(Good)) == 4
+
+
+@pytest.mark.parametrize("says", WRONG)
+def test_a_driver_that_breaks_the_contract_is_told_what(says: str) -> None:
+    if says.startswith("lacks"):
+        broken: Any = type("Broken", (), {})
+    else:
+        broken = type("Broken", (Good,), WRONG[says])
+    with pytest.raises(ContractError, match=says):
+        check_driver(broken, timeout_s=1.0)

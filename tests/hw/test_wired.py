@@ -1,0 +1,347 @@
+"""Serial, IIO, CAN and UDP drivers: distances, stamps, faults, unplugging and plugging in again."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import socket
+import struct
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hw.wires import FRAME_FORMAT, LINE_FORMAT, WINDOW, FakeIio, Pty, datagrams, frame, line
+from running_service import unique_name, until
+from surffollow.errors import ConfigError
+from surffollow.hw.driver import ConversionQueue, Driver
+from surffollow.hw.polled import GARBLED, RUNNING, SILENT, STOPPED, WAITING
+from surffollow.hw.registry import make_driver
+from surffollow.shm.conversion import FLAG_INVALID, conversion_channel, conversion_counts, conversion_flags
+
+MS = 1_000_000
+
+
+def made(settings: dict, name: str = "x") -> Any:
+    """A driver with all that its kind has beyond the protocol."""
+    return make_driver(settings, name)
+
+
+def ranges(driver: Driver, queue: ConversionQueue) -> list[tuple[int, int, float | None]]:
+    """(time, channel, distance or None) of what was delivered since the last look."""
+    out = []
+    for t_ns, word in queue.drain().tolist():
+        c = conversion_channel(word)
+        bad = conversion_flags(word) & FLAG_INVALID
+        range_m = driver.info.zero_m[c] + driver.info.scale_m[c] * conversion_counts(word)
+        out.append((t_ns, c, None if bad else range_m))
+    return out
+
+
+@pytest.fixture
+def tty(tmp_path: Path) -> Iterator[Pty]:
+    pytest.importorskip("serial")
+    made = Pty(tmp_path)
+    yield made
+    made.unplug()
+
+
+def serial(tty: Pty, form: dict, **more: object) -> Any:
+    settings = {"kind": "serial", "port": str(tty.path), "format": form, "silence_s": 0.1, **WINDOW, **more}
+    return made(settings)
+
+
+def test_serial_frames_become_distances_with_stamps_before_their_arrival(tty: Pty) -> None:
+    driver, queue = serial(tty, FRAME_FORMAT, baud=9600), ConversionQueue()
+    driver.start(queue)
+    try:
+        until(lambda: driver.state != WAITING, "the port")
+        tty.write(frame(0.1))
+        before_ns = time.monotonic_ns()
+        tty.write(frame(0.2))
+        until(lambda: len(queue) == 2, "two distances")
+        now_ns = time.monotonic_ns()
+        (_, _, first_m), (t_ns, _, second_m) = ranges(driver, queue)
+        assert (first_m, second_m) == (pytest.approx(0.1), pytest.approx(0.2))
+        frame_ns = round(8 * 10 * 1e9 / 9600)
+        assert before_ns - frame_ns <= t_ns <= now_ns - frame_ns
+    finally:
+        driver.stop()
+    assert driver.state == STOPPED
+
+
+def test_serial_states_from_waiting_to_running_garbled_silent_unplugged_and_back(tty: Pty) -> None:
+    driver, queue = serial(tty, LINE_FORMAT), ConversionQueue()
+    tty.unplug()
+    driver.start(queue)
+    try:
+        until(lambda: "No such file" in " ".join(driver.faults()), "the fault")
+        assert driver.state == WAITING
+        tty.plug()
+
+        def sends(data: bytes, state: str) -> bool:
+            tty.write(data)
+            return driver.state == state
+
+        until(lambda: sends(line(0.1), RUNNING) and driver.faults() == [], "distances")
+        until(lambda: sends(b"\xff\x00\x12rubbish\r\n", GARBLED), "rubbish told")
+        assert "check baud rate, format and checksum" in driver.faults()[0]
+        until(lambda: sends(line(0.2), RUNNING), "recovery")
+        until(lambda: driver.state == SILENT, "silence told")
+        assert "nothing was received" in driver.faults()[0]
+        tty.unplug()
+        until(lambda: driver.state == WAITING, "unplugging told")
+        assert str(tty.path) in driver.faults()[0]
+        queue.drain()
+        tty.plug()
+        until(lambda: sends(line(0.3), RUNNING) and len(queue) > 0, "replugging")
+        assert {round(r, 6) for _, _, r in ranges(driver, queue) if r is not None} == {0.3}
+        assert driver.connections >= 2
+    finally:
+        driver.stop()
+
+
+def test_two_hundred_faults_on_a_line_in_use_never_deliver_a_wrong_distance(tty: Pty) -> None:
+    seed = 15
+    rng = random.Random(seed)
+    driver, queue = serial(tty, FRAME_FORMAT), ConversionQueue(1 << 14)
+    driver.start(queue)
+    sent = {round(0.1 + 0.001 * k, 3) for k in range(100)}
+    faults = 0
+    try:
+        until(lambda: driver.state != WAITING, "the port")
+        k = 0
+        while faults < 200:
+            for _ in range(6):
+                tty.write(frame(0.1 + 0.001 * (k % 100)))
+                k += 1
+            bad = bytearray(frame(0.1 + 0.001 * (k % 100)))
+            kind = rng.randrange(4)
+            if kind == 0:
+                del bad[rng.randrange(8) :]
+            elif kind == 1:
+                bad[rng.randrange(8)] ^= 1 << rng.randrange(8)
+            elif kind == 2:
+                bad = bytearray(rng.randbytes(rng.randrange(1, 30)))
+            elif faults % 50 == 3:
+                tty.unplug()
+                until(lambda: driver.state == WAITING, "unplugging told")
+                tty.plug()
+                until(lambda: driver.state != WAITING, "replugging")
+            tty.write(bytes(bad))
+            faults += 1
+        until(lambda: tty.write(frame(0.1)) or (len(queue) > 0 and driver.state == RUNNING), "running")
+    finally:
+        driver.stop()
+    got = [r for _, _, r in ranges(driver, queue)]
+    assert len(got) > 500
+    wrong = [r for r in got if r is None or round(r, 3) not in sent or abs(r - round(r, 3)) > 1e-6]
+    assert wrong == [], f"seed {seed}"
+
+
+def test_a_sensor_that_must_be_asked_gets_its_command_at_every_opening(tty: Pty) -> None:
+    driver = serial(tty, {}, preset="dimetix", baud=19200)
+    driver.start(ConversionQueue())
+    try:
+        got = bytearray()
+
+        def asked() -> bool:
+            with contextlib.suppress(BlockingIOError):
+                got.extend(os.read(tty.master, 100))
+            return b"s0h" in got
+
+        until(asked, "the command")
+    finally:
+        driver.stop()
+
+
+def test_an_extra_that_is_missing_is_named_with_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    for kind, module in (("serial", "serial"), ("can", "can")):
+        monkeypatch.setitem(sys.modules, module, None)
+        with pytest.raises(ConfigError, match=rf"pip install 'surffollow\[{kind}\]'"):
+            made({"kind": kind})
+
+
+@pytest.fixture
+def adc(tmp_path: Path) -> Iterator[FakeIio]:
+    device = FakeIio(tmp_path)
+    yield device
+    if device.folder.exists():
+        device.unplug()
+
+
+def iio(adc: FakeIio, **more: object) -> Any:
+    settings = {
+        "kind": "iio",
+        "device": adc.name,
+        "inputs": ["voltage0", "voltage1"],
+        "root": str(adc.root),
+        "metres_per_volt": 0.1,
+        "metres_at_zero": 0.01,
+        "silence_s": 0.1,
+        **WINDOW,
+    }
+    return made(settings | more)
+
+
+def test_iio_scans_become_distances_by_scale_offset_type_and_the_device_s_time(adc: FakeIio) -> None:
+    driver, queue = iio(adc), ConversionQueue()
+    driver.start(queue)
+    try:
+        until(lambda: driver.state != WAITING, "the device")
+        folder = adc.folder
+        for path, wanted in {
+            "scan_elements/in_voltage0_en": "1",
+            "scan_elements/in_voltage2_en": "0",
+            "scan_elements/in_timestamp_en": "1",
+            "current_timestamp_clock": "monotonic",
+            "buffer/enable": "1",
+        }.items():
+            assert (folder / path).read_text().strip() == wanted, path
+        t_ns = time.monotonic_ns() - 3 * MS
+        data = adc.scan(2000, 1608, t_ns) + adc.scan(4095, -2000, t_ns + MS)
+        adc.write(data[:21])  # a scan may come in pieces
+        adc.write(data[21:])
+        until(lambda: len(queue) == 4, "two scans of two inputs")
+        got = ranges(driver, queue)
+        assert [(t, c) for t, c, _ in got] == [(t_ns, 0), (t_ns, 1), (t_ns + MS, 0), (t_ns + MS, 1)]
+        volts = [2000 * 0.5e-3, (1608 - 8) * 0.25e-3, 4095 * 0.5e-3, -2008 * 0.25e-3]
+        assert [r for _, _, r in got] == pytest.approx([0.01 + 0.1 * v for v in volts])
+    finally:
+        driver.stop()
+    assert (folder / "buffer/enable").read_text() == "0"
+
+
+def test_an_iio_device_that_vanishes_is_told_and_found_again(adc: FakeIio) -> None:
+    driver, queue = iio(adc), ConversionQueue()
+    driver.start(queue)
+    try:
+        until(lambda: adc.write(adc.scan(1000, 0)) or driver.state == RUNNING, "distances")
+        adc.unplug()
+        until(lambda: driver.state == WAITING, "unplugging told")
+        until(lambda: "no device 'fakeadc'" in driver.faults()[0], "the fault's text")
+        adc.plug()
+        until(lambda: adc.write(adc.scan(1000, 0)) or driver.state == RUNNING, "replugging")
+        until(lambda: driver.state == SILENT, "silence told")
+    finally:
+        driver.stop()
+
+
+def test_an_iio_set_up_that_cannot_be_is_refused(adc: FakeIio) -> None:
+    with pytest.raises(ConfigError, match=r"no device 'other'.*iio:device0 \(fakeadc\)"):
+        iio(adc, device="other")
+    with pytest.raises(ConfigError, match="in_voltage7_type"):
+        iio(adc, inputs=["voltage7"])
+    (adc.folder / "scan_elements/in_voltage0_type").write_text("le:u12/16X4>>4")
+    with pytest.raises(ConfigError, match="only single numbers"):
+        iio(adc)
+
+
+def test_can_messages_are_stamped_before_their_receive_time_and_others_are_not_heard() -> None:
+    library = pytest.importorskip("can")
+    name = unique_name()
+    # distances in tenths of millimetres, two sensors
+    form = {"length": 4, "value": {"offset": 0, "type": "u16be"}, "unit": "0.1 mm"}
+    messages = [
+        {"id": 0x10, "format": form},
+        {"id": 0x18FF01, "extended": True, "channel": 1, "format": form},
+    ]
+    settings = {"kind": "can", "interface": "virtual", "bus": name, "messages": messages, "silence_s": 0.1}
+    driver, queue = made({**settings, "bitrate": 50_000, **WINDOW}), ConversionQueue()
+    driver.start(queue)
+
+    def message(number: int, extended: bool, data: bytes) -> object:
+        return library.Message(arbitration_id=number, data=data, is_extended_id=extended)
+
+    try:
+        until(lambda: driver.state != WAITING, "the bus")
+        with library.Bus(channel=name, interface="virtual") as bus:
+            until(lambda: driver.state == SILENT, "silence told")
+            before_ns = time.monotonic_ns()
+            bus.send(message(0x10, False, struct.pack(">HH", 1234, 0)))
+            bus.send(message(0x11, False, struct.pack(">HH", 1111, 0)))
+            bus.send(message(0x18FF01, True, struct.pack(">HH", 2345, 0)))
+            bus.send(message(0x10, False, b"\x01"))
+            until(lambda: len(queue) == 2 and driver._source.rejected == 1, "two distances, one rejected")
+            now_ns = time.monotonic_ns()
+        got = ranges(driver, queue)
+        assert [(c, r) for _, c, r in got] == [(0, pytest.approx(0.1234)), (1, pytest.approx(0.2345))]
+        frame_ns = round(1e9 * (47 + 32) / 50_000)
+        assert before_ns - frame_ns - MS <= got[0][0] <= now_ns - frame_ns + MS
+    finally:
+        driver.stop()
+
+
+def test_a_can_bus_that_fails_is_told_and_joined_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    library = pytest.importorskip("can")
+    name = unique_name()
+    settings = {"kind": "can", "interface": "virtual", "bus": name, **WINDOW}
+    driver = made({**settings, "messages": [{"id": 1, "format": FRAME_FORMAT}]})
+    driver.start(ConversionQueue())
+    try:
+        until(lambda: driver.state != WAITING, "the bus")
+        with monkeypatch.context() as broken:
+
+            def fails(self: object, timeout: float) -> None:
+                raise library.CanOperationError("the adapter was pulled out")
+
+            broken.setattr("can.interfaces.virtual.VirtualBus._recv_internal", fails)
+            until(lambda: "pulled out" in " ".join(driver.faults()), "the fault")
+        with library.Bus(channel=name, interface="virtual") as bus:
+            data = frame(0.1)
+            until(
+                lambda: (
+                    bus.send(library.Message(arbitration_id=1, data=data, is_extended_id=False))
+                    or driver.state == RUNNING
+                ),
+                "recovery",
+            )
+    finally:
+        driver.stop()
+
+
+def test_datagrams_give_distances_in_order_and_count_what_is_missing() -> None:
+    form = {"length": 6, "value": {"offset": 2, "type": "f32le"}, "unit": "m"}
+    settings = {
+        "kind": "udp",
+        "port": 0,
+        "format": form,
+        "sequence": {"offset": 0},
+        "silence_s": 0.1,
+        **WINDOW,
+    }
+    driver, queue = made(settings), ConversionQueue()
+    source = driver._source
+    driver.start(queue)
+    send = datagrams(lambda: source.port)
+    try:
+        until(lambda: source.port != 0, "the socket")
+        for number, range_m in ((65535, 0.1), (0, 0.2), (3, 0.3), (2, 0.25), (4, 0.4)):
+            send(struct.pack("<Hf", number, range_m))
+        send(b"short")
+        until(lambda: len(queue) == 4 and source.rejected == 2, "four distances")
+        assert [r for _, _, r in ranges(driver, queue)] == pytest.approx([0.1, 0.2, 0.3, 0.4], abs=1e-6)
+        assert source.missing == 2
+        until(lambda: driver.state == GARBLED, "what came last told")
+    finally:
+        driver.stop()
+
+
+def test_a_udp_port_in_use_is_told_until_it_is_free() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+        driver = made({"kind": "udp", "port": port, "format": LINE_FORMAT, **WINDOW})
+        queue = ConversionQueue()
+        driver.start(queue)
+        until(lambda: "cannot listen there" in driver.faults()[0], "the fault")
+    try:
+        send = datagrams(lambda: port)
+        until(lambda: send(line(0.123)) or len(queue) > 0, "a distance")
+        assert ranges(driver, queue)[0][2] == pytest.approx(0.123)
+    finally:
+        driver.stop()

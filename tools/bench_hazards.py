@@ -1,0 +1,119 @@
+"""Search for hazards: scenarios of sensor faults, three followers and a plain P loop side by side.
+
+Printed per family: the least clearance of each [mm, 100 wanted], how far the first follower came nearer to
+the ground than the P loop did, and contacts while the demand was VALID. The worst scenario is shrunk.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from multiprocessing import get_context
+from typing import Any
+
+from surffollow import Follower
+from surffollow.contest.hazards import (
+    FAMILIES,
+    FAR_M,
+    NEAR_M,
+    STANDOFF_M,
+    PLoop,
+    Scenario,
+    draw,
+    play,
+    shrink,
+)
+
+BELOW_P_M = 5e-3
+METHODS = ("multimodel", "adaptive", "paper", "p")
+
+
+def make(method: str) -> Any:
+    if method == "p":
+        return PLoop()
+    config: dict[str, Any] = {"mode": method, "sensors": [{"near_m": NEAR_M, "far_m": FAR_M}]}
+    if method == "paper":
+        config["pose_interpolate"] = "latest"
+    return Follower(config, offset_m=STANDOFF_M)
+
+
+def run(job: tuple[str, int, tuple[str, ...]]) -> dict[str, Any]:
+    family, seed, methods = job
+    scenario = draw(family, seed)
+    return {"scenario": asdict(scenario), **{m: asdict(play(make(m), scenario)) for m in methods}}
+
+
+def below_p_m(method: str, s: Scenario) -> float:
+    return play(PLoop(), s).clearance_m - play(make(method), s).clearance_m
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the search; exit 1 when the first method misses a limit."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--count", type=int, default=50, help="scenarios per family")
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--methods", default=",".join(METHODS))
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--json", action="store_true")
+    given = parser.parse_args(argv)
+    methods = tuple(dict.fromkeys([*given.methods.split(","), "p"]))
+    jobs = [(f, given.first + k, methods) for f in FAMILIES for k in range(given.count)]
+    begun = time.process_time()
+    if given.processes > 1:
+        with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
+            found = list(pool.map(run, jobs, chunksize=4))
+    else:
+        found = [run(job) for job in jobs]
+    first, rows = methods[0], []
+    for family in FAMILIES:
+        of = [r for r in found if r["scenario"]["family"] == family]
+        worst = max(of, key=lambda r: r["p"]["clearance_m"] - r[first]["clearance_m"])
+        rows.append(
+            {
+                "family": family,
+                "least_m": {m: min(r[m]["clearance_m"] for r in of) for m in methods},
+                "below_p_m": {
+                    m: max(r["p"]["clearance_m"] - r[m]["clearance_m"] for r in of) for m in methods
+                },
+                "contact_valid": {m: sum(r[m]["contact_valid"] for r in of) for m in methods},
+                "worst": worst["scenario"],
+            }
+        )
+        if rows[-1]["below_p_m"][first] > BELOW_P_M:
+            least = shrink(Scenario(**worst["scenario"]), lambda s: below_p_m(first, s) > BELOW_P_M)
+            rows[-1]["shrunk"] = asdict(least)
+    met = all(r["below_p_m"][first] <= BELOW_P_M and r["contact_valid"][first] == 0 for r in rows)
+    if given.json:
+        done = {
+            "rows": rows,
+            "scenarios": len(jobs),
+            "limit_m": BELOW_P_M,
+            "met": met,
+            "cpu_s": time.process_time() - begun,
+        }
+        print(json.dumps(done, indent=1))
+        return 0 if met else 1
+    print("| family |" + "".join(f" {m}: least, below p [mm], VALID contacts |" for m in methods))
+    print("| --- |" + " --- |" * len(methods))
+    for r in rows:
+        cells = (
+            f" {1e3 * r['least_m'][m]:.1f}, {1e3 * r['below_p_m'][m]:.1f}, {r['contact_valid'][m]} |"
+            for m in methods
+        )
+        print(f"| {r['family']} |" + "".join(cells))
+        if "shrunk" in r:
+            print(f"least harmful scenario: {r['shrunk']}", file=sys.stderr)
+    print(
+        f"{len(jobs)} scenarios; {first} {'meets' if met else 'misses'}: "
+        f"{1e3 * BELOW_P_M:g} mm below p, no VALID contact"
+    )
+    return 0 if met else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
