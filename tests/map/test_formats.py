@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from surffollow.cli.map import map_group
-from surffollow.errors import MapFileError
+from surffollow.errors import MapFileError, UsageError
 from surffollow.map import HeightMap
 from surffollow.map.files import EXPORTS, export, load
 from surffollow.map.picture import known_bounds, known_part
@@ -68,7 +68,7 @@ def test_every_command_writes_the_same_formats_and_names_them_when_it_refuses(
             assert done.exit_code == 0, (suffix, done.output)
             assert target.stat().st_size > 0
         else:
-            assert isinstance(done.exception, MapFileError)
+            assert isinstance(done.exception, UsageError)
             assert ", ".join(EXPORTS) in str(done.exception)
             assert not target.exists()
 

@@ -55,7 +55,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 def recorded(monkeypatch: pytest.MonkeyPatch, path: Path, log: Late) -> int:
     """Cycles of a recording of four seconds."""
     monkeypatch.setattr(session, "ServiceLog", lambda _: log)
-    return session.record_service("late", path, threading.Event(), seconds=4.0).cycles
+    return session.record_service("late", path, threading.Event(), seconds=4.0, rate_hz=0.0).cycles
 
 
 @pytest.mark.parametrize("empty_looks", [0, 5, 100])

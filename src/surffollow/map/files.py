@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import MapFileError
+from surffollow.errors import MapFileError, UsageError
 from surffollow.map import access
 from surffollow.map.atomic_file import Progress, replacing, report
 from surffollow.map.header import header_fault, numbers_fault, tile_shift_of
@@ -32,12 +32,12 @@ def check_suffix(path: str | os.PathLike[str]) -> str:
 
     Raises
     ------
-    MapFileError    no format ends like that; the text names those that there are
+    UsageError    no format ends like that; the text names those that there are
     """
     suffix = Path(path).suffix.lower()
     if suffix not in EXPORTS:
         ending = f"ends in '{suffix}'" if suffix else "has no suffix"
-        raise MapFileError(f"{path}: no map format {ending}; there are {', '.join(EXPORTS)}")
+        raise UsageError(f"{path}: no map format {ending}; there are {', '.join(EXPORTS)}")
     return suffix
 
 
