@@ -119,7 +119,8 @@ class NaiveIntervals:
             return 0.0
         previous, current = ranges
         path = [*previous, *current]
-        pieces = [math.sqrt((b.x - a.x) ** 2 + (b.y - a.y) ** 2) for a, b in itertools.pairwise(path)]
+        steps = [(b.x - a.x, b.y - a.y) for a, b in itertools.pairwise(path)]
+        pieces = [math.sqrt(dx * dx + dy * dy) for dx, dy in steps]
         pairs_across = [len([i for i in range(size) if i <= k < i + size]) for k in range(len(pieces))]
         way = total(n * piece for n, piece in zip(pairs_across, pieces)) / size
         if way <= 0.0:
