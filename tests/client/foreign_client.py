@@ -209,7 +209,8 @@ class Client:
 
     def __init__(self, name: str) -> None:
         self.name, self.label = name, f"foreign {os.getpid()}"
-        self.board, self.slot = Board(name), None
+        self.board = Board(name)
+        self.slot: Slot | None = None
         self.requests = {r["name"]: r for r in LAYOUT["requests"]}
         self.answers = {a["result"]: a["name"] for a in LAYOUT["answers"]}
         self.status_bits = LAYOUT["bits"]["sf_output.status"]
