@@ -341,7 +341,7 @@ class Client:
             grids = [self._height(memory, header, i) for i in range(min(8, header["nx"] * header["ny"]))]
             again = unpack(told["header"]["struct"], memory)["generation"]
             if again == header["generation"] and again % 2 == 0:
-                geometry = {k: header[k] for k in ("state", "nx", "ny", "grid_m", "region_m")}
+                geometry = {k: v for k, v in header.items() if not k.startswith(("journal_", "dirty"))}
                 return {**geometry, "grids": grids}
             time.sleep(0.001)
         raise RefusedError("the map is being laid anew")

@@ -167,12 +167,15 @@ def test_it_lays_refocuses_installs_and_holds_the_map(foreign: Foreign) -> None:
     assert foreign("map")["region_m"] == [*half.values()]
     assert foreign("request", "MAP_RESET", {**REGION, "x_max": 0.0}) == ["ERR_BAD_REGION", 0]
 
-    grids = {"grid_m": 0.01, "x0_m": 0.0, "y0_m": 0.0, "datum_m": 0.002, "quantum_m": 25.4e-6}
-    announced = {**REGION, "x_max": 0.04, "y_max": 0.02, **grids, "nx": 4, "ny": 2, "datum_set": 1}
+    geometry = {"grid_m": 0.01, "x0_m": 0.01, "y0_m": 0.02, "datum_m": 0.002, "quantum_m": 25.4e-6}
+    geometry |= {"nx": 4, "ny": 2, "datum_set": 1}
+    region = {"x_min": 0.01, "y_min": 0.02, "x_max": 0.05, "y_max": 0.04}
+    announced = {**region, **geometry}
     heights = [0, 10, -10, 100, -100, 7, -32768, 1]
     assert foreign("install", announced, heights, [1, 2, 3, 4, 5, 6, 0, 8]) == ["OK", 0]
     found = foreign("map")
-    assert (found["nx"], found["ny"]) == (4, 2)
+    assert {k: found[k] for k in geometry} == geometry
+    assert found["region_m"] == [*region.values()]
     wanted = [None if h == -32768 else 0.002 + 25.4e-6 * h for h in heights]
     assert found["grids"] == [w if w is None else pytest.approx(w, abs=1e-12) for w in wanted]
 
