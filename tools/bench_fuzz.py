@@ -45,7 +45,7 @@ from surffollow.shm import layout_board as lb  # noqa: E402
 from surffollow.shm.layout_follow import Output, Params  # noqa: E402
 
 KINDS = ("scribble", "cut", "restore", "punch", "lock", "impostor", "full")
-ACCESS = 'board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"\n'
+ACCESS = 'board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"\nparameters = "any"\n'
 LONG_NS = 300_000
 ANSWER_S = 0.2
 FORGED_M = -0.5

@@ -72,7 +72,9 @@ def test_client_follows_a_killed_service_into_its_next_life(
     probe.until(POSE, lambda a: a.result == OK)
     assert probe("reset 0.1").result == OK
     assert probe("height 0.05 0.05").result == OK
-    assert fixed("reset 0.1").result == OK
+    assert (
+        fixed("map_reset 0 0 0.1 0.1").result == OK
+    )  # the pose is the other client's, and so are the settings
 
 
 def test_holder_is_told_that_the_service_was_restarted(

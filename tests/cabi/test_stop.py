@@ -49,8 +49,8 @@ def test_a_c_client_stops_and_only_the_poses_holder_resets(
     assert driver("stop_reset").result == 0
     demands(driver, VALID)
     with attach(service.name, stale_min_s=PATIENT_MS / 1000) as watcher:
-        stops = until(lambda: [e for e in watcher.audit() if e["request"] == "stop"], "the trail")
-        assert (stops[-1]["pid"], stops[-1]["uid"], stops[-1]["reason"]) == (other.pid, os.geteuid(), "smoke")
+        stops = until(lambda: [e for e in watcher.audit() if e["pid"] == other.pid], "the trail")
+        assert (stops[0]["request"], stops[0]["uid"], stops[0]["reason"]) == ("stop", os.geteuid(), "smoke")
     assert other("stop").result == 0, "a reason is not needed"
     demands(driver, STOPPED)
     assert driver("stop_reset").result == 0

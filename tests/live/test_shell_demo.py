@@ -92,7 +92,13 @@ def test_drop_outs_freeze_and_new_parameters_make_no_demand_jump_in_the_service(
         for c in (0, 1, 3)
     )
     config = DemoConfig(
-        sensors=4, surface="dome", seconds=5.0, speed_mps=0.1, faults=faults, follow={"max_turn_rad": 0.3}
+        sensors=4,
+        surface="dome",
+        seconds=5.0,
+        speed_mps=0.1,
+        faults=faults,
+        follow={"max_turn_rad": 0.3},
+        parameters="any",
     )
     steps = [(0.35, {"max_turn_rad": 0.2}), (0.5, {"run": "dryrun"}), (0.55, {"run": "freeze"})]
     steps += [(0.65, {"run": "normal"}), (0.75, {"max_turn_speed_radps": "0.5 rad/s"})]

@@ -25,6 +25,7 @@ from surffollow.errors import (
     NotReadyError,
 )
 from surffollow.service import house
+from surffollow.shm import layout_board as lb
 from surffollow.shm.objects import unlink
 
 Make = Callable[..., Service]
@@ -161,6 +162,13 @@ def test_a_map_of_another_user_than_the_boards_is_not_read(make_service: Make, t
         assert watcher.map_height(0.0, 0.0) != 0.0
 
 
+def leave_a_map(s: Service) -> None:
+    """A map as a service that was ready and ended leaves it."""
+    rooms = house.open_house(s.settings())
+    rooms.set_state(lb.STATE_READY)
+    rooms.leave()
+
+
 @pytest.mark.parametrize(
     ("how", "why"),
     [
@@ -173,8 +181,7 @@ def test_a_map_that_another_could_have_made_or_changed_is_not_adopted(
     make_service: Make, how: str, why: str
 ) -> None:
     s = make_service()
-    rooms = house.open_house(s.settings())
-    rooms.leave()
+    leave_a_map(s)
     path, other = Path(f"/dev/shm/{s.name}.map"), Path(f"/dev/shm/{s.name}.map-2")
     before = path.read_bytes()
     if how == "owner":
@@ -247,7 +254,7 @@ def test_a_block_of_somebody_elses_under_the_services_name_is_not_removed(make_s
 
 def test_the_name_of_a_refused_start_is_given_back(make_service: Make) -> None:
     s = make_service()
-    house.open_house(s.settings()).leave()
+    leave_a_map(s)
     path = Path(f"/dev/shm/{s.name}.map")
     path.chmod(0o666)
     with pytest.raises(NoPermissionError):

@@ -23,6 +23,7 @@ from surffollow.errors import AlreadyRunningError, ConfigError, NameError_, NoSp
 from surffollow.hw.registry import make_driver
 from surffollow.map import HeightMap
 from surffollow.service import house
+from surffollow.shm import layout_board as lb
 from surffollow.shm import objects
 
 Make = Callable[..., Service]
@@ -245,6 +246,7 @@ def test_purge_after_a_sigkill_removes_what_was_left(own_service: Service) -> No
 def test_a_kept_map_of_another_size_is_neither_used_nor_lost(make_service: Make) -> None:
     s = make_service(grids=1000)
     first = house.open_house(s.settings())
+    first.set_state(lb.STATE_READY)
     first.leave()
     s.config.write_text(config_text(grids=2000))
     before = map_bytes(s.name)
@@ -258,6 +260,7 @@ KILL_AT_EVERY_LINE = """
 import os, signal, sys
 from surffollow.config.service import load_config
 from surffollow.service import house
+from surffollow.shm import layout_board as lb
 import msgspec
 config = msgspec.structs.replace(load_config(sys.argv[1]), name=sys.argv[2])
 FILES = ("house.py", "objects.py", "header.py")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surffollow.cli.map import LENGTH, progress_bar
+from surffollow.cli.scan_field import calibrate_command, demo_command
 from surffollow.cli.values import SERVICE_NAME
 from surffollow.errors import UsageError
 from surffollow.units import parse_quantity
@@ -75,7 +76,7 @@ _LIVE = click.option("--live", type=SERVICE_NAME, help="The map of this running 
 
 @click.group("scan")
 def scan_group() -> None:
-    """Map ground from depth images, plan a scan over a map, and check the plan.
+    """Map ground from depth images, plan a scan over a map, check the plan; demonstrate it in simulation.
 
     MAP is any file that `surffollow map` reads, or --live NAME: a service's map as it is now.
     """
@@ -320,3 +321,7 @@ def _print(facts: dict[str, Any], as_json: bool) -> None:
         elif isinstance(value, (list, tuple)):
             value = " ".join(f"{v:.6g}" for v in value)
         click.echo(f"{key:<{width}}  {'-' if value is None else value}")
+
+
+scan_group.add_command(calibrate_command)
+scan_group.add_command(demo_command)

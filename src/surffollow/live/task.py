@@ -33,6 +33,7 @@ class DemoConfig:
     follow: dict[str, object] = field(default_factory=dict)
     sensors: int = 1
     faults: tuple[dict[str, object], ...] = ()
+    parameters: str = "holder"  # who may set parameters meanwhile: `access.parameters` of the service
 
     @property
     def turns(self) -> bool:
@@ -106,6 +107,8 @@ def config_file(config: DemoConfig, folder: Path) -> Path:
         f'surface = "{config.surface}"',
         f"seed = {config.seed}",
         f"region = {list(config.ground)}",
+        "[access]",
+        f'parameters = "{config.parameters}"',
         "[follow]",
         f"offset = {config.offset_m!r}",
         *(f"{k} = {json.dumps(v)}" for k, v in follow.items()),

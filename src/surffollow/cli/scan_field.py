@@ -1,0 +1,174 @@
+"""`surffollow scan demo` and `scan calibrate`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import click
+
+from surffollow.cli.map import LENGTH
+
+_OUT = click.Path(dir_okay=False)
+_EXISTING = click.Path(exists=True, dir_okay=False)
+_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+
+
+@click.command("demo")
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of ground, errors, noise."
+)
+@click.option(
+    "--seeds", type=click.IntRange(1), default=1, show_default=True, help="So many, one after another."
+)
+@click.option("--ground", type=click.Choice(["flat", "bumpy", "hump"]), default="bumpy", show_default=True)
+@click.option(
+    "--tables", is_flag=True, help="Also each element switched off, and filter × correction × shaping."
+)
+@click.option("--picture", type=_OUT, help="Draw a PNG (extra `plot`).")
+@click.option("--report", type=_OUT, help="Write one HTML page with figures and picture (extra `plot`).")
+@click.option("--signal", type=_OUT, help="Write the signal map as a GeoTIFF (extra `geo`).")
+@_JSON
+def demo_command(
+    seed: int,
+    seeds: int,
+    ground: str,
+    tables: bool,
+    picture: str | None,
+    report: str | None,
+    signal: str | None,
+    as_json: bool,
+) -> None:
+    """Scan a simulated field: survey, filter, map, plan, calibrate, shaped scan, signal map.
+
+    Exit code 1: a bar of the demonstration is not met.
+    """
+    from surffollow.live.field_demo import demonstrate, elements_table, filters_table
+
+    if picture or report:
+        from surffollow.scan.pictures import check_picture
+
+        check_picture(picture or "report.png")
+
+    def tell(text: str, part: float) -> None:
+        click.echo(f"surffollow: {text} ({100 * part:.0f} %)", err=True)
+
+    made = [demonstrate(ground, seed + k, tell) for k in range(seeds)]
+    facts: dict[str, Any] = {"runs": [m.figures for m in made]}
+    if tables:
+        facts["elements"] = elements_table(seed, tell)
+        facts["filters"] = filters_table(seed, tell)
+    if picture:
+        from surffollow.live.field_pictures import draw_field
+
+        tell("picture", 1.0)
+        draw_field(picture, made[0])
+    if report:
+        from surffollow.live.field_report import write_report
+
+        tell("report", 1.0)
+        write_report(report, made[0], {k: v for k, v in facts.items() if k != "runs"})
+    if signal:
+        made[0].signal.save_geotiff(signal)
+    if as_json:
+        click.echo(json.dumps(facts))
+    else:
+        _tell_runs(facts)
+        for name in ("elements", "filters"):
+            if name in facts:
+                _tell_table(facts[name])
+    if any(m.figures["failures"] for m in made):
+        sys.exit(1)
+
+
+@click.command("calibrate")
+@click.argument("spots", type=_EXISTING)
+@click.option("-o", "--output", required=True, type=_OUT, help="Calibration file to write (.json).")
+@click.option(
+    "--map", "map_file", type=_EXISTING, help="Map of the touched ground; SPOTS then holds x, y, z."
+)
+@click.option("--grid", type=LENGTH, default="10cm", show_default=True, help="Distance of the matrix' nodes.")
+@click.option("--outside", type=click.Choice(["nearest", "unknown"]), default="nearest", show_default=True)
+@_JSON
+def calibrate_command(
+    spots: str, output: str, map_file: str | None, grid: float, outside: str, as_json: bool
+) -> None:
+    """Make a calibration matrix of touched SPOTS (CSV, metres).
+
+    Columns x_m, y_m, correction_m; with --map x_m, y_m, z_m of the model's tip at contact. The correction
+    is that z minus the mapped ground.
+    """
+    import numpy as np
+
+    from surffollow.scan.calibration import CalibrationMatrix
+    from surffollow.scan.spot_files import read_spots
+
+    given = read_spots(spots, map_file)
+    made = CalibrationMatrix.fit(given, grid_m=grid, outside=outside)
+    made.save(output)
+    left = made.left_out_m[np.isfinite(made.left_out_m)]
+    facts = {
+        "calibration": output,
+        "spots": len(made.spots_m),
+        "rows": made.values_m.shape[0],
+        "cols": made.values_m.shape[1],
+        "correction_max_m": float(np.abs(made.spots_m[:, 2]).max()),
+        "left_out_rms_m": float(np.sqrt((left**2).mean())) if left.size else None,
+        "left_out_max_m": float(np.abs(left).max()) if left.size else None,
+    }
+    if as_json:
+        click.echo(json.dumps(facts))
+        return
+    for key, value in facts.items():
+        click.echo(f"{key:<17} {'-' if value is None else value}")
+
+
+def _tell_runs(facts: dict[str, Any]) -> None:
+    for f in facts["runs"]:
+        click.echo(
+            f"\n{f['ground']} ground, seed {f['seed']}: gap {1e3 * f['gap_m']:.0f} mm, {f['speed_mps']} m/s"
+        )
+        for name in ("unshaped", "shaped"):
+            r = f[name]
+            click.echo(
+                f"  {name:<9} gap error P99 {1e3 * r['gap_error_p99_m']:5.1f} mm, mean "
+                f"{1e3 * r['gap_error_mean_m']:5.1f} mm, clearance ≥ {1e3 * r['clearance_min_m']:.1f} mm, "
+                f"acceleration {r['tip_acceleration_rms_mps2']:.2f} m/s² RMS, {r['duration_s']:.1f} s"
+            )
+        c, t = f["calibration"], f["target"]
+        click.echo(
+            f"  calibration: {c['spots']} spots, correction up to {1e3 * c['correction_max_m']:.1f} mm, "
+            f"left-out residual {1e3 * c['left_out_rms_m']:.1f} mm RMS; mode {c['mode_hz']:.2f} Hz, "
+            f"damping {c['mode_damping']:.3f}"
+        )
+        click.echo(
+            f"  target found {1e3 * t['error_m']:.0f} mm off ({1e3 * t['error_in_map_m']:.0f} mm in the map)"
+        )
+        for name, r in f["line"].items():
+            parts = r.get("residual_part", {})
+            wrong = ", ".join(f"{p} f: {100 * v:.0f} %" for p, v in parts.items())
+            click.echo(
+                f"  line of 2.4 m, {name:<8}: residual ±{1e3 * r['residual_m']:.1f} mm, acceleration "
+                f"{r['acceleration_rms_mps2']:.2f} m/s² RMS, after it {r['acceleration_rms_after_mps2']:.2f}"
+                f"{'; residual at ' + wrong if wrong else ''}"
+            )
+        for failure in f["failures"]:
+            click.echo(f"  FAIL: {failure}")
+
+
+def _tell_table(rows: list[dict[str, Any]]) -> None:
+    names = [
+        k for k in rows[0] if k in ("switched_off", "ground", "filter", "speed_mps", "following", "shaping")
+    ]
+    click.echo(
+        "\n"
+        + "".join(f"{n:<{30 if n == 'switched_off' else 12}}" for n in names)
+        + "P99 mm  RMS mm  least mm"
+    )
+    for r in rows:
+        left = "".join(f"{r[n]!s:<{30 if n == 'switched_off' else 12}}" for n in names)
+        click.echo(
+            f"{left}{1e3 * r['gap_error_p99_m']:6.1f}  {1e3 * r['gap_error_rms_m']:6.1f}  "
+            f"{1e3 * r['clearance_min_m']:8.1f}"
+        )

@@ -1,0 +1,53 @@
+"""Touched spots in a CSV file, as a calibration matrix takes them."""
+
+from __future__ import annotations
+
+import csv
+import os
+
+import numpy as np
+
+from surffollow.errors import ScanFileError
+from surffollow.scan.checks import Floats
+from surffollow.scan.grid import TerrainGrid
+from surffollow.scan.surface_lookup import sample_surface
+
+
+def read_spots(path: str | os.PathLike[str], map_file: str | os.PathLike[str] | None = None) -> Floats:
+    """(n, 3) x, y and correction [m] of a CSV file with a header line.
+
+    Parameters
+    ----------
+    path : columns x_m, y_m and correction_m; with a map z_m in its place
+    map_file : map of the ground that was touched; None: the file holds corrections
+
+    Raises
+    ------
+    ScanFileError
+        a file that cannot be read, a column that is missing, a spot on unknown ground
+    """
+    third = "correction_m" if map_file is None else "z_m"
+    try:
+        with open(path, encoding="utf-8", newline="") as f:
+            rows = list(csv.DictReader(f))
+        spots = np.array([[float(r[k]) for k in ("x_m", "y_m", third)] for r in rows], np.float64)
+    except KeyError as e:
+        raise ScanFileError(f"{path} has no column {e}; expected x_m, y_m and {third}") from e
+    except (OSError, ValueError, TypeError, csv.Error) as e:
+        raise ScanFileError(f"cannot read the spots {path}: {e}") from e
+    spots = spots.reshape(-1, 3)
+    if map_file is None:
+        return spots
+    from surffollow.map import HeightMap
+
+    ground = TerrainGrid.from_map(HeightMap.load(str(map_file)))
+    uv = np.ascontiguousarray((spots[:, :2] - np.array(ground.origin_m)) / ground.grid_m - 0.5)
+    out = np.empty((len(spots), 3))
+    sample_surface(ground.heights_m, 1.0, uv, out)
+    if np.isnan(out[:, 0]).any():
+        k = int(np.flatnonzero(np.isnan(out[:, 0]))[0])
+        raise ScanFileError(
+            f"spot {k + 1} of {path} ({spots[k, 0]:g}, {spots[k, 1]:g} m) is on unknown ground of {map_file}"
+        )
+    spots[:, 2] -= out[:, 0]
+    return spots
