@@ -11,6 +11,7 @@ from surffollow.shm import map_layout as ml
 from surffollow.shm.cheader import SCHEMAS, c_name
 from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, latch_bytes, stride
 from surffollow.shm.layout_follow import Output
+from surffollow.shm.layout_json import part_shape
 from surffollow.shm.schema import SCALARS, Field, Schema
 
 PAGE = Path(__file__).parents[1] / "docs" / "protocol.md"
@@ -43,16 +44,11 @@ def objects_table() -> Iterator[str]:
     yield "Board (offsets are in its region table; these are those of the default `log_words` = 2^20):\n"
     yield "| offset | bytes | part | holds |\n| ---: | ---: | --- | --- |"
     yield f"| 0 | {lb.BoardHeader.SIZE} | header | `{c_name(lb.BoardHeader)}` |"
-    latched = {"params", "output", "ticker", "map_status"}
     schemas = {name: schema for name, schema, _ in lb.BOARD_PARTS}
+    shapes = {name: part_shape(schema, bytes_) for name, schema, bytes_ in lb.BOARD_PARTS}
     for name, (offset, size) in lb.board_regions(1 << 20).items():
-        n = (
-            f"{lb.CLIENTS} latches"
-            if name.endswith("acks") or name == "clients"
-            else "latch"
-            if name in latched
-            else "plain"
-        )
+        kind, count = shapes[name]
+        n = f"{count} {kind}es" if count > 1 else kind
         words = ", then the log's words" if name == "log" else ""
         yield f"| {offset} | {size} | {name} | {n}, `{c_name(schemas[name])}`{words} |"
     slot: tuple[tuple[int, type[Schema], bool], ...] = (

@@ -1,7 +1,8 @@
-"""`surffollow header`: the C header, where it lies, and what pkg-config wants to know about it."""
+"""`surffollow header`: the C header, what pkg-config wants to know about it, and the layout as JSON."""
 
 from __future__ import annotations
 
+import json
 import re
 from importlib.metadata import version
 from pathlib import Path
@@ -30,18 +31,23 @@ def pkg_config_text(includedir: str) -> str:
 @click.command("header")
 @click.option("--cflags", is_flag=True, help="Print the compiler's option that finds the header.")
 @click.option("--pkg-config", is_flag=True, help="Print surffollow.pc for the header where it is now.")
+@click.option("--json", "as_json", is_flag=True, help="Print the layout for clients in other languages.")
 @click.option(
     "--install",
     "prefix",
     type=click.Path(file_okay=False, path_type=Path),
     help="Copy to PREFIX/include and write PREFIX/lib/pkgconfig/surffollow.pc.",
 )
-def header_command(cflags: bool, pkg_config: bool, prefix: Path | None) -> None:
-    """Print the C header of the client library (C11, C++17, nothing to link)."""
-    if sum((cflags, pkg_config, prefix is not None)) > 1:
-        raise click.UsageError("--cflags, --pkg-config and --install exclude each other")
+def header_command(cflags: bool, pkg_config: bool, as_json: bool, prefix: Path | None) -> None:
+    """Print the C header of the client library (C11, C++17, nothing to link), or the layout as JSON."""
+    if sum((cflags, pkg_config, as_json, prefix is not None)) > 1:
+        raise click.UsageError("--cflags, --pkg-config, --json and --install exclude each other")
     if prefix is not None:
         install(prefix)
+    elif as_json:
+        from surffollow.shm.layout_json import layout_document
+
+        click.echo(json.dumps(layout_document(), indent=2, allow_nan=False))
     elif cflags:
         click.echo(f"-I{HEADER.parent}")
     elif pkg_config:

@@ -119,6 +119,9 @@ def status_command(name: str, as_json: bool, audit: bool) -> None:
         if audit:
             status["audit"] = watcher.audit()
     if as_json:
+        from surffollow.shm.layout_json import identity
+
+        status["layout"] = identity()
         json.dump(status, sys.stdout, indent=2, allow_nan=False, default=str)
         print()
     elif audit:
@@ -170,7 +173,7 @@ def follower_lines(f: dict[str, Any]) -> list[str]:
 
 def render(s: dict[str, Any]) -> str:
     """The status as a few lines for people."""
-    from surffollow.service.realtime import GRANT_NAMES
+    from surffollow.shm.bit_names import GRANT_NAMES
     from surffollow.units import format_ns
 
     late, run, main, map_ = s["lateness"], s["execution"], s["main"], s["map"]

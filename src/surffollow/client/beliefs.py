@@ -6,11 +6,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from surffollow.shm.bit_names import FIRST_SERVICE_FAULT, SERVICE_FAULT_NAMES
 from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES
 from surffollow.shm.layout_follow import MODE_ADAPTIVE
-
-SERVICE_FAULT_NAMES = ("DRIVER", "CYCLE_STALLED", "SAMPLES_LOST", "SLOTS", "HOUSEKEEPING")
-FIRST_SERVICE_FAULT = 33  # the follower's faults are numbered from 1, the service's own from here
 
 _ESTIMATES = ("height_m", "slope", "speed_mps", "error_m")
 _ADAPTED = (

@@ -9,8 +9,8 @@ import os
 from dataclasses import dataclass, field
 
 from surffollow.config.service import Realtime
+from surffollow.shm.bit_names import GRANT_NAMES
 
-GRANT_NAMES = ("fifo", "affinity", "mlockall", "dma_latency")
 FIFO, AFFINITY, MLOCKALL, DMA_LATENCY = (1 << i for i in range(4))
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 

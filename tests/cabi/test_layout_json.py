@@ -1,0 +1,96 @@
+"""The JSON of `surffollow header --json` says the same as the C header and as the programs on both sides."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+from click.testing import CliRunner
+
+from cabi.running import ROOT
+from surffollow.cli.main import cli
+from surffollow.client import client, observer, pose, requests, slot, slot_request
+from surffollow.service import daemon, slot_server
+from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_json as lj
+
+EXACT = 1 << 53  # whole numbers up to here survive every JSON reader
+
+
+def printed() -> dict[str, Any]:
+    return dict(json.loads(CliRunner().invoke(cli, ["header", "--json"]).output))
+
+
+def test_a_c_compiler_agrees_with_every_offset_and_number(tmp_path: Path) -> None:
+    told = printed()
+    facts = []
+    for name, shape in told["structs"].items():
+        facts.append(f"sizeof({name}) == {shape['bytes']}")
+        for f in shape["fields"]:
+            member = f"(({name} *)0)->{f['name']}"
+            facts.append(
+                f"offsetof({name}, {f['name']}) == {f['offset']} && sizeof({member}) == {f['bytes']}"
+            )
+    enums = told["enums"]
+    for key in ("request", "board_state", "access", "slot_step"):
+        facts += [f"SF_{name} == {number}" for name, number in enums[key].items()]
+    facts += [f"SF_{n} == {v}" for n, v in enums["slot_result"].items() if v]
+    facts += [f"SF_RQ_{r['name']} == {r['code']}" for r in told["requests"]]
+    facts += [f"SF_ANSWER_{a['name']} == {a['result']}" for a in told["answers"]]
+    facts += [f"SF_{n} == 1 << {k}" for n, k in told["bits"]["sf_output.status"].items()]
+    facts += [f"SF_STOP_{n.upper()} == 1 << {k}" for n, k in told["bits"]["sf_output.stop"].items()]
+    facts += [f"SF_LAYOUT_HASH == UINT64_C({told['hash']})", f"SF_LAYOUT_VERSION == {told['version']}"]
+    for key, name in (("board", "BOARD"), ("map", "MAP"), ("world", "WORLD")):
+        facts.append(f"(uint64_t)SF_{name}_MAGIC == UINT64_C({told['objects'][key]['magic']['value']})")
+    facts.append(f"(uint64_t)SF_SLOT_MAGIC == UINT64_C({told['handshake']['magic']['value']})")
+    parts = {p["name"]: p["offset"] for p in told["objects"]["slot"]["parts"]}
+    facts += [f"SF_SLOT_{n.upper()} == {parts[n]}" for n in ("head", "pose", "request")]
+    facts.append(f"SF_SLOT_STREAM + SF_PIECE_BYTES == {parts['stream1']}")
+    source = tmp_path / "facts.c"
+    lines = "\n".join(f'_Static_assert({fact}, "");' for fact in facts)
+    source.write_text(f'#include "surffollow.h"\n{lines}\n')
+    command = ["gcc", "-std=c11", "-fsyntax-only", f"-I{ROOT / 'include'}", str(source)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert len(facts) > 350
+
+
+def test_every_request_and_answer_is_told() -> None:
+    told = printed()
+    codes = {r["code"] for r in told["requests"]}
+    assert codes == set(told["enums"]["request"].values()) - {lb.RQ_NONE}
+    known = {a["result"] for a in told["answers"]}
+    used = {a["result"] for r in told["requests"] for a in (*r["acks"], *r["map_acks"])}
+    assert known - used == {lb.ERR_UNKNOWN_REQUEST}, "the answer to what is no request"
+
+
+def test_no_number_is_too_large_for_a_reader_with_doubles() -> None:
+    def numbers(value: Any) -> list[float]:
+        if isinstance(value, dict | list):
+            items = value.values() if isinstance(value, dict) else value
+            return [n for item in items for n in numbers(item)]
+        return [value] if isinstance(value, int | float) else []
+
+    whole = [n for n in numbers(printed()) if n == int(n)]
+    assert max(map(abs, whole)) <= EXACT
+    assert len(whole) > 1000
+
+
+def test_waits_and_limits_are_those_of_service_and_client() -> None:
+    options = inspect.signature(observer.Observer).parameters
+    assert options["stale_periods"].default == lj.STALE_PERIODS
+    assert round(1e9 * options["stale_min_s"].default) == lj.STALE_MIN_NS
+    for ours, theirs in (
+        (lj.EXCHANGE_NS, slot_server.EXCHANGE_S),
+        (lj.FULL_NS, slot_server.FULL_S),
+        (lj.BEAT_NS, daemon.BEAT_S),
+        (lj.CONNECT_AGAIN_NS, slot_request._AGAIN_S),
+        (lj.CLAIM_NS, client.CLAIM_RETRY_S),
+        (lj.CLAIM_AGAIN_NS, slot.CLAIM_PAUSE_S),
+        (lj.REQUEST_LOST_NS, requests.LOST_S),
+    ):
+        assert ours == round(1e9 * theirs)
+    assert lj.NORM_TOLERANCE == pose.NORM_TOLERANCE
