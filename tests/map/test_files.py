@@ -186,7 +186,7 @@ def test_a_cancelled_export_leaves_the_old_file_and_no_debris(tmp_path, suffix):
 def test_an_unwritable_place_is_named(tmp_path):
     with pytest.raises(MapFileError, match="cannot write"):
         sampled(grids=10).save(tmp_path / "no" / "m.txt")
-    with pytest.raises(MapFileError, match=r"\.docx"):
+    with pytest.raises(UsageError, match=r"\.docx"):
         export(tmp_path / "m.docx", *(lambda m: (m.header, m.pairs))(sampled(grids=10)))
 
 
