@@ -14,6 +14,7 @@ from surffollow.errors import ConfigError, UsageError
 from surffollow.live.wall_clients import Avoid, make_clients
 from surffollow.live.wall_following import Arbitration, figures, ring_of, run_experiment, sense, tick
 from surffollow.live.wall_processes import run_processes
+from surffollow.live.wall_sensing import Wish
 from surffollow.sim.base import BaseConfig, SimulatedBase
 
 
@@ -45,8 +46,6 @@ def test_avoid_halts_before_a_wall_whoever_drives():
         name = "go"
 
         def step(self, seen, held):
-            from surffollow.live.wall_clients import Wish
-
             return Wish(True, 0.3)
 
     clients, arbitration = [Avoid(ring), Ram()], Arbitration(["avoid", "go"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from surffollow.blocks import F64, I64, AttachedBlock, Block
-from surffollow.live.wall_clients import Sensing
+from surffollow.live.wall_sensing import Sensing
 from surffollow.sim.base import (
     HEADING,
     N_INFRARED,

@@ -16,7 +16,8 @@ import surffollow.arbiter.table as t
 from surffollow.arbiter.machine import transition
 from surffollow.arbiter.records import MAX_EFFECTS, Clients, Effect, Happening, Machine
 from surffollow.errors import UsageError
-from surffollow.live.wall_clients import PRIORITIES, BaseClient, Sensing, make_clients, wrap
+from surffollow.live.wall_clients import PRIORITIES, make_clients
+from surffollow.live.wall_sensing import BaseClient, Sensing, wrap
 from surffollow.shm.dtypes import numpy_dtype, zeros
 from surffollow.sim.base import (
     HEADING,
