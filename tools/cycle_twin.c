@@ -347,6 +347,7 @@ static void follow_step(const Params *p, FollowState *st, const Inputs *in, Outp
   out->speed_mps = st->paper.speed_mps;
   int64_t count = out->intervals = st->paper.interval_count;
   if (count > 0) out->height_m = st->paper.interval_h_m[(count - 1) & (INTERVALS - 1)];
+  if (out->status & VALID) st->stop_armed = 1; /* nothing is latched: params.stop_on is 0 here */
   st->cycle++;
 }
 
