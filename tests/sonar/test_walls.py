@@ -11,7 +11,8 @@ import pytest
 
 from sonar.naive_sonar import range_of, ring_ranges, wrapped
 from surffollow.errors import UsageError
-from surffollow.sonar import fused_pose, walls
+from surffollow.sonar import candidates as cd
+from surffollow.sonar import fused_pose, wall_pose, walls
 from surffollow.sonar.belief import SonarRing
 
 ALPHA = math.radians(11.25)
@@ -155,3 +156,19 @@ def test_a_fitted_wall_predicts_the_side_sonars_of_a_real_robot():
             ]
             errors.append(abs(min([5.0, *told]) - row[held_out]))
         assert np.median(errors) < bar, f"US{held_out + 1}"
+
+
+def test_a_wall_that_a_silent_sonar_would_have_answered_is_refused():
+    ring = SonarRing.regular(count=72)
+    chosen = [71, 0, 1]  # 5 degrees apart: all three cover the normal
+    p, t = ring.positions_m[chosen], ring.headings_rad[chosen]
+    r = ring_ranges(p, t, ALPHA, ALPHA, [(0.0, 1.5)])
+    assert len(wall_pose(p, t, r, ALPHA, sigma_m=1e-4)) == 1
+    assert wall_pose(p, t, [r[0], math.inf, r[2]], ALPHA, sigma_m=1e-4) == []
+
+
+def test_one_contradiction_outweighs_two_further_inliers():
+    more, fewer = np.zeros(cd.CANDIDATE), np.zeros(cd.CANDIDATE)
+    more[[cd.INLIERS, cd.CONTRADICTIONS]] = 4, 1
+    fewer[cd.INLIERS] = 2
+    assert cd.best_candidate(np.array([more, fewer]), 2) == 1

@@ -36,7 +36,6 @@ from surffollow.sonar.belief import SonarRing
 EXPERIMENTS = ("paper", "1", "1-pair", "2")
 TICK_S = 0.02
 MAX_S = 2000.0
-LAP_TURNS = 4
 
 
 def ring_of(config: BaseConfig) -> SonarRing:
