@@ -311,7 +311,7 @@ def test_datagrams_give_distances_in_order_and_count_what_is_missing() -> None:
         "port": 0,
         "format": form,
         "sequence": {"offset": 0},
-        "silence_s": 0.1,
+        "silence_s": 30.0,  # silence must not replace GARBLED before it is seen
         **WINDOW,
     }
     driver, queue = made(settings), ConversionQueue()
