@@ -83,7 +83,7 @@ def test_a_move_that_cannot_tell_the_latency_is_refused() -> None:
 
 
 def over_a_plate(tilt_x: float, tilt_y: float, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Poses over a level plate, tilted at random up to so many radians; ranges of a sensor at (10, 20, 0) mm."""
+    """Poses over a level plate, tilted at random; what a sensor at (10, 20, 0) mm reads."""
     from scipy.spatial.transform import Rotation
 
     rng = np.random.default_rng(3)
