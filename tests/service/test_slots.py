@@ -74,8 +74,7 @@ def test_no_client_can_cut_grow_or_punch_its_slot(open_service: Service) -> None
     with open_service.attach() as watcher:
         before = watcher.status()
         told = as_other_user(lambda _: attacks_on_memory(open_service.name))
-        assert set(told.values()) == {told["cut"]}, told
-        assert told["cut"].startswith("PermissionError"), told
+        assert all(t.startswith("PermissionError") for t in told.values()), told
         open_service.cycles(50)
         after = watcher.status()
         assert after["alive"]

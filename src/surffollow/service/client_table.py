@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from surffollow.service import memory as m
 from surffollow.service.slot_memory import SlotMemory
 from surffollow.shm import layout_board as lb
+from surffollow.shm import sealed
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch import latch_write
 from surffollow.shm.latch_shape import latch_bytes
@@ -23,6 +24,9 @@ from surffollow.shm.python_atomics import load_acquire, store_release
 _STEP = latch_bytes(lb.ClientInfo.SIZE)
 # a thread that saw a slot in use has left the pass in which it did so when its counter grew by two
 PASSES = 2
+RESERVED = 2  # slots that only root and the service's own user get
+# slots that a user's processes gave back and still have mapped: memory that the service answers for
+KEPT_PER_USER, KEPT = 16, 256
 NAMES = 256  # of clients remembered: more than come and go in a beat
 
 
@@ -33,6 +37,11 @@ class ClientId:
     pid: int
     uid: int
     name: str
+
+
+def _is_exempt(uid: int) -> bool:
+    """Whether no limit holds for this user: root and the service's own."""
+    return uid in (0, os.geteuid())
 
 
 @dataclass(frozen=True)
@@ -73,6 +82,7 @@ class ClientTable:
         self._who: list[ClientId | None] = [None] * lb.CLIENTS
         self._held = [False] * lb.CLIENTS
         self._retired: dict[int, tuple[int, int]] = {}  # slot → cycles and passes of the map then
+        self._kept: list[tuple[int, int]] = []  # user and watch (`sealed.is_open_for_writing`)
         self._random = random.SystemRandom()
         self._info = zeros(lb.ClientInfo)
         self._names: dict[int, str] = {}  # by claim, of clients that have gone, too
@@ -96,7 +106,11 @@ class ClientTable:
 
     def refusal(self, uid: int, pid: int) -> tuple[int, int]:
         """Why a client gets no slot and the limit that is reached; SLOT_OK when it may have one."""
-        if uid not in (0, os.geteuid()):
+        if not _is_exempt(uid):
+            self._forget_returned()
+            kept = sum(u == uid for u, _ in self._kept)
+            if kept >= KEPT_PER_USER or len(self._kept) >= KEPT:
+                return lb.SLOT_USER_LIMIT, KEPT_PER_USER
             taken = [w for w in self._who if w is not None and w.uid == uid]
             if len(taken) >= self._limits.per_user:
                 return lb.SLOT_USER_LIMIT, self._limits.per_user
@@ -104,8 +118,22 @@ class ClientTable:
                 return lb.SLOT_PROCESS_LIMIT, self._limits.per_process
         return lb.SLOT_OK, 0
 
+    def room_for(self, uid: int) -> int:
+        """How many slots there are for this user and all others that are not exempt; for those, all."""
+        return lb.CLIENTS if _is_exempt(uid) else lb.CLIENTS - RESERVED
+
+    def _forget_returned(self) -> None:
+        """Forget memory that its last client has let go of: the kernel has freed it."""
+        for entry in list(self._kept):
+            if not sealed.is_open_for_writing(entry[1]):
+                self._kept.remove(entry)
+                os.close(entry[1])
+
     def promise(self, client: ClientId) -> int:
-        """Set a free slot aside; -1 when there is none."""
+        """Set a free slot aside; -1 when there is none for this client."""
+        others = sum(w is not None and not _is_exempt(w.uid) for w in self._who)
+        if not _is_exempt(client.uid) and others >= self.room_for(client.uid):
+            return -1
         for slot in range(lb.CLIENTS):
             if self._who[slot] is None and slot not in self._retired:
                 self._who[slot] = client
@@ -117,7 +145,7 @@ class ClientTable:
         return self._random.getrandbits(62) | 1
 
     def descriptor(self, slot: int) -> int:
-        """The memory of a promised slot."""
+        """The memory of a promised slot; the caller closes it."""
         return self._memory.descriptor(slot)
 
     def grant(self, slot: int, claim: int) -> None:
@@ -136,8 +164,14 @@ class ClientTable:
 
     def retire(self, slot: int) -> None:
         """Take a slot back: what its holder has mapped is looked at by nobody from now on."""
-        if self._who[slot] is None:
+        who = self._who[slot]
+        if who is None:
             return
+        watch = self._memory.take_watch(slot)
+        if watch >= 0 and not _is_exempt(who.uid) and len(self._kept) < 2 * KEPT:
+            self._kept.append((who.uid, watch))
+        elif watch >= 0:
+            os.close(watch)
         store_release(self._ctx.ctypes.data + 8 * (m.CLAIM + slot), 0)
         if self._held[slot]:
             self._publish(slot, None)

@@ -159,6 +159,7 @@ class Daemon:
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGTERM, signal.SIGINT):
                 signal.signal(number, lambda *_: self.stop())
+            signal.signal(signal.SIGIO, signal.SIG_IGN)  # somebody opened memory that is being looked at
 
     def stop(self) -> None:
         """Ask `run` to end, from a signal handler or another thread (a pipe holds no lock)."""

@@ -31,6 +31,7 @@ from surffollow.shm.dtypes import numpy_dtype, zeros
 from surffollow.shm.name_lock import NameLock, holder
 from surffollow.shm.objects import SharedObject, unlink
 from surffollow.shm.process import boot_id, start_ticks
+from surffollow.shm.uninvited import Disposal
 from surffollow.shm.unix_socket import listen, socket_path
 
 
@@ -78,7 +79,7 @@ class House:
 
     def leave(self) -> None:
         """Unlink board and socket and give up the name; the map stays, unless a refused start made it."""
-        self.listener.close()
+        Disposal().part_listener(self.listener)
         for part in (socket_path(self.config.name).name, self.board.name):
             if part != self.board.name or self.board.is_current():
                 unlink(part)

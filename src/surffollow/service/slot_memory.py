@@ -23,6 +23,7 @@ class SlotMemory:
     def __init__(self, name: str) -> None:
         self.name = name
         self._fds = [-1] * CLIENTS
+        self._watches = [-1] * CLIENTS  # of memory that a client was offered
         self.can_punch = False  # whether this kernel lets clients punch holes into their own slots
         self.address = sealed.reserve_addresses(inbox_bytes())
         try:
@@ -47,8 +48,15 @@ class SlotMemory:
         self._fds[slot] = fd
 
     def descriptor(self, slot: int) -> int:
-        """What a client gets to map its slot."""
-        return self._fds[slot]
+        """What a client gets to map its slot; the caller closes it."""
+        if self._watches[slot] < 0:
+            self._watches[slot] = sealed.reopened(self._fds[slot], os.O_RDONLY)
+        return sealed.reopened(self._fds[slot], os.O_RDWR)
+
+    def take_watch(self, slot: int) -> int:
+        """A descriptor that tells whether the last client still has this memory; -1: none had. The caller's."""
+        watch, self._watches[slot] = self._watches[slot], -1
+        return watch
 
     def seal(self, slot: int) -> None:
         """After the client has mapped it: no hole from now on, and every page present."""
@@ -67,4 +75,6 @@ class SlotMemory:
         for slot in range(CLIENTS):
             with contextlib.suppress(OSError):
                 self._drop(slot)
+            if (watch := self.take_watch(slot)) >= 0:
+                os.close(watch)
         sealed.unmap(self.address, inbox_bytes())

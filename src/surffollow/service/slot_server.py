@@ -3,7 +3,8 @@
 A connection is the ownership of a slot: the kernel closes it with the client's last copy of it, and a pidfd
 tells of the end of the process that connected, whatever its children still have open. Steps of the exchange:
 docs/protocol.md. Everything here runs in the main thread, beside the cycle: no call waits, the work per beat
-is bounded, and whatever fails costs one connection.
+is bounded, and whatever fails costs one connection. Messages are heard and connections ended through
+`shm.uninvited` alone: a client may send descriptors whose end takes as long as it likes.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from dataclasses import dataclass, field
 
 from surffollow.service.client_table import ClientId, ClientTable
 from surffollow.shm import layout_board as lb
+from surffollow.shm.uninvited import Disposal, hear
 from surffollow.shm.unix_socket import Peer, peer_of, peer_pidfd
 
 EXCHANGE_S = 1.0  # for a client to answer
@@ -61,7 +63,7 @@ class SlotServer:
         self._guests: dict[int, Guest] = {}  # by each of their descriptors
         self._epoll = select.epoll()
         self._epoll.register(listener.fileno(), select.EPOLLIN)
-        self._listening = True
+        self._listening, self._disposal = True, Disposal()
         self.failures, self.last_failure = 0, ""
 
     def serve(self, wake: int, seconds: float) -> bool:
@@ -81,6 +83,7 @@ class SlotServer:
                 events_left -= 1
                 self._guard(self._on_event, fd, mask)
             self._guard(self._housekeeping)
+            self._guard(self._disposal.look)
         return False
 
     def _comes_later(self, event: tuple[int, int]) -> bool:
@@ -110,11 +113,16 @@ class SlotServer:
                 self._drop(guest)
             else:
                 self._hear(guest)
+        except (ConnectionError, BlockingIOError):  # it left, takes nothing, or sent descriptors
+            self._drop(guest)
         except Exception:
             self._drop(guest)
             raise
 
     def _accept(self) -> None:
+        if self._disposal.full:
+            self._listen(False)  # until the next beat
+            return
         try:
             sock, _ = self._listener.accept()
         except (BlockingIOError, ConnectionAbortedError):
@@ -125,7 +133,7 @@ class SlotServer:
             waiting = [g for g in set(self._guests.values()) if g.stage != HELD]
             theirs = sum(g.peer.uid == peer.uid for g in waiting)
             if len(waiting) >= GUESTS or (theirs >= GUESTS_PER_USER and peer.uid not in (0, os.geteuid())):
-                sock.close()
+                self._disposal.part(sock)
                 return
             guest = Guest(sock, peer, time.monotonic() + EXCHANGE_S)
             self._watch(guest, sock.fileno(), select.EPOLLIN | select.EPOLLRDHUP)
@@ -133,7 +141,7 @@ class SlotServer:
             if guest.pidfd >= 0:
                 self._watch(guest, guest.pidfd, select.EPOLLIN)
         except BaseException:
-            sock.close()
+            self._disposal.part(sock)
             raise
 
     def _watch(self, guest: Guest, fd: int, events: int) -> None:
@@ -143,7 +151,7 @@ class SlotServer:
 
     def _hear(self, guest: Guest) -> None:
         try:
-            data = guest.sock.recv(4 * _MESSAGE.size)
+            data = hear(guest.sock, 4 * _MESSAGE.size)
         except BlockingIOError:
             return
         if not data:
@@ -179,13 +187,15 @@ class SlotServer:
         slot = self.table.promise(ClientId(guest.peer.pid, guest.peer.uid, guest.name))
         if slot < 0:
             if not self.table.retiring and time.monotonic() - guest.asked > FULL_S:
-                self._refuse(guest, lb.SLOT_ALL_TAKEN, lb.CLIENTS)
+                self._refuse(guest, lb.SLOT_ALL_TAKEN, self.table.room_for(guest.peer.uid))
             return
         guest.slot, guest.claim, guest.stage = slot, self.table.new_claim(), OFFERED
         message = self._message(guest, lb.SLOT_OFFER)
-        socket.send_fds(
-            guest.sock, [message], [self.table.descriptor(slot)], socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT
-        )
+        fd = self.table.descriptor(slot)
+        try:
+            socket.send_fds(guest.sock, [message], [fd], socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
+        finally:
+            os.close(fd)
 
     def _grant(self, guest: Guest) -> None:
         self.table.grant(guest.slot, guest.claim)
@@ -217,7 +227,7 @@ class SlotServer:
             with contextlib.suppress(OSError):
                 self._epoll.unregister(fd)
         guest.fds.clear()
-        guest.sock.close()
+        self._disposal.part(guest.sock)
         if guest.pidfd >= 0:
             os.close(guest.pidfd)
             guest.pidfd = -1
@@ -237,6 +247,8 @@ class SlotServer:
             elif guest.stage == ASKED:
                 try:
                     self._offer(guest)
+                except ConnectionError:
+                    self._drop(guest)
                 except Exception:
                     self._drop(guest)
                     raise
@@ -246,4 +258,4 @@ class SlotServer:
         for guest in set(self._guests.values()):
             self._drop(guest)
         self._epoll.close()
-        self._listener.close()
+        self._disposal.part_listener(self._listener)

@@ -50,11 +50,38 @@ def make_sealed(name: str, size: int) -> int:
         fd = os.memfd_create(name, flags)  # Linux before 6.3
     try:
         os.ftruncate(fd, size)
+        os.fchmod(fd, 0o600)  # who has a descriptor can open it again through /proc, unless the mode forbids it
         fcntl.fcntl(fd, _ADD_SEALS, SIZE_SEALS)
     except BaseException:
         os.close(fd)
         raise
     return fd
+
+
+def reopened(fd: int, flags: int) -> int:
+    """Another descriptor of a memfd, with an opening of its own, which `is_open_for_writing` counts.
+
+    Raises
+    ------
+    OSError   no descriptors left
+    """
+    return os.open(f"/proc/self/fd/{fd}", flags | os.O_CLOEXEC)
+
+
+def is_open_for_writing(fd: int) -> bool:
+    """Whether anybody still holds what `reopened` gave for writing: as descriptor, mapping or message under way.
+
+    Parameters
+    ----------
+    fd : int   opened for reading alone, by the user who made the memfd; SIGIO must be ignored by its process
+    """
+    try:
+        # a lease for reading is refused while somebody has the file open for writing
+        fcntl.fcntl(fd, fcntl.F_SETLEASE, fcntl.F_RDLCK)
+    except OSError as e:
+        return e.errno == errno.EAGAIN
+    fcntl.fcntl(fd, fcntl.F_SETLEASE, fcntl.F_UNLCK)
+    return False
 
 
 def seal_for_good(fd: int) -> bool:

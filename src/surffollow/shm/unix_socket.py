@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from surffollow.shm.objects import SHM_ROOT
+from surffollow.shm.uninvited import refuse_rights
 
 _CREDENTIALS = struct.Struct("3i")
 _SO_PEERPIDFD = 77  # Linux 6.5; without a name in Python
@@ -61,6 +62,7 @@ def listen(path: Path, mode: int, group: int, backlog: int) -> socket.socket:
     """
     sock = new_socket()
     try:
+        refuse_rights(sock)  # the sockets that it accepts inherit it
         before = os.umask(0o777)
         try:
             sock.bind(str(path))
