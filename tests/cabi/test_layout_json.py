@@ -14,6 +14,7 @@ from cabi.running import ROOT
 from surffollow.cli.main import cli
 from surffollow.client import client, observer, pose, requests, slot, slot_request
 from surffollow.service import daemon, slot_server
+from surffollow.shm import cheader
 from surffollow.shm import layout_board as lb
 from surffollow.shm import layout_json as lj
 
@@ -84,7 +85,10 @@ def test_waits_and_limits_are_those_of_service_and_client() -> None:
     assert options["stale_periods"].default == lj.STALE_PERIODS
     assert round(1e9 * options["stale_min_s"].default) == lj.STALE_MIN_NS
     for ours, theirs in (
-        (lj.EXCHANGE_NS, slot_server.EXCHANGE_S),
+        (cheader.EXCHANGE_NS, slot_server.EXCHANGE_S),
+        (cheader.EXCHANGE_NS, slot.EXCHANGE_S),
+        (cheader.EXCHANGE_NS, client.CLAIM_ANSWER_S),
+        (cheader.SLOT_WAIT_NS, slot.ATTACH_S),
         (lj.FULL_NS, slot_server.FULL_S),
         (lj.BEAT_NS, daemon.BEAT_S),
         (lj.CONNECT_AGAIN_NS, slot_request._AGAIN_S),

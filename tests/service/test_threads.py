@@ -23,7 +23,7 @@ def test_threads_that_find_the_service_restarted_claim_one_slot_together(
             client.ee_pos(POSE)
             # every look may re-attach, and to get a slot takes long enough for others to come
             monkeypatch.setattr(observer, "REATTACH_EVERY_NS", 0)
-            monkeypatch.setattr(slot, "request_slot", slowly(slot.request_slot))
+            monkeypatch.setattr(slot, "SlotRequest", slowly(slot.SlotRequest))
             over = threading.Event()
             wrong: list[BaseException] = []
 

@@ -13,7 +13,7 @@ from surffollow.client.observer import Observer
 from surffollow.client.pose import FUTURE_NS, MAX_POSITION_M, checked_pose, checked_stamp
 from surffollow.client.requests import Ticket, check_region
 from surffollow.client.slot import GENERATION, SlotHolder
-from surffollow.errors import BusyError, ConfigError, PoseError, RefusedError
+from surffollow.errors import BusyError, ConfigError, NotRunningError, PoseError, RefusedError
 from surffollow.shm import layout_board as lb
 from surffollow.shm.latch_shape import SLOTS, stride
 from surffollow.shm.layout_follow import Params
@@ -25,7 +25,7 @@ _POST = lb.PosePost.struct_of("t_ns", "pose")
 _POSE_ROLE = lb.Ticker.struct_of("t_ns", "pose_slot")
 _POSE_TIMEOUT = Params.struct_of("pose_timeout_ns", "pose_timeout_ns")
 _POSE_STRIDE = stride(lb.PosePost.SIZE)
-CLAIM_RETRY_S = 0.3
+CLAIM_RETRY_S, CLAIM_ANSWER_S = 0.3, 1.0
 _MAX_SIZE2 = MAX_POSITION_M**2
 LOOK_EVERY_NS = 100_000_000
 
@@ -34,6 +34,8 @@ class Client(SlotHolder):
     """An attachment that may send poses and requests; see `attach`."""
 
     _tool: SimulatedTool | None = None
+    _had_pose = False  # ever
+    _pose_ticket: Ticket | None = None  # its claim, under way
 
     def _look_after(self, now_ns: int) -> None:
         """As often as a service falls silent: whether it is there. Ten times a second: our slot."""
@@ -80,7 +82,13 @@ class Client(SlotHolder):
         PoseError         (a ValueError) not seven finite numbers, quaternion norm off by more than 1e-3,
                           stamped more than 1 ms ahead or longer ago than `pose_timeout_ns`
         BusyError         another live client sends the pose; its process is named
-        NotRunningError   the service ended; once it is started again, the next call goes on
+        NotRunningError   the service ended, or the pose is being claimed anew of one that was started again:
+                          call again, poses go on a few calls later
+
+        Notes
+        -----
+        The first call of an attachment waits for the pose (`claim_pose` does that beforehand). No later one
+        waits for anything, whatever the service or its socket does.
         """
         try:
             x, y, z, qx, qy, qz, qw = pose
@@ -100,7 +108,10 @@ class Client(SlotHolder):
         elif t_ns.__class__ is not int or not -FUTURE_NS <= now - t_ns <= self._pose_timeout_ns:
             t_ns = checked_stamp(t_ns, now, self._pose_timeout_ns)
         if not self._pose_held:
-            self._claim_pose()
+            if self._had_pose:
+                self._claim_pose_again()
+            else:
+                self._claim_pose()
         words, memory, index, base = self._pose_view
         g = (words[index] + 1) & GENERATION or 1  # what lies there may be anything
         if FENCED:
@@ -114,14 +125,48 @@ class Client(SlotHolder):
         deadline = time.monotonic() + CLAIM_RETRY_S
         while True:
             try:
-                self._request(lb.RQ_CLAIM_POSE, patience_s=1.0).result(1.0)
-                self._pose_held, self._pose_held_ns = True, time.monotonic_ns()
+                patience_s = CLAIM_ANSWER_S
+                self._request(lb.RQ_CLAIM_POSE, patience_s=patience_s, stall_s=self._slot_stall_s()).result(
+                    patience_s
+                )
+                self._hold_pose()
                 return
             except RefusedError as e:
                 # the service looks for dead holders at its own beat: give it a few
                 if e.code != lb.ERR_POSE_HELD or time.monotonic() > deadline:
                     raise BusyError(f"{e}; end that client or let it call release_pose()") from None
                 time.sleep(0.02)
+
+    def _slot_stall_s(self) -> float:
+        """How long a claim that may wait waits for a slot; a service that stands still is not waited for."""
+        return CLAIM_ANSWER_S if self._grant is None and self.alive() else 0.0
+
+    def _hold_pose(self) -> None:
+        self._pose_held, self._pose_held_ns = True, time.monotonic_ns()
+        self._had_pose, self._pose_ticket = True, None
+
+    def _claim_pose_again(self) -> None:
+        """One step towards the pose in a control loop; never waits.
+
+        Raises
+        ------
+        NotRunningError   not there yet
+        BusyError         another client has it
+        """
+        ticket = self._pose_ticket
+        if ticket is None or self._grant is None or ticket._claim != self._claim:
+            ticket = self._pose_ticket = self._request(lb.RQ_CLAIM_POSE)
+        if ticket._answered():
+            self._pose_ticket = None
+            try:
+                ticket.result(0.0)
+            except RefusedError as e:
+                raise BusyError(f"{e}; end that client or let it call release_pose()") from None
+            self._hold_pose()
+            return
+        if time.monotonic() > ticket._sent_s + CLAIM_ANSWER_S:
+            ticket._given_up, self._pose_ticket = True, None
+        raise NotRunningError(f"service {self.name!r} has not answered the new claim of the pose yet; call again")
 
     def claim_pose(self) -> None:
         """Become the one who sends the pose, and may so set parameters; `ee_pos` does it when needed.

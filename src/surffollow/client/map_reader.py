@@ -46,7 +46,7 @@ class ExclusiveAccess:
 
     def _request(self) -> None:
         """Step 1, once for every service that this client is attached to."""
-        self._client.ensure_slot()
+        self._client.await_slot(time.monotonic() + self._timeout_s)
         self._board = self._client.board
         self._status = self._board.latch("map_status", lb.MapStatus)
         self._number = 0

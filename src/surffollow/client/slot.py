@@ -14,7 +14,7 @@ from surffollow.client.board import CLOSED
 from surffollow.client.fence import fence
 from surffollow.client.observer import Observer
 from surffollow.client.requests import Ticket
-from surffollow.client.slot_request import SlotGrant, request_slot
+from surffollow.client.slot_request import SlotGrant, SlotRequest
 from surffollow.errors import (
     BusyError,
     NotReadyError,
@@ -28,7 +28,8 @@ _REQUEST = lb.RequestPost.struct_of("counter", "value")
 _REQUEST_STRIDE = stride(lb.RequestPost.SIZE)
 _OF_THE_MAP = (lb.RQ_MAP_RESET, lb.RQ_MAP_REFOCUS, lb.RQ_MAP_INSTALL)
 CLAIM_TRIES, CLAIM_PAUSE_S = 50, 0.02
-EXCHANGE_S = 2.0  # for the service's main thread to hand out a slot
+EXCHANGE_S = 1.0  # for the service's main thread to hand out a slot; then it is asked again
+ATTACH_S = 3.0  # for `attach` to get one
 GENERATION = (1 << 62) - 1  # 0 says nothing was published, and -1 is no generation
 _clients: weakref.WeakSet[SlotHolder] = weakref.WeakSet()
 
@@ -41,7 +42,7 @@ def _forget_in_child() -> None:
         client._access_users, client._holders = 0, []
         if client._grant is not None:
             client._in_words.release()
-            client._release_slot()
+        client._release_slot()
 
 
 os.register_at_fork(after_in_child=_forget_in_child)
@@ -65,6 +66,7 @@ class SlotHolder(Observer):
         self._access_users, self._grant_ended = 0, 0
         self._holders: list[int] = []
         self._grant: SlotGrant | None = None
+        self._asking: SlotRequest | None = None
         self._open: list[Ticket] = []
         self._pose_held, self._next_look_ns, self._next_life_ns = False, 0, 0
         super().__init__(name, stale_periods=stale_periods, stale_min_s=stale_min_s, owner=owner)
@@ -76,14 +78,17 @@ class SlotHolder(Observer):
         _clients.add(self)
 
     def _claim_first_slot(self) -> None:
+        deadline = time.monotonic() + ATTACH_S
         for _ in range(CLAIM_TRIES):
             with contextlib.suppress(NotReadyError):
-                return self.ensure_slot()
+                return self.await_slot(deadline)
+            if time.monotonic() >= deadline:
+                break
             # the service was replaced between our looks at its board and at its socket
             time.sleep(CLAIM_PAUSE_S)
             self.reattach()
         try:
-            self.ensure_slot()
+            self.await_slot(time.monotonic())
         except NotReadyError:
             if not self.board.has_ended():
                 raise
@@ -92,8 +97,44 @@ class SlotHolder(Observer):
                 f"{self.name}), or only look: observe()"
             ) from None
 
-    def _claim_slot(self) -> None:
-        grant = request_slot(self.board, self._label, EXCHANGE_S)
+    def await_slot(self, until_s: float) -> None:
+        """Wait for a slot until a time of `time.monotonic`; not in a control loop.
+
+        Raises
+        ------
+        NotReadyError   the service gave none; and as `SlotRequest.step`
+        """
+        while not self.ensure_slot():
+            asking = self._asking
+            if time.monotonic() >= until_s:
+                raise NotReadyError(
+                    f"service {self.name!r} hands out no slot; it may be starting or standing still "
+                    "(surffollow status)"
+                )
+            if asking is not None:
+                asking.wait(until_s)
+
+    def _ask_for_slot(self) -> None:
+        """One step towards a slot; never waits."""
+        if self._asking is not None and self._asking.board is not self.board:
+            self._stop_asking()
+        if self._asking is None:
+            self._asking = SlotRequest(self.board, self._label, EXCHANGE_S)
+        try:
+            grant = self._asking.step()
+        except BaseException:
+            self._asking = None
+            raise
+        if grant is not None:
+            self._asking = None
+            self._use_slot(grant)
+
+    def _stop_asking(self) -> None:
+        if self._asking is not None:
+            self._asking.close()
+            self._asking = None
+
+    def _use_slot(self, grant: SlotGrant) -> None:
         # what a pose is written to changes at once, and the grant comes last
         self.slot, self._claim = grant.slot, grant.claim
         self._in, self._in_words = grant.memory, memoryview(grant.memory).cast("Q")
@@ -121,17 +162,22 @@ class SlotHolder(Observer):
             return super()._has_ended()
         return not (grant.is_open() and self.board.is_current())
 
-    def ensure_slot(self) -> None:
-        """Ask for a slot when there is none: after a fork, a re-attachment, or its loss."""
+    def ensure_slot(self) -> bool:
+        """Whether there is a slot; when not (after a fork, a re-attachment, its loss), one step towards one.
+
+        Never waits: who goes on calling gets it.
+        """
         with self._lock:
             if self._grant is None:
-                self._claim_slot()
+                self._ask_for_slot()
+            return self._grant is not None
 
     def _release_slot(self) -> None:
         if self._grant is not None:
             grant, self._grant, self._pose_held = self._grant, None, False
             # another thread may be writing into the mapping: it goes when the last reference does
             grant.close()
+        self._stop_asking()
 
     def close(self) -> None:
         """Give back the pose and the slot, unmap everything."""
@@ -140,6 +186,7 @@ class SlotHolder(Observer):
             self._in_words.release()
             self._release_slot()
             self._pose_view = (CLOSED, *self._pose_view[1:])
+        self._stop_asking()
         super().close()
 
     # -- requests -------------------------------------------------------------------------------------
@@ -187,12 +234,14 @@ class SlotHolder(Observer):
 
     def _has_slot(self, until: float) -> bool:
         try:
-            self.ensure_slot()
+            if self.ensure_slot():
+                return True
+            why = f"service {self.name!r} was started anew and is about to hand out a slot; call again"
         except NotReadyError as e:
-            if time.monotonic() >= until:
-                raise NotRunningError(str(e)) from None
-            return False
-        return True
+            why = str(e)
+        if time.monotonic() >= until:
+            raise NotRunningError(why)
+        return False
 
     def _holds_the_map(self) -> bool:
         return threading.get_ident() in self._holders

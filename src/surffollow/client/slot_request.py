@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import mmap
 import os
+import select
 import socket
 import time
 
@@ -12,6 +14,7 @@ from surffollow.errors import BlockError, BusyError, NoPermissionError, NotReady
 from surffollow.shm import layout_board as lb
 from surffollow.shm.checked_open import foreign
 from surffollow.shm.sealed import has_sealed_size
+from surffollow.shm.uninvited import accept_rights, refuse_rights
 from surffollow.shm.unix_socket import new_socket, peer_of, socket_path
 
 _MESSAGE = lb.SlotMessage.struct_of("magic", "name")
@@ -45,94 +48,138 @@ class SlotGrant:
         self._sock.close()
 
 
-def request_slot(board: Board, label: bytes, timeout_s: float) -> SlotGrant:
-    """Ask a board's service for a slot.
+class SlotRequest:
+    """An exchange under way, in steps that never wait: a control loop goes through it in several calls.
 
-    Raises
-    ------
-    NotReadyError       the service is being replaced, or did not answer in time
-    NoPermissionError   not a member of the socket's group, or another user listens there
-    BusyError           no slot is free, or this user or process has as many as it may
-    BlockError          what listens there is no service of this release
+    Parameters
+    ----------
+    board : Board
+    label : bytes        how the service's status names the client
+    timeout_s : float    for the whole of it
     """
-    deadline = time.monotonic() + timeout_s
-    sock = new_socket()
-    try:
-        _connect(sock, board, deadline)
-        uid = peer_of(sock).uid
-        if uid != board.object.owner:
-            raise NoPermissionError(
-                f"the process that listens on {socket_path(board.name)} runs as user {uid}: "
-                + foreign(board.name, uid, (board.object.owner,))
-            )
-        return _exchange(sock, board, label, deadline)
-    except TimeoutError:
-        sock.close()
-        raise NotReadyError(
-            f"service {board.name!r} did not hand out a slot within {timeout_s:g} s; it may be starting or "
-            "standing still (surffollow status)"
-        ) from None
-    except (BrokenPipeError, ConnectionError):
-        sock.close()
-        raise NotReadyError(f"service {board.name!r} closed the connection; it is being replaced") from None
-    except BaseException:
-        sock.close()
-        raise
 
+    def __init__(self, board: Board, label: bytes, timeout_s: float) -> None:
+        self.board, self._label, self._timeout_s = board, label, timeout_s
+        self._deadline = time.monotonic() + timeout_s
+        self._memory: mmap.mmap | None = None
+        self._connected, self._slot, self._claim = False, -1, 0
+        self._sock = new_socket()
+        self._sock.setblocking(False)
+        refuse_rights(self._sock)  # until it is known who listens
 
-def _connect(sock: socket.socket, board: Board, deadline: float) -> None:
-    path = socket_path(board.name)
-    while True:
-        sock.settimeout(max(0.001, deadline - time.monotonic()))
+    def step(self) -> SlotGrant | None:
+        """Go as far as it goes without waiting; None: not there yet, call it again.
+
+        Raises
+        ------
+        NotReadyError       the service is being replaced, or did not answer in time
+        NoPermissionError   not a member of the socket's group, or another user listens there
+        BusyError           no slot is free, or this user or process has as many as it may
+        BlockError          what listens there is no service of this release
+        """
         try:
-            sock.connect(str(path))
-            return
-        except (FileNotFoundError, ConnectionRefusedError):
-            raise NotReadyError(f"nobody listens on {path}; the service ended or is being replaced") from None
-        except PermissionError:
-            raise NoPermissionError(
-                f"no permission to connect to {path}; join its group (ls -l {path}), or only watch: observe()"
+            return self._step()
+        except (BrokenPipeError, ConnectionError):
+            self.close()
+            raise NotReadyError(
+                f"service {self.board.name!r} closed the connection; it is being replaced"
             ) from None
-        except BlockingIOError:  # many clients come at once
-            if time.monotonic() > deadline:
-                raise TimeoutError from None
-            time.sleep(_AGAIN_S)
-        except TimeoutError:
+        except BaseException:
+            self.close()
             raise
-        except OSError as e:
-            raise BlockError(f"cannot connect to {path}: {e}; look at it (ls -l {path})") from None
 
-
-def _exchange(sock: socket.socket, board: Board, label: bytes, deadline: float) -> SlotGrant:
-    _send(sock, board, lb.SLOT_ASK, 0, 0, label)
-    offer, fds = _receive(sock, deadline)
-    try:
-        slot, claim = _check(board, offer, lb.SLOT_OFFER)
-        if len(fds) != 1 or not has_sealed_size(fds[0], lb.SLOT_BYTES) or not 0 <= slot < lb.CLIENTS:
-            raise BlockError(
-                f"service {board.name!r} handed out no sealed memory of {lb.SLOT_BYTES} bytes; use "
-                "client and service of one release"
+    def _step(self) -> SlotGrant | None:
+        if not self._connected:
+            self._connected = _connect(self._sock, self.board)
+            if self._connected:
+                _send(self._sock, self.board, lb.SLOT_ASK, 0, 0, self._label)
+        if self._connected and self._memory is None and (offer := _receive(self._sock)) is not None:
+            self._map(*offer)
+            _send(self._sock, self.board, lb.SLOT_MAPPED, self._slot, self._claim, self._label)
+        if self._memory is not None and (grant := _receive(self._sock)) is not None:
+            for fd in grant[1]:
+                os.close(fd)
+            _check(self.board, grant[0], lb.SLOT_GRANT)
+            return SlotGrant(self._sock, self._memory, self._slot, self._claim)
+        if time.monotonic() > self._deadline:
+            raise NotReadyError(
+                f"service {self.board.name!r} did not hand out a slot within {self._timeout_s:g} s; it may be "
+                "starting or standing still (surffollow status)"
             )
-        memory = mmap.mmap(fds[0], lb.SLOT_BYTES)
-    finally:
-        for fd in fds:
-            os.close(fd)
-    _send(sock, board, lb.SLOT_MAPPED, slot, claim, label)
-    grant, fds = _receive(sock, deadline)
-    for fd in fds:
-        os.close(fd)
-    _check(board, grant, lb.SLOT_GRANT)
-    return SlotGrant(sock, memory, slot, claim)
+        return None
+
+    def _map(self, offer: bytes, fds: list[int]) -> None:
+        try:
+            self._slot, self._claim = _check(self.board, offer, lb.SLOT_OFFER)
+            sealed = len(fds) == 1 and has_sealed_size(fds[0], lb.SLOT_BYTES)
+            if not sealed or not 0 <= self._slot < lb.CLIENTS:
+                raise BlockError(
+                    f"service {self.board.name!r} handed out no sealed memory of {lb.SLOT_BYTES} bytes; use "
+                    "client and service of one release"
+                )
+            self._memory = mmap.mmap(fds[0], lb.SLOT_BYTES)
+        finally:
+            for fd in fds:
+                os.close(fd)
+
+    def wait(self, until_s: float = math.inf) -> None:
+        """Until there may be something for the next step; not in a control loop."""
+        left = max(0.0, min(until_s, self._deadline) - time.monotonic())
+        if self._connected:
+            select.select([self._sock], [], [], left)
+        else:
+            time.sleep(min(left, _AGAIN_S))
+
+    def close(self) -> None:
+        """Give it up."""
+        self._sock.close()
+
+
+def request_slot(board: Board, label: bytes, timeout_s: float) -> SlotGrant:
+    """Ask a board's service for a slot and wait for it; raises as `SlotRequest.step` does."""
+    request = SlotRequest(board, label, timeout_s)
+    while (grant := request.step()) is None:
+        request.wait()
+    return grant
+
+
+def _connect(sock: socket.socket, board: Board) -> bool:
+    """Connect and see who listens; False: many clients come at once, try again."""
+    path = socket_path(board.name)
+    try:
+        sock.connect(str(path))
+    except (FileNotFoundError, ConnectionRefusedError):
+        raise NotReadyError(f"nobody listens on {path}; the service ended or is being replaced") from None
+    except PermissionError:
+        raise NoPermissionError(
+            f"no permission to connect to {path}; join its group (ls -l {path}), or only watch: observe()"
+        ) from None
+    except BlockingIOError:
+        return False
+    except OSError as e:
+        raise BlockError(f"cannot connect to {path}: {e}; look at it (ls -l {path})") from None
+    uid = peer_of(sock).uid
+    if uid != board.object.owner:
+        raise NoPermissionError(
+            f"the process that listens on {path} runs as user {uid}: "
+            + foreign(board.name, uid, (board.object.owner,))
+        )
+    accept_rights(sock)
+    return True
 
 
 def _send(sock: socket.socket, board: Board, step: int, slot: int, claim: int, label: bytes) -> None:
     fields = (lb.SLOT_MAGIC, LAYOUT_HASH, step, board.epoch, 0, 0, slot, claim, label)
-    sock.send(_MESSAGE.pack(*fields), socket.MSG_NOSIGNAL)
+    sock.send(_MESSAGE.pack(*fields), socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
 
 
-def _receive(sock: socket.socket, deadline: float) -> tuple[bytes, list[int]]:
-    sock.settimeout(max(0.001, deadline - time.monotonic()))
-    data, fds, flags, _ = socket.recv_fds(sock, _MESSAGE.size, 1, socket.MSG_CMSG_CLOEXEC)
+def _receive(sock: socket.socket) -> tuple[bytes, list[int]] | None:
+    try:
+        data, fds, flags, _ = socket.recv_fds(
+            sock, _MESSAGE.size, 1, socket.MSG_CMSG_CLOEXEC | socket.MSG_DONTWAIT
+        )
+    except BlockingIOError:
+        return None
     if not data or flags & (socket.MSG_TRUNC | socket.MSG_CTRUNC):
         for fd in fds:
             os.close(fd)

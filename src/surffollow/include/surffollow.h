@@ -113,7 +113,8 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 #define SF_MAX_REGION_M 1000000.0
 #define SF_REATTACH_EVERY_NS 20000000
 #define SF_LOOK_EVERY_NS 100000000
-#define SF_SLOT_WAIT_NS 2000000000
+#define SF_SLOT_WAIT_NS 3000000000
+#define SF_EXCHANGE_NS 1000000000
 #define SF_POSE_FUTURE_NS 1000000
 #define SF_MAX_POSITION_M 1000000000.0
 
@@ -1146,6 +1147,15 @@ typedef struct sf_options {
                             first it must be ever after */
 } sf_options;
 
+/* An exchange for a slot, under way in steps that never wait. */
+typedef struct sf_i_asking {
+  int fd;    /* -1: none */
+  int stage; /* 0: to connect, 1: asked, 2: mapped */
+  int slot;
+  int64_t claim, deadline_ns;
+  unsigned char *memory;
+} sf_i_asking;
+
 /* A client; the caller's memory, filled by sf_attach. Only the first group is for reading. */
 typedef struct sf_client {
   int64_t epoch;     /* of the service attached to; changes when it was restarted */
@@ -1164,6 +1174,9 @@ typedef struct sf_client {
   int64_t owner; /* the user whose service it attached to first; -1: not yet */
   int64_t asked_ns;
   int pose_held, abandoned;
+  int had_pose;      /* whether it ever held the pose: later claims do not wait */
+  sf_i_asking asking;
+  int64_t pose_counter, pose_claim, pose_asked_ns; /* the claim of the pose under way; counter 0: none */
   int ended; /* at the last look the service was silent and its process gone */
   int64_t grant;    /* number of the newest grant of the map to this attachment */
   int access_depth; /* sf_access_begin that were not ended */
@@ -1387,6 +1400,7 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
 
 /* Numbers that strict ISO C hides; the same on x86-64 and aarch64. */
 #define SF_I_SO_PEERCRED 17
+#define SF_I_SO_PASSRIGHTS 83 /* Linux 6.16 */
 #define SF_I_GET_SEALS 1034
 #define SF_I_SIZE_SEALS 6 /* F_SEAL_SHRINK, F_SEAL_GROW */
 
@@ -1405,24 +1419,40 @@ static inline int sf_i_await(int fd, int64_t deadline_ns) {
   }
 }
 
-/* Connect to NAME.sock; the descriptor, or a negative result. */
-static inline int sf_i_connect(sf_client *c, int64_t deadline_ns) {
+/* End the exchange that is under way, if any. */
+static inline void sf_i_stop_asking(sf_client *c) {
+  if (c->asking.memory != NULL) munmap(c->asking.memory, SF_SLOT_BYTES);
+  if (c->asking.fd >= 0) close(c->asking.fd);
+  memset(&c->asking, 0, sizeof c->asking);
+  c->asking.fd = -1;
+}
+
+/* A socket for a new exchange. SF_OK or an error. */
+static inline int sf_i_begin_asking(sf_client *c) {
+  const int none = 0;
+  const int fd = socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+  if (fd < 0) return sf_i_errno(c, errno);
+  /* until it is known who listens; kernels before 6.16 cannot */
+  (void)setsockopt(fd, SOL_SOCKET, SF_I_SO_PASSRIGHTS, &none, SF_CAST(socklen_t, sizeof none));
+  c->asking.fd = fd;
+  c->asking.stage = 0;
+  c->asking.deadline_ns = sf_now_ns() + SF_EXCHANGE_NS;
+  return SF_OK;
+}
+
+/* Connect to NAME.sock and see who listens. SF_OK, SF_PENDING (many clients come at once), or an error. */
+static inline int sf_i_connect(sf_client *c) {
   char path[96];
   struct sockaddr_un address;
+  const int fd = c->asking.fd, wanted = 1;
   if (!sf_i_path(c->name, ".sock", path)) return SF_ERR_NAME;
   memset(&address, 0, sizeof address);
   address.sun_family = AF_UNIX;
   memcpy(address.sun_path, path, strlen(path) + 1); /* 96 of 108 bytes */
-  const int fd = socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
-  if (fd < 0) return sf_i_errno(c, errno);
-  while (connect(fd, SF_VIEW(const struct sockaddr *, &address), SF_CAST(socklen_t, sizeof address)) != 0) {
+  if (connect(fd, SF_VIEW(const struct sockaddr *, &address), SF_CAST(socklen_t, sizeof address)) != 0) {
     const int number = errno;
-    if (number == EINTR || (number == EAGAIN && sf_now_ns() < deadline_ns)) { /* many clients come at once */
-      if (number == EAGAIN) sf_sleep_until_ns(sf_now_ns() + 2000000);
-      continue;
-    }
-    close(fd);
-    if (number == ENOENT || number == ECONNREFUSED || number == EAGAIN) return SF_ERR_NOT_READY;
+    if (number == EINTR || number == EAGAIN) return SF_PENDING;
+    if (number == ENOENT || number == ECONNREFUSED) return SF_ERR_NOT_READY;
     if (number == EPROTOTYPE || number == ENOTSOCK) return SF_ERR_BLOCK;
     return sf_i_errno(c, number);
   }
@@ -1430,33 +1460,34 @@ static inline int sf_i_connect(sf_client *c, int64_t deadline_ns) {
   socklen_t size = sizeof peer;
   if (getsockopt(fd, SOL_SOCKET, SF_I_SO_PEERCRED, peer, &size) != 0 ||
       SF_CAST(uid_t, peer[1]) != c->board.owner) {
-    close(fd);
     c->detail = peer[1];
     return SF_ERR_OWNER;
   }
-  return fd;
+  (void)setsockopt(fd, SOL_SOCKET, SF_I_SO_PASSRIGHTS, &wanted, SF_CAST(socklen_t, sizeof wanted));
+  return SF_OK;
 }
 
 /* Send one message of the exchange. 0, or an errno; never a signal. */
-static inline int sf_i_say(const sf_client *c, int fd, int64_t step, const sf_slot_message *offer) {
+static inline int sf_i_say(const sf_client *c, int fd, int64_t step, int64_t slot, int64_t claim) {
   sf_slot_message m;
   memset(&m, 0, sizeof m);
   m.magic = SF_SLOT_MAGIC;
   m.layout_hash = SF_LAYOUT_HASH;
   m.step = step;
   m.epoch = c->epoch;
-  if (offer != NULL) m.slot = offer->slot, m.claim = offer->claim;
+  m.slot = slot;
+  m.claim = claim;
   memcpy(m.name, c->label, sizeof m.name);
   for (;;) {
-    const ssize_t sent = send(fd, &m, sizeof m, MSG_NOSIGNAL);
+    const ssize_t sent = send(fd, &m, sizeof m, MSG_NOSIGNAL | MSG_DONTWAIT);
     if (sent == SF_CAST(ssize_t, sizeof m)) return 0;
     if (sent >= 0) return EMSGSIZE;
     if (errno != EINTR) return errno;
   }
 }
 
-/* Receive one message and, with it, at most one descriptor (else -1). SF_OK or an error. */
-static inline int sf_i_hear(sf_client *c, int fd, int64_t deadline_ns, sf_slot_message *m, int *memory_fd) {
+/* Receive one message and, with it, at most one descriptor (else -1). SF_OK, SF_PENDING: none yet, or an error. */
+static inline int sf_i_hear(sf_client *c, int fd, sf_slot_message *m, int *memory_fd) {
   /* the control data of one descriptor, aligned as its head wants it */
   union {
     struct cmsghdr head;
@@ -1465,9 +1496,6 @@ static inline int sf_i_hear(sf_client *c, int fd, int64_t deadline_ns, sf_slot_m
   struct iovec piece;
   struct msghdr message;
   *memory_fd = -1;
-  const int number = sf_i_await(fd, deadline_ns);
-  if (number == ETIMEDOUT) return SF_ERR_NOT_READY;
-  if (number != 0) return sf_i_errno(c, number);
   memset(&control, 0, sizeof control);
   memset(&message, 0, sizeof message);
   piece.iov_base = m;
@@ -1478,8 +1506,9 @@ static inline int sf_i_hear(sf_client *c, int fd, int64_t deadline_ns, sf_slot_m
   message.msg_controllen = sizeof control;
   ssize_t got;
   do {
-    got = recvmsg(fd, &message, MSG_CMSG_CLOEXEC);
+    got = recvmsg(fd, &message, MSG_CMSG_CLOEXEC | MSG_DONTWAIT);
   } while (got < 0 && errno == EINTR);
+  if (got < 0 && (errno == EAGAIN || errno == EWOULDBLOCK)) return SF_PENDING;
   if (got <= 0) return SF_ERR_NOT_READY; /* it closed the connection: it is being replaced */
   const struct cmsghdr *head = CMSG_FIRSTHDR(&message);
   if (head != NULL && head->cmsg_level == SOL_SOCKET && head->cmsg_type == SCM_RIGHTS &&
@@ -1514,52 +1543,84 @@ static inline int sf_i_map_slot(sf_client *c, int fd, unsigned char **slot) {
   return SF_OK;
 }
 
-static inline int sf_i_exchange(sf_client *c, int fd, int64_t deadline_ns, sf_slot_message *offer,
-                                unsigned char **slot) {
-  sf_slot_message grant;
-  int memory_fd = -1, none = -1;
-  if (sf_i_say(c, fd, SF_SLOT_ASK, NULL) != 0) return SF_ERR_NOT_READY;
-  int err = sf_i_hear(c, fd, deadline_ns, offer, &memory_fd);
-  if (err == SF_OK && (offer->step != SF_SLOT_OFFER || offer->slot < 0 || offer->slot >= SF_CLIENTS ||
-                       offer->claim == 0))
+/* The offer: map its memory and say so. SF_OK, SF_PENDING or an error. */
+static inline int sf_i_take_offer(sf_client *c) {
+  sf_slot_message offer;
+  int memory_fd = -1;
+  memset(&offer, 0, sizeof offer);
+  int err = sf_i_hear(c, c->asking.fd, &offer, &memory_fd);
+  if (err == SF_OK &&
+      (offer.step != SF_SLOT_OFFER || offer.slot < 0 || offer.slot >= SF_CLIENTS || offer.claim == 0))
     err = SF_ERR_BLOCK;
-  if (err == SF_OK) err = sf_i_map_slot(c, memory_fd, slot);
+  if (err == SF_OK) err = sf_i_map_slot(c, memory_fd, &c->asking.memory);
   if (memory_fd >= 0) close(memory_fd);
   if (err != SF_OK) return err;
-  if (sf_i_say(c, fd, SF_SLOT_MAPPED, offer) != 0) return SF_ERR_NOT_READY;
-  err = sf_i_hear(c, fd, deadline_ns, &grant, &none);
+  c->asking.slot = SF_CAST(int, offer.slot);
+  c->asking.claim = offer.claim;
+  return sf_i_say(c, c->asking.fd, SF_SLOT_MAPPED, offer.slot, offer.claim) == 0 ? SF_OK : SF_ERR_NOT_READY;
+}
+
+/* Go as far as it goes without waiting. SF_OK: the grant is there; SF_PENDING; or an error. */
+static inline int sf_i_go_on_asking(sf_client *c) {
+  int err = SF_OK, none = -1;
+  sf_slot_message grant;
+  if (c->asking.fd < 0) err = sf_i_begin_asking(c);
+  if (err == SF_OK && c->asking.stage == 0) {
+    err = sf_i_connect(c);
+    if (err == SF_OK && sf_i_say(c, c->asking.fd, SF_SLOT_ASK, 0, 0) != 0) err = SF_ERR_NOT_READY;
+    if (err == SF_OK) c->asking.stage = 1;
+  }
+  if (err == SF_OK && c->asking.stage == 1) {
+    err = sf_i_take_offer(c);
+    if (err == SF_OK) c->asking.stage = 2;
+  }
+  if (err != SF_OK) return err;
+  err = sf_i_hear(c, c->asking.fd, &grant, &none);
   if (none >= 0) close(none);
   return err == SF_OK && grant.step != SF_SLOT_GRANT ? SF_ERR_BLOCK : err;
 }
 
 /*
- * Get a slot: the connection says who owns it, and the kernel closes that when we die. Waits for the
- * service's main thread, as a rule well below a millisecond. SF_OK, SF_ERR_NOT_READY (the service is being
- * replaced or stands still), SF_ERR_SLOTS (`detail`: the limit), SF_ERR_OWNER, _NO_PERMISSION, _BLOCK, ...
+ * One step towards a slot: the connection says who owns it, and the kernel closes that when we die. Never waits.
+ * SF_OK, SF_PENDING: call it again, SF_ERR_NOT_READY (the service is being replaced or stands still),
+ * SF_ERR_SLOTS (`detail`: the limit), SF_ERR_OWNER, _NO_PERMISSION, _BLOCK, ...
  */
-static inline int sf_i_claim_slot(sf_client *c) {
-  const int64_t deadline_ns = sf_now_ns() + SF_SLOT_WAIT_NS;
-  sf_slot_message offer;
-  unsigned char *slot = NULL;
-  const int fd = sf_i_connect(c, deadline_ns);
-  if (fd < 0) return fd;
-  memset(&offer, 0, sizeof offer);
-  const int err = sf_i_exchange(c, fd, deadline_ns, &offer, &slot);
+static inline int sf_i_step_to_slot(sf_client *c) {
+  const int err = sf_i_go_on_asking(c);
+  if (err == SF_PENDING && sf_now_ns() < c->asking.deadline_ns) return SF_PENDING;
   if (err != SF_OK) {
-    if (slot != NULL) munmap(slot, SF_SLOT_BYTES);
-    close(fd);
-    return err;
+    sf_i_stop_asking(c);
+    return err == SF_PENDING ? SF_ERR_NOT_READY : err;
   }
-  c->held.memory = slot;
+  c->held.memory = c->slot_memory = c->asking.memory;
   c->held.size = SF_SLOT_BYTES;
-  c->held.fd = fd;
-  c->slot_memory = slot;
-  c->slot = SF_CAST(int, offer.slot);
-  c->claim = offer.claim;
+  c->held.fd = c->asking.fd;
+  c->slot = c->asking.slot;
+  c->claim = c->asking.claim;
+  c->asking.memory = NULL; /* they are the slot's from here on */
+  c->asking.fd = -1;
   c->counter = 0;
   c->pose_held = c->abandoned = 0;
+  c->pose_counter = 0;
   c->grant = 0;
   return SF_OK;
+}
+
+/* Wait for a slot; as a rule well below a millisecond. Not for a control loop. */
+static inline int sf_i_claim_slot(sf_client *c, int64_t deadline_ns) {
+  for (;;) {
+    const int err = sf_i_step_to_slot(c);
+    if (err != SF_PENDING) return err;
+    const int64_t now = sf_now_ns();
+    if (now >= deadline_ns) {
+      sf_i_stop_asking(c);
+      return SF_ERR_NOT_READY;
+    }
+    if (c->asking.stage == 0)
+      sf_sleep_until_ns(now + 2000000);
+    else
+      (void)sf_i_await(c->asking.fd, deadline_ns);
+  }
 }
 
 /* Whether the service holds its end of the connection: it closes it when it ends or takes the slot back. */
@@ -1579,12 +1640,18 @@ static inline void sf_i_release_slot(sf_client *c) {
   c->slot_memory = NULL;
   c->pose_held = 0;
   sf_i_close(&c->held);
+  sf_i_stop_asking(c);
 }
 
-/* A slot when there is none: after a restart of the service, or when it took the last one back. */
+/*
+ * Whether there is a slot; when not (after a restart of the service, or when it took the last one back), one step
+ * towards one. Never waits; SF_ERR_NOT_READY: call it again.
+ */
 static inline int sf_i_ensure_slot(sf_client *c) {
   if (c->slot_memory != NULL) return SF_OK;
-  return c->options.auto_reattach ? sf_i_claim_slot(c) : SF_ERR_NOT_RUNNING;
+  if (!c->options.auto_reattach) return SF_ERR_NOT_RUNNING;
+  const int err = sf_i_step_to_slot(c);
+  return err == SF_PENDING ? SF_ERR_NOT_READY : err;
 }
 
 /* A random number that no other attachment has; 62 bits, odd. */
@@ -1657,7 +1724,7 @@ static inline void sf_forget(sf_client *c) {
 }
 
 /*
- * Attach to a running service. `options` NULL: the defaults. The client needs no initialisation;
+ * Attach to a running service, in `ready_wait_ns` and SF_SLOT_WAIT_NS at most. `options` NULL: the defaults. The client needs no initialisation;
  * attaching one that is attached leaks.
  * SF_OK, SF_ERR_NAME, _NOT_RUNNING, _NO_PERMISSION, _NOT_READY, _LAYOUT, _BLOCK, _SLOTS, _OWNER, _SYSTEM.
  */
@@ -1667,6 +1734,7 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
   c->slot = -1;
   sf_i_forget(&c->board);
   sf_i_forget(&c->held);
+  c->asking.fd = -1;
   c->owner = -1;
   sf_i_forget(&c->map);
   sf_i_forget(&c->world);
@@ -1682,9 +1750,9 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
     memcpy(c->label, label, strlen(label) < sizeof c->label - 1 ? strlen(label) : sizeof c->label - 1);
   c->options.label = NULL; /* the caller's memory may go */
   int err = sf_i_open_board(c, c->options.ready_wait_ns);
-  const int64_t deadline = sf_now_ns() + c->options.ready_wait_ns;
-  while (err == SF_OK && !c->options.observe && (err = sf_i_claim_slot(c)) == SF_ERR_NOT_READY &&
-         sf_now_ns() < deadline) {
+  const int64_t began = sf_now_ns(), deadline = began + SF_SLOT_WAIT_NS;
+  while (err == SF_OK && !c->options.observe && (err = sf_i_claim_slot(c, deadline)) == SF_ERR_NOT_READY &&
+         sf_now_ns() < (sf_i_has_ended(c) ? began + c->options.ready_wait_ns : deadline)) {
     /* the service was replaced between our looks at its board and at its socket */
     sf_sleep_until_ns(sf_now_ns() + 5000000);
     err = sf_i_is_current(c, "", &c->board) ? SF_OK : sf_i_open_board(c, c->options.ready_wait_ns);
@@ -1728,14 +1796,14 @@ static inline int sf_i_reattach_board(sf_client *c) {
 
 /*
  * Look for a newer service of this name. SF_OK: attached to the current one; the pose must be claimed
- * anew, which the next sf_ee_pos does. Otherwise the error, and the old attachment stays; SF_ERR_OWNER:
+ * anew, which the next calls of sf_ee_pos do. It may wait SF_SLOT_WAIT_NS for a slot, other calls never do. Otherwise the error, and the old attachment stays; SF_ERR_OWNER:
  * what bears the name now belongs to another user (`detail`) than the service attached to first.
  */
 static inline int sf_reattach(sf_client *c) {
   if (c == NULL || c->board.memory == NULL) return SF_ERR_ARGUMENT;
   const int err = sf_i_reattach_board(c);
   if (err != SF_OK || c->options.observe || c->slot_memory != NULL) return err;
-  return sf_i_claim_slot(c);
+  return sf_i_claim_slot(c, sf_now_ns() + SF_SLOT_WAIT_NS);
 }
 
 /* Look for a newer service and for an end of this one, at most every 20 ms. */
@@ -1880,8 +1948,8 @@ static inline int sf_i_read_ack(const unsigned char *acks, int slot, sf_ack *ack
 }
 
 /*
- * Send a request without waiting: `code` SF_RQ_..., up to SF_REQUEST_ARGS numbers and values. Only the first
- * one after a restart of the service waits, for the slot.
+ * Send a request without waiting: `code` SF_RQ_..., up to SF_REQUEST_ARGS numbers and values. SF_ERR_NOT_RUNNING
+ * also while a service that was started anew has not handed out a slot: call it again.
  * SF_ERR_BUSY while the last one is not acknowledged: a second one could overtake it unseen.
  */
 static inline int sf_request_send(sf_client *c, int64_t code, int n, const int64_t *numbers, const double *values,
@@ -1976,21 +2044,48 @@ static inline int sf_sf_reset(sf_client *c, double offset_m) {
   return sf_i_request(c, SF_RQ_SF_RESET, 1, NULL, &offset_m, c->options.timeout_ns);
 }
 
+static inline void sf_i_hold_pose(sf_client *c) {
+  c->pose_held = c->had_pose = 1;
+  c->pose_held_ns = sf_now_ns();
+}
+
 /* Become the one who sends the pose; sf_ee_pos does it when needed. Waits for the service's answer. */
 static inline int sf_claim_pose(sf_client *c) {
   if (c == NULL) return SF_ERR_ARGUMENT;
   if (c->pose_held) return SF_OK;
-  const int64_t deadline = sf_now_ns() + 300000000;
+  const int64_t now = sf_now_ns(), deadline = now + 300000000;
+  if (c->output != NULL && !c->options.observe && c->slot_memory == NULL && c->options.auto_reattach && sf_alive(c))
+    (void)sf_i_claim_slot(c, now + SF_EXCHANGE_NS); /* an error of it is told below */
   for (;;) {
     const int result = sf_i_ask(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, c->options.timeout_ns, 0);
-    if (result == SF_OK) {
-      c->pose_held = 1;
-      c->pose_held_ns = sf_now_ns();
-    }
+    if (result == SF_OK) sf_i_hold_pose(c);
     /* the service looks for dead holders at its own beat: give it a few */
     if (result != SF_REFUSED_POSE_HELD || sf_now_ns() > deadline) return result;
     sf_sleep_until_ns(sf_now_ns() + 20000000);
   }
+}
+
+/* One step towards the pose in a control loop; never waits. SF_ERR_NOT_RUNNING: not there yet. */
+static inline int sf_i_claim_pose_again(sf_client *c, int64_t now_ns) {
+  sf_ticket ticket;
+  if (c->pose_counter == 0 || c->slot_memory == NULL || c->pose_claim != c->claim) {
+    c->pose_counter = 0;
+    const int err = sf_request_send(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, &ticket);
+    if (err != SF_OK) return err == SF_ERR_BUSY ? SF_ERR_NOT_RUNNING : err;
+    c->pose_counter = ticket.counter;
+    c->pose_claim = ticket.claim;
+    c->pose_asked_ns = now_ns;
+  }
+  ticket.counter = c->pose_counter;
+  ticket.claim = c->pose_claim;
+  const int result = sf_request_poll(c, &ticket);
+  if (result == SF_PENDING) {
+    if (now_ns > c->pose_asked_ns + SF_EXCHANGE_NS) c->pose_counter = 0, c->abandoned = 1;
+    return SF_ERR_NOT_RUNNING;
+  }
+  c->pose_counter = 0;
+  if (result == SF_OK) sf_i_hold_pose(c);
+  return result == SF_ERR_RESTARTED ? SF_ERR_NOT_RUNNING : result;
 }
 
 /* Let another client send the pose. */
@@ -2050,11 +2145,11 @@ static inline int sf_i_look_after(sf_client *c, int64_t now_ns) {
 
 /*
  * Tell the service where the tool is, or was: x y z [m], unit quaternion qx qy qz qw, world from tool,
- * true at `t_ns` (SF_NOW: now). The first call of an attachment, and of one that followed the service to a
- * new start, claims the pose and waits for the answer (sf_claim_pose does that beforehand); others never
- * wait, and make no system call but the clock's unless the service is silent.
- * SF_OK, SF_ERR_POSE, _POSE_FUTURE, _POSE_OLD, _OBSERVER, _NOT_RUNNING (it ended; call again when it may have been
- * started), or SF_REFUSED_POSE_HELD with the holder's pid in the client's `detail`.
+ * true at `t_ns` (SF_NOW: now). The first call of an attachment claims the pose and waits for the answer
+ * (sf_claim_pose does that beforehand). No later one waits, whatever the service or its socket does, and none makes
+ * a system call but the clock's unless the service is silent or its slot is lost.
+ * SF_OK, SF_ERR_POSE, _POSE_FUTURE, _POSE_OLD, _OBSERVER, _NOT_RUNNING (it ended, or slot and pose are being asked
+ * for anew of one that was started again: call again), or SF_REFUSED_POSE_HELD with the holder's pid in the client's `detail`.
  */
 static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   if (c == NULL || c->output == NULL || pose == NULL) return SF_ERR_ARGUMENT;
@@ -2068,7 +2163,7 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   if (post.t_ns > now + SF_POSE_FUTURE_NS) return SF_ERR_POSE_FUTURE;
   if (post.t_ns < now - c->pose_timeout_ns) return SF_ERR_POSE_OLD;
   if (!c->pose_held) {
-    const int claimed = sf_claim_pose(c);
+    const int claimed = c->had_pose ? sf_i_claim_pose_again(c, now) : sf_claim_pose(c);
     if (claimed != SF_OK) return claimed;
   }
   sf_latch_write(c->slot_memory + SF_SLOT_POSE, sizeof post, &post);

@@ -51,7 +51,8 @@ _SLOT_WORDS = (
 STALE = 1 << 16
 REATTACH_EVERY_NS = 20_000_000
 LOOK_EVERY_NS = 100_000_000
-SLOT_WAIT_NS = 2_000_000_000  # for the service to hand out a slot
+SLOT_WAIT_NS = 3_000_000_000  # for attach to get a slot
+EXCHANGE_NS = 1_000_000_000  # for one exchange, and for the answer to a claim of the pose; then it is begun anew
 POSE_FUTURE_NS = 1_000_000
 MAX_POSITION_M = 1e9
 
@@ -140,6 +141,7 @@ def _defines() -> Iterator[tuple[str, str]]:
     yield "REATTACH_EVERY_NS", str(REATTACH_EVERY_NS)
     yield "LOOK_EVERY_NS", str(LOOK_EVERY_NS)
     yield "SLOT_WAIT_NS", str(SLOT_WAIT_NS)
+    yield "EXCHANGE_NS", str(EXCHANGE_NS)
     yield "POSE_FUTURE_NS", str(POSE_FUTURE_NS)
     yield "MAX_POSITION_M", str(MAX_POSITION_M)
 

@@ -30,7 +30,6 @@ _REFUSALS = (
     *("SLOT_PROCESS_LIMIT", "SLOT_OTHER_RUN", "SLOT_BAD_MESSAGE"),
 )
 # of the service and the Python client, which stand on floors above (a test compares)
-EXCHANGE_NS = 1_000_000_000
 FULL_NS = 100_000_000
 BEAT_NS = 50_000_000
 CONNECT_AGAIN_NS = 2_000_000
@@ -321,7 +320,7 @@ def _waits() -> dict[str, int]:
         "pose_future_ns": cheader.POSE_FUTURE_NS,
         "slot_wait_ns": cheader.SLOT_WAIT_NS,
         "connect_again_ns": CONNECT_AGAIN_NS,
-        "exchange_ns": EXCHANGE_NS,
+        "exchange_ns": cheader.EXCHANGE_NS,
         "slots_full_ns": FULL_NS,
         "beat_ns": BEAT_NS,
         "claim_again_ns": CLAIM_AGAIN_NS,

@@ -26,6 +26,15 @@ typedef struct sf_options {
                             first it must be ever after */
 } sf_options;
 
+/* An exchange for a slot, under way in steps that never wait. */
+typedef struct sf_i_asking {
+  int fd;    /* -1: none */
+  int stage; /* 0: to connect, 1: asked, 2: mapped */
+  int slot;
+  int64_t claim, deadline_ns;
+  unsigned char *memory;
+} sf_i_asking;
+
 /* A client; the caller's memory, filled by sf_attach. Only the first group is for reading. */
 typedef struct sf_client {
   int64_t epoch;     /* of the service attached to; changes when it was restarted */
@@ -44,6 +53,9 @@ typedef struct sf_client {
   int64_t owner; /* the user whose service it attached to first; -1: not yet */
   int64_t asked_ns;
   int pose_held, abandoned;
+  int had_pose;      /* whether it ever held the pose: later claims do not wait */
+  sf_i_asking asking;
+  int64_t pose_counter, pose_claim, pose_asked_ns; /* the claim of the pose under way; counter 0: none */
   int ended; /* at the last look the service was silent and its process gone */
   int64_t grant;    /* number of the newest grant of the map to this attachment */
   int access_depth; /* sf_access_begin that were not ended */

@@ -2,6 +2,7 @@
 
 /* Numbers that strict ISO C hides; the same on x86-64 and aarch64. */
 #define SF_I_SO_PEERCRED 17
+#define SF_I_SO_PASSRIGHTS 83 /* Linux 6.16 */
 #define SF_I_GET_SEALS 1034
 #define SF_I_SIZE_SEALS 6 /* F_SEAL_SHRINK, F_SEAL_GROW */
 
@@ -20,24 +21,40 @@ static inline int sf_i_await(int fd, int64_t deadline_ns) {
   }
 }
 
-/* Connect to NAME.sock; the descriptor, or a negative result. */
-static inline int sf_i_connect(sf_client *c, int64_t deadline_ns) {
+/* End the exchange that is under way, if any. */
+static inline void sf_i_stop_asking(sf_client *c) {
+  if (c->asking.memory != NULL) munmap(c->asking.memory, SF_SLOT_BYTES);
+  if (c->asking.fd >= 0) close(c->asking.fd);
+  memset(&c->asking, 0, sizeof c->asking);
+  c->asking.fd = -1;
+}
+
+/* A socket for a new exchange. SF_OK or an error. */
+static inline int sf_i_begin_asking(sf_client *c) {
+  const int none = 0;
+  const int fd = socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+  if (fd < 0) return sf_i_errno(c, errno);
+  /* until it is known who listens; kernels before 6.16 cannot */
+  (void)setsockopt(fd, SOL_SOCKET, SF_I_SO_PASSRIGHTS, &none, SF_CAST(socklen_t, sizeof none));
+  c->asking.fd = fd;
+  c->asking.stage = 0;
+  c->asking.deadline_ns = sf_now_ns() + SF_EXCHANGE_NS;
+  return SF_OK;
+}
+
+/* Connect to NAME.sock and see who listens. SF_OK, SF_PENDING (many clients come at once), or an error. */
+static inline int sf_i_connect(sf_client *c) {
   char path[96];
   struct sockaddr_un address;
+  const int fd = c->asking.fd, wanted = 1;
   if (!sf_i_path(c->name, ".sock", path)) return SF_ERR_NAME;
   memset(&address, 0, sizeof address);
   address.sun_family = AF_UNIX;
   memcpy(address.sun_path, path, strlen(path) + 1); /* 96 of 108 bytes */
-  const int fd = socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
-  if (fd < 0) return sf_i_errno(c, errno);
-  while (connect(fd, SF_VIEW(const struct sockaddr *, &address), SF_CAST(socklen_t, sizeof address)) != 0) {
+  if (connect(fd, SF_VIEW(const struct sockaddr *, &address), SF_CAST(socklen_t, sizeof address)) != 0) {
     const int number = errno;
-    if (number == EINTR || (number == EAGAIN && sf_now_ns() < deadline_ns)) { /* many clients come at once */
-      if (number == EAGAIN) sf_sleep_until_ns(sf_now_ns() + 2000000);
-      continue;
-    }
-    close(fd);
-    if (number == ENOENT || number == ECONNREFUSED || number == EAGAIN) return SF_ERR_NOT_READY;
+    if (number == EINTR || number == EAGAIN) return SF_PENDING;
+    if (number == ENOENT || number == ECONNREFUSED) return SF_ERR_NOT_READY;
     if (number == EPROTOTYPE || number == ENOTSOCK) return SF_ERR_BLOCK;
     return sf_i_errno(c, number);
   }
@@ -45,33 +62,34 @@ static inline int sf_i_connect(sf_client *c, int64_t deadline_ns) {
   socklen_t size = sizeof peer;
   if (getsockopt(fd, SOL_SOCKET, SF_I_SO_PEERCRED, peer, &size) != 0 ||
       SF_CAST(uid_t, peer[1]) != c->board.owner) {
-    close(fd);
     c->detail = peer[1];
     return SF_ERR_OWNER;
   }
-  return fd;
+  (void)setsockopt(fd, SOL_SOCKET, SF_I_SO_PASSRIGHTS, &wanted, SF_CAST(socklen_t, sizeof wanted));
+  return SF_OK;
 }
 
 /* Send one message of the exchange. 0, or an errno; never a signal. */
-static inline int sf_i_say(const sf_client *c, int fd, int64_t step, const sf_slot_message *offer) {
+static inline int sf_i_say(const sf_client *c, int fd, int64_t step, int64_t slot, int64_t claim) {
   sf_slot_message m;
   memset(&m, 0, sizeof m);
   m.magic = SF_SLOT_MAGIC;
   m.layout_hash = SF_LAYOUT_HASH;
   m.step = step;
   m.epoch = c->epoch;
-  if (offer != NULL) m.slot = offer->slot, m.claim = offer->claim;
+  m.slot = slot;
+  m.claim = claim;
   memcpy(m.name, c->label, sizeof m.name);
   for (;;) {
-    const ssize_t sent = send(fd, &m, sizeof m, MSG_NOSIGNAL);
+    const ssize_t sent = send(fd, &m, sizeof m, MSG_NOSIGNAL | MSG_DONTWAIT);
     if (sent == SF_CAST(ssize_t, sizeof m)) return 0;
     if (sent >= 0) return EMSGSIZE;
     if (errno != EINTR) return errno;
   }
 }
 
-/* Receive one message and, with it, at most one descriptor (else -1). SF_OK or an error. */
-static inline int sf_i_hear(sf_client *c, int fd, int64_t deadline_ns, sf_slot_message *m, int *memory_fd) {
+/* Receive one message and, with it, at most one descriptor (else -1). SF_OK, SF_PENDING: none yet, or an error. */
+static inline int sf_i_hear(sf_client *c, int fd, sf_slot_message *m, int *memory_fd) {
   /* the control data of one descriptor, aligned as its head wants it */
   union {
     struct cmsghdr head;
@@ -80,9 +98,6 @@ static inline int sf_i_hear(sf_client *c, int fd, int64_t deadline_ns, sf_slot_m
   struct iovec piece;
   struct msghdr message;
   *memory_fd = -1;
-  const int number = sf_i_await(fd, deadline_ns);
-  if (number == ETIMEDOUT) return SF_ERR_NOT_READY;
-  if (number != 0) return sf_i_errno(c, number);
   memset(&control, 0, sizeof control);
   memset(&message, 0, sizeof message);
   piece.iov_base = m;
@@ -93,8 +108,9 @@ static inline int sf_i_hear(sf_client *c, int fd, int64_t deadline_ns, sf_slot_m
   message.msg_controllen = sizeof control;
   ssize_t got;
   do {
-    got = recvmsg(fd, &message, MSG_CMSG_CLOEXEC);
+    got = recvmsg(fd, &message, MSG_CMSG_CLOEXEC | MSG_DONTWAIT);
   } while (got < 0 && errno == EINTR);
+  if (got < 0 && (errno == EAGAIN || errno == EWOULDBLOCK)) return SF_PENDING;
   if (got <= 0) return SF_ERR_NOT_READY; /* it closed the connection: it is being replaced */
   const struct cmsghdr *head = CMSG_FIRSTHDR(&message);
   if (head != NULL && head->cmsg_level == SOL_SOCKET && head->cmsg_type == SCM_RIGHTS &&
@@ -129,52 +145,84 @@ static inline int sf_i_map_slot(sf_client *c, int fd, unsigned char **slot) {
   return SF_OK;
 }
 
-static inline int sf_i_exchange(sf_client *c, int fd, int64_t deadline_ns, sf_slot_message *offer,
-                                unsigned char **slot) {
-  sf_slot_message grant;
-  int memory_fd = -1, none = -1;
-  if (sf_i_say(c, fd, SF_SLOT_ASK, NULL) != 0) return SF_ERR_NOT_READY;
-  int err = sf_i_hear(c, fd, deadline_ns, offer, &memory_fd);
-  if (err == SF_OK && (offer->step != SF_SLOT_OFFER || offer->slot < 0 || offer->slot >= SF_CLIENTS ||
-                       offer->claim == 0))
+/* The offer: map its memory and say so. SF_OK, SF_PENDING or an error. */
+static inline int sf_i_take_offer(sf_client *c) {
+  sf_slot_message offer;
+  int memory_fd = -1;
+  memset(&offer, 0, sizeof offer);
+  int err = sf_i_hear(c, c->asking.fd, &offer, &memory_fd);
+  if (err == SF_OK &&
+      (offer.step != SF_SLOT_OFFER || offer.slot < 0 || offer.slot >= SF_CLIENTS || offer.claim == 0))
     err = SF_ERR_BLOCK;
-  if (err == SF_OK) err = sf_i_map_slot(c, memory_fd, slot);
+  if (err == SF_OK) err = sf_i_map_slot(c, memory_fd, &c->asking.memory);
   if (memory_fd >= 0) close(memory_fd);
   if (err != SF_OK) return err;
-  if (sf_i_say(c, fd, SF_SLOT_MAPPED, offer) != 0) return SF_ERR_NOT_READY;
-  err = sf_i_hear(c, fd, deadline_ns, &grant, &none);
+  c->asking.slot = SF_CAST(int, offer.slot);
+  c->asking.claim = offer.claim;
+  return sf_i_say(c, c->asking.fd, SF_SLOT_MAPPED, offer.slot, offer.claim) == 0 ? SF_OK : SF_ERR_NOT_READY;
+}
+
+/* Go as far as it goes without waiting. SF_OK: the grant is there; SF_PENDING; or an error. */
+static inline int sf_i_go_on_asking(sf_client *c) {
+  int err = SF_OK, none = -1;
+  sf_slot_message grant;
+  if (c->asking.fd < 0) err = sf_i_begin_asking(c);
+  if (err == SF_OK && c->asking.stage == 0) {
+    err = sf_i_connect(c);
+    if (err == SF_OK && sf_i_say(c, c->asking.fd, SF_SLOT_ASK, 0, 0) != 0) err = SF_ERR_NOT_READY;
+    if (err == SF_OK) c->asking.stage = 1;
+  }
+  if (err == SF_OK && c->asking.stage == 1) {
+    err = sf_i_take_offer(c);
+    if (err == SF_OK) c->asking.stage = 2;
+  }
+  if (err != SF_OK) return err;
+  err = sf_i_hear(c, c->asking.fd, &grant, &none);
   if (none >= 0) close(none);
   return err == SF_OK && grant.step != SF_SLOT_GRANT ? SF_ERR_BLOCK : err;
 }
 
 /*
- * Get a slot: the connection says who owns it, and the kernel closes that when we die. Waits for the
- * service's main thread, as a rule well below a millisecond. SF_OK, SF_ERR_NOT_READY (the service is being
- * replaced or stands still), SF_ERR_SLOTS (`detail`: the limit), SF_ERR_OWNER, _NO_PERMISSION, _BLOCK, ...
+ * One step towards a slot: the connection says who owns it, and the kernel closes that when we die. Never waits.
+ * SF_OK, SF_PENDING: call it again, SF_ERR_NOT_READY (the service is being replaced or stands still),
+ * SF_ERR_SLOTS (`detail`: the limit), SF_ERR_OWNER, _NO_PERMISSION, _BLOCK, ...
  */
-static inline int sf_i_claim_slot(sf_client *c) {
-  const int64_t deadline_ns = sf_now_ns() + SF_SLOT_WAIT_NS;
-  sf_slot_message offer;
-  unsigned char *slot = NULL;
-  const int fd = sf_i_connect(c, deadline_ns);
-  if (fd < 0) return fd;
-  memset(&offer, 0, sizeof offer);
-  const int err = sf_i_exchange(c, fd, deadline_ns, &offer, &slot);
+static inline int sf_i_step_to_slot(sf_client *c) {
+  const int err = sf_i_go_on_asking(c);
+  if (err == SF_PENDING && sf_now_ns() < c->asking.deadline_ns) return SF_PENDING;
   if (err != SF_OK) {
-    if (slot != NULL) munmap(slot, SF_SLOT_BYTES);
-    close(fd);
-    return err;
+    sf_i_stop_asking(c);
+    return err == SF_PENDING ? SF_ERR_NOT_READY : err;
   }
-  c->held.memory = slot;
+  c->held.memory = c->slot_memory = c->asking.memory;
   c->held.size = SF_SLOT_BYTES;
-  c->held.fd = fd;
-  c->slot_memory = slot;
-  c->slot = SF_CAST(int, offer.slot);
-  c->claim = offer.claim;
+  c->held.fd = c->asking.fd;
+  c->slot = c->asking.slot;
+  c->claim = c->asking.claim;
+  c->asking.memory = NULL; /* they are the slot's from here on */
+  c->asking.fd = -1;
   c->counter = 0;
   c->pose_held = c->abandoned = 0;
+  c->pose_counter = 0;
   c->grant = 0;
   return SF_OK;
+}
+
+/* Wait for a slot; as a rule well below a millisecond. Not for a control loop. */
+static inline int sf_i_claim_slot(sf_client *c, int64_t deadline_ns) {
+  for (;;) {
+    const int err = sf_i_step_to_slot(c);
+    if (err != SF_PENDING) return err;
+    const int64_t now = sf_now_ns();
+    if (now >= deadline_ns) {
+      sf_i_stop_asking(c);
+      return SF_ERR_NOT_READY;
+    }
+    if (c->asking.stage == 0)
+      sf_sleep_until_ns(now + 2000000);
+    else
+      (void)sf_i_await(c->asking.fd, deadline_ns);
+  }
 }
 
 /* Whether the service holds its end of the connection: it closes it when it ends or takes the slot back. */
@@ -194,11 +242,17 @@ static inline void sf_i_release_slot(sf_client *c) {
   c->slot_memory = NULL;
   c->pose_held = 0;
   sf_i_close(&c->held);
+  sf_i_stop_asking(c);
 }
 
-/* A slot when there is none: after a restart of the service, or when it took the last one back. */
+/*
+ * Whether there is a slot; when not (after a restart of the service, or when it took the last one back), one step
+ * towards one. Never waits; SF_ERR_NOT_READY: call it again.
+ */
 static inline int sf_i_ensure_slot(sf_client *c) {
   if (c->slot_memory != NULL) return SF_OK;
-  return c->options.auto_reattach ? sf_i_claim_slot(c) : SF_ERR_NOT_RUNNING;
+  if (!c->options.auto_reattach) return SF_ERR_NOT_RUNNING;
+  const int err = sf_i_step_to_slot(c);
+  return err == SF_PENDING ? SF_ERR_NOT_READY : err;
 }
 

@@ -68,7 +68,7 @@ static inline void sf_forget(sf_client *c) {
 }
 
 /*
- * Attach to a running service. `options` NULL: the defaults. The client needs no initialisation;
+ * Attach to a running service, in `ready_wait_ns` and SF_SLOT_WAIT_NS at most. `options` NULL: the defaults. The client needs no initialisation;
  * attaching one that is attached leaks.
  * SF_OK, SF_ERR_NAME, _NOT_RUNNING, _NO_PERMISSION, _NOT_READY, _LAYOUT, _BLOCK, _SLOTS, _OWNER, _SYSTEM.
  */
@@ -78,6 +78,7 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
   c->slot = -1;
   sf_i_forget(&c->board);
   sf_i_forget(&c->held);
+  c->asking.fd = -1;
   c->owner = -1;
   sf_i_forget(&c->map);
   sf_i_forget(&c->world);
@@ -93,9 +94,9 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
     memcpy(c->label, label, strlen(label) < sizeof c->label - 1 ? strlen(label) : sizeof c->label - 1);
   c->options.label = NULL; /* the caller's memory may go */
   int err = sf_i_open_board(c, c->options.ready_wait_ns);
-  const int64_t deadline = sf_now_ns() + c->options.ready_wait_ns;
-  while (err == SF_OK && !c->options.observe && (err = sf_i_claim_slot(c)) == SF_ERR_NOT_READY &&
-         sf_now_ns() < deadline) {
+  const int64_t began = sf_now_ns(), deadline = began + SF_SLOT_WAIT_NS;
+  while (err == SF_OK && !c->options.observe && (err = sf_i_claim_slot(c, deadline)) == SF_ERR_NOT_READY &&
+         sf_now_ns() < (sf_i_has_ended(c) ? began + c->options.ready_wait_ns : deadline)) {
     /* the service was replaced between our looks at its board and at its socket */
     sf_sleep_until_ns(sf_now_ns() + 5000000);
     err = sf_i_is_current(c, "", &c->board) ? SF_OK : sf_i_open_board(c, c->options.ready_wait_ns);
@@ -139,14 +140,14 @@ static inline int sf_i_reattach_board(sf_client *c) {
 
 /*
  * Look for a newer service of this name. SF_OK: attached to the current one; the pose must be claimed
- * anew, which the next sf_ee_pos does. Otherwise the error, and the old attachment stays; SF_ERR_OWNER:
+ * anew, which the next calls of sf_ee_pos do. It may wait SF_SLOT_WAIT_NS for a slot, other calls never do. Otherwise the error, and the old attachment stays; SF_ERR_OWNER:
  * what bears the name now belongs to another user (`detail`) than the service attached to first.
  */
 static inline int sf_reattach(sf_client *c) {
   if (c == NULL || c->board.memory == NULL) return SF_ERR_ARGUMENT;
   const int err = sf_i_reattach_board(c);
   if (err != SF_OK || c->options.observe || c->slot_memory != NULL) return err;
-  return sf_i_claim_slot(c);
+  return sf_i_claim_slot(c, sf_now_ns() + SF_SLOT_WAIT_NS);
 }
 
 /* Look for a newer service and for an end of this one, at most every 20 ms. */

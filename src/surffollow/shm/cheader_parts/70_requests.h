@@ -11,8 +11,8 @@ static inline int sf_i_read_ack(const unsigned char *acks, int slot, sf_ack *ack
 }
 
 /*
- * Send a request without waiting: `code` SF_RQ_..., up to SF_REQUEST_ARGS numbers and values. Only the first
- * one after a restart of the service waits, for the slot.
+ * Send a request without waiting: `code` SF_RQ_..., up to SF_REQUEST_ARGS numbers and values. SF_ERR_NOT_RUNNING
+ * also while a service that was started anew has not handed out a slot: call it again.
  * SF_ERR_BUSY while the last one is not acknowledged: a second one could overtake it unseen.
  */
 static inline int sf_request_send(sf_client *c, int64_t code, int n, const int64_t *numbers, const double *values,
@@ -107,21 +107,48 @@ static inline int sf_sf_reset(sf_client *c, double offset_m) {
   return sf_i_request(c, SF_RQ_SF_RESET, 1, NULL, &offset_m, c->options.timeout_ns);
 }
 
+static inline void sf_i_hold_pose(sf_client *c) {
+  c->pose_held = c->had_pose = 1;
+  c->pose_held_ns = sf_now_ns();
+}
+
 /* Become the one who sends the pose; sf_ee_pos does it when needed. Waits for the service's answer. */
 static inline int sf_claim_pose(sf_client *c) {
   if (c == NULL) return SF_ERR_ARGUMENT;
   if (c->pose_held) return SF_OK;
-  const int64_t deadline = sf_now_ns() + 300000000;
+  const int64_t now = sf_now_ns(), deadline = now + 300000000;
+  if (c->output != NULL && !c->options.observe && c->slot_memory == NULL && c->options.auto_reattach && sf_alive(c))
+    (void)sf_i_claim_slot(c, now + SF_EXCHANGE_NS); /* an error of it is told below */
   for (;;) {
     const int result = sf_i_ask(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, c->options.timeout_ns, 0);
-    if (result == SF_OK) {
-      c->pose_held = 1;
-      c->pose_held_ns = sf_now_ns();
-    }
+    if (result == SF_OK) sf_i_hold_pose(c);
     /* the service looks for dead holders at its own beat: give it a few */
     if (result != SF_REFUSED_POSE_HELD || sf_now_ns() > deadline) return result;
     sf_sleep_until_ns(sf_now_ns() + 20000000);
   }
+}
+
+/* One step towards the pose in a control loop; never waits. SF_ERR_NOT_RUNNING: not there yet. */
+static inline int sf_i_claim_pose_again(sf_client *c, int64_t now_ns) {
+  sf_ticket ticket;
+  if (c->pose_counter == 0 || c->slot_memory == NULL || c->pose_claim != c->claim) {
+    c->pose_counter = 0;
+    const int err = sf_request_send(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, &ticket);
+    if (err != SF_OK) return err == SF_ERR_BUSY ? SF_ERR_NOT_RUNNING : err;
+    c->pose_counter = ticket.counter;
+    c->pose_claim = ticket.claim;
+    c->pose_asked_ns = now_ns;
+  }
+  ticket.counter = c->pose_counter;
+  ticket.claim = c->pose_claim;
+  const int result = sf_request_poll(c, &ticket);
+  if (result == SF_PENDING) {
+    if (now_ns > c->pose_asked_ns + SF_EXCHANGE_NS) c->pose_counter = 0, c->abandoned = 1;
+    return SF_ERR_NOT_RUNNING;
+  }
+  c->pose_counter = 0;
+  if (result == SF_OK) sf_i_hold_pose(c);
+  return result == SF_ERR_RESTARTED ? SF_ERR_NOT_RUNNING : result;
 }
 
 /* Let another client send the pose. */
@@ -181,11 +208,11 @@ static inline int sf_i_look_after(sf_client *c, int64_t now_ns) {
 
 /*
  * Tell the service where the tool is, or was: x y z [m], unit quaternion qx qy qz qw, world from tool,
- * true at `t_ns` (SF_NOW: now). The first call of an attachment, and of one that followed the service to a
- * new start, claims the pose and waits for the answer (sf_claim_pose does that beforehand); others never
- * wait, and make no system call but the clock's unless the service is silent.
- * SF_OK, SF_ERR_POSE, _POSE_FUTURE, _POSE_OLD, _OBSERVER, _NOT_RUNNING (it ended; call again when it may have been
- * started), or SF_REFUSED_POSE_HELD with the holder's pid in the client's `detail`.
+ * true at `t_ns` (SF_NOW: now). The first call of an attachment claims the pose and waits for the answer
+ * (sf_claim_pose does that beforehand). No later one waits, whatever the service or its socket does, and none makes
+ * a system call but the clock's unless the service is silent or its slot is lost.
+ * SF_OK, SF_ERR_POSE, _POSE_FUTURE, _POSE_OLD, _OBSERVER, _NOT_RUNNING (it ended, or slot and pose are being asked
+ * for anew of one that was started again: call again), or SF_REFUSED_POSE_HELD with the holder's pid in the client's `detail`.
  */
 static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   if (c == NULL || c->output == NULL || pose == NULL) return SF_ERR_ARGUMENT;
@@ -199,7 +226,7 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   if (post.t_ns > now + SF_POSE_FUTURE_NS) return SF_ERR_POSE_FUTURE;
   if (post.t_ns < now - c->pose_timeout_ns) return SF_ERR_POSE_OLD;
   if (!c->pose_held) {
-    const int claimed = sf_claim_pose(c);
+    const int claimed = c->had_pose ? sf_i_claim_pose_again(c, now) : sf_claim_pose(c);
     if (claimed != SF_OK) return claimed;
   }
   sf_latch_write(c->slot_memory + SF_SLOT_POSE, sizeof post, &post);

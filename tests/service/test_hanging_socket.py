@@ -1,0 +1,101 @@
+"""A service that runs but hands out no slots: what a control loop calls returns at once, and goes on by itself."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from running_service import PATIENT_S, POSE, Service, until
+from surffollow.client import Client, slot
+from surffollow.errors import NotReadyError, NotRunningError, SurffollowError
+from surffollow.shm.unix_socket import listen, socket_path
+
+TICKS = 300
+MOST_S = 0.02  # a twentieth of what one waiting exchange took; a busy machine may cost a tick
+MANNERS = ["accepts nobody", "takes connections and says nothing", "its queue is full"]
+
+
+@contextlib.contextmanager
+def hanging(name: str, manner: str) -> Iterator[None]:
+    """Put a socket that hangs in the place of the service's."""
+    path = socket_path(name)
+    aside = Path(f"{path}.aside")
+    path.rename(aside)
+    listener = listen(path, 0o600, -1, 0 if manner == "its queue is full" else 64)
+    others = []
+    if manner == "its queue is full":
+        for _ in range(2):
+            other = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            other.setblocking(False)
+            with contextlib.suppress(BlockingIOError):
+                other.connect(str(path))
+            others.append(other)
+    try:
+        yield
+    finally:
+        if manner == "takes connections and says nothing":
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    others.append(listener.accept()[0])
+        for other in others:
+            other.close()
+        path.unlink()
+        listener.close()
+        aside.rename(path)
+
+
+def slow_calls(call: Callable[[], object], others: Callable[[], object]) -> int:
+    """How many of `TICKS` ticks took longer than `MOST_S`; `call` must raise in each of them."""
+    slow = 0
+    for _ in range(TICKS):
+        began = time.monotonic()
+        with pytest.raises(NotRunningError):
+            call()
+        others()
+        slow += time.monotonic() - began > MOST_S
+    return slow
+
+
+def held_again(client: Client) -> bool:
+    with contextlib.suppress(SurffollowError):
+        client.ee_pos(POSE)
+        return client.slot >= 0 and client._pose_held
+    return False
+
+
+@pytest.mark.parametrize("manner", MANNERS)
+def test_no_call_of_a_control_loop_waits_for_a_socket_that_hangs(
+    make_service: Callable[..., Service], manner: str
+) -> None:
+    s = make_service().start()
+    with s.attach(stale_min_s=PATIENT_S) as robot:
+        robot.ee_pos(POSE)
+        s.kill()
+        s.start()
+        with hanging(s.name, manner):
+            until(lambda: robot.dev_vector() and robot.reattach(), "the new board")
+            assert slow_calls(lambda: robot.ee_pos(POSE), robot.dev_vector) < TICKS // 10
+            assert slow_calls(lambda: robot.sf_reset(0.1, wait=False), robot.alive) < TICKS // 10
+            assert not robot.dev_vector().valid
+        until(lambda: held_again(robot), "the pose")
+        before = robot.status()["poses"]
+        until(lambda: held_again(robot) and robot.status()["poses"] > before, "poses go on")
+
+
+def test_attaching_to_a_socket_that_hangs_ends_in_its_time(
+    make_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(slot, "EXCHANGE_S", 0.2)
+    monkeypatch.setattr(slot, "ATTACH_S", 0.5)
+    s = make_service().start()
+    with hanging(s.name, MANNERS[0]):
+        began = time.monotonic()
+        with pytest.raises(NotReadyError, match="slot"):
+            s.attach()
+        assert time.monotonic() - began < 5.0
+    s.attach().close()
