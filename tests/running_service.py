@@ -18,7 +18,7 @@ import msgspec
 
 from surffollow.client import Client, Observer, attach, observe
 from surffollow.config.service import ServiceConfig, load_config
-from surffollow.errors import BusyError
+from surffollow.errors import BusyError, NotRunningError
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.objects import unlink
 from surffollow.sim.world import WorldPose, WorldWriter
@@ -262,7 +262,8 @@ def drive(
     """Send a pose again and again until the condition holds; what it gave."""
 
     def step() -> Any:
-        client.ee_pos(pose)
+        with contextlib.suppress(NotRunningError):  # of a service that was started again it is claimed anew
+            client.ee_pos(pose)
         return condition()
 
     return until(step, what)

@@ -18,7 +18,7 @@ from running_service import Service, program, said, until
 from surffollow.client import Client
 from surffollow.service.driver_watch import DriverWatch
 from surffollow.service.guard import Guard
-from surffollow.service.messages import BURST, WAITING, Messages
+from surffollow.service.messages import BURST, RESERVED, WAITING, Messages
 
 Make = Callable[..., Service]
 F_SETPIPE_SZ = 1031
@@ -236,9 +236,10 @@ def test_the_rate_of_lines_is_limited_and_what_is_dropped_is_counted(
 
 def test_the_queue_is_bounded_when_nothing_is_written() -> None:
     messages = Messages()  # not started: a thread that never gets to write
-    for _ in range(WAITING + 10):
+    for _ in range(WAITING + RESERVED + 10):
         messages.write("x", limited=False)
     assert messages.lost == 10
+    assert not messages.write("y"), "what may be dropped leaves the rest its room"
 
 
 def test_a_part_that_fails_is_told_once_and_latched_until_the_end() -> None:

@@ -18,6 +18,7 @@ from running_service import (
     POSE,
     SENDING,
     Service,
+    drive,
     objects_of,
     program,
     said,
@@ -129,11 +130,7 @@ def test_a_client_whose_pose_was_given_back_in_its_name_takes_it_again(client: C
     client._request(lb.RQ_RELEASE_POSE).result()
     before = client.status()["poses"]
 
-    def back() -> bool:
-        client.ee_pos(POSE)
-        return bool(client.status()["poses"] > before + 3)
-
-    until(back, "poses are taken again")
+    drive(client, lambda: client.status()["poses"] > before + 3, what="poses are taken again")
 
 
 def test_a_latch_generation_at_its_end_does_not_stop_a_client(client: Client) -> None:

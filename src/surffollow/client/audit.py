@@ -90,6 +90,6 @@ def read_audit(board: Board) -> list[dict[str, Any]]:
         copies.append((at, b"".join(bytes(memory[start + 8 * k : start + 8 * k + 8]) for k in parts)))
     fence()
     reserved = words[first + _RESERVED]
-    return [
-        readable(unpack_schema(lb.AuditEntry, data)) for at, data in copies if reserved - at <= lb.AUDIT_WORDS
-    ]
+    # changes are appended anew before others displace them: each once, in the order of their times
+    whole = {data: unpack_schema(lb.AuditEntry, data) for at, data in copies if reserved - at <= lb.AUDIT_WORDS}
+    return [readable(fields) for fields in sorted(whole.values(), key=lambda fields: fields["t_ns"])]

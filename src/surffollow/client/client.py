@@ -184,7 +184,7 @@ class Client(SlotHolder):
         self._follow()  # of a service that was started anew this client holds nothing
         if self._pose_held:
             self._request(lb.RQ_RELEASE_POSE, patience_s=1.0).result(1.0)
-            self._pose_held = False
+            self._pose_held = self._had_pose = False
 
     def sim_pose(self, t_ns: int, pose: Sequence[float], velocity: Sequence[float] | None = None) -> None:
         """Tell the simulated sensor where the tool truly is, where reports are noisy or late.

@@ -2093,7 +2093,7 @@ static inline int sf_release_pose(sf_client *c) {
   if (c == NULL) return SF_ERR_ARGUMENT;
   if (c->output != NULL) sf_i_follow(c, sf_now_ns()); /* of a service started anew this client holds nothing */
   if (!c->pose_held) return SF_OK;
-  c->pose_held = 0;
+  c->pose_held = c->had_pose = 0;
   return sf_i_ask(c, SF_RQ_RELEASE_POSE, 0, NULL, NULL, c->options.timeout_ns, 0);
 }
 

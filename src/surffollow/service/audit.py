@@ -1,14 +1,18 @@
 """The audit trail: who asked for which change and what came of it, on the board and in the service's log.
 
-The cycle queues an entry per change (`service.changes`); the main thread looks up who it was, gathers
-refusals that repeat, publishes the entries in the board's ring and tells them as lines.
+The cycle queues an entry per change (`service.changes`); the main thread looks up who it was, publishes the entries
+in the board's ring and tells them as lines. What one user's clients can fill of both is bounded: beyond a budget,
+entries are gathered by user and kind, and the kind is nothing that a client can choose at will. What changed a
+parameter, the stand-off or the stop is appended anew before other entries displace it.
 """
 
 from __future__ import annotations
 
 import os
 import time
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,9 +27,31 @@ from surffollow.shm.dtypes import numpy_dtype
 from surffollow.shm.python_atomics import load_acquire
 from surffollow.shm.ring import ring_drop, ring_peek
 
-PER_LOOK = 256  # entries taken at once: the beat has other work
-GATHER_NS = 1_000_000_000  # refusals of one kind from one client are told once in so long
-KINDS = 64  # of refusals gathered at once
+PER_LOOK = 4096  # entries taken at once: the beat has other work
+GATHER_NS = 1_000_000_000
+REFUSED, ASKED, CHANGED = range(3)
+# entries that one user's clients may make at once, and per second; further ones are gathered
+BURST, PER_SECOND = {REFUSED: 16.0, ASKED: 16.0, CHANGED: 64.0}, {REFUSED: 1.0, ASKED: 1.0, CHANGED: 1.0}
+USERS = 64  # whose budgets are remembered
+KEPT = 160  # changes that nothing but later changes displaces
+_KNOWN = frozenset(int(getattr(lb, name)) for name in dir(lb) if name.startswith("RQ_"))
+_CHANGES = frozenset((lb.RQ_SET_PARAMS, lb.RQ_SF_RESET, lb.RQ_STOP, lb.RQ_STOP_RESET))
+
+
+@dataclass
+class _Budget:
+    """What is left of one user's share of one group of entries."""
+
+    left: float
+    at_ns: int
+
+
+@dataclass
+class _Gathered:
+    """Entries of one kind that wait for budget, as one."""
+
+    entry: Any
+    since_ns: int
 
 
 class AuditTrail:
@@ -36,7 +62,7 @@ class AuditTrail:
     house : House                      its board has the ring
     ctx : (n,) int64                   the words that the service's threads share
     named : gives the name of the client with a claim
-    tell : called with one line per entry
+    tell : called with a line and `limited` (False: to be kept before others); False: it was dropped
     """
 
     def __init__(
@@ -44,17 +70,19 @@ class AuditTrail:
         house: House,
         ctx: NDArray[np.int64],
         named: Callable[[int], str],
-        tell: Callable[[str], None],
+        tell: Callable[..., bool],
     ) -> None:
         self._ring, self._ctx, self._named, self._tell = house.address("audit"), ctx, named, tell
         self._entry: Any = np.zeros(1, numpy_dtype(lb.AuditEntry))
-        # kind of refusal → (entry, when it was told, times since)
-        self._gathered: dict[tuple[int, ...], tuple[Any, int, int]] = {}
+        self._budgets: dict[tuple[int, int], _Budget] = {}
+        self._gathered: dict[tuple[int, ...], _Gathered] = {}
+        self._kept: deque[tuple[int, Any]] = deque(maxlen=KEPT)  # number of the last appending, entry
+        self._appended, self._untold = 0, 0
 
     @property
     def lost(self) -> int:
-        """Entries that found no room in the queue."""
-        return int(load_acquire(self._ctx.ctypes.data + 8 * m.CHANGES_LOST))
+        """Entries that found no room in the queue, and lines that found none in the log."""
+        return int(load_acquire(self._ctx.ctypes.data + 8 * m.CHANGES_LOST)) + self._untold
 
     def publish(self) -> None:
         """Take what is queued, a bounded number."""
@@ -66,38 +94,71 @@ class AuditTrail:
                 break
             ring_drop(queue, 1)
             self._take(entry, now_ns)
-        for kind, (entry, told_ns, times) in list(self._gathered.items()):
-            if now_ns - told_ns > GATHER_NS:
+        for kind, gathered in list(self._gathered.items()):
+            if now_ns - gathered.since_ns > GATHER_NS and self._may(kind[:2], now_ns):
                 del self._gathered[kind]
-                if times:
-                    entry[0]["count"] = times
-                    self._append(entry)
+                self._tell_of(gathered.entry, kind[1])
 
     def _take(self, entry: Any, now_ns: int) -> None:
         e = entry[0]
         if int(e["slot"]) < 0:
             e["pid"], e["uid"], e["name"] = os.getpid(), os.geteuid(), b"service"
+            self._tell_of(entry, CHANGED)
+            return
+        e["name"] = self._named(int(e["claim"])).encode()[:31]
+        uid, code, word = int(e["uid"]), int(e["code"]), -1
+        if int(e["result"]) not in (lb.OK, lb.ACCEPTED):
+            group, code = REFUSED, code if code in _KNOWN else -1
         else:
-            e["name"] = self._named(int(e["claim"])).encode()[:31]
-        if int(e["result"]) in (lb.OK, lb.ACCEPTED):
-            self._append(entry)
-            return
-        kind = tuple(int(e[f]) for f in ("slot", "claim", "code", "word", "result"))
+            # an accepted code and its parameter were checked: there are few
+            group, word = (CHANGED if code in _CHANGES else ASKED), int(e["word"])
+        kind = (uid, group, code, word)
         if kind in self._gathered:
-            _, told_ns, times = self._gathered[kind]
-            self._gathered[kind] = (entry, told_ns, times + 1)
-            return
+            before = self._gathered[kind].entry[0]
+            e["count"], e["old_value"] = before["count"] + 1, before["old_value"]
+            self._gathered[kind].entry = entry
+        elif self._may((uid, group), now_ns):
+            self._tell_of(entry, group)
+        else:
+            self._gathered[kind] = _Gathered(entry, now_ns)
+
+    def _may(self, whose: tuple[int, ...], now_ns: int) -> bool:
+        """Whether a user may have one more entry of a group now."""
+        uid, group = whose
+        most = BURST[group]
+        if (uid, group) not in self._budgets and len(self._budgets) >= USERS * 3:
+            self._budgets.pop(min(self._budgets, key=lambda k: self._budgets[k].at_ns))
+        budget = self._budgets.setdefault((uid, group), _Budget(most, now_ns))
+        budget.left = min(most, budget.left + PER_SECOND[group] * 1e-9 * (now_ns - budget.at_ns))
+        budget.at_ns = now_ns
+        if budget.left < 1.0:
+            return False
+        budget.left -= 1.0
+        return True
+
+    def _tell_of(self, entry: Any, group: int) -> None:
+        """Publish an entry and tell its line; a line of a change waits where others are dropped."""
         self._append(entry)
-        if len(self._gathered) < KINDS:
-            self._gathered[kind] = (entry, now_ns, 0)
+        if group == CHANGED:
+            self._kept.append((self._appended, entry))
+        while self._kept and self._appended - self._kept[0][0] > lb.AUDIT_ENTRIES - KEPT - 8:
+            _, oldest = self._kept.popleft()
+            self._append(oldest)
+            self._kept.append((self._appended, oldest))
+        if not self._tell(_line(entry), limited=group != CHANGED):
+            self._untold += 1
 
     def _append(self, entry: Any) -> None:
         log_append(self._ring, lb.AUDIT_WORDS, entry.ctypes.data, lb.AUDIT_ENTRY_WORDS)
-        fields: dict[str, Any] = {}
-        for f in lb.AuditEntry.FIELDS:
-            value = entry[0][f.name]
-            if f.is_text:
-                fields[f.name] = bytes(value).split(b"\0", 1)[0].decode("utf-8", "replace")
-            else:
-                fields[f.name] = float(value) if f.code == "f8" else int(value)
-        self._tell(audit_line(readable(fields)))
+        self._appended += 1
+
+
+def _line(entry: Any) -> str:
+    fields: dict[str, Any] = {}
+    for f in lb.AuditEntry.FIELDS:
+        value = entry[0][f.name]
+        if f.is_text:
+            fields[f.name] = bytes(value).split(b"\0", 1)[0].decode("utf-8", "replace")
+        else:
+            fields[f.name] = float(value) if f.code == "f8" else int(value)
+    return audit_line(readable(fields))

@@ -80,6 +80,6 @@ class Beat:
         t = self._ticker[0]
         t["t_ns"], t["pose_slot"], t["pose_pid"] = told_ns, pose_slot, sender.pid if sender else 0
         t["clients"], t["granted"], t["faults"] = clients.held(), self._grants.bits, faults
-        t["messages_lost"], t["audit_lost"] = self._messages.lost, self._audit.lost
+        t["messages_lost"], t["audit_lost"] = self._messages.lost, self._audit.lost + self._messages.unwritten
         t["text"] = "; ".join(texts).encode(errors="replace")[:511]
         latch_write(self._house.address("ticker"), self._ticker.ctypes.data, lb.Ticker.SIZE)

@@ -16,7 +16,7 @@ class Guard:
     tell : called with one line when a part begins to fail, and when it works again
     """
 
-    def __init__(self, tell: Callable[[str], None]) -> None:
+    def __init__(self, tell: Callable[[str], object]) -> None:
         self._tell = tell
         self._failed: dict[str, int] = {}  # times, since the start
         self._now: dict[str, str] = {}

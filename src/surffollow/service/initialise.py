@@ -21,7 +21,7 @@ from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import CHANNELS, INTERVALS, POSES, STOP_START, Params
 from surffollow.shm.ring import make_ring
 
-CHANGES = 2048  # entries for the audit trail between two looks of the main thread
+CHANGES = 1 << 14  # entries for the audit trail between two looks of the main thread
 TOO_CLOSE_SHARE, TOO_CLOSE_EXIT_SHARE = 0.0375, 0.075
 
 

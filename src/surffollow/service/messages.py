@@ -14,7 +14,7 @@ import threading
 import time
 from collections import deque
 
-WAITING = 512  # lines
+WAITING, RESERVED = 512, 256  # lines; those for lines that count against no rate
 BURST, PER_SECOND = 200.0, 50.0
 STDOUT, STDERR = 1, 2
 LOOK_S = 0.2  # how long a full pipe is waited for before another look
@@ -39,11 +39,12 @@ class Messages:
     Attributes
     ----------
     lost : int   lines that were dropped: no room, too many per second, or a file that takes none
+    unwritten : int   of them, those that found room, count against no rate and could not be written
     """
 
     def __init__(self) -> None:
-        self.lost = 0
-        self._lines: deque[tuple[int, bytes]] = deque()
+        self.lost = self.unwritten = 0
+        self._lines: deque[tuple[int, bytes, bool]] = deque()
         self._credit, self._earned_s = BURST, time.monotonic()
         self._told = 0
         self._ready, self._over = threading.Event(), False
@@ -56,18 +57,22 @@ class Messages:
         self._thread.start()
         return self
 
-    def tell(self, text: str, *, fd: int = STDERR, limited: bool = True) -> None:
-        """Queue one line; never blocks, never raises. `limited` False: not counted against the rate."""
-        self.write(f"surffollow: {text}\n", fd=fd, limited=limited)
+    def tell(self, text: str, *, fd: int = STDERR, limited: bool = True) -> bool:
+        """Queue one line; never blocks, never raises. False: it is dropped, and counted.
 
-    def write(self, text: str, *, fd: int = STDERR, limited: bool = True) -> None:
+        `limited` False: not counted against the rate, and there is room of its own for it.
+        """
+        return self.write(f"surffollow: {text}\n", fd=fd, limited=limited)
+
+    def write(self, text: str, *, fd: int = STDERR, limited: bool = True) -> bool:
         """Queue text as it is, such as READY; otherwise as `tell`."""
-        if len(self._lines) >= WAITING or (limited and not self._may()):
+        if len(self._lines) >= WAITING + (0 if limited else RESERVED) or (limited and not self._may()):
             self.lost += 1
-            return
+            return False
         self._idle.clear()
-        self._lines.append((fd, text.encode(errors="replace")))
+        self._lines.append((fd, text.encode(errors="replace"), limited))
         self._ready.set()
+        return True
 
     def _may(self) -> bool:
         now = time.monotonic()
@@ -83,9 +88,10 @@ class Messages:
             self._ready.wait()
             self._ready.clear()
             while self._lines:
-                fd, data = self._lines.popleft()
+                fd, data, limited = self._lines.popleft()
                 if not self._put(fd, data):
                     self.lost += 1
+                    self.unwritten += not limited
                 if self.lost > self._told and not self._lines:
                     told, self._told = self._told, self.lost
                     self._put(STDERR, f"surffollow: {self._told - told} messages were lost\n".encode())

@@ -35,7 +35,7 @@ class CompileProgress:
     quiet : show nothing
     """
 
-    def __init__(self, write: Callable[[str], None], quiet: bool = False) -> None:
+    def __init__(self, write: Callable[[str], object], quiet: bool = False) -> None:
         self._write, self.quiet, self.count = write, quiet, 0
         self._start = self._told = time.monotonic()
         self._tty = os.isatty(STDERR)
