@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import re
 import signal
+import time
 from collections.abc import Callable, Iterator
 
 import pytest
 
 from cabi.running import Probe, Service, StillWorld
+from hanging_socket import MANNERS, hanging
 from surffollow.client import STALE
 from surffollow.shm.layout_follow import VALID
 
@@ -203,3 +205,23 @@ def test_poll_of_a_dead_services_answer_says_so(mortal: Service, make_probe: Cal
     assert probe("wait 1000000").result == NOT_RUNNING, "at once"
     mortal.start()
     probe.until("poll", lambda a: a.result == -28)
+
+
+@pytest.mark.parametrize("manner", MANNERS)
+def test_no_call_of_a_control_loop_waits_for_a_socket_that_hangs(
+    mortal: Service, make_probe: Callable[..., Probe], manner: str
+) -> None:
+    probe = make_probe()
+    assert probe(f"attach {mortal.name}").result == OK
+    probe.until(POSE, lambda a: a.result == OK)
+    mortal.kill()
+    mortal.start()
+    with hanging(mortal.name, manner):
+        slow = 0
+        for _ in range(100):
+            began = time.monotonic()
+            assert probe(POSE).result == NOT_RUNNING
+            probe("dev")
+            slow += time.monotonic() - began > 0.1
+        assert slow < 10, "one waiting exchange takes a second"
+    probe.until(POSE, lambda a: a.result == OK)

@@ -51,7 +51,14 @@ class Trail:
         self.now_ns += 1_000_000
         entry: Any = np.zeros(1, numpy_dtype(lb.AuditEntry))
         e = entry[0]
-        e["t_ns"], e["code"], e["result"], e["uid"], e["pid"], e["count"] = self.now_ns, code, result, uid, pid, 1
+        e["t_ns"], e["code"], e["result"], e["uid"], e["pid"], e["count"] = (
+            self.now_ns,
+            code,
+            result,
+            uid,
+            pid,
+            1,
+        )
         e["word"], e["slot"], e["claim"] = -1, 3, self.now_ns
         for name, value in fields.items():
             e[name] = value
@@ -134,7 +141,9 @@ def test_lines_of_changes_have_no_rate_and_every_line_that_is_dropped_is_counted
     assert trail.trail.lost == 2
 
 
-def test_a_change_between_two_floods_is_on_the_board_and_in_the_log(make_service: Make, tmp_path: Path) -> None:
+def test_a_change_between_two_floods_is_on_the_board_and_in_the_log(
+    make_service: Make, tmp_path: Path
+) -> None:
     s, log = make_service(), tmp_path / "log"
     with open(log, "w") as err:
         words = s.command("start", "--quiet", "--config", str(s.config))

@@ -7,6 +7,8 @@ import os
 import socket
 import stat
 import struct
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from running_service import POSE, Service, objects_of, until
+from running_service import POSE, READY_S, Service, objects_of, unique_name, until
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from surffollow.blocks.listing import list_blocks
 from surffollow.cli.service import purge_leftovers, running_pid
@@ -266,3 +268,22 @@ def test_epochs_differ_between_starts_also_after_a_purge() -> None:
     assert len(set(epochs)) == 50
     assert all(0 < e < 1 << 53 for e in epochs)
     assert house.new_epoch(1 << 52) == (1 << 52) + 1, "it grows while the map is kept"
+
+
+@needs_root
+def test_a_hole_in_a_full_dev_shm_under_the_name_ends_no_command_by_a_signal() -> None:
+    name = unique_name()
+    script = f"""
+mount -t tmpfs -o size=1m,mode=1777 tmpfs /dev/shm || exit 77
+truncate -s 1M /dev/shm/{name}; chown 65534 /dev/shm/{name}
+head -c 2M /dev/zero > /dev/shm/filler 2>/dev/null
+{sys.executable} -m surffollow stop --name {name}
+"""
+    done = subprocess.run(
+        ["unshare", "-m", "sh", "-c", script], capture_output=True, text=True, timeout=READY_S
+    )
+    if done.returncode == 77 or "unshare" in done.stderr:
+        pytest.skip("no mount namespace here")
+    assert done.returncode in (1, 3), done
+    assert "Traceback" not in done.stderr
+    assert done.stderr.strip()

@@ -3,50 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import socket
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 
 import pytest
 
+from hanging_socket import MANNERS, hanging
 from running_service import PATIENT_S, POSE, Service, until
 from surffollow.client import Client, slot
 from surffollow.errors import NotReadyError, NotRunningError, SurffollowError
-from surffollow.shm.unix_socket import listen, socket_path
 
 TICKS = 300
 MOST_S = 0.02  # a twentieth of what one waiting exchange took; a busy machine may cost a tick
-MANNERS = ["accepts nobody", "takes connections and says nothing", "its queue is full"]
-
-
-@contextlib.contextmanager
-def hanging(name: str, manner: str) -> Iterator[None]:
-    """Put a socket that hangs in the place of the service's."""
-    path = socket_path(name)
-    aside = Path(f"{path}.aside")
-    path.rename(aside)
-    listener = listen(path, 0o600, -1, 0 if manner == "its queue is full" else 64)
-    others = []
-    if manner == "its queue is full":
-        for _ in range(2):
-            other = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            other.setblocking(False)
-            with contextlib.suppress(BlockingIOError):
-                other.connect(str(path))
-            others.append(other)
-    try:
-        yield
-    finally:
-        if manner == "takes connections and says nothing":
-            with contextlib.suppress(BlockingIOError):
-                while True:
-                    others.append(listener.accept()[0])
-        for other in others:
-            other.close()
-        path.unlink()
-        listener.close()
-        aside.rename(path)
 
 
 def slow_calls(call: Callable[[], object], others: Callable[[], object]) -> int:

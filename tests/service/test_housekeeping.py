@@ -43,14 +43,11 @@ def goes_on(client: Client) -> None:
 
 
 def chatter(client: Client) -> None:
-    """Make the service tell more lines than it may, and than any pipe holds."""
-
-    def lost() -> int:
-        for _ in range(50):
-            client.set_params(max_demand="20 mm")
-        return int(client.status()["main"]["messages_lost"])
-
-    until(lost, "a line that is lost")
+    """Make the service tell as much as a client can, which is more than a small pipe holds."""
+    for _ in range(40):
+        client.set_params(max_demand="20 mm")
+        client.stop("x" * 63)
+    until(lambda: len(client.audit()) >= 60, "the entries that these lines are of")
 
 
 @contextlib.contextmanager

@@ -22,6 +22,8 @@ from surffollow.client import attach
 from surffollow.client.board import LAYOUT_HASH, Board
 from surffollow.client.slot_request import request_slot
 from surffollow.errors import BusyError, NoPermissionError, NotReadyError
+from surffollow.service.client_table import KEPT_PER_USER, RESERVED
+from surffollow.service.slot_server import GUESTS_PER_USER
 from surffollow.shm import layout_board as lb
 from surffollow.shm import sealed
 from surffollow.shm.unix_socket import listen, new_socket, socket_path
@@ -301,3 +303,85 @@ def test_a_full_house_is_an_error_with_a_remedy(open_service: Service) -> None:
     finally:
         for one in held:
             one.close()
+
+
+def test_a_name_that_steers_a_terminal_is_shown_without_it(open_service: Service) -> None:
+    with open_service.attach(label="x\x1b[2J\u202e") as client:
+        (told,) = until(client.clients, "the client")
+        assert told["name"] == "x?[2J?"
+
+
+@needs_root
+def test_one_user_has_few_connections_without_a_slot(open_service: Service) -> None:
+    path = str(socket_path(open_service.name))
+
+    def closed(sock: socket.socket) -> bool:
+        with contextlib.suppress(BlockingIOError):
+            return sock.recv(1) == b""
+        return False
+
+    def silent(child: OtherUser) -> list[bool]:
+        socks = [new_socket() for _ in range(GUESTS_PER_USER + 4)]
+        for sock in socks:
+            sock.connect(path)
+            sock.setblocking(False)
+        until(lambda: any(map(closed, socks)), "one is closed")
+        return [closed(sock) for sock in socks]
+
+    # on a busy machine the exchange's own time may be over for all of them
+    told = next(t for _ in range(20) if not all(t := as_other_user(silent)))
+    assert told.count(False) <= GUESTS_PER_USER
+    assert not any(told[:GUESTS_PER_USER]), "who came first may go on"
+
+
+@needs_root
+def test_a_user_who_keeps_what_he_gave_back_gets_no_more(open_service: Service) -> None:
+    def hoard(child: OtherUser) -> list[int]:
+        kept: list[mmap.mmap] = []
+
+        def refused() -> bool:
+            try:
+                sock, fd, memory, _ = raw_slot(open_service.name)
+            except AssertionError as e:
+                return "this user" in str(e)
+            sock.close()
+            os.close(fd)
+            kept.append(memory)
+            return False
+
+        until(refused, "a refusal")
+        n = len(kept)
+        while kept:
+            kept.pop().close()
+        until(
+            lambda: outcome(lambda: attach(open_service.name, stale_min_s=1.0).close()) == "done",
+            "a slot again",
+        )
+        return [n]
+
+    (n,) = as_other_user(hoard)
+    assert KEPT_PER_USER <= n <= KEPT_PER_USER + 3
+    with OtherUser(lambda child: child.hear()):
+        open_service.attach().close()
+
+
+@needs_root
+def test_two_slots_are_left_for_root_and_the_services_own_user(tmp_path: Path) -> None:
+    s = Service(tmp_path, config_text(access=OPEN_TO_ALL.replace("= 3", "= 16") + "slots_per_process = 16\n"))
+
+    def crowd(child: OtherUser) -> None:
+        held = []
+        with contextlib.suppress(BusyError):
+            while True:
+                held.append(attach(s.name, stale_min_s=1.0))
+        child.say(len(held))
+        child.hear()
+
+    try:
+        s.start()
+        with OtherUser(crowd) as first:
+            assert first.hear() == lb.CLIENTS - RESERVED
+            with s.attach() as one, s.attach() as two:
+                assert {one.slot, two.slot} & set(range(lb.CLIENTS))
+    finally:
+        s.purge()

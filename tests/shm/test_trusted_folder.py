@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from surffollow.errors import ConfigError
 from surffollow.shm import kernel_cache
 from surffollow.shm.trusted_folder import why_not_trusted
 
@@ -113,3 +114,53 @@ def test_the_fresh_folder_goes_with_its_process(only: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "can be written by others" in done.stderr
     assert not Path(done.stdout.strip()).exists()
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o775])
+def test_the_fresh_folder_is_not_made_where_others_can_rename_it(
+    only: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, mode: int
+) -> None:
+    temporary, safe = tmp_path / "tmp", tmp_path / "safe"
+    for folder in (temporary, only):
+        folder.mkdir(parents=True, exist_ok=True)
+        folder.chmod(mode)
+    safe.mkdir(mode=0o700)
+    monkeypatch.setattr(kernel_cache, "FRESH_IN", (str(safe),))
+    found = taken()
+    assert safe in found.parents
+    assert why_not_trusted(found) == ""
+    assert not list(temporary.iterdir())
+    monkeypatch.setattr(kernel_cache, "FRESH_IN", ())
+    with pytest.raises(ConfigError, match=r"can be written by others.*SURFFOLLOW_CACHE_DIR"):
+        taken()
+
+
+@pytest.mark.parametrize("what", ["folder", "file", "link"])
+def test_a_cache_with_something_that_others_can_change_below_it_is_passed_over(only: Path, what: str) -> None:
+    below = only / "surffollow" / "forecast"
+    below.mkdir(parents=True)
+    for folder in (only, only / "surffollow", below):
+        folder.chmod(0o755)
+    assert taken() == only / "surffollow"
+    if what == "folder":
+        below.chmod(0o777)
+    elif what == "file":
+        (below / "k.nbi").touch()
+        (below / "k.nbi").chmod(0o666)
+    else:
+        (below / "k.nbi").symlink_to("/tmp")
+    assert only not in taken().parents
+    if what != "link":
+        (only / "surffollow").chmod(0o700)  # nobody else gets there
+        assert taken() == only / "surffollow"
+
+
+def test_folders_of_kernels_are_private_whatever_the_umask_is(only: Path) -> None:
+    before = os.umask(0)
+    try:
+        locator = object.__new__(kernel_cache.KernelCacheLocator)
+        locator._folder = only / "surffollow" / "a" / "b"
+        locator.ensure_cache_path()
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((only / "surffollow" / "a" / "b").stat().st_mode) == 0o700

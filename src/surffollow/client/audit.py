@@ -91,5 +91,7 @@ def read_audit(board: Board) -> list[dict[str, Any]]:
     fence()
     reserved = words[first + _RESERVED]
     # changes are appended anew before others displace them: each once, in the order of their times
-    whole = {data: unpack_schema(lb.AuditEntry, data) for at, data in copies if reserved - at <= lb.AUDIT_WORDS}
+    whole = {
+        data: unpack_schema(lb.AuditEntry, data) for at, data in copies if reserved - at <= lb.AUDIT_WORDS
+    }
     return [readable(fields) for fields in sorted(whole.values(), key=lambda fields: fields["t_ns"])]

@@ -166,7 +166,9 @@ class Client(SlotHolder):
             return
         if time.monotonic() > ticket._sent_s + CLAIM_ANSWER_S:
             ticket._given_up, self._pose_ticket = True, None
-        raise NotRunningError(f"service {self.name!r} has not answered the new claim of the pose yet; call again")
+        raise NotRunningError(
+            f"service {self.name!r} has not answered the new claim of the pose yet; call again"
+        )
 
     def claim_pose(self) -> None:
         """Become the one who sends the pose, and may so set parameters; `ee_pos` does it when needed.

@@ -1,37 +1,65 @@
-"""Tell what a dead service left under its names from what belongs to somebody who lives."""
+"""Tell what a dead service left under its names from what belongs to somebody who lives.
+
+What lies under a name may be anybody's. It is read with `pread` and never mapped: a mapped page of a file that its
+owner cuts, or of a hole in a full /dev/shm, would end this process by SIGBUS.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import stat
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from surffollow.errors import AlreadyRunningError, BlockError, NotReadyError, NotRunningError
+from surffollow.config.names import check_object_name
+from surffollow.errors import AlreadyRunningError, BlockError, NoPermissionError
 from surffollow.shm import layout_board as lb
-from surffollow.shm.checked_open import kind_of
+from surffollow.shm.checked_open import kind_of, open_plain
 from surffollow.shm.dtypes import numpy_dtype
-from surffollow.shm.objects import SharedObject, unlink
+from surffollow.shm.objects import SHM_ROOT, unlink
 from surffollow.shm.process import boot_id, is_running
 from surffollow.shm.unix_socket import socket_path
 
 
-def _opened(name: str) -> SharedObject | None:
-    """The object; None when there is none or it is empty."""
+class _Found(NamedTuple):
+    """The beginning of an object, and whose it is."""
+
+    head: bytes
+    owner: int
+
+
+def _found(name: str) -> _Found | None:
+    """What lies under the name; None when there is nothing or it is empty."""
+    path = SHM_ROOT / check_object_name(name)
     try:
-        return SharedObject.open(name)
-    except (NotRunningError, NotReadyError):
+        fd, status = open_plain(path, os.O_RDONLY)
+    except FileNotFoundError:
         return None
+    except PermissionError:
+        raise NoPermissionError(
+            f"no permission to read shared-memory object {name!r}; join its group (ls -l {path}) or run as the "
+            "service's user"
+        ) from None
+    except BlockError:
+        raise
+    except OSError as e:
+        raise BlockError(f"cannot open {path}: {e}; look at it (ls -l {path})") from None
+    try:
+        return _Found(os.pread(fd, lb.BoardHeader.SIZE, 0), status.st_uid) if status.st_size else None
+    except OSError as e:
+        raise BlockError(f"cannot read {path}: {e}; look at it (ls -l {path})") from None
+    finally:
+        os.close(fd)
 
 
-def _live_owner(part: SharedObject) -> int:
+def _live_owner(found: _Found) -> int:
     """The pid of the live service whose board this is; 0 when it is no board, or a dead one's."""
-    if part.size < lb.BoardHeader.SIZE:
+    if len(found.head) < lb.BoardHeader.SIZE:
         return 0
-    header: Any = np.frombuffer(part.memory, np.uint8)[: lb.BoardHeader.SIZE].copy()
-    h = header.view(numpy_dtype(lb.BoardHeader))[0]
+    header: Any = np.frombuffer(found.head, numpy_dtype(lb.BoardHeader))
+    h = header[0]
     pid = int(h["pid"])
     if int(h["magic"]) != lb.BOARD_MAGIC or bytes(h["boot_id"]) != boot_id().encode():
         return 0
@@ -39,7 +67,7 @@ def _live_owner(part: SharedObject) -> int:
         return 0
     # anybody may write a board of his own: only the object's own user can be its service
     try:
-        return pid if os.stat(f"/proc/{pid}").st_uid == part.owner else 0
+        return pid if os.stat(f"/proc/{pid}").st_uid == found.owner else 0
     except OSError:
         return 0
 
@@ -47,15 +75,10 @@ def _live_owner(part: SharedObject) -> int:
 def board_owner(name: str) -> int:
     """The pid of the live service that the board `name` belongs to; 0 when there is none."""
     try:
-        board = _opened(name)
+        found = _found(name)
     except BlockError:
         return 0
-    if board is None:
-        return 0
-    try:
-        return _live_owner(board)
-    finally:
-        board.close()
+    return 0 if found is None else _live_owner(found)
 
 
 def clear_stale(name: str) -> bool:
@@ -70,12 +93,9 @@ def clear_stale(name: str) -> bool:
     NoPermissionError    one of them is another user's
     BlockError           there is something else under the board's name or the socket's
     """
-    found = _opened(name)
+    found = _found(name)
     if found is not None:
-        try:
-            pid, magic = _live_owner(found), int.from_bytes(found.memory[:8], "little")
-        finally:
-            found.close()
+        pid, magic = _live_owner(found), int.from_bytes(found.head[:8], "little")
         if pid:
             raise AlreadyRunningError(
                 f"the shared-memory object {name!r} belongs to a running service (pid {pid}); stop that "

@@ -32,7 +32,8 @@ from typing import Any
 from numba.core import caching
 from numba.core.caching import IndexDataCacheFile, _CacheLocator
 
-from surffollow.shm.trusted_folder import why_not_trusted
+from surffollow.errors import ConfigError
+from surffollow.shm.trusted_folder import fault_within, why_not_trusted
 
 PACKAGE = Path(__file__).resolve().parents[1]
 _IMPORT = re.compile(
@@ -93,12 +94,19 @@ def source_stamp(path: Path) -> str:
     return total.hexdigest()
 
 
+FRESH_IN = ("/tmp", "/var/tmp")  # where a private folder is made when TMPDIR is others', too
+
+
 @cache
 def cache_directory() -> str:
     """SURFFOLLOW_CACHE_DIR, NUMBA_CACHE_DIR, the user's cache, or else a temporary folder of theirs.
 
-    A folder that somebody else can change, at any component of its path, is passed over and named on stderr:
-    what is kept in it is run.
+    A folder that somebody else can change, at any component of its path or below it, is passed over and named on
+    stderr: what is kept in it is run.
+
+    Raises
+    ------
+    ConfigError   there is no folder for it that nobody else can change
     """
     home = os.environ.get("HOME", "")
     candidates = [
@@ -115,18 +123,32 @@ def cache_directory() -> str:
             _make_private(folder)
         except OSError:
             continue
-        fault = why_not_trusted(folder)
+        fault = why_not_trusted(folder) or fault_within(folder)
         if not fault and os.access(folder, os.W_OK):
             _say_refused(refused, folder)
             return str(folder)
         if fault:
             refused.append(fault)
-    fresh = tempfile.mkdtemp(prefix="surffollow-cache-")
-    atexit.register(_remove, fresh, os.getpid())
-    folder = Path(fresh, "surffollow")
-    folder.mkdir(mode=0o700)
-    _say_refused(refused, folder)
-    return str(folder)
+    for place in (tempfile.gettempdir(), *FRESH_IN):
+        try:
+            fresh = tempfile.mkdtemp(prefix="surffollow-cache-", dir=place)
+        except OSError:
+            continue
+        fault = why_not_trusted(fresh)  # who may rename in `place` puts a folder of his own there
+        if fault:
+            refused.append(fault)
+            with contextlib.suppress(OSError):
+                os.rmdir(fresh)
+            continue
+        atexit.register(_remove, fresh, os.getpid())
+        folder = Path(fresh, "surffollow")
+        folder.mkdir(mode=0o700)
+        _say_refused(refused, folder)
+        return str(folder)
+    raise ConfigError(
+        "there is no folder for compiled kernels that nobody else can change: "
+        f"{'; '.join(refused) or 'none can be made'}; name one of your own: SURFFOLLOW_CACHE_DIR"
+    )
 
 
 def _make_private(folder: Path) -> None:
@@ -163,7 +185,7 @@ class KernelCacheLocator(_CacheLocator):  # type: ignore[misc]
         return str(self._folder)
 
     def ensure_cache_path(self) -> None:
-        self._folder.mkdir(parents=True, exist_ok=True)
+        _make_private(self._folder)  # whatever the umask is
 
     def get_source_stamp(self) -> str:
         return source_stamp(self._path)

@@ -126,7 +126,10 @@ class SharedObject:
             return cls(name, fd, status.st_size, writable)
         except OSError as e:
             os.close(fd)
-            raise BlockError(f"cannot map shared-memory object {name!r}: {e}") from None
+            raise BlockError(
+                f"cannot map shared-memory object {name!r} of {status.st_size / 2**20:.1f} MiB: {e}; if it is no "
+                f"object of a service, remove it (ls -ls {path}), or choose another name (--name)"
+            ) from None
 
     def is_current(self) -> bool:
         """Whether the name still leads to this very object."""

@@ -50,7 +50,9 @@ def make_sealed(name: str, size: int) -> int:
         fd = os.memfd_create(name, flags)  # Linux before 6.3
     try:
         os.ftruncate(fd, size)
-        os.fchmod(fd, 0o600)  # who has a descriptor can open it again through /proc, unless the mode forbids it
+        os.fchmod(
+            fd, 0o600
+        )  # who has a descriptor can open it again through /proc, unless the mode forbids it
         fcntl.fcntl(fd, _ADD_SEALS, SIZE_SEALS)
     except BaseException:
         os.close(fd)

@@ -45,6 +45,28 @@ def why_not_trusted(folder: str | Path) -> str:
     return fault
 
 
+def fault_within(folder: str | Path) -> str:
+    """What somebody else made or can change below a trusted folder; empty when there is nothing.
+
+    Nobody else gets below a folder that he cannot enter: there only the owner counts.
+    """
+    closed = not os.stat(folder).st_mode & 0o011
+    for at, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            path = Path(at, name)
+            try:
+                status = os.lstat(path)
+            except OSError:
+                continue  # another process of ours has just renamed it
+            if status.st_uid != os.geteuid():
+                return f"{path} belongs to user {status.st_uid}"
+            if stat.S_ISLNK(status.st_mode):
+                return f"{path} is a link"
+            if status.st_mode & 0o022 and not closed:
+                return f"{path} can be written by others (mode {status.st_mode & 0o7777:o})"
+    return ""
+
+
 def _fault(at: Path, last: bool) -> str:
     status = os.stat(at)
     if not stat.S_ISDIR(status.st_mode):
