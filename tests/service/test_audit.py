@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -27,7 +27,7 @@ SECOND = 1_000_000_000
 
 
 class Trail:
-    """An audit trail on a board of a test's own; `lines` has what was told, with whether it may be dropped."""
+    """An audit trail on a board of a test's own; `lines`: what was told, and whether it may be dropped."""
 
     def __init__(self) -> None:
         board = np.zeros((lb.LogHead.SIZE // 8) + lb.AUDIT_WORDS, np.uint64)
@@ -59,7 +59,7 @@ class Trail:
             pid,
             1,
         )
-        e["word"], e["slot"], e["claim"] = -1, 3, self.now_ns
+        e["word"], e["slot"], e["claim"] = 1, -1, 3, self.now_ns
         for name, value in fields.items():
             e[name] = value
         self.trail._take(entry, self.now_ns)
@@ -69,8 +69,8 @@ class Trail:
 
 
 @pytest.fixture
-def trail() -> Iterator[Trail]:
-    yield Trail()
+def trail() -> Trail:
+    return Trail()
 
 
 def change(trail: Trail, old: float, new: float, **fields: Any) -> None:

@@ -1,4 +1,4 @@
-"""A service that runs but hands out no slots: what a control loop calls returns at once, and goes on by itself."""
+"""A service that runs and hands out no slots: a control loop's calls return at once, and go on alone."""
 
 from __future__ import annotations
 

@@ -129,7 +129,7 @@ def test_the_fresh_folder_is_not_made_where_others_can_rename_it(
     found = taken()
     assert safe in found.parents
     assert why_not_trusted(found) == ""
-    assert not list(temporary.iterdir())
+    assert [p.name for p in temporary.iterdir()] == [f"surffollow-cache-{os.getuid()}"], "nothing fresh"
     monkeypatch.setattr(kernel_cache, "FRESH_IN", ())
     with pytest.raises(ConfigError, match=r"can be written by others.*SURFFOLLOW_CACHE_DIR"):
         taken()

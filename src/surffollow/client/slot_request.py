@@ -103,8 +103,8 @@ class SlotRequest:
             return SlotGrant(self._sock, self._memory, self._slot, self._claim)
         if time.monotonic() > self._deadline:
             raise NotReadyError(
-                f"service {self.board.name!r} did not hand out a slot within {self._timeout_s:g} s; it may be "
-                "starting or standing still (surffollow status)"
+                f"service {self.board.name!r} did not hand out a slot within {self._timeout_s:g} s; it may "
+                "be starting or standing still (surffollow status)"
             )
         return None
 

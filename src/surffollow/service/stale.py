@@ -1,7 +1,7 @@
 """Tell what a dead service left under its names from what belongs to somebody who lives.
 
-What lies under a name may be anybody's. It is read with `pread` and never mapped: a mapped page of a file that its
-owner cuts, or of a hole in a full /dev/shm, would end this process by SIGBUS.
+What lies under a name may be anybody's. It is read with `pread` and never mapped: a mapped page of a file
+that its owner cuts, or of a hole in a full /dev/shm, would end this process by SIGBUS.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def _found(name: str) -> _Found | None:
         return None
     except PermissionError:
         raise NoPermissionError(
-            f"no permission to read shared-memory object {name!r}; join its group (ls -l {path}) or run as the "
-            "service's user"
+            f"no permission to read shared-memory object {name!r}; join its group (ls -l {path}) or run as "
+            "the service's user"
         ) from None
     except BlockError:
         raise

@@ -52,9 +52,7 @@ STALE = 1 << 16
 REATTACH_EVERY_NS = 20_000_000
 LOOK_EVERY_NS = 100_000_000
 SLOT_WAIT_NS = 3_000_000_000  # for attach to get a slot
-EXCHANGE_NS = (
-    1_000_000_000  # for one exchange, and for the answer to a claim of the pose; then it is begun anew
-)
+EXCHANGE_NS = 1_000_000_000  # for one exchange, or the answer to a claim of the pose; then it is begun anew
 POSE_FUTURE_NS = 1_000_000
 MAX_POSITION_M = 1e9
 

@@ -101,8 +101,8 @@ FRESH_IN = ("/tmp", "/var/tmp")  # where a private folder is made when TMPDIR is
 def cache_directory() -> str:
     """SURFFOLLOW_CACHE_DIR, NUMBA_CACHE_DIR, the user's cache, or else a temporary folder of theirs.
 
-    A folder that somebody else can change, at any component of its path or below it, is passed over and named on
-    stderr: what is kept in it is run.
+    A folder that somebody else can change, at any component of its path or below it, is passed over and
+    named on stderr: what is kept in it is run.
 
     Raises
     ------

@@ -127,8 +127,8 @@ class SharedObject:
         except OSError as e:
             os.close(fd)
             raise BlockError(
-                f"cannot map shared-memory object {name!r} of {status.st_size / 2**20:.1f} MiB: {e}; if it is no "
-                f"object of a service, remove it (ls -ls {path}), or choose another name (--name)"
+                f"cannot map shared-memory object {name!r} of {status.st_size / 2**20:.1f} MiB: {e}; if it "
+                f"is no object of a service, remove it (ls -ls {path}), or choose another name (--name)"
             ) from None
 
     def is_current(self) -> bool:

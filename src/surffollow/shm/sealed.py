@@ -71,7 +71,7 @@ def reopened(fd: int, flags: int) -> int:
 
 
 def is_open_for_writing(fd: int) -> bool:
-    """Whether anybody still holds what `reopened` gave for writing: as descriptor, mapping or message under way.
+    """Whether anybody still holds what `reopened` gave for writing: descriptor, mapping or message.
 
     Parameters
     ----------

@@ -1,12 +1,13 @@
-"""Sockets of clients that may carry descriptors nobody asked for, used without ever closing such a descriptor here.
+"""Sockets of clients that may carry descriptors nobody asked for, which are never closed in this process.
 
-Whoever connects can pass descriptors (SCM_RIGHTS), and the thread that drops the last reference to one waits for
-its end: for as long as the sender likes if it is a TCP socket that lingers, without limit if it is a file of a
-server that does not answer. `recv` of such a message and `close` of a socket that holds one both drop it.
+Whoever connects can pass descriptors (SCM_RIGHTS), and the thread that drops the last reference to one
+waits for its end: for as long as the sender likes if it is a TCP socket that lingers, without limit if it
+is a file of a server that does not answer. `recv` of such a message and `close` of a socket that holds one
+both drop it.
 
-From Linux 6.16 on the kernel refuses such messages to their sender (`refuse_rights`). Before that, `hear` looks at
-a message without taking it and raises when it carries descriptors, and `Disposal` lets a child process of its own
-hold the connection when it is closed: an exiting process does not linger.
+From Linux 6.16 on the kernel refuses such messages to their sender (`refuse_rights`). Before that, `hear`
+looks at a message without taking it and raises when it carries descriptors, and `Disposal` lets a child
+process of its own hold the connection when it is closed: an exiting process does not linger.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class RightsSentError(ConnectionError):
 
 
 def refuse_rights(sock: socket.socket) -> bool:
-    """Let the kernel refuse descriptors sent to this socket, and to those that it accepts; False: it cannot."""
+    """Let the kernel refuse descriptors to this socket and to those that it accepts; False: it cannot."""
     return _pass_rights(sock, 0)
 
 
