@@ -36,7 +36,7 @@ class Trail:
             regions={"audit": (0, board.nbytes)}, words=memoryview(board), memory=memoryview(board).cast("B")
         )
         house: Any = SimpleNamespace(address=lambda part: board.ctypes.data)
-        self.ctx = np.zeros(m.CTX_WORDS if hasattr(m, "CTX_WORDS") else 4096, np.int64)
+        self.ctx = np.zeros(m.CTX_WORDS, np.int64)
         self.lines: list[tuple[str, bool]] = []
         self.takes = True
         self.trail = AuditTrail(house, self.ctx, lambda claim: "mallory", self._tell)
@@ -51,15 +51,8 @@ class Trail:
         self.now_ns += 1_000_000
         entry: Any = np.zeros(1, numpy_dtype(lb.AuditEntry))
         e = entry[0]
-        e["t_ns"], e["code"], e["result"], e["uid"], e["pid"], e["count"] = (
-            self.now_ns,
-            code,
-            result,
-            uid,
-            pid,
-            1,
-        )
-        e["word"], e["slot"], e["claim"] = 1, -1, 3, self.now_ns
+        e["t_ns"], e["code"], e["result"], e["uid"], e["pid"] = self.now_ns, code, result, uid, pid
+        e["count"], e["word"], e["slot"], e["claim"] = 1, -1, 3, self.now_ns
         for name, value in fields.items():
             e[name] = value
         self.trail._take(entry, self.now_ns)
