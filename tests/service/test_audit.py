@@ -75,6 +75,7 @@ def test_refusals_with_ever_new_numbers_processes_and_claims_are_few_entries(tra
         trail.ask(10**6 + k, result=lb.ERR_UNKNOWN_REQUEST, pid=k, word=k, claim=k)
     assert len(trail.shown()) <= BURST[REFUSED] + 4, "sixteen at once, one a second"
     assert len(trail.lines) <= BURST[REFUSED] + 4
+    assert len(trail.trail._gathered) <= 1, "what waits is bounded, too"
     trail.ask(10**6, result=lb.ERR_UNKNOWN_REQUEST, uid=65533)
     assert trail.shown()[-1]["uid"] == 65533, "another user has a share of his own"
 
