@@ -153,3 +153,17 @@ class ScanFileError(FaultError):
 
 class DriverError(FaultError):
     """A sensor driver that cannot start or go on."""
+
+
+SERVICE_LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "msgspec", "mcap", "lz4", "tomli")
+
+
+def missing_library(error: ModuleNotFoundError) -> str:
+    """What to install where a library of the extra `service` is missing; "" for any other module."""
+    library = (error.name or "").split(".")[0]
+    if library not in SERVICE_LIBRARIES:
+        return ""
+    return (
+        f"this needs {library}, which a client-only installation does not have; "
+        "install the rest: pip install 'surffollow[service]'"
+    )
