@@ -10,8 +10,9 @@ import numpy as np
 
 from surffollow.live.field import STEEP_AVERAGE_M, make_field, survey_field
 from surffollow.live.field_calibration import calibrate
-from surffollow.live.field_demo import FILTERS, PASS_TASK, Demonstration, shaper_of
+from surffollow.live.field_demo import Demonstration, shaper_of
 from surffollow.live.field_scan import plan, run
+from surffollow.live.field_tables import FILTERS, PASS_TASK
 from surffollow.live.field_vibration import line, shapers
 from surffollow.scan.pictures import _figure, _relief, _save
 
