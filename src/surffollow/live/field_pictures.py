@@ -14,23 +14,23 @@ from surffollow.live.field_demo import Demonstration, shaper_of
 from surffollow.live.field_scan import plan, run
 from surffollow.live.field_tables import FILTERS, PASS_TASK
 from surffollow.live.field_vibration import line, shapers
-from surffollow.scan.pictures import _figure, _relief, _save
+from surffollow.scan.pictures import draw_relief, new_figure, save_figure
 
 
 def draw_field(path: str | os.PathLike[str], made: Demonstration) -> None:
     """Scene with path, gap over the hump for three filters, tip acceleration, signal map."""
-    figure, _ = _figure(1, 13.0, 9.5)
+    figure, _ = new_figure(1, 13.0, 9.5)
     figure.clear()
     (scene, gaps), (shaking, signal) = figure.subplots(2, 2)
     _scene(scene, made, figure)
     _gaps(gaps, made.place.seed)
     _acceleration(shaking, made)
     _signal(signal, made, figure)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _scene(axes: Any, made: Demonstration, figure: Any) -> None:
-    _relief(axes, made.ground, figure)
+    draw_relief(axes, made.ground, figure)
     tip, on = made.shaped.tip_m, made.shaped.scored
     axes.plot(tip[:, 0], tip[:, 1], color="black", lw=0.6)
     axes.plot(tip[on, 0], tip[on, 1], ".", color="red", ms=1.0, label="scored")
