@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from surffollow.cli.scan_field import calibrate_command, demo_command
-from surffollow.cli.scan_map import map_command
+from surffollow.cli.scan_map import compose_command, map_command
 from surffollow.cli.scan_plan import check_command, plan_command
 from surffollow.cli.scan_run import abort_command, pause_command, resume_command, run_command, status_command
 
@@ -20,6 +20,7 @@ def scan_group() -> None:
 
 for command in (
     map_command,
+    compose_command,
     plan_command,
     check_command,
     calibrate_command,

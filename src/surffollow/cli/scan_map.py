@@ -1,4 +1,4 @@
-"""`surffollow scan map`."""
+"""`surffollow scan map` and `scan compose`."""
 
 from __future__ import annotations
 
@@ -77,3 +77,44 @@ def map_command(
     rows, cols = ground.shape
     facts = {"map": output, "rows": rows, "cols": cols, "grid_m": ground.grid_m, "extent_m": ground.extent_m}
     print_facts(facts | report, as_json)
+
+
+@click.command("compose")
+@click.argument("stations", type=EXISTING)
+@click.option("-o", "--output", required=True, type=OUT, help="Map file to write (.npz, .txt).")
+@click.option("--grid", type=LENGTH, help="Side of a cell.  [default: the finest of the stations]")
+@REGION
+@click.option("--fill", type=LENGTH, help="Widest hole that is filled.  [default: 10 cells]")
+@PICTURE
+@JSON
+def compose_command(
+    stations: str,
+    output: str,
+    grid: float | None,
+    region: tuple[float, ...] | None,
+    fill: float | None,
+    picture: str | None,
+    as_json: bool,
+) -> None:
+    """Make one map of the maps of several STATIONS: a TOML file of map files and their poses.
+
+    Tells how far the maps differ where they overlap: a median that is not near 0 is an error of a pose.
+    """
+    from surffollow.scan.stations import overlaps, read_stations
+    from surffollow.scan.terrain import compose_stations
+
+    if picture:
+        check_picture(picture)
+    read = read_stations(stations)
+    side = grid if grid is not None else min(s.ground.grid_m for s in read)
+    parts = [(s.ground, s.common_from_station) for s in read]
+    ground = compose_stations(parts, side, region=region, fill_m=fill if fill is not None else 10.0 * side)
+    ground.to_map().save(output)
+    if picture:
+        from surffollow.scan.pictures import draw_map
+
+        draw_map(picture, ground)
+    rows, cols = ground.shape
+    facts = {"map": output, "stations": len(read), "rows": rows, "cols": cols, "grid_m": ground.grid_m}
+    both = overlaps(read)
+    print_facts(facts | {"extent_m": ground.extent_m, "overlaps": both}, as_json)

@@ -123,6 +123,12 @@ def print_facts(facts: dict[str, Any], as_json: bool) -> None:
             value = ", ".join(f"{k} {v}" for k, v in value.items() if v)
         elif isinstance(value, (list, tuple)) and value and isinstance(value[0], dict):
             for one in value:
+                if "median_m" in one:
+                    click.echo(
+                        f"{one['name']:<{width}}  {one['cells']} cells in both, median difference "
+                        f"{1e3 * one['median_m']:.1f} mm, RMS {1e3 * one['rms_m']:.1f} mm"
+                    )
+                    continue
                 patches = ", ".join(f"{n} {k}" for k, n in one.get("patches", {}).items() if n)
                 click.echo(f"{one.get('name', key):<{width}}  patches: {patches}")
             continue

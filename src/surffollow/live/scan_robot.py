@@ -263,7 +263,8 @@ class ScanRobot:
         """Retracted and at rest."""
         s = self.state[0]
         left = abs(float(s["axis"][0]) - float(s["set_point_m"]))
-        return self.leaving and left < 1e-3 and abs(float(s["axis"][1])) < REST_MPS and s["rate"] <= 0.0
+        resting = abs(float(s["axis"][1])) < REST_MPS and float(s["rate"]) <= 0.0
+        return self.leaving and left < 1e-3 and resting
 
     @property
     def done(self) -> bool:

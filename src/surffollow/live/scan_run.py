@@ -20,7 +20,7 @@ from surffollow.sim.world import WorldWriter
 
 TELL_NS = 500_000_000
 RETRACT_S = 10.0  # longest that a retract may take
-STATES = ("approach", "scan", "hold", "paused", "retract")
+STATES = ("approach", "scan", "hold", "stopped", "paused", "retract")
 
 Progress = Callable[[str, float], Any]
 
@@ -145,8 +145,28 @@ class _Run:
             self.aborted = True
             self.robot.leave()
         elif not self.robot.leaving:
+            if word == "resume" and self.stopped:
+                self._reset_stop()
             self._pauses += word == "pause" and not self.robot.paused
             self.robot.pause(word == "pause")
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the service has latched a stop (docs/protocol.md, "Stop")."""
+        service = self.controller.service
+        if service is None or self.robot.config.way == "plan":
+            return False
+        try:
+            return "STOPPED" in service.dev_vector().names  # type: ignore[attr-defined]
+        except FaultError:
+            return False
+
+    def _reset_stop(self) -> None:
+        """Leave the latched stop, as the operator asked: this client is the one that may."""
+        try:
+            self.controller.service.reset_stop(wait=False)  # type: ignore[union-attr]
+        except FaultError as error:
+            self.controller.trouble = str(error)
 
     def _note(self) -> None:
         robot, service = self.robot, self.controller.service
@@ -170,6 +190,8 @@ class _Run:
         if robot.leaving:
             return "retract"
         if robot.holding:
+            if self.stopped:
+                return "stopped"
             return "hold" if robot.started_ns else "approach"
         return "paused" if robot.paused else "scan" if robot.started_ns else "approach"
 
