@@ -158,7 +158,7 @@ def run_kind(kind: str, seed: int, speed_mps: float, ways: list[str], mode_hz: f
                 done = execute(plan, name, lambda: attach(name, label="scan"), config, prepare=prepare)
                 row = {"map": kind, "way": way, "seed": seed, "speed_mps": speed_mps, "mode_hz": mode_hz}
                 rows.append(done.summary | row | true_figures(done, field) | sensed_figures(done))
-                print(f"{kind}, {way}: done", file=sys.stderr)
+                print(f"{kind}, {way}: RMS {1e3 * rows[-1]['rms_m']:.2f} mm", file=sys.stderr)
     return rows
 
 
