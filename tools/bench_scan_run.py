@@ -140,7 +140,8 @@ def run_kind(kind: str, seed: int, speed_mps: float, ways: list[str], mode_hz: f
             body_m=disc(RADIUS_M),
             motion=MotionLimits(speed_mps=speed_mps, acceleration_mps2=1.0, lateral_mps2=1.0),
         )
-        plan = plan_scan(TerrainGrid.of(mapped, origin_m=FIELD[:2], grid_m=GRID_M), settings)
+        grid = TerrainGrid.of(mapped, origin_m=FIELD[:2], grid_m=GRID_M)
+        plan = plan_scan(grid, settings)
         (folder / "s.toml").write_text(CONFIG.format(file=folder / "true.npz", offset=GAP_M))
         words = ["start", "--name", name, "--config", str(folder / "s.toml")]
         with running("service", words, folder) as service:
@@ -155,7 +156,9 @@ def run_kind(kind: str, seed: int, speed_mps: float, ways: list[str], mode_hz: f
 
                 shaper = Shaper.zvd(mode_hz, DAMPING) if shaped else None
                 config = ScanRobotConfig(way=used, shaper=shaper, seed=seed)
-                done = execute(plan, name, lambda: attach(name, label="scan"), config, prepare=prepare)
+                done = execute(
+                    plan, name, lambda: attach(name, label="scan"), config, ground=grid, prepare=prepare
+                )
                 row = {"map": kind, "way": way, "seed": seed, "speed_mps": speed_mps, "mode_hz": mode_hz}
                 rows.append(done.summary | row | true_figures(done, field) | sensed_figures(done))
                 print(f"{kind}, {way}: RMS {1e3 * rows[-1]['rms_m']:.2f} mm", file=sys.stderr)

@@ -50,7 +50,7 @@ def follow(robot: ScanRobot, ticks: int, height_m: float = 0.0) -> None:
         robot.measure()
         for t_ns, pose in robot.reports():
             z = float(robot.state["real"][0, 2])
-            planned = float(np.interp(robot.state["path_s"][0], robot._t, robot._z - robot._lift))
+            planned = float(np.interp(robot.state["path_s"][0], robot._t, robot._z - robot._above))
             seen.append((t_ns, planned + height_m + float(pose[2]) - z - float(pose[2])))
         if len(seen) > 3:
             robot.command(seen[-3][1], seen[-1][0])

@@ -91,7 +91,7 @@ def run_command(
     simulated: dict[str, Any] = {"errors": None, "compliance": None} if stiff else {}
     config = ScanRobotConfig(way=way, shaper=shaper, seed=seed, **simulated)
     with _signals() as caught:
-        done = _execute(planned, name, config, map_file if way == "map" else None, caught, wait_s)
+        done = _execute(planned, name, config, mapped, map_file if way == "map" else None, caught, wait_s)
     from surffollow.live.scan_figures import sensed_figures, true_figures
 
     figures: dict[str, Any] = {"sensed": sensed_figures(done)}
@@ -176,7 +176,13 @@ def _signals() -> Iterator[list[int]]:
 
 
 def _execute(
-    planned: ScanPath, name: str, config: Any, install: str | None, caught: list[int], wait_s: float
+    planned: ScanPath,
+    name: str,
+    config: Any,
+    mapped: TerrainGrid | None,
+    install: str | None,
+    caught: list[int],
+    wait_s: float,
 ) -> Any:
     from surffollow.cli.progress import tell
     from surffollow.client import attach
@@ -194,6 +200,7 @@ def _execute(
             name,
             lambda: attach(name, label="scan run"),
             config,
+            ground=mapped,
             prepare=prepare,
             aborted=lambda: bool(caught),
             progress=None if show is None else lambda text, part: show(f"{100 * part:3.0f} % {text}"),

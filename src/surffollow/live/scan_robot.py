@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.live.scan_expected import expected_range_m
 from surffollow.live.scan_robot_config import ScanRobotConfig, check_executable
 from surffollow.scan.checks import Floats
 from surffollow.scan.path import ScanPath
@@ -40,6 +41,7 @@ class ScanRobot:
     path : ScanPath
     config : ScanRobotConfig
     start_ns : time at which the tip stands above the path's first sample [ns]
+    expected_m : (n,) range that the sensor should read at the samples [m]; None: see `expected_range_m`
 
     Raises
     ------
@@ -47,11 +49,15 @@ class ScanRobot:
         see `scan_robot_config.check_executable`
     """
 
-    def __init__(self, path: ScanPath, config: ScanRobotConfig, start_ns: int) -> None:
+    def __init__(
+        self, path: ScanPath, config: ScanRobotConfig, start_ns: int, expected_m: Floats | None = None
+    ) -> None:
         check_executable(path)
         self.path, self.config = path, config
         self._t, self._z = path.t_s - path.t_s[0], path.position_m[:, 2]
-        self._lift = np.where(np.isfinite(path.lift_m), path.lift_m, 0.0)
+        self.expected_m = expected_range_m(path) if expected_m is None else expected_m
+        # height of the plan above a tip that keeps the gap along its axis
+        self._above = path.normal[:, 2] * (self.expected_m - float(path.facts["gap_m"]))
         speed = float(path.facts.get("speed_mps", WITHOUT_FACTS["speed_mps"]))
         slowing = float(path.facts.get("acceleration_mps2", WITHOUT_FACTS["acceleration_mps2"]))
         self.stopping_s = speed / slowing  # of the path's time, from full rate to rest twice as long
@@ -170,7 +176,7 @@ class ScanRobot:
             self.hold()
             return
         self.holding = False
-        followed = set_point_for(float(self._sent[pose_t_ns][2]), demand_m) + self._ahead(self._lift)
+        followed = set_point_for(float(self._sent[pose_t_ns][2]), demand_m) + self._ahead(self._above)
         self._set(self._wanted(followed, passed_s))
 
     def go_by_plan(self) -> None:

@@ -11,9 +11,11 @@ import numpy as np
 
 from surffollow.errors import FaultError
 from surffollow.live.scan_control import ControlServer, keys
+from surffollow.live.scan_expected import expected_range_m
 from surffollow.live.scan_robot import ScanRobot
-from surffollow.live.scan_robot_config import ScanRobotConfig
+from surffollow.live.scan_robot_config import ScanRobotConfig, check_executable
 from surffollow.scan.checks import Floats
+from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.path import ScanPath
 from surffollow.sim.robot_run import Controller, Service
 from surffollow.sim.world import WorldWriter
@@ -35,6 +37,7 @@ class Executed:
     trace : dict of (n,) float64     columns of `sim.path_arm.TRACE_COLUMNS`, every 5 ms
     ranges_m : (k, 2) float64        time of the trace [s], and the service's distance along its beam [m]
     correction_m : (k,) float64      of the plan at those times
+    expected_m : (n,) float64        range that the plan means to have at its samples [m]
     summary : dict                   ready for JSON
     """
 
@@ -42,6 +45,7 @@ class Executed:
     trace: dict[str, Floats]
     ranges_m: Floats
     correction_m: Floats
+    expected_m: Floats
     summary: dict[str, Any]
 
 
@@ -51,6 +55,7 @@ def execute(
     attach: Callable[[], Service],
     config: ScanRobotConfig,
     *,
+    ground: TerrainGrid | None = None,
     prepare: Callable[[Any], None] | None = None,
     aborted: Callable[[], bool] = lambda: False,
     progress: Progress | None = None,
@@ -64,6 +69,7 @@ def execute(
     name : of the service; the true pose goes to the block NAME.world
     attach : makes an attachment, or raises a `FaultError`
     config : ScanRobotConfig
+    ground : TerrainGrid    the map of the plan, from which the expected ranges follow; None: from the path
     prepare : gets an attachment before anything moves: to install a map
     aborted : asked at every tick; once true the tip retracts and the run ends
     progress : gets a line of text and the finished part
@@ -76,9 +82,10 @@ def execute(
     FaultError
         no service, another robot writes the world block, or another scan of this service runs
     """
-    robot = ScanRobot(path, config, time.monotonic_ns())
-    robot.advance(robot.t_ns + 2_000_000)  # compiles, in simulated time
-    robot = ScanRobot(path, config, time.monotonic_ns())
+    check_executable(path)
+    expected = expected_range_m(path, ground)
+    ScanRobot(path, config, 0, expected).advance(2_000_000)  # compiles
+    robot = ScanRobot(path, config, time.monotonic_ns(), expected)
     control = ControlServer(name)
     try:
         world = WorldWriter(name)
@@ -231,4 +238,4 @@ class _Run:
             "retracted": robot.away,
             "correction_last_m": robot.correction_m,
         }
-        return Executed(robot.path, robot.trace(), rows[:, :2], rows[:, 2], summary)
+        return Executed(robot.path, robot.trace(), rows[:, :2], rows[:, 2], robot.expected_m, summary)
