@@ -37,7 +37,7 @@ def _scene(axes: Any, made: Demonstration, figure: Any) -> None:
     spots = made.calibration.matrix.spots_m
     axes.plot(spots[:, 0], spots[:, 1], "k+", ms=5, label="touched spots (flat ground)")
     axes.plot(*made.target_m[:2], "w*", ms=12, mec="black", label="target")
-    axes.plot(0.0, 0.0, "ks")
+    axes.plot(0.0, 0.0, "ks", label="arm base")
     axes.set_aspect("equal")
     axes.legend(fontsize=7, loc="upper left")
     f = made.figures
@@ -90,5 +90,7 @@ def _signal(axes: Any, made: Demonstration, figure: Any) -> None:
     axes.plot(*made.figures["target"]["found_m"], "kx", ms=8, label="found")
     axes.set_aspect("equal")
     axes.set_facecolor("0.6")
-    axes.legend(fontsize=7, loc="upper right", bbox_to_anchor=(-0.3, 1.0))
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.legend(fontsize=8, loc="upper right", bbox_to_anchor=(-0.45, 1.0))
     axes.set_title(f"signal map: {1e3 * made.figures['target']['error_m']:.0f} mm off")

@@ -66,7 +66,7 @@ class ScanRobotConfig:
 
     way: str = "feedforward"
     rise_s: float = 0.1
-    sink_s: float = 0.1
+    sink_s: float = 0.4
     most_m: float = 0.2
     shaper: Shaper | None = None
     errors: ArmErrors | None = field(default_factory=ArmErrors)

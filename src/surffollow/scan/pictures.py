@@ -63,6 +63,7 @@ def draw_map(path: str | os.PathLike[str], ground: TerrainGrid) -> None:
     bar = figure.colorbar(shown, ax=right, ticks=[0, 1, 2], shrink=0.8)
     bar.ax.set_yticklabels(["unknown", "measured", "filled"])
     right.set_title("cells")
+    right.set_xlabel("x [m]")
     save_figure(figure, path)
 
 
