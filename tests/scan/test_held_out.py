@@ -139,9 +139,9 @@ def station_file(folder, poses, lift=0.0):
     for k, (x0, y0, heading) in enumerate(poses):
         c, s = np.cos(np.radians(heading)), np.sin(np.radians(heading))
         y, x = np.mgrid[-0.5:0.5:0.01, -0.5:0.5:0.01] + 0.005
-        z = surface(c * x - s * y + x0, s * x + c * y + y0) + lift * k
+        z = surface(c * x - s * y + x0, s * x + c * y + y0) + lift * k - 0.1 * k
         HeightMap.from_heights(z, origin_m=(-0.5, -0.5), grid_m=0.01).save(folder / f"s{k}.npz")
-        text += f'[stations."s{k}.npz"]\nx_m = {x0}\ny_m = {y0}\nheading_deg = {heading}\n'
+        text += f'[stations."s{k}.npz"]\nx_m = {x0}\ny_m = {y0}\nz_m = {0.1 * k}\nheading_deg = {heading}\n'
     (folder / "stations.toml").write_text(text)
     return folder / "stations.toml"
 
