@@ -160,6 +160,16 @@ class RobotCore:
         return int(self.motion["t_ns"][0])
 
     @property
+    def wanted_m(self) -> float:
+        """Stand-off that it asks of the service [m]."""
+        return self.config.standoff_m
+
+    @property
+    def is_holding(self) -> bool:
+        """Whether it stands still for want of a demand to trust."""
+        return self.holding
+
+    @property
     def standoff_m(self) -> float:
         """True height of the tool above the ground [m], which no controller knows."""
         return float(self.world["standoff_m"][0])
