@@ -26,7 +26,7 @@ robot.sf_reset(0.1)
 end = time.monotonic() + 20.0
 valid = False
 while not valid and time.monotonic() < end:
-    robot.ee_pos((0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0), time.monotonic_ns())
+    robot.ee_pos((0.05, 0.05, 0.12, 0.0, 0.0, 0.0, 1.0), time.monotonic_ns())
     valid = robot.dev_vector().valid
     time.sleep(0.002)
 heavy = [m for m in ("numpy", "numba", "msgspec", "click") if m in sys.modules]
@@ -77,7 +77,7 @@ def test_a_client_installation_drives_a_service_and_has_the_header(light: Path, 
         assert got.returncode == 0, got.stderr
         told = json.loads(got.stdout)
         assert told["valid"]
-        assert 0.05 < told["range_m"] < 0.5
+        assert told["range_m"] == pytest.approx(0.12, abs=0.001)
         assert told["heavy"] == []
         status = run(light / "bin/surffollow", "status", "--name", service.name, "--json", cwd=tmp_path)
         assert json.loads(status.stdout)["alive"], status.stderr
