@@ -12,8 +12,10 @@ from surffollow.shm.layout_board import (
     ACCEPTED,
     ERR_BAD_VALUE,
     ERR_BEYOND_LIMITS,
+    ERR_NO_CHANNEL,
     ERR_NOT_POSE_HOLDER,
     ERR_POSE_HELD,
+    ERR_RANGE_HELD,
     ERR_STOP_REMAINS,
     OK,
     RESULT_TEXT,
@@ -137,8 +139,10 @@ class Ticket:
 
 def _explain(code: int, detail: int) -> str:
     text = RESULT_TEXT[code] if 0 <= code < len(RESULT_TEXT) else f"result {code}"
-    if code == ERR_POSE_HELD:
+    if code in (ERR_POSE_HELD, ERR_RANGE_HELD):
         return f"refused: {text} (pid {detail})"
+    if code == ERR_NO_CHANNEL:
+        return f"refused: {text}; it has " + (f"{detail} channels" if detail else "another kind of driver")
     if code == ERR_NOT_POSE_HOLDER:
         return f"refused: {text}; " + (f"now that is pid {detail}" if detail else "nobody sends it now")
     if code == ERR_STOP_REMAINS:

@@ -17,6 +17,7 @@ from surffollow.service.fitting import (
     within_limits,
 )
 from surffollow.service.inbox import claim_of, new_request, slot_address
+from surffollow.service.pushing import do_range_role, drop_dead_range_holders
 from surffollow.service.stopping import do_stop, holder_pid, stop_as_asked, stop_for
 from surffollow.shm import atomics as at
 from surffollow.shm.cycle_log import log_append
@@ -38,10 +39,12 @@ from surffollow.shm.layout_board import (
     OK,
     REQUEST_ARGS,
     RQ_CLAIM_POSE,
+    RQ_CLAIM_RANGE,
     RQ_MAP_INSTALL,
     RQ_MAP_REFOCUS,
     RQ_MAP_RESET,
     RQ_RELEASE_POSE,
+    RQ_RELEASE_RANGE,
     RQ_SET_PARAMS,
     RQ_SF_RESET,
     RQ_STOP,
@@ -235,6 +238,8 @@ def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
         return do_set_params(mem, t_ns)
     if code in (RQ_CLAIM_POSE, RQ_RELEASE_POSE):
         return do_pose_role(mem, slot, code)
+    if code in (RQ_CLAIM_RANGE, RQ_RELEASE_RANGE):
+        return do_range_role(mem, slot, code, t_ns)
     if code in (RQ_STOP, RQ_STOP_RESET):
         return do_stop(mem, slot, code, t_ns)
     if code in (RQ_MAP_RESET, RQ_MAP_REFOCUS, RQ_MAP_INSTALL):
@@ -248,6 +253,7 @@ def process_requests(mem: Any, t_ns: Any) -> None:
     ctx = mem.ctx
     stats = ctx[m.STATS]
     drop_dead_pose_writer(mem, t_ns)
+    drop_dead_range_holders(mem, t_ns)
     stop_as_asked(mem, t_ns)
     for slot in range(CLIENTS):
         if claim_of(ctx, slot) == 0:
