@@ -27,7 +27,7 @@ from surffollow.map.geometry import reset_begin, reset_step
 from surffollow.map.grids import update_map
 from surffollow.map.header import init_header
 from surffollow.service import memory as m
-from surffollow.service.pushing import drain_ranges, drop_dead_range_holders
+from surffollow.service.pushing import any_held, drain_ranges, drop_dead_range_holders
 from surffollow.shm import map_layout as ml
 from surffollow.shm.conversion import pack_conversion
 from surffollow.shm.dtypes import numpy_dtype, zeros
@@ -195,8 +195,10 @@ def measure(batches: int = BATCHES, cycles: int = CYCLES) -> dict[str, Any]:
 def look_for_ranges(mem: Any, cycles: Any) -> Any:
     """What every service's cycle does about pushed ranges; the sum keeps it from being left out."""
     for k in range(cycles):
-        drop_dead_range_holders(mem, k)
-        drain_ranges(mem, k)
+        if any_held(mem.ctx):
+            drop_dead_range_holders(mem, k)
+        if any_held(mem.ctx):
+            drain_ranges(mem, k)
         mem.entry[0] += mem.ctx[m.RANGES_HELD]
     return mem.entry[0]
 

@@ -1,15 +1,15 @@
 """Attack a service at random while a robot works: seven kinds of attack, by a user with no rights but a slot.
 
-`scribble` random bytes, extreme commands and ranges of channels that it claims in its slot, `cut` and `restore`
-its size, `punch` holes, `lock` every byte that a reader can lock, `impostor` a forged board under the service's
-name between its end and its next start, `full` fill /dev/shm. Idle pieces of the same length alternate with the
-attacks, for comparison. The robot pushes the ranges of channel 0 (`--driver simulated`: the simulated sensor
-rides on a world block).
+`scribble` random bytes, extreme commands and ranges of channels that it claims in its slot, `cut` and
+`restore` its size, `punch` holes, `lock` every byte that a reader can lock, `impostor` a forged board
+under the service's name between its end and its next start, `full` fill /dev/shm. Idle pieces of the
+same length alternate with the attacks, for comparison. The robot pushes the ranges of channel 0
+(`--driver simulated`: the simulated sensor rides on a world block).
 
-Fails when a distance of that channel is not the one that was pushed, the service ends, a demand is not finite,
-beyond its limit or an impostor's, more cycles take longer than 300 us under attack than idle, or a good client
-that attaches after an attack waits longer than 200 ms for an answer. Runs as root, with a small /dev/shm in a
-mount namespace of its own where that is allowed; else `full` is left out.
+Fails when a distance of that channel is not the one that was pushed, the service ends, a demand is not
+finite, beyond its limit or an impostor's, more cycles take longer than 300 us under attack than idle, or
+a good client that attaches after an attack waits longer than 200 ms for an answer. Runs as root, with a
+small /dev/shm in a mount namespace of its own where that is allowed; else `full` is left out.
 """
 
 from __future__ import annotations

@@ -89,7 +89,8 @@ static int answer(const char *verb, char *rest) {
     return result;
   }
   if (strcmp(verb, "map_reset") == 0) return sf_map_reset(&client, v);
-  if (strcmp(verb, "map_refocus") == 0) return sf_map_refocus(&client, v);
+  if (strcmp(verb, "map_refocus") == 0)
+    return v[4] > 0.0 ? sf_map_refocus_to(&client, v, v[4]) : sf_map_refocus(&client, v);
   if (strcmp(verb, "upload") == 0) return sf_upload_map(&client, word);
   if (strcmp(verb, "height") == 0) {
     double height = 0.0;

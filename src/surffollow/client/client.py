@@ -12,7 +12,7 @@ from surffollow.client.fence import FENCED, fence
 from surffollow.client.observer import Observer
 from surffollow.client.pose import FUTURE_NS, MAX_POSITION_M, checked_pose, checked_stamp
 from surffollow.client.push_range import RangePusher
-from surffollow.client.requests import Ticket, check_region
+from surffollow.client.requests import Ticket, check_finest, check_region
 from surffollow.client.slot import GENERATION
 from surffollow.errors import BusyError, ConfigError, PoseError, RefusedError
 from surffollow.shm import layout_board as lb
@@ -178,9 +178,24 @@ class Client(RangePusher):
         """Clear the map and lay it over a region (x_min, y_min, x_max, y_max) [m] (paper: MapReset)."""
         return self._ask(lb.RQ_MAP_RESET, check_region(region), timeout_s, wait)
 
-    def map_refocus(self, region: Sequence[float], *, timeout_s: float = 30.0, wait: bool = True) -> Ticket:
-        """Lay the map over another region, keeping known heights (paper: MapRefocus)."""
-        return self._ask(lb.RQ_MAP_REFOCUS, check_region(region), timeout_s, wait)
+    def map_refocus(
+        self,
+        region: Sequence[float],
+        *,
+        finest_m: float = 0.0,
+        timeout_s: float = 30.0,
+        wait: bool = True,
+    ) -> Ticket:
+        """Lay the map over another region, keeping known heights (paper: MapRefocus).
+
+        Parameters
+        ----------
+        region : four floats    x_min, y_min, x_max, y_max [m]
+        finest_m : float        finest useful grid of this refocus [m]; the grids' size so far keeps them and
+                                every height as they are; 0: the configuration's (map.finest_grid)
+        """
+        values = (*check_region(region), check_finest(finest_m))
+        return self._ask(lb.RQ_MAP_REFOCUS, values, timeout_s, wait)
 
     def set_params(self, *, timeout_s: float = 5.0, wait: bool = True, **values: object) -> Ticket:
         """Change parameters, all or none: `set_params(interval_size="2 mm", range_size=5)`.

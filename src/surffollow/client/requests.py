@@ -52,6 +52,25 @@ def check_region(region: Sequence[float]) -> tuple[float, float, float, float]:
     return x_min, y_min, x_max, y_max
 
 
+def check_finest(finest_m: float) -> float:
+    """The finest useful grid of a refocus [m]; 0: the service's own choice.
+
+    Raises
+    ------
+    RegionError  not 0, and not within 1e-6 to 1e4 m
+    """
+    if finest_m == 0.0:
+        return 0.0
+    from surffollow.shm.map_layout import MAX_GRID_M, MIN_GRID_M
+
+    if not MIN_GRID_M <= finest_m <= MAX_GRID_M:
+        raise RegionError(
+            f"the finest grid is {finest_m:g} m; it must be {MIN_GRID_M:g} to {MAX_GRID_M:g} m, or 0: the "
+            "service's own choice"
+        )
+    return float(finest_m)
+
+
 class Ticket:
     """A request on its way; `result()` waits for the answer."""
 

@@ -141,6 +141,8 @@ def _defines() -> Iterator[tuple[str, str]]:
     yield "MAP_HEADER_BYTES", str(ml.HEADER_BYTES)
     yield "MAP_UNKNOWN_HEIGHT", f"({ml.UNKNOWN})"
     yield "MAX_REGION_M", str(ml.MAX_REGION_M)
+    yield "MIN_GRID_M", str(ml.MIN_GRID_M)
+    yield "MAX_GRID_M", str(ml.MAX_GRID_M)
     yield "REATTACH_EVERY_NS", str(REATTACH_EVERY_NS)
     yield "LOOK_EVERY_NS", str(LOOK_EVERY_NS)
     yield "SLOT_WAIT_NS", str(SLOT_WAIT_NS)

@@ -124,9 +124,19 @@ REQUESTS: tuple[Request, ...] = (
         lb.RQ_MAP_REFOCUS,
         "lay the map over another region, keeping known heights (paper: MapRefocus)",
         _ANYBODY,
-        _REGION,
+        (
+            *_REGION,
+            Argument(
+                "value",
+                4,
+                1,
+                "finest_grid_m",
+                "m",
+                "finest useful grid of this refocus, 1e-6 to 1e4; 0: the configuration's (map.finest_grid)",
+            ),
+        ),
         _MAP_ANSWERS,
-        {**_MAP_END, lb.ERR_NO_MAP: "0", lb.ERR_CANCELLED: "0"},
+        {**_MAP_END, lb.ERR_NO_MAP: "0", lb.ERR_BAD_VALUE: "-1", lb.ERR_CANCELLED: "0"},
     ),
     Request(
         lb.RQ_MAP_INSTALL,
