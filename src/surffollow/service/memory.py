@@ -58,7 +58,7 @@ COUNTER = SEEN + CLIENTS  # per slot, counter answered last
 PENDING = COUNTER + CLIENTS  # per slot, 1: a map request is under way
 REGION = PENDING + CLIENTS  # per slot, four float64 of that request, its claim, an installed map's numbers
 REGION_WORDS = 16
-# grid (of a refocus: the finest), x0, y0, datum, quantum [m] as float64; columns, rows, whether the datum is set
+# grid (of a refocus: the finest), x0, y0, datum, quantum [m] as float64; columns, rows, datum is set
 INSTALL_WORD = 5
 FENCED = REGION + CLIENTS * REGION_WORDS  # per slot, the claim whose request for access is not heard; 0: none
 POLICY = FENCED + CLIENTS
