@@ -114,7 +114,7 @@ def test_planned_times_are_kept_and_a_corner_that_is_repeated_is_waited_at(tmp_p
     assert abs(speed[at["wait"]]) < 1e-9
     assert trace["x_m"][at["wait"]] == pytest.approx(0.3, abs=2e-3)
     assert speed[at["fast"]] == pytest.approx(0.04, rel=1e-3)
-    # ramps of 0.2 m/s² at both ends of both pieces cost half their speed over it, and the last millimetre creeps
+    # ramps of 0.2 m/s² at both ends of both pieces cost half their speed over it, the last millimetre creeps
     late_s = t_s[-1] - 18.0
     assert (0.02 + 0.02 + 0.04 + 0.04) / 2 / 0.2 <= late_s + 0.02 < 0.8
 

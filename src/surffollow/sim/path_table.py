@@ -1,4 +1,4 @@
-"""Read a planner's path file: CSV or NPZ with places; times, heights, attitudes, speeds and stops if given."""
+"""Read a planner's path file, CSV or NPZ: places, and times, heights, attitudes, speeds, stops if given."""
 
 from __future__ import annotations
 

@@ -106,8 +106,8 @@ def file_path(file: str, speed_mps: float, accel_mps2: float, region: Region | N
 
     Parameters
     ----------
-    file : see `path_table.read_path_table`. With `t_s` the way to a corner is made in the time that it has, and
-        a corner that is repeated is waited at; else `speed_mps` limits the way to it
+    file : see `path_table.read_path_table`. With `t_s` the way to a corner is made in the time that it has,
+        and a corner that is repeated is waited at; else `speed_mps` limits the way to it
     speed_mps, accel_mps2 : limits along the path [m/s], [m/s²]
     region : of the ground [m]; a corner outside is refused
 
