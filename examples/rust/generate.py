@@ -1,4 +1,4 @@
-"""Write Rust constants from the layout's JSON: `python generate.py layout.rs`; no surffollow module is imported.
+"""Write Rust constants from the layout's JSON: `python generate.py layout.rs`; no surffollow is imported.
 
 The JSON is what `surffollow header --json` prints, or the file that SURFFOLLOW_LAYOUT names.
 """

@@ -1,4 +1,4 @@
-"""The client in Rust, built from the layout's JSON alone, drives, observes, and survives its service's death."""
+"""The client in Rust, built from the layout's JSON alone, drives, observes, and outlives its service."""
 
 from __future__ import annotations
 
