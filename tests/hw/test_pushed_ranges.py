@@ -13,7 +13,7 @@ from hw.wires import Ring
 from surffollow.errors import ConfigError, DriverError
 from surffollow.hw.driver import ConversionQueue
 from surffollow.hw.external import ExternalConfig, ExternalDriver
-from surffollow.hw.pushed_ranges import FUTURE_NS, OLDEST_NS, REASONS, close_queue, take_pushed
+from surffollow.hw.pushed_ranges import FUTURE_NS, OLDEST_NS, REASONS, _take_item, close_queue, take_pushed
 from surffollow.hw.registry import make_driver
 from surffollow.shm.conversion import conversion_channel, conversion_counts, conversion_flags
 
@@ -118,6 +118,19 @@ def test_a_head_that_is_no_count_of_pushes_gives_no_distance_and_the_next_push_c
     ring.push(NOW + 1, 0, 0.2)
     take_pushed(driver.pushed, ring.address, seen, 1, 64, NOW)
     assert delivered(driver, queue) == [(NOW + 1, 0, pytest.approx(0.2))]
+
+
+@pytest.mark.parametrize(("ahead", "taken"), [(0, 1), (126, 1), (127, 0), (128, 0), (-1, 0)])
+def test_an_item_that_may_have_been_written_over_while_it_was_copied_is_left_out(
+    ahead: int, taken: int
+) -> None:
+    driver, queue = started()
+    ring = Ring()
+    ring.push(NOW, 0, 0.1)
+    item, number = ring.address + lb.RANGES_AT, 1
+    ring.words[0] = number + ahead  # as the second look at the head finds it
+    answer = _take_item(driver.pushed, queue.address, item, number, 1, NOW, ring.address)
+    assert (answer, len(queue)) == (taken, taken)
 
 
 def test_a_flood_costs_the_time_of_the_newest_few() -> None:

@@ -71,7 +71,7 @@ class ArrivalClock:
             self._pauses += 1
             self._late.clear()
             self._stamps.clear()
-            return [arrivals_ns[-1] - (n - 1 - k) * period for k in range(n)]
+            return [min(a, arrivals_ns[-1] - (n - 1 - k) * period) for k, a in enumerate(arrivals_ns)]
         self._late.append(late)
         shift = 0.0
         if len(self._late) == WINDOW and (shift := max(0.0, min(self._late))) > 0.0:
