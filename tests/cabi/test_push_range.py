@@ -263,21 +263,15 @@ def test_a_run_with_pushed_ranges_replays_bit_for_bit(
     outside: Service, client: Client, tmp_path: Path
 ) -> None:
     path, done = tmp_path / "run.mcap", threading.Event()
-    recorder = threading.Thread(target=record_service, args=(outside.name, path, done))
+    # a snapshot, from which a replay begins, is written once in a second
+    options = {"seconds": 2.5, "rate_hz": 0}
+    recorder = threading.Thread(target=record_service, args=(outside.name, path, done), kwargs=options)
     recorder.start()
     rng = random.Random(5)
     try:
-        recorded_from: list[int] = []
-
-        def enough() -> bool:
-            if not recorded_from and any(tmp_path.iterdir()):
-                recorded_from.append(client.status()["cycles"])
+        while recorder.is_alive():
+            push_until(client, lambda: True, rng.choice([0.1, None, rng.uniform(0.04, 0.32)]))
             done.wait(0.001)  # ranges at about 1 kHz
-            # a snapshot, from which a replay begins, is written once in a second
-            return bool(recorded_from) and client.status()["cycles"] > recorded_from[0] + 1500
-
-        while not push_until(client, lambda: [enough()], rng.choice([0.1, None, rng.uniform(0.04, 0.32)]))[0]:
-            pass
     finally:
         done.set()
         recorder.join()
