@@ -114,6 +114,9 @@ def test_a_head_that_is_no_count_of_pushes_gives_no_distance_and_the_next_push_c
     ring.words[0] = head
     seen, *_ = take_pushed(driver.pushed, ring.address, 0, 1, 64, NOW)
     assert len(queue) == 0
+    record = driver.pushed[0]
+    assert record["refused"].sum() > 0
+    assert record["skipped"] >= 0
     if head == 2**63 - 1:
         return
     ring.push(NOW + 1, 0, 0.2)
