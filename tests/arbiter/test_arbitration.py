@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from arbiter.running import until
+from arbiter.running import send_raw, until
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import layout as al
 from surffollow.errors import NotRunningError, RefusedError, UsageError
@@ -249,19 +249,9 @@ def test_after_a_restart_every_token_is_void_and_clients_ask_again(make_arbiter)
         # the old token in the new epoch
         forged = al.ITEM_COMMAND
         history = again.history()
-        _send_raw(again, forged, old)
+        send_raw(again, forged, old)
         got = until(lambda: [e.event for e in history if e.item])
         assert got == ["REJECT_STALE_TOKEN"]
         until(lambda: mine.command(0.2, 0.0) and not reader.latest().safe)
     assert server.stop() == 0
     reader.close()
-
-
-def _send_raw(client, what, token):
-    """Put an item into a client's own mailbox, whatever the library would say."""
-    from surffollow.arbiter import client as ac
-
-    words, head = client._post_words, client._post_words[ac._HEAD]
-    at = 8 * ac._ITEMS + (head & ac._MASK) * al.Item.SIZE
-    ac._PLAIN.pack_into(client._put, at, head + 1, what, token, time.monotonic_ns(), 0, *(0.1,) * al.VALUES)
-    words[ac._HEAD] = head + 1

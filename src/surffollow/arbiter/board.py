@@ -52,7 +52,10 @@ def take_old_board(name: str) -> int:
         return 0
     try:
         if old.owner != os.geteuid():
-            raise NoPermissionError(f"the board {name!r} belongs to another user; remove it (ls -l /dev/shm)")
+            raise NoPermissionError(
+                f"the board {name!r} belongs to user {old.owner}, expected user {os.geteuid()}; remove it "
+                f"(ls -l /dev/shm/{name}), or start this arbiter under another name (--name)"
+            )
         if old.size < al.PAGE:
             raise BlockError(f"shared-memory object {name!r} is there and is no board; take another name")
         bytes_ = np.frombuffer(old.memory, np.uint8)

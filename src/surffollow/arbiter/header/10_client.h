@@ -3,6 +3,7 @@
 /*
  * One attachment; for one thread. Every call of sfa_command, sfa_request, sfa_relinquish and sfa_beat shows
  * that the client lives: call one of them at least every 100 ms (the lease is `lease_ns` of the board).
+ * `owner` is the server's user; after -EPERM from sfa_attach the one who is not trusted.
  */
 typedef struct sfa_client {
   unsigned char *mailbox;
@@ -11,6 +12,8 @@ typedef struct sfa_client {
   int sock;
   int64_t slot, number, epoch, head;
   size_t status_at, desk_at, reply_at, entry_at;
+  int64_t owner;
+  char name[48], client[48];
 } sfa_client;
 
 /* One English sentence for a negative result; never NULL. */
@@ -18,6 +21,9 @@ static inline const char *sfa_strerror(int result) {
   if (result <= SFA_REFUSED) return sfa_hello_text(SFA_REFUSED - result);
   switch (-result) {
     case ENOENT: return "no arbiter of that name runs here, or it ended; start it: surffollow arbiter start";
+    case EPERM:
+      return "the arbiter belongs to a user who is not trusted (in the client's owner); name him: sfa_attach_owner, "
+             "SURFFOLLOW_OWNER";
     case EPROTO: return "the arbiter is of another release than this header; rebuild or restart";
     case ETIMEDOUT: return "the arbiter did not answer in time";
     case EINVAL: return "an argument is missing or outside its range";
@@ -71,7 +77,7 @@ static inline int sfa_i_greet(sfa_client *a, const char *client, int fds[2]) {
   message.msg_control = control.bytes;
   message.msg_controllen = sizeof control.bytes;
   do {
-    got = recvmsg(a->sock, &message, 0);
+    got = recvmsg(a->sock, &message, MSG_CMSG_CLOEXEC);
   } while (got < 0 && errno == EINTR);
   n = sfa_i_descriptors(&message, fds);
   if (got < 0) return errno == EAGAIN || errno == EWOULDBLOCK ? -ETIMEDOUT : -ENOENT;
@@ -89,8 +95,14 @@ static inline int sfa_i_map(sfa_client *a, const int fds[2]) {
   struct stat status;
   const sfa_board_header *h;
   size_t slot = SF_CAST(size_t, a->slot);
+  int seals;
   void *memory = mmap(NULL, SFA_MAILBOX_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED, fds[0], 0);
   if (memory == MAP_FAILED) return -errno;
+  seals = fcntl(fds[0], SF_I_GET_SEALS);
+  if (seals < 0 || (seals & SF_I_SIZE_SEALS) != SF_I_SIZE_SEALS) {
+    munmap(memory, SFA_MAILBOX_BYTES);
+    return -EPROTO;
+  }
   a->mailbox = SF_CAST(unsigned char *, memory);
   if (fstat(fds[1], &status) != 0 || status.st_size < SF_PAGE) return -EPROTO;
   a->board_bytes = SF_CAST(size_t, status.st_size);
@@ -119,47 +131,84 @@ static inline int sfa_i_enter(sfa_client *a) {
   return got == SF_CAST(ssize_t, sizeof SFA_MAPPED - 1) ? 0 : -ENOENT;
 }
 
-/* End: whatever this client holds or waits for is given up. */
+/* End: whatever this client holds or waits for is given up. Its names and the server's user stay for sfa_reattach. */
 static inline void sfa_detach(sfa_client *a) {
   if (a->sock >= 0) close(a->sock);
   if (a->mailbox != NULL) munmap(a->mailbox, SFA_MAILBOX_BYTES);
   if (a->board != NULL) munmap(a->board, a->board_bytes);
-  memset(a, 0, sizeof *a);
+  memset(a, 0, offsetof(sfa_client, owner));
   a->sock = -1;
 }
 
-/*
- * Attach to arbiter `name` as `client`, a name that its configuration declares.
- * Returns 0; -ENOENT no such arbiter, -EPROTO another release, SFA_REFUSED - SFA_HELLO_...: refused.
- */
-static inline int sfa_attach(sfa_client *a, const char *name, const char *client, int timeout_ms) {
+/* Connect to the arbiter's socket; only its user, root or the given `owner` is spoken to: 0 or a negative result. */
+static inline int sfa_i_connect(sfa_client *a, int timeout_ms, int64_t owner) {
   struct sockaddr_un address;
   struct timeval limit;
-  int fds[2] = {-1, -1}, err, n;
-  memset(a, 0, sizeof *a);
+  int32_t peer[3] = {0, -1, -1}; /* pid, uid, gid of the process that listens, as the kernel tells it */
+  socklen_t size = sizeof peer;
+  int n;
   memset(&address, 0, sizeof address);
-  a->sock = -1;
-  if (name == NULL || client == NULL || strlen(client) >= 48) return -EINVAL;
   address.sun_family = AF_UNIX;
-  n = snprintf(address.sun_path + 1, sizeof address.sun_path - 1, "surffollow.%s.arbiter", name);
+  n = snprintf(address.sun_path + 1, sizeof address.sun_path - 1, "surffollow.%s.arbiter", a->name);
   if (n < 0 || SF_CAST(size_t, n) >= sizeof address.sun_path - 1) return -EINVAL;
   a->sock = socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0);
   if (a->sock < 0) return -errno;
+  if (timeout_ms < 1) timeout_ms = 1; /* zero would mean for ever */
   limit.tv_sec = timeout_ms / 1000;
   limit.tv_usec = (timeout_ms % 1000) * 1000;
   setsockopt(a->sock, SOL_SOCKET, SO_RCVTIMEO, &limit, sizeof limit);
+  setsockopt(a->sock, SOL_SOCKET, SO_SNDTIMEO, &limit, sizeof limit); /* of connect, too */
   if (connect(a->sock, SF_VIEW(const struct sockaddr *, &address),
               SF_CAST(socklen_t, offsetof(struct sockaddr_un, sun_path) + 1 + SF_CAST(size_t, n))) != 0) {
-    err = errno == ECONNREFUSED ? -ENOENT : -errno;
-    sfa_detach(a);
-    return err;
+    if (errno == EAGAIN || errno == EINPROGRESS) return -ETIMEDOUT;
+    return errno == ECONNREFUSED ? -ENOENT : -errno;
   }
-  err = sfa_i_greet(a, client, fds);
+  if (getsockopt(a->sock, SOL_SOCKET, SF_I_SO_PEERCRED, peer, &size) != 0) return -errno;
+  a->owner = peer[1];
+  return sf_i_owner_ok(owner, SF_CAST(uid_t, peer[1])) ? 0 : -EPERM;
+}
+
+/*
+ * Attach to arbiter `name` as `client`, a name that its configuration declares; believe no server but that of user
+ * number `owner` (SF_OWNER_DEFAULT: this process's own user, root, or the one that SURFFOLLOW_OWNER names).
+ * Returns 0; -ENOENT no such arbiter, -EPERM that of another user (in `a->owner`), -EPROTO another release,
+ * SFA_REFUSED - SFA_HELLO_...: refused.
+ */
+static inline int sfa_attach_owner(sfa_client *a, const char *name, const char *client, int timeout_ms, int64_t owner) {
+  int fds[2] = {-1, -1}, err, n;
+  memset(a, 0, sizeof *a);
+  a->sock = -1;
+  a->owner = -1;
+  if (name == NULL || client == NULL || strlen(name) >= sizeof a->name || strlen(client) >= sizeof a->client)
+    return -EINVAL;
+  memcpy(a->name, name, strlen(name));
+  memcpy(a->client, client, strlen(client));
+  err = sfa_i_connect(a, timeout_ms, owner);
+  if (err == 0) err = sfa_i_greet(a, client, fds);
   if (err == 0) err = sfa_i_map(a, fds);
   for (n = 0; n < 2; n++)
     if (fds[n] >= 0) close(fds[n]);
   if (err == 0) err = sfa_i_enter(a);
   if (err != 0) sfa_detach(a);
+  return err;
+}
+
+/* sfa_attach_owner with SF_OWNER_DEFAULT. */
+static inline int sfa_attach(sfa_client *a, const char *name, const char *client, int timeout_ms) {
+  return sfa_attach_owner(a, name, client, timeout_ms, SF_OWNER_DEFAULT);
+}
+
+/*
+ * After the server's end: detach, and attach under the same names, to a server of the same user only.
+ * Results as of sfa_attach_owner; after an error it may be called again. Every token is void: ask again.
+ */
+static inline int sfa_reattach(sfa_client *a, int timeout_ms) {
+  const int64_t owner = a->owner;
+  sfa_client fresh;
+  int err;
+  sfa_detach(a);
+  err = sfa_attach_owner(&fresh, a->name, a->client, timeout_ms, owner);
+  if (err == 0) *a = fresh;
   return err;
 }
 
