@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,6 +13,8 @@ import uuid
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 CONFIG = """
 [clients]
@@ -85,6 +88,24 @@ class Running:
             check=True,
         )
         return json.loads(done.stdout)
+
+
+WARNINGS = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wshadow", "-Wconversion", "-Wundef"]
+COMPILERS = {"C": ["gcc", "-std=c11"], "C++": ["g++", "-std=c++17", "-x", "c++"]}
+ROOT = Path(__file__).parents[2]
+
+
+def compile_patrol(folder: Path, language: str = "C") -> Path:
+    """The tutorial's client in C, with sanitizers."""
+    compiler = COMPILERS[language]
+    if shutil.which(compiler[0]) is None:
+        pytest.skip(f"no {compiler[0]} on this machine")
+    program = folder / "patrol"
+    flags = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    words = [*compiler, *WARNINGS, *flags, f"-I{ROOT / 'include'}", "-o", str(program)]
+    done = subprocess.run([*words, str(ROOT / "examples/arbiter/patrol.c")], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return program
 
 
 class Child:

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
-from pathlib import Path
 
 import pytest
 
-from arbiter.running import CONFIG, until
+from arbiter.running import CONFIG, compile_patrol, until
 from surffollow.arbiter import attach, command_reader
 from surffollow.arbiter.cheader import HEADER, header_text
-
-ROOT = Path(__file__).parents[2]
-WARNINGS = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wshadow", "-Wconversion", "-Wundef"]
 
 
 def test_the_committed_header_is_current():
@@ -22,20 +17,7 @@ def test_the_committed_header_is_current():
 
 @pytest.fixture(scope="module", params=["C", "C++"])
 def patrol(request, tmp_path_factory):
-    """The tutorial's client, with sanitizers."""
-    compiler = {"C": ["gcc", "-std=c11"], "C++": ["g++", "-std=c++17", "-x", "c++"]}[request.param]
-    if shutil.which(compiler[0]) is None:
-        pytest.skip(f"no {compiler[0]} on this machine")
-    program = tmp_path_factory.mktemp("c") / "patrol"
-    flags = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-    source = ROOT / "examples/arbiter/patrol.c"
-    done = subprocess.run(
-        [*compiler, *WARNINGS, *flags, f"-I{ROOT / 'include'}", "-o", str(program), str(source)],
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    return program
+    return compile_patrol(tmp_path_factory.mktemp("c"), request.param)
 
 
 def test_a_client_in_c_is_preempted_waits_and_goes_on(make_arbiter, patrol):
