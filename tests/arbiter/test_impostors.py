@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import pwd
 import signal
 import socket
 import subprocess
@@ -13,6 +14,7 @@ import time
 import uuid
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from arbiter.running import CONFIG, compile_patrol, until
@@ -173,6 +175,21 @@ def test_who_is_named_is_believed_and_nobody_else_from_the_first_attachment_on(h
         until(lambda: reader.latest().safe and f"user 0, expected user {NOBODY}" in reader.refusal)
     honest.stop()
     reader.close()
+
+
+def test_only_whom_users_names_may_attach(honest):
+    def try_it(_):
+        return outcome(lambda: attach(honest.name, "go", owner=0).close())
+
+    honest.config = msgspec.structs.replace(honest.config, users=())
+    honest.start()
+    assert "RefusedError" in as_other_user(try_it)
+    honest.stop()
+    name = pwd.getpwuid(NOBODY).pw_name
+    honest.config = msgspec.structs.replace(honest.config, users=(name,))
+    honest.start()
+    assert as_other_user(try_it) == "done"
+    honest.stop()
 
 
 def fill_backlog(name):

@@ -21,8 +21,8 @@ from surffollow.shm.latch import copy_words_out
 
 _BEAT, _HEAD, _ITEMS = (al.Mailbox.offset(n) for n in ("beat_ns", "head", "item"))
 _ITEM_BYTES, _ITEM_WORDS, _CAPACITY = al.Item.SIZE, al.ITEM_WORDS, al.MAILBOX_ITEMS
-_NUMBER, _CONSUMED, _LIVE, _DENIED, _WAITED, _BROKEN = (
-    al.ClientEntry.offset(n) for n in ("number", "consumed", "live", "denied", "waited_ns", "broken")
+_NUMBER, _CONSUMED, _LIVE, _DENIED, _BROKEN = (
+    al.ClientEntry.offset(n) for n in ("number", "consumed", "live", "denied", "broken")
 )
 _FUTURE_NS = 1_000_000
 
@@ -77,7 +77,7 @@ def tell(mem: Any, slot: Any) -> None:
     entry, person = p.entry_of(mem, slot), mem.people[slot]
     at.store_relaxed_i64(entry + _LIVE, mem.clients[0].live[slot])
     at.store_relaxed_i64(entry + _DENIED, person.denied)
-    at.store_relaxed_i64(entry + _WAITED, person.waited_ns)
+    p.tell_waited(mem, slot)
     at.store_relaxed_i64(entry + _BROKEN, person.broken)
     at.store_release_i64(entry + _CONSUMED, person.tail)
 

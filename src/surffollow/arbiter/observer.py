@@ -154,6 +154,8 @@ class ArbiterObserver:
         resources = {}
         for k, config in enumerate(board.resources):
             s, holder = board.status(k), self.holder(board.names[k])
+            since_ns = s.pop("waiting_since_ns")
+            s["waiting_ns"] = max(0, time.monotonic_ns() - since_ns) if since_ns else 0
             s["state"] = STATES[s["state"]] if 0 <= s["state"] < len(STATES) else "?"
             s["holder"] = holder.name if holder else None
             resources[board.names[k]] = s | {

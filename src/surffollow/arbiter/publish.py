@@ -21,6 +21,7 @@ _REPLY, _REPLY_LATCH, _STATUS, _STATUS_LATCH = (
     al.STATUS_BYTES,
 )
 _HELD, _ASKED, _BELL = (al.ClientDesk.offset(n) for n in ("held", "asked", "bell"))
+_WAITED = al.ClientEntry.offset("waited_ns")
 _SLOT_BYTES = m.CommandSlot.SIZE
 _EVENT_WORDS, _VALUES, _POSE = al.EVENT_WORDS, al.VALUES, al.POSE
 _SOURCE_SAFE, _LIMITED = al.SOURCE_SAFE, al.FLAG_LIMITED
@@ -105,17 +106,26 @@ def ring_bells(mem: Any) -> None:
 
 
 @jit
+def tell_waited(mem: Any, slot: Any) -> None:
+    """Publish the longest wait of a client."""
+    at.store_relaxed_i64(entry_of(mem, slot) + _WAITED, mem.people[slot].waited_ns)
+
+
+@jit
 def publish_status(mem: Any, resource: Any) -> None:
     """Publish who holds a resource."""
     s, machine = mem.status[resource], mem.machines[resource]
     s.state, s.holder, s.token = machine.state, machine.holder, machine.token
-    s.client = s.priority = s.queue = 0
+    s.client = s.priority = s.queue = s.waiting_since_ns = 0
     if machine.holder >= 0:
         s.client = mem.people[machine.holder].number
         s.priority = mem.clients[0].priority[machine.holder]
     for c in range(mem.clients[0].n):
         if machine.ticket[c] != 0:
             s.queue += 1
+            since_ns = mem.people[c].queued_ns[resource]
+            if s.waiting_since_ns == 0 or since_ns < s.waiting_since_ns:
+                s.waiting_since_ns = since_ns
     s.command_ns = mem.runs[resource].command_ns
     address = mem.status.ctypes.data + _STATUS * resource
     latch_write(mem.ctx[m.STATUS] + _STATUS_LATCH * resource, address, _STATUS)

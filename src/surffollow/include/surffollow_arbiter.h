@@ -34,7 +34,7 @@ extern "C" {
 
 #define SFA_BOARD_MAGIC UINT64_C(3549489896627524947)
 #define SFA_HELLO_MAGIC UINT64_C(3552290382808241491)
-#define SFA_LAYOUT_HASH UINT64_C(6026061008274440929)
+#define SFA_LAYOUT_HASH UINT64_C(9861038677883760776)
 #define SFA_COMMAND_HASH UINT64_C(8684360531530651681)
 #define SFA_CLIENTS 32
 #define SFA_RESOURCES 16
@@ -168,8 +168,10 @@ typedef struct sfa_resource_status {
   int64_t rejected;
   int64_t denied;
   int64_t safes; /* safe commands published */
+  int64_t waited_ns; /* [ns] longest wait in its queue that ended, by a grant or in vain */
+  int64_t waiting_since_ns; /* [ns] when the client that waits longest now began, 0: nobody waits */
 } sfa_resource_status;
-SF_STATIC_ASSERT(sizeof(sfa_resource_status) == 112, "layout of sfa_resource_status");
+SF_STATIC_ASSERT(sizeof(sfa_resource_status) == 128, "layout of sfa_resource_status");
 SF_STATIC_ASSERT(offsetof(sfa_resource_status, state) == 0, "layout of sfa_resource_status");
 SF_STATIC_ASSERT(offsetof(sfa_resource_status, holder) == 8, "layout of sfa_resource_status");
 SF_STATIC_ASSERT(offsetof(sfa_resource_status, client) == 16, "layout of sfa_resource_status");
@@ -184,6 +186,8 @@ SF_STATIC_ASSERT(offsetof(sfa_resource_status, forwarded) == 80, "layout of sfa_
 SF_STATIC_ASSERT(offsetof(sfa_resource_status, rejected) == 88, "layout of sfa_resource_status");
 SF_STATIC_ASSERT(offsetof(sfa_resource_status, denied) == 96, "layout of sfa_resource_status");
 SF_STATIC_ASSERT(offsetof(sfa_resource_status, safes) == 104, "layout of sfa_resource_status");
+SF_STATIC_ASSERT(offsetof(sfa_resource_status, waited_ns) == 112, "layout of sfa_resource_status");
+SF_STATIC_ASSERT(offsetof(sfa_resource_status, waiting_since_ns) == 120, "layout of sfa_resource_status");
 
 /* A client slot as everybody sees it. */
 typedef struct sfa_client_entry {
@@ -195,7 +199,7 @@ typedef struct sfa_client_entry {
   int64_t live; /* 1: the lease is live */
   SF_ALIGNAS(64) int64_t consumed; /* items of the mailbox that were taken */
   int64_t denied;
-  int64_t waited_ns; /* [ns] longest wait in a queue so far */
+  int64_t waited_ns; /* [ns] longest wait in a queue that ended, by a grant or in vain */
   int64_t broken; /* times the mailbox held nonsense */
   char name[48];
 } sfa_client_entry;
@@ -250,7 +254,7 @@ typedef struct sfa_event {
   int64_t event;
   int64_t reason; /* event of the table that led to it */
   int64_t item; /* sequence number of the client's item */
-  double command[8];
+  double command[8]; /* of a GRANT or DEQUEUE the first one is the wait in the queue [s] */
 } sfa_event;
 SF_STATIC_ASSERT(sizeof(sfa_event) == 128, "layout of sfa_event");
 SF_STATIC_ASSERT(offsetof(sfa_event, seq) == 0, "layout of sfa_event");
