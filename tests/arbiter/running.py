@@ -172,8 +172,6 @@ def holding(name: str, client: str, resource: str, speed: float = 0.1) -> Callab
         assert mine.request(wait=True, timeout_s=20.0)
         mine.command(*(speed,) * mine.n_values)
         say(b"h")
-        while True:
-            mine.command(*(speed,) * mine.n_values)
-            time.sleep(0.002)
+        until(lambda: mine.command(*(speed,) * mine.n_values) and None, float("inf"))
 
     return work

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import random
 import signal
-import time
 
 import pytest
 
@@ -53,9 +52,7 @@ def test_a_stopped_holder_that_comes_back_commands_nothing_until_it_asks_again(s
         mine = attach(server.name, "go").resource("robot")
         assert mine.request()
         say(b"h")
-        while mine.held:
-            mine.command(0.1, 0.1)
-            time.sleep(0.001)
+        until(lambda: not (mine.command(0.1, 0.1) and mine.held), float("inf"))
         say(b"l")
         assert mine.request()
         say(b"a")

@@ -101,9 +101,8 @@ def impostor_of(honest):
         robot.command(0.5, 1.0)
         child.say("there")
         threading.Thread(target=lambda: (child.hear(), server.stop()), daemon=True).start()
-        while serving.is_alive():
-            robot.command(0.5, 1.0)
-            time.sleep(0.005)
+        until(lambda: not (robot.command(0.5, 1.0) or one.connected), float("inf"))
+        serving.join()
         return "ended"
 
     with OtherUser(work) as other:
