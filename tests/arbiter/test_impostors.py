@@ -24,7 +24,7 @@ from surffollow.arbiter import handshake as hs
 from surffollow.arbiter.board import take_old_board
 from surffollow.arbiter.config import load_config, parse_config
 from surffollow.arbiter.server import Server
-from surffollow.errors import AlreadyRunningError, NoPermissionError, NotRunningError
+from surffollow.errors import AlreadyRunningError, BlockError, NoPermissionError, NotRunningError
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -244,6 +244,17 @@ def test_a_board_that_another_user_made_is_not_taken_over(honest):
             take_old_board(f"{honest.name}.arbiter")
     finally:
         os.unlink(path)
+
+
+def test_a_server_that_may_not_write_a_command_block_leaves_nothing_behind(honest):
+    path = Path(f"/dev/shm/{honest.name}.speaker")
+    assert as_other_user(lambda _: outcome(lambda: path.write_bytes(bytes(8192)))) == "done"
+    with pytest.raises((BlockError, NoPermissionError)):
+        Server(honest.config)
+    assert [p.name for p in Path("/dev/shm").glob(f"{honest.name}*")] == [path.name]
+    path.unlink()
+    honest.start()  # and does not keep the name
+    honest.stop()
 
 
 # -- the header in C ----------------------------------------------------------------------------------

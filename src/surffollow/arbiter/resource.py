@@ -19,6 +19,7 @@ _HEAD, _BEAT, _ITEMS, _MASK, _ITEM_BYTES = ex.HEAD, ex.BEAT, ex.ITEMS, ex.MASK, 
 _RESULT, _TOKEN = ex.RESULT, ex.TOKEN
 _reply: Callable[..., Reply] = tuple.__new__  # half the time of the constructor
 _clock = time.monotonic_ns
+_NO_POSE = (0.0,) * al.POSE
 RELINQUISH_NS = 1_000_000_000
 
 
@@ -130,7 +131,8 @@ class Resource:
         ----------
         values : as many floats as the resource's command has
         t_ns : int, optional     when it was made [ns]; now when absent
-        ref_t_ns, ref_pose       stamp and value (7 floats) of the pose that it is relative to
+        ref_t_ns, ref_pose       stamp and value (7 floats) of the pose that it is relative to; a stamp alone
+            is enough where nothing is summed that is relative to another pose
 
         Returns
         -------
@@ -154,10 +156,10 @@ class Resource:
         now = _clock()
         at = _ITEMS + (head & _MASK) * _ITEM_BYTES
         t = now if t_ns is None else t_ns
-        if ref_pose is None:
+        if ref_t_ns == 0:
             self._pack(self._put, at, head + 1, self._command, token, t, ref_t_ns, *values, *self._padding)
         else:
-            pose = tuple(ref_pose)
+            pose = tuple(ref_pose) if ref_pose is not None else _NO_POSE  # not what the place held before
             ex.COMMAND_AT_POSE.pack_into(
                 self._put, at, head + 1, self._command, token, t, ref_t_ns, *values, *self._padding, *pose
             )

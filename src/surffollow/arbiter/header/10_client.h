@@ -268,9 +268,9 @@ static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t
     memcpy(&word, values + k, 8);
     sf_store_relaxed(item + offsetof(sfa_item, value) + 8 * SF_CAST(size_t, k), word);
   }
-  for (k = 0; ref_pose != NULL && k < SFA_POSE; k++) {
-    int64_t word;
-    memcpy(&word, ref_pose + k, 8);
+  for (k = 0; ref_t_ns != 0 && k < SFA_POSE; k++) {
+    int64_t word = 0; /* no pose, and not what the place held before */
+    if (ref_pose != NULL) memcpy(&word, ref_pose + k, 8);
     sf_store_relaxed(item + offsetof(sfa_item, ref_pose) + 8 * SF_CAST(size_t, k), word);
   }
   a->head++;
