@@ -115,6 +115,9 @@ def add_parts(mem: Any, combination: Any, t_ns: Any) -> Any:
         else:
             for k in range(_VALUES):
                 c.value[k] += run.value[k]
+    for k in range(_VALUES):
+        if not math.isfinite(c.value[k]):
+            return 0  # huge numbers may overflow in a sum though each is finite
     return 1
 
 

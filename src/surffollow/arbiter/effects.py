@@ -30,7 +30,7 @@ def carry_out(mem: Any, resource: Any, effect: Any, t_ns: Any) -> None:
     run, status, action, slot = mem.runs[resource], mem.status[resource], effect.action, effect.client
     if action == t.GRANT:
         end_wait(mem, resource, slot, t_ns)
-        run.item_seq, run.command_ns, run.valid_until_ns = 0, t_ns, 0
+        run.item_seq, run.command_ns, run.valid_until_ns, run.late = 0, t_ns, 0, 0
         status.grants += 1
         status.since_ns = t_ns
         p.tell_held(mem, slot, resource, effect.token)
@@ -57,7 +57,7 @@ def carry_out(mem: Any, resource: Any, effect: Any, t_ns: Any) -> None:
     elif action == t.FORWARD:
         run.item_seq = mem.item[0].seq
         p.forward(mem, resource, slot, effect.token, t_ns)
-    elif p.is_refusal(action) and action >= t.REJECT_NO_CONTROL and action != t.NOTHING:
+    elif action in (t.REJECT_NO_CONTROL, t.REJECT_STALE_TOKEN, t.REJECT_OLD, t.REJECT_BAD):
         status.rejected += 1
 
 

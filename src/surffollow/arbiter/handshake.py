@@ -10,6 +10,7 @@ nothing to a user whom it does not trust (`config.owner`).
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 from collections.abc import Collection
@@ -25,9 +26,10 @@ from surffollow.errors import (
     RequestTimeoutError,
 )
 from surffollow.shm.sealed import has_sealed_size
-from surffollow.shm.unix_socket import new_socket, peer_of
+from surffollow.shm.unix_socket import accept_descriptors, new_socket, peer_of
 
 HELLO_TIMEOUT_S = 1.0
+BACKLOG = 1024
 MAPPED = b"mapped"
 _HELLO, _WELCOME = al.Hello.struct_of("magic", "name"), al.Welcome.struct_of("magic", "detail")
 
@@ -45,6 +47,7 @@ def listen(name: str) -> socket.socket:
     AlreadyRunningError  a live process is
     """
     sock = new_socket()
+    accept_descriptors(sock, False)  # inherited by connections
     try:
         sock.bind(address(name))
     except OSError:
@@ -53,7 +56,7 @@ def listen(name: str) -> socket.socket:
             f"an arbiter {name!r} runs already{_who_listens(name)}; end it, or start this one under another "
             "name (--name)"
         ) from None
-    sock.listen(64)
+    sock.listen(BACKLOG)
     sock.setblocking(False)
     return sock
 
@@ -141,10 +144,13 @@ def knock(name: str, client: str, timeout_s: float, owners: Collection[int] = ()
     try:
         sock.settimeout(max(timeout_s, 0.001))
         try:
+            accept_descriptors(sock, False)  # until it is known who listens
             sock.connect(address(name))
             owner = _owner_of(sock, name, owners)
-            sock.send(_HELLO.pack(al.HELLO_MAGIC, al.layout_hash(), client.encode()[:47]))
-            data, fds, _, _ = socket.recv_fds(sock, al.Welcome.SIZE, 2)
+            accept_descriptors(sock, True)
+            with contextlib.suppress(ConnectionError):  # it may have refused already
+                sock.send(_HELLO.pack(al.HELLO_MAGIC, al.layout_hash(), client.encode()[:47]))
+            data, fds = _hear(sock)
         except NoPermissionError:  # an OSError, too
             raise
         except TimeoutError:
@@ -168,6 +174,15 @@ def knock(name: str, client: str, timeout_s: float, owners: Collection[int] = ()
             os.close(fd)
         sock.close()
         raise
+
+
+def _hear(sock: socket.socket) -> tuple[bytes, list[int]]:
+    """The server's answer, and what came with it."""
+    try:
+        data, fds, _, _ = socket.recv_fds(sock, al.Welcome.SIZE, 2)
+    except ConnectionResetError:  # told once; what it said before it closed comes next
+        data, fds, _, _ = socket.recv_fds(sock, al.Welcome.SIZE, 2)
+    return data, list(fds)
 
 
 def _refuse(name: str, client: str, answer: dict[str, int]) -> None:

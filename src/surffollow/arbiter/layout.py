@@ -113,7 +113,7 @@ class ResourceStatus(Schema):
     priority = I64(doc="of the holder")
     token = I64()
     since_ns = I64(unit="ns", doc="when the holder or the lack of one began")
-    command_ns = I64(unit="ns", doc="last command forwarded")
+    command_ns = I64(unit="ns", doc="when the last command that was forwarded was made")
     queue = I64(doc="clients waiting")
     grants = I64()
     preempted = I64(doc="times a holder lost it without asking")

@@ -161,8 +161,8 @@ def forward(mem: Any, resource: Any, slot: Any, token: Any, t_ns: Any) -> None:
     """Send the command in `mem.item` to a resource, within its limits."""
     run, c, item = mem.runs[resource], mem.slot[0].command, mem.item[0]
     run.command_seq += 1
-    run.command_ns, run.late = t_ns, 0
-    run.valid_until_ns = t_ns + run.ttl_ns
+    run.command_ns, run.late = min(item.t_ns, t_ns), 0  # its time runs from when it was made
+    run.valid_until_ns = run.command_ns + run.ttl_ns
     c.seq, c.t_ns, c.valid_until_ns = run.command_seq, item.t_ns, run.valid_until_ns
     c.source, c.flags, c.client, c.token = al.SOURCE_HOLDER, 0, mem.people[slot].number, token
     c.ref_t_ns, c.n_values = item.ref_t_ns, run.n_values
@@ -183,9 +183,9 @@ def forward(mem: Any, resource: Any, slot: Any, token: Any, t_ns: Any) -> None:
 
 @jit
 def is_refusal(action: Any) -> Any:
-    """Whether an action only tells a client what it may not have."""
+    """Whether an action only tells a client what it has or may not have: it may repeat it without end."""
     return (
-        action in (t.KEEP, t.DENY, t.DENY_LEASE, t.NOTHING, t.REJECT_NO_CONTROL)
+        action in (t.KEEP, t.DENY, t.DENY_LEASE, t.NOTHING, t.ENQUEUE, t.DEQUEUE, t.REJECT_NO_CONTROL)
         or action == t.REJECT_STALE_TOKEN
         or action in (t.REJECT_OLD, t.REJECT_BAD)
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import mmap
 import os
 import pwd
@@ -22,10 +23,20 @@ from surffollow.arbiter.config import ArbiterConfig
 from surffollow.errors import ConfigError
 from surffollow.shm.python_atomics import load_acquire, store_release
 from surffollow.shm.sealed import make_sealed, seal_for_good
-from surffollow.shm.unix_socket import peer_of, peer_pidfd
+from surffollow.shm.unix_socket import accept_descriptors, new_socket, peer_of, peer_pidfd
 
 WATCH_S = 0.2
 LAST_ROUND_S = 2.0
+MOST_SILENT = al.CLIENTS  # connections of one user that have not said who they are
+ACCEPT_AT_ONCE = 64
+
+
+def _rights_can_be_refused() -> bool:
+    with new_socket() as sock:
+        return accept_descriptors(sock, False)
+
+
+_RIGHTS_REFUSED = _rights_can_be_refused()
 
 
 class Guest:
@@ -58,6 +69,14 @@ def users_of(config: ArbiterConfig) -> set[int] | None:
         except KeyError:
             raise ConfigError(f"configuration key users names {name!r}; there is no such user") from None
     return allowed
+
+
+def _drop(sock: socket.socket) -> None:
+    """Close a stranger's connection; not in this thread where it may have sent descriptors that linger."""
+    if _RIGHTS_REFUSED:
+        sock.close()
+    else:
+        threading.Thread(target=sock.close, daemon=True).start()
 
 
 class Reception:
@@ -98,27 +117,39 @@ class Reception:
                     elif fd in self._guests:
                         self._hear(poll, self._guests[fd], fd)
                 self._free_slots()
-                for guest in {id(g): g for g in self._guests.values()}.values():
+                for guest in self._unique_guests():
                     if not guest.joined and time.monotonic() - guest.since > hs.HELLO_TIMEOUT_S:
                         self._part(poll, guest)
 
     def _accept(self, poll: select.epoll) -> None:
-        try:
-            sock, _ = self._listener.accept()
-        except OSError:
-            return
-        sock.setblocking(False)
-        who = peer_of(sock)
-        guest = Guest(sock, who.pid, who.uid)
-        # who is over the limit is not listened to; descriptors are for clients
-        strangers = sum(not g.joined for g in self._guests.values())
-        if strangers > 4 * al.CLIENTS:
-            guest.close()
-            return
-        for fd in (sock.fileno(), guest.pidfd):
-            if fd >= 0:
-                self._guests[fd] = guest
-                poll.register(fd, select.EPOLLIN)
+        for _ in range(ACCEPT_AT_ONCE):
+            try:
+                sock, _ = self._listener.accept()
+            except OSError:
+                return
+            sock.setblocking(False)
+            who = peer_of(sock)
+            silent = sum(not g.joined and g.uid == who.uid for g in self._unique_guests())
+            if not self._may_connect(who.uid):
+                # no word of it is heard, and it takes no place
+                with contextlib.suppress(OSError):
+                    sock.send(hs.welcome(al.HELLO_USER), socket.MSG_NOSIGNAL)
+                _drop(sock)
+                continue
+            if silent >= MOST_SILENT:  # one user cannot keep others out by waiting at the door
+                _drop(sock)
+                continue
+            guest = Guest(sock, who.pid, who.uid)
+            for fd in (sock.fileno(), guest.pidfd):
+                if fd >= 0:
+                    self._guests[fd] = guest
+                    poll.register(fd, select.EPOLLIN)
+
+    def _may_connect(self, uid: int) -> bool:
+        return self._users is None or uid in self._users
+
+    def _unique_guests(self) -> list[Guest]:
+        return list({id(g): g for g in self._guests.values()}.values())
 
     def _part(self, poll: select.epoll, guest: Guest) -> None:
         """The connection is over: its slot is, too."""
@@ -193,8 +224,6 @@ class Reception:
     def _may_enter(self, guest: Guest, name: str | None) -> tuple[int, int]:
         if name is None:
             return al.HELLO_BAD, 0
-        if self._users is not None and guest.uid not in self._users:
-            return al.HELLO_USER, 0
         if name not in self.config.clients:
             return al.HELLO_UNKNOWN_CLIENT, 0
         for other in self._slots:
@@ -235,5 +264,5 @@ class Reception:
 
     def close(self) -> None:
         """Close all connections."""
-        for guest in {id(g): g for g in self._guests.values()}.values():
+        for guest in self._unique_guests():
             guest.close()

@@ -65,7 +65,7 @@ class Resource:
     @property
     def token(self) -> int:
         """The token that this client holds, 0: none."""
-        return int(self._words[self._held])
+        return 0 if self._exchange.ended else int(self._words[self._held])
 
     @property
     def held(self) -> bool:
@@ -78,8 +78,8 @@ class Resource:
         return self._words[self._asked] != 0 and self.held
 
     def holder(self) -> Any:
-        """Who holds the resource (`observer.Holder`), None: nobody."""
-        return self._client.holder(self.name)
+        """Who holds the resource (`observer.Holder`), None: nobody, or the server ended."""
+        return None if self._exchange.ended else self._client.holder(self.name)
 
     def request(self, *, wait: bool = False, timeout_s: float = 1.0) -> Reply:
         """Ask for control.
@@ -136,14 +136,15 @@ class Resource:
 
         Returns
         -------
-        bool  False: this client does not hold the resource, or the mailbox is full; nothing was sent
+        bool  False: this client does not hold the resource, the server ended, or the mailbox is full; nothing
+              was sent
 
         Raises
         ------
         UsageError  another number of values
         """
         token = self._words[self._held]
-        if token == 0:
+        if token == 0 or self._exchange.ended:
             return False
         if len(values) != self.n_values:
             raise UsageError(

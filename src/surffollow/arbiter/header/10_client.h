@@ -10,7 +10,7 @@ typedef struct sfa_client {
   unsigned char *board; /* mapped without write permission */
   size_t board_bytes;
   int sock;
-  int64_t slot, number, epoch, head;
+  int64_t slot, number, epoch, head, lease_ns;
   size_t status_at, desk_at, reply_at, entry_at;
   int64_t owner;
   char name[48], client[48];
@@ -69,16 +69,17 @@ static inline int sfa_i_greet(sfa_client *a, const char *client, int fds[2]) {
   hello.magic = SFA_HELLO_MAGIC;
   hello.layout_hash = SFA_LAYOUT_HASH;
   strncpy(hello.name, client, sizeof hello.name - 1);
-  if (send(a->sock, &hello, sizeof hello, MSG_NOSIGNAL) != SF_CAST(ssize_t, sizeof hello)) return -ENOENT;
+  (void)!send(a->sock, &hello, sizeof hello, MSG_NOSIGNAL); /* it may have refused already: its answer tells */
   part.iov_base = &answer;
   part.iov_len = sizeof answer;
   message.msg_iov = &part;
   message.msg_iovlen = 1;
   message.msg_control = control.bytes;
   message.msg_controllen = sizeof control.bytes;
-  do {
+  n = 1;
+  do { /* a reset is told once; what the server said before it closed comes next */
     got = recvmsg(a->sock, &message, MSG_CMSG_CLOEXEC);
-  } while (got < 0 && errno == EINTR);
+  } while (got < 0 && (errno == EINTR || (errno == ECONNRESET && n-- > 0)));
   n = sfa_i_descriptors(&message, fds);
   if (got < 0) return errno == EAGAIN || errno == EWOULDBLOCK ? -ETIMEDOUT : -ENOENT;
   if (got != SF_CAST(ssize_t, sizeof answer) || answer.magic != SFA_HELLO_MAGIC) return got == 0 ? -ENOENT : -EPROTO;
@@ -111,6 +112,7 @@ static inline int sfa_i_map(sfa_client *a, const int fds[2]) {
   a->board = SF_CAST(unsigned char *, memory);
   h = SF_VIEW(const sfa_board_header *, a->board);
   if (h->magic != SFA_BOARD_MAGIC || h->layout_hash != SFA_LAYOUT_HASH || h->size > a->board_bytes) return -EPROTO;
+  a->lease_ns = h->lease_ns;
   a->status_at = SFA_STATUS_AT;
   a->desk_at = SFA_DESKS_AT + slot * SFA_DESK_BYTES;
   a->reply_at = SFA_REPLIES_AT + slot * SFA_REPLY_BYTES;
@@ -140,12 +142,15 @@ static inline void sfa_detach(sfa_client *a) {
   a->sock = -1;
 }
 
+#define SFA_I_SO_PASSRIGHTS 83
+
 /* Connect to the arbiter's socket; only its user, root or the given `owner` is spoken to: 0 or a negative result. */
 static inline int sfa_i_connect(sfa_client *a, int timeout_ms, int64_t owner) {
   struct sockaddr_un address;
   struct timeval limit;
   int32_t peer[3] = {0, -1, -1}; /* pid, uid, gid of the process that listens, as the kernel tells it */
   socklen_t size = sizeof peer;
+  const int no = 0, yes = 1;
   int n;
   memset(&address, 0, sizeof address);
   address.sun_family = AF_UNIX;
@@ -158,6 +163,8 @@ static inline int sfa_i_connect(sfa_client *a, int timeout_ms, int64_t owner) {
   limit.tv_usec = (timeout_ms % 1000) * 1000;
   setsockopt(a->sock, SOL_SOCKET, SO_RCVTIMEO, &limit, sizeof limit);
   setsockopt(a->sock, SOL_SOCKET, SO_SNDTIMEO, &limit, sizeof limit); /* of connect, too */
+  /* no descriptors until it is known who listens: to drop one may take as long as its sender likes. Linux 6.16 */
+  setsockopt(a->sock, SOL_SOCKET, SFA_I_SO_PASSRIGHTS, &no, sizeof no);
   if (connect(a->sock, SF_VIEW(const struct sockaddr *, &address),
               SF_CAST(socklen_t, offsetof(struct sockaddr_un, sun_path) + 1 + SF_CAST(size_t, n))) != 0) {
     if (errno == EAGAIN || errno == EINPROGRESS) return -ETIMEDOUT;
@@ -165,7 +172,9 @@ static inline int sfa_i_connect(sfa_client *a, int timeout_ms, int64_t owner) {
   }
   if (getsockopt(a->sock, SOL_SOCKET, SF_I_SO_PEERCRED, peer, &size) != 0) return -errno;
   a->owner = peer[1];
-  return sf_i_owner_ok(owner, SF_CAST(uid_t, peer[1])) ? 0 : -EPERM;
+  if (!sf_i_owner_ok(owner, SF_CAST(uid_t, peer[1]))) return -EPERM;
+  setsockopt(a->sock, SOL_SOCKET, SFA_I_SO_PASSRIGHTS, &yes, sizeof yes);
+  return 0;
 }
 
 /*
@@ -282,16 +291,18 @@ static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t
 /*
  * Command a resource that this client holds: `n` values, as many as the resource declares, relative to the
  * pose stamped `ref_t_ns` (0: none; then `ref_pose` may be NULL). Never waits.
- * Returns 1; 0: the resource is not ours (any more), nothing was sent; -EAGAIN: the mailbox is full.
+ * Returns 1; 0: the resource is not ours (any more), nothing was sent; -EAGAIN: the mailbox is full; -ENOENT: the
+ * server was silent for a lease.
  */
 static inline int sfa_command_at(sfa_client *a, int resource, const double *values, int n, int64_t ref_t_ns,
                                  const double *ref_pose) {
-  const int64_t token = sfa_held(a, resource);
+  const int64_t token = sfa_held(a, resource), now = sf_now_ns();
   int err;
   if (token == 0) return 0;
   if (n < 0 || n > SFA_VALUES) return -EINVAL;
-  err = sfa_i_post(a, SFA_ITEM_COMMAND | SF_CAST(int64_t, resource) << 8, token, sf_now_ns(), values, n, ref_t_ns,
-                   ref_pose);
+  /* a server looks at the mailbox of a holder once in its period: one that did not for a lease is no more */
+  if (now - sf_load_relaxed(a->board + offsetof(sfa_board_header, beat_ns)) > a->lease_ns) return -ENOENT;
+  err = sfa_i_post(a, SFA_ITEM_COMMAND | SF_CAST(int64_t, resource) << 8, token, now, values, n, ref_t_ns, ref_pose);
   return err == 0 ? 1 : err;
 }
 
