@@ -17,13 +17,14 @@ from surffollow.arbiter import handshake as hs
 from surffollow.arbiter import layout as al
 from surffollow.arbiter import memory as m
 from surffollow.arbiter import table as t
-from surffollow.arbiter.board import Board, CommandBlock, group_id
+from surffollow.arbiter.board import Board, CommandBlock, group_id, own_name
 from surffollow.arbiter.config import ArbiterConfig, limits
 from surffollow.arbiter.effects import happen
 from surffollow.arbiter.loop import run_rounds
 from surffollow.arbiter.reception import Reception, users_of
 from surffollow.config.service import mode
 from surffollow.errors import ServiceError
+from surffollow.shm.name_lock import NameLock
 from surffollow.shm.python_atomics import load_acquire, store_release
 
 _SYS_FUTEX_WAITV, _ENOSYS = 449, 38
@@ -36,10 +37,12 @@ class Server:
         self.config, users = config, users_of(config)
         self._listener = hs.listen(config.name)
         self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._own: NameLock | None = None
         self._error = ""
         self._blocks: list[CommandBlock] = []
         self.board: Any = None
         try:
+            self._own = own_name(config.name)
             self.board = Board(config)
             access, group = mode(config.mode, "mode"), group_id(config.group)
             for name in (*config.resources, *config.combine):
@@ -151,6 +154,8 @@ class Server:
             block.remove()
         if self.board is not None:
             self.board.remove()
+        if self._own is not None:
+            self._own.release()
 
 
 def has_waitv() -> int:
