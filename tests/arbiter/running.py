@@ -95,15 +95,18 @@ COMPILERS = {"C": ["gcc", "-std=c11"], "C++": ["g++", "-std=c++17", "-x", "c++"]
 ROOT = Path(__file__).parents[2]
 
 
-def compile_patrol(folder: Path, language: str = "C") -> Path:
-    """The tutorial's client in C, with sanitizers."""
+PATROL = ROOT / "examples/arbiter/patrol.c"
+
+
+def compile_client(folder: Path, language: str = "C", source: Path = PATROL) -> Path:
+    """A client in C, the tutorial's when nothing else is said, with sanitizers."""
     compiler = COMPILERS[language]
     if shutil.which(compiler[0]) is None:
         pytest.skip(f"no {compiler[0]} on this machine")
-    program = folder / "patrol"
+    program = folder / source.stem
     flags = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     words = [*compiler, *WARNINGS, *flags, f"-I{ROOT / 'include'}", "-o", str(program)]
-    done = subprocess.run([*words, str(ROOT / "examples/arbiter/patrol.c")], capture_output=True, text=True)
+    done = subprocess.run([*words, str(source)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return program
 

@@ -1,4 +1,4 @@
-"""What a reviewer broke: hostile numbers, hostile descriptors, strangers at the door, floods, dead servers."""
+"""Hostile numbers and descriptors, strangers at the door, floods, dead servers, a second start."""
 
 from __future__ import annotations
 
@@ -94,11 +94,7 @@ def test_no_number_that_is_none_leaves_the_server_whatever_finite_ones_come_in(s
             q.command(*six, ref_t_ns=2 + k, ref_pose=pose)
             u.command((1e308, -1e308)[k % 2])
             v.command((1e308, -1e308)[k // 2 % 2])
-            until(
-                lambda: all(
-                    one.exchange.post[HEAD] == one.exchange.words[one.exchange.consumed] for one in both
-                )
-            )
+            until(lambda: all(e.post[HEAD] == e.words[e.consumed] for e in (a.exchange, b.exchange)))
             for reader in (tool, free):
                 c = reader.latest()
                 assert all(math.isfinite(x) for x in c.values), (pose, c)
@@ -117,11 +113,7 @@ def test_no_number_that_is_none_leaves_the_server_whatever_finite_ones_come_in(s
 def test_a_pose_that_is_no_unit_quaternion_is_rejected(both):
     a, _ = both
     p, history = held(a, "p"), a.history()
-    for pose in (
-        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0),
-        (0.0, 0.0, float("inf"), 0.0, 0.0, 0.0, 1.0),
-        (1.0,) * 7,
-    ):
+    for pose in ((*POSE[:6], 2.0), (math.inf, *POSE[1:]), (1.0,) * 7):
         assert p.command(*(0.0,) * 6, ref_t_ns=1, ref_pose=pose)
     assert p.command(*(0.0,) * 6, ref_t_ns=1, ref_pose=POSE)
     assert p.command(*(0.0,) * 6, ref_t_ns=1)
@@ -139,8 +131,9 @@ def test_a_command_is_valid_for_its_time_from_when_it_was_made(summed, both):
         until(lambda: [e for e in history if e.event == "FORWARD"])
         command = until(lambda: (c := reader._block.latest().values) and c.value[0] == 1.0 and c)
         assert command.valid_until_ns == made + 250_000_000
-        (late,) = until(lambda: [e for e in history if e.event == "SAFE"])
-        assert 250e6 <= late.t_ns - made < 450e6 + 1e9  # at the latest on a machine that is very busy
+        (late,) = until(lambda: [e for e in history if e.resource == "u" and e.event == "SAFE"])
+        assert late.reason == "LATE"
+        assert late.t_ns - made >= 250e6
 
 
 def test_the_safe_command_goes_out_at_the_end_of_the_time_to_live_however_long_its_period(tmp_path):

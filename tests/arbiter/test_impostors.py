@@ -17,7 +17,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from arbiter.running import CONFIG, compile_patrol, until
+from arbiter.running import CONFIG, compile_client, until
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import handshake as hs
@@ -262,7 +262,7 @@ def test_a_server_that_may_not_write_a_command_block_leaves_nothing_behind(hones
 
 @pytest.fixture(scope="module")
 def patrol(tmp_path_factory):
-    return compile_patrol(tmp_path_factory.mktemp("patrol"))
+    return compile_client(tmp_path_factory.mktemp("patrol"))
 
 
 def run_patrol(patrol, name, seconds, **environment):

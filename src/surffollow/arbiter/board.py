@@ -45,9 +45,9 @@ def group_id(name: str) -> int:
 
 
 def own_name(name: str) -> NameLock:
-    """Become the owner of an arbiter's objects in /dev/shm, which others may share who do not share its socket.
+    """Become the owner of an arbiter's objects in /dev/shm.
 
-    The name of a socket ends at a network namespace: two containers may both bind it.
+    The socket alone does not make it that: two containers that share /dev/shm may both bind its name.
 
     Raises
     ------
@@ -62,8 +62,8 @@ def own_name(name: str) -> NameLock:
         if time.monotonic() > deadline:
             pid = holder(f"{name}.arbiter")
             raise AlreadyRunningError(
-                f"an arbiter {name!r} runs already (process {pid if pid > 0 else 'unknown'}, perhaps in another "
-                "network namespace); end it, or start this one under another name (--name)"
+                f"an arbiter {name!r} runs already (process {pid if pid > 0 else 'unknown'}, perhaps in "
+                "another network namespace); end it, or start this one under another name (--name)"
             )
         time.sleep(0.005)
 

@@ -129,6 +129,8 @@ static inline int sfb_i_continue(sfb_writer *w, const sfb_schema *s, mode_t mode
   if (sfb_word(w->memory, 0) != UINT64_C({magic}) || sfb_word(w->memory, {version_at}) != {version}) {
     munmap(w->memory, w->size);
     close(fd);
+    w->memory = NULL;
+    w->fd = -1;
     return -EPROTO; /* something that is no block bears the name */
   }
   latch = sfb_word(w->memory, {latch_offset});

@@ -221,14 +221,17 @@ static inline int sfa_reattach(sfa_client *a, int timeout_ms) {
   return err;
 }
 
+static inline const sfa_resource_config *sfa_i_config(const sfa_client *a, int64_t resource) {
+  return SF_VIEW(const sfa_resource_config *,
+                 a->board + SFA_CONFIG_AT + SF_CAST(size_t, resource) * sizeof(sfa_resource_config));
+}
+
 /* Number of a resource, or -EINVAL. */
 static inline int sfa_resource(const sfa_client *a, const char *name) {
   const sfa_board_header *h = SF_VIEW(const sfa_board_header *, a->board);
   int64_t r;
   for (r = 0; r < h->n_resources && r < SFA_RESOURCES; r++) {
-    const sfa_resource_config *c =
-        SF_VIEW(const sfa_resource_config *, a->board + SFA_CONFIG_AT + SF_CAST(size_t, r) * sizeof(sfa_resource_config));
-    if (strncmp(c->name, name, sizeof c->name) == 0) return SF_CAST(int, r);
+    if (strncmp(sfa_i_config(a, r)->name, name, sizeof sfa_i_config(a, r)->name) == 0) return SF_CAST(int, r);
   }
   return -EINVAL;
 }
@@ -240,11 +243,13 @@ static inline void sfa_beat(sfa_client *a) {
 
 /* The token of a resource that this client holds, 0: none; from memory, never waits. */
 static inline int64_t sfa_held(const sfa_client *a, int resource) {
+  if (resource < 0 || resource >= SFA_RESOURCES) return 0;
   return sf_load_acquire(a->board + a->desk_at + offsetof(sfa_client_desk, held) + 8 * SF_CAST(size_t, resource));
 }
 
 /* Whether the server asks this holder to relinquish (cooperative policy). */
 static inline int sfa_asked(const sfa_client *a, int resource) {
+  if (resource < 0 || resource >= SFA_RESOURCES) return 0;
   return sf_load_acquire(a->board + a->desk_at + offsetof(sfa_client_desk, asked) + 8 * SF_CAST(size_t, resource)) != 0;
 }
 
@@ -257,6 +262,7 @@ static inline int sfa_ended(const sfa_client *a) {
 
 /* Status of a resource: 1, or 0 when there is none whole yet. */
 static inline int sfa_status(const sfa_client *a, int resource, sfa_resource_status *out) {
+  if (resource < 0 || resource >= SFA_RESOURCES) return 0;
   return sf_latch_read(a->board + a->status_at + SF_CAST(size_t, resource) * SFA_STATUS_BYTES, sizeof *out, out) > 0;
 }
 
@@ -292,14 +298,15 @@ static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t
  * Command a resource that this client holds: `n` values, as many as the resource declares, relative to the
  * pose stamped `ref_t_ns` (0: none; then `ref_pose` may be NULL). Never waits.
  * Returns 1; 0: the resource is not ours (any more), nothing was sent; -EAGAIN: the mailbox is full; -ENOENT: the
- * server was silent for a lease.
+ * server was silent for a lease; -EINVAL: no such resource, or another number of values.
  */
 static inline int sfa_command_at(sfa_client *a, int resource, const double *values, int n, int64_t ref_t_ns,
                                  const double *ref_pose) {
   const int64_t token = sfa_held(a, resource), now = sf_now_ns();
   int err;
+  if (resource < 0 || resource >= SFA_RESOURCES) return -EINVAL;
   if (token == 0) return 0;
-  if (n < 0 || n > SFA_VALUES) return -EINVAL;
+  if (n != sfa_i_config(a, resource)->n_values || n > SFA_VALUES) return -EINVAL;
   /* a server looks at the mailbox of a holder once in its period: one that did not for a lease is no more */
   if (now - sf_load_relaxed(a->board + offsetof(sfa_board_header, beat_ns)) > a->lease_ns) return -ENOENT;
   err = sfa_i_post(a, SFA_ITEM_COMMAND | SF_CAST(int64_t, resource) << 8, token, now, values, n, ref_t_ns, ref_pose);
@@ -337,6 +344,7 @@ static inline int sfa_i_ask(sfa_client *a, int64_t what, int64_t deadline, sfa_r
 /* Give control back, or leave the queue: 0 or a negative result. */
 static inline int sfa_relinquish(sfa_client *a, int resource) {
   sfa_reply reply;
+  if (resource < 0 || resource >= SFA_RESOURCES) return -EINVAL;
   return sfa_i_ask(a, SFA_ITEM_RELINQUISH | SF_CAST(int64_t, resource) << 8, sf_now_ns() + 1000000000, &reply);
 }
 
