@@ -28,6 +28,7 @@ from surffollow.shm.name_lock import NameLock
 from surffollow.shm.python_atomics import load_acquire, store_release
 
 _SYS_FUTEX_WAITV, _ENOSYS = 449, 38
+COUNTER_BITS = 28  # of a token's low half: grants of one resource in one epoch
 
 
 class Server:
@@ -94,6 +95,7 @@ class Server:
     def _start_resources(self) -> None:
         for r in range(len(self.config.resources)):
             happen(self.mem, r, t.RESTART, -1, 0, 0, time.monotonic_ns())
+            self.mem.machines[r]["counter"] = r << COUNTER_BITS  # no two resources grant the same token
 
     # -- run --------------------------------------------------------------------------------------
 
