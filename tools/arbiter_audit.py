@@ -204,6 +204,7 @@ def main() -> int:
     stopped: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda n, _: stopped.append(n))
+    print("READY", file=sys.stderr, flush=True)  # from now on a signal ends it with its findings
     book = audit(words.name, stopped)
     result = {**book.counts, "forwarded_of": book.forwarded_of, "violations": book.violations}
     print(json.dumps(result) if words.json else result, flush=True)

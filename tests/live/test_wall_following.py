@@ -9,7 +9,9 @@ import sys
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from surffollow.cli.base import line_of, wall_follow_command
 from surffollow.errors import ConfigError, UsageError
 from surffollow.live.wall_clients import Avoid, make_clients
 from surffollow.live.wall_following import Arbitration, figures, ring_of, run_experiment, sense, tick
@@ -138,3 +140,28 @@ def test_the_command_prints_json_and_draws(tmp_path):
     wrong = subprocess.run([*words, "--plot", str(tmp_path / "run.doc")], capture_output=True, text=True)
     assert wrong.returncode == 2
     assert not (tmp_path / "run.doc").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--seeds", "-3"], "names no seeds"),
+        (["--seeds", "-3:2"], "names no seeds"),
+        (["--seeds", "1:3", "--processes"], "one seed at a time"),
+    ],
+)
+def test_seeds_that_cannot_be_run_are_refused(words, why):
+    got = CliRunner().invoke(wall_follow_command, words)
+    assert got.exit_code == 2
+    assert why in got.output
+
+
+def test_what_a_short_run_does_not_tell_is_said_so():
+    text = line_of(
+        dict.fromkeys(
+            ("distance_rms_m", "heading_repeatability_rad", "heading_rms_rad", "least_gap_m"), math.nan
+        )
+        | {"contacts": 0, "laps": 0.1, "seconds": 2.0}
+    )
+    assert "nan" not in text
+    assert "distance RMS unknown" in text

@@ -95,6 +95,10 @@ def incidence_limit(half_beam_rad: float, model: str, max_incidence_rad: float |
     return float(max_incidence_rad)
 
 
+MOST_RAD = 1e6
+LEAST_SIGMA_M, MOST_SIGMA_M = 1e-12, 1e6  # their squares and inverse squares stay ordinary numbers
+
+
 def _checked(
     positions_m: ArrayLike,
     headings_rad: ArrayLike,
@@ -106,9 +110,15 @@ def _checked(
     max_range_m: float,
 ) -> Ring:
     limit = incidence_limit(half_beam_rad, model, max_incidence_rad)
-    positions = np.ascontiguousarray(positions_m, np.float64)
-    headings = np.ascontiguousarray(headings_rad, np.float64)
-    ranges = np.ascontiguousarray(ranges_m, np.float64)
+    try:
+        positions, headings, ranges, given = (
+            np.ascontiguousarray(a, np.float64) for a in (positions_m, headings_rad, ranges_m, sigma_m)
+        )
+        max_range_m = float(max_range_m)
+    except (TypeError, ValueError) as e:
+        raise UsageError(
+            f"positions, headings, ranges, sigma_m and max_range_m must be numbers: {e}"
+        ) from None
     m = headings.size
     if headings.shape != (m,) or ranges.shape != (m,) or positions.shape != (m, 2):
         raise UsageError(
@@ -117,13 +127,19 @@ def _checked(
         )
     if not (np.isfinite(positions).all() and np.isfinite(headings).all()):
         raise UsageError("positions_m or headings_rad is not finite; leave such a sonar out")
+    if (np.abs(headings) > MOST_RAD).any():
+        raise UsageError(
+            f"headings_rad has a value beyond ±{MOST_RAD:g} rad, where angles have no precision left"
+        )
+    if not max_range_m > 0.0:
+        raise UsageError(f"max_range_m is {max_range_m}; expected a positive number, or inf")
     if (ranges <= 0.0).any():
         raise UsageError(
             f"ranges_m has the value {ranges[ranges <= 0.0][0]}; use inf for no echo, NaN for none measured"
         )
-    sigmas = np.ascontiguousarray(np.broadcast_to(np.asarray(sigma_m, np.float64), (m,)))
-    if not (np.isfinite(sigmas) & (sigmas >= 0.0)).all():
-        raise UsageError("sigma_m must be finite and not negative")
+    sigmas = np.ascontiguousarray(np.broadcast_to(given.reshape(()) if given.size == 1 else given, (m,)))
+    if not ((sigmas == 0.0) | ((sigmas >= LEAST_SIGMA_M) & (sigmas <= MOST_SIGMA_M))).all():
+        raise UsageError(f"sigma_m must be 0 (exact), or {LEAST_SIGMA_M:g} to {MOST_SIGMA_M:g} m")
     return Ring(positions, headings, ranges, sigmas, float(half_beam_rad), limit, float(max_range_m))
 
 
