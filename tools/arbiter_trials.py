@@ -172,13 +172,10 @@ def audited(name: str) -> Iterator[dict[str, Any]]:
     found: dict[str, Any] = {}
     program = Path(__file__).with_name("arbiter_audit.py")
     process = subprocess.Popen(
-        [sys.executable, str(program), name, "--json"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+        [sys.executable, str(program), name, "--json"], stdout=subprocess.PIPE, text=True
     )
-    assert process.stderr is not None
-    assert process.stderr.readline() == "READY\n"
+    assert process.stdout is not None
+    process.stdout.readline()  # it follows
     try:
         yield found
     finally:
