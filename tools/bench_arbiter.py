@@ -180,12 +180,12 @@ def attacker(name: str, attack: Callable[[Any, random.Random], None], seed: int)
 def withstand(nursery: Nursery, what: str, seconds: float, seed: int) -> dict[str, Any]:
     """One attack: how long an honest client waited at most, and what the audit says of the attacker."""
     nursery.restart()  # the audit reads a history from its beginning
-    longest, grants, begin = 0.0, 0, time.monotonic()
+    longest, grants = 0.0, 0
     with audited(nursery.name) as found:
         pid, r = fork(attacker(nursery.name, ATTACKS[what], seed))
         (number,) = struct.unpack("<q", os.read(r, 8))
         with attach(nursery.name, "avoid") as one:
-            robot = one.resource("robot")
+            robot, begin = one.resource("robot"), time.monotonic()
             while time.monotonic() - begin < seconds:
                 start = time.monotonic()
                 reply = robot.request(timeout_s=5.0)

@@ -48,8 +48,8 @@ def test_classes_say_what_the_same_table_in_toml_says():
     text = CONFIG.replace("MORE_CLIENTS", "")
     in_toml = parse_config(tomllib.loads(f'name = "cell"\n{text}'))
     declared = declare("cell", CLIENTS, [Robot, Camera, Speaker])
-    for one in (in_toml, declared):
-        assert (one.name, one.clients, one.lease_ns) == ("cell", CLIENTS, 300_000_000)
+    for config in (in_toml, declared):
+        assert (config.name, config.clients, config.lease_ns) == ("cell", CLIENTS, 300_000_000)
     robot, as_toml = declared.resources["robot"], in_toml.resources["robot"]
     assert robot == as_toml
     for name in ("camera", "speaker"):
