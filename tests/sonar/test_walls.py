@@ -172,28 +172,3 @@ def test_one_contradiction_outweighs_two_further_inliers():
     more[[cd.INLIERS, cd.CONTRADICTIONS]] = 4, 1
     fewer[cd.INLIERS] = 2
     assert cd.best_candidate(np.array([more, fewer]), 2) == 1
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"sigma_m": 1e-300},
-        {"sigma_m": 1e300},
-        {"sigma_m": "x"},
-        {"max_range_m": math.nan},
-        {"max_range_m": -1.0},
-        {"headings_rad": (0.0, 1e300)},
-        {"ranges_m": ("a", 1.0)},
-    ],
-)
-def test_numbers_that_no_sonar_has_are_refused_in_words(wrong):
-    given = {
-        "positions_m": ((0.35, 0.0), (0.35, 0.1)),
-        "headings_rad": (0.0, 0.2),
-        "ranges_m": (1.0, 1.0),
-        "half_beam_rad": 0.2,
-        "sigma_m": 0.01,
-    }
-    assert fused_pose(**given) is not None
-    with pytest.raises(UsageError):
-        fused_pose(**(given | wrong))

@@ -21,6 +21,9 @@ from surffollow.sonar.ring_walls import find_walls
 
 MAX_CANDIDATES = 8192
 MODELS = ("specular", "diffuse")
+MAX_LENGTH_M = 1e6  # positions, ranges and deviations beyond it are errors of units
+MIN_SIGMA_M = 1e-12  # the closed forms divide by the variance
+MAX_HEADING_RAD = 1e6  # beyond it a float's step is more than a nanoradian
 
 
 @dataclass(frozen=True)
@@ -95,10 +98,6 @@ def incidence_limit(half_beam_rad: float, model: str, max_incidence_rad: float |
     return float(max_incidence_rad)
 
 
-MOST_RAD = 1e6
-LEAST_SIGMA_M, MOST_SIGMA_M = 1e-12, 1e6  # their squares and inverse squares stay ordinary numbers
-
-
 def _checked(
     positions_m: ArrayLike,
     headings_rad: ArrayLike,
@@ -110,15 +109,9 @@ def _checked(
     max_range_m: float,
 ) -> Ring:
     limit = incidence_limit(half_beam_rad, model, max_incidence_rad)
-    try:
-        positions, headings, ranges, given = (
-            np.ascontiguousarray(a, np.float64) for a in (positions_m, headings_rad, ranges_m, sigma_m)
-        )
-        max_range_m = float(max_range_m)
-    except (TypeError, ValueError) as e:
-        raise UsageError(
-            f"positions, headings, ranges, sigma_m and max_range_m must be numbers: {e}"
-        ) from None
+    positions = np.ascontiguousarray(positions_m, np.float64)
+    headings = np.ascontiguousarray(headings_rad, np.float64)
+    ranges = np.ascontiguousarray(ranges_m, np.float64)
     m = headings.size
     if headings.shape != (m,) or ranges.shape != (m,) or positions.shape != (m, 2):
         raise UsageError(
@@ -127,19 +120,23 @@ def _checked(
         )
     if not (np.isfinite(positions).all() and np.isfinite(headings).all()):
         raise UsageError("positions_m or headings_rad is not finite; leave such a sonar out")
-    if (np.abs(headings) > MOST_RAD).any():
+    told = ranges[np.isfinite(ranges)]
+    longest_m = max((float(np.abs(a).max()) for a in (positions, told) if a.size), default=0.0)
+    if longest_m > MAX_LENGTH_M or (np.abs(headings) > MAX_HEADING_RAD).any():
         raise UsageError(
-            f"headings_rad has a value beyond ±{MOST_RAD:g} rad, where angles have no precision left"
+            f"positions_m and ranges_m reach {longest_m:.3g} m, headings_rad "
+            f"{np.abs(headings).max():.3g} rad; expected at most {MAX_LENGTH_M:g} m and "
+            f"{MAX_HEADING_RAD:g} rad"
         )
-    if not max_range_m > 0.0:
-        raise UsageError(f"max_range_m is {max_range_m}; expected a positive number, or inf")
     if (ranges <= 0.0).any():
         raise UsageError(
             f"ranges_m has the value {ranges[ranges <= 0.0][0]}; use inf for no echo, NaN for none measured"
         )
-    sigmas = np.ascontiguousarray(np.broadcast_to(given.reshape(()) if given.size == 1 else given, (m,)))
-    if not ((sigmas == 0.0) | ((sigmas >= LEAST_SIGMA_M) & (sigmas <= MOST_SIGMA_M))).all():
-        raise UsageError(f"sigma_m must be 0 (exact), or {LEAST_SIGMA_M:g} to {MOST_SIGMA_M:g} m")
+    if not max_range_m > 0.0:
+        raise UsageError(f"max_range_m is {max_range_m}; expected a positive distance, or inf")
+    sigmas = np.ascontiguousarray(np.broadcast_to(np.asarray(sigma_m, np.float64), (m,)))
+    if not ((sigmas == 0.0) | (sigmas >= MIN_SIGMA_M) & (sigmas <= MAX_LENGTH_M)).all():
+        raise UsageError(f"sigma_m must be 0 (exact readings), or from {MIN_SIGMA_M:g} to {MAX_LENGTH_M:g} m")
     return Ring(positions, headings, ranges, sigmas, float(half_beam_rad), limit, float(max_range_m))
 
 
@@ -186,7 +183,8 @@ def wall_pose(
     list of WallPose
         The walls that every reading agrees with, the least L²·var φ + var d (L = 1 m) first. `ambiguous` is
         set in all of them when there are several. Covariance alone must not choose: it prefers mirrored
-        walls.
+        walls. Empty where infinitely many walls agree: a lone echo, or sonars at one place with equal
+        ranges; `fused_pose` answers these with the covariance that the beams leave.
 
     Raises
     ------
