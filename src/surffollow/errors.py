@@ -6,6 +6,7 @@
     ├── UsageError (also ValueError)       the caller's argument cannot be right           exit code 2
     │   ├── ConfigError                    a configuration key, value or unit is wrong
     │   ├── PoseError                      a pose is not finite, not 7 long, not unit
+    │   ├── ReadingError                   a pushed range, its time or its channel cannot be
     │   ├── RegionError                    a map region is empty, inverted or too large
     │   ├── ClosedError                    the attachment was closed by its owner
     │   ├── NameError_                     a block name is not allowed
@@ -53,6 +54,10 @@ class ConfigError(UsageError):
 
 class PoseError(UsageError):
     """A pose that is not finite, not seven numbers, or not a unit quaternion."""
+
+
+class ReadingError(UsageError):
+    """A pushed range whose channel, time or distance cannot be."""
 
 
 class RegionError(UsageError):
