@@ -1,12 +1,14 @@
-"""Start a service once and scan a little, alone: both processors compile what the workers then load."""
+"""Start service and arbiter once and scan a little, alone: both processors compile what is then loaded."""
 
 from __future__ import annotations
 
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 
+from arbiter.running import Running
 from running_service import Service, config_text
 
 
@@ -44,10 +46,13 @@ def warm_scan() -> None:
 
 
 if __name__ == "__main__":
-    with tempfile.TemporaryDirectory() as folder:
-        service = Service(Path(folder), config_text(kind="simulated"))
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor() as beside:
+        service, arbiter = Service(Path(folder), config_text(kind="simulated")), Running(Path(folder))
         try:
+            started = beside.submit(arbiter.start)
             service.start().terminate()
+            started.result()
         finally:
             service.purge()
+            arbiter.purge()
     warm_scan()

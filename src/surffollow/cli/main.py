@@ -35,6 +35,7 @@ VERBS = {
     "arbiter": ("arbiter", "arbiter_group", "Share a robot among clients by priority."),
     "base": ("base", "base_command", "Simulate a mobile base with sonars."),
     "base-client": ("base", "base_client_command", "Run one client of the wall-following experiments."),
+    "device": ("device", "device_command", "Simulate a camera or a speaker beside a base."),
     "wall-follow": ("base", "wall_follow_command", "Follow walls by clients that share a base."),
     "calibrate": ("calibrate", "calibrate_group", "Calibrate a sensor: range table, latency, mount."),
     "header": ("header", "header_command", "Print the C header of the client library."),
