@@ -72,19 +72,19 @@ def way_ahead(params: Any, a: Any, pose: Any, pose_t_ns: Any) -> Any:
 
 
 @jit
-def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any) -> Any:
+def adaptive_demand(params: Any, a: Any, sense: Any, fold: Any, inputs: Any, output: Any, pose: Any) -> Any:
     """Demand of the adaptive mode into `output`; returns status bits.
 
     Parameters
     ----------
-    params, state, inputs, output : records of `Params`, `FollowState`, `Inputs`, `Output`
+    params, a, sense, fold, inputs, output : records of `Params`, `AdaptiveState`, `SenseState`,
+        `FoldBackState`, `Inputs`, `Output`, all in plain numbers (`adaptive_scales`)
     pose : (7,) float64 scratch
 
     Notes
     -----
     Needs a pose. The demand adds to the newest pose reported, `output.pose_t_ns`.
     """
-    a, sense = state.adaptive, state.sense
     newest = (sense.pose_count - 1) & (POSES - 1)
     pose_t_ns = sense.pose_t_ns[newest]
     watch_clock(a, inputs.t_ns, pose_t_ns)
@@ -92,7 +92,7 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
     tool_z = sense.pose[7 * newest + 2]
     plane = 1 if params.orient != 0 and params.n_channels >= 3 else 0
     learn_plant(params, a, sense, 0 if params.adapt == 0 or params.run != RUN_NORMAL else 1)
-    take_news(params, state, inputs, output, plane, pose)
+    take_news(params, a, sense, fold, inputs, output, plane, pose)
     if plane == 0 and params.n_channels > 1:
         take_scouts(params, a, sense, 1 if a.speed_mps >= KNOWN_DIRECTION_MPS else 0, pose)
     stuck = is_stuck(a)
@@ -153,12 +153,12 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
     cut = limit(demand, params.max_demand_m)
     if cut != demand:
         status |= LIMITED
-    if state.paper.close != 0:
+    if fold.close != 0:
         a.faults |= FAULT_CLOSE
         status |= TOO_CLOSE
         cut = max(cut, min(PROBE_M, params.max_demand_m))
     output.demand[2] = cut
-    if state.paper.close != 0:
+    if fold.close != 0:
         a.turn_ns = 0  # first away from the surface, then turn
     elif plane != 0 and a.planes > 0:
         demand_turn(params, a, sense, output)
