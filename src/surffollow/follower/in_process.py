@@ -264,13 +264,14 @@ class Follower:
             m = self._multimodel[0]
             out["mode"] = MULTIMODEL
             out["health"] = HEALTH_NAMES[int(o["health"])]
-            out["reason"] = REASON_NAMES[int(m["health"]["reason"])]
+            out["reason"] = REASON_NAMES[int(o["reason"])]
             out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
             out.update({n: o[n].item() for n in ("sigma_m", "noise_m", "roughness_m", "late_s", "tau_s")})
             out["weights"] = m["weights"]["w"][: int(m["tuning"]["n_models"])].tolist()
         elif self._params["mode"][0] == MODE_ADAPTIVE:
             a = self._state["adaptive"][0]
             out["health"] = HEALTH_NAMES[int(o["health"])]
+            out["reason"] = REASON_NAMES[int(o["reason"])]
             out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
             told: tuple[str, ...] = ("sigma_m", "noise_m", "roughness_m", "late_s", "latency_s", "tau_s")
             told += ("permitted_variance_m", "interval_size_m", "range_size", "beams")

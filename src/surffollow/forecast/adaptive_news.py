@@ -36,7 +36,7 @@ def forget_stamps(a: Any) -> None:
 
     Stamps that are compared for being the same, or that a restart sets, need no care.
     """
-    a.held_ns = a.sample_ns = a.accepted_ns = a.trend_ns = 0
+    a.held_ns = a.sample_ns = a.accepted_ns = a.sure_ns = a.trend_ns = 0
     a.set_ns = a.turn_ns = a.tick_ns = a.calm_ns = a.wanted_ns = 0
     a.ticks = a.tick_open = 0  # set points of future ticks would never be taken
     a.plant_ns = a.distrust_ns = a.arrival_ns = 0

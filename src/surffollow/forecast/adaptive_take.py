@@ -112,6 +112,8 @@ def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any
     a.quarantined = a.disagreed = 0
     a.doubted_m = 0.0
     a.sample_ns = a.accepted_ns = t_ns
+    if a.sure_ns == 0:
+        a.sure_ns = t_ns
     a.settle_ns = t_ns + (FIRST_SETTLE_NS if fresh else SETTLE_NS)
     a.since_step_m = a.step_m = 0.0
     a.step_ns = 0
@@ -271,6 +273,8 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
         put_shadows(a, a.height_m + drop_m)
     a.samples += 1
     a.accepted_ns = t_ns
+    if a.samples >= START_SAMPLES:
+        a.sure_ns = t_ns
     note_ground(a, a.path_m, h_m)
     learn_beyond(a, h_m, way, adapt)
     return 1

@@ -257,6 +257,7 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
 def report_paper(paper: Any, output: Any) -> None:
     """Publish what the paper's follower believes."""
     output.slope, output.speed_mps = paper.slope, paper.speed_mps
+    output.reason = 0
     output.intervals = paper.interval_count
     if paper.interval_count > 0:
         output.height_m = paper.interval_h_m[(paper.interval_count - 1) & (paper.interval_h_m.size - 1)]

@@ -235,10 +235,11 @@ class Output(Schema):
     beams = I64(doc="adaptive, 3 or more sensors: bit per channel that agrees with the plane")
     stop = I64(doc="causes of the latched stop, bits of STOP_NAMES; 0: not stopped")
     stop_now = I64(doc="causes that this cycle saw, whether the configuration names them or not")
+    reason = I64(doc="why `health` is not OK, see REASON_NAMES; 0: it is")
 
 
 class ScaledState(Schema):
-    """Reference scales of the default follower, and what it sees in plain numbers (`forecast.door`).
+    """Reference scales of the default follower, and what it sees in plain numbers (`adaptive_scales`).
 
     Plain lengths are metres over `length`, plain times nanoseconds over `time`; units of the nested records
     are those of plain numbers. The records are used only when one of the scales is not 1.
