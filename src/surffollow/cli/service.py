@@ -162,8 +162,9 @@ def follower_lines(f: dict[str, Any]) -> list[str]:
     def mm(name: str) -> str:
         return "-" if f[name] is None else f"{1e3 * f[name]:.3g} mm"
 
+    why = f" ({f['reason']})" if f.get("reason") else ""
     return [
-        f"follower {f['mode']}, {f['health']}; noise {mm('noise_m')}, roughness {mm('roughness_m')}, "
+        f"follower {f['mode']}, {f['health']}{why}; noise {mm('noise_m')}, roughness {mm('roughness_m')}, "
         f"height to {mm('sigma_m')}",
         f"         latency {1e3 * f['latency_s']:.1f} ms, axis τ {1e3 * f['tau_s']:.0f} ms, "
         f"Permitted_Variance {mm('permitted_variance_m')}, "

@@ -191,7 +191,8 @@ def report(params: Any, m: Any, output: Any) -> None:
     output.speed_mps = m.kinematics.speed * r.length_m * second
     output.error_m = params.offset_m - m.sample.range * r.length_m if m.sample.count > 0 else 0.0
     output.intervals = m.bank.samples
-    output.health, output.faults = m.health.state, m.health.faults
+    output.health, output.reason = m.health.state, m.health.reason
+    output.faults = m.health.faults
     output.sigma_m, output.noise_m = m.weights.sigma * r.length_m, m.noise.sigma * r.length_m
     scale = m.gate.scale * r.length_m
     output.roughness_m = math.sqrt(max(scale * scale - output.noise_m * output.noise_m, 0.0))

@@ -78,8 +78,8 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 
 /* ---- layout: generated ------------------------------------------------------------ */
 
-#define SF_LAYOUT_VERSION 2u
-#define SF_LAYOUT_HASH UINT64_C(4284660841715710186)
+#define SF_LAYOUT_VERSION 3u
+#define SF_LAYOUT_HASH UINT64_C(2848434251925826590)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_SLOT_MAGIC UINT64_C(3554549926447961427)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
@@ -319,33 +319,33 @@ static inline const sf_param_info *sf_param_table(void) {
     {"plant_tau_s", 90, 0, 0.0001, 1000.0},
     {"plant_v_max_mps", 91, 0, 1e-06, 1000.0},
     {"plant_a_max_mps2", 92, 0, 1e-08, 1000000.0},
-    {"score_way_m", 93, 0, 0.001, 1000.0},
-    {"score_time_s", 94, 0, 0.01, 1000.0},
+    {"score_way_m", 93, 0, 1e-06, 10000.0},
+    {"score_time_s", 94, 0, 0.0001, 100000.0},
     {"score_power", 95, 0, 0.0, 100.0},
     {"long_power", 96, 0, 0.0, 100.0},
     {"long_factor", 97, 0, 1.0, 1000.0},
-    {"effort_m", 98, 0, 0.0, 1.0},
+    {"effort_m", 98, 0, 0.0, 10000.0},
     {"noise_share", 99, 0, 0.0, 1.0},
-    {"score_floor_m", 100, 0, 1e-07, 1.0},
+    {"score_floor_m", 100, 0, 1e-09, 10.0},
     {"gate_scales", 101, 0, 1.0, 1000.0},
     {"gate_m", 102, 0, 0.0, 1000.0},
-    {"step_way_m", 103, 0, 0.0, 10.0},
+    {"step_way_m", 103, 0, 0.0, 1000.0},
     {"step_samples", 104, 1, 1.0, 100.0},
-    {"tick_lead_s", 105, 0, 0.0, 1.0},
-    {"plan_calm_s4", 106, 0, 0.0, 1.0},
+    {"tick_lead_s", 105, 0, 0.0, 100.0},
+    {"plan_calm_s4", 106, 0, 0.0, 1000000000000.0},
     {"orient", 107, 1, 0.0, 1.0},
     {"max_turn_rad", 108, 0, 0.0, 1.6},
     {"permitted_turn_rad", 109, 0, 0.0, 1.6},
     {"calm_share", 110, 0, 0.0, 10.0},
     {"adapt", 111, 1, 0.0, 1.0},
     {"hold_ns", 112, 1, 0.0, 10000000000.0},
-    {"dropout_way_m", 113, 0, 0.0001, 1000.0},
-    {"max_speed_mps", 114, 0, 0.0001, 1000.0},
-    {"max_accel_mps2", 115, 0, 0.001, 1000000.0},
-    {"max_jerk_mps3", 116, 0, 0.01, 1000000000.0},
+    {"dropout_way_m", 113, 0, 1e-06, 10000.0},
+    {"max_speed_mps", 114, 0, 1e-08, 100000000.0},
+    {"max_accel_mps2", 115, 0, 1e-09, 10000000000000.0},
+    {"max_jerk_mps3", 116, 0, 1e-12, 1e+18},
     {"toward_factor", 117, 0, 0.01, 1.0},
-    {"max_turn_speed_radps", 118, 0, 0.0001, 100.0},
-    {"max_turn_accel_radps2", 119, 0, 0.001, 100000.0},
+    {"max_turn_speed_radps", 118, 0, 1e-06, 10000.0},
+    {"max_turn_accel_radps2", 119, 0, 1e-09, 100000000.0},
     {"preview", 120, 1, 0.0, 1.0},
   };
   return table;
@@ -356,7 +356,7 @@ typedef struct sf_region {
   char name[24];
   uint64_t offset; /* [B] */
   uint64_t size; /* [B] */
-  uint64_t hash; /* of the part's schema */
+  uint64_t hash; /* of the part's schema; of the log see `log_hash` */
 } sf_region;
 SF_STATIC_ASSERT(sizeof(sf_region) == 48, "layout of sf_region");
 SF_STATIC_ASSERT(offsetof(sf_region, name) == 0, "layout of sf_region");
@@ -539,8 +539,9 @@ typedef struct sf_output {
   int64_t beams; /* adaptive, 3 or more sensors: bit per channel that agrees with the plane */
   int64_t stop; /* causes of the latched stop, bits of STOP_NAMES; 0: not stopped */
   int64_t stop_now; /* causes that this cycle saw, whether the configuration names them or not */
+  int64_t reason; /* why `health` is not OK, see REASON_NAMES; 0: it is */
 } sf_output;
-SF_STATIC_ASSERT(sizeof(sf_output) == 600, "layout of sf_output");
+SF_STATIC_ASSERT(sizeof(sf_output) == 608, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, t_ns) == 0, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, pose_t_ns) == 8, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, demand) == 16, "layout of sf_output");
@@ -572,6 +573,7 @@ SF_STATIC_ASSERT(offsetof(sf_output, normal) == 552, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, beams) == 576, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, stop) == 584, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, stop_now) == 592, "layout of sf_output");
+SF_STATIC_ASSERT(offsetof(sf_output, reason) == 600, "layout of sf_output");
 
 /* The service's answer to a slot's newest request. */
 typedef struct sf_ack {

@@ -12,7 +12,7 @@ from surffollow.shm.schema import F64, I64, U32, U64, Nested, Schema, Text
 
 BOARD_MAGIC = int.from_bytes(b"SURFBRD1", "little")
 SLOT_MAGIC = int.from_bytes(b"SURFSLT1", "little")
-LAYOUT_VERSION = 2
+LAYOUT_VERSION = 3
 CLIENTS = 16
 PAGE = 4096
 REQUEST_ARGS = 16
@@ -99,7 +99,7 @@ class Region(Schema):
     name = Text(24)
     offset = U64(unit="B")
     size = U64(unit="B")
-    hash = U64(doc="of the part's schema")
+    hash = U64(doc="of the part's schema; of the log see `log_hash`")
 
 
 class BoardHeader(Schema):
@@ -344,7 +344,7 @@ def inbox_bytes() -> int:
 
 
 def layout_hash() -> int:
-    """One number over every schema that service, clients and recorders must agree on."""
+    """One number over every schema that service and clients must agree on."""
     total = LAYOUT_VERSION
     schemas: list[type[Schema]] = [
         BoardHeader,
@@ -355,10 +355,19 @@ def layout_hash() -> int:
         RangeItem,
         StreamPiece,
         AuditEntry,
-        FollowState,
-        Inputs,
         *(s for _, s, _ in BOARD_PARTS),
     ]
     for schema in schemas:
+        total = (total * 1099511628211 ^ schema.HASH) & (2**63 - 1)
+    return total
+
+
+def log_hash() -> int:
+    """One number over the schemas that the words of the cycle log are made of, for recorders and replays.
+
+    The follower's state is among them: no client reads it, so it is no part of `layout_hash`.
+    """
+    total = LAYOUT_VERSION
+    for schema in (LogHead, Params, FollowState, Inputs, Output):
         total = (total * 1099511628211 ^ schema.HASH) & (2**63 - 1)
     return total

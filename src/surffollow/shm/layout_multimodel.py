@@ -267,3 +267,13 @@ REASON_NAMES = (
     "no sample entered the estimate within the loss time-out",
     "estimate was not finite and began anew",
 )
+(
+    REASON_NONE,
+    REASON_FIRST,
+    REASON_PENDING,
+    REASON_NO_READING,
+    REASON_OUTSIDE,
+    REASON_STUCK,
+    REASON_LOST,
+    REASON_NOT_FINITE,
+) = range(8)

@@ -17,17 +17,16 @@ from surffollow.shm.layout_adaptive import (
     STUCK,
     SUSPECT,
 )
-
-(
-    REASON_NONE,
+from surffollow.shm.layout_multimodel import (
     REASON_FIRST,
-    REASON_PENDING,
-    REASON_NO_READING,
-    REASON_OUTSIDE,
-    REASON_STUCK,
     REASON_LOST,
+    REASON_NO_READING,
+    REASON_NONE,
     REASON_NOT_FINITE,
-) = range(8)
+    REASON_OUTSIDE,
+    REASON_PENDING,
+    REASON_STUCK,
+)
 
 STUCK_SAMPLES = 14  # within the band: one noise run in 5e7 is as quiet
 STUCK_BAND = 0.5  # in standard deviations of a range
