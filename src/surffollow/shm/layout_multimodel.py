@@ -21,8 +21,9 @@ class Tuning(Schema):
 
     n_models = I64(doc="models in the bank")
     models = F64(
-        N_MODELS * 4, doc="per model: kind, memory [samples], fading distance [reactions], lead share"
+        N_MODELS * 3, doc="per model: kind, memory [samples], fading distance [reactions]"
     )
+    bank_clip = F64(doc="clip")
     wave_memory = F64(doc="wavelengths over which the wave number is averaged")
     wave_highpass = F64(doc="corner of the running means, in wave numbers")
     wave_mean_drift = F64(doc="drift of a wave's mean, share of its amplitudes' drift")
@@ -41,24 +42,19 @@ class Tuning(Schema):
     gate_gap_taus = F64(doc="after a longer gap, in time constants, a step needs no travel")
     index_recent = F64(doc="recent horizon, in reaction times")
     index_longer = F64(doc="longer horizon")
-    index_power = F64(doc="power of the recent index")
-    index_longer_power = F64(doc="power of the longer index")
+    index_power = F64(doc="power of both indices")
     index_noise_share = F64(doc="share of the noise variance, common to all models, taken off")
+    index_longer_power = F64(doc="power of the longer")
     index_floor = F64(doc="errors below this share of the noise are equal")
-    index_effort = F64(doc="effort penalty: acceleration × τ² that counts as a stand-off error")
-    index_caution = F64(doc="power of a model's own prediction variance during burn-in …")
-    index_burn_in = F64(doc="… which lasts so many reaction times")
     index_settle = F64(doc="reaction times after a start or step without scores")
-    index_smoothing = F64(doc="time constant of the weights, in time constants of the axis")
     index_wave_penalty = F64(doc="complexity penalty of the wave model")
     setpoint_grace_intervals = F64(doc="sample intervals without samples that are no drop-out …")
     setpoint_grace_taus = F64(doc="… or time constants")
     setpoint_fade_reactions = F64(doc="distance over which slopes are trusted without samples")
     setpoint_band = F64(doc="deadband, in uncertainties of the height")
-    setpoint_soft = F64(doc="deadbands: an excess so large is halved in …")
-    setpoint_drive = F64(doc="gain on the predicted position error, per τ over the dead time of the poses …")
-    setpoint_drive_max = F64(doc="… and at most")
-    setpoint_soft_taus = F64(doc="… so many time constants")
+    setpoint_leash = F64(doc="leash")
+    setpoint_periods = F64(doc="periods")
+    setpoint_bandwidth = F64(doc="bandwidth of the axis behind its set point, in 1/τ")
 
 
 class Reference(Schema):
@@ -184,7 +180,6 @@ class Weights(Schema):
     """Performance index and weights of the models (`estimation.model_weights`)."""
 
     scored = I64(doc="samples that entered the index")
-    since = F64(doc="timestamp at which scoring began")
     hold_t = F64(doc="nothing is scored until this time")
     recent = F64(N_MODELS, doc="squared error of the shadow axis, recent horizon")
     longer = F64(N_MODELS, doc="the same over the longer horizon")
@@ -201,7 +196,6 @@ class Shadow(Schema):
     ticks = I64(doc="controller periods recorded")
     t = F64(SETPOINTS, doc="ring of their times")
     setpoint = F64((N_MODELS + 1) * SETPOINTS, doc="ring of set points per model, and the own one last")
-    effort = F64(N_MODELS, doc="mean squared acceleration of the set points")
     z = F64(N_AXES, doc="position")
     v = F64(N_AXES, doc="velocity")
     models_t = F64(doc="time up to which the models' axes are simulated")
@@ -225,7 +219,10 @@ class Setpoint(Schema):
     raw = F64(doc="blend of the models' set points")
     rate = F64(doc="how fast the models expect it to change")
     position = F64(doc="where the axis should be when the demand acts")
-    filtered = F64(doc="behind the deadband")
+    own = F64(doc="where the axis is predicted to be then")
+    own_rate = F64(doc="and how fast it moves")
+    filtered = F64(doc="behind the tracking filter")
+    filtered_rate = F64(doc="how fast that changes")
     value = F64(doc="behind the limits: where the demand points")
 
 

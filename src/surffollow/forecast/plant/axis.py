@@ -31,6 +31,11 @@ def distance_for(velocity: Any, tau: Any, a_max: Any) -> Any:
 
 
 @jit
+def signed_distance_for(velocity: Any, tau: Any, a_max: Any) -> Any:
+    return math.copysign(distance_for(abs(velocity), tau, a_max), velocity)
+
+
+@jit
 def axis_step(z: Any, v: Any, setpoint: Any, tau: Any, v_max: Any, a_max: Any, dt: Any) -> Any:
     """Advance position and velocity of the axis by one integration step."""
     d = setpoint - z

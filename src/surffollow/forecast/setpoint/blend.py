@@ -1,4 +1,4 @@
-"""The blended set point: where each model wants the axis, by weight, behind a deadband."""
+"""The blended set point: where each model wants the axis, by weight."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from surffollow.shm.jit import jit
 
 RATE_TAUS = 0.125  # over which the rate of the blend is taken
 LEAST_WEIGHT = 1e-3  # models with less do not enter that rate
-PAUSE_TAUS = 2.5  # a set point not renewed for so long begins anew at the tool
-START_SAMPLES = 3  # fewer are not enough to go toward the surface
 
 
 @jit
@@ -65,26 +63,3 @@ def blend_setpoints(m: Any, setpoints: Any) -> None:
         here = here if math.isfinite(here) else seen
     p.raw = raw + m.kinematics.drop
     p.position = here + m.kinematics.drop
-
-
-@jit
-def filter_setpoint(m: Any, permitted: Any) -> None:
-    """Carry the set point on at the rate the models expect; correct what exceeds the deadband.
-
-    The excess x beyond the band shrinks by dx/dt = −x² / (m.tuning.setpoint_soft · band ·
-    m.tuning.setpoint_soft_taus · τ): a large one at once, a small one slowly, whatever the cycle.
-    """
-    p, k = m.setpoint, m.kinematics
-    dt = k.now - p.t
-    if p.active == 0 or dt < 0.0 or dt > max(PAUSE_TAUS * m.plant.tau, 3.0 * k.interval):
-        p.filtered, p.active = p.raw, 1
-    elif dt > 0.0:
-        p.filtered += p.rate * dt
-    p.t = k.now
-    band = max(m.tuning.setpoint_band * m.weights.sigma, permitted)
-    e = p.raw - p.filtered
-    excess = abs(e) - band
-    if excess > 0.0 and dt > 0.0:
-        soft = m.tuning.setpoint_soft * band
-        left = band + excess * soft / (soft + excess * dt / (m.tuning.setpoint_soft_taus * m.plant.tau))
-        p.filtered = p.raw - math.copysign(left, e)
