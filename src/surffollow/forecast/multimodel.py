@@ -26,8 +26,7 @@ from surffollow.forecast.sensing.health import (
 from surffollow.forecast.sensing.kinematics import observe_motion, reset_motion
 from surffollow.forecast.sensing.sample import reset_sampling, take_sample
 from surffollow.forecast.setpoint.blend import blend_setpoints
-from surffollow.forecast.setpoint.limits import limit_setpoint, release_setpoint
-from surffollow.forecast.setpoint.tracking_filter import filter_setpoint
+from surffollow.forecast.setpoint.limits import filter_setpoint, limit_setpoint, release_setpoint
 from surffollow.forecast.terrain.buffer import reset_buffer, store_height
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import SUSPECT

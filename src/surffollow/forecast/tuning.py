@@ -65,14 +65,11 @@ DEFAULTS: dict[str, float] = {
     "index_noise_share": 0.97,
     "index_floor": 0.1,
     "index_settle": 0.7,
-    "index_wave_penalty": 0.8,
+    "index_calm": 3.0,
     "setpoint_grace_intervals": 4.0,
     "setpoint_grace_taus": 0.5,
     "setpoint_fade_reactions": 8.0,
-    "setpoint_band": 0.0,
-    "setpoint_bandwidth": 2.5,
-    "setpoint_leash": 4.0,
-    "setpoint_periods": 2.0,
+    "setpoint_smoothing": 0.125,
 }
 
 

@@ -47,14 +47,11 @@ class Tuning(Schema):
     index_longer_power = F64(doc="power of the longer")
     index_floor = F64(doc="errors below this share of the noise are equal")
     index_settle = F64(doc="reaction times after a start or step without scores")
-    index_wave_penalty = F64(doc="complexity penalty of the wave model")
+    index_calm = F64(doc="penalty of a model, over its memory: short ones are restless")
     setpoint_grace_intervals = F64(doc="sample intervals without samples that are no drop-out …")
     setpoint_grace_taus = F64(doc="… or time constants")
     setpoint_fade_reactions = F64(doc="distance over which slopes are trusted without samples")
-    setpoint_band = F64(doc="deadband, in uncertainties of the height")
-    setpoint_leash = F64(doc="leash")
-    setpoint_periods = F64(doc="periods")
-    setpoint_bandwidth = F64(doc="bandwidth of the axis behind its set point, in 1/τ")
+    setpoint_smoothing = F64(doc="time constant over which jumps of the blend pass, in those of the axis")
 
 
 class Reference(Schema):
@@ -218,11 +215,7 @@ class Setpoint(Schema):
     active = I64(doc="1: there is a set point to go on from")
     raw = F64(doc="blend of the models' set points")
     rate = F64(doc="how fast the models expect it to change")
-    position = F64(doc="where the axis should be when the demand acts")
-    own = F64(doc="where the axis is predicted to be then")
-    own_rate = F64(doc="and how fast it moves")
-    filtered = F64(doc="behind the tracking filter")
-    filtered_rate = F64(doc="how fast that changes")
+    filtered = F64(doc="the same, not moved by less than the permitted variance")
     value = F64(doc="behind the limits: where the demand points")
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.forecast.estimation.models import WAVE, height_of, slope_of
+from surffollow.forecast.estimation.models import height_of, slope_of
 from surffollow.forecast.plant.shadow_axes import place_models
 from surffollow.forecast.sensing.sample import reaction_time
 from surffollow.shm.jit import jit
@@ -68,8 +68,7 @@ def weigh_models(m: Any) -> None:
     for i in range(m.tuning.n_models):
         c = m.tuning.index_power * math.log(w.recent[i] - off + floor)
         c += m.tuning.index_longer_power * math.log(w.longer[i] - off_longer + floor)
-        if m.tuning.models[3 * i] == WAVE:
-            c += m.tuning.index_wave_penalty
+        c += m.tuning.index_calm / m.tuning.models[3 * i + 1]
         w.cost[i] = c
         least = min(least, c)
     total = 0.0

@@ -1,34 +1,51 @@
-"""Limits on the predicted axis: the set point never asks it for more velocity than is permitted."""
+"""The set point: the blend, no farther from the predicted axis than the axis can make use of.
+
+Within an interval the axis changes its velocity by its acceleration limit at most. A set point that asks for more
+moves the axis no faster; it only jumps farther.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
-from surffollow.forecast.plant.axis import signed_distance_for
+from surffollow.forecast.plant.axis import distance_for
+from surffollow.forecast.plant.shadow_axes import predict_own
+from surffollow.forecast.sensing.sample import control_delay
 from surffollow.shm.jit import jit
 
-REACH = 1.25  # set points farther than this times what already gives full velocity change nothing
+USEFUL_PERIODS = 2.0  # of the controller: one until the next set point, one for the error of the prediction
+PAUSE_TAUS = 2.5  # a set point not renewed for so long begins anew at the tool
 START_SAMPLES = 3  # fewer are not enough to go toward the surface
 
 
 @jit
+def filter_setpoint(m: Any, permitted: Any) -> None:
+    """Follow the blend: what the models expect at once, the rest smoothed; `permitted` stays uncorrected."""
+    p, k, tau = m.setpoint, m.kinematics, m.plant.tau
+    dt = k.now - p.t
+    if p.active == 0 or dt < 0.0 or dt > max(PAUSE_TAUS * tau, 3.0 * k.interval):
+        p.filtered, p.active = p.raw, 1
+    p.t = k.now
+    off = p.filtered + p.rate * dt - p.raw
+    over = off - min(max(off, -permitted), permitted)
+    p.filtered = p.raw + off - over * (1.0 - math.exp(-dt / (m.tuning.setpoint_smoothing * tau)))
+
+
+@jit
 def limit_setpoint(m: Any) -> None:
-    """Clamp the set point to what the axis may answer to.
+    """Clamp the set point to what changes the motion of the axis.
 
     Toward the surface the velocity limit is `toward_factor` of the axis' own.
     """
-    p, r, tau = m.setpoint, m.reference, m.plant.tau
-    change = m.tuning.setpoint_periods * m.kinematics.interval * r.a_max
-    up = min(p.own_rate + change, REACH * r.v_max)
-    down = max(p.own_rate - change, -min(REACH, r.toward_factor) * r.v_max)
-    high = p.own + signed_distance_for(up, tau, r.a_max)
-    low = p.own + signed_distance_for(down, tau, r.a_max)
-    value = min(max(p.filtered, low), high)
-    if value != p.filtered:
-        p.filtered, p.filtered_rate = value, p.rate
+    p, k, r, tau = m.setpoint, m.kinematics, m.reference, m.plant.tau
+    z, v = predict_own(m, k.now + control_delay(m))
+    change = USEFUL_PERIODS * k.interval * r.a_max
+    up = min(v + change, r.v_max)
+    down = max(v - change, -min(r.toward_factor, 1.0) * r.v_max)
+    p.value = min(max(p.filtered, z + distance_for(down, tau, r.a_max)), z + distance_for(up, tau, r.a_max))
     if m.bank.samples < START_SAMPLES:
-        value = max(value, m.kinematics.z)
-    p.value = value
+        p.value = max(p.value, k.z)
 
 
 @jit
