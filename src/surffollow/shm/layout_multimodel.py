@@ -20,37 +20,30 @@ class Tuning(Schema):
     """Constants of the follower, all dimensionless; defaults in `forecast.tuning`. No kernel writes them."""
 
     n_models = I64(doc="models in the bank")
-    models = F64(
-        N_MODELS * 3, doc="per model: kind, memory [samples], fading distance [reactions]"
-    )
-    bank_clip = F64(doc="clip")
-    wave_memory = F64(doc="wavelengths over which the wave number is averaged")
-    wave_highpass = F64(doc="corner of the running means, in wave numbers")
+    models = F64(N_MODELS * 3, doc="per model: kind, memory [samples], fading distance [reactions]")
+    bank_clip = F64(doc="innovations turn slopes by no more than so many usual ones")
+    wave_rate = F64(doc="rate of its running means, per radian")
     wave_mean_drift = F64(doc="drift of a wave's mean, share of its amplitudes' drift")
     first_wave_reactions = F64(doc="wavelength assumed at first, in reaction distances")
     gate_gate = F64(doc="gate, in usual innovations")
     gate_rate = F64(doc="rate of the usual innovation, per sample")
-    gate_first_scale = F64(doc="usual innovation before any is known, share of the stand-off")
     gate_confirm = I64(doc="agreeing samples that confirm a step …")
     gate_confirm_slow = I64(doc="… when a sample interval is long for the axis")
     gate_stays = F64(doc="factor of the travel asked for, per step that stayed")
     gate_slow = F64(doc="such an interval, in time constants of the axis")
     gate_slot_share = F64(doc="hollows wider than this share of the stand-off are ground")
-    gate_standing_taus = F64(doc="samples that agree for so many time constants are ground")
+    gate_standing_taus = F64(
+        doc="time constants after which agreeing samples, or the first after a gap, need no travel"
+    )
     gate_growth = F64(doc="growth of the usual innovation per outlier that agrees with none")
-    gate_disagree = I64(doc="so many outliers that do not agree are the edges of a slot")
-    gate_gap_taus = F64(doc="after a longer gap, in time constants, a step needs no travel")
     index_recent = F64(doc="recent horizon, in reaction times")
     index_longer = F64(doc="longer horizon")
-    index_power = F64(doc="power of both indices")
-    index_noise_share = F64(doc="share of the noise variance, common to all models, taken off")
-    index_longer_power = F64(doc="power of the longer")
+    index_power = F64(doc="power of the recent index")
+    index_longer_power = F64(doc="power of the longer one")
     index_floor = F64(doc="errors below this share of the noise are equal")
-    index_settle = F64(doc="reaction times after a start or step without scores")
     index_calm = F64(doc="penalty of a model, over its memory: short ones are restless")
-    setpoint_grace_intervals = F64(doc="sample intervals without samples that are no drop-out …")
-    setpoint_grace_taus = F64(doc="… or time constants")
     setpoint_fade_reactions = F64(doc="distance over which slopes are trusted without samples")
+    setpoint_useful = F64(doc="controller periods of full acceleration that the set point may ask for")
     setpoint_smoothing = F64(doc="time constant over which jumps of the blend pass, in those of the axis")
 
 
@@ -177,11 +170,10 @@ class Weights(Schema):
     """Performance index and weights of the models (`estimation.model_weights`)."""
 
     scored = I64(doc="samples that entered the index")
-    hold_t = F64(doc="nothing is scored until this time")
     recent = F64(N_MODELS, doc="squared error of the shadow axis, recent horizon")
     longer = F64(N_MODELS, doc="the same over the longer horizon")
     w = F64(N_MODELS, doc="weights, sum 1")
-    cost = F64(N_MODELS, doc="scratch")
+    cost = F64(N_MODELS, doc="logarithm of the index")
     height = F64(doc="blended height at the last sample")
     slope = F64(doc="blended slope")
     sigma = F64(doc="uncertainty of the height, spread of the models included")

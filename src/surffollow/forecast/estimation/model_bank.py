@@ -105,17 +105,16 @@ def _follow_wave(m: Any) -> None:
     if best < 0:
         return
     h, slope = b.x[3 * best], b.x[3 * best + 1]
-    f = 1.0 - math.exp(-m.tuning.wave_highpass * b.omega * s.way)
+    f = 1.0 - math.exp(-m.tuning.wave_rate * b.omega * s.way)
     b.mean_h += f * (h - b.mean_h)
     b.mean_s += f * (slope - b.mean_s)
-    g = 1.0 - math.exp(-b.omega * s.way / (2.0 * math.pi * m.tuning.wave_memory))
-    b.power_h += g * ((h - b.mean_h) ** 2 - b.power_h)
-    b.power_s += g * ((slope - b.mean_s) ** 2 - b.power_s)
+    b.power_h += f * ((h - b.mean_h) ** 2 - b.power_h)
+    b.power_s += f * ((slope - b.mean_s) ** 2 - b.power_s)
     if b.power_h > 0.0 and b.power_s > 0.0:
         reaction = reaction_distance(m)
         omega = math.sqrt(b.power_s / b.power_h)
         omega = min(max(omega, 0.01 / reaction), math.pi / reaction)
-        b.omega *= math.exp(g * math.log(omega / b.omega))
+        b.omega *= math.exp(f * math.log(omega / b.omega))
 
 
 @jit

@@ -28,17 +28,9 @@ def reset_weights(m: Any) -> None:
 
 
 @jit
-def hold_scores(m: Any) -> None:
-    """Score nothing for a while: all shadows are wrong alike."""
-    m.weights.hold_t = m.sample.t + m.tuning.index_settle * reaction_time(m)
-
-
-@jit
 def score_models(m: Any) -> None:
     """Score every shadow axis against the newest height and weigh the models anew."""
     w, s = m.weights, m.sample
-    if s.t < w.hold_t:
-        return
     w.scored += 1
     first = 1.0 / w.scored
     time = reaction_time(m)
@@ -59,10 +51,7 @@ def weigh_models(m: Any) -> None:
     for i in range(1, m.tuning.n_models):
         recent, longer = min(recent, w.recent[i]), min(longer, w.longer[i])
     noise = m.noise.sigma * m.noise.sigma
-    off, off_longer = (
-        m.tuning.index_noise_share * min(noise, recent),
-        m.tuning.index_noise_share * min(noise, longer),
-    )
+    off, off_longer = min(noise, recent), min(noise, longer)
     floor = (m.tuning.index_floor * m.noise.sigma) ** 2
     least = math.inf
     for i in range(m.tuning.n_models):

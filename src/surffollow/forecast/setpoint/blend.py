@@ -7,11 +7,11 @@ from typing import Any
 
 from surffollow.forecast.estimation.model_bank import reaction_distance
 from surffollow.forecast.estimation.models import setpoint_of
+from surffollow.forecast.sensing.health import LOST_INTERVALS, LOST_TAUS
 from surffollow.forecast.sensing.sample import control_delay, distance_ahead, is_leading
 from surffollow.forecast.terrain.buffer import buffered_height
 from surffollow.shm.jit import jit
 
-RATE_TAUS = 0.125  # over which the rate of the blend is taken
 LEAST_WEIGHT = 1e-3  # models with less do not enter that rate
 
 
@@ -19,7 +19,7 @@ LEAST_WEIGHT = 1e-3  # models with less do not enter that rate
 def time_lost(m: Any) -> Any:
     """Time without samples beyond the usual delay and a few lost ones; ≤ 0: none."""
     s = m.sample
-    grace = max(m.tuning.setpoint_grace_intervals * s.interval, m.tuning.setpoint_grace_taus * m.plant.tau)
+    grace = max(LOST_INTERVALS * s.interval, LOST_TAUS * m.plant.tau)
     return m.kinematics.now - m.gate.accepted_t - s.delay - grace
 
 
@@ -40,7 +40,7 @@ def blend_setpoints(m: Any, setpoints: Any) -> None:
         fade = math.exp(-lost / fading)
         ahead += fading * (1.0 - fade) - min(lost, ahead)
         lead *= fade
-    step = RATE_TAUS * lead
+    step = m.tuning.setpoint_smoothing * lead
     raw = change = 0.0
     seen = math.nan
     if is_leading(m) != 0:
@@ -53,9 +53,9 @@ def blend_setpoints(m: Any, setpoints: Any) -> None:
             )
         raw += w.w[i] * z
         setpoints[i] = z + m.kinematics.drop
-    p.rate = change / (RATE_TAUS * m.plant.tau)
+    p.rate = change / (m.tuning.setpoint_smoothing * m.plant.tau)
     if math.isfinite(seen):
         later = buffered_height(m, ahead + lead + step)
         raw = seen
-        p.rate = (later - seen) / (RATE_TAUS * m.plant.tau) if math.isfinite(later) else 0.0
+        p.rate = (later - seen) / (m.tuning.setpoint_smoothing * m.plant.tau) if math.isfinite(later) else 0.0
     p.raw = raw + m.kinematics.drop

@@ -1,7 +1,7 @@
 """The set point: the blend, no farther from the predicted axis than the axis can make use of.
 
-Within an interval the axis changes its velocity by its acceleration limit at most. A set point that asks for more
-moves the axis no faster; it only jumps farther.
+Within an interval the axis changes its velocity by its acceleration limit at most. A set point that asks
+for more moves the axis no faster; it only jumps farther.
 """
 
 from __future__ import annotations
@@ -14,9 +14,7 @@ from surffollow.forecast.plant.shadow_axes import predict_own
 from surffollow.forecast.sensing.sample import control_delay
 from surffollow.shm.jit import jit
 
-USEFUL_PERIODS = 2.0  # of the controller: one until the next set point, one for the error of the prediction
 PAUSE_TAUS = 2.5  # a set point not renewed for so long begins anew at the tool
-START_SAMPLES = 3  # fewer are not enough to go toward the surface
 
 
 @jit
@@ -40,11 +38,11 @@ def limit_setpoint(m: Any) -> None:
     """
     p, k, r, tau = m.setpoint, m.kinematics, m.reference, m.plant.tau
     z, v = predict_own(m, k.now + control_delay(m))
-    change = USEFUL_PERIODS * k.interval * r.a_max
+    change = m.tuning.setpoint_useful * k.interval * r.a_max
     up = min(v + change, r.v_max)
     down = max(v - change, -min(r.toward_factor, 1.0) * r.v_max)
     p.value = min(max(p.filtered, z + distance_for(down, tau, r.a_max)), z + distance_for(up, tau, r.a_max))
-    if m.bank.samples < START_SAMPLES:
+    if m.bank.samples < m.tuning.gate_confirm:  # not enough to go toward the surface
         p.value = max(p.value, k.z)
 
 
