@@ -104,7 +104,7 @@ def demand_of(params: Any, m: Any, sense: Any, inputs: Any, output: Any, setpoin
         note_not_finite(m)
         reset_bank(m, 1)
         forget_noise(m)
-    lost = 1 if is_lost(m, timeout) != 0 or m.health.stuck != 0 else 0
+    lost = is_lost(m, timeout)
     assess(m, lost)
     if taken != 0:
         output.fresh |= 1

@@ -41,7 +41,7 @@ MODELS: tuple[tuple[float, float, float], ...] = (
 )
 
 DEFAULTS: dict[str, float] = {
-    "bank_clip": 2.0,
+    "bank_clip": 3.0,
     "wave_rate": 0.25,
     "wave_mean_drift": 0.1,
     "first_wave_reactions": 20.0,
@@ -53,14 +53,15 @@ DEFAULTS: dict[str, float] = {
     "gate_slow": 0.15,
     "gate_slot_share": 0.025,
     "gate_standing_taus": 3.0,
-    "gate_growth": 1.3,
+    "gate_growth": 1.15,
     "index_recent": 12.0,
     "index_longer": 144.0,
     "index_power": 2.0,
     "index_longer_power": 8.0,
     "index_floor": 0.2,
-    "index_calm": 3.0,
+    "index_calm": 2.0,
     "setpoint_fade_reactions": 8.0,
+    "setpoint_drive": 0.05,
     "setpoint_useful": 2.0,
     "setpoint_smoothing": 0.125,
 }

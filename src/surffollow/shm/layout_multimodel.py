@@ -43,6 +43,7 @@ class Tuning(Schema):
     index_floor = F64(doc="errors below this share of the noise are equal")
     index_calm = F64(doc="penalty of a model, over its memory: short ones are restless")
     setpoint_fade_reactions = F64(doc="distance over which slopes are trusted without samples")
+    setpoint_drive = F64(doc="gain on the predicted position error, per τ over the dead time of the poses")
     setpoint_useful = F64(doc="controller periods of full acceleration that the set point may ask for")
     setpoint_smoothing = F64(doc="time constant over which jumps of the blend pass, in those of the axis")
 
@@ -101,6 +102,8 @@ class Sample(Schema):
     interval = F64(doc="usual interval; 0: not known")
     spacing = F64(doc="usual distance travelled between samples while moving; 0: not known")
     delay = F64(doc="usual delay of arrival")
+    backward = I64(doc="timestamps in a row before the newest sample's")
+    shift = F64(doc="correction of timestamps that went back; 0: none")
     direction_x = F64(doc="direction of travel at the sample")
     direction_y = F64()
     lead = F64(doc="how far the footprint is ahead of the point under the tool")
@@ -207,6 +210,7 @@ class Setpoint(Schema):
     active = I64(doc="1: there is a set point to go on from")
     raw = F64(doc="blend of the models' set points")
     rate = F64(doc="how fast the models expect it to change")
+    position = F64(doc="where the axis should be when the demand acts")
     filtered = F64(doc="the same, not moved by less than the permitted variance")
     value = F64(doc="behind the limits: where the demand points")
 
@@ -248,4 +252,5 @@ REASON_NAMES = (
     "range does not respond to the tool's motion",
     "no sample entered the estimate within the loss time-out",
     "estimate was not finite and began anew",
+    "timestamps went back; readings count as old as usual",
 )

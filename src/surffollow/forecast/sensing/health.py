@@ -28,7 +28,8 @@ from surffollow.shm.layout_adaptive import (
     REASON_STUCK,
     REASON_LOST,
     REASON_NOT_FINITE,
-) = range(8)
+    REASON_TIMESTAMPS,
+) = range(9)
 
 STUCK_SAMPLES = 14  # within the band: one noise run in 5e7 is as quiet
 STUCK_BAND = 0.5  # in standard deviations of a range
@@ -124,6 +125,8 @@ def assess(m: Any, lost: Any) -> None:
         h.state, h.reason = DROPOUT, REASON_NO_READING
     elif m.gate.pending > 0 or m.gate.rejected > 0:
         h.state, h.reason = SUSPECT, REASON_PENDING
+    elif s.shift > 0.0:
+        h.state, h.reason = SUSPECT, REASON_TIMESTAMPS
     elif m.bank.samples < FIRST_SAMPLES:
         h.state, h.reason = SUSPECT, REASON_FIRST
     else:

@@ -41,7 +41,7 @@ def blend_setpoints(m: Any, setpoints: Any) -> None:
         ahead += fading * (1.0 - fade) - min(lost, ahead)
         lead *= fade
     step = m.tuning.setpoint_smoothing * lead
-    raw = change = 0.0
+    raw = change = here = 0.0
     seen = math.nan
     if is_leading(m) != 0:
         seen = buffered_height(m, ahead + lead)
@@ -52,10 +52,14 @@ def blend_setpoints(m: Any, setpoints: Any) -> None:
                 setpoint_of(m.tuning, i, b.x, ahead + step, lead, reaction, spacing, b.omega) - z
             )
         raw += w.w[i] * z
+        here += w.w[i] * setpoint_of(m.tuning, i, b.x, ahead, 0.0, reaction, spacing, b.omega)
         setpoints[i] = z + m.kinematics.drop
     p.rate = change / (m.tuning.setpoint_smoothing * m.plant.tau)
     if math.isfinite(seen):
         later = buffered_height(m, ahead + lead + step)
         raw = seen
         p.rate = (later - seen) / (m.tuning.setpoint_smoothing * m.plant.tau) if math.isfinite(later) else 0.0
+        here = buffered_height(m, ahead)
+        here = here if math.isfinite(here) else seen
     p.raw = raw + m.kinematics.drop
+    p.position = here + m.kinematics.drop

@@ -32,8 +32,10 @@ def filter_setpoint(m: Any, permitted: Any) -> None:
 
 @jit
 def limit_setpoint(m: Any) -> None:
-    """Clamp the set point to what changes the motion of the axis.
+    """Drive the axis where it is predicted to be off, and clamp the set point to what changes its motion.
 
+    The axis alone takes τ to correct an error; with a gain K on the predicted position error it takes
+    τ/(1 + K). K grows with τ over the dead time of the poses, which delay and noise of the prediction bound.
     Toward the surface the velocity limit is `toward_factor` of the axis' own.
     """
     p, k, r, tau = m.setpoint, m.kinematics, m.reference, m.plant.tau
@@ -41,9 +43,14 @@ def limit_setpoint(m: Any) -> None:
     change = m.tuning.setpoint_useful * k.interval * r.a_max
     up = min(v + change, r.v_max)
     down = max(v - change, -min(r.toward_factor, 1.0) * r.v_max)
-    p.value = min(max(p.filtered, z + distance_for(down, tau, r.a_max)), z + distance_for(up, tau, r.a_max))
+    dead = max(k.now - k.pose_t, 0.0) + control_delay(m)
+    gain = min(m.tuning.setpoint_drive * tau / dead, 1.0) if dead > 0.0 else 1.0
+    driven = p.filtered + gain * (p.position - z)
+    p.value = min(max(driven, z + distance_for(down, tau, r.a_max)), z + distance_for(up, tau, r.a_max))
     if m.bank.samples < m.tuning.gate_confirm:  # not enough to go toward the surface
         p.value = max(p.value, k.z)
+    if m.health.stuck != 0:  # nothing tells what the ground does: leave it at its usual slope
+        p.value = max(p.value, k.z + k.speed * tau * math.sqrt(m.bank.power_s))
 
 
 @jit
