@@ -43,7 +43,7 @@ def take_sample(params: Any, m: Any, sense: Any, pose: Any) -> None:
         hold = HOLD_INTERVALS * s.interval if s.interval > 0.0 else HOLD_TAUS * r.tau
         if value == s.range and dt < hold:
             return
-    pose_at(sense, sense.range_t_ns[0], 1, pose)
+    pose_at(sense, sense.range_t_ns[0] + int(s.shift * r.time_ns), 1, pose)
     x, y, z, _ = footprint(pose, params.tool_from_sensor, 0, sense.range_m[0])
     x, y, z = x / r.length_m, y / r.length_m, z / r.length_m
     if s.count > 0:
@@ -78,12 +78,12 @@ def _doubt_timestamp(m: Any, t: Any) -> None:
     """Correct timestamps when several in a row lie before one that was there already.
 
     Readings that are late come in order. Those that go back have a wrong timestamp: until the delay is the
-    usual one again they are taken to have been read as long ago as usual.
+    usual one again they are taken to follow each other at the usual interval.
     """
     s = m.sample
     s.backward += 1 if t < s.t else 0
     if s.backward >= m.tuning.gate_confirm:
-        s.shift += max(m.kinematics.now - s.delay - t, 0.0)
+        s.shift += s.t + s.backward * s.interval - t
         s.backward = 0
 
 
