@@ -63,7 +63,7 @@ DEFAULTS: dict[str, float] = {
     "setpoint_fade_reactions": 8.0,
     "setpoint_drive": 0.05,
     "setpoint_useful": 2.0,
-    "setpoint_smoothing": 0.125,
+    "setpoint_smoothing": 0.5,
 }
 
 

@@ -45,7 +45,7 @@ class Tuning(Schema):
     setpoint_fade_reactions = F64(doc="distance over which slopes are trusted without samples")
     setpoint_drive = F64(doc="gain on the predicted position error, per τ over the dead time of the poses")
     setpoint_useful = F64(doc="controller periods of full acceleration that the set point may ask for")
-    setpoint_smoothing = F64(doc="time constant over which jumps of the blend pass, in those of the axis")
+    setpoint_smoothing = F64(doc="time constant over which jumps of the blend pass, in controller periods")
 
 
 class Reference(Schema):

@@ -7,6 +7,7 @@ from typing import Any
 
 from surffollow.forecast.estimation.model_bank import reaction_distance
 from surffollow.forecast.estimation.models import setpoint_of
+from surffollow.forecast.plant.shadow_axes import period
 from surffollow.forecast.sensing.health import LOST_INTERVALS, LOST_TAUS
 from surffollow.forecast.sensing.sample import control_delay, distance_ahead, is_leading
 from surffollow.forecast.terrain.buffer import buffered_height
@@ -40,7 +41,8 @@ def blend_setpoints(m: Any, setpoints: Any) -> None:
         fade = math.exp(-lost / fading)
         ahead += fading * (1.0 - fade) - min(lost, ahead)
         lead *= fade
-    step = m.tuning.setpoint_smoothing * lead
+    step_t = m.tuning.setpoint_smoothing * period(m)
+    step = speed * step_t
     raw = change = here = 0.0
     seen = math.nan
     if is_leading(m) != 0:
@@ -54,11 +56,11 @@ def blend_setpoints(m: Any, setpoints: Any) -> None:
         raw += w.w[i] * z
         here += w.w[i] * setpoint_of(m.tuning, i, b.x, ahead, 0.0, reaction, spacing, b.omega)
         setpoints[i] = z + m.kinematics.drop
-    p.rate = change / (m.tuning.setpoint_smoothing * m.plant.tau)
+    p.rate = change / step_t
     if math.isfinite(seen):
         later = buffered_height(m, ahead + lead + step)
         raw = seen
-        p.rate = (later - seen) / (m.tuning.setpoint_smoothing * m.plant.tau) if math.isfinite(later) else 0.0
+        p.rate = (later - seen) / step_t if math.isfinite(later) else 0.0
         here = buffered_height(m, ahead)
         here = here if math.isfinite(here) else seen
     p.raw = raw + m.kinematics.drop

@@ -10,7 +10,7 @@ import math
 from typing import Any
 
 from surffollow.forecast.plant.axis import distance_for
-from surffollow.forecast.plant.shadow_axes import predict_own
+from surffollow.forecast.plant.shadow_axes import period, predict_own
 from surffollow.forecast.sensing.sample import control_delay
 from surffollow.shm.jit import jit
 
@@ -27,7 +27,7 @@ def filter_setpoint(m: Any, permitted: Any) -> None:
     p.t = k.now
     off = p.filtered + p.rate * dt - p.raw
     over = off - min(max(off, -permitted), permitted)
-    p.filtered = p.raw + off - over * (1.0 - math.exp(-dt / (m.tuning.setpoint_smoothing * tau)))
+    p.filtered = p.raw + off - over * (1.0 - math.exp(-dt / (m.tuning.setpoint_smoothing * period(m))))
 
 
 @jit
