@@ -1,13 +1,20 @@
-"""Follow an arbiter's history from outside and check it: nothing here comes from the server's code.
+"""Follow an arbiter's history from outside and hold every record against the specification.
 
-It maps the board read-only by its name, through restarts, and holds every record against these rules:
+It maps the board read-only by its name, through restarts, or reads what `surffollow arbiter history --json`
+printed. The rules are written from the specification; only the layout of the board and the names of events
+are shared with the server. After records were overwritten before they were read, what was not seen is taken
+as it comes.
 
-- a grant goes to an attached client, on a resource that nobody holds, under a token higher than all before;
+- numbers of records rise by one and times do not go back; events are known ones;
+- a grant goes to an attached client, on a resource that nobody holds;
+- a resource's tokens rise, and all are of the server's epoch;
 - a command is forwarded only for the client that was granted last, under that token, until it is revoked;
-- who detaches holds nothing; a loss of control is followed by the safe command, before anything else;
-- a new server begins with a new epoch, and nothing is held then.
+- a client whose lease was over is granted and forwarded nothing until its lease is back;
+- a loss of control is followed by the safe command, within one period, before anything else on the resource;
+- a client that detached does nothing more and holds nothing.
 
-    python tools/arbiter_audit.py NAME [--json]        until SIGTERM or Ctrl-C; exit code 1 on a violation
+    python tools/arbiter_audit.py NAME [--json]           until SIGTERM or Ctrl-C; exit code 1 on a violation
+    python tools/arbiter_audit.py --file HISTORY [--json]
 """
 
 from __future__ import annotations
@@ -21,17 +28,29 @@ import struct
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
-from surffollow.arbiter.layout import BoardHeader, board_regions
-from surffollow.arbiter.table import ACTIONS
+from surffollow.arbiter.layout import EVENT_NAMES, BoardHeader, board_regions
+from surffollow.arbiter.table import EVENTS
 from surffollow.shm.layout_board import LogHead
 
 RECORD = struct.Struct("<8q8d")
-GRANT, REVOKE, RELEASE, SAFE, FORWARD, NEW_EPOCH = (
-    ACTIONS.index(n) for n in ("GRANT", "REVOKE", "RELEASE", "SAFE", "FORWARD", "NEW_EPOCH")
-)
-ATTACH, DETACH = 32, 33
+PERIOD_NS = 100_000_000  # of a file: the longest period that a configuration may give
+MOST_VIOLATIONS = 50
+# without a client's doing, or of a client whose detachment made them
+_AFTERWARDS = ("REVOKE", "DEQUEUE", "SAFE", "UNASK")
+
+
+class Entry(NamedTuple):
+    """One record."""
+
+    seq: int
+    t_ns: int
+    client: int
+    resource: str
+    token: int
+    event: str
+    reason: str
 
 
 class Book:
@@ -41,50 +60,103 @@ class Book:
         self.violations: list[str] = []
         self.counts = {"records": 0, "grants": 0, "forwarded": 0, "revoked": 0, "servers": 0, "lost": 0}
         self.forwarded_of: dict[int, int] = {}
-        self.highest = 0
         self.begin()
 
-    def begin(self) -> None:
-        self.held: dict[int, tuple[int, int]] = {}  # resource → client, token
-        self.owes_safe: set[int] = set()
+    def begin(self, epoch: int = 0, period_ns: int = PERIOD_NS, whole: bool = True) -> None:
+        """Start with another server's history; `whole`: from its first record on."""
+        self.epoch, self.period_ns = epoch, period_ns
+        self.tokens: dict[str, int] = {}  # resource → highest
+        self.gone: set[int] = set()
+        self.skip(whole)
+
+    def skip(self, whole: bool = False) -> None:
+        """Records were not seen: take what follows as it comes."""
+        self.whole = whole
+        self.last: Entry | None = None
+        self.held: dict[str, tuple[int, int] | None] = {}  # resource → client, token; missing: not known
+        self.owes_safe: dict[str, int] = {}  # resource → since [ns]
         self.attached: set[int] = set()
+        self.silent: set[int] = set()
 
-    def blame(self, record: tuple[Any, ...], why: str) -> None:
-        if len(self.violations) < 50:
-            self.violations.append(f"{why}: {record[:8]}")
+    def blame(self, entry: Entry, why: str) -> None:
+        """Note a violation."""
+        if len(self.violations) < MOST_VIOLATIONS:
+            self.violations.append(f"{why}: {tuple(entry)}")
 
-    def enter(self, record: tuple[Any, ...]) -> None:
-        _, _, client, resource, token, event, _, _ = record[:8]
+    def enter(self, e: Entry) -> None:
+        """Hold a record against the rules."""
         self.counts["records"] += 1
-        if resource in self.owes_safe and event != SAFE:
-            self.blame(record, "no safe command after a loss of control")
-        if event == SAFE:
-            self.owes_safe.discard(resource)
-        elif event == ATTACH:
-            self.attached.add(client)
-        elif event == DETACH:
-            self.attached.discard(client)
-            if any(c == client for c, _ in self.held.values()):
-                self.blame(record, "a client that is gone still holds something")
-        elif event == GRANT:
-            self.counts["grants"] += 1
-            if resource in self.held:
-                self.blame(record, "granted while held")
-            if token <= self.highest:
-                self.blame(record, "a token is not higher than all before")
-            if client not in self.attached:
-                self.blame(record, "granted to nobody")
-            self.highest, self.held[resource] = max(token, self.highest), (client, token)
-        elif event in (REVOKE, RELEASE):
-            self.counts["revoked"] += 1
-            if self.held.pop(resource, None) != (client, token):
-                self.blame(record, "took what was not held")
-            self.owes_safe.add(resource)
-        elif event == FORWARD:
-            self.counts["forwarded"] += 1
-            self.forwarded_of[client] = self.forwarded_of.get(client, 0) + 1
-            if self.held.get(resource) != (client, token) or client not in self.attached:
-                self.blame(record, "forwarded a command of a client that does not hold the resource")
+        if self.last is not None:
+            if e.seq != self.last.seq + 1:
+                self.blame(e, f"record {self.last.seq} is followed by record {e.seq}")
+            if e.t_ns < self.last.t_ns:
+                self.blame(e, "time goes back")
+        self.last = e
+        if e.event not in EVENT_NAMES.values():
+            self.blame(e, "an unknown event")
+        if e.client in self.gone and e.event not in _AFTERWARDS:
+            self.blame(e, "a client that detached does something")
+        since_ns = self.owes_safe.pop(e.resource, None)
+        if since_ns is not None and (e.event != "SAFE" or e.t_ns - since_ns > self.period_ns):
+            self.blame(e, "no safe command within a period after a loss of control")
+        getattr(self, f"_{e.event.lower()}", lambda _: None)(e)
+
+    def end(self, t_ns: int) -> None:
+        """The history ends at this time: no safe command may be missing."""
+        for resource, since_ns in self.owes_safe.items():
+            if t_ns - since_ns > self.period_ns and self.last is not None:
+                self.blame(self.last, f"no safe command within a period on {resource!r} to the end")
+
+    def _attach(self, e: Entry) -> None:
+        self.attached.add(e.client)
+
+    def _detach(self, e: Entry) -> None:
+        self.attached.discard(e.client)
+        self.gone.add(e.client)
+        if any(h is not None and h[0] == e.client for h in self.held.values()):
+            self.blame(e, "a client that is gone still holds something")
+
+    def _lease_back(self, e: Entry) -> None:
+        self.silent.discard(e.client)
+
+    def _new_epoch(self, e: Entry) -> None:
+        self.held[e.resource] = None
+
+    def _grant(self, e: Entry) -> None:
+        self.counts["grants"] += 1
+        if self.held.get(e.resource) is not None or (self.whole and e.resource not in self.held):
+            self.blame(e, "granted while held, or before the server's epoch began")
+        if e.token <= self.tokens.get(e.resource, 0):
+            self.blame(e, "a token is not higher than all before")
+        if self.epoch and e.token >> 32 != self.epoch:
+            self.blame(e, f"a token is not of epoch {self.epoch}")
+        if self.whole and e.client not in self.attached:
+            self.blame(e, "granted to nobody")
+        if e.client in self.silent:
+            self.blame(e, "granted to a client whose lease is over")
+        self.tokens[e.resource] = max(e.token, self.tokens.get(e.resource, 0))
+        self.held[e.resource] = (e.client, e.token)
+
+    def _revoke(self, e: Entry) -> None:
+        self.counts["revoked"] += 1
+        if self.held.get(e.resource, (e.client, e.token)) != (e.client, e.token):
+            self.blame(e, "took what was not held")
+        self.held[e.resource] = None
+        self.owes_safe[e.resource] = e.t_ns
+        if e.reason == "LEASE_OVER":
+            self.silent.add(e.client)
+
+    _release = _revoke
+
+    def _forward(self, e: Entry) -> None:
+        self.counts["forwarded"] += 1
+        self.forwarded_of[e.client] = self.forwarded_of.get(e.client, 0) + 1
+        holder = self.held.get(e.resource, None if self.whole else (e.client, e.token))
+        if holder != (e.client, e.token) or (self.whole and e.client not in self.attached):
+            self.blame(e, "forwarded a command of a client that does not hold the resource")
+        if e.client in self.silent:
+            self.blame(e, "forwarded a command of a client whose lease is over")
+        self.held[e.resource] = (e.client, e.token)
 
 
 class Follower:
@@ -95,9 +167,18 @@ class Follower:
             self.identity = os.fstat(file.fileno()).st_ino
             self.memory = mmap.mmap(file.fileno(), 0, mmap.MAP_SHARED, mmap.PROT_READ)
         self.words = memoryview(self.memory).cast("q")
-        self.capacity = self.words[BoardHeader.offset("history_capacity") // 8]
+        self.capacity = self.word("history_capacity")
         self.base = board_regions(self.capacity)["history"][0]
         self.next = 0
+
+    def word(self, field: str) -> int:
+        """A number of the board's header."""
+        return int(self.words[BoardHeader.offset(field) // 8])
+
+    def begin(self, book: Book) -> None:
+        """Start the book for this server."""
+        book.counts["servers"] += 1
+        book.begin(self.word("epoch"), self.word("period_ns"))
 
     def read(self, book: Book) -> int:
         """Enter what is new; how much that was."""
@@ -110,9 +191,12 @@ class Follower:
             if reserved - self.next > self.capacity:
                 book.counts["lost"] += head - self.next
                 self.next = head
-                book.begin()
+                book.skip()
                 break
-            book.enter(record)
+            seq, t_ns, client, resource, token, event, reason = record[:7]
+            kind = EVENT_NAMES.get(event, f"event {event}")
+            why = EVENTS[reason] if 0 <= reason < len(EVENTS) else ""
+            book.enter(Entry(seq, t_ns, client, str(resource) if resource >= 0 else "", token, kind, why))
             self.next += 1
         return self.next - start
 
@@ -129,26 +213,51 @@ def audit(name: str, stopped: list[int], poll_s: float = 0.0005) -> Book:
             if follower is None or path.stat().st_ino != follower.identity:
                 if follower is not None:
                     follower.read(book)
+                    book.end(follower.word("beat_ns"))
                 follower = Follower(path)
-                book.counts["servers"] += 1
-                book.begin()
+                follower.begin(book)
         except (OSError, ValueError, IndexError):
             pass  # being replaced
         if over and not new:
+            if follower is not None:
+                book.end(follower.word("beat_ns"))
             return book
         if not new:
             time.sleep(poll_s)
 
 
+def audit_file(path: Path) -> Book:
+    """Check what `surffollow arbiter history --json` printed of one server."""
+    book = Book()
+    book.counts["servers"] = 1
+    entry = None
+    for line in path.read_text().splitlines():
+        entry = Entry(**{k: v for k, v in json.loads(line).items() if k in Entry._fields})
+        if entry.seq > 1 and book.last is None:
+            book.skip()
+        book.enter(entry)
+    if entry is not None:
+        book.end(entry.t_ns)
+    return book
+
+
 def main() -> int:
+    """Follow a server or check a file; 1 on a violation."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("name")
+    parser.add_argument("name", nargs="?", help="of the arbiter")
+    parser.add_argument("--file", type=Path, help="lines of `surffollow arbiter history --json`")
     parser.add_argument("--json", action="store_true")
     words = parser.parse_args()
-    stopped: list[int] = []
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda n, _: stopped.append(n))
-    book = audit(words.name, stopped)
+    if (words.name is None) == (words.file is None):
+        parser.error("give the name of an arbiter, or --file HISTORY")
+    if words.file is not None:
+        book = audit_file(words.file)
+    else:
+        stopped: list[int] = []
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda n, _: stopped.append(n))
+        print("following", flush=True)
+        book = audit(words.name, stopped)
     result = {**book.counts, "forwarded_of": book.forwarded_of, "violations": book.violations}
     print(json.dumps(result) if words.json else result, flush=True)
     return 1 if book.violations else 0

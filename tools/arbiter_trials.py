@@ -174,6 +174,8 @@ def audited(name: str) -> Iterator[dict[str, Any]]:
     process = subprocess.Popen(
         [sys.executable, str(program), name, "--json"], stdout=subprocess.PIPE, text=True
     )
+    assert process.stdout is not None
+    process.stdout.readline()  # it follows
     try:
         yield found
     finally:

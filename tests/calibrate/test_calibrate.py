@@ -53,6 +53,8 @@ def test_fewer_pairs_and_more_noise_are_worse_as_the_residuals_say() -> None:
     [
         ([1.0, 2.0, 3.0], [0.1, 0.2, 0.3], "too few"),
         ([1.0, 2.0, 3.0, 4.0], [0.1, 0.3, 0.2, 0.4], "not monotone: 2 → 0.3 m and 3 → 0.2 m"),
+        ([1.0, 2.0, 3.0, 4.0], [0.1, 0.2, 0.2, 0.4], "not monotone: 2 → 0.2 m and 3 → 0.2 m"),
+        ([1.0, 2.0, 3.0, 4.0], [0.4, 0.2, 0.2, 0.1], "not monotone: 2 → 0.2 m and 3 → 0.2 m"),
         ([1.0, 2.0, math.nan, 4.0], [0.1, 0.2, 0.3, 0.4], "finite"),
     ],
 )
@@ -80,18 +82,34 @@ def test_a_move_that_cannot_tell_the_latency_is_refused() -> None:
         fit_latency(t[:60], t[:60], t[:60], t[:60])
 
 
-@pytest.mark.parametrize(("tilt_x", "tilt_y"), [(0.0, 0.0), (0.4, 0.0), (0.0, 0.4)])
-def test_moves_that_cannot_tell_the_mount_are_refused(tilt_x: float, tilt_y: float) -> None:
+def over_a_plate(tilt_x: float, tilt_y: float, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Poses over a level plate, tilted at random; what a sensor at (10, 20, 0) mm reads."""
     from scipy.spatial.transform import Rotation
 
     rng = np.random.default_rng(3)
-    n = 200
     tilts = np.column_stack([rng.uniform(-tilt_x, tilt_x, n), rng.uniform(-tilt_y, tilt_y, n), np.zeros(n)])
     turns = Rotation.from_euler("xyz", tilts)
     t = np.column_stack([rng.uniform(-0.2, 0.2, (n, 2)), rng.uniform(0.15, 0.25, n)])
     ranges = (-(t + turns.apply([0.01, 0.02, 0.0]))[:, 2]) / turns.apply(beam_of(0, 0))[:, 2]
+    return np.hstack([t, turns.as_quat()]), ranges + rng.normal(0.0, 1e-4, n)
+
+
+@pytest.mark.parametrize(("tilt_x", "tilt_y"), [(0.0, 0.0), (0.4, 0.0), (0.0, 0.4)])
+def test_moves_that_cannot_tell_the_mount_are_refused(tilt_x: float, tilt_y: float) -> None:
     with pytest.raises(ConfigError, match="cannot tell"):
-        fit_mount(np.hstack([t, turns.as_quat()]), ranges + rng.normal(0.0, 1e-4, n))
+        fit_mount(*over_a_plate(tilt_x, tilt_y, 200))
+
+
+def test_moves_that_tell_the_mount_badly_are_refused_with_what_is_uncertain_by_how_much() -> None:
+    with pytest.raises(ConfigError, match=r"cannot tell the sensor's [xyz].*uncertain by [0-9.]+ mm"):
+        fit_mount(*over_a_plate(0.01, 0.01, 24))
+
+
+def test_the_fewest_readings_over_a_plate_are_enough_and_one_less_is_not() -> None:
+    poses, ranges = over_a_plate(0.4, 0.4, 24)
+    assert fit_mount(poses, ranges).mount[:2] == pytest.approx((0.01, 0.02), abs=2e-3)
+    with pytest.raises(ConfigError, match="23 readings over the plate are too few; take at least 24"):
+        fit_mount(poses[:23], ranges[:23])
 
 
 def run(*words: object) -> Result:
@@ -163,6 +181,8 @@ def test_a_driver_with_a_calibration_delivers_linear_distances_latency_and_keeps
         ('{"version": 7}', "version 7"),
         ('{"latency_s": -1}', "latency_s"),
         ('{"tables": [{"channel": 0, "indicated": [1, 1], "range_m": [1, 2]}]}', "not monotone"),
+        ('{"tables": [{"channel": 0, "indicated": [1, 2, 3], "range_m": [1, 2, 2]}]}', "not monotone"),
+        ('{"tables": [{"channel": 0, "indicated": [1, 2, 3], "range_m": [2, 1, 1]}]}', "not monotone"),
         (
             '{"tables": [{"channel": 3, "indicated": [1, 2], "range_m": [1, 2]}]}',
             r"channels \[3\], the driver has 1",

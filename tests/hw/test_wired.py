@@ -19,6 +19,7 @@ from hw.wires import FRAME_FORMAT, LINE_FORMAT, WINDOW, FakeIio, Pty, datagrams,
 from running_service import unique_name, until
 from surffollow.errors import ConfigError
 from surffollow.hw.driver import ConversionQueue, Driver
+from surffollow.hw.iio import Element
 from surffollow.hw.polled import GARBLED, RUNNING, SILENT, STOPPED, WAITING
 from surffollow.hw.registry import make_driver
 from surffollow.shm.conversion import FLAG_INVALID, conversion_channel, conversion_counts, conversion_flags
@@ -304,6 +305,21 @@ def test_a_can_bus_that_fails_is_told_and_joined_again(monkeypatch: pytest.Monke
         driver.stop()
 
 
+@pytest.mark.parametrize(
+    ("bits", "signed", "dropped"),
+    [(23, False, 0), (24, False, 1), (24, True, 0), (32, False, 9), (32, True, 8)],
+)
+def test_iio_numbers_keep_every_bit_that_a_conversion_has_room_for(
+    bits: int, signed: bool, dropped: int
+) -> None:
+    element = Element("voltage0", 0, 0, struct.Struct("<i" if signed else "<I"), 0, bits, signed)
+    assert element.dropped == dropped
+    least, most = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signed else (0, (1 << bits) - 1)
+    for number in (least, -1 if signed else 1, 0, most):
+        assert element.value(element.reader.pack(number), 0) == number
+        assert -(1 << 23) <= number >> element.dropped < 1 << 23
+
+
 def test_datagrams_give_distances_in_order_and_count_what_is_missing() -> None:
     form = {"length": 6, "value": {"offset": 2, "type": "f32le"}, "unit": "m"}
     settings = {
@@ -311,7 +327,7 @@ def test_datagrams_give_distances_in_order_and_count_what_is_missing() -> None:
         "port": 0,
         "format": form,
         "sequence": {"offset": 0},
-        "silence_s": 0.1,
+        "silence_s": 30.0,  # silence must not replace GARBLED before it is seen
         **WINDOW,
     }
     driver, queue = made(settings), ConversionQueue()

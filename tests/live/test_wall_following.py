@@ -9,7 +9,9 @@ import sys
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from surffollow.cli.base import wall_follow_command
 from surffollow.errors import ConfigError, UsageError
 from surffollow.live.wall_clients import Avoid, make_clients
 from surffollow.live.wall_following import Arbitration, figures, ring_of, run_experiment, sense, tick
@@ -60,6 +62,10 @@ def test_avoid_halts_before_a_wall_whoever_drives():
     assert 1 in held
 
 
+def wall_follow(*words):
+    return CliRunner().invoke(wall_follow_command, words)
+
+
 def test_a_command_arrives_after_the_serial_delay():
     base = SimulatedBase(BaseConfig(serial_s=0.5), seed=1)
     base.command(0.2, 0.0)
@@ -67,6 +73,39 @@ def test_a_command_arrives_after_the_serial_delay():
     assert base.state[3] == 0.0
     base.run(1.2)
     assert base.state[3] == pytest.approx(0.2)
+
+
+def test_a_base_that_is_driven_against_a_wall_stays_in_the_room_while_its_wheels_slip():
+    base = SimulatedBase(BaseConfig(start=(5.0, 2.0, 0.3)), seed=1)
+    base.command(0.5, 0.0)
+    base.run(6.0)
+    x, y, _ = base.state[:3]
+    assert x == pytest.approx(6.0 - 0.35 + 0.001)
+    assert y > 2.5, "it slides along the wall"
+    assert -0.0011 < base.wall_gap_m < 0.0
+    assert base.state[5] > 7.0, "odometry does not feel the wall"
+
+
+@pytest.mark.parametrize("start", [(0.3, 2.0, 0.0), (3.0, 3.7, 0.0), (math.nan, 2.0, 0.0)])
+def test_a_start_in_a_wall_is_refused(start):
+    with pytest.raises(ConfigError, match=r"not inside a room of \(6.0, 4.0\) m"):
+        SimulatedBase(BaseConfig(start=start))
+
+
+def test_short_runs_tell_what_they_can_and_how_long_walls_were_touched():
+    out = wall_follow("--experiment", "paper", "--laps", "1", "--seeds", "31006")
+    assert "contacts of" in out.stdout
+    assert "heading repeats within -°" in out.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [(("--seeds", "-3"), "from 0 on"), (("--seeds", "1:3", "--processes"), "one seed at a time")],
+)
+def test_seeds_that_cannot_be_run_are_refused(words, says):
+    refused = wall_follow(*words)
+    assert refused.exit_code == 2
+    assert says in refused.output
 
 
 def test_sonars_are_fired_in_turn_nine_rounds_a_second():

@@ -9,7 +9,7 @@ import pytest
 
 from sonar.naive_sonar import range_of, ring_ranges, walls_by_search, wrapped
 from surffollow.errors import UsageError
-from surffollow.sonar import optimal_pair, wall_pose
+from surffollow.sonar import fused_pose, optimal_pair, wall_pose
 
 RING_M = 0.35
 VECTORS = [
@@ -154,6 +154,14 @@ def test_the_covariance_of_a_pair_is_that_of_a_monte_carlo():
         ({"max_incidence_rad": 0.01}, "max_incidence_rad"),
         ({"positions_m": [(0.0, math.nan), (0.0, 0.0)]}, "finite"),
         ({"sigma_m": -1.0}, "sigma_m"),
+        ({"sigma_m": 1e300}, "sigma_m"),
+        ({"sigma_m": 1e-300}, "sigma_m"),
+        ({"sigma_m": math.nan}, "sigma_m"),
+        ({"max_range_m": math.nan}, "max_range_m"),
+        ({"max_range_m": -1.0}, "max_range_m"),
+        ({"headings_rad": (0.0, 1e300)}, "1e\\+300 rad; expected at most"),
+        ({"ranges_m": (1.0, 1e308)}, "1e\\+308 m"),
+        ({"positions_m": [(0.0, -1e7), (0.0, 0.0)]}, "1e\\+07 m"),
     ],
 )
 def test_wrong_arguments_are_named(change, text):
@@ -165,6 +173,16 @@ def test_wrong_arguments_are_named(change, text):
     }
     with pytest.raises(UsageError, match=text):
         wall_pose(**(good | change))
+
+
+def test_two_equal_echoes_at_one_place_leave_a_continuum_that_only_fusion_answers():
+    readings = [(0.35, 0.0), (0.35, 0.0)], (0.0, 0.26), (0.8, 0.8), 0.2
+    assert wall_pose(*readings, sigma_m=0.01) == []
+    wall = fused_pose(*readings, sigma_m=0.01)
+    assert wall.phi_rad == pytest.approx(0.13)
+    assert wall.distance_m == pytest.approx(0.8 + 0.35 * math.cos(0.13), abs=2e-3)
+    # any normal in the overlap of the beams, which is 0.14 rad wide
+    assert wall.phi_std_rad == pytest.approx(0.14 / math.sqrt(12.0), rel=0.1)
 
 
 def test_silence_and_readings_not_measured_make_no_wall():

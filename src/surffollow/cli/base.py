@@ -68,8 +68,8 @@ def seeds_of(ctx: click.Context, param: click.Parameter, value: str) -> range:
         seeds = range(int(first), int(last) if last else int(first) + 1)
     except ValueError:
         seeds = range(0)
-    if not seeds:
-        raise click.BadParameter(f"{value!r} names no seeds; write 1:21 or 7", ctx, param)
+    if not seeds or seeds[0] < 0:
+        raise click.BadParameter(f"{value!r} names no seeds from 0 on; write 1:21 or 7", ctx, param)
     return seeds
 
 
@@ -95,9 +95,13 @@ def wall_follow_command(
     """
     from surffollow.live.wall_following import figures, run_experiment
 
+    if processes and len(seeds) > 1:
+        raise click.UsageError(
+            "--processes runs in real time, one seed at a time; give one number to --seeds"
+        )
     runs: list[dict[str, Any]] = []
     first = None
-    for seed in seeds[:1] if processes else seeds:
+    for seed in seeds:
         if processes:
             from surffollow.live.wall_processes import run_processes
 
@@ -138,12 +142,16 @@ def median_of(runs: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def line_of(f: dict[str, Any]) -> str:
-    """The figures in one line."""
+    """The figures in one line; "-" for what a run was too short to tell."""
     import math
 
+    def shown(value: float, form: str) -> str:
+        return "-" if math.isnan(value) else format(value, form)
+
     return (
-        f"distance RMS {1e3 * f['distance_rms_m']:.0f} mm, heading repeats within "
-        f"{math.degrees(f['heading_repeatability_rad']):.2f}°, off the wall by "
-        f"{math.degrees(f['heading_rms_rad']):.2f}° RMS, least gap {1e3 * f['least_gap_m']:.0f} mm, "
-        f"{f['contacts']:.0f} contacts, {f['laps']:.2f} laps in {f['seconds']:.0f} s"
+        f"distance RMS {shown(1e3 * f['distance_rms_m'], '.0f')} mm, heading repeats within "
+        f"{shown(math.degrees(f['heading_repeatability_rad']), '.2f')}°, off the wall by "
+        f"{shown(math.degrees(f['heading_rms_rad']), '.2f')}° RMS, least gap {1e3 * f['least_gap_m']:.0f} "
+        f"mm, {f['contacts']:.0f} contacts of {f['contact_s']:.1f} s, {f['laps']:.2f} laps in "
+        f"{f['seconds']:.0f} s"
     )

@@ -231,7 +231,8 @@ def figures(run: Run, room_m: tuple[float, float] = (6.0, 4.0)) -> dict[str, flo
     dict
         distance_rms_m: of the distance to the followed wall about its mean over the run;
         heading_repeatability_rad: standard deviation, over the laps, of the mean heading along each wall;
-        heading_rms_rad: heading less the wall's; least_gap_m, contacts, laps, turns, seconds
+        heading_rms_rad: heading less the wall's; contacts, contact_s: how often and for how long the rim was
+        against a wall; least_gap_m, laps, turns, seconds
     """
     distances, wall_headings, all_headings = [], {w: [] for w in range(4)}, []  # type: ignore[var-annotated]
     for begin, end, wall in straights(run):
@@ -242,13 +243,15 @@ def figures(run: Run, room_m: tuple[float, float] = (6.0, 4.0)) -> dict[str, flo
     together = np.concatenate(distances) if distances else np.array([math.nan])
     headings = np.concatenate(all_headings) if all_headings else np.array([math.nan])
     spread = [np.var(h, ddof=1) for h in wall_headings.values() if len(h) > 1]
+    touching = run.gap_m <= 0.0
     return {
         "distance_rms_m": float(together.std()),
         "distance_mean_m": float(together.mean()),
         "heading_repeatability_rad": float(math.sqrt(np.mean(spread))) if spread else math.nan,
         "heading_rms_rad": float(np.sqrt(np.mean(headings**2))),
         "least_gap_m": float(run.gap_m.min()),
-        "contacts": float(np.count_nonzero(np.diff((run.gap_m <= 0.0).astype(int)) > 0)),
+        "contacts": float(np.count_nonzero(np.diff(touching.astype(int)) > 0)),
+        "contact_s": float(np.diff(run.time_s)[touching[1:]].sum()),
         "laps": float(run.laps),
         "turns": float(len(run.turns)),
         "seconds": float(run.time_s[-1]),

@@ -15,9 +15,10 @@ from surffollow.blocks.layout import schema_from_text, schema_text
 from surffollow.blocks.listing import attach_unknown
 from surffollow.errors import RecordingError, SchemaError, UsageError
 from surffollow.record import foxglove as fx
+from surffollow.record.mcap_reader import CHANNEL, MESSAGE, MESSAGE_HEAD, Damage, McapReader
 from surffollow.record.mcap_records import read_channel
-from surffollow.record.protobuf import Field, Message, message_of
-from surffollow.record.reader import CHANNEL, MESSAGE, MESSAGE_HEAD, Damage, McapReader
+from surffollow.record.protobuf import Field, Message
+from surffollow.record.protobuf_types import message_of
 from surffollow.record.writer import MessageWriter
 from surffollow.shm.schema import Schema
 

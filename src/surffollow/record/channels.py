@@ -25,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.record import foxglove as fx
-from surffollow.record.protobuf import Field, Message, message_of
+from surffollow.record.protobuf import Field, Message
+from surffollow.record.protobuf_types import message_of
 from surffollow.record.samples import Event, Run
 from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES
 from surffollow.shm.layout_board import RQ_MAP_INSTALL, RQ_MAP_REFOCUS, RQ_MAP_RESET

@@ -15,8 +15,8 @@ from surffollow.errors import RecordingError
 from surffollow.map.picture import known_part
 from surffollow.record import figure as fg
 from surffollow.record.feed import SERVICE
+from surffollow.record.mcap_reader import CHANNEL, MESSAGE, MESSAGE_HEAD, McapReader
 from surffollow.record.mcap_records import read_channel
-from surffollow.record.reader import CHANNEL, MESSAGE, MESSAGE_HEAD, McapReader
 from surffollow.record.remap import Remapper
 from surffollow.record.samples import Event
 from surffollow.record.sampling import FileSamples

@@ -1,8 +1,7 @@
-"""Protocol-buffer messages without a library: declare fields, encode values, describe the type for readers.
+"""Protocol-buffer messages without a library: declare fields, encode and decode values.
 
-A reader of an MCAP file decodes a message by the `FileDescriptorSet` in its schema record
-(encoding specification of protocol buffers, proto3). Only what recordings need is here: scalars,
-text, bytes, nested messages, packed numbers.
+The encoding specification of protocol buffers (proto3). Only what recordings need is here: scalars,
+text, bytes, nested messages, packed numbers. `protobuf_types` describes the types for readers.
 """
 
 from __future__ import annotations
@@ -12,38 +11,22 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from surffollow.shm.schema import Schema
-
-_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
+VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5
 # kind → (number of the type in a descriptor, wire type, struct letter)
 KINDS: dict[str, tuple[int, int, str]] = {
-    "double": (1, _FIXED64, "d"),
-    "float": (2, _FIXED32, "f"),
-    "int64": (3, _VARINT, ""),
-    "int32": (5, _VARINT, ""),
-    "fixed32": (7, _FIXED32, "I"),
-    "bool": (8, _VARINT, ""),
-    "string": (9, _BYTES, ""),
-    "message": (11, _BYTES, ""),
-    "bytes": (12, _BYTES, ""),
-    "enum": (14, _VARINT, ""),
-    "sfixed32": (15, _FIXED32, "i"),
-    "fixed64": (6, _FIXED64, "Q"),
-    "sfixed64": (16, _FIXED64, "q"),
-}
-_PROTO3 = "proto3"
-# what a declared scalar becomes: fixed widths, which every language reads back exactly
-_OF_CODE = {
-    "f8": "double",
-    "f4": "float",
-    "i8": "sfixed64",
-    "u8": "fixed64",
-    "i4": "sfixed32",
-    "u4": "fixed32",
-    "i2": "sfixed32",
-    "u2": "fixed32",
-    "i1": "sfixed32",
-    "u1": "fixed32",
+    "double": (1, FIXED64, "d"),
+    "float": (2, FIXED32, "f"),
+    "int64": (3, VARINT, ""),
+    "int32": (5, VARINT, ""),
+    "fixed32": (7, FIXED32, "I"),
+    "bool": (8, VARINT, ""),
+    "string": (9, BYTES, ""),
+    "message": (11, BYTES, ""),
+    "bytes": (12, BYTES, ""),
+    "enum": (14, VARINT, ""),
+    "sfixed32": (15, FIXED32, "i"),
+    "fixed64": (6, FIXED64, "Q"),
+    "sfixed64": (16, FIXED64, "q"),
 }
 
 
@@ -114,7 +97,7 @@ class Message:
             if f is None:
                 continue
             values = (
-                _unpacked(f, value) if f.repeated and KINDS[f.kind][1] != _BYTES else [_as_value(f, value)]
+                _unpacked(f, value) if f.repeated and KINDS[f.kind][1] != BYTES else [_as_value(f, value)]
             )
             if f.repeated:
                 out[f.name] += values
@@ -136,12 +119,12 @@ def _read_varint(data: bytes, at: int) -> tuple[int, int]:
 
 
 def _read_value(data: bytes, at: int, wire: int) -> tuple[Any, int]:
-    if wire == _VARINT:
+    if wire == VARINT:
         return _read_varint(data, at)
-    if wire == _BYTES:
+    if wire == BYTES:
         length, at = _read_varint(data, at)
-    elif wire in (_FIXED64, _FIXED32):
-        length = 8 if wire == _FIXED64 else 4
+    elif wire in (FIXED64, FIXED32):
+        length = 8 if wire == FIXED64 else 4
     else:
         raise ValueError(f"a message has a field of the unknown wire type {wire}")
     if at + length > len(data):
@@ -151,9 +134,9 @@ def _read_value(data: bytes, at: int, wire: int) -> tuple[Any, int]:
 
 def _as_value(f: Field, value: Any) -> Any:
     _, wire, letter = KINDS[f.kind]
-    if wire == _VARINT:
+    if wire == VARINT:
         return value - (1 << 64) if value >= 1 << 63 else value
-    if wire in (_FIXED64, _FIXED32):
+    if wire in (FIXED64, FIXED32):
         try:
             return struct.unpack(f"<{letter}", value)[0]
         except struct.error as e:
@@ -167,7 +150,7 @@ def _unpacked(f: Field, value: Any) -> list[Any]:
     _, wire, letter = KINDS[f.kind]
     if not isinstance(value, bytes):
         return [_as_value(f, value)]
-    if wire != _VARINT:
+    if wire != VARINT:
         size = struct.calcsize(letter)
         if len(value) % size:
             raise ValueError(f"field {f.name} does not hold whole numbers")
@@ -190,29 +173,29 @@ def varint(value: int) -> bytes:
     return bytes(out)
 
 
-def _tag(number: int, wire: int) -> bytes:
+def tag(number: int, wire: int) -> bytes:
     return varint(number << 3 | wire)
 
 
 def _encode_field(out: bytearray, f: Field, value: Any) -> None:
     _, wire, letter = KINDS[f.kind]
-    if f.repeated and wire != _BYTES:
+    if f.repeated and wire != BYTES:
         data = value if isinstance(value, bytes) else _packed(wire, letter, value)
-        out += _tag(f.number, _BYTES) + varint(len(data)) + data
+        out += tag(f.number, BYTES) + varint(len(data)) + data
         return
     for item in value if f.repeated else (value,):
-        out += _tag(f.number, wire)
-        if wire == _BYTES:
+        out += tag(f.number, wire)
+        if wire == BYTES:
             data = _as_bytes(f, item)
             out += varint(len(data)) + data
-        elif wire == _VARINT:
+        elif wire == VARINT:
             out += varint(int(item))
         else:
             out += struct.pack(f"<{letter}", item)
 
 
 def _packed(wire: int, letter: str, values: Iterable[Any]) -> bytes:
-    if wire == _VARINT:
+    if wire == VARINT:
         return b"".join(varint(int(v)) for v in values)
     items = list(values)
     return struct.pack(f"<{len(items)}{letter}", *items)
@@ -225,86 +208,3 @@ def _as_bytes(f: Field, item: Any) -> bytes:
         return item.encode()
     assert isinstance(f.of, Message)
     return f.of.encode(item)
-
-
-# -- the description of a type, itself made of messages (google/protobuf/descriptor.proto) ------------
-
-
-def _text(number: int, value: str) -> bytes:
-    return _blob(number, value.encode())
-
-
-def _blob(number: int, data: bytes) -> bytes:
-    return _tag(number, _BYTES) + varint(len(data)) + data
-
-
-def _whole(number: int, value: int) -> bytes:
-    return _tag(number, _VARINT) + varint(value)
-
-
-def _file_name(message: Message) -> str:
-    return f"{message.package.replace('.', '/')}/{message.name}.proto"
-
-
-def _describe_field(message: Message, f: Field) -> bytes:
-    out = _text(1, f.name) + _whole(3, f.number) + _whole(4, 3 if f.repeated else 1)
-    out += _whole(5, KINDS[f.kind][0])
-    if isinstance(f.of, Message):
-        out += _text(6, f".{f.of.full_name}")
-    elif isinstance(f.of, Enum):
-        out += _text(6, f".{message.full_name}.{f.of.name}")
-    return out
-
-
-def _describe_message(message: Message) -> bytes:
-    out = _text(1, message.name)
-    out += b"".join(_blob(2, _describe_field(message, f)) for f in message.fields)
-    for e in message.enums:
-        values = b"".join(_blob(2, _text(1, v) + _whole(2, k)) for k, v in enumerate(e.values))
-        out += _blob(4, _text(1, e.name) + values)
-    return out
-
-
-def _needed(message: Message) -> dict[str, Message]:
-    """The message types that one is made of, those that others need first."""
-    found: dict[str, Message] = {}
-    for f in message.fields:
-        if isinstance(f.of, Message):
-            found |= {k: v for k, v in _needed(f.of).items() if k not in found}
-    return found | {message.full_name: message}
-
-
-def descriptor_set(message: Message) -> bytes:
-    """The `FileDescriptorSet` of a message and all that it is made of, one file per message."""
-    out = b""
-    for m in _needed(message).values():
-        files = dict.fromkeys(_file_name(f.of) for f in m.fields if isinstance(f.of, Message))
-        out += _blob(
-            1,
-            _text(1, _file_name(m))
-            + _text(2, m.package)
-            + b"".join(_text(3, name) for name in files)
-            + _blob(4, _describe_message(m))
-            + _text(12, _PROTO3),
-        )
-    return out
-
-
-# -- messages from declared layouts -------------------------------------------------------------------
-
-
-def message_of(schema: type[Schema], package: str, before: tuple[Field, ...] = ()) -> Message:
-    """The message type of a declared layout: the same names in the same order, behind the fields `before`.
-
-    Arrays and nested arrays become repeated fields, texts strings; whole numbers keep their sign.
-    """
-    fields, number = list(before), len(before)
-    taken = {f.name for f in before}
-    for f in schema.FIELDS:
-        if f.name in taken:
-            continue
-        number += 1
-        of = message_of(f.nested, f"{package}.{schema.__name__.lower()}") if f.nested is not None else None
-        kind = "message" if of is not None else "string" if f.is_text else _OF_CODE[f.code]
-        fields.append(Field(f.name, number, kind, f.count > 1 and not f.is_text, of))
-    return Message(package, schema.__name__, tuple(fields))

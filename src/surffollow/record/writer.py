@@ -28,7 +28,8 @@ from surffollow.record.format import (
     layout_description,
     program_version,
 )
-from surffollow.record.protobuf import Message, descriptor_set
+from surffollow.record.protobuf import Message
+from surffollow.record.protobuf_types import descriptor_set
 
 if TYPE_CHECKING:
     from typing_extensions import Self

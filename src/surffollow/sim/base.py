@@ -22,6 +22,7 @@ from surffollow.shm.jit import jit
     NEXT_INFRARED_S, TIME_S, DRAWN, ODOMETRY_SPEED, ODOMETRY_TURN_RATE,
 ) = range(15)  # fmt: skip
 STATE = 15
+BUMPER_M = 0.001  # so far the rim can be pressed into a wall
 N_INFRARED = 8
 ROUND_HZ, INFRARED_HZ = 9.0, 20.0
 STEP_S = 0.005
@@ -70,6 +71,11 @@ class BaseConfig:
             raise ConfigError(
                 f"a room of {self.room_m} m leaves no way for a base of radius {self.radius_m} m"
             )
+        if not all(self.radius_m <= a <= b - self.radius_m for a, b in zip(self.start, self.room_m)):
+            raise ConfigError(
+                f"a start at {self.start[:2]} m is not inside a room of {self.room_m} m; a base of radius "
+                f"{self.radius_m} m has its centre at least so far from every wall"
+            )
         if not 1 <= self.sonars <= 64:
             raise ConfigError(f"{self.sonars} sonars; choose 1 to 64")
 
@@ -114,6 +120,9 @@ def advance(
 ) -> None:  # fmt: skip
     """Move the base to a time, firing the sensors that are due on the way.
 
+    Walls are rigid: a base that is driven against one slides along it while its wheels slip, so that odometry
+    goes on.
+
     Parameters
     ----------
     state : (15,) float64          see the indices of this module; updated
@@ -137,8 +146,9 @@ def advance(
         state[TURN_RATE] += min(max(wanted_w - state[TURN_RATE], -change), change)
         v, w = state[SPEED], state[TURN_RATE]
         middle = state[HEADING] + 0.5 * w * dt
-        state[X] += v * dt * math.cos(middle)
-        state[Y] += v * dt * math.sin(middle)
+        nearest = radius - BUMPER_M
+        state[X] = min(max(state[X] + v * dt * math.cos(middle), nearest), width - nearest)
+        state[Y] = min(max(state[Y] + v * dt * math.sin(middle), nearest), depth - nearest)
         state[HEADING] += w * dt
         # wheels slip: what is measured differs by a constant and by noise that grows with the way
         drawn = int(state[DRAWN])
@@ -218,7 +228,7 @@ class SimulatedBase:
 
     @property
     def wall_gap_m(self) -> float:
-        """True distance of the base's rim from the nearest wall [m]; negative: contact."""
+        """True distance of the base's rim from the nearest wall [m]; down to −`BUMPER_M` in contact."""
         x, y = self.state[X], self.state[Y]
         return float(min(x, y, self.config.room_m[0] - x, self.config.room_m[1] - y) - self.config.radius_m)
 

@@ -21,6 +21,9 @@ from surffollow.sonar.ring_walls import find_walls
 
 MAX_CANDIDATES = 8192
 MODELS = ("specular", "diffuse")
+MAX_LENGTH_M = 1e6  # positions, ranges and deviations beyond it are errors of units
+MIN_SIGMA_M = 1e-12  # the closed forms divide by the variance
+MAX_HEADING_RAD = 1e6  # beyond it a float's step is more than a nanoradian
 
 
 @dataclass(frozen=True)
@@ -117,13 +120,23 @@ def _checked(
         )
     if not (np.isfinite(positions).all() and np.isfinite(headings).all()):
         raise UsageError("positions_m or headings_rad is not finite; leave such a sonar out")
+    told = ranges[np.isfinite(ranges)]
+    longest_m = max((float(np.abs(a).max()) for a in (positions, told) if a.size), default=0.0)
+    if longest_m > MAX_LENGTH_M or (np.abs(headings) > MAX_HEADING_RAD).any():
+        raise UsageError(
+            f"positions_m and ranges_m reach {longest_m:.3g} m, headings_rad "
+            f"{np.abs(headings).max():.3g} rad; expected at most {MAX_LENGTH_M:g} m and "
+            f"{MAX_HEADING_RAD:g} rad"
+        )
     if (ranges <= 0.0).any():
         raise UsageError(
             f"ranges_m has the value {ranges[ranges <= 0.0][0]}; use inf for no echo, NaN for none measured"
         )
+    if not max_range_m > 0.0:
+        raise UsageError(f"max_range_m is {max_range_m}; expected a positive distance, or inf")
     sigmas = np.ascontiguousarray(np.broadcast_to(np.asarray(sigma_m, np.float64), (m,)))
-    if not (np.isfinite(sigmas) & (sigmas >= 0.0)).all():
-        raise UsageError("sigma_m must be finite and not negative")
+    if not ((sigmas == 0.0) | (sigmas >= MIN_SIGMA_M) & (sigmas <= MAX_LENGTH_M)).all():
+        raise UsageError(f"sigma_m must be 0 (exact readings), or from {MIN_SIGMA_M:g} to {MAX_LENGTH_M:g} m")
     return Ring(positions, headings, ranges, sigmas, float(half_beam_rad), limit, float(max_range_m))
 
 
@@ -170,7 +183,8 @@ def wall_pose(
     list of WallPose
         The walls that every reading agrees with, the least L²·var φ + var d (L = 1 m) first. `ambiguous` is
         set in all of them when there are several. Covariance alone must not choose: it prefers mirrored
-        walls.
+        walls. Empty where infinitely many walls agree: a lone echo, or sonars at one place with equal
+        ranges; `fused_pose` answers these with the covariance that the beams leave.
 
     Raises
     ------
