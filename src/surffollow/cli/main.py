@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from surffollow.errors import SurffollowError
+from surffollow.errors import SurffollowError, missing_library
 
 # a disk, or a share of it, that is full or gone
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -111,6 +111,12 @@ def main(argv: list[str] | None = None) -> Any:
     except SurffollowError as e:
         print(f"surffollow: {e}", file=sys.stderr)
         sys.exit(e.exit_code)
+    except ModuleNotFoundError as e:
+        remedy = missing_library(e)
+        if not remedy:
+            raise
+        print(f"surffollow: {remedy}", file=sys.stderr)
+        sys.exit(1)
     except KeyboardInterrupt:
         sys.exit(130)
     except BrokenPipeError:

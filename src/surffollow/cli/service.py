@@ -191,8 +191,17 @@ def render(s: dict[str, Any]) -> str:
         f"{map_.get('lost', 0)} lost",
         f"granted  {', '.join(granted) or 'nothing'}",
     ]
-    for c in reversed(s["clients"]):
-        lines.insert(7, f"         slot {c['slot']}: {c['name']}, pid {c['pid']}, user {c['uid']}")
+    # behind the line of clients, and behind that of poses
+    lines[7:7] = [
+        f"         slot {c['slot']}: {c['name']}, pid {c['pid']}, user {c['uid']}" for c in s["clients"]
+    ]
+    pushers = [f"{c} by pid {p}" for c, p in enumerate(main.get("range_pid", ())) if p]
+    if pushers or s["ranges"]:
+        lines.insert(
+            6,
+            f"ranges   {s['ranges']} taken, {s['ranges_refused']} refused, {s['ranges_skipped']} left out; "
+            f"channel {', '.join(pushers) or 'pushed by nobody'}",
+        )
     lines[5:5] = follower_lines(s["follower"])
     if s["stopped"]:
         lines.append(f"STOPPED  {', '.join(s['stopped'])}; the pose's holder resets it")

@@ -40,6 +40,7 @@ def initialise_memory(
     queue: ConversionQueue,
     samples: tuple[NDArray[Any], int],
     reports: PoseQueue | None = None,
+    pushed: Any = None,
 ) -> m.CycleMemory:
     """Memory of the cycle thread, which knows where everything lies and how it is to run.
 
@@ -50,8 +51,9 @@ def initialise_memory(
     queue : ConversionQueue           what the driver fills
     samples : ring and capacity       of `make_sample_ring`; must live as long as the memory
     reports : PoseQueue, optional     where accepted poses go, for a simulated sensor
+    pushed : record, optional         of a driver whose ranges clients push (`pushed_of`)
     """
-    mem = m.make_cycle_memory(house.map_header, house.pairs)
+    mem = m.make_cycle_memory(house.map_header, house.pairs, pushed)
     ctx = mem.ctx
     period = int(house.header[0]["period_ns"])
     ctx[m.PERIOD_NS] = period

@@ -172,7 +172,7 @@ static inline int sf_i_claim_slot(sf_client *c) {
   c->slot = SF_CAST(int, offer.slot);
   c->claim = offer.claim;
   c->counter = 0;
-  c->pose_held = c->abandoned = 0;
+  c->pose_held = c->abandoned = c->ranges_held = 0;
   c->grant = 0;
   return SF_OK;
 }
@@ -192,7 +192,7 @@ static inline int sf_i_slot_is_open(const sf_client *c) {
 static inline void sf_i_release_slot(sf_client *c) {
   c->slot = -1;
   c->slot_memory = NULL;
-  c->pose_held = 0;
+  c->pose_held = c->ranges_held = 0;
   sf_i_close(&c->held);
 }
 
