@@ -378,7 +378,8 @@ def lidar(folder: Path) -> Bars:
     bars = []
     for name, other in (names, names[::-1]):
         k = int(np.argmin(wrong[other]))
-        note = ", ".join(f"{key} {value:g}" for key, value in cases[k].items()) + f", chosen on {other}"
+        told = zip(("cell_m", "slope", "support_m", "tolerance_m"), cases[k])
+        note = ", ".join(f"{key} {value:g}" for key, value in told) + f", chosen on {other}"
         bars.append(bar(f"ISPRS {name}: total error", 100 * wrong[name][k], 15, "%", note))
     return bars
 

@@ -25,8 +25,8 @@ from surffollow.forecast.sensing.health import (
 )
 from surffollow.forecast.sensing.kinematics import observe_motion, reset_motion
 from surffollow.forecast.sensing.sample import reset_sampling, take_sample
-from surffollow.forecast.setpoint.blend import blend_setpoints, filter_setpoint
-from surffollow.forecast.setpoint.limits import limit_setpoint, release_setpoint
+from surffollow.forecast.setpoint.blend import blend_setpoints
+from surffollow.forecast.setpoint.limits import filter_setpoint, limit_setpoint, release_setpoint
 from surffollow.forecast.terrain.buffer import reset_buffer, store_height
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import SUSPECT
@@ -104,7 +104,7 @@ def demand_of(params: Any, m: Any, sense: Any, inputs: Any, output: Any, setpoin
         note_not_finite(m)
         reset_bank(m, 1)
         forget_noise(m)
-    lost = 1 if is_lost(m, timeout) != 0 or m.health.stuck != 0 else 0
+    lost = is_lost(m, timeout)
     assess(m, lost)
     if taken != 0:
         output.fresh |= 1
