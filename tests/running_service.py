@@ -107,6 +107,7 @@ class Service:
         self.name = name or unique_name()
         self.config = folder / f"{self.name}.toml"
         self.config.write_text(config_text() if config is None else config)
+        self.python = sys.executable  # that runs the service and its commands
         self.process: subprocess.Popen[str] | None = None
         self.world: World | None = None  # the ground truth of a simulated sensor, when there is one
 
@@ -115,7 +116,7 @@ class Service:
         return msgspec.structs.replace(load_config(self.config), name=self.name)
 
     def command(self, verb: str, *words: str) -> list[str]:
-        return [sys.executable, "-m", "surffollow", verb, "--name", self.name, *words]
+        return [self.python, "-m", "surffollow", verb, "--name", self.name, *words]
 
     def run(self, verb: str, *words: str) -> subprocess.CompletedProcess[str]:
         """Run one verb of the command line to its end."""

@@ -15,6 +15,7 @@ LONG = (
     "tests/live/test_demo_ends.py",
     "tests/live/test_shell_demo.py",
     "tests/live/test_demo.py",
+    "tests/live/test_scan_run.py",
     "tests/service/test_preview.py",
     "tests/service/test_hostility.py",
     "tests/record/test_live_service.py",

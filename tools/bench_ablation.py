@@ -7,6 +7,7 @@ set point acceleration over those of the full follower, on the same surfaces, sp
 from __future__ import annotations
 
 import argparse
+import ast
 import json
 import math
 import sys
@@ -14,6 +15,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -26,8 +28,10 @@ from surffollow.contest.families import PERIODIC
 from surffollow.contest.methods import follower_config
 from surffollow.contest.runner import scene_of, score_run
 from surffollow.contest.suite import Cell
+from surffollow.forecast import tuning
 from surffollow.forecast.estimation.models import LEVEL, WAVE
 from surffollow.forecast.tuning import MODELS
+from surffollow.shm import layout_multimodel
 
 SURFACES = (
     "ramp-20",
@@ -57,18 +61,33 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "full": {},
     "no innovation gate": {"gate_gate": 1e6},
     "steps need no agreement": {"gate_confirm": 1, "gate_confirm_slow": 1},
+    "slots are always likely": {"gate_stays": 1.0},
+    "slopes take the whole innovation": {"bank_clip": 1e6},
     "no recent horizon": {"index_power": 0.0},
     "no longer horizon": {"index_longer_power": 0.0},
-    "no effort penalty": {"index_effort": 0.0},
-    "noise not taken off": {"index_noise_share": 0.0},
-    "no burn-in": {"index_burn_in": 1e-3},
-    "weights at once": {"index_smoothing": 1e-3},
-    "no deadband": {"setpoint_band": 1e-6},
+    "no preference for calm models": {"index_calm": 0.0},
+    "blend not smoothed": {"setpoint_smoothing": 1e-3},
+    "set point not limited by the axis": {"setpoint_useful": 1e6},
     "no wave model": _bank(lambda _, row: row[0] != WAVE),
     "no fading slopes": _bank(lambda i, _: i not in _FADING),
     "no levels": _bank(lambda _, row: row[0] != LEVEL),
     "one slope model": _bank(lambda i, _: i == 6),
 }
+
+
+def count_constants() -> tuple[list[str], int]:
+    """Names of the numbers in the follower's modules and table (enumerations apart), and its lines."""
+    forecast = Path(tuning.__file__).parent
+    modules = [p for p in forecast.rglob("*.py") if p.parent != forecast]
+    modules += [forecast / "multimodel.py", forecast / "scales.py", forecast / "tuning.py"]
+    names, lines = list(tuning.DEFAULTS), 0
+    for path in [*modules, Path(layout_multimodel.__file__)]:
+        text = path.read_text(encoding="utf-8")
+        lines += len(text.splitlines())
+        for node in ast.parse(text).body if path.parent != Path(layout_multimodel.__file__).parent else []:
+            if isinstance(node, ast.Assign) and not ast.unparse(node.value).startswith(("range(", "(0, 1")):
+                names += [ast.unparse(n) for n in getattr(node.targets[0], "elts", node.targets[:1])]
+    return names, lines
 
 
 def run(job: tuple[str, float, int, dict[str, Any]]) -> tuple[float, float]:
@@ -127,7 +146,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--cells", action="store_true", help="every cell's RMS [mm]")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--count", action="store_true", help="count constants and lines, run nothing")
     given = parser.parse_args(argv)
+    if given.count:
+        names, lines = count_constants()
+        print(f"{len(names)} constants, {len(MODELS)} models, {lines} lines: {', '.join(names)}")
+        return 0
     first, _, last = given.seeds.partition(":")
     surfaces = given.surface or SURFACES
     named = {t: json.loads(t) for t in given.tries}

@@ -30,7 +30,7 @@ from typing import Any
 from arbiter_trials import LEASE_S, PERIOD_S, Nursery, Trials, audited, end, fork
 from report import bar, finish, machine
 from surffollow.arbiter import attach
-from surffollow.arbiter import client as ac
+from surffollow.arbiter import exchange as ex
 from surffollow.arbiter import layout as al
 
 ROOT = Path(__file__).parents[1]
@@ -113,16 +113,16 @@ def idle_share(pid: int, seconds: float = 4.0) -> float:
 
 def post(one: Any, what: int, token: int, seq: int | None = None) -> None:
     """Put an item into the mailbox, whatever the library would say."""
-    words = one._post_words
-    head = words[ac._HEAD]
-    at = 8 * ac._ITEMS + (head & ac._MASK) * al.Item.SIZE
+    words = one.exchange.post
+    head = words[ex.HEAD]
+    at = ex.ITEMS + (head & ex.MASK) * ex.ITEM_BYTES
     numbers = (head + 1 if seq is None else seq, what, token, time.monotonic_ns(), 0)
-    ac._PLAIN.pack_into(one._put, at, *numbers, *(0.4,) * al.VALUES)
-    words[ac._HEAD] = head + 1
+    ex.COMMAND.pack_into(one.exchange.put, at, *numbers, *(0.4,) * al.VALUES)
+    words[ex.HEAD] = head + 1
 
 
 def scribble(one: Any, rng: random.Random) -> None:
-    words = one._post_words
+    words = one.exchange.post
     for _ in range(200):
         words[rng.randrange(len(words))] = rng.choice((0, -1, 1, 1 << 62, rng.getrandbits(62)))
 
@@ -130,15 +130,15 @@ def scribble(one: Any, rng: random.Random) -> None:
 def forge(one: Any, rng: random.Random) -> None:
     token = one.board.status(0)["token"]
     for guess in (token, token + 1, token - 1, token ^ (1 << 32), rng.getrandbits(62), 0):
-        post(one, al.ITEM_COMMAND, guess, one._post_words[ac._HEAD] + 1)
+        post(one, al.ITEM_COMMAND, guess, one.exchange.post[ex.HEAD] + 1)
 
 
 def flood(one: Any, rng: random.Random) -> None:
     for _ in range(32):
         what = rng.choice((al.ITEM_REQUEST, al.ITEM_RELINQUISH, al.ITEM_REQUEST | al.FLAG_WAIT << 16, 99))
         post(one, what | rng.choice((0, 0, 77)) << 8, 0)
-        one._post_words[ac._DOORBELL] = rng.getrandbits(31)
-        ac.python_futex.wake(one._doorbell)
+        one.exchange.post[ex.DOORBELL] = rng.getrandbits(31)
+        one.exchange.ring()
 
 
 def lock(one: Any, rng: random.Random) -> None:
@@ -180,12 +180,12 @@ def attacker(name: str, attack: Callable[[Any, random.Random], None], seed: int)
 def withstand(nursery: Nursery, what: str, seconds: float, seed: int) -> dict[str, Any]:
     """One attack: how long an honest client waited at most, and what the audit says of the attacker."""
     nursery.restart()  # the audit reads a history from its beginning
-    longest, grants, begin = 0.0, 0, time.monotonic()
+    longest, grants = 0.0, 0
     with audited(nursery.name) as found:
         pid, r = fork(attacker(nursery.name, ATTACKS[what], seed))
         (number,) = struct.unpack("<q", os.read(r, 8))
         with attach(nursery.name, "avoid") as one:
-            robot = one.resource("robot")
+            robot, begin = one.resource("robot"), time.monotonic()
             while time.monotonic() - begin < seconds:
                 start = time.monotonic()
                 reply = robot.request(timeout_s=5.0)

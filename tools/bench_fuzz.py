@@ -1,13 +1,15 @@
 """Attack a service at random while a robot works: seven kinds of attack, by a user with no rights but a slot.
 
-`scribble` random bytes and extreme commands in its slot, `cut` and `restore` its size, `punch` holes, `lock`
-every byte that a reader can lock, `impostor` a forged board under the service's name between its end and its
-next start, `full` fill /dev/shm. Idle pieces of the same length alternate with the attacks, for comparison.
+`scribble` random bytes, extreme commands and ranges of channels that it claims in its slot, `cut` and
+`restore` its size, `punch` holes, `lock` every byte that a reader can lock, `impostor` a forged board
+under the service's name between its end and its next start, `full` fill /dev/shm. Idle pieces of the
+same length alternate with the attacks, for comparison. The robot pushes the ranges of channel 0
+(`--driver simulated`: the simulated sensor rides on a world block).
 
-Fails when the service ends, a demand is not finite, beyond its limit or an impostor's, more cycles take
-longer than 300 us under attack than idle, or a good client that attaches after an attack waits longer than
-200 ms for an answer. Runs as root, with a small /dev/shm in a mount namespace of its own where that is
-allowed; else `full` is left out.
+Fails when a distance of that channel is not the one that was pushed, the service ends, a demand is not
+finite, beyond its limit or an impostor's, more cycles take longer than 300 us under attack than idle, or
+a good client that attaches after an attack waits longer than 200 ms for an answer. Runs as root, with a
+small /dev/shm in a mount namespace of its own where that is allowed; else `full` is left out.
 """
 
 from __future__ import annotations
@@ -49,6 +51,8 @@ ACCESS = 'board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"\nparamete
 LONG_NS = 300_000
 ANSWER_S = 0.2
 FORGED_M = -0.5
+PUSHED_M = 0.125
+WINDOW = 'range_min_m = "50 mm"\nrange_max_m = "150 mm"\nchannels = 8'
 _CLONE_NEWNS, _PUNCH_AND_KEEP_SIZE = 0x20000, 3
 SHM = Path("/dev/shm")
 
@@ -124,8 +128,8 @@ def attack(kind: str, name: str, seed: int) -> Callable[[OtherUser], None]:
 class Robot:
     """A robot that works as if nothing were wrong, and checks every demand that it sees."""
 
-    def __init__(self, service: Service) -> None:
-        self.service = service
+    def __init__(self, service: Service, pushes: bool) -> None:
+        self.service, self.pushes = service, pushes
         self.client: Client = service.attach()
         self.demands = self.poses = self.refusals = 0
         self.faults: list[str] = []
@@ -135,10 +139,15 @@ class Robot:
         """One pose, one look at the demand."""
         try:
             self.client.ee_pos(POSE)
+            if self.pushes:
+                self.client.push_range(0, time.monotonic_ns(), PUSHED_M)
             self.poses += 1
         except SurffollowError:
             self.refusals += 1
         demand = self.client.dev_vector()
+        seen_m = self.client.raw_distance()
+        if self.pushes and abs(seen_m - PUSHED_M) > 1e-6:  # NaN is not
+            self.faults.append(f"cycle {demand.cycle}: distance {seen_m} m, {PUSHED_M} m was pushed")
         self.demands += 1
         board = self.client.board
         limits = [board.latch("params", Params).read() for _ in range(2)]
@@ -203,13 +212,20 @@ def run(args: argparse.Namespace, private: bool) -> dict[str, Any]:
     kinds = [k for k in KINDS if private or k != "full"]
     totals = {k: {"pieces": 0, "cycles": 0, "long": 0} for k in ("idle", *kinds)}
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
-        config = config_text(kind="simulated", period=args.period, map='access_lease = "1 s"', access=ACCESS)
+        external = args.driver == "external"
+        config = config_text(
+            kind=args.driver,
+            period=args.period,
+            map='access_lease = "1 s"',
+            access=ACCESS,
+            driver=WINDOW if external else "",
+        )
         service = Service(Path(folder), config)
         stack.callback(service.purge)
         world = World(service.name)
         stack.callback(world.close)
         service.start()
-        robot = Robot(service)
+        robot = Robot(service, external)
         robot.ask("start")
         robot.slowest_s = 0.0
         end, order = time.monotonic() + args.seconds, list(kinds)
@@ -276,6 +292,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=60.0, help="of attacks and idle pieces together")
     parser.add_argument("--piece", type=float, default=1.0, help="of an attack, at the mean [s]")
     parser.add_argument("--period", default="1 ms", help="of the service's cycle")
+    parser.add_argument("--driver", choices=("external", "simulated"), default="external")
     parser.add_argument("--seed", type=int, default=91)
     parser.add_argument("--slack", type=float, default=0.0, help="more long cycles allowed")
     parser.add_argument("--answer", type=float, default=ANSWER_S, help="longest wait for an answer [s]")

@@ -11,6 +11,7 @@ The others pass 64 bytes to a process that sends them back; half of that is thei
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import random
 import shutil
@@ -18,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from surffollow.sim.world import WorldPose, WorldWriter
 
 PERIOD_NS = 100_000
 PYTHON_NS, INTO_NS, C_NS, SLACK_NS = 1200.0, 600.0, 50.0, 2000.0
+PUSH_NS, C_PUSH_NS = 1500.0, 60.0
 POSE = (0.05, 0.05, 0.1, 0.0, 0.0, 0.0, 1.0)
 CONFIG = """
 period = "100 us"
@@ -44,6 +46,12 @@ kind = "simulated"
 [driver.world]
 surface = "flat"
 region = [0.0, 0.0, 0.1, 0.1]
+"""
+EXTERNAL = """
+[driver]
+kind = "external"
+range_min_m = "50 mm"
+range_max_m = "300 mm"
 """
 
 
@@ -108,43 +116,70 @@ def _hand_over(robot: Client) -> int:
 
 def c_figures(name: str, folder: Path, rounds: int) -> dict[str, float]:
     """The same for the C client; empty without a compiler."""
+    return c_modes(name, folder, (("calls", 20000), ("handover", rounds)))
+
+
+def c_modes(name: str, folder: Path, modes: tuple[tuple[str, int], ...]) -> dict[str, float]:
+    """What ipc_timing.c says in some of its modes; empty without a compiler."""
     if shutil.which("gcc") is None:
         return {}
     program = str(folder / "ipc_timing")
     source = str(Path(__file__).with_name("ipc_timing.c"))
     subprocess.run(["gcc", "-std=c11", "-O2", f"-I{HEADER.parent}", source, "-o", program], check=True)
     out = {}
-    for mode, n in (("calls", 20000), ("handover", rounds)):
+    for mode, n in modes:
         command = [program, mode, name, str(n)]
         words = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
         out.update({words[i]: float(words[i + 1]) for i in range(0, len(words), 2)})
     return out
 
 
-def with_daemon(rounds: int) -> tuple[dict[str, float], dict[str, float]]:
-    """Figures of the Python and the C client against one daemon."""
-    name = f"bench-ipc-{os.getpid()}"
+def pushing_figures(name: str, folder: Path) -> tuple[dict[str, float], dict[str, float]]:
+    """Cost of a pushed range in Python and C, the clock's look for its time included."""
+    with attach(name, label="bench") as laser:
+
+        def push() -> None:
+            laser.push_range(0, time.monotonic_ns(), 0.1)
+
+        push()
+        p50, p99 = per_call_ns(push)
+        laser.release_range(0)
+    return {"push_range_p50_ns": p50, "push_range_p99_ns": p99}, c_modes(name, folder, (("push", 20000),))
+
+
+@contextlib.contextmanager
+def daemon(folder: Path, text: str, name: str) -> Iterator[None]:
+    """A service that runs while the block does."""
     command = [sys.executable, "-m", "surffollow"]
+    config = folder / f"{name}.toml"
+    # not the last processor, which other services take, and spin on
+    config.write_text(text.replace("CPU", str(min(os.sched_getaffinity(0)))), encoding="utf-8")
+    process = subprocess.Popen(
+        [*command, "start", "--quiet", "--name", name, "--config", str(config)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        if not line.startswith("READY"):
+            raise SystemExit(f"the service did not become READY: {line!r}")
+        yield
+    finally:
+        subprocess.run([*command, "stop", "--name", name, "--purge", "--timeout", "60"], check=False)
+        process.wait(timeout=90)
+
+
+def with_daemon(rounds: int) -> tuple[dict[str, float], dict[str, float]]:
+    """Figures of the Python and the C client against one daemon, and of pushed ranges against another."""
+    name = f"bench-ipc-{os.getpid()}"
     with tempfile.TemporaryDirectory() as path:
-        config = Path(path) / "bench.toml"
-        # not the last processor, which other services take, and spin on
-        config.write_text(CONFIG.replace("CPU", str(min(os.sched_getaffinity(0)))), encoding="utf-8")
-        world = WorldWriter(name)
-        daemon = subprocess.Popen(
-            [*command, "start", "--quiet", "--name", name, "--config", str(config)],
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        try:
-            assert daemon.stdout is not None
-            line = daemon.stdout.readline()
-            if not line.startswith("READY"):
-                raise SystemExit(f"the service did not become READY: {line!r}")
-            return python_figures(name, rounds, world), c_figures(name, Path(path), rounds)
-        finally:
-            subprocess.run([*command, "stop", "--name", name, "--purge", "--timeout", "60"], check=False)
-            daemon.wait(timeout=90)
-            world.close()
+        folder = Path(path)
+        with contextlib.closing(WorldWriter(name)) as world, daemon(folder, CONFIG, name):
+            python, c = python_figures(name, rounds, world), c_figures(name, folder, rounds)
+        with daemon(folder, CONFIG.partition("[driver]")[0] + EXTERNAL, f"{name}-out"):
+            pushed, c_pushed = pushing_figures(f"{name}-out", folder)
+    return python | pushed, c | c_pushed
 
 
 def clear_debris(before: set[Path]) -> int:
@@ -172,6 +207,8 @@ def main(rounds: int) -> dict[str, Any]:
         bar("Python ee_pos p50, as it makes no object", python["ee_pos_p50_ns"], INTO_NS, "ns"),
         bar("C ee_pos p50", c.get("ee_pos_p50_ns"), C_NS, "ns", no_c),
         bar("C dev_vector p50", c.get("dev_vector_p50_ns"), C_NS, "ns", no_c),
+        bar("Python push_range p50", python["push_range_p50_ns"], PUSH_NS, "ns"),
+        bar("C sf_push_range p50", c.get("push_p50_ns"), C_PUSH_NS, "ns", no_c),
         bar("C pose to demand at 10 kHz p50", c.get("handover_p50_ns"), PERIOD_NS + SLACK_NS, "ns", no_c),
         bar("Python pose to demand at 10 kHz p50", python["handover_p50_ns"], PERIOD_NS + SLACK_NS, "ns"),
     ]

@@ -15,7 +15,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ import numpy as np
 from surffollow.contest import families as f
 from surffollow.contest.baselines import KALMAN_FF, KALMAN_SIGMA_M, POLICY_EXTRAPOLATE, P, run_jitted
 from surffollow.contest.conditions import Conditions, PoseConfig, SensorConfig
+from surffollow.contest.disturbances import DISTURBANCES
 from surffollow.contest.door import drive
 from surffollow.contest.methods import factory_of
 from surffollow.contest.scene import Scene, make_scene
@@ -55,7 +56,8 @@ class Case:
     spikes: float = 0.01
     lost: float = 0.0
     duration_s: float = 40.0
-    told: dict[str, Any] = field(default_factory=dict)
+    disturbance: str = ""  # of `contest.disturbances`
+    undeclared_s: float = 0.0  # latency that the follower's timestamps do not tell; the baselines know it
 
     @property
     def conditions(self) -> Conditions:
@@ -86,6 +88,8 @@ class Case:
         if self.lost > 0.0:
             lost = np.random.default_rng([seed, 71]).random(len(scene.world.readings)) < self.lost
             scene.world.readings["noise"][lost] = np.nan
+        if self.disturbance:
+            DISTURBANCES[self.disturbance](scene)
         return scene
 
 
@@ -139,10 +143,32 @@ def _auv(name: str, v: float, hz: float, tau: float, h: float, **sizes: float) -
     )
 
 
+def _cell(name: str, ground: Any, **changes: Any) -> Case:
+    """The contest's robot cell with something changed."""
+    usual: dict[str, Any] = {"sensor_hz": 250.0, "latency_s": 0.03, "tau_s": 0.04, "speed_mps": 0.1}
+    fixed: dict[str, Any] = {"sigma_m": 0.25e-3, "v_max_mps": 0.2, "a_max_mps2": 2.0, "pose_hz": 100.0}
+    return Case(name, ground, {}, 0.1016, (0.0508, 0.1524), **(fixed | usual | changes))
+
+
+_GROUNDS = {"terrain": f.terrain, "hull": f.hull, "casting": f.casting}
+_ROWS: dict[str, dict[str, Any]] = {
+    # the simulation has steps of 1 ms: 1 kHz is its fastest sensor
+    **{f"{hz:g} Hz": {"sensor_hz": hz} for hz in (2.0, 5.0, 9.0, 20.0, 50.0, 1000.0)},
+    **{name: {"disturbance": name} for name in DISTURBANCES},
+    "30 ms undeclared": {"latency_s": 0.06, "undeclared_s": 0.03},
+    "τ 200 ms": {"tau_s": 0.2},
+}
+
 _SMALL = {"bow_m": 0.8e-3, "bead_m": 0.6e-3, "width_m": 4e-3, "every_m": 0.05}
 _BED = {"rms_m": 1.5, "longest_m": 120.0, "shortest_m": 4.0}
 
 CASES: dict[str, list[Case]] = {
+    # the robot cell with other sensors, noise and axes
+    "rows": [
+        _cell(f"{row}, {ground}", make, **changes)
+        for row, changes in _ROWS.items()
+        for ground, make in _GROUNDS.items()
+    ],
     # constants were looked at on these …
     "tune": [
         _torch("torch 4 mm, 50 mm/s", 0.05, 500.0, 0.05e-3, 0.03, 200.0, 0.004, **_SMALL),
@@ -300,10 +326,22 @@ def baseline_values(case: Case) -> dict[str, list[tuple[int, tuple[float, ...]]]
     return {"p": [(P, (g,)) for g in gains], "kalman-ff": kalman}
 
 
+class Undeclared:
+    """A follower that is told timestamps of readings which are too young."""
+
+    def __init__(self, follower: Any, by_s: float) -> None:
+        self.pose = follower.pose
+        self._step, self._by_ns = follower.step, round(by_s * 1e9)
+
+    def step(self, t_ns: int, ranges_m: Any) -> Any:
+        return self._step(t_ns + self._by_ns if np.isfinite(ranges_m[0]) else t_ns, ranges_m)
+
+
 def run_follower(case: Case, method: str, seed: int) -> float:
     scene = case.scene(seed)
     s, w = scene.fresh()
-    drive(factory_of(method)(scene.conditions), s, w)
+    follower: Any = factory_of(method)(scene.conditions)
+    drive(Undeclared(follower, case.undeclared_s) if case.undeclared_s > 0.0 else follower, s, w)
     return rms_of(scene, w)
 
 

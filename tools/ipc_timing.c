@@ -2,6 +2,7 @@
  * Times the C client for tools/bench_ipc.py.
  *
  *     ipc_timing calls NAME BATCHES     ns per call, p50 and p99 of batches of 64 calls
+ *     ipc_timing push NAME BATCHES      the same of sf_push_range, stamped by its own look at the clock
  *     ipc_timing handover NAME POSES    ns from sf_ee_pos to the demand that refers to it, one by one
  */
 #include "surffollow.h"
@@ -51,6 +52,19 @@ static int calls(sf_client *c, int n) {
   return 0;
 }
 
+static int push(sf_client *c, int n) {
+  if (sf_claim_range(c, 0) != SF_OK) return 5;
+  for (int k = 0; k < n; k++) {
+    const int64_t start = sf_now_ns();
+    for (int i = 0; i < BATCH; i++)
+      if (sf_push_range(c, 0, SF_NOW, 0.1) != SF_OK) return 6;
+    sample[k] = (double)(sf_now_ns() - start) / BATCH;
+  }
+  report("push", n);
+  printf("n_push %d\n", n);
+  return 0;
+}
+
 static int handover(sf_client *c, int n) {
   sf_demand d;
   for (int k = 0; k < n; k++) {
@@ -73,6 +87,11 @@ int main(int argc, char **argv) {
   sf_client c;
   const int n = argc == 4 ? (int)strtol(argv[3], NULL, 10) : 0;
   if (n < 100 || n > MOST || sf_attach(&c, argv[2]) != SF_OK) return 1;
+  if (argv[1][0] == 'p') {
+    const int pushed = push(&c, n);
+    sf_detach(&c);
+    return pushed;
+  }
   const int64_t patience = sf_now_ns() + 5000000000;
   while (sf_claim_pose(&c) != SF_OK) { /* a busy machine may keep the service silent for a moment */
     if (sf_now_ns() > patience) return 4;

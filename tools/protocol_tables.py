@@ -61,6 +61,11 @@ def objects_table() -> Iterator[str]:
     for offset, schema, is_latch in slot:
         size = latch_bytes(schema.SIZE) if is_latch else schema.SIZE
         yield f"| {offset} | {size} | {'latch, ' if is_latch else ''}`{c_name(schema)}` |"
+    size = lb.RANGES_AT + lb.RANGE_ITEMS * lb.RangeItem.SIZE
+    yield (
+        f"| {lb.SLOT_RANGES} | {size} | ring: int64 items pushed so far; from byte {lb.RANGES_AT} on "
+        f"{lb.RANGE_ITEMS} `{c_name(lb.RangeItem)}` |"
+    )
     for k in range(2):
         offset = lb.SLOT_STREAM + k * lb.PIECE_BYTES
         yield f"| {offset} | {lb.PIECE_BYTES} | `{c_name(lb.StreamPiece)}` and {lb.PIECE_GRIDS} grids |"

@@ -33,7 +33,11 @@ class Writer:
             start = int(rng.integers(0, len(self.pool) - size))
             self.bytes[at : at + size] = self.pool[start : start + size]
         for _ in range(50):
-            place = int(rng.choice([0, lb.SLOT_POSE // 8, lb.SLOT_REQUEST // 8, lb.SLOT_STREAM // 8]))
+            place = int(
+                rng.choice(
+                    [0, lb.SLOT_POSE // 8, lb.SLOT_REQUEST // 8, lb.SLOT_RANGES // 8, lb.SLOT_STREAM // 8]
+                )
+            )
             value = int(rng.choice([0, 1, 2, 3, -1, -(2**63), 2**63 - 1, int(rng.integers(2**62))]))
             self.words[place] = value
 
@@ -58,7 +62,7 @@ class Writer:
         rng, n = self.rng, int(self.rng.integers(1, lb.REQUEST_ARGS + 1))
         post = np.zeros(lb.RequestPost.SIZE // 8)
         whole = post.view(np.int64)
-        code = int(rng.integers(0, 10))
+        code = int(rng.integers(0, lb.RQ_RELEASE_RANGE + 2))
         whole[0], whole[1], whole[2], whole[3] = counter, code, n, int(rng.integers(2**62))
         number, value = whole[4 : 4 + lb.REQUEST_ARGS], post[4 + lb.REQUEST_ARGS :]
         if code == lb.RQ_SET_PARAMS:
@@ -73,11 +77,27 @@ class Writer:
         else:
             value[:4] = rng.choice([0.0, 0.1, -0.1, 1e3, -1e5, 1e-9, 1e21, math.inf], size=4)
             number[:] = rng.integers(-2, 1 << 40, lb.REQUEST_ARGS)
+            if code == lb.RQ_CLAIM_RANGE:
+                number[0] = rng.integers(1, 9)  # channel 0 is the robot's, who may be away for a moment
         self.post(lb.SLOT_REQUEST, lb.RequestPost.SIZE, post.tobytes())
 
+    def ranges(self) -> None:
+        """A burst of well-formed items: any channel, times around now, distances that make others' wrong."""
+        head, now_ns = lb.SLOT_RANGES // 8, time.monotonic_ns()
+        for _ in range(int(self.rng.integers(1, 200))):
+            number = int(self.words[head]) + 1 & (2**62 - 1)
+            at = lb.SLOT_RANGES + lb.RANGES_AT + (number - 1 & lb.RANGE_ITEMS - 1) * lb.RangeItem.SIZE
+            item = np.zeros(4)
+            item[3] = self.rng.choice([0.06, 0.14, math.nan, math.inf, -1.0, 1e300])
+            t_ns = now_ns + int(self.rng.integers(-2_000_000_000, 4_000_000))
+            item[:3].view(np.int64)[:] = number, t_ns, int(self.rng.integers(-1, 9))
+            self.bytes[at : at + 32] = item.view(np.uint8)
+            self.words[head] = number
+
     def commands(self, counter: int) -> None:
-        """A well-formed pose and a request with extreme values."""
+        """A well-formed pose, ranges, and a request with extreme values."""
         self.pose()
+        self.ranges()
         self.request(counter)
         if counter % 16 == 0:
             self.words[0] = int(self.rng.integers(4))

@@ -19,14 +19,18 @@ int main(int argc, char **argv) {
   }
   robot = sfa_resource(&patrol, "robot");
   if (robot < 0) return 1;
-  while (sf_now_ns() < end && !sfa_ended(&patrol)) {
+  while (sf_now_ns() < end) {
+    if (sfa_ended(&patrol) && sfa_reattach(&patrol, 200) != 0) { /* to an arbiter of the same user only */
+      sf_sleep_until_ns(sf_now_ns() + 20000000);
+      continue;
+    }
     if (sfa_command(&patrol, robot, forward, 2) == 1)
       sent++;
     else if (sfa_request(&patrol, robot, 1, 200, NULL) == 1) /* stand in the queue for 0.2 s */
       granted++;
     sf_sleep_until_ns(sf_now_ns() + 10000000);
   }
-  if (sfa_status(&patrol, robot, &status))
+  if (!sfa_ended(&patrol) && sfa_status(&patrol, robot, &status))
     printf("patrol was granted the cart %d times and sent %lld commands; %lld were forwarded in all\n", granted,
            (long long)sent, (long long)status.forwarded);
   sfa_detach(&patrol);

@@ -3,6 +3,7 @@
     python examples/scan/survey.py FOLDER [--seed 1]
 
 Writes view0.npz … view3.npz and cameras.toml. Two of the views show a board that hangs over the ground.
+true.npz is the ground itself, and service.toml lets a service's simulated sensor see it.
 """
 
 from __future__ import annotations
@@ -13,10 +14,26 @@ from pathlib import Path
 
 import numpy as np
 
+from surffollow.map import HeightMap
 from surffollow.scan import Camera, looking_down
 
 SHAPE, FOCAL_PX, BASELINE_M, NOISE_PX = (240, 320), 260.0, 0.12, 0.08
 FLANK = math.tan(math.radians(70.0))
+GRID_M, SIZE_M = 0.005, (1.4, 1.2)
+SERVICE = """[driver]
+kind = "simulated"
+[driver.world]
+file = "true.npz"
+[driver.led]
+window_m = [0.015, 0.25]
+[follow]
+offset = 0.05
+range_min = 0.0155
+range_max = 0.245
+too_close = 0.016
+too_close_exit = 0.018
+max_demand = 0.2
+"""
 
 
 def ground(x, y):
@@ -77,6 +94,10 @@ def main():
         np.savez_compressed(options.folder / f"view{k}.npz", disparity_px=q.astype(np.float32))
         lines += ["", f'[images."view{k}.npz"]', f"ground_from_camera = {pose.round(12).tolist()}"]
     (options.folder / "cameras.toml").write_text("\n".join(lines) + "\n")
+    x, y = (np.arange(round(side / GRID_M)) * GRID_M + 0.5 * GRID_M for side in SIZE_M)
+    true = HeightMap.from_heights(ground(x[None], y[:, None]), origin_m=(0.0, 0.0), grid_m=GRID_M)
+    true.save(options.folder / "true.npz")
+    (options.folder / "service.toml").write_text(SERVICE)
 
 
 if __name__ == "__main__":

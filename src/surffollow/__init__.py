@@ -24,7 +24,12 @@ __all__ = ["Follower"]
 def __getattr__(name: str) -> Any:
     """Load the follower's kernels only when somebody asks for them."""
     if name == "Follower":
-        from surffollow.follower import Follower
+        from surffollow.errors import missing_library
+
+        try:
+            from surffollow.follower import Follower
+        except ModuleNotFoundError as e:
+            raise ModuleNotFoundError(missing_library(e) or str(e), name=e.name) from e
 
         return Follower
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

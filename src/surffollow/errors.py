@@ -6,6 +6,7 @@
     ├── UsageError (also ValueError)       the caller's argument cannot be right           exit code 2
     │   ├── ConfigError                    a configuration key, value or unit is wrong
     │   ├── PoseError                      a pose is not finite, not 7 long, not unit
+    │   ├── ReadingError                   a pushed range, its time or its channel cannot be
     │   ├── RegionError                    a map region is empty, inverted or too large
     │   ├── ClosedError                    the attachment was closed by its owner
     │   ├── NameError_                     a block name is not allowed
@@ -53,6 +54,10 @@ class ConfigError(UsageError):
 
 class PoseError(UsageError):
     """A pose that is not finite, not seven numbers, or not a unit quaternion."""
+
+
+class ReadingError(UsageError):
+    """A pushed range whose channel, time or distance cannot be."""
 
 
 class RegionError(UsageError):
@@ -153,3 +158,17 @@ class ScanFileError(FaultError):
 
 class DriverError(FaultError):
     """A sensor driver that cannot start or go on."""
+
+
+SERVICE_LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "msgspec", "mcap", "lz4", "tomli")
+
+
+def missing_library(error: ModuleNotFoundError) -> str:
+    """What to install where a library of the extra `service` is missing; "" for any other module."""
+    library = (error.name or "").split(".")[0]
+    if library not in SERVICE_LIBRARIES:
+        return ""
+    return (
+        f"this needs {library}, which a client-only installation does not have; "
+        "install the rest: pip install 'surffollow[service]'"
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,6 +13,8 @@ import uuid
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 CONFIG = """
 [clients]
@@ -87,6 +90,27 @@ class Running:
         return json.loads(done.stdout)
 
 
+WARNINGS = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wshadow", "-Wconversion", "-Wundef"]
+COMPILERS = {"C": ["gcc", "-std=c11"], "C++": ["g++", "-std=c++17", "-x", "c++"]}
+ROOT = Path(__file__).parents[2]
+
+
+PATROL = ROOT / "examples/arbiter/patrol.c"
+
+
+def compile_client(folder: Path, language: str = "C", source: Path = PATROL) -> Path:
+    """A client in C, the tutorial's when nothing else is said, with sanitizers."""
+    compiler = COMPILERS[language]
+    if shutil.which(compiler[0]) is None:
+        pytest.skip(f"no {compiler[0]} on this machine")
+    program = folder / source.stem
+    flags = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    words = [*compiler, *WARNINGS, *flags, f"-I{ROOT / 'include'}", "-o", str(program)]
+    done = subprocess.run([*words, str(source)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return program
+
+
 class Child:
     """A forked client; `work` gets a pipe to speak through. It never returns into pytest."""
 
@@ -128,6 +152,19 @@ def until(condition: Callable[[], Any], timeout_s: float = 20.0) -> Any:
     return got
 
 
+def send_raw(client: Any, what: int, token: int, value: float = 0.4) -> None:
+    """Put an item into a client's own mailbox, whatever the library would say."""
+    from surffollow.arbiter import exchange as ex
+    from surffollow.arbiter import layout as al
+
+    post = client.exchange.post
+    head = post[ex.HEAD]
+    at = ex.ITEMS + (head & ex.MASK) * ex.ITEM_BYTES
+    numbers = (head + 1, what, token, time.monotonic_ns(), 0)
+    ex.COMMAND.pack_into(client.exchange.put, at, *numbers, *(value,) * al.VALUES)
+    post[ex.HEAD] = head + 1
+
+
 def holding(name: str, client: str, resource: str, speed: float = 0.1) -> Callable[[Any], None]:
     """Work of a child that takes a resource and commands it until it is killed."""
 
@@ -138,8 +175,6 @@ def holding(name: str, client: str, resource: str, speed: float = 0.1) -> Callab
         assert mine.request(wait=True, timeout_s=20.0)
         mine.command(*(speed,) * mine.n_values)
         say(b"h")
-        while True:
-            mine.command(*(speed,) * mine.n_values)
-            time.sleep(0.002)
+        until(lambda: mine.command(*(speed,) * mine.n_values) and None, float("inf"))
 
     return work

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from arbiter.running import until
+from arbiter.running import send_raw, until
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import layout as al
 from surffollow.errors import NotRunningError, RefusedError, UsageError
@@ -69,18 +69,33 @@ def test_who_waits_gets_its_turn_by_priority_then_by_patience(people):
         threads.append(threading.Thread(target=wait, args=(name,)))
         threads[-1].start()
         until(lambda k=k: clients["avoid"].status()["resources"]["robot"]["queue"] == k + 1)
+    longest = clients["avoid"].status()["resources"]["robot"]["waiting_ns"]
+    until(lambda: clients["avoid"].status()["resources"]["robot"]["waiting_ns"] > longest > 0)
+    history = clients["avoid"].history()
     clients["avoid"].resource("robot").relinquish()
     for thread in threads:
         thread.join(20.0)
     assert turns == ["wall-2", "wall", "go"]
+    waited = [e.command[0] for e in history if e.event == "GRANT"]
+    assert min(waited) > 0.0
+    assert waited[2] > waited[1]  # `go` came first and was served last
+    entries = {c["name"]: c["waited_ns"] for c in clients["avoid"].status()["clients"]}
+    assert entries["go"] > longest
 
 
-def test_a_wait_in_vain_leaves_the_queue(people):
+def test_a_wait_in_vain_leaves_the_queue_and_is_told(people):
     go, wall = people("go"), people("wall")
     assert wall.resource("robot").request()
+    history = wall.history()
     reply = go.resource("robot").request(wait=True, timeout_s=0.1)
     assert (reply.granted, reply.reason) == (False, "TIMEOUT")
-    assert go.status()["resources"]["robot"]["queue"] == 0
+    status = go.status()
+    robot = status["resources"]["robot"]
+    assert (robot["queue"], robot["waiting_ns"]) == (0, 0)
+    assert robot["waited_ns"] >= 100e6
+    assert next(c for c in status["clients"] if c["name"] == "go")["waited_ns"] >= 100e6
+    (left,) = [e for e in history if e.event == "DEQUEUE"]
+    assert left.command[0] >= 0.1
     wall.resource("robot").relinquish()
     assert go.holder("robot") is None
 
@@ -249,19 +264,9 @@ def test_after_a_restart_every_token_is_void_and_clients_ask_again(make_arbiter)
         # the old token in the new epoch
         forged = al.ITEM_COMMAND
         history = again.history()
-        _send_raw(again, forged, old)
+        send_raw(again, forged, old)
         got = until(lambda: [e.event for e in history if e.item])
         assert got == ["REJECT_STALE_TOKEN"]
         until(lambda: mine.command(0.2, 0.0) and not reader.latest().safe)
     assert server.stop() == 0
     reader.close()
-
-
-def _send_raw(client, what, token):
-    """Put an item into a client's own mailbox, whatever the library would say."""
-    from surffollow.arbiter import client as ac
-
-    words, head = client._post_words, client._post_words[ac._HEAD]
-    at = 8 * ac._ITEMS + (head & ac._MASK) * al.Item.SIZE
-    ac._PLAIN.pack_into(client._put, at, head + 1, what, token, time.monotonic_ns(), 0, *(0.1,) * al.VALUES)
-    words[ac._HEAD] = head + 1

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
+import errno
 import subprocess
 from pathlib import Path
 
 import pytest
 
-from arbiter.running import CONFIG, until
+from arbiter.running import CONFIG, compile_client, until
 from surffollow.arbiter import attach, command_reader
 from surffollow.arbiter.cheader import HEADER, header_text
-
-ROOT = Path(__file__).parents[2]
-WARNINGS = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wshadow", "-Wconversion", "-Wundef"]
 
 
 def test_the_committed_header_is_current():
@@ -22,20 +19,7 @@ def test_the_committed_header_is_current():
 
 @pytest.fixture(scope="module", params=["C", "C++"])
 def patrol(request, tmp_path_factory):
-    """The tutorial's client, with sanitizers."""
-    compiler = {"C": ["gcc", "-std=c11"], "C++": ["g++", "-std=c++17", "-x", "c++"]}[request.param]
-    if shutil.which(compiler[0]) is None:
-        pytest.skip(f"no {compiler[0]} on this machine")
-    program = tmp_path_factory.mktemp("c") / "patrol"
-    flags = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-    source = ROOT / "examples/arbiter/patrol.c"
-    done = subprocess.run(
-        [*compiler, *WARNINGS, *flags, f"-I{ROOT / 'include'}", "-o", str(program), str(source)],
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    return program
+    return compile_client(tmp_path_factory.mktemp("c"), request.param)
 
 
 def test_a_client_in_c_is_preempted_waits_and_goes_on(make_arbiter, patrol):
@@ -67,3 +51,28 @@ def test_a_client_in_c_says_why_it_cannot_attach(arbiter, patrol):
     assert "declares no client" in done.stderr
     done = subprocess.run([str(patrol), "nobody-here", "1"], capture_output=True, text=True)
     assert "no arbiter of that name" in done.stderr
+
+
+@pytest.mark.parametrize("language", ["C", "C++"])
+def test_the_header_answers_what_a_client_does_wrong(make_arbiter, tmp_path, language):
+    program = compile_client(tmp_path, language, Path(__file__).with_name("probe.c"))
+    server = make_arbiter().start()
+    with subprocess.Popen([str(program), server.name], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            answers = {}
+            while "ready" not in answers:
+                word, *numbers = process.stdout.readline().split()
+                answers[word] = [int(n) for n in numbers]
+            assert answers == {
+                "request": [1],
+                "two": [1],
+                "one": [-errno.EINVAL],
+                "three": [-errno.EINVAL],
+                "nowhere": [-errno.EINVAL, 0, 0, 0, -errno.EINVAL],
+                "left": [0],
+                "ready": [],
+            }
+            server.kill()
+            assert process.stdout.readline().split() == ["ended", str(-errno.ENOENT), "1"]
+        finally:
+            process.kill()

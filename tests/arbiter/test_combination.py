@@ -114,6 +114,46 @@ def test_the_sum_is_relative_to_the_followers_pose_and_others_are_converted(part
     assert got.ref_t_ns == t0
 
 
+def test_what_is_relative_to_a_pose_that_was_not_given_is_not_converted(parts):
+    follow, avoid, reader = parts
+    assert follow.request()
+    assert avoid.request()
+    t0, t1 = time.monotonic_ns() - 2000, time.monotonic_ns() - 1000
+    down, up = (0.0, 0.0, -0.01, 0.0, 0.0, 0.0), (0.0, 0.0, 0.02, 0.0, 0.0, 0.0)
+    place, pose = (1.0, 2.0, 0.1), (1.0, 2.0, 0.1, *LEVEL)
+    # of one pose they are summed, whether it is given or not
+    both = (0, 0, 0.01, 0, 0, 0)
+    see(
+        reader,
+        both,
+        lambda: follow.command(*down, ref_t_ns=t0),
+        lambda: avoid.command(*up, ref_t_ns=t0, ref_pose=pose),
+    )
+    for one, other in ((None, pose), (pose, None), ((*place, 0.0, 0.0, 0.0, 2.0), pose)):
+        until(
+            lambda one=one, other=other: (
+                follow.command(*down, ref_t_ns=t0, ref_pose=one)
+                and avoid.command(*up, ref_t_ns=t1, ref_pose=other)
+                and reader.latest().safe
+            )
+        )
+        deadline = time.monotonic() + 0.05  # and it stays so
+        until(
+            lambda one=one, other=other, deadline=deadline: (
+                follow.command(*down, ref_t_ns=t0, ref_pose=one)
+                and avoid.command(*up, ref_t_ns=t1, ref_pose=other)
+                and (time.monotonic() > deadline or not reader.latest().safe)
+            )
+        )
+        assert reader.latest().safe
+        see(
+            reader,
+            both,
+            lambda: follow.command(*down, ref_t_ns=t0, ref_pose=pose),
+            lambda: avoid.command(*up, ref_t_ns=t1, ref_pose=pose),
+        )
+
+
 def test_limits_hold_for_the_sum(parts):
     follow, avoid, reader = parts
     assert follow.request()

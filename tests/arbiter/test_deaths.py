@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 import random
 import signal
-import time
 
 import pytest
 
-from arbiter.running import holding, until
+from arbiter.running import holding, send_raw, until
 from surffollow.arbiter import attach, command_reader, observe
-from surffollow.arbiter import client as ac
+from surffollow.arbiter import exchange as ex
 from surffollow.arbiter import layout as al
 
 
@@ -43,7 +42,9 @@ def test_a_dead_or_stopped_holder_loses_the_resource_and_the_safe_command_goes_o
         assert after[0] == "SAFE"
         assert "FORWARD" not in after
     with attach(server.name, "wall") as other:
-        assert other.resource("robot").request()
+        mine = other.resource("robot")
+        assert mine.request()
+        mine.relinquish()  # its end alone would be an event that the next test may see
 
 
 def test_a_stopped_holder_that_comes_back_commands_nothing_until_it_asks_again(server, child):
@@ -51,9 +52,7 @@ def test_a_stopped_holder_that_comes_back_commands_nothing_until_it_asks_again(s
         mine = attach(server.name, "go").resource("robot")
         assert mine.request()
         say(b"h")
-        while mine.held:
-            mine.command(0.1, 0.1)
-            time.sleep(0.001)
+        until(lambda: not (mine.command(0.1, 0.1) and mine.held), float("inf"))
         say(b"l")
         assert mine.request()
         say(b"a")
@@ -98,20 +97,13 @@ def test_a_child_that_inherits_the_connection_does_not_keep_its_parent_alive(ser
         until(lambda: watcher.holder("robot") is None)
 
 
-def raw(client, what, token):
-    words, head = client._post_words, client._post_words[ac._HEAD]
-    at = 8 * ac._ITEMS + (head & ac._MASK) * al.Item.SIZE
-    ac._PLAIN.pack_into(client._put, at, head + 1, what, token, time.monotonic_ns(), 0, *(0.4,) * al.VALUES)
-    words[ac._HEAD] = head + 1
-
-
 def test_a_token_seen_on_the_board_forwards_nothing(server):
     with attach(server.name, "wall") as one, attach(server.name, "attacker") as other:
         mine = one.resource("robot")
         assert mine.request()
         history = one.history()
         for token in (mine.token, mine.token + 1, mine.token ^ (1 << 32), 0, -1):
-            raw(other, al.ITEM_COMMAND, token)
+            send_raw(other, al.ITEM_COMMAND, token)
         events = []
         until(lambda: events.extend(e for e in history if e.client == other.number) or len(events) >= 5)
         assert {e.event for e in events} == {"REJECT_NO_CONTROL"}
@@ -122,7 +114,7 @@ def test_a_token_seen_on_the_board_forwards_nothing(server):
 def test_a_client_that_scribbles_over_its_mailbox_harms_only_itself(server, seed):
     rng = random.Random(seed)
     with attach(server.name, "wall") as one, attach(server.name, "attacker") as other:
-        mine, words = one.resource("robot"), other._post_words
+        mine, words = one.resource("robot"), other.exchange.post
         history = one.history()
         for _ in range(200):
             for _ in range(50):
@@ -133,7 +125,7 @@ def test_a_client_that_scribbles_over_its_mailbox_harms_only_itself(server, seed
         forwarded = {e.client for e in history if e.event == "FORWARD"}
         assert history.lost == 0
         assert forwarded <= {one.number}
-        words[ac._HEAD] = -5
+        words[ex.HEAD] = -5
         until(lambda: one.board.entry(other.slot)["broken"] > 0)
 
 

@@ -58,6 +58,10 @@ static int answer(const char *verb, char *rest) {
   if (strcmp(verb, "release") == 0) return sf_release_pose(&client);
   if (strcmp(verb, "ee") == 0) return sf_ee_pos(&client, v, SF_NOW);
   if (strcmp(verb, "ee_at") == 0) return sf_ee_pos(&client, v, sf_now_ns() + (int64_t)v[7]);
+  if (strcmp(verb, "push") == 0) return sf_push_range(&client, (int)v[0], sf_now_ns() + (int64_t)v[2], v[1]);
+  if (strcmp(verb, "push_none") == 0) return sf_push_range(&client, (int)v[0], SF_NOW, sf_no_reading());
+  if (strcmp(verb, "claim_range") == 0) return sf_claim_range(&client, (int)v[0]);
+  if (strcmp(verb, "release_range") == 0) return sf_release_range(&client, (int)v[0]);
   if (strcmp(verb, "stop") == 0) return sf_stop(&client, word[0] != '\0' ? word : NULL);
   if (strcmp(verb, "stop_reset") == 0) return sf_stop_reset(&client);
   if (strcmp(verb, "sim") == 0) return sf_sim_pose(&client, sf_now_ns(), v, NULL);
@@ -85,7 +89,8 @@ static int answer(const char *verb, char *rest) {
     return result;
   }
   if (strcmp(verb, "map_reset") == 0) return sf_map_reset(&client, v);
-  if (strcmp(verb, "map_refocus") == 0) return sf_map_refocus(&client, v);
+  if (strcmp(verb, "map_refocus") == 0)
+    return v[4] > 0.0 ? sf_map_refocus_to(&client, v, v[4]) : sf_map_refocus(&client, v);
   if (strcmp(verb, "upload") == 0) return sf_upload_map(&client, word);
   if (strcmp(verb, "height") == 0) {
     double height = 0.0;

@@ -14,8 +14,9 @@ from click.testing import CliRunner
 
 from cabi.running import ROOT, WARNINGS, run
 from surffollow.cli.main import cli
-from surffollow.client import client, demand, observer, pose
+from surffollow.client import demand, observer, pose, push_range, slot_watch
 from surffollow.config.params import PARAMS
+from surffollow.hw import pushed_ranges
 from surffollow.service import inbox
 from surffollow.shm import cheader
 from surffollow.shm.layout_board import RESULT_TEXT
@@ -114,8 +115,10 @@ def test_two_files_of_a_program_may_include_the_header(tmp_path: Path) -> None:
 def test_c_and_python_clients_share_their_constants() -> None:
     assert cheader.STALE == demand.STALE
     assert cheader.REATTACH_EVERY_NS == observer.REATTACH_EVERY_NS
-    assert cheader.LOOK_EVERY_NS == client.LOOK_EVERY_NS
+    assert cheader.LOOK_EVERY_NS == slot_watch.LOOK_EVERY_NS
     assert cheader.POSE_FUTURE_NS == pose.FUTURE_NS
+    assert cheader.RANGE_FUTURE_NS == push_range.FUTURE_NS <= pushed_ranges.FUTURE_NS
+    assert cheader.RANGE_OLDEST_NS == push_range.OLDEST_NS == pushed_ranges.OLDEST_NS
     assert cheader.MAX_POSITION_M == pose.MAX_POSITION_M == inbox.MAX_POSITION_M
 
 

@@ -48,7 +48,9 @@ def test_a_c_compiler_agrees_with_every_offset_and_number(tmp_path: Path) -> Non
         facts.append(f"(uint64_t)SF_{name}_MAGIC == UINT64_C({told['objects'][key]['magic']['value']})")
     facts.append(f"(uint64_t)SF_SLOT_MAGIC == UINT64_C({told['handshake']['magic']['value']})")
     parts = {p["name"]: p["offset"] for p in told["objects"]["slot"]["parts"]}
-    facts += [f"SF_SLOT_{n.upper()} == {parts[n]}" for n in ("head", "pose", "request")]
+    facts += [f"SF_SLOT_{n.upper()} == {parts[n]}" for n in ("head", "pose", "request", "ranges")]
+    ring = next(p for p in told["objects"]["slot"]["parts"] if p["name"] == "ranges")
+    facts += [f"SF_RANGE_ITEMS == {ring['items']}", f"SF_RANGES_AT == {ring['items_at']}"]
     facts.append(f"SF_SLOT_STREAM + SF_PIECE_BYTES == {parts['stream1']}")
     source = tmp_path / "facts.c"
     lines = "\n".join(f'_Static_assert({fact}, "");' for fact in facts)

@@ -116,6 +116,8 @@ def test_upload_that_cannot_be_written_leaves_nothing_behind(probe: Probe, tmp_p
 
 def test_refocus_keeps_heights_and_reset_clears_them(probe: Probe) -> None:
     assert probe("map_refocus 0.02 0.02 0.06 0.06").result == OK
+    assert probe("map_refocus 0.02 0.02 0.06 0.06 0.004").result == OK
+    assert probe("map_refocus 0.02 0.02 0.06 0.06 1e-7").result == -1
     assert probe("height 0.04 0.04").result == OK
     assert probe("map_reset 0.02 0.02 0.06 0.06").result == OK
     assert probe("height 0.021 0.059").result == UNKNOWN

@@ -163,8 +163,13 @@ def test_it_lays_refocuses_installs_and_holds_the_map(foreign: Foreign) -> None:
     assert foreign("request", "MAP_RESET", REGION) == ["OK", 0]
     assert foreign("map")["region_m"] == [*REGION.values()]
     half = {**REGION, "x_max": 0.05}
-    assert foreign("request", "MAP_REFOCUS", half) == ["OK", 0]
+    assert foreign("request", "MAP_REFOCUS", {**half, "finest_grid_m": 0.0}) == ["OK", 0]
     assert foreign("map")["region_m"] == [*half.values()]
+    assert foreign("request", "MAP_REFOCUS", {**half, "finest_grid_m": 0.005}) == ["OK", 0]
+    assert foreign("map")["grid_m"] == 0.005
+    assert foreign("request", "MAP_REFOCUS", {**half, "finest_grid_m": -1.0}) == ["ERR_BAD_VALUE", -1]
+    # a simulated sensor takes no ranges: it has 0 channels for them
+    assert foreign("request", "CLAIM_RANGE", {"channel": 0}) == ["ERR_NO_CHANNEL", 0]
     assert foreign("request", "MAP_RESET", {**REGION, "x_max": 0.0}) == ["ERR_BAD_REGION", 0]
 
     geometry = {"grid_m": 0.01, "x0_m": 0.01, "y0_m": 0.02, "datum_m": 0.002, "quantum_m": 25.4e-6}

@@ -101,3 +101,24 @@ def test_the_example_draws_its_run(bare: Service, tmp_path: Path) -> None:
 def test_status_says_that_errors_of_reports_cancel(bare: Service) -> None:
     note = bare.run("status").stdout
     assert "rides on the reported poses, so errors of the reports cancel" in note
+
+
+def test_an_own_laser_pushed_from_python_closes_the_loop(tmp_path: Path) -> None:
+    source = (EXAMPLES / "python/push_range.py").read_text()
+    config = "\n".join(line.strip() for line in source.split("laser.toml:")[1].splitlines()[2:5])
+    assert config.startswith("[driver]")
+    service = Service(tmp_path, config + "\n")
+    try:
+        service.start()
+        for _ in range(TRIES):
+            words = [sys.executable, str(EXAMPLES / "python/push_range.py"), service.name, "4"]
+            done = subprocess.run(words, capture_output=True, text=True, timeout=120.0)
+            assert done.returncode == 0, done.stderr
+            said = done.stdout.split()
+            rms_mm, ticks = float(said[said.index("standoff_rms_mm") + 1]), int(said[said.index("ticks") + 1])
+            if rms_mm <= 1e3 * LIMIT_M and ticks > 200:
+                break
+        assert ticks > 200
+        assert rms_mm <= 1e3 * LIMIT_M
+    finally:
+        service.purge()

@@ -293,3 +293,21 @@ def test_what_is_not_finite_inside_is_thrown_away_and_following_goes_on(name):
     assert "VALID" in state["status"]
     assert "NOT_FINITE" in state["faults"]
     assert np.abs(robot.run(0.5) - 0.1).max() < 5e-4
+
+
+def test_a_follower_whose_readings_never_confirm_each_other_is_not_valid_and_says_why():
+    """Ground that differs by metres between slow readings: each one starts anew, and none is an estimate."""
+    f = Follower({"sensors": [{"near_m": 0.01, "far_m": 60.0}]}, offset_m=0.1)
+    rng = np.random.default_rng(3)
+    valid_s, reasons = 0.0, set()
+    for k in range(6000):
+        t = k * 10 * MS
+        f.pose(t, (0.01 * k, 0.0, 30.0, 0.0, 0.0, 0.0, 1.0))
+        demand = f.step(t, [20.0 + 5.0 * rng.standard_normal() if k % 100 == 0 else math.nan])
+        told = f.state()
+        if t > 10_000 * MS and "VALID" in told["status"] and demand[2] == 0.0:
+            valid_s += 0.01
+        reasons.add((told["health"], told["reason"]))
+    assert valid_s < 2.5, "a demand of zero is not VALID for longer than the loss time-out"
+    assert ("DROPOUT", "no sample entered the estimate within the loss time-out") in reasons
+    assert "LOST" in told["faults"]

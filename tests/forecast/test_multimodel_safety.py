@@ -173,3 +173,75 @@ def test_a_wavy_path_there_and_back_is_followed_after_the_turn():
     rms = float(np.sqrt(np.mean(np.square(errors[1400:]))))
     assert np.abs(errors[1250:1400]).max() < 4e-3
     assert rms < 0.4e-3, rms
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_timestamps_that_go_back_are_noticed_and_corrected(seed):
+    """On a rising path old timestamps put the ground elsewhere; readings count as old as usual instead."""
+    rng, late_ms, speed, slope = np.random.default_rng(seed), 30, 0.3, 0.15
+    z, errors, reasons, health = STANDOFF_M, [], set(), ""
+    follower, queue = multimodel(), []
+    for ms in range(3000):
+        ground = slope * speed * ms * 1e-3
+        if ms % 10 == 0:
+            follower.pose(ms * MS, (speed * ms * 1e-3, 0.0, z, 0.0, 0.0, 0.0, 1.0))
+        if ms % 4 == 0:
+            wrong = 100 if 1500 <= ms < 2200 else 0
+            queue.append((ms + late_ms, ms - wrong, z - ground + 2e-4 * rng.standard_normal()))
+        while queue and queue[0][0] <= ms:
+            follower.step(queue[0][1] * MS, [queue[0][2]])
+            queue.pop(0)
+        if ms % 10 == 0:
+            target = z + follower.step(ms * MS, [math.nan])[2]
+        z += (target - z) / 40.0
+        errors.append(z - ground - STANDOFF_M)
+        state = follower.state()
+        if 1700 < ms < 2200:
+            reasons.add(state["reason"])
+        health = state["health"]
+    assert any("timestamps" in r for r in reasons), reasons
+    assert health == "OK"
+    assert np.abs(errors[1000:]).max() < 2e-3, np.abs(errors[1000:]).max()
+
+
+def test_a_reading_that_overtook_another_is_no_wrong_timestamp():
+    follower = multimodel()
+    for k, r in enumerate(noisy(400)):
+        t = k * 4 * MS
+        if k % 3 == 0:
+            follower.pose(t, (1e-4 * k, 0.0, STANDOFF_M, 0.0, 0.0, 0.0, 1.0))
+        follower.step(t - (8 * MS if k % 10 == 0 else 0), [r])
+        assert follower._multimodel[0]["sample"]["shift"] == 0.0
+
+
+def test_a_tool_whose_sensor_is_stuck_leaves_the_ground_at_its_usual_slope():
+    """The ground rises and falls by 10 %: the sensor freezes, the tool goes up and never down."""
+    rng, z, climb, target = np.random.default_rng(8), STANDOFF_M, [], STANDOFF_M
+    follower = multimodel()
+    for ms in range(4000):
+        x = 0.2e-3 * ms
+        ground = 0.01 * math.sin(10.0 * x)
+        if ms % 10 == 0:
+            follower.pose(ms * MS, (x, 0.0, z, 0.0, 0.0, 0.0, 1.0))
+        if ms % 4 == 0:
+            r = z - ground + 2e-4 * rng.standard_normal() if ms < 2500 else STANDOFF_M + 25e-6 * (ms % 8 == 0)
+            follower.step(ms * MS, [r])
+        if ms % 10 == 0:
+            target = z + follower.step(ms * MS, [math.nan])[2]
+        z += (target - z) / 40.0
+        if "STUCK" in follower.state()["health"]:
+            climb.append(z)
+    assert len(climb) > 500
+    assert (np.diff(climb[80:]) >= -1e-6).all()
+    assert climb[500] > climb[80] + 2e-3
+
+
+def test_a_step_moves_the_demand_no_faster_than_the_axis_can_use():
+    """A step of 30 mm: the axis is asked to use its acceleration limit, not to jump."""
+    jumps = []
+    for useful in (2.0, 1e6):
+        follower = multimodel(tuning={"setpoint_useful": useful})
+        demands = [float(d[2]) for _, d, _ in drive(follower, [*noisy(200), *(noisy(60, 1) - 0.03)])]
+        assert max(demands) > 5e-3
+        jumps.append(np.abs(np.diff(demands[100:])).max())
+    assert jumps[0] < 0.8 * jumps[1], jumps

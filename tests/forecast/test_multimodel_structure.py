@@ -118,7 +118,7 @@ def test_every_constant_of_the_table_has_a_default_and_a_meaning():
 def test_a_model_is_the_textbook_filter(kind, seed):
     """Twin: the same Kalman filter in matrices."""
     rng = np.random.default_rng([seed, kind])
-    state = new_multimodel({"models": [(kind, 5.0, 1.5 if seed == 1 else 0.0, 1.0)]})
+    state = new_multimodel({"models": [(kind, 5.0, 1.5 if seed == 1 else 0.0)]})
     u = state["tuning"][0]
     spacing, reaction, omega = 0.01, 0.2, 7.0
     x, p = np.zeros(3), np.zeros(6)
@@ -145,7 +145,7 @@ def test_a_model_is_the_textbook_filter(kind, seed):
         k = cov @ see / (see @ cov @ see + 1.0)
         mean, cov = mean + k * (h - see @ mean), cov - np.outer(k, see @ cov)
         predict_model(u, 0, x, p, d, spacing, reaction, omega)
-        update_model(u, 0, x, p, h, 0)
+        update_model(u, 0, x, p, h, 1e9, 0)
         np.testing.assert_allclose(
             x[: 2 if kind == SLOPE else 3], mean[: 2 if kind == SLOPE else 3], atol=1e-9
         )
@@ -166,7 +166,7 @@ def test_the_axis_model_is_the_simulated_axis():
         assert z == pytest.approx(axis[0], abs=1e-12)
 
 
-@pytest.mark.parametrize("velocity", [0.01, 0.079, 0.081, 0.15])
+@pytest.mark.parametrize("velocity", [0.01, 0.079, 0.081, 0.15, -0.03, -0.15])
 def test_the_distance_of_a_velocity_is_the_inverse_of_the_axis(velocity):
     assert axis_velocity(distance_for(velocity, 0.04, 2.0), 0.04, 1.0, 2.0) == pytest.approx(velocity)
 
@@ -174,4 +174,16 @@ def test_the_distance_of_a_velocity_is_the_inverse_of_the_axis(velocity):
 def test_the_table_of_models_is_what_the_state_holds():
     tuning = new_multimodel()["tuning"][0]
     assert tuning["n_models"] == len(MODELS)
-    np.testing.assert_array_equal(tuning["models"][: 4 * len(MODELS)].reshape(-1, 4), MODELS)
+    np.testing.assert_array_equal(tuning["models"][: 3 * len(MODELS)].reshape(-1, 3), MODELS)
+
+
+def test_an_innovation_turns_the_slope_by_no_more_than_its_bound():
+    u = new_multimodel({"models": [(SLOPE, 4.0, 0.0)]})["tuning"][0]
+    found = []
+    for innovation in (0.5, 1.0, 40.0):
+        x, p = np.zeros(3), np.array([1.0, 20.0, 0.0, 900.0, 0.0, 0.0])
+        update_model(u, 0, x, p, innovation, 1.0, 0)
+        found.append(x.copy())
+    assert found[0][1] == pytest.approx(0.5 * found[1][1])
+    assert found[2][1] == found[1][1]
+    assert found[2][0] == pytest.approx(40.0 * found[1][0])

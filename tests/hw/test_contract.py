@@ -6,6 +6,7 @@ import contextlib
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,10 +14,11 @@ from typing import Any
 
 import pytest
 
-from hw.wires import FRAME_FORMAT, WINDOW, FakeIio, Pty, datagrams, feeding, frame
+from hw.wires import FRAME_FORMAT, WINDOW, FakeIio, Pty, Ring, datagrams, feeding, frame
 from running_service import World, unique_name
 from surffollow.hw import ConversionQueue, Driver, DriverInfo, RangeWriter, metre_info
 from surffollow.hw.contract import ContractError, check_driver
+from surffollow.hw.pushed_ranges import pushed_of, take_pushed
 from surffollow.hw.registry import make_driver
 from surffollow.hw.replayed import save_conversions
 
@@ -115,7 +117,32 @@ def example(folder: Path) -> Iterator[Made]:
         sys.path.remove(str(ROOT / "examples/driver"))
 
 
-DRIVERS = (simulated, silent, replayed, serial, udp, can, iio, example)
+@contextlib.contextmanager
+def external(folder: Path) -> Iterator[Made]:
+    """A ring that is pushed into, and a thread that takes out of it as the service's cycle does."""
+    drivers: list[Driver] = []
+    ring, over = Ring(), threading.Event()
+
+    def make() -> Driver:
+        drivers.append(make_driver({"kind": "external", **WINDOW}, "x"))
+        return drivers[-1]
+
+    def cycle() -> None:
+        seen = 0
+        while not over.wait(0.0005):
+            now_ns = time.monotonic_ns()
+            ring.push(now_ns, 0, 0.1)
+            for driver in drivers[-1:]:
+                seen, *_ = take_pushed(pushed_of(driver), ring.address, seen, 1, 64, now_ns)
+
+    thread = threading.Thread(target=cycle)
+    thread.start()
+    yield make, True
+    over.set()
+    thread.join()
+
+
+DRIVERS = (simulated, silent, replayed, serial, udp, can, iio, external, example)
 
 
 @pytest.mark.parametrize("there", DRIVERS, ids=lambda f: f.__name__)

@@ -11,7 +11,10 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
+
 from surffollow.hw.frames import crc16_modbus
+from surffollow.shm import layout_board as lb
 
 # a frame of 8 bytes: AA 55, distance in µm, CRC
 FRAME_FORMAT = {
@@ -147,3 +150,28 @@ def datagrams(port: Callable[[], int]) -> Callable[[bytes], None]:
             sender.sendto(data, ("127.0.0.1", port()))
 
     return send
+
+
+class Ring:
+    """A ring as it lies in a slot, written as a client writes it, or as nobody should."""
+
+    def __init__(self) -> None:
+        self.words = np.zeros((lb.RANGES_AT + lb.RANGE_ITEMS * lb.RangeItem.SIZE) // 8, np.int64)
+        self.floats = self.words.view(np.float64)
+        self.pushed: list[tuple[int, int, int, float]] = []
+
+    @property
+    def address(self) -> int:
+        return int(self.words.ctypes.data)
+
+    @property
+    def head(self) -> int:
+        return int(self.words[0])
+
+    def push(self, t_ns: int, channel: int, range_m: float, number: int | None = None) -> None:
+        at = lb.RANGES_AT // 8 + (self.head & (lb.RANGE_ITEMS - 1)) * lb.RangeItem.SIZE // 8
+        number = self.head + 1 if number is None else number
+        self.words[at : at + 3] = number, t_ns, channel
+        self.floats[at + 3] = range_m
+        self.words[0] = self.head + 1
+        self.pushed.append((number, t_ns, channel, range_m))

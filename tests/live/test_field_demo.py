@@ -44,7 +44,7 @@ def test_the_report_is_one_page_with_picture_and_figures(made, tmp_path):
     assert "all bars met" in page
     assert page.count("data:image/png;base64,") == 1
     assert "&lt;noise&gt;" in page
-    assert f"{made.figures['shaped']['gap_error_p99_m']:.4g}" in page
+    assert f"<td>{1e3 * made.figures['shaped']['gap_error_p99_m']:.1f}</td>" in page
 
 
 def test_a_missed_bar_is_told(made):

@@ -44,7 +44,7 @@ def with_commands(path: Path, commands: dict[int, tuple[int, tuple[float, ...]]]
         cycle = int(words[at + 2])
         if entry_kind(words[at]) != SNAPSHOT and cycle in commands:
             code, region = commands.pop(cycle)
-            out.append(np.array([entry_head(MAP, 7), NS_PER_S, code]))
+            out.append(np.array([entry_head(MAP, 3 + len(region)), NS_PER_S, code]))
             out.append(np.array(region, np.float64).view(np.int64))
         out.append(words[at : at + n])
         at += n
@@ -61,16 +61,17 @@ def same_maps(a: HeightMap, b: HeightMap) -> None:
     assert a.region_m == b.region_m
 
 
+@pytest.mark.parametrize("finest", [(), (0.0,), (5e-4,)], ids=["old recording", "none", "chosen"])
 def test_resets_and_refocuses_happen_between_the_points_where_they_were_asked_for(
-    make_recording: Callable[..., Path],
+    make_recording: Callable[..., Path], finest: tuple[float, ...]
 ) -> None:
     wide, narrow = (-0.01, -0.01, 0.08, 0.02), (0.02, -0.01, 0.05, 0.01)
-    commands = {400: (RQ_MAP_RESET, wide), 900: (RQ_MAP_REFOCUS, narrow)}
+    commands = {400: (RQ_MAP_RESET, wide), 900: (RQ_MAP_REFOCUS, (*narrow, *finest))}
     path = with_commands(make_recording(cycles=CYCLES), commands)
     points = targets()
     expected = HeightMap.over(wide)
     expected.add(points[(points[:, 0] >= 400) & (points[:, 0] < 900), 1:])
-    expected.refocus(narrow)
+    expected.refocus(narrow, finest_m=sum(finest))
     expected.add(points[points[:, 0] >= 900, 1:])
     assert expected.counts.any()
     same_maps(rebuild_map(path), expected)

@@ -240,7 +240,7 @@ def test_published_velocity_is_that_of_the_published_positions() -> None:
 
 def test_line_goes_to_and_fro_and_slows_down_for_its_ends() -> None:
     path = line_path(REGION, 0.1, 0.2, 2.0)
-    x, y, limit = path.points.T
+    x, y, limit = path.points[:, :3].T
     assert path.length_m >= 2.0
     assert (x.min(), x.max()) == pytest.approx((MARGIN_M, 1.0 - MARGIN_M), abs=1e-3)
     assert (y == 0.15).all()
@@ -253,7 +253,7 @@ def test_line_goes_to_and_fro_and_slows_down_for_its_ends() -> None:
 
 def test_raster_covers_the_region_with_smooth_turns_that_keep_the_acceleration() -> None:
     path = raster_path(REGION, 0.2, 0.2, 0.02)
-    x, y, limit = path.points.T
+    x, y, limit = path.points[:, :3].T
     steps = np.hypot(np.diff(x), np.diff(y))
     np.testing.assert_allclose(steps, path.spacing_m, rtol=2e-2)
     assert x.min() >= MARGIN_M - 1e-9

@@ -14,13 +14,22 @@ from surffollow.arbiter.config import ArbiterConfig, limits
 from surffollow.blocks import layout as bl
 from surffollow.blocks.claim import claim_writer, give_up
 from surffollow.config.service import mode, seconds
-from surffollow.errors import BlockError, ConfigError, NoPermissionError, NotReadyError, NotRunningError
+from surffollow.errors import (
+    AlreadyRunningError,
+    BlockError,
+    ConfigError,
+    NoPermissionError,
+    NotReadyError,
+    NotRunningError,
+)
 from surffollow.shm.dtypes import numpy_dtype
 from surffollow.shm.layout_board import LogHead
+from surffollow.shm.name_lock import NameLock, holder
 from surffollow.shm.objects import SharedObject, unlink
 from surffollow.shm.process import start_ticks
 from surffollow.shm.python_atomics import store_release
 
+DYING_S = 0.3  # a process that was just killed holds its locks until the kernel has taken it apart
 EPOCH_LIMIT = (1 << 31) - 2
 _STATE = al.BoardHeader.offset("state")
 
@@ -33,6 +42,30 @@ def group_id(name: str) -> int:
         return grp.getgrnam(name).gr_gid
     except KeyError:
         raise ConfigError(f"configuration key group is {name!r}; there is no such group") from None
+
+
+def own_name(name: str) -> NameLock:
+    """Become the owner of an arbiter's objects in /dev/shm.
+
+    The socket alone does not make it that: two containers that share /dev/shm may both bind its name.
+
+    Raises
+    ------
+    AlreadyRunningError  a live process owns them
+    NoPermissionError    another user's lock file is in the way
+    """
+    deadline = time.monotonic() + DYING_S
+    while True:
+        own = NameLock.take(f"{name}.arbiter")
+        if own is not None:
+            return own
+        if time.monotonic() > deadline:
+            pid = holder(f"{name}.arbiter")
+            raise AlreadyRunningError(
+                f"an arbiter {name!r} runs already (process {pid if pid > 0 else 'unknown'}, perhaps in "
+                "another network namespace); end it, or start this one under another name (--name)"
+            )
+        time.sleep(0.005)
 
 
 def take_old_board(name: str) -> int:
@@ -52,7 +85,10 @@ def take_old_board(name: str) -> int:
         return 0
     try:
         if old.owner != os.geteuid():
-            raise NoPermissionError(f"the board {name!r} belongs to another user; remove it (ls -l /dev/shm)")
+            raise NoPermissionError(
+                f"the board {name!r} belongs to user {old.owner}, expected user {os.geteuid()}; remove it "
+                f"(ls -l /dev/shm/{name}), or start this arbiter under another name (--name)"
+            )
         if old.size < al.PAGE:
             raise BlockError(f"shared-memory object {name!r} is there and is no board; take another name")
         bytes_ = np.frombuffer(old.memory, np.uint8)

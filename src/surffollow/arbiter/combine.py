@@ -15,6 +15,7 @@ from surffollow.arbiter.table import FREE
 from surffollow.shm.jit import jit
 
 _VALUES, _SOURCE_SAFE, _SOURCE_COMBINED = al.VALUES, al.SOURCE_SAFE, al.SOURCE_COMBINED
+UNIT_TOLERANCE = 1e-3  # of the square of a quaternion's norm
 
 
 @jit
@@ -67,8 +68,17 @@ def to_pose(value: Any, from_pose: Any, to: Any, n: Any, scratch: Any, out: Any)
 
 
 @jit
+def is_pose(pose: Any) -> Any:
+    """Whether seven finite numbers are a pose: the last four a unit quaternion. A client may give none."""
+    return abs(pose[3] ** 2 + pose[4] ** 2 + pose[5] ** 2 + pose[6] ** 2 - 1.0) < UNIT_TOLERANCE
+
+
+@jit
 def add_parts(mem: Any, combination: Any, t_ns: Any) -> Any:
-    """Sum the parts into `mem.slot`; 1: valid, 0: not. `valid_until_ns` and the pose are filled in, too."""
+    """Sum the parts into `mem.slot`; 1: valid, 0: not. `valid_until_ns` and the pose are filled in, too.
+
+    Parts that name two poses, one of which was not given, make no sum.
+    """
     x, c = mem.combinations[combination], mem.slot[0].command
     reference, held, valid, until = -1, 0, 1, t_ns + x.ttl_ns
     c.ref_t_ns = 0
@@ -97,12 +107,17 @@ def add_parts(mem: Any, combination: Any, t_ns: Any) -> Any:
             continue
         if reference >= 0 and run.ref_t_ns != 0 and run.ref_t_ns != c.ref_t_ns:
             to = mem.runs[reference].ref_pose
+            if not (is_pose(run.ref_pose) and is_pose(to)):
+                return 0  # relative to what nobody said
             to_pose(run.value, run.ref_pose, to, x.n_values, mem.scratch[0:12], mem.scratch[12:20])
             for k in range(_VALUES):
                 c.value[k] += mem.scratch[12 + k]
         else:
             for k in range(_VALUES):
                 c.value[k] += run.value[k]
+    for k in range(_VALUES):
+        if not math.isfinite(c.value[k]):
+            return 0  # huge numbers may overflow in a sum though each is finite
     return 1
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from surffollow.arbiter.layout import RESOURCES, VALUES
-from surffollow.config.names import check_name
+from surffollow.config.names import check_name, check_service_name
 from surffollow.config.service import mode, seconds
 from surffollow.errors import ConfigError, NameError_
 
@@ -19,6 +19,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+TEXT = 255  # letters of all names, or all units, of a command
 MAX_PRIORITY = 1_000_000
 
 
@@ -120,12 +121,19 @@ def _check(c: ArbiterConfig) -> None:
 
 def _check_resource(c: ArbiterConfig, name: str, spec: ResourceSpec) -> None:
     key = f"resources.{name}"
-    check_name(f"{c.name}.{name}")
+    check_service_name(f"{c.name}.{name}")
     n = len(spec.command)
     if name == "arbiter":
         raise ConfigError(f"{key}: the name is taken by the board; choose another")
     if not 1 <= n <= VALUES:
         raise ConfigError(f"{key}.command names {n} values; it must be 1 to {VALUES}")
+    for value in spec.command:
+        check_name(value)
+    for what, texts in (("command", spec.command), ("units", spec.units)):
+        if len(",".join(texts)) > TEXT or any("," in text for text in texts):
+            raise ConfigError(f"{key}.{what} holds a comma or more than {TEXT} letters in all: {texts!r}")
+    if not all(math.isfinite(value) for value in spec.safe):
+        raise ConfigError(f"{key}.safe is {spec.safe!r}; every value must be finite")
     for what, values in (("safe", spec.safe), ("low", spec.low), ("high", spec.high), ("units", spec.units)):
         if len(values) != n and (what == "safe" or values):
             raise ConfigError(f"{key}.{what} holds {len(values)} values; {n} are needed, as in command")
@@ -143,12 +151,14 @@ def _check_resource(c: ArbiterConfig, name: str, spec: ResourceSpec) -> None:
 
 def _check_combination(c: ArbiterConfig, name: str, spec: CombinationSpec) -> None:
     key = f"combine.{name}"
-    check_name(f"{c.name}.{name}")
+    check_service_name(f"{c.name}.{name}")
     if name in c.resources or name == "arbiter":
         raise ConfigError(f"{key}: the name is taken; choose another")
     for part in (*spec.parts, *spec.required):
         if part not in c.resources or part not in spec.parts:
             raise ConfigError(f"{key} names {part!r}, which is no resource, or not one of its parts")
+    if len(set(spec.parts)) != len(spec.parts):
+        raise ConfigError(f"{key}.parts names a resource twice: {spec.parts!r}; a part counts once")
     sizes = {len(c.resources[p].command) for p in spec.parts}
     if len(sizes) != 1:
         raise ConfigError(f"{key}.parts must have commands of one length, not {sorted(sizes)}")

@@ -8,7 +8,8 @@ from typing import NamedTuple
 from surffollow.arbiter import layout as al
 from surffollow.blocks.attached import AttachedBlock
 from surffollow.config.names import check_name
-from surffollow.errors import BlockError, NotRunningError
+from surffollow.config.owner import trusted_owners
+from surffollow.errors import BlockError, NoPermissionError, NotRunningError
 
 _RETRY_NS = 20_000_000
 
@@ -41,12 +42,27 @@ class ResourceCommand(NamedTuple):
 
 
 class CommandReader:
-    """Reads the command block of one resource, or of a combination; follows restarts of the server."""
+    """Reads the command block of one resource, or of a combination; follows restarts of the server.
 
-    def __init__(self, name: str, resource: str) -> None:
-        self._block = AttachedBlock(resource, check_name(f"{name}.{resource}"), al.Command)
+    The block must belong to a trusted user when it is attached first, and to that same user ever after.
+    """
+
+    def __init__(self, name: str, resource: str, owner: int | str | None = None) -> None:
+        owners = trusted_owners(owner)
+        self._block = AttachedBlock(resource, check_name(f"{name}.{resource}"), al.Command, owners)
         self._next_try_ns = 0
         self._n, self._safe = 0, (0.0,) * al.VALUES
+        try:
+            self._block.attach_reader()
+        except NoPermissionError:
+            raise
+        except (NotRunningError, BlockError):
+            pass  # a server that starts replaces what is no block of this release
+
+    @property
+    def refusal(self) -> str:
+        """Why the block that bears the name now is not read; empty: it is read, or there is none."""
+        return self._block.refusal
 
     @property
     def attached(self) -> bool:
@@ -86,6 +102,18 @@ class CommandReader:
         self.close()
 
 
-def command_reader(name: str, resource: str) -> CommandReader:
-    """Read what a resource of an arbiter is to do; attaches when the server appears."""
-    return CommandReader(name, resource)
+def command_reader(name: str, resource: str, *, owner: int | str | None = None) -> CommandReader:
+    """Read what a resource of an arbiter is to do; attaches when the server appears.
+
+    Parameters
+    ----------
+    name, resource : str   arbiter, and resource or combination
+    owner : int or str     number or name of the user whose block to believe; None: this process's own,
+                           root's, or that of the user that SURFFOLLOW_OWNER names
+
+    Raises
+    ------
+    NoPermissionError  a block of another user bears the name, or its mode forbids reading
+    ConfigError        there is no user of that name
+    """
+    return CommandReader(name, resource, owner)

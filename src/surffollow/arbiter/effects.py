@@ -11,15 +11,26 @@ from surffollow.shm.jit import jit
 
 
 @jit
+def end_wait(mem: Any, resource: Any, slot: Any, t_ns: Any) -> None:
+    """A client stands in a resource's queue no more: how long it waited goes to board and history."""
+    person, status = mem.people[slot], mem.status[resource]
+    if person.queued_ns[resource] == 0:
+        return
+    waited_ns = t_ns - person.queued_ns[resource]
+    person.queued_ns[resource] = 0
+    person.waited_ns = max(person.waited_ns, waited_ns)
+    status.waited_ns = max(status.waited_ns, waited_ns)
+    mem.event[0].command[0] = 1e-9 * waited_ns
+    p.tell_waited(mem, slot)
+
+
+@jit
 def carry_out(mem: Any, resource: Any, effect: Any, t_ns: Any) -> None:
     """Do what one effect means outside the state machine."""
     run, status, action, slot = mem.runs[resource], mem.status[resource], effect.action, effect.client
     if action == t.GRANT:
-        queued = mem.people[slot].queued_ns[resource]
-        if queued != 0:
-            mem.people[slot].waited_ns = max(mem.people[slot].waited_ns, t_ns - queued)
-            mem.people[slot].queued_ns[resource] = 0
-        run.item_seq, run.command_ns, run.valid_until_ns = 0, t_ns, 0
+        end_wait(mem, resource, slot, t_ns)
+        run.item_seq, run.command_ns, run.valid_until_ns, run.late = 0, t_ns, 0, 0
         status.grants += 1
         status.since_ns = t_ns
         p.tell_held(mem, slot, resource, effect.token)
@@ -37,7 +48,7 @@ def carry_out(mem: Any, resource: Any, effect: Any, t_ns: Any) -> None:
         if mem.people[slot].queued_ns[resource] == 0:
             mem.people[slot].queued_ns[resource] = t_ns
     elif action == t.DEQUEUE:
-        mem.people[slot].queued_ns[resource] = 0
+        end_wait(mem, resource, slot, t_ns)
     elif action == t.DENY:
         status.denied += 1
         mem.people[slot].denied += 1
@@ -46,7 +57,7 @@ def carry_out(mem: Any, resource: Any, effect: Any, t_ns: Any) -> None:
     elif action == t.FORWARD:
         run.item_seq = mem.item[0].seq
         p.forward(mem, resource, slot, effect.token, t_ns)
-    elif p.is_refusal(action) and action >= t.REJECT_NO_CONTROL and action != t.NOTHING:
+    elif action in (t.REJECT_NO_CONTROL, t.REJECT_STALE_TOKEN, t.REJECT_OLD, t.REJECT_BAD):
         status.rejected += 1
 
 

@@ -3,19 +3,33 @@
 The socket's name is abstract: the kernel takes it back with the server's process, and it is what makes the
 server the only one of its name. SO_PEERCRED says who the other side is. A mailbox is a memory file whose
 size is sealed, and once the client has its mapping nothing but that mapping can change it.
+
+Any user may take an abstract name that is free. A client therefore asks the kernel who listens, and says
+nothing to a user whom it does not trust (`config.owner`).
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
+from collections.abc import Collection
 
 from surffollow.arbiter import layout as al
 from surffollow.client.board import unpack_schema
-from surffollow.errors import AlreadyRunningError, NotRunningError, RefusedError, RequestTimeoutError
-from surffollow.shm.unix_socket import new_socket
+from surffollow.errors import (
+    AlreadyRunningError,
+    BlockError,
+    NoPermissionError,
+    NotRunningError,
+    RefusedError,
+    RequestTimeoutError,
+)
+from surffollow.shm.sealed import has_sealed_size
+from surffollow.shm.unix_socket import accept_descriptors, new_socket, peer_of
 
 HELLO_TIMEOUT_S = 1.0
+BACKLOG = 1024
 MAPPED = b"mapped"
 _HELLO, _WELCOME = al.Hello.struct_of("magic", "name"), al.Welcome.struct_of("magic", "detail")
 
@@ -33,16 +47,45 @@ def listen(name: str) -> socket.socket:
     AlreadyRunningError  a live process is
     """
     sock = new_socket()
+    accept_descriptors(sock, False)  # inherited by connections
     try:
         sock.bind(address(name))
     except OSError:
         sock.close()
         raise AlreadyRunningError(
-            f"an arbiter {name!r} runs already; end it, or start this one under another name (--name)"
+            f"an arbiter {name!r} runs already{_who_listens(name)}; end it, or start this one under another "
+            "name (--name)"
         ) from None
-    sock.listen(64)
+    sock.listen(BACKLOG)
     sock.setblocking(False)
     return sock
+
+
+def _who_listens(name: str) -> str:
+    """The process that bears the name, for an error; empty when it does not let itself be asked."""
+    sock = new_socket()
+    try:
+        sock.setblocking(False)
+        sock.connect(address(name))
+        peer = peer_of(sock)
+    except OSError:
+        return ""
+    finally:
+        sock.close()
+    return f" (process {peer.pid} of user {peer.uid}, this one is of user {os.geteuid()})"
+
+
+def _owner_of(sock: socket.socket, name: str, owners: Collection[int]) -> int:
+    """The user of the server at the other end; raises NoPermissionError when it is none of `owners`."""
+    peer = peer_of(sock)
+    if owners and peer.uid not in owners:
+        wanted = " or ".join(str(u) for u in sorted(owners))
+        raise NoPermissionError(
+            f"arbiter {name!r} is process {peer.pid} of user {peer.uid}, expected user {wanted}: somebody "
+            f"else may have taken its name; look at it (ps -p {peer.pid}), or name the arbiter's user "
+            "(owner=, SURFFOLLOW_OWNER)"
+        )
+    return peer.uid
 
 
 def read_hello(data: bytes) -> str | None:
@@ -77,30 +120,39 @@ def enter(sock: socket.socket, name: str) -> None:
 
 
 class Welcomed:
-    """What a client was given; the connection must be kept open for as long as it lives."""
+    """What a client was given by a server of user `owner`; the connection stays open while it lives."""
 
-    def __init__(self, sock: socket.socket, answer: dict[str, int], fds: list[int]) -> None:
-        self.sock, self.fds = sock, fds
+    def __init__(self, sock: socket.socket, answer: dict[str, int], fds: list[int], owner: int) -> None:
+        self.sock, self.fds, self.owner = sock, fds, owner
         self.slot, self.number, self.epoch = answer["slot"], answer["number"], answer["epoch"]
 
 
-def knock(name: str, client: str, timeout_s: float) -> Welcomed:
-    """Connect to an arbiter and ask for a slot.
+def knock(name: str, client: str, timeout_s: float, owners: Collection[int] = ()) -> Welcomed:
+    """Connect to an arbiter of one of the users `owners` (empty: anybody's) and ask for a slot.
 
     Raises
     ------
     NotRunningError      nobody listens
+    NoPermissionError    another user listens
+    BlockError           what it hands out is no mailbox
     RefusedError         the server says no; `code` is one of layout.HELLO_…
     RequestTimeoutError  it says nothing
     """
     sock = new_socket()
     fds: list[int] = []
+    owner = -1
     try:
         sock.settimeout(max(timeout_s, 0.001))
         try:
+            accept_descriptors(sock, False)  # until it is known who listens
             sock.connect(address(name))
-            sock.send(_HELLO.pack(al.HELLO_MAGIC, al.layout_hash(), client.encode()[:47]))
-            data, fds, _, _ = socket.recv_fds(sock, al.Welcome.SIZE, 2)
+            owner = _owner_of(sock, name, owners)
+            accept_descriptors(sock, True)
+            with contextlib.suppress(ConnectionError):  # it may have refused already
+                sock.send(_HELLO.pack(al.HELLO_MAGIC, al.layout_hash(), client.encode()[:47]))
+            data, fds = _hear(sock)
+        except NoPermissionError:  # an OSError, too
+            raise
         except TimeoutError:
             raise RequestTimeoutError(f"arbiter {name!r} did not answer in {timeout_s:g} s") from None
         except OSError:
@@ -114,12 +166,23 @@ def knock(name: str, client: str, timeout_s: float) -> Welcomed:
             _refuse(name, client, answer)
         for fd in fds:
             os.set_inheritable(fd, False)
-        return Welcomed(sock, answer, fds)
+        if not has_sealed_size(fds[0], al.MAILBOX_BYTES):
+            raise BlockError(f"arbiter {name!r} handed out no sealed mailbox of {al.MAILBOX_BYTES} bytes")
+        return Welcomed(sock, answer, fds, owner)
     except BaseException:
         for fd in fds:
             os.close(fd)
         sock.close()
         raise
+
+
+def _hear(sock: socket.socket) -> tuple[bytes, list[int]]:
+    """The server's answer, and what came with it."""
+    try:
+        data, fds, _, _ = socket.recv_fds(sock, al.Welcome.SIZE, 2)
+    except ConnectionResetError:  # told once; what it said before it closed comes next
+        data, fds, _, _ = socket.recv_fds(sock, al.Welcome.SIZE, 2)
+    return data, list(fds)
 
 
 def _refuse(name: str, client: str, answer: dict[str, int]) -> None:

@@ -113,7 +113,7 @@ class ResourceStatus(Schema):
     priority = I64(doc="of the holder")
     token = I64()
     since_ns = I64(unit="ns", doc="when the holder or the lack of one began")
-    command_ns = I64(unit="ns", doc="last command forwarded")
+    command_ns = I64(unit="ns", doc="when the last command that was forwarded was made")
     queue = I64(doc="clients waiting")
     grants = I64()
     preempted = I64(doc="times a holder lost it without asking")
@@ -121,6 +121,8 @@ class ResourceStatus(Schema):
     rejected = I64()
     denied = I64()
     safes = I64(doc="safe commands published")
+    waited_ns = I64(unit="ns", doc="longest wait in its queue that ended, by a grant or in vain")
+    waiting_since_ns = I64(unit="ns", doc="when the client that waits longest now began, 0: nobody waits")
 
 
 class ClientEntry(Schema):
@@ -134,7 +136,7 @@ class ClientEntry(Schema):
     live = I64(doc="1: the lease is live")
     consumed = I64(align=64, doc="items of the mailbox that were taken")
     denied = I64()
-    waited_ns = I64(unit="ns", doc="longest wait in a queue so far")
+    waited_ns = I64(unit="ns", doc="longest wait in a queue that ended, by a grant or in vain")
     broken = I64(doc="times the mailbox held nonsense")
     name = Text(48)
 
@@ -169,7 +171,7 @@ class Event(Schema):
     event = I64()
     reason = I64(doc="event of the table that led to it")
     item = I64(doc="sequence number of the client's item")
-    command = F64(VALUES)
+    command = F64(VALUES, doc="of a GRANT or DEQUEUE the first one is the wait in the queue [s]")
 
 
 EVENT_WORDS = Event.SIZE // 8

@@ -67,7 +67,9 @@ def keep_deadlines(mem: Any, t_ns: Any) -> Any:
         if machine.state == t.ASKED and t_ns - run.asked_ns >= run.grace_ns:
             happen(mem, r, t.GRACE_OVER, -1, 0, 0, t_ns)
         if machine.state == t.FREE or t_ns - run.command_ns >= run.ttl_ns:
-            if t_ns - run.safe_ns >= run.safe_period_ns:
+            # the first safe command after a late one waits for no period
+            first = machine.state != t.FREE and run.late == 0
+            if first or t_ns - run.safe_ns >= run.safe_period_ns:
                 happen(mem, r, t.LATE, -1, 0, 0, t_ns)
             due = min(due, run.safe_ns + run.safe_period_ns)
         if machine.state != t.FREE:

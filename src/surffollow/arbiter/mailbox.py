@@ -13,6 +13,7 @@ import surffollow.arbiter.layout as al
 import surffollow.arbiter.memory as m
 import surffollow.arbiter.publish as p
 import surffollow.arbiter.table as t
+from surffollow.arbiter.combine import is_pose
 from surffollow.arbiter.effects import happen
 from surffollow.arbiter.machine import forget_client
 from surffollow.shm import atomics as at
@@ -21,8 +22,8 @@ from surffollow.shm.latch import copy_words_out
 
 _BEAT, _HEAD, _ITEMS = (al.Mailbox.offset(n) for n in ("beat_ns", "head", "item"))
 _ITEM_BYTES, _ITEM_WORDS, _CAPACITY = al.Item.SIZE, al.ITEM_WORDS, al.MAILBOX_ITEMS
-_NUMBER, _CONSUMED, _LIVE, _DENIED, _WAITED, _BROKEN = (
-    al.ClientEntry.offset(n) for n in ("number", "consumed", "live", "denied", "waited_ns", "broken")
+_NUMBER, _CONSUMED, _LIVE, _DENIED, _BROKEN = (
+    al.ClientEntry.offset(n) for n in ("number", "consumed", "live", "denied", "broken")
 )
 _FUTURE_NS = 1_000_000
 
@@ -77,7 +78,7 @@ def tell(mem: Any, slot: Any) -> None:
     entry, person = p.entry_of(mem, slot), mem.people[slot]
     at.store_relaxed_i64(entry + _LIVE, mem.clients[0].live[slot])
     at.store_relaxed_i64(entry + _DENIED, person.denied)
-    at.store_relaxed_i64(entry + _WAITED, person.waited_ns)
+    p.tell_waited(mem, slot)
     at.store_relaxed_i64(entry + _BROKEN, person.broken)
     at.store_release_i64(entry + _CONSUMED, person.tail)
 
@@ -104,6 +105,16 @@ def watch_lease(mem: Any, slot: Any, says_something: Any, t_ns: Any) -> None:
 
 
 @jit
+def is_pose_or_none(pose: Any) -> Any:
+    """Whether seven numbers are a pose (finite, the last four a unit quaternion), or all zero: not given."""
+    finite, given = True, False
+    for k in range(len(pose)):
+        finite = finite and math.isfinite(pose[k])
+        given = given or pose[k] != 0.0
+    return finite and (not given or is_pose(pose))
+
+
+@jit
 def command_guards(mem: Any, resource: Any, t_ns: Any) -> Any:
     """FRESH and SOUND, as far as they hold of the command in `mem.item`."""
     item, run, found = mem.item[0], mem.runs[resource], 0
@@ -113,8 +124,8 @@ def command_guards(mem: Any, resource: Any, t_ns: Any) -> Any:
     sound = True
     for k in range(run.n_values):
         sound = sound and math.isfinite(item.value[k])
-    for k in range(len(item.ref_pose)):
-        sound = sound and (item.ref_t_ns == 0 or math.isfinite(item.ref_pose[k]))
+    if item.ref_t_ns != 0:
+        sound = sound and is_pose_or_none(item.ref_pose)
     return found | t.SOUND if sound else found
 
 

@@ -13,6 +13,7 @@ from surffollow.arbiter.table import STATES
 from surffollow.client.board import unpack_schema
 from surffollow.client.fence import FENCED, fence
 from surffollow.config.names import check_name
+from surffollow.config.owner import trusted_owners
 from surffollow.errors import BlockError, LayoutMismatchError, NotRunningError, UsageError
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.objects import SharedObject
@@ -153,6 +154,8 @@ class ArbiterObserver:
         resources = {}
         for k, config in enumerate(board.resources):
             s, holder = board.status(k), self.holder(board.names[k])
+            since_ns = s.pop("waiting_since_ns")
+            s["waiting_ns"] = max(0, time.monotonic_ns() - since_ns) if since_ns else 0
             s["state"] = STATES[s["state"]] if 0 <= s["state"] < len(STATES) else "?"
             s["holder"] = holder.name if holder else None
             resources[board.names[k]] = s | {
@@ -184,15 +187,21 @@ class ArbiterObserver:
         self.close()
 
 
-def observe(name: str = "cell") -> ArbiterObserver:
+def observe(name: str = "cell", *, owner: int | str | None = None) -> ArbiterObserver:
     """Watch an arbiter; a dead one's board can be read until the next start.
+
+    Parameters
+    ----------
+    name : str           of the arbiter
+    owner : int or str   number or name of the user whose board to believe; None: this process's own, root's,
+                         or that of the user that SURFFOLLOW_OWNER names
 
     Raises
     ------
-    NotRunningError, NoPermissionError, BlockError, LayoutMismatchError
+    NotRunningError, NoPermissionError, BlockError, LayoutMismatchError, ConfigError
     """
     try:
-        obj = SharedObject.open(check_name(f"{name}.arbiter"))
+        obj = SharedObject.open(check_name(f"{name}.arbiter"), owners=trusted_owners(owner))
     except NotRunningError:
         raise NotRunningError(
             f"no arbiter {name!r} runs here; start it: surffollow arbiter start CONFIG.toml"

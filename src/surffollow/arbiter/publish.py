@@ -21,6 +21,7 @@ _REPLY, _REPLY_LATCH, _STATUS, _STATUS_LATCH = (
     al.STATUS_BYTES,
 )
 _HELD, _ASKED, _BELL = (al.ClientDesk.offset(n) for n in ("held", "asked", "bell"))
+_WAITED = al.ClientEntry.offset("waited_ns")
 _SLOT_BYTES = m.CommandSlot.SIZE
 _EVENT_WORDS, _VALUES, _POSE = al.EVENT_WORDS, al.VALUES, al.POSE
 _SOURCE_SAFE, _LIMITED = al.SOURCE_SAFE, al.FLAG_LIMITED
@@ -105,17 +106,26 @@ def ring_bells(mem: Any) -> None:
 
 
 @jit
+def tell_waited(mem: Any, slot: Any) -> None:
+    """Publish the longest wait of a client."""
+    at.store_relaxed_i64(entry_of(mem, slot) + _WAITED, mem.people[slot].waited_ns)
+
+
+@jit
 def publish_status(mem: Any, resource: Any) -> None:
     """Publish who holds a resource."""
     s, machine = mem.status[resource], mem.machines[resource]
     s.state, s.holder, s.token = machine.state, machine.holder, machine.token
-    s.client = s.priority = s.queue = 0
+    s.client = s.priority = s.queue = s.waiting_since_ns = 0
     if machine.holder >= 0:
         s.client = mem.people[machine.holder].number
         s.priority = mem.clients[0].priority[machine.holder]
     for c in range(mem.clients[0].n):
         if machine.ticket[c] != 0:
             s.queue += 1
+            since_ns = mem.people[c].queued_ns[resource]
+            if s.waiting_since_ns == 0 or since_ns < s.waiting_since_ns:
+                s.waiting_since_ns = since_ns
     s.command_ns = mem.runs[resource].command_ns
     address = mem.status.ctypes.data + _STATUS * resource
     latch_write(mem.ctx[m.STATUS] + _STATUS_LATCH * resource, address, _STATUS)
@@ -151,8 +161,8 @@ def forward(mem: Any, resource: Any, slot: Any, token: Any, t_ns: Any) -> None:
     """Send the command in `mem.item` to a resource, within its limits."""
     run, c, item = mem.runs[resource], mem.slot[0].command, mem.item[0]
     run.command_seq += 1
-    run.command_ns, run.late = t_ns, 0
-    run.valid_until_ns = t_ns + run.ttl_ns
+    run.command_ns, run.late = min(item.t_ns, t_ns), 0  # its time runs from when it was made
+    run.valid_until_ns = run.command_ns + run.ttl_ns
     c.seq, c.t_ns, c.valid_until_ns = run.command_seq, item.t_ns, run.valid_until_ns
     c.source, c.flags, c.client, c.token = al.SOURCE_HOLDER, 0, mem.people[slot].number, token
     c.ref_t_ns, c.n_values = item.ref_t_ns, run.n_values
@@ -173,9 +183,9 @@ def forward(mem: Any, resource: Any, slot: Any, token: Any, t_ns: Any) -> None:
 
 @jit
 def is_refusal(action: Any) -> Any:
-    """Whether an action only tells a client what it may not have."""
+    """Whether an action only tells a client what it has or may not have: it may repeat it without end."""
     return (
-        action in (t.KEEP, t.DENY, t.DENY_LEASE, t.NOTHING, t.REJECT_NO_CONTROL)
+        action in (t.KEEP, t.DENY, t.DENY_LEASE, t.NOTHING, t.ENQUEUE, t.DEQUEUE, t.REJECT_NO_CONTROL)
         or action == t.REJECT_STALE_TOKEN
         or action in (t.REJECT_OLD, t.REJECT_BAD)
     )

@@ -1,14 +1,10 @@
-"""The arbiter's process: the loop in a thread without the GIL, comings and goings in the main thread."""
+"""The arbiter's process: the loop in a thread without the GIL, the reception in the main thread."""
 
 from __future__ import annotations
 
 import contextlib
-import mmap
 import os
-import pwd
-import select
 import signal
-import socket
 import sys
 import threading
 import time
@@ -21,75 +17,43 @@ from surffollow.arbiter import handshake as hs
 from surffollow.arbiter import layout as al
 from surffollow.arbiter import memory as m
 from surffollow.arbiter import table as t
-from surffollow.arbiter.board import Board, CommandBlock, group_id
+from surffollow.arbiter.board import Board, CommandBlock, group_id, own_name
 from surffollow.arbiter.config import ArbiterConfig, limits
 from surffollow.arbiter.effects import happen
 from surffollow.arbiter.loop import run_rounds
+from surffollow.arbiter.reception import Reception, users_of
 from surffollow.config.service import mode
-from surffollow.errors import ConfigError, ServiceError
+from surffollow.errors import ServiceError
+from surffollow.shm.name_lock import NameLock
 from surffollow.shm.python_atomics import load_acquire, store_release
-from surffollow.shm.sealed import make_sealed, seal_for_good
-from surffollow.shm.unix_socket import peer_of, peer_pidfd
 
 _SYS_FUTEX_WAITV, _ENOSYS = 449, 38
-WATCH_S = 0.2
-
-
-class Guest:
-    """A connection: it owns a slot from its welcome to its end."""
-
-    def __init__(self, sock: socket.socket, pid: int, uid: int) -> None:
-        self.sock, self.pid, self.uid = sock, pid, uid
-        self.name, self.slot, self.number = "", -1, 0
-        self.since = time.monotonic()
-        self.pidfd = peer_pidfd(sock, pid)  # a child that inherited the connection does not keep it alive
-        self.mailbox_fd, self.joined = -1, False
-        self.mailbox: mmap.mmap | None = None
-
-    def close(self) -> None:
-        self.sock.close()
-        for fd in (self.pidfd, self.mailbox_fd):
-            if fd >= 0:
-                os.close(fd)
-        self.pidfd = self.mailbox_fd = -1
-
-
-def users_of(config: ArbiterConfig) -> set[int] | None:
-    """Who may attach; None: everybody."""
-    if "*" in config.users:
-        return None
-    allowed = {0, os.geteuid()}
-    for name in config.users:
-        try:
-            allowed.add(pwd.getpwnam(name).pw_uid)
-        except KeyError:
-            raise ConfigError(f"configuration key users names {name!r}; there is no such user") from None
-    return allowed
+COUNTER_BITS = 28  # of a token's low half: grants of one resource in one epoch
 
 
 class Server:
     """One arbiter; `run` returns when a signal asks it to end."""
 
     def __init__(self, config: ArbiterConfig) -> None:
-        self.config, self._users = config, users_of(config)
+        self.config, users = config, users_of(config)
         self._listener = hs.listen(config.name)
         self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-        self._guests: dict[int, Guest] = {}
-        self._slots: list[Guest | None] = [None] * al.CLIENTS
-        self._number = 0
+        self._own: NameLock | None = None
         self._error = ""
         self._blocks: list[CommandBlock] = []
+        self.board: Any = None
         try:
+            self._own = own_name(config.name)
             self.board = Board(config)
             access, group = mode(config.mode, "mode"), group_id(config.group)
             for name in (*config.resources, *config.combine):
                 self._blocks.append(CommandBlock(f"{config.name}.{name}", access, group))
         except BaseException:
-            for block in self._blocks:
-                block.remove()
+            self._remove_objects()
             self._listener.close()
             raise
         self.mem = m.make_memory()
+        self._reception = Reception(config, users, self.board, self.mem, self._listener, self._wake_loop)
         self._fill()
 
     # -- set-up -----------------------------------------------------------------------------------
@@ -131,6 +95,7 @@ class Server:
     def _start_resources(self) -> None:
         for r in range(len(self.config.resources)):
             happen(self.mem, r, t.RESTART, -1, 0, 0, time.monotonic_ns())
+            self.mem.machines[r]["counter"] = r << COUNTER_BITS  # no two resources grant the same token
 
     # -- run --------------------------------------------------------------------------------------
 
@@ -148,7 +113,9 @@ class Server:
             self.board.set_state(al.STATE_READY)
             if on_ready is not None:
                 on_ready()
-            self._welcome_clients()
+            self._reception.welcome_clients(self._wake)
+            if self._error:
+                raise ServiceError(f"the arbiter's loop failed: {self._error}")
         finally:
             self._end(thread)
 
@@ -171,173 +138,26 @@ class Server:
         store_release(address, load_acquire(address) + 1)
         wake(address)
 
-    def _slot_state(self, slot: int) -> int:
-        return int(self.mem.ctx.ctypes.data) + 8 * (m.SLOT_STATE + slot)
-
-    def _welcome_clients(self) -> None:
-        poll = select.epoll()
-        poll.register(self._listener.fileno(), select.EPOLLIN)
-        poll.register(self._wake, select.EPOLLIN)
-        with poll:
-            while True:
-                waiting = any(g is not None and g.slot < 0 for g in self._slots)
-                hurry = waiting or any(not g.joined for g in self._guests.values())
-                for fd, _ in poll.poll(0.005 if waiting else WATCH_S if hurry else -1):
-                    if fd == self._wake:
-                        if self._error:
-                            raise ServiceError(f"the arbiter's loop failed: {self._error}")
-                        return
-                    if fd == self._listener.fileno():
-                        self._accept(poll)
-                    elif fd in self._guests:
-                        self._hear(poll, self._guests[fd], fd)
-                self._free_slots()
-                for guest in {id(g): g for g in self._guests.values()}.values():
-                    if not guest.joined and time.monotonic() - guest.since > hs.HELLO_TIMEOUT_S:
-                        self._part(poll, guest)
-
-    def _accept(self, poll: select.epoll) -> None:
-        try:
-            sock, _ = self._listener.accept()
-        except OSError:
-            return
-        sock.setblocking(False)
-        who = peer_of(sock)
-        guest = Guest(sock, who.pid, who.uid)
-        # who is over the limit is not listened to; descriptors are for clients
-        strangers = sum(not g.joined for g in self._guests.values())
-        if strangers > 4 * al.CLIENTS:
-            guest.close()
-            return
-        for fd in (sock.fileno(), guest.pidfd):
-            if fd >= 0:
-                self._guests[fd] = guest
-                poll.register(fd, select.EPOLLIN)
-
-    def _part(self, poll: select.epoll, guest: Guest) -> None:
-        """The connection is over: its slot is, too."""
-        for fd in (guest.sock.fileno(), guest.pidfd):
-            if fd >= 0 and self._guests.pop(fd, None) is not None:
-                poll.unregister(fd)
-        guest.close()
-        if guest.slot >= 0 and not guest.joined:
-            self._slots[guest.slot] = None
-        elif guest.slot >= 0:
-            store_release(self._slot_state(guest.slot), m.LEAVING)
-            guest.slot = -1  # `_slots` keeps it until the loop has let its mailbox go
-            self._wake_loop()
-
-    def _free_slots(self) -> None:
-        for slot, guest in enumerate(self._slots):
-            if guest is not None and guest.slot < 0 and load_acquire(self._slot_state(slot)) == m.LEFT:
-                store_release(self._slot_state(slot), m.EMPTY)
-                self.mem.people[slot]["mailbox"] = 0
-                guest.mailbox = self._slots[slot] = None
-
-    def _hear(self, poll: select.epoll, guest: Guest, fd: int) -> None:
-        if fd == guest.pidfd:
-            self._part(poll, guest)
-            return
-        try:
-            data = guest.sock.recv(256)
-            if guest.slot < 0:
-                self._offer(guest, hs.read_hello(data))
-            elif not guest.joined and data == hs.MAPPED:
-                self._admit(guest)
-            elif not data or not guest.joined:
-                self._part(poll, guest)
-        except BlockingIOError:
-            return
-        except OSError:
-            self._part(poll, guest)
-            return
-        if guest.slot < 0:
-            self._part(poll, guest)
-
-    def _offer(self, guest: Guest, name: str | None) -> None:
-        """Answer the first message: refuse, or hand out a mailbox."""
-        self._free_slots()
-        result, detail = self._may_enter(guest, name)
-        if result != al.HELLO_OK:
-            guest.sock.send(hs.welcome(result, detail=detail), socket.MSG_NOSIGNAL)
-            return
-        assert name is not None
-        guest.mailbox_fd = make_sealed("surffollow-mailbox", al.MAILBOX_BYTES)
-        board = self.board.reading_end()
-        try:
-            guest.name, guest.slot = name, self._slots.index(None)
-            self._slots[guest.slot] = guest
-            self._number += 1
-            guest.number = self._number
-            answer = hs.welcome(al.HELLO_OK, guest.slot, guest.number, self.board.epoch)
-            socket.send_fds(guest.sock, [answer], [guest.mailbox_fd, board], socket.MSG_NOSIGNAL)
-        finally:
-            os.close(board)
-
-    def _admit(self, guest: Guest) -> None:
-        """The client has its mapping: nobody can change the mailbox in any other way from now on."""
-        seal_for_good(guest.mailbox_fd)
-        guest.mailbox = mmap.mmap(guest.mailbox_fd, al.MAILBOX_BYTES, mmap.MAP_SHARED, mmap.PROT_READ)
-        os.close(guest.mailbox_fd)
-        guest.mailbox_fd, guest.joined = -1, True
-        self._sign(guest)
-        self._await_joined(guest.slot)
-        guest.sock.send(hs.MAPPED, socket.MSG_NOSIGNAL)
-
-    def _may_enter(self, guest: Guest, name: str | None) -> tuple[int, int]:
-        if name is None:
-            return al.HELLO_BAD, 0
-        if self._users is not None and guest.uid not in self._users:
-            return al.HELLO_USER, 0
-        if name not in self.config.clients:
-            return al.HELLO_UNKNOWN_CLIENT, 0
-        for other in self._slots:
-            if other is not None and other.name == name:
-                return al.HELLO_TAKEN, other.pid
-        return (al.HELLO_OK, 0) if None in self._slots else (al.HELLO_FULL, 0)
-
-    def _sign(self, guest: Guest) -> None:
-        """Fill in the slot's public entry and hand the mailbox to the loop."""
-        mem, entry = self.mem, self.board.entry(guest.slot)
-        priority = self.config.clients[guest.name]
-        entry["name"], entry["pid"], entry["uid"] = guest.name.encode(), guest.pid, guest.uid
-        entry["priority"], entry["attached_ns"] = priority, time.monotonic_ns()
-        mem.clients[0]["priority"][guest.slot] = priority
-        person = mem.people[guest.slot]
-        person["mailbox"] = np.frombuffer(guest.mailbox, np.uint8).ctypes.data  # type: ignore[arg-type]
-        person["number"] = entry["number"] = guest.number
-        store_release(self._slot_state(guest.slot), m.JOINING)
-        self._wake_loop()
-
-    def _await_joined(self, slot: int) -> None:
-        """Until the loop has cleared what the slot's last client left: the next round, at once."""
-        deadline = time.monotonic() + hs.HELLO_TIMEOUT_S
-        while load_acquire(self._slot_state(slot)) == m.JOINING and time.monotonic() < deadline:
-            time.sleep(20e-6)
-
     def _end(self, thread: threading.Thread) -> None:
-        for slot, guest in enumerate(self._slots):
-            if guest is not None and guest.joined and guest.slot >= 0:
-                store_release(self._slot_state(slot), m.LEAVING)
-        self._wake_loop()
-        deadline = time.monotonic() + 2.0
-        while time.monotonic() < deadline and thread.is_alive():
-            if all(load_acquire(self._slot_state(s)) in (m.EMPTY, m.LEFT) for s in range(al.CLIENTS)):
-                break
-            time.sleep(0.001)
+        self._reception.dismiss_clients(thread)
         store_release(int(self.mem.ctx.ctypes.data) + 8 * m.STOP, 1)
         self._wake_loop()
         thread.join(2.0)
         if thread.is_alive():
             os._exit(1)  # its memory must not go away under it
-        for block in self._blocks:
-            block.remove()
-        self.board.remove()
-        for guest in {id(g): g for g in self._guests.values()}.values():
-            guest.close()
+        self._remove_objects()
+        self._reception.close()
         self._listener.close()
         os.close(self._wake)
         os.close(self._waker)
+
+    def _remove_objects(self) -> None:
+        for block in self._blocks:
+            block.remove()
+        if self.board is not None:
+            self.board.remove()
+        if self._own is not None:
+            self._own.release()
 
 
 def has_waitv() -> int:

@@ -35,6 +35,7 @@ class Attachment:
     object_name : str      of the shared-memory object
     schema : type[Schema]
     is_writer : bool
+    refusal : str          why what bears the name now is not read; empty: it is, or nothing bears the name
     """
 
     def __init__(
@@ -43,7 +44,7 @@ class Attachment:
         plan(schema)
         self._owners = frozenset(owners)  # whose block it may be; from the first attachment on that one's
         self.name, self.object_name, self.schema = name, object_name, schema
-        self.is_writer = False
+        self.is_writer, self.refusal = False, ""
         self._object: SharedObject | None = None
         self._lock: FileLock | None = None
         self._own: NameLock | None = None  # of the writer
@@ -62,7 +63,12 @@ class Attachment:
 
     def attach_reader(self) -> None:
         """Map the block read-only; raises as `claim.open_reader`."""
-        self._adopt(*claim.open_reader(self.object_name, self.schema, self._owners))
+        self.refusal = ""
+        try:
+            self._adopt(*claim.open_reader(self.object_name, self.schema, self._owners))
+        except BlockError as e:
+            self.refusal = str(e)
+            raise
 
     def attach_writer(self, mode: int, group: int, lease_ns: int) -> None:
         """Become the block's writer; raises as `claim.claim_writer`."""
@@ -110,7 +116,7 @@ class Attachment:
             return False
         self._next_attach_ns = now + REATTACH_EVERY_NS
         try:
-            self._adopt(*claim.open_reader(self.object_name, self.schema, self._owners))
+            self.attach_reader()
         except NotRunningError:
             return False
         return True

@@ -54,7 +54,8 @@ def status_command(name: str, as_json: bool) -> None:
         by = f" by {s['holder']} (priority {s['priority']})" if s["holder"] else ""
         print(
             f"  {resource}: {s['state']}{by}, {s['queue']} waiting; {s['grants']} grants, {s['preempted']} "
-            f"preempted, {s['forwarded']} forwarded, {s['rejected']} rejected, {s['denied']} denied"
+            f"preempted, {s['forwarded']} forwarded, {s['rejected']} rejected, {s['denied']} denied; longest "
+            f"wait {format_ns(s['waited_ns'])}, the longest one now {format_ns(s['waiting_ns'])}"
         )
     for c in status["clients"]:
         life = "" if c["live"] else ", no heartbeat"
@@ -93,6 +94,8 @@ def _print_event(event: Any, as_json: bool) -> None:
         print(json.dumps(event._asdict()))
         return
     values = " ".join(f"{v:g}" for v in event.command) if event.event in ("FORWARD", "SAFE") else ""
+    if event.event in ("GRANT", "DEQUEUE") and event.command[0] > 0.0:
+        values = f"waited {event.command[0]:.3f} s"
     token = f"{event.token:#x}" if event.token else "-"
     print(
         f"{event.seq:>8} {event.t_ns / 1e9:14.6f} {event.resource or '-':12} client {event.client:<4} "
@@ -147,7 +150,8 @@ def header_command() -> None:
     click.echo(header.read_text(encoding="ascii"), nl=False)
 
 
-def _stop_on_signals() -> list[int]:
+def stop_on_signals() -> list[int]:
+    """A list that gets an entry when SIGINT or SIGTERM arrives."""
     import signal
 
     stopped: list[int] = []
@@ -169,7 +173,7 @@ def follow_command(name: str, service: str, resource: str, client: str, as_json:
     """
     from surffollow.live.shared_tool import follow
 
-    stopped = _stop_on_signals()
+    stopped = stop_on_signals()
     counts = follow(service, name, resource, lambda: bool(stopped), client)
     print(json.dumps(counts) if as_json else ", ".join(f"{k} {v}" for k, v in counts.items()))
 

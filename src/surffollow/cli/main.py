@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from surffollow.errors import SurffollowError
+from surffollow.errors import SurffollowError, missing_library
 
 # a disk, or a share of it, that is full or gone
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -35,6 +35,7 @@ VERBS = {
     "arbiter": ("arbiter", "arbiter_group", "Share a robot among clients by priority."),
     "base": ("base", "base_command", "Simulate a mobile base with sonars."),
     "base-client": ("base", "base_client_command", "Run one client of the wall-following experiments."),
+    "device": ("device", "device_command", "Simulate a camera or a speaker beside a base."),
     "wall-follow": ("base", "wall_follow_command", "Follow walls by clients that share a base."),
     "calibrate": ("calibrate", "calibrate_group", "Calibrate a sensor: range table, latency, mount."),
     "header": ("header", "header_command", "Print the C header of the client library."),
@@ -111,6 +112,12 @@ def main(argv: list[str] | None = None) -> Any:
     except SurffollowError as e:
         print(f"surffollow: {e}", file=sys.stderr)
         sys.exit(e.exit_code)
+    except ModuleNotFoundError as e:
+        remedy = missing_library(e)
+        if not remedy:
+            raise
+        print(f"surffollow: {remedy}", file=sys.stderr)
+        sys.exit(1)
     except KeyboardInterrupt:
         sys.exit(130)
     except BrokenPipeError:

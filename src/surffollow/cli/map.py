@@ -219,7 +219,7 @@ def refocus_command(
     if finest is not None:
         if not finest > 0:
             raise UsageError(f"--finest must be positive, not {finest}")
-        m.header["finest_grid_m"] = finest
+        m.header["finest_grid_m"] = finest  # goes into the file, for the next refocus
     m.refocus(region)
     export(output, m.header, m.pairs)
     facts = _facts(m)

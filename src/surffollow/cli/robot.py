@@ -34,7 +34,7 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
     "--path",
     default="line",
     show_default=True,
-    help="line, raster, or a CSV or NPZ file with x_m, y_m.",
+    help="line, raster, or a CSV or NPZ file: x_m, y_m; t_s, z_m, qx qy qz qw, speed_mps, stop.",
 )
 @click.option("--speed", callback=SPEED, default="50 mm/s", show_default=True, help="Along the path.")
 @click.option(

@@ -24,7 +24,9 @@ _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON obj
 )
 @click.option("--ground", type=click.Choice(["flat", "bumpy", "hump"]), default="bumpy", show_default=True)
 @click.option(
-    "--tables", is_flag=True, help="Also each element switched off, and filter × correction × shaping."
+    "--tables",
+    is_flag=True,
+    help="Also each element switched off, and filter × correction × shaping; means over the seeds.",
 )
 @click.option("--picture", type=_OUT, help="Draw a PNG (extra `plot`).")
 @click.option("--report", type=_OUT, help="Write one HTML page with figures and picture (extra `plot`).")
@@ -44,7 +46,7 @@ def demo_command(
 
     Exit code 1: a bar of the demonstration is not met.
     """
-    from surffollow.live.field_demo import demonstrate, elements_table, filters_table
+    from surffollow.live.field_demo import demonstrate
 
     if picture or report:
         from surffollow.scan.pictures import check_picture
@@ -57,8 +59,11 @@ def demo_command(
     made = [demonstrate(ground, seed + k, tell) for k in range(seeds)]
     facts: dict[str, Any] = {"runs": [m.figures for m in made]}
     if tables:
-        facts["elements"] = elements_table(seed, tell)
-        facts["filters"] = filters_table(seed, tell)
+        from surffollow.live.field_tables import elements_table, filters_table
+
+        every = range(seed, seed + seeds)
+        facts["elements"] = elements_table(every, tell)
+        facts["filters"] = filters_table(every, tell)
     if picture:
         from surffollow.live.field_pictures import draw_field
 
@@ -90,22 +95,31 @@ def demo_command(
 )
 @click.option("--grid", type=LENGTH, default="10cm", show_default=True, help="Distance of the matrix' nodes.")
 @click.option("--outside", type=click.Choice(["nearest", "unknown"]), default="nearest", show_default=True)
+@click.option(
+    "--model",
+    type=click.Choice(["auto", "none", "constant", "plane", "triangles"]),
+    default="auto",
+    show_default=True,
+    help="Of the correction; auto: what left-out spots confirm.",
+)
 @_JSON
 def calibrate_command(
-    spots: str, output: str, map_file: str | None, grid: float, outside: str, as_json: bool
+    spots: str, output: str, map_file: str | None, grid: float, outside: str, model: str, as_json: bool
 ) -> None:
     """Make a calibration matrix of touched SPOTS (CSV, metres).
 
     Columns x_m, y_m, correction_m; with --map x_m, y_m, z_m of the model's tip at contact. The correction
-    is that z minus the mapped ground.
+    is that z minus the mapped ground. Model "none" (all zero): left-out spots confirm no correction.
     """
+    import math
+
     import numpy as np
 
-    from surffollow.scan.calibration import CalibrationMatrix
+    from surffollow.scan.held_out import choose_matrix
     from surffollow.scan.spot_files import read_spots
 
-    given = read_spots(spots, map_file)
-    made = CalibrationMatrix.fit(given, grid_m=grid, outside=outside)
+    chosen = choose_matrix(read_spots(spots, map_file), model=model, grid_m=grid, outside=outside)
+    made = chosen.matrix
     made.save(output)
     left = made.left_out_m[np.isfinite(made.left_out_m)]
     facts = {
@@ -113,6 +127,8 @@ def calibrate_command(
         "spots": len(made.spots_m),
         "rows": made.values_m.shape[0],
         "cols": made.values_m.shape[1],
+        "model": chosen.model,
+        "held_out_rms_m": {k: v if math.isfinite(v) else None for k, v in chosen.held_out_rms_m.items()},
         "correction_max_m": float(np.abs(made.spots_m[:, 2]).max()),
         "left_out_rms_m": float(np.sqrt((left**2).mean())) if left.size else None,
         "left_out_max_m": float(np.abs(left).max()) if left.size else None,
@@ -121,7 +137,11 @@ def calibrate_command(
         click.echo(json.dumps(facts))
         return
     for key, value in facts.items():
+        if isinstance(value, dict):
+            value = ", ".join(f"{k} {'-' if v is None else f'{1e3 * v:.2f} mm'}" for k, v in value.items())
         click.echo(f"{key:<17} {'-' if value is None else value}")
+    if chosen.model == "none" and model == "auto":
+        click.echo("surffollow: left-out spots confirm no correction; the matrix is zero", err=True)
 
 
 def _tell_runs(facts: dict[str, Any]) -> None:
@@ -139,7 +159,8 @@ def _tell_runs(facts: dict[str, Any]) -> None:
         c, t = f["calibration"], f["target"]
         click.echo(
             f"  calibration: {c['spots']} spots, correction up to {1e3 * c['correction_max_m']:.1f} mm, "
-            f"left-out residual {1e3 * c['left_out_rms_m']:.1f} mm RMS; mode {c['mode_hz']:.2f} Hz, "
+            f"{c['model']}, left-out residual {1e3 * c['left_out_rms_m']:.1f} mm RMS; "
+            f"mode {c['mode_hz']:.2f} Hz, "
             f"damping {c['mode_damping']:.3f}"
         )
         click.echo(
@@ -164,11 +185,12 @@ def _tell_table(rows: list[dict[str, Any]]) -> None:
     click.echo(
         "\n"
         + "".join(f"{n:<{30 if n == 'switched_off' else 12}}" for n in names)
-        + "P99 mm  RMS mm  least mm"
+        + "P99 mm  worst  RMS mm  laser P99  least mm"
     )
     for r in rows:
         left = "".join(f"{r[n]!s:<{30 if n == 'switched_off' else 12}}" for n in names)
         click.echo(
-            f"{left}{1e3 * r['gap_error_p99_m']:6.1f}  {1e3 * r['gap_error_rms_m']:6.1f}  "
+            f"{left}{1e3 * r['gap_error_p99_m']:6.1f}  {1e3 * r['gap_error_p99_worst_m']:5.1f}  "
+            f"{1e3 * r['gap_error_rms_m']:6.1f}  {1e3 * r['laser_error_p99_m']:9.1f}  "
             f"{1e3 * r['clearance_min_m']:8.1f}"
         )

@@ -162,8 +162,9 @@ def follower_lines(f: dict[str, Any]) -> list[str]:
     def mm(name: str) -> str:
         return "-" if f[name] is None else f"{1e3 * f[name]:.3g} mm"
 
+    why = f" ({f['reason']})" if f.get("reason") else ""
     return [
-        f"follower {f['mode']}, {f['health']}; noise {mm('noise_m')}, roughness {mm('roughness_m')}, "
+        f"follower {f['mode']}, {f['health']}{why}; noise {mm('noise_m')}, roughness {mm('roughness_m')}, "
         f"height to {mm('sigma_m')}",
         f"         latency {1e3 * f['latency_s']:.1f} ms, axis τ {1e3 * f['tau_s']:.0f} ms, "
         f"Permitted_Variance {mm('permitted_variance_m')}, "
@@ -191,8 +192,17 @@ def render(s: dict[str, Any]) -> str:
         f"{map_.get('lost', 0)} lost",
         f"granted  {', '.join(granted) or 'nothing'}",
     ]
-    for c in reversed(s["clients"]):
-        lines.insert(7, f"         slot {c['slot']}: {c['name']}, pid {c['pid']}, user {c['uid']}")
+    # behind the line of clients, and behind that of poses
+    lines[7:7] = [
+        f"         slot {c['slot']}: {c['name']}, pid {c['pid']}, user {c['uid']}" for c in s["clients"]
+    ]
+    pushers = [f"{c} by pid {p}" for c, p in enumerate(main.get("range_pid", ())) if p]
+    if pushers or s["ranges"]:
+        lines.insert(
+            6,
+            f"ranges   {s['ranges']} taken, {s['ranges_refused']} refused, {s['ranges_skipped']} left out; "
+            f"channel {', '.join(pushers) or 'pushed by nobody'}",
+        )
     lines[5:5] = follower_lines(s["follower"])
     if s["stopped"]:
         lines.append(f"STOPPED  {', '.join(s['stopped'])}; the pose's holder resets it")

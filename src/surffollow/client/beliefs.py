@@ -9,6 +9,7 @@ from typing import Any
 from surffollow.shm.bit_names import FIRST_SERVICE_FAULT, SERVICE_FAULT_NAMES
 from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES
 from surffollow.shm.layout_follow import MODE_ADAPTIVE
+from surffollow.shm.layout_multimodel import REASON_NAMES
 
 _ESTIMATES = ("height_m", "slope", "speed_mps", "error_m")
 _ADAPTED = (
@@ -47,6 +48,7 @@ def beliefs(output: Mapping[str, Any] | None, mode: int) -> dict[str, Any]:
     names: tuple[str, ...] = _ESTIMATES
     if mode == MODE_ADAPTIVE:
         told["health"] = HEALTH_NAMES[output["health"]] if 0 <= output["health"] < len(HEALTH_NAMES) else "?"
+        told["reason"] = REASON_NAMES[output["reason"]] if 0 <= output["reason"] < len(REASON_NAMES) else "?"
         names += _ADAPTED
     for name in names:
         value = output[name]

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 from surffollow.client.fence import FENCED, fence
 from surffollow.client.observer import Observer
 from surffollow.client.pose import FUTURE_NS, MAX_POSITION_M, checked_pose, checked_stamp
-from surffollow.client.requests import Ticket, check_region
-from surffollow.client.slot import GENERATION, SlotHolder
+from surffollow.client.push_range import RangePusher
+from surffollow.client.requests import Ticket, check_finest, check_region
+from surffollow.client.slot import GENERATION
 from surffollow.errors import BusyError, ConfigError, NotRunningError, PoseError, RefusedError
 from surffollow.shm import layout_board as lb
 from surffollow.shm.latch_shape import SLOTS, stride
@@ -22,50 +23,17 @@ if TYPE_CHECKING:
     from surffollow.client.sim_pose import SimulatedTool
 
 _POST = lb.PosePost.struct_of("t_ns", "pose")
-_POSE_ROLE = lb.Ticker.struct_of("t_ns", "pose_slot")
-_POSE_TIMEOUT = Params.struct_of("pose_timeout_ns", "pose_timeout_ns")
 _POSE_STRIDE = stride(lb.PosePost.SIZE)
 CLAIM_RETRY_S, CLAIM_ANSWER_S = 0.3, 1.0
 _MAX_SIZE2 = MAX_POSITION_M**2
-LOOK_EVERY_NS = 100_000_000
 
 
-class Client(SlotHolder):
+class Client(RangePusher):
     """An attachment that may send poses and requests; see `attach`."""
 
     _tool: SimulatedTool | None = None
     _had_pose = False  # ever
     _pose_ticket: Ticket | None = None  # its claim, under way
-
-    def _look_after(self, now_ns: int) -> None:
-        """As often as a service falls silent: whether it is there. Ten times a second: our slot."""
-        self._next_look_ns = 0
-        self._must_be_there()
-        self._next_look_ns = now_ns + min(self._stale_ns, LOOK_EVERY_NS)
-        if now_ns < self._next_life_ns:
-            return
-        self._next_life_ns = now_ns + LOOK_EVERY_NS
-        timeout = self.board.latch("params", Params).copy()
-        if timeout is not None:
-            (self._pose_timeout_ns,) = _POSE_TIMEOUT.unpack_from(timeout, Params.offset("pose_timeout_ns"))
-        # a thread that re-attaches looks after everything itself
-        if self._lock.acquire(blocking=False):
-            try:
-                self._look_at_slot()
-            finally:
-                self._lock.release()
-
-    def _look_at_slot(self) -> None:
-        if self._grant is None:
-            return
-        if not self._grant.is_open():
-            self._release_slot()  # the service took it back: the next pose or request asks for another
-            return
-        ticker = self.board.latch("ticker", lb.Ticker).copy()
-        if ticker is not None and self._pose_held:
-            told_ns, slot = _POSE_ROLE.unpack_from(ticker)
-            if slot != self.slot and told_ns > self._pose_held_ns + LOOK_EVERY_NS:
-                self._pose_held = False  # it is not ours any more: ask for it again
 
     # -- poses ------------------------------------------------------------------------------------
 
@@ -257,9 +225,24 @@ class Client(SlotHolder):
         """Clear the map and lay it over a region (x_min, y_min, x_max, y_max) [m] (paper: MapReset)."""
         return self._ask(lb.RQ_MAP_RESET, check_region(region), timeout_s, wait)
 
-    def map_refocus(self, region: Sequence[float], *, timeout_s: float = 30.0, wait: bool = True) -> Ticket:
-        """Lay the map over another region, keeping known heights (paper: MapRefocus)."""
-        return self._ask(lb.RQ_MAP_REFOCUS, check_region(region), timeout_s, wait)
+    def map_refocus(
+        self,
+        region: Sequence[float],
+        *,
+        finest_m: float = 0.0,
+        timeout_s: float = 30.0,
+        wait: bool = True,
+    ) -> Ticket:
+        """Lay the map over another region, keeping known heights (paper: MapRefocus).
+
+        Parameters
+        ----------
+        region : four floats    x_min, y_min, x_max, y_max [m]
+        finest_m : float        finest useful grid of this refocus [m]; the grids' size so far keeps them and
+                                every height as they are; 0: the configuration's (map.finest_grid)
+        """
+        values = (*check_region(region), check_finest(finest_m))
+        return self._ask(lb.RQ_MAP_REFOCUS, values, timeout_s, wait)
 
     def set_params(self, *, timeout_s: float = 5.0, wait: bool = True, **values: object) -> Ticket:
         """Change parameters, all or none: `set_params(interval_size="2 mm", range_size=5)`.

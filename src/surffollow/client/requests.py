@@ -12,8 +12,10 @@ from surffollow.shm.layout_board import (
     ACCEPTED,
     ERR_BAD_VALUE,
     ERR_BEYOND_LIMITS,
+    ERR_NO_CHANNEL,
     ERR_NOT_POSE_HOLDER,
     ERR_POSE_HELD,
+    ERR_RANGE_HELD,
     ERR_STOP_REMAINS,
     OK,
     RESULT_TEXT,
@@ -48,6 +50,25 @@ def check_region(region: Sequence[float]) -> tuple[float, float, float, float]:
                 f"at most {MAX_REGION_M:g} m"
             )
     return x_min, y_min, x_max, y_max
+
+
+def check_finest(finest_m: float) -> float:
+    """The finest useful grid of a refocus [m]; 0: the service's own choice.
+
+    Raises
+    ------
+    RegionError  not 0, and not within 1e-6 to 1e4 m
+    """
+    if finest_m == 0.0:
+        return 0.0
+    from surffollow.shm.map_layout import MAX_GRID_M, MIN_GRID_M
+
+    if not MIN_GRID_M <= finest_m <= MAX_GRID_M:
+        raise RegionError(
+            f"the finest grid is {finest_m:g} m; it must be {MIN_GRID_M:g} to {MAX_GRID_M:g} m, or 0: the "
+            "service's own choice"
+        )
+    return float(finest_m)
 
 
 class Ticket:
@@ -137,8 +158,10 @@ class Ticket:
 
 def _explain(code: int, detail: int) -> str:
     text = RESULT_TEXT[code] if 0 <= code < len(RESULT_TEXT) else f"result {code}"
-    if code == ERR_POSE_HELD:
+    if code in (ERR_POSE_HELD, ERR_RANGE_HELD):
         return f"refused: {text} (pid {detail})"
+    if code == ERR_NO_CHANNEL:
+        return f"refused: {text}; it has " + (f"{detail} channels" if detail else "another kind of driver")
     if code == ERR_NOT_POSE_HOLDER:
         return f"refused: {text}; " + (f"now that is pid {detail}" if detail else "nobody sends it now")
     if code == ERR_STOP_REMAINS:

@@ -68,7 +68,8 @@ class SlotHolder(Observer):
         self._grant: SlotGrant | None = None
         self._asking: SlotRequest | None = None
         self._open: list[Ticket] = []
-        self._pose_held, self._next_look_ns, self._next_life_ns = False, 0, 0
+        self._pose_held, self._pose_held_ns = False, 0
+        self._next_look_ns = self._next_life_ns = 0
         super().__init__(name, stale_periods=stale_periods, stale_min_s=stale_min_s, owner=owner)
         try:
             self._claim_first_slot()
@@ -150,6 +151,8 @@ class SlotHolder(Observer):
             self._pose_index,
             self._pose_base,
         )
+        self._pushed: dict[int, int] = {}
+        self._range_view: tuple[Any, Any] = (self._in_words, self._in)
         self._next_look_ns = self._next_life_ns = 0
         self._grant = grant
 
@@ -175,6 +178,7 @@ class SlotHolder(Observer):
     def _release_slot(self) -> None:
         if self._grant is not None:
             grant, self._grant, self._pose_held = self._grant, None, False
+            self._pushed = {}
             # another thread may be writing into the mapping: it goes when the last reference does
             grant.close()
         self._stop_asking()
@@ -186,6 +190,7 @@ class SlotHolder(Observer):
             self._in_words.release()
             self._release_slot()
             self._pose_view = (CLOSED, *self._pose_view[1:])
+            self._range_view = (CLOSED, self._in)
         self._stop_asking()
         super().close()
 

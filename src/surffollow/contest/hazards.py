@@ -27,7 +27,7 @@ PLANT = PlantConfig()
 
 @dataclass(frozen=True)
 class Scenario:
-    """One hazard: readings wrong by `size_m` for `length_s`, or stamps too old by `late_s`."""
+    """One hazard: readings (poses) wrong by `size_m` for `length_s`, or stamps too old by `late_s`."""
 
     family: str
     seed: int
@@ -59,11 +59,13 @@ def draw(family: str, seed: int) -> Scenario:
         "late stamps": (0.0, 0.3 + 1.0 * length, 0.06 + 0.09 * late),
         "lost": (0.0, 0.2 + 1.6 * length, 0.0),
         "glitches": (30e-3 * size, 2.0, 0.0),
+        "frame jump": (0.2 * (2 * size - 1), 2.0, 0.0),
+        "slots": (5e-3 + 20e-3 * size, 0.0, 0.0),
     }
     return Scenario(family, seed, speed, *sizes[family])
 
 
-FAMILIES = ("stuck", "biased", "burst", "near", "late stamps", "lost", "glitches")
+FAMILIES = ("stuck", "biased", "burst", "near", "late stamps", "lost", "glitches", "frame jump", "slots")
 
 
 class PLoop:
@@ -94,7 +96,12 @@ def _ground(s: Scenario) -> tuple[NDArray[np.float64], float]:
     rng = np.random.default_rng([s.seed, 83])
     x = -0.01 + 0.5e-3 * np.arange(int((SECONDS * s.speed_mps + 0.1) / 0.5e-3))
     make: Any = (hull, lap_joints, terrain)[s.seed % 3]
-    return make(rng, x), float(x[0])
+    heights = make(rng, x)
+    if s.family == "slots":  # groups of five, 2 to 6 mm wide
+        for first in np.arange(0.1, float(x[-1]), 0.15):
+            for at, width in zip(first + np.cumsum(rng.uniform(8e-3, 20e-3, 5)), rng.uniform(2e-3, 6e-3, 5)):
+                heights[(x > at) & (x < at + width)] -= s.size_m
+    return heights, float(x[0])
 
 
 def _misread(s: Scenario, r: float, held: float, rng: np.random.Generator) -> float:
@@ -135,7 +142,8 @@ def play(follower: Any, s: Scenario) -> Outcome:
             if clearance <= 0.0 and not contact_valid:
                 contact_valid = "VALID" in follower.state()["status"]
         if ms % TICK_MS == 0:
-            poses.append((ms, x, float(axis[0]) + 0.05e-3 * float(rng.standard_normal())))
+            off = s.size_m if s.family == "frame jump" and BEGIN_S <= t < BEGIN_S + s.length_s else 0.0
+            poses.append((ms, x + off, float(axis[0]) + 0.05e-3 * float(rng.standard_normal())))
         if ms % READING_MS == 0:
             r = clearance + SIGMA_M * float(rng.standard_normal())
             stamp = ms

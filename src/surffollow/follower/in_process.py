@@ -38,7 +38,7 @@ from surffollow.shm.layout_follow import (
 )
 from surffollow.shm.layout_multimodel import N_MODELS, REASON_NAMES
 
-RECALL_NS = 5_000_000  # remembered ground is looked up at most so often
+RECALL_NS = 5_000_000  # remembered ground is looked up at most so often, at the reference time 1
 PAUSE_NS = 1_000_000_000
 # the kernels take a reading at 0 ns for none: their time runs ahead of the caller's by an hour
 _SHIFT_NS = 3_600_000_000_000
@@ -101,6 +101,11 @@ class Follower:
         self._memory = new_memory() if setup.remembers and adaptive else None
         check_standoff(self._params[0])
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
+        self._scaled = self._state["scaled"][0]
+        self._recall_ns = self._recall_interval_ns()
+
+    def _recall_interval_ns(self) -> float:
+        return RECALL_NS * float(self._scaled["time"])
 
     def set_params(self, **values: object) -> None:
         """Change parameters from the next step on.
@@ -132,10 +137,13 @@ class Follower:
             trial["offset_m"] = check_param("offset_m", offset_m)
             check_standoff(trial[0])
             self._params[:] = trial
-        if self._memory is not None and not keep_memory:
+        before = float(self._scaled["length"])
+        sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
+        self._recall_ns = self._recall_interval_ns()
+        # cells of another reference length are of no use
+        if self._memory is not None and (not keep_memory or float(self._scaled["length"]) != before):
             self._memory[:] = np.zeros((), self._memory.dtype)
             self._n_preview[0] = self._recalled_ns = 0
-        sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
         if self._multimodel is not None:
             reset_estimate(self._multimodel[0], 0)
 
@@ -210,7 +218,7 @@ class Follower:
             self._t_ns[0] = self._latest_ns  # an old reading is no reason to take the poses for future ones
         if self._memory is None or self._previews[0] == 0:
             self._n_preview[0] = 0
-        elif t_ns >= self._recalled_ns + RECALL_NS or t_ns < self._recalled_ns - PAUSE_NS:
+        elif t_ns >= self._recalled_ns + self._recall_ns or t_ns < self._recalled_ns - PAUSE_NS:
             recall_ahead(self._memory, self._state, self._inputs)
             self._recalled_ns = t_ns
         if self._multimodel is not None:
@@ -256,13 +264,14 @@ class Follower:
             m = self._multimodel[0]
             out["mode"] = MULTIMODEL
             out["health"] = HEALTH_NAMES[int(o["health"])]
-            out["reason"] = REASON_NAMES[int(m["health"]["reason"])]
+            out["reason"] = REASON_NAMES[int(o["reason"])]
             out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
             out.update({n: o[n].item() for n in ("sigma_m", "noise_m", "roughness_m", "late_s", "tau_s")})
             out["weights"] = m["weights"]["w"][: int(m["tuning"]["n_models"])].tolist()
         elif self._params["mode"][0] == MODE_ADAPTIVE:
             a = self._state["adaptive"][0]
             out["health"] = HEALTH_NAMES[int(o["health"])]
+            out["reason"] = REASON_NAMES[int(o["reason"])]
             out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
             told: tuple[str, ...] = ("sigma_m", "noise_m", "roughness_m", "late_s", "latency_s", "tau_s")
             told += ("permitted_variance_m", "interval_size_m", "range_size", "beams")

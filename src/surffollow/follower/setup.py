@@ -11,6 +11,7 @@ import numpy as np
 
 from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.errors import ConfigError
+from surffollow.forecast.adaptive_scales import scaled_defaults
 from surffollow.forecast.pose import QUATERNION_TOLERANCE
 from surffollow.forecast.scales import DERIVED, TOO_CLOSE_EXIT_SHARE, TOO_CLOSE_SHARE
 from surffollow.forecast.tuning import check_tuning
@@ -94,10 +95,12 @@ def read_setup(config: Config, offset_m: float | None = None) -> FollowerSetup:
         values[_PLANT[key]] = check_param(_PLANT[key], value)
     if offset_m is not None:
         data = {k: v for k, v in data.items() if k not in ("offset", "offset_m")} | {"offset_m": offset_m}
+    wanted = check_param("offset_m", data.get("offset_m", data.get("offset", values["offset_m"])))
+    if data.get("mode", "adaptive") in ("adaptive", *_MODES, MODE_ADAPTIVE):
+        tau = next((data[k] for k in ("plant_tau_s", "plant_tau") if k in data), values["plant_tau_s"])
+        values.update(scaled_defaults(wanted, check_param("plant_tau_s", tau)))
     if near:
-        wanted = data.get("offset_m", data.get("offset", values["offset_m"]))
-        too_close = default_too_close(min(near), check_param("offset_m", wanted))
-        values["too_close_m"], values["too_close_exit_m"] = too_close
+        values["too_close_m"], values["too_close_exit_m"] = default_too_close(min(near), wanted)
     multimodel = data.get("mode") == MULTIMODEL
     if multimodel:
         if len(mounts) > 1:

@@ -13,7 +13,7 @@ from surffollow.forecast.adaptive_adapt import report_adapted
 from surffollow.forecast.adaptive_bank import C
 from surffollow.forecast.adaptive_beyond import forget_beyond, guess_beyond
 from surffollow.forecast.adaptive_blend import blend_set_points, hold_calm, lost_for_s
-from surffollow.forecast.adaptive_health import has_been_stuck, is_stuck, watch_health
+from surffollow.forecast.adaptive_health import has_been_stuck, is_stuck, is_unsure, watch_health
 from surffollow.forecast.adaptive_latency import forget_rest
 from surffollow.forecast.adaptive_limits import move_set_point
 from surffollow.forecast.adaptive_motion import measure_motion
@@ -72,19 +72,19 @@ def way_ahead(params: Any, a: Any, pose: Any, pose_t_ns: Any) -> Any:
 
 
 @jit
-def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any) -> Any:
+def adaptive_demand(params: Any, a: Any, sense: Any, fold: Any, inputs: Any, output: Any, pose: Any) -> Any:
     """Demand of the adaptive mode into `output`; returns status bits.
 
     Parameters
     ----------
-    params, state, inputs, output : records of `Params`, `FollowState`, `Inputs`, `Output`
+    params, a, sense, fold, inputs, output : records of `Params`, `AdaptiveState`, `SenseState`,
+        `FoldBackState`, `Inputs`, `Output`, all in plain numbers (`adaptive_scales`)
     pose : (7,) float64 scratch
 
     Notes
     -----
     Needs a pose. The demand adds to the newest pose reported, `output.pose_t_ns`.
     """
-    a, sense = state.adaptive, state.sense
     newest = (sense.pose_count - 1) & (POSES - 1)
     pose_t_ns = sense.pose_t_ns[newest]
     watch_clock(a, inputs.t_ns, pose_t_ns)
@@ -92,7 +92,7 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
     tool_z = sense.pose[7 * newest + 2]
     plane = 1 if params.orient != 0 and params.n_channels >= 3 else 0
     learn_plant(params, a, sense, 0 if params.adapt == 0 or params.run != RUN_NORMAL else 1)
-    take_news(params, state, inputs, output, plane, pose)
+    take_news(params, a, sense, fold, inputs, output, plane, pose)
     if plane == 0 and params.n_channels > 1:
         take_scouts(params, a, sense, 1 if a.speed_mps >= KNOWN_DIRECTION_MPS else 0, pose)
     stuck = is_stuck(a)
@@ -104,7 +104,7 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
         a.faults |= FAULT_STUCK
         if has_been_stuck(a) != 0:
             a.samples = 0
-    if a.samples == 0 or stuck != 0 or a.now_ns - a.accepted_ns > params.loss_timeout_ns:
+    if stuck != 0 or is_unsure(params, a) != 0:
         if a.samples > 0 and stuck == 0:
             a.faults |= FAULT_LOST
         a.set_ns = a.seen_known = 0
@@ -153,12 +153,12 @@ def adaptive_demand(params: Any, state: Any, inputs: Any, output: Any, pose: Any
     cut = limit(demand, params.max_demand_m)
     if cut != demand:
         status |= LIMITED
-    if state.paper.close != 0:
+    if fold.close != 0:
         a.faults |= FAULT_CLOSE
         status |= TOO_CLOSE
         cut = max(cut, min(PROBE_M, params.max_demand_m))
     output.demand[2] = cut
-    if state.paper.close != 0:
+    if fold.close != 0:
         a.turn_ns = 0  # first away from the surface, then turn
     elif plane != 0 and a.planes > 0:
         demand_turn(params, a, sense, output)
@@ -199,6 +199,7 @@ def forget_all(params: Any, a: Any) -> None:
 def forget_surface(a: Any) -> None:
     """SFReset: start anew with the next sample; what was learnt of noise, models and ground is kept."""
     a.samples = 0
+    a.sure_ns = 0
     a.quarantined = 0
     a.set_ns = a.seen_known = 0
     a.preview_share = 0.0  # its plan was made over other ground
@@ -214,7 +215,7 @@ def report_adaptive(params: Any, a: Any, output: Any) -> None:
     output.slope = a.slope if a.speed_mps >= KNOWN_DIRECTION_MPS else 0.0
     output.intervals = a.samples
     surface_normal(a, output)
-    output.health, output.faults = a.health, a.faults
+    output.health, output.reason, output.faults = a.health, a.reason, a.faults
     output.tau_s = a.tau_s
     output.sigma_m, output.noise_m, output.late_s = a.sigma_m, a.noise_m, a.late_s
     output.roughness_m = math.sqrt(max(a.scale_m * a.scale_m - a.noise_m * a.noise_m, 0.0))

@@ -11,6 +11,7 @@ from typing import Any
 from surffollow.forecast.adaptive_held import FLICKER_COUNTS
 from surffollow.forecast.adaptive_news import KNOWN_DIRECTION_MPS
 from surffollow.forecast.adaptive_preview import LEADING_M, STEP_S
+from surffollow.forecast.adaptive_scales import is_usual, plain_time
 from surffollow.forecast.adaptive_tick import tick_is_due
 from surffollow.shm.conversion import (
     FLAG_INVALID,
@@ -41,12 +42,13 @@ def newest_conversion(inputs: Any) -> Any:
 
 
 @jit
-def preview_due(params: Any, a: Any, inputs: Any, now_ns: Any) -> Any:
+def preview_due(params: Any, a: Any, scaled: Any, inputs: Any, now_ns: Any) -> Any:
     """What the coming cycle would use a preview for: FOR_SAMPLE, FOR_TICK, both or 0.
 
     Parameters
     ----------
-    params, a, inputs : records of `Params`, `AdaptiveState`, `Inputs` before `follow_step`
+    params, a, scaled : records of `Params` in plain numbers, `AdaptiveState`, `ScaledState`
+    inputs : record of `Inputs` before `follow_step`
     now_ns : int64           the latest time that the cycle will have heard of [ns]
 
     Notes
@@ -64,7 +66,8 @@ def preview_due(params: Any, a: Any, inputs: Any, now_ns: Any) -> Any:
     k = newest_conversion(inputs)
     if k >= 0:
         range_m = params.zero_m[0] + params.scale_m[0] * conversion_counts(inputs.conversion[k])
-        t_ns = inputs.t_ns + conversion_dt_ns(inputs.conversion[k]) - params.sensor_latency_ns
+        t_ns = plain_time(scaled, inputs.t_ns + conversion_dt_ns(inputs.conversion[k]))
+        t_ns -= params.sensor_latency_ns
         news = abs(range_m - a.held_m) > FLICKER_COUNTS * abs(params.scale_m[0])
         if a.held_ns == 0 or news or t_ns - a.held_ns >= params.hold_ns:
             due |= FOR_SAMPLE
@@ -85,7 +88,7 @@ def preview_place(params: Any, state: Any, inputs: Any) -> Any:
         FOR_ bits (0: none, the rest means nothing); where the tool points at the newest pose of the coming
         cycle; unit vector of travel; piece of the way, ahead of that place [m]
     """
-    p, a, sense, i = params[0], state[0].adaptive, state[0].sense, inputs[0]
+    d, a, sense, i = state[0].scaled, state[0].adaptive, state[0].sense, inputs[0]
     if i.n_poses > 0:
         pose_t_ns, x, y = i.pose_t_ns[i.n_poses - 1], i.pose[7 * i.n_poses - 7], i.pose[7 * i.n_poses - 6]
     elif sense.pose_count > 0:
@@ -93,9 +96,11 @@ def preview_place(params: Any, state: Any, inputs: Any) -> Any:
         pose_t_ns, x, y = sense.pose_t_ns[newest], sense.pose[7 * newest], sense.pose[7 * newest + 1]
     else:
         return 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    now_ns = max(a.now_ns, i.t_ns, pose_t_ns)
-    due = preview_due(p, a, i, now_ns)
-    if due == 0 or i.t_ns - pose_t_ns > p.pose_timeout_ns:
+    p = params[0] if is_usual(d) != 0 else d.params
+    t_ns, pose_t_ns = plain_time(d, i.t_ns), plain_time(d, pose_t_ns)
+    now_ns = max(a.now_ns, t_ns, pose_t_ns)
+    due = preview_due(p, a, d, i, now_ns)
+    if due == 0 or t_ns - pose_t_ns > p.pose_timeout_ns:
         return 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     v = a.speed_mps
     first, last = 1e9, -1e9
@@ -106,4 +111,6 @@ def preview_place(params: Any, state: Any, inputs: Any) -> Any:
         at = v * ((now_ns - pose_t_ns) * 1e-9 - a.late_s) + a.lead_m
         reach = v * STAMP_S + MARGIN_M
         first, last = min(first, at - reach), max(last, at + reach)
-    return due, x + a.tip_x_m, y + a.tip_y_m, a.speed_x_mps / v, a.speed_y_mps / v, first, last
+    x += a.tip_x_m * d.length
+    y += a.tip_y_m * d.length
+    return due, x, y, a.speed_x_mps / v, a.speed_y_mps / v, first * d.length, last * d.length

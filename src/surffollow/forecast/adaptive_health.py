@@ -15,6 +15,15 @@ from surffollow.shm.layout_adaptive import (
     STUCK_RUN,
     SUSPECT,
 )
+from surffollow.shm.layout_multimodel import (
+    REASON_LOST,
+    REASON_NO_READING,
+    REASON_NONE,
+    REASON_NOT_FINITE,
+    REASON_OUTSIDE,
+    REASON_PENDING,
+    REASON_STUCK,
+)
 
 ENTER_NS = 10_000_000  # a worse state is shown after so long
 LEAVE_NS = 100_000_000  # a better one after so long
@@ -107,19 +116,34 @@ def is_missing(a: Any) -> Any:
 
 
 @jit
+def is_unsure(params: Any, a: Any) -> Any:
+    """1 when no sample within the loss time-out entered an estimate that others had confirmed.
+
+    A start with a single sample says little: starts that no second sample ever confirms are no estimate.
+    """
+    return 1 if a.samples == 0 or a.now_ns - a.sure_ns > params.loss_timeout_ns else 0
+
+
+@jit
 def watch_health(params: Any, a: Any, stuck: Any) -> None:
     """Find the state of the ranging now and show it with hysteresis."""
-    wanted = OK
+    wanted, reason = OK, REASON_NONE
     if a.faults & FAULT_NOT_FINITE and a.samples < STILL_SAMPLES:
-        wanted = FAULT
+        wanted, reason = FAULT, REASON_NOT_FINITE
     elif stuck != 0:
-        wanted = STUCK
+        wanted, reason = STUCK, REASON_STUCK
     elif a.samples == 0 or is_missing(a):
         edge = min(a.held_m - params.range_min_m, params.range_max_m - a.held_m)
-        wanted = OUT_OF_RANGE if a.samples > 0 and edge < EDGE_M else DROPOUT
+        if a.samples > 0 and edge < EDGE_M:
+            wanted, reason = OUT_OF_RANGE, REASON_OUTSIDE
+        else:
+            wanted, reason = DROPOUT, REASON_NO_READING
+    elif is_unsure(params, a) != 0:
+        wanted, reason = DROPOUT, REASON_LOST
     elif a.quarantined > 0:
-        wanted = SUSPECT
+        wanted, reason = SUSPECT, REASON_PENDING
     if wanted == a.health:
+        a.reason = reason
         a.health_next = wanted
         a.health_ns = a.now_ns
         return
@@ -128,4 +152,4 @@ def watch_health(params: Any, a: Any, stuck: Any) -> None:
         a.health_ns = a.now_ns
     wait = ENTER_NS if wanted > a.health else LEAVE_NS
     if a.now_ns - a.health_ns >= wait:
-        a.health = wanted
+        a.health, a.reason = wanted, reason

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.forecast.adaptive_scales import plain_time
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import MAX_PREVIEW, POSES
 
@@ -109,32 +110,33 @@ def recall_ahead(memory: Any, state: Any, inputs: Any) -> None:
 
     Notes
     -----
-    What was written within the last second is now, not memory.
+    What was written within the last second is now, not memory. Cells and their heights are plain numbers.
     """
-    i, a, sense = inputs[0], state[0].adaptive, state[0].sense
+    i, a, sense, d = inputs[0], state[0].adaptive, state[0].sense, state[0].scaled
     i.n_preview = 0
     v = a.speed_mps
     if sense.pose_count == 0 or not SLOWEST_MPS <= v < FASTEST_MPS:
         return
     tool = 7 * ((sense.pose_count - 1) & (POSES - 1))
-    x, y = sense.pose[tool] + a.tip_x_m, sense.pose[tool + 1] + a.tip_y_m
+    x, y = sense.pose[tool] / d.length + a.tip_x_m, sense.pose[tool + 1] / d.length + a.tip_y_m
     first = -BEHIND_S * v - 2.0 * CELL_M
     step = max(CELL_M, (AHEAD_S * v + 2.0 * CELL_M - first) / (MAX_PREVIEW - 1))
-    before = max(i.t_ns, a.now_ns) - NOW_NS
+    before = max(plain_time(d, i.t_ns), a.now_ns) - NOW_NS
     known = 0
     for k in range(MAX_PREVIEW):
         way = first + step * k
         h = recall(memory, x + way * a.speed_x_mps / v, y + way * a.speed_y_mps / v, before)
-        i.preview_m[k] = h
+        i.preview_m[k] = h * d.length
         if math.isfinite(h):
             known += 1
     if known > 0:
-        i.n_preview, i.preview_from_m, i.preview_step_m = MAX_PREVIEW, first, step
+        i.n_preview, i.preview_from_m, i.preview_step_m = MAX_PREVIEW, first * d.length, step * d.length
 
 
 @jit
 def remember_output(memory: Any, state: Any, output: Any) -> None:
     """Average the footprint that entered the estimate in this cycle, if one did, into its cell."""
-    o = output[0]
+    o, per_m = output[0], 1.0 / state[0].scaled.length
     if o.fresh & 1:
-        remember(memory, o.target_m[0], o.target_m[1], o.target_m[2], state[0].adaptive.now_ns)
+        x, y, z = o.target_m[0] * per_m, o.target_m[1] * per_m, o.target_m[2] * per_m
+        remember(memory, x, y, z, state[0].adaptive.now_ns)

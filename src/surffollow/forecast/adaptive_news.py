@@ -36,7 +36,7 @@ def forget_stamps(a: Any) -> None:
 
     Stamps that are compared for being the same, or that a restart sets, need no care.
     """
-    a.held_ns = a.sample_ns = a.accepted_ns = a.trend_ns = 0
+    a.held_ns = a.sample_ns = a.accepted_ns = a.sure_ns = a.trend_ns = 0
     a.set_ns = a.turn_ns = a.tick_ns = a.calm_ns = a.wanted_ns = 0
     a.ticks = a.tick_open = 0  # set points of future ticks would never be taken
     a.plant_ns = a.distrust_ns = a.arrival_ns = 0
@@ -92,9 +92,10 @@ def tool_above(params: Any, a: Any, sense: Any, plane: Any, pose: Any) -> Any:
 
 
 @jit
-def take_news(params: Any, state: Any, inputs: Any, output: Any, plane: Any, pose: Any) -> None:
+def take_news(
+    params: Any, a: Any, sense: Any, fold: Any, inputs: Any, output: Any, plane: Any, pose: Any
+) -> None:
     """Take a new sample, if there is one; what does not enter the estimate is not mapped."""
-    a, sense = state.adaptive, state.sense
     channel = 0
     if plane != 0:
         channel = take_beams(params, a, sense, pose)
@@ -124,8 +125,8 @@ def take_news(params: Any, state: Any, inputs: Any, output: Any, plane: Any, pos
         learn_lag(a, sense, t, z, still, adapt, pose)
         pose_when(a, sense, t, pose)
     a.close_run = a.close_run + 1 if range_m < params.too_close_m else 0
-    if a.close_run >= CLOSE_SAMPLES or state.paper.close != 0:
-        watch_fold_back(state.paper, range_m, sensor_z, params.too_close_m, params.too_close_exit_m)
+    if a.close_run >= CLOSE_SAMPLES or fold.close != 0:
+        watch_fold_back(fold, range_m, sensor_z, params.too_close_m, params.too_close_exit_m)
     tool_x, tool_y, tool_z = pose[0], pose[1], pose[2]
     if plane != 0:
         good, z = plane_height(params, a, t, tool_x, tool_y)

@@ -22,6 +22,7 @@ from surffollow.forecast.adaptive_bank import (
     update_model,
 )
 from surffollow.forecast.adaptive_beyond import learn_beyond
+from surffollow.forecast.adaptive_health import patience_s
 from surffollow.forecast.adaptive_judge import advance_shadows, put_shadows, score, watch_bias, weigh
 from surffollow.forecast.adaptive_preview import LEADING_M, note_ground
 from surffollow.shm.jit import jit
@@ -46,7 +47,9 @@ FIRST_DOUBT = 0.125  # the same for the second sample: the first may have been t
 ALIKE = 0.25  # of the innovation: two as near to each other outvote the first sample
 SETTLE_NS = 150_000_000  # after a step all shadows are wrong alike
 FIRST_SETTLE_NS = 60_000_000  # after a start, until set points made of a few samples have had effect
-GAP_NS = 100_000_000  # after a longer gap no way is asked for: there was enough of it
+GAP_NS = (
+    100_000_000  # after a longer gap, unusual for the sensor, no way is asked for: there was enough of it
+)
 LONGEST_WAY_M = 0.5  # unseen ground of this length: what was known is of no use
 STEEP_WAY_M = 1.0  # over which it is learnt how steep the ground is
 
@@ -109,6 +112,8 @@ def start_bank(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any
     a.quarantined = a.disagreed = 0
     a.doubted_m = 0.0
     a.sample_ns = a.accepted_ns = t_ns
+    if a.sure_ns == 0:
+        a.sure_ns = t_ns
     a.settle_ns = t_ns + (FIRST_SETTLE_NS if fresh else SETTLE_NS)
     a.since_step_m = a.step_m = 0.0
     a.step_ns = 0
@@ -216,7 +221,7 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
     if a.samples == 0 or way_m > LONGEST_WAY_M or t_ns - a.accepted_ns > params.loss_timeout_ns:
         start_bank(params, a, t_ns, way_m, h_m, drop_m, adapt)
         return 1
-    gap = t_ns - a.sample_ns > GAP_NS
+    gap = t_ns - a.sample_ns > max(GAP_NS, patience_s(a) * 1e9)
     way = max(way_m, LEAST_SPEED_MPS * dt)
     advance_shadows(params, a, a.sample_ns, t_ns)
     a.sample_ns = t_ns
@@ -268,6 +273,8 @@ def take_sample(params: Any, a: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: An
         put_shadows(a, a.height_m + drop_m)
     a.samples += 1
     a.accepted_ns = t_ns
+    if a.samples >= START_SAMPLES:
+        a.sure_ns = t_ns
     note_ground(a, a.path_m, h_m)
     learn_beyond(a, h_m, way, adapt)
     return 1

@@ -29,7 +29,10 @@ def forecast_range(params: Any, state: Any, horizon_s: Any) -> Any:
     `adaptive_trend`.
     """
     if params[0].mode == MODE_ADAPTIVE:
-        return trend_range(state[0].adaptive, horizon_s)
+        d = state[0].scaled
+        if d.length == 0.0:
+            return math.nan
+        return trend_range(state[0].adaptive, horizon_s / d.time) * d.length
     p = state[0].paper
     if p.reading_t_ns == 0:
         return math.nan

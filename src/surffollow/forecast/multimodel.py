@@ -25,8 +25,8 @@ from surffollow.forecast.sensing.health import (
 )
 from surffollow.forecast.sensing.kinematics import observe_motion, reset_motion
 from surffollow.forecast.sensing.sample import reset_sampling, take_sample
-from surffollow.forecast.setpoint.blend import blend_setpoints, filter_setpoint
-from surffollow.forecast.setpoint.limits import limit_setpoint, release_setpoint
+from surffollow.forecast.setpoint.blend import blend_setpoints
+from surffollow.forecast.setpoint.limits import filter_setpoint, limit_setpoint, release_setpoint
 from surffollow.forecast.terrain.buffer import reset_buffer, store_height
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import SUSPECT
@@ -104,7 +104,7 @@ def demand_of(params: Any, m: Any, sense: Any, inputs: Any, output: Any, setpoin
         note_not_finite(m)
         reset_bank(m, 1)
         forget_noise(m)
-    lost = 1 if is_lost(m, timeout) != 0 or m.health.stuck != 0 else 0
+    lost = is_lost(m, timeout)
     assess(m, lost)
     if taken != 0:
         output.fresh |= 1
@@ -191,7 +191,8 @@ def report(params: Any, m: Any, output: Any) -> None:
     output.speed_mps = m.kinematics.speed * r.length_m * second
     output.error_m = params.offset_m - m.sample.range * r.length_m if m.sample.count > 0 else 0.0
     output.intervals = m.bank.samples
-    output.health, output.faults = m.health.state, m.health.faults
+    output.health, output.reason = m.health.state, m.health.reason
+    output.faults = m.health.faults
     output.sigma_m, output.noise_m = m.weights.sigma * r.length_m, m.noise.sigma * r.length_m
     scale = m.gate.scale * r.length_m
     output.roughness_m = math.sqrt(max(scale * scale - output.noise_m * output.noise_m, 0.0))

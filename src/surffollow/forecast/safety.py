@@ -17,22 +17,22 @@ PROBE_M = 0.001  # least demand away from the surface while the branch is in dou
 
 
 @jit_inlined
-def watch_fold_back(paper: Any, range_m: Any, sensor_z_m: Any, too_close_m: Any, exit_m: Any) -> None:
+def watch_fold_back(fold: Any, range_m: Any, sensor_z_m: Any, too_close_m: Any, exit_m: Any) -> None:
     """Latch or release TOO_CLOSE with one valid reading."""
-    if paper.close == 0:
+    if fold.close == 0:
         if range_m < too_close_m:
-            paper.close = 1
-            paper.close_z_m = sensor_z_m
-            paper.close_range_m = range_m
+            fold.close = 1
+            fold.close_z_m = sensor_z_m
+            fold.close_range_m = range_m
         return
-    rise = sensor_z_m - paper.close_z_m
+    rise = sensor_z_m - fold.close_z_m
     if abs(rise) < BRANCH_TEST_M:
         return
-    change = range_m - paper.close_range_m
+    change = range_m - fold.close_range_m
     if change * rise > 0.5 * rise * rise and range_m > exit_m:
-        paper.close = 0
-    paper.close_z_m = sensor_z_m
-    paper.close_range_m = range_m
+        fold.close = 0
+    fold.close_z_m = sensor_z_m
+    fold.close_range_m = range_m
 
 
 @jit_inlined

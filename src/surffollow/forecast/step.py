@@ -7,6 +7,7 @@ from typing import Any
 
 from surffollow.forecast.adaptive import adaptive_demand, forget_surface, report_adaptive
 from surffollow.forecast.adaptive_latency import assume_latency
+from surffollow.forecast.adaptive_scales import choose_scales, enter, is_usual, leave
 from surffollow.forecast.paper import (
     average_point,
     paper_forecast,
@@ -64,6 +65,7 @@ def sf_reset(params: Any, state: Any, offset_m: Any) -> None:
     p.relayed = 0
     p.relayed_m = 0.0
     p.relayed_z_m = 0.0
+    choose_scales(params, state)
     forget_surface(state[0].adaptive)
     state[0].stop_armed = 0
 
@@ -140,7 +142,7 @@ def demand_z(params: Any, state: Any, inputs: Any, output: Any, reading_z_m: Any
     sensor_z_m = reading_z_m
     if fresh != 0:
         paper_update(params, p, state.sense)
-        watch_fold_back(p, range_m, reading_z_m, params.too_close_m, params.too_close_exit_m)
+        watch_fold_back(state.fold, range_m, reading_z_m, params.too_close_m, params.too_close_exit_m)
     if fresh == 0 or params.pose_interpolate != 0:
         pose_at(state.sense, inputs.t_ns, 0, pose)
         _, _, _, sensor_z_m = footprint(pose, params.tool_from_sensor, 0, 0.0)
@@ -159,11 +161,39 @@ def demand_z(params: Any, state: Any, inputs: Any, output: Any, reading_z_m: Any
     if lost:
         status = (status & ~(VALID | LIMITED)) | SENSOR_LOST
         dz = 0.0
-    if p.close != 0:
+    if state.fold.close != 0:
         status |= TOO_CLOSE
         if not lost:
             dz = max(dz, min(PROBE_M, params.max_demand_m))
     output.demand[2] = dz
+    return status
+
+
+@jit
+def adaptive_cycle(
+    params: Any, a: Any, sense: Any, fold: Any, inputs: Any, output: Any, pose: Any, ready: Any
+) -> Any:
+    """Demand, if a pose is `ready`, and report of the adaptive mode in plain numbers; returns status bits."""
+    assume_latency(params, a)
+    status = 0
+    if ready != 0:
+        status = adaptive_demand(params, a, sense, fold, inputs, output, pose)
+    report_adaptive(params, a, output)
+    return status
+
+
+@jit
+def adaptive_step(params: Any, state: Any, inputs: Any, output: Any, pose: Any, ready: Any) -> Any:
+    """`adaptive_cycle` behind the reference scales; where these are 1 nothing is copied."""
+    s = state[0]
+    d = s.scaled
+    if d.length == 0.0:
+        choose_scales(params, state)
+    if is_usual(d) != 0:
+        return adaptive_cycle(params[0], s.adaptive, s.sense, s.fold, inputs[0], output[0], pose, ready)
+    enter(params, state, inputs, output)
+    status = adaptive_cycle(d.params, s.adaptive, d.sense, d.fold, d.inputs, d.output, pose, ready)
+    leave(state, output)
     return status
 
 
@@ -191,8 +221,7 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
     else:
         take_conversions(p, s.sense, i)
     clear_output(p, s, i, o)
-    if p.mode == MODE_ADAPTIVE:
-        assume_latency(p, s.adaptive)
+    ready = 0
     n = s.sense.pose_count
     if n == 0:
         o.pose_t_ns = 0
@@ -206,10 +235,12 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
                 s.sense.losses[c] += 1  # readings without a pose are as good as lost
         elif p.mode == MODE_ADAPTIVE:
             find_targets(p, s, o, scratch, 1)
-            o.status = adaptive_demand(p, s, i, o, scratch)
+            o.status, ready = 0, 1
         else:
             sensor_z = find_targets(p, s, o, scratch, p.pose_interpolate)
             o.status = demand_z(p, s, i, o, sensor_z, scratch)
+    if p.mode == MODE_ADAPTIVE:
+        o.status |= adaptive_step(params, state, inputs, output, scratch, ready)
     if p.run == RUN_DRYRUN:
         o.status = (o.status & ~VALID) | DRYRUN
     elif p.run == RUN_FREEZE:
@@ -217,9 +248,7 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
         for k in range(6):
             o.demand[k] = 0.0
     s.cycle += 1
-    if p.mode == MODE_ADAPTIVE:
-        report_adaptive(p, s.adaptive, o)
-    else:
+    if p.mode != MODE_ADAPTIVE:
         report_paper(s.paper, o)
     obey_stop(p, s, o)
 
@@ -228,6 +257,7 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
 def report_paper(paper: Any, output: Any) -> None:
     """Publish what the paper's follower believes."""
     output.slope, output.speed_mps = paper.slope, paper.speed_mps
+    output.reason = 0
     output.intervals = paper.interval_count
     if paper.interval_count > 0:
         output.height_m = paper.interval_h_m[(paper.interval_count - 1) & (paper.interval_h_m.size - 1)]

@@ -19,65 +19,51 @@ from surffollow.forecast.estimation.models import LEVEL, SLOPE, WAVE
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_multimodel import N_MODELS, MultimodelState
 
-# kind, memory in samples, fading distance of the slope in reaction distances (0: the slope stays),
-# share of the slope by which the set point leads
-MODELS: tuple[tuple[float, float, float, float], ...] = (
-    (LEVEL, 1.3, 0.0, 0.0),
-    (LEVEL, 3.0, 0.0, 0.0),
-    (LEVEL, 10.0, 0.0, 0.0),
-    (LEVEL, 40.0, 0.0, 0.0),
-    (SLOPE, 1.5, 0.0, 1.0),
-    (SLOPE, 2.5, 0.0, 1.0),
-    (SLOPE, 4.0, 0.0, 1.0),
-    (SLOPE, 7.0, 0.0, 1.0),
-    (SLOPE, 13.0, 0.0, 1.0),
-    (SLOPE, 25.0, 0.0, 1.0),
-    (SLOPE, 60.0, 0.0, 1.0),
-    (SLOPE, 1.5, 0.7, 1.0),
-    (SLOPE, 3.0, 0.7, 1.0),
-    (SLOPE, 2.0, 2.5, 1.0),
-    (SLOPE, 4.0, 2.5, 1.0),
-    (WAVE, 5.0, 0.0, 1.0),
-    (WAVE, 20.0, 0.0, 1.0),
+# kind, memory in samples, fading distance of the slope in reaction distances (0: the slope stays)
+MODELS: tuple[tuple[float, float, float], ...] = (
+    (LEVEL, 2.0, 0.0),
+    (LEVEL, 10.0, 0.0),
+    (LEVEL, 50.0, 0.0),
+    (LEVEL, 250.0, 0.0),
+    (SLOPE, 1.5, 0.0),
+    (SLOPE, 2.5, 0.0),
+    (SLOPE, 4.0, 0.0),
+    (SLOPE, 7.0, 0.0),
+    (SLOPE, 13.0, 0.0),
+    (SLOPE, 25.0, 0.0),
+    (SLOPE, 60.0, 0.0),
+    (SLOPE, 1.5, 0.7),
+    (SLOPE, 3.0, 0.7),
+    (SLOPE, 2.0, 2.5),
+    (SLOPE, 4.0, 2.5),
+    (WAVE, 5.0, 0.0),
+    (WAVE, 20.0, 0.0),
 )
 
 DEFAULTS: dict[str, float] = {
-    "wave_memory": 0.6,
-    "wave_highpass": 0.25,
+    "bank_clip": 3.0,
+    "wave_rate": 0.25,
     "wave_mean_drift": 0.1,
     "first_wave_reactions": 20.0,
     "gate_gate": 8.0,
     "gate_rate": 0.02,
-    "gate_first_scale": 8e-3,
     "gate_confirm": 3,
     "gate_confirm_slow": 2,
     "gate_stays": 0.3,
     "gate_slow": 0.15,
     "gate_slot_share": 0.025,
     "gate_standing_taus": 3.0,
-    "gate_growth": 1.3,
-    "gate_disagree": 2,
-    "gate_gap_taus": 3.0,
+    "gate_growth": 1.15,
     "index_recent": 12.0,
     "index_longer": 144.0,
-    "index_power": 5.0,
-    "index_longer_power": 5.0,
-    "index_noise_share": 0.97,
-    "index_floor": 0.1,
-    "index_effort": 2e-3,
-    "index_caution": 3.0,
-    "index_burn_in": 6.0,
-    "index_settle": 0.7,
-    "index_smoothing": 0.25,
-    "index_wave_penalty": 0.8,
-    "setpoint_grace_intervals": 4.0,
-    "setpoint_grace_taus": 0.5,
+    "index_power": 2.0,
+    "index_longer_power": 8.0,
+    "index_floor": 0.2,
+    "index_calm": 2.0,
     "setpoint_fade_reactions": 8.0,
-    "setpoint_band": 0.15,
-    "setpoint_soft": 2.5,
-    "setpoint_drive": 0.1,
-    "setpoint_drive_max": 1.0,
-    "setpoint_soft_taus": 0.25,
+    "setpoint_drive": 0.05,
+    "setpoint_useful": 2.0,
+    "setpoint_smoothing": 0.5,
 }
 
 
@@ -98,9 +84,9 @@ def check_tuning(tuning: object) -> dict[str, Any]:
     for name, value in tuning.items():
         if name == "models":
             rows = np.asarray(value, np.float64)
-            if rows.ndim != 2 or rows.shape[1] != 4 or not 1 <= len(rows) <= N_MODELS:
+            if rows.ndim != 2 or rows.shape[1] != 3 or not 1 <= len(rows) <= N_MODELS:
                 raise ConfigError(
-                    f"tuning.models has shape {rows.shape}; it must have 1 to {N_MODELS} rows of 4"
+                    f"tuning.models has shape {rows.shape}; it must have 1 to {N_MODELS} rows of 3"
                 )
             if not (rows[:, 1] > 1.0).all():
                 raise ConfigError(
@@ -125,5 +111,5 @@ def new_multimodel(changes: Mapping[str, Any] | None = None) -> Any:
     for name, value in given.items():
         tuning[name] = value
     tuning["n_models"] = len(models)
-    tuning["models"][: 4 * len(models)] = np.ravel(models)
+    tuning["models"][: 3 * len(models)] = np.ravel(models)
     return state

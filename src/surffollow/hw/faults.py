@@ -27,6 +27,7 @@ from surffollow.hw.driver import (
     reports_of,
 )
 from surffollow.hw.pump import PERIOD_NS, STOP, Pump
+from surffollow.hw.pushed_ranges import pushed_of
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.conversion import (
@@ -253,6 +254,11 @@ class FaultyDriver:
     def reports(self) -> PoseQueue | None:
         """The inner driver's."""
         return reports_of(self._inner)
+
+    @property
+    def pushed(self) -> Any:
+        """The inner driver's."""
+        return pushed_of(self._inner)
 
     def notes(self) -> list[str]:
         """The inner driver's."""

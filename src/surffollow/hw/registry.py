@@ -71,6 +71,7 @@ KINDS: dict[str, Factory] = {
     "iio": _lazily("iio"),
     "can": _lazily("can_bus"),
     "udp": _lazily("udp"),
+    "external": _lazily("external"),
 }
 
 

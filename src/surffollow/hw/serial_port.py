@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 
 from surffollow.errors import ConfigError, DriverError
+from surffollow.hw.arrival import ArrivalClock
 from surffollow.hw.driver import Driver, DriverInfo, Mount
 from surffollow.hw.frames import Format, make_finder
 from surffollow.hw.polled import SILENCE_S, PolledDriver
@@ -77,6 +78,7 @@ class SerialSource:
         self.name = f"serial port {config.port}"
         self._config, self._info = config, info
         self._finder = make_finder(config.format)
+        self._clock = ArrivalClock()
         self._port: Any = None
         self._line = -1
 
@@ -100,11 +102,12 @@ class SerialSource:
         with contextlib.suppress(Exception):  # adapters without it work, some 16 ms later
             self._port.set_low_latency_mode(True)
         self._finder.restart()
+        self._clock.restart()
         if c.start_command:
             self._port.write(c.start_command.encode())
 
     def read(self, timeout_s: float) -> list[tuple[int, int]]:
-        """Conversions, stamped when their frame began: arrival less its time on the line."""
+        """Conversions, stamped when their frame began: see `ArrivalClock`."""
         if not select.select([self._line], [], [], timeout_s)[0]:
             return []
         data = os.read(self._line, READ_BYTES)
@@ -112,11 +115,16 @@ class SerialSource:
         if not data:
             raise DriverError("the line was closed; unplugged?")
         byte_ns, info, channels = self._config.byte_ns, self._info, self._config.channels
-        out, found = [], self._finder.feed(data)
-        for length, channel, range_m in found:
-            if channel < channels:
-                out.append((now_ns - round(byte_ns * length), pack_range(info, channel, range_m)))
-        return out
+        rejected = self._finder.rejected
+        found = self._finder.feed(data)
+        if self._finder.rejected != rejected:
+            self._clock.restart()  # frames that were lost would be taken for a delay
+        stamps = self._clock.stamps([now_ns - round(byte_ns * length) for length, _, _ in found])
+        return [
+            (t_ns, pack_range(info, channel, range_m))
+            for t_ns, (_, channel, range_m) in zip(stamps, found, strict=True)
+            if channel < channels
+        ]
 
     def close(self) -> None:
         """Let the line go."""

@@ -78,8 +78,8 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 
 /* ---- layout: generated ------------------------------------------------------------ */
 
-#define SF_LAYOUT_VERSION 2u
-#define SF_LAYOUT_HASH UINT64_C(4469410322130514014)
+#define SF_LAYOUT_VERSION 3u
+#define SF_LAYOUT_HASH UINT64_C(2848434251925826590)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_SLOT_MAGIC UINT64_C(3554549926447961427)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
@@ -94,6 +94,9 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 #define SF_SLOT_HEAD 0
 #define SF_SLOT_POSE 256
 #define SF_SLOT_REQUEST 1024
+#define SF_SLOT_RANGES 2560
+#define SF_RANGES_AT 64
+#define SF_RANGE_ITEMS 128
 #define SF_SLOT_STREAM 8192
 #define SF_PIECE_BYTES 28672
 #define SF_PIECE_GRIDS 9536
@@ -111,11 +114,15 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 #define SF_MAP_HEADER_BYTES 4096
 #define SF_MAP_UNKNOWN_HEIGHT (-32768)
 #define SF_MAX_REGION_M 1000000.0
+#define SF_MIN_GRID_M 1e-06
+#define SF_MAX_GRID_M 10000.0
 #define SF_REATTACH_EVERY_NS 20000000
 #define SF_LOOK_EVERY_NS 100000000
 #define SF_SLOT_WAIT_NS 3000000000
 #define SF_EXCHANGE_NS 1000000000
 #define SF_POSE_FUTURE_NS 1000000
+#define SF_RANGE_FUTURE_NS 1000000
+#define SF_RANGE_OLDEST_NS 1000000000
 #define SF_MAX_POSITION_M 1000000000.0
 
 enum {
@@ -128,7 +135,9 @@ enum {
   SF_RQ_MAP_REFOCUS = 6,
   SF_RQ_MAP_INSTALL = 7,
   SF_RQ_STOP = 8,
-  SF_RQ_STOP_RESET = 9
+  SF_RQ_STOP_RESET = 9,
+  SF_RQ_CLAIM_RANGE = 10,
+  SF_RQ_RELEASE_RANGE = 11
 };
 
 enum {
@@ -187,9 +196,11 @@ enum {
   SF_ANSWER_ERR_MAP_TOO_LARGE = 11,
   SF_ANSWER_ERR_BEYOND_LIMITS = 12,
   SF_ANSWER_ERR_NOT_POSE_HOLDER = 13,
-  SF_ANSWER_ERR_STOP_REMAINS = 14
+  SF_ANSWER_ERR_STOP_REMAINS = 14,
+  SF_ANSWER_ERR_RANGE_HELD = 15,
+  SF_ANSWER_ERR_NO_CHANNEL = 16
 };
-#define SF_ANSWERS 15
+#define SF_ANSWERS 17
 enum {
   SF_REFUSED_UNKNOWN_REQUEST = -101,
   SF_REFUSED_BAD_VALUE = -102,
@@ -203,7 +214,9 @@ enum {
   SF_REFUSED_MAP_TOO_LARGE = -111,
   SF_REFUSED_BEYOND_LIMITS = -112,
   SF_REFUSED_NOT_POSE_HOLDER = -113,
-  SF_REFUSED_STOP_REMAINS = -114
+  SF_REFUSED_STOP_REMAINS = -114,
+  SF_REFUSED_RANGE_HELD = -115,
+  SF_REFUSED_NO_CHANNEL = -116
 };
 
 /* An answer of the service in words; never NULL. */
@@ -224,6 +237,8 @@ static inline const char *sf_answer_text(int answer) {
     case 12: return "the service's configuration ([limits]) does not let any client set this value";
     case 13: return "only the client that sends the pose may do this (access.parameters in the configuration)";
     case 14: return "a cause of the stop is still there; mend it, then reset the stop again";
+    case 15: return "another live client pushes the ranges of this channel";
+    case 16: return "the service takes no pushed ranges on this channel ([driver] kind = 'external', channels)";
     default: return "unknown result";
   }
 }
@@ -305,33 +320,33 @@ static inline const sf_param_info *sf_param_table(void) {
     {"plant_tau_s", 90, 0, 0.0001, 1000.0},
     {"plant_v_max_mps", 91, 0, 1e-06, 1000.0},
     {"plant_a_max_mps2", 92, 0, 1e-08, 1000000.0},
-    {"score_way_m", 93, 0, 0.001, 1000.0},
-    {"score_time_s", 94, 0, 0.01, 1000.0},
+    {"score_way_m", 93, 0, 1e-06, 10000.0},
+    {"score_time_s", 94, 0, 0.0001, 100000.0},
     {"score_power", 95, 0, 0.0, 100.0},
     {"long_power", 96, 0, 0.0, 100.0},
     {"long_factor", 97, 0, 1.0, 1000.0},
-    {"effort_m", 98, 0, 0.0, 1.0},
+    {"effort_m", 98, 0, 0.0, 10000.0},
     {"noise_share", 99, 0, 0.0, 1.0},
-    {"score_floor_m", 100, 0, 1e-07, 1.0},
+    {"score_floor_m", 100, 0, 1e-09, 10.0},
     {"gate_scales", 101, 0, 1.0, 1000.0},
     {"gate_m", 102, 0, 0.0, 1000.0},
-    {"step_way_m", 103, 0, 0.0, 10.0},
+    {"step_way_m", 103, 0, 0.0, 1000.0},
     {"step_samples", 104, 1, 1.0, 100.0},
-    {"tick_lead_s", 105, 0, 0.0, 1.0},
-    {"plan_calm_s4", 106, 0, 0.0, 1.0},
+    {"tick_lead_s", 105, 0, 0.0, 100.0},
+    {"plan_calm_s4", 106, 0, 0.0, 1000000000000.0},
     {"orient", 107, 1, 0.0, 1.0},
     {"max_turn_rad", 108, 0, 0.0, 1.6},
     {"permitted_turn_rad", 109, 0, 0.0, 1.6},
     {"calm_share", 110, 0, 0.0, 10.0},
     {"adapt", 111, 1, 0.0, 1.0},
     {"hold_ns", 112, 1, 0.0, 10000000000.0},
-    {"dropout_way_m", 113, 0, 0.0001, 1000.0},
-    {"max_speed_mps", 114, 0, 0.0001, 1000.0},
-    {"max_accel_mps2", 115, 0, 0.001, 1000000.0},
-    {"max_jerk_mps3", 116, 0, 0.01, 1000000000.0},
+    {"dropout_way_m", 113, 0, 1e-06, 10000.0},
+    {"max_speed_mps", 114, 0, 1e-08, 100000000.0},
+    {"max_accel_mps2", 115, 0, 1e-09, 10000000000000.0},
+    {"max_jerk_mps3", 116, 0, 1e-12, 1e+18},
     {"toward_factor", 117, 0, 0.01, 1.0},
-    {"max_turn_speed_radps", 118, 0, 0.0001, 100.0},
-    {"max_turn_accel_radps2", 119, 0, 0.001, 100000.0},
+    {"max_turn_speed_radps", 118, 0, 1e-06, 10000.0},
+    {"max_turn_accel_radps2", 119, 0, 1e-09, 100000000.0},
     {"preview", 120, 1, 0.0, 1.0},
   };
   return table;
@@ -342,7 +357,7 @@ typedef struct sf_region {
   char name[24];
   uint64_t offset; /* [B] */
   uint64_t size; /* [B] */
-  uint64_t hash; /* of the part's schema */
+  uint64_t hash; /* of the part's schema; of the log see `log_hash` */
 } sf_region;
 SF_STATIC_ASSERT(sizeof(sf_region) == 48, "layout of sf_region");
 SF_STATIC_ASSERT(offsetof(sf_region, name) == 0, "layout of sf_region");
@@ -525,8 +540,9 @@ typedef struct sf_output {
   int64_t beams; /* adaptive, 3 or more sensors: bit per channel that agrees with the plane */
   int64_t stop; /* causes of the latched stop, bits of STOP_NAMES; 0: not stopped */
   int64_t stop_now; /* causes that this cycle saw, whether the configuration names them or not */
+  int64_t reason; /* why `health` is not OK, see REASON_NAMES; 0: it is */
 } sf_output;
-SF_STATIC_ASSERT(sizeof(sf_output) == 600, "layout of sf_output");
+SF_STATIC_ASSERT(sizeof(sf_output) == 608, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, t_ns) == 0, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, pose_t_ns) == 8, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, demand) == 16, "layout of sf_output");
@@ -558,6 +574,7 @@ SF_STATIC_ASSERT(offsetof(sf_output, normal) == 552, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, beams) == 576, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, stop) == 584, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, stop_now) == 592, "layout of sf_output");
+SF_STATIC_ASSERT(offsetof(sf_output, reason) == 600, "layout of sf_output");
 
 /* The service's answer to a slot's newest request. */
 typedef struct sf_ack {
@@ -582,9 +599,11 @@ typedef struct sf_ticker {
   int64_t faults; /* bits, numbered in docs/protocol.md */
   int64_t messages_lost; /* lines for stderr that found no room or no reader */
   int64_t audit_lost; /* changes that are in no audit entry: the main thread stood still */
+  int64_t range_slot[8]; /* per channel, slot of the client that pushes its ranges; -1: none */
+  int64_t range_pid[8];
   char text[512]; /* one line for people */
 } sf_ticker;
-SF_STATIC_ASSERT(sizeof(sf_ticker) == 576, "layout of sf_ticker");
+SF_STATIC_ASSERT(sizeof(sf_ticker) == 704, "layout of sf_ticker");
 SF_STATIC_ASSERT(offsetof(sf_ticker, t_ns) == 0, "layout of sf_ticker");
 SF_STATIC_ASSERT(offsetof(sf_ticker, pose_slot) == 8, "layout of sf_ticker");
 SF_STATIC_ASSERT(offsetof(sf_ticker, pose_pid) == 16, "layout of sf_ticker");
@@ -593,7 +612,9 @@ SF_STATIC_ASSERT(offsetof(sf_ticker, granted) == 32, "layout of sf_ticker");
 SF_STATIC_ASSERT(offsetof(sf_ticker, faults) == 40, "layout of sf_ticker");
 SF_STATIC_ASSERT(offsetof(sf_ticker, messages_lost) == 48, "layout of sf_ticker");
 SF_STATIC_ASSERT(offsetof(sf_ticker, audit_lost) == 56, "layout of sf_ticker");
-SF_STATIC_ASSERT(offsetof(sf_ticker, text) == 64, "layout of sf_ticker");
+SF_STATIC_ASSERT(offsetof(sf_ticker, range_slot) == 64, "layout of sf_ticker");
+SF_STATIC_ASSERT(offsetof(sf_ticker, range_pid) == 128, "layout of sf_ticker");
+SF_STATIC_ASSERT(offsetof(sf_ticker, text) == 192, "layout of sf_ticker");
 
 /* What the map thread tells. */
 typedef struct sf_map_status {
@@ -639,8 +660,11 @@ typedef struct sf_stats {
   int64_t lateness[512]; /* [ns] wake-up after the deadline */
   int64_t execution[512]; /* [ns] wake-up to published */
   int64_t samples; /* target points for the map, those that found no room included */
+  int64_t ranges; /* ranges that clients pushed and that were taken */
+  int64_t ranges_refused; /* pushed for a channel not held, with a time that cannot be, or no item at all */
+  int64_t ranges_skipped; /* pushed faster than the service takes them; the oldest are left out */
 } sf_stats;
-SF_STATIC_ASSERT(sizeof(sf_stats) == 8296, "layout of sf_stats");
+SF_STATIC_ASSERT(sizeof(sf_stats) == 8320, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, cycles) == 0, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, overruns) == 8, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, skipped) == 16, "layout of sf_stats");
@@ -656,6 +680,9 @@ SF_STATIC_ASSERT(offsetof(sf_stats, execution_max_ns) == 88, "layout of sf_stats
 SF_STATIC_ASSERT(offsetof(sf_stats, lateness) == 96, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, execution) == 4192, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, samples) == 8288, "layout of sf_stats");
+SF_STATIC_ASSERT(offsetof(sf_stats, ranges) == 8296, "layout of sf_stats");
+SF_STATIC_ASSERT(offsetof(sf_stats, ranges_refused) == 8304, "layout of sf_stats");
+SF_STATIC_ASSERT(offsetof(sf_stats, ranges_skipped) == 8312, "layout of sf_stats");
 
 /* One change that somebody asked for, or a stop by the service itself; `audit` holds a stream of them. */
 typedef struct sf_audit_entry {
@@ -758,6 +785,19 @@ typedef struct sf_pose_post {
 SF_STATIC_ASSERT(sizeof(sf_pose_post) == 64, "layout of sf_pose_post");
 SF_STATIC_ASSERT(offsetof(sf_pose_post, t_ns) == 0, "layout of sf_pose_post");
 SF_STATIC_ASSERT(offsetof(sf_pose_post, pose) == 8, "layout of sf_pose_post");
+
+/* One pushed range, in the ring of RANGE_ITEMS in a slot. */
+typedef struct sf_range_item {
+  int64_t number; /* of the item, from 1; the ring's head once it is there */
+  int64_t t_ns; /* [ns] when the range was true; the driver's latency is taken off */
+  int64_t channel;
+  double range_m; /* [m] NaN or infinite: no reading */
+} sf_range_item;
+SF_STATIC_ASSERT(sizeof(sf_range_item) == 32, "layout of sf_range_item");
+SF_STATIC_ASSERT(offsetof(sf_range_item, number) == 0, "layout of sf_range_item");
+SF_STATIC_ASSERT(offsetof(sf_range_item, t_ns) == 8, "layout of sf_range_item");
+SF_STATIC_ASSERT(offsetof(sf_range_item, channel) == 16, "layout of sf_range_item");
+SF_STATIC_ASSERT(offsetof(sf_range_item, range_m) == 24, "layout of sf_range_item");
 
 /* What a request posts; the counter is inside so that the copy is whole. */
 typedef struct sf_request_post {
@@ -971,6 +1011,7 @@ enum {
   SF_ERR_REGION = -6,
   SF_ERR_PARAM = -7,
   SF_ERR_BOUNDS = -8,
+  SF_ERR_RANGE_TIME = -9,
   /* the world; `detail` of the client holds errno for SF_ERR_SYSTEM */
   SF_ERR_NOT_RUNNING = -20,
   SF_ERR_NO_PERMISSION = -21,
@@ -1010,6 +1051,7 @@ static inline const char *sf_strerror(int result) {
     case SF_ERR_REGION: return "a region is x_min, y_min, x_max, y_max; sides positive, finite, at most 1e6 m";
     case SF_ERR_PARAM: return "there is no parameter of that name, or it cannot be set";
     case SF_ERR_BOUNDS: return "the value is not finite, not whole, or outside the parameter's bounds";
+    case SF_ERR_RANGE_TIME: return "a range's time is newer than its channel's last one, at most 1 ms ahead and 1 s ago; use CLOCK_MONOTONIC";
     case SF_ERR_NOT_RUNNING: return "no live service of that name; start it: surffollow start --name ...";
     case SF_ERR_NO_PERMISSION: return "no permission; join the group of the board and the socket (ls -l /dev/shm): sf_observe needs the board, sf_attach both";
     case SF_ERR_NOT_READY: return "the service is starting or being replaced; try again";
@@ -1182,6 +1224,8 @@ typedef struct sf_client {
   int access_depth; /* sf_access_begin that were not ended */
   sf_object world;  /* of sf_sim_pose */
   int64_t next_world_look_ns;
+  int ranges_held;                 /* bit per channel */
+  int64_t pushed_ns[SF_CHANNELS]; /* time of the newest range of a channel held */
 } sf_client;
 
 /* The defaults: a client, re-attaching, stale after 20 periods but not before 5 ms, requests wait 5 s. */
@@ -1600,7 +1644,7 @@ static inline int sf_i_step_to_slot(sf_client *c) {
   c->asking.memory = NULL; /* they are the slot's from here on */
   c->asking.fd = -1;
   c->counter = 0;
-  c->pose_held = c->abandoned = 0;
+  c->pose_held = c->abandoned = c->ranges_held = 0;
   c->pose_counter = 0;
   c->grant = 0;
   return SF_OK;
@@ -1638,7 +1682,7 @@ static inline int sf_i_slot_is_open(const sf_client *c) {
 static inline void sf_i_release_slot(sf_client *c) {
   c->slot = -1;
   c->slot_memory = NULL;
-  c->pose_held = 0;
+  c->pose_held = c->ranges_held = 0;
   sf_i_close(&c->held);
   sf_i_stop_asking(c);
 }
@@ -2169,6 +2213,80 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   sf_latch_write(c->slot_memory + SF_SLOT_POSE, sizeof post, &post);
   return SF_OK;
 }
+/* ---- ranges of an own sensor ([driver] kind = "external"; docs/protocol.md, "Pushed ranges") ----- */
+
+/* What says that the sensor sees nothing, whatever -ffast-math thinks of it. */
+static inline double sf_no_reading(void) {
+  const uint64_t nan_bits = UINT64_C(0x7FF8000000000000);
+  double value;
+  memcpy(&value, &nan_bits, sizeof value);
+  return value;
+}
+
+/* Become the one who pushes a channel's ranges; sf_push_range does it when needed. Waits for the answer. */
+static inline int sf_claim_range(sf_client *c, int channel) {
+  if (c == NULL || channel < 0 || channel >= SF_CHANNELS) return SF_ERR_ARGUMENT;
+  if (c->ranges_held >> channel & 1) return SF_OK;
+  const int64_t number = channel;
+  const int64_t deadline = sf_now_ns() + 300000000;
+  for (;;) {
+    const int result = sf_i_ask(c, SF_RQ_CLAIM_RANGE, 1, &number, NULL, c->options.timeout_ns, 0);
+    if (result == SF_OK) {
+      c->ranges_held |= 1 << channel;
+      c->pushed_ns[channel] = INT64_MIN;
+    }
+    /* the service looks for dead holders at its own beat: give it a few */
+    if (result != SF_REFUSED_RANGE_HELD || sf_now_ns() > deadline) return result;
+    sf_sleep_until_ns(sf_now_ns() + 20000000);
+  }
+}
+
+/* Let another client push a channel's ranges. */
+static inline int sf_release_range(sf_client *c, int channel) {
+  if (c == NULL || channel < 0 || channel >= SF_CHANNELS) return SF_ERR_ARGUMENT;
+  if (c->output != NULL) sf_i_follow(c, sf_now_ns()); /* of a service started anew this client holds nothing */
+  if ((c->ranges_held >> channel & 1) == 0) return SF_OK;
+  c->ranges_held &= ~(1 << channel);
+  const int64_t number = channel;
+  return sf_i_ask(c, SF_RQ_RELEASE_RANGE, 1, &number, NULL, c->options.timeout_ns, 0);
+}
+
+/*
+ * Hand the service one range of an own sensor [m], true at `t_ns` (SF_NOW: now); sf_no_reading(), NaN or
+ * infinite: it sees nothing. The first range of a channel, also after the client followed the service to a new
+ * start, claims it and waits for the answer (sf_claim_range does that beforehand); others never wait, and make
+ * no system call but the clock's unless the service is silent.
+ * SF_OK, SF_ERR_RANGE_TIME, _ARGUMENT, _OBSERVER, _NOT_RUNNING; SF_REFUSED_RANGE_HELD with the holder's pid in
+ * the client's `detail`; SF_REFUSED_NO_CHANNEL: the service's driver takes no pushed ranges on this channel.
+ */
+static inline int sf_push_range(sf_client *c, int channel, int64_t t_ns, double range_m) {
+  if (c == NULL || c->output == NULL || channel < 0 || channel >= SF_CHANNELS) return SF_ERR_ARGUMENT;
+  if (c->options.observe) return SF_ERR_OBSERVER;
+  const int64_t now = sf_now_ns();
+  if (now > c->next_look_ns && sf_i_look_after(c, now) != SF_OK) return SF_ERR_NOT_RUNNING;
+  if (t_ns == SF_NOW) t_ns = now;
+  if (t_ns > now + SF_RANGE_FUTURE_NS || t_ns < now - SF_RANGE_OLDEST_NS) return SF_ERR_RANGE_TIME;
+  if ((c->ranges_held >> channel & 1) == 0) {
+    const int claimed = sf_claim_range(c, channel);
+    if (claimed != SF_OK) return claimed;
+  }
+  if (t_ns <= c->pushed_ns[channel]) return SF_ERR_RANGE_TIME;
+  c->pushed_ns[channel] = t_ns;
+  unsigned char *ring = c->slot_memory + SF_SLOT_RANGES;
+  const int64_t head = sf_load_relaxed(ring);
+  unsigned char *item = ring + SF_RANGES_AT + sizeof(sf_range_item) * SF_CAST(size_t, head & (SF_RANGE_ITEMS - 1));
+  const int64_t number = SF_CAST(int64_t, SF_CAST(uint64_t, head) + 1u); /* may be anything, wraps */
+  int64_t bits;
+  memcpy(&bits, &range_m, sizeof bits);
+  __atomic_thread_fence(__ATOMIC_RELEASE); /* P1 */
+  sf_store_relaxed(item + offsetof(sf_range_item, number), number); /* P2 */
+  sf_store_relaxed(item + offsetof(sf_range_item, t_ns), t_ns);
+  sf_store_relaxed(item + offsetof(sf_range_item, channel), channel);
+  sf_store_relaxed(item + offsetof(sf_range_item, range_m), bits);
+  sf_store_release(ring, number); /* P3 */
+  return SF_OK;
+}
+
 /* ---- simulation: the true pose, for the service's simulated sensor ------------------------------ */
 
 static inline void sf_i_sign_world(sf_client *c) {
@@ -2470,21 +2588,33 @@ static inline int sf_i_region_ok(const double region[4]) {
   return 1;
 }
 
-static inline int sf_i_map_request(sf_client *c, int64_t code, const double region[4]) {
+static inline int sf_i_map_request(sf_client *c, int64_t code, const double region[4], double finest_m) {
   if (c == NULL || region == NULL) return SF_ERR_ARGUMENT;
   if (!sf_i_region_ok(region)) return SF_ERR_REGION;
+  if (!sf_i_is_finite(finest_m)) return SF_ERR_ARGUMENT;
+  if (!(finest_m >= SF_MIN_GRID_M && finest_m <= SF_MAX_GRID_M) && (finest_m < 0.0 || finest_m > 0.0))
+    return SF_ERR_ARGUMENT;
+  const double values[5] = {region[0], region[1], region[2], region[3], finest_m};
   if (c->access_depth > 0) return SF_ERR_HELD; /* it would wait for this client itself */
-  return sf_i_request(c, code, 4, NULL, region, 6 * c->options.timeout_ns);
+  return sf_i_request(c, code, 5, NULL, values, 6 * c->options.timeout_ns);
 }
 
 /* Clear the map and lay it over a region x_min, y_min, x_max, y_max [m] (paper: MapReset). */
 static inline int sf_map_reset(sf_client *c, const double region[4]) {
-  return sf_i_map_request(c, SF_RQ_MAP_RESET, region);
+  return sf_i_map_request(c, SF_RQ_MAP_RESET, region, 0.0);
 }
 
 /* Lay the map over another region, keeping known heights (paper: MapRefocus). */
 static inline int sf_map_refocus(sf_client *c, const double region[4]) {
-  return sf_i_map_request(c, SF_RQ_MAP_REFOCUS, region);
+  return sf_i_map_request(c, SF_RQ_MAP_REFOCUS, region, 0.0);
+}
+
+/*
+ * sf_map_refocus with grids as fine as `finest_m` [m] where memory allows, 1e-6 to 1e4. The grids' size so far keeps
+ * them and every height as they are; 0: the service's own choice (map.finest_grid). SF_ERR_ARGUMENT: no such size.
+ */
+static inline int sf_map_refocus_to(sf_client *c, const double region[4], double finest_m) {
+  return sf_i_map_request(c, SF_RQ_MAP_REFOCUS, region, finest_m);
 }
 
 /* The map's header, or NULL: not mapped, of another release, or not a map. It outlives a service. */

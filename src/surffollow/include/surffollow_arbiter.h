@@ -34,7 +34,7 @@ extern "C" {
 
 #define SFA_BOARD_MAGIC UINT64_C(3549489896627524947)
 #define SFA_HELLO_MAGIC UINT64_C(3552290382808241491)
-#define SFA_LAYOUT_HASH UINT64_C(6026061008274440929)
+#define SFA_LAYOUT_HASH UINT64_C(9861038677883760776)
 #define SFA_COMMAND_HASH UINT64_C(8684360531530651681)
 #define SFA_CLIENTS 32
 #define SFA_RESOURCES 16
@@ -160,7 +160,7 @@ typedef struct sfa_resource_status {
   int64_t priority; /* of the holder */
   int64_t token;
   int64_t since_ns; /* [ns] when the holder or the lack of one began */
-  int64_t command_ns; /* [ns] last command forwarded */
+  int64_t command_ns; /* [ns] when the last command that was forwarded was made */
   int64_t queue; /* clients waiting */
   int64_t grants;
   int64_t preempted; /* times a holder lost it without asking */
@@ -168,8 +168,10 @@ typedef struct sfa_resource_status {
   int64_t rejected;
   int64_t denied;
   int64_t safes; /* safe commands published */
+  int64_t waited_ns; /* [ns] longest wait in its queue that ended, by a grant or in vain */
+  int64_t waiting_since_ns; /* [ns] when the client that waits longest now began, 0: nobody waits */
 } sfa_resource_status;
-SF_STATIC_ASSERT(sizeof(sfa_resource_status) == 112, "layout of sfa_resource_status");
+SF_STATIC_ASSERT(sizeof(sfa_resource_status) == 128, "layout of sfa_resource_status");
 SF_STATIC_ASSERT(offsetof(sfa_resource_status, state) == 0, "layout of sfa_resource_status");
 SF_STATIC_ASSERT(offsetof(sfa_resource_status, holder) == 8, "layout of sfa_resource_status");
 SF_STATIC_ASSERT(offsetof(sfa_resource_status, client) == 16, "layout of sfa_resource_status");
@@ -184,6 +186,8 @@ SF_STATIC_ASSERT(offsetof(sfa_resource_status, forwarded) == 80, "layout of sfa_
 SF_STATIC_ASSERT(offsetof(sfa_resource_status, rejected) == 88, "layout of sfa_resource_status");
 SF_STATIC_ASSERT(offsetof(sfa_resource_status, denied) == 96, "layout of sfa_resource_status");
 SF_STATIC_ASSERT(offsetof(sfa_resource_status, safes) == 104, "layout of sfa_resource_status");
+SF_STATIC_ASSERT(offsetof(sfa_resource_status, waited_ns) == 112, "layout of sfa_resource_status");
+SF_STATIC_ASSERT(offsetof(sfa_resource_status, waiting_since_ns) == 120, "layout of sfa_resource_status");
 
 /* A client slot as everybody sees it. */
 typedef struct sfa_client_entry {
@@ -195,7 +199,7 @@ typedef struct sfa_client_entry {
   int64_t live; /* 1: the lease is live */
   SF_ALIGNAS(64) int64_t consumed; /* items of the mailbox that were taken */
   int64_t denied;
-  int64_t waited_ns; /* [ns] longest wait in a queue so far */
+  int64_t waited_ns; /* [ns] longest wait in a queue that ended, by a grant or in vain */
   int64_t broken; /* times the mailbox held nonsense */
   char name[48];
 } sfa_client_entry;
@@ -250,7 +254,7 @@ typedef struct sfa_event {
   int64_t event;
   int64_t reason; /* event of the table that led to it */
   int64_t item; /* sequence number of the client's item */
-  double command[8];
+  double command[8]; /* of a GRANT or DEQUEUE the first one is the wait in the queue [s] */
 } sfa_event;
 SF_STATIC_ASSERT(sizeof(sfa_event) == 128, "layout of sfa_event");
 SF_STATIC_ASSERT(offsetof(sfa_event, seq) == 0, "layout of sfa_event");
@@ -478,14 +482,17 @@ static inline void sfb_close(sfb_block *block) {
 /*
  * One attachment; for one thread. Every call of sfa_command, sfa_request, sfa_relinquish and sfa_beat shows
  * that the client lives: call one of them at least every 100 ms (the lease is `lease_ns` of the board).
+ * `owner` is the server's user; after -EPERM from sfa_attach the one who is not trusted.
  */
 typedef struct sfa_client {
   unsigned char *mailbox;
   unsigned char *board; /* mapped without write permission */
   size_t board_bytes;
   int sock;
-  int64_t slot, number, epoch, head;
+  int64_t slot, number, epoch, head, lease_ns;
   size_t status_at, desk_at, reply_at, entry_at;
+  int64_t owner;
+  char name[48], client[48];
 } sfa_client;
 
 /* One English sentence for a negative result; never NULL. */
@@ -493,6 +500,9 @@ static inline const char *sfa_strerror(int result) {
   if (result <= SFA_REFUSED) return sfa_hello_text(SFA_REFUSED - result);
   switch (-result) {
     case ENOENT: return "no arbiter of that name runs here, or it ended; start it: surffollow arbiter start";
+    case EPERM:
+      return "the arbiter belongs to a user who is not trusted (in the client's owner); name him: sfa_attach_owner, "
+             "SURFFOLLOW_OWNER";
     case EPROTO: return "the arbiter is of another release than this header; rebuild or restart";
     case ETIMEDOUT: return "the arbiter did not answer in time";
     case EINVAL: return "an argument is missing or outside its range";
@@ -538,16 +548,17 @@ static inline int sfa_i_greet(sfa_client *a, const char *client, int fds[2]) {
   hello.magic = SFA_HELLO_MAGIC;
   hello.layout_hash = SFA_LAYOUT_HASH;
   strncpy(hello.name, client, sizeof hello.name - 1);
-  if (send(a->sock, &hello, sizeof hello, MSG_NOSIGNAL) != SF_CAST(ssize_t, sizeof hello)) return -ENOENT;
+  (void)!send(a->sock, &hello, sizeof hello, MSG_NOSIGNAL); /* it may have refused already: its answer tells */
   part.iov_base = &answer;
   part.iov_len = sizeof answer;
   message.msg_iov = &part;
   message.msg_iovlen = 1;
   message.msg_control = control.bytes;
   message.msg_controllen = sizeof control.bytes;
-  do {
-    got = recvmsg(a->sock, &message, 0);
-  } while (got < 0 && errno == EINTR);
+  n = 1;
+  do { /* a reset is told once; what the server said before it closed comes next */
+    got = recvmsg(a->sock, &message, MSG_CMSG_CLOEXEC);
+  } while (got < 0 && (errno == EINTR || (errno == ECONNRESET && n-- > 0)));
   n = sfa_i_descriptors(&message, fds);
   if (got < 0) return errno == EAGAIN || errno == EWOULDBLOCK ? -ETIMEDOUT : -ENOENT;
   if (got != SF_CAST(ssize_t, sizeof answer) || answer.magic != SFA_HELLO_MAGIC) return got == 0 ? -ENOENT : -EPROTO;
@@ -564,8 +575,14 @@ static inline int sfa_i_map(sfa_client *a, const int fds[2]) {
   struct stat status;
   const sfa_board_header *h;
   size_t slot = SF_CAST(size_t, a->slot);
+  int seals;
   void *memory = mmap(NULL, SFA_MAILBOX_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED, fds[0], 0);
   if (memory == MAP_FAILED) return -errno;
+  seals = fcntl(fds[0], SF_I_GET_SEALS);
+  if (seals < 0 || (seals & SF_I_SIZE_SEALS) != SF_I_SIZE_SEALS) {
+    munmap(memory, SFA_MAILBOX_BYTES);
+    return -EPROTO;
+  }
   a->mailbox = SF_CAST(unsigned char *, memory);
   if (fstat(fds[1], &status) != 0 || status.st_size < SF_PAGE) return -EPROTO;
   a->board_bytes = SF_CAST(size_t, status.st_size);
@@ -574,6 +591,7 @@ static inline int sfa_i_map(sfa_client *a, const int fds[2]) {
   a->board = SF_CAST(unsigned char *, memory);
   h = SF_VIEW(const sfa_board_header *, a->board);
   if (h->magic != SFA_BOARD_MAGIC || h->layout_hash != SFA_LAYOUT_HASH || h->size > a->board_bytes) return -EPROTO;
+  a->lease_ns = h->lease_ns;
   a->status_at = SFA_STATUS_AT;
   a->desk_at = SFA_DESKS_AT + slot * SFA_DESK_BYTES;
   a->reply_at = SFA_REPLIES_AT + slot * SFA_REPLY_BYTES;
@@ -594,42 +612,67 @@ static inline int sfa_i_enter(sfa_client *a) {
   return got == SF_CAST(ssize_t, sizeof SFA_MAPPED - 1) ? 0 : -ENOENT;
 }
 
-/* End: whatever this client holds or waits for is given up. */
+/* End: whatever this client holds or waits for is given up. Its names and the server's user stay for sfa_reattach. */
 static inline void sfa_detach(sfa_client *a) {
   if (a->sock >= 0) close(a->sock);
   if (a->mailbox != NULL) munmap(a->mailbox, SFA_MAILBOX_BYTES);
   if (a->board != NULL) munmap(a->board, a->board_bytes);
-  memset(a, 0, sizeof *a);
+  memset(a, 0, offsetof(sfa_client, owner));
   a->sock = -1;
 }
 
-/*
- * Attach to arbiter `name` as `client`, a name that its configuration declares.
- * Returns 0; -ENOENT no such arbiter, -EPROTO another release, SFA_REFUSED - SFA_HELLO_...: refused.
- */
-static inline int sfa_attach(sfa_client *a, const char *name, const char *client, int timeout_ms) {
+#define SFA_I_SO_PASSRIGHTS 83
+
+/* Connect to the arbiter's socket; only its user, root or the given `owner` is spoken to: 0 or a negative result. */
+static inline int sfa_i_connect(sfa_client *a, int timeout_ms, int64_t owner) {
   struct sockaddr_un address;
   struct timeval limit;
-  int fds[2] = {-1, -1}, err, n;
-  memset(a, 0, sizeof *a);
+  int32_t peer[3] = {0, -1, -1}; /* pid, uid, gid of the process that listens, as the kernel tells it */
+  socklen_t size = sizeof peer;
+  const int no = 0, yes = 1;
+  int n;
   memset(&address, 0, sizeof address);
-  a->sock = -1;
-  if (name == NULL || client == NULL || strlen(client) >= 48) return -EINVAL;
   address.sun_family = AF_UNIX;
-  n = snprintf(address.sun_path + 1, sizeof address.sun_path - 1, "surffollow.%s.arbiter", name);
+  n = snprintf(address.sun_path + 1, sizeof address.sun_path - 1, "surffollow.%s.arbiter", a->name);
   if (n < 0 || SF_CAST(size_t, n) >= sizeof address.sun_path - 1) return -EINVAL;
   a->sock = socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0);
   if (a->sock < 0) return -errno;
+  if (timeout_ms < 1) timeout_ms = 1; /* zero would mean for ever */
   limit.tv_sec = timeout_ms / 1000;
   limit.tv_usec = (timeout_ms % 1000) * 1000;
   setsockopt(a->sock, SOL_SOCKET, SO_RCVTIMEO, &limit, sizeof limit);
+  setsockopt(a->sock, SOL_SOCKET, SO_SNDTIMEO, &limit, sizeof limit); /* of connect, too */
+  /* no descriptors until it is known who listens: to drop one may take as long as its sender likes. Linux 6.16 */
+  setsockopt(a->sock, SOL_SOCKET, SFA_I_SO_PASSRIGHTS, &no, sizeof no);
   if (connect(a->sock, SF_VIEW(const struct sockaddr *, &address),
               SF_CAST(socklen_t, offsetof(struct sockaddr_un, sun_path) + 1 + SF_CAST(size_t, n))) != 0) {
-    err = errno == ECONNREFUSED ? -ENOENT : -errno;
-    sfa_detach(a);
-    return err;
+    if (errno == EAGAIN || errno == EINPROGRESS) return -ETIMEDOUT;
+    return errno == ECONNREFUSED ? -ENOENT : -errno;
   }
-  err = sfa_i_greet(a, client, fds);
+  if (getsockopt(a->sock, SOL_SOCKET, SF_I_SO_PEERCRED, peer, &size) != 0) return -errno;
+  a->owner = peer[1];
+  if (!sf_i_owner_ok(owner, SF_CAST(uid_t, peer[1]))) return -EPERM;
+  setsockopt(a->sock, SOL_SOCKET, SFA_I_SO_PASSRIGHTS, &yes, sizeof yes);
+  return 0;
+}
+
+/*
+ * Attach to arbiter `name` as `client`, a name that its configuration declares; believe no server but that of user
+ * number `owner` (SF_OWNER_DEFAULT: this process's own user, root, or the one that SURFFOLLOW_OWNER names).
+ * Returns 0; -ENOENT no such arbiter, -EPERM that of another user (in `a->owner`), -EPROTO another release,
+ * SFA_REFUSED - SFA_HELLO_...: refused.
+ */
+static inline int sfa_attach_owner(sfa_client *a, const char *name, const char *client, int timeout_ms, int64_t owner) {
+  int fds[2] = {-1, -1}, err, n;
+  memset(a, 0, sizeof *a);
+  a->sock = -1;
+  a->owner = -1;
+  if (name == NULL || client == NULL || strlen(name) >= sizeof a->name || strlen(client) >= sizeof a->client)
+    return -EINVAL;
+  memcpy(a->name, name, strlen(name));
+  memcpy(a->client, client, strlen(client));
+  err = sfa_i_connect(a, timeout_ms, owner);
+  if (err == 0) err = sfa_i_greet(a, client, fds);
   if (err == 0) err = sfa_i_map(a, fds);
   for (n = 0; n < 2; n++)
     if (fds[n] >= 0) close(fds[n]);
@@ -638,14 +681,36 @@ static inline int sfa_attach(sfa_client *a, const char *name, const char *client
   return err;
 }
 
+/* sfa_attach_owner with SF_OWNER_DEFAULT. */
+static inline int sfa_attach(sfa_client *a, const char *name, const char *client, int timeout_ms) {
+  return sfa_attach_owner(a, name, client, timeout_ms, SF_OWNER_DEFAULT);
+}
+
+/*
+ * After the server's end: detach, and attach under the same names, to a server of the same user only.
+ * Results as of sfa_attach_owner; after an error it may be called again. Every token is void: ask again.
+ */
+static inline int sfa_reattach(sfa_client *a, int timeout_ms) {
+  const int64_t owner = a->owner;
+  sfa_client fresh;
+  int err;
+  sfa_detach(a);
+  err = sfa_attach_owner(&fresh, a->name, a->client, timeout_ms, owner);
+  if (err == 0) *a = fresh;
+  return err;
+}
+
+static inline const sfa_resource_config *sfa_i_config(const sfa_client *a, int64_t resource) {
+  return SF_VIEW(const sfa_resource_config *,
+                 a->board + SFA_CONFIG_AT + SF_CAST(size_t, resource) * sizeof(sfa_resource_config));
+}
+
 /* Number of a resource, or -EINVAL. */
 static inline int sfa_resource(const sfa_client *a, const char *name) {
   const sfa_board_header *h = SF_VIEW(const sfa_board_header *, a->board);
   int64_t r;
   for (r = 0; r < h->n_resources && r < SFA_RESOURCES; r++) {
-    const sfa_resource_config *c =
-        SF_VIEW(const sfa_resource_config *, a->board + SFA_CONFIG_AT + SF_CAST(size_t, r) * sizeof(sfa_resource_config));
-    if (strncmp(c->name, name, sizeof c->name) == 0) return SF_CAST(int, r);
+    if (strncmp(sfa_i_config(a, r)->name, name, sizeof sfa_i_config(a, r)->name) == 0) return SF_CAST(int, r);
   }
   return -EINVAL;
 }
@@ -657,11 +722,13 @@ static inline void sfa_beat(sfa_client *a) {
 
 /* The token of a resource that this client holds, 0: none; from memory, never waits. */
 static inline int64_t sfa_held(const sfa_client *a, int resource) {
+  if (resource < 0 || resource >= SFA_RESOURCES) return 0;
   return sf_load_acquire(a->board + a->desk_at + offsetof(sfa_client_desk, held) + 8 * SF_CAST(size_t, resource));
 }
 
 /* Whether the server asks this holder to relinquish (cooperative policy). */
 static inline int sfa_asked(const sfa_client *a, int resource) {
+  if (resource < 0 || resource >= SFA_RESOURCES) return 0;
   return sf_load_acquire(a->board + a->desk_at + offsetof(sfa_client_desk, asked) + 8 * SF_CAST(size_t, resource)) != 0;
 }
 
@@ -674,6 +741,7 @@ static inline int sfa_ended(const sfa_client *a) {
 
 /* Status of a resource: 1, or 0 when there is none whole yet. */
 static inline int sfa_status(const sfa_client *a, int resource, sfa_resource_status *out) {
+  if (resource < 0 || resource >= SFA_RESOURCES) return 0;
   return sf_latch_read(a->board + a->status_at + SF_CAST(size_t, resource) * SFA_STATUS_BYTES, sizeof *out, out) > 0;
 }
 
@@ -694,9 +762,9 @@ static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t
     memcpy(&word, values + k, 8);
     sf_store_relaxed(item + offsetof(sfa_item, value) + 8 * SF_CAST(size_t, k), word);
   }
-  for (k = 0; ref_pose != NULL && k < SFA_POSE; k++) {
-    int64_t word;
-    memcpy(&word, ref_pose + k, 8);
+  for (k = 0; ref_t_ns != 0 && k < SFA_POSE; k++) {
+    int64_t word = 0; /* no pose, and not what the place held before */
+    if (ref_pose != NULL) memcpy(&word, ref_pose + k, 8);
     sf_store_relaxed(item + offsetof(sfa_item, ref_pose) + 8 * SF_CAST(size_t, k), word);
   }
   a->head++;
@@ -708,16 +776,19 @@ static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t
 /*
  * Command a resource that this client holds: `n` values, as many as the resource declares, relative to the
  * pose stamped `ref_t_ns` (0: none; then `ref_pose` may be NULL). Never waits.
- * Returns 1; 0: the resource is not ours (any more), nothing was sent; -EAGAIN: the mailbox is full.
+ * Returns 1; 0: the resource is not ours (any more), nothing was sent; -EAGAIN: the mailbox is full; -ENOENT: the
+ * server was silent for a lease; -EINVAL: no such resource, or another number of values.
  */
 static inline int sfa_command_at(sfa_client *a, int resource, const double *values, int n, int64_t ref_t_ns,
                                  const double *ref_pose) {
-  const int64_t token = sfa_held(a, resource);
+  const int64_t token = sfa_held(a, resource), now = sf_now_ns();
   int err;
+  if (resource < 0 || resource >= SFA_RESOURCES) return -EINVAL;
   if (token == 0) return 0;
-  if (n < 0 || n > SFA_VALUES) return -EINVAL;
-  err = sfa_i_post(a, SFA_ITEM_COMMAND | SF_CAST(int64_t, resource) << 8, token, sf_now_ns(), values, n, ref_t_ns,
-                   ref_pose);
+  if (n != sfa_i_config(a, resource)->n_values || n > SFA_VALUES) return -EINVAL;
+  /* a server looks at the mailbox of a holder once in its period: one that did not for a lease is no more */
+  if (now - sf_load_relaxed(a->board + offsetof(sfa_board_header, beat_ns)) > a->lease_ns) return -ENOENT;
+  err = sfa_i_post(a, SFA_ITEM_COMMAND | SF_CAST(int64_t, resource) << 8, token, now, values, n, ref_t_ns, ref_pose);
   return err == 0 ? 1 : err;
 }
 
@@ -752,6 +823,7 @@ static inline int sfa_i_ask(sfa_client *a, int64_t what, int64_t deadline, sfa_r
 /* Give control back, or leave the queue: 0 or a negative result. */
 static inline int sfa_relinquish(sfa_client *a, int resource) {
   sfa_reply reply;
+  if (resource < 0 || resource >= SFA_RESOURCES) return -EINVAL;
   return sfa_i_ask(a, SFA_ITEM_RELINQUISH | SF_CAST(int64_t, resource) << 8, sf_now_ns() + 1000000000, &reply);
 }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from surffollow.scan.calibration import CalibrationMatrix
 from surffollow.scan.checks import Floats
 from surffollow.scan.envelope import Envelope
 from surffollow.scan.grid import TerrainGrid
+from surffollow.scan.held_out import choose_matrix, choose_polar
 from surffollow.scan.modes import Mode, identify_mode
 from surffollow.scan.motion_profile import trapezoid
 from surffollow.scan.path import ScanPath
@@ -33,9 +34,11 @@ class Calibration:
 
     Attributes
     ----------
-    polar : PolarCorrection
+    polar : PolarCorrection    without effect when left-out spots do not confirm it
     matrix : CalibrationMatrix
     mode : Mode                of the arm across its plane
+    model : str                of the matrix, chosen by left-out spots (`scan.held_out`)
+    held_out_rms_m : dict      residuals [m] of left-out spots by model
     surface : Envelope         z is sampled again from it as in equation 10; None: z of the wanted place
     """
 
@@ -43,6 +46,8 @@ class Calibration:
     matrix: CalibrationMatrix
     mode: Mode
     surface: Envelope | None = None
+    model: str = "triangles"
+    held_out_rms_m: dict[str, float] = field(default_factory=dict)
 
     def apply(self, path: ScanPath) -> ScanPath:
         """Commands that bring the real tip to a path in map coordinates: equations 8, 9 and 11.
@@ -53,8 +58,10 @@ class Calibration:
         return self.matrix.apply(polar_correction(path, self.polar, self.surface))
 
 
-def calibrate(place: Field) -> Calibration:
+def calibrate(place: Field, model: str = "auto") -> Calibration:
     """Map flat ground, touch it at spots all over the work space, and let the tip ring.
+
+    `model` of the vertical correction: see `scan.held_out.choose_matrix`.
 
     Raises
     ------
@@ -67,11 +74,14 @@ def calibrate(place: Field) -> Calibration:
     commands, touched = touch(flat)
     seen = as_seen(flat, touched) + rng.normal(0.0, SPOT_SIGMA_M, touched.shape)
     commands[:, 2] += rng.normal(0.0, SPOT_SIGMA_M, len(commands))
-    polar = PolarCorrection.fit(commands, seen, place.model.base_m)
+    polar, polar_rms = choose_polar(commands, seen, place.model.base_m)
     z = heights_at(mapped, seen)
     known = np.isfinite(z)
     spots = np.column_stack([commands[known, :2], (commands[:, 2] - z)[known]])
-    return Calibration(polar, CalibrationMatrix.fit(spots, grid_m=0.1), ring_down(place, rng))
+    chosen = choose_matrix(spots, model=model, grid_m=0.1)
+    residuals = {f"xy_{k}": v for k, v in polar_rms.items()} | chosen.held_out_rms_m
+    mode = ring_down(place, rng)
+    return Calibration(polar, chosen.matrix, mode, model=chosen.model, held_out_rms_m=residuals)
 
 
 def touch(place: Field) -> tuple[Floats, Floats]:

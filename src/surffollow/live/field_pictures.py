@@ -10,33 +10,34 @@ import numpy as np
 
 from surffollow.live.field import STEEP_AVERAGE_M, make_field, survey_field
 from surffollow.live.field_calibration import calibrate
-from surffollow.live.field_demo import FILTERS, PASS_TASK, Demonstration, shaper_of
+from surffollow.live.field_demo import Demonstration, shaper_of
 from surffollow.live.field_scan import plan, run
+from surffollow.live.field_tables import FILTERS, PASS_TASK
 from surffollow.live.field_vibration import line, shapers
-from surffollow.scan.pictures import _figure, _relief, _save
+from surffollow.scan.pictures import draw_relief, new_figure, save_figure
 
 
 def draw_field(path: str | os.PathLike[str], made: Demonstration) -> None:
     """Scene with path, gap over the hump for three filters, tip acceleration, signal map."""
-    figure, _ = _figure(1, 13.0, 9.5)
+    figure, _ = new_figure(1, 13.0, 9.5)
     figure.clear()
     (scene, gaps), (shaking, signal) = figure.subplots(2, 2)
     _scene(scene, made, figure)
     _gaps(gaps, made.place.seed)
     _acceleration(shaking, made)
     _signal(signal, made, figure)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _scene(axes: Any, made: Demonstration, figure: Any) -> None:
-    _relief(axes, made.ground, figure)
+    draw_relief(axes, made.ground, figure)
     tip, on = made.shaped.tip_m, made.shaped.scored
     axes.plot(tip[:, 0], tip[:, 1], color="black", lw=0.6)
     axes.plot(tip[on, 0], tip[on, 1], ".", color="red", ms=1.0, label="scored")
     spots = made.calibration.matrix.spots_m
     axes.plot(spots[:, 0], spots[:, 1], "k+", ms=5, label="touched spots (flat ground)")
     axes.plot(*made.target_m[:2], "w*", ms=12, mec="black", label="target")
-    axes.plot(0.0, 0.0, "ks")
+    axes.plot(0.0, 0.0, "ks", label="arm base")
     axes.set_aspect("equal")
     axes.legend(fontsize=7, loc="upper left")
     f = made.figures
@@ -89,5 +90,7 @@ def _signal(axes: Any, made: Demonstration, figure: Any) -> None:
     axes.plot(*made.figures["target"]["found_m"], "kx", ms=8, label="found")
     axes.set_aspect("equal")
     axes.set_facecolor("0.6")
-    axes.legend(fontsize=7, loc="upper right", bbox_to_anchor=(-0.3, 1.0))
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.legend(fontsize=8, loc="upper right", bbox_to_anchor=(-0.45, 1.0))
     axes.set_title(f"signal map: {1e3 * made.figures['target']['error_m']:.0f} mm off")

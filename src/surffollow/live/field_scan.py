@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.spatial import cKDTree
 
 from surffollow.errors import ScanInputError
 from surffollow.live.field import Field
 from surffollow.live.field_calibration import RATE_HZ, Calibration
+from surffollow.live.scan_figures import least_distance
 from surffollow.scan.body import disc
 from surffollow.scan.checks import Floats
-from surffollow.scan.clearance import clear_ground, control_points
+from surffollow.scan.clearance import clear_ground
 from surffollow.scan.envelope import envelope_of
 from surffollow.scan.following import advanced_terrain_following, reactionary, sample_terrain
 from surffollow.scan.grid import TerrainGrid
@@ -209,7 +209,7 @@ def run(place: Field, wanted: ScanPath, calibration: Calibration | None, task: T
         normal,
         joints,
         laser_range(place.ground, tip, normal),
-        _spread(clearance(place, real, body, checked), checked, len(tip)),
+        _spread(least_distance(place.ground, real, body, checked), checked, len(tip)),
         accelerometer(tip, RATE_HZ, rng),
         scored,
         task.gap_m,
@@ -220,18 +220,3 @@ def _spread(values: Floats, at: Any, n: int) -> Floats:
     whole = np.full(n, np.nan)
     whole[at] = values
     return whole
-
-
-def clearance(place: Field, real: ScanPath, body_m: Floats, at: Any) -> Floats:
-    """Least distance [m] of the control points from the true ground's nodes at samples; negative below it."""
-    g = place.ground
-    rows, cols = np.indices(g.heights_m.shape)
-    nodes = np.column_stack(
-        [g.x0_m + cols.ravel() * g.grid_m, g.y0_m + rows.ravel() * g.grid_m, g.heights_m.ravel()]
-    )
-    points = control_points(real, body_m)[at]
-    n, m = points.shape[:2]
-    distance, nearest = cKDTree(nodes).query(points.reshape(-1, 3))
-    below = points.reshape(-1, 3)[:, 2] < nodes[nearest, 2]
-    made: Floats = np.where(below, -distance, distance).reshape(n, m).min(axis=1)
-    return made

@@ -15,9 +15,10 @@ from surffollow.arbiter import attach as attach_arbiter
 from surffollow.blocks import F64, I64, Block, Memory, mem_attach
 from surffollow.client import Client
 from surffollow.client import attach as attach_service
-from surffollow.errors import FaultError
+from surffollow.errors import BlockError, FaultError, NotRunningError
 
 FOLLOW_PERIOD_S, WAIT_S = 0.002, 0.5
+LOOK_EVERY_NS = 20_000_000
 SIX = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -59,9 +60,10 @@ class ArbitratedService:
 
     def ee_pos(self, pose: Sequence[float], t_ns: int | None = None) -> None:
         """Report a pose to the service and to the arbiter's clients."""
+        t_ns = time.monotonic_ns() if t_ns is None else t_ns  # one stamp for both: demands are found by it
         self._service.ee_pos(pose, t_ns)
         with self._memory["tool_status"].write(0.001) as status:
-            status.t_ns = time.monotonic_ns() if t_ns is None else t_ns
+            status.t_ns = t_ns
             status.pose = pose
 
     def dev_vector(self) -> ToolDemand:
@@ -84,6 +86,45 @@ def attach_arbitrated(service: str, arbiter: str, resource: str) -> ArbitratedSe
     return ArbitratedService(attach_service(service, label="simulated robot"), arbiter, resource)
 
 
+class ReportedPoses:
+    """The newest poses that a robot reported, by their stamps, from its status block; it may be absent."""
+
+    KEPT = 64
+
+    def __init__(self, arbiter: str) -> None:
+        self._memory = mem_attach({"tool_status": ToolStatus}, arbiter, lazy=True)
+        self._poses: dict[int, tuple[float, ...]] = {}
+        self._next_ns = 0
+
+    def at(self, t_ns: int) -> tuple[float, ...] | None:
+        """The pose reported with this stamp; None: not seen."""
+        block, now = self._memory["tool_status"], time.monotonic_ns()
+        if not block.attached:
+            if now < self._next_ns:
+                return None
+            self._next_ns = now + LOOK_EVERY_NS
+            try:
+                block.attach_reader()
+            except (NotRunningError, BlockError):
+                return None
+        newest = block.latest()
+        if newest.generation:
+            self._poses[int(newest["t_ns"])] = tuple(newest["pose"])
+            while len(self._poses) > self.KEPT:
+                del self._poses[next(iter(self._poses))]
+        return self._poses.get(t_ns)
+
+    def close(self) -> None:
+        """Detach."""
+        self._memory.close()
+
+    def __enter__(self) -> ReportedPoses:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
 def follow(
     service: str, arbiter: str, resource: str, stopped: Callable[[], bool], client: str = "follow"
 ) -> dict[str, int]:
@@ -93,10 +134,15 @@ def follow(
 
     Returns
     -------
-    dict   commands sent, times that control was gained and lost
+    dict   commands sent, times that control was gained and lost, demands whose pose was not known (they
+           cannot be summed with a part that is relative to another pose)
     """
-    counts = {"commands": 0, "gained": 0, "lost": 0}
-    with attach_service(service, label="follow") as demands, attach_arbiter(arbiter, client) as clients:
+    counts = {"commands": 0, "gained": 0, "lost": 0, "without_pose": 0}
+    with (
+        ReportedPoses(arbiter) as poses,
+        attach_service(service, label="follow") as demands,
+        attach_arbiter(arbiter, client) as clients,
+    ):
         tool, leads, last = clients.resource(resource), False, -1
         demands.set_params(run="dryrun")
         try:
@@ -114,7 +160,10 @@ def follow(
                 demand = demands.dev_vector()
                 if demand.valid and demand.cycle != last:
                     last = demand.cycle
-                    counts["commands"] += tool.command(*demand, ref_t_ns=demand.pose_t_ns)
+                    # a robot reports to the service first: its status may come an instant after the demand
+                    pose = poses.at(demand.pose_t_ns) or poses.at(demand.pose_t_ns)
+                    counts["without_pose"] += pose is None
+                    counts["commands"] += tool.command(*demand, ref_t_ns=demand.pose_t_ns, ref_pose=pose)
                 time.sleep(FOLLOW_PERIOD_S)
         finally:
             demands.set_params(run="normal")

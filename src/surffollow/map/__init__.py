@@ -13,7 +13,12 @@ __all__ = ["HeightMap"]
 def __getattr__(name: str) -> Any:
     # lazily, since it loads numba, and the client library reads this package's files without
     if name == "HeightMap":
-        from surffollow.map.height_map import HeightMap
+        from surffollow.errors import missing_library
+
+        try:
+            from surffollow.map.height_map import HeightMap
+        except ModuleNotFoundError as e:
+            raise ModuleNotFoundError(missing_library(e) or str(e), name=e.name) from e
 
         return HeightMap
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -97,13 +97,16 @@ def region_status(x_min: Any, y_min: Any, x_max: Any, y_max: Any) -> Any:
 
 
 @jit
-def plan_geometry(header: Any, x_min: Any, y_min: Any, x_max: Any, y_max: Any) -> Any:
+def plan_geometry(
+    header: Any, x_min: Any, y_min: Any, x_max: Any, y_max: Any, finest_grid_m: Any = 0.0
+) -> Any:
     """Write the geometry for a region into the header's journal; the map itself is not touched.
 
     Parameters
     ----------
     header : (1,) structured `MapHeader`      capacity_grids and finest_grid_m are read
     x_min, y_min, x_max, y_max : float64      region of interest [m]
+    finest_grid_m : float64                   instead of the header's [m]; 0: the header's
 
     Returns
     -------
@@ -114,7 +117,8 @@ def plan_geometry(header: Any, x_min: Any, y_min: Any, x_max: Any, y_max: Any) -
         return _BUSY
     if region_status(x_min, y_min, x_max, y_max) != _OK:
         return _BAD_REGION
-    nx, ny, grid_m = fit_grids(x_max - x_min, y_max - y_min, w.capacity_grids, w.finest_grid_m)
+    finest_m = finest_grid_m if finest_grid_m > 0.0 else w.finest_grid_m
+    nx, ny, grid_m = fit_grids(x_max - x_min, y_max - y_min, w.capacity_grids, finest_m)
     m = margin_grids(nx, ny, w.capacity_grids)
     nx += 2 * m
     ny += 2 * m

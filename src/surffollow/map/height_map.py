@@ -186,13 +186,23 @@ class HeightMap(MapView):
         while not reset_step(self.header, self.pairs, _SLICE):
             pass
 
-    def refocus(self, region: Region) -> None:
-        """MapRefocus: lay the map over a region, heights carried over as priors (count 0), in place."""
+    def refocus(self, region: Region, *, finest_m: float = 0.0) -> None:
+        """MapRefocus: lay the map over a region, heights carried over as priors (count 0), in place.
+
+        Parameters
+        ----------
+        region : four floats    x_min, y_min, x_max, y_max [m]
+        finest_m : float        finest useful grid of this refocus [m]; 0: the map's own choice
+        """
         limits = _region(region)
+        if finest_m and not ml.MIN_GRID_M <= finest_m <= ml.MAX_GRID_M:
+            raise UsageError(
+                f"the finest grid is {finest_m:g} m; it must be {ml.MIN_GRID_M:g} to {ml.MAX_GRID_M:g} m"
+            )
         columns = min(int(self.header[0]["capacity_grids"]), 1 << 16)
         while True:
             scratch = np.zeros(ml.scratch_bytes(columns) // 8)
-            answer = refocus_begin(self.header, self.pairs, scratch, *limits)
+            answer = refocus_begin(self.header, self.pairs, scratch, *limits, float(finest_m))
             if answer != ml.NO_SCRATCH or columns >= int(self.header[0]["capacity_grids"]):
                 break
             columns *= 4

@@ -47,6 +47,7 @@ from surffollow.shm.jit import jit
 
 _OK, _NO_SCRATCH, _NOT_MAPPED, _BUSY = ml.OK, ml.NO_SCRATCH, ml.NOT_MAPPED, ml.BUSY
 _PAPER = ml.ROUND_PAPER
+_BAD_MAP, _FINEST_M, _COARSEST_M = ml.BAD_MAP, ml.MIN_GRID_M, ml.MAX_GRID_M
 # grid sizes that differ by less are the same size, edges that differ by less the same edge (of a grid)
 _SAME_GRID, EDGE = 1e-9, 1e-6
 _READY, _REFOCUSING, _RESETTING = ml.READY, ml.REFOCUSING, ml.RESETTING
@@ -80,7 +81,14 @@ def snap_to_grids(w: Any) -> None:
 
 @jit
 def refocus_begin(
-    header: Any, pairs: Any, scratch: Any, x_min: Any, y_min: Any, x_max: Any, y_max: Any
+    header: Any,
+    pairs: Any,
+    scratch: Any,
+    x_min: Any,
+    y_min: Any,
+    x_max: Any,
+    y_max: Any,
+    finest_grid_m: Any = 0.0,
 ) -> Any:
     """Start a MapRefocus; `refocus_step` carries it out. Nothing has changed unless the answer is OK.
 
@@ -90,17 +98,21 @@ def refocus_begin(
     pairs : (n,) structured `GridPair`
     scratch : (k,) float64                    kept with the map until the last step
     x_min, y_min, x_max, y_max : float64      new region of interest [m]
+    finest_grid_m : float64                   finest useful grid of this refocus [m]; 0: the header's
 
     Returns
     -------
-    int64  OK, BAD_REGION, BUSY, NOT_MAPPED, NO_SCRATCH (rows too long: see `scratch_bytes`)
+    int64  OK, BAD_REGION, BAD_MAP (no such finest grid), BUSY, NOT_MAPPED, NO_SCRATCH (rows too long: see
+    `scratch_bytes`)
     """
     w = header[0]
     if w.journal_op != 0:
         return _BUSY
     if w.state != _READY:
         return _NOT_MAPPED
-    answer = plan_geometry(header, x_min, y_min, x_max, y_max)
+    if finest_grid_m != 0.0 and not _FINEST_M <= finest_grid_m <= _COARSEST_M:
+        return _BAD_MAP
+    answer = plan_geometry(header, x_min, y_min, x_max, y_max, finest_grid_m)
     if answer != _OK:
         return answer
     snap_to_grids(w)

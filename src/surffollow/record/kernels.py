@@ -33,7 +33,7 @@ from surffollow.forecast.stop import latch_stop
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CHANNELS, FollowState, Output, Params
 
-MAP_WORDS = 7
+MAP_WORDS = 8  # 7 in recordings from before a refocus could choose its grids
 _DEMAND_WORD = Output.offset("demand") // 8
 _CYCLE_WORD = FollowState.offset("cycle") // 8
 # whole-numbered parameters run loops and choose branches: word after the entry's second, least, most

@@ -109,8 +109,9 @@ class Remapper:
             self.add(self.points[: self.out[1]])
             stuck, at = int(self.out[0]) == at and self.out[1] == 0, int(self.out[0])
             if at < words.size and entry_kind(words[at]) == MAP:
-                self.command(int(words[at + 2]), int(words[at + 1]), floats[at + 3 : at + 7].tolist())
-                at += int(entry_words(words[at]))
+                n = int(entry_words(words[at]))
+                self.command(int(words[at + 2]), int(words[at + 1]), floats[at + 3 : at + n].tolist())
+                at += n
             elif stuck:
                 raise RecordingError(f"the word at {at} of a segment begins no entry")
 
@@ -123,13 +124,13 @@ class Remapper:
 
     def command(self, code: int, t_ns: int, values: Sequence[float]) -> None:
         """Carry out a map command of the log."""
-        x0, y0, x1, y1 = (float(v) for v in values)
+        x0, y0, x1, y1, finest_m = (float(v) for v in (*values, 0.0)[:5])
         if code == RQ_MAP_RESET:
             self.map, self.waiting, self.installed_ns = HeightMap.over((x0, y0, x1, y1)), [], 0
         elif code == RQ_MAP_INSTALL:
             self.installed_ns = t_ns
         elif code == RQ_MAP_REFOCUS and self.map is not None:
-            self.map.refocus((x0, y0, x1, y1))
+            self.map.refocus((x0, y0, x1, y1), finest_m=finest_m)
 
     def finish(self) -> HeightMap:
         """The map at the end; without a MapReset one over all points.

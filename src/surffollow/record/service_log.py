@@ -8,8 +8,8 @@ import numpy as np
 
 from surffollow.client.board import Board
 from surffollow.config.owner import trusted_owners
-from surffollow.errors import BlockError, NotRunningError
-from surffollow.shm.layout_board import STATE_READY, BoardHeader, LogHead
+from surffollow.errors import BlockError, LayoutMismatchError, NotRunningError
+from surffollow.shm.layout_board import STATE_READY, BoardHeader, LogHead, log_hash
 
 
 class ServiceLog:
@@ -30,6 +30,12 @@ class ServiceLog:
         self._take(board)
 
     def _take(self, board: Board) -> None:
+        found = next(r["hash"] for r in board.header()["region"] if r["name"] == "log")
+        if found != log_hash():
+            raise LayoutMismatchError(
+                f"the cycle log of block {self.name!r} has layout {found:016x}, this recorder expects "
+                f"{log_hash():016x}; use recorder and service of one release"
+            )
         self.board = board
         # this view keeps the memory mapped for as long as the address is in use
         self._memory: Any = np.frombuffer(board.memory, np.uint8)

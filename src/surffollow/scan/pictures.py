@@ -16,7 +16,8 @@ from surffollow.scan.path import UNKNOWN_BENEATH, WRIST_LIMIT, ScanPath
 _MOST = 1200  # cells a side that are drawn
 
 
-def _figure(columns: int, width: float, height: float) -> tuple[Any, Any]:
+def new_figure(columns: int, width: float, height: float) -> tuple[Any, Any]:
+    """A figure of a size [in] and its axes side by side; ScanFileError without matplotlib."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -27,7 +28,8 @@ def _figure(columns: int, width: float, height: float) -> tuple[Any, Any]:
     return figure, figure.subplots(1, columns)
 
 
-def _relief(axes: Any, ground: TerrainGrid, figure: Any) -> None:
+def draw_relief(axes: Any, ground: TerrainGrid, figure: Any) -> None:
+    """Heights of a map with shaded relief."""
     step = max(1, -(-max(ground.shape) // _MOST))
     z = np.where(ground.known, ground.heights_m, np.nan)[::step, ::step]
     x0, y0, x1, y1 = ground.extent_m
@@ -44,13 +46,13 @@ def check_picture(path: str | os.PathLike[str]) -> None:
     """Fail before the work when a picture cannot be drawn."""
     if not str(path).lower().endswith(".png"):
         raise ScanFileError(f"pictures are PNG files; {path} has another suffix")
-    _figure(1, 1.0, 1.0)
+    new_figure(1, 1.0, 1.0)
 
 
 def draw_map(path: str | os.PathLike[str], ground: TerrainGrid) -> None:
     """Shaded relief, and where heights were measured, filled or are unknown."""
-    figure, (left, right) = _figure(2, 11.0, 4.8)
-    _relief(left, ground, figure)
+    figure, (left, right) = new_figure(2, 11.0, 4.8)
+    draw_relief(left, ground, figure)
     left.set_title("terrain map")
     x0, y0, x1, y1 = ground.extent_m
     step = max(1, -(-max(ground.shape) // _MOST))
@@ -61,13 +63,14 @@ def draw_map(path: str | os.PathLike[str], ground: TerrainGrid) -> None:
     bar = figure.colorbar(shown, ax=right, ticks=[0, 1, 2], shrink=0.8)
     bar.ax.set_yticklabels(["unknown", "measured", "filled"])
     right.set_title("cells")
-    _save(figure, path)
+    right.set_xlabel("x [m]")
+    save_figure(figure, path)
 
 
 def draw_plan(path: str | os.PathLike[str], ground: TerrainGrid, plan: ScanPath) -> None:
     """The path over the ground, and clearance, lift, tilt and height over time."""
-    figure, (left, right) = _figure(2, 12.0, 5.2)
-    _relief(left, ground, figure)
+    figure, (left, right) = new_figure(2, 12.0, 5.2)
+    draw_relief(left, ground, figure)
     x, y = plan.position_m[:, 0], plan.position_m[:, 1]
     left.plot(x, y, color="black", lw=0.8)
     for flag, colour, label in (
@@ -89,9 +92,10 @@ def draw_plan(path: str | os.PathLike[str], ground: TerrainGrid, plan: ScanPath)
     right.set_xlabel("time [s]")
     right.legend(fontsize=8)
     right.grid(alpha=0.3)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
-def _save(figure: Any, path: str | os.PathLike[str]) -> None:
+def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
+    """Write a PNG, atomically."""
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png", dpi=110)

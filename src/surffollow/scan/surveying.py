@@ -61,6 +61,8 @@ def survey(
     ------
     ScanInputError
     """
+    if not images and not clouds:
+        raise ScanInputError("no image and no cloud; give at least one")
     points, weights, per_image = [], [], []
     for k, image in enumerate(images):
         p, w, report = terrain_points(image, settings)

@@ -18,8 +18,8 @@ from surffollow.service.slot_server import SlotServer
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch import latch_write
-from surffollow.shm.layout_follow import STOP_DRIVER
-from surffollow.shm.python_atomics import store_release
+from surffollow.shm.layout_follow import CHANNELS, STOP_DRIVER
+from surffollow.shm.python_atomics import load_acquire, store_release
 
 # SERVICE_FAULT_NAMES
 FAULT_DRIVER, FAULT_CYCLE_STALLED, FAULT_SAMPLES_LOST, FAULT_SLOTS, FAULT_HOUSEKEEPING = 1, 2, 4, 8, 16
@@ -79,6 +79,10 @@ class Beat:
         faults |= FAULT_HOUSEKEEPING if self.guard.failed else 0
         t = self._ticker[0]
         t["t_ns"], t["pose_slot"], t["pose_pid"] = told_ns, pose_slot, sender.pid if sender else 0
+        for c in range(CHANNELS):
+            slot = int(load_acquire(self._ctx.ctypes.data + 8 * (m.RANGE_SLOT + c)))
+            pusher = clients.who(slot)
+            t["range_slot"][c], t["range_pid"][c] = slot, pusher.pid if pusher else 0
         t["clients"], t["granted"], t["faults"] = clients.held(), self._grants.bits, faults
         t["messages_lost"], t["audit_lost"] = self._messages.lost, self._audit.lost + self._messages.unwritten
         t["text"] = "; ".join(texts).encode(errors="replace")[:511]

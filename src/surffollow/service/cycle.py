@@ -10,6 +10,7 @@ from surffollow.hw.driver import REPORT_WORDS
 from surffollow.service import memory as m
 from surffollow.service.inbox import POSE_BAD, POSE_OK, POSE_TORN, read_pose
 from surffollow.service.preview import fill_preview
+from surffollow.service.pushing import any_held, drain_ranges
 from surffollow.service.requests import count, process_requests
 from surffollow.service.stopping import keep_stop
 from surffollow.shm import atomics as at
@@ -138,6 +139,8 @@ def one_cycle(mem: Any, t_ns: Any) -> None:
         count(ctx[m.STATS], _POSES_REFUSED, 1)
     elif answer == POSE_TORN:
         count(ctx[m.STATS], _TORN, 1)
+    if any_held(ctx):
+        drain_ranges(mem, t_ns)
     drain_conversions(mem, t_ns)
     mem.inputs[0].t_ns = t_ns
     fill_preview(mem)

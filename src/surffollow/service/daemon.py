@@ -16,6 +16,7 @@ from surffollow.config.service import ServiceConfig, metres, seconds
 from surffollow.errors import ServiceError
 from surffollow.forecast.step import sf_reset
 from surffollow.hw.driver import ConversionQueue, Driver, reports_of
+from surffollow.hw.pushed_ranges import pushed_of
 from surffollow.hw.registry import make_driver
 from surffollow.hw.simulated import SimulatedDriver
 from surffollow.service import memory as m
@@ -61,7 +62,7 @@ class Daemon:
             self.queue = ConversionQueue(1 << 15)
             self.samples = make_sample_ring(config, int(self.house.header[0]["period_ns"]))
             self.mem = initialise_memory(
-                config, self.house, self.queue, self.samples, reports_of(self.driver)
+                config, self.house, self.queue, self.samples, reports_of(self.driver), pushed_of(self.driver)
             )
             self.map_mem = make_map_memory(
                 self.mem.ctx,

@@ -276,7 +276,8 @@ def _fill_headers(house: House) -> None:
     for k, (part, schema, _) in enumerate(lb.BOARD_PARTS):
         offset, size = house.regions[part]
         r = h["region"][k]
-        r["name"], r["offset"], r["size"], r["hash"] = part.encode(), offset, size, schema.HASH
+        r["name"], r["offset"], r["size"] = part.encode(), offset, size
+        r["hash"] = lb.log_hash() if part == "log" else schema.HASH
     h["n_regions"] = len(lb.BOARD_PARTS)
     h["magic"] = lb.BOARD_MAGIC
     house.header[...] = header

@@ -12,13 +12,14 @@ from surffollow.config.params import PARAMS
 from surffollow.config.service import ServiceConfig, follow_params, seconds
 from surffollow.config.stop_causes import STOP_NAMES, stop_causes
 from surffollow.errors import ConfigError
+from surffollow.forecast.adaptive_scales import scaled_defaults
 from surffollow.hw.driver import ConversionQueue, DriverInfo, PoseQueue
 from surffollow.service import memory as m
 from surffollow.service.fitting import misfit
 from surffollow.service.house import House
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_follow import CHANNELS, INTERVALS, POSES, STOP_START, Params
+from surffollow.shm.layout_follow import CHANNELS, INTERVALS, MODE_ADAPTIVE, POSES, STOP_START, Params
 from surffollow.shm.ring import make_ring
 
 CHANGES = 1 << 14  # entries for the audit trail between two looks of the main thread
@@ -40,6 +41,7 @@ def initialise_memory(
     queue: ConversionQueue,
     samples: tuple[NDArray[Any], int],
     reports: PoseQueue | None = None,
+    pushed: Any = None,
 ) -> m.CycleMemory:
     """Memory of the cycle thread, which knows where everything lies and how it is to run.
 
@@ -50,8 +52,9 @@ def initialise_memory(
     queue : ConversionQueue           what the driver fills
     samples : ring and capacity       of `make_sample_ring`; must live as long as the memory
     reports : PoseQueue, optional     where accepted poses go, for a simulated sensor
+    pushed : record, optional         of a driver whose ranges clients push (`pushed_of`)
     """
-    mem = m.make_cycle_memory(house.map_header, house.pairs)
+    mem = m.make_cycle_memory(house.map_header, house.pairs, pushed)
     ctx = mem.ctx
     period = int(house.header[0]["period_ns"])
     ctx[m.PERIOD_NS] = period
@@ -124,7 +127,12 @@ def initialise_constants(params: Any, config: ServiceConfig, info: DriverInfo) -
     near, width = info.range_min_m, info.range_max_m - info.range_min_m
     p["too_close_m"] = near + TOO_CLOSE_SHARE * width
     p["too_close_exit_m"] = near + TOO_CLOSE_EXIT_SHARE * width
-    for name, value in follow_params(config).items():
+    told = follow_params(config)
+    if told.get("mode", PARAMS["mode"].default) == MODE_ADAPTIVE:
+        offset, tau = (told.get(n, PARAMS[n].default) for n in ("offset_m", "plant_tau_s"))
+        for name, value in scaled_defaults(offset, tau).items():
+            p[name] = value
+    for name, value in told.items():
         p[name] = value
     _check_fit(p)
 

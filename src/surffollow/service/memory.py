@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from surffollow.config.params import PARAMS
 from surffollow.forecast.journal import CYCLE_MAX, SNAPSHOT_WORDS
+from surffollow.hw.pushed_ranges import make_pushed
 from surffollow.map.ahead import new_kept
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_board import AUDIT_ENTRY_WORDS, CLIENTS, REQUEST_ARGS, Ack, PosePost, RequestPost
-from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
+from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, Params
 
 (
     STOP,  # main → threads: end
@@ -57,7 +58,8 @@ COUNTER = SEEN + CLIENTS  # per slot, counter answered last
 PENDING = COUNTER + CLIENTS  # per slot, 1: a map request is under way
 REGION = PENDING + CLIENTS  # per slot, four float64 of that request, its claim, an installed map's numbers
 REGION_WORDS = 16
-INSTALL_WORD = 5  # grid, x0, y0, datum, quantum [m] as float64; columns, rows, whether the datum is set
+# grid (of a refocus: the finest), x0, y0, datum, quantum [m] as float64; columns, rows, datum is set
+INSTALL_WORD = 5
 FENCED = REGION + CLIENTS * REGION_WORDS  # per slot, the claim whose request for access is not heard; 0: none
 POLICY = FENCED + CLIENTS
 (
@@ -67,7 +69,11 @@ POLICY = FENCED + CLIENTS
     CHANGES_CAPACITY,
     CHANGES_LOST,  # entries that found no room
 ) = range(POLICY, POLICY + 5)
-CTX_WORDS = POLICY + 8
+RANGES_HELD = POLICY + 8  # bit per channel whose ranges a client pushes
+RANGE_SLOT = RANGES_HELD + 1  # cycle → main: per channel, the slot of that client; -1: none
+RANGE_CLAIM = RANGE_SLOT + CHANNELS
+RANGE_SEEN = RANGE_CLAIM + CHANNELS  # per slot, head of its ring at the last look
+CTX_WORDS = RANGE_SEEN + CLIENTS
 
 BY_ANY, BY_HOLDER, BY_HOLDER_ONLY = 0, 1, 2
 
@@ -100,6 +106,7 @@ class CycleMemory(NamedTuple):
     audit: NDArray[np.int64]  # an `AuditEntry` that is being filled
     audit_floats: NDArray[np.float64]
     old_values: NDArray[np.float64]  # of the parameters that a request is about to change
+    pushed: Any  # what an external driver shares; takes nothing where there is none
 
 
 def bounds_table() -> NDArray[np.float64]:
@@ -112,13 +119,17 @@ def bounds_table() -> NDArray[np.float64]:
     return table
 
 
-def make_cycle_memory(header: Any = None, pairs: Any = None) -> CycleMemory:
-    """All zeroed; the daemon fills in `ctx` and `params`, and gives its map's header and pairs."""
+def make_cycle_memory(header: Any = None, pairs: Any = None, pushed: Any = None) -> CycleMemory:
+    """All zeroed; the daemon fills in `ctx` and `params`, and gives its map's header and pairs.
+
+    `pushed` is what an external driver shares with the cycle (`hw.driver.pushed_of`).
+    """
     params, state = zeros(Params), zeros(FollowState)
     entry = np.zeros(max(CYCLE_MAX, SNAPSHOT_WORDS), np.int64)
     item = np.zeros(SAMPLE_WORDS, np.int64)
     ctx = np.zeros(CTX_WORDS, np.int64)
     ctx[POSE_SLOT] = -1
+    ctx[RANGE_SLOT : RANGE_SLOT + CHANNELS] = -1
     audit = np.zeros(AUDIT_ENTRY_WORDS, np.int64)
     return CycleMemory(
         ctx,
@@ -144,4 +155,5 @@ def make_cycle_memory(header: Any = None, pairs: Any = None) -> CycleMemory:
         audit,
         audit.view(np.float64),
         np.zeros(REQUEST_ARGS),
+        make_pushed() if pushed is None else pushed,
     )

@@ -13,7 +13,8 @@ from surffollow.map.ahead import bridge_gaps, grid_width, heights_along
 from surffollow.shm.jit import jit, jit_pasted
 from surffollow.shm.layout_follow import MAX_PREVIEW, MODE_ADAPTIVE
 
-COARSEST_M = 5.08e-3  # coarser grids blur what a plan would be for
+# of the reference length: coarser grids blur what a plan would be for
+COARSEST_M = 5.08e-3
 PER_GRID = 2.0
 BRIDGE_M = 8e-3  # holes up to this long are bridged, as those of a leading sensor
 
@@ -25,7 +26,8 @@ def look_ahead(mem: Any) -> None:
     if due == 0:
         return
     grid_m = grid_width(mem.header)
-    if not 0.0 < grid_m <= COARSEST_M:
+    length = mem.state[0].scaled.length
+    if not 0.0 < grid_m <= COARSEST_M * length:
         return
     step = max(grid_m / PER_GRID, (last - first) / (MAX_PREVIEW - 2))
     n = min(int((last - first) / step) + 2, MAX_PREVIEW)
@@ -43,7 +45,7 @@ def look_ahead(mem: Any) -> None:
         i.preview_m,
     )
     if known > 0:
-        bridge_gaps(i.preview_m, n, int(BRIDGE_M / step))
+        bridge_gaps(i.preview_m, n, int(BRIDGE_M * length / step))
         i.n_preview, i.preview_from_m, i.preview_step_m = n, first, step
 
 

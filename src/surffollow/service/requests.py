@@ -17,6 +17,7 @@ from surffollow.service.fitting import (
     within_limits,
 )
 from surffollow.service.inbox import claim_of, new_request, slot_address
+from surffollow.service.pushing import any_held, do_range_role, drop_dead_range_holders
 from surffollow.service.stopping import do_stop, holder_pid, stop_as_asked, stop_for
 from surffollow.shm import atomics as at
 from surffollow.shm.cycle_log import log_append
@@ -38,10 +39,12 @@ from surffollow.shm.layout_board import (
     OK,
     REQUEST_ARGS,
     RQ_CLAIM_POSE,
+    RQ_CLAIM_RANGE,
     RQ_MAP_INSTALL,
     RQ_MAP_REFOCUS,
     RQ_MAP_RESET,
     RQ_RELEASE_POSE,
+    RQ_RELEASE_RANGE,
     RQ_SET_PARAMS,
     RQ_SF_RESET,
     RQ_STOP,
@@ -207,10 +210,11 @@ def do_map_request(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
     if ring_push(ctx[m.SAMPLES], ctx[m.SAMPLES_CAPACITY], m.SAMPLE_WORDS, mem.item.ctypes.data) == 0:
         at.store_release_i64(base + 8 * (m.PENDING + slot), 0)
         return ERR_QUEUE_FULL, 0
-    mem.entry[0], mem.entry[1], mem.entry[2] = journal.entry_head(journal.MAP, 7), t_ns, code
-    for k in range(4):
+    # the fifth: the finest grid of a refocus
+    mem.entry[0], mem.entry[1], mem.entry[2] = journal.entry_head(journal.MAP, 8), t_ns, code
+    for k in range(5):
         mem.entry_floats[3 + k] = request.value[k]
-    log_append(ctx[m.LOG], ctx[m.LOG_CAPACITY], mem.entry.ctypes.data, 7)
+    log_append(ctx[m.LOG], ctx[m.LOG_CAPACITY], mem.entry.ctypes.data, 8)
     return ACCEPTED, 0
 
 
@@ -235,6 +239,8 @@ def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
         return do_set_params(mem, t_ns)
     if code in (RQ_CLAIM_POSE, RQ_RELEASE_POSE):
         return do_pose_role(mem, slot, code)
+    if code in (RQ_CLAIM_RANGE, RQ_RELEASE_RANGE):
+        return do_range_role(mem, slot, code, t_ns)
     if code in (RQ_STOP, RQ_STOP_RESET):
         return do_stop(mem, slot, code, t_ns)
     if code in (RQ_MAP_RESET, RQ_MAP_REFOCUS, RQ_MAP_INSTALL):
@@ -248,6 +254,8 @@ def process_requests(mem: Any, t_ns: Any) -> None:
     ctx = mem.ctx
     stats = ctx[m.STATS]
     drop_dead_pose_writer(mem, t_ns)
+    if any_held(ctx):
+        drop_dead_range_holders(mem, t_ns)
     stop_as_asked(mem, t_ns)
     for slot in range(CLIENTS):
         if claim_of(ctx, slot) == 0:

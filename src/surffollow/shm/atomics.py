@@ -81,3 +81,5 @@ def _make_fence(ordering: str) -> Any:
 # acquire: no later access moves above it; release: no earlier access moves below it
 fence_acquire: Any = _make_fence("acquire")
 fence_release: Any = _make_fence("release")
+# and no later load above an earlier store, which neither of the others says
+fence_full: Any = _make_fence("seq_cst")

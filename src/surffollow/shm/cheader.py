@@ -36,6 +36,7 @@ SCHEMAS: tuple[type[Schema], ...] = (
     lb.ClientInfo,
     lb.SlotHead,
     lb.PosePost,
+    lb.RangeItem,
     lb.RequestPost,
     lb.StreamPiece,
     ml.MapHeader,
@@ -54,6 +55,8 @@ LOOK_EVERY_NS = 100_000_000
 SLOT_WAIT_NS = 3_000_000_000  # for attach to get a slot
 EXCHANGE_NS = 1_000_000_000  # for one exchange, or the answer to a claim of the pose; then it is begun anew
 POSE_FUTURE_NS = 1_000_000
+RANGE_FUTURE_NS = 1_000_000
+RANGE_OLDEST_NS = 1_000_000_000  # older ones mean nothing to a follower
 MAX_POSITION_M = 1e9
 
 
@@ -126,6 +129,7 @@ def _defines() -> Iterator[tuple[str, str]]:
     yield "WORLD_BYTES", str(wb.SIZE)
     for name in (
         *("CLIENTS", "PAGE", "REQUEST_ARGS", "SLOT_BYTES", "SLOT_HEAD", "SLOT_POSE", "SLOT_REQUEST"),
+        *("SLOT_RANGES", "RANGES_AT", "RANGE_ITEMS"),
         *("SLOT_STREAM", "PIECE_BYTES", "PIECE_GRIDS", "PIECE_HEIGHTS", "PIECE_COUNTS"),
         *("STOP_TEXT_WORDS", "AUDIT_WORDS", "AUDIT_ENTRY_WORDS", "AUDIT_ENTRIES"),
     ):
@@ -138,11 +142,15 @@ def _defines() -> Iterator[tuple[str, str]]:
     yield "MAP_HEADER_BYTES", str(ml.HEADER_BYTES)
     yield "MAP_UNKNOWN_HEIGHT", f"({ml.UNKNOWN})"
     yield "MAX_REGION_M", str(ml.MAX_REGION_M)
+    yield "MIN_GRID_M", str(ml.MIN_GRID_M)
+    yield "MAX_GRID_M", str(ml.MAX_GRID_M)
     yield "REATTACH_EVERY_NS", str(REATTACH_EVERY_NS)
     yield "LOOK_EVERY_NS", str(LOOK_EVERY_NS)
     yield "SLOT_WAIT_NS", str(SLOT_WAIT_NS)
     yield "EXCHANGE_NS", str(EXCHANGE_NS)
     yield "POSE_FUTURE_NS", str(POSE_FUTURE_NS)
+    yield "RANGE_FUTURE_NS", str(RANGE_FUTURE_NS)
+    yield "RANGE_OLDEST_NS", str(RANGE_OLDEST_NS)
     yield "MAX_POSITION_M", str(MAX_POSITION_M)
 
 

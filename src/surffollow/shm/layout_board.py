@@ -7,12 +7,12 @@ to one client through the socket NAME.sock. (The map object NAME.map is in `map_
 from __future__ import annotations
 
 from surffollow.shm.latch_shape import latch_bytes
-from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
+from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, Params
 from surffollow.shm.schema import F64, I64, U32, U64, Nested, Schema, Text
 
 BOARD_MAGIC = int.from_bytes(b"SURFBRD1", "little")
 SLOT_MAGIC = int.from_bytes(b"SURFSLT1", "little")
-LAYOUT_VERSION = 2
+LAYOUT_VERSION = 3
 CLIENTS = 16
 PAGE = 4096
 REQUEST_ARGS = 16
@@ -32,7 +32,9 @@ STATE_INITIALISING, STATE_READY, STATE_STOPPING, STATE_STOPPED = 0, 1, 2, 3
     RQ_MAP_INSTALL,
     RQ_STOP,
     RQ_STOP_RESET,
-) = range(10)
+    RQ_CLAIM_RANGE,
+    RQ_RELEASE_RANGE,
+) = range(12)
 
 # how the service answers
 (
@@ -51,7 +53,9 @@ STATE_INITIALISING, STATE_READY, STATE_STOPPING, STATE_STOPPED = 0, 1, 2, 3
     ERR_BEYOND_LIMITS,
     ERR_NOT_POSE_HOLDER,
     ERR_STOP_REMAINS,
-) = range(15)
+    ERR_RANGE_HELD,
+    ERR_NO_CHANNEL,
+) = range(17)
 RESULT_TEXT = (
     "done",
     "the service does not know this request",
@@ -68,6 +72,8 @@ RESULT_TEXT = (
     "the service's configuration ([limits]) does not let any client set this value",
     "only the client that sends the pose may do this (access.parameters in the configuration)",
     "a cause of the stop is still there; mend it, then reset the stop again",
+    "another live client pushes the ranges of this channel",
+    "the service takes no pushed ranges on this channel ([driver] kind = 'external', channels)",
 )
 
 # steps of the exchange that gives a client its slot (docs/protocol.md)
@@ -93,7 +99,7 @@ class Region(Schema):
     name = Text(24)
     offset = U64(unit="B")
     size = U64(unit="B")
-    hash = U64(doc="of the part's schema")
+    hash = U64(doc="of the part's schema; of the log see `log_hash`")
 
 
 class BoardHeader(Schema):
@@ -134,6 +140,8 @@ class Ticker(Schema):
     faults = I64(doc="bits, numbered in docs/protocol.md")
     messages_lost = I64(doc="lines for stderr that found no room or no reader")
     audit_lost = I64(doc="changes that are in no audit entry: the main thread stood still")
+    range_slot = I64(CHANNELS, doc="per channel, slot of the client that pushes its ranges; -1: none")
+    range_pid = I64(CHANNELS)
     text = Text(512, doc="one line for people")
 
 
@@ -171,6 +179,9 @@ class Stats(Schema):
     lateness = I64(HISTOGRAM_BINS, unit="ns", doc="wake-up after the deadline")
     execution = I64(HISTOGRAM_BINS, unit="ns", doc="wake-up to published")
     samples = I64(doc="target points for the map, those that found no room included")
+    ranges = I64(doc="ranges that clients pushed and that were taken")
+    ranges_refused = I64(doc="pushed for a channel not held, with a time that cannot be, or no item at all")
+    ranges_skipped = I64(doc="pushed faster than the service takes them; the oldest are left out")
 
 
 class AuditEntry(Schema):
@@ -206,6 +217,15 @@ class PosePost(Schema):
 
     t_ns = I64(unit="ns", doc="when the pose was true")
     pose = F64(7, unit="m, 1", doc="x y z qx qy qz qw, world from tool")
+
+
+class RangeItem(Schema):
+    """One pushed range, in the ring of RANGE_ITEMS in a slot."""
+
+    number = I64(doc="of the item, from 1; the ring's head once it is there")
+    t_ns = I64(unit="ns", doc="when the range was true; the driver's latency is taken off")
+    channel = I64()
+    range_m = F64(unit="m", doc="NaN or infinite: no reading")
 
 
 class RequestPost(Schema):
@@ -264,11 +284,14 @@ class StreamPiece(Schema):
     pad = I64(3)
 
 
-# offsets inside a slot; bytes 2560 to 8191 are free for more latches of the client
+# offsets inside a slot; the ring of pushed ranges is a word, the items pushed so far, and the items
 SLOT_BYTES = 65536
 SLOT_HEAD = 0
 SLOT_POSE = 256
 SLOT_REQUEST = 1024
+SLOT_RANGES = 2560
+RANGES_AT = 64  # from there to the items: the head has a cache line of its own
+RANGE_ITEMS = 128
 SLOT_STREAM = 8192  # an installed map is streamed through the rest
 PIECE_BYTES = (SLOT_BYTES - SLOT_STREAM) // 2
 PIECE_GRIDS = (PIECE_BYTES - StreamPiece.SIZE) // 24 * 8  # whole words of heights and of counts
@@ -321,7 +344,7 @@ def inbox_bytes() -> int:
 
 
 def layout_hash() -> int:
-    """One number over every schema that service, clients and recorders must agree on."""
+    """One number over every schema that service and clients must agree on."""
     total = LAYOUT_VERSION
     schemas: list[type[Schema]] = [
         BoardHeader,
@@ -329,12 +352,22 @@ def layout_hash() -> int:
         SlotHead,
         PosePost,
         RequestPost,
+        RangeItem,
         StreamPiece,
         AuditEntry,
-        FollowState,
-        Inputs,
         *(s for _, s, _ in BOARD_PARTS),
     ]
     for schema in schemas:
+        total = (total * 1099511628211 ^ schema.HASH) & (2**63 - 1)
+    return total
+
+
+def log_hash() -> int:
+    """One number over the schemas that the words of the cycle log are made of, for recorders and replays.
+
+    The follower's state is among them: no client reads it, so it is no part of `layout_hash`.
+    """
+    total = LAYOUT_VERSION
+    for schema in (LogHead, Params, FollowState, Inputs, Output):
         total = (total * 1099511628211 ^ schema.HASH) & (2**63 - 1)
     return total

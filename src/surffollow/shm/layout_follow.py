@@ -17,6 +17,7 @@ POSES = 256  # history for interpolation: 256 ms at the fastest pose rate of 1 k
 POINTS = 64  # the most EE_Readings may ask for
 INTERVALS = 1024  # the interval ring; 2 * Range_Size must fit
 MAX_CONVERSIONS = 64  # taken per cycle; older ones than these could not matter
+SCALED_UNITS = 16  # different powers of length and time among the units of `Params` and `Output`
 MAX_PREVIEW = 128  # remembered heights told per cycle
 MAX_POSES = 4  # new poses taken per cycle
 
@@ -170,20 +171,14 @@ class PaperState(Schema):
     relayed = I64(doc="1: the two below are set")
     relayed_m = F64(unit="m", doc="last relayed demand")
     relayed_z_m = F64(unit="m", doc="sensor height when it was relayed")
+
+
+class FoldBackState(Schema):
+    """The sensor's fold-back, in every mode (`forecast.safety`)."""
+
     close = I64(doc="1: TOO_CLOSE is latched")
     close_z_m = F64(unit="m", doc="tool height where the branch test began")
     close_range_m = F64(unit="m", doc="reading where the branch test began")
-
-
-class FollowState(Schema):
-    """All that a cycle remembers for the next one."""
-
-    cycle = I64(doc="cycles stepped")
-    stop = I64(doc="causes of the latched stop, bits of STOP_NAMES; 0: not stopped")
-    stop_armed = I64(doc="1: a demand was valid since the last reset, so that its loss is one")
-    sense = Nested(SenseState)
-    paper = Nested(PaperState)
-    adaptive = Nested(AdaptiveState)
 
 
 class Inputs(Schema):
@@ -240,3 +235,37 @@ class Output(Schema):
     beams = I64(doc="adaptive, 3 or more sensors: bit per channel that agrees with the plane")
     stop = I64(doc="causes of the latched stop, bits of STOP_NAMES; 0: not stopped")
     stop_now = I64(doc="causes that this cycle saw, whether the configuration names them or not")
+    reason = I64(doc="why `health` is not OK, see REASON_NAMES; 0: it is")
+
+
+class ScaledState(Schema):
+    """Reference scales of the default follower, and what it sees in plain numbers (`adaptive_scales`).
+
+    Plain lengths are metres over `length`, plain times nanoseconds over `time`; units of the nested records
+    are those of plain numbers. The records are used only when one of the scales is not 1.
+    """
+
+    length = F64(doc="reference length as a multiple of the usual one, a power of two; 0: not chosen")
+    time = F64(doc="reference time likewise")
+    shift = I64(doc="its binary logarithm")
+    unit = F64(SCALED_UNITS, doc="plain units with a dimension, in SI units")
+    per_unit = F64(SCALED_UNITS, doc="their reciprocals")
+    epoch_ns = I64(unit="ns", doc="time that is the plain epoch; 0: not chosen, or times are as they are")
+    params = Nested(Params)
+    sense = Nested(SenseState)
+    fold = Nested(FoldBackState)
+    inputs = Nested(Inputs)
+    output = Nested(Output)
+
+
+class FollowState(Schema):
+    """All that a cycle remembers for the next one."""
+
+    cycle = I64(doc="cycles stepped")
+    stop = I64(doc="causes of the latched stop, bits of STOP_NAMES; 0: not stopped")
+    stop_armed = I64(doc="1: a demand was valid since the last reset, so that its loss is one")
+    sense = Nested(SenseState)
+    paper = Nested(PaperState)
+    fold = Nested(FoldBackState)
+    adaptive = Nested(AdaptiveState)
+    scaled = Nested(ScaledState)

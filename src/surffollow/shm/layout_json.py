@@ -127,6 +127,15 @@ def _objects() -> dict[str, Any]:
                 at(lb.SLOT_HEAD, "plain", lb.SlotHead, name="head"),
                 at(lb.SLOT_POSE, "latch", lb.PosePost, name="pose"),
                 at(lb.SLOT_REQUEST, "latch", lb.RequestPost, name="request"),
+                at(
+                    lb.SLOT_RANGES,
+                    "ring",
+                    lb.RangeItem,
+                    name="ranges",
+                    items=lb.RANGE_ITEMS,
+                    items_at=lb.RANGES_AT,
+                    stride=lb.RangeItem.SIZE,
+                ),
                 *(
                     at(
                         where,
@@ -318,6 +327,8 @@ def _waits() -> dict[str, int]:
         "reattach_every_ns": cheader.REATTACH_EVERY_NS,
         "look_every_ns": cheader.LOOK_EVERY_NS,
         "pose_future_ns": cheader.POSE_FUTURE_NS,
+        "range_future_ns": cheader.RANGE_FUTURE_NS,
+        "range_oldest_ns": cheader.RANGE_OLDEST_NS,
         "slot_wait_ns": cheader.SLOT_WAIT_NS,
         "connect_again_ns": CONNECT_AGAIN_NS,
         "exchange_ns": cheader.EXCHANGE_NS,

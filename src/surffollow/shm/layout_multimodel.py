@@ -20,45 +20,32 @@ class Tuning(Schema):
     """Constants of the follower, all dimensionless; defaults in `forecast.tuning`. No kernel writes them."""
 
     n_models = I64(doc="models in the bank")
-    models = F64(
-        N_MODELS * 4, doc="per model: kind, memory [samples], fading distance [reactions], lead share"
-    )
-    wave_memory = F64(doc="wavelengths over which the wave number is averaged")
-    wave_highpass = F64(doc="corner of the running means, in wave numbers")
+    models = F64(N_MODELS * 3, doc="per model: kind, memory [samples], fading distance [reactions]")
+    bank_clip = F64(doc="innovations turn slopes by no more than so many usual ones")
+    wave_rate = F64(doc="rate of its running means, per radian")
     wave_mean_drift = F64(doc="drift of a wave's mean, share of its amplitudes' drift")
     first_wave_reactions = F64(doc="wavelength assumed at first, in reaction distances")
     gate_gate = F64(doc="gate, in usual innovations")
     gate_rate = F64(doc="rate of the usual innovation, per sample")
-    gate_first_scale = F64(doc="usual innovation before any is known, share of the stand-off")
     gate_confirm = I64(doc="agreeing samples that confirm a step …")
     gate_confirm_slow = I64(doc="… when a sample interval is long for the axis")
     gate_stays = F64(doc="factor of the travel asked for, per step that stayed")
     gate_slow = F64(doc="such an interval, in time constants of the axis")
     gate_slot_share = F64(doc="hollows wider than this share of the stand-off are ground")
-    gate_standing_taus = F64(doc="samples that agree for so many time constants are ground")
+    gate_standing_taus = F64(
+        doc="time constants after which agreeing samples, or the first after a gap, need no travel"
+    )
     gate_growth = F64(doc="growth of the usual innovation per outlier that agrees with none")
-    gate_disagree = I64(doc="so many outliers that do not agree are the edges of a slot")
-    gate_gap_taus = F64(doc="after a longer gap, in time constants, a step needs no travel")
     index_recent = F64(doc="recent horizon, in reaction times")
     index_longer = F64(doc="longer horizon")
     index_power = F64(doc="power of the recent index")
-    index_longer_power = F64(doc="power of the longer index")
-    index_noise_share = F64(doc="share of the noise variance, common to all models, taken off")
+    index_longer_power = F64(doc="power of the longer one")
     index_floor = F64(doc="errors below this share of the noise are equal")
-    index_effort = F64(doc="effort penalty: acceleration × τ² that counts as a stand-off error")
-    index_caution = F64(doc="power of a model's own prediction variance during burn-in …")
-    index_burn_in = F64(doc="… which lasts so many reaction times")
-    index_settle = F64(doc="reaction times after a start or step without scores")
-    index_smoothing = F64(doc="time constant of the weights, in time constants of the axis")
-    index_wave_penalty = F64(doc="complexity penalty of the wave model")
-    setpoint_grace_intervals = F64(doc="sample intervals without samples that are no drop-out …")
-    setpoint_grace_taus = F64(doc="… or time constants")
+    index_calm = F64(doc="penalty of a model, over its memory: short ones are restless")
     setpoint_fade_reactions = F64(doc="distance over which slopes are trusted without samples")
-    setpoint_band = F64(doc="deadband, in uncertainties of the height")
-    setpoint_soft = F64(doc="deadbands: an excess so large is halved in …")
-    setpoint_drive = F64(doc="gain on the predicted position error, per τ over the dead time of the poses …")
-    setpoint_drive_max = F64(doc="… and at most")
-    setpoint_soft_taus = F64(doc="… so many time constants")
+    setpoint_drive = F64(doc="gain on the predicted position error, per τ over the dead time of the poses")
+    setpoint_useful = F64(doc="controller periods of full acceleration that the set point may ask for")
+    setpoint_smoothing = F64(doc="time constant over which jumps of the blend pass, in controller periods")
 
 
 class Reference(Schema):
@@ -115,6 +102,8 @@ class Sample(Schema):
     interval = F64(doc="usual interval; 0: not known")
     spacing = F64(doc="usual distance travelled between samples while moving; 0: not known")
     delay = F64(doc="usual delay of arrival")
+    backward = I64(doc="timestamps in a row before the newest sample's")
+    shift = F64(doc="correction of timestamps that went back; 0: none")
     direction_x = F64(doc="direction of travel at the sample")
     direction_y = F64()
     lead = F64(doc="how far the footprint is ahead of the point under the tool")
@@ -184,12 +173,10 @@ class Weights(Schema):
     """Performance index and weights of the models (`estimation.model_weights`)."""
 
     scored = I64(doc="samples that entered the index")
-    since = F64(doc="timestamp at which scoring began")
-    hold_t = F64(doc="nothing is scored until this time")
     recent = F64(N_MODELS, doc="squared error of the shadow axis, recent horizon")
     longer = F64(N_MODELS, doc="the same over the longer horizon")
     w = F64(N_MODELS, doc="weights, sum 1")
-    cost = F64(N_MODELS, doc="scratch")
+    cost = F64(N_MODELS, doc="logarithm of the index")
     height = F64(doc="blended height at the last sample")
     slope = F64(doc="blended slope")
     sigma = F64(doc="uncertainty of the height, spread of the models included")
@@ -201,7 +188,6 @@ class Shadow(Schema):
     ticks = I64(doc="controller periods recorded")
     t = F64(SETPOINTS, doc="ring of their times")
     setpoint = F64((N_MODELS + 1) * SETPOINTS, doc="ring of set points per model, and the own one last")
-    effort = F64(N_MODELS, doc="mean squared acceleration of the set points")
     z = F64(N_AXES, doc="position")
     v = F64(N_AXES, doc="velocity")
     models_t = F64(doc="time up to which the models' axes are simulated")
@@ -225,7 +211,7 @@ class Setpoint(Schema):
     raw = F64(doc="blend of the models' set points")
     rate = F64(doc="how fast the models expect it to change")
     position = F64(doc="where the axis should be when the demand acts")
-    filtered = F64(doc="behind the deadband")
+    filtered = F64(doc="the same, not moved by less than the permitted variance")
     value = F64(doc="behind the limits: where the demand points")
 
 
@@ -266,4 +252,16 @@ REASON_NAMES = (
     "range does not respond to the tool's motion",
     "no sample entered the estimate within the loss time-out",
     "estimate was not finite and began anew",
+    "timestamps went back; readings count as old as usual",
 )
+(
+    REASON_NONE,
+    REASON_FIRST,
+    REASON_PENDING,
+    REASON_NO_READING,
+    REASON_OUTSIDE,
+    REASON_STUCK,
+    REASON_LOST,
+    REASON_NOT_FINITE,
+    REASON_TIMESTAMPS,
+) = range(9)

@@ -20,6 +20,7 @@ UNKNOWN = -32768
 MAX_HEIGHT = 32767
 FULL_COUNT = 255
 MAX_REGION_M = 1e6
+MIN_GRID_M, MAX_GRID_M = 1e-6, 1e4  # that a configuration or a refocus may ask for
 DEFAULT_QUANTUM_M = 25.4e-6
 DEFAULT_FINEST_GRID_M = 2.54e-3
 

@@ -46,6 +46,8 @@ class Request:
 _NUMBER = "number of the parameter at fault"
 _HOLDER = "pid of the client that sends the pose; 0: nobody does"
 _ANYBODY = "any client"
+_CHANNEL = Argument("number", 0, 1, "channel", doc="of the external driver")
+_CHANNELS = "channels that the driver has; 0: it takes no pushed ranges"
 _SETTER = (
     "as access.parameters says: by default the pose's holder, and any client while nobody sends the pose"
 )
@@ -122,9 +124,19 @@ REQUESTS: tuple[Request, ...] = (
         lb.RQ_MAP_REFOCUS,
         "lay the map over another region, keeping known heights (paper: MapRefocus)",
         _ANYBODY,
-        _REGION,
+        (
+            *_REGION,
+            Argument(
+                "value",
+                4,
+                1,
+                "finest_grid_m",
+                "m",
+                "finest useful grid of this refocus, 1e-6 to 1e4; 0: the configuration's (map.finest_grid)",
+            ),
+        ),
         _MAP_ANSWERS,
-        {**_MAP_END, lb.ERR_NO_MAP: "0", lb.ERR_CANCELLED: "0"},
+        {**_MAP_END, lb.ERR_NO_MAP: "0", lb.ERR_BAD_VALUE: "-1", lb.ERR_CANCELLED: "0"},
     ),
     Request(
         lb.RQ_MAP_INSTALL,
@@ -171,6 +183,26 @@ REQUESTS: tuple[Request, ...] = (
         "the pose's holder",
         (),
         {lb.OK: "0", lb.ERR_NOT_POSE_HOLDER: _HOLDER, lb.ERR_STOP_REMAINS: "causes still there, bits"},
+        {},
+    ),
+    Request(
+        lb.RQ_CLAIM_RANGE,
+        "become the one client that pushes a channel's ranges; what it pushed before does not count",
+        _ANYBODY,
+        (_CHANNEL,),
+        {
+            lb.OK: "0",
+            lb.ERR_RANGE_HELD: "pid of the client that pushes them",
+            lb.ERR_NO_CHANNEL: _CHANNELS,
+        },
+        {},
+    ),
+    Request(
+        lb.RQ_RELEASE_RANGE,
+        "let another client push a channel's ranges",
+        "the channel's holder",
+        (_CHANNEL,),
+        {lb.OK: "0", lb.ERR_NOT_HOLDER: "0", lb.ERR_NO_CHANNEL: _CHANNELS},
         {},
     ),
 )

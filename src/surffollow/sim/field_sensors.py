@@ -15,6 +15,7 @@ from surffollow.sim.surfaces import HeightField
 Floats = NDArray[np.float64]
 LASER_ABOVE_M = 0.1  # the beam starts this far above the underside, so that contact gives a range below 0
 LASER_REACH_M = 1.0
+TARGET_SIZE_M = 0.1  # of the detector's response to the target
 
 
 @jit
@@ -56,7 +57,12 @@ def accelerometer(
 
 
 def target_signal(
-    tip_m: Floats, target_m: Floats, rng: np.random.Generator, *, size_m: float = 0.1, sigma: float = 0.01
+    tip_m: Floats,
+    target_m: Floats,
+    rng: np.random.Generator,
+    *,
+    size_m: float = TARGET_SIZE_M,
+    sigma: float = 0.01,
 ) -> Floats:
     """(n,) response of a detector to a buried target: 1 at it, falling with the sixth power of distance.
 

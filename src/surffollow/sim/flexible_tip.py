@@ -36,36 +36,47 @@ class Compliance:
 
 
 @jit
-def mode_response(drive: Any, dt: Any, omega: Any, zeta: Any, out: Any) -> None:
-    """Response w of w'' + 2ζω w' + ω² w = drive, from rest.
+def mode_step(state: Any, drive: Any, dt: Any, omega: Any, zeta: Any) -> None:
+    """Advance w'' + 2ζω w' + ω² w = drive by one step, exactly for a constant drive.
 
     Parameters
     ----------
-    drive : (n,) float64           constant within each step
+    state : (2,) float64           w and w', updated in place
+    drive : float                  constant within the step
     dt, omega, zeta : float        step [s], undamped angular frequency [rad/s], damping ratio below 1
-    out : (n,) float64             w at the start of each step
-
-    Notes
-    -----
-    Each step is the exact solution for a constant drive.
     """
     damped = omega * math.sqrt(1.0 - zeta * zeta)
     e = math.exp(-zeta * omega * dt)
     c, s = math.cos(damped * dt), math.sin(damped * dt)
-    w, v = 0.0, 0.0
+    rest = drive / (omega * omega)
+    p = state[0] - rest
+    q = (state[1] + zeta * omega * p) / damped
+    state[0] = rest + e * (p * c + q * s)
+    state[1] = e * (damped * (q * c - p * s) - zeta * omega * (p * c + q * s))
+
+
+@jit
+def mode_response(drive: Any, dt: Any, omega: Any, zeta: Any, state: Any, out: Any) -> None:
+    """Response w of one mode to a sampled drive.
+
+    Parameters
+    ----------
+    drive : (n,) float64           constant within each step
+    dt, omega, zeta : float        see `mode_step`
+    state : (2,) float64           w and w' at the start, updated in place
+    out : (n,) float64             w at the start of each step
+    """
     for k in range(drive.shape[0]):
-        out[k] = w
-        rest = drive[k] / (omega * omega)
-        p = w - rest
-        q = (v + zeta * omega * p) / damped
-        w = rest + e * (p * c + q * s)
-        v = e * (damped * (q * c - p * s) - zeta * omega * (p * c + q * s))
+        out[k] = state[0]
+        mode_step(state, drive[k], dt, omega, zeta)
 
 
 def response(drive: Floats, rate_hz: float, frequency_hz: float, damping: float) -> Floats:
     """(n,) response of one mode to a sampled drive."""
     out = np.empty(len(drive))
-    mode_response(np.ascontiguousarray(drive), 1.0 / rate_hz, 2.0 * math.pi * frequency_hz, damping, out)
+    mode_response(
+        np.ascontiguousarray(drive), 1.0 / rate_hz, 2.0 * math.pi * frequency_hz, damping, np.zeros(2), out
+    )
     return out
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from surffollow.errors import UsageError
 from surffollow.shm.jit import jit
+from surffollow.sim.path_table import PathTable, read_path_table
 from surffollow.sim.surfaces import Region
 
 SPACING_M = 1e-3  # of a path's points
@@ -26,12 +27,18 @@ class Path:
 
     Attributes
     ----------
-    points : (n, 3) float64, x [m], y [m] and the speed at which the robot may pass [m/s]
+    points : (n, 4) float64, x [m], y [m], the speed at which the robot may pass [m/s], planned height [m]
     spacing_m : distance along the path from one point to the next [m]
+    has_heights : the heights are planned; else they are 0
+    attitudes : (n, 4) float64, planned unit quaternions; None: upright, or as the service demands
+    waits : where along the path the robot waits [m], ascending, and how long [s]
     """
 
     points: NDArray[np.float64]
     spacing_m: float
+    has_heights: bool = False
+    attitudes: NDArray[np.float64] | None = None
+    waits: tuple[tuple[float, float], ...] = ()
 
     @property
     def length_m(self) -> float:
@@ -94,60 +101,102 @@ def raster_path(region: Region, speed_mps: float, accel_mps2: float, lane_m: flo
     return _path(pieces, speeds, accel_mps2, stop_between=False)
 
 
-def file_path(file: str, speed_mps: float, accel_mps2: float) -> Path:
+def file_path(file: str, speed_mps: float, accel_mps2: float, region: Region | None = None) -> Path:
     """A planner's path from a file.
 
     Parameters
     ----------
-    file : CSV with a header line, or NPZ: `x_m`, `y_m` [m] of the corners, and, where they are given,
-        `speed_mps` (limit on the way to a corner) and `stop` (1: come to rest there, 0: pass); other columns,
-        as t_s, z_m or an attitude, are passed over: the robot keeps its own time, height and attitude
+    file : see `path_table.read_path_table`. With `t_s` the way to a corner is made in the time that it has,
+        and a corner that is repeated is waited at; else `speed_mps` limits the way to it
     speed_mps, accel_mps2 : limits along the path [m/s], [m/s²]
+    region : of the ground [m]; a corner outside is refused
 
     Raises
     ------
     UsageError
-        it cannot be read, lacks x_m or y_m, or is no path
+        it is no path, needs a higher speed than `speed_mps`, or leaves the region
     """
-    x, y, speed, stop = _read_corners(file, speed_mps)
-    keep = np.concatenate([[True], np.hypot(np.diff(x), np.diff(y)) > 0.0])
-    x, y, speed, stop = x[keep], y[keep], speed[keep], stop[keep]
-    if len(x) < 2 or not all(np.isfinite(c).all() for c in (x, y, speed)) or not (speed > 0.0).all():
-        raise UsageError(f"path '{file}' needs two or more different corners, finite, with speeds above 0")
-    _check_length(float(np.hypot(np.diff(x), np.diff(y)).sum()))
-    corners = [np.array([(x[k], y[k]), (x[k + 1], y[k + 1])]) for k in range(len(x) - 1)]
-    path = _path(corners, np.minimum(speed[1:], speed_mps).tolist(), accel_mps2, stop_between=False)
-    along = np.cumsum(np.hypot(np.diff(x), np.diff(y)))[stop[1:] != 0.0]
-    path.points[np.minimum(np.round(along / SPACING_M).astype(np.int64), len(path.points) - 1), 2] = 0.0
-    limit = np.ascontiguousarray(path.points[:, 2])
-    slow_down(limit, accel_mps2, SPACING_M)
-    slow_down(limit[::-1], accel_mps2, SPACING_M)
-    path.points[:, 2] = limit
-    return path
+    table = read_path_table(file)
+    x, y = table.x_m, table.y_m
+    steps = np.hypot(np.diff(x), np.diff(y))
+    if not (steps > 0.0).any():
+        raise UsageError(f"path '{file}' needs two or more different corners")
+    if region is not None:
+        _check_inside(file, x, y, region)
+    _check_length(float(steps.sum()))
+    moves = np.concatenate([[True], steps > 0.0])  # a corner that is repeated is the same place
+    limit = _speeds(file, table, steps, speed_mps)[moves[1:]]
+    corners = [np.array([(x[k], y[k]), (x[k + 1], y[k + 1])]) for k in np.flatnonzero(steps > 0.0)]
+    path = _path(corners, limit.tolist(), accel_mps2, stop_between=False)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    waits = _waits(table, along)
+    stops = along[table.stop | np.isin(along, [at for at, _ in waits])]
+    s: NDArray[np.float64] = path.spacing_m * np.arange(len(path.points), dtype=np.float64)
+    last = len(path.points) - 1
+    path.points[np.minimum(np.round(stops[stops > 0.0] / SPACING_M).astype(np.int64), last), 2] = 0.0
+    passed = np.ascontiguousarray(path.points[:, 2])
+    slow_down(passed, accel_mps2, SPACING_M)
+    slow_down(passed[::-1], accel_mps2, SPACING_M)
+    path.points[:, 2] = passed
+    if table.z_m is not None:
+        path.points[:, 3] = np.interp(s, along[moves], table.z_m[moves])
+        if (np.diff(table.z_m)[~moves[1:]] != 0.0).any():
+            raise UsageError(
+                f"path '{file}' changes z_m at one place; the robot's height changes on its way only"
+            )
+    attitudes = None if table.attitude is None else _turned_along(s, along[moves], table.attitude[moves])
+    return Path(path.points, path.spacing_m, table.z_m is not None, attitudes, waits)
 
 
-def _read_corners(file: str, speed_mps: float) -> tuple[NDArray[np.float64], ...]:
-    columns: dict[str, NDArray[np.float64]] = {}
-    try:
-        if file.lower().endswith(".npz"):
-            with np.load(file, allow_pickle=False) as stored:
-                columns = {name: np.asarray(stored[name], float) for name in stored.files}
-        else:
-            rows = np.genfromtxt(file, delimiter=",", names=True, dtype=float, ndmin=1)
-            columns = {name: rows[name] for name in rows.dtype.names or ()}
-    except (OSError, ValueError) as error:
-        raise UsageError(f"cannot read the path '{file}': {error}") from None
-    if not {"x_m", "y_m"} <= set(columns):
+def _check_inside(file: str, x: NDArray[np.float64], y: NDArray[np.float64], region: Region) -> None:
+    outside = (x < region[0]) | (x > region[2]) | (y < region[1]) | (y > region[3])
+    if outside.any():
+        k = int(np.argmax(outside))
         raise UsageError(
-            f"path '{file}' has the columns {', '.join(columns) or 'none'}; x_m and y_m are needed"
+            f"path '{file}', corner {k + 1}: ({x[k]:g}, {y[k]:g}) m lies outside the ground, {region} m; "
+            "places are metres of the world"
         )
-    x = columns["x_m"]
-    return (
-        x,
-        columns["y_m"],
-        columns.get("speed_mps", np.full(len(x), speed_mps)),
-        columns.get("stop", 0.0 * x),
-    )
+
+
+def _speeds(file: str, table: PathTable, steps: NDArray[np.float64], speed_mps: float) -> NDArray[np.float64]:
+    """Speed limit on the way to each corner but the first [m/s]."""
+    limit = np.full(len(steps), speed_mps)
+    if table.speed_mps is not None:
+        limit = np.minimum(limit, table.speed_mps[1:])
+    if table.t_s is None:
+        return limit
+    taken = np.diff(table.t_s)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        needed = np.where(steps > 0.0, steps / taken, 0.0)
+    if (needed > limit * (1.0 + 1e-9)).any():
+        k = int(np.argmax(needed > limit * (1.0 + 1e-9)))
+        raise UsageError(
+            f"path '{file}', corner {k + 2}: {steps[k]:g} m in {taken[k]:g} s needs {needed[k]:.4g} m/s, the "
+            f"limit is {limit[k]:g} m/s (--speed, column speed_mps); plan later times or allow more"
+        )
+    return needed
+
+
+def _waits(table: PathTable, along: NDArray[np.float64]) -> tuple[tuple[float, float], ...]:
+    """Where the robot waits along the path [m], and how long [s]: corners repeated at a later time."""
+    found: dict[float, float] = {}
+    if table.t_s is not None:
+        for k in np.flatnonzero(np.diff(along) == 0.0):
+            found[float(along[k])] = found.get(float(along[k]), 0.0) + float(table.t_s[k + 1] - table.t_s[k])
+    return tuple(sorted((at, s) for at, s in found.items() if s > 0.0))
+
+
+def _turned_along(
+    s: NDArray[np.float64], along: NDArray[np.float64], attitude: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Attitudes (n, 4) at the distances `s`, between those of the corners on the short way."""
+    near = attitude.copy()
+    for k in range(1, len(near)):
+        if near[k] @ near[k - 1] < 0.0:
+            near[k] = -near[k]
+    mixed = np.column_stack([np.interp(s, along, near[:, c]) for c in range(4)])
+    unit: NDArray[np.float64] = mixed / np.linalg.norm(mixed, axis=1)[:, None]
+    return np.ascontiguousarray(unit)
 
 
 def _check_length(length_m: float) -> None:
@@ -171,7 +220,7 @@ def _path(
         limit[np.minimum(np.round(ends / SPACING_M).astype(np.int64), n - 1)] = 0.0
     slow_down(limit, accel_mps2, SPACING_M)
     slow_down(limit[::-1], accel_mps2, SPACING_M)  # and not faster out of a turn than the robot gets
-    points = np.c_[np.interp(s, along, corners[:, 0]), np.interp(s, along, corners[:, 1]), limit]
+    points = np.c_[np.interp(s, along, corners[:, 0]), np.interp(s, along, corners[:, 1]), limit, 0.0 * s]
     return Path(np.ascontiguousarray(points), SPACING_M)
 
 

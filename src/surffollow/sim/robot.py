@@ -19,7 +19,7 @@ from surffollow.errors import ConfigError
 from surffollow.shm.dtypes import zeros
 from surffollow.sim.plant import PlantConfig, set_point_for
 from surffollow.sim.raster import FILES, KINDS, Path, file_path, line_path, raster_path
-from surffollow.sim.robot_motion import STEP_NS, TRACE_COLUMNS, Motion, run_until
+from surffollow.sim.robot_motion import CREEP_MPS, STEP_NS, TRACE_COLUMNS, Motion, run_until
 from surffollow.sim.robot_turn import turned
 from surffollow.sim.surfaces import HeightField, Region
 from surffollow.sim.world import WorldPose
@@ -30,6 +30,7 @@ TRACE_ROWS = 1_000_000
 APPROACH_M = 0.010  # the tool starts that much above the wanted stand-off
 SETTLED_M, SETTLED_RAD = 1.5e-3, 0.02
 SETTLED_TICKS = 30
+WAIT_WITHIN_M = 20e-6  # of the place of a wait: two ticks at the speed at which a corner is crept to
 FOR_EVER_S = 86_400.0
 
 
@@ -39,7 +40,8 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes
     ----------
     world : the ground, the same as the service's simulated sensors have
-    path : "line" (to and fro through the middle), "raster", or a file (see `raster.file_path`)
+    path : "line" (to and fro through the middle), "raster", or a file (see `raster.file_path`): its times,
+        heights and attitudes are kept, a demand corrects the height (with `turn` the attitude, too)
     region : part of the ground that the path keeps to; None: all of it
     speed_mps, accel_mps2 : along the path [m/s], [m/s²]
     lane_m : distance of a raster's lanes [m]
@@ -101,7 +103,7 @@ def make_path(config: RobotConfig, field: HeightField) -> Path:
     """Lay the path of a configuration over a field."""
     region = config.region if config.region is not None else field.region
     if config.path not in KINDS:
-        return file_path(config.path, config.speed_mps, config.accel_mps2)
+        return file_path(config.path, config.speed_mps, config.accel_mps2, field.region)
     if config.path == "raster":
         return raster_path(region, config.speed_mps, config.accel_mps2, config.lane_m)
     seconds = config.seconds if config.seconds > 0.0 else 3600.0
@@ -125,13 +127,18 @@ class RobotCore:
         x, y = self.path.points[0, :2]
         m["t_ns"] = m["start_ns"] = start_ns
         m["x_m"], m["y_m"] = x, y
-        m["axis"][0, 0] = m["set_point_m"] = field.height_m(x, y) + config.standoff_m + APPROACH_M
+        above_m = field.height_m(x, y) + config.standoff_m + APPROACH_M
+        m["axis"][0, 0] = m["set_point_m"] = self.path.points[0, 3] if self.path.has_heights else above_m
         m["tau_s"], m["v_max_mps"] = config.plant.tau_s, config.plant.v_max_mps
         m["a_max_mps2"], m["accel_mps2"] = config.plant.a_max_mps2, config.accel_mps2
         m["spacing_m"], m["standoff_m"] = self.path.spacing_m, config.standoff_m
         m["score_from_m"] = config.unscored_m
-        m["turns"] = config.turn
+        m["turns"] = self._turns = config.turn or self.path.attitudes is not None
         m["attitude"][0, 3] = m["attitude_set"][0, 3] = 1.0
+        if self.path.attitudes is not None:
+            m["attitude"] = m["attitude_set"] = self.path.attitudes[0]
+        self._waits = list(self.path.waits)
+        self._waited_from_ns = 0
         steps = self.expected_steps
         m["trace_every"] = -(-steps // TRACE_ROWS)
         self._trace = np.zeros((min(steps, TRACE_ROWS), len(TRACE_COLUMNS)))
@@ -152,12 +159,25 @@ class RobotCore:
         """Steps that the task may take, a generous approach included."""
         c = self.config
         seconds = c.seconds if c.seconds > 0.0 else 2.0 * self.path.length_m / c.speed_mps
+        if c.seconds == 0.0:
+            seconds += float((self.path.spacing_m / np.maximum(self.path.points[:, 2], CREEP_MPS)).sum())
+            seconds += sum(s for _, s in self.path.waits)
         return int((seconds + 30.0) * 1e9) // STEP_NS
 
     @property
     def t_ns(self) -> int:
         """Time of the body's state [ns]."""
         return int(self.motion["t_ns"][0])
+
+    @property
+    def wanted_m(self) -> float:
+        """Stand-off that it asks of the service [m]."""
+        return self.config.standoff_m
+
+    @property
+    def is_holding(self) -> bool:
+        """Whether it stands still for want of a demand to trust."""
+        return self.holding
 
     @property
     def standoff_m(self) -> float:
@@ -198,7 +218,7 @@ class RobotCore:
         pose = np.array(
             [m["x_m"] + noise[0], m["y_m"] + noise[1], m["axis"][0] + noise[2], 0.0, 0.0, 0.0, 1.0]
         )
-        if self.config.turn:
+        if self._turns:
             x, y, z = self._rng.normal(0.0, 1.0, 3) * self.config.report_turn_sigma_rad
             turned(m["attitude"], x, y, z, pose[3:])
         self._waiting.append((self.t_ns, pose))
@@ -241,7 +261,26 @@ class RobotCore:
             if self._settled < SETTLED_TICKS:
                 return
             self.started_ns = self.t_ns
-        self.motion["moving"] = 1
+        self.motion["moving"] = 0 if self._waits_here() else 1
+        self._turn_as_planned()
+
+    def _waits_here(self) -> bool:
+        """Whether the plan has the robot wait where it is."""
+        if not self._waits or self.motion["path_m"][0] < self._waits[0][0] - WAIT_WITHIN_M:
+            return False
+        if self._waited_from_ns == 0:
+            self._waited_from_ns = self.t_ns
+        if self.t_ns - self._waited_from_ns < self._waits[0][1] * 1e9:
+            return True
+        self._waits.pop(0)
+        self._waited_from_ns = 0
+        return False
+
+    def _turn_as_planned(self) -> None:
+        """Turn the wrist to the plan's attitude, unless the service's demands turn it."""
+        if self.path.attitudes is not None and not self.config.turn:
+            here = round(float(self.motion["path_m"][0]) / self.path.spacing_m)
+            self.motion["attitude_set"] = self.path.attitudes[min(here, len(self.path.attitudes) - 1)]
 
     def hold(self) -> None:
         """Without a demand to trust: stop along the path; stay at the height last reported, or retract."""

@@ -73,11 +73,15 @@ def move_along(m: Any, points: Any) -> Any:
     Parameters
     ----------
     m : (1,) `Motion`, updated in place
-    points : (n, 3) float64, see `Path`
+    points : (n, 4) float64, see `Path`
 
     Returns
     -------
     (float64, float64) velocity in x and y [m/s]
+
+    Notes
+    -----
+    The set point rises and falls with the planned heights, which are 0 where none are planned.
     """
     r = m[0]
     dt = STEP_NS * 1e-9
@@ -95,8 +99,10 @@ def move_along(m: Any, points: Any) -> Any:
         path, speed = last * r.spacing_m, 0.0
         m[0].arrived = 1
     m[0].path_m, m[0].speed_mps = path, speed
+    before_m = points[i, 3] * (1.0 - w) + points[i + 1, 3] * w
     i = min(int(path / r.spacing_m), last - 1)
     w = path / r.spacing_m - i
+    m[0].set_point_m = r.set_point_m + (points[i, 3] * (1.0 - w) + points[i + 1, 3] * w - before_m)
     m[0].x_m = points[i, 0] * (1.0 - w) + points[i + 1, 0] * w
     m[0].y_m = points[i, 1] * (1.0 - w) + points[i + 1, 1] * w
     along = speed / r.spacing_m
@@ -123,7 +129,7 @@ def one_step(m: Any, points: Any, z: Any, frame: Any, rolling: Any, world: Any, 
     Parameters
     ----------
     m : (1,) `Motion`, updated in place
-    points : (n, 3) float64, see `Path`
+    points : (n, 4) float64, see `Path`
     z, rolling : (ny, nx) float64 [m] and uint8, the field and where its rolling parts are
     frame : (3,) float64, x0, y0 and spacing of the field [m]
     world : (1,) `WorldPose`, written

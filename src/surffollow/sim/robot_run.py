@@ -8,6 +8,9 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from surffollow.errors import FaultError, NotRunningError, PoseError
 from surffollow.sim.robot import RobotConfig, RobotCore
 from surffollow.sim.world import WorldWriter
@@ -41,21 +44,41 @@ class Service(Protocol):
     def close(self) -> None: ...
 
 
+class Core(Protocol):
+    """What the controller drives: `robot.RobotCore`, or a robot with a path of its own."""
+
+    @property
+    def t_ns(self) -> int: ...
+    @property
+    def wanted_m(self) -> float: ...
+    @property
+    def is_holding(self) -> bool: ...
+    def measure(self) -> None: ...
+    def reports(self) -> list[tuple[int, NDArray[np.float64]]]: ...
+    def command(self, demand_m: float, pose_t_ns: int, turn_rad: Sequence[float] = ...) -> None: ...
+    def hold(self) -> None: ...
+
+
 class Controller:
     """The robot's side of the conversation; a service that dies is attached to again, meanwhile it holds.
 
     Parameters
     ----------
-    core : RobotCore
+    core : Core
     attach : makes an attachment, or raises a `FaultError`
     """
 
-    def __init__(self, core: RobotCore, attach: Callable[[], Service]) -> None:
+    def __init__(self, core: Core, attach: Callable[[], Service]) -> None:
         self._core, self._attach = core, attach
         self._service: Service | None = None
         self._retry_ns = self._epoch = 0
         self.ticks = self.held = self.refused = self.attachments = 0
         self.trouble = ""
+
+    @property
+    def service(self) -> Service | None:
+        """The attachment; None while there is none."""
+        return self._service
 
     def connect(self, wait_s: float) -> None:
         """Attach and ask for the wanted stand-off.
@@ -79,7 +102,7 @@ class Controller:
             return False
         try:
             service.claim_pose()
-            service.sf_reset(self._core.config.standoff_m)
+            service.sf_reset(self._core.wanted_m)
         except FaultError as error:
             self.trouble = str(error)
             service.close()
@@ -105,7 +128,7 @@ class Controller:
             demand = self._service.dev_vector()
             if demand.valid and self._epoch not in (0, demand.epoch):
                 # a service that started anew has forgotten the stand-off
-                self._service.sf_reset(core.config.standoff_m)
+                self._service.sf_reset(core.wanted_m)
                 core.hold()
                 self._epoch = demand.epoch
             elif demand.valid:
@@ -113,7 +136,7 @@ class Controller:
                 core.command(demand[2], demand.pose_t_ns, (demand[3], demand[4], demand[5]))
             else:
                 core.hold()
-            self.held += core.holding
+            self.held += core.is_holding
             for t_ns, pose in reports:
                 self._service.ee_pos(pose.tolist(), t_ns)
         except PoseError:

@@ -15,7 +15,6 @@ from surffollow.forecast.estimation.innovation_gate import (
 from surffollow.forecast.estimation.model_bank import predict_bank, shift_bank, start_bank, update_bank
 from surffollow.forecast.estimation.model_weights import (
     blend_estimate,
-    hold_scores,
     place_shadows,
     reset_weights,
     score_models,
@@ -39,7 +38,6 @@ def start_estimate(m: Any) -> None:
     weigh_models(m)
     blend_estimate(m)
     place_shadows(m)
-    hold_scores(m)
     observe_noise(m, 0)
 
 
@@ -64,7 +62,6 @@ def estimate(m: Any, learn: Any, loss_timeout: Any) -> Any:
     if m.gate.verdict == STEP:
         shift_bank(m, m.gate.shift)
         shift_noise(m, m.gate.shift)
-        hold_scores(m)
     if learn != 0 and is_leading(m) == 0:
         score_models(m)
     observe_noise(m, learn)

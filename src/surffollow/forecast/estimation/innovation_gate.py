@@ -33,7 +33,7 @@ def reset_gate(m: Any) -> None:
 @jit
 def forget_scale(m: Any) -> None:
     """Assume the usual innovation of a start without knowledge."""
-    m.gate.scale = m.tuning.gate_first_scale * m.reference.standoff
+    m.gate.scale = m.noise.sigma
     m.gate.slots = 1.0
 
 
@@ -58,7 +58,7 @@ def judge_innovation(m: Any, predicted: Any, learn: Any) -> None:
         if learn != 0:
             g.scale += rate * (1.25 * abs(nu) - g.scale)
         return
-    gap = s.dt > m.tuning.gate_gap_taus * m.plant.tau
+    gap = s.dt > m.tuning.gate_standing_taus * m.plant.tau
     change = s.height - g.pending_last
     same = abs(change) < width
     steady = abs(change - g.pending_change) < width
@@ -70,7 +70,7 @@ def judge_innovation(m: Any, predicted: Any, learn: Any) -> None:
     else:
         if g.pending > 0:
             g.rejected += 1
-        if g.rejected > m.tuning.gate_disagree and learn != 0:
+        if g.rejected > 0 and learn != 0:
             g.scale *= m.tuning.gate_growth
         g.pending, g.pending_sum, g.pending_t = 1, 0.0, s.t
         g.course, g.pending_change = 0, 0.0

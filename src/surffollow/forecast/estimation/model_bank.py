@@ -55,9 +55,9 @@ def predict_bank(m: Any) -> None:
     if s.turn < SAME_DIRECTION:
         turn = max(s.turn, -1.0)
         for i in range(m.tuning.n_models):
-            if m.tuning.models[4 * i] == SLOPE:
+            if m.tuning.models[3 * i] == SLOPE:
                 b.x[3 * i + 1] *= turn
-            elif m.tuning.models[4 * i] == WAVE:
+            elif m.tuning.models[3 * i] == WAVE:
                 b.x[3 * i + 2] *= turn
     if b.samples == 1 and s.way > 0.0:
         for i in range(m.tuning.n_models):
@@ -71,8 +71,9 @@ def update_bank(m: Any) -> None:
     """Let all models learn the newest height."""
     b, s = m.bank, m.sample
     resting = 1 if s.way == 0.0 else 0
+    most = m.tuning.bank_clip * m.gate.scale
     for i in range(m.tuning.n_models):
-        update_model(m.tuning, i, b.x, b.p, s.height, resting)
+        update_model(m.tuning, i, b.x, b.p, s.height, most, resting)
     b.samples += 1
     if resting == 0:
         _follow_wave(m)
@@ -98,23 +99,22 @@ def _follow_wave(m: Any) -> None:
         b.omega = 2.0 * math.pi / (m.tuning.first_wave_reactions * reaction_distance(m))
     best = -1
     for i in range(m.tuning.n_models):
-        slope_stays = m.tuning.models[4 * i] == SLOPE and m.tuning.models[4 * i + 2] == 0.0
+        slope_stays = m.tuning.models[3 * i] == SLOPE and m.tuning.models[3 * i + 2] == 0.0
         if slope_stays and (best < 0 or m.weights.recent[i] < m.weights.recent[best]):
             best = i
     if best < 0:
         return
     h, slope = b.x[3 * best], b.x[3 * best + 1]
-    f = 1.0 - math.exp(-m.tuning.wave_highpass * b.omega * s.way)
+    f = 1.0 - math.exp(-m.tuning.wave_rate * b.omega * s.way)
     b.mean_h += f * (h - b.mean_h)
     b.mean_s += f * (slope - b.mean_s)
-    g = 1.0 - math.exp(-b.omega * s.way / (2.0 * math.pi * m.tuning.wave_memory))
-    b.power_h += g * ((h - b.mean_h) ** 2 - b.power_h)
-    b.power_s += g * ((slope - b.mean_s) ** 2 - b.power_s)
+    b.power_h += f * ((h - b.mean_h) ** 2 - b.power_h)
+    b.power_s += f * ((slope - b.mean_s) ** 2 - b.power_s)
     if b.power_h > 0.0 and b.power_s > 0.0:
         reaction = reaction_distance(m)
         omega = math.sqrt(b.power_s / b.power_h)
         omega = min(max(omega, 0.01 / reaction), math.pi / reaction)
-        b.omega *= math.exp(g * math.log(omega / b.omega))
+        b.omega *= math.exp(f * math.log(omega / b.omega))
 
 
 @jit

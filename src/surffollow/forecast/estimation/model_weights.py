@@ -2,8 +2,8 @@
 
 Every model's set points drive a simulated axis (Narendra and Balakrishnan's scheme). The squared error of
 that axis
-against the heights measured, averaged over a recent and a longer horizon, with an effort penalty, is the
-index J; the weights are proportional to 1/J^p of both.
+against the heights measured, averaged over a recent and a longer horizon, is the index J; the weights are
+proportional to 1/J^p of both.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.forecast.estimation.model_bank import reaction_distance
-from surffollow.forecast.estimation.models import WAVE, height_of, slope_of, variance_ahead
+from surffollow.forecast.estimation.models import height_of, slope_of
 from surffollow.forecast.plant.shadow_axes import place_models
 from surffollow.forecast.sensing.sample import reaction_time
 from surffollow.shm.jit import jit
@@ -23,24 +22,15 @@ def reset_weights(m: Any) -> None:
     """Forget the index: nothing was scored."""
     w = m.weights
     w.scored = 0
-    w.since = m.sample.t
     for i in range(m.tuning.n_models):
         w.recent[i] = w.longer[i] = 0.0
         w.w[i] = 1.0 / m.tuning.n_models
 
 
 @jit
-def hold_scores(m: Any) -> None:
-    """Score nothing for a while: all shadows are wrong alike."""
-    m.weights.hold_t = m.sample.t + m.tuning.index_settle * reaction_time(m)
-
-
-@jit
 def score_models(m: Any) -> None:
     """Score every shadow axis against the newest height and weigh the models anew."""
     w, s = m.weights, m.sample
-    if s.t < w.hold_t:
-        return
     w.scored += 1
     first = 1.0 / w.scored
     time = reaction_time(m)
@@ -55,46 +45,27 @@ def score_models(m: Any) -> None:
 
 @jit
 def weigh_models(m: Any) -> None:
-    """Turn the index into weights; during burn-in a model counts as much as it claims to know."""
-    w, s = m.weights, m.sample
+    """Turn the index into weights."""
+    w = m.weights
     recent, longer = w.recent[0], w.longer[0]
     for i in range(1, m.tuning.n_models):
         recent, longer = min(recent, w.recent[i]), min(longer, w.longer[i])
     noise = m.noise.sigma * m.noise.sigma
-    off, off_longer = (
-        m.tuning.index_noise_share * min(noise, recent),
-        m.tuning.index_noise_share * min(noise, longer),
-    )
+    off, off_longer = min(noise, recent), min(noise, longer)
     floor = (m.tuning.index_floor * m.noise.sigma) ** 2
-    effort = (m.tuning.index_effort * m.plant.tau * m.plant.tau) ** 2
-    told = min((s.t - w.since) / (m.tuning.index_burn_in * reaction_time(m)), 1.0) if w.scored > 0 else 0.0
-    ahead = reaction_distance(m)
     least = math.inf
     for i in range(m.tuning.n_models):
-        extra = floor + effort * m.shadow.effort[i]
-        c = told * (
-            m.tuning.index_power * math.log(w.recent[i] - off + extra)
-            + m.tuning.index_longer_power * math.log(w.longer[i] - off_longer + extra)
-        )
-        if told < 1.0:
-            c += (
-                (1.0 - told)
-                * m.tuning.index_caution
-                * math.log(variance_ahead(m.tuning, i, m.bank.p, ahead, m.bank.omega) + 1.0)
-            )
-        if m.tuning.models[4 * i] == WAVE:
-            c += m.tuning.index_wave_penalty
+        c = m.tuning.index_power * math.log(w.recent[i] - off + floor)
+        c += m.tuning.index_longer_power * math.log(w.longer[i] - off_longer + floor)
+        c += m.tuning.index_calm / m.tuning.models[3 * i + 1]
         w.cost[i] = c
         least = min(least, c)
     total = 0.0
     for i in range(m.tuning.n_models):
-        w.cost[i] = math.exp(least - w.cost[i])
-        total += w.cost[i]
-    rate = 1.0
-    if w.scored > 1:
-        rate = 1.0 - math.exp(-s.dt / (m.tuning.index_smoothing * m.plant.tau))
+        w.w[i] = math.exp(least - w.cost[i])
+        total += w.w[i]
     for i in range(m.tuning.n_models):
-        w.w[i] += rate * (w.cost[i] / total - w.w[i])
+        w.w[i] /= total
 
 
 @jit

@@ -17,7 +17,7 @@ LEVEL, SLOPE, WAVE = 0, 1, 2
 @jit
 def start_model(u: Any, i: Any, x: Any, p: Any, h: Any, spacing: Any, omega: Any) -> None:
     """Set model i to level ground at h, its slope as uncertain as over its memory it would be."""
-    kind, n = u.models[4 * i], u.models[4 * i + 1]
+    kind, n = u.models[3 * i], u.models[3 * i + 1]
     k, c = 3 * i, 6 * i
     x[k], x[k + 1], x[k + 2] = h, 0.0, 0.0
     for j in range(6):
@@ -32,7 +32,7 @@ def start_model(u: Any, i: Any, x: Any, p: Any, h: Any, spacing: Any, omega: Any
 @jit
 def predict_model(u: Any, i: Any, x: Any, p: Any, d: Any, spacing: Any, reaction: Any, omega: Any) -> None:
     """Carry model i on by a distance d; d = 0: the tool rests, and only the height may drift."""
-    kind, n, fade = u.models[4 * i], u.models[4 * i + 1], u.models[4 * i + 2]
+    kind, n, fade = u.models[3 * i], u.models[3 * i + 1], u.models[3 * i + 2]
     k, c = 3 * i, 6 * i
     gain = 1.0 / n
     if kind == LEVEL or d == 0.0:
@@ -68,22 +68,23 @@ def predict_model(u: Any, i: Any, x: Any, p: Any, d: Any, spacing: Any, reaction
 
 
 @jit
-def update_model(u: Any, i: Any, x: Any, p: Any, h: Any, resting: Any) -> None:
+def update_model(u: Any, i: Any, x: Any, p: Any, h: Any, most: Any, resting: Any) -> None:
     """Let model i learn a height; at rest the height alone."""
     k, c = 3 * i, 6 * i
     p00, p01, p02, p11, p12, p22 = p[c], p[c + 1], p[c + 2], p[c + 3], p[c + 4], p[c + 5]
-    wave = u.models[4 * i] == WAVE
+    wave = u.models[3 * i] == WAVE
     if wave:
         g0, g1, g2 = p00 + p01, p01 + p11, p02 + p12
         s = g0 + g1 + 1.0
     else:
         g0, g1, g2 = p00, p01, p02
         s = g0 + 1.0
-    nu = (h - height_of(u, i, x)) / s
-    x[k] += g0 * nu
+    nu = h - height_of(u, i, x)
+    x[k] += g0 * nu / s
     if resting == 0:
-        x[k + 1] += g1 * nu
-        x[k + 2] += g2 * nu
+        nu = min(max(nu, -most), most)
+        x[k + 1] += g1 * nu / s
+        x[k + 2] += g2 * nu / s
     f = 1.0 / s
     p[c] = p00 - g0 * g0 * f
     p[c + 1] = p01 - g0 * g1 * f
@@ -96,19 +97,19 @@ def update_model(u: Any, i: Any, x: Any, p: Any, h: Any, resting: Any) -> None:
 @jit
 def height_of(u: Any, i: Any, x: Any) -> Any:
     """Height of model i where it stands."""
-    return x[3 * i] + x[3 * i + 1] if u.models[4 * i] == WAVE else x[3 * i]
+    return x[3 * i] + x[3 * i + 1] if u.models[3 * i] == WAVE else x[3 * i]
 
 
 @jit
 def slope_of(u: Any, i: Any, x: Any, omega: Any) -> Any:
     """Slope of model i where it stands."""
-    return omega * x[3 * i + 2] if u.models[4 * i] == WAVE else x[3 * i + 1]
+    return omega * x[3 * i + 2] if u.models[3 * i] == WAVE else x[3 * i + 1]
 
 
 @jit
 def setpoint_of(u: Any, i: Any, x: Any, d: Any, lead: Any, reaction: Any, spacing: Any, omega: Any) -> Any:
     """Height that model i expects a distance d ahead, plus `lead` times the slope there."""
-    kind, fade, share = u.models[4 * i], u.models[4 * i + 2], u.models[4 * i + 3]
+    kind, fade = u.models[3 * i], u.models[3 * i + 2]
     k = 3 * i
     if kind == LEVEL:
         return x[k]
@@ -118,16 +119,6 @@ def setpoint_of(u: Any, i: Any, x: Any, d: Any, lead: Any, reaction: Any, spacin
             a = max(fade * reaction, spacing)
             e = math.exp(-d / a)
             g = a * (1.0 - e)
-        return x[k] + x[k + 1] * (g + share * lead * e)
+        return x[k] + x[k + 1] * (g + lead * e)
     cs, sn = math.cos(omega * d), math.sin(omega * d)
-    return x[k] + cs * x[k + 1] + sn * x[k + 2] + share * lead * omega * (cs * x[k + 2] - sn * x[k + 1])
-
-
-@jit
-def variance_ahead(u: Any, i: Any, p: Any, d: Any, omega: Any) -> Any:
-    """Variance of the height a distance d ahead by model i's own account, in noise variances."""
-    c = 6 * i
-    if u.models[4 * i] == WAVE:
-        d *= omega
-        return max(p[c] + 2.0 * p[c + 1] + p[c + 3] + 2.0 * d * (p[c + 2] + p[c + 4]) + d * d * p[c + 5], 0.0)
-    return max(p[c] + 2.0 * d * p[c + 1] + d * d * p[c + 3], 0.0)
+    return x[k] + cs * x[k + 1] + sn * x[k + 2] + lead * omega * (cs * x[k + 2] - sn * x[k + 1])

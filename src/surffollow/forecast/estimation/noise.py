@@ -7,10 +7,16 @@ from typing import Any
 
 from surffollow.shm.jit import jit
 
-RATE, FIRST_RATE = 0.004, 0.3  # relative step of the running median per sample
-RATE_SAMPLES = 2.0  # the rate is this over the samples so far, between the two
+RATE, FIRST_RATE = 0.004, 0.3  # relative step of a running median per sample, and the largest at first
 SIGMA_OF_MAD = 1.4826 / math.sqrt(6.0)  # of second differences
-FIRST_SHARE, LEAST_SHARE = 3e-3, 1e-4  # of the stand-off: sigma before anything is known, and at least
+FIRST_SHARE, LEAST_SHARE = 8e-3, 3e-4  # of the stand-off: sigma before anything is known, and at least
+
+
+@jit
+def running_median(median: Any, value: Any, count: Any, least: Any) -> Any:
+    """Move a running median toward a value ≥ 0, by steps that shrink with the count to `RATE`."""
+    step = min(max(2.0 / count, RATE), FIRST_RATE) * max(median, least)
+    return max(median + (step if value > median else -step), 0.0)
 
 
 @jit
@@ -27,11 +33,8 @@ def observe_noise(m: Any, learn: Any) -> None:
     """Take an accepted height."""
     n, h = m.noise, m.sample.height
     if n.count >= 2 and learn != 0:
-        e = abs(h - 2.0 * n.recent[0] + n.recent[1])
-        rate = min(max(RATE_SAMPLES / n.count, RATE), FIRST_RATE)
         least = LEAST_SHARE * m.reference.standoff
-        step = rate * max(n.median, least)
-        n.median = max(n.median + (step if e > n.median else -step), 0.0)
+        n.median = running_median(n.median, abs(h - 2.0 * n.recent[0] + n.recent[1]), n.count, least)
         n.sigma = max(SIGMA_OF_MAD * n.median, least)
     n.recent[1], n.recent[0] = n.recent[0], h
     n.count += 1

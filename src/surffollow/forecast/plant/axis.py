@@ -24,10 +24,11 @@ def axis_velocity(distance: Any, tau: Any, v_max: Any, a_max: Any) -> Any:
 
 @jit
 def distance_for(velocity: Any, tau: Any, a_max: Any) -> Any:
-    """Distance to the set point at which the axis commands a velocity ≥ 0: the inverse of `axis_velocity`."""
-    if velocity <= a_max * tau:
+    """Distance to the set point at which the axis commands a velocity: the inverse of `axis_velocity`."""
+    w = abs(velocity)
+    if w <= a_max * tau:
         return velocity * tau
-    return 0.5 * velocity * velocity / a_max + 0.5 * a_max * tau * tau
+    return math.copysign(0.5 * w * w / a_max + 0.5 * a_max * tau * tau, velocity)
 
 
 @jit

@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from surffollow.forecast.estimation.noise import LEAST_SHARE
 from surffollow.forecast.plant.shadow_axes import TAU_RATIO, advance_plants, place_plants
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_multimodel import N_MODELS, N_PLANTS
 
 MEMORY_TAUS = 60.0  # of the squared errors, in time constants
 RATE_TAUS = 12.0  # in which the time constant in force approaches the one found
-LEAST_REPORTS = 20
 ASTRAY_SHARE = 0.03  # of the stand-off: a tool farther from every model does not follow the demands
-CONTRAST = 0.5  # the worst model's squared error must exceed the best one's by this share of it …
-FLOOR_SHARE = 5e-4  # … and by the square of this share of the stand-off
+CONTRAST = 0.5  # share by which the worst squared error must exceed the best one
 
 
 @jit
@@ -51,7 +50,7 @@ def identify(m: Any, learn: Any) -> None:
         e = s.z[N_MODELS + i] - k.z
         p.error[i] += rate * (e * e - p.error[i])
     tau = _best(m)
-    if tau > 0.0 and p.reports >= LEAST_REPORTS:
+    if tau > 0.0:
         p.tau *= math.exp((1.0 - math.exp(-dt / (RATE_TAUS * p.tau_told))) * math.log(tau / p.tau))
 
 
@@ -64,7 +63,7 @@ def _best(m: Any) -> Any:
         worst = max(worst, p.error[i])
         if p.error[i] < p.error[b]:
             b = i
-    floor = FLOOR_SHARE * m.reference.standoff
+    floor = LEAST_SHARE * m.reference.standoff
     if worst - p.error[b] < max(CONTRAST * p.error[b], floor * floor):
         return 0.0
     b = min(max(b, 1), N_PLANTS - 2)

@@ -18,7 +18,6 @@ from surffollow.shm.layout_multimodel import N_MODELS, N_PLANTS, SETPOINTS
 TAU_RATIO = 1.5  # between neighbouring time constants of identification
 MOST_STEPS = 64  # integration steps in one call
 HISTORY_SHARE = 0.5  # of the ring that the delay of the readings may take
-EFFORT_TAUS = 12.0  # memory of the effort, in time constants of the axis
 DUE = 0.95  # of a period: calls jitter
 
 
@@ -41,25 +40,13 @@ def period_is_over(m: Any) -> Any:
 
 @jit
 def record_setpoints(m: Any, setpoints: Any, n_models: Any, own: Any) -> None:
-    """Append the models' set points and the own one; update the effort of every model."""
+    """Append the models' set points and the own one."""
     s = m.shadow
-    slot, one, two = (
-        s.ticks & (SETPOINTS - 1),
-        (s.ticks - 1) & (SETPOINTS - 1),
-        (s.ticks - 2) & (SETPOINTS - 1),
-    )
-    now = m.kinematics.now
-    if s.ticks > 1:
-        dt = 0.5 * (now - s.t[two])
-        rate = 1.0 - math.exp(-dt / (EFFORT_TAUS * m.plant.tau))
-        for i in range(n_models):
-            b = i * SETPOINTS
-            a = (setpoints[i] - 2.0 * s.setpoint[b + one] + s.setpoint[b + two]) / (dt * dt)
-            s.effort[i] += rate * (a * a - s.effort[i])
+    slot = s.ticks & (SETPOINTS - 1)
     for i in range(n_models):
         s.setpoint[i * SETPOINTS + slot] = setpoints[i]
     s.setpoint[N_MODELS * SETPOINTS + slot] = own
-    s.t[slot] = now
+    s.t[slot] = m.kinematics.now
     s.ticks += 1
 
 
@@ -104,12 +91,12 @@ def advance_plants(m: Any) -> None:
 
 @jit
 def predict_own(m: Any, to_t: Any) -> Any:
-    """Where the axis will be at a time: from the newest report on with the own set points."""
+    """Position and velocity of the axis at a time: from the newest report on with the own set points."""
     s, r, k = m.shadow, m.reference, m.kinematics
     z, v = k.z, s.v[N_MODELS + N_PLANTS // 2]
     span = to_t - k.pose_t
     if s.ticks == 0 or span <= 0.0:
-        return z
+        return z, v
     steps = min(max(math.ceil(span * STEPS_PER_TAU / m.plant.tau), 1), MOST_STEPS)
     dt = span / steps
     n = max(0, s.ticks - SETPOINTS)
@@ -119,7 +106,7 @@ def predict_own(m: Any, to_t: Any) -> Any:
             n += 1
         own = s.setpoint[N_MODELS * SETPOINTS + (n & (SETPOINTS - 1))]
         z, v = axis_step(z, v, own, m.plant.tau, r.v_max, r.a_max, dt)
-    return z
+    return z, v
 
 
 @jit

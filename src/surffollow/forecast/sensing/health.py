@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from surffollow.forecast.estimation.noise import LEAST_SHARE, SIGMA_OF_MAD, running_median
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import (
     DROPOUT,
@@ -17,28 +18,24 @@ from surffollow.shm.layout_adaptive import (
     STUCK,
     SUSPECT,
 )
-
-(
-    REASON_NONE,
+from surffollow.shm.layout_multimodel import (
     REASON_FIRST,
-    REASON_PENDING,
-    REASON_NO_READING,
-    REASON_OUTSIDE,
-    REASON_STUCK,
     REASON_LOST,
+    REASON_NO_READING,
+    REASON_NONE,
     REASON_NOT_FINITE,
-) = range(8)
+    REASON_OUTSIDE,
+    REASON_PENDING,
+    REASON_STUCK,
+    REASON_TIMESTAMPS,
+)
 
 STUCK_SAMPLES = 14  # within the band: one noise run in 5e7 is as quiet
 STUCK_BAND = 0.5  # in standard deviations of a range
 STUCK_TRAVEL = 3.0  # in the same: the tool must have moved so far up or down
 EQUAL_SAMPLES = 50  # of a sensor whose noise is below its resolution …
-EQUAL_TRAVEL_SHARE = 0.02  # … and travel, of the stand-off
-FLICKER_RATE, FIRST_FLICKER_RATE = 0.01, 0.3
-FLICKER_SIGMA = 0.605  # standard deviation per median of |second difference|
-LEAST_FLICKER = 3e-4  # of the stand-off: less is the resolution, not the noise
-BRANCH_SHARE = 0.02  # of the stand-off: travel over which the branch of the fold-back is judged
-DROPOUT_INTERVALS, DROPOUT_TAUS = 6.0, 1.0
+TRAVEL_SHARE = 0.02  # … and travel, of the stand-off; the branch of the fold-back is judged over it too
+LOST_INTERVALS, LOST_TAUS = 4.0, 0.5  # without samples beyond the usual delay: no drop-out yet
 FIRST_SAMPLES = 20
 
 
@@ -56,11 +53,9 @@ def watch_ranges(m: Any) -> None:
     standoff = m.reference.standoff
     if s.count > 2 and h.stuck == 0:
         e = abs(s.range - 2.0 * s.range_1 + s.range_2)
-        rate = min(max(2.0 / s.count, FLICKER_RATE), FIRST_FLICKER_RATE)
-        step = rate * max(h.flicker, 0.1 * LEAST_FLICKER * standoff)
-        h.flicker = max(h.flicker + (step if e > h.flicker else -step), 0.0)
-    noisy = h.flicker > LEAST_FLICKER * standoff
-    sigma = FLICKER_SIGMA * h.flicker
+        h.flicker = running_median(h.flicker, e, s.count, 0.1 * LEAST_SHARE * standoff)
+    noisy = h.flicker > LEAST_SHARE * standoff
+    sigma = SIGMA_OF_MAD * h.flicker
     if h.stuck_n > 0 and abs(s.range - h.stuck_range) <= (STUCK_BAND * sigma if noisy else 0.0):
         h.stuck_n += 1
     else:
@@ -68,7 +63,7 @@ def watch_ranges(m: Any) -> None:
     moved = abs(k.z - h.stuck_z)
     if noisy and h.stuck_n >= STUCK_SAMPLES and moved > STUCK_TRAVEL * sigma:
         h.stuck = 1
-    if h.stuck_n >= EQUAL_SAMPLES and moved > EQUAL_TRAVEL_SHARE * standoff:
+    if h.stuck_n >= EQUAL_SAMPLES and moved > TRAVEL_SHARE * standoff:
         h.stuck = 1
     if h.stuck != 0:
         h.faults |= FAULT_STUCK
@@ -89,7 +84,7 @@ def _watch_fold_back(m: Any) -> None:
             h.faults |= FAULT_CLOSE
         return
     rise = z - h.close_z
-    if abs(rise) < BRANCH_SHARE * m.reference.standoff:
+    if abs(rise) < TRAVEL_SHARE * m.reference.standoff:
         return
     if (s.range - h.close_range) * rise > 0.5 * rise * rise and s.range > m.reference.too_close_exit:
         h.close = 0
@@ -115,8 +110,8 @@ def is_lost(m: Any, loss_timeout: Any) -> Any:
 def assess(m: Any, lost: Any) -> None:
     """Set the state and its reason."""
     h, s = m.health, m.sample
+    patience = max(LOST_INTERVALS * s.interval, LOST_TAUS * m.plant.tau)
     silent = m.kinematics.now - s.t - s.delay
-    patience = max(DROPOUT_INTERVALS * s.interval, DROPOUT_TAUS * m.plant.tau)
     if h.faults & FAULT_NOT_FINITE:
         h.state, h.reason = FAULT, REASON_NOT_FINITE
     elif h.stuck != 0:
@@ -129,6 +124,8 @@ def assess(m: Any, lost: Any) -> None:
         h.state, h.reason = DROPOUT, REASON_NO_READING
     elif m.gate.pending > 0 or m.gate.rejected > 0:
         h.state, h.reason = SUSPECT, REASON_PENDING
+    elif s.shift > 0.0:
+        h.state, h.reason = SUSPECT, REASON_TIMESTAMPS
     elif m.bank.samples < FIRST_SAMPLES:
         h.state, h.reason = SUSPECT, REASON_FIRST
     else:

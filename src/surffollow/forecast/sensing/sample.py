@@ -32,14 +32,18 @@ def take_sample(params: Any, m: Any, sense: Any, pose: Any) -> None:
         return
     t = plain_time(r, sense.range_t_ns[0])
     value = sense.range_m[0] / r.length_m
+    if s.shift > 0.0 and k.now - t < s.delay + 0.5 * s.shift:
+        s.shift = 0.0
+    t += s.shift
     if s.count > 0:
         dt = t - s.t
         if dt <= 0.0:
+            _doubt_timestamp(m, t)
             return
         hold = HOLD_INTERVALS * s.interval if s.interval > 0.0 else HOLD_TAUS * r.tau
         if value == s.range and dt < hold:
             return
-    pose_at(sense, sense.range_t_ns[0], 1, pose)
+    pose_at(sense, sense.range_t_ns[0] + int(s.shift * r.time_ns), 1, pose)
     x, y, z, _ = footprint(pose, params.tool_from_sensor, 0, sense.range_m[0])
     x, y, z = x / r.length_m, y / r.length_m, z / r.length_m
     if s.count > 0:
@@ -66,6 +70,21 @@ def take_sample(params: Any, m: Any, sense: Any, pose: Any) -> None:
     s.range_2, s.range_1 = s.range_1, s.range
     s.fresh, s.t, s.range, s.height, s.x, s.y = 1, t, value, z, x, y
     s.count += 1
+    s.backward = 0
+
+
+@jit
+def _doubt_timestamp(m: Any, t: Any) -> None:
+    """Correct timestamps when several in a row lie before one that was there already.
+
+    Readings that are late come in order. Those that go back have a wrong timestamp: until the delay is the
+    usual one again they are taken to follow each other at the usual interval.
+    """
+    s = m.sample
+    s.backward += 1 if t < s.t else 0
+    if s.backward >= m.tuning.gate_confirm:
+        s.shift += s.t + s.backward * s.interval - t
+        s.backward = 0
 
 
 @jit
@@ -104,7 +123,8 @@ def reset_sampling(m: Any, scales: Any) -> None:
     """Forget the last sample; intervals, spacing and delay too when the reference scales changed."""
     s = m.sample
     s.fresh = 0
-    s.direction_x = s.direction_y = 0.0
+    s.direction_x = s.direction_y = s.shift = 0.0
+    s.backward = 0
     if scales != 0:
         s.count = 0
         s.t = s.interval = s.spacing = s.delay = s.lead = s.range = s.range_1 = 0.0

@@ -1,4 +1,4 @@
-"""The blended set point: where each model wants the axis, by weight, behind a deadband."""
+"""The blended set point: where each model wants the axis, by weight."""
 
 from __future__ import annotations
 
@@ -7,21 +7,20 @@ from typing import Any
 
 from surffollow.forecast.estimation.model_bank import reaction_distance
 from surffollow.forecast.estimation.models import setpoint_of
+from surffollow.forecast.plant.shadow_axes import period
+from surffollow.forecast.sensing.health import LOST_INTERVALS, LOST_TAUS
 from surffollow.forecast.sensing.sample import control_delay, distance_ahead, is_leading
 from surffollow.forecast.terrain.buffer import buffered_height
 from surffollow.shm.jit import jit
 
-RATE_TAUS = 0.125  # over which the rate of the blend is taken
 LEAST_WEIGHT = 1e-3  # models with less do not enter that rate
-PAUSE_TAUS = 2.5  # a set point not renewed for so long begins anew at the tool
-START_SAMPLES = 3  # fewer are not enough to go toward the surface
 
 
 @jit
 def time_lost(m: Any) -> Any:
     """Time without samples beyond the usual delay and a few lost ones; ≤ 0: none."""
     s = m.sample
-    grace = max(m.tuning.setpoint_grace_intervals * s.interval, m.tuning.setpoint_grace_taus * m.plant.tau)
+    grace = max(LOST_INTERVALS * s.interval, LOST_TAUS * m.plant.tau)
     return m.kinematics.now - m.gate.accepted_t - s.delay - grace
 
 
@@ -42,7 +41,8 @@ def blend_setpoints(m: Any, setpoints: Any) -> None:
         fade = math.exp(-lost / fading)
         ahead += fading * (1.0 - fade) - min(lost, ahead)
         lead *= fade
-    step = RATE_TAUS * lead
+    step_t = m.tuning.setpoint_smoothing * period(m)
+    step = speed * step_t
     raw = change = here = 0.0
     seen = math.nan
     if is_leading(m) != 0:
@@ -56,35 +56,12 @@ def blend_setpoints(m: Any, setpoints: Any) -> None:
         raw += w.w[i] * z
         here += w.w[i] * setpoint_of(m.tuning, i, b.x, ahead, 0.0, reaction, spacing, b.omega)
         setpoints[i] = z + m.kinematics.drop
-    p.rate = change / (RATE_TAUS * m.plant.tau)
+    p.rate = change / step_t
     if math.isfinite(seen):
         later = buffered_height(m, ahead + lead + step)
         raw = seen
-        p.rate = (later - seen) / (RATE_TAUS * m.plant.tau) if math.isfinite(later) else 0.0
+        p.rate = (later - seen) / step_t if math.isfinite(later) else 0.0
         here = buffered_height(m, ahead)
         here = here if math.isfinite(here) else seen
     p.raw = raw + m.kinematics.drop
     p.position = here + m.kinematics.drop
-
-
-@jit
-def filter_setpoint(m: Any, permitted: Any) -> None:
-    """Carry the set point on at the rate the models expect; correct what exceeds the deadband.
-
-    The excess x beyond the band shrinks by dx/dt = −x² / (m.tuning.setpoint_soft · band ·
-    m.tuning.setpoint_soft_taus · τ): a large one at once, a small one slowly, whatever the cycle.
-    """
-    p, k = m.setpoint, m.kinematics
-    dt = k.now - p.t
-    if p.active == 0 or dt < 0.0 or dt > max(PAUSE_TAUS * m.plant.tau, 3.0 * k.interval):
-        p.filtered, p.active = p.raw, 1
-    elif dt > 0.0:
-        p.filtered += p.rate * dt
-    p.t = k.now
-    band = max(m.tuning.setpoint_band * m.weights.sigma, permitted)
-    e = p.raw - p.filtered
-    excess = abs(e) - band
-    if excess > 0.0 and dt > 0.0:
-        soft = m.tuning.setpoint_soft * band
-        left = band + excess * soft / (soft + excess * dt / (m.tuning.setpoint_soft_taus * m.plant.tau))
-        p.filtered = p.raw - math.copysign(left, e)

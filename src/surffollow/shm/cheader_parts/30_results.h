@@ -16,6 +16,7 @@ enum {
   SF_ERR_REGION = -6,
   SF_ERR_PARAM = -7,
   SF_ERR_BOUNDS = -8,
+  SF_ERR_RANGE_TIME = -9,
   /* the world; `detail` of the client holds errno for SF_ERR_SYSTEM */
   SF_ERR_NOT_RUNNING = -20,
   SF_ERR_NO_PERMISSION = -21,
@@ -55,6 +56,7 @@ static inline const char *sf_strerror(int result) {
     case SF_ERR_REGION: return "a region is x_min, y_min, x_max, y_max; sides positive, finite, at most 1e6 m";
     case SF_ERR_PARAM: return "there is no parameter of that name, or it cannot be set";
     case SF_ERR_BOUNDS: return "the value is not finite, not whole, or outside the parameter's bounds";
+    case SF_ERR_RANGE_TIME: return "a range's time is newer than its channel's last one, at most 1 ms ahead and 1 s ago; use CLOCK_MONOTONIC";
     case SF_ERR_NOT_RUNNING: return "no live service of that name; start it: surffollow start --name ...";
     case SF_ERR_NO_PERMISSION: return "no permission; join the group of the board and the socket (ls -l /dev/shm): sf_observe needs the board, sf_attach both";
     case SF_ERR_NOT_READY: return "the service is starting or being replaced; try again";

@@ -61,6 +61,8 @@ typedef struct sf_client {
   int access_depth; /* sf_access_begin that were not ended */
   sf_object world;  /* of sf_sim_pose */
   int64_t next_world_look_ns;
+  int ranges_held;                 /* bit per channel */
+  int64_t pushed_ns[SF_CHANNELS]; /* time of the newest range of a channel held */
 } sf_client;
 
 /* The defaults: a client, re-attaching, stale after 20 periods but not before 5 ms, requests wait 5 s. */

@@ -202,7 +202,7 @@ static inline int sf_i_step_to_slot(sf_client *c) {
   c->asking.memory = NULL; /* they are the slot's from here on */
   c->asking.fd = -1;
   c->counter = 0;
-  c->pose_held = c->abandoned = 0;
+  c->pose_held = c->abandoned = c->ranges_held = 0;
   c->pose_counter = 0;
   c->grant = 0;
   return SF_OK;
@@ -240,7 +240,7 @@ static inline int sf_i_slot_is_open(const sf_client *c) {
 static inline void sf_i_release_slot(sf_client *c) {
   c->slot = -1;
   c->slot_memory = NULL;
-  c->pose_held = 0;
+  c->pose_held = c->ranges_held = 0;
   sf_i_close(&c->held);
   sf_i_stop_asking(c);
 }

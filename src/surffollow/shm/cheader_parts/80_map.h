@@ -10,21 +10,33 @@ static inline int sf_i_region_ok(const double region[4]) {
   return 1;
 }
 
-static inline int sf_i_map_request(sf_client *c, int64_t code, const double region[4]) {
+static inline int sf_i_map_request(sf_client *c, int64_t code, const double region[4], double finest_m) {
   if (c == NULL || region == NULL) return SF_ERR_ARGUMENT;
   if (!sf_i_region_ok(region)) return SF_ERR_REGION;
+  if (!sf_i_is_finite(finest_m)) return SF_ERR_ARGUMENT;
+  if (!(finest_m >= SF_MIN_GRID_M && finest_m <= SF_MAX_GRID_M) && (finest_m < 0.0 || finest_m > 0.0))
+    return SF_ERR_ARGUMENT;
+  const double values[5] = {region[0], region[1], region[2], region[3], finest_m};
   if (c->access_depth > 0) return SF_ERR_HELD; /* it would wait for this client itself */
-  return sf_i_request(c, code, 4, NULL, region, 6 * c->options.timeout_ns);
+  return sf_i_request(c, code, 5, NULL, values, 6 * c->options.timeout_ns);
 }
 
 /* Clear the map and lay it over a region x_min, y_min, x_max, y_max [m] (paper: MapReset). */
 static inline int sf_map_reset(sf_client *c, const double region[4]) {
-  return sf_i_map_request(c, SF_RQ_MAP_RESET, region);
+  return sf_i_map_request(c, SF_RQ_MAP_RESET, region, 0.0);
 }
 
 /* Lay the map over another region, keeping known heights (paper: MapRefocus). */
 static inline int sf_map_refocus(sf_client *c, const double region[4]) {
-  return sf_i_map_request(c, SF_RQ_MAP_REFOCUS, region);
+  return sf_i_map_request(c, SF_RQ_MAP_REFOCUS, region, 0.0);
+}
+
+/*
+ * sf_map_refocus with grids as fine as `finest_m` [m] where memory allows, 1e-6 to 1e4. The grids' size so far keeps
+ * them and every height as they are; 0: the service's own choice (map.finest_grid). SF_ERR_ARGUMENT: no such size.
+ */
+static inline int sf_map_refocus_to(sf_client *c, const double region[4], double finest_m) {
+  return sf_i_map_request(c, SF_RQ_MAP_REFOCUS, region, finest_m);
 }
 
 /* The map's header, or NULL: not mapped, of another release, or not a map. It outlives a service. */

@@ -1,0 +1,144 @@
+"""What one client and the server tell each other: items go into the mailbox, answers come on the board.
+
+For one thread at a time, beside the one that shows life.
+"""
+
+from __future__ import annotations
+
+import mmap
+import struct
+import time
+
+from surffollow.arbiter import layout as al
+from surffollow.arbiter.observer import BoardReader
+from surffollow.arbiter.python_futex import Waiter, address_of, waker
+from surffollow.client.fence import FENCED, fence
+from surffollow.errors import ClosedError, NotRunningError, RequestTimeoutError
+from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, stride
+
+_DESK = -(-al.ClientDesk.SIZE // 64) * 64
+_ENTRY = -(-al.ClientEntry.SIZE // 64) * 64
+_CONSUMED = al.ClientEntry.offset("consumed")
+_BELL, _HELD, _ASKED = (al.ClientDesk.offset(n) for n in ("bell", "held", "asked"))
+BEAT, HEAD, DOORBELL = (al.Mailbox.offset(n) // 8 for n in ("beat_ns", "head", "doorbell"))
+ITEMS = al.Mailbox.offset("item")
+ITEM_BYTES, MASK = al.Item.SIZE, al.MAILBOX_ITEMS - 1
+_HEADS = struct.Struct("<5q")  # of an item: the values of a request mean nothing
+COMMAND = struct.Struct(f"<5q{al.VALUES}d")
+COMMAND_AT_POSE = struct.Struct(f"<5q{al.VALUES}d{al.POSE}d")
+RESULT, TOKEN, HOLDER, HOLDER_PRIORITY = (  # of an answer, in words; the item's number comes first
+    al.Reply.offset(n) // 8 for n in ("result", "token", "holder", "holder_priority")
+)
+_REPLY_WORDS, _HEAD_WORDS, _LAST_SLOT = stride(al.Reply.SIZE) // 8, HEAD_BYTES // 8, SLOTS - 1
+_clock = time.monotonic_ns
+ROOM_NS, SLICE_NS = 1_000_000_000, 50_000_000
+
+
+class Exchange:
+    """One client's mailbox, and its places on the board.
+
+    Attributes
+    ----------
+    words : memoryview   the board as words of 64 bits
+    post : memoryview    the mailbox as words of 64 bits
+    put : mmap.mmap      the mailbox
+    ring : callable      wake the server, after a change of the doorbell
+    consumed : int       index in `words` of the number of items that the server took
+    ended : bool         the server ended, or this client was closed
+    """
+
+    def __init__(self, name: str, slot: int, board: BoardReader, mailbox: mmap.mmap) -> None:
+        self.name, self._board, self.put = name, board, mailbox
+        self.words, self.post = board.words, memoryview(mailbox).cast("q")
+        self.ended = self.closed = False
+        regions = board.regions
+        self._desk = regions["desks"][0] + slot * _DESK
+        self.consumed = (regions["clients"][0] + slot * _ENTRY + _CONSUMED) // 8
+        self._bell = (self._desk + _BELL) // 8
+        base = (regions["replies"][0] + slot * al.REPLY_BYTES) // 8
+        self._reply, self._replies = base, base + _HEAD_WORDS
+        self._sleep = Waiter(address_of(board.memory) + self._desk + _BELL).wait
+        self.ring = waker(address_of(mailbox) + 8 * DOORBELL)
+
+    def desk_words(self, resource: int) -> tuple[int, int]:
+        """Indices in `words` of the token that is held of a resource, and of the wish to have it back."""
+        return (self._desk + _HELD) // 8 + resource, (self._desk + _ASKED) // 8 + resource
+
+    def here(self) -> None:
+        """Raise ClosedError or NotRunningError when there is nobody to talk to."""
+        if self.closed:
+            raise ClosedError("this client was closed; attach again")
+        if self.ended:
+            raise NotRunningError(
+                f"arbiter {self.name!r} ended; attach again and ask again: every token is void"
+            )
+
+    def ask(self, what: int, timeout_ns: int) -> int:
+        """Put a request or relinquishment into the mailbox, ring, and wait for the answer to it.
+
+        Returns
+        -------
+        int   index in `words` of the answer, which stays until this client asks again; -1: none in time
+
+        Raises
+        ------
+        NotRunningError, ClosedError   nobody answers
+        RequestTimeoutError            the mailbox stays full
+        """
+        words, post = self.words, self.post
+        if self.ended:
+            self.here()
+        head = post[HEAD]
+        if head - words[self.consumed] >= al.MAILBOX_ITEMS:
+            self._await_room(head)
+        bell = words[self._bell]
+        seq, now = head + 1, _clock()
+        _HEADS.pack_into(self.put, ITEMS + (head & MASK) * ITEM_BYTES, seq, what, 0, now, 0)
+        if FENCED:
+            fence()
+        post[HEAD] = seq  # an item shows life as well as a heartbeat does
+        if FENCED:
+            fence()
+        post[DOORBELL] = seq
+        self.ring()
+        while True:
+            # R1-R4 of the latch; one that is overtaken is read again
+            g = words[self._reply]
+            if FENCED:
+                fence()
+            at = self._replies + (g & _LAST_SLOT) * _REPLY_WORDS
+            if words[at] == seq:
+                return at
+            left = now + timeout_ns - _clock()
+            if left <= 0:
+                return -1
+            self._sleep(bell, left if left < SLICE_NS else SLICE_NS)
+            if self.ended:
+                self.here()
+            bell = words[self._bell]
+
+    def await_word(self, index: int, timeout_ns: int) -> int:
+        """Wait until a word of this client's desk is not zero; its value, 0: too late."""
+        words, deadline_ns = self.words, _clock() + timeout_ns
+        while True:
+            bell = words[self._bell]
+            if words[index] != 0:
+                return int(words[index])
+            self.here()
+            left = deadline_ns - _clock()
+            if left <= 0:
+                return 0
+            self._sleep(bell, min(left, SLICE_NS))
+
+    def _await_room(self, head: int) -> None:
+        deadline = _clock() + ROOM_NS
+        while head - self.words[self.consumed] >= al.MAILBOX_ITEMS:
+            self.here()
+            if _clock() > deadline:
+                raise RequestTimeoutError(f"arbiter {self.name!r} takes nothing from this client's mailbox")
+            self.ring()
+            time.sleep(0.001)
+
+    def beat(self) -> None:
+        """Show that this client lives."""
+        self.post[BEAT] = _clock()

@@ -1,0 +1,175 @@
+"""One resource as a client uses it: ask for it, command it, give it back."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from surffollow.arbiter import exchange as ex
+from surffollow.arbiter import layout as al
+from surffollow.arbiter import table
+from surffollow.client.fence import FENCED, fence
+from surffollow.errors import RequestTimeoutError, UsageError
+
+if TYPE_CHECKING:
+    from surffollow.arbiter.client import ArbiterClient
+
+_HEAD, _BEAT, _ITEMS, _MASK, _ITEM_BYTES = ex.HEAD, ex.BEAT, ex.ITEMS, ex.MASK, ex.ITEM_BYTES
+_RESULT, _TOKEN = ex.RESULT, ex.TOKEN
+_reply: Callable[..., Reply] = tuple.__new__  # half the time of the constructor
+_clock = time.monotonic_ns
+_NO_POSE = (0.0,) * al.POSE
+RELINQUISH_NS = 1_000_000_000
+
+
+class Reply(NamedTuple):
+    """The answer to a request; true when the resource is ours.
+
+    Attributes
+    ----------
+    reason : str            GRANT, KEEP (it was ours), DENY, DENY_LEASE, or TIMEOUT (queued in vain)
+    token : int
+    holder : str            who holds it instead; "" for nobody
+    holder_priority : int
+    """
+
+    granted: bool
+    reason: str
+    token: int
+    holder: str
+    holder_priority: int
+
+    def __bool__(self) -> bool:
+        return self.granted
+
+
+class Resource:
+    """One resource as its clients see it; made by `ArbiterClient.resource`."""
+
+    def __init__(self, client: ArbiterClient, exchange: ex.Exchange, number: int) -> None:
+        self._client, self._exchange = client, exchange
+        config = client.board.resources[number]
+        self.name, self.n_values = str(config["name"]), int(config["n_values"])
+        self.fields = tuple(str(config["fields"]).split(","))
+        self._held, self._asked = exchange.desk_words(number)
+        self._words, self._put, self._post = exchange.words, exchange.put, exchange.post
+        self._consumed = exchange.consumed
+        self._padding = (0.0,) * (al.VALUES - self.n_values)
+        self._command = al.ITEM_COMMAND | number << 8
+        self._request = al.ITEM_REQUEST | number << 8
+        self._queue_up = self._request | al.FLAG_WAIT << 16
+        self._relinquish = al.ITEM_RELINQUISH | number << 8
+        self._pack = ex.COMMAND.pack_into
+
+    @property
+    def token(self) -> int:
+        """The token that this client holds, 0: none."""
+        return 0 if self._exchange.ended else int(self._words[self._held])
+
+    @property
+    def held(self) -> bool:
+        """Whether this client holds the resource, as the server said last; never waits."""
+        return self._words[self._held] != 0 and not self._exchange.ended
+
+    @property
+    def asked(self) -> bool:
+        """Whether the server asks this holder to relinquish (cooperative policy)."""
+        return self._words[self._asked] != 0 and self.held
+
+    def holder(self) -> Any:
+        """Who holds the resource (`observer.Holder`), None: nobody, or the server ended."""
+        return None if self._exchange.ended else self._client.holder(self.name)
+
+    def request(self, *, wait: bool = False, timeout_s: float = 1.0) -> Reply:
+        """Ask for control.
+
+        Parameters
+        ----------
+        wait : bool         stand in the queue for `timeout_s` when another client holds it
+        timeout_s : float   for the server's answer, and in the queue
+
+        Raises
+        ------
+        RequestTimeoutError  the server did not answer
+        NotRunningError      it ended
+        """
+        timeout_ns = int(timeout_s * 1e9)
+        at = self._exchange.ask(self._queue_up if wait else self._request, timeout_ns)
+        if at < 0:
+            raise RequestTimeoutError(f"arbiter {self._client.name!r} did not answer in {timeout_s:g} s")
+        words = self._words
+        result = words[at + _RESULT]
+        if result == table.GRANT:
+            return _reply(Reply, (True, "GRANT", words[at + _TOKEN], "", 0))
+        if result == table.KEEP:
+            return Reply(True, "KEEP", words[at + _TOKEN], "", 0)
+        other = (self._name_of(words[at + ex.HOLDER]), words[at + ex.HOLDER_PRIORITY])
+        if result != table.ENQUEUE:
+            return Reply(False, al.EVENT_NAMES.get(result, str(result)), 0, *other)
+        token = self._exchange.await_word(self._held, timeout_ns)
+        if token == 0:
+            self.relinquish()
+            token = self.token
+        return Reply(True, "GRANT", token, "", 0) if token else Reply(False, "TIMEOUT", 0, *other)
+
+    def _name_of(self, number: int) -> str:
+        """Name of the client of this number, "" for none."""
+        entries = (self._client.board.entry(slot) for slot in range(al.CLIENTS)) if number else ()
+        return next((str(e["name"]) for e in entries if e["number"] == number), "")
+
+    def command(
+        self,
+        *values: float,
+        t_ns: int | None = None,
+        ref_t_ns: int = 0,
+        ref_pose: Any = None,
+    ) -> bool:
+        """Send one command; never waits.
+
+        Parameters
+        ----------
+        values : as many floats as the resource's command has
+        t_ns : int, optional     when it was made [ns]; now when absent
+        ref_t_ns, ref_pose       stamp and value (7 floats) of the pose that it is relative to; a stamp alone
+            is enough where nothing is summed that is relative to another pose
+
+        Returns
+        -------
+        bool  False: this client does not hold the resource, the server ended, or the mailbox is full; nothing
+              was sent
+
+        Raises
+        ------
+        UsageError  another number of values
+        """
+        token = self._words[self._held]
+        if token == 0 or self._exchange.ended:
+            return False
+        if len(values) != self.n_values:
+            raise UsageError(
+                f"{self.name!r} takes {self.n_values} values ({', '.join(self.fields)}), not {values!r}"
+            )
+        post = self._post
+        head = post[_HEAD]
+        if head - self._words[self._consumed] >= al.MAILBOX_ITEMS:
+            return False
+        now = _clock()
+        at = _ITEMS + (head & _MASK) * _ITEM_BYTES
+        t = now if t_ns is None else t_ns
+        if ref_t_ns == 0:
+            self._pack(self._put, at, head + 1, self._command, token, t, ref_t_ns, *values, *self._padding)
+        else:
+            pose = tuple(ref_pose) if ref_pose is not None else _NO_POSE  # not what the place held before
+            ex.COMMAND_AT_POSE.pack_into(
+                self._put, at, head + 1, self._command, token, t, ref_t_ns, *values, *self._padding, *pose
+            )
+        if FENCED:
+            fence()
+        post[_HEAD] = head + 1
+        post[_BEAT] = now
+        return True
+
+    def relinquish(self) -> None:
+        """Give control back, or leave the queue."""
+        self._exchange.ask(self._relinquish, RELINQUISH_NS)

@@ -1,0 +1,137 @@
+"""What the commands of `surffollow scan` share: option types, the map meant, how facts are printed."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from surffollow.cli.values import SERVICE_NAME
+from surffollow.errors import UsageError
+from surffollow.units import parse_quantity
+
+if TYPE_CHECKING:
+    from surffollow.scan.grid import TerrainGrid
+
+OUT = click.Path(dir_okay=False)
+EXISTING = click.Path(exists=True, dir_okay=False)
+
+
+class Quantity(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
+    """A number with a unit of one dimension."""
+
+    def __init__(self, unit: str, name: str) -> None:
+        self.unit, self.name = unit, name
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """SI number, or fail with what was expected."""
+        if isinstance(value, float):
+            return value
+        try:
+            return parse_quantity(str(value), self.unit)
+        except UsageError as error:
+            self.fail(str(error), param, ctx)
+
+
+ANGLE, SPEED, ACCELERATION = (
+    Quantity("rad", "ANGLE"),
+    Quantity("m/s", "SPEED"),
+    Quantity("m/s^2", "ACCELERATION"),
+)
+
+
+class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
+    """So many lengths, separated by commas or blanks."""
+
+    name = "LENGTHS"
+
+    def __init__(self, *counts: int) -> None:
+        self.counts = counts
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, ...]:
+        """Metres, or fail with what was expected."""
+        if isinstance(value, tuple):
+            return value
+        try:
+            made = tuple(parse_quantity(v, "m") for v in str(value).replace(",", " ").split())
+        except UsageError as error:
+            self.fail(str(error), param, ctx)
+        if len(made) not in self.counts:
+            wanted = " or ".join(map(str, self.counts))
+            self.fail(f"{len(made)} lengths given; expected {wanted}, separated by commas", param, ctx)
+        return made
+
+
+REGION = click.option("--region", type=Numbers(4), help="x_min,y_min,x_max,y_max.")
+JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+PICTURE = click.option("--picture", type=OUT, help="Draw a PNG (extra `plot`).")
+LIVE = click.option("--live", type=SERVICE_NAME, help="The map of this running service, in place of MAP.")
+
+
+def ground_of(map_file: str | None, live: str | None) -> TerrainGrid:
+    """The terrain grid of a map file, or of a service as it is now."""
+    from surffollow.scan.grid import TerrainGrid
+
+    if (map_file is None) == (live is None):
+        raise click.UsageError("give a MAP file or --live NAME")
+    if live is not None:
+        from surffollow.scan.live_map import live_grid
+
+        return live_grid(live)
+    from surffollow.map import HeightMap
+
+    return TerrainGrid.from_map(HeightMap.load(str(map_file)))
+
+
+def known_region(ground: TerrainGrid) -> tuple[float, ...]:
+    """The rectangle around all known cells."""
+    import numpy as np
+
+    row, col = np.nonzero(ground.known)
+    if len(row) == 0:
+        raise UsageError("the map has no known cell; map the ground first")
+    x0, y0 = ground.origin_m
+    g = ground.grid_m
+    return (
+        x0 + int(col.min()) * g,
+        y0 + int(row.min()) * g,
+        x0 + (int(col.max()) + 1) * g,
+        y0 + (int(row.max()) + 1) * g,
+    )
+
+
+def check_picture(path: str) -> None:
+    """Fail before the work when a picture cannot be drawn."""
+    from surffollow.scan import pictures
+
+    pictures.check_picture(path)
+
+
+def print_facts(facts: dict[str, Any], as_json: bool) -> None:
+    """One JSON object, or a line per fact."""
+    if as_json:
+        click.echo(json.dumps(facts))
+        return
+    width = max(map(len, facts))
+    for key, value in facts.items():
+        if isinstance(value, float):
+            value = f"{value:.6g}"
+        elif isinstance(value, dict):
+            value = ", ".join(f"{k} {v}" for k, v in value.items() if v)
+        elif isinstance(value, (list, tuple)) and value and isinstance(value[0], dict):
+            for one in value:
+                if "median_m" in one:
+                    click.echo(
+                        f"{one['name']:<{width}}  {one['cells']} cells in both, median difference "
+                        f"{1e3 * one['median_m']:.1f} mm, RMS {1e3 * one['rms_m']:.1f} mm"
+                    )
+                    continue
+                patches = ", ".join(f"{n} {k}" for k, n in one.get("patches", {}).items() if n)
+                click.echo(f"{one.get('name', key):<{width}}  patches: {patches}")
+            continue
+        elif isinstance(value, (list, tuple)):
+            value = " ".join(f"{v:.6g}" for v in value)
+        click.echo(f"{key:<{width}}  {'-' if value is None else value}")

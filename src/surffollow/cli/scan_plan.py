@@ -1,0 +1,138 @@
+"""`surffollow scan plan` and `scan check`."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import click
+
+from surffollow.cli.map import LENGTH
+from surffollow.cli.scan_options import (
+    ACCELERATION,
+    ANGLE,
+    EXISTING,
+    JSON,
+    LIVE,
+    OUT,
+    PICTURE,
+    REGION,
+    SPEED,
+    Numbers,
+    check_picture,
+    ground_of,
+    known_region,
+    print_facts,
+)
+
+
+@click.command("plan")
+@click.argument("map_file", metavar="[MAP]", required=False, type=EXISTING)
+@LIVE
+@click.option("-o", "--output", required=True, type=OUT, help="Path file to write (.csv).")
+@REGION
+@click.option("--gap", type=LENGTH, required=True, help="Scanning gap.")
+@click.option("--body", default="disc:0.1", show_default=True, help="disc:R, ring:R, rectangle:LxW or point.")
+@click.option("--swath", type=LENGTH, help="Distance of passes.  [default: the body's width]")
+@click.option("--scheme", type=click.Choice(["lanes", "arcs"]), default="lanes", show_default=True)
+@click.option("--angle", type=ANGLE, default="0deg", show_default=True, help="Direction of lanes.")
+@click.option("--base", type=Numbers(2, 3), help="x,y[,z] of the arm's base joint; arcs need it.")
+@click.option("--reach", type=Numbers(1, 2), help="[least,]most distance of the tip from the base.")
+@click.option("--speed", type=SPEED, default="0.5", show_default=True)
+@click.option("--acceleration", type=ACCELERATION, default="2.66", show_default=True)
+@click.option("--wrist", type=ANGLE, default="45deg", show_default=True, help="Limit of both wrist angles.")
+@click.option(
+    "--following",
+    type=click.Choice(["atf", "reactionary"]),
+    default="atf",
+    show_default=True,
+    help="Turn and lift the body, or lift only.",
+)
+@click.option("--fill", type=LENGTH, help="Fill holes of the map up to this width first.")
+@PICTURE
+@JSON
+def plan_command(
+    map_file: str | None,
+    live: str | None,
+    output: str,
+    region: tuple[float, ...] | None,
+    gap: float,
+    body: str,
+    swath: float | None,
+    scheme: str,
+    angle: float,
+    base: tuple[float, ...] | None,
+    reach: tuple[float, ...] | None,
+    speed: float,
+    acceleration: float,
+    wrist: float,
+    following: str,
+    fill: float | None,
+    picture: str | None,
+    as_json: bool,
+) -> None:
+    """Plan a scan over MAP and write its path file; parts that cannot be planned are flagged."""
+    from surffollow.scan.body import parse_body
+    from surffollow.scan.holes import fill_holes
+    from surffollow.scan.limits import Annulus, WristLimits
+    from surffollow.scan.path_file import write_path
+    from surffollow.scan.plan import PlanSettings, plan_figures, plan_scan
+    from surffollow.scan.timing import MotionLimits
+
+    if picture:
+        check_picture(picture)
+    ground = ground_of(map_file, live)
+    if fill is not None:
+        ground = fill_holes(ground, fill)
+    space = None
+    if reach is not None:
+        if base is None:
+            raise click.UsageError("--reach needs --base")
+        place = (base[0], base[1], base[2] if len(base) > 2 else 0.0)
+        space = Annulus(place, radius_max_m=reach[-1], radius_min_m=reach[0] if len(reach) > 1 else 0.0)
+    plan = plan_scan(
+        ground,
+        PlanSettings(
+            region=region if region is not None else known_region(ground),
+            gap_m=gap,
+            body_m=parse_body(body),
+            swath_m=swath,
+            scheme=scheme,
+            angle_rad=angle,
+            base_m=base,
+            following=following,
+            wrist=WristLimits.symmetric(wrist),
+            motion=MotionLimits(speed_mps=speed, acceleration_mps2=acceleration, lateral_mps2=acceleration),
+            work_space=space,
+        ),
+    )
+    write_path(output, plan)
+    if picture:
+        from surffollow.scan.pictures import draw_plan
+
+        draw_plan(picture, ground, plan)
+    print_facts({"path": output} | plan_figures(plan), as_json)
+
+
+@click.command("check")
+@click.argument("files", nargs=-1, required=True, metavar="[MAP] PATH", type=EXISTING)
+@LIVE
+@JSON
+def check_command(files: tuple[str, ...], live: str | None, as_json: bool) -> None:
+    """Check a path file against MAP: clearance, flags, limits, coverage. Exit code 1: not accepted."""
+    from surffollow.scan.check import check_path
+
+    if len(files) != (2 if live is None else 1):
+        raise click.UsageError("give MAP and PATH, or --live NAME and PATH")
+    ground = ground_of(files[0] if live is None else None, live)
+    findings = check_path(ground.heights_m, ground.origin_m, ground.grid_m, files[-1])
+    accepted = all(f.ok for f in findings)
+    if as_json:
+        rows = [{"name": f.name, "ok": f.ok, "value": f.value, "text": f.text} for f in findings]
+        click.echo(json.dumps({"accepted": accepted, "findings": rows}))
+    else:
+        for f in findings:
+            click.echo(f"{'ok  ' if f.ok else 'FAIL'}  {f.name:<17} {f.text}")
+        click.echo("accepted" if accepted else "NOT accepted")
+    if not accepted:
+        sys.exit(1)

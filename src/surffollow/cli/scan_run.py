@@ -1,0 +1,268 @@
+"""`surffollow scan run`, and `scan pause`, `resume`, `abort` and `status` of a running one."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from surffollow.cli.scan_options import EXISTING, JSON, OUT, PICTURE, check_picture, ground_of, print_facts
+from surffollow.cli.values import SERVICE_NAME, Finite
+from surffollow.errors import ScanInputError, UsageError
+
+if TYPE_CHECKING:
+    from surffollow.scan.grid import TerrainGrid
+    from surffollow.scan.path import ScanPath
+
+
+@click.command("run")
+@click.argument("path", type=EXISTING)
+@click.option("--name", type=SERVICE_NAME, default="surf", show_default=True, help="Service to talk to.")
+@click.option(
+    "--map", "map_file", type=EXISTING, help="Map of the plan: checked, drawn; `--way map` needs it."
+)
+@click.option(
+    "--way",
+    type=click.Choice(["feedforward", "map", "plan"]),
+    default="feedforward",
+    show_default=True,
+    help="Height: the plan's, corrected by the demand; the demand alone over the installed map; the plan's.",
+)
+@click.option("--yes", is_flag=True, help="Start without asking; needed where there is no terminal.")
+@click.option("--unchecked", is_flag=True, help="Run a path that `scan check` does not accept.")
+@click.option(
+    "--vertical-mode",
+    type=Finite(0.0, 50.0),
+    default=4.5,
+    show_default=True,
+    help="Frequency [Hz] of the arm up and down, at which demands are shaped; 0: not shaped.",
+)
+@click.option("--damping", type=Finite(0.0, 0.9), default=0.04, show_default=True, help="Of that mode.")
+@click.option("--stiff", is_flag=True, help="Simulate an arm without bending, sway and errors.")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the reports' noise.")
+@click.option("--ground", type=EXISTING, help="True ground of the simulation: figures of the real tip.")
+@click.option("--wait", "wait_s", type=Finite(0.0), default=10.0, help="Seconds to wait for the service.")
+@PICTURE
+@click.option("--report", type=OUT, help="Write one HTML page with figures and picture (extra `plot`).")
+@JSON
+def run_command(
+    path: str,
+    name: str,
+    map_file: str | None,
+    way: str,
+    yes: bool,
+    unchecked: bool,
+    vertical_mode: float,
+    damping: float,
+    stiff: bool,
+    seed: int,
+    ground: str | None,
+    wait_s: float,
+    picture: str | None,
+    report: str | None,
+    as_json: bool,
+) -> None:
+    """Run the path file PATH with the live follower of a service, on a simulated compliant arm.
+
+    The plan is shown and confirmed before anything moves. Keys while it runs: p pause, r resume, a abort;
+    or `surffollow scan pause NAME` from elsewhere. Ctrl-C aborts. An abort brakes, then retracts. Exit code
+    1: not finished, or without a valid demand for more than a tenth of the time; 130 after Ctrl-C.
+    """
+    from surffollow.live.scan_robot_config import ScanRobotConfig, check_executable
+    from surffollow.scan.path_file import read_path
+    from surffollow.scan.shaping import Shaper
+
+    for wanted in (picture, report and "report.png"):
+        if wanted:
+            check_picture(wanted)
+    planned = read_path(path)
+    check_executable(planned)
+    if way == "map" and map_file is None:
+        raise click.UsageError("--way map needs --map: the map that the service is to have")
+    mapped = ground_of(map_file, None) if map_file is not None else None
+    _show(planned, path, map_file, mapped, picture, unchecked)
+    _confirm(yes)
+    shaper = Shaper.zvd(vertical_mode, damping) if vertical_mode > 0.0 else None
+    simulated: dict[str, Any] = {"errors": None, "compliance": None} if stiff else {}
+    config = ScanRobotConfig(way=way, shaper=shaper, seed=seed, **simulated)
+    with _signals() as caught:
+        done = _execute(planned, name, config, mapped, map_file if way == "map" else None, caught, wait_s)
+    from surffollow.live.scan_figures import sensed_figures, true_figures
+
+    figures: dict[str, Any] = {"sensed": sensed_figures(done)}
+    if ground is not None:
+        from surffollow.sim.world_surface import file_surface
+
+        figures["true"] = true_figures(done, file_surface(ground))
+    if picture:
+        from surffollow.live.scan_report import draw_run
+
+        draw_run(picture, done, mapped)
+    if report:
+        from surffollow.live.scan_report import write_run_report
+
+        write_run_report(report, done, figures, mapped)
+    flat = {f"{k}_{n}": v for k, found in figures.items() for n, v in found.items() if k == "true"}
+    print_facts({"path": path} | done.summary | figures["sensed"] | flat, as_json)
+    _end(done.summary, bool(caught))
+
+
+def _show(
+    planned: ScanPath,
+    path: str,
+    map_file: str | None,
+    mapped: TerrainGrid | None,
+    picture: str | None,
+    unchecked: bool,
+) -> None:
+    """Figures, flags, the check and the picture of the plan, on standard error."""
+    from surffollow.scan.check import check_path
+    from surffollow.scan.plan import plan_figures
+
+    for key, value in plan_figures(planned).items():
+        if isinstance(value, dict):
+            value = ", ".join(f"{k} {v}" for k, v in value.items() if v) or "none"
+        text = f"{value:.6g}" if isinstance(value, float) else "-" if value is None else str(value)
+        click.echo(f"{key:<17} {text}", err=True)
+    if mapped is None:
+        click.echo("no --map: the path is not checked against the ground", err=True)
+        return
+    findings = check_path(mapped.heights_m, mapped.origin_m, mapped.grid_m, path)
+    for f in findings:
+        click.echo(f"{'ok  ' if f.ok else 'FAIL'} {f.name:<17} {f.text}", err=True)
+    if picture:
+        from surffollow.scan.pictures import draw_plan
+
+        draw_plan(picture, mapped, planned)
+        click.echo(f"picture of the plan: {picture}", err=True)
+    wrong = [f.name for f in findings if not f.ok]
+    if wrong and not unchecked:
+        raise ScanInputError(
+            f"`scan check` does not accept the path over {map_file}: {', '.join(wrong)}; plan it again, "
+            "or run it with --unchecked"
+        )
+
+
+def _confirm(yes: bool) -> None:
+    if yes:
+        return
+    if not sys.stdin.isatty():
+        raise UsageError("nobody can confirm the plan without a terminal; nothing moved (scripts: --yes)")
+    if not click.confirm("Start the scan?", err=True):
+        click.echo("nothing moved", err=True)
+        sys.exit(1)
+
+
+@contextmanager
+def _signals() -> Iterator[list[int]]:
+    """Numbers of the signals that came: each means abort."""
+    caught: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {
+        n: signal.signal(n, lambda number, _: caught.append(number))
+        for n in numbers
+        if signal.getsignal(n) != signal.SIG_IGN
+    }
+    try:
+        yield caught
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _execute(
+    planned: ScanPath,
+    name: str,
+    config: Any,
+    mapped: TerrainGrid | None,
+    install: str | None,
+    caught: list[int],
+    wait_s: float,
+) -> Any:
+    from surffollow.cli.progress import tell
+    from surffollow.client import attach
+    from surffollow.live.scan_run import execute
+    from surffollow.sim.robot_run import claim_priority
+
+    def prepare(client: Any) -> None:
+        if install is not None:
+            client.map_install(install)
+
+    claim_priority()
+    with tell() as show:
+        return execute(
+            planned,
+            name,
+            lambda: attach(name, label="scan run"),
+            config,
+            ground=mapped,
+            prepare=prepare,
+            aborted=lambda: bool(caught),
+            progress=None if show is None else lambda text, part: show(f"{100 * part:3.0f} % {text}"),
+            wait_s=wait_s,
+        )
+
+
+def _end(summary: dict[str, Any], interrupted: bool) -> None:
+    from surffollow.sim.robot_run import held_too_long
+
+    if interrupted:
+        sys.exit(130)
+    if not summary["finished"] or held_too_long(summary["ticks"], summary["held_ticks"]):
+        sys.exit(1)
+
+
+def _tell(name: str, word: str, as_json: bool) -> None:
+    from surffollow.live.scan_control import ask
+
+    answer = ask(name, word)
+    if as_json:
+        click.echo(json.dumps(answer))
+        return
+    x, y, z = answer["tip_m"]
+    done = "" if word == "status" else f"{word} asked for; it was: "
+    click.echo(
+        f"{done}{answer['state']}, {100 * answer['progress']:.0f} %, pass {answer['pass'] + 1} of "
+        f"{answer['passes']}, tip at {x:.3f}, {y:.3f}, {z:.3f} m"
+        + (f"; {answer['trouble']}" if answer["trouble"] else "")
+    )
+
+
+_NAME = click.argument("name", type=SERVICE_NAME, default="surf")
+
+
+@click.command("pause")
+@_NAME
+@JSON
+def pause_command(name: str, as_json: bool) -> None:
+    """Let the running scan of service NAME come to rest where it is; it keeps its stand-off there."""
+    _tell(name, "pause", as_json)
+
+
+@click.command("resume")
+@_NAME
+@JSON
+def resume_command(name: str, as_json: bool) -> None:
+    """Let a paused scan of service NAME go on."""
+    _tell(name, "resume", as_json)
+
+
+@click.command("abort")
+@_NAME
+@JSON
+def abort_command(name: str, as_json: bool) -> None:
+    """Let the running scan of service NAME brake, retract and end."""
+    _tell(name, "abort", as_json)
+
+
+@click.command("status")
+@_NAME
+@JSON
+def status_command(name: str, as_json: bool) -> None:
+    """Tell what the running scan of service NAME does."""
+    _tell(name, "status", as_json)

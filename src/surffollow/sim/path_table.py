@@ -1,0 +1,155 @@
+"""Read a planner's path file, CSV or NPZ: places, and times, heights, attitudes, speeds, stops if given."""
+
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.errors import UsageError
+
+NEEDED = ("x_m", "y_m")
+ATTITUDE = ("qx", "qy", "qz", "qw")
+KNOWN = ("t_s", *NEEDED, "z_m", *ATTITUDE, "speed_mps", "stop")
+NORM_TOLERANCE = 1e-3
+_WORDS = {"stop": 1.0, "pass": 0.0}  # of the column stop
+# a column that is one of ours but for its unit: x, x_mm, t_ms, speed_mm_s, speed
+_OTHER_UNIT = re.compile(r"(t|x|y|z|speed)(_[a-z0-9_]+)?")
+
+
+@dataclass(frozen=True)
+class PathTable:
+    """Corners of a path, finite and in the right order.
+
+    Attributes
+    ----------
+    x_m, y_m : (n,) float64 [m]
+    t_s : (n,) float64, when the tool is to be there [s], ascending; None: not planned
+    z_m : (n,) float64, planned height of the tool [m]; None
+    attitude : (n, 4) float64, planned unit quaternion, world from tool; None
+    speed_mps : (n,) float64, limit on the way to the corner [m/s]; None
+    stop : (n,) bool, come to rest there
+    """
+
+    x_m: NDArray[np.float64]
+    y_m: NDArray[np.float64]
+    t_s: NDArray[np.float64] | None
+    z_m: NDArray[np.float64] | None
+    attitude: NDArray[np.float64] | None
+    speed_mps: NDArray[np.float64] | None
+    stop: NDArray[np.bool_]
+
+
+def read_path_table(file: str) -> PathTable:
+    """Read a path file.
+
+    Parameters
+    ----------
+    file : CSV with a header line (lines that begin with # are passed over), or NPZ; the columns `x_m`, `y_m`,
+        and optionally `t_s`, `z_m`, `qx` `qy` `qz` `qw`, `speed_mps`, `stop` (1 or stop, 0 or pass); others
+        are passed over
+
+    Raises
+    ------
+    UsageError
+        it cannot be read, lacks a column, holds what is no number, or cannot be: times that go back, speeds
+        that are not positive, a quaternion whose norm is not 1, another unit in a column's name
+    """
+    columns = _read_npz(file) if file.lower().endswith(".npz") else _read_csv(file)
+    _check_names(file, columns)
+    lengths = {len(c) for c in columns.values()}
+    if len(lengths) > 1 or min(lengths) < 2:
+        raise UsageError(
+            f"path '{file}' has columns of {sorted(lengths)} rows; two or more corners are needed"
+        )
+    for name, values in columns.items():
+        _check(file, name, np.isfinite(values), values, "finite")
+    t_s, speed = columns.get("t_s"), columns.get("speed_mps")
+    if t_s is not None:
+        later = np.concatenate([[True], np.diff(t_s) >= 0.0])
+        _check(file, "t_s", later, t_s, "not before the row above: times go back")
+    if speed is not None:
+        _check(file, "speed_mps", speed > 0.0, speed, "above 0")
+    attitude = None
+    if "qw" in columns:
+        attitude = np.column_stack([columns[n] for n in ATTITUDE])
+        norm = np.linalg.norm(attitude, axis=1)
+        _check(file, "qx qy qz qw", np.abs(norm - 1.0) <= NORM_TOLERANCE, norm, "of norm 1")
+        attitude /= norm[:, None]
+    stop = columns.get("stop", np.zeros(len(columns["x_m"])))
+    _check(file, "stop", (stop == 0.0) | (stop == 1.0), stop, "1 (stop) or 0 (pass)")
+    return PathTable(
+        columns["x_m"], columns["y_m"], t_s, columns.get("z_m"), attitude, speed, stop.astype(bool)
+    )
+
+
+def _check(file: str, name: str, good: NDArray[np.bool_], values: NDArray[np.float64], wanted: str) -> None:
+    if not good.all():
+        row = int(np.argmin(good))
+        raise UsageError(f"path '{file}', corner {row + 1}: {name} is {values[row]:g}; it must be {wanted}")
+
+
+def _check_names(file: str, columns: dict[str, Any]) -> None:
+    missing = [n for n in NEEDED if n not in columns]
+    some = [n for n in ATTITUDE if n in columns]
+    if some and len(some) < len(ATTITUDE):
+        missing += [n for n in ATTITUDE if n not in columns]
+    odd = [n for n in columns if n not in KNOWN and _OTHER_UNIT.fullmatch(n)]
+    for name in odd:
+        ours = next(n for n in KNOWN if n.startswith(name.partition("_")[0] + "_"))
+        if ours not in columns:
+            raise UsageError(f"path '{file}' has the column {name}; write {ours}, in metres and seconds")
+    if missing:
+        raise UsageError(
+            f"path '{file}' has the columns {', '.join(columns) or 'none'}; {', '.join(missing)} needed"
+        )
+    for name in [n for n in columns if n not in KNOWN]:
+        del columns[name]
+
+
+def _read_npz(file: str) -> dict[str, NDArray[np.float64]]:
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            found = {name: stored[name] for name in stored.files}
+        return {
+            n: np.atleast_1d(np.asarray(v, np.float64)) for n, v in found.items() if n in KNOWN or v.ndim == 1
+        }
+    except (OSError, ValueError) as error:
+        raise UsageError(f"cannot read the path '{file}': {error}") from None
+
+
+def _read_csv(file: str) -> dict[str, NDArray[np.float64]]:
+    try:
+        with open(file, newline="", encoding="utf-8-sig") as stream:
+            rows = [r for r in csv.reader(stream) if r and not r[0].lstrip().startswith("#")]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise UsageError(f"cannot read the path '{file}': {error}") from None
+    if not rows:
+        raise UsageError(f"path '{file}' is empty; a header line and two or more corners are needed")
+    names = [n.strip() for n in rows[0]]
+    columns: dict[str, NDArray[np.float64]] = {}
+    for k, name in enumerate(names):
+        values = []
+        for number, row in enumerate(rows[1:], 1):
+            if len(row) != len(names):
+                raise UsageError(f"path '{file}', corner {number}: {len(row)} values, {len(names)} columns")
+            values.append(_number(file, number, name, row[k].strip()))
+        columns[name] = np.array(values, np.float64)
+    return columns
+
+
+def _number(file: str, number: int, name: str, text: str) -> float:
+    if name == "stop" and text in _WORDS:
+        return _WORDS[text]
+    try:
+        return float(text)
+    except ValueError:
+        if name not in KNOWN:
+            return 0.0
+        raise UsageError(
+            f"path '{file}', corner {number}: {name} is {text!r}; it must be a number without a unit"
+        ) from None

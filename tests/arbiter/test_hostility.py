@@ -1,0 +1,354 @@
+"""Hostile numbers and descriptors, strangers at the door, floods, dead servers, a second start."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from arbiter.running import CONFIG, Running, send_raw, until
+from second_user import OtherUser, needs_root
+from surffollow.arbiter import attach, command_reader, observe
+from surffollow.arbiter import handshake as hs
+from surffollow.arbiter import layout as al
+from surffollow.arbiter.config import parse_config
+from surffollow.arbiter.exchange import HEAD
+from surffollow.arbiter.reception import MOST_SILENT
+from surffollow.errors import AlreadyRunningError, ConfigError, NameError_, RefusedError
+from surffollow.shm.name_lock import NameLock
+from surffollow.shm.unix_socket import accept_descriptors, new_socket
+
+SIX = '["x", "y", "z", "rx", "ry", "rz"]'
+SUM = f"""
+history = 8192
+[clients]
+a = 10
+b = 20
+[resources.p]
+command = {SIX}
+safe = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+[resources.q]
+command = {SIX}
+safe = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+[combine.tool]
+parts = ["p", "q"]
+low = [-0.1, -0.1, -0.1, -0.1, -0.1, -0.1]
+high = [0.1, 0.1, 0.1, 0.1, 0.1, 0.1]
+[resources.u]
+command = ["x"]
+safe = [0.0]
+[resources.v]
+command = ["x"]
+safe = [0.0]
+[combine.free]
+parts = ["u", "v"]
+"""
+POSE = (0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def summed(tmp_path_factory):
+    server = Running(tmp_path_factory.mktemp("sum"), SUM)
+    try:
+        yield server.start()
+    finally:
+        server.purge()
+
+
+@pytest.fixture
+def both(summed):
+    with attach(summed.name, "a") as a, attach(summed.name, "b") as b:
+        yield a, b
+
+
+def held(client, name):
+    resource = client.resource(name)
+    assert resource.request()
+    return resource
+
+
+def test_no_number_that_is_none_leaves_the_server_whatever_finite_ones_come_in(summed, both):
+    a, b = both
+    p, q, u, v = held(a, "p"), held(b, "q"), held(a, "u"), held(b, "v")
+    history = a.history()
+    six = (0.05,) * 6
+    poses = [
+        (0.0, 0.0, 0.0, 1e200, 1e200, 0.0, 1.0),
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0),
+        (0.0, 0.0, 0.0, float("nan"), 0.0, 0.0, 1.0),
+        (1e308, -1e308, 1e308, 0.0, 0.0, 0.0, 1.0),
+        (-1e308, 1e308, -1e308, 0.0, 0.0, 0.0, 1.0),
+    ]
+    with command_reader(summed.name, "tool") as tool, command_reader(summed.name, "free") as free:
+        for k, pose in enumerate(poses * 8):
+            p.command(*six, ref_t_ns=1, ref_pose=POSE)
+            q.command(*six, ref_t_ns=2 + k, ref_pose=pose)
+            u.command((1e308, -1e308)[k % 2])
+            v.command((1e308, -1e308)[k // 2 % 2])
+            until(lambda: all(e.post[HEAD] == e.words[e.consumed] for e in (a.exchange, b.exchange)))
+            for reader in (tool, free):
+                c = reader.latest()
+                assert all(math.isfinite(x) for x in c.values), (pose, c)
+        assert len([e for e in history if e.event == "REJECT_BAD"]) == 24
+        until(lambda: u.command(1e308) and v.command(1e308) and free.latest().safe)
+        until(lambda: u.command(1.0) and v.command(2.0) and free.latest().values == (3.0,))
+        until(
+            lambda: (
+                p.command(*six, ref_t_ns=1, ref_pose=POSE)
+                and q.command(*six, ref_t_ns=2, ref_pose=POSE)
+                and tool.latest().values == pytest.approx((0.1,) * 6)
+            )
+        )
+
+
+def test_a_pose_that_is_no_unit_quaternion_is_rejected(both):
+    a, _ = both
+    p, history = held(a, "p"), a.history()
+    for pose in ((*POSE[:6], 2.0), (math.inf, *POSE[1:]), (1.0,) * 7):
+        assert p.command(*(0.0,) * 6, ref_t_ns=1, ref_pose=pose)
+    assert p.command(*(0.0,) * 6, ref_t_ns=1, ref_pose=POSE)
+    assert p.command(*(0.0,) * 6, ref_t_ns=1)
+    events = []
+    until(lambda: events.extend(e.event for e in history if e.item) or len(events) >= 5)
+    assert events == ["REJECT_BAD"] * 3 + ["FORWARD"] * 2
+
+
+def test_a_command_is_valid_for_its_time_from_when_it_was_made(summed, both):
+    a, _ = both
+    u, history = held(a, "u"), a.history()
+    made = time.monotonic_ns() - 200_000_000
+    with command_reader(summed.name, "u") as reader:
+        assert u.command(1.0, t_ns=made)
+        until(lambda: [e for e in history if e.event == "FORWARD"])
+        command = until(lambda: (c := reader._block.latest().values) and c.value[0] == 1.0 and c)
+        assert command.valid_until_ns == made + 250_000_000
+        (late,) = until(lambda: [e for e in history if e.resource == "u" and e.event == "SAFE"])
+        assert late.reason == "LATE"
+        assert late.t_ns - made >= 250e6
+
+
+def test_the_safe_command_goes_out_at_the_end_of_the_time_to_live_however_long_its_period(tmp_path):
+    server = Running(tmp_path, CONFIG.replace('status = "cell.base"', 'safe_period = "30 s"\nttl = "400 ms"'))
+    try:
+        server.start()
+        with attach(server.name, "go") as go:
+            robot, history = held(go, "robot"), go.history()
+            seen = []
+            for _ in range(2):
+                until(lambda: robot.command(0.1, 0.1))
+
+                def over():
+                    seen.extend((e.event, e.reason) for e in history)
+                    return "FORWARD" in [e for e, _ in seen] and seen[-1] == ("SAFE", "LATE")
+
+                until(over)
+                seen.clear()
+    finally:
+        server.purge()
+
+
+def test_a_low_client_fills_the_history_no_faster_by_queueing_than_by_asking(both):
+    a, b = both
+    held(b, "u")
+    u, history = a.resource("u"), b.history()
+    since, sent = time.monotonic(), 0
+    while sent < 6000:
+        for what in (u._queue_up, u._relinquish):
+            send_raw(a, what, 0)
+            sent += 1
+        until(lambda: a.exchange.post[HEAD] - a.exchange.words[a.exchange.consumed] < 32)
+    most = 300 + 1000 * (time.monotonic() - since)  # a burst, and one each millisecond
+    taken = [e.event for e in history if e.client == a.number]
+    assert {"ENQUEUE", "DEQUEUE"} <= set(taken)
+    assert len(taken) <= min(most, 5999)
+    assert history.lost == 0
+
+
+def test_what_ended_takes_no_commands_and_tells_nothing_of_what_it_held(make_arbiter, child):
+    server = make_arbiter().start()
+    go = attach(server.name, "go")
+    robot = held(go, "robot")
+
+    def work(say):
+        say(b"f" if robot.command(0.5, 1.0) or robot.held or robot.token or robot.holder() else b"n")
+
+    assert robot.command(0.1, 0.1)
+    assert child(work).hear() == b"n"  # a forked child is not its parent
+    assert robot.command(0.1, 0.1)
+    server.kill()
+    until(lambda: not go.connected)
+    assert not robot.command(0.1, 0.1)
+    assert (robot.held, robot.token, robot.holder()) == (False, 0, None)
+
+
+# -- strangers ----------------------------------------------------------------------------------------
+
+
+@needs_root
+def test_strangers_at_the_door_keep_nobody_out(summed):
+    def crowd(child):
+        kept = []
+        for _ in range(4 * MOST_SILENT):
+            kept.append(new_socket())
+            kept[-1].settimeout(5.0)
+            kept[-1].connect(hs.address(summed.name))
+        # all are told that they may not
+        told = sum(len(one.recv(256)) > 0 for one in kept)
+        child.say(told)
+        signal.pause()
+
+    with OtherUser(crowd) as others:
+        assert others.hear() == 4 * MOST_SILENT
+        with attach(summed.name, "a") as a:
+            assert a.resource("u").request()
+
+
+def test_silent_connections_of_one_user_are_bounded_and_end_by_themselves(summed):
+    kept = []
+    for _ in range(3 * MOST_SILENT):
+        kept.append(new_socket())
+        kept[-1].setblocking(False)
+        kept[-1].connect(hs.address(summed.name))
+
+    def closed():
+        count = 0
+        for one in kept:
+            with contextlib.suppress(BlockingIOError):
+                count += one.recv(1, socket.MSG_PEEK) == b""
+        return count
+
+    until(lambda: closed() >= 2 * MOST_SILENT)
+    until(lambda: closed() == 3 * MOST_SILENT)
+    with attach(summed.name, "a"):
+        pass
+    for one in kept:
+        one.close()
+
+
+def lingering():
+    """A TCP connection whose last close waits for 60 s."""
+    with socket.socket() as door:
+        door.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        door.bind(("127.0.0.1", 0))
+        door.listen(1)
+        out = socket.socket()
+        out.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+        out.connect(door.getsockname())
+        other, _ = door.accept()
+    out.setblocking(False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            out.send(bytes(65536))
+    out.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 60))
+    return out, other
+
+
+@needs_root
+def test_a_descriptor_that_lingers_holds_nobody_up(summed):
+    with new_socket() as probe:
+        if not accept_descriptors(probe, False):
+            pytest.skip("this kernel cannot refuse descriptors (Linux 6.16)")
+
+    def attack(child):
+        out, other = lingering()
+        with new_socket() as sock:
+            sock.connect(hs.address(summed.name))
+            try:
+                socket.send_fds(sock, [b"hello"], [out.fileno()])
+                child.say("sent")
+            except OSError as e:
+                child.say(type(e).__name__)
+            out.close()
+            signal.pause()
+        other.close()
+
+    with OtherUser(attack) as attacker:
+        assert attacker.hear() in ("PermissionError", "BrokenPipeError")
+        with attach(summed.name, "a", timeout_s=10.0) as a:
+            assert a.resource("u").request()
+
+
+# -- starts and configurations ------------------------------------------------------------------------
+
+
+@needs_root
+def test_a_start_in_another_network_namespace_harms_no_server(make_arbiter):
+    server = make_arbiter().start()
+    words = ["unshare", "-n", sys.executable, "-m", "surffollow", "arbiter", "start", "--quiet"]
+    try:
+        done = subprocess.run(
+            [*words, "--name", server.name, str(server.path)], capture_output=True, text=True, timeout=120
+        )
+    except FileNotFoundError:
+        pytest.skip("no unshare on this machine")
+    if "unshare" in done.stderr:
+        pytest.skip(f"no network namespace here: {done.stderr.strip()}")
+    assert done.returncode == 1
+    assert f"process {server.process.pid}" in done.stderr
+    with attach(server.name, "go") as go, observe(server.name) as seen:
+        assert seen.alive()
+        assert go.resource("robot").request()
+    assert server.stop() == 0
+
+
+def test_a_name_that_a_live_process_owns_is_not_taken(tmp_path):
+    from surffollow.arbiter.server import Server
+
+    name = f"own{os.getpid()}"
+    own = NameLock.take(f"{name}.arbiter")
+    config = parse_config({"name": name, "clients": {"a": 1}, "resources": {"r": ONE}})
+    try:
+        with pytest.raises(AlreadyRunningError, match=f"process {os.getpid()}"):
+            Server(config)
+    finally:
+        own.release()
+
+
+ONE = {"command": ("x",), "safe": (0.0,)}
+
+
+@pytest.mark.parametrize(
+    ("resources", "combine", "why"),
+    [
+        ({"r": ONE | {"safe": (math.inf,)}}, {}, "must be finite"),
+        ({"r": ONE | {"safe": (math.nan,)}}, {}, "must be finite"),
+        ({"r": ONE}, {"s": {"parts": ("r", "r")}}, "names a resource twice"),
+        ({"r": ONE | {"command": ("a,b",)}}, {}, "is not allowed"),
+        ({"r": ONE | {"units": ("m,s",)}}, {}, "holds a comma"),
+        ({"r": ONE | {"units": ("m" * 300,)}}, {}, "more than 255"),
+        ({"r.lock": ONE}, {}, "that is the lock of"),
+        ({"r": ONE}, {"s.map": {"parts": ("r",)}}, "that is the map of"),
+    ],
+)
+def test_what_would_mislead_is_no_configuration(resources, combine, why):
+    with pytest.raises((ConfigError, NameError_), match=why):
+        parse_config({"clients": {"a": 1}, "resources": resources, "combine": combine})
+
+
+def test_a_refused_user_is_told_so_even_when_the_server_was_faster(summed):
+    """The server answers and closes before the client has said a word."""
+    name = f"{summed.name}x"
+    sock = hs.listen(name)
+    sock.setblocking(True)
+
+    def refuse():
+        one, _ = sock.accept()
+        one.send(hs.welcome(al.HELLO_USER))
+        one.close()
+
+    for _ in range(5):
+        thread = threading.Thread(target=refuse)
+        thread.start()
+        with pytest.raises(RefusedError, match="this user may not attach"):
+            attach(name, "a", timeout_s=5.0)
+        thread.join()
+    sock.close()

@@ -1,0 +1,314 @@
+"""Another user under an arbiter's names: nobody who did not name him obeys him, asks him or believes him."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pwd
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import uuid
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from arbiter.running import CONFIG, compile_client, until
+from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
+from surffollow.arbiter import attach, command_reader, observe
+from surffollow.arbiter import handshake as hs
+from surffollow.arbiter.board import take_old_board
+from surffollow.arbiter.config import load_config, parse_config
+from surffollow.arbiter.server import Server
+from surffollow.errors import AlreadyRunningError, BlockError, NoPermissionError, NotRunningError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+pytestmark = needs_root
+BOTH = f"user {NOBODY}, expected user 0"
+OPEN = 'users = ["*"]\nmode = "0644"\n' + CONFIG.replace("MORE_CLIENTS", "patrol = 10")
+
+
+class Honest:
+    """Root's arbiter, in a forked child that need not load the kernels."""
+
+    def __init__(self, path: Path) -> None:
+        self.name, self.config = path.stem, load_config(path)
+        self._child: OtherUser | None = None
+
+    def start(self) -> None:
+        def work(child: OtherUser) -> str:
+            Server(self.config).run(lambda: child.say("READY"))
+            return "ended"
+
+        self._child = OtherUser(work, uid=0)
+        assert self._child.hear() == "READY"
+
+    def stop(self) -> None:
+        assert self._child is not None
+        os.kill(self._child.pid, signal.SIGTERM)
+        assert self._child.hear() == "ended"
+        self._child.end()
+        self._child = None
+
+    def purge(self) -> None:
+        if self._child is not None:
+            self._child.end()
+        for left in Path("/dev/shm").glob(f"{self.name}*"):
+            left.unlink()
+
+
+@pytest.fixture(scope="module")
+def loaded():
+    """The server's kernels, for all children."""
+    warm = Server(parse_config(tomllib.loads(OPEN) | {"name": f"warm{os.getpid()}"}))
+    thread = threading.Thread(target=lambda: warm.run(warm.stop))
+    thread.start()
+    thread.join()
+
+
+@pytest.fixture
+def honest(tmp_path, loaded):
+    """Root's arbiter, not started."""
+    path = tmp_path / f"i{uuid.uuid4().hex[:10]}.toml"
+    path.write_text(f'name = "{path.stem}"\n' + OPEN)
+    one = Honest(path)
+    try:
+        yield one
+    finally:
+        one.purge()
+
+
+@contextlib.contextmanager
+def impostor_of(honest):
+    """Another user's arbiter of the same name, whose client drives at full speed."""
+    config = honest.config
+
+    def work(child):
+        server = Server(config)
+        serving = threading.Thread(target=lambda: server.run(lambda: None))
+        serving.start()
+        one = attach(config.name, "avoid")
+        robot = one.resource("robot")
+        assert robot.request()
+        robot.command(0.5, 1.0)
+        child.say("there")
+        threading.Thread(target=lambda: (child.hear(), server.stop()), daemon=True).start()
+        until(lambda: not (robot.command(0.5, 1.0) or one.connected), float("inf"))
+        serving.join()
+        return "ended"
+
+    with OtherUser(work) as other:
+        assert other.hear() == "there"
+        yield other
+    for left in Path("/dev/shm").glob(f"{honest.name}*"):
+        left.unlink()  # as root does: no server of another user would
+
+
+def names_of(arbiter):
+    return {e["name"] for e in arbiter.status()["clients"]}
+
+
+def test_an_impostor_after_a_clean_stop_commands_no_controller_and_gets_no_client(honest):
+    honest.start()
+    client = attach(honest.name, "go")
+    with command_reader(honest.name, "robot") as reader:
+        robot = client.resource("robot")
+        assert robot.request()
+        until(lambda: robot.command(0.2, 0.1) and not reader.latest().safe)
+        honest.stop()
+        until(lambda: reader.latest().safe)
+        with impostor_of(honest):
+            until(lambda: BOTH in reader.refusal or not reader.latest().safe)
+            assert reader.latest().values == (0.0, 0.0)
+            for action in (
+                lambda: attach(honest.name, "go"),
+                lambda: client.reattach(),
+                lambda: observe(honest.name),
+                lambda: command_reader(honest.name, "robot"),
+                lambda: client.reattach(),
+            ):
+                with pytest.raises(NoPermissionError, match=BOTH):
+                    action()
+            assert reader.latest().safe
+        honest.start()
+        with client.reattach() as again:
+            robot = again.resource("robot")
+            assert robot.request()
+            until(lambda: robot.command(0.2, 0.1) and not reader.latest().safe)
+            assert reader.refusal == ""
+    honest.stop()
+
+
+def test_who_is_named_is_believed_and_nobody_else_from_the_first_attachment_on(honest, monkeypatch):
+    with impostor_of(honest) as impostor:
+        with attach(honest.name, "go", owner=NOBODY) as one, observe(honest.name, owner=NOBODY) as seen:
+            assert one.owner == NOBODY
+            assert not one.resource("robot").request()
+            assert names_of(seen) == {"avoid", "go"}
+            with command_reader(honest.name, "robot", owner=NOBODY) as reader:
+                until(lambda: reader.latest().values == (0.5, 1.0))
+        with pytest.raises(NoPermissionError, match=f"user {NOBODY}, expected user 12345"):
+            attach(honest.name, "go", owner=12345)
+        monkeypatch.setenv("SURFFOLLOW_OWNER", str(NOBODY))
+        first = attach(honest.name, "go")
+        reader = command_reader(honest.name, "robot")
+        until(lambda: not reader.latest().safe)
+        impostor.say("stop")
+        assert impostor.hear() == "ended"
+    monkeypatch.delenv("SURFFOLLOW_OWNER")
+    honest.start()  # root's: trusted by default, but not whom those two attached to
+    with pytest.raises(NoPermissionError, match=f"user 0, expected user {NOBODY}"):
+        first.reattach()
+    with attach(honest.name, "go") as one, command_reader(honest.name, "robot") as new:
+        robot = one.resource("robot")
+        assert robot.request()
+        until(lambda: robot.command(0.2, 0.1) and not new.latest().safe)
+        until(lambda: reader.latest().safe and f"user 0, expected user {NOBODY}" in reader.refusal)
+    honest.stop()
+    reader.close()
+
+
+def test_only_whom_users_names_may_attach(honest):
+    def try_it(_):
+        return outcome(lambda: attach(honest.name, "go", owner=0).close())
+
+    honest.config = msgspec.structs.replace(honest.config, users=())
+    honest.start()
+    assert "RefusedError" in as_other_user(try_it)
+    honest.stop()
+    name = pwd.getpwuid(NOBODY).pw_name
+    honest.config = msgspec.structs.replace(honest.config, users=(name,))
+    honest.start()
+    assert as_other_user(try_it) == "done"
+    honest.stop()
+
+
+def fill_backlog(name):
+    """Connect until the next to connect would wait."""
+    while True:
+        waiting = hs.new_socket()
+        waiting.setblocking(False)
+        try:
+            waiting.connect(hs.address(name))
+        except BlockingIOError:
+            waiting.close()
+            return
+        kept.append(waiting)
+
+
+kept: list[socket.socket] = []
+
+
+def test_a_squatter_keeps_nobody_waiting_and_is_named(honest):
+    def squat(child):
+        sock = hs.new_socket()
+        sock.bind(hs.address(honest.name))
+        sock.listen(8)
+        child.say("there")
+        child.hear()
+        fill_backlog(honest.name)
+        child.say("full")
+        signal.pause()
+
+    with OtherUser(squat) as squatter:
+        assert squatter.hear() == "there"
+        with pytest.raises(AlreadyRunningError, match=rf"process {squatter.pid} of user {NOBODY}"):
+            hs.listen(honest.name)
+        with pytest.raises(NoPermissionError, match=BOTH):
+            attach(honest.name, "go")
+        squatter.say("fill")
+        assert squatter.hear() == "full"
+        with pytest.raises(NotRunningError):
+            attach(honest.name, "go", timeout_s=0.1)
+
+
+def test_a_board_that_another_user_made_is_not_taken_over(honest):
+    path = f"/dev/shm/{honest.name}.arbiter"
+
+    def make(_):
+        with open(path, "wb") as file:
+            file.write(bytes(8192))
+        os.chmod(path, 0o666)
+
+    assert as_other_user(lambda child: outcome(lambda: make(child))) == "done"
+    try:
+        with pytest.raises(NoPermissionError, match=BOTH):
+            take_old_board(f"{honest.name}.arbiter")
+    finally:
+        os.unlink(path)
+
+
+def test_a_server_that_may_not_write_a_command_block_leaves_nothing_behind(honest):
+    path = Path(f"/dev/shm/{honest.name}.speaker")
+    assert as_other_user(lambda _: outcome(lambda: path.write_bytes(bytes(8192)))) == "done"
+    with pytest.raises((BlockError, NoPermissionError)):
+        Server(honest.config)
+    assert [p.name for p in Path("/dev/shm").glob(f"{honest.name}*")] == [path.name]
+    path.unlink()
+    honest.start()  # and does not keep the name
+    honest.stop()
+
+
+# -- the header in C ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def patrol(tmp_path_factory):
+    return compile_client(tmp_path_factory.mktemp("patrol"))
+
+
+def run_patrol(patrol, name, seconds, **environment):
+    return subprocess.run(
+        [str(patrol), name, seconds], capture_output=True, text=True, env=os.environ | environment, timeout=60
+    )
+
+
+def test_a_client_in_c_refuses_another_users_arbiter_unless_he_is_named(honest, patrol):
+    with impostor_of(honest):
+        done = run_patrol(patrol, honest.name, "0.2")
+        assert (done.returncode, done.stdout) == (1, "")
+        assert "a user who is not trusted" in done.stderr
+        done = run_patrol(patrol, honest.name, "0.2", SURFFOLLOW_OWNER=str(NOBODY))
+        assert done.returncode == 0, done.stderr
+        assert "granted the cart 0 times" in done.stdout
+
+
+def test_a_client_in_c_attaches_again_to_the_same_user_only(honest, patrol):
+    honest.start()
+    words = [str(patrol), honest.name, "60"]
+    environment = os.environ | {"SURFFOLLOW_OWNER": str(NOBODY)}  # believed at first, but the pin is root's
+    with subprocess.Popen(words, env=environment) as running:
+        try:
+            with observe(honest.name) as seen:
+                until(lambda: seen.holder("robot") is not None)
+            honest.stop()
+            with impostor_of(honest), observe(honest.name, owner=NOBODY) as seen:
+                history = seen.history(oldest=True)
+                began = time.monotonic()
+                until(lambda: time.monotonic() - began > 0.5)  # it tries every 20 ms
+                assert {e.client for e in history if e.event == "ATTACH"} == {1}
+            honest.start()
+            with observe(honest.name) as seen:
+                until(lambda: (h := seen.holder("robot")) is not None and h.name == "patrol")
+        finally:
+            running.kill()
+    honest.stop()
+
+
+def test_a_client_in_c_waits_no_longer_than_it_was_told_for_a_squatter(honest, patrol):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as sock:
+        sock.bind(hs.address(honest.name))
+        sock.listen(0)
+        fill_backlog(honest.name)
+        done = run_patrol(patrol, honest.name, "1")
+        assert done.returncode == 1
+        assert "did not answer in time" in done.stderr
+        kept.clear()

@@ -1,0 +1,167 @@
+"""The issue's list of bad input, one by one: a clear error or a flagged part of the path, never a guess."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from surffollow.errors import ScanInputError
+from surffollow.scan.arm import Arm
+from surffollow.scan.body import disc
+from surffollow.scan.camera import Camera, looking_down
+from surffollow.scan.deviation import planar_deviation
+from surffollow.scan.envelope import ball_envelope
+from surffollow.scan.grid import TerrainGrid
+from surffollow.scan.image_files import DepthImage
+from surffollow.scan.limits import Annulus, WristLimits
+from surffollow.scan.modes import identify_mode
+from surffollow.scan.patches import coherent_patches
+from surffollow.scan.path import OUT_OF_REACH, UNKNOWN_BENEATH, WRIST_LIMIT
+from surffollow.scan.plan import PlanSettings, plan_scan
+from surffollow.scan.planar_filter import conditional_planar_filter
+from surffollow.scan.shaping import Shaper
+from surffollow.scan.signals import signal_map
+from surffollow.scan.surveying import SurveySettings, survey
+from surffollow.scan.terrain import terrain_map
+
+CAMERA = Camera(150.0, 150.0, 4.5, 4.5, looking_down(0.0, 0.0, 1.5), baseline_m=0.12, max_range_m=10.0)
+FLAT = TerrainGrid.of(np.zeros((80, 80)), grid_m=0.01)
+NAN, INF = float("nan"), float("inf")
+
+
+def settings(**change):
+    told = {"region": (0.2, 0.2, 0.6, 0.6), "gap_m": 0.05, "body_m": disc(0.05)} | change
+    return PlanSettings(**told)
+
+
+def survey_of(depth_m, camera=CAMERA):
+    return survey([DepthImage(np.asarray(depth_m, float), "depth", camera)], [], SurveySettings(grid_m=0.01))
+
+
+def ring(frequency_hz, rate_hz=100.0):
+    t = np.arange(0.0, 4.0, 1.0 / rate_hz)
+    return np.exp(-0.3 * t) * np.cos(2.0 * np.pi * frequency_hz * t)
+
+
+@pytest.mark.parametrize(
+    ("name", "call", "words"),
+    [
+        ("an empty image", lambda: coherent_patches(np.empty((0, 0)), CAMERA), "0"),
+        ("an empty image to filter", lambda: conditional_planar_filter(np.empty((0, 5)), CAMERA), "0"),
+        ("an empty image's deviation", lambda: planar_deviation(np.empty((0, 0))), "0"),
+        ("an image of no depth", lambda: survey_of(np.full((20, 20), NAN)), "no|none"),
+        ("an image of infinite depth", lambda: survey_of(np.full((20, 20), INF)), "no|none"),
+        ("depths in millimetres", lambda: survey_of(np.full((20, 20), 1500.0)), "millimetres|range"),
+        ("no image at all", lambda: survey([], [], SurveySettings(grid_m=0.01)), "at least one"),
+        (
+            "a camera without pose",
+            lambda: survey_of(np.ones((20, 20)), Camera(150.0, 150.0, 4.5, 4.5)),
+            "pose",
+        ),
+        (
+            "a pose that is no rotation",
+            lambda: Camera(1.0, 1.0, 0.0, 0.0, np.ones((4, 4))),
+            "0 0 0 1|rotation",
+        ),
+        ("points that are no numbers", lambda: terrain_map(np.full((9, 3), NAN), 0.01), "finite"),
+        ("a cell of no size", lambda: terrain_map(np.zeros((9, 3)), 0.0), "grid_m"),
+        ("infinite heights", lambda: TerrainGrid.of(np.full((3, 3), INF), grid_m=0.1), "infinite"),
+        ("a gap that is no length", lambda: ball_envelope(np.zeros((9, 9)), 0.01, NAN), "gap_m"),
+        ("a negative gap", lambda: plan_scan(FLAT, settings(gap_m=-0.05)), "gap_m"),
+        ("a gap in millimetres", lambda: plan_scan(FLAT, settings(gap_m=50.0)), "metres"),
+        ("a gap larger than the region", lambda: plan_scan(FLAT, settings(gap_m=0.5)), "larger"),
+        ("a region beside the map", lambda: plan_scan(FLAT, settings(region=(5.0, 5.0, 6.0, 6.0))), "beside"),
+        (
+            "a region that is none",
+            lambda: plan_scan(FLAT, settings(region=(0.6, 0.2, 0.2, 0.6))),
+            "region|x_min",
+        ),
+        (
+            "a region with NaN",
+            lambda: plan_scan(FLAT, settings(region=(0.2, NAN, 0.6, 0.6))),
+            "finite|region",
+        ),
+        (
+            "a region without data",
+            lambda: plan_scan(TerrainGrid.of(np.full((80, 80), NAN), grid_m=0.01), settings()),
+            "known",
+        ),
+        ("a scheme that is none", lambda: plan_scan(FLAT, settings(scheme="spiral")), "spiral"),
+        ("arcs without a base", lambda: plan_scan(FLAT, settings(scheme="arcs")), "base"),
+        ("no width between passes", lambda: plan_scan(FLAT, settings(body_m=[[0.0, 0.0, 0.0]])), "swath_m"),
+        ("body points with NaN", lambda: plan_scan(FLAT, settings(body_m=[[NAN, 0.0, 0.0]])), "finite|body"),
+        (
+            "a mode above half the rate",
+            lambda: identify_mode(ring(2.0), 100.0, band_hz=(60.0, 80.0)),
+            "rate|band|Hz",
+        ),
+        (
+            "a mode below the trace",
+            lambda: identify_mode(ring(2.0)[:20], 100.0, band_hz=(0.5, 1.0)),
+            "Hz|trace|short",
+        ),
+        ("a trace of NaN", lambda: identify_mode(np.full(400, NAN), 100.0), "finite"),
+        (
+            "a trace that does not ring",
+            lambda: identify_mode(np.zeros(400), 100.0),
+            "ring|swing|mode|peak|none|no ",
+        ),
+        ("a shaper above half the rate", lambda: Shaper.zvd(60.0).shape(np.ones(100), 100.0), "rate|Hz"),
+        ("a shaper of no frequency", lambda: Shaper.zv(0.0), "frequency"),
+        ("a shaper of infinite frequency", lambda: Shaper.ei(INF), "frequency"),
+        ("damping of 1", lambda: Shaper.zv(2.0, 1.0), "damping"),
+        ("no signal", lambda: signal_map(np.full((5, 3), NAN), np.ones(5), 0.01), "finite"),
+    ],
+    ids=lambda v: v if isinstance(v, str) and " " in v else "",
+)
+def test_what_cannot_be_is_refused(name, call, words):
+    with pytest.raises(ScanInputError) as told:
+        call()
+    assert re.search(words, str(told.value)), f"{name}: {told.value}"
+
+
+def test_one_pixel_is_no_terrain():
+    depth = np.full((1, 1), 1.5)
+    assert not coherent_patches(depth, CAMERA).terrain.any()
+    with pytest.raises(ScanInputError):
+        survey_of(depth)
+
+
+def test_ground_that_is_unknown_in_part_is_flagged():
+    z = np.zeros((80, 80))
+    z[30:50, 30:50] = NAN
+    plan = plan_scan(TerrainGrid.of(z, grid_m=0.01), settings())
+    x, y = plan.position_m[:, 0], plan.position_m[:, 1]
+    beneath = (np.abs(x - 0.4) < 0.1) & (np.abs(y - 0.4) < 0.1)
+    assert beneath.any()
+    assert plan.has(UNKNOWN_BENEATH)[beneath].all()
+    away = (plan.passes >= 0) & (np.hypot(x - 0.4, y - 0.4) > 0.245)
+    assert away.any()
+    assert not plan.has(UNKNOWN_BENEATH)[away].any()
+
+
+def test_an_attitude_that_the_wrist_cannot_reach_is_clamped_and_flagged():
+    x = np.arange(80) * 0.01
+    steep = TerrainGrid.of(np.tile(0.8 * x, (80, 1)), grid_m=0.01)
+    limit = np.radians(10.0)
+    plan = plan_scan(steep, settings(wrist=WristLimits.symmetric(limit)))
+    on = plan.passes >= 0
+    assert plan.has(WRIST_LIMIT)[on].all()
+    assert np.degrees(np.arccos(plan.normal[on, 2])).max() <= 10.0 + 1e-6
+    assert np.nanmin(plan.clearance_m[on]) >= 0.05 - 1e-9
+
+
+def test_places_out_of_the_arms_reach_are_flagged():
+    plan = plan_scan(FLAT, settings(work_space=Annulus((0.0, 0.0, 0.3), radius_max_m=0.5)))
+    far = np.hypot(plan.position_m[:, 0], plan.position_m[:, 1]) > 0.55
+    near = np.hypot(plan.position_m[:, 0], plan.position_m[:, 1]) < 0.4
+    assert plan.has(OUT_OF_REACH)[far].all()
+    assert not plan.has(OUT_OF_REACH)[near].any()
+
+
+def test_an_arm_says_which_places_it_cannot_reach():
+    joints = Arm().inverse(np.array([[1.5, 0.0, 0.2], [9.0, 0.0, 0.2]]), np.tile([0.0, 0.0, 1.0], (2, 1)))
+    assert np.isfinite(joints[0]).all()
+    assert np.isnan(joints[1]).any()
