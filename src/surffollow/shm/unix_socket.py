@@ -79,7 +79,6 @@ def listen(path: Path, mode: int, group: int, backlog: int) -> socket.socket:
     OSError   the name is taken, the group is not ours, …
     """
     sock = new_socket()
-    accept_descriptors(sock, False)
     try:
         refuse_rights(sock)  # the sockets that it accepts inherit it
         before = os.umask(0o777)
