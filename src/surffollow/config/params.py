@@ -70,7 +70,7 @@ PARAMS: dict[str, ParamSpec] = {
     "dropout_way_m": ParamSpec(0.06, 1e-6, 1e4, "m"),
     "max_speed_mps": ParamSpec(4.0, 1e-8, 1e8, "m/s"),
     "max_accel_mps2": ParamSpec(800.0, 1e-9, 1e13, "m/s^2"),
-    "max_jerk_mps3": ParamSpec(4e5, 1e-12, 1e18, "m/s^3"),
+    "max_jerk_mps3": ParamSpec(4e5, 1e-12, 1e15, "m/s^3"),
     "toward_factor": ParamSpec(0.5, 0.01, 1.0),
     "max_turn_speed_radps": ParamSpec(1.0, 1e-6, 1e4, "rad/s"),
     "max_turn_accel_radps2": ParamSpec(20.0, 1e-9, 1e8, "rad/s^2"),

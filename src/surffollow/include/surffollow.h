@@ -343,7 +343,7 @@ static inline const sf_param_info *sf_param_table(void) {
     {"dropout_way_m", 113, 0, 1e-06, 10000.0},
     {"max_speed_mps", 114, 0, 1e-08, 100000000.0},
     {"max_accel_mps2", 115, 0, 1e-09, 10000000000000.0},
-    {"max_jerk_mps3", 116, 0, 1e-12, 1e+18},
+    {"max_jerk_mps3", 116, 0, 1e-12, 1000000000000000.0},
     {"toward_factor", 117, 0, 0.01, 1.0},
     {"max_turn_speed_radps", 118, 0, 1e-06, 10000.0},
     {"max_turn_accel_radps2", 119, 0, 1e-09, 100000000.0},
