@@ -33,7 +33,7 @@ from running_service import Service, config_text, unique_name  # noqa: E402
 from stop_controller import COMMAND, REPORT  # noqa: E402
 from surffollow.client import Client  # noqa: E402
 from surffollow.client import attach as attach_to  # noqa: E402
-from surffollow.errors import SurffollowError  # noqa: E402
+from surffollow.errors import NotRunningError, SurffollowError  # noqa: E402
 from surffollow.shm.latch_shape import latch_bytes  # noqa: E402
 from surffollow.sim.robot import RobotConfig, RobotCore  # noqa: E402
 from surffollow.sim.robot_run import claim_priority  # noqa: E402
@@ -129,7 +129,17 @@ class Rig:
             self.blind = True
         else:
             assert other is not None
+            while not self._stops(other):
+                self.tick()
+
+    @staticmethod
+    def _stops(other: Client) -> bool:
+        """Whether the request is sent; after a restart the client gets its slot in steps."""
+        try:
             other.stop("bench", wait=False)
+        except NotRunningError:
+            return False
+        return True
 
     def heal(self, kind: str) -> None:
         """Give back what was taken away; a thread, for the body goes on meanwhile."""

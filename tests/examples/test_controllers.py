@@ -105,7 +105,7 @@ def test_status_says_that_errors_of_reports_cancel(bare: Service) -> None:
 
 def test_an_own_laser_pushed_from_python_closes_the_loop(tmp_path: Path) -> None:
     source = (EXAMPLES / "python/push_range.py").read_text()
-    config = "\n".join(line.strip() for line in source.split("laser.toml:")[1].splitlines()[2:5])
+    config = "\n".join(line.strip() for line in source.split("laser.toml:")[1].splitlines()[2:6])
     assert config.startswith("[driver]")
     service = Service(tmp_path, config + "\n")
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import time
 from collections.abc import Sequence
@@ -148,6 +149,20 @@ class Client(RangePusher):
         self._must_be_there()
         if not self._pose_held:
             self._claim_pose()
+
+    def _ask(
+        self,
+        code: int,
+        values: Sequence[float],
+        timeout_s: float,
+        wait: bool,
+        numbers: Sequence[int] = (),
+    ) -> Ticket:
+        """Send a request; one that may wait first claims the pose anew that a restart took."""
+        if wait and self._had_pose and not self._pose_held:
+            with contextlib.suppress(BusyError):  # another one has it: the service says what that means
+                self._claim_pose()
+        return super()._ask(code, values, timeout_s, wait, numbers)
 
     def release_pose(self) -> None:
         """Let another client send the pose."""
