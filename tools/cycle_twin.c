@@ -221,7 +221,7 @@ static void measure_speed(const Params *p, PaperState *s, const SenseState *sens
   s->speed_pose = sense->pose_count;
 }
 
-static void watch_fold_back(PaperState *s, double range, double sensor_z, double near, double far) {
+static void watch_fold_back(FoldBackState *s, double range, double sensor_z, double near, double far) {
   if (!s->close) {
     if (range < near) {
       s->close = 1;
@@ -266,7 +266,7 @@ static int64_t demand_z(const Params *p, FollowState *st, const Inputs *in, Outp
       cut_ranges(s, p->range_size);
     s->slope = range_slope(s, p->range_size);
     measure_speed(p, s, sense);
-    watch_fold_back(s, range, sensor_z, p->too_close_m, p->too_close_exit_m);
+    watch_fold_back(&st->fold, range, sensor_z, p->too_close_m, p->too_close_exit_m);
   } else {
     sensor_z = footprint(tool, p->tool_from_sensor, 0.0, point);
   }
@@ -298,7 +298,7 @@ static int64_t demand_z(const Params *p, FollowState *st, const Inputs *in, Outp
     status = (status & ~(int64_t)(VALID | LIMITED)) | SENSOR_LOST;
     dz = 0.0;
   }
-  if (s->close) {
+  if (st->fold.close) {
     double probe = p->max_demand_m < 0.001 ? p->max_demand_m : 0.001;
     status |= TOO_CLOSE;
     if (!lost && dz < probe) dz = probe;
