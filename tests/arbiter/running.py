@@ -48,6 +48,8 @@ equal = "newcomer"
 class Running:
     """A server process of a test's own."""
 
+    program = ("-m", "surffollow")
+
     def __init__(self, folder: Path, text: str = CONFIG, name: str = "", more_clients: str = "") -> None:
         self.name = name or f"a{uuid.uuid4().hex[:10]}"
         self.path = folder / f"{self.name}.toml"
@@ -55,7 +57,7 @@ class Running:
         self.process: subprocess.Popen[str] | None = None
 
     def start(self) -> Running:
-        words = [sys.executable, "-m", "surffollow", "arbiter", "start", "--quiet", "--name", self.name]
+        words = [sys.executable, *self.program, "arbiter", "start", "--quiet", "--name", self.name]
         self.process = subprocess.Popen([*words, str(self.path)], stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         line = self.process.stdout.readline()

@@ -25,7 +25,8 @@ from surffollow.arbiter.exchange import HEAD
 from surffollow.arbiter.reception import MOST_SILENT
 from surffollow.errors import AlreadyRunningError, ConfigError, NameError_, RefusedError
 from surffollow.shm.name_lock import NameLock
-from surffollow.shm.unix_socket import accept_descriptors, new_socket
+from surffollow.shm.uninvited import refuse_rights
+from surffollow.shm.unix_socket import new_socket
 
 SIX = '["x", "y", "z", "rx", "ry", "rz"]'
 SUM = f"""
@@ -255,7 +256,7 @@ def lingering():
 @needs_root
 def test_a_descriptor_that_lingers_holds_nobody_up(summed):
     with new_socket() as probe:
-        if not accept_descriptors(probe, False):
+        if not refuse_rights(probe):
             pytest.skip("this kernel cannot refuse descriptors (Linux 6.16)")
 
     def attack(child):
@@ -275,6 +276,41 @@ def test_a_descriptor_that_lingers_holds_nobody_up(summed):
         assert attacker.hear() in ("PermissionError", "BrokenPipeError")
         with attach(summed.name, "a", timeout_s=10.0) as a:
             assert a.resource("u").request()
+
+
+class OldKernelArbiter(Running):
+    """An arbiter that takes descriptors from clients, as on a kernel before Linux 6.16."""
+
+    program = (
+        "-c",
+        "import surffollow.arbiter.handshake as hs; hs.refuse_rights = lambda sock: False; "
+        "from surffollow.cli.main import main; main()",
+    )
+
+
+def test_before_linux_6_16_no_client_that_is_admitted_holds_the_server_up_either(tmp_path):
+    server = OldKernelArbiter(tmp_path)
+    senders = []
+    try:
+        server.start()
+        out, other = lingering()
+        for _ in range(6):
+            senders.append(new_socket())
+            senders[-1].connect(hs.address(server.name))
+            socket.send_fds(senders[-1], [b"hello"], [out.fileno()])
+        out.close()
+        for sender in senders:
+            sender.settimeout(10.0)
+            with contextlib.suppress(ConnectionError):
+                assert sender.recv(1) == b"", "the connection is over at once"
+        with attach(server.name, "go", timeout_s=10.0) as go:
+            assert go.resource("robot").request()
+        assert server.stop() == 0
+        other.close()
+    finally:
+        for sender in senders:
+            sender.close()
+        server.purge()
 
 
 # -- starts and configurations ------------------------------------------------------------------------

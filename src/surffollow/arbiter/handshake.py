@@ -26,7 +26,8 @@ from surffollow.errors import (
     RequestTimeoutError,
 )
 from surffollow.shm.sealed import has_sealed_size
-from surffollow.shm.unix_socket import accept_descriptors, new_socket, peer_of
+from surffollow.shm.uninvited import accept_rights, refuse_rights
+from surffollow.shm.unix_socket import new_socket, peer_of
 
 HELLO_TIMEOUT_S = 1.0
 BACKLOG = 1024
@@ -47,7 +48,7 @@ def listen(name: str) -> socket.socket:
     AlreadyRunningError  a live process is
     """
     sock = new_socket()
-    accept_descriptors(sock, False)  # inherited by connections
+    refuse_rights(sock)  # inherited by connections
     try:
         sock.bind(address(name))
     except OSError:
@@ -144,10 +145,10 @@ def knock(name: str, client: str, timeout_s: float, owners: Collection[int] = ()
     try:
         sock.settimeout(max(timeout_s, 0.001))
         try:
-            accept_descriptors(sock, False)  # until it is known who listens
+            refuse_rights(sock)  # until it is known who listens
             sock.connect(address(name))
             owner = _owner_of(sock, name, owners)
-            accept_descriptors(sock, True)
+            accept_rights(sock)
             with contextlib.suppress(ConnectionError):  # it may have refused already
                 sock.send(_HELLO.pack(al.HELLO_MAGIC, al.layout_hash(), client.encode()[:47]))
             data, fds = _hear(sock)

@@ -23,20 +23,13 @@ from surffollow.arbiter.config import ArbiterConfig
 from surffollow.errors import ConfigError
 from surffollow.shm.python_atomics import load_acquire, store_release
 from surffollow.shm.sealed import make_sealed, seal_for_good
-from surffollow.shm.unix_socket import accept_descriptors, new_socket, peer_of, peer_pidfd
+from surffollow.shm.uninvited import Disposal, hear
+from surffollow.shm.unix_socket import peer_of, peer_pidfd
 
 WATCH_S = 0.2
 LAST_ROUND_S = 2.0
 MOST_SILENT = al.CLIENTS  # connections of one user that have not said who they are
 ACCEPT_AT_ONCE = 64
-
-
-def _rights_can_be_refused() -> bool:
-    with new_socket() as sock:
-        return accept_descriptors(sock, False)
-
-
-_RIGHTS_REFUSED = _rights_can_be_refused()
 
 
 class Guest:
@@ -50,8 +43,9 @@ class Guest:
         self.mailbox_fd, self.joined = -1, False
         self.mailbox: mmap.mmap | None = None
 
-    def close(self) -> None:
-        self.sock.close()
+    def close(self, disposal: Disposal) -> None:
+        """End the connection; what the client sent is not closed in this process."""
+        disposal.part(self.sock)
         for fd in (self.pidfd, self.mailbox_fd):
             if fd >= 0:
                 os.close(fd)
@@ -71,14 +65,6 @@ def users_of(config: ArbiterConfig) -> set[int] | None:
     return allowed
 
 
-def _drop(sock: socket.socket) -> None:
-    """Close a stranger's connection; not in this thread where it may have sent descriptors that linger."""
-    if _RIGHTS_REFUSED:
-        sock.close()
-    else:
-        threading.Thread(target=sock.close, daemon=True).start()
-
-
 class Reception:
     """The main thread's part of an arbiter; the loop learns of clients by the states of their slots."""
 
@@ -96,6 +82,7 @@ class Reception:
         self._guests: dict[int, Guest] = {}
         self._slots: list[Guest | None] = [None] * al.CLIENTS
         self._number = 0
+        self._disposal = Disposal()
 
     def _slot_state(self, slot: int) -> int:
         return int(self.mem.ctx.ctypes.data) + 8 * (m.SLOT_STATE + slot)
@@ -108,7 +95,9 @@ class Reception:
         with poll:
             while True:
                 waiting = any(g is not None and g.slot < 0 for g in self._slots)
-                hurry = waiting or any(not g.joined for g in self._guests.values())
+                # connections that wait for their end take descriptors: no further ones until there is room
+                poll.modify(self._listener.fileno(), 0 if self._disposal.full else select.EPOLLIN)
+                hurry = self._disposal.waiting or any(not g.joined for g in self._guests.values())
                 for fd, _ in poll.poll(0.005 if waiting else WATCH_S if hurry else -1):
                     if fd == wake:
                         return
@@ -117,6 +106,8 @@ class Reception:
                     elif fd in self._guests:
                         self._hear(poll, self._guests[fd], fd)
                 self._free_slots()
+                with contextlib.suppress(OSError):  # no process to be had: tried again
+                    self._disposal.look()
                 for guest in self._unique_guests():
                     if not guest.joined and time.monotonic() - guest.since > hs.HELLO_TIMEOUT_S:
                         self._part(poll, guest)
@@ -134,10 +125,10 @@ class Reception:
                 # no word of it is heard, and it takes no place
                 with contextlib.suppress(OSError):
                     sock.send(hs.welcome(al.HELLO_USER), socket.MSG_NOSIGNAL)
-                _drop(sock)
+                self._disposal.part(sock)
                 continue
             if silent >= MOST_SILENT:  # one user cannot keep others out by waiting at the door
-                _drop(sock)
+                self._disposal.part(sock)
                 continue
             guest = Guest(sock, who.pid, who.uid)
             for fd in (sock.fileno(), guest.pidfd):
@@ -156,7 +147,7 @@ class Reception:
         for fd in (guest.sock.fileno(), guest.pidfd):
             if fd >= 0 and self._guests.pop(fd, None) is not None:
                 poll.unregister(fd)
-        guest.close()
+        guest.close(self._disposal)
         if guest.slot >= 0 and not guest.joined:
             self._slots[guest.slot] = None
         elif guest.slot >= 0:
@@ -176,7 +167,7 @@ class Reception:
             self._part(poll, guest)
             return
         try:
-            data = guest.sock.recv(256)
+            data = hear(guest.sock, 256)
             if guest.slot < 0:
                 self._offer(guest, hs.read_hello(data))
             elif not guest.joined and data == hs.MAPPED:
@@ -263,6 +254,9 @@ class Reception:
             time.sleep(0.001)
 
     def close(self) -> None:
-        """Close all connections."""
+        """End all connections, and those that nobody accepted yet."""
         for guest in self._unique_guests():
-            guest.close()
+            guest.close(self._disposal)
+        self._disposal.part_listener(self._listener)
+        with contextlib.suppress(OSError):
+            self._disposal.look()

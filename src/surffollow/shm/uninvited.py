@@ -85,6 +85,11 @@ class Disposal:
         self._next_s = 0.0
 
     @property
+    def waiting(self) -> bool:
+        """Whether `look` has something to do soon."""
+        return bool(self._kept or self._children)
+
+    @property
     def full(self) -> bool:
         """Whether no further connection should be accepted now."""
         return len(self._kept) >= KEPT

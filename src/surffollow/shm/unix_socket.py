@@ -13,7 +13,6 @@ from surffollow.shm.uninvited import refuse_rights
 
 _CREDENTIALS = struct.Struct("3i")
 _SO_PEERPIDFD = 77  # Linux 6.5; without a name in Python
-_SO_PASSRIGHTS = 83  # Linux 6.16
 
 
 class Peer(NamedTuple):
@@ -32,23 +31,6 @@ def socket_path(name: str) -> Path:
 def new_socket() -> socket.socket:
     """A socket of the kind that both sides use: connected, with whole messages."""
     return socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-
-
-def accept_descriptors(sock: socket.socket, wanted: bool) -> bool:
-    """Whether others may send descriptors to this socket, or to connections accepted on it.
-
-    To drop a descriptor that was sent closes it here, and closing may wait: as long as its sender likes, for
-    a TCP connection that lingers. Where the kernel can, it refuses the sender (EPERM) instead.
-
-    Returns
-    -------
-    bool   False: the kernel is older than Linux 6.16 and takes everything
-    """
-    try:
-        sock.setsockopt(socket.SOL_SOCKET, _SO_PASSRIGHTS, int(wanted))
-    except OSError:
-        return False
-    return True
 
 
 def peer_of(sock: socket.socket) -> Peer:
