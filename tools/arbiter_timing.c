@@ -1,10 +1,13 @@
 /* Times of an arbiter's client in C, beside a Unix socket between two such processes, in turns.
  *
- *     arbiter_timing NAME CLIENT ROUNDS
+ *     arbiter_timing NAME CLIENT ROUNDS CPU
  *
+ * CPU: the processor of the socket's other end, as it is the server's.
  * Prints: socket p50 p99, grant p50 p99 [ns], command p50 of batches [ns], commands forwarded per second. */
+#define _GNU_SOURCE
 #include "surffollow_arbiter.h"
 
+#include <sched.h>
 #include <signal.h>
 #include <sys/wait.h>
 
@@ -24,17 +27,21 @@ int main(int argc, char **argv) {
   sfa_client a;
   sfa_resource_status before, after;
   const double values[2] = {0.1, 0.2};
-  const size_t rounds = argc > 3 ? (size_t)atol(argv[3]) : 5000;
+  const size_t rounds = argc > 3 ? (size_t)atol(argv[3]) : 0;
   int64_t *sock = malloc(rounds * sizeof *sock), *grant = malloc(rounds * sizeof *grant);
   int64_t *batch = malloc(rounds * sizeof *batch), until, begin;
   int pair[2], robot, err;
   size_t k;
   char byte = 0;
   pid_t echo;
-  if (argc < 3 || sock == NULL || grant == NULL || batch == NULL) return 2;
+  if (argc < 5 || sock == NULL || grant == NULL || batch == NULL) return 2;
   if (socketpair(AF_UNIX, SOCK_STREAM, 0, pair) != 0) return 2;
   echo = fork();
   if (echo == 0) {
+    cpu_set_t set;
+    CPU_ZERO(&set);
+    CPU_SET(atoi(argv[4]), &set);
+    if (sched_setaffinity(0, sizeof set, &set) != 0) _exit(1);
     while (read(pair[1], &byte, 1) == 1)
       if (write(pair[1], &byte, 1) != 1) break;
     _exit(0);

@@ -1,6 +1,7 @@
 """An arbiter against its limits: latency, rates, an idle server, kills, attacks.
 
-times     grant beside a Unix-socket round trip between two such processes, in turns, in C and in Python;
+times     grant beside a Unix-socket round trip between two such processes, in turns, in C and in Python, once
+          with the two on one processor and once on two (waking another processor takes longest);
           one command, in C and in Python; commands forwarded per second; an idle server's processor time
 kills     holders, requesters and servers killed or stopped at random moments; an independent program audits
           the history meanwhile (tools/arbiter_audit.py)
@@ -13,6 +14,7 @@ attacks   a client that scribbles over its mailbox, forges tokens, holds locks, 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import ctypes
 import fcntl
 import os
@@ -23,7 +25,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +48,23 @@ def quantile(values: list[float], part: float) -> float:
     return values[min(len(values) - 1, int(part * len(values)))] if values else float("nan")
 
 
-def c_times(name: str, rounds: int) -> dict[str, float]:
+@contextlib.contextmanager
+def placed(server: int, cpu: int) -> Iterator[None]:
+    """This process and its children on the first processor, the server on `cpu`."""
+    before = os.sched_getaffinity(0)
+    tasks = [int(t.name) for t in Path(f"/proc/{server}/task").iterdir()]
+    try:
+        for task in tasks:
+            os.sched_setaffinity(task, {cpu})
+        os.sched_setaffinity(0, {min(before)})
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+        for task in tasks:
+            os.sched_setaffinity(task, before)
+
+
+def c_times(name: str, rounds: int, cpu: int) -> dict[str, float]:
     """What tools/arbiter_timing.c prints."""
     with tempfile.TemporaryDirectory() as folder:
         program = Path(folder) / "timing"
@@ -55,16 +73,17 @@ def c_times(name: str, rounds: int) -> dict[str, float]:
             ["gcc", "-std=c11", "-O2", f"-I{ROOT / 'include'}", "-o", str(program), str(source)], check=True
         )
         words = subprocess.run(
-            [str(program), name, "avoid", str(rounds)], check=True, capture_output=True, text=True
+            [str(program), name, "avoid", str(rounds), str(cpu)], check=True, capture_output=True, text=True
         ).stdout.split()
     return {words[k]: float(words[k + 1]) for k in range(0, len(words), 2)}
 
 
-def python_times(name: str, rounds: int) -> dict[str, float]:
+def python_times(name: str, rounds: int, cpu: int) -> dict[str, float]:
     """The same from Python; the other end of the socket is Python, too."""
     here, there = socket.socketpair()
 
     def echo(_: int) -> None:
+        os.sched_setaffinity(0, {cpu})
         while there.send(there.recv(1)):
             pass
 
@@ -224,14 +243,18 @@ def main() -> dict[str, Any]:
     bars, figures = [], {}
     try:
         pid = nursery.start()
-        times = c_times(nursery.name, words.rounds) | python_times(nursery.name, words.rounds)
-        figures["times"] = times
-        ratio = times["grant_p50_ns"] / times["socket_p50_ns"]
-        note = f"{times['grant_p50_ns'] / 1e3:.1f} of {times['socket_p50_ns'] / 1e3:.1f} us"
-        bars.append(bar("grant / socket round trip, p50, C", ratio, 1.0, "", note))
-        ratio = times["python_grant_p50_ns"] / times["python_socket_p50_ns"]
-        note = f"{times['python_grant_p50_ns'] / 1e3:.1f} of {times['python_socket_p50_ns'] / 1e3:.1f} us"
-        bars.append(bar("grant / socket round trip, p50, Python", ratio, 1.0, "", note))
+        figures["times"] = {}
+        first, last = min(os.sched_getaffinity(0)), max(os.sched_getaffinity(0))
+        for where, cpu in {"one processor": first, "two processors": last}.items():
+            with placed(pid, cpu):
+                times = c_times(nursery.name, words.rounds, cpu)
+                times |= python_times(nursery.name, words.rounds, cpu)
+            figures["times"][where] = times
+            for language, mark in (("C", ""), ("Python", "python_")):
+                grant, trip = times[f"{mark}grant_p50_ns"], times[f"{mark}socket_p50_ns"]
+                note = f"{grant / 1e3:.1f} of {trip / 1e3:.1f} us"
+                what = f"grant / socket round trip, p50, {language}, {where}"
+                bars.append(bar(what, grant / trip, 1.0, "", note))
         bars.append(bar("command, C, p50", times["command_p50_ns"], 60.0, "ns"))
         bars.append(bar("command, Python, p50", times["python_command_p50_ns"] / 1e3, 2.0, "us"))
         rate = times["forwarded_per_s"]
