@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
+import fcntl
 import mmap
 import os
+import select
 import signal
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -23,7 +25,7 @@ from surffollow.client.board import LAYOUT_HASH, Board
 from surffollow.client.slot_request import request_slot
 from surffollow.errors import BusyError, NoPermissionError, NotReadyError
 from surffollow.service.client_table import KEPT_PER_USER, RESERVED
-from surffollow.service.slot_server import GUESTS_PER_USER
+from surffollow.service.slot_server import GUESTS, GUESTS_PER_USER
 from surffollow.shm import layout_board as lb
 from surffollow.shm import sealed
 from surffollow.shm.unix_socket import listen, new_socket, socket_path
@@ -332,6 +334,67 @@ def test_one_user_has_few_connections_without_a_slot(open_service: Service) -> N
     told = next(t for _ in range(20) if not all(t := as_other_user(silent)))
     assert told.count(False) <= GUESTS_PER_USER
     assert not any(told[:GUESTS_PER_USER]), "who came first may go on"
+
+
+def crowd(path: str) -> Callable[[OtherUser], str]:
+    """Work of a user who keeps as many silent connections as he may have, renewing those that are closed."""
+
+    def work(child: OtherUser) -> str:
+        socks: list[socket.socket] = []
+        told = False
+        while True:
+            for sock in list(socks):
+                with contextlib.suppress(BlockingIOError):
+                    if sock.recv(1) == b"":
+                        socks.remove(sock)
+                        sock.close()
+            while len(socks) < GUESTS_PER_USER:
+                sock = new_socket()
+                sock.connect(path)
+                sock.setblocking(False)
+                socks.append(sock)
+            if not told:
+                child.say("crowds")
+                told = True
+            select.select(socks, [], [])  # until one is closed
+
+    return work
+
+
+@needs_root
+def test_several_users_together_keep_neither_root_nor_another_from_a_slot(
+    open_service: Service,
+) -> None:
+    path = str(socket_path(open_service.name))
+    with contextlib.ExitStack() as stack:
+        for k in range(GUESTS // GUESTS_PER_USER + 1):
+            assert stack.enter_context(OtherUser(crowd(path), uid=60000 + k)).hear() == "crowds"
+        for _ in range(5):
+            with open_service.attach() as client:
+                client.sf_reset(0.1)
+        assert as_other_user(lambda _: outcome(lambda: attach(open_service.name, owner=0).close())) == "done"
+
+
+def test_a_client_that_seals_its_slot_itself_costs_its_own_connection_alone(open_service: Service) -> None:
+    with open_service.observe() as watcher:
+        before = watcher.status()
+        for _ in range(10):
+            sock = new_socket()
+            sock.connect(str(socket_path(open_service.name)))
+            fields = [lb.SLOT_MAGIC, LAYOUT_HASH, lb.SLOT_ASK, watcher.epoch, 0, 0, 0, 0, b""]
+            sock.send(MESSAGE.pack(*fields))
+            data, fds, _, _ = socket.recv_fds(sock, MESSAGE.size, 1)
+            fields[6:8] = MESSAGE.unpack(data)[6:8]
+            fields[2] = lb.SLOT_MAPPED
+            fcntl.fcntl(fds[0], fcntl.F_ADD_SEALS, fcntl.F_SEAL_SEAL)
+            sock.send(MESSAGE.pack(*fields))
+            answer = MESSAGE.unpack(sock.recv(MESSAGE.size))
+            assert (answer[2], answer[4]) == (lb.SLOT_REFUSE, lb.SLOT_BAD_MESSAGE)
+            sock.close()
+            os.close(fds[0])
+        beat = watcher.status()["main"]["t_ns"]
+        after = until(lambda: (s := watcher.status())["main"]["t_ns"] > beat and s, "a beat")
+        assert after["faults"] == before["faults"]
 
 
 @needs_root
