@@ -327,7 +327,7 @@ def test_one_user_has_few_connections_without_a_slot(open_service: Service) -> N
         for sock in socks:
             sock.connect(path)
             sock.setblocking(False)
-        until(lambda: any(map(closed, socks)), "one is closed")
+        until(lambda: sum(map(closed, socks)) >= 4, "those beyond the limit are closed")
         return [closed(sock) for sock in socks]
 
     # on a busy machine the exchange's own time may be over for all of them
@@ -369,10 +369,20 @@ def test_several_users_together_keep_neither_root_nor_another_from_a_slot(
     with contextlib.ExitStack() as stack:
         for k in range(GUESTS // GUESTS_PER_USER + 1):
             assert stack.enter_context(OtherUser(crowd(path), uid=60000 + k)).hear() == "crowds"
-        for _ in range(5):
-            with open_service.attach() as client:
-                client.sf_reset(0.1)
-        assert as_other_user(lambda _: outcome(lambda: attach(open_service.name, owner=0).close())) == "done"
+        assert at_the_first_try(open_service.name) == "done"
+        assert as_other_user(lambda _: at_the_first_try(open_service.name)) == "done"
+
+
+def at_the_first_try(name: str) -> str:
+    """How twenty single exchanges for a slot fared; a client asks again for seconds."""
+
+    def ask() -> None:
+        board = Board(name, owners=(0,))
+        for _ in range(20):
+            request_slot(board, b"", READY_S).close()
+        board.close()
+
+    return outcome(ask)
 
 
 def test_a_client_that_seals_its_slot_itself_costs_its_own_connection_alone(open_service: Service) -> None:

@@ -144,22 +144,17 @@ class SlotServer:
             raise
 
     def _make_room(self, uid: int) -> bool:
-        """Whether one more connection without a slot may wait: those that are exempt crowd nobody out."""
-        exempt = is_exempt(uid)
-        waiting = [
-            g for g in set(self._guests.values()) if g.stage != HELD and is_exempt(g.peer.uid) == exempt
-        ]
+        """Whether one more connection may wait for a slot; in a full house the user with most gives way."""
+        waiting = [g for g in set(self._guests.values()) if g.stage != HELD]
         of_user = Counter(g.peer.uid for g in waiting)
-        if not exempt and of_user[uid] >= GUESTS_PER_USER:
+        if of_user[uid] >= GUESTS_PER_USER and not is_exempt(uid):
             return False
         if len(waiting) < GUESTS:
             return True
-        # several users together keep no further one out: who has most gives way
         most = max(of_user.values())
         if of_user[uid] + 1 >= most:
             return False
-        crowd = [g for g in waiting if of_user[g.peer.uid] == most]
-        self._drop(min(crowd, key=lambda g: g.deadline))
+        self._drop(min((g for g in waiting if of_user[g.peer.uid] == most), key=lambda g: g.deadline))
         return True
 
     def _watch(self, guest: Guest, fd: int, events: int) -> None:
