@@ -8,16 +8,15 @@ import errno
 import fcntl
 import mmap
 import os
-import select
 import signal
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from raw_slot import MESSAGE, raw_slot
+from raw_slot import MESSAGE, crowd, raw_slot
 from running_service import POSE, READY_S, Service, config_text, program, said, take_pose, until
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from surffollow.client import attach
@@ -336,31 +335,6 @@ def test_one_user_has_few_connections_without_a_slot(open_service: Service) -> N
     assert not any(told[:GUESTS_PER_USER]), "who came first may go on"
 
 
-def crowd(path: str) -> Callable[[OtherUser], str]:
-    """Work of a user who keeps as many silent connections as he may have, renewing those that are closed."""
-
-    def work(child: OtherUser) -> str:
-        socks: list[socket.socket] = []
-        told = False
-        while True:
-            for sock in list(socks):
-                with contextlib.suppress(BlockingIOError):
-                    if sock.recv(1) == b"":
-                        socks.remove(sock)
-                        sock.close()
-            while len(socks) < GUESTS_PER_USER:
-                sock = new_socket()
-                sock.connect(path)
-                sock.setblocking(False)
-                socks.append(sock)
-            if not told:
-                child.say("crowds")
-                told = True
-            select.select(socks, [], [])  # until one is closed
-
-    return work
-
-
 @needs_root
 def test_several_users_together_keep_neither_root_nor_another_from_a_slot(
     open_service: Service,
@@ -368,7 +342,7 @@ def test_several_users_together_keep_neither_root_nor_another_from_a_slot(
     path = str(socket_path(open_service.name))
     with contextlib.ExitStack() as stack:
         for k in range(GUESTS // GUESTS_PER_USER + 1):
-            assert stack.enter_context(OtherUser(crowd(path), uid=60000 + k)).hear() == "crowds"
+            assert stack.enter_context(OtherUser(crowd(path), uid=60000 + k)).hear() == "attacks"
         assert at_the_first_try(open_service.name) == "done"
         assert as_other_user(lambda _: at_the_first_try(open_service.name)) == "done"
 
