@@ -23,7 +23,14 @@ from surffollow.arbiter import layout as al
 from surffollow.arbiter.config import parse_config
 from surffollow.arbiter.exchange import HEAD
 from surffollow.arbiter.reception import MOST_SILENT
-from surffollow.errors import AlreadyRunningError, ConfigError, NameError_, RefusedError
+from surffollow.errors import (
+    AlreadyRunningError,
+    ConfigError,
+    NameError_,
+    RefusedError,
+    RequestTimeoutError,
+    UsageError,
+)
 from surffollow.shm.name_lock import NameLock
 from surffollow.shm.uninvited import refuse_rights
 from surffollow.shm.unix_socket import new_socket
@@ -189,6 +196,31 @@ def test_what_ended_takes_no_commands_and_tells_nothing_of_what_it_held(make_arb
     until(lambda: not go.connected)
     assert not robot.command(0.1, 0.1)
     assert (robot.held, robot.token, robot.holder()) == (False, 0, None)
+
+
+def test_a_request_that_was_not_answered_in_time_is_withdrawn(make_arbiter):
+    server = make_arbiter().start()
+    go = attach(server.name, "go")
+    robot = go.resource("robot")
+    with observe(server.name) as watcher:
+
+        def grants():
+            return watcher.status()["resources"]["robot"]["grants"]
+
+        for wait in (False, True):
+            before = grants()
+            server.freeze()
+            with pytest.raises(RequestTimeoutError):
+                robot.request(wait=wait, timeout_s=0.05)
+            server.go_on()
+            until(lambda before=before: grants() == before + 1)
+            until(lambda: watcher.status()["resources"]["robot"]["state"] == "FREE")
+            assert not robot.held
+    assert robot.request()
+    for timeout_s in (-1.0, math.inf, math.nan):
+        with pytest.raises(UsageError, match="timeout_s"):
+            robot.request(timeout_s=timeout_s)
+    assert robot.held
 
 
 # -- strangers ----------------------------------------------------------------------------------------
