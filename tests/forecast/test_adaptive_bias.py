@@ -11,13 +11,13 @@ from surffollow.contest.conditions import STANDOFF_M, Conditions
 from surffollow.contest.door import drive
 from surffollow.contest.methods import factory_of
 from surffollow.contest.scene import make_scene
-from surffollow.forecast.adaptive_bank import BANK, MODEL, WAVE, C, N
-from surffollow.forecast.adaptive_judge import BIAS_RATE, watch_bias, weigh
+from surffollow.forecast.adaptive.model_bank import BANK, CANDIDATE_MODEL, N_CANDIDATES, N_MODELS, WAVE
+from surffollow.forecast.adaptive.model_weights import BIAS_RATE, update_bias, update_weights
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.sim.profiles import SHAPES
 
-from .test_adaptive_parts import default_params, feed
+from .test_adaptive_stages import default_params, feed
 
 NOISE_M = 2.5e-4
 SLOW, WAVY = 0, int(np.flatnonzero(BANK[:, 0] == WAVE)[0])
@@ -27,30 +27,30 @@ def judged(rms_m: float, biases: dict[int, float], least: float = 0.0) -> np.nda
     """Share of each model after a long, even history with this error; biases in standard deviations."""
     a = zeros(AdaptiveState)[0]
     a["noise_m"], a["scored"], a["samples"] = NOISE_M, 500, 500
-    a["score_m2"][:C] = a["long_m2"][:C] = rms_m * rms_m
+    a["score_m2"][:N_CANDIDATES] = a["long_m2"][:N_CANDIDATES] = rms_m * rms_m
     deviation = math.sqrt(BIAS_RATE / (2.0 - BIAS_RATE))  # of the mean of white innovations
-    a["bias"][:N] = least * deviation
+    a["bias"][:N_MODELS] = least * deviation
     for model, bias in biases.items():
         a["bias"][model] = bias * deviation
-    weigh(default_params(), a, 1.0)
-    return np.bincount(MODEL, a["weight"][:C], N)
+    update_weights(default_params(), a, 1.0)
+    return np.bincount(CANDIDATE_MODEL, a["weight"][:N_CANDIDATES], N_MODELS)
 
 
 def test_the_mean_of_innovations_is_that_of_a_plain_filter_with_its_own_variance():
     a, _ = feed(0.05 * np.sin(np.arange(300) * 0.03), seed=4)
     rng = np.random.default_rng(2)
-    want, inside = a["bias"][:N].copy(), 0
+    want, inside = a["bias"][:N_MODELS].copy(), 0
     for h in a["height_m"] + 2e-4 * rng.standard_normal(20):
-        for i in range(N):
+        for i in range(N_MODELS):
             c = a["cov"][6 * i : 6 * i + 6]
             full = np.array([[c[0], c[1], c[2]], [c[1], c[3], c[4]], [c[2], c[4], c[5]]])
             look = np.array([1.0, 1.0 if BANK[i, 0] == WAVE else 0.0, 0.0])
             z = (h - look @ a["state"][3 * i : 3 * i + 3]) / math.sqrt(look @ full @ look + 1e-8)
             inside += abs(z) < 4.0
             want[i] += BIAS_RATE * (float(np.clip(z, -4.0, 4.0)) - want[i])
-        watch_bias(a, h, 1e-8)
-    assert inside > 10 * N, "most are not cut"
-    np.testing.assert_allclose(a["bias"][:N], want, rtol=1e-9)
+        update_bias(a, h, 1e-8)
+    assert inside > 10 * N_MODELS, "most are not cut"
+    np.testing.assert_allclose(a["bias"][:N_MODELS], want, rtol=1e-9)
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])

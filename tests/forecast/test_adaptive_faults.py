@@ -9,7 +9,7 @@ import pytest
 
 from surffollow.config.params import PARAMS
 from surffollow.follower import Follower
-from surffollow.forecast.adaptive_limits import move_set_point
+from surffollow.forecast.adaptive.setpoint_limits import limit_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_follow import Params
@@ -190,7 +190,7 @@ def test_a_set_point_in_irregular_cycles_does_not_overshoot(intervals_ms):
         most = 0.0
         for _ in range(60):
             t += int(rng.choice(intervals_ms) * MS)
-            move_set_point(params[0], a, t, to, z)
+            limit_setpoint(params[0], a, t, to, z)
             most = max(most, (a["set_point_m"] - to) * np.sign(to - z))
         z = to
         over.append(most)

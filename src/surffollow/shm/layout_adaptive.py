@@ -5,16 +5,16 @@ from __future__ import annotations
 from surffollow.shm.schema import F64, I64, Schema
 
 BEAMS = 8
-CANDIDATES = 64  # most candidates, and models
-BEYOND = 3  # distances beyond the ground seen ahead for which it is guessed
-CELLS = 512  # of ground seen ahead, 1 mm each
-KEPT = 32  # quarantined samples that become ground when they are believed
+MAX_CANDIDATES = 64  # most candidates, and models
+N_DISTANCES = 3  # distances beyond the ground seen ahead for which it is guessed
+BUFFER_CELLS = 512  # of ground seen ahead, 1 mm each
+PENDING_HEIGHTS = 32  # quarantined samples that become ground when they are believed
 HORIZON = 40  # ticks planned ahead
-TRENDS = 16  # straight lines that forecast the range
-LAGS = 4  # horizons at which they are judged
+N_TRENDS = 16  # straight lines that forecast the range
+N_HORIZONS = 4  # horizons at which they are judged
 SNAPSHOTS = 32
-PLANTS = 7  # axes of different τ
-TICKS = 64  # controller ticks remembered per candidate: 640 ms of set points
+N_PLANTS = 7  # axes of different τ
+N_PERIODS = 64  # controller ticks remembered per candidate: 640 ms of set points
 
 # health of the ranging, in the order of what is reported first
 OK, SUSPECT, DROPOUT, STUCK, OUT_OF_RANGE, FAULT = 0, 1, 2, 3, 4, 5
@@ -24,7 +24,7 @@ HEALTH_NAMES = ("OK", "SUSPECT", "DROPOUT", "STUCK", "OUT_OF_RANGE", "FAULT")
 FAULT_NOT_FINITE, FAULT_STUCK, FAULT_LOST, FAULT_CLOSE, FAULT_CLOCK = 1, 2, 4, 8, 16
 FAULT_NAMES = ("NOT_FINITE", "STUCK", "LOST", "TOO_CLOSE", "CLOCK")
 
-STUCK_RUN = 1 << 40  # equal samples: those of a stuck sensor
+STUCK_COUNT = 1 << 40  # equal samples: those of a stuck sensor
 
 
 class AdaptiveState(Schema):
@@ -69,8 +69,8 @@ class AdaptiveState(Schema):
     quarantine_h_m = F64(unit="m", doc="sum of their heights")
     quarantine_way_m = F64(unit="m", doc="way since the first of those")
     quarantine_ns = I64(unit="ns", doc="stamp of the first of those")
-    kept_s_m = F64(KEPT, unit="m", doc="where quarantined samples were")
-    kept_h_m = F64(KEPT, unit="m", doc="their heights")
+    kept_s_m = F64(PENDING_HEIGHTS, unit="m", doc="where quarantined samples were")
+    kept_h_m = F64(PENDING_HEIGHTS, unit="m", doc="their heights")
     doubted_m = F64(unit="m", doc="innovation of a doubtful sample just held back; 0: none")
     disagreed = I64(doc="outliers in a row that did not agree with the one before")
     scored = I64(doc="samples that judged the models, up to what makes their judgement count fully")
@@ -85,18 +85,18 @@ class AdaptiveState(Schema):
     arrival_dt_ns = F64(unit="ns", doc="usual interval of reports")
     tick_open = I64(doc="1: the demand of the last tick is still to be taken, as it will be then")
     ticks = I64(doc="ticks assumed so far")
-    tick_t_ns = I64(TICKS, unit="ns", doc="ring of ticks")
-    state = F64(CANDIDATES * 3, doc="model states: height [m] first")
-    cov = F64(CANDIDATES * 6, doc="their covariances: 00 01 02 11 12 22")
-    target_m = F64(CANDIDATES * TICKS, unit="m", doc="ring of set points per candidate")
-    axis_z_m = F64(CANDIDATES, unit="m", doc="shadow axes")
-    axis_v_mps = F64(CANDIDATES, unit="m/s")
-    score_m2 = F64(CANDIDATES, unit="m^2", doc="recent squared stand-off error of the shadow")
-    long_m2 = F64(CANDIDATES, unit="m^2", doc="the same over a longer way")
-    effort = F64(CANDIDATES, unit="m^2/s^4", doc="recent squared acceleration of the set points")
-    bias = F64(CANDIDATES, doc="mean of a model's recent innovations, each over its standard deviation")
-    cost = F64(CANDIDATES, doc="what the weights are made of")
-    weight = F64(CANDIDATES, doc="share of the candidate in the blend")
+    tick_t_ns = I64(N_PERIODS, unit="ns", doc="ring of ticks")
+    state = F64(MAX_CANDIDATES * 3, doc="model states: height [m] first")
+    cov = F64(MAX_CANDIDATES * 6, doc="their covariances: 00 01 02 11 12 22")
+    target_m = F64(MAX_CANDIDATES * N_PERIODS, unit="m", doc="ring of set points per candidate")
+    axis_z_m = F64(MAX_CANDIDATES, unit="m", doc="shadow axes")
+    axis_v_mps = F64(MAX_CANDIDATES, unit="m/s")
+    score_m2 = F64(MAX_CANDIDATES, unit="m^2", doc="recent squared stand-off error of the shadow")
+    long_m2 = F64(MAX_CANDIDATES, unit="m^2", doc="the same over a longer way")
+    effort = F64(MAX_CANDIDATES, unit="m^2/s^4", doc="recent squared acceleration of the set points")
+    bias = F64(MAX_CANDIDATES, doc="mean of a model's recent innovations, each over its standard deviation")
+    cost = F64(MAX_CANDIDATES, doc="what the weights are made of")
+    weight = F64(MAX_CANDIDATES, doc="share of the candidate in the blend")
     height_m = F64(unit="m", doc="blended height at the last sample")
     slope = F64(unit="1", doc="blended slope there")
     slope_power = F64(unit="1", doc="its mean square over the last metre")
@@ -120,29 +120,29 @@ class AdaptiveState(Schema):
     shown = I64(doc="1: the last ones were shown only (DRYRUN)")
     cycle_s = F64(unit="s", doc="usual interval at which it is made, rather too long; 0: not known")
     cycle_least_s = F64(unit="s", doc="shortest interval lately; 0: not known")
-    own_m = F64(TICKS, unit="m", doc="ring of own set points")
-    plant_z_m = F64(PLANTS, unit="m", doc="axes of different τ that follow them")
-    plant_v_mps = F64(PLANTS, unit="m/s")
-    plant_m2 = F64(PLANTS, unit="m^2", doc="their squared errors against the pose reports")
+    own_m = F64(N_PERIODS, unit="m", doc="ring of own set points")
+    plant_z_m = F64(N_PLANTS, unit="m", doc="axes of different τ that follow them")
+    plant_v_mps = F64(N_PLANTS, unit="m/s")
+    plant_m2 = F64(N_PLANTS, unit="m^2", doc="their squared errors against the pose reports")
     axis_now_m = F64(unit="m", doc="own axis at `plant_ns`, with τ as found, kept near the reports")
     axis_now_mps = F64(unit="m/s")
     plant_ns = I64(unit="ns", doc="up to when they were carried")
     tau_s = F64(unit="s", doc="time constant of the robot's axis as found; 0: not begun")
     tau_assumed_s = F64(unit="s", doc="time constant that the search began with")
-    cell_k = I64(CELLS, doc="which cell of the way this is, plus one")
-    cell_n = F64(CELLS, doc="heights in its mean")
-    cell_h_m = F64(CELLS, unit="m", doc="mean height")
-    cell_s_m = F64(CELLS, unit="m", doc="mean way coordinate")
-    cell_x_m = F64(CELLS, unit="m", doc="where it was seen first")
-    cell_y_m = F64(CELLS, unit="m")
+    cell_k = I64(BUFFER_CELLS, doc="which cell of the way this is, plus one")
+    cell_n = F64(BUFFER_CELLS, doc="heights in its mean")
+    cell_h_m = F64(BUFFER_CELLS, unit="m", doc="mean height")
+    cell_s_m = F64(BUFFER_CELLS, unit="m", doc="mean way coordinate")
+    cell_x_m = F64(BUFFER_CELLS, unit="m", doc="where it was seen first")
+    cell_y_m = F64(BUFFER_CELLS, unit="m")
     mean_m = F64(unit="m", doc="mean height of the way lately")
     mean_way_m = F64(unit="m", doc="over how much of it")
-    beyond_oo_m2 = F64(BEYOND, unit="m^2", doc="of ground some way back its squared distance from the mean")
-    beyond_or_m2 = F64(BEYOND, unit="m^2", doc="that distance times its rise just before")
-    beyond_rr_m2 = F64(BEYOND, unit="m^2", doc="that rise squared")
-    beyond_om_m2 = F64(BEYOND, unit="m^2", doc="that distance times the rise since")
-    beyond_rm_m2 = F64(BEYOND, unit="m^2", doc="the rise before times that since")
-    beyond_mm_m2 = F64(BEYOND, unit="m^2", doc="the rise since squared")
+    beyond_oo_m2 = F64(N_DISTANCES, unit="m^2", doc="squared distance of ground some way back from the mean")
+    beyond_or_m2 = F64(N_DISTANCES, unit="m^2", doc="that distance times its rise just before")
+    beyond_rr_m2 = F64(N_DISTANCES, unit="m^2", doc="that rise squared")
+    beyond_om_m2 = F64(N_DISTANCES, unit="m^2", doc="that distance times the rise since")
+    beyond_rm_m2 = F64(N_DISTANCES, unit="m^2", doc="the rise before times that since")
+    beyond_mm_m2 = F64(N_DISTANCES, unit="m^2", doc="the rise since squared")
     preview_share = F64(doc="share of the planned set point, 0 to 1")
     error_m2 = F64(unit="m^2", doc="recent squared stand-off error of the tool itself")
     plain_m2 = F64(unit="m^2", doc="the same without preview, over longer")
@@ -166,17 +166,17 @@ class AdaptiveState(Schema):
     band_0 = F64(HORIZON, doc="factors of the plan's matrix")
     band_1 = F64(HORIZON)
     band_2 = F64(HORIZON)
-    trend_m = F64(TRENDS, unit="m", doc="range of each line")
-    trend_mps = F64(TRENDS, unit="m/s", doc="its rate")
-    trend_cov = F64(TRENDS * 3, doc="covariances 00 01 11, reading noise 1")
-    trend_m2 = F64(LAGS * TRENDS, unit="m^2", doc="squared forecast errors by horizon")
-    lag_s = F64(LAGS, unit="s", doc="those horizons")
+    trend_m = F64(N_TRENDS, unit="m", doc="range of each line")
+    trend_mps = F64(N_TRENDS, unit="m/s", doc="its rate")
+    trend_cov = F64(N_TRENDS * 3, doc="covariances 00 01 11, reading noise 1")
+    trend_m2 = F64(N_HORIZONS * N_TRENDS, unit="m^2", doc="squared forecast errors by horizon")
+    lag_s = F64(N_HORIZONS, unit="s", doc="those horizons")
     trend_ns = I64(unit="ns", doc="stamp of the last range; 0: none")
     trend_dt_s = F64(unit="s", doc="usual interval")
     trend_scale_m = F64(unit="m", doc="usual innovation")
     trend_odd = I64(doc="1: the last range was passed over")
-    snap_m = F64(SNAPSHOTS * TRENDS, unit="m", doc="ring of earlier lines: range")
-    snap_mps = F64(SNAPSHOTS * TRENDS, unit="m/s", doc="and rate")
+    snap_m = F64(SNAPSHOTS * N_TRENDS, unit="m", doc="ring of earlier lines: range")
+    snap_mps = F64(SNAPSHOTS * N_TRENDS, unit="m/s", doc="and rate")
     snap_ns = I64(SNAPSHOTS, unit="ns", doc="when that was")
     snapshots = I64(doc="taken so far")
     beam_m = F64(BEAMS * 3, unit="m", doc="footprints of the channels")

@@ -1,0 +1,44 @@
+"""Adapt Permitted_Variance and the deadband; express the smoothing as Interval_Size and Range_Size.
+
+Permitted_Variance is the change of the demand that is not relayed. Where the standard deviation of the height
+is larger, it takes its place. Interval_Size and Range_Size in force follow from the gain of the blend.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.forecast.adaptive.model_weights import FULL_POWER_SAMPLES, least_noise_fraction
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_follow import INTERVALS
+
+MAX_PERMITTED_M = 2e-3
+BURN_IN_WIDENING = 3.5  # so much wider is the band at first
+MIN_GAIN = 1e-4
+
+
+@jit
+def update_deadband(params: Any, a: Any) -> None:
+    """Set the way that the set point may stay away from where it is wanted."""
+    a.permitted_m = max(params.permitted_variance_m, min(a.sigma_m, MAX_PERMITTED_M))
+    # while scores are young and all is noise, what models say is luck
+    young = 1.0 - min(max(a.samples, a.scored), FULL_POWER_SAMPLES) / FULL_POWER_SAMPLES
+    noise = least_noise_fraction(a)
+    a.calm_band_m = params.calm_share * a.permitted_m * (1.0 + BURN_IN_WIDENING * young * noise * noise)
+
+
+@jit
+def publish_adaptation(params: Any, a: Any, output: Any) -> None:
+    """Tell Permitted_Variance, Interval_Size and Range_Size in force.
+
+    A mean over n samples has the variance of a filter with gain 2 / (n + 1).
+    """
+    output.latency_s = params.sensor_latency_ns * 1e-9 + a.older_s
+    output.permitted_variance_m = a.permitted_m
+    if a.samples == 0:
+        output.interval_size_m, output.range_size = params.interval_size_m, params.range_size
+        return
+    samples = 2.0 / min(max(a.gain, MIN_GAIN), 1.0) - 1.0
+    interval = max(min(params.interval_size_m, samples * a.sample_way_m), a.sample_way_m, 1e-6)
+    output.interval_size_m = interval
+    output.range_size = min(max(int(samples * a.sample_way_m / interval + 0.5), 1), INTERVALS // 2)

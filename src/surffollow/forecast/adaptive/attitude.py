@@ -1,0 +1,105 @@
+"""Attitude set point: rotation of the tool's axis toward the surface normal.
+
+The tool's axis has a set point in the world that moves within limits of angular velocity and acceleration.
+A single reading therefore cannot make the demanded rotation jump.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.forecast.adaptive.setpoint_limits import restart_pause_s
+from surffollow.forecast.pose import rotate
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_follow import CHANNELS, POSES, RUN_FREEZE
+
+MAX_PREDICTION_S = 0.2  # slopes are carried on by their rates no farther
+
+
+@jit
+def predicted_normal(params: Any, a: Any) -> Any:
+    """The surface normal as it will be when the robot's axis answers: unit vector."""
+    ahead = min(max((a.now_ns - a.plane_ns) * 1e-9 + params.tick_lead_s + a.tau_s, 0.0), MAX_PREDICTION_S)
+    sx, sy = a.slope_x + a.slope_x_hz * ahead, a.slope_y + a.slope_y_hz * ahead
+    length = math.sqrt(sx * sx + sy * sy + 1.0)
+    return -sx / length, -sy / length, 1.0 / length
+
+
+@jit
+def rotation_between(ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> Any:
+    """Rotation vector that turns unit vector a into b the short way, and its angle; no turn when opposite."""
+    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    sine = math.sqrt(cx * cx + cy * cy + cz * cz)
+    if not sine > 1e-12:
+        return 0.0, 0.0, 0.0, 0.0
+    angle = math.atan2(sine, ax * bx + ay * by + az * bz)
+    return cx * angle / sine, cy * angle / sine, cz * angle / sine, angle
+
+
+@jit
+def limit_attitude(params: Any, a: Any, nx: Any, ny: Any, nz: Any, dt: Any) -> None:
+    """Lead the axis' set point toward a direction, within speed and acceleration.
+
+    What lies within `permitted_turn_rad` turns nothing (hysteresis); the square root keeps it from
+    overshooting what its acceleration can stop.
+    """
+    u, w = a.turn_axis, a.turn_speed_radps
+    ex, ey, ez, angle = rotation_between(u[0], u[1], u[2], nx, ny, nz)
+    way = max(angle - params.permitted_turn_rad, 0.0)
+    a_max = params.max_turn_accel_radps2
+    speed = min(way / dt, math.sqrt(2.0 * a_max * way), params.max_turn_speed_radps)
+    share = speed / angle if angle > 0.0 else 0.0
+    dx, dy, dz = ex * share - w[0], ey * share - w[1], ez * share - w[2]
+    change = math.sqrt(dx * dx + dy * dy + dz * dz)
+    cut = a_max * dt / change if change > a_max * dt else 1.0
+    w[0], w[1], w[2] = w[0] + dx * cut, w[1] + dy * cut, w[2] + dz * cut
+    x = u[0] + (w[1] * u[2] - w[2] * u[1]) * dt
+    y = u[1] + (w[2] * u[0] - w[0] * u[2]) * dt
+    z = u[2] + (w[0] * u[1] - w[1] * u[0]) * dt
+    length = math.sqrt(x * x + y * y + z * z)
+    u[0], u[1], u[2] = x / length, y / length, z / length
+
+
+@jit
+def demand_rotation(params: Any, a: Any, sense: Any, output: Any) -> None:
+    """Rotation vector from the tool's axis as reported to the axis' set point, limited to `max_turn_rad`."""
+    q = 7 * ((sense.pose_count - 1) & (POSES - 1)) + 3
+    p = sense.pose
+    tx, ty, tz = rotate(p[q], p[q + 1], p[q + 2], p[q + 3], 0.0, 0.0, 1.0)
+    if params.run == RUN_FREEZE:
+        a.turn_ns = 0  # afterwards it starts at the tool
+        return
+    since = a.now_ns - a.turn_ns
+    if a.turn_ns == 0 or since < 0 or since * 1e-9 > restart_pause_s(a):
+        a.turn_axis[0], a.turn_axis[1], a.turn_axis[2] = tx, ty, tz
+        for k in range(3):
+            a.turn_speed_radps[k] = 0.0
+        since = 0
+    if since > 0:
+        nx, ny, nz = predicted_normal(params, a)
+        limit_attitude(params, a, nx, ny, nz, since * 1e-9)
+    a.turn_ns = a.now_ns
+    u = a.turn_axis
+    wx, wy, wz, angle = rotation_between(tx, ty, tz, u[0], u[1], u[2])
+    if not math.isfinite(wx + wy + wz):
+        a.turn_ns = a.plane_ns = a.planes = 0
+        a.slope_x = a.slope_y = a.slope_x_hz = a.slope_y_hz = a.curve = 0.0
+        return
+    cut = params.max_turn_rad / angle if angle > params.max_turn_rad else 1.0
+    output.demand[3], output.demand[4], output.demand[5] = wx * cut, wy * cut, wz * cut
+
+
+@jit
+def publish_normal(a: Any, output: Any) -> None:
+    """Publish the normal; straight up while no plane is known."""
+    length = math.sqrt(a.slope_x * a.slope_x + a.slope_y * a.slope_y + 1.0)
+    output.normal[0], output.normal[1], output.normal[2] = (
+        -a.slope_x / length,
+        -a.slope_y / length,
+        1.0 / length,
+    )
+    beams = 0
+    for c in range(CHANNELS):
+        beams |= (1 if a.beam_good[c] != 0 else 0) << c
+    output.beams = beams

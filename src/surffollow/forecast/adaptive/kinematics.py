@@ -1,0 +1,63 @@
+"""Velocity of the tool and its pose at a given time."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.forecast.pose import pose_at
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_follow import POSES
+
+SPEED_WINDOW_NS = 100_000_000
+CLIMB_WINDOW_NS = 30_000_000
+MAX_POSE_GAP_NS = 1_000_000_000  # a report so much older than the newest is of another motion
+MAX_EXTRAPOLATION_NS = 50_000_000  # a pose is carried on by its velocity no farther
+MIN_DIRECTION_SPEED_MPS = 0.005  # slower, the direction of travel is not known well enough to look ahead
+
+
+@jit
+def oldest_pose_within(sense: Any, window_ns: Any) -> Any:
+    """Slot of the first pose report that lies `window_ns` or more before the newest, or of the oldest.
+
+    None from before a long gap counts; after one the newest may stand alone.
+    """
+    k = sense.pose_count - 1
+    oldest = max(0, k - POSES + 1)
+    t = sense.pose_t_ns[k & (POSES - 1)]
+    while k > oldest and t - sense.pose_t_ns[k & (POSES - 1)] < window_ns:
+        k -= 1
+    if t - sense.pose_t_ns[k & (POSES - 1)] > MAX_POSE_GAP_NS:
+        k += 1
+    return k & (POSES - 1)
+
+
+@jit
+def update_kinematics(a: Any, sense: Any) -> None:
+    """Lateral and vertical velocity of the tool from its reports, when one is new; 0 with one report."""
+    if a.motion_poses == sense.pose_count:
+        return
+    a.motion_poses = sense.pose_count
+    last = (sense.pose_count - 1) & (POSES - 1)
+    first, near = oldest_pose_within(sense, SPEED_WINDOW_NS), oldest_pose_within(sense, CLIMB_WINDOW_NS)
+    a.speed_x_mps = a.speed_y_mps = a.speed_mps = a.climb_mps = 0.0
+    if first == last:
+        return
+    dt = (sense.pose_t_ns[last] - sense.pose_t_ns[first]) * 1e-9
+    a.speed_x_mps = (sense.pose[7 * last] - sense.pose[7 * first]) / dt
+    a.speed_y_mps = (sense.pose[7 * last + 1] - sense.pose[7 * first + 1]) / dt
+    a.speed_mps = math.sqrt(a.speed_x_mps**2 + a.speed_y_mps**2)
+    dt = (sense.pose_t_ns[last] - sense.pose_t_ns[near]) * 1e-9
+    a.climb_mps = (sense.pose[7 * last + 2] - sense.pose[7 * near + 2]) / dt
+
+
+@jit
+def predict_pose(a: Any, sense: Any, t_ns: Any, pose: Any) -> None:
+    """The tool's pose at a time into `pose` (7,); after the newest report carried on by the velocity."""
+    pose_at(sense, t_ns, 1, pose)
+    late = t_ns - sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
+    if late > 0:
+        dt = min(late, MAX_EXTRAPOLATION_NS) * 1e-9
+        pose[0] += a.speed_x_mps * dt
+        pose[1] += a.speed_y_mps * dt
+        pose[2] += a.climb_mps * dt

@@ -1,0 +1,166 @@
+"""Preview control of the axis over known ground: bounded least squares.
+
+    min  ½ Σ w (z − g)² + ½ λ Σ a²   subject to |a| ≤ a_max
+
+z is the axis, g the wanted height, a the second difference of z; position and velocity of the axis are given.
+It is solved by the alternating direction method of multipliers (ADMM): one pentadiagonal factorisation and
+a clip, a fixed number of times, warm-started from the last period. Extrapolated ground beyond the known piece
+has half the weight, so that the axis does not arrive there too fast; ground farther on has none.
+
+Descending before a step down is penalised: ½ W (b − z)² where z is below b, with W large. The matrix is then
+factorised again.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.forecast.adaptive.axis_model import PERIOD_S
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive import HORIZON
+
+ITERATIONS, EARLY_ITERATIONS = 25, 50  # the more where points are early
+ADMM_PENALTY = 60.0
+ACCELERATION_SHARE = 0.9  # of the axis' acceleration: what is left corrects
+UNKNOWN_WEIGHT = 1e-6
+EARLY_M, EARLY_WEIGHT = 1.5e-3, 300.0  # lower than that before the ground falls away is early
+EDGE_TOLERANCE_M = 6e-4  # an edge may lie so much farther on than seen
+FIRST_FORESEEN = 5  # ticks from now on; the errors until then may be the robot's own
+FORESEEN_DECAY = 0.98  # per tick: readings tell of an error late
+EXTRAPOLATED_PERIODS, EXTRAPOLATED_WEIGHT = 16, 0.5  # ticks beyond the known ground
+
+
+@jit
+def point_weight(k: Any, known: Any) -> Any:
+    """How much point k of the plan, k + 1 ticks from now, counts."""
+    if k + 1 < known:
+        return 1.0
+    return EXTRAPOLATED_WEIGHT if k + 1 < known + EXTRAPOLATED_PERIODS else UNKNOWN_WEIGHT
+
+
+@jit
+def mark_early(a: Any, known: Any, drop_m: Any, z_m: Any) -> Any:
+    """Mark in `a.plan_early` the points that go down before the ground does; how many marks changed.
+
+    They are below the lowest stand-off until then by more than `EARLY_M`, and below the axis as it is now:
+    one that is late on its way up is not early.
+    """
+    lowest, changed = a.plan_g_m[0] + drop_m - z_m, 0
+    late = min(int(EDGE_TOLERANCE_M / max(a.speed_mps * PERIOD_S, 1e-6)), HORIZON)
+    for k in range(min(known - 1, HORIZON)):
+        lowest = min(lowest, a.plan_g_m[max(k + 1 - late, 0)] + drop_m - z_m)
+        a.plan_bound_m[k] = min(lowest - EARLY_M, 0.0)
+        early = 1 if a.plan_z_m[k] < a.plan_bound_m[k] else 0
+        if early != a.plan_early[k]:
+            a.plan_early[k] = early
+            changed += 1
+    return changed
+
+
+@jit
+def update_foreseen_error(a: Any, known: Any, drop_m: Any, z_m: Any) -> None:
+    """Remember how far off a good robot will be, at a step say: that tells nothing against the plan."""
+    a.plan_error_m *= FORESEEN_DECAY
+    for k in range(FIRST_FORESEEN, min(known - 1, HORIZON)):
+        a.plan_error_m = max(a.plan_error_m, abs(a.plan_z_m[k] - (a.plan_g_m[k + 1] + drop_m - z_m)))
+
+
+@jit
+def factorise(a: Any, known: Any, stiff: Any) -> None:
+    """LDLᵀ of W + stiff·DᵀD for second differences D that begin with two known points."""
+    n = HORIZON
+    for k in range(n):
+        # row k of DᵀD: differences b_k (centre k-1), b_{k+1}, b_{k+2}
+        d = 1.0 + (4.0 if k + 1 < n else 0.0) + (1.0 if k + 2 < n else 0.0)
+        e = (-2.0 if k + 1 < n else 0.0) + (-2.0 if k + 2 < n else 0.0)
+        f = 1.0 if k + 2 < n else 0.0
+        d, e, f = point_weight(k, known) + stiff * d, stiff * e, stiff * f
+        if a.plan_early[k] != 0:
+            d += EARLY_WEIGHT
+        if k >= 1:
+            d -= a.band_1[k - 1] ** 2 * a.band_0[k - 1]
+            e -= a.band_1[k - 1] * a.band_2[k - 1] * a.band_0[k - 1]
+        if k >= 2:
+            d -= a.band_2[k - 2] ** 2 * a.band_0[k - 2]
+        a.band_0[k] = d
+        a.band_1[k] = e / d
+        a.band_2[k] = f / d
+
+
+@jit
+def solve(a: Any) -> None:
+    """Solve with those factors in place of `a.plan_z_m`."""
+    n = HORIZON
+    z = a.plan_z_m
+    for k in range(n):
+        if k >= 1:
+            z[k] -= a.band_1[k - 1] * z[k - 1]
+        if k >= 2:
+            z[k] -= a.band_2[k - 2] * z[k - 2]
+    for k in range(n - 1, -1, -1):
+        z[k] /= a.band_0[k]
+        if k + 1 < n:
+            z[k] -= a.band_1[k] * z[k + 1]
+        if k + 2 < n:
+            z[k] -= a.band_2[k] * z[k + 2]
+
+
+@jit
+def solve_plan(params: Any, a: Any, known: Any, z_m: Any, v_mps: Any, drop_m: Any) -> Any:
+    """Plan from the axis' state and return the speed that it should have one tick from now.
+
+    Parameters
+    ----------
+    params, a : records of `Params`, `AdaptiveState`; `a.plan_g_m` holds all ground from now on
+    known : int            ticks of ground known
+    z_m, v_mps : float64   axis now
+    drop_m : float64       tool above ground
+
+    Returns
+    -------
+    float64 [m/s]
+    """
+    n = HORIZON
+    most = ACCELERATION_SHARE * params.plant_a_max_mps2 * PERIOD_S * PERIOD_S
+    calm = params.plan_calm_s4 / PERIOD_S**4
+    stiff = calm + ADMM_PENALTY
+    for k in range(n):
+        a.plan_early[k] = 0
+    factorise(a, known, stiff)
+    before = -v_mps * PERIOD_S  # the point before now, relative to now
+    for k in range(n - 1):
+        a.plan_u[k] = a.plan_u[k + 1]
+        a.plan_y[k] = a.plan_y[k + 1]
+    a.plan_u[n - 1] = a.plan_y[n - 1] = 0.0
+    rounds = ITERATIONS
+    for i in range(EARLY_ITERATIONS):
+        if i >= rounds:
+            break
+        for k in range(n):
+            # point k lies k + 1 ticks from now
+            ground = a.plan_g_m[min(k + 1, n - 1)] + drop_m - z_m
+            a.plan_z_m[k] = point_weight(k, known) * ground
+            if a.plan_early[k] != 0:
+                a.plan_z_m[k] += EARLY_WEIGHT * a.plan_bound_m[k]
+        for k in range(n):
+            # difference k spans points k-2, k-1 and k; the point before point 0 is now, at 0
+            r = ADMM_PENALTY * (a.plan_u[k] - a.plan_y[k]) - (stiff * before if k == 0 else 0.0)
+            a.plan_z_m[k] += r
+            if k >= 1:
+                a.plan_z_m[k - 1] -= 2.0 * r
+            if k >= 2:
+                a.plan_z_m[k - 2] += r
+        solve(a)
+        if mark_early(a, known, drop_m, z_m) > 0:
+            factorise(a, known, stiff)
+            rounds = EARLY_ITERATIONS
+        z2, z1 = before, 0.0
+        for k in range(n):
+            b = a.plan_z_m[k] - 2.0 * z1 + z2
+            z2, z1 = z1, a.plan_z_m[k]
+            u = min(max(b + a.plan_y[k], -most), most)
+            a.plan_y[k] += b - u
+            a.plan_u[k] = u
+    update_foreseen_error(a, known, drop_m, z_m)
+    # the clipped accelerations are feasible, the points only nearly
+    return v_mps + (a.plan_u[0] + 0.5 * a.plan_u[1]) / PERIOD_S

@@ -1,0 +1,59 @@
+"""Sample hold: which conversion begins a new sample.
+
+A sensor holds each value for a while, and the converter reads it many times.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_follow import CONVERSION_WINDOW
+
+HOLD_TOLERANCE_COUNTS = 1.5  # an A/D's last bit is no news
+
+
+@jit
+def new_sample(params: Any, a: Any, sense: Any, given: Any, channel: Any) -> Any:
+    """Whether a channel has a new sample, and its value and stamp.
+
+    The sensor holds each value for a while; conversions of a held value are one sample, stamped at the
+    first of them. An unchanged value counts as new once `hold_ns` have passed.
+
+    Returns
+    -------
+    int64, float64 [m], int64 [ns]
+    """
+    n = sense.window_n[channel]
+    hold_ns = params.hold_ns
+    if given != 0:
+        if sense.fresh[channel] == 0:
+            return 0, 0.0, 0
+        value, t, flicker = sense.range_m[channel], sense.range_t_ns[channel], 0.0
+    else:
+        if n == 0:
+            return 0, 0.0, 0
+        base = channel * CONVERSION_WINDOW
+        newest = base + ((n - 1) & (CONVERSION_WINDOW - 1))
+        value, t = sense.window_m[newest], sense.window_t_ns[newest] - params.sensor_latency_ns
+        flicker = HOLD_TOLERANCE_COUNTS * abs(params.scale_m[channel])
+        # a latency is that of the middle of a held value; the first conversion of it is younger
+        t += hold_ns // 2
+        begun_ns = params.sensor_latency_ns - hold_ns // 2
+        hold_ns += hold_ns // 2  # when a held value began is known to a cycle only
+    if a.held_ns != 0:
+        if t <= a.held_ns:
+            return 0, 0.0, 0
+        if abs(value - a.held_m) <= flicker:
+            if t - a.held_ns < hold_ns:
+                return 0, 0.0, 0
+            return 1, value, t
+    if given == 0:
+        k, oldest = n - 2, max(0, n - CONVERSION_WINDOW)
+        while k >= oldest and abs(sense.window_m[base + (k & (CONVERSION_WINDOW - 1))] - value) <= flicker:
+            earlier = sense.window_t_ns[base + (k & (CONVERSION_WINDOW - 1))] - begun_ns
+            if earlier <= a.held_ns or earlier > t:  # or of a clock since turned back
+                break
+            t = earlier
+            k -= 1
+    return 1, value, t

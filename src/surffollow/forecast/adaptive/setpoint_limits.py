@@ -1,0 +1,187 @@
+"""Jerk-limited set point: limits on velocity, acceleration and jerk without overshoot.
+
+Each cycle takes the greatest acceleration from which the set point can still be brought to rest at its
+target. When it can reach the target in this cycle and stop in the next one, it does; the next cycle is taken
+to be as short as the shortest one lately. Toward the surface the limits of velocity and acceleration are
+multiplied by `toward_factor`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.shm.jit import jit
+
+PAUSE_S = 0.1  # a set point not renewed for so long starts anew at the tool …
+PAUSE_INTERVALS = 3.0  # … unless the caller is as slow as that: then for so many of its intervals
+MAX_INTERVAL_S = 1.5  # of callers whose interval is learned
+INITIAL_INTERVAL_S = 0.05  # a first long interval counts as this, and later ones at most double it
+INTERVAL_RATE = 0.2
+MIN_INTERVAL_RATE = 0.002  # at which the shortest interval is forgotten
+MIN_INTERVAL_S = 5e-4  # shorter ones are not reckoned with: what they overshoot is little
+FIRST_STEP_S = 0.001  # the cycle assumed before the first
+MAX_STEP_S = 0.02  # a cycle that took longer moves the set point no farther, unless all are long
+VELOCITY_RATIO, ACCELERATION_RATIO = (
+    2.0,
+    20.0,
+)  # of what the assumed axis can do: quicker set points are only restless
+SETTLED_M, SETTLED_MPS = (
+    1e-3,
+    0.02,
+)  # so near where it is wanted, and so slow, a set point is back from a plan
+BISECTIONS = 8  # of bisection: 1/256 of what the jerk allows in a cycle
+
+
+@jit
+def stopping_distance(speed_mps: Any, accel_mps2: Any, a_max_mps2: Any, jerk_mps3: Any) -> Any:
+    """Way until speed and acceleration are zero, from a speed ≥ 0, by the quickest braking [m]."""
+    t = abs(accel_mps2) / jerk_mps3
+    v = speed_mps + accel_mps2 * accel_mps2 / (2.0 * jerk_mps3)
+    # to zero acceleration and on; or, already braking, as if begun with zero acceleration earlier
+    if accel_mps2 > 0.0:
+        first = speed_mps * t + accel_mps2 * t * t / 2.0 - jerk_mps3 * t * t * t / 6.0
+    else:
+        first = jerk_mps3 * t * t * t / 6.0 - v * t
+    if v >= a_max_mps2 * a_max_mps2 / jerk_mps3:
+        return first + 0.5 * v * (v / a_max_mps2 + a_max_mps2 / jerk_mps3)
+    return first + v * math.sqrt(v / jerk_mps3)
+
+
+@jit
+def can_stop(e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, v_max: Any, a_max: Any, jerk: Any) -> Any:
+    """Whether a cycle at an acceleration leaves room to stop within `e_m` ≥ 0 and below `v_max`."""
+    v = v_mps + a_mps2 * dt_s
+    if a_mps2 > 0.0 and v + 0.5 * a_mps2 * (dt_s + a_mps2 / jerk) > v_max:
+        return False
+    if v <= 0.0:
+        return v * dt_s + stopping_distance(0.0, max(a_mps2, 0.0), a_max, jerk) <= e_m
+    return v * dt_s + stopping_distance(v, a_mps2, a_max, jerk) <= e_m
+
+
+@jit
+def next_acceleration(
+    e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, next_s: Any, v_max: Any, a_max: Any, jerk: Any
+) -> Any:
+    """Acceleration of the next cycle toward a set point `e_m` ≥ 0 ahead [m/s²].
+
+    Parameters
+    ----------
+    e_m, v_mps, a_mps2 : float64   way to go, speed and acceleration now, positive toward it
+    dt_s : float64                 length of the cycle
+    next_s : float64               shortest that the next one may be
+    v_max, a_max, jerk : float64   limits [m/s, m/s², m/s³]
+    """
+    change = jerk * dt_s
+    low = min(max(a_mps2 - change, -a_max), a_mps2 + change)
+    high = max(min(a_mps2 + change, a_max), a_mps2 - change)
+    speed = e_m / dt_s
+    land, brake = (speed - v_mps) / dt_s, -speed / next_s
+    if (
+        low <= land <= high
+        and speed <= v_max
+        and abs(brake) <= min(a_max, jerk * next_s)
+        and abs(brake - land) <= jerk * next_s
+    ):
+        return land
+    if can_stop(e_m, v_mps, high, dt_s, v_max, a_max, jerk):
+        return high
+    if not can_stop(e_m, v_mps, low, dt_s, v_max, a_max, jerk):
+        return low
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        if can_stop(e_m, v_mps, middle, dt_s, v_max, a_max, jerk):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@jit
+def restart_pause_s(a: Any) -> Any:
+    """For how long a set point must not have been renewed to start anew at the tool [s]."""
+    return max(PAUSE_S, PAUSE_INTERVALS * a.cycle_s)
+
+
+@jit
+def update_interval(a: Any, dt_s: Any) -> None:
+    """Take an interval between calls: one pause tells little, intervals that stay long are the caller's."""
+    if dt_s > a.cycle_s:
+        a.cycle_s = min(dt_s, max(2.0 * a.cycle_s, INITIAL_INTERVAL_S), MAX_INTERVAL_S)
+    else:
+        a.cycle_s += INTERVAL_RATE * (dt_s - a.cycle_s)
+    if a.cycle_least_s == 0.0 or dt_s < a.cycle_least_s:
+        a.cycle_least_s = dt_s
+    else:
+        a.cycle_least_s += MIN_INTERVAL_RATE * (dt_s - a.cycle_least_s)
+
+
+@jit
+def limit_in_force(most: Any, axis_can: Any, quick: Any) -> Any:
+    """Limit in force: what the axis can make use of, up to all that is permitted to a plan over known ground.
+
+    A plan's set points run far ahead of the axis, to make it answer sooner.
+    """
+    return most + (1.0 - quick) * (min(most, axis_can) - most)
+
+
+@jit
+def has_settled(params: Any, a: Any, e_m: Any) -> Any:
+    """Whether a set point that a plan led far ahead is back: until then it may move as quickly as it went."""
+    calm = params.toward_factor * ACCELERATION_RATIO * params.plant_a_max_mps2
+    return abs(e_m) < SETTLED_M and abs(a.set_speed_mps) < SETTLED_MPS and abs(a.set_accel_mps2) <= calm
+
+
+@jit
+def propagate_setpoint(params: Any, a: Any, wanted_m: Any, dt_s: Any) -> None:
+    """Move the set point for a time at one acceleration."""
+    e = wanted_m - a.set_point_m
+    if a.preview_share > a.set_quick or has_settled(params, a, e):
+        a.set_quick = a.preview_share
+    up, gentle = (1.0, 1.0) if e >= 0.0 else (-1.0, params.toward_factor)
+    accel = up * next_acceleration(
+        up * e,
+        up * a.set_speed_mps,
+        up * a.set_accel_mps2,
+        dt_s,
+        dt_s if a.cycle_least_s == 0.0 else min(dt_s, max(a.cycle_least_s, MIN_INTERVAL_S)),
+        gentle * limit_in_force(params.max_speed_mps, VELOCITY_RATIO * params.plant_v_max_mps, a.set_quick),
+        gentle
+        * limit_in_force(params.max_accel_mps2, ACCELERATION_RATIO * params.plant_a_max_mps2, a.set_quick),
+        params.max_jerk_mps3,
+    )
+    a.set_accel_mps2 = accel
+    a.set_speed_mps += accel * dt_s
+    a.set_point_m += a.set_speed_mps * dt_s
+
+
+@jit
+def limit_setpoint(params: Any, a: Any, now_ns: Any, wanted_m: Any, tool_z_m: Any) -> None:
+    """Lead `a.set_point_m` toward where it is wanted; after a pause it starts anew at the tool.
+
+    Parameters
+    ----------
+    params, a : records of `Params`, `AdaptiveState` (updated)
+    now_ns : int64
+    wanted_m, tool_z_m : float64
+    """
+    if a.set_ns == 0:
+        dt = FIRST_STEP_S
+    else:
+        dt = (now_ns - a.set_ns) * 1e-9
+        if dt <= 0.0:
+            return
+    pause = a.set_ns == 0 or dt > restart_pause_s(a)
+    if a.set_ns != 0:
+        update_interval(a, dt)
+    a.set_ns = now_ns
+    if pause:
+        a.set_point_m, a.set_speed_mps, a.set_accel_mps2 = tool_z_m, 0.0, 0.0
+        a.set_quick = 0.0
+        dt = FIRST_STEP_S
+    if dt <= PAUSE_S:
+        propagate_setpoint(params, a, wanted_m, min(dt, MAX_STEP_S))
+        return
+    steps = math.ceil(dt / MAX_STEP_S)
+    for _ in range(steps):
+        propagate_setpoint(params, a, wanted_m, dt / steps)

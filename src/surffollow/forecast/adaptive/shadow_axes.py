@@ -1,0 +1,74 @@
+"""Shadow axes: a simulated copy of the controlled axis per candidate, driven by its set points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.forecast.adaptive.axis_model import axis_velocity
+from surffollow.forecast.adaptive.model_bank import N_CANDIDATES
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive import N_PERIODS
+
+AXIS_STEP_NS = 2_000_000  # of the shadow axes
+MAX_AXIS_STEPS = 32
+MIN_TAU_S = 1e-3
+MAX_AXIS_GAP_NS = 250_000_000  # beyond, the shadows are set to where they were going
+EFFORT_RATE = 0.02  # per tick
+MAX_EFFORT = 100.0  # (10 m/s²)²: a step's jump shall not count for ever
+PERIOD_RATE_HZ2 = 1e4
+
+
+@jit
+def reset_shadows(a: Any, z_m: Any) -> None:
+    """Put every shadow axis to rest at a height."""
+    for i in range(N_CANDIDATES):
+        a.axis_z_m[i] = z_m
+        a.axis_v_mps[i] = 0.0
+
+
+@jit
+def propagate_shadows(params: Any, a: Any, from_ns: Any, to_ns: Any) -> None:
+    """Carry every shadow axis on with the set points of its candidate."""
+    span = to_ns - from_ns
+    if a.ticks == 0 or span <= 0:
+        return
+    if span > MAX_AXIS_GAP_NS:
+        slot = (a.ticks - 1) & (N_PERIODS - 1)
+        for i in range(N_CANDIDATES):
+            a.axis_z_m[i] = a.target_m[i * N_PERIODS + slot]
+            a.axis_v_mps[i] = 0.0
+        return
+    steps = min(max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1), MAX_AXIS_STEPS)
+    dt = span * 1e-9 / steps
+    tau, v_max, a_max = max(a.tau_s, MIN_TAU_S), params.plant_v_max_mps, params.plant_a_max_mps2
+    dv = a_max * dt
+    k = max(0, a.ticks - N_PERIODS)
+    for j in range(steps):
+        t = from_ns + (span * j) // steps
+        while k + 1 < a.ticks and a.tick_t_ns[(k + 1) & (N_PERIODS - 1)] <= t:
+            k += 1
+        slot = k & (N_PERIODS - 1)
+        for i in range(N_CANDIDATES):
+            d = a.target_m[i * N_PERIODS + slot] - a.axis_z_m[i]
+            w = axis_velocity(d, tau, a_max)
+            most = min(v_max, abs(d) / dt)
+            w = min(max(w, -most), most)
+            v = a.axis_v_mps[i]
+            v += min(max(w - v, -dv), dv)
+            a.axis_v_mps[i] = v
+            a.axis_z_m[i] += v * dt
+
+
+@jit
+def record_period(a: Any, now_ns: Any) -> None:
+    """Close a tick whose set points stand in slot `ticks`: restlessness, time, count."""
+    slot = a.ticks & (N_PERIODS - 1)
+    one, two = (slot - 1) & (N_PERIODS - 1), (slot - 2) & (N_PERIODS - 1)
+    if a.ticks > 1:
+        for i in range(N_CANDIDATES):
+            b = i * N_PERIODS
+            accel = (a.target_m[b + slot] - 2.0 * a.target_m[b + one] + a.target_m[b + two]) * PERIOD_RATE_HZ2
+            a.effort[i] += EFFORT_RATE * (min(accel * accel, MAX_EFFORT) - a.effort[i])
+    a.tick_t_ns[slot] = now_ns
+    a.ticks += 1
+    a.tick_ns = now_ns
