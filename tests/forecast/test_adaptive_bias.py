@@ -26,31 +26,31 @@ SLOW, WAVY = 0, int(np.flatnonzero(BANK[:, 0] == WAVE)[0])
 def judged(rms_m: float, biases: dict[int, float], least: float = 0.0) -> np.ndarray:
     """Share of each model after a long, even history with this error; biases in standard deviations."""
     a = zeros(AdaptiveState)[0]
-    a["noise_m"], a["scored"], a["samples"] = NOISE_M, 500, 500
-    a["score_m2"][:N_CANDIDATES] = a["long_m2"][:N_CANDIDATES] = rms_m * rms_m
+    a["noise"]["sigma_m"], a["weights"]["scored"], a["estimate"]["samples"] = NOISE_M, 500, 500
+    a["weights"]["recent_m2"][:N_CANDIDATES] = a["weights"]["longer_m2"][:N_CANDIDATES] = rms_m * rms_m
     deviation = math.sqrt(BIAS_RATE / (2.0 - BIAS_RATE))  # of the mean of white innovations
-    a["bias"][:N_MODELS] = least * deviation
+    a["weights"]["bias"][:N_MODELS] = least * deviation
     for model, bias in biases.items():
-        a["bias"][model] = bias * deviation
+        a["weights"]["bias"][model] = bias * deviation
     update_weights(default_params(), a, 1.0)
-    return np.bincount(CANDIDATE_MODEL, a["weight"][:N_CANDIDATES], N_MODELS)
+    return np.bincount(CANDIDATE_MODEL, a["weights"]["weight"][:N_CANDIDATES], N_MODELS)
 
 
 def test_the_mean_of_innovations_is_that_of_a_plain_filter_with_its_own_variance():
     a, _ = feed(0.05 * np.sin(np.arange(300) * 0.03), seed=4)
     rng = np.random.default_rng(2)
-    want, inside = a["bias"][:N_MODELS].copy(), 0
-    for h in a["height_m"] + 2e-4 * rng.standard_normal(20):
+    want, inside = a["weights"]["bias"][:N_MODELS].copy(), 0
+    for h in a["estimate"]["height_m"] + 2e-4 * rng.standard_normal(20):
         for i in range(N_MODELS):
-            c = a["cov"][6 * i : 6 * i + 6]
+            c = a["bank"]["covariance"][6 * i : 6 * i + 6]
             full = np.array([[c[0], c[1], c[2]], [c[1], c[3], c[4]], [c[2], c[4], c[5]]])
             look = np.array([1.0, 1.0 if BANK[i, 0] == WAVE else 0.0, 0.0])
-            z = (h - look @ a["state"][3 * i : 3 * i + 3]) / math.sqrt(look @ full @ look + 1e-8)
+            z = (h - look @ a["bank"]["mean"][3 * i : 3 * i + 3]) / math.sqrt(look @ full @ look + 1e-8)
             inside += abs(z) < 4.0
             want[i] += BIAS_RATE * (float(np.clip(z, -4.0, 4.0)) - want[i])
         update_bias(a, h, 1e-8)
     assert inside > 10 * N_MODELS, "most are not cut"
-    np.testing.assert_allclose(a["bias"][:N_MODELS], want, rtol=1e-9)
+    np.testing.assert_allclose(a["weights"]["bias"][:N_MODELS], want, rtol=1e-9)
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
@@ -79,7 +79,7 @@ def peak_at_corners_m(forgets: bool) -> float:
             step = follower.step
 
             def without(t_ns, ranges_m, step=step, follower=follower):
-                follower._state["adaptive"]["bias"] = 0.0
+                follower._state["adaptive"]["weights"]["bias"] = 0.0
                 return step(t_ns, ranges_m)
 
             follower.step = without

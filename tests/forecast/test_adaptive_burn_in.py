@@ -29,7 +29,8 @@ from surffollow.forecast.adaptive.setpoint_blend import (
 )
 from surffollow.forecast.pose import push_pose
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_adaptive import N_PERIODS, AdaptiveState
+from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 from surffollow.shm.layout_follow import FollowState
 
 from .test_adaptive_stages import MS, default_params, feed
@@ -39,16 +40,16 @@ BAND = 1e-4
 
 def calm_state(rate_mps=0.0):
     a = zeros(AdaptiveState)[0]
-    a["now_ns"] = a["calm_ns"] = 10**9
-    a["calm_band_m"], a["wanted_mps"] = BAND, rate_mps
+    a["clock"]["now_ns"] = a["blend"]["filtered_ns"] = 10**9
+    a["adaptation"]["deadband_m"], a["blend"]["rate_mps"] = BAND, rate_mps
     return a
 
 
 def yield_to(a, wanted_m, cycles, cycle_ns):
     for _ in range(cycles):
-        a["now_ns"] += cycle_ns
+        a["clock"]["now_ns"] += cycle_ns
         filter_setpoint(default_params(), a, wanted_m)
-    return float(a["calm_m"])
+    return float(a["blend"]["filtered_m"])
 
 
 def slow_yield(wanted_m, seconds, steps=200_000):
@@ -83,13 +84,13 @@ def test_a_lone_reading_near_the_gate_is_doubted_and_a_second_that_says_the_same
     heights[[500, 600, 601]] = 1.5e-3
     heights[700:702] = 1.5e-3, -1.5e-3
     before, _ = feed(heights[:500])
-    gate = max(8.0 * before["scale_m"], 1e-3)
+    gate = max(8.0 * before["gate"]["scale_m"], 1e-3)
     assert 0.5 * gate < 1.5e-3 < gate, "the heights lie where there is doubt"
     a, taken = feed(heights)
     assert list(taken[[500, 600, 601, 602]]) == [0, 0, 1, 1]
     assert list(taken[[700, 701]]) == [0, 0], "one up and one down say nothing alike"
     assert taken[702:].all()
-    assert abs(a["height_m"]) < 2e-4
+    assert abs(a["estimate"]["height_m"]) < 2e-4
 
 
 def test_readings_across_a_slots_edges_do_not_make_the_ground_rougher():
@@ -98,8 +99,8 @@ def test_readings_across_a_slots_edges_do_not_make_the_ground_rougher():
     calm, _ = feed(np.zeros(420))
     a, taken = feed(heights)
     assert not taken[400:405].any()
-    assert a["scale_m"] == pytest.approx(calm["scale_m"], rel=0.1)
-    assert abs(a["height_m"]) < 2e-4
+    assert a["gate"]["scale_m"] == pytest.approx(calm["gate"]["scale_m"], rel=0.1)
+    assert abs(a["estimate"]["height_m"]) < 2e-4
 
 
 def test_outliers_that_never_agree_do():
@@ -107,26 +108,35 @@ def test_outliers_that_never_agree_do():
     heights[400:410] = 0.01 * np.array([1, -1, 2, -2, 1, -1, 2, -2, 1, -1])
     calm, _ = feed(np.zeros(420))
     a, _ = feed(heights)
-    assert a["scale_m"] > 1.5 * calm["scale_m"]
+    assert a["gate"]["scale_m"] > 1.5 * calm["gate"]["scale_m"]
 
 
 def test_a_bad_first_reading_is_forgotten_with_all_that_was_learned_from_it():
     a, taken = feed([0.008, 0.0, 0.0])
     assert list(taken) == [1, 0, 0]
     a, _ = feed([0.0] * 3, a=a, start=4, seed=1)
-    assert abs(a["height_m"]) < 1e-3
-    assert np.abs(a["axis_z_m"][:N_CANDIDATES] - 0.1).max() < 1e-3, "the shadows stand where the ground is"
-    assert a["returned"] == 1.0, "no step was seen"
+    assert abs(a["estimate"]["height_m"]) < 1e-3
+    assert np.abs(a["shadow"]["position_m"][:N_CANDIDATES] - 0.1).max() < 1e-3, (
+        "the shadows stand where the ground is"
+    )
+    assert a["gate"]["slot_likelihood"] == 1.0, "no step was seen"
 
 
 def judged(samples, scored):
     """A state whose models have equal scores, far below the reading noise."""
     a = zeros(AdaptiveState)[0]
-    a["samples"], a["scored"] = samples, scored
-    a["noise_m"], a["speed_mps"], a["tau_s"], a["late_s"] = 2.5e-4, 0.1, 0.04, 0.03
-    a["score_m2"][:N_CANDIDATES] = a["long_m2"][:N_CANDIDATES] = 1.1 * a["noise_m"] ** 2
+    a["estimate"]["samples"], a["weights"]["scored"] = samples, scored
+    a["noise"]["sigma_m"], a["kinematics"]["speed_mps"], a["plant"]["tau_s"], a["latency"]["delay_s"] = (
+        2.5e-4,
+        0.1,
+        0.04,
+        0.03,
+    )
+    a["weights"]["recent_m2"][:N_CANDIDATES] = a["weights"]["longer_m2"][:N_CANDIDATES] = (
+        1.1 * a["noise"]["sigma_m"] ** 2
+    )
     for i in range(N_MODELS):
-        a["cov"][6 * i] = 1e-10
+        a["bank"]["covariance"][6 * i] = 1e-10
     return a
 
 
@@ -140,9 +150,9 @@ def test_young_models_count_for_what_they_claim_to_know_and_judged_ones_do_not()
         (BURN_IN_SAMPLES, FULL_POWER_SAMPLES),
     ):
         a = judged(samples, scored)
-        a["cov"][6 * bold + 3] = 1.0  # no idea of its slope
+        a["bank"]["covariance"][6 * bold + 3] = 1.0  # no idea of its slope
         update_weights(default_params(), a, 1.0)
-        shares.append(a["weight"][bold] / a["weight"][bold + 1])
+        shares.append(a["weights"]["weight"][bold] / a["weights"]["weight"][bold + 1])
     assert shares[0] < 1e-3
     assert shares[1] < 1e-3, "a new start after a loss is young too"
     assert shares[2] < 1e-3, "so is a long run in which nothing could be judged"
@@ -153,10 +163,10 @@ def test_what_a_leading_sensor_saw_is_followed_so_nothing_need_be_cautious():
     shares = []
     for lead_m in (-0.05, 0.0, 0.05):
         a = judged(BURN_IN_SAMPLES, 0)
-        a["lead_m"] = lead_m
-        a["cov"][6 * 10 + 3] = 1.0  # no idea of its slope
+        a["sample"]["lead_m"] = lead_m
+        a["bank"]["covariance"][6 * 10 + 3] = 1.0  # no idea of its slope
         update_weights(default_params(), a, 1.0)
-        shares.append(a["weight"][10] / a["weight"][11])
+        shares.append(a["weights"]["weight"][10] / a["weights"]["weight"][11])
     assert max(shares[:2]) < 1e-3
     assert shares[2] > 0.1
 
@@ -164,11 +174,11 @@ def test_what_a_leading_sensor_saw_is_followed_so_nothing_need_be_cautious():
 def test_small_differences_count_sharply_in_noise_and_mildly_in_great_errors():
     def advantage(factor, scored):
         a = judged(BURN_IN_SAMPLES, scored)
-        for horizon in ("score_m2", "long_m2"):
-            a[horizon][:N_CANDIDATES] *= factor
-            a[horizon][10] *= 0.99
+        for horizon in ("recent_m2", "longer_m2"):
+            a["weights"][horizon][:N_CANDIDATES] *= factor
+            a["weights"][horizon][10] *= 0.99
         update_weights(default_params(), a, 1.0)
-        return a["weight"][10] / a["weight"][11]
+        return a["weights"]["weight"][10] / a["weights"]["weight"][11]
 
     assert advantage(1.0, FULL_POWER_SAMPLES) > 3.0
     assert 1.0 < advantage(1.0, BURN_IN_SAMPLES) < 0.5 * advantage(1.0, FULL_POWER_SAMPLES), (
@@ -182,7 +192,7 @@ def test_candidates_of_one_model_count_together_as_one_and_lead_by_their_share()
     assert len(set(zip(CANDIDATE_MODEL, SLOPE_SHARE))) == N_CANDIDATES
     a = judged(BURN_IN_SAMPLES, FULL_POWER_SAMPLES)
     update_weights(default_params(), a, 1.0)
-    of_model = np.bincount(CANDIDATE_MODEL, a["weight"][:N_CANDIDATES])
+    of_model = np.bincount(CANDIDATE_MODEL, a["weights"]["weight"][:N_CANDIDATES])
     stiffest = int(np.argmin(np.where((BANK[:, 0] == 0) & (BANK[:, 2] > 0.0), BANK[:, 2], np.inf)))
     levels_and_slopes = of_model[(BANK[:, 0] == 0) & (np.arange(N_MODELS) != stiffest)]
     assert levels_and_slopes == pytest.approx(levels_and_slopes[0])
@@ -195,9 +205,9 @@ def test_a_candidate_leads_by_its_share_of_the_slope():
     a = judged(BURN_IN_SAMPLES, FULL_POWER_SAMPLES)
     for i in range(N_MODELS):
         if BANK[i, 0] != WAVE:
-            a["state"][3 * i + 1] = 0.2
-    blend_setpoints(default_params(), a, 0.0, 0.1, 1)
-    targets = a["target_m"].reshape(-1, N_PERIODS)[:N_CANDIDATES, 0]
+            a["bank"]["mean"][3 * i + 1] = 0.2
+    blend_setpoints(default_params(), a, 0, 0.0, 0.1, 1)
+    targets = a["shadow"]["setpoint_m"].reshape(-1, N_PERIODS)[:N_CANDIDATES, 0]
     lead_m = 0.1 * 0.04  # speed times τ
     slopes = BANK[CANDIDATE_MODEL, 2] > 0.0
     rising = slopes & (BANK[CANDIDATE_MODEL, 0] != WAVE)
@@ -228,12 +238,12 @@ def test_no_speed_is_measured_across_a_long_gap_of_reports():
 
     def report(t_ms, x):
         push_pose(sense, 10**12 + t_ms * MS, np.array([x, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]), 0)
-        update_kinematics(a, sense)
-        return float(a["speed_mps"]), float(a["climb_mps"])
+        update_kinematics(a["kinematics"], sense)
+        return float(a["kinematics"]["speed_mps"]), float(a["kinematics"]["climb_mps"])
 
     for t in range(0, 200, 10):
         report(t, 1e-4 * t)
-    assert a["speed_mps"] == pytest.approx(0.1)
+    assert a["kinematics"]["speed_mps"] == pytest.approx(0.1)
     assert report(7200, 0.0) == (0.0, 0.0)
     assert report(7210, 1e-3)[0] == pytest.approx(0.1)
 

@@ -191,7 +191,7 @@ def test_a_set_point_in_irregular_cycles_does_not_overshoot(intervals_ms):
         for _ in range(60):
             t += int(rng.choice(intervals_ms) * MS)
             limit_setpoint(params[0], a, t, to, z)
-            most = max(most, (a["set_point_m"] - to) * np.sign(to - z))
+            most = max(most, (a["setpoint"]["position_m"] - to) * np.sign(to - z))
         z = to
         over.append(most)
     assert max(over[2:]) < 0.15e-3
@@ -280,13 +280,23 @@ def test_a_coarse_sensor_on_a_ramp_is_not_taken_for_stuck(slope, speed_mps, lsb_
 
 
 @pytest.mark.parametrize(
-    "name", ["weight", "score_m2", "long_m2", "state", "cov", "bias", "noise_m", "effort"]
+    ("record", "name"),
+    [
+        ("weights", "weight"),
+        ("weights", "recent_m2"),
+        ("weights", "longer_m2"),
+        ("bank", "mean"),
+        ("bank", "covariance"),
+        ("weights", "bias"),
+        ("noise", "sigma_m"),
+        ("shadow", "effort"),
+    ],
 )
-def test_what_is_not_finite_inside_is_thrown_away_and_following_goes_on(name):
+def test_what_is_not_finite_inside_is_thrown_away_and_following_goes_on(record, name):
     """No input is known to make it so; should one be found, it must not be for good."""
     robot = Robot(lambda x: 0.0, 0.1)
     robot.run(1.5)
-    inside = robot.f._state["adaptive"][name]
+    inside = robot.f._state["adaptive"][record][name]
     inside.reshape(-1)[0] = np.nan
     robot.run(1.0)
     state = robot.f.state()

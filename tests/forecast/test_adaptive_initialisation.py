@@ -24,24 +24,24 @@ def test_a_first_reading_a_few_millimetres_off_leaves_no_trace(first_m):
     bad, _ = feed(heights, sigma=0.0)
     good, _ = feed(heights[2:], sigma=0.0, start=3)
     # two agree against it, and what follows is as if it had begun with the second of them
-    assert bad["height_m"] == good["height_m"]
-    assert bad["scored"] == good["scored"] > 0
-    np.testing.assert_array_equal(bad["score_m2"], good["score_m2"])
+    assert bad["estimate"]["height_m"] == good["estimate"]["height_m"]
+    assert bad["weights"]["scored"] == good["weights"]["scored"] > 0
+    np.testing.assert_array_equal(bad["weights"]["recent_m2"], good["weights"]["recent_m2"])
 
 
 def test_on_a_slope_the_second_sample_is_no_reason_to_begin_again():
     heights = 0.7e-3 * np.arange(60)  # 20 degrees at 0.5 m/s
     a, taken = feed(heights, way=1.9e-3, sigma=5e-5)
-    assert a["samples"] >= 59
+    assert a["estimate"]["samples"] >= 59
     assert taken[2:].all()
 
 
 def test_nothing_is_judged_before_set_points_made_of_a_few_samples_had_effect():
     samples = INITIAL_SETTLING_NS // (4 * MS)
     a, _ = feed(np.zeros(samples + 1))
-    assert a["scored"] == 0
+    assert a["weights"]["scored"] == 0
     a, _ = feed(np.zeros(samples + 4))
-    assert a["scored"] == 3
+    assert a["weights"]["scored"] == 3
 
 
 def test_a_steady_fall_is_believed_in_its_course():
@@ -52,7 +52,7 @@ def test_a_steady_fall_is_believed_in_its_course():
     first = int(np.argmax(heights < -1.5e-3))  # beyond the gate
     believed = first + int(np.argmax(taken[first:]))
     assert believed - first <= 14  # 2.5 mm of way and a little, half way down …
-    assert a["height_m"] == pytest.approx(-0.028, abs=4e-3)  # … and known where it ends
+    assert a["estimate"]["height_m"] == pytest.approx(-0.028, abs=4e-3)  # … and known where it ends
 
 
 def test_readings_that_alternate_are_rough_ground_soon():
@@ -60,13 +60,13 @@ def test_readings_that_alternate_are_rough_ground_soon():
     heights[:600] = 0.0
     a, taken = feed(heights, sigma=5e-5)
     assert taken[700:].mean() > 0.9
-    assert abs(a["height_m"]) < 4e-4
-    assert a["noise_m"] > 3e-4
+    assert abs(a["estimate"]["height_m"]) < 4e-4
+    assert a["noise"]["sigma_m"] > 3e-4
 
 
 def test_noise_free_readings_have_no_negative_noise():
     a, _ = feed(np.zeros(4000), sigma=0.0)
-    assert 0.0 <= a["noise_m"] < 1e-6
+    assert 0.0 <= a["noise"]["sigma_m"] < 1e-6
 
 
 def take(a, count, adapt, jump=0.0, start=1, seed=3):
@@ -81,26 +81,26 @@ def take(a, count, adapt, jump=0.0, start=1, seed=3):
 def test_a_bad_sample_after_a_reset_does_not_wipe_what_was_learned(adapt):
     a = zeros(AdaptiveState)[0]
     take(a, 1200, 1)
-    noise, scored, weight = a["noise_m"], a["scored"], a["weight"].copy()
-    a["samples"] = 0  # as SFReset does
+    noise, scored, weight = a["noise"]["sigma_m"], a["weights"]["scored"], a["weights"]["weight"].copy()
+    a["estimate"]["samples"] = 0  # as SFReset does
     take(a, 20, adapt, jump=0.03, start=1201)
-    assert a["samples"] >= 15
-    assert abs(a["height_m"]) < 2e-4
-    assert a["noise_m"] == pytest.approx(noise, rel=0.1)
-    assert a["scored"] == scored
+    assert a["estimate"]["samples"] >= 15
+    assert abs(a["estimate"]["height_m"]) < 2e-4
+    assert a["noise"]["sigma_m"] == pytest.approx(noise, rel=0.1)
+    assert a["weights"]["scored"] == scored
     if adapt == 0:
-        np.testing.assert_array_equal(a["weight"], weight)
+        np.testing.assert_array_equal(a["weights"]["weight"], weight)
 
 
 def test_frozen_the_gate_does_not_grow():
     a = zeros(AdaptiveState)[0]
     take(a, 600, 1)
-    scale = a["scale_m"]
+    scale = a["gate"]["scale_m"]
     rng = np.random.default_rng(7)
     params = default_params()
     for k in range(200):
         update_estimate(params, a, 10**9 + (601 + k) * 4 * MS, 1e-3, rng.uniform(-0.03, 0.03), 0.1, 0)
-    assert a["scale_m"] == scale
+    assert a["gate"]["scale_m"] == scale
 
 
 def standoffs(sensor, seconds, config=None, speed_mps=0.1):
@@ -179,12 +179,12 @@ def test_a_real_step_down_at_rest_is_not_taken_back_between_slow_samples_or_late
 @pytest.mark.parametrize(("share", "speeds"), [(0.0, 1.0), (1.0, 10.0)])
 def test_without_preview_the_set_point_is_no_quicker_than_an_axis_can_use(share, speeds):
     params, a = default_params(), zeros(AdaptiveState)[0]
-    a["preview_share"] = share
+    a["preview"]["share"] = share
     heights, t_ns = [0.0], 10**9
     for _ in range(400):
         t_ns += MS
         limit_setpoint(params, a, t_ns, 0.05, heights[0])
-        heights.append(a["set_point_m"])
+        heights.append(a["setpoint"]["position_m"])
     rate = np.diff(heights) * 1e3
     limit = VELOCITY_RATIO * params["plant_v_max_mps"] if share == 0.0 else params["max_speed_mps"]
     assert rate.max() <= limit * (1 + 1e-9)

@@ -91,7 +91,7 @@ def test_a_hollow_seen_ahead_is_not_followed_on_the_way_back(speed_mps, before_m
     end_m = 0.3 + speed_mps**2 / 4
     run = Run(UNDER_AND_AHEAD, way, hollow_from(end_m + before_m), 0.3 / speed_mps + rest_s + 1.5)
     assert run.least_m() > -1e-3
-    assert abs(run.f._state["adaptive"][0]["scout_bias_m"]) < 2e-4, "the sensors never differed"
+    assert abs(run.f._state["adaptive"][0]["lookahead"]["bias_m"]) < 2e-4, "the sensors never differed"
 
 
 def test_a_hollow_seen_ahead_is_not_followed_round_a_corner():
@@ -113,9 +113,9 @@ def test_a_trench_that_a_lone_sensor_saw_ahead_is_not_followed_round_a_corner():
 
 def test_a_sensor_ahead_that_stops_leads_no_longer():
     run = Run(UNDER_AND_AHEAD, lambda t: (min(0.1 * t, 0.3), 0.0, 0.0), lambda x, y: 0.0, 3.05)
-    assert run.f._state["adaptive"][0]["scout_lead_m"] == pytest.approx(0.05, abs=5e-3)
+    assert run.f._state["adaptive"][0]["lookahead"]["lead_m"] == pytest.approx(0.05, abs=5e-3)
     run = Run(UNDER_AND_AHEAD, lambda t: (min(0.1 * t, 0.3), 0.0, 0.0), lambda x, y: 0.0, 3.3)
-    assert run.f._state["adaptive"][0]["scout_lead_m"] == 0.0
+    assert run.f._state["adaptive"][0]["lookahead"]["lead_m"] == 0.0
 
 
 @pytest.mark.parametrize("sensors", [UNDER_AND_AHEAD, [AHEAD]])
@@ -137,7 +137,7 @@ def test_on_a_gentle_curve_what_is_seen_ahead_still_helps(sensors):
 @pytest.mark.parametrize("height_m", [-0.02, 0.02])
 def test_a_high_step_that_no_robot_can_follow_at_once_does_not_end_preview(height_m):
     run = Run(UNDER_AND_AHEAD, lambda t: (0.1 * t, 0.0, 0.0), lambda x, y: height_m if x > 0.3 else 0.0, 4.5)
-    assert run.f._state["adaptive"][0]["preview_share"] == 1.0
+    assert run.f._state["adaptive"][0]["preview"]["share"] == 1.0
 
 
 @pytest.mark.parametrize("speed_mps", [0.05, 0.1, 0.3])

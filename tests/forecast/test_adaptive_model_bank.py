@@ -80,9 +80,12 @@ def test_the_assumed_axis_is_the_simulated_one():
 def planned(ground, v, known=HORIZON, rounds=40):
     params, a = zeros(Params), zeros(AdaptiveState)
     params["plant_a_max_mps2"], params["plant_v_max_mps"], params["plan_calm_s4"] = 2.0, 0.2, 4e-8
-    a["plan_g_m"][0], a["speed_mps"] = ground, 0.1
+    a["preview"]["ground_m"][0], a["kinematics"]["speed_mps"] = ground, 0.1
     for _ in range(rounds):  # the warm start shifts by a tick; shift back to solve one problem exactly
-        a["plan_u"][0, 1:], a["plan_y"][0, 1:] = a["plan_u"][0, :-1].copy(), a["plan_y"][0, :-1].copy()
+        a["plan"]["acceleration_m"][0, 1:], a["plan"]["multiplier_m"][0, 1:] = (
+            a["plan"]["acceleration_m"][0, :-1].copy(),
+            a["plan"]["multiplier_m"][0, :-1].copy(),
+        )
         speed = plan.solve_plan(params[0], a[0], known, 0.0, v, 0.0)
     return speed, a[0]
 
@@ -123,8 +126,8 @@ def test_the_plan_is_the_bounded_least_squares_solution(seed, known):
         r, w = problem(early)
         best = lsq_linear(r, w, bounds=(-0.9 * 2.0 * dt * dt, 0.9 * 2.0 * dt * dt), tol=1e-12).x
         early = v * dt * after + s @ best < bound
-    assert cost(a["plan_u"]) <= 1.01 * cost(best) + 1e-9
-    assert np.abs(a["plan_u"]).max() <= 0.9 * 2.0 * dt * dt * (1 + 1e-9)
+    assert cost(a["plan"]["acceleration_m"]) <= 1.01 * cost(best) + 1e-9
+    assert np.abs(a["plan"]["acceleration_m"]).max() <= 0.9 * 2.0 * dt * dt * (1 + 1e-9)
 
 
 def test_the_inverted_axis_reaches_the_speed_that_was_asked():

@@ -49,20 +49,24 @@ def turned(rms_m: float, dt_s: float, deviations: float = 0.0, scored: int = FUL
     `deviations`: bias of the model that was best before, in standard deviations; `scored`: samples judged.
     """
     a = zeros(AdaptiveState)[0]
-    a["noise_m"], a["scored"], a["samples"] = NOISE_M, scored, FULL_POWER_SAMPLES
-    a["score_m2"][:N_CANDIDATES] = a["long_m2"][:N_CANDIDATES] = 1.2 * rms_m * rms_m
-    a["score_m2"][OLD] = rms_m * rms_m
+    a["noise"]["sigma_m"], a["weights"]["scored"], a["estimate"]["samples"] = (
+        NOISE_M,
+        scored,
+        FULL_POWER_SAMPLES,
+    )
+    a["weights"]["recent_m2"][:N_CANDIDATES] = a["weights"]["longer_m2"][:N_CANDIDATES] = 1.2 * rms_m * rms_m
+    a["weights"]["recent_m2"][OLD] = rms_m * rms_m
     update_weights(default_params(), a, AT_ONCE_S)
-    before = float(a["weight"][NEW])
-    a["score_m2"][[OLD, NEW]] = a["score_m2"][[NEW, OLD]]
-    a["bias"][:N_MODELS] = 0.0
-    a["bias"][OLD] = deviations * math.sqrt(BIAS_RATE / (2.0 - BIAS_RATE))
+    before = float(a["weights"]["weight"][NEW])
+    a["weights"]["recent_m2"][[OLD, NEW]] = a["weights"]["recent_m2"][[NEW, OLD]]
+    a["weights"]["bias"][:N_MODELS] = 0.0
+    a["weights"]["bias"][OLD] = deviations * math.sqrt(BIAS_RATE / (2.0 - BIAS_RATE))
     there = a.copy()
     update_weights(default_params(), there, AT_ONCE_S)
     update_weights(default_params(), a, dt_s)
-    assert a["weight"][:N_CANDIDATES].sum() == pytest.approx(1.0, abs=1e-12)
-    assert (a["weight"][:N_CANDIDATES] >= 0.0).all()
-    return float((a["weight"][NEW] - before) / (there["weight"][NEW] - before))
+    assert a["weights"]["weight"][:N_CANDIDATES].sum() == pytest.approx(1.0, abs=1e-12)
+    assert (a["weights"]["weight"][:N_CANDIDATES] >= 0.0).all()
+    return float((a["weights"]["weight"][NEW] - before) / (there["weights"]["weight"][NEW] - before))
 
 
 def test_weights_follow_slowly_in_noise_and_in_the_middle_of_what_nobody_foresaw():
@@ -90,11 +94,15 @@ def test_a_bias_in_force_hurries_them():
 def odds_of(kind: int, score_m2: float, scored: int) -> float:
     """Weight of the first model of a kind over that of the calm one, all scores being alike."""
     a = zeros(AdaptiveState)[0]
-    a["noise_m"], a["scored"], a["samples"] = NOISE_M, scored, FULL_POWER_SAMPLES
-    a["score_m2"][:N_CANDIDATES] = a["long_m2"][:N_CANDIDATES] = score_m2
+    a["noise"]["sigma_m"], a["weights"]["scored"], a["estimate"]["samples"] = (
+        NOISE_M,
+        scored,
+        FULL_POWER_SAMPLES,
+    )
+    a["weights"]["recent_m2"][:N_CANDIDATES] = a["weights"]["longer_m2"][:N_CANDIDATES] = score_m2
     update_weights(default_params(), a, AT_ONCE_S)
     i = int(np.flatnonzero(BANK[CANDIDATE_MODEL, 0] == kind)[0])
-    return float(a["weight"][i] / a["weight"][SMOOTH_MODEL])
+    return float(a["weights"]["weight"][i] / a["weights"]["weight"][SMOOTH_MODEL])
 
 
 def test_a_wave_that_fits_noise_must_outdo_chance_most_of_all_at_first():
@@ -110,13 +118,17 @@ def test_a_wave_that_fits_noise_must_outdo_chance_most_of_all_at_first():
 def calmer_odds(rms_m: float, scored: int) -> float:
     """Weight of a model whose set points lie still over that of a like one that jumps, both fitting alike."""
     a = zeros(AdaptiveState)[0]
-    a["noise_m"], a["scored"], a["samples"] = NOISE_M, scored, FULL_POWER_SAMPLES
-    a["score_m2"][:N_CANDIDATES] = a["long_m2"][:N_CANDIDATES] = rms_m * rms_m
+    a["noise"]["sigma_m"], a["weights"]["scored"], a["estimate"]["samples"] = (
+        NOISE_M,
+        scored,
+        FULL_POWER_SAMPLES,
+    )
+    a["weights"]["recent_m2"][:N_CANDIDATES] = a["weights"]["longer_m2"][:N_CANDIDATES] = rms_m * rms_m
     still, jumpy = 3, 4  # both follow levels
     assert tuple(BANK[CANDIDATE_MODEL[[still, jumpy]], 0]) == (SLOPE, SLOPE)
-    a["effort"][jumpy] = 100.0
+    a["shadow"]["effort"][jumpy] = 100.0
     update_weights(default_params(), a, AT_ONCE_S)
-    return float(a["weight"][still] / a["weight"][jumpy])
+    return float(a["weights"]["weight"][still] / a["weights"]["weight"][jumpy])
 
 
 def test_of_two_models_that_fit_rough_ground_alike_the_calmer_one_counts():
@@ -136,11 +148,18 @@ def fine_log_odds(scored: int) -> float:
     logs = []
     for better in (0.98, 1.0):
         a = zeros(AdaptiveState)[0]
-        a["noise_m"], a["scored"], a["samples"] = NOISE_M, scored, FULL_POWER_SAMPLES
-        a["score_m2"][:N_CANDIDATES], a["long_m2"][:N_CANDIDATES] = NOISE_M**2, 1e6 * NOISE_M**2
-        a["score_m2"][OLD] *= better
+        a["noise"]["sigma_m"], a["weights"]["scored"], a["estimate"]["samples"] = (
+            NOISE_M,
+            scored,
+            FULL_POWER_SAMPLES,
+        )
+        a["weights"]["recent_m2"][:N_CANDIDATES], a["weights"]["longer_m2"][:N_CANDIDATES] = (
+            NOISE_M**2,
+            1e6 * NOISE_M**2,
+        )
+        a["weights"]["recent_m2"][OLD] *= better
         update_weights(default_params(), a, AT_ONCE_S)
-        logs.append(math.log(a["weight"][OLD] / a["weight"][NEW]))
+        logs.append(math.log(a["weights"]["weight"][OLD] / a["weights"]["weight"][NEW]))
     return logs[0] - logs[1]
 
 
@@ -156,23 +175,27 @@ def test_fine_differences_count_sharply_only_after_many_samples():
 
 def test_the_weights_of_a_sensor_without_any_noise_stay_finite():
     a = zeros(AdaptiveState)[0]
-    a["scored"], a["samples"] = FULL_POWER_SAMPLES, FULL_POWER_SAMPLES
+    a["weights"]["scored"], a["estimate"]["samples"] = FULL_POWER_SAMPLES, FULL_POWER_SAMPLES
     for score_m2 in (1e-8, 0.0):
-        a["score_m2"][:N_CANDIDATES] = a["long_m2"][:N_CANDIDATES] = score_m2
+        a["weights"]["recent_m2"][:N_CANDIDATES] = a["weights"]["longer_m2"][:N_CANDIDATES] = score_m2
         update_weights(default_params(), a, 0.004)
-        assert np.isfinite(a["weight"][:N_CANDIDATES]).all()
+        assert np.isfinite(a["weights"]["weight"][:N_CANDIDATES]).all()
 
 
 def long_odds(recent: float, ever: float, quick_recent: float = 1.3, quick_ever: float = 1.0) -> float:
     """Weight of a quick model over that of the calm one, whose scores these are, in noise variances."""
     a = zeros(AdaptiveState)[0]
-    a["noise_m"], a["scored"], a["samples"] = NOISE_M, FULL_POWER_SAMPLES, FULL_POWER_SAMPLES
-    a["score_m2"][:N_CANDIDATES] = 2.0 * recent * NOISE_M**2
-    a["long_m2"][:N_CANDIDATES] = 2.0 * ever * NOISE_M**2
-    a["score_m2"][[SMOOTH_MODEL, QUICK]] = np.array([recent, quick_recent]) * NOISE_M**2
-    a["long_m2"][[SMOOTH_MODEL, QUICK]] = np.array([ever, quick_ever]) * NOISE_M**2
+    a["noise"]["sigma_m"], a["weights"]["scored"], a["estimate"]["samples"] = (
+        NOISE_M,
+        FULL_POWER_SAMPLES,
+        FULL_POWER_SAMPLES,
+    )
+    a["weights"]["recent_m2"][:N_CANDIDATES] = 2.0 * recent * NOISE_M**2
+    a["weights"]["longer_m2"][:N_CANDIDATES] = 2.0 * ever * NOISE_M**2
+    a["weights"]["recent_m2"][[SMOOTH_MODEL, QUICK]] = np.array([recent, quick_recent]) * NOISE_M**2
+    a["weights"]["longer_m2"][[SMOOTH_MODEL, QUICK]] = np.array([ever, quick_ever]) * NOISE_M**2
     update_weights(default_params(), a, AT_ONCE_S)
-    return float(a["weight"][QUICK] / a["weight"][SMOOTH_MODEL])
+    return float(a["weights"]["weight"][QUICK] / a["weights"]["weight"][SMOOTH_MODEL])
 
 
 def test_between_grooves_the_model_that_was_right_all_along_counts():
@@ -186,10 +209,15 @@ def test_between_grooves_the_model_that_was_right_all_along_counts():
 
 def band_m(samples: int, scored: int, rms_m: float) -> float:
     a = zeros(AdaptiveState)[0]
-    a["noise_m"], a["sigma_m"], a["samples"], a["scored"] = NOISE_M, 3e-4, samples, scored
-    a["score_m2"][:N_CANDIDATES] = rms_m * rms_m
+    a["noise"]["sigma_m"], a["estimate"]["sigma_m"], a["estimate"]["samples"], a["weights"]["scored"] = (
+        NOISE_M,
+        3e-4,
+        samples,
+        scored,
+    )
+    a["weights"]["recent_m2"][:N_CANDIDATES] = rms_m * rms_m
     update_deadband(default_params(), a)
-    return float(a["calm_band_m"])
+    return float(a["adaptation"]["deadband_m"])
 
 
 def test_the_band_is_wider_while_models_are_young_and_all_is_noise():

@@ -69,8 +69,8 @@ def test_first_plane_is_the_least_squares_plane_of_the_footprints():
         z = 0.02 + xy @ s + 1e-4 * rng.standard_normal(n)
         a = zeros(AdaptiveState)[0]
         params["n_channels"] = n
-        a["beam_m"][: 3 * n] = np.column_stack([xy, z]).ravel()
-        a["beam_ns"][:n] = a["beam_changed_ns"][:n] = T0
+        a["beams"]["footprint_m"][: 3 * n] = np.column_stack([xy, z]).ravel()
+        a["beams"]["t_ns"][:n] = a["beams"]["changed_ns"][:n] = T0
         good, h = plane_height(params, a, T0, 0.1, -0.2)
         design = np.column_stack([np.ones(n), xy])
         (h0, sx, sy), *_ = np.linalg.lstsq(design, z, rcond=None)
@@ -78,7 +78,7 @@ def test_first_plane_is_the_least_squares_plane_of_the_footprints():
         if spread[0] < 0.02 * spread.sum() or spread[0] * (n - 1) < 3e-5:
             continue
         assert good == n
-        assert (a["slope_x"], a["slope_y"]) == pytest.approx((sx, sy), abs=1e-9)
+        assert (a["plane"]["slope_x"], a["plane"]["slope_y"]) == pytest.approx((sx, sy), abs=1e-9)
         assert h == pytest.approx(h0 + 0.1 * sx - 0.2 * sy, abs=1e-9)
 
 
@@ -86,7 +86,7 @@ def test_a_bulge_under_the_tool_is_told_from_its_height_by_the_sensor_in_the_mid
     f = follower()
     tool = Tool(f, sigma=1e-4)
     tool.run(3000, lambda x, y: -0.5 * (x * x + y * y))
-    assert f._state["adaptive"][0]["curve"] == pytest.approx(-1.0, abs=0.15)
+    assert f._state["adaptive"][0]["plane"]["curvature"] == pytest.approx(-1.0, abs=0.15)
     # the plane through the ring alone would be 0.45 mm low
     assert f.state()["height_m"] == pytest.approx(0.0, abs=1e-4)
 
@@ -158,10 +158,10 @@ def test_losing_the_pace_maker_hands_the_pace_to_another_beam():
         r[0] = math.nan
         return r
 
-    before = f._state["adaptive"][0]["samples"]
+    before = f._state["adaptive"][0]["estimate"]["samples"]
     tool.run(1000, slanted(0.0, 0.0), spoil)
     assert f.state()["health"] == "OK"
-    assert f._state["adaptive"][0]["samples"] - before > 230
+    assert f._state["adaptive"][0]["estimate"]["samples"] - before > 230
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.05])
@@ -196,23 +196,23 @@ def test_the_turning_set_point_keeps_its_speed_and_acceleration():
     params, a = zeros(Params)[0], zeros(AdaptiveState)[0]
     params["max_turn_speed_radps"], params["max_turn_accel_radps2"] = 0.5, 5.0
     params["permitted_turn_rad"] = 1e-3
-    a["turn_axis"][2] = 1.0
+    a["attitude"]["axis"][2] = 1.0
     wanted = normal_of(0.4, 0.3)
-    axes, speeds = [a["turn_axis"].copy()], [a["turn_speed_radps"].copy()]
+    axes, speeds = [a["attitude"]["axis"].copy()], [a["attitude"]["angular_velocity_radps"].copy()]
     for _ in range(2000):
-        limit_attitude(params, a, *wanted, 1e-3)
-        axes.append(a["turn_axis"].copy())
-        speeds.append(a["turn_speed_radps"].copy())
+        limit_attitude(params, a["attitude"], *wanted, 1e-3)
+        axes.append(a["attitude"]["axis"].copy())
+        speeds.append(a["attitude"]["angular_velocity_radps"].copy())
     steps = [angle_between(u, v) for u, v in itertools.pairwise(axes)]
     assert max(steps) <= 0.5e-3 * (1 + 1e-6)
     assert np.linalg.norm(np.diff(speeds, axis=0), axis=1).max() <= 5e-3 * (1 + 1e-9)
     assert angle_between(axes[-1], wanted) <= 1e-3 + 5e-5
     # what lies within the band turns nothing
-    still = a["turn_axis"].copy()
+    still = a["attitude"]["axis"].copy()
     for k in range(100):
         near = still + 4e-4 * np.array([math.sin(k), math.cos(k), 0.0]) + (wanted - still) * 0.3
-        limit_attitude(params, a, *(near / np.linalg.norm(near)), 1e-3)
-    assert angle_between(still, a["turn_axis"]) < 1e-4
+        limit_attitude(params, a["attitude"], *(near / np.linalg.norm(near)), 1e-3)
+    assert angle_between(still, a["attitude"]["axis"]) < 1e-4
 
 
 def test_rotation_between_two_directions_turns_one_into_the_other():

@@ -18,15 +18,15 @@ from .test_tilted_tool import Tilted, turned
 def test_errors_that_are_not_the_axis_own_are_forgotten_and_what_tells_tau_is_not(set_ns):
     params, state = default_params(), zeros(FollowState)[0]
     a, sense = state["adaptive"], state["sense"]
-    params["plant_tau_s"] = a["tau_s"] = a["tau_assumed_s"] = 0.04
-    a["plant_m2"] = [5e-6, 4e-6, 3e-6, 2e-6, 3e-6, 4e-6, 5e-6]
-    before = a["plant_m2"].copy()
-    a["set_ns"] = set_ns
+    params["plant_tau_s"] = a["plant"]["tau_s"] = a["plant"]["tau_configured_s"] = 0.04
+    a["plant"]["error_m2"] = [5e-6, 4e-6, 3e-6, 2e-6, 3e-6, 4e-6, 5e-6]
+    before = a["plant"]["error_m2"].copy()
+    a["setpoint"]["t_ns"] = set_ns
     push_pose(sense, 100 * MS, np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]), 0)
     update_plant(params, a, sense, 1)
-    assert model_error(a) == pytest.approx(2e-6 if set_ns else 0.0)
-    np.testing.assert_allclose(np.diff(a["plant_m2"]), np.diff(before))
-    assert a["tau_s"] == 0.04
+    assert model_error(a["plant"]) == pytest.approx(2e-6 if set_ns else 0.0)
+    np.testing.assert_allclose(np.diff(a["plant"]["error_m2"]), np.diff(before))
+    assert a["plant"]["tau_s"] == 0.04
 
 
 def test_after_it_was_carried_back_the_plan_over_remembered_ground_begins_at_once():

@@ -25,8 +25,8 @@ from surffollow.sim.profiles_measured import from_points
 def planes(slope: float) -> np.void:
     """A follower whose models all stand at 2 m on ground of this slope."""
     a = zeros(AdaptiveState)[0]
-    a["state"][0::3] = 2.0
-    a["state"][1::3] = slope
+    a["bank"]["mean"][0::3] = 2.0
+    a["bank"]["mean"][1::3] = slope
     return a
 
 
@@ -39,12 +39,12 @@ def test_a_candidate_asks_for_no_more_than_the_steepest_ground_allows(
     a, lead_m = planes(slope), 0.008
     most = HEIGHT_MARGIN_M + steepest * (abs(ahead_m) + lead_m)
     for i in np.flatnonzero(BANK[CANDIDATE_MODEL, 0] == SLOPE):
-        free = extrapolate(CANDIDATE_MODEL[i], a["state"], ahead_m, lead_m) - 2.0
-        got = candidate_setpoint(i, a, ahead_m, lead_m, steepest) - 2.0
+        free = extrapolate(CANDIDATE_MODEL[i], a["bank"]["mean"], ahead_m, lead_m) - 2.0
+        got = candidate_setpoint(i, a["bank"], ahead_m, lead_m, steepest) - 2.0
         assert got == pytest.approx(min(max(free, -most), most), abs=1e-12)
     for i in range(N_CANDIDATES):
-        h = model_height(CANDIDATE_MODEL[i], a["state"])
-        assert abs(candidate_setpoint(i, a, ahead_m, lead_m, steepest) - h) <= most + 1e-12
+        h = model_height(CANDIDATE_MODEL[i], a["bank"]["mean"])
+        assert abs(candidate_setpoint(i, a["bank"], ahead_m, lead_m, steepest) - h) <= most + 1e-12
 
 
 def errors_m(x_m: np.ndarray, heights_m: np.ndarray, speed_mps: float) -> np.ndarray:

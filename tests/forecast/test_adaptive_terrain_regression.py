@@ -22,6 +22,14 @@ from surffollow.shm.layout_adaptive import HORIZON, AdaptiveState
 
 STEP_M = 1.6e-3  # between samples: 250 Hz at 400 mm/s
 KNOWN = 8
+SUMS = (
+    "offset_offset_m2",
+    "offset_rise_m2",
+    "rise_rise_m2",
+    "offset_change_m2",
+    "rise_change_m2",
+    "change_change_m2",
+)
 Ground = Callable[[float], float]
 
 
@@ -29,12 +37,12 @@ def seen(ground: Ground, way_m: float, sigma_m: float = 0.0, seed: int = 0) -> n
     """A follower that has seen so much of this ground, at 400 mm/s."""
     rng = np.random.default_rng(seed)
     a = zeros(AdaptiveState)[0]
-    a["speed_mps"] = a["speed_x_mps"] = 0.4
-    a["path_m"] = 1.0
+    a["kinematics"]["speed_mps"] = a["kinematics"]["velocity_x_mps"] = 0.4
+    a["estimate"]["arc_length_m"] = 1.0
     for k in range(int(way_m / STEP_M)):
-        a["path_m"] += STEP_M if k else 0.0
-        h = ground(a["path_m"] - 1.0) + sigma_m * rng.standard_normal()
-        store_ground(a, a["path_m"], h)
+        a["estimate"]["arc_length_m"] += STEP_M if k else 0.0
+        h = ground(a["estimate"]["arc_length_m"] - 1.0) + sigma_m * rng.standard_normal()
+        store_ground(a, a["estimate"]["arc_length_m"], h)
         beyond.update_regression(a, h, STEP_M, 1)
     return a
 
@@ -42,11 +50,11 @@ def seen(ground: Ground, way_m: float, sigma_m: float = 0.0, seed: int = 0) -> n
 def guess(a: np.void, ground: Ground, bias_m: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Guessed heights and the way beyond the end of the ground seen."""
     step = 0.4 * PERIOD_S
-    start = a["path_m"] - step * (KNOWN - 1) - 1e-9
-    a["plan_g_m"] = np.nan
-    a["plan_g_m"][:KNOWN] = [ground(start + step * k - 1.0) + bias_m for k in range(KNOWN)]
+    start = a["estimate"]["arc_length_m"] - step * (KNOWN - 1) - 1e-9
+    a["preview"]["ground_m"] = np.nan
+    a["preview"]["ground_m"][:KNOWN] = [ground(start + step * k - 1.0) + bias_m for k in range(KNOWN)]
     extrapolate_ground(a, KNOWN, start, bias_m)
-    return a["plan_g_m"][KNOWN:].copy(), step * np.arange(1, HORIZON - KNOWN + 1)
+    return a["preview"]["ground_m"][KNOWN:].copy(), step * np.arange(1, HORIZON - KNOWN + 1)
 
 
 def plane(s: float) -> float:
@@ -66,7 +74,7 @@ def test_a_plane_goes_on_and_a_wave_turns(ground: Ground) -> None:
     for way in (2.0, 2.03, 2.07, 2.12):
         a = seen(ground, way)
         got, x = guess(a, ground)
-        end = a["path_m"] - 1.0
+        end = a["estimate"]["arc_length_m"] - 1.0
         near = x <= 0.08
         true = np.array([ground(end + d) for d in x[near]])
         stay = np.abs(true - ground(end)).max()
@@ -76,7 +84,9 @@ def test_a_plane_goes_on_and_a_wave_turns(ground: Ground) -> None:
 def test_ground_of_which_little_was_seen_stays_as_it_ended() -> None:
     a = seen(plane, 0.03)
     got, _ = guess(a, plane)
-    assert got == pytest.approx(np.full(HORIZON - KNOWN, plane(a["path_m"] - 1.0)), abs=1e-9)
+    assert got == pytest.approx(
+        np.full(HORIZON - KNOWN, plane(a["estimate"]["arc_length_m"] - 1.0)), abs=1e-9
+    )
 
 
 def test_noise_on_level_ground_moves_the_guess_by_less_than_itself() -> None:
@@ -89,12 +99,12 @@ def test_a_box_comes_to_an_end_and_so_does_the_hollow_between_two() -> None:
     tried = {True: 0, False: 0}
     for way in np.arange(3.0, 4.2, 0.013):
         a = seen(boxes, float(way))
-        end = boxes(a["path_m"] - 1.0)
-        if boxes(a["path_m"] - 1.03) != end:
+        end = boxes(a["estimate"]["arc_length_m"] - 1.0)
+        if boxes(a["estimate"]["arc_length_m"] - 1.03) != end:
             continue  # just behind an edge that edge tells more
         got, x = guess(a, boxes)
         tried[end > 0] += 1
-        low, high = min(end, a["mean_m"]), max(end, a["mean_m"])
+        low, high = min(end, a["regression"]["mean_height_m"]), max(end, a["regression"]["mean_height_m"])
         far = got[x >= 0.04]
         assert np.all((far >= low - 3e-3) & (far <= high + 3e-3))
         assert abs(far[-1] - end) > 0.3 * (high - low)
@@ -107,7 +117,7 @@ def test_the_guess_begins_at_the_end_and_rises_by_45_degrees_at_most() -> None:
         table = np.cumsum(0.03 * rng.standard_normal(2000))
         a = seen(lambda s, t=table: float(t[int(s / 5e-3)]), 2.0)
         got, x = guess(a, lambda s, t=table: float(t[int(s / 5e-3)]))
-        last = a["plan_g_m"][KNOWN - 1]
+        last = a["preview"]["ground_m"][KNOWN - 1]
         assert np.all(np.abs(got - last) <= np.minimum(x, 0.08) + 1e-12)
 
 
@@ -115,8 +125,8 @@ def test_a_scout_that_reads_low_is_put_right_in_the_guess_too() -> None:
     """The mean is of what channel 0 sees, the ring ahead of what the scout saw."""
     plain, _ = guess(seen(wave, 2.0), wave)
     a = seen(wave, 2.0)
-    cells = a["cell_n"] > 0.0
-    a["cell_h_m"][cells] -= 3e-3
+    cells = a["buffer"]["count"] > 0.0
+    a["buffer"]["height_m"][cells] -= 3e-3
     low, _ = guess(a, lambda s: wave(s) - 3e-3, bias_m=3e-3)
     assert low == pytest.approx(plain, abs=1e-12)
 
@@ -140,9 +150,8 @@ def test_the_sums_are_those_of_the_slow_twin() -> None:
             )
             o, r, m = before - mean, before - earlier, h - before
             sums[j] += rate * (np.array([o * o, o * r, r * r, o * m, r * m, m * m]) - sums[j])
-    names = ("oo", "or", "rr", "om", "rm", "mm")
-    got = np.array([a[f"beyond_{name}_m2"] for name in names]).T
-    assert a["mean_m"] == pytest.approx(mean, abs=1e-12)
+    got = np.array([a["regression"][name] for name in SUMS]).T
+    assert a["regression"]["mean_height_m"] == pytest.approx(mean, abs=1e-12)
     assert got == pytest.approx(sums, rel=1e-6, abs=1e-15)
     o, r = 4e-3, -2e-3
     for j, (oo, both, rr, om, rm, mm) in enumerate(sums):
@@ -151,7 +160,7 @@ def test_the_sums_are_those_of_the_slow_twin() -> None:
         more = p @ [o, r]
         share = beyond.SHRINKAGE * max(mm - p @ [om, rm], 0.0) / (oo + beyond.REGULARISATION_M2)
         more -= (o + more) * min(share, 1.0)
-        assert beyond.predict_rise(a, j, o, r) == pytest.approx(more, rel=1e-6)
+        assert beyond.predict_rise(a["regression"], j, o, r) == pytest.approx(more, rel=1e-6)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -1e300])
@@ -159,18 +168,18 @@ def test_what_is_no_ground_is_not_learnt(bad: float) -> None:
     a = seen(wave, 1.0)
     before = a.copy()
     beyond.update_regression(a, bad, STEP_M, 1)
-    for name in ("oo", "or", "rr", "om", "rm", "mm"):
-        assert np.array_equal(a[f"beyond_{name}_m2"], before[f"beyond_{name}_m2"])
+    for name in SUMS:
+        assert np.array_equal(a["regression"][name], before["regression"][name])
     beyond.update_regression(a, 0.01, STEP_M, 1)
-    assert a["mean_m"] == pytest.approx(0.01), "the next height is ground again"
+    assert a["regression"]["mean_height_m"] == pytest.approx(0.01), "the next height is ground again"
 
 
-@pytest.mark.parametrize("name", ["oo", "or", "rr", "om", "rm", "mm"])
+@pytest.mark.parametrize("name", SUMS)
 def test_sums_that_are_not_finite_are_learnt_anew(name: str) -> None:
     a = seen(wave, 1.0)
-    a[f"beyond_{name}_m2"][1] = math.nan
-    beyond.update_regression(a, wave(a["path_m"] - 1.0), STEP_M, 1)
-    assert a[f"beyond_{name}_m2"][1] == 0.0
+    a["regression"][name][1] = math.nan
+    beyond.update_regression(a, wave(a["estimate"]["arc_length_m"] - 1.0), STEP_M, 1)
+    assert a["regression"][name][1] == 0.0
     assert np.isfinite(guess(a, wave)[0]).all()
 
 
@@ -181,12 +190,12 @@ def test_all_is_forgotten_with_what_is_not_finite() -> None:
         t, x = 10**12 + k * 4_000_000, 4e-4 * k
         f.pose(t, (x, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
         f.step(t, [0.1 - boxes(x + 0.05)])
-    assert a["beyond_oo_m2"].min() > 0.0
-    assert a["mean_way_m"] > 0.1
+    assert a["regression"]["offset_offset_m2"].min() > 0.0
+    assert a["regression"]["mean_length_m"] > 0.1
     reset_all(f._params[0], a)
-    assert a["mean_m"] == a["mean_way_m"] == 0.0
-    for sums in ("oo", "or", "rr", "om", "rm", "mm"):
-        assert (a[f"beyond_{sums}_m2"] == 0.0).all()
+    assert a["regression"]["mean_height_m"] == a["regression"]["mean_length_m"] == 0.0
+    for sums in SUMS:
+        assert (a["regression"][sums] == 0.0).all()
 
 
 def test_after_a_loss_the_mean_begins_where_the_ground_is_now() -> None:
@@ -197,7 +206,7 @@ def test_after_a_loss_the_mean_begins_where_the_ground_is_now() -> None:
         f.pose(t, (x, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
         height = 0.0 if k < 300 else 0.02
         f.step(t, [math.nan if 300 <= k < 2000 else 0.1 - height])
-    assert a["mean_m"] == pytest.approx(0.02, abs=1e-3)
+    assert a["regression"]["mean_height_m"] == pytest.approx(0.02, abs=1e-3)
 
 
 def test_frozen_it_keeps_what_it_learnt_and_still_knows_where_the_ground_is() -> None:
@@ -205,15 +214,15 @@ def test_frozen_it_keeps_what_it_learnt_and_still_knows_where_the_ground_is() ->
     before = a.copy()
     for _ in range(2000):
         beyond.update_regression(a, 0.3, STEP_M, 0)
-    assert a["mean_m"] == pytest.approx(0.3, abs=5e-3)
-    for name in ("oo", "or", "rr", "om", "rm", "mm"):
-        assert np.array_equal(a[f"beyond_{name}_m2"], before[f"beyond_{name}_m2"])
+    assert a["regression"]["mean_height_m"] == pytest.approx(0.3, abs=5e-3)
+    for name in SUMS:
+        assert np.array_equal(a["regression"][name], before["regression"][name])
 
 
 def test_a_height_just_seen_is_found_again() -> None:
     """The ring gives the twin above its heights: linear between them."""
     a = seen(wave, 0.3)
-    s = a["path_m"] - 0.05
+    s = a["estimate"]["arc_length_m"] - 0.05
     assert buffered_height(a, s) == pytest.approx(wave(s - 1.0), abs=5e-6)
 
 

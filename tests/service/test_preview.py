@@ -138,12 +138,12 @@ def test_a_preview_is_due_for_ticks_and_new_samples_and_never_in_paper_mode():
     loop.run(3.0)
     a, i, p = loop.state["adaptive"][0], loop.inputs[0], loop.params[0]
     i["n_poses"], i["n_conversions"] = 0, 0
-    a["tick_ns"] = a["now_ns"]
+    a["controller"]["period_ns"] = a["clock"]["now_ns"]
     assert due(loop) == 0
-    a["tick_ns"] = 0
+    a["controller"]["period_ns"] = 0
     assert due(loop) == FOR_TICK
-    a["tick_ns"] = a["now_ns"]
-    counts = int((a["held_m"] - p["zero_m"][0]) / p["scale_m"][0])
+    a["controller"]["period_ns"] = a["clock"]["now_ns"]
+    counts = int((a["hold"]["range_m"] - p["zero_m"][0]) / p["scale_m"][0])
     i["n_conversions"] = 1
     for word, wanted in (
         (pack_conversion(counts + 40, 0, 0, -1000), FOR_SAMPLE),
@@ -158,7 +158,7 @@ def test_a_preview_is_due_for_ticks_and_new_samples_and_never_in_paper_mode():
         p[name] = value
         assert due(loop) == 0
         p[name] = before
-    a["lead_m"] = 0.05
+    a["sample"]["lead_m"] = 0.05
     assert due(loop) == 0, "a leading sensor sees better than memory"
 
 
@@ -166,11 +166,11 @@ def test_the_map_is_read_where_a_tilted_tool_points():
     loop = MapLoop("flat")
     loop.run(3.0)
     a, i, sense = loop.state["adaptive"][0], loop.inputs[0], loop.state["sense"][0]
-    i["n_poses"], a["tick_ns"] = 0, 0
+    i["n_poses"], a["controller"]["period_ns"] = 0, 0
     newest = 7 * ((int(sense["pose_count"]) - 1) % (len(sense["pose"]) // 7))
     _, x, y, *_ = preview_window(loop.params, loop.state, loop.inputs)
     assert (x, y) == pytest.approx(tuple(sense["pose"][newest : newest + 2]), abs=1e-9)
-    a["tip_x_m"], a["tip_y_m"] = 0.03, -0.01
+    a["sample"]["tip_x_m"], a["sample"]["tip_y_m"] = 0.03, -0.01
     _, tip_x, tip_y, *_ = preview_window(loop.params, loop.state, loop.inputs)
     assert (tip_x - x, tip_y - y) == pytest.approx((0.03, -0.01))
 
@@ -181,11 +181,11 @@ def test_ticks_are_put_before_reports_that_come_a_hundred_times_a_second():
     for k in range(3000):
         t = START + k * MS + int(late[k])
         if k % 10 == 3:
-            observe_report(a, k // 10 + 1, t)
-        if period_is_due(a, 0, t) != 0:
-            a["tick_ns"], a["ticks"] = t, a["ticks"] + 1
-            open_period(a, 0, t)
-            ticks.append((k, latch_time(a, 0, t) - START))
+            observe_report(a["controller"], k // 10 + 1, t)
+        if period_is_due(a["controller"], 0, t) != 0:
+            a["controller"]["period_ns"], a["controller"]["periods"] = t, a["controller"]["periods"] + 1
+            open_period(a["controller"], 0, t)
+            ticks.append((k, latch_time(a["controller"], 0, t) - START))
     settled = [(k, taken) for k, taken in ticks if k > 1000]
     assert {k % 10 for k, _ in settled} <= {4, 5}
     assert len(settled) == pytest.approx(200, abs=2)
@@ -193,9 +193,9 @@ def test_ticks_are_put_before_reports_that_come_a_hundred_times_a_second():
         report = k + (3 - k) % 10
         assert abs(taken - (report * MS - 500_000)) < 600_000
     # without reports, and where the caller takes each answer himself, a tick is every 10 ms
-    assert period_is_due(a, 1, int(a["tick_ns"]) + 9_999_000) == 1
-    assert period_is_due(a, 1, int(a["tick_ns"]) + 9_998_000) == 0
-    assert latch_time(a, 1, START) == START
+    assert period_is_due(a["controller"], 1, int(a["controller"]["period_ns"]) + 9_999_000) == 1
+    assert period_is_due(a["controller"], 1, int(a["controller"]["period_ns"]) + 9_998_000) == 0
+    assert latch_time(a["controller"], 1, START) == START
 
 
 def test_live_the_second_pass_is_better_and_its_replay_has_the_same_bits(monkeypatch):

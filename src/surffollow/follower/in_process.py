@@ -269,16 +269,16 @@ class Follower:
             out.update({n: o[n].item() for n in ("sigma_m", "noise_m", "roughness_m", "late_s", "tau_s")})
             out["weights"] = m["weights"]["w"][: int(m["tuning"]["n_models"])].tolist()
         elif self._params["mode"][0] == MODE_ADAPTIVE:
-            a = self._state["adaptive"][0]
+            adaptive = self._state["adaptive"][0]
             out["health"] = HEALTH_NAMES[int(o["health"])]
             out["reason"] = REASON_NAMES[int(o["reason"])]
             out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
             told: tuple[str, ...] = ("sigma_m", "noise_m", "roughness_m", "late_s", "latency_s", "tau_s")
             told += ("permitted_variance_m", "interval_size_m", "range_size", "beams")
             out.update({n: o[n].item() for n in told})
-            out["preview_share"] = float(a["preview_share"])
-            out["weights"] = a["weight"][:N_CANDIDATES].tolist()
-            if a["planes"] > 0:
+            out["preview_share"] = float(adaptive["preview"]["share"])
+            out["weights"] = adaptive["weights"]["weight"][:N_CANDIDATES].tolist()
+            if adaptive["plane"]["count"] > 0:
                 out["normal"] = o["normal"].tolist()
         out["demand"] = self._demand.tolist()
         out["range_m"] = o["range_m"][: int(self._params["n_channels"][0])].tolist()

@@ -32,7 +32,7 @@ def forecast_range(params: Any, state: Any, horizon_s: Any) -> Any:
         d = state[0].scaled
         if d.length == 0.0:
             return math.nan
-        return predict_range(state[0].adaptive, horizon_s / d.time) * d.length
+        return predict_range(state[0].adaptive.prediction, horizon_s / d.time) * d.length
     p = state[0].paper
     if p.reading_t_ns == 0:
         return math.nan

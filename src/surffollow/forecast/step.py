@@ -12,7 +12,8 @@ from surffollow.forecast.adaptive.reference_scales import (
     scale_inputs,
     unscale_outputs,
 )
-from surffollow.forecast.adaptive.step import compute_demand, publish_estimate, reset_surface
+from surffollow.forecast.adaptive.reset import reset_surface
+from surffollow.forecast.adaptive.step import compute_demand, publish_estimate
 from surffollow.forecast.paper import (
     average_point,
     paper_forecast,
@@ -176,14 +177,14 @@ def demand_z(params: Any, state: Any, inputs: Any, output: Any, reading_z_m: Any
 
 @jit
 def adaptive_cycle(
-    params: Any, a: Any, sense: Any, fold: Any, inputs: Any, output: Any, pose: Any, ready: Any
+    params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, pose: Any, ready: Any
 ) -> Any:
     """Demand, if a pose is `ready`, and report of the adaptive mode in plain numbers; returns status bits."""
-    check_configured_latency(params, a)
+    check_configured_latency(params, adaptive.latency)
     status = 0
     if ready != 0:
-        status = compute_demand(params, a, sense, fold, inputs, output, pose)
-    publish_estimate(params, a, output)
+        status = compute_demand(params, adaptive, sense, fold, inputs, output, pose)
+    publish_estimate(params, adaptive, output)
     return status
 
 

@@ -18,27 +18,31 @@ MIN_GAIN = 1e-4
 
 
 @jit
-def update_deadband(params: Any, a: Any) -> None:
+def update_deadband(params: Any, adaptive: Any) -> None:
     """Set the way that the set point may stay away from where it is wanted."""
-    a.permitted_m = max(params.permitted_variance_m, min(a.sigma_m, MAX_PERMITTED_M))
+    estimate, adaptation = adaptive.estimate, adaptive.adaptation
+    adaptation.permitted_variance_m = max(params.permitted_variance_m, min(estimate.sigma_m, MAX_PERMITTED_M))
     # while scores are young and all is noise, what models say is luck
-    young = 1.0 - min(max(a.samples, a.scored), FULL_POWER_SAMPLES) / FULL_POWER_SAMPLES
-    noise = least_noise_fraction(a)
-    a.calm_band_m = params.calm_share * a.permitted_m * (1.0 + BURN_IN_WIDENING * young * noise * noise)
+    young = 1.0 - min(max(estimate.samples, adaptive.weights.scored), FULL_POWER_SAMPLES) / FULL_POWER_SAMPLES
+    noise = least_noise_fraction(adaptive)
+    adaptation.deadband_m = (
+        params.calm_share * adaptation.permitted_variance_m * (1.0 + BURN_IN_WIDENING * young * noise * noise)
+    )
 
 
 @jit
-def publish_adaptation(params: Any, a: Any, output: Any) -> None:
+def publish_adaptation(params: Any, adaptive: Any, output: Any) -> None:
     """Tell Permitted_Variance, Interval_Size and Range_Size in force.
 
     A mean over n samples has the variance of a filter with gain 2 / (n + 1).
     """
-    output.latency_s = params.sensor_latency_ns * 1e-9 + a.older_s
-    output.permitted_variance_m = a.permitted_m
-    if a.samples == 0:
+    sample, estimate = adaptive.sample, adaptive.estimate
+    output.latency_s = params.sensor_latency_ns * 1e-9 + adaptive.latency.correction_s
+    output.permitted_variance_m = adaptive.adaptation.permitted_variance_m
+    if estimate.samples == 0:
         output.interval_size_m, output.range_size = params.interval_size_m, params.range_size
         return
-    samples = 2.0 / min(max(a.gain, MIN_GAIN), 1.0) - 1.0
-    interval = max(min(params.interval_size_m, samples * a.sample_way_m), a.sample_way_m, 1e-6)
+    samples = 2.0 / min(max(estimate.gain, MIN_GAIN), 1.0) - 1.0
+    interval = max(min(params.interval_size_m, samples * sample.spacing_m), sample.spacing_m, 1e-6)
     output.interval_size_m = interval
-    output.range_size = min(max(int(samples * a.sample_way_m / interval + 0.5), 1), INTERVALS // 2)
+    output.range_size = min(max(int(samples * sample.spacing_m / interval + 0.5), 1), INTERVALS // 2)

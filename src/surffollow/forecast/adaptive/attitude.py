@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from surffollow.forecast.adaptive.plane_fit import reset_plane
 from surffollow.forecast.adaptive.setpoint_limits import restart_pause_s
 from surffollow.forecast.pose import rotate
 from surffollow.shm.jit import jit
@@ -18,10 +19,14 @@ MAX_PREDICTION_S = 0.2  # slopes are carried on by their rates no farther
 
 
 @jit
-def predicted_normal(params: Any, a: Any) -> Any:
+def predicted_normal(params: Any, adaptive: Any) -> Any:
     """The surface normal as it will be when the robot's axis answers: unit vector."""
-    ahead = min(max((a.now_ns - a.plane_ns) * 1e-9 + params.tick_lead_s + a.tau_s, 0.0), MAX_PREDICTION_S)
-    sx, sy = a.slope_x + a.slope_x_hz * ahead, a.slope_y + a.slope_y_hz * ahead
+    plane = adaptive.plane
+    ahead = min(
+        max((adaptive.clock.now_ns - plane.t_ns) * 1e-9 + params.tick_lead_s + adaptive.plant.tau_s, 0.0),
+        MAX_PREDICTION_S,
+    )
+    sx, sy = plane.slope_x + plane.slope_rate_x_hz * ahead, plane.slope_y + plane.slope_rate_y_hz * ahead
     length = math.sqrt(sx * sx + sy * sy + 1.0)
     return -sx / length, -sy / length, 1.0 / length
 
@@ -38,13 +43,13 @@ def rotation_between(ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> An
 
 
 @jit
-def limit_attitude(params: Any, a: Any, nx: Any, ny: Any, nz: Any, dt: Any) -> None:
+def limit_attitude(params: Any, attitude: Any, nx: Any, ny: Any, nz: Any, dt: Any) -> None:
     """Lead the axis' set point toward a direction, within speed and acceleration.
 
     What lies within `permitted_turn_rad` turns nothing (hysteresis); the square root keeps it from
     overshooting what its acceleration can stop.
     """
-    u, w = a.turn_axis, a.turn_speed_radps
+    u, w = attitude.axis, attitude.angular_velocity_radps
     ex, ey, ez, angle = rotation_between(u[0], u[1], u[2], nx, ny, nz)
     way = max(angle - params.permitted_turn_rad, 0.0)
     a_max = params.max_turn_accel_radps2
@@ -62,44 +67,52 @@ def limit_attitude(params: Any, a: Any, nx: Any, ny: Any, nz: Any, dt: Any) -> N
 
 
 @jit
-def demand_rotation(params: Any, a: Any, sense: Any, output: Any) -> None:
+def demand_rotation(params: Any, adaptive: Any, sense: Any, output: Any) -> None:
     """Rotation vector from the tool's axis as reported to the axis' set point, limited to `max_turn_rad`."""
+    clock, attitude = adaptive.clock, adaptive.attitude
     q = 7 * ((sense.pose_count - 1) & (POSES - 1)) + 3
     p = sense.pose
     tx, ty, tz = rotate(p[q], p[q + 1], p[q + 2], p[q + 3], 0.0, 0.0, 1.0)
     if params.run == RUN_FREEZE:
-        a.turn_ns = 0  # afterwards it starts at the tool
+        attitude.t_ns = 0  # afterwards it starts at the tool
         return
-    since = a.now_ns - a.turn_ns
-    if a.turn_ns == 0 or since < 0 or since * 1e-9 > restart_pause_s(a):
-        a.turn_axis[0], a.turn_axis[1], a.turn_axis[2] = tx, ty, tz
+    since = clock.now_ns - attitude.t_ns
+    if attitude.t_ns == 0 or since < 0 or since * 1e-9 > restart_pause_s(adaptive.setpoint):
+        attitude.axis[0], attitude.axis[1], attitude.axis[2] = tx, ty, tz
         for k in range(3):
-            a.turn_speed_radps[k] = 0.0
+            attitude.angular_velocity_radps[k] = 0.0
         since = 0
     if since > 0:
-        nx, ny, nz = predicted_normal(params, a)
-        limit_attitude(params, a, nx, ny, nz, since * 1e-9)
-    a.turn_ns = a.now_ns
-    u = a.turn_axis
+        nx, ny, nz = predicted_normal(params, adaptive)
+        limit_attitude(params, attitude, nx, ny, nz, since * 1e-9)
+    attitude.t_ns = clock.now_ns
+    u = attitude.axis
     wx, wy, wz, angle = rotation_between(tx, ty, tz, u[0], u[1], u[2])
     if not math.isfinite(wx + wy + wz):
-        a.turn_ns = a.plane_ns = a.planes = 0
-        a.slope_x = a.slope_y = a.slope_x_hz = a.slope_y_hz = a.curve = 0.0
+        attitude.t_ns = 0
+        reset_plane(adaptive.plane)
         return
     cut = params.max_turn_rad / angle if angle > params.max_turn_rad else 1.0
     output.demand[3], output.demand[4], output.demand[5] = wx * cut, wy * cut, wz * cut
 
 
 @jit
-def publish_normal(a: Any, output: Any) -> None:
+def publish_normal(adaptive: Any, output: Any) -> None:
     """Publish the normal; straight up while no plane is known."""
-    length = math.sqrt(a.slope_x * a.slope_x + a.slope_y * a.slope_y + 1.0)
+    plane = adaptive.plane
+    length = math.sqrt(plane.slope_x * plane.slope_x + plane.slope_y * plane.slope_y + 1.0)
     output.normal[0], output.normal[1], output.normal[2] = (
-        -a.slope_x / length,
-        -a.slope_y / length,
+        -plane.slope_x / length,
+        -plane.slope_y / length,
         1.0 / length,
     )
     beams = 0
     for c in range(CHANNELS):
-        beams |= (1 if a.beam_good[c] != 0 else 0) << c
+        beams |= (1 if adaptive.beams.accepted[c] != 0 else 0) << c
     output.beams = beams
+
+
+@jit
+def release_attitude(attitude: Any) -> None:
+    """Begin at the tool with the next attitude set point."""
+    attitude.t_ns = 0

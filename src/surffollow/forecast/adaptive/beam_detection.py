@@ -12,6 +12,7 @@ from typing import Any
 from surffollow.forecast.adaptive.kinematics import predict_pose
 from surffollow.forecast.pose import footprint, rotate
 from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_sensing import BEAMS
 
 MAX_REFERENCE_AGE_NS = 12_000_000  # a beam this much older than the newest no longer sets the pace
 MAX_AGE_NS = 25_000_000  # older footprints do not belong to the same plane
@@ -23,59 +24,60 @@ MIN_WEIGHT = 0.05  # of a beam that is believed although it is odd
 
 
 @jit
-def choose_reference(params: Any, a: Any, sense: Any) -> Any:
+def choose_reference(params: Any, beams: Any, sense: Any) -> Any:
     """The channel whose samples set the pace: the last one while it delivers and agrees; -1: none."""
     newest = 0
     for c in range(params.n_channels):
-        newest = max(newest, a.beam_ns[c])
+        newest = max(newest, beams.t_ns[c])
     best, least = -1, 3
     for k in range(params.n_channels):
-        c = (a.primary + k) % params.n_channels
-        if a.beam_ns[c] == 0:
+        c = (beams.reference + k) % params.n_channels
+        if beams.t_ns[c] == 0:
             continue
         trouble = 0
-        if sense.valid[c] == 0 or newest - a.beam_ns[c] > MAX_REFERENCE_AGE_NS:
+        if sense.valid[c] == 0 or newest - beams.t_ns[c] > MAX_REFERENCE_AGE_NS:
             trouble = 2
-        elif a.beam_odd[c] > 0:
+        elif beams.deviations[c] > 0:
             trouble = 1
         if trouble < least:
             best, least = c, trouble
     if best >= 0:
-        a.primary = best
+        beams.reference = best
     return best
 
 
 @jit
-def any_beam_changed(a: Any, n_channels: Any, since_ns: Any) -> Any:
+def any_beam_changed(beams: Any, n_channels: Any, since_ns: Any) -> Any:
     """1 when a beam that still delivers has changed its reading since then: not all sensors are stuck."""
     for c in range(n_channels):
-        if a.beam_ns[c] > since_ns and a.beam_changed_ns[c] > since_ns:
+        if beams.t_ns[c] > since_ns and beams.changed_ns[c] > since_ns:
             return 1
     return 0
 
 
 @jit
-def observe_beams(params: Any, a: Any, sense: Any, pose: Any) -> Any:
+def observe_beams(params: Any, adaptive: Any, sense: Any, pose: Any) -> Any:
     """Footprints of all fresh channels; the channel whose samples set the pace, or -1.
 
     `pose` (7,) is scratch.
     """
+    beams = adaptive.beams
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
             continue
         t_ns, range_m = sense.range_t_ns[c], sense.range_m[c]
-        predict_pose(a, sense, t_ns, pose)
+        predict_pose(adaptive.kinematics, sense, t_ns, pose)
         x, y, z, _ = footprint(pose, params.tool_from_sensor, c, range_m)
-        a.beam_m[3 * c], a.beam_m[3 * c + 1], a.beam_m[3 * c + 2] = x, y, z
-        if a.beam_ns[c] == 0 or range_m != a.beam_range_m[c] or t_ns < a.beam_changed_ns[c]:
-            a.beam_changed_ns[c] = t_ns
-        a.beam_range_m[c], a.beam_ns[c] = range_m, t_ns
+        beams.footprint_m[3 * c], beams.footprint_m[3 * c + 1], beams.footprint_m[3 * c + 2] = x, y, z
+        if beams.t_ns[c] == 0 or range_m != beams.range_m[c] or t_ns < beams.changed_ns[c]:
+            beams.changed_ns[c] = t_ns
+        beams.range_m[c], beams.t_ns[c] = range_m, t_ns
         # where the axis meets the ground when the stand-off is kept: near enough for the curvature's share
         dx, dy, _ = rotate(
             pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, params.tool_from_sensor[2] - params.offset_m
         )
-        a.axis_x_m, a.axis_y_m = pose[0] + dx, pose[1] + dy
-    return choose_reference(params, a, sense)
+        beams.axis_x_m, beams.axis_y_m = pose[0] + dx, pose[1] + dy
+    return choose_reference(params, beams, sense)
 
 
 @jit
@@ -91,70 +93,98 @@ def _median(values: Any, n: Any) -> Any:
 
 
 @jit
-def half_squared_distance(a: Any, c: Any) -> Any:
+def half_squared_distance(beams: Any, c: Any) -> Any:
     """Half the squared distance of a beam's footprint from the tool's axis [m²]."""
-    dx, dy = a.beam_m[3 * c] - a.axis_x_m, a.beam_m[3 * c + 1] - a.axis_y_m
+    dx, dy = beams.footprint_m[3 * c] - beams.axis_x_m, beams.footprint_m[3 * c + 1] - beams.axis_y_m
     return 0.5 * (dx * dx + dy * dy)
 
 
 @jit
-def beam_height(a: Any, c: Any, x_m: Any, y_m: Any) -> Any:
+def beam_height(adaptive: Any, c: Any, x_m: Any, y_m: Any) -> Any:
     """Height at (x, y) of the plane through a beam's footprint, the curvature's share taken off [m]."""
-    dx, dy = a.beam_m[3 * c] - x_m, a.beam_m[3 * c + 1] - y_m
-    return a.beam_m[3 * c + 2] - a.slope_x * dx - a.slope_y * dy - a.curve * half_squared_distance(a, c)
+    beams, plane = adaptive.beams, adaptive.plane
+    dx, dy = beams.footprint_m[3 * c] - x_m, beams.footprint_m[3 * c + 1] - y_m
+    return (
+        beams.footprint_m[3 * c + 2]
+        - plane.slope_x * dx
+        - plane.slope_y * dy
+        - plane.curvature * half_squared_distance(beams, c)
+    )
 
 
 @jit
-def isolate_faults(a: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any) -> Any:
+def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any) -> Any:
     """Mark the beams that agree, weigh them, and return how many there are."""
+    beams, plane = adaptive.beams, adaptive.plane
     n, still = 0, 0
     for c in range(n_channels):
-        a.beam_good[c] = 0
-        if a.beam_ns[c] == 0 or abs(t_ns - a.beam_ns[c]) > MAX_AGE_NS:
-            a.beam_weight[c] = 0.0
+        beams.accepted[c] = 0
+        if beams.t_ns[c] == 0 or abs(t_ns - beams.t_ns[c]) > MAX_AGE_NS:
+            beams.weight[c] = 0.0
             continue
-        a.beam_h_m[c] = beam_height(a, c, x_m, y_m)
-        a.beam_sort_m[n] = a.beam_h_m[c]
-        a.beam_good[c] = 1
-        still += 1 if a.beam_ns[c] - a.beam_changed_ns[c] > STUCK_NS else 0
+        beams.height_m[c] = beam_height(adaptive, c, x_m, y_m)
+        beams.sorted_m[n] = beams.height_m[c]
+        beams.accepted[c] = 1
+        still += 1 if beams.t_ns[c] - beams.changed_ns[c] > STUCK_NS else 0
         n += 1
     if n == 0:
         return 0
-    middle = _median(a.beam_sort_m, n)
-    gate = max(GATE_SIGMAS * a.noise_m, MIN_GATE_M)
+    middle = _median(beams.sorted_m, n)
+    gate = max(GATE_SIGMAS * adaptive.noise.sigma_m, MIN_GATE_M)
     agree = 0
     for c in range(n_channels):
-        if a.beam_good[c] != 0 and abs(a.beam_h_m[c] - middle) <= gate:
+        if beams.accepted[c] != 0 and abs(beams.height_m[c] - middle) <= gate:
             agree += 1
-    majority = agree >= 3 and a.plane_rank == 2
+    majority = agree >= 3 and plane.rank == 2
     good = 0
     for c in range(n_channels):
-        if a.beam_good[c] == 0:
+        if beams.accepted[c] == 0:
             continue
-        off = abs(a.beam_h_m[c] - middle) / gate
-        odd = off > 1.0 and n >= 2 and a.planes > 0
-        a.beam_odd[c] = min(max(a.beam_odd[c] + (1 if odd else -1), 0), 2 * CONFIRMATION_SAMPLES)
-        stuck = still == 1 and n >= 2 and a.beam_ns[c] - a.beam_changed_ns[c] > STUCK_NS
-        if stuck or (odd and a.beam_odd[c] <= CONFIRMATION_SAMPLES) or (majority and a.beam_odd[c] > 0):
-            a.beam_odd[c] = max(a.beam_odd[c], 1)
-            a.beam_good[c] = 0
-            a.beam_weight[c] = 0.0
+        off = abs(beams.height_m[c] - middle) / gate
+        odd = off > 1.0 and n >= 2 and plane.count > 0
+        beams.deviations[c] = min(max(beams.deviations[c] + (1 if odd else -1), 0), 2 * CONFIRMATION_SAMPLES)
+        stuck = still == 1 and n >= 2 and beams.t_ns[c] - beams.changed_ns[c] > STUCK_NS
+        if (
+            stuck
+            or (odd and beams.deviations[c] <= CONFIRMATION_SAMPLES)
+            or (majority and beams.deviations[c] > 0)
+        ):
+            beams.deviations[c] = max(beams.deviations[c], 1)
+            beams.accepted[c] = 0
+            beams.weight[c] = 0.0
             continue
         full = max((1.0 - off * off) ** 2, MIN_WEIGHT) if off < 1.0 else MIN_WEIGHT
-        if a.planes == 0:
-            a.beam_weight[c] = 1.0
+        if plane.count == 0:
+            beams.weight[c] = 1.0
         else:
-            a.beam_weight[c] = min(full, a.beam_weight[c] + WEIGHT_RECOVERY)
+            beams.weight[c] = min(full, beams.weight[c] + WEIGHT_RECOVERY)
         good += 1
     return good
 
 
 @jit
-def mean_height(a: Any, n_channels: Any, x_m: Any, y_m: Any) -> Any:
+def mean_height(adaptive: Any, n_channels: Any, x_m: Any, y_m: Any) -> Any:
     """Weighted mean of the good beams' heights at (x, y) [m]."""
+    beams = adaptive.beams
     total, weights = 0.0, 0.0
     for c in range(n_channels):
-        if a.beam_good[c] != 0:
-            total += a.beam_weight[c] * beam_height(a, c, x_m, y_m)
-            weights += a.beam_weight[c]
+        if beams.accepted[c] != 0:
+            total += beams.weight[c] * beam_height(adaptive, c, x_m, y_m)
+            weights += beams.weight[c]
     return total / weights
+
+
+@jit
+def note_first_sample(beams: Any, t_ns: Any) -> Any:
+    """Return the time of the first sample of the run, which may be this one [ns]."""
+    if beams.first_ns == 0 or t_ns < beams.first_ns:
+        beams.first_ns = t_ns
+    return beams.first_ns
+
+
+@jit
+def reset_beam_times(beams: Any) -> None:
+    """Discard all times: the clock jumped."""
+    beams.first_ns = 0
+    for c in range(BEAMS):
+        beams.t_ns[c] = beams.changed_ns[c] = 0

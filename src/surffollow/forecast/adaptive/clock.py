@@ -10,11 +10,11 @@ CLOCK_JUMP_NS = 1_000_000_000  # a jump back by more than late samples explain i
 
 
 @jit
-def update_clock(a: Any, t_ns: Any, pose_t_ns: Any) -> Any:
+def update_clock(clock: Any, t_ns: Any, pose_t_ns: Any) -> Any:
     """Advance `now_ns` to the latest time told; 1 when the clock jumped back and is followed."""
     t = max(t_ns, pose_t_ns)
-    jumped = t < a.now_ns - CLOCK_JUMP_NS
+    jumped = t < clock.now_ns - CLOCK_JUMP_NS
     if jumped:
-        a.now_ns = t
-    a.now_ns = max(a.now_ns, t)
+        clock.now_ns = t
+    clock.now_ns = max(clock.now_ns, t)
     return 1 if jumped else 0

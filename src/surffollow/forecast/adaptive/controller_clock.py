@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive import N_PERIODS
+from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
 DEFAULT_PERIOD_NS = 9_999_000  # 100 Hz; a microsecond less, stamps may be rounded
 PREPARATION_NS = (
@@ -26,14 +26,14 @@ PERIOD_RATE = 0.1
 
 
 @jit
-def is_synchronised(a: Any, given: Any, now_ns: Any) -> Any:
+def is_synchronised(controller: Any, given: Any, now_ns: Any) -> Any:
     """Whether reports come like a controller's ticks, and distances do not come ready-made (`given` > 0)."""
-    steady = abs(a.arrival_dt_ns - 10e6) < PERIOD_TOLERANCE_NS
-    return given <= 0 and steady and 0 <= now_ns - a.arrival_ns < REPORT_TIMEOUT_NS
+    steady = abs(controller.interval_ns - 10e6) < PERIOD_TOLERANCE_NS
+    return given <= 0 and steady and 0 <= now_ns - controller.report_ns < REPORT_TIMEOUT_NS
 
 
 @jit
-def period_is_due(a: Any, given: Any, now_ns: Any) -> Any:
+def period_is_due(controller: Any, given: Any, now_ns: Any) -> Any:
     """1 when it is time to prepare what the controller takes next.
 
     Parameters
@@ -42,44 +42,59 @@ def period_is_due(a: Any, given: Any, now_ns: Any) -> Any:
     given : int              > 0: distances come ready-made, the caller takes each answer himself
     now_ns : int64
     """
-    since_tick = now_ns - a.tick_ns
-    if not is_synchronised(a, given, now_ns):
+    since_tick = now_ns - controller.period_ns
+    if not is_synchronised(controller, given, now_ns):
         return 1 if since_tick >= DEFAULT_PERIOD_NS else 0
-    left = latch_time(a, given, now_ns) - now_ns
+    left = latch_time(controller, given, now_ns) - now_ns
     return (
         1
         if since_tick >= MAX_PERIOD_NS
-        or (a.tick_open == 0 and left <= PREPARATION_NS and since_tick >= MIN_PERIOD_NS)
+        or (controller.latch_pending == 0 and left <= PREPARATION_NS and since_tick >= MIN_PERIOD_NS)
         else 0
     )
 
 
 @jit
-def latch_time(a: Any, given: Any, now_ns: Any) -> Any:
+def latch_time(controller: Any, given: Any, now_ns: Any) -> Any:
     """When the controller will take its next demand [ns]."""
-    if not is_synchronised(a, given, now_ns):
+    if not is_synchronised(controller, given, now_ns):
         return now_ns
-    period = int(a.arrival_dt_ns)
-    since = now_ns - a.arrival_ns + LATCH_DELAY_NS
+    period = int(controller.interval_ns)
+    since = now_ns - controller.report_ns + LATCH_DELAY_NS
     return now_ns + period - since % period
 
 
 @jit
-def open_period(a: Any, given: Any, now_ns: Any) -> None:
+def open_period(controller: Any, given: Any, now_ns: Any) -> None:
     """Move the tick that `note_targets` closed to when its demand will be taken; until then it may change."""
-    a.tick_t_ns[(a.ticks - 1) & (N_PERIODS - 1)] = latch_time(a, given, now_ns)
-    a.tick_open = 1 if is_synchronised(a, given, now_ns) else 0
+    controller.latch_ns[(controller.periods - 1) & (N_PERIODS - 1)] = latch_time(controller, given, now_ns)
+    controller.latch_pending = 1 if is_synchronised(controller, given, now_ns) else 0
 
 
 @jit
-def observe_report(a: Any, poses: Any, now_ns: Any) -> None:
+def observe_report(controller: Any, poses: Any, now_ns: Any) -> None:
     """Learn the rhythm of pose reports from their arrival (`poses` counts them); the open tick is over."""
-    if poses == a.arrival_poses:
+    if poses == controller.report_count:
         return
-    dt = now_ns - a.arrival_ns
+    dt = now_ns - controller.report_ns
     if 0 < dt < REPORT_TIMEOUT_NS:
-        a.arrival_dt_ns += PERIOD_RATE * (dt - a.arrival_dt_ns)
-    a.arrival_ns, a.arrival_poses = now_ns, poses
-    if a.tick_open != 0:
-        a.tick_t_ns[(a.ticks - 1) & (N_PERIODS - 1)] = now_ns - LATCH_DELAY_NS
-        a.tick_open = 0
+        controller.interval_ns += PERIOD_RATE * (dt - controller.interval_ns)
+    controller.report_ns, controller.report_count = now_ns, poses
+    if controller.latch_pending != 0:
+        controller.latch_ns[(controller.periods - 1) & (N_PERIODS - 1)] = now_ns - LATCH_DELAY_NS
+        controller.latch_pending = 0
+
+
+@jit
+def begin_period(controller: Any, now_ns: Any) -> None:
+    """Begin a controller period now."""
+    controller.latch_ns[controller.periods & (N_PERIODS - 1)] = now_ns
+    controller.periods += 1
+    controller.period_ns = now_ns
+
+
+@jit
+def reset_controller(controller: Any) -> None:
+    """Discard all periods and the arrival of reports: the clock jumped."""
+    controller.period_ns = controller.report_ns = 0
+    controller.periods = controller.latch_pending = 0  # set points of future periods would never be latched

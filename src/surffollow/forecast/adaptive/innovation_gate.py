@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from surffollow.forecast.adaptive.noise import INITIAL_NOISE_M
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive import PENDING_HEIGHTS
+from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
 SCALE_RATE = 0.02
 PERMANENT_STEPS = 0.2
@@ -22,56 +23,135 @@ INITIAL_INNER_GATE = 0.125  # the same for the second sample: the first may have
 
 
 @jit
-def update_scale(a: Any, nu_m: Any, gate_m: Any) -> None:
+def update_scale(gate: Any, nu_m: Any, gate_m: Any) -> None:
     """How large innovations usually are."""
-    a.scale_m += SCALE_RATE * (1.25 * min(abs(nu_m), gate_m) - a.scale_m)
+    gate.scale_m += SCALE_RATE * (1.25 * min(abs(nu_m), gate_m) - gate.scale_m)
 
 
 @jit
-def hold_pending(params: Any, a: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any, adapt: Any) -> Any:
+def hold_pending(params: Any, adaptive: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any, adapt: Any) -> Any:
     """Hold back an outlying innovation; 1 when with it a step is believed.
 
-    `a.quarantine_s_m` and `a.quarantine_h_m` sum way and height of the samples that agree.
+    `pending_arc_length_m` and `pending_height_m` are sums over the samples that agree.
     """
-    last = a.kept_h_m[(a.quarantined - 1) & (PENDING_HEIGHTS - 1)]
-    if a.quarantined > 0 and abs(a.height_m + nu_m - last) < gate_m:
-        a.quarantined += 1
-        a.quarantine_way_m += way_m
+    gate, estimate = adaptive.gate, adaptive.estimate
+    last = gate.kept_height_m[(gate.pending - 1) & (PENDING_HEIGHTS - 1)]
+    if gate.pending > 0 and abs(estimate.height_m + nu_m - last) < gate_m:
+        gate.pending += 1
+        gate.pending_travel_m += way_m
     else:
-        if a.quarantined > 0:
-            a.disagreed += 1
-        if a.disagreed > REJECTED_TOLERANCE and adapt != 0:
+        if gate.pending > 0:
+            gate.rejected += 1
+        if gate.rejected > REJECTED_TOLERANCE and adapt != 0:
             # outliers that do not agree with each other: the ground is rougher than thought
-            a.scale_m *= SCALE_GROWTH
-        a.quarantined = 1
-        a.quarantine_m = a.quarantine_s_m = a.quarantine_h_m = 0.0
-        a.quarantine_way_m = params.step_way_m if gap else 0.0
-        a.quarantine_ns = a.sample_ns
-    a.quarantine_m += nu_m
-    a.quarantine_s_m += a.path_m
-    a.quarantine_h_m += a.height_m + nu_m
-    slot = (a.quarantined - 1) & (PENDING_HEIGHTS - 1)
-    a.kept_s_m[slot], a.kept_h_m[slot] = a.path_m, a.height_m + nu_m
+            gate.scale_m *= SCALE_GROWTH
+        gate.pending = 1
+        gate.pending_innovation_m = gate.pending_arc_length_m = gate.pending_height_m = 0.0
+        gate.pending_travel_m = params.step_way_m if gap else 0.0
+        gate.pending_ns = estimate.sample_ns
+    gate.pending_innovation_m += nu_m
+    gate.pending_arc_length_m += estimate.arc_length_m
+    gate.pending_height_m += estimate.height_m + nu_m
+    slot = (gate.pending - 1) & (PENDING_HEIGHTS - 1)
+    gate.kept_arc_length_m[slot], gate.kept_height_m[slot] = estimate.arc_length_m, estimate.height_m + nu_m
     # where steps have always stayed, and on a step's way up or down, two samples tell enough
-    goes_on = a.since_step_m < params.step_way_m and nu_m * a.step_m > 0.0
-    few = a.returned < PERMANENT_STEPS or goes_on
+    goes_on = gate.travel_since_step_m < params.step_way_m and nu_m * gate.step_m > 0.0
+    few = gate.slot_likelihood < PERMANENT_STEPS or goes_on
     need = min(params.step_samples, 2) if few else params.step_samples
-    if a.quarantined < need:
+    if gate.pending < need:
         return 0
-    if nu_m > 0.0 or goes_on or a.quarantine_way_m >= params.step_way_m * a.returned:
+    if nu_m > 0.0 or goes_on or gate.pending_travel_m >= params.step_way_m * gate.slot_likelihood:
         return 1
     # a start with a bad sample is outvoted; where the tool stands, no way will ever tell
-    outvoted = a.quarantined > a.samples
-    return 1 if outvoted or a.sample_ns - a.quarantine_ns >= STANDING_CONFIRMATION_NS else 0
+    outvoted = gate.pending > estimate.samples
+    return 1 if outvoted or estimate.sample_ns - gate.pending_ns >= STANDING_CONFIRMATION_NS else 0
 
 
 @jit
-def needs_second_sample(a: Any, nu_m: Any, gate_m: Any) -> Any:
+def needs_second_sample(adaptive: Any, nu_m: Any, gate_m: Any) -> Any:
     """1 for a lone innovation near the gate, on a slot's edge or a small glitch; a second is believed."""
-    before = a.doubted_m
-    a.doubted_m = 0.0
-    least = INNER_GATE if a.samples > 1 else INITIAL_INNER_GATE
+    gate = adaptive.gate
+    before = gate.unconfirmed_m
+    gate.unconfirmed_m = 0.0
+    least = INNER_GATE if adaptive.estimate.samples > 1 else INITIAL_INNER_GATE
     if not least * gate_m < abs(nu_m) <= gate_m or before * nu_m > 0.0:
         return 0
-    a.doubted_m = nu_m
+    gate.unconfirmed_m = nu_m
     return 1
+
+
+@jit
+def gate_width(params: Any, gate: Any) -> Any:
+    """Width of the gate [m]."""
+    return max(params.gate_scales * gate.scale_m, params.gate_m)
+
+
+@jit
+def update_travel(params: Any, gate: Any, way_m: Any) -> None:
+    """Add the distance travelled since the last step; a step that stays lowers the likelihood of slots."""
+    if (
+        gate.travel_since_step_m < params.step_way_m <= gate.travel_since_step_m + way_m
+        and gate.step_m != 0.0
+    ):
+        gate.slot_likelihood = max(SLOT_DECAY * gate.slot_likelihood, MIN_SLOT_LIKELIHOOD)
+    gate.travel_since_step_m += way_m
+
+
+@jit
+def accept_sample(params: Any, gate: Any) -> None:
+    """Drop the pending samples; if they were enough for a step, they were a slot."""
+    if gate.pending >= params.step_samples:
+        gate.slot_likelihood = 1.0
+    gate.pending = gate.rejected = 0
+
+
+@jit
+def register_step(params: Any, gate: Any, t_ns: Any) -> None:
+    """Take the pending samples as a step confirmed at `t_ns`."""
+    n = gate.pending
+    if gate.travel_since_step_m < params.step_way_m and gate.pending_innovation_m * gate.step_m < 0.0:
+        gate.slot_likelihood = 0.5  # it came back within the width of a slot: the step before was a slot
+    # after a start in a slot the ground outside it says nothing about steps
+    began_in_slot = (
+        gate.step_ns == 0 and gate.travel_since_step_m < params.step_way_m and gate.pending_innovation_m > 0.0
+    )
+    gate.travel_since_step_m = 0.0
+    gate.step_m = 0.0 if began_in_slot else gate.pending_innovation_m / n
+    gate.step_ns = t_ns
+    gate.pending = gate.rejected = 0
+
+
+@jit
+def initialise_gate(gate: Any) -> None:
+    """Assume the usual innovation and the likelihood of slots of a start without knowledge."""
+    gate.scale_m = 2.0 * INITIAL_NOISE_M
+    gate.slot_likelihood = 1.0
+
+
+@jit
+def reset_gate(gate: Any) -> None:
+    """Drop pending samples and the last step; scale and likelihood of slots stay."""
+    gate.pending = gate.rejected = 0
+    gate.unconfirmed_m = 0.0
+    gate.travel_since_step_m = gate.step_m = 0.0
+    gate.step_ns = 0
+
+
+@jit
+def drop_pending(gate: Any) -> None:
+    """Drop the pending samples."""
+    gate.pending = 0
+
+
+@jit
+def discard_slots(gate: Any) -> None:
+    """Mark the likelihood of slots as not known."""
+    gate.slot_likelihood = 0.0
+
+
+@jit
+def discard_gate(gate: Any) -> None:
+    """Mark everything as not known."""
+    gate.pending = 0
+    gate.slot_likelihood = 0.0
+    gate.scale_m = 0.0

@@ -33,31 +33,31 @@ def oldest_pose_within(sense: Any, window_ns: Any) -> Any:
 
 
 @jit
-def update_kinematics(a: Any, sense: Any) -> None:
+def update_kinematics(kinematics: Any, sense: Any) -> None:
     """Lateral and vertical velocity of the tool from its reports, when one is new; 0 with one report."""
-    if a.motion_poses == sense.pose_count:
+    if kinematics.pose_count == sense.pose_count:
         return
-    a.motion_poses = sense.pose_count
+    kinematics.pose_count = sense.pose_count
     last = (sense.pose_count - 1) & (POSES - 1)
     first, near = oldest_pose_within(sense, SPEED_WINDOW_NS), oldest_pose_within(sense, CLIMB_WINDOW_NS)
-    a.speed_x_mps = a.speed_y_mps = a.speed_mps = a.climb_mps = 0.0
+    kinematics.velocity_x_mps = kinematics.velocity_y_mps = kinematics.speed_mps = kinematics.climb_mps = 0.0
     if first == last:
         return
     dt = (sense.pose_t_ns[last] - sense.pose_t_ns[first]) * 1e-9
-    a.speed_x_mps = (sense.pose[7 * last] - sense.pose[7 * first]) / dt
-    a.speed_y_mps = (sense.pose[7 * last + 1] - sense.pose[7 * first + 1]) / dt
-    a.speed_mps = math.sqrt(a.speed_x_mps**2 + a.speed_y_mps**2)
+    kinematics.velocity_x_mps = (sense.pose[7 * last] - sense.pose[7 * first]) / dt
+    kinematics.velocity_y_mps = (sense.pose[7 * last + 1] - sense.pose[7 * first + 1]) / dt
+    kinematics.speed_mps = math.sqrt(kinematics.velocity_x_mps**2 + kinematics.velocity_y_mps**2)
     dt = (sense.pose_t_ns[last] - sense.pose_t_ns[near]) * 1e-9
-    a.climb_mps = (sense.pose[7 * last + 2] - sense.pose[7 * near + 2]) / dt
+    kinematics.climb_mps = (sense.pose[7 * last + 2] - sense.pose[7 * near + 2]) / dt
 
 
 @jit
-def predict_pose(a: Any, sense: Any, t_ns: Any, pose: Any) -> None:
+def predict_pose(kinematics: Any, sense: Any, t_ns: Any, pose: Any) -> None:
     """The tool's pose at a time into `pose` (7,); after the newest report carried on by the velocity."""
     pose_at(sense, t_ns, 1, pose)
     late = t_ns - sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
     if late > 0:
         dt = min(late, MAX_EXTRAPOLATION_NS) * 1e-9
-        pose[0] += a.speed_x_mps * dt
-        pose[1] += a.speed_y_mps * dt
-        pose[2] += a.climb_mps * dt
+        pose[0] += kinematics.velocity_x_mps * dt
+        pose[1] += kinematics.velocity_y_mps * dt
+        pose[2] += kinematics.climb_mps * dt

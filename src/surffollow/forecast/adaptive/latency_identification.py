@@ -23,43 +23,68 @@ OUTLIER_GATE_M = 8e-3  # heights so far from the mean are glitches
 MAX_CORRECTION_S = 0.1
 RESIDUAL_LIMIT_M = 0.5e-3  # left by the regression, beyond the noise: the ground was not one spot
 DRIFT_S = 1e-3  # the lag may wander by as much from rest to rest
+DELAY_RATE = 0.05  # of the usual delay, per sample
 
 
 @jit
-def reset_window(a: Any) -> None:
+def reset_window(latency: Any) -> None:
     """Begin anew."""
-    a.rest_n = 0
-    a.rest_climb_mps = a.rest_h_m = a.rest_cc = a.rest_ch = a.rest_hh = 0.0
+    latency.count = 0
+    latency.mean_climb_mps = latency.mean_height_m = latency.climb_climb = latency.climb_height = (
+        latency.height_height
+    ) = 0.0
 
 
 @jit
-def check_configured_latency(params: Any, a: Any) -> None:
+def reset_latency(latency: Any) -> None:
+    """Discard the correction."""
+    latency.correction_s = latency.sigma_s = 0.0
+    reset_window(latency)
+
+
+@jit
+def update_delay(latency: Any, delay_s: Any) -> None:
+    """Update the usual delay with that of a sample [s]."""
+    latency.delay_s += DELAY_RATE * (delay_s - latency.delay_s)
+
+
+@jit
+def reset_delay(latency: Any) -> None:
+    """Discard the usual delay."""
+    latency.delay_s = 0.0
+
+
+@jit
+def check_configured_latency(params: Any, latency: Any) -> None:
     """What was found beside another configured latency is no correction of this one: find it anew."""
-    if a.latency_assumed_ns != params.sensor_latency_ns:
-        a.latency_assumed_ns = params.sensor_latency_ns
-        a.older_s = a.older_sigma_s = 0.0
-        reset_window(a)
+    if latency.configured_ns != params.sensor_latency_ns:
+        latency.configured_ns = params.sensor_latency_ns
+        latency.correction_s = latency.sigma_s = 0.0
+        reset_window(latency)
 
 
 @jit
-def update_correction(a: Any, adapt: Any) -> None:
+def update_correction(adaptive: Any, adapt: Any) -> None:
     """Let what a rest told enter the lag, and begin anew."""
-    n = a.rest_n
-    if adapt != 0 and n >= MIN_SAMPLES and a.rest_cc > n * MIN_CLIMB_RMS_MPS * MIN_CLIMB_RMS_MPS:
-        wrong = a.rest_ch / a.rest_cc
-        left = math.sqrt(max(a.rest_hh - wrong * a.rest_ch, 0.0) / n)
-        noise = max(a.noise_m, 1e-4)
+    latency = adaptive.latency
+    n = latency.count
+    if adapt != 0 and n >= MIN_SAMPLES and latency.climb_climb > n * MIN_CLIMB_RMS_MPS * MIN_CLIMB_RMS_MPS:
+        wrong = latency.climb_height / latency.climb_climb
+        left = math.sqrt(max(latency.height_height - wrong * latency.climb_height, 0.0) / n)
+        noise = max(adaptive.noise.sigma_m, 1e-4)
         if abs(wrong) < MAX_CORRECTION_S and left < 3.0 * noise + RESIDUAL_LIMIT_M:
-            var = max(left, noise) ** 2 / a.rest_cc
-            prior = PRIOR_S if a.older_sigma_s == 0.0 else math.sqrt(a.older_sigma_s**2 + DRIFT_S**2)
+            var = max(left, noise) ** 2 / latency.climb_climb
+            prior = PRIOR_S if latency.sigma_s == 0.0 else math.sqrt(latency.sigma_s**2 + DRIFT_S**2)
             gain = prior * prior / (prior * prior + var)
-            a.older_s = min(max(a.older_s + gain * wrong, -MAX_CORRECTION_S), MAX_CORRECTION_S)
-            a.older_sigma_s = math.sqrt((1.0 - gain) * prior * prior)
-    reset_window(a)
+            latency.correction_s = min(
+                max(latency.correction_s + gain * wrong, -MAX_CORRECTION_S), MAX_CORRECTION_S
+            )
+            latency.sigma_s = math.sqrt((1.0 - gain) * prior * prior)
+    reset_window(latency)
 
 
 @jit
-def observe_height(a: Any, sense: Any, t_ns: Any, h_m: Any, still: Any, adapt: Any, pose: Any) -> None:
+def observe_height(adaptive: Any, sense: Any, t_ns: Any, h_m: Any, still: Any, adapt: Any, pose: Any) -> None:
     """Take a sample's height, made with the pose at its stamp less the lag found so far.
 
     Parameters
@@ -71,22 +96,23 @@ def observe_height(a: Any, sense: Any, t_ns: Any, h_m: Any, still: Any, adapt: A
     adapt : int        0: learn nothing
     pose : (7,) float64 scratch
     """
+    latency = adaptive.latency
     if still == 0:
-        if a.rest_n > 0:
-            update_correction(a, adapt)
+        if latency.count > 0:
+            update_correction(adaptive, adapt)
         return
     pose_at(sense, t_ns - HALF_SPAN_NS, 1, pose)
     z = pose[2]
     pose_at(sense, t_ns + HALF_SPAN_NS, 1, pose)
     climb = (pose[2] - z) / (2e-9 * HALF_SPAN_NS)
-    if a.rest_n > 0 and abs(h_m - a.rest_h_m) > OUTLIER_GATE_M:
+    if latency.count > 0 and abs(h_m - latency.mean_height_m) > OUTLIER_GATE_M:
         return
-    a.rest_n += 1
-    dc, dh = climb - a.rest_climb_mps, h_m - a.rest_h_m
-    a.rest_climb_mps += dc / a.rest_n
-    a.rest_h_m += dh / a.rest_n
-    a.rest_cc += dc * (climb - a.rest_climb_mps)
-    a.rest_ch += dc * (h_m - a.rest_h_m)
-    a.rest_hh += dh * (h_m - a.rest_h_m)
-    if a.rest_n >= MAX_SAMPLES:
-        update_correction(a, adapt)
+    latency.count += 1
+    dc, dh = climb - latency.mean_climb_mps, h_m - latency.mean_height_m
+    latency.mean_climb_mps += dc / latency.count
+    latency.mean_height_m += dh / latency.count
+    latency.climb_climb += dc * (climb - latency.mean_climb_mps)
+    latency.climb_height += dc * (h_m - latency.mean_height_m)
+    latency.height_height += dh * (h_m - latency.mean_height_m)
+    if latency.count >= MAX_SAMPLES:
+        update_correction(adaptive, adapt)

@@ -13,6 +13,7 @@ from surffollow.forecast.adaptive.kinematics import predict_pose
 from surffollow.forecast.adaptive.terrain_buffer import MIN_LEAD_M, buffered_height, store_ground_at
 from surffollow.forecast.pose import footprint
 from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_sensing import BEAMS
 
 AGREEMENT_M = 1.5e-3  # heights of two samples in a row that confirm each other
 BIAS_RATE = 0.02
@@ -22,7 +23,7 @@ TIMEOUT_NS = 200_000_000  # a scout silent for so long no longer leads
 
 
 @jit
-def observe_lookahead(params: Any, a: Any, sense: Any, moving: Any, pose: Any) -> None:
+def observe_lookahead(params: Any, adaptive: Any, sense: Any, moving: Any, pose: Any) -> None:
     """Note the ground that channels 1 and up see ahead of channel 0's footprint.
 
     Parameters
@@ -31,35 +32,62 @@ def observe_lookahead(params: Any, a: Any, sense: Any, moving: Any, pose: Any) -
     moving : int             1: fast enough for a direction; at rest none of them leads
     pose : (7,) float64 scratch
     """
-    if moving == 0 or a.now_ns - a.scouted_ns > TIMEOUT_NS:
-        a.scout_lead_m = 0.0
-    if moving == 0 or a.samples == 0:
+    clock, kinematics, sample, estimate, lookahead = (
+        adaptive.clock,
+        adaptive.kinematics,
+        adaptive.sample,
+        adaptive.estimate,
+        adaptive.lookahead,
+    )
+    if moving == 0 or clock.now_ns - lookahead.seen_ns > TIMEOUT_NS:
+        lookahead.lead_m = 0.0
+    if moving == 0 or estimate.samples == 0:
         return
     for c in range(1, params.n_channels):
         t = sense.range_t_ns[c]
-        if sense.fresh[c] == 0 or t < a.scout_ns[c] + params.hold_ns:
+        if sense.fresh[c] == 0 or t < lookahead.range_ns[c] + params.hold_ns:
             continue
-        a.scout_ns[c] = t
-        t -= int(a.older_s * 1e9)
-        predict_pose(a, sense, t, pose)
+        lookahead.range_ns[c] = t
+        t -= int(adaptive.latency.correction_s * 1e9)
+        predict_pose(kinematics, sense, t, pose)
         x, y, z, _ = footprint(pose, params.tool_from_sensor, c, sense.range_m[c])
-        along = ((x - a.foot_x_m) * a.speed_x_mps + (y - a.foot_y_m) * a.speed_y_mps) / a.speed_mps
-        aside = ((x - a.foot_x_m) * a.speed_y_mps - (y - a.foot_y_m) * a.speed_x_mps) / a.speed_mps
-        agrees = abs(z - a.scout_h_m[c]) < AGREEMENT_M
-        a.scout_h_m[c] = z
+        along = (
+            (x - sample.x_m) * kinematics.velocity_x_mps + (y - sample.y_m) * kinematics.velocity_y_mps
+        ) / kinematics.speed_mps
+        aside = (
+            (x - sample.x_m) * kinematics.velocity_y_mps - (y - sample.y_m) * kinematics.velocity_x_mps
+        ) / kinematics.speed_mps
+        agrees = abs(z - lookahead.height_m[c]) < AGREEMENT_M
+        lookahead.height_m[c] = z
         if not agrees or not MIN_LEAD_M < along < MAX_LEAD_M or abs(aside) > MIN_LEAD_M:
             continue
-        store_ground_at(a, a.path_m + along, z, x, y)
-        a.scout_lead_m = along
-        a.scouted_ns = a.now_ns
+        store_ground_at(adaptive, estimate.arc_length_m + along, z, x, y)
+        lookahead.lead_m = along
+        lookahead.seen_ns = clock.now_ns
 
 
 @jit
-def compare_lookahead(a: Any, s_m: Any, h_m: Any) -> None:
+def compare_lookahead(adaptive: Any, s_m: Any, h_m: Any) -> None:
     """Compare what was seen ahead with what channel 0 sees there now; learn the difference."""
-    if a.scout_lead_m == 0.0:
+    lookahead = adaptive.lookahead
+    if lookahead.lead_m == 0.0:
         return
-    seen = buffered_height(a, s_m)
+    seen = buffered_height(adaptive, s_m)
     if math.isfinite(seen):
         e = min(max(h_m - seen, -MAX_BIAS_M), MAX_BIAS_M)
-        a.scout_bias_m += BIAS_RATE * (e - a.scout_bias_m)
+        lookahead.bias_m += BIAS_RATE * (e - lookahead.bias_m)
+
+
+@jit
+def reset_lookahead(lookahead: Any) -> None:
+    """Discard lead and bias."""
+    lookahead.lead_m = lookahead.bias_m = 0.0
+
+
+@jit
+def reset_lookahead_times(lookahead: Any) -> None:
+    """Discard all times: the clock jumped."""
+    lookahead.seen_ns = 0
+    lookahead.lead_m = 0.0
+    for c in range(BEAMS):
+        lookahead.range_ns[c] = 0

@@ -10,21 +10,20 @@ from typing import Any
 from surffollow.forecast.adaptive.adaptation import update_deadband
 from surffollow.forecast.adaptive.beam_detection import any_beam_changed, observe_beams
 from surffollow.forecast.adaptive.estimate import update_estimate
-from surffollow.forecast.adaptive.health import CLOSE_CONFIRMATION_SAMPLES, is_stuck, update_stuck
+from surffollow.forecast.adaptive.health import count_close, is_stuck, update_stuck
 from surffollow.forecast.adaptive.kinematics import MIN_DIRECTION_SPEED_MPS, predict_pose
-from surffollow.forecast.adaptive.latency_identification import observe_height
+from surffollow.forecast.adaptive.latency_identification import observe_height, update_delay
 from surffollow.forecast.adaptive.lookahead_sensor import compare_lookahead
 from surffollow.forecast.adaptive.plane_fit import plane_height
 from surffollow.forecast.adaptive.preview import compare_map, map_height, monitor_error
 from surffollow.forecast.adaptive.range_prediction import update_prediction
-from surffollow.forecast.adaptive.sample_hold import new_sample
+from surffollow.forecast.adaptive.sample_hold import new_sample, record_sample
 from surffollow.forecast.adaptive.terrain_buffer import MIN_LEAD_M
 from surffollow.forecast.pose import footprint, rotate
 from surffollow.forecast.safety import watch_fold_back
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import POSES, RUN_FREEZE, RUN_NORMAL
 
-DELAY_RATE = 0.05
 LEAD_RATE = 0.05
 SPACING_RATE = 0.05
 
@@ -46,7 +45,7 @@ def axis_ground_point(params: Any, pose: Any) -> Any:
 
 
 @jit
-def standoff_height(params: Any, a: Any, sense: Any, plane: Any, pose: Any) -> Any:
+def standoff_height(params: Any, plane: Any, sense: Any, several: Any, pose: Any) -> Any:
     """How much higher than the ground that it points at the tool should be [m].
 
     `pose` (7,) is scratch and holds the newest report afterwards.
@@ -54,82 +53,99 @@ def standoff_height(params: Any, a: Any, sense: Any, plane: Any, pose: Any) -> A
     newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
     for i in range(7):
         pose[i] = sense.pose[newest + i]
-    if plane == 0:
+    if several == 0:
         _, _, tip_z = axis_ground_point(params, pose)
         return -tip_z
     tx, ty, tz = rotate(pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, 1.0)
-    along = tz - a.slope_x * tx - a.slope_y * ty  # (tool axis · normal) over the normal's z
+    along = tz - plane.slope_x * tx - plane.slope_y * ty  # (tool axis · normal) over the normal's z
     return (params.offset_m - params.tool_from_sensor[2]) * along
 
 
 @jit
 def process_sample(
-    params: Any, a: Any, sense: Any, fold: Any, inputs: Any, output: Any, plane: Any, pose: Any
+    params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, several: Any, pose: Any
 ) -> None:
     """Take a new sample, if there is one; what does not enter the estimate is not mapped."""
+    kinematics, hold, latency, sample, health = (
+        adaptive.kinematics,
+        adaptive.hold,
+        adaptive.latency,
+        adaptive.sample,
+        adaptive.health,
+    )
+    estimate, beams = adaptive.estimate, adaptive.beams
     channel = 0
-    if plane != 0:
-        channel = observe_beams(params, a, sense, pose)
+    if several != 0:
+        channel = observe_beams(params, adaptive, sense, pose)
     else:
         output.fresh &= ~1
     if channel < 0:
         return
-    news, range_m, t = new_sample(params, a, sense, inputs.n_ranges, channel)
+    news, range_m, t = new_sample(params, hold, sense, inputs.n_ranges, channel)
     if news == 0:
         return
-    update_prediction(a, t, range_m)
-    repeated = 1 if a.held_ns != 0 and range_m == a.held_m else 0
-    if plane != 0 and any_beam_changed(a, params.n_channels, a.held_ns) != 0:
+    update_prediction(adaptive.prediction, t, range_m)
+    repeated = 1 if hold.t_ns != 0 and range_m == hold.range_m else 0
+    if several != 0 and any_beam_changed(beams, params.n_channels, hold.t_ns) != 0:
         repeated = 0
-    a.held_ns, a.held_m = t, range_m
-    if plane == 0:  # beams are stamped one by one
-        t -= int(a.older_s * 1e9)
-    a.late_s += DELAY_RATE * ((a.now_ns - t) * 1e-9 - a.late_s)
-    predict_pose(a, sense, t, pose)
-    update_stuck(a, repeated, pose[2])
-    if t <= a.sample_ns or is_stuck(a) != 0:
+    record_sample(hold, t, range_m)
+    if several == 0:  # beams are stamped one by one
+        t -= int(latency.correction_s * 1e9)
+    update_delay(latency, (adaptive.clock.now_ns - t) * 1e-9)
+    predict_pose(kinematics, sense, t, pose)
+    update_stuck(adaptive, repeated, pose[2])
+    if t <= estimate.sample_ns or is_stuck(health) != 0:
         return
     adapt = 0 if params.adapt == 0 or params.run == RUN_FREEZE else 1
     x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)
-    still = 1 if a.speed_mps < MIN_DIRECTION_SPEED_MPS else 0
-    if plane == 0 and (still != 0 or a.rest_n > 0):
-        observe_height(a, sense, t, z, still, adapt, pose)
-        predict_pose(a, sense, t, pose)
-    a.close_run = a.close_run + 1 if range_m < params.too_close_m else 0
-    if a.close_run >= CLOSE_CONFIRMATION_SAMPLES or fold.close != 0:
+    still = 1 if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS else 0
+    if several == 0 and (still != 0 or latency.count > 0):
+        observe_height(adaptive, sense, t, z, still, adapt, pose)
+        predict_pose(kinematics, sense, t, pose)
+    close = count_close(health, range_m < params.too_close_m)
+    if close != 0 or fold.close != 0:
         watch_fold_back(fold, range_m, sensor_z, params.too_close_m, params.too_close_exit_m)
     tool_x, tool_y, tool_z = pose[0], pose[1], pose[2]
-    if plane != 0:
-        good, z = plane_height(params, a, t, tool_x, tool_y)
+    if several != 0:
+        good, z = plane_height(params, adaptive, t, tool_x, tool_y)
         if good == 0:
             return
         x, y = tool_x, tool_y
         for c in range(params.n_channels):
-            if a.beam_good[c] == 0:
+            if beams.accepted[c] == 0:
                 output.fresh &= ~(1 << c)
-    a.tip_x_m = a.tip_y_m = 0.0
-    if plane == 0:
-        a.tip_x_m, a.tip_y_m, _ = axis_ground_point(params, pose)
-    if a.speed_mps >= MIN_DIRECTION_SPEED_MPS:
-        lead_x, lead_y = x - tool_x - a.tip_x_m, y - tool_y - a.tip_y_m
-        lead = (lead_x * a.speed_x_mps + lead_y * a.speed_y_mps) / a.speed_mps
-        a.lead_m += (lead - a.lead_m) * (LEAD_RATE if a.samples > 0 else 1.0)
-    way = a.speed_mps * (t - a.sample_ns) * 1e-9 if a.samples > 0 else 0.0
-    drop = standoff_height(params, a, sense, plane, pose)
-    a.sample_way_m += SPACING_RATE * (way - a.sample_way_m)
-    a.foot_x_m, a.foot_y_m, a.foot_s_m = x, y, a.path_m + way
-    compare_lookahead(a, a.foot_s_m, z)
-    taken = update_estimate(params, a, t, way, z, drop, adapt)
+    sample.tip_x_m = sample.tip_y_m = 0.0
+    if several == 0:
+        sample.tip_x_m, sample.tip_y_m, _ = axis_ground_point(params, pose)
+    if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
+        lead_x, lead_y = x - tool_x - sample.tip_x_m, y - tool_y - sample.tip_y_m
+        lead = (
+            lead_x * kinematics.velocity_x_mps + lead_y * kinematics.velocity_y_mps
+        ) / kinematics.speed_mps
+        sample.lead_m += (lead - sample.lead_m) * (LEAD_RATE if estimate.samples > 0 else 1.0)
+    way = kinematics.speed_mps * (t - estimate.sample_ns) * 1e-9 if estimate.samples > 0 else 0.0
+    drop = standoff_height(params, adaptive.plane, sense, several, pose)
+    sample.spacing_m += SPACING_RATE * (way - sample.spacing_m)
+    sample.x_m, sample.y_m, sample.arc_length_m = x, y, estimate.arc_length_m + way
+    compare_lookahead(adaptive, sample.arc_length_m, z)
+    taken = update_estimate(params, adaptive, t, way, z, drop, adapt)
     if taken == 0:
         return
-    if adapt != 0 or a.permitted_m == 0.0:
-        update_deadband(params, a)
-    if abs(a.lead_m) < MIN_LEAD_M and params.run == RUN_NORMAL:
-        monitor_error(a, tool_z - drop - z)
-    if inputs.n_preview > 0 and a.speed_mps >= MIN_DIRECTION_SPEED_MPS:
-        beside_x, beside_y = x - pose[0] - a.tip_x_m, y - pose[1] - a.tip_y_m
-        beside = beside_x * a.speed_x_mps + beside_y * a.speed_y_mps
-        compare_map(a, map_height(inputs, beside / a.speed_mps), z)
-    if plane == 0:
+    if adapt != 0 or adaptive.adaptation.permitted_variance_m == 0.0:
+        update_deadband(params, adaptive)
+    if abs(sample.lead_m) < MIN_LEAD_M and params.run == RUN_NORMAL:
+        monitor_error(adaptive, tool_z - drop - z)
+    if inputs.n_preview > 0 and kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
+        beside_x, beside_y = x - pose[0] - sample.tip_x_m, y - pose[1] - sample.tip_y_m
+        beside = beside_x * kinematics.velocity_x_mps + beside_y * kinematics.velocity_y_mps
+        compare_map(adaptive.preview, map_height(inputs, beside / kinematics.speed_mps), z)
+    if several == 0:
         output.fresh |= 1
         output.target_m[0], output.target_m[1], output.target_m[2] = x, y, z
+
+
+@jit
+def reset_sample(sample: Any) -> None:
+    """Discard footprint and spacing."""
+    sample.spacing_m = sample.lead_m = 0.0
+    sample.tip_x_m = sample.tip_y_m = 0.0

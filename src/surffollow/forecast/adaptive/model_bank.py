@@ -218,3 +218,31 @@ def extrapolation_variance(i: Any, p: Any, d: Any) -> Any:
         d *= BANK[i, 1]
         return max(p[c] + 2.0 * p[c + 1] + p[c + 3] + 2.0 * d * (p[c + 2] + p[c + 4]) + d * d * p[c + 5], 0.0)
     return max(p[c] + 2.0 * d * p[c + 1] + d * d * p[c + 3], 0.0)
+
+
+@jit
+def reset_bank(bank: Any, h_m: Any, variance_m2: Any) -> None:
+    """Set all models to level ground at a height."""
+    for i in range(N_MODELS):
+        reset_model(i, bank.mean, bank.covariance, h_m, variance_m2)
+
+
+@jit
+def propagate_bank(bank: Any, way_m: Any) -> None:
+    """Propagate all models over a distance travelled [m]."""
+    for i in range(N_MODELS):
+        propagate_model(i, bank.mean, bank.covariance, way_m)
+
+
+@jit
+def update_bank(bank: Any, h_m: Any, variance_m2: Any) -> None:
+    """Update all models with a height."""
+    for i in range(N_MODELS):
+        update_model(i, bank.mean, bank.covariance, h_m, variance_m2)
+
+
+@jit
+def shift_bank(bank: Any, h_m: Any, since_m: Any) -> None:
+    """Shift every model so that it passes through a height `since_m` ago; its slope stays."""
+    for i in range(N_MODELS):
+        bank.mean[3 * i] += h_m - model_height(i, bank.mean) + model_slope(i, bank.mean) * since_m

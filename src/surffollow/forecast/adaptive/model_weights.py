@@ -48,30 +48,40 @@ BURN_IN_CHANCE_FACTOR = 4.0  # times as much at the very beginning
 # all errors are great the calmer is the better of two, and at first what follows the noise may just be lucky
 ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.8, 6.0
 EFFORT_UNIT = 1.0  # (1 m/s²)²
+INITIAL_INDEX_M2 = 1e-6  # (1 mm)²: the same for all, so that it prefers none
 
 
 @jit
-def update_index(params: Any, a: Any, way_m: Any, dt_s: Any, wanted_m: Any) -> None:
+def update_index(params: Any, adaptive: Any, way_m: Any, dt_s: Any, wanted_m: Any) -> None:
     """Score every shadow against where the tool should have been at the sample, and weigh anew."""
+    weights, estimate = adaptive.weights, adaptive.estimate
     rate = way_m / params.score_way_m + dt_s / params.score_time_s
     # after a start anew it is the samples since then that count
-    first = 1.0 / (1.0 + (min(a.samples, a.scored) if a.scored < FULL_POWER_SAMPLES else a.samples))
+    first = 1.0 / (
+        1.0
+        + (min(estimate.samples, weights.scored) if weights.scored < FULL_POWER_SAMPLES else estimate.samples)
+    )
     f = max(1.0 - math.exp(-rate), first)
     g = max(1.0 - math.exp(-rate / params.long_factor), first)
     for i in range(N_CANDIDATES):
-        e = a.axis_z_m[i] - wanted_m
-        a.score_m2[i] += f * (e * e - a.score_m2[i])
-        a.long_m2[i] += g * (e * e - a.long_m2[i])
-    a.scored = min(a.scored + 1, FULL_POWER_SAMPLES)
-    update_weights(params, a, dt_s)
+        e = adaptive.shadow.position_m[i] - wanted_m
+        weights.recent_m2[i] += f * (e * e - weights.recent_m2[i])
+        weights.longer_m2[i] += g * (e * e - weights.longer_m2[i])
+    weights.scored = min(weights.scored + 1, FULL_POWER_SAMPLES)
+    update_weights(params, adaptive, dt_s)
 
 
 @jit
-def update_bias(a: Any, h_m: Any, variance_m2: Any) -> None:
+def update_bias(adaptive: Any, h_m: Any, variance_m2: Any) -> None:
     """Average every model's innovations, each over its standard deviation, before they learn the height."""
+    bank, weights = adaptive.bank, adaptive.weights
     for i in range(N_MODELS):
-        z = (h_m - model_height(i, a.state)) / math.sqrt(extrapolation_variance(i, a.cov, 0.0) + variance_m2)
-        a.bias[i] += BIAS_RATE * (min(max(z, -BIAS_INNOVATION_LIMIT), BIAS_INNOVATION_LIMIT) - a.bias[i])
+        z = (h_m - model_height(i, bank.mean)) / math.sqrt(
+            extrapolation_variance(i, bank.covariance, 0.0) + variance_m2
+        )
+        weights.bias[i] += BIAS_RATE * (
+            min(max(z, -BIAS_INNOVATION_LIMIT), BIAS_INNOVATION_LIMIT) - weights.bias[i]
+        )
 
 
 @jit
@@ -88,93 +98,120 @@ def noise_fraction(score_m2: Any, noise_m: Any) -> Any:
 
 
 @jit
-def least_noise_fraction(a: Any) -> Any:
+def least_noise_fraction(adaptive: Any) -> Any:
     """How much of the least score is noise."""
-    best = a.score_m2[0]
+    weights = adaptive.weights
+    best = weights.recent_m2[0]
     for i in range(1, N_CANDIDATES):
-        best = min(best, a.score_m2[i])
-    return noise_fraction(best, a.noise_m)
+        best = min(best, weights.recent_m2[i])
+    return noise_fraction(best, adaptive.noise.sigma_m)
 
 
 @jit
-def longer_horizon_share(a: Any, best_long_m2: Any) -> Any:
+def longer_horizon_share(adaptive: Any, best_long_m2: Any) -> Any:
     """How far the longer horizon decides instead of the recent one, 0 to 1.
 
     Between two bends, beads or grooves everything fits, and recent scores would choose what is calmest and
     fails at the next: when the ground is quiet now, what has been right all along is the better choice.
     """
+    noise, weights = adaptive.noise, adaptive.weights
     return (
-        noise_fraction(a.score_m2[SMOOTH_MODEL], a.noise_m)
-        * noise_fraction(best_long_m2, a.noise_m)
-        * a.scored
+        noise_fraction(weights.recent_m2[SMOOTH_MODEL], noise.sigma_m)
+        * noise_fraction(best_long_m2, noise.sigma_m)
+        * weights.scored
         / FULL_POWER_SAMPLES
     )
 
 
 @jit
-def update_weights(params: Any, a: Any, dt_s: Any) -> None:
+def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
     """Turn scores into weights: powers of recent and longer cost, noise taken off.
 
     A few readings may turn the weights over, and the next ones back: where all is noise, and in the middle of
     what nobody foresaw. There weights follow slowly, unless the models in force are biased.
     """
-    best, best_long = a.score_m2[0], a.long_m2[0]
+    shadow, weights = adaptive.shadow, adaptive.weights
+    best, best_long = weights.recent_m2[0], weights.longer_m2[0]
     for i in range(1, N_CANDIDATES):
-        best = min(best, a.score_m2[i])
-        best_long = min(best_long, a.long_m2[i])
-    noise = a.noise_m * a.noise_m
-    off = params.noise_share * min(noise, best)
-    off_long = params.noise_share * min(noise, best_long)
+        best = min(best, weights.recent_m2[i])
+        best_long = min(best_long, weights.longer_m2[i])
+    variance = adaptive.noise.sigma_m * adaptive.noise.sigma_m
+    off = params.noise_share * min(variance, best)
+    off_long = params.noise_share * min(variance, best_long)
     floor = params.score_floor_m * params.score_floor_m
     mu = params.effort_m * params.effort_m
     # where noise hides the differences they are small, yet tell; great errors are of few places, often chance
-    share = noise_fraction(best, a.noise_m)
+    share = noise_fraction(best, adaptive.noise.sigma_m)
     # what a few samples say is mostly luck, and fine differences are told by many only
-    told, old = min(a.scored / BURN_IN_SAMPLES, 1.0), a.scored / FULL_POWER_SAMPLES
+    told, old = min(weights.scored / BURN_IN_SAMPLES, 1.0), weights.scored / FULL_POWER_SAMPLES
     sharp = share * share * old * old
-    long = longer_horizon_share(a, best_long)
+    long = longer_horizon_share(adaptive, best_long)
     power = params.long_power + (params.score_power - params.long_power) * sharp * (
         1.0 - RECENT_POWER_REDUCTION * long
     )
     long_power = params.long_power + (LONGER_POWER_FACTOR * params.long_power - params.long_power) * long
     # until then, and after a new start, a model counts for as much as it claims to know
-    young = max(1.0 - told, 1.0 - a.samples / BURN_IN_SAMPLES)
-    if a.lead_m > MIN_LEAD_M:
+    young = max(1.0 - told, 1.0 - adaptive.estimate.samples / BURN_IN_SAMPLES)
+    if adaptive.sample.lead_m > MIN_LEAD_M:
         young = 0.0  # what was seen there is followed, not what they expect
-    ahead_m = a.speed_mps * (a.late_s + a.tau_s)
+    ahead_m = adaptive.kinematics.speed_mps * (adaptive.latency.delay_s + adaptive.plant.tau_s)
     luck = share * share * (BURN_IN_CHANCE_FACTOR - (BURN_IN_CHANCE_FACTOR - 1.0) * old)
     rough = (1.0 - share) * (1.0 - share)
     restless = ROUGH_EFFORT_POWER * rough + BURN_IN_EFFORT_POWER * share * share * (1.0 - old)
     least_bias2 = 1e300
     for i in range(N_MODELS):
-        least_bias2 = min(least_bias2, a.bias[i] * a.bias[i])
+        least_bias2 = min(least_bias2, weights.bias[i] * weights.bias[i])
     least, biased = 1e300, 0.0
     for i in range(N_CANDIDATES):
-        extra = floor + mu * a.effort[i]
-        c = power * math.log(a.score_m2[i] - off + extra)
-        c += long_power * math.log(a.long_m2[i] - off_long + extra)
-        c += restless * math.log(a.effort[i] / EFFORT_UNIT + 1.0)
+        extra = floor + mu * shadow.effort[i]
+        c = power * math.log(weights.recent_m2[i] - off + extra)
+        c += long_power * math.log(weights.longer_m2[i] - off_long + extra)
+        c += restless * math.log(shadow.effort[i] / EFFORT_UNIT + 1.0)
         # rough ground biases all but the quickest, which follow every bump; a wave is the right one or not
         sure = 1.0 if BANK[CANDIDATE_MODEL[i], 0] == WAVE else share * share
-        bias = bias_penalty(a.bias[CANDIDATE_MODEL[i]], least_bias2)
-        biased += a.weight[i] * bias
+        bias = bias_penalty(weights.bias[CANDIDATE_MODEL[i]], least_bias2)
+        biased += weights.weight[i] * bias
         c = told * (c + sure * bias) + COMPLEXITY_PENALTY[i] + luck * CHANCE_PENALTY[i]
         if young > 0.0:
             c += (
                 VARIANCE_PENALTY
                 * young
-                * math.log(extrapolation_variance(CANDIDATE_MODEL[i], a.cov, ahead_m) + noise)
+                * math.log(
+                    extrapolation_variance(CANDIDATE_MODEL[i], adaptive.bank.covariance, ahead_m) + variance
+                )
             )
-        a.cost[i] = c
+        weights.cost[i] = c
         least = min(least, c)
     total = 0.0
     for i in range(N_CANDIDATES):
-        a.cost[i] = math.exp(least - a.cost[i])
-        total += a.cost[i]
+        weights.cost[i] = math.exp(least - weights.cost[i])
+        total += weights.cost[i]
     slow_s = (
         WEIGHT_TIME_CONSTANT_S * share * share + ROUGH_WEIGHT_TIME_CONSTANT_S * (1.0 - share * share) * old
     )
     slow_s /= 1.0 + (biased / BIAS_SPEEDUP) ** 2
     rate = 1.0 - math.exp(-dt_s / max(slow_s, MIN_TIME_CONSTANT_S))
     for i in range(N_CANDIDATES):
-        a.weight[i] += rate * (a.cost[i] / total - a.weight[i])
+        weights.weight[i] += rate * (weights.cost[i] / total - weights.weight[i])
+
+
+@jit
+def reset_bias(weights: Any) -> None:
+    """Set the mean normalised innovations to zero."""
+    for i in range(N_MODELS):
+        weights.bias[i] = 0.0
+
+
+@jit
+def reset_index(weights: Any) -> None:
+    """Set the performance index of all candidates to the same value."""
+    for i in range(N_CANDIDATES):
+        weights.recent_m2[i] = weights.longer_m2[i] = INITIAL_INDEX_M2
+    weights.scored = 0
+
+
+@jit
+def discard_weights(weights: Any) -> None:
+    """Set all weights to zero: new ones would be filtered from them."""
+    for i in range(N_CANDIDATES):
+        weights.weight[i] = 0.0

@@ -15,13 +15,34 @@ MAD_TO_SIGMA = 1.4826 / math.sqrt(6.0)  # of second differences
 
 
 @jit
-def update_noise(a: Any, h_m: Any) -> None:
+def update_noise(adaptive: Any, h_m: Any) -> None:
     """Reading noise from second differences of accepted heights: a running median, free of slopes."""
-    if a.samples > 2:
-        e = abs(h_m - 2.0 * a.recent_m[0] + a.recent_m[1])
-        rate = min(max(MEDIAN_SAMPLES / max(a.scored, 1), MEDIAN_RATE), MEDIAN_BURN_IN_RATE)
-        step = rate * max(a.median_m, 1e-5)
-        a.median_m = max(a.median_m + (step if e > a.median_m else -step), 0.0)
-        a.noise_m = MAD_TO_SIGMA * a.median_m
-    a.recent_m[1] = a.recent_m[0]
-    a.recent_m[0] = h_m
+    noise = adaptive.noise
+    if adaptive.estimate.samples > 2:
+        e = abs(h_m - 2.0 * noise.recent_m[0] + noise.recent_m[1])
+        rate = min(max(MEDIAN_SAMPLES / max(adaptive.weights.scored, 1), MEDIAN_RATE), MEDIAN_BURN_IN_RATE)
+        step = rate * max(noise.median_m, 1e-5)
+        noise.median_m = max(noise.median_m + (step if e > noise.median_m else -step), 0.0)
+        noise.sigma_m = MAD_TO_SIGMA * noise.median_m
+    noise.recent_m[1] = noise.recent_m[0]
+    noise.recent_m[0] = h_m
+
+
+@jit
+def initialise_noise(noise: Any) -> None:
+    """Assume the noise of a start without knowledge."""
+    noise.sigma_m = INITIAL_NOISE_M
+    noise.median_m = INITIAL_NOISE_M / MAD_TO_SIGMA
+
+
+@jit
+def discard_noise(noise: Any) -> None:
+    """Mark the noise as not known."""
+    noise.sigma_m = 0.0
+
+
+@jit
+def shift_heights(noise: Any, shift_m: Any) -> None:
+    """Shift the recent heights by that of a confirmed step."""
+    noise.recent_m[0] += shift_m
+    noise.recent_m[1] += shift_m

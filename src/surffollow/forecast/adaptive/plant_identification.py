@@ -11,9 +11,11 @@ import math
 from typing import Any
 
 from surffollow.forecast.adaptive.axis_model import axis_velocity
+from surffollow.forecast.adaptive.preview import suspend_preview
 from surffollow.forecast.adaptive.shadow_axes import AXIS_STEP_NS, MAX_AXIS_GAP_NS
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive import N_PERIODS, N_PLANTS
+from surffollow.shm.layout_adaptive import N_PLANTS
+from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 from surffollow.shm.layout_follow import POSES
 
 TAU_RATIO = 1.5  # between neighbouring τ
@@ -28,82 +30,83 @@ VELOCITY_GAIN_HZ = 2.0
 
 
 @jit
-def reset_axes(params: Any, a: Any, t_ns: Any, z_m: Any) -> None:
+def reset_axes(params: Any, adaptive: Any, t_ns: Any, z_m: Any) -> None:
     """Put all axes where the tool is."""
+    kinematics, plant = adaptive.kinematics, adaptive.plant
     for k in range(N_PLANTS):
-        a.plant_z_m[k], a.plant_v_mps[k] = z_m, a.climb_mps
-    a.axis_now_m, a.axis_now_mps = z_m, a.climb_mps
-    a.plant_ns = t_ns
-    if a.tau_s <= 0.0 or a.tau_assumed_s != params.plant_tau_s:
-        a.tau_s = a.tau_assumed_s = params.plant_tau_s
-        for k in range(N_PLANTS):
-            a.plant_m2[k] = 0.0
+        plant.position_m[k], plant.velocity_mps[k] = z_m, kinematics.climb_mps
+    plant.axis_m, plant.axis_mps = z_m, kinematics.climb_mps
+    plant.t_ns = t_ns
+    if plant.tau_s <= 0.0 or plant.tau_configured_s != params.plant_tau_s:
+        reset_time_constant(params, plant)
 
 
 @jit
-def predict_axis(params: Any, a: Any, to_ns: Any) -> Any:
+def predict_axis(params: Any, adaptive: Any, to_ns: Any) -> Any:
     """Height and speed of the robot's axis at a later time, carried on from `plant_ns` with τ as found."""
-    z, v = a.axis_now_m, a.axis_now_mps
-    span = min(to_ns - a.plant_ns, MAX_AXIS_GAP_NS)
+    controller, plant = adaptive.controller, adaptive.plant
+    z, v = plant.axis_m, plant.axis_mps
+    span = min(to_ns - plant.t_ns, MAX_AXIS_GAP_NS)
     if span <= 0:
         return z, v
     steps = max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1)
     dt = span * 1e-9 / steps
     a_max = params.plant_a_max_mps2
-    j = max(0, a.ticks - N_PERIODS)
+    j = max(0, controller.periods - N_PERIODS)
     for n in range(steps):
-        t = a.plant_ns + (span * n) // steps
-        while j + 1 < a.ticks and a.tick_t_ns[(j + 1) & (N_PERIODS - 1)] <= t:
+        t = plant.t_ns + (span * n) // steps
+        while j + 1 < controller.periods and controller.latch_ns[(j + 1) & (N_PERIODS - 1)] <= t:
             j += 1
-        d = a.own_m[j & (N_PERIODS - 1)] - z
+        d = plant.setpoint_m[j & (N_PERIODS - 1)] - z
         most = min(params.plant_v_max_mps, abs(d) / dt)
-        w = min(max(axis_velocity(d, a.tau_s, a_max), -most), most)
+        w = min(max(axis_velocity(d, plant.tau_s, a_max), -most), most)
         v += min(max(w - v, -a_max * dt), a_max * dt)
         z += v * dt
     return z, v
 
 
 @jit
-def propagate_axes(params: Any, a: Any, to_ns: Any) -> None:
+def propagate_axes(params: Any, adaptive: Any, to_ns: Any) -> None:
     """Carry the axes on with the own set points."""
-    span = to_ns - a.plant_ns
+    controller, plant = adaptive.controller, adaptive.plant
+    span = to_ns - plant.t_ns
     steps = max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1)
     dt = span * 1e-9 / steps
     a_max, v_max = params.plant_a_max_mps2, params.plant_v_max_mps
     dv = a_max * dt
-    j = max(0, a.ticks - N_PERIODS)
+    j = max(0, controller.periods - N_PERIODS)
     for n in range(steps):
-        t = a.plant_ns + (span * n) // steps
-        while j + 1 < a.ticks and a.tick_t_ns[(j + 1) & (N_PERIODS - 1)] <= t:
+        t = plant.t_ns + (span * n) // steps
+        while j + 1 < controller.periods and controller.latch_ns[(j + 1) & (N_PERIODS - 1)] <= t:
             j += 1
-        target = a.own_m[j & (N_PERIODS - 1)]
+        target = plant.setpoint_m[j & (N_PERIODS - 1)]
         for k in range(N_PLANTS):
-            tau = a.tau_assumed_s * TAU_RATIO ** (k - N_PLANTS // 2)
-            d = target - a.plant_z_m[k]
+            tau = plant.tau_configured_s * TAU_RATIO ** (k - N_PLANTS // 2)
+            d = target - plant.position_m[k]
             most = min(v_max, abs(d) / dt)
             w = min(max(axis_velocity(d, tau, a_max), -most), most)
-            a.plant_v_mps[k] += min(max(w - a.plant_v_mps[k], -dv), dv)
-            a.plant_z_m[k] += a.plant_v_mps[k] * dt
-    a.axis_now_m, a.axis_now_mps = predict_axis(params, a, to_ns)
-    a.plant_ns = to_ns
+            plant.velocity_mps[k] += min(max(w - plant.velocity_mps[k], -dv), dv)
+            plant.position_m[k] += plant.velocity_mps[k] * dt
+    plant.axis_m, plant.axis_mps = predict_axis(params, adaptive, to_ns)
+    plant.t_ns = to_ns
 
 
 @jit
-def best_time_constant(a: Any) -> Any:
+def best_time_constant(plant: Any) -> Any:
     """τ of the least error, by a parabola through three; 0 when nothing is told."""
     b, worst = 0, 0.0
     for k in range(N_PLANTS):
-        worst = max(worst, a.plant_m2[k])
-        if a.plant_m2[k] < a.plant_m2[b]:
+        worst = max(worst, plant.error_m2[k])
+        if plant.error_m2[k] < plant.error_m2[b]:
             b = k
-    if worst - a.plant_m2[b] < MIN_DIFFERENCE_M2:
+    if worst - plant.error_m2[b] < MIN_DIFFERENCE_M2:
         return 0.0
     # a parabola over √τ through three: over τ it would end too high, over log τ too low
     b = min(max(b, 1), N_PLANTS - 2)
-    middle = math.sqrt(a.tau_assumed_s * TAU_RATIO ** (b - N_PLANTS // 2))
+    middle = math.sqrt(plant.tau_configured_s * TAU_RATIO ** (b - N_PLANTS // 2))
     left, right = middle / math.sqrt(TAU_RATIO), middle * math.sqrt(TAU_RATIO)
-    down = (a.plant_m2[b] - a.plant_m2[b - 1]) / (middle - left)
-    up = (a.plant_m2[b + 1] - a.plant_m2[b]) / (right - middle)
+    down = (plant.error_m2[b] - plant.error_m2[b - 1]) / (middle - left)
+    up = (plant.error_m2[b + 1] - plant.error_m2[b]) / (right - middle)
     bend = (up - down) / (right - left)
     if bend <= 0.0:
         return middle * middle
@@ -112,54 +115,81 @@ def best_time_constant(a: Any) -> Any:
 
 
 @jit
-def model_error(a: Any) -> Any:
+def model_error(plant: Any) -> Any:
     """Squared error of the axis that comes nearest to the reports [m²]."""
-    least = a.plant_m2[0]
+    least = plant.error_m2[0]
     for k in range(1, N_PLANTS):
-        least = min(least, a.plant_m2[k])
+        least = min(least, plant.error_m2[k])
     return least
 
 
 @jit
-def remove_common_error(a: Any) -> None:
+def remove_common_error(plant: Any) -> None:
     """Forget by how much all axes were wrong: others have led the robot since; what tells τ stays."""
-    least = model_error(a)
+    least = model_error(plant)
     for k in range(N_PLANTS):
-        a.plant_m2[k] -= least
+        plant.error_m2[k] -= least
 
 
 @jit
-def update_plant(params: Any, a: Any, sense: Any, adapt: Any) -> None:
+def update_plant(params: Any, adaptive: Any, sense: Any, adapt: Any) -> None:
     """Compare the axes with a new pose report and move τ toward the best."""
+    plant, setpoint = adaptive.plant, adaptive.setpoint
     newest = (sense.pose_count - 1) & (POSES - 1)
     t, z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
-    if t == a.plant_ns:
+    if t == plant.t_ns:
         return
-    if a.set_ns == 0:
-        remove_common_error(a)
-    gap = t <= a.plant_ns or t - a.plant_ns > MAX_AXIS_GAP_NS
-    if a.ticks == 0 or a.set_ns == 0 or a.shown != 0 or gap or a.tau_assumed_s != params.plant_tau_s:
-        reset_axes(params, a, t, z)
+    if setpoint.t_ns == 0:
+        remove_common_error(plant)
+    gap = t <= plant.t_ns or t - plant.t_ns > MAX_AXIS_GAP_NS
+    if (
+        adaptive.controller.periods == 0
+        or setpoint.t_ns == 0
+        or setpoint.shown != 0
+        or gap
+        or plant.tau_configured_s != params.plant_tau_s
+    ):
+        reset_axes(params, adaptive, t, z)
         return
-    propagate_axes(params, a, t)
+    propagate_axes(params, adaptive, t)
     least = 1e300
     for k in range(N_PLANTS):
-        least = min(least, abs(a.plant_z_m[k] - z))
+        least = min(least, abs(plant.position_m[k] - z))
     if not least < MAX_MODEL_ERROR_M:
-        a.distrust_ns = max(a.distrust_ns, t + SUSPENSION_NS)
+        suspend_preview(adaptive.preview, t + SUSPENSION_NS)
     if not least < RESET_ERROR_M:
-        reset_axes(params, a, t, z)
+        reset_axes(params, adaptive, t, z)
         return
-    e = z - a.axis_now_m
-    a.axis_now_m += POSITION_GAIN * e
-    a.axis_now_mps += VELOCITY_GAIN_HZ * e
+    e = z - plant.axis_m
+    plant.axis_m += POSITION_GAIN * e
+    plant.axis_mps += VELOCITY_GAIN_HZ * e
     most = params.plant_v_max_mps
-    a.axis_now_mps = min(max(a.axis_now_mps, -most), most)
+    plant.axis_mps = min(max(plant.axis_mps, -most), most)
     if adapt == 0 or not least < MAX_MODEL_ERROR_M:
         return
     for k in range(N_PLANTS):
-        e = a.plant_z_m[k] - z
-        a.plant_m2[k] += ERROR_RATE * (e * e - a.plant_m2[k])
-    tau = best_time_constant(a)
+        e = plant.position_m[k] - z
+        plant.error_m2[k] += ERROR_RATE * (e * e - plant.error_m2[k])
+    tau = best_time_constant(plant)
     if tau > 0.0:
-        a.tau_s *= math.exp(TAU_RATE * math.log(tau / a.tau_s))
+        plant.tau_s *= math.exp(TAU_RATE * math.log(tau / plant.tau_s))
+
+
+@jit
+def record_own_setpoint(adaptive: Any, setpoint_m: Any) -> None:
+    """Record the follower's own set point of the present period."""
+    adaptive.plant.setpoint_m[(adaptive.controller.periods - 1) & (N_PERIODS - 1)] = setpoint_m
+
+
+@jit
+def reset_time_constant(params: Any, plant: Any) -> None:
+    """Begin identification anew at the configured time constant."""
+    plant.tau_s = plant.tau_configured_s = params.plant_tau_s
+    for k in range(N_PLANTS):
+        plant.error_m2[k] = 0.0
+
+
+@jit
+def reset_plant_time(plant: Any) -> None:
+    """Put the axes at the tool with the next report: the clock jumped."""
+    plant.t_ns = 0

@@ -13,7 +13,8 @@ from surffollow.forecast.adaptive.axis_model import PERIOD_S
 from surffollow.forecast.adaptive.terrain_buffer import buffered_height
 from surffollow.forecast.adaptive.terrain_regression import DISTANCES_M, RISE_LENGTH_M, predict_rise
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive import HORIZON, N_DISTANCES
+from surffollow.shm.layout_adaptive import HORIZON
+from surffollow.shm.layout_adaptive_estimation import N_DISTANCES
 
 MIN_KNOWN_PERIODS = 7  # ticks of ground that must be known: the axis' own reaction time
 SHARE_RATE = 0.15  # per tick: preview comes and goes without a jump
@@ -29,7 +30,7 @@ MAX_MAP_DEVIATION_M = 1.5e-3  # remembered ground that is farther from what is s
 
 
 @jit
-def extrapolate_ground(a: Any, known: Any, from_m: Any, bias_m: Any) -> None:
+def extrapolate_ground(adaptive: Any, known: Any, from_m: Any, bias_m: Any) -> None:
     """Fill `a.plan_g_m` from point `known` on.
 
     Parameters
@@ -39,19 +40,24 @@ def extrapolate_ground(a: Any, known: Any, from_m: Any, bias_m: Any) -> None:
     from_m : float64         way coordinate of point 0 [m]
     bias_m : float64         what was added to the heights of the ring; the mean is without it [m]
     """
-    last = a.plan_g_m[known - 1]
-    off = last - a.mean_m
-    rise = last - bias_m - buffered_height(a, from_m + a.speed_mps * PERIOD_S * (known - 1) - RISE_LENGTH_M)
+    kinematics, regression, preview = adaptive.kinematics, adaptive.regression, adaptive.preview
+    last = preview.ground_m[known - 1]
+    off = last - regression.mean_height_m
+    rise = (
+        last
+        - bias_m
+        - buffered_height(adaptive, from_m + kinematics.speed_mps * PERIOD_S * (known - 1) - RISE_LENGTH_M)
+    )
     x0, x1, more0, more1, j = 0.0, 0.0, 0.0, 0.0, 0
     for k in range(known, HORIZON):
-        x = a.speed_mps * PERIOD_S * (k + 1 - known)
+        x = kinematics.speed_mps * PERIOD_S * (k + 1 - known)
         while x > x1 and j < N_DISTANCES:
             x0, more0 = x1, more1
             x1 = DISTANCES_M[j]
-            more1 = predict_rise(a, j, off, rise) if math.isfinite(rise) else 0.0
+            more1 = predict_rise(regression, j, off, rise) if math.isfinite(rise) else 0.0
             j += 1
         f = min((x - x0) / (x1 - x0), 1.0) if x1 > x0 else 0.0
-        a.plan_g_m[k] = last + more0 + f * (more1 - more0)
+        preview.ground_m[k] = last + more0 + f * (more1 - more0)
 
 
 @jit
@@ -68,7 +74,9 @@ def map_height(inputs: Any, ahead_m: Any) -> Any:
 
 
 @jit
-def collect_preview(a: Any, inputs: Any, leading: Any, ahead_m: Any, since_pose_m: Any, bias_m: Any) -> Any:
+def collect_preview(
+    adaptive: Any, inputs: Any, leading: Any, ahead_m: Any, since_pose_m: Any, bias_m: Any
+) -> Any:
     """Heights where the tool will point in the next ticks into `a.plan_g_m`; how many are known.
 
     Parameters
@@ -78,56 +86,93 @@ def collect_preview(a: Any, inputs: Any, leading: Any, ahead_m: Any, since_pose_
     since_pose_m : float64   way of the tool since its newest report, at that action [m]
     bias_m : float64         to be added to the heights of the ring
     """
+    preview = adaptive.preview
     known = 0
     for k in range(HORIZON):
-        way = a.speed_mps * PERIOD_S * k
+        way = adaptive.kinematics.speed_mps * PERIOD_S * k
         if leading != 0:
-            h = buffered_height(a, a.path_m + ahead_m + way) + bias_m
+            h = buffered_height(adaptive, adaptive.estimate.arc_length_m + ahead_m + way) + bias_m
         else:
-            h = map_height(inputs, since_pose_m + way) + a.preview_bias_m
-        a.plan_g_m[k] = h
+            h = map_height(inputs, since_pose_m + way) + preview.map_bias_m
+        preview.ground_m[k] = h
         if k == known and math.isfinite(h):
             known += 1
     return known
 
 
 @jit
-def compare_map(a: Any, told_m: Any, h_m: Any) -> None:
+def compare_map(preview: Any, told_m: Any, h_m: Any) -> None:
     """Compare remembered ground with what is seen: learn its bias, and whether to trust it."""
     if not math.isfinite(told_m):
         return
     e = h_m - told_m
-    a.preview_off_m += MAP_DEVIATION_RATE * (min(abs(e - a.preview_bias_m), 0.02) - a.preview_off_m)
-    a.preview_bias_m += MAP_BIAS_RATE * (min(max(e, -0.02), 0.02) - a.preview_bias_m)
+    preview.map_deviation_m += MAP_DEVIATION_RATE * (
+        min(abs(e - preview.map_bias_m), 0.02) - preview.map_deviation_m
+    )
+    preview.map_bias_m += MAP_BIAS_RATE * (min(max(e, -0.02), 0.02) - preview.map_bias_m)
 
 
 @jit
-def monitor_error(a: Any, error_m: Any) -> None:
+def monitor_error(adaptive: Any, error_m: Any) -> None:
     """Compare the tool's own stand-off error under preview with that without; give up a worse plan.
 
     A robot that is not as assumed (faster, say) can make a plan of its inverse worse than none. Errors that
     the plan foresaw, as no robot can be at both ends of a step at once, are none of it.
     """
-    e = max(abs(error_m) - (a.plan_error_m if a.preview_share > 0.0 else 0.0), 0.0)
+    preview = adaptive.preview
+    e = max(abs(error_m) - (adaptive.plan.foreseen_error_m if preview.share > 0.0 else 0.0), 0.0)
     e2 = min(e * e, MAX_ERROR_M2)
-    if a.preview_share == 0.0:
-        a.plain_m2 += (REFERENCE_RATE if a.plain_m2 > 0.0 else 1.0) * (e2 - a.plain_m2)
-        a.error_m2 = a.plain_m2
+    if preview.share == 0.0:
+        preview.reference_error_m2 += (REFERENCE_RATE if preview.reference_error_m2 > 0.0 else 1.0) * (
+            e2 - preview.reference_error_m2
+        )
+        preview.error_m2 = preview.reference_error_m2
         return
-    a.error_m2 += ERROR_RATE * (e2 - a.error_m2)
-    if a.error_m2 > ERROR_RATIO * a.plain_m2 + ERROR_MARGIN_M2:
-        a.distrust_ns = a.now_ns + SUSPENSION_NS
+    preview.error_m2 += ERROR_RATE * (e2 - preview.error_m2)
+    if preview.error_m2 > ERROR_RATIO * preview.reference_error_m2 + ERROR_MARGIN_M2:
+        preview.suspended_until_ns = adaptive.clock.now_ns + SUSPENSION_NS
 
 
 @jit
-def update_share(a: Any, known: Any, leading: Any, plant_m2: Any) -> None:
+def update_share(adaptive: Any, known: Any, leading: Any, plant_m2: Any) -> None:
     """Let preview's share of the set point grow or shrink by one tick."""
     # without a plan a leading sensor is worth little: there a doubtful plan is the better choice
+    preview = adaptive.preview
     trusted = (
-        a.now_ns >= a.distrust_ns and plant_m2 < MAX_MODEL_ERROR_M2 and a.preview_off_m < MAX_MAP_DEVIATION_M
+        adaptive.clock.now_ns >= preview.suspended_until_ns
+        and plant_m2 < MAX_MODEL_ERROR_M2
+        and preview.map_deviation_m < MAX_MAP_DEVIATION_M
     )
     usable = known >= MIN_KNOWN_PERIODS and (
         trusted or (leading != 0 and plant_m2 < LEADING_MAX_MODEL_ERROR_M2)
     )
-    a.preview_share += SHARE_RATE if usable else -SHARE_RATE
-    a.preview_share = min(max(a.preview_share, 0.0), 1.0 if known > 0 else 0.0)
+    preview.share += SHARE_RATE if usable else -SHARE_RATE
+    preview.share = min(max(preview.share, 0.0), 1.0 if known > 0 else 0.0)
+    preview.sensed_periods = known if leading != 0 else 0
+
+
+@jit
+def suspend_preview(preview: Any, until_ns: Any) -> None:
+    """Use no preview until a time, or until later if that was decided before."""
+    preview.suspended_until_ns = max(preview.suspended_until_ns, until_ns)
+
+
+@jit
+def withdraw_preview(preview: Any) -> None:
+    """Withdraw preview at once: its plan was made over other ground, or for another tool position."""
+    preview.sensed_periods = 0
+    preview.share = 0.0
+
+
+@jit
+def reset_preview(preview: Any) -> None:
+    """Discard share, comparison with the map, and errors."""
+    withdraw_preview(preview)
+    preview.map_bias_m = preview.map_deviation_m = 0.0
+    preview.error_m2 = preview.reference_error_m2 = 0.0
+
+
+@jit
+def reset_preview_time(preview: Any) -> None:
+    """End a suspension: the clock jumped."""
+    preview.suspended_until_ns = 0

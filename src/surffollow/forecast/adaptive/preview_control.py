@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.forecast.adaptive.axis_model import PERIOD_S
+from surffollow.forecast.adaptive.axis_model import PERIOD_S, invert_axis
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 
@@ -39,34 +39,38 @@ def point_weight(k: Any, known: Any) -> Any:
 
 
 @jit
-def mark_early(a: Any, known: Any, drop_m: Any, z_m: Any) -> Any:
+def mark_early(adaptive: Any, known: Any, drop_m: Any, z_m: Any) -> Any:
     """Mark in `a.plan_early` the points that go down before the ground does; how many marks changed.
 
     They are below the lowest stand-off until then by more than `EARLY_M`, and below the axis as it is now:
     one that is late on its way up is not early.
     """
-    lowest, changed = a.plan_g_m[0] + drop_m - z_m, 0
-    late = min(int(EDGE_TOLERANCE_M / max(a.speed_mps * PERIOD_S, 1e-6)), HORIZON)
+    preview, plan = adaptive.preview, adaptive.plan
+    lowest, changed = preview.ground_m[0] + drop_m - z_m, 0
+    late = min(int(EDGE_TOLERANCE_M / max(adaptive.kinematics.speed_mps * PERIOD_S, 1e-6)), HORIZON)
     for k in range(min(known - 1, HORIZON)):
-        lowest = min(lowest, a.plan_g_m[max(k + 1 - late, 0)] + drop_m - z_m)
-        a.plan_bound_m[k] = min(lowest - EARLY_M, 0.0)
-        early = 1 if a.plan_z_m[k] < a.plan_bound_m[k] else 0
-        if early != a.plan_early[k]:
-            a.plan_early[k] = early
+        lowest = min(lowest, preview.ground_m[max(k + 1 - late, 0)] + drop_m - z_m)
+        plan.bound_m[k] = min(lowest - EARLY_M, 0.0)
+        early = 1 if plan.position_m[k] < plan.bound_m[k] else 0
+        if early != plan.early[k]:
+            plan.early[k] = early
             changed += 1
     return changed
 
 
 @jit
-def update_foreseen_error(a: Any, known: Any, drop_m: Any, z_m: Any) -> None:
+def update_foreseen_error(adaptive: Any, known: Any, drop_m: Any, z_m: Any) -> None:
     """Remember how far off a good robot will be, at a step say: that tells nothing against the plan."""
-    a.plan_error_m *= FORESEEN_DECAY
+    plan = adaptive.plan
+    plan.foreseen_error_m *= FORESEEN_DECAY
     for k in range(FIRST_FORESEEN, min(known - 1, HORIZON)):
-        a.plan_error_m = max(a.plan_error_m, abs(a.plan_z_m[k] - (a.plan_g_m[k + 1] + drop_m - z_m)))
+        plan.foreseen_error_m = max(
+            plan.foreseen_error_m, abs(plan.position_m[k] - (adaptive.preview.ground_m[k + 1] + drop_m - z_m))
+        )
 
 
 @jit
-def factorise(a: Any, known: Any, stiff: Any) -> None:
+def factorise(plan: Any, known: Any, stiff: Any) -> None:
     """LDLᵀ of W + stiff·DᵀD for second differences D that begin with two known points."""
     n = HORIZON
     for k in range(n):
@@ -75,38 +79,38 @@ def factorise(a: Any, known: Any, stiff: Any) -> None:
         e = (-2.0 if k + 1 < n else 0.0) + (-2.0 if k + 2 < n else 0.0)
         f = 1.0 if k + 2 < n else 0.0
         d, e, f = point_weight(k, known) + stiff * d, stiff * e, stiff * f
-        if a.plan_early[k] != 0:
+        if plan.early[k] != 0:
             d += EARLY_WEIGHT
         if k >= 1:
-            d -= a.band_1[k - 1] ** 2 * a.band_0[k - 1]
-            e -= a.band_1[k - 1] * a.band_2[k - 1] * a.band_0[k - 1]
+            d -= plan.factor_1[k - 1] ** 2 * plan.factor_0[k - 1]
+            e -= plan.factor_1[k - 1] * plan.factor_2[k - 1] * plan.factor_0[k - 1]
         if k >= 2:
-            d -= a.band_2[k - 2] ** 2 * a.band_0[k - 2]
-        a.band_0[k] = d
-        a.band_1[k] = e / d
-        a.band_2[k] = f / d
+            d -= plan.factor_2[k - 2] ** 2 * plan.factor_0[k - 2]
+        plan.factor_0[k] = d
+        plan.factor_1[k] = e / d
+        plan.factor_2[k] = f / d
 
 
 @jit
-def solve(a: Any) -> None:
+def solve(plan: Any) -> None:
     """Solve with those factors in place of `a.plan_z_m`."""
     n = HORIZON
-    z = a.plan_z_m
+    z = plan.position_m
     for k in range(n):
         if k >= 1:
-            z[k] -= a.band_1[k - 1] * z[k - 1]
+            z[k] -= plan.factor_1[k - 1] * z[k - 1]
         if k >= 2:
-            z[k] -= a.band_2[k - 2] * z[k - 2]
+            z[k] -= plan.factor_2[k - 2] * z[k - 2]
     for k in range(n - 1, -1, -1):
-        z[k] /= a.band_0[k]
+        z[k] /= plan.factor_0[k]
         if k + 1 < n:
-            z[k] -= a.band_1[k] * z[k + 1]
+            z[k] -= plan.factor_1[k] * z[k + 1]
         if k + 2 < n:
-            z[k] -= a.band_2[k] * z[k + 2]
+            z[k] -= plan.factor_2[k] * z[k + 2]
 
 
 @jit
-def solve_plan(params: Any, a: Any, known: Any, z_m: Any, v_mps: Any, drop_m: Any) -> Any:
+def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, drop_m: Any) -> Any:
     """Plan from the axis' state and return the speed that it should have one tick from now.
 
     Parameters
@@ -120,47 +124,65 @@ def solve_plan(params: Any, a: Any, known: Any, z_m: Any, v_mps: Any, drop_m: An
     -------
     float64 [m/s]
     """
+    plan = adaptive.plan
     n = HORIZON
     most = ACCELERATION_SHARE * params.plant_a_max_mps2 * PERIOD_S * PERIOD_S
     calm = params.plan_calm_s4 / PERIOD_S**4
     stiff = calm + ADMM_PENALTY
     for k in range(n):
-        a.plan_early[k] = 0
-    factorise(a, known, stiff)
+        plan.early[k] = 0
+    factorise(plan, known, stiff)
     before = -v_mps * PERIOD_S  # the point before now, relative to now
     for k in range(n - 1):
-        a.plan_u[k] = a.plan_u[k + 1]
-        a.plan_y[k] = a.plan_y[k + 1]
-    a.plan_u[n - 1] = a.plan_y[n - 1] = 0.0
+        plan.acceleration_m[k] = plan.acceleration_m[k + 1]
+        plan.multiplier_m[k] = plan.multiplier_m[k + 1]
+    plan.acceleration_m[n - 1] = plan.multiplier_m[n - 1] = 0.0
     rounds = ITERATIONS
     for i in range(EARLY_ITERATIONS):
         if i >= rounds:
             break
         for k in range(n):
             # point k lies k + 1 ticks from now
-            ground = a.plan_g_m[min(k + 1, n - 1)] + drop_m - z_m
-            a.plan_z_m[k] = point_weight(k, known) * ground
-            if a.plan_early[k] != 0:
-                a.plan_z_m[k] += EARLY_WEIGHT * a.plan_bound_m[k]
+            ground = adaptive.preview.ground_m[min(k + 1, n - 1)] + drop_m - z_m
+            plan.position_m[k] = point_weight(k, known) * ground
+            if plan.early[k] != 0:
+                plan.position_m[k] += EARLY_WEIGHT * plan.bound_m[k]
         for k in range(n):
             # difference k spans points k-2, k-1 and k; the point before point 0 is now, at 0
-            r = ADMM_PENALTY * (a.plan_u[k] - a.plan_y[k]) - (stiff * before if k == 0 else 0.0)
-            a.plan_z_m[k] += r
+            r = ADMM_PENALTY * (plan.acceleration_m[k] - plan.multiplier_m[k]) - (
+                stiff * before if k == 0 else 0.0
+            )
+            plan.position_m[k] += r
             if k >= 1:
-                a.plan_z_m[k - 1] -= 2.0 * r
+                plan.position_m[k - 1] -= 2.0 * r
             if k >= 2:
-                a.plan_z_m[k - 2] += r
-        solve(a)
-        if mark_early(a, known, drop_m, z_m) > 0:
-            factorise(a, known, stiff)
+                plan.position_m[k - 2] += r
+        solve(plan)
+        if mark_early(adaptive, known, drop_m, z_m) > 0:
+            factorise(plan, known, stiff)
             rounds = EARLY_ITERATIONS
         z2, z1 = before, 0.0
         for k in range(n):
-            b = a.plan_z_m[k] - 2.0 * z1 + z2
-            z2, z1 = z1, a.plan_z_m[k]
-            u = min(max(b + a.plan_y[k], -most), most)
-            a.plan_y[k] += b - u
-            a.plan_u[k] = u
-    update_foreseen_error(a, known, drop_m, z_m)
+            b = plan.position_m[k] - 2.0 * z1 + z2
+            z2, z1 = z1, plan.position_m[k]
+            u = min(max(b + plan.multiplier_m[k], -most), most)
+            plan.multiplier_m[k] += b - u
+            plan.acceleration_m[k] = u
+    update_foreseen_error(adaptive, known, drop_m, z_m)
     # the clipped accelerations are feasible, the points only nearly
-    return v_mps + (a.plan_u[0] + 0.5 * a.plan_u[1]) / PERIOD_S
+    return v_mps + (plan.acceleration_m[0] + 0.5 * plan.acceleration_m[1]) / PERIOD_S
+
+
+@jit
+def plan_setpoint(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, drop_m: Any) -> None:
+    """Solve the plan and invert the axis model: set point of the coming period."""
+    speed = solve_plan(params, adaptive, known, z_m, v_mps, drop_m)
+    adaptive.plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, speed)
+
+
+@jit
+def reset_plan(plan: Any) -> None:
+    """Discard set point and warm start."""
+    plan.setpoint_m = 0.0
+    for k in range(HORIZON):
+        plan.acceleration_m[k] = plan.multiplier_m[k] = 0.0

@@ -43,7 +43,7 @@ def newest_conversion(inputs: Any) -> Any:
 
 
 @jit
-def preview_uses(params: Any, a: Any, scaled: Any, inputs: Any, now_ns: Any) -> Any:
+def preview_uses(params: Any, adaptive: Any, scaled: Any, inputs: Any, now_ns: Any) -> Any:
     """What the coming cycle would use a preview for: FOR_SAMPLE, FOR_TICK, both or 0.
 
     Parameters
@@ -57,20 +57,24 @@ def preview_uses(params: Any, a: Any, scaled: Any, inputs: Any, now_ns: Any) -> 
     Three sensors or more that turn the tool tell the height of a plane, not of the ground under it; one
     that leads shows ground newer than any memory. Neither uses what is remembered.
     """
-    if params.mode != MODE_ADAPTIVE or params.preview == 0 or a.samples == 0:
+    hold = adaptive.hold
+    if params.mode != MODE_ADAPTIVE or params.preview == 0 or adaptive.estimate.samples == 0:
         return 0
     if params.orient != 0 and params.n_channels >= 3:
         return 0
-    if not MIN_DIRECTION_SPEED_MPS <= a.speed_mps < MAX_SPEED_MPS or a.lead_m > MIN_LEAD_M:
+    if (
+        not MIN_DIRECTION_SPEED_MPS <= adaptive.kinematics.speed_mps < MAX_SPEED_MPS
+        or adaptive.sample.lead_m > MIN_LEAD_M
+    ):
         return 0
-    due = FOR_TICK if period_is_due(a, inputs.n_ranges, now_ns) != 0 else 0
+    due = FOR_TICK if period_is_due(adaptive.controller, inputs.n_ranges, now_ns) != 0 else 0
     k = newest_conversion(inputs)
     if k >= 0:
         range_m = params.zero_m[0] + params.scale_m[0] * conversion_counts(inputs.conversion[k])
         t_ns = plain_time(scaled, inputs.t_ns + conversion_dt_ns(inputs.conversion[k]))
         t_ns -= params.sensor_latency_ns
-        news = abs(range_m - a.held_m) > HOLD_TOLERANCE_COUNTS * abs(params.scale_m[0])
-        if a.held_ns == 0 or news or t_ns - a.held_ns >= params.hold_ns:
+        news = abs(range_m - hold.range_m) > HOLD_TOLERANCE_COUNTS * abs(params.scale_m[0])
+        if hold.t_ns == 0 or news or t_ns - hold.t_ns >= params.hold_ns:
             due |= FOR_SAMPLE
     return due
 
@@ -89,7 +93,8 @@ def preview_window(params: Any, state: Any, inputs: Any) -> Any:
         FOR_ bits (0: none, the rest means nothing); where the tool points at the newest pose of the coming
         cycle; unit vector of travel; piece of the way, ahead of that place [m]
     """
-    d, a, sense, i = state[0].scaled, state[0].adaptive, state[0].sense, inputs[0]
+    d, adaptive, sense, i = state[0].scaled, state[0].adaptive, state[0].sense, inputs[0]
+    kinematics, sample = adaptive.kinematics, adaptive.sample
     if i.n_poses > 0:
         pose_t_ns, x, y = i.pose_t_ns[i.n_poses - 1], i.pose[7 * i.n_poses - 7], i.pose[7 * i.n_poses - 6]
     elif sense.pose_count > 0:
@@ -99,19 +104,27 @@ def preview_window(params: Any, state: Any, inputs: Any) -> Any:
         return 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     p = params[0] if is_unscaled(d) != 0 else d.params
     t_ns, pose_t_ns = plain_time(d, i.t_ns), plain_time(d, pose_t_ns)
-    now_ns = max(a.now_ns, t_ns, pose_t_ns)
-    due = preview_uses(p, a, d, i, now_ns)
+    now_ns = max(adaptive.clock.now_ns, t_ns, pose_t_ns)
+    due = preview_uses(p, adaptive, d, i, now_ns)
     if due == 0 or t_ns - pose_t_ns > p.pose_timeout_ns:
         return 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    v = a.speed_mps
+    v = kinematics.speed_mps
     first, last = 1e9, -1e9
     if due & FOR_TICK != 0:
         first = v * (now_ns - pose_t_ns) * 1e-9 - WINDOW_MARGIN_M
         last = first + v * PERIOD_S * (HORIZON + 1) + 2.0 * WINDOW_MARGIN_M
     if due & FOR_SAMPLE != 0:
-        at = v * ((now_ns - pose_t_ns) * 1e-9 - a.late_s) + a.lead_m
+        at = v * ((now_ns - pose_t_ns) * 1e-9 - adaptive.latency.delay_s) + sample.lead_m
         reach = v * TIMESTAMP_TOLERANCE_S + WINDOW_MARGIN_M
         first, last = min(first, at - reach), max(last, at + reach)
-    x += a.tip_x_m * d.length
-    y += a.tip_y_m * d.length
-    return due, x, y, a.speed_x_mps / v, a.speed_y_mps / v, first * d.length, last * d.length
+    x += sample.tip_x_m * d.length
+    y += sample.tip_y_m * d.length
+    return (
+        due,
+        x,
+        y,
+        kinematics.velocity_x_mps / v,
+        kinematics.velocity_y_mps / v,
+        first * d.length,
+        last * d.length,
+    )

@@ -14,7 +14,7 @@ HOLD_TOLERANCE_COUNTS = 1.5  # an A/D's last bit is no news
 
 
 @jit
-def new_sample(params: Any, a: Any, sense: Any, given: Any, channel: Any) -> Any:
+def new_sample(params: Any, hold: Any, sense: Any, given: Any, channel: Any) -> Any:
     """Whether a channel has a new sample, and its value and stamp.
 
     The sensor holds each value for a while; conversions of a held value are one sample, stamped at the
@@ -41,19 +41,31 @@ def new_sample(params: Any, a: Any, sense: Any, given: Any, channel: Any) -> Any
         t += hold_ns // 2
         begun_ns = params.sensor_latency_ns - hold_ns // 2
         hold_ns += hold_ns // 2  # when a held value began is known to a cycle only
-    if a.held_ns != 0:
-        if t <= a.held_ns:
+    if hold.t_ns != 0:
+        if t <= hold.t_ns:
             return 0, 0.0, 0
-        if abs(value - a.held_m) <= flicker:
-            if t - a.held_ns < hold_ns:
+        if abs(value - hold.range_m) <= flicker:
+            if t - hold.t_ns < hold_ns:
                 return 0, 0.0, 0
             return 1, value, t
     if given == 0:
         k, oldest = n - 2, max(0, n - CONVERSION_WINDOW)
         while k >= oldest and abs(sense.window_m[base + (k & (CONVERSION_WINDOW - 1))] - value) <= flicker:
             earlier = sense.window_t_ns[base + (k & (CONVERSION_WINDOW - 1))] - begun_ns
-            if earlier <= a.held_ns or earlier > t:  # or of a clock since turned back
+            if earlier <= hold.t_ns or earlier > t:  # or of a clock since turned back
                 break
             t = earlier
             k -= 1
     return 1, value, t
+
+
+@jit
+def record_sample(hold: Any, t_ns: Any, range_m: Any) -> None:
+    """Hold the newest sample."""
+    hold.t_ns, hold.range_m = t_ns, range_m
+
+
+@jit
+def reset_hold(hold: Any) -> None:
+    """Accept a sample of any time as new."""
+    hold.t_ns = 0

@@ -98,22 +98,22 @@ def next_acceleration(
 
 
 @jit
-def restart_pause_s(a: Any) -> Any:
+def restart_pause_s(setpoint: Any) -> Any:
     """For how long a set point must not have been renewed to start anew at the tool [s]."""
-    return max(PAUSE_S, PAUSE_INTERVALS * a.cycle_s)
+    return max(PAUSE_S, PAUSE_INTERVALS * setpoint.interval_s)
 
 
 @jit
-def update_interval(a: Any, dt_s: Any) -> None:
+def update_interval(setpoint: Any, dt_s: Any) -> None:
     """Take an interval between calls: one pause tells little, intervals that stay long are the caller's."""
-    if dt_s > a.cycle_s:
-        a.cycle_s = min(dt_s, max(2.0 * a.cycle_s, INITIAL_INTERVAL_S), MAX_INTERVAL_S)
+    if dt_s > setpoint.interval_s:
+        setpoint.interval_s = min(dt_s, max(2.0 * setpoint.interval_s, INITIAL_INTERVAL_S), MAX_INTERVAL_S)
     else:
-        a.cycle_s += INTERVAL_RATE * (dt_s - a.cycle_s)
-    if a.cycle_least_s == 0.0 or dt_s < a.cycle_least_s:
-        a.cycle_least_s = dt_s
+        setpoint.interval_s += INTERVAL_RATE * (dt_s - setpoint.interval_s)
+    if setpoint.min_interval_s == 0.0 or dt_s < setpoint.min_interval_s:
+        setpoint.min_interval_s = dt_s
     else:
-        a.cycle_least_s += MIN_INTERVAL_RATE * (dt_s - a.cycle_least_s)
+        setpoint.min_interval_s += MIN_INTERVAL_RATE * (dt_s - setpoint.min_interval_s)
 
 
 @jit
@@ -126,37 +126,47 @@ def limit_in_force(most: Any, axis_can: Any, quick: Any) -> Any:
 
 
 @jit
-def has_settled(params: Any, a: Any, e_m: Any) -> Any:
+def has_settled(params: Any, setpoint: Any, e_m: Any) -> Any:
     """Whether a set point that a plan led far ahead is back: until then it may move as quickly as it went."""
     calm = params.toward_factor * ACCELERATION_RATIO * params.plant_a_max_mps2
-    return abs(e_m) < SETTLED_M and abs(a.set_speed_mps) < SETTLED_MPS and abs(a.set_accel_mps2) <= calm
+    return (
+        abs(e_m) < SETTLED_M
+        and abs(setpoint.velocity_mps) < SETTLED_MPS
+        and abs(setpoint.acceleration_mps2) <= calm
+    )
 
 
 @jit
-def propagate_setpoint(params: Any, a: Any, wanted_m: Any, dt_s: Any) -> None:
+def propagate_setpoint(params: Any, adaptive: Any, wanted_m: Any, dt_s: Any) -> None:
     """Move the set point for a time at one acceleration."""
-    e = wanted_m - a.set_point_m
-    if a.preview_share > a.set_quick or has_settled(params, a, e):
-        a.set_quick = a.preview_share
+    setpoint, preview = adaptive.setpoint, adaptive.preview
+    e = wanted_m - setpoint.position_m
+    if preview.share > setpoint.preview_share or has_settled(params, setpoint, e):
+        setpoint.preview_share = preview.share
     up, gentle = (1.0, 1.0) if e >= 0.0 else (-1.0, params.toward_factor)
     accel = up * next_acceleration(
         up * e,
-        up * a.set_speed_mps,
-        up * a.set_accel_mps2,
+        up * setpoint.velocity_mps,
+        up * setpoint.acceleration_mps2,
         dt_s,
-        dt_s if a.cycle_least_s == 0.0 else min(dt_s, max(a.cycle_least_s, MIN_INTERVAL_S)),
-        gentle * limit_in_force(params.max_speed_mps, VELOCITY_RATIO * params.plant_v_max_mps, a.set_quick),
+        dt_s if setpoint.min_interval_s == 0.0 else min(dt_s, max(setpoint.min_interval_s, MIN_INTERVAL_S)),
         gentle
-        * limit_in_force(params.max_accel_mps2, ACCELERATION_RATIO * params.plant_a_max_mps2, a.set_quick),
+        * limit_in_force(
+            params.max_speed_mps, VELOCITY_RATIO * params.plant_v_max_mps, setpoint.preview_share
+        ),
+        gentle
+        * limit_in_force(
+            params.max_accel_mps2, ACCELERATION_RATIO * params.plant_a_max_mps2, setpoint.preview_share
+        ),
         params.max_jerk_mps3,
     )
-    a.set_accel_mps2 = accel
-    a.set_speed_mps += accel * dt_s
-    a.set_point_m += a.set_speed_mps * dt_s
+    setpoint.acceleration_mps2 = accel
+    setpoint.velocity_mps += accel * dt_s
+    setpoint.position_m += setpoint.velocity_mps * dt_s
 
 
 @jit
-def limit_setpoint(params: Any, a: Any, now_ns: Any, wanted_m: Any, tool_z_m: Any) -> None:
+def limit_setpoint(params: Any, adaptive: Any, now_ns: Any, wanted_m: Any, tool_z_m: Any) -> None:
     """Lead `a.set_point_m` toward where it is wanted; after a pause it starts anew at the tool.
 
     Parameters
@@ -165,23 +175,36 @@ def limit_setpoint(params: Any, a: Any, now_ns: Any, wanted_m: Any, tool_z_m: An
     now_ns : int64
     wanted_m, tool_z_m : float64
     """
-    if a.set_ns == 0:
+    setpoint = adaptive.setpoint
+    if setpoint.t_ns == 0:
         dt = FIRST_STEP_S
     else:
-        dt = (now_ns - a.set_ns) * 1e-9
+        dt = (now_ns - setpoint.t_ns) * 1e-9
         if dt <= 0.0:
             return
-    pause = a.set_ns == 0 or dt > restart_pause_s(a)
-    if a.set_ns != 0:
-        update_interval(a, dt)
-    a.set_ns = now_ns
+    pause = setpoint.t_ns == 0 or dt > restart_pause_s(setpoint)
+    if setpoint.t_ns != 0:
+        update_interval(setpoint, dt)
+    setpoint.t_ns = now_ns
     if pause:
-        a.set_point_m, a.set_speed_mps, a.set_accel_mps2 = tool_z_m, 0.0, 0.0
-        a.set_quick = 0.0
+        setpoint.position_m, setpoint.velocity_mps, setpoint.acceleration_mps2 = tool_z_m, 0.0, 0.0
+        setpoint.preview_share = 0.0
         dt = FIRST_STEP_S
     if dt <= PAUSE_S:
-        propagate_setpoint(params, a, wanted_m, min(dt, MAX_STEP_S))
+        propagate_setpoint(params, adaptive, wanted_m, min(dt, MAX_STEP_S))
         return
     steps = math.ceil(dt / MAX_STEP_S)
     for _ in range(steps):
-        propagate_setpoint(params, a, wanted_m, dt / steps)
+        propagate_setpoint(params, adaptive, wanted_m, dt / steps)
+
+
+@jit
+def release_setpoint(setpoint: Any) -> None:
+    """Begin at the tool with the next set point."""
+    setpoint.t_ns = 0
+
+
+@jit
+def mark_shown(setpoint: Any, shown: Any) -> None:
+    """Note whether the set point was made in DRYRUN, and not applied."""
+    setpoint.shown = shown

@@ -7,7 +7,7 @@ from typing import Any
 from surffollow.forecast.adaptive.axis_model import axis_velocity
 from surffollow.forecast.adaptive.model_bank import N_CANDIDATES
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive import N_PERIODS
+from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
 AXIS_STEP_NS = 2_000_000  # of the shadow axes
 MAX_AXIS_STEPS = 32
@@ -19,56 +19,70 @@ PERIOD_RATE_HZ2 = 1e4
 
 
 @jit
-def reset_shadows(a: Any, z_m: Any) -> None:
+def reset_shadows(shadow: Any, z_m: Any) -> None:
     """Put every shadow axis to rest at a height."""
     for i in range(N_CANDIDATES):
-        a.axis_z_m[i] = z_m
-        a.axis_v_mps[i] = 0.0
+        shadow.position_m[i] = z_m
+        shadow.velocity_mps[i] = 0.0
 
 
 @jit
-def propagate_shadows(params: Any, a: Any, from_ns: Any, to_ns: Any) -> None:
+def propagate_shadows(params: Any, adaptive: Any, from_ns: Any, to_ns: Any) -> None:
     """Carry every shadow axis on with the set points of its candidate."""
+    shadow, controller = adaptive.shadow, adaptive.controller
     span = to_ns - from_ns
-    if a.ticks == 0 or span <= 0:
+    if controller.periods == 0 or span <= 0:
         return
     if span > MAX_AXIS_GAP_NS:
-        slot = (a.ticks - 1) & (N_PERIODS - 1)
+        slot = (controller.periods - 1) & (N_PERIODS - 1)
         for i in range(N_CANDIDATES):
-            a.axis_z_m[i] = a.target_m[i * N_PERIODS + slot]
-            a.axis_v_mps[i] = 0.0
+            shadow.position_m[i] = shadow.setpoint_m[i * N_PERIODS + slot]
+            shadow.velocity_mps[i] = 0.0
         return
     steps = min(max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1), MAX_AXIS_STEPS)
     dt = span * 1e-9 / steps
-    tau, v_max, a_max = max(a.tau_s, MIN_TAU_S), params.plant_v_max_mps, params.plant_a_max_mps2
+    tau, v_max, a_max = max(adaptive.plant.tau_s, MIN_TAU_S), params.plant_v_max_mps, params.plant_a_max_mps2
     dv = a_max * dt
-    k = max(0, a.ticks - N_PERIODS)
+    k = max(0, controller.periods - N_PERIODS)
     for j in range(steps):
         t = from_ns + (span * j) // steps
-        while k + 1 < a.ticks and a.tick_t_ns[(k + 1) & (N_PERIODS - 1)] <= t:
+        while k + 1 < controller.periods and controller.latch_ns[(k + 1) & (N_PERIODS - 1)] <= t:
             k += 1
         slot = k & (N_PERIODS - 1)
         for i in range(N_CANDIDATES):
-            d = a.target_m[i * N_PERIODS + slot] - a.axis_z_m[i]
+            d = shadow.setpoint_m[i * N_PERIODS + slot] - shadow.position_m[i]
             w = axis_velocity(d, tau, a_max)
             most = min(v_max, abs(d) / dt)
             w = min(max(w, -most), most)
-            v = a.axis_v_mps[i]
+            v = shadow.velocity_mps[i]
             v += min(max(w - v, -dv), dv)
-            a.axis_v_mps[i] = v
-            a.axis_z_m[i] += v * dt
+            shadow.velocity_mps[i] = v
+            shadow.position_m[i] += v * dt
 
 
 @jit
-def record_period(a: Any, now_ns: Any) -> None:
-    """Close a tick whose set points stand in slot `ticks`: restlessness, time, count."""
-    slot = a.ticks & (N_PERIODS - 1)
+def update_effort(adaptive: Any) -> None:
+    """Update the effort with the set points of the period that has just been recorded."""
+    shadow, controller = adaptive.shadow, adaptive.controller
+    slot = controller.periods & (N_PERIODS - 1)
     one, two = (slot - 1) & (N_PERIODS - 1), (slot - 2) & (N_PERIODS - 1)
-    if a.ticks > 1:
+    if controller.periods > 1:
         for i in range(N_CANDIDATES):
             b = i * N_PERIODS
-            accel = (a.target_m[b + slot] - 2.0 * a.target_m[b + one] + a.target_m[b + two]) * PERIOD_RATE_HZ2
-            a.effort[i] += EFFORT_RATE * (min(accel * accel, MAX_EFFORT) - a.effort[i])
-    a.tick_t_ns[slot] = now_ns
-    a.ticks += 1
-    a.tick_ns = now_ns
+            accel = (
+                shadow.setpoint_m[b + slot] - 2.0 * shadow.setpoint_m[b + one] + shadow.setpoint_m[b + two]
+            ) * PERIOD_RATE_HZ2
+            shadow.effort[i] += EFFORT_RATE * (min(accel * accel, MAX_EFFORT) - shadow.effort[i])
+
+
+@jit
+def record_setpoint(shadow: Any, i: Any, slot: Any, setpoint_m: Any) -> None:
+    """Record the set point of candidate i in the ring."""
+    shadow.setpoint_m[i * N_PERIODS + slot] = setpoint_m
+
+
+@jit
+def reset_effort(shadow: Any) -> None:
+    """Set the mean squared acceleration of all set points to zero."""
+    for i in range(N_CANDIDATES):
+        shadow.effort[i] = 0.0

@@ -9,8 +9,8 @@ import math
 from typing import Any
 
 from surffollow.forecast.adaptive.adaptation import publish_adaptation
-from surffollow.forecast.adaptive.attitude import demand_rotation, publish_normal
-from surffollow.forecast.adaptive.axis_model import PERIOD_S, invert_axis
+from surffollow.forecast.adaptive.attitude import demand_rotation, publish_normal, release_attitude
+from surffollow.forecast.adaptive.axis_model import PERIOD_S
 from surffollow.forecast.adaptive.clock import update_clock
 from surffollow.forecast.adaptive.controller_clock import (
     latch_time,
@@ -18,38 +18,42 @@ from surffollow.forecast.adaptive.controller_clock import (
     open_period,
     period_is_due,
 )
-from surffollow.forecast.adaptive.estimate import INITIALISATION_SAMPLES
-from surffollow.forecast.adaptive.health import is_lost, is_stuck, is_stuck_permanently, update_health
+from surffollow.forecast.adaptive.estimate import INITIALISATION_SAMPLES, discard_estimate
+from surffollow.forecast.adaptive.health import (
+    is_lost,
+    is_stuck,
+    is_stuck_permanently,
+    latch_fault,
+    update_health,
+)
 from surffollow.forecast.adaptive.kinematics import MIN_DIRECTION_SPEED_MPS, update_kinematics
-from surffollow.forecast.adaptive.latency_identification import reset_window
 from surffollow.forecast.adaptive.lookahead_sensor import observe_lookahead
 from surffollow.forecast.adaptive.measurement import process_sample, standoff_height
-from surffollow.forecast.adaptive.model_bank import N_CANDIDATES
-from surffollow.forecast.adaptive.plant_identification import model_error, predict_axis, update_plant
+from surffollow.forecast.adaptive.plant_identification import (
+    model_error,
+    predict_axis,
+    record_own_setpoint,
+    update_plant,
+)
 from surffollow.forecast.adaptive.preview import (
     MIN_KNOWN_PERIODS,
     collect_preview,
     extrapolate_ground,
     update_share,
+    withdraw_preview,
 )
-from surffollow.forecast.adaptive.preview_control import solve_plan
+from surffollow.forecast.adaptive.preview_control import plan_setpoint
+from surffollow.forecast.adaptive.reset import reset_all, reset_timestamps
 from surffollow.forecast.adaptive.setpoint_blend import blend_setpoints, dropout_s, filter_setpoint
-from surffollow.forecast.adaptive.setpoint_limits import limit_setpoint
+from surffollow.forecast.adaptive.setpoint_limits import limit_setpoint, mark_shown, release_setpoint
 from surffollow.forecast.adaptive.terrain_buffer import MIN_LEAD_M
-from surffollow.forecast.adaptive.terrain_regression import reset_regression
 from surffollow.forecast.safety import PROBE_M, limit
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import (
-    BEAMS,
     DROPOUT,
-    FAULT_CLOCK,
     FAULT_CLOSE,
     FAULT_LOST,
-    FAULT_NOT_FINITE,
     FAULT_STUCK,
-    HORIZON,
-    N_PERIODS,
-    N_PLANTS,
     OUT_OF_RANGE,
     STUCK,
 )
@@ -65,185 +69,177 @@ from surffollow.shm.layout_follow import (
     VALID,
 )
 
-CONFIRMED_SAMPLES = 25  # fewer, and then none: not enough to go down for
+CONFIRMED_SAMPLES = 25  # after a drop-out with fewer samples the set point does not descend
 
 
 @jit
-def distance_ahead(params: Any, a: Any, pose: Any, pose_t_ns: Any) -> Any:
-    """How far ahead of the last footprint what the tool points at will be when the controller acts [m]."""
-    if a.speed_mps < MIN_DIRECTION_SPEED_MPS:
+def distance_ahead(params: Any, adaptive: Any, pose: Any, pose_t_ns: Any) -> Any:
+    """Distance from the newest footprint to the point under the tool when the demand acts [m]."""
+    kinematics, sample = adaptive.kinematics, adaptive.sample
+    if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
         return 0.0
-    gap_x, gap_y = pose[0] + a.tip_x_m - a.foot_x_m, pose[1] + a.tip_y_m - a.foot_y_m
-    gap = gap_x * a.speed_x_mps + gap_y * a.speed_y_mps
-    soon = (a.now_ns - pose_t_ns) * 1e-9 + params.tick_lead_s
-    return gap / a.speed_mps + a.speed_mps * soon
+    gap_x, gap_y = pose[0] + sample.tip_x_m - sample.x_m, pose[1] + sample.tip_y_m - sample.y_m
+    gap = gap_x * kinematics.velocity_x_mps + gap_y * kinematics.velocity_y_mps
+    delay_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + params.tick_lead_s
+    return gap / kinematics.speed_mps + kinematics.speed_mps * delay_s
 
 
 @jit
-def compute_demand(params: Any, a: Any, sense: Any, fold: Any, inputs: Any, output: Any, pose: Any) -> Any:
+def target_of_blend(
+    params: Any, adaptive: Any, inputs: Any, pose_t_ns: Any, ahead_m: Any, drop_m: Any
+) -> Any:
+    """Blended set point [m], and 1 when a controller period begins.
+
+    The candidates are blended when a sample, a pose or a controller period is new. In between the blend
+    continues at the rate that the models predict.
+    """
+    clock, blend = adaptive.clock, adaptive.blend
+    due = period_is_due(adaptive.controller, inputs.n_ranges, clock.now_ns)
+    if due != 0 or adaptive.estimate.sample_ns != blend.sample_ns or pose_t_ns != blend.pose_ns:
+        target = blend_setpoints(params, adaptive, pose_t_ns, max(ahead_m, 0.0), drop_m, due)
+    else:
+        target = blend.setpoint_m + blend.rate_mps * (clock.now_ns - blend.t_ns) * 1e-9
+    return target, due
+
+
+@jit
+def plan_period(params: Any, adaptive: Any, inputs: Any, pose_t_ns: Any, ahead_m: Any, drop_m: Any) -> None:
+    """Preview control of the controller period that begins."""
+    clock, kinematics, controller = adaptive.clock, adaptive.kinematics, adaptive.controller
+    lookahead = adaptive.lookahead
+    leads = 1 if adaptive.sample.lead_m > MIN_LEAD_M else 0
+    another_leads = 1 if lookahead.lead_m > MIN_LEAD_M else 0
+    open_period(controller, inputs.n_ranges, clock.now_ns)
+    latch_ns = latch_time(controller, inputs.n_ranges, clock.now_ns)
+    since_pose_m = kinematics.speed_mps * (latch_ns - pose_t_ns) * 1e-9
+    at_latch_m = ahead_m + kinematics.speed_mps * ((latch_ns - clock.now_ns) * 1e-9 - params.tick_lead_s)
+    bias_m = lookahead.bias_m if another_leads != 0 and leads == 0 else 0.0
+    known = collect_preview(adaptive, inputs, max(leads, another_leads), at_latch_m, since_pose_m, bias_m)
+    update_share(adaptive, known, leads, model_error(adaptive.plant))
+    if known >= MIN_KNOWN_PERIODS:
+        z, v = predict_axis(params, adaptive, latch_ns)
+        extrapolate_ground(adaptive, known, adaptive.estimate.arc_length_m + at_latch_m, bias_m)
+        plan_setpoint(params, adaptive, known, z, v, drop_m)
+
+
+@jit
+def target_of_preview(params: Any, adaptive: Any, target_m: Any, drop_m: Any) -> Any:
+    """Set point before the limits: the filtered blend, and the plan by its share [m].
+
+    A sensor that leads measures no ground under the tool: its buffered heights replace the blend.
+    """
+    preview = adaptive.preview
+    if preview.sensed_periods >= 2:
+        rate = (preview.ground_m[1] - preview.ground_m[0]) / PERIOD_S
+        target_m = preview.ground_m[0] + rate * (adaptive.plant.tau_s + params.tick_lead_s) + drop_m
+    target_m = filter_setpoint(params, adaptive, target_m)
+    target_m += preview.share * (adaptive.plan.setpoint_m - target_m)
+    return target_m
+
+
+@jit
+def compute_demand(
+    params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, pose: Any
+) -> Any:
     """Demand of the adaptive mode into `output`; returns status bits.
 
     Parameters
     ----------
-    params, a, sense, fold, inputs, output : records of `Params`, `AdaptiveState`, `SenseState`,
-        `FoldBackState`, `Inputs`, `Output`, all in plain numbers (`adaptive_scales`)
+    params, adaptive, sense, fold, inputs, output : records of `Params`, `AdaptiveState`, `SenseState`,
+        `FoldBackState`, `Inputs`, `Output`, all in plain numbers (`reference_scales`)
     pose : (7,) float64 scratch
 
     Notes
     -----
     Needs a pose. The demand adds to the newest pose reported, `output.pose_t_ns`.
     """
+    clock, kinematics, health, estimate = (
+        adaptive.clock,
+        adaptive.kinematics,
+        adaptive.health,
+        adaptive.estimate,
+    )
+    controller, setpoint = adaptive.controller, adaptive.setpoint
     newest = (sense.pose_count - 1) & (POSES - 1)
-    pose_t_ns = sense.pose_t_ns[newest]
-    if update_clock(a, inputs.t_ns, pose_t_ns) != 0:
-        a.faults |= FAULT_CLOCK
-        a.samples = 0
-        reset_timestamps(a)
-        a.health_ns = a.now_ns
-    update_kinematics(a, sense)
-    tool_z = sense.pose[7 * newest + 2]
-    plane = 1 if params.orient != 0 and params.n_channels >= 3 else 0
-    update_plant(params, a, sense, 0 if params.adapt == 0 or params.run != RUN_NORMAL else 1)
-    process_sample(params, a, sense, fold, inputs, output, plane, pose)
-    if plane == 0 and params.n_channels > 1:
-        observe_lookahead(params, a, sense, 1 if a.speed_mps >= MIN_DIRECTION_SPEED_MPS else 0, pose)
-    stuck = is_stuck(a)
-    update_health(params, a, stuck)
+    pose_t_ns, tool_z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
+    several = 1 if params.orient != 0 and params.n_channels >= 3 else 0
+    if update_clock(clock, inputs.t_ns, pose_t_ns) != 0:
+        reset_timestamps(adaptive)
+    update_kinematics(kinematics, sense)
+    update_plant(params, adaptive, sense, 0 if params.adapt == 0 or params.run != RUN_NORMAL else 1)
+    process_sample(params, adaptive, sense, fold, inputs, output, several, pose)
+    if several == 0 and params.n_channels > 1:
+        moving = 1 if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS else 0
+        observe_lookahead(params, adaptive, sense, moving, pose)
+    stuck = is_stuck(health)
+    update_health(params, adaptive, stuck)
     status = VALID
-    if a.health == DROPOUT or a.health == OUT_OF_RANGE or a.health == STUCK:
+    if health.state == DROPOUT or health.state == OUT_OF_RANGE or health.state == STUCK:
         status |= NO_SENSOR
     if stuck != 0:
-        a.faults |= FAULT_STUCK
-        if is_stuck_permanently(a) != 0:
-            a.samples = 0
-    if stuck != 0 or is_lost(params, a) != 0:
-        if a.samples > 0 and stuck == 0:
-            a.faults |= FAULT_LOST
-        a.set_ns = a.seen_known = 0
-        a.preview_share = 0.0
+        latch_fault(health, FAULT_STUCK)
+        if is_stuck_permanently(adaptive) != 0:
+            discard_estimate(estimate)
+    if stuck != 0 or is_lost(params, adaptive) != 0:
+        if estimate.samples > 0 and stuck == 0:
+            latch_fault(health, FAULT_LOST)
+        release_setpoint(setpoint)
+        withdraw_preview(adaptive.preview)
         return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
-    if a.shown != 0 and params.run != RUN_DRYRUN:
-        a.shown = a.set_ns = a.turn_ns = 0  # nobody took those set points: begin at the tool
-    drop = standoff_height(params, a, sense, plane, pose)
-    ahead = distance_ahead(params, a, pose, pose_t_ns)
-    observe_report(a, sense.pose_count, a.now_ns)
-    tick = period_is_due(a, inputs.n_ranges, a.now_ns)
-    if tick != 0 or a.sample_ns != a.wanted_sample_ns or pose_t_ns != a.wanted_pose_ns:
-        wanted = blend_setpoints(params, a, max(ahead, 0.0), drop, tick)
-        a.wanted_pose_ns = pose_t_ns
-    else:
-        wanted = a.wanted_m + a.wanted_mps * (a.now_ns - a.wanted_ns) * 1e-9
-    if tick != 0:
-        leading = 1 if a.lead_m > MIN_LEAD_M else 0
-        scouted = 1 if a.scout_lead_m > MIN_LEAD_M else 0
-        open_period(a, inputs.n_ranges, a.now_ns)
-        taken_ns = latch_time(a, inputs.n_ranges, a.now_ns)
-        since = a.speed_mps * (taken_ns - pose_t_ns) * 1e-9
-        then = ahead + a.speed_mps * ((taken_ns - a.now_ns) * 1e-9 - params.tick_lead_s)
-        bias = a.scout_bias_m if scouted != 0 and leading == 0 else 0.0
-        known = collect_preview(a, inputs, max(leading, scouted), then, since, bias)
-        update_share(a, known, leading, model_error(a))
-        a.seen_known = known if leading != 0 else 0
-        if known >= MIN_KNOWN_PERIODS:
-            z, v = predict_axis(params, a, taken_ns)
-            extrapolate_ground(a, known, a.path_m + then, bias)
-            speed = solve_plan(params, a, known, z, v, drop)
-            a.plan_set_m = invert_axis(params, a.tau_s, z, v, speed)
-    if a.seen_known >= 2:
-        # what a leading sensor sees is not under the tool: without a plan, follow what it saw there
-        rise = (a.plan_g_m[1] - a.plan_g_m[0]) / PERIOD_S
-        wanted = a.plan_g_m[0] + rise * (a.tau_s + params.tick_lead_s) + drop
-    wanted = filter_setpoint(params, a, wanted)
-    wanted += a.preview_share * (a.plan_set_m - wanted)
-    if a.samples < INITIALISATION_SAMPLES or (a.samples < CONFIRMED_SAMPLES and dropout_s(a) > 0.0):
-        wanted = max(wanted, tool_z)  # toward the surface only when it is known
-    limit_setpoint(params, a, a.now_ns, wanted, tool_z)
-    demand = a.set_point_m - tool_z
-    if not math.isfinite(demand + a.height_m + a.slope + a.sigma_m):
-        reset_all(params, a)
+    if setpoint.shown != 0 and params.run != RUN_DRYRUN:  # set points of DRYRUN were not applied
+        mark_shown(setpoint, 0)
+        release_setpoint(setpoint)
+        release_attitude(adaptive.attitude)
+    drop = standoff_height(params, adaptive.plane, sense, several, pose)
+    ahead = distance_ahead(params, adaptive, pose, pose_t_ns)
+    observe_report(controller, sense.pose_count, clock.now_ns)
+    target, due = target_of_blend(params, adaptive, inputs, pose_t_ns, ahead, drop)
+    if due != 0:
+        plan_period(params, adaptive, inputs, pose_t_ns, ahead, drop)
+    target = target_of_preview(params, adaptive, target, drop)
+    few = estimate.samples < CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
+    if estimate.samples < INITIALISATION_SAMPLES or few:
+        target = max(target, tool_z)  # no descent over ground that is hardly known
+    limit_setpoint(params, adaptive, clock.now_ns, target, tool_z)
+    demand = setpoint.position_m - tool_z
+    if not math.isfinite(demand + estimate.height_m + estimate.slope + estimate.sigma_m):
+        reset_all(params, adaptive)
         return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
     cut = limit(demand, params.max_demand_m)
     if cut != demand:
         status |= LIMITED
     if fold.close != 0:
-        a.faults |= FAULT_CLOSE
+        latch_fault(health, FAULT_CLOSE)
         status |= TOO_CLOSE
         cut = max(cut, min(PROBE_M, params.max_demand_m))
     output.demand[2] = cut
     if fold.close != 0:
-        a.turn_ns = 0  # first away from the surface, then turn
-    elif plane != 0 and a.planes > 0:
-        demand_rotation(params, a, sense, output)
-    if a.tick_ns == a.now_ns or a.tick_open != 0:
-        a.own_m[(a.ticks - 1) & (N_PERIODS - 1)] = tool_z + (cut if params.run == RUN_NORMAL else 0.0)
+        release_attitude(adaptive.attitude)  # away from the surface first, then rotate
+    elif several != 0 and adaptive.plane.count > 0:
+        demand_rotation(params, adaptive, sense, output)
+    if controller.period_ns == clock.now_ns or controller.latch_pending != 0:
+        record_own_setpoint(adaptive, tool_z + (cut if params.run == RUN_NORMAL else 0.0))
     if params.run == RUN_DRYRUN:
-        a.shown = 1
+        mark_shown(setpoint, 1)
     elif params.run == RUN_FREEZE:
-        a.set_ns = 0  # nobody moves: afterwards it starts at the tool
-    output.delta_h_m = a.slope * max(ahead, 0.0)
-    output.error_m = params.offset_m - a.held_m
+        release_setpoint(setpoint)  # no demand is applied
+    output.delta_h_m = estimate.slope * max(ahead, 0.0)
+    output.error_m = params.offset_m - adaptive.hold.range_m
     return status
 
 
 @jit
-def reset_all(params: Any, a: Any) -> None:
-    """Begin as if nothing had been seen: what is believed is not finite."""
-    a.faults |= FAULT_NOT_FINITE
-    a.samples = a.quarantined = a.set_ns = a.turn_ns = a.seen_known = 0
-    a.noise_m = a.returned = 0.0  # scores, noise and scale begin anew with the next sample
-    a.height_m = a.slope = a.sigma_m = a.scale_m = a.gain = a.path_m = a.sample_way_m = a.lead_m = 0.0
-    a.tip_x_m = a.tip_y_m = a.slope_power = 0.0
-    a.calm_m = a.wanted_m = a.wanted_mps = a.plan_set_m = 0.0
-    a.preview_share = a.preview_bias_m = a.preview_off_m = a.error_m2 = a.plain_m2 = 0.0
-    a.scout_lead_m = a.scout_bias_m = a.older_s = a.older_sigma_s = 0.0
-    a.tau_s = a.tau_assumed_s = params.plant_tau_s
-    for k in range(N_PLANTS):
-        a.plant_m2[k] = 0.0
-    for i in range(N_CANDIDATES):
-        a.weight[i] = 0.0  # new ones would follow from these
-    for k in range(HORIZON):
-        a.plan_u[k] = a.plan_y[k] = 0.0
-    reset_window(a)
-    reset_regression(a)
-
-
-@jit
-def reset_surface(a: Any) -> None:
-    """SFReset: start anew with the next sample; what was learnt of noise, models and ground is kept."""
-    a.samples = 0
-    a.sure_ns = 0
-    a.quarantined = 0
-    a.set_ns = a.seen_known = 0
-    a.preview_share = 0.0  # its plan was made over other ground
-    a.faults = 0
-
-
-@jit
-def publish_estimate(params: Any, a: Any, output: Any) -> None:
-    """Publish what the follower believes."""
-    publish_adaptation(params, a, output)
-    output.height_m, output.speed_mps = a.height_m, a.speed_mps
-    # at rest there is no direction to have a slope along
-    output.slope = a.slope if a.speed_mps >= MIN_DIRECTION_SPEED_MPS else 0.0
-    output.intervals = a.samples
-    publish_normal(a, output)
-    output.health, output.reason, output.faults = a.health, a.reason, a.faults
-    output.tau_s = a.tau_s
-    output.sigma_m, output.noise_m, output.late_s = a.sigma_m, a.noise_m, a.late_s
-    output.roughness_m = math.sqrt(max(a.scale_m * a.scale_m - a.noise_m * a.noise_m, 0.0))
-
-
-@jit
-def reset_timestamps(a: Any) -> None:
-    """Forget whatever is stamped by a clock that is no more: its times may lie ahead for long.
-
-    Stamps that are compared for being the same, or that a restart sets, need no care.
-    """
-    a.held_ns = a.sample_ns = a.accepted_ns = a.sure_ns = a.trend_ns = 0
-    a.set_ns = a.turn_ns = a.tick_ns = a.calm_ns = a.wanted_ns = 0
-    a.ticks = a.tick_open = 0  # set points of future ticks would never be taken
-    a.plant_ns = a.distrust_ns = a.arrival_ns = 0
-    a.scouted_ns = a.beams_ns = a.plane_ns = 0
-    a.scout_lead_m = 0.0
-    for c in range(BEAMS):
-        a.scout_ns[c] = a.beam_ns[c] = a.beam_changed_ns[c] = 0
+def publish_estimate(params: Any, adaptive: Any, output: Any) -> None:
+    """Publish estimate, health and adapted parameters."""
+    kinematics, health, estimate = adaptive.kinematics, adaptive.health, adaptive.estimate
+    noise_m, scale_m = adaptive.noise.sigma_m, adaptive.gate.scale_m
+    publish_adaptation(params, adaptive, output)
+    output.height_m, output.speed_mps = estimate.height_m, kinematics.speed_mps
+    # a slope along the path needs a direction of travel
+    output.slope = estimate.slope if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS else 0.0
+    output.intervals = estimate.samples
+    publish_normal(adaptive, output)
+    output.health, output.reason, output.faults = health.state, health.reason, health.faults
+    output.tau_s = adaptive.plant.tau_s
+    output.sigma_m, output.noise_m, output.late_s = estimate.sigma_m, noise_m, adaptive.latency.delay_s
+    output.roughness_m = math.sqrt(max(scale_m * scale_m - noise_m * noise_m, 0.0))

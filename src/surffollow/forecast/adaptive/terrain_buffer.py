@@ -9,7 +9,7 @@ import math
 from typing import Any
 
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive import BUFFER_CELLS
+from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
 
 CELL_M = 1e-3
 MIN_LEAD_M = 0.005  # a sensor this far ahead leads
@@ -19,65 +19,69 @@ OFF_PATH_M, OFF_PATH_SHARE = 5e-3, 0.2
 
 
 @jit
-def point_at(a: Any, s_m: Any) -> Any:
+def point_at(adaptive: Any, s_m: Any) -> Any:
     """Where a way coordinate lies: straight on, or back, from the last footprint [m]."""
-    if a.speed_mps == 0.0:
-        return a.foot_x_m, a.foot_y_m
-    t = (s_m - a.foot_s_m) / a.speed_mps
-    return a.foot_x_m + t * a.speed_x_mps, a.foot_y_m + t * a.speed_y_mps
+    kinematics, sample = adaptive.kinematics, adaptive.sample
+    if kinematics.speed_mps == 0.0:
+        return sample.x_m, sample.y_m
+    t = (s_m - sample.arc_length_m) / kinematics.speed_mps
+    return sample.x_m + t * kinematics.velocity_x_mps, sample.y_m + t * kinematics.velocity_y_mps
 
 
 @jit
-def is_off_path(a: Any, c: Any, s_m: Any, x_m: Any, y_m: Any) -> Any:
+def is_off_path(adaptive: Any, c: Any, s_m: Any, x_m: Any, y_m: Any) -> Any:
     """Whether cell c was seen elsewhere than at a place on the way."""
-    most = max(OFF_PATH_M, OFF_PATH_SHARE * abs(s_m - a.foot_s_m))
-    return (a.cell_x_m[c] - x_m) ** 2 + (a.cell_y_m[c] - y_m) ** 2 > most * most
+    buffer = adaptive.buffer
+    most = max(OFF_PATH_M, OFF_PATH_SHARE * abs(s_m - adaptive.sample.arc_length_m))
+    return (buffer.x_m[c] - x_m) ** 2 + (buffer.y_m[c] - y_m) ** 2 > most * most
 
 
 @jit
-def store_ground(a: Any, s_m: Any, h_m: Any) -> None:
+def store_ground(adaptive: Any, s_m: Any, h_m: Any) -> None:
     """Put an accepted height into the cell of its way coordinate."""
-    x, y = point_at(a, s_m)
-    store_ground_at(a, s_m, h_m, x, y)
+    x, y = point_at(adaptive, s_m)
+    store_ground_at(adaptive, s_m, h_m, x, y)
 
 
 @jit
-def store_ground_at(a: Any, s_m: Any, h_m: Any, x_m: Any, y_m: Any) -> None:
+def store_ground_at(adaptive: Any, s_m: Any, h_m: Any, x_m: Any, y_m: Any) -> None:
     """Put a height seen at a place into the cell of its way coordinate; what was seen elsewhere goes."""
+    buffer = adaptive.buffer
     k = int(s_m / CELL_M)
     c = k & (BUFFER_CELLS - 1)
-    if a.cell_k[c] != k + 1 or is_off_path(a, c, s_m, x_m, y_m):
-        a.cell_k[c] = k + 1
-        a.cell_x_m[c], a.cell_y_m[c] = x_m, y_m
-        a.cell_n[c] = 0.0
-        a.cell_h_m[c] = a.cell_s_m[c] = 0.0
-    n = a.cell_n[c] + 1.0
-    a.cell_n[c] = n
-    a.cell_h_m[c] += (h_m - a.cell_h_m[c]) / n
-    a.cell_s_m[c] += (s_m - a.cell_s_m[c]) / n
+    if buffer.cell[c] != k + 1 or is_off_path(adaptive, c, s_m, x_m, y_m):
+        buffer.cell[c] = k + 1
+        buffer.x_m[c], buffer.y_m[c] = x_m, y_m
+        buffer.count[c] = 0.0
+        buffer.height_m[c] = buffer.arc_length_m[c] = 0.0
+    n = buffer.count[c] + 1.0
+    buffer.count[c] = n
+    buffer.height_m[c] += (h_m - buffer.height_m[c]) / n
+    buffer.arc_length_m[c] += (s_m - buffer.arc_length_m[c]) / n
 
 
 @jit
-def buffered_height(a: Any, s_m: Any) -> Any:
+def buffered_height(adaptive: Any, s_m: Any) -> Any:
     """Height at a way coordinate from the ring, linear between its neighbours; NaN where nothing was seen.
 
     After a turn what was seen straight on is not on the way any more: NaN, too.
     """
+    buffer = adaptive.buffer
     k = math.floor(s_m / CELL_M)
     below, above = -1, -1
     for j in range(MAX_HOLE_CELLS):
         c = (k - j) & (BUFFER_CELLS - 1)
-        if below < 0 and a.cell_k[c] == k - j + 1 and a.cell_s_m[c] <= s_m:
+        if below < 0 and buffer.cell[c] == k - j + 1 and buffer.arc_length_m[c] <= s_m:
             below = c
         c = (k + j) & (BUFFER_CELLS - 1)
-        if above < 0 and a.cell_k[c] == k + j + 1 and a.cell_s_m[c] > s_m:
+        if above < 0 and buffer.cell[c] == k + j + 1 and buffer.arc_length_m[c] > s_m:
             above = c
         if below >= 0 and above >= 0:
             break
     if below < 0 or above < 0:
         return math.nan
-    x, y = point_at(a, s_m)
-    if is_off_path(a, below, s_m, x, y) or is_off_path(a, above, s_m, x, y):
+    x, y = point_at(adaptive, s_m)
+    if is_off_path(adaptive, below, s_m, x, y) or is_off_path(adaptive, above, s_m, x, y):
         return math.nan
-    f = (s_m - a.cell_s_m[below]) / (a.cell_s_m[above] - a.cell_s_m[below])
-    return a.cell_h_m[below] * (1.0 - f) + a.cell_h_m[above] * f
+    f = (s_m - buffer.arc_length_m[below]) / (buffer.arc_length_m[above] - buffer.arc_length_m[below])
+    return buffer.height_m[below] * (1.0 - f) + buffer.height_m[above] * f

@@ -111,20 +111,23 @@ def read_preview(memory: Any, state: Any, inputs: Any) -> None:
     -----
     What was written within the last second is now, not memory. Cells and their heights are plain numbers.
     """
-    i, a, sense, d = inputs[0], state[0].adaptive, state[0].sense, state[0].scaled
+    i, adaptive, sense, d = inputs[0], state[0].adaptive, state[0].sense, state[0].scaled
+    kinematics, sample = adaptive.kinematics, adaptive.sample
     i.n_preview = 0
-    v = a.speed_mps
+    v = kinematics.speed_mps
     if sense.pose_count == 0 or not MIN_SPEED_MPS <= v < MAX_SPEED_MPS:
         return
     tool = 7 * ((sense.pose_count - 1) & (POSES - 1))
-    x, y = sense.pose[tool] / d.length + a.tip_x_m, sense.pose[tool + 1] / d.length + a.tip_y_m
+    x, y = sense.pose[tool] / d.length + sample.tip_x_m, sense.pose[tool + 1] / d.length + sample.tip_y_m
     first = -BEHIND_S * v - 2.0 * CELL_M
     step = max(CELL_M, (AHEAD_S * v + 2.0 * CELL_M - first) / (MAX_PREVIEW - 1))
-    before = max(plain_time(d, i.t_ns), a.now_ns) - CURRENT_PASS_NS
+    before = max(plain_time(d, i.t_ns), adaptive.clock.now_ns) - CURRENT_PASS_NS
     known = 0
     for k in range(MAX_PREVIEW):
         way = first + step * k
-        h = read_height(memory, x + way * a.speed_x_mps / v, y + way * a.speed_y_mps / v, before)
+        h = read_height(
+            memory, x + way * kinematics.velocity_x_mps / v, y + way * kinematics.velocity_y_mps / v, before
+        )
         i.preview_m[k] = h * d.length
         if math.isfinite(h):
             known += 1
@@ -138,4 +141,4 @@ def store_footprint(memory: Any, state: Any, output: Any) -> None:
     o, per_m = output[0], 1.0 / state[0].scaled.length
     if o.fresh & 1:
         x, y, z = o.target_m[0] * per_m, o.target_m[1] * per_m, o.target_m[2] * per_m
-        store_height(memory, x, y, z, state[0].adaptive.now_ns)
+        store_height(memory, x, y, z, state[0].adaptive.clock.now_ns)

@@ -14,7 +14,7 @@ import numpy as np
 
 from surffollow.forecast.adaptive.terrain_buffer import buffered_height
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive import N_DISTANCES
+from surffollow.shm.layout_adaptive_estimation import N_DISTANCES
 
 DISTANCES_M = np.array([0.02, 0.04, 0.08])  # distances beyond; farther on the guess stays
 RISE_LENGTH_M = 0.02  # over which the rise is taken
@@ -29,14 +29,14 @@ MAX_DIFFERENCE_M = 1.0  # heights differ by no more; a reading that does is not 
 
 
 @jit
-def reset_distance(a: Any, j: Any) -> None:
+def reset_distance(regression: Any, j: Any) -> None:
     """Know nothing of how heights go on over `BEYOND_M[j]`."""
-    a.beyond_oo_m2[j] = a.beyond_or_m2[j] = a.beyond_rr_m2[j] = 0.0
-    a.beyond_om_m2[j] = a.beyond_rm_m2[j] = a.beyond_mm_m2[j] = 0.0
+    regression.offset_offset_m2[j] = regression.offset_rise_m2[j] = regression.rise_rise_m2[j] = 0.0
+    regression.offset_change_m2[j] = regression.rise_change_m2[j] = regression.change_change_m2[j] = 0.0
 
 
 @jit
-def update_regression(a: Any, h_m: Any, way_m: Any, adapt: Any) -> None:
+def update_regression(adaptive: Any, h_m: Any, way_m: Any, adapt: Any) -> None:
     """Learn from a height at the end of the way what the ground before it told.
 
     Parameters
@@ -46,39 +46,44 @@ def update_regression(a: Any, h_m: Any, way_m: Any, adapt: Any) -> None:
     way_m : float64          way since the last sample [m]
     adapt : int              0: keep what was learnt; only where the mean is goes on
     """
-    if not abs(h_m - a.mean_m) < MAX_DIFFERENCE_M:
-        a.mean_m, a.mean_way_m = h_m, 0.0
-    a.mean_way_m = min(a.mean_way_m + way_m, MEAN_LENGTH_M)
-    a.mean_m += min(way_m / max(a.mean_way_m, MIN_TRAVEL_M), 1.0) * (h_m - a.mean_m)
+    estimate, regression = adaptive.estimate, adaptive.regression
+    if not abs(h_m - regression.mean_height_m) < MAX_DIFFERENCE_M:
+        regression.mean_height_m, regression.mean_length_m = h_m, 0.0
+    regression.mean_length_m = min(regression.mean_length_m + way_m, MEAN_LENGTH_M)
+    regression.mean_height_m += min(way_m / max(regression.mean_length_m, MIN_TRAVEL_M), 1.0) * (
+        h_m - regression.mean_height_m
+    )
     rate = 1.0 - math.exp(-way_m / REGRESSION_LENGTH_M) if adapt != 0 else 0.0
     for j in range(N_DISTANCES):
-        before = buffered_height(a, a.path_m - DISTANCES_M[j])
-        rise = before - buffered_height(a, a.path_m - DISTANCES_M[j] - RISE_LENGTH_M)
-        off, more = before - a.mean_m, h_m - before
+        before = buffered_height(adaptive, estimate.arc_length_m - DISTANCES_M[j])
+        rise = before - buffered_height(adaptive, estimate.arc_length_m - DISTANCES_M[j] - RISE_LENGTH_M)
+        off, more = before - regression.mean_height_m, h_m - before
         if not abs(rise) + abs(off) + abs(more) < MAX_DIFFERENCE_M:  # nor NaN, where nothing was seen
             continue
-        a.beyond_oo_m2[j] += rate * (off * off - a.beyond_oo_m2[j])
-        a.beyond_or_m2[j] += rate * (off * rise - a.beyond_or_m2[j])
-        a.beyond_rr_m2[j] += rate * (rise * rise - a.beyond_rr_m2[j])
-        a.beyond_om_m2[j] += rate * (off * more - a.beyond_om_m2[j])
-        a.beyond_rm_m2[j] += rate * (rise * more - a.beyond_rm_m2[j])
-        a.beyond_mm_m2[j] += rate * (more * more - a.beyond_mm_m2[j])
-        known = a.beyond_oo_m2[j] + a.beyond_or_m2[j] + a.beyond_rr_m2[j]
-        known += a.beyond_om_m2[j] + a.beyond_rm_m2[j] + a.beyond_mm_m2[j]
+        regression.offset_offset_m2[j] += rate * (off * off - regression.offset_offset_m2[j])
+        regression.offset_rise_m2[j] += rate * (off * rise - regression.offset_rise_m2[j])
+        regression.rise_rise_m2[j] += rate * (rise * rise - regression.rise_rise_m2[j])
+        regression.offset_change_m2[j] += rate * (off * more - regression.offset_change_m2[j])
+        regression.rise_change_m2[j] += rate * (rise * more - regression.rise_change_m2[j])
+        regression.change_change_m2[j] += rate * (more * more - regression.change_change_m2[j])
+        known = regression.offset_offset_m2[j] + regression.offset_rise_m2[j] + regression.rise_rise_m2[j]
+        known += (
+            regression.offset_change_m2[j] + regression.rise_change_m2[j] + regression.change_change_m2[j]
+        )
         if not math.isfinite(known):
-            reset_distance(a, j)
+            reset_distance(regression, j)
 
 
 @jit
-def reset_regression(a: Any) -> None:
+def reset_regression(regression: Any) -> None:
     """Know nothing of how heights go on."""
-    a.mean_m = a.mean_way_m = 0.0
+    regression.mean_height_m = regression.mean_length_m = 0.0
     for j in range(N_DISTANCES):
-        reset_distance(a, j)
+        reset_distance(regression, j)
 
 
 @jit
-def predict_rise(a: Any, j: Any, off_m: Any, rise_m: Any) -> Any:
+def predict_rise(regression: Any, j: Any, off_m: Any, rise_m: Any) -> Any:
     """How much higher the ground is expected `BEYOND_M[j]` farther on [m].
 
     Parameters
@@ -89,14 +94,25 @@ def predict_rise(a: Any, j: Any, off_m: Any, rise_m: Any) -> Any:
     rise_m : float64         how much it rose over the last `RISE_M` [m]
     """
     oo, rr, both = (
-        a.beyond_oo_m2[j] + REGULARISATION_M2,
-        a.beyond_rr_m2[j] + REGULARISATION_M2,
-        a.beyond_or_m2[j],
+        regression.offset_offset_m2[j] + REGULARISATION_M2,
+        regression.rise_rise_m2[j] + REGULARISATION_M2,
+        regression.offset_rise_m2[j],
     )
     det = oo * rr - both * both
-    p = (rr * a.beyond_om_m2[j] - both * a.beyond_rm_m2[j]) / det
-    q = (oo * a.beyond_rm_m2[j] - both * a.beyond_om_m2[j]) / det
+    p = (rr * regression.offset_change_m2[j] - both * regression.rise_change_m2[j]) / det
+    q = (oo * regression.rise_change_m2[j] - both * regression.offset_change_m2[j]) / det
     more = p * off_m + q * rise_m
-    left_m2 = max(a.beyond_mm_m2[j] - p * a.beyond_om_m2[j] - q * a.beyond_rm_m2[j], 0.0)
+    left_m2 = max(
+        regression.change_change_m2[j]
+        - p * regression.offset_change_m2[j]
+        - q * regression.rise_change_m2[j],
+        0.0,
+    )
     more -= (off_m + more) * min(SHRINKAGE * left_m2 / oo, 1.0)
     return min(max(more, -DISTANCES_M[j]), DISTANCES_M[j])  # 45° at most
+
+
+@jit
+def reset_mean(regression: Any, h_m: Any) -> None:
+    """Begin the recent mean at a height."""
+    regression.mean_height_m, regression.mean_length_m = h_m, 0.0
