@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from cabi.running import Probe
+from hanging_socket import MANNERS, hanging
 from raw_slot import raw_slot
 from running_service import POSE, Service, config_text, said, until
 from surffollow.client import Client, attach
@@ -27,7 +28,7 @@ from surffollow.record.session import record_service
 from surffollow.shm import layout_board as lb
 
 CHANNELS = 3
-RANGE_TIME, ARGUMENT, OBSERVER = -9, -1, -26
+RANGE_TIME, ARGUMENT, OBSERVER, ENDED = -9, -1, -26, -20
 HELD, NO_CHANNEL = -100 - lb.ERR_RANGE_HELD, -100 - lb.ERR_NO_CHANNEL
 DRIVER = f'range_min_m = "50 mm"\nrange_max_m = "300 mm"\nchannels = {CHANNELS}'
 PUSHING = """
@@ -292,3 +293,24 @@ def test_a_client_goes_on_pushing_to_a_restarted_service(outside: Service, clien
         return is_near(client.raw_distance(), 0.13)
 
     until(step, "the new service")
+
+
+def test_pose_and_channels_of_ranges_are_claimed_anew_in_steps_whichever_call_comes_first(
+    outside: Service, make_probe: Callable[..., Probe]
+) -> None:
+    probe = make_probe()
+    assert probe(f"attach {outside.name}").result == 0
+    calls = ("ee 0.05 0.05 0.1 0 0 0 1", "push 0 0.1 0", "push 1 0.1 0")
+    for call in calls:
+        probe.until(call, lambda a: a.result == 0)
+    outside.kill()
+    outside.start()
+    with hanging(outside.name, MANNERS[0]):
+        slow = 0
+        for k in range(100):
+            began = time.monotonic()
+            assert probe(calls[k % 3]).result == ENDED
+            probe("dev")
+            slow += time.monotonic() - began > 0.1
+        assert slow < 10, "one waiting exchange takes a second"
+    until(lambda: [probe(call).result for call in calls] == [0, 0, 0], "pose and ranges")

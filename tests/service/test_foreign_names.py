@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
 from running_service import POSE, READY_S, Service, objects_of, unique_name, until
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from surffollow.blocks.listing import list_blocks
-from surffollow.cli.service import purge_leftovers, running_pid
+from surffollow.cli.service import purge_leftovers, running_pid, stop_command
 from surffollow.client import STALE, attach, observe
 from surffollow.config.owner import trusted_owners
 from surffollow.errors import ConfigError, FaultError, NoPermissionError, NotRunningError
@@ -28,6 +29,7 @@ from surffollow.service import house
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, stride
 from surffollow.shm.layout_follow import VALID, Output
+from surffollow.shm.process import start_ticks
 
 Make = Callable[..., Service]
 ODD = ("fifo", "directory", "link", "socket", "device")
@@ -222,6 +224,34 @@ def test_a_squatted_lock_file_is_an_error_that_names_its_user(make_service: Make
         house.open_house(s.settings())
     path.unlink()
     house.open_house(s.settings()).leave()
+
+
+@needs_root
+def test_stop_ends_no_process_that_another_users_lock_file_names(make_service: Make) -> None:
+    name = make_service().name
+    path = Path(f"/dev/shm/{name}.lock")
+    with subprocess.Popen(["sleep", "600"]) as bystander:
+
+        def squat(child: OtherUser) -> str:
+            path.touch(0o600)
+            path.write_text(f"{bystander.pid} {start_ticks(bystander.pid)}\n")
+            fd = os.open(path, os.O_RDWR)
+            fcntl.fcntl(fd, fcntl.F_OFD_SETLK, FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 1, 0))
+            child.say("squats")
+            child.hear()
+            return "done"
+
+        try:
+            with OtherUser(squat) as other:
+                assert other.hear() == "squats"
+                result = CliRunner().invoke(stop_command, ["--name", name, "--timeout", "1"])
+                assert isinstance(result.exception, NotRunningError), result.output
+                assert bystander.poll() is None
+                other.say("end")
+                assert other.hear() == "done"
+        finally:
+            bystander.kill()
+            path.unlink(missing_ok=True)
 
 
 def lock_everything(path: Path) -> int:

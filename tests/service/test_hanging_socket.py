@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import time
 from collections.abc import Callable
 
@@ -11,6 +12,7 @@ import pytest
 from hanging_socket import MANNERS, hanging
 from running_service import PATIENT_S, POSE, Service, until
 from surffollow.client import Client, slot
+from surffollow.client.claim_again import CLAIM_ANSWER_S
 from surffollow.errors import NotReadyError, NotRunningError, SurffollowError
 
 TICKS = 300
@@ -67,3 +69,40 @@ def test_attaching_to_a_socket_that_hangs_ends_in_its_time(
             s.attach()
         assert time.monotonic() - began < 5.0
     s.attach().close()
+
+
+def test_pose_and_channels_of_ranges_are_claimed_anew_in_steps_whichever_call_comes_first(
+    make_service: Callable[..., Service],
+) -> None:
+    driver = 'range_min_m = "50 mm"\nrange_max_m = "300 mm"\nchannels = 2'
+    s = make_service(kind="external", driver=driver).start()
+    with s.attach(stale_min_s=PATIENT_S) as robot:
+        calls = [
+            lambda: robot.ee_pos(POSE),
+            lambda: robot.push_range(0, time.monotonic_ns(), 0.1),
+            lambda: robot.push_range(1, time.monotonic_ns(), 0.1),
+        ]
+        for call in calls:
+            call()
+        s.kill()
+        s.start()
+        until(lambda: held_again(robot), "the pose, and with it a slot")
+        s.freeze()  # the new claims are not answered, and the board is not stale yet
+        try:
+            for call in calls[1:]:
+                began = time.monotonic()
+                with pytest.raises(NotRunningError):
+                    call()
+                assert time.monotonic() - began < CLAIM_ANSWER_S / 2
+        finally:
+            s.send(signal.SIGCONT)
+
+        def all_go_on() -> bool:
+            done = 0
+            for call in calls:  # in turn, as a loop does
+                with contextlib.suppress(NotRunningError):
+                    call()
+                    done += 1
+            return done == len(calls)
+
+        until(all_go_on, "pose and ranges")

@@ -9,7 +9,7 @@ import pytest
 
 from sonar.naive_sonar import range_of, ring_ranges, walls_by_search, wrapped
 from surffollow.errors import UsageError
-from surffollow.sonar import fused_pose, optimal_pair, wall_pose
+from surffollow.sonar import WallPose, fused_pose, optimal_pair, wall_pose
 
 RING_M = 0.35
 VECTORS = [
@@ -59,6 +59,49 @@ def test_a_third_reading_decides_an_ambiguous_pair():
     (wall,) = wall_pose(positions, headings, ranges, math.radians(22.5), model="diffuse", sigma_m=1e-8)
     assert math.degrees(wall.phi_rad) == pytest.approx(-19, abs=1e-6)
     assert not wall.ambiguous
+
+
+def pair_of_two_walls():
+    """Readings that fit a wall at -19 degrees, 0.925 m and one at -63.8 degrees, 0.684 m (vector 8)."""
+    positions, headings = np.array([(0, 0.3), (0, -0.3)]), np.radians([-20, 20])
+    return positions, headings, (1.022670446, 0.862862458), math.radians(22.5)
+
+
+@pytest.mark.parametrize(("phi_deg", "distance_m"), [(-20, 0.93), (-60, 0.67)])
+def test_an_earlier_pose_of_the_wall_decides_an_ambiguous_pair(phi_deg, distance_m):
+    prior = WallPose(math.radians(phi_deg), distance_m, np.diag([0.1**2, 0.02**2]), ())
+    found = wall_pose(*pair_of_two_walls(), model="diffuse", sigma_m=1e-6, prior=prior)
+    assert [w.favoured for w in found] == [True, False]
+    assert not any(w.ambiguous for w in found)
+    assert math.degrees(found[0].phi_rad) == pytest.approx(phi_deg, abs=4)
+    best = optimal_pair(*pair_of_two_walls(), model="diffuse", sigma_m=1e-6, prior=prior)
+    assert best is not None
+    assert best.phi_rad == found[0].phi_rad
+
+
+@pytest.mark.parametrize(("phi_deg", "std_rad"), [(100, 0.1), (-40, 2.0)])
+def test_an_earlier_pose_that_fits_no_wall_or_all_decides_nothing(phi_deg, std_rad):
+    prior = WallPose(math.radians(phi_deg), 0.8, np.diag([std_rad**2, 1.0]), ())
+    found = wall_pose(*pair_of_two_walls(), model="diffuse", sigma_m=1e-6, prior=prior)
+    assert [(w.favoured, w.ambiguous) for w in found] == [(True, True)] * 2
+
+
+@pytest.mark.parametrize("covariance", [np.zeros((2, 2)), np.full((2, 2), math.nan), -np.eye(2)])
+def test_an_earlier_pose_without_a_covariance_is_refused(covariance):
+    with pytest.raises(UsageError, match="positive definite"):
+        wall_pose(*pair_of_two_walls(), model="diffuse", prior=WallPose(0.0, 1.0, covariance, ()))
+
+
+def test_a_wall_that_no_beams_axis_points_away_from_is_favoured():
+    # the beams' axes point away from walls beyond 90 degrees: only their edges could graze those
+    decided = 0
+    for p, t, r, a, limit, _ in scenes(7, "diffuse", 1500):
+        found = wall_pose(p, t, r, a, max_incidence_rad=limit, sigma_m=1e-5)
+        before = [all(abs(wrapped(w.phi_rad - t[k])) <= 0.5 * math.pi for k in w.sensors) for w in found]
+        if any(before) and not all(before):
+            decided += 1
+            assert [w.favoured for w in found] == before
+    assert decided > 0
 
 
 def scenes(seed, model, n):
@@ -112,9 +155,10 @@ def test_an_ambiguous_pair_says_so_and_the_optimal_one_is_the_most_certain():
     seen = 0
     for p, t, r, a, limit, _ in scenes(5, "diffuse", 300):
         found = wall_pose(p, t, r, a, max_incidence_rad=limit, sigma_m=1e-5)
-        assert all(w.ambiguous == (len(found) > 1) for w in found)
-        seen += len(found) > 1
-        costs = [w.covariance[0, 0] + w.covariance[1, 1] for w in found]
+        favoured = [w for w in found if w.favoured]
+        assert all(w.ambiguous == (len(favoured) > 1) for w in found)
+        seen += len(favoured) > 1
+        costs = [w.covariance[0, 0] + w.covariance[1, 1] for w in favoured]
         best = optimal_pair(p, t, r, a, max_incidence_rad=limit, sigma_m=1e-5)
         assert best is not None
         assert best.covariance[0, 0] + best.covariance[1, 1] == min(costs)

@@ -66,7 +66,7 @@ def stop_command(name: str, purge: bool, timeout: float) -> None:
     pid = running_pid(name)
     if pid:
         try:
-            os.kill(pid, signal.SIGTERM)
+            ask_to_end(pid, name)
         except PermissionError:
             raise ServiceError(
                 f"service {name!r} (pid {pid}) belongs to another user; ask them or root"
@@ -84,6 +84,17 @@ def stop_command(name: str, purge: bool, timeout: float) -> None:
             raise NotRunningError(f"no service {name!r} runs and no map of that name is kept")
     elif not pid:
         raise NotRunningError(f"no service {name!r} is running")
+
+
+def ask_to_end(pid: int, name: str) -> None:
+    """Send SIGTERM to the process that holds the name, never to one that got its number meanwhile."""
+    with contextlib.suppress(ProcessLookupError):
+        process = os.pidfd_open(pid)
+        try:
+            if running_pid(name) == pid:
+                signal.pidfd_send_signal(process, signal.SIGTERM)
+        finally:
+            os.close(process)
 
 
 def running_pid(name: str) -> int:

@@ -9,13 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from surffollow.client.claim_again import CLAIM_ANSWER_S, CLAIM_RETRY_S, POSE
 from surffollow.client.fence import FENCED, fence
 from surffollow.client.observer import Observer
 from surffollow.client.pose import FUTURE_NS, MAX_POSITION_M, checked_pose, checked_stamp
 from surffollow.client.push_range import RangePusher
 from surffollow.client.requests import Ticket, check_finest, check_region
-from surffollow.client.slot import GENERATION
-from surffollow.errors import BusyError, ConfigError, NotRunningError, PoseError, RefusedError
+from surffollow.client.slot import CLAIM_PAUSE_S, GENERATION
+from surffollow.errors import BusyError, ConfigError, PoseError, RefusedError
 from surffollow.shm import layout_board as lb
 from surffollow.shm.latch_shape import SLOTS, stride
 from surffollow.shm.layout_follow import Params
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
 _POST = lb.PosePost.struct_of("t_ns", "pose")
 _POSE_STRIDE = stride(lb.PosePost.SIZE)
-CLAIM_RETRY_S, CLAIM_ANSWER_S = 0.3, 1.0
 _MAX_SIZE2 = MAX_POSITION_M**2
 
 
@@ -33,8 +33,6 @@ class Client(RangePusher):
     """An attachment that may send poses and requests; see `attach`."""
 
     _tool: SimulatedTool | None = None
-    _had_pose = False  # ever
-    _pose_ticket: Ticket | None = None  # its claim, under way
 
     # -- poses ------------------------------------------------------------------------------------
 
@@ -77,7 +75,7 @@ class Client(RangePusher):
         elif t_ns.__class__ is not int or not -FUTURE_NS <= now - t_ns <= self._pose_timeout_ns:
             t_ns = checked_stamp(t_ns, now, self._pose_timeout_ns)
         if not self._pose_held:
-            if self._had_pose:
+            if POSE in self._had:
                 self._claim_pose_again()
             else:
                 self._claim_pose()
@@ -98,46 +96,23 @@ class Client(RangePusher):
                 self._request(lb.RQ_CLAIM_POSE, patience_s=patience_s, stall_s=self._slot_stall_s()).result(
                     patience_s
                 )
-                self._hold_pose()
+                self._hold(POSE)
                 return
             except RefusedError as e:
                 # the service looks for dead holders at its own beat: give it a few
                 if e.code != lb.ERR_POSE_HELD or time.monotonic() > deadline:
-                    raise BusyError(f"{e}; end that client or let it call release_pose()") from None
-                time.sleep(0.02)
+                    raise _held(e) from None
+                time.sleep(CLAIM_PAUSE_S)
 
     def _slot_stall_s(self) -> float:
         """How long a claim that may wait waits for a slot; a service that stands still is not waited for."""
         return CLAIM_ANSWER_S if self._grant is None and self.alive() else 0.0
 
-    def _hold_pose(self) -> None:
-        self._pose_held, self._pose_held_ns = True, time.monotonic_ns()
-        self._had_pose, self._pose_ticket = True, None
-
     def _claim_pose_again(self) -> None:
-        """One step towards the pose in a control loop; never waits.
-
-        Raises
-        ------
-        NotRunningError   not there yet
-        BusyError         another client has it
-        """
-        ticket = self._pose_ticket
-        if ticket is None or self._grant is None or ticket._claim != self._claim:
-            ticket = self._pose_ticket = self._request(lb.RQ_CLAIM_POSE)
-        if ticket._answered():
-            self._pose_ticket = None
-            try:
-                ticket.result(0.0)
-            except RefusedError as e:
-                raise BusyError(f"{e}; end that client or let it call release_pose()") from None
-            self._hold_pose()
-            return
-        if time.monotonic() > ticket._sent_s + CLAIM_ANSWER_S:
-            ticket._given_up, self._pose_ticket = True, None
-        raise NotRunningError(
-            f"service {self.name!r} has not answered the new claim of the pose yet; call again"
-        )
+        try:
+            self._claim_again(POSE)
+        except RefusedError as e:
+            raise _held(e) from None
 
     def claim_pose(self) -> None:
         """Become the one who sends the pose, and may so set parameters; `ee_pos` does it when needed.
@@ -159,7 +134,7 @@ class Client(RangePusher):
         numbers: Sequence[int] = (),
     ) -> Ticket:
         """Send a request; one that may wait first claims the pose anew that a restart took."""
-        if wait and self._had_pose and not self._pose_held:
+        if wait and not self._pose_held and POSE in self._had:
             with contextlib.suppress(BusyError):  # another one has it: the service says what that means
                 self._claim_pose()
         return super()._ask(code, values, timeout_s, wait, numbers)
@@ -169,7 +144,8 @@ class Client(RangePusher):
         self._follow()  # of a service that was started anew this client holds nothing
         if self._pose_held:
             self._request(lb.RQ_RELEASE_POSE, patience_s=1.0).result(1.0)
-            self._pose_held = self._had_pose = False
+            self._pose_held = False
+        self._had.discard(POSE)
 
     def sim_pose(self, t_ns: int, pose: Sequence[float], velocity: Sequence[float] | None = None) -> None:
         """Tell the simulated sensor where the tool truly is, where reports are noisy or late.
@@ -320,3 +296,7 @@ class Client(RangePusher):
     MapReset = map_reset
     MapRefocus = map_refocus
     UpLoadMap = upload_map
+
+
+def _held(refused: RefusedError) -> BusyError:
+    return BusyError(f"{refused}; end that client or let it call release_pose()")

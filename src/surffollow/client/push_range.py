@@ -9,9 +9,9 @@ import struct
 import time
 from typing import Any
 
+from surffollow.client.claim_again import CLAIM_RETRY_S, Reclaimer
 from surffollow.client.fence import FENCED, fence
 from surffollow.client.slot import CLAIM_PAUSE_S
-from surffollow.client.slot_watch import SlotWatcher
 from surffollow.errors import BusyError, ReadingError, RefusedError
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import CHANNELS
@@ -25,12 +25,11 @@ _LAST = lb.RANGE_ITEMS - 1
 _MOST = (1 << 62) - 1
 FUTURE_NS = 1_000_000
 OLDEST_NS = 1_000_000_000
-CLAIM_RETRY_S = 0.3
 NOT_HELD = 1 << 63  # in the place of the newest time: no time is newer
 NO_READING = math.nan
 
 
-class RangePusher(SlotWatcher):
+class RangePusher(Reclaimer):
     """An attachment that may push ranges."""
 
     # time of the newest range per channel held; another slot begins with another dictionary
@@ -39,8 +38,8 @@ class RangePusher(SlotWatcher):
     def push_range(self, channel: int, t_ns: int, range_m: float | None) -> None:
         """Hand the service one range of an own sensor ([driver] kind = "external").
 
-        The first range of a channel claims it and waits for the answer; the others never wait. One thread
-        pushes.
+        The first range of a channel claims it and waits for the answer (`claim_range` does that beforehand).
+        No later one waits for anything, whatever the service or its socket does. One thread pushes.
 
         Parameters
         ----------
@@ -55,7 +54,8 @@ class RangePusher(SlotWatcher):
                           ahead or more than 1 s ago
         BusyError         another live client pushes this channel; its process is named
         RefusedError      the service's driver takes no pushed ranges on this channel
-        NotRunningError   the service ended; once it is started again, the next call goes on
+        NotRunningError   the service ended, or the channel is being claimed anew of one that was started
+                          again: call again, ranges go on a few calls later
         """
         now = time.monotonic_ns()
         if now > self._next_look_ns:
@@ -102,13 +102,24 @@ class RangePusher(SlotWatcher):
             )
         last = self._pushed.get(number)
         if last is None:
-            self.claim_range(number)
+            if (lb.RQ_CLAIM_RANGE, number) in self._had:
+                self._claim_range_again(number)
+            else:
+                self.claim_range(number)
         elif stamp <= last:
             raise ReadingError(
                 f"channel {number}: the range is stamped {format_ns(last - stamp)} before or with the last "
                 "one; times must ascend"
             )
         return self._pushed
+
+    def _claim_range_again(self, channel: int) -> None:
+        try:
+            self._claim_again((lb.RQ_CLAIM_RANGE, channel))
+        except RefusedError as e:
+            if e.code != lb.ERR_RANGE_HELD:
+                raise
+            raise _held(e) from None
 
     def claim_range(self, channel: int) -> None:
         """Become the one who pushes a channel's ranges; `push_range` does it when needed.
@@ -123,13 +134,13 @@ class RangePusher(SlotWatcher):
         while channel not in self._pushed:
             try:
                 self._request(lb.RQ_CLAIM_RANGE, numbers=(channel,), n=1, patience_s=1.0).result(1.0)
-                self._pushed[channel] = 0
+                self._hold((lb.RQ_CLAIM_RANGE, channel))
             except RefusedError as e:
                 # the service looks for dead holders at its own beat: give it a few
                 if e.code != lb.ERR_RANGE_HELD:
                     raise
                 if time.monotonic() > deadline:
-                    raise BusyError(f"{e}; end that client or let it call release_range()") from None
+                    raise _held(e) from None
                 time.sleep(CLAIM_PAUSE_S)
 
     def release_range(self, channel: int) -> None:
@@ -138,6 +149,11 @@ class RangePusher(SlotWatcher):
         if channel in self._pushed:
             self._request(lb.RQ_RELEASE_RANGE, numbers=(channel,), n=1, patience_s=1.0).result(1.0)
             self._pushed.pop(channel, None)
+        self._had.discard((lb.RQ_CLAIM_RANGE, channel))
+
+
+def _held(refused: RefusedError) -> BusyError:
+    return BusyError(f"{refused}; end that client or let it call release_range()")
 
 
 def _unusable(channel: Any, t_ns: Any, range_m: Any) -> ReadingError:

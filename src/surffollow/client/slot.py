@@ -68,6 +68,7 @@ class SlotHolder(Observer):
         self._grant: SlotGrant | None = None
         self._asking: SlotRequest | None = None
         self._open: list[Ticket] = []
+        self._had: set[tuple[int, int]] = set()  # claims once held, not given back: renewed without waiting
         self._pose_held, self._pose_held_ns = False, 0
         self._next_look_ns = self._next_life_ns = 0
         super().__init__(name, stale_periods=stale_periods, stale_min_s=stale_min_s, owner=owner)

@@ -1198,6 +1198,12 @@ typedef struct sf_i_asking {
   unsigned char *memory;
 } sf_i_asking;
 
+/* A claim of the pose or of a channel that is under way in a slot. */
+typedef struct sf_i_claiming {
+  int64_t code, channel;
+  int64_t counter, claim, asked_ns; /* counter 0: none */
+} sf_i_claiming;
+
 /* A client; the caller's memory, filled by sf_attach. Only the first group is for reading. */
 typedef struct sf_client {
   int64_t epoch;     /* of the service attached to; changes when it was restarted */
@@ -1216,9 +1222,9 @@ typedef struct sf_client {
   int64_t owner; /* the user whose service it attached to first; -1: not yet */
   int64_t asked_ns;
   int pose_held, abandoned;
-  int had_pose;      /* whether it ever held the pose: later claims do not wait */
+  int had_pose, had_ranges; /* what it once held, ranges a bit per channel: claimed anew without waiting */
   sf_i_asking asking;
-  int64_t pose_counter, pose_claim, pose_asked_ns; /* the claim of the pose under way; counter 0: none */
+  sf_i_claiming claiming;
   int ended; /* at the last look the service was silent and its process gone */
   int64_t grant;    /* number of the newest grant of the map to this attachment */
   int access_depth; /* sf_access_begin that were not ended */
@@ -1645,7 +1651,7 @@ static inline int sf_i_step_to_slot(sf_client *c) {
   c->asking.fd = -1;
   c->counter = 0;
   c->pose_held = c->abandoned = c->ranges_held = 0;
-  c->pose_counter = 0;
+  c->claiming.counter = 0;
   c->grant = 0;
   return SF_OK;
 }
@@ -2088,9 +2094,46 @@ static inline int sf_sf_reset(sf_client *c, double offset_m) {
   return sf_i_request(c, SF_RQ_SF_RESET, 1, NULL, &offset_m, c->options.timeout_ns);
 }
 
-static inline void sf_i_hold_pose(sf_client *c) {
-  c->pose_held = c->had_pose = 1;
-  c->pose_held_ns = sf_now_ns();
+/* The pose (SF_RQ_CLAIM_POSE) or a channel (SF_RQ_CLAIM_RANGE) is this client's. */
+static inline void sf_i_hold(sf_client *c, int64_t code, int64_t channel) {
+  if (code == SF_RQ_CLAIM_POSE) {
+    c->pose_held = c->had_pose = 1;
+    c->pose_held_ns = sf_now_ns();
+  } else {
+    c->ranges_held |= 1 << channel;
+    c->had_ranges |= 1 << channel;
+    c->pushed_ns[channel] = INT64_MIN;
+  }
+}
+
+/*
+ * One step in a control loop towards what a restart of the service took; never waits. The slot carries one request
+ * at a time: the answer to the claim under way is taken, whatever it claims, before another one is sent.
+ * SF_OK, SF_ERR_NOT_RUNNING: not there yet, SF_REFUSED_...
+ */
+static inline int sf_i_claim_again(sf_client *c, int64_t code, int64_t channel, int64_t now_ns) {
+  sf_i_claiming *under_way = &c->claiming;
+  sf_ticket ticket;
+  if (c->slot_memory == NULL || under_way->claim != c->claim) under_way->counter = 0;
+  if (under_way->counter != 0) {
+    ticket.counter = under_way->counter;
+    ticket.claim = under_way->claim;
+    const int result = sf_request_poll(c, &ticket);
+    if (result == SF_PENDING && now_ns <= under_way->asked_ns + SF_EXCHANGE_NS) return SF_ERR_NOT_RUNNING;
+    under_way->counter = 0;
+    if (result == SF_PENDING) c->abandoned = 1;
+    if (result == SF_OK) sf_i_hold(c, under_way->code, under_way->channel);
+    if (result != SF_PENDING && under_way->code == code && under_way->channel == channel)
+      return result == SF_ERR_RESTARTED ? SF_ERR_NOT_RUNNING : result;
+  }
+  const int err = sf_request_send(c, code, code == SF_RQ_CLAIM_RANGE, &channel, NULL, &ticket);
+  if (err != SF_OK) return err == SF_ERR_BUSY ? SF_ERR_NOT_RUNNING : err;
+  under_way->code = code;
+  under_way->channel = channel;
+  under_way->counter = ticket.counter;
+  under_way->claim = ticket.claim;
+  under_way->asked_ns = now_ns;
+  return SF_ERR_NOT_RUNNING;
 }
 
 /* Become the one who sends the pose; sf_ee_pos does it when needed. Waits for the service's answer. */
@@ -2102,42 +2145,20 @@ static inline int sf_claim_pose(sf_client *c) {
     (void)sf_i_claim_slot(c, now + SF_EXCHANGE_NS); /* an error of it is told below */
   for (;;) {
     const int result = sf_i_ask(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, c->options.timeout_ns, 0);
-    if (result == SF_OK) sf_i_hold_pose(c);
+    if (result == SF_OK) sf_i_hold(c, SF_RQ_CLAIM_POSE, 0);
     /* the service looks for dead holders at its own beat: give it a few */
     if (result != SF_REFUSED_POSE_HELD || sf_now_ns() > deadline) return result;
     sf_sleep_until_ns(sf_now_ns() + 20000000);
   }
 }
 
-/* One step towards the pose in a control loop; never waits. SF_ERR_NOT_RUNNING: not there yet. */
-static inline int sf_i_claim_pose_again(sf_client *c, int64_t now_ns) {
-  sf_ticket ticket;
-  if (c->pose_counter == 0 || c->slot_memory == NULL || c->pose_claim != c->claim) {
-    c->pose_counter = 0;
-    const int err = sf_request_send(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, &ticket);
-    if (err != SF_OK) return err == SF_ERR_BUSY ? SF_ERR_NOT_RUNNING : err;
-    c->pose_counter = ticket.counter;
-    c->pose_claim = ticket.claim;
-    c->pose_asked_ns = now_ns;
-  }
-  ticket.counter = c->pose_counter;
-  ticket.claim = c->pose_claim;
-  const int result = sf_request_poll(c, &ticket);
-  if (result == SF_PENDING) {
-    if (now_ns > c->pose_asked_ns + SF_EXCHANGE_NS) c->pose_counter = 0, c->abandoned = 1;
-    return SF_ERR_NOT_RUNNING;
-  }
-  c->pose_counter = 0;
-  if (result == SF_OK) sf_i_hold_pose(c);
-  return result == SF_ERR_RESTARTED ? SF_ERR_NOT_RUNNING : result;
-}
-
 /* Let another client send the pose. */
 static inline int sf_release_pose(sf_client *c) {
   if (c == NULL) return SF_ERR_ARGUMENT;
   if (c->output != NULL) sf_i_follow(c, sf_now_ns()); /* of a service started anew this client holds nothing */
+  c->had_pose = 0;
   if (!c->pose_held) return SF_OK;
-  c->pose_held = c->had_pose = 0;
+  c->pose_held = 0;
   return sf_i_ask(c, SF_RQ_RELEASE_POSE, 0, NULL, NULL, c->options.timeout_ns, 0);
 }
 
@@ -2207,7 +2228,7 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   if (post.t_ns > now + SF_POSE_FUTURE_NS) return SF_ERR_POSE_FUTURE;
   if (post.t_ns < now - c->pose_timeout_ns) return SF_ERR_POSE_OLD;
   if (!c->pose_held) {
-    const int claimed = c->had_pose ? sf_i_claim_pose_again(c, now) : sf_claim_pose(c);
+    const int claimed = c->had_pose ? sf_i_claim_again(c, SF_RQ_CLAIM_POSE, 0, now) : sf_claim_pose(c);
     if (claimed != SF_OK) return claimed;
   }
   sf_latch_write(c->slot_memory + SF_SLOT_POSE, sizeof post, &post);
@@ -2231,10 +2252,7 @@ static inline int sf_claim_range(sf_client *c, int channel) {
   const int64_t deadline = sf_now_ns() + 300000000;
   for (;;) {
     const int result = sf_i_ask(c, SF_RQ_CLAIM_RANGE, 1, &number, NULL, c->options.timeout_ns, 0);
-    if (result == SF_OK) {
-      c->ranges_held |= 1 << channel;
-      c->pushed_ns[channel] = INT64_MIN;
-    }
+    if (result == SF_OK) sf_i_hold(c, SF_RQ_CLAIM_RANGE, channel);
     /* the service looks for dead holders at its own beat: give it a few */
     if (result != SF_REFUSED_RANGE_HELD || sf_now_ns() > deadline) return result;
     sf_sleep_until_ns(sf_now_ns() + 20000000);
@@ -2245,6 +2263,7 @@ static inline int sf_claim_range(sf_client *c, int channel) {
 static inline int sf_release_range(sf_client *c, int channel) {
   if (c == NULL || channel < 0 || channel >= SF_CHANNELS) return SF_ERR_ARGUMENT;
   if (c->output != NULL) sf_i_follow(c, sf_now_ns()); /* of a service started anew this client holds nothing */
+  c->had_ranges &= ~(1 << channel);
   if ((c->ranges_held >> channel & 1) == 0) return SF_OK;
   c->ranges_held &= ~(1 << channel);
   const int64_t number = channel;
@@ -2253,10 +2272,11 @@ static inline int sf_release_range(sf_client *c, int channel) {
 
 /*
  * Hand the service one range of an own sensor [m], true at `t_ns` (SF_NOW: now); sf_no_reading(), NaN or
- * infinite: it sees nothing. The first range of a channel, also after the client followed the service to a new
- * start, claims it and waits for the answer (sf_claim_range does that beforehand); others never wait, and make
- * no system call but the clock's unless the service is silent.
- * SF_OK, SF_ERR_RANGE_TIME, _ARGUMENT, _OBSERVER, _NOT_RUNNING; SF_REFUSED_RANGE_HELD with the holder's pid in
+ * infinite: it sees nothing. The first range of a channel claims it and waits for the answer (sf_claim_range does that
+ * beforehand). No later one waits, whatever the service or its socket does, and none makes a system call but the
+ * clock's unless the service is silent or its slot is lost.
+ * SF_OK, SF_ERR_RANGE_TIME, _ARGUMENT, _OBSERVER, _NOT_RUNNING (it ended, or slot and channel are being asked for
+ * anew of one that was started again: call again); SF_REFUSED_RANGE_HELD with the holder's pid in
  * the client's `detail`; SF_REFUSED_NO_CHANNEL: the service's driver takes no pushed ranges on this channel.
  */
 static inline int sf_push_range(sf_client *c, int channel, int64_t t_ns, double range_m) {
@@ -2267,7 +2287,8 @@ static inline int sf_push_range(sf_client *c, int channel, int64_t t_ns, double 
   if (t_ns == SF_NOW) t_ns = now;
   if (t_ns > now + SF_RANGE_FUTURE_NS || t_ns < now - SF_RANGE_OLDEST_NS) return SF_ERR_RANGE_TIME;
   if ((c->ranges_held >> channel & 1) == 0) {
-    const int claimed = sf_claim_range(c, channel);
+    const int claimed = c->had_ranges >> channel & 1 ? sf_i_claim_again(c, SF_RQ_CLAIM_RANGE, channel, now)
+                                                     : sf_claim_range(c, channel);
     if (claimed != SF_OK) return claimed;
   }
   if (t_ns <= c->pushed_ns[channel]) return SF_ERR_RANGE_TIME;

@@ -16,7 +16,8 @@ import numpy as np
 from surffollow.live.wall_sensing import CRUISE_MPS, BaseClient, Sensing, Wish, beams_near, wrap
 from surffollow.live.wall_side import FollowWall2
 from surffollow.sonar.belief import Belief, SonarRing
-from surffollow.sonar.poses import WallPose, optimal_pair, walls
+from surffollow.sonar.poses import optimal_pair, walls
+from surffollow.sonar.wall import WallPose
 
 PRIORITIES = {"avoid": 40, "follow-wall": 30, "follow-wall-2": 20, "go": 10}
 TRIGGER_M = 0.7  # range of the front sonars at which follow-wall takes over

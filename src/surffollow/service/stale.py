@@ -19,7 +19,7 @@ from surffollow.shm import layout_board as lb
 from surffollow.shm.checked_open import kind_of, open_plain
 from surffollow.shm.dtypes import numpy_dtype
 from surffollow.shm.objects import SHM_ROOT, unlink
-from surffollow.shm.process import boot_id, is_running
+from surffollow.shm.process import belongs_to, boot_id, is_running
 from surffollow.shm.unix_socket import socket_path
 
 
@@ -66,10 +66,7 @@ def _live_owner(found: _Found) -> int:
     if pid <= 0 or not is_running(pid, int(h["start_ticks"])):
         return 0
     # anybody may write a board of his own: only the object's own user can be its service
-    try:
-        return pid if os.stat(f"/proc/{pid}").st_uid == found.owner else 0
-    except OSError:
-        return 0
+    return pid if belongs_to(pid, found.owner) else 0
 
 
 def board_owner(name: str) -> int:

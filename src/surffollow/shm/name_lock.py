@@ -13,7 +13,7 @@ from surffollow.errors import BlockError, NoPermissionError, NoSpaceError
 from surffollow.shm.checked_open import open_plain
 from surffollow.shm.locks import FileLock
 from surffollow.shm.objects import SHM_ROOT
-from surffollow.shm.process import is_running, start_ticks
+from surffollow.shm.process import belongs_to, is_running, start_ticks
 
 ENDING = ".lock"
 _BYTE = 0
@@ -123,7 +123,11 @@ def _owner_of(name: str) -> str:
 
 
 def holder(name: str) -> int:
-    """The pid of the live process that owns a name; 0: nobody does, -1: this user may not know."""
+    """The pid of the live process that owns a name; 0: nobody does, -1: this user may not know.
+
+    Anybody may make the file before its owner does, and write any pid into it: one that is told runs as the
+    file's own user.
+    """
     try:
         fd, status = open_plain(SHM_ROOT / (name + ENDING), os.O_RDONLY)
     except FileNotFoundError:
@@ -135,7 +139,7 @@ def holder(name: str) -> int:
             return 0 if not status.st_mode & 0o077 else -1
         words = os.pread(fd, 64, 0).split()
         pid, ticks = (int(words[0]), int(words[1])) if len(words) == 2 else (0, 0)
-        return pid if pid > 0 and is_running(pid, ticks) else -1
+        return pid if pid > 0 and is_running(pid, ticks) and belongs_to(pid, status.st_uid) else -1
     except (OSError, ValueError):
         return -1
     finally:

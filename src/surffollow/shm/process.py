@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 
@@ -22,6 +23,14 @@ def is_running(pid: int, ticks: int) -> bool:
     """Whether the process that was started then still has memory: one that dies gives that up first."""
     words = _words(pid) if pid > 0 else []
     return bool(words) and int(words[19]) == ticks and int(words[20]) > 0
+
+
+def belongs_to(pid: int, user: int) -> bool:
+    """Whether a process runs as this user: only such a one can be what a file of that user says it is."""
+    try:
+        return os.stat(f"/proc/{pid}").st_uid == user
+    except OSError:
+        return False
 
 
 def boot_id() -> str:

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from surffollow.errors import UsageError
 from surffollow.sonar.agreement import CONTRADICTION, INLIER, count_agreement
-from surffollow.sonar.poses import WallPose, incidence_limit, wall_pose, walls
+from surffollow.sonar.poses import incidence_limit, wall_pose, walls
+from surffollow.sonar.wall import WallPose
 
 Pose = tuple[float, float, float]
 

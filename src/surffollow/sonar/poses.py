@@ -7,7 +7,6 @@ A range of inf means no echo, NaN means not measured.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,51 +17,13 @@ from surffollow.sonar import candidates as cd
 from surffollow.sonar.pair import MAX_SOLUTIONS, SOLUTION
 from surffollow.sonar.posterior import N_POINTS
 from surffollow.sonar.ring_walls import find_walls
+from surffollow.sonar.wall import WallPose, favour
 
 MAX_CANDIDATES = 8192
 MODELS = ("specular", "diffuse")
 MAX_LENGTH_M = 1e6  # positions, ranges and deviations beyond it are errors of units
 MIN_SIGMA_M = 1e-12  # the closed forms divide by the variance
 MAX_HEADING_RAD = 1e6  # beyond it a float's step is more than a nanoradian
-
-
-@dataclass(frozen=True)
-class WallPose:
-    """One wall {x : x·cos φ + y·sin φ = d}.
-
-    Attributes
-    ----------
-    phi_rad : float                  direction of the normal, from the origin to the wall, in [−π, π)
-    distance_m : float               from the origin, > 0
-    covariance : (2, 2) ndarray      of (φ, d): rad², rad m, m²
-    sensors : tuple of int           indices of the readings that it was computed from
-    ambiguous : bool                 another wall explains the same readings
-    """
-
-    phi_rad: float
-    distance_m: float
-    covariance: NDArray[np.float64]
-    sensors: tuple[int, ...]
-    ambiguous: bool = False
-
-    @property
-    def phi_std_rad(self) -> float:
-        """Standard deviation of φ [rad]."""
-        return math.sqrt(self.covariance[0, 0])
-
-    @property
-    def distance_std_m(self) -> float:
-        """Standard deviation of d [m]."""
-        return math.sqrt(self.covariance[1, 1])
-
-    def moved(self, x_m: float, y_m: float, heading_rad: float) -> WallPose:
-        """The same wall in the frame of a pose (x, y, heading) that is given in this wall's frame."""
-        n = np.array([math.cos(self.phi_rad), math.sin(self.phi_rad)])
-        slope = x_m * n[1] - y_m * n[0]
-        turn = np.array([[1.0, 0.0], [slope, 1.0]])
-        distance = self.distance_m - float(n @ (x_m, y_m))
-        phi = math.remainder(self.phi_rad - heading_rad, 2.0 * math.pi)
-        return WallPose(phi, distance, turn @ self.covariance @ turn.T, self.sensors, self.ambiguous)
 
 
 class Ring(NamedTuple):
@@ -140,9 +101,9 @@ def _checked(
     return Ring(positions, headings, ranges, sigmas, float(half_beam_rad), limit, float(max_range_m))
 
 
-def _wall(row: NDArray[np.float64], sensors: tuple[int, ...], ambiguous: bool = False) -> WallPose:
+def _wall(row: NDArray[np.float64], sensors: tuple[int, ...]) -> WallPose:
     covariance = np.array([[row[2], row[3]], [row[3], row[4]]])
-    return WallPose(float(row[0]), float(row[1]), covariance, sensors, ambiguous)
+    return WallPose(float(row[0]), float(row[1]), covariance, sensors)
 
 
 def _candidates(ring: Ring) -> tuple[NDArray[np.float64], int]:
@@ -164,6 +125,7 @@ def wall_pose(
     max_incidence_rad: float | None = None,
     sigma_m: ArrayLike = 0.0,
     max_range_m: float = math.inf,
+    prior: WallPose | None = None,
 ) -> list[WallPose]:
     """Every wall that two or more readings of one wall allow (1W2S, 1WmS).
 
@@ -177,18 +139,21 @@ def wall_pose(
     max_incidence_rad : float       δ_max itself, instead of a model
     sigma_m : float or (m,) array   standard deviation of the ranges; 0: exact
     max_range_m : float             silence beyond it says nothing
+    prior : WallPose                an earlier pose of this wall, in this frame (`WallPose.moved`)
 
     Returns
     -------
     list of WallPose
-        The walls that every reading agrees with, the least L²·var φ + var d (L = 1 m) first. `ambiguous` is
-        set in all of them when there are several. Covariance alone must not choose: it prefers mirrored
-        walls. Empty where infinitely many walls agree: a lone echo, or sonars at one place with equal
-        ranges; `fused_pose` answers these with the covariance that the beams leave.
+        The walls that every reading agrees with: the favoured ones first, then by L²·var φ + var d (L = 1 m).
+        `ambiguous` is set in all of them when several are favoured. A wall is not `favoured` where a beam's
+        axis points away from it (|φ − θ| > 90°) and another wall has no such beam, or where it differs from
+        `prior` by more than three standard deviations and another does not. Covariance alone must not
+        choose: it prefers mirrored walls. Empty where infinitely many walls agree: a lone echo, or sonars
+        at one place with equal ranges; `fused_pose` answers these with the covariance that the beams leave.
 
     Raises
     ------
-    UsageError  shapes, units or the model are wrong
+    UsageError  shapes, units or the model are wrong, or the prior's covariance is not positive definite
 
     Notes
     -----
@@ -202,7 +167,7 @@ def wall_pose(
     echoes = int(np.isfinite(ring.ranges_m).sum())
     kept = int(cd.distinct_walls(rows, n, echoes, ring.half_beam_rad, order))
     pairs = [(rows[k], (int(rows[k, cd.FIRST]), int(rows[k, cd.SECOND]))) for k in order[:kept]]
-    return [_wall(row, pair, kept > 1) for row, pair in pairs]
+    return favour([_wall(row, pair) for row, pair in pairs], ring.headings_rad, prior)
 
 
 def optimal_pair(

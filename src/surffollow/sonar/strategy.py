@@ -16,8 +16,8 @@ from surffollow.sonar.agreement import INLIER, UNEXPLAINED
 from surffollow.sonar.beam import predict_ranges
 from surffollow.sonar.belief import Belief, Pose
 from surffollow.sonar.pair import SOLUTION
-from surffollow.sonar.poses import WallPose
 from surffollow.sonar.posterior import N_POINTS, fuse
+from surffollow.sonar.wall import WallPose
 
 # normals looked at, in half widths of a uniform distribution of the posterior's variance
 QUANTILES = (-0.8, -0.4, 0.0, 0.4, 0.8)

@@ -35,6 +35,12 @@ typedef struct sf_i_asking {
   unsigned char *memory;
 } sf_i_asking;
 
+/* A claim of the pose or of a channel that is under way in a slot. */
+typedef struct sf_i_claiming {
+  int64_t code, channel;
+  int64_t counter, claim, asked_ns; /* counter 0: none */
+} sf_i_claiming;
+
 /* A client; the caller's memory, filled by sf_attach. Only the first group is for reading. */
 typedef struct sf_client {
   int64_t epoch;     /* of the service attached to; changes when it was restarted */
@@ -53,9 +59,9 @@ typedef struct sf_client {
   int64_t owner; /* the user whose service it attached to first; -1: not yet */
   int64_t asked_ns;
   int pose_held, abandoned;
-  int had_pose;      /* whether it ever held the pose: later claims do not wait */
+  int had_pose, had_ranges; /* what it once held, ranges a bit per channel: claimed anew without waiting */
   sf_i_asking asking;
-  int64_t pose_counter, pose_claim, pose_asked_ns; /* the claim of the pose under way; counter 0: none */
+  sf_i_claiming claiming;
   int ended; /* at the last look the service was silent and its process gone */
   int64_t grant;    /* number of the newest grant of the map to this attachment */
   int access_depth; /* sf_access_begin that were not ended */

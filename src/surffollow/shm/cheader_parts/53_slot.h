@@ -203,7 +203,7 @@ static inline int sf_i_step_to_slot(sf_client *c) {
   c->asking.fd = -1;
   c->counter = 0;
   c->pose_held = c->abandoned = c->ranges_held = 0;
-  c->pose_counter = 0;
+  c->claiming.counter = 0;
   c->grant = 0;
   return SF_OK;
 }

@@ -107,9 +107,46 @@ static inline int sf_sf_reset(sf_client *c, double offset_m) {
   return sf_i_request(c, SF_RQ_SF_RESET, 1, NULL, &offset_m, c->options.timeout_ns);
 }
 
-static inline void sf_i_hold_pose(sf_client *c) {
-  c->pose_held = c->had_pose = 1;
-  c->pose_held_ns = sf_now_ns();
+/* The pose (SF_RQ_CLAIM_POSE) or a channel (SF_RQ_CLAIM_RANGE) is this client's. */
+static inline void sf_i_hold(sf_client *c, int64_t code, int64_t channel) {
+  if (code == SF_RQ_CLAIM_POSE) {
+    c->pose_held = c->had_pose = 1;
+    c->pose_held_ns = sf_now_ns();
+  } else {
+    c->ranges_held |= 1 << channel;
+    c->had_ranges |= 1 << channel;
+    c->pushed_ns[channel] = INT64_MIN;
+  }
+}
+
+/*
+ * One step in a control loop towards what a restart of the service took; never waits. The slot carries one request
+ * at a time: the answer to the claim under way is taken, whatever it claims, before another one is sent.
+ * SF_OK, SF_ERR_NOT_RUNNING: not there yet, SF_REFUSED_...
+ */
+static inline int sf_i_claim_again(sf_client *c, int64_t code, int64_t channel, int64_t now_ns) {
+  sf_i_claiming *under_way = &c->claiming;
+  sf_ticket ticket;
+  if (c->slot_memory == NULL || under_way->claim != c->claim) under_way->counter = 0;
+  if (under_way->counter != 0) {
+    ticket.counter = under_way->counter;
+    ticket.claim = under_way->claim;
+    const int result = sf_request_poll(c, &ticket);
+    if (result == SF_PENDING && now_ns <= under_way->asked_ns + SF_EXCHANGE_NS) return SF_ERR_NOT_RUNNING;
+    under_way->counter = 0;
+    if (result == SF_PENDING) c->abandoned = 1;
+    if (result == SF_OK) sf_i_hold(c, under_way->code, under_way->channel);
+    if (result != SF_PENDING && under_way->code == code && under_way->channel == channel)
+      return result == SF_ERR_RESTARTED ? SF_ERR_NOT_RUNNING : result;
+  }
+  const int err = sf_request_send(c, code, code == SF_RQ_CLAIM_RANGE, &channel, NULL, &ticket);
+  if (err != SF_OK) return err == SF_ERR_BUSY ? SF_ERR_NOT_RUNNING : err;
+  under_way->code = code;
+  under_way->channel = channel;
+  under_way->counter = ticket.counter;
+  under_way->claim = ticket.claim;
+  under_way->asked_ns = now_ns;
+  return SF_ERR_NOT_RUNNING;
 }
 
 /* Become the one who sends the pose; sf_ee_pos does it when needed. Waits for the service's answer. */
@@ -121,42 +158,20 @@ static inline int sf_claim_pose(sf_client *c) {
     (void)sf_i_claim_slot(c, now + SF_EXCHANGE_NS); /* an error of it is told below */
   for (;;) {
     const int result = sf_i_ask(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, c->options.timeout_ns, 0);
-    if (result == SF_OK) sf_i_hold_pose(c);
+    if (result == SF_OK) sf_i_hold(c, SF_RQ_CLAIM_POSE, 0);
     /* the service looks for dead holders at its own beat: give it a few */
     if (result != SF_REFUSED_POSE_HELD || sf_now_ns() > deadline) return result;
     sf_sleep_until_ns(sf_now_ns() + 20000000);
   }
 }
 
-/* One step towards the pose in a control loop; never waits. SF_ERR_NOT_RUNNING: not there yet. */
-static inline int sf_i_claim_pose_again(sf_client *c, int64_t now_ns) {
-  sf_ticket ticket;
-  if (c->pose_counter == 0 || c->slot_memory == NULL || c->pose_claim != c->claim) {
-    c->pose_counter = 0;
-    const int err = sf_request_send(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, &ticket);
-    if (err != SF_OK) return err == SF_ERR_BUSY ? SF_ERR_NOT_RUNNING : err;
-    c->pose_counter = ticket.counter;
-    c->pose_claim = ticket.claim;
-    c->pose_asked_ns = now_ns;
-  }
-  ticket.counter = c->pose_counter;
-  ticket.claim = c->pose_claim;
-  const int result = sf_request_poll(c, &ticket);
-  if (result == SF_PENDING) {
-    if (now_ns > c->pose_asked_ns + SF_EXCHANGE_NS) c->pose_counter = 0, c->abandoned = 1;
-    return SF_ERR_NOT_RUNNING;
-  }
-  c->pose_counter = 0;
-  if (result == SF_OK) sf_i_hold_pose(c);
-  return result == SF_ERR_RESTARTED ? SF_ERR_NOT_RUNNING : result;
-}
-
 /* Let another client send the pose. */
 static inline int sf_release_pose(sf_client *c) {
   if (c == NULL) return SF_ERR_ARGUMENT;
   if (c->output != NULL) sf_i_follow(c, sf_now_ns()); /* of a service started anew this client holds nothing */
+  c->had_pose = 0;
   if (!c->pose_held) return SF_OK;
-  c->pose_held = c->had_pose = 0;
+  c->pose_held = 0;
   return sf_i_ask(c, SF_RQ_RELEASE_POSE, 0, NULL, NULL, c->options.timeout_ns, 0);
 }
 
@@ -226,7 +241,7 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   if (post.t_ns > now + SF_POSE_FUTURE_NS) return SF_ERR_POSE_FUTURE;
   if (post.t_ns < now - c->pose_timeout_ns) return SF_ERR_POSE_OLD;
   if (!c->pose_held) {
-    const int claimed = c->had_pose ? sf_i_claim_pose_again(c, now) : sf_claim_pose(c);
+    const int claimed = c->had_pose ? sf_i_claim_again(c, SF_RQ_CLAIM_POSE, 0, now) : sf_claim_pose(c);
     if (claimed != SF_OK) return claimed;
   }
   sf_latch_write(c->slot_memory + SF_SLOT_POSE, sizeof post, &post);

@@ -16,10 +16,7 @@ static inline int sf_claim_range(sf_client *c, int channel) {
   const int64_t deadline = sf_now_ns() + 300000000;
   for (;;) {
     const int result = sf_i_ask(c, SF_RQ_CLAIM_RANGE, 1, &number, NULL, c->options.timeout_ns, 0);
-    if (result == SF_OK) {
-      c->ranges_held |= 1 << channel;
-      c->pushed_ns[channel] = INT64_MIN;
-    }
+    if (result == SF_OK) sf_i_hold(c, SF_RQ_CLAIM_RANGE, channel);
     /* the service looks for dead holders at its own beat: give it a few */
     if (result != SF_REFUSED_RANGE_HELD || sf_now_ns() > deadline) return result;
     sf_sleep_until_ns(sf_now_ns() + 20000000);
@@ -30,6 +27,7 @@ static inline int sf_claim_range(sf_client *c, int channel) {
 static inline int sf_release_range(sf_client *c, int channel) {
   if (c == NULL || channel < 0 || channel >= SF_CHANNELS) return SF_ERR_ARGUMENT;
   if (c->output != NULL) sf_i_follow(c, sf_now_ns()); /* of a service started anew this client holds nothing */
+  c->had_ranges &= ~(1 << channel);
   if ((c->ranges_held >> channel & 1) == 0) return SF_OK;
   c->ranges_held &= ~(1 << channel);
   const int64_t number = channel;
@@ -38,10 +36,11 @@ static inline int sf_release_range(sf_client *c, int channel) {
 
 /*
  * Hand the service one range of an own sensor [m], true at `t_ns` (SF_NOW: now); sf_no_reading(), NaN or
- * infinite: it sees nothing. The first range of a channel, also after the client followed the service to a new
- * start, claims it and waits for the answer (sf_claim_range does that beforehand); others never wait, and make
- * no system call but the clock's unless the service is silent.
- * SF_OK, SF_ERR_RANGE_TIME, _ARGUMENT, _OBSERVER, _NOT_RUNNING; SF_REFUSED_RANGE_HELD with the holder's pid in
+ * infinite: it sees nothing. The first range of a channel claims it and waits for the answer (sf_claim_range does that
+ * beforehand). No later one waits, whatever the service or its socket does, and none makes a system call but the
+ * clock's unless the service is silent or its slot is lost.
+ * SF_OK, SF_ERR_RANGE_TIME, _ARGUMENT, _OBSERVER, _NOT_RUNNING (it ended, or slot and channel are being asked for
+ * anew of one that was started again: call again); SF_REFUSED_RANGE_HELD with the holder's pid in
  * the client's `detail`; SF_REFUSED_NO_CHANNEL: the service's driver takes no pushed ranges on this channel.
  */
 static inline int sf_push_range(sf_client *c, int channel, int64_t t_ns, double range_m) {
@@ -52,7 +51,8 @@ static inline int sf_push_range(sf_client *c, int channel, int64_t t_ns, double 
   if (t_ns == SF_NOW) t_ns = now;
   if (t_ns > now + SF_RANGE_FUTURE_NS || t_ns < now - SF_RANGE_OLDEST_NS) return SF_ERR_RANGE_TIME;
   if ((c->ranges_held >> channel & 1) == 0) {
-    const int claimed = sf_claim_range(c, channel);
+    const int claimed = c->had_ranges >> channel & 1 ? sf_i_claim_again(c, SF_RQ_CLAIM_RANGE, channel, now)
+                                                     : sf_claim_range(c, channel);
     if (claimed != SF_OK) return claimed;
   }
   if (t_ns <= c->pushed_ns[channel]) return SF_ERR_RANGE_TIME;

@@ -1,0 +1,109 @@
+"""A wall's pose, and which of several walls an earlier pose and the beams speak for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.errors import UsageError
+
+N_SIGMA = 3.0  # as for the incidences of a pair
+
+
+@dataclass(frozen=True)
+class WallPose:
+    """One wall {x : x·cos φ + y·sin φ = d}.
+
+    Attributes
+    ----------
+    phi_rad : float                  direction of the normal, from the origin to the wall, in [−π, π)
+    distance_m : float               from the origin, > 0
+    covariance : (2, 2) ndarray      of (φ, d): rad², rad m, m²
+    sensors : tuple of int           indices of the readings that it was computed from
+    ambiguous : bool                 another wall explains the same readings as well
+    favoured : bool                  beams' axes and prior pose speak for no other wall (see `favour`)
+    """
+
+    phi_rad: float
+    distance_m: float
+    covariance: NDArray[np.float64]
+    sensors: tuple[int, ...]
+    ambiguous: bool = False
+    favoured: bool = True
+
+    @property
+    def phi_std_rad(self) -> float:
+        """Standard deviation of φ [rad]."""
+        return math.sqrt(self.covariance[0, 0])
+
+    @property
+    def distance_std_m(self) -> float:
+        """Standard deviation of d [m]."""
+        return math.sqrt(self.covariance[1, 1])
+
+    def moved(self, x_m: float, y_m: float, heading_rad: float) -> WallPose:
+        """The same wall in the frame of a pose (x, y, heading) that is given in this wall's frame."""
+        n = np.array([math.cos(self.phi_rad), math.sin(self.phi_rad)])
+        slope = x_m * n[1] - y_m * n[0]
+        turn = np.array([[1.0, 0.0], [slope, 1.0]])
+        distance = self.distance_m - float(n @ (x_m, y_m))
+        phi = math.remainder(self.phi_rad - heading_rad, 2.0 * math.pi)
+        return replace(self, phi_rad=phi, distance_m=distance, covariance=turn @ self.covariance @ turn.T)
+
+
+def favour(
+    found: list[WallPose], headings_rad: NDArray[np.float64], prior: WallPose | None
+) -> list[WallPose]:
+    """Set `favoured` and `ambiguous` of walls that explain the same readings; the favoured ones come first.
+
+    A rule that every wall fails, or none, says nothing.
+
+    Parameters
+    ----------
+    headings_rad : (m,) array   axes of the beams, by the walls' `sensors`
+    prior : WallPose or None    an earlier pose of the wall that is looked for, in the walls' frame
+
+    Raises
+    ------
+    UsageError  the prior's covariance is not positive definite
+    """
+
+    def is_before_its_sonars(wall: WallPose) -> bool:
+        # an echo from behind the beam's axis would come from its outermost edge, at grazing incidence
+        off = (math.remainder(wall.phi_rad - headings_rad[k], 2.0 * math.pi) for k in wall.sensors)
+        return all(abs(o) <= 0.5 * math.pi for o in off)
+
+    rules: list[Callable[[WallPose], bool]] = [is_before_its_sonars]
+    if prior is not None:
+        rules.append(_near(prior))
+    kept = list(found)
+    for rule in rules:
+        kept = [w for w in kept if rule(w)] or kept
+    several = len(kept) > 1
+    told = [replace(w, ambiguous=several, favoured=any(w is k for k in kept)) for w in found]
+    return sorted(told, key=lambda w: not w.favoured)
+
+
+def _near(prior: WallPose) -> Callable[[WallPose], bool]:
+    """Whether a wall lies within three standard deviations of a prior pose."""
+    if not (
+        np.isfinite(prior.covariance).all()
+        and prior.covariance[0, 0] > 0.0
+        and np.linalg.det(prior.covariance) > 0.0
+    ):
+        raise UsageError(
+            f"the prior's covariance {prior.covariance.tolist()} is not positive definite; give the "
+            "uncertainty that the pose has by now (rad², rad m, m²)"
+        )
+
+    def near(wall: WallPose) -> bool:
+        turn = math.remainder(wall.phi_rad - prior.phi_rad, 2.0 * math.pi)
+        off = np.array([turn, wall.distance_m - prior.distance_m])
+        own = wall.covariance if np.isfinite(wall.covariance).all() else np.zeros((2, 2))
+        return float(off @ np.linalg.solve(prior.covariance + own, off)) <= N_SIGMA**2
+
+    return near
