@@ -15,7 +15,7 @@ from surffollow.forecast.adaptive.controller_clock import (
     open_period,
     period_is_due,
 )
-from surffollow.forecast.adaptive.preview_schedule import FOR_SAMPLE, FOR_TICK, preview_window
+from surffollow.forecast.adaptive.preview_schedule import FOR_PERIOD, FOR_SAMPLE, preview_window
 from surffollow.forecast.step import follow_step
 from surffollow.hw.pose_history import add_pose
 from surffollow.hw.rig import produce
@@ -141,7 +141,7 @@ def test_a_preview_is_due_for_ticks_and_new_samples_and_never_in_paper_mode():
     a["controller"]["period_ns"] = a["clock"]["now_ns"]
     assert due(loop) == 0
     a["controller"]["period_ns"] = 0
-    assert due(loop) == FOR_TICK
+    assert due(loop) == FOR_PERIOD
     a["controller"]["period_ns"] = a["clock"]["now_ns"]
     counts = int((a["hold"]["range_m"] - p["zero_m"][0]) / p["scale_m"][0])
     i["n_conversions"] = 1

@@ -13,26 +13,30 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import INTERVALS
 
 MAX_PERMITTED_M = 2e-3
-BURN_IN_WIDENING = 3.5  # so much wider is the band at first
+BURN_IN_WIDENING = 3.5  # the deadband is wider by this factor at first
 MIN_GAIN = 1e-4
 
 
 @jit
 def update_deadband(params: Any, adaptive: Any) -> None:
-    """Set the way that the set point may stay away from where it is wanted."""
+    """Set Permitted_Variance in force and the deadband of the set-point filter."""
     estimate, adaptation = adaptive.estimate, adaptive.adaptation
     adaptation.permitted_variance_m = max(params.permitted_variance_m, min(estimate.sigma_m, MAX_PERMITTED_M))
-    # while scores are young and all is noise, what models say is luck
-    young = 1.0 - min(max(estimate.samples, adaptive.weights.scored), FULL_POWER_SAMPLES) / FULL_POWER_SAMPLES
-    noise = least_noise_fraction(adaptive)
+    # during burn-in, where errors are noise, differences between models are chance
+    burn_in = (
+        1.0 - min(max(estimate.samples, adaptive.weights.scored), FULL_POWER_SAMPLES) / FULL_POWER_SAMPLES
+    )
+    noise_share = least_noise_fraction(adaptive)
     adaptation.deadband_m = (
-        params.calm_share * adaptation.permitted_variance_m * (1.0 + BURN_IN_WIDENING * young * noise * noise)
+        params.calm_share
+        * adaptation.permitted_variance_m
+        * (1.0 + BURN_IN_WIDENING * burn_in * noise_share * noise_share)
     )
 
 
 @jit
 def publish_adaptation(params: Any, adaptive: Any, output: Any) -> None:
-    """Tell Permitted_Variance, Interval_Size and Range_Size in force.
+    """Publish Permitted_Variance, Interval_Size and Range_Size in force.
 
     A mean over n samples has the variance of a filter with gain 2 / (n + 1).
     """

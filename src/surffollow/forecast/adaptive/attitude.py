@@ -15,12 +15,12 @@ from surffollow.forecast.pose import rotate
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CHANNELS, POSES, RUN_FREEZE
 
-MAX_PREDICTION_S = 0.2  # slopes are carried on by their rates no farther
+MAX_PREDICTION_S = 0.2  # slopes are extrapolated by their rates no farther
 
 
 @jit
 def predicted_normal(params: Any, adaptive: Any) -> Any:
-    """The surface normal as it will be when the robot's axis answers: unit vector."""
+    """Unit normal of the surface at the time when the robot's axis responds."""
     plane = adaptive.plane
     ahead = min(
         max((adaptive.clock.now_ns - plane.t_ns) * 1e-9 + params.tick_lead_s + adaptive.plant.tau_s, 0.0),
@@ -33,7 +33,10 @@ def predicted_normal(params: Any, adaptive: Any) -> Any:
 
 @jit
 def rotation_between(ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> Any:
-    """Rotation vector that turns unit vector a into b the short way, and its angle; no turn when opposite."""
+    """Rotation vector that turns unit vector a into b by the smaller angle, and that angle.
+
+    For opposite vectors the axis is undefined; the rotation is then zero.
+    """
     cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     sine = math.sqrt(cx * cx + cy * cy + cz * cz)
     if not sine > 1e-12:
@@ -44,21 +47,21 @@ def rotation_between(ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> An
 
 @jit
 def limit_attitude(params: Any, attitude: Any, nx: Any, ny: Any, nz: Any, dt: Any) -> None:
-    """Lead the axis' set point toward a direction, within speed and acceleration.
+    """Move the axis' set point toward a direction within limits of velocity and acceleration.
 
-    What lies within `permitted_turn_rad` turns nothing (hysteresis); the square root keeps it from
-    overshooting what its acceleration can stop.
+    A deviation within `permitted_turn_rad` moves nothing (deadband). The square-root profile limits the
+    velocity to what the acceleration can stop.
     """
     u, w = attitude.axis, attitude.angular_velocity_radps
     ex, ey, ez, angle = rotation_between(u[0], u[1], u[2], nx, ny, nz)
-    way = max(angle - params.permitted_turn_rad, 0.0)
+    angle_left = max(angle - params.permitted_turn_rad, 0.0)
     a_max = params.max_turn_accel_radps2
-    speed = min(way / dt, math.sqrt(2.0 * a_max * way), params.max_turn_speed_radps)
+    speed = min(angle_left / dt, math.sqrt(2.0 * a_max * angle_left), params.max_turn_speed_radps)
     share = speed / angle if angle > 0.0 else 0.0
     dx, dy, dz = ex * share - w[0], ey * share - w[1], ez * share - w[2]
     change = math.sqrt(dx * dx + dy * dy + dz * dz)
-    cut = a_max * dt / change if change > a_max * dt else 1.0
-    w[0], w[1], w[2] = w[0] + dx * cut, w[1] + dy * cut, w[2] + dz * cut
+    factor = a_max * dt / change if change > a_max * dt else 1.0
+    w[0], w[1], w[2] = w[0] + dx * factor, w[1] + dy * factor, w[2] + dz * factor
     x = u[0] + (w[1] * u[2] - w[2] * u[1]) * dt
     y = u[1] + (w[2] * u[0] - w[0] * u[2]) * dt
     z = u[2] + (w[0] * u[1] - w[1] * u[0]) * dt
@@ -68,23 +71,23 @@ def limit_attitude(params: Any, attitude: Any, nx: Any, ny: Any, nz: Any, dt: An
 
 @jit
 def demand_rotation(params: Any, adaptive: Any, sense: Any, output: Any) -> None:
-    """Rotation vector from the tool's axis as reported to the axis' set point, limited to `max_turn_rad`."""
+    """Rotation vector from the reported axis of the tool to its set point, at most `max_turn_rad`."""
     clock, attitude = adaptive.clock, adaptive.attitude
     q = 7 * ((sense.pose_count - 1) & (POSES - 1)) + 3
     p = sense.pose
     tx, ty, tz = rotate(p[q], p[q + 1], p[q + 2], p[q + 3], 0.0, 0.0, 1.0)
     if params.run == RUN_FREEZE:
-        attitude.t_ns = 0  # afterwards it starts at the tool
+        attitude.t_ns = 0  # afterwards it begins at the tool
         return
-    since = clock.now_ns - attitude.t_ns
-    if attitude.t_ns == 0 or since < 0 or since * 1e-9 > restart_pause_s(adaptive.setpoint):
+    elapsed = clock.now_ns - attitude.t_ns
+    if attitude.t_ns == 0 or elapsed < 0 or elapsed * 1e-9 > restart_pause_s(adaptive.setpoint):
         attitude.axis[0], attitude.axis[1], attitude.axis[2] = tx, ty, tz
         for k in range(3):
             attitude.angular_velocity_radps[k] = 0.0
-        since = 0
-    if since > 0:
+        elapsed = 0
+    if elapsed > 0:
         nx, ny, nz = predicted_normal(params, adaptive)
-        limit_attitude(params, attitude, nx, ny, nz, since * 1e-9)
+        limit_attitude(params, attitude, nx, ny, nz, elapsed * 1e-9)
     attitude.t_ns = clock.now_ns
     u = attitude.axis
     wx, wy, wz, angle = rotation_between(tx, ty, tz, u[0], u[1], u[2])
@@ -92,13 +95,13 @@ def demand_rotation(params: Any, adaptive: Any, sense: Any, output: Any) -> None
         attitude.t_ns = 0
         reset_plane(adaptive.plane)
         return
-    cut = params.max_turn_rad / angle if angle > params.max_turn_rad else 1.0
-    output.demand[3], output.demand[4], output.demand[5] = wx * cut, wy * cut, wz * cut
+    factor = params.max_turn_rad / angle if angle > params.max_turn_rad else 1.0
+    output.demand[3], output.demand[4], output.demand[5] = wx * factor, wy * factor, wz * factor
 
 
 @jit
 def publish_normal(adaptive: Any, output: Any) -> None:
-    """Publish the normal; straight up while no plane is known."""
+    """Publish the normal; it is vertical while no plane is known."""
     plane = adaptive.plane
     length = math.sqrt(plane.slope_x * plane.slope_x + plane.slope_y * plane.slope_y + 1.0)
     output.normal[0], output.normal[1], output.normal[2] = (

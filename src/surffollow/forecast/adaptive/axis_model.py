@@ -8,13 +8,13 @@ from typing import Any
 from surffollow.shm.jit import jit
 
 BISECTIONS = 24
-AXIS_STEPS = 5  # axis steps of 2 ms in a tick
-PERIOD_S = 0.01  # of the plan: one controller tick
+AXIS_STEPS = 5  # axis steps of 2 ms in a controller period
+PERIOD_S = 0.01  # of the plan: one controller period
 
 
 @jit
 def axis_velocity(distance_m: Any, tau_s: Any, a_max_mps2: Any) -> Any:
-    """Speed at which the assumed axis heads for its set point: proportional, then square root."""
+    """Velocity at which the axis approaches its set point: proportional, then square root [m/s]."""
     linear = a_max_mps2 * tau_s * tau_s
     if distance_m > linear:
         return math.sqrt(2.0 * a_max_mps2 * (distance_m - 0.5 * linear))
@@ -25,7 +25,7 @@ def axis_velocity(distance_m: Any, tau_s: Any, a_max_mps2: Any) -> Any:
 
 @jit
 def velocity_after_period(params: Any, tau_s: Any, z_m: Any, v_mps: Any, target_m: Any) -> Any:
-    """Speed of the axis one tick from now with a set point."""
+    """Velocity of the axis one controller period from now with a set point [m/s]."""
     dt = PERIOD_S / AXIS_STEPS
     dv = params.plant_a_max_mps2 * dt
     for _ in range(AXIS_STEPS):
@@ -39,7 +39,10 @@ def velocity_after_period(params: Any, tau_s: Any, z_m: Any, v_mps: Any, target_
 
 @jit
 def invert_axis(params: Any, tau_s: Any, z_m: Any, v_mps: Any, wanted_mps: Any) -> Any:
-    """Set point with which the axis has a speed one tick from now (bisection; the axis is monotone in it)."""
+    """Set point with which the axis has a velocity one controller period from now [m].
+
+    Bisection: the velocity is monotone in the set point.
+    """
     v = abs(wanted_mps)
     reach = v * tau_s + v * v / params.plant_a_max_mps2 + 0.01
     low, high = z_m - reach, z_m + reach

@@ -14,33 +14,36 @@ from surffollow.forecast.pose import footprint, rotate
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import BEAMS
 
-MAX_REFERENCE_AGE_NS = 12_000_000  # a beam this much older than the newest no longer sets the pace
+MAX_REFERENCE_AGE_NS = 12_000_000  # a beam older than the newest by this is no reference
 MAX_AGE_NS = 25_000_000  # older footprints do not belong to the same plane
-STUCK_NS = 100_000_000  # a reading that stays the same so long while the others change is stuck
+STUCK_NS = 100_000_000  # a range unchanged for so long while the others change is stuck
 GATE_SIGMAS, MIN_GATE_M = 8.0, 2e-3
 CONFIRMATION_SAMPLES = 5
-WEIGHT_RECOVERY = 0.1  # weight that a beam gains per sample
-MIN_WEIGHT = 0.05  # of a beam that is believed although it is odd
+WEIGHT_RECOVERY = 0.1  # per sample, of a beam that is accepted again
+MIN_WEIGHT = 0.05  # of a beam accepted outside the gate
 
 
 @jit
 def choose_reference(params: Any, beams: Any, sense: Any) -> Any:
-    """The channel whose samples set the pace: the last one while it delivers and agrees; -1: none."""
+    """Choose the reference channel, whose samples are the follower's; -1: none.
+
+    The present one stays while it delivers samples and is inside the gate.
+    """
     newest = 0
     for c in range(params.n_channels):
         newest = max(newest, beams.t_ns[c])
-    best, least = -1, 3
+    best, lowest = -1, 3
     for k in range(params.n_channels):
         c = (beams.reference + k) % params.n_channels
         if beams.t_ns[c] == 0:
             continue
-        trouble = 0
+        rank = 0
         if sense.valid[c] == 0 or newest - beams.t_ns[c] > MAX_REFERENCE_AGE_NS:
-            trouble = 2
+            rank = 2
         elif beams.deviations[c] > 0:
-            trouble = 1
-        if trouble < least:
-            best, least = c, trouble
+            rank = 1
+        if rank < lowest:
+            best, lowest = c, rank
     if best >= 0:
         beams.reference = best
     return best
@@ -48,7 +51,7 @@ def choose_reference(params: Any, beams: Any, sense: Any) -> Any:
 
 @jit
 def any_beam_changed(beams: Any, n_channels: Any, since_ns: Any) -> Any:
-    """1 when a beam that still delivers has changed its reading since then: not all sensors are stuck."""
+    """1 when a beam that delivers samples changed its range since a time: not all are stuck."""
     for c in range(n_channels):
         if beams.t_ns[c] > since_ns and beams.changed_ns[c] > since_ns:
             return 1
@@ -57,7 +60,7 @@ def any_beam_changed(beams: Any, n_channels: Any, since_ns: Any) -> Any:
 
 @jit
 def observe_beams(params: Any, adaptive: Any, sense: Any, pose: Any) -> Any:
-    """Footprints of all fresh channels; the channel whose samples set the pace, or -1.
+    """Store the footprints of all fresh channels; returns the reference channel, or -1.
 
     `pose` (7,) is scratch.
     """
@@ -72,7 +75,7 @@ def observe_beams(params: Any, adaptive: Any, sense: Any, pose: Any) -> Any:
         if beams.t_ns[c] == 0 or range_m != beams.range_m[c] or t_ns < beams.changed_ns[c]:
             beams.changed_ns[c] = t_ns
         beams.range_m[c], beams.t_ns[c] = range_m, t_ns
-        # where the axis meets the ground when the stand-off is kept: near enough for the curvature's share
+        # where the axis meets the ground at the wanted stand-off: accurate enough for the curvature
         dx, dy, _ = rotate(
             pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, params.tool_from_sensor[2] - params.offset_m
         )
@@ -101,7 +104,7 @@ def half_squared_distance(beams: Any, c: Any) -> Any:
 
 @jit
 def beam_height(adaptive: Any, c: Any, x_m: Any, y_m: Any) -> Any:
-    """Height at (x, y) of the plane through a beam's footprint, the curvature's share taken off [m]."""
+    """Height at (x, y) of the plane through a beam's footprint, corrected for the curvature [m]."""
     beams, plane = adaptive.beams, adaptive.plane
     dx, dy = beams.footprint_m[3 * c] - x_m, beams.footprint_m[3 * c + 1] - y_m
     return (
@@ -114,9 +117,9 @@ def beam_height(adaptive: Any, c: Any, x_m: Any, y_m: Any) -> Any:
 
 @jit
 def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any) -> Any:
-    """Mark the beams that agree, weigh them, and return how many there are."""
+    """Exclude beams outside the gate, weigh the others; returns how many are accepted."""
     beams, plane = adaptive.beams, adaptive.plane
-    n, still = 0, 0
+    n, unchanged = 0, 0
     for c in range(n_channels):
         beams.accepted[c] = 0
         if beams.t_ns[c] == 0 or abs(t_ns - beams.t_ns[c]) > MAX_AGE_NS:
@@ -125,35 +128,37 @@ def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any
         beams.height_m[c] = beam_height(adaptive, c, x_m, y_m)
         beams.sorted_m[n] = beams.height_m[c]
         beams.accepted[c] = 1
-        still += 1 if beams.t_ns[c] - beams.changed_ns[c] > STUCK_NS else 0
+        unchanged += 1 if beams.t_ns[c] - beams.changed_ns[c] > STUCK_NS else 0
         n += 1
     if n == 0:
         return 0
-    middle = _median(beams.sorted_m, n)
+    median = _median(beams.sorted_m, n)
     gate = max(GATE_SIGMAS * adaptive.noise.sigma_m, MIN_GATE_M)
     agree = 0
     for c in range(n_channels):
-        if beams.accepted[c] != 0 and abs(beams.height_m[c] - middle) <= gate:
+        if beams.accepted[c] != 0 and abs(beams.height_m[c] - median) <= gate:
             agree += 1
     majority = agree >= 3 and plane.rank == 2
     good = 0
     for c in range(n_channels):
         if beams.accepted[c] == 0:
             continue
-        off = abs(beams.height_m[c] - middle) / gate
-        odd = off > 1.0 and n >= 2 and plane.count > 0
-        beams.deviations[c] = min(max(beams.deviations[c] + (1 if odd else -1), 0), 2 * CONFIRMATION_SAMPLES)
-        stuck = still == 1 and n >= 2 and beams.t_ns[c] - beams.changed_ns[c] > STUCK_NS
+        deviation = abs(beams.height_m[c] - median) / gate
+        deviates = deviation > 1.0 and n >= 2 and plane.count > 0
+        beams.deviations[c] = min(
+            max(beams.deviations[c] + (1 if deviates else -1), 0), 2 * CONFIRMATION_SAMPLES
+        )
+        stuck = unchanged == 1 and n >= 2 and beams.t_ns[c] - beams.changed_ns[c] > STUCK_NS
         if (
             stuck
-            or (odd and beams.deviations[c] <= CONFIRMATION_SAMPLES)
+            or (deviates and beams.deviations[c] <= CONFIRMATION_SAMPLES)
             or (majority and beams.deviations[c] > 0)
         ):
             beams.deviations[c] = max(beams.deviations[c], 1)
             beams.accepted[c] = 0
             beams.weight[c] = 0.0
             continue
-        full = max((1.0 - off * off) ** 2, MIN_WEIGHT) if off < 1.0 else MIN_WEIGHT
+        full = max((1.0 - deviation * deviation) ** 2, MIN_WEIGHT) if deviation < 1.0 else MIN_WEIGHT
         if plane.count == 0:
             beams.weight[c] = 1.0
         else:
@@ -164,7 +169,7 @@ def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any
 
 @jit
 def mean_height(adaptive: Any, n_channels: Any, x_m: Any, y_m: Any) -> Any:
-    """Weighted mean of the good beams' heights at (x, y) [m]."""
+    """Weighted mean of the accepted beams' heights at (x, y) [m]."""
     beams = adaptive.beams
     total, weights = 0.0, 0.0
     for c in range(n_channels):

@@ -6,12 +6,12 @@ from typing import Any
 
 from surffollow.shm.jit import jit
 
-CLOCK_JUMP_NS = 1_000_000_000  # a jump back by more than late samples explain is a new clock
+CLOCK_JUMP_NS = 1_000_000_000  # late samples are never so late: it is another clock
 
 
 @jit
 def update_clock(clock: Any, t_ns: Any, pose_t_ns: Any) -> Any:
-    """Advance `now_ns` to the latest time told; 1 when the clock jumped back and is followed."""
+    """Advance the time to the latest one told; 1 when the clock jumped back and is followed."""
     t = max(t_ns, pose_t_ns)
     jumped = t < clock.now_ns - CLOCK_JUMP_NS
     if jumped:

@@ -50,38 +50,39 @@ from surffollow.forecast.adaptive.terrain_regression import reset_mean, update_r
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
-MIN_SPEED_MPS = 1e-3  # a tool at rest still learns
-IMMEDIATELY_S = 1.0  # long enough for any weights
-INITIALISATION_SAMPLES = 3  # fewer are no ground yet: one of them may be a glitch
-AGREEMENT_SHARE = 0.25  # of the innovation: two as near to each other outvote the first sample
-SETTLING_NS = 150_000_000  # after a step all shadows are wrong alike
-INITIAL_SETTLING_NS = 60_000_000  # after a start, until set points made of a few samples have had effect
-GAP_NS = (
-    100_000_000  # after a longer gap, unusual for the sensor, no way is asked for: there was enough of it
-)
-MAX_TRAVEL_M = 0.5  # unseen ground of this length: what was known is of no use
-SLOPE_POWER_LENGTH_M = 1.0  # over which it is learnt how steep the ground is
+MIN_SPEED_MPS = 1e-3  # least speed assumed: the bank updates at rest, too
+IMMEDIATELY_S = 1.0  # long against every time constant of the weights
+INITIALISATION_SAMPLES = 3  # fewer are not confirmed: one of them may be a glitch
+AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well replace the first one
+SETTLING_NS = 150_000_000  # after a step all shadow axes have the same error
+INITIAL_SETTLING_NS = 60_000_000  # after a start, until set points of a few samples have acted
+GAP_NS = 100_000_000  # a step after a longer gap, unusual for the sensor, needs no travel
+MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
+SLOPE_POWER_LENGTH_M = 1.0  # over which the mean squared slope is taken
 
 
 @jit
 def blend_models(adaptive: Any) -> None:
-    """Blended height, slope and uncertainty at the last sample."""
+    """Blend height, slope and variance of the models at the newest sample.
+
+    h = Σ w_i h_i        σ² = Σ w_i (P_i + (h_i − h)²)
+    """
     bank, weights, estimate = adaptive.bank, adaptive.weights, adaptive.estimate
-    h, s, var, own = 0.0, 0.0, 0.0, 0.0
+    h, s, spread, variance = 0.0, 0.0, 0.0, 0.0
     for i in range(N_CANDIDATES):
         h += weights.weight[i] * model_height(CANDIDATE_MODEL[i], bank.mean)
         s += weights.weight[i] * model_slope(CANDIDATE_MODEL[i], bank.mean)
     for i in range(N_CANDIDATES):
         e = model_height(CANDIDATE_MODEL[i], bank.mean) - h
-        own += weights.weight[i] * max(bank.covariance[6 * CANDIDATE_MODEL[i]], 0.0)
-        var += weights.weight[i] * e * e
-    estimate.height_m, estimate.slope, estimate.sigma_m = h, s, math.sqrt(own + var)
-    estimate.gain = own / max(adaptive.noise.sigma_m, MIN_NOISE_M) ** 2  # just after an update
+        variance += weights.weight[i] * max(bank.covariance[6 * CANDIDATE_MODEL[i]], 0.0)
+        spread += weights.weight[i] * e * e
+    estimate.height_m, estimate.slope, estimate.sigma_m = h, s, math.sqrt(variance + spread)
+    estimate.gain = variance / max(adaptive.noise.sigma_m, MIN_NOISE_M) ** 2  # just after an update
 
 
 @jit
 def reset_estimate(
-    params: Any, adaptive: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any, adapt: Any
+    params: Any, adaptive: Any, t_ns: Any, travel_m: Any, h_m: Any, standoff_m: Any, adapt: Any
 ) -> None:
     """Initialise with level ground at the first height; the performance index from before a loss stays."""
     noise, gate, shadow, weights = adaptive.noise, adaptive.gate, adaptive.shadow, adaptive.weights
@@ -89,7 +90,7 @@ def reset_estimate(
     fresh = gate.slot_likelihood == 0.0 and noise.sigma_m == 0.0
     reset_bank(adaptive.bank, h_m, INITIAL_NOISE_M * INITIAL_NOISE_M)
     reset_bias(weights)
-    reset_shadows(shadow, h_m + drop_m)
+    reset_shadows(shadow, h_m + standoff_m)
     if fresh:
         reset_index(weights)
         reset_effort(shadow)
@@ -104,19 +105,19 @@ def reset_estimate(
     if estimate.confirmed_ns == 0:
         estimate.confirmed_ns = t_ns
     estimate.settle_ns = t_ns + (INITIAL_SETTLING_NS if fresh else SETTLING_NS)
-    estimate.arc_length_m += MAX_TRAVEL_M + min(way_m, MAX_TRAVEL_M)  # no cell from before is near
+    estimate.arc_length_m += MAX_TRAVEL_M + min(travel_m, MAX_TRAVEL_M)  # no cell from before is near
     store_ground(adaptive, estimate.arc_length_m, h_m)
     reset_mean(adaptive.regression, h_m)
     blend_models(adaptive)
 
 
 @jit
-def restart_estimate(params: Any, adaptive: Any, t_ns: Any, h_m: Any, drop_m: Any, adapt: Any) -> None:
+def restart_estimate(params: Any, adaptive: Any, t_ns: Any, h_m: Any, standoff_m: Any, adapt: Any) -> None:
     """Initialise again after a bad first sample and discard what it taught; older knowledge stays."""
     if adaptive.weights.scored <= adaptive.estimate.samples:
         discard_slots(adaptive.gate)
         discard_noise(adaptive.noise)
-    reset_estimate(params, adaptive, t_ns, 0.0, h_m, drop_m, adapt)
+    reset_estimate(params, adaptive, t_ns, 0.0, h_m, standoff_m, adapt)
 
 
 @jit
@@ -164,50 +165,58 @@ def erase_estimate(estimate: Any) -> None:
 
 @jit
 def update_estimate(
-    params: Any, adaptive: Any, t_ns: Any, way_m: Any, h_m: Any, drop_m: Any, adapt: Any
+    params: Any, adaptive: Any, t_ns: Any, travel_m: Any, h_m: Any, standoff_m: Any, adapt: Any
 ) -> Any:
-    """Let the bank learn one footprint height; 1 when it entered the estimate, 0 when quarantined.
+    """Propagate the bank to a sample, gate it and update; 1 when it entered the estimate.
 
     Parameters
     ----------
-    params, a : records of `Params`, `AdaptiveState` (updated)
-    t_ns : int64             stamp, later than the last one's
-    way_m : float64          way of the footprint since the last sample [m], ≥ 0
-    h_m : float64            height [m]
-    drop_m : float64         how much higher the tool should be [m]
-    adapt : int              0: keep scores, weights, noise and how ground goes on as they are
+    params, adaptive : records of `Params`, `AdaptiveState` (updated)
+    t_ns : int64             timestamp, later than that of the sample before
+    travel_m : float64       distance travelled by the footprint since the sample before [m], ≥ 0
+    h_m : float64            height of the footprint [m]
+    standoff_m : float64     wanted height of the tool above the ground [m]
+    adapt : int              0: index, weights, noise and terrain regression stay as they are
     """
     noise, gate, bank, estimate = adaptive.noise, adaptive.gate, adaptive.bank, adaptive.estimate
     dt = (t_ns - estimate.sample_ns) * 1e-9
-    if estimate.samples == 0 or way_m > MAX_TRAVEL_M or t_ns - estimate.accepted_ns > params.loss_timeout_ns:
-        reset_estimate(params, adaptive, t_ns, way_m, h_m, drop_m, adapt)
+    if (
+        estimate.samples == 0
+        or travel_m > MAX_TRAVEL_M
+        or t_ns - estimate.accepted_ns > params.loss_timeout_ns
+    ):
+        reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt)
         return 1
     gap = t_ns - estimate.sample_ns > max(GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
-    way = max(way_m, MIN_SPEED_MPS * dt)
+    travel = max(travel_m, MIN_SPEED_MPS * dt)
     propagate_shadows(params, adaptive, estimate.sample_ns, t_ns)
     estimate.sample_ns = t_ns
-    estimate.arc_length_m += way
-    propagate_bank(bank, way)
+    estimate.arc_length_m += travel
+    propagate_bank(bank, travel)
     blend_models(adaptive)
-    nu = h_m - estimate.height_m
+    innovation = h_m - estimate.height_m
     width = gate_width(params, gate)
-    update_travel(params, gate, way)
-    doubted = gate.unconfirmed_m
-    if needs_second_sample(adaptive, nu, width) != 0:
+    update_travel(params, gate, travel)
+    unconfirmed = gate.unconfirmed_m
+    if needs_second_sample(adaptive, innovation, width) != 0:
         if adapt != 0 and estimate.samples > 1:
-            update_scale(gate, nu, width)  # many are rough ground
+            update_scale(gate, innovation, width)  # frequent ones mean rough ground
         return 0
-    if estimate.samples == 1 and doubted != 0.0 and abs(nu - doubted) < AGREEMENT_SHARE * abs(nu):
-        restart_estimate(params, adaptive, t_ns, h_m, drop_m, adapt)
+    if (
+        estimate.samples == 1
+        and unconfirmed != 0.0
+        and abs(innovation - unconfirmed) < AGREEMENT_SHARE * abs(innovation)
+    ):
+        restart_estimate(params, adaptive, t_ns, h_m, standoff_m, adapt)
         return 1
-    if abs(nu) > width:
-        if hold_pending(params, adaptive, nu, way, width, gap, adapt) == 0:
+    if abs(innovation) > width:
+        if hold_pending(params, adaptive, innovation, travel, width, gap, adapt) == 0:
             return 0
         if gate.pending > estimate.samples:
-            restart_estimate(params, adaptive, t_ns, gate.pending_height_m / gate.pending, drop_m, adapt)
+            restart_estimate(params, adaptive, t_ns, gate.pending_height_m / gate.pending, standoff_m, adapt)
             return 1
         confirm_step(params, adaptive)
-        nu = h_m - estimate.height_m
+        innovation = h_m - estimate.height_m
         estimate.settle_ns = t_ns + SETTLING_NS
     else:
         accept_sample(params, gate)
@@ -215,23 +224,23 @@ def update_estimate(
         estimate.settle_ns = t_ns + SETTLING_NS
     if adapt != 0:
         update_bias(adaptive, h_m, max(noise.sigma_m, MIN_NOISE_M) ** 2)
-        update_scale(gate, nu, width)
-        # a shadow stands where the tool is: only heights measured there can judge it
+        update_scale(gate, innovation, width)
+        # a shadow axis is where the tool is: only heights measured there give its error
         if t_ns > estimate.settle_ns and abs(adaptive.sample.lead_m) < MIN_LEAD_M:
-            update_index(params, adaptive, way, dt, h_m + drop_m)
+            update_index(params, adaptive, travel, dt, h_m + standoff_m)
         update_noise(adaptive, h_m)
     r = max(noise.sigma_m, MIN_NOISE_M) ** 2
     update_bank(bank, h_m, r)
     blend_models(adaptive)
-    estimate.slope_power += (1.0 - math.exp(-way / SLOPE_POWER_LENGTH_M)) * (
+    estimate.slope_power += (1.0 - math.exp(-travel / SLOPE_POWER_LENGTH_M)) * (
         estimate.slope * estimate.slope - estimate.slope_power
     )
     if adaptive.weights.scored == 0:
-        reset_shadows(adaptive.shadow, estimate.height_m + drop_m)
+        reset_shadows(adaptive.shadow, estimate.height_m + standoff_m)
     estimate.samples += 1
     estimate.accepted_ns = t_ns
     if estimate.samples >= INITIALISATION_SAMPLES:
         estimate.confirmed_ns = t_ns
     store_ground(adaptive, estimate.arc_length_m, h_m)
-    update_regression(adaptive, h_m, way, adapt)
+    update_regression(adaptive, h_m, travel, adapt)
     return 1

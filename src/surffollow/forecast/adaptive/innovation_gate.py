@@ -14,69 +14,77 @@ from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
 SCALE_RATE = 0.02
 PERMANENT_STEPS = 0.2
-SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 0.3, 0.01  # a step that stays makes the next one likelier to
-STANDING_CONFIRMATION_NS = 120_000_000  # samples that agree for so long are ground, travelled or not
+SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 0.3, 0.01  # factor per step that stays; least value
+STANDING_CONFIRMATION_NS = 120_000_000  # agreeing samples over this time need no travel
 SCALE_GROWTH = 1.3
-REJECTED_TOLERANCE = 2  # a slot has two: readings across them agree with nothing
-INNER_GATE = 0.5  # of the gate: beyond, one sample alone is not believed
+REJECTED_TOLERANCE = 2  # a slot has two edges: samples across them agree with no other
+INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted
 INITIAL_INNER_GATE = 0.125  # the same for the second sample: the first may have been the bad one
 
 
 @jit
-def update_scale(gate: Any, nu_m: Any, gate_m: Any) -> None:
-    """How large innovations usually are."""
-    gate.scale_m += SCALE_RATE * (1.25 * min(abs(nu_m), gate_m) - gate.scale_m)
+def update_scale(gate: Any, innovation_m: Any, gate_m: Any) -> None:
+    """Update the usual innovation."""
+    gate.scale_m += SCALE_RATE * (1.25 * min(abs(innovation_m), gate_m) - gate.scale_m)
 
 
 @jit
-def hold_pending(params: Any, adaptive: Any, nu_m: Any, way_m: Any, gate_m: Any, gap: Any, adapt: Any) -> Any:
-    """Hold back an outlying innovation; 1 when with it a step is believed.
+def hold_pending(
+    params: Any, adaptive: Any, innovation_m: Any, travel_m: Any, gate_m: Any, gap: Any, adapt: Any
+) -> Any:
+    """Hold an outlier as pending; 1 when it confirms a step.
 
     `pending_arc_length_m` and `pending_height_m` are sums over the samples that agree.
     """
     gate, estimate = adaptive.gate, adaptive.estimate
-    last = gate.kept_height_m[(gate.pending - 1) & (PENDING_HEIGHTS - 1)]
-    if gate.pending > 0 and abs(estimate.height_m + nu_m - last) < gate_m:
+    last_height = gate.kept_height_m[(gate.pending - 1) & (PENDING_HEIGHTS - 1)]
+    if gate.pending > 0 and abs(estimate.height_m + innovation_m - last_height) < gate_m:
         gate.pending += 1
-        gate.pending_travel_m += way_m
+        gate.pending_travel_m += travel_m
     else:
         if gate.pending > 0:
             gate.rejected += 1
         if gate.rejected > REJECTED_TOLERANCE and adapt != 0:
-            # outliers that do not agree with each other: the ground is rougher than thought
+            # outliers that do not agree with each other: the ground is rougher than assumed
             gate.scale_m *= SCALE_GROWTH
         gate.pending = 1
         gate.pending_innovation_m = gate.pending_arc_length_m = gate.pending_height_m = 0.0
         gate.pending_travel_m = params.step_way_m if gap else 0.0
         gate.pending_ns = estimate.sample_ns
-    gate.pending_innovation_m += nu_m
+    gate.pending_innovation_m += innovation_m
     gate.pending_arc_length_m += estimate.arc_length_m
-    gate.pending_height_m += estimate.height_m + nu_m
+    gate.pending_height_m += estimate.height_m + innovation_m
     slot = (gate.pending - 1) & (PENDING_HEIGHTS - 1)
-    gate.kept_arc_length_m[slot], gate.kept_height_m[slot] = estimate.arc_length_m, estimate.height_m + nu_m
-    # where steps have always stayed, and on a step's way up or down, two samples tell enough
-    goes_on = gate.travel_since_step_m < params.step_way_m and nu_m * gate.step_m > 0.0
-    few = gate.slot_likelihood < PERMANENT_STEPS or goes_on
+    gate.kept_arc_length_m[slot], gate.kept_height_m[slot] = (
+        estimate.arc_length_m,
+        estimate.height_m + innovation_m,
+    )
+    # two samples are enough where steps have stayed, and while a step continues
+    continues = gate.travel_since_step_m < params.step_way_m and innovation_m * gate.step_m > 0.0
+    few = gate.slot_likelihood < PERMANENT_STEPS or continues
     need = min(params.step_samples, 2) if few else params.step_samples
     if gate.pending < need:
         return 0
-    if nu_m > 0.0 or goes_on or gate.pending_travel_m >= params.step_way_m * gate.slot_likelihood:
+    if innovation_m > 0.0 or continues or gate.pending_travel_m >= params.step_way_m * gate.slot_likelihood:
         return 1
-    # a start with a bad sample is outvoted; where the tool stands, no way will ever tell
+    # more pending samples than accepted ones: the start was bad; at rest there is no travel
     outvoted = gate.pending > estimate.samples
     return 1 if outvoted or estimate.sample_ns - gate.pending_ns >= STANDING_CONFIRMATION_NS else 0
 
 
 @jit
-def needs_second_sample(adaptive: Any, nu_m: Any, gate_m: Any) -> Any:
-    """1 for a lone innovation near the gate, on a slot's edge or a small glitch; a second is believed."""
+def needs_second_sample(adaptive: Any, innovation_m: Any, gate_m: Any) -> Any:
+    """1 for a single innovation between the inner gate and the gate.
+
+    It is the edge of a slot or a small glitch. A second one on the same side is accepted.
+    """
     gate = adaptive.gate
     before = gate.unconfirmed_m
     gate.unconfirmed_m = 0.0
-    least = INNER_GATE if adaptive.estimate.samples > 1 else INITIAL_INNER_GATE
-    if not least * gate_m < abs(nu_m) <= gate_m or before * nu_m > 0.0:
+    inner = INNER_GATE if adaptive.estimate.samples > 1 else INITIAL_INNER_GATE
+    if not inner * gate_m < abs(innovation_m) <= gate_m or before * innovation_m > 0.0:
         return 0
-    gate.unconfirmed_m = nu_m
+    gate.unconfirmed_m = innovation_m
     return 1
 
 
@@ -87,14 +95,14 @@ def gate_width(params: Any, gate: Any) -> Any:
 
 
 @jit
-def update_travel(params: Any, gate: Any, way_m: Any) -> None:
+def update_travel(params: Any, gate: Any, travel_m: Any) -> None:
     """Add the distance travelled since the last step; a step that stays lowers the likelihood of slots."""
     if (
-        gate.travel_since_step_m < params.step_way_m <= gate.travel_since_step_m + way_m
+        gate.travel_since_step_m < params.step_way_m <= gate.travel_since_step_m + travel_m
         and gate.step_m != 0.0
     ):
         gate.slot_likelihood = max(SLOT_DECAY * gate.slot_likelihood, MIN_SLOT_LIKELIHOOD)
-    gate.travel_since_step_m += way_m
+    gate.travel_since_step_m += travel_m
 
 
 @jit

@@ -11,16 +11,16 @@ from surffollow.shm.layout_follow import POSES
 
 SPEED_WINDOW_NS = 100_000_000
 CLIMB_WINDOW_NS = 30_000_000
-MAX_POSE_GAP_NS = 1_000_000_000  # a report so much older than the newest is of another motion
-MAX_EXTRAPOLATION_NS = 50_000_000  # a pose is carried on by its velocity no farther
-MIN_DIRECTION_SPEED_MPS = 0.005  # slower, the direction of travel is not known well enough to look ahead
+MAX_POSE_GAP_NS = 1_000_000_000  # a report older than the newest by this belongs to another motion
+MAX_EXTRAPOLATION_NS = 50_000_000  # a pose is extrapolated by its velocity no farther
+MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
 
 
 @jit
 def oldest_pose_within(sense: Any, window_ns: Any) -> Any:
-    """Slot of the first pose report that lies `window_ns` or more before the newest, or of the oldest.
+    """Slot of the newest pose report that is at least `window_ns` older than the newest one.
 
-    None from before a long gap counts; after one the newest may stand alone.
+    Reports from before a long gap do not count; after a gap the newest one may be the only one.
     """
     k = sense.pose_count - 1
     oldest = max(0, k - POSES + 1)
@@ -34,7 +34,7 @@ def oldest_pose_within(sense: Any, window_ns: Any) -> Any:
 
 @jit
 def update_kinematics(kinematics: Any, sense: Any) -> None:
-    """Lateral and vertical velocity of the tool from its reports, when one is new; 0 with one report."""
+    """Lateral and vertical velocity of the tool from its reports; 0 with a single report."""
     if kinematics.pose_count == sense.pose_count:
         return
     kinematics.pose_count = sense.pose_count
@@ -53,7 +53,7 @@ def update_kinematics(kinematics: Any, sense: Any) -> None:
 
 @jit
 def predict_pose(kinematics: Any, sense: Any, t_ns: Any, pose: Any) -> None:
-    """The tool's pose at a time into `pose` (7,); after the newest report carried on by the velocity."""
+    """Pose of the tool at a time into `pose` (7,); after the newest report it is extrapolated."""
     pose_at(sense, t_ns, 1, pose)
     late = t_ns - sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
     if late > 0:

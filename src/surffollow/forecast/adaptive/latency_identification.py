@@ -14,21 +14,21 @@ from typing import Any
 from surffollow.forecast.pose import pose_at
 from surffollow.shm.jit import jit
 
-PRIOR_S = 0.03  # how wrong the configured latency may well be
-HALF_SPAN_NS = 15_000_000  # climb at a sample: between the poses so long before and after
+PRIOR_S = 0.03  # standard deviation of the configured latency
+HALF_SPAN_NS = 15_000_000  # climb rate at a sample: between the poses so long before and after
 MIN_SAMPLES = 20
 MAX_SAMPLES = 500  # samples after which a rest is concluded
-MIN_CLIMB_RMS_MPS = 0.015  # RMS deviation of the climb: less tells nothing
+MIN_CLIMB_RMS_MPS = 0.015  # RMS deviation of the climb rate: less identifies nothing
 OUTLIER_GATE_M = 8e-3  # heights so far from the mean are glitches
 MAX_CORRECTION_S = 0.1
 RESIDUAL_LIMIT_M = 0.5e-3  # left by the regression, beyond the noise: the ground was not one spot
-DRIFT_S = 1e-3  # the lag may wander by as much from rest to rest
+DRIFT_S = 1e-3  # standard deviation of the latency's drift between two rests
 DELAY_RATE = 0.05  # of the usual delay, per sample
 
 
 @jit
 def reset_window(latency: Any) -> None:
-    """Begin anew."""
+    """Begin a new rest."""
     latency.count = 0
     latency.mean_climb_mps = latency.mean_height_m = latency.climb_climb = latency.climb_height = (
         latency.height_height
@@ -56,7 +56,7 @@ def reset_delay(latency: Any) -> None:
 
 @jit
 def check_configured_latency(params: Any, latency: Any) -> None:
-    """What was found beside another configured latency is no correction of this one: find it anew."""
+    """Discard the correction when another latency is configured."""
     if latency.configured_ns != params.sensor_latency_ns:
         latency.configured_ns = params.sensor_latency_ns
         latency.correction_s = latency.sigma_s = 0.0
@@ -65,39 +65,41 @@ def check_configured_latency(params: Any, latency: Any) -> None:
 
 @jit
 def update_correction(adaptive: Any, adapt: Any) -> None:
-    """Let what a rest told enter the lag, and begin anew."""
+    """Let the regression of a rest enter the correction, and begin a new rest."""
     latency = adaptive.latency
     n = latency.count
     if adapt != 0 and n >= MIN_SAMPLES and latency.climb_climb > n * MIN_CLIMB_RMS_MPS * MIN_CLIMB_RMS_MPS:
-        wrong = latency.climb_height / latency.climb_climb
-        left = math.sqrt(max(latency.height_height - wrong * latency.climb_height, 0.0) / n)
+        delta = latency.climb_height / latency.climb_climb
+        residual = math.sqrt(max(latency.height_height - delta * latency.climb_height, 0.0) / n)
         noise = max(adaptive.noise.sigma_m, 1e-4)
-        if abs(wrong) < MAX_CORRECTION_S and left < 3.0 * noise + RESIDUAL_LIMIT_M:
-            var = max(left, noise) ** 2 / latency.climb_climb
+        if abs(delta) < MAX_CORRECTION_S and residual < 3.0 * noise + RESIDUAL_LIMIT_M:
+            var = max(residual, noise) ** 2 / latency.climb_climb
             prior = PRIOR_S if latency.sigma_s == 0.0 else math.sqrt(latency.sigma_s**2 + DRIFT_S**2)
             gain = prior * prior / (prior * prior + var)
             latency.correction_s = min(
-                max(latency.correction_s + gain * wrong, -MAX_CORRECTION_S), MAX_CORRECTION_S
+                max(latency.correction_s + gain * delta, -MAX_CORRECTION_S), MAX_CORRECTION_S
             )
             latency.sigma_s = math.sqrt((1.0 - gain) * prior * prior)
     reset_window(latency)
 
 
 @jit
-def observe_height(adaptive: Any, sense: Any, t_ns: Any, h_m: Any, still: Any, adapt: Any, pose: Any) -> None:
-    """Take a sample's height, made with the pose at its stamp less the lag found so far.
+def observe_height(
+    adaptive: Any, sense: Any, t_ns: Any, h_m: Any, at_rest: Any, adapt: Any, pose: Any
+) -> None:
+    """Enter a sample's height into the regression.
 
     Parameters
     ----------
-    a, sense : records of `AdaptiveState` (updated), `SenseState`
-    t_ns : int64       stamp less the lag
-    h_m : float64      height [m]
-    still : int        1: the tool rests laterally
-    adapt : int        0: learn nothing
-    pose : (7,) float64 scratch
+    adaptive, sense : records of `AdaptiveState` (updated), `SenseState`
+    t_ns : int64         timestamp minus the correction
+    h_m : float64        height of the footprint with the pose at that time [m]
+    at_rest : int        1: the tool rests laterally
+    adapt : int          0: the correction stays
+    pose : (7,) float64  scratch
     """
     latency = adaptive.latency
-    if still == 0:
+    if at_rest == 0:
         if latency.count > 0:
             update_correction(adaptive, adapt)
         return

@@ -18,19 +18,19 @@ from surffollow.shm.layout_adaptive_sensing import BEAMS
 AGREEMENT_M = 1.5e-3  # heights of two samples in a row that confirm each other
 BIAS_RATE = 0.02
 MAX_BIAS_M = 5e-3
-MAX_LEAD_M = 0.4  # of the ring of ground
-TIMEOUT_NS = 200_000_000  # a scout silent for so long no longer leads
+MAX_LEAD_M = 0.4  # length of the terrain buffer, with a margin
+TIMEOUT_NS = 200_000_000  # a sensor without samples for so long does not lead
 
 
 @jit
 def observe_lookahead(params: Any, adaptive: Any, sense: Any, moving: Any, pose: Any) -> None:
-    """Note the ground that channels 1 and up see ahead of channel 0's footprint.
+    """Store the ground that channels 1 and up measure ahead of channel 0's footprint.
 
     Parameters
     ----------
-    params, a, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
-    moving : int             1: fast enough for a direction; at rest none of them leads
-    pose : (7,) float64 scratch
+    params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
+    moving : int             1: the direction of travel is known; otherwise no channel leads
+    pose : (7,) float64      scratch
     """
     clock, kinematics, sample, estimate, lookahead = (
         adaptive.clock,
@@ -54,12 +54,12 @@ def observe_lookahead(params: Any, adaptive: Any, sense: Any, moving: Any, pose:
         along = (
             (x - sample.x_m) * kinematics.velocity_x_mps + (y - sample.y_m) * kinematics.velocity_y_mps
         ) / kinematics.speed_mps
-        aside = (
+        across = (
             (x - sample.x_m) * kinematics.velocity_y_mps - (y - sample.y_m) * kinematics.velocity_x_mps
         ) / kinematics.speed_mps
         agrees = abs(z - lookahead.height_m[c]) < AGREEMENT_M
         lookahead.height_m[c] = z
-        if not agrees or not MIN_LEAD_M < along < MAX_LEAD_M or abs(aside) > MIN_LEAD_M:
+        if not agrees or not MIN_LEAD_M < along < MAX_LEAD_M or abs(across) > MIN_LEAD_M:
             continue
         store_ground_at(adaptive, estimate.arc_length_m + along, z, x, y)
         lookahead.lead_m = along
@@ -68,13 +68,13 @@ def observe_lookahead(params: Any, adaptive: Any, sense: Any, moving: Any, pose:
 
 @jit
 def compare_lookahead(adaptive: Any, s_m: Any, h_m: Any) -> None:
-    """Compare what was seen ahead with what channel 0 sees there now; learn the difference."""
+    """Compare buffered ground with channel 0's height there and update the bias."""
     lookahead = adaptive.lookahead
     if lookahead.lead_m == 0.0:
         return
-    seen = buffered_height(adaptive, s_m)
-    if math.isfinite(seen):
-        e = min(max(h_m - seen, -MAX_BIAS_M), MAX_BIAS_M)
+    buffered = buffered_height(adaptive, s_m)
+    if math.isfinite(buffered):
+        e = min(max(h_m - buffered, -MAX_BIAS_M), MAX_BIAS_M)
         lookahead.bias_m += BIAS_RATE * (e - lookahead.bias_m)
 
 

@@ -30,9 +30,9 @@ SPACING_RATE = 0.05
 
 @jit
 def axis_ground_point(params: Any, pose: Any) -> Any:
-    """Find the point on the tool's axis that should touch the ground, from the tool, in the world's axes [m].
+    """Point of the tool's axis that should touch the ground, from the tool, in world axes [m].
 
-    The axis is that of the tool's frame which channel 0's beam lies nearest to.
+    The axis is that of the tool's frame which is nearest to channel 0's beam.
     """
     m = params.tool_from_sensor
     x, y, z = rotate(m[3], m[4], m[5], m[6], 0.0, 0.0, -params.offset_m)
@@ -46,7 +46,7 @@ def axis_ground_point(params: Any, pose: Any) -> Any:
 
 @jit
 def standoff_height(params: Any, plane: Any, sense: Any, several: Any, pose: Any) -> Any:
-    """How much higher than the ground that it points at the tool should be [m].
+    """Wanted height of the tool above the ground point on its axis [m].
 
     `pose` (7,) is scratch and holds the newest report afterwards.
     """
@@ -65,7 +65,7 @@ def standoff_height(params: Any, plane: Any, sense: Any, several: Any, pose: Any
 def process_sample(
     params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, several: Any, pose: Any
 ) -> None:
-    """Take a new sample, if there is one; what does not enter the estimate is not mapped."""
+    """Process a new sample, if there is one; a sample that does not enter the estimate is not mapped."""
     kinematics, hold, latency, sample, health = (
         adaptive.kinematics,
         adaptive.hold,
@@ -81,15 +81,15 @@ def process_sample(
         output.fresh &= ~1
     if channel < 0:
         return
-    news, range_m, t = new_sample(params, hold, sense, inputs.n_ranges, channel)
-    if news == 0:
+    is_new, range_m, t = new_sample(params, hold, sense, inputs.n_ranges, channel)
+    if is_new == 0:
         return
     update_prediction(adaptive.prediction, t, range_m)
     repeated = 1 if hold.t_ns != 0 and range_m == hold.range_m else 0
     if several != 0 and any_beam_changed(beams, params.n_channels, hold.t_ns) != 0:
         repeated = 0
     record_sample(hold, t, range_m)
-    if several == 0:  # beams are stamped one by one
+    if several == 0:  # beams have timestamps of their own, without correction
         t -= int(latency.correction_s * 1e9)
     update_delay(latency, (adaptive.clock.now_ns - t) * 1e-9)
     predict_pose(kinematics, sense, t, pose)
@@ -98,17 +98,17 @@ def process_sample(
         return
     adapt = 0 if params.adapt == 0 or params.run == RUN_FREEZE else 1
     x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)
-    still = 1 if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS else 0
-    if several == 0 and (still != 0 or latency.count > 0):
-        observe_height(adaptive, sense, t, z, still, adapt, pose)
+    at_rest = 1 if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS else 0
+    if several == 0 and (at_rest != 0 or latency.count > 0):
+        observe_height(adaptive, sense, t, z, at_rest, adapt, pose)
         predict_pose(kinematics, sense, t, pose)
     close = count_close(health, range_m < params.too_close_m)
     if close != 0 or fold.close != 0:
         watch_fold_back(fold, range_m, sensor_z, params.too_close_m, params.too_close_exit_m)
     tool_x, tool_y, tool_z = pose[0], pose[1], pose[2]
     if several != 0:
-        good, z = plane_height(params, adaptive, t, tool_x, tool_y)
-        if good == 0:
+        accepted, z = plane_height(params, adaptive, t, tool_x, tool_y)
+        if accepted == 0:
             return
         x, y = tool_x, tool_y
         for c in range(params.n_channels):
@@ -123,22 +123,22 @@ def process_sample(
             lead_x * kinematics.velocity_x_mps + lead_y * kinematics.velocity_y_mps
         ) / kinematics.speed_mps
         sample.lead_m += (lead - sample.lead_m) * (LEAD_RATE if estimate.samples > 0 else 1.0)
-    way = kinematics.speed_mps * (t - estimate.sample_ns) * 1e-9 if estimate.samples > 0 else 0.0
-    drop = standoff_height(params, adaptive.plane, sense, several, pose)
-    sample.spacing_m += SPACING_RATE * (way - sample.spacing_m)
-    sample.x_m, sample.y_m, sample.arc_length_m = x, y, estimate.arc_length_m + way
+    travel = kinematics.speed_mps * (t - estimate.sample_ns) * 1e-9 if estimate.samples > 0 else 0.0
+    standoff = standoff_height(params, adaptive.plane, sense, several, pose)
+    sample.spacing_m += SPACING_RATE * (travel - sample.spacing_m)
+    sample.x_m, sample.y_m, sample.arc_length_m = x, y, estimate.arc_length_m + travel
     compare_lookahead(adaptive, sample.arc_length_m, z)
-    taken = update_estimate(params, adaptive, t, way, z, drop, adapt)
-    if taken == 0:
+    entered = update_estimate(params, adaptive, t, travel, z, standoff, adapt)
+    if entered == 0:
         return
     if adapt != 0 or adaptive.adaptation.permitted_variance_m == 0.0:
         update_deadband(params, adaptive)
     if abs(sample.lead_m) < MIN_LEAD_M and params.run == RUN_NORMAL:
-        monitor_error(adaptive, tool_z - drop - z)
+        monitor_error(adaptive, tool_z - standoff - z)
     if inputs.n_preview > 0 and kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
-        beside_x, beside_y = x - pose[0] - sample.tip_x_m, y - pose[1] - sample.tip_y_m
-        beside = beside_x * kinematics.velocity_x_mps + beside_y * kinematics.velocity_y_mps
-        compare_map(adaptive.preview, map_height(inputs, beside / kinematics.speed_mps), z)
+        gap_x, gap_y = x - pose[0] - sample.tip_x_m, y - pose[1] - sample.tip_y_m
+        lateral = gap_x * kinematics.velocity_x_mps + gap_y * kinematics.velocity_y_mps
+        compare_map(adaptive.preview, map_height(inputs, lateral / kinematics.speed_mps), z)
     if several == 0:
         output.fresh |= 1
         output.target_m[0], output.target_m[1], output.target_m[2] = x, y, z

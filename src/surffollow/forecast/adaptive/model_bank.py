@@ -15,15 +15,15 @@ import numpy as np
 from surffollow.shm.jit import jit
 
 SLOPE, CURVE, WAVE = 0, 1, 2
-# Of a model's candidates the first leads by its whole slope; less is calmer, and where slopes do not last it
-# is nearer the ground too. The same filter serves all candidates of a model.
+# The first candidate of a model leads by its whole slope. A smaller share is smoother, and nearer the ground
+# where slopes do not last.
 _HALF_SLOPE, _NO_SLOPE = 0.5, 0.0
-_STIFF_NOISE = 0.01  # noise of slopes that last, as those of a gently curved panel …
-_SMOOTH_NOISE = 0.05  # … or of planes with few bends
+_STIFF_NOISE = 0.01  # slope noise of gently curved panels …
+_SMOOTH_NOISE = 0.05  # … and of planes with few bends
 
 
 def _models() -> Any:
-    """Rows of (kind, scale, noise of slope or curve, noise of height), and shares to lead by besides 1."""
+    """Rows of (kind, scale, noise of slope or curve, noise of height); shares of the slope besides 1."""
     rows: list[tuple[tuple[float, ...], tuple[float, ...]]] = []
 
     def add(*row: float, shares: tuple[float, ...] = ()) -> None:
@@ -63,6 +63,7 @@ SMOOTH_MODEL = int(np.flatnonzero((BANK[:, 0] == SLOPE) & (BANK[:, 2] == _SMOOTH
 
 
 def _candidates() -> Any:
+    """Rows of (model, share of the slope): all models with 1 first."""
     rows = [(i, 1.0) for i in range(N_MODELS)]
     return np.array(
         rows + [(i, s) for s in (_HALF_SLOPE, _NO_SLOPE) for i in range(N_MODELS) if s in _MODELS[i][1]]
@@ -72,11 +73,11 @@ def _candidates() -> Any:
 _CANDIDATES = _candidates()
 CANDIDATE_MODEL, SLOPE_SHARE = _CANDIDATES[:, 0].astype(np.int64), _CANDIDATES[:, 1].copy()
 N_CANDIDATES = len(CANDIDATE_MODEL)
-# what must be overcome by evidence: models that extrapolate boldly are wrong more often than they fit,
-# and one that hardly lets its slope change is sure of it when nobody can be
+# prior cost: models with a long extrapolation are wrong more often than they fit, and the stiffest slope
+# model underestimates its own variance
 _KIND_PENALTY = np.array([0.0, 0.8, 0.8])
 _STIFF_PENALTY = np.where((BANK[:, 0] == SLOPE) & (BANK[:, 2] == _STIFF_NOISE), 3.0, 0.0)
-# several candidates of one model count no more than one would
+# all candidates of a model together have the prior weight of one
 COMPLEXITY_PENALTY = (
     _KIND_PENALTY[BANK[CANDIDATE_MODEL, 0].astype(np.int64)]
     + _STIFF_PENALTY[CANDIDATE_MODEL]
@@ -86,7 +87,7 @@ COMPLEXITY_PENALTY = (
 
 @jit
 def reset_model(i: Any, x: Any, p: Any, h_m: Any, r: Any) -> None:
-    """Set model i to level ground at height h."""
+    """Set model i to level ground at height h, variance r."""
     kind = BANK[i, 0]
     x[3 * i], x[3 * i + 1], x[3 * i + 2] = h_m, 0.0, 0.0
     c = 6 * i
@@ -103,7 +104,7 @@ def reset_model(i: Any, x: Any, p: Any, h_m: Any, r: Any) -> None:
 
 @jit
 def propagate_model(i: Any, x: Any, p: Any, d: Any) -> None:
-    """Carry model i on by d [m]."""
+    """Propagate model i over a distance d [m]."""
     kind, a, q, qh = BANK[i, 0], BANK[i, 1], BANK[i, 2], BANK[i, 3]
     k, c = 3 * i, 6 * i
     p00, p01, p02, p11, p12, p22 = p[c], p[c + 1], p[c + 2], p[c + 3], p[c + 4], p[c + 5]
@@ -152,7 +153,7 @@ def propagate_model(i: Any, x: Any, p: Any, d: Any) -> None:
 
 @jit
 def model_height(i: Any, x: Any) -> Any:
-    """Height that model i gives where it stands."""
+    """Height by model i at its present arc length [m]."""
     if BANK[i, 0] == WAVE:
         return x[3 * i] + x[3 * i + 1]
     return x[3 * i]
@@ -160,7 +161,7 @@ def model_height(i: Any, x: Any) -> Any:
 
 @jit
 def model_slope(i: Any, x: Any) -> Any:
-    """Slope that model i gives where it stands."""
+    """Slope by model i at its present arc length."""
     if BANK[i, 0] == WAVE:
         return BANK[i, 1] * x[3 * i + 2]
     return x[3 * i + 1]
@@ -168,7 +169,7 @@ def model_slope(i: Any, x: Any) -> Any:
 
 @jit
 def update_model(i: Any, x: Any, p: Any, h_m: Any, r: Any) -> None:
-    """Let model i learn a height with variance r."""
+    """Update model i with a height of variance r."""
     kind = BANK[i, 0]
     k, c = 3 * i, 6 * i
     p00, p01, p02, p11, p12, p22 = p[c], p[c + 1], p[c + 2], p[c + 3], p[c + 4], p[c + 5]
@@ -194,7 +195,7 @@ def update_model(i: Any, x: Any, p: Any, h_m: Any, r: Any) -> None:
 
 @jit
 def extrapolate(i: Any, x: Any, d: Any, lead: Any) -> Any:
-    """Height that model i expects d [m] ahead plus `lead` [m] times the slope there."""
+    """Height by model i at d [m] ahead, plus `lead` [m] times the slope there [m]."""
     kind, a = BANK[i, 0], BANK[i, 1]
     k = 3 * i
     if kind == SLOPE:
@@ -212,7 +213,7 @@ def extrapolate(i: Any, x: Any, d: Any, lead: Any) -> Any:
 
 @jit
 def extrapolation_variance(i: Any, p: Any, d: Any) -> Any:
-    """Variance of the height d [m] ahead by model i's own account, were its slope to stay as it is [m²]."""
+    """Variance of the height d [m] ahead by model i, its slope kept [m²]."""
     c = 6 * i
     if BANK[i, 0] == WAVE:
         d *= BANK[i, 1]
@@ -228,10 +229,10 @@ def reset_bank(bank: Any, h_m: Any, variance_m2: Any) -> None:
 
 
 @jit
-def propagate_bank(bank: Any, way_m: Any) -> None:
+def propagate_bank(bank: Any, travel_m: Any) -> None:
     """Propagate all models over a distance travelled [m]."""
     for i in range(N_MODELS):
-        propagate_model(i, bank.mean, bank.covariance, way_m)
+        propagate_model(i, bank.mean, bank.covariance, travel_m)
 
 
 @jit

@@ -26,45 +26,42 @@ from surffollow.forecast.adaptive.model_bank import (
 from surffollow.forecast.adaptive.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.jit import jit
 
-NOISE_MARGIN = 1.4  # mean squares up to so many times that of the noise are all noise
-VARIANCE_PENALTY = 3.0  # power of what a model claims to know, while nothing else is known
+NOISE_MARGIN = 1.4  # mean squares up to so many noise variances are noise
+VARIANCE_PENALTY = 3.0  # power of the models' own variance during burn-in
 BIAS_RATE = 0.2  # per sample
-BIAS_INNOVATION_LIMIT = 4.0  # standard deviations that one innovation counts at most
-BIAS_GATE, MAX_BIAS_PENALTY = 16.0, 20.0  # beyond four standard deviations it is no chance
-WEIGHT_TIME_CONSTANT_S = 0.01  # in which weights come nearer to what the scores say, where all is noise …
-ROUGH_WEIGHT_TIME_CONSTANT_S = 0.05  # … and where much is seen that no model foresaw
-BIAS_SPEEDUP = 4.5  # cost of the bias in force that halves these times
+BIAS_INNOVATION_LIMIT = 4.0  # in standard deviations, of one innovation
+BIAS_GATE, MAX_BIAS_PENALTY = 16.0, 20.0  # four standard deviations squared: beyond, it is not chance
+WEIGHT_TIME_CONSTANT_S = 0.01  # of the weights where errors are noise …
+ROUGH_WEIGHT_TIME_CONSTANT_S = 0.05  # … and on terrain that no model describes
+BIAS_SPEEDUP = 4.5  # penalty of the bias in force that halves these time constants
 MIN_TIME_CONSTANT_S = 1e-6
-LONGER_POWER_FACTOR = 10.0  # times its power has the longer horizon where it decides …
-RECENT_POWER_REDUCTION = 0.9  # … and takes off the other's
-BURN_IN_SAMPLES, FULL_POWER_SAMPLES = (
-    200,
-    500,
-)  # samples after which scores count fully, and as sharply as they may
-# where all is noise a wave fits some of it for a while, and a curve some: what chance must be outdone by
+LONGER_POWER_FACTOR = 10.0  # of the longer horizon's power on quiet ground …
+RECENT_POWER_REDUCTION = 0.9  # … where the recent one's power is reduced by this share
+BURN_IN_SAMPLES, FULL_POWER_SAMPLES = 200, 500  # samples for the full index, and for its full power
+# per kind of model: a wave fits part of any noise for a while, a curve a smaller part
 CHANCE_PENALTY = np.array([0.0, 1.0, 5.0])[BANK[CANDIDATE_MODEL, 0].astype(np.int64)]
-BURN_IN_CHANCE_FACTOR = 4.0  # times as much at the very beginning
-# what restlessness costs, as a power of the set points' squared acceleration over that of EFFORT_LEAST: where
-# all errors are great the calmer is the better of two, and at first what follows the noise may just be lucky
+BURN_IN_CHANCE_FACTOR = 4.0  # at the start, falling to 1
+# power of the effort over EFFORT_UNIT: on rough ground the smoother of two equal models is better, and during
+# burn-in a model that follows the noise may fit by chance
 ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.8, 6.0
 EFFORT_UNIT = 1.0  # (1 m/s²)²
 INITIAL_INDEX_M2 = 1e-6  # (1 mm)²: the same for all, so that it prefers none
 
 
 @jit
-def update_index(params: Any, adaptive: Any, way_m: Any, dt_s: Any, wanted_m: Any) -> None:
-    """Score every shadow against where the tool should have been at the sample, and weigh anew."""
+def update_index(params: Any, adaptive: Any, travel_m: Any, dt_s: Any, target_m: Any) -> None:
+    """Update the performance index of all candidates with a sample, then the weights."""
     weights, estimate = adaptive.weights, adaptive.estimate
-    rate = way_m / params.score_way_m + dt_s / params.score_time_s
-    # after a start anew it is the samples since then that count
-    first = 1.0 / (
+    rate = travel_m / params.score_way_m + dt_s / params.score_time_s
+    # after an initialisation the samples since then count
+    burn_in_rate = 1.0 / (
         1.0
         + (min(estimate.samples, weights.scored) if weights.scored < FULL_POWER_SAMPLES else estimate.samples)
     )
-    f = max(1.0 - math.exp(-rate), first)
-    g = max(1.0 - math.exp(-rate / params.long_factor), first)
+    f = max(1.0 - math.exp(-rate), burn_in_rate)
+    g = max(1.0 - math.exp(-rate / params.long_factor), burn_in_rate)
     for i in range(N_CANDIDATES):
-        e = adaptive.shadow.position_m[i] - wanted_m
+        e = adaptive.shadow.position_m[i] - target_m
         weights.recent_m2[i] += f * (e * e - weights.recent_m2[i])
         weights.longer_m2[i] += g * (e * e - weights.longer_m2[i])
     weights.scored = min(weights.scored + 1, FULL_POWER_SAMPLES)
@@ -73,7 +70,7 @@ def update_index(params: Any, adaptive: Any, way_m: Any, dt_s: Any, wanted_m: An
 
 @jit
 def update_bias(adaptive: Any, h_m: Any, variance_m2: Any) -> None:
-    """Average every model's innovations, each over its standard deviation, before they learn the height."""
+    """Update the mean normalised innovation of every model, before the sample enters it."""
     bank, weights = adaptive.bank, adaptive.weights
     for i in range(N_MODELS):
         z = (h_m - model_height(i, bank.mean)) / math.sqrt(
@@ -85,21 +82,21 @@ def update_bias(adaptive: Any, h_m: Any, variance_m2: Any) -> None:
 
 
 @jit
-def bias_penalty(bias: Any, least_bias2: Any) -> Any:
-    """What a model's bias costs it beyond that of the least biased: nothing until chance is ruled out."""
-    excess = (bias * bias - least_bias2) * (2.0 - BIAS_RATE) / BIAS_RATE  # in variances of white innovations
+def bias_penalty(bias: Any, min_bias2: Any) -> Any:
+    """Penalty for the bias of a model beyond that of the least biased, above a gate."""
+    excess = (bias * bias - min_bias2) * (2.0 - BIAS_RATE) / BIAS_RATE  # in variances of white innovations
     return min(max(excess - BIAS_GATE, 0.0), MAX_BIAS_PENALTY)
 
 
 @jit
 def noise_fraction(score_m2: Any, noise_m: Any) -> Any:
-    """How much of a score is the readings' noise, 0 to 1: where it is all, nothing else is seen."""
+    """Share of a mean squared error that is the noise of the readings, 0 to 1."""
     return min(NOISE_MARGIN * noise_m * noise_m, score_m2) / score_m2 if score_m2 > 0.0 else 1.0
 
 
 @jit
 def least_noise_fraction(adaptive: Any) -> Any:
-    """How much of the least score is noise."""
+    """The same of the least index."""
     weights = adaptive.weights
     best = weights.recent_m2[0]
     for i in range(1, N_CANDIDATES):
@@ -109,10 +106,11 @@ def least_noise_fraction(adaptive: Any) -> Any:
 
 @jit
 def longer_horizon_share(adaptive: Any, best_long_m2: Any) -> Any:
-    """How far the longer horizon decides instead of the recent one, 0 to 1.
+    """Share by which the longer horizon replaces the recent one, 0 to 1.
 
-    Between two bends, beads or grooves everything fits, and recent scores would choose what is calmest and
-    fails at the next: when the ground is quiet now, what has been right all along is the better choice.
+    On a quiet stretch between two bends, beads or grooves every model fits. The recent index would prefer the
+    smoothest model, which fails at the next bend. Where the smooth model's error is noise, the longer
+    horizon decides.
     """
     noise, weights = adaptive.noise, adaptive.weights
     return (
@@ -125,57 +123,61 @@ def longer_horizon_share(adaptive: Any, best_long_m2: Any) -> Any:
 
 @jit
 def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
-    """Turn scores into weights: powers of recent and longer cost, noise taken off.
+    """Compute the weights: powers of both indices with penalties, filtered in time.
 
-    A few readings may turn the weights over, and the next ones back: where all is noise, and in the middle of
-    what nobody foresaw. There weights follow slowly, unless the models in force are biased.
+    Weights follow with a time constant of 10 ms where errors are noise and of 50 ms on terrain that no model
+    describes; a bias of the models in force shortens both.
     """
     shadow, weights = adaptive.shadow, adaptive.weights
-    best, best_long = weights.recent_m2[0], weights.longer_m2[0]
+    least_recent, least_longer = weights.recent_m2[0], weights.longer_m2[0]
     for i in range(1, N_CANDIDATES):
-        best = min(best, weights.recent_m2[i])
-        best_long = min(best_long, weights.longer_m2[i])
+        least_recent = min(least_recent, weights.recent_m2[i])
+        least_longer = min(least_longer, weights.longer_m2[i])
     variance = adaptive.noise.sigma_m * adaptive.noise.sigma_m
-    off = params.noise_share * min(variance, best)
-    off_long = params.noise_share * min(variance, best_long)
+    subtracted = params.noise_share * min(variance, least_recent)
+    subtracted_longer = params.noise_share * min(variance, least_longer)
     floor = params.score_floor_m * params.score_floor_m
     mu = params.effort_m * params.effort_m
-    # where noise hides the differences they are small, yet tell; great errors are of few places, often chance
-    share = noise_fraction(best, adaptive.noise.sigma_m)
-    # what a few samples say is mostly luck, and fine differences are told by many only
-    told, old = min(weights.scored / BURN_IN_SAMPLES, 1.0), weights.scored / FULL_POWER_SAMPLES
-    sharp = share * share * old * old
-    long = longer_horizon_share(adaptive, best_long)
-    power = params.long_power + (params.score_power - params.long_power) * sharp * (
-        1.0 - RECENT_POWER_REDUCTION * long
+    # differences below the noise are small but significant; great errors come from few places
+    noise_share = noise_fraction(least_recent, adaptive.noise.sigma_m)
+    # few samples give no significance; fine differences need many
+    burn_in, progress = min(weights.scored / BURN_IN_SAMPLES, 1.0), weights.scored / FULL_POWER_SAMPLES
+    sharpness = noise_share * noise_share * progress * progress
+    longer_share = longer_horizon_share(adaptive, least_longer)
+    power = params.long_power + (params.score_power - params.long_power) * sharpness * (
+        1.0 - RECENT_POWER_REDUCTION * longer_share
     )
-    long_power = params.long_power + (LONGER_POWER_FACTOR * params.long_power - params.long_power) * long
-    # until then, and after a new start, a model counts for as much as it claims to know
-    young = max(1.0 - told, 1.0 - adaptive.estimate.samples / BURN_IN_SAMPLES)
+    long_power = (
+        params.long_power + (LONGER_POWER_FACTOR * params.long_power - params.long_power) * longer_share
+    )
+    # until then, and after an initialisation, the models' own variance decides
+    variance_share = max(1.0 - burn_in, 1.0 - adaptive.estimate.samples / BURN_IN_SAMPLES)
     if adaptive.sample.lead_m > MIN_LEAD_M:
-        young = 0.0  # what was seen there is followed, not what they expect
+        variance_share = 0.0  # the buffered heights are followed, not the models
     ahead_m = adaptive.kinematics.speed_mps * (adaptive.latency.delay_s + adaptive.plant.tau_s)
-    luck = share * share * (BURN_IN_CHANCE_FACTOR - (BURN_IN_CHANCE_FACTOR - 1.0) * old)
-    rough = (1.0 - share) * (1.0 - share)
-    restless = ROUGH_EFFORT_POWER * rough + BURN_IN_EFFORT_POWER * share * share * (1.0 - old)
-    least_bias2 = 1e300
+    chance = noise_share * noise_share * (BURN_IN_CHANCE_FACTOR - (BURN_IN_CHANCE_FACTOR - 1.0) * progress)
+    rough = (1.0 - noise_share) * (1.0 - noise_share)
+    effort_power = ROUGH_EFFORT_POWER * rough + BURN_IN_EFFORT_POWER * noise_share * noise_share * (
+        1.0 - progress
+    )
+    min_bias2 = 1e300
     for i in range(N_MODELS):
-        least_bias2 = min(least_bias2, weights.bias[i] * weights.bias[i])
-    least, biased = 1e300, 0.0
+        min_bias2 = min(min_bias2, weights.bias[i] * weights.bias[i])
+    least, bias_in_force = 1e300, 0.0
     for i in range(N_CANDIDATES):
         extra = floor + mu * shadow.effort[i]
-        c = power * math.log(weights.recent_m2[i] - off + extra)
-        c += long_power * math.log(weights.longer_m2[i] - off_long + extra)
-        c += restless * math.log(shadow.effort[i] / EFFORT_UNIT + 1.0)
-        # rough ground biases all but the quickest, which follow every bump; a wave is the right one or not
-        sure = 1.0 if BANK[CANDIDATE_MODEL[i], 0] == WAVE else share * share
-        bias = bias_penalty(weights.bias[CANDIDATE_MODEL[i]], least_bias2)
-        biased += weights.weight[i] * bias
-        c = told * (c + sure * bias) + COMPLEXITY_PENALTY[i] + luck * CHANCE_PENALTY[i]
-        if young > 0.0:
+        c = power * math.log(weights.recent_m2[i] - subtracted + extra)
+        c += long_power * math.log(weights.longer_m2[i] - subtracted_longer + extra)
+        c += effort_power * math.log(shadow.effort[i] / EFFORT_UNIT + 1.0)
+        # rough ground biases all slow models, so the penalty is reduced there; not that of a wave
+        bias_share = 1.0 if BANK[CANDIDATE_MODEL[i], 0] == WAVE else noise_share * noise_share
+        bias = bias_penalty(weights.bias[CANDIDATE_MODEL[i]], min_bias2)
+        bias_in_force += weights.weight[i] * bias
+        c = burn_in * (c + bias_share * bias) + COMPLEXITY_PENALTY[i] + chance * CHANCE_PENALTY[i]
+        if variance_share > 0.0:
             c += (
                 VARIANCE_PENALTY
-                * young
+                * variance_share
                 * math.log(
                     extrapolation_variance(CANDIDATE_MODEL[i], adaptive.bank.covariance, ahead_m) + variance
                 )
@@ -186,11 +188,12 @@ def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
     for i in range(N_CANDIDATES):
         weights.cost[i] = math.exp(least - weights.cost[i])
         total += weights.cost[i]
-    slow_s = (
-        WEIGHT_TIME_CONSTANT_S * share * share + ROUGH_WEIGHT_TIME_CONSTANT_S * (1.0 - share * share) * old
+    time_constant_s = (
+        WEIGHT_TIME_CONSTANT_S * noise_share * noise_share
+        + ROUGH_WEIGHT_TIME_CONSTANT_S * (1.0 - noise_share * noise_share) * progress
     )
-    slow_s /= 1.0 + (biased / BIAS_SPEEDUP) ** 2
-    rate = 1.0 - math.exp(-dt_s / max(slow_s, MIN_TIME_CONSTANT_S))
+    time_constant_s /= 1.0 + (bias_in_force / BIAS_SPEEDUP) ** 2
+    rate = 1.0 - math.exp(-dt_s / max(time_constant_s, MIN_TIME_CONSTANT_S))
     for i in range(N_CANDIDATES):
         weights.weight[i] += rate * (weights.cost[i] / total - weights.weight[i])
 

@@ -10,13 +10,13 @@ from surffollow.shm.jit import jit
 MIN_NOISE_M = 50e-6
 INITIAL_NOISE_M = 300e-6
 MEDIAN_RATE, MEDIAN_BURN_IN_RATE = 0.004, 0.02
-MEDIAN_SAMPLES = 2.0  # the rate is this over the samples so far, between the two
+MEDIAN_SAMPLES = 2.0  # the rate is this over the samples so far, within the two
 MAD_TO_SIGMA = 1.4826 / math.sqrt(6.0)  # of second differences
 
 
 @jit
 def update_noise(adaptive: Any, h_m: Any) -> None:
-    """Reading noise from second differences of accepted heights: a running median, free of slopes."""
+    """Update the noise: running median of second differences, which contain no slope."""
     noise = adaptive.noise
     if adaptive.estimate.samples > 2:
         e = abs(h_m - 2.0 * noise.recent_m[0] + noise.recent_m[1])

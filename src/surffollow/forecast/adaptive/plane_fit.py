@@ -17,15 +17,15 @@ from surffollow.forecast.adaptive.beam_detection import (
 )
 from surffollow.shm.jit import jit
 
-FIRST_PLANE_NS = 100_000_000  # so long one or two beams wait for a third at the start
+FIRST_PLANE_NS = 100_000_000  # at the start one or two beams wait so long for a third
 MIN_CONDITION = 1e-2  # least share of the spread of the footprints across their line
-MIN_SPREAD_M = 5e-3  # footprints nearer to each other give no slope
+MIN_SPREAD_M = 5e-3  # least spread of the footprints that gives a slope
 MAX_SLOPE = 3.0
 SLOPE_BANDWIDTH_RADPS = 11.0  # of the slopes [rad/s]; damping 1.1
-MAX_GAP_NS = 50_000_000  # slopes are carried on by their rates over shorter gaps only
-RATE_DECAY_S = 0.05  # so fast a rate that is not renewed dies away
-SLOPE_INNOVATION_LIMIT = 0.2  # largest innovation of a slope that is believed at once
-TRACK_TIME_CONSTANT_S = 0.1  # over which a slope is taken from a beam's track when others are missing
+MAX_GAP_NS = 50_000_000  # over longer gaps slopes are not extrapolated
+RATE_DECAY_S = 0.05  # time constant of a rate that is not observed
+SLOPE_INNOVATION_LIMIT = 0.2  # of one sample
+TRACK_TIME_CONSTANT_S = 0.1  # of the slope from a beam's track
 TRACK_LENGTH_M, TRACK_SAMPLES, TRACK_GAP_M = 0.015, 250.0, 0.05
 CURVATURE_RATE_HZ = 2.5
 CURVATURE_SPREAD_M2 = 1e-4  # least spread of half the squared distances from the axis
@@ -34,9 +34,9 @@ MAX_CURVATURE = 10.0  # 1/m
 
 @jit
 def plane_height(params: Any, adaptive: Any, t_ns: Any, x_m: Any, y_m: Any) -> Any:
-    """Height under the tool from all good beams, slopes renewed; 0 beams when there are none.
+    """Height under the tool from all accepted beams, and their number; 0 when there are none.
 
-    The height is that of the plane which touches the ground where the tool's axis meets it.
+    The height is that of the plane that touches the ground where the tool's axis meets it.
 
     Returns
     -------
@@ -44,25 +44,25 @@ def plane_height(params: Any, adaptive: Any, t_ns: Any, x_m: Any, y_m: Any) -> A
     """
     beams, plane = adaptive.beams, adaptive.plane
     dt = propagate_slopes(plane, t_ns)
-    good = isolate_faults(adaptive, params.n_channels, t_ns, x_m, y_m)
-    if good == 0:
+    accepted = isolate_faults(adaptive, params.n_channels, t_ns, x_m, y_m)
+    if accepted == 0:
         return 0, 0.0
     if beams.accepted[beams.reference] != 0:
         update_track(adaptive, beams.reference)
-    fit_plane(adaptive, params.n_channels, good, dt)
+    fit_plane(adaptive, params.n_channels, accepted, dt)
     first_ns = note_first_sample(beams, t_ns)
     if plane.count == 0 and t_ns - first_ns < FIRST_PLANE_NS:
-        return 0, 0.0  # one beam on a slope tells a wrong height: wait for the others
-    return good, mean_height(adaptive, params.n_channels, x_m, y_m)
+        return 0, 0.0  # the height by one beam on a slope is wrong: wait for the others
+    return accepted, mean_height(adaptive, params.n_channels, x_m, y_m)
 
 
 @jit
 def propagate_slopes(plane: Any, t_ns: Any) -> Any:
-    """Carry the slopes on to a sample by their rates; the time since the last one [s], 0 after a gap."""
+    """Propagate the slopes to a sample by their rates; time since the last one [s], 0 after a gap."""
     dt = (t_ns - plane.t_ns) * 1e-9
     if plane.t_ns == 0 or not 0.0 < dt <= MAX_GAP_NS * 1e-9:
         if plane.t_ns != 0 and abs(dt) > 0.5:
-            plane.count = min(plane.count, 1)  # what was known is old: the next planes count for more
+            plane.count = min(plane.count, 1)  # after a long gap the next planes have a higher gain
         plane.slope_rate_x_hz = plane.slope_rate_y_hz = 0.0
         dt = 0.0
     plane.t_ns = t_ns
@@ -73,7 +73,7 @@ def propagate_slopes(plane: Any, t_ns: Any) -> Any:
 
 @jit
 def update_slopes(plane: Any, ex: Any, ey: Any, dt: Any) -> None:
-    """Take a share of an innovation into slopes and rates; the first planes count in full."""
+    """Update slopes and rates with an innovation; the first planes have the full gain."""
     share = min(2.2 * SLOPE_BANDWIDTH_RADPS * dt, 0.5)
     plane.slope_rate_x_hz += share * share / 4.84 * ex / dt if dt > 0.0 else 0.0
     plane.slope_rate_y_hz += share * share / 4.84 * ey / dt if dt > 0.0 else 0.0
@@ -83,8 +83,8 @@ def update_slopes(plane: Any, ex: Any, ey: Any, dt: Any) -> None:
 
 
 @jit
-def fit_plane(adaptive: Any, n_channels: Any, good: Any, dt: Any) -> None:
-    """Move the slopes toward those of the good beams: a plane, or a line along two.
+def fit_plane(adaptive: Any, n_channels: Any, accepted: Any, dt: Any) -> None:
+    """Update the slopes with the accepted beams: a plane, or a line along two.
 
     Notes
     -----
@@ -115,58 +115,62 @@ def fit_plane(adaptive: Any, n_channels: Any, good: Any, dt: Any) -> None:
             yh += w * dy * dh
             xq += w * dx * dq
             yq += w * dy * dq
-    scale = good / total  # weights of 1 on average
+    scale = accepted / total  # weights of 1 on average
     spread, determinant = xx + yy, xx * yy - xy * xy
-    least = MIN_SPREAD_M * MIN_SPREAD_M
+    min_spread = MIN_SPREAD_M * MIN_SPREAD_M
     plane.rank = 0
-    if good >= 2 and spread * scale > least:
+    if accepted >= 2 and spread * scale > min_spread:
         plane.rank = 1
-    if good >= 3 and determinant > MIN_CONDITION * spread * spread and determinant * scale > least * spread:
+    if (
+        accepted >= 3
+        and determinant > MIN_CONDITION * spread * spread
+        and determinant * scale > min_spread * spread
+    ):
         plane.rank = 2
-    fade = math.exp(-dt / RATE_DECAY_S)
+    decay = math.exp(-dt / RATE_DECAY_S)
     if plane.rank == 0:
-        plane.slope_rate_x_hz *= fade
-        plane.slope_rate_y_hz *= fade
+        plane.slope_rate_x_hz *= decay
+        plane.slope_rate_y_hz *= decay
         ux, uy, slope = track_slope(plane)
         update_from_track(plane, dt, ux, uy, slope)
         return
     if plane.rank == 2:
         hx, hy = (yy * xh - xy * yh) / determinant, (xx * yh - xy * xh) / determinant
         qx, qy = (yy * xq - xy * yq) / determinant, (xx * yq - xy * xq) / determinant
-        if good >= 4:
+        if accepted >= 4:
             update_curvature(adaptive, n_channels, dt, (mx, my, mh, mq), (hx, hy), (qx, qy))
         ex, ey = hx - plane.curvature * qx - plane.slope_x, hy - plane.curvature * qy - plane.slope_y
-        seen_x, seen_y = plane.slope_rate_x_hz, plane.slope_rate_y_hz
+        observed_x, observed_y = plane.slope_rate_x_hz, plane.slope_rate_y_hz
     else:
-        # along the line only: (ux, uy) carries the part of the slope that was seen
+        # along the line (ux, uy) only
         angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
         ux, uy = math.cos(angle), math.sin(angle)
         along = xx * ux * ux + 2.0 * xy * ux * uy + yy * uy * uy
-        seen = ((xh - plane.curvature * xq) * ux + (yh - plane.curvature * yq) * uy) / along
-        more = seen - plane.slope_x * ux - plane.slope_y * uy
-        ex, ey = more * ux, more * uy
+        observed = ((xh - plane.curvature * xq) * ux + (yh - plane.curvature * yq) * uy) / along
+        innovation = observed - plane.slope_x * ux - plane.slope_y * uy
+        ex, ey = innovation * ux, innovation * uy
         rate = plane.slope_rate_x_hz * ux + plane.slope_rate_y_hz * uy
-        seen_x, seen_y = rate * ux, rate * uy
+        observed_x, observed_y = rate * ux, rate * uy
         tx, ty, slope = track_slope(plane)
         across = ty * ux - tx * uy
         if abs(across) > 0.5:
-            update_from_track(plane, dt, -uy, ux, (slope - seen * (tx * ux + ty * uy)) / across)
-    plane.slope_rate_x_hz = seen_x + (plane.slope_rate_x_hz - seen_x) * fade
-    plane.slope_rate_y_hz = seen_y + (plane.slope_rate_y_hz - seen_y) * fade
+            update_from_track(plane, dt, -uy, ux, (slope - observed * (tx * ux + ty * uy)) / across)
+    plane.slope_rate_x_hz = observed_x + (plane.slope_rate_x_hz - observed_x) * decay
+    plane.slope_rate_y_hz = observed_y + (plane.slope_rate_y_hz - observed_y) * decay
     if not math.isfinite(ex + ey):
         return
     size = math.sqrt(ex * ex + ey * ey)
-    cut = SLOPE_INNOVATION_LIMIT / size if size > SLOPE_INNOVATION_LIMIT and plane.count > 0 else 1.0
-    update_slopes(plane, ex * cut, ey * cut, dt)
+    factor = SLOPE_INNOVATION_LIMIT / size if size > SLOPE_INNOVATION_LIMIT and plane.count > 0 else 1.0
+    update_slopes(plane, ex * factor, ey * factor, dt)
     if plane.rank == 2:
         plane.count += 1
 
 
 @jit
 def update_track(adaptive: Any, c: Any) -> None:
-    """Add a beam's footprint to the track that it draws on the ground; older ones are forgotten by the way.
+    """Add a beam's footprint to its track, whose older footprints fade with the distance travelled.
 
-    `a.track` holds weight, means of x, y, z and sums xx, xy, yy, xz, yz about them.
+    `plane.track` holds weight, means of x, y, z and sums xx, xy, yy, xz, yz about them.
     """
     beams, plane = adaptive.beams, adaptive.plane
     k, x, y, z = (
@@ -175,14 +179,14 @@ def update_track(adaptive: Any, c: Any) -> None:
         beams.footprint_m[3 * c + 1],
         beams.footprint_m[3 * c + 2],
     )
-    way = math.hypot(x - plane.track_x_m, y - plane.track_y_m)
-    if plane.track_beam != c or not way < TRACK_GAP_M:
+    travel = math.hypot(x - plane.track_x_m, y - plane.track_y_m)
+    if plane.track_beam != c or not travel < TRACK_GAP_M:
         for i in range(9):
             k[i] = 0.0
-        way = 0.0
+        travel = 0.0
     plane.track_beam, plane.track_x_m, plane.track_y_m = c, x, y
-    # at rest every sample counts, but none is heavier than all that was seen on the way here
-    keep = math.exp(-way / TRACK_LENGTH_M) * (1.0 - 1.0 / TRACK_SAMPLES)
+    # at rest every sample counts, with a bounded total weight
+    keep = math.exp(-travel / TRACK_LENGTH_M) * (1.0 - 1.0 / TRACK_SAMPLES)
     k[0] = k[0] * keep + 1.0
     dx, dy, dz = x - k[1], y - k[2], z - k[3]
     w = 1.0 / k[0]
@@ -198,7 +202,7 @@ def update_track(adaptive: Any, c: Any) -> None:
 
 @jit
 def track_slope(plane: Any) -> Any:
-    """Direction of the track (ux, uy) and the slope along it where the beam is; NaN when it is too short."""
+    """Direction of the track (ux, uy) and the slope along it at the beam; NaN when it is too short."""
     k = plane.track
     angle = 0.5 * math.atan2(2.0 * k[5], k[4] - k[6])
     ux, uy = math.cos(angle), math.sin(angle)
@@ -211,7 +215,7 @@ def track_slope(plane: Any) -> Any:
 
 @jit
 def update_from_track(plane: Any, dt: Any, ux: Any, uy: Any, slope: Any) -> None:
-    """Take a share of a slope along (ux, uy) that a beam's track tells where others are missing."""
+    """Update the slope along (ux, uy), which no other beam observes, with that of a track."""
     if not math.isfinite(slope):
         return
     e = min(
@@ -225,7 +229,7 @@ def update_from_track(plane: Any, dt: Any, ux: Any, uy: Any, slope: Any) -> None
 def update_curvature(
     adaptive: Any, n_channels: Any, dt: Any, mean: Any, of_height: Any, of_bulge: Any
 ) -> None:
-    """Take a share of the mean curvature that remains beyond the plane.
+    """Update the mean curvature with the residuals of the plane fit.
 
     Parameters
     ----------

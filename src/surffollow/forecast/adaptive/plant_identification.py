@@ -19,19 +19,19 @@ from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 from surffollow.shm.layout_follow import POSES
 
 TAU_RATIO = 1.5  # between neighbouring τ
-MAX_MODEL_ERROR_M = 5e-4  # nor from one so far away: it is led by somebody else, or otherwise built
-SUSPENSION_NS = 500_000_000  # and no plan is made for it for so long
+MAX_MODEL_ERROR_M = 5e-4  # beyond, another controller leads the robot, or it is built differently
+SUSPENSION_NS = 500_000_000  # then preview is suspended for so long
 ERROR_RATE = 0.004  # per pose report: 2.5 s at 100 Hz
-MIN_DIFFERENCE_M2 = 2.5e-9  # (50 µm)²: least difference of squared errors that tells anything
-RESET_ERROR_M = 3e-3  # a robot that is farther away does not obey: nothing to learn
+MIN_DIFFERENCE_M2 = 2.5e-9  # (50 µm)²: least difference of squared errors that identifies τ
+RESET_ERROR_M = 3e-3  # beyond, the robot does not follow: the axes begin at the tool
 TAU_RATE = 0.02
-POSITION_GAIN = 0.3  # how far a report pulls the own axis
+POSITION_GAIN = 0.3  # of the observed axis, per report
 VELOCITY_GAIN_HZ = 2.0
 
 
 @jit
 def reset_axes(params: Any, adaptive: Any, t_ns: Any, z_m: Any) -> None:
-    """Put all axes where the tool is."""
+    """Put all axis models where the tool is."""
     kinematics, plant = adaptive.kinematics, adaptive.plant
     for k in range(N_PLANTS):
         plant.position_m[k], plant.velocity_mps[k] = z_m, kinematics.climb_mps
@@ -43,7 +43,7 @@ def reset_axes(params: Any, adaptive: Any, t_ns: Any, z_m: Any) -> None:
 
 @jit
 def predict_axis(params: Any, adaptive: Any, to_ns: Any) -> Any:
-    """Height and speed of the robot's axis at a later time, carried on from `plant_ns` with τ as found."""
+    """Position and velocity of the observed axis at a later time [m, m/s]."""
     controller, plant = adaptive.controller, adaptive.plant
     z, v = plant.axis_m, plant.axis_mps
     span = min(to_ns - plant.t_ns, MAX_AXIS_GAP_NS)
@@ -67,7 +67,7 @@ def predict_axis(params: Any, adaptive: Any, to_ns: Any) -> Any:
 
 @jit
 def propagate_axes(params: Any, adaptive: Any, to_ns: Any) -> None:
-    """Carry the axes on with the own set points."""
+    """Propagate all axis models with the follower's own set points."""
     controller, plant = adaptive.controller, adaptive.plant
     span = to_ns - plant.t_ns
     steps = max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1)
@@ -93,7 +93,7 @@ def propagate_axes(params: Any, adaptive: Any, to_ns: Any) -> None:
 
 @jit
 def best_time_constant(plant: Any) -> Any:
-    """τ of the least error, by a parabola through three; 0 when nothing is told."""
+    """τ of the least error by a parabola through three [s]; 0 when the errors do not differ."""
     b, worst = 0, 0.0
     for k in range(N_PLANTS):
         worst = max(worst, plant.error_m2[k])
@@ -101,22 +101,22 @@ def best_time_constant(plant: Any) -> Any:
             b = k
     if worst - plant.error_m2[b] < MIN_DIFFERENCE_M2:
         return 0.0
-    # a parabola over √τ through three: over τ it would end too high, over log τ too low
+    # a parabola over √τ through three points: over τ its minimum is too high, over log τ too low
     b = min(max(b, 1), N_PLANTS - 2)
     middle = math.sqrt(plant.tau_configured_s * TAU_RATIO ** (b - N_PLANTS // 2))
     left, right = middle / math.sqrt(TAU_RATIO), middle * math.sqrt(TAU_RATIO)
-    down = (plant.error_m2[b] - plant.error_m2[b - 1]) / (middle - left)
-    up = (plant.error_m2[b + 1] - plant.error_m2[b]) / (right - middle)
-    bend = (up - down) / (right - left)
-    if bend <= 0.0:
+    slope_below = (plant.error_m2[b] - plant.error_m2[b - 1]) / (middle - left)
+    slope_above = (plant.error_m2[b + 1] - plant.error_m2[b]) / (right - middle)
+    curvature = (slope_above - slope_below) / (right - left)
+    if curvature <= 0.0:
         return middle * middle
-    root = min(max(0.5 * (left + middle - down / bend), left), right)
+    root = min(max(0.5 * (left + middle - slope_below / curvature), left), right)
     return root * root
 
 
 @jit
 def model_error(plant: Any) -> Any:
-    """Squared error of the axis that comes nearest to the reports [m²]."""
+    """Squared error of the best axis model against the reports [m²]."""
     least = plant.error_m2[0]
     for k in range(1, N_PLANTS):
         least = min(least, plant.error_m2[k])
@@ -125,7 +125,7 @@ def model_error(plant: Any) -> Any:
 
 @jit
 def remove_common_error(plant: Any) -> None:
-    """Forget by how much all axes were wrong: others have led the robot since; what tells τ stays."""
+    """Subtract the least error from all: another controller has moved the robot since."""
     least = model_error(plant)
     for k in range(N_PLANTS):
         plant.error_m2[k] -= least
@@ -133,7 +133,7 @@ def remove_common_error(plant: Any) -> None:
 
 @jit
 def update_plant(params: Any, adaptive: Any, sense: Any, adapt: Any) -> None:
-    """Compare the axes with a new pose report and move τ toward the best."""
+    """Compare the axis models with a new pose report and move τ toward the best one."""
     plant, setpoint = adaptive.plant, adaptive.setpoint
     newest = (sense.pose_count - 1) & (POSES - 1)
     t, z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]

@@ -16,53 +16,53 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 from surffollow.shm.layout_adaptive_estimation import N_DISTANCES
 
-MIN_KNOWN_PERIODS = 7  # ticks of ground that must be known: the axis' own reaction time
-SHARE_RATE = 0.15  # per tick: preview comes and goes without a jump
+MIN_KNOWN_PERIODS = 7  # known ground that a plan needs: the reaction time of the axis
+SHARE_RATE = 0.15  # per controller period: preview fades in and out
 MAP_BIAS_RATE = 0.002
 MAP_DEVIATION_RATE = 0.02
 ERROR_RATIO, ERROR_MARGIN_M2 = 9.0, 4e-6  # (2 mm)²
 MAX_ERROR_M2 = 1e-4
-MAX_MODEL_ERROR_M2 = 4e-8  # (0.2 mm)²: an axis known less well than that is not planned for
+MAX_MODEL_ERROR_M2 = 4e-8  # (0.2 mm)²: beyond, the axis model is too wrong for a plan
 LEADING_MAX_MODEL_ERROR_M2 = 1e-6  # (1 mm)²
 REFERENCE_RATE, ERROR_RATE = 0.002, 0.01
 SUSPENSION_NS = 5_000_000_000
-MAX_MAP_DEVIATION_M = 1.5e-3  # remembered ground that is farther from what is seen now has changed
+MAX_MAP_DEVIATION_M = 1.5e-3  # beyond, the ground has changed since it was mapped
 
 
 @jit
 def extrapolate_ground(adaptive: Any, known: Any, from_m: Any, bias_m: Any) -> None:
-    """Fill `a.plan_g_m` from point `known` on.
+    """Fill `preview.ground_m` beyond the known points by the terrain regression.
 
     Parameters
     ----------
-    a : record of `AdaptiveState` (updated)
-    known : int              points of `a.plan_g_m` that are known, ≥ 1
-    from_m : float64         way coordinate of point 0 [m]
-    bias_m : float64         what was added to the heights of the ring; the mean is without it [m]
+    adaptive : record of `AdaptiveState` (updated)
+    known : int              known points of `preview.ground_m`, ≥ 1
+    from_m : float64         arc length of point 0 [m]
+    bias_m : float64         what was added to the buffered heights; the regression is without it [m]
     """
     kinematics, regression, preview = adaptive.kinematics, adaptive.regression, adaptive.preview
     last = preview.ground_m[known - 1]
-    off = last - regression.mean_height_m
+    offset = last - regression.mean_height_m
     rise = (
         last
         - bias_m
         - buffered_height(adaptive, from_m + kinematics.speed_mps * PERIOD_S * (known - 1) - RISE_LENGTH_M)
     )
-    x0, x1, more0, more1, j = 0.0, 0.0, 0.0, 0.0, 0
+    x0, x1, change0, change1, j = 0.0, 0.0, 0.0, 0.0, 0
     for k in range(known, HORIZON):
         x = kinematics.speed_mps * PERIOD_S * (k + 1 - known)
         while x > x1 and j < N_DISTANCES:
-            x0, more0 = x1, more1
+            x0, change0 = x1, change1
             x1 = DISTANCES_M[j]
-            more1 = predict_rise(regression, j, off, rise) if math.isfinite(rise) else 0.0
+            change1 = predict_rise(regression, j, offset, rise) if math.isfinite(rise) else 0.0
             j += 1
         f = min((x - x0) / (x1 - x0), 1.0) if x1 > x0 else 0.0
-        preview.ground_m[k] = last + more0 + f * (more1 - more0)
+        preview.ground_m[k] = last + change0 + f * (change1 - change0)
 
 
 @jit
 def map_height(inputs: Any, ahead_m: Any) -> Any:
-    """Remembered height so far ahead of where the tool points, linear between samples; NaN when unknown."""
+    """Height of the map at a distance ahead of the point under the tool [m]; NaN when unknown."""
     step = inputs.preview_step_m
     if inputs.n_preview < 2 or not step > 0.0:
         return math.nan
@@ -77,23 +77,23 @@ def map_height(inputs: Any, ahead_m: Any) -> Any:
 def collect_preview(
     adaptive: Any, inputs: Any, leading: Any, ahead_m: Any, since_pose_m: Any, bias_m: Any
 ) -> Any:
-    """Heights where the tool will point in the next ticks into `a.plan_g_m`; how many are known.
+    """Fill `preview.ground_m` with the ground per controller period; returns the known periods.
 
     Parameters
     ----------
-    leading : int            1: from the ring, 0: from the inputs
-    ahead_m : float64        that point at its next action, ahead of the last footprint (negative: behind) [m]
-    since_pose_m : float64   way of the tool since its newest report, at that action [m]
-    bias_m : float64         to be added to the heights of the ring
+    leading : int            1: from the terrain buffer, 0: from the map in the inputs
+    ahead_m : float64        point under the tool at the latch time, ahead of the newest footprint [m]
+    since_pose_m : float64   distance travelled since the newest report, at that time [m]
+    bias_m : float64         added to the buffered heights [m]
     """
     preview = adaptive.preview
     known = 0
     for k in range(HORIZON):
-        way = adaptive.kinematics.speed_mps * PERIOD_S * k
+        travel = adaptive.kinematics.speed_mps * PERIOD_S * k
         if leading != 0:
-            h = buffered_height(adaptive, adaptive.estimate.arc_length_m + ahead_m + way) + bias_m
+            h = buffered_height(adaptive, adaptive.estimate.arc_length_m + ahead_m + travel) + bias_m
         else:
-            h = map_height(inputs, since_pose_m + way) + preview.map_bias_m
+            h = map_height(inputs, since_pose_m + travel) + preview.map_bias_m
         preview.ground_m[k] = h
         if k == known and math.isfinite(h):
             known += 1
@@ -101,11 +101,11 @@ def collect_preview(
 
 
 @jit
-def compare_map(preview: Any, told_m: Any, h_m: Any) -> None:
-    """Compare remembered ground with what is seen: learn its bias, and whether to trust it."""
-    if not math.isfinite(told_m):
+def compare_map(preview: Any, map_m: Any, h_m: Any) -> None:
+    """Compare the map with a sample's height: update bias and deviation."""
+    if not math.isfinite(map_m):
         return
-    e = h_m - told_m
+    e = h_m - map_m
     preview.map_deviation_m += MAP_DEVIATION_RATE * (
         min(abs(e - preview.map_bias_m), 0.02) - preview.map_deviation_m
     )
@@ -114,10 +114,10 @@ def compare_map(preview: Any, told_m: Any, h_m: Any) -> None:
 
 @jit
 def monitor_error(adaptive: Any, error_m: Any) -> None:
-    """Compare the tool's own stand-off error under preview with that without; give up a worse plan.
+    """Compare the stand-off error with preview to that without; a worse plan is suspended.
 
-    A robot that is not as assumed (faster, say) can make a plan of its inverse worse than none. Errors that
-    the plan foresaw, as no robot can be at both ends of a step at once, are none of it.
+    With a robot that is not as assumed the inverted plan may be worse than none. Errors that the plan
+    contains, as at both ends of a step, are subtracted.
     """
     preview = adaptive.preview
     e = max(abs(error_m) - (adaptive.plan.foreseen_error_m if preview.share > 0.0 else 0.0), 0.0)
@@ -135,8 +135,8 @@ def monitor_error(adaptive: Any, error_m: Any) -> None:
 
 @jit
 def update_share(adaptive: Any, known: Any, leading: Any, plant_m2: Any) -> None:
-    """Let preview's share of the set point grow or shrink by one tick."""
-    # without a plan a leading sensor is worth little: there a doubtful plan is the better choice
+    """Raise or lower preview's share of the set point by one controller period."""
+    # with a sensor that leads, an uncertain plan is better than none
     preview = adaptive.preview
     trusted = (
         adaptive.clock.now_ns >= preview.suspended_until_ns
@@ -153,13 +153,13 @@ def update_share(adaptive: Any, known: Any, leading: Any, plant_m2: Any) -> None
 
 @jit
 def suspend_preview(preview: Any, until_ns: Any) -> None:
-    """Use no preview until a time, or until later if that was decided before."""
+    """Suspend preview until a time, or until later if that was set before."""
     preview.suspended_until_ns = max(preview.suspended_until_ns, until_ns)
 
 
 @jit
 def withdraw_preview(preview: Any) -> None:
-    """Withdraw preview at once: its plan was made over other ground, or for another tool position."""
+    """Set preview's share to zero at once: its plan does not apply any more."""
     preview.sensed_periods = 0
     preview.share = 0.0
 

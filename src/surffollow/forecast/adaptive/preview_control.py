@@ -19,37 +19,37 @@ from surffollow.forecast.adaptive.axis_model import PERIOD_S, invert_axis
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 
-ITERATIONS, EARLY_ITERATIONS = 25, 50  # the more where points are early
+ITERATIONS, EARLY_ITERATIONS = 25, 50  # more of them with early points
 ADMM_PENALTY = 60.0
-ACCELERATION_SHARE = 0.9  # of the axis' acceleration: what is left corrects
+ACCELERATION_SHARE = 0.9  # of the axis' acceleration; the rest is for corrections
 UNKNOWN_WEIGHT = 1e-6
-EARLY_M, EARLY_WEIGHT = 1.5e-3, 300.0  # lower than that before the ground falls away is early
-EDGE_TOLERANCE_M = 6e-4  # an edge may lie so much farther on than seen
-FIRST_FORESEEN = 5  # ticks from now on; the errors until then may be the robot's own
-FORESEEN_DECAY = 0.98  # per tick: readings tell of an error late
-EXTRAPOLATED_PERIODS, EXTRAPOLATED_WEIGHT = 16, 0.5  # ticks beyond the known ground
+EARLY_M, EARLY_WEIGHT = 1.5e-3, 300.0  # a point lower than this before the ground descends is early
+EDGE_TOLERANCE_M = 6e-4  # uncertainty of the place of an edge
+FIRST_FORESEEN = 5  # periods from now; errors until then may be the robot's
+FORESEEN_DECAY = 0.98  # per period: samples show an error late
+EXTRAPOLATED_PERIODS, EXTRAPOLATED_WEIGHT = 16, 0.5  # periods beyond the known ground
 
 
 @jit
 def point_weight(k: Any, known: Any) -> Any:
-    """How much point k of the plan, k + 1 ticks from now, counts."""
+    """Weight of point k of the plan, which is k + 1 periods from now."""
     if k + 1 < known:
         return 1.0
     return EXTRAPOLATED_WEIGHT if k + 1 < known + EXTRAPOLATED_PERIODS else UNKNOWN_WEIGHT
 
 
 @jit
-def mark_early(adaptive: Any, known: Any, drop_m: Any, z_m: Any) -> Any:
-    """Mark in `a.plan_early` the points that go down before the ground does; how many marks changed.
+def mark_early(adaptive: Any, known: Any, standoff_m: Any, z_m: Any) -> Any:
+    """Mark in `plan.early` the points that descend before the ground does; returns how many changed.
 
-    They are below the lowest stand-off until then by more than `EARLY_M`, and below the axis as it is now:
-    one that is late on its way up is not early.
+    An early point is below the lowest wanted height until then by more than `EARLY_M`, and below the axis'
+    present position: an axis that is still on its way up is not early.
     """
     preview, plan = adaptive.preview, adaptive.plan
-    lowest, changed = preview.ground_m[0] + drop_m - z_m, 0
+    lowest, changed = preview.ground_m[0] + standoff_m - z_m, 0
     late = min(int(EDGE_TOLERANCE_M / max(adaptive.kinematics.speed_mps * PERIOD_S, 1e-6)), HORIZON)
     for k in range(min(known - 1, HORIZON)):
-        lowest = min(lowest, preview.ground_m[max(k + 1 - late, 0)] + drop_m - z_m)
+        lowest = min(lowest, preview.ground_m[max(k + 1 - late, 0)] + standoff_m - z_m)
         plan.bound_m[k] = min(lowest - EARLY_M, 0.0)
         early = 1 if plan.position_m[k] < plan.bound_m[k] else 0
         if early != plan.early[k]:
@@ -59,19 +59,20 @@ def mark_early(adaptive: Any, known: Any, drop_m: Any, z_m: Any) -> Any:
 
 
 @jit
-def update_foreseen_error(adaptive: Any, known: Any, drop_m: Any, z_m: Any) -> None:
-    """Remember how far off a good robot will be, at a step say: that tells nothing against the plan."""
+def update_foreseen_error(adaptive: Any, known: Any, standoff_m: Any, z_m: Any) -> None:
+    """Update the greatest stand-off error that plans contain, at a step for instance."""
     plan = adaptive.plan
     plan.foreseen_error_m *= FORESEEN_DECAY
     for k in range(FIRST_FORESEEN, min(known - 1, HORIZON)):
         plan.foreseen_error_m = max(
-            plan.foreseen_error_m, abs(plan.position_m[k] - (adaptive.preview.ground_m[k + 1] + drop_m - z_m))
+            plan.foreseen_error_m,
+            abs(plan.position_m[k] - (adaptive.preview.ground_m[k + 1] + standoff_m - z_m)),
         )
 
 
 @jit
 def factorise(plan: Any, known: Any, stiff: Any) -> None:
-    """LDLᵀ of W + stiff·DᵀD for second differences D that begin with two known points."""
+    """LDLᵀ of W + stiff·DᵀD, for second differences D that begin with two known points."""
     n = HORIZON
     for k in range(n):
         # row k of DᵀD: differences b_k (centre k-1), b_{k+1}, b_{k+2}
@@ -93,7 +94,7 @@ def factorise(plan: Any, known: Any, stiff: Any) -> None:
 
 @jit
 def solve(plan: Any) -> None:
-    """Solve with those factors in place of `a.plan_z_m`."""
+    """Solve with those factors, in place, for `plan.position_m`."""
     n = HORIZON
     z = plan.position_m
     for k in range(n):
@@ -110,15 +111,15 @@ def solve(plan: Any) -> None:
 
 
 @jit
-def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, drop_m: Any) -> Any:
-    """Plan from the axis' state and return the speed that it should have one tick from now.
+def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, standoff_m: Any) -> Any:
+    """Solve the plan; returns the velocity that the axis should have one period from now.
 
     Parameters
     ----------
-    params, a : records of `Params`, `AdaptiveState`; `a.plan_g_m` holds all ground from now on
-    known : int            ticks of ground known
-    z_m, v_mps : float64   axis now
-    drop_m : float64       tool above ground
+    params, adaptive : records of `Params`, `AdaptiveState`; `preview.ground_m` holds the ground from now on
+    known : int              known periods of ground
+    z_m, v_mps : float64     position and velocity of the axis now
+    standoff_m : float64     wanted height of the tool above the ground
 
     Returns
     -------
@@ -142,8 +143,8 @@ def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, dro
         if i >= rounds:
             break
         for k in range(n):
-            # point k lies k + 1 ticks from now
-            ground = adaptive.preview.ground_m[min(k + 1, n - 1)] + drop_m - z_m
+            # point k is k + 1 periods from now
+            ground = adaptive.preview.ground_m[min(k + 1, n - 1)] + standoff_m - z_m
             plan.position_m[k] = point_weight(k, known) * ground
             if plan.early[k] != 0:
                 plan.position_m[k] += EARLY_WEIGHT * plan.bound_m[k]
@@ -158,7 +159,7 @@ def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, dro
             if k >= 2:
                 plan.position_m[k - 2] += r
         solve(plan)
-        if mark_early(adaptive, known, drop_m, z_m) > 0:
+        if mark_early(adaptive, known, standoff_m, z_m) > 0:
             factorise(plan, known, stiff)
             rounds = EARLY_ITERATIONS
         z2, z1 = before, 0.0
@@ -168,15 +169,15 @@ def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, dro
             u = min(max(b + plan.multiplier_m[k], -most), most)
             plan.multiplier_m[k] += b - u
             plan.acceleration_m[k] = u
-    update_foreseen_error(adaptive, known, drop_m, z_m)
-    # the clipped accelerations are feasible, the points only nearly
+    update_foreseen_error(adaptive, known, standoff_m, z_m)
+    # the clipped accelerations are feasible, the points approximately
     return v_mps + (plan.acceleration_m[0] + 0.5 * plan.acceleration_m[1]) / PERIOD_S
 
 
 @jit
-def plan_setpoint(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, drop_m: Any) -> None:
+def plan_setpoint(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, standoff_m: Any) -> None:
     """Solve the plan and invert the axis model: set point of the coming period."""
-    speed = solve_plan(params, adaptive, known, z_m, v_mps, drop_m)
+    speed = solve_plan(params, adaptive, known, z_m, v_mps, standoff_m)
     adaptive.plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, speed)
 
 

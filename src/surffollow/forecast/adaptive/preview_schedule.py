@@ -25,15 +25,15 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, POSES
 
-FOR_SAMPLE, FOR_TICK = 1, 2  # bits of what a preview is due for
+FOR_SAMPLE, FOR_PERIOD = 1, 2  # bits: uses of a preview
 MAX_SPEED_MPS = 10.0
-TIMESTAMP_TOLERANCE_S = 0.008  # how far from the usual a sample's stamp may lie
-WINDOW_MARGIN_M = 1.5e-3  # for a place between two heights, and for noise of the reports
+TIMESTAMP_TOLERANCE_S = 0.008  # deviation of a sample's delay from the usual one
+WINDOW_MARGIN_M = 1.5e-3  # for interpolation, and for noise of the reports
 
 
 @jit
 def newest_conversion(inputs: Any) -> Any:
-    """Index of the cycle's last conversion of channel 0, -1: none, or it is no measurement."""
+    """Index of the cycle's last conversion of channel 0; -1: none, or it is invalid."""
     for j in range(inputs.n_conversions):
         k = inputs.n_conversions - 1 - j
         word = inputs.conversion[k]
@@ -44,18 +44,18 @@ def newest_conversion(inputs: Any) -> Any:
 
 @jit
 def preview_uses(params: Any, adaptive: Any, scaled: Any, inputs: Any, now_ns: Any) -> Any:
-    """What the coming cycle would use a preview for: FOR_SAMPLE, FOR_TICK, both or 0.
+    """Uses of a preview in the coming cycle: FOR_SAMPLE, FOR_PERIOD, both or 0.
 
     Parameters
     ----------
-    params, a, scaled : records of `Params` in plain numbers, `AdaptiveState`, `ScaledState`
+    params, adaptive, scaled : records of `Params` in plain numbers, `AdaptiveState`, `ScaledState`
     inputs : record of `Inputs` before `follow_step`
-    now_ns : int64           the latest time that the cycle will have heard of [ns]
+    now_ns : int64           latest time that the cycle will be told [ns]
 
     Notes
     -----
-    Three sensors or more that turn the tool tell the height of a plane, not of the ground under it; one
-    that leads shows ground newer than any memory. Neither uses what is remembered.
+    Three sensors or more with `orient` give the height of a plane, not of the ground under the tool. A
+    sensor that leads measures newer ground than the map. Neither uses a preview of the map.
     """
     hold = adaptive.hold
     if params.mode != MODE_ADAPTIVE or params.preview == 0 or adaptive.estimate.samples == 0:
@@ -67,21 +67,21 @@ def preview_uses(params: Any, adaptive: Any, scaled: Any, inputs: Any, now_ns: A
         or adaptive.sample.lead_m > MIN_LEAD_M
     ):
         return 0
-    due = FOR_TICK if period_is_due(adaptive.controller, inputs.n_ranges, now_ns) != 0 else 0
+    due = FOR_PERIOD if period_is_due(adaptive.controller, inputs.n_ranges, now_ns) != 0 else 0
     k = newest_conversion(inputs)
     if k >= 0:
         range_m = params.zero_m[0] + params.scale_m[0] * conversion_counts(inputs.conversion[k])
         t_ns = plain_time(scaled, inputs.t_ns + conversion_dt_ns(inputs.conversion[k]))
         t_ns -= params.sensor_latency_ns
-        news = abs(range_m - hold.range_m) > HOLD_TOLERANCE_COUNTS * abs(params.scale_m[0])
-        if hold.t_ns == 0 or news or t_ns - hold.t_ns >= params.hold_ns:
+        changed = abs(range_m - hold.range_m) > HOLD_TOLERANCE_COUNTS * abs(params.scale_m[0])
+        if hold.t_ns == 0 or changed or t_ns - hold.t_ns >= params.hold_ns:
             due |= FOR_SAMPLE
     return due
 
 
 @jit
 def preview_window(params: Any, state: Any, inputs: Any) -> Any:
-    """What a preview is due for in the coming cycle, and which piece of the way ahead it must cover.
+    """Uses of a preview in the coming cycle, and the piece of the path that it must cover.
 
     Parameters
     ----------
@@ -90,8 +90,8 @@ def preview_window(params: Any, state: Any, inputs: Any) -> Any:
     Returns
     -------
     due, x_m, y_m, direction_x, direction_y, first_m, last_m
-        FOR_ bits (0: none, the rest means nothing); where the tool points at the newest pose of the coming
-        cycle; unit vector of travel; piece of the way, ahead of that place [m]
+        FOR_ bits (with 0 the rest is undefined); point under the tool at the newest pose of the coming cycle;
+        unit vector of travel; piece of the path ahead of that point [m]
     """
     d, adaptive, sense, i = state[0].scaled, state[0].adaptive, state[0].sense, inputs[0]
     kinematics, sample = adaptive.kinematics, adaptive.sample
@@ -110,7 +110,7 @@ def preview_window(params: Any, state: Any, inputs: Any) -> Any:
         return 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     v = kinematics.speed_mps
     first, last = 1e9, -1e9
-    if due & FOR_TICK != 0:
+    if due & FOR_PERIOD != 0:
         first = v * (now_ns - pose_t_ns) * 1e-9 - WINDOW_MARGIN_M
         last = first + v * PERIOD_S * (HORIZON + 1) + 2.0 * WINDOW_MARGIN_M
     if due & FOR_SAMPLE != 0:

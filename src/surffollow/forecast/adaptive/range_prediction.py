@@ -14,7 +14,7 @@ import numpy as np
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import N_HORIZONS, N_TRENDS, SNAPSHOTS
 
-SNAPSHOT_NS = 90_000_000  # between snapshots, or the readings' own interval if that is longer
+SNAPSHOT_NS = 90_000_000  # between snapshots, or the samples' interval if that is longer
 HORIZON_SNAPSHOTS = np.array([2, 5, 10, 20])
 SCORE_RATE = 0.01
 WEIGHT_POWER = 5.0
@@ -22,11 +22,11 @@ INTERVAL_RATE = 0.1
 GATE_SCALES = 8.0
 SCALE_RATE = 0.05
 MIN_SCALE_M = 1e-6
-GAP_INTERVALS = 5.0  # times the usual interval, at least this long: begin anew
+GAP_INTERVALS = 5.0  # usual intervals, or seconds if that is more: begin at the next range
 
 
 def _models() -> np.ndarray[Any, Any]:
-    """(TRENDS, 2): ratio of rate noise to reading noise [s^-1.5], damping [s]; ratio 0: no change."""
+    """(N_TRENDS, 2): ratio of rate noise to reading noise [s^-1.5], damping [s]; ratio 0: no change."""
     rows = [(0.0, 1.0)]
     rows += [(ratio, damping) for ratio in (0.2, 0.6, 2.0, 8.0, 20.0) for damping in (1.0, 2.5, 8.0)]
     return np.array(rows)
@@ -37,13 +37,13 @@ MODELS = _models()
 
 @jit
 def damped_time(horizon_s: Any, damping_s: Any) -> Any:
-    """How long a damped rate acts within a horizon [s]."""
+    """Integral of a damped unit rate over a horizon [s]."""
     return damping_s * (1.0 - math.exp(-horizon_s / damping_s))
 
 
 @jit
 def reset_prediction(prediction: Any, t_ns: Any, range_m: Any) -> None:
-    """Begin at a first range."""
+    """Begin all lines at a range."""
     for k in range(N_TRENDS):
         prediction.range_m[k], prediction.rate_mps[k] = range_m, 0.0
         prediction.covariance[3 * k], prediction.covariance[3 * k + 1], prediction.covariance[3 * k + 2] = (
@@ -58,7 +58,7 @@ def reset_prediction(prediction: Any, t_ns: Any, range_m: Any) -> None:
 
 @jit
 def score_predictions(prediction: Any, t_ns: Any, range_m: Any) -> None:
-    """Score the forecasts of earlier snapshots against a range, then take a snapshot."""
+    """Update the errors of earlier snapshots with a range, then take a snapshot."""
     for j in range(N_HORIZONS):
         back = prediction.snapshots - HORIZON_SNAPSHOTS[j]
         if back < 0:
@@ -92,7 +92,7 @@ def score_predictions(prediction: Any, t_ns: Any, range_m: Any) -> None:
 
 @jit
 def update_prediction(prediction: Any, t_ns: Any, range_m: Any) -> None:
-    """Let all lines learn a range; a lone outlier is passed over."""
+    """Update all lines with a range; a single outlier is rejected."""
     dt = (t_ns - prediction.t_ns) * 1e-9
     if prediction.t_ns == 0 or dt <= 0.0 or dt > GAP_INTERVALS * max(prediction.interval_s, 1.0):
         reset_prediction(prediction, t_ns, range_m)
@@ -100,18 +100,20 @@ def update_prediction(prediction: Any, t_ns: Any, range_m: Any) -> None:
     prediction.interval_s += (INTERVAL_RATE if prediction.interval_s > 0.0 else 1.0) * (
         dt - prediction.interval_s
     )
-    middle = 0.0
+    mean = 0.0
     for k in range(N_TRENDS):
-        middle += (prediction.range_m[k] + prediction.rate_mps[k] * damped_time(dt, MODELS[k, 1])) / N_TRENDS
-    nu = range_m - middle
-    odd = abs(nu) > GATE_SCALES * max(prediction.scale_m, MIN_SCALE_M) and prediction.scale_m > 0.0
-    if odd and prediction.rejected < 1:
+        mean += (prediction.range_m[k] + prediction.rate_mps[k] * damped_time(dt, MODELS[k, 1])) / N_TRENDS
+    innovation = range_m - mean
+    outlier = (
+        abs(innovation) > GATE_SCALES * max(prediction.scale_m, MIN_SCALE_M) and prediction.scale_m > 0.0
+    )
+    if outlier and prediction.rejected < 1:
         prediction.rejected += 1
         return
-    shift = nu if odd else 0.0
+    shift = innovation if outlier else 0.0
     prediction.rejected = 0
     rate = SCALE_RATE if prediction.scale_m > 0.0 else 1.0
-    prediction.scale_m += rate * (1.25 * abs(nu) - prediction.scale_m)
+    prediction.scale_m += rate * (1.25 * abs(innovation) - prediction.scale_m)
     for k in range(N_TRENDS):
         ratio, damping, c = MODELS[k, 0], MODELS[k, 1], 3 * k
         g, e = damped_time(dt, damping), math.exp(-dt / damping)
@@ -140,7 +142,7 @@ def update_prediction(prediction: Any, t_ns: Any, range_m: Any) -> None:
 
 @jit
 def predict_range(prediction: Any, horizon_s: Any) -> Any:
-    """Range some time after the last reading; NaN before the first."""
+    """Range at a horizon after the newest one [m]; NaN before the first."""
     if prediction.t_ns == 0:
         return math.nan
     j = 0

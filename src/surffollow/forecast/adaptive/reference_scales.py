@@ -1,10 +1,10 @@
-"""Reference scales of the default follower: its kernels see plain numbers, those of one robot cell.
+"""Reference scales of the default follower: kernels compute with plain numbers, those of one robot cell.
 
-The constants of the `adaptive_*` modules are in metres and seconds of a cell with 0.1 m stand-off and an axis
-of 40 ms. A length and a time, powers of two that are 1 for such a cell, follow from the stand-off and the
-assumed time constant. Parameters, poses, ranges and preview are divided by them on the way in, the output is
-multiplied on the way out. Multiplying by a power of two is exact: lengths × 2^k and times × 2^m scale the
-demand bit for bit.
+The constants of the default follower are in metres and seconds of a cell with 0.1 m stand-off and an axis of
+40 ms. A length and a time, powers of two that are 1 for such a cell, follow from the stand-off and the
+assumed time constant. Parameters, poses, ranges and preview are divided by them before the cycle, and the
+output is multiplied behind it. Multiplying by a power of two is exact: lengths × 2^k and times × 2^m scale
+the demand bit for bit.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from surffollow.shm.layout_follow import (
 )
 from surffollow.shm.schema import Schema
 
-# stand-offs from here to twice as far, and time constants, have the scale 1: 0.1 m and 40 ms among them
+# stand-offs and time constants from here to twice as much have scale 1; 0.1 m and 40 ms among them
 STANDOFF_M, TAU_S = 0.052, 0.038
 EPOCH_NS = 1 << 42  # plain time of the first cycle: a time of 0 means never
 MAX_SHIFT = 12  # plain times of a fast axis: 2^62 ns stay above 10 days
@@ -93,7 +93,7 @@ def scale_exponent(value: Any, usual: Any) -> Any:
 
 @jit
 def choose_scales(params: Any, state: Any) -> None:
-    """Set the reference scales; when they differ from those before, the default follower begins anew.
+    """Set the reference scales; when they change, the default follower begins without knowledge.
 
     Parameters
     ----------
@@ -137,13 +137,13 @@ def plain_time(d: Any, t_ns: Any) -> Any:
 
 @jit
 def plain_sense(d: Any, sense: Any, n_channels: Any) -> None:
-    """Carry new poses and samples over to the plain record."""
+    """Copy new poses and samples to the plain record."""
     plain, per_m = d.sense, 1.0 / d.length
     n, first = sense.pose_count, d.sense.pose_count
     if first > n or (first > 0 and first > n - POSES):
         last = (first - 1) & (POSES - 1)
         if first > n or plain.pose_t_ns[last] != plain_time(d, sense.pose_t_ns[last]):
-            first = 0  # the history began anew
+            first = 0  # the pose history was reset
     for k in range(max(first, n - POSES), n):
         slot = k & (POSES - 1)
         plain.pose_t_ns[slot] = plain_time(d, sense.pose_t_ns[slot])
@@ -168,7 +168,7 @@ def plain_sense(d: Any, sense: Any, n_channels: Any) -> None:
 
 @jit
 def scale_inputs(params: Any, state: Any, inputs: Any, output: Any) -> None:
-    """Fill the plain records of this cycle from what it was told.
+    """Fill the plain records of this cycle.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def scale_inputs(params: Any, state: Any, inputs: Any, output: Any) -> None:
     d.inputs.preview_from_m, d.inputs.preview_step_m = i.preview_from_m * per_m, i.preview_step_m * per_m
     for k in range(n):
         d.inputs.preview_m[k] = i.preview_m[k] * per_m
-    # no more than the kernels read: what else is in the output is no part of the state, and not replayed
+    # only what the kernels read: the rest of the output is no part of the state and is not replayed
     o, out = output[0], d.output
     out.fresh, out.delta_h_m, out.error_m = o.fresh, 0.0, 0.0
     for k in range(6):
@@ -208,7 +208,7 @@ def scale_inputs(params: Any, state: Any, inputs: Any, output: Any) -> None:
 
 @jit
 def unscale_outputs(state: Any, output: Any) -> None:
-    """Carry the plain output and the fold-back latch back; stamps stay as they were told."""
+    """Copy the plain output and the fold-back latch back in SI units; timestamps stay."""
     d, fold = state[0].scaled, state[0].fold
     fold.close, fold.close_z_m = d.fold.close, d.fold.close_z_m * d.length
     fold.close_range_m = d.fold.close_range_m * d.length
@@ -220,7 +220,7 @@ def unscale_outputs(state: Any, output: Any) -> None:
             at.store_relaxed_i64(target + 8 * k, at.load_relaxed_i64(source + 8 * k))
 
 
-# told by driver or configuration, or by the sensor's window, at every scale
+# given by driver, configuration or the sensor's window at every scale
 _TOLD = (
     "offset_m",
     "range_min_m",
@@ -233,9 +233,10 @@ _PLANT = ("plant_tau_s", "plant_v_max_mps", "plant_a_max_mps2")
 
 
 def scaled_defaults(offset_m: float, tau_s: float) -> dict[str, float]:
-    """Defaults of the parameters with a dimension, for a stand-off and a time constant; of scale 1: `PARAMS`.
+    """Defaults of the parameters with a dimension for a stand-off and a time constant.
 
-    `pose_timeout_ns` is never shorter than usual: how often a robot reports does not follow from its axis.
+    With scale 1 they are those of `PARAMS`. `pose_timeout_ns` is never below its default: the rate of pose
+    reports does not depend on the axis.
     """
     length = math.ldexp(1.0, scale_exponent.py_func(offset_m, STANDOFF_M))
     time = math.ldexp(1.0, scale_exponent.py_func(tau_s, TAU_S))

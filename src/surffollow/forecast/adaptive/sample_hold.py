@@ -10,15 +10,15 @@ from typing import Any
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CONVERSION_WINDOW
 
-HOLD_TOLERANCE_COUNTS = 1.5  # an A/D's last bit is no news
+HOLD_TOLERANCE_COUNTS = 1.5  # a change of the converter's last bit is no new sample
 
 
 @jit
-def new_sample(params: Any, hold: Any, sense: Any, given: Any, channel: Any) -> Any:
-    """Whether a channel has a new sample, and its value and stamp.
+def new_sample(params: Any, hold: Any, sense: Any, ranges_given: Any, channel: Any) -> Any:
+    """Whether a channel has a new sample, its range and timestamp.
 
-    The sensor holds each value for a while; conversions of a held value are one sample, stamped at the
-    first of them. An unchanged value counts as new once `hold_ns` have passed.
+    Conversions of a held value are one sample with the timestamp of the first of them. An unchanged value is
+    a new sample once `hold_ns` have passed.
 
     Returns
     -------
@@ -26,7 +26,7 @@ def new_sample(params: Any, hold: Any, sense: Any, given: Any, channel: Any) -> 
     """
     n = sense.window_n[channel]
     hold_ns = params.hold_ns
-    if given != 0:
+    if ranges_given != 0:
         if sense.fresh[channel] == 0:
             return 0, 0.0, 0
         value, t, flicker = sense.range_m[channel], sense.range_t_ns[channel], 0.0
@@ -37,10 +37,10 @@ def new_sample(params: Any, hold: Any, sense: Any, given: Any, channel: Any) -> 
         newest = base + ((n - 1) & (CONVERSION_WINDOW - 1))
         value, t = sense.window_m[newest], sense.window_t_ns[newest] - params.sensor_latency_ns
         flicker = HOLD_TOLERANCE_COUNTS * abs(params.scale_m[channel])
-        # a latency is that of the middle of a held value; the first conversion of it is younger
+        # the latency refers to the middle of a held value; its first conversion is younger
         t += hold_ns // 2
         begun_ns = params.sensor_latency_ns - hold_ns // 2
-        hold_ns += hold_ns // 2  # when a held value began is known to a cycle only
+        hold_ns += hold_ns // 2  # the begin of a held value is known to within a cycle
     if hold.t_ns != 0:
         if t <= hold.t_ns:
             return 0, 0.0, 0
@@ -48,11 +48,11 @@ def new_sample(params: Any, hold: Any, sense: Any, given: Any, channel: Any) -> 
             if t - hold.t_ns < hold_ns:
                 return 0, 0.0, 0
             return 1, value, t
-    if given == 0:
+    if ranges_given == 0:
         k, oldest = n - 2, max(0, n - CONVERSION_WINDOW)
         while k >= oldest and abs(sense.window_m[base + (k & (CONVERSION_WINDOW - 1))] - value) <= flicker:
             earlier = sense.window_t_ns[base + (k & (CONVERSION_WINDOW - 1))] - begun_ns
-            if earlier <= hold.t_ns or earlier > t:  # or of a clock since turned back
+            if earlier <= hold.t_ns or earlier > t:  # or of a clock that jumped back since
                 break
             t = earlier
             k -= 1

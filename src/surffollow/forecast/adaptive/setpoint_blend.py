@@ -19,20 +19,20 @@ from surffollow.forecast.adaptive.shadow_axes import record_setpoint, update_eff
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
-DROPOUT_TOLERANCE_S = 0.025  # a lone lost sample is no drop-out
+DROPOUT_TOLERANCE_S = 0.025  # a single missing sample is no drop-out
 RATE_STEP_S = 0.005  # over which the rate of the blended set point is taken
-DEADBAND_DECAY_S = 0.01  # in which an excess as large as SOFT bands is halved
+DEADBAND_DECAY_S = 0.01  # time in which an excess of DEADBAND_SOFTNESS deadbands is halved
 DEADBAND_SOFTNESS = 2.5
-FILTER_GAP_S = 0.1  # after a longer pause the set point begins where it is wanted
-MIN_RATE_WEIGHT = 1e-3  # candidates with less have no say in that rate
-SLOPE_LIMIT = 0.2  # slopes that may go on anywhere …
-SLOPE_LIMIT_RMS = 3.0  # … and multiples of the RMS slope of the last metre …
-HEIGHT_MARGIN_M = 1e-3  # … and so much more in any case
+FILTER_GAP_S = 0.1  # after a longer pause the filter begins at the blend
+MIN_RATE_WEIGHT = 1e-3  # candidates with less weight are left out of that rate
+SLOPE_LIMIT = 0.2  # slope that is never clamped …
+SLOPE_LIMIT_RMS = 3.0  # … or multiples of the RMS slope of the last metre …
+HEIGHT_MARGIN_M = 1e-3  # … plus this
 
 
 @jit
 def dropout_s(adaptive: Any) -> Any:
-    """Time beyond the usual delay and a lone lost sample since ground was last seen [s]; ≤ 0: not lost."""
+    """Time since the last accepted sample beyond the usual delay and tolerance [s]; ≤ 0: no drop-out."""
     return (
         (adaptive.clock.now_ns - adaptive.estimate.accepted_ns) * 1e-9
         - adaptive.latency.delay_s
@@ -41,23 +41,22 @@ def dropout_s(adaptive: Any) -> Any:
 
 
 @jit
-def candidate_setpoint(i: Any, bank: Any, ahead_m: Any, lead_m: Any, steepest: Any) -> Any:
-    """Height that candidate i asks for `ahead_m` beyond the last footprint, leading by `lead_m` more.
+def candidate_setpoint(i: Any, bank: Any, ahead_m: Any, lead_m: Any, max_slope: Any) -> Any:
+    """Height by candidate i at `ahead_m` beyond the newest footprint, with slope times `lead_m` [m].
 
-    Ground far steeper than it has been is a flank, and ends soon: it is not expected to go on at that rate.
+    The change of height is clamped to max(20 %, 3 × RMS slope) of the distance, plus 1 mm.
     """
     h = model_height(CANDIDATE_MODEL[i], bank.mean)
-    most = HEIGHT_MARGIN_M + steepest * (abs(ahead_m) + lead_m)
-    return h + min(max(extrapolate(CANDIDATE_MODEL[i], bank.mean, ahead_m, lead_m) - h, -most), most)
+    margin = HEIGHT_MARGIN_M + max_slope * (abs(ahead_m) + lead_m)
+    return h + min(max(extrapolate(CANDIDATE_MODEL[i], bank.mean, ahead_m, lead_m) - h, -margin), margin)
 
 
 @jit
-def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, drop_m: Any, tick: Any) -> Any:
-    """Blend the candidates' set points; on a tick remember each.
+def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, standoff_m: Any, due: Any) -> Any:
+    """Blend the candidates' set points; when a controller period is due, record each of them.
 
-    The assumed axis lags by τ, so its set point is the height plus τ times the height's rate of change.
-    In a drop-out the way ahead is drawn in: slopes are trusted over `dropout_way_m`, no farther. A step
-    toward the surface believed just before is taken back: it may have been bad readings.
+    The axis lags by τ. Its set point is the height plus τ times the rate of the height. In a drop-out slopes
+    fade over `dropout_way_m`, and a step away from the tool that was confirmed just before is taken back.
     """
     clock, kinematics, gate, bank, weights = (
         adaptive.clock,
@@ -67,44 +66,46 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, drop
         adaptive.weights,
     )
     estimate, blend = adaptive.estimate, adaptive.blend
-    lost_s = dropout_s(adaptive)
-    lead = kinematics.speed_mps * adaptive.plant.tau_s
-    if lost_s > 0.0:
-        lost_m = min(kinematics.speed_mps * lost_s, ahead_m)
-        fade = math.exp(-lost_m / params.dropout_way_m)
-        ahead_m += params.dropout_way_m * (1.0 - fade) - lost_m
-        lead *= fade
+    dropout = dropout_s(adaptive)
+    lead_length_m = kinematics.speed_mps * adaptive.plant.tau_s
+    if dropout > 0.0:
+        dropout_m = min(kinematics.speed_mps * dropout, ahead_m)
+        decay = math.exp(-dropout_m / params.dropout_way_m)
+        ahead_m += params.dropout_way_m * (1.0 - decay) - dropout_m
+        lead_length_m *= decay
     slot = adaptive.controller.periods & (N_PERIODS - 1)
     step_m = kinematics.speed_mps * RATE_STEP_S
-    steepest = max(SLOPE_LIMIT, SLOPE_LIMIT_RMS * math.sqrt(estimate.slope_power))
-    z, later = 0.0, 0.0
+    max_slope = max(SLOPE_LIMIT, SLOPE_LIMIT_RMS * math.sqrt(estimate.slope_power))
+    z, change = 0.0, 0.0
     for i in range(N_CANDIDATES):
-        lead_m = SLOPE_SHARE[i] * lead
-        t = candidate_setpoint(i, bank, ahead_m, lead_m, steepest) + drop_m
+        lead_m = SLOPE_SHARE[i] * lead_length_m
+        t = candidate_setpoint(i, bank, ahead_m, lead_m, max_slope) + standoff_m
         z += weights.weight[i] * t
         if weights.weight[i] > MIN_RATE_WEIGHT:
-            later += weights.weight[i] * (
-                candidate_setpoint(i, bank, ahead_m + step_m, lead_m, steepest) + drop_m - t
+            change += weights.weight[i] * (
+                candidate_setpoint(i, bank, ahead_m + step_m, lead_m, max_slope) + standoff_m - t
             )
-        if tick:
+        if due:
             record_setpoint(adaptive.shadow, i, slot, t)
-    new = estimate.accepted_ns - gate.step_ns < SETTLING_NS and gate.travel_since_step_m < params.step_way_m
-    if lost_s > 0.0 and gate.step_m < 0.0 and new:
+    recent = (
+        estimate.accepted_ns - gate.step_ns < SETTLING_NS and gate.travel_since_step_m < params.step_way_m
+    )
+    if dropout > 0.0 and gate.step_m < 0.0 and recent:
         z -= gate.step_m
-    if tick:
+    if due:
         update_effort(adaptive)
         begin_period(adaptive.controller, clock.now_ns)
-    blend.setpoint_m, blend.rate_mps, blend.t_ns = z, later / RATE_STEP_S, clock.now_ns
+    blend.setpoint_m, blend.rate_mps, blend.t_ns = z, change / RATE_STEP_S, clock.now_ns
     blend.sample_ns, blend.pose_ns = estimate.sample_ns, pose_ns
     return z
 
 
 @jit
-def filter_setpoint(params: Any, adaptive: Any, wanted_m: Any) -> Any:
-    """Carry the set point on as the models expect while it stays near where it is wanted.
+def filter_setpoint(params: Any, adaptive: Any, target_m: Any) -> Any:
+    """Filter the blend: it continues at the predicted rate while it is within the deadband.
 
-    Beyond the band (see `adapt_band`) the excess x shrinks by dx/dt = -x² / (SOFT · band · CALM_S): what is
-    large goes at once, what may be noise slowly, and the length of the cycle makes no difference.
+    Beyond the deadband b the excess x decays by dx/dt = −x² / (DEADBAND_SOFTNESS · b · DEADBAND_DECAY_S). The
+    result does not depend on the length of the cycle.
     """
     clock, adaptation, blend = adaptive.clock, adaptive.adaptation, adaptive.blend
     dt = (clock.now_ns - blend.filtered_ns) * 1e-9
@@ -112,15 +113,15 @@ def filter_setpoint(params: Any, adaptive: Any, wanted_m: Any) -> Any:
         return blend.filtered_m
     blend.filtered_ns = clock.now_ns
     if not 0.0 < dt < FILTER_GAP_S:
-        blend.filtered_m = wanted_m
-        return wanted_m
+        blend.filtered_m = target_m
+        return target_m
     blend.filtered_m += blend.rate_mps * dt
-    e = wanted_m - blend.filtered_m
+    e = target_m - blend.filtered_m
     excess = abs(e) - adaptation.deadband_m
     if excess > 0.0:
-        soft = DEADBAND_SOFTNESS * adaptation.deadband_m
-        left = adaptation.deadband_m + excess * soft / (soft + excess * dt / DEADBAND_DECAY_S)
-        blend.filtered_m = wanted_m - math.copysign(left, e)
+        softness = DEADBAND_SOFTNESS * adaptation.deadband_m
+        remaining = adaptation.deadband_m + excess * softness / (softness + excess * dt / DEADBAND_DECAY_S)
+        blend.filtered_m = target_m - math.copysign(remaining, e)
     return blend.filtered_m
 
 

@@ -13,15 +13,15 @@ from typing import Any
 
 from surffollow.shm.jit import jit
 
-PAUSE_S = 0.1  # a set point not renewed for so long starts anew at the tool …
-PAUSE_INTERVALS = 3.0  # … unless the caller is as slow as that: then for so many of its intervals
-MAX_INTERVAL_S = 1.5  # of callers whose interval is learned
-INITIAL_INTERVAL_S = 0.05  # a first long interval counts as this, and later ones at most double it
+PAUSE_S = 0.1  # after so long without a call the set point begins at the tool …
+PAUSE_INTERVALS = 3.0  # … or after so many intervals of a slow caller
+MAX_INTERVAL_S = 1.5  # longest interval that is taken as usual
+INITIAL_INTERVAL_S = 0.05  # a first long interval counts as this; later ones double it at most
 INTERVAL_RATE = 0.2
-MIN_INTERVAL_RATE = 0.002  # at which the shortest interval is forgotten
-MIN_INTERVAL_S = 5e-4  # shorter ones are not reckoned with: what they overshoot is little
-FIRST_STEP_S = 0.001  # the cycle assumed before the first
-MAX_STEP_S = 0.02  # a cycle that took longer moves the set point no farther, unless all are long
+MIN_INTERVAL_RATE = 0.002  # at which the shortest interval fades
+MIN_INTERVAL_S = 5e-4  # shorter ones are ignored: their overshoot is small
+FIRST_STEP_S = 0.001  # length assumed for the first cycle
+MAX_STEP_S = 0.02  # a longer cycle moves the set point no farther, unless all are long
 VELOCITY_RATIO, ACCELERATION_RATIO = (
     2.0,
     20.0,
@@ -30,15 +30,15 @@ SETTLED_M, SETTLED_MPS = (
     1e-3,
     0.02,
 )  # so near where it is wanted, and so slow, a set point is back from a plan
-BISECTIONS = 8  # of bisection: 1/256 of what the jerk allows in a cycle
+BISECTIONS = 8  # resolution: 1/256 of the change that the jerk allows in a cycle
 
 
 @jit
 def stopping_distance(speed_mps: Any, accel_mps2: Any, a_max_mps2: Any, jerk_mps3: Any) -> Any:
-    """Way until speed and acceleration are zero, from a speed ≥ 0, by the quickest braking [m]."""
+    """Distance until velocity and acceleration are zero, from a velocity ≥ 0 [m]."""
     t = abs(accel_mps2) / jerk_mps3
     v = speed_mps + accel_mps2 * accel_mps2 / (2.0 * jerk_mps3)
-    # to zero acceleration and on; or, already braking, as if begun with zero acceleration earlier
+    # first to zero acceleration; while braking, as if begun with zero acceleration earlier
     if accel_mps2 > 0.0:
         first = speed_mps * t + accel_mps2 * t * t / 2.0 - jerk_mps3 * t * t * t / 6.0
     else:
@@ -63,13 +63,13 @@ def can_stop(e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, v_max: Any, a_max: An
 def next_acceleration(
     e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, next_s: Any, v_max: Any, a_max: Any, jerk: Any
 ) -> Any:
-    """Acceleration of the next cycle toward a set point `e_m` ≥ 0 ahead [m/s²].
+    """Acceleration of the next cycle toward a target `e_m` ≥ 0 ahead [m/s²].
 
     Parameters
     ----------
-    e_m, v_mps, a_mps2 : float64   way to go, speed and acceleration now, positive toward it
+    e_m, v_mps, a_mps2 : float64   distance to go, velocity and acceleration now, positive toward it
     dt_s : float64                 length of the cycle
-    next_s : float64               shortest that the next one may be
+    next_s : float64               shortest length of the next one
     v_max, a_max, jerk : float64   limits [m/s, m/s², m/s³]
     """
     change = jerk * dt_s
@@ -99,13 +99,13 @@ def next_acceleration(
 
 @jit
 def restart_pause_s(setpoint: Any) -> Any:
-    """For how long a set point must not have been renewed to start anew at the tool [s]."""
+    """Pause after which a set point begins at the tool again [s]."""
     return max(PAUSE_S, PAUSE_INTERVALS * setpoint.interval_s)
 
 
 @jit
 def update_interval(setpoint: Any, dt_s: Any) -> None:
-    """Take an interval between calls: one pause tells little, intervals that stay long are the caller's."""
+    """Update the usual and the shortest interval between calls."""
     if dt_s > setpoint.interval_s:
         setpoint.interval_s = min(dt_s, max(2.0 * setpoint.interval_s, INITIAL_INTERVAL_S), MAX_INTERVAL_S)
     else:
@@ -117,17 +117,17 @@ def update_interval(setpoint: Any, dt_s: Any) -> None:
 
 
 @jit
-def limit_in_force(most: Any, axis_can: Any, quick: Any) -> Any:
-    """Limit in force: what the axis can make use of, up to all that is permitted to a plan over known ground.
+def limit_in_force(most: Any, usable: Any, share: Any) -> Any:
+    """Limit in force: what the axis can use, up to the permitted limit with preview.
 
-    A plan's set points run far ahead of the axis, to make it answer sooner.
+    Set points of a plan are far ahead of the axis, so that it responds sooner.
     """
-    return most + (1.0 - quick) * (min(most, axis_can) - most)
+    return most + (1.0 - share) * (min(most, usable) - most)
 
 
 @jit
 def has_settled(params: Any, setpoint: Any, e_m: Any) -> Any:
-    """Whether a set point that a plan led far ahead is back: until then it may move as quickly as it went."""
+    """Whether a set point that a plan led is back at its target: until then its limits stay raised."""
     calm = params.toward_factor * ACCELERATION_RATIO * params.plant_a_max_mps2
     return (
         abs(e_m) < SETTLED_M
@@ -137,24 +137,24 @@ def has_settled(params: Any, setpoint: Any, e_m: Any) -> Any:
 
 
 @jit
-def propagate_setpoint(params: Any, adaptive: Any, wanted_m: Any, dt_s: Any) -> None:
+def propagate_setpoint(params: Any, adaptive: Any, target_m: Any, dt_s: Any) -> None:
     """Move the set point for a time at one acceleration."""
     setpoint, preview = adaptive.setpoint, adaptive.preview
-    e = wanted_m - setpoint.position_m
+    e = target_m - setpoint.position_m
     if preview.share > setpoint.preview_share or has_settled(params, setpoint, e):
         setpoint.preview_share = preview.share
-    up, gentle = (1.0, 1.0) if e >= 0.0 else (-1.0, params.toward_factor)
-    accel = up * next_acceleration(
-        up * e,
-        up * setpoint.velocity_mps,
-        up * setpoint.acceleration_mps2,
+    direction, factor = (1.0, 1.0) if e >= 0.0 else (-1.0, params.toward_factor)
+    accel = direction * next_acceleration(
+        direction * e,
+        direction * setpoint.velocity_mps,
+        direction * setpoint.acceleration_mps2,
         dt_s,
         dt_s if setpoint.min_interval_s == 0.0 else min(dt_s, max(setpoint.min_interval_s, MIN_INTERVAL_S)),
-        gentle
+        factor
         * limit_in_force(
             params.max_speed_mps, VELOCITY_RATIO * params.plant_v_max_mps, setpoint.preview_share
         ),
-        gentle
+        factor
         * limit_in_force(
             params.max_accel_mps2, ACCELERATION_RATIO * params.plant_a_max_mps2, setpoint.preview_share
         ),
@@ -166,14 +166,14 @@ def propagate_setpoint(params: Any, adaptive: Any, wanted_m: Any, dt_s: Any) -> 
 
 
 @jit
-def limit_setpoint(params: Any, adaptive: Any, now_ns: Any, wanted_m: Any, tool_z_m: Any) -> None:
-    """Lead `a.set_point_m` toward where it is wanted; after a pause it starts anew at the tool.
+def limit_setpoint(params: Any, adaptive: Any, now_ns: Any, target_m: Any, tool_z_m: Any) -> None:
+    """Move the set point toward its target within the limits; after a pause it begins at the tool.
 
     Parameters
     ----------
-    params, a : records of `Params`, `AdaptiveState` (updated)
+    params, adaptive : records of `Params`, `AdaptiveState` (updated)
     now_ns : int64
-    wanted_m, tool_z_m : float64
+    target_m, tool_z_m : float64
     """
     setpoint = adaptive.setpoint
     if setpoint.t_ns == 0:
@@ -191,11 +191,11 @@ def limit_setpoint(params: Any, adaptive: Any, now_ns: Any, wanted_m: Any, tool_
         setpoint.preview_share = 0.0
         dt = FIRST_STEP_S
     if dt <= PAUSE_S:
-        propagate_setpoint(params, adaptive, wanted_m, min(dt, MAX_STEP_S))
+        propagate_setpoint(params, adaptive, target_m, min(dt, MAX_STEP_S))
         return
     steps = math.ceil(dt / MAX_STEP_S)
     for _ in range(steps):
-        propagate_setpoint(params, adaptive, wanted_m, dt / steps)
+        propagate_setpoint(params, adaptive, target_m, dt / steps)
 
 
 @jit

@@ -12,9 +12,9 @@ from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 AXIS_STEP_NS = 2_000_000  # of the shadow axes
 MAX_AXIS_STEPS = 32
 MIN_TAU_S = 1e-3
-MAX_AXIS_GAP_NS = 250_000_000  # beyond, the shadows are set to where they were going
-EFFORT_RATE = 0.02  # per tick
-MAX_EFFORT = 100.0  # (10 m/s²)²: a step's jump shall not count for ever
+MAX_AXIS_GAP_NS = 250_000_000  # after a longer gap the axes are set to their set points
+EFFORT_RATE = 0.02  # per controller period
+MAX_EFFORT = 100.0  # (10 m/s²)²: bounds the memory of a step
 PERIOD_RATE_HZ2 = 1e4
 
 
@@ -28,7 +28,7 @@ def reset_shadows(shadow: Any, z_m: Any) -> None:
 
 @jit
 def propagate_shadows(params: Any, adaptive: Any, from_ns: Any, to_ns: Any) -> None:
-    """Carry every shadow axis on with the set points of its candidate."""
+    """Propagate every shadow axis with the set points of its candidate."""
     shadow, controller = adaptive.shadow, adaptive.controller
     span = to_ns - from_ns
     if controller.periods == 0 or span <= 0:

@@ -86,7 +86,7 @@ def distance_ahead(params: Any, adaptive: Any, pose: Any, pose_t_ns: Any) -> Any
 
 @jit
 def target_of_blend(
-    params: Any, adaptive: Any, inputs: Any, pose_t_ns: Any, ahead_m: Any, drop_m: Any
+    params: Any, adaptive: Any, inputs: Any, pose_t_ns: Any, ahead_m: Any, standoff_m: Any
 ) -> Any:
     """Blended set point [m], and 1 when a controller period begins.
 
@@ -96,14 +96,16 @@ def target_of_blend(
     clock, blend = adaptive.clock, adaptive.blend
     due = period_is_due(adaptive.controller, inputs.n_ranges, clock.now_ns)
     if due != 0 or adaptive.estimate.sample_ns != blend.sample_ns or pose_t_ns != blend.pose_ns:
-        target = blend_setpoints(params, adaptive, pose_t_ns, max(ahead_m, 0.0), drop_m, due)
+        target = blend_setpoints(params, adaptive, pose_t_ns, max(ahead_m, 0.0), standoff_m, due)
     else:
         target = blend.setpoint_m + blend.rate_mps * (clock.now_ns - blend.t_ns) * 1e-9
     return target, due
 
 
 @jit
-def plan_period(params: Any, adaptive: Any, inputs: Any, pose_t_ns: Any, ahead_m: Any, drop_m: Any) -> None:
+def plan_period(
+    params: Any, adaptive: Any, inputs: Any, pose_t_ns: Any, ahead_m: Any, standoff_m: Any
+) -> None:
     """Preview control of the controller period that begins."""
     clock, kinematics, controller = adaptive.clock, adaptive.kinematics, adaptive.controller
     lookahead = adaptive.lookahead
@@ -119,11 +121,11 @@ def plan_period(params: Any, adaptive: Any, inputs: Any, pose_t_ns: Any, ahead_m
     if known >= MIN_KNOWN_PERIODS:
         z, v = predict_axis(params, adaptive, latch_ns)
         extrapolate_ground(adaptive, known, adaptive.estimate.arc_length_m + at_latch_m, bias_m)
-        plan_setpoint(params, adaptive, known, z, v, drop_m)
+        plan_setpoint(params, adaptive, known, z, v, standoff_m)
 
 
 @jit
-def target_of_preview(params: Any, adaptive: Any, target_m: Any, drop_m: Any) -> Any:
+def target_of_preview(params: Any, adaptive: Any, target_m: Any, standoff_m: Any) -> Any:
     """Set point before the limits: the filtered blend, and the plan by its share [m].
 
     A sensor that leads measures no ground under the tool: its buffered heights replace the blend.
@@ -131,7 +133,7 @@ def target_of_preview(params: Any, adaptive: Any, target_m: Any, drop_m: Any) ->
     preview = adaptive.preview
     if preview.sensed_periods >= 2:
         rate = (preview.ground_m[1] - preview.ground_m[0]) / PERIOD_S
-        target_m = preview.ground_m[0] + rate * (adaptive.plant.tau_s + params.tick_lead_s) + drop_m
+        target_m = preview.ground_m[0] + rate * (adaptive.plant.tau_s + params.tick_lead_s) + standoff_m
     target_m = filter_setpoint(params, adaptive, target_m)
     target_m += preview.share * (adaptive.plan.setpoint_m - target_m)
     return target_m
@@ -190,13 +192,13 @@ def compute_demand(
         mark_shown(setpoint, 0)
         release_setpoint(setpoint)
         release_attitude(adaptive.attitude)
-    drop = standoff_height(params, adaptive.plane, sense, several, pose)
+    standoff = standoff_height(params, adaptive.plane, sense, several, pose)
     ahead = distance_ahead(params, adaptive, pose, pose_t_ns)
     observe_report(controller, sense.pose_count, clock.now_ns)
-    target, due = target_of_blend(params, adaptive, inputs, pose_t_ns, ahead, drop)
+    target, due = target_of_blend(params, adaptive, inputs, pose_t_ns, ahead, standoff)
     if due != 0:
-        plan_period(params, adaptive, inputs, pose_t_ns, ahead, drop)
-    target = target_of_preview(params, adaptive, target, drop)
+        plan_period(params, adaptive, inputs, pose_t_ns, ahead, standoff)
+    target = target_of_preview(params, adaptive, target, standoff)
     few = estimate.samples < CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
     if estimate.samples < INITIALISATION_SAMPLES or few:
         target = max(target, tool_z)  # no descent over ground that is hardly known
@@ -205,20 +207,20 @@ def compute_demand(
     if not math.isfinite(demand + estimate.height_m + estimate.slope + estimate.sigma_m):
         reset_all(params, adaptive)
         return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
-    cut = limit(demand, params.max_demand_m)
-    if cut != demand:
+    limited = limit(demand, params.max_demand_m)
+    if limited != demand:
         status |= LIMITED
     if fold.close != 0:
         latch_fault(health, FAULT_CLOSE)
         status |= TOO_CLOSE
-        cut = max(cut, min(PROBE_M, params.max_demand_m))
-    output.demand[2] = cut
+        limited = max(limited, min(PROBE_M, params.max_demand_m))
+    output.demand[2] = limited
     if fold.close != 0:
         release_attitude(adaptive.attitude)  # away from the surface first, then rotate
     elif several != 0 and adaptive.plane.count > 0:
         demand_rotation(params, adaptive, sense, output)
     if controller.period_ns == clock.now_ns or controller.latch_pending != 0:
-        record_own_setpoint(adaptive, tool_z + (cut if params.run == RUN_NORMAL else 0.0))
+        record_own_setpoint(adaptive, tool_z + (limited if params.run == RUN_NORMAL else 0.0))
     if params.run == RUN_DRYRUN:
         mark_shown(setpoint, 1)
     elif params.run == RUN_FREEZE:

@@ -12,15 +12,15 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
 
 CELL_M = 1e-3
-MIN_LEAD_M = 0.005  # a sensor this far ahead leads
+MIN_LEAD_M = 0.005  # a footprint this far ahead leads
 MAX_HOLE_CELLS = 8  # holes up to this long are bridged
-# on the way is what lies no farther off it, or than this share of its distance
+# greatest distance from the path, or share of the distance along it
 OFF_PATH_M, OFF_PATH_SHARE = 5e-3, 0.2
 
 
 @jit
 def point_at(adaptive: Any, s_m: Any) -> Any:
-    """Where a way coordinate lies: straight on, or back, from the last footprint [m]."""
+    """Point of the path at an arc length, straight through the newest footprint [m]."""
     kinematics, sample = adaptive.kinematics, adaptive.sample
     if kinematics.speed_mps == 0.0:
         return sample.x_m, sample.y_m
@@ -30,7 +30,7 @@ def point_at(adaptive: Any, s_m: Any) -> Any:
 
 @jit
 def is_off_path(adaptive: Any, c: Any, s_m: Any, x_m: Any, y_m: Any) -> Any:
-    """Whether cell c was seen elsewhere than at a place on the way."""
+    """Whether cell c was measured away from a point of the path."""
     buffer = adaptive.buffer
     most = max(OFF_PATH_M, OFF_PATH_SHARE * abs(s_m - adaptive.sample.arc_length_m))
     return (buffer.x_m[c] - x_m) ** 2 + (buffer.y_m[c] - y_m) ** 2 > most * most
@@ -38,14 +38,14 @@ def is_off_path(adaptive: Any, c: Any, s_m: Any, x_m: Any, y_m: Any) -> Any:
 
 @jit
 def store_ground(adaptive: Any, s_m: Any, h_m: Any) -> None:
-    """Put an accepted height into the cell of its way coordinate."""
+    """Store an accepted height at its arc length."""
     x, y = point_at(adaptive, s_m)
     store_ground_at(adaptive, s_m, h_m, x, y)
 
 
 @jit
 def store_ground_at(adaptive: Any, s_m: Any, h_m: Any, x_m: Any, y_m: Any) -> None:
-    """Put a height seen at a place into the cell of its way coordinate; what was seen elsewhere goes."""
+    """Store a height measured at a point at its arc length; a cell measured elsewhere is replaced."""
     buffer = adaptive.buffer
     k = int(s_m / CELL_M)
     c = k & (BUFFER_CELLS - 1)
@@ -62,9 +62,9 @@ def store_ground_at(adaptive: Any, s_m: Any, h_m: Any, x_m: Any, y_m: Any) -> No
 
 @jit
 def buffered_height(adaptive: Any, s_m: Any) -> Any:
-    """Height at a way coordinate from the ring, linear between its neighbours; NaN where nothing was seen.
+    """Buffered height at an arc length, linear between cells [m]; NaN where there is none.
 
-    After a turn what was seen straight on is not on the way any more: NaN, too.
+    Cells that are off the path after a turn count as none.
     """
     buffer = adaptive.buffer
     k = math.floor(s_m / CELL_M)

@@ -19,7 +19,7 @@ from surffollow.shm.layout_follow import MAX_PREVIEW, POSES
 CELLS = 1 << 16
 CELL_M = 1e-3
 PROBES = 8
-MAX_COUNT = 64.0  # heights that a mean remembers
+MAX_COUNT = 64.0  # heights in a mean, at most
 MAX_INDEX = 1 << 31
 CURRENT_PASS_NS = 1_000_000_000
 BEHIND_S, AHEAD_S = 0.06, 0.45
@@ -38,7 +38,7 @@ def new_memory() -> NDArray[Any]:
 
 @jit
 def _first_probe(ix: Any, iy: Any) -> Any:
-    """First place of a cell: a mix of its two indices."""
+    """First probe of a cell: a hash of its two indices."""
     h = (ix * 73856093) ^ (iy * 19349663)
     h ^= h >> 13
     return h & (CELLS - 1)
@@ -46,7 +46,7 @@ def _first_probe(ix: Any, iy: Any) -> Any:
 
 @jit
 def store_height(memory: Any, x_m: Any, y_m: Any, height_m: Any, age: Any) -> None:
-    """Average a height into its cell at an age (> 0, growing) [ns]; far-off coordinates are ignored."""
+    """Average a height into its cell at an age (> 0, growing) [ns]; coordinates too far away are ignored."""
     if not (abs(x_m) < CELL_M * MAX_INDEX and abs(y_m) < CELL_M * MAX_INDEX and math.isfinite(height_m)):
         return
     ix, iy = math.floor(x_m / CELL_M + 0.5), math.floor(y_m / CELL_M + 0.5)
@@ -71,9 +71,9 @@ def store_height(memory: Any, x_m: Any, y_m: Any, height_m: Any, age: Any) -> No
 
 @jit
 def read_height(memory: Any, x_m: Any, y_m: Any, before: Any) -> Any:
-    """Mean height around a point, of what was written before age `before`; NaN when there is nothing.
+    """Mean height around a point, of heights older than age `before`; NaN when there are none.
 
-    The nine cells around the point weigh by their number of heights and their nearness.
+    The nine cells around the point are weighted by their number of heights and their distance.
     """
     if not (abs(x_m) < CELL_M * MAX_INDEX and abs(y_m) < CELL_M * MAX_INDEX):
         return math.nan
@@ -85,7 +85,7 @@ def read_height(memory: Any, x_m: Any, y_m: Any, before: Any) -> Any:
             for j in range(PROBES):
                 m = memory[(at + j) & (CELLS - 1)]
                 if m.age == 0:
-                    break  # places are taken in turn, and never given back
+                    break  # probes are occupied in order and never freed
                 if m.ix == ix + jx and m.iy == iy + jy:
                     old = m.age < before
                     n, h = (m.n, m.height_m) if old else (m.n_before, m.height_before_m)
@@ -99,7 +99,7 @@ def read_height(memory: Any, x_m: Any, y_m: Any, before: Any) -> Any:
 
 @jit
 def read_preview(memory: Any, state: Any, inputs: Any) -> None:
-    """Fill a cycle's preview with what is remembered along the direction of travel.
+    """Fill a cycle's preview with remembered heights along the direction of travel.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def read_preview(memory: Any, state: Any, inputs: Any) -> None:
 
     Notes
     -----
-    What was written within the last second is now, not memory. Cells and their heights are plain numbers.
+    Heights of the last second belong to the present pass and are not used. Cells are plain numbers.
     """
     i, adaptive, sense, d = inputs[0], state[0].adaptive, state[0].sense, state[0].scaled
     kinematics, sample = adaptive.kinematics, adaptive.sample
@@ -124,9 +124,12 @@ def read_preview(memory: Any, state: Any, inputs: Any) -> None:
     before = max(plain_time(d, i.t_ns), adaptive.clock.now_ns) - CURRENT_PASS_NS
     known = 0
     for k in range(MAX_PREVIEW):
-        way = first + step * k
+        travel = first + step * k
         h = read_height(
-            memory, x + way * kinematics.velocity_x_mps / v, y + way * kinematics.velocity_y_mps / v, before
+            memory,
+            x + travel * kinematics.velocity_x_mps / v,
+            y + travel * kinematics.velocity_y_mps / v,
+            before,
         )
         i.preview_m[k] = h * d.length
         if math.isfinite(h):
@@ -137,7 +140,7 @@ def read_preview(memory: Any, state: Any, inputs: Any) -> None:
 
 @jit
 def store_footprint(memory: Any, state: Any, output: Any) -> None:
-    """Average the footprint that entered the estimate in this cycle, if one did, into its cell."""
+    """Store the footprint of this cycle, if it entered the estimate."""
     o, per_m = output[0], 1.0 / state[0].scaled.length
     if o.fresh & 1:
         x, y, z = o.target_m[0] * per_m, o.target_m[1] * per_m, o.target_m[2] * per_m
