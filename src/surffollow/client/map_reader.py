@@ -152,7 +152,7 @@ def open_map(board: Board) -> SharedObject:
     NoPermissionError    it may not be read, or it belongs to another user than the board
     BlockError           it is of another release
     """
-    map_ = SharedObject.open(f"{board.name}.map")
+    map_ = SharedObject.open(f"{board.name}.map", owners=(board.object.owner,))
     try:
         check_owner(map_, board)
         header = map_.memory[: ml.MapHeader.SIZE]

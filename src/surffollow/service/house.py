@@ -119,7 +119,7 @@ def take_name(name: str) -> NameLock:
 def _take_map(config: ServiceConfig, group: int) -> tuple[SharedObject, bool]:
     """The map of the name, which is ours by its lock, and whether it was made now."""
     try:
-        return SharedObject.open(f"{config.name}.map", writable=True), False
+        return SharedObject.open(f"{config.name}.map", writable=True, owners=(os.geteuid(),)), False
     except NotRunningError:
         return _make_map(config, group), True
 
