@@ -1,4 +1,4 @@
-"""Innovations on one side: how soon a model that is wrong by now loses its say, and when it does not."""
+"""Bias penalty: mean normalised innovations, how soon they lower a model's weight, and when not."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_the_mean_of_innovations_is_that_of_a_plain_filter_with_its_own_variance
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_a_model_off_to_one_side_loses_its_say_on_smooth_ground_alone(side):
+def test_a_biased_model_loses_its_weight_on_smooth_ground_only(side):
     smooth, rough = 1.1 * NOISE_M, 5.0 * NOISE_M
     before = judged(smooth, {})
     assert judged(smooth, {SLOW: 6.0 * side})[SLOW] < 1e-3 * before[SLOW]
@@ -62,7 +62,7 @@ def test_a_model_off_to_one_side_loses_its_say_on_smooth_ground_alone(side):
     assert judged(rough, {WAVY: 6.0 * side})[WAVY] < 1e-3 * judged(rough, {})[WAVY], "a wave is right or not"
 
 
-def test_chance_and_what_biases_all_alike_change_nothing():
+def test_a_bias_within_the_gate_or_common_to_all_models_changes_no_weight():
     smooth = 1.1 * NOISE_M
     np.testing.assert_array_equal(judged(smooth, {SLOW: 3.9}), judged(smooth, {}))
     np.testing.assert_array_equal(judged(smooth, {SLOW: 5.0}, least=6.0), judged(smooth, {}))

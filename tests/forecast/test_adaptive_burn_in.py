@@ -1,4 +1,4 @@
-"""Where the default follower is cautious: doubt, bad starts, young models, a set point that yields softly."""
+"""Innovation gate, initialisation, burn-in of the model weights, and the deadband filter."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ from .test_adaptive_stages import MS, default_params, feed
 BAND = 1e-4
 
 
-def calm_state(rate_mps=0.0):
+def deadband_state(rate_mps=0.0):
     a = zeros(AdaptiveState)[0]
     a["clock"]["now_ns"] = a["blend"]["filtered_ns"] = 10**9
     a["adaptation"]["deadband_m"], a["blend"]["rate_mps"] = BAND, rate_mps
     return a
 
 
-def yield_to(a, wanted_m, cycles, cycle_ns):
+def filtered(a, wanted_m, cycles, cycle_ns):
     for _ in range(cycles):
         a["clock"]["now_ns"] += cycle_ns
         filter_setpoint(default_params(), a, wanted_m)
     return float(a["blend"]["filtered_m"])
 
 
-def slow_yield(wanted_m, seconds, steps=200_000):
+def filtered_in_small_steps(wanted_m, seconds, steps=200_000):
     """The set point's equation, in steps far smaller than any cycle."""
     excess = wanted_m - BAND
     for _ in range(steps):
@@ -61,39 +61,39 @@ def slow_yield(wanted_m, seconds, steps=200_000):
 
 
 @pytest.mark.parametrize("wanted_m", [1.5e-4, 5e-4, 2e-3])
-def test_the_set_point_yields_as_its_equation_says_in_cycles_of_any_length(wanted_m):
-    at_100_hz = yield_to(calm_state(), wanted_m, 3, 10 * MS)
-    assert at_100_hz == pytest.approx(yield_to(calm_state(), wanted_m, 30, MS), rel=1e-9)
-    assert at_100_hz == pytest.approx(yield_to(calm_state(), wanted_m, 300, MS // 10), rel=1e-9)
-    assert at_100_hz == pytest.approx(slow_yield(wanted_m, 0.03), rel=2e-3)
+def test_the_deadband_filter_solves_its_equation_in_cycles_of_any_length(wanted_m):
+    at_100_hz = filtered(deadband_state(), wanted_m, 3, 10 * MS)
+    assert at_100_hz == pytest.approx(filtered(deadband_state(), wanted_m, 30, MS), rel=1e-9)
+    assert at_100_hz == pytest.approx(filtered(deadband_state(), wanted_m, 300, MS // 10), rel=1e-9)
+    assert at_100_hz == pytest.approx(filtered_in_small_steps(wanted_m, 0.03), rel=2e-3)
 
 
-def test_within_the_band_the_set_point_goes_on_as_the_models_expect():
-    assert yield_to(calm_state(), 0.9 * BAND, 50, MS) == 0.0
-    assert yield_to(calm_state(rate_mps=1e-3), 0.0, 50, MS) == pytest.approx(5e-5)
+def test_within_the_deadband_the_set_point_continues_at_the_predicted_rate():
+    assert filtered(deadband_state(), 0.9 * BAND, 50, MS) == 0.0
+    assert filtered(deadband_state(rate_mps=1e-3), 0.0, 50, MS) == pytest.approx(5e-5)
 
 
-def test_what_is_far_is_followed_at_once_and_after_a_pause_all_of_it():
-    assert yield_to(calm_state(), 0.01, 1, 10 * MS) > 0.01 - (1.0 + DEADBAND_SOFTNESS) * BAND
-    assert yield_to(calm_state(), -0.01, 1, 10 * MS) < -0.01 + (1.0 + DEADBAND_SOFTNESS) * BAND
-    assert yield_to(calm_state(), 0.01, 1, 150 * MS) == 0.01
+def test_a_large_excess_decays_at_once_and_after_a_pause_the_filter_begins_at_the_blend():
+    assert filtered(deadband_state(), 0.01, 1, 10 * MS) > 0.01 - (1.0 + DEADBAND_SOFTNESS) * BAND
+    assert filtered(deadband_state(), -0.01, 1, 10 * MS) < -0.01 + (1.0 + DEADBAND_SOFTNESS) * BAND
+    assert filtered(deadband_state(), 0.01, 1, 150 * MS) == 0.01
 
 
-def test_a_lone_reading_near_the_gate_is_doubted_and_a_second_that_says_the_same_believed():
+def test_a_single_sample_near_the_gate_is_held_back_and_a_second_one_alike_accepted():
     heights = np.zeros(900)
     heights[[500, 600, 601]] = 1.5e-3
     heights[700:702] = 1.5e-3, -1.5e-3
     before, _ = feed(heights[:500])
     gate = max(8.0 * before["gate"]["scale_m"], 1e-3)
-    assert 0.5 * gate < 1.5e-3 < gate, "the heights lie where there is doubt"
+    assert 0.5 * gate < 1.5e-3 < gate, "the heights are between the inner gate and the gate"
     a, taken = feed(heights)
     assert list(taken[[500, 600, 601, 602]]) == [0, 0, 1, 1]
-    assert list(taken[[700, 701]]) == [0, 0], "one up and one down say nothing alike"
+    assert list(taken[[700, 701]]) == [0, 0], "one up and one down do not agree"
     assert taken[702:].all()
     assert abs(a["estimate"]["height_m"]) < 2e-4
 
 
-def test_readings_across_a_slots_edges_do_not_make_the_ground_rougher():
+def test_samples_across_the_edges_of_a_slot_do_not_widen_the_gate():
     heights = np.zeros(420)
     heights[400:405] = -0.004, -0.01, -0.01, -0.01, -0.0021
     calm, _ = feed(np.zeros(420))
@@ -103,7 +103,7 @@ def test_readings_across_a_slots_edges_do_not_make_the_ground_rougher():
     assert abs(a["estimate"]["height_m"]) < 2e-4
 
 
-def test_outliers_that_never_agree_do():
+def test_outliers_that_never_agree_widen_the_gate():
     heights = np.zeros(420)
     heights[400:410] = 0.01 * np.array([1, -1, 2, -2, 1, -1, 2, -2, 1, -1])
     calm, _ = feed(np.zeros(420))
@@ -111,7 +111,7 @@ def test_outliers_that_never_agree_do():
     assert a["gate"]["scale_m"] > 1.5 * calm["gate"]["scale_m"]
 
 
-def test_a_bad_first_reading_is_forgotten_with_all_that_was_learned_from_it():
+def test_a_bad_first_sample_is_discarded_with_all_that_it_taught():
     a, taken = feed([0.008, 0.0, 0.0])
     assert list(taken) == [1, 0, 0]
     a, _ = feed([0.0] * 3, a=a, start=4, seed=1)
@@ -140,7 +140,7 @@ def judged(samples, scored):
     return a
 
 
-def test_young_models_count_for_what_they_claim_to_know_and_judged_ones_do_not():
+def test_the_variance_penalty_acts_during_burn_in_only():
     bold = 10
     shares = []
     for samples, scored in (
@@ -159,7 +159,7 @@ def test_young_models_count_for_what_they_claim_to_know_and_judged_ones_do_not()
     assert shares[3] == pytest.approx(1.0)
 
 
-def test_what_a_leading_sensor_saw_is_followed_so_nothing_need_be_cautious():
+def test_there_is_no_variance_penalty_with_a_leading_sensor():
     shares = []
     for lead_m in (-0.05, 0.0, 0.05):
         a = judged(BURN_IN_SAMPLES, 0)
@@ -171,7 +171,7 @@ def test_what_a_leading_sensor_saw_is_followed_so_nothing_need_be_cautious():
     assert shares[2] > 0.1
 
 
-def test_small_differences_count_sharply_in_noise_and_mildly_in_great_errors():
+def test_the_power_of_the_index_is_high_in_noise_and_low_in_great_errors():
     def advantage(factor, scored):
         a = judged(BURN_IN_SAMPLES, scored)
         for horizon in ("recent_m2", "longer_m2"):
@@ -187,7 +187,7 @@ def test_small_differences_count_sharply_in_noise_and_mildly_in_great_errors():
     assert 1.0 < advantage(400.0, FULL_POWER_SAMPLES) < 1.1
 
 
-def test_candidates_of_one_model_count_together_as_one_and_lead_by_their_share():
+def test_candidates_of_one_model_have_the_prior_weight_of_one_and_lead_by_their_share():
     assert sorted(set(CANDIDATE_MODEL)) == list(range(N_MODELS))
     assert len(set(zip(CANDIDATE_MODEL, SLOPE_SHARE))) == N_CANDIDATES
     a = judged(BURN_IN_SAMPLES, FULL_POWER_SAMPLES)

@@ -1,4 +1,4 @@
-"""A bad first sample, falling walls, what may be learned while frozen, and what a drop-out takes back."""
+"""A bad first sample, falling walls, frozen adaptation, and the steps that a drop-out takes back."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NAN = float("nan")
 
 
 @pytest.mark.parametrize("first_m", [0.001, 0.002, 0.0045, -0.0045])
-def test_a_first_reading_a_few_millimetres_off_leaves_no_trace(first_m):
+def test_a_first_sample_a_few_millimetres_off_leaves_no_trace(first_m):
     rng = np.random.default_rng(5)
     heights = rng.normal(0.0, 1e-4, 60)
     heights[0] += first_m
@@ -29,14 +29,14 @@ def test_a_first_reading_a_few_millimetres_off_leaves_no_trace(first_m):
     np.testing.assert_array_equal(bad["weights"]["recent_m2"], good["weights"]["recent_m2"])
 
 
-def test_on_a_slope_the_second_sample_is_no_reason_to_begin_again():
+def test_on_a_slope_the_second_sample_does_not_restart_the_estimate():
     heights = 0.7e-3 * np.arange(60)  # 20 degrees at 0.5 m/s
     a, taken = feed(heights, way=1.9e-3, sigma=5e-5)
     assert a["estimate"]["samples"] >= 59
     assert taken[2:].all()
 
 
-def test_nothing_is_judged_before_set_points_made_of_a_few_samples_had_effect():
+def test_no_model_is_scored_during_the_initial_settling_time():
     samples = INITIAL_SETTLING_NS // (4 * MS)
     a, _ = feed(np.zeros(samples + 1))
     assert a["weights"]["scored"] == 0
@@ -44,14 +44,14 @@ def test_nothing_is_judged_before_set_points_made_of_a_few_samples_had_effect():
     assert a["weights"]["scored"] == 3
 
 
-def test_a_steady_fall_is_believed_in_its_course():
+def test_a_steady_fall_is_confirmed_while_it_continues():
     heights = np.zeros(400)
     heights[200:250] = -0.56e-3 * np.arange(1, 51)  # 28 mm over 10 mm, at 50 mm/s
     heights[250:] = -0.028
     a, taken = feed(heights[:250], way=0.2e-3, sigma=1e-4)
     first = int(np.argmax(heights < -1.5e-3))  # beyond the gate
-    believed = first + int(np.argmax(taken[first:]))
-    assert believed - first <= 14  # 2.5 mm of way and a little, half way down …
+    confirmed = first + int(np.argmax(taken[first:]))
+    assert confirmed - first <= 14  # 2.5 mm of travel and a little, half way down …
     assert a["estimate"]["height_m"] == pytest.approx(-0.028, abs=4e-3)  # … and known where it ends
 
 
@@ -78,7 +78,7 @@ def take(a, count, adapt, jump=0.0, start=1, seed=3):
 
 
 @pytest.mark.parametrize("adapt", [0, 1])
-def test_a_bad_sample_after_a_reset_does_not_wipe_what_was_learned(adapt):
+def test_a_bad_sample_after_a_reset_keeps_noise_index_and_weights(adapt):
     a = zeros(AdaptiveState)[0]
     take(a, 1200, 1)
     noise, scored, weight = a["noise"]["sigma_m"], a["weights"]["scored"], a["weights"]["weight"].copy()
@@ -177,7 +177,7 @@ def test_a_real_step_down_at_rest_is_not_taken_back_between_slow_samples_or_late
 
 
 @pytest.mark.parametrize(("share", "speeds"), [(0.0, 1.0), (1.0, 10.0)])
-def test_without_preview_the_set_point_is_no_quicker_than_an_axis_can_use(share, speeds):
+def test_without_preview_the_limits_are_those_that_the_axis_can_use(share, speeds):
     params, a = default_params(), zeros(AdaptiveState)[0]
     a["preview"]["share"] = share
     heights, t_ns = [0.0], 10**9

@@ -1,4 +1,4 @@
-"""What a sensor ahead has seen is ground only where the tool goes: turns, stops, curves."""
+"""Buffered ground of a look-ahead sensor counts only on the path: turns, stops, curves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The bank's models against dense Kalman filters, and the plan against a general solver."""
+"""The bank's models against dense Kalman filters, and preview control against a general solver."""
 
 from __future__ import annotations
 
@@ -97,8 +97,8 @@ def test_the_plan_is_the_bounded_least_squares_solution(seed, known):
     k = np.arange(HORIZON)
     ground = 0.005 * np.sin(0.3 * k + rng.uniform(0, 6)) + 0.01 * (k > rng.integers(8, 30))
     v, dt, n = rng.uniform(-0.05, 0.05), 0.01, HORIZON
-    guess = 0.003 * rng.standard_normal(n - known)  # half the weight, for 16 ticks
-    ground[known:] = ground[known - 1] + guess
+    extrapolated = 0.003 * rng.standard_normal(n - known)  # half the weight, for 16 ticks
+    ground[known:] = ground[known - 1] + extrapolated
     _, a = planned(ground, v, known)
     after = np.arange(1, n + 1)
     weight = np.where(after < known, 1.0, np.where(after < known + 16, 0.5, 1e-6))

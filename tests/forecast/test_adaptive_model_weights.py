@@ -1,4 +1,4 @@
-"""How soon weights follow the scores, and what chance must be outdone by."""
+"""Time constants of the model weights and their penalties."""
 
 from __future__ import annotations
 
@@ -43,7 +43,9 @@ QUICK = 13
 AT_ONCE_S = 10.0
 
 
-def turned(rms_m: float, dt_s: float, deviations: float = 0.0, scored: int = FULL_POWER_SAMPLES) -> float:
+def weight_change(
+    rms_m: float, dt_s: float, deviations: float = 0.0, scored: int = FULL_POWER_SAMPLES
+) -> float:
     """How much of its way the weight of a model goes in a time after it has become the best one.
 
     `deviations`: bias of the model that was best before, in standard deviations; `scored`: samples judged.
@@ -69,26 +71,28 @@ def turned(rms_m: float, dt_s: float, deviations: float = 0.0, scored: int = FUL
     return float((a["weights"]["weight"][NEW] - before) / (there["weights"]["weight"][NEW] - before))
 
 
-def test_weights_follow_slowly_in_noise_and_in_the_middle_of_what_nobody_foresaw():
-    assert turned(NOISE_M, 0.004) == pytest.approx(1.0 - math.exp(-0.004 / WEIGHT_TIME_CONSTANT_S))
-    assert turned(NOISE_M, 0.05) > 0.99, "a slow sensor's next reading is far away"
-    assert turned(20.0 * NOISE_M, 0.004) == pytest.approx(
+def test_weights_have_a_time_constant_in_noise_and_on_terrain_that_no_model_describes():
+    assert weight_change(NOISE_M, 0.004) == pytest.approx(1.0 - math.exp(-0.004 / WEIGHT_TIME_CONSTANT_S))
+    assert weight_change(NOISE_M, 0.05) > 0.99, "a slow sensor's next reading is far away"
+    assert weight_change(20.0 * NOISE_M, 0.004) == pytest.approx(
         1.0 - math.exp(-0.004 / ROUGH_WEIGHT_TIME_CONSTANT_S), rel=0.01
     )
-    between = turned(1.5 * NOISE_M, 0.004)
-    assert turned(20.0 * NOISE_M, 0.004) < between < turned(NOISE_M, 0.004)
+    between = weight_change(1.5 * NOISE_M, 0.004)
+    assert weight_change(20.0 * NOISE_M, 0.004) < between < weight_change(NOISE_M, 0.004)
     young_s = 0.1 * ROUGH_WEIGHT_TIME_CONSTANT_S
-    young = turned(20.0 * NOISE_M, 0.004, scored=FULL_POWER_SAMPLES // 10)
+    young = weight_change(20.0 * NOISE_M, 0.004, scored=FULL_POWER_SAMPLES // 10)
     assert young == pytest.approx(1.0 - math.exp(-0.004 / young_s), rel=0.01), (
         "who has judged little learns sooner"
     )
 
 
-def test_a_bias_in_force_hurries_them():
+def test_a_bias_in_force_shortens_the_time_constant():
     cost = 6.0**2 - 16.0
     slow_s = WEIGHT_TIME_CONSTANT_S / (1.0 + (cost / BIAS_SPEEDUP) ** 2)
-    assert turned(NOISE_M, 0.001, deviations=6.0) == pytest.approx(1.0 - math.exp(-0.001 / slow_s), rel=0.05)
-    assert turned(NOISE_M, 0.001, deviations=3.9) == turned(NOISE_M, 0.001), "chance does not"
+    assert weight_change(NOISE_M, 0.001, deviations=6.0) == pytest.approx(
+        1.0 - math.exp(-0.001 / slow_s), rel=0.05
+    )
+    assert weight_change(NOISE_M, 0.001, deviations=3.9) == weight_change(NOISE_M, 0.001), "chance does not"
 
 
 def odds_of(kind: int, score_m2: float, scored: int) -> float:
@@ -105,7 +109,7 @@ def odds_of(kind: int, score_m2: float, scored: int) -> float:
     return float(a["weights"]["weight"][i] / a["weights"]["weight"][SMOOTH_MODEL])
 
 
-def test_a_wave_that_fits_noise_must_outdo_chance_most_of_all_at_first():
+def test_the_chance_penalty_of_waves_is_greatest_during_burn_in():
     noise, rough = 1.2 * NOISE_M**2, (20.0 * NOISE_M) ** 2
     for kind in (CURVE, WAVE):
         assert odds_of(kind, noise, 100) < odds_of(kind, noise, FULL_POWER_SAMPLES) / 3.0
@@ -115,7 +119,7 @@ def test_a_wave_that_fits_noise_must_outdo_chance_most_of_all_at_first():
     assert odds_of(WAVE, noise, FULL_POWER_SAMPLES) < odds_of(CURVE, noise, FULL_POWER_SAMPLES) / 30.0
 
 
-def calmer_odds(rms_m: float, scored: int) -> float:
+def effort_odds(rms_m: float, scored: int) -> float:
     """Weight of a model whose set points lie still over that of a like one that jumps, both fitting alike."""
     a = zeros(AdaptiveState)[0]
     a["noise"]["sigma_m"], a["weights"]["scored"], a["estimate"]["samples"] = (
@@ -131,16 +135,16 @@ def calmer_odds(rms_m: float, scored: int) -> float:
     return float(a["weights"]["weight"][still] / a["weights"]["weight"][jumpy])
 
 
-def test_of_two_models_that_fit_rough_ground_alike_the_calmer_one_counts():
-    assert calmer_odds(20.0 * NOISE_M, FULL_POWER_SAMPLES) == pytest.approx(
+def test_of_two_models_that_fit_rough_ground_alike_the_one_with_less_effort_has_the_weight():
+    assert effort_odds(20.0 * NOISE_M, FULL_POWER_SAMPLES) == pytest.approx(
         101.0**ROUGH_EFFORT_POWER, rel=0.05
     )
-    assert calmer_odds(20.0 * NOISE_M, FULL_POWER_SAMPLES // 4) < 101.0**ROUGH_EFFORT_POWER
+    assert effort_odds(20.0 * NOISE_M, FULL_POWER_SAMPLES // 4) < 101.0**ROUGH_EFFORT_POWER
 
 
-def test_at_first_what_follows_the_noise_may_be_lucky():
-    assert calmer_odds(NOISE_M, FULL_POWER_SAMPLES // 4) > 1e5
-    assert calmer_odds(NOISE_M, FULL_POWER_SAMPLES // 4) > calmer_odds(NOISE_M, 3 * FULL_POWER_SAMPLES // 4)
+def test_the_effort_penalty_is_greatest_during_burn_in():
+    assert effort_odds(NOISE_M, FULL_POWER_SAMPLES // 4) > 1e5
+    assert effort_odds(NOISE_M, FULL_POWER_SAMPLES // 4) > effort_odds(NOISE_M, 3 * FULL_POWER_SAMPLES // 4)
 
 
 def fine_log_odds(scored: int) -> float:
@@ -163,7 +167,7 @@ def fine_log_odds(scored: int) -> float:
     return logs[0] - logs[1]
 
 
-def test_fine_differences_count_sharply_only_after_many_samples():
+def test_the_power_of_the_index_grows_with_the_scored_samples():
     powers = [
         3.0 + 17.0 * (scored / FULL_POWER_SAMPLES) ** 2
         for scored in (FULL_POWER_SAMPLES, FULL_POWER_SAMPLES // 2)
@@ -198,7 +202,7 @@ def long_odds(recent: float, ever: float, quick_recent: float = 1.3, quick_ever:
     return float(a["weights"]["weight"][QUICK] / a["weights"]["weight"][SMOOTH_MODEL])
 
 
-def test_between_grooves_the_model_that_was_right_all_along_counts():
+def test_between_grooves_the_longer_horizon_decides():
     """The calm one fits the quiet stretch better, and failed at the last groove."""
     assert long_odds(1.05, 3.0) > 30.0
     assert long_odds(1.0, 1.03, quick_recent=1.075) > 30.0, "even a small difference, kept for long"
@@ -207,7 +211,7 @@ def test_between_grooves_the_model_that_was_right_all_along_counts():
     assert long_odds(20.0, 1.2, quick_ever=6.0) > 1e3, "nor while the ground is lively: a wave was just found"
 
 
-def band_m(samples: int, scored: int, rms_m: float) -> float:
+def deadband_m(samples: int, scored: int, rms_m: float) -> float:
     a = zeros(AdaptiveState)[0]
     a["noise"]["sigma_m"], a["estimate"]["sigma_m"], a["estimate"]["samples"], a["weights"]["scored"] = (
         NOISE_M,
@@ -220,18 +224,22 @@ def band_m(samples: int, scored: int, rms_m: float) -> float:
     return float(a["adaptation"]["deadband_m"])
 
 
-def test_the_band_is_wider_while_models_are_young_and_all_is_noise():
-    usual = band_m(FULL_POWER_SAMPLES, FULL_POWER_SAMPLES, NOISE_M)
+def test_the_deadband_is_wider_during_burn_in_in_noise():
+    usual = deadband_m(FULL_POWER_SAMPLES, FULL_POWER_SAMPLES, NOISE_M)
     assert usual == pytest.approx(0.1 * 3e-4)
-    assert band_m(1, 1, NOISE_M) == pytest.approx(4.5 * usual, rel=0.01)
-    assert usual < band_m(FULL_POWER_SAMPLES // 2, FULL_POWER_SAMPLES // 2, NOISE_M) < band_m(1, 1, NOISE_M)
-    assert band_m(1, FULL_POWER_SAMPLES, NOISE_M) == usual, (
+    assert deadband_m(1, 1, NOISE_M) == pytest.approx(4.5 * usual, rel=0.01)
+    assert (
+        usual
+        < deadband_m(FULL_POWER_SAMPLES // 2, FULL_POWER_SAMPLES // 2, NOISE_M)
+        < deadband_m(1, 1, NOISE_M)
+    )
+    assert deadband_m(1, FULL_POWER_SAMPLES, NOISE_M) == usual, (
         "a new start after a loss knows what to think of its models"
     )
-    assert band_m(FULL_POWER_SAMPLES, 0, NOISE_M) == usual, (
+    assert deadband_m(FULL_POWER_SAMPLES, 0, NOISE_M) == usual, (
         "and so does, by then, one that is led by what was seen before"
     )
-    assert band_m(1, 1, 5.0 * NOISE_M) < 1.1 * usual
+    assert deadband_m(1, 1, 5.0 * NOISE_M) < 1.1 * usual
 
 
 # in each of these runs two or three readings made the follower go up to 0.2 mm after them; in the last one it
@@ -248,7 +256,7 @@ def test_the_band_is_wider_while_models_are_young_and_all_is_noise():
         ("glitch", 0.4, 7000),
     ],
 )
-def test_a_few_readings_on_flat_ground_are_not_gone_after(case, speed_mps, seed):
+def test_a_few_samples_on_flat_ground_do_not_move_the_set_point(case, speed_mps, seed):
     job = Job("excursion", "ours", seed, Conditions(), speed_mps=speed_mps, case=case)
     assert excursion(job)["excursion_m"] < 0.12e-3
 
@@ -273,7 +281,7 @@ def test_a_gently_curved_panel_is_followed_within_a_fifth_of_the_noise_and_calml
     assert accel_mps2 < 0.25
 
 
-def test_grooves_far_apart_do_not_surprise_it_every_time():
+def test_grooves_far_apart_are_followed_by_the_longer_horizon():
     """4 mm deep, 40 mm wide, one every half metre; between them the ground is flat."""
     off_m = np.abs(WAY_M % 0.5 - 0.25)
     rms_m, _ = ran_over(-0.004 * np.maximum(0.0, 1.0 - off_m / 0.02), 0.1)

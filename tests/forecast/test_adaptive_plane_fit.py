@@ -1,4 +1,4 @@
-"""Several sensors: which beams count, what the plane is, and that the rotation demanded never jumps."""
+"""Several sensors: fault isolation, plane fit, and a demanded rotation without jumps."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_first_plane_is_the_least_squares_plane_of_the_footprints():
         assert h == pytest.approx(h0 + 0.1 * sx - 0.2 * sy, abs=1e-9)
 
 
-def test_a_bulge_under_the_tool_is_told_from_its_height_by_the_sensor_in_the_middle():
+def test_curvature_and_height_are_separated_by_a_sensor_in_the_middle():
     f = follower()
     tool = Tool(f, sigma=1e-4)
     tool.run(3000, lambda x, y: -0.5 * (x * x + y * y))
@@ -112,7 +112,7 @@ def test_footprints_in_a_line_or_too_close_demand_no_rotation(mounts):
     assert f.state()["health"] == "OK"
 
 
-def test_a_beam_that_stays_odd_is_kept_out_while_three_others_agree():
+def test_a_beam_outside_the_gate_is_excluded_while_three_others_agree():
     f = follower()
     tool = Tool(f, sigma=1e-4)
     tool.run(400, slanted(0.1, -0.05))
@@ -128,7 +128,7 @@ def test_a_beam_that_stays_odd_is_kept_out_while_three_others_agree():
     assert f.state()["beams"] == 0b1111
 
 
-def test_ground_that_turns_is_believed_although_all_beams_are_odd_at_first():
+def test_ground_that_turns_is_confirmed_although_all_beams_deviate_at_first():
     f = follower()
     tool = Tool(f, sigma=1e-4)
     tool.run(400, slanted(0.0, 0.0))
@@ -137,7 +137,7 @@ def test_ground_that_turns_is_believed_although_all_beams_are_odd_at_first():
     assert angle_between(np.array(f.state()["normal"]), normal_of(0.35, -0.2)) < 5e-3
 
 
-def test_a_beam_that_stands_still_while_the_others_change_is_left_out():
+def test_a_stuck_beam_is_excluded_while_the_others_change():
     f = follower()
     tool = Tool(f, sigma=1e-4)
 
@@ -149,7 +149,7 @@ def test_a_beam_that_stands_still_while_the_others_change_is_left_out():
     assert f.state()["beams"] == 0b1101
 
 
-def test_losing_the_pace_maker_hands_the_pace_to_another_beam():
+def test_another_beam_becomes_the_reference_when_it_is_lost():
     f = follower()
     tool = Tool(f, sigma=1e-4)
     tool.run(400, slanted(0.0, 0.0))
@@ -192,7 +192,7 @@ def test_sensors_that_drop_out_and_come_back_make_no_demand_jump(speed):
     assert np.isfinite(demands).all()
 
 
-def test_the_turning_set_point_keeps_its_speed_and_acceleration():
+def test_the_attitude_set_point_keeps_its_limits():
     params, a = zeros(Params)[0], zeros(AdaptiveState)[0]
     params["max_turn_speed_radps"], params["max_turn_accel_radps2"] = 0.5, 5.0
     params["permitted_turn_rad"] = 1e-3

@@ -1,4 +1,4 @@
-"""What is thought of the robot's axis after others have moved it."""
+"""Plant identification after another controller has moved the robot."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .test_tilted_tool import Tilted, turned
 
 
 @pytest.mark.parametrize("set_ns", [0, 1])
-def test_errors_that_are_not_the_axis_own_are_forgotten_and_what_tells_tau_is_not(set_ns):
+def test_after_a_loss_the_common_error_is_subtracted_and_its_differences_stay(set_ns):
     params, state = default_params(), zeros(FollowState)[0]
     a, sense = state["adaptive"], state["sense"]
     params["plant_tau_s"] = a["plant"]["tau_s"] = a["plant"]["tau_configured_s"] = 0.04

@@ -191,7 +191,7 @@ def test_a_stand_off_of_another_scale_begins_anew_and_is_followed_as_by_a_fresh_
 
 
 @pytest.mark.parametrize("every", [26, 48])
-def test_samples_more_than_100_ms_apart_judge_the_models(every):
+def test_samples_more_than_100_ms_apart_score_the_models(every):
     follower = make_follower(1.0, 1.0, ONE)
     closed_loop(1.0, 0, cycles=80 * every, follower=follower, every=every)
     assert follower._state["adaptive"]["weights"]["scored"][0] > 30

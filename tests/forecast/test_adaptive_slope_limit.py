@@ -1,4 +1,4 @@
-"""How far a slope is expected to go on: a flank ends soon, ground that has been steep stays so."""
+"""The slope clamp: a flank is extrapolated less than ground that has been steep."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def errors_m(x_m: np.ndarray, heights_m: np.ndarray, speed_mps: float) -> np.nda
     return w.z - STANDOFF_M - scene.ground_m
 
 
-def test_the_first_narrow_bump_after_gentle_ground_throws_the_tool_up_less() -> None:
+def test_the_slope_clamp_reduces_the_overshoot_behind_a_first_narrow_bump() -> None:
     """Were its flank of 9 mm expected to go on, the tool would stand 11 mm too high behind it."""
     x = np.arange(0.0, 3.5, 1e-3)
     gentle = 2e-3 * np.sin(2 * np.pi * x / 0.35) + 1.5e-3 * np.sin(2 * np.pi * x / 0.23)

@@ -1,4 +1,4 @@
-"""Parts of the default follower: quarantine, memory, plane, limits, trend, plant, health."""
+"""Stages of the default follower: gate, noise, terrain memory, limits, range prediction, latency."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def delays_of_steps(heights, edges):
     return [int(np.argmax(taken[k:])) for k in edges]
 
 
-def test_a_step_down_is_believed_after_its_way_and_later_ones_sooner():
+def test_a_step_down_is_confirmed_after_travel_and_later_ones_sooner():
     edges = range(250, 3000, 250)
     delays = delays_of_steps(-0.01 * np.ceil((np.arange(3000) - 249) / 250), edges)
     assert delays[0] == 7  # 2.5 mm after the first sample beyond the edge
@@ -76,13 +76,13 @@ def test_a_step_down_is_believed_after_its_way_and_later_ones_sooner():
     assert max(delays[2:]) <= 2
 
 
-def test_a_step_up_is_believed_with_three_samples_however_little_way_they_cover():
+def test_a_step_up_is_confirmed_by_three_samples_without_travel():
     delays = delays_of_steps(0.01 * np.ceil((np.arange(3000) - 249) / 250), range(250, 3000, 250))
     assert delays[0] == 2
     assert max(delays) <= 2
 
 
-def test_steps_up_that_stayed_make_the_first_step_down_quicker():
+def test_steps_up_that_stayed_shorten_the_travel_of_the_first_step_down():
     heights = np.zeros(1500)
     heights[300:600], heights[600:900], heights[900:] = 0.01, 0.02, 0.01
     assert delays_of_steps(heights, [900])[0] <= 3
@@ -99,7 +99,7 @@ def test_a_step_that_comes_in_pieces_is_no_slot():
     assert abs(a["estimate"]["height_m"] - heights[-1]) < 1e-3
 
 
-def test_the_noise_is_told_to_a_tenth_and_soon():
+def test_the_noise_is_estimated_to_a_tenth_and_soon():
     found = []
     for seed in range(8):
         rng = np.random.default_rng(seed)
@@ -115,7 +115,7 @@ def test_the_noise_is_told_to_a_tenth_and_soon():
     assert (np.abs(early - 2.5e-4) < 0.4 * 2.5e-4).all()
 
 
-def test_the_slope_stays_when_a_step_is_believed():
+def test_the_slope_stays_when_a_step_is_confirmed():
     x = 1e-3 * np.arange(700)
     model = next(i for i in range(N_MODELS) if BANK[i, 0] == SLOPE and BANK[i, 1] > 1.0 and BANK[i, 2] == 0.5)
     for k in (604, 610, 700):
@@ -125,7 +125,7 @@ def test_the_slope_stays_when_a_step_is_believed():
     assert taken[610:].all()
 
 
-def test_the_noise_is_told_apart_from_the_slope():
+def test_a_slope_does_not_enter_the_noise():
     x = 1e-3 * np.arange(2000)
     for sigma in (0.1e-3, 0.4e-3):
         a, _ = feed(0.2 * x, sigma=sigma)
@@ -161,7 +161,7 @@ def test_a_set_point_keeps_its_limits_and_arrives_without_overshoot():
         assert np.abs(path).max() <= 1.01 * abs(wanted)
 
 
-def test_the_ring_of_ground_gives_back_what_was_seen_and_nothing_else():
+def test_the_terrain_buffer_returns_stored_heights_and_nothing_else():
     a = zeros(AdaptiveState)[0]
     for s in np.arange(0.1, 0.3, 0.4e-3):
         store_ground(a, s, 0.2 * s)
@@ -171,7 +171,7 @@ def test_the_ring_of_ground_gives_back_what_was_seen_and_nothing_else():
     assert math.isnan(buffered_height(a, 0.32))
 
 
-def test_memory_averages_a_cell_and_keeps_the_last_pass_apart():
+def test_the_terrain_memory_averages_a_cell_and_keeps_the_last_pass_apart():
     memory = new_memory()
     second = 10**9
     for age, h in ((1, 1.0), (2, 3.0)):
@@ -183,7 +183,7 @@ def test_memory_averages_a_cell_and_keeps_the_last_pass_apart():
     assert read_height(memory, 0.5, -0.25, 4 * second) == pytest.approx(2.0)
 
 
-def test_a_full_memory_forgets_the_oldest_and_never_invents():
+def test_a_full_terrain_memory_replaces_the_oldest_cell():
     memory = new_memory()
     rng = np.random.default_rng(0)
     points = rng.uniform(-3.0, 3.0, (2 * CELLS, 2))
@@ -196,7 +196,7 @@ def test_a_full_memory_forgets_the_oldest_and_never_invents():
         assert math.isnan(read_height(memory, bad, 0.0, 10**9))
 
 
-def test_trend_follows_a_ramp_passes_over_a_spike_and_accepts_a_jump():
+def test_range_prediction_follows_a_ramp_rejects_a_spike_and_accepts_a_jump():
     a = zeros(AdaptiveState)[0]
     for k in range(400):
         update_prediction(
@@ -208,7 +208,7 @@ def test_trend_follows_a_ramp_passes_over_a_spike_and_accepts_a_jump():
     assert predict_range(a["prediction"], 0.0) == pytest.approx(8.0, abs=0.1)
 
 
-def test_trend_does_not_forecast_what_does_not_move():
+def test_range_prediction_of_a_constant_range_is_constant():
     a = zeros(AdaptiveState)[0]
     rng = np.random.default_rng(2)
     for k in range(2000):
@@ -259,7 +259,7 @@ def over_one_spot(
 
 
 @pytest.mark.parametrize("truth_s", [-0.02, 0.0, 0.01, 0.04])
-def test_the_age_of_ranges_is_found_while_the_tool_climbs_over_one_spot(truth_s):
+def test_the_latency_is_identified_while_the_tool_climbs_over_one_spot(truth_s):
     f = over_one_spot(truth_s, lambda t: 0.006 * math.sin(2 * math.pi * 1.5 * t))
     assert f._state["adaptive"][0]["latency"]["correction_s"] == pytest.approx(truth_s, abs=2e-3)
 
@@ -268,7 +268,7 @@ def bobbing_m(t: float) -> float:
     return 0.006 * math.sin(2 * math.pi * 1.5 * t)
 
 
-def test_a_latency_set_by_hand_takes_the_place_of_what_was_learnt():
+def test_a_configured_latency_discards_the_correction():
     f = over_one_spot(0.02, bobbing_m)
     assumed_s = f.state()["latency_s"] - f._state["adaptive"][0]["latency"]["correction_s"]
     assert f.state()["latency_s"] == pytest.approx(assumed_s + 0.02, abs=2e-3)
@@ -282,7 +282,7 @@ def test_a_latency_set_by_hand_takes_the_place_of_what_was_learnt():
     assert f._state["adaptive"][0]["latency"]["count"] > before, "the same latency again drops nothing"
 
 
-def test_a_tool_at_rest_teaches_nothing_about_the_age_of_ranges():
+def test_a_tool_at_rest_identifies_no_latency():
     assert over_one_spot(0.04, lambda t: 0.0)._state["adaptive"][0]["latency"]["correction_s"] == 0.0
 
 
@@ -321,7 +321,7 @@ def stand_off_rms(sensors: list[dict[str, list[float]]], biases_m: list[float], 
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def test_a_second_sensor_ahead_is_worth_its_while_even_when_it_disagrees():
+def test_a_look_ahead_sensor_halves_the_error_and_its_bias_is_estimated():
     alone = stand_off_rms([{}], [0.0])
     assert stand_off_rms([{}, {"position_m": [0.05, 0.0, 0.0]}], [0.0, 0.0]) < 0.5 * alone
     assert stand_off_rms([{}, {"position_m": [0.05, 0.0, 0.0]}], [0.0, 1e-3]) < 0.6 * alone
@@ -361,5 +361,5 @@ def test_a_first_reading_that_is_a_glitch_does_not_drive_a_standing_tool_to_the_
 
 
 @pytest.mark.parametrize("step_m", [-0.02, 0.02])
-def test_ground_that_moves_under_a_standing_tool_is_believed(step_m):
+def test_ground_that_moves_under_a_standing_tool_is_confirmed(step_m):
     assert follow_at_rest({}, step_m)[1] < 0.4
