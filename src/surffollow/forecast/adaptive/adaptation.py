@@ -12,9 +12,9 @@ from surffollow.forecast.adaptive.model_weights import FULL_POWER_SAMPLES, least
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import INTERVALS
 
-MAX_PERMITTED_M = 2e-3
+MAX_PERMITTED_M = 2e-3  # uncertainty of the height raises Permitted_Variance no farther
 BURN_IN_WIDENING = 3.5  # the deadband is wider by this factor at first
-MIN_GAIN = 1e-4
+MIN_GAIN = 1e-4  # bounds the published Interval_Size
 
 
 @jit

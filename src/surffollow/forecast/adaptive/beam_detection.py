@@ -17,8 +17,8 @@ from surffollow.shm.layout_adaptive_sensing import BEAMS
 MAX_REFERENCE_AGE_NS = 12_000_000  # a beam older than the newest by this is no reference
 MAX_AGE_NS = 25_000_000  # older footprints do not belong to the same plane
 STUCK_NS = 100_000_000  # a range unchanged for so long while the others change is stuck
-GATE_SIGMAS, MIN_GATE_M = 8.0, 2e-3
-CONFIRMATION_SAMPLES = 5
+GATE_SIGMAS, MIN_GATE_M = 8.0, 2e-3  # in standard deviations of a reading; least width of the gate
+CONFIRMATION_SAMPLES = 5  # after so many outside the gate the ground has turned
 WEIGHT_RECOVERY = 0.1  # per sample, of a beam that is accepted again
 MIN_WEIGHT = 0.05  # of a beam accepted outside the gate
 

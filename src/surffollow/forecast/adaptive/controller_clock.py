@@ -19,7 +19,7 @@ LATCH_DELAY_NS = 500_000  # latch time before the cycle that sees the report, on
 MIN_PERIOD_NS, MAX_PERIOD_NS = 6_000_000, 14_000_000  # between two periods synchronised by reports
 PERIOD_TOLERANCE_NS = 1_000_000  # of the mean interval of reports from 10 ms
 REPORT_TIMEOUT_NS = 50_000_000  # without a report for so long there is no synchronisation
-PERIOD_RATE = 0.1
+PERIOD_RATE = 0.1  # of the usual interval, per report
 
 
 @jit

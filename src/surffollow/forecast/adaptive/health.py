@@ -31,7 +31,7 @@ STUCK_MAX_SAMPLES = 150.0  # … but no more than this
 STUCK_RESET_RATIO = 4.0  # in repeat limits: then the estimate is discarded
 STUCK_MIN_TRAVEL_M = 0.002  # no less, or noise could hide the response
 REPEAT_RATE, REPEAT_BURN_IN_RATE = 0.02, 0.05  # at which the longest run fades
-REPEAT_BURN_IN_SAMPLES = 200
+REPEAT_BURN_IN_SAMPLES = 200  # scored samples that end the higher rate
 CLOSE_CONFIRMATION_SAMPLES = 3  # a single glitch is not the fold-back
 
 

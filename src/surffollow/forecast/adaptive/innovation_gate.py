@@ -12,11 +12,11 @@ from surffollow.forecast.adaptive.noise import INITIAL_NOISE_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
-SCALE_RATE = 0.02
-PERMANENT_STEPS = 0.2
+SCALE_RATE = 0.02  # of the usual innovation, per sample
+PERMANENT_STEPS = 0.2  # likelihood of slots below which two samples confirm a step
 SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 0.3, 0.01  # factor per step that stays; least value
 STANDING_CONFIRMATION_NS = 120_000_000  # agreeing samples over this time need no travel
-SCALE_GROWTH = 1.3
+SCALE_GROWTH = 1.3  # of the usual innovation, per outlier that agrees with none
 REJECTED_TOLERANCE = 2  # a slot has two edges: samples across them agree with no other
 INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted
 INITIAL_INNER_GATE = 0.125  # the same for the second sample: the first may have been the bad one

@@ -9,8 +9,8 @@ from surffollow.forecast.pose import pose_at
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import POSES
 
-SPEED_WINDOW_NS = 100_000_000
-CLIMB_WINDOW_NS = 30_000_000
+SPEED_WINDOW_NS = 100_000_000  # over which the lateral velocity is taken: noise of the reports averages out
+CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
 MAX_POSE_GAP_NS = 1_000_000_000  # a report older than the newest by this belongs to another motion
 MAX_EXTRAPOLATION_NS = 50_000_000  # a pose is extrapolated by its velocity no farther
 MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it

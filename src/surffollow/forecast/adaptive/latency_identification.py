@@ -16,11 +16,11 @@ from surffollow.shm.jit import jit
 
 PRIOR_S = 0.03  # standard deviation of the configured latency
 HALF_SPAN_NS = 15_000_000  # climb rate at a sample: between the poses so long before and after
-MIN_SAMPLES = 20
+MIN_SAMPLES = 20  # fewer give no significant regression
 MAX_SAMPLES = 500  # samples after which a rest is concluded
 MIN_CLIMB_RMS_MPS = 0.015  # RMS deviation of the climb rate: less identifies nothing
 OUTLIER_GATE_M = 8e-3  # heights so far from the mean are glitches
-MAX_CORRECTION_S = 0.1
+MAX_CORRECTION_S = 0.1  # greater latencies have to be configured
 RESIDUAL_LIMIT_M = 0.5e-3  # left by the regression, beyond the noise: the ground was not one spot
 DRIFT_S = 1e-3  # standard deviation of the latency's drift between two rests
 DELAY_RATE = 0.05  # of the usual delay, per sample

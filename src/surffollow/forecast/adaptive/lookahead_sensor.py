@@ -16,8 +16,8 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import BEAMS
 
 AGREEMENT_M = 1.5e-3  # heights of two samples in a row that confirm each other
-BIAS_RATE = 0.02
-MAX_BIAS_M = 5e-3
+BIAS_RATE = 0.02  # of the bias, per sample
+MAX_BIAS_M = 5e-3  # greater differences are not a bias
 MAX_LEAD_M = 0.4  # length of the terrain buffer, with a margin
 TIMEOUT_NS = 200_000_000  # a sensor without samples for so long does not lead
 

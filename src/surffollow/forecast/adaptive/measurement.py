@@ -24,8 +24,8 @@ from surffollow.forecast.safety import watch_fold_back
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import POSES, RUN_FREEZE, RUN_NORMAL
 
-LEAD_RATE = 0.05
-SPACING_RATE = 0.05
+LEAD_RATE = 0.05  # of the lead, per sample
+SPACING_RATE = 0.05  # of the usual spacing, per sample
 
 
 @jit

@@ -7,9 +7,9 @@ from typing import Any
 
 from surffollow.shm.jit import jit
 
-MIN_NOISE_M = 50e-6
-INITIAL_NOISE_M = 300e-6
-MEDIAN_RATE, MEDIAN_BURN_IN_RATE = 0.004, 0.02
+MIN_NOISE_M = 50e-6  # floor of the variance that the bank assumes
+INITIAL_NOISE_M = 300e-6  # assumed before it is estimated
+MEDIAN_RATE, MEDIAN_BURN_IN_RATE = 0.004, 0.02  # of the running median, per sample
 MEDIAN_SAMPLES = 2.0  # the rate is this over the samples so far, within the two
 MAD_TO_SIGMA = 1.4826 / math.sqrt(6.0)  # of second differences
 

@@ -20,14 +20,18 @@ from surffollow.shm.jit import jit
 FIRST_PLANE_NS = 100_000_000  # at the start one or two beams wait so long for a third
 MIN_CONDITION = 1e-2  # least share of the spread of the footprints across their line
 MIN_SPREAD_M = 5e-3  # least spread of the footprints that gives a slope
-MAX_SLOPE = 3.0
+MAX_SLOPE = 3.0  # 72 degrees: steeper is no surface that a tool follows
 SLOPE_BANDWIDTH_RADPS = 11.0  # of the slopes [rad/s]; damping 1.1
 MAX_GAP_NS = 50_000_000  # over longer gaps slopes are not extrapolated
 RATE_DECAY_S = 0.05  # time constant of a rate that is not observed
 SLOPE_INNOVATION_LIMIT = 0.2  # of one sample
 TRACK_TIME_CONSTANT_S = 0.1  # of the slope from a beam's track
-TRACK_LENGTH_M, TRACK_SAMPLES, TRACK_GAP_M = 0.015, 250.0, 0.05
-CURVATURE_RATE_HZ = 2.5
+TRACK_LENGTH_M, TRACK_SAMPLES, TRACK_GAP_M = (
+    0.015,
+    250.0,
+    0.05,
+)  # memory in distance and samples; a longer jump begins anew
+CURVATURE_RATE_HZ = 2.5  # bandwidth of the curvature
 CURVATURE_SPREAD_M2 = 1e-4  # least spread of half the squared distances from the axis
 MAX_CURVATURE = 10.0  # 1/m
 

@@ -24,9 +24,9 @@ SUSPENSION_NS = 500_000_000  # then preview is suspended for so long
 ERROR_RATE = 0.004  # per pose report: 2.5 s at 100 Hz
 MIN_DIFFERENCE_M2 = 2.5e-9  # (50 µm)²: least difference of squared errors that identifies τ
 RESET_ERROR_M = 3e-3  # beyond, the robot does not follow: the axes begin at the tool
-TAU_RATE = 0.02
+TAU_RATE = 0.02  # per pose report, of ln τ
 POSITION_GAIN = 0.3  # of the observed axis, per report
-VELOCITY_GAIN_HZ = 2.0
+VELOCITY_GAIN_HZ = 2.0  # of the observed axis, per report
 
 
 @jit

@@ -18,14 +18,17 @@ from surffollow.shm.layout_adaptive_estimation import N_DISTANCES
 
 MIN_KNOWN_PERIODS = 7  # known ground that a plan needs: the reaction time of the axis
 SHARE_RATE = 0.15  # per controller period: preview fades in and out
-MAP_BIAS_RATE = 0.002
-MAP_DEVIATION_RATE = 0.02
-ERROR_RATIO, ERROR_MARGIN_M2 = 9.0, 4e-6  # (2 mm)²
-MAX_ERROR_M2 = 1e-4
+MAP_BIAS_RATE = 0.002  # per sample: a constant bias is learned in 2 s at 250 Hz
+MAP_DEVIATION_RATE = 0.02  # per sample
+ERROR_RATIO, ERROR_MARGIN_M2 = (
+    9.0,
+    4e-6,
+)  # squared error that suspends preview: ratio to that without, plus (2 mm)²
+MAX_ERROR_M2 = 1e-4  # (1 cm)²: bounds the memory of one sample
 MAX_MODEL_ERROR_M2 = 4e-8  # (0.2 mm)²: beyond, the axis model is too wrong for a plan
 LEADING_MAX_MODEL_ERROR_M2 = 1e-6  # (1 mm)²
-REFERENCE_RATE, ERROR_RATE = 0.002, 0.01
-SUSPENSION_NS = 5_000_000_000
+REFERENCE_RATE, ERROR_RATE = 0.002, 0.01  # per sample, without and with preview
+SUSPENSION_NS = 5_000_000_000  # after an error that is worse than without
 MAX_MAP_DEVIATION_M = 1.5e-3  # beyond, the ground has changed since it was mapped
 
 

@@ -20,9 +20,11 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 
 ITERATIONS, EARLY_ITERATIONS = 25, 50  # more of them with early points
-ADMM_PENALTY = 60.0
+ADMM_PENALTY = (
+    60.0  # converges in the fixed number of iterations (compared with a general solver in the tests)
+)
 ACCELERATION_SHARE = 0.9  # of the axis' acceleration; the rest is for corrections
-UNKNOWN_WEIGHT = 1e-6
+UNKNOWN_WEIGHT = 1e-6  # not 0, so that the matrix stays regular
 EARLY_M, EARLY_WEIGHT = 1.5e-3, 300.0  # a point lower than this before the ground descends is early
 EDGE_TOLERANCE_M = 6e-4  # uncertainty of the place of an edge
 FIRST_FORESEEN = 5  # periods from now; errors until then may be the robot's

@@ -26,7 +26,7 @@ from surffollow.shm.layout_adaptive import HORIZON
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, POSES
 
 FOR_SAMPLE, FOR_PERIOD = 1, 2  # bits: uses of a preview
-MAX_SPEED_MPS = 10.0
+MAX_SPEED_MPS = 10.0  # faster poses are jumps
 TIMESTAMP_TOLERANCE_S = 0.008  # deviation of a sample's delay from the usual one
 WINDOW_MARGIN_M = 1.5e-3  # for interpolation, and for noise of the reports
 

@@ -15,13 +15,13 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import N_HORIZONS, N_TRENDS, SNAPSHOTS
 
 SNAPSHOT_NS = 90_000_000  # between snapshots, or the samples' interval if that is longer
-HORIZON_SNAPSHOTS = np.array([2, 5, 10, 20])
-SCORE_RATE = 0.01
-WEIGHT_POWER = 5.0
-INTERVAL_RATE = 0.1
-GATE_SCALES = 8.0
-SCALE_RATE = 0.05
-MIN_SCALE_M = 1e-6
+HORIZON_SNAPSHOTS = np.array([2, 5, 10, 20])  # horizons, in snapshots
+SCORE_RATE = 0.01  # per snapshot
+WEIGHT_POWER = 5.0  # of the inverse squared error
+INTERVAL_RATE = 0.1  # of the usual interval, per sample
+GATE_SCALES = 8.0  # in usual innovations
+SCALE_RATE = 0.05  # of the usual innovation, per sample
+MIN_SCALE_M = 1e-6  # of a sensor without noise
 GAP_INTERVALS = 5.0  # usual intervals, or seconds if that is more: begin at the next range
 
 

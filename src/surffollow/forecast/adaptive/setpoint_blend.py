@@ -22,7 +22,7 @@ from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 DROPOUT_TOLERANCE_S = 0.025  # a single missing sample is no drop-out
 RATE_STEP_S = 0.005  # over which the rate of the blended set point is taken
 DEADBAND_DECAY_S = 0.01  # time in which an excess of DEADBAND_SOFTNESS deadbands is halved
-DEADBAND_SOFTNESS = 2.5
+DEADBAND_SOFTNESS = 2.5  # in deadbands
 FILTER_GAP_S = 0.1  # after a longer pause the filter begins at the blend
 MIN_RATE_WEIGHT = 1e-3  # candidates with less weight are left out of that rate
 SLOPE_LIMIT = 0.2  # slope that is never clamped …

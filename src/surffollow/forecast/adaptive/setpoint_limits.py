@@ -17,7 +17,7 @@ PAUSE_S = 0.1  # after so long without a call the set point begins at the tool â
 PAUSE_INTERVALS = 3.0  # â€¦ or after so many intervals of a slow caller
 MAX_INTERVAL_S = 1.5  # longest interval that is taken as usual
 INITIAL_INTERVAL_S = 0.05  # a first long interval counts as this; later ones double it at most
-INTERVAL_RATE = 0.2
+INTERVAL_RATE = 0.2  # of the usual interval, per call
 MIN_INTERVAL_RATE = 0.002  # at which the shortest interval fades
 MIN_INTERVAL_S = 5e-4  # shorter ones are ignored: their overshoot is small
 FIRST_STEP_S = 0.001  # length assumed for the first cycle
@@ -25,11 +25,8 @@ MAX_STEP_S = 0.02  # a longer cycle moves the set point no farther, unless all a
 VELOCITY_RATIO, ACCELERATION_RATIO = (
     2.0,
     20.0,
-)  # of what the assumed axis can do: quicker set points are only restless
-SETTLED_M, SETTLED_MPS = (
-    1e-3,
-    0.02,
-)  # so near where it is wanted, and so slow, a set point is back from a plan
+)  # to the limits of the axis: quicker set points add effort only
+SETTLED_M, SETTLED_MPS = 1e-3, 0.02  # distance and rate within which a set point is back from a plan
 BISECTIONS = 8  # resolution: 1/256 of the change that the jerk allows in a cycle
 
 

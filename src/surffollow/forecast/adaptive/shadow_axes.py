@@ -10,12 +10,12 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
 AXIS_STEP_NS = 2_000_000  # of the shadow axes
-MAX_AXIS_STEPS = 32
-MIN_TAU_S = 1e-3
+MAX_AXIS_STEPS = 32  # bounds the work per sample
+MIN_TAU_S = 1e-3  # below, the steps would be too long for the axis
 MAX_AXIS_GAP_NS = 250_000_000  # after a longer gap the axes are set to their set points
 EFFORT_RATE = 0.02  # per controller period
 MAX_EFFORT = 100.0  # (10 m/s²)²: bounds the memory of a step
-PERIOD_RATE_HZ2 = 1e4
+PERIOD_RATE_HZ2 = 1e4  # squared rate of the controller, 100 Hz
 
 
 @jit

@@ -11,7 +11,7 @@ from typing import Any
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
 
-CELL_M = 1e-3
+CELL_M = 1e-3  # length of a cell along the path
 MIN_LEAD_M = 0.005  # a footprint this far ahead leads
 MAX_HOLE_CELLS = 8  # holes up to this long are bridged
 # greatest distance from the path, or share of the distance along it

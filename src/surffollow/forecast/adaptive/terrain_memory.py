@@ -16,14 +16,14 @@ from surffollow.forecast.adaptive.reference_scales import plain_time
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import MAX_PREVIEW, POSES
 
-CELLS = 1 << 16
-CELL_M = 1e-3
-PROBES = 8
+CELLS = 1 << 16  # number of cells
+CELL_M = 1e-3  # side of a cell
+PROBES = 8  # per cell
 MAX_COUNT = 64.0  # heights in a mean, at most
-MAX_INDEX = 1 << 31
-CURRENT_PASS_NS = 1_000_000_000
-BEHIND_S, AHEAD_S = 0.06, 0.45
-MIN_SPEED_MPS, MAX_SPEED_MPS = 5e-3, 10.0
+MAX_INDEX = 1 << 31  # of a cell
+CURRENT_PASS_NS = 1_000_000_000  # younger heights belong to the present pass
+BEHIND_S, AHEAD_S = 0.06, 0.45  # piece of the path that a preview covers
+MIN_SPEED_MPS, MAX_SPEED_MPS = 5e-3, 10.0  # outside there is no direction of travel
 MEMORY = np.dtype(
     [(name, np.int64) for name in ("ix", "iy", "age")]
     + [(name, np.float64) for name in ("n", "height_m", "n_before", "height_before_m")]
