@@ -131,7 +131,7 @@ def test_a_file_in_another_encoding_is_told_and_not_a_crash(tmp_path):
 
 @pytest.mark.parametrize(("text", "value"), [("0640", 0o640), ("660", 0o660), ("0", 0), ("666", 0o666)])
 def test_modes_are_octal(text, value):
-    assert mode(text, "socket_mode") == value
+    assert mode(text, "access.socket_mode") == value
 
 
 @pytest.mark.parametrize(

@@ -166,7 +166,7 @@ def _check(c: ServiceConfig) -> None:
     if not 1.0 <= c.map.queue_seconds <= 600.0:
         raise ConfigError("configuration key map.queue_seconds must be between 1 and 600 s")
     for key in ("board_mode", "socket_mode", "map_mode"):
-        mode(getattr(c.access, key), key)
+        mode(getattr(c.access, key), f"access.{key}")
     for key in ("slots_per_user", "slots_per_process"):
         if not 1 <= getattr(c.access, key) <= MOST_SLOTS:
             raise ConfigError(f"configuration key access.{key} must be a whole number from 1 to {MOST_SLOTS}")
@@ -198,11 +198,11 @@ def mode(text: str, key: str) -> int:
     except ValueError:
         value = -1
     if not 0 <= value <= 0o777:
-        raise ConfigError(f"configuration key access.{key} is {text!r}; write an octal mode like '0640'")
-    writable = 0 if key == "socket_mode" else value & 0o022
+        raise ConfigError(f"configuration key {key} is {text!r}; write an octal mode like '0640'")
+    writable = 0 if key == "access.socket_mode" else value & 0o022
     if writable or value & 0o111:
         raise ConfigError(
-            f"configuration key access.{key} is {text!r}; "
+            f"configuration key {key} is {text!r}; "
             + ("group and others may read it only" if writable else "nobody executes it")
             + ", for example '0640'"
         )
