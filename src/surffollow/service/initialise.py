@@ -13,7 +13,7 @@ from surffollow.config.params import PARAMS
 from surffollow.config.service import ServiceConfig, follow_params, seconds
 from surffollow.config.stop_causes import STOP_NAMES, stop_causes
 from surffollow.errors import ConfigError
-from surffollow.forecast.adaptive_scales import scaled_defaults
+from surffollow.forecast.adaptive.reference_scales import scaled_defaults
 from surffollow.hw.driver import ConversionQueue, DriverInfo, PoseQueue
 from surffollow.service import memory as m
 from surffollow.service.fitting import misfit
