@@ -88,6 +88,21 @@ def test_readings_corroborate_the_true_wall_and_refute_the_mirrored_one():
     assert [h.state for h in belief.refuted] == ["refuted"]
 
 
+@pytest.mark.parametrize("limit_deg", [11.25, 30.0, 101.25], ids=["specular", "30 degrees", "diffuse"])
+def test_one_wall_is_known_after_a_few_moves_though_the_ranges_are_noisy(limit_deg):
+    """The solutions of pairs that only their own vagueness lets agree are no other walls."""
+    seed = 17
+    rng = np.random.default_rng(seed)
+    ring = SonarRing.regular(max_incidence_rad=math.radians(limit_deg), max_range_m=8.0)
+    for _ in range(8):
+        wall = (rng.uniform(-math.pi, math.pi), rng.uniform(1.0, 3.0))
+        belief = Belief(ring, 1)
+        belief.add(read(belief, [wall], rng))
+        assert settle(belief, [wall], rng, 15) < 15, f"seed {seed}: {wall}"
+        (left,) = belief.walls
+        assert abs(math.remainder(left.phi_rad - wall[0], 2.0 * math.pi)) < 4.0 * left.phi_std_rad + 1e-3
+
+
 def test_a_drive_into_a_supposed_wall_is_not_proposed():
     rng = np.random.default_rng(0)
     belief = Belief(SonarRing.regular(), 1, phi_bound_rad=1e-4, distance_bound_m=1e-4)

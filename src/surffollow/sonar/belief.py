@@ -257,9 +257,12 @@ class Belief:
         found = walls(*readings, self.k, min_sensors=1, **options)
         if self.k == 1:
             # alternatives of one wall: a pair may allow a mirrored one
-            allowed = wall_pose(*readings, **options)
-            if len(allowed) > 1:
-                return allowed
+            allowed = [w for w in wall_pose(*readings, **options) if w.favoured]
+            if np.isfinite(ranges_m).sum() <= 2:
+                return allowed if len(allowed) > 1 else found
+            for wall in allowed:
+                if not any(self._same(wall, other) for other in found):
+                    found.append(wall)
         return found
 
     def _match(self, before: list[Hypothesis], found: list[WallPose]) -> None:

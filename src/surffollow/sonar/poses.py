@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surffollow.errors import UsageError
 from surffollow.sonar import candidates as cd
+from surffollow.sonar.agreement import count_agreement
 from surffollow.sonar.pair import MAX_SOLUTIONS, SOLUTION
 from surffollow.sonar.posterior import N_POINTS
 from surffollow.sonar.ring_walls import find_walls
@@ -145,8 +146,9 @@ def wall_pose(
     -------
     list of WallPose
         The walls that every reading agrees with: the favoured ones first, then by L²·var φ + var d (L = 1 m).
-        `ambiguous` is set in all of them when several are favoured. A wall is not `favoured` where a beam's
-        axis points away from it (|φ − θ| > 90°) and another wall has no such beam, or where it differs from
+        `ambiguous` is set in all of them when several are favoured. A wall is not `favoured` where it does
+        not predict every reading within three standard deviations and another does, where a beam's axis
+        points away from it (|φ − θ| > 90°) and another wall has no such beam, or where it differs from
         `prior` by more than three standard deviations and another does not. Covariance alone must not
         choose: it prefers mirrored walls. Empty where infinitely many walls agree: a lone echo, or sonars
         at one place with equal ranges; `fused_pose` answers these with the covariance that the beams leave.
@@ -167,7 +169,14 @@ def wall_pose(
     echoes = int(np.isfinite(ring.ranges_m).sum())
     kept = int(cd.distinct_walls(rows, n, echoes, ring.half_beam_rad, order))
     pairs = [(rows[k], (int(rows[k, cd.FIRST]), int(rows[k, cd.SECOND]))) for k in order[:kept]]
-    return favour([_wall(row, pair) for row, pair in pairs], ring.headings_rad, prior)
+    told, verdicts = np.isfinite(ring.ranges_m), np.empty(ring.ranges_m.size, np.int64)
+
+    def reproduces(wall: WallPose) -> bool:
+        exactly = np.array([wall.phi_rad, wall.distance_m, 0.0, 0.0, 0.0])
+        agreement = count_agreement(*ring, exactly, told, verdicts)
+        return bool(agreement == (echoes, 0))
+
+    return favour([_wall(row, pair) for row, pair in pairs], ring.headings_rad, prior, reproduces)
 
 
 def optimal_pair(

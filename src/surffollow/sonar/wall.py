@@ -56,7 +56,10 @@ class WallPose:
 
 
 def favour(
-    found: list[WallPose], headings_rad: NDArray[np.float64], prior: WallPose | None
+    found: list[WallPose],
+    headings_rad: NDArray[np.float64],
+    prior: WallPose | None,
+    reproduces: Callable[[WallPose], bool],
 ) -> list[WallPose]:
     """Set `favoured` and `ambiguous` of walls that explain the same readings; the favoured ones come first.
 
@@ -66,6 +69,8 @@ def favour(
     ----------
     headings_rad : (m,) array   axes of the beams, by the walls' `sensors`
     prior : WallPose or None    an earlier pose of the wall that is looked for, in the walls' frame
+    reproduces : callable       whether every reading is within its own noise of what a wall predicts: a vague
+                                solution of one pair agrees with anything
 
     Raises
     ------
@@ -77,7 +82,7 @@ def favour(
         off = (math.remainder(wall.phi_rad - headings_rad[k], 2.0 * math.pi) for k in wall.sensors)
         return all(abs(o) <= 0.5 * math.pi for o in off)
 
-    rules: list[Callable[[WallPose], bool]] = [is_before_its_sonars]
+    rules: list[Callable[[WallPose], bool]] = [reproduces, is_before_its_sonars]
     if prior is not None:
         rules.append(_near(prior))
     kept = list(found)
