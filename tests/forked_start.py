@@ -1,4 +1,4 @@
-"""Services that start in a tenth of a second: forked from a process that has loaded every kernel.
+"""Services and arbiters that start in 0.1 s: forked from a process that has loaded every kernel.
 
 `surffollow start` costs 1.3 s of processor time, nearly all of it imports and the loading of kernels, and the
 tests start some hundreds. `fork_start` runs the same command line, with the same standard files, environment
@@ -23,6 +23,8 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 MESSAGE = 1 << 20
 READY_S = 400.0  # with a cold kernel cache
@@ -61,15 +63,15 @@ def _own_environment() -> dict[str, str]:
 class ForkedProcess(subprocess.Popen[str]):
     """A child of the template; its exit code comes through a pipe."""
 
-    def __init__(self, template: Template, words: Sequence[str]) -> None:
+    def __init__(self, template: Template, words: Sequence[str], stderr: int | None) -> None:
         self._template = template
-        super().__init__(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        super().__init__(words, stdout=subprocess.PIPE, stderr=stderr, text=True)
 
     def _execute_child(self, *told: Any) -> None:
         words, pipes = told[0], told[10:16]
         ended, told_end = os.pipe()
         try:
-            self.pid = self._template.fork(words, [0, pipes[3], pipes[5], told_end])
+            self.pid = self._template.fork(words, [0, pipes[3], 2 if pipes[5] < 0 else pipes[5], told_end])
         finally:
             os.close(told_end)
             self._close_pipe_fds(*pipes)  # type: ignore[attr-defined]
@@ -92,8 +94,8 @@ class ForkedProcess(subprocess.Popen[str]):
         return self.pid, int(said) if said else signal.SIGKILL
 
 
-def fork_start(words: Sequence[str]) -> subprocess.Popen[str] | None:
-    """Run `python -m surffollow …` as a fork.
+def fork_start(words: Sequence[str], stderr: int | None = None) -> subprocess.Popen[str] | None:
+    """Run `python -m surffollow …` as a fork; its stdout is a pipe, `stderr` as of `Popen`.
 
     None when the words run another interpreter or program, or when this process changed its environment.
     """
@@ -102,15 +104,18 @@ def fork_start(words: Sequence[str]) -> subprocess.Popen[str] | None:
     template = _templates.get(os.getpid())
     if template is None:
         template = _templates[os.getpid()] = Template()
-    return ForkedProcess(template, words[3:]) if template.environment == _own_environment() else None
+    return ForkedProcess(template, words[3:], stderr) if template.environment == _own_environment() else None
 
 
 # -- the template process -------------------------------------------------------------------------
 
 
 def load() -> None:
-    """Run a service with a simulated sensor once, to its end."""
+    """Run a service with a simulated sensor and an arbiter once, to their end."""
+    from arbiter.running import Running
     from running_service import Service, config_text
+    from surffollow.arbiter.config import load_config
+    from surffollow.arbiter.server import Server
     from surffollow.service.daemon import Daemon
 
     with tempfile.TemporaryDirectory() as folder:
@@ -120,6 +125,12 @@ def load() -> None:
             daemon.run(on_ready=daemon.stop)
         finally:
             once.purge()
+        shared = Running(Path(folder))
+        try:
+            server = Server(msgspec.structs.replace(load_config(shared.path), name=shared.name))
+            server.run(on_ready=server.stop)
+        finally:
+            shared.purge()
 
 
 def serve(link: socket.socket) -> dict[str, Any] | None:

@@ -132,7 +132,8 @@ class Service:
         return self.process
 
     def _fork(self) -> subprocess.Popen[str] | None:
-        self.process = fork_start(self.command("start", "--quiet", "--config", str(self.config)))
+        words = self.command("start", "--quiet", "--config", str(self.config))
+        self.process = fork_start(words, subprocess.PIPE)
         return self.process
 
     def start(self, **options: Any) -> Service:
