@@ -20,8 +20,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """One simulated sensor 0.1 m over flat ground, alive for the whole module; do not kill it."""
-    # many clients of many tests share it: who may set parameters is for service/test_policy.py
-    text = config_text(kind="simulated", access='parameters = "any"')
+    # many clients of many tests share it: who may change what is for service/test_policy.py
+    text = config_text(kind="simulated", access='parameters = "any"\nmap = "any"')
     s = Service(tmp_path_factory.mktemp("service"), text)
     s.world = world = World(s.name)
     try:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import mmap
+import select
 import socket
+from collections.abc import Callable
 
+from second_user import OtherUser
 from surffollow.client.board import LAYOUT_HASH, Board
+from surffollow.service.slot_server import GUESTS_PER_USER
 from surffollow.shm import layout_board as lb
 from surffollow.shm.unix_socket import new_socket, socket_path
 
@@ -29,3 +34,28 @@ def raw_slot(name: str) -> tuple[socket.socket, int, mmap.mmap, int]:
     sock.send(MESSAGE.pack(*fields))
     assert MESSAGE.unpack(sock.recv(MESSAGE.size))[2] == lb.SLOT_GRANT
     return sock, fds[0], memory, slot
+
+
+def crowd(path: str) -> Callable[[OtherUser], str]:
+    """Work of a user who keeps as many silent connections as he may have, renewing those that are closed."""
+
+    def work(child: OtherUser) -> str:
+        socks: list[socket.socket] = []
+        told = False
+        while True:
+            for sock in list(socks):
+                with contextlib.suppress(BlockingIOError):
+                    if sock.recv(1) == b"":
+                        socks.remove(sock)
+                        sock.close()
+            while len(socks) < GUESTS_PER_USER:
+                sock = new_socket()
+                sock.connect(path)
+                sock.setblocking(False)
+                socks.append(sock)
+            if not told:
+                child.say("attacks")
+                told = True
+            select.select(socks, [], [])  # until one is closed
+
+    return work

@@ -121,7 +121,7 @@ class ShellLoop:
         follow_step(self.params, self.state, self.inputs, self.output, self.scratch)
         i["n_poses"] = 0
         self.outputs.append(self.output[0].copy())
-        self.curves.append(float(self.state["adaptive"]["curve"][0]))
+        self.curves.append(float(self.state["adaptive"]["plane"]["curvature"][0]))
 
     def column(self, name: str) -> np.ndarray:
         """A field of all outputs."""

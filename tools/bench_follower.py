@@ -96,17 +96,17 @@ def random_cycles(
         if abs(o.demand[2]) > p.max_demand_m or turn > p.max_turn_rad * (1.0 + 1e-12):
             beyond += 1
         if not math.isfinite(
-            a.height_m
-            + a.slope
-            + a.sigma_m
-            + a.noise_m
-            + a.tau_s
-            + a.set_point_m
-            + a.scale_m
-            + a.mean_m
-            + a.beyond_oo_m2[0]
-            + a.beyond_mm_m2[2]
-            + a.plan_set_m
+            a.estimate.height_m
+            + a.estimate.slope
+            + a.estimate.sigma_m
+            + a.noise.sigma_m
+            + a.plant.tau_s
+            + a.setpoint.position_m
+            + a.gate.scale_m
+            + a.regression.mean_height_m
+            + a.regression.offset_offset_m2[0]
+            + a.regression.change_change_m2[2]
+            + a.plan.setpoint_m
         ):
             sick += 1
     return bad, beyond, sick

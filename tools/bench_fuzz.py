@@ -1,8 +1,10 @@
-"""Attack a service at random while a robot works: seven kinds of attack, by a user with no rights but a slot.
+"""Attack a service at random while a robot works: eleven kinds of attack by a user with no right but a slot.
 
 `scribble` random bytes, extreme commands and ranges of channels that it claims in its slot, `cut` and
 `restore` its size, `punch` holes, `lock` every byte that a reader can lock, `impostor` a forged board
-under the service's name between its end and its next start, `full` fill /dev/shm. Idle pieces of the
+under the service's name between its end and its next start, `full` fill /dev/shm, `churn` slots, pass
+sockets that `linger` when they are closed, `crowd` the socket with silent connections, flood the `audit`
+trail with refused changes. Idle pieces of the
 same length alternate with the attacks, for comparison. The robot pushes the ranges of channel 0
 (`--driver simulated`: the simulated sensor rides on a world block).
 
@@ -19,7 +21,6 @@ import contextlib
 import ctypes
 import json
 import math
-import mmap
 import os
 import random
 import signal
@@ -27,34 +28,31 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from raw_slot import raw_slot  # noqa: E402
+from fuzz_attacks import KINDS, SHM, attack  # noqa: E402
 from report import bar, bar_line  # noqa: E402
 from running_service import POSE, Service, World, config_text, objects_of, until  # noqa: E402
-from scribbler import Writer  # noqa: E402
 from second_user import NOBODY, OtherUser  # noqa: E402
-from service.test_foreign_names import forged_board, lock_everything  # noqa: E402
+from service.test_foreign_names import forged_board  # noqa: E402
 from surffollow.client import Client  # noqa: E402
 from surffollow.errors import SurffollowError  # noqa: E402
 from surffollow.service.cycle import histogram_bin  # noqa: E402
 from surffollow.shm import layout_board as lb  # noqa: E402
 from surffollow.shm.layout_follow import Output, Params  # noqa: E402
 
-KINDS = ("scribble", "cut", "restore", "punch", "lock", "impostor", "full")
-ACCESS = 'board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"\nparameters = "any"\n'
+MODES = 'board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"\n'
+ACCESS = MODES + 'parameters = "any"\nmap = "any"\nranges = "any"\n'
 LONG_NS = 300_000
 ANSWER_S = 0.2
 FORGED_M = -0.5
 PUSHED_M = 0.125
 WINDOW = 'range_min_m = "50 mm"\nrange_max_m = "150 mm"\nchannels = 8'
-_CLONE_NEWNS, _PUNCH_AND_KEEP_SIZE = 0x20000, 3
-SHM = Path("/dev/shm")
+_CLONE_NEWNS = 0x20000
 
 
 def private_shm(megabytes: int) -> bool:
@@ -66,63 +64,6 @@ def private_shm(megabytes: int) -> bool:
         ["mount", "-t", "tmpfs", "-o", f"size={megabytes}m,mode=1777", "tmpfs", str(SHM)],
     )
     return all(subprocess.run(c, capture_output=True).returncode == 0 for c in commands)
-
-
-def attack(kind: str, name: str, seed: int) -> Callable[[OtherUser], None]:
-    """What the attacker's process does until it is killed; it says how often it has."""
-    libc = ctypes.CDLL(None)
-
-    def scribble(step: int, held: tuple[int, mmap.mmap, Writer]) -> None:
-        writer = held[2]
-        writer.noise() if step % 2 else writer.commands(step)
-
-    def cut(_: int, held: tuple[int, mmap.mmap, Writer]) -> None:
-        for path in (SHM / name, SHM / f"{name}.map"):
-            with contextlib.suppress(OSError):
-                os.truncate(path, 0)
-        os.ftruncate(held[0], 0)
-
-    def restore(_: int, held: tuple[int, mmap.mmap, Writer]) -> None:
-        with contextlib.suppress(OSError):
-            os.ftruncate(held[0], 0)
-        time.sleep(0.004)
-        os.ftruncate(held[0], lb.SLOT_BYTES)
-
-    def punch(_: int, held: tuple[int, mmap.mmap, Writer]) -> None:
-        libc.fallocate(held[0], _PUNCH_AND_KEEP_SIZE, ctypes.c_long(0), ctypes.c_long(lb.SLOT_BYTES))
-        held[1].madvise(mmap.MADV_REMOVE)
-
-    one = {"scribble": scribble, "cut": cut, "restore": restore, "punch": punch}
-
-    def on_slot(child: OtherUser) -> None:
-        _sock, fd, memory, _ = raw_slot(name)
-        held = fd, memory, Writer(memory, seed)
-        child.say("attacks")
-        step = 0
-        while True:
-            step += 1
-            with contextlib.suppress(OSError):
-                one[kind](step, held)
-
-    def lock(child: OtherUser) -> None:
-        held = [lock_everything(SHM / part) for part in (name, f"{name}.map")]
-        child.say("attacks")
-        while held:
-            with contextlib.suppress(OSError):
-                held.append(lock_everything(SHM / f"{name}.lock"))
-            time.sleep(0.001)
-
-    def full(child: OtherUser) -> None:
-        with (SHM / f"{name}.filler").open("wb", buffering=0) as f, contextlib.suppress(OSError):
-            while f.write(bytes(1 << 20)):
-                pass
-        child.say("attacks")
-        while True:
-            with contextlib.suppress(OSError), (SHM / f"{name}.filler").open("ab", buffering=0) as f:
-                f.write(bytes(4096))
-            time.sleep(0.001)
-
-    return {"lock": lock, "full": full}.get(kind, on_slot)
 
 
 class Robot:

@@ -97,7 +97,7 @@ int main(int argc, char **argv) {
     read_pose(pose);
     const int64_t now = sf_now_ns();
     result = sf_ee_pos(&robot, pose, now);
-    if (result != SF_OK) refused++; /* the service is away: its demand is not valid then */
+    if (result != SF_OK) refused++; /* whatever the reason: nothing is followed in this tick */
     sent_ns[k % HISTORY] = now;
     sent_z_m[k % HISTORY] = pose[2];
 
@@ -105,7 +105,8 @@ int main(int argc, char **argv) {
     if (following) set_point_m = pose[2];
     following = 0;
     sf_demand d;
-    if (sf_dev_vector(&robot, &d) == SF_OK) {
+    const int heard = sf_dev_vector(&robot, &d);
+    if (result == SF_OK && heard == SF_OK) {
       for (int i = 0; i < HISTORY; i++)
         if (sent_ns[i] == d.pose_t_ns) set_point_m = sent_z_m[i] + d.demand[2], following = 1;
       valid++;

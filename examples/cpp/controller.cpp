@@ -116,7 +116,8 @@ int run(const std::string &name, double seconds, const std::string &map_path, co
   for (std::int64_t k = 0; k < ticks && stop == 0; ++k) {
     const std::int64_t now = sf_now_ns();
     const auto pose = arm.read_pose();
-    if (!robot.ee_pos(pose, now)) ++refused;
+    const bool posed = robot.ee_pos(pose, now);  // when not, whatever the reason, nothing is followed in this tick
+    if (!posed) ++refused;
     sent.emplace_back(now, pose[2]);
     if (sent.size() > 64) sent.pop_front();
     // without a valid demand (stale, in doubt, the stop is latched): hold the height and brake along the path, as
@@ -124,7 +125,7 @@ int run(const std::string &name, double seconds, const std::string &map_path, co
     if (following) set_point_m = pose[2];
     following = false;
     const auto d = robot.demand();
-    if (d) {
+    if (posed && d) {
       for (const auto &[t_ns, height_m] : sent)
         if (t_ns == d->pose_t_ns) {
           set_point_m = height_m + d->demand[2];

@@ -58,12 +58,14 @@ def run(name: str, seconds: float) -> list[tuple[float, ...]]:
     while next_ns < end_ns:
         t_ns, pose = time.monotonic_ns(), arm.read_pose()
         sent[t_ns] = pose[2]
-        with contextlib.suppress(SurffollowError):  # the service is away: its demand is not valid then
+        posed = False
+        with contextlib.suppress(SurffollowError):  # whatever the reason: nothing is followed in this tick
             robot.ee_pos(pose, t_ns)
+            posed = True
         demand = robot.dev_vector()
         # without a valid demand (stale, in doubt, stopped): hold the height, brake along the path
         set_point_m = pose[2] if following else set_point_m
-        following = demand.valid and demand.pose_t_ns in sent
+        following = posed and demand.valid and demand.pose_t_ns in sent
         if following:
             # the demand adds to the pose that it names, not to a newer one
             set_point_m = sent[demand.pose_t_ns] + demand[2]

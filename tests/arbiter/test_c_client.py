@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from arbiter.running import CONFIG, compile_client, until
-from surffollow.arbiter import attach, command_reader
+from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter.cheader import HEADER, header_text
 
 
@@ -74,5 +74,42 @@ def test_the_header_answers_what_a_client_does_wrong(make_arbiter, tmp_path, lan
             }
             server.kill()
             assert process.stdout.readline().split() == ["ended", str(-errno.ENOENT), "1"]
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("language", ["C", "C++"])
+def test_a_client_in_c_loses_what_it_holds_by_fork_and_by_the_servers_end(make_arbiter, tmp_path, language):
+    program = compile_client(tmp_path, language, Path(__file__).with_name("probe_ends.c"))
+    server = make_arbiter().start()
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen([str(program), server.name], text=True, **pipes) as process:
+
+        def heard():
+            return process.stdout.readline().split()
+
+        def go_on():
+            process.stdin.write("\n")
+            process.stdin.flush()
+
+        try:
+            assert heard() == ["ready"]
+            server.freeze()
+            go_on()
+            assert heard() == ["request", str(-errno.ETIMEDOUT)]
+            server.go_on()
+            with observe(server.name) as watcher:
+                released = until(
+                    lambda: watcher.status()["resources"]["robot"]["grants"] == 1 and watcher.status()
+                )
+                until(lambda: watcher.status()["resources"]["robot"]["state"] == "FREE")
+            assert released
+            go_on()
+            assert heard() == ["withdrawn", "1"]
+            assert heard() == ["again", "1"]
+            assert heard() == ["child", "0", "0", str(-errno.ENOENT)]
+            assert heard() == ["parent", "0", "1", "1"]
+            server.kill()
+            assert heard() == ["ended", "0", str(-errno.ENOENT)]
         finally:
             process.kill()

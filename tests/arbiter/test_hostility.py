@@ -23,7 +23,14 @@ from surffollow.arbiter import layout as al
 from surffollow.arbiter.config import parse_config
 from surffollow.arbiter.exchange import HEAD
 from surffollow.arbiter.reception import MOST_SILENT
-from surffollow.errors import AlreadyRunningError, ConfigError, NameError_, RefusedError
+from surffollow.errors import (
+    AlreadyRunningError,
+    ConfigError,
+    NameError_,
+    RefusedError,
+    RequestTimeoutError,
+    UsageError,
+)
 from surffollow.shm.name_lock import NameLock
 from surffollow.shm.uninvited import refuse_rights
 from surffollow.shm.unix_socket import new_socket
@@ -189,6 +196,31 @@ def test_what_ended_takes_no_commands_and_tells_nothing_of_what_it_held(make_arb
     until(lambda: not go.connected)
     assert not robot.command(0.1, 0.1)
     assert (robot.held, robot.token, robot.holder()) == (False, 0, None)
+
+
+def test_a_request_that_was_not_answered_in_time_is_withdrawn(make_arbiter):
+    server = make_arbiter().start()
+    go = attach(server.name, "go")
+    robot = go.resource("robot")
+    with observe(server.name) as watcher:
+
+        def grants():
+            return watcher.status()["resources"]["robot"]["grants"]
+
+        for wait in (False, True):
+            before = grants()
+            server.freeze()
+            with pytest.raises(RequestTimeoutError):
+                robot.request(wait=wait, timeout_s=0.05)
+            server.go_on()
+            until(lambda before=before: grants() == before + 1)
+            until(lambda: watcher.status()["resources"]["robot"]["state"] == "FREE")
+            assert not robot.held
+    assert robot.request()
+    for timeout_s in (-1.0, math.inf, math.nan):
+        with pytest.raises(UsageError, match="timeout_s"):
+            robot.request(timeout_s=timeout_s)
+    assert robot.held
 
 
 # -- strangers ----------------------------------------------------------------------------------------
@@ -361,6 +393,13 @@ ONE = {"command": ("x",), "safe": (0.0,)}
         ({"r": ONE | {"command": ("a,b",)}}, {}, "is not allowed"),
         ({"r": ONE | {"units": ("m,s",)}}, {}, "holds a comma"),
         ({"r": ONE | {"units": ("m" * 300,)}}, {}, "more than 255"),
+        ({"r": ONE | {"command": ("x", "x"), "safe": (0.0, 0.0)}}, {}, "names a value twice"),
+        ({"r": ONE | {"status": "s" * 64}}, {}, "is not allowed"),
+        ({"r": ONE | {"status": "/../x y"}}, {}, "is not allowed"),
+        ({"r": ONE | {"ttl": "1.5 ms"}}, {}, "ttl is '1.5 ms', less than two periods"),
+        ({"r": ONE}, {"s": {"parts": ("r",), "low": (-1.0, -1.0)}}, "low holds 2 values; 1 are needed"),
+        ({"r": ONE, "q": ONE | {"command": ("y",)}}, {"s": {"parts": ("r", "q")}}, "the same command"),
+        ({"r": ONE, "q": ONE | {"units": ("m",)}}, {"s": {"parts": ("r", "q")}}, "the same units"),
         ({"r.lock": ONE}, {}, "that is the lock of"),
         ({"r": ONE}, {"s.map": {"parts": ("r",)}}, "that is the map of"),
     ],
@@ -368,6 +407,19 @@ ONE = {"command": ("x",), "safe": (0.0,)}
 def test_what_would_mislead_is_no_configuration(resources, combine, why):
     with pytest.raises((ConfigError, NameError_), match=why):
         parse_config({"clients": {"a": 1}, "resources": resources, "combine": combine})
+
+
+@pytest.mark.parametrize(
+    ("more", "why"),
+    [
+        ({"mode": "0666"}, "read it only"),
+        ({"mode": "0660"}, "read it only"),
+        ({"lease": "20 ms", "period": "15 ms"}, "lease is '20 ms', less than two periods"),
+    ],
+)
+def test_settings_that_would_let_others_command_or_no_client_hold_are_refused(more, why):
+    with pytest.raises(ConfigError, match=why):
+        parse_config({"clients": {"a": 1}, "resources": {"r": ONE}} | more)
 
 
 def test_a_refused_user_is_told_so_even_when_the_server_was_faster(summed):

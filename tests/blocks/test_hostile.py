@@ -13,6 +13,7 @@ import pytest
 from blocks.conftest import Platform, Words
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from surffollow.blocks import mem_attach
+from surffollow.blocks.listing import attach_unknown, list_blocks
 from surffollow.errors import BlockError, NoPermissionError
 
 FLOCK = struct.Struct("hhxxxxqqixxxx")
@@ -54,6 +55,29 @@ def test_a_reader_that_locks_every_byte_holds_the_writer_up_for_one_lease_and_ne
         assert not block.barred
         with theirs.words.read(60.0) as view:
             assert set(view.word) == {21}
+
+
+@needs_root
+def test_no_file_of_an_untrusted_user_is_mapped_for_it_could_be_cut_while_it_is_listed(space):
+    def made(child: OtherUser) -> str:
+        mem = mem_attach(Platform, space, write=True, mode=0o644)
+        child.say("made")
+        child.hear()
+        mem.close()
+        return "closed"
+
+    name = f"{space}.platform"
+    with OtherUser(made) as other:
+        assert other.hear() == "made"
+        assert name not in [b["name"] for b in list_blocks()]
+        Path(f"/dev/shm/{name}.lock").unlink()  # root's rights: only the object itself is in the way
+        for door in (lambda: attach_unknown(name), lambda: mem_attach(Platform, space, write=True)):
+            with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0"):
+                door()
+        other.say("end")
+        assert other.hear() == "closed"
+    with mem_attach(Platform, space, write=True):
+        assert name in [b["name"] for b in list_blocks()]
 
 
 def test_a_barred_writer_keeps_readers_out_while_it_writes(space):

@@ -13,6 +13,7 @@ import pytest
 from cabi.running import Probe, Service, StillWorld
 from hanging_socket import MANNERS, hanging
 from surffollow.client import STALE
+from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import VALID
 
 OK, NOT_RUNNING = 0, -20
@@ -74,9 +75,9 @@ def test_client_follows_a_killed_service_into_its_next_life(
     probe.until(POSE, lambda a: a.result == OK)
     assert probe("reset 0.1").result == OK
     assert probe("height 0.05 0.05").result == OK
-    assert (
-        fixed("map_reset 0 0 0.1 0.1").result == OK
-    )  # the pose is the other client's, and so are the settings
+    # the pose is the other client's, and so are settings and map
+    assert fixed("map_reset 0 0 0.1 0.1").result == -100 - lb.ERR_NOT_POSE_HOLDER
+    assert probe("map_reset 0 0 0.1 0.1").result == OK
 
 
 def test_holder_is_told_that_the_service_was_restarted(

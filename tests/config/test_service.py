@@ -92,6 +92,10 @@ def test_a_full_file_is_taken_as_written(tmp_path):
         ({"map": {"access_lease": "0 s"}}, ["map.access_lease"]),
         ({"access": {"board_mode": "rw-r--"}}, ["access.board_mode", "octal"]),
         ({"access": {"socket_mode": "7777"}}, ["access.socket_mode", "octal"]),
+        ({"access": {"socket_mode": "0777"}}, ["access.socket_mode", "executes"]),
+        ({"access": {"board_mode": "0660"}}, ["access.board_mode", "read it only"]),
+        ({"access": {"board_mode": "0646"}}, ["access.board_mode", "read it only"]),
+        ({"access": {"map_mode": "0664"}}, ["access.map_mode", "read it only"]),
         ({"follow": {"ofset": 1}}, ["ofset", "did you mean offset_m"]),
         ({"follow": {"offset": "1 s"}}, ["offset", "time"]),
         ({"follow": 3}, ["follow"]),
@@ -125,9 +129,9 @@ def test_a_file_in_another_encoding_is_told_and_not_a_crash(tmp_path):
         load_config(bad)
 
 
-@pytest.mark.parametrize(("text", "value"), [("0640", 0o640), ("660", 0o660), ("0", 0), ("777", 0o777)])
+@pytest.mark.parametrize(("text", "value"), [("0640", 0o640), ("660", 0o660), ("0", 0), ("666", 0o666)])
 def test_modes_are_octal(text, value):
-    assert mode(text, "board_mode") == value
+    assert mode(text, "access.socket_mode") == value
 
 
 @pytest.mark.parametrize(

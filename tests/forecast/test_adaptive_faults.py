@@ -1,4 +1,4 @@
-"""What goes wrong around the default follower: clocks, runs nobody obeys, slow callers, stuck sensors."""
+"""Faults around the default follower: clock jumps, FREEZE and DRYRUN, slow callers, stuck sensors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from surffollow.config.params import PARAMS
 from surffollow.follower import Follower
-from surffollow.forecast.adaptive_limits import move_set_point
+from surffollow.forecast.adaptive.setpoint_limits import limit_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_follow import Params
@@ -40,7 +40,7 @@ class Bench:
 
 
 @pytest.mark.parametrize("back_s", [2, 10, 36_000])
-def test_a_clock_that_is_turned_back_blinds_nobody(back_s):
+def test_a_clock_that_jumps_back_is_followed(back_s):
     b = Bench()
     b.t_ns = 10**14
     b.go(500, 0.1, speed_mps=0.1)
@@ -54,7 +54,7 @@ def test_a_clock_that_is_turned_back_blinds_nobody(back_s):
     assert demands[-1] == pytest.approx(-2e-3, abs=2e-4)
 
 
-def test_a_clock_turned_back_blinds_no_plane_either():
+def test_a_clock_that_jumps_back_is_followed_with_several_sensors():
     ring = [{"position_m": [0.03 * math.cos(k), 0.03 * math.sin(k), 0.0]} for k in (0.0, 2.1, 4.2)]
     b = Bench(sensors=ring)
     for back in (0, 1):
@@ -68,7 +68,7 @@ def test_a_clock_turned_back_blinds_no_plane_either():
 
 
 @pytest.mark.parametrize("run", ["freeze", "dryrun"])
-def test_after_a_run_that_nobody_obeyed_the_set_point_starts_at_the_tool(run):
+def test_after_freeze_and_dryrun_the_set_point_begins_at_the_tool(run):
     b = Bench()
     b.go(500, 0.1)
     b.f.set_params(run=run)
@@ -82,7 +82,7 @@ def test_after_a_run_that_nobody_obeyed_the_set_point_starts_at_the_tool(run):
     assert demands[-1] == pytest.approx(-0.03, abs=1e-4)
 
 
-def test_a_dry_run_of_four_sensors_leaves_no_turn_behind():
+def test_after_dryrun_with_four_sensors_the_attitude_begins_at_the_tool():
     ring = [{"position_m": [0.03 * math.cos(k), 0.03 * math.sin(k), 0.0]} for k in (0.0, 2.1, 4.2)]
     b, turns = Bench(sensors=ring), []
     for k in range(600):
@@ -105,7 +105,7 @@ def test_another_assumed_time_constant_counts_at_once():
     assert b.f.state()["tau_s"] == 0.2
 
 
-def test_the_weights_told_are_those_of_all_candidates():
+def test_the_published_weights_are_those_of_all_candidates():
     b = Bench()
     b.go(300, 0.1, speed_mps=0.1)
     assert sum(b.f.state()["weights"]) == pytest.approx(1.0)
@@ -190,8 +190,8 @@ def test_a_set_point_in_irregular_cycles_does_not_overshoot(intervals_ms):
         most = 0.0
         for _ in range(60):
             t += int(rng.choice(intervals_ms) * MS)
-            move_set_point(params[0], a, t, to, z)
-            most = max(most, (a["set_point_m"] - to) * np.sign(to - z))
+            limit_setpoint(params[0], a, t, to, z)
+            most = max(most, (a["setpoint"]["position_m"] - to) * np.sign(to - z))
         z = to
         over.append(most)
     assert max(over[2:]) < 0.15e-3
@@ -280,13 +280,23 @@ def test_a_coarse_sensor_on_a_ramp_is_not_taken_for_stuck(slope, speed_mps, lsb_
 
 
 @pytest.mark.parametrize(
-    "name", ["weight", "score_m2", "long_m2", "state", "cov", "bias", "noise_m", "effort"]
+    ("record", "name"),
+    [
+        ("weights", "weight"),
+        ("weights", "recent_m2"),
+        ("weights", "longer_m2"),
+        ("bank", "mean"),
+        ("bank", "covariance"),
+        ("weights", "bias"),
+        ("noise", "sigma_m"),
+        ("shadow", "effort"),
+    ],
 )
-def test_what_is_not_finite_inside_is_thrown_away_and_following_goes_on(name):
+def test_a_state_that_is_not_finite_is_reset_and_following_continues(record, name):
     """No input is known to make it so; should one be found, it must not be for good."""
     robot = Robot(lambda x: 0.0, 0.1)
     robot.run(1.5)
-    inside = robot.f._state["adaptive"][name]
+    inside = robot.f._state["adaptive"][record][name]
     inside.reshape(-1)[0] = np.nan
     robot.run(1.0)
     state = robot.f.state()

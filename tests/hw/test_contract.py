@@ -66,7 +66,7 @@ def udp(folder: Path) -> Iterator[Made]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    settings = {"kind": "udp", "port": port, "format": FRAME_FORMAT, **WINDOW}
+    settings = {"kind": "udp", "port": port, "sender": "any", "format": FRAME_FORMAT, **WINDOW}
     send = datagrams(lambda: port)
     with feeding(lambda range_m: send(frame(range_m))):
         yield (lambda: make_driver(settings, "x")), True

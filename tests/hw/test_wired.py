@@ -325,6 +325,7 @@ def test_datagrams_give_distances_in_order_and_count_what_is_missing() -> None:
     settings = {
         "kind": "udp",
         "port": 0,
+        "sender": "127.0.0.1",
         "format": form,
         "sequence": {"offset": 0},
         "silence_s": 0.5,  # after it, what came since the last distance tells GARBLED from SILENT
@@ -348,11 +349,39 @@ def test_datagrams_give_distances_in_order_and_count_what_is_missing() -> None:
         driver.stop()
 
 
+def test_only_the_named_sender_is_listened_to() -> None:
+    with contextlib.ExitStack() as stack:
+        sensor, stranger = (
+            stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2)
+        )
+        for one in (sensor, stranger):
+            one.bind(("127.0.0.1", 0))
+        told = "{}:{}".format(*sensor.getsockname())
+        driver = made({"kind": "udp", "port": 0, "sender": told, "format": LINE_FORMAT, **WINDOW})
+        source, queue = driver._source, ConversionQueue()
+        driver.start(queue)
+        try:
+            until(lambda: source.port != 0, "the socket")
+            stranger.sendto(line(0.07), ("127.0.0.1", source.port))
+            sensor.sendto(line(0.1), ("127.0.0.1", source.port))
+            until(lambda: len(queue) > 0, "a distance")
+            assert source.rejected == 1
+            assert [r for _, _, r in ranges(driver, queue)] == pytest.approx([0.1], abs=1e-6)
+        finally:
+            driver.stop()
+
+
+@pytest.mark.parametrize("sender", ["", "127.0.0.1:0", "127.0.0.1:", "127.0.0.1:x"])
+def test_a_udp_sensor_without_a_sender_is_refused(sender: str) -> None:
+    with pytest.raises(ConfigError, match="sender"):
+        made({"kind": "udp", "port": 0, "sender": sender, "format": LINE_FORMAT, **WINDOW})
+
+
 def test_a_udp_port_in_use_is_told_until_it_is_free() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
         port = other.getsockname()[1]
-        driver = made({"kind": "udp", "port": port, "format": LINE_FORMAT, **WINDOW})
+        driver = made({"kind": "udp", "port": port, "sender": "any", "format": LINE_FORMAT, **WINDOW})
         queue = ConversionQueue()
         driver.start(queue)
         until(lambda: "cannot listen there" in driver.faults()[0], "the fault")

@@ -6,11 +6,20 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from surffollow.errors import BusyError, ConfigError, LayoutMismatchError, NameError_, NotRunningError
+from second_user import NOBODY, as_other_user, needs_root, outcome
+from surffollow.errors import (
+    BusyError,
+    ConfigError,
+    LayoutMismatchError,
+    NameError_,
+    NoPermissionError,
+    NotRunningError,
+)
 from surffollow.shm.dtypes import zeros
 from surffollow.sim.world import WorldPose, WorldReader, WorldWriter
 from surffollow.sim.world_surface import SURFACES, WorldConfig, world_surface
@@ -20,9 +29,8 @@ from surffollow.sim.world_surface import SURFACES, WorldConfig, world_surface
 def name() -> Iterator[str]:
     unique = f"test-world-{os.getpid()}"
     yield unique
-    path = f"/dev/shm/{unique}.world"
-    if os.path.exists(path):
-        os.unlink(path)
+    for end in (".world", ".world.lock"):
+        Path(f"/dev/shm/{unique}{end}").unlink(missing_ok=True)
 
 
 def pose(t_ns: int) -> np.ndarray:
@@ -52,6 +60,16 @@ def test_a_second_live_writer_is_refused(name: str) -> None:
         WorldWriter(name)
     writer.close()
     WorldWriter(name).close()
+
+
+@needs_root
+def test_a_block_of_another_user_is_not_mapped(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # who owns a block can cut it, and reading what was cut ends the reader's process
+    assert as_other_user(lambda _: outcome(lambda: WorldWriter(name).write(pose(1)))) == "done"
+    with pytest.raises(NoPermissionError, match=f"user {NOBODY}"):
+        WorldReader(name)
+    monkeypatch.setenv("SURFFOLLOW_OWNER", str(NOBODY))
+    WorldReader(name).close()
 
 
 def test_reader_outlives_its_writer_and_learns_that_the_block_is_another_one(name: str) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 import threading
 import time
 
@@ -29,6 +32,16 @@ def test_reported_poses_are_found_by_their_stamps_and_the_oldest_forgotten():
             assert seen[-1] == (74.0, *POSE[1:])
             assert poses.at(11) == (11.0, *POSE[1:])
             assert poses.at(10) is None
+
+
+@pytest.mark.parametrize("combine", ["priority", "sum"])
+def test_the_demonstration_lifts_the_tool_over_an_obstacle_and_brings_it_back(combine):
+    command = [sys.executable, "-m", "surffollow", "arbiter", "demo", "--seconds", "12", "--json"]
+    done = subprocess.run([*command, "--combine", combine], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    told = json.loads(done.stdout)
+    assert told["failures"] == []
+    assert told["least_standoff_over_obstacle_m"] > told["obstacle_m"]
 
 
 @pytest.fixture

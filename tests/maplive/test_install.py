@@ -217,7 +217,7 @@ def test_a_service_that_is_stopped_in_an_installation_ends_at_once(tmp_path: Pat
 def test_no_target_point_is_lost_while_maps_come_and_go(
     make_service: Callable[..., Service], tmp_path: Path
 ) -> None:
-    s = make_service(kind="simulated", grids=GRIDS).start()
+    s = make_service(kind="simulated", grids=GRIDS, access='map = "any"').start()
     world = World(s.name)
     ground = HeightMap.from_heights(np.zeros((400, 401)), origin_m=(-2.0, -2.0), grid_m=0.01)
     ground.save(tmp_path / "a.txt")

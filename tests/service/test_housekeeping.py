@@ -8,6 +8,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,6 +17,7 @@ import pytest
 
 from running_service import Service, program, said, until
 from surffollow.client import Client
+from surffollow.errors import SurffollowError
 from surffollow.service.driver_watch import DriverWatch
 from surffollow.service.guard import Guard
 from surffollow.service.messages import BURST, RESERVED, WAITING, Messages
@@ -98,6 +100,51 @@ def test_a_log_that_nobody_takes_neither_ends_nor_freezes_the_beat(
         began = time.monotonic()
         assert s.terminate() == 0
         assert time.monotonic() - began < 20.0, "the queue was not waited for"
+
+
+IN_THE_BACKGROUND = """
+import os, signal, sys, termios
+os.setsid()
+terminal = os.open(sys.argv[1], os.O_RDWR)  # it becomes this session's
+how = termios.tcgetattr(terminal)
+how[3] |= termios.TOSTOP
+termios.tcsetattr(terminal, termios.TCSANOW, how)
+for fd in (1, 2):
+    os.dup2(terminal, fd)
+child = os.fork()
+if child == 0:
+    os.setpgid(0, 0)  # not the terminal's foreground group: a line would stop it
+    os.execvp(sys.argv[2], sys.argv[2:])
+os.waitpid(child, os.WUNTRACED)
+"""
+
+
+def test_a_service_in_the_background_of_a_terminal_is_not_stopped_by_its_own_lines(
+    make_service: Make,
+) -> None:
+    s = make_service()
+    other, terminal = os.openpty()
+    words = s.command("start", "--config", str(s.config))
+    command = [sys.executable, "-c", IN_THE_BACKGROUND, os.ttyname(terminal), *words]
+    with subprocess.Popen(command) as session:
+        try:
+            until(lambda: is_ready(s), "a service that runs")
+            with s.attach() as client:
+                chatter(client)
+                goes_on(client)
+            s.run("stop")
+            session.wait(20.0)
+        finally:
+            session.kill()
+            os.close(other)
+            os.close(terminal)
+
+
+def is_ready(s: Service) -> bool:
+    with contextlib.suppress(SurffollowError):
+        s.attach().close()
+        return True
+    return False
 
 
 def test_with_standard_error_closed_no_message_lands_in_a_shared_object(make_service: Make) -> None:

@@ -46,10 +46,11 @@ OWN_SLOT = f"""{ATTACHED}
 parents = client.slot
 child = os.fork()
 if child == 0:
-    client.map_reset((0.0, 0.0, 0.1, 0.1))
+    client.stop("asked in a slot of the child's own")
     os._exit(0 if client.slot != parents else 1)
 ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 client.ee_pos({POSE})
+client.reset_stop()
 client.release_pose()
 print("child", ended, flush=True)
 """
@@ -154,7 +155,7 @@ def test_a_map_of_another_user_than_the_boards_is_not_read(make_service: Make, t
                 watcher.map_changes,
                 lambda: client.upload_map(tmp_path / "map.txt"),
             ):
-                with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, the board to user 0"):
+                with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0"):
                     read()
     finally:
         path.with_suffix(".aside").rename(path)

@@ -5,15 +5,18 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from running_service import POSE, Service, config_text, program, said, until
+from surffollow.client import Client
 from surffollow.client.audit import audit_line, printable
 from surffollow.config.service import parse_config
-from surffollow.errors import ConfigError, RefusedError
+from surffollow.errors import BusyError, ConfigError, RefusedError
+from surffollow.map.height_map import HeightMap
 from surffollow.shm import layout_board as lb
 
 Make = Callable[..., Service]
@@ -199,6 +202,80 @@ def test_the_configuration_says_who_may_set_parameters(
 
 
 @pytest.mark.parametrize(
+    ("policy", "without", "as_other"),
+    [("any", True, True), ("holder", True, False), ("holder-only", False, False)],
+)
+def test_the_configuration_says_who_may_change_the_map(
+    make_service: Make, policy: str, without: bool, as_other: bool, tmp_path: Path
+) -> None:
+    s = make_service(access=f'map = "{policy}"').start()
+    region = (0.0, 0.0, 0.1, 0.1)
+    kept = tmp_path / "kept.txt"
+    HeightMap.over(region, grids=100).save(kept)
+
+    def may(change: Callable[[], object]) -> bool:
+        try:
+            change()
+        except RefusedError as e:
+            if e.code == lb.ERR_NOT_POSE_HOLDER:
+                return False
+            raise
+        return True
+
+    with s.attach() as driver, s.attach() as other:
+
+        def changes(client: Client) -> list[Callable[[], object]]:
+            return [
+                lambda: client.map_reset(region),
+                lambda: client.map_refocus(region),
+                lambda: client.map_install(kept),
+            ]
+
+        assert [may(c) for c in changes(other)] == [without] * 3
+        driver.claim_pose()
+        assert [may(c) for c in changes(driver)] == [True] * 3
+        assert [may(c) for c in changes(other)] == [as_other] * 3
+
+
+PUSHER = """
+import sys, time
+from surffollow.client import attach
+from surffollow.errors import SurffollowError
+with attach(sys.argv[1], owner=0) as client:
+    try:
+        client.push_range(0, time.monotonic_ns(), 0.08)
+        print("pushed", flush=True)
+    except SurffollowError as e:
+        print(getattr(e, "code", -1), e, flush=True)
+"""
+
+
+@SECOND_USER
+@pytest.mark.parametrize(
+    ("key", "may"), [("", False), ("nobody", True), ("65534", True), ("daemon", False), ("any", True)]
+)
+def test_the_configuration_says_whose_clients_may_push_ranges(
+    make_service: Make, key: str, may: bool
+) -> None:
+    access = f'board_mode = "0644"\nsocket_mode = "0666"\nranges = "{key}"'
+    driver = 'range_min_m = "50 mm"\nrange_max_m = "300 mm"'
+    s = make_service(kind="external", driver=driver, access=access).start()
+    with program(PUSHER, s.name, before=AS_NOBODY) as pusher:
+        answer = said(pusher)
+    assert answer == "pushed" if may else answer.startswith(f"{lb.ERR_NOT_ALLOWED} "), answer
+
+    def free_again() -> bool:
+        try:
+            own.push_range(0, time.monotonic_ns(), 0.1)
+        except BusyError:  # who pushed before has just ended
+            return False
+        return True
+
+    with s.attach() as own:
+        until(free_again, "the service's own user always may")
+
+
+@pytest.mark.parametrize(
     ("table", "match"),
     [
         ({"limits": {"max_demand": {"max": 0.01}}}, r"max_demand_m is 0.05 \(its default\)"),
@@ -214,6 +291,8 @@ def test_the_configuration_says_who_may_set_parameters(
         ({"limits": {"max_demand": {"min": 0.2, "max": 0.1}}}, "above max"),
         ({"limits": {"max_demand": {"max": 1}, "max_demand_m": {"max": 1}}}, "twice"),
         ({"access": {"parameters": "everybody"}}, "access.parameters"),
+        ({"access": {"map": "everybody"}}, "access.map"),
+        ({"access": {"ranges": "no-such-user"}}, "access.ranges.*no user 'no-such-user'"),
         ({"stop": {"on": ["thunder"]}}, "stop.on names 'thunder'"),
         ({"stop": {"on": ["request"]}}, "stop.on"),
         ({"watchdog": "4 ms"}, "watchdog"),

@@ -9,8 +9,13 @@ import numpy as np
 import pytest
 
 from shell_loop import MS, START, ShellLoop
-from surffollow.forecast.adaptive_due import FOR_SAMPLE, FOR_TICK, preview_place
-from surffollow.forecast.adaptive_tick import note_arrival, open_tick, taken_at, tick_is_due
+from surffollow.forecast.adaptive.controller_clock import (
+    latch_time,
+    observe_report,
+    open_period,
+    period_is_due,
+)
+from surffollow.forecast.adaptive.preview_schedule import FOR_PERIOD, FOR_SAMPLE, preview_window
 from surffollow.forecast.step import follow_step
 from surffollow.hw.pose_history import add_pose
 from surffollow.hw.rig import produce
@@ -125,7 +130,7 @@ def test_a_map_that_is_laid_anew_meanwhile_previews_nothing_and_the_cycle_goes_o
 
 
 def due(loop):
-    return preview_place(loop.params, loop.state, loop.inputs)[0]
+    return preview_window(loop.params, loop.state, loop.inputs)[0]
 
 
 def test_a_preview_is_due_for_ticks_and_new_samples_and_never_in_paper_mode():
@@ -133,12 +138,12 @@ def test_a_preview_is_due_for_ticks_and_new_samples_and_never_in_paper_mode():
     loop.run(3.0)
     a, i, p = loop.state["adaptive"][0], loop.inputs[0], loop.params[0]
     i["n_poses"], i["n_conversions"] = 0, 0
-    a["tick_ns"] = a["now_ns"]
+    a["controller"]["period_ns"] = a["clock"]["now_ns"]
     assert due(loop) == 0
-    a["tick_ns"] = 0
-    assert due(loop) == FOR_TICK
-    a["tick_ns"] = a["now_ns"]
-    counts = int((a["held_m"] - p["zero_m"][0]) / p["scale_m"][0])
+    a["controller"]["period_ns"] = 0
+    assert due(loop) == FOR_PERIOD
+    a["controller"]["period_ns"] = a["clock"]["now_ns"]
+    counts = int((a["hold"]["range_m"] - p["zero_m"][0]) / p["scale_m"][0])
     i["n_conversions"] = 1
     for word, wanted in (
         (pack_conversion(counts + 40, 0, 0, -1000), FOR_SAMPLE),
@@ -153,7 +158,7 @@ def test_a_preview_is_due_for_ticks_and_new_samples_and_never_in_paper_mode():
         p[name] = value
         assert due(loop) == 0
         p[name] = before
-    a["lead_m"] = 0.05
+    a["sample"]["lead_m"] = 0.05
     assert due(loop) == 0, "a leading sensor sees better than memory"
 
 
@@ -161,12 +166,12 @@ def test_the_map_is_read_where_a_tilted_tool_points():
     loop = MapLoop("flat")
     loop.run(3.0)
     a, i, sense = loop.state["adaptive"][0], loop.inputs[0], loop.state["sense"][0]
-    i["n_poses"], a["tick_ns"] = 0, 0
+    i["n_poses"], a["controller"]["period_ns"] = 0, 0
     newest = 7 * ((int(sense["pose_count"]) - 1) % (len(sense["pose"]) // 7))
-    _, x, y, *_ = preview_place(loop.params, loop.state, loop.inputs)
+    _, x, y, *_ = preview_window(loop.params, loop.state, loop.inputs)
     assert (x, y) == pytest.approx(tuple(sense["pose"][newest : newest + 2]), abs=1e-9)
-    a["tip_x_m"], a["tip_y_m"] = 0.03, -0.01
-    _, tip_x, tip_y, *_ = preview_place(loop.params, loop.state, loop.inputs)
+    a["sample"]["tip_x_m"], a["sample"]["tip_y_m"] = 0.03, -0.01
+    _, tip_x, tip_y, *_ = preview_window(loop.params, loop.state, loop.inputs)
     assert (tip_x - x, tip_y - y) == pytest.approx((0.03, -0.01))
 
 
@@ -176,11 +181,11 @@ def test_ticks_are_put_before_reports_that_come_a_hundred_times_a_second():
     for k in range(3000):
         t = START + k * MS + int(late[k])
         if k % 10 == 3:
-            note_arrival(a, k // 10 + 1, t)
-        if tick_is_due(a, 0, t) != 0:
-            a["tick_ns"], a["ticks"] = t, a["ticks"] + 1
-            open_tick(a, 0, t)
-            ticks.append((k, taken_at(a, 0, t) - START))
+            observe_report(a["controller"], k // 10 + 1, t)
+        if period_is_due(a["controller"], 0, t) != 0:
+            a["controller"]["period_ns"], a["controller"]["periods"] = t, a["controller"]["periods"] + 1
+            open_period(a["controller"], 0, t)
+            ticks.append((k, latch_time(a["controller"], 0, t) - START))
     settled = [(k, taken) for k, taken in ticks if k > 1000]
     assert {k % 10 for k, _ in settled} <= {4, 5}
     assert len(settled) == pytest.approx(200, abs=2)
@@ -188,9 +193,9 @@ def test_ticks_are_put_before_reports_that_come_a_hundred_times_a_second():
         report = k + (3 - k) % 10
         assert abs(taken - (report * MS - 500_000)) < 600_000
     # without reports, and where the caller takes each answer himself, a tick is every 10 ms
-    assert tick_is_due(a, 1, int(a["tick_ns"]) + 9_999_000) == 1
-    assert tick_is_due(a, 1, int(a["tick_ns"]) + 9_998_000) == 0
-    assert taken_at(a, 1, START) == START
+    assert period_is_due(a["controller"], 1, int(a["controller"]["period_ns"]) + 9_999_000) == 1
+    assert period_is_due(a["controller"], 1, int(a["controller"]["period_ns"]) + 9_998_000) == 0
+    assert latch_time(a["controller"], 1, START) == START
 
 
 def test_live_the_second_pass_is_better_and_its_replay_has_the_same_bits(monkeypatch):

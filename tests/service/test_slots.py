@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
+import fcntl
 import mmap
 import os
 import signal
@@ -15,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from raw_slot import MESSAGE, raw_slot
+from raw_slot import MESSAGE, crowd, raw_slot
 from running_service import POSE, READY_S, Service, config_text, program, said, take_pose, until
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from surffollow.client import attach
@@ -23,7 +24,7 @@ from surffollow.client.board import LAYOUT_HASH, Board
 from surffollow.client.slot_request import request_slot
 from surffollow.errors import BusyError, NoPermissionError, NotReadyError
 from surffollow.service.client_table import KEPT_PER_USER, RESERVED
-from surffollow.service.slot_server import GUESTS_PER_USER
+from surffollow.service.slot_server import GUESTS, GUESTS_PER_USER
 from surffollow.shm import layout_board as lb
 from surffollow.shm import sealed
 from surffollow.shm.unix_socket import listen, new_socket, socket_path
@@ -325,13 +326,59 @@ def test_one_user_has_few_connections_without_a_slot(open_service: Service) -> N
         for sock in socks:
             sock.connect(path)
             sock.setblocking(False)
-        until(lambda: any(map(closed, socks)), "one is closed")
+        until(lambda: sum(map(closed, socks)) >= 4, "those beyond the limit are closed")
         return [closed(sock) for sock in socks]
 
     # on a busy machine the exchange's own time may be over for all of them
     told = next(t for _ in range(20) if not all(t := as_other_user(silent)))
     assert told.count(False) <= GUESTS_PER_USER
     assert not any(told[:GUESTS_PER_USER]), "who came first may go on"
+
+
+@needs_root
+def test_several_users_together_keep_neither_root_nor_another_from_a_slot(
+    open_service: Service,
+) -> None:
+    path = str(socket_path(open_service.name))
+    with contextlib.ExitStack() as stack:
+        for k in range(GUESTS // GUESTS_PER_USER + 1):
+            assert stack.enter_context(OtherUser(crowd(path), uid=60000 + k)).hear() == "attacks"
+        assert at_the_first_try(open_service.name) == "done"
+        assert as_other_user(lambda _: at_the_first_try(open_service.name)) == "done"
+
+
+def at_the_first_try(name: str) -> str:
+    """How twenty single exchanges for a slot fared; a client asks again for seconds."""
+
+    def ask() -> None:
+        board = Board(name, owners=(0,))
+        for _ in range(20):
+            request_slot(board, b"", READY_S).close()
+        board.close()
+
+    return outcome(ask)
+
+
+def test_a_client_that_seals_its_slot_itself_costs_its_own_connection_alone(open_service: Service) -> None:
+    with open_service.observe() as watcher:
+        before = watcher.status()
+        for _ in range(10):
+            sock = new_socket()
+            sock.connect(str(socket_path(open_service.name)))
+            fields = [lb.SLOT_MAGIC, LAYOUT_HASH, lb.SLOT_ASK, watcher.epoch, 0, 0, 0, 0, b""]
+            sock.send(MESSAGE.pack(*fields))
+            data, fds, _, _ = socket.recv_fds(sock, MESSAGE.size, 1)
+            fields[6:8] = MESSAGE.unpack(data)[6:8]
+            fields[2] = lb.SLOT_MAPPED
+            fcntl.fcntl(fds[0], fcntl.F_ADD_SEALS, fcntl.F_SEAL_SEAL)
+            sock.send(MESSAGE.pack(*fields))
+            answer = MESSAGE.unpack(sock.recv(MESSAGE.size))
+            assert (answer[2], answer[4]) == (lb.SLOT_REFUSE, lb.SLOT_BAD_MESSAGE)
+            sock.close()
+            os.close(fds[0])
+        beat = watcher.status()["main"]["t_ns"]
+        after = until(lambda: (s := watcher.status())["main"]["t_ns"] > beat and s, "a beat")
+        assert after["faults"] == before["faults"]
 
 
 @needs_root

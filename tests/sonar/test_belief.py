@@ -96,6 +96,33 @@ def test_a_drive_into_a_supposed_wall_is_not_proposed():
     assert plan.drive_m <= 0.0
 
 
+def test_what_is_refused_leaves_the_belief_as_it_was():
+    rng = np.random.default_rng(0)
+    belief = Belief(SonarRing.regular(), 1)
+    good = read(belief, [(0.0, 1.5)], rng)
+    for ranges, sensors in ((-good, None), (good[:1], (-1,)), (good[:1], (24,))):
+        with pytest.raises(UsageError):
+            belief.add(ranges, sensors)
+        assert belief.unfired() == tuple(range(24))
+    for move in ({"turn_rad": math.nan}, {"drive_m": math.inf}):
+        with pytest.raises(UsageError, match="cannot be"):
+            belief.move(**move)
+    belief.add(good)
+    assert belief.walls
+
+
+@pytest.mark.parametrize("bounds", [{"phi_bound_rad": math.nan}, {"distance_bound_m": -1.0}])
+def test_bounds_that_nothing_can_meet_are_refused(bounds):
+    with pytest.raises(UsageError, match="bounds"):
+        Belief(SonarRing.regular(), **bounds)
+
+
+@pytest.mark.parametrize("ring", [{"count": 0}, {"count": -1}, {"radius_m": math.nan}])
+def test_a_ring_that_cannot_be_is_refused(ring):
+    with pytest.raises(UsageError, match="ring of"):
+        SonarRing.regular(**ring)
+
+
 def test_wrong_numbers_are_refused():
     with pytest.raises(UsageError, match="at least 1"):
         Belief(SonarRing.regular(), 0)

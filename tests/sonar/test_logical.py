@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import time
 
 import pytest
 
@@ -37,14 +38,34 @@ SPARE = Quantity(NOW, (1.4,), (0.2,))
         Quantity(NOW, (math.nan,), (0.01,)),
         Quantity(NOW, (1.5, 2.0), (0.01,)),
         Quantity(NOW, (), ()),
+        Quantity(NOW, (1.5,), (-0.01,)),
+        Quantity(NOW, ("1.5",), (0.01,)),
+        Quantity(NOW, (1.5 + 0j,), (0.01,)),
+        Quantity(NOW, None, None),
+        Quantity(None, (1.5,), (0.01,)),
+        3.0,
     ],
-    ids=["nothing", "raises", "old", "future", "nan", "lengths", "empty"],
+    ids=[
+        *("nothing", "raises", "old", "future", "nan", "lengths", "empty"),
+        *("negative", "text", "complex", "no values", "no time", "no quantity"),
+    ],
 )
 def test_the_alternative_takes_over_and_the_tolerance_says_so(failure):
     sensor = LogicalSensor("front_clearance", [source("sonar", failure), source("infrared", SPARE)])
     said = sensor.evaluate(NOW)
     assert said.quantity == SPARE
     assert (said.source, said.failed) == (1, 0b01)
+
+
+def test_a_source_may_stamp_its_value_when_it_is_read():
+    sensor = LogicalSensor(
+        "front_clearance", [Source("sonar", lambda: Quantity(time.monotonic_ns(), (1.5,), (0.01,)), 1.0)]
+    )
+    name = f"logical{os.getpid()}"
+    try:
+        assert sensor.publish(name).source == 0
+    finally:
+        sensor.close()
 
 
 def test_the_preferred_source_is_used_again_when_it_is_back():

@@ -18,7 +18,6 @@ from surffollow.errors import (
     AlreadyRunningError,
     BlockError,
     ConfigError,
-    NoPermissionError,
     NotReadyError,
     NotRunningError,
 )
@@ -77,18 +76,13 @@ def take_old_board(name: str) -> int:
     BlockError         what bears the name is no board
     """
     try:
-        old = SharedObject.open(name, writable=True)
+        old = SharedObject.open(name, writable=True, owners=(os.geteuid(),))
     except NotRunningError:
         return 0
     except NotReadyError:
         unlink(name)
         return 0
     try:
-        if old.owner != os.geteuid():
-            raise NoPermissionError(
-                f"the board {name!r} belongs to user {old.owner}, expected user {os.geteuid()}; remove it "
-                f"(ls -l /dev/shm/{name}), or start this arbiter under another name (--name)"
-            )
         if old.size < al.PAGE:
             raise BlockError(f"shared-memory object {name!r} is there and is no board; take another name")
         bytes_ = np.frombuffer(old.memory, np.uint8)

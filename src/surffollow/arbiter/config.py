@@ -97,7 +97,8 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Arbiter
 
 def _check(c: ArbiterConfig) -> None:
     check_name(f"{c.name}.arbiter")
-    _ = c.lease_ns, c.period_ns
+    if c.lease_ns < 2 * c.period_ns:
+        raise ConfigError(f"lease is {c.lease!r}, less than two periods ({c.period!r}): over when seen")
     mode(c.mode, "mode")
     if c.history < 64 or c.history & (c.history - 1) or c.history > 1 << 20:
         raise ConfigError(f"history is {c.history}; it must be a power of two from 64 to 1048576 records")
@@ -129,6 +130,10 @@ def _check_resource(c: ArbiterConfig, name: str, spec: ResourceSpec) -> None:
         raise ConfigError(f"{key}.command names {n} values; it must be 1 to {VALUES}")
     for value in spec.command:
         check_name(value)
+    if len(set(spec.command)) < n:
+        raise ConfigError(f"{key}.command names a value twice: {spec.command!r}")
+    if spec.status:
+        check_name(spec.status)
     for what, texts in (("command", spec.command), ("units", spec.units)):
         if len(",".join(texts)) > TEXT or any("," in text for text in texts):
             raise ConfigError(f"{key}.{what} holds a comma or more than {TEXT} letters in all: {texts!r}")
@@ -147,6 +152,8 @@ def _check_resource(c: ArbiterConfig, name: str, spec: ResourceSpec) -> None:
         raise ConfigError(f"{key}.equal is {spec.equal!r}; use 'incumbent' or 'newcomer'")
     for what in ("ttl", "safe_period", "grace"):
         seconds(getattr(spec, what), f"{key}.{what}", 0.001, 60.0)
+    if seconds(spec.ttl, f"{key}.ttl", 0.001, 60.0) < 2e-9 * c.period_ns:
+        raise ConfigError(f"{key}.ttl is {spec.ttl!r}, less than two periods ({c.period!r}): late when seen")
 
 
 def _check_combination(c: ArbiterConfig, name: str, spec: CombinationSpec) -> None:
@@ -162,6 +169,14 @@ def _check_combination(c: ArbiterConfig, name: str, spec: CombinationSpec) -> No
     sizes = {len(c.resources[p].command) for p in spec.parts}
     if len(sizes) != 1:
         raise ConfigError(f"{key}.parts must have commands of one length, not {sorted(sizes)}")
+    (n,) = sizes
+    for what, values in (("low", spec.low), ("high", spec.high)):
+        if len(values) not in (0, n):
+            raise ConfigError(f"{key}.{what} holds {len(values)} values; {n} are needed, as in its parts")
+    for what in ("command", "units"):
+        texts = {getattr(c.resources[p], what) for p in spec.parts}
+        if len(texts) > 1:
+            raise ConfigError(f"{key}.parts must have the same {what} to be summed, not {sorted(texts)}")
     for k, (low, high) in enumerate(zip(*limits(spec))):
         if not low <= 0.0 <= high:
             raise ConfigError(

@@ -73,6 +73,25 @@ class Exchange:
                 f"arbiter {self.name!r} ended; attach again and ask again: every token is void"
             )
 
+    def tell(self, what: int, now_ns: int) -> int:
+        """Put a request or relinquishment into the mailbox and ring; the item's number. Raises as `ask`."""
+        post = self.post
+        if self.ended:
+            self.here()
+        head = post[HEAD]
+        if head - self.words[self.consumed] >= al.MAILBOX_ITEMS:
+            self._await_room(head)
+        seq: int = head + 1
+        _HEADS.pack_into(self.put, ITEMS + (head & MASK) * ITEM_BYTES, seq, what, 0, now_ns, 0)
+        if FENCED:
+            fence()
+        post[HEAD] = seq  # an item shows life as well as a heartbeat does
+        if FENCED:
+            fence()
+        post[DOORBELL] = seq
+        self.ring()
+        return seq
+
     def ask(self, what: int, timeout_ns: int) -> int:
         """Put a request or relinquishment into the mailbox, ring, and wait for the answer to it.
 
@@ -85,22 +104,9 @@ class Exchange:
         NotRunningError, ClosedError   nobody answers
         RequestTimeoutError            the mailbox stays full
         """
-        words, post = self.words, self.post
-        if self.ended:
-            self.here()
-        head = post[HEAD]
-        if head - words[self.consumed] >= al.MAILBOX_ITEMS:
-            self._await_room(head)
-        bell = words[self._bell]
-        seq, now = head + 1, _clock()
-        _HEADS.pack_into(self.put, ITEMS + (head & MASK) * ITEM_BYTES, seq, what, 0, now, 0)
-        if FENCED:
-            fence()
-        post[HEAD] = seq  # an item shows life as well as a heartbeat does
-        if FENCED:
-            fence()
-        post[DOORBELL] = seq
-        self.ring()
+        words = self.words
+        bell, now = words[self._bell], _clock()
+        seq = self.tell(what, now)
         while True:
             # R1-R4 of the latch; one that is overtaken is read again
             g = words[self._reply]

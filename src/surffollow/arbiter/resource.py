@@ -21,6 +21,7 @@ _reply: Callable[..., Reply] = tuple.__new__  # half the time of the constructor
 _clock = time.monotonic_ns
 _NO_POSE = (0.0,) * al.POSE
 RELINQUISH_NS = 1_000_000_000
+MOST_TIMEOUT_S = 1e6
 
 
 class Reply(NamedTuple):
@@ -91,14 +92,19 @@ class Resource:
 
         Raises
         ------
-        RequestTimeoutError  the server did not answer
+        RequestTimeoutError  the server did not answer; the request is withdrawn
         NotRunningError      it ended
+        UsageError           no such time
         """
-        timeout_ns = int(timeout_s * 1e9)
+        if not 0.0 <= timeout_s < MOST_TIMEOUT_S:
+            raise UsageError(f"timeout_s is {timeout_s}; expected 0 to {MOST_TIMEOUT_S:g} s")
+        timeout_ns, words = int(timeout_s * 1e9), self._words
+        before = words[self._held]
         at = self._exchange.ask(self._queue_up if wait else self._request, timeout_ns)
         if at < 0:
+            if before == 0:  # a server that answers later grants nothing
+                self._exchange.tell(self._relinquish, _clock())
             raise RequestTimeoutError(f"arbiter {self._client.name!r} did not answer in {timeout_s:g} s")
-        words = self._words
         result = words[at + _RESULT]
         if result == table.GRANT:
             return _reply(Reply, (True, "GRANT", words[at + _TOKEN], "", 0))

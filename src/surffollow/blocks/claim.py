@@ -29,7 +29,7 @@ DYING_S = 0.1
 def open_reader(
     name: str, schema: type[Schema], owners: Collection[int] = ()
 ) -> tuple[SharedObject, FileLock]:
-    """Map a block read-only; `owners`: whose it may be (empty: anybody's).
+    """Map a block read-only; `owners`: whose it may be (empty: those that are trusted).
 
     Raises
     ------
@@ -69,7 +69,7 @@ def claim_writer(
     try:
         while True:
             try:
-                obj = SharedObject.open(name, writable=True)
+                obj = SharedObject.open(name, writable=True, owners=(os.geteuid(),))
             except NotRunningError:
                 try:
                     return *_make(name, schema, mode, group, lease_ns), own
@@ -79,11 +79,6 @@ def claim_writer(
                 if not bl.is_block(obj):
                     raise BlockError(
                         f"shared-memory object {name!r} is there and is no block; take another name"
-                    )
-                if obj.owner != os.geteuid():
-                    raise NoPermissionError(
-                        f"block {name!r} belongs to user {obj.owner}, expected user {os.geteuid()}: its "
-                        "owner could change it; remove it, or choose another name"
                     )
                 if _take_over(obj, schema, mode, group, lease_ns):
                     return obj, FileLock.beside(obj.fd, True), own

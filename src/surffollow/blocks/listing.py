@@ -54,7 +54,7 @@ def describe_block(block: AttachedBlock) -> dict[str, Any]:
 
 
 def list_blocks() -> list[dict[str, Any]]:
-    """All blocks that this user may read, by name."""
+    """All blocks of trusted users that this user may read, by name."""
     found = []
     for name in sorted(os.listdir(SHM_ROOT)):
         with contextlib.suppress(NameError_, NotRunningError, BlockError):

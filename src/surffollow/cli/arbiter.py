@@ -179,7 +179,7 @@ def follow_command(name: str, service: str, resource: str, client: str, as_json:
 
 
 @arbiter_group.command("demo")
-@click.option("--seconds", type=Finite(min=8.0, max=120.0), default=20.0, show_default=True)
+@click.option("--seconds", type=Finite(min=12.0, max=120.0), default=20.0, show_default=True)
 @click.option("--combine", type=click.Choice(["priority", "sum"]), default="priority", show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def demo_command(seconds: float, combine: str, as_json: bool) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from surffollow.cli.values import SERVICE_NAME, Finite
+
+if TYPE_CHECKING:
+    from surffollow.sim.robot_run import Service
 
 
 def quantity(unit: str) -> Any:
@@ -149,7 +152,7 @@ def _tell(summary: dict[str, Any], as_json: bool) -> None:
             click.echo(f"{key:24} {value if not isinstance(value, float) else round(value, 3)!s:>10}")
 
 
-def _attachment(name: str, arbiter: str | None, resource: str) -> Callable[[], Any]:
+def _attachment(name: str, arbiter: str | None, resource: str) -> Callable[[], Service]:
     from surffollow.client import attach
 
     if arbiter is None:

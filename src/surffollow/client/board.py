@@ -12,7 +12,6 @@ from surffollow.errors import (
     BlockError,
     ClosedError,
     LayoutMismatchError,
-    NoPermissionError,
     NotReadyError,
 )
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
@@ -178,17 +177,3 @@ class Board:
         if words is not CLOSED:
             words.release()
         self.object.close()
-
-
-def check_owner(part: SharedObject, board: Board) -> None:
-    """See that another object under a service's name belongs to the user that the board belongs to.
-
-    Raises
-    ------
-    NoPermissionError   it does not: somebody else made it
-    """
-    if part.owner != board.object.owner:
-        raise NoPermissionError(
-            f"block {part.name!r} belongs to user {part.owner}, the board to user {board.object.owner}: "
-            "it is not the service's; remove it and restart the service"
-        )

@@ -7,7 +7,6 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surffollow.client.board import check_owner
 from surffollow.client.fence import fence
 from surffollow.errors import BlockError, NotRunningError, RefusedError, RequestTimeoutError
 from surffollow.shm import layout_board as lb
@@ -152,9 +151,8 @@ def open_map(board: Board) -> SharedObject:
     NoPermissionError    it may not be read, or it belongs to another user than the board
     BlockError           it is of another release
     """
-    map_ = SharedObject.open(f"{board.name}.map")
+    map_ = SharedObject.open(f"{board.name}.map", owners=(board.object.owner,))
     try:
-        check_owner(map_, board)
         header = map_.memory[: ml.MapHeader.SIZE]
         at = ml.MapHeader.offset("layout_hash")
         found = int.from_bytes(header[at : at + 8], "little")

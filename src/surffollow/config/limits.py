@@ -1,15 +1,36 @@
-"""What a configuration lets clients set: [limits], and whom: access.parameters."""
+"""What a configuration lets clients set: [limits], and whom: [access]."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+from surffollow.config.owner import user_id
 from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.errors import ConfigError
 
-# who may call SFReset and set parameters
-PARAMETERS_BY = ("any", "holder", "holder-only")
+# who may call SFReset and set parameters (access.parameters), and change the map (access.map)
+CHANGED_BY = ("any", "holder", "holder-only")
+ANY_USER, NO_OTHER_USER = -1, -2
+
+
+def range_user(text: str) -> int:
+    """Who may push ranges beside root and the service's own user: a user's number, or one of the two above.
+
+    Parameters
+    ----------
+    text : `access.ranges`: "" for nobody else, "any", or a user's number or name
+
+    Raises
+    ------
+    ConfigError  there is no such user
+    """
+    if text in ("", "any"):
+        return ANY_USER if text else NO_OTHER_USER
+    try:
+        return user_id(text)
+    except ConfigError as e:
+        raise ConfigError(f"configuration key access.ranges: {e}") from None
 
 
 def client_limits(limits: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[float, float]]:

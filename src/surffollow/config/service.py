@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from surffollow.config.limits import PARAMETERS_BY, check_within_limits, client_limits
+from surffollow.config.limits import CHANGED_BY, check_within_limits, client_limits, range_user
 from surffollow.config.names import check_service_name
 from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.config.stop_causes import stop_causes
@@ -52,7 +52,7 @@ MOST_SLOTS = 16  # that a service has (shm.layout_board.CLIENTS)
 
 
 class AccessConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Modes and group of what is shared, slots that one user or process may have, who sets parameters."""
+    """Modes and group of what is shared, slots that one user or process may have, who may do what."""
 
     board_mode: str = "0640"
     socket_mode: str = "0660"
@@ -61,6 +61,8 @@ class AccessConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     slots_per_user: int = 8
     slots_per_process: int = 4
     parameters: str = "holder"
+    map: str = "holder"
+    ranges: str = ""
 
 
 class StopConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -164,7 +166,7 @@ def _check(c: ServiceConfig) -> None:
     if not 1.0 <= c.map.queue_seconds <= 600.0:
         raise ConfigError("configuration key map.queue_seconds must be between 1 and 600 s")
     for key in ("board_mode", "socket_mode", "map_mode"):
-        mode(getattr(c.access, key), key)
+        mode(getattr(c.access, key), f"access.{key}")
     for key in ("slots_per_user", "slots_per_process"):
         if not 1 <= getattr(c.access, key) <= MOST_SLOTS:
             raise ConfigError(f"configuration key access.{key} must be a whole number from 1 to {MOST_SLOTS}")
@@ -172,24 +174,38 @@ def _check(c: ServiceConfig) -> None:
         check_param(name, value)
     if len({param_name(n) for n in c.follow}) < len(c.follow):
         raise ConfigError(f"a parameter is given twice under [follow]: {', '.join(c.follow)}")
-    if c.access.parameters not in PARAMETERS_BY:
-        raise ConfigError(
-            f"configuration key access.parameters is {c.access.parameters!r}; use one of "
-            f"{', '.join(repr(n) for n in PARAMETERS_BY)}"
-        )
+    for key in ("parameters", "map"):
+        if getattr(c.access, key) not in CHANGED_BY:
+            raise ConfigError(
+                f"configuration key access.{key} is {getattr(c.access, key)!r}; use one of "
+                f"{', '.join(repr(n) for n in CHANGED_BY)}"
+            )
+    range_user(c.access.ranges)
     check_within_limits(follow_params(c), client_limits(c.limits))
     stop_causes(c.stop.on)
     check_service_name(c.name)
 
 
 def mode(text: str, key: str) -> int:
-    """An access mode written in octal."""
+    """An access mode written in octal; nobody else may write what everybody obeys.
+
+    Raises
+    ------
+    ConfigError  no octal mode, executable, or write bits of group or others on board or map
+    """
     try:
         value = int(text, 8)
     except ValueError:
         value = -1
     if not 0 <= value <= 0o777:
-        raise ConfigError(f"configuration key access.{key} is {text!r}; write an octal mode like '0640'")
+        raise ConfigError(f"configuration key {key} is {text!r}; write an octal mode like '0640'")
+    writable = 0 if key == "access.socket_mode" else value & 0o022
+    if writable or value & 0o111:
+        raise ConfigError(
+            f"configuration key {key} is {text!r}; "
+            + ("group and others may read it only" if writable else "nobody executes it")
+            + ", for example '0640'"
+        )
     return value
 
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from surffollow.config.params import check_param, param_name
 from surffollow.errors import ConfigError, PoseError, UsageError
 from surffollow.follower.setup import MULTIMODEL, Config, check_standoff, check_window, read_setup
-from surffollow.forecast.adaptive_bank import C
-from surffollow.forecast.adaptive_memory import new_memory, recall_ahead, remember_output
+from surffollow.forecast.adaptive.model_bank import N_CANDIDATES
+from surffollow.forecast.adaptive.terrain_memory import new_memory, read_preview, store_footprint
 from surffollow.forecast.horizon import forecast_range
 from surffollow.forecast.multimodel import multimodel_step, reset_estimate
 from surffollow.forecast.pose import MOST_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
@@ -219,7 +219,7 @@ class Follower:
         if self._memory is None or self._previews[0] == 0:
             self._n_preview[0] = 0
         elif t_ns >= self._recalled_ns + self._recall_ns or t_ns < self._recalled_ns - PAUSE_NS:
-            recall_ahead(self._memory, self._state, self._inputs)
+            read_preview(self._memory, self._state, self._inputs)
             self._recalled_ns = t_ns
         if self._multimodel is not None:
             multimodel_step(
@@ -235,7 +235,7 @@ class Follower:
             return copied
         follow_step(self._params, self._state, self._inputs, self._output, self._scratch)
         if self._memory is not None:
-            remember_output(self._memory, self._state, self._output)
+            store_footprint(self._memory, self._state, self._output)
         demand: NDArray[np.float64] = self._demand.copy()
         return demand
 
@@ -246,7 +246,7 @@ class Follower:
     def state(self) -> dict[str, Any]:
         """What the follower knows: estimates, health, adapted parameters; plain Python values.
 
-        `weights` are the shares of all candidates in the blend (`adaptive_bank`); their sum is 1.
+        `weights` are the shares of all candidates in the blend (`adaptive.model_bank`); their sum is 1.
         """
         o = self._output[0]
         bits = int(o["status"])
@@ -269,16 +269,16 @@ class Follower:
             out.update({n: o[n].item() for n in ("sigma_m", "noise_m", "roughness_m", "late_s", "tau_s")})
             out["weights"] = m["weights"]["w"][: int(m["tuning"]["n_models"])].tolist()
         elif self._params["mode"][0] == MODE_ADAPTIVE:
-            a = self._state["adaptive"][0]
+            adaptive = self._state["adaptive"][0]
             out["health"] = HEALTH_NAMES[int(o["health"])]
             out["reason"] = REASON_NAMES[int(o["reason"])]
             out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
             told: tuple[str, ...] = ("sigma_m", "noise_m", "roughness_m", "late_s", "latency_s", "tau_s")
             told += ("permitted_variance_m", "interval_size_m", "range_size", "beams")
             out.update({n: o[n].item() for n in told})
-            out["preview_share"] = float(a["preview_share"])
-            out["weights"] = a["weight"][:C].tolist()
-            if a["planes"] > 0:
+            out["preview_share"] = float(adaptive["preview"]["share"])
+            out["weights"] = adaptive["weights"]["weight"][:N_CANDIDATES].tolist()
+            if adaptive["plane"]["count"] > 0:
                 out["normal"] = o["normal"].tolist()
         out["demand"] = self._demand.tolist()
         out["range_m"] = o["range_m"][: int(self._params["n_channels"][0])].tolist()

@@ -11,7 +11,7 @@ import numpy as np
 
 from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.errors import ConfigError
-from surffollow.forecast.adaptive_scales import scaled_defaults
+from surffollow.forecast.adaptive.reference_scales import scaled_defaults
 from surffollow.forecast.pose import QUATERNION_TOLERANCE
 from surffollow.forecast.scales import DERIVED, TOO_CLOSE_EXIT_SHARE, TOO_CLOSE_SHARE
 from surffollow.forecast.tuning import check_tuning

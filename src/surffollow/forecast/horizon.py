@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.forecast.adaptive_trend import trend_range
+from surffollow.forecast.adaptive.range_prediction import predict_range
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import MODE_ADAPTIVE
 
@@ -26,13 +26,13 @@ def forecast_range(params: Any, state: Any, horizon_s: Any) -> Any:
     Notes
     -----
     Paper mode: the two-range slope carried on at the lateral speed (§3.2.4). Adaptive mode: see
-    `adaptive_trend`.
+    `adaptive.range_prediction`.
     """
     if params[0].mode == MODE_ADAPTIVE:
         d = state[0].scaled
         if d.length == 0.0:
             return math.nan
-        return trend_range(state[0].adaptive, horizon_s / d.time) * d.length
+        return predict_range(state[0].adaptive.prediction, horizon_s / d.time) * d.length
     p = state[0].paper
     if p.reading_t_ns == 0:
         return math.nan

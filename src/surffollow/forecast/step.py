@@ -5,9 +5,15 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.forecast.adaptive import adaptive_demand, forget_surface, report_adaptive
-from surffollow.forecast.adaptive_latency import assume_latency
-from surffollow.forecast.adaptive_scales import choose_scales, enter, is_usual, leave
+from surffollow.forecast.adaptive.latency_identification import check_configured_latency
+from surffollow.forecast.adaptive.reference_scales import (
+    choose_scales,
+    is_unscaled,
+    scale_inputs,
+    unscale_outputs,
+)
+from surffollow.forecast.adaptive.reset import reset_surface
+from surffollow.forecast.adaptive.step import compute_demand, publish_estimate
 from surffollow.forecast.paper import (
     average_point,
     paper_forecast,
@@ -66,7 +72,7 @@ def sf_reset(params: Any, state: Any, offset_m: Any) -> None:
     p.relayed_m = 0.0
     p.relayed_z_m = 0.0
     choose_scales(params, state)
-    forget_surface(state[0].adaptive)
+    reset_surface(state[0].adaptive)
     state[0].stop_armed = 0
 
 
@@ -171,14 +177,14 @@ def demand_z(params: Any, state: Any, inputs: Any, output: Any, reading_z_m: Any
 
 @jit
 def adaptive_cycle(
-    params: Any, a: Any, sense: Any, fold: Any, inputs: Any, output: Any, pose: Any, ready: Any
+    params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, pose: Any, ready: Any
 ) -> Any:
     """Demand, if a pose is `ready`, and report of the adaptive mode in plain numbers; returns status bits."""
-    assume_latency(params, a)
+    check_configured_latency(params, adaptive.latency)
     status = 0
     if ready != 0:
-        status = adaptive_demand(params, a, sense, fold, inputs, output, pose)
-    report_adaptive(params, a, output)
+        status = compute_demand(params, adaptive, sense, fold, inputs, output, pose)
+    publish_estimate(params, adaptive, output)
     return status
 
 
@@ -189,11 +195,11 @@ def adaptive_step(params: Any, state: Any, inputs: Any, output: Any, pose: Any, 
     d = s.scaled
     if d.length == 0.0:
         choose_scales(params, state)
-    if is_usual(d) != 0:
+    if is_unscaled(d) != 0:
         return adaptive_cycle(params[0], s.adaptive, s.sense, s.fold, inputs[0], output[0], pose, ready)
-    enter(params, state, inputs, output)
+    scale_inputs(params, state, inputs, output)
     status = adaptive_cycle(d.params, s.adaptive, d.sense, d.fold, d.inputs, d.output, pose, ready)
-    leave(state, output)
+    unscale_outputs(state, output)
     return status
 
 

@@ -26,7 +26,7 @@ class UdpConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ----------
     port : to listen on
     host : address to listen on; "0.0.0.0": every one
-    sender : the only address that is listened to; empty: whoever sends
+    sender : who is listened to: "address:port", "address" (every program there), or "any"
     format : see `frames.Format`; a datagram holds whole frames or lines, and a line may lack its terminator
     sequence : where a datagram's number is, if it is there; older ones than the last are dropped
     range_min_m, range_max_m, latency_s, channels, mounts, silence_s : see `serial_port.SerialConfig`
@@ -47,6 +47,14 @@ class UdpConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
             raise ConfigError(f"port = {self.port}, expected 0 to 65535")
+        if not self.sender:
+            raise ConfigError(
+                'sender is missing: whoever may send ranges moves the robot; write "address:port" of the '
+                'sensor, "address" for every program there, or "any"'
+            )
+        port = self.sender.partition(":")[2]
+        if ":" in self.sender and not (port.isdigit() and 0 < int(port) <= 65535):
+            raise ConfigError(f"sender = {self.sender!r}, expected a port from 1 to 65535 after the colon")
         if self.sequence is not None:
             reader_of(self.sequence, self.format.length, "sequence")
 
@@ -87,11 +95,11 @@ class UdpSource:
         out: list[tuple[int, int]] = []
         for _ in range(AT_ONCE):
             try:
-                data, (address, _) = self._socket.recvfrom(DATAGRAM_BYTES)
+                data, (address, port) = self._socket.recvfrom(DATAGRAM_BYTES)
             except BlockingIOError:
                 break
             now_ns = time.monotonic_ns()
-            if self._config.sender and address != self._config.sender:
+            if self._config.sender not in ("any", address, f"{address}:{port}"):
                 self.rejected += 1
                 continue
             found = self._measurements(data)

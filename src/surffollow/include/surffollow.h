@@ -198,9 +198,10 @@ enum {
   SF_ANSWER_ERR_NOT_POSE_HOLDER = 13,
   SF_ANSWER_ERR_STOP_REMAINS = 14,
   SF_ANSWER_ERR_RANGE_HELD = 15,
-  SF_ANSWER_ERR_NO_CHANNEL = 16
+  SF_ANSWER_ERR_NO_CHANNEL = 16,
+  SF_ANSWER_ERR_NOT_ALLOWED = 17
 };
-#define SF_ANSWERS 17
+#define SF_ANSWERS 18
 enum {
   SF_REFUSED_UNKNOWN_REQUEST = -101,
   SF_REFUSED_BAD_VALUE = -102,
@@ -216,7 +217,8 @@ enum {
   SF_REFUSED_NOT_POSE_HOLDER = -113,
   SF_REFUSED_STOP_REMAINS = -114,
   SF_REFUSED_RANGE_HELD = -115,
-  SF_REFUSED_NO_CHANNEL = -116
+  SF_REFUSED_NO_CHANNEL = -116,
+  SF_REFUSED_NOT_ALLOWED = -117
 };
 
 /* An answer of the service in words; never NULL. */
@@ -235,10 +237,11 @@ static inline const char *sf_answer_text(int answer) {
     case 10: return "accepted, the map's answer follows";
     case 11: return "the service's map memory (map.grids) has no room for this map";
     case 12: return "the service's configuration ([limits]) does not let any client set this value";
-    case 13: return "only the client that sends the pose may do this (access.parameters in the configuration)";
+    case 13: return "only the client that sends the pose may do this (access.parameters, access.map in the configuration)";
     case 14: return "a cause of the stop is still there; mend it, then reset the stop again";
     case 15: return "another live client pushes the ranges of this channel";
     case 16: return "the service takes no pushed ranges on this channel ([driver] kind = 'external', channels)";
+    case 17: return "the service takes no pushed ranges from this user (access.ranges in the configuration)";
     default: return "unknown result";
   }
 }

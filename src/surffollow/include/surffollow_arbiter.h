@@ -491,6 +491,7 @@ typedef struct sfa_client {
   int sock;
   int64_t slot, number, epoch, head, lease_ns;
   size_t status_at, desk_at, reply_at, entry_at;
+  int64_t *ours; /* 1; 0 in a forked child, which the kernel gives a zero page: what is held is the parent's */
   int64_t owner;
   char name[48], client[48];
 } sfa_client;
@@ -570,6 +571,10 @@ static inline int sfa_i_greet(sfa_client *a, const char *client, int fds[2]) {
   return 0;
 }
 
+/* strict ISO C hides them */
+#define SFA_I_ANONYMOUS 0x20
+#define SFA_I_WIPE_ON_FORK 18
+
 /* Map mailbox and board, and find our places in them. */
 static inline int sfa_i_map(sfa_client *a, const int fds[2]) {
   struct stat status;
@@ -592,6 +597,11 @@ static inline int sfa_i_map(sfa_client *a, const int fds[2]) {
   h = SF_VIEW(const sfa_board_header *, a->board);
   if (h->magic != SFA_BOARD_MAGIC || h->layout_hash != SFA_LAYOUT_HASH || h->size > a->board_bytes) return -EPROTO;
   a->lease_ns = h->lease_ns;
+  memory = mmap(NULL, SF_PAGE, PROT_READ | PROT_WRITE, MAP_PRIVATE | SFA_I_ANONYMOUS, -1, 0);
+  if (memory == MAP_FAILED) return -errno;
+  a->ours = SF_CAST(int64_t *, memory);
+  (void)syscall(SYS_madvise, memory, SF_CAST(size_t, SF_PAGE), SFA_I_WIPE_ON_FORK); /* Linux 4.14 */
+  *a->ours = 1;
   a->status_at = SFA_STATUS_AT;
   a->desk_at = SFA_DESKS_AT + slot * SFA_DESK_BYTES;
   a->reply_at = SFA_REPLIES_AT + slot * SFA_REPLY_BYTES;
@@ -617,6 +627,7 @@ static inline void sfa_detach(sfa_client *a) {
   if (a->sock >= 0) close(a->sock);
   if (a->mailbox != NULL) munmap(a->mailbox, SFA_MAILBOX_BYTES);
   if (a->board != NULL) munmap(a->board, a->board_bytes);
+  if (a->ours != NULL) munmap(a->ours, SF_PAGE);
   memset(a, 0, offsetof(sfa_client, owner));
   a->sock = -1;
 }
@@ -717,13 +728,27 @@ static inline int sfa_resource(const sfa_client *a, const char *name) {
 
 /* Show that this client lives. */
 static inline void sfa_beat(sfa_client *a) {
+  if (*a->ours == 0) return;
   sf_store_relaxed(a->mailbox + offsetof(sfa_mailbox, beat_ns), sf_now_ns());
 }
 
-/* The token of a resource that this client holds, 0: none; from memory, never waits. */
-static inline int64_t sfa_held(const sfa_client *a, int resource) {
-  if (resource < 0 || resource >= SFA_RESOURCES) return 0;
+/* A server looks at the mailbox of a holder once in its period: one that did not for a lease is no more. */
+static inline int sfa_i_is_silent(const sfa_client *a, int64_t now) {
+  return now - sf_load_relaxed(a->board + offsetof(sfa_board_header, beat_ns)) > a->lease_ns;
+}
+
+static inline int64_t sfa_i_token(const sfa_client *a, int resource) {
+  if (resource < 0 || resource >= SFA_RESOURCES || *a->ours == 0) return 0;
   return sf_load_acquire(a->board + a->desk_at + offsetof(sfa_client_desk, held) + 8 * SF_CAST(size_t, resource));
+}
+
+/*
+ * The token of a resource that this client holds, 0: none, or the server was silent for a lease; none in a forked
+ * child, which attaches for itself. From memory, never waits.
+ */
+static inline int64_t sfa_held(const sfa_client *a, int resource) {
+  const int64_t token = sfa_i_token(a, resource);
+  return token != 0 && sfa_i_is_silent(a, sf_now_ns()) ? 0 : token;
 }
 
 /* Whether the server asks this holder to relinquish (cooperative policy). */
@@ -750,6 +775,7 @@ static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t
   unsigned char *item = a->mailbox + offsetof(sfa_mailbox, item) +
                         sizeof(sfa_item) * SF_CAST(size_t, a->head & (SFA_MAILBOX_ITEMS - 1));
   int k;
+  if (*a->ours == 0) return -ENOENT; /* a forked child */
   if (a->head - sf_load_acquire(a->board + a->entry_at + offsetof(sfa_client_entry, consumed)) >= SFA_MAILBOX_ITEMS)
     return -EAGAIN;
   sf_store_relaxed(item + offsetof(sfa_item, seq), a->head + 1);
@@ -781,13 +807,12 @@ static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t
  */
 static inline int sfa_command_at(sfa_client *a, int resource, const double *values, int n, int64_t ref_t_ns,
                                  const double *ref_pose) {
-  const int64_t token = sfa_held(a, resource), now = sf_now_ns();
+  const int64_t token = sfa_i_token(a, resource), now = sf_now_ns();
   int err;
   if (resource < 0 || resource >= SFA_RESOURCES) return -EINVAL;
   if (token == 0) return 0;
   if (n != sfa_i_config(a, resource)->n_values || n > SFA_VALUES) return -EINVAL;
-  /* a server looks at the mailbox of a holder once in its period: one that did not for a lease is no more */
-  if (now - sf_load_relaxed(a->board + offsetof(sfa_board_header, beat_ns)) > a->lease_ns) return -ENOENT;
+  if (sfa_i_is_silent(a, now)) return -ENOENT;
   err = sfa_i_post(a, SFA_ITEM_COMMAND | SF_CAST(int64_t, resource) << 8, token, now, values, n, ref_t_ns, ref_pose);
   return err == 0 ? 1 : err;
 }
@@ -797,16 +822,23 @@ static inline int sfa_command(sfa_client *a, int resource, const double *values,
   return sfa_command_at(a, resource, values, n, 0, NULL);
 }
 
-/* Post a request or relinquishment, ring, wait for the answer to it. */
-static inline int sfa_i_ask(sfa_client *a, int64_t what, int64_t deadline, sfa_reply *reply) {
-  const unsigned char *bell_word = a->board + a->desk_at + offsetof(sfa_client_desk, bell);
+/* Post a request or relinquishment and ring. */
+static inline int sfa_i_tell(sfa_client *a, int64_t what) {
   unsigned char *doorbell = a->mailbox + offsetof(sfa_mailbox, doorbell);
-  int64_t bell = sf_load_acquire(bell_word), seq;
   const int err = sfa_i_post(a, what, 0, sf_now_ns(), NULL, 0, 0, NULL);
   if (err != 0) return err;
-  seq = a->head;
   sf_store_release(doorbell, sf_load_relaxed(doorbell) + 1);
   sfa_i_futex(doorbell, 1, 0, 0);
+  return 0;
+}
+
+/* The same, and wait for the answer to it. */
+static inline int sfa_i_ask(sfa_client *a, int64_t what, int64_t deadline, sfa_reply *reply) {
+  const unsigned char *bell_word = a->board + a->desk_at + offsetof(sfa_client_desk, bell);
+  int64_t bell = sf_load_acquire(bell_word), seq;
+  const int err = sfa_i_tell(a, what);
+  if (err != 0) return err;
+  seq = a->head;
   for (;;) {
     const int64_t got = sf_latch_read(a->board + a->reply_at, sizeof *reply, reply);
     int64_t left;
@@ -829,16 +861,19 @@ static inline int sfa_relinquish(sfa_client *a, int resource) {
 
 /*
  * Ask for control; `wait` not 0: stand in the queue until then.
- * Returns 1: granted; 0: denied (`reply`, may be NULL, says who holds it); below 0 an error.
+ * Returns 1: granted; 0: denied (`reply`, may be NULL, says who holds it); below 0 an error. After -ETIMEDOUT the
+ * request is withdrawn: a server that answers later grants nothing.
  */
 static inline int sfa_request(sfa_client *a, int resource, int wait, int timeout_ms, sfa_reply *reply) {
   const int64_t deadline = sf_now_ns() + SF_CAST(int64_t, timeout_ms) * 1000000;
   const unsigned char *bell_word = a->board + a->desk_at + offsetof(sfa_client_desk, bell);
+  const int64_t before = sfa_i_token(a, resource);
   sfa_reply own;
   int err;
   if (resource < 0 || resource >= SFA_RESOURCES) return -EINVAL;
   if (reply == NULL) reply = &own;
   err = sfa_i_ask(a, SFA_ITEM_REQUEST | SF_CAST(int64_t, resource) << 8 | (wait ? 1 << 16 : 0), deadline, reply);
+  if (err == -ETIMEDOUT && before == 0) (void)sfa_i_tell(a, SFA_ITEM_RELINQUISH | SF_CAST(int64_t, resource) << 8);
   if (err != 0) return err;
   if (reply->result == SFA_GRANT || reply->result == SFA_KEEP) return 1;
   if (reply->result != SFA_ENQUEUE) return 0;

@@ -7,7 +7,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 
 from surffollow.errors import AlreadyRunningError, ServiceError, SurffollowError
 from surffollow.service.end_child import end_child
+from surffollow.shm.python_child import code_command
 
 # PR_SET_PDEATHSIG: SIGTERM when the demonstration dies, and an end at once when it is dead by then
 _CHILD = """
@@ -38,7 +38,7 @@ class Child:
         self._errors = (folder / f"{what}.err").open("w+")
         # a session of its own: Ctrl-C reaches the demonstration alone, which ends its children in order
         self.child = subprocess.Popen(
-            [sys.executable, "-c", _CHILD, str(os.getpid()), *words],
+            code_command(_CHILD, str(os.getpid()), *words),
             stdout=subprocess.PIPE,
             stderr=self._errors,
             text=True,
@@ -109,7 +109,7 @@ def purge(name: str, wait_s: float = 0.0) -> None:
 def no_leftovers(name: str) -> Iterator[None]:
     """Purge a service's objects at the end, even when this process is killed: a child waits for that."""
     janitor = subprocess.Popen(
-        [sys.executable, "-c", _JANITOR, name],
+        code_command(_JANITOR, name),
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

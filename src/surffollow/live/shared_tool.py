@@ -70,6 +70,10 @@ class ArbitratedService:
         """The newest combined demand; never waits."""
         return ToolDemand(self._reader.latest(), self._service.epoch)
 
+    def claim_pose(self) -> None:
+        """Become the one who reports poses to the service."""
+        self._service.claim_pose()
+
     def sf_reset(self, offset_m: float) -> object:
         """Restart the forecast with a wanted stand-off [m]."""
         return self._service.sf_reset(offset_m)

@@ -7,7 +7,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -31,6 +30,7 @@ from surffollow.shm.conversion import FLAG_INVALID, conversion_dt_ns, pack_conve
 from surffollow.shm.cycle_log import log_copy
 from surffollow.shm.layout_follow import CHANNELS
 from surffollow.shm.objects import SHM_ROOT, unlink
+from surffollow.shm.python_child import module_command
 
 # the driver starts before the service is ready: one invalid conversion, then this long nothing
 LEAD_NS = 3_000_000_000
@@ -99,17 +99,7 @@ def write_inputs(p: Playback, folder: Path, period_ns: int) -> Path:
 def running_service(config: Path, name: str) -> Iterator[subprocess.Popen[str]]:
     """A service process of our own, from READY to its end; it leaves nothing behind that was not there."""
     had_map = (SHM_ROOT / f"{name}.map").exists()
-    command = [
-        sys.executable,
-        "-m",
-        "surffollow",
-        "start",
-        "--name",
-        name,
-        "--config",
-        str(config),
-        "--quiet",
-    ]
+    command = module_command("surffollow", "start", "--name", name, "--config", str(config), "--quiet")
     with open(config.with_name("service.err"), "w+") as errors:
         child = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=errors, text=True, start_new_session=True

@@ -39,7 +39,7 @@ class ClientId:
     name: str
 
 
-def _is_exempt(uid: int) -> bool:
+def is_exempt(uid: int) -> bool:
     """Whether no limit holds for this user: root and the service's own."""
     return uid in (0, os.geteuid())
 
@@ -106,7 +106,7 @@ class ClientTable:
 
     def refusal(self, uid: int, pid: int) -> tuple[int, int]:
         """Why a client gets no slot and the limit that is reached; SLOT_OK when it may have one."""
-        if not _is_exempt(uid):
+        if not is_exempt(uid):
             self._forget_returned()
             kept = sum(u == uid for u, _ in self._kept)
             if kept >= KEPT_PER_USER or len(self._kept) >= KEPT:
@@ -120,7 +120,7 @@ class ClientTable:
 
     def room_for(self, uid: int) -> int:
         """How many slots there are for this user and all others that are not exempt; for those, all."""
-        return lb.CLIENTS if _is_exempt(uid) else lb.CLIENTS - RESERVED
+        return lb.CLIENTS if is_exempt(uid) else lb.CLIENTS - RESERVED
 
     def _forget_returned(self) -> None:
         """Forget memory that its last client has let go of: the kernel has freed it."""
@@ -131,8 +131,8 @@ class ClientTable:
 
     def promise(self, client: ClientId) -> int:
         """Set a free slot aside; -1 when there is none for this client."""
-        others = sum(w is not None and not _is_exempt(w.uid) for w in self._who)
-        if not _is_exempt(client.uid) and others >= self.room_for(client.uid):
+        others = sum(w is not None and not is_exempt(w.uid) for w in self._who)
+        if not is_exempt(client.uid) and others >= self.room_for(client.uid):
             return -1
         for slot in range(lb.CLIENTS):
             if self._who[slot] is None and slot not in self._retired:
@@ -168,7 +168,7 @@ class ClientTable:
         if who is None:
             return
         watch = self._memory.take_watch(slot)
-        if watch >= 0 and not _is_exempt(who.uid) and len(self._kept) < 2 * KEPT:
+        if watch >= 0 and not is_exempt(who.uid) and len(self._kept) < 2 * KEPT:
             self._kept.append((who.uid, watch))
         elif watch >= 0:
             os.close(watch)

@@ -119,7 +119,7 @@ def take_name(name: str) -> NameLock:
 def _take_map(config: ServiceConfig, group: int) -> tuple[SharedObject, bool]:
     """The map of the name, which is ours by its lock, and whether it was made now."""
     try:
-        return SharedObject.open(f"{config.name}.map", writable=True), False
+        return SharedObject.open(f"{config.name}.map", writable=True, owners=(os.geteuid(),)), False
     except NotRunningError:
         return _make_map(config, group), True
 
@@ -139,7 +139,7 @@ def _make_map(config: ServiceConfig, group: int) -> SharedObject:
         )
         header[0]["owner_pid"] = os.getpid()
 
-    map_mode = mode(config.access.map_mode, "map_mode")
+    map_mode = mode(config.access.map_mode, "access.map_mode")
     return SharedObject.create(f"{config.name}.map", ml.map_object_size(grids), map_mode, group, prepare)
 
 
@@ -150,7 +150,7 @@ def _map_header(map_: SharedObject) -> Any:
 def _check_owner(config: ServiceConfig, map_: SharedObject, group: int) -> None:
     """Adopt only a map that nobody but the service's own user could have changed."""
     status, me = os.fstat(map_.fd), os.geteuid()
-    name, wanted = map_.name, mode(config.access.map_mode, "map_mode")
+    name, wanted = map_.name, mode(config.access.map_mode, "access.map_mode")
     remedy = f"look at it (ls -l /dev/shm), then remove it: surffollow stop --name {config.name} --purge"
     if status.st_uid != me:
         raise NoPermissionError(
@@ -214,7 +214,7 @@ def open_house(config: ServiceConfig) -> House:
         if not fresh:
             _check_kept_map(config, map_, group)
         clear_stale(name)
-        board_mode = mode(config.access.board_mode, "board_mode")
+        board_mode = mode(config.access.board_mode, "access.board_mode")
         made.append(SharedObject.create(name, lb.board_bytes(config.log_words), board_mode, group))
         slots = _make_slots(name)
         listener = _listen(config, group)
@@ -258,7 +258,7 @@ def _make_slots(name: str) -> SlotMemory:
 def _listen(config: ServiceConfig, group: int) -> socket.socket:
     path = socket_path(config.name)
     try:
-        return listen(path, mode(config.access.socket_mode, "socket_mode"), group, BACKLOG)
+        return listen(path, mode(config.access.socket_mode, "access.socket_mode"), group, BACKLOG)
     except OSError as e:
         kind = NoPermissionError if e.errno in (errno.EPERM, errno.EACCES) else BlockError
         raise kind(f"cannot listen on {path}: {e}; look at it (ls -l {path}) and remove it") from None

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.config.limits import PARAMETERS_BY, client_limits
+from surffollow.config.limits import CHANGED_BY, client_limits, range_user
 from surffollow.config.params import PARAMS
 from surffollow.config.service import ServiceConfig, follow_params, seconds
 from surffollow.config.stop_causes import STOP_NAMES, stop_causes
 from surffollow.errors import ConfigError
-from surffollow.forecast.adaptive_scales import scaled_defaults
+from surffollow.forecast.adaptive.reference_scales import scaled_defaults
 from surffollow.hw.driver import ConversionQueue, DriverInfo, PoseQueue
 from surffollow.service import memory as m
 from surffollow.service.fitting import misfit
@@ -83,7 +84,9 @@ def initialise_memory(
     ctx[m.SNAPSHOT_CYCLES] = max(1, round(snapshot * 1e9 / period))
     ctx[m.LEASE_NS] = round(seconds(config.map.access_lease, "map.access_lease", 0.01, 3600.0) * 1e9)
     ctx[m.EPOCH] = house.epoch
-    ctx[m.PARAMS_BY] = PARAMETERS_BY.index(config.access.parameters)
+    ctx[m.PARAMS_BY] = CHANGED_BY.index(config.access.parameters)
+    ctx[m.MAP_BY] = CHANGED_BY.index(config.access.map)
+    ctx[m.RANGES_BY], ctx[m.OWN_USER] = range_user(config.access.ranges), os.geteuid()
     for name, ends in client_limits(config.limits).items():
         mem.bounds[Params.offset(name) // 8, 3:5] = ends
     _begin_stopped(mem, config, house)

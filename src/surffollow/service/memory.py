@@ -65,10 +65,13 @@ POLICY = FENCED + CLIENTS
 (
     STOP_ASKED,  # main → cycle: causes of a stop that the main thread sees now
     PARAMS_BY,  # who may set parameters: BY_ANY, BY_HOLDER, BY_HOLDER_ONLY
+    MAP_BY,  # who may change the map, as above
+    RANGES_BY,  # user who may push ranges beside root and the service's; ANY_USER, NO_OTHER_USER
+    OWN_USER,  # the service's
     CHANGES,  # the audit trail's queue, cycle → main
     CHANGES_CAPACITY,
     CHANGES_LOST,  # entries that found no room
-) = range(POLICY, POLICY + 5)
+) = range(POLICY, POLICY + 8)
 RANGES_HELD = POLICY + 8  # bit per channel whose ranges a client pushes
 RANGE_SLOT = RANGES_HELD + 1  # cycle → main: per channel, the slot of that client; -1: none
 RANGE_CLAIM = RANGE_SLOT + CHANNELS

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import signal
 import threading
 import time
 from collections import deque
@@ -22,10 +23,13 @@ END_S = 0.5
 
 
 def hold_standard_files() -> None:
-    """Open /dev/null in the place of closed standard files, before another file takes their numbers.
+    """Make the standard files safe to write to, before anything is told.
 
-    Otherwise a message would be written into whatever got number 2: a shared-memory object, say.
+    Closed ones become /dev/null before another file takes their numbers: a message would be written into
+    whatever got number 2, a shared-memory object, say. A line to a terminal of which this process is not in
+    the foreground (`stty tostop`) must not stop the process, cycle and all.
     """
+    signal.signal(signal.SIGTTOU, signal.SIG_IGN)
     while True:
         fd = os.open(os.devnull, os.O_RDWR)
         if fd > STDERR:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.forecast.adaptive_due import preview_place
+from surffollow.forecast.adaptive.preview_schedule import preview_window
 from surffollow.map.ahead import bridge_gaps, grid_width, heights_along
 from surffollow.shm.jit import jit, jit_pasted
 from surffollow.shm.layout_follow import MAX_PREVIEW, MODE_ADAPTIVE
@@ -22,7 +22,7 @@ BRIDGE_M = 8e-3  # holes up to this long are bridged, as those of a leading sens
 @jit
 def look_ahead(mem: Any) -> None:
     """Set n_preview, preview_from_m, preview_step_m and preview_m of the coming cycle's inputs."""
-    due, x, y, ux, uy, first, last = preview_place(mem.params, mem.state, mem.inputs)
+    due, x, y, ux, uy, first, last = preview_window(mem.params, mem.state, mem.inputs)
     if due == 0:
         return
     grid_m = grid_width(mem.header)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from surffollow.config.limits import ANY_USER
 from surffollow.hw.pushed_ranges import PushedRanges, take_pushed
 from surffollow.service import memory as m
 from surffollow.service.inbox import claim_of, slot_address
@@ -12,6 +13,7 @@ from surffollow.shm.jit import jit, jit_pasted
 from surffollow.shm.layout_board import (
     CLIENTS,
     ERR_NO_CHANNEL,
+    ERR_NOT_ALLOWED,
     ERR_NOT_HOLDER,
     ERR_RANGE_HELD,
     OK,
@@ -58,6 +60,13 @@ def channels_of(ctx: Any, slot: Any) -> Any:
 
 
 @jit
+def may_push(ctx: Any, slot: Any) -> Any:
+    """Whether this client's user may push ranges, which move the robot (access.ranges)."""
+    user = at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.UID + slot))
+    return user in (0, ctx[m.OWN_USER], ctx[m.RANGES_BY]) or ctx[m.RANGES_BY] == ANY_USER
+
+
+@jit
 def do_range_role(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
     """CLAIM_RANGE and RELEASE_RANGE; (result, pid of the holder or number of channels)."""
     ctx = mem.ctx
@@ -73,6 +82,8 @@ def do_range_role(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
         return OK, 0
     if mine:
         return OK, 0
+    if not may_push(ctx, slot):
+        return ERR_NOT_ALLOWED, 0
     if is_held:
         holder = ctx[m.RANGE_SLOT + channel]
         return ERR_RANGE_HELD, at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.PID + holder))

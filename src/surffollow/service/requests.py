@@ -150,12 +150,12 @@ def drop_dead_pose_writer(mem: Any, t_ns: Any) -> None:
 
 
 @jit
-def may_set(ctx: Any, slot: Any) -> Any:
-    """Whether this client may set parameters and the stand-off (access.parameters)."""
-    if ctx[m.PARAMS_BY] == m.BY_ANY:
+def may_change(ctx: Any, slot: Any, policy: Any) -> Any:
+    """Whether this client may change what `policy` tells of (access.parameters, access.map)."""
+    if policy == m.BY_ANY:
         return True
     if ctx[m.POSE_SLOT] < 0:
-        return ctx[m.PARAMS_BY] == m.BY_HOLDER
+        return policy == m.BY_HOLDER
     return ctx[m.POSE_SLOT] == slot and ctx[m.POSE_CLAIM] == claim_of(ctx, slot)
 
 
@@ -222,7 +222,11 @@ def do_map_request(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
 def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
     """Carry out the request in `mem.request`; (result, detail)."""
     code = mem.request[0].code
-    if code in (RQ_SF_RESET, RQ_SET_PARAMS) and not may_set(mem.ctx, slot):
+    if code in (RQ_SF_RESET, RQ_SET_PARAMS) and not may_change(mem.ctx, slot, mem.ctx[m.PARAMS_BY]):
+        return ERR_NOT_POSE_HOLDER, holder_pid(mem.ctx)
+    # the follower looks ahead in the map: what is put there moves the robot
+    of_the_map = code in (RQ_MAP_RESET, RQ_MAP_REFOCUS, RQ_MAP_INSTALL)
+    if of_the_map and not may_change(mem.ctx, slot, mem.ctx[m.MAP_BY]):
         return ERR_NOT_POSE_HOLDER, holder_pid(mem.ctx)
     if code == RQ_SF_RESET:
         offset = mem.request[0].value[0]
@@ -243,7 +247,7 @@ def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
         return do_range_role(mem, slot, code, t_ns)
     if code in (RQ_STOP, RQ_STOP_RESET):
         return do_stop(mem, slot, code, t_ns)
-    if code in (RQ_MAP_RESET, RQ_MAP_REFOCUS, RQ_MAP_INSTALL):
+    if of_the_map:
         return do_map_request(mem, slot, code, t_ns)
     return ERR_UNKNOWN_REQUEST, 0
 

@@ -32,6 +32,7 @@ from surffollow.service.memory import make_cycle_memory
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.kernel_cache import cache_directory, source_stamp
+from surffollow.shm.python_child import module_command
 
 PATIENCE_S = 120.0  # after the service's own part: a helper that takes longer is stopped or stuck
 LOOK_S = 0.1
@@ -76,7 +77,7 @@ class SideCompile:
         self._process: subprocess.Popen[bytes] | None = None
         if not is_cold() or len(os.sched_getaffinity(0)) < 2:
             return
-        command = [sys.executable, "-m", "surffollow.service.side_compile", str(os.getpid())]
+        command = module_command("surffollow.service.side_compile", str(os.getpid()))
         if with_sensors:
             command.append("sensors")
         with contextlib.suppress(OSError, ValueError):

@@ -14,9 +14,10 @@ import os
 import select
 import socket
 import time
+from collections import Counter
 from dataclasses import dataclass, field
 
-from surffollow.service.client_table import ClientId, ClientTable
+from surffollow.service.client_table import ClientId, ClientTable, is_exempt
 from surffollow.shm import layout_board as lb
 from surffollow.shm.uninvited import Disposal, hear
 from surffollow.shm.unix_socket import Peer, peer_of, peer_pidfd
@@ -130,9 +131,7 @@ class SlotServer:
         try:
             sock.setblocking(False)
             peer = peer_of(sock)
-            waiting = [g for g in set(self._guests.values()) if g.stage != HELD]
-            theirs = sum(g.peer.uid == peer.uid for g in waiting)
-            if len(waiting) >= GUESTS or (theirs >= GUESTS_PER_USER and peer.uid not in (0, os.geteuid())):
+            if not self._make_room(peer.uid):
                 self._disposal.part(sock)
                 return
             guest = Guest(sock, peer, time.monotonic() + EXCHANGE_S)
@@ -143,6 +142,20 @@ class SlotServer:
         except BaseException:
             self._disposal.part(sock)
             raise
+
+    def _make_room(self, uid: int) -> bool:
+        """Whether one more connection may wait for a slot; in a full house the user with most gives way."""
+        waiting = [g for g in set(self._guests.values()) if g.stage != HELD]
+        of_user = Counter(g.peer.uid for g in waiting)
+        if of_user[uid] >= GUESTS_PER_USER and not is_exempt(uid):
+            return False
+        if len(waiting) < GUESTS:
+            return True
+        most = max(of_user.values())
+        if of_user[uid] + 1 >= most:
+            return False
+        self._drop(min((g for g in waiting if of_user[g.peer.uid] == most), key=lambda g: g.deadline))
+        return True
 
     def _watch(self, guest: Guest, fd: int, events: int) -> None:
         self._epoll.register(fd, events)
@@ -198,7 +211,11 @@ class SlotServer:
             os.close(fd)
 
     def _grant(self, guest: Guest) -> None:
-        self.table.grant(guest.slot, guest.claim)
+        try:
+            self.table.grant(guest.slot, guest.claim)
+        except PermissionError:  # the client has sealed it against our seals
+            self._refuse(guest, lb.SLOT_BAD_MESSAGE)
+            return
         guest.stage = HELD
         guest.sock.send(self._message(guest, lb.SLOT_GRANT), socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
 

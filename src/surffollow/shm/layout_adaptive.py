@@ -1,20 +1,38 @@
-"""What the adaptive follower remembers: path, candidate models with their shadow axes, quarantine, noise."""
+"""State of the default follower: one record per stage of its block diagram.
+
+Lengths and times are plain numbers (`reference_scales`): metres and seconds of a usual robot cell.
+Only the stage that owns a record writes it.
+"""
 
 from __future__ import annotations
 
-from surffollow.shm.schema import F64, I64, Schema
+from surffollow.shm.layout_adaptive_estimation import (
+    N_PERIODS,
+    Bank,
+    Buffer,
+    Estimate,
+    Gate,
+    Noise,
+    Regression,
+    Shadow,
+    Weights,
+)
+from surffollow.shm.layout_adaptive_sensing import (
+    Beams,
+    Clock,
+    Health,
+    Hold,
+    Kinematics,
+    Latency,
+    Lookahead,
+    Plane,
+    Prediction,
+    Sample,
+)
+from surffollow.shm.schema import F64, I64, Nested, Schema
 
-BEAMS = 8
-CANDIDATES = 64  # most candidates, and models
-BEYOND = 3  # distances beyond the ground seen ahead for which it is guessed
-CELLS = 512  # of ground seen ahead, 1 mm each
-KEPT = 32  # quarantined samples that become ground when they are believed
-HORIZON = 40  # ticks planned ahead
-TRENDS = 16  # straight lines that forecast the range
-LAGS = 4  # horizons at which they are judged
-SNAPSHOTS = 32
-PLANTS = 7  # axes of different τ
-TICKS = 64  # controller ticks remembered per candidate: 640 ms of set points
+HORIZON = 40  # controller periods of the preview and its plan
+N_PLANTS = 7  # axis models of different time constants
 
 # health of the ranging, in the order of what is reported first
 OK, SUSPECT, DROPOUT, STUCK, OUT_OF_RANGE, FAULT = 0, 1, 2, 3, 4, 5
@@ -24,195 +42,127 @@ HEALTH_NAMES = ("OK", "SUSPECT", "DROPOUT", "STUCK", "OUT_OF_RANGE", "FAULT")
 FAULT_NOT_FINITE, FAULT_STUCK, FAULT_LOST, FAULT_CLOSE, FAULT_CLOCK = 1, 2, 4, 8, 16
 FAULT_NAMES = ("NOT_FINITE", "STUCK", "LOST", "TOO_CLOSE", "CLOCK")
 
-STUCK_RUN = 1 << 40  # equal samples: those of a stuck sensor
+
+class Controller(Schema):
+    """Periods of the robot's controller (`controller_clock`)."""
+
+    period_ns = I64(unit="ns", doc="begin of the newest controller period")
+    report_ns = I64(unit="ns", doc="arrival of the newest pose report")
+    report_count = I64(doc="pose count then")
+    interval_ns = F64(unit="ns", doc="usual interval of reports")
+    latch_pending = I64(doc="1: the demand of the newest period is not latched yet and may change")
+    periods = I64(doc="controller periods so far")
+    latch_ns = I64(N_PERIODS, unit="ns", doc="ring of latch times")
+
+
+class Plant(Schema):
+    """Identified axis (`plant_identification`)."""
+
+    setpoint_m = F64(N_PERIODS, unit="m", doc="ring of the follower's own set points")
+    position_m = F64(N_PLANTS, unit="m", doc="axis models of different τ that follow them")
+    velocity_mps = F64(N_PLANTS, unit="m/s", doc="their velocity")
+    error_m2 = F64(N_PLANTS, unit="m^2", doc="their squared errors against the pose reports")
+    axis_m = F64(unit="m", doc="observed axis: the model with τ in force, corrected by reports")
+    axis_mps = F64(unit="m/s", doc="its velocity")
+    t_ns = I64(unit="ns", doc="time up to which the axes are propagated")
+    tau_s = F64(unit="s", doc="time constant in force; 0: not begun")
+    tau_configured_s = F64(unit="s", doc="time constant that identification began with")
+
+
+class Adaptation(Schema):
+    """Adapted parameters (`adaptation`)."""
+
+    permitted_variance_m = F64(unit="m", doc="Permitted_Variance in force")
+    deadband_m = F64(unit="m", doc="deadband of the set-point filter")
+
+
+class Blend(Schema):
+    """Blended set point and its filter (`setpoint_blend`)."""
+
+    setpoint_m = F64(unit="m", doc="blend of the candidates' set points")
+    rate_mps = F64(unit="m/s", doc="its rate as the models predict it")
+    t_ns = I64(unit="ns", doc="when it was made")
+    pose_ns = I64(unit="ns", doc="timestamp of the pose that it was made with")
+    sample_ns = I64(unit="ns", doc="timestamp of the sample that it was made with")
+    filtered_m = F64(unit="m", doc="behind the deadband filter")
+    filtered_ns = I64(unit="ns", doc="when that was made")
+
+
+class Setpoint(Schema):
+    """Jerk-limited set point (`setpoint_limits`)."""
+
+    position_m = F64(unit="m", doc="set point of the tool: where the demand points")
+    velocity_mps = F64(unit="m/s", doc="its rate")
+    acceleration_mps2 = F64(unit="m/s^2", doc="and the rate of that")
+    preview_share = F64(doc="share of preview that raises the limits in force, 0 to 1")
+    t_ns = I64(unit="ns", doc="when it was made; 0: begin at the tool")
+    shown = I64(doc="1: made in DRYRUN, not applied")
+    interval_s = F64(unit="s", doc="usual interval of calls, an upper estimate; 0: not known")
+    min_interval_s = F64(unit="s", doc="shortest interval lately; 0: not known")
+
+
+class Preview(Schema):
+    """Preview of the terrain and its share of the set point (`preview`)."""
+
+    share = F64(doc="share of the planned set point, 0 to 1")
+    error_m2 = F64(unit="m^2", doc="recent squared stand-off error of the tool")
+    reference_error_m2 = F64(unit="m^2", doc="the same without preview, over longer")
+    suspended_until_ns = I64(unit="ns", doc="no preview until then")
+    map_bias_m = F64(unit="m", doc="sensor minus map, mean")
+    map_deviation_m = F64(unit="m", doc="sensor minus map, mean deviation beyond the bias")
+    sensed_periods = I64(doc="periods of ground known from channel 0 ahead of the tool; 0: it does not lead")
+    ground_m = F64(HORIZON, unit="m", doc="ground under the tool per controller period")
+
+
+class Plan(Schema):
+    """Preview control (`preview_control`)."""
+
+    setpoint_m = F64(unit="m", doc="set point of the plan")
+    position_m = F64(HORIZON, unit="m", doc="planned axis")
+    foreseen_error_m = F64(unit="m", doc="greatest stand-off error that plans contain, decaying")
+    early = I64(HORIZON, doc="1: the plan descends there before the ground does")
+    bound_m = F64(HORIZON, unit="m", doc="lowest position there without penalty, from the axis' position")
+    acceleration_m = F64(HORIZON, unit="m", doc="planned accelerations [m per period²]")
+    multiplier_m = F64(HORIZON, unit="m", doc="their multipliers")
+    factor_0 = F64(HORIZON, doc="pentadiagonal factors: D …")
+    factor_1 = F64(HORIZON, doc="… first …")
+    factor_2 = F64(HORIZON, doc="… and second subdiagonal of L")
+
+
+class Attitude(Schema):
+    """Attitude set point (`attitude`)."""
+
+    axis = F64(3, unit="1", doc="set point of the tool's axis, behind the limits")
+    angular_velocity_radps = F64(3, unit="rad/s", doc="its rate")
+    t_ns = I64(unit="ns", doc="when it was made; 0: begin at the tool")
 
 
 class AdaptiveState(Schema):
-    """State of the adaptive mode; all zero means nothing seen yet."""
+    """State of the default follower; all zero means nothing seen yet."""
 
-    now_ns = I64(unit="ns", doc="latest time any step was told")
-    held_ns = I64(unit="ns", doc="time of the last new reading of channel 0")
-    held_m = F64(unit="m", doc="its value: what repeats it is no news")
-    sample_ns = I64(unit="ns", doc="stamp of the last sample the models were carried to")
-    accepted_ns = I64(unit="ns", doc="stamp of the last sample that entered the estimate")
-    sure_ns = I64(unit="ns", doc="the same of an estimate that others had confirmed; 0: not begun")
-    samples = I64(doc="samples that entered the estimate; 0: start anew with the next")
-    late_s = F64(unit="s", doc="how late samples arrive")
-    older_s = F64(unit="s", doc="how much older ranges are than their stamps say, as found")
-    older_sigma_s = F64(unit="s", doc="uncertainty of that; 0: nothing found yet")
-    latency_assumed_ns = I64(unit="ns", doc="sensor_latency_ns beside which that was found")
-    rest_n = I64(doc="samples of the present rest, for the lag")
-    rest_climb_mps = F64(unit="m/s", doc="their mean climb")
-    rest_h_m = F64(unit="m", doc="their mean height")
-    rest_cc = F64(unit="m^2/s^2", doc="sum of squared deviations of the climb")
-    rest_ch = F64(unit="m^2/s", doc="sum of products of both deviations")
-    rest_hh = F64(unit="m^2", doc="sum of squared deviations of the height")
-    motion_poses = I64(doc="pose count at which the motion was measured")
-    path_m = F64(unit="m", doc="way of the footprint so far")
-    tip_x_m = F64(unit="m", doc="from the tool to the point it points at: a tilted one does not point down")
-    tip_y_m = F64(unit="m", doc="the same")
-    lead_m = F64(unit="m", doc="how far the footprint is ahead of that")
-    foot_x_m = F64(unit="m", doc="footprint of the last sample")
-    foot_y_m = F64(unit="m")
-    foot_s_m = F64(unit="m", doc="its way coordinate")
-    speed_x_mps = F64(unit="m/s", doc="lateral velocity of the tool")
-    speed_y_mps = F64(unit="m/s")
-    speed_mps = F64(unit="m/s")
-    climb_mps = F64(unit="m/s", doc="vertical velocity of the tool")
-    scale_m = F64(unit="m", doc="typical one-step innovation of the blend")
-    noise_m = F64(unit="m", doc="reading noise, from second differences")
-    median_m = F64(unit="m", doc="running median of |second difference|")
-    recent_m = F64(2, unit="m", doc="the two accepted heights before the last one")
-    quarantined = I64(doc="samples in quarantine that agree")
-    quarantine_m = F64(unit="m", doc="sum of their innovations")
-    quarantine_s_m = F64(unit="m", doc="sum of their way coordinates")
-    quarantine_h_m = F64(unit="m", doc="sum of their heights")
-    quarantine_way_m = F64(unit="m", doc="way since the first of those")
-    quarantine_ns = I64(unit="ns", doc="stamp of the first of those")
-    kept_s_m = F64(KEPT, unit="m", doc="where quarantined samples were")
-    kept_h_m = F64(KEPT, unit="m", doc="their heights")
-    doubted_m = F64(unit="m", doc="innovation of a doubtful sample just held back; 0: none")
-    disagreed = I64(doc="outliers in a row that did not agree with the one before")
-    scored = I64(doc="samples that judged the models, up to what makes their judgement count fully")
-    returned = F64(doc="how likely a quarantine ends without a step: 1 unknown or slots, to 0 steps")
-    since_step_m = F64(unit="m", doc="way since the last believed step")
-    step_m = F64(unit="m", doc="height of the last believed step; 0: none")
-    step_ns = I64(unit="ns", doc="when it was believed")
-    settle_ns = I64(unit="ns", doc="scores are frozen until this time")
-    tick_ns = I64(unit="ns", doc="last controller tick assumed")
-    arrival_ns = I64(unit="ns", doc="when the last pose report came")
-    arrival_poses = I64(doc="pose count then")
-    arrival_dt_ns = F64(unit="ns", doc="usual interval of reports")
-    tick_open = I64(doc="1: the demand of the last tick is still to be taken, as it will be then")
-    ticks = I64(doc="ticks assumed so far")
-    tick_t_ns = I64(TICKS, unit="ns", doc="ring of ticks")
-    state = F64(CANDIDATES * 3, doc="model states: height [m] first")
-    cov = F64(CANDIDATES * 6, doc="their covariances: 00 01 02 11 12 22")
-    target_m = F64(CANDIDATES * TICKS, unit="m", doc="ring of set points per candidate")
-    axis_z_m = F64(CANDIDATES, unit="m", doc="shadow axes")
-    axis_v_mps = F64(CANDIDATES, unit="m/s")
-    score_m2 = F64(CANDIDATES, unit="m^2", doc="recent squared stand-off error of the shadow")
-    long_m2 = F64(CANDIDATES, unit="m^2", doc="the same over a longer way")
-    effort = F64(CANDIDATES, unit="m^2/s^4", doc="recent squared acceleration of the set points")
-    bias = F64(CANDIDATES, doc="mean of a model's recent innovations, each over its standard deviation")
-    cost = F64(CANDIDATES, doc="what the weights are made of")
-    weight = F64(CANDIDATES, doc="share of the candidate in the blend")
-    height_m = F64(unit="m", doc="blended height at the last sample")
-    slope = F64(unit="1", doc="blended slope there")
-    slope_power = F64(unit="1", doc="its mean square over the last metre")
-    gain = F64(doc="share of a new sample in the blended height")
-    sample_way_m = F64(unit="m", doc="usual way between samples")
-    sigma_m = F64(unit="m", doc="uncertainty of that height, spread of the models included")
-    wanted_m = F64(unit="m", doc="blend of the candidates' set points")
-    wanted_mps = F64(unit="m/s", doc="how fast the models expect it to change")
-    wanted_ns = I64(unit="ns", doc="when it was made")
-    wanted_pose_ns = I64(unit="ns", doc="from which pose")
-    wanted_sample_ns = I64(unit="ns", doc="after which sample")
-    permitted_m = F64(unit="m", doc="Permitted_Variance as adapted")
-    calm_band_m = F64(unit="m", doc="how near the set point must stay")
-    calm_m = F64(unit="m", doc="set point before limits, carried on while it stays near the blend")
-    calm_ns = I64(unit="ns", doc="when")
-    set_point_m = F64(unit="m", doc="set point of the tool after limits; where the demand points")
-    set_speed_mps = F64(unit="m/s", doc="its rate of change")
-    set_accel_mps2 = F64(unit="m/s^2", doc="and the rate of that")
-    set_quick = F64(doc="share of preview that led it to where it is, 0 to 1: so quickly it may go back")
-    set_ns = I64(unit="ns", doc="when it was made; 0: never")
-    shown = I64(doc="1: the last ones were shown only (DRYRUN)")
-    cycle_s = F64(unit="s", doc="usual interval at which it is made, rather too long; 0: not known")
-    cycle_least_s = F64(unit="s", doc="shortest interval lately; 0: not known")
-    own_m = F64(TICKS, unit="m", doc="ring of own set points")
-    plant_z_m = F64(PLANTS, unit="m", doc="axes of different τ that follow them")
-    plant_v_mps = F64(PLANTS, unit="m/s")
-    plant_m2 = F64(PLANTS, unit="m^2", doc="their squared errors against the pose reports")
-    axis_now_m = F64(unit="m", doc="own axis at `plant_ns`, with τ as found, kept near the reports")
-    axis_now_mps = F64(unit="m/s")
-    plant_ns = I64(unit="ns", doc="up to when they were carried")
-    tau_s = F64(unit="s", doc="time constant of the robot's axis as found; 0: not begun")
-    tau_assumed_s = F64(unit="s", doc="time constant that the search began with")
-    cell_k = I64(CELLS, doc="which cell of the way this is, plus one")
-    cell_n = F64(CELLS, doc="heights in its mean")
-    cell_h_m = F64(CELLS, unit="m", doc="mean height")
-    cell_s_m = F64(CELLS, unit="m", doc="mean way coordinate")
-    cell_x_m = F64(CELLS, unit="m", doc="where it was seen first")
-    cell_y_m = F64(CELLS, unit="m")
-    mean_m = F64(unit="m", doc="mean height of the way lately")
-    mean_way_m = F64(unit="m", doc="over how much of it")
-    beyond_oo_m2 = F64(BEYOND, unit="m^2", doc="of ground some way back its squared distance from the mean")
-    beyond_or_m2 = F64(BEYOND, unit="m^2", doc="that distance times its rise just before")
-    beyond_rr_m2 = F64(BEYOND, unit="m^2", doc="that rise squared")
-    beyond_om_m2 = F64(BEYOND, unit="m^2", doc="that distance times the rise since")
-    beyond_rm_m2 = F64(BEYOND, unit="m^2", doc="the rise before times that since")
-    beyond_mm_m2 = F64(BEYOND, unit="m^2", doc="the rise since squared")
-    preview_share = F64(doc="share of the planned set point, 0 to 1")
-    error_m2 = F64(unit="m^2", doc="recent squared stand-off error of the tool itself")
-    plain_m2 = F64(unit="m^2", doc="the same without preview, over longer")
-    distrust_ns = I64(unit="ns", doc="no preview until then: it did worse than the models would have")
-    preview_bias_m = F64(unit="m", doc="seen minus remembered ground")
-    preview_off_m = F64(unit="m", doc="typical difference beyond that")
-    seen_known = I64(doc="ticks of ground that a leading sensor has seen ahead; 0: none, or it does not lead")
-    scout_ns = I64(BEAMS, unit="ns", doc="stamp of the last range of further sensors")
-    scout_h_m = F64(BEAMS, unit="m", doc="height of it")
-    scout_lead_m = F64(unit="m", doc="how far the last of them was ahead of channel 0; 0: none leads")
-    scout_bias_m = F64(unit="m", doc="seen by channel 0 minus seen by them")
-    scouted_ns = I64(unit="ns", doc="when one of them last saw ground ahead")
-    plan_set_m = F64(unit="m", doc="set point of the plan")
-    plan_g_m = F64(HORIZON, unit="m", doc="ground under the tool, tick by tick")
-    plan_z_m = F64(HORIZON, unit="m", doc="planned axis")
-    plan_error_m = F64(unit="m", doc="greatest stand-off error that plans foresaw, fading")
-    plan_early = I64(HORIZON, doc="1: the plan goes down there before the ground does")
-    plan_bound_m = F64(HORIZON, unit="m", doc="how low it may there, from where the axis is")
-    plan_u = F64(HORIZON, unit="m", doc="planned accelerations, in metres per tick²")
-    plan_y = F64(HORIZON, unit="m", doc="their multipliers")
-    band_0 = F64(HORIZON, doc="factors of the plan's matrix")
-    band_1 = F64(HORIZON)
-    band_2 = F64(HORIZON)
-    trend_m = F64(TRENDS, unit="m", doc="range of each line")
-    trend_mps = F64(TRENDS, unit="m/s", doc="its rate")
-    trend_cov = F64(TRENDS * 3, doc="covariances 00 01 11, reading noise 1")
-    trend_m2 = F64(LAGS * TRENDS, unit="m^2", doc="squared forecast errors by horizon")
-    lag_s = F64(LAGS, unit="s", doc="those horizons")
-    trend_ns = I64(unit="ns", doc="stamp of the last range; 0: none")
-    trend_dt_s = F64(unit="s", doc="usual interval")
-    trend_scale_m = F64(unit="m", doc="usual innovation")
-    trend_odd = I64(doc="1: the last range was passed over")
-    snap_m = F64(SNAPSHOTS * TRENDS, unit="m", doc="ring of earlier lines: range")
-    snap_mps = F64(SNAPSHOTS * TRENDS, unit="m/s", doc="and rate")
-    snap_ns = I64(SNAPSHOTS, unit="ns", doc="when that was")
-    snapshots = I64(doc="taken so far")
-    beam_m = F64(BEAMS * 3, unit="m", doc="footprints of the channels")
-    beam_ns = I64(BEAMS, unit="ns", doc="when they were true; 0: none yet")
-    beam_range_m = F64(BEAMS, unit="m", doc="their readings")
-    beam_changed_ns = I64(BEAMS, unit="ns", doc="since when a reading has been the same")
-    beam_good = I64(BEAMS, doc="1: agrees with the others")
-    beam_odd = I64(BEAMS, doc="samples that it did not, less those that it did since")
-    beam_weight = F64(BEAMS, doc="share in the plane: a beam that comes back fades in")
-    beam_h_m = F64(BEAMS, unit="m", doc="height under the tool by each beam")
-    beam_sort_m = F64(BEAMS, unit="m", doc="scratch: those, sorted")
-    axis_x_m = F64(unit="m", doc="where the tool's axis meets the ground")
-    axis_y_m = F64(unit="m")
-    planes = I64(doc="planes fitted so far")
-    beams_ns = I64(unit="ns", doc="when the first beam came; 0: none yet")
-    plane_ns = I64(unit="ns", doc="stamp of the slopes; 0: none yet")
-    plane_rank = I64(doc="what the last sample renewed: 2 both slopes, 1 that along a line, 0 none")
-    slope_x = F64(unit="1", doc="slopes of the plane")
-    slope_y = F64(unit="1")
-    slope_x_hz = F64(unit="1/s", doc="their rates of change")
-    slope_y_hz = F64(unit="1/s")
-    track = F64(9, doc="weighted sums over the footprints of one beam: the track it draws")
-    track_beam = I64(doc="which beam")
-    track_x_m = F64(unit="m", doc="its last footprint there")
-    track_y_m = F64(unit="m")
-    curve = F64(unit="1/m", doc="mean curvature under the tool, positive in a hollow")
-    turn_axis = F64(3, unit="1", doc="set point of the tool's axis, after limits")
-    turn_speed_radps = F64(3, unit="rad/s", doc="its rate of change")
-    turn_ns = I64(unit="ns", doc="when it was made; 0: never")
-    primary = I64(doc="channel whose samples set the pace")
-    health = I64(doc="see HEALTH_NAMES")
-    health_ns = I64(unit="ns", doc="since when the wanted health differs from the shown one")
-    health_next = I64(doc="the wanted health")
-    reason = I64(doc="why the shown one is not OK, see REASON_NAMES")
-    close_run = I64(doc="samples in a row near the fold-back")
-    still = I64(doc="equal samples in a row; STUCK_RUN: too many of them, the sensor is stuck")
-    still_z_m = F64(unit="m", doc="height of the tool where that began")
-    still_usual = F64(doc="longest such run lately; 0: not known")
-    faults = I64(doc="bits of FAULT_NAMES, latched until the reset")
+    clock = Nested(Clock)
+    kinematics = Nested(Kinematics)
+    hold = Nested(Hold)
+    latency = Nested(Latency)
+    sample = Nested(Sample)
+    health = Nested(Health)
+    prediction = Nested(Prediction)
+    noise = Nested(Noise)
+    gate = Nested(Gate)
+    bank = Nested(Bank)
+    shadow = Nested(Shadow)
+    weights = Nested(Weights)
+    estimate = Nested(Estimate)
+    controller = Nested(Controller)
+    plant = Nested(Plant)
+    adaptation = Nested(Adaptation)
+    blend = Nested(Blend)
+    setpoint = Nested(Setpoint)
+    buffer = Nested(Buffer)
+    regression = Nested(Regression)
+    lookahead = Nested(Lookahead)
+    preview = Nested(Preview)
+    plan = Nested(Plan)
+    beams = Nested(Beams)
+    plane = Nested(Plane)
+    attitude = Nested(Attitude)

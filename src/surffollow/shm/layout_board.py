@@ -55,7 +55,8 @@ STATE_INITIALISING, STATE_READY, STATE_STOPPING, STATE_STOPPED = 0, 1, 2, 3
     ERR_STOP_REMAINS,
     ERR_RANGE_HELD,
     ERR_NO_CHANNEL,
-) = range(17)
+    ERR_NOT_ALLOWED,
+) = range(18)
 RESULT_TEXT = (
     "done",
     "the service does not know this request",
@@ -70,10 +71,11 @@ RESULT_TEXT = (
     "accepted, the map's answer follows",
     "the service's map memory (map.grids) has no room for this map",
     "the service's configuration ([limits]) does not let any client set this value",
-    "only the client that sends the pose may do this (access.parameters in the configuration)",
+    "only the client that sends the pose may do this (access.parameters, access.map in the configuration)",
     "a cause of the stop is still there; mend it, then reset the stop again",
     "another live client pushes the ranges of this channel",
     "the service takes no pushed ranges on this channel ([driver] kind = 'external', channels)",
+    "the service takes no pushed ranges from this user (access.ranges in the configuration)",
 )
 
 # steps of the exchange that gives a client its slot (docs/protocol.md)

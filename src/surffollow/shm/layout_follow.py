@@ -239,7 +239,7 @@ class Output(Schema):
 
 
 class ScaledState(Schema):
-    """Reference scales of the default follower, and what it sees in plain numbers (`adaptive_scales`).
+    """Reference scales of the default follower, and what it sees in plain numbers (`reference_scales`).
 
     Plain lengths are metres over `length`, plain times nanoseconds over `time`; units of the nested records
     are those of plain numbers. The records are used only when one of the scales is not 1.

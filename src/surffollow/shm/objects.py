@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from surffollow.config.names import check_object_name
+from surffollow.config.owner import trusted_owners
 from surffollow.errors import (
     BlockError,
     ExistsError,
@@ -93,8 +94,14 @@ class SharedObject:
             raise BlockError(f"cannot map shared-memory object {name!r} of {size} bytes: {e}") from e
 
     @classmethod
-    def open(cls, name: str, *, writable: bool = False, owners: Collection[int] = ()) -> SharedObject:
-        """Map an object that exists; `owners`: whose it may be (empty: anybody's).
+    def open(
+        cls, name: str, *, writable: bool = False, owners: Collection[int] | None = None
+    ) -> SharedObject:
+        """Map an object that exists, of a trusted user alone: its owner can cut it, and end who reads it.
+
+        Parameters
+        ----------
+        owners : users   whose it may be; None or empty: `config.owner.trusted_owners()`
 
         Raises
         ------
@@ -105,7 +112,9 @@ class SharedObject:
         """
         path = SHM_ROOT / check_object_name(name)
         try:
-            fd, status = open_plain(path, os.O_RDWR if writable else os.O_RDONLY, owners=owners)
+            fd, status = open_plain(
+                path, os.O_RDWR if writable else os.O_RDONLY, owners=owners or trusted_owners()
+            )
         except BlockError:
             raise
         except FileNotFoundError:
@@ -124,7 +133,7 @@ class SharedObject:
             raise NotReadyError(f"shared-memory object {name!r} is being made; try again")
         try:
             return cls(name, fd, status.st_size, writable)
-        except OSError as e:
+        except (OSError, ValueError) as e:  # ValueError: it was cut meanwhile
             os.close(fd)
             raise BlockError(
                 f"cannot map shared-memory object {name!r} of {status.st_size / 2**20:.1f} MiB: {e}; if it "

@@ -57,7 +57,14 @@ _REGION = (
     Argument("value", 2, 1, "x_max", "m"),
     Argument("value", 3, 1, "y_max", "m"),
 )
-_MAP_ANSWERS = {lb.ACCEPTED: "0", lb.ERR_BAD_REGION: "0", lb.ERR_MAP_BUSY: "0", lb.ERR_QUEUE_FULL: "0"}
+_MAPPER = "as access.map says: by default the pose's holder, and any client while nobody sends the pose"
+_MAP_ANSWERS = {
+    lb.ERR_NOT_POSE_HOLDER: _HOLDER,
+    lb.ACCEPTED: "0",
+    lb.ERR_BAD_REGION: "0",
+    lb.ERR_MAP_BUSY: "0",
+    lb.ERR_QUEUE_FULL: "0",
+}
 _MAP_END = {
     lb.OK: "0",
     lb.ERR_BAD_REGION: "0",
@@ -115,7 +122,7 @@ REQUESTS: tuple[Request, ...] = (
     Request(
         lb.RQ_MAP_RESET,
         "clear the map and lay it over a region (paper: MapReset)",
-        _ANYBODY,
+        _MAPPER,
         _REGION,
         _MAP_ANSWERS,
         _MAP_END,
@@ -123,7 +130,7 @@ REQUESTS: tuple[Request, ...] = (
     Request(
         lb.RQ_MAP_REFOCUS,
         "lay the map over another region, keeping known heights (paper: MapRefocus)",
-        _ANYBODY,
+        _MAPPER,
         (
             *_REGION,
             Argument(
@@ -141,7 +148,7 @@ REQUESTS: tuple[Request, ...] = (
     Request(
         lb.RQ_MAP_INSTALL,
         "replace the map by one that is streamed through the slot's last part",
-        _ANYBODY,
+        _MAPPER,
         (
             *_REGION,
             Argument("value", 4, 1, "grid_m", "m", "side of a grid"),
@@ -188,12 +195,13 @@ REQUESTS: tuple[Request, ...] = (
     Request(
         lb.RQ_CLAIM_RANGE,
         "become the one client that pushes a channel's ranges; what it pushed before does not count",
-        _ANYBODY,
+        "as access.ranges says: by default clients of root and of the service's own user",
         (_CHANNEL,),
         {
             lb.OK: "0",
             lb.ERR_RANGE_HELD: "pid of the client that pushes them",
             lb.ERR_NO_CHANNEL: _CHANNELS,
+            lb.ERR_NOT_ALLOWED: "0",
         },
         {},
     ),

@@ -86,6 +86,8 @@ class WorldReader(_Mapped):
         there is no such block, or it has not been finished
     LayoutMismatchError
         it was made by another version
+    NoPermissionError
+        it belongs to a user who is not trusted: he could cut it under the reader
     """
 
     def __init__(self, name: str) -> None:

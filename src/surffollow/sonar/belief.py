@@ -52,7 +52,14 @@ class SonarRing:
         range_sigma: float = 0.01,
         max_range_m: float = 10.0,
     ) -> SonarRing:
-        """Sonars at equal angles on a circle, looking outward; the first looks ahead."""
+        """Sonars at equal angles on a circle, looking outward; the first looks ahead.
+
+        Raises
+        ------
+        UsageError  no sonar, a radius that is none, or as `poses.incidence_limit`
+        """
+        if count < 1 or not 0.0 <= radius_m < math.inf:
+            raise UsageError(f"a ring of {count} sonars with a radius of {radius_m} m cannot be")
         headings = np.arange(count, dtype=np.float64) * (2.0 * math.pi / count)
         positions = radius_m * np.column_stack([np.cos(headings), np.sin(headings)])
         limit = incidence_limit(half_beam_rad, model, max_incidence_rad)
@@ -122,6 +129,10 @@ class Belief:
     ) -> None:
         if k < 1:
             raise UsageError(f"a belief about {k} walls says nothing; k must be at least 1")
+        if not (0.0 < phi_bound_rad < math.inf and 0.0 < distance_bound_m < math.inf):
+            raise UsageError(
+                f"the bounds are {phi_bound_rad} rad and {distance_bound_m} m; expected positive numbers"
+            )
         self.ring, self.k = ring, k
         self.phi_bound_rad, self.distance_bound_m = phi_bound_rad, distance_bound_m
         self.pose: Pose = (0.0, 0.0, 0.0)
@@ -155,7 +166,14 @@ class Belief:
         return tuple(i for i in range(self.ring.headings_rad.size) if i not in self._fired)
 
     def move(self, turn_rad: float = 0.0, drive_m: float = 0.0) -> None:
-        """The robot turned, then drove straight ahead; sonars may be read anew."""
+        """The robot turned, then drove straight ahead; sonars may be read anew.
+
+        Raises
+        ------
+        UsageError  a number is not finite
+        """
+        if not (math.isfinite(turn_rad) and math.isfinite(drive_m)):
+            raise UsageError(f"a move of {turn_rad} rad and {drive_m} m cannot be")
         x, y, heading = self.pose
         heading += turn_rad
         self.pose = (x + drive_m * math.cos(heading), y + drive_m * math.sin(heading), heading)
@@ -171,20 +189,28 @@ class Belief:
 
         Raises
         ------
-        UsageError  the numbers of readings and sonars differ
+        UsageError  the numbers of readings and sonars differ, there is no such sonar, or as `walls`; the
+                    belief stays as it was
         """
-        chosen = tuple(range(self.ring.headings_rad.size)) if sensors is None else tuple(sensors)
+        size = self.ring.headings_rad.size
+        chosen = tuple(range(size)) if sensors is None else tuple(sensors)
         ranges = np.array(ranges_m, np.float64)
         if ranges.shape != (len(chosen),):
             raise UsageError(f"{ranges.size} readings for {len(chosen)} sonars")
+        if not all(0 <= i < size for i in chosen):
+            raise UsageError(f"sensors are {chosen}; the ring has sonars 0 to {size - 1}")
         positions, headings = self.ring.at(self.pose)
         index = list(chosen)
+        readings = (
+            np.vstack([self.positions_m, positions[index]]),
+            np.append(self.headings_rad, headings[index]),
+            np.append(self.ranges_m, ranges),
+        )
+        found = self._found(*readings)
         before = [self._judged(h, positions[index], headings[index], ranges) for h in self.hypotheses]
-        self.positions_m = np.vstack([self.positions_m, positions[index]])
-        self.headings_rad = np.append(self.headings_rad, headings[index])
-        self.ranges_m = np.append(self.ranges_m, ranges)
+        self.positions_m, self.headings_rad, self.ranges_m = readings
         self._fired.update(chosen)
-        self._estimate(before)
+        self._match(before, found)
 
     def _judged(
         self,
@@ -216,19 +242,27 @@ class Belief:
             refuted=hypothesis.refuted + int(against.sum()),
         )
 
-    def _estimate(self, before: list[Hypothesis]) -> None:
+    def _found(
+        self,
+        positions_m: NDArray[np.float64],
+        headings_rad: NDArray[np.float64],
+        ranges_m: NDArray[np.float64],
+    ) -> list[WallPose]:
         options: dict[str, Any] = {
             "max_incidence_rad": self.ring.max_incidence_rad,
-            "sigma_m": self.ring.sigmas(self.ranges_m),
+            "sigma_m": self.ring.sigmas(ranges_m),
             "max_range_m": self.ring.max_range_m,
         }
-        readings = (self.positions_m, self.headings_rad, self.ranges_m, self.ring.half_beam_rad)
+        readings = (positions_m, headings_rad, ranges_m, self.ring.half_beam_rad)
         found = walls(*readings, self.k, min_sensors=1, **options)
         if self.k == 1:
             # alternatives of one wall: a pair may allow a mirrored one
             allowed = wall_pose(*readings, **options)
             if len(allowed) > 1:
-                found = allowed
+                return allowed
+        return found
+
+    def _match(self, before: list[Hypothesis], found: list[WallPose]) -> None:
         matched: list[Hypothesis] = []
         left = list(before)
         for wall in found:

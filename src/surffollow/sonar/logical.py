@@ -7,9 +7,11 @@ Shilcrat's scheme, as the paper cites it). Raw readings stay readable in their o
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from numbers import Real
 
 from surffollow.blocks import F64, I64, AttachedBlock, Block, Memory, Text, mem_attach
 from surffollow.errors import UsageError
@@ -85,21 +87,24 @@ class LogicalSensor:
         self.quantity, self.sources = quantity, tuple(sources)
         self._memory: Memory | None = None
 
-    def evaluate(self, now_ns: int) -> Evaluated:
-        """The first source that gives a finite value young enough; a source that raises has failed.
+    def evaluate(self, now_ns: int | None = None) -> Evaluated:
+        """The first source that gives a finite value young enough.
+
+        A source that raises, or gives what is no quantity, has failed.
 
         Parameters
         ----------
-        now_ns : int   CLOCK_MONOTONIC
+        now_ns : int, optional   CLOCK_MONOTONIC; by default the time after each source was read
         """
         failed = 0
         for index, source in enumerate(self.sources):
             try:
                 got = source.read()
+                now = time.monotonic_ns() if now_ns is None else now_ns
+                if got is not None and _is_usable(got, now, source.max_age_s):
+                    return Evaluated(got, index, failed)
             except Exception:  # a failing source must not take its alternatives with it
-                got = None
-            if got is not None and _is_usable(got, now_ns, source.max_age_s):
-                return Evaluated(got, index, failed)
+                pass
             failed |= 1 << index
         return Evaluated(None, -1, failed)
 
@@ -112,8 +117,7 @@ class LogicalSensor:
         """
         if self._memory is None:
             self._memory = mem_attach({self.quantity: LogicalReading}, name, write=True)
-        now = time.monotonic_ns() if now_ns is None else now_ns
-        said = self.evaluate(now)
+        said = self.evaluate(now_ns)
         block: AttachedBlock = self._memory[self.quantity]
         with block.write() as slot:
             slot.valid, slot.source, slot.failed = int(said.quantity is not None), said.source, said.failed
@@ -133,9 +137,10 @@ class LogicalSensor:
 
 
 def _is_usable(quantity: Quantity, now_ns: int, max_age_s: float) -> bool:
-    numbers = (*quantity.values, *quantity.tolerances)
+    values, tolerances = quantity.values, quantity.tolerances
     return (
-        0 < len(quantity.values) == len(quantity.tolerances) <= MAX_VALUES
-        and all(x - x == 0.0 for x in numbers)
+        0 < len(values) == len(tolerances) <= MAX_VALUES
+        and all(isinstance(x, Real) and math.isfinite(x) for x in (*values, *tolerances))
+        and all(x >= 0.0 for x in tolerances)
         and 0 <= now_ns - quantity.t_ns <= max_age_s * 1e9
     )

@@ -1,0 +1,55 @@
+"""Model of the controlled axis: proportional, square-root profile, bounded velocity and acceleration."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.shm.jit import jit
+
+BISECTIONS = 24  # resolution: 6e-8 of the interval searched
+AXIS_STEPS = 5  # axis steps of 2 ms in a controller period
+PERIOD_S = 0.01  # of the plan: one controller period
+
+
+@jit
+def axis_velocity(distance_m: Any, tau_s: Any, a_max_mps2: Any) -> Any:
+    """Velocity at which the axis approaches its set point: proportional, then square root [m/s]."""
+    linear = a_max_mps2 * tau_s * tau_s
+    if distance_m > linear:
+        return math.sqrt(2.0 * a_max_mps2 * (distance_m - 0.5 * linear))
+    if distance_m < -linear:
+        return -math.sqrt(2.0 * a_max_mps2 * (-distance_m - 0.5 * linear))
+    return distance_m / tau_s
+
+
+@jit
+def velocity_after_period(params: Any, tau_s: Any, z_m: Any, v_mps: Any, target_m: Any) -> Any:
+    """Velocity of the axis one controller period from now with a set point [m/s]."""
+    dt = PERIOD_S / AXIS_STEPS
+    dv = params.plant_a_max_mps2 * dt
+    for _ in range(AXIS_STEPS):
+        d = target_m - z_m
+        most = min(params.plant_v_max_mps, abs(d) / dt)
+        w = min(max(axis_velocity(d, tau_s, params.plant_a_max_mps2), -most), most)
+        v_mps += min(max(w - v_mps, -dv), dv)
+        z_m += v_mps * dt
+    return v_mps
+
+
+@jit
+def invert_axis(params: Any, tau_s: Any, z_m: Any, v_mps: Any, wanted_mps: Any) -> Any:
+    """Set point with which the axis has a velocity one controller period from now [m].
+
+    Bisection: the velocity is monotone in the set point.
+    """
+    v = abs(wanted_mps)
+    reach = v * tau_s + v * v / params.plant_a_max_mps2 + 0.01
+    low, high = z_m - reach, z_m + reach
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        if velocity_after_period(params, tau_s, z_m, v_mps, middle) < wanted_mps:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)

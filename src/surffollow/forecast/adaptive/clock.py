@@ -1,0 +1,20 @@
+"""The follower's time: the latest time heard of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.shm.jit import jit
+
+CLOCK_JUMP_NS = 1_000_000_000  # late samples are never so late: it is another clock
+
+
+@jit
+def update_clock(clock: Any, t_ns: Any, pose_t_ns: Any) -> Any:
+    """Advance the time to the latest one told; 1 when the clock jumped back and is followed."""
+    t = max(t_ns, pose_t_ns)
+    jumped = t < clock.now_ns - CLOCK_JUMP_NS
+    if jumped:
+        clock.now_ns = t
+    clock.now_ns = max(clock.now_ns, t)
+    return 1 if jumped else 0

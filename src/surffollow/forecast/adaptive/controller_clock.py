@@ -1,0 +1,105 @@
+"""The controller's clock: when a demand is latched.
+
+A plan is made for the moment at which its demand is latched. In process that is the step. A service sees only
+pose reports; a controller latches a demand and reports its pose in one cycle. Where reports come 100 times a
+second, the next one tells when the demand is latched, and the demand published before it is the one latched.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_estimation import N_PERIODS
+
+DEFAULT_PERIOD_NS = 9_999_000  # 100 Hz; a microsecond less, timestamps may be rounded
+# before the next report: the jerk-limited set point needs 7 ms for 5 mm and 12 ms for 20 mm
+PREPARATION_NS = 8_900_000
+LATCH_DELAY_NS = 500_000  # latch time before the cycle that sees the report, on average
+MIN_PERIOD_NS, MAX_PERIOD_NS = 6_000_000, 14_000_000  # between two periods synchronised by reports
+PERIOD_TOLERANCE_NS = 1_000_000  # of the mean interval of reports from 10 ms
+REPORT_TIMEOUT_NS = 50_000_000  # without a report for so long there is no synchronisation
+PERIOD_RATE = 0.1  # of the usual interval, per report
+
+
+@jit
+def is_synchronised(controller: Any, ranges_given: Any, now_ns: Any) -> Any:
+    """Whether pose reports arrive once per controller period.
+
+    With `ranges_given` > 0 the caller latches each answer himself; then reports are not used.
+    """
+    steady = abs(controller.interval_ns - 10e6) < PERIOD_TOLERANCE_NS
+    return ranges_given <= 0 and steady and 0 <= now_ns - controller.report_ns < REPORT_TIMEOUT_NS
+
+
+@jit
+def period_is_due(controller: Any, ranges_given: Any, now_ns: Any) -> Any:
+    """1 when the demand of the next controller period has to be prepared.
+
+    Parameters
+    ----------
+    controller : record of `Controller`
+    ranges_given : int       > 0: ranges are given to the step, the caller latches each answer himself
+    now_ns : int64
+    """
+    elapsed = now_ns - controller.period_ns
+    if not is_synchronised(controller, ranges_given, now_ns):
+        return 1 if elapsed >= DEFAULT_PERIOD_NS else 0
+    left = latch_time(controller, ranges_given, now_ns) - now_ns
+    return (
+        1
+        if elapsed >= MAX_PERIOD_NS
+        or (controller.latch_pending == 0 and left <= PREPARATION_NS and elapsed >= MIN_PERIOD_NS)
+        else 0
+    )
+
+
+@jit
+def latch_time(controller: Any, ranges_given: Any, now_ns: Any) -> Any:
+    """Time at which the controller latches its next demand [ns]."""
+    if not is_synchronised(controller, ranges_given, now_ns):
+        return now_ns
+    period = int(controller.interval_ns)
+    elapsed = now_ns - controller.report_ns + LATCH_DELAY_NS
+    return now_ns + period - elapsed % period
+
+
+@jit
+def open_period(controller: Any, ranges_given: Any, now_ns: Any) -> None:
+    """Set the latch time of the period that has just begun; until then its demand may change."""
+    controller.latch_ns[(controller.periods - 1) & (N_PERIODS - 1)] = latch_time(
+        controller, ranges_given, now_ns
+    )
+    controller.latch_pending = 1 if is_synchronised(controller, ranges_given, now_ns) else 0
+
+
+@jit
+def observe_report(controller: Any, poses: Any, now_ns: Any) -> None:
+    """Update the period with the arrival of a pose report, which ends a pending latch.
+
+    `poses` counts the reports.
+    """
+    if poses == controller.report_count:
+        return
+    dt = now_ns - controller.report_ns
+    if 0 < dt < REPORT_TIMEOUT_NS:
+        controller.interval_ns += PERIOD_RATE * (dt - controller.interval_ns)
+    controller.report_ns, controller.report_count = now_ns, poses
+    if controller.latch_pending != 0:
+        controller.latch_ns[(controller.periods - 1) & (N_PERIODS - 1)] = now_ns - LATCH_DELAY_NS
+        controller.latch_pending = 0
+
+
+@jit
+def begin_period(controller: Any, now_ns: Any) -> None:
+    """Begin a controller period now."""
+    controller.latch_ns[controller.periods & (N_PERIODS - 1)] = now_ns
+    controller.periods += 1
+    controller.period_ns = now_ns
+
+
+@jit
+def reset_controller(controller: Any) -> None:
+    """Discard all periods and the arrival of reports: the clock jumped."""
+    controller.period_ns = controller.report_ns = 0
+    controller.periods = controller.latch_pending = 0  # set points of future periods would never be latched

@@ -1,0 +1,63 @@
+"""Velocity of the tool and its pose at a given time."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.forecast.pose import pose_at
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_follow import POSES
+
+SPEED_WINDOW_NS = 100_000_000  # over which the lateral velocity is taken: noise of the reports averages out
+CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
+MAX_POSE_GAP_NS = 1_000_000_000  # a report older than the newest by this belongs to another motion
+MAX_EXTRAPOLATION_NS = 50_000_000  # a pose is extrapolated by its velocity no farther
+MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
+
+
+@jit
+def oldest_pose_within(sense: Any, window_ns: Any) -> Any:
+    """Slot of the newest pose report that is at least `window_ns` older than the newest one.
+
+    Reports from before a long gap do not count; after a gap the newest one may be the only one.
+    """
+    k = sense.pose_count - 1
+    oldest = max(0, k - POSES + 1)
+    t = sense.pose_t_ns[k & (POSES - 1)]
+    while k > oldest and t - sense.pose_t_ns[k & (POSES - 1)] < window_ns:
+        k -= 1
+    if t - sense.pose_t_ns[k & (POSES - 1)] > MAX_POSE_GAP_NS:
+        k += 1
+    return k & (POSES - 1)
+
+
+@jit
+def update_kinematics(kinematics: Any, sense: Any) -> None:
+    """Lateral and vertical velocity of the tool from its reports; 0 with a single report."""
+    if kinematics.pose_count == sense.pose_count:
+        return
+    kinematics.pose_count = sense.pose_count
+    last = (sense.pose_count - 1) & (POSES - 1)
+    first, near = oldest_pose_within(sense, SPEED_WINDOW_NS), oldest_pose_within(sense, CLIMB_WINDOW_NS)
+    kinematics.velocity_x_mps = kinematics.velocity_y_mps = kinematics.speed_mps = kinematics.climb_mps = 0.0
+    if first == last:
+        return
+    dt = (sense.pose_t_ns[last] - sense.pose_t_ns[first]) * 1e-9
+    kinematics.velocity_x_mps = (sense.pose[7 * last] - sense.pose[7 * first]) / dt
+    kinematics.velocity_y_mps = (sense.pose[7 * last + 1] - sense.pose[7 * first + 1]) / dt
+    kinematics.speed_mps = math.sqrt(kinematics.velocity_x_mps**2 + kinematics.velocity_y_mps**2)
+    dt = (sense.pose_t_ns[last] - sense.pose_t_ns[near]) * 1e-9
+    kinematics.climb_mps = (sense.pose[7 * last + 2] - sense.pose[7 * near + 2]) / dt
+
+
+@jit
+def predict_pose(kinematics: Any, sense: Any, t_ns: Any, pose: Any) -> None:
+    """Pose of the tool at a time into `pose` (7,); after the newest report it is extrapolated."""
+    pose_at(sense, t_ns, 1, pose)
+    late = t_ns - sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
+    if late > 0:
+        dt = min(late, MAX_EXTRAPOLATION_NS) * 1e-9
+        pose[0] += kinematics.velocity_x_mps * dt
+        pose[1] += kinematics.velocity_y_mps * dt
+        pose[2] += kinematics.climb_mps * dt

@@ -1,0 +1,48 @@
+"""Noise of the readings from second differences of accepted heights."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.shm.jit import jit
+
+MIN_NOISE_M = 50e-6  # floor of the variance that the bank assumes
+INITIAL_NOISE_M = 300e-6  # assumed before it is estimated
+MEDIAN_RATE, MEDIAN_BURN_IN_RATE = 0.004, 0.02  # of the running median, per sample
+MEDIAN_SAMPLES = 2.0  # the rate is this over the samples so far, within the two
+MAD_TO_SIGMA = 1.4826 / math.sqrt(6.0)  # of second differences
+
+
+@jit
+def update_noise(adaptive: Any, h_m: Any) -> None:
+    """Update the noise: running median of second differences, which contain no slope."""
+    noise = adaptive.noise
+    if adaptive.estimate.samples > 2:
+        e = abs(h_m - 2.0 * noise.recent_m[0] + noise.recent_m[1])
+        rate = min(max(MEDIAN_SAMPLES / max(adaptive.weights.scored, 1), MEDIAN_RATE), MEDIAN_BURN_IN_RATE)
+        step = rate * max(noise.median_m, 1e-5)
+        noise.median_m = max(noise.median_m + (step if e > noise.median_m else -step), 0.0)
+        noise.sigma_m = MAD_TO_SIGMA * noise.median_m
+    noise.recent_m[1] = noise.recent_m[0]
+    noise.recent_m[0] = h_m
+
+
+@jit
+def initialise_noise(noise: Any) -> None:
+    """Assume the noise of a start without knowledge."""
+    noise.sigma_m = INITIAL_NOISE_M
+    noise.median_m = INITIAL_NOISE_M / MAD_TO_SIGMA
+
+
+@jit
+def discard_noise(noise: Any) -> None:
+    """Mark the noise as not known."""
+    noise.sigma_m = 0.0
+
+
+@jit
+def shift_heights(noise: Any, shift_m: Any) -> None:
+    """Shift the recent heights by that of a confirmed step."""
+    noise.recent_m[0] += shift_m
+    noise.recent_m[1] += shift_m

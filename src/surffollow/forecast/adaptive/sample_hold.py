@@ -1,0 +1,71 @@
+"""Sample hold: which conversion begins a new sample.
+
+A sensor holds each value for a while, and the converter reads it many times.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_follow import CONVERSION_WINDOW
+
+HOLD_TOLERANCE_COUNTS = 1.5  # a change of the converter's last bit is no new sample
+
+
+@jit
+def new_sample(params: Any, hold: Any, sense: Any, ranges_given: Any, channel: Any) -> Any:
+    """Whether a channel has a new sample, its range and timestamp.
+
+    Conversions of a held value are one sample with the timestamp of the first of them. An unchanged value is
+    a new sample once `hold_ns` have passed.
+
+    Returns
+    -------
+    int64, float64 [m], int64 [ns]
+    """
+    n = sense.window_n[channel]
+    hold_ns = params.hold_ns
+    if ranges_given != 0:
+        if sense.fresh[channel] == 0:
+            return 0, 0.0, 0
+        value, t, flicker = sense.range_m[channel], sense.range_t_ns[channel], 0.0
+    else:
+        if n == 0:
+            return 0, 0.0, 0
+        base = channel * CONVERSION_WINDOW
+        newest = base + ((n - 1) & (CONVERSION_WINDOW - 1))
+        value, t = sense.window_m[newest], sense.window_t_ns[newest] - params.sensor_latency_ns
+        flicker = HOLD_TOLERANCE_COUNTS * abs(params.scale_m[channel])
+        # the latency refers to the middle of a held value; its first conversion is younger
+        t += hold_ns // 2
+        begun_ns = params.sensor_latency_ns - hold_ns // 2
+        hold_ns += hold_ns // 2  # the begin of a held value is known to within a cycle
+    if hold.t_ns != 0:
+        if t <= hold.t_ns:
+            return 0, 0.0, 0
+        if abs(value - hold.range_m) <= flicker:
+            if t - hold.t_ns < hold_ns:
+                return 0, 0.0, 0
+            return 1, value, t
+    if ranges_given == 0:
+        k, oldest = n - 2, max(0, n - CONVERSION_WINDOW)
+        while k >= oldest and abs(sense.window_m[base + (k & (CONVERSION_WINDOW - 1))] - value) <= flicker:
+            earlier = sense.window_t_ns[base + (k & (CONVERSION_WINDOW - 1))] - begun_ns
+            if earlier <= hold.t_ns or earlier > t:  # or of a clock that jumped back since
+                break
+            t = earlier
+            k -= 1
+    return 1, value, t
+
+
+@jit
+def record_sample(hold: Any, t_ns: Any, range_m: Any) -> None:
+    """Hold the newest sample."""
+    hold.t_ns, hold.range_m = t_ns, range_m
+
+
+@jit
+def reset_hold(hold: Any) -> None:
+    """Accept a sample of any time as new."""
+    hold.t_ns = 0

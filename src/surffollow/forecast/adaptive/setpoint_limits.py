@@ -1,0 +1,207 @@
+"""Jerk-limited set point: limits on velocity, acceleration and jerk without overshoot.
+
+Each cycle takes the greatest acceleration from which the set point can still be brought to rest at its
+target. When it can reach the target in this cycle and stop in the next one, it does; the next cycle is taken
+to be as short as the shortest one lately. Toward the surface the limits of velocity and acceleration are
+multiplied by `toward_factor`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.shm.jit import jit
+
+PAUSE_S = 0.1  # after so long without a call the set point begins at the tool …
+PAUSE_INTERVALS = 3.0  # … or after so many intervals of a slow caller
+MAX_INTERVAL_S = 1.5  # longest interval that is taken as usual
+INITIAL_INTERVAL_S = 0.05  # a first long interval counts as this; later ones double it at most
+INTERVAL_RATE = 0.2  # of the usual interval, per call
+MIN_INTERVAL_RATE = 0.002  # at which the shortest interval fades
+MIN_INTERVAL_S = 5e-4  # shorter ones are ignored: their overshoot is small
+FIRST_STEP_S = 0.001  # length assumed for the first cycle
+MAX_STEP_S = 0.02  # a longer cycle moves the set point no farther, unless all are long
+VELOCITY_RATIO, ACCELERATION_RATIO = (
+    2.0,
+    20.0,
+)  # to the limits of the axis: quicker set points add effort only
+SETTLED_M, SETTLED_MPS = 1e-3, 0.02  # distance and rate within which a set point is back from a plan
+BISECTIONS = 8  # resolution: 1/256 of the change that the jerk allows in a cycle
+
+
+@jit
+def stopping_distance(speed_mps: Any, accel_mps2: Any, a_max_mps2: Any, jerk_mps3: Any) -> Any:
+    """Distance until velocity and acceleration are zero, from a velocity ≥ 0 [m]."""
+    t = abs(accel_mps2) / jerk_mps3
+    v = speed_mps + accel_mps2 * accel_mps2 / (2.0 * jerk_mps3)
+    # first to zero acceleration; while braking, as if begun with zero acceleration earlier
+    if accel_mps2 > 0.0:
+        first = speed_mps * t + accel_mps2 * t * t / 2.0 - jerk_mps3 * t * t * t / 6.0
+    else:
+        first = jerk_mps3 * t * t * t / 6.0 - v * t
+    if v >= a_max_mps2 * a_max_mps2 / jerk_mps3:
+        return first + 0.5 * v * (v / a_max_mps2 + a_max_mps2 / jerk_mps3)
+    return first + v * math.sqrt(v / jerk_mps3)
+
+
+@jit
+def can_stop(e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, v_max: Any, a_max: Any, jerk: Any) -> Any:
+    """Whether a cycle at an acceleration leaves room to stop within `e_m` ≥ 0 and below `v_max`."""
+    v = v_mps + a_mps2 * dt_s
+    if a_mps2 > 0.0 and v + 0.5 * a_mps2 * (dt_s + a_mps2 / jerk) > v_max:
+        return False
+    if v <= 0.0:
+        return v * dt_s + stopping_distance(0.0, max(a_mps2, 0.0), a_max, jerk) <= e_m
+    return v * dt_s + stopping_distance(v, a_mps2, a_max, jerk) <= e_m
+
+
+@jit
+def next_acceleration(
+    e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, next_s: Any, v_max: Any, a_max: Any, jerk: Any
+) -> Any:
+    """Acceleration of the next cycle toward a target `e_m` ≥ 0 ahead [m/s²].
+
+    Parameters
+    ----------
+    e_m, v_mps, a_mps2 : float64   distance to go, velocity and acceleration now, positive toward it
+    dt_s : float64                 length of the cycle
+    next_s : float64               shortest length of the next one
+    v_max, a_max, jerk : float64   limits [m/s, m/s², m/s³]
+    """
+    change = jerk * dt_s
+    low = min(max(a_mps2 - change, -a_max), a_mps2 + change)
+    high = max(min(a_mps2 + change, a_max), a_mps2 - change)
+    speed = e_m / dt_s
+    land, brake = (speed - v_mps) / dt_s, -speed / next_s
+    if (
+        low <= land <= high
+        and speed <= v_max
+        and abs(brake) <= min(a_max, jerk * next_s)
+        and abs(brake - land) <= jerk * next_s
+    ):
+        return land
+    if can_stop(e_m, v_mps, high, dt_s, v_max, a_max, jerk):
+        return high
+    if not can_stop(e_m, v_mps, low, dt_s, v_max, a_max, jerk):
+        return low
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        if can_stop(e_m, v_mps, middle, dt_s, v_max, a_max, jerk):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@jit
+def restart_pause_s(setpoint: Any) -> Any:
+    """Pause after which a set point begins at the tool again [s]."""
+    return max(PAUSE_S, PAUSE_INTERVALS * setpoint.interval_s)
+
+
+@jit
+def update_interval(setpoint: Any, dt_s: Any) -> None:
+    """Update the usual and the shortest interval between calls."""
+    if dt_s > setpoint.interval_s:
+        setpoint.interval_s = min(dt_s, max(2.0 * setpoint.interval_s, INITIAL_INTERVAL_S), MAX_INTERVAL_S)
+    else:
+        setpoint.interval_s += INTERVAL_RATE * (dt_s - setpoint.interval_s)
+    if setpoint.min_interval_s == 0.0 or dt_s < setpoint.min_interval_s:
+        setpoint.min_interval_s = dt_s
+    else:
+        setpoint.min_interval_s += MIN_INTERVAL_RATE * (dt_s - setpoint.min_interval_s)
+
+
+@jit
+def limit_in_force(most: Any, usable: Any, share: Any) -> Any:
+    """Limit in force: what the axis can use, up to the permitted limit with preview.
+
+    Set points of a plan are far ahead of the axis, so that it responds sooner.
+    """
+    return most + (1.0 - share) * (min(most, usable) - most)
+
+
+@jit
+def has_settled(params: Any, setpoint: Any, e_m: Any) -> Any:
+    """Whether a set point that a plan led is back at its target: until then its limits stay raised."""
+    calm = params.toward_factor * ACCELERATION_RATIO * params.plant_a_max_mps2
+    return (
+        abs(e_m) < SETTLED_M
+        and abs(setpoint.velocity_mps) < SETTLED_MPS
+        and abs(setpoint.acceleration_mps2) <= calm
+    )
+
+
+@jit
+def propagate_setpoint(params: Any, adaptive: Any, target_m: Any, dt_s: Any) -> None:
+    """Move the set point for a time at one acceleration."""
+    setpoint, preview = adaptive.setpoint, adaptive.preview
+    e = target_m - setpoint.position_m
+    if preview.share > setpoint.preview_share or has_settled(params, setpoint, e):
+        setpoint.preview_share = preview.share
+    direction, factor = (1.0, 1.0) if e >= 0.0 else (-1.0, params.toward_factor)
+    accel = direction * next_acceleration(
+        direction * e,
+        direction * setpoint.velocity_mps,
+        direction * setpoint.acceleration_mps2,
+        dt_s,
+        dt_s if setpoint.min_interval_s == 0.0 else min(dt_s, max(setpoint.min_interval_s, MIN_INTERVAL_S)),
+        factor
+        * limit_in_force(
+            params.max_speed_mps, VELOCITY_RATIO * params.plant_v_max_mps, setpoint.preview_share
+        ),
+        factor
+        * limit_in_force(
+            params.max_accel_mps2, ACCELERATION_RATIO * params.plant_a_max_mps2, setpoint.preview_share
+        ),
+        params.max_jerk_mps3,
+    )
+    setpoint.acceleration_mps2 = accel
+    setpoint.velocity_mps += accel * dt_s
+    setpoint.position_m += setpoint.velocity_mps * dt_s
+
+
+@jit
+def limit_setpoint(params: Any, adaptive: Any, now_ns: Any, target_m: Any, tool_z_m: Any) -> None:
+    """Move the set point toward its target within the limits; after a pause it begins at the tool.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (updated)
+    now_ns : int64
+    target_m, tool_z_m : float64
+    """
+    setpoint = adaptive.setpoint
+    if setpoint.t_ns == 0:
+        dt = FIRST_STEP_S
+    else:
+        dt = (now_ns - setpoint.t_ns) * 1e-9
+        if dt <= 0.0:
+            return
+    pause = setpoint.t_ns == 0 or dt > restart_pause_s(setpoint)
+    if setpoint.t_ns != 0:
+        update_interval(setpoint, dt)
+    setpoint.t_ns = now_ns
+    if pause:
+        setpoint.position_m, setpoint.velocity_mps, setpoint.acceleration_mps2 = tool_z_m, 0.0, 0.0
+        setpoint.preview_share = 0.0
+        dt = FIRST_STEP_S
+    if dt <= PAUSE_S:
+        propagate_setpoint(params, adaptive, target_m, min(dt, MAX_STEP_S))
+        return
+    steps = math.ceil(dt / MAX_STEP_S)
+    for _ in range(steps):
+        propagate_setpoint(params, adaptive, target_m, dt / steps)
+
+
+@jit
+def release_setpoint(setpoint: Any) -> None:
+    """Begin at the tool with the next set point."""
+    setpoint.t_ns = 0
+
+
+@jit
+def mark_shown(setpoint: Any, shown: Any) -> None:
+    """Note whether the set point was made in DRYRUN, and not applied."""
+    setpoint.shown = shown

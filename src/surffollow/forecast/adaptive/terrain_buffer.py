@@ -1,0 +1,87 @@
+"""Terrain buffer: mean heights in cells along the path, each with the place where it was measured.
+
+After a turn the path leads elsewhere; cells that do not lie on it are ignored.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
+
+CELL_M = 1e-3  # length of a cell along the path
+MIN_LEAD_M = 0.005  # a footprint this far ahead leads
+MAX_HOLE_CELLS = 8  # holes up to this long are bridged
+# greatest distance from the path, or share of the distance along it
+OFF_PATH_M, OFF_PATH_SHARE = 5e-3, 0.2
+
+
+@jit
+def point_at(adaptive: Any, s_m: Any) -> Any:
+    """Point of the path at an arc length, straight through the newest footprint [m]."""
+    kinematics, sample = adaptive.kinematics, adaptive.sample
+    if kinematics.speed_mps == 0.0:
+        return sample.x_m, sample.y_m
+    t = (s_m - sample.arc_length_m) / kinematics.speed_mps
+    return sample.x_m + t * kinematics.velocity_x_mps, sample.y_m + t * kinematics.velocity_y_mps
+
+
+@jit
+def is_off_path(adaptive: Any, c: Any, s_m: Any, x_m: Any, y_m: Any) -> Any:
+    """Whether cell c was measured away from a point of the path."""
+    buffer = adaptive.buffer
+    most = max(OFF_PATH_M, OFF_PATH_SHARE * abs(s_m - adaptive.sample.arc_length_m))
+    return (buffer.x_m[c] - x_m) ** 2 + (buffer.y_m[c] - y_m) ** 2 > most * most
+
+
+@jit
+def store_ground(adaptive: Any, s_m: Any, h_m: Any) -> None:
+    """Store an accepted height at its arc length."""
+    x, y = point_at(adaptive, s_m)
+    store_ground_at(adaptive, s_m, h_m, x, y)
+
+
+@jit
+def store_ground_at(adaptive: Any, s_m: Any, h_m: Any, x_m: Any, y_m: Any) -> None:
+    """Store a height measured at a point at its arc length; a cell measured elsewhere is replaced."""
+    buffer = adaptive.buffer
+    k = int(s_m / CELL_M)
+    c = k & (BUFFER_CELLS - 1)
+    if buffer.cell[c] != k + 1 or is_off_path(adaptive, c, s_m, x_m, y_m):
+        buffer.cell[c] = k + 1
+        buffer.x_m[c], buffer.y_m[c] = x_m, y_m
+        buffer.count[c] = 0.0
+        buffer.height_m[c] = buffer.arc_length_m[c] = 0.0
+    n = buffer.count[c] + 1.0
+    buffer.count[c] = n
+    buffer.height_m[c] += (h_m - buffer.height_m[c]) / n
+    buffer.arc_length_m[c] += (s_m - buffer.arc_length_m[c]) / n
+
+
+@jit
+def buffered_height(adaptive: Any, s_m: Any) -> Any:
+    """Buffered height at an arc length, linear between cells [m]; NaN where there is none.
+
+    Cells that are off the path after a turn count as none.
+    """
+    buffer = adaptive.buffer
+    k = math.floor(s_m / CELL_M)
+    below, above = -1, -1
+    for j in range(MAX_HOLE_CELLS):
+        c = (k - j) & (BUFFER_CELLS - 1)
+        if below < 0 and buffer.cell[c] == k - j + 1 and buffer.arc_length_m[c] <= s_m:
+            below = c
+        c = (k + j) & (BUFFER_CELLS - 1)
+        if above < 0 and buffer.cell[c] == k + j + 1 and buffer.arc_length_m[c] > s_m:
+            above = c
+        if below >= 0 and above >= 0:
+            break
+    if below < 0 or above < 0:
+        return math.nan
+    x, y = point_at(adaptive, s_m)
+    if is_off_path(adaptive, below, s_m, x, y) or is_off_path(adaptive, above, s_m, x, y):
+        return math.nan
+    f = (s_m - buffer.arc_length_m[below]) / (buffer.arc_length_m[above] - buffer.arc_length_m[below])
+    return buffer.height_m[below] * (1.0 - f) + buffer.height_m[above] * f

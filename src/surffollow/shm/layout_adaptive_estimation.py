@@ -1,0 +1,108 @@
+"""State of the default follower's estimation and terrain: one record per stage (`layout_adaptive`)."""
+
+from __future__ import annotations
+
+from surffollow.shm.schema import F64, I64, Schema
+
+MAX_CANDIDATES = 64  # most candidates, and models
+N_PERIODS = 64  # controller periods that the set-point rings hold: 640 ms
+PENDING_HEIGHTS = 32  # pending heights that enter the terrain buffer when a step is confirmed
+BUFFER_CELLS = 512  # of the terrain buffer, 1 mm each
+N_DISTANCES = 3  # distances of the terrain regression
+
+
+class Noise(Schema):
+    """Noise of the readings (`noise`)."""
+
+    sigma_m = F64(unit="m", doc="standard deviation of a reading")
+    median_m = F64(unit="m", doc="running median of |second difference| of accepted heights")
+    recent_m = F64(2, unit="m", doc="the two accepted heights before the newest one")
+
+
+class Gate(Schema):
+    """Innovation gate, pending samples and steps (`innovation_gate`)."""
+
+    scale_m = F64(unit="m", doc="usual innovation of the blend")
+    pending = I64(doc="pending samples that agree")
+    pending_innovation_m = F64(unit="m", doc="sum of their innovations")
+    pending_arc_length_m = F64(unit="m", doc="sum of their arc lengths")
+    pending_height_m = F64(unit="m", doc="sum of their heights")
+    pending_travel_m = F64(unit="m", doc="distance travelled since the first of them")
+    pending_ns = I64(unit="ns", doc="timestamp of the first of them")
+    kept_arc_length_m = F64(PENDING_HEIGHTS, unit="m", doc="ring of the pending samples' arc lengths")
+    kept_height_m = F64(PENDING_HEIGHTS, unit="m", doc="and heights")
+    unconfirmed_m = F64(unit="m", doc="innovation held back for a second sample; 0: none")
+    rejected = I64(doc="outliers in a row that did not agree with the one before")
+    slot_likelihood = F64(
+        doc="likelihood that a hollow is a slot: 1 not known, toward 0 by steps that stayed"
+    )
+    travel_since_step_m = F64(unit="m", doc="distance travelled since the last confirmed step")
+    step_m = F64(unit="m", doc="height of that step; 0: none")
+    step_ns = I64(unit="ns", doc="when it was confirmed")
+
+
+class Bank(Schema):
+    """Kalman filters of the ground (`model_bank`)."""
+
+    mean = F64(MAX_CANDIDATES * 3, doc="states: height [m], slope, curvature (wave: mean, sine, cosine)")
+    covariance = F64(MAX_CANDIDATES * 6, doc="covariances 00 01 02 11 12 22")
+
+
+class Shadow(Schema):
+    """Shadow axes of the candidates (`shadow_axes`)."""
+
+    setpoint_m = F64(MAX_CANDIDATES * N_PERIODS, unit="m", doc="ring of set points per candidate")
+    position_m = F64(MAX_CANDIDATES, unit="m", doc="position of the axes")
+    velocity_mps = F64(MAX_CANDIDATES, unit="m/s", doc="velocity")
+    effort = F64(MAX_CANDIDATES, unit="m^2/s^4", doc="mean squared acceleration of the set points")
+
+
+class Weights(Schema):
+    """Performance index and weights of the candidates (`model_weights`)."""
+
+    scored = I64(doc="samples that entered the index, up to FULL_POWER_SAMPLES")
+    recent_m2 = F64(MAX_CANDIDATES, unit="m^2", doc="squared error of the shadow axis, recent horizon")
+    longer_m2 = F64(MAX_CANDIDATES, unit="m^2", doc="the same over the longer horizon")
+    bias = F64(MAX_CANDIDATES, doc="mean normalised innovation per model")
+    cost = F64(MAX_CANDIDATES, doc="logarithm of the index with penalties, then its exponential")
+    weight = F64(MAX_CANDIDATES, doc="weights, sum 1")
+
+
+class Estimate(Schema):
+    """Blended estimate of the ground at the newest sample (`estimate`)."""
+
+    samples = I64(doc="samples that entered the estimate; 0: initialise with the next one")
+    sample_ns = I64(unit="ns", doc="timestamp up to which the models are propagated")
+    accepted_ns = I64(unit="ns", doc="timestamp of the last sample that entered the estimate")
+    confirmed_ns = I64(unit="ns", doc="the same while the estimate had enough samples; 0: not begun")
+    settle_ns = I64(unit="ns", doc="the performance index is frozen until then")
+    arc_length_m = F64(unit="m", doc="distance travelled by the footprint")
+    height_m = F64(unit="m", doc="blended height")
+    slope = F64(unit="1", doc="blended slope")
+    slope_power = F64(unit="1", doc="mean squared slope over the last metre")
+    gain = F64(doc="gain of the blended height")
+    sigma_m = F64(unit="m", doc="standard deviation of the height, spread of the models included")
+
+
+class Buffer(Schema):
+    """Terrain buffer: ring of cells along the path (`terrain_buffer`)."""
+
+    cell = I64(BUFFER_CELLS, doc="number of the cell along the path, plus one; 0: empty")
+    count = F64(BUFFER_CELLS, doc="heights in its mean")
+    height_m = F64(BUFFER_CELLS, unit="m", doc="mean height")
+    arc_length_m = F64(BUFFER_CELLS, unit="m", doc="mean arc length")
+    x_m = F64(BUFFER_CELLS, unit="m", doc="place of its first height")
+    y_m = F64(BUFFER_CELLS, unit="m")
+
+
+class Regression(Schema):
+    """Terrain regression: change of height over some distances (`terrain_regression`)."""
+
+    mean_height_m = F64(unit="m", doc="recent mean of the height")
+    mean_length_m = F64(unit="m", doc="length of path in that mean")
+    offset_offset_m2 = F64(N_DISTANCES, unit="m^2", doc="mean square of the offset from the mean")
+    offset_rise_m2 = F64(N_DISTANCES, unit="m^2", doc="mean product of offset and rise before")
+    rise_rise_m2 = F64(N_DISTANCES, unit="m^2", doc="mean square of the rise before")
+    offset_change_m2 = F64(N_DISTANCES, unit="m^2", doc="mean product of offset and change since")
+    rise_change_m2 = F64(N_DISTANCES, unit="m^2", doc="mean product of rise before and change since")
+    change_change_m2 = F64(N_DISTANCES, unit="m^2", doc="mean square of the change since")

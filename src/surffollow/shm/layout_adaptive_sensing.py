@@ -1,0 +1,138 @@
+"""State of the default follower's sensing: one record per stage (`layout_adaptive`)."""
+
+from __future__ import annotations
+
+from surffollow.shm.schema import F64, I64, Schema
+
+BEAMS = 8
+N_TRENDS = 16  # straight lines that predict the range
+N_HORIZONS = 4  # horizons at which their errors are averaged
+SNAPSHOTS = 32  # of the lines, for predictions made earlier
+STUCK_COUNT = 1 << 40  # added to the repeat count of a stuck sensor
+
+
+class Clock(Schema):
+    """Time of the follower (`clock`)."""
+
+    now_ns = I64(unit="ns", doc="latest time that any step was told")
+
+
+class Kinematics(Schema):
+    """Velocity of the tool (`kinematics`)."""
+
+    pose_count = I64(doc="pose count at which the velocity was computed")
+    velocity_x_mps = F64(unit="m/s", doc="lateral velocity")
+    velocity_y_mps = F64(unit="m/s")
+    speed_mps = F64(unit="m/s", doc="lateral speed")
+    climb_mps = F64(unit="m/s", doc="vertical velocity")
+
+
+class Hold(Schema):
+    """Sample hold of the channel in use (`sample_hold`)."""
+
+    t_ns = I64(unit="ns", doc="timestamp of the newest sample; 0: none yet")
+    range_m = F64(unit="m", doc="its range: a conversion that repeats it is no new sample")
+
+
+class Latency(Schema):
+    """Delay of samples, and the identified error of the configured latency (`latency_identification`)."""
+
+    delay_s = F64(unit="s", doc="usual delay: arrival − timestamp")
+    correction_s = F64(unit="s", doc="age of ranges beyond the configured latency, as identified")
+    sigma_s = F64(unit="s", doc="standard deviation of the correction; 0: nothing identified yet")
+    configured_ns = I64(unit="ns", doc="sensor_latency_ns that the correction belongs to")
+    count = I64(doc="samples of the present rest")
+    mean_climb_mps = F64(unit="m/s", doc="mean climb rate over the rest")
+    mean_height_m = F64(unit="m", doc="mean height over the rest")
+    climb_climb = F64(unit="m^2/s^2", doc="sum of squared deviations of the climb rate")
+    climb_height = F64(unit="m^2/s", doc="sum of products of both deviations")
+    height_height = F64(unit="m^2", doc="sum of squared deviations of the height")
+
+
+class Sample(Schema):
+    """Footprint of the newest sample (`measurement`)."""
+
+    tip_x_m = F64(unit="m", doc="from the tool to the ground point on its axis")
+    tip_y_m = F64(unit="m")
+    lead_m = F64(unit="m", doc="distance of the footprint ahead of that point")
+    x_m = F64(unit="m", doc="footprint")
+    y_m = F64(unit="m")
+    arc_length_m = F64(unit="m", doc="its arc length")
+    spacing_m = F64(unit="m", doc="usual distance travelled between samples")
+
+
+class Health(Schema):
+    """Health of the ranging (`health`)."""
+
+    state = I64(doc="see HEALTH_NAMES")
+    reason = I64(doc="why the state is not OK, see REASON_NAMES")
+    since_ns = I64(unit="ns", doc="since when the candidate differs from the state")
+    candidate = I64(doc="state without hysteresis")
+    faults = I64(doc="bits of FAULT_NAMES, latched until the reset")
+    close_count = I64(doc="samples in a row nearer than too_close_m")
+    repeat_count = I64(doc="equal samples in a row; from STUCK_COUNT on: stuck-at fault")
+    repeat_z_m = F64(unit="m", doc="height of the tool at the first of them")
+    usual_repeats = F64(doc="longest such run lately; 0: not known")
+
+
+class Prediction(Schema):
+    """Predictors of the range over time (`range_prediction`)."""
+
+    range_m = F64(N_TRENDS, unit="m", doc="range of each line")
+    rate_mps = F64(N_TRENDS, unit="m/s", doc="its rate")
+    covariance = F64(N_TRENDS * 3, doc="covariances 00 01 11 in units of the reading variance")
+    error_m2 = F64(N_HORIZONS * N_TRENDS, unit="m^2", doc="squared prediction errors per horizon")
+    horizon_s = F64(N_HORIZONS, unit="s", doc="horizons")
+    t_ns = I64(unit="ns", doc="timestamp of the newest range; 0: none")
+    interval_s = F64(unit="s", doc="usual interval of samples; 0: not known")
+    scale_m = F64(unit="m", doc="usual innovation")
+    rejected = I64(doc="1: the newest range was rejected")
+    snapshot_range_m = F64(SNAPSHOTS * N_TRENDS, unit="m", doc="ring of earlier lines: range")
+    snapshot_rate_mps = F64(SNAPSHOTS * N_TRENDS, unit="m/s", doc="and rate")
+    snapshot_ns = I64(SNAPSHOTS, unit="ns", doc="times of the snapshots")
+    snapshots = I64(doc="snapshots so far")
+
+
+class Lookahead(Schema):
+    """Look-ahead sensors beyond channel 0 (`lookahead_sensor`)."""
+
+    range_ns = I64(BEAMS, unit="ns", doc="timestamp of the newest range per channel")
+    height_m = F64(BEAMS, unit="m", doc="height of it")
+    lead_m = F64(unit="m", doc="distance of the newest footprint ahead of channel 0's; 0: none leads")
+    bias_m = F64(unit="m", doc="height by channel 0 minus height by the look-ahead sensor")
+    seen_ns = I64(unit="ns", doc="when one of them last measured ground ahead")
+
+
+class Beams(Schema):
+    """Footprints of several beams, and their faults (`beam_detection`)."""
+
+    footprint_m = F64(BEAMS * 3, unit="m", doc="newest footprint per beam")
+    t_ns = I64(BEAMS, unit="ns", doc="timestamp of that; 0: none yet")
+    range_m = F64(BEAMS, unit="m", doc="range of that")
+    changed_ns = I64(BEAMS, unit="ns", doc="since when the range has been the same")
+    accepted = I64(BEAMS, doc="1: in the plane fit")
+    deviations = I64(BEAMS, doc="samples outside the gate minus those inside since")
+    weight = F64(BEAMS, doc="weight in the plane fit")
+    height_m = F64(BEAMS, unit="m", doc="height under the tool by each beam")
+    sorted_m = F64(BEAMS, unit="m", doc="scratch: those, sorted")
+    axis_x_m = F64(unit="m", doc="where the tool's axis meets the ground")
+    axis_y_m = F64(unit="m")
+    first_ns = I64(unit="ns", doc="timestamp of the first sample; 0: none yet")
+    reference = I64(doc="channel whose samples are the follower's samples")
+
+
+class Plane(Schema):
+    """Slopes, their rates and the mean curvature (`plane_fit`)."""
+
+    count = I64(doc="planes fitted so far")
+    t_ns = I64(unit="ns", doc="time of the slopes; 0: none yet")
+    rank = I64(doc="slopes updated by the newest sample: 2 both, 1 along a line, 0 none")
+    slope_x = F64(unit="1", doc="slopes of the plane")
+    slope_y = F64(unit="1")
+    slope_rate_x_hz = F64(unit="1/s", doc="their rates")
+    slope_rate_y_hz = F64(unit="1/s")
+    curvature = F64(unit="1/m", doc="mean curvature under the tool, positive in a hollow")
+    track = F64(9, doc="sums over one beam's footprints: weight, means x y z, products xx xy yy xz yz")
+    track_beam = I64(doc="that beam")
+    track_x_m = F64(unit="m", doc="its newest footprint")
+    track_y_m = F64(unit="m")

@@ -1,0 +1,257 @@
+"""Innovation gate, initialisation, burn-in of the model weights, and the deadband filter."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from surffollow.contest.conditions import Conditions
+from surffollow.contest.trials import Job, excursion
+from surffollow.forecast.adaptive.kinematics import update_kinematics
+from surffollow.forecast.adaptive.model_bank import (
+    BANK,
+    CANDIDATE_MODEL,
+    N_CANDIDATES,
+    N_MODELS,
+    SLOPE_SHARE,
+    WAVE,
+    extrapolate,
+    extrapolation_variance,
+)
+from surffollow.forecast.adaptive.model_weights import BURN_IN_SAMPLES, FULL_POWER_SAMPLES, update_weights
+from surffollow.forecast.adaptive.setpoint_blend import (
+    DEADBAND_DECAY_S,
+    DEADBAND_SOFTNESS,
+    blend_setpoints,
+    filter_setpoint,
+)
+from surffollow.forecast.pose import push_pose
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_adaptive_estimation import N_PERIODS
+from surffollow.shm.layout_follow import FollowState
+
+from .test_adaptive_stages import MS, default_params, feed
+
+BAND = 1e-4
+
+
+def deadband_state(rate_mps=0.0):
+    a = zeros(AdaptiveState)[0]
+    a["clock"]["now_ns"] = a["blend"]["filtered_ns"] = 10**9
+    a["adaptation"]["deadband_m"], a["blend"]["rate_mps"] = BAND, rate_mps
+    return a
+
+
+def filtered(a, wanted_m, cycles, cycle_ns):
+    for _ in range(cycles):
+        a["clock"]["now_ns"] += cycle_ns
+        filter_setpoint(default_params(), a, wanted_m)
+    return float(a["blend"]["filtered_m"])
+
+
+def filtered_in_small_steps(wanted_m, seconds, steps=200_000):
+    """The set point's equation, in steps far smaller than any cycle."""
+    excess = wanted_m - BAND
+    for _ in range(steps):
+        excess -= excess * excess / (DEADBAND_SOFTNESS * BAND * DEADBAND_DECAY_S) * seconds / steps
+    return wanted_m - BAND - excess
+
+
+@pytest.mark.parametrize("wanted_m", [1.5e-4, 5e-4, 2e-3])
+def test_the_deadband_filter_solves_its_equation_in_cycles_of_any_length(wanted_m):
+    at_100_hz = filtered(deadband_state(), wanted_m, 3, 10 * MS)
+    assert at_100_hz == pytest.approx(filtered(deadband_state(), wanted_m, 30, MS), rel=1e-9)
+    assert at_100_hz == pytest.approx(filtered(deadband_state(), wanted_m, 300, MS // 10), rel=1e-9)
+    assert at_100_hz == pytest.approx(filtered_in_small_steps(wanted_m, 0.03), rel=2e-3)
+
+
+def test_within_the_deadband_the_set_point_continues_at_the_predicted_rate():
+    assert filtered(deadband_state(), 0.9 * BAND, 50, MS) == 0.0
+    assert filtered(deadband_state(rate_mps=1e-3), 0.0, 50, MS) == pytest.approx(5e-5)
+
+
+def test_a_large_excess_decays_at_once_and_after_a_pause_the_filter_begins_at_the_blend():
+    assert filtered(deadband_state(), 0.01, 1, 10 * MS) > 0.01 - (1.0 + DEADBAND_SOFTNESS) * BAND
+    assert filtered(deadband_state(), -0.01, 1, 10 * MS) < -0.01 + (1.0 + DEADBAND_SOFTNESS) * BAND
+    assert filtered(deadband_state(), 0.01, 1, 150 * MS) == 0.01
+
+
+def test_a_single_sample_near_the_gate_is_held_back_and_a_second_one_alike_accepted():
+    heights = np.zeros(900)
+    heights[[500, 600, 601]] = 1.5e-3
+    heights[700:702] = 1.5e-3, -1.5e-3
+    before, _ = feed(heights[:500])
+    gate = max(8.0 * before["gate"]["scale_m"], 1e-3)
+    assert 0.5 * gate < 1.5e-3 < gate, "the heights are between the inner gate and the gate"
+    a, taken = feed(heights)
+    assert list(taken[[500, 600, 601, 602]]) == [0, 0, 1, 1]
+    assert list(taken[[700, 701]]) == [0, 0], "one up and one down do not agree"
+    assert taken[702:].all()
+    assert abs(a["estimate"]["height_m"]) < 2e-4
+
+
+def test_samples_across_the_edges_of_a_slot_do_not_widen_the_gate():
+    heights = np.zeros(420)
+    heights[400:405] = -0.004, -0.01, -0.01, -0.01, -0.0021
+    calm, _ = feed(np.zeros(420))
+    a, taken = feed(heights)
+    assert not taken[400:405].any()
+    assert a["gate"]["scale_m"] == pytest.approx(calm["gate"]["scale_m"], rel=0.1)
+    assert abs(a["estimate"]["height_m"]) < 2e-4
+
+
+def test_outliers_that_never_agree_widen_the_gate():
+    heights = np.zeros(420)
+    heights[400:410] = 0.01 * np.array([1, -1, 2, -2, 1, -1, 2, -2, 1, -1])
+    calm, _ = feed(np.zeros(420))
+    a, _ = feed(heights)
+    assert a["gate"]["scale_m"] > 1.5 * calm["gate"]["scale_m"]
+
+
+def test_a_bad_first_sample_is_discarded_with_all_that_it_taught():
+    a, taken = feed([0.008, 0.0, 0.0])
+    assert list(taken) == [1, 0, 0]
+    a, _ = feed([0.0] * 3, a=a, start=4, seed=1)
+    assert abs(a["estimate"]["height_m"]) < 1e-3
+    assert np.abs(a["shadow"]["position_m"][:N_CANDIDATES] - 0.1).max() < 1e-3, (
+        "the shadows stand where the ground is"
+    )
+    assert a["gate"]["slot_likelihood"] == 1.0, "no step was seen"
+
+
+def judged(samples, scored):
+    """A state whose models have equal scores, far below the reading noise."""
+    a = zeros(AdaptiveState)[0]
+    a["estimate"]["samples"], a["weights"]["scored"] = samples, scored
+    a["noise"]["sigma_m"], a["kinematics"]["speed_mps"], a["plant"]["tau_s"], a["latency"]["delay_s"] = (
+        2.5e-4,
+        0.1,
+        0.04,
+        0.03,
+    )
+    a["weights"]["recent_m2"][:N_CANDIDATES] = a["weights"]["longer_m2"][:N_CANDIDATES] = (
+        1.1 * a["noise"]["sigma_m"] ** 2
+    )
+    for i in range(N_MODELS):
+        a["bank"]["covariance"][6 * i] = 1e-10
+    return a
+
+
+def test_the_variance_penalty_acts_during_burn_in_only():
+    bold = 10
+    shares = []
+    for samples, scored in (
+        (1, 0),
+        (1, FULL_POWER_SAMPLES),
+        (BURN_IN_SAMPLES, 0),
+        (BURN_IN_SAMPLES, FULL_POWER_SAMPLES),
+    ):
+        a = judged(samples, scored)
+        a["bank"]["covariance"][6 * bold + 3] = 1.0  # no idea of its slope
+        update_weights(default_params(), a, 1.0)
+        shares.append(a["weights"]["weight"][bold] / a["weights"]["weight"][bold + 1])
+    assert shares[0] < 1e-3
+    assert shares[1] < 1e-3, "a new start after a loss is young too"
+    assert shares[2] < 1e-3, "so is a long run in which nothing could be judged"
+    assert shares[3] == pytest.approx(1.0)
+
+
+def test_there_is_no_variance_penalty_with_a_leading_sensor():
+    shares = []
+    for lead_m in (-0.05, 0.0, 0.05):
+        a = judged(BURN_IN_SAMPLES, 0)
+        a["sample"]["lead_m"] = lead_m
+        a["bank"]["covariance"][6 * 10 + 3] = 1.0  # no idea of its slope
+        update_weights(default_params(), a, 1.0)
+        shares.append(a["weights"]["weight"][10] / a["weights"]["weight"][11])
+    assert max(shares[:2]) < 1e-3
+    assert shares[2] > 0.1
+
+
+def test_the_power_of_the_index_is_high_in_noise_and_low_in_great_errors():
+    def advantage(factor, scored):
+        a = judged(BURN_IN_SAMPLES, scored)
+        for horizon in ("recent_m2", "longer_m2"):
+            a["weights"][horizon][:N_CANDIDATES] *= factor
+            a["weights"][horizon][10] *= 0.99
+        update_weights(default_params(), a, 1.0)
+        return a["weights"]["weight"][10] / a["weights"]["weight"][11]
+
+    assert advantage(1.0, FULL_POWER_SAMPLES) > 3.0
+    assert 1.0 < advantage(1.0, BURN_IN_SAMPLES) < 0.5 * advantage(1.0, FULL_POWER_SAMPLES), (
+        "many samples must tell so"
+    )
+    assert 1.0 < advantage(400.0, FULL_POWER_SAMPLES) < 1.1
+
+
+def test_candidates_of_one_model_have_the_prior_weight_of_one_and_lead_by_their_share():
+    assert sorted(set(CANDIDATE_MODEL)) == list(range(N_MODELS))
+    assert len(set(zip(CANDIDATE_MODEL, SLOPE_SHARE))) == N_CANDIDATES
+    a = judged(BURN_IN_SAMPLES, FULL_POWER_SAMPLES)
+    update_weights(default_params(), a, 1.0)
+    of_model = np.bincount(CANDIDATE_MODEL, a["weights"]["weight"][:N_CANDIDATES])
+    stiffest = int(np.argmin(np.where((BANK[:, 0] == 0) & (BANK[:, 2] > 0.0), BANK[:, 2], np.inf)))
+    levels_and_slopes = of_model[(BANK[:, 0] == 0) & (np.arange(N_MODELS) != stiffest)]
+    assert levels_and_slopes == pytest.approx(levels_and_slopes[0])
+    assert of_model[stiffest] < 0.1 * levels_and_slopes[0], "it is surer of its slope than anybody can be"
+    assert (SLOPE_SHARE[:N_MODELS] == 1.0).all()
+    assert set(SLOPE_SHARE[N_MODELS:]) == {0.0, 0.5}
+
+
+def test_a_candidate_leads_by_its_share_of_the_slope():
+    a = judged(BURN_IN_SAMPLES, FULL_POWER_SAMPLES)
+    for i in range(N_MODELS):
+        if BANK[i, 0] != WAVE:
+            a["bank"]["mean"][3 * i + 1] = 0.2
+    blend_setpoints(default_params(), a, 0, 0.0, 0.1, 1)
+    targets = a["shadow"]["setpoint_m"].reshape(-1, N_PERIODS)[:N_CANDIDATES, 0]
+    lead_m = 0.1 * 0.04  # speed times τ
+    slopes = BANK[CANDIDATE_MODEL, 2] > 0.0
+    rising = slopes & (BANK[CANDIDATE_MODEL, 0] != WAVE)
+    assert targets[rising] == pytest.approx(0.1 + 0.2 * lead_m * SLOPE_SHARE[rising])
+    assert targets[~rising] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("i", range(N_MODELS))
+def test_variance_of_a_look_ahead_is_that_of_the_models_own_line(i):
+    rng = np.random.default_rng(i)
+    b = rng.standard_normal((3, 3))
+    c = b @ b.T
+    cov = np.zeros(6 * N_MODELS)
+    cov[6 * i : 6 * i + 6] = c[np.triu_indices(3)]
+    d = 1e-6  # near, where a line is a line for every model
+    gradient = np.zeros(3)
+    for k in range(3):
+        x = np.zeros(3 * N_MODELS)
+        x[3 * i + k] = 1.0
+        gradient[k] = extrapolate(i, x, d, 0.0)
+    assert extrapolation_variance(i, cov, d) == pytest.approx(gradient @ c @ gradient, rel=1e-3)
+    assert gradient[1] == pytest.approx(1.0 if BANK[i, 0] == WAVE else (d if BANK[i, 2] else 0.0), abs=1e-6)
+
+
+def test_no_speed_is_measured_across_a_long_gap_of_reports():
+    state = zeros(FollowState)[0]
+    a, sense = state["adaptive"], state["sense"]
+
+    def report(t_ms, x):
+        push_pose(sense, 10**12 + t_ms * MS, np.array([x, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]), 0)
+        update_kinematics(a["kinematics"], sense)
+        return float(a["kinematics"]["speed_mps"]), float(a["kinematics"]["climb_mps"])
+
+    for t in range(0, 200, 10):
+        report(t, 1e-4 * t)
+    assert a["kinematics"]["speed_mps"] == pytest.approx(0.1)
+    assert report(7200, 0.0) == (0.0, 0.0)
+    assert report(7210, 1e-3)[0] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("case", ["slot", "glitch"])
+def test_slots_and_glitches_hardly_move_the_set_point(case):
+    job = Job("excursion", "ours", 302, Conditions(), "flat", 0.1, case)
+    found = excursion(job)
+    assert found["excursion_m"] < 0.15e-3
+    assert found["missed"] == 0.0
+    assert math.isfinite(found["sigma_m"])

@@ -1,0 +1,365 @@
+"""Stages of the default follower: gate, noise, terrain memory, limits, range prediction, latency."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from surffollow.config.params import PARAMS
+from surffollow.follower import Follower
+from surffollow.forecast.adaptive.estimate import update_estimate
+from surffollow.forecast.adaptive.model_bank import BANK, N_MODELS, SLOPE
+from surffollow.forecast.adaptive.range_prediction import predict_range, update_prediction
+from surffollow.forecast.adaptive.setpoint_limits import limit_setpoint
+from surffollow.forecast.adaptive.terrain_buffer import buffered_height, store_ground
+from surffollow.forecast.adaptive.terrain_memory import CELLS, new_memory, read_height, store_height
+from surffollow.forecast.pose import push_pose
+from surffollow.forecast.step import follow_step
+from surffollow.shm.conversion import pack_conversion
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_follow import Params
+
+MS = 1_000_000
+
+
+def default_params():
+    params = zeros(Params)
+    for name, spec in PARAMS.items():
+        params[name] = spec.default
+    return params[0]
+
+
+def feed(heights, way=1e-3, sigma=2e-4, seed=0, a=None, start=1):
+    """Give heights to the bank, one every 4 ms; returns the state and which of them were accepted."""
+    params = default_params()
+    a = zeros(AdaptiveState)[0] if a is None else a
+    rng = np.random.default_rng(seed)
+    taken = []
+    for k, h in enumerate(heights):
+        t = (start + k) * 4 * MS + 10**9
+        taken.append(update_estimate(params, a, t, way, h + sigma * rng.standard_normal(), 0.1, 1))
+    return a, np.array(taken)
+
+
+def test_single_glitches_never_enter_the_estimate():
+    heights = np.zeros(600)
+    heights[100::50] = 0.02
+    a, taken = feed(heights)
+    assert not taken[100::50].any()
+    assert taken.sum() == 600 - 10
+    assert abs(a["estimate"]["height_m"]) < 2e-4
+
+
+def test_a_slot_two_millimetres_wide_is_not_chased():
+    heights = np.zeros(600)
+    for k in range(100, 600, 100):
+        heights[k : k + 5] = -0.01
+    a, taken = feed(heights, way=0.4e-3)
+    assert not taken[heights < 0].any()
+    assert a["gate"]["slot_likelihood"] == 1.0
+
+
+def delays_of_steps(heights, edges):
+    """Readings that each step at `edges` waits for before one is taken."""
+    _, taken = feed(heights, way=0.4e-3)
+    return [int(np.argmax(taken[k:])) for k in edges]
+
+
+def test_a_step_down_is_confirmed_after_travel_and_later_ones_sooner():
+    edges = range(250, 3000, 250)
+    delays = delays_of_steps(-0.01 * np.ceil((np.arange(3000) - 249) / 250), edges)
+    assert delays[0] == 7  # 2.5 mm after the first sample beyond the edge
+    assert 2 <= delays[1] <= 3
+    assert max(delays[2:]) <= 2
+
+
+def test_a_step_up_is_confirmed_by_three_samples_without_travel():
+    delays = delays_of_steps(0.01 * np.ceil((np.arange(3000) - 249) / 250), range(250, 3000, 250))
+    assert delays[0] == 2
+    assert max(delays) <= 2
+
+
+def test_steps_up_that_stayed_shorten_the_travel_of_the_first_step_down():
+    heights = np.zeros(1500)
+    heights[300:600], heights[600:900], heights[900:] = 0.01, 0.02, 0.01
+    assert delays_of_steps(heights, [900])[0] <= 3
+
+
+def test_a_step_that_comes_in_pieces_is_no_slot():
+    heights = np.zeros(1500)
+    for k, edge in enumerate(range(200, 1400, 200)):
+        sign = 1.0 if k % 2 == 0 else -1.0
+        heights[edge : edge + 10] += sign * 0.001 * np.arange(10)
+        heights[edge + 10 :] += sign * 0.01
+    a, _ = feed(heights, way=0.1e-3)
+    assert a["gate"]["slot_likelihood"] < 0.1
+    assert abs(a["estimate"]["height_m"] - heights[-1]) < 1e-3
+
+
+def test_the_noise_is_estimated_to_a_tenth_and_soon():
+    found = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        a = None
+        for k in range(0, 6000, 500):
+            heights = 2.5e-4 * rng.standard_normal(500)
+            a, _ = feed(heights, sigma=0.0, a=a, start=1 + k)
+            found.append((k, float(a["noise"]["sigma_m"])))
+    settled = np.array([n for k, n in found if k >= 2000])
+    assert np.std(settled) < 0.1 * 2.5e-4
+    assert abs(np.mean(settled) - 2.5e-4) < 0.05 * 2.5e-4
+    early = np.array([n for k, n in found if k == 0])
+    assert (np.abs(early - 2.5e-4) < 0.4 * 2.5e-4).all()
+
+
+def test_the_slope_stays_when_a_step_is_confirmed():
+    x = 1e-3 * np.arange(700)
+    model = next(i for i in range(N_MODELS) if BANK[i, 0] == SLOPE and BANK[i, 1] > 1.0 and BANK[i, 2] == 0.5)
+    for k in (604, 610, 700):
+        a, taken = feed((0.1 * x + 0.01 * (np.arange(700) > 600))[:k])
+        assert a["bank"]["mean"][3 * model + 1] == pytest.approx(0.1, abs=0.04)
+    assert not taken[601:603].any()
+    assert taken[610:].all()
+
+
+def test_a_slope_does_not_enter_the_noise():
+    x = 1e-3 * np.arange(2000)
+    for sigma in (0.1e-3, 0.4e-3):
+        a, _ = feed(0.2 * x, sigma=sigma)
+        assert a["noise"]["sigma_m"] == pytest.approx(sigma, rel=0.3)
+
+
+def test_frozen_adaptation_keeps_weights_and_noise():
+    params = default_params()
+    a, _ = feed(np.zeros(300))
+    before = a["weights"]["weight"].copy(), float(a["noise"]["sigma_m"]), a["weights"]["recent_m2"].copy()
+    rng = np.random.default_rng(1)
+    for k in range(300, 500):
+        update_estimate(params, a, 10**9 + k * 4 * MS + 4 * MS, 1e-3, 1e-3 * rng.standard_normal(), 0.1, 0)
+    assert (a["weights"]["weight"] == before[0]).all()
+    assert a["noise"]["sigma_m"] == before[1]
+    assert (a["weights"]["recent_m2"] == before[2]).all()
+
+
+def test_a_set_point_keeps_its_limits_and_arrives_without_overshoot():
+    params = default_params()
+    params["max_speed_mps"], params["max_accel_mps2"], params["max_jerk_mps3"] = 0.5, 20.0, 1e9
+    for wanted, most in ((0.05, 0.5), (-0.05, 0.25)):
+        a = zeros(AdaptiveState)[0]
+        path = []
+        for k in range(600):
+            limit_setpoint(params, a, 10**9 + k * MS, wanted, 0.0)
+            path.append(float(a["setpoint"]["position_m"]))
+        path = np.array(path)
+        speed = np.diff(path) / 1e-3
+        assert np.abs(speed).max() <= most * (1 + 1e-9)
+        assert np.abs(np.diff(speed)).max() <= 20.0 * 1e-3 * (1 + 1e-6)
+        assert path[-1] == pytest.approx(wanted, abs=1e-6)
+        assert np.abs(path).max() <= 1.01 * abs(wanted)
+
+
+def test_the_terrain_buffer_returns_stored_heights_and_nothing_else():
+    a = zeros(AdaptiveState)[0]
+    for s in np.arange(0.1, 0.3, 0.4e-3):
+        store_ground(a, s, 0.2 * s)
+    for s in np.arange(0.105, 0.295, 0.0013):
+        assert buffered_height(a, s) == pytest.approx(0.2 * s, abs=1e-9)
+    assert math.isnan(buffered_height(a, 0.05))
+    assert math.isnan(buffered_height(a, 0.32))
+
+
+def test_the_terrain_memory_averages_a_cell_and_keeps_the_last_pass_apart():
+    memory = new_memory()
+    second = 10**9
+    for age, h in ((1, 1.0), (2, 3.0)):
+        store_height(memory, 0.5, -0.25, h, age)
+    assert read_height(memory, 0.5, -0.25, 100) == pytest.approx(2.0)
+    assert math.isnan(read_height(memory, 0.5, -0.25, 1))
+    assert math.isnan(read_height(memory, 0.6, -0.25, 100))
+    store_height(memory, 0.5, -0.25, 10.0, 5 * second)
+    assert read_height(memory, 0.5, -0.25, 4 * second) == pytest.approx(2.0)
+
+
+def test_a_full_terrain_memory_replaces_the_oldest_cell():
+    memory = new_memory()
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-3.0, 3.0, (2 * CELLS, 2))
+    for k, (x, y) in enumerate(points[: CELLS // 2]):
+        store_height(memory, x, y, x + 2 * y, k + 1)
+    errors = [read_height(memory, x, y, 10**9) - x - 2 * y for x, y in points[:2000]]
+    assert np.nanmax(np.abs(errors)) < 0.02
+    for bad in (math.nan, math.inf, 1e300):
+        store_height(memory, bad, 0.0, 1.0, 10**9)
+        assert math.isnan(read_height(memory, bad, 0.0, 10**9))
+
+
+def test_range_prediction_follows_a_ramp_rejects_a_spike_and_accepts_a_jump():
+    a = zeros(AdaptiveState)[0]
+    for k in range(400):
+        update_prediction(
+            a["prediction"], 10**9 + k * 100 * MS, 5.0 + 0.03 * k * 0.1 + (2.0 if k == 350 else 0.0)
+        )
+    assert predict_range(a["prediction"], 0.5) == pytest.approx(5.0 + 0.03 * (39.9 + 0.5), abs=2e-3)
+    for k in range(400, 403):
+        update_prediction(a["prediction"], 10**9 + k * 100 * MS, 8.0)
+    assert predict_range(a["prediction"], 0.0) == pytest.approx(8.0, abs=0.1)
+
+
+def test_range_prediction_of_a_constant_range_is_constant():
+    a = zeros(AdaptiveState)[0]
+    rng = np.random.default_rng(2)
+    for k in range(2000):
+        update_prediction(a["prediction"], 10**9 + k * 100 * MS, 2.0 + 0.01 * rng.standard_normal())
+    assert predict_range(a["prediction"], 2.0) == pytest.approx(2.0, abs=0.03)
+
+
+def test_conversions_of_a_held_value_are_one_sample_stamped_where_it_began():
+    f = Follower({"memory": False, "sensor_latency": "30 ms"}, offset_m=0.1)
+    f._params["scale_m"], f._params["zero_m"] = 0.1 / 4096, 0.05
+    values = 1990 + 10 * (np.arange(600) % 3)  # each unlike the one before, none an outlier
+    i, t0 = f._inputs, 10**12
+    for k in range(1000):
+        t = t0 + k * MS
+        if k % 10 == 0:
+            pose = np.array([1e-4 * k, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0])
+            push_pose(f._sense, t - 10 * MS, pose, 0)
+        stamps = range(t - MS + 40_000, t + 1, 40_000)
+        i["t_ns"], i["n_ranges"], i["n_conversions"] = t, 0, len(stamps)
+        for n, s in enumerate(stamps):
+            i["conversion"][0][n] = pack_conversion(int(values[(s - t0 + 4 * MS) // (4 * MS)]), 0, 0, s - t)
+        follow_step(f._params, f._state, i, f._output, f._scratch)
+    a = f._state["adaptive"][0]
+    assert 240 <= a["estimate"]["samples"] <= 252
+    # the latency is that of the middle of a held value
+    assert (a["estimate"]["sample_ns"] + 30 * MS - int(f._params["hold_ns"][0]) // 2 - t0) % (
+        4 * MS
+    ) <= 40_000
+
+
+def over_one_spot(
+    truth_s: float, climb, seed: int = 0, sigma: float = 0.25e-3, f: Follower | None = None, steps=range(2500)
+) -> Follower:
+    """A follower over one spot; `climb(t)` is the height of the tool, ranges are 30 ms + `truth_s` old."""
+    rng = np.random.default_rng(seed)
+    f = f or Follower({"memory": False}, offset_m=0.1)
+    for k in steps:
+        t = 0.001 * k
+        if k % 10 == 0:
+            z = 0.1 + climb(t - 0.01) + 5e-5 * rng.standard_normal()
+            f.pose(round((t - 0.01) * 1e9) + 10**10, (0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0))
+        if k % 4 == 0:
+            r = 0.1 + climb(t - 0.03 - truth_s) + sigma * rng.standard_normal()
+            if rng.random() < 0.01:
+                r += rng.uniform(-0.03, 0.03)
+            f.step(round((t - 0.03) * 1e9) + 10**10, [r])
+    return f
+
+
+@pytest.mark.parametrize("truth_s", [-0.02, 0.0, 0.01, 0.04])
+def test_the_latency_is_identified_while_the_tool_climbs_over_one_spot(truth_s):
+    f = over_one_spot(truth_s, lambda t: 0.006 * math.sin(2 * math.pi * 1.5 * t))
+    assert f._state["adaptive"][0]["latency"]["correction_s"] == pytest.approx(truth_s, abs=2e-3)
+
+
+def bobbing_m(t: float) -> float:
+    return 0.006 * math.sin(2 * math.pi * 1.5 * t)
+
+
+def test_a_configured_latency_discards_the_correction():
+    f = over_one_spot(0.02, bobbing_m)
+    assumed_s = f.state()["latency_s"] - f._state["adaptive"][0]["latency"]["correction_s"]
+    assert f.state()["latency_s"] == pytest.approx(assumed_s + 0.02, abs=2e-3)
+    f.set_params(sensor_latency=f"{assumed_s + 0.015} s")
+    over_one_spot(0.02, bobbing_m, f=f, steps=range(2500, 2530))
+    assert f.state()["latency_s"] == pytest.approx(assumed_s + 0.015, abs=1e-9)
+    f.set_params(max_demand="0.04 m")
+    f.set_params(sensor_latency=f"{assumed_s + 0.015} s")
+    before = f._state["adaptive"][0]["latency"]["count"]
+    over_one_spot(0.02, bobbing_m, f=f, steps=range(2530, 2560))
+    assert f._state["adaptive"][0]["latency"]["count"] > before, "the same latency again drops nothing"
+
+
+def test_a_tool_at_rest_identifies_no_latency():
+    assert over_one_spot(0.04, lambda t: 0.0)._state["adaptive"][0]["latency"]["correction_s"] == 0.0
+
+
+def stand_off_rms(sensors: list[dict[str, list[float]]], biases_m: list[float], seed: int = 3) -> float:
+    """Stand-off RMS [m] of a robot with τ = 40 ms over a wave of 100 mm at 100 mm/s."""
+
+    def ground(x: float) -> float:
+        return 0.005 * math.sin(2 * math.pi * x / 0.1) + 0.003 * math.sin(2 * math.pi * x / 0.061)
+
+    rng = np.random.default_rng(seed)
+    f = Follower({"memory": False, "sensors": sensors}, offset_m=0.1)
+    leads = [s.get("position_m", [0.0])[0] for s in sensors]
+    history, errors, z, v, goal = [], [], 0.1, 0.0, 0.1
+    reported = 0.1
+    for k in range(40_000):
+        t, x = k, 1e-4 * k
+        v += min(max((goal - z) / 0.04 - v, -0.002), 0.002)
+        z += 1e-3 * v
+        history.append((x, z))
+        if t % 10 == 0 and t >= 30:
+            if t > 50:
+                goal = reported + f.step(10**10 + t * MS, [math.nan])[2]
+            px, pz = history[t - 10]
+            reported = pz + 5e-5 * rng.standard_normal()
+            f.pose(10**10 + (t - 10) * MS, (px, 0.0, reported, 0.0, 0.0, 0.0, 1.0))
+        if t % 4 == 0 and t >= 40:
+            px, pz = history[t - 30]
+            ranges = [
+                pz - ground(px + c) + b + 2.5e-4 * rng.standard_normal() for c, b in zip(leads, biases_m)
+            ]
+            if rng.random() < 0.01:
+                ranges[-1] += rng.uniform(-0.03, 0.03)
+            f.step(10**10 + (t - 30) * MS, ranges)
+        if k > 20_000:
+            errors.append(z - ground(x) - 0.1)
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def test_a_look_ahead_sensor_halves_the_error_and_its_bias_is_estimated():
+    alone = stand_off_rms([{}], [0.0])
+    assert stand_off_rms([{}, {"position_m": [0.05, 0.0, 0.0]}], [0.0, 0.0]) < 0.5 * alone
+    assert stand_off_rms([{}, {"position_m": [0.05, 0.0, 0.0]}], [0.0, 1e-3]) < 0.6 * alone
+
+
+def test_a_second_sensor_beside_or_behind_changes_nothing():
+    alone = stand_off_rms([{}], [0.0])
+    for where in ([-0.05, 0.0, 0.0],):
+        both = stand_off_rms([{}, {"position_m": where}], [0.0, 0.0])
+        assert both == pytest.approx(alone, rel=0.1)
+
+
+def follow_at_rest(bad: dict[int, float], step_m: float = 0.0, count: int = 1500) -> tuple[float, float]:
+    """Lowest height of a standing tool, and when its error came below 3 mm for good, from sample 250 on [s].
+
+    `bad` adds to readings; the ground moves by `step_m` at sample 250.
+    """
+    f, rng = Follower(offset_m=0.1), np.random.default_rng(0)
+    z, v, lowest, last = 0.1, 0.0, 0.1, 0.0
+    for i in range(count):
+        t, ground = (i + 1) * 4 * MS, step_m if i >= 250 else 0.0
+        f.pose(t, (0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0))
+        d = f.step(t, [z - ground + 2e-4 * rng.standard_normal() + bad.get(i, 0.0)])
+        v += float(np.clip(np.clip(d[2] / 0.04, -0.2, 0.2) - v, -0.008, 0.008))
+        z += 0.004 * v
+        lowest = min(lowest, z)
+        if abs(z - ground - 0.1) > 3e-3:
+            last = (i - 250) * 4e-3
+    return lowest, last
+
+
+def test_a_first_reading_that_is_a_glitch_does_not_drive_a_standing_tool_to_the_surface():
+    for bad in ({0: 0.04}, {0: 0.04, 2: -0.03}, {0: -0.03}):
+        lowest, last = follow_at_rest(bad)
+        assert lowest > 0.099, bad
+        assert last <= 0.0, bad
+
+
+@pytest.mark.parametrize("step_m", [-0.02, 0.02])
+def test_ground_that_moves_under_a_standing_tool_is_confirmed(step_m):
+    assert follow_at_rest({}, step_m)[1] < 0.4
