@@ -13,6 +13,7 @@ import pytest
 from arbiter.running import Running, until
 from surffollow.arbiter import attach
 from surffollow.blocks import mem_attach
+from surffollow.live.run_by_holder import RunByHolder
 from surffollow.live.shared_demo import arbiter_text
 from surffollow.live.shared_tool import ReportedPoses, ToolStatus, attach_arbitrated, follow
 
@@ -42,6 +43,54 @@ def test_the_demonstration_lifts_the_tool_over_an_obstacle_and_brings_it_back(co
     told = json.loads(done.stdout)
     assert told["failures"] == []
     assert told["least_standoff_over_obstacle_m"] > told["obstacle_m"]
+
+
+class FakeService:
+    """A service that notes what is set."""
+
+    def __init__(self):
+        self.epoch, self.runs = 1, []
+
+    def set_params(self, *, timeout_s=5.0, wait=True, run):
+        self.runs.append(run)
+        return self
+
+    def done(self):
+        return True
+
+    def result(self, timeout_s):
+        return 0
+
+
+def test_the_follower_learns_only_while_it_holds_the_tool_whatever_becomes_of_its_process(tmp_path):
+    server = Running(tmp_path, arbiter_text("priority")).start()
+    service = FakeService()
+    run = RunByHolder(service, server.name, "tool", "follow")
+
+    def becomes(wanted):
+        def look():
+            run.look(time.monotonic_ns())
+            return service.runs and service.runs[-1] == wanted
+
+        until(look)
+
+    try:
+        becomes("dryrun")  # nobody leads yet
+        follow_client = attach(server.name, "follow")
+        assert follow_client.resource("tool").request()
+        becomes("normal")
+        with attach(server.name, "avoid") as avoider:
+            assert avoider.resource("tool").request()
+            becomes("dryrun")
+            follow_client.close()  # or killed: the robot looks, not the follower
+            service.epoch += 1  # a restarted service has its configuration's mode
+            count = len(service.runs)
+            until(lambda: run.look(time.monotonic_ns()) or len(service.runs) > count)
+            assert service.runs[-1] == "dryrun"
+        run.close()
+        assert service.runs[-1] == "normal"
+    finally:
+        server.purge()
 
 
 @pytest.fixture

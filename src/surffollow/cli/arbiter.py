@@ -169,7 +169,8 @@ def stop_on_signals() -> list[int]:
 def follow_command(name: str, service: str, resource: str, client: str, as_json: bool) -> None:
     """Hand a service's demands to an arbiter's resource, as one client among others, until Ctrl-C.
 
-    While others hold the resource the service runs in DRYRUN and learns nothing.
+    While others hold the resource the robot (`surffollow robot --arbiter`) keeps the service in DRYRUN: it
+    learns nothing.
     """
     from surffollow.live.shared_tool import follow
 

@@ -84,8 +84,7 @@ def run_shared_demo(
     if combine not in ("priority", "sum"):
         raise UsageError(f"combine is {combine!r}; use 'priority' or 'sum'")
     name = f"shared-{os.getpid()}"
-    # the follower tells the service when others lead, and the robot holds the pose
-    config = DemoConfig(seconds=seconds, surface="flat", path="line", parameters="any")
+    config = DemoConfig(seconds=seconds, surface="flat", path="line")
     trace, toml = folder / "robot.npz", folder / "arbiter.toml"
     toml.write_text(arbiter_text(combine))
     follows, lifts = ("tool", "tool") if combine == "priority" else ("follow", "offset")

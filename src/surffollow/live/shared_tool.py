@@ -16,6 +16,7 @@ from surffollow.blocks import F64, I64, Block, Memory, mem_attach
 from surffollow.client import Client
 from surffollow.client import attach as attach_service
 from surffollow.errors import BlockError, FaultError, NotRunningError
+from surffollow.live.run_by_holder import RunByHolder
 
 FOLLOW_PERIOD_S, WAIT_S = 0.002, 0.5
 LOOK_EVERY_NS = 20_000_000
@@ -47,10 +48,13 @@ class ArbitratedService:
     ----------
     service : Client         of the robot's own
     arbiter, resource : str  whose command block is obeyed; the status block is ARBITER.tool_status
+    follower : str           client that hands the service's demands on: while another one holds the resource
+                             the service is kept in DRYRUN: it learns nothing of what it did not command
     """
 
-    def __init__(self, service: Client, arbiter: str, resource: str) -> None:
+    def __init__(self, service: Client, arbiter: str, resource: str, follower: str = "follow") -> None:
         self._service = service
+        self._run = RunByHolder(service, arbiter, resource, follower)
         self._reader: CommandReader = command_reader(arbiter, resource)
         try:
             self._memory: Memory = mem_attach({"tool_status": ToolStatus}, arbiter, write=True)
@@ -68,6 +72,7 @@ class ArbitratedService:
 
     def dev_vector(self) -> ToolDemand:
         """The newest combined demand; never waits."""
+        self._run.look(time.monotonic_ns())
         return ToolDemand(self._reader.latest(), self._service.epoch)
 
     def claim_pose(self) -> None:
@@ -80,6 +85,7 @@ class ArbitratedService:
 
     def close(self) -> None:
         """Give the attachments back."""
+        self._run.close()
         self._memory.close()
         self._reader.close()
         self._service.close()
@@ -134,7 +140,8 @@ def follow(
 ) -> dict[str, int]:
     """Be the surface follower among an arbiter's clients: hand its demands on while it holds the resource.
 
-    While others lead the tool the service runs in DRYRUN: it learns nothing from what it did not command.
+    That the follower learns nothing from what others command is the care of the robot, which holds the pose
+    and outlives this process (`RunByHolder`).
 
     Returns
     -------
@@ -148,29 +155,22 @@ def follow(
         attach_arbiter(arbiter, client) as clients,
     ):
         tool, leads, last = clients.resource(resource), False, -1
-        demands.set_params(run="dryrun")
-        try:
-            while not stopped() and clients.connected:
-                if not tool.held:
-                    if leads:
-                        demands.set_params(run="dryrun")
-                        leads = False
-                        counts["lost"] += 1
-                    if not tool.request(wait=True, timeout_s=WAIT_S):
-                        continue
-                    demands.set_params(run="normal")
-                    leads = True
-                    counts["gained"] += 1
-                demand = demands.dev_vector()
-                if demand.valid and demand.cycle != last:
-                    last = demand.cycle
-                    # a robot reports to the service first: its status may come an instant after the demand
-                    pose = poses.at(demand.pose_t_ns) or poses.at(demand.pose_t_ns)
-                    counts["without_pose"] += pose is None
-                    counts["commands"] += tool.command(*demand, ref_t_ns=demand.pose_t_ns, ref_pose=pose)
-                time.sleep(FOLLOW_PERIOD_S)
-        finally:
-            demands.set_params(run="normal")
+        while not stopped() and clients.connected:
+            if not tool.held:
+                counts["lost"] += leads
+                leads = False
+                if not tool.request(wait=True, timeout_s=WAIT_S):
+                    continue
+                leads = True
+                counts["gained"] += 1
+            demand = demands.dev_vector()
+            if demand.valid and demand.cycle != last:
+                last = demand.cycle
+                # a robot reports to the service first: its status may come an instant after the demand
+                pose = poses.at(demand.pose_t_ns) or poses.at(demand.pose_t_ns)
+                counts["without_pose"] += pose is None
+                counts["commands"] += tool.command(*demand, ref_t_ns=demand.pose_t_ns, ref_pose=pose)
+            time.sleep(FOLLOW_PERIOD_S)
     return counts
 
 
