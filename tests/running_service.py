@@ -16,6 +16,7 @@ from typing import Any
 
 import msgspec
 
+from forked_start import fork_start
 from surffollow.client import Client, Observer, attach, observe
 from surffollow.config.service import ServiceConfig, load_config
 from surffollow.errors import BusyError, NotRunningError
@@ -123,16 +124,21 @@ class Service:
         return subprocess.run(self.command(verb, *words), capture_output=True, text=True, timeout=READY_S)
 
     def launch(self, **options: Any) -> subprocess.Popen[str]:
-        """Start without waiting."""
+        """Start without waiting, from nothing: the interpreter is executed."""
         words = self.command("start", "--quiet", "--config", str(self.config))
         self.process = subprocess.Popen(
             words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
         )
         return self.process
 
+    def _fork(self) -> subprocess.Popen[str] | None:
+        words = self.command("start", "--quiet", "--config", str(self.config))
+        self.process = fork_start(words, subprocess.PIPE)
+        return self.process
+
     def start(self, **options: Any) -> Service:
-        """Start and wait for READY."""
-        process = self.launch(**options)
+        """Start and wait for READY; with options from nothing, else forked (`forked_start`)."""
+        process = (None if options else self._fork()) or self.launch(**options)
         assert process.stdout is not None
         line = process.stdout.readline()
         if not line.startswith("READY"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -48,9 +49,10 @@ def warm_scan() -> None:
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor() as beside:
         service, arbiter = Service(Path(folder), config_text(kind="simulated")), Running(Path(folder))
+        arbiter.program = ("-m", "surffollow.cli.main")  # as the service's options: two processes, not forked
         try:
             started = beside.submit(arbiter.start)
-            service.start().terminate()
+            service.start(env=dict(os.environ)).terminate()
             started.result()
         finally:
             service.purge()

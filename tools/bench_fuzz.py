@@ -130,6 +130,7 @@ def long_cycles(robot: Robot) -> tuple[int, int, int]:
 def impersonate(service: Service, robot: Robot, seconds: float) -> None:
     """End the service, let somebody else take its name, end him, start it again."""
     path = SHM / service.name
+    epoch = robot.client.epoch
     forged = forged_board(path.read_bytes(), robot.client.board.regions["output"][0])
     service.terminate()
 
@@ -145,7 +146,7 @@ def impersonate(service: Service, robot: Robot, seconds: float) -> None:
             robot.work(seconds)
     path.unlink(missing_ok=True)
     service.start()
-    until(robot.client.alive, "the service again")
+    until(lambda: robot.client.alive() and robot.client.epoch != epoch, "the service again")
 
 
 def run(args: argparse.Namespace, private: bool) -> dict[str, Any]:

@@ -16,6 +16,8 @@ from typing import Any
 
 import pytest
 
+from forked_start import fork_start
+
 CONFIG = """
 [clients]
 avoid = 40
@@ -58,7 +60,8 @@ class Running:
 
     def start(self) -> Running:
         words = [sys.executable, *self.program, "arbiter", "start", "--quiet", "--name", self.name]
-        self.process = subprocess.Popen([*words, str(self.path)], stdout=subprocess.PIPE, text=True)
+        words.append(str(self.path))
+        self.process = fork_start(words) or subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         assert line.startswith("READY"), f"the arbiter did not start: {line!r}"

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from forked_start import fork_start
 from surffollow.shm.dtypes import zeros
 from surffollow.sim.world import WorldPose, WorldWriter
 
@@ -52,13 +53,12 @@ class Service:
         self.process: subprocess.Popen[str] | None = None
 
     def command(self, *words: str) -> list[str]:
-        return [sys.executable, "-m", "surffollow.cli.main", *words, "--name", self.name]
+        return [sys.executable, "-m", "surffollow", *words, "--name", self.name]
 
     def start(self) -> None:
         """Start it and wait for READY."""
-        self.process = subprocess.Popen(
-            self.command("start", "--quiet", "--config", str(self.config)), stdout=subprocess.PIPE, text=True
-        )
+        words = self.command("start", "--quiet", "--config", str(self.config))
+        self.process = fork_start(words) or subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         assert line.startswith("READY"), f"the service did not start: {line!r}"

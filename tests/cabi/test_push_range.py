@@ -304,6 +304,7 @@ def test_pose_and_channels_of_ranges_are_claimed_anew_in_steps_whichever_call_co
     for call in calls:
         probe.until(call, lambda a: a.result == 0)
     outside.kill()
+    probe.until(calls[0], lambda a: a.result == ENDED)
     outside.start()
     with hanging(outside.name, MANNERS[0]):
         slow = 0

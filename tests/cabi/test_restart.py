@@ -216,6 +216,7 @@ def test_no_call_of_a_control_loop_waits_for_a_socket_that_hangs(
     assert probe(f"attach {mortal.name}").result == OK
     probe.until(POSE, lambda a: a.result == OK)
     mortal.kill()
+    probe.until(POSE, lambda a: a.result == NOT_RUNNING)
     mortal.start()
     with hanging(mortal.name, manner):
         slow = 0

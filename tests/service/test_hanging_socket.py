@@ -85,6 +85,7 @@ def test_pose_and_channels_of_ranges_are_claimed_anew_in_steps_whichever_call_co
         for call in calls:
             call()
         s.kill()
+        until(lambda: not robot.alive(), "silence")
         s.start()
         until(lambda: held_again(robot), "the pose, and with it a slot")
         s.freeze()  # the new claims are not answered, and the board is not stale yet

@@ -14,15 +14,12 @@ from surffollow.hw.driver import (
     ConversionQueue,
     Driver,
     DriverInfo,
-    PoseQueue,
     mounts_of,
-    notes_of,
     push_conversion,
-    reports_of,
 )
 from surffollow.hw.pump import PERIOD_NS, STOP, Pump
-from surffollow.hw.pushed_ranges import pushed_of
 from surffollow.hw.ranges import FINEST_M
+from surffollow.hw.wrapping import WrappingDriver
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.conversion import (
@@ -156,11 +153,12 @@ def _described(inner: DriverInfo, calibration: Calibration) -> DriverInfo:
     return msgspec.structs.replace(inner, **changes)
 
 
-class CalibratedDriver:
+class CalibratedDriver(WrappingDriver):
     """Any driver, whose conversions are turned into distances by a calibration; see `calibrated`."""
 
     def __init__(self, inner: Driver, calibration: Calibration) -> None:
-        self._inner, self._calibration = inner, calibration
+        super().__init__(inner)
+        self._calibration = calibration
         self._info = _described(inner.info, calibration)
         self._pump = Pump(self._info.name)
         self._between = ConversionQueue(INNER_CAPACITY)
@@ -169,20 +167,6 @@ class CalibratedDriver:
     def info(self) -> DriverInfo:
         """The inner driver's, with what was calibrated."""
         return self._info
-
-    @property
-    def reports(self) -> PoseQueue | None:
-        """The inner driver's."""
-        return reports_of(self._inner)
-
-    @property
-    def pushed(self) -> Any:
-        """The inner driver's."""
-        return pushed_of(self._inner)
-
-    def notes(self) -> list[str]:
-        """The inner driver's."""
-        return notes_of(self._inner)
 
     def start(self, queue: ConversionQueue) -> None:
         """Begin to fill the queue; see `Driver`."""

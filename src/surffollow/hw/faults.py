@@ -21,13 +21,10 @@ from surffollow.hw.driver import (
     ConversionQueue,
     Driver,
     DriverInfo,
-    PoseQueue,
-    notes_of,
     push_conversion,
-    reports_of,
 )
 from surffollow.hw.pump import PERIOD_NS, STOP, Pump
-from surffollow.hw.pushed_ranges import pushed_of
+from surffollow.hw.wrapping import WrappingDriver
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.conversion import (
@@ -227,7 +224,7 @@ def run_relay(control: Any, relay: Any, table: Any, state: Any) -> None:
         wait_until_ns(wake, 0)
 
 
-class FaultyDriver:
+class FaultyDriver(WrappingDriver):
     """Any driver, with faults.
 
     Parameters
@@ -240,29 +237,11 @@ class FaultyDriver:
     def __init__(
         self, inner: Driver, faults: list[FaultConfig] | tuple[FaultConfig, ...], seed: int = 0
     ) -> None:
-        self._inner, self._seed = inner, seed
+        super().__init__(inner)
+        self._seed = seed
         self._table = fault_table(faults, inner.info)
         self._pump = Pump(f"faults over {inner.info.name}")
         self._between = ConversionQueue(INNER_CAPACITY)
-
-    @property
-    def info(self) -> DriverInfo:
-        """The inner driver's."""
-        return self._inner.info
-
-    @property
-    def reports(self) -> PoseQueue | None:
-        """The inner driver's."""
-        return reports_of(self._inner)
-
-    @property
-    def pushed(self) -> Any:
-        """The inner driver's."""
-        return pushed_of(self._inner)
-
-    def notes(self) -> list[str]:
-        """The inner driver's."""
-        return notes_of(self._inner)
 
     def start(self, queue: ConversionQueue) -> None:
         """Begin to fill the queue; see `Driver`."""

@@ -13,6 +13,8 @@ from typing import Any
 from numba import njit
 from numba.core import event
 
+from surffollow.shm import blas_check as blas_check  # before the first kernel is loaded
+
 YOUNG_OBJECTS = 100_000  # between collections while numba compiles; 5 % more memory, 15 % less time
 
 _NO_C_ENTRY: dict[str, Any] = {"no_cfunc_wrapper": True}
