@@ -261,7 +261,7 @@ class Belief:
             if np.isfinite(ranges_m).sum() <= 2:
                 return allowed if len(allowed) > 1 else found
             for wall in allowed:
-                if not any(self._same(wall, other) for other in found):
+                if not any(self._same(wall, other, wall.phi_std_rad) for other in found):
                     found.append(wall)
         return found
 
@@ -278,7 +278,11 @@ class Belief:
         self.hypotheses = matched
         self.refuted += [h for h in left if h.state == "refuted"]
 
-    def _same(self, a: WallPose, b: WallPose) -> bool:
+    def _same(self, a: WallPose, b: WallPose, phi_std_rad: float = 0.0) -> bool:
+        """Whether two walls are one, as far as their distances and a standard deviation of φ tell."""
         turn = abs(math.remainder(a.phi_rad - b.phi_rad, 2.0 * math.pi))
         doubt = 3.0 * math.hypot(a.distance_std_m, b.distance_std_m)
-        return turn <= self.ring.half_beam_rad and abs(a.distance_m - b.distance_m) <= doubt
+        return (
+            turn <= max(self.ring.half_beam_rad, 3.0 * phi_std_rad)
+            and abs(a.distance_m - b.distance_m) <= doubt
+        )
