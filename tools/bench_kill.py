@@ -145,9 +145,14 @@ class Trial:
         self.hangs = self.leaked = self.lost = self.known = 0
         self.slowest_s = 0.0
         self.reference: Any = None
+        self.parts: dict[str, Part] = {}
+
+    def begin(self) -> None:
+        """Start them, and wait until all is well."""
+        name, folder = self.name, self.folder
         command = [sys.executable, "-m", "surffollow"]
         start = [*command, "start", "--quiet", "--name", name, "--config", str(self.service.config)]
-        self.parts = {"service": Part("service", start, folder / "service.log")}
+        self.parts["service"] = Part("service", start, folder / "service.log")
         self.wait(self.answers, READY_S)  # the first start may have to compile the kernels
         self.slowest_s = 0.0
         client = [sys.executable, "-c", CLIENT, name]
@@ -246,6 +251,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         trial = Trial(Path(folder), args.seed, args.pause)
         try:
+            trial.begin()
             for number in range(args.kills):
                 trial.kill_one(number, check=number % args.every == args.every - 1)
                 if trial.hangs > 3 or time.monotonic() - start > args.seconds:
