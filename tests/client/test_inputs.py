@@ -12,7 +12,7 @@ import pytest
 
 from running_service import POSE, Service, drive, until
 from surffollow.client import Client, attach, board, observe
-from surffollow.client.beliefs import beliefs, numbered_faults
+from surffollow.client.follower_report import follower_report, numbered_faults
 from surffollow.config.params import PARAMS, param_name
 from surffollow.errors import (
     ClosedError,
@@ -290,7 +290,7 @@ def test_faults_are_numbered_and_what_cannot_be_told_is_null(client: Client) -> 
         {"number": 5, "name": "CLOCK"},
         {"number": 35, "name": "SAMPLES_LOST"},
     ]
-    assert beliefs(None, 1) == {"mode": "adaptive"}
+    assert follower_report(None, 1) == {"mode": "adaptive"}
     told = client.status()["follower"]
     assert told["mode"] == "adaptive"
     assert told["health"] in HEALTH_NAMES

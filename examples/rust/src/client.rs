@@ -44,7 +44,7 @@ impl Board {
             return Err(format!("{path} is no board"));
         }
         if found.uid() != 0 && found.uid() != unsafe { sys::geteuid() } {
-            return Err(format!("the board belongs to user {}, who is not believed", found.uid()));
+            return Err(format!("the board belongs to user {}, who is not trusted", found.uid()));
         }
         let memory = Memory::map(file.as_raw_fd(), found.len() as usize, false)?;
         use l::sf_board_header as h;

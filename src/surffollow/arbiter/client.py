@@ -113,7 +113,7 @@ def attach(
     name : str           of the arbiter
     client : str         its priority is the configuration's
     timeout_s : float    how long to wait for a server that has not started
-    owner : int or str   number or name of the user whose server to believe; None: this process's own, root's,
+    owner : int or str   number or name of the user whose server to trust; None: this process's own, root's,
                          or that of the user that SURFFOLLOW_OWNER names
 
     Raises

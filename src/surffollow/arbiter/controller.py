@@ -108,7 +108,7 @@ def command_reader(name: str, resource: str, *, owner: int | str | None = None) 
     Parameters
     ----------
     name, resource : str   arbiter, and resource or combination
-    owner : int or str     number or name of the user whose block to believe; None: this process's own,
+    owner : int or str     number or name of the user whose block to trust; None: this process's own,
                            root's, or that of the user that SURFFOLLOW_OWNER names
 
     Raises

@@ -193,7 +193,7 @@ def observe(name: str = "cell", *, owner: int | str | None = None) -> ArbiterObs
     Parameters
     ----------
     name : str           of the arbiter
-    owner : int or str   number or name of the user whose board to believe; None: this process's own, root's,
+    owner : int or str   number or name of the user whose board to trust; None: this process's own, root's,
                          or that of the user that SURFFOLLOW_OWNER names
 
     Raises

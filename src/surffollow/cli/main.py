@@ -84,7 +84,7 @@ def print_includedir(ctx: click.Context, param: click.Parameter, wanted: bool) -
     "--owner",
     metavar="USER",
     envvar="SURFFOLLOW_OWNER",
-    help="User (name or number) whose service is believed, beside root and yourself.",
+    help="User (name or number) whose service is trusted, beside root and yourself.",
 )
 def cli(owner: str | None) -> None:
     """Real-time surface following, mapping and scanning for robot controllers.

@@ -166,7 +166,7 @@ def durations(summary: dict[str, float]) -> str:
 
 
 def follower_lines(f: dict[str, Any]) -> list[str]:
-    """What the follower believes, for people."""
+    """Estimates of the follower, for people."""
     if "health" not in f:
         return [f"follower {f['mode']}"]
 

@@ -45,7 +45,7 @@ def attach(
     stale_periods : int    cycles of silence after which demands become zero
     stale_min_s : float    but never sooner than this
     label : str            how the service's status names this client
-    owner : int or str     number or name of the user whose service to believe; None: this process's own
+    owner : int or str     number or name of the user whose service to trust; None: this process's own
         user, root, or the one that SURFFOLLOW_OWNER names. Whose it is at first it must be ever after
 
     Raises

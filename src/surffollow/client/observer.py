@@ -52,7 +52,7 @@ class Observer(MapReading):
     name : str             of the service
     stale_periods : int    cycles without a new output after which the demand is stale
     stale_min_s : float    but never sooner than this
-    owner : int or str     number or name of the user whose service to believe; None: this process's own
+    owner : int or str     number or name of the user whose service to trust; None: this process's own
         user, root, or the one that SURFFOLLOW_OWNER names. Whose it is at first it must be ever after
 
     Raises
@@ -206,7 +206,7 @@ class Observer(MapReading):
 
     def status(self) -> dict[str, Any]:
         """State, health, counters, grants and map of the service, ready for JSON; works on a dead one too."""
-        from surffollow.client.beliefs import beliefs, numbered_faults
+        from surffollow.client.follower_report import follower_report, numbered_faults
         from surffollow.client.report import histogram_summary
         from surffollow.config.stop_causes import stop_names
 
@@ -234,7 +234,7 @@ class Observer(MapReading):
             **counters,
             "lateness": histogram_summary(stats["lateness"], stats["lateness_max_ns"]),
             "execution": histogram_summary(stats["execution"], stats["execution_max_ns"]),
-            "follower": beliefs(output, int(params.get("mode", 0))),
+            "follower": follower_report(output, int(params.get("mode", 0))),
             "faults": numbered_faults(int(output["faults"]) if output else 0, int(ticker.get("faults", 0))),
             "stopped": list(stop_names(int(output["stop"]) if output else 0)),
             "main": ticker,

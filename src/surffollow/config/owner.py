@@ -1,4 +1,4 @@
-"""Whose shared memory a program believes: its own user's, root's, and the configured service user's."""
+"""Whose shared memory a program trusts: its own user's, root's, and the configured service user's."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ def user_id(owner: int | str) -> int:
 
 
 def trusted_owners(owner: int | str | None = None) -> frozenset[int]:
-    """The users whose objects are believed at the first attachment.
+    """The users whose objects are trusted at the first attachment.
 
     Parameters
     ----------
-    owner : number or name of the one user to believe; None: this process's own user, root, and the one that
+    owner : number or name of the one user to trust; None: this process's own user, root, and the one that
         the environment's SURFFOLLOW_OWNER names
     """
     if owner is not None:

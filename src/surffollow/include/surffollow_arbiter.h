@@ -668,7 +668,7 @@ static inline int sfa_i_connect(sfa_client *a, int timeout_ms, int64_t owner) {
 }
 
 /*
- * Attach to arbiter `name` as `client`, a name that its configuration declares; believe no server but that of user
+ * Attach to arbiter `name` as `client`, a name that its configuration declares; trust no server but that of user
  * number `owner` (SF_OWNER_DEFAULT: this process's own user, root, or the one that SURFFOLLOW_OWNER names).
  * Returns 0; -ENOENT no such arbiter, -EPERM that of another user (in `a->owner`), -EPROTO another release,
  * SFA_REFUSED - SFA_HELLO_...: refused.

@@ -36,7 +36,7 @@ def refuse_rights(sock: socket.socket) -> bool:
 
 
 def accept_rights(sock: socket.socket) -> None:
-    """Take descriptors from the other end from now on: it is believed."""
+    """Take descriptors from the other end from now on: it is trusted."""
     _pass_rights(sock, 1)
 
 

@@ -9,7 +9,7 @@ typedef struct sf_object {
   int fd; /* of a slot: the connection that owns it; else -1 */
 } sf_object;
 
-/* Whose shared memory is believed: this process's own user, root, and the one that SURFFOLLOW_OWNER names. */
+/* Whose shared memory is trusted: this process's own user, root, and the one that SURFFOLLOW_OWNER names. */
 #define SF_OWNER_DEFAULT INT64_C(-1)
 
 /* How to attach; begin with sf_default_options(). */
@@ -22,7 +22,7 @@ typedef struct sf_options {
   int64_t stale_min_ns;  /* ... but never sooner than this */
   int64_t ready_wait_ns; /* how long to wait for a service that is starting */
   int64_t timeout_ns;    /* how long a request waits for its answer (map requests: six times this) */
-  int64_t owner;         /* number of the user whose service to believe, or SF_OWNER_DEFAULT; whose it is at
+  int64_t owner;         /* number of the user whose service to trust, or SF_OWNER_DEFAULT; whose it is at
                             first it must be ever after */
 } sf_options;
 
@@ -138,7 +138,7 @@ static inline int64_t sf_i_configured_owner(void) {
   return SF_CAST(int64_t, found->pw_uid);
 }
 
-/* Whether an object of user `found` is believed; `owner`: one user's number, or SF_OWNER_DEFAULT. */
+/* Whether an object of user `found` is trusted; `owner`: one user's number, or SF_OWNER_DEFAULT. */
 static inline int sf_i_owner_ok(int64_t owner, uid_t found) {
   if (owner != SF_OWNER_DEFAULT) return owner == SF_CAST(int64_t, found);
   return found == 0 || found == geteuid() || SF_CAST(int64_t, found) == sf_i_configured_owner();
@@ -146,7 +146,7 @@ static inline int sf_i_owner_ok(int64_t owner, uid_t found) {
 
 /*
  * Map NAME + suffix read-only. What stands under the name may be anything of anybody's: nothing here waits
- * for it (O_NONBLOCK), follows a link, or maps what is no plain file of a user who is believed.
+ * for it (O_NONBLOCK), follows a link, or maps what is no plain file of a user who is trusted.
  */
 static inline int sf_i_open(sf_client *c, const char *suffix, sf_object *o) {
   char path[96];

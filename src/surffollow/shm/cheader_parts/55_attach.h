@@ -113,7 +113,7 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
 /* Attach as a client that may send poses and requests. */
 static inline int sf_attach(sf_client *c, const char *name) { return sf_attach_with(c, name, NULL); }
 
-/* sf_attach, believing no service but that of user number `owner`. */
+/* sf_attach, trusting no service but that of user number `owner`. */
 static inline int sf_attach_owner(sf_client *c, const char *name, uid_t owner) {
   sf_options o = sf_default_options();
   o.owner = SF_CAST(int64_t, owner);

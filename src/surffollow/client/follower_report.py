@@ -1,4 +1,4 @@
-"""What the follower in a service believes and which faults are latched, in words and SI numbers."""
+"""The follower's estimates and the faults that are latched, in words and SI numbers."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def numbered_faults(follower_bits: int, service_bits: int) -> list[dict[str, Any
     return [{"number": number, "name": name} for number, name in found]
 
 
-def beliefs(output: Mapping[str, Any] | None, mode: int) -> dict[str, Any]:
-    """What the follower believes: estimates, and in adaptive mode health and what it adapted.
+def follower_report(output: Mapping[str, Any] | None, mode: int) -> dict[str, Any]:
+    """Estimates of the follower, and in adaptive mode health and what it adapted.
 
     Parameters
     ----------
