@@ -9,8 +9,9 @@ import pytest
 
 from hw.wires import FRAME_FORMAT, LINE_FORMAT, frame, line
 from surffollow.errors import ConfigError
-from surffollow.hw import frames
-from surffollow.hw.frames import Format, make_finder
+from surffollow.hw import frame_format
+from surffollow.hw.frame_format import Format
+from surffollow.hw.frames import make_finder
 from surffollow.hw.presets import PRESETS
 from surffollow.hw.serial_port import SerialConfig, with_preset
 
@@ -27,7 +28,7 @@ NMEA = Format(
 
 def nmea(channel: int, range_mm: float, status: str = "A") -> bytes:
     body = f"D,{channel},{range_mm:07.2f},{status}".encode()
-    return b"$" + body + f"*{frames.xor8(body):02X}\r\n".encode()
+    return b"$" + body + f"*{frame_format.xor8(body):02X}\r\n".encode()
 
 
 def found(form: Format, data: bytes, piece: int = 0) -> list:
@@ -59,10 +60,10 @@ def test_after_rubbish_one_frame_alone_is_not_enough() -> None:
 
 
 def test_checksums_are_the_published_ones() -> None:
-    assert frames.crc16_modbus(b"123456789") == 0x4B37
-    assert frames.crc16_ccitt(b"123456789") == 0x29B1
-    assert frames.sum8(b"123456789") == 0xDD
-    assert frames.xor8(b"123456789") == 0x31
+    assert frame_format.crc16_modbus(b"123456789") == 0x4B37
+    assert frame_format.crc16_ccitt(b"123456789") == 0x29B1
+    assert frame_format.sum8(b"123456789") == 0xDD
+    assert frame_format.xor8(b"123456789") == 0x31
 
 
 def test_lines_with_channel_status_and_checksum() -> None:
@@ -85,7 +86,7 @@ def test_a_frame_that_says_no_target_or_a_bad_signal_is_no_measurement() -> None
 
     def tfmini(cm: int, strength: int) -> bytes:
         body = b"\x59\x59" + struct.pack("<HHH", cm, strength, 2500)
-        return body + bytes([frames.sum8(body)])
+        return body + bytes([frame_format.sum8(body)])
 
     data = tfmini(150, 500) + tfmini(151, 99) + tfmini(152, 65535) + tfmini(153, 100)
     got = [r for _, _, r in found(config.format, data)]

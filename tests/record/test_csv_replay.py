@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from surffollow.cli.record import replay_command
+from surffollow.cli.replay import replay_command
 from surffollow.errors import UsageError
 from surffollow.map import HeightMap
 from surffollow.record.columns import Columns, load_columns, parse_columns

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from surffollow.cli.plot import plot_command
-from surffollow.cli.record import replay_command
+from surffollow.cli.replay import replay_command
 from surffollow.errors import UsageError
 from surffollow.map import HeightMap
 from surffollow.record.figure import outliers, spans

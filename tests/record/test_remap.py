@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from surffollow.cli.record import replay_command
+from surffollow.cli.replay import replay_command
 from surffollow.errors import RecordingError, UsageError
 from surffollow.forecast.journal import MAP, SNAPSHOT, entry_head, entry_kind, entry_words
 from surffollow.forecast.step import follow_step

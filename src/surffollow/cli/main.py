@@ -24,7 +24,7 @@ VERBS = {
     "demo": ("demo", "demo_command", "Follow simulated rough ground with the real service."),
     "robot": ("robot", "robot_command", "Simulate a robot that heeds the service's demands."),
     "record": ("record", "record_command", "Record a service's cycles to a file."),
-    "replay": ("record", "replay_command", "Run a recording or a CSV log through the same kernels."),
+    "replay": ("replay", "replay_command", "Run a recording or a CSV log through the same kernels."),
     "convert": ("convert", "convert_command", "Turn recordings into tables, or into channels for viewers."),
     "recover": ("convert", "recover_command", "Rewrite what is whole of a cut recording."),
     "plot": ("plot", "plot_command", "Draw a recording, a CSV log or a map."),

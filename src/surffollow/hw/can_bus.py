@@ -9,7 +9,8 @@ import msgspec
 
 from surffollow.errors import ConfigError, DriverError
 from surffollow.hw.driver import Driver, DriverInfo, Mount
-from surffollow.hw.frames import Format, FrameFinder
+from surffollow.hw.frame_format import Format
+from surffollow.hw.frames import FrameFinder
 from surffollow.hw.polled import SILENCE_S, PolledDriver
 from surffollow.hw.ranges import metre_info, pack_range
 

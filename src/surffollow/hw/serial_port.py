@@ -13,7 +13,8 @@ import msgspec
 from surffollow.errors import ConfigError, DriverError
 from surffollow.hw.arrival import ArrivalClock
 from surffollow.hw.driver import Driver, DriverInfo, Mount
-from surffollow.hw.frames import Format, make_finder
+from surffollow.hw.frame_format import Format
+from surffollow.hw.frames import make_finder
 from surffollow.hw.polled import SILENCE_S, PolledDriver
 from surffollow.hw.presets import PRESETS
 from surffollow.hw.ranges import metre_info, pack_range

@@ -11,7 +11,8 @@ import msgspec
 
 from surffollow.errors import ConfigError, DriverError
 from surffollow.hw.driver import Driver, DriverInfo, Mount
-from surffollow.hw.frames import Format, FrameFinder, Number, make_finder, reader_of
+from surffollow.hw.frame_format import Format, Number, reader_of
+from surffollow.hw.frames import FrameFinder, make_finder
 from surffollow.hw.polled import SILENCE_S, PolledDriver
 from surffollow.hw.ranges import metre_info, pack_range
 
@@ -27,7 +28,7 @@ class UdpConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     port : to listen on
     host : address to listen on; "0.0.0.0": every one
     sender : who is listened to: "address:port", "address" (every program there), or "any"
-    format : see `frames.Format`; a datagram holds whole frames or lines, and a line may lack its terminator
+    format : see `frame_format.Format`; a datagram holds whole frames or lines; a line may lack its terminator
     sequence : where a datagram's number is, if it is there; older ones than the last are dropped
     range_min_m, range_max_m, latency_s, channels, mounts, silence_s : see `serial_port.SerialConfig`
     """

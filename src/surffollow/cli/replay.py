@@ -1,0 +1,277 @@
+"""`surffollow replay`: recordings and CSV logs through the kernels again."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from surffollow.cli.values import SERVICE_NAME, Finite
+
+if TYPE_CHECKING:
+    from surffollow.record.columns import Columns
+    from surffollow.record.csv_replay import CsvReplay
+
+TABLES = (".csv", ".parquet")
+
+
+@click.command("replay")
+@click.argument("file", type=click.Path())
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--columns", type=click.Path(), help="FILE is a CSV log: what its columns mean (TOML).")
+@click.option("--start", type=Finite(), help="CSV: first time, in seconds of the log.")
+@click.option("--end", type=Finite(), help="CSV: last time, in seconds of the log.")
+@click.option("--mode", type=click.Choice(["paper", "adaptive"]), help="CSV: how to follow.")
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False),
+    help="Write a table (.csv; of a recording also .parquet, 100 rows/s) or a figure (.png, .svg, .pdf).",
+)
+@click.option(
+    "--plot", type=click.Path(dir_okay=False), help="Draw a figure (.png, .svg, .pdf), as `plot` does."
+)
+@click.option(
+    "--map",
+    "map_out",
+    type=click.Path(dir_okay=False),
+    help="Also build the run's map again: where to; the suffix says how.",
+)
+@click.option(
+    "--live", is_flag=True, help="Play the recording into a service started for it, at its own pace."
+)
+@click.option("--name", type=SERVICE_NAME, help="Name of that service.  [default: replay-PID]")
+def replay_command(
+    file: str,
+    as_json: bool,
+    columns: str | None,
+    start: float | None,
+    end: float | None,
+    mode: str | None,
+    out: str | None,
+    plot: str | None,
+    map_out: str | None,
+    live: bool,
+    name: str | None,
+) -> None:
+    """Run a recording through the same kernels again and compare every bit.
+
+    Exit code 1 when anything differs or the file is damaged. A CSV log with --columns
+    is followed as it stands; the ranges forecast ahead are compared with those that came.
+    """
+    from surffollow.errors import UsageError
+
+    if name is not None and not live:
+        raise UsageError("--name goes with --live")
+    suffix = None if out is None else _suffix_of_out(out)
+    if plot is not None:
+        from surffollow.record.figure import check_figure
+
+        check_figure(plot)
+    if map_out is not None:
+        from surffollow.map.files import check_suffix
+
+        check_suffix(map_out)
+    if columns is not None or file.lower().endswith(".csv"):
+        if live:
+            raise UsageError("--live is for recordings (.mcap), not CSV logs")
+        if suffix == ".parquet":
+            raise UsageError(f"--out {out}: the table of a CSV log is a .csv file")
+        _replay_csv(file, columns, start, end, mode, out, map_out, plot, as_json)
+    else:
+        given = {"--start": start, "--end": end, "--mode": mode}
+        needless = [option for option, value in given.items() if value is not None]
+        if needless:
+            raise UsageError(
+                f"{', '.join(needless)}: only for CSV logs; a recording is played as it was made"
+            )
+        if map_out is not None:
+            _write_map(file, map_out)
+        for figure in (plot, out if suffix not in TABLES else None):
+            if figure is not None:
+                from surffollow.record.plot_recording import plot_recording
+
+                plot_recording(file, figure)
+        if out is not None and suffix in TABLES:
+            from surffollow.record.convert import convert
+
+            convert([file], "parquet" if suffix == ".parquet" else "csv", out, force=True)
+        if live:
+            _play_live(file, name, as_json)
+        else:
+            _replay_recording(file, as_json)
+
+
+def _write_map(file: str, map_out: str) -> None:
+    from surffollow.map.files import export
+    from surffollow.record.remap import rebuild_map
+
+    rebuilt = rebuild_map(file)
+    export(map_out, rebuilt.header, rebuilt.pairs)
+
+
+def _play_live(file: str, name: str | None, as_json: bool) -> None:
+    import json
+    from dataclasses import asdict
+
+    from surffollow.cli.progress import stop_event, tell
+    from surffollow.record.live import play_live
+
+    with tell() as progress:
+        r = play_live(file, name=name, stop=stop_event(), progress=progress)
+    if as_json:
+        click.echo(json.dumps(asdict(r)))
+    else:
+        click.echo(
+            f"{file}: {r.conversions} conversions ({r.conversions_skipped} skipped) and {r.poses} poses "
+            f"({r.poses_refused} refused) in "
+            f"{r.seconds:.1f} s, {r.cycles} cycles; {r.valid} of {r.poses} demands valid"
+            + ("" if r.finished else "; ended early")
+        )
+
+
+def _replay_recording(file: str, as_json: bool) -> None:
+    import json
+    import sys
+    from dataclasses import asdict
+
+    from surffollow.record.replay import replay_file
+
+    report = replay_file(file)
+    click.echo(json.dumps(asdict(report)) if as_json else report_text(file, report))
+    if not report.identical:
+        sys.exit(1)
+
+
+def replay_csv_log(
+    file: str, columns: str | None, start: float | None, end: float | None, mode: str | None
+) -> tuple[CsvReplay, Columns]:
+    """Read a CSV log by its column file and follow it."""
+    from surffollow.errors import UsageError
+    from surffollow.record.columns import load_columns
+    from surffollow.record.csv_log import read_csv
+    from surffollow.record.csv_replay import run_csv
+
+    if columns is None:
+        raise UsageError(
+            f"{file} is a CSV log: say what its columns mean with --columns (see examples/columns/)"
+        )
+    meaning = load_columns(columns)
+    return run_csv(read_csv(file, meaning).between(start, end), meaning, mode), meaning
+
+
+def _write_csv_rows(out: str, replay: CsvReplay, meaning: Columns, file: str) -> None:
+    from surffollow.record.csv_replay import write_rows
+
+    if _suffix_of_out(out) in TABLES:
+        write_rows(out, replay)
+    else:
+        from surffollow.record.plot_csv import plot_csv
+
+        plot_csv(file, replay, meaning, out)
+
+
+def _suffix_of_out(out: str) -> str:
+    """The suffix of --out in lower case; refused where it is neither a table's nor a figure's."""
+    from pathlib import Path
+
+    from surffollow.errors import UsageError
+    from surffollow.record.figure import SUFFIXES, check_figure
+
+    suffix = Path(out).suffix.lower()
+    if suffix not in (*TABLES, *SUFFIXES):
+        raise UsageError(
+            f"--out {out}: a table ends in {', '.join(TABLES)}, a figure in {', '.join(SUFFIXES)}"
+        )
+    if suffix in SUFFIXES:
+        check_figure(out)
+    return suffix
+
+
+def _replay_csv(
+    file: str,
+    columns: str | None,
+    start: float | None,
+    end: float | None,
+    mode: str | None,
+    out: str | None,
+    map_out: str | None,
+    plot: str | None,
+    as_json: bool,
+) -> None:
+    import json
+
+    from surffollow.record.csv_replay import summarise
+
+    replay, meaning = replay_csv_log(file, columns, start, end, mode)
+    if out is not None:
+        _write_csv_rows(out, replay, meaning, file)
+    if map_out is not None:
+        from surffollow.map.files import export
+        from surffollow.record.remap import map_of_points
+
+        made = map_of_points(replay.target_m)
+        export(map_out, made.header, made.pairs)
+    if plot is not None:
+        from surffollow.record.plot_csv import plot_csv
+
+        plot_csv(file, replay, meaning, plot)
+    summary = summarise(file, replay, meaning)
+    click.echo(json.dumps(summary) if as_json else csv_text(summary))
+
+
+def csv_text(summary: dict[str, Any]) -> str:
+    """The summary of a CSV replay for people."""
+
+    def figure(value: float | None) -> str:
+        return "-" if value is None else f"{value:.4f}"
+
+    lines = [
+        f"{summary['file']}: {summary['readings']} readings in {summary['rows']} rows, "
+        f"{summary['start_s']:g} to {summary['end_s']:g} s, {summary['mode']} mode",
+        f"{'horizon [s]':>12} {'rms [m]':>10} {'no change [m]':>14} {'ratio':>7} {'n':>7}",
+    ]
+    for row in summary["forecast"]:
+        rms, still = row["rms_m"], row["no_change_rms_m"]
+        ratio = f"{rms / still:.3f}" if rms is not None and still else "-"
+        lines.append(
+            f"{row['horizon_s']:>12g} {figure(rms):>10} {figure(still):>14} {ratio:>7} {row['n']:>7}"
+        )
+    reference = summary.get("reference")
+    if reference is not None:
+        for what in ("height", "target"):
+            d = reference[what]
+            lines.append(
+                f"{what} less {reference['column']}: mean {figure(d['mean_m'])} m, "
+                f"std {figure(d['std_m'])} m over {d['n']} rows"
+            )
+    lines += [f"note: {note}" for note in summary["notes"]]
+    return "\n".join(lines)
+
+
+def report_text(file: str, report: object) -> str:
+    """A `ReplayReport` for people."""
+    from surffollow.record.replay import ReplayReport
+
+    assert isinstance(report, ReplayReport)
+    r = report
+    lines = [
+        f"{file}: {r.cycles} cycles in {r.segments} segment(s), recorded by surffollow {r.recorded_by} "
+        f"on {r.machine}; {r.lost_cycles} cycles lost in {r.losses} place(s)",
+        f"replayed at {r.cycles_per_s / 1e6:.2f} million cycles/s",
+    ]
+    if not r.complete:
+        lines.append(f"DAMAGED: {r.damage}; {r.lost_bytes} bytes lost; judged is only what is whole")
+    elif r.lost_bytes:
+        lines.append(f"recovered: {r.lost_bytes} bytes of the file that it was made of were lost")
+    if r.differing:
+        lines.append(f"DIFFERENT: {r.differing} cycles; first {r.first_difference}")
+    if r.states_differing:
+        lines.append(
+            f"DIFFERENT: {r.states_differing} of {r.snapshots} snapshots are not the replayed state; "
+            f"first before cycle {r.first_state_difference}"
+        )
+    if r.gaps:
+        lines.append(f"DIFFERENT: {r.gaps} cycle numbers do not follow the ones before")
+    if r.identical:
+        lines.append(f"identical: every demand and status, and {r.snapshots} snapshots, bit for bit")
+    return "\n".join(lines)
