@@ -103,6 +103,7 @@ def test_purged_map_is_found_again_when_it_is_made_anew(
     assert probe("map_reset 0 0 0.1 0.1").result == OK
     probe.until(POSE, lambda a: probe("height 0.05 0.05").result == OK)
     mortal.stop()
+    probe.until("dev", lambda a: bool(int(a.values[2]) & STALE))  # it is seen to have ended
     mortal.start()
     probe.until("dev", lambda a: not int(a.values[2]) & STALE)
     assert probe("height 0.05 0.05").result == 4
