@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,65 @@ def test_four_walls_of_a_room_are_found_from_one_round():
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     assert math.degrees(rms[0]) <= 1.7, f"seed {seed}"
     assert rms[1] <= 0.0155, f"seed {seed}"
+
+
+def diffuse_rooms(seed, n):
+    """n rounds of a diffuse ring in a room: ring, true walls, the wall that each echo comes from, ranges."""
+    ring, rng = SonarRing.regular(model="diffuse"), np.random.default_rng(seed)
+    for _ in range(n):
+        room = random_room(rng)
+        each = [
+            ring_ranges(
+                ring.positions_m, ring.headings_rad, ring.half_beam_rad, ring.max_incidence_rad, [wall]
+            )
+            for wall in room
+        ]
+        yield ring, room, np.argmin(each, axis=0), noisy(ring, rng, room)
+
+
+def walls_of(ring, r, k=4):
+    return walls(
+        ring.positions_m, ring.headings_rad, r, ALPHA, k,
+        sigma_m=ring.sigmas(r), max_incidence_rad=ring.max_incidence_rad, max_range_m=ring.max_range_m,
+    )  # fmt: skip
+
+
+def test_each_diffuse_wall_of_a_room_keeps_its_own_echoes():
+    seed, errors, mixed = 18, [], 0
+    for ring, room, source, r in diffuse_rooms(seed, 60):
+        found = walls_of(ring, r)
+        for k, (phi, d) in enumerate(room):
+            own = np.flatnonzero(source == k)
+            if own.size < 4:  # fewer echoes leave phi open by up to 30 degrees
+                continue
+            near = [w for w in found if abs(wrapped(w.phi_rad - phi)) < 0.2 and abs(w.distance_m - d) < 0.3]
+            assert len(near) == 1, f"seed {seed}"
+            error = np.array([wrapped(near[0].phi_rad - phi), near[0].distance_m - d])
+            errors.append(error @ np.linalg.solve(near[0].covariance, error))
+            mixed += len(set(near[0].sensors) - set(own))
+    # normalised errors of two numbers: 2 on average where the covariance is true
+    assert 1.4 < np.mean(errors) < 2.8, f"seed {seed}: {np.mean(errors)}"
+    assert max(errors) < 40.0, f"seed {seed}"
+    assert mixed <= 0.1 * len(errors), f"seed {seed}"
+
+
+def test_the_search_for_diffuse_walls_is_bounded():
+    seed, worst = 3, 0.0
+
+    def taken_s(work):
+        taken = []
+        for _ in range(5):
+            begun = time.process_time()
+            work()
+            taken.append(time.process_time() - begun)
+        return min(taken)
+
+    for ring, room, _, r in diffuse_rooms(seed, 25):
+        alone = noisy(ring, np.random.default_rng(seed), room[:1])
+        one = taken_s(lambda: fuse(ring, alone))  # noqa: B023
+        worst = max(worst, taken_s(lambda: walls_of(ring, r)) / one)  # noqa: B023
+    # four walls, three searches each; every candidate fused took up to 130 times as long as one wall
+    assert worst < 30.0, f"seed {seed}"
 
 
 def test_a_box_in_front_of_one_sonar_does_not_move_the_wall():

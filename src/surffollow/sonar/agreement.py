@@ -26,6 +26,7 @@ def compare_reading(
     wall: Any,
     nx: Any,
     ny: Any,
+    exactly: Any,
 ) -> Any:
     """How reading i stands to a wall.
 
@@ -37,6 +38,8 @@ def compare_reading(
     ----------
     wall : (5,) float64   φ, d, var φ, covariance, var d
     nx, ny : float64      cos φ, sin φ
+    exactly : bool        leave the error of the wall's own prediction out of the tolerance. At grazing
+                          incidence a range changes so fast with φ that any reading agrees with a vague wall
 
     Returns
     -------
@@ -60,13 +63,14 @@ def compare_reading(
         )
         if math.isinf(expected):
             return UNEXPLAINED
-    # an error of the reading moves the equation by cos e, an error of the wall by (slope, 1)
-    slope, cos_edge = sensitivity(x, y, heading, expected, half_beam_rad, phi, nx, ny)
     sigma = sigmas_m[i]
     variance = sigma * sigma
-    if math.isfinite(var_phi) and cos_edge > 0.0:
-        own = slope * slope * var_phi + 2.0 * slope * wall[COV] + wall[VAR_DISTANCE]
-        variance += max(0.0, own) / (cos_edge * cos_edge)
+    if not exactly and math.isfinite(var_phi):
+        # an error of the reading moves the equation by cos e, an error of the wall by (slope, 1)
+        slope, cos_edge = sensitivity(x, y, heading, expected, half_beam_rad, phi, nx, ny)
+        if cos_edge > 0.0:
+            own = slope * slope * var_phi + 2.0 * slope * wall[COV] + wall[VAR_DISTANCE]
+            variance += max(0.0, own) / (cos_edge * cos_edge)
     tolerance = EXACT_M + N_SIGMA * math.sqrt(variance)
     if math.isfinite(r) and abs(r - expected) <= tolerance:
         return INLIER
@@ -89,6 +93,7 @@ def count_agreement(
     wall: Any,
     free: Any,
     verdicts: Any,
+    exactly: Any = False,
 ) -> Any:
     """Inliers among the free readings and contradictions among all; `verdicts` (m,) int64 is written.
 
@@ -113,6 +118,7 @@ def count_agreement(
             wall,
             nx,
             ny,
+            exactly,
         )
         if verdicts[i] == INLIER:
             if free[i]:

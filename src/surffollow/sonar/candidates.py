@@ -134,6 +134,8 @@ def find_candidates(
     max_incidence_rad: Any,
     max_range_m: Any,
     by_beams: Any,
+    stop_early: Any,
+    exactly: Any,
     found: Any,
     verdicts: Any,
     candidates: Any,
@@ -144,8 +146,9 @@ def find_candidates(
     ----------
     positions_m : (m, 2) float64   headings_rad, ranges_m, sigmas_m : (m,) float64
     free : (m,) bool               echoes that no wall explains yet
-    by_beams : bool                use `beam_solution` for pairs without a solution, and stop at a candidate
-                                   that explains every free echo
+    by_beams : bool                use `beam_solution` for pairs without a solution
+    stop_early : bool              stop at a candidate that explains every free echo
+    exactly : bool                 leave the solutions' own errors out when counting
     found : (19, 5) float64        verdicts : (m,) int64   scratch
     candidates : (c, 10) float64   written: solution, cost, pair, inliers, contradictions
 
@@ -189,6 +192,7 @@ def find_candidates(
                     bounded,
                     free,
                     verdicts,
+                    exactly,
                 )
                 candidates[n, :SOLUTION] = found[k]
                 candidates[n, COST], candidates[n, FIRST], candidates[n, SECOND] = (
@@ -198,7 +202,7 @@ def find_candidates(
                 )
                 candidates[n, INLIERS], candidates[n, CONTRADICTIONS] = inliers, contradictions
                 n += 1
-                if by_beams and inliers == echoes and contradictions == 0:
+                if stop_early and inliers == echoes and contradictions == 0:
                     return n
     return n
 

@@ -112,7 +112,9 @@ def _candidates(ring: Ring) -> tuple[NDArray[np.float64], int]:
     found = np.empty((MAX_SOLUTIONS + 1, SOLUTION))
     rows = np.empty((min(MAX_CANDIDATES, MAX_SOLUTIONS * m * (m - 1) // 2 + 1), cd.CANDIDATE))
     free = np.isfinite(ring.ranges_m)
-    n = cd.find_candidates(*ring[:4], free, *ring[4:], False, found, np.empty(m, np.int64), rows)
+    n = cd.find_candidates(
+        *ring[:4], free, *ring[4:], False, False, False, found, np.empty(m, np.int64), rows
+    )
     return rows, int(n)
 
 
@@ -240,7 +242,9 @@ def walls(
     """Up to k walls from m sonars (kWmS).
 
     All pairs are scored by inliers − 3·contradictions over all readings. The best one is refined with its
-    inliers, its readings are set aside, and the next is looked for.
+    inliers, its readings are set aside, and the next is looked for. Diffuse walls share out the readings once
+    two are known. A wall with fewer than four echoes can be missed, or lie several of its standard deviations
+    away: its posterior is not Gaussian (docs/sonar.md).
 
     Parameters
     ----------

@@ -1,0 +1,334 @@
+"""One wall from the free readings of a round: candidates compared by their agreement, the best one fused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.shm.jit import jit, jit_inlined
+from surffollow.sonar.agreement import INLIER, UNEXPLAINED, count_agreement
+from surffollow.sonar.candidates import (
+    CONTRADICTIONS,
+    COST,
+    FIRST,
+    INLIERS,
+    SECOND,
+    best_candidate,
+    bound_by_beams,
+    candidate_cost,
+    candidate_score,
+    find_candidates,
+)
+from surffollow.sonar.pair import MAX_SOLUTIONS, SOLUTION
+from surffollow.sonar.posterior import beam_interval
+from surffollow.sonar.refinement import polish_candidate, refine_wall
+
+MAX_POLISHED = 8  # candidates that are compared once least squares made them certain
+MAX_FUSED = 4  # of them, tried until one agrees with all readings
+GRAZING_RAD = math.radians(
+    60.0
+)  # edge angle beyond which a range changes faster with φ than 3.5 d per radian
+
+
+@jit
+def certain_wall(
+    positions_m: Any,
+    headings_rad: Any,
+    ranges_m: Any,
+    sigmas_m: Any,
+    half_beam_rad: Any,
+    max_incidence_rad: Any,
+    max_range_m: Any,
+    n: Any,
+    found: Any,
+    candidates: Any,
+    points: Any,
+    free: Any,
+    verdicts: Any,
+    wall: Any,
+) -> Any:
+    """The best of the candidates that least squares make certain, fused with its inliers.
+
+    Parameters
+    ----------
+    n : int64                 candidates, counted exactly; written, too
+    found, points             scratch
+    free, verdicts, wall      as `refine_wall`
+
+    Returns
+    -------
+    int64   inliers; less than 3 for no wall
+    """
+    bounded, trial = found[MAX_SOLUTIONS], found[0]
+    kept = 0  # the best come first
+    while kept < min(n, MAX_POLISHED):
+        best = kept + best_candidate(candidates[kept:], n - kept)
+        if candidate_score(candidates[best]) < 3:
+            break
+        for c in range(candidates.shape[1]):
+            candidates[kept, c], candidates[best, c] = candidates[best, c], candidates[kept, c]
+        kept += 1
+    for c in range(kept):
+        i, j = int(candidates[c, FIRST]), int(candidates[c, SECOND])
+        bound_by_beams(positions_m, headings_rad, i, j, max_incidence_rad, candidates[c, :SOLUTION], bounded)
+        candidates[c, INLIERS] = polish_candidate(
+            positions_m,
+            headings_rad,
+            ranges_m,
+            sigmas_m,
+            half_beam_rad,
+            max_incidence_rad,
+            max_range_m,
+            free,
+            verdicts,
+            trial,
+            bounded,
+        )
+        candidates[c, CONTRADICTIONS] = 0
+        candidates[c, :SOLUTION] = bounded
+        candidates[c, COST] = candidate_cost(bounded)
+    for _ in range(MAX_FUSED):
+        if kept == 0:
+            break
+        best = best_candidate(candidates, kept)
+        wall[:] = candidates[best, :SOLUTION]
+        if candidate_score(candidates[best]) < 3:
+            break
+        count_agreement(
+            positions_m,
+            headings_rad,
+            ranges_m,
+            sigmas_m,
+            half_beam_rad,
+            max_incidence_rad,
+            max_range_m,
+            wall,
+            free,
+            verdicts,
+            True,
+        )
+        taken = refine_wall(
+            positions_m,
+            headings_rad,
+            ranges_m,
+            sigmas_m,
+            free,
+            verdicts,
+            half_beam_rad,
+            max_incidence_rad,
+            max_range_m,
+            True,
+            points,
+            wall,
+        )
+        if taken >= 3:
+            return taken
+        kept -= 1
+        candidates[best] = candidates[kept]
+    return 0
+
+
+@jit
+def vague_wall(
+    positions_m: Any,
+    headings_rad: Any,
+    ranges_m: Any,
+    sigmas_m: Any,
+    half_beam_rad: Any,
+    max_incidence_rad: Any,
+    max_range_m: Any,
+    n: Any,
+    found: Any,
+    candidates: Any,
+    points: Any,
+    free: Any,
+    verdicts: Any,
+    wall: Any,
+) -> Any:
+    """The best candidate with the readings that its own covariance lets in, fused; else its pair alone.
+
+    Parameters and result as `certain_wall`; less than 2 for no wall.
+    """
+    bounded = found[MAX_SOLUTIONS]
+    for _ in range(min(n, MAX_FUSED)):
+        best = best_candidate(candidates, n)
+        if candidate_score(candidates[best]) < 2:
+            break
+        i, j = int(candidates[best, FIRST]), int(candidates[best, SECOND])
+        bound_by_beams(
+            positions_m, headings_rad, i, j, max_incidence_rad, candidates[best, :SOLUTION], bounded
+        )
+        count_agreement(
+            positions_m,
+            headings_rad,
+            ranges_m,
+            sigmas_m,
+            half_beam_rad,
+            max_incidence_rad,
+            max_range_m,
+            bounded,
+            free,
+            verdicts,
+        )
+        for alone in range(2):
+            if alone == 1:
+                for s in range(ranges_m.size):
+                    verdicts[s] = INLIER if s in (i, j) else UNEXPLAINED
+            wall[:] = bounded
+            taken = refine_wall(
+                positions_m,
+                headings_rad,
+                ranges_m,
+                sigmas_m,
+                free,
+                verdicts,
+                half_beam_rad,
+                max_incidence_rad,
+                max_range_m,
+                False,
+                points,
+                wall,
+            )
+            if taken >= 2:
+                return taken
+        n -= 1
+        candidates[best] = candidates[n]
+    return 0
+
+
+@jit_inlined
+def is_grazing(half_beam_rad: Any, max_incidence_rad: Any) -> Any:
+    """Whether echoes come from so near to grazing that vague candidates agree with anything."""
+    return max_incidence_rad - half_beam_rad > GRAZING_RAD
+
+
+@jit
+def mean_heading(headings_rad: Any, free: Any) -> Any:
+    """Direction [rad] of the sum of the free beams' axes."""
+    x = y = 0.0
+    for s in range(headings_rad.size):
+        if free[s]:
+            x, y = x + math.cos(headings_rad[s]), y + math.sin(headings_rad[s])
+    return math.atan2(y, x)
+
+
+@jit
+def best_wall(
+    positions_m: Any,
+    headings_rad: Any,
+    ranges_m: Any,
+    sigmas_m: Any,
+    half_beam_rad: Any,
+    max_incidence_rad: Any,
+    max_range_m: Any,
+    found: Any,
+    candidates: Any,
+    points: Any,
+    free: Any,
+    verdicts: Any,
+    wall: Any,
+) -> Any:
+    """The wall that the free readings agree with best.
+
+    Without grazing echoes: the candidates as they are. With them three searches, until one finds a wall:
+    a candidate that explains every free echo, if one normal can; the candidates that least squares make
+    certain; the candidates as they are.
+
+    Parameters
+    ----------
+    found, candidates, points   scratch of `find_candidates` and `fuse`
+    free : (m,) bool       readings that may belong to this wall
+    verdicts : (m,) int64  written: its inliers
+    wall : (5,) float64    written
+
+    Returns
+    -------
+    int64   inliers; less than 2 for no wall
+    """
+    echoes = 0
+    for s in range(ranges_m.size):
+        echoes += free[s]
+        verdicts[s] = INLIER if free[s] else UNEXPLAINED
+    _, width = beam_interval(
+        headings_rad, verdicts, max_incidence_rad, mean_heading(headings_rad, free), math.pi
+    )
+    grazing = is_grazing(half_beam_rad, max_incidence_rad)
+    for search in range(0 if width >= 0.0 or not grazing else 1, 3):
+        n = find_candidates(
+            positions_m,
+            headings_rad,
+            ranges_m,
+            sigmas_m,
+            free,
+            half_beam_rad,
+            max_incidence_rad,
+            max_range_m,
+            True,
+            search == 0,
+            search == 1,
+            found,
+            verdicts,
+            candidates,
+        )
+        if n == 0:
+            return 0
+        taken = 0
+        if search == 0 and grazing:
+            if candidates[n - 1, INLIERS] < echoes or candidates[n - 1, CONTRADICTIONS] > 0:
+                continue
+            candidates[0], n = candidates[n - 1], 1
+        if search == 1:
+            taken = certain_wall(
+                positions_m,
+                headings_rad,
+                ranges_m,
+                sigmas_m,
+                half_beam_rad,
+                max_incidence_rad,
+                max_range_m,
+                n,
+                found,
+                candidates,
+                points,
+                free,
+                verdicts,
+                wall,
+            )
+        else:
+            taken = vague_wall(
+                positions_m,
+                headings_rad,
+                ranges_m,
+                sigmas_m,
+                half_beam_rad,
+                max_incidence_rad,
+                max_range_m,
+                n,
+                found,
+                candidates,
+                points,
+                free,
+                verdicts,
+                wall,
+            )
+        if not grazing:
+            return taken
+        if search == 0 and taken >= 2:
+            taken, _ = count_agreement(
+                positions_m,
+                headings_rad,
+                ranges_m,
+                sigmas_m,
+                half_beam_rad,
+                max_incidence_rad,
+                max_range_m,
+                wall,
+                free,
+                verdicts,
+                True,
+            )
+            if taken < echoes:
+                continue
+        if taken >= 2:
+            return taken
+    return 0
