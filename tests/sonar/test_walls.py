@@ -60,6 +60,45 @@ def test_the_fused_pose_is_as_good_as_beams_and_ranges_allow(model, phi_deg, d_m
     assert 1.6 < np.mean(consistent) < 2.4, f"seed {seed}"
 
 
+def test_a_noisy_pair_that_no_wall_fits_is_answered_by_its_beams():
+    # |r2 - r1| > B by noise alone leaves the closed form without a solution
+    seed, pairs, empty, closed, errors = 17, 0, 0, 0, []
+    ring, rng = SonarRing.regular(model="specular"), np.random.default_rng(seed)
+    for _ in range(400):
+        wall = rng.uniform(-math.pi, math.pi), rng.uniform(0.8, 3.0)
+        r = noisy(ring, rng, [wall])
+        if np.isfinite(r).sum() < 2:
+            continue
+        pairs += 1
+        found = wall_pose(
+            ring.positions_m,
+            ring.headings_rad,
+            r,
+            ALPHA,
+            sigma_m=ring.sigmas(r),
+            max_range_m=ring.max_range_m,
+        )
+        if not found:
+            empty += 1
+            continue
+        got = found[0]
+        if got.phi_std_rad > math.radians(2.3):
+            closed += 1
+            continue
+        e = np.array([wrapped(got.phi_rad - wall[0]), got.distance_m - wall[1]])
+        errors.append(e @ np.linalg.solve(got.covariance, e))
+    assert empty <= 0.02 * pairs, (
+        f"seed {seed}: {empty} of {pairs}"
+    )  # three standard deviations are passed so often
+    assert min(closed, len(errors)) > 30, f"seed {seed}"
+    assert 1.5 < np.mean(errors) < 2.7, f"seed {seed}"
+    assert max(errors) < 20.0, f"seed {seed}"
+    # beyond three standard deviations it is not noise
+    r = np.full(24, math.inf)
+    r[0], r[1] = 1.0, 1.25
+    assert wall_pose(ring.positions_m, ring.headings_rad, r, ALPHA, sigma_m=0.01) == []
+
+
 def test_without_noise_the_fused_pose_is_exact():
     ring = SonarRing.regular(model="diffuse", range_sigma=1e-9)
     rng = np.random.default_rng(2)

@@ -112,8 +112,11 @@ def _candidates(ring: Ring) -> tuple[NDArray[np.float64], int]:
     found = np.empty((MAX_SOLUTIONS + 1, SOLUTION))
     rows = np.empty((min(MAX_CANDIDATES, MAX_SOLUTIONS * m * (m - 1) // 2 + 1), cd.CANDIDATE))
     free = np.isfinite(ring.ranges_m)
+    # where noise leaves |r2 − r1| > B the beams tell, but not of sonars at one place
+    places = ring.positions_m[free]
+    by_beams = bool((ring.sigmas_m > 0.0).all()) and len(np.unique(places, axis=0)) == len(places)
     n = cd.find_candidates(
-        *ring[:4], free, *ring[4:], False, False, False, found, np.empty(m, np.int64), rows
+        *ring[:4], free, *ring[4:], by_beams, False, False, found, np.empty(m, np.int64), rows
     )
     return rows, int(n)
 
@@ -152,8 +155,10 @@ def wall_pose(
         not predict every reading within three standard deviations and another does, where a beam's axis
         points away from it (|φ − θ| > 90°) and another wall has no such beam, or where it differs from
         `prior` by more than three standard deviations and another does not. Covariance alone must not
-        choose: it prefers mirrored walls. Empty where infinitely many walls agree: a lone echo, or sonars
-        at one place with equal ranges; `fused_pose` answers these with the covariance that the beams leave.
+        choose: it prefers mirrored walls. Where |r₂ − r₁| > B by noise, the beams' overlap is the answer.
+        Empty where infinitely many walls agree: a lone echo, or sonars at one place with equal ranges;
+        `fused_pose` answers these with the covariance that the beams leave. Empty, too, where the readings
+        differ from every wall by more than three standard deviations.
 
     Raises
     ------
