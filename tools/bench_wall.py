@@ -3,7 +3,8 @@
     python tools/bench_wall.py [--json] [--seeds A:B]
 
 "distance RMS" is that of the distance to the followed wall about its mean over four laps. "heading repeats"
-is the standard deviation, over the laps, of the mean heading along each wall.
+is the standard deviation, over the laps, of the mean heading along each wall. "heading beside a wall" is that
+of a base that stands there or drives along, with and without follow-wall-2 ("corrected").
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 
 from report import bar, finish, result
 from surffollow.live.wall_following import EXPERIMENTS, figures, run_experiment
+from surffollow.live.wall_heading import heading_table
 
 LAPS = 4
 
@@ -64,6 +66,11 @@ def main() -> dict[str, Any]:
         f"{degrees[e, 'heading_rms_rad']:.2f} deg RMS, "
         f"contacts {contacts(e):.0f}, turns {median(e, 'turns'):.0f}, {median(e, 'seconds'):.0f} s"
         for e in EXPERIMENTS
+    ]
+    notes += [
+        f"heading beside a wall, {case}: variance {f['variance_rad2'] * math.degrees(1.0) ** 2:.4f} deg², "
+        f"off the wall by {math.degrees(f['error_rms_rad']):.2f} deg RMS"
+        for case, f in heading_table(seeds).items()
     ]
     return result(f"wall following, {LAPS} laps, {len(seeds)} seeds", bars, notes, seeds=[*seeds])
 

@@ -15,6 +15,7 @@ from surffollow.cli.base import wall_follow_command
 from surffollow.errors import ConfigError, UsageError
 from surffollow.live.wall_clients import Avoid, make_clients
 from surffollow.live.wall_following import Arbitration, figures, ring_of, run_experiment, sense, tick
+from surffollow.live.wall_heading import heading_table
 from surffollow.live.wall_processes import run_processes
 from surffollow.live.wall_sensing import Wish
 from surffollow.sim.base import BaseConfig, SimulatedBase
@@ -177,3 +178,16 @@ def test_the_command_prints_json_and_draws(tmp_path):
     wrong = subprocess.run([*words, "--plot", str(tmp_path / "run.doc")], capture_output=True, text=True)
     assert wrong.returncode == 2
     assert not (tmp_path / "run.doc").exists()
+
+
+def test_corrections_mend_the_heading_and_scatter_it_more_in_motion():
+    seeds = range(40, 46)
+    table = heading_table(seeds)
+    # nothing turns a base that nobody corrects; motion noise is in the ranges alone
+    assert table["still"]["variance_rad2"] < 1e-12, seeds
+    assert table["moving"]["variance_rad2"] < 1e-12, seeds
+    still, moving = table["still, corrected"], table["moving, corrected"]
+    assert 0.0 < still["variance_rad2"] < moving["variance_rad2"] < math.radians(0.4) ** 2, seeds
+    for case in ("still", "moving"):
+        after, before = table[f"{case}, corrected"]["error_rms_rad"], table[case]["error_rms_rad"]
+        assert after < 0.25 * before, (case, seeds)

@@ -24,6 +24,7 @@ class FollowWall2:
     ring: SonarRing
     period_s: float = 1.0
     most_rad: float = math.radians(4.0)
+    cruise_mps: float = CRUISE_MPS  # 0: turn on the spot
     name: str = "follow-wall-2"
     _side: float = 0.0  # +1: wall on the left, −1: on the right, 0: none
     _state: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
@@ -62,7 +63,7 @@ class FollowWall2:
             self._left_rad = 0.0
             return Wish(False)
         rate = math.copysign(min(0.2, 3.0 * abs(self._left_rad) + 0.02), self._left_rad)
-        return Wish(True, CRUISE_MPS, rate)
+        return Wish(True, self.cruise_mps, rate)
 
     def _predict(self, seen: Sensing) -> None:
         if self._at is None:
