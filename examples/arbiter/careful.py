@@ -16,9 +16,9 @@ class Cart(Block):
 
 def main(name: str, seconds: float) -> None:
     """Watch for so long; take the cart only while it is too far."""
-    end, turned = time.monotonic() + seconds, 0
+    turned = 0
     with attach(name, "careful", timeout_s=10.0) as arbiter, mem_attach(Cart, name, timeout_s=10.0) as memory:
-        robot = arbiter.resource("robot")
+        robot, end = arbiter.resource("robot"), time.monotonic() + seconds
         while time.monotonic() < end:
             x = memory.cart.latest()["x"]  # never through the arbiter
             if not robot.held and x > 0.3 and robot.request():

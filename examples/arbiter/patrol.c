@@ -11,14 +11,14 @@ int main(int argc, char **argv) {
   int64_t end, sent = 0;
   int robot, err, granted = 0;
   if (argc < 3) return 2;
-  end = sf_now_ns() + (int64_t)(atof(argv[2]) * 1e9);
-  err = sfa_attach(&patrol, argv[1], "patrol", 2000);
+  err = sfa_attach(&patrol, argv[1], "patrol", 10000); /* waits for a server that starts */
   if (err < 0) {
     fprintf(stderr, "patrol: %s\n", sfa_strerror(err));
     return 1;
   }
   robot = sfa_resource(&patrol, "robot");
   if (robot < 0) return 1;
+  end = sf_now_ns() + (int64_t)(atof(argv[2]) * 1e9);
   while (sf_now_ns() < end) {
     if (sfa_ended(&patrol) && sfa_reattach(&patrol, 200) != 0) { /* to an arbiter of the same user only */
       sf_sleep_until_ns(sf_now_ns() + 20000000);

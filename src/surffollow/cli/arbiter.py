@@ -37,14 +37,15 @@ def start_command(config_path: str, name: str | None, quiet: bool) -> None:
 
 @arbiter_group.command("status")
 @click.option("--name", type=SERVICE_NAME, default="cell", show_default=True, help="Name of the arbiter.")
+@click.option(
+    "--wait", "wait_s", type=Finite(min=0.0), default=0.0, help="Wait up to so many seconds for it to run."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def status_command(name: str, as_json: bool) -> None:
+def status_command(name: str, wait_s: float, as_json: bool) -> None:
     """Show who holds what, who is attached, what was denied and how long clients waited."""
-    from surffollow.arbiter import observe
     from surffollow.units import format_ns
 
-    with observe(name) as arbiter:
-        status = arbiter.status()
+    status = _status_in(name, wait_s)
     if as_json:
         print(json.dumps(status, indent=2))
         return
@@ -63,6 +64,27 @@ def status_command(name: str, as_json: bool) -> None:
             f"  client {c['name']}: number {c['number']}, pid {c['pid']}, priority {c['priority']}, denied "
             f"{c['denied']}, longest wait {format_ns(c['waited_ns'])}, broken mailbox {c['broken']}{life}"
         )
+
+
+def _status_in(name: str, wait_s: float) -> dict[str, Any]:
+    """The status now; with a time to wait [s] that of an arbiter that runs, or NotRunningError."""
+    from surffollow.arbiter import observe
+    from surffollow.errors import NotRunningError
+
+    deadline = time.monotonic() + wait_s
+    while True:
+        late = time.monotonic() >= deadline
+        try:
+            with observe(name) as arbiter:
+                status: dict[str, Any] = arbiter.status()
+            if status["alive"] or wait_s == 0.0:
+                return status
+        except NotRunningError:
+            if late:
+                raise
+        if late:
+            raise NotRunningError(f"no arbiter {name!r} ran within {wait_s:g} s")
+        time.sleep(0.1)
 
 
 @arbiter_group.command("history")

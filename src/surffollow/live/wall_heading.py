@@ -34,7 +34,8 @@ def heading_along_wall(seed: int, *, moving: bool, corrected: bool) -> dict[str,
     Returns
     -------
     dict
-        variance_rad2: of the heading about its mean, after the burn-in; error_rad: mean heading less the wall's
+        variance_rad2: of the heading about its mean, after the burn-in;
+        error_rad: mean heading less the wall's
     """
     rng = np.random.default_rng([seed, 11])
     config = BaseConfig()
@@ -62,8 +63,8 @@ def heading_table(seeds: range) -> dict[str, dict[str, float]]:
     Returns
     -------
     dict of dict
-        By "still", "still, corrected", "moving", "moving, corrected": the mean of `variance_rad2`, and the RMS
-        of `error_rad`
+        By "still", "still, corrected", "moving", "moving, corrected": the mean of `variance_rad2`, and
+        `error_rms_rad`, the RMS of `error_rad`
     """
     table = {}
     for moving in (False, True):

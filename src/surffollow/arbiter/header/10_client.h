@@ -188,14 +188,31 @@ static inline int sfa_i_connect(sfa_client *a, int timeout_ms, int64_t owner) {
   return 0;
 }
 
+/* One look for the server of `a->name`, and the whole greeting: 0 or a negative result. */
+static inline int sfa_i_attach_once(sfa_client *a, int timeout_ms, int64_t owner) {
+  int fds[2] = {-1, -1}, n, err = sfa_i_connect(a, timeout_ms, owner);
+  if (err == 0) err = sfa_i_greet(a, a->client, fds);
+  if (err == 0) err = sfa_i_map(a, fds);
+  for (n = 0; n < 2; n++)
+    if (fds[n] >= 0) close(fds[n]);
+  if (err == 0) err = sfa_i_enter(a);
+  if (err != 0) sfa_detach(a);
+  return err;
+}
+
+#define SFA_I_POLL_NS 10000000 /* between looks for a server that has not started */
+
 /*
- * Attach to arbiter `name` as `client`, a name that its configuration declares; trust no server but that of user
- * number `owner` (SF_OWNER_DEFAULT: this process's own user, root, or the one that SURFFOLLOW_OWNER names).
+ * Attach to arbiter `name` as `client`, a name that its configuration declares; wait up to `timeout_ms` for a server
+ * that has not started (0: one look). Trust no server but that of user number `owner` (SF_OWNER_DEFAULT: this
+ * process's own user, root, or the one that SURFFOLLOW_OWNER names).
  * Returns 0; -ENOENT no such arbiter, -EPERM that of another user (in `a->owner`), -EPROTO another release,
  * SFA_REFUSED - SFA_HELLO_...: refused.
  */
 static inline int sfa_attach_owner(sfa_client *a, const char *name, const char *client, int timeout_ms, int64_t owner) {
-  int fds[2] = {-1, -1}, err, n;
+  const int64_t deadline = sf_now_ns() + SF_CAST(int64_t, timeout_ms) * 1000000;
+  int64_t left = 0;
+  int err;
   memset(a, 0, sizeof *a);
   a->sock = -1;
   a->owner = -1;
@@ -203,14 +220,14 @@ static inline int sfa_attach_owner(sfa_client *a, const char *name, const char *
     return -EINVAL;
   memcpy(a->name, name, strlen(name));
   memcpy(a->client, client, strlen(client));
-  err = sfa_i_connect(a, timeout_ms, owner);
-  if (err == 0) err = sfa_i_greet(a, client, fds);
-  if (err == 0) err = sfa_i_map(a, fds);
-  for (n = 0; n < 2; n++)
-    if (fds[n] >= 0) close(fds[n]);
-  if (err == 0) err = sfa_i_enter(a);
-  if (err != 0) sfa_detach(a);
-  return err;
+  for (;;) {
+    err = sfa_i_attach_once(a, timeout_ms, owner);
+    left = deadline - sf_now_ns();
+    if (err != -ENOENT || left <= 0) return err;
+    sf_sleep_until_ns(sf_now_ns() + (left < SFA_I_POLL_NS ? left : SFA_I_POLL_NS));
+    left = deadline - sf_now_ns();
+    timeout_ms = left > 0 ? SF_CAST(int, left / 1000000) : 0;
+  }
 }
 
 /* sfa_attach_owner with SF_OWNER_DEFAULT. */
@@ -220,7 +237,8 @@ static inline int sfa_attach(sfa_client *a, const char *name, const char *client
 
 /*
  * After the server's end: detach, and attach under the same names, to a server of the same user only.
- * Results as of sfa_attach_owner; after an error it may be called again. Every token is void: ask again.
+ * It waits like sfa_attach_owner: a control loop gives timeout_ms 0. Results as of sfa_attach_owner; after an error it
+ * may be called again. Every token is void: ask again.
  */
 static inline int sfa_reattach(sfa_client *a, int timeout_ms) {
   const int64_t owner = a->owner;
