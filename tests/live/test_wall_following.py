@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 import subprocess
 import sys
+import uuid
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from surffollow.cli.base import wall_follow_command
-from surffollow.errors import ConfigError, UsageError
+from surffollow.cli.base import base_command, wall_follow_command
+from surffollow.errors import ConfigError, MapFileError, UsageError
 from surffollow.live.wall_clients import Avoid, make_clients
-from surffollow.live.wall_following import Arbitration, figures, ring_of, run_experiment, sense, tick
+from surffollow.live.wall_following import Arbitration, Run, figures, ring_of, run_experiment, sense, tick
 from surffollow.live.wall_heading import heading_table
-from surffollow.live.wall_processes import run_processes
+from surffollow.live.wall_pictures import figure_of
+from surffollow.live.wall_processes import run_base, run_processes
 from surffollow.live.wall_sensing import Wish
 from surffollow.sim.base import BaseConfig, SimulatedBase
 
@@ -191,3 +194,33 @@ def test_corrections_mend_the_heading_and_scatter_it_more_in_motion():
     for case in ("still", "moving"):
         after, before = table[f"{case}, corrected"]["error_rms_rad"], table[case]["error_rms_rad"]
         assert after < 0.25 * before, (case, seeds)
+
+
+def test_a_base_without_an_arbiter_says_what_it_waits_for():
+    words = [sys.executable, "-m", "surffollow", "base", "--name", f"lone{uuid.uuid4().hex[:8]}"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as base:
+        assert base.stderr is not None
+        try:
+            assert "no arbiter" in base.stderr.readline()
+            base.send_signal(signal.SIGINT)
+            assert "no client commanded the base" in base.communicate(timeout=60)[0]
+        finally:
+            base.kill()
+
+
+def test_what_a_base_cannot_do_is_refused_before_it_waits(tmp_path):
+    log = str(tmp_path / "nowhere" / "run.csv")
+    with pytest.raises(MapFileError, match="nowhere"):
+        run_base(f"lone{uuid.uuid4().hex[:8]}", 1.0, log=log)
+    done = CliRunner().invoke(base_command, ["--seed", "-1"])
+    assert done.exit_code == 2
+    assert "--seed" in done.output
+
+
+def test_a_run_without_a_straight_is_drawn_over_its_whole_time():
+    time_s = np.linspace(0.0, 14.0, 50)
+    zero = np.zeros(50)
+    run = Run(["go"], time_s, zero + 1.0, zero + 1.0, zero, zero + 0.5, np.zeros(50, np.int64))
+    axes = figure_of(run, "short").axes
+    timed = [ax for ax in axes if "heading [°]" in ax.get_ylabel() or ax.get_title() == "who held the base"]
+    assert [ax.get_xlim() for ax in timed][-1] == pytest.approx((0.0, 14.0))

@@ -19,7 +19,7 @@ EXPERIMENTS = ("paper", "1", "1-pair", "2")
     "--name", type=SERVICE_NAME, default="cell", show_default=True, help="Arbiter, and prefix of blocks."
 )
 @click.option("--seconds", type=Finite(min=0.0), default=60.0, show_default=True, help="Of motion.")
-@click.option("--seed", default=1, show_default=True, help="Of range noise and slip.")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of range noise and slip.")
 @click.option(
     "--start",
     type=Finite(),
@@ -33,13 +33,25 @@ EXPERIMENTS = ("paper", "1", "1-pair", "2")
 def base_command(
     name: str, seconds: float, seed: int, start: tuple[float, float, float], log: str | None, as_json: bool
 ) -> None:
-    """Simulate a base with sonars: obeys the arbiter, publishes NAME.base and NAME.true_base."""
+    """Simulate a base with sonars: obeys the arbiter, publishes NAME.base and NAME.true_base.
+
+    It waits for the first command of a client, until Ctrl-C.
+    """
     from surffollow.live.wall_processes import run_base
     from surffollow.sim.base import BaseConfig
 
-    said = run_base(name, seconds, seed=seed, log=log, config=BaseConfig(start=start))
+    said = run_base(
+        name,
+        seconds,
+        seed=seed,
+        log=log,
+        config=BaseConfig(start=start),
+        say=lambda text: click.echo(text, err=True),
+    )
     if as_json:
         print(json.dumps(said))
+    elif not said["obeyed"]:
+        print("no client commanded the base: it never moved")
     else:
         print(f"{said['seconds']:.1f} s, least gap to a wall {1e3 * said['least_gap_m']:.0f} mm")
 

@@ -30,6 +30,18 @@ def draw_run(run: Run, path: str | Path, title: str, room_m: tuple[float, float]
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(f"cannot draw into {path.name!r}; use one of {', '.join(SUFFIXES)}")
+    figure = figure_of(run, title, room_m)
+    with replacing(path) as part:
+        figure.savefig(part, format=path.suffix[1:].lower(), dpi=110)
+
+
+def figure_of(run: Run, title: str, room_m: tuple[float, float] = (6.0, 4.0)) -> Any:
+    """The Matplotlib figure of one run.
+
+    Raises
+    ------
+    UsageError  Matplotlib is missing
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -45,8 +57,9 @@ def draw_run(run: Run, path: str | Path, title: str, room_m: tuple[float, float]
     _draw_holders(axes["who"], run)
     for name in ("heading", "who"):
         axes[name].sharex(axes["distance"])
-    with replacing(path) as part:
-        figure.savefig(part, format=path.suffix[1:].lower(), dpi=110)
+    # a short run has no straight yet: the panel of distances is empty and knows no time
+    axes["distance"].set_xlim(float(run.time_s[0]), max(float(run.time_s[-1]), float(run.time_s[0]) + 1e-3))
+    return figure
 
 
 def _draw_path(ax: Any, run: Run, room_m: tuple[float, float]) -> None:

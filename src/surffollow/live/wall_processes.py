@@ -8,6 +8,7 @@ import os
 import signal
 import tempfile
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from surffollow.sim.base import BaseConfig, SimulatedBase
 
 BASE_HZ, CLIENT_HZ = 100.0, 50.0
 ROUND_S = 0.15  # one round of the ring, and a little
+PATIENCE_S = 1.0  # without a command, until people are told what the base waits for
 SILENT_S = 1.0  # a base that publishes nothing for this long ended
 LOG_COLUMNS = ("t_s", "x_m", "y_m", "heading_rad", "gap_m", "client")
 
@@ -50,7 +52,13 @@ def arbiter_config(name: str) -> str:
 
 
 def run_base(
-    name: str, seconds: float, *, seed: int = 1, log: str | None = None, config: BaseConfig | None = None
+    name: str,
+    seconds: float,
+    *,
+    seed: int = 1,
+    log: str | None = None,
+    config: BaseConfig | None = None,
+    say: Callable[[str], object] | None = None,
 ) -> dict[str, Any]:
     """Run the simulated base in real time: obey the arbiter's commands, publish the blocks, write a log.
 
@@ -61,26 +69,34 @@ def run_base(
     name : str           of the arbiter and the blocks
     seconds : float      of motion
     log : str            CSV file: time, true pose, gap, number of the client whose command was obeyed
+    say : callable       gets a line for people when the base has to wait for its first command
 
     Returns
     -------
     dict   seconds, least_gap_m, obeyed (commands by client number)
+
+    Raises
+    ------
+    MapFileError  the log cannot be written where it shall be
     """
     base, commands = SimulatedBase(config, seed), command_reader(name, "robot")
-    rows: list[tuple[float, ...]] = []
     obeyed: dict[int, int] = {}
     gap = base.wall_gap_m
     with (
+        _log_rows(log) as write,
         mem_attach({"base": Base, "true_base": TrueBase}, name, write=True) as blocks,
         ended_by_signal() as ended,
     ):
         base.run(ROUND_S)
-        began, commanded = time.monotonic() - base.time_s, False
+        began, commanded, since = time.monotonic() - base.time_s, False, time.monotonic()
         while base.time_s < seconds and not ended:
             command = commands.latest()
             if not commanded and command.safe:  # the clients are not there yet: stand still in time, too
                 publish(base, blocks["base"], blocks["true_base"], time.monotonic_ns())
                 began = time.monotonic() - base.time_s
+                if say is not None and time.monotonic() - since > PATIENCE_S:
+                    say(_waited_for(name))
+                    say = None
                 time.sleep(1.0 / BASE_HZ)
                 continue
             commanded = True
@@ -90,16 +106,29 @@ def run_base(
             publish(base, blocks["base"], blocks["true_base"], time.monotonic_ns())
             obeyed[client] = obeyed.get(client, 0) + 1
             gap = min(gap, base.wall_gap_m)
-            if log is not None:
-                x, y, heading = (float(v) for v in base.state[:3])
-                rows.append((base.time_s, x, y, heading, base.wall_gap_m, client))
+            x, y, heading = (float(v) for v in base.state[:3])
+            write((base.time_s, x, y, heading, base.wall_gap_m, client))
             time.sleep(max(0.0, began + base.time_s + 1.0 / BASE_HZ - time.monotonic()))
-    if log is not None:
-        with replacing(log) as path, path.open("w", newline="") as file:
-            table = csv.writer(file)
-            table.writerow(LOG_COLUMNS)
-            table.writerows([*(f"{v:.6f}" for v in row[:-1]), row[-1]] for row in rows)
     return {"seconds": base.time_s, "least_gap_m": gap, "obeyed": obeyed}
+
+
+def _waited_for(name: str) -> str:
+    with contextlib.suppress(NotRunningError), observe(name) as seen:
+        if seen.status()["alive"]:
+            return f"the base waits for a client of arbiter {name!r} to command it; Ctrl-C ends it"
+    return f"the base waits: no arbiter {name!r} runs here (surffollow arbiter start FILE); Ctrl-C ends it"
+
+
+@contextlib.contextmanager
+def _log_rows(path: str | None) -> Iterator[Callable[[tuple[float, ...]], object]]:
+    """What appends a row to a log; the file stands beside its name from the first moment on."""
+    if path is None:
+        yield lambda row: None
+        return
+    with replacing(path) as part, part.open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(LOG_COLUMNS)
+        yield lambda row: table.writerow([*(f"{v:.6f}" for v in row[:-1]), row[-1]])
 
 
 @contextlib.contextmanager
