@@ -252,14 +252,17 @@ def test_silent_connections_of_one_user_are_bounded_and_end_by_themselves(summed
         kept[-1].setblocking(False)
         kept[-1].connect(hs.address(summed.name))
 
-    def closed():
-        count = 0
-        for one in kept:
-            with contextlib.suppress(BlockingIOError):
-                count += one.recv(1, socket.MSG_PEEK) == b""
-        return count
+    def is_closed(one):
+        with contextlib.suppress(BlockingIOError):
+            return one.recv(1, socket.MSG_PEEK) == b""
+        return False
 
+    def closed():
+        return sum(is_closed(one) for one in kept)
+
+    # the first ones wait for their time; those beyond the bound are ended at once, before any of the first
     until(lambda: closed() >= 2 * MOST_SILENT)
+    assert all(is_closed(one) for one in kept[MOST_SILENT:])
     until(lambda: closed() == 3 * MOST_SILENT)
     with attach(summed.name, "a"):
         pass
