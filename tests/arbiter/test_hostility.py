@@ -260,9 +260,9 @@ def test_silent_connections_of_one_user_are_bounded_and_end_by_themselves(summed
     def closed():
         return sum(is_closed(one) for one in kept)
 
-    # the first ones wait for their time; those beyond the bound are ended at once, before any of the first
-    until(lambda: closed() >= 2 * MOST_SILENT)
-    assert all(is_closed(one) for one in kept[MOST_SILENT:])
+    # those beyond the bound are ended at once, before the first ones had their time (HELLO_TIMEOUT_S)
+    until(lambda: all(is_closed(one) for one in kept[MOST_SILENT:]))
+    assert not any(is_closed(one) for one in kept[:MOST_SILENT])
     until(lambda: closed() == 3 * MOST_SILENT)
     with attach(summed.name, "a"):
         pass
