@@ -108,6 +108,7 @@ def run_command(
 
         write_run_report(report, done, figures, mapped)
     flat = {f"{k}_{n}": v for k, found in figures.items() for n, v in found.items() if k == "true"}
+    _tell_gap(done)
     print_facts({"path": path} | done.summary | figures["sensed"] | flat, as_json)
     _end(done.summary, bool(caught))
 
@@ -205,6 +206,22 @@ def _execute(
             aborted=lambda: bool(caught),
             progress=None if show is None else lambda text, part: show(f"{100 * part:3.0f} % {text}"),
             wait_s=wait_s,
+        )
+
+
+def _tell_gap(done: Any) -> None:
+    """Why the run ended early, and whether the tool was inside the gap, on standard error."""
+    from surffollow.live.scan_report import inside_text
+
+    if done.summary["stop_reason"]:
+        click.echo(f"aborted: {done.summary['stop_reason']}", err=True)
+    click.echo(inside_text(done), err=True)
+    for event in done.inside:
+        click.echo(
+            f"  {event['t_s']:.2f} s, pass {event['pass'] + 1}, x {event['x_m']:.3f}, "
+            f"y {event['y_m']:.3f} m: "
+            f"{1e3 * event['clearance_m']:.1f} mm",
+            err=True,
         )
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from surffollow.live.scan_guard import INSIDE_M
 from surffollow.live.scan_run import Executed
 from surffollow.scan.checks import Floats
 from surffollow.scan.clearance import control_points
@@ -14,7 +15,6 @@ from surffollow.scan.path import ScanPath
 from surffollow.sim.field_sensors import laser_range
 from surffollow.sim.surfaces import HeightField
 
-VIOLATION_M = 0.01  # a control point by so much inside the gap
 SETTLE_S = 1.0  # of a run's beginning, before it is judged
 CHECKED = 4000  # samples whose clearance is looked at
 
@@ -92,7 +92,7 @@ def true_figures(done: Executed, ground: HeightField) -> dict[str, Any]:
         "p99_m": float(np.quantile(np.abs(good), 0.99)),
         "mean_m": float(good.mean()),
         "clearance_min_m": float(least.min()),
-        "violations": float((least < gap - VIOLATION_M).mean()),
+        "violations": float((least < gap - INSIDE_M).mean()),
         "contacts": float((least < 0.0).mean()),
         "samples": len(on),
     }
