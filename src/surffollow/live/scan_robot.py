@@ -239,6 +239,10 @@ class ScanRobot:
             if self._settled < SETTLED_TICKS:
                 return
             self.started_ns = self.t_ns
+            if (
+                "shaper_s" in self.path.facts
+            ):  # from rest in its own time; slower would not be what was shaped
+                self.state["rate"] = 1.0
         self.state["rate_wanted"] = 0.0 if self.paused or self.barred else 1.0
 
     def _ahead(self, column: Floats) -> float:
