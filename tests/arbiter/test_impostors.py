@@ -1,4 +1,4 @@
-"""Another user under an arbiter's names: nobody who did not name him obeys him, asks him or believes him."""
+"""Another user under an arbiter's names: nobody who did not name him obeys him, asks him or trusts him."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def test_an_impostor_after_a_clean_stop_commands_no_controller_and_gets_no_clien
     honest.stop()
 
 
-def test_who_is_named_is_believed_and_nobody_else_from_the_first_attachment_on(honest, monkeypatch):
+def test_who_is_named_is_trusted_and_nobody_else_from_the_first_attachment_on(honest, monkeypatch):
     with impostor_of(honest) as impostor:
         with attach(honest.name, "go", owner=NOBODY) as one, observe(honest.name, owner=NOBODY) as seen:
             assert one.owner == NOBODY
@@ -284,7 +284,7 @@ def test_a_client_in_c_refuses_another_users_arbiter_unless_he_is_named(honest, 
 def test_a_client_in_c_attaches_again_to_the_same_user_only(honest, patrol):
     honest.start()
     words = [str(patrol), honest.name, "60"]
-    environment = os.environ | {"SURFFOLLOW_OWNER": str(NOBODY)}  # believed at first, but the pin is root's
+    environment = os.environ | {"SURFFOLLOW_OWNER": str(NOBODY)}  # trusted at first, but the pin is root's
     with subprocess.Popen(words, env=environment) as running:
         try:
             with observe(honest.name) as seen:

@@ -134,8 +134,8 @@ def test_a_block_that_another_user_made_is_not_read(space):
             for _ in range(5):
                 reader.platform._next_attach_ns = 0
                 assert reader.platform.latest().stale
-            with mem_attach(Platform, space, owner=NOBODY) as believing:
-                assert believing.platform.attached
+            with mem_attach(Platform, space, owner=NOBODY) as trusting:
+                assert trusting.platform.attached
             impostor.say("over")
             assert impostor.hear() == "closed"
 

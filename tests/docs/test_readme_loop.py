@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from hanging_socket import MANNERS, hanging
 from running_service import PATIENT_S, POSE, Service, until
 from surffollow.client import Client
 from surffollow.errors import NotRunningError
@@ -84,10 +85,13 @@ class Arm:
 
     def __init__(self) -> None:
         self.pose, self.over, self.held = [0.845, 0.55, 0.1, 0.0, 0.0, 0.0, 1.0], False, 0
+        self.longest_s, self.answered_s = 0.0, time.monotonic()
         self.errors: list[float] = []
         self.field = WorldConfig().make()
 
     def moving(self) -> bool:
+        now_s = time.monotonic()
+        self.longest_s, self.answered_s = max(self.longest_s, now_s - self.answered_s), now_s
         return not self.over
 
     def read_pose(self) -> tuple[int, tuple[float, ...]]:
@@ -120,8 +124,11 @@ def test_the_loop_closes_over_the_simulated_sensor_and_survives_a_kill(tmp_path:
         assert sorted(arm.errors[100:])[len(arm.errors[100:]) // 2] < 1.5e-3
         assert max(arm.errors[100:]) < 10e-3, "the tool swings"
         own.kill()
-        held = arm.held
-        until(lambda: arm.held > held + 20, "holding while the service is away")
+        for manner in MANNERS:
+            with hanging(own.name, manner):  # whoever stands in its place delays no tick
+                arm.longest_s, held = 0.0, arm.held
+                until(lambda held=held: arm.held > held + 50, f"holding while the socket {manner}")
+                assert arm.longest_s < 1.0, manner
         own.start()
         followed = len(arm.errors)
         until(lambda: len(arm.errors) > followed + 50, "following again")

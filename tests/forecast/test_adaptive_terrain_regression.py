@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 import pytest
@@ -35,16 +35,26 @@ Ground = Callable[[float], float]
 
 def seen(ground: Ground, way_m: float, sigma_m: float = 0.0, seed: int = 0) -> np.void:
     """A follower that has seen so much of this ground, at 400 mm/s."""
+    return next(seen_up_to(ground, [way_m], sigma_m, seed))
+
+
+def seen_up_to(
+    ground: Ground, ways_m: Iterable[float], sigma_m: float = 0.0, seed: int = 0
+) -> Iterator[np.void]:
+    """One follower as it was after each of those growing ways."""
     rng = np.random.default_rng(seed)
     a = zeros(AdaptiveState)[0]
     a["kinematics"]["speed_mps"] = a["kinematics"]["velocity_x_mps"] = 0.4
     a["estimate"]["arc_length_m"] = 1.0
-    for k in range(int(way_m / STEP_M)):
-        a["estimate"]["arc_length_m"] += STEP_M if k else 0.0
-        h = ground(a["estimate"]["arc_length_m"] - 1.0) + sigma_m * rng.standard_normal()
-        store_ground(a, a["estimate"]["arc_length_m"], h)
-        regression.update_regression(a, h, STEP_M, 1)
-    return a
+    k = 0
+    for way_m in ways_m:
+        while k < int(way_m / STEP_M):
+            a["estimate"]["arc_length_m"] += STEP_M if k else 0.0
+            h = ground(a["estimate"]["arc_length_m"] - 1.0) + sigma_m * rng.standard_normal()
+            store_ground(a, a["estimate"]["arc_length_m"], h)
+            regression.update_regression(a, h, STEP_M, 1)
+            k += 1
+        yield a.copy()
 
 
 def extrapolated(a: np.void, ground: Ground, bias_m: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -97,8 +107,7 @@ def test_noise_on_level_ground_moves_the_extrapolation_by_less_than_itself() -> 
 
 def test_a_box_comes_to_an_end_and_so_does_the_hollow_between_two() -> None:
     tried = {True: 0, False: 0}
-    for way in np.arange(3.0, 4.2, 0.013):
-        a = seen(boxes, float(way))
+    for a in seen_up_to(boxes, np.arange(3.0, 4.2, 0.013)):
         end = boxes(a["estimate"]["arc_length_m"] - 1.0)
         if boxes(a["estimate"]["arc_length_m"] - 1.03) != end:
             continue  # just behind an edge that edge tells more

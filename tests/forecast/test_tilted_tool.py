@@ -70,6 +70,8 @@ class Tilted:
         for _ in range(30):
             gap = self.z_m + origin[2] + along[2] * r - self.ground(x_m + origin[0] + along[0] * r)
             r -= gap / (along[2] - self.slope * along[0])
+            if abs(gap) < 1e-12:
+                break
         return r
 
     def carry(self, speed_mps: float, way_m: float) -> np.ndarray:

@@ -179,7 +179,7 @@ def test_an_impostor_after_a_clean_stop_moves_nobody(make_service: Make) -> None
             for door in (attach, observe, ServiceLog):
                 with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0"):
                     door(s.name)
-            # who says that he believes that user does
+            # who says that he trusts that user does
             with observe(s.name, owner=NOBODY) as fooled:
                 assert fooled.dev_vector()[2] == -0.5
         path.unlink()
@@ -190,7 +190,7 @@ def test_an_impostor_after_a_clean_stop_moves_nobody(make_service: Make) -> None
 
 
 @needs_root
-def test_the_configured_user_is_believed_and_nobody_else(
+def test_the_configured_user_is_trusted_and_nobody_else(
     make_service: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     s = make_service(access='board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"').start()

@@ -145,23 +145,28 @@ def test_named_causes_stop_and_cannot_be_reset_while_they_last(make_service: Mak
             driver.ee_pos(POSE)
             assert driver.status()["stopped"][-1] == "start", "the first demand waits for a reset"
             # the sensor and the driver may have been late to begin
-            drive(driver, lambda: _resets(driver), what="a reset")
-            drive(driver, lambda: valid(driver), what="a demand")
+            drive(driver, lambda: _resets(driver) and valid(driver), what="a demand after a reset")
             # the pose grows stale
             until(lambda: "pose_stale" in driver.status()["stopped"], "pose_stale")
             with pytest.raises(RefusedError, match="pose_stale") as refused:
                 driver.reset_stop()
             assert refused.value.code == lb.ERR_STOP_REMAINS
-            drive(driver, lambda: _resets(driver), what="a reset with a fresh pose")
+            drive(
+                driver,
+                lambda: _resets(driver) and valid(driver),
+                what="a demand after a reset with a fresh pose",
+            )
             # the ground goes out of the sensor's sight
-            drive(driver, lambda: valid(driver), what="a demand")
             world.pose = (*POSE[:2], 5.0, *POSE[3:])
             drive(driver, lambda: "sensor_lost" in driver.status()["stopped"], POSE, "sensor_lost")
             with pytest.raises(RefusedError, match="sensor_lost"):
                 driver.reset_stop()
             world.pose = POSE
-            drive(driver, lambda: _resets(driver), what="a reset with the ground in sight")
-            drive(driver, lambda: valid(driver), what="a demand")
+            drive(
+                driver,
+                lambda: _resets(driver) and valid(driver),
+                what="a demand after a reset with the ground in sight",
+            )
         # the holder dies
         with program(ATTACHED + SENDING, s.name) as holder, s.observe() as watcher:
             until(lambda: watcher.status()["main"]["pose_pid"] == holder.pid, "another holder")

@@ -92,6 +92,11 @@ class ConversionQueue:
     Parameters
     ----------
     capacity : int, a power of two; 16384 holds 0.65 s of a 25 kHz converter
+
+    Attributes
+    ----------
+    address : int, of the ring, for `shm.ring`'s kernels
+    lost_address : int, of the count of conversions that found no room
     """
 
     def __init__(self, capacity: int = 16384) -> None:
@@ -99,16 +104,9 @@ class ConversionQueue:
         self._ring = make_ring(capacity, ITEM_WORDS)
         self._lost = np.zeros(1, np.int64)
         self._item = np.zeros(ITEM_WORDS, np.int64)
-
-    @property
-    def address(self) -> int:
-        """Of the ring, for `shm.ring`'s kernels."""
-        return int(self._ring.ctypes.data)
-
-    @property
-    def lost_address(self) -> int:
-        """Of the count of conversions that found no room."""
-        return int(self._lost.ctypes.data)
+        self.address = int(self._ring.ctypes.data)
+        self.lost_address = int(self._lost.ctypes.data)
+        self._item_address = int(self._item.ctypes.data)
 
     @property
     def overflow(self) -> int:
@@ -120,14 +118,15 @@ class ConversionQueue:
 
     def push(self, t_ns: int, word: int) -> None:
         """Append a conversion (producer only)."""
-        push_conversion(self.address, self.capacity, self.lost_address, self._item.ctypes.data, t_ns, word)
+        push_conversion(self.address, self.capacity, self.lost_address, self._item_address, t_ns, word)
 
     def drain(self, at_most: int | None = None) -> NDArray[np.int64]:
         """Take what is there (consumer only): (n, 2) int64, time [ns] and word."""
         waiting = len(self)
         out = np.zeros((waiting if at_most is None else min(waiting, at_most), ITEM_WORDS), np.int64)
-        for row in out:
-            ring_peek(self.address, self.capacity, ITEM_WORDS, row.ctypes.data)
+        first = int(out.ctypes.data)
+        for row in range(first, first + out.nbytes, ITEM_WORDS * out.itemsize):
+            ring_peek(self.address, self.capacity, ITEM_WORDS, row)
             ring_drop(self.address, 1)
         return out
 
@@ -141,16 +140,16 @@ class PoseQueue:
     Parameters
     ----------
     capacity : int, a power of two; 256 holds 0.25 s of the fastest reports
+
+    Attributes
+    ----------
+    address : int, of the ring, for `shm.ring`'s kernels
     """
 
     def __init__(self, capacity: int = 256) -> None:
         self.capacity = capacity
         self._ring = make_ring(capacity, REPORT_WORDS)
-
-    @property
-    def address(self) -> int:
-        """Of the ring, for `shm.ring`'s kernels."""
-        return int(self._ring.ctypes.data)
+        self.address = int(self._ring.ctypes.data)
 
     def push(self, t_ns: int, pose: Sequence[float]) -> bool:
         """Append a pose (producer only); False when the queue is full."""
