@@ -163,7 +163,9 @@ def run_kind(kind: str, seed: int, told: argparse.Namespace) -> list[dict[str, A
         folder = Path(temporary)
         HeightMap.from_heights(true, origin_m=FIELD[:2], grid_m=GRID_M).save(folder / "true.npz")
         HeightMap.from_heights(mapped, origin_m=FIELD[:2], grid_m=GRID_M).save(folder / "map.npz")
-        field = HeightField(np.ascontiguousarray(true), *(v + 0.5 * GRID_M for v in FIELD[:2]), GRID_M)
+        field = HeightField(
+            np.ascontiguousarray(true), FIELD[0] + 0.5 * GRID_M, FIELD[1] + 0.5 * GRID_M, GRID_M
+        )
         settings = PlanSettings(
             region=REGION,
             gap_m=GAP_M,

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from surffollow.errors import ScanFileError
 from surffollow.map.atomic_file import replacing
 from surffollow.scan.path import ScanPath
+from surffollow.sim.column_file import read_columns
 
 FORMAT = "surffollow-scan-path-1"
 COLUMNS = (
@@ -69,33 +69,31 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
         it cannot be read, is of another format, lacks columns, or has rows that are not numbers
     """
     try:
-        lines = Path(path).read_text(encoding="ascii").splitlines()
-    except (OSError, UnicodeDecodeError) as e:
+        comments, text = read_columns(path)
+    except (OSError, ValueError) as e:
         raise ScanFileError(f"cannot read {path}: {e}") from e
     facts: dict[str, Any] = {}
-    first = 0
-    for first, line in enumerate(lines):
-        if not line.startswith("#"):
-            break
-        key, equals, value = line[1:].partition("=")
+    for comment in comments:
+        key, equals, value = comment.partition("=")
         if equals:
             try:
                 facts[key.strip()] = json.loads(value)
             except ValueError as e:
-                raise ScanFileError(f"{path}, line {first + 1}: the fact {key.strip()} is no JSON") from e
+                raise ScanFileError(f"{path}: the fact {key.strip()} is no JSON: {value.strip()}") from e
     if facts.pop("format", None) != FORMAT:
         raise ScanFileError(f"{path} is no path file of this version; expected the format {FORMAT}")
-    names = lines[first].split(",") if first < len(lines) else []
-    missing = [c for c in COLUMNS if c not in names]
+    missing = [c for c in COLUMNS if c not in text]
     if missing:
         raise ScanFileError(f"{path} lacks the columns {', '.join(missing)}")
     try:
-        rows = np.array([[float(v) for v in line.split(",")] for line in lines[first + 1 :] if line])
+        at = {name: np.array([float(v) for v in text[name]]) for name in COLUMNS}
+        flags, passes = at["flags"].astype(np.uint32), at["pass"].astype(np.int32)
     except ValueError as e:
         raise ScanFileError(f"{path} has a row that is not numbers: {e}") from e
-    if rows.ndim != 2 or rows.shape[1] != len(names) or len(rows) == 0:
-        raise ScanFileError(f"{path} needs at least one row, each of {len(names)} numbers")
-    at = {name: rows[:, names.index(name)] for name in COLUMNS}
+    if len(at["t_s"]) == 0:
+        raise ScanFileError(f"{path} has no row; expected at least one")
+    if not (np.isfinite(at["flags"]) & np.isfinite(at["pass"])).all():
+        raise ScanFileError(f"{path} has a pass or flags that are no whole numbers")
     return ScanPath(
         at["t_s"],
         np.column_stack([at["x_m"], at["y_m"], at["z_m"]]),
@@ -103,7 +101,7 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
         at["azimuth_rad"],
         at["clearance_m"],
         at["lift_m"],
-        at["flags"].astype(np.uint32),
-        at["pass"].astype(np.int32),
+        flags,
+        passes,
         facts,
     )
