@@ -36,6 +36,15 @@ COLUMNS = (
     "flags",
 )
 
+NUMBERS = ("gap_m", "grid_m", "swath_m", "speed_mps", "acceleration_mps2", "lateral_mps2", "vertical_mps")
+# of arrays, possible lengths of each axis
+ARRAYS: dict[str, tuple[tuple[int, ...], ...]] = {
+    "body_m": ((), (3,)),
+    "region_m": ((), (2,)),
+    "wrist_rad": ((4,),),
+    "base_m": ((3, 2),),
+}
+
 
 def write_path(path: str | os.PathLike[str], plan: ScanPath) -> None:
     """Write a path file, atomically.
@@ -60,13 +69,33 @@ def write_path(path: str | os.PathLike[str], plan: ScanPath) -> None:
             f.write(",".join([f"{v:.9g}" for v in row]) + f",{number},{bits}\n")
 
 
+def _check_facts(path: str | os.PathLike[str], facts: dict[str, Any]) -> None:
+    """Refuse facts of another type than the planner writes; those that are not there are left to their users."""
+    for key in sorted(facts.keys() & {*NUMBERS, *ARRAYS}):
+        try:
+            value = np.asarray(facts[key], np.float64)
+        except (TypeError, ValueError):
+            value = np.full(1, np.nan)
+        columns = ARRAYS.get(key)
+        good = value.size > 0 and bool(np.isfinite(value).all())
+        if columns is None:
+            good = good and value.ndim == 0 and float(value) > 0.0
+        else:
+            good = good and value.ndim == len(columns) and value.shape[-1] in columns[-1]
+        if not good:
+            wanted = (
+                "a finite number above 0" if columns is None else f"rows of {columns[-1][0]} finite numbers"
+            )
+            raise ScanFileError(f"{path}: the fact {key} is {facts[key]!r}; expected {wanted}: plan it again")
+
+
 def read_path(path: str | os.PathLike[str]) -> ScanPath:
     """Read a path file.
 
     Raises
     ------
     ScanFileError
-        it cannot be read, is of another format, lacks columns, or has rows that are not numbers
+        it cannot be read, is of another format, lacks columns, or has rows or facts that are not numbers
     """
     try:
         comments, text = read_columns(path)
@@ -82,6 +111,7 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
                 raise ScanFileError(f"{path}: the fact {key.strip()} is no JSON: {value.strip()}") from e
     if facts.pop("format", None) != FORMAT:
         raise ScanFileError(f"{path} is no path file of this version; expected the format {FORMAT}")
+    _check_facts(path, facts)
     missing = [c for c in COLUMNS if c not in text]
     if missing:
         raise ScanFileError(f"{path} lacks the columns {', '.join(missing)}")

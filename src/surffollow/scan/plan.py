@@ -21,7 +21,7 @@ from surffollow.scan.limits import WorkSpace, WristLimits
 from surffollow.scan.path import OUT_OF_REACH, STOP, ScanPath, flag_counts
 from surffollow.scan.schemes import arcs, lanes
 from surffollow.scan.serpentine import outline
-from surffollow.scan.shaped_motion import SAMPLES_PER_PERIOD, shaped_planar
+from surffollow.scan.shaped_motion import SAMPLES_PER_PERIOD, limited_climb, shaped_planar
 from surffollow.scan.shaping import Shaper
 from surffollow.scan.timing import MotionLimits, timed
 
@@ -112,7 +112,8 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
         rate = max(settings.motion.speed_mps / step, SAMPLES_PER_PERIOD * shaper.highest_hz)
         centre = path.facts["base_m"] if settings.scheme == "arcs" else None
         planar = shaped_planar(path, shaper, rate, base_m=centre)
-        path = laid(planar).changed(t_s=planar.t_s)
+        path = limited_climb(laid(planar).changed(t_s=planar.t_s), settings.motion.vertical_mps)
+        path = clear_ground(path, body, local, gap)
         ends = np.isin(np.arange(len(path)), (0, len(path) - 1))
         path = path.with_flag(STOP, ends)
     if settings.work_space is not None:

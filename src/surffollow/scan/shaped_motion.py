@@ -14,6 +14,32 @@ from surffollow.scan.shaping import Shaper
 SAMPLES_PER_PERIOD = 50  # of the highest mode: steps of speed from sample to sample do not excite it
 
 
+def limited_climb(path: ScanPath, vertical_mps: float) -> ScanPath:
+    """Raise what is climbed or descended too fast, until no step is: lifting keeps every gap.
+
+    Parameters
+    ----------
+    path : ScanPath              with times; samples without height part it
+    vertical_mps : float [m/s]
+
+    Returns
+    -------
+    ScanPath     `lift_m` grows by what was raised; `clearance_m` is that of before
+    """
+    z = path.position_m[:, 2].copy()
+    most = vertical_mps * np.diff(path.t_s)
+    for k in range(1, len(z)):
+        if z[k] < z[k - 1] - most[k - 1]:  # false for NaN
+            z[k] = z[k - 1] - most[k - 1]
+    for k in range(len(z) - 2, -1, -1):
+        if z[k] < z[k + 1] - most[k]:
+            z[k] = z[k + 1] - most[k]
+    raised = z - path.position_m[:, 2]
+    position = path.position_m.copy()
+    position[:, 2] = z
+    return path.changed(position_m=position, lift_m=path.lift_m + np.nan_to_num(raised))
+
+
 def shaped_planar(
     path: ScanPath,
     shaper: Shaper,
