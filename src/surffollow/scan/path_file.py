@@ -70,7 +70,7 @@ def write_path(path: str | os.PathLike[str], plan: ScanPath) -> None:
 
 
 def _check_facts(path: str | os.PathLike[str], facts: dict[str, Any]) -> None:
-    """Refuse facts of another type than the planner writes; those that are not there are left to their users."""
+    """Refuse facts of another type than the planner writes; absent ones are left to their users."""
     for key in sorted(facts.keys() & {*NUMBERS, *ARRAYS}):
         try:
             value = np.asarray(facts[key], np.float64)
