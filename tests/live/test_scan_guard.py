@@ -159,6 +159,27 @@ def test_ground_as_it_is_mapped_is_neither_lifted_over_nor_reported(plan):
     assert np.median(least) == pytest.approx(np.median(blind_least), abs=1e-3)
 
 
+@pytest.mark.parametrize("kind", ["higher", "lower", "tilted", "phantom"])
+def test_a_map_that_is_wrong_without_danger_ends_no_scan(kind):
+    true = grounds()[0]
+    x = np.broadcast_to((np.arange(true.shape[1]) + 0.5) * GRID_M, true.shape)
+    thing = grounds(0.02)[1] - true
+    wrong = {
+        "higher": 0.015,
+        "lower": -0.015,
+        "tilted": math.tan(math.radians(2.0)) * (x - 0.6),
+        "phantom": thing,
+    }
+    mapped = TerrainGrid.of(true + wrong[kind], grid_m=GRID_M)
+    limits = MotionLimits(speed_mps=0.25, acceleration_mps2=1.0, lateral_mps2=1.0)
+    settings = PlanSettings((0.2, 0.2, 1.0, 0.5), GAP_M, disc(RADIUS_M), motion=limits)
+    done, least, _ = scanned((mapped, plan_scan(mapped, settings)), true)
+    assert done.summary["finished"], done.summary["stop_reason"]
+    assert (least < GAP_M - INSIDE_M).mean() < 0.02
+    if kind in ("higher", "lower"):
+        assert np.median(least) == pytest.approx(GAP_M, abs=0.003)
+
+
 def test_without_a_map_the_readings_alone_are_known_ground(plan):
     _, path = plan
     guard = Guard(path, None)

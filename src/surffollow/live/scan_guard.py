@@ -1,7 +1,8 @@
 """What a scan's range readings say about the gap: ground known so far, lift that it asks for, clearance.
 
-The readings see the ground under the tool's middle only. Every reading corrects the map of the plan as far as
-half a swath away (`scan.known_ground`); the whole underside is compared with the corrected ground.
+The readings see the ground under the tool's middle only. Every reading corrects the map of the plan
+(`scan.known_ground`) as far as the underside meets it at the poses that are looked at, unless another reading
+is nearer; the whole underside is compared with the corrected ground.
 """
 
 from __future__ import annotations
@@ -64,10 +65,15 @@ class Guard:
             local = TerrainGrid.of(unknown, origin_m=low, grid_m=cell)
         else:
             local = ground.window([*box[0], *(box[1] + 1e-9)], margin)
-        self.ground = KnownGround(local, max(0.5 * swath, local.grid_m))
+        self._underside_m = radius + self.gap_m
+        self.ground = KnownGround(local, self._underside_m)
         self._readings: deque[tuple[int, float]] = deque(maxlen=READINGS_KEPT)
         self._poses: deque[tuple[int, Floats]] = deque(maxlen=POSES_KEPT)
         self._last_ns = 0
+
+    def look_ahead(self, ahead_m: float) -> None:
+        """Let readings correct the map as far as poses `ahead_m` [m] along the path meet it."""
+        self.ground.reach_m = self._underside_m + ahead_m
 
     def pose(self, t_ns: int, pose: Floats) -> None:
         """Take a reported pose (7,), then the readings that it and the one before bracket."""
@@ -98,9 +104,18 @@ class Guard:
         made: Floats = np.ascontiguousarray(poses[:, None, :3] + turned)
         return made
 
-    def lift_m(self, poses: Floats) -> float:
-        """Most lift [m] of poses (n, 7) that keeps the underside clear, but for a part of the tolerance."""
-        return float(self.ground.lifts(self.points(poses), self.gap_m - READY_PART * self.inside_m).max())
+    def lift_m(self, poses: Floats, least_m: float = 0.0) -> float:
+        """Least lift of poses (n, 7) with which the underside is clear, but for a part of the tolerance [m].
+
+        Parameters
+        ----------
+        poses : (n, 7) [m]
+        least_m : at least this; below 0, the answer tells how far the poses may be lowered [m]
+        """
+        points = self.points(poses)
+        points[..., 2] += least_m
+        gap = self.gap_m - READY_PART * self.inside_m
+        return least_m + float(self.ground.lifts(points, gap).max())
 
     def is_inside(self, poses: Floats) -> NDArray[np.bool_]:
         """(n,) whether a control point is more than the tolerance inside the gap."""

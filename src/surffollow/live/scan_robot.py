@@ -79,6 +79,8 @@ class ScanRobot:
         self.guard = guard
         self.limit_m = config.most_m if config.most_m is not None else float(path.facts["gap_m"])
         self.holding, self.paused, self.leaving = True, False, False
+        if guard is not None:
+            guard.look_ahead(speed * self._looked_at_s(1.0)[1])
         self.inside, self.barred = False, False
         self.correction_m = self.lift_m = 0.0
         self._asked: deque[tuple[float, float, float]] = deque(maxlen=ASKED_KEPT)
@@ -182,42 +184,45 @@ class ScanRobot:
             self._set(self._ahead(self._z))
 
     def _wanted(self, followed_m: float, passed_s: float) -> float:
-        """Height from the plan, from what the follower wants and from the lift that known ground asks for."""
+        """Height from the plan, from what the follower wants, and the least that known ground bears."""
         c = self.config
         planned = self._ahead(self._z)
         asked = min(max(followed_m - planned, -self.limit_m), self.limit_m)
-        error, lift = self._shaped(asked, min(self._watch(), self.limit_m))
+        error, lift = self._shaped(asked, min(max(self._watch(), -self.limit_m), self.limit_m))
         if c.way == "feedforward":
             change = error - self.correction_m
             constant = c.rise_s if change > 0.0 else c.sink_s
             self.correction_m += change * (1.0 - math.exp(-max(passed_s, 0.0) / constant))
         else:
             self.correction_m = error
-        if self.lift_m > 0.0:
-            self.correction_m = max(self.correction_m, lift)
+        self.correction_m = max(self.correction_m, lift)
         return planned + self.correction_m
 
     def _watch(self) -> float:
-        """Lift above the plan that known ground asks for from here to where a lift has had its effect [m].
+        """Least correction that known ground bears from here to where a lift has had its effect [m].
 
         `inside`: a control point is inside the gap. `barred`: it would be, at the present height, before the
         arm can stop; the path is then not followed any further.
         """
         if self.guard is None:
-            return 0.0
+            return -math.inf
         newest = self._reports.newest
         self.inside = bool(self.guard.is_inside(newest[None])[0])
         here, rate = float(self.state["path_s"][0]), float(self.state["rate"][0])
-        stop_s = self._lead_s * rate + 0.5 * rate * rate * self.stopping_s
-        shaper = self.config.shaper
-        look_s = stop_s + rate * (0.0 if shaper is None else shaper.duration_s)
+        stop_s, look_s = self._looked_at_s(rate)
         ahead = here + np.linspace(0.0, max(look_s, 1e-6), POSES_AHEAD)
         poses = np.column_stack([np.interp(ahead, self._t, c) for c in self._planned.T])
-        self.lift_m = self.guard.lift_m(poses)
+        self.lift_m = self.guard.lift_m(poses, -self.limit_m)
         near = poses[ahead <= here + stop_s]
         near[:, 2] += newest[2] - float(np.interp(here, self._t, self._z))
         self.barred = self.inside or bool(self.guard.is_inside(near).any())
         return self.lift_m
+
+    def _looked_at_s(self, rate: float) -> tuple[float, float]:
+        """Path times [s] that are run through until it stops, and until a lift has had its effect."""
+        stop_s = self._lead_s * rate + 0.5 * rate * rate * self.stopping_s
+        shaper = self.config.shaper
+        return stop_s, stop_s + rate * (0.0 if shaper is None else shaper.duration_s)
 
     def _shaped(self, error_m: float, lift_m: float) -> tuple[float, float]:
         """What follower and known ground ask for beyond the plan, as the shaper's impulses take it."""

@@ -1,7 +1,7 @@
 """Ground as a map and a range sensor together know it: the map, corrected by the points that were measured.
 
-A map's error is taken to be constant as far as `reach_m` from the nearest measured point, so that lanes that
-are one swath apart correct the whole ground between them.
+A map's error is taken to be constant as far as `reach_m` from the nearest measured point: lanes correct the
+whole ground between them, each the half that is nearer to it.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class KnownGround:
         self.grid_m, self.origin_m = mapped.grid_m, np.array(mapped.origin_m)
         self._mapped = np.where(mapped.known, mapped.heights_m, np.nan)
         self.heights_m = self._mapped.copy()
-        self._reach = positive("reach_m", reach_m) / mapped.grid_m
+        self.reach_m = positive("reach_m", reach_m)
         rows, cols = mapped.shape
         self._nearest = np.full((rows, cols), np.inf)
         self._tops = np.empty((-(-rows // TILE), -(-cols // TILE)))
@@ -94,8 +94,8 @@ class KnownGround:
         if not np.isfinite(point_m).all():
             return
         u, v = (point_m[:2] - self.origin_m) / self.grid_m - 0.5
-        z, g = float(point_m[2]), self.grid_m
-        correct(self._mapped, self.heights_m, self._tops, self._nearest, u, v, z, g, self._reach)
+        z, g, reach = float(point_m[2]), self.grid_m, self.reach_m / self.grid_m
+        correct(self._mapped, self.heights_m, self._tops, self._nearest, u, v, z, g, reach)
         self.measured += 1
 
     def _cells(self, points_m: Floats) -> Floats:
