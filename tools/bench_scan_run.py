@@ -114,10 +114,13 @@ def main() -> None:
     words.add_argument("--mode-hz", type=float, default=MODE_HZ, help="that the shaper is made for")
     words.add_argument("--json", action="store_true")
     told = words.parse_args()
-    rows = []
-    for seed in range(told.first, told.first + told.seeds):
-        for kind in told.kinds.split(","):
-            rows += run_kind(kind, seed, told)
+    rows: list[dict[str, Any]] = []
+    try:
+        for seed in range(told.first, told.first + told.seeds):
+            for kind in told.kinds.split(","):
+                rows += run_kind(kind, seed, told)
+    except KeyboardInterrupt:
+        print("interrupted; of the runs so far:", file=sys.stderr)
     if told.json:
         print(json.dumps({"machine": machine(), "rows": rows}))
         return

@@ -221,8 +221,9 @@ def _tell_gap(done: Any) -> None:
         click.echo(f"aborted: {done.summary['stop_reason']}", err=True)
     click.echo(inside_text(done), err=True)
     for event in done.inside:
+        place = f"pass {event['pass'] + 1}" if event["pass"] >= 0 else "a turn"
         click.echo(
-            f"  {event['t_s']:.2f} s, pass {event['pass'] + 1}, x {event['x_m']:.3f}, "
+            f"  {event['t_s']:.2f} s, {place}, x {event['x_m']:.3f}, "
             f"y {event['y_m']:.3f} m: "
             f"{1e3 * event['clearance_m']:.1f} mm",
             err=True,
