@@ -25,7 +25,7 @@ demo: $(STAMP)
 test: export PYTHONDONTWRITEBYTECODE :=
 test: $(STAMP)
 	$(PY) tests/warm.py
-	$(PY) -m pytest -n 2 || $(PY) tests/again.py
+	$(PY) -m pytest -n 4 || $(PY) tests/again.py
 
 bench: $(STAMP)
 	$(PY) tools/bench.py

@@ -149,7 +149,7 @@ class NaiveFollower:
         """What SFReset clears."""
         self.points = [[] for _ in range(8)]  # per channel (stamp of the pose used, point)
         self.intervals = NaiveIntervals()
-        self.slope, self.speed = 0.0, 0.0
+        self.slope, self.speed, self.heading = 0.0, 0.0, (0.0, 0.0)
         self.speed_from = None  # (pose number, mean stamp, x, y)
         self.reading = None  # (cycle time, distance, sensor height)
         self.relayed = None  # (demand, sensor height when it was relayed)
@@ -352,18 +352,32 @@ class NaiveFollower:
 
     def forecast(self, t_ns, reading_z, sensor_z):
         """ΔH since the previous reading, desired minus previous actual offset; the first counts at once."""
-        fresh = None if reading_z is None else (t_ns, self.range_m[0], reading_z)
+        place = self.poses[-1][1][:2]
+        fresh = None if reading_z is None else (t_ns, self.range_m[0], reading_z, *place)
         previous = self.reading
         if fresh and (previous is None or t_ns - previous[0] > self.params["loss_timeout_ns"]):
             previous = fresh
         if fresh:
             self.reading = fresh
+            if len(self.poses) > 1:
+                x, y = (a - b for a, b in zip(place, self.poses[-2][1][:2], strict=True))
+                way = math.sqrt(x * x + y * y)
+                if way > 0.0:
+                    self.heading = (x / way, y / way)
         if previous is None:
             return 0.0, 0.0
-        since_ns, distance, z = previous
+        since_ns, distance, z, x, y = previous
         # the tool's own motion since is known, and no part of the surface's
         actual = distance + (sensor_z - z)
-        return self.slope * self.speed * ((t_ns - since_ns) * 1e-9), self.params["offset_m"] - actual
+        error, since = self.params["offset_m"] - actual, (t_ns - since_ns) * 1e-9
+        if not fresh:
+            # no farther than the poses tell, and an interval
+            stamp, tool = self.poses[-1]
+            along = (tool[0] - x) * self.heading[0] + (tool[1] - y) * self.heading[1]
+            most = along + self.speed * ((t_ns - stamp) * 1e-9) + self.params["interval_size_m"]
+            if self.speed * since > most:
+                return self.slope * most, error
+        return self.slope * self.speed * since, error
 
     def watch_fold_back(self, sensor_z):
         """TOO_CLOSE begins near the near limit and ends when the reading rises with the tool, far enough."""

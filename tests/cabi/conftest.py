@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -92,8 +92,8 @@ def make_probe(
     source = ROOT / "tests/cabi/probe.c"
     program = compile_program(source, *SANITIZED, language=request.param)
 
-    def make(stale_ms: int = PATIENT_MS, **options: object) -> Probe:
-        probes.append(Probe(program, **options))
+    def make(stale_ms: int = PATIENT_MS, before: Sequence[str] = (), **options: object) -> Probe:
+        probes.append(Probe(*before, program, **options))
         if stale_ms:
             probes[-1](f"stale_ms {stale_ms}")
         return probes[-1]

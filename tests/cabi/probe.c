@@ -63,6 +63,11 @@ static int answer(const char *verb, char *rest) {
   if (strcmp(verb, "claim_range") == 0) return sf_claim_range(&client, (int)v[0]);
   if (strcmp(verb, "release_range") == 0) return sf_release_range(&client, (int)v[0]);
   if (strcmp(verb, "stop") == 0) return sf_stop(&client, word[0] != '\0' ? word : NULL);
+  if (strcmp(verb, "stop_now") == 0) return sf_stop_now(&client);
+  if (strcmp(verb, "send_and_stop") == 0) {
+    const int sent = sf_request_send(&client, (int64_t)v[0], 1, NULL, &v[1], &ticket);
+    return sent != SF_OK ? sent : sf_stop(&client, "at once");
+  }
   if (strcmp(verb, "stop_reset") == 0) return sf_stop_reset(&client);
   if (strcmp(verb, "sim") == 0) return sf_sim_pose(&client, sf_now_ns(), v, NULL);
   if (strcmp(verb, "reset") == 0) return sf_sf_reset(&client, v[0]);

@@ -96,6 +96,7 @@ def test_an_impostor_after_a_clean_stop_moves_nobody(
         answer = trusting(f"attach {mortal.name}")
         assert (answer.result, answer.detail) == (OWNER, NOBODY)
         trusting(f"owner {NOBODY}")
+        trusting("stale_ms 3600000")
         assert trusting(f"observe {mortal.name}").result == OK
         assert trusting("dev").values[0] == -0.5
         assert fixed("detach").result == OK

@@ -7,9 +7,12 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from cabi.running import PATIENT_MS, ROOT, SANITIZED, STANDOFF_M, Probe, Service, numbers
-from running_service import program, until
+from running_service import program, said, until
 from surffollow.client import attach
+from surffollow.client.demand import STALE
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import STOPPED, VALID
 
@@ -54,6 +57,43 @@ def test_a_c_client_stops_and_only_the_poses_holder_resets(
     assert other("stop").result == 0, "a reason is not needed"
     demands(driver, STOPPED)
     assert driver("stop_reset").result == 0
+
+
+def test_a_stop_waits_for_no_request_before_it_and_one_store_is_enough(
+    make_probe: Callable[..., Probe], service: Service
+) -> None:
+    driver = make_probe()
+    assert driver("stop_now").result < 0, "there is no slot yet"
+    assert driver(f"attach {service.name}").result == 0
+    assert driver(f"reset {STANDOFF_M}").result == 0
+    for how in (f"send_and_stop {lb.RQ_SF_RESET} {STANDOFF_M}", "stop_now"):
+        demands(driver, VALID)
+        assert driver(how).result == 0
+        demands(driver, STOPPED)
+        assert driver.until("stop_reset", lambda a: a.result == 0).result == 0
+
+
+def test_a_demand_of_the_future_is_of_another_clock(
+    make_probe: Callable[..., Probe], service: Service
+) -> None:
+    """In a time namespace that is 1000 s behind, nobody can say how old a demand is."""
+    behind = ["unshare", "--time", "--monotonic", "-1000"]
+    if subprocess.run([*behind, "true"], capture_output=True).returncode != 0:
+        pytest.skip("no time namespace can be made here")
+    driver = make_probe()
+    assert driver(f"attach {service.name}").result == 0
+    assert driver(f"reset {STANDOFF_M}").result == 0
+    demands(driver, VALID)
+    watcher = make_probe(before=behind)
+    watcher(f"observe {service.name}")
+    assert watcher("dev").result != 0
+    assert int(watcher("dev").values[2]) & STALE
+    code = (
+        "import sys; from surffollow.client import observe; o = observe(sys.argv[1], stale_min_s=1.0); "
+        "print(o.dev_vector().valid, o.dev_vector_into(bytearray(88)), o.alive())"
+    )
+    with program(code, service.name, before=[*behind, "--fork"]) as python:
+        assert said(python) == "False False False"
 
 
 # stops the service named by the first word as soon as somebody is driven

@@ -321,3 +321,26 @@ def test_a_follower_whose_readings_never_confirm_each_other_is_not_valid_and_say
     assert valid_s < 2.5, "a demand of zero is not VALID for longer than the loss time-out"
     assert ("DROPOUT", "no sample entered the estimate within the loss time-out") in reasons
     assert "LOST" in told["faults"]
+
+
+@pytest.mark.parametrize("slope", [-0.2, -0.1])
+@pytest.mark.parametrize("forward_s", [0.0, 0.2])
+def test_a_tool_that_turns_back_in_a_loss_goes_no_deeper(slope, forward_s):
+    """What the slope says of the way ahead says nothing of the way back over ground just measured."""
+    f = Follower({"memory": False}, offset_m=0.1)
+    rng, x_m, z_m, v_mps, goal_m, turn_z_m = np.random.default_rng(3), 0.0, 0.1, 0.0, 0.1, math.inf
+    for ms in range(5400):
+        lost, back = ms >= 3000, ms >= 3000 + 1000 * forward_s
+        x_m += -1e-4 if back else 1e-4
+        if back and turn_z_m == math.inf:
+            turn_z_m = z_m
+        if ms % 10 == 0:
+            f.pose(10**10 + ms * MS, (x_m, 0.0, z_m, 0.0, 0.0, 0.0, 1.0))
+        reading = z_m - slope * x_m + 1e-4 * rng.standard_normal()
+        demand = f.step(10**10 + ms * MS, [math.nan if lost or ms % 4 else reading])
+        if ms % 10 == 0:
+            goal_m = z_m + float(demand[2])
+        wish = min(max((goal_m - z_m) / 0.04, -0.2), 0.2)
+        v_mps += min(max(wish - v_mps, -2e-3), 2e-3)
+        z_m += 1e-3 * v_mps
+        assert z_m > turn_z_m - 4e-3 or not back, f"{ms - 3000} ms after the loss"

@@ -133,3 +133,19 @@ def test_random_runs_with_losses_stay_within_the_true_error_and_what_the_slope_e
     assert got["beyond_ramp_m"] <= 2 * bench.ALLOWED_M
     assert got["ghost"] <= 1.0 + 1e-9
     assert got["speed"] <= 1.0 + bench.SPEED_ROUNDING
+
+
+@pytest.mark.parametrize("slope", [-0.2, -0.1, 0.1, 0.2])
+@pytest.mark.parametrize("then_mps", [0.0, 0.02, -0.1])
+def test_in_a_loss_the_slope_explains_no_more_way_than_the_poses_tell(slope, then_mps):
+    """A tool over a ramp that stops, slows down or turns back when the readings end."""
+    f = surffollow.Follower({"mode": "paper", "permitted_variance": "0 m"}, offset_m=0.1)
+    x, moved = 0.0, 0
+    for ms in range(5000):
+        lost = ms >= 3000
+        x += (then_mps if lost else SPEED) * 1e-3
+        f.pose(T + ms * MS, (x, 0.0, 0.1 + slope * x, *LEVEL))  # the stand-off is exact
+        demand = f.step(T + ms * MS, [math.nan if lost else 0.1])[2]
+        assert abs(demand) < 2e-3, f"{ms - 3000} ms after the loss"
+        moved += lost and demand != 0.0
+    assert moved > 500

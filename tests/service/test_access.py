@@ -8,12 +8,21 @@ import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from running_service import POSE, READY_S, WAIT_S, Service, program, quickest, said, until
 from surffollow.client import Client, Observer
 from surffollow.errors import NotRunningError, RefusedError, RequestTimeoutError
+from surffollow.service import memory as m
+from surffollow.service.mapper import map_pass
+from surffollow.service.mapper_memory import make_map_memory
+from surffollow.shm import layout_board as lb
+from surffollow.shm import map_layout as ml
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.latch_shape import latch_bytes
 from surffollow.shm.layout_board import ACCESS_FREE, ACCESS_GRANTED
+from surffollow.shm.ring import make_ring, ring_length, ring_push
 
 Make = Callable[..., Service]
 REGION = (0.0, 0.0, 0.1, 0.1)
@@ -274,3 +283,37 @@ def _end(access) -> None:
         access.__exit__(None, None, None)
     except RefusedError:
         return
+
+
+def test_requests_come_between_the_leases_of_a_greedy_client() -> None:
+    """Who takes the map again as soon as its lease is over waits until what was queued is done."""
+    lease_ns, queued, slot = 1000, 10_000, 2
+    header, inbox = zeros(ml.MapHeader), np.zeros(lb.inbox_bytes() // 8, np.int64)
+    status = np.zeros(latch_bytes(lb.MapStatus.SIZE) // 8, np.int64)
+    pairs = zeros(ml.GridPair, 1)
+    cycle = m.make_cycle_memory(header, pairs, None)
+    ctx, samples = cycle.ctx, make_ring(1 << 14, m.SAMPLE_WORDS)
+    ctx[m.SAMPLES], ctx[m.SAMPLES_CAPACITY] = samples.ctypes.data, 1 << 14
+    ctx[m.INBOX], ctx[m.MAP_STATUS], ctx[m.LEASE_NS] = inbox.ctypes.data, status.ctypes.data, lease_ns
+    ctx[m.CLAIM + slot] = 7
+    mem = make_map_memory(ctx, header, pairs, np.zeros(1), ml.DEFAULT_QUANTUM_M)
+    flag = (slot * lb.SLOT_BYTES + lb.SLOT_HEAD + lb.SlotHead.offset("access")) // 8
+    inbox[flag] = lb.ACCESS_REQUESTED
+    map_pass(mem, 1)
+    assert mem.status[0]["access"] == lb.ACCESS_GRANTED
+    item = np.zeros(m.SAMPLE_WORDS, np.int64)
+    for _ in range(queued):
+        assert ring_push(samples.ctypes.data, 1 << 14, m.SAMPLE_WORDS, item.ctypes.data)
+    t_ns = lease_ns + 2
+    map_pass(mem, t_ns)  # the lease is over
+    assert mem.status[0]["access"] == lb.ACCESS_FREE
+    grants = mem.status[0]["grants"]
+    while mem.status[0]["grants"] == grants:
+        inbox[flag] = lb.ACCESS_FREE
+        map_pass(mem, t_ns)
+        inbox[flag] = lb.ACCESS_REQUESTED
+        left = ring_length(samples.ctypes.data)
+        map_pass(mem, t_ns)
+        t_ns += 1
+    assert left == 0
+    assert mem.status[0]["applied"] == queued

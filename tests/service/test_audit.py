@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 
 from running_service import Service, until
+from surffollow.client import attach
 from surffollow.client.audit import read_audit
 from surffollow.errors import RefusedError
 from surffollow.service import memory as m
 from surffollow.service.audit import BURST, CHANGED, KEPT, REFUSED, AuditTrail
+from surffollow.service.client_table import NAMES
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import numpy_dtype
 from surffollow.shm.layout_follow import Params
@@ -24,6 +26,7 @@ Make = Callable[..., Service]
 MAX_DEMAND = Params.offset("max_demand_m") // 8
 PARAMS = [f.offset // 8 for f in Params.FIELDS]
 SECOND = 1_000_000_000
+BURST_OF_CHANGES = round(BURST[CHANGED])
 
 
 class Trail:
@@ -163,3 +166,40 @@ def test_a_change_between_two_floods_is_on_the_board_and_in_the_log(
         assert {e["parameter"] for e in client.audit() if e["accepted"]} >= {"max_demand_m", "max_speed_mps"}
         assert "max_speed_mps" in log.read_text()
         assert client.status()["main"]["audit_lost"] == 0
+
+
+def test_the_end_leaves_nothing_untold(trail: Trail) -> None:
+    for k in range(BURST_OF_CHANGES + 9):
+        change(trail, 0.01 * k, 0.01 * (k + 1))
+    trail.trail.finish()
+    assert trail.shown()[-1]["new"] == pytest.approx(0.01 * (BURST_OF_CHANGES + 9))
+    assert not trail.trail._gathered
+    assert sum("max_demand" in line for line, _ in trail.lines) == BURST_OF_CHANGES + 1
+
+
+def test_a_change_and_a_stop_just_before_the_end_are_in_the_log(make_service: Make) -> None:
+    s = make_service().start()
+    with s.attach(label="late") as client:
+        client.claim_pose()
+        for k in range(BURST_OF_CHANGES + 6):
+            client.set_params(max_demand=0.01 + 1e-4 * k)
+        client.set_params(max_demand=0.04321)
+        client.stop("because")
+        process = s.process
+        assert process is not None
+        process.terminate()
+        _, log = process.communicate(timeout=60.0)
+        s.process = None
+    assert "0.04321" in log
+    assert "because" in log
+
+
+def test_who_holds_a_slot_keeps_his_name_in_the_trail_whoever_comes_and_goes(make_service: Make) -> None:
+    with make_service().start().attach(label="THE-DRIVER") as driver:
+        driver.claim_pose()
+        name = driver.name
+        for _ in range(NAMES + 5):
+            attach(name, stale_min_s=1.0, label="x").close()
+        driver.set_params(max_demand=0.0432)
+        last = until(lambda: [e for e in driver.audit() if e["new"] == 0.0432], "the entry")[-1]
+        assert last["client"] == "THE-DRIVER"

@@ -136,7 +136,7 @@ def forged_board(content: bytes, offset: int) -> bytes:
 
     output = zeros(Output)
     o = output[0]
-    o["t_ns"], o["status"], o["epoch"] = time.monotonic_ns() + 3_600_000_000_000, VALID, 1
+    o["t_ns"], o["status"], o["epoch"] = time.monotonic_ns(), VALID, 1
     o["demand"] = (0.0, 0.0, -0.5, 0.0, 0.0, 0.0)
     data, step = bytearray(content), stride(Output.SIZE)
     for k in range(SLOTS):
@@ -180,7 +180,7 @@ def test_an_impostor_after_a_clean_stop_moves_nobody(make_service: Make) -> None
                 with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0"):
                     door(s.name)
             # who says that he trusts that user does
-            with observe(s.name, owner=NOBODY) as fooled:
+            with observe(s.name, owner=NOBODY, stale_min_s=3600.0) as fooled:
                 assert fooled.dev_vector()[2] == -0.5
         path.unlink()
         s.start()

@@ -5,17 +5,19 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import resource
 import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from running_service import Service, program, said, until
+from running_service import READY_S, Service, objects_of, program, said, until
 from surffollow.client import Client
 from surffollow.errors import SurffollowError
 from surffollow.service.driver_watch import DriverWatch
@@ -309,3 +311,83 @@ def test_a_driver_that_is_not_started_has_nothing_to_say() -> None:
             raise AssertionError("nobody asked it")
 
     assert DriverWatch(Driver()).faults() == []  # type: ignore[arg-type]
+
+
+def test_a_driver_is_stopped_where_no_thread_can_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Driver:
+        stopped = 0
+
+        def faults(self) -> list[str]:
+            return []
+
+        def stop(self) -> None:
+            self.stopped += 1
+
+    def refuse(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    driver = Driver()
+    watch = DriverWatch(driver)  # type: ignore[arg-type]
+    watch.start()
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    watch.stop(10.0)
+    assert driver.stopped == 1
+    DriverWatch(driver).stop(1.0)  # type: ignore[arg-type]
+
+
+FLOOD = """
+import os, socket, sys
+path, end = sys.argv[1], 300
+for _ in range(end):
+    s = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    s.setblocking(False)
+    try:
+        s.connect(path)
+    except OSError:
+        pass
+    s.close()
+"""
+
+
+def test_a_flood_ends_no_service_whose_descriptors_have_high_numbers(
+    make_service: Callable[..., Service],
+) -> None:
+    s = make_service()
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if limit[1] < 4096:
+        pytest.skip("this process may not have so many files")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (4096, limit[1]))
+    files = [os.open(os.devnull, os.O_RDONLY) for _ in range(1100)]
+    try:
+        s.start(close_fds=False, preexec_fn=lambda: [os.set_inheritable(fd, True) for fd in files])
+        with s.attach() as client:  # this process has as many
+            for _ in range(5):
+                subprocess.run([sys.executable, "-c", FLOOD, f"/dev/shm/{s.name}.sock"], check=True)
+            s.cycles(50)
+            assert client.alive()
+        with s.attach() as another:
+            assert another.alive()
+    finally:
+        for fd in files:
+            os.close(fd)
+        resource.setrlimit(resource.RLIMIT_NOFILE, limit)
+
+
+def test_a_compilation_is_left_when_the_service_is_told_to_end(
+    make_service: Callable[..., Service], tmp_path: Path
+) -> None:
+    s = make_service()
+    process = s.launch(env=os.environ | {"SURFFOLLOW_CACHE_DIR": str(tmp_path / "cold")})
+    until(lambda: list((tmp_path / "cold").rglob("*.nbi")) or process.poll() is not None, "a kernel", READY_S)
+    caught = Path(f"/proc/{process.pid}/status")
+    until(
+        lambda: int(caught.read_text().split("SigCgt:")[1].split()[0], 16) >> (signal.SIGTERM - 1) & 1,
+        "the handler",
+        READY_S,
+    )
+    process.send_signal(signal.SIGTERM)
+    told, _ = process.communicate(timeout=20.0)  # the rest of the compilation takes longer
+    assert "READY" not in told
+    assert process.returncode == 0
+    s.process = None
+    assert objects_of(s.name) <= {f"{s.name}.map"}

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from running_service import POSE, Service, config_text, program, said, until
+from running_service import POSE, Service, config_text, objects_of, program, said, until
 from surffollow.client import Client
 from surffollow.client.audit import audit_line, printable
 from surffollow.config.service import parse_config
@@ -278,7 +278,6 @@ def test_the_configuration_says_whose_clients_may_push_ranges(
 @pytest.mark.parametrize(
     ("table", "match"),
     [
-        ({"limits": {"max_demand": {"max": 0.01}}}, r"max_demand_m is 0.05 \(its default\)"),
         (
             {"limits": {"max_demand": {"max": "10 mm"}}, "follow": {"max_demand": "20 mm"}},
             "max_demand_m is 0.02",
@@ -302,6 +301,47 @@ def test_the_configuration_says_whose_clients_may_push_ranges(
 def test_a_configuration_that_contradicts_itself_is_refused_by_name(table: dict, match: str) -> None:
     with pytest.raises(ConfigError, match=match):
         parse_config(table)
+
+
+@pytest.mark.parametrize(
+    ("follow", "limits", "match"),
+    [
+        ('offset = "110 mm"', 'max_demand = { max = "50 mm" }', "max_demand_m is 0.1"),
+        ('plant_tau = "35 ms"', 'max_speed = { max = "4 m/s" }', "max_speed_mps is 8"),
+        ('plant_tau = "80 ms"', 'loss_timeout = { max = "3 s" }', r"loss_timeout_ns is 5e\+09"),
+        ("", 'max_demand = { max = "10 mm" }', "max_demand_m is 0.05"),
+    ],
+)
+def test_a_start_ends_where_what_would_be_in_force_is_beyond_the_limits(
+    make_service: Make, follow: str, limits: str, match: str
+) -> None:
+    s = make_service(follow=follow)
+    s.config.write_text(s.config.read_text() + f"[limits]\n{limits}\n")
+    with pytest.raises(AssertionError, match=match):
+        s.start()
+    assert objects_of(s.name) == set()
+
+
+def test_what_the_driver_says_is_held_against_the_limits_too(make_service: Make) -> None:
+    driver = 'range_min_m = "50 mm"\nrange_max_m = "400 mm"\nlatency_s = 0.5'
+    s = make_service(kind="external", driver=driver)
+    s.config.write_text(s.config.read_text() + '[limits]\nsensor_latency = { max = "30 ms" }\n')
+    with pytest.raises(AssertionError, match=r"sensor_latency_ns is 5e\+08"):
+        s.start()
+
+
+def test_a_map_that_was_announced_before_somebody_drove_is_not_installed(make_service: Make) -> None:
+    with make_service().start().attach() as member, member.__class__(member.name, stale_min_s=1.0) as driver:
+        member.map_reset((0.0, 0.0, 0.1, 0.1))
+        grid = (10, 10, 0.01, 0.0, 0.0, 0.0, 1e-4)
+        values = (0.0, 0.0, 0.1, 0.1, *grid[2:])
+        ticket = member._ask(lb.RQ_MAP_INSTALL, values, 5.0, False, (*grid[:2], 1))
+        until(ticket.taken, "the announcement")
+        driver.claim_pose()
+        with pytest.raises(RefusedError) as refused:
+            ticket.result(30.0)
+        assert refused.value.code == lb.ERR_CANCELLED
+        until(lambda: member.status()["map"]["busy"] == 0, "the end of the installation")
 
 
 def test_what_a_client_wrote_steers_no_terminal() -> None:

@@ -13,6 +13,7 @@ from surffollow.arbiter import layout as al
 from surffollow.arbiter.config import ArbiterConfig, limits
 from surffollow.blocks import layout as bl
 from surffollow.blocks.claim import claim_writer, give_up
+from surffollow.config.owner import own_user
 from surffollow.config.service import mode, seconds
 from surffollow.errors import (
     AlreadyRunningError,
@@ -25,7 +26,7 @@ from surffollow.shm.dtypes import numpy_dtype
 from surffollow.shm.layout_board import LogHead
 from surffollow.shm.name_lock import NameLock, holder
 from surffollow.shm.objects import SharedObject, unlink
-from surffollow.shm.process import start_ticks
+from surffollow.shm.process import own_pid, start_ticks
 from surffollow.shm.python_atomics import store_release
 
 DYING_S = 0.3  # a process that was just killed holds its locks until the kernel has taken it apart
@@ -76,7 +77,7 @@ def take_old_board(name: str) -> int:
     BlockError         what bears the name is no board
     """
     try:
-        old = SharedObject.open(name, writable=True, owners=(os.geteuid(),))
+        old = SharedObject.open(name, writable=True, owners=(own_user(),))
     except NotRunningError:
         return 0
     except NotReadyError:
@@ -126,8 +127,8 @@ class Board:
     def _declare(self, config: ArbiterConfig, size: int) -> None:
         h = self.header[0]
         h["version"], h["layout_hash"], h["size"] = al.LAYOUT_VERSION, al.layout_hash(), size
-        h["epoch"], h["server_pid"] = self.epoch, os.getpid()
-        h["server_start_ticks"], h["started_ns"] = start_ticks(os.getpid()), time.monotonic_ns()
+        h["epoch"], h["server_pid"] = self.epoch, own_pid()
+        h["server_start_ticks"], h["started_ns"] = start_ticks(own_pid()), time.monotonic_ns()
         h["n_resources"], h["n_combinations"] = len(config.resources), len(config.combine)
         h["history_capacity"], h["lease_ns"] = config.history, config.lease_ns
         h["period_ns"], h["name"] = config.period_ns, config.name.encode()

@@ -79,7 +79,10 @@ static inline int sfa_latest(const sfb_block *block, sfa_command_block *out) {
     memset(out, 0, sizeof *out);
     return 0;
   }
-  if (out->source != SFA_SOURCE_SAFE && sf_now_ns() < out->valid_until_ns && !sfb_given_up(block)) return 1;
+  /* a command of the future is of another clock: nobody knows how old it is */
+  const int64_t now_ns = sf_now_ns(), begin_ns = 2 * out->t_ns - out->valid_until_ns;
+  const int valid = out->source != SFA_SOURCE_SAFE && begin_ns < now_ns && now_ns < out->valid_until_ns;
+  if (valid && !sfb_given_up(block)) return 1;
   memcpy(out->value, out->safe, sizeof out->value);
   return 0;
 }

@@ -20,6 +20,7 @@ from surffollow.arbiter import layout as al
 from surffollow.arbiter import memory as m
 from surffollow.arbiter.board import Board
 from surffollow.arbiter.config import ArbiterConfig
+from surffollow.config.owner import own_user
 from surffollow.errors import ConfigError
 from surffollow.shm.python_atomics import load_acquire, store_release
 from surffollow.shm.sealed import make_sealed, seal_for_good
@@ -56,7 +57,7 @@ def users_of(config: ArbiterConfig) -> set[int] | None:
     """Who may attach; None: everybody."""
     if "*" in config.users:
         return None
-    allowed = {0, os.geteuid()}
+    allowed = {0, own_user()}
     for name in config.users:
         try:
             allowed.add(pwd.getpwnam(name).pw_uid)

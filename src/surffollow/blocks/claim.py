@@ -14,11 +14,12 @@ from collections.abc import Collection
 from surffollow.blocks import layout as bl
 from surffollow.client.fence import fence
 from surffollow.config.names import check_name
+from surffollow.config.owner import own_user
 from surffollow.errors import BlockError, BusyError, ExistsError, NoPermissionError, NotRunningError
 from surffollow.shm.locks import FileLock
 from surffollow.shm.name_lock import NameLock, holder
 from surffollow.shm.objects import SharedObject, unlink
-from surffollow.shm.process import start_ticks
+from surffollow.shm.process import own_pid, start_ticks
 from surffollow.shm.schema import Schema
 
 POLL_S = 0.005
@@ -69,7 +70,7 @@ def claim_writer(
     try:
         while True:
             try:
-                obj = SharedObject.open(name, writable=True, owners=(os.geteuid(),))
+                obj = SharedObject.open(name, writable=True, owners=(own_user(),))
             except NotRunningError:
                 try:
                     return *_make(name, schema, mode, group, lease_ns), own
@@ -127,7 +128,7 @@ def _take_over(obj: SharedObject, schema: type[Schema], mode: int, group: int, l
 
 
 def _sign(obj: SharedObject, epoch: int, lease_ns: int) -> None:
-    pid = os.getpid()
+    pid = own_pid()
     run = bl.BlockHeader.struct_of("lease_ns", "writer_start_ticks")
     run.pack_into(obj.memory, bl.BlockHeader.offset("lease_ns"), lease_ns, epoch, pid, start_ticks(pid))
 

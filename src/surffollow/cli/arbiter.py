@@ -30,6 +30,9 @@ def start_command(config_path: str, name: str | None, quiet: bool) -> None:
     config = load_config(config_path)
     if name is not None:
         config = msgspec.structs.replace(config, name=name)
+    from surffollow.shm.trusted_folder import check_numba_settings
+
+    check_numba_settings()
     from surffollow.arbiter.server import serve
 
     serve(config, quiet)

@@ -34,6 +34,7 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
     from surffollow.config.names import check_service_name
     from surffollow.config.service import ServiceConfig, load_config
     from surffollow.errors import ConfigError
+    from surffollow.shm.trusted_folder import check_numba_settings
 
     config = load_config(config_path) if config_path else ServiceConfig()
     if name is not None:
@@ -43,6 +44,7 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
             config, realtime=msgspec.structs.replace(config.realtime, strict=True)
         )
     check_service_name(config.name)
+    check_numba_settings()
     from surffollow.service.daemon import serve
 
     try:
@@ -61,7 +63,9 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
 )
 def stop_command(name: str, purge: bool, timeout: float) -> None:
     """End a service in good order; its map is kept for the next start unless --purge is given."""
+    from surffollow.config.owner import trusted_owners
     from surffollow.errors import NotRunningError, ServiceError
+    from surffollow.shm.name_lock import holder, lock_owner
 
     pid = running_pid(name)
     if pid:
@@ -82,6 +86,11 @@ def stop_command(name: str, purge: bool, timeout: float) -> None:
         purged = purge_leftovers(name)
         if not pid and not purged:
             raise NotRunningError(f"no service {name!r} runs and no map of that name is kept")
+    elif not pid and holder(name) < 0 and lock_owner(name) in trusted_owners():
+        raise ServiceError(
+            f"service {name!r} runs as a process that has no number here: in another pid namespace (a "
+            "container), or of a user whose lock this one may not read; stop it there"
+        )
     elif not pid:
         raise NotRunningError(f"no service {name!r} is running")
 
@@ -99,10 +108,16 @@ def ask_to_end(pid: int, name: str) -> None:
 
 def running_pid(name: str) -> int:
     """The pid of the live process that holds a service's name; 0 when there is none."""
-    from surffollow.service.stale import board_owner
+    from surffollow.errors import NameError_
+    from surffollow.service.stale import board_owner, is_block
     from surffollow.shm.name_lock import holder
 
     pid = holder(name)
+    if pid > 0 and is_block(name):
+        raise NameError_(
+            f"{name!r} is a block of a program (pid {pid}), no service; end that program by its own means "
+            "(surffollow blocks ls)"
+        )
     # another user's lock cannot be looked at, and a lock may have been removed by hand: the board tells
     return pid if pid > 0 else board_owner(name)
 

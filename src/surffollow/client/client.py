@@ -14,7 +14,7 @@ from surffollow.client.fence import FENCED, fence
 from surffollow.client.observer import Observer
 from surffollow.client.pose import FUTURE_NS, MAX_POSITION_M, checked_pose, checked_stamp
 from surffollow.client.push_range import RangePusher
-from surffollow.client.requests import Ticket, check_finest, check_region
+from surffollow.client.requests import StopTicket, Ticket, check_finest, check_region
 from surffollow.client.slot import CLAIM_PAUSE_S, GENERATION
 from surffollow.errors import BusyError, ConfigError, PoseError, RefusedError
 from surffollow.shm import layout_board as lb
@@ -133,8 +133,8 @@ class Client(RangePusher):
         wait: bool,
         numbers: Sequence[int] = (),
     ) -> Ticket:
-        """Send a request; one that may wait first claims the pose anew that a restart took."""
-        if wait and not self._pose_held and POSE in self._had:
+        """Send a request; one that may wait, but no stop, first claims the pose anew that a restart took."""
+        if wait and code != lb.RQ_STOP and not self._pose_held and POSE in self._had:
             with contextlib.suppress(BusyError):  # another one has it: the service says what that means
                 self._claim_pose()
         return super()._ask(code, values, timeout_s, wait, numbers)
@@ -194,13 +194,20 @@ class Client(RangePusher):
         Any client may ask. What the robot's controller does then stands in docs/protocol.md. This is no
         safety function: it needs the service, the controller and the machine between them.
 
+        It may be called while another request is under way, and in a signal handler. Without a slot (just
+        after a restart of the service) it waits for one, or raises as the other requests do.
+
         Parameters
         ----------
         reason : str   for the audit trail; its first 63 bytes as UTF-8 are kept
         """
-        data = reason.encode()[: 8 * lb.STOP_TEXT_WORDS - 1]
+        self._store_stop()
+        data = reason.encode(errors="replace")[: 8 * lb.STOP_TEXT_WORDS - 1]
         numbers = struct.unpack(f"<{lb.STOP_TEXT_WORDS}q", data.ljust(8 * lb.STOP_TEXT_WORDS, b"\0"))
-        return self._ask(lb.RQ_STOP, (), timeout_s, wait, numbers)
+        try:
+            return self._ask(lb.RQ_STOP, (), timeout_s, wait, numbers)
+        except BusyError:  # of this thread itself: what is stored is heeded, only the reason is lost
+            return StopTicket(self).settle(timeout_s, wait)
 
     def reset_stop(self, *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
         """Leave the latched stop; the forecast restarts with the stand-off in force (see `sf_reset`).

@@ -123,7 +123,7 @@ class Observer(MapReading):
         raw = self._snapshot(_HEAD.unpack_from, 0) or _EMPTY
         now = time.monotonic_ns()
         age = now - raw[0]
-        if age <= self._stale_ns:
+        if -self._stale_ns <= age <= self._stale_ns:  # a stamp of the future is of another clock
             return Demand(raw, age, raw[8])
         self._try_reattach(now)
         return Demand(raw, age, (raw[8] & ~VALID) | STALE)
@@ -152,7 +152,8 @@ class Observer(MapReading):
         word = at >> 3
         valid = words[word + _STATUS_WORD] & VALID
         try:
-            if _clock() - words[word] <= stale_ns and words[index] - g <= SLOTS - 2 and g and not FENCED:
+            age = _clock() - words[word]
+            if -stale_ns <= age <= stale_ns and words[index] - g <= SLOTS - 2 and g and not FENCED:
                 if valid:
                     _copy_to(buffer, 0, *copy)
                     return True
@@ -268,7 +269,7 @@ class Observer(MapReading):
         """Follow a silent service to its new start; False: it ended, and there is no other."""
         now = time.monotonic_ns()
         stamp = self._snapshot(_STAMP.unpack_from, 0)
-        if stamp is not None and now - stamp[0] <= self._stale_ns:
+        if stamp is not None and abs(now - stamp[0]) <= self._stale_ns:
             return True
         self._try_reattach(now)
         return not self._ended

@@ -19,8 +19,10 @@ from surffollow.shm.layout_board import (
     ERR_STOP_REMAINS,
     OK,
     RESULT_TEXT,
+    RQ_STOP,
     Ack,
 )
+from surffollow.shm.layout_follow import STOPPED
 
 if TYPE_CHECKING:
     from surffollow.client.slot import SlotHolder
@@ -174,3 +176,14 @@ def _explain(code: int, detail: int) -> str:
         names = [f.name for f in Params.FIELDS if f.offset == 8 * detail]
         return f"refused: {text} ({names[0] if names else f'parameter number {detail}'})"
     return f"refused: {text}"
+
+
+class StopTicket(Ticket):
+    """Of a stop that was stored while a request was being sent: done when demands are stopped."""
+
+    def __init__(self, client: SlotHolder) -> None:
+        super().__init__(client, RQ_STOP, 0)
+
+    def _look(self) -> dict[str, Any] | None:
+        stopped = self._client.dev_vector().status & STOPPED
+        return {"result": OK, "detail": stopped} if stopped else None

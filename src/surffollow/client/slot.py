@@ -25,6 +25,7 @@ from surffollow.shm import layout_board as lb
 from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, stride
 
 _REQUEST = lb.RequestPost.struct_of("counter", "value")
+_STOP_WORD = (lb.SLOT_HEAD + lb.SlotHead.offset("stop")) // 8
 _REQUEST_STRIDE = stride(lb.RequestPost.SIZE)
 _OF_THE_MAP = (lb.RQ_MAP_RESET, lb.RQ_MAP_REFOCUS, lb.RQ_MAP_INSTALL)
 CLAIM_TRIES, CLAIM_PAUSE_S = 50, 0.02
@@ -68,6 +69,7 @@ class SlotHolder(Observer):
         self._grant: SlotGrant | None = None
         self._asking: SlotRequest | None = None
         self._open: list[Ticket] = []
+        self._posting = False
         self._had: set[tuple[int, int]] = set()  # claims once held, not given back: renewed without waiting
         self._pose_held, self._pose_held_ns = False, 0
         self._next_look_ns = self._next_life_ns = 0
@@ -197,6 +199,12 @@ class SlotHolder(Observer):
 
     # -- requests -------------------------------------------------------------------------------------
 
+    def _store_stop(self) -> None:
+        """Stop by one store into the slot, if there is one: the service looks at it in every cycle."""
+        if self._grant is not None:
+            word = self._in_words[_STOP_WORD]
+            self._in_words[_STOP_WORD] = (((word >> 32) + 1) & 0x7FFFFFFF) << 32 | lb.STOP_WORD
+
     def _request(
         self,
         code: int,
@@ -222,10 +230,16 @@ class SlotHolder(Observer):
         while True:
             with self._lock:
                 under_way = None
+                if self._posting:  # this very thread: a signal handler came in between
+                    raise BusyError("a request is just being sent by this thread; call again after it")
                 if self.alive() and self._has_slot(asked + stall_s):
-                    under_way = self._under_way(code)
-                    if under_way is None:
-                        return self._post_request(code, numbers, values, n)
+                    self._posting = True
+                    try:
+                        under_way = self._under_way(code)
+                        if under_way is None:
+                            return self._post_request(code, numbers, values, n)
+                    finally:
+                        self._posting = False
                 elif time.monotonic() >= asked + stall_s or not self._follow():
                     raise NotRunningError(
                         f"service {self.name!r} does not answer; it ended or stands still (surffollow status)"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import mmap
 import os
-import select
 import socket
 import time
 
@@ -13,6 +12,7 @@ from surffollow.client.board import LAYOUT_HASH, Board
 from surffollow.errors import BlockError, BusyError, NoPermissionError, NotReadyError
 from surffollow.shm import layout_board as lb
 from surffollow.shm.checked_open import foreign
+from surffollow.shm.readable import wait_readable
 from surffollow.shm.sealed import has_sealed_size
 from surffollow.shm.uninvited import accept_rights, refuse_rights
 from surffollow.shm.unix_socket import new_socket, peer_of, socket_path
@@ -126,7 +126,7 @@ class SlotRequest:
         """Until there may be something for the next step; not in a control loop."""
         left = max(0.0, min(until_s, self._deadline) - time.monotonic())
         if self._connected:
-            select.select([self._sock], [], [], left)
+            wait_readable(self._sock.fileno(), left)
         else:
             time.sleep(min(left, _AGAIN_S))
 

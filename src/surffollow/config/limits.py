@@ -70,7 +70,7 @@ def check_within_limits(params: Mapping[str, float], limits: Mapping[str, tuple[
 
     Parameters
     ----------
-    params : full name → value set by the configuration; others have their defaults
+    params : full name → value; the others are not looked at
     limits : of `client_limits`
 
     Raises
@@ -78,10 +78,8 @@ def check_within_limits(params: Mapping[str, float], limits: Mapping[str, tuple[
     ConfigError  one does not; the text says which and what to set
     """
     for name, (low, high) in limits.items():
-        value = params.get(name, PARAMS[name].default)
-        if not low <= value <= high:
-            how = "" if name in params else " (its default)"
+        if name in params and not low <= params[name] <= high:
             raise ConfigError(
-                f"parameter {name} is {value:g}{how}, and [limits] allows {low:g} to {high:g}; "
+                f"parameter {name} is {params[name]:g}, and [limits] allows {low:g} to {high:g}; "
                 f"set it under [follow], or widen limits.{name}"
             )

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from surffollow.errors import ConfigError
 
-# bit k of a word of causes is STOP_NAMES[k]; a client's request always stops
+# bit k of a word of causes is STOP_NAMES[k]
 STOP_NAMES = (
     "request",
     "pose_stale",
@@ -16,7 +16,9 @@ STOP_NAMES = (
     "pose_lost",
     "driver",
     "start",
+    "restart",
 )
+ALWAYS = ("request", "restart")  # need not be named
 
 
 def stop_causes(names: Sequence[str]) -> int:
@@ -26,7 +28,7 @@ def stop_causes(names: Sequence[str]) -> int:
     ------
     ConfigError  an unknown cause
     """
-    choices = STOP_NAMES[1:]
+    choices = [name for name in STOP_NAMES if name not in ALWAYS]
     for name in names:
         if name not in choices:
             raise ConfigError(f"configuration key stop.on names {name!r}; it may name {', '.join(choices)}")

@@ -6,7 +6,7 @@ from typing import Any
 
 from surffollow.forecast.intervals import add_point, cut_ranges, range_slope
 from surffollow.shm.jit import jit_inlined
-from surffollow.shm.layout_follow import POINTS
+from surffollow.shm.layout_follow import POINTS, POSES
 
 
 @jit_inlined
@@ -97,8 +97,41 @@ def paper_update(params: Any, paper: Any, sense: Any) -> None:
 
 
 @jit_inlined
+def note_place(paper: Any, sense: Any) -> None:
+    """Where the newest pose is when a reading counts, and where it was heading from the one before."""
+    slot = 7 * ((sense.pose_count - 1) & (POSES - 1))
+    paper.reading_x_m, paper.reading_y_m = sense.pose[slot], sense.pose[slot + 1]
+    if sense.pose_count < 2:
+        return
+    before = 7 * ((sense.pose_count - 2) & (POSES - 1))
+    dx, dy = paper.reading_x_m - sense.pose[before], paper.reading_y_m - sense.pose[before + 1]
+    way_m = (dx * dx + dy * dy) ** 0.5
+    if way_m > 0.0:
+        paper.heading_x, paper.heading_y = dx / way_m, dy / way_m
+
+
+@jit_inlined
+def way_told(params: Any, paper: Any, sense: Any, t_ns: Any) -> Any:
+    """The way along the heading since the last reading, as the poses tell, and one Interval_Size [m].
+
+    The newest pose is carried on to `t_ns` by the last speed. Negative when the tool went back farther.
+    """
+    slot = (sense.pose_count - 1) & (POSES - 1)
+    dx, dy = sense.pose[7 * slot] - paper.reading_x_m, sense.pose[7 * slot + 1] - paper.reading_y_m
+    along_m = dx * paper.heading_x + dy * paper.heading_y
+    return along_m + paper.speed_mps * ((t_ns - sense.pose_t_ns[slot]) * 1e-9) + params.interval_size_m
+
+
+@jit_inlined
 def paper_forecast(
-    params: Any, paper: Any, t_ns: Any, fresh: Any, range_m: Any, reading_z_m: Any, sensor_z_m: Any
+    params: Any,
+    paper: Any,
+    t_ns: Any,
+    fresh: Any,
+    range_m: Any,
+    reading_z_m: Any,
+    sensor_z_m: Any,
+    most_way_m: Any,
 ) -> Any:
     """ΔH since the previous reading, and desired minus previous actual stand-off.
 
@@ -113,6 +146,7 @@ def paper_forecast(
     fresh : int                        1: `range_m` is a new reading of channel 0
     range_m, reading_z_m : float64     that reading, and the sensor's height in the pose it was made with
     sensor_z_m : float64               the sensor's height in the newest pose [m]
+    most_way_m : float64               the tool has gone no farther since the previous reading; inf: not known
 
     Returns
     -------
@@ -124,7 +158,10 @@ def paper_forecast(
             return 0.0, 0.0
     elif first:
         paper.reading_t_ns, paper.reading_m, paper.reading_z_m = t_ns, range_m, reading_z_m
-    delta_h = paper.slope * paper.speed_mps * ((t_ns - paper.reading_t_ns) * 1e-9)
+    since_s = (t_ns - paper.reading_t_ns) * 1e-9
+    delta_h = paper.slope * paper.speed_mps * since_s
+    if paper.speed_mps * since_s > most_way_m:
+        delta_h = paper.slope * most_way_m
     error = params.offset_m - (paper.reading_m + (sensor_z_m - paper.reading_z_m))
     if fresh != 0:
         paper.reading_t_ns, paper.reading_m, paper.reading_z_m = t_ns, range_m, reading_z_m

@@ -16,9 +16,11 @@ from surffollow.forecast.adaptive.reset import reset_surface
 from surffollow.forecast.adaptive.step import compute_demand, publish_estimate
 from surffollow.forecast.paper import (
     average_point,
+    note_place,
     paper_forecast,
     paper_update,
     relay,
+    way_told,
 )
 from surffollow.forecast.pose import footprint, pose_at
 from surffollow.forecast.safety import PROBE_M, limit, watch_fold_back
@@ -152,7 +154,12 @@ def demand_z(params: Any, state: Any, inputs: Any, output: Any, reading_z_m: Any
     if fresh == 0 or params.pose_interpolate != 0:
         pose_at(state.sense, inputs.t_ns, 0, pose)
         _, _, _, sensor_z_m = footprint(pose, params.tool_from_sensor, 0, 0.0)
-    delta_h, error = paper_forecast(params, p, inputs.t_ns, fresh, range_m, reading_z_m, sensor_z_m)
+    most_way_m = math.inf if fresh != 0 else way_told(params, p, state.sense, inputs.t_ns)
+    delta_h, error = paper_forecast(
+        params, p, inputs.t_ns, fresh, range_m, reading_z_m, sensor_z_m, most_way_m
+    )
+    if fresh != 0:
+        note_place(p, state.sense)
     output.delta_h_m, output.error_m = delta_h, error
     status = VALID
     if fresh == 0 and (state.sense.valid[0] == 0 or inputs.t_ns - p.reading_t_ns > ABSENT_NS):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import select
 import struct
 import time
 from pathlib import Path
@@ -22,6 +21,7 @@ from surffollow.hw.driver import Driver, DriverInfo, Eight, Mount, mounts_of
 from surffollow.hw.polled import SILENCE_S, PolledDriver
 from surffollow.hw.ranges import pack_counts
 from surffollow.shm.layout_follow import CHANNELS
+from surffollow.shm.readable import wait_readable
 
 READ_SCANS = 256
 _TYPE = re.compile(r"(be|le):([us])(\d+)/(\d+)(?:X(\d+))?(?:>>(\d+))?")
@@ -198,7 +198,7 @@ class IioSource:
 
     def read(self, timeout_s: float) -> list[tuple[int, int]]:
         """Conversions, stamped by the device."""
-        if not select.select([self._fd], [], [], timeout_s)[0]:
+        if not wait_readable(self._fd, timeout_s):
             return []
         try:
             data = os.read(self._fd, self._size * READ_SCANS)

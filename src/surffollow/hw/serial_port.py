@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import select
 import time
 from typing import Any
 
@@ -18,6 +17,7 @@ from surffollow.hw.frames import make_finder
 from surffollow.hw.polled import SILENCE_S, PolledDriver
 from surffollow.hw.presets import PRESETS
 from surffollow.hw.ranges import metre_info, pack_range
+from surffollow.shm.readable import wait_readable
 
 READ_BYTES = 4096
 
@@ -109,7 +109,7 @@ class SerialSource:
 
     def read(self, timeout_s: float) -> list[tuple[int, int]]:
         """Conversions, stamped when their frame began: see `ArrivalClock`."""
-        if not select.select([self._line], [], [], timeout_s)[0]:
+        if not wait_readable(self._line, timeout_s):
             return []
         data = os.read(self._line, READ_BYTES)
         now_ns = time.monotonic_ns()

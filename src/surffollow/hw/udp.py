@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import select
 import socket
 import time
 from typing import Any
@@ -15,6 +14,7 @@ from surffollow.hw.frame_format import Format, Number, reader_of
 from surffollow.hw.frames import FrameFinder, make_finder
 from surffollow.hw.polled import SILENCE_S, PolledDriver
 from surffollow.hw.ranges import metre_info, pack_range
+from surffollow.shm.readable import wait_readable
 
 DATAGRAM_BYTES = 65536
 AT_ONCE = 64  # datagrams taken in one read
@@ -91,7 +91,7 @@ class UdpSource:
     def read(self, timeout_s: float) -> list[tuple[int, int]]:
         """Conversions, stamped with their datagram's arrival."""
         assert self._socket is not None
-        if not select.select([self._socket], [], [], timeout_s)[0]:
+        if not wait_readable(self._socket.fileno(), timeout_s):
             return []
         out: list[tuple[int, int]] = []
         for _ in range(AT_ONCE):

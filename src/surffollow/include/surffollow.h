@@ -79,11 +79,11 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 /* ---- layout: generated ------------------------------------------------------------ */
 
 #define SF_LAYOUT_VERSION 3u
-#define SF_LAYOUT_HASH UINT64_C(2848434251925826590)
+#define SF_LAYOUT_HASH UINT64_C(3826994747029406)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_SLOT_MAGIC UINT64_C(3554549926447961427)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
-#define SF_MAP_LAYOUT_HASH UINT64_C(5652084181357192297)
+#define SF_MAP_LAYOUT_HASH UINT64_C(13571311304213333666)
 #define SF_WORLD_MAGIC INT64_C(3550046344000460115)
 #define SF_WORLD_LAYOUT_HASH UINT64_C(13052016008935378148)
 #define SF_WORLD_BYTES 8192
@@ -94,6 +94,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 #define SF_SLOT_HEAD 0
 #define SF_SLOT_POSE 256
 #define SF_SLOT_REQUEST 1024
+#define SF_STOP_WORD 1347376211
 #define SF_SLOT_RANGES 2560
 #define SF_RANGES_AT 64
 #define SF_RANGE_ITEMS 128
@@ -288,7 +289,8 @@ enum {
   SF_STOP_TOO_CLOSE = 16,
   SF_STOP_POSE_LOST = 32,
   SF_STOP_DRIVER = 64,
-  SF_STOP_START = 128
+  SF_STOP_START = 128,
+  SF_STOP_RESTART = 256
 };
 
 /* A parameter that may be set: its number in requests, whether it is whole, its bounds. */
@@ -691,7 +693,7 @@ SF_STATIC_ASSERT(offsetof(sf_stats, ranges_skipped) == 8312, "layout of sf_stats
 typedef struct sf_audit_entry {
   int64_t t_ns; /* [ns] when the cycle answered it */
   int64_t slot; /* of the client; -1: the service itself */
-  int64_t pid; /* of the client; 0: unknown */
+  int64_t pid; /* of the client; -1: of another pid namespace */
   int64_t uid; /* of the client; -1: unknown */
   int64_t claim; /* of the client */
   char name[32]; /* as the client calls itself */
@@ -758,7 +760,7 @@ SF_STATIC_ASSERT(offsetof(sf_slot_message, name) == 64, "layout of sf_slot_messa
 
 /* Who holds a slot, as the kernel told the service (SO_PEERCRED). */
 typedef struct sf_client_info {
-  int64_t pid; /* 0: the slot is free */
+  int64_t pid; /* 0: the slot is free; -1: a process of another pid namespace */
   int64_t uid;
   int64_t since_ns; /* [ns] when the slot was granted */
   char name[32]; /* as the client calls itself */
@@ -774,11 +776,13 @@ SF_STATIC_ASSERT(offsetof(sf_client_info, pad) == 56, "layout of sf_client_info"
 /* First line of a slot. */
 typedef struct sf_slot_head {
   int64_t access; /* the client's half of the four-step flag */
-  int64_t pad[7];
+  int64_t stop; /* STOP_WORD + 2^32 k: every new k stops; one store, for signal handlers, too */
+  int64_t pad[6];
 } sf_slot_head;
 SF_STATIC_ASSERT(sizeof(sf_slot_head) == 64, "layout of sf_slot_head");
 SF_STATIC_ASSERT(offsetof(sf_slot_head, access) == 0, "layout of sf_slot_head");
-SF_STATIC_ASSERT(offsetof(sf_slot_head, pad) == 8, "layout of sf_slot_head");
+SF_STATIC_ASSERT(offsetof(sf_slot_head, stop) == 8, "layout of sf_slot_head");
+SF_STATIC_ASSERT(offsetof(sf_slot_head, pad) == 16, "layout of sf_slot_head");
 
 /* What ee_pos posts. */
 typedef struct sf_pose_post {
@@ -862,6 +866,7 @@ typedef struct sf_map_header {
   int64_t tile_shift; /* dirty tiles are squares of 2^tile_shift grids */
   int64_t tiles_x; /* dirty tiles per row of tiles */
   double region_m[4]; /* [m] the user's region: x_min, y_min, x_max, y_max */
+  int64_t params_hash; /* of the service's parameters in force; 0: it ended in good order */
   SF_ALIGNAS(64) double finest_grid_m; /* [m] finest grid that position accuracy allows */
   int64_t rounding; /* ROUND_UNBIASED or ROUND_PAPER */
   double gate_m; /* [m] samples farther from the grid's mean are outliers; 0: no gate */
@@ -920,6 +925,7 @@ SF_STATIC_ASSERT(offsetof(sf_map_header, datum_set) == 152, "layout of sf_map_he
 SF_STATIC_ASSERT(offsetof(sf_map_header, tile_shift) == 160, "layout of sf_map_header");
 SF_STATIC_ASSERT(offsetof(sf_map_header, tiles_x) == 168, "layout of sf_map_header");
 SF_STATIC_ASSERT(offsetof(sf_map_header, region_m) == 176, "layout of sf_map_header");
+SF_STATIC_ASSERT(offsetof(sf_map_header, params_hash) == 208, "layout of sf_map_header");
 SF_STATIC_ASSERT(offsetof(sf_map_header, finest_grid_m) == 256, "layout of sf_map_header");
 SF_STATIC_ASSERT(offsetof(sf_map_header, rounding) == 264, "layout of sf_map_header");
 SF_STATIC_ASSERT(offsetof(sf_map_header, gate_m) == 272, "layout of sf_map_header");
@@ -1304,10 +1310,32 @@ static inline int64_t sf_i_configured_owner(void) {
   return SF_CAST(int64_t, found->pw_uid);
 }
 
+static inline int64_t sf_i_number_in(const char *path, char text[64]) {
+  const int fd = open(path, O_RDONLY | O_CLOEXEC);
+  ssize_t n = fd < 0 ? -1 : read(fd, text, 63);
+  if (fd >= 0) close(fd);
+  text[n < 0 ? 0 : n] = '\0';
+  return n > 0 ? SF_CAST(int64_t, strtoll(text, NULL, 10)) : -1;
+}
+
+/*
+ * Whether an object of user `found` is this process's own. In a user namespace that does not map all users the others
+ * all have the overflow user's number, and so has this process when it is not mapped itself.
+ */
+static inline int sf_i_is_own(uid_t found) {
+  char text[64];
+  unsigned long long inside, outside, count;
+  if (found != geteuid()) return 0;
+  if (sf_i_number_in("/proc/sys/kernel/overflowuid", text) != SF_CAST(int64_t, found)) return 1;
+  sf_i_number_in("/proc/self/uid_map", text);
+  return sscanf(text, "%llu %llu %llu", &inside, &outside, &count) == 3 && inside == 0 && outside == 0 &&
+         count == 4294967295ULL;
+}
+
 /* Whether an object of user `found` is trusted; `owner`: one user's number, or SF_OWNER_DEFAULT. */
 static inline int sf_i_owner_ok(int64_t owner, uid_t found) {
   if (owner != SF_OWNER_DEFAULT) return owner == SF_CAST(int64_t, found);
-  return found == 0 || found == geteuid() || SF_CAST(int64_t, found) == sf_i_configured_owner();
+  return found == 0 || sf_i_is_own(found) || SF_CAST(int64_t, found) == sf_i_configured_owner();
 }
 
 /*
@@ -1878,7 +1906,7 @@ static inline void sf_i_reattach_sometimes(sf_client *c, int64_t now_ns) {
 static inline int sf_i_is_silent(const sf_client *c, int64_t now_ns) {
   int64_t t_ns;
   if (sf_latch_read_part(c->output, sizeof(sf_output), offsetof(sf_output, t_ns), 1, &t_ns) <= 0) return 1;
-  return now_ns - t_ns > c->stale_ns;
+  return now_ns - t_ns > c->stale_ns || t_ns - now_ns > c->stale_ns;
 }
 
 /* Follow a silent service to its new start. SF_ERR_NOT_RUNNING: it ended, and there is no other. */
@@ -1915,7 +1943,8 @@ static inline int sf_i_demand(const sf_client *c, sf_demand *d, int64_t *now_ns)
   const int64_t now = sf_now_ns();
   *now_ns = now;
   d->age_ns = now - d->t_ns;
-  if (d->age_ns <= c->stale_ns && g > 0) {
+  /* a stamp of the future is of another clock: nobody knows how old the demand is */
+  if (d->age_ns <= c->stale_ns && d->age_ns >= -c->stale_ns && g > 0) {
     if (d->status & SF_VALID) return SF_OK;
   } else {
     d->status = (d->status & ~SF_CAST(int64_t, SF_VALID)) | SF_STALE;
@@ -2072,7 +2101,10 @@ static inline int sf_request_wait(sf_client *c, const sf_ticket *ticket, int64_t
   }
 }
 
-/* Send and wait for the answer; `stall_ns`: how long a service may stand still that has not ended. */
+/*
+ * Wait for the slot's turn, send, and wait for the answer; `stall_ns`: how long a service may stand still that has
+ * not ended.
+ */
 static inline int sf_i_ask(sf_client *c, int64_t code, int n, const int64_t *numbers, const double *values,
                            int64_t timeout_ns, int64_t stall_ns) {
   sf_ticket ticket;
@@ -2081,8 +2113,11 @@ static inline int sf_i_ask(sf_client *c, int64_t code, int n, const int64_t *num
     const int err = sf_request_send(c, code, n, numbers, values, &ticket);
     if (err == SF_OK) return sf_request_wait(c, &ticket, timeout_ns);
     const int64_t now = sf_now_ns();
-    if (err != SF_ERR_NOT_RUNNING || now >= asked + stall_ns || sf_i_follow(c, now) != SF_OK) return err;
-    sf_sleep_until_ns(now + 1000000);
+    /* the request before this one may be on its way: one more cycle */
+    const int again = err == SF_ERR_BUSY ? now < asked + timeout_ns
+                                         : err == SF_ERR_NOT_RUNNING && now < asked + stall_ns;
+    if (!again || sf_i_follow(c, now) != SF_OK) return err;
+    sf_sleep_until_ns(now + (err == SF_ERR_BUSY ? 100000 : 1000000));
   }
 }
 
@@ -2583,12 +2618,27 @@ static inline int sf_status(sf_client *c, sf_status_info *s) {
  * sf_stop_reset. Any client may ask; `reason` (may be NULL) is kept in the audit trail, its first 63 bytes.
  * What the controller does then stands in docs/protocol.md. This is no safety function.
  */
+static inline int sf_stop_now(sf_client *c);
 static inline int sf_stop(sf_client *c, const char *reason) {
   if (c == NULL) return SF_ERR_ARGUMENT;
+  (void)sf_stop_now(c); /* in force from the next cycle on; the request brings the reason and an answer */
   int64_t words[SF_STOP_TEXT_WORDS];
   memset(words, 0, sizeof words);
   if (reason != NULL) memcpy(words, reason, strnlen(reason, sizeof words - 1));
   return sf_i_request(c, SF_RQ_STOP, SF_STOP_TEXT_WORDS, words, NULL, c->options.timeout_ns);
+}
+
+/*
+ * Stop by one store into the slot, which the service looks at in every cycle. Never waits, needs no turn and gets no
+ * answer; may be called in a signal handler. SF_OK, or SF_ERR_NOT_RUNNING: there is no slot.
+ */
+static inline int sf_stop_now(sf_client *c) {
+  if (c == NULL) return SF_ERR_ARGUMENT;
+  if (c->slot_memory == NULL) return SF_ERR_NOT_RUNNING;
+  int64_t *word = &SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD)->stop;
+  const uint64_t count = SF_CAST(uint64_t, sf_load_acquire(word)) >> 32;
+  sf_store_release(word, SF_CAST(int64_t, ((count + 1) & 0x7FFFFFFF) << 32 | SF_STOP_WORD));
+  return SF_OK;
 }
 
 /*

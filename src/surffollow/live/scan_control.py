@@ -8,14 +8,15 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import select
 import socket
 import struct
 import sys
 from collections.abc import Iterator
 from typing import Any
 
+from surffollow.config.owner import own_user
 from surffollow.errors import BusyError, NotRunningError, RefusedError, ServiceError
+from surffollow.shm.readable import wait_readable
 
 WORDS = ("pause", "resume", "abort", "status")
 KEYS = {"p": "pause", "r": "resume", "a": "abort"}
@@ -83,8 +84,8 @@ class ControlServer:
     def _answer(
         self, connection: socket.socket, word: str, status: dict[str, Any], heard: list[str]
     ) -> dict[str, Any]:
-        if _user(connection) not in (os.getuid(), 0):
-            return {"error": f"user {_user(connection)} may not control a scan of user {os.getuid()}"}
+        if _user(connection) not in (own_user(), 0):
+            return {"error": f"user {_user(connection)} may not control a scan of user {own_user()}"}
         if word not in WORDS:
             return {"error": f"unknown word '{word}'; expected one of {', '.join(WORDS)}"}
         if word != "status":
@@ -122,7 +123,7 @@ def ask(name: str, word: str) -> dict[str, Any]:
             raise NotRunningError(
                 f"no scan of service '{name}' runs; start one: surffollow scan run PATH --name {name}"
             ) from e
-        if _user(connection) not in (os.getuid(), 0):
+        if _user(connection) not in (own_user(), 0):
             raise RefusedError(f"the scan of service '{name}' belongs to user {_user(connection)}", 0)
         try:
             connection.send(word.encode("ascii"))
@@ -148,7 +149,7 @@ def keys() -> Iterator[Any]:
 
     def pressed() -> list[str]:
         heard = []
-        while select.select([terminal], [], [], 0.0)[0]:
+        while wait_readable(terminal, 0.0):
             data = os.read(terminal, 64)
             if not data:
                 break

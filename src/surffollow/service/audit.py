@@ -99,6 +99,14 @@ class AuditTrail:
                 del self._gathered[kind]
                 self._tell_of(gathered.entry, kind[1])
 
+    def finish(self) -> None:
+        """The cycle has ended: take all that is queued, and tell what still waits for budget."""
+        for _ in range(int(self._ctx[m.CHANGES_CAPACITY]) // PER_LOOK + 1):
+            self.publish()
+        for kind, gathered in self._gathered.items():
+            self._tell_of(gathered.entry, kind[1])
+        self._gathered.clear()
+
     def _take(self, entry: Any, now_ns: int) -> None:
         e = entry[0]
         if int(e["slot"]) < 0:

@@ -58,6 +58,10 @@ class Beat:
         self._audit = AuditTrail(house, ctx, server.table.named, messages.tell)
         self._ticker = zeros(lb.Ticker)
 
+    def end(self) -> None:
+        """The cycle has ended: tell what the audit trail still holds. Raises nothing."""
+        self.guard.run("the audit trail", self._audit.finish, None)
+
     def beat(self, faults: int = 0) -> None:
         """Look once and publish; `faults` are bits that the caller found itself. Raises nothing."""
         told_ns = time.monotonic_ns()  # before what it tells was looked at

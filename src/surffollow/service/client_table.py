@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.config.owner import own_user
 from surffollow.service import memory as m
 from surffollow.service.slot_memory import SlotMemory
 from surffollow.shm import layout_board as lb
@@ -41,7 +42,7 @@ class ClientId:
 
 def is_exempt(uid: int) -> bool:
     """Whether no limit holds for this user: root and the service's own."""
-    return uid in (0, os.geteuid())
+    return uid in (0, own_user())
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,7 @@ class ClientTable:
         self._random = random.SystemRandom()
         self._info = zeros(lb.ClientInfo)
         self._names: dict[int, str] = {}  # by claim, of clients that have gone, too
+        self._claims: dict[int, int] = {}  # slot → claim of who holds it
 
     def who(self, slot: int) -> ClientId | None:
         """Who holds a slot; None: nobody."""
@@ -114,7 +116,7 @@ class ClientTable:
             taken = [w for w in self._who if w is not None and w.uid == uid]
             if len(taken) >= self._limits.per_user:
                 return lb.SLOT_USER_LIMIT, self._limits.per_user
-            if sum(w.pid == pid for w in taken) >= self._limits.per_process:
+            if pid > 0 and sum(w.pid == pid for w in taken) >= self._limits.per_process:
                 return lb.SLOT_PROCESS_LIMIT, self._limits.per_process
         return lb.SLOT_OK, 0
 
@@ -155,11 +157,13 @@ class ClientTable:
         assert client is not None
         self._held[slot] = True
         self._names[claim] = client.name
-        while len(self._names) > NAMES:
-            del self._names[next(iter(self._names))]
+        self._claims[slot] = claim
+        if len(self._names) > NAMES:  # the oldest of those who have gone
+            del self._names[next(c for c in self._names if c not in self._claims.values())]
         self._publish(slot, client)
         words = self._ctx.ctypes.data
-        for block, value in ((m.SEEN, 0), (m.PID, client.pid), (m.UID, client.uid), (m.CLAIM, claim)):
+        shared = ((m.SEEN, 0), (m.STOP_SEEN, 0), (m.PID, client.pid), (m.UID, client.uid), (m.CLAIM, claim))
+        for block, value in shared:  # the claim last
             store_release(words + 8 * (block + slot), value)
 
     def retire(self, slot: int) -> None:
@@ -176,6 +180,7 @@ class ClientTable:
         if self._held[slot]:
             self._publish(slot, None)
         self._who[slot], self._held[slot] = None, False
+        self._claims.pop(slot, None)
         self._retired[slot] = self._now()
 
     def renew_retired(self) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import select
 import signal
 import threading
 import time
@@ -32,6 +31,7 @@ from surffollow.service.initialise import (
     initialise_memory,
     make_change_queue,
     make_sample_ring,
+    stop_after_death,
 )
 from surffollow.service.mapper import run_map
 from surffollow.service.mapper_memory import make_map_memory
@@ -44,10 +44,15 @@ from surffollow.shm import layout_board as lb
 from surffollow.shm.latch import latch_write
 from surffollow.shm.layout_follow import Output
 from surffollow.shm.python_atomics import load_acquire, store_release
+from surffollow.shm.readable import wait_readable
 
 BEAT_S = 0.05
 DRIVER_END_S = 4.0
 END_S = 8.0  # for both threads to end, the map's queue applied
+
+
+class _EndedEarly(BaseException):
+    """A signal to end came while kernels were being compiled; nothing in between may catch it."""
 
 
 class Daemon:
@@ -84,6 +89,7 @@ class Daemon:
             self.house, self.mem.ctx, self._driver_watch, self.grants, self._slots, self.messages
         )
         self._errors: list[str] = []
+        self._compiling = False
         self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
     def _make_slot_server(self) -> SlotServer:
@@ -104,7 +110,7 @@ class Daemon:
                 self.grants, self.config.realtime.lock_memory, self.config.realtime.dma_latency
             )
             self._insist(realtime.MLOCKALL)
-            if not self._compile(side):
+            if not self._compile(side) or wait_readable(self._wake, 0.0):
                 return
             threads = [
                 threading.Thread(target=self._cycle_thread, name="cycle", daemon=True),
@@ -137,14 +143,25 @@ class Daemon:
         """Call every kernel once, which compiles it or loads it; False when asked to end meanwhile."""
         stop = self.mem.ctx.ctypes.data + 8 * m.STOP
         with CompileProgress(self.messages.write, self.quiet) as progress:
-            run_cycles(self.mem, 0, 0)
-            # the paper's initialisation of the forecast is SFReset itself
-            sf_reset(self.mem.params, self.mem.state, self.mem.params[0]["offset_m"])
-            if not side.wait(progress.waiting, self._wake):
+            try:
+                self._compiling = True
+                run_cycles(self.mem, 0, 0)
+                # the paper's initialisation of the forecast is SFReset itself
+                sf_reset(self.mem.params, self.mem.state, self.mem.params[0]["offset_m"])
+                if stop_after_death(self.mem, self.house):
+                    self.messages.tell(
+                        "the service before died with other parameters in force: stopped until the pose's "
+                        "holder has set its own and resets the stop"
+                    )
+                if not side.wait(progress.waiting, self._wake):
+                    return False
+                store_release(stop, 1)
+                run_map(self.map_mem)
+                publish_params(self.mem)
+            except _EndedEarly:
                 return False
-            store_release(stop, 1)
-            run_map(self.map_mem)
-            publish_params(self.mem)
+            finally:
+                self._compiling = False
             self._beat.beat()
             self.driver.start(self.queue)
             self._driver_watch.start()
@@ -159,8 +176,15 @@ class Daemon:
     def _take_signals(self) -> None:
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGTERM, signal.SIGINT):
-                signal.signal(number, lambda *_: self.stop())
+                signal.signal(number, lambda *_: self._on_signal())
             signal.signal(signal.SIGIO, signal.SIG_IGN)  # somebody opened memory that is being looked at
+
+    def _on_signal(self) -> None:
+        """Ask to end; a compilation, which may last a minute, is left at once."""
+        self.stop()
+        if self._compiling:
+            self._compiling = False
+            raise _EndedEarly
 
     def stop(self) -> None:
         """Ask `run` to end, from a signal handler or another thread (a pipe holds no lock)."""
@@ -194,7 +218,7 @@ class Daemon:
         asked = self._beat.guard.run(
             "serving the clients", lambda: self._slots.serve(self._wake, BEAT_S), None
         )
-        return bool(select.select([self._wake], [], [], BEAT_S)[0]) if asked is None else asked
+        return wait_readable(self._wake, BEAT_S) if asked is None else asked
 
     def _watch(self) -> None:
         stall_s = seconds(self.config.watchdog, "watchdog", 0.01, 60.0)
@@ -232,9 +256,10 @@ class Daemon:
         self.mem.output[0]["status"] = 0
         self.mem.output[0]["demand"] = 0.0
         latch_write(self.house.address("output"), self.mem.output.ctypes.data, Output.SIZE)
+        self.house.map_header[0]["params_hash"] = 0
+        self._beat.end()
         self.house.set_state(lb.STATE_STOPPED)
-        with contextlib.suppress(OSError):
-            self._slots.close()
+        self._beat.guard.run("letting the clients go", self._slots.close, None)
         self.house.leave()
         realtime.release(self.grants)
         os.close(self._wake)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 
@@ -51,17 +52,23 @@ class DriverWatch:
             except Exception as e:
                 found = [f"the driver's faults() raised {e!r}"]
             self._faults, self._asked_s = found, 0.0
+        self._end_driver()  # here: a thread for it cannot always be had
 
     def stop(self, patience_s: float) -> None:
         """Ask no more and stop the driver; one that does not return in time is left to itself."""
         self._over.set()
+        if self._thread.is_alive():
+            self._thread.join(patience_s)
+            if not self._thread.is_alive():
+                return
+        # it was never asked, or it hangs in `faults`
+        ending = threading.Thread(target=self._end_driver, name="driver-stop", daemon=True)
+        with contextlib.suppress(RuntimeError):  # no more threads: its process ends in a moment
+            ending.start()
+            ending.join(patience_s)
 
-        def end() -> None:
-            try:
-                self._driver.stop()
-            except Exception as e:
-                self._faults = [f"the driver's stop() raised {e!r}"]
-
-        ending = threading.Thread(target=end, name="driver-stop", daemon=True)
-        ending.start()
-        ending.join(patience_s)
+    def _end_driver(self) -> None:
+        try:
+            self._driver.stop()
+        except Exception as e:
+            self._faults = [f"the driver's stop() raised {e!r}"]

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from surffollow.config.names import check_service_name
+from surffollow.config.owner import own_user
 from surffollow.config.service import ServiceConfig, map_rounding, metres, mode, seconds
 from surffollow.errors import (
     AlreadyRunningError,
@@ -30,7 +31,7 @@ from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype, zeros
 from surffollow.shm.name_lock import NameLock, holder
 from surffollow.shm.objects import SharedObject, unlink
-from surffollow.shm.process import boot_id, start_ticks
+from surffollow.shm.process import boot_id, own_pid, start_ticks
 from surffollow.shm.uninvited import Disposal
 from surffollow.shm.unix_socket import listen, socket_path
 
@@ -109,9 +110,11 @@ def take_name(name: str) -> NameLock:
     lock = NameLock.take(name)
     if lock is None:
         pid = holder(name)
+        who, how = f"pid {pid}", f"stop it with `surffollow stop --name {name}`"
+        if pid <= 0:
+            who, how = "in another pid namespace, a container perhaps", "stop it there"
         raise AlreadyRunningError(
-            f"service {name!r} runs already (pid {pid if pid > 0 else 'unknown'}); stop it with "
-            f"`surffollow stop --name {name}` or start this one under another name (--name)"
+            f"service {name!r} runs already ({who}); {how}, or start this one under another name (--name)"
         )
     return lock
 
@@ -119,7 +122,7 @@ def take_name(name: str) -> NameLock:
 def _take_map(config: ServiceConfig, group: int) -> tuple[SharedObject, bool]:
     """The map of the name, which is ours by its lock, and whether it was made now."""
     try:
-        return SharedObject.open(f"{config.name}.map", writable=True, owners=(os.geteuid(),)), False
+        return SharedObject.open(f"{config.name}.map", writable=True, owners=(own_user(),)), False
     except NotRunningError:
         return _make_map(config, group), True
 
@@ -149,7 +152,7 @@ def _map_header(map_: SharedObject) -> Any:
 
 def _check_owner(config: ServiceConfig, map_: SharedObject, group: int) -> None:
     """Adopt only a map that nobody but the service's own user could have changed."""
-    status, me = os.fstat(map_.fd), os.geteuid()
+    status, me = os.fstat(map_.fd), own_user()
     name, wanted = map_.name, mode(config.access.map_mode, "access.map_mode")
     remedy = f"look at it (ls -l /dev/shm), then remove it: surffollow stop --name {config.name} --purge"
     if status.st_uid != me:
@@ -260,6 +263,10 @@ def _listen(config: ServiceConfig, group: int) -> socket.socket:
     try:
         return listen(path, mode(config.access.socket_mode, "access.socket_mode"), group, BACKLOG)
     except OSError as e:
+        if e.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS):
+            raise NoSpaceError(
+                f"cannot listen on {path}: {e}; /dev/shm takes no more files (df -i /dev/shm)"
+            ) from None
         kind = NoPermissionError if e.errno in (errno.EPERM, errno.EACCES) else BlockError
         raise kind(f"cannot listen on {path}: {e}; look at it (ls -l {path}) and remove it") from None
 
@@ -270,7 +277,7 @@ def _fill_headers(house: House) -> None:
     h: Any = header[0]
     h["version"], h["layout_hash"] = lb.LAYOUT_VERSION, lb.layout_hash()
     h["size"], h["state"], h["epoch"] = house.board.size, lb.STATE_INITIALISING, house.epoch
-    h["pid"], h["start_ticks"] = os.getpid(), start_ticks(os.getpid())
+    h["pid"], h["start_ticks"] = own_pid(), start_ticks(own_pid())
     h["boot_id"], h["name"] = boot_id().encode(), config.name.encode()
     h["period_ns"] = round(seconds(config.period, "period", 20e-6, 1.0) * 1e9)
     for k, (part, schema, _) in enumerate(lb.BOARD_PARTS):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.config.limits import CHANGED_BY, client_limits, range_user
+from surffollow.config.limits import CHANGED_BY, check_within_limits, client_limits, range_user
+from surffollow.config.owner import own_user
 from surffollow.config.params import PARAMS
 from surffollow.config.service import ServiceConfig, follow_params, seconds
 from surffollow.config.stop_causes import STOP_NAMES, stop_causes
@@ -18,9 +18,18 @@ from surffollow.hw.driver import ConversionQueue, DriverInfo, PoseQueue
 from surffollow.service import memory as m
 from surffollow.service.fitting import misfit
 from surffollow.service.house import House
+from surffollow.service.requests import params_hash
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_follow import CHANNELS, INTERVALS, MODE_ADAPTIVE, POSES, STOP_START, Params
+from surffollow.shm.layout_follow import (
+    CHANNELS,
+    INTERVALS,
+    MODE_ADAPTIVE,
+    POSES,
+    STOP_RESTART,
+    STOP_START,
+    Params,
+)
 from surffollow.shm.ring import make_ring
 
 CHANGES = 1 << 14  # entries for the audit trail between two looks of the main thread
@@ -86,7 +95,7 @@ def initialise_memory(
     ctx[m.EPOCH] = house.epoch
     ctx[m.PARAMS_BY] = CHANGED_BY.index(config.access.parameters)
     ctx[m.MAP_BY] = CHANGED_BY.index(config.access.map)
-    ctx[m.RANGES_BY], ctx[m.OWN_USER] = range_user(config.access.ranges), os.geteuid()
+    ctx[m.RANGES_BY], ctx[m.OWN_USER] = range_user(config.access.ranges), own_user()
     for name, ends in client_limits(config.limits).items():
         mem.bounds[Params.offset(name) // 8, 3:5] = ends
     _begin_stopped(mem, config, house)
@@ -95,9 +104,25 @@ def initialise_memory(
 
 def _begin_stopped(mem: m.CycleMemory, config: ServiceConfig, house: House) -> None:
     """A stop outlives the service: only the pose's holder ends it."""
-    known = (1 << len(STOP_NAMES)) - 1
-    causes = int(house.map_header[0]["stop"]) & known
+    kept, known = int(house.map_header[0]["stop"]), (1 << len(STOP_NAMES)) - 1
+    causes = kept & known
+    if kept & ~known:  # of another release: stopped all the same
+        causes |= STOP_START
     mem.state[0]["stop"] = causes | (stop_causes(config.stop.on) & STOP_START)
+
+
+def stop_after_death(mem: m.CycleMemory, house: House) -> bool:
+    """Stop when the service before died with other parameters in force than those of this start.
+
+    Its clients attach to this one by themselves; without the stop the robot would move to another stand-off,
+    within other limits, and nobody asked for it.
+    """
+    kept = house.map_header[0]
+    differ = int(kept["params_hash"]) not in (0, int(params_hash(mem)))
+    if differ:
+        mem.state[0]["stop"] |= STOP_RESTART
+        kept["stop"] = mem.state[0]["stop"]  # before the hash is that of this start
+    return differ
 
 
 def make_change_queue(mem: m.CycleMemory) -> NDArray[Any]:
@@ -113,7 +138,7 @@ def initialise_constants(params: Any, config: ServiceConfig, info: DriverInfo) -
 
     Raises
     ------
-    ConfigError  window, stand-off and fold-back do not fit each other
+    ConfigError  window, stand-off and fold-back do not fit each other, or a value is beyond [limits]
     """
     assert 2 * PARAMS["range_size"].high <= INTERVALS
     assert POSES & (POSES - 1) == 0
@@ -138,6 +163,8 @@ def initialise_constants(params: Any, config: ServiceConfig, info: DriverInfo) -
     for name, value in told.items():
         p[name] = value
     _check_fit(p)
+    # defaults follow from driver, stand-off and time constant: only now are all of them known
+    check_within_limits({name: float(p[name]) for name in PARAMS}, client_limits(config.limits))
 
 
 def _check_fit(p: Any) -> None:

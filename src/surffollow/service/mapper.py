@@ -27,10 +27,12 @@ from surffollow.service.mapper_memory import (
     JOB_CLAIM,
     JOB_CODE,
     JOB_COUNTER,
+    JOB_PIECE,
     JOB_SLOT,
     LAST_HOLDER,
+    WAITING_ITEMS,
 )
-from surffollow.service.requests import holder_is_gone
+from surffollow.service.requests import holder_is_gone, may_change
 from surffollow.shm import atomics as at
 from surffollow.shm import map_layout as ml
 from surffollow.shm.clock import now_ns, sleep_until_ns
@@ -48,6 +50,7 @@ from surffollow.shm.layout_board import (
     ERR_MAP_BUSY,
     ERR_MAP_TOO_LARGE,
     ERR_NO_MAP,
+    ERR_NOT_POSE_HOLDER,
     OK,
     RQ_MAP_INSTALL,
     RQ_MAP_REFOCUS,
@@ -122,6 +125,9 @@ def begin_job(mem: Any) -> None:
     x0, y0 = at.load_relaxed_f64(base), at.load_relaxed_f64(base + 8)
     x1, y1 = at.load_relaxed_f64(base + 16), at.load_relaxed_f64(base + 24)
     finest_m = at.load_relaxed_f64(base + 8 * m.INSTALL_WORD)  # of a refocus
+    if not may_change(ctx, slot, job[JOB_CLAIM], ctx[m.MAP_BY]):  # another one may drive by now
+        finish_job(mem, ERR_NOT_POSE_HOLDER)
+        return
     if code == RQ_MAP_RESET:
         result = reset_begin(mem.header, x0, y0, x1, y1, mem.quantum_m)
     elif code == RQ_MAP_INSTALL:
@@ -138,6 +144,9 @@ def step_job(mem: Any, t_ns: Any) -> Any:
     """One slice of the map operation under way; 0 when it waits for its client."""
     operation = mem.header[0].journal_op
     if operation == _INSTALLING or awaits_first_piece(mem):
+        slot, ctx = mem.job[JOB_SLOT], mem.ctx
+        if slot >= 0 and not may_change(ctx, slot, mem.job[JOB_CLAIM], ctx[m.MAP_BY]):
+            mem.job[JOB_PIECE] = 0  # no piece is called for any more: it is given up
         answer = step_install(mem, t_ns)
         if answer == WHOLE:
             finish_job(mem, OK)
@@ -173,7 +182,7 @@ def end_access(mem: Any, t_ns: Any) -> None:
     if late and not gone:
         ctx[m.FENCED + slot] = job[HOLDER_CLAIM]
         s.fenced |= 1 << slot
-    job[LAST_HOLDER] = slot
+    job[LAST_HOLDER], job[WAITING_ITEMS] = slot, ring_length(ctx[m.SAMPLES])
     s.access, s.access_slot, s.access_claim = ACCESS_FREE, -1, 0
     publish_status(mem, t_ns)
 
@@ -198,10 +207,16 @@ def hear_again(mem: Any, t_ns: Any) -> None:
 
 @jit
 def watch_access(mem: Any, t_ns: Any) -> None:
-    """The four-step flag: 1 requested → 2 granted → 3 done → 0; slots take turns."""
+    """The four-step flag: 1 requested → 2 granted → 3 done → 0; slots take turns.
+
+    What queued up while one held the map is done before the next one gets it: a client that takes it again
+    and again delays a request by one lease at most, and the queue does not grow from lease to lease.
+    """
     ctx, s, job = mem.ctx, mem.status[0], mem.job
     if s.access == ACCESS_GRANTED:
         end_access(mem, t_ns)
+        return
+    if job[WAITING_ITEMS] > 0:
         return
     for k in range(CLIENTS):
         slot = (job[LAST_HOLDER] + 1 + k) % CLIENTS
@@ -226,6 +241,7 @@ def drain_samples(mem: Any) -> Any:
     while taken < SLICE_SAMPLES and ring_peek(ring, capacity, m.SAMPLE_WORDS, item.ctypes.data) == 1:
         ring_drop(ring, 1)
         taken += 1
+        mem.job[WAITING_ITEMS] -= 1
         if item[0] != 0:
             begin_job(mem)
             break

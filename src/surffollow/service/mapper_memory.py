@@ -38,7 +38,8 @@ class MapMemory(NamedTuple):
 
 # slot of the request under way (-1: none, -2: recovery after a cut-off), its code, counter and
 # claim; the claim of the access holder and when it was granted; the holder before;
-# the piece of an installation that is to come, and when the installation began
+# the piece of an installation that is to come, and when the installation began; what is still queued
+# of what came while the last holder had the map
 (
     JOB_SLOT,
     JOB_CODE,
@@ -49,7 +50,8 @@ class MapMemory(NamedTuple):
     LAST_HOLDER,
     JOB_PIECE,
     JOB_BEGAN_NS,
-) = range(9)
+    WAITING_ITEMS,
+) = range(10)
 JOB_WORDS = 16
 
 

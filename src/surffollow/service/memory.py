@@ -76,7 +76,8 @@ RANGES_HELD = POLICY + 8  # bit per channel whose ranges a client pushes
 RANGE_SLOT = RANGES_HELD + 1  # cycle → main: per channel, the slot of that client; -1: none
 RANGE_CLAIM = RANGE_SLOT + CHANNELS
 RANGE_SEEN = RANGE_CLAIM + CHANNELS  # per slot, head of its ring at the last look
-CTX_WORDS = RANGE_SEEN + CLIENTS
+STOP_SEEN = RANGE_SEEN + CLIENTS  # per slot, its stop word at the last look; 0 when the slot is granted
+CTX_WORDS = STOP_SEEN + CLIENTS
 
 BY_ANY, BY_HOLDER, BY_HOLDER_ONLY = 0, 1, 2
 

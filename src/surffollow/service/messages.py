@@ -15,6 +15,8 @@ import threading
 import time
 from collections import deque
 
+from surffollow.shm.readable import wait_writable
+
 WAITING, RESERVED = 512, 256  # lines; those for lines that count against no rate
 BURST, PER_SECOND = 200.0, 50.0
 STDOUT, STDERR = 1, 2
@@ -108,7 +110,7 @@ class Messages:
         with contextlib.suppress(OSError, ValueError):
             while data:
                 # a file that other processes use, too, stays blocking: look before each write
-                while not select.select([], [fd], [], LOOK_S)[1]:
+                while not wait_writable(fd, LOOK_S):
                     if self._over:
                         return False
                 data = data[os.write(fd, data[: select.PIPE_BUF]) :]

@@ -18,7 +18,7 @@ from surffollow.service.fitting import (
 )
 from surffollow.service.inbox import claim_of, new_request, slot_address
 from surffollow.service.pushing import any_held, do_range_role, drop_dead_range_holders
-from surffollow.service.stopping import do_stop, holder_pid, stop_as_asked, stop_for
+from surffollow.service.stopping import do_stop, heed_stop_word, holder_pid, stop_as_asked, stop_for
 from surffollow.shm import atomics as at
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.jit import jit, jit_pasted
@@ -54,6 +54,7 @@ from surffollow.shm.layout_board import (
     Stats,
 )
 from surffollow.shm.layout_follow import STOP_POSE_LOST, Params
+from surffollow.shm.map_layout import MapHeader
 from surffollow.shm.ring import ring_push
 
 _ACK_STEP = latch_bytes(Ack.SIZE)
@@ -62,6 +63,8 @@ _PARAMS_BYTES = Params.SIZE
 _REQUESTS = Stats.offset("requests")
 _REFUSED = Stats.offset("requests_refused")
 _TORN = Stats.offset("torn")
+_PARAMS_HASH = MapHeader.offset("params_hash")
+_FNV_START, _FNV_PRIME = -3750763034362895579, 1099511628211
 _MAX_SIDE_M = 1e6
 
 
@@ -81,8 +84,19 @@ def write_ack(latch: Any, ack: Any, request: Any, result: Any, detail: Any) -> N
 
 
 @jit
+def params_hash(mem: Any) -> Any:
+    """A number that other parameters do not have; never 0 (FNV-1a over words)."""
+    h = _FNV_START
+    for k in range(journal.PARAMS_WORDS):
+        h = (h ^ mem.param_words[k]) * _FNV_PRIME
+        h ^= h >> 29
+    return h | 1
+
+
+@jit
 def publish_params(mem: Any) -> None:
-    """Publish the parameters in force."""
+    """Publish the parameters in force, and keep their hash for the service's next start."""
+    at.store_release_i64(mem.header.ctypes.data + _PARAMS_HASH, params_hash(mem))
     latch_write(mem.ctx[m.PARAMS_LATCH], mem.params.ctypes.data, _PARAMS_BYTES)
 
 
@@ -150,13 +164,15 @@ def drop_dead_pose_writer(mem: Any, t_ns: Any) -> None:
 
 
 @jit
-def may_change(ctx: Any, slot: Any, policy: Any) -> Any:
+def may_change(ctx: Any, slot: Any, claim: Any, policy: Any) -> Any:
     """Whether this client may change what `policy` tells of (access.parameters, access.map)."""
     if policy == m.BY_ANY:
         return True
-    if ctx[m.POSE_SLOT] < 0:
+    base = ctx.ctypes.data
+    driver = at.load_relaxed_i64(base + 8 * m.POSE_SLOT)
+    if driver < 0:
         return policy == m.BY_HOLDER
-    return ctx[m.POSE_SLOT] == slot and ctx[m.POSE_CLAIM] == claim_of(ctx, slot)
+    return driver == slot and at.load_relaxed_i64(base + 8 * m.POSE_CLAIM) == claim
 
 
 @jit
@@ -221,12 +237,12 @@ def do_map_request(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
 @jit
 def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
     """Carry out the request in `mem.request`; (result, detail)."""
-    code = mem.request[0].code
-    if code in (RQ_SF_RESET, RQ_SET_PARAMS) and not may_change(mem.ctx, slot, mem.ctx[m.PARAMS_BY]):
+    code, claim = mem.request[0].code, claim_of(mem.ctx, slot)
+    if code in (RQ_SF_RESET, RQ_SET_PARAMS) and not may_change(mem.ctx, slot, claim, mem.ctx[m.PARAMS_BY]):
         return ERR_NOT_POSE_HOLDER, holder_pid(mem.ctx)
     # the follower looks ahead in the map: what is put there moves the robot
     of_the_map = code in (RQ_MAP_RESET, RQ_MAP_REFOCUS, RQ_MAP_INSTALL)
-    if of_the_map and not may_change(mem.ctx, slot, mem.ctx[m.MAP_BY]):
+    if of_the_map and not may_change(mem.ctx, slot, claim, mem.ctx[m.MAP_BY]):
         return ERR_NOT_POSE_HOLDER, holder_pid(mem.ctx)
     if code == RQ_SF_RESET:
         offset = mem.request[0].value[0]
@@ -253,27 +269,34 @@ def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
 
 
 @jit
+def answer_slot(mem: Any, slot: Any, t_ns: Any) -> None:
+    """Answer the request of a slot when it is new."""
+    ctx = mem.ctx
+    stats = ctx[m.STATS]
+    state = new_request(mem, slot)
+    if state == 0:
+        return
+    if state < 0:
+        count(stats, _TORN, 1)
+        return
+    count(stats, _REQUESTS, 1)
+    note_old_values(mem)
+    result, detail = answer(mem, slot, t_ns)
+    note_change(mem, slot, t_ns, result, detail)
+    if result != OK and result != ACCEPTED:
+        count(stats, _REFUSED, 1)
+    write_ack(ctx[m.ACKS] + slot * _ACK_STEP, mem.ack, mem.request, result, detail)
+
+
+@jit
 def process_requests(mem: Any, t_ns: Any) -> None:
     """Look at every slot that somebody holds once and answer what is new."""
     ctx = mem.ctx
-    stats = ctx[m.STATS]
     drop_dead_pose_writer(mem, t_ns)
     if any_held(ctx):
         drop_dead_range_holders(mem, t_ns)
     stop_as_asked(mem, t_ns)
     for slot in range(CLIENTS):
-        if claim_of(ctx, slot) == 0:
-            continue
-        state = new_request(mem, slot)
-        if state == 0:
-            continue
-        if state < 0:
-            count(stats, _TORN, 1)
-            continue
-        count(stats, _REQUESTS, 1)
-        note_old_values(mem)
-        result, detail = answer(mem, slot, t_ns)
-        note_change(mem, slot, t_ns, result, detail)
-        if result != OK and result != ACCEPTED:
-            count(stats, _REFUSED, 1)
-        write_ack(ctx[m.ACKS] + slot * _ACK_STEP, mem.ack, mem.request, result, detail)
+        if claim_of(ctx, slot) != 0:
+            answer_slot(mem, slot, t_ns)
+            heed_stop_word(mem, slot, t_ns)

@@ -13,7 +13,6 @@ import fcntl
 import hashlib
 import os
 import platform
-import select
 import signal
 import subprocess
 import sys
@@ -33,6 +32,7 @@ from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.kernel_cache import cache_directory, source_stamp
 from surffollow.shm.python_child import module_command
+from surffollow.shm.readable import wait_readable
 
 PATIENCE_S = 120.0  # after the service's own part: a helper that takes longer is stopped or stuck
 LOOK_S = 0.1
@@ -94,7 +94,7 @@ class SideCompile:
         """Until the helper has ended, calling `tell` now and then; False when `stop_fd` became readable."""
         deadline = time.monotonic() + PATIENCE_S
         while self._process is not None and self._process.poll() is None:
-            if select.select([stop_fd], [], [], LOOK_S)[0]:
+            if wait_readable(stop_fd, LOOK_S):
                 return False
             if time.monotonic() > deadline:
                 self.end()

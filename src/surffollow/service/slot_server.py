@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 
 from surffollow.service.client_table import ClientId, ClientTable, is_exempt
 from surffollow.shm import layout_board as lb
+from surffollow.shm.readable import wait_readable
 from surffollow.shm.uninvited import Disposal, hear
 from surffollow.shm.unix_socket import Peer, peer_of, peer_pidfd
 
@@ -75,7 +76,7 @@ class SlotServer:
             self._epoll.register(wake, select.EPOLLIN)
         while (left := end - time.monotonic()) > 0:
             if events_left <= 0:
-                return bool(select.select([wake], [], [], left)[0])
+                return wait_readable(wake, left)
             pause = min(left, _RENEW_S) if self.table.retiring else left
             events = self._epoll.poll(pause, 16)
             if any(fd == wake for fd, _ in events):

@@ -78,6 +78,15 @@ def board_owner(name: str) -> int:
     return 0 if found is None else _live_owner(found)
 
 
+def is_block(name: str) -> bool:
+    """Whether an object that is no service's board lies under the name, such as a user block."""
+    try:
+        found = _found(name)
+    except BlockError:
+        return False
+    return found is not None and int.from_bytes(found.head[:8], "little") not in (0, lb.BOARD_MAGIC)
+
+
 def clear_stale(name: str) -> bool:
     """Unlink the board and the socket that a dead service left; False when there were none.
 

@@ -8,8 +8,8 @@ from surffollow.forecast import journal
 from surffollow.forecast.step import reset_stop
 from surffollow.forecast.stop import latch_stop
 from surffollow.service import memory as m
-from surffollow.service.changes import note_stop
-from surffollow.service.inbox import claim_of
+from surffollow.service.changes import fill_entry, note_stop, push_entry
+from surffollow.service.inbox import claim_of, slot_address
 from surffollow.shm import atomics as at
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.jit import jit
@@ -18,11 +18,15 @@ from surffollow.shm.layout_board import (
     ERR_STOP_REMAINS,
     OK,
     RQ_STOP,
+    SLOT_HEAD,
+    STOP_WORD,
+    SlotHead,
 )
 from surffollow.shm.layout_follow import STOP_REQUEST
 from surffollow.shm.map_layout import MapHeader
 
 _KEPT = MapHeader.offset("stop")
+_STOP_WORD = SLOT_HEAD + SlotHead.offset("stop")
 
 
 @jit
@@ -34,12 +38,35 @@ def log_stop(mem: Any, t_ns: Any, causes: Any) -> None:
 
 
 @jit
+def keep_word(mem: Any) -> None:
+    """Store the causes where the service's next start finds them."""
+    kept = mem.header.ctypes.data + _KEPT
+    if at.load_relaxed_i64(kept) != mem.state[0].stop:
+        at.store_release_i64(kept, mem.state[0].stop)
+
+
+@jit
 def stop_for(mem: Any, t_ns: Any, causes: Any) -> None:
     """Latch causes that are not latched yet; the configuration chose them, or a client asked."""
     fresh = causes & ~mem.state[0].stop
     if fresh != 0:
         latch_stop(mem.state, fresh)
+        keep_word(mem)  # before anybody is told that it stopped
         log_stop(mem, t_ns, fresh)
+
+
+@jit
+def heed_stop_word(mem: Any, slot: Any, t_ns: Any) -> None:
+    """Stop when a client has stored a new stop word: it waits for no answer and for no turn."""
+    ctx = mem.ctx
+    word = at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + _STOP_WORD)
+    if word == ctx[m.STOP_SEEN + slot]:
+        return
+    ctx[m.STOP_SEEN + slot] = word
+    if word & 0xFFFFFFFF == STOP_WORD and mem.state[0].stop & STOP_REQUEST == 0:
+        stop_for(mem, t_ns, STOP_REQUEST)
+        fill_entry(mem, slot, claim_of(ctx, slot), RQ_STOP, t_ns, OK, mem.state[0].stop)
+        push_entry(mem)
 
 
 @jit
@@ -76,7 +103,8 @@ def do_stop(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
         return OK, mem.state[0].stop
     if ctx[m.POSE_SLOT] != slot or ctx[m.POSE_CLAIM] != claim_of(ctx, slot):
         return ERR_NOT_POSE_HOLDER, holder_pid(ctx)
-    left = (mem.output[0].stop_now & mem.params[0].stop_on) | asked_causes(mem)
+    unseen = mem.state[0].stop & ~mem.output[0].stop  # latched since the newest output: nobody saw it yet
+    left = (mem.output[0].stop_now & mem.params[0].stop_on) | asked_causes(mem) | unseen
     if left != 0:
         return ERR_STOP_REMAINS, left
     if mem.state[0].stop != 0:
@@ -94,6 +122,4 @@ def keep_stop(mem: Any, before: Any, t_ns: Any) -> None:
     stop = mem.state[0].stop
     if stop != before:
         note_stop(mem, t_ns, stop & ~before)
-    kept = mem.header.ctypes.data + _KEPT
-    if at.load_relaxed_i64(kept) != stop:
-        at.store_release_i64(kept, stop)
+    keep_word(mem)

@@ -128,7 +128,16 @@ def _defines() -> Iterator[tuple[str, str]]:
     yield "WORLD_LAYOUT_HASH", f"UINT64_C({wb.WorldPose.HASH})"
     yield "WORLD_BYTES", str(wb.SIZE)
     for name in (
-        *("CLIENTS", "PAGE", "REQUEST_ARGS", "SLOT_BYTES", "SLOT_HEAD", "SLOT_POSE", "SLOT_REQUEST"),
+        *(
+            "CLIENTS",
+            "PAGE",
+            "REQUEST_ARGS",
+            "SLOT_BYTES",
+            "SLOT_HEAD",
+            "SLOT_POSE",
+            "SLOT_REQUEST",
+            "STOP_WORD",
+        ),
         *("SLOT_RANGES", "RANGES_AT", "RANGE_ITEMS"),
         *("SLOT_STREAM", "PIECE_BYTES", "PIECE_GRIDS", "PIECE_HEIGHTS", "PIECE_COUNTS"),
         *("STOP_TEXT_WORDS", "AUDIT_WORDS", "AUDIT_ENTRY_WORDS", "AUDIT_ENTRIES"),

@@ -121,14 +121,16 @@ def cache_directory() -> str:
         folder = Path(os.path.abspath(candidate), "surffollow")
         try:
             _make_private(folder)
-        except OSError:
+        except OSError as e:
+            refused.append(f"{folder} cannot be made ({e.strerror})")
             continue
         fault = why_not_trusted(folder) or fault_within(folder)
-        if not fault and os.access(folder, os.W_OK):
+        if not fault and not os.access(folder, os.W_OK):
+            fault = f"{folder} cannot be written"
+        if not fault:
             _say_refused(refused, folder)
             return str(folder)
-        if fault:
-            refused.append(fault)
+        refused.append(fault)
     for place in (tempfile.gettempdir(), *FRESH_IN):
         try:
             fresh = tempfile.mkdtemp(prefix="surffollow-cache-", dir=place)
@@ -167,7 +169,7 @@ def _say_refused(refused: list[str], instead: Path) -> None:
     if refused:
         with contextlib.suppress(OSError, ValueError, AttributeError):
             sys.stderr.write(
-                f"surffollow: others could write the kernel cache: {'; '.join(refused)}; {instead} is used; "
+                f"surffollow: no kernel cache of this user's own: {'; '.join(refused)}; {instead} is used; "
                 "name a folder of your own: SURFFOLLOW_CACHE_DIR\n"
             )
 

@@ -58,6 +58,8 @@ class Sample(Schema):
     x_m = F64(unit="m", doc="footprint")
     y_m = F64(unit="m")
     arc_length_m = F64(unit="m", doc="its arc length")
+    heading_x = F64(unit="1", doc="unit vector of the tool's lateral velocity then; 0: at rest")
+    heading_y = F64(unit="1")
     spacing_m = F64(unit="m", doc="usual distance travelled between samples")
 
 

@@ -13,6 +13,7 @@ from surffollow.shm.schema import F64, I64, U32, U64, Nested, Schema, Text
 BOARD_MAGIC = int.from_bytes(b"SURFBRD1", "little")
 SLOT_MAGIC = int.from_bytes(b"SURFSLT1", "little")
 LAYOUT_VERSION = 3
+STOP_WORD = int.from_bytes(b"STOP", "little")  # no garbage that a faulty client writes
 CLIENTS = 16
 PAGE = 4096
 REQUEST_ARGS = 16
@@ -191,7 +192,7 @@ class AuditEntry(Schema):
 
     t_ns = I64(unit="ns", doc="when the cycle answered it")
     slot = I64(doc="of the client; -1: the service itself")
-    pid = I64(doc="of the client; 0: unknown")
+    pid = I64(doc="of the client; -1: of another pid namespace")
     uid = I64(doc="of the client; -1: unknown")
     claim = I64(doc="of the client")
     name = Text(32, doc="as the client calls itself")
@@ -245,7 +246,8 @@ class SlotHead(Schema):
     """First line of a slot."""
 
     access = I64(doc="the client's half of the four-step flag")
-    pad = I64(7)
+    stop = I64(doc="STOP_WORD + 2^32 k: every new k stops; one store, for signal handlers, too")
+    pad = I64(6)
 
 
 class SlotMessage(Schema):
@@ -265,7 +267,7 @@ class SlotMessage(Schema):
 class ClientInfo(Schema):
     """Who holds a slot, as the kernel told the service (SO_PEERCRED)."""
 
-    pid = I64(doc="0: the slot is free")
+    pid = I64(doc="0: the slot is free; -1: a process of another pid namespace")
     uid = I64()
     since_ns = I64(unit="ns", doc="when the slot was granted")
     name = Text(32, doc="as the client calls itself")

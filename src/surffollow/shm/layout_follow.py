@@ -58,6 +58,8 @@ STOP_POSE_LOST = 1 << 5  # the pose's holder died, or left its slot without givi
 STOP_DRIVER = 1 << 6  # the driver reports a fault
 STOP_START = 1 << 7  # the service started: the first demand waits for a reset
 assert 1 << STOP_NAMES.index("start") == STOP_START
+STOP_RESTART = 1 << 8  # it died with other parameters in force than it has now
+assert 1 << STOP_NAMES.index("restart") == STOP_RESTART
 
 
 class Params(Schema):
@@ -168,6 +170,10 @@ class PaperState(Schema):
     reading_t_ns = I64(unit="ns", doc="cycle time of the last valid reading; 0: none yet")
     reading_m = F64(unit="m", doc="last valid distance")
     reading_z_m = F64(unit="m", doc="sensor height at the last valid reading")
+    reading_x_m = F64(unit="m", doc="the newest pose's place then")
+    reading_y_m = F64(unit="m")
+    heading_x = F64(unit="1", doc="unit vector from the pose before to the newest then")
+    heading_y = F64(unit="1")
     relayed = I64(doc="1: the two below are set")
     relayed_m = F64(unit="m", doc="last relayed demand")
     relayed_z_m = F64(unit="m", doc="sensor height when it was relayed")

@@ -9,11 +9,12 @@ from __future__ import annotations
 import contextlib
 import os
 
+from surffollow.config.owner import NOBODYS, own_user
 from surffollow.errors import BlockError, NoPermissionError, NoSpaceError
 from surffollow.shm.checked_open import open_plain
 from surffollow.shm.locks import FileLock
 from surffollow.shm.objects import SHM_ROOT
-from surffollow.shm.process import belongs_to, is_running, start_ticks
+from surffollow.shm.process import belongs_to, is_running, own_pid, start_ticks
 
 ENDING = ".lock"
 _BYTE = 0
@@ -51,7 +52,7 @@ class NameLock:
                     if (there.st_dev, there.st_ino) == (found.st_dev, found.st_ino):
                         with contextlib.suppress(OSError):  # a full /dev/shm: the pid only serves messages
                             os.ftruncate(fd, 0)
-                            os.pwrite(fd, f"{os.getpid()} {start_ticks(os.getpid())}\n".encode(), 0)
+                            os.pwrite(fd, f"{own_pid()} {start_ticks(own_pid())}\n".encode(), 0)
                         return cls(name, lock)
                 lock.close()  # its last owner removed it between our open and our lock
             except BaseException:
@@ -81,7 +82,12 @@ class NameLock:
 
 def _open_own(name: str) -> int:
     """The lock's file, made when there is none; -1 when it came or went meanwhile."""
-    path, me = SHM_ROOT / (name + ENDING), os.geteuid()
+    path, me = SHM_ROOT / (name + ENDING), own_user()
+    if me == NOBODYS:
+        raise NoPermissionError(
+            f"user {os.geteuid()} has no number of its own in this user namespace (/proc/self/uid_map): "
+            "files of strangers would look like its own; run it as a user that is mapped"
+        )
     remedy = f"look at it (ls -l {path}) and remove it, or choose another name"
     try:
         try:
@@ -96,11 +102,13 @@ def _open_own(name: str) -> int:
         raise
     except PermissionError:
         raise NoPermissionError(
-            f"the lock file {path} belongs to {_owner_of(name)}, expected user {me}: only its owner may hold "
-            f"the name {name!r}; {remedy}"
+            f"the lock file {path} belongs to user {lock_owner(name)}, expected user {me}: only its owner "
+            f"may hold the name {name!r}; {remedy}"
         ) from None
     except OSError as e:
-        raise NoSpaceError(f"cannot make the lock file {path}: {e}; remove what nobody needs") from None
+        raise NoSpaceError(
+            f"cannot make the lock file {path}: {e}; /dev/shm takes no more files (df -i /dev/shm)"
+        ) from None
     why = ""
     if status.st_uid != me:
         why = f"belongs to user {status.st_uid}, expected user {me}"
@@ -115,11 +123,12 @@ def _open_own(name: str) -> int:
     return fd
 
 
-def _owner_of(name: str) -> str:
+def lock_owner(name: str) -> int:
+    """The user of a name's lock file; -1: there is none."""
     try:
-        return f"user {os.lstat(SHM_ROOT / (name + ENDING)).st_uid}"
+        return os.lstat(SHM_ROOT / (name + ENDING)).st_uid
     except OSError:
-        return "another user"
+        return -1
 
 
 def holder(name: str) -> int:

@@ -184,7 +184,12 @@ def reserve(name: str, fd: int, size: int) -> None:
         os.ftruncate(fd, size)
         os.posix_fallocate(fd, 0, size)
     except OSError as e:
-        if e.errno in (errno.ENOSPC, errno.ENOMEM, errno.EFBIG, errno.EDQUOT):
+        if e.errno == errno.EFBIG:
+            raise NoSpaceError(
+                f"object {name!r} needs {size / 2**20:.1f} MiB, more than this process may write to one "
+                "file; raise the limit (ulimit -f, LimitFSIZE=)"
+            ) from None
+        if e.errno in (errno.ENOSPC, errno.ENOMEM, errno.EDQUOT):
             raise NoSpaceError(f"{need}; {remedy}") from None
         raise
 

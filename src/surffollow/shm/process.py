@@ -13,6 +13,18 @@ def _words(pid: int) -> list[str]:
         return []
 
 
+def own_pid() -> int:
+    """This process's number in /proc, by which others look it up.
+
+    It is not `os.getpid` in a pid namespace whose /proc is still that of another one: there number 1, say, is
+    somebody else.
+    """
+    try:
+        return int(os.readlink("/proc/self"))
+    except (OSError, ValueError):
+        return os.getpid()
+
+
 def start_ticks(pid: int) -> int:
     """Start time of a process in clock ticks since boot; 0 when there is no such process."""
     words = _words(pid)

@@ -9,6 +9,10 @@ import os
 import stat
 from pathlib import Path
 
+from surffollow.config.owner import own_user
+from surffollow.errors import ConfigError
+
+NUMBA_SETTINGS = ".numba_config.yaml"
 _LINKS = 40  # as many as the kernel follows
 
 
@@ -30,7 +34,7 @@ def why_not_trusted(folder: str | Path) -> str:
         at = at / part
         try:
             is_link = at.is_symlink()
-            if is_link and os.lstat(at).st_uid not in (0, os.geteuid()):
+            if is_link and os.lstat(at).st_uid not in (0, own_user()):
                 return f"{at} is a link of user {os.lstat(at).st_uid}"
             if is_link:
                 links += 1
@@ -45,12 +49,33 @@ def why_not_trusted(folder: str | Path) -> str:
     return fault
 
 
+def check_numba_settings() -> None:
+    """Refuse to import numba in a folder where somebody else has left settings for it.
+
+    Where PyYAML is installed, numba obeys `.numba_config.yaml` of the working directory: other machine code
+    for the kernels, or none.
+
+    Raises
+    ------
+    ConfigError
+    """
+    try:
+        owner = os.lstat(NUMBA_SETTINGS).st_uid
+    except OSError:
+        return
+    if owner not in (0, own_user()):
+        raise ConfigError(
+            f"{os.path.abspath(NUMBA_SETTINGS)} belongs to user {owner}, and numba would compile the "
+            "kernels by it; remove it, or start in another folder"
+        )
+
+
 def fault_within(folder: str | Path) -> str:
     """What somebody else made or can change below a trusted folder; empty when there is nothing.
 
     Nobody else gets below a folder that he cannot enter: there only the owner counts.
     """
-    closed = not os.stat(folder).st_mode & 0o011
+    closed, me = not os.stat(folder).st_mode & 0o011, own_user()
     for at, folders, files in os.walk(folder):
         for name in (*folders, *files):
             path = Path(at, name)
@@ -58,7 +83,7 @@ def fault_within(folder: str | Path) -> str:
                 status = os.lstat(path)
             except OSError:
                 continue  # another process of ours has just renamed it
-            if status.st_uid != os.geteuid():
+            if status.st_uid != me:
                 return f"{path} belongs to user {status.st_uid}"
             if stat.S_ISLNK(status.st_mode):
                 return f"{path} is a link"
@@ -71,7 +96,7 @@ def _fault(at: Path, last: bool) -> str:
     status = os.stat(at)
     if not stat.S_ISDIR(status.st_mode):
         return f"{at} is no folder"
-    if status.st_uid not in (0, os.geteuid()) or (last and status.st_uid != os.geteuid()):
+    if status.st_uid not in (0, own_user()) or (last and status.st_uid != own_user()):
         return f"{at} belongs to user {status.st_uid}"
     # in a sticky folder, such as /tmp, nobody can replace what belongs to somebody else
     if status.st_mode & 0o022 and (last or not status.st_mode & stat.S_ISVTX):

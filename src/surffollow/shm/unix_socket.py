@@ -34,10 +34,14 @@ def new_socket() -> socket.socket:
 
 
 def peer_of(sock: socket.socket) -> Peer:
-    """Who is at the other end (SO_PEERCRED): nothing that the other end says of itself."""
-    return Peer(
-        *_CREDENTIALS.unpack(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
+    """Who is at the other end (SO_PEERCRED): nothing that the other end says of itself.
+
+    The pid is -1 where this pid namespace has no number for the process.
+    """
+    pid, uid, gid = _CREDENTIALS.unpack(
+        sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     )
+    return Peer(pid or -1, uid, gid)
 
 
 def peer_pidfd(sock: socket.socket, pid: int) -> int:

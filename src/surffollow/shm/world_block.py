@@ -12,6 +12,7 @@ import os
 import time
 
 from surffollow.config.names import check_name, check_service_name
+from surffollow.config.owner import own_user
 from surffollow.errors import BusyError, ExistsError, NotReadyError, NotRunningError
 from surffollow.shm.latch_shape import latch_bytes
 from surffollow.shm.name_lock import NameLock
@@ -104,7 +105,7 @@ def claim_world(name: str) -> tuple[SharedObject, NameLock]:
     try:
         while True:
             try:
-                obj = SharedObject.open(name, writable=True, owners=(os.geteuid(),))
+                obj = SharedObject.open(name, writable=True, owners=(own_user(),))
             except NotRunningError:
                 with contextlib.suppress(ExistsError):  # somebody was faster: look at what it made
                     return SharedObject.create(name, SIZE, MODE, prepare=_sign), own

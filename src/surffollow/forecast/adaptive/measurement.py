@@ -127,6 +127,10 @@ def process_sample(
     standoff = standoff_height(params, adaptive.plane, sense, several, pose)
     sample.spacing_m += SPACING_RATE * (travel - sample.spacing_m)
     sample.x_m, sample.y_m, sample.arc_length_m = x, y, estimate.arc_length_m + travel
+    sample.heading_x = sample.heading_y = 0.0
+    if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
+        sample.heading_x = kinematics.velocity_x_mps / kinematics.speed_mps
+        sample.heading_y = kinematics.velocity_y_mps / kinematics.speed_mps
     compare_lookahead(adaptive, sample.arc_length_m, z)
     entered = update_estimate(params, adaptive, t, travel, z, standoff, adapt)
     if entered == 0:
@@ -145,7 +149,15 @@ def process_sample(
 
 
 @jit
+def has_turned_back(adaptive: Any) -> Any:
+    """1 when the tool goes back since the newest sample: its slope tells nothing of the way to come."""
+    kinematics, sample = adaptive.kinematics, adaptive.sample
+    along = kinematics.velocity_x_mps * sample.heading_x + kinematics.velocity_y_mps * sample.heading_y
+    return 1 if along < -MIN_DIRECTION_SPEED_MPS else 0
+
+
+@jit
 def reset_sample(sample: Any) -> None:
     """Discard footprint and spacing."""
     sample.spacing_m = sample.lead_m = 0.0
-    sample.tip_x_m = sample.tip_y_m = 0.0
+    sample.tip_x_m = sample.tip_y_m = sample.heading_x = sample.heading_y = 0.0

@@ -8,6 +8,7 @@ from typing import Any
 from surffollow.forecast.adaptive.controller_clock import begin_period
 from surffollow.forecast.adaptive.estimate import SETTLING_NS
 from surffollow.forecast.adaptive.health import dropout_tolerance_s
+from surffollow.forecast.adaptive.measurement import has_turned_back
 from surffollow.forecast.adaptive.model_bank import (
     CANDIDATE_MODEL,
     N_CANDIDATES,
@@ -57,6 +58,7 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
 
     The axis lags by τ. Its set point is the height plus τ times the rate of the height. In a drop-out slopes
     fade over `dropout_way_m`, and a step away from the tool that was confirmed just before is taken back.
+    While the tool goes back since the newest sample, the height at that sample is held.
     """
     clock, kinematics, gate, bank, weights = (
         adaptive.clock,
@@ -73,6 +75,8 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
         decay = math.exp(-dropout_m / params.dropout_way_m)
         ahead_m += params.dropout_way_m * (1.0 - decay) - dropout_m
         lead_length_m *= decay
+    if has_turned_back(adaptive) != 0:  # hold the height of the newest footprint
+        ahead_m = lead_length_m = 0.0
     slot = adaptive.controller.periods & (N_PERIODS - 1)
     step_m = kinematics.speed_mps * RATE_STEP_S
     max_slope = max(SLOPE_LIMIT, SLOPE_LIMIT_RMS * math.sqrt(estimate.slope_power))

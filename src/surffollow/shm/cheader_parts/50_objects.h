@@ -138,10 +138,32 @@ static inline int64_t sf_i_configured_owner(void) {
   return SF_CAST(int64_t, found->pw_uid);
 }
 
+static inline int64_t sf_i_number_in(const char *path, char text[64]) {
+  const int fd = open(path, O_RDONLY | O_CLOEXEC);
+  ssize_t n = fd < 0 ? -1 : read(fd, text, 63);
+  if (fd >= 0) close(fd);
+  text[n < 0 ? 0 : n] = '\0';
+  return n > 0 ? SF_CAST(int64_t, strtoll(text, NULL, 10)) : -1;
+}
+
+/*
+ * Whether an object of user `found` is this process's own. In a user namespace that does not map all users the others
+ * all have the overflow user's number, and so has this process when it is not mapped itself.
+ */
+static inline int sf_i_is_own(uid_t found) {
+  char text[64];
+  unsigned long long inside, outside, count;
+  if (found != geteuid()) return 0;
+  if (sf_i_number_in("/proc/sys/kernel/overflowuid", text) != SF_CAST(int64_t, found)) return 1;
+  sf_i_number_in("/proc/self/uid_map", text);
+  return sscanf(text, "%llu %llu %llu", &inside, &outside, &count) == 3 && inside == 0 && outside == 0 &&
+         count == 4294967295ULL;
+}
+
 /* Whether an object of user `found` is trusted; `owner`: one user's number, or SF_OWNER_DEFAULT. */
 static inline int sf_i_owner_ok(int64_t owner, uid_t found) {
   if (owner != SF_OWNER_DEFAULT) return owner == SF_CAST(int64_t, found);
-  return found == 0 || found == geteuid() || SF_CAST(int64_t, found) == sf_i_configured_owner();
+  return found == 0 || sf_i_is_own(found) || SF_CAST(int64_t, found) == sf_i_configured_owner();
 }
 
 /*

@@ -169,7 +169,7 @@ static inline void sf_i_reattach_sometimes(sf_client *c, int64_t now_ns) {
 static inline int sf_i_is_silent(const sf_client *c, int64_t now_ns) {
   int64_t t_ns;
   if (sf_latch_read_part(c->output, sizeof(sf_output), offsetof(sf_output, t_ns), 1, &t_ns) <= 0) return 1;
-  return now_ns - t_ns > c->stale_ns;
+  return now_ns - t_ns > c->stale_ns || t_ns - now_ns > c->stale_ns;
 }
 
 /* Follow a silent service to its new start. SF_ERR_NOT_RUNNING: it ended, and there is no other. */

@@ -82,7 +82,10 @@ static inline int sf_request_wait(sf_client *c, const sf_ticket *ticket, int64_t
   }
 }
 
-/* Send and wait for the answer; `stall_ns`: how long a service may stand still that has not ended. */
+/*
+ * Wait for the slot's turn, send, and wait for the answer; `stall_ns`: how long a service may stand still that has
+ * not ended.
+ */
 static inline int sf_i_ask(sf_client *c, int64_t code, int n, const int64_t *numbers, const double *values,
                            int64_t timeout_ns, int64_t stall_ns) {
   sf_ticket ticket;
@@ -91,8 +94,11 @@ static inline int sf_i_ask(sf_client *c, int64_t code, int n, const int64_t *num
     const int err = sf_request_send(c, code, n, numbers, values, &ticket);
     if (err == SF_OK) return sf_request_wait(c, &ticket, timeout_ns);
     const int64_t now = sf_now_ns();
-    if (err != SF_ERR_NOT_RUNNING || now >= asked + stall_ns || sf_i_follow(c, now) != SF_OK) return err;
-    sf_sleep_until_ns(now + 1000000);
+    /* the request before this one may be on its way: one more cycle */
+    const int again = err == SF_ERR_BUSY ? now < asked + timeout_ns
+                                         : err == SF_ERR_NOT_RUNNING && now < asked + stall_ns;
+    if (!again || sf_i_follow(c, now) != SF_OK) return err;
+    sf_sleep_until_ns(now + (err == SF_ERR_BUSY ? 100000 : 1000000));
   }
 }
 

@@ -5,12 +5,27 @@
  * sf_stop_reset. Any client may ask; `reason` (may be NULL) is kept in the audit trail, its first 63 bytes.
  * What the controller does then stands in docs/protocol.md. This is no safety function.
  */
+static inline int sf_stop_now(sf_client *c);
 static inline int sf_stop(sf_client *c, const char *reason) {
   if (c == NULL) return SF_ERR_ARGUMENT;
+  (void)sf_stop_now(c); /* in force from the next cycle on; the request brings the reason and an answer */
   int64_t words[SF_STOP_TEXT_WORDS];
   memset(words, 0, sizeof words);
   if (reason != NULL) memcpy(words, reason, strnlen(reason, sizeof words - 1));
   return sf_i_request(c, SF_RQ_STOP, SF_STOP_TEXT_WORDS, words, NULL, c->options.timeout_ns);
+}
+
+/*
+ * Stop by one store into the slot, which the service looks at in every cycle. Never waits, needs no turn and gets no
+ * answer; may be called in a signal handler. SF_OK, or SF_ERR_NOT_RUNNING: there is no slot.
+ */
+static inline int sf_stop_now(sf_client *c) {
+  if (c == NULL) return SF_ERR_ARGUMENT;
+  if (c->slot_memory == NULL) return SF_ERR_NOT_RUNNING;
+  int64_t *word = &SF_VIEW(sf_slot_head *, c->slot_memory + SF_SLOT_HEAD)->stop;
+  const uint64_t count = SF_CAST(uint64_t, sf_load_acquire(word)) >> 32;
+  sf_store_release(word, SF_CAST(int64_t, ((count + 1) & 0x7FFFFFFF) << 32 | SF_STOP_WORD));
+  return SF_OK;
 }
 
 /*
