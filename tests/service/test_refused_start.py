@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import resource
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from running_service import Service, config_text, objects_of
+from running_service import WAIT_S, Service, config_text, objects_of
+
+Make = Callable[..., Service]
 
 
 @pytest.mark.parametrize("follow", ['offset = "0.5 m"', 'range_min = "0.2 m"'])
@@ -32,3 +36,18 @@ def test_a_refused_start_keeps_the_map_that_was_there(tmp_path: Path) -> None:
         service.process = None
     finally:
         service.purge()
+
+
+@pytest.mark.parametrize("files", [24, 30, 36])
+def test_a_start_with_too_few_descriptors_leaves_nothing(make_service: Make, files: int) -> None:
+    """Wherever they run out, also while kernels are loaded."""
+    s = make_service()
+    limit = (files, resource.getrlimit(resource.RLIMIT_NOFILE)[1])
+    process = s.launch(preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, limit))
+    assert process.stdout is not None
+    if process.stdout.readline().startswith("READY"):
+        assert s.terminate() == 0  # they were enough on this machine
+    else:
+        process.communicate(timeout=WAIT_S)
+        s.process = None
+    assert objects_of(s.name) <= {f"{s.name}.map"}

@@ -78,19 +78,19 @@ class Daemon:
             )
             initialise_constants(self.mem.params, config, self.driver.info)
             initialise_log(config, self.house)
+            self.messages = Messages() if messages is None else messages
+            self._changes = make_change_queue(self.mem)
+            self._driver_watch = DriverWatch(self.driver)
+            self._slots = self._make_slot_server()
+            self._beat = Beat(
+                self.house, self.mem.ctx, self._driver_watch, self.grants, self._slots, self.messages
+            )
+            self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         except BaseException:
             self.house.leave()
             raise
-        self.messages = Messages() if messages is None else messages
-        self._changes = make_change_queue(self.mem)
-        self._driver_watch = DriverWatch(self.driver)
-        self._slots = self._make_slot_server()
-        self._beat = Beat(
-            self.house, self.mem.ctx, self._driver_watch, self.grants, self._slots, self.messages
-        )
         self._errors: list[str] = []
-        self._compiling = False
-        self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._compiling = self._in_force = False
 
     def _make_slot_server(self) -> SlotServer:
         house, access = self.house, self.config.access
@@ -148,7 +148,8 @@ class Daemon:
                 run_cycles(self.mem, 0, 0)
                 # the paper's initialisation of the forecast is SFReset itself
                 sf_reset(self.mem.params, self.mem.state, self.mem.params[0]["offset_m"])
-                if stop_after_death(self.mem, self.house):
+                died, self._in_force = stop_after_death(self.mem, self.house), True
+                if died:
                     self.messages.tell(
                         "the service before died with other parameters in force: stopped until the pose's "
                         "holder has set its own and resets the stop"
@@ -237,9 +238,20 @@ class Daemon:
                 raise ServiceError("; ".join(self._errors))
 
     def _end(self, threads: list[threading.Thread]) -> None:
-        sd_notify("STOPPING=1")
+        try:
+            self._end_threads(threads)
+        finally:  # whatever failed, the names are given back
+            if not any(t.is_alive() for t in threads):
+                self.house.leave()
+                realtime.release(self.grants)
+            os.close(self._wake)
+            os.close(self._waker)
+
+    def _end_threads(self, threads: list[threading.Thread]) -> None:
+        run = self._beat.guard.run
+        run("telling the service manager", lambda: sd_notify("STOPPING=1"), None)
         self.house.set_state(lb.STATE_STOPPING)
-        self._driver_watch.stop(DRIVER_END_S)
+        run("stopping the driver", lambda: self._driver_watch.stop(DRIVER_END_S), None)
         for t in threads:
             if t.native_id is not None:
                 realtime.relax_thread(t.native_id, os.sched_getaffinity(0))
@@ -256,14 +268,11 @@ class Daemon:
         self.mem.output[0]["status"] = 0
         self.mem.output[0]["demand"] = 0.0
         latch_write(self.house.address("output"), self.mem.output.ctypes.data, Output.SIZE)
-        self.house.map_header[0]["params_hash"] = 0
+        if self._in_force and wait_readable(self._wake, 0.0):  # somebody asked: no fault ended it
+            self.house.map_header[0]["params_hash"] = 0
         self._beat.end()
         self.house.set_state(lb.STATE_STOPPED)
-        self._beat.guard.run("letting the clients go", self._slots.close, None)
-        self.house.leave()
-        realtime.release(self.grants)
-        os.close(self._wake)
-        os.close(self._waker)
+        run("letting the clients go", self._slots.close, None)
 
 
 def serve(config: ServiceConfig, quiet: bool = False) -> None:
