@@ -44,7 +44,7 @@ from surffollow.scan.patch_labels import label_patches  # noqa: E402
 from surffollow.scan.patches import cloud_patches, coherent_patches  # noqa: E402
 from surffollow.scan.path_file import write_path  # noqa: E402
 from surffollow.scan.plan import PlanSettings, plan_scan  # noqa: E402
-from surffollow.scan.planar_filter import conditional_planar_filter  # noqa: E402
+from surffollow.scan.planar_filter import PLANAR, conditional_planar_filter  # noqa: E402
 from surffollow.scan.schemes import arcs, lanes  # noqa: E402
 from surffollow.scan.terrain import terrain_map  # noqa: E402
 
@@ -301,7 +301,8 @@ def speed() -> Bars:
 def stereo(folder: Path) -> Bars:
     """Motorcycle: a real block matcher's depths before and after patches and filter.
 
-    Jump, border and least size of a patch are chosen on one half of the image, the figures are of the other.
+    Jump, border, least size of a patch, and whether rough pixels (the filter's label) count, are chosen on
+    one half of the image, the figures are of the other.
     """
     truth = np.load(folder / "motorcycle_stereo" / "motorcycle_disp.npz")["arr_0"].astype(float)
     given = np.load(folder / "motorcycle_stereo" / "sgbm_depth.npz")["disp_sgbm"].astype(float)
@@ -319,7 +320,7 @@ def stereo(folder: Path) -> Bars:
     raw = camera.depth_m(given)
     left = np.arange(cols)[None, :] < cols // 2
 
-    def filtered(jump_px: float, border_px: int, min_pixels: int) -> Any:
+    def filtered(jump_px: float, border_px: int, min_pixels: int, rough: bool) -> Any:
         patches = coherent_patches(
             raw,
             camera,
@@ -329,7 +330,8 @@ def stereo(folder: Path) -> Bars:
             support_m=1e3,
             steepest_rad=math.pi,
         )
-        return conditional_planar_filter(np.where(patches.terrain, raw, np.nan), camera).depth_m
+        made = conditional_planar_filter(np.where(patches.terrain, raw, np.nan), camera)
+        return made.depth_m if rough else np.where(made.label == PLANAR, made.depth_m, np.nan)
 
     def errors(d: Any, half: Any) -> tuple[float, float, float]:
         e = (d - z)[np.isfinite(d) & np.isfinite(z) & half]
@@ -337,10 +339,11 @@ def stereo(folder: Path) -> Bars:
         return float(np.sqrt((e**2).mean())), float(np.median(np.abs(e))), share
 
     made = {
-        (jump, border, least): filtered(jump, border, least)
+        (jump, border, least, rough): filtered(jump, border, least, rough)
         for jump in (0.5, 1.0)
         for border in (0, 2, 4)
         for least in (50, 200)
+        for rough in (True, False)
     }
     bars = []
     for name, half, other in (("right", left, ~left), ("left", ~left, left)):
@@ -350,7 +353,8 @@ def stereo(folder: Path) -> Bars:
         before, after = errors(raw, other), errors(made[chosen], other)
         note = (
             f"{1e3 * before[0]:.0f} → {1e3 * after[0]:.0f} mm, covers {before[2]:.3f} → {after[2]:.3f}; jump "
-            f"{chosen[0]:g} px, border {chosen[1]} px, {chosen[2]} pixels, chosen on the other half"
+            f"{chosen[0]:g} px, border {chosen[1]} px, {chosen[2]} pixels, "
+            f"{'all' if chosen[3] else 'planar'} pixels, chosen on the other half"
         )
         bars += [
             bar(f"motorcycle, {name} half: depth RMS after / before", after[0] / before[0], 0.5, "", note),
@@ -363,22 +367,24 @@ def lidar(folder: Path) -> Bars:
     """ISPRS samples: ground against objects; settings chosen on one sample, figures of the other."""
     data = np.load(folder / "surfaces" / "isprs_lidar.npz")
     names = ("samp11", "samp51")
-    cases = [
-        (c, s, u, t) for c in (2.0, 3.0, 4.0) for s in (0.3, 0.45) for u in (1.0, 2.0) for t in (0.5, 0.7)
-    ]
+    sizes, factors, supports, tolerances = (2.0, 3.0, 4.0), (0.5, 1.0, 1.5, 2.0), (1.0, 2.0), (0.5, 0.7)
+    cases = [(c, f, u, t) for c in sizes for f in factors for u in supports for t in tolerances]
     wrong: dict[str, list[float]] = {}
     for name in names:
         points, ground = data[f"{name}_xyz"].astype(float), data[f"{name}_ground"]
         wrong[name] = [
             float(
-                (cloud_patches(points, cell_m=c, slope=s, support_m=u, tolerance_m=t).ground != ground).mean()
+                (
+                    cloud_patches(points, cell_m=c, slope_factor=f, support_m=u, tolerance_m=t).ground
+                    != ground
+                ).mean()
             )
-            for c, s, u, t in cases
+            for c, f, u, t in cases
         ]
     bars = []
     for name, other in (names, names[::-1]):
         k = int(np.argmin(wrong[other]))
-        told = zip(("cell_m", "slope", "support_m", "tolerance_m"), cases[k])
+        told = zip(("cell_m", "slope_factor", "support_m", "tolerance_m"), cases[k])
         note = ", ".join(f"{key} {value:g}" for key, value in told) + f", chosen on {other}"
         bars.append(bar(f"ISPRS {name}: total error", 100 * wrong[name][k], 15, "%", note))
     return bars

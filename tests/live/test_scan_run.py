@@ -196,6 +196,23 @@ def test_a_path_that_the_checker_refuses_needs_the_operators_word(service, folde
     assert "--unchecked" in done.stderr
 
 
+def test_a_report_that_cannot_be_written_is_refused_before_anything_moves(folder, tmp_path):
+    for more in (
+        ["--report", str(tmp_path / "none" / "run.html")],
+        ["--picture", str(tmp_path / "none/r.png")],
+    ):
+        command = [sys.executable, "-m", "surffollow", "scan", "run", str(folder / "path.csv"), "--yes"]
+        done = subprocess.run(
+            [*command, "--name", "nobody", "--wait", "0", *more],
+            capture_output=True,
+            text=True,
+            timeout=READY_S,
+            stdin=subprocess.DEVNULL,
+        )
+        assert done.returncode == 1
+        assert "cannot write beside" in done.stderr
+
+
 def test_two_scans_of_one_service_exclude_each_other_and_words_are_checked():
     server = ControlServer("twice")
     try:

@@ -137,6 +137,14 @@ def test_what_cannot_be_is_said_and_leaves_no_file(survey, tmp_path):
     assert not path.exists()
 
 
+def test_a_grid_in_another_unit_makes_no_map(survey, tmp_path):
+    image, cameras = survey / "view0.npz", survey / "cameras.toml"
+    made = run("map", image, "--cameras", cameras, "--grid", "5", "-o", tmp_path / "x.npz")
+    assert isinstance(made.exception, SurffollowError)
+    assert "is the unit metres?" in str(made.exception)
+    assert not list(tmp_path.iterdir())
+
+
 def test_an_interrupt_leaves_the_old_map(survey, tmp_path):
     out = tmp_path / "g.npz"
     out.write_bytes(b"old")

@@ -10,6 +10,7 @@ import pytest
 import naive_scan as naive
 from surffollow.errors import ScanInputError
 from surffollow.scan.camera import Camera, looking_down
+from surffollow.scan.cloud_terrain import general_slope
 from surffollow.scan.deviation import planar_deviation
 from surffollow.scan.image_filters import gaussian_filter, median_filter
 from surffollow.scan.patch_labels import label_patches
@@ -163,6 +164,32 @@ def test_a_roof_in_a_cloud_is_no_ground():
     got = cloud_patches(p, cell_m=2.0).ground
     assert not got[roof].any()
     assert got[~roof].mean() > 0.97
+
+
+@pytest.mark.parametrize("slope", [0.05, 1.2])
+def test_neighbours_may_differ_as_the_cloud_itself_slopes(slope):
+    rng = np.random.default_rng(7)
+    p = rng.uniform(0, 60, (6000, 3))
+    roof = (np.abs(p[:, 0] - 30) < 8) & (np.abs(p[:, 1] - 30) < 8)
+    p[:, 2] = slope * p[:, 0] + rng.normal(0, 0.05, len(p)) + np.where(roof, 8.0, 0.0)
+    own = cloud_patches(p, cell_m=2.0)
+    assert own.ground[~roof].mean() > 0.9
+    assert own.ground[roof].mean() < 0.1
+    # a slope that is not the cloud's own breaks the hillside into pieces
+    assert cloud_patches(p, cell_m=2.0, slope=0.2).ground[~roof].mean() > 0.9 or slope > 1.0
+    if slope > 1.0:
+        assert cloud_patches(p, cell_m=2.0, slope=0.2).ground[~roof].mean() < 0.9
+
+
+def test_the_general_slope_passes_over_what_is_unknown_and_what_is_too_small():
+    y, x = np.mgrid[0:6, 0:8] * 10.0
+    z = 0.3 * x + 0.4 * y
+    z[2, 3] += 5.0
+    assert general_slope(z, 10.0) == pytest.approx(0.5, abs=1e-9)
+    z[0, 0] = np.nan
+    assert general_slope(z, 10.0) == pytest.approx(0.5, abs=0.02)
+    assert general_slope(np.zeros((1, 5)), 10.0) == 0.0
+    assert general_slope(np.full((3, 3), np.nan), 10.0) == 0.0
 
 
 @pytest.mark.parametrize("values", [np.empty((0, 0)), np.empty((0, 5)), np.zeros(4)])

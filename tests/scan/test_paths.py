@@ -19,10 +19,12 @@ from surffollow.scan.clearance import clear_ground, control_points
 from surffollow.scan.envelope import envelope_of
 from surffollow.scan.following import advanced_terrain_following, reactionary, sample_terrain
 from surffollow.scan.limits import Annulus
-from surffollow.scan.path import OUT_OF_REACH, STOP, TURN, UNKNOWN_BENEATH, WRIST_LIMIT
+from surffollow.scan.path import OUT_OF_REACH, STOP, TURN, UNKNOWN_BENEATH, WRIST_LIMIT, ScanPath
 from surffollow.scan.path_file import read_path, write_path
 from surffollow.scan.plan import PlanSettings, plan_figures, plan_scan
 from surffollow.scan.schemes import arcs, lanes
+from surffollow.scan.shaped_motion import limited_climb
+from surffollow.scan.shaping import Shaper
 from surffollow.scan.timing import MotionLimits, timed
 
 GRID = 0.01
@@ -335,3 +337,69 @@ def test_files_that_are_no_paths_are_refused(tmp_path, text):
         read_path(file)
     with pytest.raises(ScanFileError):
         check_path(np.zeros((3, 3)), (0.0, 0.0), 0.1, file)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("swath_m", '"wide"'),
+        ("speed_mps", "[1, 2]"),
+        ("speed_mps", "0"),
+        ("gap_m", "null"),
+        ("body_m", "[[1, 2]]"),
+        ("body_m", "[]"),
+        ("region_m", "3"),
+        ("wrist_rad", "[1, 2, 3]"),
+        ("base_m", '["here"]'),
+    ],
+)
+def test_a_fact_of_another_type_is_refused_by_name(tmp_path, key, value):
+    ground = TerrainGrid.of(np.zeros((80, 80)), grid_m=0.01)
+    path = plan_scan(
+        ground, PlanSettings((0.25, 0.25, 0.55, 0.55), 0.05, disc(0.05), base_m=(-1.0, 0.4, 0.0))
+    )
+    file = tmp_path / "path.csv"
+    write_path(file, path)
+    lines = file.read_text().splitlines(keepends=True)
+    at = next(k for k, line in enumerate(lines) if line.startswith(f"# {key} ="))
+    lines[at] = f"# {key} = {value}\n"
+    file.write_text("".join(lines))
+    with pytest.raises(ScanFileError, match=f"fact {key} is"):
+        read_path(file)
+
+
+def test_a_climb_that_is_too_fast_is_raised_and_never_lowered():
+    rng = np.random.default_rng(5)
+    n = 200
+    path = ScanPath.planar(np.zeros((n, 2)), np.zeros(n, np.int32))
+    z = rng.uniform(0.0, 0.3, n)
+    z[[50, 120]] = np.nan
+    position = path.position_m.copy()
+    position[:, 2] = z
+    path = path.changed(position_m=position, t_s=np.cumsum(rng.uniform(0.01, 0.05, n)))
+    made = limited_climb(path, 0.5)
+    up = made.position_m[:, 2]
+    slow = np.abs(np.diff(up)) / np.diff(path.t_s)
+    assert np.nanmax(slow) <= 0.5 * (1 + 1e-9)
+    np.testing.assert_array_equal(np.isnan(up), np.isnan(z))
+    for part in (slice(0, 50), slice(51, 120), slice(121, n)):
+        t = path.t_s[part]
+        least = (z[part][None, :] - 0.5 * np.abs(t[:, None] - t[None, :])).max(axis=1)
+        np.testing.assert_allclose(up[part], least, atol=1e-12)
+    np.testing.assert_allclose(made.lift_m, np.nan_to_num(up - z), atol=1e-12)
+
+
+def test_a_shaped_plan_beside_unknown_ground_keeps_the_limit_of_climbing(tmp_path):
+    rng = np.random.default_rng(3)
+    z = 0.02 * rng.normal(size=(100, 120)).cumsum(axis=1).cumsum(axis=0) / 40.0
+    z[:, 100:] = np.nan
+    ground = TerrainGrid.of(z, grid_m=0.01)
+    motion = MotionLimits(speed_mps=0.5, vertical_mps=0.3)
+    settings = PlanSettings(
+        (0.2, 0.2, 0.95, 0.8), 0.05, disc(0.05), motion=motion, shaper=Shaper.zvd(2.0, 0.03)
+    )
+    write_path(tmp_path / "path.csv", plan_scan(ground, settings))
+    findings = check_path(ground.heights_m, ground.origin_m, ground.grid_m, tmp_path / "path.csv")
+    assert [
+        f.name for f in findings if f.name in ("climb", "clearance", "clearance_column") and not f.ok
+    ] == []

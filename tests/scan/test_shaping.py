@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,15 @@ import pytest
 import naive_field as naive
 from surffollow.errors import ScanInputError
 from surffollow.scan import Shaper, identify_mode, jerk_limited, signal_map, trapezoid
+from surffollow.scan.body import disc
+from surffollow.scan.check import check_path
+from surffollow.scan.grid import TerrainGrid
+from surffollow.scan.path import ScanPath
+from surffollow.scan.path_file import write_path
+from surffollow.scan.plan import PlanSettings, plan_scan
+from surffollow.scan.shaped_motion import shaped_planar
+from surffollow.scan.timing import MotionLimits, timed
+from surffollow.sim.flexible_tip import Compliance, tip_deflection
 
 KINDS = {"zv": Shaper.zv, "zvd": Shaper.zvd, "ei": Shaper.ei}
 
@@ -192,3 +202,46 @@ def test_signal_map_goes_to_a_geotiff_and_back(tmp_path):
 def test_a_signal_that_cannot_be_mapped_is_refused(args, message):
     with pytest.raises(ScanInputError, match=message):
         signal_map(*args)
+
+
+@pytest.mark.parametrize("scheme", ["lanes", "arcs"])
+def test_a_shaped_plan_leaves_no_vibration_on_its_passes_and_stays_clear(scheme, tmp_path):
+    y, x = np.mgrid[0:1.0:0.01, 0:1.4:0.01]
+    ground = TerrainGrid.of(0.008 * np.sin(9.0 * x) + 0.006 * np.cos(7.0 * y), grid_m=0.01)
+    base = (-1.0, 0.5, 0.5)
+    settings = PlanSettings(
+        (0.5, 0.35, 0.9, 0.65), 0.06, disc(0.05), scheme=scheme, base_m=base, shaper=Shaper.zvd(2.0, 0.03)
+    )
+    left = {}
+    for name, told in (("shaped", settings), ("unshaped", replace(settings, shaper=None))):
+        path = plan_scan(ground, told)
+        t = np.arange(0.0, path.t_s[-1], 0.005)
+        tip = np.column_stack([np.interp(t, path.t_s, c) for c in path.position_m.T])
+        on = np.interp(t, path.t_s, path.passes >= 0) > 0.99
+        moved = tip_deflection(
+            tip, 200.0, np.array(base), Compliance(vertical_hz=100.0, sway_rad_per_mps2=0.0)
+        )
+        left[name] = float(np.abs(moved[on][:, :2]).max())
+        write_path(tmp_path / "path.csv", path)
+        findings = check_path(ground.heights_m, ground.origin_m, ground.grid_m, tmp_path / "path.csv")
+        assert [f.text for f in findings if not f.ok] == []
+    assert left["unshaped"] > 5e-3
+    assert left["shaped"] < 0.05 * left["unshaped"]
+
+
+def test_a_shaped_motion_starts_and_ends_at_rest_where_the_path_does():
+    path = ScanPath.planar(
+        np.column_stack([np.linspace(0.0, 1.0, 101), np.zeros(101)]), np.zeros(101, np.int32)
+    )
+    path = timed(path, MotionLimits(0.5, 1.0, 1.0))
+    shaper = Shaper.zvd(2.0, 0.03)
+    made = shaped_planar(path, shaper, 100.0)
+    x, t = made.position_m[:, 0], made.t_s
+    assert (x[0], x[-1]) == (0.0, pytest.approx(1.0))
+    speed, hard = np.diff(x) / 0.01, np.diff(x, 2) / 1e-4
+    assert speed[0] < 0.02
+    assert speed[-1] < 0.02
+    assert speed.max() <= 0.5 * 1.001
+    assert np.abs(hard).max() < 1.05
+    assert t[-1] >= path.t_s[-1] + shaper.duration_s
+    assert made.passes[len(made) // 2] == 0

@@ -55,7 +55,7 @@ def test_a_planned_path_goes_through_its_corners_at_its_speeds_and_stops_where_t
     ("text", "says"),
     [
         ("a,b\n1,2\n3,4\n", "x_m, y_m needed"),
-        ("x_m,y_m\n1,2\n3\n", "corner 2: 1 values, 2 columns"),
+        ("x_m,y_m\n1,2\n3\n", "row 2: 1 values, 2 columns"),
         ("x_m,y_m\n1,2\n1,2\n", "two or more different"),
         ("x_m,y_m\n1,2 mm\n1,2\n", "corner 1: y_m is '2 mm'"),
         ("x_mm,y_mm\n1,2\n3,4\n", "column x_mm; write x_m"),

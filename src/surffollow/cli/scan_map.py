@@ -6,6 +6,9 @@ import click
 
 from surffollow.cli.map import LENGTH, progress_bar
 from surffollow.cli.scan_options import EXISTING, JSON, OUT, PICTURE, REGION, check_picture, print_facts
+from surffollow.errors import ScanInputError
+
+LEAST_CELLS = 3  # rows and columns of a map: fewer have no slope
 
 
 @click.command("map")
@@ -69,12 +72,17 @@ def map_command(
     images = read_images([d for d in depths if d not in clouds], cameras)
     with progress_bar("mapping") as progress:
         ground, report = survey(images, [read_cloud(c) for c in clouds], settings, progress)
+        rows, cols = ground.shape
+        if min(rows, cols) < LEAST_CELLS:
+            raise ScanInputError(
+                f"a grid of {ground.grid_m:g} m makes {rows} × {cols} cells of the ground that is seen; at "
+                f"least {LEAST_CELLS} × {LEAST_CELLS} are needed: choose a finer --grid (is the unit metres?)"
+            )
         ground.to_map().save(output)
     if picture:
         from surffollow.scan.pictures import draw_map
 
         draw_map(picture, ground)
-    rows, cols = ground.shape
     facts = {"map": output, "rows": rows, "cols": cols, "grid_m": ground.grid_m, "extent_m": ground.extent_m}
     print_facts(facts | report, as_json)
 

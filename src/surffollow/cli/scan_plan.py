@@ -24,6 +24,7 @@ from surffollow.cli.scan_options import (
     known_region,
     print_facts,
 )
+from surffollow.cli.values import Finite
 
 
 @click.command("plan")
@@ -48,6 +49,13 @@ from surffollow.cli.scan_options import (
     show_default=True,
     help="Turn and lift the body, or lift only.",
 )
+@click.option(
+    "--lateral-mode",
+    type=Finite(0.0, 50.0),
+    default=0.0,
+    help="Frequency [Hz] of the arm sideways, at which x and y are shaped (ZVD).  [default: not shaped]",
+)
+@click.option("--damping", type=Finite(0.0, 0.9), default=0.04, show_default=True, help="Of that mode.")
 @click.option("--fill", type=LENGTH, help="Fill holes of the map up to this width first.")
 @PICTURE
 @JSON
@@ -67,6 +75,8 @@ def plan_command(
     acceleration: float,
     wrist: float,
     following: str,
+    lateral_mode: float,
+    damping: float,
     fill: float | None,
     picture: str | None,
     as_json: bool,
@@ -77,6 +87,7 @@ def plan_command(
     from surffollow.scan.limits import Annulus, WristLimits
     from surffollow.scan.path_file import write_path
     from surffollow.scan.plan import PlanSettings, plan_figures, plan_scan
+    from surffollow.scan.shaping import Shaper
     from surffollow.scan.timing import MotionLimits
 
     if picture:
@@ -104,6 +115,7 @@ def plan_command(
             wrist=WristLimits.symmetric(wrist),
             motion=MotionLimits(speed_mps=speed, acceleration_mps2=acceleration, lateral_mps2=acceleration),
             work_space=space,
+            shaper=Shaper.zvd(lateral_mode, damping) if lateral_mode > 0.0 else None,
         ),
     )
     write_path(output, plan)

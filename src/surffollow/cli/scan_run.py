@@ -74,12 +74,16 @@ def run_command(
     1: not finished, or without a valid demand for more than a tenth of the time; 130 after Ctrl-C.
     """
     from surffollow.live.scan_robot_config import ScanRobotConfig, check_executable
+    from surffollow.map.atomic_file import check_place
     from surffollow.scan.path_file import read_path
     from surffollow.scan.shaping import Shaper
 
     for wanted in (picture, report and "report.png"):
         if wanted:
             check_picture(wanted)
+    for place in (picture, report):
+        if place:
+            check_place(place)
     planned = read_path(path)
     check_executable(planned)
     if way == "map" and map_file is None:
@@ -99,6 +103,9 @@ def run_command(
         from surffollow.sim.world_surface import file_surface
 
         figures["true"] = true_figures(done, file_surface(ground))
+    flat = {f"{k}_{n}": v for k, found in figures.items() for n, v in found.items() if k == "true"}
+    _tell_gap(done)
+    print_facts({"path": path} | done.summary | figures["sensed"] | flat, as_json)
     if picture:
         from surffollow.live.scan_report import draw_run
 
@@ -107,8 +114,6 @@ def run_command(
         from surffollow.live.scan_report import write_run_report
 
         write_run_report(report, done, figures, mapped)
-    flat = {f"{k}_{n}": v for k, found in figures.items() for n, v in found.items() if k == "true"}
-    print_facts({"path": path} | done.summary | figures["sensed"] | flat, as_json)
     _end(done.summary, bool(caught))
 
 
@@ -205,6 +210,23 @@ def _execute(
             aborted=lambda: bool(caught),
             progress=None if show is None else lambda text, part: show(f"{100 * part:3.0f} % {text}"),
             wait_s=wait_s,
+        )
+
+
+def _tell_gap(done: Any) -> None:
+    """Why the run ended early, and whether the tool was inside the gap, on standard error."""
+    from surffollow.live.scan_report import inside_text
+
+    if done.summary["stop_reason"]:
+        click.echo(f"aborted: {done.summary['stop_reason']}", err=True)
+    click.echo(inside_text(done), err=True)
+    for event in done.inside:
+        place = f"pass {event['pass'] + 1}" if event["pass"] >= 0 else "a turn"
+        click.echo(
+            f"  {event['t_s']:.2f} s, {place}, x {event['x_m']:.3f}, "
+            f"y {event['y_m']:.3f} m: "
+            f"{1e3 * event['clearance_m']:.1f} mm",
+            err=True,
         )
 
 

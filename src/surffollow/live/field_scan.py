@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.limits import WristLimits
 from surffollow.scan.path import ScanPath
 from surffollow.scan.schemes import arcs, lanes
+from surffollow.scan.shaped_motion import shaped_planar
 from surffollow.scan.shaping import Shaper
 from surffollow.scan.timing import MotionLimits, timed
 from surffollow.sim.field_sensors import accelerometer, laser_range
@@ -128,6 +128,7 @@ def plan(ground: TerrainGrid, task: Task, shaper: Shaper) -> ScanPath:
     x0, y0, x1, y1 = task.region_m
     lead = task.speed_mps * shaper.duration_s
     region = (x0, y0 - lead, x1, y1 + lead)
+    base = None
     if task.scheme == "arcs":
         base = (0.0, 0.0)
         planar = arcs(region, task.swath_m, step_m=STEP_M, base_m=base)
@@ -136,27 +137,8 @@ def plan(ground: TerrainGrid, task: Task, shaper: Shaper) -> ScanPath:
     limits = MotionLimits(task.speed_mps, task.acceleration_mps2, task.acceleration_mps2)
     envelope = envelope_of(ground, task.gap_m + task.margin_m)
     laid = timed(_laid(planar, envelope, ground, task), limits)
-    t = np.arange(0.0, laid.t_s[-1] + REST_S + shaper.duration_s, 1.0 / RATE_HZ)
-    xy = laid.position_m[:, :2]
-    if task.scheme == "arcs":
-        axes = [np.hypot(xy[:, 0], xy[:, 1]), np.unwrap(np.arctan2(xy[:, 1], xy[:, 0]))]
-    else:
-        axes = [xy[:, 0], xy[:, 1]]
-    a, b = (shaper.function(partial(_at_times, laid.t_s, v))(t) for v in axes)
-    shaped = (
-        np.column_stack([a * np.cos(b), a * np.sin(b)]) if task.scheme == "arcs" else np.column_stack([a, b])
-    )
-    late = t - 0.5 * shaper.duration_s
-    nearest = np.clip(np.searchsorted(laid.t_s, late), 0, len(laid) - 1)
-    moving = late <= laid.t_s[-1]
-    made = ScanPath.planar(
-        shaped, np.where(moving, laid.passes[nearest], -1).astype(np.int32), facts=laid.facts
-    )
-    return _smoothed(_laid(made, envelope, ground, task), task).changed(t_s=t)
-
-
-def _at_times(t_s: Floats, values: Floats, at_s: Floats) -> Floats:
-    return np.interp(at_s, t_s, values)
+    made = shaped_planar(laid, shaper, RATE_HZ, base_m=base, rest_s=REST_S)
+    return _smoothed(_laid(made, envelope, ground, task), task).changed(t_s=made.t_s)
 
 
 def _smoothed(path: ScanPath, task: Task) -> ScanPath:

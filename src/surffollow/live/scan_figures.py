@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from surffollow.live.scan_guard import INSIDE_M
 from surffollow.live.scan_run import Executed
 from surffollow.scan.checks import Floats
 from surffollow.scan.clearance import control_points
@@ -14,7 +15,6 @@ from surffollow.scan.path import ScanPath
 from surffollow.sim.field_sensors import laser_range
 from surffollow.sim.surfaces import HeightField
 
-VIOLATION_M = 0.01  # a control point by so much inside the gap
 SETTLE_S = 1.0  # of a run's beginning, before it is judged
 CHECKED = 4000  # samples whose clearance is looked at
 
@@ -69,7 +69,7 @@ def true_figures(done: Executed, ground: HeightField) -> dict[str, Any]:
     -------
     dict     rms_m, p99_m, mean_m of range along the axis minus the wanted one; clearance_min_m of the control
         points; violations (part of the samples with one more than 10 mm inside the gap), contacts (part with
-        one below the ground); samples
+        one below the ground); tip_acceleration_rms_mps2 (horizontal, of the real tip); samples
     """
     trace, path = done.trace, done.path
     on = np.flatnonzero((trace["scanning"] > 0.0) & (trace["t_s"] > _begin_s(trace) + SETTLE_S))
@@ -92,10 +92,19 @@ def true_figures(done: Executed, ground: HeightField) -> dict[str, Any]:
         "p99_m": float(np.quantile(np.abs(good), 0.99)),
         "mean_m": float(good.mean()),
         "clearance_min_m": float(least.min()),
-        "violations": float((least < gap - VIOLATION_M).mean()),
+        "violations": float((least < gap - INSIDE_M).mean()),
+        "tip_acceleration_rms_mps2": float(np.sqrt((_acceleration(trace)[on] ** 2).sum(axis=1).mean())),
         "contacts": float((least < 0.0).mean()),
         "samples": len(on),
     }
+
+
+def _acceleration(trace: dict[str, Floats]) -> Floats:
+    """(n, 2) horizontal acceleration of the real tip [m/s²]."""
+    place = np.column_stack([trace["real_x_m"], trace["real_y_m"]])
+    t = trace["t_s"]
+    made: Floats = np.gradient(np.gradient(place, t, axis=0), t, axis=0)
+    return made
 
 
 def _begin_s(trace: dict[str, Floats]) -> float:

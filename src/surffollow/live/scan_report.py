@@ -9,6 +9,7 @@ import numpy as np
 
 from surffollow.live.html_page import Page
 from surffollow.live.scan_figures import wanted_range_m
+from surffollow.live.scan_guard import INSIDE_M
 from surffollow.live.scan_run import Executed
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.path import flag_counts
@@ -62,7 +63,24 @@ def draw_run(path: str | os.PathLike[str], done: Executed, ground: TerrainGrid |
 def _title(done: Executed) -> str:
     s = done.summary
     state = "finished" if s["finished"] else "aborted" if s["aborted"] else "not finished"
+    if s["inside_times"]:
+        state += f", inside the gap {s['inside_times']} times"
     return f"{state}: {100 * s['progress']:.0f} % of {s['planned_s']:.1f} s, way {s['way']}"
+
+
+def inside_text(done: Executed) -> str:
+    """One sentence on the gap as the readings show it."""
+    s = done.summary
+    if s["inside_times"] is None:
+        return "no readings: whether a control point came inside the gap is not known"
+    later = s["inside_later_part"] or 0.0
+    if s["inside_times"] == 0 and later == 0.0:
+        return f"no control point came more than {1e3 * INSIDE_M:.0f} mm inside the gap"
+    least = "" if s["inside_least_m"] is None else f", at least {1e3 * s['inside_least_m']:.1f} mm away"
+    return (
+        f"a control point came more than {1e3 * INSIDE_M:.0f} mm inside the gap: noticed {s['inside_times']} "
+        f"times, {s['inside_s']:.1f} s{least}; {100 * later:.1f} % of the samples by all that was measured"
+    )
 
 
 def write_run_report(
@@ -82,6 +100,8 @@ def write_run_report(
     page.picture(lambda p: draw_run(p, done, ground), "path, stand-off, correction and height")
     page.section("Run")
     page.facts(s)
+    page.section("Inside the gap, as the readings show it", inside_text(done))
+    page.rows([{k: round(v, 4) for k, v in e.items()} for e in done.inside])
     for name, found in figures.items():
         page.section(name.capitalize())
         page.facts(found)

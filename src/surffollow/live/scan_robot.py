@@ -9,27 +9,26 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.live.scan_arm_state import TRACE_EVERY, arm_state, base_of, path_columns
 from surffollow.live.scan_expected import expected_range_m
+from surffollow.live.scan_guard import POSES_AHEAD, Guard
 from surffollow.live.scan_robot_config import ScanRobotConfig, check_executable
 from surffollow.scan.checks import Floats
 from surffollow.scan.path import ScanPath
 from surffollow.shm.dtypes import zeros
-from surffollow.sim.path_arm import TRACE_COLUMNS, ArmState, run_arm
+from surffollow.sim.path_arm import TRACE_COLUMNS, run_arm
 from surffollow.sim.plant import set_point_for
+from surffollow.sim.pose_reports import PoseReports
 from surffollow.sim.robot_motion import STEP_NS
 from surffollow.sim.robot_stop import REST_MPS
 from surffollow.sim.world import WorldPose
 
-REPORTS_KEPT, TRACE_EVERY = 256, 5
 ASKED_KEPT = 200  # ticks that a shaper may look back
-APPROACH_M = 0.010  # the tip starts that much above the path
 SETTLED_M, SETTLED_TICKS = 1.5e-3, 30
-BASE_AWAY_M, BASE_HEIGHT_M = 1.7, 0.6  # of the arm from the region's middle, where the path names no base
 WITHOUT_FACTS = {"speed_mps": 0.1, "acceleration_mps2": 1.0}
 
 
@@ -42,6 +41,7 @@ class ScanRobot:
     config : ScanRobotConfig
     start_ns : time at which the tip stands above the path's first sample [ns]
     expected_m : (n,) range that the sensor should read at the samples [m]; None: see `expected_range_m`
+    guard : Guard      what readings say about the gap; None: the plan and the demand alone are heeded
 
     Raises
     ------
@@ -50,7 +50,12 @@ class ScanRobot:
     """
 
     def __init__(
-        self, path: ScanPath, config: ScanRobotConfig, start_ns: int, expected_m: Floats | None = None
+        self,
+        path: ScanPath,
+        config: ScanRobotConfig,
+        start_ns: int,
+        expected_m: Floats | None = None,
+        guard: Guard | None = None,
     ) -> None:
         check_executable(path)
         self.path, self.config = path, config
@@ -60,58 +65,33 @@ class ScanRobot:
         self._above = path.normal[:, 2] * (self.expected_m - float(path.facts["gap_m"]))
         speed = float(path.facts.get("speed_mps", WITHOUT_FACTS["speed_mps"]))
         slowing = float(path.facts.get("acceleration_mps2", WITHOUT_FACTS["acceleration_mps2"]))
+        self._lead_s = config.plant.tau_s + 0.5 / config.plant.tick_hz
         self.stopping_s = speed / slowing  # of the path's time, from full rate to rest twice as long
-        self.state = self._state(start_ns)
-        self._columns = self._path_columns()
+        self.state = arm_state(path, config, start_ns, self.stopping_s)
+        self._columns = path_columns(path, config)
+        self._planned = np.column_stack([path.position_m, self._columns[:, 3:7]])
         self._scanning = (path.passes >= 0).astype(np.uint8)
         rows = round((2.0 * self._t[-1] + 120.0) * 1e9) // STEP_NS // TRACE_EVERY
         self._trace = np.zeros((rows, len(TRACE_COLUMNS)))
         self.world = zeros(WorldPose)
         self._rng = np.random.default_rng(config.seed)
-        self._waiting: deque[tuple[int, NDArray[np.float64]]] = deque()
-        self._sent: dict[int, NDArray[np.float64]] = {}
-        self._newest = np.append(self.tip_m, path.quaternion[0])
+        self._reports = PoseReports(config.report_latency_s, np.append(self.tip_m, path.quaternion[0]))
+        self.guard = guard
+        self.limit_m = config.most_m if config.most_m is not None else float(path.facts["gap_m"])
         self.holding, self.paused, self.leaving = True, False, False
-        self.correction_m = 0.0
-        self._asked: deque[tuple[float, float]] = deque(maxlen=ASKED_KEPT)
+        if guard is not None:
+            guard.look_ahead(speed * self._looked_at_s(1.0)[1])
+        self.inside, self.barred = False, False
+        self.correction_m = self.lift_m = 0.0
+        self._asked: deque[tuple[float, float, float]] = deque(maxlen=ASKED_KEPT)
         self._settled = 0
         self.started_ns = 0
         self._heard_ns = self._tick_ns = start_ns
 
-    def _state(self, start_ns: int) -> Any:
-        a, c = zeros(ArmState), self.config
-        a["t_ns"] = a["start_ns"] = start_ns
-        a["end_s"], a["rate_change_ps"] = self._t[-1], 1.0 / self.stopping_s
-        a["axis"][0, 0] = a["set_point_m"] = self._z[0] + APPROACH_M
-        a["tau_s"], a["v_max_mps"], a["a_max_mps2"] = c.plant.tau_s, c.plant.v_max_mps, c.plant.a_max_mps2
-        a["base"] = self.base_m
-        a["trace_every"] = TRACE_EVERY
-        if c.compliance is not None:
-            k = c.compliance
-            a["flexible"], a["sway_rad_per_mps2"] = 1, k.sway_rad_per_mps2
-            hz = (k.lateral_hz, k.vertical_hz, k.sway_hz)
-            damping = (k.lateral_damping, k.vertical_damping, k.sway_damping)
-            a["mode"] = np.column_stack([2.0 * np.pi * np.array(hz), damping]).ravel()
-        return a
-
     @property
     def base_m(self) -> Floats:
         """(3,) of the arm: the path's own, else in front of its region."""
-        told = self.path.facts.get("base_m")
-        if told is not None:
-            return np.array([*map(float, told), BASE_HEIGHT_M][:3])
-        middle = 0.5 * (self.path.position_m.min(axis=0) + self.path.position_m.max(axis=0))
-        made: Floats = middle + np.array([-BASE_AWAY_M, 0.0, BASE_HEIGHT_M])
-        return made
-
-    def _path_columns(self) -> Floats:
-        q = self.path.quaternion.copy()
-        flips = np.cumprod(np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
-        q[1:] *= flips[:, None]
-        tip = self.path.position_m
-        errors = self.config.errors
-        off = np.zeros_like(tip) if errors is None else errors.offset_m(tip, self.base_m)
-        return np.ascontiguousarray(np.column_stack([self._t, tip[:, :2], q, off]))
+        return base_of(self.path)
 
     # -- what `sim.robot_run.Controller` needs --------------------------------------------------------
 
@@ -138,10 +118,31 @@ class ScanRobot:
         y = np.interp(path_s, self._t, self.path.position_m[:, 1])
         return np.array([x, y, s["axis"][0]])
 
+    @property
+    def newest(self) -> Floats:
+        """(7,) pose that was reported last."""
+        return self._reports.newest
+
+    @property
+    def number(self) -> int:
+        """Pass that it is on; -1 on turns."""
+        return int(self.path.passes[min(int(self.state["at"][0]), len(self.path) - 1)])
+
+    @property
+    def lifting_s(self) -> float:
+        """Time that a lift by the correction's limit takes [s]."""
+        c = self.config
+        shaped = 0.0 if c.shaper is None else c.shaper.duration_s
+        return shaped + self.stopping_s + 5.0 * c.plant.tau_s + self.limit_m / c.plant.v_max_mps
+
+    def attitude_at(self, path_s: Floats) -> Floats:
+        """(n, 4) planned quaternions at times of the path (n,) [s], not normalised."""
+        return np.column_stack([np.interp(path_s, self._t, c) for c in self._planned[:, 3:].T])
+
     def measure(self) -> None:
         """Read the joints: a noisy pose of now, to be reported when its latency is over."""
         tip = self.tip_m + self._rng.normal(0.0, 1.0, 3) * self.config.report_sigma_m
-        self._waiting.append((self.t_ns, np.concatenate([tip, self._attitude()])))
+        self._reports.measure(self.t_ns, np.concatenate([tip, self._attitude()]))
 
     def _attitude(self) -> Floats:
         q = np.asarray(self.state["q"][0], np.float64)
@@ -149,15 +150,11 @@ class ScanRobot:
 
     def reports(self) -> list[tuple[int, NDArray[np.float64]]]:
         """Take the reports that are due: (when it was true [ns], pose (7,)), oldest first."""
-        due_ns = self.t_ns - round(self.config.report_latency_s * 1e9)
-        out = []
-        while self._waiting and self._waiting[0][0] <= due_ns:
-            t_ns, pose = self._waiting.popleft()
-            self._newest = self._sent[t_ns] = pose
-            out.append((t_ns, pose))
-        while len(self._sent) > REPORTS_KEPT:
-            del self._sent[next(iter(self._sent))]
-        return out
+        due = self._reports.due(self.t_ns)
+        if self.guard is not None:
+            for t_ns, pose in due:
+                self.guard.pose(t_ns, pose)
+        return due
 
     def command(self, demand_m: float, pose_t_ns: int, turn_rad: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         """Heed a demand, each added to the report that it refers to; rotations are the plan's.
@@ -172,11 +169,11 @@ class ScanRobot:
         self._tick_ns = self.t_ns
         if self.leaving:
             return
-        if pose_t_ns not in self._sent or not math.isfinite(demand_m):
+        if pose_t_ns not in self._reports.sent or not math.isfinite(demand_m):
             self.hold()
             return
         self.holding = False
-        followed = set_point_for(float(self._sent[pose_t_ns][2]), demand_m) + self._ahead(self._above)
+        followed = set_point_for(float(self._reports.sent[pose_t_ns][2]), demand_m) + self._ahead(self._above)
         self._set(self._wanted(followed, passed_s))
 
     def go_by_plan(self) -> None:
@@ -187,27 +184,57 @@ class ScanRobot:
             self._set(self._ahead(self._z))
 
     def _wanted(self, followed_m: float, passed_s: float) -> float:
-        """Height from the plan and from what the follower wants, by the way."""
+        """Height from the plan, from what the follower wants, and the least that known ground bears."""
         c = self.config
         planned = self._ahead(self._z)
-        error = self._shaped(min(max(followed_m - planned, -c.most_m), c.most_m))
+        asked = min(max(followed_m - planned, -self.limit_m), self.limit_m)
+        error, lift = self._shaped(asked, min(max(self._watch(), -self.limit_m), self.limit_m))
         if c.way == "feedforward":
             change = error - self.correction_m
             constant = c.rise_s if change > 0.0 else c.sink_s
             self.correction_m += change * (1.0 - math.exp(-max(passed_s, 0.0) / constant))
         else:
             self.correction_m = error
+        self.correction_m = max(self.correction_m, lift)
         return planned + self.correction_m
 
-    def _shaped(self, error_m: float) -> float:
-        """What the follower wants beyond the plan, as the shaper's impulses take it from the last ticks."""
+    def _watch(self) -> float:
+        """Least correction that known ground bears from here to where a lift has had its effect [m].
+
+        `inside`: a control point is inside the gap. `barred`: it would be, at the present height, before the
+        arm can stop; the path is then not followed any further.
+        """
+        if self.guard is None:
+            return -math.inf
+        newest = self._reports.newest
+        self.inside = bool(self.guard.is_inside(newest[None])[0])
+        here, rate = float(self.state["path_s"][0]), float(self.state["rate"][0])
+        stop_s, look_s = self._looked_at_s(rate)
+        ahead = here + np.linspace(0.0, max(look_s, 1e-6), POSES_AHEAD)
+        poses = np.column_stack([np.interp(ahead, self._t, c) for c in self._planned.T])
+        self.lift_m = self.guard.lift_m(poses, -self.limit_m)
+        near = poses[ahead <= here + stop_s]
+        near[:, 2] += newest[2] - float(np.interp(here, self._t, self._z))
+        self.barred = self.inside or bool(self.guard.is_inside(near).any())
+        return self.lift_m
+
+    def _looked_at_s(self, rate: float) -> tuple[float, float]:
+        """Path times [s] that are run through until it stops, and until a lift has had its effect."""
+        stop_s = self._lead_s * rate + 0.5 * rate * rate * self.stopping_s
+        shaper = self.config.shaper
+        return stop_s, stop_s + rate * (0.0 if shaper is None else shaper.duration_s)
+
+    def _shaped(self, error_m: float, lift_m: float) -> tuple[float, float]:
+        """What follower and known ground ask for beyond the plan, as the shaper's impulses take it."""
         shaper = self.config.shaper
         if shaper is None:
-            return error_m
+            return error_m, lift_m
         t_s = self.t_ns * 1e-9
-        self._asked.append((t_s, error_m))
-        when, asked = np.array(self._asked).T
-        return float(shaper.amplitudes @ np.interp(t_s - shaper.times_s, when, asked))
+        self._asked.append((t_s, error_m, lift_m))
+        when, error, lift = np.array(self._asked).T
+        at = t_s - shaper.times_s
+        shaped = [float(shaper.amplitudes @ np.interp(at, when, v)) for v in (error, lift)]
+        return shaped[0], shaped[1]
 
     def _set(self, z_m: float) -> None:
         self.state["set_point_m"] = z_m
@@ -217,12 +244,15 @@ class ScanRobot:
             if self._settled < SETTLED_TICKS:
                 return
             self.started_ns = self.t_ns
-        self.state["rate_wanted"] = 0.0 if self.paused else 1.0
+            if (
+                "shaper_s" in self.path.facts
+            ):  # from rest in its own time; slower would not be what was shaped
+                self.state["rate"] = 1.0
+        self.state["rate_wanted"] = 0.0 if self.paused or self.barred else 1.0
 
     def _ahead(self, column: Floats) -> float:
         """A column of the path where the axis will be when it has reacted."""
-        lead_s = self.config.plant.tau_s + 0.5 / self.config.plant.tick_hz
-        at = float(self.state["path_s"][0]) + lead_s * float(self.state["rate"][0])
+        at = float(self.state["path_s"][0]) + self._lead_s * float(self.state["rate"][0])
         return float(np.interp(at, self._t, column))
 
     def hold(self) -> None:
@@ -235,7 +265,7 @@ class ScanRobot:
             here, rate = float(self.state["path_s"][0]), float(self.state["rate"][0])
             ahead = np.linspace(here, here + 0.5 * rate * rate * self.stopping_s, 20)
             planned = np.interp(ahead, self._t, self._z)
-            self.state["set_point_m"] = self._newest[2] + max(0.0, float(planned.max() - planned[0]))
+            self.state["set_point_m"] = self._reports.newest[2] + max(0.0, float(planned.max() - planned[0]))
         self._settled = 0
         self._asked.clear()
         self.state["rate_wanted"] = 0.0

@@ -53,7 +53,8 @@ class ScanRobotConfig:
     way : str                     "feedforward": the plan's height plus a slow correction by the demand;
         "map": the follower's demand alone, over a map that was installed; "plan": no sensor at all
     rise_s, sink_s : float [s]    time constants of the correction away from the ground and toward it
-    most_m : float [m]            largest correction of the plan
+    most_m : float [m]            largest correction of the plan; None: the path's gap, beyond which its map
+        is of no use
     shaper : Shaper               of what the demand asks for, so that following does not excite the arm's
         vertical mode, which the sensor sees and the joints do not; None: not shaped
     errors : ArmErrors            None: the model is exact
@@ -67,7 +68,7 @@ class ScanRobotConfig:
     way: str = "feedforward"
     rise_s: float = 0.1
     sink_s: float = 0.4
-    most_m: float = 0.2
+    most_m: float | None = None
     shaper: Shaper | None = None
     errors: ArmErrors | None = field(default_factory=ArmErrors)
     compliance: Compliance | None = field(default_factory=Compliance)
@@ -83,7 +84,7 @@ class ScanRobotConfig:
             raise ScanInputError(f"way is '{self.way}'; expected one of {', '.join(WAYS)}")
         for name in ("rise_s", "sink_s", "most_m", "retract_m", "command_timeout_s"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
+            if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise ScanInputError(f"{name} is {value:g}; expected a finite number above 0")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,8 @@ import numpy as np
 from surffollow.errors import FaultError
 from surffollow.live.scan_control import ControlServer, keys
 from surffollow.live.scan_expected import expected_range_m
+from surffollow.live.scan_gap import GapWatch
+from surffollow.live.scan_guard import Guard
 from surffollow.live.scan_robot import ScanRobot
 from surffollow.live.scan_robot_config import ScanRobotConfig, check_executable
 from surffollow.scan.checks import Floats
@@ -22,7 +24,11 @@ from surffollow.sim.world import WorldWriter
 
 TELL_NS = 500_000_000
 RETRACT_S = 10.0  # longest that a retract may take
-STATES = ("approach", "scan", "hold", "stopped", "paused", "retract")
+STATES = ("approach", "scan", "inside", "waiting", "hold", "stopped", "paused", "retract")
+LIFTS = (
+    3.0  # times that a lift by the correction's limit takes: longer inside the gap, and the run is aborted
+)
+AFTERWARDS = 2000  # samples whose clearance is looked at again with all that was measured
 
 Progress = Callable[[str, float], Any]
 
@@ -38,7 +44,9 @@ class Executed:
     ranges_m : (k, 2) float64        time of the trace [s], and the service's distance along its beam [m]
     correction_m : (k,) float64      of the plan at those times
     expected_m : (n,) float64        range that the plan means to have at its samples [m]
-    summary : dict                   ready for JSON
+    summary : dict                   ready for JSON; `inside_*`: the gap as the readings show it, None without
+        any. `inside_later_part`: part of the samples on passes that were inside, by all that was measured
+    inside : list of dict            each time that the readings showed a control point inside the gap
     """
 
     path: ScanPath
@@ -47,6 +55,7 @@ class Executed:
     correction_m: Floats
     expected_m: Floats
     summary: dict[str, Any]
+    inside: list[dict[str, Any]] = field(default_factory=list)
 
 
 def execute(
@@ -85,7 +94,8 @@ def execute(
     check_executable(path)
     expected = expected_range_m(path, ground)
     ScanRobot(path, config, 0, expected).advance(2_000_000)  # compiles
-    robot = ScanRobot(path, config, time.monotonic_ns(), expected)
+    guard = None if config.way == "plan" else Guard(path, ground)
+    robot = ScanRobot(path, config, time.monotonic_ns(), expected, guard)
     control = ControlServer(name)
     try:
         world = WorldWriter(name)
@@ -122,11 +132,17 @@ class _Run:
         self._rows: list[tuple[float, float, float]] = []
         self._told_ns = self._paused_ticks = self._pauses = 0
         self.aborted = False
+        self.gap = GapWatch(robot)
 
-    def go(self, aborted: Callable[[], bool], pressed: Callable[[], list[str]]) -> None:
+    def go(
+        self,
+        aborted: Callable[[], bool],
+        pressed: Callable[[], list[str]],
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
         """Scan, then retract."""
         robot = self.robot
-        robot.restart_clock(time.monotonic_ns())
+        robot.restart_clock(now_ns())
         tick_ns = round(1e9 / robot.config.plant.tick_hz)
         retract_ns = 0
         while not robot.away:
@@ -144,6 +160,7 @@ class _Run:
                 robot.go_by_plan()
             else:
                 self.controller.tick()
+            self._watch_gap()
             self._note()
             robot.advance(robot.t_ns + tick_ns, self.world.latch)
 
@@ -156,6 +173,13 @@ class _Run:
                 self._reset_stop()
             self._pauses += word == "pause" and not self.robot.paused
             self.robot.pause(word == "pause")
+
+    def _watch_gap(self) -> None:
+        """Note what readings say about the gap; abort where a lift does not lead out of it."""
+        for text in self.gap.tick(self.controller.service):
+            self._tell(text, self.robot.progress)
+        if self.gap.why and not self.robot.leaving:
+            self._obey("abort")
 
     @property
     def stopped(self) -> bool:
@@ -200,21 +224,27 @@ class _Run:
             if self.stopped:
                 return "stopped"
             return "hold" if robot.started_ns else "approach"
-        return "paused" if robot.paused else "scan" if robot.started_ns else "approach"
+        if robot.inside:
+            return "inside"
+        if robot.paused:
+            return "paused"
+        if not robot.started_ns:
+            return "approach"
+        return "waiting" if robot.barred else "scan"
 
     def status(self) -> dict[str, Any]:
         """What `surffollow scan status` shows."""
         robot = self.robot
         x, y, z = robot.tip_m
-        number = int(robot.path.passes[min(int(robot.state["at"][0]), len(robot.path) - 1)])
         return {
             "state": self.state,
             "progress": robot.progress,
-            "pass": number,
+            "pass": robot.number,
             "passes": int(robot.path.passes.max()) + 1,
             "tip_m": [float(x), float(y), float(z)],
             "correction_m": robot.correction_m,
-            "trouble": self.controller.trouble,
+            "inside_times": len(self.gap.events),
+            "trouble": self.gap.why or self.controller.trouble,
         }
 
     def executed(self) -> Executed:
@@ -237,5 +267,10 @@ class _Run:
             "frozen_s": float(robot.state["frozen_ns"][0]) * 1e-9,
             "retracted": robot.away,
             "correction_last_m": robot.correction_m,
+            "stop_reason": self.gap.why,
+            **self.gap.figures(),
         }
-        return Executed(robot.path, robot.trace(), rows[:, :2], rows[:, 2], robot.expected_m, summary)
+        trace = robot.trace()
+        return Executed(
+            robot.path, trace, rows[:, :2], rows[:, 2], robot.expected_m, summary, self.gap.events
+        )

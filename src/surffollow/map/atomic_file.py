@@ -26,19 +26,10 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     MapFileError
         the directory cannot be written, the disk is full, or the name belongs to no plain file
     """
-    target = Path(path)
-    if target.exists() and not target.is_file():
-        # renaming over a device or a pipe would take its place
-        raise MapFileError(f"{target} is there and is no plain file; choose another name")
-    if target.is_symlink():
-        target = target.resolve()
     # named before it is made: an interrupt at any moment finds what to remove
-    temporary = target.with_name(f".{target.name}.{secrets.token_hex(8)}{target.suffix}")
+    target, temporary = _names(path)
     try:
-        try:
-            os.close(os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
-        except OSError as e:
-            raise MapFileError(f"cannot write beside {target}: {e.strerror or e}") from e
+        _make(target, temporary)
         mode = _mode_for(target)
         yield temporary
         _sync(temporary, mode)
@@ -48,6 +39,39 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise MapFileError(f"cannot write {target}: {e.strerror or e}") from e
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_place(path: str | os.PathLike[str]) -> None:
+    """Fail before long work when `replacing` could not even begin to write there.
+
+    Raises
+    ------
+    MapFileError
+        as `replacing`
+    """
+    target, temporary = _names(path)
+    try:
+        _make(target, temporary)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _names(path: str | os.PathLike[str]) -> tuple[Path, Path]:
+    """The file and its temporary one."""
+    target = Path(path)
+    if target.exists() and not target.is_file():
+        # renaming over a device or a pipe would take its place
+        raise MapFileError(f"{target} is there and is no plain file; choose another name")
+    if target.is_symlink():
+        target = target.resolve()
+    return target, target.with_name(f".{target.name}.{secrets.token_hex(8)}{target.suffix}")
+
+
+def _make(target: Path, temporary: Path) -> None:
+    try:
+        os.close(os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
+    except OSError as e:
+        raise MapFileError(f"cannot write beside {target}: {e.strerror or e}") from e
 
 
 def _mode_for(target: Path) -> int:

@@ -70,7 +70,8 @@ def check_path(
         speed, acceleration = float(facts["speed_mps"]), float(facts["acceleration_mps2"])
         climb = float(facts["vertical_mps"])
     except (KeyError, TypeError, ValueError) as e:
-        raise ScanFileError(f"{path} lacks the fact {e}, which a check needs; plan it again") from e
+        what = f"lacks the fact {e}" if isinstance(e, KeyError) else f"has a fact of another type ({e})"
+        raise ScanFileError(f"{path} {what}, which a check needs; plan it again") from e
     position = np.column_stack([at["x_m"], at["y_m"], at["z_m"]])
     flags, passes = at["flags"].astype(np.int64), at["pass"].astype(np.int64)
     planned: NDArray[np.bool_] = np.all(np.isfinite(position), axis=1)

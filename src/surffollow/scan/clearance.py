@@ -101,6 +101,25 @@ def nearest_ground(z: Any, tops: Any, g: Any, u: Any, v: Any, height: Any, most:
 
 
 @jit
+def lifts_needed(z: Any, tops: Any, g: Any, gap: Any, points: Any, lift: Any) -> None:
+    """Lift [m] of each pose into lift (n,), so that its points (n, m, 3) [cells, cells, m] keep the gap."""
+    for k in range(points.shape[0]):
+        need = 0.0
+        for i in range(points.shape[1]):
+            need = lift_needed(z, tops, g, points[k, i, 0], points[k, i, 1], points[k, i, 2], gap, need)
+        lift[k] = need
+
+
+@jit
+def least_distance(z: Any, tops: Any, g: Any, points: Any, most: Any) -> float:
+    """Least distance [m] of points (m, 3) [cells, cells, m] from known cell centres, at most `most`."""
+    near = most
+    for i in range(points.shape[0]):
+        near = nearest_ground(z, tops, g, points[i, 0], points[i, 1], points[i, 2], near)
+    return near  # type: ignore[no-any-return]
+
+
+@jit
 def clear_samples(
     z: Any, tops: Any, g: Any, gap: Any, points: Any, first: Any, last: Any, lift: Any, clearance: Any
 ) -> None:
@@ -112,11 +131,9 @@ def clear_samples(
     lift : (n,) float64               out [m]
     clearance : (n,) float64          out: least distance after the lift [m]; NaN where no ground is near
     """
+    lifts_needed(z, tops, g, gap, points[first:last], lift[first:last])
     for k in range(first, last):
-        need = 0.0
-        for i in range(points.shape[1]):
-            need = lift_needed(z, tops, g, points[k, i, 0], points[k, i, 1], points[k, i, 2], gap, need)
-        lift[k] = need
+        need = lift[k]
         most = LOOK_GAPS * gap
         near = most
         for i in range(points.shape[1]):

@@ -8,6 +8,22 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 from surffollow.scan.checks import Floats
 
 
+def general_slope(lowest: Floats, block_m: float) -> float:
+    """Median slope of the lowest points of blocks wider than most objects.
+
+    Parameters
+    ----------
+    lowest : (rows, cols) float64 [m]     NaN: no point; fewer than two rows or columns: slope 0
+    block_m : float [m]                   side of a block
+    """
+    if min(lowest.shape) < 2:
+        return 0.0
+    down, across = np.gradient(lowest, block_m)
+    slope = np.hypot(down, across)
+    known = slope[np.isfinite(slope)]
+    return float(np.median(known)) if known.size else 0.0
+
+
 def terrain_heights_at(terrain: Floats, points: Floats) -> tuple[Floats, Floats]:
     """Height of the surface at each point, and its slope there.
 

@@ -21,6 +21,7 @@ KEPT, TOO_SMALL, OVERHANGING, OUTSIDE, FLOATING = 0, 1, 2, 3, 4
 FATES = ("kept", "too_small", "overhanging", "outside", "floating")
 STEEPEST_RAD = math.radians(80.0)  # of a patch's mean normal from up
 JUMP_PX = 1.0  # of disparity between neighbours
+SLOPE_FACTOR, SLOPE_BLOCK = 1.5, 5  # of a cloud's own slope; cells per block, wider than most objects
 JUMP_PER_M = 0.02  # of a camera without baseline: depth jump over depth squared [1 / m]
 
 
@@ -203,7 +204,8 @@ def cloud_patches(
     points_m: ArrayLike,
     *,
     cell_m: float,
-    slope: float = 0.45,
+    slope: float | None = None,
+    slope_factor: float = SLOPE_FACTOR,
     min_points: int = 20,
     support_m: float = 1.0,
     tolerance_m: float = 0.7,
@@ -214,7 +216,9 @@ def cloud_patches(
     ----------
     points_m : (n, 3) float [m]
     cell_m : float [m]            side of the cells whose lowest points form the image
-    slope : float                 neighbours may differ by this times their distance, plus support_m / 3
+    slope : float                 neighbours may differ by this times their distance, plus support_m / 3;
+        None: the cloud's own slope, `cloud_terrain.general_slope` over blocks of 5 cells, times slope_factor
+    slope_factor : float
     min_points, support_m         as `coherent_patches`, in cells
     tolerance_m : float [m]       points this close to the terrain of the kept patches are ground
 
@@ -222,13 +226,16 @@ def cloud_patches(
     -------
     CloudPatches
     """
-    from surffollow.scan.cloud_terrain import terrain_heights_at
+    from surffollow.scan.cloud_terrain import general_slope, terrain_heights_at
 
     points = real_array("points_m", points_m, (None, 3))
     if len(points) == 0 or not np.isfinite(points).all():
         raise ScanInputError("points_m needs at least one point, all finite")
     cell = positive("cell_m", cell_m)
     image, lowest = _lowest(points, cell)
+    if slope is None:
+        block = SLOPE_BLOCK * cell
+        slope = positive("slope_factor", slope_factor, "1") * general_slope(_lowest(points, block)[1], block)
     jump = np.full(image.shape[:2], slope * cell + support_m / 3.0)
     above = np.array([image[..., 0].mean(), image[..., 1].mean(), 1e9])
     patches = judge(

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from surffollow.errors import ScanFileError
 from surffollow.map.atomic_file import replacing
 from surffollow.scan.path import ScanPath
+from surffollow.sim.column_file import read_columns
 
 FORMAT = "surffollow-scan-path-1"
 COLUMNS = (
@@ -35,6 +35,15 @@ COLUMNS = (
     "pass",
     "flags",
 )
+
+NUMBERS = ("gap_m", "grid_m", "swath_m", "speed_mps", "acceleration_mps2", "lateral_mps2", "vertical_mps")
+# of arrays, possible lengths of each axis
+ARRAYS: dict[str, tuple[tuple[int, ...], ...]] = {
+    "body_m": ((), (3,)),
+    "region_m": ((), (2,)),
+    "wrist_rad": ((4,),),
+    "base_m": ((3, 2),),
+}
 
 
 def write_path(path: str | os.PathLike[str], plan: ScanPath) -> None:
@@ -60,42 +69,61 @@ def write_path(path: str | os.PathLike[str], plan: ScanPath) -> None:
             f.write(",".join([f"{v:.9g}" for v in row]) + f",{number},{bits}\n")
 
 
+def _check_facts(path: str | os.PathLike[str], facts: dict[str, Any]) -> None:
+    """Refuse facts of another type than the planner writes; absent ones are left to their users."""
+    for key in sorted(facts.keys() & {*NUMBERS, *ARRAYS}):
+        try:
+            value = np.asarray(facts[key], np.float64)
+        except (TypeError, ValueError):
+            value = np.full(1, np.nan)
+        columns = ARRAYS.get(key)
+        good = value.size > 0 and bool(np.isfinite(value).all())
+        if columns is None:
+            good = good and value.ndim == 0 and float(value) > 0.0
+        else:
+            good = good and value.ndim == len(columns) and value.shape[-1] in columns[-1]
+        if not good:
+            wanted = (
+                "a finite number above 0" if columns is None else f"rows of {columns[-1][0]} finite numbers"
+            )
+            raise ScanFileError(f"{path}: the fact {key} is {facts[key]!r}; expected {wanted}: plan it again")
+
+
 def read_path(path: str | os.PathLike[str]) -> ScanPath:
     """Read a path file.
 
     Raises
     ------
     ScanFileError
-        it cannot be read, is of another format, lacks columns, or has rows that are not numbers
+        it cannot be read, is of another format, lacks columns, or has rows or facts that are not numbers
     """
     try:
-        lines = Path(path).read_text(encoding="ascii").splitlines()
-    except (OSError, UnicodeDecodeError) as e:
+        comments, text = read_columns(path)
+    except (OSError, ValueError) as e:
         raise ScanFileError(f"cannot read {path}: {e}") from e
     facts: dict[str, Any] = {}
-    first = 0
-    for first, line in enumerate(lines):
-        if not line.startswith("#"):
-            break
-        key, equals, value = line[1:].partition("=")
+    for comment in comments:
+        key, equals, value = comment.partition("=")
         if equals:
             try:
                 facts[key.strip()] = json.loads(value)
             except ValueError as e:
-                raise ScanFileError(f"{path}, line {first + 1}: the fact {key.strip()} is no JSON") from e
+                raise ScanFileError(f"{path}: the fact {key.strip()} is no JSON: {value.strip()}") from e
     if facts.pop("format", None) != FORMAT:
         raise ScanFileError(f"{path} is no path file of this version; expected the format {FORMAT}")
-    names = lines[first].split(",") if first < len(lines) else []
-    missing = [c for c in COLUMNS if c not in names]
+    _check_facts(path, facts)
+    missing = [c for c in COLUMNS if c not in text]
     if missing:
         raise ScanFileError(f"{path} lacks the columns {', '.join(missing)}")
     try:
-        rows = np.array([[float(v) for v in line.split(",")] for line in lines[first + 1 :] if line])
+        at = {name: np.array([float(v) for v in text[name]]) for name in COLUMNS}
+        flags, passes = at["flags"].astype(np.uint32), at["pass"].astype(np.int32)
     except ValueError as e:
         raise ScanFileError(f"{path} has a row that is not numbers: {e}") from e
-    if rows.ndim != 2 or rows.shape[1] != len(names) or len(rows) == 0:
-        raise ScanFileError(f"{path} needs at least one row, each of {len(names)} numbers")
-    at = {name: rows[:, names.index(name)] for name in COLUMNS}
+    if len(at["t_s"]) == 0:
+        raise ScanFileError(f"{path} has no row; expected at least one")
+    if not (np.isfinite(at["flags"]) & np.isfinite(at["pass"])).all():
+        raise ScanFileError(f"{path} has a pass or flags that are no whole numbers")
     return ScanPath(
         at["t_s"],
         np.column_stack([at["x_m"], at["y_m"], at["z_m"]]),
@@ -103,7 +131,7 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
         at["azimuth_rad"],
         at["clearance_m"],
         at["lift_m"],
-        at["flags"].astype(np.uint32),
-        at["pass"].astype(np.int32),
+        flags,
+        passes,
         facts,
     )

@@ -18,9 +18,11 @@ from surffollow.scan.envelope import Envelope, envelope_of
 from surffollow.scan.following import advanced_terrain_following, reactionary, sample_terrain
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.limits import WorkSpace, WristLimits
-from surffollow.scan.path import OUT_OF_REACH, ScanPath, flag_counts
+from surffollow.scan.path import OUT_OF_REACH, STOP, ScanPath, flag_counts
 from surffollow.scan.schemes import arcs, lanes
 from surffollow.scan.serpentine import outline
+from surffollow.scan.shaped_motion import SAMPLES_PER_PERIOD, limited_climb, shaped_planar
+from surffollow.scan.shaping import Shaper
 from surffollow.scan.timing import MotionLimits, timed
 
 SCHEMES = ("lanes", "arcs")
@@ -46,6 +48,7 @@ class PlanSettings:
     step_m : float [m]                  between samples; None: the larger of one cell and 5 mm
     span_m : float [m]                  slopes are taken over ± this; None: half the body's radius
     work_space : WorkSpace              reach of the arm; None: not looked at
+    shaper : Shaper                     of the planar motion (x, y; arcs: radius and azimuth); None: none
     """
 
     region: ArrayLike
@@ -61,6 +64,7 @@ class PlanSettings:
     step_m: float | None = None
     span_m: float | None = None
     work_space: WorkSpace | None = None
+    shaper: Shaper | None = None
 
 
 def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
@@ -92,19 +96,29 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
         raise ScanInputError(
             f"gap_m {gap:g} m is larger than the region ({sides[0]:g} × {sides[1]:g} m); is the unit metres?"
         )
-    local = _around(ground, corners, gap + radius + 1.5 * swath)
+    local = _around(ground, corners, gap + radius + 1.5 * swath + _run_up_m(settings))
     envelope = envelope_of(local, gap)
     step = settings.step_m if settings.step_m is not None else max(ground.grid_m, 0.005)
-    path = _scheme(settings, swath, step)
     base = settings.base_m
     span = settings.span_m if settings.span_m is not None else max(ground.grid_m, 0.5 * radius)
-    path = sample_terrain(path, envelope, span_m=span)
-    path = _followed(path, body, envelope, settings)
-    path = clear_ground(path, body, local, gap)
+
+    def laid(planar: ScanPath) -> ScanPath:
+        made = sample_terrain(planar, envelope, span_m=span)
+        return clear_ground(_followed(made, body, envelope, settings), body, local, gap)
+
+    path = timed(laid(_scheme(settings, swath, step)), settings.motion)
+    shaper = settings.shaper
+    if shaper is not None:
+        rate = max(settings.motion.speed_mps / step, SAMPLES_PER_PERIOD * shaper.highest_hz)
+        centre = path.facts["base_m"] if settings.scheme == "arcs" else None
+        planar = shaped_planar(path, shaper, rate, base_m=centre)
+        path = limited_climb(laid(planar).changed(t_s=planar.t_s), settings.motion.vertical_mps)
+        path = clear_ground(path, body, local, gap)
+        ends = np.isin(np.arange(len(path)), (0, len(path) - 1))
+        path = path.with_flag(STOP, ends)
     if settings.work_space is not None:
         base = settings.work_space.base_m if base is None else base
         path = path.with_flag(OUT_OF_REACH, ~settings.work_space.reachable(path.position_m, path.normal))
-    path = timed(path, settings.motion)
     facts = path.facts | {
         "gap_m": gap,
         "grid_m": ground.grid_m,
@@ -117,6 +131,9 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
         "lateral_mps2": settings.motion.lateral_mps2,
         "vertical_mps": settings.motion.vertical_mps,
     }
+    if shaper is not None:
+        facts["shaper_s"] = shaper.times_s.tolist()
+        facts["shaper_amplitudes"] = shaper.amplitudes.tolist()
     if base is not None:
         facts["base_m"] = [float(v) for v in base]
     return path.changed(facts=facts)
@@ -134,7 +151,8 @@ def _around(ground: TerrainGrid, corners: Floats, margin_m: float) -> TerrainGri
 
 def _scheme(settings: PlanSettings, swath: float, step: float) -> ScanPath:
     if settings.scheme == "lanes":
-        path = lanes(settings.region, swath, step_m=step, angle_rad=settings.angle_rad)
+        angle, way = settings.angle_rad, _run_up_m(settings)
+        path = lanes(settings.region, swath, step_m=step, angle_rad=angle, run_up_m=way)
         if settings.work_space is not None:
             tip = np.nan_to_num(path.position_m)
             return path.changed(azimuth_rad=settings.work_space.azimuth_rad(tip))
@@ -146,7 +164,12 @@ def _scheme(settings: PlanSettings, swath: float, step: float) -> ScanPath:
         base = settings.work_space.base_m
     if base is None:
         raise ScanInputError("arcs need the place of the arm's base joint; give base_m")
-    return arcs(settings.region, swath, step_m=step, base_m=base)
+    return arcs(settings.region, swath, step_m=step, base_m=base, run_up_m=_run_up_m(settings))
+
+
+def _run_up_m(settings: PlanSettings) -> float:
+    """Way before a pass on which a shaped turn comes to its end."""
+    return 0.0 if settings.shaper is None else settings.motion.speed_mps * settings.shaper.duration_s
 
 
 def _followed(path: ScanPath, body: Floats, envelope: Envelope, settings: PlanSettings) -> ScanPath:

@@ -6,19 +6,25 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from surffollow.errors import ScanInputError
 from surffollow.scan.checks import Floats, finite, positive
 from surffollow.scan.path import ScanPath
-from surffollow.scan.serpentine import dense_outline, joined, outline, strips
+from surffollow.scan.serpentine import Stretch, dense_outline, joined, outline, strips
 
 MOST_SAMPLES = 5_000_000
 STEPS_PER_SWATH = 64  # of the region's outline
 
 
 def lanes(
-    region: ArrayLike, swath_m: float, *, step_m: float, angle_rad: float = 0.0, flip: bool = False
+    region: ArrayLike,
+    swath_m: float,
+    *,
+    step_m: float,
+    angle_rad: float = 0.0,
+    flip: bool = False,
+    run_up_m: float = 0.0,
 ) -> ScanPath:
     """Parallel straight passes over a region, to and fro, without a stop between them.
 
@@ -29,6 +35,7 @@ def lanes(
     step_m : float [m]         between samples
     angle_rad : float          direction of the passes from x
     flip : bool                begin at the far end of the first pass
+    run_up_m : float [m]       straight way before and after each pass, not part of it
 
     Returns
     -------
@@ -50,19 +57,25 @@ def lanes(
     b, width = strips(float(ab[:, 1].min()), float(ab[:, 1].max()), swath)
     _not_too_many(len(b) * float(np.ptp(ab[:, 0])) / step)
     spans = _spans(dense_outline(ab, swath / STEPS_PER_SWATH), b, width, swath / STEPS_PER_SWATH)
-    samples, passes = joined(b, spans, lambda _: 1.0, step, first_backwards=flip)
+    samples, passes = _run(b, spans, lambda _: 1.0, step, flip, run_up_m)
     xy = samples @ np.array([[c, s], [-s, c]])
     return ScanPath.planar(xy, passes, facts={"scheme": "lanes", "angle_rad": angle, "swath_m": swath})
 
 
 def arcs(
-    region: ArrayLike, swath_m: float, *, step_m: float, base_m: Sequence[float], flip: bool = False
+    region: ArrayLike,
+    swath_m: float,
+    *,
+    step_m: float,
+    base_m: Sequence[float],
+    flip: bool = False,
+    run_up_m: float = 0.0,
 ) -> ScanPath:
     """Passes on circles about an arm's base joint: its azimuth alone moves along a pass.
 
     Parameters
     ----------
-    region, swath_m, step_m, flip : as `lanes`
+    region, swath_m, step_m, flip, run_up_m : as `lanes`
     base_m : (x, y, …) float [m]      base joint in the ground frame, outside the region
 
     Returns
@@ -97,12 +110,30 @@ def arcs(
     _not_too_many(len(radii) * float(np.ptp(phi)) * float(rho.max()) / step)
     spans = _spans(np.column_stack([phi, rho]), radii, width, fine)
     spans += np.array([-1.0, 1.0]) * fine / np.maximum(radii - width, 0.5 * width)[:, None]
-    samples, passes = joined(radii, spans, lambda r: r, step, first_backwards=flip)
+    samples, passes = _run(radii, spans, lambda r: r, step, flip, run_up_m)
     azimuth = samples[:, 0] + centre
     xy = base + samples[:, 1:] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
     azimuth = (azimuth + math.pi) % (2 * math.pi) - math.pi
     facts = {"scheme": "arcs", "base_m": [float(v) for v in base], "swath_m": swath}
     return ScanPath.planar(xy, passes, azimuth_rad=azimuth, facts=facts)
+
+
+def _run(
+    b: Floats, spans: Floats, stretch: Stretch, step: float, flip: bool, run_up_m: float
+) -> tuple[Floats, NDArray[np.int32]]:
+    """Passes with their ways before and after, which are no part of them."""
+    way = finite("run_up_m", run_up_m) / np.array([stretch(float(v)) for v in b])
+    samples, passes = joined(
+        b, spans + way[:, None] * np.array([-1.0, 1.0]), stretch, step, first_backwards=flip
+    )
+    on = np.maximum(passes, 0)
+    outside = (samples[:, 0] < spans[on, 0] - 1e-12) | (samples[:, 0] > spans[on, 1] + 1e-12)
+    # one sample beyond each end belongs to the pass, which so reaches over all of it
+    beyond = outside.copy()
+    beyond[1:] &= outside[:-1]
+    after = outside.copy()
+    after[:-1] &= outside[1:]
+    return samples, np.where(beyond & after if run_up_m > 0.0 else False, -1, passes).astype(np.int32)
 
 
 def _spans(edge: Floats, middles: Floats, width: float, slack: float) -> Floats:

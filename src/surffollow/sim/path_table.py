@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import UsageError
+from surffollow.sim.column_file import read_columns
 
 NEEDED = ("x_m", "y_m")
 ATTITUDE = ("qx", "qy", "qz", "qw")
@@ -124,22 +124,15 @@ def _read_npz(file: str) -> dict[str, NDArray[np.float64]]:
 
 def _read_csv(file: str) -> dict[str, NDArray[np.float64]]:
     try:
-        with open(file, newline="", encoding="utf-8-sig") as stream:
-            rows = [r for r in csv.reader(stream) if r and not r[0].lstrip().startswith("#")]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        _, text = read_columns(file)
+    except (OSError, ValueError) as error:
         raise UsageError(f"cannot read the path '{file}': {error}") from None
-    if not rows:
+    if not text:
         raise UsageError(f"path '{file}' is empty; a header line and two or more corners are needed")
-    names = [n.strip() for n in rows[0]]
-    columns: dict[str, NDArray[np.float64]] = {}
-    for k, name in enumerate(names):
-        values = []
-        for number, row in enumerate(rows[1:], 1):
-            if len(row) != len(names):
-                raise UsageError(f"path '{file}', corner {number}: {len(row)} values, {len(names)} columns")
-            values.append(_number(file, number, name, row[k].strip()))
-        columns[name] = np.array(values, np.float64)
-    return columns
+    return {
+        name: np.array([_number(file, k, name, v) for k, v in enumerate(values, 1)], np.float64)
+        for name, values in text.items()
+    }
 
 
 def _number(file: str, number: int, name: str, text: str) -> float:

@@ -7,7 +7,6 @@ and noisy pose reports, and gives it demands. `robot_run` does that against the 
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from surffollow.errors import ConfigError
 from surffollow.shm.dtypes import zeros
 from surffollow.sim.plant import PlantConfig, set_point_for
+from surffollow.sim.pose_reports import PoseReports
 from surffollow.sim.raster import FILES, KINDS, Path, file_path, line_path, raster_path
 from surffollow.sim.robot_motion import CREEP_MPS, STEP_NS, TRACE_COLUMNS, Motion, run_until
 from surffollow.sim.robot_turn import turned
@@ -25,7 +25,6 @@ from surffollow.sim.surfaces import HeightField, Region
 from surffollow.sim.world import WorldPose
 from surffollow.sim.world_surface import WorldConfig
 
-REPORTS_KEPT = 256
 TRACE_ROWS = 1_000_000
 APPROACH_M = 0.010  # the tool starts that much above the wanted stand-off
 SETTLED_M, SETTLED_RAD = 1.5e-3, 0.02
@@ -146,9 +145,8 @@ class RobotCore:
         self._rolling = field.rolling_mask().astype(np.uint8)
         self.world = zeros(WorldPose)
         self._rng = np.random.default_rng(config.seed)
-        self._waiting: deque[tuple[int, NDArray[np.float64]]] = deque()
-        self._sent: dict[int, NDArray[np.float64]] = {}
-        self._newest = np.array([x, y, m["set_point_m"][0], 0.0, 0.0, 0.0, 1.0])
+        first = np.array([x, y, m["set_point_m"][0], 0.0, 0.0, 0.0, 1.0])
+        self._reports = PoseReports(config.report_latency_s, first)
         self.holding = True
         self._settled = 0
         self.started_ns = 0
@@ -221,19 +219,11 @@ class RobotCore:
         if self._turns:
             x, y, z = self._rng.normal(0.0, 1.0, 3) * self.config.report_turn_sigma_rad
             turned(m["attitude"], x, y, z, pose[3:])
-        self._waiting.append((self.t_ns, pose))
+        self._reports.measure(self.t_ns, pose)
 
     def reports(self) -> list[tuple[int, NDArray[np.float64]]]:
         """Take the reports that are due: (when it was true [ns], pose (7,)), oldest first."""
-        due_ns = self.t_ns - round(self.config.report_latency_s * 1e9)
-        out = []
-        while self._waiting and self._waiting[0][0] <= due_ns:
-            t_ns, pose = self._waiting.popleft()
-            self._newest = self._sent[t_ns] = pose
-            out.append((t_ns, pose))
-        while len(self._sent) > REPORTS_KEPT:
-            del self._sent[next(iter(self._sent))]
-        return out
+        return self._reports.due(self.t_ns)
 
     def command(self, demand_m: float, pose_t_ns: int, turn_rad: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         """Heed a demand: it is added to the report that it refers to, never to a newer one.
@@ -246,11 +236,11 @@ class RobotCore:
         """
         self._heard_ns = self.t_ns
         x, y, z = turn_rad
-        if pose_t_ns not in self._sent or not math.isfinite(demand_m + x + y + z):
+        if pose_t_ns not in self._reports.sent or not math.isfinite(demand_m + x + y + z):
             self.hold()
             return
         self.holding = False
-        report = self._sent[pose_t_ns]
+        report = self._reports.sent[pose_t_ns]
         self.motion["set_point_m"] = set_point_for(float(report[2]), demand_m)
         settled = abs(demand_m) < SETTLED_M
         if self.config.turn:
@@ -287,8 +277,8 @@ class RobotCore:
         self._heard_ns = self.t_ns
         if not self.holding:
             self.holding = True
-            self.motion["set_point_m"] = self._newest[2] + self.config.retract_m
-            self.motion["attitude_set"] = self._newest[3:]
+            self.motion["set_point_m"] = self._reports.newest[2] + self.config.retract_m
+            self.motion["attitude_set"] = self._reports.newest[3:]
         self._settled = 0
         self.motion["moving"] = 0
 
