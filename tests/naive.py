@@ -359,11 +359,8 @@ class NaiveFollower:
             previous = fresh
         if fresh:
             self.reading = fresh
-            if len(self.poses) > 1:
-                x, y = (a - b for a, b in zip(place, self.poses[-2][1][:2], strict=True))
-                way = math.sqrt(x * x + y * y)
-                if way > 0.0:
-                    self.heading = (x / way, y / way)
+            before = self.poses[-2][1] if len(self.poses) > 1 else place
+            self.heading = (place[0] - before[0], place[1] - before[1])
         if previous is None:
             return 0.0, 0.0
         since_ns, distance, z, x, y = previous
@@ -373,7 +370,9 @@ class NaiveFollower:
         if not fresh:
             # no farther than the poses tell, and an interval
             stamp, tool = self.poses[-1]
-            along = (tool[0] - x) * self.heading[0] + (tool[1] - y) * self.heading[1]
+            u, v = self.heading
+            way = math.sqrt(u * u + v * v)
+            along = ((tool[0] - x) * u + (tool[1] - y) * v) / way if way > 0.0 else 0.0
             most = along + self.speed * ((t_ns - stamp) * 1e-9) + self.params["interval_size_m"]
             if self.speed * since > most:
                 return self.slope * most, error

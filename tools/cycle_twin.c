@@ -281,7 +281,9 @@ static int64_t demand_z(const Params *p, FollowState *st, const Inputs *in, Outp
     double since = (double)(in->t_ns - s->reading_t_ns) * 1e-9;
     delta_h = s->slope * s->speed_mps * since;
     if (!fresh) {
-      double along = (tool[0] - s->reading_x_m) * s->heading_x + (tool[1] - s->reading_y_m) * s->heading_y;
+      double dx = tool[0] - s->reading_x_m, dy = tool[1] - s->reading_y_m;
+      double ux = s->reading_x_m - s->before_x_m, uy = s->reading_y_m - s->before_y_m;
+      double way = sqrt(ux * ux + uy * uy), along = way > 0.0 ? (dx * ux + dy * uy) / way : 0.0;
       int64_t pose_t = sense->pose_t_ns[(sense->pose_count - 1) & (POSES - 1)];
       double most = along + s->speed_mps * ((double)(in->t_ns - pose_t) * 1e-9) + p->interval_size_m;
       if (s->speed_mps * since > most) delta_h = s->slope * most;
@@ -294,14 +296,9 @@ static int64_t demand_z(const Params *p, FollowState *st, const Inputs *in, Outp
     s->reading_z_m = sensor_z;
     s->reading_x_m = tool[0];
     s->reading_y_m = tool[1];
-    if (sense->pose_count > 1) {
-      const double *before = sense->pose + ((sense->pose_count - 2) & (POSES - 1)) * 7;
-      double dx = tool[0] - before[0], dy = tool[1] - before[1], way = sqrt(dx * dx + dy * dy);
-      if (way > 0.0) {
-        s->heading_x = dx / way;
-        s->heading_y = dy / way;
-      }
-    }
+    const double *before = sense->pose_count > 1 ? sense->pose + ((sense->pose_count - 2) & (POSES - 1)) * 7 : tool;
+    s->before_x_m = before[0];
+    s->before_y_m = before[1];
   }
   out->delta_h_m = delta_h;
   out->error_m = error;

@@ -211,6 +211,7 @@ def test_a_new_holder_of_a_slot_begins_anew_and_every_request_is_answered(
 
 def test_it_follows_a_killed_service_to_its_next_start(foreign: Foreign, service: Service) -> None:
     before = foreign.until_valid()
+    assert foreign("request", "SF_RESET", {"offset_m": 0.09}) == ["OK", 0]
     service.kill()
     silent = until(lambda: "STALE" in (d := foreign("demand"))["status"] and d, "a stale demand")
     assert (silent["valid"], silent["demand"]) == (False, [0.0] * 6)
@@ -221,7 +222,10 @@ def test_it_follows_a_killed_service_to_its_next_start(foreign: Foreign, service
     assert fresh["epoch"] > before["epoch"]
     foreign("attach")
     assert foreign("request", "CLAIM_POSE", {}) == ["OK", 0]
+    stopped = until(lambda: "STOPPED" in (d := foreign("demand"))["status"] and d, "the stop of a restart")
+    assert (stopped["valid"], stopped["demand"]) == (False, [0.0] * 6)
     assert foreign("request", "SF_RESET", {"offset_m": 0.1}) == ["OK", 0]
+    until(lambda: foreign("request", "STOP_RESET", {}) == ["OK", 0], "the reset")
     assert foreign.until_valid()["epoch"] == fresh["epoch"]
 
 

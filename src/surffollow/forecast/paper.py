@@ -98,16 +98,12 @@ def paper_update(params: Any, paper: Any, sense: Any) -> None:
 
 @jit_inlined
 def note_place(paper: Any, sense: Any) -> None:
-    """Where the newest pose is when a reading counts, and where it was heading from the one before."""
-    slot = 7 * ((sense.pose_count - 1) & (POSES - 1))
+    """Where the newest pose is when a reading counts, and the one before: they tell the heading."""
+    slot, before = 7 * ((sense.pose_count - 1) & (POSES - 1)), 7 * ((sense.pose_count - 2) & (POSES - 1))
     paper.reading_x_m, paper.reading_y_m = sense.pose[slot], sense.pose[slot + 1]
-    if sense.pose_count < 2:
-        return
-    before = 7 * ((sense.pose_count - 2) & (POSES - 1))
-    dx, dy = paper.reading_x_m - sense.pose[before], paper.reading_y_m - sense.pose[before + 1]
-    way_m = (dx * dx + dy * dy) ** 0.5
-    if way_m > 0.0:
-        paper.heading_x, paper.heading_y = dx / way_m, dy / way_m
+    paper.before_x_m, paper.before_y_m = paper.reading_x_m, paper.reading_y_m
+    if sense.pose_count > 1:
+        paper.before_x_m, paper.before_y_m = sense.pose[before], sense.pose[before + 1]
 
 
 @jit_inlined
@@ -118,7 +114,9 @@ def way_told(params: Any, paper: Any, sense: Any, t_ns: Any) -> Any:
     """
     slot = (sense.pose_count - 1) & (POSES - 1)
     dx, dy = sense.pose[7 * slot] - paper.reading_x_m, sense.pose[7 * slot + 1] - paper.reading_y_m
-    along_m = dx * paper.heading_x + dy * paper.heading_y
+    ux, uy = paper.reading_x_m - paper.before_x_m, paper.reading_y_m - paper.before_y_m
+    way_m = (ux * ux + uy * uy) ** 0.5
+    along_m = (dx * ux + dy * uy) / way_m if way_m > 0.0 else 0.0
     return along_m + paper.speed_mps * ((t_ns - sense.pose_t_ns[slot]) * 1e-9) + params.interval_size_m
 
 
