@@ -91,7 +91,7 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Arbiter
         config = msgspec.convert(data, ArbiterConfig)
         _check(config)
     except (msgspec.ValidationError, ConfigError, NameError_) as e:
-        raise ConfigError(f"{source}: {e}; see docs/arbiter.md") from None
+        raise ConfigError(f"{source}: {e}; see docs/reference/arbiter.md") from None
     return config
 
 

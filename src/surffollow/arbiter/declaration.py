@@ -42,7 +42,7 @@ class Declaration:
     ----------
     resource : str      its name; absent: the class's, `PanCamera` → `pan-camera`
     status : str        block that its controller publishes
-    policy, equal, ttl, safe_period, grace : as in TOML (docs/arbiter.md)
+    policy, equal, ttl, safe_period, grace : as in TOML (docs/reference/arbiter.md)
     """
 
     resource: ClassVar[str] = ""

@@ -1,7 +1,7 @@
 """One attached block: the paper's read and write routines, and the wait-free `latest`.
 
 Who waits for whom is settled by kernel locks on bytes of the object (`locks`); what is
-read is kept whole by the latch's slots, whatever the locks do. Steps (docs/blocks.md):
+read is kept whole by the latch's slots, whatever the locks do. Steps (docs/reference/blocks.md):
 
 A1 a reader enters unless the writer waits: shared lock on byte FENCE_BASE + fence;
 A2 the writer says that it waits, which closes the door to further readers (the turnstile);

@@ -1,4 +1,4 @@
-"""Push ranges of an own sensor into the slot, for a service with an external driver (docs/protocol.md)."""
+"""Push ranges of an own sensor into the slot, for an external driver (docs/reference/protocol.md)."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Service
     try:
         config = msgspec.convert(data, ServiceConfig)
     except msgspec.ValidationError as e:
-        raise ConfigError(f"{source}: {e}; see `surffollow start --help` and docs/configuration.md") from None
+        raise ConfigError(f"{source}: {e}; see docs/reference/configuration.md") from None
     try:
         _check(config)
     except ConfigError as e:

@@ -1,6 +1,6 @@
 """UpLoadMap's text file: header and every grid, lossless, for readers without our code.
 
-The grammar is in docs/map-file-format.md. NumPy only: the client library uploads with this.
+The grammar is in docs/reference/map-file-format.md. NumPy only: the client library uploads with this.
 """
 
 from __future__ import annotations

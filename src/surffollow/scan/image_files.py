@@ -1,4 +1,4 @@
-"""Read depth images and their cameras: NPZ or TIFF images, a TOML table of cameras (`docs/scan.md`)."""
+"""Read depth images (NPZ, TIFF) and a TOML table of their cameras (`docs/reference/scan-files.md`)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Lay out the map object `NAME.map`: one header page, the grid pairs, the scratch of a refocus.
 
 The object outlives the service. Only the service's map thread writes it; everyone else maps it
-read-only. Numbers here are the memory format; what they mean is in docs/map.md.
+read-only. Numbers here are the memory format; what they mean is in docs/explanation/maps.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Wall poses from sonar readings: the calls for programs (docs/sonar.md).
+"""Wall poses from sonar readings: the calls for programs (docs/explanation/wall-pose.md).
 
 Angles are in radians, lengths in metres, everything in the frame that the sonars' positions are given in.
 A range of inf means no echo, NaN means not measured.
@@ -166,7 +166,7 @@ def wall_pose(
 
     Notes
     -----
-    Dekhil and Henderson, section 1 (two readings of one wall); closed forms in docs/sonar.md.
+    Dekhil and Henderson, section 1 (two readings of one wall); closed forms in docs/explanation/wall-pose.md.
     """
     ring = _checked(
         positions_m, headings_rad, ranges_m, half_beam_rad, model, max_incidence_rad, sigma_m, max_range_m
@@ -249,7 +249,7 @@ def walls(
     All pairs are scored by inliers − 3·contradictions over all readings. The best one is refined with its
     inliers, its readings are set aside, and the next is looked for. Diffuse walls share out the readings once
     two are known. A wall with fewer than four echoes can be missed, or lie several of its standard deviations
-    away: its posterior is not Gaussian (docs/sonar.md).
+    away: its posterior is not Gaussian (docs/explanation/wall-pose.md).
 
     Parameters
     ----------
