@@ -59,7 +59,8 @@ def unit_scale(unit: str, si_unit: str) -> float:
 
     Raises
     ------
-    UsageError  when either is unknown or their dimensions differ
+    UsageError
+        when either is unknown or their dimensions differ
     """
     for u in (unit, si_unit):
         if u not in _UNITS:
@@ -78,12 +79,21 @@ def parse_quantity(value: object, unit: str) -> float:
 
     Parameters
     ----------
-    value : str, int or float     "0.1 in", "7 ms", 0.1 (already in `unit`)
-    unit : str                    what the result is in, e.g. "m", "ns"
+    value : str, int or float
+        "0.1 in", "7 ms", 0.1 (already in `unit`)
+    unit : str
+        what the result is in, e.g. "m", "ns"
 
     Raises
     ------
-    UsageError  not a number, not finite, unknown unit, wrong dimension
+    UsageError
+        not a number, not finite, unknown unit, wrong dimension
+
+    Examples
+    --------
+    >>> from surffollow.units import parse_quantity
+    >>> parse_quantity("0.1 in", "m"), parse_quantity(7, "ns")
+    (0.00254, 7.0)
     """
     if isinstance(value, bool) or not isinstance(value, (str, int, float)):
         raise UsageError(f"{value!r} is no quantity; write a number or text like '5 {unit}'")

@@ -66,3 +66,12 @@ def test_the_index_names_every_page():
     for page in (ROOT / "docs").glob("**/*.md"):
         name = page.relative_to(ROOT / "docs").as_posix()
         assert name == "index.md" or f"({name})" in index, name
+
+
+def test_every_public_part_has_a_page_of_its_docstrings():
+    import surffollow
+
+    folder = ROOT / "docs" / "reference" / "python"
+    pages = " ".join(p.read_text() for p in folder.glob("*.md"))
+    for part in ("", *(f".{name}" for name in (*surffollow._LIGHT, *surffollow._HEAVY))):
+        assert f"<!-- api: surffollow{part} -->" in pages, part

@@ -29,9 +29,12 @@ class ArbiterClient(ArbiterObserver):
 
     Attributes
     ----------
-    client : str       its name in the configuration
-    number : int       as in the history
-    owner : int        user of the server's process, as the kernel told it
+    client : str
+        its name in the configuration
+    number : int
+        as in the history
+    owner : int
+        user of the server's process, as the kernel told it
     """
 
     def __init__(self, name: str, client: str, met: Welcomed) -> None:
@@ -110,18 +113,26 @@ def attach(
 
     Parameters
     ----------
-    name : str           of the arbiter
-    client : str         its priority is the configuration's
-    timeout_s : float    how long to wait for a server that has not started
-    owner : int or str   number or name of the user whose server to trust; None: this process's own, root's,
-                         or that of the user that SURFFOLLOW_OWNER names
+    name : str
+        of the arbiter
+    client : str
+        its priority is the configuration's
+    timeout_s : float
+        how long to wait for a server that has not started
+    owner : int or str
+        number or name of the user whose server to trust; None: this process's own, root's,
+        or that of the user that SURFFOLLOW_OWNER names
 
     Raises
     ------
-    NotRunningError    no server in that time
-    NoPermissionError  a process of another user bears the arbiter's name
-    RefusedError       unknown or taken name, no free slot, not a user who may
-    ConfigError        there is no user of that name
+    NotRunningError
+        no server in that time
+    NoPermissionError
+        a process of another user bears the arbiter's name
+    RefusedError
+        unknown or taken name, no free slot, not a user who may
+    ConfigError
+        there is no user of that name
     """
     check_name(f"{name}.arbiter")
     check_name(client)

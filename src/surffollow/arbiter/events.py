@@ -20,14 +20,21 @@ class HistoryEvent(NamedTuple):
 
     Attributes
     ----------
-    seq : int       number of the record; a gap means that records were overwritten before they were read
-    t_ns : int      when, CLOCK_MONOTONIC [ns]
-    client : int    number of the client, never used twice; 0: none
-    resource : str  "" for none
+    seq : int
+        number of the record; a gap means that records were overwritten before they were read
+    t_ns : int
+        when, CLOCK_MONOTONIC [ns]
+    client : int
+        number of the client, never used twice; 0: none
+    resource : str
+        "" for none
     token : int
-    event : str     GRANT, REVOKE, FORWARD, SAFE, … (`layout.EVENT_NAMES`)
-    reason : str    what led to it: REQUEST, GONE, LATE, …
-    item : int      sequence number of the client's message, 0: none
+    event : str
+        GRANT, REVOKE, FORWARD, SAFE, … (`layout.EVENT_NAMES`)
+    reason : str
+        what led to it: REQUEST, GONE, LATE, …
+    item : int
+        sequence number of the client's message, 0: none
     command : tuple of 8 floats
     """
 
@@ -47,7 +54,8 @@ class History:
 
     Attributes
     ----------
-    lost : int   records that were overwritten before they were read
+    lost : int
+        records that were overwritten before they were read
     """
 
     def __init__(

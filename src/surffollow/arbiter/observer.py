@@ -77,7 +77,8 @@ class BoardReader:
 
         Raises
         ------
-        UsageError  none is called so
+        UsageError
+            none is called so
         """
         if resource not in self.names:
             raise UsageError(
@@ -192,9 +193,11 @@ def observe(name: str = "cell", *, owner: int | str | None = None) -> ArbiterObs
 
     Parameters
     ----------
-    name : str           of the arbiter
-    owner : int or str   number or name of the user whose board to trust; None: this process's own, root's,
-                         or that of the user that SURFFOLLOW_OWNER names
+    name : str
+        of the arbiter
+    owner : int or str
+        number or name of the user whose board to trust; None: this process's own, root's,
+        or that of the user that SURFFOLLOW_OWNER names
 
     Raises
     ------

@@ -42,8 +42,10 @@ class AttachedBlock(ReadSide):
 
     Attributes
     ----------
-    barred : bool          somebody locks bytes of the block against the rules: the writer waits for no reader
-    hook_failures : int    calls of `on_write_done` hooks that failed
+    barred : bool
+        somebody locks bytes of the block against the rules: the writer waits for no reader
+    hook_failures : int
+        calls of `on_write_done` hooks that failed
     """
 
     def __init__(
@@ -60,13 +62,17 @@ class AttachedBlock(ReadSide):
 
         Returns
         -------
-        Record   a slot that holds the newest values, to be changed; published by `write_done`
+        Record
+            a slot that holds the newest values, to be changed; published by `write_done`
 
         Raises
         ------
-        BlockTimeoutError   readers did not finish in time (and the lease is longer than that)
-        BusyError           this handle has a read or write under way
-        BlockError          this process is not the block's writer
+        BlockTimeoutError
+            readers did not finish in time (and the lease is longer than that)
+        BusyError
+            this handle has a read or write under way
+        BlockError
+            this process is not the block's writer
         """
         lock = self._writer_lock()
         if self._view is not None:
@@ -203,7 +209,8 @@ class AttachedBlock(ReadSide):
 
         Returns
         -------
-        callable   takes the hook off again
+        callable
+            takes the hook off again
         """
         self._hooks.append(hook)
         return lambda: self._hooks.remove(hook) if hook in self._hooks else None

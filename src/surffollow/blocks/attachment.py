@@ -31,11 +31,14 @@ class Attachment:
 
     Attributes
     ----------
-    name : str             of the block
-    object_name : str      of the shared-memory object
+    name : str
+        of the block
+    object_name : str
+        of the shared-memory object
     schema : type[Schema]
     is_writer : bool
-    refusal : str          why what bears the name now is not read; empty: it is, or nothing bears the name
+    refusal : str
+        why what bears the name now is not read; empty: it is, or nothing bears the name
     """
 
     def __init__(

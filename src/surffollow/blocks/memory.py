@@ -77,22 +77,43 @@ def mem_attach(
     ----------
     blocks : a schema, several, or {block name: schema}
         without a name, a block is called after its class: `StateVector` → `state_vector`
-    name : str            of the memory; its objects are NAME.BLOCK
+    name : str
+        of the memory; its objects are NAME.BLOCK
     write : bool or names or schemas
         which of them this process writes (True: all); absent ones are made, dead writers' ones taken over
-    timeout_s : float     how long to wait for blocks whose writers have not started
-    lazy : bool           do not wait for them: they attach when they appear
-    mode, group           of blocks written here: who may read them
-    lease_s : float       of blocks written here: how long a reader may hold up a waiting writer
-    owner : int or str    of blocks read here: number or name of the user whose they must be; None: this
-        process's own, root, or the user that SURFFOLLOW_OWNER names. Another one's is refused then and later
+    timeout_s : float
+        how long to wait for blocks whose writers have not started
+    lazy : bool
+        do not wait for them: they attach when they appear
+    mode, group
+        of blocks written here: who may read them
+    lease_s : float
+        of blocks written here: how long a reader may hold up a waiting writer
+    owner : int or str
+        of blocks read here: number or name of the user whose they must be; None: this process's own, root,
+        or the user that SURFFOLLOW_OWNER names. Another one's is refused then and later
 
     Raises
     ------
-    BusyError             another live process writes such a block; its pid is named
-    LayoutMismatchError   a block was declared otherwise
-    NotRunningError       a block did not appear in time
+    BusyError
+        another live process writes such a block; its pid is named
+    LayoutMismatchError
+        a block was declared otherwise
+    NotRunningError
+        a block did not appear in time
     NoSpaceError, NoPermissionError, NameError_, SchemaError
+
+    Examples
+    --------
+    >>> import os
+    >>> from surffollow.blocks import F64, Block, mem_attach
+    >>> class Axes(Block):
+    ...     speed = F64(unit="m/s")
+    >>> with mem_attach(Axes, f"example-{os.getpid()}", write=True) as mem:
+    ...     with mem.axes.write() as slot:
+    ...         slot.speed = 0.5
+    ...     mem.axes.latest()["speed"]
+    0.5
     """
     named = _named(blocks)
     writes = _chosen(write, named)

@@ -30,13 +30,17 @@ class ReadSide(Attachment):
 
         Returns
         -------
-        Record   a read-only view of the values, valid until `read_done`
-        int      its generation
+        Record
+            a read-only view of the values, valid until `read_done`
+        int
+            its generation
 
         Raises
         ------
-        BlockTimeoutError   in that time the writer did not finish, or did not start, or wrote nothing
-        BusyError           this handle has a read or write under way
+        BlockTimeoutError
+            in that time the writer did not finish, or did not start, or wrote nothing
+        BusyError
+            this handle has a read or write under way
         """
         if self._view is not None:
             raise BusyError(f"block {self.name!r}: a read or write is under way on this handle; end it first")
@@ -120,7 +124,8 @@ class ReadSide(Attachment):
 
         Returns
         -------
-        str   "ok", or "stale": the lease ran out meanwhile, the values may have changed under the reader
+        str
+            "ok", or "stale": the lease ran out meanwhile, the values may have changed under the reader
         """
         if self._view is None or self._writing:
             raise BlockError(f"block {self.name!r}: read_done without get_read_ok")
@@ -139,8 +144,10 @@ class ReadSide(Attachment):
 
         Raises
         ------
-        BlockTimeoutError   no turn in time
-        BlockError          at the end: the reader was fenced, what it read may be a mixture
+        BlockTimeoutError
+            no turn in time
+        BlockError
+            at the end: the reader was fenced, what it read may be a mixture
         """
         view, _ = self.get_read_ok(timeout_s)
         try:

@@ -18,7 +18,8 @@ def plan(schema: type[Schema]) -> dict[str, tuple[struct.Struct, Field]]:
 
     Raises
     ------
-    SchemaError  a field bears the name of one of `Record`'s own methods
+    SchemaError
+        a field bears the name of one of `Record`'s own methods
     """
     found = _PLANS.get(schema)
     if found is None:

@@ -17,10 +17,13 @@ class Snapshot:
 
     Attributes
     ----------
-    generation : int   number of the publication; 0: nothing was published yet, all values are zero
-    stale : bool       an older copy, because the newest could not be had: the writer was too fast for every
-                       try, or gave the block up, or has not published yet
-    data : bytes       slot head and payload
+    generation : int
+        number of the publication; 0: nothing was published yet, all values are zero
+    stale : bool
+        an older copy, because the newest could not be had: the writer was too fast for every
+        try, or gave the block up, or has not published yet
+    data : bytes
+        slot head and payload
     """
 
     __slots__ = ("data", "generation", "schema", "stale")

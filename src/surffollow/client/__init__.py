@@ -41,20 +41,30 @@ def attach(
 
     Parameters
     ----------
-    name : str             of the service
-    stale_periods : int    cycles of silence after which demands become zero
-    stale_min_s : float    but never sooner than this
-    label : str            how the service's status names this client
-    owner : int or str     number or name of the user whose service to trust; None: this process's own
+    name : str
+        of the service
+    stale_periods : int
+        cycles of silence after which demands become zero
+    stale_min_s : float
+        but never sooner than this
+    label : str
+        how the service's status names this client
+    owner : int or str
+        number or name of the user whose service to trust; None: this process's own
         user, root, or the one that SURFFOLLOW_OWNER names. Whose it is at first it must be ever after
 
     Raises
     ------
-    NameError_            (a ValueError) no name that a service can have
-    NotRunningError       no service of that name
-    NoPermissionError     not a member of the socket's group, or the service is another user's
-    LayoutMismatchError   the service is of another release
-    BusyError             all slots are taken, or as many as this user or process may have
+    NameError_
+        (a ValueError) no name that a service can have
+    NotRunningError
+        no service of that name
+    NoPermissionError
+        not a member of the socket's group, or the service is another user's
+    LayoutMismatchError
+        the service is of another release
+    BusyError
+        all slots are taken, or as many as this user or process may have
     """
     return Client(name, stale_periods=stale_periods, stale_min_s=stale_min_s, label=label, owner=owner)
 

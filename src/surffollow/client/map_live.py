@@ -39,8 +39,10 @@ class SurfacePoint(NamedTuple):
 
     Attributes
     ----------
-    height_m : float             between grid centres, NaN where unknown [m]
-    slope_x, slope_y : float     dz/dx and dz/dy over the neighbouring grids, NaN where unknown
+    height_m : float
+        between grid centres, NaN where unknown [m]
+    slope_x, slope_y : float
+        dz/dx and dz/dy over the neighbouring grids, NaN where unknown
     known : bool
     """
 
@@ -55,9 +57,12 @@ class MapChanges(NamedTuple):
 
     Attributes
     ----------
-    generation : int      of the grids' geometry; odd: being laid anew, come again
-    tiles : tuple         of (row, end row, column, end column): rectangles of grids that changed
-    counters : tuple      updates per tile, modulo 2^32, read before anything that is fetched now
+    generation : int
+        of the grids' geometry; odd: being laid anew, come again
+    tiles : tuple
+        of (row, end row, column, end column): rectangles of grids that changed
+    counters : tuple
+        updates per tile, modulo 2^32, read before anything that is fetched now
     """
 
     generation: int
@@ -141,8 +146,10 @@ class MapReading:
 
         Raises
         ------
-        NotRunningError    there is no map object of this name (any more)
-        NoPermissionError  it may not be read, or it belongs to another user than the board
+        NotRunningError
+            there is no map object of this name (any more)
+        NoPermissionError
+            it may not be read, or it belongs to another user than the board
         """
         return float(self._look(x_m, y_m, _mean, _NAN))
 
@@ -154,8 +161,10 @@ class MapReading:
 
         Raises
         ------
-        NotRunningError    there is no map object of this name (any more)
-        NoPermissionError  it may not be read, or it belongs to another user than the board
+        NotRunningError
+            there is no map object of this name (any more)
+        NoPermissionError
+            it may not be read, or it belongs to another user than the board
         """
         point: SurfacePoint = self._look(x_m, y_m, _point, _NOWHERE)
         return point
@@ -170,10 +179,14 @@ class MapReading:
 
         Raises
         ------
-        NotRunningError    there is no map object of this name (any more)
-        NoPermissionError  it may not be read, or it belongs to another user than the board
-        RefusedError       there is no map yet, or it is being laid anew
-        RegionError        not a region, or beside the map
+        NotRunningError
+            there is no map object of this name (any more)
+        NoPermissionError
+            it may not be read, or it belongs to another user than the board
+        RefusedError
+            there is no map yet, or it is being laid anew
+        RegionError
+            not a region, or beside the map
         """
         from surffollow.client.map_window import make_window
         from surffollow.client.requests import check_region
@@ -189,8 +202,10 @@ class MapReading:
 
         Raises
         ------
-        NotRunningError    there is no map object of this name (any more)
-        NoPermissionError  it may not be read, or it belongs to another user than the board
+        NotRunningError
+            there is no map object of this name (any more)
+        NoPermissionError
+            it may not be read, or it belongs to another user than the board
         """
         m = self._mapped()
         at = _GENERATION // 8

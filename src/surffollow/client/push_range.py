@@ -43,19 +43,26 @@ class RangePusher(Reclaimer):
 
         Parameters
         ----------
-        channel : int          of the driver, 0 to its `channels` - 1
-        t_ns : int             when the range was true, CLOCK_MONOTONIC [ns], newer than the channel's last;
-                               of a sensor that is late: when it was measured, or `latency_s` says how late
-        range_m : float        distance [m]; None, NaN or infinite: no reading, which counts as a loss
+        channel : int
+            of the driver, 0 to its `channels` - 1
+        t_ns : int
+            when the range was true, CLOCK_MONOTONIC [ns], newer than the channel's last;
+            of a sensor that is late: when it was measured, or `latency_s` says how late
+        range_m : float
+            distance [m]; None, NaN or infinite: no reading, which counts as a loss
 
         Raises
         ------
-        ReadingError      (a ValueError) no channel, no number, a time that is not newer, more than 1 ms
-                          ahead or more than 1 s ago
-        BusyError         another live client pushes this channel; its process is named
-        RefusedError      the service's driver takes no pushed ranges on this channel
-        NotRunningError   the service ended, or the channel is being claimed anew of one that was started
-                          again: call again, ranges go on a few calls later
+        ReadingError
+            (a ValueError) no channel, no number, a time that is not newer, more than 1 ms
+            ahead or more than 1 s ago
+        BusyError
+            another live client pushes this channel; its process is named
+        RefusedError
+            the service's driver takes no pushed ranges on this channel
+        NotRunningError
+            the service ended, or the channel is being claimed anew of one that was started
+            again: call again, ranges go on a few calls later
         """
         now = time.monotonic_ns()
         if now > self._next_look_ns:
@@ -126,8 +133,10 @@ class RangePusher(Reclaimer):
 
         Raises
         ------
-        BusyError         another live client pushes them; its process is named
-        RefusedError      the service's driver takes no pushed ranges on this channel
+        BusyError
+            another live client pushes them; its process is named
+        RefusedError
+            the service's driver takes no pushed ranges on this channel
         """
         self._must_be_there()
         deadline = time.monotonic() + CLAIM_RETRY_S

@@ -37,7 +37,8 @@ def check_region(region: Sequence[float]) -> tuple[float, float, float, float]:
 
     Raises
     ------
-    RegionError  not four finite numbers, a side not positive or longer than 1e6 m
+    RegionError
+        not four finite numbers, a side not positive or longer than 1e6 m
     """
     try:
         x_min, y_min, x_max, y_max = (float(v) for v in region)
@@ -59,7 +60,8 @@ def check_finest(finest_m: float) -> float:
 
     Raises
     ------
-    RegionError  not 0, and not within 1e-6 to 1e4 m
+    RegionError
+        not 0, and not within 1e-6 to 1e4 m
     """
     if finest_m == 0.0:
         return 0.0
@@ -120,9 +122,12 @@ class Ticket:
 
         Raises
         ------
-        RefusedError          the service refused; the text says why
-        RequestTimeoutError   no answer in time
-        NotRunningError       the service died meanwhile
+        RefusedError
+            the service refused; the text says why
+        RequestTimeoutError
+            no answer in time
+        NotRunningError
+            the service died meanwhile
         """
         deadline, tries = time.monotonic() + timeout_s, 0
         while not self._answered():

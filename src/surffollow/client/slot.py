@@ -106,7 +106,8 @@ class SlotHolder(Observer):
 
         Raises
         ------
-        NotReadyError   the service gave none; and as `SlotRequest.step`
+        NotReadyError
+            the service gave none; and as `SlotRequest.step`
         """
         while not self.ensure_slot():
             asking = self._asking

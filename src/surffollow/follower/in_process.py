@@ -73,7 +73,19 @@ class Follower:
 
     Raises
     ------
-    ConfigError  unknown key, wrong unit, value out of bounds, a stand-off that cannot be kept
+    ConfigError
+        unknown key, wrong unit, value out of bounds, a stand-off that cannot be kept
+
+    Examples
+    --------
+    >>> import surffollow
+    >>> follower = surffollow.Follower({"mode": "paper"}, offset_m=0.1)
+    >>> for k in range(200):
+    ...     t_ns = k * 4_000_000
+    ...     _ = follower.pose(t_ns, (0.0002 * k, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+    ...     demand = follower.step(t_ns, [0.09])
+    >>> round(float(demand[2]), 3)
+    0.01
     """
 
     def __init__(self, config: Config = None, offset_m: float | None = None) -> None:
@@ -112,7 +124,8 @@ class Follower:
 
         Raises
         ------
-        ConfigError  unknown name, wrong unit, value out of bounds; then nothing is changed
+        ConfigError
+            unknown name, wrong unit, value out of bounds; then nothing is changed
         """
         checked: dict[str, float] = {}
         for n, v in values.items():
@@ -152,16 +165,20 @@ class Follower:
 
         Parameters
         ----------
-        t_ns : int           when the pose was true; reports may arrive late
-        pose : 7 numbers     x y z [m], unit quaternion qx qy qz qw, world from tool
+        t_ns : int
+            when the pose was true; reports may arrive late
+        pose : 7 numbers
+            x y z [m], unit quaternion qx qy qz qw, world from tool
 
         Returns
         -------
-        bool  False: refused, because a pose at least as new was there already
+        bool
+            False: refused, because a pose at least as new was there already
 
         Raises
         ------
-        PoseError  not seven finite numbers, or a quaternion whose norm is off by more than 1e-3
+        PoseError
+            not seven finite numbers, or a quaternion whose norm is off by more than 1e-3
         """
         p = self._pose
         try:
@@ -186,17 +203,21 @@ class Follower:
 
         Parameters
         ----------
-        t_ns : int               when the ranges were read; without any, now
-        ranges_m : up to 8       distances per channel [m]; NaN: no reading in this step; a number outside
-                                 the window: the sensor lost the surface
+        t_ns : int
+            when the ranges were read; without any, now
+        ranges_m : up to 8
+            distances per channel [m]; NaN: no reading in this step; a number outside
+            the window: the sensor lost the surface
 
         Returns
         -------
-        (6,) float64  demand x y z [m], rx ry rz [rad], to be added to the newest pose reported
+        (6,) float64
+            demand x y z [m], rx ry rz [rad], to be added to the newest pose reported
 
         Raises
         ------
-        UsageError  not 1 to 8 numbers, or a time more than an hour before 0
+        UsageError
+            not 1 to 8 numbers, or a time more than an hour before 0
         """
         try:
             n = len(ranges_m)

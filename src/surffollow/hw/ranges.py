@@ -38,6 +38,13 @@ def metre_info(
     ------
     ConfigError
         no window, too many channels, a wrong mount
+
+    Examples
+    --------
+    >>> from surffollow.hw import metre_info
+    >>> info = metre_info("laser", 0.05, 0.3)
+    >>> info.n_channels, info.scale_m[0]
+    (1, 1e-06)
     """
     if not 0.0 <= range_min_m < range_max_m < 1e5:
         raise ConfigError(

@@ -36,14 +36,22 @@ class Arm:
 
     Attributes
     ----------
-    upper_m, fore_m : float [m]            lengths of the two links
-    tool_m : float [m]                     from the wrist's pivot to the tip, along the body's -z
-    ground_from_vehicle : (4, 4) float64   pose of the vehicle
-    vehicle_from_base : (4, 4) float64     pose of the shoulder in the vehicle; z of all three is up
-    forearm_from_camera : (4, 4) float64   pose of the camera in the wrist's level frame, x outwards
-    sag_at_2m_m : float [m]                static sag of the pivot at a horizontal distance of 2 m; ∝ ρ³
-    yaw_limit_rad : float                  of yaw, both signs, from the base's x axis
-    shoulder_rad, elbow_rad : (min, max)   limits of the links' elevations
+    upper_m, fore_m : float [m]
+        lengths of the two links
+    tool_m : float [m]
+        from the wrist's pivot to the tip, along the body's -z
+    ground_from_vehicle : (4, 4) float64
+        pose of the vehicle
+    vehicle_from_base : (4, 4) float64
+        pose of the shoulder in the vehicle; z of all three is up
+    forearm_from_camera : (4, 4) float64
+        pose of the camera in the wrist's level frame, x outwards
+    sag_at_2m_m : float [m]
+        static sag of the pivot at a horizontal distance of 2 m; ∝ ρ³
+    yaw_limit_rad : float
+        of yaw, both signs, from the base's x axis
+    shoulder_rad, elbow_rad : (min, max)
+        limits of the links' elevations
     wrist : WristLimits
     """
 
@@ -99,7 +107,8 @@ class Arm:
 
         Parameters
         ----------
-        joints_rad : (n, 5) float [rad]     columns of JOINTS
+        joints_rad : (n, 5) float [rad]
+            columns of JOINTS
 
         Returns
         -------
@@ -114,8 +123,10 @@ class Arm:
 
         Parameters
         ----------
-        tip_m : (n, 3) float [m]      in the ground frame
-        normal : (n, 3) float         unit
+        tip_m : (n, 3) float [m]
+            in the ground frame
+        normal : (n, 3) float
+            unit
 
         Notes
         -----

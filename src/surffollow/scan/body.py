@@ -17,7 +17,14 @@ SHAPES = "disc:RADIUS, ring:RADIUS, rectangle:LENGTHxWIDTH or point"
 
 
 def disc(radius_m: float, rings: int = 2, per_ring: int = 12) -> Floats:
-    """(1 + rings·per_ring, 3) points [m] of a disc: the middle and equal rings, the last on its edge."""
+    """(1 + rings·per_ring, 3) points [m] of a disc: the middle and equal rings, the last on its edge.
+
+    Examples
+    --------
+    >>> from surffollow.scan import disc
+    >>> disc(0.1, rings=1, per_ring=4).shape
+    (5, 3)
+    """
     radius = positive("radius of the disc", radius_m)
     points = [(0.0, 0.0, 0.0)]
     for k in range(1, rings + 1):
@@ -31,7 +38,18 @@ def ring(radius_m: float, per_ring: int = 16) -> Floats:
 
 
 def rectangle(length_m: float, width_m: float, along: int = 5, across: int = 5) -> Floats:
-    """(along·across [+ 1], 3) points [m] of a plate, its length along body x; the middle comes first."""
+    """(along·across [+ 1], 3) points [m] of a plate, its length along body x; the middle comes first.
+
+    Examples
+    --------
+    >>> from surffollow.scan import rectangle
+    >>> rectangle(0.2, 0.1, along=2, across=2)
+    array([[ 0.  ,  0.  ,  0.  ],
+           [-0.1 , -0.05,  0.  ],
+           [ 0.1 , -0.05,  0.  ],
+           [-0.1 ,  0.05,  0.  ],
+           [ 0.1 ,  0.05,  0.  ]])
+    """
     x = np.linspace(-0.5, 0.5, along) * positive("length of the rectangle", length_m)
     y = np.linspace(-0.5, 0.5, across) * positive("width of the rectangle", width_m)
     plate = np.array([(u, v, 0.0) for v in y for u in x if (u, v) != (0.0, 0.0)])

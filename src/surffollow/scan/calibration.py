@@ -29,13 +29,20 @@ class CalibrationMatrix:
 
     Attributes
     ----------
-    values_m : (rows, cols) float64 [m]      correction at the nodes, to be added to z; finite
-    inside : (rows, cols) bool               nodes within the triangles of the spots
-    origin_m : (x, y) [m]                    node [0, 0], in the arm's frame (or the frame of the spots)
-    grid_m : float [m]                       distance of nodes
-    outside : str                            "nearest": beyond them the nearest one counts; "unknown": NaN
-    spots_m : (n, 3) float64 [m]             x, y and correction of each spot
-    left_out_m : (n,) float64 [m]            leave-one-out residual of each spot
+    values_m : (rows, cols) float64 [m]
+        correction at the nodes, to be added to z; finite
+    inside : (rows, cols) bool
+        nodes within the triangles of the spots
+    origin_m : (x, y) [m]
+        node [0, 0], in the arm's frame (or the frame of the spots)
+    grid_m : float [m]
+        distance of nodes
+    outside : str
+        "nearest": beyond them the nearest one counts; "unknown": NaN
+    spots_m : (n, 3) float64 [m]
+        x, y and correction of each spot
+    left_out_m : (n,) float64 [m]
+        leave-one-out residual of each spot
     """
 
     values_m: Floats
@@ -59,10 +66,14 @@ class CalibrationMatrix:
 
         Parameters
         ----------
-        spots : (n, 3) float [m]      x, y and correction (z of the model's tip at contact - mapped ground)
-        grid_m : float [m]            distance of the matrix' nodes
-        region : (x_min, y_min, x_max, y_max) [m] or None      None: around the spots
-        outside : str                 policy beyond the spots' hull: "nearest" or "unknown"
+        spots : (n, 3) float [m]
+            x, y and correction (z of the model's tip at contact - mapped ground)
+        grid_m : float [m]
+            distance of the matrix' nodes
+        region : (x_min, y_min, x_max, y_max) [m] or None
+            None: around the spots
+        outside : str
+            policy beyond the spots' hull: "nearest" or "unknown"
 
         Raises
         ------

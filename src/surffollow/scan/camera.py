@@ -24,12 +24,18 @@ class Camera:
 
     Attributes
     ----------
-    fx_px, fy_px, cx_px, cy_px : float [px]     focal lengths and principal point
-    ground_from_camera : (4, 4) float64         pose: rotation and translation [m]; None: not known
-    baseline_m : float [m]                      of a stereo pair; 0: no stereo camera
-    disparity_offset_px : float [px]            depth = fx baseline / (disparity + offset)
-    min_range_m, max_range_m : float [m]        depths that the camera can measure
-    name : str                                  in messages and reports
+    fx_px, fy_px, cx_px, cy_px : float [px]
+        focal lengths and principal point
+    ground_from_camera : (4, 4) float64
+        pose: rotation and translation [m]; None: not known
+    baseline_m : float [m]
+        of a stereo pair; 0: no stereo camera
+    disparity_offset_px : float [px]
+        depth = fx baseline / (disparity + offset)
+    min_range_m, max_range_m : float [m]
+        depths that the camera can measure
+    name : str
+        in messages and reports
     """
 
     fx_px: float

@@ -37,13 +37,16 @@ def sample_terrain(
 
     Parameters
     ----------
-    path : ScanPath                  x and y are used
+    path : ScanPath
+        x and y are used
     envelope : Envelope or TerrainGrid
-    span_m : float [m]               slopes are taken over ± this; None: one cell
+    span_m : float [m]
+        slopes are taken over ± this; None: one cell
 
     Returns
     -------
-    ScanPath     z and clearance NaN and UNKNOWN_BENEATH set where the envelope is unknown
+    ScanPath
+        z and clearance NaN and UNKNOWN_BENEATH set where the envelope is unknown
 
     Notes
     -----
@@ -78,15 +81,20 @@ def advanced_terrain_following(
 
     Parameters
     ----------
-    path : ScanPath                        of `sample_terrain`
-    body_points_m : (m, 3) float [m]       control points in the body's frame (`body`)
-    envelope : Envelope or TerrainGrid     already holds the scanning gap; it is not added again
+    path : ScanPath
+        of `sample_terrain`
+    body_points_m : (m, 3) float [m]
+        control points in the body's frame (`body`)
+    envelope : Envelope or TerrainGrid
+        already holds the scanning gap; it is not added again
     wrist_limits_rad : WristLimits, one limit for all, or ((pitch_min, pitch_max), (roll_min, roll_max))
-    step_rad : float                       first correction; the paper's ½°
+    step_rad : float
+        first correction; the paper's ½°
 
     Returns
     -------
-    ScanPath     flags WRIST_LIMIT (the normal was beyond the limits, or the body rests at one) and LIFTED
+    ScanPath
+        flags WRIST_LIMIT (the normal was beyond the limits, or the body rests at one) and LIFTED
 
     Raises
     ------

@@ -31,10 +31,24 @@ class TerrainGrid:
 
     Attributes
     ----------
-    heights_m : (rows, cols) float64 [m]     NaN (in an envelope: -inf) unknown
-    origin_m : (x, y) [m]                    outer corner of heights_m[0, 0]
-    grid_m : float [m]                       side of a cell
-    cells : (rows, cols) uint8               UNKNOWN, MEASURED (own samples) or FILLED (interpolated)
+    heights_m : (rows, cols) float64 [m]
+        NaN (in an envelope: -inf) unknown
+    origin_m : (x, y) [m]
+        outer corner of heights_m[0, 0]
+    grid_m : float [m]
+        side of a cell
+    cells : (rows, cols) uint8
+        UNKNOWN, MEASURED (own samples) or FILLED (interpolated)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import TerrainGrid
+    >>> ground = TerrainGrid.of([[0.0, 0.1], [np.nan, 0.2]], grid_m=0.5)
+    >>> ground.shape, ground.extent_m
+    ((2, 2), (0.0, 0.0, 1.0, 1.0))
+    >>> int(ground.known.sum())
+    3
     """
 
     heights_m: Floats

@@ -84,9 +84,12 @@ class Annulus:
     Attributes
     ----------
     base_m : (x, y, z) [m]
-    radius_min_m, radius_max_m : float [m]     horizontal distance of the tip from the base
-    z_min_m, z_max_m : float [m]               height of the tip above the base
-    azimuth_min_rad, azimuth_max_rad : float   sector, in the ground frame
+    radius_min_m, radius_max_m : float [m]
+        horizontal distance of the tip from the base
+    z_min_m, z_max_m : float [m]
+        height of the tip above the base
+    azimuth_min_rad, azimuth_max_rad : float
+        sector, in the ground frame
     """
 
     base_m: tuple[float, float, float]

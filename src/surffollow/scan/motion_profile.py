@@ -17,7 +17,18 @@ def trapezoid(distance: float, speed: float, acceleration: float) -> tuple[Motio
 
     Parameters
     ----------
-    distance, speed, acceleration : float     in m or rad, each above 0
+    distance, speed, acceleration : float
+        in m or rad, each above 0
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import trapezoid
+    >>> position, duration_s = trapezoid(1.0, speed=0.5, acceleration=1.0)
+    >>> duration_s
+    2.5
+    >>> position(np.array([0.0, 1.25, 2.5]))
+    array([0. , 0.5, 1. ])
     """
     steps, a, whole = _steps(distance, speed, acceleration)
 

@@ -19,8 +19,10 @@ class OffsetSurface:
 
     Attributes
     ----------
-    heights_m : (rows, cols) float64 [m]     highest sheet at each cell; -inf where there is none
-    folded : (rows, cols) bool               cells whose image is turned over: the surface folds there
+    heights_m : (rows, cols) float64 [m]
+        highest sheet at each cell; -inf where there is none
+    folded : (rows, cols) bool
+        cells whose image is turned over: the surface folds there
     """
 
     heights_m: Floats
@@ -48,9 +50,12 @@ def normal_offset(heights_m: ArrayLike, grid_m: float, gap_m: float) -> OffsetSu
 
     Parameters
     ----------
-    heights_m : (rows, cols) float [m]     NaN unknown
-    grid_m : float [m]                     side of a cell
-    gap_m : float [m]                      d
+    heights_m : (rows, cols) float [m]
+        NaN unknown
+    grid_m : float [m]
+        side of a cell
+    gap_m : float [m]
+        d
 
     Returns
     -------

@@ -44,15 +44,24 @@ class ScanPath:
 
     Attributes
     ----------
-    t_s : (n,) float64 [s]                  from 0, ascending
-    position_m : (n, 3) float64 [m]         tip in the ground frame
-    normal : (n, 3) float64                 unit z axis of the body in the ground frame
-    azimuth_rad : (n,) float64              heading of the wrist's first axis (arm azimuth; lanes: 0)
-    clearance_m : (n,) float64 [m]          least distance of the underside from the ground; NaN unknown
-    lift_m : (n,) float64 [m]               height of the tip above the envelope beneath it
-    flags : (n,) uint32                     bits above
-    passes : (n,) int32                     number of the pass; -1 on turns
-    facts : dict                            how the path was made: gap_m, swath_m, region, body, limits …
+    t_s : (n,) float64 [s]
+        from 0, ascending
+    position_m : (n, 3) float64 [m]
+        tip in the ground frame
+    normal : (n, 3) float64
+        unit z axis of the body in the ground frame
+    azimuth_rad : (n,) float64
+        heading of the wrist's first axis (arm azimuth; lanes: 0)
+    clearance_m : (n,) float64 [m]
+        least distance of the underside from the ground; NaN unknown
+    lift_m : (n,) float64 [m]
+        height of the tip above the envelope beneath it
+    flags : (n,) uint32
+        bits above
+    passes : (n,) int32
+        number of the pass; -1 on turns
+    facts : dict
+        how the path was made: gap_m, swath_m, region, body, limits …
     """
 
     t_s: Floats

@@ -25,13 +25,20 @@ class PolarCorrection:
 
     Attributes
     ----------
-    base_m : (x, y) [m]            pole, the arm's base joint
-    scale : float                  of ρ
-    offset_m : float [m]           of ρ
-    offset_rad : float             of φ
-    spots_m : (n, 2) [m]           measured places of the fit
-    residual_m : (n,) [m]          distance of each commanded spot from its corrected one
-    zone_m : float [m]             bound of the zone of effectiveness
+    base_m : (x, y) [m]
+        pole, the arm's base joint
+    scale : float
+        of ρ
+    offset_m : float [m]
+        of ρ
+    offset_rad : float
+        of φ
+    spots_m : (n, 2) [m]
+        measured places of the fit
+    residual_m : (n,) [m]
+        distance of each commanded spot from its corrected one
+    zone_m : float [m]
+        bound of the zone of effectiveness
     """
 
     base_m: tuple[float, float]
@@ -55,8 +62,10 @@ class PolarCorrection:
 
         Parameters
         ----------
-        commanded_m : (n, 2 or 3) float [m]     tip of the computer model
-        measured_m : (n, 2 or 3) float [m]      real tip
+        commanded_m : (n, 2 or 3) float [m]
+            tip of the computer model
+        measured_m : (n, 2 or 3) float [m]
+            real tip
         base_m : (x, y, …) [m]
         zone_m : float [m]
 
@@ -118,12 +127,14 @@ def polar_correction(
     ----------
     path : ScanPath
     correction : PolarCorrection
-    surface : Envelope or TerrainGrid     z is sampled again from it at the corrected places, `lift_m` added;
+    surface : Envelope or TerrainGrid
+        z is sampled again from it at the corrected places, `lift_m` added;
         None: z is kept, which is right where the map is true and the arm is not
 
     Returns
     -------
-    ScanPath     the attitude is unchanged; UNKNOWN_BENEATH set where z was sampled beside the surface
+    ScanPath
+        the attitude is unchanged; UNKNOWN_BENEATH set where z was sampled beside the surface
 
     Notes
     -----

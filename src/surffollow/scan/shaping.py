@@ -21,9 +21,19 @@ class Shaper:
 
     Attributes
     ----------
-    times_s : (n,) float64 [s]       ascending, from 0
-    amplitudes : (n,) float64        above 0, their sum is 1
-    highest_hz : float               highest design frequency; 0: none
+    times_s : (n,) float64 [s]
+        ascending, from 0
+    amplitudes : (n,) float64
+        above 0, their sum is 1
+    highest_hz : float
+        highest design frequency; 0: none
+
+    Examples
+    --------
+    >>> from surffollow.scan import Shaper
+    >>> shaper = Shaper.zvd(2.0)
+    >>> shaper.times_s, shaper.amplitudes
+    (array([0.  , 0.25, 0.5 ]), array([0.25, 0.5 , 0.25]))
     """
 
     times_s: Floats
@@ -47,8 +57,10 @@ class Shaper:
 
         Parameters
         ----------
-        frequency_hz : float [Hz]     undamped natural frequency, above 0
-        damping : float               ratio ζ, 0 ≤ ζ < 1
+        frequency_hz : float [Hz]
+            undamped natural frequency, above 0
+        damping : float
+            ratio ζ, 0 ≤ ζ < 1
 
         Notes
         -----
@@ -115,12 +127,14 @@ class Shaper:
 
         Parameters
         ----------
-        command : (n,) or (n, m) float      at rest before its first and after its last sample
+        command : (n,) or (n, m) float
+            at rest before its first and after its last sample
         rate_hz : float [Hz]
 
         Returns
         -------
-        (n + ⌈duration × rate⌉, …) float64     linear between samples; impulses are not rounded to samples
+        (n + ⌈duration × rate⌉, …) float64
+            linear between samples; impulses are not rounded to samples
 
         Raises
         ------

@@ -28,10 +28,14 @@ class SurveySettings:
     ----------
     grid_m : float [m]
     region : (x_min, y_min, x_max, y_max) [m] or None
-    filter : str                  one of FILTERS
-    window : int [px]             of the conditional planar filter; the Gaussian has sigma window / 4
-    min_pixels, support_m, border_px        of `coherent_patches`
-    fill_m, average_m             of `terrain_map`
+    filter : str
+        one of FILTERS
+    window : int [px]
+        of the conditional planar filter; the Gaussian has sigma window / 4
+    min_pixels, support_m, border_px
+        of `coherent_patches`
+    fill_m, average_m
+        of `terrain_map`
     """
 
     grid_m: float

@@ -158,8 +158,10 @@ def map_object_size(capacity_grids: int, scratch_columns: int | None = None) -> 
 
     Parameters
     ----------
-    capacity_grids : int      1 … 1e9
-    scratch_columns : int     longest row that a refocus can handle; default: see `default_scratch_columns`
+    capacity_grids : int
+        1 … 1e9
+    scratch_columns : int
+        longest row that a refocus can handle; default: see `default_scratch_columns`
     """
     columns = default_scratch_columns(capacity_grids) if scratch_columns is None else scratch_columns
     return scratch_offset(capacity_grids) + -(-scratch_bytes(columns) // 4096) * 4096
