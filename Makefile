@@ -35,6 +35,7 @@ lint: $(STAMP)
 	$(VENV)/bin/ruff format --check src tests tools docs/conf.py
 	$(VENV)/bin/mypy
 	$(VENV)/bin/mypy --config-file tests/mypy.ini
+	$(PY) tools/check_prose.py
 
 # every warning is an error: a link or an anchor that leads nowhere, a docstring that cannot be read
 docs: $(VENV)/.docs

@@ -19,4 +19,4 @@ def test_byte_tables_are_current() -> None:
 def test_status_bits_of_the_text_are_those_of_the_code() -> None:
     text = " ".join((ROOT / "docs/reference/health-and-faults.md").read_text().split())
     for bit, name in [*enumerate(STATUS_NAMES), (STALE.bit_length() - 1, "STALE")]:
-        assert f"{bit} {name}" in text, name
+        assert f"| {bit} | {name} |" in text, name
