@@ -13,7 +13,7 @@ from two_workers import make_scheduler
 
 
 def pytest_configure() -> None:
-    """Tests send signals; under nohup, or behind a shell's &, children would inherit that they are ignored."""
+    """Tests send signals; under nohup or in the background children would inherit that they are ignored."""
     for number, handler in ((signal.SIGHUP, signal.SIG_DFL), (signal.SIGINT, signal.default_int_handler)):
         if signal.getsignal(number) == signal.SIG_IGN:
             signal.signal(number, handler)
