@@ -156,9 +156,12 @@ def make_ground(s: Scenario) -> Ground:
         for begin in np.arange(0.1, float(x[-1]), 0.15):
             for at, width in zip(begin + np.cumsum(rng.uniform(8e-3, 20e-3, 5)), rng.uniform(2e-3, 6e-3, 5)):
                 first[(x > at) & (x < at + width)] -= s.size_m
-    if s.family == "filled slot":  # 20 to 60 mm wide; filled before the second pass
-        for begin in np.arange(0.02, float(x[-1]), 0.15):
-            first[(x > begin) & (x < begin + rng.uniform(20e-3, 60e-3))] -= s.size_m
+    if s.family == "filled slot":  # 20 to 60 mm wide; all or every other one is filled before the second pass
+        for k, begin in enumerate(np.arange(0.02, float(x[-1]), 0.15)):
+            slot = (x > begin) & (x < begin + rng.uniform(20e-3, 60e-3))
+            first[slot] -= s.size_m
+            if k % 2 == 0 and s.seed % 2 == 0:
+                later[slot] -= s.size_m
     return Ground(float(x[0]), first, later if s.family == "filled slot" else first)
 
 
