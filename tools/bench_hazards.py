@@ -1,4 +1,4 @@
-"""Search for hazards: scenarios of sensor faults, three followers and a plain P loop side by side.
+"""Search for hazards: scenarios of wrong readings and poses, followers and a plain P loop side by side.
 
 Printed per family: the least clearance of each [mm, 100 wanted], how far the first follower came nearer to
 the ground than the P loop did, and contacts while the demand was VALID. The worst scenario is shrunk.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from surffollow import Follower
 from surffollow.contest.hazards import (
     FAMILIES,
     FAR_M,
+    KINDS,
     NEAR_M,
     STANDOFF_M,
     PLoop,
@@ -30,13 +32,16 @@ from surffollow.contest.hazards import (
 )
 
 BELOW_P_M = 5e-3
-METHODS = ("multimodel", "adaptive", "paper", "p")
+METHODS = ("adaptive", "paper", "p")
 
 
-def make(method: str) -> Any:
+def make(method: str, family: str) -> Any:
     if method == "p":
         return PLoop()
-    config: dict[str, Any] = {"mode": method, "sensors": [{"near_m": NEAR_M, "far_m": FAR_M}]}
+    sensors = [
+        {"near_m": NEAR_M, "far_m": FAR_M, "position_m": [x, y, 0.0]} for x, y in KINDS[family].mounts_m
+    ]
+    config: dict[str, Any] = {"mode": method, "sensors": sensors}
     if method == "paper":
         config["pose_interpolate"] = "latest"
     return Follower(config, offset_m=STANDOFF_M)
@@ -45,11 +50,11 @@ def make(method: str) -> Any:
 def run(job: tuple[str, int, tuple[str, ...]]) -> dict[str, Any]:
     family, seed, methods = job
     scenario = draw(family, seed)
-    return {"scenario": asdict(scenario), **{m: asdict(play(make(m), scenario)) for m in methods}}
+    return {"scenario": asdict(scenario), **{m: asdict(play(make(m, family), scenario)) for m in methods}}
 
 
 def below_p_m(method: str, s: Scenario) -> float:
-    return play(PLoop(), s).clearance_m - play(make(method), s).clearance_m
+    return play(PLoop(), s).clearance_m - play(make(method, s.family), s).clearance_m
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -57,12 +62,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--count", type=int, default=50, help="scenarios per family")
     parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--families", default=",".join(FAMILIES))
     parser.add_argument("--methods", default=",".join(METHODS))
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(argv)
     methods = tuple(dict.fromkeys([*given.methods.split(","), "p"]))
-    jobs = [(f, given.first + k, methods) for f in FAMILIES for k in range(given.count)]
+    families = [f for f in given.families.split(",") if f]
+    if unknown := [f for f in families if f not in FAMILIES]:
+        parser.error(f"unknown families {unknown}; there are {list(FAMILIES)}")
+    jobs = [(f, given.first + k, methods) for f in families for k in range(given.count)]
     begun = time.process_time()
     if given.processes > 1:
         with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
@@ -70,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     else:
         found = [run(job) for job in jobs]
     first, rows = methods[0], []
-    for family in FAMILIES:
+    for family in families:
         of = [r for r in found if r["scenario"]["family"] == family]
         worst = max(of, key=lambda r: r["p"]["clearance_m"] - r[first]["clearance_m"])
         rows.append(
@@ -81,6 +90,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                     m: max(r["p"]["clearance_m"] - r[m]["clearance_m"] for r in of) for m in methods
                 },
                 "contact_valid": {m: sum(r[m]["contact_valid"] for r in of) for m in methods},
+                "tilt_rad": {m: max(r[m]["tilt_rad"] for r in of) for m in methods},
                 "worst": worst["scenario"],
             }
         )
@@ -106,6 +116,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             for m in methods
         )
         print(f"| {r['family']} |" + "".join(cells))
+        if r["tilt_rad"][first] > 0.0:
+            print(
+                f"{r['family']}: tilt of {first} up to {math.degrees(r['tilt_rad'][first]):.1f} deg",
+                file=sys.stderr,
+            )
         if "shrunk" in r:
             print(f"least harmful scenario: {r['shrunk']}", file=sys.stderr)
     print(

@@ -30,9 +30,9 @@ def test_after_a_loss_the_common_error_is_subtracted_and_its_differences_stay(se
 
 
 def test_after_it_was_carried_back_the_plan_over_remembered_ground_begins_at_once():
-    robot = Tilted(turned(0.0), hill_m=6e-3)
+    robot = Tilted(turned(0.0), hill_m=4e-3)
     robot.z_m += 8e-3  # a start with a jump, which no axis without jerk can make
     robot.carry(0.2, 0.6)
     robot.go_back()
-    robot.carry(0.2, 0.1)
+    robot.carry(0.2, 0.025)
     assert robot.f.state()["preview_share"] == 1.0

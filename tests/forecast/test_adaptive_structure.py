@@ -38,6 +38,7 @@ OWNERS = {
     "regression": "terrain_regression",
     "lookahead": "lookahead_sensor",
     "preview": "preview",
+    "known": "known_ground",
     "plan": "preview_control",
     "beams": "beam_detection",
     "plane": "plane_fit",

@@ -84,6 +84,7 @@ class Blend(Schema):
     t_ns = I64(unit="ns", doc="when it was made")
     pose_ns = I64(unit="ns", doc="timestamp of the pose that it was made with")
     sample_ns = I64(unit="ns", doc="timestamp of the sample that it was made with")
+    seen_m = F64(unit="m", doc="the newest one that is not of a drop-out")
     filtered_m = F64(unit="m", doc="behind the deadband filter")
     filtered_ns = I64(unit="ns", doc="when that was made")
 
@@ -112,6 +113,15 @@ class Preview(Schema):
     map_deviation_m = F64(unit="m", doc="sensor minus map, mean deviation beyond the bias")
     sensed_periods = I64(doc="periods of ground known from channel 0 ahead of the tool; 0: it does not lead")
     ground_m = F64(HORIZON, unit="m", doc="ground under the tool per controller period")
+
+
+class Known(Schema):
+    """Known ground against the sensor under the tool (`known_ground`)."""
+
+    samples = I64(doc="samples of channel 0 over known ground so far")
+    contradictions = I64(doc="samples in a row that lie above it")
+    peak_m = F64(unit="m", doc="greatest height lately; older ones fade with the distance")
+    descent_m = F64(unit="m", doc="further descent of a plan that confirmed drops allow")
 
 
 class Plan(Schema):
@@ -161,6 +171,7 @@ class AdaptiveState(Schema):
     buffer = Nested(Buffer)
     regression = Nested(Regression)
     lookahead = Nested(Lookahead)
+    known = Nested(Known)
     preview = Nested(Preview)
     plan = Nested(Plan)
     beams = Nested(Beams)

@@ -25,6 +25,8 @@ class Kinematics(Schema):
     velocity_y_mps = F64(unit="m/s")
     speed_mps = F64(unit="m/s", doc="lateral speed")
     climb_mps = F64(unit="m/s", doc="vertical velocity")
+    jump_pose = I64(doc="first report after the newest jump of the reported position")
+    jump_ns = I64(unit="ns", doc="its timestamp; 0: none")
 
 
 class Hold(Schema):
@@ -32,6 +34,8 @@ class Hold(Schema):
 
     t_ns = I64(unit="ns", doc="timestamp of the newest sample; 0: none yet")
     range_m = F64(unit="m", doc="its range: a conversion that repeats it is no new sample")
+    backward = I64(doc="samples in a row with timestamps before that of the newest sample")
+    shift_ns = I64(unit="ns", doc="correction of timestamps that went back")
 
 
 class Latency(Schema):
@@ -72,8 +76,10 @@ class Health(Schema):
     candidate = I64(doc="state without hysteresis")
     faults = I64(doc="bits of FAULT_NAMES, latched until the reset")
     close_count = I64(doc="samples in a row nearer than too_close_m")
-    repeat_count = I64(doc="equal samples in a row; from STUCK_COUNT on: stuck-at fault")
+    repeat_count = I64(doc="like samples in a row; from STUCK_COUNT on: stuck-at fault")
     repeat_z_m = F64(unit="m", doc="height of the tool at the first of them")
+    repeat_range_m = F64(unit="m", doc="its range")
+    noise_floor_m = F64(unit="m", doc="least noise of the readings lately")
     usual_repeats = F64(doc="longest such run lately; 0: not known")
 
 
@@ -103,6 +109,7 @@ class Lookahead(Schema):
     lead_m = F64(unit="m", doc="distance of the newest footprint ahead of channel 0's; 0: none leads")
     bias_m = F64(unit="m", doc="height by channel 0 minus height by the look-ahead sensor")
     seen_ns = I64(unit="ns", doc="when one of them last measured ground ahead")
+    trusted_from_m = F64(unit="m", doc="arc length from which the buffered ground is used again")
 
 
 class Beams(Schema):
@@ -121,6 +128,7 @@ class Beams(Schema):
     axis_y_m = F64(unit="m")
     first_ns = I64(unit="ns", doc="timestamp of the first sample; 0: none yet")
     reference = I64(doc="channel whose samples are the follower's samples")
+    inconsistent = I64(doc="1: the beams have no majority; the nearer ground counts")
 
 
 class Plane(Schema):

@@ -253,6 +253,8 @@ REASON_NAMES = (
     "no sample entered the estimate within the loss time-out",
     "estimate was not finite and began anew",
     "timestamps went back; readings count as old as usual",
+    "sensors disagree without a majority; the nearer ground counts",
+    "reported position jumped; ground known from before is not used",
 )
 (
     REASON_NONE,
@@ -264,4 +266,6 @@ REASON_NAMES = (
     REASON_LOST,
     REASON_NOT_FINITE,
     REASON_TIMESTAMPS,
-) = range(9)
+    REASON_SENSORS,
+    REASON_POSE_JUMP,
+) = range(11)

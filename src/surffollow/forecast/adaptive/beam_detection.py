@@ -19,6 +19,7 @@ MAX_AGE_NS = 25_000_000  # older footprints do not belong to the same plane
 STUCK_NS = 100_000_000  # a range unchanged for so long while the others change is stuck
 GATE_SIGMAS, MIN_GATE_M = 8.0, 2e-3  # in standard deviations of a reading; least width of the gate
 CONFIRMATION_SAMPLES = 5  # after so many outside the gate the ground has turned
+BENT_GATE = 0.5  # root of the squared residuals of a plane, in gates: the beams lie on no plane
 WEIGHT_RECOVERY = 0.1  # per sample, of a beam that is accepted again
 MIN_WEIGHT = 0.05  # of a beam accepted outside the gate
 
@@ -116,6 +117,56 @@ def beam_height(adaptive: Any, c: Any, x_m: Any, y_m: Any) -> Any:
 
 
 @jit
+def is_bent(adaptive: Any, n_channels: Any, gate_m: Any) -> Any:
+    """1 when the accepted beams lie on no plane within the gate, whatever its slopes."""
+    beams = adaptive.beams
+    n, mx, my, mh = 0, 0.0, 0.0, 0.0
+    for c in range(n_channels):
+        if beams.accepted[c] != 0:
+            n += 1
+            mx += beams.footprint_m[3 * c]
+            my += beams.footprint_m[3 * c + 1]
+            mh += beams.height_m[c]
+    mx, my, mh = mx / n, my / n, mh / n
+    xx, xy, yy, xh, yh = 0.0, 0.0, 0.0, 0.0, 0.0
+    for c in range(n_channels):
+        if beams.accepted[c] != 0:
+            dx, dy = beams.footprint_m[3 * c] - mx, beams.footprint_m[3 * c + 1] - my
+            dh = beams.height_m[c] - mh
+            xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
+            xh, yh = xh + dx * dh, yh + dy * dh
+    determinant = xx * yy - xy * xy
+    if not determinant > 1e-4 * (xx + yy) * (xx + yy):
+        return 0
+    sx, sy = (yy * xh - xy * yh) / determinant, (xx * yh - xy * xh) / determinant
+    squares = 0.0
+    for c in range(n_channels):
+        if beams.accepted[c] != 0:
+            e = beams.height_m[c] - mh
+            e -= sx * (beams.footprint_m[3 * c] - mx) + sy * (beams.footprint_m[3 * c + 1] - my)
+            squares += e * e
+    return 1 if squares > BENT_GATE * BENT_GATE * gate_m * gate_m else 0
+
+
+@jit
+def accept_nearest(adaptive: Any, n_channels: Any, lowest_m: Any) -> Any:
+    """Accept the beams that see the nearest ground; returns how many."""
+    beams = adaptive.beams
+    beams.inconsistent = 1
+    good = 0
+    for c in range(n_channels):
+        if beams.accepted[c] == 0:
+            continue
+        if beams.height_m[c] < lowest_m:
+            beams.accepted[c] = 0
+            beams.weight[c] = 0.0
+        else:
+            beams.weight[c] = 1.0
+            good += 1
+    return good
+
+
+@jit
 def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any) -> Any:
     """Exclude beams outside the gate, weigh the others; returns how many are accepted."""
     beams, plane = adaptive.beams, adaptive.plane
@@ -139,6 +190,12 @@ def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any
         if beams.accepted[c] != 0 and abs(beams.height_m[c] - median) <= gate:
             agree += 1
     majority = agree >= 3 and plane.rank == 2
+    nearest = beams.sorted_m[n - 1]
+    apart = 2 * agree <= n and is_bent(adaptive, n_channels, gate) != 0
+    # beams that deviated may meet a good one by chance: the nearest ground has to agree as well
+    if n >= 4 and plane.count > 0 and (apart or (beams.inconsistent != 0 and nearest > median + gate)):
+        return accept_nearest(adaptive, n_channels, nearest - gate)
+    beams.inconsistent = 0
     good = 0
     for c in range(n_channels):
         if beams.accepted[c] == 0:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from surffollow.forecast.adaptive.kinematics import has_jumped
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import DROPOUT, FAULT, FAULT_NOT_FINITE, OK, OUT_OF_RANGE, STUCK, SUSPECT
 from surffollow.shm.layout_adaptive_sensing import STUCK_COUNT
@@ -14,7 +15,10 @@ from surffollow.shm.layout_multimodel import (
     REASON_NOT_FINITE,
     REASON_OUTSIDE,
     REASON_PENDING,
+    REASON_POSE_JUMP,
+    REASON_SENSORS,
     REASON_STUCK,
+    REASON_TIMESTAMPS,
 )
 
 ENTER_NS = 10_000_000  # a worse state is published after so long
@@ -26,6 +30,8 @@ WINDOW_EDGE_M = 0.003  # a loss that began so near an end of the window is OUT_O
 STUCK_SAMPLES = 50  # equal samples …
 STUCK_S, STUCK_MIN_SAMPLES = 0.4, 8.0  # … or, of a slow sensor, for so long, and at least so many …
 STUCK_TRAVEL_M = 0.005  # … while the tool moves so far along z are a stuck-at fault
+STUCK_BAND = 0.25  # of the noise: samples so near the first of a run are alike; 1 of 7 by chance
+FLOOR_RATE = 0.001  # at which the least noise rises to the present one, per sample
 STUCK_MARGIN, STUCK_RATIO = 2.0, 3.0  # with a known sensor: this plus so many usual runs of equal samples …
 STUCK_MAX_SAMPLES = 150.0  # … but no more than this
 STUCK_RESET_RATIO = 4.0  # in repeat limits: then the estimate is discarded
@@ -67,19 +73,44 @@ def update_usual_repeats(adaptive: Any, n: Any) -> None:
 
 
 @jit
-def update_stuck(adaptive: Any, repeated: Any, tool_z_m: Any) -> None:
-    """Count equal samples in a row; too many while the tool moved along z are a stuck-at fault.
+def repeats_range(health: Any, range_m: Any) -> Any:
+    """1 when a range differs from the first one of the run by less than the sensor's noise allows."""
+    return (
+        1
+        if health.repeat_count > 0
+        and abs(range_m - health.repeat_range_m) <= STUCK_BAND * health.noise_floor_m
+        else 0
+    )
 
-    `tool_z_m` is the height of the tool at the sample. A sensor that is coarser than its noise repeats
-    samples also while the tool follows well; the usual number is therefore estimated. The fault lasts until
-    the range changes.
+
+@jit
+def update_noise_floor(adaptive: Any) -> None:
+    """Track the least noise of the readings: on rough ground they are noisier than the sensor."""
+    health, sigma = adaptive.health, adaptive.noise.sigma_m
+    if adaptive.weights.scored < REPEAT_BURN_IN_SAMPLES:
+        health.noise_floor_m = 0.0
+    elif health.noise_floor_m == 0.0:
+        health.noise_floor_m = sigma
+    else:
+        health.noise_floor_m += min(sigma - health.noise_floor_m, FLOOR_RATE * sigma)
+
+
+@jit
+def update_stuck(adaptive: Any, repeated: Any, range_m: Any, tool_z_m: Any) -> None:
+    """Count like samples in a row; too many while the tool moved along z are a stuck-at fault.
+
+    `tool_z_m` is the height of the tool at the sample. A live sensor responds to the motion, or shows its
+    noise while the ground rises with the tool. A sensor that is coarser than its noise repeats samples also
+    while the tool follows well; the usual number is therefore estimated. The fault lasts until the range
+    changes.
     """
     health = adaptive.health
     if repeated == 0 or health.repeat_count == 0:
         if health.repeat_count > 0 and is_stuck_permanently(adaptive) == 0:
             update_usual_repeats(adaptive, health.repeat_count & (STUCK_COUNT - 1))
         health.repeat_count = 1
-        health.repeat_z_m = tool_z_m
+        health.repeat_z_m, health.repeat_range_m = tool_z_m, range_m
+        update_noise_floor(adaptive)
         return
     health.repeat_count += 1
     if health.repeat_count >= STUCK_COUNT:
@@ -147,6 +178,12 @@ def update_health(params: Any, adaptive: Any, stuck: Any) -> None:
             candidate, reason = DROPOUT, REASON_NO_READING
     elif is_lost(params, adaptive) != 0:
         candidate, reason = DROPOUT, REASON_LOST
+    elif adaptive.hold.shift_ns > 0:
+        candidate, reason = SUSPECT, REASON_TIMESTAMPS
+    elif has_jumped(adaptive.kinematics, clock.now_ns) != 0:
+        candidate, reason = SUSPECT, REASON_POSE_JUMP
+    elif adaptive.beams.inconsistent != 0:
+        candidate, reason = SUSPECT, REASON_SENSORS
     elif adaptive.gate.pending > 0:
         candidate, reason = SUSPECT, REASON_PENDING
     if candidate == health.state:

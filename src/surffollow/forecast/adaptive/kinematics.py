@@ -13,17 +13,20 @@ SPEED_WINDOW_NS = 100_000_000  # over which the lateral velocity is taken: noise
 CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
 MAX_POSE_GAP_NS = 1_000_000_000  # a report older than the newest by this belongs to another motion
 MAX_EXTRAPOLATION_NS = 50_000_000  # a pose is extrapolated by its velocity no farther
+MAX_JUMP_M = 0.02  # lateral distance between two reports beyond the velocity: more is a jump of the frame …
+MAX_JUMP_INTERVAL_NS = 100_000_000  # … when they are not farther apart in time
 MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
 
 
 @jit
-def oldest_pose_within(sense: Any, window_ns: Any) -> Any:
+def oldest_pose_within(sense: Any, window_ns: Any, first_pose: Any) -> Any:
     """Slot of the newest pose report that is at least `window_ns` older than the newest one.
 
-    Reports from before a long gap do not count; after a gap the newest one may be the only one.
+    Reports from before a long gap, or before the report `first_pose`, do not count; the newest one may be
+    the only one.
     """
     k = sense.pose_count - 1
-    oldest = max(0, k - POSES + 1)
+    oldest = max(first_pose, k - POSES + 1)
     t = sense.pose_t_ns[k & (POSES - 1)]
     while k > oldest and t - sense.pose_t_ns[k & (POSES - 1)] < window_ns:
         k -= 1
@@ -33,13 +36,38 @@ def oldest_pose_within(sense: Any, window_ns: Any) -> Any:
 
 
 @jit
+def note_jump(kinematics: Any, sense: Any) -> None:
+    """Note a jump of the reported position: no tool moves so far between two reports."""
+    n = sense.pose_count
+    last, previous = (n - 1) & (POSES - 1), (n - 2) & (POSES - 1)
+    span_ns = sense.pose_t_ns[last] - sense.pose_t_ns[previous]
+    if not 0 < span_ns <= MAX_JUMP_INTERVAL_NS:
+        return
+    dx = sense.pose[7 * last] - sense.pose[7 * previous] - kinematics.velocity_x_mps * span_ns * 1e-9
+    dy = sense.pose[7 * last + 1] - sense.pose[7 * previous + 1] - kinematics.velocity_y_mps * span_ns * 1e-9
+    if dx * dx + dy * dy > MAX_JUMP_M * MAX_JUMP_M:
+        kinematics.jump_pose, kinematics.jump_ns = n - 1, sense.pose_t_ns[last]
+
+
+@jit
+def has_jumped(kinematics: Any, now_ns: Any) -> Any:
+    """1 for a second after a jump of the reported position."""
+    return 1 if kinematics.jump_ns != 0 and 0 <= now_ns - kinematics.jump_ns < MAX_POSE_GAP_NS else 0
+
+
+@jit
 def update_kinematics(kinematics: Any, sense: Any) -> None:
     """Lateral and vertical velocity of the tool from its reports; 0 with a single report."""
     if kinematics.pose_count == sense.pose_count:
         return
+    if kinematics.pose_count > 0:
+        note_jump(kinematics, sense)
     kinematics.pose_count = sense.pose_count
-    last = (sense.pose_count - 1) & (POSES - 1)
-    first, near = oldest_pose_within(sense, SPEED_WINDOW_NS), oldest_pose_within(sense, CLIMB_WINDOW_NS)
+    last, jump = (sense.pose_count - 1) & (POSES - 1), kinematics.jump_pose
+    first = oldest_pose_within(sense, SPEED_WINDOW_NS, jump)
+    near = oldest_pose_within(sense, CLIMB_WINDOW_NS, jump)
+    if first == last and sense.pose_count - 1 == jump and jump > 0:
+        return  # the velocity is that before the jump
     kinematics.velocity_x_mps = kinematics.velocity_y_mps = kinematics.speed_mps = kinematics.climb_mps = 0.0
     if first == last:
         return

@@ -10,6 +10,7 @@ import math
 from typing import Any
 
 from surffollow.forecast.adaptive.kinematics import predict_pose
+from surffollow.forecast.adaptive.known_ground import REGISTRATION_M, compare_known_ground
 from surffollow.forecast.adaptive.terrain_buffer import MIN_LEAD_M, buffered_height, store_ground_at
 from surffollow.forecast.pose import footprint
 from surffollow.shm.jit import jit
@@ -67,21 +68,32 @@ def observe_lookahead(params: Any, adaptive: Any, sense: Any, moving: Any, pose:
 
 
 @jit
-def compare_lookahead(adaptive: Any, s_m: Any, h_m: Any) -> None:
-    """Compare buffered ground with channel 0's height there and update the bias."""
+def compare_lookahead(adaptive: Any, s_m: Any, h_m: Any) -> Any:
+    """Compare buffered ground with channel 0's height there and update the bias; 1 when it is too low.
+
+    Buffered ground that lies below channel 0's pulls the tool toward the surface. Several such samples in a
+    row discard all that was measured ahead: it is used again beyond the newest of it.
+    """
     lookahead = adaptive.lookahead
     if lookahead.lead_m == 0.0:
-        return
+        return 0
     buffered = buffered_height(adaptive, s_m)
-    if math.isfinite(buffered):
-        e = min(max(h_m - buffered, -MAX_BIAS_M), MAX_BIAS_M)
-        lookahead.bias_m += BIAS_RATE * (e - lookahead.bias_m)
+    if not math.isfinite(buffered):
+        return 0
+    behind = buffered_height(adaptive, s_m - REGISTRATION_M)
+    before = buffered_height(adaptive, s_m + REGISTRATION_M)
+    wrong = compare_known_ground(adaptive, behind, buffered, before, h_m - lookahead.bias_m)
+    e = min(max(h_m - buffered, -MAX_BIAS_M), MAX_BIAS_M)
+    lookahead.bias_m += BIAS_RATE * (e - lookahead.bias_m)
+    if wrong != 0:
+        lookahead.trusted_from_m = s_m + lookahead.lead_m
+    return wrong
 
 
 @jit
 def reset_lookahead(lookahead: Any) -> None:
     """Discard lead and bias."""
-    lookahead.lead_m = lookahead.bias_m = 0.0
+    lookahead.lead_m = lookahead.bias_m = lookahead.trusted_from_m = 0.0
 
 
 @jit

@@ -9,13 +9,19 @@ from typing import Any
 
 from surffollow.forecast.adaptive.adaptation import update_deadband
 from surffollow.forecast.adaptive.beam_detection import any_beam_changed, observe_beams
-from surffollow.forecast.adaptive.estimate import update_estimate
-from surffollow.forecast.adaptive.health import count_close, is_stuck, update_stuck
+from surffollow.forecast.adaptive.estimate import discard_estimate, update_estimate
+from surffollow.forecast.adaptive.health import (
+    count_close,
+    is_stuck,
+    is_stuck_permanently,
+    repeats_range,
+    update_stuck,
+)
 from surffollow.forecast.adaptive.kinematics import MIN_DIRECTION_SPEED_MPS, predict_pose
 from surffollow.forecast.adaptive.latency_identification import observe_height, update_delay
 from surffollow.forecast.adaptive.lookahead_sensor import compare_lookahead
 from surffollow.forecast.adaptive.plane_fit import plane_height
-from surffollow.forecast.adaptive.preview import compare_map, map_height, monitor_error
+from surffollow.forecast.adaptive.preview import compare_map, monitor_error, withdraw_preview
 from surffollow.forecast.adaptive.range_prediction import update_prediction
 from surffollow.forecast.adaptive.sample_hold import new_sample, record_sample
 from surffollow.forecast.adaptive.terrain_buffer import MIN_LEAD_M
@@ -81,11 +87,11 @@ def process_sample(
         output.fresh &= ~1
     if channel < 0:
         return
-    is_new, range_m, t = new_sample(params, hold, sense, inputs.n_ranges, channel)
+    is_new, range_m, t = new_sample(params, adaptive, sense, inputs.n_ranges, channel, several)
     if is_new == 0:
         return
     update_prediction(adaptive.prediction, t, range_m)
-    repeated = 1 if hold.t_ns != 0 and range_m == hold.range_m else 0
+    repeated = repeats_range(health, range_m)
     if several != 0 and any_beam_changed(beams, params.n_channels, hold.t_ns) != 0:
         repeated = 0
     record_sample(hold, t, range_m)
@@ -93,7 +99,10 @@ def process_sample(
         t -= int(latency.correction_s * 1e9)
     update_delay(latency, (adaptive.clock.now_ns - t) * 1e-9)
     predict_pose(kinematics, sense, t, pose)
-    update_stuck(adaptive, repeated, pose[2])
+    stuck_for_long = is_stuck_permanently(adaptive)
+    update_stuck(adaptive, repeated, range_m, pose[2])
+    if stuck_for_long != 0 and is_stuck(health) == 0:
+        discard_estimate(estimate)
     if t <= estimate.sample_ns or is_stuck(health) != 0:
         return
     adapt = 0 if params.adapt == 0 or params.run == RUN_FREEZE else 1
@@ -131,7 +140,8 @@ def process_sample(
     if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
         sample.heading_x = kinematics.velocity_x_mps / kinematics.speed_mps
         sample.heading_y = kinematics.velocity_y_mps / kinematics.speed_mps
-    compare_lookahead(adaptive, sample.arc_length_m, z)
+    if compare_lookahead(adaptive, sample.arc_length_m, z) != 0:
+        withdraw_preview(adaptive.preview)
     entered = update_estimate(params, adaptive, t, travel, z, standoff, adapt)
     if entered == 0:
         return
@@ -142,7 +152,7 @@ def process_sample(
     if inputs.n_preview > 0 and kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
         gap_x, gap_y = x - pose[0] - sample.tip_x_m, y - pose[1] - sample.tip_y_m
         lateral = gap_x * kinematics.velocity_x_mps + gap_y * kinematics.velocity_y_mps
-        compare_map(adaptive.preview, map_height(inputs, lateral / kinematics.speed_mps), z)
+        compare_map(adaptive, inputs, lateral / kinematics.speed_mps, z)
     if several == 0:
         output.fresh |= 1
         output.target_m[0], output.target_m[1], output.target_m[2] = x, y, z

@@ -53,7 +53,10 @@ def plane_height(params: Any, adaptive: Any, t_ns: Any, x_m: Any, y_m: Any) -> A
         return 0, 0.0
     if beams.accepted[beams.reference] != 0:
         update_track(adaptive, beams.reference)
-    fit_plane(adaptive, params.n_channels, accepted, dt)
+    if beams.inconsistent == 0:
+        fit_plane(adaptive, params.n_channels, accepted, dt)
+    else:
+        hold_slopes(plane)
     first_ns = note_first_sample(beams, t_ns)
     if plane.count == 0 and t_ns - first_ns < FIRST_PLANE_NS:
         return 0, 0.0  # the height by one beam on a slope is wrong: wait for the others
@@ -73,6 +76,12 @@ def propagate_slopes(plane: Any, t_ns: Any) -> Any:
     plane.slope_x = min(max(plane.slope_x + plane.slope_rate_x_hz * dt, -MAX_SLOPE), MAX_SLOPE)
     plane.slope_y = min(max(plane.slope_y + plane.slope_rate_y_hz * dt, -MAX_SLOPE), MAX_SLOPE)
     return dt
+
+
+@jit
+def hold_slopes(plane: Any) -> None:
+    """Keep the slopes: the beams do not agree on any."""
+    plane.slope_rate_x_hz = plane.slope_rate_y_hz = 0.0
 
 
 @jit

@@ -10,6 +10,7 @@ import math
 from typing import Any
 
 from surffollow.forecast.adaptive.axis_model import PERIOD_S
+from surffollow.forecast.adaptive.known_ground import REGISTRATION_M, compare_known_ground
 from surffollow.forecast.adaptive.terrain_buffer import buffered_height
 from surffollow.forecast.adaptive.terrain_regression import DISTANCES_M, RISE_LENGTH_M, predict_rise
 from surffollow.shm.jit import jit
@@ -30,6 +31,7 @@ LEADING_MAX_MODEL_ERROR_M2 = 1e-6  # (1 mm)²
 REFERENCE_RATE, ERROR_RATE = 0.002, 0.01  # per sample, without and with preview
 SUSPENSION_NS = 5_000_000_000  # after an error that is worse than without
 MAX_MAP_DEVIATION_M = 1.5e-3  # beyond, the ground has changed since it was mapped
+CONTRADICTION_NS = 100_000_000  # the map is not used for so long after samples that contradict it
 
 
 @jit
@@ -104,10 +106,23 @@ def collect_preview(
 
 
 @jit
-def compare_map(preview: Any, map_m: Any, h_m: Any) -> None:
-    """Compare the map with a sample's height: update bias and deviation."""
+def compare_map(adaptive: Any, inputs: Any, ahead_m: Any, h_m: Any) -> None:
+    """Compare the map with a sample's height: update bias and deviation.
+
+    A map that lies below the sample pulls the tool toward the surface. Several such samples in a row
+    withdraw the preview at once.
+    """
+    preview = adaptive.preview
+    map_m = map_height(inputs, ahead_m)
     if not math.isfinite(map_m):
         return
+    behind, before = (
+        map_height(inputs, ahead_m - REGISTRATION_M),
+        map_height(inputs, ahead_m + REGISTRATION_M),
+    )
+    if compare_known_ground(adaptive, behind, map_m, before, h_m - preview.map_bias_m) != 0:
+        withdraw_preview(preview)
+        suspend_preview(preview, adaptive.clock.now_ns + CONTRADICTION_NS)
     e = h_m - map_m
     preview.map_deviation_m += MAP_DEVIATION_RATE * (
         min(abs(e - preview.map_bias_m), 0.02) - preview.map_deviation_m

@@ -15,6 +15,7 @@ from surffollow.forecast.adaptive.estimate import (
 )
 from surffollow.forecast.adaptive.health import clear_faults, latch_fault, restart_hysteresis
 from surffollow.forecast.adaptive.innovation_gate import discard_gate, drop_pending
+from surffollow.forecast.adaptive.known_ground import reset_known_ground
 from surffollow.forecast.adaptive.latency_identification import reset_latency
 from surffollow.forecast.adaptive.lookahead_sensor import reset_lookahead, reset_lookahead_times
 from surffollow.forecast.adaptive.measurement import reset_sample
@@ -44,6 +45,7 @@ def reset_all(params: Any, adaptive: Any) -> None:
     reset_sample(adaptive.sample)
     reset_latency(adaptive.latency)
     reset_lookahead(adaptive.lookahead)
+    reset_known_ground(adaptive.known)
     reset_regression(adaptive.regression)
     reset_time_constant(params, adaptive.plant)
     reset_blend(adaptive.blend)

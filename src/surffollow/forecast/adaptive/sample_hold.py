@@ -11,10 +11,11 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CONVERSION_WINDOW
 
 HOLD_TOLERANCE_COUNTS = 1.5  # a change of the converter's last bit is no new sample
+BACKWARD_SAMPLES = 3  # timestamps in a row before that of the newest sample: they are wrong
 
 
 @jit
-def new_sample(params: Any, hold: Any, sense: Any, ranges_given: Any, channel: Any) -> Any:
+def new_sample(params: Any, adaptive: Any, sense: Any, ranges_given: Any, channel: Any, several: Any) -> Any:
     """Whether a channel has a new sample, its range and timestamp.
 
     Conversions of a held value are one sample with the timestamp of the first of them. An unchanged value is
@@ -24,7 +25,7 @@ def new_sample(params: Any, hold: Any, sense: Any, ranges_given: Any, channel: A
     -------
     int64, float64 [m], int64 [ns]
     """
-    n = sense.window_n[channel]
+    hold, n = adaptive.hold, sense.window_n[channel]
     hold_ns = params.hold_ns
     if ranges_given != 0:
         if sense.fresh[channel] == 0:
@@ -41,6 +42,8 @@ def new_sample(params: Any, hold: Any, sense: Any, ranges_given: Any, channel: A
         t += hold_ns // 2
         begun_ns = params.sensor_latency_ns - hold_ns // 2
         hold_ns += hold_ns // 2  # the begin of a held value is known to within a cycle
+    if several == 0 and sense.fresh[channel] != 0:
+        t = correct_timestamp(adaptive, t)
     if hold.t_ns != 0:
         if t <= hold.t_ns:
             return 0, 0.0, 0
@@ -51,12 +54,34 @@ def new_sample(params: Any, hold: Any, sense: Any, ranges_given: Any, channel: A
     if ranges_given == 0:
         k, oldest = n - 2, max(0, n - CONVERSION_WINDOW)
         while k >= oldest and abs(sense.window_m[base + (k & (CONVERSION_WINDOW - 1))] - value) <= flicker:
-            earlier = sense.window_t_ns[base + (k & (CONVERSION_WINDOW - 1))] - begun_ns
+            earlier = sense.window_t_ns[base + (k & (CONVERSION_WINDOW - 1))] - begun_ns + hold.shift_ns
             if earlier <= hold.t_ns or earlier > t:  # or of a clock that jumped back since
                 break
             t = earlier
             k -= 1
     return 1, value, t
+
+
+@jit
+def correct_timestamp(adaptive: Any, t_ns: Any) -> Any:
+    """Timestamp of a fresh sample, corrected when timestamps went back [ns].
+
+    Late samples arrive in order. Several in a row whose timestamps lie before that of the newest sample have
+    wrong timestamps: they follow each other at the usual interval until their delay is the usual one again.
+    """
+    hold, usual_ns = adaptive.hold, int(adaptive.latency.delay_s * 1e9)
+    delay_ns = adaptive.clock.now_ns - t_ns
+    if hold.shift_ns > 0 and delay_ns < usual_ns + hold.shift_ns // 2:
+        hold.shift_ns = 0
+    t = t_ns + hold.shift_ns
+    hold.backward = hold.backward + 1 if hold.t_ns != 0 and t < hold.t_ns else 0
+    if hold.backward >= BACKWARD_SAMPLES:
+        shift_ns = hold.t_ns + int(hold.backward * adaptive.prediction.interval_s * 1e9) - t_ns
+        hold.backward = 0
+        if delay_ns >= usual_ns + shift_ns // 2:
+            hold.shift_ns = shift_ns
+            t = t_ns + shift_ns
+    return t
 
 
 @jit
@@ -68,4 +93,4 @@ def record_sample(hold: Any, t_ns: Any, range_m: Any) -> None:
 @jit
 def reset_hold(hold: Any) -> None:
     """Accept a sample of any time as new."""
-    hold.t_ns = 0
+    hold.t_ns = hold.backward = hold.shift_ns = 0

@@ -8,6 +8,7 @@ from typing import Any
 from surffollow.forecast.adaptive.controller_clock import begin_period
 from surffollow.forecast.adaptive.estimate import SETTLING_NS
 from surffollow.forecast.adaptive.health import dropout_tolerance_s
+from surffollow.forecast.adaptive.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.forecast.adaptive.measurement import has_turned_back
 from surffollow.forecast.adaptive.model_bank import (
     CANDIDATE_MODEL,
@@ -57,7 +58,8 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
     """Blend the candidates' set points; when a controller period is due, record each of them.
 
     The axis lags by τ. Its set point is the height plus τ times the rate of the height. In a drop-out slopes
-    fade over `dropout_way_m`, and a step away from the tool that was confirmed just before is taken back.
+    fade over `dropout_way_m`, a step away from the tool that was confirmed just before is taken back, and the
+    set point descends no farther than that of the last sample less a margin.
     While the tool goes back since the newest sample, the height at that sample is held.
     """
     clock, kinematics, gate, bank, weights = (
@@ -96,6 +98,10 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
     )
     if dropout > 0.0 and gate.step_m < 0.0 and recent:
         z -= gate.step_m
+    if dropout > 0.0:
+        z = max(z, blend.seen_m - MAX_UNCONFIRMED_DESCENT_M)
+    else:
+        blend.seen_m = z
     if due:
         update_effort(adaptive)
         begin_period(adaptive.controller, clock.now_ns)

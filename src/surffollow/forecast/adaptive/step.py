@@ -18,15 +18,15 @@ from surffollow.forecast.adaptive.controller_clock import (
     open_period,
     period_is_due,
 )
-from surffollow.forecast.adaptive.estimate import INITIALISATION_SAMPLES, discard_estimate
+from surffollow.forecast.adaptive.estimate import INITIALISATION_SAMPLES
 from surffollow.forecast.adaptive.health import (
     is_lost,
     is_stuck,
-    is_stuck_permanently,
     latch_fault,
     update_health,
 )
-from surffollow.forecast.adaptive.kinematics import MIN_DIRECTION_SPEED_MPS, update_kinematics
+from surffollow.forecast.adaptive.kinematics import MIN_DIRECTION_SPEED_MPS, has_jumped, update_kinematics
+from surffollow.forecast.adaptive.known_ground import lowest_plan, reset_known_ground
 from surffollow.forecast.adaptive.lookahead_sensor import observe_lookahead
 from surffollow.forecast.adaptive.measurement import process_sample, standoff_height
 from surffollow.forecast.adaptive.plant_identification import (
@@ -110,7 +110,8 @@ def plan_period(
     clock, kinematics, controller = adaptive.clock, adaptive.kinematics, adaptive.controller
     lookahead = adaptive.lookahead
     leads = 1 if adaptive.sample.lead_m > MIN_LEAD_M else 0
-    another_leads = 1 if lookahead.lead_m > MIN_LEAD_M else 0
+    trusted = adaptive.sample.arc_length_m >= lookahead.trusted_from_m
+    another_leads = 1 if lookahead.lead_m > MIN_LEAD_M and trusted else 0
     open_period(controller, inputs.n_ranges, clock.now_ns)
     latch_ns = latch_time(controller, inputs.n_ranges, clock.now_ns)
     since_pose_m = kinematics.speed_mps * (latch_ns - pose_t_ns) * 1e-9
@@ -135,7 +136,10 @@ def target_of_preview(params: Any, adaptive: Any, target_m: Any, standoff_m: Any
         rate = (preview.ground_m[1] - preview.ground_m[0]) / PERIOD_S
         target_m = preview.ground_m[0] + rate * (adaptive.plant.tau_s + params.tick_lead_s) + standoff_m
     target_m = filter_setpoint(params, adaptive, target_m)
-    target_m += preview.share * (adaptive.plan.setpoint_m - target_m)
+    planned = adaptive.plan.setpoint_m
+    if preview.sensed_periods == 0:  # ground that the sensor under the tool has not confirmed
+        planned = max(planned, lowest_plan(adaptive.known, target_m))
+    target_m += preview.share * (planned - target_m)
     return target_m
 
 
@@ -175,14 +179,16 @@ def compute_demand(
         observe_lookahead(params, adaptive, sense, moving, pose)
     stuck = is_stuck(health)
     update_health(params, adaptive, stuck)
+    if has_jumped(kinematics, clock.now_ns) != 0:
+        withdraw_preview(adaptive.preview)
+        reset_known_ground(adaptive.known)
     status = VALID
     if health.state == DROPOUT or health.state == OUT_OF_RANGE or health.state == STUCK:
         status |= NO_SENSOR
     if stuck != 0:
         latch_fault(health, FAULT_STUCK)
-        if is_stuck_permanently(adaptive) != 0:
-            discard_estimate(estimate)
-    if stuck != 0 or is_lost(params, adaptive) != 0:
+        withdraw_preview(adaptive.preview)
+    if is_lost(params, adaptive) != 0:
         if estimate.samples > 0 and stuck == 0:
             latch_fault(health, FAULT_LOST)
         release_setpoint(setpoint)
@@ -202,6 +208,9 @@ def compute_demand(
     few = estimate.samples < CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
     if estimate.samples < INITIALISATION_SAMPLES or few:
         target = max(target, tool_z)  # no descent over ground that is hardly known
+    if stuck != 0:  # ground that is not seen may rise as steeply as it did before
+        rise_mps = max(math.sqrt(estimate.slope_power), estimate.slope) * kinematics.speed_mps
+        target = max(target, tool_z + rise_mps * adaptive.plant.tau_s)
     limit_setpoint(params, adaptive, clock.now_ns, target, tool_z)
     demand = setpoint.position_m - tool_z
     if not math.isfinite(demand + estimate.height_m + estimate.slope + estimate.sigma_m):
