@@ -75,3 +75,12 @@ def test_every_public_part_has_a_page_of_its_docstrings():
     pages = " ".join(p.read_text() for p in folder.glob("*.md"))
     for part in ("", *(f".{name}" for name in (*surffollow._LIGHT, *surffollow._HEAVY))):
         assert f"<!-- api: surffollow{part} -->" in pages, part
+
+
+@pytest.mark.parametrize(("page", "said"), [("reference/sonar.md", "0.1658"), ("explanation/maps.md", "")])
+def test_the_example_of_a_page_runs(page, said, tmp_path):
+    (code, *_) = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs" / page).read_text(), re.S | re.M)
+    points = "import numpy as np\npoints = np.random.default_rng(1).random((100, 3))\n"
+    done = subprocess.run([sys.executable, "-c", points + code], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert said in done.stdout
