@@ -57,6 +57,18 @@ _QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)
 def unit_scale(unit: str, si_unit: str) -> float:
     """Factor from `unit` to `si_unit`.
 
+    Parameters
+    ----------
+    unit : str
+        of the given number
+    si_unit : str
+        of the result
+
+    Returns
+    -------
+    float
+        factor
+
     Raises
     ------
     UsageError
@@ -84,6 +96,11 @@ def parse_quantity(value: object, unit: str) -> float:
     unit : str
         what the result is in, e.g. "m", "ns"
 
+    Returns
+    -------
+    float
+        in `unit`
+
     Raises
     ------
     UsageError
@@ -110,7 +127,18 @@ def parse_quantity(value: object, unit: str) -> float:
 
 
 def format_ns(t_ns: float) -> str:
-    """A duration for people: 850 ns, 12.3 µs, 4.56 ms, 1.20 s."""
+    """A duration for people: 850 ns, 12.3 µs, 4.56 ms, 1.20 s.
+
+    Parameters
+    ----------
+    t_ns : float
+        duration [ns]
+
+    Returns
+    -------
+    str
+        three digits and a unit
+    """
     for limit, scale, unit in ((1e3, 1.0, "ns"), (1e6, 1e3, "µs"), (1e9, 1e6, "ms")):
         if abs(t_ns) < limit:
             return f"{t_ns / scale:.3g} {unit}"

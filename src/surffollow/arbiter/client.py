@@ -58,7 +58,18 @@ class ArbiterClient(ArbiterObserver):
         return not self.exchange.ended
 
     def resource(self, name: str) -> Resource:
-        """A resource by its name."""
+        """A resource by its name.
+
+        Parameters
+        ----------
+        name : str
+            of the resource, as configured
+
+        Returns
+        -------
+        Resource
+            handle of the resource
+        """
         return Resource(self, self.exchange, self.board.number_of(name))
 
     def _show_life(self) -> None:
@@ -75,6 +86,16 @@ class ArbiterClient(ArbiterObserver):
         """Attach anew under the same names, to a server of the same user only; this client is closed.
 
         Every token is void: ask again. Raises as `attach`.
+
+        Parameters
+        ----------
+        timeout_s : float
+            how long to wait for a server that has not started [s]
+
+        Returns
+        -------
+        ArbiterClient
+            the new attachment
         """
         self.close()
         return attach(self.name, self.client, timeout_s=timeout_s, owner=self.owner)
@@ -122,6 +143,11 @@ def attach(
     owner : int or str
         number or name of the user whose server to trust; None: this process's own, root's,
         or that of the user that SURFFOLLOW_OWNER names
+
+    Returns
+    -------
+    ArbiterClient
+        to be closed, or used in a `with` statement
 
     Raises
     ------

@@ -44,7 +44,18 @@ class ResourceCommand(NamedTuple):
     limited: bool
 
     def age_ns(self, now_ns: int | None = None) -> int:
-        """How long ago it was made [ns]."""
+        """How long ago it was made [ns].
+
+        Parameters
+        ----------
+        now_ns : int, optional
+            CLOCK_MONOTONIC [ns]; now when absent
+
+        Returns
+        -------
+        int
+            time since the command was made [ns]
+        """
         return (time.monotonic_ns() if now_ns is None else now_ns) - self.t_ns
 
 
@@ -119,6 +130,11 @@ def command_reader(name: str, resource: str, *, owner: int | str | None = None) 
     owner : int or str
         number or name of the user whose block to trust; None: this process's own,
         root's, or that of the user that SURFFOLLOW_OWNER names
+
+    Returns
+    -------
+    CommandReader
+        to be asked by `latest`
 
     Raises
     ------

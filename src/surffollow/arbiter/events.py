@@ -98,7 +98,18 @@ class History:
         return HistoryEvent(seq, t_ns, client, name, token, text, about, item, tuple(command))
 
     def newest(self, count: int) -> list[HistoryEvent]:
-        """The newest records, oldest of them first."""
+        """The newest records, oldest of them first.
+
+        Parameters
+        ----------
+        count : int
+            most records
+
+        Returns
+        -------
+        list of HistoryEvent
+            oldest of them first
+        """
         head = self._words[self._base + _HEAD] // al.EVENT_WORDS
         self._next = max(0, head - min(count, self._capacity - 1))
         return list(self)

@@ -94,6 +94,11 @@ class Resource:
         timeout_s : float
             for the server's answer, and in the queue
 
+        Returns
+        -------
+        Reply
+            true when control was granted; otherwise with reason and holder
+
         Raises
         ------
         RequestTimeoutError

@@ -60,6 +60,11 @@ class AttachedBlock(ReadSide):
     def get_write_ok(self, timeout_s: float = 5.0) -> Record:
         """Wait until all reading has finished.
 
+        Parameters
+        ----------
+        timeout_s : float
+            longest wait [s]
+
         Returns
         -------
         Record
@@ -192,7 +197,18 @@ class AttachedBlock(ReadSide):
 
     @contextmanager
     def write(self, timeout_s: float = 5.0) -> Iterator[Record]:
-        """`with block.write() as slot:` get_write_ok, write_done; an exception inside publishes nothing."""
+        """`with block.write() as slot:` get_write_ok, write_done; an exception inside publishes nothing.
+
+        Parameters
+        ----------
+        timeout_s : float
+            longest wait [s]
+
+        Returns
+        -------
+        context manager of Record
+            a slot that holds the newest values, to be changed
+        """
         slot = self.get_write_ok(timeout_s)
         try:
             yield slot
@@ -206,6 +222,11 @@ class AttachedBlock(ReadSide):
 
         This is where replication to other machines attaches. A hook that raises cannot
         hurt the writer: it is counted in `hook_failures` and warned of once.
+
+        Parameters
+        ----------
+        hook : callable
+            gets the `Snapshot` of each publication
 
         Returns
         -------

@@ -28,6 +28,11 @@ class ReadSide(Attachment):
     def get_read_ok(self, timeout_s: float = 5.0) -> tuple[Record, int]:
         """Wait until writing has finished and keep the writer out.
 
+        Parameters
+        ----------
+        timeout_s : float
+            longest wait [s]
+
         Returns
         -------
         Record
@@ -141,6 +146,16 @@ class ReadSide(Attachment):
     @contextmanager
     def read(self, timeout_s: float = 5.0) -> Iterator[Record]:
         """`with block.read() as view:` get_read_ok and read_done.
+
+        Parameters
+        ----------
+        timeout_s : float
+            longest wait [s]
+
+        Returns
+        -------
+        context manager of Record
+            a read-only view of the values
 
         Raises
         ------

@@ -53,6 +53,11 @@ def attach(
         number or name of the user whose service to trust; None: this process's own
         user, root, or the one that SURFFOLLOW_OWNER names. Whose it is at first it must be ever after
 
+    Returns
+    -------
+    Client
+        to be closed, or used in a `with` statement
+
     Raises
     ------
     NameError_
@@ -76,5 +81,22 @@ def observe(
     stale_min_s: float = 0.005,
     owner: int | str | None = None,
 ) -> Observer:
-    """Attach read-only: no slot, no write permission needed; raises as `attach`."""
+    """Attach read-only: no slot, no write permission needed; raises as `attach`.
+
+    Parameters
+    ----------
+    name : str
+        of the service
+    stale_periods : int
+        cycles of silence after which demands become zero
+    stale_min_s : float
+        but never sooner than this [s]
+    owner : int or str, optional
+        number or name of the user whose service to trust, as for `attach`
+
+    Returns
+    -------
+    Observer
+        to be closed, or used in a `with` statement
+    """
     return Observer(name, stale_periods=stale_periods, stale_min_s=stale_min_s, owner=owner)

@@ -13,6 +13,16 @@ _ZERO = (0.0,) * 6
 def status_names(status: int) -> tuple[str, ...]:
     """The names of the status bits, e.g. ("VALID", "LIMITED").
 
+    Parameters
+    ----------
+    status : int
+        `Demand.status`
+
+    Returns
+    -------
+    tuple of str
+        names of the bits that are set
+
     Examples
     --------
     >>> from surffollow.client import status_names

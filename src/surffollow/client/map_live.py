@@ -144,6 +144,18 @@ class MapReading:
 
         Never waits: unknown is also the answer while the map is being laid anew.
 
+        Parameters
+        ----------
+        x_m : float
+            place [m]
+        y_m : float
+            place [m]
+
+        Returns
+        -------
+        float
+            height [m], or NaN
+
         Raises
         ------
         NotRunningError
@@ -158,6 +170,18 @@ class MapReading:
 
         The grid that holds the point must be known; unknown neighbours leave the bilinear mean and
         its weights are renormalised. Slopes are central differences, one-sided at the edge of the known.
+
+        Parameters
+        ----------
+        x_m : float
+            place [m]
+        y_m : float
+            place [m]
+
+        Returns
+        -------
+        SurfacePoint
+            height [m] and slopes; NaN where the map knows nothing
 
         Raises
         ------
@@ -176,6 +200,11 @@ class MapReading:
         ----------
         region : (x_min, y_min, x_max, y_max) [m], optional
             the grids that touch it; all grids when absent
+
+        Returns
+        -------
+        MapWindow
+            views that change with the map
 
         Raises
         ------
@@ -199,6 +228,16 @@ class MapReading:
 
         A grid's height is stored before its tile's counter: fetch the tiles after this call, and what
         changes meanwhile is in the next answer. A map that was laid anew has changed everywhere.
+
+        Parameters
+        ----------
+        since : MapChanges, optional
+            an earlier answer
+
+        Returns
+        -------
+        MapChanges
+            to be given to the next call
 
         Raises
         ------

@@ -131,6 +131,11 @@ class RangePusher(Reclaimer):
     def claim_range(self, channel: int) -> None:
         """Become the one who pushes a channel's ranges; `push_range` does it when needed.
 
+        Parameters
+        ----------
+        channel : int
+            0 to 7
+
         Raises
         ------
         BusyError
@@ -153,7 +158,13 @@ class RangePusher(Reclaimer):
                 time.sleep(CLAIM_PAUSE_S)
 
     def release_range(self, channel: int) -> None:
-        """Let another client push a channel's ranges."""
+        """Let another client push a channel's ranges.
+
+        Parameters
+        ----------
+        channel : int
+            0 to 7
+        """
         self._follow()  # of a service that was started anew this client holds nothing
         if channel in self._pushed:
             self._request(lb.RQ_RELEASE_RANGE, numbers=(channel,), n=1, patience_s=1.0).result(1.0)

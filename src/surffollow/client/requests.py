@@ -120,6 +120,16 @@ class Ticket:
     def result(self, timeout_s: float = 5.0) -> int:
         """Wait for the answer; its detail number.
 
+        Parameters
+        ----------
+        timeout_s : float
+            longest wait [s]
+
+        Returns
+        -------
+        int
+            `detail` of the answer
+
         Raises
         ------
         RefusedError
@@ -157,7 +167,20 @@ class Ticket:
         return detail
 
     def settle(self, timeout_s: float, wait: bool) -> Ticket:
-        """Wait for the answer when asked to; the ticket itself."""
+        """Wait for the answer when asked to.
+
+        Parameters
+        ----------
+        timeout_s : float
+            longest wait [s]
+        wait : bool
+            False: return at once
+
+        Returns
+        -------
+        Ticket
+            this one
+        """
         if wait:
             self.result(timeout_s)
         return self

@@ -102,7 +102,12 @@ class SlotHolder(Observer):
             ) from None
 
     def await_slot(self, until_s: float) -> None:
-        """Wait for a slot until a time of `time.monotonic`; not in a control loop.
+        """Wait for a slot; not in a control loop.
+
+        Parameters
+        ----------
+        until_s : float
+            time of `time.monotonic` [s]
 
         Raises
         ------

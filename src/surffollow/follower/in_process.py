@@ -122,6 +122,11 @@ class Follower:
     def set_params(self, **values: object) -> None:
         """Change parameters from the next step on.
 
+        Parameters
+        ----------
+        values : any
+            parameters by name, with or without the ending of the name; SI numbers or text with units
+
         Raises
         ------
         ConfigError
@@ -144,6 +149,13 @@ class Follower:
 
         Ground remembered from earlier passes is forgotten too. With `keep_memory` it stays, as the
         service's map does in a SFReset: for another stand-off over a part that was not moved.
+
+        Parameters
+        ----------
+        offset_m : float, optional
+            desired stand-off [m]; None: as before
+        keep_memory : bool
+            keep the ground remembered from earlier passes
         """
         if offset_m is not None:
             trial = self._params.copy()
@@ -261,7 +273,18 @@ class Follower:
         return demand
 
     def forecast_range_m(self, horizon_s: float) -> float:
-        """The range that channel 0 will read `horizon_s` [s] after its last valid reading; NaN before one."""
+        """The range that channel 0 will read `horizon_s` [s] after its last valid reading; NaN before one.
+
+        Parameters
+        ----------
+        horizon_s : float
+            time after the last valid reading [s]
+
+        Returns
+        -------
+        float
+            range [m], NaN before the first valid reading
+        """
         return float(forecast_range(self._params, self._state, float(horizon_s)))
 
     def state(self) -> dict[str, Any]:

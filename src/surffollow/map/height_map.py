@@ -80,6 +80,11 @@ class HeightMap(MapView):
         seed : int
             of the rounding sequence
 
+        Returns
+        -------
+        HeightMap
+            all grids unknown
+
         Raises
         ------
         RegionError, UsageError
@@ -127,6 +132,11 @@ class HeightMap(MapView):
             height of one count [m]; None: 25.4 µm, or as coarse as needed
         datum_m : float
             middle of the height range [m]; None: that of the heights
+
+        Returns
+        -------
+        HeightMap
+            with the grids of the array
 
         Raises
         ------
@@ -207,7 +217,13 @@ class HeightMap(MapView):
         return int(add_points(self.header, self.pairs, points))
 
     def reset(self, region: Region) -> None:
-        """MapReset: forget everything and lay the map over a region."""
+        """MapReset: forget everything and lay the map over a region.
+
+        Parameters
+        ----------
+        region : (x_min, y_min, x_max, y_max) [m]
+            sides positive
+        """
         _check(reset_begin(self.header, *_region(region)))
         while not reset_step(self.header, self.pairs, _SLICE):
             pass
@@ -248,6 +264,13 @@ class HeightMap(MapView):
         """Write the lossless text file (or .npz, by suffix), atomically.
 
         A suffix of another format is refused: `map.files.export` writes those.
+
+        Parameters
+        ----------
+        path : path
+            .npz by suffix, or the text format
+        progress : callable, optional
+            gets the finished fraction; returning False cancels
         """
         from surffollow.map.files import save
 
@@ -267,6 +290,11 @@ class HeightMap(MapView):
             memory for later refocusing; default: just what the file has
         progress : callable
             gets the finished fraction; returning False cancels
+
+        Returns
+        -------
+        HeightMap
+            as the file has it
         """
         from surffollow.map.files import load
 

@@ -75,6 +75,11 @@ class CalibrationMatrix:
         outside : str
             policy beyond the spots' hull: "nearest" or "unknown"
 
+        Returns
+        -------
+        CalibrationMatrix
+            corrections at regular places
+
         Raises
         ------
         ScanInputError
@@ -118,7 +123,18 @@ class CalibrationMatrix:
         )
 
     def at(self, xy_m: ArrayLike) -> Floats:
-        """(n,) corrections [m] by linear interpolation in the matrix; see `outside` for places beyond it."""
+        """(n,) corrections [m] by linear interpolation in the matrix; see `outside` for places beyond it.
+
+        Parameters
+        ----------
+        xy_m : (n, 2) float [m]
+            places
+
+        Returns
+        -------
+        (n,) float64 [m]
+            corrections
+        """
         xy = real_array("xy_m", xy_m, (None, None))[:, :2]
         rows, cols = self.values_m.shape
         uv = (xy - np.asarray(self.origin_m)) / self.grid_m
@@ -137,13 +153,30 @@ class CalibrationMatrix:
         return np.where(np.isfinite(xy).all(axis=1), made, np.nan)
 
     def apply(self, path: ScanPath) -> ScanPath:
-        """Add the correction to z (11); z is NaN where the correction is unknown."""
+        """Add the correction to z (11); z is NaN where the correction is unknown.
+
+        Parameters
+        ----------
+        path : ScanPath
+            in map coordinates
+
+        Returns
+        -------
+        ScanPath
+            a copy with corrected z
+        """
         position = path.position_m.copy()
         position[:, 2] += self.at(position)
         return path.changed(position_m=position)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a JSON file: format, origin_m, grid_m, outside, values_m, inside, spots_m, left_out_m."""
+        """Write a JSON file: format, origin_m, grid_m, outside, values_m, inside, spots_m, left_out_m.
+
+        Parameters
+        ----------
+        path : path
+            of the file
+        """
         facts = {
             "format": FORMAT,
             "origin_m": list(self.origin_m),
@@ -160,6 +193,16 @@ class CalibrationMatrix:
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> CalibrationMatrix:
         """Read what `save` wrote.
+
+        Parameters
+        ----------
+        path : path
+            of the file
+
+        Returns
+        -------
+        CalibrationMatrix
+            as it was saved
 
         Raises
         ------

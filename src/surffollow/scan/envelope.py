@@ -207,6 +207,20 @@ def ball_envelope(heights_m: ArrayLike, grid_m: float, gap_m: float) -> Floats:
 def envelope_of(ground: TerrainGrid, gap_m: float, *, footprint_m: float | None = None) -> Envelope:
     """The envelope of a terrain grid, and where unknown ground lies within `footprint_m` (default: the gap).
 
+    Parameters
+    ----------
+    ground : TerrainGrid
+        the terrain
+    gap_m : float [m]
+        radius of the ball
+    footprint_m : float [m], optional
+        distance within which unknown ground counts; None: the gap
+
+    Returns
+    -------
+    Envelope
+        heights, and where unknown ground is near
+
     Raises
     ------
     ScanInputError

@@ -115,6 +115,22 @@ def reactionary(
     """The baseline: lift the body until it is clear, with its attitude unchanged but for the wrist's limits.
 
     Parameters and result as `advanced_terrain_following`; without limits any attitude is kept.
+
+    Parameters
+    ----------
+    path : ScanPath
+        as `advanced_terrain_following`
+    body_points_m : (m, 3) float [m]
+        control points of the body
+    envelope : Envelope or TerrainGrid
+        surface that no control point may be below
+    wrist_limits_rad : WristLimits or what makes them, optional
+        None: any attitude is kept
+
+    Returns
+    -------
+    ScanPath
+        the lifted path
     """
     limits = WristLimits.symmetric(math.radians(89.0)) if wrist_limits_rad is None else wrist_limits_rad
     return _follow(path, body_points_m, envelope, limits, 0.0)

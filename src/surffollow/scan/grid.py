@@ -67,6 +67,22 @@ class TerrainGrid:
     ) -> TerrainGrid:
         """Check and take arrays; without `cells`, every finite height counts as measured.
 
+        Parameters
+        ----------
+        heights_m : (rows, cols) float [m]
+            NaN: unknown; rows ascend in y
+        origin_m : (x, y) [m]
+            outer corner of heights_m[0, 0]
+        grid_m : float [m]
+            side of a cell
+        cells : (rows, cols) uint8, optional
+            UNKNOWN, MEASURED or FILLED
+
+        Returns
+        -------
+        TerrainGrid
+            of the arrays, which are not copied where that is not needed
+
         Raises
         ------
         ScanInputError
@@ -87,7 +103,18 @@ class TerrainGrid:
 
     @classmethod
     def from_map(cls, m: HeightMap) -> TerrainGrid:
-        """The heights of a map; beside cells with samples, priors (count 0) are FILLED, else MEASURED."""
+        """The heights of a map; beside cells with samples, priors (count 0) are FILLED, else MEASURED.
+
+        Parameters
+        ----------
+        m : HeightMap
+            the map
+
+        Returns
+        -------
+        TerrainGrid
+            with the same cells
+        """
         z, counts = m.heights_m, m.counts
         cells = np.where(np.isfinite(z), MEASURED, UNKNOWN).astype(np.uint8)
         if (counts > 0).any():
@@ -127,11 +154,34 @@ class TerrainGrid:
         return np.asarray(x, np.float64), np.asarray(y, np.float64)
 
     def with_heights(self, heights_m: Floats) -> TerrainGrid:
-        """The same cells with other heights."""
+        """The same cells with other heights.
+
+        Parameters
+        ----------
+        heights_m : (rows, cols) float [m]
+            other heights
+
+        Returns
+        -------
+        TerrainGrid
+            a copy
+        """
         return replace(self, heights_m=heights_m)
 
     def window(self, region: Sequence[float], margin_m: float = 0.0) -> TerrainGrid:
         """The cells that a region and a margin around it touch, cut at this grid's edges.
+
+        Parameters
+        ----------
+        region : (x_min, y_min, x_max, y_max) [m]
+            sides positive
+        margin_m : float [m]
+            width added on every side
+
+        Returns
+        -------
+        TerrainGrid
+            a part of this grid
 
         Raises
         ------

@@ -49,6 +49,18 @@ def read_images(
 ) -> list[DepthImage]:
     """Images with the cameras that a TOML file gives them by file name.
 
+    Parameters
+    ----------
+    files : list of paths
+        .npz or .tif
+    cameras : path or None
+        TOML file of cameras; None: the images have them
+
+    Returns
+    -------
+    list of DepthImage
+        in the order of the files
+
     Raises
     ------
     ScanFileError

@@ -203,6 +203,8 @@ def median_filter(image: ArrayLike, *, passes: int = 1) -> Floats:
     ----------
     image : (rows, cols) float
         NaN invalid; stays invalid
+    passes : int
+        how often
 
     Returns
     -------
@@ -223,6 +225,8 @@ def gaussian_filter(image: ArrayLike, *, sigma_px: float = 2.0) -> Floats:
     ----------
     image : (rows, cols) float
         NaN invalid; stays invalid
+    sigma_px : float [px]
+        standard deviation
 
     Returns
     -------

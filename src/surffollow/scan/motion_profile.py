@@ -20,6 +20,11 @@ def trapezoid(distance: float, speed: float, acceleration: float) -> tuple[Motio
     distance, speed, acceleration : float
         in m or rad, each above 0
 
+    Returns
+    -------
+    callable and float [s]
+        position as a function of time [s], and the duration
+
     Examples
     --------
     >>> import numpy as np
@@ -42,6 +47,22 @@ def trapezoid(distance: float, speed: float, acceleration: float) -> tuple[Motio
 
 def jerk_limited(distance: float, speed: float, acceleration: float, jerk: float) -> tuple[Motion, float]:
     """As `trapezoid`, its acceleration rising and falling at most at the jerk.
+
+    Parameters
+    ----------
+    distance : float
+        in m or rad, above 0
+    speed : float
+        limit, above 0
+    acceleration : float
+        limit, above 0
+    jerk : float
+        limit, above 0
+
+    Returns
+    -------
+    callable and float [s]
+        position as a function of time [s], and the duration
 
     Notes
     -----

@@ -102,6 +102,22 @@ def disagreement(
     """Cells where the expanded terrain and the ball's envelope differ by more than half a cell.
 
     Cells that only one of the two knows are not counted.
+
+    Parameters
+    ----------
+    offset : OffsetSurface
+        the expanded terrain, see `normal_offset`
+    envelope_m : (rows, cols) float [m]
+        the envelope, see `ball_envelope`
+    grid_m : float [m]
+        side of a cell
+    tolerance_m : float [m], optional
+        allowed difference; None: half a cell
+
+    Returns
+    -------
+    (rows, cols) bool
+        True: both are known and differ
     """
     limit = AGREE_CELLS * grid_m if tolerance_m is None else tolerance_m
     both = np.isfinite(offset.heights_m) & np.isfinite(envelope_m)

@@ -195,7 +195,18 @@ def _followed(path: ScanPath, body: Floats, envelope: Envelope, settings: PlanSe
 
 
 def plan_figures(path: ScanPath) -> dict[str, Any]:
-    """What an operator wants to know of a plan before anything moves."""
+    """What an operator wants to know of a plan before anything moves.
+
+    Parameters
+    ----------
+    path : ScanPath
+        a plan
+
+    Returns
+    -------
+    dict
+        figures by name, in SI units; flags by name
+    """
     on = path.passes >= 0
     known = on & np.isfinite(path.clearance_m)
     tilt = np.degrees(np.arccos(np.clip(path.normal[:, 2], -1.0, 1.0)))

@@ -69,6 +69,11 @@ class PolarCorrection:
         base_m : (x, y, …) [m]
         zone_m : float [m]
 
+        Returns
+        -------
+        PolarCorrection
+            radial scale and offset, angular offset, zone
+
         Raises
         ------
         ScanInputError
@@ -100,7 +105,18 @@ class PolarCorrection:
         return cls(made.base_m, made.scale, made.offset_m, angle, b + base, left, zone)
 
     def apply(self, xy_m: ArrayLike) -> Floats:
-        """(n, 2) corrected places (8), (9)."""
+        """(n, 2) corrected places (8), (9).
+
+        Parameters
+        ----------
+        xy_m : (n, 2) float [m]
+            places
+
+        Returns
+        -------
+        (n, 2) float64 [m]
+            corrected places
+        """
         d = real_array("xy_m", xy_m, (None, None))[:, :2] - np.asarray(self.base_m)
         rho = np.hypot(d[:, 0], d[:, 1]) * self.scale + self.offset_m
         phi = np.arctan2(d[:, 1], d[:, 0]) + self.offset_rad
@@ -108,7 +124,18 @@ class PolarCorrection:
         return made
 
     def effective(self, xy_m: ArrayLike) -> NDArray[np.bool_]:
-        """(n,) bool: the zone of effectiveness, where the nearest spot of the fit is within the bound."""
+        """(n,) bool: the zone of effectiveness, where the nearest spot of the fit is within the bound.
+
+        Parameters
+        ----------
+        xy_m : (n, 2) float [m]
+            places
+
+        Returns
+        -------
+        (n,) bool
+            True: within the zone of effectiveness
+        """
         xy = real_array("xy_m", xy_m, (None, None))[:, :2]
         if self.spots_m is None or self.residual_m is None:
             return np.zeros(len(xy), np.bool_)

@@ -55,6 +55,11 @@ class SignalMap:
         reach_m : float
             and no farther from the strongest cell than this
 
+        Returns
+        -------
+        tuple of three floats
+            x [m], y [m] and height above the background
+
         Raises
         ------
         ScanInputError
@@ -84,7 +89,13 @@ class SignalMap:
         return float(xs[col] + at[0]), float(ys[row] + at[1]), top
 
     def save_geotiff(self, path: str | os.PathLike[str]) -> None:
-        """Write mean, max and count as three float32 bands, northernmost row first (extra `geo`)."""
+        """Write mean, max and count as three float32 bands, northernmost row first (extra `geo`).
+
+        Parameters
+        ----------
+        path : path
+            of the file
+        """
         try:
             import rasterio
         except ImportError as e:
@@ -128,6 +139,11 @@ def signal_map(
         side of a cell
     region : (x_min, y_min, x_max, y_max) [m] or None
         samples outside it are left out; None: all
+
+    Returns
+    -------
+    SignalMap
+        NaN where a cell has no sample
 
     Raises
     ------

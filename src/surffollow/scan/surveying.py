@@ -57,6 +57,17 @@ def survey(
 ) -> tuple[TerrainGrid, dict[str, Any]]:
     """Map the ground that images and clouds show.
 
+    Parameters
+    ----------
+    images : sequence of DepthImage
+        with their cameras
+    clouds : sequence of (n, 3) float [m]
+        points in the ground frame
+    settings : SurveySettings
+        filters and grid
+    progress : callable, optional
+        gets the finished fraction
+
     Returns
     -------
     TerrainGrid, and a report: per image the patches and pixels kept and dropped by criterion

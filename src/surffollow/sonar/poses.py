@@ -213,6 +213,18 @@ def optimal_pair(
     """The wall of the pair with the least L²·var φ + var d (L = 1 m) among all that agree with every reading.
 
     Parameters and errors as `wall_pose`, whose first result this is; None where no wall agrees.
+
+    Parameters
+    ----------
+    positions_m, headings_rad, ranges_m, half_beam_rad
+        as `wall_pose`
+    options : any
+        keywords of `wall_pose`
+
+    Returns
+    -------
+    WallPose or None
+        None where no wall agrees
     """
     found = wall_pose(positions_m, headings_rad, ranges_m, half_beam_rad, **options)
     return found[0] if found else None
@@ -236,6 +248,20 @@ def fused_pose(
     returned.
 
     Parameters and errors as `wall_pose`; `sigma_m` must be positive. None where no echo came.
+
+    Parameters
+    ----------
+    positions_m, headings_rad, ranges_m, half_beam_rad
+        as `wall_pose`
+    sigma_m : float or (m,) array
+        standard deviation of the ranges, above 0
+    model, max_incidence_rad, max_range_m
+        as `wall_pose`
+
+    Returns
+    -------
+    WallPose or None
+        None where no echo came
     """
     found = walls(
         positions_m,
@@ -274,12 +300,16 @@ def walls(
 
     Parameters
     ----------
+    positions_m, headings_rad, ranges_m, half_beam_rad
+        as `wall_pose`
     k : int
         most walls to look for
+    sigma_m : float or (m,) array
+        standard deviation of the ranges, above 0
+    model, max_incidence_rad, max_range_m
+        as `wall_pose`
     min_sensors : int
         1: a lone echo counts as a wall, too, with the covariance that its beam leaves
-    others
-        as `wall_pose`; `sigma_m` must be positive
 
     Returns
     -------

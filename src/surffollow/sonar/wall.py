@@ -52,7 +52,22 @@ class WallPose:
         return math.sqrt(self.covariance[1, 1])
 
     def moved(self, x_m: float, y_m: float, heading_rad: float) -> WallPose:
-        """The same wall in the frame of a pose (x, y, heading) that is given in this wall's frame."""
+        """The same wall in the frame of a pose (x, y, heading) that is given in this wall's frame.
+
+        Parameters
+        ----------
+        x_m : float [m]
+            place of the new frame
+        y_m : float [m]
+            place of the new frame
+        heading_rad : float [rad]
+            direction of the new frame's x axis
+
+        Returns
+        -------
+        WallPose
+            with its covariance turned
+        """
         n = np.array([math.cos(self.phi_rad), math.sin(self.phi_rad)])
         slope = x_m * n[1] - y_m * n[0]
         turn = np.array([[1.0, 0.0], [slope, 1.0]])
