@@ -1,0 +1,223 @@
+"""Readings and poses that pull the tool toward the surface, and what the follower says of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from surffollow import Follower
+from surffollow.contest.hazards import (
+    FAMILIES,
+    FAR_M,
+    KINDS,
+    LEADING,
+    NEAR_M,
+    STANDOFF_M,
+    PLoop,
+    Scenario,
+    draw,
+    play,
+    rotate,
+    true_range,
+)
+from surffollow.contest.hazards import make_ground as ground_of
+
+MS = 1_000_000
+BELOW_P_M = 5e-3
+
+
+def follower(mounts=((0.0, 0.0),), **more) -> Follower:
+    sensors = [{"near_m": NEAR_M, "far_m": FAR_M, "position_m": [x, y, 0.0]} for x, y in mounts]
+    return Follower({"sensors": sensors, **more}, offset_m=STANDOFF_M)
+
+
+def pose(x_m: float, z_m: float = STANDOFF_M) -> tuple[float, ...]:
+    return x_m, 0.0, z_m, 0.0, 0.0, 0.0, 1.0
+
+
+def drive(f: Follower, ranges, *, speed=0.1, x_m=None, z_m=None, stamp_ms=None):
+    """Poses every 8 ms, readings every 4 ms that arrive 30 ms late; yields demand and state."""
+    for k, r in enumerate(ranges):
+        t = 4 * k
+        if k % 2 == 0:
+            x = speed * t * 1e-3 if x_m is None else x_m(t)
+            f.pose((1000 + t) * MS, pose(x, STANDOFF_M if z_m is None else z_m(t)))
+        stamp = t if stamp_ms is None else stamp_ms(t)
+        f.step((1000 + stamp - 30) * MS, np.atleast_1d(r))
+        yield f.step((1000 + t) * MS, np.full(np.size(r), math.nan)), f.state()
+
+
+def noisy(n: int, seed: int = 0, sigma: float = 0.25e-3) -> np.ndarray:
+    return STANDOFF_M + sigma * np.random.default_rng(seed).standard_normal(n)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_hazard_costs_hardly_more_clearance_than_a_p_loop_loses(family, seed):
+    scenario = draw(family, seed)
+    ours, plain = play(follower(KINDS[family].mounts_m), scenario), play(PLoop(), scenario)
+    assert not ours.contact_valid, scenario
+    assert ours.clearance_m > plain.clearance_m - BELOW_P_M, scenario
+
+
+@pytest.mark.parametrize("size_m", [2.5e-3, -2.5e-3])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_sensor_stuck_with_one_count_of_flicker_is_found(seed, size_m):
+    scenario = Scenario("stuck", seed, 0.1, size_m, 1.0)
+    f = follower()
+    found = play(f, scenario)
+    assert found.clearance_m > 0.085
+    assert "STUCK" in f.state()["faults"]
+
+
+def test_a_live_sensor_on_a_long_ramp_is_not_called_stuck():
+    # GIVEN a follower that has seen rough ground, and a tool that climbs a smooth ramp without any error
+    f, rng = follower(), np.random.default_rng(3)
+    n = 2500
+    readings = STANDOFF_M + np.where(np.arange(n) < 1000, 0.5e-3, 0.1e-3) * rng.standard_normal(n)
+    # THEN its noise alone shows that the sensor lives
+    for _, state in drive(f, readings, z_m=lambda t: STANDOFF_M + 0.02e-3 * t):
+        assert "STUCK" not in state["faults"]
+
+
+def test_timestamps_that_go_back_are_corrected_and_reported():
+    # GIVEN a tool that climbs at 20 mm/s over level ground while its sensor stamps 100 ms too early
+    def z(t):
+        return STANDOFF_M + 0.02e-3 * t
+
+    f = follower()
+    n = 400
+    readings = [z(4 * k - 30) + 1e-4 * e for k, e in enumerate(np.random.default_rng(5).standard_normal(n))]
+    wrong = range(1000, 1300)
+    seen = []
+    told = drive(f, readings, z_m=z, stamp_ms=lambda t: t - 100 if t in wrong else t)
+    for k, (_, state) in enumerate(told):
+        # THEN the ground stays where it is, and the state says why it is suspect
+        if 4 * k in range(1020, 1500):
+            seen.append(state["reason"])
+            assert abs(state["height_m"]) < 0.7e-3, 4 * k
+    assert "timestamps went back; readings count as old as usual" in seen
+    assert seen[-1] == ""
+
+
+def test_one_timestamp_in_the_future_does_not_shift_those_that_follow():
+    f = follower()
+    speed, slope = 0.2, 0.1
+    told = drive(
+        f,
+        noisy(300),
+        speed=speed,
+        z_m=lambda t: STANDOFF_M + slope * speed * t * 1e-3,
+        stamp_ms=lambda t: t + (25 if t == 800 else 0),
+    )
+    for k, (_, state) in enumerate(told):
+        if 4 * k > 1000:
+            assert state["reason"] == ""
+            assert abs(state["late_s"] - 0.03) < 3e-3
+
+
+def test_a_jump_of_the_reported_position_keeps_the_velocity_and_is_reported():
+    f = follower()
+    speed, slope = 0.1, 0.1
+    jump = 1000
+
+    def z(t):
+        return STANDOFF_M + slope * speed * t * 1e-3
+
+    # WHEN the reported x jumps by 0.16 m while the tool climbs a ramp
+    told = drive(f, noisy(500, sigma=1e-4), x_m=lambda t: speed * t * 1e-3 + 0.16 * (t >= jump), z_m=z)
+    for k, (demand, state) in enumerate(told):
+        t = 4 * k
+        # THEN the demand goes on as before
+        if t > 900:
+            assert abs(demand[2] - slope * speed * 0.04) < 1e-3, t
+        if jump + 50 < t < jump + 900:
+            assert state["reason"] == "reported position jumped; ground known from before is not used"
+            assert state["preview_share"] == 0.0
+        if t > jump + 1200:
+            assert state["reason"] == ""
+
+
+def test_a_drop_out_on_falling_ground_does_not_go_down_blindly():
+    f = follower()
+    slope, speed = -0.2, 0.1
+    z = STANDOFF_M
+    lowest = 0.0
+    for t in range(0, 3000, 4):
+        x = speed * t * 1e-3
+        if t % 8 == 0:
+            f.pose((1000 + t) * MS, pose(x, z))
+        lost = t > 2000
+        f.step((1000 + t) * MS, [math.nan if lost else z - slope * x])
+        if t % 8 == 0:
+            demand = float(f.step((1000 + t) * MS, [math.nan])[2])
+            z += 0.2 * demand
+            if t == 2000:
+                before = z
+            if lost:
+                lowest = min(lowest, z + demand - before)
+    # the loss is noticed after 50 ms; then no more than 3 mm
+    assert -9e-3 < lowest < -1e-3
+
+
+def test_what_a_leading_sensor_saw_wrongly_is_used_again_after_it():
+    speed, ahead = 0.1, LEADING[1][0]
+    rng = np.random.default_rng(1)
+
+    def ground(x):
+        return 2e-3 * math.sin(40.0 * x)
+
+    f = follower(LEADING)
+    z, shares, lowest = STANDOFF_M + ground(0.0), {}, math.inf
+    for t in range(0, 6000, 4):
+        x = speed * t * 1e-3
+        if t % 8 == 0:
+            f.pose((1000 + t) * MS, pose(x, z))
+        fault = 10e-3 if 3000 <= t < 3300 else 0.0
+        r = np.array([z - ground(x), z - ground(x + ahead) + fault]) + 1e-4 * rng.standard_normal(2)
+        f.step((1000 + t) * MS, r)
+        if t % 8 == 0:
+            z += 0.2 * float(f.step((1000 + t) * MS, [math.nan, math.nan])[2])
+            shares[t] = f.state()["preview_share"]
+            if t > 1000:
+                lowest = min(lowest, z - ground(x))
+    assert shares[2992] == 1.0
+    assert min(s for t, s in shares.items() if 3400 < t < 3900) == 0.0
+    assert shares[5600] == 1.0
+    assert lowest > STANDOFF_M - BELOW_P_M
+
+
+def test_four_sensors_without_a_majority_stand_off_from_the_nearer_ground_and_do_not_turn():
+    mounts = KINDS["two of four"].mounts_m
+    rng = np.random.default_rng(2)
+    f = follower(mounts)
+    readings = STANDOFF_M + 1e-4 * rng.standard_normal((600, 4))
+    readings[300:, 2:] += 12e-3  # two of them read too far: for them the ground has fallen
+    for k, (demand, state) in enumerate(drive(f, list(readings), speed=0.05)):
+        if k > 300:
+            assert abs(demand[2]) < 2e-3
+            assert np.abs(demand[3:]).max() < 0.02
+        if k > 320:
+            assert state["reason"] == "sensors disagree without a majority; the nearer ground counts"
+
+
+def test_one_wrong_sensor_of_four_is_outvoted_without_a_word():
+    mounts = KINDS["two of four"].mounts_m
+    f = follower(mounts)
+    readings = STANDOFF_M + 1e-4 * np.random.default_rng(4).standard_normal((600, 4))
+    readings[300:, 1] += 12e-3
+    for _, state in drive(f, list(readings), speed=0.05):
+        assert state["reason"] in ("", "first samples")
+
+
+def test_the_range_of_a_tilted_beam_is_where_it_meets_the_ground():
+    ground = ground_of(Scenario("lost", 2, 0.2))
+    for tilt in (-0.3, -0.1, 0.2):
+        q = np.array([0.0, math.sin(0.5 * tilt), 0.0, math.cos(0.5 * tilt)])
+        for mount in ((0.0, 0.0), (0.03, 0.0)):
+            z = ground.height_m(0.3, False) + STANDOFF_M
+            r = true_range(ground, False, 0.3, z, q, mount)
+            end = np.array([0.3, 0.0, z]) + rotate(q, (*mount, 0.0)) + r * rotate(q, (0.0, 0.0, -1.0))
+            assert end[2] == pytest.approx(ground.height_m(end[0], False), abs=2e-4)
