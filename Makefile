@@ -5,7 +5,7 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 export SURFFOLLOW_CACHE_DIR ?= $(CURDIR)/$(VENV)/kernel-cache
 
-.PHONY: setup demo test bench lint clean
+.PHONY: setup demo test bench lint docs clean
 setup: $(STAMP)
 
 $(STAMP): requirements/dev.txt pyproject.toml
@@ -31,10 +31,21 @@ bench: $(STAMP)
 	$(PY) tools/bench.py
 
 lint: $(STAMP)
-	$(VENV)/bin/ruff check src tests tools
-	$(VENV)/bin/ruff format --check src tests tools
+	$(VENV)/bin/ruff check src tests tools docs/conf.py
+	$(VENV)/bin/ruff format --check src tests tools docs/conf.py
 	$(VENV)/bin/mypy
 	$(VENV)/bin/mypy --config-file tests/mypy.ini
+	$(PY) tools/check_prose.py
+
+# every warning is an error: a link or an anchor that leads nowhere, a docstring that cannot be read
+docs: $(VENV)/.docs
+	rm -rf build/site
+	$(PY) -m sphinx -q -W --keep-going -b html docs build/site
+	@echo "build/site/index.html"
+
+$(VENV)/.docs: $(STAMP) pyproject.toml
+	$(PY) -m pip install --quiet --disable-pip-version-check --no-build-isolation -e '.[docs]'
+	@touch $@
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info src/*.egg-info

@@ -74,3 +74,22 @@ def test_a_user_does_not_wait_for_imports(command, limit_s):
     # processor time, the best of a few: other work on the machine is not ours; tools/bench_start.py
     # takes wall time
     assert best < limit_s, f"{best:.3f} s of processor time (wall {time.perf_counter() - start:.2f} s)"
+
+
+def test_dir_names_every_part_and_loads_none():
+    code = "import surffollow\nprint(*dir(surffollow))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    parts = {"Follower", "arbiter", "blocks", "client", "errors", "hw", "map", "scan", "sonar", "units"}
+    assert parts <= set(done.stdout.split())
+    assert heavy(modules_after("import surffollow\ndir(surffollow)")) == []
+
+
+def test_a_part_is_there_without_an_import_of_its_own():
+    assert "surffollow.client" in modules_after("import surffollow\nsurffollow.client.attach")
+
+
+def test_help_of_the_package_names_its_parts():
+    code = "import surffollow\nhelp(surffollow)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    for part in ("surffollow.client", "surffollow.scan", "class Follower"):
+        assert part in done.stdout, part

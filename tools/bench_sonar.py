@@ -2,7 +2,7 @@
 
     python tools/bench_sonar.py [--json] [--seed N] [--rooms N]
 
-Ranges come from the forward model of docs/sonar.md. The real log is used where it is present
+Ranges come from the forward model of docs/explanation/wall-pose.md. The real log is used where it is present
 (SURFFOLLOW_DATA).
 """
 

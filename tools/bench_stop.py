@@ -3,8 +3,8 @@
 The body and its drives run here, in wall time; controller and service are processes of their own. In turn,
 after a random time of motion at full speed: SIGKILL to the service, SIGSTOP to the service, SIGKILL to the
 controller, no more news from the driver, a stop asked for by another client. From the stated time on the tool
-must be at rest along the path, and hold its height or retract (docs/protocol.md, "Stop"). `--retract` lets it
-retract by 20 mm.
+must be at rest along the path, and hold its height or retract (docs/reference/protocol.md, "Stop").
+`--retract` lets it retract by 20 mm.
 """
 
 from __future__ import annotations

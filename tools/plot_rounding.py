@@ -1,4 +1,4 @@
-"""Draw how the paper's stored mean freezes and ours does not: docs/rounding.png, or the path given."""
+"""Draw how the paper's stored mean freezes: docs/explanation/rounding.png, or the path given."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from surffollow.map.grids import blended, dither_at, dither_rotation
 
 QUANTUM_MM = 0.0254
+PICTURE = Path(__file__).parents[1] / "docs" / "explanation" / "rounding.png"
 
 
 def stored(samples: np.ndarray, paper: bool, seed: int = 91) -> np.ndarray:
@@ -69,7 +70,7 @@ def main() -> None:
         axes.set_ylabel("stored mean [mm]")
         axes.grid(alpha=0.3)
     figure.axes[0].legend(loc="center right")
-    target = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[1] / "docs" / "rounding.png"
+    target = Path(sys.argv[1]) if len(sys.argv) > 1 else PICTURE
     figure.savefig(target, dpi=90)
     print(f"{target}: {target.stat().st_size / 1024:.0f} KiB")
 

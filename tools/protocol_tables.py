@@ -1,4 +1,4 @@
-"""Write the byte tables of docs/protocol.md from the layout's declaration; `--check` only compares."""
+"""Write the tables of docs/reference/layout.md from the layout's declaration; `--check` only compares."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surffollow.shm.layout_follow import Output
 from surffollow.shm.layout_json import part_shape
 from surffollow.shm.schema import SCALARS, Field, Schema
 
-PAGE = Path(__file__).parents[1] / "docs" / "protocol.md"
+PAGE = Path(__file__).parents[1] / "docs" / "reference" / "layout.md"
 BEGIN, END = "<!-- bytes: written by tools/protocol_tables.py -->\n", "<!-- end of bytes -->"
 
 
@@ -122,5 +122,6 @@ def page() -> str:
 if __name__ == "__main__":
     wanted = page()
     if "--check" in sys.argv[1:]:
-        sys.exit(0 if wanted == PAGE.read_text(encoding="utf-8") else "docs/protocol.md is out of date")
+        same = wanted == PAGE.read_text(encoding="utf-8")
+        sys.exit(0 if same else f"docs/reference/{PAGE.name} is out of date")
     PAGE.write_text(wanted, encoding="utf-8")

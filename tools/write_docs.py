@@ -1,7 +1,9 @@
 """Write the generated parts of the documentation from what the program declares; `--check` only compares.
 
-docs/configuration.md   the table of parameters
-docs/arbiter.md         the arbiter's state diagram and its table
+docs/reference/parameters.md   the table of parameters
+docs/reference/arbiter.md      the arbiter's state diagram and its table
+docs/reference/cli.md          the page
+docs/reference/c-api.md        the page
 """
 
 from __future__ import annotations
@@ -10,11 +12,12 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from reference_pages import c_page, cli_page
 from surffollow.arbiter.diagram import state_diagram, transition_table
 from surffollow.config.params import PARAMS
 from surffollow.shm.layout_follow import Params
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[1] / "docs" / "reference"
 
 
 def parameters() -> str:
@@ -30,10 +33,11 @@ def parameters() -> str:
 
 # page, mark, what stands between <!-- MARK: written by tools/write_docs.py --> and <!-- end of MARK -->
 PARTS: tuple[tuple[str, str, Callable[[], str]], ...] = (
-    ("configuration.md", "parameters", parameters),
+    ("parameters.md", "parameters", parameters),
     ("arbiter.md", "state diagram", state_diagram),
     ("arbiter.md", "transitions", transition_table),
 )
+PAGES: tuple[tuple[str, Callable[[], str]], ...] = (("cli.md", cli_page), ("c-api.md", c_page))
 
 
 def pages() -> Iterator[tuple[Path, str, str]]:
@@ -47,11 +51,14 @@ def pages() -> Iterator[tuple[Path, str, str]]:
                 head, rest = wanted.split(begin, 1)
                 wanted = head + begin + make() + end + rest.split(end, 1)[1]
         yield path, text, wanted
+    for name, whole in PAGES:
+        path = DOCS / name
+        yield path, path.read_text(encoding="utf-8") if path.exists() else "", whole()
 
 
 if __name__ == "__main__":
     stale = [(path, wanted) for path, text, wanted in pages() if text != wanted]
     if "--check" in sys.argv[1:]:
-        sys.exit("\n".join(f"docs/{path.name} is out of date" for path, _ in stale) or 0)
+        sys.exit("\n".join(f"docs/reference/{path.name} is out of date" for path, _ in stale) or 0)
     for path, wanted in stale:
         path.write_text(wanted, encoding="utf-8")

@@ -7,7 +7,7 @@
  *
  * The arm is a stand-in: an axis that reaches its set point within a speed limit. Put your own
  * read_pose() and move_to() in its place; the rest is what a real controller does. Without a valid demand
- * (stale, in doubt, the stop is latched) it brakes along the path and holds its height: docs/protocol.md, "Stop".
+ * (stale, in doubt, the stop is latched) it brakes along the path and holds its height: docs/reference/protocol.md, "Stop".
  * The path is a circle of 80 mm between the boxes of the default simulated ground. The stand-off printed is
  * that of the sensor.
  */

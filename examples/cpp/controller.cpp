@@ -121,7 +121,7 @@ int run(const std::string &name, double seconds, const std::string &map_path, co
     sent.emplace_back(now, pose[2]);
     if (sent.size() > 64) sent.pop_front();
     // without a valid demand (stale, in doubt, the stop is latched): hold the height and brake along the path, as
-    // docs/protocol.md says under "Stop"
+    // docs/reference/protocol.md says under "Stop"
     if (following) set_point_m = pose[2];
     following = false;
     const auto d = robot.demand();

@@ -1,7 +1,26 @@
-"""surffollow: follow and map surfaces with a stand-off sensor; see `surffollow.client` and `Follower`."""
+"""Follow and map surfaces with a stand-off sensor.
+
+What there is; each part is loaded when it is used first:
+
+- `surffollow.Follower`: the follower in process, without a service
+- `surffollow.client`: attach to a running service: poses in, demands out
+- `surffollow.blocks`: share state between programs
+- `surffollow.arbiter`: share a robot among clients by priority
+- `surffollow.map`: height maps
+- `surffollow.scan`: terrain from depth images, planned scan paths
+- `surffollow.sonar`: wall poses from beam-spread sonars
+- `surffollow.hw`: drivers of range sensors
+- `surffollow.errors`, `surffollow.units`: exceptions; quantities with units
+
+The client, blocks and the arbiter's client need the standard library alone.
+The rest needs the extra `service`.
+The service itself is the command `surffollow`.
+"""
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 import os
 import sys
 from typing import TYPE_CHECKING, Any
@@ -19,10 +38,20 @@ if TYPE_CHECKING:
     from surffollow.follower import Follower
 
 __all__ = ["Follower"]
+_LIGHT = ("arbiter", "blocks", "client", "errors", "units")
+_HEAVY = ("hw", "map", "scan", "sonar")
+
+
+def __dir__() -> list[str]:
+    """Names that can be used here; those that compute are left out of a client-only installation."""
+    computes = importlib.util.find_spec("numba") is not None
+    return sorted({*globals(), *_LIGHT, *((*__all__, *_HEAVY) if computes else ())})
 
 
 def __getattr__(name: str) -> Any:
-    """Load the follower's kernels only when somebody asks for them."""
+    """Load a part only when somebody asks for it."""
+    if name in _LIGHT or name in _HEAVY:
+        return importlib.import_module(f"{__name__}.{name}")
     if name == "Follower":
         from surffollow.errors import missing_library
 

@@ -164,7 +164,18 @@ SERVICE_LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "msgspec", "mcap", "
 
 
 def missing_library(error: ModuleNotFoundError) -> str:
-    """What to install where a library of the extra `service` is missing; "" for any other module."""
+    """What to install where a library of the extra `service` is missing.
+
+    Parameters
+    ----------
+    error : ModuleNotFoundError
+        as it was raised
+
+    Returns
+    -------
+    str
+        a sentence with the command; "" for any other module
+    """
     library = (error.name or "").split(".")[0]
     if library not in SERVICE_LIBRARIES:
         return ""

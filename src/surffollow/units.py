@@ -57,9 +57,22 @@ _QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)
 def unit_scale(unit: str, si_unit: str) -> float:
     """Factor from `unit` to `si_unit`.
 
+    Parameters
+    ----------
+    unit : str
+        of the given number
+    si_unit : str
+        of the result
+
+    Returns
+    -------
+    float
+        factor
+
     Raises
     ------
-    UsageError  when either is unknown or their dimensions differ
+    UsageError
+        when either is unknown or their dimensions differ
     """
     for u in (unit, si_unit):
         if u not in _UNITS:
@@ -78,12 +91,26 @@ def parse_quantity(value: object, unit: str) -> float:
 
     Parameters
     ----------
-    value : str, int or float     "0.1 in", "7 ms", 0.1 (already in `unit`)
-    unit : str                    what the result is in, e.g. "m", "ns"
+    value : str, int or float
+        "0.1 in", "7 ms", 0.1 (already in `unit`)
+    unit : str
+        what the result is in, e.g. "m", "ns"
+
+    Returns
+    -------
+    float
+        in `unit`
 
     Raises
     ------
-    UsageError  not a number, not finite, unknown unit, wrong dimension
+    UsageError
+        not a number, not finite, unknown unit, wrong dimension
+
+    Examples
+    --------
+    >>> from surffollow.units import parse_quantity
+    >>> parse_quantity("0.1 in", "m"), parse_quantity(7, "ns")
+    (0.00254, 7.0)
     """
     if isinstance(value, bool) or not isinstance(value, (str, int, float)):
         raise UsageError(f"{value!r} is no quantity; write a number or text like '5 {unit}'")
@@ -100,7 +127,18 @@ def parse_quantity(value: object, unit: str) -> float:
 
 
 def format_ns(t_ns: float) -> str:
-    """A duration for people: 850 ns, 12.3 µs, 4.56 ms, 1.20 s."""
+    """A duration for people: 850 ns, 12.3 µs, 4.56 ms, 1.20 s.
+
+    Parameters
+    ----------
+    t_ns : float
+        duration [ns]
+
+    Returns
+    -------
+    str
+        three digits and a unit
+    """
     for limit, scale, unit in ((1e3, 1.0, "ns"), (1e6, 1e3, "µs"), (1e9, 1e6, "ms")):
         if abs(t_ns) < limit:
             return f"{t_ns / scale:.3g} {unit}"

@@ -15,7 +15,7 @@ from arbiter.running import ROOT, Running, compile_client
 from surffollow.arbiter import observe
 from surffollow.errors import SurffollowError
 
-PAGE = ROOT / "docs" / "arbiter.md"
+PAGE = ROOT / "docs" / "tutorials" / "share-a-robot.md"
 
 
 def is_running(name: str) -> bool:
@@ -30,7 +30,7 @@ def is_running(name: str) -> bool:
 def test_the_tutorial_works_when_it_is_pasted_as_one_block(tmp_path: Path) -> None:
     if is_running("cell"):
         pytest.skip("an arbiter named cell runs on this machine; the page's commands use that name")
-    block = re.search(r"## Tutorial.*?```sh\n(.*?)```", PAGE.read_text(), re.S)
+    block = re.search(r"## Steps.*?```sh\n(.*?)```", PAGE.read_text(), re.S)
     assert block is not None
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
     commands = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])

@@ -28,7 +28,7 @@ def test_table_of_parameters_is_current():
 
 
 def test_example_configuration_is_accepted():
-    text = (ROOT / "docs" / "configuration.md").read_text()
+    text = (ROOT / "docs" / "reference" / "configuration.md").read_text()
     example = re.search(r"```toml\n(.*?)```", text, re.S)
     assert example is not None
     config = parse_config(tomllib.loads(example[1]))
@@ -37,7 +37,7 @@ def test_example_configuration_is_accepted():
 
 
 def test_every_map_format_is_described_and_how_a_geotiff_is_read():
-    text = (ROOT / "docs" / "map-file-format.md").read_text()
+    text = (ROOT / "docs" / "reference" / "map-file-format.md").read_text()
     table = text.split("## Other formats")[1]
     for suffix in EXPORTS[1:]:
         assert f"`{suffix}`" in table, suffix
@@ -51,3 +51,36 @@ def test_every_map_format_is_described_and_how_a_geotiff_is_read():
 def test_links_between_documents_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#:]+?)(?:#[^)]*)?\)", page.read_text()):
         assert (page.parent / target).exists(), f"{page.name} links to {target}, which is not there"
+
+
+@pytest.mark.parametrize(
+    "page", sorted(p for p in (ROOT / "docs").glob("**/*.md") if p.parent.name != "decisions"), ids=str
+)
+def test_a_page_opens_with_whom_it_is_for(page):
+    opening = page.read_text().split("\n\n")[1]
+    assert re.match(r"This (page|tutorial) is for ", opening), opening
+
+
+def test_the_index_names_every_page():
+    index = (ROOT / "docs" / "index.md").read_text()
+    for page in (ROOT / "docs").glob("**/*.md"):
+        name = page.relative_to(ROOT / "docs").as_posix()
+        assert name == "index.md" or f"({name})" in index, name
+
+
+def test_every_public_part_has_a_page_of_its_docstrings():
+    import surffollow
+
+    folder = ROOT / "docs" / "reference" / "python"
+    pages = " ".join(p.read_text() for p in folder.glob("*.md"))
+    for part in ("", *(f".{name}" for name in (*surffollow._LIGHT, *surffollow._HEAVY))):
+        assert f"<!-- api: surffollow{part} -->" in pages, part
+
+
+@pytest.mark.parametrize(("page", "said"), [("reference/sonar.md", "0.1658"), ("explanation/maps.md", "")])
+def test_the_example_of_a_page_runs(page, said, tmp_path):
+    (code, *_) = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs" / page).read_text(), re.S | re.M)
+    points = "import numpy as np\npoints = np.random.default_rng(1).random((100, 3))\n"
+    done = subprocess.run([sys.executable, "-c", points + code], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert said in done.stdout

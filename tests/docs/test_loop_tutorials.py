@@ -31,7 +31,13 @@ def near_120(text: str) -> bool:
     return len(found) == 5 and max(abs(d - 120.0) for d in found[1:]) < 1.0
 
 
+def followed(text: str) -> bool:
+    found = re.search(r"standoff_rms +([0-9.]+) mm", text)
+    return found is not None and float(found[1]) < 5.0 and "service first-run: ready" in text
+
+
 SAYS = {
+    "simulated-run": followed,
     "python-loop": near_100,
     "c-loop": near_100,
     "own-sensor": near_120,

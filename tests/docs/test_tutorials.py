@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -54,3 +55,26 @@ def test_own_recording_to_a_table(tmp_path: Path) -> None:
     assert int(n) > 200
     assert 80.0 < float(mean) < 130.0
     assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_scan_is_mapped_planned_and_checked_as_the_tutorial_says(tmp_path: Path) -> None:
+    """GIVEN the survey of the tutorial WHEN its steps before the run are typed THEN the plan is accepted."""
+    text = (PAGES / "scan.md").read_text()
+    steps = [textwrap.dedent(block) for block in re.findall(r"^   ```\n(.*?)^   ```", text, re.S | re.M)]
+    assert "survey.py" in steps[0]
+    assert "scan check" in steps[3]
+    (program,) = re.findall(r"^```python\n(.*?)^```", text, re.S | re.M)
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    commands = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    script = "set -e\n" + "".join(steps[:4]) + f"python - <<'END'\n{program}END\n"
+    done = subprocess.run(
+        ["bash", "-c", script],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": commands},
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "1 floating" in done.stdout
+    assert done.stdout.rstrip().endswith("accepted")

@@ -1,4 +1,4 @@
-//! A client of the service, by the rules of docs/protocol.md and the numbers of its JSON alone.
+//! A client of the service, by the rules of docs/reference/protocol.md and the numbers of its JSON alone.
 
 use crate::layout as l;
 use crate::shared::{Memory, Payload};

@@ -1,4 +1,4 @@
-//! Mapped memory and the latches in it (docs/protocol.md, "Latches").
+//! Mapped memory and the latches in it (docs/reference/protocol.md, "Latches").
 
 use crate::layout as l;
 use crate::sys;

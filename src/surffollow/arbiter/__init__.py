@@ -7,7 +7,7 @@ with attach("cell", "go") as arbiter:
     if robot.request():
         robot.command(0.2, 0.0)
 
-Light (no NumPy, no numba); the server is `surffollow arbiter start`. See docs/arbiter.md.
+Light (no NumPy, no numba); the server is `surffollow arbiter start`. See docs/reference/arbiter.md.
 """
 
 from __future__ import annotations

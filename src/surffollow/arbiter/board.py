@@ -51,8 +51,10 @@ def own_name(name: str) -> NameLock:
 
     Raises
     ------
-    AlreadyRunningError  a live process owns them
-    NoPermissionError    another user's lock file is in the way
+    AlreadyRunningError
+        a live process owns them
+    NoPermissionError
+        another user's lock file is in the way
     """
     deadline = time.monotonic() + DYING_S
     while True:
@@ -73,8 +75,10 @@ def take_old_board(name: str) -> int:
 
     Raises
     ------
-    NoPermissionError  it belongs to another user
-    BlockError         what bears the name is no board
+    NoPermissionError
+        it belongs to another user
+    BlockError
+        what bears the name is no board
     """
     try:
         old = SharedObject.open(name, writable=True, owners=(own_user(),))

@@ -29,9 +29,12 @@ class ArbiterClient(ArbiterObserver):
 
     Attributes
     ----------
-    client : str       its name in the configuration
-    number : int       as in the history
-    owner : int        user of the server's process, as the kernel told it
+    client : str
+        its name in the configuration
+    number : int
+        as in the history
+    owner : int
+        user of the server's process, as the kernel told it
     """
 
     def __init__(self, name: str, client: str, met: Welcomed) -> None:
@@ -55,7 +58,18 @@ class ArbiterClient(ArbiterObserver):
         return not self.exchange.ended
 
     def resource(self, name: str) -> Resource:
-        """A resource by its name."""
+        """A resource by its name.
+
+        Parameters
+        ----------
+        name : str
+            of the resource, as configured
+
+        Returns
+        -------
+        Resource
+            handle of the resource
+        """
         return Resource(self, self.exchange, self.board.number_of(name))
 
     def _show_life(self) -> None:
@@ -72,6 +86,16 @@ class ArbiterClient(ArbiterObserver):
         """Attach anew under the same names, to a server of the same user only; this client is closed.
 
         Every token is void: ask again. Raises as `attach`.
+
+        Parameters
+        ----------
+        timeout_s : float
+            how long to wait for a server that has not started [s]
+
+        Returns
+        -------
+        ArbiterClient
+            the new attachment
         """
         self.close()
         return attach(self.name, self.client, timeout_s=timeout_s, owner=self.owner)
@@ -110,18 +134,31 @@ def attach(
 
     Parameters
     ----------
-    name : str           of the arbiter
-    client : str         its priority is the configuration's
-    timeout_s : float    how long to wait for a server that has not started
-    owner : int or str   number or name of the user whose server to trust; None: this process's own, root's,
-                         or that of the user that SURFFOLLOW_OWNER names
+    name : str
+        of the arbiter
+    client : str
+        its priority is the configuration's
+    timeout_s : float
+        how long to wait for a server that has not started
+    owner : int or str
+        number or name of the user whose server to trust; None: this process's own, root's,
+        or that of the user that SURFFOLLOW_OWNER names
+
+    Returns
+    -------
+    ArbiterClient
+        to be closed, or used in a `with` statement
 
     Raises
     ------
-    NotRunningError    no server in that time
-    NoPermissionError  a process of another user bears the arbiter's name
-    RefusedError       unknown or taken name, no free slot, not a user who may
-    ConfigError        there is no user of that name
+    NotRunningError
+        no server in that time
+    NoPermissionError
+        a process of another user bears the arbiter's name
+    RefusedError
+        unknown or taken name, no free slot, not a user who may
+    ConfigError
+        there is no user of that name
     """
     check_name(f"{name}.arbiter")
     check_name(client)

@@ -85,13 +85,14 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Arbiter
 
     Raises
     ------
-    ConfigError  unknown key, wrong type, a number out of bounds; the text names the key
+    ConfigError
+        unknown key, wrong type, a number out of bounds; the text names the key
     """
     try:
         config = msgspec.convert(data, ArbiterConfig)
         _check(config)
     except (msgspec.ValidationError, ConfigError, NameError_) as e:
-        raise ConfigError(f"{source}: {e}; see docs/arbiter.md") from None
+        raise ConfigError(f"{source}: {e}; see docs/reference/arbiter.md") from None
     return config
 
 
@@ -189,7 +190,8 @@ def load_config(path: str | Path) -> ArbiterConfig:
 
     Raises
     ------
-    ConfigError  the file cannot be read, is not TOML, or says something wrong
+    ConfigError
+        the file cannot be read, is not TOML, or says something wrong
     """
     try:
         data = tomllib.loads(Path(path).read_text(encoding="utf-8"))

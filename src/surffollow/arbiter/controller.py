@@ -19,13 +19,20 @@ class ResourceCommand(NamedTuple):
 
     Attributes
     ----------
-    values : tuple of floats   as many as the resource declares; the safe ones when nothing valid is there
-    safe : bool                True: nobody commands, the holder is late, or the server is gone
-    seq : int                  rises with each publication; 0: none yet
-    client : int               number of the client, 0: none
-    t_ns : int                 when it was made [ns]
-    ref_t_ns : int             stamp of the pose that the values are relative to; 0: none
-    limited : bool             a value was brought within its limits
+    values : tuple of floats
+        as many as the resource declares; the safe ones when nothing valid is there
+    safe : bool
+        True: nobody commands, the holder is late, or the server is gone
+    seq : int
+        rises with each publication; 0: none yet
+    client : int
+        number of the client, 0: none
+    t_ns : int
+        when it was made [ns]
+    ref_t_ns : int
+        stamp of the pose that the values are relative to; 0: none
+    limited : bool
+        a value was brought within its limits
     """
 
     values: tuple[float, ...]
@@ -37,7 +44,18 @@ class ResourceCommand(NamedTuple):
     limited: bool
 
     def age_ns(self, now_ns: int | None = None) -> int:
-        """How long ago it was made [ns]."""
+        """How long ago it was made [ns].
+
+        Parameters
+        ----------
+        now_ns : int, optional
+            CLOCK_MONOTONIC [ns]; now when absent
+
+        Returns
+        -------
+        int
+            time since the command was made [ns]
+        """
         return (time.monotonic_ns() if now_ns is None else now_ns) - self.t_ns
 
 
@@ -107,13 +125,22 @@ def command_reader(name: str, resource: str, *, owner: int | str | None = None) 
 
     Parameters
     ----------
-    name, resource : str   arbiter, and resource or combination
-    owner : int or str     number or name of the user whose block to trust; None: this process's own,
-                           root's, or that of the user that SURFFOLLOW_OWNER names
+    name, resource : str
+        arbiter, and resource or combination
+    owner : int or str
+        number or name of the user whose block to trust; None: this process's own,
+        root's, or that of the user that SURFFOLLOW_OWNER names
+
+    Returns
+    -------
+    CommandReader
+        to be asked by `latest`
 
     Raises
     ------
-    NoPermissionError  a block of another user bears the name, or its mode forbids reading
-    ConfigError        there is no user of that name
+    NoPermissionError
+        a block of another user bears the name, or its mode forbids reading
+    ConfigError
+        there is no user of that name
     """
     return CommandReader(name, resource, owner)

@@ -25,8 +25,10 @@ class Value(NamedTuple):
     Attributes
     ----------
     unit : str
-    safe : float        its part of the safe command
-    low, high : float   limits; a command beyond them is brought within
+    safe : float
+        its part of the safe command
+    low, high : float
+        limits; a command beyond them is brought within
     """
 
     unit: str = ""
@@ -40,9 +42,11 @@ class Declaration:
 
     Attributes
     ----------
-    resource : str      its name; absent: the class's, `PanCamera` → `pan-camera`
-    status : str        block that its controller publishes
-    policy, equal, ttl, safe_period, grace : as in TOML (docs/arbiter.md)
+    resource : str
+        its name; absent: the class's, `PanCamera` → `pan-camera`
+    status : str
+        block that its controller publishes
+    policy, equal, ttl, safe_period, grace : as in TOML (docs/reference/arbiter.md)
     """
 
     resource: ClassVar[str] = ""
@@ -93,19 +97,34 @@ def declare(
 
     Parameters
     ----------
-    name : str           of the arbiter
-    clients : mapping    who may attach → priority
+    name : str
+        of the arbiter
+    clients : mapping
+        who may attach → priority
     resources : classes derived from `Declaration`
-    combine : mapping    combinations as in TOML: name → parts, required, low, high
-    options              period, lease, history, mode, group, users, as in TOML
+    combine : mapping
+        combinations as in TOML: name → parts, required, low, high
+    options
+        period, lease, history, mode, group, users, as in TOML
 
     Returns
     -------
-    ArbiterConfig   for `server.serve`
+    ArbiterConfig
+        for `server.serve`
 
     Raises
     ------
-    ConfigError   as of a file that says the same
+    ConfigError
+        as of a file that says the same
+
+    Examples
+    --------
+    >>> from surffollow.arbiter.declaration import Declaration, Value, declare
+    >>> class Robot(Declaration):
+    ...     speed = Value("m/s", low=-0.5, high=0.5)
+    >>> config = declare("cell", {"avoid": 40, "go": 10}, [Robot])
+    >>> config.name, sorted(config.resources)
+    ('cell', ['robot'])
     """
     tables: dict[str, Any] = {}
     for one in resources:

@@ -68,8 +68,10 @@ def happen(mem: Any, resource: Any, event: Any, slot: Any, token: Any, guards: A
     Parameters
     ----------
     mem : Memory
-    resource, event, slot, token, guards : int64   see `records.Happening`
-    t_ns : int64                                   now
+    resource, event, slot, token, guards : int64
+        see `records.Happening`
+    t_ns : int64
+        now
     """
     h, record = mem.happening[0], mem.event[0]
     h.event, h.client, h.token, h.guards = event, slot, token, guards

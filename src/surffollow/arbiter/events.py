@@ -20,14 +20,21 @@ class HistoryEvent(NamedTuple):
 
     Attributes
     ----------
-    seq : int       number of the record; a gap means that records were overwritten before they were read
-    t_ns : int      when, CLOCK_MONOTONIC [ns]
-    client : int    number of the client, never used twice; 0: none
-    resource : str  "" for none
+    seq : int
+        number of the record; a gap means that records were overwritten before they were read
+    t_ns : int
+        when, CLOCK_MONOTONIC [ns]
+    client : int
+        number of the client, never used twice; 0: none
+    resource : str
+        "" for none
     token : int
-    event : str     GRANT, REVOKE, FORWARD, SAFE, … (`layout.EVENT_NAMES`)
-    reason : str    what led to it: REQUEST, GONE, LATE, …
-    item : int      sequence number of the client's message, 0: none
+    event : str
+        GRANT, REVOKE, FORWARD, SAFE, … (`layout.EVENT_NAMES`)
+    reason : str
+        what led to it: REQUEST, GONE, LATE, …
+    item : int
+        sequence number of the client's message, 0: none
     command : tuple of 8 floats
     """
 
@@ -47,7 +54,8 @@ class History:
 
     Attributes
     ----------
-    lost : int   records that were overwritten before they were read
+    lost : int
+        records that were overwritten before they were read
     """
 
     def __init__(
@@ -90,7 +98,18 @@ class History:
         return HistoryEvent(seq, t_ns, client, name, token, text, about, item, tuple(command))
 
     def newest(self, count: int) -> list[HistoryEvent]:
-        """The newest records, oldest of them first."""
+        """The newest records, oldest of them first.
+
+        Parameters
+        ----------
+        count : int
+            most records
+
+        Returns
+        -------
+        list of HistoryEvent
+            oldest of them first
+        """
         head = self._words[self._base + _HEAD] // al.EVENT_WORDS
         self._next = max(0, head - min(count, self._capacity - 1))
         return list(self)

@@ -45,7 +45,8 @@ def listen(name: str) -> socket.socket:
 
     Raises
     ------
-    AlreadyRunningError  a live process is
+    AlreadyRunningError
+        a live process is
     """
     sock = new_socket()
     refuse_rights(sock)  # inherited by connections
@@ -109,7 +110,8 @@ def enter(sock: socket.socket, name: str) -> None:
 
     Raises
     ------
-    NotRunningError  it ended meanwhile
+    NotRunningError
+        it ended meanwhile
     """
     try:
         sock.send(MAPPED)
@@ -133,11 +135,16 @@ def knock(name: str, client: str, timeout_s: float, owners: Collection[int] = ()
 
     Raises
     ------
-    NotRunningError      nobody listens
-    NoPermissionError    another user listens
-    BlockError           what it hands out is no mailbox
-    RefusedError         the server says no; `code` is one of layout.HELLO_…
-    RequestTimeoutError  it says nothing
+    NotRunningError
+        nobody listens
+    NoPermissionError
+        another user listens
+    BlockError
+        what it hands out is no mailbox
+    RefusedError
+        the server says no; `code` is one of layout.HELLO_…
+    RequestTimeoutError
+        it says nothing
     """
     sock = new_socket()
     fds: list[int] = []

@@ -77,7 +77,8 @@ class BoardReader:
 
         Raises
         ------
-        UsageError  none is called so
+        UsageError
+            none is called so
         """
         if resource not in self.names:
             raise UsageError(
@@ -134,7 +135,18 @@ class ArbiterObserver:
         return self.board.alive()
 
     def holder(self, resource: str) -> Holder | None:
-        """Who holds a resource, None: nobody."""
+        """Who holds a resource, None: nobody.
+
+        Parameters
+        ----------
+        resource : str
+            name of the resource
+
+        Returns
+        -------
+        Holder or None
+            name, priority, token and since when; None: nobody
+        """
         s = self.board.status(self.board.number_of(resource))
         if s["token"] == 0:
             return None
@@ -143,7 +155,18 @@ class ArbiterObserver:
         return Holder(name, s["priority"], s["client"], s["token"], s["since_ns"])
 
     def history(self, *, oldest: bool = False) -> History:
-        """The records from now on, or from the oldest that is kept."""
+        """The records from now on, or from the oldest that is kept.
+
+        Parameters
+        ----------
+        oldest : bool
+            begin at the oldest record that is kept
+
+        Returns
+        -------
+        History
+            an iterator of `HistoryEvent`
+        """
         capacity = self.board.header["history_capacity"]
         offset = self.board.regions["history"][0]
         return History(self.board.memory, offset, capacity, self.board.names, oldest)
@@ -192,9 +215,16 @@ def observe(name: str = "cell", *, owner: int | str | None = None) -> ArbiterObs
 
     Parameters
     ----------
-    name : str           of the arbiter
-    owner : int or str   number or name of the user whose board to trust; None: this process's own, root's,
-                         or that of the user that SURFFOLLOW_OWNER names
+    name : str
+        of the arbiter
+    owner : int or str
+        number or name of the user whose board to trust; None: this process's own, root's,
+        or that of the user that SURFFOLLOW_OWNER names
+
+    Returns
+    -------
+    ArbiterObserver
+        to be closed, or used in a `with` statement
 
     Raises
     ------

@@ -29,9 +29,11 @@ class Reply(NamedTuple):
 
     Attributes
     ----------
-    reason : str            GRANT, KEEP (it was ours), DENY, DENY_LEASE, or TIMEOUT (queued in vain)
+    reason : str
+        GRANT, KEEP (it was ours), DENY, DENY_LEASE, or TIMEOUT (queued in vain)
     token : int
-    holder : str            who holds it instead; "" for nobody
+    holder : str
+        who holds it instead; "" for nobody
     holder_priority : int
     """
 
@@ -87,14 +89,24 @@ class Resource:
 
         Parameters
         ----------
-        wait : bool         stand in the queue for `timeout_s` when another client holds it
-        timeout_s : float   for the server's answer, and in the queue
+        wait : bool
+            stand in the queue for `timeout_s` when another client holds it
+        timeout_s : float
+            for the server's answer, and in the queue
+
+        Returns
+        -------
+        Reply
+            true when control was granted; otherwise with reason and holder
 
         Raises
         ------
-        RequestTimeoutError  the server did not answer; the request is withdrawn
-        NotRunningError      it ended
-        UsageError           no such time
+        RequestTimeoutError
+            the server did not answer; the request is withdrawn
+        NotRunningError
+            it ended
+        UsageError
+            no such time
         """
         if not 0.0 <= timeout_s < MOST_TIMEOUT_S:
             raise UsageError(f"timeout_s is {timeout_s}; expected 0 to {MOST_TIMEOUT_S:g} s")
@@ -136,18 +148,22 @@ class Resource:
         Parameters
         ----------
         values : as many floats as the resource's command has
-        t_ns : int, optional     when it was made [ns]; now when absent
-        ref_t_ns, ref_pose       stamp and value (7 floats) of the pose that it is relative to; a stamp alone
+        t_ns : int, optional
+            when it was made [ns]; now when absent
+        ref_t_ns, ref_pose
+            stamp and value (7 floats) of the pose that it is relative to; a stamp alone
             is enough where nothing is summed that is relative to another pose
 
         Returns
         -------
-        bool  False: this client does not hold the resource, the server ended, or the mailbox is full; nothing
-              was sent
+        bool
+            False: this client does not hold the resource, the server ended, or the mailbox is full; nothing
+            was sent
 
         Raises
         ------
-        UsageError  another number of values
+        UsageError
+            another number of values
         """
         token = self._words[self._held]
         if token == 0 or self._exchange.ended:

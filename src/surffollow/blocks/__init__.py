@@ -11,7 +11,7 @@ mem = mem_attach(Joystick, "cell", write=True)
 with mem.joystick.write() as slot:
     slot.deadman, slot.axes = 1, [0.1, 0, 0, 0, 0, 0]
 
-Light (no NumPy, no numba); see docs/blocks.md.
+Light (no NumPy, no numba); see docs/reference/blocks.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """One attached block: the paper's read and write routines, and the wait-free `latest`.
 
 Who waits for whom is settled by kernel locks on bytes of the object (`locks`); what is
-read is kept whole by the latch's slots, whatever the locks do. Steps (docs/blocks.md):
+read is kept whole by the latch's slots, whatever the locks do. Steps (docs/reference/blocks.md):
 
 A1 a reader enters unless the writer waits: shared lock on byte FENCE_BASE + fence;
 A2 the writer says that it waits, which closes the door to further readers (the turnstile);
@@ -42,8 +42,10 @@ class AttachedBlock(ReadSide):
 
     Attributes
     ----------
-    barred : bool          somebody locks bytes of the block against the rules: the writer waits for no reader
-    hook_failures : int    calls of `on_write_done` hooks that failed
+    barred : bool
+        somebody locks bytes of the block against the rules: the writer waits for no reader
+    hook_failures : int
+        calls of `on_write_done` hooks that failed
     """
 
     def __init__(
@@ -58,15 +60,24 @@ class AttachedBlock(ReadSide):
     def get_write_ok(self, timeout_s: float = 5.0) -> Record:
         """Wait until all reading has finished.
 
+        Parameters
+        ----------
+        timeout_s : float
+            longest wait [s]
+
         Returns
         -------
-        Record   a slot that holds the newest values, to be changed; published by `write_done`
+        Record
+            a slot that holds the newest values, to be changed; published by `write_done`
 
         Raises
         ------
-        BlockTimeoutError   readers did not finish in time (and the lease is longer than that)
-        BusyError           this handle has a read or write under way
-        BlockError          this process is not the block's writer
+        BlockTimeoutError
+            readers did not finish in time (and the lease is longer than that)
+        BusyError
+            this handle has a read or write under way
+        BlockError
+            this process is not the block's writer
         """
         lock = self._writer_lock()
         if self._view is not None:
@@ -186,7 +197,18 @@ class AttachedBlock(ReadSide):
 
     @contextmanager
     def write(self, timeout_s: float = 5.0) -> Iterator[Record]:
-        """`with block.write() as slot:` get_write_ok, write_done; an exception inside publishes nothing."""
+        """`with block.write() as slot:` get_write_ok, write_done; an exception inside publishes nothing.
+
+        Parameters
+        ----------
+        timeout_s : float
+            longest wait [s]
+
+        Returns
+        -------
+        context manager of Record
+            a slot that holds the newest values, to be changed
+        """
         slot = self.get_write_ok(timeout_s)
         try:
             yield slot
@@ -201,9 +223,15 @@ class AttachedBlock(ReadSide):
         This is where replication to other machines attaches. A hook that raises cannot
         hurt the writer: it is counted in `hook_failures` and warned of once.
 
+        Parameters
+        ----------
+        hook : callable
+            gets the `Snapshot` of each publication
+
         Returns
         -------
-        callable   takes the hook off again
+        callable
+            takes the hook off again
         """
         self._hooks.append(hook)
         return lambda: self._hooks.remove(hook) if hook in self._hooks else None

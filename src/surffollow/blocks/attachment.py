@@ -31,11 +31,14 @@ class Attachment:
 
     Attributes
     ----------
-    name : str             of the block
-    object_name : str      of the shared-memory object
+    name : str
+        of the block
+    object_name : str
+        of the shared-memory object
     schema : type[Schema]
     is_writer : bool
-    refusal : str          why what bears the name now is not read; empty: it is, or nothing bears the name
+    refusal : str
+        why what bears the name now is not read; empty: it is, or nothing bears the name
     """
 
     def __init__(
@@ -71,7 +74,17 @@ class Attachment:
             raise
 
     def attach_writer(self, mode: int, group: int, lease_ns: int) -> None:
-        """Become the block's writer; raises as `claim.claim_writer`."""
+        """Become the block's writer; raises as `claim.claim_writer`.
+
+        Parameters
+        ----------
+        mode : int
+            of the objects, for example 0o640
+        group : int
+            number of the group of the objects
+        lease_ns : int
+            longest time for which a reader may keep the writer out [ns]
+        """
         obj, lock, own = claim.claim_writer(
             self.object_name, self.schema, mode=mode, group=group, lease_ns=lease_ns
         )
@@ -196,7 +209,13 @@ class Attachment:
         return Snapshot(self.schema, last.data, last.generation, True)
 
     def close(self, *, keep: bool = False) -> None:
-        """Detach; the writer takes the block's name with it, unless `keep`: the next one continues it."""
+        """Detach; the writer takes the block's name with it, unless `keep`: the next one continues it.
+
+        Parameters
+        ----------
+        keep : bool
+            keep the name, so that the next writer continues the block
+        """
         if self._view is not None:
             self._view._end()
             self._view, self._writing = None, False

@@ -20,7 +20,18 @@ _TAKEN = frozenset(OBJECTS)  # the service's own objects are called NAME.map, NA
 
 
 def block_name(schema: type[Schema]) -> str:
-    """The name a block has when none is given: `StateVector` → `state_vector`."""
+    """The name a block has when none is given: `StateVector` → `state_vector`.
+
+    Parameters
+    ----------
+    schema : subclass of Block
+        the declaration
+
+    Returns
+    -------
+    str
+        name of the block
+    """
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", schema.__name__).lower()
 
 
@@ -48,7 +59,13 @@ class Memory:
         return len(self._blocks)
 
     def close(self, *, keep: bool = False) -> None:
-        """Detach all; blocks written here lose their names unless `keep`."""
+        """Detach all; blocks written here lose their names unless `keep`.
+
+        Parameters
+        ----------
+        keep : bool
+            keep the name, so that the next writer continues the block
+        """
         for block in self:
             block.close(keep=keep)
 
@@ -77,22 +94,48 @@ def mem_attach(
     ----------
     blocks : a schema, several, or {block name: schema}
         without a name, a block is called after its class: `StateVector` → `state_vector`
-    name : str            of the memory; its objects are NAME.BLOCK
+    name : str
+        of the memory; its objects are NAME.BLOCK
     write : bool or names or schemas
         which of them this process writes (True: all); absent ones are made, dead writers' ones taken over
-    timeout_s : float     how long to wait for blocks whose writers have not started
-    lazy : bool           do not wait for them: they attach when they appear
-    mode, group           of blocks written here: who may read them
-    lease_s : float       of blocks written here: how long a reader may hold up a waiting writer
-    owner : int or str    of blocks read here: number or name of the user whose they must be; None: this
-        process's own, root, or the user that SURFFOLLOW_OWNER names. Another one's is refused then and later
+    timeout_s : float
+        how long to wait for blocks whose writers have not started
+    lazy : bool
+        do not wait for them: they attach when they appear
+    mode, group
+        of blocks written here: who may read them
+    lease_s : float
+        of blocks written here: how long a reader may hold up a waiting writer
+    owner : int or str
+        of blocks read here: number or name of the user whose they must be; None: this process's own, root,
+        or the user that SURFFOLLOW_OWNER names. Another one's is refused then and later
+
+    Returns
+    -------
+    Memory
+        with the blocks as attributes
 
     Raises
     ------
-    BusyError             another live process writes such a block; its pid is named
-    LayoutMismatchError   a block was declared otherwise
-    NotRunningError       a block did not appear in time
+    BusyError
+        another live process writes such a block; its pid is named
+    LayoutMismatchError
+        a block was declared otherwise
+    NotRunningError
+        a block did not appear in time
     NoSpaceError, NoPermissionError, NameError_, SchemaError
+
+    Examples
+    --------
+    >>> import os
+    >>> from surffollow.blocks import F64, Block, mem_attach
+    >>> class Axes(Block):
+    ...     speed = F64(unit="m/s")
+    >>> with mem_attach(Axes, f"example-{os.getpid()}", write=True) as mem:
+    ...     with mem.axes.write() as slot:
+    ...         slot.speed = 0.5
+    ...     mem.axes.latest()["speed"]
+    0.5
     """
     named = _named(blocks)
     writes = _chosen(write, named)
@@ -174,25 +217,84 @@ def _attach_reader(block: AttachedBlock, deadline: float, lazy: bool) -> None:
 
 
 def get_read_ok(block: AttachedBlock, timeout_s: float = 5.0) -> tuple[Record, int]:
-    """Wait until writing has finished; returns a read-only view and its generation."""
+    """Wait until writing has finished; returns a read-only view and its generation.
+
+    Parameters
+    ----------
+    block : AttachedBlock
+        as `mem_attach` gave it
+    timeout_s : float
+        longest wait [s]
+
+    Returns
+    -------
+    tuple of Record and int
+        the view, valid until `read_done`, and its generation
+    """
     return block.get_read_ok(timeout_s)
 
 
 def read_done(block: AttachedBlock) -> str:
-    """End the read: "ok", or "stale" when the reader was fenced meanwhile."""
+    """End the read: "ok", or "stale" when the reader was fenced meanwhile.
+
+    Parameters
+    ----------
+    block : AttachedBlock
+        as `mem_attach` gave it
+
+    Returns
+    -------
+    str
+        "ok" or "stale"
+    """
     return block.read_done()
 
 
 def get_write_ok(block: AttachedBlock, timeout_s: float = 5.0) -> Record:
-    """Wait until all reading has finished; returns a slot that holds the newest values."""
+    """Wait until all reading has finished; returns a slot that holds the newest values.
+
+    Parameters
+    ----------
+    block : AttachedBlock
+        as `mem_attach` gave it
+    timeout_s : float
+        longest wait [s]
+
+    Returns
+    -------
+    Record
+        the slot, to be changed and published by `write_done`
+    """
     return block.get_write_ok(timeout_s)
 
 
 def write_done(block: AttachedBlock) -> int:
-    """Publish, let readers in, replicate; returns the new generation."""
+    """Publish, let readers in, replicate; returns the new generation.
+
+    Parameters
+    ----------
+    block : AttachedBlock
+        as `mem_attach` gave it
+
+    Returns
+    -------
+    int
+        the new generation
+    """
     return block.write_done()
 
 
 def latest(block: AttachedBlock) -> Snapshot:
-    """A private copy of the newest values, at once, whatever readers and writer do."""
+    """A private copy of the newest values, at once, whatever readers and writer do.
+
+    Parameters
+    ----------
+    block : AttachedBlock
+        as `mem_attach` gave it
+
+    Returns
+    -------
+    Snapshot
+        a private copy; `stale` is set when it is an old one
+    """
     return block.latest()

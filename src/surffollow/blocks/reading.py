@@ -28,15 +28,24 @@ class ReadSide(Attachment):
     def get_read_ok(self, timeout_s: float = 5.0) -> tuple[Record, int]:
         """Wait until writing has finished and keep the writer out.
 
+        Parameters
+        ----------
+        timeout_s : float
+            longest wait [s]
+
         Returns
         -------
-        Record   a read-only view of the values, valid until `read_done`
-        int      its generation
+        Record
+            a read-only view of the values, valid until `read_done`
+        int
+            its generation
 
         Raises
         ------
-        BlockTimeoutError   in that time the writer did not finish, or did not start, or wrote nothing
-        BusyError           this handle has a read or write under way
+        BlockTimeoutError
+            in that time the writer did not finish, or did not start, or wrote nothing
+        BusyError
+            this handle has a read or write under way
         """
         if self._view is not None:
             raise BusyError(f"block {self.name!r}: a read or write is under way on this handle; end it first")
@@ -120,7 +129,8 @@ class ReadSide(Attachment):
 
         Returns
         -------
-        str   "ok", or "stale": the lease ran out meanwhile, the values may have changed under the reader
+        str
+            "ok", or "stale": the lease ran out meanwhile, the values may have changed under the reader
         """
         if self._view is None or self._writing:
             raise BlockError(f"block {self.name!r}: read_done without get_read_ok")
@@ -137,10 +147,22 @@ class ReadSide(Attachment):
     def read(self, timeout_s: float = 5.0) -> Iterator[Record]:
         """`with block.read() as view:` get_read_ok and read_done.
 
+        Parameters
+        ----------
+        timeout_s : float
+            longest wait [s]
+
+        Returns
+        -------
+        context manager of Record
+            a read-only view of the values
+
         Raises
         ------
-        BlockTimeoutError   no turn in time
-        BlockError          at the end: the reader was fenced, what it read may be a mixture
+        BlockTimeoutError
+            no turn in time
+        BlockError
+            at the end: the reader was fenced, what it read may be a mixture
         """
         view, _ = self.get_read_ok(timeout_s)
         try:

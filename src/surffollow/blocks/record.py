@@ -18,7 +18,8 @@ def plan(schema: type[Schema]) -> dict[str, tuple[struct.Struct, Field]]:
 
     Raises
     ------
-    SchemaError  a field bears the name of one of `Record`'s own methods
+    SchemaError
+        a field bears the name of one of `Record`'s own methods
     """
     found = _PLANS.get(schema)
     if found is None:
@@ -127,7 +128,13 @@ class Record:
         return f"{self._schema.__name__}({', '.join(f'{n}={self._get(n)!r}' for n in self._plan)})"
 
     def update(self, **values: Any) -> None:
-        """Assign several fields; a nested schema takes a dictionary."""
+        """Assign several fields; a nested schema takes a dictionary.
+
+        Parameters
+        ----------
+        values : any
+            fields by name
+        """
         for name, value in values.items():
             if isinstance(value, dict):
                 getattr(self, name).update(**value)
@@ -143,7 +150,18 @@ class Record:
         return unpack_schema(self._schema, self._buffer, self._base)
 
     def array(self, name: str) -> Any:
-        """A field of numbers as a view of the memory itself, shape (count,)."""
+        """A field of numbers as a view of the memory itself, shape (count,).
+
+        Parameters
+        ----------
+        name : str
+            of the field
+
+        Returns
+        -------
+        memoryview
+            of the numbers; not to be used after the end of the view
+        """
         _, f = self._find(name)
         if f.nested is not None or f.is_text:
             raise TypeError(f"{name} is not a field of numbers")

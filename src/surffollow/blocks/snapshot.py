@@ -17,10 +17,13 @@ class Snapshot:
 
     Attributes
     ----------
-    generation : int   number of the publication; 0: nothing was published yet, all values are zero
-    stale : bool       an older copy, because the newest could not be had: the writer was too fast for every
-                       try, or gave the block up, or has not published yet
-    data : bytes       slot head and payload
+    generation : int
+        number of the publication; 0: nothing was published yet, all values are zero
+    stale : bool
+        an older copy, because the newest could not be had: the writer was too fast for every
+        try, or gave the block up, or has not published yet
+    data : bytes
+        slot head and payload
     """
 
     __slots__ = ("data", "generation", "schema", "stale")
@@ -49,7 +52,18 @@ class Snapshot:
         return int(_HEAD.unpack_from(self.data)[2])
 
     def age_ns(self, now_ns: int | None = None) -> int:
-        """How long ago it was published [ns]."""
+        """How long ago it was published [ns].
+
+        Parameters
+        ----------
+        now_ns : int, optional
+            CLOCK_MONOTONIC [ns]; now when absent
+
+        Returns
+        -------
+        int
+            time since the publication [ns]
+        """
         return (time.monotonic_ns() if now_ns is None else now_ns) - self.t_ns
 
     def __getitem__(self, name: str) -> Any:

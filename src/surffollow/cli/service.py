@@ -17,7 +17,10 @@ from surffollow.cli.values import SERVICE_NAME, Finite
 
 @click.command("start")
 @click.option(
-    "--config", "config_path", type=click.Path(dir_okay=False), help="TOML file; see docs/configuration.md."
+    "--config",
+    "config_path",
+    type=click.Path(dir_okay=False),
+    help="TOML file; see docs/reference/configuration.md.",
 )
 @click.option("--name", type=SERVICE_NAME, help="Name of the service and its shared-memory objects [surf].")
 @click.option("--quiet", is_flag=True, help="Print only READY, errors and the audit trail.")

@@ -41,20 +41,35 @@ def attach(
 
     Parameters
     ----------
-    name : str             of the service
-    stale_periods : int    cycles of silence after which demands become zero
-    stale_min_s : float    but never sooner than this
-    label : str            how the service's status names this client
-    owner : int or str     number or name of the user whose service to trust; None: this process's own
+    name : str
+        of the service
+    stale_periods : int
+        cycles of silence after which demands become zero
+    stale_min_s : float
+        but never sooner than this
+    label : str
+        how the service's status names this client
+    owner : int or str
+        number or name of the user whose service to trust; None: this process's own
         user, root, or the one that SURFFOLLOW_OWNER names. Whose it is at first it must be ever after
+
+    Returns
+    -------
+    Client
+        to be closed, or used in a `with` statement
 
     Raises
     ------
-    NameError_            (a ValueError) no name that a service can have
-    NotRunningError       no service of that name
-    NoPermissionError     not a member of the socket's group, or the service is another user's
-    LayoutMismatchError   the service is of another release
-    BusyError             all slots are taken, or as many as this user or process may have
+    NameError_
+        (a ValueError) no name that a service can have
+    NotRunningError
+        no service of that name
+    NoPermissionError
+        not a member of the socket's group, or the service is another user's
+    LayoutMismatchError
+        the service is of another release
+    BusyError
+        all slots are taken, or as many as this user or process may have
     """
     return Client(name, stale_periods=stale_periods, stale_min_s=stale_min_s, label=label, owner=owner)
 
@@ -66,5 +81,22 @@ def observe(
     stale_min_s: float = 0.005,
     owner: int | str | None = None,
 ) -> Observer:
-    """Attach read-only: no slot, no write permission needed; raises as `attach`."""
+    """Attach read-only: no slot, no write permission needed; raises as `attach`.
+
+    Parameters
+    ----------
+    name : str
+        of the service
+    stale_periods : int
+        cycles of silence after which demands become zero
+    stale_min_s : float
+        but never sooner than this [s]
+    owner : int or str, optional
+        number or name of the user whose service to trust, as for `attach`
+
+    Returns
+    -------
+    Observer
+        to be closed, or used in a `with` statement
+    """
     return Observer(name, stale_periods=stale_periods, stale_min_s=stale_min_s, owner=owner)

@@ -35,8 +35,10 @@ class Reclaimer(SlotWatcher):
 
         Raises
         ------
-        NotRunningError   not there yet
-        RefusedError      the service refused it
+        NotRunningError
+            not there yet
+        RefusedError
+            the service refused it
         """
         # another thread that steps does so for both
         if self._lock.acquire(blocking=False):

@@ -41,16 +41,21 @@ class Client(RangePusher):
 
         Parameters
         ----------
-        pose : seven floats      x y z [m], qx qy qz qw (unit), world from tool
-        t_ns : int, optional     when that was true, CLOCK_MONOTONIC [ns]; now when absent
+        pose : seven floats
+            x y z [m], qx qy qz qw (unit), world from tool
+        t_ns : int, optional
+            when that was true, CLOCK_MONOTONIC [ns]; now when absent
 
         Raises
         ------
-        PoseError         (a ValueError) not seven finite numbers, quaternion norm off by more than 1e-3,
-                          stamped more than 1 ms ahead or longer ago than `pose_timeout_ns`
-        BusyError         another live client sends the pose; its process is named
-        NotRunningError   the service ended, or the pose is being claimed anew of one that was started again:
-                          call again, poses go on a few calls later
+        PoseError
+            (a ValueError) not seven finite numbers, quaternion norm off by more than 1e-3,
+            stamped more than 1 ms ahead or longer ago than `pose_timeout_ns`
+        BusyError
+            another live client sends the pose; its process is named
+        NotRunningError
+            the service ended, or the pose is being claimed anew of one that was started again:
+            call again, poses go on a few calls later
 
         Notes
         -----
@@ -119,7 +124,8 @@ class Client(RangePusher):
 
         Raises
         ------
-        BusyError   another live client sends the pose; its process is named
+        BusyError
+            another live client sends the pose; its process is named
         """
         self._must_be_there()
         if not self._pose_held:
@@ -155,15 +161,20 @@ class Client(RangePusher):
 
         Parameters
         ----------
-        t_ns : int                when that is true, CLOCK_MONOTONIC [ns]
-        pose : seven floats       x y z [m], qx qy qz qw (unit), world from tool
-        velocity : six floats     linear [m/s] and angular [rad/s], world axes; by default the difference to
-                                  the pose before
+        t_ns : int
+            when that is true, CLOCK_MONOTONIC [ns]
+        pose : seven floats
+            x y z [m], qx qy qz qw (unit), world from tool
+        velocity : six floats
+            linear [m/s] and angular [rad/s], world axes; by default the difference to
+            the pose before
 
         Raises
         ------
-        PoseError         (a ValueError) no pose, no velocity, or no time
-        BusyError         a simulated robot or another client publishes it
+        PoseError
+            (a ValueError) no pose, no velocity, or no time
+        BusyError
+            a simulated robot or another client publishes it
         """
         if self._tool is None:
             from surffollow.client.sim_pose import SimulatedTool
@@ -191,7 +202,7 @@ class Client(RangePusher):
     def stop(self, reason: str = "", *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
         """Stop: from the next cycle on no demand is valid, until the pose's holder calls `reset_stop`.
 
-        Any client may ask. What the robot's controller does then stands in docs/protocol.md. This is no
+        Any client may ask. What the robot's controller does then: docs/reference/protocol.md. This is no
         safety function: it needs the service, the controller and the machine between them.
 
         It may be called while another request is under way, and in a signal handler. Without a slot (just
@@ -199,7 +210,8 @@ class Client(RangePusher):
 
         Parameters
         ----------
-        reason : str   for the audit trail; its first 63 bytes as UTF-8 are kept
+        reason : str
+            for the audit trail; its first 63 bytes as UTF-8 are kept
         """
         self._store_stop()
         data = reason.encode(errors="replace")[: 8 * lb.STOP_TEXT_WORDS - 1]
@@ -214,8 +226,9 @@ class Client(RangePusher):
 
         Raises
         ------
-        RefusedError   this client does not send the pose, or a cause that the configuration names is
-                       still there (the text says which)
+        RefusedError
+            this client does not send the pose, or a cause that the configuration names is
+            still there (the text says which)
         """
         return self._ask(lb.RQ_STOP_RESET, (), timeout_s, wait)
 
@@ -235,9 +248,11 @@ class Client(RangePusher):
 
         Parameters
         ----------
-        region : four floats    x_min, y_min, x_max, y_max [m]
-        finest_m : float        finest useful grid of this refocus [m]; the grids' size so far keeps them and
-                                every height as they are; 0: the configuration's (map.finest_grid)
+        region : four floats
+            x_min, y_min, x_max, y_max [m]
+        finest_m : float
+            finest useful grid of this refocus [m]; the grids' size so far keeps them and
+            every height as they are; 0: the configuration's (map.finest_grid)
         """
         values = (*check_region(region), check_finest(finest_m))
         return self._ask(lb.RQ_MAP_REFOCUS, values, timeout_s, wait)
@@ -247,7 +262,8 @@ class Client(RangePusher):
 
         Raises
         ------
-        ConfigError    unknown name, wrong unit, outside its bounds
+        ConfigError
+            unknown name, wrong unit, outside its bounds
         """
         from surffollow.config.params import check_param, param_name
 
@@ -274,17 +290,25 @@ class Client(RangePusher):
 
         Parameters
         ----------
-        path : path             what `upload_map` wrote; .npz, .asc and .tif too (see `HeightMap.load`)
-        timeout_s : float       how long the service may take for nothing
-        progress : callable     gets the finished fraction 0 … 1; returning False cancels
+        path : path
+            what `upload_map` wrote; .npz, .asc and .tif too (see `HeightMap.load`)
+        timeout_s : float
+            how long the service may take for nothing
+        progress : callable
+            gets the finished fraction 0 … 1; returning False cancels
 
         Raises
         ------
-        MapFileError            not a map, damaged, cut short; the service's map is untouched
-        MapCancelledError       cancelled; once the streaming had begun the map is empty
-        RefusedError            larger than the service's memory, or given up by the service
-        RequestTimeoutError     the service took nothing for `timeout_s`
-        NotRunningError         there is no service, or it ended
+        MapFileError
+            not a map, damaged, cut short; the service's map is untouched
+        MapCancelledError
+            cancelled; once the streaming had begun the map is empty
+        RefusedError
+            larger than the service's memory, or given up by the service
+        RequestTimeoutError
+            the service took nothing for `timeout_s`
+        NotRunningError
+            there is no service, or it ended
         """
         from surffollow.client.map_install import install_map
 

@@ -11,7 +11,24 @@ _ZERO = (0.0,) * 6
 
 
 def status_names(status: int) -> tuple[str, ...]:
-    """The names of the status bits, e.g. ("VALID", "LIMITED")."""
+    """The names of the status bits, e.g. ("VALID", "LIMITED").
+
+    Parameters
+    ----------
+    status : int
+        `Demand.status`
+
+    Returns
+    -------
+    tuple of str
+        names of the bits that are set
+
+    Examples
+    --------
+    >>> from surffollow.client import status_names
+    >>> status_names(0b100001)
+    ('VALID', 'LIMITED')
+    """
     names = tuple(n for i, n in enumerate(STATUS_NAMES) if status >> i & 1)
     return (*names, "STALE") if status & STALE else names
 
@@ -21,12 +38,28 @@ class Demand(Sequence[float]):
 
     Attributes
     ----------
-    valid : bool          False: all six numbers are zero, do not move on their account
-    age_ns : int          time since the service computed it
-    status : int          bits, see `names`
-    pose_t_ns : int       stamp of the pose it refers to; 0: none
-    t_ns : int            when it was computed, CLOCK_MONOTONIC
-    cycle, epoch : int    of the service
+    valid : bool
+        False: all six numbers are zero, do not move on their account
+    age_ns : int
+        time since the service computed it
+    status : int
+        bits, see `names`
+    pose_t_ns : int
+        stamp of the pose it refers to; 0: none
+    t_ns : int
+        when it was computed, CLOCK_MONOTONIC
+    cycle, epoch : int
+        of the service
+
+    Examples
+    --------
+    >>> from surffollow.client import Demand
+    >>> raw = (2_000_000, 1_000_000, 0.0, 0.0, 0.004, 0.0, 0.0, 0.0, 1, 7, 3)
+    >>> demand = Demand(raw, age_ns=400_000, status=1)
+    >>> demand.valid, demand[2], demand.pose_t_ns
+    (True, 0.004, 1000000)
+    >>> list(demand)
+    [0.0, 0.0, 0.004, 0.0, 0.0, 0.0]
     """
 
     __slots__ = ("_raw", "age_ns", "status")

@@ -39,8 +39,10 @@ class SurfacePoint(NamedTuple):
 
     Attributes
     ----------
-    height_m : float             between grid centres, NaN where unknown [m]
-    slope_x, slope_y : float     dz/dx and dz/dy over the neighbouring grids, NaN where unknown
+    height_m : float
+        between grid centres, NaN where unknown [m]
+    slope_x, slope_y : float
+        dz/dx and dz/dy over the neighbouring grids, NaN where unknown
     known : bool
     """
 
@@ -55,9 +57,12 @@ class MapChanges(NamedTuple):
 
     Attributes
     ----------
-    generation : int      of the grids' geometry; odd: being laid anew, come again
-    tiles : tuple         of (row, end row, column, end column): rectangles of grids that changed
-    counters : tuple      updates per tile, modulo 2^32, read before anything that is fetched now
+    generation : int
+        of the grids' geometry; odd: being laid anew, come again
+    tiles : tuple
+        of (row, end row, column, end column): rectangles of grids that changed
+    counters : tuple
+        updates per tile, modulo 2^32, read before anything that is fetched now
     """
 
     generation: int
@@ -139,10 +144,24 @@ class MapReading:
 
         Never waits: unknown is also the answer while the map is being laid anew.
 
+        Parameters
+        ----------
+        x_m : float
+            place [m]
+        y_m : float
+            place [m]
+
+        Returns
+        -------
+        float
+            height [m], or NaN
+
         Raises
         ------
-        NotRunningError    there is no map object of this name (any more)
-        NoPermissionError  it may not be read, or it belongs to another user than the board
+        NotRunningError
+            there is no map object of this name (any more)
+        NoPermissionError
+            it may not be read, or it belongs to another user than the board
         """
         return float(self._look(x_m, y_m, _mean, _NAN))
 
@@ -152,10 +171,24 @@ class MapReading:
         The grid that holds the point must be known; unknown neighbours leave the bilinear mean and
         its weights are renormalised. Slopes are central differences, one-sided at the edge of the known.
 
+        Parameters
+        ----------
+        x_m : float
+            place [m]
+        y_m : float
+            place [m]
+
+        Returns
+        -------
+        SurfacePoint
+            height [m] and slopes; NaN where the map knows nothing
+
         Raises
         ------
-        NotRunningError    there is no map object of this name (any more)
-        NoPermissionError  it may not be read, or it belongs to another user than the board
+        NotRunningError
+            there is no map object of this name (any more)
+        NoPermissionError
+            it may not be read, or it belongs to another user than the board
         """
         point: SurfacePoint = self._look(x_m, y_m, _point, _NOWHERE)
         return point
@@ -168,12 +201,21 @@ class MapReading:
         region : (x_min, y_min, x_max, y_max) [m], optional
             the grids that touch it; all grids when absent
 
+        Returns
+        -------
+        MapWindow
+            views that change with the map
+
         Raises
         ------
-        NotRunningError    there is no map object of this name (any more)
-        NoPermissionError  it may not be read, or it belongs to another user than the board
-        RefusedError       there is no map yet, or it is being laid anew
-        RegionError        not a region, or beside the map
+        NotRunningError
+            there is no map object of this name (any more)
+        NoPermissionError
+            it may not be read, or it belongs to another user than the board
+        RefusedError
+            there is no map yet, or it is being laid anew
+        RegionError
+            not a region, or beside the map
         """
         from surffollow.client.map_window import make_window
         from surffollow.client.requests import check_region
@@ -187,10 +229,22 @@ class MapReading:
         A grid's height is stored before its tile's counter: fetch the tiles after this call, and what
         changes meanwhile is in the next answer. A map that was laid anew has changed everywhere.
 
+        Parameters
+        ----------
+        since : MapChanges, optional
+            an earlier answer
+
+        Returns
+        -------
+        MapChanges
+            to be given to the next call
+
         Raises
         ------
-        NotRunningError    there is no map object of this name (any more)
-        NoPermissionError  it may not be read, or it belongs to another user than the board
+        NotRunningError
+            there is no map object of this name (any more)
+        NoPermissionError
+            it may not be read, or it belongs to another user than the board
         """
         m = self._mapped()
         at = _GENERATION // 8

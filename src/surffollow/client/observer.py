@@ -49,16 +49,22 @@ class Observer(MapReading):
 
     Parameters
     ----------
-    name : str             of the service
-    stale_periods : int    cycles without a new output after which the demand is stale
-    stale_min_s : float    but never sooner than this
-    owner : int or str     number or name of the user whose service to trust; None: this process's own
+    name : str
+        of the service
+    stale_periods : int
+        cycles without a new output after which the demand is stale
+    stale_min_s : float
+        but never sooner than this
+    owner : int or str
+        number or name of the user whose service to trust; None: this process's own
         user, root, or the one that SURFFOLLOW_OWNER names. Whose it is at first it must be ever after
 
     Raises
     ------
-    NameError_         (a ValueError) no name that a service can have
-    NoPermissionError  it belongs to another user; both are named
+    NameError_
+        (a ValueError) no name that a service can have
+    NoPermissionError
+        it belongs to another user; both are named
     """
 
     def __init__(
@@ -138,11 +144,13 @@ class Observer(MapReading):
 
         Returns
         -------
-        bool   valid; when not, the six numbers are zero and the status says why (STALE: silent or gone)
+        bool
+            valid; when not, the six numbers are zero and the status says why (STALE: silent or gone)
 
         Raises
         ------
-        ValueError   too small; TypeError: not writable. Nothing was written then
+        ValueError
+            too small; TypeError: not writable. Nothing was written then
         """
         words, memory, index, base, stale_ns = self._view
         # R1-R4, once and in a line; whatever is not fresh and whole takes the long way
@@ -180,7 +188,8 @@ class Observer(MapReading):
 
         Raises
         ------
-        NotRunningError   the service ended; one that stands still leaves its last words, see their `t_ns`
+        NotRunningError
+            the service ended; one that stands still leaves its last words, see their `t_ns`
         """
         self._must_be_there()
         return self.board.latch("output", Output).read()
@@ -190,7 +199,8 @@ class Observer(MapReading):
 
         Raises
         ------
-        NotRunningError   the service ended
+        NotRunningError
+            the service ended
         """
         from surffollow.config.params import PARAMS
 
@@ -258,8 +268,9 @@ class Observer(MapReading):
 
         Returns
         -------
-        list of dict   the newest `AUDIT_ENTRIES` at most: pid, uid, client, request, parameter, old, new,
-                       result, t_ns (CLOCK_MONOTONIC), age_s, and causes and reason of stops
+        list of dict
+            the newest `AUDIT_ENTRIES` at most: pid, uid, client, request, parameter, old, new,
+            result, t_ns (CLOCK_MONOTONIC), age_s, and causes and reason of stops
         """
         from surffollow.client.audit import read_audit
 

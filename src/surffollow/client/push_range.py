@@ -1,4 +1,4 @@
-"""Push ranges of an own sensor into the slot, for a service with an external driver (docs/protocol.md)."""
+"""Push ranges of an own sensor into the slot, for an external driver (docs/reference/protocol.md)."""
 
 from __future__ import annotations
 
@@ -43,19 +43,26 @@ class RangePusher(Reclaimer):
 
         Parameters
         ----------
-        channel : int          of the driver, 0 to its `channels` - 1
-        t_ns : int             when the range was true, CLOCK_MONOTONIC [ns], newer than the channel's last;
-                               of a sensor that is late: when it was measured, or `latency_s` says how late
-        range_m : float        distance [m]; None, NaN or infinite: no reading, which counts as a loss
+        channel : int
+            of the driver, 0 to its `channels` - 1
+        t_ns : int
+            when the range was true, CLOCK_MONOTONIC [ns], newer than the channel's last;
+            of a sensor that is late: when it was measured, or `latency_s` says how late
+        range_m : float
+            distance [m]; None, NaN or infinite: no reading, which counts as a loss
 
         Raises
         ------
-        ReadingError      (a ValueError) no channel, no number, a time that is not newer, more than 1 ms
-                          ahead or more than 1 s ago
-        BusyError         another live client pushes this channel; its process is named
-        RefusedError      the service's driver takes no pushed ranges on this channel
-        NotRunningError   the service ended, or the channel is being claimed anew of one that was started
-                          again: call again, ranges go on a few calls later
+        ReadingError
+            (a ValueError) no channel, no number, a time that is not newer, more than 1 ms
+            ahead or more than 1 s ago
+        BusyError
+            another live client pushes this channel; its process is named
+        RefusedError
+            the service's driver takes no pushed ranges on this channel
+        NotRunningError
+            the service ended, or the channel is being claimed anew of one that was started
+            again: call again, ranges go on a few calls later
         """
         now = time.monotonic_ns()
         if now > self._next_look_ns:
@@ -124,10 +131,17 @@ class RangePusher(Reclaimer):
     def claim_range(self, channel: int) -> None:
         """Become the one who pushes a channel's ranges; `push_range` does it when needed.
 
+        Parameters
+        ----------
+        channel : int
+            0 to 7
+
         Raises
         ------
-        BusyError         another live client pushes them; its process is named
-        RefusedError      the service's driver takes no pushed ranges on this channel
+        BusyError
+            another live client pushes them; its process is named
+        RefusedError
+            the service's driver takes no pushed ranges on this channel
         """
         self._must_be_there()
         deadline = time.monotonic() + CLAIM_RETRY_S
@@ -144,7 +158,13 @@ class RangePusher(Reclaimer):
                 time.sleep(CLAIM_PAUSE_S)
 
     def release_range(self, channel: int) -> None:
-        """Let another client push a channel's ranges."""
+        """Let another client push a channel's ranges.
+
+        Parameters
+        ----------
+        channel : int
+            0 to 7
+        """
         self._follow()  # of a service that was started anew this client holds nothing
         if channel in self._pushed:
             self._request(lb.RQ_RELEASE_RANGE, numbers=(channel,), n=1, patience_s=1.0).result(1.0)

@@ -37,7 +37,8 @@ def check_region(region: Sequence[float]) -> tuple[float, float, float, float]:
 
     Raises
     ------
-    RegionError  not four finite numbers, a side not positive or longer than 1e6 m
+    RegionError
+        not four finite numbers, a side not positive or longer than 1e6 m
     """
     try:
         x_min, y_min, x_max, y_max = (float(v) for v in region)
@@ -59,7 +60,8 @@ def check_finest(finest_m: float) -> float:
 
     Raises
     ------
-    RegionError  not 0, and not within 1e-6 to 1e4 m
+    RegionError
+        not 0, and not within 1e-6 to 1e4 m
     """
     if finest_m == 0.0:
         return 0.0
@@ -118,11 +120,24 @@ class Ticket:
     def result(self, timeout_s: float = 5.0) -> int:
         """Wait for the answer; its detail number.
 
+        Parameters
+        ----------
+        timeout_s : float
+            longest wait [s]
+
+        Returns
+        -------
+        int
+            `detail` of the answer
+
         Raises
         ------
-        RefusedError          the service refused; the text says why
-        RequestTimeoutError   no answer in time
-        NotRunningError       the service died meanwhile
+        RefusedError
+            the service refused; the text says why
+        RequestTimeoutError
+            no answer in time
+        NotRunningError
+            the service died meanwhile
         """
         deadline, tries = time.monotonic() + timeout_s, 0
         while not self._answered():
@@ -152,7 +167,20 @@ class Ticket:
         return detail
 
     def settle(self, timeout_s: float, wait: bool) -> Ticket:
-        """Wait for the answer when asked to; the ticket itself."""
+        """Wait for the answer when asked to.
+
+        Parameters
+        ----------
+        timeout_s : float
+            longest wait [s]
+        wait : bool
+            False: return at once
+
+        Returns
+        -------
+        Ticket
+            this one
+        """
         if wait:
             self.result(timeout_s)
         return self

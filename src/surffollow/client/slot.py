@@ -102,11 +102,17 @@ class SlotHolder(Observer):
             ) from None
 
     def await_slot(self, until_s: float) -> None:
-        """Wait for a slot until a time of `time.monotonic`; not in a control loop.
+        """Wait for a slot; not in a control loop.
+
+        Parameters
+        ----------
+        until_s : float
+            time of `time.monotonic` [s]
 
         Raises
         ------
-        NotReadyError   the service gave none; and as `SlotRequest.step`
+        NotReadyError
+            the service gave none; and as `SlotRequest.step`
         """
         while not self.ensure_slot():
             asking = self._asking

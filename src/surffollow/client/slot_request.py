@@ -1,4 +1,7 @@
-"""Get a slot from the service: the client's side of the exchange on NAME.sock (docs/protocol.md)."""
+"""Get a slot from the service: the client's side of the exchange on NAME.sock.
+
+The steps are those of docs/reference/protocol.md, "Getting a slot".
+"""
 
 from __future__ import annotations
 

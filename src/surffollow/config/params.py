@@ -87,12 +87,15 @@ def check_param(name: str, value: object) -> float:
 
     Parameters
     ----------
-    name : str       one of `PARAMS`, with or without its unit ending ("offset" = "offset_m")
-    value : object   a number, text with a unit, or one of the parameter's choices
+    name : str
+        one of `PARAMS`, with or without its unit ending ("offset" = "offset_m")
+    value : object
+        a number, text with a unit, or one of the parameter's choices
 
     Raises
     ------
-    ConfigError  unknown name, wrong unit, not whole, out of bounds
+    ConfigError
+        unknown name, wrong unit, not whole, out of bounds
     """
     spec = PARAMS[param_name(name)]
     if spec.choices and isinstance(value, str):

@@ -115,12 +115,13 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Service
 
     Raises
     ------
-    ConfigError  unknown key, wrong type, unknown unit, value out of bounds; the text names the key
+    ConfigError
+        unknown key, wrong type, unknown unit, value out of bounds; the text names the key
     """
     try:
         config = msgspec.convert(data, ServiceConfig)
     except msgspec.ValidationError as e:
-        raise ConfigError(f"{source}: {e}; see `surffollow start --help` and docs/configuration.md") from None
+        raise ConfigError(f"{source}: {e}; see docs/reference/configuration.md") from None
     try:
         _check(config)
     except ConfigError as e:
@@ -191,7 +192,8 @@ def mode(text: str, key: str) -> int:
 
     Raises
     ------
-    ConfigError  no octal mode, executable, or write bits of group or others on board or map
+    ConfigError
+        no octal mode, executable, or write bits of group or others on board or map
     """
     try:
         value = int(text, 8)
@@ -226,7 +228,8 @@ def load_config(path: str | Path) -> ServiceConfig:
 
     Raises
     ------
-    ConfigError  the file cannot be read, is not TOML, or says something wrong
+    ConfigError
+        the file cannot be read, is not TOML, or says something wrong
     """
     try:
         text = Path(path).read_text(encoding="utf-8")

@@ -73,7 +73,19 @@ class Follower:
 
     Raises
     ------
-    ConfigError  unknown key, wrong unit, value out of bounds, a stand-off that cannot be kept
+    ConfigError
+        unknown key, wrong unit, value out of bounds, a stand-off that cannot be kept
+
+    Examples
+    --------
+    >>> import surffollow
+    >>> follower = surffollow.Follower({"mode": "paper"}, offset_m=0.1)
+    >>> for k in range(200):
+    ...     t_ns = k * 4_000_000
+    ...     _ = follower.pose(t_ns, (0.0002 * k, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+    ...     demand = follower.step(t_ns, [0.09])
+    >>> round(float(demand[2]), 3)
+    0.01
     """
 
     def __init__(self, config: Config = None, offset_m: float | None = None) -> None:
@@ -110,9 +122,15 @@ class Follower:
     def set_params(self, **values: object) -> None:
         """Change parameters from the next step on.
 
+        Parameters
+        ----------
+        values : any
+            parameters by name, with or without the ending of the name; SI numbers or text with units
+
         Raises
         ------
-        ConfigError  unknown name, wrong unit, value out of bounds; then nothing is changed
+        ConfigError
+            unknown name, wrong unit, value out of bounds; then nothing is changed
         """
         checked: dict[str, float] = {}
         for n, v in values.items():
@@ -131,6 +149,13 @@ class Follower:
 
         Ground remembered from earlier passes is forgotten too. With `keep_memory` it stays, as the
         service's map does in a SFReset: for another stand-off over a part that was not moved.
+
+        Parameters
+        ----------
+        offset_m : float, optional
+            desired stand-off [m]; None: as before
+        keep_memory : bool
+            keep the ground remembered from earlier passes
         """
         if offset_m is not None:
             trial = self._params.copy()
@@ -152,16 +177,20 @@ class Follower:
 
         Parameters
         ----------
-        t_ns : int           when the pose was true; reports may arrive late
-        pose : 7 numbers     x y z [m], unit quaternion qx qy qz qw, world from tool
+        t_ns : int
+            when the pose was true; reports may arrive late
+        pose : 7 numbers
+            x y z [m], unit quaternion qx qy qz qw, world from tool
 
         Returns
         -------
-        bool  False: refused, because a pose at least as new was there already
+        bool
+            False: refused, because a pose at least as new was there already
 
         Raises
         ------
-        PoseError  not seven finite numbers, or a quaternion whose norm is off by more than 1e-3
+        PoseError
+            not seven finite numbers, or a quaternion whose norm is off by more than 1e-3
         """
         p = self._pose
         try:
@@ -186,17 +215,21 @@ class Follower:
 
         Parameters
         ----------
-        t_ns : int               when the ranges were read; without any, now
-        ranges_m : up to 8       distances per channel [m]; NaN: no reading in this step; a number outside
-                                 the window: the sensor lost the surface
+        t_ns : int
+            when the ranges were read; without any, now
+        ranges_m : up to 8
+            distances per channel [m]; NaN: no reading in this step; a number outside
+            the window: the sensor lost the surface
 
         Returns
         -------
-        (6,) float64  demand x y z [m], rx ry rz [rad], to be added to the newest pose reported
+        (6,) float64
+            demand x y z [m], rx ry rz [rad], to be added to the newest pose reported
 
         Raises
         ------
-        UsageError  not 1 to 8 numbers, or a time more than an hour before 0
+        UsageError
+            not 1 to 8 numbers, or a time more than an hour before 0
         """
         try:
             n = len(ranges_m)
@@ -240,7 +273,18 @@ class Follower:
         return demand
 
     def forecast_range_m(self, horizon_s: float) -> float:
-        """The range that channel 0 will read `horizon_s` [s] after its last valid reading; NaN before one."""
+        """The range that channel 0 will read `horizon_s` [s] after its last valid reading; NaN before one.
+
+        Parameters
+        ----------
+        horizon_s : float
+            time after the last valid reading [s]
+
+        Returns
+        -------
+        float
+            range [m], NaN before the first valid reading
+        """
         return float(forecast_range(self._params, self._state, float(horizon_s)))
 
     def state(self) -> dict[str, Any]:

@@ -225,7 +225,7 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
     Notes
     -----
     No clock, no allocation, no exception; the same inputs give the same bits everywhere.
-    Paper §3.3.3; safety per docs/protocol.md.
+    Paper §3.3.3; safety per docs/reference/protocol.md.
     """
     p, s, i, o = params[0], state[0], inputs[0], output[0]
     take_poses(s.sense, i)

@@ -1,4 +1,6 @@
-"""The latched stop: causes found in a cycle, kept until the pose's holder resets them (docs/protocol.md).
+"""The latched stop: causes found in a cycle, kept until the pose's holder resets them.
+
+The rules are those of docs/reference/protocol.md, "Stop".
 
 Causes from outside (requests, a driver's fault, a holder that died) come in through `latch_stop`, which the
 service logs as a STOP entry; causes in the cycle's own status come from `Params.stop_on`. Both are replayed.

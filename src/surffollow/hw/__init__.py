@@ -2,7 +2,7 @@
 
 `Driver`, `DriverInfo`, `ConversionQueue`: the interface to the service. `metre_info`, `pack_range`,
 `RangeWriter`: distances in metres. `PolledDriver`, `Source`: a thread with health states and reconnection.
-`surffollow.hw.contract` checks any driver. See docs/drivers.md. Other modules here are not public.
+`surffollow.hw.contract` checks any driver. See docs/reference/drivers.md. Other modules here are not public.
 """
 
 from __future__ import annotations

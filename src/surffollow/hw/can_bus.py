@@ -52,7 +52,7 @@ class CanConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         if not self.messages:
-            raise ConfigError("a CAN driver needs messages, at least one; see docs/drivers.md")
+            raise ConfigError("a CAN driver needs messages, at least one; see docs/reference/drivers.md")
         keys = {(m.id, m.extended) for m in self.messages}
         if len(keys) < len(self.messages):
             raise ConfigError("two messages have the same identifier")

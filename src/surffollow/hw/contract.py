@@ -107,11 +107,13 @@ def check_driver(make: Callable[[], Driver], *, delivers: bool = True, timeout_s
 
     Returns
     -------
-    list of str   what was checked
+    list of str
+        what was checked
 
     Raises
     ------
-    ContractError   (an AssertionError) the first check that fails
+    ContractError
+        (an AssertionError) the first check that fails
     """
     done = []
     driver = make()

@@ -117,11 +117,30 @@ class ConversionQueue:
         return int(ring_length(self.address))
 
     def push(self, t_ns: int, word: int) -> None:
-        """Append a conversion (producer only)."""
+        """Append a conversion (producer only).
+
+        Parameters
+        ----------
+        t_ns : int
+            when it was true, CLOCK_MONOTONIC [ns]
+        word : int
+            packed conversion, see `pack_range`
+        """
         push_conversion(self.address, self.capacity, self.lost_address, self._item_address, t_ns, word)
 
     def drain(self, at_most: int | None = None) -> NDArray[np.int64]:
-        """Take what is there (consumer only): (n, 2) int64, time [ns] and word."""
+        """Take what is there (consumer only): (n, 2) int64, time [ns] and word.
+
+        Parameters
+        ----------
+        at_most : int, optional
+            most conversions; None: all
+
+        Returns
+        -------
+        (n, 2) int64
+            time [ns] and word of each conversion
+        """
         waiting = len(self)
         out = np.zeros((waiting if at_most is None else min(waiting, at_most), ITEM_WORDS), np.int64)
         first = int(out.ctypes.data)
@@ -185,7 +204,13 @@ class Driver(Protocol):
         ...
 
     def start(self, queue: ConversionQueue) -> None:
-        """Begin to fill the queue; returns when the driver's kernels are compiled and its thread runs."""
+        """Begin to fill the queue; returns when the driver's kernels are compiled and its thread runs.
+
+        Parameters
+        ----------
+        queue : ConversionQueue
+            to be filled; the service drains it
+        """
         ...
 
     def stop(self) -> None:

@@ -43,6 +43,16 @@ class Source(Protocol):
         """Conversions that arrived, time [ns] and packed word; waits at most `timeout_s` for the first.
 
         An exception means that the device is lost: it is closed and opened again.
+
+        Parameters
+        ----------
+        timeout_s : float
+            longest wait for the first one [s]
+
+        Returns
+        -------
+        sequence of (int, int)
+            time [ns] and packed word of each conversion
         """
         ...
 
@@ -89,7 +99,13 @@ class PolledDriver:
         return GARBLED if self._source.rejected > self._rejected_before else SILENT
 
     def start(self, queue: ConversionQueue) -> None:
-        """Begin to fill the queue; a device that is not there is waited for."""
+        """Begin to fill the queue; a device that is not there is waited for.
+
+        Parameters
+        ----------
+        queue : ConversionQueue
+            to be filled; the service drains it
+        """
         if self._thread is not None:
             raise DriverError(f"driver '{self._source.name}' was started twice; stop it first")
         self._end.clear()

@@ -1,7 +1,7 @@
 """Take the ranges that a client pushed into its slot: copied once, checked, packed, never waited for.
 
-The ring's protocol is docs/protocol.md, "Pushed ranges", steps P1 to P4. Time per call is bounded by
-`at_most` items, whatever the client writes.
+The ring's protocol is docs/reference/protocol.md, "Pushed ranges", steps P1 to P4. Time per call is bounded
+by `at_most` items, whatever the client writes.
 """
 
 from __future__ import annotations

@@ -34,10 +34,22 @@ def metre_info(
     period_ns : from one conversion of any channel to the next [ns]; 0: irregular
     mounts : tool from sensor, one per channel; none: every sensor at the tool's origin, along −z
 
+    Returns
+    -------
+    DriverInfo
+        for `Driver.info`
+
     Raises
     ------
     ConfigError
         no window, too many channels, a wrong mount
+
+    Examples
+    --------
+    >>> from surffollow.hw import metre_info
+    >>> info = metre_info("laser", 0.05, 0.3)
+    >>> info.n_channels, info.scale_m[0]
+    (1, 1e-06)
     """
     if not 0.0 <= range_min_m < range_max_m < 1e5:
         raise ConfigError(
@@ -67,6 +79,11 @@ def pack_range(info: DriverInfo, channel: int, range_m: float | None) -> int:
     info : the driver's own description
     channel : 0 to n_channels − 1
     range_m : distance [m]; None or NaN: the sensor sees nothing
+
+    Returns
+    -------
+    int
+        packed conversion
     """
     if range_m is None or not math.isfinite(range_m):
         return pack_counts(None, channel)
@@ -98,6 +115,14 @@ class RangeWriter:
         self.push_word(t_ns, pack_range(self._info, channel, range_m))
 
     def push_word(self, t_ns: int, word: int) -> None:
-        """Hand over a packed conversion."""
+        """Hand over a packed conversion.
+
+        Parameters
+        ----------
+        t_ns : int
+            when it was true, CLOCK_MONOTONIC [ns]
+        word : int
+            packed conversion, see `pack_range`
+        """
         self._last_ns = t_ns = max(self._last_ns, min(t_ns, time.monotonic_ns()))
         self._queue.push(t_ns, word)

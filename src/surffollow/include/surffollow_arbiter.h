@@ -12,7 +12,7 @@
  *     sfa_detach(&go);
  *
  * The low-level controller of a resource reads its command block: sfb_open(&block, "cell.robot",
- * SFA_COMMAND_HASH, sizeof(sfa_command_block)), then sfa_latest. See docs/arbiter.md.
+ * SFA_COMMAND_HASH, sizeof(sfa_command_block)), then sfa_latest. See docs/reference/arbiter.md.
  */
 #ifndef SURFFOLLOW_ARBITER_H
 #define SURFFOLLOW_ARBITER_H

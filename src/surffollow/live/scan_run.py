@@ -183,7 +183,7 @@ class _Run:
 
     @property
     def stopped(self) -> bool:
-        """Whether the service has latched a stop (docs/protocol.md, "Stop")."""
+        """Whether the service has latched a stop (docs/reference/protocol.md, "Stop")."""
         service = self.controller.service
         if service is None or self.robot.config.way == "plan":
             return False

@@ -32,7 +32,8 @@ def check_suffix(path: str | os.PathLike[str]) -> str:
 
     Raises
     ------
-    UsageError    no format ends like that; the text names those that there are
+    UsageError
+        no format ends like that; the text names those that there are
     """
     suffix = Path(path).suffix.lower()
     if suffix not in EXPORTS:
@@ -72,11 +73,14 @@ def export(
 
     Parameters
     ----------
-    path : path             .txt and .npz lossless; .asc ESRI ASCII grid; .tif GeoTIFF (extra `geo`);
+    path : path
+        .txt and .npz lossless; .asc ESRI ASCII grid; .tif GeoTIFF (extra `geo`);
         .ply mesh; .xyz points; .las points (extra `las`); .png, .svg, .pdf pictures (extra `plot`)
     header : (1,) structured `MapHeader`
-    pairs : (n,) structured `GridPair`        must not change meanwhile
-    progress : callable     gets the finished fraction; returning False cancels
+    pairs : (n,) structured `GridPair`
+        must not change meanwhile
+    progress : callable
+        gets the finished fraction; returning False cancels
 
     Raises
     ------
@@ -109,7 +113,8 @@ def load(
 
     Returns
     -------
-    (header, pairs)  (1,) `MapHeader`, (n,) `GridPair`, just large enough
+    (header, pairs)
+        (1,) `MapHeader`, (n,) `GridPair`, just large enough
 
     Raises
     ------

@@ -19,8 +19,10 @@ def numbers_fault(grid_m: float, quantum_m: float, **positions_m: float) -> str:
 
     Parameters
     ----------
-    grid_m, quantum_m : float       side of a grid, height of a count [m]: 1e-12 … 1e6
-    **positions_m : float           by name; at most 1e12 m from the origin
+    grid_m, quantum_m : float
+        side of a grid, height of a count [m]: 1e-12 … 1e6
+    **positions_m : float
+        by name; at most 1e12 m from the origin
     """
     for name, value in (("grid_m", grid_m), ("quantum_m", quantum_m)):
         if not _FINEST_M <= value <= ml.MAX_REGION_M:
@@ -49,15 +51,24 @@ def init_header(
     Parameters
     ----------
     header : (1,) structured `MapHeader`
-    capacity_grids : int        grids that the pairs have room for, 1 … 1e9
-    scratch_bytes : int         room for a refocus; default: that of the map object
-    finest_grid_m : float       finest grid that position accuracy allows [m]
-    quantum_m : float           height of one count [m]
-    rounding : str              "unbiased" or "paper"
-    datum_m : float             height of quantum 0 [m]; None: the first sample after each reset
-    gate_m : float              outlier gate [m], 0: none
-    gate_min_count : int        samples of history that the gate needs, 1 … 255
-    seed : int                  of the rounding sequence
+    capacity_grids : int
+        grids that the pairs have room for, 1 … 1e9
+    scratch_bytes : int
+        room for a refocus; default: that of the map object
+    finest_grid_m : float
+        finest grid that position accuracy allows [m]
+    quantum_m : float
+        height of one count [m]
+    rounding : str
+        "unbiased" or "paper"
+    datum_m : float
+        height of quantum 0 [m]; None: the first sample after each reset
+    gate_m : float
+        outlier gate [m], 0: none
+    gate_min_count : int
+        samples of history that the gate needs, 1 … 255
+    seed : int
+        of the rounding sequence
 
     Raises
     ------
@@ -105,8 +116,10 @@ def header_fault(header: np.ndarray[Any, Any], n_pairs: int) -> str:
 
     Parameters
     ----------
-    header : (1,) structured `MapHeader`      as found in a kept map object
-    n_pairs : int                             grid pairs behind it
+    header : (1,) structured `MapHeader`
+        as found in a kept map object
+    n_pairs : int
+        grid pairs behind it
     """
     w = header[0]
     if int(w["magic"]) != ml.MAGIC:

@@ -32,6 +32,15 @@ class HeightMap(MapView):
 
     Make one with `over`, `load` or `from_heights`. `header` and `pairs` are the map's memory as in the
     daemon's map object, for use with the kernels; what the map tells is in `MapView`.
+
+    Examples
+    --------
+    >>> from surffollow.map import HeightMap
+    >>> ground = HeightMap.over((0.0, 0.0, 1.0, 1.0), grids=100, datum_m=0.0)
+    >>> ground.add([(0.25, 0.25, 0.0127), (0.25, 0.25, 0.0127)])
+    2
+    >>> ground.heights_m.shape, round(float(ground.heights_m[2, 2]), 4), int(ground.counts[2, 2])
+    ((10, 10), 0.0127, 2)
     """
 
     @classmethod
@@ -52,15 +61,29 @@ class HeightMap(MapView):
 
         Parameters
         ----------
-        region : (x_min, y_min, x_max, y_max) [m]     sides positive and at most 1e6 m
-        grids : int                 memory, 1 … 1e9 grids of 3 bytes; what is left over grows the map
-        finest_m : float            finest useful grid [m]
-        quantum_m : float           height of one count [m]; heights reach ±32767 of them
-        rounding : str              "unbiased", or "paper" (to nearest; freezes after 255 samples)
-        datum_m : float             height in the middle of the range [m]; None: the first sample's
-        gate_m : float              samples farther than this from a grid's mean are refused; 0: none
-        gate_min_count : int        history that the gate needs
-        seed : int                  of the rounding sequence
+        region : (x_min, y_min, x_max, y_max) [m]
+            sides positive and at most 1e6 m
+        grids : int
+            memory, 1 … 1e9 grids of 3 bytes; what is left over grows the map
+        finest_m : float
+            finest useful grid [m]
+        quantum_m : float
+            height of one count [m]; heights reach ±32767 of them
+        rounding : str
+            "unbiased", or "paper" (to nearest; freezes after 255 samples)
+        datum_m : float
+            height in the middle of the range [m]; None: the first sample's
+        gate_m : float
+            samples farther than this from a grid's mean are refused; 0: none
+        gate_min_count : int
+            history that the gate needs
+        seed : int
+            of the rounding sequence
+
+        Returns
+        -------
+        HeightMap
+            all grids unknown
 
         Raises
         ------
@@ -97,12 +120,23 @@ class HeightMap(MapView):
 
         Parameters
         ----------
-        heights_m : (ny, nx) float [m]        NaN or masked: unknown; rows ascend in y, columns in x
-        origin_m : (x, y) [m]                 outer corner of heights_m[0, 0]
-        grid_m : float                        side of a grid [m]
-        counts : (ny, nx) int 0 … 255         samples behind each height
-        quantum_m : float                     height of one count [m]; None: 25.4 µm, or as coarse as needed
-        datum_m : float                       middle of the height range [m]; None: that of the heights
+        heights_m : (ny, nx) float [m]
+            NaN or masked: unknown; rows ascend in y, columns in x
+        origin_m : (x, y) [m]
+            outer corner of heights_m[0, 0]
+        grid_m : float
+            side of a grid [m]
+        counts : (ny, nx) int 0 … 255
+            samples behind each height
+        quantum_m : float
+            height of one count [m]; None: 25.4 µm, or as coarse as needed
+        datum_m : float
+            middle of the height range [m]; None: that of the heights
+
+        Returns
+        -------
+        HeightMap
+            with the grids of the array
 
         Raises
         ------
@@ -162,11 +196,13 @@ class HeightMap(MapView):
 
         Parameters
         ----------
-        points_m : (n, 3) float64 [m]         x, y, z in the world frame
+        points_m : (n, 3) float64 [m]
+            x, y, z in the world frame
 
         Returns
         -------
-        int  points that changed a grid; see `samples`, `outside`, `clipped`, `gated`, `invalid`
+        int
+            points that changed a grid; see `samples`, `outside`, `clipped`, `gated`, `invalid`
 
         Raises
         ------
@@ -181,7 +217,13 @@ class HeightMap(MapView):
         return int(add_points(self.header, self.pairs, points))
 
     def reset(self, region: Region) -> None:
-        """MapReset: forget everything and lay the map over a region."""
+        """MapReset: forget everything and lay the map over a region.
+
+        Parameters
+        ----------
+        region : (x_min, y_min, x_max, y_max) [m]
+            sides positive
+        """
         _check(reset_begin(self.header, *_region(region)))
         while not reset_step(self.header, self.pairs, _SLICE):
             pass
@@ -191,8 +233,10 @@ class HeightMap(MapView):
 
         Parameters
         ----------
-        region : four floats    x_min, y_min, x_max, y_max [m]
-        finest_m : float        finest useful grid of this refocus [m]; 0: the map's own choice
+        region : four floats
+            x_min, y_min, x_max, y_max [m]
+        finest_m : float
+            finest useful grid of this refocus [m]; 0: the map's own choice
         """
         limits = _region(region)
         if finest_m and not ml.MIN_GRID_M <= finest_m <= ml.MAX_GRID_M:
@@ -220,6 +264,13 @@ class HeightMap(MapView):
         """Write the lossless text file (or .npz, by suffix), atomically.
 
         A suffix of another format is refused: `map.files.export` writes those.
+
+        Parameters
+        ----------
+        path : path
+            .npz by suffix, or the text format
+        progress : callable, optional
+            gets the finished fraction; returning False cancels
         """
         from surffollow.map.files import save
 
@@ -233,9 +284,17 @@ class HeightMap(MapView):
 
         Parameters
         ----------
-        path : path             .asc, .tif, .tiff, .npz by suffix, all else the text format
-        grids : int             memory for later refocusing; default: just what the file has
-        progress : callable     gets the finished fraction; returning False cancels
+        path : path
+            .asc, .tif, .tiff, .npz by suffix, all else the text format
+        grids : int
+            memory for later refocusing; default: just what the file has
+        progress : callable
+            gets the finished fraction; returning False cancels
+
+        Returns
+        -------
+        HeightMap
+            as the file has it
         """
         from surffollow.map.files import load
 

@@ -1,6 +1,6 @@
 """UpLoadMap's text file: header and every grid, lossless, for readers without our code.
 
-The grammar is in docs/map-file-format.md. NumPy only: the client library uploads with this.
+The grammar is in docs/reference/map-file-format.md. NumPy only: the client library uploads with this.
 """
 
 from __future__ import annotations
@@ -65,10 +65,13 @@ def write_text(
 
     Parameters
     ----------
-    path : path             replaced when it exists
+    path : path
+        replaced when it exists
     header : (1,) structured `MapHeader`
-    pairs : (n,) structured `GridPair`        must not change meanwhile (exclusive access, or a copy)
-    progress : callable     gets the finished fraction 0 … 1; returning False cancels
+    pairs : (n,) structured `GridPair`
+        must not change meanwhile (exclusive access, or a copy)
+    progress : callable
+        gets the finished fraction 0 … 1; returning False cancels
 
     Raises
     ------
@@ -112,12 +115,15 @@ def read_text(
     Parameters
     ----------
     path : path
-    capacity_grids : int    memory to give the map; default: just enough
-    progress : callable     as for `write_text`
+    capacity_grids : int
+        memory to give the map; default: just enough
+    progress : callable
+        as for `write_text`
 
     Returns
     -------
-    (header, pairs)  (1,) `MapHeader` in state READY, (n,) `GridPair`
+    (header, pairs)
+        (1,) `MapHeader` in state READY, (n,) `GridPair`
 
     Raises
     ------

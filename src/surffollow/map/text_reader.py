@@ -1,6 +1,6 @@
 """Read a map's text file line by line; every fault is told with its line.
 
-The grammar is in docs/map-file-format.md. NumPy only.
+The grammar is in docs/reference/map-file-format.md. NumPy only.
 """
 
 from __future__ import annotations

@@ -19,11 +19,37 @@ class MapView:
         self.header, self.pairs = header, pairs
 
     def height_at(self, x_m: float, y_m: float) -> float:
-        """Height between grid centres [m], NaN where unknown."""
+        """Height between grid centres [m], NaN where unknown.
+
+        Parameters
+        ----------
+        x_m : float
+            place [m]
+        y_m : float
+            place [m]
+
+        Returns
+        -------
+        float
+            height [m], or NaN
+        """
         return float(surface_at(self.header, self.pairs, float(x_m), float(y_m))[0])
 
     def slope_at(self, x_m: float, y_m: float) -> tuple[float, float]:
-        """(dz/dx, dz/dy) over the neighbouring grids, NaN where unknown."""
+        """(dz/dx, dz/dy) over the neighbouring grids, NaN where unknown.
+
+        Parameters
+        ----------
+        x_m : float
+            place [m]
+        y_m : float
+            place [m]
+
+        Returns
+        -------
+        tuple of two floats
+            dz/dx and dz/dy, or NaN
+        """
         _, slope_x, slope_y, _ = surface_at(self.header, self.pairs, float(x_m), float(y_m))
         return float(slope_x), float(slope_y)
 

@@ -36,14 +36,22 @@ class Arm:
 
     Attributes
     ----------
-    upper_m, fore_m : float [m]            lengths of the two links
-    tool_m : float [m]                     from the wrist's pivot to the tip, along the body's -z
-    ground_from_vehicle : (4, 4) float64   pose of the vehicle
-    vehicle_from_base : (4, 4) float64     pose of the shoulder in the vehicle; z of all three is up
-    forearm_from_camera : (4, 4) float64   pose of the camera in the wrist's level frame, x outwards
-    sag_at_2m_m : float [m]                static sag of the pivot at a horizontal distance of 2 m; ∝ ρ³
-    yaw_limit_rad : float                  of yaw, both signs, from the base's x axis
-    shoulder_rad, elbow_rad : (min, max)   limits of the links' elevations
+    upper_m, fore_m : float [m]
+        lengths of the two links
+    tool_m : float [m]
+        from the wrist's pivot to the tip, along the body's -z
+    ground_from_vehicle : (4, 4) float64
+        pose of the vehicle
+    vehicle_from_base : (4, 4) float64
+        pose of the shoulder in the vehicle; z of all three is up
+    forearm_from_camera : (4, 4) float64
+        pose of the camera in the wrist's level frame, x outwards
+    sag_at_2m_m : float [m]
+        static sag of the pivot at a horizontal distance of 2 m; ∝ ρ³
+    yaw_limit_rad : float
+        of yaw, both signs, from the base's x axis
+    shoulder_rad, elbow_rad : (min, max)
+        limits of the links' elevations
     wrist : WristLimits
     """
 
@@ -91,7 +99,18 @@ class Arm:
         return math.atan2(m[1, 0], m[0, 0])
 
     def sag_m(self, rho_m: ArrayLike) -> Floats:
-        """Static sag [m] at a horizontal distance of the pivot from the base: a cantilever's, ∝ ρ³."""
+        """Static sag [m] at a horizontal distance of the pivot from the base: a cantilever's, ∝ ρ³.
+
+        Parameters
+        ----------
+        rho_m : float [m]
+            horizontal distance of the pivot from the base
+
+        Returns
+        -------
+        float64 [m]
+            sag, in the shape of `rho_m`
+        """
         return np.asarray(self.sag_at_2m_m * (np.abs(rho_m) / SAG_REFERENCE_M) ** 3)
 
     def forward(self, joints_rad: ArrayLike) -> tuple[Floats, Floats]:
@@ -99,7 +118,8 @@ class Arm:
 
         Parameters
         ----------
-        joints_rad : (n, 5) float [rad]     columns of JOINTS
+        joints_rad : (n, 5) float [rad]
+            columns of JOINTS
 
         Returns
         -------
@@ -114,8 +134,15 @@ class Arm:
 
         Parameters
         ----------
-        tip_m : (n, 3) float [m]      in the ground frame
-        normal : (n, 3) float         unit
+        tip_m : (n, 3) float [m]
+            in the ground frame
+        normal : (n, 3) float
+            unit
+
+        Returns
+        -------
+        (n, 5) float64 [rad]
+            joint angles; NaN out of reach
 
         Notes
         -----
@@ -140,7 +167,18 @@ class Arm:
         return made
 
     def within_limits(self, joints_rad: ArrayLike) -> NDArray[np.bool_]:
-        """(n,) bool, true where every joint is finite and within its limits."""
+        """(n,) bool, true where every joint is finite and within its limits.
+
+        Parameters
+        ----------
+        joints_rad : (n, 5) float [rad]
+            joint angles
+
+        Returns
+        -------
+        (n,) bool
+            True: every joint is finite and within its limits
+        """
         q = real_array("joints_rad", joints_rad, (None, 5))
         box = self.wrist.as_array()
         low = np.array([-self.yaw_limit_rad, self.shoulder_rad[0], self.elbow_rad[0], box[0], box[2]])
@@ -150,21 +188,67 @@ class Arm:
         return np.asarray(inside.all(axis=1), np.bool_)
 
     def reachable(self, tip_m: Floats, normal: Floats) -> NDArray[np.bool_]:
-        """(n,) bool, whether the tip can be there with that normal, within all limits (`WorkSpace`)."""
+        """(n,) bool, whether the tip can be there with that normal, within all limits (`WorkSpace`).
+
+        Parameters
+        ----------
+        tip_m : (n, 3) float [m]
+            places of the tip in the ground frame
+        normal : (n, 3) float
+            unit normals of the underside
+
+        Returns
+        -------
+        (n,) bool
+            True: the tip can be there
+        """
         return self.within_limits(self.inverse(tip_m, normal))
 
     def azimuth_rad(self, tip_m: Floats) -> Floats:
-        """(n,) direction from the base to the tip, in the ground frame (`WorkSpace`)."""
+        """(n,) direction from the base to the tip, in the ground frame (`WorkSpace`).
+
+        Parameters
+        ----------
+        tip_m : (n, 3) float [m]
+            places of the tip in the ground frame
+
+        Returns
+        -------
+        (n,) float64 [rad]
+            azimuths
+        """
         return np.arctan2(tip_m[:, 1] - self.base_m[1], tip_m[:, 0] - self.base_m[0])
 
     def ground_from_tip(self, joints_rad: ArrayLike) -> Floats:
-        """(n, 4, 4) poses of the tip."""
+        """(n, 4, 4) poses of the tip.
+
+        Parameters
+        ----------
+        joints_rad : (n, 5) float [rad]
+            joint angles
+
+        Returns
+        -------
+        (n, 4, 4) float64
+            homogeneous matrices
+        """
         q = real_array("joints_rad", joints_rad, (None, 5))
         axes = self._axes(q)
         return _poses(axes, self._pivot(q) - self.tool_m * axes[:, :, 2])
 
     def ground_from_camera(self, joints_rad: ArrayLike) -> Floats:
-        """(n, 4, 4) poses of the camera, which the pantograph keeps level at the end of the forearm."""
+        """(n, 4, 4) poses of the camera, which the pantograph keeps level at the end of the forearm.
+
+        Parameters
+        ----------
+        joints_rad : (n, 5) float [rad]
+            joint angles
+
+        Returns
+        -------
+        (n, 4, 4) float64
+            homogeneous matrices
+        """
         q = real_array("joints_rad", joints_rad, (None, 5))
         level = np.zeros((len(q), 5))
         level[:, 0] = q[:, 0]

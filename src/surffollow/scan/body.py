@@ -17,7 +17,28 @@ SHAPES = "disc:RADIUS, ring:RADIUS, rectangle:LENGTHxWIDTH or point"
 
 
 def disc(radius_m: float, rings: int = 2, per_ring: int = 12) -> Floats:
-    """(1 + rings·per_ring, 3) points [m] of a disc: the middle and equal rings, the last on its edge."""
+    """(1 + rings·per_ring, 3) points [m] of a disc: the middle and equal rings, the last on its edge.
+
+    Parameters
+    ----------
+    radius_m : float [m]
+        above 0
+    rings : int
+        rings of equal distance
+    per_ring : int
+        points on each ring
+
+    Returns
+    -------
+    (n, 3) float64 [m]
+        control points; the first is the middle
+
+    Examples
+    --------
+    >>> from surffollow.scan import disc
+    >>> disc(0.1, rings=1, per_ring=4).shape
+    (5, 3)
+    """
     radius = positive("radius of the disc", radius_m)
     points = [(0.0, 0.0, 0.0)]
     for k in range(1, rings + 1):
@@ -26,12 +47,52 @@ def disc(radius_m: float, rings: int = 2, per_ring: int = 12) -> Floats:
 
 
 def ring(radius_m: float, per_ring: int = 16) -> Floats:
-    """(1 + per_ring, 3) points [m] of a ring and its middle (a search coil)."""
+    """(1 + per_ring, 3) points [m] of a ring and its middle (a search coil).
+
+    Parameters
+    ----------
+    radius_m : float [m]
+        above 0
+    per_ring : int
+        points on the ring
+
+    Returns
+    -------
+    (n, 3) float64 [m]
+        control points; the first is the middle
+    """
     return np.vstack([np.zeros((1, 3)), _circle(positive("radius of the ring", radius_m), per_ring, 0.0)])
 
 
 def rectangle(length_m: float, width_m: float, along: int = 5, across: int = 5) -> Floats:
-    """(along·across [+ 1], 3) points [m] of a plate, its length along body x; the middle comes first."""
+    """(along·across [+ 1], 3) points [m] of a plate, its length along body x; the middle comes first.
+
+    Parameters
+    ----------
+    length_m : float [m]
+        along body x, above 0
+    width_m : float [m]
+        along body y, above 0
+    along : int
+        points along x
+    across : int
+        points along y
+
+    Returns
+    -------
+    (n, 3) float64 [m]
+        control points; the first is the middle
+
+    Examples
+    --------
+    >>> from surffollow.scan import rectangle
+    >>> rectangle(0.2, 0.1, along=2, across=2)
+    array([[ 0.  ,  0.  ,  0.  ],
+           [-0.1 , -0.05,  0.  ],
+           [ 0.1 , -0.05,  0.  ],
+           [-0.1 ,  0.05,  0.  ],
+           [ 0.1 ,  0.05,  0.  ]])
+    """
     x = np.linspace(-0.5, 0.5, along) * positive("length of the rectangle", length_m)
     y = np.linspace(-0.5, 0.5, across) * positive("width of the rectangle", width_m)
     plate = np.array([(u, v, 0.0) for v in y for u in x if (u, v) != (0.0, 0.0)])
@@ -62,6 +123,16 @@ def body_points(points_m: object) -> Floats:
 
 def parse_body(text: str) -> Floats:
     """Control points of a description such as `disc:0.1`, `ring:12cm`, `rectangle:0.3x0.2` or `point`.
+
+    Parameters
+    ----------
+    text : str
+        shape and sizes; plain numbers are metres
+
+    Returns
+    -------
+    (n, 3) float64 [m]
+        control points; the first is the middle
 
     Raises
     ------

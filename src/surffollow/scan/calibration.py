@@ -29,13 +29,20 @@ class CalibrationMatrix:
 
     Attributes
     ----------
-    values_m : (rows, cols) float64 [m]      correction at the nodes, to be added to z; finite
-    inside : (rows, cols) bool               nodes within the triangles of the spots
-    origin_m : (x, y) [m]                    node [0, 0], in the arm's frame (or the frame of the spots)
-    grid_m : float [m]                       distance of nodes
-    outside : str                            "nearest": beyond them the nearest one counts; "unknown": NaN
-    spots_m : (n, 3) float64 [m]             x, y and correction of each spot
-    left_out_m : (n,) float64 [m]            leave-one-out residual of each spot
+    values_m : (rows, cols) float64 [m]
+        correction at the nodes, to be added to z; finite
+    inside : (rows, cols) bool
+        nodes within the triangles of the spots
+    origin_m : (x, y) [m]
+        node [0, 0], in the arm's frame (or the frame of the spots)
+    grid_m : float [m]
+        distance of nodes
+    outside : str
+        "nearest": beyond them the nearest one counts; "unknown": NaN
+    spots_m : (n, 3) float64 [m]
+        x, y and correction of each spot
+    left_out_m : (n,) float64 [m]
+        leave-one-out residual of each spot
     """
 
     values_m: Floats
@@ -59,10 +66,19 @@ class CalibrationMatrix:
 
         Parameters
         ----------
-        spots : (n, 3) float [m]      x, y and correction (z of the model's tip at contact - mapped ground)
-        grid_m : float [m]            distance of the matrix' nodes
-        region : (x_min, y_min, x_max, y_max) [m] or None      None: around the spots
-        outside : str                 policy beyond the spots' hull: "nearest" or "unknown"
+        spots : (n, 3) float [m]
+            x, y and correction (z of the model's tip at contact - mapped ground)
+        grid_m : float [m]
+            distance of the matrix' nodes
+        region : (x_min, y_min, x_max, y_max) [m] or None
+            None: around the spots
+        outside : str
+            policy beyond the spots' hull: "nearest" or "unknown"
+
+        Returns
+        -------
+        CalibrationMatrix
+            corrections at regular places
 
         Raises
         ------
@@ -107,7 +123,18 @@ class CalibrationMatrix:
         )
 
     def at(self, xy_m: ArrayLike) -> Floats:
-        """(n,) corrections [m] by linear interpolation in the matrix; see `outside` for places beyond it."""
+        """(n,) corrections [m] by linear interpolation in the matrix; see `outside` for places beyond it.
+
+        Parameters
+        ----------
+        xy_m : (n, 2) float [m]
+            places
+
+        Returns
+        -------
+        (n,) float64 [m]
+            corrections
+        """
         xy = real_array("xy_m", xy_m, (None, None))[:, :2]
         rows, cols = self.values_m.shape
         uv = (xy - np.asarray(self.origin_m)) / self.grid_m
@@ -126,13 +153,30 @@ class CalibrationMatrix:
         return np.where(np.isfinite(xy).all(axis=1), made, np.nan)
 
     def apply(self, path: ScanPath) -> ScanPath:
-        """Add the correction to z (11); z is NaN where the correction is unknown."""
+        """Add the correction to z (11); z is NaN where the correction is unknown.
+
+        Parameters
+        ----------
+        path : ScanPath
+            in map coordinates
+
+        Returns
+        -------
+        ScanPath
+            a copy with corrected z
+        """
         position = path.position_m.copy()
         position[:, 2] += self.at(position)
         return path.changed(position_m=position)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a JSON file: format, origin_m, grid_m, outside, values_m, inside, spots_m, left_out_m."""
+        """Write a JSON file: format, origin_m, grid_m, outside, values_m, inside, spots_m, left_out_m.
+
+        Parameters
+        ----------
+        path : path
+            of the file
+        """
         facts = {
             "format": FORMAT,
             "origin_m": list(self.origin_m),
@@ -149,6 +193,16 @@ class CalibrationMatrix:
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> CalibrationMatrix:
         """Read what `save` wrote.
+
+        Parameters
+        ----------
+        path : path
+            of the file
+
+        Returns
+        -------
+        CalibrationMatrix
+            as it was saved
 
         Raises
         ------

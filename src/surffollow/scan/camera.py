@@ -24,12 +24,18 @@ class Camera:
 
     Attributes
     ----------
-    fx_px, fy_px, cx_px, cy_px : float [px]     focal lengths and principal point
-    ground_from_camera : (4, 4) float64         pose: rotation and translation [m]; None: not known
-    baseline_m : float [m]                      of a stereo pair; 0: no stereo camera
-    disparity_offset_px : float [px]            depth = fx baseline / (disparity + offset)
-    min_range_m, max_range_m : float [m]        depths that the camera can measure
-    name : str                                  in messages and reports
+    fx_px, fy_px, cx_px, cy_px : float [px]
+        focal lengths and principal point
+    ground_from_camera : (4, 4) float64
+        pose: rotation and translation [m]; None: not known
+    baseline_m : float [m]
+        of a stereo pair; 0: no stereo camera
+    disparity_offset_px : float [px]
+        depth = fx baseline / (disparity + offset)
+    min_range_m, max_range_m : float [m]
+        depths that the camera can measure
+    name : str
+        in messages and reports
     """
 
     fx_px: float
@@ -74,28 +80,72 @@ class Camera:
         return self.fx_px * self.baseline_m
 
     def depth_m(self, disparity_px: ArrayLike) -> Floats:
-        """Depths [m] of disparities [px]; NaN where there is none or where it is not above -offset."""
+        """Depths [m] of disparities [px]; NaN where there is none or where it is not above -offset.
+
+        Parameters
+        ----------
+        disparity_px : float [px]
+            NaN: none
+
+        Returns
+        -------
+        float64 [m]
+            depths, in the shape of the disparities
+        """
         d = np.asarray(disparity_px, np.float64) + self.disparity_offset_px
         with np.errstate(divide="ignore", invalid="ignore"):
             z = self.stereo_factor_m_px() / d
         return np.where(np.isfinite(z) & (z > 0.0), z, np.nan)
 
     def disparity_px(self, depth_m: ArrayLike) -> Floats:
-        """Disparities [px] of depths [m]; NaN where the depth is not above 0."""
+        """Disparities [px] of depths [m]; NaN where the depth is not above 0.
+
+        Parameters
+        ----------
+        depth_m : float [m]
+            NaN: none
+
+        Returns
+        -------
+        float64 [px]
+            disparities, in the shape of the depths
+        """
         z = np.asarray(depth_m, np.float64)
         with np.errstate(divide="ignore", invalid="ignore"):
             d = self.stereo_factor_m_px() / z - self.disparity_offset_px
         return np.where(np.isfinite(d) & (z > 0.0), d, np.nan)
 
     def rays(self, shape: tuple[int, int]) -> Floats:
-        """(rows, cols, 3) direction of every pixel in the camera frame, z = 1."""
+        """(rows, cols, 3) direction of every pixel in the camera frame, z = 1.
+
+        Parameters
+        ----------
+        shape : (rows, cols)
+            of the image
+
+        Returns
+        -------
+        (rows, cols, 3) float64
+            directions, z = 1
+        """
         v, u = np.indices(shape, dtype=np.float64)
         return np.stack(
             [(u - self.cx_px) / self.fx_px, (v - self.cy_px) / self.fy_px, np.ones(shape)], axis=-1
         )
 
     def points_m(self, depth_m: ArrayLike) -> Floats:
-        """(rows, cols, 3) points in the ground frame [m], NaN where the depth is not finite."""
+        """(rows, cols, 3) points in the ground frame [m], NaN where the depth is not finite.
+
+        Parameters
+        ----------
+        depth_m : (rows, cols) float [m]
+            NaN: none
+
+        Returns
+        -------
+        (rows, cols, 3) float64 [m]
+            points in the ground frame
+        """
         z = depth_image(depth_m, self)
         pose = self.pose()
         points: Floats = (self.rays((z.shape[0], z.shape[1])) * z[..., None]) @ pose[:3, :3].T + pose[:3, 3]
@@ -150,6 +200,24 @@ def looking_down(
     """(4, 4) pose of a camera at a place, its axis `tilt_rad` from straight down towards `heading_rad`.
 
     The image's upward direction points along the heading.
+
+    Parameters
+    ----------
+    x_m : float [m]
+        place
+    y_m : float [m]
+        place
+    z_m : float [m]
+        height
+    tilt_rad : float [rad]
+        of the axis from straight down
+    heading_rad : float [rad]
+        direction of the tilt
+
+    Returns
+    -------
+    (4, 4) float64
+        ground_from_camera
     """
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     ahead = np.array([c, s, 0.0])

@@ -48,14 +48,17 @@ def check_path(
 
     Parameters
     ----------
-    heights_m : (rows, cols) float64 [m]     NaN unknown, rows ascending in y
-    origin_m : (x, y) [m]                    outer corner of heights_m[0, 0]
+    heights_m : (rows, cols) float64 [m]
+        NaN unknown, rows ascending in y
+    origin_m : (x, y) [m]
+        outer corner of heights_m[0, 0]
     grid_m : float [m]
     path : path of the file
 
     Returns
     -------
-    list of Finding     the path is accepted when all are ok
+    list of Finding
+        the path is accepted when all are ok
 
     Raises
     ------

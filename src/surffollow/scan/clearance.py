@@ -127,9 +127,12 @@ def clear_samples(
 
     Parameters
     ----------
-    points : (n, m, 3) float64        column, row [cells] and height [m] of every control point
-    lift : (n,) float64               out [m]
-    clearance : (n,) float64          out: least distance after the lift [m]; NaN where no ground is near
+    points : (n, m, 3) float64
+        column, row [cells] and height [m] of every control point
+    lift : (n,) float64
+        out [m]
+    clearance : (n,) float64
+        out: least distance after the lift [m]; NaN where no ground is near
     """
     lifts_needed(z, tops, g, gap, points[first:last], lift[first:last])
     for k in range(first, last):
@@ -146,14 +149,17 @@ def clear_ground(path: ScanPath, body_points_m: ArrayLike, ground: TerrainGrid, 
 
     Parameters
     ----------
-    path : ScanPath                      with attitudes
+    path : ScanPath
+        with attitudes
     body_points_m : (m, 3) float [m]
-    ground : TerrainGrid                 not expanded
+    ground : TerrainGrid
+        not expanded
     gap_m : float [m]
 
     Returns
     -------
-    ScanPath     `lift_m` increased, `clearance_m` set (NaN where no ground lies within three gaps)
+    ScanPath
+        `lift_m` increased, `clearance_m` set (NaN where no ground lies within three gaps)
     """
     body, gap = body_points(body_points_m), positive("gap_m", gap_m) + SPARE_M
     rows, cols = ground.shape

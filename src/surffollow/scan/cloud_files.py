@@ -35,6 +35,16 @@ _PLY_TYPES = {
 def read_cloud(path: str | os.PathLike[str]) -> Floats:
     """(n, 3) points of a file [m].
 
+    Parameters
+    ----------
+    path : path
+        .ply or uncompressed .las
+
+    Returns
+    -------
+    (n, 3) float64 [m]
+        points in the ground frame
+
     Raises
     ------
     ScanFileError

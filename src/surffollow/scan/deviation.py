@@ -29,11 +29,16 @@ def deviation_rows(zp: Any, mp: Any, r: Any, first: Any, last: Any, exact: Any, 
 
     Parameters
     ----------
-    zp, mp : (rows + 2r, cols + 2r) float64     image padded by r, 0 where invalid; 1 valid, 0 invalid
-    r : int                                     half width of the window
-    exact : bool                                mean absolute residual, else RMS √(2/π)
-    s : (SCRATCH_ROWS, cols + 2r) float64       scratch
-    dev : (4, rows, cols) float64               out: deviation, a (per column), b (per row), c; NaN where
+    zp, mp : (rows + 2r, cols + 2r) float64
+        image padded by r, 0 where invalid; 1 valid, 0 invalid
+    r : int
+        half width of the window
+    exact : bool
+        mean absolute residual, else RMS √(2/π)
+    s : (SCRATCH_ROWS, cols + 2r) float64
+        scratch
+    dev : (4, rows, cols) float64
+        out: deviation, a (per column), b (per row), c; NaN where
         the valid pixels of the window do not span a plane
     """
     wide = zp.shape[1]
@@ -119,15 +124,20 @@ def planar_deviation(
 
     Parameters
     ----------
-    image : (rows, cols) float      NaN invalid; any unit (disparities keep a plane a plane)
-    window : int                    odd side of the window [px], ≥ 3
-    mode : str                      "exact", or "fast" (RMS × √(2/π))
+    image : (rows, cols) float
+        NaN invalid; any unit (disparities keep a plane a plane)
+    window : int
+        odd side of the window [px], ≥ 3
+    mode : str
+        "exact", or "fast" (RMS × √(2/π))
 
     Returns
     -------
-    deviation : (rows, cols) float64       unit of the image; NaN at invalid pixels, and where the valid
+    deviation : (rows, cols) float64
+        unit of the image; NaN at invalid pixels, and where the valid
         pixels of the window do not span a plane
-    planes : (3, rows, cols) float64       a (per column), b (per row), c (at the pixel)
+    planes : (3, rows, cols) float64
+        a (per column), b (per row), c (at the pixel)
 
     Raises
     ------

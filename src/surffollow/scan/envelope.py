@@ -29,8 +29,10 @@ class Envelope:
 
     Attributes
     ----------
-    grid : TerrainGrid             heights of the envelope; -inf where no known cell is within the gap
-    unknown_beneath : (rows, cols) bool     an unknown cell, or the grid's edge, within the gap
+    grid : TerrainGrid
+        heights of the envelope; -inf where no known cell is within the gap
+    unknown_beneath : (rows, cols) bool
+        an unknown cell, or the grid's edge, within the gap
     gap_m : float [m]
     """
 
@@ -54,10 +56,14 @@ def dilate_rows(z: Any, ball: Any, first: Any, last: Any, m: Any, best: Any, out
 
     Parameters
     ----------
-    z : (rows, cols + 2r) float64     heights, -inf unknown and in r columns of margin at both sides
-    ball : (r + 1, r + 1) float64     of `ball_heights`
-    m : (TILE + 2r,) float64          scratch: the higher of two rows at ±dy
-    best : (TILE,) float64            scratch
+    z : (rows, cols + 2r) float64
+        heights, -inf unknown and in r columns of margin at both sides
+    ball : (r + 1, r + 1) float64
+        of `ball_heights`
+    m : (TILE + 2r,) float64
+        scratch: the higher of two rows at ±dy
+    best : (TILE,) float64
+        scratch
     out : (rows, cols) float64
 
     Notes
@@ -109,10 +115,13 @@ def unknown_within(z: Any, r_cells: Any, above: Any, below: Any, out: Any) -> No
 
     Parameters
     ----------
-    z : (rows, cols) float64          NaN or infinite: unknown
+    z : (rows, cols) float64
+        NaN or infinite: unknown
     r_cells : float
-    above : (rows, cols) int32        scratch: rows to the nearest unknown in the column, downwards then both
-    below : (cols + 1,) int64         scratch
+    above : (rows, cols) int32
+        scratch: rows to the nearest unknown in the column, downwards then both
+    below : (cols + 1,) int64
+        scratch
     out : (rows, cols) bool
     """
     rows, cols = z.shape
@@ -148,13 +157,17 @@ def ball_envelope(heights_m: ArrayLike, grid_m: float, gap_m: float) -> Floats:
 
     Parameters
     ----------
-    heights_m : (rows, cols) float [m]     NaN unknown
-    grid_m : float [m]                     side of a cell
-    gap_m : float [m]                      radius d of the ball
+    heights_m : (rows, cols) float [m]
+        NaN unknown
+    grid_m : float [m]
+        side of a cell
+    gap_m : float [m]
+        radius d of the ball
 
     Returns
     -------
-    (rows, cols) float64 [m]     -inf where no known cell lies within d, never NaN
+    (rows, cols) float64 [m]
+        -inf where no known cell lies within d, never NaN
 
     Raises
     ------
@@ -193,6 +206,20 @@ def ball_envelope(heights_m: ArrayLike, grid_m: float, gap_m: float) -> Floats:
 
 def envelope_of(ground: TerrainGrid, gap_m: float, *, footprint_m: float | None = None) -> Envelope:
     """The envelope of a terrain grid, and where unknown ground lies within `footprint_m` (default: the gap).
+
+    Parameters
+    ----------
+    ground : TerrainGrid
+        the terrain
+    gap_m : float [m]
+        radius of the ball
+    footprint_m : float [m], optional
+        distance within which unknown ground counts; None: the gap
+
+    Returns
+    -------
+    Envelope
+        heights, and where unknown ground is near
 
     Raises
     ------

@@ -37,13 +37,16 @@ def sample_terrain(
 
     Parameters
     ----------
-    path : ScanPath                  x and y are used
+    path : ScanPath
+        x and y are used
     envelope : Envelope or TerrainGrid
-    span_m : float [m]               slopes are taken over ± this; None: one cell
+    span_m : float [m]
+        slopes are taken over ± this; None: one cell
 
     Returns
     -------
-    ScanPath     z and clearance NaN and UNKNOWN_BENEATH set where the envelope is unknown
+    ScanPath
+        z and clearance NaN and UNKNOWN_BENEATH set where the envelope is unknown
 
     Notes
     -----
@@ -78,15 +81,20 @@ def advanced_terrain_following(
 
     Parameters
     ----------
-    path : ScanPath                        of `sample_terrain`
-    body_points_m : (m, 3) float [m]       control points in the body's frame (`body`)
-    envelope : Envelope or TerrainGrid     already holds the scanning gap; it is not added again
+    path : ScanPath
+        of `sample_terrain`
+    body_points_m : (m, 3) float [m]
+        control points in the body's frame (`body`)
+    envelope : Envelope or TerrainGrid
+        already holds the scanning gap; it is not added again
     wrist_limits_rad : WristLimits, one limit for all, or ((pitch_min, pitch_max), (roll_min, roll_max))
-    step_rad : float                       first correction; the paper's ½°
+    step_rad : float
+        first correction; the paper's ½°
 
     Returns
     -------
-    ScanPath     flags WRIST_LIMIT (the normal was beyond the limits, or the body rests at one) and LIFTED
+    ScanPath
+        flags WRIST_LIMIT (the normal was beyond the limits, or the body rests at one) and LIFTED
 
     Raises
     ------
@@ -107,6 +115,22 @@ def reactionary(
     """The baseline: lift the body until it is clear, with its attitude unchanged but for the wrist's limits.
 
     Parameters and result as `advanced_terrain_following`; without limits any attitude is kept.
+
+    Parameters
+    ----------
+    path : ScanPath
+        as `advanced_terrain_following`
+    body_points_m : (m, 3) float [m]
+        control points of the body
+    envelope : Envelope or TerrainGrid
+        surface that no control point may be below
+    wrist_limits_rad : WristLimits or what makes them, optional
+        None: any attitude is kept
+
+    Returns
+    -------
+    ScanPath
+        the lifted path
     """
     limits = WristLimits.symmetric(math.radians(89.0)) if wrist_limits_rad is None else wrist_limits_rad
     return _follow(path, body_points_m, envelope, limits, 0.0)

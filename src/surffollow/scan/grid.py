@@ -31,10 +31,24 @@ class TerrainGrid:
 
     Attributes
     ----------
-    heights_m : (rows, cols) float64 [m]     NaN (in an envelope: -inf) unknown
-    origin_m : (x, y) [m]                    outer corner of heights_m[0, 0]
-    grid_m : float [m]                       side of a cell
-    cells : (rows, cols) uint8               UNKNOWN, MEASURED (own samples) or FILLED (interpolated)
+    heights_m : (rows, cols) float64 [m]
+        NaN (in an envelope: -inf) unknown
+    origin_m : (x, y) [m]
+        outer corner of heights_m[0, 0]
+    grid_m : float [m]
+        side of a cell
+    cells : (rows, cols) uint8
+        UNKNOWN, MEASURED (own samples) or FILLED (interpolated)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import TerrainGrid
+    >>> ground = TerrainGrid.of([[0.0, 0.1], [np.nan, 0.2]], grid_m=0.5)
+    >>> ground.shape, ground.extent_m
+    ((2, 2), (0.0, 0.0, 1.0, 1.0))
+    >>> int(ground.known.sum())
+    3
     """
 
     heights_m: Floats
@@ -52,6 +66,22 @@ class TerrainGrid:
         cells: NDArray[np.uint8] | None = None,
     ) -> TerrainGrid:
         """Check and take arrays; without `cells`, every finite height counts as measured.
+
+        Parameters
+        ----------
+        heights_m : (rows, cols) float [m]
+            NaN: unknown; rows ascend in y
+        origin_m : (x, y) [m]
+            outer corner of heights_m[0, 0]
+        grid_m : float [m]
+            side of a cell
+        cells : (rows, cols) uint8, optional
+            UNKNOWN, MEASURED or FILLED
+
+        Returns
+        -------
+        TerrainGrid
+            of the arrays, which are not copied where that is not needed
 
         Raises
         ------
@@ -73,7 +103,18 @@ class TerrainGrid:
 
     @classmethod
     def from_map(cls, m: HeightMap) -> TerrainGrid:
-        """The heights of a map; beside cells with samples, priors (count 0) are FILLED, else MEASURED."""
+        """The heights of a map; beside cells with samples, priors (count 0) are FILLED, else MEASURED.
+
+        Parameters
+        ----------
+        m : HeightMap
+            the map
+
+        Returns
+        -------
+        TerrainGrid
+            with the same cells
+        """
         z, counts = m.heights_m, m.counts
         cells = np.where(np.isfinite(z), MEASURED, UNKNOWN).astype(np.uint8)
         if (counts > 0).any():
@@ -113,11 +154,34 @@ class TerrainGrid:
         return np.asarray(x, np.float64), np.asarray(y, np.float64)
 
     def with_heights(self, heights_m: Floats) -> TerrainGrid:
-        """The same cells with other heights."""
+        """The same cells with other heights.
+
+        Parameters
+        ----------
+        heights_m : (rows, cols) float [m]
+            other heights
+
+        Returns
+        -------
+        TerrainGrid
+            a copy
+        """
         return replace(self, heights_m=heights_m)
 
     def window(self, region: Sequence[float], margin_m: float = 0.0) -> TerrainGrid:
         """The cells that a region and a margin around it touch, cut at this grid's edges.
+
+        Parameters
+        ----------
+        region : (x_min, y_min, x_max, y_max) [m]
+            sides positive
+        margin_m : float [m]
+            width added on every side
+
+        Returns
+        -------
+        TerrainGrid
+            a part of this grid
 
         Raises
         ------

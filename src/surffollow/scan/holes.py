@@ -18,9 +18,12 @@ def fill_columns(z: Any, widest: Any, filled: Any, weight: Any) -> None:
 
     Parameters
     ----------
-    z : (rows, cols) float64            NaN unknown
-    filled : (rows, cols) float64       out: heights in gaps, else as z
-    weight : (rows, cols) float32       out: 1 / gap² where filled, else 0
+    z : (rows, cols) float64
+        NaN unknown
+    filled : (rows, cols) float64
+        out: heights in gaps, else as z
+    weight : (rows, cols) float32
+        out: 1 / gap² where filled, else 0
     """
     rows, cols = z.shape
     for x in range(cols):
@@ -66,7 +69,8 @@ def fill_holes(ground: TerrainGrid, fill_m: float) -> TerrainGrid:
 
     Returns
     -------
-    TerrainGrid     known cells unchanged, filled ones flagged FILLED
+    TerrainGrid
+        known cells unchanged, filled ones flagged FILLED
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Read depth images and their cameras: NPZ or TIFF images, a TOML table of cameras (`docs/scan.md`)."""
+"""Read depth images (NPZ, TIFF) and a TOML table of their cameras (`docs/reference/scan-files.md`)."""
 
 from __future__ import annotations
 
@@ -48,6 +48,18 @@ def read_images(
     files: list[str | os.PathLike[str]], cameras: str | os.PathLike[str] | None
 ) -> list[DepthImage]:
     """Images with the cameras that a TOML file gives them by file name.
+
+    Parameters
+    ----------
+    files : list of paths
+        .npz or .tif
+    cameras : path or None
+        TOML file of cameras; None: the images have them
+
+    Returns
+    -------
+    list of DepthImage
+        in the order of the files
 
     Raises
     ------

@@ -19,9 +19,12 @@ def median_rows(zp: Any, mp: Any, r: Any, first: Any, last: Any, s: Any, out: An
 
     Parameters
     ----------
-    zp, mp : (rows + 2r, cols + 2r) float64     image padded by r ≥ 1, 0 where invalid; 1 valid, 0 invalid
-    s : (5, cols + 2) float64                   scratch
-    out : (rows + 2r, cols + 2r) float64        padded likewise, 0 where invalid; its margin is left alone
+    zp, mp : (rows + 2r, cols + 2r) float64
+        image padded by r ≥ 1, 0 where invalid; 1 valid, 0 invalid
+    s : (5, cols + 2) float64
+        scratch
+    out : (rows + 2r, cols + 2r) float64
+        padded likewise, 0 where invalid; its margin is left alone
 
     Notes
     -----
@@ -84,10 +87,14 @@ def gauss_row(zp: Any, weights: Any, y: Any, s: Any, to: Any) -> None:
 
     Parameters
     ----------
-    zp : (rows + 2r, cols + 2r) float64     padded image
-    weights : (2r + 1,) float64             of one direction, sum 1
-    s : (cols + 2r,) float64                scratch
-    to : (cols,) float64                    out
+    zp : (rows + 2r, cols + 2r) float64
+        padded image
+    weights : (2r + 1,) float64
+        of one direction, sum 1
+    s : (cols + 2r,) float64
+        scratch
+    to : (cols,) float64
+        out
     """
     wide, taps = zp.shape[1], weights.shape[0]
     cols = wide - taps + 1
@@ -121,11 +128,16 @@ def moments_row(zp: Any, mp: Any, g: Any, y: Any, a: Any, b: Any, s: Any, to: An
 
     Parameters
     ----------
-    zp, mp : (rows + 2r, cols + 2r) float64     padded image and mask
-    g : (2r + 1,) float64                       weights of one direction
-    a, b : (cols,) float64                      slopes; NaN: none
-    s : (6, cols + 2r) float64                  scratch
-    to : (cols,) float64                        out; NaN where nothing is valid
+    zp, mp : (rows + 2r, cols + 2r) float64
+        padded image and mask
+    g : (2r + 1,) float64
+        weights of one direction
+    a, b : (cols,) float64
+        slopes; NaN: none
+    s : (6, cols + 2r) float64
+        scratch
+    to : (cols,) float64
+        out; NaN where nothing is valid
     """
     wide, taps = zp.shape[1], g.shape[0]
     cols, r = wide - taps + 1, taps // 2
@@ -189,7 +201,10 @@ def median_filter(image: ArrayLike, *, passes: int = 1) -> Floats:
 
     Parameters
     ----------
-    image : (rows, cols) float     NaN invalid; stays invalid
+    image : (rows, cols) float
+        NaN invalid; stays invalid
+    passes : int
+        how often
 
     Returns
     -------
@@ -208,7 +223,10 @@ def gaussian_filter(image: ArrayLike, *, sigma_px: float = 2.0) -> Floats:
 
     Parameters
     ----------
-    image : (rows, cols) float     NaN invalid; stays invalid
+    image : (rows, cols) float
+        NaN invalid; stays invalid
+    sigma_px : float [px]
+        standard deviation
 
     Returns
     -------

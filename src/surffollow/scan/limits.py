@@ -22,10 +22,34 @@ class WorkSpace(Protocol):
         """The base joint's place in the ground frame [m]."""
 
     def reachable(self, tip_m: Floats, normal: Floats) -> NDArray[np.bool_]:
-        """(n,) bool, whether the tip can be at (n, 3) with its underside's normal (n, 3)."""
+        """(n,) bool, whether the tip can be at (n, 3) with its underside's normal (n, 3).
+
+        Parameters
+        ----------
+        tip_m : (n, 3) float [m]
+            places of the tip in the ground frame
+        normal : (n, 3) float
+            unit normals of the underside
+
+        Returns
+        -------
+        (n,) bool
+            True: the tip can be there
+        """
 
     def azimuth_rad(self, tip_m: Floats) -> Floats:
-        """(n,) azimuth ψ of the wrist when the tip is there."""
+        """(n,) azimuth ψ of the wrist when the tip is there.
+
+        Parameters
+        ----------
+        tip_m : (n, 3) float [m]
+            places of the tip in the ground frame
+
+        Returns
+        -------
+        (n,) float64 [rad]
+            azimuths
+        """
 
 
 @dataclass(frozen=True)
@@ -48,12 +72,34 @@ class WristLimits:
 
     @classmethod
     def symmetric(cls, limit_rad: float) -> WristLimits:
-        """The same limit for both angles and signs."""
+        """The same limit for both angles and signs.
+
+        Parameters
+        ----------
+        limit_rad : float [rad]
+            largest angle
+
+        Returns
+        -------
+        WristLimits
+            for pitch and roll
+        """
         return cls(-limit_rad, limit_rad, -limit_rad, limit_rad)
 
     @classmethod
     def of(cls, limits: Any) -> WristLimits:
-        """Limits [rad] from a number, ((pitch_min, pitch_max), (roll_min, roll_max)), or limits."""
+        """Limits [rad] from a number, ((pitch_min, pitch_max), (roll_min, roll_max)), or limits.
+
+        Parameters
+        ----------
+        limits : float, pairs or WristLimits [rad]
+            as in the summary
+
+        Returns
+        -------
+        WristLimits
+            for pitch and roll
+        """
         if isinstance(limits, WristLimits):
             return limits
         values = np.asarray(limits, np.float64)
@@ -68,7 +114,20 @@ class WristLimits:
         return np.array([self.pitch_min, self.pitch_max, self.roll_min, self.roll_max])
 
     def clamp(self, normal: Floats, azimuth_rad: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Normals within the limits, and where they had to be changed."""
+        """Normals within the limits, and where they had to be changed.
+
+        Parameters
+        ----------
+        normal : (n, 3) float
+            unit normals of the underside
+        azimuth_rad : (n,) float [rad]
+            azimuth of the wrist
+
+        Returns
+        -------
+        (n, 3) float64 and (n,) bool
+            the normals, and True where they were changed
+        """
         angles = wrist_angles(normal, azimuth_rad)
         low = np.array([self.pitch_min, self.roll_min])
         high = np.array([self.pitch_max, self.roll_max])
@@ -84,9 +143,12 @@ class Annulus:
     Attributes
     ----------
     base_m : (x, y, z) [m]
-    radius_min_m, radius_max_m : float [m]     horizontal distance of the tip from the base
-    z_min_m, z_max_m : float [m]               height of the tip above the base
-    azimuth_min_rad, azimuth_max_rad : float   sector, in the ground frame
+    radius_min_m, radius_max_m : float [m]
+        horizontal distance of the tip from the base
+    z_min_m, z_max_m : float [m]
+        height of the tip above the base
+    azimuth_min_rad, azimuth_max_rad : float
+        sector, in the ground frame
     """
 
     base_m: tuple[float, float, float]
@@ -98,7 +160,20 @@ class Annulus:
     azimuth_max_rad: float = math.pi
 
     def reachable(self, tip_m: Floats, normal: Floats) -> NDArray[np.bool_]:
-        """(n,) bool; any attitude is reachable where the tip is."""
+        """(n,) bool; any attitude is reachable where the tip is.
+
+        Parameters
+        ----------
+        tip_m : (n, 3) float [m]
+            places of the tip in the ground frame
+        normal : (n, 3) float
+            unit normals of the underside
+
+        Returns
+        -------
+        (n,) bool
+            True: the tip can be there
+        """
         d = tip_m - np.asarray(self.base_m)
         rho = np.hypot(d[:, 0], d[:, 1])
         middle = 0.5 * (self.azimuth_min_rad + self.azimuth_max_rad)
@@ -109,5 +184,16 @@ class Annulus:
         return made
 
     def azimuth_rad(self, tip_m: Floats) -> Floats:
-        """(n,) direction from the base to the tip."""
+        """(n,) direction from the base to the tip.
+
+        Parameters
+        ----------
+        tip_m : (n, 3) float [m]
+            places of the tip in the ground frame
+
+        Returns
+        -------
+        (n,) float64 [rad]
+            azimuths
+        """
         return np.arctan2(tip_m[:, 1] - self.base_m[1], tip_m[:, 0] - self.base_m[0])

@@ -12,6 +12,18 @@ from surffollow.scan.grid import FILLED, MEASURED, UNKNOWN, TerrainGrid
 def live_grid(name: str, region: tuple[float, float, float, float] | None = None) -> TerrainGrid:
     """A copy of the service's grids as they are now; samples MEASURED, priors FILLED beside them.
 
+    Parameters
+    ----------
+    name : str
+        of the service
+    region : (x_min, y_min, x_max, y_max) [m], optional
+        None: the whole map
+
+    Returns
+    -------
+    TerrainGrid
+        a copy
+
     Raises
     ------
     NotRunningError, RefusedError, RegionError

@@ -23,10 +23,14 @@ class Mode:
 
     Attributes
     ----------
-    frequency_hz : float     undamped natural frequency
-    damping : float          ratio ζ
-    amplitude : float        at the first sample, in the trace's unit
-    explained : float        part of the trace's variance that the fit explains, 0 … 1
+    frequency_hz : float
+        undamped natural frequency
+    damping : float
+        ratio ζ
+    amplitude : float
+        at the first sample, in the trace's unit
+    explained : float
+        part of the trace's variance that the fit explains, 0 … 1
     """
 
     frequency_hz: float
@@ -42,9 +46,12 @@ def identify_mode(
 
     Parameters
     ----------
-    ring_down : (n,) float        acceleration or deflection after the motion has ended
-    rate_hz : float [Hz]          samples per second
-    band_hz : (low, high) [Hz]    where to look; None: from two periods in the trace to 0.4 of the rate
+    ring_down : (n,) float
+        acceleration or deflection after the motion has ended
+    rate_hz : float [Hz]
+        samples per second
+    band_hz : (low, high) [Hz]
+        where to look; None: from two periods in the trace to 0.4 of the rate
 
     Returns
     -------

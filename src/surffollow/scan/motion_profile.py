@@ -17,7 +17,23 @@ def trapezoid(distance: float, speed: float, acceleration: float) -> tuple[Motio
 
     Parameters
     ----------
-    distance, speed, acceleration : float     in m or rad, each above 0
+    distance, speed, acceleration : float
+        in m or rad, each above 0
+
+    Returns
+    -------
+    callable and float [s]
+        position as a function of time [s], and the duration
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import trapezoid
+    >>> position, duration_s = trapezoid(1.0, speed=0.5, acceleration=1.0)
+    >>> duration_s
+    2.5
+    >>> position(np.array([0.0, 1.25, 2.5]))
+    array([0. , 0.5, 1. ])
     """
     steps, a, whole = _steps(distance, speed, acceleration)
 
@@ -31,6 +47,22 @@ def trapezoid(distance: float, speed: float, acceleration: float) -> tuple[Motio
 
 def jerk_limited(distance: float, speed: float, acceleration: float, jerk: float) -> tuple[Motion, float]:
     """As `trapezoid`, its acceleration rising and falling at most at the jerk.
+
+    Parameters
+    ----------
+    distance : float
+        in m or rad, above 0
+    speed : float
+        limit, above 0
+    acceleration : float
+        limit, above 0
+    jerk : float
+        limit, above 0
+
+    Returns
+    -------
+    callable and float [s]
+        position as a function of time [s], and the duration
 
     Notes
     -----

@@ -19,8 +19,10 @@ class OffsetSurface:
 
     Attributes
     ----------
-    heights_m : (rows, cols) float64 [m]     highest sheet at each cell; -inf where there is none
-    folded : (rows, cols) bool               cells whose image is turned over: the surface folds there
+    heights_m : (rows, cols) float64 [m]
+        highest sheet at each cell; -inf where there is none
+    folded : (rows, cols) bool
+        cells whose image is turned over: the surface folds there
     """
 
     heights_m: Floats
@@ -48,9 +50,12 @@ def normal_offset(heights_m: ArrayLike, grid_m: float, gap_m: float) -> OffsetSu
 
     Parameters
     ----------
-    heights_m : (rows, cols) float [m]     NaN unknown
-    grid_m : float [m]                     side of a cell
-    gap_m : float [m]                      d
+    heights_m : (rows, cols) float [m]
+        NaN unknown
+    grid_m : float [m]
+        side of a cell
+    gap_m : float [m]
+        d
 
     Returns
     -------
@@ -97,6 +102,22 @@ def disagreement(
     """Cells where the expanded terrain and the ball's envelope differ by more than half a cell.
 
     Cells that only one of the two knows are not counted.
+
+    Parameters
+    ----------
+    offset : OffsetSurface
+        the expanded terrain, see `normal_offset`
+    envelope_m : (rows, cols) float [m]
+        the envelope, see `ball_envelope`
+    grid_m : float [m]
+        side of a cell
+    tolerance_m : float [m], optional
+        allowed difference; None: half a cell
+
+    Returns
+    -------
+    (rows, cols) bool
+        True: both are known and differ
     """
     limit = AGREE_CELLS * grid_m if tolerance_m is None else tolerance_m
     both = np.isfinite(offset.heights_m) & np.isfinite(envelope_m)

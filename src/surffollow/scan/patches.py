@@ -31,10 +31,14 @@ class Patches:
 
     Attributes
     ----------
-    labels : (rows, cols) int32            number of the patch, -1 without data
-    fate : (n,) uint8                      per patch: KEPT or why it was dropped
-    pixels : (n,) int64                    per patch
-    terrain : (rows, cols) bool            pixels of kept patches within the region
+    labels : (rows, cols) int32
+        number of the patch, -1 without data
+    fate : (n,) uint8
+        per patch: KEPT or why it was dropped
+    pixels : (n,) int64
+        per patch
+    terrain : (rows, cols) bool
+        pixels of kept patches within the region
     """
 
     labels: NDArray[np.int32]
@@ -66,16 +70,23 @@ def coherent_patches(
 
     Parameters
     ----------
-    depth_m : (rows, cols) float [m]      NaN or 0: none
-    camera : Camera                       with its pose
-    jump_px : float [px]                  largest difference of disparity between neighbours of a patch; in
+    depth_m : (rows, cols) float [m]
+        NaN or 0: none
+    camera : Camera
+        with its pose
+    jump_px : float [px]
+        largest difference of disparity between neighbours of a patch; in
         depth it grows with z², as stereo noise does. Without baseline: 0.02 z² per unit of `jump_px`
-    min_pixels : int                      smaller patches are *too small*
-    support_m : float [m]                 a patch is *floating* when what lies below and beside it is farther
+    min_pixels : int
+        smaller patches are *too small*
+    support_m : float [m]
+        a patch is *floating* when what lies below and beside it is farther
         below than this, along most of its outline
-    steepest_rad : float [rad]            a patch whose mean normal is farther from up is *overhanging*
+    steepest_rad : float [rad]
+        a patch whose mean normal is farther from up is *overhanging*
     region : (x_min, y_min, x_max, y_max) work space [m]; a patch without a pixel in it is *outside*
-    border_px : int                       pixels this close to a jump or hole are no terrain: a block matcher
+    border_px : int
+        pixels this close to a jump or hole are no terrain: a block matcher
         widens objects by half of its block
 
     Returns
@@ -192,8 +203,10 @@ class CloudPatches:
 
     Attributes
     ----------
-    ground : (n,) bool              per point
-    patches : Patches               of the image of lowest points
+    ground : (n,) bool
+        per point
+    patches : Patches
+        of the image of lowest points
     """
 
     ground: NDArray[np.bool_]
@@ -215,12 +228,16 @@ def cloud_patches(
     Parameters
     ----------
     points_m : (n, 3) float [m]
-    cell_m : float [m]            side of the cells whose lowest points form the image
-    slope : float                 neighbours may differ by this times their distance, plus support_m / 3;
-        None: the cloud's own slope, `cloud_terrain.general_slope` over blocks of 5 cells, times slope_factor
+    cell_m : float [m]
+        side of the cells whose lowest points form the image
+    slope : float
+        neighbours may differ by this times their distance, plus support_m / 3; None: the cloud's own slope,
+        `cloud_terrain.general_slope` over blocks of 5 cells, times slope_factor
     slope_factor : float
-    min_points, support_m         as `coherent_patches`, in cells
-    tolerance_m : float [m]       points this close to the terrain of the kept patches are ground
+    min_points, support_m
+        as `coherent_patches`, in cells
+    tolerance_m : float [m]
+        points this close to the terrain of the kept patches are ground
 
     Returns
     -------

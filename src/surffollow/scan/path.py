@@ -44,15 +44,24 @@ class ScanPath:
 
     Attributes
     ----------
-    t_s : (n,) float64 [s]                  from 0, ascending
-    position_m : (n, 3) float64 [m]         tip in the ground frame
-    normal : (n, 3) float64                 unit z axis of the body in the ground frame
-    azimuth_rad : (n,) float64              heading of the wrist's first axis (arm azimuth; lanes: 0)
-    clearance_m : (n,) float64 [m]          least distance of the underside from the ground; NaN unknown
-    lift_m : (n,) float64 [m]               height of the tip above the envelope beneath it
-    flags : (n,) uint32                     bits above
-    passes : (n,) int32                     number of the pass; -1 on turns
-    facts : dict                            how the path was made: gap_m, swath_m, region, body, limits …
+    t_s : (n,) float64 [s]
+        from 0, ascending
+    position_m : (n, 3) float64 [m]
+        tip in the ground frame
+    normal : (n, 3) float64
+        unit z axis of the body in the ground frame
+    azimuth_rad : (n,) float64
+        heading of the wrist's first axis (arm azimuth; lanes: 0)
+    clearance_m : (n,) float64 [m]
+        least distance of the underside from the ground; NaN unknown
+    lift_m : (n,) float64 [m]
+        height of the tip above the envelope beneath it
+    flags : (n,) uint32
+        bits above
+    passes : (n,) int32
+        number of the pass; -1 on turns
+    facts : dict
+        how the path was made: gap_m, swath_m, region, body, limits …
     """
 
     t_s: Floats
@@ -74,7 +83,24 @@ class ScanPath:
         azimuth_rad: Floats | None = None,
         facts: dict[str, Any] | None = None,
     ) -> ScanPath:
-        """A path of x-y samples alone: z NaN, normal up, time 0, TURN where the pass is -1."""
+        """A path of x-y samples alone: z NaN, normal up, time 0, TURN where the pass is -1.
+
+        Parameters
+        ----------
+        xy_m : (n, 2) float [m]
+            samples
+        passes : (n,) int32
+            number of the pass; -1: a turn
+        azimuth_rad : (n,) float [rad], optional
+            azimuth of the wrist; None: 0
+        facts : dict, optional
+            facts that a check needs
+
+        Returns
+        -------
+        ScanPath
+            without heights and times
+        """
         n = len(xy_m)
         normal = np.zeros((n, 3))
         normal[:, 2] = 1.0
@@ -104,15 +130,50 @@ class ScanPath:
         return np.column_stack([self.position_m, self.quaternion])
 
     def has(self, flag: int) -> NDArray[np.bool_]:
-        """(n,) bool, true where any bit of `flag` is set."""
+        """(n,) bool, true where any bit of `flag` is set.
+
+        Parameters
+        ----------
+        flag : int
+            bits of `surffollow.scan.path`
+
+        Returns
+        -------
+        (n,) bool
+            True: any of the bits is set
+        """
         return np.asarray((self.flags & np.uint32(flag)) != 0)
 
     def changed(self, **columns: Any) -> ScanPath:
-        """A copy with other columns."""
+        """A copy with other columns.
+
+        Parameters
+        ----------
+        columns : any
+            columns by name
+
+        Returns
+        -------
+        ScanPath
+            a copy
+        """
         return replace(self, **columns)
 
     def with_flag(self, flag: int, where: NDArray[np.bool_]) -> ScanPath:
-        """A copy whose `flag` is set exactly where told."""
+        """A copy whose `flag` is set exactly where told.
+
+        Parameters
+        ----------
+        flag : int
+            bits of `surffollow.scan.path`
+        where : (n,) bool
+            True: set, False: cleared
+
+        Returns
+        -------
+        ScanPath
+            a copy
+        """
         cleared = self.flags & np.uint32(~flag & 0xFFFFFFFF)
         return replace(self, flags=cleared | np.where(where, np.uint32(flag), np.uint32(0)))
 

@@ -49,6 +49,13 @@ ARRAYS: dict[str, tuple[tuple[int, ...], ...]] = {
 def write_path(path: str | os.PathLike[str], plan: ScanPath) -> None:
     """Write a path file, atomically.
 
+    Parameters
+    ----------
+    path : path
+        of the file
+    plan : ScanPath
+        to be written
+
     Raises
     ------
     ScanFileError, MapFileError
@@ -91,6 +98,16 @@ def _check_facts(path: str | os.PathLike[str], facts: dict[str, Any]) -> None:
 
 def read_path(path: str | os.PathLike[str]) -> ScanPath:
     """Read a path file.
+
+    Parameters
+    ----------
+    path : path
+        of the file
+
+    Returns
+    -------
+    ScanPath
+        with its facts
 
     Raises
     ------

@@ -35,20 +35,32 @@ class PlanSettings:
 
     Attributes
     ----------
-    region : (4,) or (n, 2) [m]         rectangle or polygon to be scanned
-    gap_m : float [m]                   scanning gap
-    body_m : (m, 3) float [m]           control points (`body`)
-    swath_m : float [m]                 distance of passes; None: the body's width
-    scheme : str                        "lanes" or "arcs"
-    angle_rad : float                   direction of lanes
-    base_m : (x, y, z) [m]              of the arm; arcs need it (or a work space)
-    following : str                     "atf" or "reactionary"
+    region : (4,) or (n, 2) [m]
+        rectangle or polygon to be scanned
+    gap_m : float [m]
+        scanning gap
+    body_m : (m, 3) float [m]
+        control points (`body`)
+    swath_m : float [m]
+        distance of passes; None: the body's width
+    scheme : str
+        "lanes" or "arcs"
+    angle_rad : float
+        direction of lanes
+    base_m : (x, y, z) [m]
+        of the arm; arcs need it (or a work space)
+    following : str
+        "atf" or "reactionary"
     wrist : WristLimits
     motion : MotionLimits
-    step_m : float [m]                  between samples; None: the larger of one cell and 5 mm
-    span_m : float [m]                  slopes are taken over ± this; None: half the body's radius
-    work_space : WorkSpace              reach of the arm; None: not looked at
-    shaper : Shaper                     of the planar motion (x, y; arcs: radius and azimuth); None: none
+    step_m : float [m]
+        between samples; None: the larger of one cell and 5 mm
+    span_m : float [m]
+        slopes are taken over ± this; None: half the body's radius
+    work_space : WorkSpace
+        reach of the arm; None: not looked at
+    shaper : Shaper
+        of the planar motion (x, y; arcs: radius and azimuth); None: none
     """
 
     region: ArrayLike
@@ -72,12 +84,14 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
 
     Parameters
     ----------
-    ground : TerrainGrid       not expanded; cells outside the region and its margin are not used
+    ground : TerrainGrid
+        not expanded; cells outside the region and its margin are not used
     settings : PlanSettings
 
     Returns
     -------
-    ScanPath     facts hold everything that `scan check` needs
+    ScanPath
+        facts hold everything that `scan check` needs
 
     Raises
     ------
@@ -181,7 +195,18 @@ def _followed(path: ScanPath, body: Floats, envelope: Envelope, settings: PlanSe
 
 
 def plan_figures(path: ScanPath) -> dict[str, Any]:
-    """What an operator wants to know of a plan before anything moves."""
+    """What an operator wants to know of a plan before anything moves.
+
+    Parameters
+    ----------
+    path : ScanPath
+        a plan
+
+    Returns
+    -------
+    dict
+        figures by name, in SI units; flags by name
+    """
     on = path.passes >= 0
     known = on & np.isfinite(path.clearance_m)
     tilt = np.degrees(np.arccos(np.clip(path.normal[:, 2], -1.0, 1.0)))

@@ -37,12 +37,17 @@ class FilteredImage:
 
     Attributes
     ----------
-    depth_m : (rows, cols) float64 [m]            NaN where the input had none
+    depth_m : (rows, cols) float64 [m]
+        NaN where the input had none
     disparity_px : (rows, cols) float64 [px]
-    label : (rows, cols) uint8                    NO_DATA, ROUGH or PLANAR
-    deviation_px : (rows, cols) float64 [px]      from the local plane, after the weak median
-    strength : (rows, cols) float64               0 weak … 1 strong
-    noise_px : float [px]                         deviation that counts as noise
+    label : (rows, cols) uint8
+        NO_DATA, ROUGH or PLANAR
+    deviation_px : (rows, cols) float64 [px]
+        from the local plane, after the weak median
+    strength : (rows, cols) float64
+        0 weak … 1 strong
+    noise_px : float [px]
+        deviation that counts as noise
     """
 
     depth_m: Floats
@@ -81,12 +86,18 @@ def filter_rows(
 
     Parameters
     ----------
-    strong, weak, mp : (rows + 2r, cols + 2r) float64     medians and mask, padded by r, 0 where invalid
-    dev : (4, rows, cols) float64               deviations and planes of `deviation_rows`
-    knots : (2, n) float64                      deviations, ascending, and strengths there
-    weights : (2, 2r + 1) float64               of half and full smoothing
-    s : (9, cols + 2r) float64                  scratch
-    out : (2, rows, cols) float64               the result, and the strength
+    strong, weak, mp : (rows + 2r, cols + 2r) float64
+        medians and mask, padded by r, 0 where invalid
+    dev : (4, rows, cols) float64
+        deviations and planes of `deviation_rows`
+    knots : (2, n) float64
+        deviations, ascending, and strengths there
+    weights : (2, 2r + 1) float64
+        of half and full smoothing
+    s : (9, cols + 2r) float64
+        scratch
+    out : (2, rows, cols) float64
+        the result, and the strength
     """
     taps, n = weights.shape[1], knots.shape[1]
     r, wide = taps // 2, mp.shape[1]
@@ -175,17 +186,25 @@ def conditional_planar_filter(
 
     Parameters
     ----------
-    image : (rows, cols) float       depths [m] or disparities [px]; NaN, 0 or infinite: none
-    camera : Camera                  focal length and, for disparities, baseline
-    kind : str                       "depth" or "disparity"
-    window : int                     odd side of the window [px]; the strongest Gaussian has sigma window / 4
-    mode : str                       "exact" or "fast" deviation
-    curve : ((ratio, strength), …)   knots of strength over deviation / noise, ratios ascending
-    noise_px : float [px]            deviation of flat ground; None: from the most planar quarter of the image
+    image : (rows, cols) float
+        depths [m] or disparities [px]; NaN, 0 or infinite: none
+    camera : Camera
+        focal length and, for disparities, baseline
+    kind : str
+        "depth" or "disparity"
+    window : int
+        odd side of the window [px]; the strongest Gaussian has sigma window / 4
+    mode : str
+        "exact" or "fast" deviation
+    curve : ((ratio, strength), …)
+        knots of strength over deviation / noise, ratios ascending
+    noise_px : float [px]
+        deviation of flat ground; None: from the most planar quarter of the image
 
     Returns
     -------
-    FilteredImage     pixels without data stay without
+    FilteredImage
+        pixels without data stay without
 
     Raises
     ------

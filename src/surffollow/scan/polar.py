@@ -25,13 +25,20 @@ class PolarCorrection:
 
     Attributes
     ----------
-    base_m : (x, y) [m]            pole, the arm's base joint
-    scale : float                  of ρ
-    offset_m : float [m]           of ρ
-    offset_rad : float             of φ
-    spots_m : (n, 2) [m]           measured places of the fit
-    residual_m : (n,) [m]          distance of each commanded spot from its corrected one
-    zone_m : float [m]             bound of the zone of effectiveness
+    base_m : (x, y) [m]
+        pole, the arm's base joint
+    scale : float
+        of ρ
+    offset_m : float [m]
+        of ρ
+    offset_rad : float
+        of φ
+    spots_m : (n, 2) [m]
+        measured places of the fit
+    residual_m : (n,) [m]
+        distance of each commanded spot from its corrected one
+    zone_m : float [m]
+        bound of the zone of effectiveness
     """
 
     base_m: tuple[float, float]
@@ -55,10 +62,17 @@ class PolarCorrection:
 
         Parameters
         ----------
-        commanded_m : (n, 2 or 3) float [m]     tip of the computer model
-        measured_m : (n, 2 or 3) float [m]      real tip
+        commanded_m : (n, 2 or 3) float [m]
+            tip of the computer model
+        measured_m : (n, 2 or 3) float [m]
+            real tip
         base_m : (x, y, …) [m]
         zone_m : float [m]
+
+        Returns
+        -------
+        PolarCorrection
+            radial scale and offset, angular offset, zone
 
         Raises
         ------
@@ -91,7 +105,18 @@ class PolarCorrection:
         return cls(made.base_m, made.scale, made.offset_m, angle, b + base, left, zone)
 
     def apply(self, xy_m: ArrayLike) -> Floats:
-        """(n, 2) corrected places (8), (9)."""
+        """(n, 2) corrected places (8), (9).
+
+        Parameters
+        ----------
+        xy_m : (n, 2) float [m]
+            places
+
+        Returns
+        -------
+        (n, 2) float64 [m]
+            corrected places
+        """
         d = real_array("xy_m", xy_m, (None, None))[:, :2] - np.asarray(self.base_m)
         rho = np.hypot(d[:, 0], d[:, 1]) * self.scale + self.offset_m
         phi = np.arctan2(d[:, 1], d[:, 0]) + self.offset_rad
@@ -99,7 +124,18 @@ class PolarCorrection:
         return made
 
     def effective(self, xy_m: ArrayLike) -> NDArray[np.bool_]:
-        """(n,) bool: the zone of effectiveness, where the nearest spot of the fit is within the bound."""
+        """(n,) bool: the zone of effectiveness, where the nearest spot of the fit is within the bound.
+
+        Parameters
+        ----------
+        xy_m : (n, 2) float [m]
+            places
+
+        Returns
+        -------
+        (n,) bool
+            True: within the zone of effectiveness
+        """
         xy = real_array("xy_m", xy_m, (None, None))[:, :2]
         if self.spots_m is None or self.residual_m is None:
             return np.zeros(len(xy), np.bool_)
@@ -118,12 +154,14 @@ def polar_correction(
     ----------
     path : ScanPath
     correction : PolarCorrection
-    surface : Envelope or TerrainGrid     z is sampled again from it at the corrected places, `lift_m` added;
+    surface : Envelope or TerrainGrid
+        z is sampled again from it at the corrected places, `lift_m` added;
         None: z is kept, which is right where the map is true and the arm is not
 
     Returns
     -------
-    ScanPath     the attitude is unchanged; UNKNOWN_BENEATH set where z was sampled beside the surface
+    ScanPath
+        the attitude is unchanged; UNKNOWN_BENEATH set where z was sampled beside the surface
 
     Notes
     -----

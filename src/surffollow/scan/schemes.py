@@ -31,15 +31,21 @@ def lanes(
     Parameters
     ----------
     region : (4,) x_min, y_min, x_max, y_max, or (n, 2) corners of a polygon [m]
-    swath_m : float [m]        width that one pass covers; passes lie at most this far apart
-    step_m : float [m]         between samples
-    angle_rad : float          direction of the passes from x
-    flip : bool                begin at the far end of the first pass
-    run_up_m : float [m]       straight way before and after each pass, not part of it
+    swath_m : float [m]
+        width that one pass covers; passes lie at most this far apart
+    step_m : float [m]
+        between samples
+    angle_rad : float
+        direction of the passes from x
+    flip : bool
+        begin at the far end of the first pass
+    run_up_m : float [m]
+        straight way before and after each pass, not part of it
 
     Returns
     -------
-    ScanPath     z unknown; azimuth 0
+    ScanPath
+        z unknown; azimuth 0
 
     Raises
     ------
@@ -76,11 +82,13 @@ def arcs(
     Parameters
     ----------
     region, swath_m, step_m, flip, run_up_m : as `lanes`
-    base_m : (x, y, …) float [m]      base joint in the ground frame, outside the region
+    base_m : (x, y, …) float [m]
+        base joint in the ground frame, outside the region
 
     Returns
     -------
-    ScanPath     z unknown; azimuth: direction from the base to the tip
+    ScanPath
+        z unknown; azimuth: direction from the base to the tip
 
     Raises
     ------

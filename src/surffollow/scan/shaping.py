@@ -21,9 +21,19 @@ class Shaper:
 
     Attributes
     ----------
-    times_s : (n,) float64 [s]       ascending, from 0
-    amplitudes : (n,) float64        above 0, their sum is 1
-    highest_hz : float               highest design frequency; 0: none
+    times_s : (n,) float64 [s]
+        ascending, from 0
+    amplitudes : (n,) float64
+        above 0, their sum is 1
+    highest_hz : float
+        highest design frequency; 0: none
+
+    Examples
+    --------
+    >>> from surffollow.scan import Shaper
+    >>> shaper = Shaper.zvd(2.0)
+    >>> shaper.times_s, shaper.amplitudes
+    (array([0.  , 0.25, 0.5 ]), array([0.25, 0.5 , 0.25]))
     """
 
     times_s: Floats
@@ -37,7 +47,20 @@ class Shaper:
 
     @classmethod
     def zv(cls, frequency_hz: float, damping: float = 0.0) -> Shaper:
-        """Zero vibration: two impulses, [1, K] / (1 + K) at 0 and T_d / 2."""
+        """Zero vibration: two impulses, [1, K] / (1 + K) at 0 and T_d / 2.
+
+        Parameters
+        ----------
+        frequency_hz : float [Hz]
+            undamped natural frequency, above 0
+        damping : float
+            ratio ζ, 0 ≤ ζ < 1
+
+        Returns
+        -------
+        Shaper
+            two impulses
+        """
         k, period = _constants(frequency_hz, damping)
         return cls(np.array([0.0, period / 2]), np.array([1.0, k]) / (1.0 + k), float(frequency_hz))
 
@@ -47,8 +70,15 @@ class Shaper:
 
         Parameters
         ----------
-        frequency_hz : float [Hz]     undamped natural frequency, above 0
-        damping : float               ratio ζ, 0 ≤ ζ < 1
+        frequency_hz : float [Hz]
+            undamped natural frequency, above 0
+        damping : float
+            ratio ζ, 0 ≤ ζ < 1
+
+        Returns
+        -------
+        Shaper
+            three impulses
 
         Notes
         -----
@@ -61,6 +91,20 @@ class Shaper:
     @classmethod
     def ei(cls, frequency_hz: float, damping: float = 0.0, *, tolerance: float = EI_TOLERANCE) -> Shaper:
         """Extra insensitive: a little residual at the design frequency for a wider range around it.
+
+        Parameters
+        ----------
+        frequency_hz : float [Hz]
+            undamped natural frequency, above 0
+        damping : float
+            ratio ζ, 0 ≤ ζ < 1
+        tolerance : float
+            residual V at the design frequency without damping, 0 ≤ V < 1
+
+        Returns
+        -------
+        Shaper
+            three impulses
 
         Notes
         -----
@@ -89,6 +133,18 @@ class Shaper:
     def residual(self, frequency_hz: ArrayLike, damping: float = 0.0) -> Floats:
         """Residual vibration of a mode, as a part of the unshaped one, after the last impulse.
 
+        Parameters
+        ----------
+        frequency_hz : float [Hz]
+            of the mode; may be an array
+        damping : float
+            ratio ζ, 0 ≤ ζ < 1
+
+        Returns
+        -------
+        float64
+            residual vibration as a part of the unshaped one, in the shape of `frequency_hz`
+
         Notes
         -----
         V = exp(-ζ ω t_n) √(C² + S²), C and S the sums of A_i exp(ζ ω t_i) times cos and sin of ω_d t_i.
@@ -100,7 +156,18 @@ class Shaper:
         return np.asarray(last * np.abs((self.amplitudes * np.exp(angle)).sum(axis=-1)))
 
     def function(self, command: Callable[[Floats], Floats]) -> Callable[[Floats], Floats]:
-        """A command of time, shaped: evaluated at the shifted times, so that no impulse is rounded."""
+        """A command of time, shaped: evaluated at the shifted times, so that no impulse is rounded.
+
+        Parameters
+        ----------
+        command : callable
+            a function of time [s]
+
+        Returns
+        -------
+        callable
+            the shaped command, a function of time [s]
+        """
 
         def shaped(t_s: Floats) -> Floats:
             made: Floats = sum(
@@ -115,12 +182,14 @@ class Shaper:
 
         Parameters
         ----------
-        command : (n,) or (n, m) float      at rest before its first and after its last sample
+        command : (n,) or (n, m) float
+            at rest before its first and after its last sample
         rate_hz : float [Hz]
 
         Returns
         -------
-        (n + ⌈duration × rate⌉, …) float64     linear between samples; impulses are not rounded to samples
+        (n + ⌈duration × rate⌉, …) float64
+            linear between samples; impulses are not rounded to samples
 
         Raises
         ------

@@ -24,9 +24,11 @@ class SignalMap:
 
     Attributes
     ----------
-    mean, highest : (rows, cols) float64     NaN without samples
+    mean, highest : (rows, cols) float64
+        NaN without samples
     count : (rows, cols) int64
-    origin_m : (x, y) [m]                    outer corner of cell [0, 0]
+    origin_m : (x, y) [m]
+        outer corner of cell [0, 0]
     grid_m : float [m]
     """
 
@@ -48,8 +50,15 @@ class SignalMap:
 
         Parameters
         ----------
-        part : float         cells whose mean is above this part of the peak are used
-        reach_m : float      and no farther from the strongest cell than this
+        part : float
+            cells whose mean is above this part of the peak are used
+        reach_m : float
+            and no farther from the strongest cell than this
+
+        Returns
+        -------
+        tuple of three floats
+            x [m], y [m] and height above the background
 
         Raises
         ------
@@ -80,7 +89,13 @@ class SignalMap:
         return float(xs[col] + at[0]), float(ys[row] + at[1]), top
 
     def save_geotiff(self, path: str | os.PathLike[str]) -> None:
-        """Write mean, max and count as three float32 bands, northernmost row first (extra `geo`)."""
+        """Write mean, max and count as three float32 bands, northernmost row first (extra `geo`).
+
+        Parameters
+        ----------
+        path : path
+            of the file
+        """
         try:
             import rasterio
         except ImportError as e:
@@ -116,10 +131,19 @@ def signal_map(
 
     Parameters
     ----------
-    position_m : (n, 2 or more) float [m]     true place of the sensor at each sample; NaN: left out
-    values : (n,) float                       signal; NaN: left out
-    grid_m : float [m]                        side of a cell
-    region : (x_min, y_min, x_max, y_max) [m] or None      samples outside it are left out; None: all
+    position_m : (n, 2 or more) float [m]
+        true place of the sensor at each sample; NaN: left out
+    values : (n,) float
+        signal; NaN: left out
+    grid_m : float [m]
+        side of a cell
+    region : (x_min, y_min, x_max, y_max) [m] or None
+        samples outside it are left out; None: all
+
+    Returns
+    -------
+    SignalMap
+        NaN where a cell has no sample
 
     Raises
     ------

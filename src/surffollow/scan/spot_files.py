@@ -21,6 +21,11 @@ def read_spots(path: str | os.PathLike[str], map_file: str | os.PathLike[str] | 
     path : columns x_m, y_m and correction_m; with a map z_m in its place
     map_file : map of the ground that was touched; None: the file holds corrections
 
+    Returns
+    -------
+    (n, 3) float64 [m]
+        x, y and correction
+
     Raises
     ------
     ScanFileError

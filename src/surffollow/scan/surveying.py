@@ -28,10 +28,14 @@ class SurveySettings:
     ----------
     grid_m : float [m]
     region : (x_min, y_min, x_max, y_max) [m] or None
-    filter : str                  one of FILTERS
-    window : int [px]             of the conditional planar filter; the Gaussian has sigma window / 4
-    min_pixels, support_m, border_px        of `coherent_patches`
-    fill_m, average_m             of `terrain_map`
+    filter : str
+        one of FILTERS
+    window : int [px]
+        of the conditional planar filter; the Gaussian has sigma window / 4
+    min_pixels, support_m, border_px
+        of `coherent_patches`
+    fill_m, average_m
+        of `terrain_map`
     """
 
     grid_m: float
@@ -52,6 +56,17 @@ def survey(
     progress: Callable[[float], Any] | None = None,
 ) -> tuple[TerrainGrid, dict[str, Any]]:
     """Map the ground that images and clouds show.
+
+    Parameters
+    ----------
+    images : sequence of DepthImage
+        with their cameras
+    clouds : sequence of (n, 3) float [m]
+        points in the ground frame
+    settings : SurveySettings
+        filters and grid
+    progress : callable, optional
+        gets the finished fraction
 
     Returns
     -------

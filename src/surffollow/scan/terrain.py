@@ -32,17 +32,24 @@ def terrain_map(
 
     Parameters
     ----------
-    points_m : (n, 3) float [m]             ground frame; points that are not finite are left out
-    grid_m : float [m]                      side of a cell
-    region : (x_min, y_min, x_max, y_max)   what the grid covers [m]; None: the points
-    weights : (n,) float                    1 / variance of each height; None: equal
-    average_m : float [m]                   points in squares of this side are averaged; None: grid_m
-    fill_m : float [m]                      holes are filled by triangles whose edges are at most this long;
+    points_m : (n, 3) float [m]
+        ground frame; points that are not finite are left out
+    grid_m : float [m]
+        side of a cell
+    region : (x_min, y_min, x_max, y_max)
+        what the grid covers [m]; None: the points
+    weights : (n,) float
+        1 / variance of each height; None: equal
+    average_m : float [m]
+        points in squares of this side are averaged; None: grid_m
+    fill_m : float [m]
+        holes are filled by triangles whose edges are at most this long;
         None: 10 cells
 
     Returns
     -------
-    TerrainGrid     cells MEASURED hold a point, FILLED are interpolated, UNKNOWN are NaN
+    TerrainGrid
+        cells MEASURED hold a point, FILLED are interpolated, UNKNOWN are NaN
 
     Raises
     ------
@@ -129,12 +136,15 @@ def compose_stations(
 
     Parameters
     ----------
-    stations : [(grid, common_from_station), …]     local map and (4, 4) pose of its frame in the common one
-    grid_m, region, fill_m                          as `terrain_map`
+    stations : [(grid, common_from_station), …]
+        local map and (4, 4) pose of its frame in the common one
+    grid_m, region, fill_m
+        as `terrain_map`
 
     Returns
     -------
-    TerrainGrid     measured cells of all stations averaged where they overlap, holes filled anew
+    TerrainGrid
+        measured cells of all stations averaged where they overlap, holes filled anew
     """
     from surffollow.scan.camera import rigid_transform
 

@@ -20,11 +20,16 @@ class MotionLimits:
 
     Attributes
     ----------
-    speed_mps : float                 over the ground, horizontally
-    acceleration_mps2 : float         along the path
-    lateral_mps2 : float              across it, in turns
-    vertical_mps : float              up and down
-    tilt_radps : float                of the normal
+    speed_mps : float
+        over the ground, horizontally
+    acceleration_mps2 : float
+        along the path
+    lateral_mps2 : float
+        across it, in turns
+    vertical_mps : float
+        up and down
+    tilt_radps : float
+        of the normal
     """
 
     speed_mps: float = 0.5
@@ -60,12 +65,14 @@ def timed(path: ScanPath, limits: MotionLimits) -> ScanPath:
 
     Parameters
     ----------
-    path : ScanPath           positions and normals
+    path : ScanPath
+        positions and normals
     limits : MotionLimits
 
     Returns
     -------
-    ScanPath     SLOWED where a pass is slower than asked for; STOP at both ends
+    ScanPath
+        SLOWED where a pass is slower than asked for; STOP at both ends
     """
     n = len(path)
     xy, z = path.position_m[:, :2], path.position_m[:, 2]

@@ -1,4 +1,4 @@
-"""Install a map that a client streams through its slot, piece by piece (docs/map.md).
+"""Install a map that a client streams through its slot, piece by piece (docs/explanation/maps.md).
 
 When an installation's turn comes, the map thread checks its numbers and acknowledges with ACCEPTED and
 0 grids taken. The client writes piece k (k = 1, 2, …) into half k & 1 of its stream area and stores the

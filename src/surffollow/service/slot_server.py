@@ -2,8 +2,8 @@
 
 A connection is the ownership of a slot: the kernel closes it with the client's last copy of it, and a pidfd
 tells of the end of the process that connected, whatever its children still have open. Steps of the exchange:
-docs/protocol.md. Everything here runs in the main thread, beside the cycle: no call waits, the work per beat
-is bounded, and whatever fails costs one connection. Messages are heard and connections ended through
+docs/reference/protocol.md. Everything here runs in the main thread, beside the cycle: no call waits, the work
+per beat is bounded, and whatever fails costs one connection. Messages are heard and connections ended through
 `shm.uninvited` alone: a client may send descriptors whose end takes as long as it likes.
 """
 

@@ -3,7 +3,7 @@
 NumPy indexing in a jitted loop may be hoisted or torn; these intrinsics may not.
 Addresses are plain integers (`array.ctypes.data + offset`), naturally aligned.
 `relaxed` operations order nothing by themselves; a latch adds the fences
-(docs/protocol.md, steps W1-W3 and R1-R4).
+(docs/reference/protocol.md, steps W1-W3 and R1-R4).
 All 64-bit words are int64 here: numba turns a mix of int64 and uint64 into float64.
 """
 

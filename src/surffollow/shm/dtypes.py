@@ -20,7 +20,8 @@ def numpy_dtype(schema: type[Schema]) -> np.dtype[Any]:
 
     Returns
     -------
-    numpy.dtype  little-endian, `itemsize == schema.SIZE`
+    numpy.dtype
+        little-endian, `itemsize == schema.SIZE`
     """
     if schema in _CACHE:
         return _CACHE[schema]

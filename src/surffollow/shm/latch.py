@@ -1,7 +1,7 @@
 """A latch: one writer publishes a structure, readers copy it whole, nobody waits.
 
 In memory: a u64 generation (own cache line), then SLOTS copies of the payload.
-Generation g lives in slot g % SLOTS. Steps (docs/protocol.md):
+Generation g lives in slot g % SLOTS. Steps (docs/reference/protocol.md):
 
 W1 fence(release): the last published generation is ordered before what follows;
 W2 write the payload of g+1 into slot (g+1) % SLOTS with relaxed stores;

@@ -79,7 +79,7 @@ RESULT_TEXT = (
     "the service takes no pushed ranges from this user (access.ranges in the configuration)",
 )
 
-# steps of the exchange that gives a client its slot (docs/protocol.md)
+# steps of the exchange that gives a client its slot (docs/reference/protocol.md)
 SLOT_ASK, SLOT_OFFER, SLOT_MAPPED, SLOT_GRANT, SLOT_REFUSE = range(1, 6)
 # why a client gets none
 SLOT_OK, SLOT_ALL_TAKEN, SLOT_USER_LIMIT, SLOT_PROCESS_LIMIT, SLOT_OTHER_RUN, SLOT_BAD_MESSAGE = range(6)
@@ -140,7 +140,7 @@ class Ticker(Schema):
     pose_pid = I64()
     clients = I64(doc="live clients")
     granted = I64(doc="bits: FIFO, affinity, mlockall, dma latency")
-    faults = I64(doc="bits, numbered in docs/protocol.md")
+    faults = I64(doc="bits, numbered in docs/reference/health-and-faults.md")
     messages_lost = I64(doc="lines for stderr that found no room or no reader")
     audit_lost = I64(doc="changes that are in no audit entry: the main thread stood still")
     range_slot = I64(CHANNELS, doc="per channel, slot of the client that pushes its ranges; -1: none")

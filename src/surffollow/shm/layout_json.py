@@ -1,6 +1,6 @@
 """The layout as one JSON document: all that a client in another language needs besides the rules.
 
-Made from the declarations that the C header and the tables of docs/protocol.md are made from. Numbers
+Made from the declarations that the C header and the tables of docs/reference/layout.md are made from. Numbers
 of 64 bits (magics, hashes) are text, "0x" and 16 digits, for many JSON readers keep 53 bits only.
 """
 
@@ -273,7 +273,7 @@ def _parameters() -> list[dict[str, Any]]:
 
 
 def _handshake() -> dict[str, Any]:
-    """The exchange on NAME.sock; rules in docs/protocol.md, "Getting a slot"."""
+    """The exchange on NAME.sock; rules in docs/reference/protocol.md, "Getting a slot"."""
     steps = [
         ("S2", "client", "SLOT_ASK", ("epoch", "name"), 0),
         ("S3", "service", "SLOT_OFFER", ("slot", "claim"), 1),
@@ -341,14 +341,14 @@ def _waits() -> dict[str, int]:
 
 
 def layout_document() -> dict[str, Any]:
-    """Everything that a client needs to know besides the rules in docs/protocol.md, ready for JSON."""
+    """What a client needs besides the rules in docs/reference/protocol.md, ready for JSON."""
     answers = _answer_names()
     return {
         "format": FORMAT,
         **identity(),
         "byte_order": "little",
         "clock": "CLOCK_MONOTONIC, ns",
-        "rules": "docs/protocol.md",
+        "rules": "docs/reference/protocol.md",
         "objects": _objects(),
         "latch": {
             "generation_at": 0,

@@ -1,7 +1,7 @@
 """Lay out the map object `NAME.map`: one header page, the grid pairs, the scratch of a refocus.
 
 The object outlives the service. Only the service's map thread writes it; everyone else maps it
-read-only. Numbers here are the memory format; what they mean is in docs/map.md.
+read-only. Numbers here are the memory format; what they mean is in docs/explanation/maps.md.
 """
 
 from __future__ import annotations
@@ -158,8 +158,10 @@ def map_object_size(capacity_grids: int, scratch_columns: int | None = None) -> 
 
     Parameters
     ----------
-    capacity_grids : int      1 … 1e9
-    scratch_columns : int     longest row that a refocus can handle; default: see `default_scratch_columns`
+    capacity_grids : int
+        1 … 1e9
+    scratch_columns : int
+        longest row that a refocus can handle; default: see `default_scratch_columns`
     """
     columns = default_scratch_columns(capacity_grids) if scratch_columns is None else scratch_columns
     return scratch_offset(capacity_grids) + -(-scratch_bytes(columns) // 4096) * 4096

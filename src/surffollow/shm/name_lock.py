@@ -32,9 +32,12 @@ class NameLock:
 
         Raises
         ------
-        NoPermissionError  somebody else's file stands in the place of the lock
-        BlockError         what stands there is no plain file, or others may open it
-        NoSpaceError       /dev/shm has no room for one more file
+        NoPermissionError
+            somebody else's file stands in the place of the lock
+        BlockError
+            what stands there is no plain file, or others may open it
+        NoSpaceError
+            /dev/shm has no room for one more file
         """
         path = SHM_ROOT / (name + ENDING)
         while True:

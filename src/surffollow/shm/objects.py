@@ -195,7 +195,7 @@ def reserve(name: str, fd: int, size: int) -> None:
 
 
 def _less(name: str) -> str:
-    """How to need less room for an object, by the names of docs/protocol.md and docs/blocks.md."""
+    """How to need less room for an object, by the names of docs/reference."""
     service, _, part = name.partition(".")
     if part == "map":
         return "configure fewer map.grids"

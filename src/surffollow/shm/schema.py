@@ -95,6 +95,24 @@ class Field:
 
 def _scalar(code: str) -> Any:
     def make(count: int = 1, *, unit: str = "", doc: str = "", align: int = 0) -> Any:
+        """A field of `count` numbers of this type.
+
+        Parameters
+        ----------
+        count : int
+            1: a number; more: an array
+        unit : str
+            of each number; part of the hash
+        doc : str
+            meaning; not part of the hash
+        align : int
+            least alignment [bytes]; 0: that of the type
+
+        Returns
+        -------
+        Field
+            to be assigned to a name in the body of a `Schema` or `Block`
+        """
         return Field(code, count, unit=unit, doc=doc, align=align)
 
     return make
@@ -108,12 +126,42 @@ I8, U8 = _scalar("i1"), _scalar("u1")
 
 
 def Text(size: int, *, doc: str = "") -> Any:  # noqa: N802 - reads like the other field makers
-    """UTF-8 text of at most `size` bytes, filled up with NUL."""
+    """UTF-8 text of at most `size` bytes, filled up with NUL.
+
+    Parameters
+    ----------
+    size : int
+        room [bytes]
+    doc : str
+        meaning; not part of the hash
+
+    Returns
+    -------
+    Field
+        to be assigned to a name in the body of a `Schema` or `Block`
+    """
     return Field("S", size, doc=doc)
 
 
 def Nested(schema: type[Schema], count: int = 1, *, doc: str = "", align: int = 0) -> Any:  # noqa: N802
-    """`count` structures of another schema, one after the other."""
+    """`count` structures of another schema, one after the other.
+
+    Parameters
+    ----------
+    schema : subclass of Schema
+        the structure
+    count : int
+        1: a record; more: an array of records
+    doc : str
+        meaning; not part of the hash
+    align : int
+        least alignment [bytes]; 0: that of the structure
+
+    Returns
+    -------
+    Field
+        to be assigned to a name in the body of a `Schema` or `Block`
+    """
     return Field("V", count, nested=schema, doc=doc, align=align)
 
 
@@ -157,6 +205,23 @@ class Schema:
 
     @classmethod
     def field(cls, name: str) -> Field:
+        """A field by its name.
+
+        Parameters
+        ----------
+        name : str
+            of the field
+
+        Returns
+        -------
+        Field
+            with offset, size, unit and meaning
+
+        Raises
+        ------
+        SchemaError
+            no field of that name
+        """
         for f in cls.FIELDS:
             if f.name == name:
                 return f
@@ -164,7 +229,18 @@ class Schema:
 
     @classmethod
     def offset(cls, *path: str | int) -> int:
-        """Byte offset of a field, through nested schemas and indices: `offset("slot", 3, "pid")`."""
+        """Byte offset of a field, through nested schemas and indices: `offset("slot", 3, "pid")`.
+
+        Parameters
+        ----------
+        path : str or int
+            names of fields and indices, in order
+
+        Returns
+        -------
+        int
+            from the beginning of the structure [bytes]
+        """
         at, schema, field = 0, cls, None
         for step in path:
             if isinstance(step, int):
@@ -182,7 +258,20 @@ class Schema:
 
     @classmethod
     def struct_of(cls, first: str, last: str) -> struct.Struct:
-        """A `struct.Struct` over the run of fields from `first` to `last`, padding included."""
+        """A `struct.Struct` over a run of fields, padding included.
+
+        Parameters
+        ----------
+        first : str
+            name of the first field
+        last : str
+            name of the last field
+
+        Returns
+        -------
+        struct.Struct
+            little-endian
+        """
         parts, at, started = ["<"], 0, False
         for f in cls.FIELDS:
             if f.name == first:
@@ -196,7 +285,20 @@ class Schema:
 
     @classmethod
     def walk(cls, prefix: str = "", base: int = 0) -> Iterator[tuple[str, int, Field]]:
-        """Every leaf field as (dotted name, byte offset, field); nested arrays give their element 0."""
+        """Every leaf field; nested arrays give their element 0.
+
+        Parameters
+        ----------
+        prefix : str
+            put before each name
+        base : int
+            added to each offset [bytes]
+
+        Returns
+        -------
+        iterator of (str, int, Field)
+            dotted name, byte offset and field
+        """
         for f in cls.FIELDS:
             name, at = f"{prefix}{f.name}", base + f.offset
             if f.nested is None:

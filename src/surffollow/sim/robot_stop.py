@@ -1,4 +1,4 @@
-"""What a robot does without a valid demand, and within what time it is at rest (docs/protocol.md, "Stop")."""
+"""What a robot does without a valid demand, and when it is at rest (docs/reference/protocol.md, "Stop")."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Wall poses from beam-spread sonars: `wall_pose`, `optimal_pair`, `fused_pose`, `walls` (docs/sonar.md)."""
+"""Wall poses from beam-spread sonars (docs/explanation/wall-pose.md, docs/reference/sonar.md)."""
 
 from __future__ import annotations
 

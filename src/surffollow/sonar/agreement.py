@@ -36,14 +36,18 @@ def compare_reading(
 
     Parameters
     ----------
-    wall : (5,) float64   φ, d, var φ, covariance, var d
-    nx, ny : float64      cos φ, sin φ
-    exactly : bool        leave the error of the wall's own prediction out of the tolerance. At grazing
-                          incidence a range changes so fast with φ that any reading agrees with a vague wall
+    wall : (5,) float64
+        φ, d, var φ, covariance, var d
+    nx, ny : float64
+        cos φ, sin φ
+    exactly : bool
+        leave the error of the wall's own prediction out of the tolerance. At grazing
+        incidence a range changes so fast with φ that any reading agrees with a vague wall
 
     Returns
     -------
-    int64   INLIER, UNEXPLAINED or CONTRADICTION
+    int64
+        INLIER, UNEXPLAINED or CONTRADICTION
     """
     r = ranges_m[i]
     if math.isnan(r):

@@ -45,9 +45,11 @@ def predicted_range(
 
     Parameters
     ----------
-    x_m, y_m, heading_rad : float64            the sonar in the robot frame
+    x_m, y_m, heading_rad : float64
+        the sonar in the robot frame
     half_beam_rad, max_incidence_rad : float64 α and δ_max
-    phi_rad, nx, ny, distance_m : float64      the wall: φ, cos φ, sin φ, d
+    phi_rad, nx, ny, distance_m : float64
+        the wall: φ, cos φ, sin φ, d
     """
     incidence = wrap(phi_rad - heading_rad)
     if abs(incidence) > max_incidence_rad:
@@ -67,10 +69,13 @@ def predict_ranges(
 
     Parameters
     ----------
-    positions_m : (m, 2) float64    headings_rad : (m,) float64
+    positions_m : (m, 2) float64
+        headings_rad : (m,) float64
     half_beam_rad, max_incidence_rad : float64
-    walls : (k, 2) float64          φ [rad] and d [m] of each wall
-    ranges_m : (m,) float64         written; inf where no wall gives an echo
+    walls : (k, 2) float64
+        φ [rad] and d [m] of each wall
+    ranges_m : (m,) float64
+        written; inf where no wall gives an echo
     """
     for i in range(headings_rad.size):
         nearest = math.inf
@@ -101,7 +106,8 @@ def sensitivity(
 
     Returns
     -------
-    float64, float64   derivative by φ [m/rad]; cos e, the factor of the range's noise
+    float64, float64
+        derivative by φ [m/rad]; cos e, the factor of the range's noise
     """
     incidence = wrap(phi_rad - heading_rad)
     edge = edge_angle(incidence, half_beam_rad)

@@ -27,11 +27,16 @@ class SonarRing:
 
     Attributes
     ----------
-    positions_m : (m, 2) ndarray    in the robot frame
-    headings_rad : (m,) ndarray     axes of the beams, in the robot frame
-    half_beam_rad, max_incidence_rad : float   α and δ_max
-    range_sigma : float             standard deviation of a range as a share of the range
-    max_range_m : float             no echo comes from beyond
+    positions_m : (m, 2) ndarray
+        in the robot frame
+    headings_rad : (m,) ndarray
+        axes of the beams, in the robot frame
+    half_beam_rad, max_incidence_rad : float
+        α and δ_max
+    range_sigma : float
+        standard deviation of a range as a share of the range
+    max_range_m : float
+        no echo comes from beyond
     """
 
     positions_m: NDArray[np.float64]
@@ -56,7 +61,8 @@ class SonarRing:
 
         Raises
         ------
-        UsageError  no sonar, a radius that is none, or as `poses.incidence_limit`
+        UsageError
+            no sonar, a radius that is none, or as `poses.incidence_limit`
         """
         if count < 1 or not 0.0 <= radius_m < math.inf:
             raise UsageError(f"a ring of {count} sonars with a radius of {radius_m} m cannot be")
@@ -92,9 +98,12 @@ class Hypothesis:
 
     Attributes
     ----------
-    wall : WallPose      in the belief's frame
-    corroborated : int   later readings that it predicted
-    refuted : int        later readings that it forbids
+    wall : WallPose
+        in the belief's frame
+    corroborated : int
+        later readings that it predicted
+    refuted : int
+        later readings that it forbids
     """
 
     wall: WallPose
@@ -115,8 +124,10 @@ class Belief:
     Parameters
     ----------
     ring : SonarRing
-    k : int                      walls to find
-    phi_bound_rad, distance_bound_m : float   standard deviations under which a wall counts as known
+    k : int
+        walls to find
+    phi_bound_rad, distance_bound_m : float
+        standard deviations under which a wall counts as known
     """
 
     def __init__(
@@ -170,7 +181,8 @@ class Belief:
 
         Raises
         ------
-        UsageError  a number is not finite
+        UsageError
+            a number is not finite
         """
         if not (math.isfinite(turn_rad) and math.isfinite(drive_m)):
             raise UsageError(f"a move of {turn_rad} rad and {drive_m} m cannot be")
@@ -184,13 +196,16 @@ class Belief:
 
         Parameters
         ----------
-        ranges_m : (n,) array     readings; inf: no echo, NaN: not measured
-        sensors : tuple of int    their sonars; all of the ring when None
+        ranges_m : (n,) array
+            readings; inf: no echo, NaN: not measured
+        sensors : tuple of int
+            their sonars; all of the ring when None
 
         Raises
         ------
-        UsageError  the numbers of readings and sonars differ, there is no such sonar, or as `walls`; the
-                    belief stays as it was
+        UsageError
+            the numbers of readings and sonars differ, there is no such sonar, or as `walls`; the
+            belief stays as it was
         """
         size = self.ring.headings_rad.size
         chosen = tuple(range(size)) if sensors is None else tuple(sensors)

@@ -38,8 +38,10 @@ class Quantity:
 
     Attributes
     ----------
-    t_ns : int                   when they were true, CLOCK_MONOTONIC
-    values, tolerances : tuple   up to 8 numbers each; tolerances are standard deviations
+    t_ns : int
+        when they were true, CLOCK_MONOTONIC
+    values, tolerances : tuple
+        up to 8 numbers each; tolerances are standard deviations
     """
 
     t_ns: int
@@ -53,9 +55,12 @@ class Source:
 
     Attributes
     ----------
-    name : str                       up to 31 bytes
-    read : callable                  gives a Quantity, or None when its raw readings do not allow one
-    max_age_s : float                older values count as a failure
+    name : str
+        up to 31 bytes
+    read : callable
+        gives a Quantity, or None when its raw readings do not allow one
+    max_age_s : float
+        older values count as a failure
     """
 
     name: str
@@ -77,7 +82,8 @@ class LogicalSensor:
 
     Parameters
     ----------
-    quantity : str               name of the quantity, such as "wall_pose" or "front_clearance"
+    quantity : str
+        name of the quantity, such as "wall_pose" or "front_clearance"
     sources : sequence of Source in order of preference
     """
 
@@ -94,7 +100,8 @@ class LogicalSensor:
 
         Parameters
         ----------
-        now_ns : int, optional   CLOCK_MONOTONIC; by default the time after each source was read
+        now_ns : int, optional
+            CLOCK_MONOTONIC; by default the time after each source was read
         """
         failed = 0
         for index, source in enumerate(self.sources):
@@ -113,7 +120,8 @@ class LogicalSensor:
 
         Raises
         ------
-        BusyError  another live process publishes this quantity
+        BusyError
+            another live process publishes this quantity
         """
         if self._memory is None:
             self._memory = mem_attach({self.quantity: LogicalReading}, name, write=True)

@@ -1,4 +1,4 @@
-"""Wall poses from sonar readings: the calls for programs (docs/sonar.md).
+"""Wall poses from sonar readings: the calls for programs (docs/explanation/wall-pose.md).
 
 Angles are in radians, lengths in metres, everything in the frame that the sonars' positions are given in.
 A range of inf means no echo, NaN means not measured.
@@ -44,7 +44,8 @@ def incidence_limit(half_beam_rad: float, model: str, max_incidence_rad: float |
 
     Raises
     ------
-    UsageError  the model is unknown, or an angle is outside its bounds
+    UsageError
+        the model is unknown, or an angle is outside its bounds
     """
     if not 0.0 < half_beam_rad < 0.5 * math.pi:
         raise UsageError(f"half_beam_rad is {half_beam_rad}; expected an angle between 0 and π/2 rad")
@@ -137,15 +138,23 @@ def wall_pose(
 
     Parameters
     ----------
-    positions_m : (m, 2) array      the sonars
-    headings_rad : (m,) array       axes of their beams
-    ranges_m : (m,) array           readings; inf: no echo, NaN: not measured
-    half_beam_rad : float           α, half of the full spread (Polaroid: 11.25°)
+    positions_m : (m, 2) array
+        the sonars
+    headings_rad : (m,) array
+        axes of their beams
+    ranges_m : (m,) array
+        readings; inf: no echo, NaN: not measured
+    half_beam_rad : float
+        α, half of the full spread (Polaroid: 11.25°)
     model : {"specular", "diffuse"} echoes up to δ_max = α, or up to α + 90°
-    max_incidence_rad : float       δ_max itself, instead of a model
-    sigma_m : float or (m,) array   standard deviation of the ranges; 0: exact
-    max_range_m : float             silence beyond it says nothing
-    prior : WallPose                an earlier pose of this wall, in this frame (`WallPose.moved`)
+    max_incidence_rad : float
+        δ_max itself, instead of a model
+    sigma_m : float or (m,) array
+        standard deviation of the ranges; 0: exact
+    max_range_m : float
+        silence beyond it says nothing
+    prior : WallPose
+        an earlier pose of this wall, in this frame (`WallPose.moved`)
 
     Returns
     -------
@@ -162,11 +171,23 @@ def wall_pose(
 
     Raises
     ------
-    UsageError  shapes, units or the model are wrong, or the prior's covariance is not positive definite
+    UsageError
+        shapes, units or the model are wrong, or the prior's covariance is not positive definite
 
     Notes
     -----
-    Dekhil and Henderson, section 1 (two readings of one wall); closed forms in docs/sonar.md.
+    Dekhil and Henderson, section 1 (two readings of one wall); closed forms in docs/explanation/wall-pose.md.
+
+    Examples
+    --------
+    >>> import math
+    >>> import numpy as np
+    >>> from surffollow.sonar import wall_pose
+    >>> headings_rad = np.radians([0.0, 15.0])
+    >>> positions_m = 0.35 * np.column_stack([np.cos(headings_rad), np.sin(headings_rad)])
+    >>> found = wall_pose(positions_m, headings_rad, [0.8548, 0.851611], math.radians(11.25), sigma_m=1e-6)
+    >>> round(found[0].phi_rad, 3), round(found[0].distance_m, 3)
+    (0.166, 1.2)
     """
     ring = _checked(
         positions_m, headings_rad, ranges_m, half_beam_rad, model, max_incidence_rad, sigma_m, max_range_m
@@ -192,6 +213,18 @@ def optimal_pair(
     """The wall of the pair with the least L²·var φ + var d (L = 1 m) among all that agree with every reading.
 
     Parameters and errors as `wall_pose`, whose first result this is; None where no wall agrees.
+
+    Parameters
+    ----------
+    positions_m, headings_rad, ranges_m, half_beam_rad
+        as `wall_pose`
+    options : any
+        keywords of `wall_pose`
+
+    Returns
+    -------
+    WallPose or None
+        None where no wall agrees
     """
     found = wall_pose(positions_m, headings_rad, ranges_m, half_beam_rad, **options)
     return found[0] if found else None
@@ -215,6 +248,20 @@ def fused_pose(
     returned.
 
     Parameters and errors as `wall_pose`; `sigma_m` must be positive. None where no echo came.
+
+    Parameters
+    ----------
+    positions_m, headings_rad, ranges_m, half_beam_rad
+        as `wall_pose`
+    sigma_m : float or (m,) array
+        standard deviation of the ranges, above 0
+    model, max_incidence_rad, max_range_m
+        as `wall_pose`
+
+    Returns
+    -------
+    WallPose or None
+        None where no echo came
     """
     found = walls(
         positions_m,
@@ -249,13 +296,20 @@ def walls(
     All pairs are scored by inliers − 3·contradictions over all readings. The best one is refined with its
     inliers, its readings are set aside, and the next is looked for. Diffuse walls share out the readings once
     two are known. A wall with fewer than four echoes can be missed, or lie several of its standard deviations
-    away: its posterior is not Gaussian (docs/sonar.md).
+    away: its posterior is not Gaussian (docs/explanation/wall-pose.md).
 
     Parameters
     ----------
-    k : int              most walls to look for
-    min_sensors : int    1: a lone echo counts as a wall, too, with the covariance that its beam leaves
-    others               as `wall_pose`; `sigma_m` must be positive
+    positions_m, headings_rad, ranges_m, half_beam_rad
+        as `wall_pose`
+    k : int
+        most walls to look for
+    sigma_m : float or (m,) array
+        standard deviation of the ranges, above 0
+    model, max_incidence_rad, max_range_m
+        as `wall_pose`
+    min_sensors : int
+        1: a lone echo counts as a wall, too, with the covariance that its beam leaves
 
     Returns
     -------
@@ -263,7 +317,8 @@ def walls(
 
     Raises
     ------
-    UsageError  shapes, units or the model are wrong, or sigma_m is not positive
+    UsageError
+        shapes, units or the model are wrong, or sigma_m is not positive
     """
     ring = _checked(
         positions_m, headings_rad, ranges_m, half_beam_rad, model, max_incidence_rad, sigma_m, max_range_m

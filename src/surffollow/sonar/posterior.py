@@ -99,7 +99,8 @@ def beam_interval(
 
     Returns
     -------
-    float64, float64   low end and width; the width is negative for none
+    float64, float64
+        low end and width; the width is negative for none
     """
     low, high = -reach_rad, reach_rad
     for i in range(headings_rad.size):
@@ -128,15 +129,21 @@ def fuse(
 
     Parameters
     ----------
-    positions_m : (m, 2) float64   headings_rad, ranges_m, sigmas_m : (m,) float64, sigmas > 0
-    verdicts : (m,) int64          INLIER: reading of this wall
-    near_rad, reach_rad : float64  only normals within `reach_rad` of `near_rad` are looked at
-    points : (181, 4) float64      scratch: distance, information, log weight, possible
-    wall : (5,) float64            written: φ, d, var φ, covariance, var d
+    positions_m : (m, 2) float64
+        headings_rad, ranges_m, sigmas_m : (m,) float64, sigmas > 0
+    verdicts : (m,) int64
+        INLIER: reading of this wall
+    near_rad, reach_rad : float64
+        only normals within `reach_rad` of `near_rad` are looked at
+    points : (181, 4) float64
+        scratch: distance, information, log weight, possible
+    wall : (5,) float64
+        written: φ, d, var φ, covariance, var d
 
     Returns
     -------
-    bool   False when no normal agrees with all readings
+    bool
+        False when no normal agrees with all readings
     """
     low, width = beam_interval(headings_rad, verdicts, max_incidence_rad, near_rad, reach_rad)
     if width < 0.0:
@@ -218,11 +225,13 @@ def least_squares(
 
     Parameters
     ----------
-    wall : (5,) float64   start, and result with its covariance (AᵀWA)⁻¹; unchanged where the steps diverge
+    wall : (5,) float64
+        start, and result with its covariance (AᵀWA)⁻¹; unchanged where the steps diverge
 
     Returns
     -------
-    bool   whether the steps converged
+    bool
+        whether the steps converged
     """
     phi, distance = wall[PHI], wall[DISTANCE]
     for _ in range(MAX_ITERATIONS):

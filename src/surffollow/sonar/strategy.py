@@ -33,9 +33,12 @@ class Reading:
     Attributes
     ----------
     turn_rad, drive_m : float
-    sensors : tuple of int     sonars to fire
-    expected_known : float     walls that should be known afterwards
-    separates : bool           it tells competing hypotheses apart
+    sensors : tuple of int
+        sonars to fire
+    expected_known : float
+        walls that should be known afterwards
+    separates : bool
+        it tells competing hypotheses apart
     """
 
     turn_rad: float

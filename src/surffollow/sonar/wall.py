@@ -20,12 +20,18 @@ class WallPose:
 
     Attributes
     ----------
-    phi_rad : float                  direction of the normal, from the origin to the wall, in [−π, π)
-    distance_m : float               from the origin, > 0
-    covariance : (2, 2) ndarray      of (φ, d): rad², rad m, m²
-    sensors : tuple of int           indices of the readings that it was computed from
-    ambiguous : bool                 another wall explains the same readings as well
-    favoured : bool                  beams' axes and prior pose speak for no other wall (see `favour`)
+    phi_rad : float
+        direction of the normal, from the origin to the wall, in [−π, π)
+    distance_m : float
+        from the origin, > 0
+    covariance : (2, 2) ndarray
+        of (φ, d): rad², rad m, m²
+    sensors : tuple of int
+        indices of the readings that it was computed from
+    ambiguous : bool
+        another wall explains the same readings as well
+    favoured : bool
+        beams' axes and prior pose speak for no other wall (see `favour`)
     """
 
     phi_rad: float
@@ -46,7 +52,22 @@ class WallPose:
         return math.sqrt(self.covariance[1, 1])
 
     def moved(self, x_m: float, y_m: float, heading_rad: float) -> WallPose:
-        """The same wall in the frame of a pose (x, y, heading) that is given in this wall's frame."""
+        """The same wall in the frame of a pose (x, y, heading) that is given in this wall's frame.
+
+        Parameters
+        ----------
+        x_m : float [m]
+            place of the new frame
+        y_m : float [m]
+            place of the new frame
+        heading_rad : float [rad]
+            direction of the new frame's x axis
+
+        Returns
+        -------
+        WallPose
+            with its covariance turned
+        """
         n = np.array([math.cos(self.phi_rad), math.sin(self.phi_rad)])
         slope = x_m * n[1] - y_m * n[0]
         turn = np.array([[1.0, 0.0], [slope, 1.0]])
@@ -67,14 +88,18 @@ def favour(
 
     Parameters
     ----------
-    headings_rad : (m,) array   axes of the beams, by the walls' `sensors`
-    prior : WallPose or None    an earlier pose of the wall that is looked for, in the walls' frame
-    reproduces : callable       whether every reading is within its own noise of what a wall predicts: a vague
-                                solution of one pair agrees with anything
+    headings_rad : (m,) array
+        axes of the beams, by the walls' `sensors`
+    prior : WallPose or None
+        an earlier pose of the wall that is looked for, in the walls' frame
+    reproduces : callable
+        whether every reading is within its own noise of what a wall predicts: a vague
+        solution of one pair agrees with anything
 
     Raises
     ------
-    UsageError  the prior's covariance is not positive definite
+    UsageError
+        the prior's covariance is not positive definite
     """
 
     def is_before_its_sonars(wall: WallPose) -> bool:

@@ -1,4 +1,4 @@
-/* ---- a slot of the service, through its socket (docs/protocol.md, "Getting a slot") ----------- */
+/* ---- a slot of the service, through its socket (docs/reference/protocol.md, "Getting a slot") ----------- */
 
 /* Numbers that strict ISO C hides; the same on x86-64 and aarch64. */
 #define SF_I_SO_PEERCRED 17

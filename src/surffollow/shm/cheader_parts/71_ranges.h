@@ -1,4 +1,4 @@
-/* ---- ranges of an own sensor ([driver] kind = "external"; docs/protocol.md, "Pushed ranges") ----- */
+/* ---- ranges of an own sensor ([driver] kind = "external"; docs/reference/protocol.md, "Pushed ranges") ----- */
 
 /* What says that the sensor sees nothing, whatever -ffast-math thinks of it. */
 static inline double sf_no_reading(void) {

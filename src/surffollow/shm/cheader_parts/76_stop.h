@@ -3,7 +3,7 @@
 /*
  * Stop: from the next cycle on no demand is valid (SF_STOPPED), until the client that sends the pose calls
  * sf_stop_reset. Any client may ask; `reason` (may be NULL) is kept in the audit trail, its first 63 bytes.
- * What the controller does then stands in docs/protocol.md. This is no safety function.
+ * What the controller does then stands in docs/reference/protocol.md. This is no safety function.
  */
 static inline int sf_stop_now(sf_client *c);
 static inline int sf_stop(sf_client *c, const char *reason) {

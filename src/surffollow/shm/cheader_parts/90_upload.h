@@ -1,4 +1,4 @@
-/* ---- UpLoadMap: header and every grid to a text file (docs/map-file-format.md) --------------- */
+/* ---- UpLoadMap: header and every grid to a text file (docs/reference/map-file-format.md) --------------- */
 
 static inline uint32_t sf_i_crc32(uint32_t crc, const unsigned char *bytes, size_t n) {
   static const uint32_t nibble[16] = {0x00000000u, 0x1DB71064u, 0x3B6E20C8u, 0x26D930ACu, 0x76DC4190u, 0x6B6B51F4u,

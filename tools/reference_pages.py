@@ -1,0 +1,74 @@
+"""Pages of docs/reference that are generated as a whole: the command line and the C interface."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+
+from surffollow.cli.main import cli
+
+INCLUDE = Path(__file__).parents[1] / "src" / "surffollow" / "include"
+FUNCTION = re.compile(
+    r"(?:^/\*\n((?: \*.*\n)+?) \*/\n|^/\* ([^\n]*?) \*/\n)"
+    r"^static inline ([^{;]*?\b(sfa?_\w+)\([^{;]*?\))\s*[{;]",
+    re.MULTILINE,
+)
+
+
+def commands(group: click.Group, name: str) -> Iterator[tuple[str, click.Command]]:
+    """All commands below a group, with their full names."""
+    with click.Context(group, info_name=name) as ctx:
+        for word in group.list_commands(ctx):
+            command = group.get_command(ctx, word)
+            if command is None or command.hidden:
+                continue
+            yield f"{name} {word}", command
+            if isinstance(command, click.Group):
+                yield from commands(command, f"{name} {word}")
+
+
+def cli_page() -> str:
+    """`--help` of every command."""
+    text = """# Command line
+
+This page is for whoever types `surffollow`. It has the help text of every command.
+`python tools/write_docs.py` writes it from the program.
+
+Exit codes: 0 done, 1 fault, 2 wrong usage.
+"""
+    settings = {"terminal_width": 100, "max_content_width": 100}
+    for name, command in (("surffollow", cli), *commands(cli, "surffollow")):
+        with click.Context(command, info_name=name, **settings) as ctx:  # type: ignore[arg-type]
+            text += f"\n## {name}\n\n```text\n{command.get_help(ctx)}\n```\n"
+    return text
+
+
+def functions(header: str) -> Iterator[tuple[str, str, str]]:
+    """Public functions of a header: name, declaration, comment."""
+    seen = set()
+    for long, short, declaration, name in FUNCTION.findall((INCLUDE / header).read_text(encoding="utf-8")):
+        if name in seen or name.startswith(("sf_i_", "sfa_i_")):
+            continue
+        seen.add(name)
+        comment = "\n".join(line[3:] for line in long.splitlines()) if long else short
+        yield name, " ".join(declaration.split()), comment
+
+
+def c_page() -> str:
+    """Public functions of the C headers with their comments."""
+    text = """# C interface
+
+This page is for programmers of controllers in C and C++. It lists the functions of the two headers.
+`python tools/write_docs.py` writes it from the headers.
+
+`surffollow --includedir` prints the folder of the headers; there is nothing to link. Structures are in the
+[layout](layout.md), the order of calls is in the [tutorial](../tutorials/c-loop.md).
+"""
+    for header in ("surffollow.h", "surffollow_arbiter.h"):
+        text += f"\n## {header}\n"
+        for name, declaration, comment in functions(header):
+            text += f"\n### {name}\n\n```c\n{declaration};\n```\n\n```text\n{comment}\n```\n"
+    return text
