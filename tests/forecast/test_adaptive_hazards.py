@@ -23,6 +23,15 @@ from surffollow.contest.hazards import (
     true_range,
 )
 from surffollow.contest.hazards import make_ground as ground_of
+from surffollow.forecast.adaptive.beam_detection import BENT_GATE, is_bent
+from surffollow.forecast.adaptive.known_ground import (
+    CONTRADICTION_SAMPLES,
+    DROP_LENGTH_M,
+    compare_known_ground,
+    lowest_plan,
+)
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_follow import FollowState
 
 MS = 1_000_000
 BELOW_P_M = 5e-3
@@ -221,3 +230,48 @@ def test_the_range_of_a_tilted_beam_is_where_it_meets_the_ground():
             r = true_range(ground, False, 0.3, z, q, mount)
             end = np.array([0.3, 0.0, z]) + rotate(q, (*mount, 0.0)) + r * rotate(q, (0.0, 0.0, -1.0))
             assert end[2] == pytest.approx(ground.height_m(end[0], False), abs=2e-4)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_bent_beams_are_those_that_no_plane_fits(seed):
+    rng = np.random.default_rng(seed)
+    a = zeros(FollowState)[0]["adaptive"]
+    n, gate = int(rng.integers(4, 9)), 2e-3
+    x, y = rng.uniform(-0.04, 0.04, (2, n))
+    h = 0.3 * x - 0.2 * y + 10.0 ** rng.uniform(-4.0, -2.0) * rng.standard_normal(n)
+    accepted = np.ones(n, bool)
+    accepted[4:] = rng.random(n - 4) < 0.7
+    for c in range(n):
+        a["beams"]["footprint_m"][3 * c : 3 * c + 2] = x[c], y[c]
+        a["beams"]["height_m"][c], a["beams"]["accepted"][c] = h[c], accepted[c]
+    design = np.column_stack([np.ones(n), x, y])[accepted]
+    plane = np.linalg.lstsq(design, h[accepted], rcond=None)[0]
+    left = float(np.linalg.norm(h[accepted] - design @ plane))
+    assert is_bent(a, n, gate) == int(left > BENT_GATE * gate)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_known_ground_is_compared_as_its_naive_twin_does(seed):
+    rng = np.random.default_rng(seed)
+    a = zeros(FollowState)[0]["adaptive"]
+    a["noise"]["sigma_m"], a["sample"]["spacing_m"] = 1e-4, 4e-4
+    heights, run, drops = [], 0, 0.0
+    for k in range(300):
+        h = 5e-3 * float(rng.standard_normal() > 0.8) + 1e-4 * float(rng.standard_normal())
+        known = [
+            math.nan if rng.random() < 0.3 else h + 2e-3 * float(rng.standard_normal()) for _ in range(3)
+        ]
+        known[1] = h + 2e-3 * float(rng.standard_normal())
+        wrong = compare_known_ground(a, *known, h)
+        # the greatest of all heights so far, each faded toward those after it
+        fading = 4e-4 / DROP_LENGTH_M
+        peak = h if not heights else max(h, heights[-1] + fading * (h - heights[-1]))
+        heights.append(peak)
+        given = [v for v in known if v == v]
+        run = run + 1 if h > max(given) + 1.5e-3 else 0
+        assert wrong == int(run >= CONTRADICTION_SAMPLES), k
+        if wrong:
+            drops = 0.0
+        elif min(given) - 1.5e-3 < h < max(given) + 1.5e-3 and peak - h > 3e-3:
+            drops += fading * max(peak - h - drops, 0.0)
+        assert lowest_plan(a["known"], 1.0) == pytest.approx(1.0 - 3e-3 - drops, abs=1e-12)

@@ -92,8 +92,9 @@ def test_a_killed_and_restarted_service_gives_two_segments_of_the_same_bits(
         first.wait()
         stack.enter_context(service(name, tmp_path))
         run_robot(name, 30)
-        size = bytes_of(out)
-        until(lambda: bytes_of(out) > size)  # a chunk of the second service
+        for _ in range(2):  # the rest of the first service, and a chunk of the second
+            size = bytes_of(out)
+            until(lambda size=size: bytes_of(out) > size)
         recorder.send_signal(signal.SIGTERM)
         text, _ = recorder.communicate(timeout=DEADLINE_S)
     counts = json.loads(text)
