@@ -280,7 +280,7 @@ def play(follower: Any, s: Scenario) -> Outcome:
             tilt_target = tilt_report + np.array([float(demand[3]), float(demand[4])])
         axis_step(axis, target, PLANT.tau_s, PLANT.v_max_mps, PLANT.a_max_mps2, 1e-3)
         tilt += (tilt_target - tilt) * (1e-3 / PLANT.tau_s)
-    return Outcome(least, contact, contact_valid, most_tilt)
+    return Outcome(float(least), contact, contact_valid, most_tilt)
 
 
 def shrink(s: Scenario, harmful: Callable[[Scenario], bool]) -> Scenario:
