@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from click.testing import CliRunner
 
 import naive_scan as naive
 from surffollow.cli.scan import scan_group
-from surffollow.errors import ScanFileError, SurffollowError
+from surffollow.errors import ScanFileError, SurffollowError, UsageError
 from surffollow.map import HeightMap
 from surffollow.scan.camera import Camera, looking_down
 from surffollow.scan.cloud_files import read_cloud
@@ -190,3 +191,95 @@ def test_clouds_are_read_from_ply_and_las(tmp_path):
             with pytest.raises(ScanFileError):
                 read_cloud(bad)
     assert run("map", text, "--grid", "0.5", "-o", tmp_path / "m.npz").exit_code == 0
+
+
+@pytest.mark.parametrize("verb", ["map", "plan", "check", "calibrate", "compose", "run"])
+def test_a_pipe_is_refused_as_an_input(verb, tmp_path):
+    pipe = tmp_path / "pipe.npz"
+    os.mkfifo(pipe)
+    output = [] if verb in ("check", "run") else ["-o", tmp_path / "made.npz"]
+    more = {"plan": ["--gap", "5cm"], "check": [pipe], "run": ["--yes", "--wait", "0"]}.get(verb, [])
+    done = subprocess.run(
+        [sys.executable, "-m", "surffollow", "scan", verb, pipe, *more, *output],
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+        stdin=subprocess.DEVNULL,
+    )
+    assert done.returncode == 2
+    assert "is no plain file" in done.stderr
+
+
+def test_a_pipe_is_refused_as_the_map_of_a_station(tmp_path):
+    os.mkfifo(tmp_path / "pipe.npz")
+    (tmp_path / "stations.toml").write_text('[stations."pipe.npz"]\nx_m = 0.0\ny_m = 0.0\n')
+    done = subprocess.run(
+        [*(sys.executable, "-m", "surffollow", "scan", "compose", tmp_path / "stations.toml")]
+        + ["-o", tmp_path / "made.npz"],
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+    )
+    assert done.returncode == 1
+    assert "is no plain file" in done.stderr
+
+
+def test_no_command_writes_over_what_it_reads(survey, tmp_path):
+    ground, spots = tmp_path / "ground.npz", tmp_path / "spots.csv"
+    images = [survey / "view0.npz", survey / "view1.npz"]
+    cameras = ["--cameras", survey / "cameras.toml", "--grid", "1cm"]
+    assert run("map", *images, *cameras, "-o", ground).exit_code == 0
+    spots.write_text("x_m,y_m,correction_m\n0,0,0.01\n1,0,0.01\n0,1,0.01\n1,1,0.01\n")
+    stations = tmp_path / "stations.toml"
+    stations.write_text('[stations."ground.npz"]\nx_m = 0.0\ny_m = 0.0\n')
+    other = tmp_path / "other.npz"
+    other.symlink_to(ground)
+    plan = ["plan", ground, "--gap", "5cm", "--region=-0.1,-0.1,0.1,0.1"]
+    kept = [*images, survey / "cameras.toml", ground, spots, stations]
+    before = [f.read_bytes() for f in kept]
+    for words in (
+        ["map", *images, *cameras, "-o", images[1]],
+        ["map", *images, *cameras, "-o", survey / "cameras.toml"],
+        [*plan, "-o", ground],
+        [*plan, "-o", other],
+        ["calibrate", spots, "-o", spots],
+        ["compose", stations, "-o", ground],
+        ["compose", stations, "-o", stations],
+    ):
+        done = run(*words)
+        assert isinstance(done.exception, UsageError), (words, done.output)
+        assert "choose another name" in str(done.exception)
+    assert [f.read_bytes() for f in kept] == before
+
+
+def test_what_an_image_file_says_of_itself_counts(survey, tmp_path):
+    """Cameras of a stereo pair say `kind = "disparity"` for all; one image comes as depths."""
+    q = np.load(survey / "view0.npz")["disparity_px"]
+    np.savez(tmp_path / "view0.npz", depth_m=150.0 * 0.12 / q)
+    text = (survey / "cameras.toml").read_text()
+    (tmp_path / "cameras.toml").write_text(text.replace("[default]", '[default]\nkind = "disparity"'))
+    maps = []
+    for folder in (survey, tmp_path):
+        file = tmp_path / f"{folder.name}.npz"
+        done = run(
+            *("map", folder / "view0.npz", "--cameras", folder / "cameras.toml", "--filter", "none"),
+            *("--grid", "1cm", "-o", file),
+        )
+        assert done.exit_code == 0, done.output
+        maps.append(HeightMap.load(file))
+    np.testing.assert_allclose(maps[1].heights_m, maps[0].heights_m, atol=1e-9)
+    own = text.replace('[images."view0.npz"]', '[images."view0.npz"]\nkind = "disparity"')
+    (tmp_path / "cameras.toml").write_text(own)
+    done = run(
+        "map", tmp_path / "view0.npz", "--cameras", tmp_path / "cameras.toml", "-o", tmp_path / "x.npz"
+    )
+    assert isinstance(done.exception, ScanFileError)
+    assert "holds a depth image" in str(done.exception)
+
+
+def test_spots_in_millimetres_are_refused(tmp_path):
+    spots = tmp_path / "spots.csv"
+    spots.write_text("x_m,y_m,correction_m\n0,0,0.01\n1000,0,0.01\n0,1000,0.01\n1000,1000,0.02\n")
+    done = run("calibrate", spots, "-o", tmp_path / "arm.json")
+    assert isinstance(done.exception, SurffollowError)
+    assert "in metres?" in str(done.exception)

@@ -262,6 +262,101 @@ def test_the_checker_finds_missing_passes_and_speed_and_wrist_beyond_their_limit
         assert finding in failed(ground, file), finding
 
 
+def table_of(file):
+    """Lines before the table, its names, its rows."""
+    lines = file.read_text().splitlines()
+    head = next(k for k, line in enumerate(lines) if not line.startswith("#"))
+    return lines[:head], lines[head].split(","), [line.split(",") for line in lines[head + 1 :]]
+
+
+def write_table(file, facts, names, rows):
+    file.write_text("\n".join([*facts, ",".join(names), *(",".join(r) for r in rows)]) + "\n")
+
+
+def wall(n=120):
+    """Flat ground with a ridge of 15 cm across every lane."""
+    heights = np.zeros((n, n))
+    heights[:, 58:62] = 0.15
+    return TerrainGrid.of(heights, grid_m=GRID)
+
+
+def test_the_checker_follows_the_robot_between_rows(tmp_path):
+    ground = wall()
+    _, file = plan_of(tmp_path, ground, following="reactionary")
+    assert failed(ground, file) == set()
+    facts, names, rows = table_of(file)
+    x, number = names.index("x_m"), names.index("pass")
+    over = [abs(float(r[x]) - 0.6) < 0.17 and int(r[number]) == 1 for r in rows]
+    assert sum(over) > 10
+    # what is left are rows that are right, to both sides of the ridge: a robot goes straight through it
+    write_table(file, facts, names, [r for r, cut in zip(rows, over) if not cut])
+    found = failed(ground, file)
+    assert "between_rows" in found
+    assert "clearance" not in found
+    # and a path that leaves the rows of a pass out, unknown ground between them
+    ground.heights_m[50:70, 50:70] = np.nan
+    assert "unknown_beneath" in failed(ground, file)
+
+
+def test_rows_too_far_apart_to_be_judged_are_refused(tmp_path):
+    ground = ground_of(4, 120)
+    _, file = plan_of(tmp_path, ground)
+    damage(file, "x_m", lambda v: 1e9)
+    with pytest.raises(ScanFileError, match="too far apart"):
+        failed(ground, file)
+
+
+def test_a_clearance_that_is_not_told_and_heights_left_out_over_known_ground_are_found(tmp_path):
+    ground = ground_of(8, 120)
+    _, file = plan_of(tmp_path, ground)
+    facts, names, rows = table_of(file)
+    at = names.index("clearance_m")
+    write_table(file, facts, names, [[*r[:at], "nan", *r[at + 1 :]] for r in rows])
+    assert failed(ground, file) == {"clearance_column"}
+    row, z = len(rows) // 2, names.index("z_m")
+    rows[row][z], rows[row][-1] = "nan", str(UNKNOWN_BENEATH)
+    write_table(file, facts, names, rows)
+    assert failed(ground, file) >= {"height"}
+
+
+@pytest.mark.parametrize(
+    ("fact", "value"),
+    [
+        ("gap_m", "NaN"),
+        ("gap_m", "0"),
+        ("gap_m", "[1]"),
+        ("swath_m", "NaN"),
+        ("swath_m", "0"),
+        ("body_m", "[]"),
+        ("body_m", "[[NaN, 0, 0]]"),
+        ("wrist_rad", "[-1, 1, 1]"),
+        ("wrist_rad", "[-Infinity, Infinity, -Infinity, Infinity]"),
+        ("region_m", "[[NaN, 0], [1, 0], [1, 1]]"),
+        ("acceleration_mps2", "NaN"),
+        ("format", '"surffollow-scan-path-9"'),
+    ],
+)
+def test_the_checker_judges_by_no_fact_that_cannot_be(tmp_path, fact, value):
+    ground = ground_of(9, 120)
+    _, file = plan_of(tmp_path, ground)
+    facts, names, rows = table_of(file)
+    changed = [f"# {fact} = {value}" if x.startswith(f"# {fact} =") else x for x in facts]
+    write_table(file, changed, names, rows)
+    with pytest.raises(ScanFileError, match=fact.split("_")[0]):
+        failed(ground, file)
+    write_table(file, [x for x in facts if not x.startswith(f"# {fact} =")], names, rows)
+    with pytest.raises(ScanFileError, match=fact.split("_")[0]):
+        failed(ground, file)
+
+
+def test_a_tiny_swath_is_judged_in_bounded_memory(tmp_path):
+    ground = ground_of(9, 120)
+    _, file = plan_of(tmp_path, ground)
+    facts, names, rows = table_of(file)
+    write_table(file, ["# swath_m = 1e-9" if x.startswith("# swath_m =") else x for x in facts], names, rows)
+    assert "coverage" in failed(ground, file)
+
+
 def test_unknown_ground_is_flagged_and_its_silence_is_found(tmp_path):
     ground = ground_of(7, 120, steepest=0.5)
     ground.heights_m[55:75, 55:75] = np.nan
@@ -278,7 +373,11 @@ def test_unknown_ground_is_flagged_and_its_silence_is_found(tmp_path):
 def test_the_checker_imports_nothing_of_the_planner():
     code = "import sys, surffollow.scan.check; print(*[m for m in sys.modules if 'surffollow.scan' in m])"
     got = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert set(got.stdout.split()) == {"surffollow.scan", "surffollow.scan.check"}
+    assert set(got.stdout.split()) == {
+        "surffollow.scan",
+        "surffollow.scan.check",
+        "surffollow.scan.check_file",
+    }
 
 
 def test_a_plan_out_of_reach_is_flagged():

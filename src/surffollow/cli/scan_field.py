@@ -9,10 +9,7 @@ from typing import Any
 import click
 
 from surffollow.cli.map import LENGTH
-
-_OUT = click.Path(dir_okay=False)
-_EXISTING = click.Path(exists=True, dir_okay=False)
-_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+from surffollow.cli.scan_options import EXISTING, JSON, OUT, keep_inputs
 
 
 @click.command("demo")
@@ -28,10 +25,10 @@ _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON obj
     is_flag=True,
     help="Also each element switched off, and filter × correction × shaping; means over the seeds.",
 )
-@click.option("--picture", type=_OUT, help="Draw a PNG (extra `plot`).")
-@click.option("--report", type=_OUT, help="Write one HTML page with figures and picture (extra `plot`).")
-@click.option("--signal", type=_OUT, help="Write the signal map as a GeoTIFF (extra `geo`).")
-@_JSON
+@click.option("--picture", type=OUT, help="Draw a PNG (extra `plot`).")
+@click.option("--report", type=OUT, help="Write one HTML page with figures and picture (extra `plot`).")
+@click.option("--signal", type=OUT, help="Write the signal map as a GeoTIFF (extra `geo`).")
+@JSON
 def demo_command(
     seed: int,
     seeds: int,
@@ -47,11 +44,15 @@ def demo_command(
     Exit code 1: a bar of the demonstration is not met.
     """
     from surffollow.live.field_demo import demonstrate
+    from surffollow.map.atomic_file import check_place
 
     if picture or report:
         from surffollow.scan.pictures import check_picture
 
         check_picture(picture or "report.png")
+    for place in (picture, report, signal):
+        if place:
+            check_place(place)
 
     def tell(text: str, part: float) -> None:
         click.echo(f"surffollow: {text} ({100 * part:.0f} %)", err=True)
@@ -88,11 +89,9 @@ def demo_command(
 
 
 @click.command("calibrate")
-@click.argument("spots", type=_EXISTING)
-@click.option("-o", "--output", required=True, type=_OUT, help="Calibration file to write (.json).")
-@click.option(
-    "--map", "map_file", type=_EXISTING, help="Map of the touched ground; SPOTS then holds x, y, z."
-)
+@click.argument("spots", type=EXISTING)
+@click.option("-o", "--output", required=True, type=OUT, help="Calibration file to write (.json).")
+@click.option("--map", "map_file", type=EXISTING, help="Map of the touched ground; SPOTS then holds x, y, z.")
 @click.option("--grid", type=LENGTH, default="10cm", show_default=True, help="Distance of the matrix' nodes.")
 @click.option("--outside", type=click.Choice(["nearest", "unknown"]), default="nearest", show_default=True)
 @click.option(
@@ -102,7 +101,7 @@ def demo_command(
     show_default=True,
     help="Of the correction; auto: what left-out spots confirm.",
 )
-@_JSON
+@JSON
 def calibrate_command(
     spots: str, output: str, map_file: str | None, grid: float, outside: str, model: str, as_json: bool
 ) -> None:
@@ -118,6 +117,7 @@ def calibrate_command(
     from surffollow.scan.held_out import choose_matrix
     from surffollow.scan.spot_files import read_spots
 
+    keep_inputs(output, spots, map_file)
     chosen = choose_matrix(read_spots(spots, map_file), model=model, grid_m=grid, outside=outside)
     made = chosen.matrix
     made.save(output)

@@ -5,7 +5,16 @@ from __future__ import annotations
 import click
 
 from surffollow.cli.map import LENGTH, progress_bar
-from surffollow.cli.scan_options import EXISTING, JSON, OUT, PICTURE, REGION, check_picture, print_facts
+from surffollow.cli.scan_options import (
+    EXISTING,
+    JSON,
+    OUT,
+    PICTURE,
+    REGION,
+    check_picture,
+    keep_inputs,
+    print_facts,
+)
 from surffollow.errors import ScanInputError
 
 LEAST_CELLS = 3  # rows and columns of a map: fewer have no slope
@@ -58,6 +67,8 @@ def map_command(
 
     if picture:
         check_picture(picture)
+    for made in (output, picture):
+        keep_inputs(made, cameras, *depths)
     settings = SurveySettings(
         grid_m=grid,
         region=region,
@@ -108,11 +119,13 @@ def compose_command(
 
     Tells how far the maps differ where they overlap: a median that is not near 0 is an error of a pose.
     """
-    from surffollow.scan.stations import overlaps, read_stations
+    from surffollow.scan.stations import overlaps, read_stations, station_files
     from surffollow.scan.terrain import compose_stations
 
     if picture:
         check_picture(picture)
+    for made in (output, picture):
+        keep_inputs(made, stations, *station_files(stations))
     read = read_stations(stations)
     side = grid if grid is not None else min(s.ground.grid_m for s in read)
     parts = [(s.ground, s.common_from_station) for s in read]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -15,7 +16,42 @@ if TYPE_CHECKING:
     from surffollow.scan.grid import TerrainGrid
 
 OUT = click.Path(dir_okay=False)
-EXISTING = click.Path(exists=True, dir_okay=False)
+
+
+class PlainFile(click.Path):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
+    """A file to read; a pipe or a device, on which a reader waits for ever, is refused."""
+
+    def __init__(self) -> None:
+        super().__init__(exists=True, dir_okay=False)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path, or fail with what it is."""
+        path = super().convert(value, param, ctx)
+        if not os.path.isfile(path):
+            self.fail(f"'{value}' is there and is no plain file.", param, ctx)
+        return path
+
+
+EXISTING = PlainFile()
+
+
+def keep_inputs(output: str | None, *inputs: str | os.PathLike[str] | None) -> None:
+    """Refuse to write over what was read: a survey, a map, touched spots cannot be made again.
+
+    Raises
+    ------
+    UsageError
+        `output` is one of the inputs, by whatever name
+    """
+    for one in inputs:
+        if (
+            output
+            and one
+            and os.path.exists(output)
+            and os.path.exists(one)
+            and os.path.samefile(output, one)
+        ):
+            raise UsageError(f"{output} would be written over {one}, which is read; choose another name")
 
 
 class Quantity(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs

@@ -21,6 +21,7 @@ from surffollow.cli.scan_options import (
     Numbers,
     check_picture,
     ground_of,
+    keep_inputs,
     known_region,
     print_facts,
 )
@@ -92,6 +93,8 @@ def plan_command(
 
     if picture:
         check_picture(picture)
+    for made in (output, picture):
+        keep_inputs(made, map_file)
     ground = ground_of(map_file, live)
     if fill is not None:
         ground = fill_holes(ground, fill)

@@ -11,9 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surffollow.cli.scan_options import EXISTING, JSON, OUT, PICTURE, check_picture, ground_of, print_facts
+from surffollow.cli.scan_options import (
+    EXISTING,
+    JSON,
+    OUT,
+    PICTURE,
+    check_picture,
+    ground_of,
+    keep_inputs,
+    print_facts,
+)
 from surffollow.cli.values import SERVICE_NAME, Finite
-from surffollow.errors import ScanInputError, UsageError
+from surffollow.errors import NotRunningError, ScanInputError, UsageError
 
 if TYPE_CHECKING:
     from surffollow.scan.grid import TerrainGrid
@@ -84,6 +93,7 @@ def run_command(
     for place in (picture, report):
         if place:
             check_place(place)
+            keep_inputs(place, path, map_file, ground)
     planned = read_path(path)
     check_executable(planned)
     if way == "map" and map_file is None:
@@ -190,7 +200,7 @@ def _execute(
     wait_s: float,
 ) -> Any:
     from surffollow.cli.progress import tell
-    from surffollow.client import attach
+    from surffollow.client import Client, attach, observe
     from surffollow.live.scan_run import execute
     from surffollow.sim.robot_run import claim_priority
 
@@ -198,12 +208,19 @@ def _execute(
         if install is not None:
             client.map_install(install)
 
+    def attached() -> Client:
+        # an attachment waits seconds for a service that has ended, and the arm is not commanded meanwhile
+        with observe(name) as seen:
+            if not seen.alive():
+                raise NotRunningError(f"service '{name}' has ended or stands still")
+        return attach(name, label="scan run")
+
     claim_priority()
     with tell() as show:
         return execute(
             planned,
             name,
-            lambda: attach(name, label="scan run"),
+            attached,
             config,
             ground=mapped,
             prepare=prepare,

@@ -75,7 +75,7 @@ def inside_text(done: Executed) -> str:
         return "no readings: whether a control point came inside the gap is not known"
     later = s["inside_later_part"] or 0.0
     if s["inside_times"] == 0 and later == 0.0:
-        return f"no control point came more than {1e3 * INSIDE_M:.0f} mm inside the gap"
+        return f"by the readings no control point came more than {1e3 * INSIDE_M:.0f} mm inside the gap"
     least = "" if s["inside_least_m"] is None else f", at least {1e3 * s['inside_least_m']:.1f} mm away"
     return (
         f"a control point came more than {1e3 * INSIDE_M:.0f} mm inside the gap: noticed {s['inside_times']} "

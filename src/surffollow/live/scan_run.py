@@ -158,6 +158,8 @@ class _Run:
                 break
             if robot.config.way == "plan":
                 robot.go_by_plan()
+            elif robot.leaving and self.controller.service is None:
+                robot.hold()  # a retract needs no service, and to look for one takes time
             else:
                 self.controller.tick()
             self._watch_gap()

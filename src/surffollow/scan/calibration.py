@@ -20,6 +20,7 @@ from surffollow.scan.triangles import lay_triangles
 
 FORMAT = "surffollow-calibration-1"
 OUTSIDE = ("nearest", "unknown")
+MOST_NODES = 1_000_000  # more than any touched ground has; finding each takes time
 LARGEST_M = 1.0  # correction that can be; beyond it the unit is wrong
 
 
@@ -107,6 +108,11 @@ class CalibrationMatrix:
         box = region_of(region) if region is not None else (*points[:, :2].min(0), *points[:, :2].max(0))
         x0, y0 = np.floor(np.array(box[:2]) / g + 1e-9) * g
         cols, rows = (int(np.ceil((box[k + 2] - o) / g - 1e-9)) + 1 for k, o in enumerate((x0, y0)))
+        if rows * cols > MOST_NODES:
+            raise ScanInputError(
+                f"{box[2] - box[0]:g} × {box[3] - box[1]:g} m at nodes of {g:g} m are {rows * cols} nodes; "
+                f"at most {MOST_NODES}; are the spots in metres?"
+            )
         x, y = x0 + g * np.arange(cols), y0 + g * np.arange(rows)
         nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         values, inside = _interpolate(points, nodes)

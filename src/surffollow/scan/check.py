@@ -6,28 +6,24 @@ distances in its own way (a k-d tree over the known cell centres).
 
 from __future__ import annotations
 
-import csv
-import json
 import math
 import os
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from surffollow.errors import ScanFileError
+from surffollow.scan.check_file import Facts, Poses, between, read_rows
 
 GAP_SPARE_M = 1e-6  # digits of the file
 ANGLE_SPARE_RAD = 1e-6
+CHORD_RAD = 0.01  # angles, mixed linearly between rows, leave their limits by less
 MOTION_SPARE = 1.02
 UNKNOWN_BENEATH, OUT_OF_REACH, WRIST_LIMIT = 16, 64, 8
+CHORD_CELLS = 4.0  # length of a chord between rows whose sagitta is let pass: steps up flanks are that long
+MOST_ACROSS = 2000  # swath cells along a side of the region
 _CHUNK = 200_000
-COLUMNS = (
-    *("t_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "nx", "ny", "nz"),
-    *("azimuth_rad", "clearance_m", "lift_m", "pass", "flags"),
-)
 Array = NDArray[np.float64]
 
 
@@ -65,52 +61,36 @@ def check_path(
     ScanFileError
         the file cannot be read or lacks what is needed to judge it
     """
-    facts, at = _read(path)
-    try:
-        body = np.array(facts["body_m"], np.float64).reshape(-1, 3)
-        gap, limits = float(facts["gap_m"]), [float(v) for v in facts["wrist_rad"]]
-        swath, region = float(facts["swath_m"]), np.array(facts["region_m"], np.float64).reshape(-1, 2)
-        speed, acceleration = float(facts["speed_mps"]), float(facts["acceleration_mps2"])
-        climb = float(facts["vertical_mps"])
-    except (KeyError, TypeError, ValueError) as e:
-        what = f"lacks the fact {e}" if isinstance(e, KeyError) else f"has a fact of another type ({e})"
-        raise ScanFileError(f"{path} {what}, which a check needs; plan it again") from e
-    position = np.column_stack([at["x_m"], at["y_m"], at["z_m"]])
-    flags, passes = at["flags"].astype(np.int64), at["pass"].astype(np.int64)
-    planned: NDArray[np.bool_] = np.all(np.isfinite(position), axis=1)
-    axes = _rotations(np.column_stack([at[c] for c in ("qx", "qy", "qz", "qw")]))
+    facts, at, rows = read_rows(path)
+    axes = _rotations(rows.quaternion)
+    inner = between(path, rows, facts.body, grid_m)
+    every = Poses(
+        np.vstack([rows.position, inner.position]),
+        np.vstack([rows.quaternion, inner.quaternion]),
+        np.append(rows.azimuth, inner.azimuth),
+        np.append(rows.flags, inner.flags),
+        np.append(rows.passes, inner.passes),
+    )
     normal = np.column_stack([at["nx"], at["ny"], at["nz"]])
-    points = position[:, None, :] + (axes @ body.T).transpose(0, 2, 1)
+    place = (heights_m, origin_m, grid_m)
     return [
-        *_rows(at, axes, normal, planned, flags),
-        *_clearance(heights_m, origin_m, grid_m, points[planned], gap, at["clearance_m"][planned]),
-        _unknown(heights_m, origin_m, grid_m, points, gap, flags, planned),
-        _wrist(axes, at["azimuth_rad"], limits),
-        _reach(flags, passes),
-        *_motion(at["t_s"], position, speed, acceleration, climb),
-        _coverage(heights_m, origin_m, grid_m, position, passes, planned, swath, region),
+        *_rows(at, axes, normal, rows.planned, rows.flags),
+        _without_height(*place, rows, facts),
+        *_clearance(*place, _points(rows, facts), facts.gap, at["clearance_m"][rows.planned]),
+        _between(*place, inner, facts),
+        _unknown(*place, every, facts),
+        _wrist(axes, rows.azimuth, facts.wrist, _rotations(inner.quaternion), inner.azimuth),
+        _reach(rows.flags, rows.passes),
+        *_motion(at["t_s"], rows.position, facts.speed, facts.acceleration, facts.climb),
+        _coverage(*place, every, facts.swath, facts.region),
     ]
 
 
-def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, Array]]:
-    facts: dict[str, Any] = {}
-    try:
-        with open(path, encoding="ascii", newline="") as f:
-            lines = []
-            for line in f:
-                if line.startswith("#"):
-                    key, _, value = line[1:].partition("=")
-                    facts[key.strip()] = json.loads(value)
-                else:
-                    lines.append(line)
-        rows = list(csv.DictReader(lines))
-        columns = {name: np.array([float(r[name]) for r in rows]) for name in rows[0]}
-    except (OSError, ValueError, TypeError, IndexError, KeyError) as e:
-        raise ScanFileError(f"cannot read {path} as a path file: {e!r}") from e
-    missing = [name for name in COLUMNS if name not in columns]
-    if missing:
-        raise ScanFileError(f"{path} lacks the columns {', '.join(missing)}")
-    return facts, columns
+def _points(poses: Poses, facts: Facts) -> Array:
+    """(n, m, 3) control points of the poses that have a height."""
+    on = poses.planned
+    axes = _rotations(poses.quaternion[on])
+    return np.asarray(poses.position[on][:, None, :] + (axes @ facts.body.T).transpose(0, 2, 1), np.float64)
 
 
 def _rotations(q: Array) -> Array:
@@ -142,88 +122,126 @@ def _rows(
     ]
 
 
-def _clearance(
-    z: Array, origin: tuple[float, float], g: float, points: Array, gap: float, told: Array
-) -> list[Finding]:
+def _without_height(z: Array, origin: tuple[float, float], g: float, rows: Poses, facts: Facts) -> Finding:
+    """A row has no height only where ground is unknown as near as body and gap reach."""
+    xy = rows.position[~rows.planned][:, :2]
+    reach = float(np.linalg.norm(facts.body, axis=1).max()) + facts.gap + 2.0 * g
+    groundless = np.ones(len(xy), np.bool_)
+    given = np.isfinite(xy).all(axis=1)
+    if given.any():
+        near = cKDTree(_unknown_centres(z, origin, g)).query(xy[given], distance_upper_bound=reach)[0]
+        groundless[given] = np.isfinite(near) | _beside(z, origin, g, xy[given])
+    wrong = int(np.count_nonzero(~groundless | ~given))
+    return Finding("height", wrong == 0, f"{wrong} samples over known ground have no height", wrong)
+
+
+def _distances(z: Array, origin: tuple[float, float], g: float, flat: Array, gap: float) -> Array | None:
+    """Distance of points (n, 3) from the ground, negative below it; None: they lie beside the map."""
     row, col = np.nonzero(np.isfinite(z))
-    if len(row) == 0 or len(points) == 0:
-        return [Finding("clearance", False, "no known ground, or no sample with a height, to compare")]
-    n, m = points.shape[:2]
-    flat = points.reshape(-1, 3)
     # cells farther from the path than any clearance of interest only make the tree larger
     low, high = flat.min(axis=0) - 4 * gap, flat.max(axis=0) + 4 * gap
     x, y = origin[0] + (col + 0.5) * g, origin[1] + (row + 0.5) * g
     near = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
     if not near.any():
-        return [Finding("clearance", False, "the path lies beside the map")]
+        return None
     tree = cKDTree(np.column_stack([x, y, z[row, col]])[near])
-    distance = np.empty(n * m)
-    for k in range(0, n * m, _CHUNK):
+    distance = np.empty(len(flat))
+    for k in range(0, len(flat), _CHUNK):
         distance[k : k + _CHUNK] = tree.query(flat[k : k + _CHUNK])[0]
     # below the surface is nearer than the distance tells
     j = np.clip(((flat[:, 0] - origin[0]) / g).astype(np.int64), 0, z.shape[1] - 1)
     i = np.clip(((flat[:, 1] - origin[1]) / g).astype(np.int64), 0, z.shape[0] - 1)
     with np.errstate(invalid="ignore"):
-        distance = np.where(flat[:, 2] < z[i, j], -distance, distance)
+        return np.where(flat[:, 2] < z[i, j], -distance, distance)
+
+
+def _clearance(
+    z: Array, origin: tuple[float, float], g: float, points: Array, gap: float, told: Array
+) -> list[Finding]:
+    if not np.isfinite(z).any() or len(points) == 0:
+        return [Finding("clearance", False, "no known ground, or no sample with a height, to compare")]
+    if not np.isfinite(points).all():
+        return [Finding("clearance", False, "samples with a height have a quaternion that is none")]
+    n, m = points.shape[:2]
+    distance = _distances(z, origin, g, points.reshape(-1, 3), gap)
+    if distance is None:
+        return [Finding("clearance", False, "the path lies beside the map")]
     least = distance.reshape(n, m).min(axis=1)
     inside = int(np.count_nonzero(distance < gap - GAP_SPARE_M))
-    with np.errstate(invalid="ignore"):
-        off = np.abs(told - least)
-    worst = float(np.nanmax(off)) if np.isfinite(off).any() else 0.0
+    # the column has no number where no ground lies within three gaps
+    silent = ~np.isfinite(told)
+    missing = int(np.count_nonzero(silent & (least < 3.0 * gap - g)))
+    worst = float(np.abs(told - least)[~silent].max()) if not silent.all() else 0.0
     text = f"{inside} of {n * m} control points are inside the gap of {gap:g} m; the least distance is "
+    column = f"the column clearance_m is off by at most {worst:.2g} m, and missing in {missing} samples"
     return [
         Finding("clearance", inside == 0, f"{text}{least.min():.6g} m", float(least.min())),
-        Finding(
-            "clearance_column", worst < 1e-5, f"the column clearance_m is off by at most {worst:.2g} m", worst
-        ),
+        Finding("clearance_column", worst < 1e-5 and missing == 0, column, worst),
     ]
 
 
-def _unknown(
-    z: Array,
-    origin: tuple[float, float],
-    g: float,
-    points: Array,
-    gap: float,
-    flags: NDArray[np.int64],
-    planned: NDArray[np.bool_],
-) -> Finding:
-    """Samples with unknown ground within the gap of a control point must carry the flag."""
-    padded = np.pad(np.isfinite(z), 1)
-    row, col = np.nonzero(~padded)
-    centres = np.column_stack([origin[0] + (col - 0.5) * g, origin[1] + (row - 0.5) * g])
-    xy = points[planned][:, :, :2]
-    if len(xy) == 0:
-        return Finding("unknown_beneath", False, "no sample has a height")
-    distance = cKDTree(centres).query(xy.reshape(-1, 2), distance_upper_bound=gap)[0].reshape(xy.shape[:2])
+def _between(z: Array, origin: tuple[float, float], g: float, inner: Poses, facts: Facts) -> Finding:
+    """Between rows of a dense path a chord cuts into the gap by the sagitta of a few cells, not by more."""
+    points = _points(inner, facts)
+    distance = None
+    if np.isfinite(z).any() and len(points):
+        if not np.isfinite(points).all():
+            return Finding("between_rows", False, "the attitude between two rows is not defined")
+        distance = _distances(z, origin, g, points.reshape(-1, 3), facts.gap)
+    if distance is None:
+        return Finding("between_rows", True, "no pose between rows is more than a cell from them")
+    half = min(0.5 * CHORD_CELLS * g, facts.gap)
+    spare = facts.gap - math.sqrt(facts.gap**2 - half**2)
+    inside = int(np.count_nonzero(distance < facts.gap - spare))
+    text = f"{inside} control points of {len(points)} poses between rows are more than {1e3 * spare:.2g} mm "
+    text += f"inside the gap; the least distance is {distance.min():.6g} m"
+    return Finding("between_rows", inside == 0, text, float(distance.min()))
+
+
+def _unknown_centres(z: Array, origin: tuple[float, float], g: float) -> Array:
+    """Centres of unknown cells, and of those around the map."""
+    row, col = np.nonzero(~np.pad(np.isfinite(z), 1))
+    return np.column_stack([origin[0] + (col - 0.5) * g, origin[1] + (row - 0.5) * g])
+
+
+def _beside(z: Array, origin: tuple[float, float], g: float, xy: Array) -> NDArray[np.bool_]:
+    """Which places (…, 2) lie beside the map."""
     rows, cols = z.shape
-    beside = (
-        (xy[..., 0] < origin[0])
-        | (xy[..., 0] > origin[0] + cols * g)
-        | (xy[..., 1] < origin[1])
-        | (xy[..., 1] > origin[1] + rows * g)
-    )
+    u, v = (xy[..., 0] - origin[0]) / g, (xy[..., 1] - origin[1]) / g
+    return np.asarray((u < 0.0) | (u > cols) | (v < 0.0) | (v > rows))
+
+
+def _unknown(z: Array, origin: tuple[float, float], g: float, poses: Poses, facts: Facts) -> Finding:
+    """Samples with unknown ground within the gap of a control point must carry the flag."""
+    xy, flags = _points(poses, facts)[:, :, :2], poses.flags[poses.planned]
+    if len(xy) == 0 or not np.isfinite(xy).all():
+        return Finding("unknown_beneath", False, "no sample has a height, or a quaternion is none")
+    tree = cKDTree(_unknown_centres(z, origin, g))
+    distance = tree.query(xy.reshape(-1, 2), distance_upper_bound=facts.gap)[0].reshape(xy.shape[:2])
     # within a cell of the limit either answer is right: the flag is taken per cell
-    over = ((distance < gap - 1.5 * g) | beside).any(axis=1)
-    silent = int(np.count_nonzero(over & (flags[planned] & UNKNOWN_BENEATH == 0)))
-    total = int(np.count_nonzero(flags & UNKNOWN_BENEATH))
+    over = ((distance < facts.gap - 1.5 * g) | _beside(z, origin, g, xy)).any(axis=1)
+    silent = int(np.count_nonzero(over & (flags & UNKNOWN_BENEATH == 0)))
+    total = int(np.count_nonzero(poses.flags & UNKNOWN_BENEATH))
     text = f"{silent} samples over unknown ground are not flagged ({total} are)"
     return Finding("unknown_beneath", silent == 0, text, silent)
 
 
-def _wrist(axes: Array, azimuth: Array, limits: list[float]) -> Finding:
+def _wrist(axes: Array, azimuth: Array, limits: list[float], inner: Array, there: Array) -> Finding:
+    over = _beyond_wrist(axes, azimuth, limits)
+    chord = _beyond_wrist(inner, there, limits) if len(inner) else -math.inf
+    text = f"wrist angles exceed their limits by {max(over, 0.0):.3g} rad"
+    if not chord <= CHORD_RAD:
+        text += f", between rows by {chord:.3g} rad"
+    return Finding("wrist", over <= ANGLE_SPARE_RAD and chord <= CHORD_RAD, text, over)
+
+
+def _beyond_wrist(axes: Array, azimuth: Array, limits: list[float]) -> float:
+    """Most that pitch or roll is beyond its limits [rad]; NaN where one is not defined."""
     c, s = np.cos(azimuth), np.sin(azimuth)
     up = axes[:, :, 2]
     ahead, side = c * up[:, 0] + s * up[:, 1], c * up[:, 1] - s * up[:, 0]
     pitch, roll = np.arctan2(ahead, up[:, 2]), -np.arcsin(np.clip(side, -1.0, 1.0))
-    over = max(
-        float((limits[0] - pitch).max()),
-        float((pitch - limits[1]).max()),
-        float((limits[2] - roll).max()),
-        float((roll - limits[3]).max()),
-    )
-    ok = over <= ANGLE_SPARE_RAD
-    return Finding("wrist", ok, f"wrist angles exceed their limits by {max(over, 0.0):.3g} rad", over)
+    return float(np.max([limits[0] - pitch, pitch - limits[1], limits[2] - roll, roll - limits[3]]))
 
 
 def _reach(flags: NDArray[np.int64], passes: NDArray[np.int64]) -> Finding:
@@ -255,18 +273,11 @@ def _motion(t: Array, position: Array, speed: float, acceleration: float, climb:
 
 
 def _coverage(
-    z: Array,
-    origin: tuple[float, float],
-    g: float,
-    position: Array,
-    passes: NDArray[np.int64],
-    planned: NDArray[np.bool_],
-    swath: float,
-    region: Array,
+    z: Array, origin: tuple[float, float], g: float, poses: Poses, swath: float, region: Array
 ) -> Finding:
     """Swath cells of the region, a quarter swath wide, within half a swath of a pass with a height."""
-    side = 0.25 * swath
     low, high = region.min(axis=0), region.max(axis=0)
+    side = max(0.25 * swath, float((high - low).max()) / MOST_ACROSS)
     nx, ny = (max(1, math.ceil((high[k] - low[k]) / side)) for k in range(2))
     x, y = np.meshgrid(
         np.minimum(low[0] + (np.arange(nx) + 0.5) * side, high[0]),
@@ -274,14 +285,12 @@ def _coverage(
     )
     cells = np.column_stack([x.ravel(), y.ravel()])
     cells = cells[_within(region, cells)]
-    on = (passes >= 0) & planned
+    on = (poses.passes >= 0) & poses.planned
     if not on.any() or len(cells) == 0:
         return Finding("coverage", False, "no pass of the path has a height", 0.0)
-    xy = position[on, :2]
-    steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)[np.diff(passes[on]) == 0]
-    step = float(steps.max()) if len(steps) else 0.0
-    reach = math.hypot(0.5 * swath, 0.5 * min(step, swath)) + 1e-6
-    seen = cKDTree(xy).query(cells)[0] <= reach
+    # poses are at most a cell apart along a pass
+    reach = math.hypot(0.5 * swath, 0.5 * g) + 1e-6
+    seen = cKDTree(poses.position[on, :2]).query(cells)[0] <= reach
     col = ((cells[:, 0] - origin[0]) / g).astype(np.int64)
     row = ((cells[:, 1] - origin[1]) / g).astype(np.int64)
     inside = (col >= 0) & (row >= 0) & (col < z.shape[1]) & (row < z.shape[0])

@@ -71,14 +71,18 @@ def read_images(
 
 
 def _read(path: Path, table: dict[str, Any], cameras: Any) -> DepthImage:
-    values, kind = _npz(path) if path.suffix.lower() == ".npz" else _tiff(path)
+    own_kind = path.suffix.lower() == ".npz"
+    values, kind = _npz(path) if own_kind else _tiff(path)
     images = table.get("images", {})
     own = images.get(path.name)
     if own is None:
         where = f'[images."{path.name}"] in {cameras}' if cameras else "a TOML file (--cameras)"
         raise ScanFileError(f"{path} has no camera; give it in {where}")
     given = table.get("default", {}) | own
-    kind = str(given.get("kind", kind))
+    if not own_kind:
+        kind = str(given.get("kind", kind))
+    elif own.get("kind", kind) != kind:
+        raise ScanFileError(f"{path} holds a {kind} image; {cameras} says that it is of kind {own['kind']!r}")
     unknown = sorted(set(given) - set(CAMERA_KEYS) - {"kind"})
     if unknown:
         raise ScanFileError(

@@ -1,0 +1,183 @@
+"""The path file as the checker reads it: rows, facts, and the poses between rows. No code of the planner."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.errors import ScanFileError
+
+FORMAT = "surffollow-scan-path-1"
+COLUMNS = (
+    *("t_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "nx", "ny", "nz"),
+    *("azimuth_rad", "clearance_m", "lift_m", "pass", "flags"),
+)
+MOST_POINTS = 1000  # of a body, of a region: more than any planner writes
+MOST_BETWEEN = 1_000_000  # poses between rows: more take longer than anybody waits
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What the file says about itself; lengths in metres, angles in radians, SI units of motion."""
+
+    body: Array
+    region: Array
+    wrist: list[float]
+    gap: float
+    swath: float
+    speed: float
+    acceleration: float
+    climb: float
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Poses of the body: rows of the file, or those between them.
+
+    Attributes
+    ----------
+    position : (n, 3) float64 [m]
+    quaternion : (n, 4) float64        x, y, z, w; not normalised
+    azimuth : (n,) float64 [rad]
+    flags : (n,) int64
+    passes : (n,) int64                -1 on turns
+    """
+
+    position: Array
+    quaternion: Array
+    azimuth: Array
+    flags: NDArray[np.int64]
+    passes: NDArray[np.int64]
+
+    @property
+    def planned(self) -> Bools:
+        """(n,) bool, the poses that have a height."""
+        return np.asarray(np.isfinite(self.position).all(axis=1))
+
+
+def read_rows(path: str | os.PathLike[str]) -> tuple[Facts, dict[str, Array], Poses]:
+    """Facts, columns by name and poses of a path file.
+
+    Raises
+    ------
+    ScanFileError
+        the file cannot be read or lacks what is needed to judge it
+    """
+    found, at = _read(path)
+    whole = [np.isfinite(at[c]).all() and (at[c] == np.round(at[c])).all() for c in ("pass", "flags")]
+    if (
+        not all(whole)
+        or np.abs(at["pass"]).max() > 2**31
+        or not 0 <= at["flags"].min() <= at["flags"].max() < 2**32
+    ):
+        raise ScanFileError(f"{path} has a pass or flags that are no whole numbers")
+    poses = Poses(
+        np.column_stack([at["x_m"], at["y_m"], at["z_m"]]),
+        np.column_stack([at[c] for c in ("qx", "qy", "qz", "qw")]),
+        at["azimuth_rad"],
+        at["flags"].astype(np.int64),
+        at["pass"].astype(np.int64),
+    )
+    return _facts(path, found), at, poses
+
+
+def _facts(path: str | os.PathLike[str], found: dict[str, Any]) -> Facts:
+    def refuse(key: str, wanted: str) -> ScanFileError:
+        if key not in found:
+            return ScanFileError(f"{path} lacks the fact {key}, which a check needs; plan it again")
+        return ScanFileError(
+            f"{path}: the fact {key} is {str(found[key])[:80]}; expected {wanted}: plan it again"
+        )
+
+    def numbers(key: str, columns: int, rows: tuple[int, int]) -> Array:
+        try:
+            made = np.array(found[key], np.float64)
+        except (KeyError, TypeError, ValueError) as e:
+            raise refuse(key, f"rows of {columns} finite numbers") from e
+        made = made.reshape(1, -1) if made.ndim == 1 else made
+        good = made.ndim == 2 and made.shape[1] == columns and rows[0] <= len(made) <= rows[1]
+        if not good or not np.isfinite(made).all():
+            raise refuse(key, f"rows of {columns} finite numbers")
+        return made
+
+    def positive(key: str) -> float:
+        value = found.get(key)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value < math.inf:
+            raise refuse(key, "a finite number above 0")
+        return float(value)
+
+    if found.get("format") != FORMAT:
+        raise ScanFileError(f"{path} is no path file of this version; expected the format {FORMAT}")
+    return Facts(
+        numbers("body_m", 3, (1, MOST_POINTS)),
+        numbers("region_m", 2, (3, MOST_POINTS)),
+        numbers("wrist_rad", 4, (1, 1))[0].tolist(),
+        *(positive(k) for k in ("gap_m", "swath_m", "speed_mps", "acceleration_mps2", "vertical_mps")),
+    )
+
+
+def between(path: str | os.PathLike[str], rows: Poses, body: Array, step: float) -> Poses:
+    """Poses between rows as a robot interpolates them, where a control point moves farther than `step` [m].
+
+    Notes
+    -----
+    Position and quaternion change linearly from row to row. A pose is part of a pass when both rows are.
+    """
+    move = np.linalg.norm(np.diff(rows.position, axis=0), axis=1)
+    turn = np.linalg.norm(np.diff(rows.quaternion, axis=0), axis=1)
+    # a change dq of a unit quaternion turns by 2 |dq|
+    travel = move + 2.0 * turn * float(np.linalg.norm(body, axis=1).max())
+    travel = np.where(np.isfinite(travel), travel, 0.0)
+    parts = np.ceil(travel / step - 1e-9)
+    if parts.sum() - len(parts) > MOST_BETWEEN:
+        k = int(travel.argmax())
+        raise ScanFileError(
+            f"{path}: from row {k + 1} to row {k + 2} a control point moves by {travel[k]:g} m; the rows are "
+            "too far apart to be judged: plan it again"
+        )
+    inner = np.maximum(parts.astype(np.int64) - 1, 0)
+    first = np.repeat(np.arange(len(inner)), inner)
+    number = np.arange(len(first)) - np.repeat(np.cumsum(inner) - inner, inner) + 1
+    w = (number / parts[first])[:, None]
+
+    def mix(column: Array) -> Array:
+        return np.asarray(column[first] * (1.0 - w) + column[first + 1] * w, np.float64)
+
+    same = rows.passes[first] == rows.passes[first + 1]
+    return Poses(
+        mix(rows.position),
+        mix(rows.quaternion),
+        mix(rows.azimuth[:, None])[:, 0],
+        rows.flags[first] | rows.flags[first + 1],
+        np.where(same, rows.passes[first], -1),
+    )
+
+
+def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, Array]]:
+    facts: dict[str, Any] = {}
+    try:
+        with open(path, encoding="ascii", newline="") as f:
+            lines = []
+            for line in f:
+                if line.startswith("#"):
+                    key, _, value = line[1:].partition("=")
+                    facts[key.strip()] = json.loads(value)
+                else:
+                    lines.append(line)
+        rows = list(csv.DictReader(lines))
+        columns = {name: np.array([float(r[name]) for r in rows]) for name in rows[0]}
+    except (OSError, ValueError, TypeError, IndexError, KeyError) as e:
+        raise ScanFileError(f"cannot read {path} as a path file: {e!r}") from e
+    missing = [name for name in COLUMNS if name not in columns]
+    if missing:
+        raise ScanFileError(f"{path} lacks the columns {', '.join(missing)}")
+    return facts, columns
