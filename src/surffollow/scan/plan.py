@@ -27,6 +27,7 @@ from surffollow.scan.timing import MotionLimits, timed
 
 SCHEMES = ("lanes", "arcs")
 FOLLOWING = ("atf", "reactionary")
+STEEPEST = 4.0  # slope of a path from row to row: a steeper chord would cut a step's edge
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,8 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
 
     def laid(planar: ScanPath) -> ScanPath:
         made = sample_terrain(planar, envelope, span_m=span)
-        return clear_ground(_followed(made, body, envelope, settings), body, local, gap)
+        made = clear_ground(_followed(made, body, envelope, settings), body, local, gap)
+        return _ramped(made, body, local, gap, step)
 
     path = timed(laid(_scheme(settings, swath, step)), settings.motion)
     shaper = settings.shaper
@@ -151,6 +153,15 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
     if base is not None:
         facts["base_m"] = [float(v) for v in base]
     return path.changed(facts=facts)
+
+
+def _ramped(path: ScanPath, body: Floats, ground: TerrainGrid, gap: float, step_m: float) -> ScanPath:
+    """A path that climbs a vertical step over several rows: between two rows a robot goes straight."""
+    rows = np.arange(len(path), dtype=np.float64)
+    made = limited_climb(path.changed(t_s=rows), STEEPEST * step_m)
+    if np.array_equal(made.position_m[:, 2], path.position_m[:, 2], equal_nan=True):
+        return path
+    return clear_ground(made.changed(t_s=path.t_s), body, ground, gap)
 
 
 def _around(ground: TerrainGrid, corners: Floats, margin_m: float) -> TerrainGrid:
