@@ -144,6 +144,14 @@ class Ground:
         i = int(f)
         return float(heights[i] + (f - i) * (heights[i + 1] - heights[i]))
 
+    def distance_m(self, x_m: float, z_m: float, later: bool) -> float:
+        """Distance of a point above the ground from its nearest point; negative below it."""
+        heights = self.later_m if later else self.first_m
+        reach, i = int(MARGIN_M / STEP_M), round((x_m - self.x0_m) / STEP_M)
+        k = np.arange(max(i - reach, 0), min(i + reach, len(heights)))
+        nearest = float(np.hypot(self.x0_m + STEP_M * k - x_m, heights[k] - z_m).min())
+        return math.copysign(nearest, z_m - self.height_m(x_m, later))
+
 
 def make_ground(s: Scenario) -> Ground:
     """Make the ground of a scenario."""
@@ -233,7 +241,9 @@ def play(follower: Any, s: Scenario) -> Outcome:
     for ms in range(int(SECONDS * 1e3) * kind.passes):
         t, later = ms * 1e-3, ms * 1e-3 >= turn_s
         x = s.speed_mps * (t if not later else 2.0 * turn_s - t)
-        clearance = axis[0] - ground.height_m(x, later)
+        height = axis[0] - ground.height_m(x, later)
+        # a tool that turns to the normal keeps its distance from the nearest ground
+        clearance = ground.distance_m(x, axis[0], later) if n > 2 else height
         wrong = begin_s <= t < begin_s + s.length_s
         if ms > 200 and (kind.passes == 1 or later):
             least = min(least, clearance)
@@ -270,7 +280,7 @@ def play(follower: Any, s: Scenario) -> Outcome:
             tilt_target = tilt_report + np.array([float(demand[3]), float(demand[4])])
         axis_step(axis, target, PLANT.tau_s, PLANT.v_max_mps, PLANT.a_max_mps2, 1e-3)
         tilt += (tilt_target - tilt) * (1e-3 / PLANT.tau_s)
-    return Outcome(least, contact, contact_valid, most_tilt)
+    return Outcome(float(least), contact, contact_valid, most_tilt)
 
 
 def shrink(s: Scenario, harmful: Callable[[Scenario], bool]) -> Scenario:

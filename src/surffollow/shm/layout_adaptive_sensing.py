@@ -120,6 +120,7 @@ class Beams(Schema):
     range_m = F64(BEAMS, unit="m", doc="range of that")
     changed_ns = I64(BEAMS, unit="ns", doc="since when the range has been the same")
     accepted = I64(BEAMS, doc="1: in the plane fit")
+    deviation = F64(BEAMS, doc="height above the median, in gates")
     deviations = I64(BEAMS, doc="samples outside the gate minus those inside since")
     weight = F64(BEAMS, doc="weight in the plane fit")
     height_m = F64(BEAMS, unit="m", doc="height under the tool by each beam")

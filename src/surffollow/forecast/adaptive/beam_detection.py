@@ -20,6 +20,7 @@ STUCK_NS = 100_000_000  # a range unchanged for so long while the others change 
 GATE_SIGMAS, MIN_GATE_M = 8.0, 2e-3  # in standard deviations of a reading; least width of the gate
 CONFIRMATION_SAMPLES = 5  # after so many outside the gate the ground has turned
 BENT_GATE = 0.5  # root of the squared residuals of a plane, in gates: the beams lie on no plane
+GRADUAL = 0.5  # deviation of the sample before, in gates: the beam sees ground that rises
 WEIGHT_RECOVERY = 0.1  # per sample, of a beam that is accepted again
 MIN_WEIGHT = 0.05  # of a beam accepted outside the gate
 
@@ -200,7 +201,11 @@ def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any
     for c in range(n_channels):
         if beams.accepted[c] == 0:
             continue
-        deviation = abs(beams.height_m[c] - median) / gate
+        signed = (beams.height_m[c] - median) / gate
+        # ground that rises under one beam leaves the gate gradually, a fault at once
+        rises = signed > 1.0 and beams.deviation[c] > GRADUAL and beams.deviations[c] == 0
+        beams.deviation[c] = signed
+        deviation = 0.0 if rises else abs(signed)
         deviates = deviation > 1.0 and n >= 2 and plane.count > 0
         beams.deviations[c] = min(
             max(beams.deviations[c] + (1 if deviates else -1), 0), 2 * CONFIRMATION_SAMPLES
