@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -44,6 +45,7 @@ def house() -> Iterator[House]:
     made.set_state(lb.STATE_INITIALISING)
     yield made
     made.leave()
+    Path(f"/dev/shm/{NAME}.map").unlink()  # which a service's end keeps
 
 
 @pytest.fixture
