@@ -288,7 +288,7 @@ def _draw_states(ax: Any, story: Story) -> None:
 
 def _draw_latency(ax: Any, story: Story, service: dict[str, Any] | None) -> None:
     """Shares of durations, in bins of a tenth of a decade, so that all kinds compare."""
-    from matplotlib.ticker import EngFormatter
+    from matplotlib.ticker import EngFormatter, LogLocator
 
     o = story.rows["output"]
     delay = story.rows["pose_delay_ns"]
@@ -310,6 +310,7 @@ def _draw_latency(ax: Any, story: Story, service: dict[str, Any] | None) -> None
             text = f"{label}: median {format_ns(median)}"
             ax.stairs(share, edges * 1e-9, fill=True, alpha=0.6, color=color, label=text)
     ax.set(xscale="log", xlabel="age or duration", ylabel="share [%]")
+    ax.xaxis.set_major_locator(LogLocator(numticks=6))  # from ns to s there is no room for every decade
     ax.xaxis.set_major_formatter(EngFormatter(unit="s"))
     ax.tick_params(axis="x", which="minor", bottom=False)
     ax.set_title("Latencies")
