@@ -1,9 +1,9 @@
 """Write the generated parts of the documentation from what the program declares; `--check` only compares.
 
-docs/reference/parameters.md   the table of parameters
-docs/reference/arbiter.md      the arbiter's state diagram and its table
-docs/reference/cli.md          the page
-docs/reference/c-api.md        the page
+docs/reference/parameters.md       the table of parameters
+docs/reference/arbiter-states.md   the arbiter's state diagram and its table
+docs/reference/cli.md              the page
+docs/reference/c-api.md            the page
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def parameters() -> str:
 # page, mark, what stands between <!-- MARK: written by tools/write_docs.py --> and <!-- end of MARK -->
 PARTS: tuple[tuple[str, str, Callable[[], str]], ...] = (
     ("parameters.md", "parameters", parameters),
-    ("arbiter.md", "state diagram", state_diagram),
-    ("arbiter.md", "transitions", transition_table),
+    ("arbiter-states.md", "state diagram", state_diagram),
+    ("arbiter-states.md", "transitions", transition_table),
 )
 PAGES: tuple[tuple[str, Callable[[], str]], ...] = (("cli.md", cli_page), ("c-api.md", c_page))
 
