@@ -14,14 +14,9 @@ from surffollow.errors import (
     LayoutMismatchError,
     NotReadyError,
 )
+from surffollow.shm.board_regions import layout_hash
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
-from surffollow.shm.layout_board import (
-    BOARD_MAGIC,
-    LAYOUT_VERSION,
-    STATE_READY,
-    BoardHeader,
-    layout_hash,
-)
+from surffollow.shm.layout_board import BOARD_MAGIC, LAYOUT_VERSION, STATE_READY, BoardHeader
 from surffollow.shm.objects import SharedObject
 from surffollow.shm.process import is_running
 from surffollow.shm.schema import Schema
