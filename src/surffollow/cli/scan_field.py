@@ -46,8 +46,14 @@ def demo_command(
 
     Exit code 1: a bar of the demonstration is not met.
     """
+    from surffollow.cli.outputs import check_outputs
     from surffollow.live.field_demo import demonstrate
 
+    check_outputs((picture, report, signal))
+    if signal:
+        from surffollow.scan.signals import check_geotiff
+
+        check_geotiff()
     if picture or report:
         from surffollow.scan.pictures import check_picture
 
@@ -115,9 +121,11 @@ def calibrate_command(
 
     import numpy as np
 
+    from surffollow.cli.outputs import check_outputs
     from surffollow.scan.held_out import choose_matrix
     from surffollow.scan.spot_files import read_spots
 
+    check_outputs((output,), (spots, map_file))
     chosen = choose_matrix(read_spots(spots, map_file), model=model, grid_m=grid, outside=outside)
     made = chosen.matrix
     made.save(output)

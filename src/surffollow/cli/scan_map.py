@@ -109,12 +109,16 @@ def compose_command(
 
     Tells how far the maps differ where they overlap: a median that is not near 0 is an error of a pose.
     """
+    from pathlib import Path
+
+    from surffollow.cli.outputs import check_outputs
     from surffollow.scan.stations import overlaps, read_stations
     from surffollow.scan.terrain import compose_stations
 
     if picture:
         check_picture(picture)
     read = read_stations(stations)
+    check_outputs((output, picture), (stations, *(Path(stations).parent / s.name for s in read)))
     side = grid if grid is not None else min(s.ground.grid_m for s in read)
     parts = [(s.ground, s.common_from_station) for s in read]
     ground = compose_stations(parts, side, region=region, fill_m=fill if fill is not None else 10.0 * side)

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from surffollow.errors import ScanFileError, ScanInputError
 from surffollow.map.atomic_file import replacing
-from surffollow.scan.checks import Floats, positive, real_array, region_of
+from surffollow.scan.checks import Floats, plain_file, positive, real_array, region_of
 from surffollow.scan.path import ScanPath
 from surffollow.scan.terrain import delaunay
 from surffollow.scan.triangles import lay_triangles
@@ -21,6 +21,7 @@ from surffollow.scan.triangles import lay_triangles
 FORMAT = "surffollow-calibration-1"
 OUTSIDE = ("nearest", "unknown")
 LARGEST_M = 1.0  # correction that can be; beyond it the unit is wrong
+MOST_NODES = 1_000_000  # 100 × 100 m at 0.1 m
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,8 @@ class CalibrationMatrix:
         Raises
         ------
         ScanInputError
-            fewer than 3 spots or all on a line, not finite, corrections above 1 m, or no such policy
+            fewer than 3 spots or all on a line, not finite, corrections above 1 m, no such policy, or more
+            than 1e6 nodes
 
         Notes
         -----
@@ -107,6 +109,11 @@ class CalibrationMatrix:
         box = region_of(region) if region is not None else (*points[:, :2].min(0), *points[:, :2].max(0))
         x0, y0 = np.floor(np.array(box[:2]) / g + 1e-9) * g
         cols, rows = (int(np.ceil((box[k + 2] - o) / g - 1e-9)) + 1 for k, o in enumerate((x0, y0)))
+        if rows * cols > MOST_NODES:
+            raise ScanInputError(
+                f"{box[2] - box[0]:g} × {box[3] - box[1]:g} m with nodes every {g:g} m are {rows * cols} "
+                f"nodes; at most {MOST_NODES}; are spots and grid in metres?"
+            )
         x, y = x0 + g * np.arange(cols), y0 + g * np.arange(rows)
         nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         values, inside = _interpolate(points, nodes)
@@ -208,6 +215,7 @@ class CalibrationMatrix:
         ------
         ScanFileError
         """
+        plain_file(path)
         try:
             with open(path, encoding="ascii") as f:
                 facts = json.load(f)

@@ -13,7 +13,7 @@ import numpy as np
 
 from surffollow.errors import MapFileError, ScanFileError, ScanInputError
 from surffollow.scan.camera import rigid_transform
-from surffollow.scan.checks import Floats
+from surffollow.scan.checks import Floats, plain_file
 from surffollow.scan.grid import MEASURED, TerrainGrid
 from surffollow.scan.surface_lookup import sample_surface
 
@@ -52,6 +52,7 @@ def read_stations(path: str | os.PathLike[str]) -> list[Station]:
 
     from surffollow.map import HeightMap
 
+    plain_file(path)
     try:
         table: dict[str, Any] = msgspec.toml.decode(Path(path).read_bytes())
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as e:
@@ -62,6 +63,7 @@ def read_stations(path: str | os.PathLike[str]) -> list[Station]:
     made = []
     for name, pose in told.items():
         matrix = _pose(str(path), name, pose)
+        plain_file(Path(path).parent / name)
         try:
             ground = TerrainGrid.from_map(HeightMap.load(Path(path).parent / name))
         except (MapFileError, OSError) as e:
