@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from surffollow.shm import board_regions
 from surffollow.shm import layout_board as lb
 from surffollow.shm import map_layout as ml
 from surffollow.shm.cheader import SCHEMAS, c_name
@@ -44,9 +45,9 @@ def objects_table() -> Iterator[str]:
     yield "Board (offsets are in its region table; these are those of the default `log_words` = 2^20):\n"
     yield "| offset | bytes | part | holds |\n| ---: | ---: | --- | --- |"
     yield f"| 0 | {lb.BoardHeader.SIZE} | header | `{c_name(lb.BoardHeader)}` |"
-    schemas = {name: schema for name, schema, _ in lb.BOARD_PARTS}
-    shapes = {name: part_shape(schema, bytes_) for name, schema, bytes_ in lb.BOARD_PARTS}
-    for name, (offset, size) in lb.board_regions(1 << 20).items():
+    schemas = {name: schema for name, schema, _ in board_regions.BOARD_PARTS}
+    shapes = {name: part_shape(schema, bytes_) for name, schema, bytes_ in board_regions.BOARD_PARTS}
+    for name, (offset, size) in board_regions.board_regions(1 << 20).items():
         kind, count = shapes[name]
         n = f"{count} {kind}es" if count > 1 else kind
         words = ", then the log's words" if name == "log" else ""

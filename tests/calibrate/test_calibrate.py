@@ -55,7 +55,8 @@ def test_fewer_pairs_and_more_noise_are_worse_as_the_residuals_say() -> None:
         ([1.0, 2.0, 3.0, 4.0], [0.1, 0.3, 0.2, 0.4], "not monotone: 2 → 0.3 m and 3 → 0.2 m"),
         ([1.0, 2.0, 3.0, 4.0], [0.1, 0.2, 0.2, 0.4], "not monotone: 2 → 0.2 m and 3 → 0.2 m"),
         ([1.0, 2.0, 3.0, 4.0], [0.4, 0.2, 0.2, 0.1], "not monotone: 2 → 0.2 m and 3 → 0.2 m"),
-        ([1.0, 2.0, math.nan, 4.0], [0.1, 0.2, 0.3, 0.4], "finite"),
+        ([1.0, 2.0, math.nan, 4.0], [0.1, 0.2, 0.3, 0.4], "finite.*pair 3"),
+        ([1.0, 2.0, 3.0, 4.0], [-0.1, -0.2, -0.3, -0.4], "pair 4 has the distance -0.4 m"),
     ],
 )
 def test_pairs_that_make_no_table_are_refused(indicated: list, true: list, says: str) -> None:
@@ -80,6 +81,23 @@ def test_a_move_that_cannot_tell_the_latency_is_refused() -> None:
         fit_latency(t, np.full_like(t, 0.1), t, still)
     with pytest.raises(ConfigError, match="at least 30"):
         fit_latency(t[:60], t[:60], t[:60], t[:60])
+    with pytest.raises(ConfigError, match="row 500 to the next; sort"):
+        fit_latency(np.append(t, 1.0), np.append(t, 0.1), t, still)
+
+
+def test_a_move_with_heights_downward_or_that_repeats_itself_is_refused() -> None:
+    t = np.arange(0.0, 8.0, 0.01)
+
+    def z(at: np.ndarray, hz: float = 1.0) -> np.ndarray:
+        return 0.1 + 0.01 * np.sin(2 * np.pi * hz * at)
+
+    noise = np.random.default_rng(3).normal(0.0, 1e-4, len(t))
+    assert abs(fit_latency(t, z(t), t, z(t - 0.03) + noise).latency_s - 0.03) < 1e-3
+    assert abs(fit_latency(t, z(t, 1.7), t, z(t - 0.03, 1.7) + noise).latency_s - 0.03) < 1e-3
+    with pytest.raises(ConfigError, match="z_m must be upward"):  # else: 0.53 s later, upward
+        fit_latency(t, z(t, 1.2), t, 0.2 - z(t - 0.03, 1.2) + noise)
+    with pytest.raises(ConfigError, match=r"delays of .* fit alike"):
+        fit_latency(t, z(t, 4.0), t, z(t - 0.03, 4.0) + noise)
 
 
 def over_a_plate(tilt_x: float, tilt_y: float, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -98,6 +116,21 @@ def over_a_plate(tilt_x: float, tilt_y: float, n: int) -> tuple[np.ndarray, np.n
 def test_moves_that_cannot_tell_the_mount_are_refused(tilt_x: float, tilt_y: float) -> None:
     with pytest.raises(ConfigError, match="cannot tell"):
         fit_mount(*over_a_plate(tilt_x, tilt_y, 200))
+
+
+@pytest.mark.parametrize("norm", [0.0, 0.5, 1.1])
+def test_a_quaternion_that_is_none_is_told_with_its_move(norm: float) -> None:
+    poses, seen = over_a_plate(0.4, 0.4, 40)
+    poses[6, 3:] *= norm
+    with pytest.raises(ConfigError, match="move 7: the quaternion"):
+        fit_mount(poses, seen)
+
+
+def test_stray_readings_are_told_where_they_spoil_the_mount() -> None:
+    poses, seen = over_a_plate(0.4, 0.4, 40)
+    seen[11] += 0.2
+    with pytest.raises(ConfigError, match=r"stray readings: .* move 12 is .* off"):
+        fit_mount(poses, seen)
 
 
 def test_moves_that_tell_the_mount_badly_are_refused_with_what_is_uncertain_by_how_much() -> None:

@@ -42,6 +42,7 @@ def test_numbers_out_of_bounds_are_refused_and_others_taken() -> None:
 
 def test_help_of_every_verb_names_what_an_option_takes() -> None:
     assert "--timeout NUMBER" in CliRunner().invoke(cli, ["stop", "--help"]).output
+    assert "<=None" not in CliRunner().invoke(cli, ["replay", "--help"]).output
 
 
 def test_a_terminal_that_knows_ascii_only_gets_question_marks() -> None:

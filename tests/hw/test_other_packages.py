@@ -36,6 +36,12 @@ def make(settings, name):
 
 def nonsense(settings, name):
     return object()
+
+def fails(settings, name):
+    raise OSError("no laser on this bus")
+
+def exits(settings, name):
+    raise SystemExit(3)
 """
 
 
@@ -79,12 +85,16 @@ def test_an_entry_point_that_is_broken_or_unknown_is_told(
 
 def test_a_factory_by_name_that_is_none_is_told(installed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(installed))
+    (installed / "brokenlaser.py").write_text("raise RuntimeError('no licence')\n")
     made = make_driver({"kind": "otherlaser:make", "range_m": 0.1, "faults": [{"kind": "stuck"}]}, "x")
     assert made.info.range_max_m == 0.2
     for kind, says in {
         "no_such_module:make": "cannot be loaded: No module",
         "otherlaser:nothing": "cannot be loaded",
         "otherlaser:__doc__": "must be callable",
+        "otherlaser:fails": "'otherlaser:fails' could not be made: OSError: no laser on this bus",
+        "otherlaser:exits": "could not be made: SystemExit: 3",
+        "brokenlaser:make": "'brokenlaser:make' cannot be loaded: no licence",
         "otherlaser:nonsense": "made a object, which lacks one of info, start, stop, faults",
     }.items():
         with pytest.raises(ConfigError, match=says):

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from surffollow.cli.convert import convert_command, recover_command
 from surffollow.cli.plot import plot_command
 from surffollow.cli.replay import replay_command
-from surffollow.errors import UsageError
+from surffollow.errors import MapFileError, UsageError
 from surffollow.map import HeightMap
-from surffollow.record.figure import outliers, spans
+from surffollow.record.figure import new_figure, outliers, save_figure, spans
 from surffollow.record.plot_recording import forecast_errors, log_histogram, read_story
 
 BEGINNINGS = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
@@ -107,6 +110,49 @@ def test_replay_writes_tables_and_figures_and_nothing_in_disguise(
     refused = replay(recording, "--out", tmp_path / "x.doc")
     assert isinstance(refused.exception, UsageError)
     assert not (tmp_path / "x.doc").exists()
+
+
+def test_no_command_writes_over_what_it_reads(recording: Path, log: Path, tmp_path: Path) -> None:
+    columns = str(tmp_path / "columns.toml")
+    other = tmp_path / "other.csv"
+    other.symlink_to(log)
+    before = recording.read_bytes(), log.read_bytes()
+    for command, words in (
+        (replay_command, (log, "--columns", columns, "--out", log)),
+        (replay_command, (log, "--columns", columns, "--out", other)),
+        (replay_command, (log, "--columns", columns, "--map", log)),
+        (convert_command, (recording, "--to", "foxglove", "--force", "--out", recording)),
+        (recover_command, (recording, "--force", "--out", recording)),
+    ):
+        refused = CliRunner().invoke(command, [str(w) for w in words])
+        assert isinstance(refused.exception, UsageError), (words, refused.exception)
+        assert "is read; choose another name" in str(refused.exception)
+    assert (recording.read_bytes(), log.read_bytes()) == before
+
+
+def test_converted_files_are_what_their_names_say_and_in_order(recording: Path, tmp_path: Path) -> None:
+    for to, out in (("csv", "run.mcap"), ("csv", "run.png"), ("foxglove", "run.csv"), ("parquet", "run.csv")):
+        refused = CliRunner().invoke(
+            convert_command, [str(recording), "--to", to, "--out", str(tmp_path / out)]
+        )
+        assert isinstance(refused.exception, UsageError), (to, out)
+        assert not (tmp_path / out).exists()
+    twice = [str(recording), str(recording), "--to", "csv", "--out", str(tmp_path / "twice.csv")]
+    refused = CliRunner().invoke(convert_command, twice)
+    assert "in their order, each once" in str(refused.exception)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_a_figure_that_finds_no_room_is_told(
+    suffix: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(MapFileError, match="No space left"):
+        save_figure(new_figure((1.0, 1.0)), tmp_path / f"x{suffix}")
+    assert not list(tmp_path.iterdir())
 
 
 def test_outliers_are_found_and_steps_are_not() -> None:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import re
 
 import numpy as np
 import pytest
 
-from surffollow.errors import ScanInputError
+from surffollow.errors import ScanFileError, ScanInputError
 from surffollow.scan.arm import Arm
 from surffollow.scan.body import disc
+from surffollow.scan.calibration import CalibrationMatrix
 from surffollow.scan.camera import Camera, looking_down
+from surffollow.scan.cloud_files import read_cloud
 from surffollow.scan.deviation import planar_deviation
 from surffollow.scan.envelope import ball_envelope
 from surffollow.scan.grid import TerrainGrid
@@ -21,8 +24,11 @@ from surffollow.scan.patches import coherent_patches
 from surffollow.scan.path import OUT_OF_REACH, UNKNOWN_BENEATH, WRIST_LIMIT
 from surffollow.scan.plan import PlanSettings, plan_scan
 from surffollow.scan.planar_filter import conditional_planar_filter
+from surffollow.scan.polar import PolarCorrection
 from surffollow.scan.shaping import Shaper
 from surffollow.scan.signals import signal_map
+from surffollow.scan.spot_files import read_spots
+from surffollow.scan.stations import read_stations
 from surffollow.scan.surveying import SurveySettings, survey
 from surffollow.scan.terrain import terrain_map
 
@@ -165,3 +171,62 @@ def test_an_arm_says_which_places_it_cannot_reach():
     joints = Arm().inverse(np.array([[1.5, 0.0, 0.2], [9.0, 0.0, 0.2]]), np.tile([0.0, 0.0, 1.0], (2, 1)))
     assert np.isfinite(joints[0]).all()
     assert np.isnan(joints[1]).any()
+
+
+T_S = np.arange(500) / 100.0
+
+
+@pytest.mark.parametrize("trace", [T_S, np.exp(-T_S), 1.0 - np.exp(-2.0 * T_S)])
+def test_a_trace_that_drifts_or_decays_has_no_mode(trace):
+    with pytest.raises(ScanInputError, match="without swinging"):
+        identify_mode(trace, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("commanded", "measured"),
+    [
+        ([[1.0, 0.0], [2.0, 0.5], [1.5, -0.5]], [[1000.0, 0.0], [2000.0, 500.0], [1500.0, -500.0]]),
+        ([[1.0, 0.0], [2.0, 0.0]], [[2.0, 0.0], [1.0, 0.0]]),
+    ],
+)
+def test_spots_in_another_unit_or_order_make_no_polar_correction(commanded, measured):
+    with pytest.raises(ScanInputError, match="metres"):
+        PolarCorrection.fit(commanded, measured, (0.0, 0.0))
+
+
+@pytest.mark.parametrize(("side_m", "grid_m"), [(1.0, 1e-6), (5000.0, 0.1)])
+def test_a_matrix_of_too_many_nodes_is_refused(side_m, grid_m):
+    spots = [[0.0, 0.0, 0.005], [side_m, 0.0, 0.006], [0.0, side_m, 0.01]]
+    with pytest.raises(ScanInputError, match="nodes; at most"):
+        CalibrationMatrix.fit(spots, grid_m=grid_m)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "ply\nformat ascii 1.0\nelement\nend_header\n",
+        "ply\nend_header",
+        "ply\nformat ascii 1.0\nelement vertex x\nproperty float x\nend_header\n",
+        "ply\nformat\nelement vertex 3\nproperty float\nend_header\n",
+    ],
+)
+def test_a_damaged_header_of_a_cloud_is_told(head, tmp_path):
+    cloud = tmp_path / "a.ply"
+    cloud.write_text(head)
+    with pytest.raises(ScanFileError, match="is damaged"):
+        read_cloud(cloud)
+
+
+@pytest.mark.parametrize("read", [read_cloud, read_spots, read_stations, CalibrationMatrix.load])
+def test_a_pipe_is_no_file(read, tmp_path):
+    pipe = tmp_path / "a.ply"
+    os.mkfifo(pipe)
+    with pytest.raises(ScanFileError, match="no plain file"):
+        read(pipe)
+
+
+def test_the_map_of_a_station_is_no_pipe(tmp_path):
+    os.mkfifo(tmp_path / "a.npz")
+    (tmp_path / "s.toml").write_text('[stations."a.npz"]\nx_m = 0.0\ny_m = 0.0\n')
+    with pytest.raises(ScanFileError, match="no plain file"):
+        read_stations(tmp_path / "s.toml")

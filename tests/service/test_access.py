@@ -17,6 +17,7 @@ from surffollow.errors import NotRunningError, RefusedError, RequestTimeoutError
 from surffollow.service import memory as m
 from surffollow.service.mapper import map_pass
 from surffollow.service.mapper_memory import make_map_memory
+from surffollow.shm import board_regions
 from surffollow.shm import layout_board as lb
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
@@ -288,7 +289,7 @@ def _end(access) -> None:
 def test_requests_come_between_the_leases_of_a_greedy_client() -> None:
     """Who takes the map again as soon as its lease is over waits until what was queued is done."""
     lease_ns, queued, slot = 1000, 10_000, 2
-    header, inbox = zeros(ml.MapHeader), np.zeros(lb.inbox_bytes() // 8, np.int64)
+    header, inbox = zeros(ml.MapHeader), np.zeros(board_regions.inbox_bytes() // 8, np.int64)
     status = np.zeros(latch_bytes(lb.MapStatus.SIZE) // 8, np.int64)
     pairs = zeros(ml.GridPair, 1)
     cycle = m.make_cycle_memory(header, pairs, None)

@@ -17,6 +17,7 @@ import pytest
 from lingering import LINGER_S, OldKernelService, hand_over, lingering
 from raw_slot import MESSAGE, raw_slot
 from running_service import Service, until
+from surffollow.shm import board_regions
 from surffollow.shm import layout_board as lb
 from surffollow.shm.uninvited import EVERY_S, Disposal, RightsSentError, hear, refuse_rights
 from surffollow.shm.unix_socket import listen, new_socket
@@ -66,7 +67,7 @@ def beats(s: Service) -> int:
 def attack(s: Service) -> list[socket.socket]:
     """Pass lingering sockets in every stage of the exchange; only the service has them then."""
     with s.observe() as watcher:
-        fields = [lb.SLOT_MAGIC, lb.layout_hash(), lb.SLOT_ASK, watcher.epoch, 0, 0, 0, 0, b""]
+        fields = [lb.SLOT_MAGIC, board_regions.layout_hash(), lb.SLOT_ASK, watcher.epoch, 0, 0, 0, 0, b""]
     ask = MESSAGE.pack(*fields)
     held = []
     with contextlib.ExitStack() as stack:

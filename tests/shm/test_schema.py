@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surffollow.errors import SchemaError
-from surffollow.shm import layout_board, layout_follow, map_layout
+from surffollow.shm import board_regions, layout_board, layout_follow, map_layout
 from surffollow.shm.dtypes import numpy_dtype, zeros
 from surffollow.shm.schema import (
     F32,
@@ -258,11 +258,11 @@ def test_every_parameter_is_one_word_and_has_a_specification_within_its_bounds()
 
 
 def test_board_parts_do_not_overlap_and_begin_on_pages():
-    regions = layout_board.board_regions(1 << 16)
+    regions = board_regions.board_regions(1 << 16)
     end = layout_board.BoardHeader.SIZE
     for name, (offset, size) in regions.items():
         assert offset % layout_board.PAGE == 0, name
         assert offset >= end, name
         end = offset + size
-    assert end <= layout_board.board_bytes(1 << 16)
+    assert end <= board_regions.board_bytes(1 << 16)
     assert len(regions) <= layout_board.BoardHeader.field("region").count

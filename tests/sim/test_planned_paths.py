@@ -12,6 +12,7 @@ import pytest
 from surffollow.errors import ConfigError, UsageError
 from surffollow.hw.registry import make_driver
 from surffollow.map.height_map import HeightMap
+from surffollow.sim.path_table import read_path_table
 from surffollow.sim.raster import file_path, raster_path
 from surffollow.sim.robot import RobotConfig, RobotCore
 from surffollow.sim.world_surface import WorldConfig
@@ -51,10 +52,19 @@ def test_a_planned_path_goes_through_its_corners_at_its_speeds_and_stops_where_t
     assert RobotConfig(path=str(file)).path == str(file)
 
 
+@pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 cut short"])
+def test_a_file_that_is_no_npz_is_told_without_advice_to_trust_it(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "path.npz").write_bytes(content)
+    with pytest.raises(UsageError, match=r"no NPZ file of numbers; numpy.savez") as told:
+        read_path_table(str(tmp_path / "path.npz"))
+    assert "pickle" not in str(told.value)
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
         ("a,b\n1,2\n3,4\n", "x_m, y_m needed"),
+        ("x_m,y_m\n1,2\n", "has 1 corners; two or more are needed"),
         ("x_m,y_m\n1,2\n3\n", "row 2: 1 values, 2 columns"),
         ("x_m,y_m\n1,2\n1,2\n", "two or more different"),
         ("x_m,y_m\n1,2 mm\n1,2\n", "corner 1: y_m is '2 mm'"),

@@ -37,7 +37,7 @@ def read_columns(path: Path, names: tuple[str, ...]) -> list[Any]:
 
     from surffollow.errors import ConfigError
 
-    with open(path, newline="", encoding="utf-8") as file:
+    with open(path, newline="", encoding="utf-8-sig", errors="replace") as file:
         rows = csv.DictReader(file)
         missing = [n for n in names if n not in (rows.fieldnames or ())]
         if missing:
@@ -85,10 +85,15 @@ def range_command(
 
     from surffollow.hw.calibration import merged, save_calibration
     from surffollow.live.fit_range import fit_range
+    from surffollow.map.atomic_file import check_not_read
+    from surffollow.record.figure import check_figure
     from surffollow.units import unit_scale
 
     if (pairs is None) == (name is None):
         raise click.UsageError("give either PAIRS or --name")
+    check_not_read(out, pairs)
+    if plot:
+        check_figure(plot)
     scale = unit_scale(unit, "m")
     if pairs is not None:
         indicated, true = read_columns(pairs, ("indicated", "true"))
@@ -106,11 +111,13 @@ def range_command(
     if plot:
         draw(plot, np.asarray(indicated), scale * np.asarray(true), fit)
     worst_m = max(map(abs, fit.residuals_m), default=0.0)
+    inner = np.unique(np.asarray(indicated))[1:-1]
+    worst_at = float(inner[int(np.argmax(np.abs(fit.residuals_m)))])
     tell(
         as_json,
         {"method": fit.method, "residuals_m": list(fit.residuals_m), "rms_m": fit.rms_m, "out": str(out)},
         f"{fit.method} through {len(indicated)} pairs; each pair against the curve without it: RMS "
-        f"{1e3 * fit.rms_m:.3g} mm, worst {1e3 * worst_m:.3g} mm; wrote {out}",
+        f"{1e3 * fit.rms_m:.3g} mm, worst {1e3 * worst_m:.3g} mm at {worst_at:.6g}; wrote {out}",
     )
 
 
@@ -156,13 +163,12 @@ def guided(name: str, channel: int, seconds: float, unit: str) -> tuple[list[flo
 
 def draw(path: str, indicated: Any, true_m: Any, fit: Any) -> None:
     """Table and residuals as a picture."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     import numpy as np
-    from matplotlib import pyplot
 
-    figure, (curve, rest) = pyplot.subplots(2, sharex=True, figsize=(7, 5), layout="constrained")
+    from surffollow.record.figure import new_figure, save_figure
+
+    figure = new_figure((7, 5))
+    curve, rest = figure.subplots(2, sharex=True)
     curve.plot(fit.table.indicated, 1e3 * np.array(fit.table.range_m), label=fit.method)
     curve.plot(indicated, 1e3 * true_m, "o", label="pairs")
     curve.set_ylabel("distance [mm]")
@@ -170,7 +176,7 @@ def draw(path: str, indicated: Any, true_m: Any, fit: Any) -> None:
     inner = np.unique(indicated)[1:-1]
     rest.stem(inner, 1e3 * np.array(fit.residuals_m))
     rest.set(ylabel="residual without the pair [mm]", xlabel="indicated")
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 @calibrate_group.command("latency")
@@ -182,7 +188,9 @@ def latency_command(move: Path | None, name: str | None, out: Path, as_json: boo
     """Find the age of distances from MOVE, up and down over one spot: CSV with t_s, z_m and range_m."""
     from surffollow.errors import ConfigError
     from surffollow.hw.calibration import merged, save_calibration
+    from surffollow.map.atomic_file import check_not_read
 
+    check_not_read(out, move)
     if (move is None) == (name is None):
         raise click.UsageError("give either MOVE or --name")
     if move is not None:
@@ -203,7 +211,7 @@ def latency_command(move: Path | None, name: str | None, out: Path, as_json: boo
             )
         latency_s, found = float(told), {}
     save_calibration(out, merged(out, latency_s=latency_s, about={"latency": found}))
-    more = f" ± {1e3 * found['sigma_s']:.2g} ms" if found else ", as the follower learned it"
+    more = f" ± {1e3 * found['sigma_s']:.2f} ms" if found else ", as the follower learned it"
     tell(
         as_json,
         {"latency_s": latency_s, **found, "out": str(out)},
@@ -225,7 +233,9 @@ def mount_command(moves: Path, channel: int, out: Path, as_json: bool) -> None:
     from surffollow.hw.calibration import load_calibration, merged, save_calibration
     from surffollow.hw.driver import IDENTITY
     from surffollow.live.fit_mount import fit_mount
+    from surffollow.map.atomic_file import check_not_read
 
+    check_not_read(out, moves)
     *poses, range_m = read_columns(moves, ("x", "y", "z", "qx", "qy", "qz", "qw", "range_m"))
     fit = fit_mount(np.array(poses).T, range_m)
     mounts = list((load_calibration(out).mounts or ()) if out.exists() else ())

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surffollow.cli.map_live import install_command, upload_command
+from surffollow.cli.progress import progress_bar
 from surffollow.errors import UsageError
 from surffollow.units import parse_quantity
 
@@ -274,28 +275,3 @@ def diff_command(one: str, other: str, limit: float | None, as_json: bool) -> No
     _print(facts, as_json)
     if limit is not None and not (d.size and float(np.abs(d).max()) <= limit):
         sys.exit(1)
-
-
-class progress_bar:  # noqa: N801 - used like a function
-    """A progress bar on a terminal, silence elsewhere; gives a callback for the map's writers."""
-
-    def __init__(self, label: str) -> None:
-        self._bar = (
-            click.progressbar(length=1000, label=label, file=sys.stderr) if sys.stderr.isatty() else None
-        )
-        self._done = 0
-
-    def __enter__(self) -> Any:
-        if self._bar is None:
-            return None
-        self._bar.__enter__()
-        return self._tell
-
-    def _tell(self, fraction: float) -> None:
-        if self._bar is not None:
-            self._bar.update(int(1000 * fraction) - self._done)
-            self._done = int(1000 * fraction)
-
-    def __exit__(self, *error: Any) -> None:
-        if self._bar is not None:
-            self._bar.__exit__(*error)

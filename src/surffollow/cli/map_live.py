@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from surffollow.cli.progress import progress_bar
 from surffollow.cli.values import SERVICE_NAME, Finite
 
 _NAME = click.option(
@@ -30,7 +31,6 @@ def upload_command(file: str, name: str, timeout_s: float) -> None:
     """
     from pathlib import Path
 
-    from surffollow.cli.map import progress_bar
     from surffollow.client import attach
     from surffollow.client.map_reader import copy_live_map
     from surffollow.map.files import check_suffix, export
@@ -51,7 +51,6 @@ def install_command(file: str, name: str, timeout_s: float) -> None:
     FILE is the map's text file, .npz, an ESRI ASCII grid or a GeoTIFF, whatever its name ends in.
     It is checked as a whole first. Interrupted after that, the map is empty.
     """
-    from surffollow.cli.map import progress_bar
     from surffollow.client import attach
 
     with attach(name, label="map install") as client, progress_bar("installing") as progress:

@@ -35,10 +35,12 @@ def plot_command(
     forecasts against what came. A map: relief and samples of what is known. Needs the extra `plot`.
     """
     from surffollow.errors import UsageError
+    from surffollow.map.atomic_file import check_not_read
     from surffollow.record.figure import check_figure
 
     target = out or str(Path(file).with_suffix(".png"))
     check_figure(target)
+    check_not_read(target, file, columns)
     is_csv = columns is not None or file.lower().endswith(".csv")
     given = {"--start": start, "--end": end, "--mode": mode}
     needless = [option for option, value in given.items() if value is not None]

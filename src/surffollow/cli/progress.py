@@ -7,6 +7,9 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from typing import Any
+
+import click
 
 
 def stop_event() -> threading.Event:
@@ -32,3 +35,28 @@ def tell() -> Iterator[Callable[[str], None] | None]:
         yield show
     finally:
         sys.stderr.write("\n")
+
+
+class progress_bar:  # noqa: N801 - used like a function
+    """A progress bar on a terminal, silence elsewhere; gives a callback for the map's writers."""
+
+    def __init__(self, label: str) -> None:
+        self._bar = (
+            click.progressbar(length=1000, label=label, file=sys.stderr) if sys.stderr.isatty() else None
+        )
+        self._done = 0
+
+    def __enter__(self) -> Any:
+        if self._bar is None:
+            return None
+        self._bar.__enter__()
+        return self._tell
+
+    def _tell(self, fraction: float) -> None:
+        if self._bar is not None:
+            self._bar.update(int(1000 * fraction) - self._done)
+            self._done = int(1000 * fraction)
+
+    def __exit__(self, *error: Any) -> None:
+        if self._bar is not None:
+            self._bar.__exit__(*error)

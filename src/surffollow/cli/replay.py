@@ -62,6 +62,11 @@ def replay_command(
 
     if name is not None and not live:
         raise UsageError("--name goes with --live")
+    for target in (out, plot, map_out):
+        if target is not None:
+            from surffollow.map.atomic_file import check_not_read
+
+            check_not_read(target, file, columns)
     suffix = None if out is None else _suffix_of_out(out)
     if plot is not None:
         from surffollow.record.figure import check_figure

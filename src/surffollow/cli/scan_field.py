@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from surffollow.cli.map import LENGTH
-from surffollow.cli.scan_options import EXISTING, JSON, OUT, keep_inputs
+from surffollow.cli.scan_options import EXISTING, JSON, OUT
 
 
 @click.command("demo")
@@ -43,16 +43,18 @@ def demo_command(
 
     Exit code 1: a bar of the demonstration is not met.
     """
+    from surffollow.cli.outputs import check_outputs
     from surffollow.live.field_demo import demonstrate
-    from surffollow.map.atomic_file import check_place
 
+    check_outputs((picture, report, signal))
+    if signal:
+        from surffollow.scan.signals import check_geotiff
+
+        check_geotiff()
     if picture or report:
         from surffollow.scan.pictures import check_picture
 
         check_picture(picture or "report.png")
-    for place in (picture, report, signal):
-        if place:
-            check_place(place)
 
     def tell(text: str, part: float) -> None:
         click.echo(f"surffollow: {text} ({100 * part:.0f} %)", err=True)
@@ -114,10 +116,11 @@ def calibrate_command(
 
     import numpy as np
 
+    from surffollow.cli.outputs import check_outputs
     from surffollow.scan.held_out import choose_matrix
     from surffollow.scan.spot_files import read_spots
 
-    keep_inputs(output, spots, map_file)
+    check_outputs((output,), (spots, map_file))
     chosen = choose_matrix(read_spots(spots, map_file), model=model, grid_m=grid, outside=outside)
     made = chosen.matrix
     made.save(output)

@@ -4,17 +4,10 @@ from __future__ import annotations
 
 import click
 
-from surffollow.cli.map import LENGTH, progress_bar
-from surffollow.cli.scan_options import (
-    EXISTING,
-    JSON,
-    OUT,
-    PICTURE,
-    REGION,
-    check_picture,
-    keep_inputs,
-    print_facts,
-)
+from surffollow.cli.map import LENGTH
+from surffollow.cli.outputs import check_outputs
+from surffollow.cli.progress import progress_bar
+from surffollow.cli.scan_options import EXISTING, JSON, OUT, PICTURE, REGION, check_picture, print_facts
 from surffollow.errors import ScanInputError
 
 LEAST_CELLS = 3  # rows and columns of a map: fewer have no slope
@@ -67,8 +60,7 @@ def map_command(
 
     if picture:
         check_picture(picture)
-    for made in (output, picture):
-        keep_inputs(made, cameras, *depths)
+    check_outputs((output, picture), (cameras, *depths))
     settings = SurveySettings(
         grid_m=grid,
         region=region,
@@ -119,14 +111,15 @@ def compose_command(
 
     Tells how far the maps differ where they overlap: a median that is not near 0 is an error of a pose.
     """
-    from surffollow.scan.stations import overlaps, read_stations, station_files
+    from pathlib import Path
+
+    from surffollow.scan.stations import overlaps, read_stations
     from surffollow.scan.terrain import compose_stations
 
     if picture:
         check_picture(picture)
-    for made in (output, picture):
-        keep_inputs(made, stations, *station_files(stations))
     read = read_stations(stations)
+    check_outputs((output, picture), (stations, *(Path(stations).parent / s.name for s in read)))
     side = grid if grid is not None else min(s.ground.grid_m for s in read)
     parts = [(s.ground, s.common_from_station) for s in read]
     ground = compose_stations(parts, side, region=region, fill_m=fill if fill is not None else 10.0 * side)

@@ -28,30 +28,11 @@ class PlainFile(click.Path):  # type: ignore[type-arg]  # generic only in click 
         """The path, or fail with what it is."""
         path = super().convert(value, param, ctx)
         if not os.path.isfile(path):
-            self.fail(f"'{value}' is there and is no plain file.", param, ctx)
+            self.fail(f"{value} is no plain file; give a file that can be read to its end", param, ctx)
         return path
 
 
 EXISTING = PlainFile()
-
-
-def keep_inputs(output: str | None, *inputs: str | os.PathLike[str] | None) -> None:
-    """Refuse to write over what was read: a survey, a map, touched spots cannot be made again.
-
-    Raises
-    ------
-    UsageError
-        `output` is one of the inputs, by whatever name
-    """
-    for one in inputs:
-        if (
-            output
-            and one
-            and os.path.exists(output)
-            and os.path.exists(one)
-            and os.path.samefile(output, one)
-        ):
-            raise UsageError(f"{output} would be written over {one}, which is read; choose another name")
 
 
 class Quantity(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs

@@ -8,6 +8,7 @@ import sys
 import click
 
 from surffollow.cli.map import LENGTH
+from surffollow.cli.outputs import check_outputs
 from surffollow.cli.scan_options import (
     ACCELERATION,
     ANGLE,
@@ -21,7 +22,6 @@ from surffollow.cli.scan_options import (
     Numbers,
     check_picture,
     ground_of,
-    keep_inputs,
     known_region,
     print_facts,
 )
@@ -93,8 +93,7 @@ def plan_command(
 
     if picture:
         check_picture(picture)
-    for made in (output, picture):
-        keep_inputs(made, map_file)
+    check_outputs((output, picture), (map_file,))
     ground = ground_of(map_file, live)
     if fill is not None:
         ground = fill_holes(ground, fill)

@@ -11,16 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surffollow.cli.scan_options import (
-    EXISTING,
-    JSON,
-    OUT,
-    PICTURE,
-    check_picture,
-    ground_of,
-    keep_inputs,
-    print_facts,
-)
+from surffollow.cli.outputs import check_outputs
+from surffollow.cli.scan_options import EXISTING, JSON, OUT, PICTURE, check_picture, ground_of, print_facts
 from surffollow.cli.values import SERVICE_NAME, Finite
 from surffollow.errors import NotRunningError, ScanInputError, UsageError
 
@@ -83,17 +75,13 @@ def run_command(
     1: not finished, or without a valid demand for more than a tenth of the time; 130 after Ctrl-C.
     """
     from surffollow.live.scan_robot_config import ScanRobotConfig, check_executable
-    from surffollow.map.atomic_file import check_place
     from surffollow.scan.path_file import read_path
     from surffollow.scan.shaping import Shaper
 
     for wanted in (picture, report and "report.png"):
         if wanted:
             check_picture(wanted)
-    for place in (picture, report):
-        if place:
-            check_place(place)
-            keep_inputs(place, path, map_file, ground)
+    check_outputs((picture, report), (path, map_file, ground))
     planned = read_path(path)
     check_executable(planned)
     if way == "map" and map_file is None:

@@ -29,6 +29,10 @@ class Finite(click.FloatRange):
 
     name = "NUMBER"
 
+    def _describe_range(self) -> str:
+        # click writes "x<=None" where there are no bounds
+        return "" if self.min is None and self.max is None else super()._describe_range()
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Convert and check, or fail with what was expected."""
         try:

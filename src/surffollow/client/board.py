@@ -14,19 +14,16 @@ from surffollow.errors import (
     LayoutMismatchError,
     NotReadyError,
 )
+from surffollow.shm.board_regions import layout_hash
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
-from surffollow.shm.layout_board import (
-    BOARD_MAGIC,
-    LAYOUT_VERSION,
-    STATE_READY,
-    BoardHeader,
-    layout_hash,
-)
+from surffollow.shm.layout_board import BOARD_MAGIC, LAYOUT_VERSION, STATE_READY, BoardHeader, Ticker
 from surffollow.shm.objects import SharedObject
 from surffollow.shm.process import is_running
 from surffollow.shm.schema import Schema
 
 LAYOUT_HASH = layout_hash()
+COMPILE_PATIENCE_S = 300.0  # a cold start takes a minute where others share the processors
+TELL_EVERY_S = 2.0
 
 
 def unpack_schema(schema: type[Schema], data: Any, at: int = 0) -> dict[str, Any]:
@@ -85,12 +82,54 @@ class LatchReader:
         return None if data is None else unpack_schema(self.schema, data)
 
 
+class _Wait:
+    """Waits for a service that starts, as long as it says that it compiles; tells how far it is."""
+
+    def __init__(self, name: str, ready_timeout_s: float) -> None:
+        self._name, self._patience_s = name, ready_timeout_s
+        self._start, self._told_s, self._compiled_s = time.monotonic(), 0.0, 0.0
+
+    def once_more(self, compiling: str) -> None:
+        """Sleep a little.
+
+        Parameters
+        ----------
+        compiling : what the service says of its compiling; empty: nothing
+
+        Raises
+        ------
+        NotReadyError   it has been long enough
+        """
+        waited_s = time.monotonic() - self._start
+        if compiling and self._patience_s > 0.0:
+            if waited_s < COMPILE_PATIENCE_S:
+                self._compiled_s = waited_s
+                if waited_s - self._told_s >= TELL_EVERY_S:
+                    import logging  # here: control loops attach without it
+
+                    self._told_s = waited_s
+                    logging.getLogger("surffollow").warning(
+                        "surffollow: waiting for service %r: %s", self._name, compiling
+                    )
+                time.sleep(0.02)
+                return
+        elif waited_s - self._compiled_s < self._patience_s:
+            time.sleep(0.005)
+            return
+        doing = f": {compiling}" if compiling else ""
+        raise NotReadyError(
+            f"block {self._name!r} is not ready after {waited_s:.3g} s{doing}; "
+            + ("try again in a while" if compiling else "see the service's log")
+        )
+
+
 class Board:
     """A service's board, mapped read-only and checked; `owners`: whose it may be (empty: anybody's).
 
     Raises
     ------
     NotRunningError, NoPermissionError   from opening it
+    NotReadyError                        it is not ready in time; a service that compiles is waited for
     LayoutMismatchError                  it was laid out by another version
     """
 
@@ -114,18 +153,14 @@ class Board:
         memory = self.object.memory
         if self.object.size < BoardHeader.SIZE:
             raise BlockError(f"block {name!r} is too small to be a board")
-        deadline = time.monotonic() + ready_timeout_s
+        wait = _Wait(name, ready_timeout_s)
         while True:
             h = unpack_schema(BoardHeader, memory)
             if h["magic"] == BOARD_MAGIC and h["state"] >= STATE_READY:
                 fence()
                 h = unpack_schema(BoardHeader, memory)  # whole: `state` is stored last
                 break
-            if time.monotonic() > deadline:
-                raise NotReadyError(
-                    f"block {name!r} is not ready after {ready_timeout_s:g} s; see the service's log"
-                )
-            time.sleep(0.005)
+            wait.once_more(self._compiling(h))
         if h["version"] != LAYOUT_VERSION or h["layout_hash"] != LAYOUT_HASH:
             raise LayoutMismatchError(
                 f"block {name!r} has layout {h['layout_hash']:016x} (version {h['version']}), this client "
@@ -134,6 +169,17 @@ class Board:
             )
         if h["size"] > self.object.size:
             raise BlockError(f"block {name!r} is shorter than its header says; restart the service")
+
+    def _compiling(self, h: dict[str, Any]) -> str:
+        """How far a service is that compiles its kernels; empty: it does not, or it has ended."""
+        known = h["magic"] == BOARD_MAGIC and h["layout_hash"] == LAYOUT_HASH
+        if not (known and self.object.is_current() and is_running(int(h["pid"]), int(h["start_ticks"]))):
+            return ""
+        at = {r["name"]: r["offset"] for r in h["region"]}.get("ticker")
+        if at is None:
+            return ""
+        told = LatchReader(memoryview(self.object.memory).cast("Q"), self.object.memory, at, Ticker).read()
+        return "" if told is None else str(told["text"])
 
     def header(self) -> dict[str, Any]:
         """The header, as a dictionary."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from surffollow.errors import ConfigError
+from surffollow.errors import ConfigError, SurffollowError
 from surffollow.hw.calibrated import calibrated
 from surffollow.hw.calibration import load_calibration
 from surffollow.hw.driver import Driver
@@ -118,7 +118,7 @@ def _in_other_package(kind: str) -> Factory:
         found: Any = importlib.import_module(module)
         for part in attribute.split("."):
             found = getattr(found, part)
-    except (ImportError, AttributeError, ValueError) as error:
+    except Exception as error:  # also whatever the module raises while it is imported
         raise ConfigError(
             f"driver kind '{kind}' cannot be loaded: {error}; install its package into the service's "
             'environment and write kind = "package.module:factory"'
@@ -138,8 +138,13 @@ def _installed(kind: str) -> Factory | None:
         )
     try:
         return _checked(found[0].load(), kind)
-    except (ImportError, AttributeError) as error:
-        raise ConfigError(f"driver kind '{kind}' ({found[0].value}) cannot be loaded: {error}") from error
+    except ConfigError:
+        raise
+    except Exception as error:  # also whatever the module raises while it is imported
+        raise ConfigError(
+            f"driver kind '{kind}' ({found[0].value}) cannot be loaded: {error}; mend or "
+            "reinstall its package"
+        ) from error
 
 
 def _checked(factory: Any, kind: str) -> Factory:
@@ -149,7 +154,15 @@ def _checked(factory: Any, kind: str) -> Factory:
         )
 
     def make(settings: dict[str, Any], name: str) -> Driver:
-        driver = factory(settings, name)
+        try:
+            driver = factory(settings, name)
+        except (msgspec.ValidationError, SurffollowError, KeyboardInterrupt):
+            raise  # told with the kind by `make_driver`, or told well already
+        except BaseException as error:  # another package's: whatever it raises ends the start in one line
+            raise ConfigError(
+                f"driver kind '{kind}' could not be made: {type(error).__name__}: {error}; mend its factory "
+                "or its settings"
+            ) from error
         if not isinstance(driver, Driver):
             raise ConfigError(
                 f"driver kind '{kind}' made a {type(driver).__name__}, which lacks one of info, start, stop, "

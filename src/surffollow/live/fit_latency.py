@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from surffollow.errors import ConfigError
 
 LONGEST_S = 0.5
+SIGMAS = 4.0  # by which another delay must fit worse
+RESOLVED = 1e-3  # of the move: finer differences of two fits tell nothing
 LEAST_MOVE = 20.0  # the move must exceed the readings' scatter so many times
 
 
@@ -38,10 +40,14 @@ def fit_latency(
     Raises
     ------
     ConfigError
-        too few readings, or a move that is too small or has no change of direction
+        too few readings, times that go back, heights that are downward, or a move that is too small, has no
+        change of direction, or repeats itself within the longest delay
     """
     from scipy.optimize import minimize_scalar
 
+    back = np.flatnonzero(np.diff(t_s) <= 0.0)
+    if len(back):
+        raise ConfigError(f"time does not grow from row {back[0] + 1} to the next; sort the move by t_s")
     known = np.isfinite(range_m) & (reading_t_s > t_s[0] + LONGEST_S) & (reading_t_s < t_s[-1])
     at, seen = reading_t_s[known], range_m[known]
     if len(at) < 30:
@@ -49,21 +55,38 @@ def fit_latency(
             f"{len(at)} readings lie within the move; record at least 30 after its first {LONGEST_S:g} s"
         )
 
-    def errors(latency_s: float) -> NDArray[np.float64]:
-        off = seen - np.interp(at - latency_s, t_s, z_m)
+    def errors(latency_s: float, sign: float = 1.0) -> NDArray[np.float64]:
+        off = seen - sign * np.interp(at - latency_s, t_s, z_m)
         return np.asarray(off - off.mean())
 
-    grid = np.linspace(0.0, LONGEST_S, 101)
-    costs = [float(np.sum(errors(x) ** 2)) for x in grid]
-    best = grid[int(np.argmin(costs))]
-    step = grid[1]
-    found = minimize_scalar(
-        lambda x: float(np.sum(errors(x) ** 2)),
-        bounds=(max(0.0, best - step), min(LONGEST_S, best + step)),
-        method="bounded",
-        options={"xatol": 1e-6},
-    )
-    latency_s = float(found.x)
+    def minima(sign: float) -> list[tuple[float, float]]:
+        """Cost and delay of every delay that fits better than those beside it."""
+        grid = np.linspace(0.0, LONGEST_S, 101)
+        costs = np.array([np.inf, *(float(np.sum(errors(x, sign) ** 2)) for x in grid), np.inf])
+        found = []
+        for k in np.flatnonzero((costs[1:-1] <= costs[:-2]) & (costs[1:-1] < costs[2:])):
+            least = minimize_scalar(
+                lambda x: float(np.sum(errors(x, sign) ** 2)),
+                bounds=(max(0.0, grid[k] - grid[1]), min(LONGEST_S, grid[k] + grid[1])),
+                method="bounded",
+                options={"xatol": 1e-6},
+            )
+            found.append((float(least.fun), float(least.x)))
+        return found
+
+    cost, latency_s = min(minima(1.0), default=(np.inf, 0.0))
+    as_good = cost + len(at) * max(SIGMAS**2 * cost / len(at) ** 2, (RESOLVED * float(np.std(z_m))) ** 2)
+    if any(c <= as_good and x < latency_s for c, x in minima(-1.0)):
+        raise ConfigError(
+            "distances fall where heights grow: z_m must be upward over ground that is looked down upon; "
+            "turn its sign, or move more slowly if the distances are later than half an up and down"
+        )
+    others = [x for c, x in minima(1.0) if c <= as_good and abs(x - latency_s) > LONGEST_S / 50]
+    if others:
+        raise ConfigError(
+            f"the move repeats itself: delays of {1e3 * latency_s:.0f} and {1e3 * others[0]:.0f} ms fit "
+            f"alike; move more slowly, at most once up and down in {2 * LONGEST_S:g} s"
+        )
     scatter_m = float(np.sqrt(np.sum(errors(latency_s) ** 2) / max(len(at) - 2, 1)))
     # how much a change of the delay changes what is expected
     slope = np.gradient(np.interp(at - latency_s, t_s, z_m), at)

@@ -16,6 +16,7 @@ from surffollow.errors import ConfigError
 from surffollow.hw.driver import Mount
 
 FEWEST = 24
+NORM_TOLERANCE = 0.01  # of a unit quaternion that was written with three digits
 MOST_POSITION_M, MOST_ANGLE_RAD = 2e-3, math.radians(1.0)  # uncertainty beyond which moves do not tell
 
 
@@ -63,7 +64,7 @@ def fit_mount(poses: NDArray[np.float64], range_m: NDArray[np.float64]) -> Mount
     Raises
     ------
     ConfigError
-        too few readings, or moves that cannot tell one of the unknowns
+        too few readings, no unit quaternion, or moves that cannot tell one of the unknowns
     """
     from scipy.optimize import least_squares
 
@@ -71,6 +72,13 @@ def fit_mount(poses: NDArray[np.float64], range_m: NDArray[np.float64]) -> Mount
     t, seen = poses[known, :3], range_m[known]
     if len(seen) < FEWEST:
         raise ConfigError(f"{len(seen)} readings over the plate are too few; take at least {FEWEST}")
+    norms = np.linalg.norm(poses[:, 3:], axis=1)
+    wrong = np.flatnonzero(known & ~(np.abs(norms - 1.0) < NORM_TOLERANCE))
+    if len(wrong):
+        raise ConfigError(
+            f"move {wrong[0] + 1}: the quaternion qx qy qz qw has the norm {norms[wrong[0]]:.3g}, "
+            "expected 1; a level tool has 0 0 0 1"
+        )
     turns = matrices(poses[known, 3:])
 
     def expected(x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -91,10 +99,18 @@ def fit_mount(poses: NDArray[np.float64], range_m: NDArray[np.float64]) -> Mount
         raise ConfigError(f"the moves cannot tell {_NAMES[weak]}; {_REMEDY}")
     covariance = scatter_m**2 * np.linalg.inv(normal)
     sigma = np.sqrt(np.diag(covariance))
+    off = np.abs(found.fun)
+    worst = int(np.argmax(off))
+    stray = (
+        f"; or leave out stray readings: they scatter by {1e3 * scatter_m:.3g} mm about the fit, move "
+        f"{np.flatnonzero(known)[worst] + 1} is {1e3 * off[worst]:.3g} mm off"
+    )
     for k, most in enumerate((*[MOST_POSITION_M] * 3, *[MOST_ANGLE_RAD] * 2)):
         if not sigma[k] < most:
             unit = f"{1e3 * sigma[k]:.3g} mm" if k < 3 else f"{math.degrees(sigma[k]):.3g} deg"
-            raise ConfigError(f"the moves cannot tell {_NAMES[k]}: it is uncertain by {unit}; {_REMEDY}")
+            raise ConfigError(
+                f"the moves cannot tell {_NAMES[k]}: it is uncertain by {unit}; {_REMEDY}{stray}"
+            )
     x, y, z, a, b = found.x[:5].tolist()
     n = _plate(found.x[5], found.x[6])
     return MountFit(

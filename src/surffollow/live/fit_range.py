@@ -60,11 +60,22 @@ def fit_range(indicated: NDArray[np.float64], range_m: NDArray[np.float64], chan
     Raises
     ------
     ConfigError
-        fewer than four pairs, numbers that are none, or pairs that no monotone curve goes through
+        fewer than four pairs, numbers that are none, negative distances, or pairs that no monotone curve
+        goes through
     """
     x, y = np.asarray(indicated, float), np.asarray(range_m, float)
     if x.shape != y.shape or x.ndim != 1 or not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise ConfigError("a calibration needs pairs of finite numbers: indicated value, distance")
+        which = ""
+        if x.shape == y.shape and x.ndim == 1:
+            k = int(np.argmin(np.isfinite(x) & np.isfinite(y)))
+            which = f"; pair {k + 1} has none: correct or remove it"
+        raise ConfigError(f"a calibration needs pairs of finite numbers: indicated value, distance{which}")
+    if (y < 0.0).any():
+        k = int(np.argmin(y))
+        raise ConfigError(
+            f"pair {k + 1} has the distance {y[k]:.6g} m; distances from the sensor are not negative: "
+            "measure them from its face"
+        )
     order = np.argsort(x, kind="stable")
     x, y = x[order], y[order]
     values, first, count = np.unique(x, return_index=True, return_counts=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
 import stat
@@ -9,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from surffollow.errors import MapCancelledError, MapFileError
+from surffollow.errors import MapCancelledError, MapFileError, UsageError
 
 Progress = Callable[[float], object]
 """Called with the finished fraction, 0 … 1; returning False (not None) cancels."""
@@ -54,6 +55,20 @@ def check_place(path: str | os.PathLike[str]) -> None:
         _make(target, temporary)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_not_read(out: str | os.PathLike[str], *read: str | os.PathLike[str] | None) -> None:
+    """Refuse to write over a file that the work reads, under whatever name.
+
+    Raises
+    ------
+    UsageError
+        `out` is one of the files `read` (None: no file)
+    """
+    for source in read:
+        with contextlib.suppress(OSError):  # one of them is not there
+            if source is not None and os.path.samefile(out, source):
+                raise UsageError(f"{out} would replace {source}, which is read; choose another name to write")
 
 
 def _names(path: str | os.PathLike[str]) -> tuple[Path, Path]:

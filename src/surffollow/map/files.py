@@ -126,7 +126,7 @@ def load(
     if suffix == ".npz":
         return _read_npz(path)
     if suffix in (".asc", ".tif"):
-        from surffollow.map.height_map import HeightMap
+        from surffollow.map.from_heights import map_of_heights
         from surffollow.map.raster import read_esri_ascii, read_geotiff
 
         read = read_esri_ascii if suffix == ".asc" else read_geotiff
@@ -135,8 +135,7 @@ def load(
         if fault:
             raise MapFileError(f"{path} holds no usable map: {fault}")
         report(progress, 0.5)
-        made = HeightMap.from_heights(heights, origin_m=origin, grid_m=grid)
-        return made.header, made.pairs
+        return map_of_heights(heights, origin_m=origin, grid_m=grid)
     return read_text(path, progress=progress)
 
 

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from surffollow.errors import MapFileError, RegionError, UsageError
-from surffollow.map import access
+from surffollow.errors import MapFileError, UsageError
+from surffollow.map.arguments import Region, check_answer, real_numbers, region_limits
 from surffollow.map.atomic_file import Progress
+from surffollow.map.from_heights import map_of_heights
 from surffollow.map.geometry import reset_begin, reset_step
 from surffollow.map.grids import add_points
-from surffollow.map.header import init_header, numbers_fault
-from surffollow.map.install import install_begin, install_end
+from surffollow.map.header import init_header
 from surffollow.map.refocus import refocus_begin, refocus_step
 from surffollow.map.view import MapView
 from surffollow.map.words import clear_grids
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype, zeros
 
-Region = Sequence[float]
 _SLICE = 1 << 20
 
 
@@ -143,53 +141,16 @@ class HeightMap(MapView):
         UsageError
             the heights do not fit the range of `quantum_m`, or an array has the wrong shape or type
         """
-        z = _floats("heights_m", heights_m)
-        if z.ndim != 2 or z.size == 0:
-            raise UsageError(f"heights_m must have shape (ny, nx) and at least one grid, not {z.shape}")
-        corner = _floats("origin_m", origin_m)
-        if corner.shape != (2,):
-            raise UsageError(f"origin_m is x, y; its shape is {corner.shape}")
-        known = np.isfinite(z)
-        low, high = (float(z[known].min()), float(z[known].max())) if known.any() else (0.0, 0.0)
-        given = ml.DEFAULT_QUANTUM_M if quantum_m is None else quantum_m
-        fault = numbers_fault(grid_m, given, datum_m=datum_m or 0.0, lowest_m=low, highest_m=high)
-        if fault:
-            raise UsageError(fault)
-        if quantum_m is None:
-            quantum_m = max(ml.DEFAULT_QUANTUM_M, _tidy((high - low) / (2 * ml.MAX_HEIGHT - 2)))
-        if datum_m is None:
-            datum_m = math.floor((low + high) / 2 / quantum_m + 0.5) * quantum_m
-        scaled = np.floor((np.where(known, z, datum_m) - datum_m) / quantum_m + 0.5)
-        if np.abs(scaled).max() > ml.MAX_HEIGHT:
-            raise UsageError(
-                f"heights of shape {z.shape} from {low} to {high} m do not fit ±{ml.MAX_HEIGHT} quanta of "
-                f"{quantum_m} m around {datum_m} m; give a coarser quantum_m"
+        return cls(
+            *map_of_heights(
+                heights_m,
+                origin_m=origin_m,
+                grid_m=grid_m,
+                counts=counts,
+                quantum_m=quantum_m,
+                datum_m=datum_m,
             )
-        samples = None if counts is None else _floats("counts", counts)
-        if samples is not None and samples.shape != z.shape:
-            raise UsageError(f"counts have shape {samples.shape}, heights {z.shape}")
-        if samples is not None and not np.isfinite(samples).all():
-            raise UsageError("counts must be finite")
-        header = zeros(ml.MapHeader)
-        init_header(header, capacity_grids=z.size, quantum_m=quantum_m, finest_grid_m=grid_m)
-        answer = install_begin(
-            header,
-            z.shape[1],
-            z.shape[0],
-            float(grid_m),
-            float(corner[0]),
-            float(corner[1]),
-            float(datum_m),
-            float(quantum_m),
         )
-        _check(answer)
-        pairs = zeros(ml.GridPair, ml.pairs_of(z.size))
-        heights = np.where(known, scaled, ml.UNKNOWN).astype(np.int16).reshape(-1)
-        flat = None if samples is None else np.clip(samples, 0, ml.FULL_COUNT).astype(np.uint8).reshape(-1)
-        access.store(pairs, 0, heights, flat)
-        header["journal_progress"] = z.size
-        _check(install_end(header))
-        return cls(header, pairs)
 
     def add(self, points_m: ArrayLike) -> int:
         """Average target points into their grids.
@@ -209,7 +170,7 @@ class HeightMap(MapView):
         UsageError
             not numbers, or of another shape; a point that is not finite, or masked, is counted as `invalid`
         """
-        points = np.ascontiguousarray(_floats("points_m", points_m))
+        points = np.ascontiguousarray(real_numbers("points_m", points_m))
         if points.ndim == 1 and points.size in (0, 3):
             points = points.reshape(-1, 3)
         if points.ndim != 2 or points.shape[1] != 3:
@@ -224,7 +185,7 @@ class HeightMap(MapView):
         region : (x_min, y_min, x_max, y_max) [m]
             sides positive
         """
-        _check(reset_begin(self.header, *_region(region)))
+        check_answer(reset_begin(self.header, *region_limits(region)))
         while not reset_step(self.header, self.pairs, _SLICE):
             pass
 
@@ -238,7 +199,7 @@ class HeightMap(MapView):
         finest_m : float
             finest useful grid of this refocus [m]; 0: the map's own choice
         """
-        limits = _region(region)
+        limits = region_limits(region)
         if finest_m and not ml.MIN_GRID_M <= finest_m <= ml.MAX_GRID_M:
             raise UsageError(
                 f"the finest grid is {finest_m:g} m; it must be {ml.MIN_GRID_M:g} to {ml.MAX_GRID_M:g} m"
@@ -250,7 +211,7 @@ class HeightMap(MapView):
             if answer != ml.NO_SCRATCH or columns >= int(self.header[0]["capacity_grids"]):
                 break
             columns *= 4
-        _check(answer)
+        check_answer(answer)
         while (done := refocus_step(self.header, self.pairs, scratch, _SLICE)) == 0:
             pass
         if done < 0:
@@ -309,41 +270,3 @@ class HeightMap(MapView):
             pairs = more
             clear_grids(pairs, n, 2 * len(pairs))
         return cls(header, pairs)
-
-
-def _tidy(value: float) -> float:
-    """The next 1, 2 or 5 times a power of ten."""
-    if value <= 0:
-        return 0.0
-    power = 10.0 ** math.floor(math.log10(value))
-    return next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= value)
-
-
-def _floats(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Real numbers, whatever holds them; NaN where a mask hides them."""
-    try:
-        if isinstance(values, (list, tuple)) and any(np.ma.isMaskedArray(v) for v in values):
-            values = np.ma.array(values)
-        given = np.ma.asarray(values) if np.ma.isMaskedArray(values) else np.asarray(values)
-        if given.dtype.kind not in "biufO":
-            raise TypeError(f"their type is {given.dtype}")
-        return np.asarray(np.ma.filled(given.astype(np.float64), np.nan))
-    except (TypeError, ValueError) as e:
-        raise UsageError(f"{name} must be an array of real numbers: {e}") from e
-
-
-def _region(region: Region) -> tuple[float, float, float, float]:
-    try:
-        values = [float(v) for v in region]
-    except (TypeError, ValueError) as e:
-        raise RegionError(f"a region is four numbers x_min, y_min, x_max, y_max, not {region!r}") from e
-    if len(values) != 4:
-        raise RegionError(f"a region is x_min, y_min, x_max, y_max; {len(values)} numbers were given")
-    return values[0], values[1], values[2], values[3]
-
-
-def _check(answer: int) -> None:
-    if answer == ml.BAD_REGION:
-        raise RegionError(ml.ANSWER_NAMES[answer])
-    if answer != ml.OK:
-        raise UsageError(ml.ANSWER_NAMES[answer])

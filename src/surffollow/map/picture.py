@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from io import BytesIO
 from typing import Any
 
 import numpy as np
@@ -167,5 +168,7 @@ def write_picture(
         axes.set(xlabel="x [m]", ylabel="y [m]")
         axes.ticklabel_format(useOffset=False)
     with replacing(path) as temporary:
-        figure.savefig(temporary, format=os.path.splitext(path)[1].lower()[1:], dpi=130)
+        drawn = BytesIO()  # matplotlib's PDF hides a full disk behind an error of its own
+        figure.savefig(drawn, format=os.path.splitext(path)[1].lower()[1:], dpi=130)
+        temporary.write_bytes(drawn.getbuffer())
         report(progress, 1.0)

@@ -10,7 +10,7 @@ import numpy as np
 
 from surffollow.errors import RecordingError, UsageError
 from surffollow.map import HeightMap, access
-from surffollow.map.atomic_file import replacing
+from surffollow.map.atomic_file import check_not_read, replacing
 from surffollow.record import foxglove as fx
 from surffollow.record.block_file import BlockFile
 from surffollow.record.channels import StandardChannels
@@ -67,7 +67,7 @@ def convert(
         with blocks:
             return _convert_blocks(blocks, paths, to, out, force)
     source = FileSamples(paths, round(1e9 / rate_hz) if rate_hz > 0 else 0, progress)
-    target = _target(paths[0], to, out, force)
+    target = _target(paths, to, out, force)
     done = Converted([str(target)])
     if to == "foxglove":
         with replacing(target) as temporary:
@@ -85,12 +85,18 @@ def write_table(path: str | Path, table: Table, to: str) -> None:
     (write_parquet if to == "parquet" else write_csv)(path, table)
 
 
-def _target(path: str | Path, to: str, out: str | Path | None, force: bool, part: str = "") -> Path:
-    target = Path(path).with_suffix("") if out is None else Path(out)
+def _target(
+    paths: Sequence[str | Path], to: str, out: str | Path | None, force: bool, part: str = ""
+) -> Path:
+    ending = Path(FORMATS[to]).suffix or FORMATS[to]
+    if out is not None and Path(out).suffix.lower() != ending:
+        raise UsageError(f"--out {out}: what --to {to} writes ends in {ending}; choose such a name")
+    target = Path(paths[0]).with_suffix("") if out is None else Path(out)
     if out is None or part:
         suffix = FORMATS[to] if out is None else target.suffix
         stem = target.name if out is None else target.stem
         target = target.with_name(f"{stem}{'-' + part if part else ''}{suffix}")
+    check_not_read(target, *paths)
     if target.exists() and not force:
         raise UsageError(f"{target} exists already; choose another --out, or replace it with --force")
     return target
@@ -145,7 +151,7 @@ def _convert_blocks(
     tables = blocks.tables()
     for name, table in tables.items():
         part = name if out is None or len(tables) > 1 else ""
-        target = _target(paths[0], to, out, force, part)
+        target = _target(paths, to, out, force, part)
         write_table(target, {k: np.asarray(v) for k, v in table.items()}, to)
         done.files.append(str(target))
         done.rows += len(next(iter(table.values())))

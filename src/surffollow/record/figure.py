@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -82,8 +83,10 @@ def save_figure(figure: Any, path: str | Path) -> None:
     suffix = Path(path).suffix.lower()
     # no date in it: the same data make the same file
     metadata: dict[str, dict[str, None]] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    drawn = BytesIO()  # matplotlib's PDF hides a full disk behind an error of its own
+    figure.savefig(drawn, format=suffix[1:], dpi=150, metadata=metadata.get(suffix))
     with replacing(path) as temporary:
-        figure.savefig(temporary, format=suffix[1:], dpi=150, metadata=metadata.get(suffix))
+        temporary.write_bytes(drawn.getbuffer())
 
 
 def length_scale(values: NDArray[np.float64]) -> tuple[float, str]:

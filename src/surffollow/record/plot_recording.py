@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,83 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.client.report import bin_edges_ns
-from surffollow.errors import RecordingError
-from surffollow.map.picture import known_part
 from surffollow.record import figure as fg
-from surffollow.record.feed import SERVICE
-from surffollow.record.mcap_reader import CHANNEL, MESSAGE, MESSAGE_HEAD, McapReader
-from surffollow.record.mcap_records import read_channel
-from surffollow.record.remap import Remapper
-from surffollow.record.samples import Event
-from surffollow.record.sampling import FileSamples
+from surffollow.record.story import Story, last_service, read_story
 from surffollow.shm.layout_adaptive import HEALTH_NAMES
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, STATUS_NAMES, VALID
 from surffollow.units import format_ns
 
 HORIZON_S = 0.1
-_RATE_NS = 10_000_000
-_MOST_SAMPLES = 40_000
 _HEALTH_COLORS = (fg.GREEN, "#d8b13a", fg.ORANGE, fg.RED, "#8e44ad", fg.RED)
-
-
-@dataclass
-class Story:
-    """What a recording tells, sampled.
-
-    Attributes
-    ----------
-    t_s : (n,) float64        since the first sample
-    rows : (n,) records of `Sample`
-    offset_m : (n,) float64   stand-off wanted at that time
-    map : heights (ny, nx) [m], (x, y, grid) [m] of what is known; None: it cannot be built again
-    """
-
-    source: FileSamples
-    t_s: NDArray[np.float64]
-    rows: NDArray[Any]
-    offset_m: NDArray[np.float64]
-    map: tuple[NDArray[np.float64], tuple[float, float, float]] | None
-    map_fault: str = ""
-
-    @property
-    def ground_m(self) -> NDArray[np.float64]:
-        """Height of channel 0's newest target point (n,) [m]; NaN where there is no new one."""
-        return np.where(self.rows["seen"] & 1 != 0, self.rows["output"]["target_m"][:, 2], np.nan)
-
-    @property
-    def error_m(self) -> NDArray[np.float64]:
-        """Stand-off less the wanted one (n,) [m]; NaN without a distance."""
-        error: NDArray[np.float64] = self.rows["output"]["range_m"][:, 0] - self.offset_m
-        return error
-
-
-def read_story(path: str | Path, progress: Any = None) -> Story:
-    """Sample a recording and build its map again.
-
-    Raises
-    ------
-    RecordingError  no recording, or no whole cycle in it
-    """
-    source = FileSamples([path], _RATE_NS, progress)
-    mapped, rows, offsets = Remapper(), [], []
-    for part in source:
-        if isinstance(part, Event):
-            if part.kind == "map":
-                mapped.command(part.code, part.t_ns, part.values)
-            continue
-        mapped.add(part.points_m)
-        rows.append(part.rows)
-        offsets.append(np.full(len(part.rows), float(source.sampler.params[0]["offset_m"])))
-    if not sum(map(len, rows)):
-        raise RecordingError(f"{path} holds no whole cycle")
-    every = max(1, sum(map(len, rows)) // _MOST_SAMPLES)
-    all_rows, all_offsets = np.concatenate(rows)[::every], np.concatenate(offsets)[::every]
-    t_s = (all_rows["output"]["t_ns"] - all_rows["output"]["t_ns"][0]) * 1e-9
-    try:
-        found, fault = known_part(mapped.finish()), ""
-    except RecordingError as e:
-        found, fault = None, str(e)
-    return Story(source, t_s, all_rows, all_offsets, found, fault)
 
 
 def plot_recording(path: str | Path, out: str | Path, progress: Any = None) -> Path:
@@ -100,7 +30,7 @@ def plot_recording(path: str | Path, out: str | Path, progress: Any = None) -> P
     """
     fg.check_figure(out)
     story = read_story(path, progress)
-    service = _last_service(path)
+    service = last_service(path)
     import matplotlib as mpl
 
     with mpl.rc_context(fg.STYLE):
@@ -119,19 +49,6 @@ def plot_recording(path: str | Path, out: str | Path, progress: Any = None) -> P
         _draw_ground_plan(figure, figure.add_subplot(grid[4, 1]), story)
         fg.save_figure(figure, out)
     return Path(out)
-
-
-def _last_service(path: str | Path) -> dict[str, Any] | None:
-    """The newest counters and histograms of the service, when the recording has them."""
-    newest, number = None, -1
-    with McapReader(path) as reader:
-        for opcode, body in reader.records():
-            if opcode == CHANNEL:
-                found, _, topic, _, _ = read_channel(body)
-                number = found if topic == "/service" else number
-            elif opcode == MESSAGE and int.from_bytes(body[:2], "little") == number:
-                newest = bytes(body[MESSAGE_HEAD.size :])
-    return None if newest is None else SERVICE.decode(newest)
 
 
 def _headline(path: str | Path, story: Story) -> str:
@@ -288,7 +205,7 @@ def _draw_states(ax: Any, story: Story) -> None:
 
 def _draw_latency(ax: Any, story: Story, service: dict[str, Any] | None) -> None:
     """Shares of durations, in bins of a tenth of a decade, so that all kinds compare."""
-    from matplotlib.ticker import EngFormatter
+    from matplotlib.ticker import EngFormatter, LogLocator
 
     o = story.rows["output"]
     delay = story.rows["pose_delay_ns"]
@@ -310,6 +227,7 @@ def _draw_latency(ax: Any, story: Story, service: dict[str, Any] | None) -> None
             text = f"{label}: median {format_ns(median)}"
             ax.stairs(share, edges * 1e-9, fill=True, alpha=0.6, color=color, label=text)
     ax.set(xscale="log", xlabel="age or duration", ylabel="share [%]")
+    ax.xaxis.set_major_locator(LogLocator(numticks=6))  # from ns to s there is no room for every decade
     ax.xaxis.set_major_formatter(EngFormatter(unit="s"))
     ax.tick_params(axis="x", which="minor", bottom=False)
     ax.set_title("Latencies")

@@ -8,7 +8,7 @@ from pathlib import Path
 from mcap.writer import CompressionType, Writer
 
 from surffollow.errors import RecordingError, UsageError
-from surffollow.map.atomic_file import replacing
+from surffollow.map.atomic_file import check_not_read, replacing
 from surffollow.record.format import CHUNK_BYTES, HEAD_WORDS, SUMMARY_NAME, TOPIC
 from surffollow.record.mcap_reader import CHANNEL, MESSAGE, MESSAGE_HEAD, METADATA, SCHEMA, McapReader
 from surffollow.record.mcap_records import read_channel, read_metadata, read_schema
@@ -48,6 +48,7 @@ def recover(path: str | Path, out: str | Path | None = None, *, force: bool = Fa
     """
     path = Path(path)
     target = path.with_name(f"{path.stem}-recovered{path.suffix}") if out is None else Path(out)
+    check_not_read(target, path)
     if target.exists() and not force:
         raise UsageError(f"{target} exists already; choose another --out, or replace it with --force")
     done = Recovered(str(target))

@@ -65,7 +65,7 @@ class FileSamples:
 
         Raises
         ------
-        RecordingError  a file is no recording, or of another layout
+        RecordingError  a file is no recording, of another layout, or begins before the one before it ends
         """
         for number, path in enumerate(self.paths):
             with RecordingReader(path) as reader:
@@ -81,6 +81,11 @@ class FileSamples:
     def _take(self, number: int, batch: Batch) -> Iterator[Run | Event]:
         words = np.frombuffer(bytes(batch.words), np.int64)
         key = (number, batch.segment, batch.epoch)
+        if number != self._key[0] and batch.epoch == self._key[2] and batch.position < self._position:
+            raise RecordingError(
+                f"{self.paths[number]} begins before {self.paths[number - 1]} ends; give the files of a "
+                "recording in their order, each once"
+            )
         if key != self._key or batch.position != self._position:
             if key == self._key:
                 self.damage.append(f"words {self._position} to {batch.position} of the log are missing")

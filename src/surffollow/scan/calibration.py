@@ -13,15 +13,15 @@ from scipy.spatial import cKDTree
 
 from surffollow.errors import ScanFileError, ScanInputError
 from surffollow.map.atomic_file import replacing
-from surffollow.scan.checks import Floats, positive, real_array, region_of
+from surffollow.scan.checks import Floats, plain_file, positive, real_array, region_of
 from surffollow.scan.path import ScanPath
 from surffollow.scan.terrain import delaunay
 from surffollow.scan.triangles import lay_triangles
 
 FORMAT = "surffollow-calibration-1"
 OUTSIDE = ("nearest", "unknown")
-MOST_NODES = 1_000_000  # more than any touched ground has; finding each takes time
 LARGEST_M = 1.0  # correction that can be; beyond it the unit is wrong
+MOST_NODES = 1_000_000  # 100 × 100 m at 0.1 m
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,8 @@ class CalibrationMatrix:
         Raises
         ------
         ScanInputError
-            fewer than 3 spots or all on a line, not finite, corrections above 1 m, or no such policy
+            fewer than 3 spots or all on a line, not finite, corrections above 1 m, no such policy, or more
+            than 1e6 nodes
 
         Notes
         -----
@@ -110,8 +111,8 @@ class CalibrationMatrix:
         cols, rows = (int(np.ceil((box[k + 2] - o) / g - 1e-9)) + 1 for k, o in enumerate((x0, y0)))
         if rows * cols > MOST_NODES:
             raise ScanInputError(
-                f"{box[2] - box[0]:g} × {box[3] - box[1]:g} m at nodes of {g:g} m are {rows * cols} nodes; "
-                f"at most {MOST_NODES}; are the spots in metres?"
+                f"{box[2] - box[0]:g} × {box[3] - box[1]:g} m with nodes every {g:g} m are {rows * cols} "
+                f"nodes; at most {MOST_NODES}; are spots and grid in metres?"
             )
         x, y = x0 + g * np.arange(cols), y0 + g * np.arange(rows)
         nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -214,6 +215,7 @@ class CalibrationMatrix:
         ------
         ScanFileError
         """
+        plain_file(path)
         try:
             with open(path, encoding="ascii") as f:
                 facts = json.load(f)

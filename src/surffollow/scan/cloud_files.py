@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from surffollow.errors import ScanFileError
-from surffollow.scan.checks import Floats
+from surffollow.scan.checks import Floats, plain_file
 
 CLOUD_SUFFIXES = (".ply", ".las")
 _PLY_TYPES = {
@@ -50,6 +50,7 @@ def read_cloud(path: str | os.PathLike[str]) -> Floats:
     ScanFileError
         another format, a cut file, or no points
     """
+    plain_file(path)
     suffix = Path(path).suffix.lower()
     try:
         raw = Path(path).read_bytes()
@@ -70,22 +71,10 @@ def _ply(raw: bytes, name: str) -> Floats:
     end = raw.find(b"end_header")
     if not raw.startswith(b"ply") or end < 0:
         raise ScanFileError(f"{name} is no PLY file")
-    start = raw.index(b"\n", end) + 1
-    layout, count, first = "", 0, True
-    fields: list[tuple[str, str]] = []
-    for line in raw[:end].decode("ascii", "replace").splitlines():
-        words = line.split()
-        if words[:1] == ["format"]:
-            layout = words[1]
-        elif words[:1] == ["element"]:
-            first = words[1] == "vertex" and not fields
-            count = int(words[2]) if first else count
-            if not fields and not first:
-                raise ScanFileError(f"{name}: the first element is '{words[1]}'; expected vertex")
-        elif words[:1] == ["property"] and first:
-            if words[1] not in _PLY_TYPES:
-                raise ScanFileError(f"{name}: a vertex property of type '{words[1]}' cannot be read")
-            fields.append((words[2], _PLY_TYPES[words[1]]))
+    try:
+        start, layout, count, fields = _ply_header(raw, end, name)
+    except (ValueError, IndexError) as e:
+        raise ScanFileError(f"the header of {name} is damaged: {e}") from e
     names = [f for f, _ in fields]
     if not {"x", "y", "z"} <= set(names):
         raise ScanFileError(f"{name} has vertex properties {', '.join(names)}; expected x, y and z")
@@ -103,6 +92,27 @@ def _ply(raw: bytes, name: str) -> Floats:
     if len(table) != count:
         raise ScanFileError(f"{name} is cut short: {len(table)} of {count} points")
     return table
+
+
+def _ply_header(raw: bytes, end: int, name: str) -> tuple[int, str, int, list[tuple[str, str]]]:
+    """Where the data begin, their layout, how many vertices, and name and type of each field."""
+    start = raw.index(b"\n", end) + 1
+    layout, count, first = "", 0, True
+    fields: list[tuple[str, str]] = []
+    for line in raw[:end].decode("ascii", "replace").splitlines():
+        words = line.split()
+        if words[:1] == ["format"]:
+            layout = words[1]
+        elif words[:1] == ["element"]:
+            first = words[1] == "vertex" and not fields
+            count = int(words[2]) if first else count
+            if not fields and not first:
+                raise ScanFileError(f"{name}: the first element is '{words[1]}'; expected vertex")
+        elif words[:1] == ["property"] and first:
+            if words[1] not in _PLY_TYPES:
+                raise ScanFileError(f"{name}: a vertex property of type '{words[1]}' cannot be read")
+            fields.append((words[2], _PLY_TYPES[words[1]]))
+    return start, layout, count, fields
 
 
 def _las(raw: bytes, name: str) -> Floats:

@@ -13,7 +13,7 @@ import numpy as np
 
 from surffollow.errors import ScanFileError
 from surffollow.scan.camera import Camera
-from surffollow.scan.checks import Floats
+from surffollow.scan.checks import Floats, plain_file
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -71,6 +71,7 @@ def read_images(
 
 
 def _read(path: Path, table: dict[str, Any], cameras: Any) -> DepthImage:
+    plain_file(path)
     own_kind = path.suffix.lower() == ".npz"
     values, kind = _npz(path) if own_kind else _tiff(path)
     images = table.get("images", {})
@@ -130,6 +131,7 @@ def _tiff(path: Path) -> tuple[Floats, str]:
 
 
 def _cameras(path: str | os.PathLike[str]) -> dict[str, Any]:
+    plain_file(path)
     try:
         table: dict[str, Any] = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         return table

@@ -15,6 +15,8 @@ from surffollow.scan.checks import Floats, positive, real_array
 LEAST_PERIODS = 2.0
 LEAST_EXPLAINED = 0.5  # part of the variance that the mode must explain
 FREQUENCY_SPAN = 1.5  # the fit keeps within this factor of the spectrum's peak
+HIGHEST_DAMPING = 0.9  # of the fit
+MOST_DAMPING = 0.7  # a mode with more hardly swings: a drift or a decay fits as well
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ def identify_mode(
         least_squares(
             lambda p: fit(p)[0] / scale,
             [start, zeta],
-            bounds=([start - span, 0.0], [start + span, 0.9]),
+            bounds=([start - span, 0.0], [start + span, HIGHEST_DAMPING]),
             x_scale=[0.01, 0.01],
         )
         for zeta in (0.01, 0.1)
@@ -115,9 +117,13 @@ def identify_mode(
             f"one mode explains {100.0 * explained:.0f} % of the trace, expected at least "
             f"{100.0 * LEAST_EXPLAINED:.0f} %; cut the motion off, or narrow band_hz around {peak:.3g} Hz"
         )
-    return Mode(
-        float(np.exp(best.x[0])), float(best.x[1]), float(np.hypot(weights[0], weights[1])), explained
-    )
+    found_hz, damping = float(np.exp(best.x[0])), float(best.x[1])
+    if damping > MOST_DAMPING:
+        raise ScanInputError(
+            f"the trace drifts or decays without swinging: the best mode of it has a damping of "
+            f"{damping:.2g}, expected at most {MOST_DAMPING:g}; cut the motion off, or take the drift out"
+        )
+    return Mode(found_hz, damping, float(np.hypot(weights[0], weights[1])), explained)
 
 
 def _basis(t: Floats, frequency_hz: float, zeta: float) -> Floats:

@@ -13,6 +13,7 @@ import numpy as np
 
 from surffollow.errors import ScanFileError
 from surffollow.map.atomic_file import replacing
+from surffollow.scan.checks import plain_file
 from surffollow.scan.path import ScanPath
 from surffollow.sim.column_file import read_columns
 
@@ -114,6 +115,7 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
     ScanFileError
         it cannot be read, is of another format, lacks columns, or has rows or facts that are not numbers
     """
+    plain_file(path)
     try:
         comments, text = read_columns(path)
     except (OSError, ValueError) as e:

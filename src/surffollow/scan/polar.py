@@ -17,6 +17,7 @@ from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.path import UNKNOWN_BENEATH, ScanPath
 
 ZONE_M = 0.01  # residual that still counts as effective
+SCALES = (0.5, 2.0)  # an arm that errs by more has another unit, or its spots are in another order
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,8 @@ class PolarCorrection:
         Raises
         ------
         ScanInputError
-            fewer than 2 spots, or spots at one distance from the base (the scale has no solution)
+            fewer than 2 spots, spots at one distance from the base (the scale has no solution), or a scale
+            that cannot be (another unit)
 
         Notes
         -----
@@ -97,6 +99,11 @@ class PolarCorrection:
                 f"all {len(a)} spots are {rb.mean():.3g} m from the base; the scale needs two distances"
             )
         scale, offset = np.polyfit(rb, ra, 1)
+        if not SCALES[0] <= scale <= SCALES[1]:
+            raise ScanInputError(
+                f"the spots ask for a radial scale of {scale:.4g}, expected {SCALES[0]:g} to "
+                f"{SCALES[1]:g}; are both in metres, and in one order?"
+            )
         turn = np.arctan2(a[:, 1], a[:, 0]) - np.arctan2(b[:, 1], b[:, 0])
         angle = math.atan2(float((rb * np.sin(turn)).sum()), float((rb * np.cos(turn)).sum()))
         made = cls((float(base[0]), float(base[1])), float(scale), float(offset), angle)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import os
 from collections.abc import Sequence
@@ -96,11 +97,10 @@ class SignalMap:
         path : path
             of the file
         """
-        try:
-            import rasterio
-        except ImportError as e:
-            raise ScanFileError("GeoTIFF needs rasterio: install the extra 'geo' (surffollow[geo])") from e
+        check_geotiff()
         import warnings
+
+        import rasterio
 
         rows, cols = self.count.shape
         north = self.origin_m[1] + rows * self.grid_m
@@ -122,6 +122,18 @@ class SignalMap:
                 ):
                     out.write(np.where(np.isnan(band), NODATA, band)[::-1].astype(np.float32), k)
                     out.set_band_description(k, name)
+
+
+def check_geotiff() -> None:
+    """Fail before long work when no GeoTIFF can be written.
+
+    Raises
+    ------
+    ScanFileError
+        the extra `geo` is not installed
+    """
+    if importlib.util.find_spec("rasterio") is None:
+        raise ScanFileError("GeoTIFF needs rasterio: install the extra 'geo' (surffollow[geo])")
 
 
 def signal_map(

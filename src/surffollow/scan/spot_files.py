@@ -8,7 +8,7 @@ import os
 import numpy as np
 
 from surffollow.errors import ScanFileError
-from surffollow.scan.checks import Floats
+from surffollow.scan.checks import Floats, plain_file
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.surface_lookup import sample_surface
 
@@ -31,6 +31,7 @@ def read_spots(path: str | os.PathLike[str], map_file: str | os.PathLike[str] | 
     ScanFileError
         a file that cannot be read, a column that is missing, a spot on unknown ground
     """
+    plain_file(path)
     third = "correction_m" if map_file is None else "z_m"
     try:
         with open(path, encoding="utf-8", newline="") as f:
@@ -43,6 +44,7 @@ def read_spots(path: str | os.PathLike[str], map_file: str | os.PathLike[str] | 
     spots = spots.reshape(-1, 3)
     if map_file is None:
         return spots
+    plain_file(map_file)
     from surffollow.map import HeightMap
 
     ground = TerrainGrid.from_map(HeightMap.load(str(map_file)))

@@ -13,7 +13,7 @@ import numpy as np
 
 from surffollow.errors import MapFileError, ScanFileError, ScanInputError
 from surffollow.scan.camera import rigid_transform
-from surffollow.scan.checks import Floats
+from surffollow.scan.checks import Floats, plain_file
 from surffollow.scan.grid import MEASURED, TerrainGrid
 from surffollow.scan.surface_lookup import sample_surface
 
@@ -48,35 +48,11 @@ def read_stations(path: str | os.PathLike[str]) -> list[Station]:
     ScanInputError
         a station without pose, an unknown key, or a matrix that is no rigid transform
     """
-    from surffollow.map import HeightMap
-
-    made = []
-    for name, pose in _stations(path).items():
-        matrix = _pose(str(path), name, pose)
-        file = _file(path, name)
-        if file.exists() and not file.is_file():
-            # a reader waits for ever on a pipe
-            raise ScanFileError(f"{path}, station {name}: {file} is no plain file")
-        try:
-            ground = TerrainGrid.from_map(HeightMap.load(file))
-        except (MapFileError, OSError) as e:
-            raise ScanFileError(f"{path}, station {name}: {e}") from e
-        made.append(Station(name, ground, matrix))
-    return made
-
-
-def station_files(path: str | os.PathLike[str]) -> list[Path]:
-    """Map files that a TOML file of stations names; raises as `read_stations`."""
-    return [_file(path, name) for name in _stations(path)]
-
-
-def _file(path: str | os.PathLike[str], name: str) -> Path:
-    return Path(path).parent / name
-
-
-def _stations(path: str | os.PathLike[str]) -> dict[str, Any]:
     import msgspec
 
+    from surffollow.map import HeightMap
+
+    plain_file(path)
     try:
         table: dict[str, Any] = msgspec.toml.decode(Path(path).read_bytes())
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as e:
@@ -84,7 +60,16 @@ def _stations(path: str | os.PathLike[str]) -> dict[str, Any]:
     told = table.get("stations")
     if not isinstance(told, dict) or not told:
         raise ScanFileError(f'{path} has no stations; expected tables such as [stations."a.npz"]')
-    return told
+    made = []
+    for name, pose in told.items():
+        matrix = _pose(str(path), name, pose)
+        plain_file(Path(path).parent / name)
+        try:
+            ground = TerrainGrid.from_map(HeightMap.load(Path(path).parent / name))
+        except (MapFileError, OSError) as e:
+            raise ScanFileError(f"{path}, station {name}: {e}") from e
+        made.append(Station(name, ground, matrix))
+    return made
 
 
 def _pose(path: str, name: str, told: Any) -> Floats:

@@ -62,6 +62,11 @@ class Beat:
         """The cycle has ended: tell what the audit trail still holds. Raises nothing."""
         self.guard.run("the audit trail", self._audit.finish, None)
 
+    def compiling(self, text: str) -> None:
+        """Tell clients that wait how far the start is; empty: nothing. Before the first beat only."""
+        self._ticker[0]["text"] = text.encode(errors="replace")[:511]
+        latch_write(self._house.address("ticker"), self._ticker.ctypes.data, lb.Ticker.SIZE)
+
     def beat(self, faults: int = 0) -> None:
         """Look once and publish; `faults` are bits that the caller found itself. Raises nothing."""
         told_ns = time.monotonic_ns()  # before what it tells was looked at

@@ -142,7 +142,8 @@ class Daemon:
     def _compile(self, side: SideCompile) -> bool:
         """Call every kernel once, which compiles it or loads it; False when asked to end meanwhile."""
         stop = self.mem.ctx.ctypes.data + 8 * m.STOP
-        with CompileProgress(self.messages.write, self.quiet) as progress:
+        self._beat.compiling("compiling kernels for this machine")  # from here on telling compiles nothing
+        with CompileProgress(self.messages.write, self.quiet, self._beat.compiling) as progress:
             try:
                 self._compiling = True
                 run_cycles(self.mem, 0, 0)

@@ -26,6 +26,7 @@ from surffollow.map.header import header_fault, init_header
 from surffollow.service.slot_memory import SlotMemory
 from surffollow.service.slot_server import BACKLOG
 from surffollow.service.stale import clear_stale
+from surffollow.shm import board_regions
 from surffollow.shm import layout_board as lb
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype, zeros
@@ -51,7 +52,7 @@ class House:
         self.config, self.board, self.map = config, board, map_
         self.lock, self.slots, self.listener = lock, slots, listener
         self.map_is_new = False  # made by this start, which has not been ready yet
-        self.regions = lb.board_regions(config.log_words)
+        self.regions = board_regions.board_regions(config.log_words)
         self.board_bytes = np.frombuffer(board.memory, np.uint8)
         self.header = self.board_bytes[: lb.BoardHeader.SIZE].view(numpy_dtype(lb.BoardHeader))
         map_bytes = np.frombuffer(map_.memory, np.uint8)
@@ -218,7 +219,7 @@ def open_house(config: ServiceConfig) -> House:
             _check_kept_map(config, map_, group)
         clear_stale(name)
         board_mode = mode(config.access.board_mode, "access.board_mode")
-        made.append(SharedObject.create(name, lb.board_bytes(config.log_words), board_mode, group))
+        made.append(SharedObject.create(name, board_regions.board_bytes(config.log_words), board_mode, group))
         slots = _make_slots(name)
         listener = _listen(config, group)
     except BaseException:
@@ -253,8 +254,9 @@ def _make_slots(name: str) -> SlotMemory:
         return SlotMemory(name)
     except OSError as e:
         raise NoSpaceError(
-            f"cannot make the memory of {lb.CLIENTS} client slots ({lb.inbox_bytes()} bytes): {e}; raise the "
-            "limits of memory, locked memory or open files (ulimit -v, -l, -n)"
+            f"cannot make the memory of {lb.CLIENTS} client slots "
+            f"({board_regions.inbox_bytes()} bytes): {e}; raise the limits of memory, locked memory or open "
+            "files (ulimit -v, -l, -n)"
         ) from None
 
 
@@ -275,17 +277,17 @@ def _fill_headers(house: House) -> None:
     config = house.config
     header = zeros(lb.BoardHeader)
     h: Any = header[0]
-    h["version"], h["layout_hash"] = lb.LAYOUT_VERSION, lb.layout_hash()
+    h["version"], h["layout_hash"] = lb.LAYOUT_VERSION, board_regions.layout_hash()
     h["size"], h["state"], h["epoch"] = house.board.size, lb.STATE_INITIALISING, house.epoch
     h["pid"], h["start_ticks"] = own_pid(), start_ticks(own_pid())
     h["boot_id"], h["name"] = boot_id().encode(), config.name.encode()
     h["period_ns"] = round(seconds(config.period, "period", 20e-6, 1.0) * 1e9)
-    for k, (part, schema, _) in enumerate(lb.BOARD_PARTS):
+    for k, (part, schema, _) in enumerate(board_regions.BOARD_PARTS):
         offset, size = house.regions[part]
         r = h["region"][k]
         r["name"], r["offset"], r["size"] = part.encode(), offset, size
-        r["hash"] = lb.log_hash() if part == "log" else schema.HASH
-    h["n_regions"] = len(lb.BOARD_PARTS)
+        r["hash"] = board_regions.log_hash() if part == "log" else schema.HASH
+    h["n_regions"] = len(board_regions.BOARD_PARTS)
     h["magic"] = lb.BOARD_MAGIC
     house.header[...] = header
 

@@ -10,6 +10,8 @@ from typing import Any
 
 from surffollow.service.messages import STDERR
 
+PUBLISH_EVERY_S = 0.3  # a warm start, which compiles nothing, says nothing
+
 
 def sd_notify(message: str) -> bool:
     """Send one notification; False when systemd did not start us."""
@@ -33,11 +35,17 @@ class CompileProgress:
     ----------
     write : takes text for stderr and never blocks
     quiet : show nothing
+    publish : takes one line for clients that wait; compiles nothing
     """
 
-    def __init__(self, write: Callable[[str], object], quiet: bool = False) -> None:
-        self._write, self.quiet, self.count = write, quiet, 0
-        self._start = self._told = time.monotonic()
+    def __init__(
+        self,
+        write: Callable[[str], object],
+        quiet: bool = False,
+        publish: Callable[[str], object] | None = None,
+    ) -> None:
+        self._write, self.quiet, self.count, self._publish = write, quiet, 0, publish
+        self._start = self._told = self._published = time.monotonic()
         self._tty = os.isatty(STDERR)
         self._guard: Any = None
 
@@ -69,10 +77,14 @@ class CompileProgress:
 
     def _tell(self, what: str) -> None:
         now = time.monotonic()
+        line = f"compiling kernels for this machine, {what} ({now - self._start:.0f} s)"
+        if self._publish is not None and now - self._published >= PUBLISH_EVERY_S:
+            self._published = now
+            self._publish(line)
         if self.quiet or now - self._told < (0.1 if self._tty else 2.0):
             return
         self._told = now
-        text = f"surffollow: compiling kernels for this machine, {what} ({now - self._start:.0f} s)"
+        text = f"surffollow: {line}"
         self._write(f"\r\033[K{text}" if self._tty else f"{text}\n")
 
     def __exit__(self, *exc: object) -> None:

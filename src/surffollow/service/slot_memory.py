@@ -6,7 +6,8 @@ import contextlib
 import os
 
 from surffollow.shm import sealed
-from surffollow.shm.layout_board import CLIENTS, SLOT_BYTES, inbox_bytes
+from surffollow.shm.board_regions import inbox_bytes
+from surffollow.shm.layout_board import CLIENTS, SLOT_BYTES
 
 
 class SlotMemory:

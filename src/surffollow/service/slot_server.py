@@ -18,6 +18,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from surffollow.service.client_table import ClientId, ClientTable, is_exempt
+from surffollow.shm import board_regions
 from surffollow.shm import layout_board as lb
 from surffollow.shm.readable import wait_readable
 from surffollow.shm.uninvited import Disposal, hear
@@ -30,7 +31,7 @@ GUESTS, GUESTS_PER_USER = 32, 8  # connections without a slot
 BACKLOG = 64
 _RENEW_S = 0.002
 _MESSAGE = lb.SlotMessage.struct_of("magic", "name")
-_LAYOUT_HASH = lb.layout_hash()
+_LAYOUT_HASH = board_regions.layout_hash()
 ASKED, OFFERED, HELD = range(3)
 
 

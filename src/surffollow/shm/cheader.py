@@ -12,7 +12,7 @@ from pathlib import Path
 from surffollow.config.params import PARAMS, UNIT_ENDINGS
 from surffollow.config.stop_causes import STOP_NAMES
 from surffollow.errors import SchemaError
-from surffollow.shm import latch_shape, layout_follow
+from surffollow.shm import board_regions, latch_shape, layout_follow
 from surffollow.shm import layout_board as lb
 from surffollow.shm import map_layout as ml
 from surffollow.shm import world_block as wb
@@ -119,7 +119,7 @@ def _defines() -> Iterator[tuple[str, str]]:
         return f"INT64_C({n})"
 
     yield "LAYOUT_VERSION", f"{lb.LAYOUT_VERSION}u"
-    yield "LAYOUT_HASH", f"UINT64_C({lb.layout_hash()})"
+    yield "LAYOUT_HASH", f"UINT64_C({board_regions.layout_hash()})"
     yield "BOARD_MAGIC", word(lb.BOARD_MAGIC)
     yield "SLOT_MAGIC", f"UINT64_C({lb.SLOT_MAGIC})"
     yield "MAP_MAGIC", f"UINT64_C({ml.MAGIC})"

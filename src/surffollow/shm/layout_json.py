@@ -9,27 +9,17 @@ from __future__ import annotations
 from importlib.metadata import version
 from typing import Any
 
-from surffollow.config.params import PARAMS
-from surffollow.config.stop_causes import STOP_NAMES
-from surffollow.shm import cheader, latch_shape, sealed
-from surffollow.shm import layout_adaptive as la
+from surffollow.shm import board_regions, cheader, latch_shape, sealed
 from surffollow.shm import layout_board as lb
 from surffollow.shm import layout_follow as lf
 from surffollow.shm import map_layout as ml
 from surffollow.shm import world_block as wb
-from surffollow.shm.bit_names import FIRST_SERVICE_FAULT, GRANT_NAMES, SERVICE_FAULT_NAMES
+from surffollow.shm.bit_names import FIRST_SERVICE_FAULT
 from surffollow.shm.cheader import c_name
-from surffollow.shm.request_table import REQUESTS, Argument
+from surffollow.shm.layout_json_tables import answer_names, bits, enums, parameters, requests
 from surffollow.shm.schema import SCALARS, Field, Schema
 
 FORMAT = 1  # of this document; grows when a key goes or changes its meaning
-_PREFIXES = {"request": "RQ_", "board_state": "STATE_", "access": "ACCESS_"}
-_STEPS = ("SLOT_ASK", "SLOT_OFFER", "SLOT_MAPPED", "SLOT_GRANT", "SLOT_REFUSE")
-_REFUSALS = (
-    *("SLOT_OK", "SLOT_ALL_TAKEN", "SLOT_USER_LIMIT"),
-    *("SLOT_PROCESS_LIMIT", "SLOT_OTHER_RUN", "SLOT_BAD_MESSAGE"),
-)
-# of the service and the Python client, which stand on floors above (a test compares)
 FULL_NS = 100_000_000
 BEAT_NS = 50_000_000
 CONNECT_AGAIN_NS = 2_000_000
@@ -51,7 +41,7 @@ def identity() -> dict[str, Any]:
     return {
         "release": version("surffollow"),
         "version": lb.LAYOUT_VERSION,
-        "hash": hex64(lb.layout_hash()),
+        "hash": hex64(board_regions.layout_hash()),
         "map_version": ml.VERSION,
         "map_hash": hex64(ml.LAYOUT_HASH),
         "world_hash": hex64(wb.WorldPose.HASH),
@@ -95,7 +85,7 @@ def part_shape(schema: type[Schema], size: int) -> tuple[str, int]:
 
 def _board_parts() -> list[dict[str, Any]]:
     parts = []
-    for name, schema, size in lb.BOARD_PARTS:
+    for name, schema, size in board_regions.BOARD_PARTS:
         kind, count = part_shape(schema, size)
         part: dict[str, Any] = {"name": name, "kind": kind, "count": count, "struct": c_name(schema)}
         if kind == "latch":
@@ -116,7 +106,7 @@ def _objects() -> dict[str, Any]:
             "path": "/dev/shm/NAME",
             "magic": {"text": "SURFBRD1", "value": hex64(lb.BOARD_MAGIC)},
             "version": lb.LAYOUT_VERSION,
-            "hash": hex64(lb.layout_hash()),
+            "hash": hex64(board_regions.layout_hash()),
             "header": at(0, "plain", lb.BoardHeader),
             "parts": _board_parts(),  # where they lie: the header's region table
         },
@@ -171,107 +161,6 @@ def _objects() -> dict[str, Any]:
     }
 
 
-def _constants(prefix: str) -> dict[str, int]:
-    names = [n for n in dir(lb) if n.startswith(prefix)]
-    return dict(sorted(((n, int(getattr(lb, n))) for n in names), key=lambda pair: pair[1]))
-
-
-def _enums() -> dict[str, dict[str, int]]:
-    def numbered(names: tuple[str, ...]) -> dict[str, int]:
-        return {name: k for k, name in enumerate(names)}
-
-    return {
-        **{name: _constants(prefix) for name, prefix in _PREFIXES.items()},
-        "slot_step": {n: int(getattr(lb, n)) for n in _STEPS},
-        "slot_result": {n: int(getattr(lb, n)) for n in _REFUSALS},
-        "map_state": numbered(ml.STATE_NAMES),
-        "map_rounding": numbered(ml.ROUNDING_NAMES),
-        "health": numbered(la.HEALTH_NAMES),
-        "mode": numbered(PARAMS["mode"].choices),
-        "run": numbered(PARAMS["run"].choices),
-    }
-
-
-def _bits() -> dict[str, dict[str, int]]:
-    """Name → bit number, by the word that the bits are in."""
-    status = {name: k for k, name in enumerate(lf.STATUS_NAMES)}
-    stop = {name: k for k, name in enumerate(STOP_NAMES)}
-    return {
-        "sf_output.status": {**status, "STALE": cheader.STALE.bit_length() - 1},
-        "sf_output.faults": {name: k for k, name in enumerate(la.FAULT_NAMES)},
-        "sf_output.stop": stop,
-        "sf_output.stop_now": stop,
-        "sf_params.stop_on": stop,
-        "sf_map_header.stop": stop,
-        "sf_ticker.faults": {name: k for k, name in enumerate(SERVICE_FAULT_NAMES)},
-        "sf_ticker.granted": {name: k for k, name in enumerate(GRANT_NAMES)},
-    }
-
-
-def _answer_names() -> dict[int, str]:
-    names = {int(getattr(lb, n)): n for n in dir(lb) if n.startswith("ERR_")}
-    return {**names, lb.OK: "OK", lb.ACCEPTED: "ACCEPTED"}
-
-
-def _argument(a: Argument) -> dict[str, Any]:
-    if a.count == 0:
-        words = f"{a.array}[0..n-1]"
-    else:
-        words = f"{a.array}[{a.first}]" + (f"..[{a.first + a.count - 1}]" if a.count > 1 else "")
-    return {
-        "words": words,
-        "array": a.array,
-        "first": a.first,
-        "count": a.count or "n",
-        "name": a.name,
-        "unit": a.unit,
-        "doc": a.doc,
-    }
-
-
-def _requests() -> list[dict[str, Any]]:
-    names = {v: n for n, v in _constants("RQ_").items()}
-    answers = _answer_names()
-
-    def told(results: dict[int, str]) -> list[dict[str, Any]]:
-        return [{"result": r, "name": answers[r], "detail": text} for r, text in sorted(results.items())]
-
-    return [
-        {
-            "code": r.code,
-            "name": names[r.code].removeprefix("RQ_"),
-            "doc": r.doc,
-            "may": r.may,
-            "n": r.n or "ignored",
-            "arguments": [_argument(a) for a in r.arguments],
-            "acks": told(r.answers),
-            "map_acks": told(r.end),
-        }
-        for r in REQUESTS
-    ]
-
-
-def _parameters() -> list[dict[str, Any]]:
-    rows = []
-    for name, spec in PARAMS.items():
-        unit = "" if spec.unit == "1" else spec.unit
-        rows.append(
-            {
-                "name": name,
-                "number": lf.Params.offset(name) // 8,
-                "type": "int64" if lf.Params.field(name).code == "i8" else "double",
-                "whole": spec.whole,
-                "unit": unit,
-                "low": spec.low,
-                "high": spec.high,
-                "default": spec.default,
-                "choices": list(spec.choices),
-                "doc": lf.Params.field(name).doc,
-            }
-        )
-    return rows
-
-
 def _handshake() -> dict[str, Any]:
     """The exchange on NAME.sock; rules in docs/reference/protocol.md, "Getting a slot"."""
     steps = [
@@ -287,7 +176,7 @@ def _handshake() -> dict[str, Any]:
         "type": "SOCK_SEQPACKET",
         "struct": c_name(lb.SlotMessage),
         "magic": {"text": "SURFSLT1", "value": hex64(lb.SLOT_MAGIC)},
-        "hash": hex64(lb.layout_hash()),
+        "hash": hex64(board_regions.layout_hash()),
         "seals": sealed.SIZE_SEALS,
         "messages": [
             {
@@ -342,7 +231,7 @@ def _waits() -> dict[str, int]:
 
 def layout_document() -> dict[str, Any]:
     """What a client needs besides the rules in docs/reference/protocol.md, ready for JSON."""
-    answers = _answer_names()
+    answers = answer_names()
     return {
         "format": FORMAT,
         **identity(),
@@ -360,12 +249,12 @@ def layout_document() -> dict[str, Any]:
         },
         "handshake": _handshake(),
         "structs": {c_name(s): _struct(s) for s in cheader.SCHEMAS},
-        "enums": _enums(),
-        "bits": _bits(),
-        "requests": _requests(),
+        "enums": enums(),
+        "bits": bits(),
+        "requests": requests(),
         "answers": [{"result": k, "name": answers[k], "text": t} for k, t in enumerate(lb.RESULT_TEXT)],
         "slot_refusals": [{"result": k, "text": t} for k, t in enumerate(lb.SLOT_TEXT)],
-        "parameters": _parameters(),
+        "parameters": parameters(),
         "limits": _limits(),
         "waits": _waits(),
     }

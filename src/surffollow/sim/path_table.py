@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import zipfile
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,7 +65,8 @@ def read_path_table(file: str) -> PathTable:
     lengths = {len(c) for c in columns.values()}
     if len(lengths) > 1 or min(lengths) < 2:
         raise UsageError(
-            f"path '{file}' has columns of {sorted(lengths)} rows; two or more corners are needed"
+            f"path '{file}' has {' or '.join(map(str, sorted(lengths)))} corners; two or more are "
+            "needed, as many in each column"
         )
     for name, values in columns.items():
         _check(file, name, np.isfinite(values), values, "finite")
@@ -118,8 +120,12 @@ def _read_npz(file: str) -> dict[str, NDArray[np.float64]]:
         return {
             n: np.atleast_1d(np.asarray(v, np.float64)) for n, v in found.items() if n in KNOWN or v.ndim == 1
         }
-    except (OSError, ValueError) as error:
-        raise UsageError(f"cannot read the path '{file}': {error}") from None
+    except OSError as error:
+        raise UsageError(f"cannot read the path '{file}': {error.strerror or error}") from None
+    except (ValueError, zipfile.BadZipFile, AttributeError, TypeError, EOFError):
+        raise UsageError(
+            f"path '{file}' is no NPZ file of numbers; numpy.savez(FILE, x_m=…, y_m=…) writes one"
+        ) from None
 
 
 def _read_csv(file: str) -> dict[str, NDArray[np.float64]]:

@@ -1,0 +1,107 @@
+"""A client that meets a service which compiles its kernels waits, and says how far it is."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from surffollow.client import board as board_module
+from surffollow.client.board import Board
+from surffollow.config.service import ServiceConfig
+from surffollow.errors import NotReadyError
+from surffollow.service.house import House, open_house
+from surffollow.service.notify import CompileProgress
+from surffollow.shm import layout_board as lb
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.latch import latch_write
+
+NAME = f"compiling-{os.getpid()}"
+
+
+class Clock:
+    """Seconds that pass only while somebody sleeps, one each time; `then` is done after so many of them."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self.then: dict[int, object] = {}
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, _: float) -> None:
+        self.now_s += 1.0
+        do = self.then.get(int(self.now_s))
+        if callable(do):
+            do()
+
+
+@pytest.fixture
+def house() -> Iterator[House]:
+    """A service's board that is not ready, with a process that runs: this one."""
+    made = open_house(ServiceConfig(name=NAME, log_words=65536))
+    made.set_state(lb.STATE_INITIALISING)
+    yield made
+    made.leave()
+    Path(f"/dev/shm/{NAME}.map").unlink(missing_ok=True)  # kept by a service that was ready
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(board_module, "time", clock)
+    return clock
+
+
+def tell(house: House, text: str) -> None:
+    ticker = zeros(lb.Ticker)
+    ticker[0]["text"] = text.encode()
+    latch_write(house.address("ticker"), ticker.ctypes.data, lb.Ticker.SIZE)
+
+
+def test_it_waits_until_ready_and_tells_the_progress(
+    house: House, clock: Clock, caplog: pytest.LogCaptureFixture
+) -> None:
+    tell(house, "compiling kernels, 7: one")
+    clock.then = {
+        30: lambda: tell(house, "compiling kernels, 99: other"),
+        60: lambda: tell(house, ""),  # compiled; the first cycles run
+        61: lambda: house.set_state(lb.STATE_READY),
+    }
+    Board(NAME).close()
+    assert clock.now_s == 61.0
+    assert f"waiting for service '{NAME}': compiling kernels, 7: one" in caplog.text
+    assert "99: other" in caplog.text
+
+
+def test_it_waits_no_longer_than_before_for_one_that_does_not_compile(house: House, clock: Clock) -> None:
+    with pytest.raises(NotReadyError, match=r"not ready after 2 s; see the service's log"):
+        Board(NAME)
+
+
+def test_it_does_not_wait_for_one_that_died_while_it_compiled(
+    house: House, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tell(house, "compiling kernels, 7: one")
+    monkeypatch.setattr(board_module, "is_running", lambda *_: False)
+    with pytest.raises(NotReadyError, match="not ready after 2 s"):
+        Board(NAME)
+
+
+def test_a_control_loop_that_attaches_again_never_waits(house: House, clock: Clock) -> None:
+    tell(house, "compiling kernels, 7: one")
+    with pytest.raises(NotReadyError, match=r"not ready .*: compiling kernels, 7: one; try again in a while"):
+        Board(NAME, ready_timeout_s=0.0)
+    assert clock.now_s == 0.0
+
+
+def test_a_cold_start_publishes_how_far_it_is_even_when_it_is_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, lines = Clock(), list[str]()
+    monkeypatch.setattr("surffollow.service.notify.time", clock)
+    progress = CompileProgress(lambda _: None, quiet=True, publish=lines.append)
+    for _ in range(3):
+        clock.sleep(1.0)
+        progress.waiting()
+    assert [line.partition("(")[2] for line in lines] == ["1 s)", "2 s)", "3 s)"]
