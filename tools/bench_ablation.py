@@ -1,183 +1,272 @@
-"""Leave out one mechanism of the multiple-model follower after the other, and see what each is worth.
+"""Leave out one mechanism of the default follower after the other, and see what each is worth.
 
-Every variant changes constants of `forecast.tuning`. Printed is the geometric mean of its RMS and of its
-set point acceleration over those of the full follower, on the same surfaces, speeds and seeds.
+Every variant is a change of its source in a copy of the package. Printed per variant, over the full follower:
+geometric means of the RMS over surfaces without sines, over sines, and with a sensor that leads by 50 mm, the
+worst cell, the acceleration of the set points, and the greatest excursion after slots and glitches.
 """
 
 from __future__ import annotations
 
 import argparse
-import ast
 import json
 import math
+import os
+import shutil
+import subprocess
 import sys
-import time
+import tempfile
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import msgspec
-import numpy as np
-
-from surffollow import Follower
-from surffollow.contest.conditions import Conditions
-from surffollow.contest.door import drive
-from surffollow.contest.families import PERIODIC
-from surffollow.contest.methods import follower_config
-from surffollow.contest.runner import scene_of, score_run
-from surffollow.contest.suite import Cell
-from surffollow.forecast import tuning
-from surffollow.forecast.estimation.models import LEVEL, WAVE
-from surffollow.forecast.tuning import MODELS
-from surffollow.shm import layout_multimodel
-
+ROOT = Path(__file__).resolve().parent.parent
+ADAPTIVE = Path("surffollow/forecast/adaptive")
 SURFACES = (
+    "ramp-5",
     "ramp-20",
     "step",
     "hump",
+    "bumps",
+    "rough-smooth-rough",
     "iso-c",
     "fy91",
+    "jacksboro",
+    "microscope",
     "weld",
     "hull",
     "casting",
     "lap-joints",
     "pipes",
     "terrain",
-    "sine-200",
+    "sine-100",
+    "sine-400",
+    "chirp",
 )
-SINES = PERIODIC | {"sine-100", "sine-200", "sine-400", "chirp"}
-SPEEDS_MPS = (0.1, 0.4)
-FLOOR_M = 0.1e-3
-_FADING = [i for i, row in enumerate(MODELS) if row[2] > 0.0]
+SINES = ("sine-100", "sine-400", "chirp")
+SPEEDS_MPS, LEADS_M = (0.1, 0.2, 0.4), (0.0, 0.05)
+EXCURSIONS = ("slot", "glitch")
 
-
-def _bank(keep: Any) -> dict[str, Any]:
-    return {"models": [list(row) for i, row in enumerate(MODELS) if keep(i, row)]}
-
-
-VARIANTS: dict[str, dict[str, Any]] = {
-    "full": {},
-    "no innovation gate": {"gate_gate": 1e6},
-    "steps need no agreement": {"gate_confirm": 1, "gate_confirm_slow": 1},
-    "slots are always likely": {"gate_stays": 1.0},
-    "slopes take the whole innovation": {"bank_clip": 1e6},
-    "no recent horizon": {"index_power": 0.0},
-    "no longer horizon": {"index_longer_power": 0.0},
-    "no preference for calm models": {"index_calm": 0.0},
-    "blend not smoothed": {"setpoint_smoothing": 1e-3},
-    "set point not limited by the axis": {"setpoint_useful": 1e6},
-    "no wave model": _bank(lambda _, row: row[0] != WAVE),
-    "no fading slopes": _bank(lambda i, _: i not in _FADING),
-    "no levels": _bank(lambda _, row: row[0] != LEVEL),
-    "one slope model": _bank(lambda i, _: i == 6),
+# name: (module, text, its replacement) …
+VARIANTS: dict[str, list[tuple[str, str, str]]] = {
+    "full": [],
+    "powers without sharpness": [
+        ("model_weights", "sharpness = noise_share * noise_share * progress * progress", "sharpness = 1.0")
+    ],
+    "longer horizon on quiet ground": [
+        (
+            "model_weights",
+            "longer_share = longer_horizon_share(adaptive, least_longer)",
+            "longer_share = 0.0 * least_longer",
+        )
+    ],
+    "wider deadband in burn-in": [("adaptation", "BURN_IN_WIDENING = 3.5", "BURN_IN_WIDENING = 0.0")],
+    "chance penalty": [("model_weights", "chance = noise_share", "chance = 0.0 * noise_share")],
+    "bias penalty": [
+        (
+            "model_weights",
+            "c = burn_in * (c + bias_share * bias)",
+            "c = burn_in * (c + 0.0 * bias_share * bias)",
+        ),
+        ("model_weights", "bias_in_force += weights.weight[i] * bias", "bias_in_force += 0.0 * bias"),
+    ],
+    "filter of the weights": [("model_weights", "rate = 1.0 - math.exp(", "rate = 1.0 - 0.0 * math.exp(")],
+    "variance penalty": [("model_weights", "if variance_share > 0.0:", "if variance_share > 2.0:")],
+    "complexity penalty": [
+        ("model_bank", "_KIND_PENALTY = np.array([0.0, 0.8, 0.8])", "_KIND_PENALTY = np.zeros(3)"),
+        ("model_bank", "(BANK[:, 2] == _STIFF_NOISE), 3.0, 0.0)", "(BANK[:, 2] == _STIFF_NOISE), 0.0, 0.0)"),
+    ],
+    "burn-in of the index": [
+        (
+            "model_weights",
+            "burn_in, progress = min(weights.scored / BURN_IN_SAMPLES, 1.0),",
+            "burn_in, progress = 1.0,",
+        )
+    ],
+    "effort power": [
+        (
+            "model_weights",
+            "ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.8, 6.0",
+            "ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.0, 0.0",
+        )
+    ],
+    "effort in the index": [("model_weights", "extra = floor + mu *", "extra = floor + 0.0 * mu *")],
+    "second sample in the gate": [
+        ("innovation_gate", "if not inner * gate_m < abs(innovation_m) <= gate_m or", "if inner >= 0.0 or")
+    ],
+    "steps that continue": [
+        (
+            "innovation_gate",
+            "continues = gate.travel_since_step_m < params.step_way_m and innovation_m * gate.step_m > 0.0",
+            "continues = gate.travel_since_step_m < 0.0",
+        )
+    ],
+    "likelihood of slots": [
+        ("innovation_gate", "SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 0.3", "SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 1.0")
+    ],
+    "settling after a step": [
+        ("estimate", "SETTLING_NS = 150_000_000", "SETTLING_NS = 0"),
+        ("estimate", "INITIAL_SETTLING_NS = 60_000_000", "INITIAL_SETTLING_NS = 0"),
+    ],
+    "clamp of the slope": [("setpoint_blend", "SLOPE_LIMIT = 0.2", "SLOPE_LIMIT = 1e6")],
+    "step taken back in a loss": [
+        (
+            "setpoint_blend",
+            "if dropout > 0.0 and gate.step_m < 0.0 and recent:",
+            "if dropout > 1e9 and recent:",
+        )
+    ],
+    "terrain regression": [
+        (
+            "preview",
+            "predict_rise(regression, j, offset, rise) if math.isfinite(rise)",
+            "0.0 if math.isfinite(rise)",
+        )
+    ],
+    "penalty on an early descent": [
+        ("preview_control", "EARLY_WEIGHT = 1.5e-3, 300.0", "EARLY_WEIGHT = 1.5e-3, 0.0")
+    ],
+    "curve models": [("model_bank", "for qc in (3.0, 10.0, 30.0, 100.0, 300.0):", "for qc in (30.0,):")],
+    "wave models": [
+        (
+            "model_bank",
+            "for lam in (0.063, 0.08, 0.1, 0.126, 0.16, 0.2, 0.252, 0.32, 0.4, 0.5, 0.63):",
+            "for lam in (0.2,):",
+        )
+    ],
+    "shares of the slope": [
+        (
+            "model_bank",
+            "for s in (_HALF_SLOPE, _NO_SLOPE) for i in range(N_MODELS) if s in _MODELS[i][1]]",
+            "for s in (_HALF_SLOPE,) for i in range(1) if s in _MODELS[i][1]]",
+        )
+    ],
+    "deadband": [
+        ("setpoint_blend", "excess = abs(e) - adaptation.deadband_m", "excess = abs(e) - 1e-9"),
+        ("setpoint_blend", "softness = DEADBAND_SOFTNESS * adaptation.deadband_m", "softness = 1e-12"),
+        (
+            "setpoint_blend",
+            "remaining = adaptation.deadband_m + excess",
+            "remaining = 0.0 * adaptation.deadband_m + excess",
+        ),
+    ],
+    "toward_factor 1": [
+        ("../../config/params", '"toward_factor": ParamSpec(0.5,', '"toward_factor": ParamSpec(1.0,')
+    ],
 }
 
 
-def count_constants() -> tuple[list[str], int]:
-    """Names of the numbers in the follower's modules and table (enumerations apart), and its lines."""
-    forecast = Path(tuning.__file__).parent
-    modules = [p for p in forecast.rglob("*.py") if p.parent != forecast]
-    modules += [forecast / "multimodel.py", forecast / "scales.py", forecast / "tuning.py"]
-    names, lines = list(tuning.DEFAULTS), 0
-    for path in [*modules, Path(layout_multimodel.__file__)]:
-        text = path.read_text(encoding="utf-8")
-        lines += len(text.splitlines())
-        for node in ast.parse(text).body if path.parent != Path(layout_multimodel.__file__).parent else []:
-            if isinstance(node, ast.Assign) and not ast.unparse(node.value).startswith(("range(", "(0, 1")):
-                names += [ast.unparse(n) for n in getattr(node.targets[0], "elts", node.targets[:1])]
-    return names, lines
+def cell_trial(job: tuple[str, float, float, int]) -> tuple[float, float]:
+    """RMS [m] and acceleration [m/s²] of one cell of the contest."""
+    from surffollow.contest.conditions import Conditions
+    from surffollow.contest.runner import run_method, scene_of, score_run
+    from surffollow.contest.suite import Cell
 
-
-def run(job: tuple[str, float, int, dict[str, Any]]) -> tuple[float, float]:
-    """RMS [m] and set point acceleration [m/s²] of one run."""
-    surface, speed, seed, changes = job
-    changes = dict(changes)
-    conditions = Conditions()
-    for key in ("plant", "sensor", "pose"):
-        if key in changes:
-            old = getattr(conditions, key)
-            conditions = conditions.but(**{key: msgspec.structs.replace(old, **changes.pop(key))})
-    scene = scene_of(Cell(surface, speed, conditions), seed)
-    config = follower_config(conditions) | {"mode": "multimodel", "tuning": changes}
-    s, w = scene.fresh()
-    drive(Follower(config, offset_m=conditions.standoff_m), s, w)
-    score = score_run(scene, s, w)
+    surface, speed, lead, seed = job
+    scene = scene_of(Cell(surface, speed, Conditions().but(lead_m=lead)), seed)
+    score = score_run(scene, *run_method("ours", scene))
     return score.rms_m, score.demand_accel_mps2
 
 
-def measure(
-    variants: dict[str, dict[str, Any]], surfaces: Sequence[str], seeds: Sequence[int], processes: int
-) -> dict[str, dict[tuple[str, float], tuple[float, float]]]:
-    """Mean RMS and acceleration of every variant in every cell."""
-    cells = [(s, v) for s in surfaces for v in SPEEDS_MPS]
-    jobs = [(*c, seed, changes) for changes in variants.values() for c in cells for seed in seeds]
-    if processes > 1:
-        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-            found = list(pool.map(run, jobs, chunksize=8))
-    else:
-        found = [run(job) for job in jobs]
-    means = np.array(found).reshape(len(variants), len(cells), len(seeds), 2).mean(axis=2)
+def excursion_trial(job: tuple[str, float, int]) -> float:
+    """Greatest excursion of the set point after slots or glitches [m]."""
+    from surffollow.contest.conditions import Conditions
+    from surffollow.contest.trials import Job, excursion
+
+    case, speed, seed = job
+    return float(excursion(Job("excursion", "ours", seed, Conditions(), "flat", speed, case))["excursion_m"])
+
+
+def measure(seeds: Sequence[int]) -> dict[str, Any]:
+    """All figures of the follower that is imported."""
+    cells = [(s, v, lead, seed) for s in SURFACES for v in SPEEDS_MPS for lead in LEADS_M for seed in seeds]
+    trials = [(c, v, seed) for c in EXCURSIONS for v in SPEEDS_MPS for seed in seeds]
     return {
-        name: {c: (float(r), float(a)) for c, (r, a) in zip(cells, rows)}
-        for name, rows in zip(variants, means)
+        "cells": [[list(job), *cell_trial(job)] for job in cells],
+        "excursions": [[list(job), excursion_trial(job)] for job in trials],
     }
 
 
-def over_full(cells: Any, full: Any, which: int, keep: Any) -> float:
-    """Geometric mean of a variant's figures over those of the full follower."""
-    floor = FLOOR_M if which == 0 else 1e-3
-    logs = [
-        math.log(max(v[which], floor) / max(full[c][which], floor)) for c, v in cells.items() if keep(c[0])
-    ]
-    return math.exp(float(np.mean(logs))) if logs else math.nan
+def run_variant(name: str, seeds: str, cache: Path) -> dict[str, Any]:
+    """Measure a variant in a copy of the package."""
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "src"
+        shutil.copytree(ROOT / "src", source, ignore=shutil.ignore_patterns("__pycache__"))
+        for module, text, other in VARIANTS[name]:
+            path = (source / ADAPTIVE / f"{module}.py").resolve()
+            before = path.read_text()
+            if before.count(text) != 1:
+                raise SystemExit(f"{name}: {module} has {before.count(text)} times: {text}")
+            path.write_text(before.replace(text, other))
+        environment = {
+            **os.environ,
+            "PYTHONPATH": str(source),
+            "SURFFOLLOW_CACHE_DIR": str(cache / name.replace(" ", "-")),
+        }
+        done = subprocess.run(
+            [sys.executable, __file__, "--measure", "--seeds", seeds],
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
+        if done.returncode:
+            raise SystemExit(f"{name}: {done.stderr[-2000:]}")
+        return dict(json.loads(done.stdout))
+
+
+def geometric_mean(values: Sequence[float]) -> float:
+    return math.exp(sum(map(math.log, values)) / len(values))
+
+
+def compare(found: dict[str, Any], full: dict[str, Any]) -> dict[str, float]:
+    """Figures of a variant over those of the full follower."""
+    rms, accel = {}, []
+    for (job, r, a), (_, r0, a0) in zip(found["cells"], full["cells"]):
+        rms[tuple(job)] = r / r0
+        accel.append(a / a0)
+
+    def of(keep: Any) -> float:
+        return geometric_mean([x for job, x in rms.items() if keep(job)])
+
+    return {
+        "rms": of(lambda j: j[2] == 0.0 and j[0] not in SINES),
+        "sines": of(lambda j: j[2] == 0.0 and j[0] in SINES),
+        "lead": of(lambda j: j[2] > 0.0),
+        "worst": max(rms.values()),
+        "acceleration": geometric_mean(accel),
+        "excursion_m": max(e for _, e in found["excursions"]),
+    }
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the variants and print the table."""
+    """Run the variants one after the other."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--seeds", default="300:304", help="A:B, half-open")
-    parser.add_argument("--surface", action="append")
-    parser.add_argument("--variant", action="append", help="only these, beside the full one")
-    parser.add_argument(
-        "--try", dest="tries", action="append", default=[], help="JSON table of constants to try"
-    )
-    parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--cells", action="store_true", help="every cell's RMS [mm]")
+    parser.add_argument("--seeds", default="340:342")
+    parser.add_argument("--variant", action="append", choices=list(VARIANTS), help="only these")
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--count", action="store_true", help="count constants and lines, run nothing")
+    parser.add_argument("--measure", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args(argv)
-    if given.count:
-        names, lines = count_constants()
-        print(f"{len(names)} constants, {len(MODELS)} models, {lines} lines: {', '.join(names)}")
+    first, last = map(int, given.seeds.split(":"))
+    if given.measure:
+        print(json.dumps(measure(range(first, last))))
         return 0
-    first, _, last = given.seeds.partition(":")
-    surfaces = given.surface or SURFACES
-    named = {t: json.loads(t) for t in given.tries}
-    chosen = {n: v for n, v in VARIANTS.items() if n == "full" or n in (given.variant or VARIANTS)}
-    variants = {"full": {}} | named if given.tries else chosen
-    begun = time.process_time()
-    found = measure(variants, surfaces, range(int(first), int(last)), given.processes)
-    full = found["full"]
-    rows = {
-        name: {
-            "rms": over_full(cells, full, 0, lambda s: s not in SINES),
-            "rms_periodic": over_full(cells, full, 0, lambda s: s in SINES),
-            "acceleration": over_full(cells, full, 1, lambda s: True),
-        }
-        for name, cells in found.items()
-    }
+    names = ["full", *[v for v in given.variant or VARIANTS if v != "full"]]
+    rows: dict[str, dict[str, float]] = {}
+    with tempfile.TemporaryDirectory() as cache:
+        full = run_variant("full", given.seeds, Path(cache))
+        if not given.json:
+            print("| left out | RMS | sines | lead 50 mm | worst cell | acceleration | excursion [mm] |")
+            print("| --- | --- | --- | --- | --- | --- | --- |")
+        for name in names:
+            found = full if name == "full" else run_variant(name, given.seeds, Path(cache))
+            row = rows[name] = compare(found, full)
+            if not given.json:
+                print(
+                    f"| {name} | {row['rms']:.3f} | {row['sines']:.3f} | {row['lead']:.3f} |"
+                    f" {row['worst']:.2f} | {row['acceleration']:.2f} | {1e3 * row['excursion_m']:.3f} |",
+                    flush=True,
+                )
     if given.json:
-        cells = {n: {f"{s} {v}": x for (s, v), x in c.items()} for n, c in found.items()}
-        print(json.dumps({"rows": rows, "cells": cells, "cpu_s": time.process_time() - begun}, indent=1))
-        return 0
-    print("| variant | RMS | RMS, periodic | acceleration |\n| --- | ---: | ---: | ---: |")
-    for name, r in rows.items():
-        print(f"| {name} | {r['rms']:.3f} | {r['rms_periodic']:.3f} | {r['acceleration']:.2f} |")
-    if given.cells:
-        for c in full:
-            print(*c, " ".join(f"{1e3 * found[n][c][0]:.3f}" for n in found))
+        print(json.dumps(rows, indent=1))
     return 0
 
 

@@ -364,7 +364,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--set", choices=tuple(CASES), default="publish")
     parser.add_argument("--seeds", default="100:104", help="A:B, half-open")
-    parser.add_argument("--methods", default="multimodel,ours")
+    parser.add_argument("--methods", default="ours")
     parser.add_argument("--case", action="append", help="only cases whose name contains this")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(argv)

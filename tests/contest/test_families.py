@@ -34,7 +34,7 @@ SCALES = {
 
 
 @pytest.mark.parametrize("scale", SCALES)
-def test_the_multiple_model_follower_follows_at_every_scale(scale):
+def test_the_default_follower_follows_at_every_scale(scale):
     """Told window, plant and stand-off only, it is about as good as a P loop whose gain suits the case."""
     ground, standoff, (near, far), speed, hz, sigma, late, plant, seconds, sizes = SCALES[scale]
     conditions = Conditions(
@@ -53,5 +53,5 @@ def test_the_multiple_model_follower_follows_at_every_scale(scale):
         run_jitted(P, (gain,), s, w)
         plain.append(rms(scene, w))
     s, w = scene.fresh()
-    drive(factory_of("multimodel")(conditions), s, w)
+    drive(factory_of("ours")(conditions), s, w)
     assert rms(scene, w) < 1.2 * min(plain), (rms(scene, w), plain)

@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from surffollow.shm.bit_names import FIRST_SERVICE_FAULT, SERVICE_FAULT_NAMES
-from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES
+from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES, REASON_NAMES
 from surffollow.shm.layout_follow import MODE_ADAPTIVE
-from surffollow.shm.layout_multimodel import REASON_NAMES
 
 _ESTIMATES = ("height_m", "slope", "speed_mps", "error_m")
 _ADAPTED = (

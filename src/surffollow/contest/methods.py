@@ -141,10 +141,6 @@ def followers() -> dict[str, Factory]:
     }
 
 
-# rows that run when they are named, not by default
-EXPERIMENTAL: dict[str, Factory] = {"multimodel": _follower_factory({"mode": "multimodel"})}
-
-
 def outside_follower(spec: str) -> Factory:
     """Find a factory given as `module:name`; it is called with the `Conditions` of a run.
 
@@ -191,7 +187,7 @@ def factory_of(method: str) -> Factory:
     name, _, spec = method.partition("=")
     if spec:
         return outside_follower(spec)
-    known = followers() | EXPERIMENTAL
+    known = followers()
     if name not in known:
         raise UsageError(f"no method '{name}' here; there are {', '.join(all_methods())}")
     return known[name]
@@ -213,7 +209,7 @@ def check_methods(methods: Sequence[str]) -> list[str]:
     UsageError
         for a method that does not exist
     """
-    known = {*all_methods(), *EXPERIMENTAL}
+    known = all_methods()
     for method in methods:
         if "=" in method:
             check_follower(method.partition("=")[2])

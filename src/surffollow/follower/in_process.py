@@ -17,16 +17,14 @@ from numpy.typing import NDArray
 
 from surffollow.config.params import check_param, param_name
 from surffollow.errors import ConfigError, PoseError, UsageError
-from surffollow.follower.setup import MULTIMODEL, Config, check_standoff, check_window, read_setup
+from surffollow.follower.setup import Config, check_standoff, check_window, read_setup
 from surffollow.forecast.adaptive.model_bank import N_CANDIDATES
 from surffollow.forecast.adaptive.terrain_memory import new_memory, read_preview, store_footprint
 from surffollow.forecast.horizon import forecast_range
-from surffollow.forecast.multimodel import multimodel_step, reset_estimate
 from surffollow.forecast.pose import MOST_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
 from surffollow.forecast.step import follow_step, sf_reset
-from surffollow.forecast.tuning import new_multimodel
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES
+from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES, REASON_NAMES
 from surffollow.shm.layout_follow import (
     CHANNELS,
     MODE_ADAPTIVE,
@@ -36,7 +34,6 @@ from surffollow.shm.layout_follow import (
     Output,
     Params,
 )
-from surffollow.shm.layout_multimodel import N_MODELS, REASON_NAMES
 
 RECALL_NS = 5_000_000  # remembered ground is looked up at most so often, at the reference time 1
 PAUSE_NS = 1_000_000_000
@@ -64,10 +61,10 @@ class Follower:
     ----------
     config : dict, path of a TOML file, or None
         parameters by name (`surffollow.config.params`), SI numbers or text with units; `mode` is
-        "adaptive" (default), "paper" or "multimodel" (experimental, one sensor). `sensors`: list of tables
-        with `position_m` (3), `orientation` (unit quaternion, 4), `near_m`, `far_m`; `plant`: table with
-        `tau_s`, `v_max_mps`, `a_max_mps2`. `memory` = false: do not use ground seen on earlier passes.
-        `sensor_readings` (default 1 here): so many ranges of a channel are averaged into a reading
+        "adaptive" (default) or "paper". `sensors`: list of tables with `position_m` (3), `orientation`
+        (unit quaternion, 4), `near_m`, `far_m`; `plant`: table with `tau_s`, `v_max_mps`, `a_max_mps2`.
+        `memory` = false: do not use ground seen on earlier passes. `sensor_readings` (default 1 here): so
+        many ranges of a channel are averaged into a reading
     offset_m : float, optional
         desired stand-off along the beam of channel 0 [m]; default that of the configuration
 
@@ -103,13 +100,11 @@ class Follower:
         setup = read_setup(config, offset_m)
         for name, number in setup.values.items():
             self._params[name] = number
-        self._multimodel = new_multimodel(setup.tuning) if setup.multimodel else None
-        self._setpoints = np.zeros(N_MODELS)
         self._params["n_channels"] = len(setup.mounts)
         mounts = self._params["tool_from_sensor"][0].reshape(CHANNELS, 7)
         mounts[:, 6] = 1.0
         mounts[: len(setup.mounts)] = setup.mounts
-        adaptive = self._params["mode"][0] == MODE_ADAPTIVE and not setup.multimodel
+        adaptive = self._params["mode"][0] == MODE_ADAPTIVE
         self._memory = new_memory() if setup.remembers and adaptive else None
         check_standoff(self._params[0])
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
@@ -169,8 +164,6 @@ class Follower:
         if self._memory is not None and (not keep_memory or float(self._scaled["length"]) != before):
             self._memory[:] = np.zeros((), self._memory.dtype)
             self._n_preview[0] = self._recalled_ns = 0
-        if self._multimodel is not None:
-            reset_estimate(self._multimodel[0], 0)
 
     def pose(self, t_ns: int, pose: Sequence[float] | NDArray[Any]) -> bool:
         """Take a pose report.
@@ -254,18 +247,6 @@ class Follower:
         elif t_ns >= self._recalled_ns + self._recall_ns or t_ns < self._recalled_ns - PAUSE_NS:
             read_preview(self._memory, self._state, self._inputs)
             self._recalled_ns = t_ns
-        if self._multimodel is not None:
-            multimodel_step(
-                self._params,
-                self._state,
-                self._multimodel,
-                self._inputs,
-                self._output,
-                self._setpoints,
-                self._scratch,
-            )
-            copied: NDArray[np.float64] = self._demand.copy()
-            return copied
         follow_step(self._params, self._state, self._inputs, self._output, self._scratch)
         if self._memory is not None:
             store_footprint(self._memory, self._state, self._output)
@@ -304,15 +285,7 @@ class Follower:
         out.update({n: o[n].item() for n in names})
         for stamp in ("t_ns", "pose_t_ns"):
             out[stamp] -= _SHIFT_NS if out[stamp] else 0  # 0: before the first step, or pose
-        if self._multimodel is not None:
-            m = self._multimodel[0]
-            out["mode"] = MULTIMODEL
-            out["health"] = HEALTH_NAMES[int(o["health"])]
-            out["reason"] = REASON_NAMES[int(o["reason"])]
-            out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
-            out.update({n: o[n].item() for n in ("sigma_m", "noise_m", "roughness_m", "late_s", "tau_s")})
-            out["weights"] = m["weights"]["w"][: int(m["tuning"]["n_models"])].tolist()
-        elif self._params["mode"][0] == MODE_ADAPTIVE:
+        if self._params["mode"][0] == MODE_ADAPTIVE:
             adaptive = self._state["adaptive"][0]
             out["health"] = HEALTH_NAMES[int(o["health"])]
             out["reason"] = REASON_NAMES[int(o["reason"])]

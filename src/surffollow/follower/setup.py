@@ -13,8 +13,6 @@ from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.errors import ConfigError
 from surffollow.forecast.adaptive.reference_scales import scaled_defaults
 from surffollow.forecast.pose import QUATERNION_TOLERANCE
-from surffollow.forecast.scales import DERIVED, TOO_CLOSE_EXIT_SHARE, TOO_CLOSE_SHARE
-from surffollow.forecast.tuning import check_tuning
 from surffollow.shm.layout_follow import CHANNELS, MODE_ADAPTIVE
 from surffollow.units import parse_quantity
 
@@ -30,17 +28,8 @@ TOO_CLOSE_EXIT_M = 0.3 * 0.0254  # but no more than the shares of the way to the
 MOST_MOUNT_M = 1e3
 # what differs from the service's defaults: readings come ready-made and stamped with their own time
 IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "sensor_readings": 1}
-MULTIMODEL = "multimodel"
-# what follows from window, stand-off and plant in that mode unless it is set (`forecast.scales`)
-DERIVED_IN_MULTIMODEL: dict[str, float] = {
-    "max_demand_m": DERIVED,
-    "pose_timeout_ns": DERIVED,
-    "loss_timeout_ns": DERIVED,
-    "too_close_m": DERIVED,
-    "too_close_exit_m": DERIVED,
-    "permitted_variance_m": DERIVED,
-    "toward_factor": 1.0,
-}
+# thresholds of too_close: of the way from the near limit to the stand-off
+TOO_CLOSE_SHARE, TOO_CLOSE_EXIT_SHARE = 0.075, 0.15
 _MODES = {"default": "adaptive", "ours": "adaptive"}
 _PLANT = {"tau_s": "plant_tau_s", "v_max_mps": "plant_v_max_mps", "a_max_mps2": "plant_a_max_mps2"}
 
@@ -53,15 +42,11 @@ class FollowerSetup(NamedTuple):
     values : dict          every parameter by its full name, in the parameter's unit
     mounts : list          per channel x y z [m], unit quaternion qx qy qz qw: tool from sensor
     remembers : bool       use ground seen on earlier passes
-    multimodel : bool      the experimental multiple-model follower
-    tuning : dict          its constants that differ from `forecast.tuning.DEFAULTS`
     """
 
     values: dict[str, float]
     mounts: list[list[float]]
     remembers: bool
-    multimodel: bool
-    tuning: dict[str, Any]
 
 
 def read_setup(config: Config, offset_m: float | None = None) -> FollowerSetup:
@@ -101,21 +86,12 @@ def read_setup(config: Config, offset_m: float | None = None) -> FollowerSetup:
         values.update(scaled_defaults(wanted, check_param("plant_tau_s", tau)))
     if near:
         values["too_close_m"], values["too_close_exit_m"] = default_too_close(min(near), wanted)
-    multimodel = data.get("mode") == MULTIMODEL
-    if multimodel:
-        if len(mounts) > 1:
-            raise ConfigError(
-                f"mode {MULTIMODEL!r} follows with one sensor, not {len(mounts)}; use 'adaptive'"
-            )
-        del data["mode"]
-        values.update(DERIVED_IN_MULTIMODEL)
-    tuning = check_tuning(data.pop("tuning", {})) if multimodel else {}
     if isinstance(data.get("mode"), str):
         data["mode"] = _MODES.get(data["mode"], data["mode"])
     for name, value in data.items():
         values[param_name(name)] = check_param(name, value)
     check_window(values["range_min_m"], values["range_max_m"])
-    return FollowerSetup(values, [m["pose"] for m in mounts], remembers, multimodel, tuning)
+    return FollowerSetup(values, [m["pose"] for m in mounts], remembers)
 
 
 def check_window(low_m: float, high_m: float) -> None:

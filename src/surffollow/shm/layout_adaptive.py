@@ -177,3 +177,32 @@ class AdaptiveState(Schema):
     beams = Nested(Beams)
     plane = Nested(Plane)
     attitude = Nested(Attitude)
+
+
+# why the health is not OK, in the order of HEALTH_NAMES' severity
+REASON_NAMES = (
+    "",
+    "first samples",
+    "samples outside the innovation gate are unconfirmed",
+    "no reading for several sample intervals",
+    "readings outside the window",
+    "range does not respond to the tool's motion",
+    "no sample entered the estimate within the loss time-out",
+    "estimate was not finite and began anew",
+    "timestamps went back; readings count as old as usual",
+    "sensors disagree without a majority; the nearer ground counts",
+    "reported position jumped; ground known from before is not used",
+)
+(
+    REASON_NONE,
+    REASON_FIRST,
+    REASON_PENDING,
+    REASON_NO_READING,
+    REASON_OUTSIDE,
+    REASON_STUCK,
+    REASON_LOST,
+    REASON_NOT_FINITE,
+    REASON_TIMESTAMPS,
+    REASON_SENSORS,
+    REASON_POSE_JUMP,
+) = range(11)

@@ -6,9 +6,12 @@ from typing import Any
 
 from surffollow.forecast.adaptive.kinematics import has_jumped
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive import DROPOUT, FAULT, FAULT_NOT_FINITE, OK, OUT_OF_RANGE, STUCK, SUSPECT
-from surffollow.shm.layout_adaptive_sensing import STUCK_COUNT
-from surffollow.shm.layout_multimodel import (
+from surffollow.shm.layout_adaptive import (
+    DROPOUT,
+    FAULT,
+    FAULT_NOT_FINITE,
+    OK,
+    OUT_OF_RANGE,
     REASON_LOST,
     REASON_NO_READING,
     REASON_NONE,
@@ -19,7 +22,10 @@ from surffollow.shm.layout_multimodel import (
     REASON_SENSORS,
     REASON_STUCK,
     REASON_TIMESTAMPS,
+    STUCK,
+    SUSPECT,
 )
+from surffollow.shm.layout_adaptive_sensing import STUCK_COUNT
 
 ENTER_NS = 10_000_000  # a worse state is published after so long
 LEAVE_NS = 100_000_000  # a better one after so long
