@@ -8,13 +8,13 @@ import numpy as np
 
 from surffollow.config.params import PARAMS
 from surffollow.forecast.step import follow_step, sf_reset
-from surffollow.hw import adc
 from surffollow.hw.driver import ConversionQueue, mounts_of
-from surffollow.hw.faults import FaultConfig, FaultState, fault_table, spoil
-from surffollow.hw.led_sensor import FAR_M, NEAR_M, physics
-from surffollow.hw.pose_history import PoseHistory, add_pose
-from surffollow.hw.rig import SimulatedConfig, make_rig, produce
-from surffollow.hw.simulated import SimulatedDriver
+from surffollow.hw.fault_injection import FaultConfig, FaultState, fault_table, spoil
+from surffollow.hw.simulation import adc
+from surffollow.hw.simulation.led_sensor import FAR_M, NEAR_M, physics
+from surffollow.hw.simulation.pose_history import PoseHistory, add_pose
+from surffollow.hw.simulation.sensor_rig import SimulatedConfig, make_rig, produce
+from surffollow.hw.simulation.simulated import SimulatedDriver
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, VALID, FollowState, Inputs, Output, Params
 from surffollow.sim.mounts import around_tool

@@ -12,7 +12,7 @@ SRC = Path(__file__).parents[1] / "src" / "surffollow"
 # from the roof to the ground (ARCHITECTURE.md, "Floors")
 FLOORS = (
     ("cli",),
-    ("live", "record", "contest"),
+    ("live", "record", "benchmark"),
     ("service",),
     ("bridge", "monitor", "arbiter", "scan", "sonar"),
     ("client", "blocks"),
@@ -112,7 +112,7 @@ def test_every_package_has_its_init():
         ("from surffollow import client", {"client"}),
         ("def f():\n    from surffollow.service.daemon import serve", {"service"}),
         ("from ..record import replay", {"record"}),
-        ("import importlib\nimportlib.import_module('surffollow.live.page')", {"live"}),
+        ("import importlib\nimportlib.import_module('surffollow.apps.page')", {"live"}),
         ("import numpy", set()),
     ],
 )

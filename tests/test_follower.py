@@ -25,7 +25,7 @@ def at(x, z, y=0.0):
 
 
 def travel(follower, ground, speed=0.1, seconds=2.0, offset=0.1, sigma=0.0, seed=0, start_ns=T0, lag=True):
-    """Lead a tool over the ground; its axis is the contest's, or without any lag. Its stand-off errors."""
+    """Lead a tool over the ground; its axis is the benchmark's, or without any lag. Its stand-off errors."""
     rng = np.random.default_rng(seed)
     axis = np.array([ground(0.0) + offset, 0.0])
     target = axis[0]

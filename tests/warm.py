@@ -15,8 +15,8 @@ from running_service import Service, config_text
 
 def warm_scan() -> None:
     """Compile the kernels of mapping, planning, the simulated field and the arm on a path."""
-    from surffollow.live.scan_robot import ScanRobot
-    from surffollow.live.scan_robot_config import ScanRobotConfig
+    from surffollow.apps.scan_robot import ScanRobot
+    from surffollow.apps.scan_robot_config import ScanRobotConfig
     from surffollow.scan.body import disc
     from surffollow.scan.camera import Camera, looking_down
     from surffollow.scan.image_files import DepthImage

@@ -156,10 +156,10 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
 
 
 def cell_trial(job: tuple[str, float, float, int]) -> tuple[float, float]:
-    """RMS [m] and acceleration [m/s²] of one cell of the contest."""
-    from surffollow.contest.conditions import Conditions
-    from surffollow.contest.runner import run_method, scene_of, score_run
-    from surffollow.contest.suite import Cell
+    """RMS [m] and acceleration [m/s²] of one cell of the benchmark."""
+    from surffollow.benchmark.conditions import Conditions
+    from surffollow.benchmark.runner import run_method, scene_of, score_run
+    from surffollow.benchmark.suite import Cell
 
     surface, speed, lead, seed = job
     scene = scene_of(Cell(surface, speed, Conditions().but(lead_m=lead)), seed)
@@ -169,8 +169,8 @@ def cell_trial(job: tuple[str, float, float, int]) -> tuple[float, float]:
 
 def excursion_trial(job: tuple[str, float, int]) -> float:
     """Greatest excursion of the set point after slots or glitches [m]."""
-    from surffollow.contest.conditions import Conditions
-    from surffollow.contest.trials import Job, excursion
+    from surffollow.benchmark.conditions import Conditions
+    from surffollow.benchmark.trials import Job, excursion
 
     case, speed, seed = job
     return float(excursion(Job("excursion", "ours", seed, Conditions(), "flat", speed, case))["excursion_m"])

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from surffollow.hw.led_sensor import FAR_M, NEAR_M
-from surffollow.live.fit_latency import fit_latency
-from surffollow.live.fit_mount import beam_of, fit_mount
-from surffollow.live.fit_range import fit_range
+from surffollow.apps.fit_latency import fit_latency
+from surffollow.apps.fit_mount import beam_of, fit_mount
+from surffollow.apps.fit_range import fit_range
+from surffollow.hw.simulation.led_sensor import FAR_M, NEAR_M
 
 NONLINEARITY_M = 0.38e-3  # the data sheet's whole tolerance
 

@@ -23,11 +23,11 @@ from numba import njit
 from report import bar, finish, machine
 from surffollow.config.params import PARAMS
 from surffollow.forecast.step import follow_step
-from surffollow.map.geometry import reset_begin, reset_step
-from surffollow.map.grids import update_map
 from surffollow.map.header import init_header
+from surffollow.map.kernels.geometry import reset_begin, reset_step
+from surffollow.map.kernels.grids import update_map
 from surffollow.service import memory as m
-from surffollow.service.pushing import any_held, drain_ranges, drop_dead_range_holders
+from surffollow.service.range_inbox import any_held, drain_ranges, drop_dead_range_holders
 from surffollow.shm import map_layout as ml
 from surffollow.shm.conversion import pack_conversion
 from surffollow.shm.dtypes import numpy_dtype, zeros

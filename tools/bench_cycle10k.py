@@ -21,7 +21,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from report import bar, finish  # noqa: E402
 from running_service import POSE, Service, config_text  # noqa: E402
-from surffollow.client.report import percentile_ns  # noqa: E402
+from surffollow.client.histogram_report import percentile_ns  # noqa: E402
 from surffollow.shm.layout_board import HISTOGRAM_BINS, Stats  # noqa: E402
 
 PERIOD_US = 100

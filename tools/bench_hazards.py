@@ -18,7 +18,7 @@ from multiprocessing import get_context
 from typing import Any
 
 from surffollow import Follower
-from surffollow.contest.hazards import (
+from surffollow.benchmark.hazards import (
     FAMILIES,
     FAR_M,
     KINDS,

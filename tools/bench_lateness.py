@@ -21,7 +21,7 @@ from typing import Any
 
 from report import bar, finish, machine
 from surffollow.client.board import Board
-from surffollow.client.report import percentile_ns
+from surffollow.client.histogram_report import percentile_ns
 from surffollow.shm.layout_board import Stats
 from surffollow.shm.objects import unlink
 

@@ -21,12 +21,12 @@ from report import bar, finish, result
 from surffollow.config.params import PARAMS
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.hw.driver import ConversionQueue
-from surffollow.hw.led_sensor import physics
-from surffollow.hw.pose_history import PoseHistory, add_pose
-from surffollow.hw.rig import SimulatedConfig, make_rig, produce
-from surffollow.hw.simulated import SimulatedDriver
+from surffollow.hw.simulation.led_sensor import physics
+from surffollow.hw.simulation.pose_history import PoseHistory, add_pose
+from surffollow.hw.simulation.sensor_rig import SimulatedConfig, make_rig, produce
+from surffollow.hw.simulation.simulated import SimulatedDriver
 from surffollow.map import HeightMap
-from surffollow.map.grids import update_map
+from surffollow.map.kernels.grids import update_map
 from surffollow.shm import atomics as at
 from surffollow.shm.conversion import ITEM_WORDS
 from surffollow.shm.dtypes import zeros

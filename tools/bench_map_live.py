@@ -24,7 +24,7 @@ import numpy as np
 
 from report import bar, finish, result
 from running import Running, running
-from surffollow.client.report import percentile_ns
+from surffollow.client.histogram_report import percentile_ns
 from surffollow.map import HeightMap
 from surffollow.map.header import init_header
 from surffollow.shm import map_layout as ml

@@ -58,7 +58,7 @@ def record(folder: Path, seconds: float, rate: float) -> dict[str, Any]:
         assert service.stdout is not None
         if not service.stdout.readline().startswith(b"READY"):
             raise SystemExit("the service did not start")
-        robot = [*_COMMAND, "robot", "--name", name, "--path", "raster", "--seconds", "0", "--json"]
+        robot = [*_COMMAND, "simulate", "--name", name, "--path", "raster", "--seconds", "0", "--json"]
         children.append(subprocess.Popen(robot, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
         words = ["record", "--name", name, "--out", str(path), "--rate", str(rate), "--json"]
         began = time.monotonic()

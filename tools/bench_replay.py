@@ -24,8 +24,8 @@ import numba
 import numpy as np
 
 from surffollow.record.recorder import Recorder
-from surffollow.record.rehearsal import Rehearsal
 from surffollow.record.replay import replay_file
+from surffollow.record.synthetic_log import Rehearsal
 from surffollow.record.writer import RecordingWriter
 
 BAR_CYCLES_PER_S = 1e6

@@ -1,7 +1,7 @@
 """Follow surfaces at every scale: torch, robot cell, hull crawler, drone and AUV, told window, plant and
 stand-off only.
 
-Each case is run with the contest's simulation. The baselines are a P loop and a plain Kalman feed-forward
+Each case is run with the benchmark's simulation. The baselines are a P loop and a plain Kalman feed-forward
 with
 values that an engineer would try by hand: three gains, three memories, of which the better one on other seeds
 counts. What is printed is each follower's RMS over the better of the two baselines on the same seeds.
@@ -20,13 +20,13 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.contest import families as f
-from surffollow.contest.baselines import KALMAN_FF, KALMAN_SIGMA_M, POLICY_EXTRAPOLATE, P, run_jitted
-from surffollow.contest.conditions import Conditions, PoseConfig, SensorConfig
-from surffollow.contest.disturbances import DISTURBANCES
-from surffollow.contest.door import drive
-from surffollow.contest.methods import factory_of
-from surffollow.contest.scene import Scene, make_scene
+from surffollow.benchmark import families as f
+from surffollow.benchmark.baselines import KALMAN_FF, KALMAN_SIGMA_M, POLICY_EXTRAPOLATE, P, run_jitted
+from surffollow.benchmark.conditions import Conditions, PoseConfig, SensorConfig
+from surffollow.benchmark.disturbances import DISTURBANCES
+from surffollow.benchmark.drive import drive
+from surffollow.benchmark.methods import factory_of
+from surffollow.benchmark.scene import Scene, make_scene
 from surffollow.sim.plant import PlantConfig
 
 TRAINING = 5000  # added to the seed of what the baselines' values are chosen on
@@ -56,7 +56,7 @@ class Case:
     spikes: float = 0.01
     lost: float = 0.0
     duration_s: float = 40.0
-    disturbance: str = ""  # of `contest.disturbances`
+    disturbance: str = ""  # of `benchmark.disturbances`
     undeclared_s: float = 0.0  # latency that the follower's timestamps do not tell; the baselines know it
 
     @property
@@ -144,7 +144,7 @@ def _auv(name: str, v: float, hz: float, tau: float, h: float, **sizes: float) -
 
 
 def _cell(name: str, ground: Any, **changes: Any) -> Case:
-    """The contest's robot cell with something changed."""
+    """The benchmark's robot cell with something changed."""
     usual: dict[str, Any] = {"sensor_hz": 250.0, "latency_s": 0.03, "tau_s": 0.04, "speed_mps": 0.1}
     fixed: dict[str, Any] = {"sigma_m": 0.25e-3, "v_max_mps": 0.2, "a_max_mps2": 2.0, "pose_hz": 100.0}
     return Case(name, ground, {}, 0.1016, (0.0508, 0.1524), **(fixed | usual | changes))

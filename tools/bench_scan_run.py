@@ -25,12 +25,12 @@ from typing import Any
 import numpy as np
 
 from report import machine
+from surffollow.apps.child_processes import no_leftovers, running
+from surffollow.apps.demo import _await_ready
+from surffollow.apps.scan_figures import sensed_figures, true_figures
+from surffollow.apps.scan_robot_config import ScanRobotConfig
+from surffollow.apps.scan_run import execute
 from surffollow.client import attach
-from surffollow.live.children import no_leftovers, running
-from surffollow.live.demo import _await_ready
-from surffollow.live.scan_figures import sensed_figures, true_figures
-from surffollow.live.scan_robot_config import ScanRobotConfig
-from surffollow.live.scan_run import execute
 from surffollow.map import HeightMap
 from surffollow.scan.body import disc
 from surffollow.scan.grid import TerrainGrid

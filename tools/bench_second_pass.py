@@ -3,7 +3,7 @@
 What is measured: the true stand-off error of the simulated robot over the same stretch of each pass. On
 the way back the service plans over the ground that it mapped on the way there; the map was empty before.
 Afterwards the recording is replayed and every bit compared. The sensor's characteristic is off by up to
-0.2 mm, which neither pass can know: the contest's bound is held against the error about its mean. Each
+0.2 mm, which neither pass can know: the benchmark's bound is held against the error about its mean. Each
 surface is run three times and the median counts: on a shared machine a stall of some 10 ms at an edge
 takes the plan away for half a second, as it should. Every run is told.
 """
@@ -27,10 +27,10 @@ import numba
 import numpy as np
 
 from report import bar, finish, machine
+from surffollow.benchmark.limit import limit_path
 from surffollow.client import attach
-from surffollow.contest.limit import limit_path
 from surffollow.record.replay import replay_file
-from surffollow.service.end_child import end_child
+from surffollow.service.terminate_child import end_child
 from surffollow.shm.objects import unlink
 from surffollow.sim.plant import PlantConfig
 
@@ -114,7 +114,7 @@ def there_and_back(
             while not log.exists() and recorder.poll() is None:
                 time.sleep(0.05)
         region = [str(v) for v in (x0 - 0.05, y - 0.05, x1 + 0.05, y + 0.05)]
-        words = ["robot", "--name", name, "--json", "--trace", str(trace), "--path", "line"]
+        words = ["simulate", "--name", name, "--json", "--trace", str(trace), "--path", "line"]
         words += ["--speed", str(SPEED_MPS), "--seconds", str(seconds), "--surface", surface]
         words += ["--seed", str(SEED), "--field", *(str(v) for v in FIELD), "--region", *region]
         with program(*words) as robot:
@@ -146,7 +146,7 @@ def there_and_back(
 
 
 def contest_bound_m(first: dict[str, float]) -> float:
-    """What the contest asks of the second pass: a share of the first, or near what cannot be beaten [m]."""
+    """What the benchmark asks of the second pass: a share of the first, or near what cannot be beaten [m]."""
     return max(CONTEST_SHARE * first["scatter_m"], OF_LIMIT * first["limit_m"], OF_NOISE * NOISE_M)
 
 

@@ -17,8 +17,8 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 from report import bar, finish, result
-from surffollow.live.wall_following import EXPERIMENTS, figures, run_experiment
-from surffollow.live.wall_heading import heading_table
+from surffollow.apps.wall_following import EXPERIMENTS, figures, run_experiment
+from surffollow.apps.wall_heading import heading_table
 
 LAPS = 4
 

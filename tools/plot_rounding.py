@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from surffollow.map.grids import blended, dither_at, dither_rotation
+from surffollow.map.kernels.grids import blended, dither_at, dither_rotation
 
 QUANTUM_MM = 0.0254
 PICTURE = Path(__file__).parents[1] / "docs" / "explanation" / "rounding.png"

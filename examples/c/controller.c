@@ -2,7 +2,7 @@
  * A robot controller in C: a path over the ground at 100 Hz, whose height follows the service's demands.
  *
  *     surffollow start &
- *     cc -std=c11 -O2 $(surffollow header --cflags) -o controller controller.c -lm
+ *     cc -std=c11 -O2 $(surffollow print-header --cflags) -o controller controller.c -lm
  *     ./controller surf 20
  *
  * The arm is a stand-in: an axis that reaches its set point within a speed limit. Put your own

@@ -2,7 +2,7 @@
 // examples/c/controller.c with a map of the way made at its end.
 //
 //     surffollow start &
-//     c++ -std=c++17 -O2 $(surffollow header --cflags) -o controller controller.cpp
+//     c++ -std=c++17 -O2 $(surffollow print-header --cflags) -o controller controller.cpp
 //     ./controller surf 20 map.txt
 #include "surffollow.h"
 

@@ -1,4 +1,4 @@
-//! Writes layout.rs from the JSON of `surffollow header --json`: by generate.py, for Rust's library reads no JSON.
+//! Writes layout.rs from the JSON of `surffollow print-header --json`: by generate.py, for Rust's library reads no JSON.
 
 use std::{env, path::Path, process::Command};
 

@@ -1,6 +1,6 @@
 """Write Rust constants from the layout's JSON: `python generate.py layout.rs`; no surffollow is imported.
 
-The JSON is what `surffollow header --json` prints, or the file that SURFFOLLOW_LAYOUT names.
+The JSON is what `surffollow print-header --json` prints, or the file that SURFFOLLOW_LAYOUT names.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ def layout() -> dict[str, Any]:
     named = os.environ.get("SURFFOLLOW_LAYOUT")
     if named:
         return dict(json.loads(Path(named).read_text(encoding="utf-8")))
-    command = [sys.executable, "-m", "surffollow", "header", "--json"]
+    command = [sys.executable, "-m", "surffollow", "print-header", "--json"]
     return dict(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
 
 
@@ -31,7 +31,7 @@ def rust(told: dict[str, Any]) -> str:
     latch = told["latch"]
     board = told["objects"]["board"]
     text = [
-        "// Written by generate.py from `surffollow header --json`; not for editing.\n",
+        "// Written by generate.py from `surffollow print-header --json`; not for editing.\n",
         f"pub const RELEASE: &str = {json.dumps(told['release'])};\n",
         f"pub const LAYOUT_VERSION: u32 = {told['version']};\n",
         f"pub const LAYOUT_HASH: u64 = {told['hash']};\n",

@@ -9,7 +9,7 @@
     │   ├── ReadingError                   a pushed range, its time or its channel cannot be
     │   ├── RegionError                    a map region is empty, inverted or too large
     │   ├── ClosedError                    the attachment was closed by its owner
-    │   ├── NameError_                     a block name is not allowed
+    │   ├── InvalidNameError                     a block name is not allowed
     │   ├── ScanInputError                 an image, path or limit that no scan can be planned with
     │   └── SchemaError                    a schema declaration makes no layout
     └── FaultError                         the world is not as it must be                  exit code 1
@@ -68,7 +68,7 @@ class ClosedError(UsageError):
     """An attachment that its owner closed cannot be used any more."""
 
 
-class NameError_(UsageError):  # noqa: N801, N818 - the builtin has the plain name
+class InvalidNameError(UsageError):
     """A service or block name with characters that a path could misread."""
 
 

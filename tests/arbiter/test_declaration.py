@@ -9,7 +9,7 @@ import pytest
 from arbiter.running import CONFIG
 from surffollow.arbiter.config import parse_config
 from surffollow.arbiter.declaration import Declaration, Value, declare
-from surffollow.errors import ConfigError, NameError_
+from surffollow.errors import ConfigError, InvalidNameError
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -104,7 +104,7 @@ def test_wrong_declarations_are_refused_with_the_reason():
         declare("c", {"go": 1}, [Robot, Twin])
     with pytest.raises(ConfigError, match="must be 1 to"):
         declare("c", {"go": 1}, [])
-    with pytest.raises((ConfigError, NameError_)):
+    with pytest.raises((ConfigError, InvalidNameError)):
         declare("no/name", {"go": 1}, [Robot])
     with pytest.raises(ConfigError, match="leese"):
         declare("c", {"go": 1}, [Robot], leese="100 ms")

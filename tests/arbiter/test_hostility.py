@@ -21,18 +21,18 @@ from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import handshake as hs
 from surffollow.arbiter import layout as al
 from surffollow.arbiter.config import parse_config
+from surffollow.arbiter.connections import MOST_SILENT
 from surffollow.arbiter.exchange import HEAD
-from surffollow.arbiter.reception import MOST_SILENT
 from surffollow.errors import (
     AlreadyRunningError,
     ConfigError,
-    NameError_,
+    InvalidNameError,
     RefusedError,
     RequestTimeoutError,
     UsageError,
 )
 from surffollow.shm.name_lock import NameLock
-from surffollow.shm.uninvited import refuse_rights
+from surffollow.shm.received_descriptors import refuse_rights
 from surffollow.shm.unix_socket import new_socket
 
 SIX = '["x", "y", "z", "rx", "ry", "rz"]'
@@ -408,7 +408,7 @@ ONE = {"command": ("x",), "safe": (0.0,)}
     ],
 )
 def test_what_would_mislead_is_no_configuration(resources, combine, why):
-    with pytest.raises((ConfigError, NameError_), match=why):
+    with pytest.raises((ConfigError, InvalidNameError), match=why):
         parse_config({"clients": {"a": 1}, "resources": resources, "combine": combine})
 
 

@@ -28,8 +28,8 @@ from surffollow.errors import (
     BlockError,
     BlockTimeoutError,
     BusyError,
+    InvalidNameError,
     LayoutMismatchError,
-    NameError_,
     NoPermissionError,
     NoSpaceError,
     NotRunningError,
@@ -314,9 +314,9 @@ def test_names_and_schemas_that_cannot_be_are_refused(space):
         update = F64()
 
     for name in ("../etc", "a/b", "", ".hidden", "x" * 60):
-        with pytest.raises(NameError_):
+        with pytest.raises(InvalidNameError):
             mem_attach(Platform, name, write=True)
-    with pytest.raises(NameError_, match="map"):
+    with pytest.raises(InvalidNameError, match="map"):
         mem_attach({"map": Platform}, space, write=True)
     with pytest.raises(SchemaError, match="alignment"):
         mem_attach(Wide, space, write=True)

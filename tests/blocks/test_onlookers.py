@@ -131,4 +131,4 @@ def test_the_c_header_of_a_schema_reads_the_block(space, platform, tmp_path, lan
     assert read("../etc/passwd") == "-22"
     with mem_attach(Words, space, write=True):
         assert read(f"{space}.words") == "-71"
-    assert "typedef struct sfb_platform" in run("header", f"{space}.platform")
+    assert "typedef struct sfb_platform" in run("print-header", f"{space}.platform")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from cabi.running import ROOT, SANITIZED, STANDOFF_M, Service, numbers, run
-from surffollow.map.text_file import read_text
+from surffollow.map.formats.text_file import read_text
 
 
 def quiet_run(program: Path, *words: str) -> dict[str, float]:

@@ -149,17 +149,17 @@ def test_every_result_has_its_text_and_every_parameter_its_bounds(
 
 def test_command_prints_the_header_and_the_way_to_it() -> None:
     runner = CliRunner()
-    assert runner.invoke(cli, ["header"]).output == cheader.HEADER.read_text()
+    assert runner.invoke(cli, ["print-header"]).output == cheader.HEADER.read_text()
     folder = Path(runner.invoke(cli, ["--includedir"]).output.strip())
     assert (folder / "surffollow.h").is_file()
-    assert runner.invoke(cli, ["header", "--cflags"]).output.strip() == f"-I{folder}"
-    assert runner.invoke(cli, ["header", "--cflags", "--pkg-config"]).exit_code == 2
+    assert runner.invoke(cli, ["print-header", "--cflags"]).output.strip() == f"-I{folder}"
+    assert runner.invoke(cli, ["print-header", "--cflags", "--pkg-config"]).exit_code == 2
 
 
 @pytest.mark.parametrize("folder", ["plain", "with a space", 'it\'s $HOME, (5%) "off" #1;\\'])
 def test_installed_header_is_found_by_pkg_config(tmp_path: Path, folder: str) -> None:
     tmp_path /= folder
-    result = CliRunner().invoke(cli, ["header", "--install", str(tmp_path)])
+    result = CliRunner().invoke(cli, ["print-header", "--install", str(tmp_path)])
     assert result.exit_code == 0, result.output
     assert (tmp_path / "include/surffollow.h").read_bytes() == cheader.HEADER.read_bytes()
     if shutil.which("pkg-config") is None:

@@ -1,4 +1,4 @@
-"""The JSON of `surffollow header --json` says the same as the C header and as the programs on both sides."""
+"""The JSON of `surffollow print-header --json` says the same as C header and programs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ EXACT = 1 << 53  # whole numbers up to here survive every JSON reader
 
 
 def printed() -> dict[str, Any]:
-    return dict(json.loads(CliRunner().invoke(cli, ["header", "--json"]).output))
+    return dict(json.loads(CliRunner().invoke(cli, ["print-header", "--json"]).output))
 
 
 def test_a_c_compiler_agrees_with_every_offset_and_number(tmp_path: Path) -> None:

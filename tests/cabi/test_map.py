@@ -16,8 +16,8 @@ from running_service import quickest, until
 from surffollow.client import Client, attach, observe
 from surffollow.client.map_reader import copy_map
 from surffollow.errors import MapFileError, RefusedError, RequestTimeoutError
-from surffollow.map.lookup import height_at
-from surffollow.map.text_file import OTHER_SUFFIXES
+from surffollow.map.formats.text_file import OTHER_SUFFIXES
+from surffollow.map.kernels.lookup import height_at
 from surffollow.shm import map_layout as ml
 from surffollow.shm.layout_follow import POSE_STALE
 

@@ -16,6 +16,9 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 from click.testing import CliRunner, Result
 
 from bench_calibrate import latency_error_s, measure, range_error_m
+from surffollow.apps.fit_latency import fit_latency
+from surffollow.apps.fit_mount import beam_of, fit_mount
+from surffollow.apps.fit_range import fit_range
 from surffollow.cli.calibrate import calibrate_group
 from surffollow.errors import ConfigError
 from surffollow.hw.calibrated import CalibratedDriver
@@ -24,9 +27,6 @@ from surffollow.hw.contract import check_driver
 from surffollow.hw.driver import ConversionQueue
 from surffollow.hw.registry import make_driver
 from surffollow.hw.replayed import save_conversions
-from surffollow.live.fit_latency import fit_latency
-from surffollow.live.fit_mount import beam_of, fit_mount
-from surffollow.live.fit_range import fit_range
 from surffollow.shm.conversion import FLAG_INVALID, conversion_counts, conversion_flags, pack_conversion
 
 MS = 1_000_000

@@ -43,7 +43,9 @@ def is_told(done: subprocess.CompletedProcess[str]) -> bool:
     )
 
 
-@pytest.mark.parametrize("words", [("--help",), ("header",), ("header", "--cflags"), ("blocks", "ls")])
+@pytest.mark.parametrize(
+    "words", [("--help",), ("print-header",), ("print-header", "--cflags"), ("blocks", "ls")]
+)
 def test_a_verb_that_needs_nothing_else(words: tuple[str, ...]) -> None:
     done = into_full(*words)
     assert is_told(done), done

@@ -19,8 +19,8 @@ from surffollow.cli.main import cli
         ("demo", "--seconds"),
         ("record", "--seconds"),
         ("stop", "--timeout"),
-        ("robot", "--seconds"),
-        ("robot", "--wait"),
+        ("simulate", "--seconds"),
+        ("simulate", "--wait"),
         ("replay", "a.csv", "--start"),
         ("latency", "--seconds"),
         ("blocks", "watch", "a.b", "--every"),
@@ -54,3 +54,25 @@ def test_a_terminal_that_knows_ascii_only_gets_question_marks() -> None:
         env={**os.environ, "PYTHONIOENCODING": "ascii"},
     )
     assert (done.returncode, done.stdout) == (0, "12 ?s\n"), done.stderr
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (("contest",), ("benchmark",)),
+        (("robot",), ("simulate",)),
+        (("header",), ("print-header",)),
+        (("arbiter", "header"), ("arbiter", "print-header")),
+        (("blocks", "header"), ("blocks", "print-header")),
+    ],
+)
+def test_old_names_of_commands_work_and_are_not_listed(old: tuple[str, ...], new: tuple[str, ...]) -> None:
+    def helped(words: tuple[str, ...]) -> list[str]:
+        done = CliRunner().invoke(cli, [*words, "--help"])
+        assert done.exit_code == 0
+        return done.output.splitlines()
+
+    assert helped(old)[2:] == helped(new)[2:]
+    listed = [line.split()[0] for line in helped(new[:-1]) if line.startswith("  ") and line.split()]
+    assert new[-1] in listed
+    assert old[-1] not in listed

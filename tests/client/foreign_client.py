@@ -1,4 +1,4 @@
-"""A client made of the JSON of `surffollow header --json` and the rules of docs/reference/protocol.md.
+"""A client made of the JSON of `surffollow print-header --json` and the rules of docs/reference/protocol.md.
 
 Run as `python -I -S foreign_client.py LAYOUT NAME`; it imports the standard library alone. Each line of its
 input is a JSON list, a verb and its arguments; each line of its output is the answer. Comments name the

@@ -66,7 +66,7 @@ class Foreign:
 def layout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the command prints."""
     path = tmp_path_factory.mktemp("layout") / "layout.json"
-    command = [sys.executable, "-m", "surffollow", "header", "--json"]
+    command = [sys.executable, "-m", "surffollow", "print-header", "--json"]
     path.write_text(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
     return path
 

@@ -17,8 +17,8 @@ from surffollow.config.params import PARAMS, param_name
 from surffollow.errors import (
     ClosedError,
     ConfigError,
+    InvalidNameError,
     LayoutMismatchError,
-    NameError_,
     NotRunningError,
     PoseError,
     RefusedError,
@@ -259,7 +259,7 @@ def test_a_client_of_another_layout_is_refused_with_both_hashes(
 def test_a_name_that_no_service_can_have_is_a_value_error(
     look: Callable[[str], object], name: object
 ) -> None:
-    with pytest.raises(NameError_, match=r"not allowed|cannot be called") as caught:
+    with pytest.raises(InvalidNameError, match=r"not allowed|cannot be called") as caught:
         look(name)  # type: ignore[arg-type]
     assert isinstance(caught.value, ValueError)
 

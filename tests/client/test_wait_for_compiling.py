@@ -12,8 +12,8 @@ from surffollow.client import board as board_module
 from surffollow.client.board import Board
 from surffollow.config.service import ServiceConfig
 from surffollow.errors import NotReadyError
-from surffollow.service.house import House, open_house
 from surffollow.service.notify import CompileProgress
+from surffollow.service.shared_objects import House, open_house
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch import latch_write

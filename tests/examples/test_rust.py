@@ -102,7 +102,7 @@ def test_without_a_service_it_says_so(program: Path) -> None:
 
 def test_a_layout_of_another_release_is_refused(program: Path, bare: Service, tmp_path: Path) -> None:
     """The program's numbers are those of the JSON it was built from: another hash there, another program."""
-    command = [sys.executable, "-m", "surffollow", "header", "--json"]
+    command = [sys.executable, "-m", "surffollow", "print-header", "--json"]
     text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     layout = tmp_path / "layout.json"
     told = json.loads(text)

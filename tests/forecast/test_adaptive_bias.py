@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from surffollow.contest.conditions import STANDOFF_M, Conditions
-from surffollow.contest.door import drive
-from surffollow.contest.methods import factory_of
-from surffollow.contest.scene import make_scene
-from surffollow.forecast.adaptive.model_bank import BANK, CANDIDATE_MODEL, N_CANDIDATES, N_MODELS, WAVE
-from surffollow.forecast.adaptive.model_weights import BIAS_RATE, update_bias, update_weights
+from surffollow.benchmark.conditions import STANDOFF_M, Conditions
+from surffollow.benchmark.drive import drive
+from surffollow.benchmark.methods import factory_of
+from surffollow.benchmark.scene import make_scene
+from surffollow.forecast.estimation.model_bank import BANK, CANDIDATE_MODEL, N_CANDIDATES, N_MODELS, WAVE
+from surffollow.forecast.estimation.model_weights import BIAS_RATE, update_bias, update_weights
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.sim.profiles import SHAPES

@@ -7,10 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from surffollow.contest.conditions import Conditions
-from surffollow.contest.trials import Job, excursion
-from surffollow.forecast.adaptive.kinematics import update_kinematics
-from surffollow.forecast.adaptive.model_bank import (
+from surffollow.benchmark.conditions import Conditions
+from surffollow.benchmark.trials import Job, excursion
+from surffollow.forecast.estimation.model_bank import (
     BANK,
     CANDIDATE_MODEL,
     N_CANDIDATES,
@@ -20,14 +19,15 @@ from surffollow.forecast.adaptive.model_bank import (
     extrapolate,
     extrapolation_variance,
 )
-from surffollow.forecast.adaptive.model_weights import BURN_IN_SAMPLES, FULL_POWER_SAMPLES, update_weights
-from surffollow.forecast.adaptive.setpoint_blend import (
+from surffollow.forecast.estimation.model_weights import BURN_IN_SAMPLES, FULL_POWER_SAMPLES, update_weights
+from surffollow.forecast.pose import push_pose
+from surffollow.forecast.sensing.kinematics import update_kinematics
+from surffollow.forecast.setpoint.setpoint_blend import (
     DEADBAND_DECAY_S,
     DEADBAND_SOFTNESS,
     blend_setpoints,
     filter_setpoint,
 )
-from surffollow.forecast.pose import push_pose
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS

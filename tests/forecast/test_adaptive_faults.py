@@ -9,7 +9,7 @@ import pytest
 
 from surffollow.config.params import PARAMS
 from surffollow.follower import Follower
-from surffollow.forecast.adaptive.setpoint_limits import limit_setpoint
+from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_follow import Params

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
-from surffollow.contest.hazards import (
+from surffollow.benchmark.hazards import (
     FAMILIES,
     FAR_M,
     KINDS,
@@ -22,9 +22,9 @@ from surffollow.contest.hazards import (
     rotate,
     true_range,
 )
-from surffollow.contest.hazards import make_ground as ground_of
-from surffollow.forecast.adaptive.beam_detection import BENT_GATE, is_bent
-from surffollow.forecast.adaptive.known_ground import (
+from surffollow.benchmark.hazards import make_ground as ground_of
+from surffollow.forecast.attitude.beam_detection import BENT_GATE, is_bent
+from surffollow.forecast.terrain.known_ground import (
     CONTRADICTION_SAMPLES,
     DROP_LENGTH_M,
     compare_known_ground,

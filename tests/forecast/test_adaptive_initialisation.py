@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from surffollow.follower import Follower
-from surffollow.forecast.adaptive.estimate import INITIAL_SETTLING_NS, update_estimate
-from surffollow.forecast.adaptive.setpoint_limits import ACCELERATION_RATIO, VELOCITY_RATIO, limit_setpoint
+from surffollow.forecast.estimation.estimate import INITIAL_SETTLING_NS, update_estimate
+from surffollow.forecast.setpoint.setpoint_limits import ACCELERATION_RATIO, VELOCITY_RATIO, limit_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 

@@ -9,9 +9,9 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import lsq_linear
 
-from surffollow.forecast.adaptive import model_bank as bank
-from surffollow.forecast.adaptive import preview_control as plan
-from surffollow.forecast.adaptive.axis_model import axis_velocity, invert_axis, velocity_after_period
+from surffollow.forecast.estimation import model_bank as bank
+from surffollow.forecast.plant.axis_model import axis_velocity, invert_axis, velocity_after_period
+from surffollow.forecast.setpoint import preview_control as plan
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import HORIZON, AdaptiveState
 from surffollow.shm.layout_follow import Params

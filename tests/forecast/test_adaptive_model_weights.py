@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from surffollow.contest.conditions import Conditions
-from surffollow.contest.runner import run_method, score_run
-from surffollow.contest.scene import make_scene
-from surffollow.contest.trials import Job, excursion
-from surffollow.forecast.adaptive.adaptation import update_deadband
-from surffollow.forecast.adaptive.model_bank import (
+from surffollow.benchmark.conditions import Conditions
+from surffollow.benchmark.runner import run_method, score_run
+from surffollow.benchmark.scene import make_scene
+from surffollow.benchmark.trials import Job, excursion
+from surffollow.forecast.estimation.adaptation import update_deadband
+from surffollow.forecast.estimation.model_bank import (
     BANK,
     CANDIDATE_MODEL,
     CURVE,
@@ -22,7 +22,7 @@ from surffollow.forecast.adaptive.model_bank import (
     SMOOTH_MODEL,
     WAVE,
 )
-from surffollow.forecast.adaptive.model_weights import (
+from surffollow.forecast.estimation.model_weights import (
     BIAS_RATE,
     BIAS_SPEEDUP,
     FULL_POWER_SAMPLES,

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import surffollow
-from surffollow.contest.conditions import Conditions
-from surffollow.contest.normals import plane_trial
-from surffollow.forecast.adaptive.attitude import limit_attitude, rotation_between
-from surffollow.forecast.adaptive.plane_fit import plane_height
+from surffollow.benchmark.conditions import Conditions
+from surffollow.benchmark.normals import plane_trial
+from surffollow.forecast.attitude.attitude import limit_attitude, rotation_between
+from surffollow.forecast.attitude.plane_fit import plane_height
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_follow import Params

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surffollow.forecast.adaptive.plant_identification import model_error, update_plant
+from surffollow.forecast.plant.plant_identification import model_error, update_plant
 from surffollow.forecast.pose import push_pose
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import FollowState

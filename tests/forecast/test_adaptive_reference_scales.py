@@ -8,7 +8,7 @@ import pytest
 from forecast.driving import Kernel, default_params
 from surffollow import Follower
 from surffollow.config.params import PARAMS
-from surffollow.forecast.adaptive.reference_scales import EXPONENTS, scaled_defaults
+from surffollow.forecast.reference_scales import EXPONENTS, scaled_defaults
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, VALID, Output
 
 TICK_NS, READING_NS = 1 << 23, 1 << 22  # 8.4 and 4.2 ms: divisible by every factor tried

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surffollow.contest.conditions import STANDOFF_M, Conditions
-from surffollow.contest.runner import run_method
-from surffollow.contest.scene import make_scene
-from surffollow.forecast.adaptive.model_bank import (
+from surffollow.benchmark.conditions import STANDOFF_M, Conditions
+from surffollow.benchmark.runner import run_method
+from surffollow.benchmark.scene import make_scene
+from surffollow.forecast.estimation.model_bank import (
     BANK,
     CANDIDATE_MODEL,
     N_CANDIDATES,
@@ -16,7 +16,7 @@ from surffollow.forecast.adaptive.model_bank import (
     extrapolate,
     model_height,
 )
-from surffollow.forecast.adaptive.setpoint_blend import HEIGHT_MARGIN_M, candidate_setpoint
+from surffollow.forecast.setpoint.setpoint_blend import HEIGHT_MARGIN_M, candidate_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.sim.profiles_measured import from_points

@@ -9,14 +9,14 @@ import pytest
 
 from surffollow.config.params import PARAMS
 from surffollow.follower import Follower
-from surffollow.forecast.adaptive.estimate import update_estimate
-from surffollow.forecast.adaptive.model_bank import BANK, N_MODELS, SLOPE
-from surffollow.forecast.adaptive.range_prediction import predict_range, update_prediction
-from surffollow.forecast.adaptive.setpoint_limits import limit_setpoint
-from surffollow.forecast.adaptive.terrain_buffer import buffered_height, store_ground
-from surffollow.forecast.adaptive.terrain_memory import CELLS, new_memory, read_height, store_height
+from surffollow.forecast.estimation.estimate import update_estimate
+from surffollow.forecast.estimation.model_bank import BANK, N_MODELS, SLOPE
 from surffollow.forecast.pose import push_pose
+from surffollow.forecast.sensing.range_prediction import predict_range, update_prediction
+from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
 from surffollow.forecast.step import follow_step
+from surffollow.forecast.terrain.terrain_buffer import buffered_height, store_ground
+from surffollow.forecast.terrain.terrain_memory import CELLS, new_memory, read_height, store_height
 from surffollow.shm.conversion import pack_conversion
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from surffollow.forecast.adaptive.attitude import limit_attitude
+from surffollow.forecast.attitude.attitude import limit_attitude
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_follow import Params

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
-from surffollow.contest.conditions import Conditions
-from surffollow.contest.runner import run_method, scene_of, score_run
-from surffollow.contest.suite import Cell
-from surffollow.forecast.adaptive import terrain_regression as regression
-from surffollow.forecast.adaptive.axis_model import PERIOD_S
-from surffollow.forecast.adaptive.preview import extrapolate_ground
-from surffollow.forecast.adaptive.step import reset_all
-from surffollow.forecast.adaptive.terrain_buffer import buffered_height, store_ground
+from surffollow.benchmark.conditions import Conditions
+from surffollow.benchmark.runner import run_method, scene_of, score_run
+from surffollow.benchmark.suite import Cell
+from surffollow.forecast.adaptive_step import reset_all
+from surffollow.forecast.plant.axis_model import PERIOD_S
+from surffollow.forecast.terrain import terrain_regression as regression
+from surffollow.forecast.terrain.preview import extrapolate_ground
+from surffollow.forecast.terrain.terrain_buffer import buffered_height, store_ground
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import HORIZON, AdaptiveState
 

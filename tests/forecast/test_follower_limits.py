@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
-from surffollow.contest.hazards import FAR_M, NEAR_M, STANDOFF_M, PLoop, Scenario, draw, play
+from surffollow.benchmark.hazards import FAR_M, NEAR_M, STANDOFF_M, PLoop, Scenario, draw, play
 from surffollow.errors import ConfigError
 
 MS = 1_000_000

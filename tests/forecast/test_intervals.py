@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from naive import NaiveIntervals
-from surffollow.forecast.intervals import add_point, cut_ranges, range_slope
+from surffollow.forecast.paper.intervals import add_point, cut_ranges, range_slope
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import INTERVALS, PaperState
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surffollow.hw.arrival import LEARNED, ArrivalClock
+from surffollow.hw.wire.arrival_times import LEARNED, ArrivalClock
 
 FRAME_NS = 694_000  # 8 bytes at 115200 baud
 PERIOD_NS = 1_000_000

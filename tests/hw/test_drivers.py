@@ -12,7 +12,7 @@ import pytest
 
 from surffollow.errors import ConfigError, DriverError, RecordingError
 from surffollow.hw.driver import ConversionQueue, Driver, DriverInfo
-from surffollow.hw.faults import (
+from surffollow.hw.fault_injection import (
     FaultConfig,
     FaultState,
     FaultyDriver,
@@ -22,9 +22,9 @@ from surffollow.hw.faults import (
 )
 from surffollow.hw.registry import make_driver
 from surffollow.hw.replayed import ReplayedDriver, save_conversions
-from surffollow.hw.rig import SimulatedConfig
 from surffollow.hw.silent import SilentDriver
-from surffollow.hw.simulated import SimulatedDriver
+from surffollow.hw.simulation.sensor_rig import SimulatedConfig
+from surffollow.hw.simulation.simulated import SimulatedDriver
 from surffollow.shm.conversion import (
     FLAG_INVALID,
     conversion_channel,

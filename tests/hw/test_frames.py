@@ -9,11 +9,11 @@ import pytest
 
 from hw.wires import FRAME_FORMAT, LINE_FORMAT, frame, line
 from surffollow.errors import ConfigError
-from surffollow.hw import frame_format
-from surffollow.hw.frame_format import Format
-from surffollow.hw.frames import make_finder
-from surffollow.hw.presets import PRESETS
-from surffollow.hw.serial_port import SerialConfig, with_preset
+from surffollow.hw.wire import frame_format
+from surffollow.hw.wire.frame_format import Format
+from surffollow.hw.wire.frames import make_finder
+from surffollow.hw.wire.presets import PRESETS
+from surffollow.hw.wire.serial_port import SerialConfig, with_preset
 
 import msgspec  # isort: skip
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from surffollow.errors import ConfigError
-from surffollow.hw.adc import COUNTS, calibration, convert, quantise
-from surffollow.hw.beam import NO_HIT, cast_ray, compose
-from surffollow.hw.counter_noise import hashed_normal, hashed_uniform
-from surffollow.hw.led_sensor import (
+from surffollow.hw.simulation.adc import COUNTS, calibration, convert, quantise
+from surffollow.hw.simulation.beam import NO_HIT, cast_ray, compose
+from surffollow.hw.simulation.counter_noise import hashed_normal, hashed_uniform
+from surffollow.hw.simulation.led_sensor import (
     ACCURACY_M,
     FAR_M,
     INCH_M,

@@ -12,12 +12,12 @@ import pytest
 from running_service import Service, drive, unique_name, until
 from surffollow.errors import BusyError, ConfigError, PoseError
 from surffollow.hw.driver import ConversionQueue, PoseQueue, reports_of
-from surffollow.hw.faults import FaultConfig, FaultyDriver
-from surffollow.hw.led_sensor import LedConfig
-from surffollow.hw.pose_history import PoseHistory, add_report, pose_at
+from surffollow.hw.fault_injection import FaultConfig, FaultyDriver
 from surffollow.hw.registry import make_driver
-from surffollow.hw.rig import SimulatedConfig
-from surffollow.hw.simulated import SimulatedDriver
+from surffollow.hw.simulation.led_sensor import LedConfig
+from surffollow.hw.simulation.pose_history import PoseHistory, add_report, pose_at
+from surffollow.hw.simulation.sensor_rig import SimulatedConfig
+from surffollow.hw.simulation.simulated import SimulatedDriver
 from surffollow.shm.conversion import conversion_counts, conversion_flags
 from surffollow.shm.dtypes import zeros
 from surffollow.sim.surfaces import flat_field

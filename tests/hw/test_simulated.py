@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from surffollow.errors import ConfigError
-from surffollow.hw import adc
 from surffollow.hw.driver import IDENTITY, ConversionQueue, mounts_of
-from surffollow.hw.led_sensor import FAR_M, NEAR_M, LedConfig, physics
-from surffollow.hw.pose_history import PoseHistory, add_pose, pose_at
-from surffollow.hw.rig import SimulatedConfig, make_rig, produce
+from surffollow.hw.simulation import adc
+from surffollow.hw.simulation.led_sensor import FAR_M, NEAR_M, LedConfig, physics
+from surffollow.hw.simulation.pose_history import PoseHistory, add_pose, pose_at
+from surffollow.hw.simulation.sensor_rig import SimulatedConfig, make_rig, produce
 from surffollow.shm.conversion import FLAG_INVALID, conversion_channel, conversion_counts, conversion_flags
 from surffollow.shm.dtypes import zeros
 from surffollow.sim.surfaces import flat_field, ramp_field
@@ -174,7 +174,7 @@ def test_mounts_are_completed_normalised_and_checked() -> None:
 def test_what_a_helper_compiles_is_what_a_driver_runs() -> None:
     program = """
 from surffollow.hw.driver import ConversionQueue
-from surffollow.hw.simulated import SimulatedDriver, produce, run_rig, warm_up
+from surffollow.hw.simulation.simulated import SimulatedDriver, produce, run_rig, warm_up
 warm_up()
 driver = SimulatedDriver("warm")
 driver.start(ConversionQueue(1 << 10))

@@ -15,8 +15,8 @@ from second_user import NOBODY, as_other_user, needs_root, outcome
 from surffollow.errors import (
     BusyError,
     ConfigError,
+    InvalidNameError,
     LayoutMismatchError,
-    NameError_,
     NoPermissionError,
     NotRunningError,
 )
@@ -139,7 +139,7 @@ def test_an_object_of_another_size_is_replaced_not_resized(name: str) -> None:
 
 @pytest.mark.parametrize("bad", ["", "../x", "a/b", ".hidden", "x" * 65, "ü"])
 def test_names_that_a_path_could_misread_are_refused(bad: str) -> None:
-    with pytest.raises(NameError_):
+    with pytest.raises(InvalidNameError):
         WorldReader(bad)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surffollow.hw.frame_format import crc16_modbus
+from surffollow.hw.wire.frame_format import crc16_modbus
 from surffollow.shm import layout_board as lb
 
 # a frame of 8 bytes: AA 55, distance in µm, CRC

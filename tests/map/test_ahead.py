@@ -9,10 +9,17 @@ import numpy as np
 import pytest
 from numba import njit
 
-from surffollow.map.ahead import NOW_NS, PASS_NS, bridge_gaps, grid_width, heights_along, new_kept
-from surffollow.map.geometry import open_journal, reset_begin, reset_step
-from surffollow.map.grids import update_map
 from surffollow.map.header import init_header
+from surffollow.map.kernels.geometry import open_journal, reset_begin, reset_step
+from surffollow.map.kernels.grids import update_map
+from surffollow.map.kernels.preview_line import (
+    NOW_NS,
+    PASS_NS,
+    bridge_gaps,
+    grid_width,
+    heights_along,
+    new_kept,
+)
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 

@@ -19,7 +19,7 @@ from surffollow.errors import MapCancelledError, MapFileError, UsageError
 from surffollow.map import HeightMap
 from surffollow.map.compose import compose, difference
 from surffollow.map.files import EXPORTS, export
-from surffollow.map.raster import read_esri_ascii
+from surffollow.map.formats.raster import read_esri_ascii
 
 STATE = {
     "capacity_grids",
@@ -281,7 +281,7 @@ def test_a_missing_extra_is_named(tmp_path, monkeypatch):
 
 
 def test_reading_and_writing_text_loads_no_numba():
-    code = "import sys, surffollow.map.text_file; sys.exit('numba' in sys.modules)"
+    code = "import sys, surffollow.map.formats.text_file; sys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

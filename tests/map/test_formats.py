@@ -13,7 +13,7 @@ from surffollow.cli.map import map_group
 from surffollow.errors import MapFileError, UsageError
 from surffollow.map import HeightMap
 from surffollow.map.files import EXPORTS, export, load
-from surffollow.map.picture import known_bounds, known_part
+from surffollow.map.formats.picture import known_bounds, known_part
 
 
 def small(seed: int = 1) -> HeightMap:

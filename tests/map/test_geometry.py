@@ -9,10 +9,16 @@ from hypothesis import strategies as st
 
 from surffollow.errors import MapFileError, UsageError
 from surffollow.map import HeightMap, access
-from surffollow.map.geometry import fit_grids, margin_grids, open_journal, reset_begin, reset_step
 from surffollow.map.header import header_fault, init_header
-from surffollow.map.install import install_begin, install_end, install_grids, operation_progress, reject
-from surffollow.map.lookup import height_at, surface_at
+from surffollow.map.kernels.geometry import fit_grids, margin_grids, open_journal, reset_begin, reset_step
+from surffollow.map.kernels.install import (
+    install_begin,
+    install_end,
+    install_grids,
+    operation_progress,
+    reject,
+)
+from surffollow.map.kernels.lookup import height_at, surface_at
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 

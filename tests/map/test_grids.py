@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from naive_map import NaiveMap, averaged, paper_mean, paper_weights
 from surffollow.errors import UsageError
 from surffollow.map import HeightMap
-from surffollow.map.grids import blended, update_map
+from surffollow.map.kernels.grids import blended, update_map
 from surffollow.shm import map_layout as ml
 
 QUANTUM = 25.4e-6

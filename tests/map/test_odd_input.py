@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from surffollow.errors import MapFileError, RegionError, UsageError
-from surffollow.map import HeightMap, atomic_file
+from surffollow.map import HeightMap
 from surffollow.map import compose as composing
 from surffollow.map.files import export
+from surffollow.map.formats import atomic_file
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype
 

@@ -15,9 +15,9 @@ import pytest
 from naive_map import UNKNOWN, refocused, refocused_quanta
 from surffollow.errors import RegionError
 from surffollow.map import HeightMap, access
-from surffollow.map.geometry import reset_begin, reset_step
 from surffollow.map.header import header_fault, init_header
-from surffollow.map.refocus import refocus_begin, refocus_step
+from surffollow.map.kernels.geometry import reset_begin, reset_step
+from surffollow.map.kernels.refocus import refocus_begin, refocus_step
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype
 
@@ -237,8 +237,8 @@ import mmap, sys
 import numpy as np
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype
-from surffollow.map.refocus import refocus_begin, refocus_step
-from surffollow.map.geometry import reset_begin, reset_step
+from surffollow.map.kernels.refocus import refocus_begin, refocus_step
+from surffollow.map.kernels.geometry import reset_begin, reset_step
 
 grids = int(sys.argv[2])
 with open(sys.argv[1], "r+b") as f:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from surffollow.record.recorder import Recorder
-from surffollow.record.rehearsal import Rehearsal
+from surffollow.record.synthetic_log import Rehearsal
 from surffollow.record.writer import RecordingWriter
 
 

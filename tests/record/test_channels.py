@@ -14,13 +14,13 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from surffollow.record import foxglove as fx
+from surffollow.record.channel_feed import ChannelFeed
 from surffollow.record.channels import add_demand, plain
 from surffollow.record.convert import convert
-from surffollow.record.feed import ChannelFeed
 from surffollow.record.protobuf import Message
 from surffollow.record.recorder import Recorder
-from surffollow.record.rehearsal import Rehearsal
 from surffollow.record.replay import replay_file
+from surffollow.record.synthetic_log import Rehearsal
 from surffollow.record.table import Table
 from surffollow.record.writer import RecordingWriter
 from surffollow.shm.layout_follow import VALID, Output

@@ -18,8 +18,8 @@ import pytest
 
 from surffollow.client import attach
 from surffollow.errors import NotReadyError, NotRunningError, RecordingError
-from surffollow.record.live import LEAD_NS, LiveReport, driver_info, play_live
-from surffollow.record.playback import load_playback
+from surffollow.record.live_replay import LEAD_NS, LiveReport, driver_info, play_live
+from surffollow.record.recorded_inputs import load_playback
 from surffollow.record.replay import replay_file
 from surffollow.record.session import record_service
 from surffollow.shm.objects import unlink

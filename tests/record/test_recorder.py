@@ -18,8 +18,8 @@ from surffollow.forecast.journal import CYCLE, SNAPSHOT, entry_kind, entry_words
 from surffollow.record.format import BATCH_CYCLES, SCHEMA_ENCODING, TOPIC
 from surffollow.record.reader import RecordingReader
 from surffollow.record.recorder import Recorder
-from surffollow.record.rehearsal import Rehearsal
 from surffollow.record.replay import replay_file
+from surffollow.record.synthetic_log import Rehearsal
 from surffollow.record.writer import RecordingWriter
 from surffollow.shm.cycle_log import log_head
 from surffollow.shm.layout_board import LogHead

@@ -14,9 +14,9 @@ from surffollow.errors import RecordingError, UsageError
 from surffollow.forecast.journal import MAP, SNAPSHOT, entry_head, entry_kind, entry_words
 from surffollow.forecast.step import follow_step
 from surffollow.map import HeightMap
+from surffollow.record.map_rebuild import rebuild_map
 from surffollow.record.reader import RecordingReader
-from surffollow.record.rehearsal import NS_PER_S, Rehearsal, invent_inputs
-from surffollow.record.remap import rebuild_map
+from surffollow.record.synthetic_log import NS_PER_S, Rehearsal, invent_inputs
 from surffollow.record.writer import RecordingWriter
 from surffollow.shm.layout_board import RQ_MAP_INSTALL, RQ_MAP_REFOCUS, RQ_MAP_RESET
 

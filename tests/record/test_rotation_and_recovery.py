@@ -12,13 +12,13 @@ from mcap.reader import make_reader
 
 from surffollow.cli.convert import convert_command, recover_command
 from surffollow.errors import UsageError
+from surffollow.record.channel_feed import ChannelFeed
 from surffollow.record.convert import convert
-from surffollow.record.feed import ChannelFeed
 from surffollow.record.recorder import Recorder
 from surffollow.record.recover import recover
-from surffollow.record.rehearsal import Rehearsal
 from surffollow.record.replay import replay_file
 from surffollow.record.session import Files
+from surffollow.record.synthetic_log import Rehearsal
 
 
 def recorded(folder: Path, cycles: int, **limits: float) -> tuple[Recorder, Files]:

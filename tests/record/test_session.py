@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from surffollow.record import session
-from surffollow.record.rehearsal import Rehearsal
+from surffollow.record.synthetic_log import Rehearsal
 
 TICK_S = 0.5
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import surffollow.live.field_demo
+import surffollow.apps.field_demo
 from surffollow.cli.scan import scan_group
 from surffollow.errors import SurffollowError
 from surffollow.map import HeightMap
@@ -43,14 +43,14 @@ def test_stations_are_not_overwritten(output, tmp_path):
 
 @pytest.mark.parametrize("option", ["--picture", "--report", "--signal"])
 def test_a_demonstration_that_cannot_be_written_does_not_begin(option, tmp_path, monkeypatch):
-    monkeypatch.setattr(surffollow.live.field_demo, "demonstrate", lambda *_: pytest.fail("it began"))
+    monkeypatch.setattr(surffollow.apps.field_demo, "demonstrate", lambda *_: pytest.fail("it began"))
     got = run("demo", option, tmp_path / "none" / "x.png")
     assert isinstance(got.exception, SurffollowError)
     assert "cannot write" in str(got.exception)
 
 
 def test_two_outputs_of_one_name_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(surffollow.live.field_demo, "demonstrate", lambda *_: pytest.fail("it began"))
+    monkeypatch.setattr(surffollow.apps.field_demo, "demonstrate", lambda *_: pytest.fail("it began"))
     got = run("demo", "--picture", tmp_path / "x.png", "--report", tmp_path / "x.png")
     assert got.exit_code == 2
     assert "is written twice" in got.output

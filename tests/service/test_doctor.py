@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from surffollow.cli.doctor import doctor_command, latency_command, render
-from surffollow.client.report import percentile_ns
+from surffollow.client.histogram_report import percentile_ns
 from surffollow.errors import UsageError
 from surffollow.service import doctor, doctor_host
 from surffollow.service.doctor_latency import Lateness, measure_lateness, parse_cyclictest

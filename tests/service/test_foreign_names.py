@@ -22,10 +22,10 @@ from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from surffollow.blocks.listing import list_blocks
 from surffollow.cli.service import purge_leftovers, running_pid, stop_command
 from surffollow.client import STALE, attach, observe
-from surffollow.config.owner import trusted_owners
+from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import ConfigError, FaultError, NoPermissionError, NotRunningError
 from surffollow.record.service_log import ServiceLog
-from surffollow.service import house
+from surffollow.service import shared_objects
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, stride
 from surffollow.shm.layout_follow import VALID, Output
@@ -99,7 +99,7 @@ def test_what_is_no_plain_file_is_an_error_with_a_remedy_for_everybody(
             assert told.startswith("BlockError"), told
             assert str(path) in told
             assert "remove it" in told
-    told = at_once(lambda: house.open_house(odd_name.settings()))
+    told = at_once(lambda: shared_objects.open_house(odd_name.settings()))
     assert told.split(":")[0] in ("BlockError", "NoPermissionError"), told
     assert str(path) in told
     told = at_once(lambda: purge_leftovers(name))
@@ -214,16 +214,16 @@ def test_a_squatted_lock_file_is_an_error_that_names_its_user(make_service: Make
     assert as_other_user(lambda _: outcome(lambda: path.write_bytes(b""))) == "done"
     try:
         with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0.*remove it"):
-            house.open_house(s.settings())
+            shared_objects.open_house(s.settings())
         assert objects_of(s.name) == {path.name}
     finally:
         path.unlink()
     path.write_bytes(b"")
     path.chmod(0o644)
     with pytest.raises(FaultError, match="mode 644, expected 600"):
-        house.open_house(s.settings())
+        shared_objects.open_house(s.settings())
     path.unlink()
-    house.open_house(s.settings()).leave()
+    shared_objects.open_house(s.settings()).leave()
 
 
 @needs_root
@@ -294,10 +294,10 @@ def test_a_reader_that_locks_every_byte_keeps_no_service_from_its_name(
 
 
 def test_epochs_differ_between_starts_also_after_a_purge() -> None:
-    epochs = [house.new_epoch(0) for _ in range(50)]
+    epochs = [shared_objects.new_epoch(0) for _ in range(50)]
     assert len(set(epochs)) == 50
     assert all(0 < e < 1 << 53 for e in epochs)
-    assert house.new_epoch(1 << 52) == (1 << 52) + 1, "it grows while the map is kept"
+    assert shared_objects.new_epoch(1 << 52) == (1 << 52) + 1, "it grows while the map is kept"
 
 
 @needs_root

@@ -12,7 +12,7 @@ import pytest
 from hanging_socket import MANNERS, hanging
 from running_service import PATIENT_S, POSE, Service, until
 from surffollow.client import Client, slot
-from surffollow.client.claim_again import CLAIM_ANSWER_S
+from surffollow.client.reclaim import CLAIM_ANSWER_S
 from surffollow.errors import NotReadyError, NotRunningError, SurffollowError
 
 TICKS = 300

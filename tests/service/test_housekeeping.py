@@ -21,7 +21,7 @@ from running_service import READY_S, Service, objects_of, program, said, until
 from surffollow.client import Client
 from surffollow.errors import SurffollowError
 from surffollow.service.driver_watch import DriverWatch
-from surffollow.service.guard import Guard
+from surffollow.service.housekeeping import Guard
 from surffollow.service.messages import BURST, RESERVED, WAITING, Messages
 
 Make = Callable[..., Service]

@@ -19,10 +19,16 @@ import pytest
 from running_service import READY_S, WAIT_S, Service, config_text, objects_of, until
 from surffollow.cli.service import running_pid
 from surffollow.client import attach
-from surffollow.errors import AlreadyRunningError, ConfigError, NameError_, NoSpaceError, NotRunningError
+from surffollow.errors import (
+    AlreadyRunningError,
+    ConfigError,
+    InvalidNameError,
+    NoSpaceError,
+    NotRunningError,
+)
 from surffollow.hw.registry import make_driver
 from surffollow.map import HeightMap
-from surffollow.service import house
+from surffollow.service import shared_objects
 from surffollow.shm import layout_board as lb
 from surffollow.shm import objects
 
@@ -111,7 +117,7 @@ def test_a_terminal_ctrl_c_before_ready_leaves_nothing_that_stops_the_next_start
 
 @pytest.mark.parametrize("name", ["a/b", "../x", "", "-x", "x" * 49, "a b", ".x"])
 def test_a_name_that_a_path_could_misread_is_refused(name: str) -> None:
-    with pytest.raises(NameError_, match="not allowed"):
+    with pytest.raises(InvalidNameError, match="not allowed"):
         attach(name)
     done = subprocess.run(
         [sys.executable, "-m", "surffollow", "start", "--name", name],
@@ -149,7 +155,7 @@ def test_a_configuration_that_is_wrong_is_refused_by_its_key(
     def begin() -> None:
         config = s.settings()
         make_driver(config.driver, s.name)
-        house.open_house(config)
+        shared_objects.open_house(config)
 
     with pytest.raises(ConfigError, match=said):
         begin()
@@ -176,7 +182,7 @@ def test_too_little_room_in_dev_shm_is_said_with_both_sizes_and_leaves_nothing(
     monkeypatch.setattr(objects.os, "statvfs", lambda _: Room)
     s = make_service(grids=1_000_000)
     with pytest.raises(NoSpaceError, match=r"needs .* MiB and /dev/shm has 0\.4 MiB free.*fewer map\.grids"):
-        house.open_house(s.settings())
+        shared_objects.open_house(s.settings())
     assert objects_of(s.name) == set()
 
 
@@ -245,13 +251,13 @@ def test_purge_after_a_sigkill_removes_what_was_left(own_service: Service) -> No
 
 def test_a_kept_map_of_another_size_is_neither_used_nor_lost(make_service: Make) -> None:
     s = make_service(grids=1000)
-    first = house.open_house(s.settings())
+    first = shared_objects.open_house(s.settings())
     first.set_state(lb.STATE_READY)
     first.leave()
     s.config.write_text(config_text(grids=2000))
     before = map_bytes(s.name)
     with pytest.raises(ConfigError, match=r"has room for 1000 grids.*asks for 2000.*--purge"):
-        house.open_house(s.settings())
+        shared_objects.open_house(s.settings())
     assert map_bytes(s.name) == before
     assert objects_of(s.name) == {f"{s.name}.map"}
 
@@ -281,12 +287,12 @@ while not whole:
     pid = os.fork()
     if pid == 0:
         sys.settrace(die_at(lines))
-        house.open_house(config)
+        shared_objects.open_house(config)
         os._exit(0)
     whole = os.waitpid(pid, 0)[1] == 0
-    healed = house.open_house(config)
+    healed = shared_objects.open_house(config)
     healed.leave()
-    house.purge_map(config.name)
+    shared_objects.purge_map(config.name)
     assert not [p for p in os.listdir("/dev/shm") if p.startswith(config.name)]
 print(lines)
 """

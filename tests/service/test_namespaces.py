@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from running_service import POSE, READY_S, Service, take_pose, until
-from surffollow.config import owner
-from surffollow.config.owner import NOBODYS, own_user
+from surffollow.config import trusted_users
+from surffollow.config.trusted_users import NOBODYS, own_user
 from surffollow.errors import BusyError, ConfigError, RefusedError
 from surffollow.shm import layout_board as lb
 from surffollow.shm.trusted_folder import NUMBA_SETTINGS, check_numba_settings
@@ -68,8 +68,8 @@ def test_the_number_of_everybody_who_has_none_is_nobodys_own(
 ) -> None:
     (tmp_path / "overflowuid").write_text("65534\n")
     (tmp_path / "uid_map").write_text(mapped + "\n")
-    monkeypatch.setattr(owner, "_KERNEL", tmp_path / "overflowuid")
-    monkeypatch.setattr(owner, "_NAMESPACE", tmp_path / "uid_map")
+    monkeypatch.setattr(trusted_users, "_KERNEL", tmp_path / "overflowuid")
+    monkeypatch.setattr(trusted_users, "_NAMESPACE", tmp_path / "uid_map")
     monkeypatch.setattr(os, "geteuid", lambda: user)
     assert own_user() == own
 

@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 
 from shell_loop import MS, START, ShellLoop
-from surffollow.forecast.adaptive.controller_clock import (
+from surffollow.forecast.plant.controller_clock import (
     latch_time,
     observe_report,
     open_period,
     period_is_due,
 )
-from surffollow.forecast.adaptive.preview_schedule import FOR_PERIOD, FOR_SAMPLE, preview_window
 from surffollow.forecast.step import follow_step
-from surffollow.hw.pose_history import add_pose
-from surffollow.hw.rig import produce
-from surffollow.map.geometry import open_journal, reset_begin, reset_step
-from surffollow.map.grids import update_map
+from surffollow.forecast.terrain.preview_schedule import FOR_PERIOD, FOR_SAMPLE, preview_window
+from surffollow.hw.simulation.pose_history import add_pose
+from surffollow.hw.simulation.sensor_rig import produce
 from surffollow.map.header import init_header
+from surffollow.map.kernels.geometry import open_journal, reset_begin, reset_step
+from surffollow.map.kernels.grids import update_map
 from surffollow.service import memory as m
-from surffollow.service.preview import fill_preview
+from surffollow.service.map_preview import fill_preview
 from surffollow.shm import map_layout as ml
 from surffollow.shm.conversion import pack_conversion
 from surffollow.shm.dtypes import zeros

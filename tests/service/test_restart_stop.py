@@ -13,7 +13,7 @@ from running_service import STANDOFF_M, Service, World, drive, until
 from surffollow.client import Client
 from surffollow.service import memory as m
 from surffollow.service.initialise import stop_after_death
-from surffollow.service.stopping import do_stop
+from surffollow.service.stop_latch import do_stop
 from surffollow.shm import layout_board as lb
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros

@@ -12,16 +12,16 @@ from pathlib import Path
 import pytest
 
 from running_service import until
-from surffollow.service import side_compile
-from surffollow.service.side_compile import SideCompile, is_cold, note_complete
+from surffollow.service import compile_helper
+from surffollow.service.compile_helper import SideCompile, is_cold, note_complete
 
 SLEEPER = "#!/bin/sh\nexec sleep 60\n"
 
 
 @pytest.fixture(autouse=True)
 def cold_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(side_compile, "cache_directory", lambda: str(tmp_path))
-    monkeypatch.setattr(side_compile.os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(compile_helper, "cache_directory", lambda: str(tmp_path))
+    monkeypatch.setattr(compile_helper.os, "sched_getaffinity", lambda _: {0, 1})
     return tmp_path
 
 
@@ -31,7 +31,7 @@ def sleeper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     script = tmp_path / "sleeper"
     script.write_text(SLEEPER)
     script.chmod(0o700)
-    monkeypatch.setattr(side_compile.sys, "executable", str(script))
+    monkeypatch.setattr(compile_helper.sys, "executable", str(script))
 
 
 @pytest.fixture
@@ -66,9 +66,9 @@ def test_a_cache_is_cold_until_a_service_of_this_source_has_filled_it(cold_cache
 def test_a_warm_start_and_one_processor_need_no_helper(
     sleeper: None, pipe: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(side_compile.os, "sched_getaffinity", lambda _: {0})
+    monkeypatch.setattr(compile_helper.os, "sched_getaffinity", lambda _: {0})
     assert SideCompile()._process is None
-    monkeypatch.setattr(side_compile.os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(compile_helper.os, "sched_getaffinity", lambda _: {0, 1})
     note_complete()
     assert SideCompile()._process is None
     assert SideCompile().wait(lambda: None, 0)
@@ -107,7 +107,7 @@ def test_a_helper_that_cannot_start_or_fails_leaves_the_work_to_the_service(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for program in ("/nowhere/python", "/bin/false"):
-        monkeypatch.setattr(side_compile.sys, "executable", program)
+        monkeypatch.setattr(compile_helper.sys, "executable", program)
         side = SideCompile()
         assert side.wait(lambda: None, pipe[0])
         side.end()

@@ -19,7 +19,7 @@ from raw_slot import MESSAGE, raw_slot
 from running_service import Service, until
 from surffollow.shm import board_regions
 from surffollow.shm import layout_board as lb
-from surffollow.shm.uninvited import EVERY_S, Disposal, RightsSentError, hear, refuse_rights
+from surffollow.shm.received_descriptors import EVERY_S, Disposal, RightsSentError, hear, refuse_rights
 from surffollow.shm.unix_socket import listen, new_socket
 
 
@@ -195,14 +195,14 @@ def test_a_listener_ends_with_lingering_sockets_in_its_queue(tmp_path: Path, mon
 
 def test_children_are_few_and_what_waits_for_them_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     disposal, now = Disposal(), [100.0]
-    monkeypatch.setattr("surffollow.shm.uninvited.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("surffollow.shm.received_descriptors.time.monotonic", lambda: now[0])
     spawned: list[int] = []
 
     def spawn(stdin: int) -> int:
         spawned.append(stdin)
         return os.posix_spawn("/bin/sleep", ["sleep", "60"], {})
 
-    monkeypatch.setattr("surffollow.shm.uninvited._spawn_holder", spawn)
+    monkeypatch.setattr("surffollow.shm.received_descriptors._spawn_holder", spawn)
     try:
         for _ in range(6):
             ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -238,7 +238,7 @@ def test_no_process_is_no_harm(pair, monkeypatch: pytest.MonkeyPatch) -> None:
     disposal.part(ours)
     descriptors = len(os.listdir("/proc/self/fd"))
     with monkeypatch.context() as m:
-        m.setattr("surffollow.shm.uninvited._spawn_holder", refused)
+        m.setattr("surffollow.shm.received_descriptors._spawn_holder", refused)
         with pytest.raises(OSError, match="no process"):
             disposal.look()
     assert len(os.listdir("/proc/self/fd")) == descriptors

@@ -11,7 +11,7 @@ import pytest
 from surffollow.config.names import check_name
 from surffollow.errors import (
     BlockError,
-    NameError_,
+    InvalidNameError,
     NoPermissionError,
     NoSpaceError,
     NotRunningError,
@@ -67,11 +67,11 @@ def in_child(act, uid=None):
     ],
 )
 def test_names_that_a_path_could_misread_are_refused(bad):
-    with pytest.raises(NameError_, match="not allowed"):
+    with pytest.raises(InvalidNameError, match="not allowed"):
         check_name(bad)
-    with pytest.raises(NameError_):
+    with pytest.raises(InvalidNameError):
         SharedObject.open(bad)
-    with pytest.raises(NameError_):
+    with pytest.raises(InvalidNameError):
         SharedObject.create(bad, 4096, 0o600)
 
 

@@ -12,7 +12,7 @@ import surffollow
 from surffollow.shm.python_child import code_command, module_command
 
 SOURCE = Path(surffollow.__file__).parent
-ALONE = {"shm/python_child.py", "shm/uninvited.py"}  # the latter starts an isolated interpreter
+ALONE = {"shm/python_child.py", "shm/received_descriptors.py"}  # the latter starts an isolated interpreter
 
 
 @pytest.fixture

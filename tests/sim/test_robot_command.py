@@ -1,4 +1,4 @@
-"""`surffollow robot` as a user types it."""
+"""`surffollow simulate` as a user types it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from running_service import until
-from surffollow.cli.robot import robot_command
+from surffollow.cli.simulate import simulate_command
 from surffollow.errors import ConfigError, NotRunningError
 from surffollow.sim.robot_motion import TRACE_COLUMNS
 from surffollow.sim.world import WorldReader
@@ -27,14 +27,14 @@ RUN = """
 import os
 import sys
 import surffollow.client
-from surffollow.cli.robot import robot_command
+from surffollow.cli.simulate import simulate_command
 sys.path.insert(0, sys.argv[1])
 from test_robot import PerfectService
 from surffollow.sim.surfaces import flat_field
 service = PerfectService(flat_field((0.0, 0.0, 0.5, 0.2)))
 service.silent = "SILENT" in os.environ
 surffollow.client.attach = lambda name, label="": service
-robot_command(sys.argv[2:])
+simulate_command(sys.argv[2:])
 """
 
 
@@ -102,7 +102,7 @@ def test_robot_that_gets_no_valid_demand_prints_its_summary_and_fails(
 
 
 def test_wrong_unit_is_refused_before_anything_starts() -> None:
-    result = CliRunner().invoke(robot_command, ["--speed", "50 kg"])
+    result = CliRunner().invoke(simulate_command, ["--speed", "50 kg"])
     assert result.exit_code == 2
     assert "speed" in result.output
 
@@ -113,5 +113,5 @@ def test_wrong_surface_and_missing_service_are_named(monkeypatch: pytest.MonkeyP
         (["--surface", "moon"], ConfigError),
         ([*SMALL, "--wait", "0"], NotRunningError),
     ):
-        result = CliRunner().invoke(robot_command, arguments)
+        result = CliRunner().invoke(simulate_command, arguments)
         assert isinstance(result.exception, error), result.output

@@ -3,7 +3,7 @@
 //!     surffollow start &
 //!     cargo run --release -- surf 20
 //!
-//! Nothing but Rust's own library: the layout comes from `surffollow header --json` (build.rs, generate.py), the
+//! Nothing but Rust's own library: the layout comes from `surffollow print-header --json` (build.rs, generate.py), the
 //! rules from docs/reference/protocol.md. The arm is the stand-in of examples/python/controller.py; a service that is killed
 //! and started again is attached to again.
 

@@ -13,8 +13,8 @@ from surffollow.arbiter import layout as al
 from surffollow.arbiter.config import ArbiterConfig, limits
 from surffollow.blocks import layout as bl
 from surffollow.blocks.claim import claim_writer, give_up
-from surffollow.config.owner import own_user
 from surffollow.config.service import mode, seconds
+from surffollow.config.trusted_users import own_user
 from surffollow.errors import (
     AlreadyRunningError,
     BlockError,

@@ -1,6 +1,7 @@
 """Write the C header of arbiter clients from the layout, the table and the functions in `header`.
 
-`python -m surffollow.arbiter.cheader` rewrites the committed file; `surffollow arbiter header` prints it.
+`python -m surffollow.arbiter.cheader` rewrites the committed file;
+`surffollow arbiter print-header` prints it.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from surffollow.arbiter.handshake import Welcomed, enter, knock
 from surffollow.arbiter.observer import ArbiterObserver, BoardReader
 from surffollow.arbiter.resource import Resource
 from surffollow.config.names import check_name
-from surffollow.config.owner import trusted_owners
+from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import NotRunningError, RefusedError
 
 BEATS_PER_LEASE = 5

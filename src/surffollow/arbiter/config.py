@@ -12,7 +12,7 @@ import msgspec
 from surffollow.arbiter.layout import RESOURCES, VALUES
 from surffollow.config.names import check_name, check_service_name
 from surffollow.config.service import mode, seconds
-from surffollow.errors import ConfigError, NameError_
+from surffollow.errors import ConfigError, InvalidNameError
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -91,7 +91,7 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Arbiter
     try:
         config = msgspec.convert(data, ArbiterConfig)
         _check(config)
-    except (msgspec.ValidationError, ConfigError, NameError_) as e:
+    except (msgspec.ValidationError, ConfigError, InvalidNameError) as e:
         raise ConfigError(f"{source}: {e}; see docs/reference/arbiter.md") from None
     return config
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from surffollow.arbiter import layout as al
 from surffollow.blocks.attached import AttachedBlock
 from surffollow.config.names import check_name
-from surffollow.config.owner import trusted_owners
+from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import BlockError, NoPermissionError, NotRunningError
 
 _RETRY_NS = 20_000_000

@@ -25,8 +25,8 @@ from surffollow.errors import (
     RefusedError,
     RequestTimeoutError,
 )
+from surffollow.shm.received_descriptors import accept_rights, refuse_rights
 from surffollow.shm.sealed import has_sealed_size
-from surffollow.shm.uninvited import accept_rights, refuse_rights
 from surffollow.shm.unix_socket import new_socket, peer_of
 
 HELLO_TIMEOUT_S = 1.0

@@ -13,7 +13,7 @@ from surffollow.arbiter.table import STATES
 from surffollow.client.board import unpack_schema
 from surffollow.client.fence import FENCED, fence
 from surffollow.config.names import check_name
-from surffollow.config.owner import trusted_owners
+from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import BlockError, LayoutMismatchError, NotRunningError, UsageError
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.objects import SharedObject

@@ -19,9 +19,9 @@ from surffollow.arbiter import memory as m
 from surffollow.arbiter import table as t
 from surffollow.arbiter.board import Board, CommandBlock, group_id, own_name
 from surffollow.arbiter.config import ArbiterConfig, limits
+from surffollow.arbiter.connections import Reception, users_of
 from surffollow.arbiter.effects import happen
 from surffollow.arbiter.loop import run_rounds
-from surffollow.arbiter.reception import Reception, users_of
 from surffollow.config.service import mode
 from surffollow.errors import ServiceError
 from surffollow.shm.name_lock import NameLock

@@ -1,6 +1,6 @@
 """C for user blocks: the structures of any schema, how to map a block, read it and write it.
 
-The text stands on `surffollow.h` (`surffollow header`), which brings the latch and the fences.
+The text stands on `surffollow.h` (`surffollow print-header`), which brings the latch and the fences.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from collections.abc import Collection
 from surffollow.blocks import layout as bl
 from surffollow.client.fence import fence
 from surffollow.config.names import check_name
-from surffollow.config.owner import own_user
+from surffollow.config.trusted_users import own_user
 from surffollow.errors import BlockError, BusyError, ExistsError, NoPermissionError, NotRunningError
 from surffollow.shm.locks import FileLock
 from surffollow.shm.name_lock import NameLock, holder

@@ -11,7 +11,7 @@ from typing import Any
 from surffollow.blocks import layout as bl
 from surffollow.blocks.attached import AttachedBlock
 from surffollow.config.names import check_name
-from surffollow.errors import BlockError, NameError_, NotRunningError
+from surffollow.errors import BlockError, InvalidNameError, NotRunningError
 from surffollow.shm.objects import SHM_ROOT, SharedObject
 
 
@@ -57,7 +57,7 @@ def list_blocks() -> list[dict[str, Any]]:
     """All blocks of trusted users that this user may read, by name."""
     found = []
     for name in sorted(os.listdir(SHM_ROOT)):
-        with contextlib.suppress(NameError_, NotRunningError, BlockError):
+        with contextlib.suppress(InvalidNameError, NotRunningError, BlockError):
             block = attach_unknown(name)
             try:
                 found.append(describe_block(block))

@@ -10,8 +10,8 @@ from surffollow.blocks.attached import AttachedBlock
 from surffollow.blocks.record import Record
 from surffollow.blocks.snapshot import Snapshot
 from surffollow.config.names import OBJECTS, check_name
-from surffollow.config.owner import trusted_owners
-from surffollow.errors import NameError_, NotRunningError, SchemaError
+from surffollow.config.trusted_users import trusted_owners
+from surffollow.errors import InvalidNameError, NotRunningError, SchemaError
 from surffollow.shm.schema import Schema
 
 Blocks = type[Schema] | Iterable[type[Schema]] | Mapping[str, type[Schema]]
@@ -123,7 +123,7 @@ def mem_attach(
         a block was declared otherwise
     NotRunningError
         a block did not appear in time
-    NoSpaceError, NoPermissionError, NameError_, SchemaError
+    NoSpaceError, NoPermissionError, InvalidNameError, SchemaError
 
     Examples
     --------
@@ -189,7 +189,7 @@ def _chosen(write: bool | Iterable[str | type[Schema]], named: dict[str, type[Sc
 
 def _object_name(name: str, block: str) -> str:
     if block in _TAKEN:
-        raise NameError_(f"a block cannot be called {block!r}; a service has an object of that name")
+        raise InvalidNameError(f"a block cannot be called {block!r}; a service has an object of that name")
     return check_name(f"{name}.{block}")
 
 
@@ -201,7 +201,7 @@ def _group_id(group: str) -> int:
     try:
         return grp.getgrnam(group).gr_gid
     except KeyError:
-        raise NameError_(f"there is no group {group!r}") from None
+        raise InvalidNameError(f"there is no group {group!r}") from None
 
 
 def _attach_reader(block: AttachedBlock, deadline: float, lazy: bool) -> None:

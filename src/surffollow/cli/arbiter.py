@@ -1,4 +1,4 @@
-"""`surffollow arbiter start`, `status`, `history`, `check`, `header`, `follow` and `demo`."""
+"""`surffollow arbiter start`, `status`, `history`, `check`, `print-header`, `follow` and `demo`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 
 import click
 
-from surffollow.cli.values import SERVICE_NAME, Finite
+from surffollow.cli.old_names import old_name
+from surffollow.cli.option_types import SERVICE_NAME, Finite
 
 
 @click.group("arbiter")
@@ -166,13 +167,16 @@ def check_command(with_mutants: bool, as_json: bool) -> None:
         sys.exit(1)
 
 
-@arbiter_group.command("header")
-def header_command() -> None:
+@arbiter_group.command("print-header")
+def print_header_command() -> None:
     """Print the C header of arbiter clients; it stands beside surffollow.h (surffollow --includedir)."""
     from pathlib import Path
 
     header = Path(__file__).parents[1] / "include" / "surffollow_arbiter.h"
     click.echo(header.read_text(encoding="ascii"), nl=False)
+
+
+old_name(arbiter_group, print_header_command, "header")
 
 
 def stop_on_signals() -> list[int]:
@@ -194,10 +198,10 @@ def stop_on_signals() -> list[int]:
 def follow_command(name: str, service: str, resource: str, client: str, as_json: bool) -> None:
     """Hand a service's demands to an arbiter's resource, as one client among others, until Ctrl-C.
 
-    While others hold the resource the robot (`surffollow robot --arbiter`) keeps the service in DRYRUN: it
+    While others hold the resource the robot (`surffollow simulate --arbiter`) keeps the service in DRYRUN: it
     learns nothing.
     """
-    from surffollow.live.shared_tool import follow
+    from surffollow.apps.shared_tool import follow
 
     stopped = stop_on_signals()
     counts = follow(service, name, resource, lambda: bool(stopped), client)
@@ -216,8 +220,8 @@ def demo_command(seconds: float, combine: str, as_json: bool) -> None:
     import tempfile
     from pathlib import Path
 
-    from surffollow.live.children import ended_by_signals
-    from surffollow.live.shared_demo import run_shared_demo
+    from surffollow.apps.child_processes import ended_by_signals
+    from surffollow.apps.shared_demo import run_shared_demo
 
     def progress(text: str) -> None:
         print(f"surffollow: {text}", file=sys.stderr, flush=True)

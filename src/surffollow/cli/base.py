@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from surffollow.cli.values import SERVICE_NAME, Finite
+from surffollow.cli.option_types import SERVICE_NAME, Finite
 
 CLIENTS = ("avoid", "follow-wall", "follow-wall-2", "go")
 EXPERIMENTS = ("paper", "1", "1-pair", "2")
@@ -37,7 +37,7 @@ def base_command(
 
     It waits for the first command of a client, until Ctrl-C.
     """
-    from surffollow.live.wall_processes import run_base
+    from surffollow.apps.wall_processes import run_base
     from surffollow.sim.base import BaseConfig
 
     said = run_base(
@@ -65,7 +65,7 @@ def base_command(
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def base_client_command(client: str, name: str, experiment: str, as_json: bool) -> None:
     """Run one client of the wall-following experiments until the base ends."""
-    from surffollow.live.wall_processes import run_client
+    from surffollow.apps.wall_processes import run_client
 
     said = run_client(name, client, experiment)
     print(
@@ -105,7 +105,7 @@ def wall_follow_command(
     Experiment "paper": go and follow-wall by a pair of sonars. "1": with avoid, fused pose. "1-pair": with
     avoid, by a pair. "2": with follow-wall-2, too.
     """
-    from surffollow.live.wall_following import figures, run_experiment
+    from surffollow.apps.wall_following import figures, run_experiment
 
     if processes and len(seeds) > 1:
         raise click.UsageError(
@@ -115,7 +115,7 @@ def wall_follow_command(
     first = None
     for seed in seeds:
         if processes:
-            from surffollow.live.wall_processes import run_processes
+            from surffollow.apps.wall_processes import run_processes
 
             run, history = run_processes(experiment, seconds, seed=seed)
             more: dict[str, Any] = {"events": len(history)}
@@ -126,7 +126,7 @@ def wall_follow_command(
         if len(seeds) > 1 and not as_json:
             print(f"seed {seed}: {line_of(runs[-1])}", file=sys.stderr, flush=True)
     if plot is not None and first is not None:
-        from surffollow.live.wall_pictures import draw_run
+        from surffollow.apps.wall_pictures import draw_run
 
         draw_run(first, plot, f"experiment {experiment}, seed {runs[0]['seed']}")
     median = median_of(runs)

@@ -1,4 +1,4 @@
-"""`surffollow blocks ls`, `show`, `watch`, `record` and `header`."""
+"""`surffollow blocks ls`, `show`, `watch`, `record` and `print-header`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surffollow.cli.values import Finite
+from surffollow.cli.old_names import old_name
+from surffollow.cli.option_types import Finite
 
 if TYPE_CHECKING:
     from surffollow.blocks import AttachedBlock
@@ -60,7 +61,7 @@ def _age(age_s: float | None) -> str:
 def show_command(block: str, as_json: bool) -> None:
     """Show the newest values of BLOCK (NAME.BLOCK) with their units; the block brings its own schema."""
     from surffollow.blocks.listing import attach_unknown, describe_block
-    from surffollow.config.owner import trusted_owners
+    from surffollow.config.trusted_users import trusted_owners
 
     attached = attach_unknown(block, trusted_owners())
     try:
@@ -121,7 +122,7 @@ def _text(value: Any) -> str:
 def watch_command(block: str, as_json: bool, every: float, count: int, seconds: float) -> None:
     """Print BLOCK's values whenever they changed, until Ctrl-C; follows its writer through restarts."""
     from surffollow.blocks.listing import attach_unknown
-    from surffollow.config.owner import trusted_owners
+    from surffollow.config.trusted_users import trusted_owners
     from surffollow.errors import UsageError
 
     if every < WATCH_POLL_S:
@@ -193,16 +194,19 @@ def record_command(
         print(f"{out}: {n} publications of {name}, {counts.missed[name]} missed")
 
 
-@blocks_group.command("header")
+@blocks_group.command("print-header")
 @click.argument("block")
-def header_command(block: str) -> None:
+def print_header_command(block: str) -> None:
     """Print a C header for BLOCK's structure and a reader that never waits (needs surffollow.h)."""
     from surffollow.blocks.cheader import c_header
     from surffollow.blocks.listing import attach_unknown
-    from surffollow.config.owner import trusted_owners
+    from surffollow.config.trusted_users import trusted_owners
 
     attached = attach_unknown(block, trusted_owners())
     try:
         sys.stdout.write(c_header(attached.schema))
     finally:
         attached.close()
+
+
+old_name(blocks_group, print_header_command, "header")

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from surffollow.cli.values import SERVICE_NAME, Finite
+from surffollow.cli.option_types import SERVICE_NAME, Finite
 
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 OUT = click.option(
@@ -83,9 +83,9 @@ def range_command(
     """Find what a sensor's volts (or metres) mean, from PAIRS: CSV with the columns indicated and true."""
     import numpy as np
 
+    from surffollow.apps.fit_range import fit_range
     from surffollow.hw.calibration import merged, save_calibration
-    from surffollow.live.fit_range import fit_range
-    from surffollow.map.atomic_file import check_not_read
+    from surffollow.map.formats.atomic_file import check_not_read
     from surffollow.record.figure import check_figure
     from surffollow.units import unit_scale
 
@@ -188,13 +188,13 @@ def latency_command(move: Path | None, name: str | None, out: Path, as_json: boo
     """Find the age of distances from MOVE, up and down over one spot: CSV with t_s, z_m and range_m."""
     from surffollow.errors import ConfigError
     from surffollow.hw.calibration import merged, save_calibration
-    from surffollow.map.atomic_file import check_not_read
+    from surffollow.map.formats.atomic_file import check_not_read
 
     check_not_read(out, move)
     if (move is None) == (name is None):
         raise click.UsageError("give either MOVE or --name")
     if move is not None:
-        from surffollow.live.fit_latency import fit_latency
+        from surffollow.apps.fit_latency import fit_latency
 
         t_s, z_m, range_m = read_columns(move, ("t_s", "z_m", "range_m"))
         fit = fit_latency(t_s, z_m, t_s, range_m)
@@ -230,10 +230,10 @@ def mount_command(moves: Path, channel: int, out: Path, as_json: bool) -> None:
 
     import numpy as np
 
+    from surffollow.apps.fit_mount import fit_mount
     from surffollow.hw.calibration import load_calibration, merged, save_calibration
     from surffollow.hw.driver import IDENTITY
-    from surffollow.live.fit_mount import fit_mount
-    from surffollow.map.atomic_file import check_not_read
+    from surffollow.map.formats.atomic_file import check_not_read
 
     check_not_read(out, moves)
     *poses, range_m = read_columns(moves, ("x", "y", "z", "qx", "qy", "qz", "qw", "range_m"))

@@ -7,7 +7,7 @@ import sys
 
 import click
 
-from surffollow.cli.values import Finite
+from surffollow.cli.option_types import Finite
 
 
 @click.command("convert")

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import click
 
-from surffollow.cli.robot import LENGTH, SPEED
-from surffollow.cli.values import Finite
+from surffollow.cli.option_types import Finite
+from surffollow.cli.simulate import LENGTH, SPEED
 
 
 def _speed(ctx: click.Context, param: click.Parameter, value: str | None) -> float | None:
@@ -63,10 +63,10 @@ def demo_command(
     surface = surface or ("fy91" if sensors is None else "dome")
     if speed is None:
         speed = 0.05 if sensors is None else 0.1
-    from surffollow.live.children import ended_by_signals
-    from surffollow.live.demo import demo_folder, run_demo
-    from surffollow.live.figures import table
-    from surffollow.live.task import DemoConfig, check_task
+    from surffollow.apps.child_processes import ended_by_signals
+    from surffollow.apps.demo import demo_folder, run_demo
+    from surffollow.apps.demo_figures import table
+    from surffollow.apps.demo_task import DemoConfig, check_task
 
     config = DemoConfig(
         seconds=seconds,
@@ -90,13 +90,13 @@ def demo_command(
     check_task(config)
     draws = chosen or not as_json
     if draws:
-        from surffollow.live.picture import check_picture
+        from surffollow.apps.demo_picture import check_picture
 
         check_picture(Path(picture))
     with ended_by_signals(), demo_folder(Path(keep) if keep else None) as folder:
         result = run_demo(config, folder, progress)
         if draws:
-            from surffollow.live.picture import draw_demo
+            from surffollow.apps.demo_picture import draw_demo
 
             result["picture"] = str(draw_demo(folder, Path(picture), config, result))
     if on_terminal:

@@ -6,7 +6,7 @@ import json
 
 import click
 
-from surffollow.cli.values import SERVICE_NAME, Finite
+from surffollow.cli.option_types import SERVICE_NAME, Finite
 
 
 @click.command("device")
@@ -18,8 +18,8 @@ from surffollow.cli.values import SERVICE_NAME, Finite
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object at the end.")
 def device_command(kind: str, name: str, seconds: float, as_json: bool) -> None:
     """Simulate a camera that pans, or a speaker: obeys the arbiter, publishes NAME.KIND_status."""
+    from surffollow.apps.device_processes import run_device
     from surffollow.cli.arbiter import stop_on_signals
-    from surffollow.live.device_processes import run_device
 
     stopped = stop_on_signals()
     said = run_device(kind, name, seconds, lambda: bool(stopped))

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from surffollow.cli.values import Finite
+from surffollow.cli.option_types import Finite
 
 _MARKS = {"good": "ok", "fair": "fair", "lacking": "LACKS", "unknown": "?"}
 _BAR = 50

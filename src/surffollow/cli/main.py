@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from surffollow.cli import old_names
 from surffollow.errors import SurffollowError, missing_library
 
 # a disk, or a share of it, that is full or gone
@@ -22,14 +23,14 @@ VERBS = {
     "stop": ("service", "stop_command", "End a service; --purge removes its kept map."),
     "status": ("service", "status_command", "Say how a service is doing."),
     "demo": ("demo", "demo_command", "Follow simulated rough ground with the real service."),
-    "robot": ("robot", "robot_command", "Simulate a robot that heeds the service's demands."),
+    "simulate": ("simulate", "simulate_command", "Simulate a robot that follows the service's demands."),
     "record": ("record", "record_command", "Record a service's cycles to a file."),
     "replay": ("replay", "replay_command", "Run a recording or a CSV log through the same kernels."),
     "convert": ("convert", "convert_command", "Turn recordings into tables, or into channels for viewers."),
     "recover": ("convert", "recover_command", "Rewrite what is whole of a cut recording."),
     "plot": ("plot", "plot_command", "Draw a recording, a CSV log or a map."),
     "map": ("map", "map_group", "Map files, and the map of a running service."),
-    "contest": ("contest", "contest_command", "Compare following methods on one plant."),
+    "benchmark": ("benchmark", "benchmark_command", "Compare following methods on one plant."),
     "scan": ("scan", "scan_group", "Map ground from depth images, plan a scan and check it."),
     "blocks": ("blocks", "blocks_group", "List, show, watch and record shared blocks."),
     "arbiter": ("arbiter", "arbiter_group", "Share a robot among clients by priority."),
@@ -38,7 +39,7 @@ VERBS = {
     "device": ("device", "device_command", "Simulate a camera or a speaker beside a base."),
     "wall-follow": ("base", "wall_follow_command", "Follow walls by clients that share a base."),
     "calibrate": ("calibrate", "calibrate_group", "Calibrate a sensor: range table, latency, mount."),
-    "header": ("header", "header_command", "Print the C header of the client library."),
+    "print-header": ("print_header", "print_header_command", "Print the C header of the client library."),
     "doctor": ("doctor", "doctor_command", "Say what this machine lacks for hard timing."),
     "latency": ("doctor", "latency_command", "Measure wake-up latency, beside cyclictest."),
 }
@@ -51,6 +52,7 @@ class LazyGroup(click.Group):
         return list(VERBS)
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        name = old_names.VERBS.get(name, name)
         if name not in VERBS:
             return None
         module, attribute, _ = VERBS[name]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import click
 
+from surffollow.cli.option_types import SERVICE_NAME, Finite
 from surffollow.cli.progress import progress_bar
-from surffollow.cli.values import SERVICE_NAME, Finite
 
 _NAME = click.option(
     "--name", type=SERVICE_NAME, default="surf", show_default=True, help="Name of the service."

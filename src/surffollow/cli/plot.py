@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from surffollow.cli.values import Finite
+from surffollow.cli.option_types import Finite
 
 
 @click.command("plot")
@@ -35,7 +35,7 @@ def plot_command(
     forecasts against what came. A map: relief and samples of what is known. Needs the extra `plot`.
     """
     from surffollow.errors import UsageError
-    from surffollow.map.atomic_file import check_not_read
+    from surffollow.map.formats.atomic_file import check_not_read
     from surffollow.record.figure import check_figure
 
     target = out or str(Path(file).with_suffix(".png"))

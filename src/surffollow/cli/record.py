@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from surffollow.cli.values import DURATION, SERVICE_NAME, SIZE, Finite
+from surffollow.cli.option_types import DURATION, SERVICE_NAME, SIZE, Finite
 
 
 @click.command("record")

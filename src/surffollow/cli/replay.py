@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surffollow.cli.values import SERVICE_NAME, Finite
+from surffollow.cli.option_types import SERVICE_NAME, Finite
 
 if TYPE_CHECKING:
     from surffollow.record.columns import Columns
@@ -64,7 +64,7 @@ def replay_command(
         raise UsageError("--name goes with --live")
     for target in (out, plot, map_out):
         if target is not None:
-            from surffollow.map.atomic_file import check_not_read
+            from surffollow.map.formats.atomic_file import check_not_read
 
             check_not_read(target, file, columns)
     suffix = None if out is None else _suffix_of_out(out)
@@ -108,7 +108,7 @@ def replay_command(
 
 def _write_map(file: str, map_out: str) -> None:
     from surffollow.map.files import export
-    from surffollow.record.remap import rebuild_map
+    from surffollow.record.map_rebuild import rebuild_map
 
     rebuilt = rebuild_map(file)
     export(map_out, rebuilt.header, rebuilt.pairs)
@@ -119,7 +119,7 @@ def _play_live(file: str, name: str | None, as_json: bool) -> None:
     from dataclasses import asdict
 
     from surffollow.cli.progress import stop_event, tell
-    from surffollow.record.live import play_live
+    from surffollow.record.live_replay import play_live
 
     with tell() as progress:
         r = play_live(file, name=name, stop=stop_event(), progress=progress)
@@ -212,7 +212,7 @@ def _replay_csv(
         _write_csv_rows(out, replay, meaning, file)
     if map_out is not None:
         from surffollow.map.files import export
-        from surffollow.record.remap import map_of_points
+        from surffollow.record.map_rebuild import map_of_points
 
         made = map_of_points(replay.target_m)
         export(map_out, made.header, made.pairs)

@@ -43,8 +43,8 @@ def demo_command(
 
     Exit code 1: a bar of the demonstration is not met.
     """
-    from surffollow.cli.outputs import check_outputs
-    from surffollow.live.field_demo import demonstrate
+    from surffollow.apps.field_demo import demonstrate
+    from surffollow.cli.output_checks import check_outputs
 
     check_outputs((picture, report, signal))
     if signal:
@@ -62,18 +62,18 @@ def demo_command(
     made = [demonstrate(ground, seed + k, tell) for k in range(seeds)]
     facts: dict[str, Any] = {"runs": [m.figures for m in made]}
     if tables:
-        from surffollow.live.field_tables import elements_table, filters_table
+        from surffollow.apps.field_tables import elements_table, filters_table
 
         every = range(seed, seed + seeds)
         facts["elements"] = elements_table(every, tell)
         facts["filters"] = filters_table(every, tell)
     if picture:
-        from surffollow.live.field_pictures import draw_field
+        from surffollow.apps.field_pictures import draw_field
 
         tell("picture", 1.0)
         draw_field(picture, made[0])
     if report:
-        from surffollow.live.field_report import write_report
+        from surffollow.apps.field_report import write_report
 
         tell("report", 1.0)
         write_report(report, made[0], {k: v for k, v in facts.items() if k != "runs"})
@@ -116,7 +116,7 @@ def calibrate_command(
 
     import numpy as np
 
-    from surffollow.cli.outputs import check_outputs
+    from surffollow.cli.output_checks import check_outputs
     from surffollow.scan.held_out import choose_matrix
     from surffollow.scan.spot_files import read_spots
 

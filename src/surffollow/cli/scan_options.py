@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surffollow.cli.values import SERVICE_NAME
+from surffollow.cli.option_types import SERVICE_NAME
 from surffollow.errors import UsageError
 from surffollow.units import parse_quantity
 

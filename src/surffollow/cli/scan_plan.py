@@ -8,7 +8,8 @@ import sys
 import click
 
 from surffollow.cli.map import LENGTH
-from surffollow.cli.outputs import check_outputs
+from surffollow.cli.option_types import Finite
+from surffollow.cli.output_checks import check_outputs
 from surffollow.cli.scan_options import (
     ACCELERATION,
     ANGLE,
@@ -25,7 +26,6 @@ from surffollow.cli.scan_options import (
     known_region,
     print_facts,
 )
-from surffollow.cli.values import Finite
 
 
 @click.command("plan")

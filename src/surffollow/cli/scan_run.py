@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surffollow.cli.outputs import check_outputs
+from surffollow.cli.option_types import SERVICE_NAME, Finite
+from surffollow.cli.output_checks import check_outputs
 from surffollow.cli.scan_options import EXISTING, JSON, OUT, PICTURE, check_picture, ground_of, print_facts
-from surffollow.cli.values import SERVICE_NAME, Finite
 from surffollow.errors import NotRunningError, ScanInputError, UsageError
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def run_command(
     or `surffollow scan pause NAME` from elsewhere. Ctrl-C aborts. An abort brakes, then retracts. Exit code
     1: not finished, or without a valid demand for more than a tenth of the time; 130 after Ctrl-C.
     """
-    from surffollow.live.scan_robot_config import ScanRobotConfig, check_executable
+    from surffollow.apps.scan_robot_config import ScanRobotConfig, check_executable
     from surffollow.scan.path_file import read_path
     from surffollow.scan.shaping import Shaper
 
@@ -94,7 +94,7 @@ def run_command(
     config = ScanRobotConfig(way=way, shaper=shaper, seed=seed, **simulated)
     with _signals() as caught:
         done = _execute(planned, name, config, mapped, map_file if way == "map" else None, caught, wait_s)
-    from surffollow.live.scan_figures import sensed_figures, true_figures
+    from surffollow.apps.scan_figures import sensed_figures, true_figures
 
     figures: dict[str, Any] = {"sensed": sensed_figures(done)}
     if ground is not None:
@@ -105,11 +105,11 @@ def run_command(
     _tell_gap(done)
     print_facts({"path": path} | done.summary | figures["sensed"] | flat, as_json)
     if picture:
-        from surffollow.live.scan_report import draw_run
+        from surffollow.apps.scan_report import draw_run
 
         draw_run(picture, done, mapped)
     if report:
-        from surffollow.live.scan_report import write_run_report
+        from surffollow.apps.scan_report import write_run_report
 
         write_run_report(report, done, figures, mapped)
     _end(done.summary, bool(caught))
@@ -187,9 +187,9 @@ def _execute(
     caught: list[int],
     wait_s: float,
 ) -> Any:
+    from surffollow.apps.scan_run import execute
     from surffollow.cli.progress import tell
     from surffollow.client import Client, attach, observe
-    from surffollow.live.scan_run import execute
     from surffollow.sim.robot_run import claim_priority
 
     def prepare(client: Any) -> None:
@@ -220,7 +220,7 @@ def _execute(
 
 def _tell_gap(done: Any) -> None:
     """Why the run ended early, and whether the tool was inside the gap, on standard error."""
-    from surffollow.live.scan_report import inside_text
+    from surffollow.apps.scan_report import inside_text
 
     if done.summary["stop_reason"]:
         click.echo(f"aborted: {done.summary['stop_reason']}", err=True)
@@ -245,7 +245,7 @@ def _end(summary: dict[str, Any], interrupted: bool) -> None:
 
 
 def _tell(name: str, word: str, as_json: bool) -> None:
-    from surffollow.live.scan_control import ask
+    from surffollow.apps.scan_control import ask
 
     answer = ask(name, word)
     if as_json:

@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from surffollow.cli.values import SERVICE_NAME, Finite
+from surffollow.cli.option_types import SERVICE_NAME, Finite
 
 
 @click.command("start")
@@ -66,7 +66,7 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
 )
 def stop_command(name: str, purge: bool, timeout: float) -> None:
     """End a service in good order; its map is kept for the next start unless --purge is given."""
-    from surffollow.config.owner import trusted_owners
+    from surffollow.config.trusted_users import trusted_owners
     from surffollow.errors import NotRunningError, ServiceError
     from surffollow.shm.name_lock import holder, lock_owner
 
@@ -111,13 +111,13 @@ def ask_to_end(pid: int, name: str) -> None:
 
 def running_pid(name: str) -> int:
     """The pid of the live process that holds a service's name; 0 when there is none."""
-    from surffollow.errors import NameError_
-    from surffollow.service.stale import board_owner, is_block
+    from surffollow.errors import InvalidNameError
+    from surffollow.service.stale_objects import board_owner, is_block
     from surffollow.shm.name_lock import holder
 
     pid = holder(name)
     if pid > 0 and is_block(name):
-        raise NameError_(
+        raise InvalidNameError(
             f"{name!r} is a block of a program (pid {pid}), no service; end that program by its own means "
             "(surffollow blocks ls)"
         )
@@ -127,7 +127,7 @@ def running_pid(name: str) -> int:
 
 def purge_leftovers(name: str) -> bool:
     """Remove the map, and what a killed service left of its board and socket."""
-    from surffollow.service.house import purge_map
+    from surffollow.service.shared_objects import purge_map
 
     return purge_map(name)
 

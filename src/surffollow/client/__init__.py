@@ -60,7 +60,7 @@ def attach(
 
     Raises
     ------
-    NameError_
+    InvalidNameError
         (a ValueError) no name that a service can have
     NotRunningError
         no service of that name

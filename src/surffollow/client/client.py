@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surffollow.client.claim_again import CLAIM_ANSWER_S, CLAIM_RETRY_S, POSE
 from surffollow.client.fence import FENCED, fence
 from surffollow.client.observer import Observer
 from surffollow.client.pose import FUTURE_NS, MAX_POSITION_M, checked_pose, checked_stamp
 from surffollow.client.push_range import RangePusher
+from surffollow.client.reclaim import CLAIM_ANSWER_S, CLAIM_RETRY_S, POSE
 from surffollow.client.requests import StopTicket, Ticket, check_finest, check_region
 from surffollow.client.slot import CLAIM_PAUSE_S, GENERATION
 from surffollow.errors import BusyError, ConfigError, PoseError, RefusedError

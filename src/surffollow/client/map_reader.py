@@ -202,7 +202,7 @@ def copy_live_map(client: Client, timeout_s: float) -> tuple[Any, Any]:
 
 def upload_map(client: Client, path: Path, timeout_s: float, progress: Any) -> Path:
     """Copy the map under exclusive access, then write it with this process's own rights."""
-    from surffollow.map.text_file import write_text
+    from surffollow.map.formats.text_file import write_text
 
     header, pairs = copy_live_map(client, timeout_s)
     write_text(path, header, pairs, progress=progress)

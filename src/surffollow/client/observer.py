@@ -14,7 +14,7 @@ from surffollow.client.demand import STALE, Demand, status_names
 from surffollow.client.fence import FENCED, fence
 from surffollow.client.map_live import MapReading
 from surffollow.config.names import check_service_name
-from surffollow.config.owner import trusted_owners
+from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import BlockError, NotReadyError, NotRunningError
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.layout_board import CLIENTS, STATE_READY, ClientInfo, MapStatus, Stats, Ticker
@@ -61,7 +61,7 @@ class Observer(MapReading):
 
     Raises
     ------
-    NameError_
+    InvalidNameError
         (a ValueError) no name that a service can have
     NoPermissionError
         it belongs to another user; both are named
@@ -218,7 +218,7 @@ class Observer(MapReading):
     def status(self) -> dict[str, Any]:
         """State, health, counters, grants and map of the service, ready for JSON; works on a dead one too."""
         from surffollow.client.follower_report import follower_report, numbered_faults
-        from surffollow.client.report import histogram_summary
+        from surffollow.client.histogram_report import histogram_summary
         from surffollow.config.stop_causes import stop_names
 
         demand = self.dev_vector()

@@ -9,8 +9,8 @@ import struct
 import time
 from typing import Any
 
-from surffollow.client.claim_again import CLAIM_RETRY_S, Reclaimer
 from surffollow.client.fence import FENCED, fence
+from surffollow.client.reclaim import CLAIM_RETRY_S, Reclaimer
 from surffollow.client.slot import CLAIM_PAUSE_S
 from surffollow.errors import BusyError, ReadingError, RefusedError
 from surffollow.shm import layout_board as lb

@@ -16,8 +16,8 @@ from surffollow.errors import BlockError, BusyError, NoPermissionError, NotReady
 from surffollow.shm import layout_board as lb
 from surffollow.shm.checked_open import foreign
 from surffollow.shm.readable import wait_readable
+from surffollow.shm.received_descriptors import accept_rights, refuse_rights
 from surffollow.shm.sealed import has_sealed_size
-from surffollow.shm.uninvited import accept_rights, refuse_rights
 from surffollow.shm.unix_socket import new_socket, peer_of, socket_path
 
 _MESSAGE = lb.SlotMessage.struct_of("magic", "name")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from surffollow.config.owner import user_id
 from surffollow.config.params import PARAMS, check_param, param_name
+from surffollow.config.trusted_users import user_id
 from surffollow.errors import ConfigError
 
 # who may call SFReset and set parameters (access.parameters), and change the map (access.map)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from surffollow.errors import NameError_
+from surffollow.errors import InvalidNameError
 
 OBJECTS = ("sock", "lock", "map", "world")  # a service NAME has the files NAME, NAME.sock, … of its own
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,47}\Z")
@@ -16,10 +16,10 @@ def check_name(name: str) -> str:
 
     Raises
     ------
-    NameError_  empty, longer than 48 characters, or with anything but letters, digits, '.', '_', '-'
+    InvalidNameError  empty, longer than 48 characters, or with anything but letters, digits, '.', '_', '-'
     """
     if not isinstance(name, str) or not _NAME.match(name):
-        raise NameError_(
+        raise InvalidNameError(
             f"name {name!r} is not allowed; use 1 to 48 letters, digits, '.', '_' or '-', beginning with a "
             "letter or digit (no slashes)"
         )
@@ -31,11 +31,11 @@ def check_object_name(name: str) -> str:
 
     Raises
     ------
-    NameError_  see `check_name`; up to 64 characters here
+    InvalidNameError  see `check_name`; up to 64 characters here
     """
     if not isinstance(name, str) or not _OBJECT_NAME.match(name):
         check_name(name)
-        raise NameError_(f"name {name!r} is not allowed; an object's name has at most 64 characters")
+        raise InvalidNameError(f"name {name!r} is not allowed; an object's name has at most 64 characters")
     return name
 
 
@@ -44,11 +44,11 @@ def check_service_name(name: str) -> str:
 
     Raises
     ------
-    NameError_  see `check_name`, or it ends in .sock, .lock, .map or .world
+    InvalidNameError  see `check_name`, or it ends in .sock, .lock, .map or .world
     """
     owner, _, last = check_name(name).rpartition(".")
     if owner and last in OBJECTS:
-        raise NameError_(
+        raise InvalidNameError(
             f"a service cannot be called {name!r}: that is the {last} of service {owner!r}; choose a name "
             f"that does not end in {', '.join('.' + o for o in OBJECTS)}"
         )

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from surffollow.config.params import check_param, param_name
 from surffollow.errors import ConfigError, PoseError, UsageError
 from surffollow.follower.setup import Config, check_standoff, check_window, read_setup
-from surffollow.forecast.adaptive.model_bank import N_CANDIDATES
-from surffollow.forecast.adaptive.terrain_memory import new_memory, read_preview, store_footprint
+from surffollow.forecast.estimation.model_bank import N_CANDIDATES
 from surffollow.forecast.horizon import forecast_range
 from surffollow.forecast.pose import MOST_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
 from surffollow.forecast.step import follow_step, sf_reset
+from surffollow.forecast.terrain.terrain_memory import new_memory, read_preview, store_footprint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES, REASON_NAMES
 from surffollow.shm.layout_follow import (

@@ -11,8 +11,8 @@ import numpy as np
 
 from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.errors import ConfigError
-from surffollow.forecast.adaptive.reference_scales import scaled_defaults
 from surffollow.forecast.pose import QUATERNION_TOLERANCE
+from surffollow.forecast.reference_scales import scaled_defaults
 from surffollow.shm.layout_follow import CHANNELS, MODE_ADAPTIVE
 from surffollow.units import parse_quantity
 

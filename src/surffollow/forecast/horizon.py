@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.forecast.adaptive.range_prediction import predict_range
+from surffollow.forecast.sensing.range_prediction import predict_range
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import MODE_ADAPTIVE
 

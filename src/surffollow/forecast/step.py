@@ -5,16 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.forecast.adaptive.latency_identification import check_configured_latency
-from surffollow.forecast.adaptive.reference_scales import (
-    choose_scales,
-    is_unscaled,
-    scale_inputs,
-    unscale_outputs,
-)
-from surffollow.forecast.adaptive.reset import reset_surface
-from surffollow.forecast.adaptive.step import compute_demand, publish_estimate
-from surffollow.forecast.paper import (
+from surffollow.forecast.adaptive_step import compute_demand, publish_estimate
+from surffollow.forecast.paper.extrapolation import (
     average_point,
     note_place,
     paper_forecast,
@@ -23,8 +15,16 @@ from surffollow.forecast.paper import (
     way_told,
 )
 from surffollow.forecast.pose import footprint, pose_at
+from surffollow.forecast.reference_scales import (
+    choose_scales,
+    is_unscaled,
+    scale_inputs,
+    unscale_outputs,
+)
+from surffollow.forecast.reset import reset_surface
 from surffollow.forecast.safety import PROBE_M, limit, watch_fold_back
 from surffollow.forecast.sense import ABSENT_NS, take_conversions, take_poses, take_ranges
+from surffollow.forecast.sensing.latency_identification import check_configured_latency
 from surffollow.forecast.stop import obey_stop
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import (

@@ -17,9 +17,9 @@ from surffollow.hw.driver import (
     mounts_of,
     push_conversion,
 )
-from surffollow.hw.pump import PERIOD_NS, STOP, Pump
+from surffollow.hw.driver_thread import PERIOD_NS, STOP, Pump
 from surffollow.hw.ranges import FINEST_M
-from surffollow.hw.wrapping import WrappingDriver
+from surffollow.hw.wrapped_driver import WrappingDriver
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.conversion import (

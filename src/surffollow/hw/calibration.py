@@ -89,7 +89,7 @@ def load_calibration(path: str | Path) -> Calibration:
 
 def save_calibration(path: str | Path, calibration: Calibration) -> None:
     """Write a calibration file, all or nothing."""
-    from surffollow.map.atomic_file import replacing
+    from surffollow.map.formats.atomic_file import replacing
 
     with replacing(path) as temporary:
         temporary.write_bytes(msgspec.json.format(msgspec.json.encode(calibration), indent=1) + b"\n")

@@ -11,7 +11,7 @@ from typing import Protocol
 
 from surffollow.errors import DriverError
 from surffollow.hw.driver import ConversionQueue, DriverInfo
-from surffollow.hw.pump import FIFO_PRIORITY, JOIN_S
+from surffollow.hw.driver_thread import FIFO_PRIORITY, JOIN_S
 from surffollow.hw.ranges import RangeWriter
 from surffollow.units import format_ns
 

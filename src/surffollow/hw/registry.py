@@ -13,12 +13,12 @@ from surffollow.errors import ConfigError, SurffollowError
 from surffollow.hw.calibrated import calibrated
 from surffollow.hw.calibration import load_calibration
 from surffollow.hw.driver import Driver
-from surffollow.hw.faults import FaultConfig, FaultyDriver
-from surffollow.hw.led_sensor import LedConfig
+from surffollow.hw.fault_injection import FaultConfig, FaultyDriver
 from surffollow.hw.replayed import ReplayedDriver
-from surffollow.hw.rig import SimulatedConfig
 from surffollow.hw.silent import SilentDriver
-from surffollow.hw.simulated import SimulatedDriver
+from surffollow.hw.simulation.led_sensor import LedConfig
+from surffollow.hw.simulation.sensor_rig import SimulatedConfig
+from surffollow.hw.simulation.simulated import SimulatedDriver
 from surffollow.units import parse_quantity
 
 
@@ -67,10 +67,10 @@ KINDS: dict[str, Factory] = {
     "simulated": _simulated,
     "none": _none,
     "replay": _replay,
-    "serial": _lazily("serial_port"),
-    "iio": _lazily("iio"),
-    "can": _lazily("can_bus"),
-    "udp": _lazily("udp"),
+    "serial": _lazily("wire.serial_port"),
+    "iio": _lazily("wire.iio"),
+    "can": _lazily("wire.can_bus"),
+    "udp": _lazily("wire.udp"),
     "external": _lazily("external"),
 }
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surffollow.errors import RecordingError
 from surffollow.hw.driver import ConversionQueue, DriverInfo, push_conversion
-from surffollow.hw.pump import PERIOD_NS, STOP, USER, Pump
+from surffollow.hw.driver_thread import PERIOD_NS, STOP, USER, Pump
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.jit import jit

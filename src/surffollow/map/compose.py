@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from surffollow.errors import UsageError
 from surffollow.map import access
-from surffollow.map.atomic_file import Progress, report
-from surffollow.map.geometry import fit_grids
+from surffollow.map.formats.atomic_file import Progress, report
 from surffollow.map.height_map import HeightMap
+from surffollow.map.kernels.geometry import fit_grids
 from surffollow.map.resample_areas import lattice_sums, overlap_lengths
 from surffollow.shm import map_layout as ml
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from surffollow.errors import MapFileError, UsageError
 from surffollow.map import access
-from surffollow.map.atomic_file import Progress, replacing, report
+from surffollow.map.formats.atomic_file import Progress, replacing, report
+from surffollow.map.formats.text_file import OTHER_SUFFIXES, read_text, write_text
 from surffollow.map.header import header_fault, numbers_fault, tile_shift_of
-from surffollow.map.text_file import OTHER_SUFFIXES, read_text, write_text
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype
 
@@ -92,17 +92,17 @@ def export(
         save(path, header, pairs, progress=progress)
         return
     if suffix == ".asc":
-        from surffollow.map.raster import write_esri_ascii as write
+        from surffollow.map.formats.raster import write_esri_ascii as write
     elif suffix in (".tif", ".tiff"):
-        from surffollow.map.raster import write_geotiff as write
+        from surffollow.map.formats.raster import write_geotiff as write
     elif suffix == ".ply":
-        from surffollow.map.mesh import write_ply as write
+        from surffollow.map.formats.mesh import write_ply as write
     elif suffix in PICTURES:
-        from surffollow.map.picture import write_picture as write
+        from surffollow.map.formats.picture import write_picture as write
     elif suffix == ".xyz":
-        from surffollow.map.points import write_xyz as write
+        from surffollow.map.formats.points import write_xyz as write
     else:
-        from surffollow.map.points import write_las as write
+        from surffollow.map.formats.points import write_las as write
     write(path, header, pairs, progress=progress)
 
 
@@ -126,8 +126,8 @@ def load(
     if suffix == ".npz":
         return _read_npz(path)
     if suffix in (".asc", ".tif"):
+        from surffollow.map.formats.raster import read_esri_ascii, read_geotiff
         from surffollow.map.from_heights import map_of_heights
-        from surffollow.map.raster import read_esri_ascii, read_geotiff
 
         read = read_esri_ascii if suffix == ".asc" else read_geotiff
         heights, origin, grid = read(path)

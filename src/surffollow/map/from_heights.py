@@ -13,7 +13,7 @@ from surffollow.errors import UsageError
 from surffollow.map import access
 from surffollow.map.arguments import check_answer, real_numbers, rounded_up
 from surffollow.map.header import init_header, numbers_fault
-from surffollow.map.install import install_begin, install_end
+from surffollow.map.kernels.install import install_begin, install_end
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 

@@ -11,14 +11,14 @@ from numpy.typing import ArrayLike
 
 from surffollow.errors import MapFileError, UsageError
 from surffollow.map.arguments import Region, check_answer, real_numbers, region_limits
-from surffollow.map.atomic_file import Progress
+from surffollow.map.formats.atomic_file import Progress
 from surffollow.map.from_heights import map_of_heights
-from surffollow.map.geometry import reset_begin, reset_step
-from surffollow.map.grids import add_points
 from surffollow.map.header import init_header
-from surffollow.map.refocus import refocus_begin, refocus_step
+from surffollow.map.kernels.geometry import reset_begin, reset_step
+from surffollow.map.kernels.grids import add_points
+from surffollow.map.kernels.height_rows import clear_grids
+from surffollow.map.kernels.refocus import refocus_begin, refocus_step
 from surffollow.map.view import MapView
-from surffollow.map.words import clear_grids
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype, zeros
 

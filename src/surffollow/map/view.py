@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.map import access
-from surffollow.map.lookup import surface_at
+from surffollow.map.kernels.lookup import surface_at
 from surffollow.shm import map_layout as ml
 
 

@@ -10,12 +10,12 @@ import numpy as np
 
 from surffollow.errors import RecordingError, UsageError
 from surffollow.map import HeightMap, access
-from surffollow.map.atomic_file import check_not_read, replacing
+from surffollow.map.formats.atomic_file import check_not_read, replacing
 from surffollow.record import foxglove as fx
 from surffollow.record.block_file import BlockFile
 from surffollow.record.channels import StandardChannels
 from surffollow.record.map_channel import MapPace, known_points
-from surffollow.record.remap import Remapper
+from surffollow.record.map_rebuild import Remapper
 from surffollow.record.samples import Event
 from surffollow.record.sampling import FileSamples
 from surffollow.record.table import Table, table_of, write_csv, write_parquet

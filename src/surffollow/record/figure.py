@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import FaultError, UsageError
-from surffollow.map.atomic_file import replacing
+from surffollow.map.formats.atomic_file import replacing
 
 SUFFIXES = (".png", ".svg", ".pdf")
 INK, BLUE, ORANGE, GREEN, RED, SAND, GREY = (
@@ -168,7 +168,7 @@ def draw_map(figure: Any, ax: Any, heights_m: NDArray[np.float64], frame: tuple[
     -------
     str   what the title must say beyond: a strip is stretched across
     """
-    from surffollow.map.picture import aspect_of, shaded_relief
+    from surffollow.map.formats.picture import aspect_of, shaded_relief
 
     x0, y0, grid = frame
     ny, nx = heights_m.shape

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.client.report import bin_edges_ns
+from surffollow.client.histogram_report import bin_edges_ns
 from surffollow.record import figure as fg
-from surffollow.record.story import Story, last_service, read_story
+from surffollow.record.figure_data import Story, last_service, read_story
 from surffollow.shm.layout_adaptive import HEALTH_NAMES
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, STATUS_NAMES, VALID
 from surffollow.units import format_ns

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from surffollow.errors import LayoutMismatchError
 from surffollow.forecast.journal import SNAPSHOT_WORDS
 from surffollow.record.format import BATCH_CYCLES
-from surffollow.record.kernels import (
+from surffollow.record.log_kernels import (
     W_BAD,
     W_COUNT,
     W_CYCLES,

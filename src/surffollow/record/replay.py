@@ -11,7 +11,7 @@ import numpy as np
 
 from surffollow.errors import RecordingError
 from surffollow.forecast.journal import CYCLE_HEAD
-from surffollow.record.kernels import (
+from surffollow.record.log_kernels import (
     R_COUNT,
     R_CYCLES,
     R_DIFFERING,

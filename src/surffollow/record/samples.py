@@ -28,7 +28,7 @@ from surffollow.forecast.journal import (
     same_outcome,
 )
 from surffollow.forecast.step import follow_step, sf_reset
-from surffollow.record.kernels import entry_length, params_in_bounds
+from surffollow.record.log_kernels import entry_length, params_in_bounds
 from surffollow.shm.dtypes import numpy_dtype, zeros
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CHANNELS, POSES, FollowState, Inputs, Output, Params

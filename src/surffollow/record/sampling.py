@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import RecordingError
-from surffollow.record.kernels import W_BAD, W_COUNT, W_END, W_SNAPSHOT, walk_entries
+from surffollow.record.log_kernels import W_BAD, W_COUNT, W_END, W_SNAPSHOT, walk_entries
 from surffollow.record.reader import Batch, RecordingReader
 from surffollow.record.samples import Event, Run, Sampler
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from surffollow.client.board import Board
-from surffollow.config.owner import trusted_owners
+from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import BlockError, LayoutMismatchError, NotRunningError
 from surffollow.shm.board_regions import log_hash
 from surffollow.shm.layout_board import STATE_READY, BoardHeader, LogHead

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from surffollow.errors import UsageError
-from surffollow.record.feed import ChannelFeed
+from surffollow.record.channel_feed import ChannelFeed
 from surffollow.record.recorder import Counts, Recorder
 from surffollow.record.service_log import ServiceLog
 from surffollow.record.writer import RecordingWriter

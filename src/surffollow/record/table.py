@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import FaultError, RecordingError
-from surffollow.map.atomic_file import replacing
+from surffollow.map.formats.atomic_file import replacing
 from surffollow.record.samples import Event
 from surffollow.record.sampling import FileSamples
 from surffollow.shm.layout_adaptive import HEALTH_NAMES

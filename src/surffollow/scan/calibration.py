@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from surffollow.errors import ScanFileError, ScanInputError
-from surffollow.map.atomic_file import replacing
+from surffollow.map.formats.atomic_file import replacing
 from surffollow.scan.checks import Floats, plain_file, positive, real_array, region_of
 from surffollow.scan.path import ScanPath
 from surffollow.scan.terrain import delaunay

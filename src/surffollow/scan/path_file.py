@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from surffollow.errors import ScanFileError
-from surffollow.map.atomic_file import replacing
+from surffollow.map.formats.atomic_file import replacing
 from surffollow.scan.checks import plain_file
 from surffollow.scan.path import ScanPath
 from surffollow.sim.column_file import read_columns

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from surffollow.errors import ScanFileError
-from surffollow.map.atomic_file import replacing
-from surffollow.map.picture import shaded_relief
+from surffollow.map.formats.atomic_file import replacing
+from surffollow.map.formats.picture import shaded_relief
 from surffollow.scan.grid import FILLED, TerrainGrid
 from surffollow.scan.path import UNKNOWN_BENEATH, WRIST_LIMIT, ScanPath
 

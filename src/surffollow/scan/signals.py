@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surffollow.errors import ScanFileError, ScanInputError
-from surffollow.map.atomic_file import replacing
+from surffollow.map.formats.atomic_file import replacing
 from surffollow.scan.checks import Floats, positive, real_array, region_of
 
 MOST_CELLS = 100_000_000

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from surffollow.client.audit import audit_line, readable
 from surffollow.service import memory as m
-from surffollow.service.house import House
+from surffollow.service.shared_objects import House
 from surffollow.shm import layout_board as lb
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.dtypes import numpy_dtype

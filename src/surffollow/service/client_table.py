@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.config.owner import own_user
+from surffollow.config.trusted_users import own_user
 from surffollow.service import memory as m
 from surffollow.service.slot_memory import SlotMemory
 from surffollow.shm import layout_board as lb

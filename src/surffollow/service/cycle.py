@@ -9,10 +9,10 @@ from surffollow.forecast.step import follow_step
 from surffollow.hw.driver import REPORT_WORDS
 from surffollow.service import memory as m
 from surffollow.service.inbox import POSE_BAD, POSE_OK, POSE_TORN, read_pose
-from surffollow.service.preview import fill_preview
-from surffollow.service.pushing import any_held, drain_ranges
+from surffollow.service.map_preview import fill_preview
+from surffollow.service.range_inbox import any_held, drain_ranges
 from surffollow.service.requests import count, process_requests
-from surffollow.service.stopping import keep_stop
+from surffollow.service.stop_latch import keep_stop
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.conversion import ITEM_WORDS
@@ -43,7 +43,7 @@ _DT_LIMIT_NS = (1 << 31) - 1
 
 @jit
 def histogram_bin(t_ns: Any) -> Any:
-    """Bin of a duration: exact below 8 ns, then 8 bins to the octave (client/report.py inverts it)."""
+    """Bin of a duration: exact below 8 ns, then 8 bins per octave (`client.histogram_report` inverts it)."""
     if t_ns < 8:
         return max(t_ns, 0)
     octave = 0

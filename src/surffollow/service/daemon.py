@@ -17,14 +17,14 @@ from surffollow.forecast.step import sf_reset
 from surffollow.hw.driver import ConversionQueue, Driver, reports_of
 from surffollow.hw.pushed_ranges import pushed_of
 from surffollow.hw.registry import make_driver
-from surffollow.hw.simulated import SimulatedDriver
+from surffollow.hw.simulation.simulated import SimulatedDriver
 from surffollow.service import memory as m
 from surffollow.service import realtime
-from surffollow.service.beat import FAULT_CYCLE_STALLED, Beat
 from surffollow.service.client_table import ClientTable, Limits
+from surffollow.service.compile_helper import SideCompile, note_complete
 from surffollow.service.cycle import run_cycles
 from surffollow.service.driver_watch import DriverWatch
-from surffollow.service.house import House, open_house
+from surffollow.service.heartbeat import FAULT_CYCLE_STALLED, Beat
 from surffollow.service.initialise import (
     initialise_constants,
     initialise_log,
@@ -38,7 +38,7 @@ from surffollow.service.mapper_memory import make_map_memory
 from surffollow.service.messages import STDOUT, Messages
 from surffollow.service.notify import CompileProgress, sd_notify
 from surffollow.service.requests import publish_params
-from surffollow.service.side_compile import SideCompile, note_complete
+from surffollow.service.shared_objects import House, open_house
 from surffollow.service.slot_server import SlotServer
 from surffollow.shm import layout_board as lb
 from surffollow.shm.latch import latch_write

@@ -16,8 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from surffollow.service.doctor_finding import FAIR, GOOD, LACKING, UNKNOWN, Finding, read_text
 from surffollow.service.doctor_host import check_huge_pages, check_interrupts, check_remove_ipc, check_swap
-from surffollow.service.finding import FAIR, GOOD, LACKING, UNKNOWN, Finding, read_text
 
 PRIORITY = 80
 # a service with the default map of a million grids needs about 4 MiB, logs and blocks more

@@ -6,7 +6,7 @@ import os
 import re
 from pathlib import Path
 
-from surffollow.service.finding import FAIR, GOOD, LACKING, UNKNOWN, Finding, read_text
+from surffollow.service.doctor_finding import FAIR, GOOD, LACKING, UNKNOWN, Finding, read_text
 
 FIRST_LOGIN_UID = 1000  # logind removes objects of users from here on
 

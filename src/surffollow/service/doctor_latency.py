@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.client.report import bin_edges_ns, histogram_summary
+from surffollow.client.histogram_report import bin_edges_ns, histogram_summary
 from surffollow.errors import ServiceError
 from surffollow.service import realtime
 from surffollow.service.cycle import histogram_bin

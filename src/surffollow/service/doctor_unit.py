@@ -8,7 +8,7 @@ import subprocess
 from pathlib import Path
 
 from surffollow.errors import UsageError
-from surffollow.service.finding import FAIR, GOOD, LACKING, UNKNOWN, Finding
+from surffollow.service.doctor_finding import FAIR, GOOD, LACKING, UNKNOWN, Finding
 
 EXPOSURE_GOOD, EXPOSURE_FAIR = 3.0, 5.0  # of 10, as `systemd-analyze security` counts
 _LIMIT_S = 60.0

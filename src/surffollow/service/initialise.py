@@ -8,17 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.config.limits import CHANGED_BY, check_within_limits, client_limits, range_user
-from surffollow.config.owner import own_user
 from surffollow.config.params import PARAMS
 from surffollow.config.service import ServiceConfig, follow_params, seconds
 from surffollow.config.stop_causes import STOP_NAMES, stop_causes
+from surffollow.config.trusted_users import own_user
 from surffollow.errors import ConfigError
-from surffollow.forecast.adaptive.reference_scales import scaled_defaults
+from surffollow.forecast.reference_scales import scaled_defaults
 from surffollow.hw.driver import ConversionQueue, DriverInfo, PoseQueue
 from surffollow.service import memory as m
-from surffollow.service.fitting import misfit
-from surffollow.service.house import House
+from surffollow.service.parameter_bounds import misfit
 from surffollow.service.requests import params_hash
+from surffollow.service.shared_objects import House
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import (

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.map.geometry import reset_begin, reset_step
-from surffollow.map.grids import update_map
-from surffollow.map.install import operation_progress, reject
-from surffollow.map.refocus import refocus_begin, refocus_step
+from surffollow.map.kernels.geometry import reset_begin, reset_step
+from surffollow.map.kernels.grids import update_map
+from surffollow.map.kernels.install import operation_progress, reject
+from surffollow.map.kernels.refocus import refocus_begin, refocus_step
 from surffollow.service import memory as m
 from surffollow.service.inbox import claim_of, slot_address
 from surffollow.service.mapper_install import (

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.map.install import install_begin, install_end, install_fault, install_grids, reject
+from surffollow.map.kernels.install import install_begin, install_end, install_fault, install_grids, reject
 from surffollow.service import memory as m
 from surffollow.service.inbox import slot_address
 from surffollow.service.mapper_memory import (

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surffollow.config.params import PARAMS
 from surffollow.forecast.journal import CYCLE_MAX, SNAPSHOT_WORDS
 from surffollow.hw.pushed_ranges import make_pushed
-from surffollow.map.ahead import new_kept
+from surffollow.map.kernels.preview_line import new_kept
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_board import AUDIT_ENTRY_WORDS, CLIENTS, REQUEST_ARGS, Ack, PosePost, RequestPost

@@ -7,8 +7,9 @@ from typing import Any
 from surffollow.forecast import journal
 from surffollow.forecast.step import sf_reset
 from surffollow.service import memory as m
-from surffollow.service.changes import note_change, note_old_values, note_stop
-from surffollow.service.fitting import (
+from surffollow.service.change_notes import note_change, note_old_values, note_stop
+from surffollow.service.inbox import claim_of, new_request, slot_address
+from surffollow.service.parameter_bounds import (
     FAR_WORD,
     NEAR_WORD,
     OFFSET_WORD,
@@ -16,9 +17,8 @@ from surffollow.service.fitting import (
     misfit_after,
     within_limits,
 )
-from surffollow.service.inbox import claim_of, new_request, slot_address
-from surffollow.service.pushing import any_held, do_range_role, drop_dead_range_holders
-from surffollow.service.stopping import do_stop, heed_stop_word, holder_pid, stop_as_asked, stop_for
+from surffollow.service.range_inbox import any_held, do_range_role, drop_dead_range_holders
+from surffollow.service.stop_latch import do_stop, heed_stop_word, holder_pid, stop_as_asked, stop_for
 from surffollow.shm import atomics as at
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.jit import jit, jit_pasted

@@ -21,7 +21,7 @@ from surffollow.service.client_table import ClientId, ClientTable, is_exempt
 from surffollow.shm import board_regions
 from surffollow.shm import layout_board as lb
 from surffollow.shm.readable import wait_readable
-from surffollow.shm.uninvited import Disposal, hear
+from surffollow.shm.received_descriptors import Disposal, hear
 from surffollow.shm.unix_socket import Peer, peer_of, peer_pidfd
 
 EXCHANGE_S = 1.0  # for a client to answer

@@ -1,6 +1,6 @@
 """Write the C header: layouts, constants and parameters from their declarations, functions from parts.
 
-`python -m surffollow.shm.cheader` rewrites the committed file; `surffollow header` prints it.
+`python -m surffollow.shm.cheader` rewrites the committed file; `surffollow print-header` prints it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from surffollow.shm import world_block as wb
 from surffollow.shm.layout_follow import Output, Params
 from surffollow.shm.schema import SCALARS, Field, Schema
 
-PARTS = Path(__file__).with_name("cheader_parts")
+PARTS = Path(__file__).with_name("header")
 HEADER = Path(__file__).parents[1] / "include" / "surffollow.h"
 SCHEMAS: tuple[type[Schema], ...] = (
     lb.Region,

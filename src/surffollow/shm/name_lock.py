@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 
-from surffollow.config.owner import NOBODYS, own_user
+from surffollow.config.trusted_users import NOBODYS, own_user
 from surffollow.errors import BlockError, NoPermissionError, NoSpaceError
 from surffollow.shm.checked_open import open_plain
 from surffollow.shm.locks import FileLock

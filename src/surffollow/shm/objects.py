@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from surffollow.config.names import check_object_name
-from surffollow.config.owner import trusted_owners
+from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import (
     BlockError,
     ExistsError,

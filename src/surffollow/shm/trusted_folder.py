@@ -9,7 +9,7 @@ import os
 import stat
 from pathlib import Path
 
-from surffollow.config.owner import own_user
+from surffollow.config.trusted_users import own_user
 from surffollow.errors import ConfigError
 
 NUMBA_SETTINGS = ".numba_config.yaml"

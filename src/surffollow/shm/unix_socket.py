@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from surffollow.shm.objects import SHM_ROOT
-from surffollow.shm.uninvited import refuse_rights
+from surffollow.shm.received_descriptors import refuse_rights
 
 _CREDENTIALS = struct.Struct("3i")
 _SO_PEERPIDFD = 77  # Linux 6.5; without a name in Python

@@ -12,7 +12,7 @@ import os
 import time
 
 from surffollow.config.names import check_name, check_service_name
-from surffollow.config.owner import own_user
+from surffollow.config.trusted_users import own_user
 from surffollow.errors import BusyError, ExistsError, NotReadyError, NotRunningError
 from surffollow.shm.latch_shape import latch_bytes
 from surffollow.shm.name_lock import NameLock
@@ -56,7 +56,7 @@ def object_name(name: str) -> str:
 
     Raises
     ------
-    NameError_
+    InvalidNameError
         when the name has characters that a path could misread
     """
     return check_name(f"{check_service_name(name)}.world")

@@ -1,6 +1,6 @@
-"""The robot's vertical axis and its 100 Hz controller: one step function for contest and live simulator.
+"""The robot's vertical axis and its 100 Hz controller: one step function for benchmark and live simulator.
 
-The axis is the contest's: a sqrt controller makes the wanted velocity from the distance to the set
+The axis is the benchmark's: a sqrt controller makes the wanted velocity from the distance to the set
 point, speed and acceleration are limited. The controller adds each demand to the pose report that the
 demand refers to, never to a newer one.
 """
@@ -97,7 +97,8 @@ def read_tables(path: str | Path) -> dict[str, Any]:
 def load_plant(path: str | Path) -> PlantConfig:
     """Read a `PlantConfig` from a TOML file; its keys are the fields, at top level or under [plant].
 
-    Tables [pose] and [sensor] belong to the contest (`surffollow.contest.conditions`) and are passed over.
+    Tables [pose] and [sensor] belong to the benchmark (`surffollow.benchmark.conditions`) and are
+    passed over.
 
     Values are SI numbers or text with a unit (`tau = "40 ms"`).
 
@@ -150,7 +151,7 @@ def axis_step(
     axis : (2,) float64, position [m] and velocity [m/s], updated in place
     set_point_m : float64 [m]
     tau_s, v_max_mps, a_max_mps2 : float64, see `PlantConfig`
-    dt_s : float64 [s]; the contest and the live robot use 1 ms
+    dt_s : float64 [s]; the benchmark and the live robot use 1 ms
     """
     v = axis[1]
     wanted = sqrt_velocity(set_point_m - axis[0], 1.0 / tau_s, a_max_mps2, dt_s)

@@ -1,7 +1,7 @@
 """One-dimensional surface profiles of known shape: what a robot meets along a straight path.
 
 A profile is heights on a regular grid of x, read by linear interpolation; random ones are in
-`profiles_random`, measured ones in `profiles_measured`. The shapes follow the contest's list.
+`profiles_random`, measured ones in `profiles_measured`. The shapes follow the benchmark's list.
 """
 
 from __future__ import annotations

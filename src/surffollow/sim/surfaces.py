@@ -190,7 +190,7 @@ def shell_field(
 def profile_field(
     heights_m: NDArray[np.float64], x0_m: float, dx_m: float, y_range_m: tuple[float, float]
 ) -> HeightField:
-    """Extrude a 1-D profile across y, for the live robot on a contest surface."""
+    """Extrude a 1-D profile across y, for the live robot on a benchmark surface."""
     y0, y1 = y_range_m
     rows = int(np.ceil((y1 - y0) / dx_m)) + 1
     return HeightField(np.tile(heights_m, (rows, 1)), x0_m, y0, dx_m)

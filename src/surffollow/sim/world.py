@@ -95,7 +95,7 @@ class WorldReader(_Mapped):
         try:
             self._object = SharedObject.open(self.name)
         except NotRunningError as error:
-            raise NotRunningError(f"no block {self.name!r}; start a robot: surffollow robot") from error
+            raise NotRunningError(f"no block {self.name!r}; start a robot: surffollow simulate") from error
         except NotReadyError as error:
             raise NotRunningError(f"block {self.name!r} is not ready") from error
         try:

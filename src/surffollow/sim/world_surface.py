@@ -94,7 +94,7 @@ def world_surface(
 
     Parameters
     ----------
-    kind : one of `SURFACES`; the contest's random profiles are stretched across y
+    kind : one of `SURFACES`; the benchmark's random profiles are stretched across y
     seed : int
     region : (x_min, y_min, x_max, y_max) [m]; a profile has its own length in x
     grid_m : spacing [m]; a profile has its own

@@ -1,0 +1,163 @@
+"""Pause, resume and abort a running scan: an abstract Unix socket that the same user may talk to, and keys.
+
+One request is one word, the answer one JSON object. The kernel removes the socket with the process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import struct
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+from surffollow.config.trusted_users import own_user
+from surffollow.errors import BusyError, NotRunningError, RefusedError, ServiceError
+from surffollow.shm.readable import wait_readable
+
+WORDS = ("pause", "resume", "abort", "status")
+KEYS = {"p": "pause", "r": "resume", "a": "abort"}
+LONGEST, ANSWER_S = 4096, 5.0
+_CREDENTIALS = struct.Struct("3i")
+
+
+def _address(name: str) -> str:
+    return f"\0surffollow.scan.{name}"
+
+
+def _user(connection: socket.socket) -> int:
+    return int(_CREDENTIALS.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))[1])
+
+
+class ControlServer:
+    """The run's end of the socket; `words` never waits.
+
+    Parameters
+    ----------
+    name : str     of the service
+
+    Raises
+    ------
+    BusyError
+        another scan of this service runs
+    """
+
+    def __init__(self, name: str) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            self._socket.bind(_address(name))
+        except OSError as e:
+            self._socket.close()
+            raise BusyError(
+                f"another scan of service '{name}' runs; end it first: surffollow scan abort {name}"
+            ) from e
+        self._socket.listen(8)
+        self._socket.setblocking(False)
+        self._open: list[socket.socket] = []
+
+    def words(self, status: dict[str, Any]) -> list[str]:
+        """Requests that came since the last call, answered with `status`; wrong ones are refused."""
+        with contextlib.suppress(BlockingIOError):
+            while len(self._open) < 8:
+                connection, _ = self._socket.accept()
+                connection.setblocking(False)
+                self._open.append(connection)
+        heard: list[str] = []
+        for connection in list(self._open):
+            try:
+                word = connection.recv(64).decode("ascii", "replace")
+            except BlockingIOError:
+                continue
+            except OSError:
+                word = ""
+            if word:
+                answer = self._answer(connection, word, status, heard)
+                with contextlib.suppress(OSError):
+                    connection.send(json.dumps(answer).encode())
+            connection.close()
+            self._open.remove(connection)
+        return heard
+
+    def _answer(
+        self, connection: socket.socket, word: str, status: dict[str, Any], heard: list[str]
+    ) -> dict[str, Any]:
+        if _user(connection) not in (own_user(), 0):
+            return {"error": f"user {_user(connection)} may not control a scan of user {own_user()}"}
+        if word not in WORDS:
+            return {"error": f"unknown word '{word}'; expected one of {', '.join(WORDS)}"}
+        if word != "status":
+            heard.append(word)
+        return status
+
+    def close(self) -> None:
+        """Give the name back."""
+        for connection in (*self._open, self._socket):
+            connection.close()
+        self._open.clear()
+
+
+def ask(name: str, word: str) -> dict[str, Any]:
+    """Send one word to the running scan of a service.
+
+    Returns
+    -------
+    dict     the scan's status before the word had effect
+
+    Raises
+    ------
+    NotRunningError
+        no scan of that service runs
+    RefusedError
+        the scan belongs to another user
+    ServiceError
+        it does not answer
+    """
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
+        connection.settimeout(ANSWER_S)
+        try:
+            connection.connect(_address(name))
+        except OSError as e:
+            raise NotRunningError(
+                f"no scan of service '{name}' runs; start one: surffollow scan run PATH --name {name}"
+            ) from e
+        if _user(connection) not in (own_user(), 0):
+            raise RefusedError(f"the scan of service '{name}' belongs to user {_user(connection)}", 0)
+        try:
+            connection.send(word.encode("ascii"))
+            answer: dict[str, Any] = json.loads(connection.recv(LONGEST))
+        except (OSError, ValueError) as e:
+            raise ServiceError(f"the scan of service '{name}' gave no answer within {ANSWER_S:g} s") from e
+    if "error" in answer:
+        raise RefusedError(str(answer["error"]), 0)
+    return answer
+
+
+@contextlib.contextmanager
+def keys() -> Iterator[Any]:
+    """Single keys of a terminal as words, without waiting; no terminal: never any."""
+    if not sys.stdin.isatty():
+        yield list
+        return
+    import termios
+    import tty
+
+    terminal = sys.stdin.fileno()
+    before = termios.tcgetattr(terminal)
+
+    def pressed() -> list[str]:
+        heard = []
+        while wait_readable(terminal, 0.0):
+            data = os.read(terminal, 64)
+            if not data:
+                break
+            heard += [KEYS[k] for k in data.decode("ascii", "replace").lower() if k in KEYS]
+        return heard
+
+    tty.setcbreak(terminal)
+    try:
+        yield pressed
+    finally:
+        termios.tcsetattr(terminal, termios.TCSADRAIN, before)

@@ -1,0 +1,113 @@
+"""Picture and HTML page of an executed scan (extra `plot`)."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from surffollow.apps.html_page import Page
+from surffollow.apps.scan_figures import wanted_range_m
+from surffollow.apps.scan_guard import INSIDE_M
+from surffollow.apps.scan_run import Executed
+from surffollow.scan.grid import TerrainGrid
+from surffollow.scan.path import flag_counts
+from surffollow.scan.pictures import draw_relief, new_figure, save_figure
+from surffollow.scan.plan import plan_figures
+
+
+def draw_run(path: str | os.PathLike[str], done: Executed, ground: TerrainGrid | None) -> None:
+    """Plan and executed path over the map; stand-off, correction and rate over time.
+
+    Raises
+    ------
+    ScanFileError
+        without matplotlib
+    """
+    figure, _ = new_figure(1, 13.0, 5.6)
+    figure.clear()
+    grid = figure.add_gridspec(3, 2)
+    scene = figure.add_subplot(grid[:, 0])
+    if ground is not None:
+        draw_relief(scene, ground, figure)
+    scene.plot(done.path.position_m[:, 0], done.path.position_m[:, 1], color="black", lw=0.7, label="plan")
+    t = done.trace["t_s"]
+    moved = done.trace["rate"] > 0.0
+    scene.plot(
+        done.trace["real_x_m"][moved], done.trace["real_y_m"][moved], color="red", lw=0.9, label="real tip"
+    )
+    scene.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=_title(done))
+    scene.legend(fontsize=8, loc="upper right")
+    ranges, correction, height = (figure.add_subplot(grid[k, 1]) for k in range(3))
+    when, distance = done.ranges_m[:, 0], done.ranges_m[:, 1]
+    path_s = np.interp(when, t, done.trace["path_s"]) if len(t) else when
+    ranges.plot(when, 1e3 * distance, lw=0.8, label="sensed")
+    ranges.plot(when, 1e3 * wanted_range_m(done, path_s), color="black", lw=0.8, label="wanted")
+    gap = 1e3 * float(done.path.facts["gap_m"])
+    ranges.set_ylim(0.0, 3.0 * gap)
+    ranges.set_ylabel("stand-off [mm]")
+    correction.plot(when, 1e3 * done.correction_m, lw=0.8, color="C1")
+    correction.set_ylabel("correction\nof the plan [mm]")
+    height.plot(t, 1e3 * done.trace["z_m"], lw=0.8, label="joints")
+    height.plot(t, 1e3 * done.trace["real_z_m"], lw=0.8, label="real tip")
+    height.set_ylabel("height [mm]")
+    height.set_xlabel("time [s]")
+    for axes in (ranges, correction, height):
+        axes.grid(alpha=0.3)
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(fontsize=8, loc="upper right")
+    save_figure(figure, path)
+
+
+def _title(done: Executed) -> str:
+    s = done.summary
+    state = "finished" if s["finished"] else "aborted" if s["aborted"] else "not finished"
+    if s["inside_times"]:
+        state += f", inside the gap {s['inside_times']} times"
+    return f"{state}: {100 * s['progress']:.0f} % of {s['planned_s']:.1f} s, way {s['way']}"
+
+
+def inside_text(done: Executed) -> str:
+    """One sentence on the gap as the readings show it."""
+    s = done.summary
+    if s["inside_times"] is None:
+        return "no readings: whether a control point came inside the gap is not known"
+    later = s["inside_later_part"] or 0.0
+    if s["inside_times"] == 0 and later == 0.0:
+        return f"by the readings no control point came more than {1e3 * INSIDE_M:.0f} mm inside the gap"
+    least = "" if s["inside_least_m"] is None else f", at least {1e3 * s['inside_least_m']:.1f} mm away"
+    return (
+        f"a control point came more than {1e3 * INSIDE_M:.0f} mm inside the gap: noticed {s['inside_times']} "
+        f"times, {s['inside_s']:.1f} s{least}; {100 * later:.1f} % of the samples by all that was measured"
+    )
+
+
+def write_run_report(
+    path: str | os.PathLike[str], done: Executed, figures: dict[str, Any], ground: TerrainGrid | None
+) -> None:
+    """Write the page, atomically.
+
+    Parameters
+    ----------
+    path : of the HTML file
+    done : Executed
+    figures : of `scan_figures`, by name
+    ground : TerrainGrid     the map of the plan; None: no relief
+    """
+    s = done.summary
+    page = Page("Executed scan", _title(done), bool(s["finished"]))
+    page.picture(lambda p: draw_run(p, done, ground), "path, stand-off, correction and height")
+    page.section("Run")
+    page.facts(s)
+    page.section("Inside the gap, as the readings show it", inside_text(done))
+    page.rows([{k: round(v, 4) for k, v in e.items()} for e in done.inside])
+    for name, found in figures.items():
+        page.section(name.capitalize())
+        page.facts(found)
+    page.section("Plan")
+    page.facts({k: v for k, v in plan_figures(done.path).items() if k != "flags"})
+    page.section("Flags of the plan (samples)")
+    flags = {k: v for k, v in flag_counts(done.path.flags).items() if v}
+    page.rows([flags] if flags else [])
+    page.write(path)

@@ -1,0 +1,237 @@
+"""A robot whose tool several clients lead: the follower is one of them, an obstacle avoider another.
+
+The robot obeys the command block of an arbiter's resource instead of the service. It publishes each pose
+that it reports as the resource's status block, so that every client can give its demand relative to one.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from surffollow.apps.run_by_holder import RunByHolder
+from surffollow.arbiter import CommandReader, Resource, ResourceCommand, command_reader
+from surffollow.arbiter import attach as attach_arbiter
+from surffollow.blocks import F64, I64, Block, Memory, mem_attach
+from surffollow.client import Client
+from surffollow.client import attach as attach_service
+from surffollow.errors import BlockError, FaultError, NotRunningError
+
+FOLLOW_PERIOD_S, WAIT_S = 0.002, 0.5
+LOOK_EVERY_NS = 20_000_000
+SIX = ("x", "y", "z", "rx", "ry", "rz")
+
+
+class ToolStatus(Block):
+    """The newest pose that a robot reported."""
+
+    t_ns = I64(unit="ns", doc="when it was true, CLOCK_MONOTONIC")
+    pose = F64(7, unit="m, 1", doc="x y z qx qy qz qw, world from tool")
+
+
+class ToolDemand:
+    """What an arbiter wants of the tool, as a robot looks at a demand."""
+
+    def __init__(self, command: ResourceCommand, epoch: int) -> None:
+        self._values, self.pose_t_ns, self.epoch = command.values, command.ref_t_ns, epoch
+        self.valid = not command.safe and command.ref_t_ns != 0
+
+    def __getitem__(self, index: int, /) -> float:
+        return self._values[index]
+
+
+class ArbitratedService:
+    """A service whose demands come by way of an arbiter; poses and requests go to the service itself.
+
+    Parameters
+    ----------
+    service : Client         of the robot's own
+    arbiter, resource : str  whose command block is obeyed; the status block is ARBITER.tool_status
+    follower : str           client that hands the service's demands on: while another one holds the resource
+                             the service is kept in DRYRUN: it learns nothing of what it did not command
+    """
+
+    def __init__(self, service: Client, arbiter: str, resource: str, follower: str = "follow") -> None:
+        self._service = service
+        self._run = RunByHolder(service, arbiter, resource, follower)
+        self._reader: CommandReader = command_reader(arbiter, resource)
+        try:
+            self._memory: Memory = mem_attach({"tool_status": ToolStatus}, arbiter, write=True)
+        except BaseException:
+            service.close()
+            raise
+
+    def ee_pos(self, pose: Sequence[float], t_ns: int | None = None) -> None:
+        """Report a pose to the service and to the arbiter's clients."""
+        t_ns = time.monotonic_ns() if t_ns is None else t_ns  # one stamp for both: demands are found by it
+        self._service.ee_pos(pose, t_ns)
+        with self._memory["tool_status"].write(0.001) as status:
+            status.t_ns = t_ns
+            status.pose = pose
+
+    def dev_vector(self) -> ToolDemand:
+        """The newest combined demand; never waits."""
+        self._run.look(time.monotonic_ns())
+        return ToolDemand(self._reader.latest(), self._service.epoch)
+
+    def claim_pose(self) -> None:
+        """Become the one who reports poses to the service."""
+        self._service.claim_pose()
+
+    def sf_reset(self, offset_m: float) -> object:
+        """Restart the forecast with a wanted stand-off [m]."""
+        return self._service.sf_reset(offset_m)
+
+    def close(self) -> None:
+        """Give the attachments back."""
+        self._run.close()
+        self._memory.close()
+        self._reader.close()
+        self._service.close()
+
+
+def attach_arbitrated(service: str, arbiter: str, resource: str) -> ArbitratedService:
+    """Attach a robot to a service and to an arbiter's resource; raises `FaultError`."""
+    return ArbitratedService(attach_service(service, label="simulated robot"), arbiter, resource)
+
+
+class ReportedPoses:
+    """The newest poses that a robot reported, by their stamps, from its status block; it may be absent."""
+
+    KEPT = 64
+
+    def __init__(self, arbiter: str) -> None:
+        self._memory = mem_attach({"tool_status": ToolStatus}, arbiter, lazy=True)
+        self._poses: dict[int, tuple[float, ...]] = {}
+        self._next_ns = 0
+
+    def at(self, t_ns: int) -> tuple[float, ...] | None:
+        """The pose reported with this stamp; None: not seen."""
+        block, now = self._memory["tool_status"], time.monotonic_ns()
+        if not block.attached:
+            if now < self._next_ns:
+                return None
+            self._next_ns = now + LOOK_EVERY_NS
+            try:
+                block.attach_reader()
+            except (NotRunningError, BlockError):
+                return None
+        newest = block.latest()
+        if newest.generation:
+            self._poses[int(newest["t_ns"])] = tuple(newest["pose"])
+            while len(self._poses) > self.KEPT:
+                del self._poses[next(iter(self._poses))]
+        return self._poses.get(t_ns)
+
+    def close(self) -> None:
+        """Detach."""
+        self._memory.close()
+
+    def __enter__(self) -> ReportedPoses:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def follow(
+    service: str, arbiter: str, resource: str, stopped: Callable[[], bool], client: str = "follow"
+) -> dict[str, int]:
+    """Be the surface follower among an arbiter's clients: hand its demands on while it holds the resource.
+
+    That the follower learns nothing from what others command is the care of the robot, which holds the pose
+    and outlives this process (`RunByHolder`).
+
+    Returns
+    -------
+    dict   commands sent, times that control was gained and lost, demands whose pose was not known (they
+           cannot be summed with a part that is relative to another pose)
+    """
+    counts = {"commands": 0, "gained": 0, "lost": 0, "without_pose": 0}
+    with (
+        ReportedPoses(arbiter) as poses,
+        attach_service(service, label="follow") as demands,
+        attach_arbiter(arbiter, client) as clients,
+    ):
+        tool, leads, last = clients.resource(resource), False, -1
+        while not stopped() and clients.connected:
+            if not tool.held:
+                counts["lost"] += leads
+                leads = False
+                if not tool.request(wait=True, timeout_s=WAIT_S):
+                    continue
+                leads = True
+                counts["gained"] += 1
+            demand = demands.dev_vector()
+            if demand.valid and demand.cycle != last:
+                last = demand.cycle
+                # a robot reports to the service first: its status may come an instant after the demand
+                pose = poses.at(demand.pose_t_ns) or poses.at(demand.pose_t_ns)
+                counts["without_pose"] += pose is None
+                counts["commands"] += tool.command(*demand, ref_t_ns=demand.pose_t_ns, ref_pose=pose)
+            time.sleep(FOLLOW_PERIOD_S)
+    return counts
+
+
+class Avoider:
+    """Lifts the tool over an obstacle that it sees coming, by its own priority.
+
+    Parameters
+    ----------
+    tool : Resource          where it commands
+    near_m, far_m : float    the obstacle's extent along x, with the way that lifting takes on either side
+    lift_m : float           height over where the tool was when it took control
+    add : bool               its resource is a part of a sum: the lift is an offset to what others demand
+    """
+
+    def __init__(self, tool: Resource, near_m: float, far_m: float, lift_m: float, add: bool) -> None:
+        self.tool, self.near_m, self.far_m, self.lift_m, self.add = tool, near_m, far_m, lift_m, add
+        self._height_m = 0.0
+        self.passages = 0
+
+    def tick(self, t_ns: int, pose: Sequence[float]) -> None:
+        """Look at the newest reported pose; take, lead or give back the tool."""
+        if not self.near_m < pose[0] < self.far_m:
+            if self.tool.held:
+                self.tool.relinquish()
+            return
+        if not self.tool.held:
+            if not self.tool.request():
+                return
+            self._height_m = pose[2] + self.lift_m
+            self.passages += 1
+        if self.add:
+            self.tool.command(0.0, 0.0, self.lift_m, 0.0, 0.0, 0.0)
+        else:
+            rise = self._height_m - pose[2]
+            self.tool.command(0.0, 0.0, rise, 0.0, 0.0, 0.0, ref_t_ns=t_ns, ref_pose=pose)
+
+
+def avoid(
+    arbiter: str,
+    resource: str,
+    obstacle_m: tuple[float, float],
+    lift_m: float,
+    stopped: Callable[[], bool],
+    *,
+    margin_m: float = 0.06,
+    add: bool = False,
+    client: str = "avoid",
+) -> dict[str, Any]:
+    """Watch the tool's reported pose and lift it over an obstacle between two places along x [m]."""
+    status = mem_attach({"tool_status": ToolStatus}, arbiter, lazy=True)["tool_status"]
+    near_m, far_m = obstacle_m[0] - margin_m, obstacle_m[1] + margin_m
+    with attach_arbiter(arbiter, client) as clients:
+        avoider = Avoider(clients.resource(resource), near_m, far_m, lift_m, add)
+        try:
+            while not stopped() and clients.connected:
+                newest = status.latest()
+                if newest.generation and not newest.stale:
+                    avoider.tick(int(newest["t_ns"]), newest["pose"])
+                time.sleep(FOLLOW_PERIOD_S)
+        except FaultError:
+            if not stopped():
+                raise
+    status.close()
+    return {"passages": avoider.passages}

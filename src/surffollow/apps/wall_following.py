@@ -1,0 +1,258 @@
+"""The wall-following experiments in simulated time: base, clients, and the arbiter's own state machine.
+
+The machine that grants the base is `arbiter.machine.transition` over the table that the server executes.
+`wall_processes` runs the same clients as processes over a real arbiter.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+import surffollow.arbiter.table as t
+from surffollow.apps.wall_clients import PRIORITIES, make_clients
+from surffollow.apps.wall_sensing import BaseClient, Sensing, wrap
+from surffollow.arbiter.machine import transition
+from surffollow.arbiter.records import MAX_EFFECTS, Clients, Effect, Happening, Machine
+from surffollow.errors import UsageError
+from surffollow.shm.dtypes import numpy_dtype, zeros
+from surffollow.sim.base import (
+    HEADING,
+    ODOMETRY_HEADING,
+    ODOMETRY_SPEED,
+    ODOMETRY_TURN_RATE,
+    ODOMETRY_X,
+    ODOMETRY_Y,
+    BaseConfig,
+    SimulatedBase,
+    X,
+    Y,
+)
+from surffollow.sonar.belief import SonarRing
+
+EXPERIMENTS = ("paper", "1", "1-pair", "2")
+TICK_S = 0.02
+MAX_S = 2000.0
+
+
+def ring_of(config: BaseConfig) -> SonarRing:
+    """The sonars of a base, as the estimator needs to know them."""
+    return SonarRing.regular(
+        config.sonars,
+        config.radius_m,
+        config.half_beam_rad,
+        max_incidence_rad=config.max_incidence_rad,
+        range_sigma=config.range_noise,
+        max_range_m=config.max_range_m,
+    )
+
+
+def sense(base: SimulatedBase) -> Sensing:
+    """What the clients may see of a simulated base."""
+    s = base.state
+    return Sensing(
+        base.time_s,
+        (float(s[ODOMETRY_X]), float(s[ODOMETRY_Y]), float(s[ODOMETRY_HEADING])),
+        float(s[ODOMETRY_SPEED]),
+        float(s[ODOMETRY_TURN_RATE]),
+        base.sonar_m,
+        base.sonar_s,
+        base.infrared_m,
+    )
+
+
+class Arbitration:
+    """One resource and its clients, in simulated time.
+
+    Attributes
+    ----------
+    holder : int      index of the client that holds the base; −1: nobody
+    """
+
+    def __init__(self, names: list[str]) -> None:
+        self._table = np.array(t.encode(), np.int64)
+        self._machine, self._clients = zeros(Machine), zeros(Clients)
+        self._happening, self._effects = zeros(Happening), np.zeros(MAX_EFFECTS, numpy_dtype(Effect))
+        self._machine[0]["holder"] = -1
+        self._clients[0]["n"] = len(names)
+        for k, name in enumerate(names):
+            self._clients[0]["priority"][k], self._clients[0]["live"][k] = PRIORITIES[name], 1
+
+    @property
+    def holder(self) -> int:
+        return int(self._machine[0]["holder"])
+
+    def _happen(self, event: int, client: int, token: int = 0, guards: int = 0) -> list[int]:
+        h = self._happening[0]
+        h["event"], h["client"], h["token"], h["guards"] = event, client, token, guards
+        n = transition(self._table, self._machine, self._clients, self._happening, self._effects)
+        return [int(self._effects[k]["action"]) for k in range(n)]
+
+    def request(self, client: int) -> bool:
+        """Ask for the base; whether it is the client's now."""
+        self._happen(t.REQUEST, client)
+        return self.holder == client
+
+    def relinquish(self, client: int) -> None:
+        """Give the base back."""
+        self._happen(t.RELINQUISH, client)
+
+    def command(self, client: int) -> bool:
+        """Whether a command of this client is forwarded."""
+        token = int(self._machine[0]["token"])
+        return t.FORWARD in self._happen(t.COMMAND, client, token, t.FRESH | t.SOUND)
+
+
+@dataclass
+class Run:
+    """What happened in one experiment.
+
+    Attributes
+    ----------
+    time_s, x_m, y_m, heading_rad, gap_m : (n,) ndarray     true motion; gap: rim to the nearest wall
+    holder : (n,) ndarray     index into `names`; −1: nobody
+    turns : list of (begin, end)    indices between which follow-wall held the base
+    laps : float
+    """
+
+    names: list[str]
+    time_s: NDArray[np.float64]
+    x_m: NDArray[np.float64]
+    y_m: NDArray[np.float64]
+    heading_rad: NDArray[np.float64]
+    gap_m: NDArray[np.float64]
+    holder: NDArray[np.int64]
+    turns: list[tuple[int, int]] = field(default_factory=list)
+
+    @property
+    def laps(self) -> float:
+        return float(self.heading_rad[-1] - self.heading_rad[0]) / (2.0 * math.pi)
+
+
+def run_experiment(experiment: str, *, laps: int = 4, seed: int = 1, config: BaseConfig | None = None) -> Run:
+    """Run one experiment in simulated time until the base has turned `laps` times about.
+
+    Parameters
+    ----------
+    experiment : {"paper", "1", "1-pair", "2"}
+    laps : int
+    seed : int                    of noise and slip, and of the start
+    config : BaseConfig
+
+    Raises
+    ------
+    UsageError  no such experiment, or no laps
+    """
+    if experiment not in EXPERIMENTS:
+        raise UsageError(f"experiment {experiment!r} is unknown; choose one of {', '.join(EXPERIMENTS)}")
+    if laps < 1:
+        raise UsageError(f"{laps} laps say nothing; ask for at least 1")
+    config = config or BaseConfig()
+    rng = np.random.default_rng([seed, 7])
+    x, y, heading = config.start
+    start = (x, y, heading + math.radians(2.0) * float(rng.standard_normal()))
+    base = SimulatedBase(replace(config, start=start), seed)
+    clients = make_clients(experiment, ring_of(config))
+    arbitration = Arbitration([c.name for c in clients])
+    rows: list[tuple[float, float, float, float, float, int]] = []
+    base.run(0.15)  # one round of the ring
+    goal = start[2] + 2.0 * math.pi * laps
+    while base.state[HEADING] < goal - math.radians(20) and base.time_s < MAX_S:
+        tick(base, clients, arbitration)
+        base.run(base.time_s + TICK_S)
+        s = base.state
+        rows.append(
+            (base.time_s, float(s[X]), float(s[Y]), float(s[HEADING]), base.wall_gap_m, arbitration.holder)
+        )
+    columns = list(zip(*rows))
+    time_s, x_m, y_m, heading_rad, gap_m, holder = (np.array(c) for c in columns)
+    run = Run([c.name for c in clients], time_s, x_m, y_m, heading_rad, gap_m, holder)
+    run.turns = find_turns(run)
+    return run
+
+
+def tick(base: SimulatedBase, clients: list[BaseClient], arbitration: Arbitration) -> None:
+    """Let every client look, ask or give back, and forward the holder's command."""
+    seen = sense(base)
+    wishes = []
+    for k, client in enumerate(clients):
+        wish = client.step(seen, arbitration.holder == k)
+        wishes.append(wish)
+        if wish.wanted and arbitration.holder != k:
+            arbitration.request(k)
+        elif not wish.wanted and arbitration.holder == k:
+            arbitration.relinquish(k)
+    holder = arbitration.holder
+    if holder >= 0 and arbitration.command(holder):
+        base.command(wishes[holder].speed, wishes[holder].turn_rate)
+    else:
+        base.command(0.0, 0.0)  # the safe command
+
+
+def find_turns(run: Run) -> list[tuple[int, int]]:
+    """Where follow-wall held the base and turned it by more than 45°."""
+    own = run.names.index("follow-wall")
+    held = np.concatenate([[False], run.holder == own, [False]])
+    edges = np.flatnonzero(held[1:] != held[:-1])
+    found: list[tuple[int, int]] = []
+    for begin, end in zip(edges[::2], edges[1::2]):
+        last = min(end, run.time_s.size - 1)
+        if abs(run.heading_rad[last] - run.heading_rad[begin]) > math.radians(45):
+            found.append((int(begin), int(last)))
+    return found
+
+
+def straights(run: Run) -> list[tuple[int, int, int]]:
+    """The stretches between turns: begin, end, and the wall's number (0 right of the first heading)."""
+    between = [(a[1], b[0]) for a, b in zip(run.turns, run.turns[1:])]
+    return [
+        (begin, end, round((run.heading_rad[begin] - run.heading_rad[0]) / (0.5 * math.pi)) % 4)
+        for begin, end in between
+        if end - begin > 50
+    ]
+
+
+def distance_to_wall(
+    run: Run, begin: int, end: int, wall: int, room_m: tuple[float, float]
+) -> NDArray[np.float64]:
+    """Distance of the base's centre to the wall on its right [m], over one straight."""
+    x, y = run.x_m[begin:end], run.y_m[begin:end]
+    return [y, room_m[0] - x, room_m[1] - y, x][wall]
+
+
+def figures(run: Run, room_m: tuple[float, float] = (6.0, 4.0)) -> dict[str, float]:
+    """Figures of merit of one run.
+
+    Returns
+    -------
+    dict
+        distance_rms_m: of the distance to the followed wall about its mean over the run;
+        heading_repeatability_rad: standard deviation, over the laps, of the mean heading along each wall;
+        heading_rms_rad: heading less the wall's; contacts, contact_s: how often and for how long the rim was
+        against a wall; least_gap_m, laps, turns, seconds
+    """
+    distances, wall_headings, all_headings = [], {w: [] for w in range(4)}, []  # type: ignore[var-annotated]
+    for begin, end, wall in straights(run):
+        distances.append(distance_to_wall(run, begin, end, wall, room_m))
+        error = np.array([wrap(h - 0.5 * math.pi * wall) for h in run.heading_rad[begin:end]])
+        wall_headings[wall].append(float(error.mean()))
+        all_headings.append(error)
+    together = np.concatenate(distances) if distances else np.array([math.nan])
+    headings = np.concatenate(all_headings) if all_headings else np.array([math.nan])
+    spread = [np.var(h, ddof=1) for h in wall_headings.values() if len(h) > 1]
+    touching = run.gap_m <= 0.0
+    return {
+        "distance_rms_m": float(together.std()),
+        "distance_mean_m": float(together.mean()),
+        "heading_repeatability_rad": float(math.sqrt(np.mean(spread))) if spread else math.nan,
+        "heading_rms_rad": float(np.sqrt(np.mean(headings**2))),
+        "least_gap_m": float(run.gap_m.min()),
+        "contacts": float(np.count_nonzero(np.diff(touching.astype(int)) > 0)),
+        "contact_s": float(np.diff(run.time_s)[touching[1:]].sum()),
+        "laps": float(run.laps),
+        "turns": float(len(run.turns)),
+        "seconds": float(run.time_s[-1]),
+    }

@@ -1,0 +1,263 @@
+"""Clients come and go: a connection owns a mailbox and a slot from its welcome to its end."""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import os
+import pwd
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from surffollow.arbiter import handshake as hs
+from surffollow.arbiter import layout as al
+from surffollow.arbiter import memory as m
+from surffollow.arbiter.board import Board
+from surffollow.arbiter.config import ArbiterConfig
+from surffollow.config.trusted_users import own_user
+from surffollow.errors import ConfigError
+from surffollow.shm.python_atomics import load_acquire, store_release
+from surffollow.shm.received_descriptors import Disposal, hear
+from surffollow.shm.sealed import make_sealed, seal_for_good
+from surffollow.shm.unix_socket import peer_of, peer_pidfd
+
+WATCH_S = 0.2
+LAST_ROUND_S = 2.0
+MOST_SILENT = al.CLIENTS  # connections of one user that have not said who they are
+ACCEPT_AT_ONCE = 64
+
+
+class Guest:
+    """A connection: it owns a slot from its welcome to its end."""
+
+    def __init__(self, sock: socket.socket, pid: int, uid: int) -> None:
+        self.sock, self.pid, self.uid = sock, pid, uid
+        self.name, self.slot, self.number = "", -1, 0
+        self.since = time.monotonic()
+        self.pidfd = peer_pidfd(sock, pid)  # a child that inherited the connection does not keep it alive
+        self.mailbox_fd, self.joined = -1, False
+        self.mailbox: mmap.mmap | None = None
+
+    def close(self, disposal: Disposal) -> None:
+        """End the connection; what the client sent is not closed in this process."""
+        disposal.part(self.sock)
+        for fd in (self.pidfd, self.mailbox_fd):
+            if fd >= 0:
+                os.close(fd)
+        self.pidfd = self.mailbox_fd = -1
+
+
+def users_of(config: ArbiterConfig) -> set[int] | None:
+    """Who may attach; None: everybody."""
+    if "*" in config.users:
+        return None
+    allowed = {0, own_user()}
+    for name in config.users:
+        try:
+            allowed.add(pwd.getpwnam(name).pw_uid)
+        except KeyError:
+            raise ConfigError(f"configuration key users names {name!r}; there is no such user") from None
+    return allowed
+
+
+class Reception:
+    """The main thread's part of an arbiter; the loop learns of clients by the states of their slots."""
+
+    def __init__(
+        self,
+        config: ArbiterConfig,
+        users: set[int] | None,
+        board: Board,
+        mem: Any,
+        listener: socket.socket,
+        wake_loop: Callable[[], None],
+    ) -> None:
+        self.config, self.board, self.mem = config, board, mem
+        self._users, self._listener, self._wake_loop = users, listener, wake_loop
+        self._guests: dict[int, Guest] = {}
+        self._slots: list[Guest | None] = [None] * al.CLIENTS
+        self._number = 0
+        self._disposal = Disposal()
+
+    def _slot_state(self, slot: int) -> int:
+        return int(self.mem.ctx.ctypes.data) + 8 * (m.SLOT_STATE + slot)
+
+    def welcome_clients(self, wake: int) -> None:
+        """Serve clients' connections until the descriptor `wake` can be read."""
+        poll = select.epoll()
+        poll.register(self._listener.fileno(), select.EPOLLIN)
+        poll.register(wake, select.EPOLLIN)
+        with poll:
+            while True:
+                waiting = any(g is not None and g.slot < 0 for g in self._slots)
+                # connections that wait for their end take descriptors: no further ones until there is room
+                poll.modify(self._listener.fileno(), 0 if self._disposal.full else select.EPOLLIN)
+                hurry = self._disposal.waiting or any(not g.joined for g in self._guests.values())
+                for fd, _ in poll.poll(0.005 if waiting else WATCH_S if hurry else -1):
+                    if fd == wake:
+                        return
+                    if fd == self._listener.fileno():
+                        self._accept(poll)
+                    elif fd in self._guests:
+                        self._hear(poll, self._guests[fd], fd)
+                self._free_slots()
+                with contextlib.suppress(OSError):  # no process to be had: tried again
+                    self._disposal.look()
+                for guest in self._unique_guests():
+                    if not guest.joined and time.monotonic() - guest.since > hs.HELLO_TIMEOUT_S:
+                        self._part(poll, guest)
+
+    def _accept(self, poll: select.epoll) -> None:
+        for _ in range(ACCEPT_AT_ONCE):
+            try:
+                sock, _ = self._listener.accept()
+            except OSError:
+                return
+            sock.setblocking(False)
+            who = peer_of(sock)
+            silent = sum(not g.joined and g.uid == who.uid for g in self._unique_guests())
+            if not self._may_connect(who.uid):
+                # no word of it is heard, and it takes no place
+                with contextlib.suppress(OSError):
+                    sock.send(hs.welcome(al.HELLO_USER), socket.MSG_NOSIGNAL)
+                self._disposal.part(sock)
+                continue
+            if silent >= MOST_SILENT:  # one user cannot keep others out by waiting at the door
+                self._disposal.part(sock)
+                continue
+            guest = Guest(sock, who.pid, who.uid)
+            for fd in (sock.fileno(), guest.pidfd):
+                if fd >= 0:
+                    self._guests[fd] = guest
+                    poll.register(fd, select.EPOLLIN)
+
+    def _may_connect(self, uid: int) -> bool:
+        return self._users is None or uid in self._users
+
+    def _unique_guests(self) -> list[Guest]:
+        return list({id(g): g for g in self._guests.values()}.values())
+
+    def _part(self, poll: select.epoll, guest: Guest) -> None:
+        """The connection is over: its slot is, too."""
+        for fd in (guest.sock.fileno(), guest.pidfd):
+            if fd >= 0 and self._guests.pop(fd, None) is not None:
+                poll.unregister(fd)
+        guest.close(self._disposal)
+        if guest.slot >= 0 and not guest.joined:
+            self._slots[guest.slot] = None
+        elif guest.slot >= 0:
+            store_release(self._slot_state(guest.slot), m.LEAVING)
+            guest.slot = -1  # `_slots` keeps it until the loop has let its mailbox go
+            self._wake_loop()
+
+    def _free_slots(self) -> None:
+        for slot, guest in enumerate(self._slots):
+            if guest is not None and guest.slot < 0 and load_acquire(self._slot_state(slot)) == m.LEFT:
+                store_release(self._slot_state(slot), m.EMPTY)
+                self.mem.people[slot]["mailbox"] = 0
+                guest.mailbox = self._slots[slot] = None
+
+    def _hear(self, poll: select.epoll, guest: Guest, fd: int) -> None:
+        if fd == guest.pidfd:
+            self._part(poll, guest)
+            return
+        try:
+            data = hear(guest.sock, 256)
+            if guest.slot < 0:
+                self._offer(guest, hs.read_hello(data))
+            elif not guest.joined and data == hs.MAPPED:
+                self._admit(guest)
+            elif not data or not guest.joined:
+                self._part(poll, guest)
+        except BlockingIOError:
+            return
+        except OSError:
+            self._part(poll, guest)
+            return
+        if guest.slot < 0:
+            self._part(poll, guest)
+
+    def _offer(self, guest: Guest, name: str | None) -> None:
+        """Answer the first message: refuse, or hand out a mailbox."""
+        self._free_slots()
+        result, detail = self._may_enter(guest, name)
+        if result != al.HELLO_OK:
+            guest.sock.send(hs.welcome(result, detail=detail), socket.MSG_NOSIGNAL)
+            return
+        assert name is not None
+        guest.mailbox_fd = make_sealed("surffollow-mailbox", al.MAILBOX_BYTES)
+        board = self.board.reading_end()
+        try:
+            guest.name, guest.slot = name, self._slots.index(None)
+            self._slots[guest.slot] = guest
+            self._number += 1
+            guest.number = self._number
+            answer = hs.welcome(al.HELLO_OK, guest.slot, guest.number, self.board.epoch)
+            socket.send_fds(guest.sock, [answer], [guest.mailbox_fd, board], socket.MSG_NOSIGNAL)
+        finally:
+            os.close(board)
+
+    def _admit(self, guest: Guest) -> None:
+        """The client has its mapping: nobody can change the mailbox in any other way from now on."""
+        seal_for_good(guest.mailbox_fd)
+        guest.mailbox = mmap.mmap(guest.mailbox_fd, al.MAILBOX_BYTES, mmap.MAP_SHARED, mmap.PROT_READ)
+        os.close(guest.mailbox_fd)
+        guest.mailbox_fd, guest.joined = -1, True
+        self._sign(guest)
+        self._await_joined(guest.slot)
+        guest.sock.send(hs.MAPPED, socket.MSG_NOSIGNAL)
+
+    def _may_enter(self, guest: Guest, name: str | None) -> tuple[int, int]:
+        if name is None:
+            return al.HELLO_BAD, 0
+        if name not in self.config.clients:
+            return al.HELLO_UNKNOWN_CLIENT, 0
+        for other in self._slots:
+            if other is not None and other.name == name:
+                return al.HELLO_TAKEN, other.pid
+        return (al.HELLO_OK, 0) if None in self._slots else (al.HELLO_FULL, 0)
+
+    def _sign(self, guest: Guest) -> None:
+        """Fill in the slot's public entry and hand the mailbox to the loop."""
+        mem, entry = self.mem, self.board.entry(guest.slot)
+        priority = self.config.clients[guest.name]
+        entry["name"], entry["pid"], entry["uid"] = guest.name.encode(), guest.pid, guest.uid
+        entry["priority"], entry["attached_ns"] = priority, time.monotonic_ns()
+        mem.clients[0]["priority"][guest.slot] = priority
+        person = mem.people[guest.slot]
+        person["mailbox"] = np.frombuffer(guest.mailbox, np.uint8).ctypes.data  # type: ignore[arg-type]
+        person["number"] = entry["number"] = guest.number
+        store_release(self._slot_state(guest.slot), m.JOINING)
+        self._wake_loop()
+
+    def _await_joined(self, slot: int) -> None:
+        """Until the loop has cleared what the slot's last client left: the next round, at once."""
+        deadline = time.monotonic() + hs.HELLO_TIMEOUT_S
+        while load_acquire(self._slot_state(slot)) == m.JOINING and time.monotonic() < deadline:
+            time.sleep(20e-6)
+
+    def dismiss_clients(self, loop: threading.Thread) -> None:
+        """Let the loop say that all clients are gone; what they hold becomes safe."""
+        for slot, guest in enumerate(self._slots):
+            if guest is not None and guest.joined and guest.slot >= 0:
+                store_release(self._slot_state(slot), m.LEAVING)
+        self._wake_loop()
+        deadline = time.monotonic() + LAST_ROUND_S
+        while time.monotonic() < deadline and loop.is_alive():
+            if all(load_acquire(self._slot_state(s)) in (m.EMPTY, m.LEFT) for s in range(al.CLIENTS)):
+                break
+            time.sleep(0.001)
+
+    def close(self) -> None:
+        """End all connections, and those that nobody accepted yet."""
+        for guest in self._unique_guests():
+            guest.close(self._disposal)
+        self._disposal.part_listener(self._listener)
+        with contextlib.suppress(OSError):
+            self._disposal.look()

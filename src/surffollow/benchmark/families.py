@@ -1,0 +1,203 @@
+"""Families of surfaces as random generators, drawn anew by seed: what engineers of the field follow.
+
+Each generator takes a random generator and positions x [m] along the path and returns heights [m]. Sizes are
+arguments, so the same family serves a weld seam and a hillside. Those in `PERIODIC` are left out of
+headlines.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.sim.profiles import Profile, grid_x, made
+
+Heights = NDArray[np.float64]
+Generator = Callable[[np.random.Generator, Heights], Heights]
+
+
+def _places(rng: np.random.Generator, x: Heights, spacing_m: float, jitter: float = 0.5) -> Heights:
+    """Random places along x, `spacing_m` apart on average."""
+    count = int((x[-1] - x[0]) / spacing_m) + 2
+    steps = spacing_m * (1.0 + jitter * rng.uniform(-1.0, 1.0, count))
+    return np.asarray(x[0] + np.cumsum(steps) - spacing_m * rng.uniform(), np.float64)
+
+
+def fractal(
+    rng: np.random.Generator,
+    x: Heights,
+    rms_m: float,
+    longest_m: float,
+    shortest_m: float,
+    power: float = 2.0,
+) -> Heights:
+    """Sum of 80 waves whose spectral density falls as the wave number to −`power`."""
+    k = np.exp(rng.uniform(np.log(2 * np.pi / longest_m), np.log(2 * np.pi / shortest_m), 80))
+    amplitude = k ** (-0.5 * (power - 1.0))
+    h = (amplitude[:, None] * np.sin(np.outer(k, x) + rng.uniform(0, 2 * np.pi, 80)[:, None])).sum(0)
+    return np.asarray(rms_m * h / max(float(h.std()), 1e-12), np.float64)
+
+
+def weld(
+    rng: np.random.Generator,
+    x: Heights,
+    bow_m: float = 2e-3,
+    bead_m: float = 1.5e-3,
+    width_m: float = 6e-3,
+    every_m: float = 0.12,
+) -> Heights:
+    """Bowed plate with weld beads across the path and tacks between them."""
+    h = bow_m * np.sin(2 * np.pi * x / rng.uniform(0.6, 1.2) / (width_m / 6e-3) + rng.uniform(0, 6.3))
+    for c in _places(rng, x, every_m):
+        w, top = width_m * rng.uniform(0.7, 1.5), bead_m * rng.uniform(0.4, 1.3)
+        u = (x - c) / (0.5 * w)
+        h = h + top * np.sqrt(np.clip(1.0 - u * u, 0.0, None))
+        h = h - 0.3 * top * np.exp(-(((np.abs(x - c) - 0.9 * w) / (0.5 * w)) ** 2))
+    return h
+
+
+def hull(
+    rng: np.random.Generator, x: Heights, dish_m: float = 5e-3, frame_m: float = 0.5, seam_m: float = 1.5e-3
+) -> Heights:
+    """Plates dished between frames, with seams."""
+    edges = _places(rng, x, frame_m, 0.25)
+    h = fractal(rng, x, 4.0 * dish_m, 20.0 * frame_m, 6.0 * frame_m)
+    for a, b in itertools.pairwise(edges):
+        u = np.clip((x - a) / (b - a), 0.0, 1.0)
+        h = h - dish_m * rng.uniform(0.3, 1.5) * np.sin(np.pi * u) ** 2
+    for c in _places(rng, x, 3.0 * frame_m):
+        h = h + seam_m * rng.choice([-1.0, 1.0]) * np.clip((x - c) / (0.01 * frame_m), 0.0, 1.0)
+    return h
+
+
+def casting(
+    rng: np.random.Generator, x: Heights, rib_m: float = 8e-3, width_m: float = 15e-3, every_m: float = 0.15
+) -> Heights:
+    """Draughted ribs and round bosses on a rough skin."""
+    h = fractal(rng, x, 0.1 * rib_m, 20.0 * width_m, 0.3 * width_m)
+    for c in _places(rng, x, every_m):
+        w, top = width_m * rng.uniform(0.6, 2.0), rib_m * rng.uniform(0.4, 1.2)
+        if rng.random() < 0.6:
+            flank = top * rng.uniform(0.2, 1.0)
+            h = h + top * np.clip((0.5 * w + flank - np.abs(x - c)) / flank, 0.0, 1.0)
+        else:
+            h = h + top * np.clip(1.0 - ((x - c) / w) ** 2, 0.0, None)
+    return h
+
+
+def lap_joints(
+    rng: np.random.Generator, x: Heights, step_m: float = 3e-3, burr_m: float = 1e-3, every_m: float = 0.25
+) -> Heights:
+    """Sheets that overlap, with a burr on some edges, sagging between."""
+    h = fractal(rng, x, step_m, 4.0 * every_m, every_m)
+    for c in _places(rng, x, every_m):
+        up = rng.choice([-1.0, 1.0])
+        h = h + up * step_m * rng.uniform(0.5, 1.5) * (x > c)
+        if rng.random() < 0.5:
+            h = h + burr_m * np.exp(-(((x - c) / (0.7 * burr_m)) ** 2))
+    return h
+
+
+def pipes(rng: np.random.Generator, x: Heights, radius_m: float = 0.03, every_m: float = 0.25) -> Heights:
+    """Pipes that cross the path on level ground."""
+    h = np.zeros_like(x)
+    for c in _places(rng, x, every_m):
+        r = radius_m * rng.uniform(0.5, 1.5)
+        top = np.sqrt(np.clip(r * r - (x - c) ** 2, 0.0, None))
+        h = np.maximum(h, np.clip(top - 0.6 * r, 0.0, None))
+    return h
+
+
+def terrain(
+    rng: np.random.Generator,
+    x: Heights,
+    rms_m: float = 6e-3,
+    longest_m: float = 1.5,
+    shortest_m: float = 0.02,
+) -> Heights:
+    """Rolling ground with a fractal spectrum."""
+    return fractal(rng, x, rms_m, longest_m, shortest_m, 3.0)
+
+
+def corrugated(
+    rng: np.random.Generator, x: Heights, amplitude_m: float = 8e-3, wave_m: float = 0.08
+) -> Heights:
+    """Corrugated sheet."""
+    return np.asarray(
+        amplitude_m * np.sin(2 * np.pi * x / (wave_m * rng.uniform(0.8, 1.25)) + rng.uniform(0, 6.3))
+    )
+
+
+def furrows(rng: np.random.Generator, x: Heights, depth_m: float = 0.02, every_m: float = 0.3) -> Heights:
+    """Ploughed furrows, clods on them."""
+    u = (x / (every_m * rng.uniform(0.9, 1.1)) + rng.uniform()) % 1.0
+    return np.asarray(
+        depth_m * np.abs(2.0 * u - 1.0) + fractal(rng, x, 0.05 * depth_m, 0.3 * every_m, 0.02 * every_m)
+    )
+
+
+def hedges(
+    rng: np.random.Generator,
+    x: Heights,
+    hill_m: float = 2.0,
+    height_m: float = 1.2,
+    width_m: float = 2.0,
+    every_m: float = 40.0,
+) -> Heights:
+    """Fields with hedges and, now and then, a gabled roof."""
+    h = fractal(rng, x, hill_m, 12.0 * every_m, 2.0 * every_m)
+    for c in _places(rng, x, every_m):
+        if rng.random() < 0.7:
+            w, top = width_m * rng.uniform(0.5, 1.5), height_m * rng.uniform(0.6, 1.5)
+            h = h + top * np.clip(2.0 * (1.0 - np.abs(x - c) / w), 0.0, 1.0)
+        else:
+            w = 5.0 * width_m * rng.uniform(0.7, 1.3)
+            h = h + np.clip(1.5 * height_m + 0.4 * (w - np.abs(x - c)), 0.0, None) * (np.abs(x - c) < w)
+    return h
+
+
+def sea(rng: np.random.Generator, x: Heights, rms_m: float = 0.25, wave_m: float = 15.0) -> Heights:
+    """Wind sea frozen in time: a narrow random spectrum about one wavelength."""
+    k = 2 * np.pi / wave_m * np.exp(0.35 * rng.standard_normal(60))
+    h = np.sin(np.outer(k, x) + rng.uniform(0, 2 * np.pi, 60)[:, None]).sum(0)
+    return np.asarray(rms_m * h / float(h.std()))
+
+
+FAMILIES: dict[str, Generator] = {
+    "weld": weld,
+    "hull": hull,
+    "casting": casting,
+    "lap-joints": lap_joints,
+    "pipes": pipes,
+    "terrain": terrain,
+    "corrugated": corrugated,
+    "furrows": furrows,
+}
+PERIODIC = frozenset({"corrugated", "furrows"})
+
+
+def family_profile(family: str, seed: int) -> Profile:
+    """The profile of a family on the benchmark's grid."""
+    x = grid_x()
+    rng = np.random.default_rng([seed, 61, *family.encode()])
+    return made(family, x, FAMILIES[family](rng, x))
+
+
+def scaled_profile(
+    generator: Callable[..., Heights], seed: int, length_m: float, spacing_m: float, **sizes: Any
+) -> Profile:
+    """A profile of any length and spacing [m]."""
+    margin = 0.05 * length_m
+    x = -margin + spacing_m * np.arange(round((length_m + 2 * margin) / spacing_m) + 1)
+    h = generator(np.random.default_rng([seed, 67]), x, **sizes)
+    return Profile(generator.__name__, float(x[0]), spacing_m, np.ascontiguousarray(h), length_m=length_m)
+
+
+FAMILY_SURFACES: dict[str, Callable[[int], Profile]] = {
+    name: partial(family_profile, name) for name in FAMILIES
+}

@@ -1,0 +1,218 @@
+"""The methods of the benchmark: jitted baselines, and followers driven through their one door.
+
+A follower is any object with `pose(t_ns, pose)` and `step(t_ns, ranges_m)`; `surffollow.Follower` is one,
+and `--methods NAME=module:factory` adds anybody's. A method that cannot be imported is not registered.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any, Protocol
+
+from surffollow.benchmark import baselines as b
+from surffollow.benchmark.conditions import Conditions
+from surffollow.errors import UsageError
+
+LIMIT = "limit"
+ORACLE = ":oracle"
+
+
+class FollowerLike(Protocol):
+    """The door: what a follower must be able to do."""
+
+    def pose(self, t_ns: int, pose: Any) -> None:
+        """Take a pose report that was true at `t_ns`: x y z [m], qx qy qz qw."""
+
+    def step(self, t_ns: int, ranges_m: Any) -> Sequence[float]:
+        """Take ranges read at `t_ns` [m], NaN for none, and return the demand (6,) [m, rad]."""
+
+
+Factory = Callable[[Conditions], FollowerLike]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number to tune: name with unit, bounds (above 0), whether it matters only with a lead."""
+
+    name: str
+    low: float
+    high: float
+    leading_only: bool = False
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A jitted loop: `kind` of `baselines`, what may be tuned, first guesses, fixed parameters behind."""
+
+    name: str
+    kind: int
+    tunable: tuple[Parameter, ...] = ()
+    guesses: tuple[tuple[float, ...], ...] = ((),)
+    fixed: tuple[float, ...] = ()
+
+
+_LAG = Parameter("lag_s", 1e-3, 0.6)
+_LAG_OF_LEAD = Parameter("lag_s", 1e-3, 0.6, leading_only=True)
+
+BASELINES: dict[str, Baseline] = {
+    m.name: m
+    for m in (
+        Baseline("hold", b.HOLD, fixed=(0.0,)),
+        Baseline("p", b.P, (Parameter("gain", 0.01, 5.0),), ((0.1,), (0.3,), (0.7,))),
+        Baseline(
+            "pi",
+            b.PI,
+            (Parameter("gain", 0.01, 5.0), Parameter("integral_hz", 0.01, 30.0)),
+            ((0.2, 0.01), (1.2, 0.01), (0.1, 0.3), (0.3, 0.5), (0.5, 2.0), (1.7, 7.0)),
+        ),
+        Baseline(
+            "lpf-gate",
+            b.LPF_GATE,
+            (Parameter("tau_s", 1e-3, 0.5), Parameter("gate_m", 0.2e-3, 0.05), _LAG_OF_LEAD),
+            ((0.003, 3e-3, 0.06), (0.01, 5e-3, 0.05), (0.05, 2e-3, 0.05)),
+        ),
+        Baseline(
+            "kalman-ff",
+            b.KALMAN_FF,
+            (
+                Parameter("slope_noise", 1e-3, 100.0),
+                Parameter("height_noise", 1e-6, 0.1),
+                Parameter("gate_sigma", 2.0, 50.0),
+                Parameter("rejects", 1.0, 10.0),
+                _LAG,
+            ),
+            (
+                (1.0, 1e-3, 5.0, 3.0, 0.05),
+                (0.1, 1e-4, 5.0, 4.0, 0.05),
+                (5.0, 1e-2, 8.0, 3.0, 0.04),
+                (5.0, 1e-3, 4.0, 4.0, 0.001),
+                (0.01, 2e-2, 8.0, 3.0, 0.03),
+            ),
+            fixed=(b.POLICY_EXTRAPOLATE,),
+        ),
+    )
+}
+
+
+def follower_config(conditions: Conditions) -> dict[str, Any]:
+    """Return what `surffollow.Follower` is told: sensor mount and window, plant as believed; no more.
+
+    Everything else keeps its default: one configuration for every surface, speed and noise.
+    """
+    sensor = conditions.sensor
+    return {
+        "sensors": [
+            {
+                "position_m": [conditions.lead_m, 0.0, 0.0],
+                "near_m": sensor.near_m,
+                "far_m": sensor.far_m,
+            }
+        ],
+        "plant": {
+            "tau_s": conditions.believed_tau_s,
+            "v_max_mps": conditions.plant.v_max_mps,
+            "a_max_mps2": conditions.plant.a_max_mps2,
+        },
+    }
+
+
+def _follower_factory(choices: dict[str, Any]) -> Factory:
+    def make(conditions: Conditions) -> FollowerLike:
+        follower: Any = importlib.import_module("surffollow").Follower
+        made: FollowerLike = follower(
+            config=follower_config(conditions) | choices, offset_m=conditions.standoff_m
+        )
+        return made
+
+    return make
+
+
+def followers() -> dict[str, Factory]:
+    """Return the followers that this installation has, by row name."""
+    if find_spec("surffollow.follower") is None:
+        return {}
+    # the paper uses the newest pose there is, whatever the reading's stamp
+    return {
+        "paper": _follower_factory({"mode": "paper", "pose_interpolate": "latest"}),
+        "ours": _follower_factory({}),
+    }
+
+
+def outside_follower(spec: str) -> Factory:
+    """Find a factory given as `module:name`; it is called with the `Conditions` of a run.
+
+    Raises
+    ------
+    UsageError
+        when there is no such module or name
+    """
+    module, _, name = spec.partition(":")
+    try:
+        factory: Factory = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise UsageError(f"no follower at '{spec}' ({error}); expected module:factory") from error
+    return factory
+
+
+def check_follower(spec: str) -> None:
+    """Make the follower given as `module:name` once, to see that it is one.
+
+    Raises
+    ------
+    UsageError
+        when there is no such factory, it fails, or what it makes has not the methods of a `FollowerLike`
+    """
+    try:
+        made = outside_follower(spec)(Conditions())
+    except UsageError:
+        raise
+    except Exception as error:
+        raise UsageError(
+            f"'{spec}' makes no follower: called with the benchmark's Conditions it raised "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    lacking = [name for name in ("pose", "step") if not callable(getattr(made, name, None))]
+    if lacking:
+        raise UsageError(
+            f"'{spec}' makes no follower: what it returned has no method {' and no '.join(lacking)}; "
+            "expected a factory whose product has pose(t_ns, pose) and step(t_ns, ranges_m)"
+        )
+
+
+def factory_of(method: str) -> Factory:
+    """Return the factory of a row that is not a baseline: a registered follower or `NAME=module:factory`."""
+    name, _, spec = method.partition("=")
+    if spec:
+        return outside_follower(spec)
+    known = followers()
+    if name not in known:
+        raise UsageError(f"no method '{name}' here; there are {', '.join(all_methods())}")
+    return known[name]
+
+
+def all_methods() -> list[str]:
+    """Return every row this installation can make, in the order of the table."""
+    rows: list[str] = []
+    for name, baseline in BASELINES.items():
+        rows += [name] + ([name + ORACLE] if baseline.tunable else [])
+    return [*rows, *followers(), LIMIT]
+
+
+def check_methods(methods: Sequence[str]) -> list[str]:
+    """Return the methods, once each, after finding every one.
+
+    Raises
+    ------
+    UsageError
+        for a method that does not exist
+    """
+    known = all_methods()
+    for method in methods:
+        if "=" in method:
+            check_follower(method.partition("=")[2])
+        elif method not in known:
+            raise UsageError(f"no method '{method}' here; there are {', '.join(all_methods())}")
+    return list(dict.fromkeys(methods))

@@ -1,0 +1,74 @@
+"""Option types that several verbs share: names of services, and numbers that are numbers."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import click
+
+
+class ServiceName(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
+    """A name that a service can have."""
+
+    name = "NAME"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Check it, or fail with what is wrong with it."""
+        from surffollow.config.names import check_service_name
+        from surffollow.errors import InvalidNameError
+
+        try:
+            return check_service_name(value)
+        except InvalidNameError as error:
+            self.fail(str(error), param, ctx)
+
+
+class Finite(click.FloatRange):
+    """A number between bounds; NaN and infinity, which pass any comparison or none, are refused."""
+
+    name = "NUMBER"
+
+    def _describe_range(self) -> str:
+        # click writes "x<=None" where there are no bounds
+        return "" if self.min is None and self.max is None else super()._describe_range()
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Convert and check, or fail with what was expected."""
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            number = 0.0  # said below
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number", param, ctx)
+        return float(super().convert(value, param, ctx))
+
+
+class Quantity(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
+    """A positive number with a unit, such as `100MB` or `10min`; a bare number is in `si_unit`."""
+
+    def __init__(self, name: str, si_unit: str, scales: dict[str, float]) -> None:
+        self.name, self._si_unit, self._scales = name, si_unit, scales
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The number in `si_unit`, or fail with the units that there are."""
+        if isinstance(value, float):
+            return value
+        text = str(value).strip()
+        unit = text.lstrip("0123456789.eE+-").strip()
+        digits = text[: len(text) - len(unit)].strip() if unit else text
+        try:
+            number = float(digits) * (self._scales[unit] if unit else 1.0)
+        except (ValueError, KeyError):
+            number = math.nan
+        if not 0.0 < number < math.inf:
+            units = ", ".join(self._scales)
+            self.fail(f"{value!r} is not a positive number with one of the units {units}", param, ctx)
+        return number
+
+
+SERVICE_NAME = ServiceName()
+SIZE = Quantity(
+    "SIZE", "B", {"B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 1024.0, "MiB": 2.0**20, "GiB": 2.0**30}
+)
+DURATION = Quantity("TIME", "s", {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "ms": 1e-3})

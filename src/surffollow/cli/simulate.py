@@ -1,0 +1,189 @@
+"""`surffollow simulate`: a simulated robot as a process of its own, a client like any other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from surffollow.cli.option_types import SERVICE_NAME, Finite
+
+if TYPE_CHECKING:
+    from surffollow.sim.robot_run import Service
+
+
+def quantity(unit: str) -> Any:
+    """Option callback for a number with a unit, such as "50 mm/s"; the command gets it in SI."""
+
+    def parse(ctx: click.Context, param: click.Parameter, value: str) -> float:
+        from surffollow.units import parse_quantity
+
+        try:
+            return float(parse_quantity(value, unit))
+        except ValueError as error:
+            raise click.BadParameter(str(error), ctx, param) from error
+
+    return parse
+
+
+LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
+
+
+@click.command("simulate")
+@click.option("--name", type=SERVICE_NAME, default="surf", show_default=True, help="Service to talk to.")
+@click.option(
+    "--path",
+    default="line",
+    show_default=True,
+    help="line, raster, or a CSV or NPZ file: x_m, y_m; t_s, z_m, qx qy qz qw, speed_mps, stop.",
+)
+@click.option("--speed", callback=SPEED, default="50 mm/s", show_default=True, help="Along the path.")
+@click.option(
+    "--seconds", type=Finite(min=0.0), default=20.0, show_default=True, help="Of motion; 0: to its end."
+)
+@click.option("--surface", default="fy91", show_default=True, help="Ground; the service needs the same.")
+@click.option("--seed", default=91, show_default=True, help="Of the ground; the service needs the same.")
+@click.option(
+    "--grid", callback=LENGTH, default="1 mm", show_default=True, help="Spacing of the ground's heights."
+)
+@click.option(
+    "--field",
+    type=Finite(),
+    nargs=4,
+    default=(0.0, 0.0, 2.0, 1.0),
+    show_default=True,
+    help="x_min y_min x_max y_max of the ground [m]; the service needs the same.",
+)
+@click.option(
+    "--region", type=Finite(), nargs=4, default=None, help="x_min y_min x_max y_max of the path [m]."
+)
+@click.option("--lane", callback=LENGTH, default="20 mm", show_default=True, help="Distance of raster lanes.")
+@click.option("--standoff", callback=LENGTH, default="0.1 m", show_default=True, help="Wanted distance.")
+@click.option("--plant", type=click.Path(dir_okay=False), help="TOML file with the vertical axis.")
+@click.option("--latency", callback=TIME, default="10 ms", show_default=True, help="Of pose reports.")
+@click.option("--sigma", callback=LENGTH, default="0.05 mm", show_default=True, help="Noise of pose reports.")
+@click.option("--turn", is_flag=True, help="Heed rotations, too; count along the tool's axis.")
+@click.option("--noise-seed", default=1, show_default=True, help="Of that noise.")
+@click.option(
+    "--wait",
+    "wait_s",
+    type=Finite(min=0.0),
+    default=10.0,
+    show_default=True,
+    help="Seconds to wait for the service.",
+)
+@click.option("--arbiter", type=SERVICE_NAME, help="Obey this arbiter instead of the service itself.")
+@click.option("--resource", default="tool", show_default=True, help="With --arbiter: what to obey.")
+@click.option("--trace", type=click.Path(dir_okay=False), help="Write what happened, step by step (NPZ).")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
+def simulate_command(
+    name: str,
+    path: str,
+    speed: float,
+    seconds: float,
+    surface: str,
+    seed: int,
+    grid: float,
+    field: tuple[float, float, float, float],
+    region: tuple[float, float, float, float] | None,
+    lane: float,
+    standoff: float,
+    plant: str | None,
+    latency: float,
+    sigma: float,
+    turn: bool,
+    noise_seed: int,
+    wait_s: float,
+    arbiter: str | None,
+    resource: str,
+    trace: str | None,
+    as_json: bool,
+) -> None:
+    """Simulate a robot that moves over rough ground and heeds the service's demands.
+
+    Ends when its time or its path is over, or on Ctrl-C or SIGTERM, and prints how it kept its stand-off.
+    Exit code 1 when it stood still for more than a tenth of the time: there was no valid demand.
+    """
+    from surffollow.sim.plant import PlantConfig, load_plant
+    from surffollow.sim.robot import RobotConfig
+    from surffollow.sim.world_surface import WorldConfig
+
+    config = RobotConfig(
+        world=WorldConfig(surface=surface, seed=seed, region=field, grid_m=grid),
+        path=path,
+        region=region,
+        speed_mps=speed,
+        lane_m=lane,
+        seconds=seconds,
+        standoff_m=standoff,
+        report_latency_s=latency,
+        report_sigma_m=sigma,
+        turn=turn,
+        seed=noise_seed,
+        plant=load_plant(plant) if plant else PlantConfig(),
+    )
+    summary = _run(config, name, wait_s, trace, arbiter, resource)
+    _tell(summary, as_json)
+    from surffollow.sim.robot_run import held_too_long
+
+    if held_too_long(summary["ticks"], summary["held_ticks"]):
+        from surffollow.errors import ServiceError
+
+        raise ServiceError(
+            f"the robot stood still in {summary['held_ticks']} of its {summary['ticks']} ticks: "
+            f"service {name!r} gave it no valid demand"
+        )
+
+
+def _tell(summary: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        import json
+
+        click.echo(json.dumps(summary))
+        return
+    for key, value in summary.items():
+        if key.endswith("_m") and key != "path_m" and value is not None:
+            click.echo(f"{key[:-2]:24} {value * 1e3:10.3f} mm")
+        elif key.endswith("_rad") and value is not None:
+            click.echo(f"{key[:-4]:24} {math.degrees(value):10.3f} deg")
+        else:
+            click.echo(f"{key:24} {value if not isinstance(value, float) else round(value, 3)!s:>10}")
+
+
+def _attachment(name: str, arbiter: str | None, resource: str) -> Callable[[], Service]:
+    from surffollow.client import attach
+
+    if arbiter is None:
+        return lambda: attach(name, label="simulated robot")
+    from surffollow.apps.shared_tool import attach_arbitrated
+
+    return lambda: attach_arbitrated(name, arbiter, resource)
+
+
+def _run(
+    config: Any, name: str, wait_s: float, trace: str | None, arbiter: str | None, resource: str
+) -> dict[str, Any]:
+    import signal
+
+    from surffollow.sim.robot_run import claim_priority, run_robot
+
+    claim_priority()
+    stop: list[int] = []
+    handlers = {
+        number: signal.signal(number, lambda n, _: stop.append(n))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        core, summary = run_robot(
+            config, name, _attachment(name, arbiter, resource), lambda: bool(stop), wait_s
+        )
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    if trace:
+        import numpy as np
+
+        np.savez_compressed(trace, **core.trace())  # type: ignore[arg-type]
+    return summary

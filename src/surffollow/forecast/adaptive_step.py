@@ -1,0 +1,258 @@
+"""One cycle of the default follower: the block diagram, stage by stage.
+
+clock → kinematics → plant → measurement (sensing, estimation, terrain) → health → set point → demand
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.forecast.attitude.attitude import demand_rotation, publish_normal, release_attitude
+from surffollow.forecast.estimation.adaptation import publish_adaptation
+from surffollow.forecast.estimation.estimate import INITIALISATION_SAMPLES
+from surffollow.forecast.plant.axis_model import PERIOD_S
+from surffollow.forecast.plant.controller_clock import (
+    latch_time,
+    observe_report,
+    open_period,
+    period_is_due,
+)
+from surffollow.forecast.plant.plant_identification import (
+    model_error,
+    predict_axis,
+    record_own_setpoint,
+    update_plant,
+)
+from surffollow.forecast.reset import reset_all, reset_timestamps
+from surffollow.forecast.safety import PROBE_M, limit
+from surffollow.forecast.sensing.clock import update_clock
+from surffollow.forecast.sensing.health import (
+    is_lost,
+    is_stuck,
+    latch_fault,
+    update_health,
+)
+from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, has_jumped, update_kinematics
+from surffollow.forecast.sensing.measurement import process_sample, standoff_height
+from surffollow.forecast.setpoint.preview_control import plan_setpoint
+from surffollow.forecast.setpoint.setpoint_blend import blend_setpoints, dropout_s, filter_setpoint
+from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint, mark_shown, release_setpoint
+from surffollow.forecast.terrain.known_ground import lowest_plan, reset_known_ground
+from surffollow.forecast.terrain.lookahead_sensor import observe_lookahead
+from surffollow.forecast.terrain.preview import (
+    MIN_KNOWN_PERIODS,
+    collect_preview,
+    extrapolate_ground,
+    update_share,
+    withdraw_preview,
+)
+from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive import (
+    DROPOUT,
+    FAULT_CLOSE,
+    FAULT_LOST,
+    FAULT_STUCK,
+    OUT_OF_RANGE,
+    STUCK,
+)
+from surffollow.shm.layout_follow import (
+    LIMITED,
+    NO_SENSOR,
+    POSES,
+    RUN_DRYRUN,
+    RUN_FREEZE,
+    RUN_NORMAL,
+    SENSOR_LOST,
+    TOO_CLOSE,
+    VALID,
+)
+
+CONFIRMED_SAMPLES = 25  # after a drop-out with fewer samples the set point does not descend
+
+
+@jit
+def distance_ahead(params: Any, adaptive: Any, pose: Any, pose_t_ns: Any) -> Any:
+    """Distance from the newest footprint to the point under the tool when the demand acts [m]."""
+    kinematics, sample = adaptive.kinematics, adaptive.sample
+    if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
+        return 0.0
+    gap_x, gap_y = pose[0] + sample.tip_x_m - sample.x_m, pose[1] + sample.tip_y_m - sample.y_m
+    gap = gap_x * kinematics.velocity_x_mps + gap_y * kinematics.velocity_y_mps
+    if adaptive.hold.t_ns < kinematics.jump_ns:  # the footprint is in the frame before the jump
+        gap = kinematics.speed_mps**2 * (pose_t_ns - adaptive.hold.t_ns) * 1e-9
+    delay_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + params.tick_lead_s
+    return gap / kinematics.speed_mps + kinematics.speed_mps * delay_s
+
+
+@jit
+def target_of_blend(
+    params: Any, adaptive: Any, inputs: Any, pose_t_ns: Any, ahead_m: Any, standoff_m: Any
+) -> Any:
+    """Blended set point [m], and 1 when a controller period begins.
+
+    The candidates are blended when a sample, a pose or a controller period is new. In between the blend
+    continues at the rate that the models predict.
+    """
+    clock, blend = adaptive.clock, adaptive.blend
+    due = period_is_due(adaptive.controller, inputs.n_ranges, clock.now_ns)
+    if due != 0 or adaptive.estimate.sample_ns != blend.sample_ns or pose_t_ns != blend.pose_ns:
+        target = blend_setpoints(params, adaptive, pose_t_ns, max(ahead_m, 0.0), standoff_m, due)
+    else:
+        target = blend.setpoint_m + blend.rate_mps * (clock.now_ns - blend.t_ns) * 1e-9
+    return target, due
+
+
+@jit
+def plan_period(
+    params: Any, adaptive: Any, inputs: Any, pose_t_ns: Any, ahead_m: Any, standoff_m: Any
+) -> None:
+    """Preview control of the controller period that begins."""
+    clock, kinematics, controller = adaptive.clock, adaptive.kinematics, adaptive.controller
+    lookahead = adaptive.lookahead
+    leads = 1 if adaptive.sample.lead_m > MIN_LEAD_M else 0
+    trusted = adaptive.sample.arc_length_m >= lookahead.trusted_from_m
+    another_leads = 1 if lookahead.lead_m > MIN_LEAD_M and trusted else 0
+    open_period(controller, inputs.n_ranges, clock.now_ns)
+    latch_ns = latch_time(controller, inputs.n_ranges, clock.now_ns)
+    since_pose_m = kinematics.speed_mps * (latch_ns - pose_t_ns) * 1e-9
+    at_latch_m = ahead_m + kinematics.speed_mps * ((latch_ns - clock.now_ns) * 1e-9 - params.tick_lead_s)
+    bias_m = lookahead.bias_m if another_leads != 0 and leads == 0 else 0.0
+    known = collect_preview(adaptive, inputs, max(leads, another_leads), at_latch_m, since_pose_m, bias_m)
+    update_share(adaptive, known, leads, model_error(adaptive.plant))
+    if known >= MIN_KNOWN_PERIODS:
+        z, v = predict_axis(params, adaptive, latch_ns)
+        extrapolate_ground(adaptive, known, adaptive.estimate.arc_length_m + at_latch_m, bias_m)
+        plan_setpoint(params, adaptive, known, z, v, standoff_m)
+
+
+@jit
+def target_of_preview(params: Any, adaptive: Any, target_m: Any, standoff_m: Any) -> Any:
+    """Set point before the limits: the filtered blend, and the plan by its share [m].
+
+    A sensor that leads measures no ground under the tool: its buffered heights replace the blend.
+    """
+    preview = adaptive.preview
+    if preview.sensed_periods >= 2:
+        rate = (preview.ground_m[1] - preview.ground_m[0]) / PERIOD_S
+        target_m = preview.ground_m[0] + rate * (adaptive.plant.tau_s + params.tick_lead_s) + standoff_m
+    target_m = filter_setpoint(params, adaptive, target_m)
+    planned = adaptive.plan.setpoint_m
+    if preview.sensed_periods == 0:  # ground that the sensor under the tool has not confirmed
+        planned = max(planned, lowest_plan(adaptive.known, target_m))
+    target_m += preview.share * (planned - target_m)
+    return target_m
+
+
+@jit
+def compute_demand(
+    params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, pose: Any
+) -> Any:
+    """Demand of the adaptive mode into `output`; returns status bits.
+
+    Parameters
+    ----------
+    params, adaptive, sense, fold, inputs, output : records of `Params`, `AdaptiveState`, `SenseState`,
+        `FoldBackState`, `Inputs`, `Output`, all in plain numbers (`reference_scales`)
+    pose : (7,) float64 scratch
+
+    Notes
+    -----
+    Needs a pose. The demand adds to the newest pose reported, `output.pose_t_ns`.
+    """
+    clock, kinematics, health, estimate = (
+        adaptive.clock,
+        adaptive.kinematics,
+        adaptive.health,
+        adaptive.estimate,
+    )
+    controller, setpoint = adaptive.controller, adaptive.setpoint
+    newest = (sense.pose_count - 1) & (POSES - 1)
+    pose_t_ns, tool_z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
+    several = 1 if params.orient != 0 and params.n_channels >= 3 else 0
+    if update_clock(clock, inputs.t_ns, pose_t_ns) != 0:
+        reset_timestamps(adaptive)
+    update_kinematics(kinematics, sense)
+    update_plant(params, adaptive, sense, 0 if params.adapt == 0 or params.run != RUN_NORMAL else 1)
+    process_sample(params, adaptive, sense, fold, inputs, output, several, pose)
+    if several == 0 and params.n_channels > 1:
+        moving = 1 if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS else 0
+        observe_lookahead(params, adaptive, sense, moving, pose)
+    stuck = is_stuck(health)
+    update_health(params, adaptive, stuck)
+    if has_jumped(kinematics, clock.now_ns) != 0:
+        withdraw_preview(adaptive.preview)
+        reset_known_ground(adaptive.known)
+    status = VALID
+    if health.state == DROPOUT or health.state == OUT_OF_RANGE or health.state == STUCK:
+        status |= NO_SENSOR
+    if stuck != 0:
+        latch_fault(health, FAULT_STUCK)
+        withdraw_preview(adaptive.preview)
+    if is_lost(params, adaptive) != 0:
+        if estimate.samples > 0 and stuck == 0:
+            latch_fault(health, FAULT_LOST)
+        release_setpoint(setpoint)
+        withdraw_preview(adaptive.preview)
+        return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
+    if setpoint.shown != 0 and params.run != RUN_DRYRUN:  # set points of DRYRUN were not applied
+        mark_shown(setpoint, 0)
+        release_setpoint(setpoint)
+        release_attitude(adaptive.attitude)
+    standoff = standoff_height(params, adaptive.plane, sense, several, pose)
+    ahead = distance_ahead(params, adaptive, pose, pose_t_ns)
+    observe_report(controller, sense.pose_count, clock.now_ns)
+    target, due = target_of_blend(params, adaptive, inputs, pose_t_ns, ahead, standoff)
+    if due != 0:
+        plan_period(params, adaptive, inputs, pose_t_ns, ahead, standoff)
+    target = target_of_preview(params, adaptive, target, standoff)
+    few = estimate.samples < CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
+    if estimate.samples < INITIALISATION_SAMPLES or few:
+        target = max(target, tool_z)  # no descent over ground that is hardly known
+    if stuck != 0:  # ground that is not seen may rise as steeply as it did before
+        rise_mps = max(math.sqrt(estimate.slope_power), estimate.slope) * kinematics.speed_mps
+        target = max(target, tool_z + rise_mps * adaptive.plant.tau_s)
+    limit_setpoint(params, adaptive, clock.now_ns, target, tool_z)
+    demand = setpoint.position_m - tool_z
+    if not math.isfinite(demand + estimate.height_m + estimate.slope + estimate.sigma_m):
+        reset_all(params, adaptive)
+        return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
+    limited = limit(demand, params.max_demand_m)
+    if limited != demand:
+        status |= LIMITED
+    if fold.close != 0:
+        latch_fault(health, FAULT_CLOSE)
+        status |= TOO_CLOSE
+        limited = max(limited, min(PROBE_M, params.max_demand_m))
+    output.demand[2] = limited
+    if fold.close != 0:
+        release_attitude(adaptive.attitude)  # away from the surface first, then rotate
+    elif several != 0 and adaptive.plane.count > 0:
+        demand_rotation(params, adaptive, sense, output)
+    if controller.period_ns == clock.now_ns or controller.latch_pending != 0:
+        record_own_setpoint(adaptive, tool_z + (limited if params.run == RUN_NORMAL else 0.0))
+    if params.run == RUN_DRYRUN:
+        mark_shown(setpoint, 1)
+    elif params.run == RUN_FREEZE:
+        release_setpoint(setpoint)  # no demand is applied
+    output.delta_h_m = estimate.slope * max(ahead, 0.0)
+    output.error_m = params.offset_m - adaptive.hold.range_m
+    return status
+
+
+@jit
+def publish_estimate(params: Any, adaptive: Any, output: Any) -> None:
+    """Publish estimate, health and adapted parameters."""
+    kinematics, health, estimate = adaptive.kinematics, adaptive.health, adaptive.estimate
+    noise_m, scale_m = adaptive.noise.sigma_m, adaptive.gate.scale_m
+    publish_adaptation(params, adaptive, output)
+    output.height_m, output.speed_mps = estimate.height_m, kinematics.speed_mps
+    # a slope along the path needs a direction of travel
+    output.slope = estimate.slope if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS else 0.0
+    output.intervals = estimate.samples
+    publish_normal(adaptive, output)
+    output.health, output.reason, output.faults = health.state, health.reason, health.faults
+    output.tau_s = adaptive.plant.tau_s
+    output.sigma_m, output.noise_m, output.late_s = estimate.sigma_m, noise_m, adaptive.latency.delay_s
+    output.roughness_m = math.sqrt(max(scale_m * scale_m - noise_m * noise_m, 0.0))

@@ -1,0 +1,121 @@
+"""Attitude set point: rotation of the tool's axis toward the surface normal.
+
+The tool's axis has a set point in the world that moves within limits of angular velocity and acceleration.
+A single reading therefore cannot make the demanded rotation jump.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.forecast.attitude.plane_fit import reset_plane
+from surffollow.forecast.pose import rotate
+from surffollow.forecast.setpoint.setpoint_limits import restart_pause_s
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_follow import CHANNELS, POSES, RUN_FREEZE
+
+MAX_PREDICTION_S = 0.2  # slopes are extrapolated by their rates no farther
+
+
+@jit
+def predicted_normal(params: Any, adaptive: Any) -> Any:
+    """Unit normal of the surface at the time when the robot's axis responds."""
+    plane = adaptive.plane
+    ahead = min(
+        max((adaptive.clock.now_ns - plane.t_ns) * 1e-9 + params.tick_lead_s + adaptive.plant.tau_s, 0.0),
+        MAX_PREDICTION_S,
+    )
+    sx, sy = plane.slope_x + plane.slope_rate_x_hz * ahead, plane.slope_y + plane.slope_rate_y_hz * ahead
+    length = math.sqrt(sx * sx + sy * sy + 1.0)
+    return -sx / length, -sy / length, 1.0 / length
+
+
+@jit
+def rotation_between(ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> Any:
+    """Rotation vector that turns unit vector a into b by the smaller angle, and that angle.
+
+    For opposite vectors the axis is undefined; the rotation is then zero.
+    """
+    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    sine = math.sqrt(cx * cx + cy * cy + cz * cz)
+    if not sine > 1e-12:
+        return 0.0, 0.0, 0.0, 0.0
+    angle = math.atan2(sine, ax * bx + ay * by + az * bz)
+    return cx * angle / sine, cy * angle / sine, cz * angle / sine, angle
+
+
+@jit
+def limit_attitude(params: Any, attitude: Any, nx: Any, ny: Any, nz: Any, dt: Any) -> None:
+    """Move the axis' set point toward a direction within limits of velocity and acceleration.
+
+    A deviation within `permitted_turn_rad` moves nothing (deadband). The square-root profile limits the
+    velocity to what the acceleration can stop.
+    """
+    u, w = attitude.axis, attitude.angular_velocity_radps
+    ex, ey, ez, angle = rotation_between(u[0], u[1], u[2], nx, ny, nz)
+    angle_left = max(angle - params.permitted_turn_rad, 0.0)
+    a_max = params.max_turn_accel_radps2
+    speed = min(angle_left / dt, math.sqrt(2.0 * a_max * angle_left), params.max_turn_speed_radps)
+    share = speed / angle if angle > 0.0 else 0.0
+    dx, dy, dz = ex * share - w[0], ey * share - w[1], ez * share - w[2]
+    change = math.sqrt(dx * dx + dy * dy + dz * dz)
+    factor = a_max * dt / change if change > a_max * dt else 1.0
+    w[0], w[1], w[2] = w[0] + dx * factor, w[1] + dy * factor, w[2] + dz * factor
+    x = u[0] + (w[1] * u[2] - w[2] * u[1]) * dt
+    y = u[1] + (w[2] * u[0] - w[0] * u[2]) * dt
+    z = u[2] + (w[0] * u[1] - w[1] * u[0]) * dt
+    length = math.sqrt(x * x + y * y + z * z)
+    u[0], u[1], u[2] = x / length, y / length, z / length
+
+
+@jit
+def demand_rotation(params: Any, adaptive: Any, sense: Any, output: Any) -> None:
+    """Rotation vector from the reported axis of the tool to its set point, at most `max_turn_rad`."""
+    clock, attitude = adaptive.clock, adaptive.attitude
+    q = 7 * ((sense.pose_count - 1) & (POSES - 1)) + 3
+    p = sense.pose
+    tx, ty, tz = rotate(p[q], p[q + 1], p[q + 2], p[q + 3], 0.0, 0.0, 1.0)
+    if params.run == RUN_FREEZE:
+        attitude.t_ns = 0  # afterwards it begins at the tool
+        return
+    elapsed = clock.now_ns - attitude.t_ns
+    if attitude.t_ns == 0 or elapsed < 0 or elapsed * 1e-9 > restart_pause_s(adaptive.setpoint):
+        attitude.axis[0], attitude.axis[1], attitude.axis[2] = tx, ty, tz
+        for k in range(3):
+            attitude.angular_velocity_radps[k] = 0.0
+        elapsed = 0
+    if elapsed > 0:
+        nx, ny, nz = predicted_normal(params, adaptive)
+        limit_attitude(params, attitude, nx, ny, nz, elapsed * 1e-9)
+    attitude.t_ns = clock.now_ns
+    u = attitude.axis
+    wx, wy, wz, angle = rotation_between(tx, ty, tz, u[0], u[1], u[2])
+    if not math.isfinite(wx + wy + wz):
+        attitude.t_ns = 0
+        reset_plane(adaptive.plane)
+        return
+    factor = params.max_turn_rad / angle if angle > params.max_turn_rad else 1.0
+    output.demand[3], output.demand[4], output.demand[5] = wx * factor, wy * factor, wz * factor
+
+
+@jit
+def publish_normal(adaptive: Any, output: Any) -> None:
+    """Publish the normal; it is vertical while no plane is known."""
+    plane = adaptive.plane
+    length = math.sqrt(plane.slope_x * plane.slope_x + plane.slope_y * plane.slope_y + 1.0)
+    output.normal[0], output.normal[1], output.normal[2] = (
+        -plane.slope_x / length,
+        -plane.slope_y / length,
+        1.0 / length,
+    )
+    beams = 0
+    for c in range(CHANNELS):
+        beams |= (1 if adaptive.beams.accepted[c] != 0 else 0) << c
+    output.beams = beams
+
+
+@jit
+def release_attitude(attitude: Any) -> None:
+    """Begin at the tool with the next attitude set point."""
+    attitude.t_ns = 0

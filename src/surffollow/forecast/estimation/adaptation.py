@@ -1,0 +1,52 @@
+"""Adapt Permitted_Variance and the deadband; express the smoothing as Interval_Size and Range_Size.
+
+Permitted_Variance is the change of the demand that is not relayed. Where the standard deviation of the height
+is larger, it takes its place. Interval_Size and Range_Size in force follow from the gain of the blend.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.forecast.estimation.model_weights import FULL_POWER_SAMPLES, least_noise_fraction
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_follow import INTERVALS
+
+MAX_PERMITTED_M = 2e-3  # uncertainty of the height raises Permitted_Variance no farther
+BURN_IN_WIDENING = 3.5  # the deadband is wider by this factor at first
+MIN_GAIN = 1e-4  # bounds the published Interval_Size
+
+
+@jit
+def update_deadband(params: Any, adaptive: Any) -> None:
+    """Set Permitted_Variance in force and the deadband of the set-point filter."""
+    estimate, adaptation = adaptive.estimate, adaptive.adaptation
+    adaptation.permitted_variance_m = max(params.permitted_variance_m, min(estimate.sigma_m, MAX_PERMITTED_M))
+    # during burn-in, where errors are noise, differences between models are chance
+    burn_in = (
+        1.0 - min(max(estimate.samples, adaptive.weights.scored), FULL_POWER_SAMPLES) / FULL_POWER_SAMPLES
+    )
+    noise_share = least_noise_fraction(adaptive)
+    adaptation.deadband_m = (
+        params.calm_share
+        * adaptation.permitted_variance_m
+        * (1.0 + BURN_IN_WIDENING * burn_in * noise_share * noise_share)
+    )
+
+
+@jit
+def publish_adaptation(params: Any, adaptive: Any, output: Any) -> None:
+    """Publish Permitted_Variance, Interval_Size and Range_Size in force.
+
+    A mean over n samples has the variance of a filter with gain 2 / (n + 1).
+    """
+    sample, estimate = adaptive.sample, adaptive.estimate
+    output.latency_s = params.sensor_latency_ns * 1e-9 + adaptive.latency.correction_s
+    output.permitted_variance_m = adaptive.adaptation.permitted_variance_m
+    if estimate.samples == 0:
+        output.interval_size_m, output.range_size = params.interval_size_m, params.range_size
+        return
+    samples = 2.0 / min(max(estimate.gain, MIN_GAIN), 1.0) - 1.0
+    interval = max(min(params.interval_size_m, samples * sample.spacing_m), sample.spacing_m, 1e-6)
+    output.interval_size_m = interval
+    output.range_size = min(max(int(samples * sample.spacing_m / interval + 0.5), 1), INTERVALS // 2)

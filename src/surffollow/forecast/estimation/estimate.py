@@ -1,0 +1,246 @@
+"""The estimate: propagate, gate, update and blend the model bank with one sample."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.forecast.estimation.innovation_gate import (
+    accept_sample,
+    discard_slots,
+    gate_width,
+    hold_pending,
+    initialise_gate,
+    needs_second_sample,
+    register_step,
+    reset_gate,
+    update_scale,
+    update_travel,
+)
+from surffollow.forecast.estimation.model_bank import (
+    CANDIDATE_MODEL,
+    N_CANDIDATES,
+    model_height,
+    model_slope,
+    propagate_bank,
+    reset_bank,
+    shift_bank,
+    update_bank,
+)
+from surffollow.forecast.estimation.model_weights import (
+    reset_bias,
+    reset_index,
+    update_bias,
+    update_index,
+    update_weights,
+)
+from surffollow.forecast.estimation.noise import (
+    INITIAL_NOISE_M,
+    MIN_NOISE_M,
+    discard_noise,
+    initialise_noise,
+    shift_heights,
+    update_noise,
+)
+from surffollow.forecast.plant.shadow_axes import propagate_shadows, reset_effort, reset_shadows
+from surffollow.forecast.sensing.health import dropout_tolerance_s
+from surffollow.forecast.sensing.latency_identification import reset_delay
+from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M, store_ground
+from surffollow.forecast.terrain.terrain_regression import reset_mean, update_regression
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
+
+MIN_SPEED_MPS = 1e-3  # least speed assumed: the bank updates at rest, too
+IMMEDIATELY_S = 1.0  # long against every time constant of the weights
+INITIALISATION_SAMPLES = 3  # fewer are not confirmed: one of them may be a glitch
+AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well replace the first one
+SETTLING_NS = 150_000_000  # after a step all shadow axes have the same error
+INITIAL_SETTLING_NS = 60_000_000  # after a start, until set points of a few samples have acted
+GAP_NS = 100_000_000  # a step after a longer gap, unusual for the sensor, needs no travel
+MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
+SLOPE_POWER_LENGTH_M = 1.0  # over which the mean squared slope is taken
+
+
+@jit
+def blend_models(adaptive: Any) -> None:
+    """Blend height, slope and variance of the models at the newest sample.
+
+    h = Σ w_i h_i        σ² = Σ w_i (P_i + (h_i − h)²)
+    """
+    bank, weights, estimate = adaptive.bank, adaptive.weights, adaptive.estimate
+    h, s, spread, variance = 0.0, 0.0, 0.0, 0.0
+    for i in range(N_CANDIDATES):
+        h += weights.weight[i] * model_height(CANDIDATE_MODEL[i], bank.mean)
+        s += weights.weight[i] * model_slope(CANDIDATE_MODEL[i], bank.mean)
+    for i in range(N_CANDIDATES):
+        e = model_height(CANDIDATE_MODEL[i], bank.mean) - h
+        variance += weights.weight[i] * max(bank.covariance[6 * CANDIDATE_MODEL[i]], 0.0)
+        spread += weights.weight[i] * e * e
+    estimate.height_m, estimate.slope, estimate.sigma_m = h, s, math.sqrt(variance + spread)
+    estimate.gain = variance / max(adaptive.noise.sigma_m, MIN_NOISE_M) ** 2  # just after an update
+
+
+@jit
+def reset_estimate(
+    params: Any, adaptive: Any, t_ns: Any, travel_m: Any, h_m: Any, standoff_m: Any, adapt: Any
+) -> None:
+    """Initialise with level ground at the first height; the performance index from before a loss stays."""
+    noise, gate, shadow, weights = adaptive.noise, adaptive.gate, adaptive.shadow, adaptive.weights
+    estimate = adaptive.estimate
+    fresh = gate.slot_likelihood == 0.0 and noise.sigma_m == 0.0
+    reset_bank(adaptive.bank, h_m, INITIAL_NOISE_M * INITIAL_NOISE_M)
+    reset_bias(weights)
+    reset_shadows(shadow, h_m + standoff_m)
+    if fresh:
+        reset_index(weights)
+        reset_effort(shadow)
+        initialise_noise(noise)
+        initialise_gate(gate)
+        reset_delay(adaptive.latency)
+    estimate.samples = 1
+    if fresh or adapt != 0:
+        update_weights(params, adaptive, IMMEDIATELY_S)
+    reset_gate(gate)
+    estimate.sample_ns = estimate.accepted_ns = t_ns
+    if estimate.confirmed_ns == 0:
+        estimate.confirmed_ns = t_ns
+    estimate.settle_ns = t_ns + (INITIAL_SETTLING_NS if fresh else SETTLING_NS)
+    estimate.arc_length_m += MAX_TRAVEL_M + min(travel_m, MAX_TRAVEL_M)  # no cell from before is near
+    store_ground(adaptive, estimate.arc_length_m, h_m)
+    reset_mean(adaptive.regression, h_m)
+    blend_models(adaptive)
+
+
+@jit
+def restart_estimate(params: Any, adaptive: Any, t_ns: Any, h_m: Any, standoff_m: Any, adapt: Any) -> None:
+    """Initialise again after a bad first sample and discard what it taught; older knowledge stays."""
+    if adaptive.weights.scored <= adaptive.estimate.samples:
+        discard_slots(adaptive.gate)
+        discard_noise(adaptive.noise)
+    reset_estimate(params, adaptive, t_ns, 0.0, h_m, standoff_m, adapt)
+
+
+@jit
+def confirm_step(params: Any, adaptive: Any) -> None:
+    """Shift every model to the mean of the pending samples; these enter the terrain buffer."""
+    gate, estimate = adaptive.gate, adaptive.estimate
+    n = gate.pending
+    s, h = gate.pending_arc_length_m / n, gate.pending_height_m / n
+    before = estimate.height_m
+    shift_bank(adaptive.bank, h, estimate.arc_length_m - s)
+    blend_models(adaptive)
+    shift_heights(adaptive.noise, estimate.height_m - before)
+    for k in range(max(0, n - PENDING_HEIGHTS), n - 1):
+        slot = k & (PENDING_HEIGHTS - 1)
+        store_ground(adaptive, gate.kept_arc_length_m[slot], gate.kept_height_m[slot])
+    register_step(params, gate, estimate.sample_ns)
+
+
+@jit
+def discard_estimate(estimate: Any) -> None:
+    """Initialise with the next sample."""
+    estimate.samples = 0
+
+
+@jit
+def unconfirm_estimate(estimate: Any) -> None:
+    """Initialise with the next sample, and count the loss time-out from it."""
+    estimate.samples = 0
+    estimate.confirmed_ns = 0
+
+
+@jit
+def reset_estimate_times(estimate: Any) -> None:
+    """Discard all times: the clock jumped."""
+    estimate.sample_ns = estimate.accepted_ns = estimate.confirmed_ns = 0
+
+
+@jit
+def erase_estimate(estimate: Any) -> None:
+    """Discard everything: it is not finite."""
+    estimate.samples = 0
+    estimate.height_m = estimate.slope = estimate.sigma_m = estimate.gain = 0.0
+    estimate.arc_length_m = estimate.slope_power = 0.0
+
+
+@jit
+def update_estimate(
+    params: Any, adaptive: Any, t_ns: Any, travel_m: Any, h_m: Any, standoff_m: Any, adapt: Any
+) -> Any:
+    """Propagate the bank to a sample, gate it and update; 1 when it entered the estimate.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (updated)
+    t_ns : int64             timestamp, later than that of the sample before
+    travel_m : float64       distance travelled by the footprint since the sample before [m], ≥ 0
+    h_m : float64            height of the footprint [m]
+    standoff_m : float64     wanted height of the tool above the ground [m]
+    adapt : int              0: index, weights, noise and terrain regression stay as they are
+    """
+    noise, gate, bank, estimate = adaptive.noise, adaptive.gate, adaptive.bank, adaptive.estimate
+    dt = (t_ns - estimate.sample_ns) * 1e-9
+    if (
+        estimate.samples == 0
+        or travel_m > MAX_TRAVEL_M
+        or t_ns - estimate.accepted_ns > params.loss_timeout_ns
+    ):
+        reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt)
+        return 1
+    gap = t_ns - estimate.sample_ns > max(GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
+    travel = max(travel_m, MIN_SPEED_MPS * dt)
+    propagate_shadows(params, adaptive, estimate.sample_ns, t_ns)
+    estimate.sample_ns = t_ns
+    estimate.arc_length_m += travel
+    propagate_bank(bank, travel)
+    blend_models(adaptive)
+    innovation = h_m - estimate.height_m
+    width = gate_width(params, gate)
+    update_travel(params, gate, travel)
+    unconfirmed = gate.unconfirmed_m
+    if needs_second_sample(adaptive, innovation, width) != 0:
+        if adapt != 0 and estimate.samples > 1:
+            update_scale(gate, innovation, width)  # frequent ones mean rough ground
+        return 0
+    if (
+        estimate.samples == 1
+        and unconfirmed != 0.0
+        and abs(innovation - unconfirmed) < AGREEMENT_SHARE * abs(innovation)
+    ):
+        restart_estimate(params, adaptive, t_ns, h_m, standoff_m, adapt)
+        return 1
+    if abs(innovation) > width:
+        if hold_pending(params, adaptive, innovation, travel, width, gap, adapt) == 0:
+            return 0
+        if gate.pending > estimate.samples:
+            restart_estimate(params, adaptive, t_ns, gate.pending_height_m / gate.pending, standoff_m, adapt)
+            return 1
+        confirm_step(params, adaptive)
+        innovation = h_m - estimate.height_m
+        estimate.settle_ns = t_ns + SETTLING_NS
+    else:
+        accept_sample(params, gate)
+    if gap:
+        estimate.settle_ns = t_ns + SETTLING_NS
+    if adapt != 0:
+        update_bias(adaptive, h_m, max(noise.sigma_m, MIN_NOISE_M) ** 2)
+        update_scale(gate, innovation, width)
+        # a shadow axis is where the tool is: only heights measured there give its error
+        if t_ns > estimate.settle_ns and abs(adaptive.sample.lead_m) < MIN_LEAD_M:
+            update_index(params, adaptive, travel, dt, h_m + standoff_m)
+        update_noise(adaptive, h_m)
+    r = max(noise.sigma_m, MIN_NOISE_M) ** 2
+    update_bank(bank, h_m, r)
+    blend_models(adaptive)
+    estimate.slope_power += (1.0 - math.exp(-travel / SLOPE_POWER_LENGTH_M)) * (
+        estimate.slope * estimate.slope - estimate.slope_power
+    )
+    if adaptive.weights.scored == 0:
+        reset_shadows(adaptive.shadow, estimate.height_m + standoff_m)
+    estimate.samples += 1
+    estimate.accepted_ns = t_ns
+    if estimate.samples >= INITIALISATION_SAMPLES:
+        estimate.confirmed_ns = t_ns
+    store_ground(adaptive, estimate.arc_length_m, h_m)
+    update_regression(adaptive, h_m, travel, adapt)
+    return 1

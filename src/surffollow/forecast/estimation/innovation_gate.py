@@ -1,0 +1,165 @@
+"""The innovation gate: outliers stay pending until enough of them agree; then they are a step.
+
+A step toward the tool is confirmed by agreeing samples, a step away from it also by distance travelled,
+because it may be a slot. The distance depends on the likelihood of slots: slots end, steps stay.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.forecast.estimation.noise import INITIAL_NOISE_M
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
+
+SCALE_RATE = 0.02  # of the usual innovation, per sample
+PERMANENT_STEPS = 0.2  # likelihood of slots below which two samples confirm a step
+SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 0.3, 0.01  # factor per step that stays; least value
+STANDING_CONFIRMATION_NS = 120_000_000  # agreeing samples over this time need no travel
+SCALE_GROWTH = 1.3  # of the usual innovation, per outlier that agrees with none
+REJECTED_TOLERANCE = 2  # a slot has two edges: samples across them agree with no other
+INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted
+INITIAL_INNER_GATE = 0.125  # the same for the second sample: the first may have been the bad one
+
+
+@jit
+def update_scale(gate: Any, innovation_m: Any, gate_m: Any) -> None:
+    """Update the usual innovation."""
+    gate.scale_m += SCALE_RATE * (1.25 * min(abs(innovation_m), gate_m) - gate.scale_m)
+
+
+@jit
+def hold_pending(
+    params: Any, adaptive: Any, innovation_m: Any, travel_m: Any, gate_m: Any, gap: Any, adapt: Any
+) -> Any:
+    """Hold an outlier as pending; 1 when it confirms a step.
+
+    `pending_arc_length_m` and `pending_height_m` are sums over the samples that agree.
+    """
+    gate, estimate = adaptive.gate, adaptive.estimate
+    last_height = gate.kept_height_m[(gate.pending - 1) & (PENDING_HEIGHTS - 1)]
+    if gate.pending > 0 and abs(estimate.height_m + innovation_m - last_height) < gate_m:
+        gate.pending += 1
+        gate.pending_travel_m += travel_m
+    else:
+        if gate.pending > 0:
+            gate.rejected += 1
+        if gate.rejected > REJECTED_TOLERANCE and adapt != 0:
+            # outliers that do not agree with each other: the ground is rougher than assumed
+            gate.scale_m *= SCALE_GROWTH
+        gate.pending = 1
+        gate.pending_innovation_m = gate.pending_arc_length_m = gate.pending_height_m = 0.0
+        gate.pending_travel_m = params.step_way_m if gap else 0.0
+        gate.pending_ns = estimate.sample_ns
+    gate.pending_innovation_m += innovation_m
+    gate.pending_arc_length_m += estimate.arc_length_m
+    gate.pending_height_m += estimate.height_m + innovation_m
+    slot = (gate.pending - 1) & (PENDING_HEIGHTS - 1)
+    gate.kept_arc_length_m[slot], gate.kept_height_m[slot] = (
+        estimate.arc_length_m,
+        estimate.height_m + innovation_m,
+    )
+    # two samples are enough where steps have stayed, and while a step continues
+    continues = gate.travel_since_step_m < params.step_way_m and innovation_m * gate.step_m > 0.0
+    few = gate.slot_likelihood < PERMANENT_STEPS or continues
+    need = min(params.step_samples, 2) if few else params.step_samples
+    if gate.pending < need:
+        return 0
+    if innovation_m > 0.0 or continues or gate.pending_travel_m >= params.step_way_m * gate.slot_likelihood:
+        return 1
+    # more pending samples than accepted ones: the start was bad; at rest there is no travel
+    outvoted = gate.pending > estimate.samples
+    return 1 if outvoted or estimate.sample_ns - gate.pending_ns >= STANDING_CONFIRMATION_NS else 0
+
+
+@jit
+def needs_second_sample(adaptive: Any, innovation_m: Any, gate_m: Any) -> Any:
+    """1 for a single innovation between the inner gate and the gate.
+
+    It is the edge of a slot or a small glitch. A second one on the same side is accepted.
+    """
+    gate = adaptive.gate
+    before = gate.unconfirmed_m
+    gate.unconfirmed_m = 0.0
+    inner = INNER_GATE if adaptive.estimate.samples > 1 else INITIAL_INNER_GATE
+    if not inner * gate_m < abs(innovation_m) <= gate_m or before * innovation_m > 0.0:
+        return 0
+    gate.unconfirmed_m = innovation_m
+    return 1
+
+
+@jit
+def gate_width(params: Any, gate: Any) -> Any:
+    """Width of the gate [m]."""
+    return max(params.gate_scales * gate.scale_m, params.gate_m)
+
+
+@jit
+def update_travel(params: Any, gate: Any, travel_m: Any) -> None:
+    """Add the distance travelled since the last step; a step that stays lowers the likelihood of slots."""
+    if (
+        gate.travel_since_step_m < params.step_way_m <= gate.travel_since_step_m + travel_m
+        and gate.step_m != 0.0
+    ):
+        gate.slot_likelihood = max(SLOT_DECAY * gate.slot_likelihood, MIN_SLOT_LIKELIHOOD)
+    gate.travel_since_step_m += travel_m
+
+
+@jit
+def accept_sample(params: Any, gate: Any) -> None:
+    """Drop the pending samples; if they were enough for a step, they were a slot."""
+    if gate.pending >= params.step_samples:
+        gate.slot_likelihood = 1.0
+    gate.pending = gate.rejected = 0
+
+
+@jit
+def register_step(params: Any, gate: Any, t_ns: Any) -> None:
+    """Take the pending samples as a step confirmed at `t_ns`."""
+    n = gate.pending
+    if gate.travel_since_step_m < params.step_way_m and gate.pending_innovation_m * gate.step_m < 0.0:
+        gate.slot_likelihood = 0.5  # it came back within the width of a slot: the step before was a slot
+    # after a start in a slot the ground outside it says nothing about steps
+    began_in_slot = (
+        gate.step_ns == 0 and gate.travel_since_step_m < params.step_way_m and gate.pending_innovation_m > 0.0
+    )
+    gate.travel_since_step_m = 0.0
+    gate.step_m = 0.0 if began_in_slot else gate.pending_innovation_m / n
+    gate.step_ns = t_ns
+    gate.pending = gate.rejected = 0
+
+
+@jit
+def initialise_gate(gate: Any) -> None:
+    """Assume the usual innovation and the likelihood of slots of a start without knowledge."""
+    gate.scale_m = 2.0 * INITIAL_NOISE_M
+    gate.slot_likelihood = 1.0
+
+
+@jit
+def reset_gate(gate: Any) -> None:
+    """Drop pending samples and the last step; scale and likelihood of slots stay."""
+    gate.pending = gate.rejected = 0
+    gate.unconfirmed_m = 0.0
+    gate.travel_since_step_m = gate.step_m = 0.0
+    gate.step_ns = 0
+
+
+@jit
+def drop_pending(gate: Any) -> None:
+    """Drop the pending samples."""
+    gate.pending = 0
+
+
+@jit
+def discard_slots(gate: Any) -> None:
+    """Mark the likelihood of slots as not known."""
+    gate.slot_likelihood = 0.0
+
+
+@jit
+def discard_gate(gate: Any) -> None:
+    """Mark everything as not known."""
+    gate.pending = 0
+    gate.slot_likelihood = 0.0
+    gate.scale_m = 0.0

@@ -1,0 +1,220 @@
+"""Model weights from a two-horizon performance index on simulated axes.
+
+Each candidate drives a shadow axis (`shadow_axes`). The squared stand-off error of that axis at a sample,
+averaged over a recent and a longer horizon, is the performance index. The variance of the noise is
+subtracted, and penalties for effort, complexity, chance, variance and bias are added.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from surffollow.forecast.estimation.model_bank import (
+    BANK,
+    CANDIDATE_MODEL,
+    COMPLEXITY_PENALTY,
+    N_CANDIDATES,
+    N_MODELS,
+    SMOOTH_MODEL,
+    WAVE,
+    extrapolation_variance,
+    model_height,
+)
+from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
+from surffollow.shm.jit import jit
+
+NOISE_MARGIN = 1.4  # mean squares up to so many noise variances are noise
+VARIANCE_PENALTY = 3.0  # power of the models' own variance during burn-in
+BIAS_RATE = 0.2  # per sample
+BIAS_INNOVATION_LIMIT = 4.0  # in standard deviations, of one innovation
+BIAS_GATE, MAX_BIAS_PENALTY = 16.0, 20.0  # four standard deviations squared: beyond, it is not chance
+WEIGHT_TIME_CONSTANT_S = 0.01  # of the weights where errors are noise …
+ROUGH_WEIGHT_TIME_CONSTANT_S = 0.05  # … and on terrain that no model describes
+BIAS_SPEEDUP = 4.5  # penalty of the bias in force that halves these time constants
+MIN_TIME_CONSTANT_S = 1e-6  # avoids a division by zero at the first samples
+LONGER_POWER_FACTOR = 10.0  # of the longer horizon's power on quiet ground …
+RECENT_POWER_REDUCTION = 0.9  # … where the recent one's power is reduced by this share
+BURN_IN_SAMPLES, FULL_POWER_SAMPLES = 200, 500  # samples for the full index, and for its full power
+# per kind of model: a wave fits part of any noise for a while, a curve a smaller part
+CHANCE_PENALTY = np.array([0.0, 1.0, 5.0])[BANK[CANDIDATE_MODEL, 0].astype(np.int64)]
+BURN_IN_CHANCE_FACTOR = 4.0  # at the start, falling to 1
+# power of the effort over EFFORT_UNIT: on rough ground the smoother of two equal models is better, and during
+# burn-in a model that follows the noise may fit by chance
+ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.8, 6.0
+EFFORT_UNIT = 1.0  # (1 m/s²)²
+INITIAL_INDEX_M2 = 1e-6  # (1 mm)²: the same for all, so that it prefers none
+
+
+@jit
+def update_index(params: Any, adaptive: Any, travel_m: Any, dt_s: Any, target_m: Any) -> None:
+    """Update the performance index of all candidates with a sample, then the weights."""
+    weights, estimate = adaptive.weights, adaptive.estimate
+    rate = travel_m / params.score_way_m + dt_s / params.score_time_s
+    # after an initialisation the samples since then count
+    burn_in_rate = 1.0 / (
+        1.0
+        + (min(estimate.samples, weights.scored) if weights.scored < FULL_POWER_SAMPLES else estimate.samples)
+    )
+    f = max(1.0 - math.exp(-rate), burn_in_rate)
+    g = max(1.0 - math.exp(-rate / params.long_factor), burn_in_rate)
+    for i in range(N_CANDIDATES):
+        e = adaptive.shadow.position_m[i] - target_m
+        weights.recent_m2[i] += f * (e * e - weights.recent_m2[i])
+        weights.longer_m2[i] += g * (e * e - weights.longer_m2[i])
+    weights.scored = min(weights.scored + 1, FULL_POWER_SAMPLES)
+    update_weights(params, adaptive, dt_s)
+
+
+@jit
+def update_bias(adaptive: Any, h_m: Any, variance_m2: Any) -> None:
+    """Update the mean normalised innovation of every model, before the sample enters it."""
+    bank, weights = adaptive.bank, adaptive.weights
+    for i in range(N_MODELS):
+        z = (h_m - model_height(i, bank.mean)) / math.sqrt(
+            extrapolation_variance(i, bank.covariance, 0.0) + variance_m2
+        )
+        weights.bias[i] += BIAS_RATE * (
+            min(max(z, -BIAS_INNOVATION_LIMIT), BIAS_INNOVATION_LIMIT) - weights.bias[i]
+        )
+
+
+@jit
+def bias_penalty(bias: Any, min_bias2: Any) -> Any:
+    """Penalty for the bias of a model beyond that of the least biased, above a gate."""
+    excess = (bias * bias - min_bias2) * (2.0 - BIAS_RATE) / BIAS_RATE  # in variances of white innovations
+    return min(max(excess - BIAS_GATE, 0.0), MAX_BIAS_PENALTY)
+
+
+@jit
+def noise_fraction(score_m2: Any, noise_m: Any) -> Any:
+    """Share of a mean squared error that is the noise of the readings, 0 to 1."""
+    return min(NOISE_MARGIN * noise_m * noise_m, score_m2) / score_m2 if score_m2 > 0.0 else 1.0
+
+
+@jit
+def least_noise_fraction(adaptive: Any) -> Any:
+    """The same of the least index."""
+    weights = adaptive.weights
+    best = weights.recent_m2[0]
+    for i in range(1, N_CANDIDATES):
+        best = min(best, weights.recent_m2[i])
+    return noise_fraction(best, adaptive.noise.sigma_m)
+
+
+@jit
+def longer_horizon_share(adaptive: Any, best_long_m2: Any) -> Any:
+    """Share by which the longer horizon replaces the recent one, 0 to 1.
+
+    On a quiet stretch between two bends, beads or grooves every model fits. The recent index would prefer the
+    smoothest model, which fails at the next bend. Where the smooth model's error is noise, the longer
+    horizon decides.
+    """
+    noise, weights = adaptive.noise, adaptive.weights
+    return (
+        noise_fraction(weights.recent_m2[SMOOTH_MODEL], noise.sigma_m)
+        * noise_fraction(best_long_m2, noise.sigma_m)
+        * weights.scored
+        / FULL_POWER_SAMPLES
+    )
+
+
+@jit
+def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
+    """Compute the weights: powers of both indices with penalties, filtered in time.
+
+    Weights follow with a time constant of 10 ms where errors are noise and of 50 ms on terrain that no model
+    describes; a bias of the models in force shortens both.
+    """
+    shadow, weights = adaptive.shadow, adaptive.weights
+    least_recent, least_longer = weights.recent_m2[0], weights.longer_m2[0]
+    for i in range(1, N_CANDIDATES):
+        least_recent = min(least_recent, weights.recent_m2[i])
+        least_longer = min(least_longer, weights.longer_m2[i])
+    variance = adaptive.noise.sigma_m * adaptive.noise.sigma_m
+    subtracted = params.noise_share * min(variance, least_recent)
+    subtracted_longer = params.noise_share * min(variance, least_longer)
+    floor = params.score_floor_m * params.score_floor_m
+    mu = params.effort_m * params.effort_m
+    # differences below the noise are small but significant; great errors come from few places
+    noise_share = noise_fraction(least_recent, adaptive.noise.sigma_m)
+    # few samples give no significance; fine differences need many
+    burn_in, progress = min(weights.scored / BURN_IN_SAMPLES, 1.0), weights.scored / FULL_POWER_SAMPLES
+    sharpness = noise_share * noise_share * progress * progress
+    longer_share = longer_horizon_share(adaptive, least_longer)
+    power = params.long_power + (params.score_power - params.long_power) * sharpness * (
+        1.0 - RECENT_POWER_REDUCTION * longer_share
+    )
+    long_power = (
+        params.long_power + (LONGER_POWER_FACTOR * params.long_power - params.long_power) * longer_share
+    )
+    # until then, and after an initialisation, the models' own variance decides
+    variance_share = max(1.0 - burn_in, 1.0 - adaptive.estimate.samples / BURN_IN_SAMPLES)
+    if adaptive.sample.lead_m > MIN_LEAD_M:
+        variance_share = 0.0  # the buffered heights are followed, not the models
+    ahead_m = adaptive.kinematics.speed_mps * (adaptive.latency.delay_s + adaptive.plant.tau_s)
+    chance = noise_share * noise_share * (BURN_IN_CHANCE_FACTOR - (BURN_IN_CHANCE_FACTOR - 1.0) * progress)
+    rough = (1.0 - noise_share) * (1.0 - noise_share)
+    effort_power = ROUGH_EFFORT_POWER * rough + BURN_IN_EFFORT_POWER * noise_share * noise_share * (
+        1.0 - progress
+    )
+    min_bias2 = 1e300
+    for i in range(N_MODELS):
+        min_bias2 = min(min_bias2, weights.bias[i] * weights.bias[i])
+    least, bias_in_force = 1e300, 0.0
+    for i in range(N_CANDIDATES):
+        extra = floor + mu * shadow.effort[i]
+        c = power * math.log(weights.recent_m2[i] - subtracted + extra)
+        c += long_power * math.log(weights.longer_m2[i] - subtracted_longer + extra)
+        c += effort_power * math.log(shadow.effort[i] / EFFORT_UNIT + 1.0)
+        # rough ground biases all slow models, so the penalty is reduced there; not that of a wave
+        bias_share = 1.0 if BANK[CANDIDATE_MODEL[i], 0] == WAVE else noise_share * noise_share
+        bias = bias_penalty(weights.bias[CANDIDATE_MODEL[i]], min_bias2)
+        bias_in_force += weights.weight[i] * bias
+        c = burn_in * (c + bias_share * bias) + COMPLEXITY_PENALTY[i] + chance * CHANCE_PENALTY[i]
+        if variance_share > 0.0:
+            c += (
+                VARIANCE_PENALTY
+                * variance_share
+                * math.log(
+                    extrapolation_variance(CANDIDATE_MODEL[i], adaptive.bank.covariance, ahead_m) + variance
+                )
+            )
+        weights.cost[i] = c
+        least = min(least, c)
+    total = 0.0
+    for i in range(N_CANDIDATES):
+        weights.cost[i] = math.exp(least - weights.cost[i])
+        total += weights.cost[i]
+    time_constant_s = (
+        WEIGHT_TIME_CONSTANT_S * noise_share * noise_share
+        + ROUGH_WEIGHT_TIME_CONSTANT_S * (1.0 - noise_share * noise_share) * progress
+    )
+    time_constant_s /= 1.0 + (bias_in_force / BIAS_SPEEDUP) ** 2
+    rate = 1.0 - math.exp(-dt_s / max(time_constant_s, MIN_TIME_CONSTANT_S))
+    for i in range(N_CANDIDATES):
+        weights.weight[i] += rate * (weights.cost[i] / total - weights.weight[i])
+
+
+@jit
+def reset_bias(weights: Any) -> None:
+    """Set the mean normalised innovations to zero."""
+    for i in range(N_MODELS):
+        weights.bias[i] = 0.0
+
+
+@jit
+def reset_index(weights: Any) -> None:
+    """Set the performance index of all candidates to the same value."""
+    for i in range(N_CANDIDATES):
+        weights.recent_m2[i] = weights.longer_m2[i] = INITIAL_INDEX_M2
+    weights.scored = 0
+
+
+@jit
+def discard_weights(weights: Any) -> None:
+    """Set all weights to zero: new ones would be filtered from them."""
+    for i in range(N_CANDIDATES):
+        weights.weight[i] = 0.0

@@ -1,0 +1,195 @@
+"""Plant identification: the time constant of the controlled axis.
+
+Axis models with different time constants follow the follower's own set points. The squared errors against
+the reported positions have their minimum near the true one; a parabola interpolates it. Without motion the
+errors are equal, and the configured time constant stays.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.forecast.plant.axis_model import axis_velocity
+from surffollow.forecast.plant.shadow_axes import AXIS_STEP_NS, MAX_AXIS_GAP_NS
+from surffollow.forecast.terrain.preview import suspend_preview
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive import N_PLANTS
+from surffollow.shm.layout_adaptive_estimation import N_PERIODS
+from surffollow.shm.layout_follow import POSES
+
+TAU_RATIO = 1.5  # between neighbouring τ
+MAX_MODEL_ERROR_M = 5e-4  # beyond, another controller leads the robot, or it is built differently
+SUSPENSION_NS = 500_000_000  # then preview is suspended for so long
+ERROR_RATE = 0.004  # per pose report: 2.5 s at 100 Hz
+MIN_DIFFERENCE_M2 = 2.5e-9  # (50 µm)²: least difference of squared errors that identifies τ
+RESET_ERROR_M = 3e-3  # beyond, the robot does not follow: the axes begin at the tool
+TAU_RATE = 0.02  # per pose report, of ln τ
+POSITION_GAIN = 0.3  # of the observed axis, per report
+VELOCITY_GAIN_HZ = 2.0  # of the observed axis, per report
+
+
+@jit
+def reset_axes(params: Any, adaptive: Any, t_ns: Any, z_m: Any) -> None:
+    """Put all axis models where the tool is."""
+    kinematics, plant = adaptive.kinematics, adaptive.plant
+    for k in range(N_PLANTS):
+        plant.position_m[k], plant.velocity_mps[k] = z_m, kinematics.climb_mps
+    plant.axis_m, plant.axis_mps = z_m, kinematics.climb_mps
+    plant.t_ns = t_ns
+    if plant.tau_s <= 0.0 or plant.tau_configured_s != params.plant_tau_s:
+        reset_time_constant(params, plant)
+
+
+@jit
+def predict_axis(params: Any, adaptive: Any, to_ns: Any) -> Any:
+    """Position and velocity of the observed axis at a later time [m, m/s]."""
+    controller, plant = adaptive.controller, adaptive.plant
+    z, v = plant.axis_m, plant.axis_mps
+    span = min(to_ns - plant.t_ns, MAX_AXIS_GAP_NS)
+    if span <= 0:
+        return z, v
+    steps = max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1)
+    dt = span * 1e-9 / steps
+    a_max = params.plant_a_max_mps2
+    j = max(0, controller.periods - N_PERIODS)
+    for n in range(steps):
+        t = plant.t_ns + (span * n) // steps
+        while j + 1 < controller.periods and controller.latch_ns[(j + 1) & (N_PERIODS - 1)] <= t:
+            j += 1
+        d = plant.setpoint_m[j & (N_PERIODS - 1)] - z
+        most = min(params.plant_v_max_mps, abs(d) / dt)
+        w = min(max(axis_velocity(d, plant.tau_s, a_max), -most), most)
+        v += min(max(w - v, -a_max * dt), a_max * dt)
+        z += v * dt
+    return z, v
+
+
+@jit
+def propagate_axes(params: Any, adaptive: Any, to_ns: Any) -> None:
+    """Propagate all axis models with the follower's own set points."""
+    controller, plant = adaptive.controller, adaptive.plant
+    span = to_ns - plant.t_ns
+    steps = max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1)
+    dt = span * 1e-9 / steps
+    a_max, v_max = params.plant_a_max_mps2, params.plant_v_max_mps
+    dv = a_max * dt
+    j = max(0, controller.periods - N_PERIODS)
+    for n in range(steps):
+        t = plant.t_ns + (span * n) // steps
+        while j + 1 < controller.periods and controller.latch_ns[(j + 1) & (N_PERIODS - 1)] <= t:
+            j += 1
+        target = plant.setpoint_m[j & (N_PERIODS - 1)]
+        for k in range(N_PLANTS):
+            tau = plant.tau_configured_s * TAU_RATIO ** (k - N_PLANTS // 2)
+            d = target - plant.position_m[k]
+            most = min(v_max, abs(d) / dt)
+            w = min(max(axis_velocity(d, tau, a_max), -most), most)
+            plant.velocity_mps[k] += min(max(w - plant.velocity_mps[k], -dv), dv)
+            plant.position_m[k] += plant.velocity_mps[k] * dt
+    plant.axis_m, plant.axis_mps = predict_axis(params, adaptive, to_ns)
+    plant.t_ns = to_ns
+
+
+@jit
+def best_time_constant(plant: Any) -> Any:
+    """τ of the least error by a parabola through three [s]; 0 when the errors do not differ."""
+    b, worst = 0, 0.0
+    for k in range(N_PLANTS):
+        worst = max(worst, plant.error_m2[k])
+        if plant.error_m2[k] < plant.error_m2[b]:
+            b = k
+    if worst - plant.error_m2[b] < MIN_DIFFERENCE_M2:
+        return 0.0
+    # a parabola over √τ through three points: over τ its minimum is too high, over log τ too low
+    b = min(max(b, 1), N_PLANTS - 2)
+    middle = math.sqrt(plant.tau_configured_s * TAU_RATIO ** (b - N_PLANTS // 2))
+    left, right = middle / math.sqrt(TAU_RATIO), middle * math.sqrt(TAU_RATIO)
+    slope_below = (plant.error_m2[b] - plant.error_m2[b - 1]) / (middle - left)
+    slope_above = (plant.error_m2[b + 1] - plant.error_m2[b]) / (right - middle)
+    curvature = (slope_above - slope_below) / (right - left)
+    if curvature <= 0.0:
+        return middle * middle
+    root = min(max(0.5 * (left + middle - slope_below / curvature), left), right)
+    return root * root
+
+
+@jit
+def model_error(plant: Any) -> Any:
+    """Squared error of the best axis model against the reports [m²]."""
+    least = plant.error_m2[0]
+    for k in range(1, N_PLANTS):
+        least = min(least, plant.error_m2[k])
+    return least
+
+
+@jit
+def remove_common_error(plant: Any) -> None:
+    """Subtract the least error from all: another controller has moved the robot since."""
+    least = model_error(plant)
+    for k in range(N_PLANTS):
+        plant.error_m2[k] -= least
+
+
+@jit
+def update_plant(params: Any, adaptive: Any, sense: Any, adapt: Any) -> None:
+    """Compare the axis models with a new pose report and move τ toward the best one."""
+    plant, setpoint = adaptive.plant, adaptive.setpoint
+    newest = (sense.pose_count - 1) & (POSES - 1)
+    t, z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
+    if t == plant.t_ns:
+        return
+    if setpoint.t_ns == 0:
+        remove_common_error(plant)
+    gap = t <= plant.t_ns or t - plant.t_ns > MAX_AXIS_GAP_NS
+    if (
+        adaptive.controller.periods == 0
+        or setpoint.t_ns == 0
+        or setpoint.shown != 0
+        or gap
+        or plant.tau_configured_s != params.plant_tau_s
+    ):
+        reset_axes(params, adaptive, t, z)
+        return
+    propagate_axes(params, adaptive, t)
+    least = 1e300
+    for k in range(N_PLANTS):
+        least = min(least, abs(plant.position_m[k] - z))
+    if not least < MAX_MODEL_ERROR_M:
+        suspend_preview(adaptive.preview, t + SUSPENSION_NS)
+    if not least < RESET_ERROR_M:
+        reset_axes(params, adaptive, t, z)
+        return
+    e = z - plant.axis_m
+    plant.axis_m += POSITION_GAIN * e
+    plant.axis_mps += VELOCITY_GAIN_HZ * e
+    most = params.plant_v_max_mps
+    plant.axis_mps = min(max(plant.axis_mps, -most), most)
+    if adapt == 0 or not least < MAX_MODEL_ERROR_M:
+        return
+    for k in range(N_PLANTS):
+        e = plant.position_m[k] - z
+        plant.error_m2[k] += ERROR_RATE * (e * e - plant.error_m2[k])
+    tau = best_time_constant(plant)
+    if tau > 0.0:
+        plant.tau_s *= math.exp(TAU_RATE * math.log(tau / plant.tau_s))
+
+
+@jit
+def record_own_setpoint(adaptive: Any, setpoint_m: Any) -> None:
+    """Record the follower's own set point of the present period."""
+    adaptive.plant.setpoint_m[(adaptive.controller.periods - 1) & (N_PERIODS - 1)] = setpoint_m
+
+
+@jit
+def reset_time_constant(params: Any, plant: Any) -> None:
+    """Begin identification anew at the configured time constant."""
+    plant.tau_s = plant.tau_configured_s = params.plant_tau_s
+    for k in range(N_PLANTS):
+        plant.error_m2[k] = 0.0
+
+
+@jit
+def reset_plant_time(plant: Any) -> None:
+    """Put the axes at the tool with the next report: the clock jumped."""
+    plant.t_ns = 0

@@ -1,0 +1,88 @@
+"""Shadow axes: a simulated copy of the controlled axis per candidate, driven by its set points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.forecast.estimation.model_bank import N_CANDIDATES
+from surffollow.forecast.plant.axis_model import axis_velocity
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_estimation import N_PERIODS
+
+AXIS_STEP_NS = 2_000_000  # of the shadow axes
+MAX_AXIS_STEPS = 32  # bounds the work per sample
+MIN_TAU_S = 1e-3  # below, the steps would be too long for the axis
+MAX_AXIS_GAP_NS = 250_000_000  # after a longer gap the axes are set to their set points
+EFFORT_RATE = 0.02  # per controller period
+MAX_EFFORT = 100.0  # (10 m/s²)²: bounds the memory of a step
+PERIOD_RATE_HZ2 = 1e4  # squared rate of the controller, 100 Hz
+
+
+@jit
+def reset_shadows(shadow: Any, z_m: Any) -> None:
+    """Put every shadow axis to rest at a height."""
+    for i in range(N_CANDIDATES):
+        shadow.position_m[i] = z_m
+        shadow.velocity_mps[i] = 0.0
+
+
+@jit
+def propagate_shadows(params: Any, adaptive: Any, from_ns: Any, to_ns: Any) -> None:
+    """Propagate every shadow axis with the set points of its candidate."""
+    shadow, controller = adaptive.shadow, adaptive.controller
+    span = to_ns - from_ns
+    if controller.periods == 0 or span <= 0:
+        return
+    if span > MAX_AXIS_GAP_NS:
+        slot = (controller.periods - 1) & (N_PERIODS - 1)
+        for i in range(N_CANDIDATES):
+            shadow.position_m[i] = shadow.setpoint_m[i * N_PERIODS + slot]
+            shadow.velocity_mps[i] = 0.0
+        return
+    steps = min(max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1), MAX_AXIS_STEPS)
+    dt = span * 1e-9 / steps
+    tau, v_max, a_max = max(adaptive.plant.tau_s, MIN_TAU_S), params.plant_v_max_mps, params.plant_a_max_mps2
+    dv = a_max * dt
+    k = max(0, controller.periods - N_PERIODS)
+    for j in range(steps):
+        t = from_ns + (span * j) // steps
+        while k + 1 < controller.periods and controller.latch_ns[(k + 1) & (N_PERIODS - 1)] <= t:
+            k += 1
+        slot = k & (N_PERIODS - 1)
+        for i in range(N_CANDIDATES):
+            d = shadow.setpoint_m[i * N_PERIODS + slot] - shadow.position_m[i]
+            w = axis_velocity(d, tau, a_max)
+            most = min(v_max, abs(d) / dt)
+            w = min(max(w, -most), most)
+            v = shadow.velocity_mps[i]
+            v += min(max(w - v, -dv), dv)
+            shadow.velocity_mps[i] = v
+            shadow.position_m[i] += v * dt
+
+
+@jit
+def update_effort(adaptive: Any) -> None:
+    """Update the effort with the set points of the period that has just been recorded."""
+    shadow, controller = adaptive.shadow, adaptive.controller
+    slot = controller.periods & (N_PERIODS - 1)
+    one, two = (slot - 1) & (N_PERIODS - 1), (slot - 2) & (N_PERIODS - 1)
+    if controller.periods > 1:
+        for i in range(N_CANDIDATES):
+            b = i * N_PERIODS
+            accel = (
+                shadow.setpoint_m[b + slot] - 2.0 * shadow.setpoint_m[b + one] + shadow.setpoint_m[b + two]
+            ) * PERIOD_RATE_HZ2
+            shadow.effort[i] += EFFORT_RATE * (min(accel * accel, MAX_EFFORT) - shadow.effort[i])
+
+
+@jit
+def record_setpoint(shadow: Any, i: Any, slot: Any, setpoint_m: Any) -> None:
+    """Record the set point of candidate i in the ring."""
+    shadow.setpoint_m[i * N_PERIODS + slot] = setpoint_m
+
+
+@jit
+def reset_effort(shadow: Any) -> None:
+    """Set the mean squared acceleration of all set points to zero."""
+    for i in range(N_CANDIDATES):
+        shadow.effort[i] = 0.0

@@ -1,0 +1,230 @@
+"""Health of the ranging: stuck-at detection, health states with hysteresis, latched faults."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.forecast.sensing.kinematics import has_jumped
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive import (
+    DROPOUT,
+    FAULT,
+    FAULT_NOT_FINITE,
+    OK,
+    OUT_OF_RANGE,
+    REASON_LOST,
+    REASON_NO_READING,
+    REASON_NONE,
+    REASON_NOT_FINITE,
+    REASON_OUTSIDE,
+    REASON_PENDING,
+    REASON_POSE_JUMP,
+    REASON_SENSORS,
+    REASON_STUCK,
+    REASON_TIMESTAMPS,
+    STUCK,
+    SUSPECT,
+)
+from surffollow.shm.layout_adaptive_sensing import STUCK_COUNT
+
+ENTER_NS = 10_000_000  # a worse state is published after so long
+LEAVE_NS = 100_000_000  # a better one after so long
+DROPOUT_NS = 50_000_000  # no sample for so long beyond the usual delay …
+DROPOUT_INTERVALS = 2.5  # … or for so many usual intervals of a slow sensor …
+MAX_DROPOUT_S = 1.0  # … but no longer than this
+WINDOW_EDGE_M = 0.003  # a loss that began so near an end of the window is OUT_OF_RANGE
+STUCK_SAMPLES = 50  # equal samples …
+STUCK_S, STUCK_MIN_SAMPLES = 0.4, 8.0  # … or, of a slow sensor, for so long, and at least so many …
+STUCK_TRAVEL_M = 0.005  # … while the tool moves so far along z are a stuck-at fault
+STUCK_BAND = 0.25  # of the noise: samples so near the first of a run are alike; 1 of 7 by chance
+FLOOR_RATE = 0.001  # at which the least noise rises to the present one, per sample
+STUCK_MARGIN, STUCK_RATIO = 2.0, 3.0  # with a known sensor: this plus so many usual runs of equal samples …
+STUCK_MAX_SAMPLES = 150.0  # … but no more than this
+STUCK_RESET_RATIO = 4.0  # in repeat limits: then the estimate is discarded
+STUCK_MIN_TRAVEL_M = 0.002  # no less, or noise could hide the response
+REPEAT_RATE, REPEAT_BURN_IN_RATE = 0.02, 0.05  # at which the longest run fades
+REPEAT_BURN_IN_SAMPLES = 200  # scored samples that end the higher rate
+CLOSE_CONFIRMATION_SAMPLES = 3  # a single glitch is not the fold-back
+
+
+@jit
+def initial_repeat_limit(prediction: Any) -> Any:
+    """Equal samples in a row that are no fault while nothing is known of the sensor."""
+    if prediction.interval_s <= 0.0:
+        return 1.0 * STUCK_SAMPLES
+    return min(max(STUCK_S / prediction.interval_s, STUCK_MIN_SAMPLES), 1.0 * STUCK_SAMPLES)
+
+
+@jit
+def repeat_limit(adaptive: Any) -> Any:
+    """Equal samples in a row that are no fault: a multiple of the usual number, if that is known."""
+    health = adaptive.health
+    if health.usual_repeats == 0.0:
+        return initial_repeat_limit(adaptive.prediction)
+    return min(STUCK_RATIO * health.usual_repeats + STUCK_MARGIN, STUCK_MAX_SAMPLES)
+
+
+@jit
+def update_usual_repeats(adaptive: Any, n: Any) -> None:
+    """Update the usual number of equal samples with the length of a run."""
+    health = adaptive.health
+    if health.usual_repeats == 0.0:
+        health.usual_repeats = (initial_repeat_limit(adaptive.prediction) - STUCK_MARGIN) / STUCK_RATIO
+    if n > health.usual_repeats:
+        health.usual_repeats = n
+    else:
+        health.usual_repeats += (
+            REPEAT_RATE if adaptive.weights.scored >= REPEAT_BURN_IN_SAMPLES else REPEAT_BURN_IN_RATE
+        ) * (n - health.usual_repeats)
+
+
+@jit
+def repeats_range(health: Any, range_m: Any) -> Any:
+    """1 when a range differs from the first one of the run by less than the sensor's noise allows."""
+    return (
+        1
+        if health.repeat_count > 0
+        and abs(range_m - health.repeat_range_m) <= STUCK_BAND * health.noise_floor_m
+        else 0
+    )
+
+
+@jit
+def update_noise_floor(adaptive: Any) -> None:
+    """Track the least noise of the readings: on rough ground they are noisier than the sensor."""
+    health, sigma = adaptive.health, adaptive.noise.sigma_m
+    if adaptive.weights.scored < REPEAT_BURN_IN_SAMPLES:
+        health.noise_floor_m = 0.0
+    elif health.noise_floor_m == 0.0:
+        health.noise_floor_m = sigma
+    else:
+        health.noise_floor_m += min(sigma - health.noise_floor_m, FLOOR_RATE * sigma)
+
+
+@jit
+def update_stuck(adaptive: Any, repeated: Any, range_m: Any, tool_z_m: Any) -> None:
+    """Count like samples in a row; too many while the tool moved along z are a stuck-at fault.
+
+    `tool_z_m` is the height of the tool at the sample. A live sensor responds to the motion, or shows its
+    noise while the ground rises with the tool. A sensor that is coarser than its noise repeats samples also
+    while the tool follows well; the usual number is therefore estimated. The fault lasts until the range
+    changes.
+    """
+    health = adaptive.health
+    if repeated == 0 or health.repeat_count == 0:
+        if health.repeat_count > 0 and is_stuck_permanently(adaptive) == 0:
+            update_usual_repeats(adaptive, health.repeat_count & (STUCK_COUNT - 1))
+        health.repeat_count = 1
+        health.repeat_z_m, health.repeat_range_m = tool_z_m, range_m
+        update_noise_floor(adaptive)
+        return
+    health.repeat_count += 1
+    if health.repeat_count >= STUCK_COUNT:
+        return
+    limit = repeat_limit(adaptive)
+    travel_m = min(max(STUCK_TRAVEL_M * limit / STUCK_SAMPLES, STUCK_MIN_TRAVEL_M), STUCK_TRAVEL_M)
+    if health.repeat_count > limit and abs(tool_z_m - health.repeat_z_m) > travel_m:
+        health.repeat_count += STUCK_COUNT
+
+
+@jit
+def is_stuck(health: Any) -> Any:
+    """1 while there is a stuck-at fault."""
+    return 1 if health.repeat_count >= STUCK_COUNT else 0
+
+
+@jit
+def is_stuck_permanently(adaptive: Any) -> Any:
+    """1 when a stuck-at fault has lasted for too many samples to be quantisation."""
+    return 1 if adaptive.health.repeat_count > STUCK_COUNT + STUCK_RESET_RATIO * repeat_limit(adaptive) else 0
+
+
+@jit
+def dropout_tolerance_s(prediction: Any) -> Any:
+    """Time without a sample, beyond the usual delay, that is no drop-out [s]."""
+    return min(DROPOUT_INTERVALS * prediction.interval_s, MAX_DROPOUT_S)
+
+
+@jit
+def is_dropout(adaptive: Any) -> Any:
+    """Whether samples of channel 0 are missing."""
+    return adaptive.clock.now_ns - adaptive.hold.t_ns > adaptive.latency.delay_s * 1e9 + max(
+        DROPOUT_NS, dropout_tolerance_s(adaptive.prediction) * 1e9
+    )
+
+
+@jit
+def is_lost(params: Any, adaptive: Any) -> Any:
+    """1 when no sample entered a confirmed estimate within the loss time-out.
+
+    An estimate of a single sample is not confirmed.
+    """
+    estimate = adaptive.estimate
+    return (
+        1
+        if estimate.samples == 0 or adaptive.clock.now_ns - estimate.confirmed_ns > params.loss_timeout_ns
+        else 0
+    )
+
+
+@jit
+def update_health(params: Any, adaptive: Any, stuck: Any) -> None:
+    """Determine health and reason, and publish them with hysteresis."""
+    clock, hold, health, estimate = adaptive.clock, adaptive.hold, adaptive.health, adaptive.estimate
+    candidate, reason = OK, REASON_NONE
+    if health.faults & FAULT_NOT_FINITE and estimate.samples < STUCK_SAMPLES:
+        candidate, reason = FAULT, REASON_NOT_FINITE
+    elif stuck != 0:
+        candidate, reason = STUCK, REASON_STUCK
+    elif estimate.samples == 0 or is_dropout(adaptive):
+        edge = min(hold.range_m - params.range_min_m, params.range_max_m - hold.range_m)
+        if estimate.samples > 0 and edge < WINDOW_EDGE_M:
+            candidate, reason = OUT_OF_RANGE, REASON_OUTSIDE
+        else:
+            candidate, reason = DROPOUT, REASON_NO_READING
+    elif is_lost(params, adaptive) != 0:
+        candidate, reason = DROPOUT, REASON_LOST
+    elif adaptive.hold.shift_ns > 0:
+        candidate, reason = SUSPECT, REASON_TIMESTAMPS
+    elif has_jumped(adaptive.kinematics, clock.now_ns) != 0:
+        candidate, reason = SUSPECT, REASON_POSE_JUMP
+    elif adaptive.beams.inconsistent != 0:
+        candidate, reason = SUSPECT, REASON_SENSORS
+    elif adaptive.gate.pending > 0:
+        candidate, reason = SUSPECT, REASON_PENDING
+    if candidate == health.state:
+        health.reason = reason
+        health.candidate = candidate
+        health.since_ns = clock.now_ns
+        return
+    if candidate != health.candidate:
+        health.candidate = candidate
+        health.since_ns = clock.now_ns
+    wait = ENTER_NS if candidate > health.state else LEAVE_NS
+    if clock.now_ns - health.since_ns >= wait:
+        health.state, health.reason = candidate, reason
+
+
+@jit
+def count_close(health: Any, close: Any) -> Any:
+    """Count samples in a row near the fold-back; 1 when they are enough to confirm it."""
+    health.close_count = health.close_count + 1 if close else 0
+    return 1 if health.close_count >= CLOSE_CONFIRMATION_SAMPLES else 0
+
+
+@jit
+def latch_fault(health: Any, fault: Any) -> None:
+    """Latch a fault bit."""
+    health.faults |= fault
+
+
+@jit
+def clear_faults(health: Any) -> None:
+    """Clear all latched faults."""
+    health.faults = 0
+
+
+@jit
+def restart_hysteresis(health: Any, now_ns: Any) -> None:
+    """Count the hysteresis from now on: the clock jumped."""
+    health.since_ns = now_ns

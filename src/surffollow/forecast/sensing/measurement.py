@@ -1,0 +1,173 @@
+"""Measurement update: the newest sample from range to estimate.
+
+range → pose at the range's timestamp → footprint → latency, health, plane fit → innovation gate, bank
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.forecast.attitude.beam_detection import any_beam_changed, observe_beams
+from surffollow.forecast.attitude.plane_fit import plane_height
+from surffollow.forecast.estimation.adaptation import update_deadband
+from surffollow.forecast.estimation.estimate import discard_estimate, update_estimate
+from surffollow.forecast.pose import footprint, rotate
+from surffollow.forecast.safety import watch_fold_back
+from surffollow.forecast.sensing.health import (
+    count_close,
+    is_stuck,
+    is_stuck_permanently,
+    repeats_range,
+    update_stuck,
+)
+from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, predict_pose
+from surffollow.forecast.sensing.latency_identification import observe_height, update_delay
+from surffollow.forecast.sensing.range_prediction import update_prediction
+from surffollow.forecast.sensing.sample_hold import new_sample, record_sample
+from surffollow.forecast.terrain.lookahead_sensor import compare_lookahead
+from surffollow.forecast.terrain.preview import compare_map, monitor_error, withdraw_preview
+from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_follow import POSES, RUN_FREEZE, RUN_NORMAL
+
+LEAD_RATE = 0.05  # of the lead, per sample
+SPACING_RATE = 0.05  # of the usual spacing, per sample
+
+
+@jit
+def axis_ground_point(params: Any, pose: Any) -> Any:
+    """Point of the tool's axis that should touch the ground, from the tool, in world axes [m].
+
+    The axis is that of the tool's frame which is nearest to channel 0's beam.
+    """
+    m = params.tool_from_sensor
+    x, y, z = rotate(m[3], m[4], m[5], m[6], 0.0, 0.0, -params.offset_m)
+    along_z = abs(z) >= abs(x) and abs(z) >= abs(y)
+    along_x = not along_z and abs(x) >= abs(y)
+    x = m[0] + x if along_x else 0.0
+    y = 0.0 if along_x or along_z else m[1] + y
+    z = m[2] + z if along_z else 0.0
+    return rotate(pose[3], pose[4], pose[5], pose[6], x, y, z)
+
+
+@jit
+def standoff_height(params: Any, plane: Any, sense: Any, several: Any, pose: Any) -> Any:
+    """Wanted height of the tool above the ground point on its axis [m].
+
+    `pose` (7,) is scratch and holds the newest report afterwards.
+    """
+    newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
+    for i in range(7):
+        pose[i] = sense.pose[newest + i]
+    if several == 0:
+        _, _, tip_z = axis_ground_point(params, pose)
+        return -tip_z
+    tx, ty, tz = rotate(pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, 1.0)
+    along = tz - plane.slope_x * tx - plane.slope_y * ty  # (tool axis · normal) over the normal's z
+    return (params.offset_m - params.tool_from_sensor[2]) * along
+
+
+@jit
+def process_sample(
+    params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, several: Any, pose: Any
+) -> None:
+    """Process a new sample, if there is one; a sample that does not enter the estimate is not mapped."""
+    kinematics, hold, latency, sample, health = (
+        adaptive.kinematics,
+        adaptive.hold,
+        adaptive.latency,
+        adaptive.sample,
+        adaptive.health,
+    )
+    estimate, beams = adaptive.estimate, adaptive.beams
+    channel = 0
+    if several != 0:
+        channel = observe_beams(params, adaptive, sense, pose)
+    else:
+        output.fresh &= ~1
+    if channel < 0:
+        return
+    is_new, range_m, t = new_sample(params, adaptive, sense, inputs.n_ranges, channel, several)
+    if is_new == 0:
+        return
+    update_prediction(adaptive.prediction, t, range_m)
+    repeated = repeats_range(health, range_m)
+    if several != 0 and any_beam_changed(beams, params.n_channels, hold.t_ns) != 0:
+        repeated = 0
+    record_sample(hold, t, range_m)
+    if several == 0:  # beams have timestamps of their own, without correction
+        t -= int(latency.correction_s * 1e9)
+    update_delay(latency, (adaptive.clock.now_ns - t) * 1e-9)
+    predict_pose(kinematics, sense, t, pose)
+    stuck_for_long = is_stuck_permanently(adaptive)
+    update_stuck(adaptive, repeated, range_m, pose[2])
+    if stuck_for_long != 0 and is_stuck(health) == 0:
+        discard_estimate(estimate)
+    if t <= estimate.sample_ns or is_stuck(health) != 0:
+        return
+    adapt = 0 if params.adapt == 0 or params.run == RUN_FREEZE else 1
+    x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)
+    at_rest = 1 if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS else 0
+    if several == 0 and (at_rest != 0 or latency.count > 0):
+        observe_height(adaptive, sense, t, z, at_rest, adapt, pose)
+        predict_pose(kinematics, sense, t, pose)
+    close = count_close(health, range_m < params.too_close_m)
+    if close != 0 or fold.close != 0:
+        watch_fold_back(fold, range_m, sensor_z, params.too_close_m, params.too_close_exit_m)
+    tool_x, tool_y, tool_z = pose[0], pose[1], pose[2]
+    if several != 0:
+        accepted, z = plane_height(params, adaptive, t, tool_x, tool_y)
+        if accepted == 0:
+            return
+        x, y = tool_x, tool_y
+        for c in range(params.n_channels):
+            if beams.accepted[c] == 0:
+                output.fresh &= ~(1 << c)
+    sample.tip_x_m = sample.tip_y_m = 0.0
+    if several == 0:
+        sample.tip_x_m, sample.tip_y_m, _ = axis_ground_point(params, pose)
+    if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
+        lead_x, lead_y = x - tool_x - sample.tip_x_m, y - tool_y - sample.tip_y_m
+        lead = (
+            lead_x * kinematics.velocity_x_mps + lead_y * kinematics.velocity_y_mps
+        ) / kinematics.speed_mps
+        sample.lead_m += (lead - sample.lead_m) * (LEAD_RATE if estimate.samples > 0 else 1.0)
+    travel = kinematics.speed_mps * (t - estimate.sample_ns) * 1e-9 if estimate.samples > 0 else 0.0
+    standoff = standoff_height(params, adaptive.plane, sense, several, pose)
+    sample.spacing_m += SPACING_RATE * (travel - sample.spacing_m)
+    sample.x_m, sample.y_m, sample.arc_length_m = x, y, estimate.arc_length_m + travel
+    sample.heading_x = sample.heading_y = 0.0
+    if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
+        sample.heading_x = kinematics.velocity_x_mps / kinematics.speed_mps
+        sample.heading_y = kinematics.velocity_y_mps / kinematics.speed_mps
+    if compare_lookahead(adaptive, sample.arc_length_m, z) != 0:
+        withdraw_preview(adaptive.preview)
+    entered = update_estimate(params, adaptive, t, travel, z, standoff, adapt)
+    if entered == 0:
+        return
+    if adapt != 0 or adaptive.adaptation.permitted_variance_m == 0.0:
+        update_deadband(params, adaptive)
+    if abs(sample.lead_m) < MIN_LEAD_M and params.run == RUN_NORMAL:
+        monitor_error(adaptive, tool_z - standoff - z)
+    if inputs.n_preview > 0 and kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
+        gap_x, gap_y = x - pose[0] - sample.tip_x_m, y - pose[1] - sample.tip_y_m
+        lateral = gap_x * kinematics.velocity_x_mps + gap_y * kinematics.velocity_y_mps
+        compare_map(adaptive, inputs, lateral / kinematics.speed_mps, z)
+    if several == 0:
+        output.fresh |= 1
+        output.target_m[0], output.target_m[1], output.target_m[2] = x, y, z
+
+
+@jit
+def has_turned_back(adaptive: Any) -> Any:
+    """1 when the tool goes back since the newest sample: its slope tells nothing of the way to come."""
+    kinematics, sample = adaptive.kinematics, adaptive.sample
+    along = kinematics.velocity_x_mps * sample.heading_x + kinematics.velocity_y_mps * sample.heading_y
+    return 1 if along < -MIN_DIRECTION_SPEED_MPS else 0
+
+
+@jit
+def reset_sample(sample: Any) -> None:
+    """Discard footprint and spacing."""
+    sample.spacing_m = sample.lead_m = 0.0
+    sample.tip_x_m = sample.tip_y_m = sample.heading_x = sample.heading_y = 0.0

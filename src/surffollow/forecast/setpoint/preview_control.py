@@ -1,0 +1,191 @@
+"""Preview control of the axis over known ground: bounded least squares.
+
+    min  ½ Σ w (z − g)² + ½ λ Σ a²   subject to |a| ≤ a_max
+
+z is the axis, g the wanted height, a the second difference of z; position and velocity of the axis are given.
+It is solved by the alternating direction method of multipliers (ADMM): one pentadiagonal factorisation and
+a clip, a fixed number of times, warm-started from the last period. Extrapolated ground beyond the known piece
+has half the weight, so that the axis does not arrive there too fast; ground farther on has none.
+
+Descending before a step down is penalised: ½ W (b − z)² where z is below b, with W large. The matrix is then
+factorised again.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.forecast.plant.axis_model import PERIOD_S, invert_axis
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive import HORIZON
+
+ITERATIONS, EARLY_ITERATIONS = 25, 50  # more of them with early points
+ADMM_PENALTY = (
+    60.0  # converges in the fixed number of iterations (compared with a general solver in the tests)
+)
+ACCELERATION_SHARE = 0.9  # of the axis' acceleration; the rest is for corrections
+UNKNOWN_WEIGHT = 1e-6  # not 0, so that the matrix stays regular
+EARLY_M, EARLY_WEIGHT = 1.5e-3, 300.0  # a point lower than this before the ground descends is early
+EDGE_TOLERANCE_M = 6e-4  # uncertainty of the place of an edge
+FIRST_FORESEEN = 5  # periods from now; errors until then may be the robot's
+FORESEEN_DECAY = 0.98  # per period: samples show an error late
+EXTRAPOLATED_PERIODS, EXTRAPOLATED_WEIGHT = 16, 0.5  # periods beyond the known ground
+
+
+@jit
+def point_weight(k: Any, known: Any) -> Any:
+    """Weight of point k of the plan, which is k + 1 periods from now."""
+    if k + 1 < known:
+        return 1.0
+    return EXTRAPOLATED_WEIGHT if k + 1 < known + EXTRAPOLATED_PERIODS else UNKNOWN_WEIGHT
+
+
+@jit
+def mark_early(adaptive: Any, known: Any, standoff_m: Any, z_m: Any) -> Any:
+    """Mark in `plan.early` the points that descend before the ground does; returns how many changed.
+
+    An early point is below the lowest wanted height until then by more than `EARLY_M`, and below the axis'
+    present position: an axis that is still on its way up is not early.
+    """
+    preview, plan = adaptive.preview, adaptive.plan
+    lowest, changed = preview.ground_m[0] + standoff_m - z_m, 0
+    late = min(int(EDGE_TOLERANCE_M / max(adaptive.kinematics.speed_mps * PERIOD_S, 1e-6)), HORIZON)
+    for k in range(min(known - 1, HORIZON)):
+        lowest = min(lowest, preview.ground_m[max(k + 1 - late, 0)] + standoff_m - z_m)
+        plan.bound_m[k] = min(lowest - EARLY_M, 0.0)
+        early = 1 if plan.position_m[k] < plan.bound_m[k] else 0
+        if early != plan.early[k]:
+            plan.early[k] = early
+            changed += 1
+    return changed
+
+
+@jit
+def update_foreseen_error(adaptive: Any, known: Any, standoff_m: Any, z_m: Any) -> None:
+    """Update the greatest stand-off error that plans contain, at a step for instance."""
+    plan = adaptive.plan
+    plan.foreseen_error_m *= FORESEEN_DECAY
+    for k in range(FIRST_FORESEEN, min(known - 1, HORIZON)):
+        plan.foreseen_error_m = max(
+            plan.foreseen_error_m,
+            abs(plan.position_m[k] - (adaptive.preview.ground_m[k + 1] + standoff_m - z_m)),
+        )
+
+
+@jit
+def factorise(plan: Any, known: Any, stiff: Any) -> None:
+    """LDLᵀ of W + stiff·DᵀD, for second differences D that begin with two known points."""
+    n = HORIZON
+    for k in range(n):
+        # row k of DᵀD: differences b_k (centre k-1), b_{k+1}, b_{k+2}
+        d = 1.0 + (4.0 if k + 1 < n else 0.0) + (1.0 if k + 2 < n else 0.0)
+        e = (-2.0 if k + 1 < n else 0.0) + (-2.0 if k + 2 < n else 0.0)
+        f = 1.0 if k + 2 < n else 0.0
+        d, e, f = point_weight(k, known) + stiff * d, stiff * e, stiff * f
+        if plan.early[k] != 0:
+            d += EARLY_WEIGHT
+        if k >= 1:
+            d -= plan.factor_1[k - 1] ** 2 * plan.factor_0[k - 1]
+            e -= plan.factor_1[k - 1] * plan.factor_2[k - 1] * plan.factor_0[k - 1]
+        if k >= 2:
+            d -= plan.factor_2[k - 2] ** 2 * plan.factor_0[k - 2]
+        plan.factor_0[k] = d
+        plan.factor_1[k] = e / d
+        plan.factor_2[k] = f / d
+
+
+@jit
+def solve(plan: Any) -> None:
+    """Solve with those factors, in place, for `plan.position_m`."""
+    n = HORIZON
+    z = plan.position_m
+    for k in range(n):
+        if k >= 1:
+            z[k] -= plan.factor_1[k - 1] * z[k - 1]
+        if k >= 2:
+            z[k] -= plan.factor_2[k - 2] * z[k - 2]
+    for k in range(n - 1, -1, -1):
+        z[k] /= plan.factor_0[k]
+        if k + 1 < n:
+            z[k] -= plan.factor_1[k] * z[k + 1]
+        if k + 2 < n:
+            z[k] -= plan.factor_2[k] * z[k + 2]
+
+
+@jit
+def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, standoff_m: Any) -> Any:
+    """Solve the plan; returns the velocity that the axis should have one period from now.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState`; `preview.ground_m` holds the ground from now on
+    known : int              known periods of ground
+    z_m, v_mps : float64     position and velocity of the axis now
+    standoff_m : float64     wanted height of the tool above the ground
+
+    Returns
+    -------
+    float64 [m/s]
+    """
+    plan = adaptive.plan
+    n = HORIZON
+    most = ACCELERATION_SHARE * params.plant_a_max_mps2 * PERIOD_S * PERIOD_S
+    calm = params.plan_calm_s4 / PERIOD_S**4
+    stiff = calm + ADMM_PENALTY
+    for k in range(n):
+        plan.early[k] = 0
+    factorise(plan, known, stiff)
+    before = -v_mps * PERIOD_S  # the point before now, relative to now
+    for k in range(n - 1):
+        plan.acceleration_m[k] = plan.acceleration_m[k + 1]
+        plan.multiplier_m[k] = plan.multiplier_m[k + 1]
+    plan.acceleration_m[n - 1] = plan.multiplier_m[n - 1] = 0.0
+    rounds = ITERATIONS
+    for i in range(EARLY_ITERATIONS):
+        if i >= rounds:
+            break
+        for k in range(n):
+            # point k is k + 1 periods from now
+            ground = adaptive.preview.ground_m[min(k + 1, n - 1)] + standoff_m - z_m
+            plan.position_m[k] = point_weight(k, known) * ground
+            if plan.early[k] != 0:
+                plan.position_m[k] += EARLY_WEIGHT * plan.bound_m[k]
+        for k in range(n):
+            # difference k spans points k-2, k-1 and k; the point before point 0 is now, at 0
+            r = ADMM_PENALTY * (plan.acceleration_m[k] - plan.multiplier_m[k]) - (
+                stiff * before if k == 0 else 0.0
+            )
+            plan.position_m[k] += r
+            if k >= 1:
+                plan.position_m[k - 1] -= 2.0 * r
+            if k >= 2:
+                plan.position_m[k - 2] += r
+        solve(plan)
+        if mark_early(adaptive, known, standoff_m, z_m) > 0:
+            factorise(plan, known, stiff)
+            rounds = EARLY_ITERATIONS
+        z2, z1 = before, 0.0
+        for k in range(n):
+            b = plan.position_m[k] - 2.0 * z1 + z2
+            z2, z1 = z1, plan.position_m[k]
+            u = min(max(b + plan.multiplier_m[k], -most), most)
+            plan.multiplier_m[k] += b - u
+            plan.acceleration_m[k] = u
+    update_foreseen_error(adaptive, known, standoff_m, z_m)
+    # the clipped accelerations are feasible, the points approximately
+    return v_mps + (plan.acceleration_m[0] + 0.5 * plan.acceleration_m[1]) / PERIOD_S
+
+
+@jit
+def plan_setpoint(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, standoff_m: Any) -> None:
+    """Solve the plan and invert the axis model: set point of the coming period."""
+    speed = solve_plan(params, adaptive, known, z_m, v_mps, standoff_m)
+    adaptive.plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, speed)
+
+
+@jit
+def reset_plan(plan: Any) -> None:
+    """Discard set point and warm start."""
+    plan.setpoint_m = 0.0
+    for k in range(HORIZON):
+        plan.acceleration_m[k] = plan.multiplier_m[k] = 0.0

@@ -1,0 +1,147 @@
+"""Blend the candidates' set points by weight and filter the blend with a deadband."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.forecast.estimation.estimate import SETTLING_NS
+from surffollow.forecast.estimation.model_bank import (
+    CANDIDATE_MODEL,
+    N_CANDIDATES,
+    SLOPE_SHARE,
+    extrapolate,
+    model_height,
+)
+from surffollow.forecast.plant.controller_clock import begin_period
+from surffollow.forecast.plant.shadow_axes import record_setpoint, update_effort
+from surffollow.forecast.sensing.health import dropout_tolerance_s
+from surffollow.forecast.sensing.measurement import has_turned_back
+from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_estimation import N_PERIODS
+
+DROPOUT_TOLERANCE_S = 0.025  # a single missing sample is no drop-out
+RATE_STEP_S = 0.005  # over which the rate of the blended set point is taken
+DEADBAND_DECAY_S = 0.01  # time in which an excess of DEADBAND_SOFTNESS deadbands is halved
+DEADBAND_SOFTNESS = 2.5  # in deadbands
+FILTER_GAP_S = 0.1  # after a longer pause the filter begins at the blend
+MIN_RATE_WEIGHT = 1e-3  # candidates with less weight are left out of that rate
+SLOPE_LIMIT = 0.2  # slope that is never clamped …
+SLOPE_LIMIT_RMS = 3.0  # … or multiples of the RMS slope of the last metre …
+HEIGHT_MARGIN_M = 1e-3  # … plus this
+
+
+@jit
+def dropout_s(adaptive: Any) -> Any:
+    """Time since the last accepted sample beyond the usual delay and tolerance [s]; ≤ 0: no drop-out."""
+    return (
+        (adaptive.clock.now_ns - adaptive.estimate.accepted_ns) * 1e-9
+        - adaptive.latency.delay_s
+        - max(DROPOUT_TOLERANCE_S, dropout_tolerance_s(adaptive.prediction))
+    )
+
+
+@jit
+def candidate_setpoint(i: Any, bank: Any, ahead_m: Any, lead_m: Any, max_slope: Any) -> Any:
+    """Height by candidate i at `ahead_m` beyond the newest footprint, with slope times `lead_m` [m].
+
+    The change of height is clamped to max(20 %, 3 × RMS slope) of the distance, plus 1 mm.
+    """
+    h = model_height(CANDIDATE_MODEL[i], bank.mean)
+    margin = HEIGHT_MARGIN_M + max_slope * (abs(ahead_m) + lead_m)
+    return h + min(max(extrapolate(CANDIDATE_MODEL[i], bank.mean, ahead_m, lead_m) - h, -margin), margin)
+
+
+@jit
+def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, standoff_m: Any, due: Any) -> Any:
+    """Blend the candidates' set points; when a controller period is due, record each of them.
+
+    The axis lags by τ. Its set point is the height plus τ times the rate of the height. In a drop-out slopes
+    fade over `dropout_way_m`, a step away from the tool that was confirmed just before is taken back, and the
+    set point descends no farther than that of the last sample less a margin.
+    While the tool goes back since the newest sample, the height at that sample is held.
+    """
+    clock, kinematics, gate, bank, weights = (
+        adaptive.clock,
+        adaptive.kinematics,
+        adaptive.gate,
+        adaptive.bank,
+        adaptive.weights,
+    )
+    estimate, blend = adaptive.estimate, adaptive.blend
+    dropout = dropout_s(adaptive)
+    lead_length_m = kinematics.speed_mps * adaptive.plant.tau_s
+    if dropout > 0.0:
+        dropout_m = min(kinematics.speed_mps * dropout, ahead_m)
+        decay = math.exp(-dropout_m / params.dropout_way_m)
+        ahead_m += params.dropout_way_m * (1.0 - decay) - dropout_m
+        lead_length_m *= decay
+    if has_turned_back(adaptive) != 0:  # hold the height of the newest footprint
+        ahead_m = lead_length_m = 0.0
+    slot = adaptive.controller.periods & (N_PERIODS - 1)
+    step_m = kinematics.speed_mps * RATE_STEP_S
+    max_slope = max(SLOPE_LIMIT, SLOPE_LIMIT_RMS * math.sqrt(estimate.slope_power))
+    z, change = 0.0, 0.0
+    for i in range(N_CANDIDATES):
+        lead_m = SLOPE_SHARE[i] * lead_length_m
+        t = candidate_setpoint(i, bank, ahead_m, lead_m, max_slope) + standoff_m
+        z += weights.weight[i] * t
+        if weights.weight[i] > MIN_RATE_WEIGHT:
+            change += weights.weight[i] * (
+                candidate_setpoint(i, bank, ahead_m + step_m, lead_m, max_slope) + standoff_m - t
+            )
+        if due:
+            record_setpoint(adaptive.shadow, i, slot, t)
+    recent = (
+        estimate.accepted_ns - gate.step_ns < SETTLING_NS and gate.travel_since_step_m < params.step_way_m
+    )
+    if dropout > 0.0 and gate.step_m < 0.0 and recent:
+        z -= gate.step_m
+    if dropout > 0.0:
+        z = max(z, blend.seen_m - MAX_UNCONFIRMED_DESCENT_M)
+    else:
+        blend.seen_m = z
+    if due:
+        update_effort(adaptive)
+        begin_period(adaptive.controller, clock.now_ns)
+    blend.setpoint_m, blend.rate_mps, blend.t_ns = z, change / RATE_STEP_S, clock.now_ns
+    blend.sample_ns, blend.pose_ns = estimate.sample_ns, pose_ns
+    return z
+
+
+@jit
+def filter_setpoint(params: Any, adaptive: Any, target_m: Any) -> Any:
+    """Filter the blend: it continues at the predicted rate while it is within the deadband.
+
+    Beyond the deadband b the excess x decays by dx/dt = −x² / (DEADBAND_SOFTNESS · b · DEADBAND_DECAY_S). The
+    result does not depend on the length of the cycle.
+    """
+    clock, adaptation, blend = adaptive.clock, adaptive.adaptation, adaptive.blend
+    dt = (clock.now_ns - blend.filtered_ns) * 1e-9
+    if dt == 0.0:
+        return blend.filtered_m
+    blend.filtered_ns = clock.now_ns
+    if not 0.0 < dt < FILTER_GAP_S:
+        blend.filtered_m = target_m
+        return target_m
+    blend.filtered_m += blend.rate_mps * dt
+    e = target_m - blend.filtered_m
+    excess = abs(e) - adaptation.deadband_m
+    if excess > 0.0:
+        softness = DEADBAND_SOFTNESS * adaptation.deadband_m
+        remaining = adaptation.deadband_m + excess * softness / (softness + excess * dt / DEADBAND_DECAY_S)
+        blend.filtered_m = target_m - math.copysign(remaining, e)
+    return blend.filtered_m
+
+
+@jit
+def reset_blend(blend: Any) -> None:
+    """Discard blend and filter."""
+    blend.filtered_m = blend.setpoint_m = blend.rate_mps = 0.0
+
+
+@jit
+def reset_blend_times(blend: Any) -> None:
+    """Blend and filter anew in the next cycle: the clock jumped."""
+    blend.filtered_ns = blend.t_ns = 0

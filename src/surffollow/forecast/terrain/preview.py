@@ -1,0 +1,196 @@
+"""Preview: terrain ahead of the tool, from a look-ahead sensor or from a map, and its share of the set point.
+
+Heights of a look-ahead sensor are in the terrain buffer. Heights of a map are an input of the cycle, at equal
+distances ahead of the point under the newest pose.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.forecast.plant.axis_model import PERIOD_S
+from surffollow.forecast.terrain.known_ground import REGISTRATION_M, compare_known_ground
+from surffollow.forecast.terrain.terrain_buffer import buffered_height
+from surffollow.forecast.terrain.terrain_regression import DISTANCES_M, RISE_LENGTH_M, predict_rise
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive import HORIZON
+from surffollow.shm.layout_adaptive_estimation import N_DISTANCES
+
+MIN_KNOWN_PERIODS = 7  # known ground that a plan needs: the reaction time of the axis
+SHARE_RATE = 0.15  # per controller period: preview fades in and out
+MAP_BIAS_RATE = 0.002  # per sample: a constant bias is learned in 2 s at 250 Hz
+MAP_DEVIATION_RATE = 0.02  # per sample
+ERROR_RATIO, ERROR_MARGIN_M2 = (
+    9.0,
+    4e-6,
+)  # squared error that suspends preview: ratio to that without, plus (2 mm)²
+MAX_ERROR_M2 = 1e-4  # (1 cm)²: bounds the memory of one sample
+MAX_MODEL_ERROR_M2 = 4e-8  # (0.2 mm)²: beyond, the axis model is too wrong for a plan
+LEADING_MAX_MODEL_ERROR_M2 = 1e-6  # (1 mm)²
+REFERENCE_RATE, ERROR_RATE = 0.002, 0.01  # per sample, without and with preview
+SUSPENSION_NS = 5_000_000_000  # after an error that is worse than without
+MAX_MAP_DEVIATION_M = 1.5e-3  # beyond, the ground has changed since it was mapped
+CONTRADICTION_NS = 100_000_000  # the map is not used for so long after samples that contradict it
+
+
+@jit
+def extrapolate_ground(adaptive: Any, known: Any, from_m: Any, bias_m: Any) -> None:
+    """Fill `preview.ground_m` beyond the known points by the terrain regression.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (updated)
+    known : int              known points of `preview.ground_m`, ≥ 1
+    from_m : float64         arc length of point 0 [m]
+    bias_m : float64         what was added to the buffered heights; the regression is without it [m]
+    """
+    kinematics, regression, preview = adaptive.kinematics, adaptive.regression, adaptive.preview
+    last = preview.ground_m[known - 1]
+    offset = last - regression.mean_height_m
+    rise = (
+        last
+        - bias_m
+        - buffered_height(adaptive, from_m + kinematics.speed_mps * PERIOD_S * (known - 1) - RISE_LENGTH_M)
+    )
+    x0, x1, change0, change1, j = 0.0, 0.0, 0.0, 0.0, 0
+    for k in range(known, HORIZON):
+        x = kinematics.speed_mps * PERIOD_S * (k + 1 - known)
+        while x > x1 and j < N_DISTANCES:
+            x0, change0 = x1, change1
+            x1 = DISTANCES_M[j]
+            change1 = predict_rise(regression, j, offset, rise) if math.isfinite(rise) else 0.0
+            j += 1
+        f = min((x - x0) / (x1 - x0), 1.0) if x1 > x0 else 0.0
+        preview.ground_m[k] = last + change0 + f * (change1 - change0)
+
+
+@jit
+def map_height(inputs: Any, ahead_m: Any) -> Any:
+    """Height of the map at a distance ahead of the point under the tool [m]; NaN when unknown."""
+    step = inputs.preview_step_m
+    if inputs.n_preview < 2 or not step > 0.0:
+        return math.nan
+    f = (ahead_m - inputs.preview_from_m) / step
+    if not 0.0 <= f < inputs.n_preview - 1:
+        return math.nan
+    i = int(f)
+    return inputs.preview_m[i] * (1.0 - (f - i)) + inputs.preview_m[i + 1] * (f - i)
+
+
+@jit
+def collect_preview(
+    adaptive: Any, inputs: Any, leading: Any, ahead_m: Any, since_pose_m: Any, bias_m: Any
+) -> Any:
+    """Fill `preview.ground_m` with the ground per controller period; returns the known periods.
+
+    Parameters
+    ----------
+    leading : int            1: from the terrain buffer, 0: from the map in the inputs
+    ahead_m : float64        point under the tool at the latch time, ahead of the newest footprint [m]
+    since_pose_m : float64   distance travelled since the newest report, at that time [m]
+    bias_m : float64         added to the buffered heights [m]
+    """
+    preview = adaptive.preview
+    known = 0
+    for k in range(HORIZON):
+        travel = adaptive.kinematics.speed_mps * PERIOD_S * k
+        if leading != 0:
+            h = buffered_height(adaptive, adaptive.estimate.arc_length_m + ahead_m + travel) + bias_m
+        else:
+            h = map_height(inputs, since_pose_m + travel) + preview.map_bias_m
+        preview.ground_m[k] = h
+        if k == known and math.isfinite(h):
+            known += 1
+    return known
+
+
+@jit
+def compare_map(adaptive: Any, inputs: Any, ahead_m: Any, h_m: Any) -> None:
+    """Compare the map with a sample's height: update bias and deviation.
+
+    A map that lies below the sample pulls the tool toward the surface. Several such samples in a row
+    withdraw the preview at once.
+    """
+    preview = adaptive.preview
+    map_m = map_height(inputs, ahead_m)
+    if not math.isfinite(map_m):
+        return
+    behind, before = (
+        map_height(inputs, ahead_m - REGISTRATION_M),
+        map_height(inputs, ahead_m + REGISTRATION_M),
+    )
+    if compare_known_ground(adaptive, behind, map_m, before, h_m - preview.map_bias_m) != 0:
+        withdraw_preview(preview)
+        suspend_preview(preview, adaptive.clock.now_ns + CONTRADICTION_NS)
+    e = h_m - map_m
+    preview.map_deviation_m += MAP_DEVIATION_RATE * (
+        min(abs(e - preview.map_bias_m), 0.02) - preview.map_deviation_m
+    )
+    preview.map_bias_m += MAP_BIAS_RATE * (min(max(e, -0.02), 0.02) - preview.map_bias_m)
+
+
+@jit
+def monitor_error(adaptive: Any, error_m: Any) -> None:
+    """Compare the stand-off error with preview to that without; a worse plan is suspended.
+
+    With a robot that is not as assumed the inverted plan may be worse than none. Errors that the plan
+    contains, as at both ends of a step, are subtracted.
+    """
+    preview = adaptive.preview
+    e = max(abs(error_m) - (adaptive.plan.foreseen_error_m if preview.share > 0.0 else 0.0), 0.0)
+    e2 = min(e * e, MAX_ERROR_M2)
+    if preview.share == 0.0:
+        preview.reference_error_m2 += (REFERENCE_RATE if preview.reference_error_m2 > 0.0 else 1.0) * (
+            e2 - preview.reference_error_m2
+        )
+        preview.error_m2 = preview.reference_error_m2
+        return
+    preview.error_m2 += ERROR_RATE * (e2 - preview.error_m2)
+    if preview.error_m2 > ERROR_RATIO * preview.reference_error_m2 + ERROR_MARGIN_M2:
+        preview.suspended_until_ns = adaptive.clock.now_ns + SUSPENSION_NS
+
+
+@jit
+def update_share(adaptive: Any, known: Any, leading: Any, plant_m2: Any) -> None:
+    """Raise or lower preview's share of the set point by one controller period."""
+    # with a sensor that leads, an uncertain plan is better than none
+    preview = adaptive.preview
+    trusted = (
+        adaptive.clock.now_ns >= preview.suspended_until_ns
+        and plant_m2 < MAX_MODEL_ERROR_M2
+        and preview.map_deviation_m < MAX_MAP_DEVIATION_M
+    )
+    usable = known >= MIN_KNOWN_PERIODS and (
+        trusted or (leading != 0 and plant_m2 < LEADING_MAX_MODEL_ERROR_M2)
+    )
+    preview.share += SHARE_RATE if usable else -SHARE_RATE
+    preview.share = min(max(preview.share, 0.0), 1.0 if known > 0 else 0.0)
+    preview.sensed_periods = known if leading != 0 else 0
+
+
+@jit
+def suspend_preview(preview: Any, until_ns: Any) -> None:
+    """Suspend preview until a time, or until later if that was set before."""
+    preview.suspended_until_ns = max(preview.suspended_until_ns, until_ns)
+
+
+@jit
+def withdraw_preview(preview: Any) -> None:
+    """Set preview's share to zero at once: its plan does not apply any more."""
+    preview.sensed_periods = 0
+    preview.share = 0.0
+
+
+@jit
+def reset_preview(preview: Any) -> None:
+    """Discard share, comparison with the map, and errors."""
+    withdraw_preview(preview)
+    preview.map_bias_m = preview.map_deviation_m = 0.0
+    preview.error_m2 = preview.reference_error_m2 = 0.0
+
+
+@jit
+def reset_preview_time(preview: Any) -> None:
+    """End a suspension: the clock jumped."""
+    preview.suspended_until_ns = 0

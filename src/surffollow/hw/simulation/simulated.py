@@ -1,0 +1,295 @@
+"""The simulated driver: LED sensors over a known ground, read through a free-running A/D converter.
+
+Its sensors ride on the true pose, which a simulator of a robot publishes in the block NAME.world, or, where
+nobody does, on the poses that are reported to the service. A watcher thread keeps the block mapped and
+chooses; the pump, a nogil kernel, learns of another mapping through a control word and says which one it
+uses, so that no page is given up under it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+import numpy as np
+
+from surffollow.errors import BlockError, NotRunningError
+from surffollow.hw.driver import REPORT_WORDS, ConversionQueue, DriverInfo, Eight, PoseQueue, mounts_of
+from surffollow.hw.driver_thread import CATCH_UP_NS, CONTROL_WORDS, PERIOD_NS, STOP, USER, Pump
+from surffollow.hw.simulation import adc
+from surffollow.hw.simulation.led_sensor import physics
+from surffollow.hw.simulation.pose_history import PoseHistory, add_pose, add_report
+from surffollow.hw.simulation.sensor_rig import SimulatedConfig, make_rig, produce
+from surffollow.shm import atomics as at
+from surffollow.shm.clock import now_ns, wait_until_ns
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.jit import jit
+from surffollow.shm.latch import latch_read
+from surffollow.shm.layout_follow import CHANNELS
+from surffollow.shm.ring import ring_drop, ring_peek
+from surffollow.shm.schema import F64, I64, Schema
+from surffollow.sim.surfaces import HeightField
+from surffollow.sim.world import WorldPose, WorldReader
+
+WANTED, IN_USE, POSE_T, SOURCE = USER, USER + 1, USER + 2, USER + 3  # control words
+ON_NOTHING, ON_WORLD, ON_REPORTS = 0, 1, 2  # SOURCE: what the sensors ride on
+WORLD_BYTES = WorldPose.SIZE
+WATCH_S = 0.05
+STALE_WORLD_NS = 100_000_000
+NOTHING_REPORTED = (
+    "no pose was reported yet, so the simulated sensor sees nothing; send poses (client.ee_pos), publish the "
+    "true one (client.sim_pose) or start a simulated robot (surffollow simulate)"
+)
+ON_REPORTS_NOTE = (
+    "the simulated sensor rides on the reported poses, so errors of the reports cancel; publish the true "
+    "pose (client.sim_pose) to have them count"
+)
+
+
+class Ride(Schema):
+    """What the pump needs to take poses from one source or the other."""
+
+    source = I64(doc="ON_…, of the history")
+    reports = I64(doc="address of the queue of reported poses")
+    capacity = I64()
+    item = I64(REPORT_WORDS, doc="scratch")
+    item_address = I64()
+    pose = F64(7, unit="m, 1", doc="scratch")
+    velocity = F64(6, unit="m/s, rad/s", doc="scratch")
+
+
+def make_ride(reports: PoseQueue) -> np.ndarray[Any, Any]:
+    """`Ride` record, shape (1,), over a queue of reported poses."""
+    ride = zeros(Ride)
+    ride["reports"], ride["capacity"] = reports.address, reports.capacity
+    ride["item_address"] = ride.ctypes.data + Ride.offset("item")
+    return ride
+
+
+@jit
+def take_reports(control: Any, ride: Any, history: Any) -> None:
+    """Empty the queue of reported poses; they enter the history when the sensors ride on them.
+
+    Parameters
+    ----------
+    control : int64, address of the pump's control words
+    ride : (1,) `Ride`
+    history : (1,) `PoseHistory`
+    """
+    r = ride[0]
+    while ring_peek(r.reports, r.capacity, REPORT_WORDS, r.item_address) == 1:
+        ring_drop(r.reports, 1)
+        if r.source != ON_REPORTS:
+            continue
+        for k in range(7):
+            r.pose[k] = at.load_relaxed_f64(r.item_address + 8 * (1 + k))
+        t_ns = at.load_relaxed_i64(r.item_address)
+        if add_report(history, t_ns, r.pose, r.velocity) == 1:
+            at.store_relaxed_i64(control + 8 * POSE_T, t_ns)
+
+
+@jit
+def run_rig(
+    control: Any, rig: Any, led: Any, history: Any, z: Any, frame: Any, world: Any, ride: Any
+) -> None:
+    """Follow a source of poses and the clock until `STOP`.
+
+    Parameters
+    ----------
+    control : int64, address of the pump's control words
+    rig, led, history, z, frame : see `produce`
+    world : (1,) `WorldPose`, scratch
+    ride : (1,) `Ride`
+    """
+    generation = 0
+    wake = now_ns()
+    while at.load_acquire_i64(control + 8 * STOP) == 0:
+        latch = at.load_acquire_i64(control + 8 * WANTED)
+        if latch != at.load_relaxed_i64(control + 8 * IN_USE):
+            at.store_release_i64(control + 8 * IN_USE, latch)
+            generation = 0
+        source = at.load_acquire_i64(control + 8 * SOURCE)
+        if source != ride[0].source:
+            ride[0].source = source
+            at.store_relaxed_i64(control + 8 * POSE_T, 0)
+            history[0].count = 0  # two sources are never interpolated across
+            generation = 0
+        take_reports(control, ride, history)
+        now = now_ns()
+        if source == ON_WORLD and latch != 0 and at.load_acquire_i64(latch) != generation:
+            found = latch_read(latch, np.int64(world.ctypes.data), WORLD_BYTES)
+            t_ns = world[0].t_ns
+            if found > 0 and t_ns <= now + STALE_WORLD_NS:
+                generation = found
+                history[0].carry_ns = 0
+                add_pose(history, t_ns, world[0].pose, world[0].velocity)
+                at.store_relaxed_i64(control + 8 * POSE_T, t_ns)
+        first = adc.first_number_from(now - CATCH_UP_NS)
+        missed = first - rig[0].next_number
+        if missed > 0:
+            at.store_relaxed_i64(rig[0].lost, at.load_relaxed_i64(rig[0].lost) + missed)
+            rig[0].next_number = first
+        produce(rig, led, history, z, frame, now)
+        wake = max(wake + PERIOD_NS, now)
+        wait_until_ns(wake, 0)
+
+
+def warm_up() -> None:
+    """Compile the sensors' kernels, or find them compiled; no sensor begins to run."""
+    config = SimulatedConfig()
+    control = np.zeros(CONTROL_WORDS, np.int64)
+    control[STOP] = 1
+    led, heights_m = physics(config.led, config.seed), np.zeros((2, 2))
+    rig = make_rig(config, ConversionQueue(2), 0)
+    history, frame, world = zeros(PoseHistory), np.zeros(3), zeros(WorldPose)
+    produce(rig, led, history, heights_m, frame, 0)
+    run_rig(control.ctypes.data, rig, led, history, heights_m, frame, world, make_ride(PoseQueue(2)))
+
+
+class SimulatedDriver:
+    """Simulated sensors on the robot of service `name`.
+
+    Parameters
+    ----------
+    name : of the service; the robot's block is NAME.world
+    config : SimulatedConfig
+    field : the ground, when the caller has it already
+
+    Attributes
+    ----------
+    reports : PoseQueue   accepted poses, which the service puts there
+    """
+
+    def __init__(
+        self, name: str, config: SimulatedConfig | None = None, field: HeightField | None = None
+    ) -> None:
+        self._name = name
+        self._config = config if config is not None else SimulatedConfig()
+        self._field = field if field is not None else self._config.world.make()
+        self._pump = Pump(f"{name}-sensors")
+        self._led = physics(self._config.led, self._config.seed)
+        self._reader: WorldReader | None = None
+        self._retired: WorldReader | None = None
+        self._watcher: threading.Thread | None = None
+        self._end = threading.Event()
+        self._trouble = ""
+        self.reports = PoseQueue()
+        near_m, far_m = self._config.led.window_m
+        scale_m, zero_m = adc.calibration(near_m, far_m)
+        ones = np.ones(CHANNELS)
+        self._info = DriverInfo(
+            name="simulated LED sensor and A/D",
+            n_channels=self._config.channels,
+            scale_m=_eight(scale_m * ones),
+            zero_m=_eight(zero_m * ones),
+            range_min_m=near_m,
+            range_max_m=far_m,
+            # a held value is on average half a refresh older than when it was new
+            latency_ns=int(self._led["latency_ns"][0] + self._led["hold_ns"][0] // 2),
+            conversion_period_ns=adc.CONVERSION_NS,
+            mounts=mounts_of(self._config.mounts, self._config.channels),
+        )
+
+    @property
+    def info(self) -> DriverInfo:
+        """Calibration, window, latency and mounts."""
+        return self._info
+
+    def start(self, queue: ConversionQueue) -> None:
+        """Begin to fill the queue; see `Driver`."""
+        field = self._field
+        frame = np.array([field.x0_m, field.y0_m, field.grid_m])
+        history, world = zeros(PoseHistory), zeros(WorldPose)
+        rig, ride = make_rig(self._config, queue, time.monotonic_ns()), make_ride(self.reports)
+        produce(rig, self._led, history, field.heights_m, frame, 0)
+
+        def kernel(control: int) -> None:
+            rig["next_number"] = adc.first_number_from(time.monotonic_ns())  # compiling took its time
+            run_rig(control, rig, self._led, history, field.heights_m, frame, world, ride)
+
+        self._pump.control[POSE_T] = 0
+        self._pump.start(kernel, keep=queue)
+        self._end.clear()
+        self._watcher = threading.Thread(target=self._watch, name=f"{self._name}-world", daemon=True)
+        self._watcher.start()
+
+    def stop(self) -> None:
+        """End both threads; see `Driver`."""
+        self._end.set()
+        if self._watcher is not None:
+            self._watcher.join()
+            self._watcher = None
+        self._pump.stop()
+        self._pump.control[WANTED] = self._pump.control[IN_USE] = self._pump.control[SOURCE] = 0
+        for reader in (self._reader, self._retired):
+            if reader is not None:
+                reader.close()
+        self._reader = self._retired = None
+
+    def faults(self) -> list[str]:
+        """What is wrong now."""
+        if not self._pump.running:
+            return ["the simulated sensors are not started"]
+        if self._trouble:
+            return [self._trouble]
+        on_reports = int(self._pump.control[SOURCE]) == ON_REPORTS
+        pose_t_ns = int(self._pump.control[POSE_T])
+        if on_reports and pose_t_ns == 0:
+            return [NOTHING_REPORTED]
+        age_ns = time.monotonic_ns() - pose_t_ns
+        if age_ns > STALE_WORLD_NS:
+            who = "no pose was reported" if on_reports else "the simulated robot has not moved its sensors"
+            return [f"{who} for {age_ns * 1e-9:.1f} s; the simulated sensor sees nothing"]
+        return []
+
+    def notes(self) -> list[str]:
+        """What the sensors ride on, when that is not the truth."""
+        return [ON_REPORTS_NOTE] if int(self._pump.control[SOURCE]) == ON_REPORTS else []
+
+    def _watch(self) -> None:
+        while True:
+            self._choose()
+            if self._end.wait(WATCH_S):
+                return
+
+    def _choose(self) -> None:
+        """Take the world block that is written, or the reports where none is and the settings allow it."""
+        wanted = self._config.pose
+        if wanted != "reported":
+            self._attach()
+        trouble, source = self._trouble, ON_WORLD
+        if wanted == "reported" or (wanted == "auto" and not self._world_is_written()):
+            trouble, source = "", ON_REPORTS
+        self._pump.control[SOURCE] = source
+        self._trouble = trouble
+
+    def _world_is_written(self) -> bool:
+        return self._reader is not None and self._reader.is_current and self._reader.has_writer
+
+    def _attach(self) -> None:
+        """Take the block that bears the name now; the last one stays mapped until another is in use."""
+        if self._reader is not None and self._reader.is_current:
+            self._trouble = ""
+            return
+        try:
+            fresh = WorldReader(self._name)
+        except (NotRunningError, BlockError) as error:
+            self._trouble = str(error)
+            return
+        self._trouble = ""
+        old, self._reader = self._reader, fresh
+        self._pump.control[WANTED] = fresh.latch
+        self._retired = old
+        if old is None:
+            return
+        while int(self._pump.control[IN_USE]) != fresh.latch:
+            if self._end.wait(0.002):
+                return  # `stop` closes it, after the pump
+        old.close()
+        self._retired = None
+
+
+def _eight(values: np.ndarray[Any, Any]) -> Eight:
+    a, b, c, d, e, f, g, h = (float(v) for v in values)
+    return (a, b, c, d, e, f, g, h)

@@ -1,0 +1,194 @@
+"""Standard channels of a recording in progress: samples of its batches, map and counters of the board."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.client.board import Board
+from surffollow.client.histogram_report import histogram_summary
+from surffollow.client.map_live import MapReading
+from surffollow.errors import BlockError, FaultError, RecordingError
+from surffollow.record import foxglove as fx
+from surffollow.record.channels import PACKAGE, StandardChannels
+from surffollow.record.map_channel import MapPace, known_points
+from surffollow.record.protobuf import Field, Message
+from surffollow.record.samples import Sampler
+from surffollow.record.service_log import ServiceLog
+from surffollow.record.writer import RecordingWriter
+from surffollow.shm.layout_board import MapStatus, Stats, Ticker
+
+SERVICE_S = 1.0
+# batches per look: a backlog after the kernels were compiled is worked off without holding the words up
+_MOST_BATCHES = 64
+_COUNTERS = tuple(f.name for f in Stats.FIELDS if f.count == 1)
+_SERVICE_FIELDS = (
+    *((f"{n}", "sfixed64") for n in _COUNTERS),
+    *((f"{h}_{p}_ns", "double") for h in ("lateness", "execution") for p in ("p50", "p99", "p99_9")),
+    ("lateness", "fixed64"),
+    ("execution", "fixed64"),
+    ("pose_pid", "sfixed64"),
+    ("clients", "sfixed64"),
+    ("service_faults", "sfixed64"),
+    ("map_queued", "sfixed64"),
+    ("map_applied", "sfixed64"),
+    ("map_lost", "sfixed64"),
+)
+SERVICE = Message(
+    PACKAGE,
+    "Service",
+    (
+        Field("timestamp", 1, "message", of=fx.TIMESTAMP),
+        Field("t_ns", 2, "sfixed64"),
+        *(
+            Field(name, k + 3, kind, repeated=name in ("lateness", "execution"))
+            for k, (name, kind) in enumerate(_SERVICE_FIELDS)
+        ),
+    ),
+)
+
+
+class _LiveMap(MapReading):
+    """Reads the map of the board that a recorder follows."""
+
+    def __init__(self, log: ServiceLog) -> None:
+        self._log = log
+
+    @property
+    def board(self) -> Board:  # type: ignore[override]  # the recorder goes over to new boards itself
+        return self._log.board
+
+    def _follow(self) -> bool:
+        return True
+
+    def close(self) -> None:
+        self._close_map()
+
+
+class ChannelFeed:
+    """Samples what the recorder writes, and looks at the board once a second.
+
+    The kernel is loaded, or compiled, in a thread of its own; batches wait meanwhile.
+
+    Parameters
+    ----------
+    writer : of the file in progress
+    period_ns : int       between samples
+    log : the service's, for the map and its counters; None: neither
+    """
+
+    def __init__(self, writer: RecordingWriter, period_ns: int, log: ServiceLog | None = None) -> None:
+        self.sampler = Sampler(period_ns)
+        self.channels = StandardChannels(writer, self.sampler.params)
+        self._waiting: deque[tuple[int, NDArray[np.int64]]] = deque()
+        self._segment, self._given_up = -1, -2
+        self._told = 0
+        self._log, self._service_at = log, 0.0
+        self._map = None if log is None else _LiveMap(log)
+        self._pace = MapPace()
+        self._changes: Any = None
+        self._ready = threading.Thread(target=self.sampler.warm_up, daemon=True)
+        self._ready.start()
+
+    @property
+    def compiling(self) -> bool:
+        """Whether batches wait for the kernel."""
+        return self._ready.is_alive() and bool(self._waiting)
+
+    def take(self, segment: int, words: NDArray[np.int64]) -> None:
+        """Keep a batch for the next `work`."""
+        self._waiting.append((segment, words.copy()))
+
+    def work(self) -> None:
+        """Write the samples of waiting batches and, when it is time, what the board says."""
+        if not self._ready.is_alive():
+            self._drain(_MOST_BATCHES)
+        now = time.monotonic()
+        if self._log is not None and now >= self._service_at:
+            self._service_at = now + SERVICE_S
+            with contextlib.suppress(FaultError, OSError):  # a service that goes away just now
+                self._tell_service(self._log.board)
+            with contextlib.suppress(FaultError, OSError):
+                self._tell_map(now)
+
+    def _drain(self, most: int) -> None:
+        while self._waiting and most > 0:
+            segment, words = self._waiting.popleft()
+            if segment != self._segment:
+                self._segment = segment
+                self.sampler.begin()
+            most -= 1
+            if self._segment == self._given_up:
+                continue
+            try:
+                for part in self.sampler.feed(words):
+                    self.channels.take(part)
+            except RecordingError as e:
+                # the words go on; the next segment begins with a snapshot again
+                self._given_up = self._segment
+                self.channels.say(time.monotonic_ns(), f"no more samples of this segment: {e}", fx.WARNING)
+        if self.sampler.differing > self._told:
+            self._told = self.sampler.differing
+            text = f"{self._told} cycles came out otherwise here than in the service: another release?"
+            self.channels.say(time.monotonic_ns(), text, fx.WARNING)
+
+    def _tell_service(self, board: Board) -> None:
+        stats = board.plain("stats", Stats)
+        ticker = board.latch("ticker", Ticker).read() or {}
+        map_status = board.latch("map_status", MapStatus).read() or {}
+        t_ns = time.monotonic_ns()
+        values: dict[str, Any] = {
+            "timestamp": fx.stamp(t_ns + self.channels.sink.wall_offset_ns),
+            "t_ns": t_ns,
+            **{n: stats[n] for n in _COUNTERS},
+        }
+        for name in ("lateness", "execution"):
+            summary = histogram_summary(stats[name], stats[f"{name}_max_ns"])
+            values |= {f"{name}_{p}": summary[p] for p in ("p50_ns", "p99_ns", "p99_9_ns")}
+            values[name] = stats[name]
+        values |= {"pose_pid": ticker.get("pose_pid"), "clients": ticker.get("clients")}
+        values["service_faults"] = ticker.get("faults")
+        values |= {f"map_{n}": map_status.get(n) for n in ("queued", "applied", "lost")}
+        self.channels.sink.add_message("/service", SERVICE, t_ns, SERVICE.encode(values))
+
+    def _tell_map(self, now: float) -> None:
+        assert self._map is not None
+        if not self._pace.free(now):
+            return
+        changes = self._map.map_changes(self._changes)
+        if not changes.tiles:
+            return
+        window = self._map.map_window()
+        w = (window.origin_m, window.grid_m, window.quantum_m, window.datum_m)
+        points, counts = known_points(window.quanta(), window.samples(), *w)
+        self._changes = changes
+        if len(points):
+            self._pace.spent(now, self.channels.map_points(time.monotonic_ns(), points, counts))
+
+    def change_file(self, writer: RecordingWriter) -> None:
+        """Go on in another file, which tells parameters, mounts and map anew."""
+        self.channels = StandardChannels(writer, self.sampler.params)
+        self.channels.announce(time.monotonic_ns(), "continued from the file before")
+        self._changes, self._pace = None, MapPace()
+
+    def finish(self) -> None:
+        """Write what waits, and the map once more."""
+        self._ready.join()
+        while self._waiting:
+            self._drain(_MOST_BATCHES)
+        if self._map is not None:
+            with contextlib.suppress(FaultError, BlockError, OSError):
+                self._pace = MapPace()
+                self._tell_map(time.monotonic())
+                self._tell_service(self._log.board)  # type: ignore[union-attr]
+
+    def close(self) -> None:
+        """Let go of the map."""
+        if self._map is not None:
+            self._map.close()

@@ -1,0 +1,98 @@
+"""The main thread's beat: publish what it found of clients, driver and faults (the ticker)."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.service import memory as m
+from surffollow.service.audit import AuditTrail
+from surffollow.service.driver_watch import DriverWatch
+from surffollow.service.housekeeping import Guard
+from surffollow.service.messages import Messages
+from surffollow.service.realtime import Grants
+from surffollow.service.shared_objects import House
+from surffollow.service.slot_server import SlotServer
+from surffollow.shm import layout_board as lb
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.latch import latch_write
+from surffollow.shm.layout_follow import CHANNELS, STOP_DRIVER
+from surffollow.shm.python_atomics import load_acquire, store_release
+
+# SERVICE_FAULT_NAMES
+FAULT_DRIVER, FAULT_CYCLE_STALLED, FAULT_SAMPLES_LOST, FAULT_SLOTS, FAULT_HOUSEKEEPING = 1, 2, 4, 8, 16
+
+
+class Beat:
+    """What the main thread tells clients about itself, the driver and who is alive.
+
+    Parts of it may fail: the fault is latched and told, and the part is tried again at the next beat.
+
+    Parameters
+    ----------
+    house : House            the board
+    ctx : (n,) int64         the words that the service's threads share (`service.memory`)
+    watch : DriverWatch      knows the driver's faults
+    grants : Grants          what the kernel granted
+    server : SlotServer      who holds which slot
+    messages : Messages      lines for people
+
+    Attributes
+    ----------
+    guard : Guard            for all that the main thread does beside the cycle
+    """
+
+    def __init__(
+        self,
+        house: House,
+        ctx: NDArray[np.int64],
+        watch: DriverWatch,
+        grants: Grants,
+        server: SlotServer,
+        messages: Messages,
+    ) -> None:
+        self._house, self._ctx, self._watch, self._grants = house, ctx, watch, grants
+        self._server, self._messages, self.guard = server, messages, Guard(messages.tell)
+        self._audit = AuditTrail(house, ctx, server.table.named, messages.tell)
+        self._ticker = zeros(lb.Ticker)
+
+    def end(self) -> None:
+        """The cycle has ended: tell what the audit trail still holds. Raises nothing."""
+        self.guard.run("the audit trail", self._audit.finish, None)
+
+    def compiling(self, text: str) -> None:
+        """Tell clients that wait how far the start is; empty: nothing. Before the first beat only."""
+        self._ticker[0]["text"] = text.encode(errors="replace")[:511]
+        latch_write(self._house.address("ticker"), self._ticker.ctypes.data, lb.Ticker.SIZE)
+
+    def beat(self, faults: int = 0) -> None:
+        """Look once and publish; `faults` are bits that the caller found itself. Raises nothing."""
+        told_ns = time.monotonic_ns()  # before what it tells was looked at
+        clients, pose_slot = self._server.table, int(self._ctx[m.POSE_SLOT])
+        sender = clients.who(pose_slot)
+        driver_faults = self._watch.faults()
+        causes = STOP_DRIVER if driver_faults else 0
+        store_release(self._ctx.ctypes.data + 8 * m.STOP_ASKED, causes)
+        self.guard.run("the audit trail", self._audit.publish, None)
+        texts = [*driver_faults, *self._watch.notes(), *self._grants.refused, *self.guard.texts()]
+        if self._server.failures:
+            faults |= FAULT_SLOTS
+            texts.append(
+                f"{self._server.failures} attempts to hand out or renew a slot failed: "
+                f"{self._server.last_failure}"
+            )
+        faults |= FAULT_DRIVER if driver_faults else 0
+        faults |= FAULT_SAMPLES_LOST if int(self._ctx[m.LOST]) else 0
+        faults |= FAULT_HOUSEKEEPING if self.guard.failed else 0
+        t = self._ticker[0]
+        t["t_ns"], t["pose_slot"], t["pose_pid"] = told_ns, pose_slot, sender.pid if sender else 0
+        for c in range(CHANNELS):
+            slot = int(load_acquire(self._ctx.ctypes.data + 8 * (m.RANGE_SLOT + c)))
+            pusher = clients.who(slot)
+            t["range_slot"][c], t["range_pid"][c] = slot, pusher.pid if pusher else 0
+        t["clients"], t["granted"], t["faults"] = clients.held(), self._grants.bits, faults
+        t["messages_lost"], t["audit_lost"] = self._messages.lost, self._audit.lost + self._messages.unwritten
+        t["text"] = "; ".join(texts).encode(errors="replace")[:511]
+        latch_write(self._house.address("ticker"), self._ticker.ctypes.data, lb.Ticker.SIZE)

@@ -1,0 +1,57 @@
+"""Fill a cycle's preview from the live map: ground ahead that an earlier pass or an installed map tells.
+
+The cycle never waits for the map thread: a map that is being laid anew, or that changes while it is
+read, previews nothing. What is read is an input of the cycle and goes into its log, so a replay needs no map.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.forecast.terrain.preview_schedule import preview_window
+from surffollow.map.kernels.preview_line import bridge_gaps, grid_width, heights_along
+from surffollow.shm.jit import jit, jit_pasted
+from surffollow.shm.layout_follow import MAX_PREVIEW, MODE_ADAPTIVE
+
+# of the reference length: coarser grids blur what a plan would be for
+COARSEST_M = 5.08e-3
+PER_GRID = 2.0
+BRIDGE_M = 8e-3  # holes up to this long are bridged, as those of a leading sensor
+
+
+@jit
+def look_ahead(mem: Any) -> None:
+    """Set n_preview, preview_from_m, preview_step_m and preview_m of the coming cycle's inputs."""
+    due, x, y, ux, uy, first, last = preview_window(mem.params, mem.state, mem.inputs)
+    if due == 0:
+        return
+    grid_m = grid_width(mem.header)
+    length = mem.state[0].scaled.length
+    if not 0.0 < grid_m <= COARSEST_M * length:
+        return
+    step = max(grid_m / PER_GRID, (last - first) / (MAX_PREVIEW - 2))
+    n = min(int((last - first) / step) + 2, MAX_PREVIEW)
+    i = mem.inputs[0]
+    known = heights_along(
+        mem.header,
+        mem.pairs,
+        mem.kept,
+        i.t_ns,
+        x + first * ux,
+        y + first * uy,
+        step * ux,
+        step * uy,
+        n,
+        i.preview_m,
+    )
+    if known > 0:
+        bridge_gaps(i.preview_m, n, int(BRIDGE_M * length / step))
+        i.n_preview, i.preview_from_m, i.preview_step_m = n, first, step
+
+
+@jit_pasted
+def fill_preview(mem: Any) -> None:
+    """Preview of the coming cycle; in paper mode nothing is looked at."""
+    mem.inputs[0].n_preview = 0
+    if mem.params[0].mode == MODE_ADAPTIVE:
+        look_ahead(mem)

@@ -1,0 +1,307 @@
+"""Make and heal what a service shares: the map is kept; board, slots and their socket are made anew."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import socket
+import time
+from typing import Any
+
+import numpy as np
+
+from surffollow.config.names import check_service_name
+from surffollow.config.service import ServiceConfig, map_rounding, metres, mode, seconds
+from surffollow.config.trusted_users import own_user
+from surffollow.errors import (
+    AlreadyRunningError,
+    BlockError,
+    ConfigError,
+    NoPermissionError,
+    NoSpaceError,
+    NotRunningError,
+)
+from surffollow.map.header import header_fault, init_header
+from surffollow.service.slot_memory import SlotMemory
+from surffollow.service.slot_server import BACKLOG
+from surffollow.service.stale_objects import clear_stale
+from surffollow.shm import board_regions
+from surffollow.shm import layout_board as lb
+from surffollow.shm import map_layout as ml
+from surffollow.shm.dtypes import numpy_dtype, zeros
+from surffollow.shm.name_lock import NameLock, holder
+from surffollow.shm.objects import SharedObject, unlink
+from surffollow.shm.process import boot_id, own_pid, start_ticks
+from surffollow.shm.received_descriptors import Disposal
+from surffollow.shm.unix_socket import listen, socket_path
+
+
+class House:
+    """What one running service shares and owns; made by `open_house`."""
+
+    def __init__(
+        self,
+        config: ServiceConfig,
+        lock: NameLock,
+        board: SharedObject,
+        map_: SharedObject,
+        slots: SlotMemory,
+        listener: socket.socket,
+    ) -> None:
+        self.config, self.board, self.map = config, board, map_
+        self.lock, self.slots, self.listener = lock, slots, listener
+        self.map_is_new = False  # made by this start, which has not been ready yet
+        self.regions = board_regions.board_regions(config.log_words)
+        self.board_bytes = np.frombuffer(board.memory, np.uint8)
+        self.header = self.board_bytes[: lb.BoardHeader.SIZE].view(numpy_dtype(lb.BoardHeader))
+        map_bytes = np.frombuffer(map_.memory, np.uint8)
+        self.map_header = map_bytes[: ml.MapHeader.SIZE].view(numpy_dtype(ml.MapHeader))
+        capacity = int(self.map_header[0]["capacity_grids"])
+        at, n = ml.pairs_offset(), ml.pairs_of(capacity)
+        self.pairs = map_bytes[at : at + n * ml.PAIR_BYTES].view(numpy_dtype(ml.GridPair))
+        at, n = ml.scratch_offset(capacity), int(self.map_header[0]["scratch_bytes"]) // 8
+        self.scratch = map_bytes[at : at + 8 * n].view(np.float64)
+
+    @property
+    def epoch(self) -> int:
+        return int(self.map_header[0]["owner_epoch"])
+
+    def address(self, part: str) -> int:
+        """Address of a part of the board."""
+        return int(self.board_bytes.ctypes.data) + self.regions[part][0]
+
+    def set_state(self, state: int) -> None:
+        """Store the service's state, after all that it announces."""
+        from surffollow.shm.python_atomics import store_release
+
+        if state == lb.STATE_READY:
+            self.map_is_new = False
+        store_release(int(self.board_bytes.ctypes.data) + lb.BoardHeader.offset("state"), state)
+
+    def leave(self) -> None:
+        """Unlink board and socket and give up the name; the map stays, unless a refused start made it."""
+        Disposal().part_listener(self.listener)
+        for part in (socket_path(self.config.name).name, self.board.name):
+            if part != self.board.name or self.board.is_current():
+                unlink(part)
+        if self.map_is_new and self.map.is_current():
+            unlink(self.map.name)
+        self.lock.release()
+
+
+def _group_id(name: str) -> int:
+    if not name:
+        return -1
+    import grp
+
+    try:
+        return grp.getgrnam(name).gr_gid
+    except KeyError:
+        raise ConfigError(f"configuration key access.group is {name!r}; there is no such group") from None
+
+
+def take_name(name: str) -> NameLock:
+    """Become the owner of a service's name and of its map.
+
+    Raises
+    ------
+    AlreadyRunningError, NoPermissionError, BlockError, NoSpaceError
+    """
+    lock = NameLock.take(name)
+    if lock is None:
+        pid = holder(name)
+        who, how = f"pid {pid}", f"stop it with `surffollow stop --name {name}`"
+        if pid <= 0:
+            who, how = "in another pid namespace, a container perhaps", "stop it there"
+        raise AlreadyRunningError(
+            f"service {name!r} runs already ({who}); {how}, or start this one under another name (--name)"
+        )
+    return lock
+
+
+def _take_map(config: ServiceConfig, group: int) -> tuple[SharedObject, bool]:
+    """The map of the name, which is ours by its lock, and whether it was made now."""
+    try:
+        return SharedObject.open(f"{config.name}.map", writable=True, owners=(own_user(),)), False
+    except NotRunningError:
+        return _make_map(config, group), True
+
+
+def _make_map(config: ServiceConfig, group: int) -> SharedObject:
+    grids = config.map.grids
+
+    def prepare(map_: SharedObject) -> None:
+        header = _map_header(map_)
+        init_header(
+            header,
+            capacity_grids=grids,
+            finest_grid_m=metres(config.map.finest_grid, "map.finest_grid", 1e-6, 1e4),
+            quantum_m=metres(config.map.quantum, "map.quantum", 1e-9, 10.0),
+            rounding=map_rounding(config),
+            gate_m=metres(config.map.gate, "map.gate", 0.0, 1e4),
+        )
+        header[0]["owner_pid"] = os.getpid()
+
+    map_mode = mode(config.access.map_mode, "access.map_mode")
+    return SharedObject.create(f"{config.name}.map", ml.map_object_size(grids), map_mode, group, prepare)
+
+
+def _map_header(map_: SharedObject) -> Any:
+    return np.frombuffer(map_.memory, np.uint8)[: ml.MapHeader.SIZE].view(numpy_dtype(ml.MapHeader))
+
+
+def _check_owner(config: ServiceConfig, map_: SharedObject, group: int) -> None:
+    """Adopt only a map that nobody but the service's own user could have changed."""
+    status, me = os.fstat(map_.fd), own_user()
+    name, wanted = map_.name, mode(config.access.map_mode, "access.map_mode")
+    remedy = f"look at it (ls -l /dev/shm), then remove it: surffollow stop --name {config.name} --purge"
+    if status.st_uid != me:
+        raise NoPermissionError(
+            f"the kept map {name!r} belongs to user {status.st_uid}, the service runs as {me}; {remedy}"
+        )
+    if status.st_mode & 0o022 & ~wanted:
+        raise NoPermissionError(
+            f"the kept map {name!r} has mode {status.st_mode & 0o777:o}: others could write it; {remedy}"
+        )
+    if status.st_nlink > 1:
+        raise NoPermissionError(f"the kept map {name!r} has another name (a hard link); {remedy}")
+    if group >= 0:
+        os.fchown(map_.fd, -1, group)
+    os.fchmod(map_.fd, wanted)
+
+
+def _check_kept_map(config: ServiceConfig, map_: SharedObject, group: int) -> None:
+    purge = f"keep it elsewhere first if you need it, then `surffollow stop --name {config.name} --purge`"
+    if map_.size < ml.HEADER_BYTES + ml.PAIR_BYTES:
+        raise BlockError(f"the kept map {map_.name!r} is only {map_.size} bytes long; {purge}")
+    _check_owner(config, map_, group)
+    header = _map_header(map_)
+    n_pairs = (map_.size - ml.pairs_offset()) // ml.PAIR_BYTES
+    fault = header_fault(header, n_pairs)
+    w = header[0]
+    capacity = int(w["capacity_grids"])
+    if not fault and map_.size < ml.scratch_offset(capacity) + int(w["scratch_bytes"]):
+        fault = "it is shorter than its header says"
+    if fault:
+        raise BlockError(f"the kept map {map_.name!r} cannot be used: {fault}; {purge}")
+    if capacity != config.map.grids:
+        raise ConfigError(
+            f"the kept map {map_.name!r} has room for {capacity} grids, the configuration asks for "
+            f"{config.map.grids} (map.grids); use that number, or {purge}"
+        )
+    # these only matter from the next sample or reset on
+    w["rounding"] = ml.ROUNDING_NAMES.index(map_rounding(config))
+    w["gate_m"] = metres(config.map.gate, "map.gate", 0.0, 1e4)
+    w["finest_grid_m"] = metres(config.map.finest_grid, "map.finest_grid", 1e-6, 1e4)
+    w["owner_pid"] = os.getpid()
+
+
+def open_house(config: ServiceConfig) -> House:
+    """Take the name, heal what a dead service left, and make the board, the slots and their socket.
+
+    Raises
+    ------
+    InvalidNameError, AlreadyRunningError, NoSpaceError, NoPermissionError, BlockError, ConfigError
+    """
+    name = check_service_name(config.name)
+    group = _group_id(config.access.group)
+    lock = take_name(name)
+    try:
+        map_, fresh = _take_map(config, group)
+    except BaseException:
+        lock.release()
+        raise
+    made = [map_] if fresh else []
+    slots: SlotMemory | None = None
+    try:
+        if not fresh:
+            _check_kept_map(config, map_, group)
+        clear_stale(name)
+        board_mode = mode(config.access.board_mode, "access.board_mode")
+        made.append(SharedObject.create(name, board_regions.board_bytes(config.log_words), board_mode, group))
+        slots = _make_slots(name)
+        listener = _listen(config, group)
+    except BaseException:
+        if slots is not None:
+            slots.close()
+        map_.close()
+        for part in made:
+            unlink(part.name)
+            part.close()
+        lock.release()
+        raise
+    house = House(config, lock, made[-1], map_, slots, listener)
+    house.map_is_new = fresh
+    header = house.map_header[0]
+    header["owner_epoch"] = new_epoch(int(header["owner_epoch"]))
+    _fill_headers(house)
+    return house
+
+
+def new_epoch(before: int) -> int:
+    """A number that no other start has: the clock's second, and what differs between starts within one.
+
+    It grows while the map is kept, and stays below 2^53 for programs that only have float64.
+    """
+    text = f"{boot_id()} {time.monotonic_ns()} {os.getpid()}".encode()
+    low = int.from_bytes(hashlib.blake2b(text, digest_size=4).digest(), "little") & 0xFFFFF
+    return max(int(time.time()) << 20 | low, before + 1)
+
+
+def _make_slots(name: str) -> SlotMemory:
+    try:
+        return SlotMemory(name)
+    except OSError as e:
+        raise NoSpaceError(
+            f"cannot make the memory of {lb.CLIENTS} client slots "
+            f"({board_regions.inbox_bytes()} bytes): {e}; raise the limits of memory, locked memory or open "
+            "files (ulimit -v, -l, -n)"
+        ) from None
+
+
+def _listen(config: ServiceConfig, group: int) -> socket.socket:
+    path = socket_path(config.name)
+    try:
+        return listen(path, mode(config.access.socket_mode, "access.socket_mode"), group, BACKLOG)
+    except OSError as e:
+        if e.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS):
+            raise NoSpaceError(
+                f"cannot listen on {path}: {e}; /dev/shm takes no more files (df -i /dev/shm)"
+            ) from None
+        kind = NoPermissionError if e.errno in (errno.EPERM, errno.EACCES) else BlockError
+        raise kind(f"cannot listen on {path}: {e}; look at it (ls -l {path}) and remove it") from None
+
+
+def _fill_headers(house: House) -> None:
+    config = house.config
+    header = zeros(lb.BoardHeader)
+    h: Any = header[0]
+    h["version"], h["layout_hash"] = lb.LAYOUT_VERSION, board_regions.layout_hash()
+    h["size"], h["state"], h["epoch"] = house.board.size, lb.STATE_INITIALISING, house.epoch
+    h["pid"], h["start_ticks"] = own_pid(), start_ticks(own_pid())
+    h["boot_id"], h["name"] = boot_id().encode(), config.name.encode()
+    h["period_ns"] = round(seconds(config.period, "period", 20e-6, 1.0) * 1e9)
+    for k, (part, schema, _) in enumerate(board_regions.BOARD_PARTS):
+        offset, size = house.regions[part]
+        r = h["region"][k]
+        r["name"], r["offset"], r["size"] = part.encode(), offset, size
+        r["hash"] = board_regions.log_hash() if part == "log" else schema.HASH
+    h["n_regions"] = len(board_regions.BOARD_PARTS)
+    h["magic"] = lb.BOARD_MAGIC
+    house.header[...] = header
+
+
+def purge_map(name: str) -> bool:
+    """Remove the kept map of a name and what a killed service left; False when there was nothing.
+
+    Raises
+    ------
+    AlreadyRunningError, NoPermissionError, BlockError
+    """
+    lock = take_name(name)
+    try:
+        purged = unlink(f"{name}.map")
+        return clear_stale(name) or purged
+    finally:
+        lock.release()

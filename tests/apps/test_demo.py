@@ -1,0 +1,112 @@
+"""The demonstration as a newcomer runs it: real processes, real figures, a picture."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from running_service import objects_of
+from surffollow.apps.demo_figures import table, verdict
+
+KEYS = {
+    "standoff_rms_m",
+    "standoff_peak_m",
+    "cycles",
+    "overruns",
+    "lateness_p50_ns",
+    "lateness_p99_ns",
+    "grids_known",
+    "replay_identical",
+}
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("demo")
+    words = ["demo", "--seconds", "4", "--json", "--picture", str(folder / "demo.png"), "--keep", str(folder)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        [sys.executable, "-m", "surffollow", *words], stdout=pipe, stderr=pipe, text=True
+    ) as demo:
+        out, errors = demo.communicate(timeout=400)
+    assert demo.returncode == 0, errors + out
+    return folder, json.loads(out), demo.pid
+
+
+def test_demo_prints_one_json_object_with_the_promised_figures(result):
+    _, figures, _ = result
+    assert figures.keys() >= KEYS
+    assert figures["failures"] == []
+
+
+def test_demo_follows_within_its_bars_and_maps_where_it_went(result):
+    _, figures, _ = result
+    assert figures["standoff_rms_m"] <= 5e-3
+    # 4 s at 50 mm/s pass about 80 grids of 2.54 mm
+    assert figures["grids_known"] >= 40
+    assert figures["cycles"] > 3000
+
+
+def test_demo_replays_with_the_same_bits(result):
+    folder, figures, _ = result
+    assert figures["replay_identical"] is True
+    assert figures["replay_cycles"] > 3000
+    assert (folder / "demo.mcap").stat().st_size > 0
+
+
+def test_demo_draws_a_picture(result):
+    folder, _, _ = result
+    data = (folder / "demo.png").read_bytes()
+    assert data[:8] == b"\x89PNG\r\n\x1a\n"
+    assert len(data) > 20_000
+
+
+def test_demo_leaves_nothing_in_shared_memory(result):
+    assert objects_of(f"demo-{result[2]}") == set()
+
+
+def test_verdict_names_everything_that_went_wrong():
+    bad = {
+        "standoff_rms_m": 6e-3,
+        "standoff_rms_rolling_m": 3e-3,
+        "replay_identical": False,
+        "grids_known": 0,
+        "samples_lost": 5,
+        "seconds": 20.0,
+        "moving_s": 8.2,
+    }
+    assert len(verdict(bad, 5e-3, 2e-3)) == 6
+    assert len(verdict(bad | {"standoff_rms_rolling_m": None}, 5e-3, 2e-3)) == 6
+
+
+def test_table_has_a_row_for_every_figure(result):
+    _, figures, _ = result
+    text = table(figures)
+    for word in ("stand-off RMS", "lateness", "grids mapped", "replay", "overruns"):
+        assert word in text
+
+
+def test_closeness_above_the_bars_speed_is_told_not_judged_and_a_folder_may_be_used_again(result):
+    folder, _, _ = result
+    words = [
+        "demo",
+        "--mode",
+        "paper",
+        "--speed",
+        "200 mm/s",
+        "--seconds",
+        "3",
+        "--json",
+        "--keep",
+        str(folder),
+    ]
+    done = subprocess.run(
+        [sys.executable, "-m", "surffollow", *words], capture_output=True, text=True, timeout=400
+    )
+    figures = json.loads(done.stdout)
+    assert done.returncode == 0, figures["failures"]
+    assert figures["standoff_rms_m"] > 0.0
+    assert "50 mm/s" in figures["notes"][0]

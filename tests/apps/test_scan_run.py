@@ -1,0 +1,242 @@
+"""`surffollow scan run` against the real service: confirmed, paused, aborted, stopped, and told about."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from running_service import READY_S, WAIT_S, Service, config_text, until
+from surffollow.apps.scan_control import ControlServer, ask
+from surffollow.cli.main import cli
+from surffollow.errors import NotRunningError
+from surffollow.map import HeightMap
+
+GAP_M = 0.08  # within the window of the simulated sensor
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Bumpy ground as a map, and a plan over it."""
+    made = tmp_path_factory.mktemp("scan")
+    y, x = np.mgrid[0:0.5:0.005, 0:0.6:0.005]
+    z = 0.006 * np.sin(9.0 * x) + 0.005 * np.cos(8.0 * y)
+    HeightMap.from_heights(z, origin_m=(0.0, 0.0), grid_m=0.005).save(made / "ground.npz")
+    region = ["--region", "0.15,0.2,0.45,0.3", "--gap", f"{GAP_M}", "--body", "disc:0.05"]
+    words = ["plan", str(made / "ground.npz"), *region, "--speed", "0.2", "--acceleration", "1"]
+    done = CliRunner().invoke(cli, ["scan", *words, "-o", str(made / "path.csv")])
+    assert done.exit_code == 0, done.output
+    return made
+
+
+@pytest.fixture(scope="module")
+def service(folder):
+    text = config_text(kind="simulated", grids=100_000, follow=f"offset = {GAP_M}")
+    text = text.replace('surface = "flat"\nregion = [0.0, 0.0, 0.1, 0.1]', f'file = "{folder}/ground.npz"')
+    made = Service(folder, text).start()
+    yield made
+    made.purge()
+
+
+def words(service, folder, *more):
+    command = [sys.executable, "-m", "surffollow", "scan", "run", str(folder / "path.csv")]
+    return [*command, "--name", service.name, "--map", str(folder / "ground.npz"), "--json", *more]
+
+
+def begin(service, folder, *more):
+    pipe = subprocess.PIPE
+    child = subprocess.Popen(
+        words(service, folder, "--yes", *more), stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True
+    )
+    reach(service, child, lambda s: s["state"] == "scan" and s["progress"] > 0.05)
+    return child
+
+
+def reach(service, child, what):
+    def there():
+        assert child.poll() is None, child.communicate()
+        try:
+            return what(ask(service.name, "status"))
+        except NotRunningError:
+            return False
+
+    until(there, "the scan", READY_S)
+
+
+def ended(child):
+    out, error = child.communicate(timeout=WAIT_S)
+    assert out.startswith("{"), error
+    return child.returncode, json.loads(out)
+
+
+def test_a_scan_is_run_to_its_end_and_reported(service, folder, tmp_path):
+    pytest.importorskip("matplotlib", reason="extra `plot`")
+    more = ["--ground", str(folder / "ground.npz"), "--report", str(tmp_path / "run.html")]
+    child = subprocess.run(
+        words(service, folder, "--yes", *more, "--picture", str(tmp_path / "run.png")),
+        capture_output=True,
+        text=True,
+        timeout=READY_S,
+        stdin=subprocess.DEVNULL,
+    )
+    assert child.returncode == 0, child.stderr
+    facts = json.loads(child.stdout)
+    assert facts["finished"]
+    assert facts["retracted"]
+    assert facts["true_rms_m"] < 3e-3
+    assert facts["true_contacts"] == 0.0
+    assert facts["sensed_part"] > 0.9
+    # the plan was shown: figures, flags, check
+    for shown in ("clearance_min_m", "flags", "ok   clearance", "picture of the plan"):
+        assert shown in child.stderr
+    assert (tmp_path / "run.png").read_bytes()[:4] == b"\x89PNG"
+    page = (tmp_path / "run.html").read_text(encoding="utf-8")
+    assert "finished: 100 %" in page
+    assert page.count("data:image/png;base64,") == 1
+
+
+def test_nothing_moves_before_somebody_confirms(service, folder):
+    refused = subprocess.run(
+        words(service, folder), capture_output=True, text=True, timeout=READY_S, stdin=subprocess.DEVNULL
+    )
+    assert refused.returncode == 2
+    assert "--yes" in refused.stderr
+    with pytest.raises(NotRunningError):
+        ask(service.name, "status")
+    ours, theirs = pty.openpty()
+    child = subprocess.Popen(
+        words(service, folder), stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    os.write(ours, b"n\n")
+    out, error = child.communicate(timeout=READY_S)
+    os.close(ours)
+    os.close(theirs)
+    assert child.returncode == 1
+    assert "nothing moved" in error
+    assert out == ""
+
+
+def test_pause_resume_and_abort_by_commands(service, folder):
+    child = begin(service, folder)
+    for word, state in (("pause", "paused"), ("resume", "scan")):
+        done = CliRunner().invoke(cli, ["scan", word, service.name, "--json"])
+        assert done.exit_code == 0, done.output
+        reach(service, child, lambda s, state=state: s["state"] == state)
+    done = CliRunner().invoke(cli, ["scan", "abort", service.name])
+    assert "abort asked for" in done.output
+    code, facts = ended(child)
+    assert code == 1
+    assert facts["aborted"]
+    assert facts["retracted"]
+    assert facts["pauses"] == 1
+    assert facts["paused_ticks"] > 0
+    assert 0.0 < facts["progress"] < 1.0
+
+
+def test_ctrl_c_retracts_before_it_ends(service, folder):
+    child = begin(service, folder)
+    child.send_signal(signal.SIGINT)
+    code, facts = ended(child)
+    assert code == 130
+    assert facts["aborted"]
+    assert facts["retracted"]
+
+
+def test_a_latched_stop_holds_the_scan_until_the_operator_resumes(service, folder):
+    child = begin(service, folder)
+    with service.attach(label="guard") as guard:
+        guard.stop("somebody stepped in")
+    reach(service, child, lambda s: s["state"] == "stopped")
+    at = ask(service.name, "status")["progress"]
+    service.cycles(300)
+    later = ask(service.name, "status")
+    assert later["state"] == "stopped"
+    assert later["progress"] - at < 0.1
+    ask(service.name, "resume")
+    reach(service, child, lambda s: s["state"] == "scan")
+    ask(service.name, "abort")
+    assert ended(child)[1]["held_ticks"] > 0
+
+
+def test_keys_of_a_terminal_pause_and_abort(service, folder):
+    ours, theirs = pty.openpty()
+    child = subprocess.Popen(
+        words(service, folder, "--yes"),
+        stdin=theirs,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    reach(service, child, lambda s: s["state"] == "scan")
+    os.write(ours, b"p")
+    reach(service, child, lambda s: s["state"] == "paused")
+    os.write(ours, b"a")
+    code, facts = ended(child)
+    os.close(ours)
+    os.close(theirs)
+    assert (code, facts["aborted"], facts["pauses"]) == (1, True, 1)
+
+
+def test_a_path_that_the_checker_refuses_needs_the_operators_word(service, folder, tmp_path):
+    rough = HeightMap.load(folder / "ground.npz")
+    HeightMap.from_heights(rough.heights_m + 0.03, origin_m=(0.0, 0.0), grid_m=0.005).save(
+        tmp_path / "higher.npz"
+    )
+    command = words(service, folder, "--yes")
+    command[command.index(str(folder / "ground.npz"))] = str(tmp_path / "higher.npz")
+    done = subprocess.run(command, capture_output=True, text=True, timeout=READY_S, stdin=subprocess.DEVNULL)
+    assert done.returncode == 2
+    assert "--unchecked" in done.stderr
+
+
+def test_a_report_that_cannot_be_written_is_refused_before_anything_moves(folder, tmp_path):
+    for more in (
+        ["--report", str(tmp_path / "none" / "run.html")],
+        ["--picture", str(tmp_path / "none/r.png")],
+    ):
+        command = [sys.executable, "-m", "surffollow", "scan", "run", str(folder / "path.csv"), "--yes"]
+        done = subprocess.run(
+            [*command, "--name", "nobody", "--wait", "0", *more],
+            capture_output=True,
+            text=True,
+            timeout=READY_S,
+            stdin=subprocess.DEVNULL,
+        )
+        assert done.returncode == 1
+        assert "cannot write beside" in done.stderr
+
+
+def test_two_scans_of_one_service_exclude_each_other_and_words_are_checked():
+    server = ControlServer("twice")
+    try:
+        with pytest.raises(Exception, match="another scan"):
+            ControlServer("twice")
+    finally:
+        server.close()
+    with pytest.raises(NotRunningError, match="scan run"):
+        ask("twice", "pause")
+    ControlServer("twice").close()
+
+
+def test_an_abort_retracts_after_the_service_has_died(folder):
+    text = config_text(kind="simulated", grids=100_000, follow=f"offset = {GAP_M}")
+    text = text.replace('surface = "flat"\nregion = [0.0, 0.0, 0.1, 0.1]', f'file = "{folder}/ground.npz"')
+    own = Service(folder, text).start()
+    try:
+        child = begin(own, folder)
+        own.kill()
+        reach(own, child, lambda s: s["state"] == "hold" and s["trouble"])
+        ask(own.name, "abort")
+        code, facts = ended(child)
+    finally:
+        own.purge()
+    assert code == 1
+    assert facts["aborted"]
+    assert facts["retracted"]

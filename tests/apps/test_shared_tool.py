@@ -1,0 +1,144 @@
+"""The follower as one client of a shared tool: its demands bring the pose that they are relative to."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from arbiter.running import Running, until
+from surffollow.apps.run_by_holder import RunByHolder
+from surffollow.apps.shared_demo import arbiter_text
+from surffollow.apps.shared_tool import ReportedPoses, ToolStatus, attach_arbitrated, follow
+from surffollow.arbiter import attach
+from surffollow.blocks import mem_attach
+
+POSE = (0.05, 0.05, 0.1, 0.0, 0.0, 0.0, 1.0)
+
+
+def test_reported_poses_are_found_by_their_stamps_and_the_oldest_forgotten():
+    name = f"poses{time.time_ns() & 0xFFFFFFFF:x}"
+    with ReportedPoses(name) as poses:
+        assert poses.at(1) is None
+        with mem_attach({"tool_status": ToolStatus}, name, write=True) as memory:
+            seen = []
+            for t_ns in range(1, ReportedPoses.KEPT + 11):
+                with memory["tool_status"].write() as status:
+                    status.t_ns, status.pose = t_ns, (float(t_ns), *POSE[1:])
+                seen.append(until(lambda t_ns=t_ns: poses.at(t_ns)))
+            assert seen[-1] == (74.0, *POSE[1:])
+            assert poses.at(11) == (11.0, *POSE[1:])
+            assert poses.at(10) is None
+
+
+@pytest.mark.parametrize("combine", ["priority", "sum"])
+def test_the_demonstration_lifts_the_tool_over_an_obstacle_and_brings_it_back(combine):
+    command = [sys.executable, "-m", "surffollow", "arbiter", "demo", "--seconds", "12", "--json"]
+    done = subprocess.run([*command, "--combine", combine], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    told = json.loads(done.stdout)
+    assert told["failures"] == []
+    assert told["least_standoff_over_obstacle_m"] > told["obstacle_m"]
+
+
+class FakeService:
+    """A service that notes what is set."""
+
+    def __init__(self):
+        self.epoch, self.runs = 1, []
+
+    def set_params(self, *, timeout_s=5.0, wait=True, run):
+        self.runs.append(run)
+        return self
+
+    def done(self):
+        return True
+
+    def result(self, timeout_s):
+        return 0
+
+
+def test_the_follower_learns_only_while_it_holds_the_tool_whatever_becomes_of_its_process(tmp_path):
+    server = Running(tmp_path, arbiter_text("priority")).start()
+    service = FakeService()
+    run = RunByHolder(service, server.name, "tool", "follow")
+
+    def becomes(wanted):
+        def look():
+            run.look(time.monotonic_ns())
+            return service.runs and service.runs[-1] == wanted
+
+        until(look)
+
+    try:
+        becomes("dryrun")  # nobody leads yet
+        follow_client = attach(server.name, "follow")
+        assert follow_client.resource("tool").request()
+        becomes("normal")
+        with attach(server.name, "avoid") as avoider:
+            assert avoider.resource("tool").request()
+            becomes("dryrun")
+            follow_client.close()  # or killed: the robot looks, not the follower
+            service.epoch += 1  # a restarted service has its configuration's mode
+            count = len(service.runs)
+            until(lambda: run.look(time.monotonic_ns()) or len(service.runs) > count)
+            assert service.runs[-1] == "dryrun"
+        run.close()
+        assert service.runs[-1] == "normal"
+    finally:
+        server.purge()
+
+
+@pytest.fixture
+def shared(tmp_path):
+    server = Running(tmp_path, arbiter_text("sum"))
+    try:
+        yield server.start()
+    finally:
+        server.purge()
+
+
+def test_an_offset_from_another_pose_is_converted_to_the_followers(service, shared):
+    """20 mm above 0.104 m are 24 mm above the pose that the follower's demand is relative to."""
+    over, counts = threading.Event(), {}
+    robot = attach_arbitrated(service.name, shared.name, "tool")
+
+    def report():
+        while not over.wait(0.002):
+            robot.ee_pos(POSE)
+
+    def lead():
+        counts.update(follow(service.name, shared.name, "follow", over.is_set))
+
+    threads = [threading.Thread(target=work) for work in (report, lead)]
+    for thread in threads:
+        thread.start()
+    try:
+        until(lambda: robot.dev_vector().valid)
+        alone = robot.dev_vector()[2]
+        with attach(shared.name, "avoid") as avoider:
+            offset = avoider.resource("offset")
+            assert offset.request()
+            other = (*POSE[:2], 0.104, *POSE[3:])
+            seen = []
+
+            def lifted():
+                offset.command(0.0, 0.0, 0.02, 0.0, 0.0, 0.0, ref_t_ns=1, ref_pose=other)
+                demand = robot.dev_vector()
+                if demand.valid and abs(demand[2] - alone) > 0.005:
+                    seen.append(demand[2])
+                return len(seen) >= 20
+
+            until(lifted)
+            assert seen == pytest.approx([alone + 0.024] * len(seen), abs=1e-3)
+    finally:
+        over.set()
+        for thread in threads:
+            thread.join()
+        robot.close()
+    assert counts["commands"] > 0
+    assert counts["without_pose"] <= 0.2 * counts["commands"] + 3

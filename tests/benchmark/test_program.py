@@ -1,0 +1,195 @@
+"""The benchmark as its users call it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from surffollow.benchmark import runner
+from surffollow.benchmark.methods import all_methods, check_methods
+from surffollow.benchmark.report import markdown_table
+from surffollow.benchmark.runner import run_cells
+from surffollow.benchmark.suite import Cell, main_cells, surface_names, sweep_cells
+from surffollow.cli.benchmark import benchmark_command
+from surffollow.errors import FaultError, UsageError
+from surffollow.sim.plant import PlantConfig
+
+from .naive_world import make_python_p
+
+FAST = ["hold", "p", "kalman-ff", "limit"]
+
+
+@pytest.fixture
+def hill(tmp_path: Path) -> str:
+    path = tmp_path / "hill.csv"
+    rows = (f"{0.002 * i},{0.008 * math.sin(0.014 * i)}" for i in range(1000))
+    path.write_text("x_m,height_m\n" + "\n".join(rows))
+    return str(path)
+
+
+def call(*arguments: str) -> Any:
+    return CliRunner().invoke(benchmark_command, [*arguments, "--processes", "1"])
+
+
+def test_json_has_one_row_per_method_surface_speed_and_lead(hill: str) -> None:
+    result = call(
+        *("--surface", hill, "--speed", "0.2,400mm/s", "--lead", "0,50mm", "--seeds", "100:103"),
+        *("--methods", "p,p:oracle,kalman-ff,limit", "--json"),
+    )
+    assert result.exit_code == 0, result.output
+    rows = json.loads(result.stdout)["results"]
+    keys = [(r["method"], r["surface"], r["speed_mps"], r["lead_m"]) for r in rows]
+    assert len(set(keys)) == len(keys) == 4 * 2 * 2
+    assert {k[0] for k in keys} == {"p", "p:oracle", "kalman-ff", "limit"}
+    assert {(k[1], k[2], k[3]) for k in keys} == {("hill", v, d) for v in (0.2, 0.4) for d in (0.0, 0.05)}
+    for r in rows:
+        assert r["seeds"] == 3
+        assert 0.0 <= r["rms_m"] <= r["peak_m"] < 0.05
+        assert r["rms_ci95_m"][0] <= r["rms_m"] <= r["rms_ci95_m"][1]
+        assert {"p95_m", "within_1mm", "demand_accel_mps2", "lag_s", "min_clearance_m"} <= set(r)
+
+
+def test_what_two_cells_share_is_run_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    main = Cell("iso-c", 0.4)
+    slow_axis = main.conditions.but(plant=PlantConfig(tau_s=0.06))
+    cells = [main, replace(main, variant="latency=0.03")]  # a sweep's point that is in the main table too
+    cells += [Cell("iso-c", 0.4, main.conditions.but(lead_m=0.05)), Cell("iso-c", 0.4, slow_axis)]
+    alone = [run_cells([cell], ["p", "limit"], [0, 1], processes=1) for cell in cells]
+    done: list[tuple[str, float, float]] = []
+    do_task = runner.do_task
+
+    def counted(task: runner.Task) -> runner.Result:
+        done.append((task.method, task.cell.conditions.lead_m, task.cell.conditions.plant.tau_s))
+        return do_task(task)
+
+    monkeypatch.setattr(runner, "do_task", counted)
+    together = run_cells(cells, ["p", "limit"], [0, 1], processes=1)
+    assert sorted(done) == [("limit", 0.0, 0.04), ("p", 0.0, 0.04), ("p", 0.0, 0.06), ("p", 0.05, 0.04)]
+    assert [r.row() for r in together] == [r.row() for part in alone for r in part]
+    assert [r.cell for r in together] == [cell for cell in cells for _ in range(2)]
+
+
+def test_files_of_one_stem_are_told_apart_and_nothing_runs_twice(hill: str, tmp_path: Path) -> None:
+    other = tmp_path / "other" / "hill.csv"
+    other.parent.mkdir()
+    other.write_bytes(b"\xef\xbb\xbf" + Path(hill).read_bytes())  # as spreadsheets write it
+    result = call(
+        *("--surface", hill, "--surface", str(other), "--surface", hill, "--speed", "0.4"),
+        *("--speed", "400mm/s,0.4", "--lead", "0,0mm", "--seeds", "0:1", "--methods", "p", "--json"),
+    )
+    assert result.exit_code == 0, result.output
+    rows = json.loads(result.stdout)["results"]
+    assert [r["surface"] for r in rows] == [hill, str(other)]
+    assert rows[0]["rms_m"] == rows[1]["rms_m"]
+
+
+def test_folder_gets_table_json_and_plots_and_remembers_tunings(hill: str, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    out = tmp_path / "out"
+    arguments = ("--surface", hill, "--speed", "0.4", "--seeds", "0:2", "--methods", "p,p:oracle")
+    first = call(*arguments, "--out", str(out))
+    assert first.exit_code == 0, first.output
+    assert {p.name for p in out.iterdir()} == {"results.json", "table.md", "oracles.json", "hill-lead0.png"}
+    table = (out / "table.md").read_text()
+    assert "| p:oracle |" in table
+    assert "each taken as at least 0.1" in table
+    tuned = (out / "oracles.json").read_text()
+    again = call(*arguments, "--out", str(out))
+    assert again.output == first.output
+    assert (out / "oracles.json").read_text() == tuned
+
+
+def test_follower_of_anybody_may_enter() -> None:
+    outside = f"mine={make_python_p.__module__}:make_python_p"
+    result = call("--surface", "hump", "--speed", "0.4", "--seeds", "0:1", "--methods", outside, "--json")
+    assert result.exit_code == 0, result.output
+    assert [r["method"] for r in json.loads(result.stdout)["results"]] == ["mine"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--surface", "nowhere.csv"), "nowhere.csv"),
+        (("--methods", "magic"), "magic"),
+        (("--methods", "mine=no.such:thing"), "no.such"),
+        (("--methods", "mine=os:getcwd"), "TypeError"),
+        (("--methods", "mine=builtins:str"), "no method pose"),
+        (("--methods", ""), "no method"),
+        (("--methods", " , "), "no method"),
+        (("--seeds", "5:5"), "half-open"),
+        (("--seeds", "x"), "A:B"),
+        (("--speed", "fast"), "fast"),
+        (("--surface", "flat", "--speed", "100"), "speed"),
+        (("--plant", "nowhere.toml"), "nowhere.toml"),
+    ],
+)
+def test_request_that_cannot_be_run_says_why(arguments: tuple[str, ...], said: str) -> None:
+    result = call(*arguments)
+    assert result.exit_code == 2
+    assert said in result.output + result.stderr
+
+
+def test_list_names_surfaces_and_methods_without_running() -> None:
+    result = call("--list")
+    assert result.exit_code == 0
+    for name in ("rough-smooth-rough", "iso-d", "fy91", "kalman-ff:oracle", "limit", "hold"):
+        assert name in result.output
+
+
+def test_number_of_processes_changes_nothing() -> None:
+    cells = [Cell("hump", 0.4), Cell("flat", 0.4)]
+    alone = run_cells(cells, FAST, [0, 1], processes=1)
+    together = run_cells(cells, FAST, [0, 1], processes=2)
+    assert [r.row() for r in alone] == [r.row() for r in together]
+
+
+def test_row_that_beats_the_limit_is_an_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    real = runner.limit_path
+
+    def too_strict(*arguments: Any) -> Any:
+        _, path, thinning = real(*arguments)
+        return 1.0, path, thinning
+
+    monkeypatch.setattr(runner, "limit_path", too_strict)
+    with pytest.raises(FaultError, match="beats the limit"):
+        run_cells([Cell("flat", 0.4)], ["p"], [0], processes=1)
+    one = ("--surface", "flat", "--speed", "0.4", "--seeds", "0:1", "--methods", "p", "--processes", "1")
+    result = call(*one, "--out", str(tmp_path))
+    assert result.exit_code != 0
+    assert "beats the limit" in result.output + result.stderr
+    assert json.loads((tmp_path / "results.json").read_text())["results"], "what was found is kept"
+
+
+def test_full_table_covers_every_surface_speed_lead_and_sweep() -> None:
+    from surffollow.benchmark.conditions import Conditions
+    from surffollow.benchmark.suite import LEADS_M, SPEEDS_MPS
+
+    cells = main_cells(surface_names(), list(SPEEDS_MPS), list(LEADS_M), Conditions())
+    assert len(cells) == len(set(cells)) == len(surface_names()) * 5 * 2
+    variants = {c.variant for c in sweep_cells(surface_names(), Conditions())}
+    assert {"latency=0", "latency=0.3", "sigma×0.25", "sigma×4", "tau×0.7", "tau×1.5"} <= variants
+    for name in ("hold", "p", "p:oracle", "pi:oracle", "lpf-gate:oracle", "kalman-ff:oracle", "limit"):
+        assert name in all_methods()
+    assert check_methods(["p", "p", "hold"]) == ["p", "hold"]
+    with pytest.raises(UsageError):
+        check_methods(["p:best"])
+
+
+def test_markdown_never_puts_two_leads_into_one_table() -> None:
+    row = {"method": "p", "surface": "flat", "speed_mps": 0.1, "rms_m": 1e-3, "rms_ci95_m": [0.9e-3, 1.1e-3]}
+    text = markdown_table([{**row, "lead_m": 0.0}, {**row, "lead_m": 0.05}])
+    assert text.count("### Lead") == 2
+    assert text.count("1.000 ± 0.100") == 2
+
+
+def test_sweeps_leave_out_rows_that_no_bar_and_no_table_needs() -> None:
+    rows = ["p", "p:oracle", "kalman-ff:oracle", "paper", "ours"]
+    assert runner.methods_in(Cell("flat", 0.1), rows) == rows
+    assert runner.methods_in(Cell("flat", 0.1, variant="tau×0.7"), rows) == rows[:3] + rows[4:]
+    assert runner.methods_in(Cell("flat", 0.1, variant="latency=0"), rows) == ["p", *rows[2:]]
