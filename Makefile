@@ -24,7 +24,7 @@ demo: $(STAMP)
 # a hundred processes import the package: bytecode is written even where the environment says not to
 test: export PYTHONDONTWRITEBYTECODE :=
 test: $(STAMP)
-	$(PY) tests/warm.py
+	$(PY) tests/compile_kernels.py
 	$(PY) -m pytest -n 4 || $(PY) tests/again.py
 
 bench: $(STAMP)

@@ -25,7 +25,7 @@ import numpy as np
 
 from surffollow.record.recorder import Recorder
 from surffollow.record.replay import replay_file
-from surffollow.record.synthetic_log import Rehearsal
+from surffollow.record.synthetic_log import SyntheticLog
 from surffollow.record.writer import RecordingWriter
 
 BAR_CYCLES_PER_S = 1e6
@@ -35,7 +35,7 @@ MODES = {"paper": 0, "adaptive": 1}
 
 def make_file(path: Path, cycles: int, mode: str, channels: int) -> float:
     """Record a rehearsal; cycles per second of recording (rehearsing excluded)."""
-    rehearsal = Rehearsal(mode=MODES[mode], channels=channels, conversions=CONVERSIONS_PER_CYCLE)
+    rehearsal = SyntheticLog(mode=MODES[mode], channels=channels, conversions=CONVERSIONS_PER_CYCLE)
     recorder = Recorder(rehearsal, RecordingWriter(path, {"name": "bench"}))
     spent = 0.0
     for _ in range(0, cycles, 1000):

@@ -13,7 +13,7 @@ from surffollow.client.board import Board
 from surffollow.config.service import ServiceConfig
 from surffollow.errors import NotReadyError
 from surffollow.service.notify import CompileProgress
-from surffollow.service.shared_objects import House, open_house
+from surffollow.service.shared_objects import SharedObjects, open_shared_objects
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch import latch_write
@@ -39,9 +39,9 @@ class Clock:
 
 
 @pytest.fixture
-def house() -> Iterator[House]:
+def objects() -> Iterator[SharedObjects]:
     """A service's board that is not ready, with a process that runs: this one."""
-    made = open_house(ServiceConfig(name=NAME, log_words=65536))
+    made = open_shared_objects(ServiceConfig(name=NAME, log_words=65536))
     made.set_state(lb.STATE_INITIALISING)
     yield made
     made.leave()
@@ -55,20 +55,20 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return clock
 
 
-def tell(house: House, text: str) -> None:
+def tell(objects: SharedObjects, text: str) -> None:
     ticker = zeros(lb.Ticker)
     ticker[0]["text"] = text.encode()
-    latch_write(house.address("ticker"), ticker.ctypes.data, lb.Ticker.SIZE)
+    latch_write(objects.address("ticker"), ticker.ctypes.data, lb.Ticker.SIZE)
 
 
 def test_it_waits_until_ready_and_tells_the_progress(
-    house: House, clock: Clock, caplog: pytest.LogCaptureFixture
+    objects: SharedObjects, clock: Clock, caplog: pytest.LogCaptureFixture
 ) -> None:
-    tell(house, "compiling kernels, 7: one")
+    tell(objects, "compiling kernels, 7: one")
     clock.then = {
-        30: lambda: tell(house, "compiling kernels, 99: other"),
-        60: lambda: tell(house, ""),  # compiled; the first cycles run
-        61: lambda: house.set_state(lb.STATE_READY),
+        30: lambda: tell(objects, "compiling kernels, 99: other"),
+        60: lambda: tell(objects, ""),  # compiled; the first cycles run
+        61: lambda: objects.set_state(lb.STATE_READY),
     }
     Board(NAME).close()
     assert clock.now_s == 61.0
@@ -76,22 +76,24 @@ def test_it_waits_until_ready_and_tells_the_progress(
     assert "99: other" in caplog.text
 
 
-def test_it_waits_no_longer_than_before_for_one_that_does_not_compile(house: House, clock: Clock) -> None:
+def test_it_waits_no_longer_than_before_for_one_that_does_not_compile(
+    objects: SharedObjects, clock: Clock
+) -> None:
     with pytest.raises(NotReadyError, match=r"not ready after 2 s; see the service's log"):
         Board(NAME)
 
 
 def test_it_does_not_wait_for_one_that_died_while_it_compiled(
-    house: House, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    objects: SharedObjects, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tell(house, "compiling kernels, 7: one")
+    tell(objects, "compiling kernels, 7: one")
     monkeypatch.setattr(board_module, "is_running", lambda *_: False)
     with pytest.raises(NotReadyError, match="not ready after 2 s"):
         Board(NAME)
 
 
-def test_a_control_loop_that_attaches_again_never_waits(house: House, clock: Clock) -> None:
-    tell(house, "compiling kernels, 7: one")
+def test_a_control_loop_that_attaches_again_never_waits(objects: SharedObjects, clock: Clock) -> None:
+    tell(objects, "compiling kernels, 7: one")
     with pytest.raises(NotReadyError, match=r"not ready .*: compiling kernels, 7: one; try again in a while"):
         Board(NAME, ready_timeout_s=0.0)
     assert clock.now_s == 0.0

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from surffollow.record.recorder import Recorder
-from surffollow.record.synthetic_log import Rehearsal
+from surffollow.record.synthetic_log import SyntheticLog
 from surffollow.record.writer import RecordingWriter
 
 
 def record(path: Path, cycles: int = 3000, step: int = 250, **options: int) -> Path:
     """A recording of a rehearsal, polled every `step` cycles."""
-    rehearsal = Rehearsal(**options)
+    rehearsal = SyntheticLog(**options)
     recorder = Recorder(rehearsal, RecordingWriter(path, {"name": "rehearsal"}, force=True))
     for done in range(0, cycles, step):
         rehearsal.run(min(step, cycles - done))
@@ -25,7 +25,7 @@ def record(path: Path, cycles: int = 3000, step: int = 250, **options: int) -> P
 
 @pytest.fixture
 def make_recording(tmp_path: Path) -> Callable[..., Path]:
-    """Makes a recording with the options of `Rehearsal`."""
+    """Makes a recording with the options of `SyntheticLog`."""
     return lambda **options: record(tmp_path / "log.mcap", **options)
 
 

@@ -20,7 +20,7 @@ from surffollow.record.convert import convert
 from surffollow.record.protobuf import Message
 from surffollow.record.recorder import Recorder
 from surffollow.record.replay import replay_file
-from surffollow.record.synthetic_log import Rehearsal
+from surffollow.record.synthetic_log import SyntheticLog
 from surffollow.record.table import Table
 from surffollow.record.writer import RecordingWriter
 from surffollow.shm.layout_follow import VALID, Output
@@ -45,7 +45,7 @@ def rehearsed(
     path: Path, cycles: int = 1000, rate_hz: float = 100.0, **options: int
 ) -> dict[int, dict[str, Any]]:
     """Record a rehearsal with channels; what each cycle published, by its number."""
-    rehearsal = Rehearsal(**options)
+    rehearsal = SyntheticLog(**options)
     writer = RecordingWriter(path, {"name": "rehearsal"}, force=True)
     feed = ChannelFeed(writer, round(1e9 / rate_hz))
     recorder = Recorder(rehearsal, writer, feed)

@@ -19,7 +19,7 @@ from surffollow.record.format import BATCH_CYCLES, SCHEMA_ENCODING, TOPIC
 from surffollow.record.reader import RecordingReader
 from surffollow.record.recorder import Recorder
 from surffollow.record.replay import replay_file
-from surffollow.record.synthetic_log import Rehearsal
+from surffollow.record.synthetic_log import SyntheticLog
 from surffollow.record.writer import RecordingWriter
 from surffollow.shm.cycle_log import log_head
 from surffollow.shm.layout_board import LogHead
@@ -40,7 +40,7 @@ def kinds(words: np.ndarray) -> list[int]:
 
 
 def test_recording_holds_the_words_of_the_log_unchanged(tmp_path: Path) -> None:
-    rehearsal = Rehearsal(1 << 20)
+    rehearsal = SyntheticLog(1 << 20)
     recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap"))
     for _ in range(7):
         rehearsal.run(311)
@@ -63,7 +63,7 @@ def test_messages_hold_whole_entries_and_at_least_a_hundred_cycles(
 
 
 def test_a_log_that_has_gone_around_is_recorded_from_the_next_snapshot_on(tmp_path: Path) -> None:
-    rehearsal = Rehearsal(1 << 15, snapshot_cycles=400)
+    rehearsal = SyntheticLog(1 << 15, snapshot_cycles=400)
     rehearsal.run(1100)
     recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap"))
     for _ in range(20):
@@ -76,7 +76,7 @@ def test_a_log_that_has_gone_around_is_recorded_from_the_next_snapshot_on(tmp_pa
 
 
 def test_after_a_loss_the_recording_resumes_at_a_snapshot_and_counts_what_is_missing(tmp_path: Path) -> None:
-    rehearsal = Rehearsal(1 << 15, snapshot_cycles=400)
+    rehearsal = SyntheticLog(1 << 15, snapshot_cycles=400)
     recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap"))
     for _ in range(10):
         rehearsal.run(50)
@@ -101,7 +101,7 @@ def test_after_a_loss_the_recording_resumes_at_a_snapshot_and_counts_what_is_mis
 def test_every_cycle_is_recorded_or_counted_as_lost_however_the_polls_fall(tmp_path: Path) -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        rehearsal = Rehearsal(1 << 15, snapshot_cycles=int(rng.integers(60, 500)), seed=seed)
+        rehearsal = SyntheticLog(1 << 15, snapshot_cycles=int(rng.integers(60, 500)), seed=seed)
         path = tmp_path / f"{seed}.mcap"
         recorder = Recorder(rehearsal, RecordingWriter(path))
         total = 0
@@ -120,7 +120,7 @@ def test_every_cycle_is_recorded_or_counted_as_lost_however_the_polls_fall(tmp_p
 
 
 def test_a_restarted_service_begins_a_new_segment(tmp_path: Path) -> None:
-    first, second = Rehearsal(epoch=4), Rehearsal(epoch=5, seed=9)
+    first, second = SyntheticLog(epoch=4), SyntheticLog(epoch=5, seed=9)
 
     class Source:
         address = property(lambda self: self.now.address)
@@ -176,7 +176,7 @@ def test_any_mcap_reader_opens_the_recording_and_finds_the_layout(
 
 
 def test_a_log_of_another_version_is_refused_and_not_recorded_as_one_long_loss(tmp_path: Path) -> None:
-    rehearsal = Rehearsal()
+    rehearsal = SyntheticLog()
     recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap"))
 
     def record_on() -> None:
@@ -208,7 +208,7 @@ class FullDisk(io.BytesIO):
 
 def test_a_full_disk_is_told_and_the_file_stays_readable_up_to_there(tmp_path: Path) -> None:
     disk = FullDisk()
-    rehearsal = Rehearsal()
+    rehearsal = SyntheticLog()
     recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap", stream=disk))
 
     def record_on() -> None:

@@ -16,7 +16,7 @@ from surffollow.forecast.journal import CYCLE, PARAMS_WORDS, SNAPSHOT, entry_kin
 from surffollow.record.reader import RecordingReader
 from surffollow.record.recorder import Recorder
 from surffollow.record.replay import replay_file
-from surffollow.record.synthetic_log import Rehearsal
+from surffollow.record.synthetic_log import SyntheticLog
 from surffollow.record.writer import RecordingWriter
 from surffollow.shm.layout_follow import Params
 
@@ -32,7 +32,7 @@ from surffollow.shm.layout_follow import Params
     period_ns=st.sampled_from([100_000, 1_000_000, 4_000_000]),
 )
 def test_every_recording_replays_with_the_same_bits(tmp_path: Path, step: int, **options: int) -> None:
-    rehearsal = Rehearsal(**options)
+    rehearsal = SyntheticLog(**options)
     recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "log.mcap", force=True))
     for _ in range(max(1, 1200 // step)):
         rehearsal.run(step)
@@ -146,7 +146,7 @@ def test_a_cut_file_replays_what_is_whole_and_is_never_called_identical(
 
 
 def test_a_killed_recorder_loses_only_its_last_chunk(tmp_path: Path) -> None:
-    rehearsal = Rehearsal()
+    rehearsal = SyntheticLog()
     writer = RecordingWriter(tmp_path / "a.mcap")
     recorder = Recorder(rehearsal, writer)
     for _ in range(60):

@@ -18,11 +18,11 @@ from surffollow.record.recorder import Recorder
 from surffollow.record.recover import recover
 from surffollow.record.replay import replay_file
 from surffollow.record.session import Files
-from surffollow.record.synthetic_log import Rehearsal
+from surffollow.record.synthetic_log import SyntheticLog
 
 
 def recorded(folder: Path, cycles: int, **limits: float) -> tuple[Recorder, Files]:
-    rehearsal = Rehearsal(snapshot_cycles=500)
+    rehearsal = SyntheticLog(snapshot_cycles=500)
     files = Files(folder / "run.mcap", {"name": "rehearsal"}, **limits)  # type: ignore[arg-type]
     writer = files.open_next()
     recorder = Recorder(rehearsal, writer, ChannelFeed(writer, 10_000_000), files)

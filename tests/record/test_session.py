@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from surffollow.record import session
-from surffollow.record.synthetic_log import Rehearsal
+from surffollow.record.synthetic_log import SyntheticLog
 
 TICK_S = 0.5
 
@@ -24,7 +24,7 @@ class Clock:
         return self.now_s
 
 
-class Late(Rehearsal):
+class Late(SyntheticLog):
     """A service's log that stays empty for a while, as to a recorder that compiles its kernels first."""
 
     def __init__(self, empty_looks: int, lives: bool) -> None:

@@ -38,11 +38,11 @@ class Trail:
         self.board = SimpleNamespace(
             regions={"audit": (0, board.nbytes)}, words=memoryview(board), memory=memoryview(board).cast("B")
         )
-        house: Any = SimpleNamespace(address=lambda part: board.ctypes.data)
+        objects: Any = SimpleNamespace(address=lambda part: board.ctypes.data)
         self.ctx = np.zeros(m.CTX_WORDS, np.int64)
         self.lines: list[tuple[str, bool]] = []
         self.takes = True
-        self.trail = AuditTrail(house, self.ctx, lambda claim: "mallory", self._tell)
+        self.trail = AuditTrail(objects, self.ctx, lambda claim: "mallory", self._tell)
         self.now_ns = 10 * SECOND
 
     def _tell(self, line: str, *, limited: bool) -> bool:

@@ -99,7 +99,7 @@ def test_what_is_no_plain_file_is_an_error_with_a_remedy_for_everybody(
             assert told.startswith("BlockError"), told
             assert str(path) in told
             assert "remove it" in told
-    told = at_once(lambda: shared_objects.open_house(odd_name.settings()))
+    told = at_once(lambda: shared_objects.open_shared_objects(odd_name.settings()))
     assert told.split(":")[0] in ("BlockError", "NoPermissionError"), told
     assert str(path) in told
     told = at_once(lambda: purge_leftovers(name))
@@ -214,16 +214,16 @@ def test_a_squatted_lock_file_is_an_error_that_names_its_user(make_service: Make
     assert as_other_user(lambda _: outcome(lambda: path.write_bytes(b""))) == "done"
     try:
         with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0.*remove it"):
-            shared_objects.open_house(s.settings())
+            shared_objects.open_shared_objects(s.settings())
         assert objects_of(s.name) == {path.name}
     finally:
         path.unlink()
     path.write_bytes(b"")
     path.chmod(0o644)
     with pytest.raises(FaultError, match="mode 644, expected 600"):
-        shared_objects.open_house(s.settings())
+        shared_objects.open_shared_objects(s.settings())
     path.unlink()
-    shared_objects.open_house(s.settings()).leave()
+    shared_objects.open_shared_objects(s.settings()).leave()
 
 
 @needs_root

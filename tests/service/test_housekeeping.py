@@ -231,7 +231,7 @@ def fail(*words):
     raise OSError(28, "broken part")
 how = sys.argv[3]
 if how == "audit":
-    daemon.Beat.__init__.__globals__["AuditTrail"].publish = fail
+    daemon.Heartbeat.__init__.__globals__["AuditTrail"].publish = fail
 elif how == "slots":
     serve, turns = daemon.SlotServer.serve, iter(range(10**9))
     daemon.SlotServer.serve = lambda *words: fail() if next(turns) % 5 == 4 else serve(*words)

@@ -165,7 +165,7 @@ def test_a_map_of_another_user_than_the_boards_is_not_read(make_service: Make, t
 
 def leave_a_map(s: Service) -> None:
     """A map as a service that was ready and ended leaves it."""
-    rooms = shared_objects.open_house(s.settings())
+    rooms = shared_objects.open_shared_objects(s.settings())
     rooms.set_state(lb.STATE_READY)
     rooms.leave()
 
@@ -193,14 +193,14 @@ def test_a_map_that_another_could_have_made_or_changed_is_not_adopted(
         os.link(path, other)
     try:
         with pytest.raises(NoPermissionError, match=why):
-            shared_objects.open_house(s.settings())
+            shared_objects.open_shared_objects(s.settings())
     finally:
         other.unlink(missing_ok=True)
     assert path.read_bytes() == before, "nothing of it was touched"
     path.chmod(0o600)
     if os.geteuid() == 0:
         os.chown(path, 0, 0)
-    shared_objects.open_house(s.settings()).leave()
+    shared_objects.open_shared_objects(s.settings()).leave()
     assert path.stat().st_mode & 0o777 == 0o640, "and it gets the mode that the configuration says"
 
 
@@ -220,7 +220,7 @@ def test_a_service_named_like_an_object_of_another_is_refused_and_that_one_goes_
         assert done.returncode == 2, (verb, done.stderr)
         assert "cannot be called" in done.stderr, verb
     with pytest.raises(InvalidNameError):
-        shared_objects.open_house(msgspec.structs.replace(s.settings(), name=s.name + ending))
+        shared_objects.open_shared_objects(msgspec.structs.replace(s.settings(), name=s.name + ending))
     assert objects_of(s.name) == before
     with s.attach() as client:
         client.sf_reset(0.1)
@@ -230,7 +230,7 @@ def test_a_service_whose_map_was_removed_by_hand_keeps_its_name(make_service: Ma
     s = make_service().start()
     unlink(f"{s.name}.map")
     with pytest.raises(AlreadyRunningError, match=f"pid {s.pid}"):
-        shared_objects.open_house(s.settings())
+        shared_objects.open_shared_objects(s.settings())
     # and the attempt leaves nothing behind
     assert objects_of(s.name) == {s.name + part for part in ("", ".sock", ".lock")}
     s.attach().close()
@@ -245,7 +245,7 @@ def test_a_block_of_somebody_elses_under_the_services_name_is_not_removed(make_s
     path.write_bytes(b"SURFBLK1" + bytes(4096))
     try:
         with pytest.raises(BlockError, match="no service's board"):
-            shared_objects.open_house(s.settings())
+            shared_objects.open_shared_objects(s.settings())
         assert objects_of(s.name) == {s.name}
         assert s.run("stop", "--purge").returncode == 1
         assert objects_of(s.name) == {s.name}
@@ -259,6 +259,6 @@ def test_the_name_of_a_refused_start_is_given_back(make_service: Make) -> None:
     path = Path(f"/dev/shm/{s.name}.map")
     path.chmod(0o666)
     with pytest.raises(NoPermissionError):
-        shared_objects.open_house(s.settings())
+        shared_objects.open_shared_objects(s.settings())
     assert objects_of(s.name) == {f"{s.name}.map"}, "no lock and no socket"
     unlink(f"{s.name}.map")

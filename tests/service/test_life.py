@@ -155,7 +155,7 @@ def test_a_configuration_that_is_wrong_is_refused_by_its_key(
     def begin() -> None:
         config = s.settings()
         make_driver(config.driver, s.name)
-        shared_objects.open_house(config)
+        shared_objects.open_shared_objects(config)
 
     with pytest.raises(ConfigError, match=said):
         begin()
@@ -182,7 +182,7 @@ def test_too_little_room_in_dev_shm_is_said_with_both_sizes_and_leaves_nothing(
     monkeypatch.setattr(objects.os, "statvfs", lambda _: Room)
     s = make_service(grids=1_000_000)
     with pytest.raises(NoSpaceError, match=r"needs .* MiB and /dev/shm has 0\.4 MiB free.*fewer map\.grids"):
-        shared_objects.open_house(s.settings())
+        shared_objects.open_shared_objects(s.settings())
     assert objects_of(s.name) == set()
 
 
@@ -251,13 +251,13 @@ def test_purge_after_a_sigkill_removes_what_was_left(own_service: Service) -> No
 
 def test_a_kept_map_of_another_size_is_neither_used_nor_lost(make_service: Make) -> None:
     s = make_service(grids=1000)
-    first = shared_objects.open_house(s.settings())
+    first = shared_objects.open_shared_objects(s.settings())
     first.set_state(lb.STATE_READY)
     first.leave()
     s.config.write_text(config_text(grids=2000))
     before = map_bytes(s.name)
     with pytest.raises(ConfigError, match=r"has room for 1000 grids.*asks for 2000.*--purge"):
-        shared_objects.open_house(s.settings())
+        shared_objects.open_shared_objects(s.settings())
     assert map_bytes(s.name) == before
     assert objects_of(s.name) == {f"{s.name}.map"}
 
@@ -265,11 +265,11 @@ def test_a_kept_map_of_another_size_is_neither_used_nor_lost(make_service: Make)
 KILL_AT_EVERY_LINE = """
 import os, signal, sys
 from surffollow.config.service import load_config
-from surffollow.service import house
+from surffollow.service import shared_objects
 from surffollow.shm import layout_board as lb
 import msgspec
 config = msgspec.structs.replace(load_config(sys.argv[1]), name=sys.argv[2])
-FILES = ("house.py", "objects.py", "header.py")
+FILES = ("shared_objects.py", "/objects.py", "header.py")
 
 def die_at(left):
     def hook(frame, event, arg):
@@ -287,10 +287,10 @@ while not whole:
     pid = os.fork()
     if pid == 0:
         sys.settrace(die_at(lines))
-        shared_objects.open_house(config)
+        shared_objects.open_shared_objects(config)
         os._exit(0)
     whole = os.waitpid(pid, 0)[1] == 0
-    healed = shared_objects.open_house(config)
+    healed = shared_objects.open_shared_objects(config)
     healed.leave()
     shared_objects.purge_map(config.name)
     assert not [p for p in os.listdir("/dev/shm") if p.startswith(config.name)]

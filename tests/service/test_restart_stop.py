@@ -98,12 +98,12 @@ def test_only_parameters_that_differ_stop_a_start(memory: Any) -> None:
     from surffollow.service.requests import params_hash
 
     memory.params[0]["offset_m"] = 0.1
-    house: Any = SimpleNamespace(map_header=memory.header)
-    assert not stop_after_death(memory, house), "nothing is known of one before"
+    objects: Any = SimpleNamespace(map_header=memory.header)
+    assert not stop_after_death(memory, objects), "nothing is known of one before"
     memory.header[0]["params_hash"] = params_hash(memory)
-    assert not stop_after_death(memory, house)
+    assert not stop_after_death(memory, objects)
     memory.params[0]["offset_m"] = np.nextafter(0.1, 1.0)
-    assert stop_after_death(memory, house)
+    assert stop_after_death(memory, objects)
     assert memory.header[0]["stop"] == STOP_RESTART
 
 

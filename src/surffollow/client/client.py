@@ -104,7 +104,7 @@ class Client(RangePusher):
                 self._hold(POSE)
                 return
             except RefusedError as e:
-                # the service looks for dead holders at its own beat: give it a few
+                # the service looks for dead holders at its own pace: give it a few
                 if e.code != lb.ERR_POSE_HELD or time.monotonic() > deadline:
                     raise _held(e) from None
                 time.sleep(CLAIM_PAUSE_S)

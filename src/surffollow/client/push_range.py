@@ -150,7 +150,7 @@ class RangePusher(Reclaimer):
                 self._request(lb.RQ_CLAIM_RANGE, numbers=(channel,), n=1, patience_s=1.0).result(1.0)
                 self._hold((lb.RQ_CLAIM_RANGE, channel))
             except RefusedError as e:
-                # the service looks for dead holders at its own beat: give it a few
+                # the service looks for dead holders at its own pace: give it a few
                 if e.code != lb.ERR_RANGE_HELD:
                     raise
                 if time.monotonic() > deadline:

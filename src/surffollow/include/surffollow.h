@@ -594,7 +594,7 @@ SF_STATIC_ASSERT(offsetof(sf_ack, result) == 8, "layout of sf_ack");
 SF_STATIC_ASSERT(offsetof(sf_ack, detail) == 16, "layout of sf_ack");
 SF_STATIC_ASSERT(offsetof(sf_ack, claim) == 24, "layout of sf_ack");
 
-/* What the main thread tells at its own pace; beat 20 Hz. */
+/* What the main thread tells at its own pace: 20 Hz. */
 typedef struct sf_ticker {
   int64_t t_ns; /* [ns] heartbeat of the main thread */
   int64_t pose_slot; /* slot of the pose writer; -1: none */
@@ -2184,7 +2184,7 @@ static inline int sf_claim_pose(sf_client *c) {
   for (;;) {
     const int result = sf_i_ask(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, c->options.timeout_ns, 0);
     if (result == SF_OK) sf_i_hold(c, SF_RQ_CLAIM_POSE, 0);
-    /* the service looks for dead holders at its own beat: give it a few */
+    /* the service looks for dead holders at its own pace: give it a few */
     if (result != SF_REFUSED_POSE_HELD || sf_now_ns() > deadline) return result;
     sf_sleep_until_ns(sf_now_ns() + 20000000);
   }
@@ -2291,7 +2291,7 @@ static inline int sf_claim_range(sf_client *c, int channel) {
   for (;;) {
     const int result = sf_i_ask(c, SF_RQ_CLAIM_RANGE, 1, &number, NULL, c->options.timeout_ns, 0);
     if (result == SF_OK) sf_i_hold(c, SF_RQ_CLAIM_RANGE, channel);
-    /* the service looks for dead holders at its own beat: give it a few */
+    /* the service looks for dead holders at its own pace: give it a few */
     if (result != SF_REFUSED_RANGE_HELD || sf_now_ns() > deadline) return result;
     sf_sleep_until_ns(sf_now_ns() + 20000000);
   }

@@ -133,7 +133,7 @@ def default_params(mode: int = 0, channels: int = 1) -> NDArray[Any]:
     return params
 
 
-class Rehearsal:
+class SyntheticLog:
     """A private cycle log that fills when told; offers what the recorder wants of a service's log.
 
     Parameters

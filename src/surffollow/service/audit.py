@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from surffollow.client.audit import audit_line, readable
 from surffollow.service import memory as m
-from surffollow.service.shared_objects import House
+from surffollow.service.shared_objects import SharedObjects
 from surffollow.shm import layout_board as lb
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.dtypes import numpy_dtype
@@ -59,7 +59,7 @@ class AuditTrail:
 
     Parameters
     ----------
-    house : House                      its board has the ring
+    objects : SharedObjects                      its board has the ring
     ctx : (n,) int64                   the words that the service's threads share
     named : gives the name of the client with a claim
     tell : called with a line and `limited` (False: to be kept before others); False: it was dropped
@@ -67,12 +67,12 @@ class AuditTrail:
 
     def __init__(
         self,
-        house: House,
+        objects: SharedObjects,
         ctx: NDArray[np.int64],
         named: Callable[[int], str],
         tell: Callable[..., bool],
     ) -> None:
-        self._ring, self._ctx, self._named, self._tell = house.address("audit"), ctx, named, tell
+        self._ring, self._ctx, self._named, self._tell = objects.address("audit"), ctx, named, tell
         self._entry: Any = np.zeros(1, numpy_dtype(lb.AuditEntry))
         self._budgets: dict[tuple[int, int], _Budget] = {}
         self._gathered: dict[tuple[int, ...], _Gathered] = {}

@@ -24,7 +24,7 @@ from surffollow.service.client_table import ClientTable, Limits
 from surffollow.service.compile_helper import SideCompile, note_complete
 from surffollow.service.cycle import run_cycles
 from surffollow.service.driver_watch import DriverWatch
-from surffollow.service.heartbeat import FAULT_CYCLE_STALLED, Beat
+from surffollow.service.heartbeat import FAULT_CYCLE_STALLED, Heartbeat
 from surffollow.service.initialise import (
     initialise_constants,
     initialise_log,
@@ -38,7 +38,7 @@ from surffollow.service.mapper_memory import make_map_memory
 from surffollow.service.messages import STDOUT, Messages
 from surffollow.service.notify import CompileProgress, sd_notify
 from surffollow.service.requests import publish_params
-from surffollow.service.shared_objects import House, open_house
+from surffollow.service.shared_objects import SharedObjects, open_shared_objects
 from surffollow.service.slot_server import SlotServer
 from surffollow.shm import layout_board as lb
 from surffollow.shm.latch import latch_write
@@ -62,41 +62,46 @@ class Daemon:
         self.config, self.quiet = config, quiet
         self.grants = realtime.Grants()
         self.driver: Driver = make_driver(config.driver, config.name)
-        self.house: House = open_house(config)
+        self.objects: SharedObjects = open_shared_objects(config)
         try:
             self.queue = ConversionQueue(1 << 15)
-            self.samples = make_sample_ring(config, int(self.house.header[0]["period_ns"]))
+            self.samples = make_sample_ring(config, int(self.objects.header[0]["period_ns"]))
             self.mem = initialise_memory(
-                config, self.house, self.queue, self.samples, reports_of(self.driver), pushed_of(self.driver)
+                config,
+                self.objects,
+                self.queue,
+                self.samples,
+                reports_of(self.driver),
+                pushed_of(self.driver),
             )
             self.map_mem = make_map_memory(
                 self.mem.ctx,
-                self.house.map_header,
-                self.house.pairs,
-                self.house.scratch,
+                self.objects.map_header,
+                self.objects.pairs,
+                self.objects.scratch,
                 metres(config.map.quantum, "map.quantum", 1e-9, 10.0),
             )
             initialise_constants(self.mem.params, config, self.driver.info)
-            initialise_log(config, self.house)
+            initialise_log(config, self.objects)
             self.messages = Messages() if messages is None else messages
             self._changes = make_change_queue(self.mem)
             self._driver_watch = DriverWatch(self.driver)
             self._slots = self._make_slot_server()
-            self._beat = Beat(
-                self.house, self.mem.ctx, self._driver_watch, self.grants, self._slots, self.messages
+            self._heartbeat = Heartbeat(
+                self.objects, self.mem.ctx, self._driver_watch, self.grants, self._slots, self.messages
             )
             self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         except BaseException:
-            self.house.leave()
+            self.objects.leave()
             raise
         self._errors: list[str] = []
         self._compiling = self._in_force = False
 
     def _make_slot_server(self) -> SlotServer:
-        house, access = self.house, self.config.access
+        objects, access = self.objects, self.config.access
         limits = Limits(access.slots_per_user, access.slots_per_process)
-        table = ClientTable(house.slots, self.mem.ctx, house.address("clients"), self._cycles, limits)
-        return SlotServer(house.listener, table, house.epoch)
+        table = ClientTable(objects.slots, self.mem.ctx, objects.address("clients"), self._cycles, limits)
+        return SlotServer(objects.listener, table, objects.epoch)
 
     # -- run --------------------------------------------------------------------------------------
 
@@ -121,7 +126,7 @@ class Daemon:
             self._await_first_cycles()
             self._hurry(threads[0])
             self._insist(realtime.FIFO | realtime.AFFINITY | realtime.MLOCKALL)
-            self.house.set_state(lb.STATE_READY)
+            self.objects.set_state(lb.STATE_READY)
             sd_notify(f"READY=1\nSTATUS=cycle {self.mem.ctx[m.PERIOD_NS] / 1e6:g} ms")
             if on_ready is not None:
                 on_ready()
@@ -142,14 +147,16 @@ class Daemon:
     def _compile(self, side: SideCompile) -> bool:
         """Call every kernel once, which compiles it or loads it; False when asked to end meanwhile."""
         stop = self.mem.ctx.ctypes.data + 8 * m.STOP
-        self._beat.compiling("compiling kernels for this machine")  # from here on telling compiles nothing
-        with CompileProgress(self.messages.write, self.quiet, self._beat.compiling) as progress:
+        self._heartbeat.compiling(
+            "compiling kernels for this machine"
+        )  # from here on telling compiles nothing
+        with CompileProgress(self.messages.write, self.quiet, self._heartbeat.compiling) as progress:
             try:
                 self._compiling = True
                 run_cycles(self.mem, 0, 0)
                 # the paper's initialisation of the forecast is SFReset itself
                 sf_reset(self.mem.params, self.mem.state, self.mem.params[0]["offset_m"])
-                died, self._in_force = stop_after_death(self.mem, self.house), True
+                died, self._in_force = stop_after_death(self.mem, self.objects), True
                 if died:
                     self.messages.tell(
                         "the service before died with other parameters in force: stopped until the pose's "
@@ -164,7 +171,7 @@ class Daemon:
                 return False
             finally:
                 self._compiling = False
-            self._beat.beat()
+            self._heartbeat.publish()
             self.driver.start(self.queue)
             self._driver_watch.start()
         store_release(stop, 0)
@@ -206,7 +213,7 @@ class Daemon:
             self._errors.append(f"map thread: {e!r}")
 
     def _cycles(self) -> int:
-        return int(load_acquire(self.house.address("stats") + lb.Stats.offset("cycles")))
+        return int(load_acquire(self.objects.address("stats") + lb.Stats.offset("cycles")))
 
     def _await_first_cycles(self) -> None:
         deadline = time.monotonic() + 5.0
@@ -217,7 +224,7 @@ class Daemon:
 
     def _serve(self) -> bool:
         """Serve the clients until the next beat; True when asked to end."""
-        asked = self._beat.guard.run(
+        asked = self._heartbeat.guard.run(
             "serving the clients", lambda: self._slots.serve(self._wake, BEAT_S), None
         )
         return wait_readable(self._wake, BEAT_S) if asked is None else asked
@@ -234,7 +241,7 @@ class Daemon:
                 stalled = not stalled
                 said = f"stands still for {now - since:.3g} s; does another process hold its processor?"
                 self.messages.tell(f"the cycle {said if stalled else 'runs again'}")
-            self._beat.beat(FAULT_CYCLE_STALLED if stalled else 0)
+            self._heartbeat.publish(FAULT_CYCLE_STALLED if stalled else 0)
             if self._errors:
                 raise ServiceError("; ".join(self._errors))
 
@@ -243,15 +250,15 @@ class Daemon:
             self._end_threads(threads)
         finally:  # whatever failed, the names are given back
             if not any(t.is_alive() for t in threads):
-                self.house.leave()
+                self.objects.leave()
                 realtime.release(self.grants)
             os.close(self._wake)
             os.close(self._waker)
 
     def _end_threads(self, threads: list[threading.Thread]) -> None:
-        run = self._beat.guard.run
+        run = self._heartbeat.guard.run
         run("telling the service manager", lambda: sd_notify("STOPPING=1"), None)
-        self.house.set_state(lb.STATE_STOPPING)
+        self.objects.set_state(lb.STATE_STOPPING)
         run("stopping the driver", lambda: self._driver_watch.stop(DRIVER_END_S), None)
         for t in threads:
             if t.native_id is not None:
@@ -268,11 +275,11 @@ class Daemon:
             os._exit(1)
         self.mem.output[0]["status"] = 0
         self.mem.output[0]["demand"] = 0.0
-        latch_write(self.house.address("output"), self.mem.output.ctypes.data, Output.SIZE)
+        latch_write(self.objects.address("output"), self.mem.output.ctypes.data, Output.SIZE)
         if self._in_force and wait_readable(self._wake, 0.0):  # somebody asked: no fault ended it
-            self.house.map_header[0]["params_hash"] = 0
-        self._beat.end()
-        self.house.set_state(lb.STATE_STOPPED)
+            self.objects.map_header[0]["params_hash"] = 0
+        self._heartbeat.end()
+        self.objects.set_state(lb.STATE_STOPPED)
         run("letting the clients go", self._slots.close, None)
 
 

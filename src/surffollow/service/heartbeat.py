@@ -1,4 +1,4 @@
-"""The main thread's beat: publish what it found of clients, driver and faults (the ticker)."""
+"""The main thread's heartbeat: publish what it found of clients, driver and faults (the ticker)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from surffollow.service.driver_watch import DriverWatch
 from surffollow.service.housekeeping import Guard
 from surffollow.service.messages import Messages
 from surffollow.service.realtime import Grants
-from surffollow.service.shared_objects import House
+from surffollow.service.shared_objects import SharedObjects
 from surffollow.service.slot_server import SlotServer
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
@@ -25,14 +25,14 @@ from surffollow.shm.python_atomics import load_acquire, store_release
 FAULT_DRIVER, FAULT_CYCLE_STALLED, FAULT_SAMPLES_LOST, FAULT_SLOTS, FAULT_HOUSEKEEPING = 1, 2, 4, 8, 16
 
 
-class Beat:
+class Heartbeat:
     """What the main thread tells clients about itself, the driver and who is alive.
 
-    Parts of it may fail: the fault is latched and told, and the part is tried again at the next beat.
+    Parts of it may fail: the fault is latched and told, and the part is tried again at the next heartbeat.
 
     Parameters
     ----------
-    house : House            the board
+    objects : SharedObjects            the board
     ctx : (n,) int64         the words that the service's threads share (`service.memory`)
     watch : DriverWatch      knows the driver's faults
     grants : Grants          what the kernel granted
@@ -46,16 +46,16 @@ class Beat:
 
     def __init__(
         self,
-        house: House,
+        objects: SharedObjects,
         ctx: NDArray[np.int64],
         watch: DriverWatch,
         grants: Grants,
         server: SlotServer,
         messages: Messages,
     ) -> None:
-        self._house, self._ctx, self._watch, self._grants = house, ctx, watch, grants
+        self._objects, self._ctx, self._watch, self._grants = objects, ctx, watch, grants
         self._server, self._messages, self.guard = server, messages, Guard(messages.tell)
-        self._audit = AuditTrail(house, ctx, server.table.named, messages.tell)
+        self._audit = AuditTrail(objects, ctx, server.table.named, messages.tell)
         self._ticker = zeros(lb.Ticker)
 
     def end(self) -> None:
@@ -63,11 +63,11 @@ class Beat:
         self.guard.run("the audit trail", self._audit.finish, None)
 
     def compiling(self, text: str) -> None:
-        """Tell clients that wait how far the start is; empty: nothing. Before the first beat only."""
+        """Tell clients that wait how far the start is; empty: nothing. Before the first heartbeat only."""
         self._ticker[0]["text"] = text.encode(errors="replace")[:511]
-        latch_write(self._house.address("ticker"), self._ticker.ctypes.data, lb.Ticker.SIZE)
+        latch_write(self._objects.address("ticker"), self._ticker.ctypes.data, lb.Ticker.SIZE)
 
-    def beat(self, faults: int = 0) -> None:
+    def publish(self, faults: int = 0) -> None:
         """Look once and publish; `faults` are bits that the caller found itself. Raises nothing."""
         told_ns = time.monotonic_ns()  # before what it tells was looked at
         clients, pose_slot = self._server.table, int(self._ctx[m.POSE_SLOT])
@@ -95,4 +95,4 @@ class Beat:
         t["clients"], t["granted"], t["faults"] = clients.held(), self._grants.bits, faults
         t["messages_lost"], t["audit_lost"] = self._messages.lost, self._audit.lost + self._messages.unwritten
         t["text"] = "; ".join(texts).encode(errors="replace")[:511]
-        latch_write(self._house.address("ticker"), self._ticker.ctypes.data, lb.Ticker.SIZE)
+        latch_write(self._objects.address("ticker"), self._ticker.ctypes.data, lb.Ticker.SIZE)

@@ -18,7 +18,7 @@ from surffollow.hw.driver import ConversionQueue, DriverInfo, PoseQueue
 from surffollow.service import memory as m
 from surffollow.service.parameter_bounds import misfit
 from surffollow.service.requests import params_hash
-from surffollow.service.shared_objects import House
+from surffollow.service.shared_objects import SharedObjects
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import (
@@ -47,7 +47,7 @@ def make_sample_ring(config: ServiceConfig, period_ns: int) -> tuple[NDArray[Any
 
 def initialise_memory(
     config: ServiceConfig,
-    house: House,
+    objects: SharedObjects,
     queue: ConversionQueue,
     samples: tuple[NDArray[Any], int],
     reports: PoseQueue | None = None,
@@ -58,15 +58,15 @@ def initialise_memory(
     Parameters
     ----------
     config : ServiceConfig
-    house : House                     the service's shared memory
+    objects : SharedObjects                     the service's shared memory
     queue : ConversionQueue           what the driver fills
     samples : ring and capacity       of `make_sample_ring`; must live as long as the memory
     reports : PoseQueue, optional     where accepted poses go, for a simulated sensor
     pushed : record, optional         of a driver whose ranges clients push (`pushed_of`)
     """
-    mem = m.make_cycle_memory(house.map_header, house.pairs, pushed)
+    mem = m.make_cycle_memory(objects.map_header, objects.pairs, pushed)
     ctx = mem.ctx
-    period = int(house.header[0]["period_ns"])
+    period = int(objects.header[0]["period_ns"])
     ctx[m.PERIOD_NS] = period
     # a FIFO thread that never sleeps starves every other one of its processor; a quarter of 100 us is
     # less than a busy kernel takes to wake it (median lateness 9 us, with half of it 9 ns)
@@ -82,9 +82,9 @@ def initialise_memory(
         (m.STATS, "stats"),
         (m.LOG, "log"),
     ):
-        ctx[index] = house.address(part)
+        ctx[index] = objects.address(part)
     ctx[m.LOG_CAPACITY] = config.log_words
-    ctx[m.INBOX] = house.slots.address
+    ctx[m.INBOX] = objects.slots.address
     ctx[m.CONVERSIONS], ctx[m.CONVERSIONS_CAPACITY] = queue.address, queue.capacity
     if reports is not None:
         ctx[m.REPORTS], ctx[m.REPORTS_CAPACITY] = reports.address, reports.capacity
@@ -92,32 +92,32 @@ def initialise_memory(
     snapshot = seconds(config.snapshot, "snapshot", 0.01, 3600.0)
     ctx[m.SNAPSHOT_CYCLES] = max(1, round(snapshot * 1e9 / period))
     ctx[m.LEASE_NS] = round(seconds(config.map.access_lease, "map.access_lease", 0.01, 3600.0) * 1e9)
-    ctx[m.EPOCH] = house.epoch
+    ctx[m.EPOCH] = objects.epoch
     ctx[m.PARAMS_BY] = CHANGED_BY.index(config.access.parameters)
     ctx[m.MAP_BY] = CHANGED_BY.index(config.access.map)
     ctx[m.RANGES_BY], ctx[m.OWN_USER] = range_user(config.access.ranges), own_user()
     for name, ends in client_limits(config.limits).items():
         mem.bounds[Params.offset(name) // 8, 3:5] = ends
-    _begin_stopped(mem, config, house)
+    _begin_stopped(mem, config, objects)
     return mem
 
 
-def _begin_stopped(mem: m.CycleMemory, config: ServiceConfig, house: House) -> None:
+def _begin_stopped(mem: m.CycleMemory, config: ServiceConfig, objects: SharedObjects) -> None:
     """A stop outlives the service: only the pose's holder ends it."""
-    kept, known = int(house.map_header[0]["stop"]), (1 << len(STOP_NAMES)) - 1
+    kept, known = int(objects.map_header[0]["stop"]), (1 << len(STOP_NAMES)) - 1
     causes = kept & known
     if kept & ~known:  # of another release: stopped all the same
         causes |= STOP_START
     mem.state[0]["stop"] = causes | (stop_causes(config.stop.on) & STOP_START)
 
 
-def stop_after_death(mem: m.CycleMemory, house: House) -> bool:
+def stop_after_death(mem: m.CycleMemory, objects: SharedObjects) -> bool:
     """Stop when the service before died with other parameters in force than those of this start.
 
     Its clients attach to this one by themselves; without the stop the robot would move to another stand-off,
     within other limits, and nobody asked for it.
     """
-    kept = house.map_header[0]
+    kept = objects.map_header[0]
     differ = int(kept["params_hash"]) not in (0, int(params_hash(mem)))
     if differ:
         mem.state[0]["stop"] |= STOP_RESTART
@@ -187,12 +187,12 @@ def _check_fit(p: Any) -> None:
     )
 
 
-def initialise_log(config: ServiceConfig, house: House) -> None:
+def initialise_log(config: ServiceConfig, objects: SharedObjects) -> None:
     """An empty cycle log and an empty audit trail in the board."""
     log_header = zeros(lb.LogHead)
     log_header[0]["capacity"] = config.log_words
-    at = house.regions["log"][0]
-    house.board_bytes[at : at + lb.LogHead.SIZE] = log_header.view(np.uint8)
+    at = objects.regions["log"][0]
+    objects.board_bytes[at : at + lb.LogHead.SIZE] = log_header.view(np.uint8)
     log_header[0]["capacity"] = lb.AUDIT_WORDS
-    at = house.regions["audit"][0]
-    house.board_bytes[at : at + lb.LogHead.SIZE] = log_header.view(np.uint8)
+    at = objects.regions["audit"][0]
+    objects.board_bytes[at : at + lb.LogHead.SIZE] = log_header.view(np.uint8)

@@ -37,8 +37,8 @@ from surffollow.shm.received_descriptors import Disposal
 from surffollow.shm.unix_socket import listen, socket_path
 
 
-class House:
-    """What one running service shares and owns; made by `open_house`."""
+class SharedObjects:
+    """What one running service shares and owns; made by `open_shared_objects`."""
 
     def __init__(
         self,
@@ -197,7 +197,7 @@ def _check_kept_map(config: ServiceConfig, map_: SharedObject, group: int) -> No
     w["owner_pid"] = os.getpid()
 
 
-def open_house(config: ServiceConfig) -> House:
+def open_shared_objects(config: ServiceConfig) -> SharedObjects:
     """Take the name, heal what a dead service left, and make the board, the slots and their socket.
 
     Raises
@@ -231,12 +231,12 @@ def open_house(config: ServiceConfig) -> House:
             part.close()
         lock.release()
         raise
-    house = House(config, lock, made[-1], map_, slots, listener)
-    house.map_is_new = fresh
-    header = house.map_header[0]
+    objects = SharedObjects(config, lock, made[-1], map_, slots, listener)
+    objects.map_is_new = fresh
+    header = objects.map_header[0]
     header["owner_epoch"] = new_epoch(int(header["owner_epoch"]))
-    _fill_headers(house)
-    return house
+    _fill_headers(objects)
+    return objects
 
 
 def new_epoch(before: int) -> int:
@@ -273,23 +273,23 @@ def _listen(config: ServiceConfig, group: int) -> socket.socket:
         raise kind(f"cannot listen on {path}: {e}; look at it (ls -l {path}) and remove it") from None
 
 
-def _fill_headers(house: House) -> None:
-    config = house.config
+def _fill_headers(objects: SharedObjects) -> None:
+    config = objects.config
     header = zeros(lb.BoardHeader)
     h: Any = header[0]
     h["version"], h["layout_hash"] = lb.LAYOUT_VERSION, board_regions.layout_hash()
-    h["size"], h["state"], h["epoch"] = house.board.size, lb.STATE_INITIALISING, house.epoch
+    h["size"], h["state"], h["epoch"] = objects.board.size, lb.STATE_INITIALISING, objects.epoch
     h["pid"], h["start_ticks"] = own_pid(), start_ticks(own_pid())
     h["boot_id"], h["name"] = boot_id().encode(), config.name.encode()
     h["period_ns"] = round(seconds(config.period, "period", 20e-6, 1.0) * 1e9)
     for k, (part, schema, _) in enumerate(board_regions.BOARD_PARTS):
-        offset, size = house.regions[part]
+        offset, size = objects.regions[part]
         r = h["region"][k]
         r["name"], r["offset"], r["size"] = part.encode(), offset, size
         r["hash"] = board_regions.log_hash() if part == "log" else schema.HASH
     h["n_regions"] = len(board_regions.BOARD_PARTS)
     h["magic"] = lb.BOARD_MAGIC
-    house.header[...] = header
+    objects.header[...] = header
 
 
 def purge_map(name: str) -> bool:

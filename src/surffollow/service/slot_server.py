@@ -146,7 +146,7 @@ class SlotServer:
             raise
 
     def _make_room(self, uid: int) -> bool:
-        """Whether one more connection may wait for a slot; in a full house the user with most gives way."""
+        """Whether one more connection may wait for a slot; in a full objects the user with most gives way."""
         waiting = [g for g in set(self._guests.values()) if g.stage != HELD]
         of_user = Counter(g.peer.uid for g in waiting)
         if of_user[uid] >= GUESTS_PER_USER and not is_exempt(uid):

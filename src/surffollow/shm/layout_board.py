@@ -132,7 +132,7 @@ class Ack(Schema):
 
 
 class Ticker(Schema):
-    """What the main thread tells at its own pace; beat 20 Hz."""
+    """What the main thread tells at its own pace: 20 Hz."""
 
     t_ns = I64(unit="ns", doc="heartbeat of the main thread")
     pose_slot = I64(doc="slot of the pose writer; -1: none")

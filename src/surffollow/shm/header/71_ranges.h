@@ -17,7 +17,7 @@ static inline int sf_claim_range(sf_client *c, int channel) {
   for (;;) {
     const int result = sf_i_ask(c, SF_RQ_CLAIM_RANGE, 1, &number, NULL, c->options.timeout_ns, 0);
     if (result == SF_OK) sf_i_hold(c, SF_RQ_CLAIM_RANGE, channel);
-    /* the service looks for dead holders at its own beat: give it a few */
+    /* the service looks for dead holders at its own pace: give it a few */
     if (result != SF_REFUSED_RANGE_HELD || sf_now_ns() > deadline) return result;
     sf_sleep_until_ns(sf_now_ns() + 20000000);
   }

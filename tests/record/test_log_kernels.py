@@ -11,7 +11,7 @@ from surffollow.forecast import journal
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.record import log_kernels as k
 from surffollow.record.recorded_inputs import count_inputs, take_inputs
-from surffollow.record.synthetic_log import Rehearsal
+from surffollow.record.synthetic_log import SyntheticLog
 from surffollow.shm.cycle_log import log_head
 from surffollow.shm.dtypes import numpy_dtype, zeros
 from surffollow.shm.layout_board import LogHead
@@ -19,7 +19,7 @@ from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
 
 
 def log_words(cycles: int = 2600, **options: int) -> np.ndarray:
-    rehearsal = Rehearsal(1 << 20, **options)
+    rehearsal = SyntheticLog(1 << 20, **options)
     rehearsal.run(cycles)
     return rehearsal.memory[LogHead.SIZE // 8 :][: int(log_head(rehearsal.address))].copy()
 
