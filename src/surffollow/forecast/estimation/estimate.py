@@ -57,6 +57,7 @@ AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well repl
 SETTLING_NS = 150_000_000  # after a step all shadow axes have the same error
 INITIAL_SETTLING_NS = 60_000_000  # after a start, until set points of a few samples have acted
 GAP_NS = 100_000_000  # a step after a longer gap, unusual for the sensor, needs no travel
+PLAUSIBLE_SLOPE = 0.2  # ground may change by so much of the travel since the sample before: sparse samples
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
 SLOPE_POWER_LENGTH_M = 1.0  # over which the mean squared slope is taken
 
@@ -195,7 +196,7 @@ def update_estimate(
     propagate_bank(bank, travel)
     blend_models(adaptive)
     innovation = h_m - estimate.height_m
-    width = gate_width(params, gate)
+    width = max(gate_width(params, gate), PLAUSIBLE_SLOPE * travel)
     update_travel(params, gate, travel)
     unconfirmed = gate.unconfirmed_m
     if needs_second_sample(adaptive, innovation, width) != 0:

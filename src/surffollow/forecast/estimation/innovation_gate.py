@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.forecast.estimation.noise import INITIAL_NOISE_M
+from surffollow.forecast.estimation.noise import INITIAL_NOISE_M, MIN_NOISE_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
@@ -17,7 +17,9 @@ PERMANENT_STEPS = 0.2  # likelihood of slots below which two samples confirm a s
 SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 0.3, 0.01  # factor per step that stays; least value
 STANDING_CONFIRMATION_NS = 120_000_000  # agreeing samples over this time need no travel
 SCALE_GROWTH = 1.3  # of the usual innovation, per outlier that agrees with none
-REJECTED_TOLERANCE = 2  # a slot has two edges: samples across them agree with no other
+REJECTED_TOLERANCE = 12  # outliers that agree with none: more than a burst of wrong readings has
+AGREEMENT_SIGMAS = 6.0  # agreeing samples differ by no more noise than this, on ground as steep as 45 degrees
+BURST_TAUS = 0.25  # confirmation is delayed by no more of the axis' time constant
 INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted
 INITIAL_INNER_GATE = 0.125  # the same for the second sample: the first may have been the bad one
 
@@ -38,7 +40,10 @@ def hold_pending(
     """
     gate, estimate = adaptive.gate, adaptive.estimate
     last_height = gate.kept_height_m[(gate.pending - 1) & (PENDING_HEIGHTS - 1)]
-    if gate.pending > 0 and abs(estimate.height_m + innovation_m - last_height) < gate_m:
+    tolerance = gate_m
+    if innovation_m > 0.0:  # a fall needs travel, too, and may be steep
+        tolerance = min(AGREEMENT_SIGMAS * max(adaptive.noise.sigma_m, MIN_NOISE_M) + travel_m, gate_m)
+    if gate.pending > 0 and abs(estimate.height_m + innovation_m - last_height) < tolerance:
         gate.pending += 1
         gate.pending_travel_m += travel_m
     else:
@@ -63,7 +68,11 @@ def hold_pending(
     continues = gate.travel_since_step_m < params.step_way_m and innovation_m * gate.step_m > 0.0
     few = gate.slot_likelihood < PERMANENT_STEPS or continues
     need = min(params.step_samples, 2) if few else params.step_samples
-    if gate.pending < need:
+    # in a burst of wrong readings some agree by chance
+    more = min(
+        gate.rejected, int(BURST_TAUS * adaptive.plant.tau_s / max(adaptive.prediction.interval_s, 1e-6))
+    )
+    if gate.pending < need + more:
         return 0
     if innovation_m > 0.0 or continues or gate.pending_travel_m >= params.step_way_m * gate.slot_likelihood:
         return 1
@@ -85,6 +94,9 @@ def needs_second_sample(adaptive: Any, innovation_m: Any, gate_m: Any) -> Any:
     if not inner * gate_m < abs(innovation_m) <= gate_m or before * innovation_m > 0.0:
         return 0
     gate.unconfirmed_m = innovation_m
+    if gate.pending > 0:  # it agrees with no outlier before
+        gate.rejected += 1
+        gate.pending = 0
     return 1
 
 

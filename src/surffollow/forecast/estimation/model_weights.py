@@ -38,6 +38,7 @@ MIN_TIME_CONSTANT_S = 1e-6  # avoids a division by zero at the first samples
 LONGER_POWER_FACTOR = 10.0  # of the longer horizon's power on quiet ground …
 RECENT_POWER_REDUCTION = 0.9  # … where the recent one's power is reduced by this share
 BURN_IN_SAMPLES, FULL_POWER_SAMPLES = 200, 500  # samples for the full index, and for its full power
+MIN_BURN_IN_SHARE = 0.03  # of these samples: errors far beyond the noise are significant after a few
 # per kind of model: a wave fits part of any noise for a while, a curve a smaller part
 CHANCE_PENALTY = np.array([0.0, 1.0, 5.0])[BANK[CANDIDATE_MODEL, 0].astype(np.int64)]
 BURN_IN_CHANCE_FACTOR = 4.0  # at the start, falling to 1
@@ -141,7 +142,8 @@ def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
     # differences below the noise are small but significant; great errors come from few places
     noise_share = noise_fraction(least_recent, adaptive.noise.sigma_m)
     # few samples give no significance; fine differences need many
-    burn_in, progress = min(weights.scored / BURN_IN_SAMPLES, 1.0), weights.scored / FULL_POWER_SAMPLES
+    needed = BURN_IN_SAMPLES * max(noise_share * noise_share, MIN_BURN_IN_SHARE)
+    burn_in, progress = min(weights.scored / needed, 1.0), weights.scored / FULL_POWER_SAMPLES
     sharpness = noise_share * noise_share * progress * progress
     longer_share = longer_horizon_share(adaptive, least_longer)
     power = params.long_power + (params.score_power - params.long_power) * sharpness * (
@@ -151,7 +153,7 @@ def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
         params.long_power + (LONGER_POWER_FACTOR * params.long_power - params.long_power) * longer_share
     )
     # until then, and after an initialisation, the models' own variance decides
-    variance_share = max(1.0 - burn_in, 1.0 - adaptive.estimate.samples / BURN_IN_SAMPLES)
+    variance_share = max(1.0 - burn_in, 1.0 - adaptive.estimate.samples / needed)
     if adaptive.sample.lead_m > MIN_LEAD_M:
         variance_share = 0.0  # the buffered heights are followed, not the models
     ahead_m = adaptive.kinematics.speed_mps * (adaptive.latency.delay_s + adaptive.plant.tau_s)
