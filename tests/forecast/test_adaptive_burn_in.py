@@ -103,12 +103,14 @@ def test_samples_across_the_edges_of_a_slot_do_not_widen_the_gate():
     assert abs(a["estimate"]["height_m"]) < 2e-4
 
 
-def test_outliers_that_never_agree_widen_the_gate():
-    heights = np.zeros(420)
-    heights[400:410] = 0.01 * np.array([1, -1, 2, -2, 1, -1, 2, -2, 1, -1])
-    calm, _ = feed(np.zeros(420))
-    a, _ = feed(heights)
-    assert a["gate"]["scale_m"] > 1.5 * calm["gate"]["scale_m"]
+def test_outliers_that_never_agree_widen_the_gate_when_they_are_more_than_a_burst():
+    calm, _ = feed(np.zeros(440))
+    for count, wider in ((12, False), (30, True)):
+        heights = np.zeros(400 + count)
+        heights[400:] = 0.01 * (1.0 + np.arange(count) // 2) * (-1.0) ** np.arange(count)
+        a, taken = feed(heights)
+        assert not taken[400:412].any(), "a burst confirms no step"
+        assert (a["gate"]["scale_m"] > 1.5 * calm["gate"]["scale_m"]) == wider
 
 
 def test_a_bad_first_sample_is_discarded_with_all_that_it_taught():

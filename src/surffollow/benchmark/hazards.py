@@ -48,6 +48,8 @@ class Kind:
 
 KINDS = {
     "stuck": Kind((0.0, 5e-3), (0.3, 1.5), signed=True),
+    "blocked": Kind((0.0, 5e-3), (0.3, 1.5), signed=True),
+    "frozen": Kind((0.1 * SIGMA_M, 0.5 * SIGMA_M), (0.3, 1.5)),
     "biased": Kind((0.0, 10e-3), (0.02, 1.02), signed=True),
     "burst": Kind((3e-3, 28e-3), (0.02, 0.1)),
     "near": Kind((10e-3, 40e-3), (0.004, 0.016)),
@@ -175,8 +177,11 @@ def make_ground(s: Scenario) -> Ground:
 
 def misread(s: Scenario, r: float, held: float, rng: np.random.Generator) -> float:
     """What the sensor gives instead of `r`; `held` is what it read when the fault began."""
+    n = float(rng.standard_normal()) if s.family in ("blocked", "frozen") else 0.0
     if s.family in ("stuck", "leading frozen"):
         return held + s.size_m + COUNT_M * int(rng.integers(0, 2))
+    if s.family in ("blocked", "frozen"):  # something moves with the sensor; less noise than usual
+        return held + (s.size_m + SIGMA_M * n if s.family == "blocked" else s.size_m * n)
     if s.family in ("biased", "near", "leading wrong", "two of four"):
         return r + (-s.size_m if s.family == "near" else s.size_m)
     if s.family == "burst":

@@ -35,6 +35,7 @@ from surffollow.forecast.sensing.health import (
 )
 from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, has_jumped, update_kinematics
 from surffollow.forecast.sensing.measurement import process_sample, standoff_height
+from surffollow.forecast.sensing.response import is_unresponsive, least_target
 from surffollow.forecast.setpoint.preview_control import plan_setpoint
 from surffollow.forecast.setpoint.setpoint_blend import blend_setpoints, dropout_s, filter_setpoint
 from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint, mark_shown, release_setpoint
@@ -179,7 +180,7 @@ def compute_demand(
     if several == 0 and params.n_channels > 1:
         moving = 1 if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS else 0
         observe_lookahead(params, adaptive, sense, moving, pose)
-    stuck = is_stuck(health)
+    stuck = min(is_stuck(health) + is_unresponsive(adaptive.response), 1)
     update_health(params, adaptive, stuck)
     if has_jumped(kinematics, clock.now_ns) != 0:
         withdraw_preview(adaptive.preview)
@@ -210,6 +211,7 @@ def compute_demand(
     few = estimate.samples < CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
     if estimate.samples < INITIALISATION_SAMPLES or few:
         target = max(target, tool_z)  # no descent over ground that is hardly known
+    target = least_target(adaptive.response, target)
     if stuck != 0:  # ground that is not seen may rise as steeply as it did before
         rise_mps = max(math.sqrt(estimate.slope_power), estimate.slope) * kinematics.speed_mps
         target = max(target, tool_z + rise_mps * adaptive.plant.tau_s)

@@ -22,6 +22,7 @@ from surffollow.forecast.sensing.health import clear_faults, latch_fault, restar
 from surffollow.forecast.sensing.latency_identification import reset_latency
 from surffollow.forecast.sensing.measurement import reset_sample
 from surffollow.forecast.sensing.range_prediction import reset_prediction_time
+from surffollow.forecast.sensing.response import reset_response
 from surffollow.forecast.sensing.sample_hold import reset_hold
 from surffollow.forecast.setpoint.preview_control import reset_plan
 from surffollow.forecast.setpoint.setpoint_blend import reset_blend, reset_blend_times
@@ -43,6 +44,7 @@ def reset_all(params: Any, adaptive: Any) -> None:
     discard_noise(adaptive.noise)
     discard_weights(adaptive.weights)
     reset_sample(adaptive.sample)
+    reset_response(adaptive.response)
     reset_latency(adaptive.latency)
     reset_lookahead(adaptive.lookahead)
     reset_known_ground(adaptive.known)
@@ -59,6 +61,7 @@ def reset_all(params: Any, adaptive: Any) -> None:
 def reset_surface(adaptive: Any) -> None:
     """SFReset: initialise with the next sample; noise, model weights, plant and terrain stay."""
     unconfirm_estimate(adaptive.estimate)
+    reset_response(adaptive.response)
     drop_pending(adaptive.gate)
     release_setpoint(adaptive.setpoint)
     withdraw_preview(adaptive.preview)
@@ -76,6 +79,7 @@ def reset_timestamps(adaptive: Any) -> None:
     discard_estimate(adaptive.estimate)
     reset_estimate_times(adaptive.estimate)
     reset_hold(adaptive.hold)
+    reset_response(adaptive.response)
     reset_prediction_time(adaptive.prediction)
     release_setpoint(adaptive.setpoint)
     release_attitude(adaptive.attitude)

@@ -27,6 +27,7 @@ from surffollow.shm.layout_adaptive_sensing import (
     Lookahead,
     Plane,
     Prediction,
+    Response,
     Sample,
 )
 from surffollow.shm.schema import F64, I64, Nested, Schema
@@ -156,6 +157,7 @@ class AdaptiveState(Schema):
     latency = Nested(Latency)
     sample = Nested(Sample)
     health = Nested(Health)
+    response = Nested(Response)
     prediction = Nested(Prediction)
     noise = Nested(Noise)
     gate = Nested(Gate)

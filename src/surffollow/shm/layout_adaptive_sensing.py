@@ -83,6 +83,30 @@ class Health(Schema):
     usual_repeats = F64(doc="longest such run lately; 0: not known")
 
 
+RESPONSE_RUN, RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_NONE = range(4)
+
+
+class Response(Schema):
+    """Response of the range to the tool's own motion (`response`)."""
+
+    phase = I64(doc="constant range, tested by holding, by lifting; RESPONSE_NONE: it does not respond")
+    count = I64(doc="samples after the lift")
+    t_ns = I64(unit="ns", doc="timestamp of the newest sample; 0: none")
+    mean_m = F64(unit="m", doc="running mean of the range")
+    run_range_m = F64(unit="m", doc="that at the begin of the run of constant ranges")
+    run_samples = I64(doc="samples since then")
+    run_z_m = F64(unit="m", doc="greatest height of the tool in the run")
+    run_ns = I64(unit="ns", doc="when it was there")
+    test_z_m = F64(unit="m", doc="height of the tool when the phase of the test began")
+    test_ns = I64(unit="ns", doc="when that was")
+    rate_mps = F64(unit="m/s", doc="descent before the test")
+    lift_m = F64(unit="m", doc="height of the lift")
+    recent_m = F64(2, unit="m", doc="the newest ranges")
+    samples = I64(doc="samples since the begin")
+    noise_m = F64(unit="m", doc="noise of the ranges lately")
+    usual_m = F64(unit="m", doc="their usual noise")
+
+
 class Prediction(Schema):
     """Predictors of the range over time (`range_prediction`)."""
 

@@ -14,7 +14,9 @@ from surffollow.forecast.estimation.estimate import discard_estimate, update_est
 from surffollow.forecast.pose import footprint, rotate
 from surffollow.forecast.safety import watch_fold_back
 from surffollow.forecast.sensing.health import (
+    DROPOUT_NS,
     count_close,
+    dropout_tolerance_s,
     is_stuck,
     is_stuck_permanently,
     repeats_range,
@@ -23,6 +25,7 @@ from surffollow.forecast.sensing.health import (
 from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, predict_pose
 from surffollow.forecast.sensing.latency_identification import observe_height, update_delay
 from surffollow.forecast.sensing.range_prediction import update_prediction
+from surffollow.forecast.sensing.response import is_unresponsive, observe_response
 from surffollow.forecast.sensing.sample_hold import new_sample, record_sample
 from surffollow.forecast.terrain.lookahead_sensor import compare_lookahead
 from surffollow.forecast.terrain.preview import compare_map, monitor_error, withdraw_preview
@@ -99,11 +102,14 @@ def process_sample(
         t -= int(latency.correction_s * 1e9)
     update_delay(latency, (adaptive.clock.now_ns - t) * 1e-9)
     predict_pose(kinematics, sense, t, pose)
-    stuck_for_long = is_stuck_permanently(adaptive)
+    stuck_for_long, unresponsive = is_stuck_permanently(adaptive), is_unresponsive(adaptive.response)
     update_stuck(adaptive, repeated, range_m, pose[2])
-    if stuck_for_long != 0 and is_stuck(health) == 0:
+    gap_s = dropout_tolerance_s(adaptive.prediction) + DROPOUT_NS * 1e-9
+    observe_response(params, adaptive, t, range_m, pose[2], gap_s)
+    now_stuck = is_stuck(health) + is_unresponsive(adaptive.response)
+    if stuck_for_long + unresponsive > 0 and now_stuck == 0:
         discard_estimate(estimate)
-    if t <= estimate.sample_ns or is_stuck(health) != 0:
+    if t <= estimate.sample_ns or now_stuck > 0:
         return
     adapt = 0 if params.adapt == 0 or params.run == RUN_FREEZE else 1
     x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)

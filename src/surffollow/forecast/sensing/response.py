@@ -1,0 +1,148 @@
+"""Response of the range to the tool's own motion: an active test of the sensor during descents.
+
+A sensor that no longer sees the ground (stuck, or blocked by something that moves with it) reads a constant
+range with any noise. The tool then makes the ground fall by itself: what it descends, the height falls.
+A follower that tracks a falling plane well reads a constant range, too, but that is the wanted one, with
+the usual noise. A descent with a constant range that is not the wanted one, or with far less noise, is
+tested: the tool stops descending (`RESPONSE_HOLD`), and the range must grow by the descent that does not take
+place. If it does not, the tool rises (`RESPONSE_LIFT`), and the range must follow.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_sensing import RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_NONE, RESPONSE_RUN
+
+DESCENT_SHARE = 0.03  # of the stand-off: a descent of this length, and of so many errors, is tested
+DESCENT_ERRORS = 3.0
+ERROR_DESCENT = 0.36  # of a band times the stand-off: error times descent; a small one needs a long one
+LAG_TAUS = 0.3  # errors that so great a lag of the axis model explains are no sign of a fault
+QUIET_SHARE = 0.5  # of the usual noise
+NOISE_RATE, USUAL_RATE = 0.03, 0.003  # of the noise and of the usual noise, per sample
+SECOND_DIFFERENCE = 1.954  # mean absolute second difference of white Gaussian noise, in standard deviations
+RUN_SAMPLES = 64  # in the mean of a run
+MEAN_TAUS, MIN_MEAN, MAX_MEAN = 1.0, 2.0, 8.0  # samples in the mean range: those of a time constant
+BAND_SIGMAS = 3.0  # of the mean: the range has changed …
+SURE = 1.5  # … beyond the chance of many looks, in bands: during a test and after it
+OUTLIER_SIGMAS = 3.0  # one sample moves the mean by no more
+HOLD_BANDS = 4.0  # change of the range that ends the hold, in bands
+LIFT_BANDS = 4.0  # height of the lift, in bands
+STOP_TAUS = 2.0  # until the tool has stopped
+MAX_PHASE_TAUS = 50.0  # after which a tool that does not do as it is asked ends the test
+
+
+@jit
+def _begin_run(response: Any, t_ns: Any, tool_z_m: Any) -> None:
+    """Begin a run of constant ranges at the present mean."""
+    response.phase, response.count = RESPONSE_RUN, 0
+    response.run_range_m, response.run_z_m, response.run_ns = response.mean_m, tool_z_m, t_ns
+    response.run_samples = 0
+
+
+@jit
+def _observe_noise(response: Any, range_m: Any) -> None:
+    """Update the noise and the usual noise of the ranges; noise far below the usual one is not learned."""
+    second = abs(range_m - 2.0 * response.recent_m[0] + response.recent_m[1]) / SECOND_DIFFERENCE
+    response.recent_m[1] = response.recent_m[0]
+    response.recent_m[0] = range_m
+    response.samples += 1
+    if response.samples <= 2:
+        return
+    rate = max(NOISE_RATE, 1.0 / (response.samples - 2))
+    response.noise_m += rate * (min(second, 4.0 * max(response.noise_m, MIN_NOISE_M)) - response.noise_m)
+    if response.samples * NOISE_RATE < 2.0:
+        response.usual_m = response.noise_m
+    elif response.noise_m > QUIET_SHARE * response.usual_m:
+        response.usual_m += USUAL_RATE * (response.noise_m - response.usual_m)
+
+
+@jit
+def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z_m: Any, gap_s: Any) -> None:
+    """Update the test with a sample of channel 0.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (updated)
+    t_ns : int64             timestamp
+    range_m : float64        range [m]
+    tool_z_m : float64       height of the tool at that time [m]
+    gap_s : float64          a longer time without samples begins a new run [s]
+    """
+    response, tau = adaptive.response, adaptive.plant.tau_s
+    sigma = max(adaptive.noise.sigma_m, MIN_NOISE_M)
+    dt = (t_ns - response.t_ns) * 1e-9
+    if response.t_ns == 0 or dt <= 0.0 or dt > gap_s:
+        response.mean_m = range_m
+        _begin_run(response, t_ns, tool_z_m)
+    response.t_ns = t_ns
+    _observe_noise(response, range_m)
+    interval = max(adaptive.prediction.interval_s, 1e-6)
+    number = min(max(MEAN_TAUS * tau / interval, MIN_MEAN), MAX_MEAN)
+    outlier = OUTLIER_SIGMAS * sigma
+    response.mean_m += min(max(range_m - response.mean_m, -outlier), outlier) / number
+    response.run_samples += 1
+    if number < response.run_samples < RUN_SAMPLES:  # its own mean is the better known one
+        share = 1.0 / response.run_samples
+        response.run_range_m += share * (response.mean_m - response.run_range_m)
+    band = BAND_SIGMAS * sigma / number**0.5
+    sure = 1.0 if response.phase == RESPONSE_RUN else SURE
+    if abs(response.mean_m - response.run_range_m) > sure * band:
+        _begin_run(response, t_ns, tool_z_m)
+        response.usual_m = min(response.usual_m, response.noise_m / QUIET_SHARE)  # it responds
+        return
+    since_s = (t_ns - response.test_ns) * 1e-9
+    if response.phase == RESPONSE_RUN:
+        if tool_z_m > response.run_z_m:
+            response.run_z_m, response.run_ns = tool_z_m, t_ns
+        descent = response.run_z_m - tool_z_m
+        rate = descent / max((t_ns - response.run_ns) * 1e-9, interval)
+        error = (
+            abs(response.run_range_m - params.offset_m) if abs(adaptive.sample.lead_m) < MIN_LEAD_M else 0.0
+        )
+        wrong = (
+            error > max(band, LAG_TAUS * tau * rate)
+            and error * descent > ERROR_DESCENT * band * params.offset_m
+        )
+        quiet = response.noise_m < QUIET_SHARE * response.usual_m
+        if (wrong or quiet) and descent > DESCENT_SHARE * params.offset_m + DESCENT_ERRORS * error:
+            response.phase, response.test_ns, response.test_z_m = RESPONSE_HOLD, t_ns, tool_z_m
+            response.rate_mps = rate
+    elif response.phase == RESPONSE_HOLD:
+        missing = response.rate_mps * (since_s - STOP_TAUS * tau)
+        if missing > HOLD_BANDS * band or since_s > MAX_PHASE_TAUS * tau:
+            response.phase, response.test_ns, response.test_z_m = RESPONSE_LIFT, t_ns, tool_z_m
+            response.lift_m, response.count = LIFT_BANDS * band, 0
+    elif response.phase == RESPONSE_LIFT:
+        if tool_z_m - response.test_z_m > 0.5 * response.lift_m:
+            response.count += 1
+            if response.count > 2.0 * number:
+                response.phase = RESPONSE_NONE
+        elif since_s > MAX_PHASE_TAUS * tau:
+            _begin_run(response, t_ns, tool_z_m)
+
+
+@jit
+def is_unresponsive(response: Any) -> Any:
+    """1 after a test that the range did not follow, until it changes."""
+    return 1 if response.phase == RESPONSE_NONE else 0
+
+
+@jit
+def least_target(response: Any, target_m: Any) -> Any:
+    """The target of the axis, or the higher one that a running test asks for [m]."""
+    if response.phase == RESPONSE_HOLD:
+        return max(target_m, response.test_z_m)
+    if response.phase == RESPONSE_LIFT:
+        return max(target_m, response.test_z_m + response.lift_m)
+    return target_m
+
+
+@jit
+def reset_response(response: Any) -> None:
+    """Begin anew with the next sample."""
+    response.t_ns = response.samples = 0
+    response.phase = RESPONSE_RUN

@@ -1,0 +1,110 @@
+"""A sensor whose range does not respond to the tool's own motion is found; a good one is left alone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from surffollow import Follower
+from surffollow.benchmark.hazards import FAR_M, NEAR_M, SIGMA_M, STANDOFF_M, PLoop, draw, play
+from surffollow.shm.layout_adaptive_sensing import RESPONSE_HOLD, RESPONSE_NONE, RESPONSE_RUN
+
+MS = 1_000_000
+TAU_MS = 40.0
+
+
+def standard() -> Follower:
+    return Follower({"sensors": [{"near_m": NEAR_M, "far_m": FAR_M}]}, offset_m=STANDOFF_M)
+
+
+def closed_loop(ground, read, seconds=4.0, seed=0, speed=0.2):
+    """Heights above the ground [m], phases of the test and states every 10 ms of a tool on an axis."""
+    f, rng, z = standard(), np.random.default_rng(seed), ground(0.0) + STANDOFF_M
+    target, heights, phases, states = z, [], [], []
+    for ms in range(int(1e3 * seconds)):
+        x = speed * ms * 1e-3
+        if ms % 10 == 0:
+            f.pose(ms * MS, (x, 0.0, z, 0.0, 0.0, 0.0, 1.0))
+        if ms % 4 == 0:
+            f.step(ms * MS, [read(ms * 1e-3, z - ground(x), rng)])
+        if ms % 10 == 0:
+            target = z + f.step(ms * MS, [math.nan])[2]
+            heights.append(z - ground(x))
+            phases.append(int(f._state["adaptive"][0]["response"]["phase"]))
+            states.append(f.state())
+        z += (target - z) / TAU_MS
+    return np.array(heights), phases, states
+
+
+def noisy(_, r, rng):
+    return r + SIGMA_M * rng.standard_normal()
+
+
+@pytest.mark.parametrize("offset_m", [1.5e-3, 3e-3, 5e-3])
+@pytest.mark.parametrize("seed", range(3))
+def test_something_that_moves_with_the_sensor_in_its_beam_ends_as_stuck(offset_m, seed):
+    """GIVEN level ground WHEN the range is constant and too long, with its usual noise THEN it is STUCK."""
+
+    def blocked(t, r, rng):
+        return (STANDOFF_M + offset_m if t > 2.0 else r) + SIGMA_M * rng.standard_normal()
+
+    heights, phases, states = closed_loop(lambda _: 0.0, blocked, seed=seed)
+    assert RESPONSE_NONE in phases
+    stuck = next(k for k, s in enumerate(states) if s["health"] == "STUCK")
+    assert "respond" in states[stuck]["reason"]
+    assert heights.min() > 0.06  # a P loop falls for ever
+    assert np.diff(heights[stuck + 20 :]).min() > -2e-4, "from then on it does not come nearer"
+
+
+@pytest.mark.parametrize("family", ["blocked", "frozen"])
+@pytest.mark.parametrize("seed", range(8))
+def test_no_contact_while_valid(family, seed):
+    scenario = draw(family, seed)
+    ours, plain = play(standard(), scenario), play(PLoop(), scenario)
+    assert not ours.contact_valid
+    assert ours.clearance_m > plain.clearance_m - 20e-3, scenario
+
+
+@pytest.mark.parametrize(
+    "ground",
+    [lambda x: -0.1 * x, lambda x: 0.01 * math.sin(40.0 * x), lambda x: -0.03 * (x > 0.4)],
+    ids=["ramp", "waves", "cliff"],
+)
+def test_a_good_sensor_is_never_found_unresponsive(ground):
+    _, phases, states = closed_loop(ground, noisy, seed=5)
+    assert RESPONSE_NONE not in phases
+    assert all(s["health"] != "STUCK" for s in states)
+
+
+def test_a_good_sensor_that_reads_too_far_for_long_passes_the_test():
+    """GIVEN a fall too steep for the axis WHEN the tool holds THEN the range grows, and it goes on."""
+
+    def ground(x):
+        return -0.5 * max(x - 0.2, 0.0)
+
+    heights, phases, states = closed_loop(ground, noisy, seconds=2.5, speed=0.4)
+    assert all(s["health"] != "STUCK" for s in states)
+    assert RESPONSE_NONE not in phases
+    assert heights[60:].min() > STANDOFF_M - 3e-3
+
+
+def test_a_sensor_that_sees_again_is_used_again():
+    def blocked_for_a_while(t, r, rng):
+        return (STANDOFF_M + 4e-3 if 2.0 < t < 3.0 else r) + SIGMA_M * rng.standard_normal()
+
+    heights, phases, states = closed_loop(lambda _: 0.0, blocked_for_a_while, seconds=5.0)
+    assert RESPONSE_NONE in phases
+    assert phases[-1] == RESPONSE_RUN
+    assert states[-1]["health"] == "OK"
+    assert abs(heights[-1] - STANDOFF_M) < 1e-3
+
+
+def test_a_reset_ends_a_test():
+    f = standard()
+    record = f._state["adaptive"][0]["response"]
+    record["phase"], record["t_ns"] = RESPONSE_HOLD, 5
+    f.reset()
+    assert int(record["phase"]) == RESPONSE_RUN
+    assert int(record["t_ns"]) == 0
