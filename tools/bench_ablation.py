@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-ADAPTIVE = Path("surffollow/forecast/adaptive")
+FORECAST = Path("surffollow/forecast")
 SURFACES = (
     "ramp-5",
     "ramp-20",
@@ -192,7 +192,7 @@ def run_variant(name: str, seeds: str, cache: Path) -> dict[str, Any]:
         source = Path(folder) / "src"
         shutil.copytree(ROOT / "src", source, ignore=shutil.ignore_patterns("__pycache__"))
         for module, text, other in VARIANTS[name]:
-            path = (source / ADAPTIVE / f"{module}.py").resolve()
+            path = next((source / FORECAST).rglob(f"{module}.py")).resolve()
             before = path.read_text()
             if before.count(text) != 1:
                 raise SystemExit(f"{name}: {module} has {before.count(text)} times: {text}")

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from maplive.conftest import some_map
 
+from map_live.conftest import some_map
 from running_service import Service, config_text, until
 from surffollow.client import Client
 from surffollow.errors import FaultError

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from maplive.conftest import GRIDS, SHORT_S, some_map
 
+from map_live.conftest import GRIDS, SHORT_S, some_map
 from running_service import POSE, Service, World, config_text, drive, until
 from surffollow.client import Client
 from surffollow.client.map_install import MapStream

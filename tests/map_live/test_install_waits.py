@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from maplive.conftest import GRIDS, LEASE_S, SHORT_S, some_map
-from maplive.test_install import known_grids
 
+from map_live.conftest import GRIDS, LEASE_S, SHORT_S, some_map
+from map_live.test_install import known_grids
 from running_service import Service, config_text, until
 from surffollow.client import Client
 from surffollow.client.map_install import MapStream

@@ -26,7 +26,7 @@ def forecast_range(params: Any, state: Any, horizon_s: Any) -> Any:
     Notes
     -----
     Paper mode: the two-range slope carried on at the lateral speed (§3.2.4). Adaptive mode: see
-    `adaptive.range_prediction`.
+    `sensing.range_prediction`.
     """
     if params[0].mode == MODE_ADAPTIVE:
         d = state[0].scaled

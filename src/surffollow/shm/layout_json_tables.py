@@ -20,7 +20,7 @@ _REFUSALS = (
     *("SLOT_OK", "SLOT_ALL_TAKEN", "SLOT_USER_LIMIT"),
     *("SLOT_PROCESS_LIMIT", "SLOT_OTHER_RUN", "SLOT_BAD_MESSAGE"),
 )
-# of the service and the Python client, which stand on floors above (a test compares)
+# of the service and the Python client, which stand on layers above (a test compares)
 
 
 def _constants(prefix: str) -> dict[str, int]:

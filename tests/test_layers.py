@@ -9,10 +9,10 @@ import pytest
 
 SRC = Path(__file__).parents[1] / "src" / "surffollow"
 
-# from the roof to the ground (ARCHITECTURE.md, "Floors")
-FLOORS = (
+# from top to bottom (ARCHITECTURE.md, "Layers")
+LAYERS = (
     ("cli",),
-    ("live", "record", "benchmark"),
+    ("apps", "record", "benchmark"),
     ("service",),
     ("bridge", "monitor", "arbiter", "scan", "sonar"),
     ("client", "blocks"),
@@ -21,10 +21,10 @@ FLOORS = (
     ("shm",),
     ("config", "units", "errors"),
 )
-FLOOR = {room: n for n, rooms in enumerate(FLOORS) for room in rooms}
-# the package's own front doors are above every floor they lead to
-DOORS = {"__init__", "__main__"}
-# rooms of one floor that may look at each other, and why
+LAYER = {package: n for n, packages in enumerate(LAYERS) for package in packages}
+# entry points are above every layer
+ENTRIES = {"__init__", "__main__"}
+# packages of one layer that may import each other, and why
 NEIGHBOURS = {
     ("blocks", "client"),  # a block is read through the same latches as a board
     ("hw", "sim"),  # the simulated sensor measures the simulated world
@@ -32,27 +32,27 @@ NEIGHBOURS = {
     ("config", "errors"),
     ("units", "errors"),
 }
-# exceptions upward: (importing module, imported room), each with its reason
+# exceptions upward: (importing module, imported package), each with its reason
 EXCEPTIONS: dict[tuple[str, str], str] = {
-    ("live.demo", "record"): "the demonstration ends with a replay check of its own recording",
+    ("apps.demo", "record"): "the demonstration ends with a replay check of its own recording",
 }
-# the embedders' door: a module at the top of the package with kernels behind it
-ABOVE = {"follower": FLOOR["client"]}
+# the in-process interface: a package beside the client with kernels behind it
+ABOVE = {"follower": LAYER["client"]}
 
 
-def room_of(path):
+def package_of(path):
     parts = path.relative_to(SRC).with_suffix("").parts
     return parts[0]
 
 
-def imported_rooms(path):
-    """(line, room) of every import of ours, at any depth of the file."""
-    package = ("surffollow", *path.relative_to(SRC).parent.parts)
+def imported_packages(path):
+    """(line, package) of every import of ours, at any depth of the file."""
+    own = ("surffollow", *path.relative_to(SRC).parent.parts)
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names = [a.name for a in node.names]
         elif isinstance(node, ast.ImportFrom):
-            base = ".".join(package[: len(package) - node.level + 1]) if node.level else ""
+            base = ".".join(own[: len(own) - node.level + 1]) if node.level else ""
             module = ".".join(p for p in (base, node.module or "") if p)
             names = [module] if module != "surffollow" else [f"surffollow.{a.name}" for a in node.names]
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
@@ -69,35 +69,35 @@ def imported_rooms(path):
 def upward_imports():
     wrong = []
     for path in sorted(SRC.rglob("*.py")):
-        own = room_of(path)
-        if own in DOORS:
+        own = package_of(path)
+        if own in ENTRIES:
             continue
-        here = ABOVE.get(own, FLOOR.get(own))
+        here = ABOVE.get(own, LAYER.get(own))
         module = ".".join(path.relative_to(SRC).with_suffix("").parts)
-        for line, room in imported_rooms(path):
-            there = ABOVE.get(room, FLOOR.get(room))
-            if room == own or there is None or (own, room) in NEIGHBOURS:
+        for line, package in imported_packages(path):
+            there = ABOVE.get(package, LAYER.get(package))
+            if package == own or there is None or (own, package) in NEIGHBOURS:
                 continue
             if there <= here:
-                wrong.append((module, room, f"{path.relative_to(SRC)}:{line} ({own}) imports {room}"))
+                wrong.append((module, package, f"{path.relative_to(SRC)}:{line} ({own}) imports {package}"))
     return wrong
 
 
-def test_no_room_imports_from_its_own_floor_or_one_above():
-    wrong = [text for module, room, text in upward_imports() if (module, room) not in EXCEPTIONS]
+def test_no_package_imports_from_its_own_layer_or_one_above():
+    wrong = [text for module, package, text in upward_imports() if (module, package) not in EXCEPTIONS]
     assert not wrong, "imports that do not go downward:\n" + "\n".join(wrong)
 
 
 def test_no_exception_outlives_its_need():
-    needed = {(module, room) for module, room, _ in upward_imports()}
+    needed = {(module, package) for module, package, _ in upward_imports()}
     assert set(EXCEPTIONS) <= needed, f"drop {set(EXCEPTIONS) - needed}"
 
 
-def test_every_room_has_a_floor():
-    rooms = {p.name for p in SRC.iterdir() if (p / "__init__.py").exists()}
-    rooms |= {p.stem for p in SRC.glob("*.py")} - DOORS
-    unknown = rooms - set(FLOOR) - set(ABOVE)
-    assert not unknown, f"give {', '.join(sorted(unknown))} a floor in ARCHITECTURE.md and here"
+def test_every_package_has_a_layer():
+    packages = {p.name for p in SRC.iterdir() if (p / "__init__.py").exists()}
+    packages |= {p.stem for p in SRC.glob("*.py")} - ENTRIES
+    unknown = packages - set(LAYER) - set(ABOVE)
+    assert not unknown, f"give {', '.join(sorted(unknown))} a layer in ARCHITECTURE.md and here"
 
 
 def test_every_package_has_its_init():
@@ -106,20 +106,20 @@ def test_every_package_has_its_init():
 
 
 @pytest.mark.parametrize(
-    ("text", "rooms"),
+    ("text", "packages"),
     [
         ("import surffollow.cli.main", {"cli"}),
         ("from surffollow import client", {"client"}),
         ("def f():\n    from surffollow.service.daemon import serve", {"service"}),
         ("from ..record import replay", {"record"}),
-        ("import importlib\nimportlib.import_module('surffollow.apps.page')", {"live"}),
+        ("import importlib\nimportlib.import_module('surffollow.apps.page')", {"apps"}),
         ("import numpy", set()),
     ],
 )
-def test_the_test_itself_sees_every_way_to_import(text, rooms, tmp_path, monkeypatch):
-    package = tmp_path / "map"
-    package.mkdir()
-    file = package / "x.py"
+def test_the_test_itself_sees_every_way_to_import(text, packages, tmp_path, monkeypatch):
+    folder = tmp_path / "map"
+    folder.mkdir()
+    file = folder / "x.py"
     file.write_text(text)
     monkeypatch.setattr(f"{__name__}.SRC", tmp_path)
-    assert {room for _, room in imported_rooms(file)} == rooms
+    assert {package for _, package in imported_packages(file)} == packages
