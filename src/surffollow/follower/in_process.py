@@ -271,7 +271,7 @@ class Follower:
     def state(self) -> dict[str, Any]:
         """What the follower knows: estimates, health, adapted parameters; plain Python values.
 
-        `weights` are the shares of all candidates (`forecast.estimation.model_bank`) in the blend; their sum is 1.
+        `weights` are the shares of all candidates (`estimation.model_bank`) in the blend; their sum is 1.
         """
         o = self._output[0]
         bits = int(o["status"])
