@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from cabi.latch_threads import AARCH64, THREADS
 from cabi.running import ROOT, STANDOFF_M, C, Probe, Service, numbers
-from cabi.test_latch import AARCH64, THREADS
 from running_service import until
 from surffollow.client import attach
 from surffollow.shm.cheader import header_text

@@ -13,7 +13,7 @@ import pytest
 
 from cabi.running import ROOT, Probe, Service, StillWorld
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
-from service.test_foreign_names import forged_board, put, remove
+from service.forged_objects import forged_board, put, remove
 from surffollow.client import STALE, attach, observe
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import VALID

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cabi.latch_threads import AARCH64, THREADS
 from cabi.running import Service, numbers, run
 from surffollow.shm.latch import latch_read, latch_write
 from surffollow.shm.latch_shape import latch_bytes
@@ -120,49 +121,6 @@ def test_hot_calls_make_no_system_call(compile_program: Callable[..., Path], ser
     assert len(hot.splitlines()) < 50, hot  # 400 calls of ours, a look at the service ten times a second
 
 
-# one thread publishes, two read and look at every word
-THREADS = """
-#include "surffollow.h"
-#include <pthread.h>
-static _Alignas(64) int64_t latch[8 + 4 * 16];
-static int over;
-static int64_t seen;
-static void *write_all(void *unused) {
-  int64_t payload[16];
-  const int64_t end_ns = sf_now_ns() + 30000000000; /* on a busy machine the readers come late */
-  for (int64_t n = 1; n <= 60000 || sf_now_ns() < end_ns; n++) {
-    if (n > 60000 && __atomic_load_n(&seen, __ATOMIC_RELAXED) >= 1000) break;
-    for (int k = 0; k < 16; k++) payload[k] = n;
-    sf_latch_write(latch, sizeof payload, payload);
-  }
-  __atomic_store_n(&over, 1, __ATOMIC_RELEASE);
-  return unused;
-}
-static void *read_all(void *counts) {
-  int64_t payload[16], *count = (int64_t *)counts;
-  while (!__atomic_load_n(&over, __ATOMIC_ACQUIRE)) {
-    const int64_t g = sf_latch_read(latch, sizeof payload, payload);
-    if (g <= 0) continue;
-    count[0]++;
-    __atomic_fetch_add(&seen, 1, __ATOMIC_RELAXED);
-    for (int k = 0; k < 16; k++) count[1] += payload[k] != g;
-  }
-  return NULL;
-}
-int main(void) {
-  int64_t counts[2][2] = {{0, 0}, {0, 0}};
-  pthread_t threads[3];
-  pthread_create(&threads[1], NULL, read_all, counts[0]);
-  pthread_create(&threads[2], NULL, read_all, counts[1]);
-  pthread_create(&threads[0], NULL, write_all, NULL);
-  for (int k = 0; k < 3; k++) pthread_join(threads[k], NULL);
-  const int64_t reads = counts[0][0] + counts[1][0], torn = counts[0][1] + counts[1][1];
-  printf("reads %" PRId64 " torn %" PRId64 "\\n", reads, torn);
-  return 0;
-}
-"""
-
-
 def test_thread_sanitizer_finds_no_race_between_writer_and_readers(
     compile_program: Callable[..., Path],
 ) -> None:
@@ -182,9 +140,6 @@ def test_size_of_a_client_is_small_enough_for_any_stack(compile_program: Callabl
         '#include "surffollow.h"\nint main(void) { printf("bytes %zu\\n", sizeof(sf_client)); return 0; }\n'
     )
     assert numbers(run(compile_program(source)))["bytes"] < 1024
-
-
-AARCH64 = "aarch64-linux-gnu-gcc"
 
 
 def test_latch_on_aarch64_orders_its_loads_and_stores_by_instructions(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.sim.profiles import SHAPES
 
-from .test_adaptive_stages import default_params, feed
+from .feeding import default_params, feed
 
 NOISE_M = 2.5e-4
 SLOW, WAVY = 0, int(np.flatnonzero(BANK[:, 0] == WAVE)[0])

@@ -33,7 +33,7 @@ from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 from surffollow.shm.layout_follow import FollowState
 
-from .test_adaptive_stages import MS, default_params, feed
+from .feeding import MS, default_params, feed
 
 BAND = 1e-4
 

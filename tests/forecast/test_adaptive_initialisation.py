@@ -11,7 +11,7 @@ from surffollow.forecast.setpoint.setpoint_limits import ACCELERATION_RATIO, VEL
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 
-from .test_adaptive_stages import MS, default_params, feed
+from .feeding import MS, default_params, feed
 
 NAN = float("nan")
 

@@ -35,7 +35,7 @@ from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.sim.profiles import Profile
 
-from .test_adaptive_stages import default_params
+from .feeding import default_params
 
 NOISE_M = 2.5e-4
 OLD, NEW = 0, 2

@@ -10,8 +10,8 @@ from surffollow.forecast.pose import push_pose
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import FollowState
 
-from .test_adaptive_stages import MS, default_params
-from .test_tilted_tool import Tilted, turned
+from .feeding import MS, default_params
+from .tilted import Tilted, turned
 
 
 @pytest.mark.parametrize("set_ns", [0, 1])

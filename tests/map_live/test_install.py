@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from map_live.conftest import GRIDS, SHORT_S, some_map
+from map_live.known_grids import known_grids
 from running_service import POSE, Service, World, config_text, drive, until
 from surffollow.client import Client
 from surffollow.client.map_install import MapStream
@@ -30,10 +31,6 @@ def post_pieces(stream: MapStream, n: int) -> None:
         heights, counts = access.quanta(stream.pairs, start, stop), access.counts(stream.pairs, start, stop)
         stream.post(start, heights.tobytes(), counts.tobytes())
     until(lambda: stream.grids_taken() == n * lb.PIECE_GRIDS, "the pieces' acknowledgement")
-
-
-def known_grids(client: Client) -> int:
-    return int((client.map_window().heights != ml.UNKNOWN).sum())
 
 
 def test_an_uploaded_map_installs_again_without_loss(client: Client, map_file: Path, tmp_path: Path) -> None:

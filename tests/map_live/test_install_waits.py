@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from map_live.conftest import GRIDS, LEASE_S, SHORT_S, some_map
-from map_live.test_install import known_grids
+from map_live.known_grids import known_grids
 from running_service import Service, config_text, until
 from surffollow.client import Client
 from surffollow.client.map_install import MapStream

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import pytest
 
 from running_service import POSE, Service, drive, program, said, until
-from service.test_many_clients import SENDER
+from service.pose_senders import SENDER
 from surffollow.client import STALE
 from surffollow.client.demand import VALID
 from surffollow.errors import NotRunningError

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import os
-import socket
-import stat
 import struct
 import subprocess
 import sys
@@ -19,6 +17,7 @@ from click.testing import CliRunner
 
 from running_service import POSE, READY_S, Service, objects_of, unique_name, until
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
+from service.forged_objects import forged_board, put, remove
 from surffollow.blocks.listing import list_blocks
 from surffollow.cli.service import purge_leftovers, running_pid, stop_command
 from surffollow.client import STALE, attach, observe
@@ -26,39 +25,12 @@ from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import ConfigError, FaultError, NoPermissionError, NotRunningError
 from surffollow.record.service_log import ServiceLog
 from surffollow.service import shared_objects
-from surffollow.shm.dtypes import zeros
-from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, stride
-from surffollow.shm.layout_follow import VALID, Output
 from surffollow.shm.process import start_ticks
 
 Make = Callable[..., Service]
 ODD = ("fifo", "directory", "link", "socket", "device")
 AT_ONCE_S = 20.0  # on a busy machine; what hangs hangs for ever
 FLOCK = struct.Struct("hhxxxxqqixxxx")
-
-
-def put(path: Path, kind: str) -> None:
-    """Make something that is no plain file."""
-    if kind == "fifo":
-        os.mkfifo(path, 0o666)
-    elif kind == "directory":
-        path.mkdir()
-    elif kind == "link":
-        path.symlink_to("/dev/zero")
-    elif kind == "socket":
-        sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        sock.bind(str(path))
-        sock.close()
-    else:
-        os.mknod(path, 0o666 | stat.S_IFCHR, os.makedev(1, 5))
-
-
-def remove(path: Path) -> None:
-    """Remove whatever it is."""
-    if path.is_dir() and not path.is_symlink():
-        path.rmdir()
-    else:
-        path.unlink(missing_ok=True)
 
 
 def at_once(action: Callable[[], Any]) -> str:
@@ -128,21 +100,6 @@ def test_a_client_that_runs_bears_what_takes_the_place_of_its_service(make_servi
             assert at_once(lambda: client.ee_pos(POSE)).startswith("NotRunningError")
         finally:
             remove(path)
-
-
-def forged_board(content: bytes, offset: int) -> bytes:
-    """A service's board with a fresh and valid demand that drives the tool half a metre down."""
-    import time
-
-    output = zeros(Output)
-    o = output[0]
-    o["t_ns"], o["status"], o["epoch"] = time.monotonic_ns(), VALID, 1
-    o["demand"] = (0.0, 0.0, -0.5, 0.0, 0.0, 0.0)
-    data, step = bytearray(content), stride(Output.SIZE)
-    for k in range(SLOTS):
-        at = offset + HEAD_BYTES + k * step
-        data[at : at + Output.SIZE] = output.tobytes()
-    return bytes(data)
 
 
 @needs_root

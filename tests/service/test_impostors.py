@@ -14,7 +14,7 @@ import msgspec
 import pytest
 
 from running_service import ATTACHED, POSE, READY_S, SENDING, Service, objects_of, program, said, until
-from service.test_many_clients import free_of_poses
+from service.pose_senders import free_of_poses
 from surffollow.client import Client
 from surffollow.errors import (
     AlreadyRunningError,

@@ -16,7 +16,6 @@ from running_service import (
     ATTACHED,
     PATIENT_S,
     POSE,
-    SENDING,
     Service,
     drive,
     objects_of,
@@ -25,15 +24,13 @@ from running_service import (
     take_pose,
     until,
 )
+from service.pose_senders import SENDER, free_of_poses
 from surffollow.client import Client
 from surffollow.errors import BusyError, RefusedError
 from surffollow.shm import layout_board as lb
 
 Make = Callable[..., Service]
 NOBODY = ("setpriv", "--reuid=65534", "--regid=65534", "--clear-groups")
-SENDER = f"""{ATTACHED}
-print("sending", client.slot, flush=True)
-{SENDING}"""
 FORKER = f"""{ATTACHED}
 child = os.fork()
 if child == 0:
@@ -68,11 +65,6 @@ def crowd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
 def client(crowd: Service) -> Iterator[Client]:
     with crowd.attach() as c:
         yield c
-
-
-def free_of_poses(s: Service) -> None:
-    with s.observe() as watcher:
-        until(lambda: watcher.status()["main"]["pose_slot"] == -1, "a free pose")
 
 
 def test_a_second_pose_writer_is_refused_with_the_pid_of_the_first(crowd: Service, client: Client) -> None:

@@ -9,75 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from robots import FLAT, MS, REGION, START, PerfectService, drive, robot
 
 from surffollow.errors import ConfigError, NotRunningError, PoseError, UsageError
 from surffollow.sim.plant import PlantConfig
 from surffollow.sim.raster import MARGIN_M, line_path, raster_path, slow_down
 from surffollow.sim.robot import APPROACH_M, RobotConfig, RobotCore
 from surffollow.sim.robot_run import Controller, held_too_long, run_robot
-from surffollow.sim.surfaces import flat_field, sine_field, step_field
+from surffollow.sim.surfaces import sine_field, step_field
 from surffollow.sim.world import WorldReader
 from surffollow.sim.world_surface import WorldConfig
-
-MS = 1_000_000
-START = 10**12
-REGION = (0.0, 0.0, 1.0, 0.3)
-FLAT = flat_field(REGION)
-
-
-class Demand:
-    def __init__(self, z_m: float = 0.0, pose_t_ns: int = 0, valid: bool = True) -> None:
-        self.z_m, self.pose_t_ns, self.valid, self.epoch = z_m, pose_t_ns, valid, 1
-
-    def __getitem__(self, index: int) -> float:
-        return (0.0, 0.0, self.z_m, 0.0, 0.0, 0.0)[index]
-
-
-class PerfectService:
-    """Knows the ground: demands what brings the newest report to the wanted height."""
-
-    def __init__(self, field: Any) -> None:
-        self.field, self.offset_m, self.poses = field, 0.0, []
-        self.silent, self.closed, self.epoch, self.resets = False, False, 1, 0
-
-    def claim_pose(self) -> None:
-        pass
-
-    def sf_reset(self, offset_m: float) -> None:
-        self.offset_m = offset_m
-        self.resets += 1
-
-    def ee_pos(self, pose: Any, t_ns: int | None = None) -> None:
-        self.poses.append((t_ns, pose))
-
-    def dev_vector(self) -> Demand:
-        if self.silent or not self.poses:
-            return Demand(valid=False)
-        t_ns, (x, y, z, *_) = self.poses[-1]
-        assert t_ns is not None
-        demand = Demand(self.field.height_m(x, y) + self.offset_m - z, t_ns)
-        demand.epoch = self.epoch
-        return demand
-
-    def close(self) -> None:
-        self.closed = True
-
-
-def drive(
-    core: RobotCore, controller: Controller, ticks: int, each: Callable[[], None] = lambda: None
-) -> None:
-    for _ in range(ticks):
-        controller.tick()
-        core.advance(core.t_ns + 10 * MS)
-        each()
-
-
-def robot(field: Any = FLAT, **settings: Any) -> tuple[RobotCore, Controller, PerfectService]:
-    core = RobotCore(RobotConfig(**settings), field, START)
-    service = PerfectService(field)
-    controller = Controller(core, lambda: service)
-    controller.connect(0.0)
-    return core, controller, service
 
 
 def test_robot_starts_above_the_wanted_stand_off_settles_and_only_then_moves() -> None:

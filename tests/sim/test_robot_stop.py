@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_robot import MS, REGION, drive, robot
+from robots import MS, REGION, drive, robot
 
 from surffollow.errors import ConfigError
 from surffollow.sim.robot import RobotConfig

@@ -29,7 +29,7 @@ import sys
 import surffollow.client
 from surffollow.cli.simulate import simulate_command
 sys.path.insert(0, sys.argv[1])
-from test_robot import PerfectService
+from robots import PerfectService
 from surffollow.sim.surfaces import flat_field
 service = PerfectService(flat_field((0.0, 0.0, 0.5, 0.2)))
 service.silent = "SILENT" in os.environ
