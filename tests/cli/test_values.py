@@ -72,7 +72,9 @@ def test_old_names_of_commands_work_and_are_not_listed(old: tuple[str, ...], new
         assert done.exit_code == 0
         return done.output.splitlines()
 
-    assert helped(old)[2:] == helped(new)[2:]
+    # click keeps the names of the help option from its first use
+    shown = [[line for line in helped(words)[2:] if "--help" not in line] for words in (old, new)]
+    assert shown[0] == shown[1]
     listed = [line.split()[0] for line in helped(new[:-1]) if line.startswith("  ") and line.split()]
     assert new[-1] in listed
     assert old[-1] not in listed
