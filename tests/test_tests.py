@@ -6,6 +6,8 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+from two_workers import LONG, WHOLE
+
 TESTS = Path(__file__).parent
 
 
@@ -32,3 +34,7 @@ def test_it_sees_every_way_to_import() -> None:
     assert list(imported_modules("from .test_a import b")) == ["test_a.b"]
     assert list(imported_modules("from service.test_a import b")) == ["service.test_a.b"]
     assert list(imported_modules("def f():\n    import test_a")) == ["test_a"]
+
+
+def test_the_order_of_the_workers_names_modules_that_exist() -> None:
+    assert [name for name in (*LONG, *WHOLE) if not (TESTS.parent / name).exists()] == []
