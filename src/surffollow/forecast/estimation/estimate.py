@@ -199,7 +199,8 @@ def update_estimate(
     width = max(gate_width(params, gate), PLAUSIBLE_SLOPE * travel)
     update_travel(params, gate, travel)
     unconfirmed = gate.unconfirmed_m
-    if needs_second_sample(adaptive, innovation, width) != 0:
+    sparse = width > gate_width(params, gate)  # the next sample is far away: each one counts
+    if not sparse and needs_second_sample(adaptive, innovation, width) != 0:
         if adapt != 0 and estimate.samples > 1:
             update_scale(gate, innovation, width)  # frequent ones mean rough ground
         return 0

@@ -24,6 +24,7 @@ LAG_TAUS = 0.3  # errors that so great a lag of the axis model explains are no s
 QUIET_SHARE = 0.5  # of the usual noise
 NOISE_RATE, USUAL_RATE = 0.03, 0.003  # of the noise and of the usual noise, per sample
 SECOND_DIFFERENCE = 1.954  # mean absolute second difference of white Gaussian noise, in standard deviations
+MIN_RUN_MEANS = 4.0  # independent means in a run before a test
 RUN_SAMPLES = 64  # in the mean of a run
 MEAN_TAUS, MIN_MEAN, MAX_MEAN = 1.0, 2.0, 8.0  # samples in the mean range: those of a time constant
 BAND_SIGMAS = 3.0  # of the mean: the range has changed …
@@ -57,7 +58,7 @@ def _observe_noise(response: Any, range_m: Any) -> None:
     if response.samples * NOISE_RATE < 2.0:
         response.usual_m = response.noise_m
     elif response.noise_m > QUIET_SHARE * response.usual_m:
-        response.usual_m += USUAL_RATE * (response.noise_m - response.usual_m)
+        response.usual_m += USUAL_RATE * min(response.noise_m - response.usual_m, response.usual_m)
 
 
 @jit
@@ -108,7 +109,8 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
             and error * descent > ERROR_DESCENT * band * params.offset_m
         )
         quiet = response.noise_m < QUIET_SHARE * response.usual_m
-        if (wrong or quiet) and descent > DESCENT_SHARE * params.offset_m + DESCENT_ERRORS * error:
+        long = response.run_samples > MIN_RUN_MEANS * number
+        if long and (wrong or quiet) and descent > DESCENT_SHARE * params.offset_m + DESCENT_ERRORS * error:
             response.phase, response.test_ns, response.test_z_m = RESPONSE_HOLD, t_ns, tool_z_m
             response.rate_mps = rate
     elif response.phase == RESPONSE_HOLD:
