@@ -6,6 +6,8 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 from two_workers import LONG, WHOLE
 
 TESTS = Path(__file__).parent
@@ -20,20 +22,37 @@ def imported_modules(text: str) -> Iterator[str]:
             yield from (f"{node.module or ''}.{a.name}" for a in node.names)
 
 
+def named_test_modules(text: str, modules: set[str]) -> set[str]:
+    """Those of `modules` (file names without suffix) that a file imports as a module or imports from."""
+    return {part for name in imported_modules(text) for part in name.split(".")} & modules
+
+
 def test_no_test_module_imports_another() -> None:
+    modules = {path.stem for path in TESTS.rglob("test_*.py")}
     wrong = [
         f"{path.relative_to(TESTS)} imports {name}"
         for path in sorted(TESTS.rglob("*.py"))
-        for name in imported_modules(path.read_text(encoding="utf-8"))
-        if any(part.startswith("test_") for part in name.split(".")[:-1] or [name])
+        for name in sorted(named_test_modules(path.read_text(encoding="utf-8"), modules))
     ]
     assert not wrong, "move what they share to a helper module:\n" + "\n".join(wrong)
 
 
-def test_it_sees_every_way_to_import() -> None:
-    assert list(imported_modules("from .test_a import b")) == ["test_a.b"]
-    assert list(imported_modules("from service.test_a import b")) == ["service.test_a.b"]
-    assert list(imported_modules("def f():\n    import test_a")) == ["test_a"]
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("import test_a", {"test_a"}),
+        ("import service.test_a as a", {"test_a"}),
+        ("def f():\n    import test_a", {"test_a"}),
+        ("from test_a import b", {"test_a"}),
+        ("from .test_a import b", {"test_a"}),
+        ("from . import test_a", {"test_a"}),
+        ("from service import test_a", {"test_a"}),
+        ("from ..service.test_a import b", {"test_a"}),
+        ("from running_service import test_pose", set()),
+    ],
+)
+def test_every_way_to_import_a_test_module_is_seen(text: str, found: set[str]) -> None:
+    assert named_test_modules(text, {"test_a"}) == found
 
 
 def test_the_order_of_the_workers_names_modules_that_exist() -> None:
