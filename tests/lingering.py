@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from running_service import Service
 from surffollow.shm.unix_socket import new_socket, socket_path
 
-LINGER_S = 40
+LINGER_S = 300
 # a Linux before 6.16 cannot refuse descriptors
 OLD_KERNEL = """
 import surffollow.shm.unix_socket as unix_socket

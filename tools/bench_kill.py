@@ -32,6 +32,7 @@ from surffollow.shm.dtypes import numpy_dtype  # noqa: E402
 from surffollow.shm.objects import SharedObject  # noqa: E402
 
 HEALTH_S = 90.0
+ENOUGH_KNOWN = 10  # grids before the first kill
 GRIDS = 20_000
 PARTS = ("client", "recorder", "service")
 OWN = ("", ".sock", ".lock", ".map", ".world", ".world.lock")
@@ -162,6 +163,12 @@ class Trial:
         self.wait(self.healthy)
         with self.service.attach() as one:
             one.map_reset((0.0, 0.0, 0.1, 0.1))
+        self.wait(self.enough_known)
+
+    def enough_known(self) -> bool:
+        """The map holds something that could be lost."""
+        now = map_of(self.name)
+        return now is not None and int(np.count_nonzero(now[0] != ml.UNKNOWN)) > ENOUGH_KNOWN
 
     def answers(self) -> bool:
         try:

@@ -373,6 +373,27 @@ def test_a_flood_ends_no_service_whose_descriptors_have_high_numbers(
         resource.setrlimit(resource.RLIMIT_NOFILE, limit)
 
 
+# asked to end after the handlers were installed and before the first kernel, whose compilation takes a minute
+EARLY = """
+import sys, msgspec
+from surffollow.config.service import load_config
+from surffollow.service import daemon
+def compile_all(*words): print("compiled", flush=True)
+daemon.run_cycles = compile_all
+one = daemon.Daemon(msgspec.structs.replace(load_config(sys.argv[1]), name=sys.argv[2]), quiet=True)
+one.stop()
+one.run(lambda: print("READY", flush=True))
+print("ended", flush=True)
+"""
+
+
+def test_a_service_asked_to_end_before_it_compiles_compiles_nothing(make_service: Make) -> None:
+    s = make_service()
+    with program(EARLY, str(s.config), s.name) as child:
+        assert said(child) == "ended"
+    assert objects_of(s.name) <= {f"{s.name}.map"}
+
+
 def test_a_compilation_is_left_when_the_service_is_told_to_end(
     make_service: Callable[..., Service], tmp_path: Path
 ) -> None:
@@ -386,8 +407,10 @@ def test_a_compilation_is_left_when_the_service_is_told_to_end(
         READY_S,
     )
     process.send_signal(signal.SIGTERM)
-    told, _ = process.communicate(timeout=20.0)  # the rest of the compilation takes longer
+    told, _ = process.communicate(timeout=READY_S)
     assert "READY" not in told
     assert process.returncode == 0
+    assert not list((tmp_path / "cold").rglob("complete")), "the compilation went on to its end"
+    assert not list((tmp_path / "cold").rglob("cycle.run_cycles*.nbi")), "the cycle was compiled to its end"
     s.process = None
     assert objects_of(s.name) <= {f"{s.name}.map"}
