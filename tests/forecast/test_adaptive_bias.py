@@ -37,7 +37,7 @@ def judged(rms_m: float, biases: dict[int, float], least: float = 0.0) -> np.nda
 
 
 def test_the_mean_of_innovations_is_that_of_a_plain_filter_with_its_own_variance():
-    a, _ = feed(0.05 * np.sin(np.arange(300) * 0.03), seed=4)
+    a, _ = feed(0.02 * np.sin(np.arange(300) * 0.03), seed=4)
     rng = np.random.default_rng(2)
     want, inside = a["weights"]["bias"][:N_MODELS].copy(), 0
     for h in a["estimate"]["height_m"] + 2e-4 * rng.standard_normal(20):

@@ -192,6 +192,23 @@ def test_sensors_that_drop_out_and_come_back_make_no_demand_jump(speed):
     assert np.isfinite(demands).all()
 
 
+@pytest.mark.parametrize("max_tilt_rad", [0.1, 0.3])
+def test_a_wrong_beam_of_three_tilts_the_demand_no_farther_than_max_tilt_rad(max_tilt_rad):
+    # GIVEN three sensors, WHEN the range of one drifts by 60 mm at 50 mm/s, THEN the demanded axis stays in the cone
+    f = follower(CROSS[1:], max_tilt_rad=max_tilt_rad)
+    tool = Tool(f, CROSS[1:], sigma=1e-4)
+
+    def drift(k, r):
+        r[0] += min(5e-5 * k, 0.06)
+        return r
+
+    demands = tool.run(2000, slanted(0.0, 0.0), drift)
+    turn = np.linalg.norm(demands[:, 3:], axis=1)
+    assert turn[-1] == pytest.approx(max_tilt_rad, abs=2e-3)
+    assert turn.max() <= max_tilt_rad + 2e-3
+    assert math.acos(f.state()["normal"][2]) > 0.6, "the ground that the beams see is reported as it is"
+
+
 def test_the_attitude_set_point_keeps_its_limits():
     params, a = zeros(Params)[0], zeros(AdaptiveState)[0]
     params["max_turn_speed_radps"], params["max_turn_accel_radps2"] = 0.5, 5.0

@@ -74,6 +74,7 @@ PARAMS: dict[str, ParamSpec] = {
     "toward_factor": ParamSpec(0.5, 0.01, 1.0),
     "max_turn_speed_radps": ParamSpec(1.0, 1e-6, 1e4, "rad/s"),
     "max_turn_accel_radps2": ParamSpec(20.0, 1e-9, 1e8, "rad/s^2"),
+    "max_tilt_rad": ParamSpec(0.8, 0.0, 1.5, "rad"),
     "preview": ParamSpec(1, 0, 1, whole=True, choices=("off", "on")),
 }
 

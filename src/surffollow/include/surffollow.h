@@ -79,7 +79,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 /* ---- layout: generated ------------------------------------------------------------ */
 
 #define SF_LAYOUT_VERSION 3u
-#define SF_LAYOUT_HASH UINT64_C(3826994747029406)
+#define SF_LAYOUT_HASH UINT64_C(7270189096893465338)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_SLOT_MAGIC UINT64_C(3554549926447961427)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
@@ -301,7 +301,7 @@ typedef struct sf_param_info {
   double low, high;
 } sf_param_info;
 
-#define SF_PARAMS 48
+#define SF_PARAMS 49
 #define SF_PARAM_ENDINGS "", "_m", "_mps", "_mps2", "_mps3", "_ns", "_rad", "_radps", "_radps2", "_s", "_s4"
 static inline const sf_param_info *sf_param_table(void) {
   static const sf_param_info table[SF_PARAMS] = {
@@ -352,7 +352,8 @@ static inline const sf_param_info *sf_param_table(void) {
     {"toward_factor", 117, 0, 0.01, 1.0},
     {"max_turn_speed_radps", 118, 0, 1e-06, 10000.0},
     {"max_turn_accel_radps2", 119, 0, 1e-09, 100000000.0},
-    {"preview", 120, 1, 0.0, 1.0},
+    {"max_tilt_rad", 120, 0, 0.0, 1.5},
+    {"preview", 121, 1, 0.0, 1.0},
   };
   return table;
 }
@@ -454,10 +455,11 @@ typedef struct sf_params {
   double toward_factor; /* adaptive: share of those limits toward the surface */
   double max_turn_speed_radps; /* [rad/s] adaptive: limit of the turning set point's speed */
   double max_turn_accel_radps2; /* [rad/s^2] adaptive: limit of its acceleration */
+  double max_tilt_rad; /* [rad] adaptive: greatest angle between the tool's axis and the world's z axis */
   int64_t preview; /* adaptive: 1: plan over ground remembered ahead (the service: its map's) */
   int64_t stop_on; /* causes that latch the stop, bits of STOP_NAMES; set by the configuration alone */
 } sf_params;
-SF_STATIC_ASSERT(sizeof(sf_params) == 976, "layout of sf_params");
+SF_STATIC_ASSERT(sizeof(sf_params) == 984, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, mode) == 0, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, run) == 8, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, offset_m) == 16, "layout of sf_params");
@@ -509,8 +511,9 @@ SF_STATIC_ASSERT(offsetof(sf_params, max_jerk_mps3) == 928, "layout of sf_params
 SF_STATIC_ASSERT(offsetof(sf_params, toward_factor) == 936, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, max_turn_speed_radps) == 944, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, max_turn_accel_radps2) == 952, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, preview) == 960, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, stop_on) == 968, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_tilt_rad) == 960, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, preview) == 968, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, stop_on) == 976, "layout of sf_params");
 
 /* What a cycle publishes. */
 typedef struct sf_output {

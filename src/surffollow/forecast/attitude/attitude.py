@@ -20,13 +20,19 @@ MAX_PREDICTION_S = 0.2  # slopes are extrapolated by their rates no farther
 
 @jit
 def predicted_normal(params: Any, adaptive: Any) -> Any:
-    """Unit normal of the surface at the time when the robot's axis responds."""
+    """Unit normal of the surface at the time when the robot's axis responds.
+
+    It is at most `max_tilt_rad` from the world's z axis: a wrong beam tilts the plane without a bound.
+    """
     plane = adaptive.plane
     ahead = min(
         max((adaptive.clock.now_ns - plane.t_ns) * 1e-9 + params.tick_lead_s + adaptive.plant.tau_s, 0.0),
         MAX_PREDICTION_S,
     )
     sx, sy = plane.slope_x + plane.slope_rate_x_hz * ahead, plane.slope_y + plane.slope_rate_y_hz * ahead
+    slope, steepest = math.sqrt(sx * sx + sy * sy), math.tan(params.max_tilt_rad)
+    if slope > steepest:
+        sx, sy = sx * steepest / slope, sy * steepest / slope
     length = math.sqrt(sx * sx + sy * sy + 1.0)
     return -sx / length, -sy / length, 1.0 / length
 

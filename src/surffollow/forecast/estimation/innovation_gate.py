@@ -64,9 +64,8 @@ def hold_pending(
         estimate.arc_length_m,
         estimate.height_m + innovation_m,
     )
-    # two samples are enough where steps have stayed, and while a step continues
-    continues = gate.travel_since_step_m < params.step_way_m and innovation_m * gate.step_m > 0.0
-    few = gate.slot_likelihood < PERMANENT_STEPS or continues
+    # two samples are enough where steps have stayed
+    few = gate.slot_likelihood < PERMANENT_STEPS
     need = min(params.step_samples, 2) if few else params.step_samples
     # in a burst of wrong readings some agree by chance
     more = min(
@@ -74,7 +73,7 @@ def hold_pending(
     )
     if gate.pending < need + more:
         return 0
-    if innovation_m > 0.0 or continues or gate.pending_travel_m >= params.step_way_m * gate.slot_likelihood:
+    if innovation_m > 0.0 or gate.pending_travel_m >= params.step_way_m * gate.slot_likelihood:
         return 1
     # more pending samples than accepted ones: the start was bad; at rest there is no travel
     outvoted = gate.pending > estimate.samples

@@ -18,8 +18,7 @@ SLOPE, CURVE, WAVE = 0, 1, 2
 # The first candidate of a model leads by its whole slope. A smaller share is smoother, and nearer the ground
 # where slopes do not last.
 _HALF_SLOPE, _NO_SLOPE = 0.5, 0.0
-_STIFF_NOISE = 0.01  # slope noise of gently curved panels …
-_SMOOTH_NOISE = 0.05  # … and of planes with few bends
+_SMOOTH_NOISE = 0.05  # slope noise of planes with few bends
 
 
 def _models() -> Any:
@@ -31,7 +30,7 @@ def _models() -> Any:
 
     for qh in (3e-5, 3e-4, 2e-3, 7e-3, 2e-2, 8e-2):
         add(SLOPE, 1.0, 0.0, qh)
-    for qs in (_STIFF_NOISE, _SMOOTH_NOISE, 0.15):
+    for qs in (0.01, _SMOOTH_NOISE, 0.15):
         add(SLOPE, 1e3, qs, 1e-5)
     for qs in (0.5, 1.0, 2.0):
         add(SLOPE, 1e3, qs, 1e-5, shares=(_HALF_SLOPE,))
@@ -73,16 +72,8 @@ def _candidates() -> Any:
 _CANDIDATES = _candidates()
 CANDIDATE_MODEL, SLOPE_SHARE = _CANDIDATES[:, 0].astype(np.int64), _CANDIDATES[:, 1].copy()
 N_CANDIDATES = len(CANDIDATE_MODEL)
-# prior cost: models with a long extrapolation are wrong more often than they fit, and the stiffest slope
-# model underestimates its own variance
-_KIND_PENALTY = np.array([0.0, 0.8, 0.8])
-_STIFF_PENALTY = np.where((BANK[:, 0] == SLOPE) & (BANK[:, 2] == _STIFF_NOISE), 3.0, 0.0)
-# all candidates of a model together have the prior weight of one
-COMPLEXITY_PENALTY = (
-    _KIND_PENALTY[BANK[CANDIDATE_MODEL, 0].astype(np.int64)]
-    + _STIFF_PENALTY[CANDIDATE_MODEL]
-    + np.log(np.bincount(CANDIDATE_MODEL)[CANDIDATE_MODEL])
-)
+# prior cost: all candidates of a model together have the prior weight of one model
+CANDIDATE_PENALTY = np.log(np.bincount(CANDIDATE_MODEL)[CANDIDATE_MODEL])
 
 
 @jit

@@ -2,7 +2,7 @@
 
 Each candidate drives a shadow axis (`shadow_axes`). The squared stand-off error of that axis at a sample,
 averaged over a recent and a longer horizon, is the performance index. The variance of the noise is
-subtracted, and penalties for effort, complexity, chance, variance and bias are added.
+subtracted, and penalties for effort, chance, variance and bias are added.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from surffollow.forecast.estimation.model_bank import (
     BANK,
     CANDIDATE_MODEL,
-    COMPLEXITY_PENALTY,
+    CANDIDATE_PENALTY,
     N_CANDIDATES,
     N_MODELS,
     SMOOTH_MODEL,
@@ -175,7 +175,7 @@ def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
         bias_share = 1.0 if BANK[CANDIDATE_MODEL[i], 0] == WAVE else noise_share * noise_share
         bias = bias_penalty(weights.bias[CANDIDATE_MODEL[i]], min_bias2)
         bias_in_force += weights.weight[i] * bias
-        c = burn_in * (c + bias_share * bias) + COMPLEXITY_PENALTY[i] + chance * CHANCE_PENALTY[i]
+        c = burn_in * (c + bias_share * bias) + CANDIDATE_PENALTY[i] + chance * CHANCE_PENALTY[i]
         if variance_share > 0.0:
             c += (
                 VARIANCE_PENALTY
