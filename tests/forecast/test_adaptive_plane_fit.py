@@ -194,7 +194,7 @@ def test_sensors_that_drop_out_and_come_back_make_no_demand_jump(speed):
 
 @pytest.mark.parametrize("max_tilt_rad", [0.1, 0.3])
 def test_a_wrong_beam_of_three_tilts_the_demand_no_farther_than_max_tilt_rad(max_tilt_rad):
-    # GIVEN three sensors, WHEN the range of one drifts by 60 mm at 50 mm/s, THEN the demanded axis stays in the cone
+    # GIVEN three sensors, WHEN the range of one drifts by 60 mm at 50 mm/s, THEN the demand stays in the cone
     f = follower(CROSS[1:], max_tilt_rad=max_tilt_rad)
     tool = Tool(f, CROSS[1:], sigma=1e-4)
 

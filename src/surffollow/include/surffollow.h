@@ -455,7 +455,7 @@ typedef struct sf_params {
   double toward_factor; /* adaptive: share of those limits toward the surface */
   double max_turn_speed_radps; /* [rad/s] adaptive: limit of the turning set point's speed */
   double max_turn_accel_radps2; /* [rad/s^2] adaptive: limit of its acceleration */
-  double max_tilt_rad; /* [rad] adaptive: greatest angle between the tool's axis and the world's z axis */
+  double max_tilt_rad; /* [rad] adaptive: greatest angle of the tool's axis to the world's z axis */
   int64_t preview; /* adaptive: 1: plan over ground remembered ahead (the service: its map's) */
   int64_t stop_on; /* causes that latch the stop, bits of STOP_NAMES; set by the configuration alone */
 } sf_params;

@@ -118,7 +118,7 @@ class Params(Schema):
     toward_factor = F64(doc="adaptive: share of those limits toward the surface")
     max_turn_speed_radps = F64(unit="rad/s", doc="adaptive: limit of the turning set point's speed")
     max_turn_accel_radps2 = F64(unit="rad/s^2", doc="adaptive: limit of its acceleration")
-    max_tilt_rad = F64(unit="rad", doc="adaptive: greatest angle between the tool's axis and the world's z axis")
+    max_tilt_rad = F64(unit="rad", doc="adaptive: greatest angle of the tool's axis to the world's z axis")
     preview = I64(doc="adaptive: 1: plan over ground remembered ahead (the service: its map's)")
     stop_on = I64(doc="causes that latch the stop, bits of STOP_NAMES; set by the configuration alone")
 
