@@ -23,19 +23,6 @@ PACKAGES = (
     "surffollow.sonar",
     "surffollow.units",
 )
-# methods whose docstrings are not complete yet
-INCOMPLETE = {
-    "surffollow.client.client.Client.exclusive",
-    "surffollow.client.client.Client.map_install",
-    "surffollow.client.client.Client.map_refocus",
-    "surffollow.client.client.Client.map_reset",
-    "surffollow.client.client.Client.reset_stop",
-    "surffollow.client.client.Client.set_params",
-    "surffollow.client.client.Client.sf_reset",
-    "surffollow.client.client.Client.stop",
-    "surffollow.client.client.Client.upload_map",
-    "surffollow.client.observer.Observer.raw_distance",
-}
 
 
 def public(package: str) -> Iterator[Callable[..., Any]]:
@@ -84,13 +71,6 @@ def name_of(function: Callable[..., Any]) -> str:
 @pytest.mark.parametrize("package", PACKAGES)
 def test_docstrings_name_every_parameter_and_every_result(package: str) -> None:
     wrong = {
-        name_of(f): faults(f)
-        for f in public(package)
-        if f.__module__.startswith("surffollow") and name_of(f) not in INCOMPLETE and faults(f)
+        name_of(f): faults(f) for f in public(package) if f.__module__.startswith("surffollow") and faults(f)
     }
     assert wrong == {}
-
-
-def test_no_exception_outlives_its_need() -> None:
-    incomplete = {name_of(f) for f in public("surffollow.client") if faults(f)}
-    assert incomplete >= INCOMPLETE, f"drop {INCOMPLETE - incomplete}"

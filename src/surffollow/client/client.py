@@ -1,25 +1,22 @@
-"""A robot controller's attachment: poses in, demands out, requests answered."""
+"""A robot controller's attachment: poses in, demands out. Its requests are in `service_requests`."""
 
 from __future__ import annotations
 
 import contextlib
-import struct
 import time
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from surffollow.client.fence import FENCED, fence
 from surffollow.client.observer import Observer
 from surffollow.client.pose import FUTURE_NS, MAX_POSITION_M, checked_pose, checked_stamp
-from surffollow.client.push_range import RangePusher
 from surffollow.client.reclaim import CLAIM_ANSWER_S, CLAIM_RETRY_S, POSE
-from surffollow.client.requests import StopTicket, Ticket, check_finest, check_region
+from surffollow.client.requests import Ticket
+from surffollow.client.service_requests import ServiceRequests
 from surffollow.client.slot import CLAIM_PAUSE_S, GENERATION
-from surffollow.errors import BusyError, ConfigError, PoseError, RefusedError
+from surffollow.errors import BusyError, PoseError, RefusedError
 from surffollow.shm import layout_board as lb
 from surffollow.shm.latch_shape import SLOTS, stride
-from surffollow.shm.layout_follow import Params
 
 if TYPE_CHECKING:
     from surffollow.client.sim_pose import SimulatedTool
@@ -29,7 +26,7 @@ _POSE_STRIDE = stride(lb.PosePost.SIZE)
 _MAX_SIZE2 = MAX_POSITION_M**2
 
 
-class Client(RangePusher):
+class Client(ServiceRequests):
     """An attachment that may send poses and requests; see `attach`."""
 
     _tool: SimulatedTool | None = None
@@ -189,144 +186,13 @@ class Client(RangePusher):
             tool.close()
         super().close()
 
-    # -- requests ---------------------------------------------------------------------------------
-
-    def sf_reset(self, offset_m: float, *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
-        """Restart the forecast with a desired stand-off [m] (paper: SFReset)."""
-        from surffollow.config.params import check_param
-
-        return self._ask(lb.RQ_SF_RESET, (check_param("offset_m", offset_m),), timeout_s, wait)
-
-    # -- stop -------------------------------------------------------------------------------------
-
-    def stop(self, reason: str = "", *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
-        """Stop: from the next cycle on no demand is valid, until the pose's holder calls `reset_stop`.
-
-        Any client may ask. What the robot's controller does then: docs/reference/protocol.md. This is no
-        safety function: it needs the service, the controller and the machine between them.
-
-        It may be called while another request is under way, and in a signal handler. Without a slot (just
-        after a restart of the service) it waits for one, or raises as the other requests do.
-
-        Parameters
-        ----------
-        reason : str
-            for the audit trail; its first 63 bytes as UTF-8 are kept
-        """
-        self._store_stop()
-        data = reason.encode(errors="replace")[: 8 * lb.STOP_TEXT_WORDS - 1]
-        numbers = struct.unpack(f"<{lb.STOP_TEXT_WORDS}q", data.ljust(8 * lb.STOP_TEXT_WORDS, b"\0"))
-        try:
-            return self._ask(lb.RQ_STOP, (), timeout_s, wait, numbers)
-        except BusyError:  # of this thread itself: what is stored is heeded, only the reason is lost
-            return StopTicket(self).settle(timeout_s, wait)
-
-    def reset_stop(self, *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
-        """Leave the latched stop; the forecast restarts with the stand-off in force (see `sf_reset`).
-
-        Raises
-        ------
-        RefusedError
-            this client does not send the pose, or a cause that the configuration names is
-            still there (the text says which)
-        """
-        return self._ask(lb.RQ_STOP_RESET, (), timeout_s, wait)
-
-    def map_reset(self, region: Sequence[float], *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
-        """Clear the map and lay it over a region (x_min, y_min, x_max, y_max) [m] (paper: MapReset)."""
-        return self._ask(lb.RQ_MAP_RESET, check_region(region), timeout_s, wait)
-
-    def map_refocus(
-        self,
-        region: Sequence[float],
-        *,
-        finest_m: float = 0.0,
-        timeout_s: float = 30.0,
-        wait: bool = True,
-    ) -> Ticket:
-        """Lay the map over another region, keeping known heights (paper: MapRefocus).
-
-        Parameters
-        ----------
-        region : four floats
-            x_min, y_min, x_max, y_max [m]
-        finest_m : float
-            finest useful grid of this refocus [m]; the grids' size so far keeps them and
-            every height as they are; 0: the configuration's (map.finest_grid)
-        """
-        values = (*check_region(region), check_finest(finest_m))
-        return self._ask(lb.RQ_MAP_REFOCUS, values, timeout_s, wait)
-
-    def set_params(self, *, timeout_s: float = 5.0, wait: bool = True, **values: object) -> Ticket:
-        """Change parameters, all or none: `set_params(interval_size="2 mm", range_size=5)`.
-
-        Raises
-        ------
-        ConfigError
-            unknown name, wrong unit, outside its bounds
-        """
-        from surffollow.config.params import check_param, param_name
-
-        if not values:
-            raise TypeError("set_params needs at least one name=value")
-        if len(values) > lb.REQUEST_ARGS:
-            raise TypeError(f"at most {lb.REQUEST_ARGS} parameters in one call, not {len(values)}")
-        numbers = [Params.offset(param_name(n)) // 8 for n in values]
-        if len(set(numbers)) < len(numbers):
-            raise ConfigError(f"a parameter is given twice in {', '.join(values)}; give it once")
-        checked = [check_param(n, v) for n, v in values.items()]
-        ticket = self._ask(lb.RQ_SET_PARAMS, checked, timeout_s, wait, numbers)
-        self._next_look_ns = self._next_life_ns = 0
-        return ticket
-
-    def upload_map(self, path: str | Path, *, timeout_s: float = 30.0, progress: Any = None) -> Path:
-        """Write map header and all grids to a text file, with this process's rights (paper: UpLoadMap)."""
-        from surffollow.client.map_reader import upload_map
-
-        return upload_map(self, Path(path), timeout_s, progress)
-
-    def map_install(self, path: str | Path, *, timeout_s: float = 30.0, progress: Any = None) -> Path:
-        """Put a map file in the place of the service's map; it is read with this process's rights.
-
-        Parameters
-        ----------
-        path : path
-            what `upload_map` wrote; .npz, .asc and .tif too (see `HeightMap.load`)
-        timeout_s : float
-            how long the service may take for nothing
-        progress : callable
-            gets the finished fraction 0 … 1; returning False cancels
-
-        Raises
-        ------
-        MapFileError
-            not a map, damaged, cut short; the service's map is untouched
-        MapCancelledError
-            cancelled; once the streaming had begun the map is empty
-        RefusedError
-            larger than the service's memory, or given up by the service
-        RequestTimeoutError
-            the service took nothing for `timeout_s`
-        NotRunningError
-            there is no service, or it ended
-        """
-        from surffollow.client.map_install import install_map
-
-        return install_map(self, Path(path), timeout_s, progress)
-
-    def exclusive(self, *, timeout_s: float = 5.0) -> Any:
-        """Context manager: the map stands still inside (the paper's four-step access)."""
-        from surffollow.client.map_reader import ExclusiveAccess
-
-        return ExclusiveAccess(self, timeout_s)
-
     EEPos = ee_pos
     DevVector = Observer.dev_vector
     RawDistance = Observer.raw_distance
-    SFReset = sf_reset
-    MapReset = map_reset
-    MapRefocus = map_refocus
-    UpLoadMap = upload_map
+    SFReset = ServiceRequests.sf_reset
+    MapReset = ServiceRequests.map_reset
+    MapRefocus = ServiceRequests.map_refocus
+    UpLoadMap = ServiceRequests.upload_map
 
 
 def _held(refused: RefusedError) -> BusyError:

@@ -18,7 +18,7 @@ from surffollow.errors import MapCancelledError, NotRunningError, RequestTimeout
 from surffollow.shm import layout_board as lb
 
 if TYPE_CHECKING:
-    from surffollow.client.client import Client
+    from surffollow.client.service_requests import ServiceRequests
 
 _HEAD = lb.StreamPiece.struct_of("counter", "n")
 _HEAD_AT = lb.StreamPiece.offset("counter")
@@ -30,7 +30,7 @@ _READING = 0.5  # of the work, for the progress callback
 class MapStream:
     """The pieces of one installation, from the client's side."""
 
-    def __init__(self, client: Client, header: Any, pairs: Any, timeout_s: float) -> None:
+    def __init__(self, client: ServiceRequests, header: Any, pairs: Any, timeout_s: float) -> None:
         w = header[0]
         self.client, self.pairs, self.timeout_s = client, pairs, timeout_s
         nx, ny = int(w["nx"]), int(w["ny"])
@@ -109,7 +109,7 @@ class MapStream:
         self.ticket.result(self.timeout_s)
 
 
-def install_map(client: Client, path: Path, timeout_s: float, progress: Any) -> Path:
+def install_map(client: ServiceRequests, path: Path, timeout_s: float, progress: Any) -> Path:
     """Read a map file and stream it to the service; see `Client.map_install`."""
     from surffollow.map.files import load
 

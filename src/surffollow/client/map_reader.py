@@ -15,7 +15,7 @@ from surffollow.shm.objects import SharedObject
 
 if TYPE_CHECKING:
     from surffollow.client.board import Board
-    from surffollow.client.client import Client
+    from surffollow.client.service_requests import ServiceRequests
 
 _ACCESS_WORD = (lb.SLOT_HEAD + lb.SlotHead.offset("access")) // 8
 
@@ -31,7 +31,7 @@ class ExclusiveAccess:
     client's back, or to a dead client's slot, is never taken for the one that was entered with.
     """
 
-    def __init__(self, client: Client, timeout_s: float) -> None:
+    def __init__(self, client: ServiceRequests, timeout_s: float) -> None:
         self._client, self._timeout_s = client, timeout_s
         self._board: Board | None = None
         self._number = 0  # of the grant entered with; 0: not yet
@@ -167,7 +167,7 @@ def open_map(board: Board) -> SharedObject:
     return map_
 
 
-def copy_map(client: Client, timeout_s: float) -> tuple[Any, Any]:
+def copy_map(client: ServiceRequests, timeout_s: float) -> tuple[Any, Any]:
     """A consistent copy of header (1,) and grid pairs, taken under exclusive access."""
     import numpy as np
 
@@ -187,7 +187,7 @@ def copy_map(client: Client, timeout_s: float) -> tuple[Any, Any]:
     return header, pairs.view(numpy_dtype(ml.GridPair))
 
 
-def copy_live_map(client: Client, timeout_s: float) -> tuple[Any, Any]:
+def copy_live_map(client: ServiceRequests, timeout_s: float) -> tuple[Any, Any]:
     """`copy_map` of a map that is there.
 
     Raises
@@ -200,7 +200,7 @@ def copy_live_map(client: Client, timeout_s: float) -> tuple[Any, Any]:
     return header, pairs
 
 
-def upload_map(client: Client, path: Path, timeout_s: float, progress: Any) -> Path:
+def upload_map(client: ServiceRequests, path: Path, timeout_s: float, progress: Any) -> Path:
     """Copy the map under exclusive access, then write it with this process's own rights."""
     from surffollow.map.formats.text_file import write_text
 

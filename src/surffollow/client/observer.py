@@ -10,14 +10,14 @@ import weakref
 from typing import Any
 
 from surffollow.client.board import CLOSED, Board
-from surffollow.client.demand import STALE, Demand, status_names
+from surffollow.client.demand import STALE, Demand
 from surffollow.client.fence import FENCED, fence
 from surffollow.client.map_live import MapReading
 from surffollow.config.names import check_service_name
 from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import BlockError, NotReadyError, NotRunningError
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
-from surffollow.shm.layout_board import CLIENTS, STATE_READY, ClientInfo, MapStatus, Stats, Ticker
+from surffollow.shm.layout_board import CLIENTS, ClientInfo
 from surffollow.shm.layout_follow import VALID, Output, Params
 
 _HEAD = Output.struct_of("t_ns", "epoch")
@@ -33,7 +33,6 @@ _STAMP = Output.struct_of("t_ns", "t_ns")
 _RANGE = struct.Struct("<" + Output.field("range_m").struct_format)
 REATTACH_EVERY_NS = 20_000_000
 _observers: weakref.WeakSet[Observer] = weakref.WeakSet()
-STATES = ("initialising", "ready", "stopping", "stopped")
 
 
 def _renew_locks() -> None:
@@ -175,7 +174,23 @@ class Observer(MapReading):
             raise ValueError(f"the buffer must have at least {DEMAND_BYTES} bytes") from None
 
     def raw_distance(self, channel: int = 0) -> float:
-        """The newest smoothed sensor-to-target distance [m]; NaN when there is none or it is stale."""
+        """The newest smoothed sensor-to-target distance (paper: RawDistance).
+
+        Parameters
+        ----------
+        channel : int
+            channel of the sensor, 0 to 7
+
+        Returns
+        -------
+        float
+            distance [m]; NaN when there is none or it is stale
+
+        Raises
+        ------
+        ValueError
+            no such channel
+        """
         if not 0 <= channel < 8:
             raise ValueError(f"channel must be 0 to 7, not {channel}")
         if self.dev_vector().status & STALE:
@@ -217,41 +232,9 @@ class Observer(MapReading):
 
     def status(self) -> dict[str, Any]:
         """State, health, counters, grants and map of the service, ready for JSON; works on a dead one too."""
-        from surffollow.client.follower_report import follower_report, numbered_faults
-        from surffollow.client.histogram_report import histogram_summary
-        from surffollow.config.stop_causes import stop_names
+        from surffollow.client.status_report import status_report
 
-        demand = self.dev_vector()
-        if demand.status & STALE:  # that look may have followed the service to a new start
-            demand = self.dev_vector()
-        output = self.board.latch("output", Output).read()
-        params = self.board.latch("params", Params).read() or {}
-        stats = self.board.plain("stats", Stats)
-        ticker = self.board.latch("ticker", Ticker).read() or {}
-        map_status = self.board.latch("map_status", MapStatus).read() or {}
-        state = self.board.state()
-        stale = bool(demand.status & STALE)
-        counters = {k: v for k, v in stats.items() if k not in ("lateness", "execution")}
-        return {
-            "name": self.name,
-            "state": "stale" if stale and state == STATE_READY else STATES[min(state, 3)],
-            "alive": not stale,
-            "pid": self.board.pid,
-            "epoch": self.board.epoch,
-            "period_ns": self.board.period_ns,
-            "age_ns": demand.age_ns,
-            "demand": list(demand),
-            "demand_status": list(status_names(demand.status)),
-            **counters,
-            "lateness": histogram_summary(stats["lateness"], stats["lateness_max_ns"]),
-            "execution": histogram_summary(stats["execution"], stats["execution_max_ns"]),
-            "follower": follower_report(output, int(params.get("mode", 0))),
-            "faults": numbered_faults(int(output["faults"]) if output else 0, int(ticker.get("faults", 0))),
-            "stopped": list(stop_names(int(output["stop"]) if output else 0)),
-            "main": ticker,
-            "clients": self.clients(),
-            "map": map_status,
-        }
+        return status_report(self)
 
     def clients(self) -> list[dict[str, Any]]:
         """Who holds slots, as the kernel told the service: slot, pid, uid, since_ns, and their own name."""
