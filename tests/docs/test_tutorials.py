@@ -11,14 +11,17 @@ from pathlib import Path
 
 import pytest
 
+from running_service import unique_name
+
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "docs" / "tutorials"
 BLOCK = re.compile(r"```sh\n(.*?)```", re.S)
 
 
-def run_page(name: str, folder: Path) -> str:
+def run_page(name: str, folder: Path, service: str = "") -> str:
     """Run all commands of a page in one shell in a fresh folder; what they printed."""
     script = "set -e\n" + "\n".join(BLOCK.findall((PAGES / name).read_text()))
+    script = script.replace("--name tutorial", f"--name {service}")  # another run may be on this machine
     commands = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     home = folder / "home"
     home.mkdir()
@@ -45,10 +48,11 @@ def test_own_csv_to_a_figure(tmp_path: Path) -> None:
 
 
 def test_own_recording_to_a_table(tmp_path: Path) -> None:
+    service = unique_name("tutorial")
     try:
-        said = run_page("recording-to-table.md", tmp_path)
+        said = run_page("recording-to-table.md", tmp_path, service)
     finally:
-        stop = [sys.executable, "-m", "surffollow", "stop", "--name", "tutorial", "--purge"]
+        stop = [sys.executable, "-m", "surffollow", "stop", "--name", service, "--purge"]
         subprocess.run(stop, capture_output=True)
     assert "identical: every demand and status" in said
     n, mean = re.search(r"(\d+) distances, mean ([\d.]+) mm", said).groups()
