@@ -58,6 +58,18 @@ def test_something_that_moves_with_the_sensor_in_its_beam_ends_as_stuck(offset_m
     assert np.diff(heights[stuck + 20 :]).min() > -2e-4, "from then on it does not come nearer"
 
 
+@pytest.mark.parametrize("seed", [3, 5, 6])
+def test_a_range_that_freezes_at_the_stand_off_on_a_fall_is_found_within_half_the_stand_off(seed):
+    """GIVEN a fall that ends WHEN the range froze on it, with its usual noise THEN it is STUCK in time."""
+
+    def frozen(t, r, rng):
+        return (STANDOFF_M if t > 1.0 else r) + SIGMA_M * rng.standard_normal()
+
+    heights, _, states = closed_loop(lambda x: -0.2 * min(x, 0.4), frozen, seed=seed, seconds=6.0)
+    assert any(s["health"] == "STUCK" for s in states)
+    assert heights.min() > 0.7 * STANDOFF_M, "it would descend for ever"
+
+
 @pytest.mark.parametrize("family", ["blocked", "frozen"])
 @pytest.mark.parametrize("seed", range(8))
 def test_no_contact_while_valid(family, seed):

@@ -4,8 +4,9 @@ A sensor that no longer sees the ground (stuck, or blocked by something that mov
 range with any noise. The tool then makes the ground fall by itself: what it descends, the height falls.
 A follower that tracks a falling plane well reads a constant range, too, but that is the wanted one, with
 the usual noise. A descent with a constant range that is not the wanted one, or with far less noise, is
-tested: the tool stops descending (`RESPONSE_HOLD`), and the range must grow by the descent that does not take
-place. If it does not, the tool rises (`RESPONSE_LIFT`), and the range must follow.
+tested, and so is every one by half the stand-off: the tool stops descending (`RESPONSE_HOLD`), and the range
+must grow by the descent that does not take place. If it does not, the tool rises (`RESPONSE_LIFT`), and the
+range must follow.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from surffollow.shm.layout_adaptive_sensing import RESPONSE_HOLD, RESPONSE_LIFT,
 DESCENT_SHARE = 0.03  # of the stand-off: a descent of this length, and of so many errors, is tested
 DESCENT_ERRORS = 3.0
 ERROR_DESCENT = 0.36  # of a band times the stand-off: error times descent; a small one needs a long one
+FAR_DESCENT = 0.5  # of the stand-off: beyond, a constant range is always tested, before the tool can touch
 LAG_TAUS = 0.3  # errors that so great a lag of the axis model explains are no sign of a fault
 QUIET_SHARE = 0.5  # of the usual noise
 NOISE_RATE, USUAL_RATE = 0.03, 0.003  # of the noise and of the usual noise, per sample
@@ -109,8 +111,10 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
             and error * descent > ERROR_DESCENT * band * params.offset_m
         )
         quiet = response.noise_m < QUIET_SHARE * response.usual_m
+        far = descent > FAR_DESCENT * params.offset_m
         long = response.run_samples > MIN_RUN_MEANS * number
-        if long and (wrong or quiet) and descent > DESCENT_SHARE * params.offset_m + DESCENT_ERRORS * error:
+        least = DESCENT_SHARE * params.offset_m + DESCENT_ERRORS * error
+        if long and (far or ((wrong or quiet) and descent > least)):
             response.phase, response.test_ns, response.test_z_m = RESPONSE_HOLD, t_ns, tool_z_m
             response.rate_mps = rate
     elif response.phase == RESPONSE_HOLD:
