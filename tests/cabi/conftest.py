@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from cabi.running import CPP, PATIENT_MS, ROOT, SANITIZED, C, Probe, Service, StillWorld
+from running_service import unique_name
 from surffollow.shm.cheader import header_text
 
 LARGEST = (
@@ -32,6 +34,28 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     finally:
         s.stop()
         world.close()
+
+
+@pytest.fixture(scope="module")
+def own_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A service of a module's own, not started, with something to see for its sensor."""
+    s = Service(unique_name("cabi-own"), tmp_path_factory.mktemp("mortal"))
+    world = StillWorld(s.name)
+    try:
+        yield s
+    finally:
+        s.stop()
+        world.close()
+
+
+@pytest.fixture
+def mortal(own_service: Service) -> Iterator[Service]:
+    """A living service that a test may kill or stop; the next test starts it again."""
+    if own_service.process is None or own_service.process.poll() is not None:
+        own_service.start()
+    yield own_service
+    if own_service.process is not None and own_service.process.poll() is None:
+        own_service.process.send_signal(signal.SIGCONT)
 
 
 @pytest.fixture(scope="session")

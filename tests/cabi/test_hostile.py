@@ -6,12 +6,12 @@ import contextlib
 import os
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from cabi.running import ROOT, Probe, Service, StillWorld
+from cabi.running import ROOT, Probe, Service
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from service.forged_objects import forged_board, put, remove
 from surffollow.client import STALE, attach, observe
@@ -20,26 +20,6 @@ from surffollow.shm.layout_follow import VALID
 
 OK, NOT_RUNNING, BLOCK, OWNER = 0, -20, -24, -36
 POSE = "ee 0.05 0.05 0.1 0 0 0 1"
-
-
-@pytest.fixture(scope="module")
-def own_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """A service of this module's own, not started."""
-    s = Service(f"cabi-hostile-{os.getpid()}", tmp_path_factory.mktemp("hostile"))
-    world = StillWorld(s.name)
-    try:
-        yield s
-    finally:
-        s.stop()
-        world.close()
-
-
-@pytest.fixture
-def mortal(own_service: Service) -> Service:
-    """A living service that a test may end; the next test starts it again."""
-    if own_service.process is None or own_service.process.poll() is not None:
-        own_service.start()
-    return own_service
 
 
 def clean_stop(service: Service) -> None:

@@ -6,12 +6,14 @@ import os
 import re
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
-from cabi.running import Probe, Service, StillWorld
+from cabi.running import Probe, Service
 from hanging_socket import MANNERS, hanging
+from running_service import until
 from surffollow.client import STALE
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import VALID
@@ -19,26 +21,6 @@ from surffollow.shm.layout_follow import VALID
 OK, NOT_RUNNING = 0, -20
 SILENCE_NS = 20_000_000
 POSE = "ee 0.05 0.05 0.1 0 0 0 1"
-
-
-@pytest.fixture(scope="module")
-def own_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """A service of this module's own, not started, with something to see for its sensor."""
-    s = Service(f"cabi-own-{os.getpid()}", tmp_path_factory.mktemp("mortal"))
-    world = StillWorld(s.name)
-    try:
-        yield s
-    finally:
-        s.stop()
-        world.close()
-
-
-@pytest.fixture
-def mortal(own_service: Service) -> Service:
-    """A living service that a test may kill; the next test starts it again."""
-    if own_service.process is None or own_service.process.poll() is not None:
-        own_service.start()
-    return own_service
 
 
 def test_client_follows_a_killed_service_into_its_next_life(
@@ -197,6 +179,10 @@ def test_poll_of_a_dead_services_answer_says_so(mortal: Service, make_probe: Cal
     assert probe(f"attach {mortal.name}").result == OK
     assert mortal.process is not None
     os.kill(mortal.process.pid, signal.SIGSTOP)
+    threads = list(Path(f"/proc/{mortal.process.pid}/task").iterdir())
+    until(
+        lambda: all((t / "stat").read_text().rsplit(")")[1].split()[0] == "T" for t in threads), "stillness"
+    )
     assert probe("send 1 0.1").result == OK
     assert probe("poll").result == 2
     probe.until("alive", lambda a: a.result == 0)

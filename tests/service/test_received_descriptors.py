@@ -8,6 +8,7 @@ import os
 import signal
 import socket
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -92,7 +93,8 @@ def lingering_alone() -> Iterator[socket.socket]:
     stack = contextlib.ExitStack()
     sock = stack.enter_context(lingering())
     yield sock
-    sock.close()  # not the last one
+    # the last one when the service has closed its own already: then it waits, and nobody for it
+    threading.Thread(target=sock.close, daemon=True).start()
     _readers.append(stack)  # who reads stays until the test ends
 
 
