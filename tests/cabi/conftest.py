@@ -37,7 +37,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
 
 
 @pytest.fixture(scope="module")
-def own_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+def module_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service of a module's own, not started, with something to see for its sensor."""
     s = Service(unique_name("cabi-own"), tmp_path_factory.mktemp("mortal"))
     world = StillWorld(s.name)
@@ -49,13 +49,13 @@ def own_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
 
 
 @pytest.fixture
-def mortal(own_service: Service) -> Iterator[Service]:
+def mortal(module_service: Service) -> Iterator[Service]:
     """A living service that a test may kill or stop; the next test starts it again."""
-    if own_service.process is None or own_service.process.poll() is not None:
-        own_service.start()
-    yield own_service
-    if own_service.process is not None and own_service.process.poll() is None:
-        own_service.process.send_signal(signal.SIGCONT)
+    if module_service.process is None or module_service.process.poll() is not None:
+        module_service.start()
+    yield module_service
+    if module_service.process is not None and module_service.process.poll() is None:
+        module_service.process.send_signal(signal.SIGCONT)
 
 
 @pytest.fixture(scope="session")

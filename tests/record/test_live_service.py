@@ -19,6 +19,7 @@ import pytest
 from surffollow.client import attach
 from surffollow.errors import NotReadyError, NotRunningError, RecordingError
 from surffollow.record.live_replay import LEAD_NS, LiveReport, driver_info, play_live
+from surffollow.record.reader import RecordingReader
 from surffollow.record.recorded_inputs import load_playback
 from surffollow.record.replay import replay_file
 from surffollow.record.session import record_service
@@ -75,6 +76,17 @@ def run_robot(name: str, poses: int) -> None:
         client.sf_reset(0.11)
 
 
+def segments_of(path: Path) -> set[int]:
+    """Segments of which a batch has reached the file."""
+    if bytes_of(path) == 0:
+        return set()
+    try:
+        with RecordingReader(path) as reader:
+            return {batch.segment for batch in reader.batches()}
+    except RecordingError:  # its head is still on the way
+        return set()
+
+
 def bytes_of(path: Path) -> int:
     return path.stat().st_size if path.exists() else 0
 
@@ -87,14 +99,12 @@ def test_a_killed_and_restarted_service_gives_two_segments_of_the_same_bits(
         first = stack.enter_context(service(name, tmp_path))
         recorder = stack.enter_context(program("record", "--name", name, "--out", str(out), "--json"))
         run_robot(name, 30)
-        until(out.exists)
+        until(lambda: segments_of(out) == {0})
         first.kill()
         first.wait()
         stack.enter_context(service(name, tmp_path))
         run_robot(name, 30)
-        for _ in range(2):  # the rest of the first service, and a chunk of the second
-            size = bytes_of(out)
-            until(lambda size=size: bytes_of(out) > size)
+        until(lambda: segments_of(out) == {0, 1})
         recorder.send_signal(signal.SIGTERM)
         text, _ = recorder.communicate(timeout=DEADLINE_S)
     counts = json.loads(text)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import os
+import signal
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -39,6 +39,17 @@ def _await_ready(service: Child, name: str, progress: Progress) -> None:
         last = service.errors().splitlines()[-1:]
         progress("starting: " + (last[0].removeprefix("surffollow: ") if last else "service"), 0.0)
         time.sleep(0.1)
+
+
+def _await_recording(recorder: Child, recording: Path, progress: Progress) -> None:
+    deadline = time.monotonic() + READY_TIMEOUT_S
+    while not recording.exists():
+        if recorder.child.poll() is not None:
+            raise recorder.fail(f"ended with code {recorder.child.returncode} before it recorded")
+        if time.monotonic() > deadline:
+            raise recorder.fail(f"did not record after {READY_TIMEOUT_S:.0f} s")
+        progress("starting: recorder", 0.0)
+        time.sleep(0.05)
 
 
 def _follow(client: Client, robot: Child, config: DemoConfig, progress: Progress) -> dict[str, Any]:
@@ -84,13 +95,15 @@ def run_demo(config: DemoConfig, folder: Path, progress: Progress) -> dict[str, 
             _await_ready(service, name, progress)
             record = ["record", "--name", name, "--out", str(recording), "--force", "--json"]
             with attach(name, label="demo") as client, running("recorder", record, folder) as recorder:
+                _await_recording(recorder, recording, progress)
                 client.map_reset((x0 - 0.02, y0 - 0.02, x1 + 0.02, y1 + 0.02))
                 with running("robot", robot_words(config, name, trace), folder) as robot:
                     summary = _follow(client, robot, config, progress)
                 status = client.status()
                 progress("reading the map", 1.0)
                 grids = map_figures(client, folder / "map.npz")
-                recorded = json.loads(recorder.end())
+                recorder.child.send_signal(signal.SIGINT)
+                recorded = recorder.result(15.0)
     progress("replaying", 1.0)
     replay = replay_file(recording)
     result: dict[str, Any] = {
