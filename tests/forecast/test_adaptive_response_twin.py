@@ -1,0 +1,64 @@
+"""The kernel of the response test decides as its plain twin does, sample by sample."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from naive_response import HOLD, LIFT, NONE, RUN, NaiveResponse
+from surffollow.forecast.sensing.response import (
+    is_unresponsive,
+    least_target,
+    observe_response,
+    reset_response,
+)
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import AdaptiveState
+
+from .feeding import default_params
+
+PHASES = RUN, HOLD, LIFT, NONE
+STANDOFF_M, SIGMA_M, GAP_S = 0.1, 2.5e-4, 0.2
+
+
+def states_seen(seed: int) -> set[str]:
+    """Drive kernel and twin with an axis that obeys the test; the ground, the noise and the faults are drawn."""
+    rng = np.random.default_rng(seed)
+    tau_s, interval_s = float(rng.choice([0.02, 0.1])), float(rng.choice([0.004, 0.03]))
+    lead_m = float(rng.choice([0.0, 0.0, 0.05]))
+    params, adaptive = default_params(), zeros(AdaptiveState)[0]
+    params["offset_m"] = STANDOFF_M
+    adaptive["plant"]["tau_s"], adaptive["noise"]["sigma_m"] = tau_s, SIGMA_M
+    adaptive["prediction"]["interval_s"], adaptive["sample"]["lead_m"] = interval_s, lead_m
+    reset_response(adaptive["response"])
+    twin = NaiveResponse(tau_s, interval_s, STANDOFF_M, SIGMA_M, GAP_S, lead_m)
+    seen, t_ns, z, ground, stuck = set(), 1_000_000, STANDOFF_M, 0.0, None
+    slope, noisy = 0.0, True
+    for k in range(1500):
+        if k % 150 == 0:
+            slope = float(rng.choice([0.0, -0.05, -0.2, -0.8, 0.1]))
+            stuck = STANDOFF_M + float(rng.choice([0.0, 5e-4, 4e-3])) if rng.random() < 0.6 else None
+            noisy = rng.random() < 0.7
+        t_ns += round(1e9 * (GAP_S * 2 if rng.random() < 2e-3 else interval_s))
+        ground += slope * interval_s
+        read = (z - ground if stuck is None else stuck) + SIGMA_M * rng.standard_normal() * noisy
+        read += 0.02 * (rng.random() < 5e-3)
+        observe_response(params, adaptive, t_ns, read, z, GAP_S)
+        twin.observe(t_ns, read, z)
+        record = adaptive["response"]
+        assert PHASES[record["phase"]] == twin.phase, (seed, k)
+        assert is_unresponsive(record) == (twin.phase == NONE)
+        values = twin.mean_m, twin.run_m, twin.noise_m, twin.usual_m, twin.top_z_m
+        names = "mean_m", "run_range_m", "noise_m", "usual_m", "run_z_m"
+        np.testing.assert_allclose([record[n] for n in names], values, rtol=1e-9, err_msg=f"{seed}, {k}")
+        target = z + STANDOFF_M - read
+        asked = least_target(record, target)
+        assert asked == pytest.approx(twin.least_target_m(target), abs=1e-12)
+        z += (asked - z) * min(1.0, interval_s / tau_s)
+        seen.add(twin.phase)
+    return seen
+
+
+def test_the_kernel_decides_as_the_twin_in_every_phase():
+    """GIVEN drawn grounds and faults WHEN both see the same samples THEN they agree in every sample."""
+    assert set.union(*(states_seen(seed) for seed in range(30))) == set(PHASES)

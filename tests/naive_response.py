@@ -1,0 +1,115 @@
+"""The response test of a range sensor as a plain state machine, one sentence per line."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from surffollow.forecast.sensing import response as r
+
+RUN, HOLD, LIFT, NONE = "run", "hold", "lift", "none"
+
+
+@dataclass
+class NaiveResponse:
+    """What is known of one sensor; lengths in metres, times in seconds."""
+
+    tau_s: float
+    interval_s: float
+    standoff_m: float
+    sigma_m: float
+    gap_s: float
+    lead_m: float = 0.0
+    phase: str = RUN
+    readings: list[float] = field(default_factory=list)
+    last_ns: int | None = None
+    noise_m: float = 0.0
+    usual_m: float = 0.0
+
+    def _begin_run(self, t_ns: int, z_m: float) -> None:
+        self.phase, self.run_m, self.in_run = RUN, self.mean_m, 0
+        self.top_z_m, self.top_ns = z_m, t_ns
+
+    def _observe_noise(self) -> None:
+        n = len(self.readings)
+        if n < 3:
+            return
+        a, b, c = self.readings[-3:]
+        seen_m = abs(c - 2.0 * b + a) / r.SECOND_DIFFERENCE
+        no_more_m = 4.0 * max(self.noise_m, r.MIN_NOISE_M)
+        self.noise_m += max(r.NOISE_RATE, 1.0 / (n - 2)) * (min(seen_m, no_more_m) - self.noise_m)
+        if n < 2.0 / r.NOISE_RATE:
+            self.usual_m = self.noise_m
+        elif self.noise_m > r.QUIET_SHARE * self.usual_m:
+            self.usual_m += r.USUAL_RATE * min(self.noise_m - self.usual_m, self.usual_m)
+
+    def observe(self, t_ns: int, range_m: float, z_m: float) -> None:
+        """One sample of the sensor, with the height of the tool at its time."""
+        dt_s = None if self.last_ns is None else (t_ns - self.last_ns) * 1e-9
+        if dt_s is None or not 0.0 < dt_s <= self.gap_s:
+            self.mean_m = range_m
+            self._begin_run(t_ns, z_m)
+        self.last_ns = t_ns
+        self.readings.append(range_m)
+        self._observe_noise()
+        self.number = min(max(r.MEAN_TAUS * self.tau_s / self.interval_s, r.MIN_MEAN), r.MAX_MEAN)
+        step_m = range_m - self.mean_m
+        most_m = r.OUTLIER_SIGMAS * self.sigma_m
+        self.mean_m += math.copysign(min(abs(step_m), most_m), step_m) / self.number
+        self.in_run += 1
+        if self.number < self.in_run < r.RUN_SAMPLES:
+            self.run_m += (self.mean_m - self.run_m) / self.in_run
+        self.band_m = r.BAND_SIGMAS * self.sigma_m / math.sqrt(self.number)
+        allowed_m = self.band_m if self.phase == RUN else r.SURE * self.band_m
+        if abs(self.mean_m - self.run_m) > allowed_m:
+            self._begin_run(t_ns, z_m)
+            self.usual_m = min(self.usual_m, self.noise_m / r.QUIET_SHARE)
+        elif self.phase == RUN:
+            self._look_for_a_descent(t_ns, z_m)
+        elif self.phase == HOLD:
+            self._hold(t_ns, z_m)
+        elif self.phase == LIFT:
+            self._lift(t_ns, z_m)
+
+    def _look_for_a_descent(self, t_ns: int, z_m: float) -> None:
+        if z_m > self.top_z_m:
+            self.top_z_m, self.top_ns = z_m, t_ns
+        descent_m = self.top_z_m - z_m
+        rate_mps = descent_m / max((t_ns - self.top_ns) * 1e-9, self.interval_s)
+        ahead = abs(self.lead_m) >= r.MIN_LEAD_M
+        error_m = 0.0 if ahead else abs(self.run_m - self.standoff_m)
+        wrong = (
+            error_m > self.band_m
+            and error_m > r.LAG_TAUS * self.tau_s * rate_mps
+            and error_m * descent_m > r.ERROR_DESCENT * self.band_m * self.standoff_m
+        )
+        quiet = self.noise_m < r.QUIET_SHARE * self.usual_m
+        enough = descent_m > r.DESCENT_SHARE * self.standoff_m + r.DESCENT_ERRORS * error_m
+        far = descent_m > r.FAR_DESCENT * self.standoff_m
+        if self.in_run <= r.MIN_RUN_MEANS * self.number:
+            return
+        if far or (enough and (wrong or quiet)):
+            self.phase, self.begin_ns, self.begin_z_m, self.rate_mps = HOLD, t_ns, z_m, rate_mps
+
+    def _hold(self, t_ns: int, z_m: float) -> None:
+        since_s = (t_ns - self.begin_ns) * 1e-9
+        not_descended_m = self.rate_mps * (since_s - r.STOP_TAUS * self.tau_s)
+        if not_descended_m > r.HOLD_BANDS * self.band_m or since_s > r.MAX_PHASE_TAUS * self.tau_s:
+            self.phase, self.begin_ns, self.begin_z_m = LIFT, t_ns, z_m
+            self.lift_m, self.lifted = r.LIFT_BANDS * self.band_m, 0
+
+    def _lift(self, t_ns: int, z_m: float) -> None:
+        if z_m - self.begin_z_m > 0.5 * self.lift_m:
+            self.lifted += 1
+            if self.lifted > 2.0 * self.number:
+                self.phase = NONE
+        elif (t_ns - self.begin_ns) * 1e-9 > r.MAX_PHASE_TAUS * self.tau_s:
+            self._begin_run(t_ns, z_m)
+
+    def least_target_m(self, target_m: float) -> float:
+        """The target, or the height that the test asks for when that is more."""
+        if self.phase == HOLD:
+            return max(target_m, self.begin_z_m)
+        if self.phase == LIFT:
+            return max(target_m, self.begin_z_m + self.lift_m)
+        return target_m
