@@ -20,6 +20,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from surffollow.sim.profiles_measured import data_dir
+
 ROOT = Path(__file__).resolve().parent.parent
 FORECAST = Path("surffollow/forecast")
 SURFACES = (
@@ -189,6 +191,7 @@ def run_variant(name: str, seeds: str, cache: Path) -> dict[str, Any]:
             path.write_text(before.replace(text, other))
         environment = {
             **os.environ,
+            "SURFFOLLOW_DATA": str(data_dir()),
             "PYTHONPATH": str(source),
             "SURFFOLLOW_CACHE_DIR": str(cache / name.replace(" ", "-")),
         }
@@ -239,6 +242,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if given.measure:
         print(json.dumps(measure(range(first, last))))
         return 0
+    if data_dir() is None:
+        parser.error("the measured grounds are missing: set SURFFOLLOW_DATA to the folder of the real data")
     names = ["full", *[v for v in given.variant or VARIANTS if v != "full"]]
     rows: dict[str, dict[str, float]] = {}
     with tempfile.TemporaryDirectory() as cache:
