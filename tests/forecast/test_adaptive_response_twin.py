@@ -22,7 +22,7 @@ STANDOFF_M, SIGMA_M, GAP_S = 0.1, 2.5e-4, 0.2
 
 
 def states_seen(seed: int) -> set[str]:
-    """Drive kernel and twin with an axis that obeys the test; the ground, the noise and the faults are drawn."""
+    """Drive kernel and twin with an axis that obeys the test; ground, noise and faults are drawn."""
     rng = np.random.default_rng(seed)
     tau_s, interval_s = float(rng.choice([0.02, 0.1])), float(rng.choice([0.004, 0.03]))
     lead_m = float(rng.choice([0.0, 0.0, 0.05]))
