@@ -54,6 +54,7 @@ KINDS = {
     "burst": Kind((3e-3, 28e-3), (0.02, 0.1)),
     "near": Kind((10e-3, 40e-3), (0.004, 0.016)),
     "late stamps": Kind(length_s=(0.3, 1.3), late_s=(0.06, 0.15)),
+    "early stamps": Kind(length_s=(0.3, 1.3), late_s=(-0.15, -0.02)),
     "lost": Kind(length_s=(0.2, 1.8)),
     "glitches": Kind((0.0, 30e-3), (2.0, 2.0)),
     "frame jump": Kind((0.0, 0.2), (2.0, 2.0), signed=True),
@@ -69,7 +70,8 @@ FAMILIES = tuple(KINDS)
 
 @dataclass(frozen=True)
 class Scenario:
-    """One hazard: readings (poses) wrong by `size_m` for `length_s`, or stamps too old by `late_s`."""
+    """One hazard: readings (poses) wrong by `size_m` for `length_s`, or stamps too old by `late_s`
+    (negative: in the future)."""
 
     family: str
     seed: int

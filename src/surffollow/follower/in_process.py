@@ -5,10 +5,12 @@
     demand = f.step(t_ns, [range_m])             # six numbers to add to the newest pose reported
 
 Times are int64 ns of any one clock, which may begin at 0. A reading's stamp may lie before the last step's.
+In the adaptive mode stamps that jump ahead of poses and other steps are corrected (`future_stamps`).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 
 from surffollow.config.params import check_param, param_name
 from surffollow.errors import ConfigError, PoseError, UsageError
+from surffollow.follower.future_stamps import FutureStamps
 from surffollow.follower.setup import Config, check_standoff, check_window, read_setup
 from surffollow.forecast.estimation.model_bank import N_CANDIDATES
 from surffollow.forecast.horizon import forecast_range
@@ -36,6 +39,7 @@ from surffollow.shm.layout_follow import (
 )
 
 RECALL_NS = 5_000_000  # remembered ground is looked up at most so often, at the reference time 1
+FUTURE_REASON = "timestamps jumped ahead; readings count as new as usual"
 PAUSE_NS = 1_000_000_000
 # the kernels take a reading at 0 ns for none: their time runs ahead of the caller's by an hour
 _SHIFT_NS = 3_600_000_000_000
@@ -105,6 +109,7 @@ class Follower:
         mounts[:, 6] = 1.0
         mounts[: len(setup.mounts)] = setup.mounts
         adaptive = self._params["mode"][0] == MODE_ADAPTIVE
+        self._stamps = FutureStamps() if adaptive else None
         self._memory = new_memory() if setup.remembers and adaptive else None
         check_standoff(self._params[0])
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
@@ -157,6 +162,8 @@ class Follower:
             trial["offset_m"] = check_param("offset_m", offset_m)
             check_standoff(trial[0])
             self._params[:] = trial
+        if self._stamps is not None:
+            self._stamps = FutureStamps()
         before = float(self._scaled["length"])
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
         self._recall_ns = self._recall_interval_ns()
@@ -201,6 +208,8 @@ class Follower:
             raise PoseError(f"pose {p.tolist()} is not finite or its quaternion's norm is not 1")
         if found == TOO_FAR:
             raise PoseError(f"pose {p.tolist()} lies beyond {MOST_POSITION_M:g} m")
+        if self._stamps is not None and found == TAKEN:
+            self._stamps.tell_time(t)
         return bool(found == TAKEN)
 
     def step(self, t_ns: int, ranges_m: Sequence[float] | NDArray[Any]) -> NDArray[np.float64]:
@@ -237,6 +246,8 @@ class Follower:
         except (TypeError, ValueError, OverflowError):
             raise UsageError(f"step takes a list of ranges, not {ranges_m!r}") from None
         t = _kernel_time(t_ns)
+        if self._stamps is not None:
+            t = self._checked_stamp(t, n)
         self._n_ranges[0] = n
         self._t_ns[0] = self._given_t_ns[0] = t
         self._latest_ns = max(t, self._latest_ns if self._latest_ns - t < PAUSE_NS else t)
@@ -252,6 +263,18 @@ class Follower:
             store_footprint(self._memory, self._state, self._output)
         demand: NDArray[np.float64] = self._demand.copy()
         return demand
+
+    def _checked_stamp(self, t_ns: int, n: int) -> int:
+        """The step's time; a reading whose stamp must be wrong is dropped."""
+        assert self._stamps is not None
+        if all(math.isnan(r) for r in self._given_m[:n].tolist()):
+            self._stamps.tell_time(t_ns)
+            return t_ns
+        stamp_ns = self._stamps.correct(t_ns)
+        if stamp_ns is None:
+            self._given_m[:n] = math.nan
+            return self._stamps.known_ns
+        return stamp_ns
 
     def forecast_range_m(self, horizon_s: float) -> float:
         """The range that channel 0 will read `horizon_s` [s] after its last valid reading; NaN before one.
@@ -289,6 +312,8 @@ class Follower:
             adaptive = self._state["adaptive"][0]
             out["health"] = HEALTH_NAMES[int(o["health"])]
             out["reason"] = REASON_NAMES[int(o["reason"])]
+            if self._stamps is not None and self._stamps.shift_ns != 0.0 and out["health"] == "OK":
+                out["health"], out["reason"] = "SUSPECT", FUTURE_REASON
             out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
             told: tuple[str, ...] = ("sigma_m", "noise_m", "roughness_m", "late_s", "latency_s", "tau_s")
             told += ("permitted_variance_m", "interval_size_m", "range_size", "beams")
