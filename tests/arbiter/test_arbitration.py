@@ -14,14 +14,14 @@ from surffollow.errors import NotRunningError, RefusedError, UsageError
 
 
 @pytest.fixture
-def people(arbiter):
+def attach_client(arbiter):
     """Attach clients by name; they are closed at the end."""
     with contextlib.ExitStack() as stack:
         yield lambda client: stack.enter_context(attach(arbiter.name, client))
 
 
-def test_the_higher_priority_wins_and_the_lower_is_told_who_holds(people):
-    go, wall = people("go").resource("robot"), people("wall").resource("robot")
+def test_the_higher_priority_wins_and_the_lower_is_told_who_holds(attach_client):
+    go, wall = attach_client("go").resource("robot"), attach_client("wall").resource("robot")
     assert go.request().reason == "GRANT"
     first = go.token
     assert wall.request()
@@ -36,15 +36,15 @@ def test_the_higher_priority_wins_and_the_lower_is_told_who_holds(people):
     assert go.request()
 
 
-def test_asking_again_gives_the_same_token(people):
-    go = people("go").resource("robot")
+def test_asking_again_gives_the_same_token(attach_client):
+    go = attach_client("go").resource("robot")
     first = go.request()
     again = go.request()
     assert (again.reason, again.token) == ("KEEP", first.token)
 
 
-def test_the_incumbent_keeps_among_equals_and_the_newcomer_takes_where_configured(people):
-    one, two = people("wall"), people("wall-2")
+def test_the_incumbent_keeps_among_equals_and_the_newcomer_takes_where_configured(attach_client):
+    one, two = attach_client("wall"), attach_client("wall-2")
     assert one.resource("robot").request()
     assert not two.resource("robot").request()
     assert one.resource("speaker").request()
@@ -52,10 +52,10 @@ def test_the_incumbent_keeps_among_equals_and_the_newcomer_takes_where_configure
     until(lambda: not one.resource("speaker").held)
 
 
-def test_who_waits_gets_its_turn_by_priority_then_by_patience(people):
+def test_who_waits_gets_its_turn_by_priority_then_by_patience(attach_client):
     import threading
 
-    clients = {n: people(n) for n in ("avoid", "go", "wall", "wall-2")}
+    clients = {n: attach_client(n) for n in ("avoid", "go", "wall", "wall-2")}
     assert clients["avoid"].resource("robot").request()
     turns, threads = [], []
 
@@ -83,8 +83,8 @@ def test_who_waits_gets_its_turn_by_priority_then_by_patience(people):
     assert entries["go"] > longest
 
 
-def test_a_wait_in_vain_leaves_the_queue_and_is_told(people):
-    go, wall = people("go"), people("wall")
+def test_a_wait_in_vain_leaves_the_queue_and_is_told(attach_client):
+    go, wall = attach_client("go"), attach_client("wall")
     assert wall.resource("robot").request()
     history = wall.history()
     reply = go.resource("robot").request(wait=True, timeout_s=0.1)
@@ -100,8 +100,8 @@ def test_a_wait_in_vain_leaves_the_queue_and_is_told(people):
     assert go.holder("robot") is None
 
 
-def test_a_cooperative_holder_is_asked_and_fenced_after_the_grace(people):
-    go, wall = people("go").resource("camera"), people("wall").resource("camera")
+def test_a_cooperative_holder_is_asked_and_fenced_after_the_grace(attach_client):
+    go, wall = attach_client("go").resource("camera"), attach_client("wall").resource("camera")
     assert go.request()
     history = go._client.history()
     assert wall.request(timeout_s=5.0)
@@ -113,10 +113,10 @@ def test_a_cooperative_holder_is_asked_and_fenced_after_the_grace(people):
     assert [e.event for e in events] == ["ENQUEUE", "ASK", "REVOKE", "SAFE", "GRANT"]
 
 
-def test_a_cooperative_holder_that_relinquishes_when_asked_is_not_fenced(people):
+def test_a_cooperative_holder_that_relinquishes_when_asked_is_not_fenced(attach_client):
     import threading
 
-    go, wall = people("go").resource("camera"), people("wall").resource("camera")
+    go, wall = attach_client("go").resource("camera"), attach_client("wall").resource("camera")
     assert go.request()
     history = go._client.history()
     thread = threading.Thread(target=lambda: wall.request(timeout_s=5.0))
@@ -128,8 +128,8 @@ def test_a_cooperative_holder_that_relinquishes_when_asked_is_not_fenced(people)
     assert [e.event for e in history if e.resource == "camera"][-3:] == ["RELEASE", "SAFE", "GRANT"]
 
 
-def test_commands_reach_the_controller_within_limits_and_safe_when_late(arbiter, people):
-    go = people("go").resource("robot")
+def test_commands_reach_the_controller_within_limits_and_safe_when_late(arbiter, attach_client):
+    go = attach_client("go").resource("robot")
     with command_reader(arbiter.name, "robot") as reader:
         assert reader.latest().safe
         assert go.request()
@@ -147,10 +147,10 @@ def test_commands_reach_the_controller_within_limits_and_safe_when_late(arbiter,
         until(lambda: not reader.latest().safe)
 
 
-def test_a_command_block_can_be_read_by_name_as_any_block(arbiter, people):
+def test_a_command_block_can_be_read_by_name_as_any_block(arbiter, attach_client):
     from surffollow.blocks.listing import attach_unknown
 
-    go = people("go").resource("robot")
+    go = attach_client("go").resource("robot")
     assert go.request()
     assert go.command(0.25, -0.5)
     block = attach_unknown(f"{arbiter.name}.robot")
@@ -161,8 +161,8 @@ def test_a_command_block_can_be_read_by_name_as_any_block(arbiter, people):
     assert values[:2] == (0.25, -0.5)
 
 
-def test_commands_that_are_no_numbers_old_or_repeated_are_rejected(people):
-    client = people("go")
+def test_commands_that_are_no_numbers_old_or_repeated_are_rejected(attach_client):
+    client = attach_client("go")
     go = client.resource("robot")
     assert go.request()
     history = client.history()
@@ -175,8 +175,8 @@ def test_commands_that_are_no_numbers_old_or_repeated_are_rejected(people):
     assert [e.event for e in events] == ["REJECT_BAD", "REJECT_OLD", "REJECT_OLD", "FORWARD"]
 
 
-def test_every_command_is_in_the_history_in_order(people):
-    client = people("go")
+def test_every_command_is_in_the_history_in_order(attach_client):
+    client = attach_client("go")
     go = client.resource("robot")
     assert go.request()
     history, seen = client.history(), []
@@ -196,8 +196,8 @@ def test_a_slot_used_before_answers_its_next_client_anew(arbiter):
             assert mine.command(0.1, 0.1)
 
 
-def test_overwritten_history_is_noticed(arbiter, people):
-    client = people("go")
+def test_overwritten_history_is_noticed(arbiter, attach_client):
+    client = attach_client("go")
     go = client.resource("robot")
     assert go.request()
     history = client.history()
@@ -210,10 +210,10 @@ def test_overwritten_history_is_noticed(arbiter, people):
     assert seqs == list(range(seqs[0], seqs[0] + len(seqs)))
 
 
-def test_wrong_calls_are_refused_with_reason(arbiter, people):
+def test_wrong_calls_are_refused_with_reason(arbiter, attach_client):
     with pytest.raises(RefusedError, match="declares no client"):
         attach(arbiter.name, "stranger")
-    one = people("go")
+    one = attach_client("go")
     with pytest.raises(RefusedError, match="attached already") as caught:
         attach(arbiter.name, "go")
     assert caught.value.code == al.HELLO_TAKEN
@@ -230,8 +230,8 @@ def test_wrong_calls_are_refused_with_reason(arbiter, people):
         attach("nobody-here", "go", timeout_s=0.0)
 
 
-def test_status_and_history_commands_tell_what_clients_did(arbiter, people):
-    go = people("go").resource("robot")
+def test_status_and_history_commands_tell_what_clients_did(arbiter, attach_client):
+    go = attach_client("go").resource("robot")
     go.request()
     go.command(0.3, 0.0)
     until(lambda: observe(arbiter.name).status()["resources"]["robot"]["forwarded"] > 0)

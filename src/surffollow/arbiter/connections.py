@@ -33,7 +33,7 @@ MOST_SILENT = al.CLIENTS  # connections of one user that have not said who they 
 ACCEPT_AT_ONCE = 64
 
 
-class Guest:
+class Connection:
     """A connection: it owns a slot from its welcome to its end."""
 
     def __init__(self, sock: socket.socket, pid: int, uid: int) -> None:
@@ -80,8 +80,8 @@ class Reception:
     ) -> None:
         self.config, self.board, self.mem = config, board, mem
         self._users, self._listener, self._wake_loop = users, listener, wake_loop
-        self._guests: dict[int, Guest] = {}
-        self._slots: list[Guest | None] = [None] * al.CLIENTS
+        self._connections: dict[int, Connection] = {}
+        self._slots: list[Connection | None] = [None] * al.CLIENTS
         self._number = 0
         self._disposal = Disposal()
 
@@ -98,20 +98,20 @@ class Reception:
                 waiting = any(g is not None and g.slot < 0 for g in self._slots)
                 # connections that wait for their end take descriptors: no further ones until there is room
                 poll.modify(self._listener.fileno(), 0 if self._disposal.full else select.EPOLLIN)
-                hurry = self._disposal.waiting or any(not g.joined for g in self._guests.values())
+                hurry = self._disposal.waiting or any(not g.joined for g in self._connections.values())
                 for fd, _ in poll.poll(0.005 if waiting else WATCH_S if hurry else -1):
                     if fd == wake:
                         return
                     if fd == self._listener.fileno():
                         self._accept(poll)
-                    elif fd in self._guests:
-                        self._hear(poll, self._guests[fd], fd)
+                    elif fd in self._connections:
+                        self._receive(poll, self._connections[fd], fd)
                 self._free_slots()
                 with contextlib.suppress(OSError):  # no process to be had: tried again
                     self._disposal.look()
-                for guest in self._unique_guests():
-                    if not guest.joined and time.monotonic() - guest.since > hs.HELLO_TIMEOUT_S:
-                        self._part(poll, guest)
+                for connection in self._unique_connections():
+                    if not connection.joined and time.monotonic() - connection.since > hs.HELLO_TIMEOUT_S:
+                        self._disconnect(poll, connection)
 
     def _accept(self, poll: select.epoll) -> None:
         for _ in range(ACCEPT_AT_ONCE):
@@ -121,7 +121,7 @@ class Reception:
                 return
             sock.setblocking(False)
             who = peer_of(sock)
-            silent = sum(not g.joined and g.uid == who.uid for g in self._unique_guests())
+            silent = sum(not g.joined and g.uid == who.uid for g in self._unique_connections())
             if not self._may_connect(who.uid):
                 # no word of it is heard, and it takes no place
                 with contextlib.suppress(OSError):
@@ -131,89 +131,93 @@ class Reception:
             if silent >= MOST_SILENT:  # one user cannot keep others out by waiting at the door
                 self._disposal.part(sock)
                 continue
-            guest = Guest(sock, who.pid, who.uid)
-            for fd in (sock.fileno(), guest.pidfd):
+            connection = Connection(sock, who.pid, who.uid)
+            for fd in (sock.fileno(), connection.pidfd):
                 if fd >= 0:
-                    self._guests[fd] = guest
+                    self._connections[fd] = connection
                     poll.register(fd, select.EPOLLIN)
 
     def _may_connect(self, uid: int) -> bool:
         return self._users is None or uid in self._users
 
-    def _unique_guests(self) -> list[Guest]:
-        return list({id(g): g for g in self._guests.values()}.values())
+    def _unique_connections(self) -> list[Connection]:
+        return list({id(g): g for g in self._connections.values()}.values())
 
-    def _part(self, poll: select.epoll, guest: Guest) -> None:
+    def _disconnect(self, poll: select.epoll, connection: Connection) -> None:
         """The connection is over: its slot is, too."""
-        for fd in (guest.sock.fileno(), guest.pidfd):
-            if fd >= 0 and self._guests.pop(fd, None) is not None:
+        for fd in (connection.sock.fileno(), connection.pidfd):
+            if fd >= 0 and self._connections.pop(fd, None) is not None:
                 poll.unregister(fd)
-        guest.close(self._disposal)
-        if guest.slot >= 0 and not guest.joined:
-            self._slots[guest.slot] = None
-        elif guest.slot >= 0:
-            store_release(self._slot_state(guest.slot), m.LEAVING)
-            guest.slot = -1  # `_slots` keeps it until the loop has let its mailbox go
+        connection.close(self._disposal)
+        if connection.slot >= 0 and not connection.joined:
+            self._slots[connection.slot] = None
+        elif connection.slot >= 0:
+            store_release(self._slot_state(connection.slot), m.LEAVING)
+            connection.slot = -1  # `_slots` keeps it until the loop has let its mailbox go
             self._wake_loop()
 
     def _free_slots(self) -> None:
-        for slot, guest in enumerate(self._slots):
-            if guest is not None and guest.slot < 0 and load_acquire(self._slot_state(slot)) == m.LEFT:
+        for slot, connection in enumerate(self._slots):
+            if connection is None or connection.slot >= 0:
+                continue
+            if load_acquire(self._slot_state(slot)) == m.LEFT:
                 store_release(self._slot_state(slot), m.EMPTY)
-                self.mem.people[slot]["mailbox"] = 0
-                guest.mailbox = self._slots[slot] = None
+                self.mem.client_runs[slot]["mailbox"] = 0
+                connection.mailbox = self._slots[slot] = None
 
-    def _hear(self, poll: select.epoll, guest: Guest, fd: int) -> None:
-        if fd == guest.pidfd:
-            self._part(poll, guest)
+    def _receive(self, poll: select.epoll, connection: Connection, fd: int) -> None:
+        if fd == connection.pidfd:
+            self._disconnect(poll, connection)
             return
         try:
-            data = hear(guest.sock, 256)
-            if guest.slot < 0:
-                self._offer(guest, hs.read_hello(data))
-            elif not guest.joined and data == hs.MAPPED:
-                self._admit(guest)
-            elif not data or not guest.joined:
-                self._part(poll, guest)
+            data = hear(connection.sock, 256)
+            if connection.slot < 0:
+                self._offer(connection, hs.read_hello(data))
+            elif not connection.joined and data == hs.MAPPED:
+                self._admit(connection)
+            elif not data or not connection.joined:
+                self._disconnect(poll, connection)
         except BlockingIOError:
             return
         except OSError:
-            self._part(poll, guest)
+            self._disconnect(poll, connection)
             return
-        if guest.slot < 0:
-            self._part(poll, guest)
+        if connection.slot < 0:
+            self._disconnect(poll, connection)
 
-    def _offer(self, guest: Guest, name: str | None) -> None:
+    def _offer(self, connection: Connection, name: str | None) -> None:
         """Answer the first message: refuse, or hand out a mailbox."""
         self._free_slots()
-        result, detail = self._may_enter(guest, name)
+        result, detail = self._check_admission(connection, name)
         if result != al.HELLO_OK:
-            guest.sock.send(hs.welcome(result, detail=detail), socket.MSG_NOSIGNAL)
+            connection.sock.send(hs.welcome(result, detail=detail), socket.MSG_NOSIGNAL)
             return
         assert name is not None
-        guest.mailbox_fd = make_sealed("surffollow-mailbox", al.MAILBOX_BYTES)
+        connection.mailbox_fd = make_sealed("surffollow-mailbox", al.MAILBOX_BYTES)
         board = self.board.reading_end()
         try:
-            guest.name, guest.slot = name, self._slots.index(None)
-            self._slots[guest.slot] = guest
+            connection.name, connection.slot = name, self._slots.index(None)
+            self._slots[connection.slot] = connection
             self._number += 1
-            guest.number = self._number
-            answer = hs.welcome(al.HELLO_OK, guest.slot, guest.number, self.board.epoch)
-            socket.send_fds(guest.sock, [answer], [guest.mailbox_fd, board], socket.MSG_NOSIGNAL)
+            connection.number = self._number
+            answer = hs.welcome(al.HELLO_OK, connection.slot, connection.number, self.board.epoch)
+            socket.send_fds(connection.sock, [answer], [connection.mailbox_fd, board], socket.MSG_NOSIGNAL)
         finally:
             os.close(board)
 
-    def _admit(self, guest: Guest) -> None:
+    def _admit(self, connection: Connection) -> None:
         """The client has its mapping: nobody can change the mailbox in any other way from now on."""
-        seal_for_good(guest.mailbox_fd)
-        guest.mailbox = mmap.mmap(guest.mailbox_fd, al.MAILBOX_BYTES, mmap.MAP_SHARED, mmap.PROT_READ)
-        os.close(guest.mailbox_fd)
-        guest.mailbox_fd, guest.joined = -1, True
-        self._sign(guest)
-        self._await_joined(guest.slot)
-        guest.sock.send(hs.MAPPED, socket.MSG_NOSIGNAL)
+        seal_for_good(connection.mailbox_fd)
+        connection.mailbox = mmap.mmap(
+            connection.mailbox_fd, al.MAILBOX_BYTES, mmap.MAP_SHARED, mmap.PROT_READ
+        )
+        os.close(connection.mailbox_fd)
+        connection.mailbox_fd, connection.joined = -1, True
+        self._register(connection)
+        self._await_joined(connection.slot)
+        connection.sock.send(hs.MAPPED, socket.MSG_NOSIGNAL)
 
-    def _may_enter(self, guest: Guest, name: str | None) -> tuple[int, int]:
+    def _check_admission(self, connection: Connection, name: str | None) -> tuple[int, int]:
         if name is None:
             return al.HELLO_BAD, 0
         if name not in self.config.clients:
@@ -223,17 +227,17 @@ class Reception:
                 return al.HELLO_TAKEN, other.pid
         return (al.HELLO_OK, 0) if None in self._slots else (al.HELLO_FULL, 0)
 
-    def _sign(self, guest: Guest) -> None:
+    def _register(self, connection: Connection) -> None:
         """Fill in the slot's public entry and hand the mailbox to the loop."""
-        mem, entry = self.mem, self.board.entry(guest.slot)
-        priority = self.config.clients[guest.name]
-        entry["name"], entry["pid"], entry["uid"] = guest.name.encode(), guest.pid, guest.uid
+        mem, entry = self.mem, self.board.entry(connection.slot)
+        priority = self.config.clients[connection.name]
+        entry["name"], entry["pid"], entry["uid"] = connection.name.encode(), connection.pid, connection.uid
         entry["priority"], entry["attached_ns"] = priority, time.monotonic_ns()
-        mem.clients[0]["priority"][guest.slot] = priority
-        person = mem.people[guest.slot]
-        person["mailbox"] = np.frombuffer(guest.mailbox, np.uint8).ctypes.data  # type: ignore[arg-type]
-        person["number"] = entry["number"] = guest.number
-        store_release(self._slot_state(guest.slot), m.JOINING)
+        mem.clients[0]["priority"][connection.slot] = priority
+        client_run = mem.client_runs[connection.slot]
+        client_run["mailbox"] = np.frombuffer(connection.mailbox, np.uint8).ctypes.data  # type: ignore[arg-type]
+        client_run["number"] = entry["number"] = connection.number
+        store_release(self._slot_state(connection.slot), m.JOINING)
         self._wake_loop()
 
     def _await_joined(self, slot: int) -> None:
@@ -244,8 +248,8 @@ class Reception:
 
     def dismiss_clients(self, loop: threading.Thread) -> None:
         """Let the loop say that all clients are gone; what they hold becomes safe."""
-        for slot, guest in enumerate(self._slots):
-            if guest is not None and guest.joined and guest.slot >= 0:
+        for slot, connection in enumerate(self._slots):
+            if connection is not None and connection.joined and connection.slot >= 0:
                 store_release(self._slot_state(slot), m.LEAVING)
         self._wake_loop()
         deadline = time.monotonic() + LAST_ROUND_S
@@ -256,8 +260,8 @@ class Reception:
 
     def close(self) -> None:
         """End all connections, and those that nobody accepted yet."""
-        for guest in self._unique_guests():
-            guest.close(self._disposal)
+        for connection in self._unique_connections():
+            connection.close(self._disposal)
         self._disposal.part_listener(self._listener)
         with contextlib.suppress(OSError):
             self._disposal.look()

@@ -13,12 +13,12 @@ from surffollow.shm.jit import jit
 @jit
 def end_wait(mem: Any, resource: Any, slot: Any, t_ns: Any) -> None:
     """A client stands in a resource's queue no more: how long it waited goes to board and history."""
-    person, status = mem.people[slot], mem.status[resource]
-    if person.queued_ns[resource] == 0:
+    client_run, status = mem.client_runs[slot], mem.status[resource]
+    if client_run.queued_ns[resource] == 0:
         return
-    waited_ns = t_ns - person.queued_ns[resource]
-    person.queued_ns[resource] = 0
-    person.waited_ns = max(person.waited_ns, waited_ns)
+    waited_ns = t_ns - client_run.queued_ns[resource]
+    client_run.queued_ns[resource] = 0
+    client_run.waited_ns = max(client_run.waited_ns, waited_ns)
     status.waited_ns = max(status.waited_ns, waited_ns)
     mem.event[0].command[0] = 1e-9 * waited_ns
     p.tell_waited(mem, slot)
@@ -45,13 +45,13 @@ def carry_out(mem: Any, resource: Any, effect: Any, t_ns: Any) -> None:
     elif action == t.UNASK:
         p.tell_asked(mem, slot, resource, 0)
     elif action == t.ENQUEUE:
-        if mem.people[slot].queued_ns[resource] == 0:
-            mem.people[slot].queued_ns[resource] = t_ns
+        if mem.client_runs[slot].queued_ns[resource] == 0:
+            mem.client_runs[slot].queued_ns[resource] = t_ns
     elif action == t.DEQUEUE:
         end_wait(mem, resource, slot, t_ns)
     elif action == t.DENY:
         status.denied += 1
-        mem.people[slot].denied += 1
+        mem.client_runs[slot].denied += 1
     elif action == t.SAFE:
         p.publish_safe(mem, resource, t_ns)
     elif action == t.FORWARD:

@@ -33,7 +33,7 @@ def note_bells(mem: Any) -> Any:
     for slot in range(al.CLIENTS):
         state = at.load_acquire_i64(ctx.ctypes.data + 8 * (m.SLOT_STATE + slot))
         if state in (m.JOINING, m.IN):
-            bell = mem.people[slot].mailbox + _BELL
+            bell = mem.client_runs[slot].mailbox + _BELL
             waiters[n, 0], waiters[n, 1] = at.load_acquire_i64(bell) & _LOW_HALF, bell
             waiters[n, 2] = FUTEX_32
             n += 1

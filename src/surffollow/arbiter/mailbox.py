@@ -41,18 +41,18 @@ def note(mem: Any, t_ns: Any, slot: Any, event: Any) -> None:
 @jit
 def join(mem: Any, slot: Any, t_ns: Any) -> None:
     """A client was given this slot; the main thread filled in its mailbox, number and priority."""
-    person = mem.people[slot]
-    person.tail = person.beat = 0  # as the mailbox was made; its client may have begun already
-    person.seen_ns = t_ns
-    person.changed = person.broken = person.denied = person.waited_ns = 0
-    person.log_ns = t_ns - p.LOG_BURST_NS
+    client_run = mem.client_runs[slot]
+    client_run.tail = client_run.beat = 0  # as the mailbox was made; its client may have begun already
+    client_run.seen_ns = t_ns
+    client_run.changed = client_run.broken = client_run.denied = client_run.waited_ns = 0
+    client_run.log_ns = t_ns - p.LOG_BURST_NS
     for r in range(mem.ctx[m.N_RESOURCES]):
-        person.queued_ns[r] = 0
+        client_run.queued_ns[r] = 0
         forget_client(mem.machines[r : r + 1], slot)
         p.tell_held(mem, slot, r, 0)
     # what the slot's last client was answered must not answer this one
     p.answer(mem, t_ns, slot, 0, 0, 0, 0)
-    person.changed = 0
+    client_run.changed = 0
     mem.clients[0].live[slot] = 1
     note(mem, t_ns, slot, al.EVENT_ATTACH)
     tell(mem, slot)
@@ -67,7 +67,7 @@ def leave(mem: Any, slot: Any, t_ns: Any) -> None:
         happen(mem, r, t.GONE, slot, 0, 0, t_ns)
         forget_client(mem.machines[r : r + 1], slot)
     note(mem, t_ns, slot, al.EVENT_DETACH)
-    mem.people[slot].changed = 0
+    mem.client_runs[slot].changed = 0
     at.store_release_i64(p.entry_of(mem, slot) + _NUMBER, 0)
     at.store_release_i64(mem.ctx.ctypes.data + 8 * (m.SLOT_STATE + slot), m.LEFT)
 
@@ -75,28 +75,28 @@ def leave(mem: Any, slot: Any, t_ns: Any) -> None:
 @jit
 def tell(mem: Any, slot: Any) -> None:
     """Publish a client's counters."""
-    entry, person = p.entry_of(mem, slot), mem.people[slot]
+    entry, client_run = p.entry_of(mem, slot), mem.client_runs[slot]
     at.store_relaxed_i64(entry + _LIVE, mem.clients[0].live[slot])
-    at.store_relaxed_i64(entry + _DENIED, person.denied)
+    at.store_relaxed_i64(entry + _DENIED, client_run.denied)
     p.tell_waited(mem, slot)
-    at.store_relaxed_i64(entry + _BROKEN, person.broken)
-    at.store_release_i64(entry + _CONSUMED, person.tail)
+    at.store_relaxed_i64(entry + _BROKEN, client_run.broken)
+    at.store_release_i64(entry + _CONSUMED, client_run.tail)
 
 
 @jit
 def watch_lease(mem: Any, slot: Any, says_something: Any, t_ns: Any) -> None:
     """See whether the client lives: any change of its heartbeat counts, and any item in its mailbox."""
-    person, ctx = mem.people[slot], mem.ctx
-    beat = at.load_relaxed_i64(person.mailbox + _BEAT)
-    if beat != person.beat or says_something:
-        person.beat, person.seen_ns = beat, t_ns
+    client_run, ctx = mem.client_runs[slot], mem.ctx
+    beat = at.load_relaxed_i64(client_run.mailbox + _BEAT)
+    if beat != client_run.beat or says_something:
+        client_run.beat, client_run.seen_ns = beat, t_ns
         if mem.clients[0].live[slot] == 0:
             mem.clients[0].live[slot] = 1
             note(mem, t_ns, slot, al.EVENT_LEASE_BACK)
             tell(mem, slot)
     else:
         # while the server itself stood still nobody could be seen
-        silent_ns = t_ns - max(person.seen_ns, ctx[m.RESUMED_NS])
+        silent_ns = t_ns - max(client_run.seen_ns, ctx[m.RESUMED_NS])
         if mem.clients[0].live[slot] != 0 and silent_ns > ctx[m.LEASE_NS]:
             mem.clients[0].live[slot] = 0
             for r in range(ctx[m.N_RESOURCES]):
@@ -135,7 +135,7 @@ def take_item(mem: Any, slot: Any, t_ns: Any) -> None:
     item, ctx = mem.item[0], mem.ctx
     what, resource = item.what & 0xFF, (item.what >> 8) & 0xFF
     if resource >= ctx[m.N_RESOURCES] or what < al.ITEM_REQUEST or what > al.ITEM_RELINQUISH:
-        mem.people[slot].broken += 1
+        mem.client_runs[slot].broken += 1
         if p.may_log(mem, t_ns, slot) != 0:
             note(mem, t_ns, slot, al.EVENT_BROKEN)
     elif what == al.ITEM_COMMAND:
@@ -150,23 +150,23 @@ def take_item(mem: Any, slot: Any, t_ns: Any) -> None:
 @jit
 def drain(mem: Any, slot: Any, t_ns: Any) -> None:
     """See whether a client lives, and take all items that are in its mailbox."""
-    person = mem.people[slot]
-    head = at.load_acquire_i64(person.mailbox + _HEAD)
-    waiting = head - person.tail
+    client_run = mem.client_runs[slot]
+    head = at.load_acquire_i64(client_run.mailbox + _HEAD)
+    waiting = head - client_run.tail
     watch_lease(mem, slot, waiting != 0, t_ns)
     if waiting == 0:
         return
     if waiting < 0 or waiting > _CAPACITY:
-        person.tail = head
-        person.broken += 1
+        client_run.tail = head
+        client_run.broken += 1
         if p.may_log(mem, t_ns, slot) != 0:
             note(mem, t_ns, slot, al.EVENT_BROKEN)
         tell(mem, slot)
         return
     item = mem.item.ctypes.data
     for k in range(waiting):
-        place = (person.tail + k) & (_CAPACITY - 1)
-        copy_words_out(person.mailbox + _ITEMS + _ITEM_BYTES * place, _ITEM_WORDS, item)
+        place = (client_run.tail + k) & (_CAPACITY - 1)
+        copy_words_out(client_run.mailbox + _ITEMS + _ITEM_BYTES * place, _ITEM_WORDS, item)
         take_item(mem, slot, t_ns)
-    person.tail = head
+    client_run.tail = head
     tell(mem, slot)

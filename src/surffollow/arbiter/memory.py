@@ -125,7 +125,7 @@ class CommandSlot(Schema):
 
 Memory = namedtuple(  # type: ignore[name-match]
     "Memory",
-    "ctx table machines clients happening effects runs combinations people status item item_words "
+    "ctx table machines clients happening effects runs combinations client_runs status item item_words "
     "event slot reply scratch waiters",
 )
 
@@ -148,7 +148,7 @@ def make_memory() -> Any:
         effects=zeros(Effect, MAX_EFFECTS),
         runs=zeros(ResourceRun, RESOURCES),
         combinations=zeros(CombinationRun, RESOURCES),
-        people=zeros(ClientRun, CLIENTS),
+        client_runs=zeros(ClientRun, CLIENTS),
         status=status,
         item=item,
         item_words=item.view(np.int64),

@@ -48,14 +48,14 @@ def log_event(mem: Any, t_ns: Any, slot: Any, resource: Any, event: Any, token: 
     ctx[m.HISTORY_SEQ] += 1
     e.seq, e.t_ns, e.resource, e.event = ctx[m.HISTORY_SEQ], t_ns, resource, event
     e.token, e.reason = token, reason
-    e.client = mem.people[slot].number if slot >= 0 else 0
+    e.client = mem.client_runs[slot].number if slot >= 0 else 0
     log_append(ctx[m.HISTORY], ctx[m.HISTORY_WORDS], mem.event.ctypes.data, _EVENT_WORDS)
 
 
 @jit
 def may_log(mem: Any, t_ns: Any, slot: Any) -> Any:
     """Whether a client's refusals may take one more record of the history."""
-    p = mem.people[slot]
+    p = mem.client_runs[slot]
     p.log_ns = max(p.log_ns, t_ns - LOG_BURST_NS) + LOG_EVERY_NS
     if p.log_ns > t_ns:
         p.log_ns -= LOG_EVERY_NS
@@ -70,10 +70,10 @@ def answer(mem: Any, t_ns: Any, slot: Any, seq: Any, result: Any, token: Any, re
     r.seq, r.result, r.token, r.t_ns = seq, result, token, t_ns
     r.holder = r.holder_priority = 0
     if machine.holder >= 0:
-        r.holder = mem.people[machine.holder].number
+        r.holder = mem.client_runs[machine.holder].number
         r.holder_priority = mem.clients[0].priority[machine.holder]
     latch_write(mem.ctx[m.REPLIES] + _REPLY_LATCH * slot, mem.reply.ctypes.data, _REPLY)
-    mem.people[slot].changed = 1
+    mem.client_runs[slot].changed = 1
 
 
 @jit
@@ -82,21 +82,21 @@ def tell_held(mem: Any, slot: Any, resource: Any, token: Any) -> None:
     desk = desk_of(mem, slot)
     at.store_relaxed_i64(desk + _ASKED + 8 * resource, 0)
     at.store_release_i64(desk + _HELD + 8 * resource, token)
-    mem.people[slot].changed = 1
+    mem.client_runs[slot].changed = 1
 
 
 @jit
 def tell_asked(mem: Any, slot: Any, resource: Any, asked: Any) -> None:
     """Tell a holder that it is to relinquish, or not any more."""
     at.store_release_i64(desk_of(mem, slot) + _ASKED + 8 * resource, asked)
-    mem.people[slot].changed = 1
+    mem.client_runs[slot].changed = 1
 
 
 @jit
 def ring_bells(mem: Any) -> None:
     """Wake every client that was told something."""
     for slot in range(mem.clients[0].n):
-        p = mem.people[slot]
+        p = mem.client_runs[slot]
         if p.changed != 0:
             p.changed = 0
             p.bell += 1
@@ -108,7 +108,7 @@ def ring_bells(mem: Any) -> None:
 @jit
 def tell_waited(mem: Any, slot: Any) -> None:
     """Publish the longest wait of a client."""
-    at.store_relaxed_i64(entry_of(mem, slot) + _WAITED, mem.people[slot].waited_ns)
+    at.store_relaxed_i64(entry_of(mem, slot) + _WAITED, mem.client_runs[slot].waited_ns)
 
 
 @jit
@@ -118,12 +118,12 @@ def publish_status(mem: Any, resource: Any) -> None:
     s.state, s.holder, s.token = machine.state, machine.holder, machine.token
     s.client = s.priority = s.queue = s.waiting_since_ns = 0
     if machine.holder >= 0:
-        s.client = mem.people[machine.holder].number
+        s.client = mem.client_runs[machine.holder].number
         s.priority = mem.clients[0].priority[machine.holder]
     for c in range(mem.clients[0].n):
         if machine.ticket[c] != 0:
             s.queue += 1
-            since_ns = mem.people[c].queued_ns[resource]
+            since_ns = mem.client_runs[c].queued_ns[resource]
             if s.waiting_since_ns == 0 or since_ns < s.waiting_since_ns:
                 s.waiting_since_ns = since_ns
     s.command_ns = mem.runs[resource].command_ns
@@ -164,7 +164,7 @@ def forward(mem: Any, resource: Any, slot: Any, token: Any, t_ns: Any) -> None:
     run.command_ns, run.late = min(item.t_ns, t_ns), 0  # its time runs from when it was made
     run.valid_until_ns = run.command_ns + run.ttl_ns
     c.seq, c.t_ns, c.valid_until_ns = run.command_seq, item.t_ns, run.valid_until_ns
-    c.source, c.flags, c.client, c.token = al.SOURCE_HOLDER, 0, mem.people[slot].number, token
+    c.source, c.flags, c.client, c.token = al.SOURCE_HOLDER, 0, mem.client_runs[slot].number, token
     c.ref_t_ns, c.n_values = item.ref_t_ns, run.n_values
     for k in range(_VALUES):
         value = 0.0
