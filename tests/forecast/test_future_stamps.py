@@ -7,18 +7,26 @@ import pytest
 
 from surffollow import Follower
 from surffollow.benchmark.hazards import FAR_M, NEAR_M, STANDOFF_M, PLoop, draw, play
-from surffollow.follower.future_stamps import FutureStamps
+from surffollow.follower.future_stamps import FutureStamps, KnownTime
 
 MS = 1_000_000
 BEGIN = 1000 * MS
 
 
-def fed(ms_range, stamps: FutureStamps, ahead_ms=0, times=True):
+class Sensor(FutureStamps):
+    """Stamps of a sensor with a time of their own."""
+
+    def __init__(self) -> None:
+        self.time = KnownTime()
+        super().__init__(self.time)
+
+
+def fed(ms_range, stamps: Sensor, ahead_ms=0, times=True):
     """Corrections of readings every 4 ms, beside a time told every 10 ms [ms]."""
     out = []
     for ms in ms_range:
         if times and ms % 10 == 0:
-            stamps.tell_time(BEGIN + ms * MS)
+            stamps.time.tell(BEGIN + ms * MS)
         if ms % 4 == 0:
             t = stamps.correct(BEGIN + (ms + ahead_ms) * MS)
             out.append(None if t is None else (t - BEGIN) / MS - ms)
@@ -28,7 +36,7 @@ def fed(ms_range, stamps: FutureStamps, ahead_ms=0, times=True):
 @pytest.mark.parametrize("ahead_ms", [25, 60, 900, 3_600_000])
 def test_stamps_that_jump_ahead_count_as_new_as_usual(ahead_ms):
     """GIVEN usual stamps WHEN all jump ahead THEN few are dropped, and the others are corrected."""
-    stamps = FutureStamps()
+    stamps = Sensor()
     assert set(fed(range(2000), stamps)) == {0}
     found = fed(range(2000, 3000), stamps, ahead_ms)
     assert 0 < found.count(None) <= 5
@@ -39,7 +47,7 @@ def test_stamps_that_jump_ahead_count_as_new_as_usual(ahead_ms):
 
 
 def test_one_stamp_ahead_is_dropped():
-    stamps = FutureStamps()
+    stamps = Sensor()
     fed(range(2000), stamps)
     assert stamps.correct(BEGIN + 2300 * MS) is None
     assert set(fed(range(2004, 2400), stamps)) == {0}
@@ -47,30 +55,30 @@ def test_one_stamp_ahead_is_dropped():
 
 def test_stamps_go_on_while_no_time_is_told():
     """GIVEN poses that stop WHEN readings go on as before THEN their stamps are taken as they are."""
-    stamps = FutureStamps()
+    stamps = Sensor()
     fed(range(2000), stamps)
     assert set(fed(range(2000, 3000), stamps, times=False)) == {0}
 
 
 def test_after_a_pause_of_everything_stamps_are_taken_as_they_are():
     """GIVEN a process that stood still WHEN a reading comes before a pose THEN it alone is dropped."""
-    stamps = FutureStamps()
+    stamps = Sensor()
     fed(range(2000), stamps)
     assert fed([2504], stamps) == [None]
     assert set(fed(range(2510, 3000), stamps)) == {0}
 
 
 def test_stamps_that_were_too_old_for_a_while_are_not_usual():
-    stamps = FutureStamps()
+    stamps = Sensor()
     fed(range(2000), stamps)
     assert set(fed(range(2000, 3000), stamps, -100)) == {-100}
     assert set(fed(range(3000, 4000), stamps)) == {0}
 
 
 def test_the_first_stamps_are_taken_as_they_are():
-    stamps = FutureStamps()
+    stamps = Sensor()
     assert stamps.correct(5) == 5
-    assert set(fed(range(2000), FutureStamps(), 500)) == {500}
+    assert set(fed(range(2000), Sensor(), 500)) == {500}
 
 
 def standard(mode: str = "adaptive") -> Follower:
@@ -100,6 +108,27 @@ def test_state_says_why_until_the_stamps_are_usual_again_or_a_reset():
     assert told[240] == ("OK", "")
     assert told[260:490] == [("SUSPECT", reason)] * 230
     assert told[-1] == ("OK", "")
+
+
+def test_a_new_sensor_beside_a_late_one_is_not_dropped():
+    """GIVEN a sensor 60 ms late WHEN another, that is not late, reads at times THEN its readings enter."""
+    config = {"sensors": [{"near_m": NEAR_M, "far_m": FAR_M}, {"near_m": NEAR_M, "far_m": FAR_M}]}
+    f = Follower(config, offset_m=STANDOFF_M)
+    fresh = []
+    for ms in range(4000):
+        if ms % 10 == 0:
+            f.pose(ms * MS, (1e-4 * ms, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+            f.step((ms - 60) * MS, [0.1, np.nan])
+        if ms % 200 == 5:
+            f.step(ms * MS, [np.nan, 0.09 + 1e-6 * ms])
+            fresh.append(f.state()["range_m"][1])
+    np.testing.assert_allclose(fresh, 0.09 + 1e-6 * np.arange(5, 4000, 200))
+
+
+def test_a_clock_that_begins_anew_is_followed():
+    stamps = Sensor()
+    fed(range(2000, 4000), stamps)
+    assert set(fed(range(0, 2000), stamps)) == {0}
 
 
 def test_the_paper_mode_takes_every_stamp():

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from surffollow.config.params import check_param, param_name
 from surffollow.errors import ConfigError, PoseError, UsageError
-from surffollow.follower.future_stamps import FutureStamps
+from surffollow.follower.future_stamps import FutureStamps, KnownTime
 from surffollow.follower.setup import Config, check_standoff, check_window, read_setup
 from surffollow.forecast.estimation.model_bank import N_CANDIDATES
 from surffollow.forecast.horizon import forecast_range
@@ -109,7 +109,8 @@ class Follower:
         mounts[:, 6] = 1.0
         mounts[: len(setup.mounts)] = setup.mounts
         adaptive = self._params["mode"][0] == MODE_ADAPTIVE
-        self._stamps = FutureStamps() if adaptive else None
+        self._time, self._checks_stamps = KnownTime(), bool(adaptive)
+        self._stamps = [FutureStamps(self._time) for _ in range(CHANNELS)]
         self._memory = new_memory() if setup.remembers and adaptive else None
         check_standoff(self._params[0])
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
@@ -162,8 +163,7 @@ class Follower:
             trial["offset_m"] = check_param("offset_m", offset_m)
             check_standoff(trial[0])
             self._params[:] = trial
-        if self._stamps is not None:
-            self._stamps = FutureStamps()
+        self._stamps = [FutureStamps(self._time) for _ in range(CHANNELS)]
         before = float(self._scaled["length"])
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
         self._recall_ns = self._recall_interval_ns()
@@ -208,8 +208,8 @@ class Follower:
             raise PoseError(f"pose {p.tolist()} is not finite or its quaternion's norm is not 1")
         if found == TOO_FAR:
             raise PoseError(f"pose {p.tolist()} lies beyond {MOST_POSITION_M:g} m")
-        if self._stamps is not None and found == TAKEN:
-            self._stamps.tell_time(t)
+        if found == TAKEN:
+            self._time.tell(t)
         return bool(found == TAKEN)
 
     def step(self, t_ns: int, ranges_m: Sequence[float] | NDArray[Any]) -> NDArray[np.float64]:
@@ -246,7 +246,7 @@ class Follower:
         except (TypeError, ValueError, OverflowError):
             raise UsageError(f"step takes a list of ranges, not {ranges_m!r}") from None
         t = _kernel_time(t_ns)
-        if self._stamps is not None:
+        if self._checks_stamps:
             t = self._checked_stamp(t, n)
         self._n_ranges[0] = n
         self._t_ns[0] = self._given_t_ns[0] = t
@@ -265,15 +265,15 @@ class Follower:
         return demand
 
     def _checked_stamp(self, t_ns: int, n: int) -> int:
-        """The step's time; a reading whose stamp must be wrong is dropped."""
-        assert self._stamps is not None
-        if all(math.isnan(r) for r in self._given_m[:n].tolist()):
-            self._stamps.tell_time(t_ns)
+        """The step's time; readings whose timestamp must be wrong are dropped."""
+        first = next((c for c, r in enumerate(self._given_m[:n].tolist()) if r == r), None)
+        if first is None:
+            self._time.tell(t_ns)
             return t_ns
-        stamp_ns = self._stamps.correct(t_ns)
+        stamp_ns = self._stamps[first].correct(t_ns)
         if stamp_ns is None:
             self._given_m[:n] = math.nan
-            return self._stamps.known_ns
+            return self._time.newest_ns
         return stamp_ns
 
     def forecast_range_m(self, horizon_s: float) -> float:
@@ -312,7 +312,7 @@ class Follower:
             adaptive = self._state["adaptive"][0]
             out["health"] = HEALTH_NAMES[int(o["health"])]
             out["reason"] = REASON_NAMES[int(o["reason"])]
-            if self._stamps is not None and self._stamps.shift_ns != 0.0 and out["health"] == "OK":
+            if out["health"] == "OK" and any(s.shift_ns != 0.0 for s in self._stamps):
                 out["health"], out["reason"] = "SUSPECT", FUTURE_REASON
             out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
             told: tuple[str, ...] = ("sigma_m", "noise_m", "roughness_m", "late_s", "latency_s", "tau_s")
