@@ -47,7 +47,7 @@ class Loop:
         self.mem = self.server.mem
         for slot, priority in ((LOW, 10), (HIGH, 20)):
             self.mem.clients["live"][0, slot], self.mem.clients["priority"][0, slot] = 1, priority
-            self.mem.attach_client["number"][slot] = slot + 1
+            self.mem.client_runs["number"][slot] = slot + 1
         self.mem.runs["command_ns"][0] = 0
         self.happen(t.RESTART, -1, T0)
         self.server.board.set_state(al.STATE_READY)
@@ -142,7 +142,7 @@ def test_a_wait_in_the_queue_is_logged_from_its_first_moment_with_the_grant_or_l
     left = [e for e in loop.history if e.event == "DEQUEUE"]
     assert [e.client for e in left] == [LOW + 1]
     assert left[0].command[0] == pytest.approx(0.05)
-    assert int(loop.mem.attach_client["waited_ns"][LOW]) == 700 * MS
+    assert int(loop.mem.client_runs["waited_ns"][LOW]) == 700 * MS
     # what holds the resource now has waited for nothing
     loop.happen(t.RELINQUISH, HIGH, T0 + 960 * MS)
     loop.happen(t.REQUEST, LOW, T0 + 970 * MS)
