@@ -14,6 +14,7 @@ from surffollow.forecast.estimation.estimate import INITIALISATION_SAMPLES
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.plant.controller_clock import (
     latch_time,
+    mean_wait_s,
     observe_report,
     open_period,
     period_is_due,
@@ -83,7 +84,7 @@ def distance_ahead(params: Any, adaptive: Any, pose: Any, pose_t_ns: Any) -> Any
     gap = gap_x * kinematics.velocity_x_mps + gap_y * kinematics.velocity_y_mps
     if adaptive.hold.t_ns < kinematics.jump_ns:  # the footprint is in the frame before the jump
         gap = kinematics.speed_mps**2 * (pose_t_ns - adaptive.hold.t_ns) * 1e-9
-    delay_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + params.tick_lead_s
+    delay_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + mean_wait_s(params, adaptive.controller)
     return gap / kinematics.speed_mps + kinematics.speed_mps * delay_s
 
 
@@ -118,7 +119,8 @@ def plan_period(
     open_period(controller, inputs.n_ranges, clock.now_ns)
     latch_ns = latch_time(controller, inputs.n_ranges, clock.now_ns)
     since_pose_m = kinematics.speed_mps * (latch_ns - pose_t_ns) * 1e-9
-    at_latch_m = ahead_m + kinematics.speed_mps * ((latch_ns - clock.now_ns) * 1e-9 - params.tick_lead_s)
+    wait_s = mean_wait_s(params, controller)
+    at_latch_m = ahead_m + kinematics.speed_mps * ((latch_ns - clock.now_ns) * 1e-9 - wait_s)
     bias_m = lookahead.bias_m if another_leads != 0 and leads == 0 else 0.0
     known = collect_preview(adaptive, inputs, max(leads, another_leads), at_latch_m, since_pose_m, bias_m)
     update_share(adaptive, known, leads, model_error(adaptive.plant))
@@ -137,7 +139,8 @@ def target_of_preview(params: Any, adaptive: Any, target_m: Any, standoff_m: Any
     preview = adaptive.preview
     if preview.sensed_periods >= 2:
         rate = (preview.ground_m[1] - preview.ground_m[0]) / PERIOD_S
-        target_m = preview.ground_m[0] + rate * (adaptive.plant.tau_s + params.tick_lead_s) + standoff_m
+        lead_s = adaptive.plant.tau_s + mean_wait_s(params, adaptive.controller)
+        target_m = preview.ground_m[0] + rate * lead_s + standoff_m
     target_m = filter_setpoint(params, adaptive, target_m)
     planned = adaptive.plan.setpoint_m
     if preview.sensed_periods == 0:  # ground that the sensor under the tool has not confirmed

@@ -10,6 +10,7 @@ import math
 from typing import Any
 
 from surffollow.forecast.attitude.plane_fit import reset_plane
+from surffollow.forecast.plant.controller_clock import mean_wait_s
 from surffollow.forecast.pose import rotate
 from surffollow.forecast.setpoint.setpoint_limits import restart_pause_s
 from surffollow.shm.jit import jit
@@ -25,10 +26,8 @@ def predicted_normal(params: Any, adaptive: Any) -> Any:
     It is at most `max_tilt_rad` from the world's z axis: a wrong beam tilts the plane without a bound.
     """
     plane = adaptive.plane
-    ahead = min(
-        max((adaptive.clock.now_ns - plane.t_ns) * 1e-9 + params.tick_lead_s + adaptive.plant.tau_s, 0.0),
-        MAX_PREDICTION_S,
-    )
+    lead_s = mean_wait_s(params, adaptive.controller) + adaptive.plant.tau_s
+    ahead = min(max((adaptive.clock.now_ns - plane.t_ns) * 1e-9 + lead_s, 0.0), MAX_PREDICTION_S)
     sx, sy = plane.slope_x + plane.slope_rate_x_hz * ahead, plane.slope_y + plane.slope_rate_y_hz * ahead
     slope, steepest = math.sqrt(sx * sx + sy * sy), math.tan(params.max_tilt_rad)
     if slope > steepest:

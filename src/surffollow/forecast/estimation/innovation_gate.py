@@ -19,6 +19,8 @@ STANDING_CONFIRMATION_NS = 120_000_000  # agreeing samples over this time need n
 SCALE_GROWTH = 1.3  # of the usual innovation, per outlier that agrees with none
 REJECTED_TOLERANCE = 12  # outliers that agree with none: more than a burst of wrong readings has
 AGREEMENT_SIGMAS = 6.0  # agreeing samples differ by no more noise than this, on ground as steep as 45 degrees
+# two samples confirm a step where more of them take longer than so many time constants of the axis
+CONFIRMATION_TAUS = 0.5
 BURST_TAUS = 0.25  # confirmation is delayed by no more of the axis' time constant
 INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted
 INITIAL_INNER_GATE = 0.125  # the same for the second sample: the first may have been the bad one
@@ -64,8 +66,9 @@ def hold_pending(
         estimate.arc_length_m,
         estimate.height_m + innovation_m,
     )
-    # two samples are enough where steps have stayed
-    few = gate.slot_likelihood < PERMANENT_STEPS
+    # two samples are enough where steps have stayed, and where a third one comes late
+    long = params.step_samples * adaptive.prediction.interval_s > CONFIRMATION_TAUS * adaptive.plant.tau_s
+    few = gate.slot_likelihood < PERMANENT_STEPS or long
     need = min(params.step_samples, 2) if few else params.step_samples
     # in a burst of wrong readings some agree by chance
     more = min(

@@ -24,16 +24,24 @@ def axis_velocity(distance_m: Any, tau_s: Any, a_max_mps2: Any) -> Any:
 
 
 @jit
+def step_axis(
+    tau_s: Any, v_max_mps: Any, a_max_mps2: Any, z_m: Any, v_mps: Any, target_m: Any, dt_s: Any
+) -> Any:
+    """Position and velocity of the axis after a time step toward its set point [m, m/s]."""
+    d = target_m - z_m
+    most = min(v_max_mps, abs(d) / dt_s)
+    w = min(max(axis_velocity(d, tau_s, a_max_mps2), -most), most)
+    dv = a_max_mps2 * dt_s
+    v_mps += min(max(w - v_mps, -dv), dv)
+    return z_m + v_mps * dt_s, v_mps
+
+
+@jit
 def velocity_after_period(params: Any, tau_s: Any, z_m: Any, v_mps: Any, target_m: Any) -> Any:
     """Velocity of the axis one controller period from now with a set point [m/s]."""
-    dt = PERIOD_S / AXIS_STEPS
-    dv = params.plant_a_max_mps2 * dt
+    v_max, a_max, dt = params.plant_v_max_mps, params.plant_a_max_mps2, PERIOD_S / AXIS_STEPS
     for _ in range(AXIS_STEPS):
-        d = target_m - z_m
-        most = min(params.plant_v_max_mps, abs(d) / dt)
-        w = min(max(axis_velocity(d, tau_s, params.plant_a_max_mps2), -most), most)
-        v_mps += min(max(w - v_mps, -dv), dv)
-        z_m += v_mps * dt
+        z_m, v_mps = step_axis(tau_s, v_max, a_max, z_m, v_mps, target_m, dt)
     return v_mps
 
 

@@ -65,6 +65,17 @@ def latch_time(controller: Any, ranges_given: Any, now_ns: Any) -> Any:
 
 
 @jit
+def mean_wait_s(params: Any, controller: Any) -> Any:
+    """Mean time from a demand to its effect: half a controller period, `tick_lead_s` at most [s].
+
+    A controller reports its pose once per period.
+    """
+    if controller.interval_ns <= 0.0:
+        return params.tick_lead_s
+    return min(params.tick_lead_s, 0.5e-9 * controller.interval_ns)
+
+
+@jit
 def open_period(controller: Any, ranges_given: Any, now_ns: Any) -> None:
     """Set the latch time of the period that has just begun; until then its demand may change."""
     controller.latch_ns[(controller.periods - 1) & (N_PERIODS - 1)] = latch_time(
@@ -83,7 +94,8 @@ def observe_report(controller: Any, poses: Any, now_ns: Any) -> None:
         return
     dt = now_ns - controller.report_ns
     if 0 < dt < REPORT_TIMEOUT_NS:
-        controller.interval_ns += PERIOD_RATE * (dt - controller.interval_ns)
+        rate = PERIOD_RATE if controller.interval_ns > 0.0 else 1.0
+        controller.interval_ns += rate * (dt - controller.interval_ns)
     controller.report_ns, controller.report_count = now_ns, poses
     if controller.latch_pending != 0:
         controller.latch_ns[(controller.periods - 1) & (N_PERIODS - 1)] = now_ns - LATCH_DELAY_NS
@@ -96,6 +108,20 @@ def begin_period(controller: Any, now_ns: Any) -> None:
     controller.latch_ns[controller.periods & (N_PERIODS - 1)] = now_ns
     controller.periods += 1
     controller.period_ns = now_ns
+
+
+@jit
+def oldest_period(controller: Any) -> Any:
+    """Number of the oldest period that the rings hold."""
+    return max(0, controller.periods - N_PERIODS)
+
+
+@jit
+def period_at(controller: Any, k: Any, t_ns: Any) -> Any:
+    """Number of the newest period that is latched at a time, from period k on."""
+    while k + 1 < controller.periods and controller.latch_ns[(k + 1) & (N_PERIODS - 1)] <= t_ns:
+        k += 1
+    return k
 
 
 @jit

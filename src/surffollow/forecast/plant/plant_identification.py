@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.forecast.plant.axis_model import axis_velocity
+from surffollow.forecast.plant.axis_model import step_axis
+from surffollow.forecast.plant.controller_clock import oldest_period, period_at
 from surffollow.forecast.plant.shadow_axes import AXIS_STEP_NS, MAX_AXIS_GAP_NS
 from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit
@@ -51,17 +52,12 @@ def predict_axis(params: Any, adaptive: Any, to_ns: Any) -> Any:
         return z, v
     steps = max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1)
     dt = span * 1e-9 / steps
-    a_max = params.plant_a_max_mps2
-    j = max(0, controller.periods - N_PERIODS)
+    a_max, v_max = params.plant_a_max_mps2, params.plant_v_max_mps
+    j = oldest_period(controller)
     for n in range(steps):
-        t = plant.t_ns + (span * n) // steps
-        while j + 1 < controller.periods and controller.latch_ns[(j + 1) & (N_PERIODS - 1)] <= t:
-            j += 1
-        d = plant.setpoint_m[j & (N_PERIODS - 1)] - z
-        most = min(params.plant_v_max_mps, abs(d) / dt)
-        w = min(max(axis_velocity(d, plant.tau_s, a_max), -most), most)
-        v += min(max(w - v, -a_max * dt), a_max * dt)
-        z += v * dt
+        j = period_at(controller, j, plant.t_ns + (span * n) // steps)
+        target = plant.setpoint_m[j & (N_PERIODS - 1)]
+        z, v = step_axis(plant.tau_s, v_max, a_max, z, v, target, dt)
     return z, v
 
 
@@ -73,20 +69,15 @@ def propagate_axes(params: Any, adaptive: Any, to_ns: Any) -> None:
     steps = max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1)
     dt = span * 1e-9 / steps
     a_max, v_max = params.plant_a_max_mps2, params.plant_v_max_mps
-    dv = a_max * dt
-    j = max(0, controller.periods - N_PERIODS)
+    j = oldest_period(controller)
     for n in range(steps):
-        t = plant.t_ns + (span * n) // steps
-        while j + 1 < controller.periods and controller.latch_ns[(j + 1) & (N_PERIODS - 1)] <= t:
-            j += 1
+        j = period_at(controller, j, plant.t_ns + (span * n) // steps)
         target = plant.setpoint_m[j & (N_PERIODS - 1)]
         for k in range(N_PLANTS):
             tau = plant.tau_configured_s * TAU_RATIO ** (k - N_PLANTS // 2)
-            d = target - plant.position_m[k]
-            most = min(v_max, abs(d) / dt)
-            w = min(max(axis_velocity(d, tau, a_max), -most), most)
-            plant.velocity_mps[k] += min(max(w - plant.velocity_mps[k], -dv), dv)
-            plant.position_m[k] += plant.velocity_mps[k] * dt
+            plant.position_m[k], plant.velocity_mps[k] = step_axis(
+                tau, v_max, a_max, plant.position_m[k], plant.velocity_mps[k], target, dt
+            )
     plant.axis_m, plant.axis_mps = predict_axis(params, adaptive, to_ns)
     plant.t_ns = to_ns
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from surffollow.forecast.estimation.model_bank import N_CANDIDATES
-from surffollow.forecast.plant.axis_model import axis_velocity
+from surffollow.forecast.plant.axis_model import step_axis
+from surffollow.forecast.plant.controller_clock import oldest_period, period_at
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
@@ -42,22 +43,15 @@ def propagate_shadows(params: Any, adaptive: Any, from_ns: Any, to_ns: Any) -> N
     steps = min(max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1), MAX_AXIS_STEPS)
     dt = span * 1e-9 / steps
     tau, v_max, a_max = max(adaptive.plant.tau_s, MIN_TAU_S), params.plant_v_max_mps, params.plant_a_max_mps2
-    dv = a_max * dt
-    k = max(0, controller.periods - N_PERIODS)
+    k = oldest_period(controller)
     for j in range(steps):
-        t = from_ns + (span * j) // steps
-        while k + 1 < controller.periods and controller.latch_ns[(k + 1) & (N_PERIODS - 1)] <= t:
-            k += 1
+        k = period_at(controller, k, from_ns + (span * j) // steps)
         slot = k & (N_PERIODS - 1)
         for i in range(N_CANDIDATES):
-            d = shadow.setpoint_m[i * N_PERIODS + slot] - shadow.position_m[i]
-            w = axis_velocity(d, tau, a_max)
-            most = min(v_max, abs(d) / dt)
-            w = min(max(w, -most), most)
-            v = shadow.velocity_mps[i]
-            v += min(max(w - v, -dv), dv)
-            shadow.velocity_mps[i] = v
-            shadow.position_m[i] += v * dt
+            target = shadow.setpoint_m[i * N_PERIODS + slot]
+            shadow.position_m[i], shadow.velocity_mps[i] = step_axis(
+                tau, v_max, a_max, shadow.position_m[i], shadow.velocity_mps[i], target, dt
+            )
 
 
 @jit

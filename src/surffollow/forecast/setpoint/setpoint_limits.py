@@ -2,8 +2,8 @@
 
 Each cycle takes the greatest acceleration from which the set point can still be brought to rest at its
 target. When it can reach the target in this cycle and stop in the next one, it does; the next cycle is taken
-to be as short as the shortest one lately. Toward the surface the limits of velocity and acceleration are
-multiplied by `toward_factor`.
+to be as short as the shortest one lately. Just behind a fall of the ground, which may be a slot, the limits
+of velocity and acceleration toward the surface are multiplied by `toward_factor`.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ VELOCITY_RATIO, ACCELERATION_RATIO = (
     2.0,
     20.0,
 )  # to the limits of the axis: quicker set points add effort only
+SLOT_WAYS = 12.0  # of `step_way`: length of slots and of their groups, behind the last fall of the ground
 SETTLED_M, SETTLED_MPS = 1e-3, 0.02  # distance and rate within which a set point is back from a plan
 BISECTIONS = 8  # resolution: 1/256 of the change that the jerk allows in a cycle
 
@@ -134,13 +135,20 @@ def has_settled(params: Any, setpoint: Any, e_m: Any) -> Any:
 
 
 @jit
+def may_be_slot(params: Any, gate: Any) -> Any:
+    """Whether the tool is just behind a confirmed fall of the ground."""
+    return gate.step_m < 0.0 and gate.travel_since_step_m < SLOT_WAYS * params.step_way_m
+
+
+@jit
 def propagate_setpoint(params: Any, adaptive: Any, target_m: Any, dt_s: Any) -> None:
     """Move the set point for a time at one acceleration."""
     setpoint, preview = adaptive.setpoint, adaptive.preview
     e = target_m - setpoint.position_m
     if preview.share > setpoint.preview_share or has_settled(params, setpoint, e):
         setpoint.preview_share = preview.share
-    direction, factor = (1.0, 1.0) if e >= 0.0 else (-1.0, params.toward_factor)
+    direction = 1.0 if e >= 0.0 else -1.0
+    factor = params.toward_factor if e < 0.0 and may_be_slot(params, adaptive.gate) else 1.0
     accel = direction * next_acceleration(
         direction * e,
         direction * setpoint.velocity_mps,

@@ -1,0 +1,62 @@
+"""Waiting time of a demand, samples that confirm a step, and limits behind a fall."""
+
+from __future__ import annotations
+
+import pytest
+
+from surffollow.forecast.estimation.innovation_gate import hold_pending
+from surffollow.forecast.plant.controller_clock import mean_wait_s, observe_report
+from surffollow.forecast.setpoint.setpoint_limits import SLOT_WAYS, limit_setpoint
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import AdaptiveState
+
+from .feeding import MS, default_params
+
+TAU_S = 0.04
+
+
+@pytest.mark.parametrize(("interval_ms", "wait_s"), [(4, 0.002), (10, 0.005), (40, 0.005)])
+def test_a_demand_waits_for_half_the_interval_of_reports_and_for_no_more_than_the_parameter(
+    interval_ms: int, wait_s: float
+) -> None:
+    controller = zeros(AdaptiveState)[0]["controller"]
+    assert mean_wait_s(default_params(), controller) == default_params()["tick_lead_s"]  # no report yet
+    for k in range(1, 6):
+        observe_report(controller, k, k * interval_ms * MS + 10**9)
+    assert mean_wait_s(default_params(), controller) == pytest.approx(wait_s)
+
+
+def samples_that_confirm(interval_s: float) -> int:
+    """How many agreeing samples 10 mm above the estimate confirm a step toward the tool."""
+    a = zeros(AdaptiveState)[0]
+    a["prediction"]["interval_s"], a["plant"]["tau_s"] = interval_s, TAU_S
+    a["gate"]["slot_likelihood"] = 1.0
+    for n in range(1, 10):
+        a["estimate"]["sample_ns"] += int(interval_s * 1e9)
+        if hold_pending(default_params(), a, 0.01, 1e-4, 1e-3, False, 1):
+            return n
+    return 0
+
+
+def test_two_samples_confirm_a_step_when_three_take_longer_than_half_the_time_constant() -> None:
+    assert samples_that_confirm(0.004) == default_params()["step_samples"] == 3
+    assert samples_that_confirm(0.99 * TAU_S / 6) == 3
+    assert samples_that_confirm(1.01 * TAU_S / 6) == 2
+
+
+def descent_after_50_ms(step_m: float, travel_m: float) -> float:
+    """How far the setpoint descends toward a target 50 mm below [m]."""
+    a = zeros(AdaptiveState)[0]
+    a["gate"]["step_m"], a["gate"]["travel_since_step_m"] = step_m, travel_m
+    for k in range(51):
+        limit_setpoint(default_params(), a, 10**9 + k * MS, -0.05, 0.0)
+    return -float(a["setpoint"]["position_m"])
+
+
+def test_the_setpoint_descends_slower_just_behind_a_fall_because_it_may_be_a_slot() -> None:
+    """GIVEN a confirmed fall, WHEN the tool is within the length of slots, THEN limits are halved."""
+    length = SLOT_WAYS * float(default_params()["step_way_m"])
+    free = descent_after_50_ms(0.0, 0.0)
+    assert descent_after_50_ms(-0.01, 0.9 * length) == pytest.approx(0.5 * free, rel=0.1)
+    assert descent_after_50_ms(-0.01, 1.1 * length) == free
+    assert descent_after_50_ms(+0.01, 0.0) == free
