@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -19,11 +18,11 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from report import bar, finish, machine
+from report import bar, finish, result
+from service_process import service_process
 from surffollow.client.board import Board
 from surffollow.client.histogram_report import percentile_ns
 from surffollow.shm.layout_board import Stats
-from surffollow.shm.objects import unlink
 
 RUNS, SECONDS = 5, 6.0
 P50_NS = 2000.0
@@ -35,26 +34,12 @@ def daemon_run(name: str, seconds: float) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "bench.toml"
         config.write_text('period = "1 ms"\n[map]\ngrids = 10000\n', encoding="utf-8")
-        process = subprocess.Popen(
-            [sys.executable, "-m", "surffollow", "start", "--quiet", "--name", name, "--config", str(config)],
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert process.stdout is not None
-        try:
-            line = process.stdout.readline()
-            if not line.startswith("READY"):
-                raise SystemExit(f"the service did not become READY: {line!r}")
+        with service_process(name, config):
             board = Board(name)
             before = board.plain("stats", Stats)
             time.sleep(seconds)
             after = board.plain("stats", Stats)
             board.close()
-        finally:
-            process.send_signal(signal.SIGTERM)
-            process.wait(timeout=20)
-            for part in ("", ".sock", ".lock", ".map"):
-                unlink(name + part)
     counts = [b - a for a, b in zip(before["lateness"], after["lateness"])]
     return {
         "lateness": counts,
@@ -116,14 +101,9 @@ def main() -> dict[str, Any]:
         )
         pairs = ", ".join(f"{a:.0f}/{b:.0f}" for a, b in each)
         notes.append(f"p99 per run, daemon/cyclictest [µs]: {pairs}")
-    return {
-        "what": f"wake-up lateness at 1 kHz, {RUNS} runs of {SECONDS:g} s alternating with cyclictest",
-        "machine": machine(),
-        "daemon_ns": {str(q): v for q, v in ours.items()},
-        "cyclictest_ns": {str(q): v for q, v in theirs.items()} if measured else None,
-        "cycles": cycles,
-        "overruns": overruns,
-        "bars": [
+    return result(
+        f"wake-up lateness at 1 kHz, {RUNS} runs of {SECONDS:g} s alternating with cyclictest",
+        [
             bar("lateness p50", ours[0.5], P50_NS, "ns"),
             bar(
                 "lateness p99 against cyclictest's",
@@ -133,8 +113,12 @@ def main() -> dict[str, Any]:
                 why,
             ),
         ],
-        "notes": notes,
-    }
+        notes,
+        daemon_ns={str(q): v for q, v in ours.items()},
+        cyclictest_ns={str(q): v for q, v in theirs.items()} if measured else None,
+        cycles=cycles,
+        overruns=overruns,
+    )
 
 
 if __name__ == "__main__":
