@@ -8,9 +8,6 @@ never beside them. Without cyclictest or the right to SCHED_FIFO that bar is not
 from __future__ import annotations
 
 import os
-import re
-import shutil
-import subprocess
 import sys
 import tempfile
 import time
@@ -18,6 +15,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from cyclictest import cyclictest_run, percentile_us
 from report import bar, finish, result
 from service_process import service_process
 from surffollow.client.board import Board
@@ -48,35 +46,6 @@ def daemon_run(name: str, seconds: float) -> dict[str, Any]:
     }
 
 
-def cyclictest_run(seconds: float) -> tuple[Counter[int], str]:
-    """Histogram [µs → count] of one cyclictest run, or empty and why there is none."""
-    if shutil.which("cyclictest") is None:
-        return Counter(), "cyclictest is not installed"
-    line = ["cyclictest", "-p", "80", "-i", "1000", "-q", "-t", "1", "-l", str(int(seconds * 1000))]
-    got = subprocess.run([*line, "-h", str(HISTOGRAM_US)], capture_output=True, text=True)
-    if got.returncode:
-        return (
-            Counter(),
-            f"cyclictest is not permitted: {(got.stderr or got.stdout).strip().splitlines()[-1]}",
-        )
-    rows = re.findall(r"^(\d{6,}) (\d+)$", got.stdout, re.MULTILINE)
-    overflow = re.search(r"Histogram Overflows: (\d+)", got.stdout)
-    counts = Counter({int(us): int(n) for us, n in rows if int(n)})
-    if overflow and int(overflow[1]):
-        counts[HISTOGRAM_US] += int(overflow[1])
-    return counts, ""
-
-
-def counter_percentile_us(counts: Counter[int], fraction: float) -> float:
-    """The value below or at which a fraction of the counts lie, upper edge of its µs bin."""
-    wanted, seen = fraction * sum(counts.values()), 0
-    for us in sorted(counts):
-        seen += counts[us]
-        if seen >= wanted:
-            return float(us + 1)
-    return float("nan")
-
-
 def main() -> dict[str, Any]:
     """Alternate, measure and hold against the bars."""
     name = f"bench-late-{os.getpid()}"
@@ -87,11 +56,12 @@ def main() -> dict[str, Any]:
         run = daemon_run(name, SECONDS)
         total = [a + b for a, b in zip(total, run["lateness"])]
         cycles, overruns = cycles + run["cycles"], overruns + run["overruns"]
-        counts, why = cyclictest_run(SECONDS)
+        counts, why = cyclictest_run(1000, HISTOGRAM_US, "-t", "1", "-l", str(int(SECONDS * 1000)))
         cyclic += counts
-        each.append((percentile_ns(run["lateness"], 0.99) / 1e3, counter_percentile_us(counts, 0.99)))
+        each.append((percentile_ns(run["lateness"], 0.99) / 1e3, percentile_us(counts, 0.99) + 1.0))
     ours = {q: percentile_ns(total, q) for q in (0.5, 0.99, 0.999)}
-    theirs = {q: 1e3 * counter_percentile_us(cyclic, q) for q in (0.5, 0.99, 0.999)}
+    # the daemon's bins count with their upper edges
+    theirs = {q: 1e3 * (percentile_us(cyclic, q) + 1.0) for q in (0.5, 0.99, 0.999)}
     measured = bool(cyclic)
     notes = [f"daemon     p50 {ours[0.5]:.0f} ns, p99 {ours[0.99]:.0f} ns, p99.9 {ours[0.999]:.0f} ns"]
     notes.append(f"           {cycles} cycles, {overruns} overruns")
