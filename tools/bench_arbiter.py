@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from arbiter_trials import LEASE_S, PERIOD_S, Nursery, Trials, audited, end, fork
-from report import bar, finish, machine
+from report import bar, finish, result
 from surffollow.arbiter import attach
 from surffollow.arbiter import exchange as ex
 from surffollow.arbiter import layout as al
@@ -293,7 +293,7 @@ def main() -> dict[str, Any]:
         f"the limit of a kill is lease + period + {SCHEDULING_S:g} s of scheduling",
         f"seed {words.seed}",
     ]
-    return {"what": "arbiter", "machine": machine(), "bars": bars, "notes": notes, **figures}
+    return result("arbiter", bars, notes, **figures)
 
 
 if __name__ == "__main__":

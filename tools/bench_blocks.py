@@ -23,7 +23,7 @@ import time
 from typing import Any
 
 from block_trials import LEASE_S, Trials, ask_fifo
-from report import bar, finish, machine
+from report import bar, finish, result
 from surffollow.blocks import I64, Block, mem_attach
 from surffollow.shm.objects import unlink
 
@@ -104,14 +104,9 @@ def main() -> dict[str, Any]:
         )
     if trials.overlap_ms:
         notes.append(f"a write among overlapping readers: max {max(trials.overlap_ms):.2f} ms")
-    return {
-        "what": f"user blocks: {o.trials} trials of deaths, and uncontended calls",
-        "machine": machine(),
-        "calls_us": calls,
-        "scheduling": granted,
-        "waited_for_dead": len(late),
-        "died_within_a_slot": trials.half,
-        "bars": [
+    return result(
+        f"user blocks: {o.trials} trials of deaths, and uncontended calls",
+        [
             bar("dead reader delays the writer, max", most(late), DEAD_READER_MS, "ms"),
             bar("stopped reader, beyond its lease, max", most(beyond), DEAD_READER_MS, "ms"),
             bar("torn reads", trials.torn, 0, ""),
@@ -122,8 +117,12 @@ def main() -> dict[str, Any]:
             bar("uncontended write p50", calls["write"][0], CALL_US, "µs"),
             bar("latest p50", calls["latest"][0], LATEST_US, "µs"),
         ],
-        "notes": notes,
-    }
+        notes,
+        calls_us=calls,
+        scheduling=granted,
+        waited_for_dead=len(late),
+        died_within_a_slot=trials.half,
+    )
 
 
 if __name__ == "__main__":

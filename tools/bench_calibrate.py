@@ -6,13 +6,13 @@ python tools/bench_calibrate.py --json
 from __future__ import annotations
 
 import argparse
-import json
 import math
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from report import print_figures
 from surffollow.apps.fit_latency import fit_latency
 from surffollow.apps.fit_mount import beam_of, fit_mount
 from surffollow.apps.fit_range import fit_range
@@ -93,11 +93,7 @@ def main() -> None:
     words.add_argument("--json", action="store_true")
     told = words.parse_args()
     result = measure(told.seeds)
-    if told.json:
-        print(json.dumps(result, indent=2))
-    else:
-        for name, value in result.items():
-            print(f"{name:24} {value:.4g}")
+    print_figures(result, told.json)
 
 
 if __name__ == "__main__":

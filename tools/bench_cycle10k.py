@@ -7,18 +7,18 @@ at the same period and priority. The service's figures are differences of its ow
 from __future__ import annotations
 
 import argparse
-import re
-import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
+from cyclictest import cyclictest_run, percentile_us  # noqa: E402
 from report import bar, finish  # noqa: E402
 from running_service import POSE, Service, config_text  # noqa: E402
 from surffollow.client.histogram_report import percentile_ns  # noqa: E402
@@ -56,32 +56,6 @@ def segment(client: Any, seconds: float, busy: bool, total: dict[str, Any]) -> N
         total[key] = [a + b for a, b in zip(total.get(key, [0] * HISTOGRAM_BINS), gained)]
 
 
-def cyclictest(seconds: float, counts: dict[int, int]) -> str:
-    """Add one run's histogram [µs → count]; why there is none, if so."""
-    program = shutil.which("cyclictest")
-    if program is None:
-        return "cyclictest is not installed"
-    words = [program, "-q", "-p", "80", "-i", str(PERIOD_US), "-D", str(max(1, round(seconds))), "-h", "5000"]
-    done = subprocess.run([*words, "-m"], capture_output=True, text=True)
-    if done.returncode != 0:
-        return f"cyclictest: {done.stderr.strip()[:100]}"
-    for us, n in re.findall(r"^(\d{6}) (\d+)", done.stdout, re.M):
-        counts[int(us)] = counts.get(int(us), 0) + int(n)
-    overflow = re.search(r"Histogram Overflows: (\d+)", done.stdout)
-    counts[5000] = counts.get(5000, 0) + (int(overflow[1]) if overflow else 0)
-    return ""
-
-
-def percentile_us(counts: dict[int, int], fraction: float) -> float:
-    """The value below which a fraction of cyclictest's wake-ups lie [µs]."""
-    wanted, seen = fraction * sum(counts.values()), 0
-    for us in sorted(counts):
-        seen += counts[us]
-        if seen >= wanted:
-            return float(us)
-    return float("nan")
-
-
 def figures(total: dict[str, Any]) -> dict[str, Any]:
     out = {k: total[k] for k in ("cycles", "overruns", "skipped")}
     for key in ("lateness", "execution"):
@@ -95,7 +69,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     piece_s = args.seconds / rounds
     alone: dict[str, Any] = {}
     beside: dict[str, Any] = {}
-    wakes: dict[int, int] = {}
+    wakes, absent = Counter[int](), ""
     realtime = f'lock_memory = true\npriority = 80\nspin = "{args.spin}"\n'
     config = config_text(period=f"{PERIOD_US} us", kind="simulated")
     head, _, rest = config.partition("[realtime]\n")
@@ -109,7 +83,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
                     segment(client, piece_s, False, alone)
                     segment(client, piece_s, True, beside)
                     granted = client.status()["main"]["granted"]
-                    absent = "" if args.no_cyclictest else cyclictest(min(piece_s, 10.0), wakes)
+                    if not args.no_cyclictest:
+                        seconds = max(1, round(min(piece_s, 10.0)))
+                        counts, absent = cyclictest_run(PERIOD_US, 5000, "-m", "-D", str(seconds))
+                        wakes += counts
         finally:
             service.purge()
     quiet, busy = figures(alone), figures(beside)

@@ -19,12 +19,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from ipc_others import WAYS, measure
 from report import bar, finish, result
+from service_process import pinned, service_process
 from surffollow.client import DEMAND_BYTES, Client, attach
 from surffollow.shm.cheader import HEADER
 from surffollow.shm.dtypes import zeros
@@ -147,37 +148,15 @@ def pushing_figures(name: str, folder: Path) -> tuple[dict[str, float], dict[str
     return {"push_range_p50_ns": p50, "push_range_p99_ns": p99}, c_modes(name, folder, (("push", 20000),))
 
 
-@contextlib.contextmanager
-def daemon(folder: Path, text: str, name: str) -> Iterator[None]:
-    """A service that runs while the block does."""
-    command = [sys.executable, "-m", "surffollow"]
-    config = folder / f"{name}.toml"
-    # not the last processor, which other services take, and spin on
-    config.write_text(text.replace("CPU", str(min(os.sched_getaffinity(0)))), encoding="utf-8")
-    process = subprocess.Popen(
-        [*command, "start", "--quiet", "--name", name, "--config", str(config)],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        line = process.stdout.readline()
-        if not line.startswith("READY"):
-            raise SystemExit(f"the service did not become READY: {line!r}")
-        yield
-    finally:
-        subprocess.run([*command, "stop", "--name", name, "--purge", "--timeout", "60"], check=False)
-        process.wait(timeout=90)
-
-
 def with_daemon(rounds: int) -> tuple[dict[str, float], dict[str, float]]:
     """Figures of the Python and the C client against one daemon, and of pushed ranges against another."""
     name = f"bench-ipc-{os.getpid()}"
     with tempfile.TemporaryDirectory() as path:
         folder = Path(path)
-        with contextlib.closing(WorldWriter(name)) as world, daemon(folder, CONFIG, name):
+        with contextlib.closing(WorldWriter(name)) as world, service_process(name, pinned(folder, CONFIG)):
             python, c = python_figures(name, rounds, world), c_figures(name, folder, rounds)
-        with daemon(folder, CONFIG.partition("[driver]")[0] + EXTERNAL, f"{name}-out"):
+        config = pinned(folder, CONFIG.partition("[driver]")[0] + EXTERNAL)
+        with service_process(f"{name}-out", config):
             pushed, c_pushed = pushing_figures(f"{name}-out", folder)
     return python | pushed, c | c_pushed
 

@@ -23,7 +23,8 @@ from report import machine
 from surffollow.map import HeightMap
 from surffollow.map.kernels.geometry import reset_begin, reset_step
 from surffollow.map.kernels.grids import add_points, update_map
-from surffollow.map.kernels.refocus import refocus_begin, refocus_step
+from surffollow.map.kernels.refocus import refocus_step
+from surffollow.map.kernels.refocus_plan import refocus_begin
 from surffollow.shm import map_layout as ml
 from surffollow.sim.surface_fy91 import fy91_field
 

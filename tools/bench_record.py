@@ -25,12 +25,11 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from report import bar, finish, result
+from service_process import COMMAND, await_ready, remove_objects
 from surffollow.record.format import CHUNK_BYTES, TOPIC
 from surffollow.record.replay import replay_file
-from surffollow.shm.objects import unlink
 
 SHARE_LIMIT = 0.15
-_COMMAND = [sys.executable, "-m", "surffollow"]
 
 
 def processor_s(pid: int) -> float:
@@ -53,16 +52,15 @@ def record(folder: Path, seconds: float, rate: float) -> dict[str, Any]:
     name, path = f"bench-record-{os.getpid()}", folder / "run.mcap"
     children: list[subprocess.Popen[Any]] = []
     try:
-        service = subprocess.Popen([*_COMMAND, "start", "--name", name, "--quiet"], stdout=subprocess.PIPE)
+        words = [*COMMAND, "start", "--name", name, "--quiet"]
+        service = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
         children.append(service)
-        assert service.stdout is not None
-        if not service.stdout.readline().startswith(b"READY"):
-            raise SystemExit("the service did not start")
-        robot = [*_COMMAND, "simulate", "--name", name, "--path", "raster", "--seconds", "0", "--json"]
+        await_ready(service)
+        robot = [*COMMAND, "simulate", "--name", name, "--path", "raster", "--seconds", "0", "--json"]
         children.append(subprocess.Popen(robot, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
         words = ["record", "--name", name, "--out", str(path), "--rate", str(rate), "--json"]
         began = time.monotonic()
-        recorder = subprocess.Popen([*_COMMAND, *words], stdout=subprocess.DEVNULL)
+        recorder = subprocess.Popen([*COMMAND, *words], stdout=subprocess.DEVNULL)
         children.append(recorder)
         wait_for(lambda: path.exists() and path.stat().st_size > 500_000, "a recording")
         # by then kernels are loaded and the backlog is worked off
@@ -79,8 +77,7 @@ def record(folder: Path, seconds: float, rate: float) -> dict[str, Any]:
             child.send_signal(signal.SIGTERM)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 child.wait(15)
-        for part in ("", ".inbox", ".map", ".world"):
-            unlink(name + part)
+        remove_objects(name)
 
 
 def words_alone(path: Path, out: Path) -> None:

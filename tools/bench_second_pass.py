@@ -27,11 +27,11 @@ import numba
 import numpy as np
 
 from report import bar, finish, machine
+from service_process import await_ready, remove_objects
 from surffollow.benchmark.limit import limit_path
 from surffollow.client import attach
 from surffollow.record.replay import replay_file
 from surffollow.service.terminate_child import end_child
-from surffollow.shm.objects import unlink
 from surffollow.sim.plant import PlantConfig
 
 SURFACES = ("fy91", "fy91-rolling")
@@ -100,12 +100,9 @@ def there_and_back(
         config.write_text(
             CONFIG.format(surface=surface, seed=SEED, field=field, offset=STANDOFF_M, preview=preview)
         )
-        for part in ("", ".sock", ".lock", ".map", ".world", ".world.lock"):
-            stack.callback(unlink, name + part)
+        stack.callback(remove_objects, name)
         service = stack.enter_context(program("start", "--quiet", "--name", name, "--config", str(config)))
-        assert service.stdout is not None
-        if not service.stdout.readline().startswith("READY"):
-            raise SystemExit("the service did not become READY")
+        await_ready(service)
         with attach(name, stale_min_s=1.0) as client:
             client.map_reset((x0 - 0.02, y - 0.02, x1 + 0.02, y + 0.02))
         recorder = None

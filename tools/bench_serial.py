@@ -10,7 +10,6 @@ less the frame's time on the line, here at 115200 baud; its error is given in fr
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import struct
 import subprocess
@@ -23,6 +22,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from hw.wires import FRAME_FORMAT
+from report import print_figures
 from surffollow.hw.driver import ConversionQueue
 from surffollow.hw.polled import WAITING
 from surffollow.hw.registry import make_driver
@@ -119,11 +119,7 @@ def main() -> None:
     words.add_argument("--json", action="store_true")
     told = words.parse_args()
     result = measure(told.seconds, told.rate)
-    if told.json:
-        print(json.dumps(result, indent=2))
-    else:
-        for name, value in result.items():
-            print(f"{name:24} {value:.6g}")
+    print_figures(result, told.json)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from report import bar, finish, machine
+from report import bar, finish, result
 from running import running
 
 PERIOD_S = 1e-4
@@ -65,21 +65,20 @@ def main() -> dict[str, Any]:
         rates.append([(part[-1, k] - part[0, k]) / (part[-1, 0] - part[0, 0]) for k in (1, 2)])
     settled = table[len(table) // 10 :, 4]
     drift = abs(rates[1][0] / rates[0][0] - 1)
-    return {
-        "what": f"soak at 10 kHz for {seconds:g} s with samples flowing",
-        "machine": machine(),
-        "bars": [
+    return result(
+        f"soak at 10 kHz for {seconds:g} s with samples flowing",
+        [
             bar("drift of the update rate", drift, RATE_DRIFT, ""),
             bar("growth of the resident set", float(settled[-1] - settled[0]), RSS_DRIFT_KIB, "KiB"),
             bar("target points lost", float(lost), 0.0, ""),
         ],
-        "notes": [
+        [
             f"periods per second {rates[0][0]:.2f} then {rates[1][0]:.2f} (nominal {1 / PERIOD_S:.0f}); "
             f"cycles run {rates[0][1]:.2f} then {rates[1][1]:.2f}",
             f"overruns {table[-1, 3]:.0f} in {table[-1, 2]:.0f} cycles; resident set {settled[0]:.0f} to "
             f"{settled[-1]:.0f} KiB, at most {settled.max():.0f}; load {os.getloadavg()[0]:.1f}",
         ],
-    }
+    )
 
 
 if __name__ == "__main__":

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from report import bar, finish, result
 from surffollow.sonar import fused_pose, wall_pose, walls
 from surffollow.sonar.beam import predict_ranges
-from surffollow.sonar.belief import Belief, SonarRing
+from surffollow.sonar.belief import Belief
+from surffollow.sonar.ring import SonarRing
 from surffollow.sonar.strategy import candidate_moves, next_reading
 
 ALPHA = math.radians(11.25)

@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from report import bar, finish, machine
-from surffollow.shm.objects import unlink
+from report import bar, finish, result
+from service_process import COMMAND, END_S, remove_objects
 
 REPEATS = 7
 HELP_S, IMPORT_S, WARM_S, COLD_S = 0.3, 0.15, 3.0, 60.0
-COMMAND = [sys.executable, "-m", "surffollow"]
 
 
 def run_s(command: list[str]) -> float:
@@ -57,9 +56,8 @@ def ready_s(name: str, cache: str | None = None) -> tuple[float, int]:
                 raise SystemExit(f"the service did not become READY: {line!r}\n{progress.read()}")
         finally:
             process.send_signal(signal.SIGTERM)
-            process.wait(timeout=20)
-            for part in ("", ".sock", ".lock", ".map"):
-                unlink(name + part)
+            process.wait(timeout=END_S)
+            remove_objects(name)
         progress.seek(0)
         shown = progress.read()
     return took, len(shown.replace("\r", "\n").splitlines())
@@ -78,10 +76,9 @@ def main() -> dict[str, Any]:
         cold_processor_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         warm_s = min(ready_s(name, cache)[0] for _ in range(3))
         size = sum(f.stat().st_size for f in Path(cache).rglob("*") if f.is_file())
-    return {
-        "what": "start-up times, each of a fresh process",
-        "machine": machine(),
-        "bars": [
+    return result(
+        "start-up times, each of a fresh process",
+        [
             bar("surffollow --help", help_s, HELP_S, "s"),
             bar(
                 "import surffollow.client", import_s, IMPORT_S, "s", f"of which Python itself {bare_s:.3f} s"
@@ -95,10 +92,10 @@ def main() -> dict[str, Any]:
                 f"{cold_processor_s:.0f} s of processor time",
             ),
         ],
-        "notes": [
+        [
             f"kernel cache {size / 2**20:.1f} MiB; {lines} lines of progress shown while it was empty",
         ],
-    }
+    )
 
 
 if __name__ == "__main__":

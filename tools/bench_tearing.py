@@ -11,9 +11,9 @@ blind. A read "overlapped" when something was published while it went on.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import multiprocessing as mp
 import os
-import subprocess
 import sys
 import tempfile
 import threading
@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from report import bar, finish, result
+from service_process import pinned, service_process
 from surffollow.client import attach
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch_shape import latch_bytes
@@ -98,29 +99,13 @@ def against_daemon(
     pool: Any, readers: dict[str, str], folder: Path, seconds: float
 ) -> tuple[dict[str, Counts], int, int]:
     """Counts per reader, disagreements between readers, cycles that several of them compared."""
-    name, config = f"bench-tear-{os.getpid()}", folder / "bench.toml"
-    # not the last processor, which other services take, and spin on
-    config.write_text(CONFIG.replace("CPU", str(min(os.sched_getaffinity(0)))), encoding="utf-8")
-    command = [sys.executable, "-m", "surffollow"]
+    name = f"bench-tear-{os.getpid()}"
     robot = Robot(name)
-    daemon = subprocess.Popen(
-        [*command, "start", "--quiet", "--name", name, "--config", str(config)],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert daemon.stdout is not None
-        line = daemon.stdout.readline()
-        if not line.startswith("READY"):
-            raise SystemExit(f"the service did not become READY: {line!r}")
+    with service_process(name, pinned(folder, CONFIG)), contextlib.closing(robot):
         robot.report_to(name)
         tables = {k: str(folder / f"table-{k}") for k in [*readers, "Python"]}
         programs = {k: [v, "output", name, str(seconds), tables[k]] for k, v in readers.items()}
         found = race(pool, programs, python_output, name, seconds, tables["Python"])
-    finally:
-        robot.close()
-        subprocess.run([*command, "stop", "--name", name, "--purge", "--timeout", "60"], check=False)
-        daemon.wait(timeout=90)
     arrays = [np.fromfile(t, np.int64).reshape(-1, 2) for t in tables.values()]
     differing = compared = 0
     for k, a in enumerate(arrays):

@@ -58,3 +58,12 @@ def finish(result: dict[str, Any]) -> int:
         for line in result.get("notes", ()):
             print(line)
     return 1 if any(b["ok"] is False for b in result["bars"]) else 0
+
+
+def print_figures(figures: dict[str, Any], as_json: bool) -> None:
+    """Print a bench's figures that have no bars: as one JSON object, or a line each."""
+    if as_json:
+        print(json.dumps(figures, indent=2))
+    else:
+        for name, value in figures.items():
+            print(f"{name:24} {value:.6g}")

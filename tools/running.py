@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -15,11 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from service_process import service_process
 from surffollow.client import Client, attach
 from surffollow.client.board import Board
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_board import MapStatus, Stats
-from surffollow.shm.objects import unlink
 from surffollow.sim.world import WorldPose, WorldWriter
 
 PERIOD_S = 0.005
@@ -89,23 +86,7 @@ def running(config: str, at: tuple[float, float, float] = (0.2, 0.2, 0.1)) -> It
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bench.toml"
         path.write_text(config, encoding="utf-8")
-        words = [
-            sys.executable,
-            "-m",
-            "surffollow",
-            "start",
-            "--quiet",
-            "--name",
-            name,
-            "--config",
-            str(path),
-        ]
-        process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-        assert process.stdout is not None
-        try:
-            line = process.stdout.readline()
-            if not line.startswith("READY"):
-                raise SystemExit(f"the service did not become READY: {line!r}")
+        with service_process(name, path) as process:
             patient = {"stale_min_s": 1.0}  # a stalled host is not what a bench is to find
             with attach(name, **patient) as poses, attach(name, **patient) as client:
                 board, feeder = Board(name), Feeder(name, poses, *at)
@@ -115,8 +96,3 @@ def running(config: str, at: tuple[float, float, float] = (0.2, 0.2, 0.1)) -> It
                 finally:
                     feeder.close()
                     board.close()
-        finally:
-            process.send_signal(signal.SIGTERM)
-            process.wait(timeout=30)
-            for part in ("", ".sock", ".lock", ".map", ".world", ".world.lock"):
-                unlink(name + part)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surffollow.apps.scan_robot import SETTLED_TICKS, ScanRobot
+from surffollow.apps.scan_robot import ScanRobot
 from surffollow.apps.scan_robot_config import ScanRobotConfig, check_executable
 from surffollow.errors import ScanInputError
 from surffollow.scan.body import disc
@@ -16,6 +16,7 @@ from surffollow.scan.path import OUT_OF_REACH
 from surffollow.scan.plan import PlanSettings, plan_scan
 from surffollow.scan.shaping import Shaper
 from surffollow.scan.timing import MotionLimits
+from surffollow.sim.commanded_robot import SETTLED_TICKS
 from surffollow.sim.flexible_tip import Compliance, tip_deflection
 
 TICK_NS = 10_000_000

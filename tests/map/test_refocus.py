@@ -17,7 +17,8 @@ from surffollow.errors import RegionError
 from surffollow.map import HeightMap, access
 from surffollow.map.header import header_fault, init_header
 from surffollow.map.kernels.geometry import reset_begin, reset_step
-from surffollow.map.kernels.refocus import refocus_begin, refocus_step
+from surffollow.map.kernels.refocus import refocus_step
+from surffollow.map.kernels.refocus_plan import refocus_begin
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype
 
@@ -237,7 +238,8 @@ import mmap, sys
 import numpy as np
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype
-from surffollow.map.kernels.refocus import refocus_begin, refocus_step
+from surffollow.map.kernels.refocus import refocus_step
+from surffollow.map.kernels.refocus_plan import refocus_begin
 from surffollow.map.kernels.geometry import reset_begin, reset_step
 
 grids = int(sys.argv[2])

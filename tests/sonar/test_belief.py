@@ -9,7 +9,8 @@ import pytest
 
 from sonar.naive_sonar import ring_ranges, wrapped
 from surffollow.errors import UsageError
-from surffollow.sonar.belief import Belief, SonarRing
+from surffollow.sonar.belief import Belief
+from surffollow.sonar.ring import SonarRing
 from surffollow.sonar.strategy import next_reading
 
 BOUNDS = {"phi_bound_rad": math.radians(1.2), "distance_bound_m": 0.04}

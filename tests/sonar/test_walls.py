@@ -14,7 +14,7 @@ from sonar.naive_sonar import range_of, ring_ranges, wrapped
 from surffollow.errors import UsageError
 from surffollow.sonar import candidates as cd
 from surffollow.sonar import fused_pose, wall_pose, walls
-from surffollow.sonar.belief import SonarRing
+from surffollow.sonar.ring import SonarRing
 
 ALPHA = math.radians(11.25)
 DATA = Path(os.environ.get("SURFFOLLOW_DATA", Path(__file__).parents[2] / "../shared/data"))

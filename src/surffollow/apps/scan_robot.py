@@ -20,19 +20,19 @@ from surffollow.apps.scan_robot_config import ScanRobotConfig, check_executable
 from surffollow.scan.checks import Floats
 from surffollow.scan.path import ScanPath
 from surffollow.shm.dtypes import zeros
+from surffollow.sim.commanded_robot import SETTLED_M, SETTLED_TICKS, CommandedRobot
 from surffollow.sim.path_arm import TRACE_COLUMNS, run_arm
 from surffollow.sim.plant import set_point_for
 from surffollow.sim.pose_reports import PoseReports
-from surffollow.sim.robot_motion import STEP_NS
 from surffollow.sim.robot_stop import REST_MPS
+from surffollow.sim.step_clock import STEP_NS
 from surffollow.sim.world import WorldPose
 
 ASKED_KEPT = 200  # ticks that a shaper may look back
-SETTLED_M, SETTLED_TICKS = 1.5e-3, 30
 WITHOUT_FACTS = {"speed_mps": 0.1, "acceleration_mps2": 1.0}
 
 
-class ScanRobot:
+class ScanRobot(CommandedRobot):
     """Arm and controller on a path; no clock, no service.
 
     Parameters
@@ -48,6 +48,8 @@ class ScanRobot:
     ScanInputError
         see `scan_robot_config.check_executable`
     """
+
+    TRACE_COLUMNS = TRACE_COLUMNS
 
     def __init__(
         self,
@@ -67,7 +69,8 @@ class ScanRobot:
         slowing = float(path.facts.get("acceleration_mps2", WITHOUT_FACTS["acceleration_mps2"]))
         self._lead_s = config.plant.tau_s + 0.5 / config.plant.tick_hz
         self.stopping_s = speed / slowing  # of the path's time, from full rate to rest twice as long
-        self.state = arm_state(path, config, start_ns, self.stopping_s)
+        self.state = self._body = arm_state(path, config, start_ns, self.stopping_s)
+        self._command_timeout_s = config.command_timeout_s
         self._columns = path_columns(path, config)
         self._planned = np.column_stack([path.position_m, self._columns[:, 3:7]])
         self._scanning = (path.passes >= 0).astype(np.uint8)
@@ -96,19 +99,9 @@ class ScanRobot:
     # -- what `sim.robot_run.Controller` needs --------------------------------------------------------
 
     @property
-    def t_ns(self) -> int:
-        """Time of the arm's state [ns]."""
-        return int(self.state["t_ns"][0])
-
-    @property
     def wanted_m(self) -> float:
         """Stand-off that it asks of the service: the path's gap [m]."""
         return float(self.path.facts["gap_m"])
-
-    @property
-    def is_holding(self) -> bool:
-        """Whether it stands still for want of a demand to trust."""
-        return self.holding
 
     @property
     def tip_m(self) -> Floats:
@@ -270,13 +263,6 @@ class ScanRobot:
         self._asked.clear()
         self.state["rate_wanted"] = 0.0
 
-    def watch_commands(self) -> None:
-        """Hold when the controller has said nothing for too long: the drives' own watchdog."""
-        heard_ns = self._heard_ns
-        if self.t_ns - heard_ns > round(self.config.command_timeout_s * 1e9):
-            self.hold()
-            self._heard_ns = heard_ns
-
     # -- what the operator asks for --------------------------------------------------------------------
 
     def pause(self, on: bool) -> None:
@@ -320,8 +306,3 @@ class ScanRobot:
         """Let it be `t_ns` [ns] now, and nothing traced yet."""
         self.state["t_ns"] = self.state["start_ns"] = self._heard_ns = self._tick_ns = t_ns
         self.state["trace_rows"] = 0
-
-    def trace(self) -> dict[str, Floats]:
-        """Columns of what happened so far, by the names of `sim.path_arm.TRACE_COLUMNS`."""
-        rows = int(self.state["trace_rows"][0])
-        return {name: self._trace[:rows, k].copy() for k, name in enumerate(TRACE_COLUMNS)}

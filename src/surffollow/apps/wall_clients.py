@@ -15,8 +15,9 @@ import numpy as np
 
 from surffollow.apps.wall_sensing import CRUISE_MPS, BaseClient, Sensing, Wish, beams_near, wrap
 from surffollow.apps.wall_side import FollowWall2
-from surffollow.sonar.belief import Belief, SonarRing
+from surffollow.sonar.belief import Belief
 from surffollow.sonar.poses import optimal_pair, walls
+from surffollow.sonar.ring import SonarRing
 from surffollow.sonar.wall import WallPose
 
 PRIORITIES = {"avoid": 40, "follow-wall": 30, "follow-wall-2": 20, "go": 10}

@@ -31,7 +31,7 @@ from surffollow.sim.base import (
     X,
     Y,
 )
-from surffollow.sonar.belief import SonarRing
+from surffollow.sonar.ring import SonarRing
 
 EXPERIMENTS = ("paper", "1", "1-pair", "2")
 TICK_S = 0.02

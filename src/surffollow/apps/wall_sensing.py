@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.sonar.belief import SonarRing
+from surffollow.sonar.ring import SonarRing
 
 CRUISE_MPS = 0.2
 

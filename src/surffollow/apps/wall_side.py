@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.apps.wall_sensing import CRUISE_MPS, Sensing, Wish, beams_near, wrap
-from surffollow.sonar.belief import SonarRing
+from surffollow.sonar.ring import SonarRing
 
 
 @dataclass

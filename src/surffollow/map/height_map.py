@@ -17,7 +17,8 @@ from surffollow.map.header import init_header
 from surffollow.map.kernels.geometry import reset_begin, reset_step
 from surffollow.map.kernels.grids import add_points
 from surffollow.map.kernels.height_rows import clear_grids
-from surffollow.map.kernels.refocus import refocus_begin, refocus_step
+from surffollow.map.kernels.refocus import refocus_step
+from surffollow.map.kernels.refocus_plan import refocus_begin
 from surffollow.map.view import MapView
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype, zeros

@@ -18,7 +18,7 @@ from surffollow.errors import ScanInputError
 from surffollow.scan.attitude_angles import body_axes, wrist_angles
 from surffollow.scan.camera import rigid_transform
 from surffollow.scan.checks import Floats, finite, positive, real_array
-from surffollow.scan.limits import WristLimits
+from surffollow.scan.limits import WristLimits, azimuth_from
 
 JOINTS = ("yaw", "shoulder", "elbow", "pitch", "roll")
 SAG_REFERENCE_M = 2.0
@@ -217,7 +217,7 @@ class Arm:
         (n,) float64 [rad]
             azimuths
         """
-        return np.arctan2(tip_m[:, 1] - self.base_m[1], tip_m[:, 0] - self.base_m[0])
+        return azimuth_from(self.base_m, tip_m)
 
     def ground_from_tip(self, joints_rad: ArrayLike) -> Floats:
         """(n, 4, 4) poses of the tip.

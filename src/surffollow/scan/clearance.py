@@ -19,7 +19,7 @@ from surffollow.scan.checks import Floats, positive
 from surffollow.scan.following import LIFTED_M
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.path import LIFTED, ScanPath
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 
 TILE = 8  # cells; tiles whose highest cell is too low are passed over
 SPARE_M = 1e-9  # above the gap, against rounding
@@ -45,14 +45,20 @@ def _beyond(c: Any, tile: Any) -> float:
     return max(0.0, max(tile * TILE - c, c - (tile * TILE + TILE - 1)))  # type: ignore[no-any-return]
 
 
+@jit_inlined
+def _cells_within(z: Any, u: Any, v: Any, r: Any) -> Any:
+    """First and last row, first and last column of the cells within r cells of a place (u, v)."""
+    rows, cols = z.shape
+    y0, y1 = max(0, math.ceil(v - r)), min(rows - 1, math.floor(v + r))
+    x0, x1 = max(0, math.ceil(u - r)), min(cols - 1, math.floor(u + r))
+    return y0, y1, x0, x1
+
+
 @jit
 def lift_needed(z: Any, tops: Any, g: Any, u: Any, v: Any, height: Any, gap: Any, least: Any) -> float:
     """Height that must be added to a point so that it is `gap` from every cell; at least `least` [m]."""
-    rows, cols = z.shape
-    r = gap / g
     need = least
-    y0, y1 = max(0, math.ceil(v - r)), min(rows - 1, math.floor(v + r))
-    x0, x1 = max(0, math.ceil(u - r)), min(cols - 1, math.floor(u + r))
+    y0, y1, x0, x1 = _cells_within(z, u, v, gap / g)
     if y1 < y0 or x1 < x0:
         return need  # type: ignore[no-any-return]
     for i in range(y0 // TILE, y1 // TILE + 1):
@@ -81,9 +87,7 @@ def nearest_ground(z: Any, tops: Any, g: Any, u: Any, v: Any, height: Any, most:
     if 0 <= x < cols and 0 <= y < rows and math.isfinite(z[y, x]):
         d = math.sqrt(((x - u) ** 2 + (y - v) ** 2) * g * g + (height - z[y, x]) ** 2)
         best = min(best, d)
-    r = best / g
-    y0, y1 = max(0, math.ceil(v - r)), min(rows - 1, math.floor(v + r))
-    x0, x1 = max(0, math.ceil(u - r)), min(cols - 1, math.floor(u + r))
+    y0, y1, x0, x1 = _cells_within(z, u, v, best / g)
     if y1 < y0 or x1 < x0:
         return best  # type: ignore[no-any-return]
     for i in range(y0 // TILE, y1 // TILE + 1):

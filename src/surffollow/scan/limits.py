@@ -52,6 +52,11 @@ class WorkSpace(Protocol):
         """
 
 
+def azimuth_from(base_m: tuple[float, float, float], tip_m: Floats) -> Floats:
+    """(n,) direction [rad] from a base to places of the tip (n, 3) [m], in the ground frame."""
+    return np.arctan2(tip_m[:, 1] - base_m[1], tip_m[:, 0] - base_m[0])
+
+
 @dataclass(frozen=True)
 class WristLimits:
     """Limits of the two wrist angles [rad] (`attitude_angles`): pitch about y, then roll about x."""
@@ -196,4 +201,4 @@ class Annulus:
         (n,) float64 [rad]
             azimuths
         """
-        return np.arctan2(tip_m[:, 1] - self.base_m[1], tip_m[:, 0] - self.base_m[0])
+        return azimuth_from(self.base_m, tip_m)

@@ -10,7 +10,8 @@ from typing import Any
 from surffollow.map.kernels.geometry import reset_begin, reset_step
 from surffollow.map.kernels.grids import update_map
 from surffollow.map.kernels.install import operation_progress, reject
-from surffollow.map.kernels.refocus import refocus_begin, refocus_step
+from surffollow.map.kernels.refocus import refocus_step
+from surffollow.map.kernels.refocus_plan import refocus_begin
 from surffollow.service import memory as m
 from surffollow.service.inbox import claim_of, slot_address
 from surffollow.service.mapper_install import (

@@ -9,21 +9,17 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.jit import jit
-from surffollow.shm.latch import latch_write
 from surffollow.shm.schema import F64, I64, Schema
 from surffollow.sim.flexible_tip import mode_step
 from surffollow.sim.plant import axis_step
-from surffollow.sim.robot_motion import FROZEN_NS, STEP_NS
-from surffollow.sim.world import WorldPose
+from surffollow.sim.step_clock import STEP_NS, await_step, publish_step
 
 PATH_COLUMNS = ("t_s", "x_m", "y_m", "qx", "qy", "qz", "qw", "dx_m", "dy_m", "dz_m")
 TRACE_COLUMNS = (
     *("t_s", "path_s", "rate", "x_m", "y_m", "z_m", "real_x_m", "real_y_m", "real_z_m"),
     *("nx", "ny", "nz", "set_point_m", "scanning"),
 )
-WORLD_BYTES = WorldPose.SIZE
 
 
 class ArmState(Schema):
@@ -186,13 +182,8 @@ def run_arm(a: Any, until_ns: Any, path: Any, scanning: Any, world: Any, trace: 
     others : see `arm_step`
     """
     while a[0].t_ns + STEP_NS <= until_ns:
-        if latch != 0:
-            behind = now_ns() - a[0].t_ns
-            if behind > FROZEN_NS:
-                a[0].t_ns += behind
-                a[0].frozen_ns += behind
-                return
-            wait_until_ns(a[0].t_ns + STEP_NS, 0)
+        if latch != 0 and not await_step(a):
+            return
         arm_step(a, path, scanning, world, trace)
         if latch != 0:
-            latch_write(latch, world.ctypes.data, WORLD_BYTES)
+            publish_step(latch, world)

@@ -16,19 +16,20 @@ from numpy.typing import NDArray
 
 from surffollow.errors import ConfigError
 from surffollow.shm.dtypes import zeros
+from surffollow.sim.commanded_robot import SETTLED_M, SETTLED_TICKS, CommandedRobot
 from surffollow.sim.plant import PlantConfig, set_point_for
 from surffollow.sim.pose_reports import PoseReports
 from surffollow.sim.raster import FILES, KINDS, Path, file_path, line_path, raster_path
-from surffollow.sim.robot_motion import CREEP_MPS, STEP_NS, TRACE_COLUMNS, Motion, run_until
+from surffollow.sim.robot_motion import CREEP_MPS, TRACE_COLUMNS, Motion, run_until
 from surffollow.sim.robot_turn import turned
+from surffollow.sim.step_clock import STEP_NS
 from surffollow.sim.surfaces import HeightField, Region
 from surffollow.sim.world import WorldPose
 from surffollow.sim.world_surface import WorldConfig
 
 TRACE_ROWS = 1_000_000
 APPROACH_M = 0.010  # the tool starts that much above the wanted stand-off
-SETTLED_M, SETTLED_RAD = 1.5e-3, 0.02
-SETTLED_TICKS = 30
+SETTLED_RAD = 0.02
 WAIT_WITHIN_M = 20e-6  # of the place of a wait: two ticks at the speed at which a corner is crept to
 FOR_EVER_S = 86_400.0
 
@@ -109,7 +110,7 @@ def make_path(config: RobotConfig, field: HeightField) -> Path:
     return line_path(region, config.speed_mps, config.accel_mps2, config.speed_mps * seconds)
 
 
-class RobotCore:
+class RobotCore(CommandedRobot):
     """Body and controller.
 
     Parameters
@@ -119,10 +120,13 @@ class RobotCore:
     start_ns : time at which it stands above the path's first point [ns]
     """
 
+    TRACE_COLUMNS = TRACE_COLUMNS
+
     def __init__(self, config: RobotConfig, field: HeightField, start_ns: int) -> None:
         self.config, self._field = config, field
         self.path = make_path(config, field)
-        self.motion = m = zeros(Motion)
+        self.motion = self._body = m = zeros(Motion)
+        self._command_timeout_s = config.command_timeout_s
         x, y = self.path.points[0, :2]
         m["t_ns"] = m["start_ns"] = start_ns
         m["x_m"], m["y_m"] = x, y
@@ -163,19 +167,9 @@ class RobotCore:
         return int((seconds + 30.0) * 1e9) // STEP_NS
 
     @property
-    def t_ns(self) -> int:
-        """Time of the body's state [ns]."""
-        return int(self.motion["t_ns"][0])
-
-    @property
     def wanted_m(self) -> float:
         """Stand-off that it asks of the service [m]."""
         return self.config.standoff_m
-
-    @property
-    def is_holding(self) -> bool:
-        """Whether it stands still for want of a demand to trust."""
-        return self.holding
 
     @property
     def standoff_m(self) -> float:
@@ -281,18 +275,6 @@ class RobotCore:
             self.motion["attitude_set"] = self._reports.newest[3:]
         self._settled = 0
         self.motion["moving"] = 0
-
-    def watch_commands(self) -> None:
-        """Hold when the controller has said nothing for too long: the drives' own watchdog."""
-        heard_ns = self._heard_ns
-        if self.t_ns - heard_ns > round(self.config.command_timeout_s * 1e9):
-            self.hold()
-            self._heard_ns = heard_ns
-
-    def trace(self) -> dict[str, NDArray[np.float64]]:
-        """Columns of what happened so far, by the names of `TRACE_COLUMNS`."""
-        rows = int(self.motion["trace_rows"][0])
-        return {name: self._trace[:rows, k].copy() for k, name in enumerate(TRACE_COLUMNS)}
 
     def summary(self) -> dict[str, Any]:
         """Score of the run: stand-off errors [m] (None when nothing was scored), path and time."""

@@ -7,23 +7,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.jit import jit
-from surffollow.shm.latch import latch_write
 from surffollow.shm.schema import F64, I64, Schema
 from surffollow.sim.plant import axis_step
 from surffollow.sim.robot_turn import along_axis, wrist_step
+from surffollow.sim.step_clock import STEP_NS, await_step, publish_step
 from surffollow.sim.surfaces import field_height, field_part
-from surffollow.sim.world import WorldPose
 
-STEP_NS = 1_000_000
 CREEP_MPS = 1e-3  # a limit of zero is passed at this speed: a corner, not an end
-FROZEN_NS = 100_000_000  # a process that was stopped longer takes its world's time with it
 TRACE_COLUMNS = (
     *("t_s", "x_m", "y_m", "z_m", "surface_m", "standoff_m", "rolling", "scored", "set_point_m"),
     *("angle_rad", "tilt_rad"),
 )
-WORLD_BYTES = WorldPose.SIZE
 
 
 class Motion(Schema):
@@ -184,13 +179,8 @@ def run_until(
     others : see `one_step`
     """
     while m[0].t_ns + STEP_NS <= until_ns:
-        if latch != 0:
-            behind = now_ns() - m[0].t_ns
-            if behind > FROZEN_NS:
-                m[0].t_ns += behind
-                m[0].frozen_ns += behind
-                return
-            wait_until_ns(m[0].t_ns + STEP_NS, 0)
+        if latch != 0 and not await_step(m):
+            return
         one_step(m, points, z, frame, rolling, world, trace)
         if latch != 0:
-            latch_write(latch, world.ctypes.data, WORLD_BYTES)
+            publish_step(latch, world)

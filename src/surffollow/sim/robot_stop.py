@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from surffollow.sim.robot_motion import STEP_NS
+from surffollow.sim.step_clock import STEP_NS
 
 if TYPE_CHECKING:
     from surffollow.sim.robot import RobotConfig

@@ -14,20 +14,7 @@ UNEXPLAINED, INLIER, CONTRADICTION = 0, 1, -1
 
 
 @jit
-def compare_reading(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    i: Any,
-    half_beam_rad: Any,
-    max_incidence_rad: Any,
-    max_range_m: Any,
-    wall: Any,
-    nx: Any,
-    ny: Any,
-    exactly: Any,
-) -> Any:
+def compare_reading(readings: Any, i: Any, wall: Any, nx: Any, ny: Any, exactly: Any) -> Any:
     """How reading i stands to a wall.
 
     A reading beyond the predicted range, silence included, contradicts the wall: its echo would have come
@@ -36,6 +23,9 @@ def compare_reading(
 
     Parameters
     ----------
+    readings : Readings
+    i : int64
+        index of the reading
     wall : (5,) float64
         φ, d, var φ, covariance, var d
     nx, ny : float64
@@ -49,10 +39,11 @@ def compare_reading(
     int64
         INLIER, UNEXPLAINED or CONTRADICTION
     """
-    r = ranges_m[i]
+    r = readings.ranges_m[i]
     if math.isnan(r):
         return UNEXPLAINED
-    x, y, heading = positions_m[i, 0], positions_m[i, 1], headings_rad[i]
+    x, y, heading = readings.positions_m[i, 0], readings.positions_m[i, 1], readings.headings_rad[i]
+    half_beam_rad, max_incidence_rad = readings.half_beam_rad, readings.max_incidence_rad
     phi, var_phi = wall[PHI], wall[VAR_PHI]
     incidence = abs(wrap(phi - heading))
     doubt_rad = N_SIGMA * math.sqrt(var_phi) if math.isfinite(var_phi) else math.pi
@@ -67,7 +58,7 @@ def compare_reading(
         )
         if math.isinf(expected):
             return UNEXPLAINED
-    sigma = sigmas_m[i]
+    sigma = readings.sigmas_m[i]
     variance = sigma * sigma
     if not exactly and math.isfinite(var_phi):
         # an error of the reading moves the equation by cos e, an error of the wall by (slope, 1)
@@ -80,25 +71,13 @@ def compare_reading(
         return INLIER
     if r < expected:
         return UNEXPLAINED
-    if expected > max_range_m - tolerance or incidence > max_incidence_rad - doubt_rad - 1e-9:
+    if expected > readings.max_range_m - tolerance or incidence > max_incidence_rad - doubt_rad - 1e-9:
         return UNEXPLAINED
     return CONTRADICTION
 
 
 @jit
-def count_agreement(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    half_beam_rad: Any,
-    max_incidence_rad: Any,
-    max_range_m: Any,
-    wall: Any,
-    free: Any,
-    verdicts: Any,
-    exactly: Any = False,
-) -> Any:
+def count_agreement(readings: Any, wall: Any, free: Any, verdicts: Any, exactly: Any = False) -> Any:
     """Inliers among the free readings and contradictions among all; `verdicts` (m,) int64 is written.
 
     A reading that agrees but is not free belongs to another wall: UNEXPLAINED.
@@ -109,21 +88,8 @@ def count_agreement(
     """
     inliers = contradictions = 0
     nx, ny = math.cos(wall[PHI]), math.sin(wall[PHI])
-    for i in range(ranges_m.size):
-        verdicts[i] = compare_reading(
-            positions_m,
-            headings_rad,
-            ranges_m,
-            sigmas_m,
-            i,
-            half_beam_rad,
-            max_incidence_rad,
-            max_range_m,
-            wall,
-            nx,
-            ny,
-            exactly,
-        )
+    for i in range(readings.ranges_m.size):
+        verdicts[i] = compare_reading(readings, i, wall, nx, ny, exactly)
         if verdicts[i] == INLIER:
             if free[i]:
                 inliers += 1

@@ -61,6 +61,31 @@ def predicted_range(
     return height / cos_edge
 
 
+@jit_inlined
+def expected_range(readings: Any, i: Any, phi_rad: Any, nx: Any, ny: Any, distance_m: Any) -> Any:
+    """Range [m] that a wall gives sonar i; inf where there is no echo.
+
+    Parameters
+    ----------
+    readings : Readings
+    i : int64
+        index of the sonar
+    phi_rad, nx, ny, distance_m : float64
+        the wall: φ, cos φ, sin φ, d
+    """
+    return predicted_range(
+        readings.positions_m[i, 0],
+        readings.positions_m[i, 1],
+        readings.headings_rad[i],
+        readings.half_beam_rad,
+        readings.max_incidence_rad,
+        phi_rad,
+        nx,
+        ny,
+        distance_m,
+    )
+
+
 @jit
 def predict_ranges(
     positions_m: Any, headings_rad: Any, half_beam_rad: Any, max_incidence_rad: Any, walls: Any, ranges_m: Any
@@ -114,3 +139,32 @@ def sensitivity(
     slope = ny * x_m - nx * y_m
     slope += range_m * math.copysign(math.sin(edge), incidence)
     return slope, math.cos(edge)
+
+
+@jit_inlined
+def reading_sensitivity(readings: Any, i: Any, phi_rad: Any, nx: Any, ny: Any) -> Any:
+    """`sensitivity` of reading i at the range that it told.
+
+    Parameters
+    ----------
+    readings : Readings
+    i : int64
+        index of the reading
+    phi_rad, nx, ny : float64
+        the wall's normal: φ, cos φ, sin φ
+
+    Returns
+    -------
+    float64, float64
+        derivative by φ [m/rad]; cos e, the factor of the range's noise
+    """
+    return sensitivity(
+        readings.positions_m[i, 0],
+        readings.positions_m[i, 1],
+        readings.headings_rad[i],
+        readings.ranges_m[i],
+        readings.half_beam_rad,
+        phi_rad,
+        nx,
+        ny,
+    )

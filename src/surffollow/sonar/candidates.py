@@ -34,9 +34,7 @@ def candidate_cost(wall: Any) -> Any:
 
 
 @jit
-def bound_by_beams(
-    positions_m: Any, headings_rad: Any, i: Any, j: Any, max_incidence_rad: Any, solution: Any, bounded: Any
-) -> None:
+def bound_by_beams(readings: Any, i: Any, j: Any, solution: Any, bounded: Any) -> None:
     """Restrict a pair's solution to normals that both sonars can answer.
 
     Two adjacent sonars fix φ far worse by their ranges than by their beams. φ is clamped to the overlap of
@@ -46,6 +44,7 @@ def bound_by_beams(
     ----------
     solution, bounded : (5,) float64   φ, d, var φ, covariance, var d; `bounded` is written
     """
+    headings_rad, max_incidence_rad = readings.headings_rad, readings.max_incidence_rad
     bounded[:] = solution
     if not solution[VAR_PHI] > 0.0:
         return
@@ -64,16 +63,7 @@ def bound_by_beams(
 
 
 @jit
-def beam_solution(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    i: Any,
-    j: Any,
-    half_beam_rad: Any,
-    found: Any,
-) -> Any:
+def beam_solution(readings: Any, i: Any, j: Any, found: Any) -> Any:
     """The wall that two overlapping beams allow where the noise of the ranges leaves no closed-form solution.
 
     Parameters
@@ -84,8 +74,10 @@ def beam_solution(
     -------
     int64   1, or 0 where the beams do not overlap or the ranges differ by more than their noise explains
     """
+    positions_m, headings_rad, ranges_m = readings.positions_m, readings.headings_rad, readings.ranges_m
+    sigmas_m = readings.sigmas_m
     apart = wrap(headings_rad[j] - headings_rad[i])
-    half = half_beam_rad - 0.5 * abs(apart)
+    half = readings.half_beam_rad - 0.5 * abs(apart)
     if half <= 0.0:
         return 0
     phi = headings_rad[i] + 0.5 * apart
@@ -125,14 +117,8 @@ def same_wall(a: Any, b: Any, half_beam_rad: Any) -> Any:
 
 @jit
 def find_candidates(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
+    readings: Any,
     free: Any,
-    half_beam_rad: Any,
-    max_incidence_rad: Any,
-    max_range_m: Any,
     by_beams: Any,
     stop_early: Any,
     exactly: Any,
@@ -144,7 +130,7 @@ def find_candidates(
 
     Parameters
     ----------
-    positions_m : (m, 2) float64   headings_rad, ranges_m, sigmas_m : (m,) float64
+    readings : Readings
     free : (m,) bool               echoes that no wall explains yet
     by_beams : bool                use `beam_solution` for pairs without a solution
     stop_early : bool              stop at a candidate that explains every free echo
@@ -156,6 +142,8 @@ def find_candidates(
     -------
     int64   number of candidates; those beyond c are left out
     """
+    headings_rad, ranges_m = readings.headings_rad, readings.ranges_m
+    max_incidence_rad = readings.max_incidence_rad
     n = echoes = 0
     size = ranges_m.size
     for i in range(size):
@@ -171,29 +159,15 @@ def find_candidates(
                 max_incidence_rad < 0.5 * math.pi
             ):
                 continue
-            m = solve_pair(
-                positions_m, headings_rad, ranges_m, sigmas_m, i, j, half_beam_rad, max_incidence_rad, found
-            )
+            m = solve_pair(readings, i, j, found)
             if m == 0 and by_beams:
-                m = beam_solution(positions_m, headings_rad, ranges_m, sigmas_m, i, j, half_beam_rad, found)
+                m = beam_solution(readings, i, j, found)
             for k in range(m):
                 if n == candidates.shape[0]:
                     return n
                 bounded = found[MAX_SOLUTIONS]
-                bound_by_beams(positions_m, headings_rad, i, j, max_incidence_rad, found[k], bounded)
-                inliers, contradictions = count_agreement(
-                    positions_m,
-                    headings_rad,
-                    ranges_m,
-                    sigmas_m,
-                    half_beam_rad,
-                    max_incidence_rad,
-                    max_range_m,
-                    bounded,
-                    free,
-                    verdicts,
-                    exactly,
-                )
+                bound_by_beams(readings, i, j, found[k], bounded)
+                inliers, contradictions = count_agreement(readings, bounded, free, verdicts, exactly)
                 candidates[n, :SOLUTION] = found[k]
                 candidates[n, COST], candidates[n, FIRST], candidates[n, SECOND] = (
                     candidate_cost(found[k]),

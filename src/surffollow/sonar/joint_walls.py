@@ -10,7 +10,7 @@ from typing import Any
 
 from surffollow.shm.jit import jit
 from surffollow.sonar.agreement import INLIER, UNEXPLAINED, compare_reading
-from surffollow.sonar.beam import predicted_range
+from surffollow.sonar.beam import expected_range
 from surffollow.sonar.pair import DISTANCE, PHI, VAR_PHI
 from surffollow.sonar.posterior import least_squares
 
@@ -18,18 +18,7 @@ SHARINGS = 3  # rounds of "share out the readings, fit each wall"
 
 
 @jit
-def share_readings(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    half_beam_rad: Any,
-    max_incidence_rad: Any,
-    max_range_m: Any,
-    walls: Any,
-    k: Any,
-    owner: Any,
-) -> None:
+def share_readings(readings: Any, walls: Any, k: Any, owner: Any) -> None:
     """Give each echo to the wall whose echo comes first, where the two agree.
 
     A wall keeps a reading within its own uncertainty; another's it gets when it predicts it exactly.
@@ -39,61 +28,27 @@ def share_readings(
     walls : (k, 5) float64   the first k rows are walls
     owner : (m,) int64       index of the wall, −1: none; written
     """
-    for i in range(ranges_m.size):
+    for i in range(readings.ranges_m.size):
         before, owner[i] = owner[i], -1
-        if not math.isfinite(ranges_m[i]):
+        if not math.isfinite(readings.ranges_m[i]):
             continue
         first, w = math.inf, -1
         for k_th in range(k):
             phi = walls[k_th, PHI]
-            expected = predicted_range(
-                positions_m[i, 0],
-                positions_m[i, 1],
-                headings_rad[i],
-                half_beam_rad,
-                max_incidence_rad,
-                phi,
-                math.cos(phi),
-                math.sin(phi),
-                walls[k_th, DISTANCE],
-            )
+            expected = expected_range(readings, i, phi, math.cos(phi), math.sin(phi), walls[k_th, DISTANCE])
             if expected < first:
                 first, w = expected, k_th
         if w < 0:
             continue
         verdict = compare_reading(
-            positions_m,
-            headings_rad,
-            ranges_m,
-            sigmas_m,
-            i,
-            half_beam_rad,
-            max_incidence_rad,
-            max_range_m,
-            walls[w],
-            math.cos(walls[w, PHI]),
-            math.sin(walls[w, PHI]),
-            w != before,
+            readings, i, walls[w], math.cos(walls[w, PHI]), math.sin(walls[w, PHI]), w != before
         )
         if verdict == INLIER:
             owner[i] = w
 
 
 @jit
-def fit_jointly(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    half_beam_rad: Any,
-    max_incidence_rad: Any,
-    max_range_m: Any,
-    verdicts: Any,
-    trial: Any,
-    walls: Any,
-    k: Any,
-    owner: Any,
-) -> Any:
+def fit_jointly(readings: Any, verdicts: Any, trial: Any, walls: Any, k: Any, owner: Any) -> Any:
     """Share out the readings and fit each wall to its own by least squares, until the shares stay.
 
     A wall whose readings do not fix it stays as it was; one with fewer than two readings is dropped.
@@ -109,38 +64,22 @@ def fit_jointly(
     int64   number of walls left
     """
     for _ in range(SHARINGS):
-        share_readings(
-            positions_m,
-            headings_rad,
-            ranges_m,
-            sigmas_m,
-            half_beam_rad,
-            max_incidence_rad,
-            max_range_m,
-            walls,
-            k,
-            owner,
-        )
+        share_readings(readings, walls, k, owner)
         for w in range(k - 1, -1, -1):
             n = 0
-            for i in range(ranges_m.size):
+            for i in range(readings.ranges_m.size):
                 verdicts[i] = INLIER if owner[i] == w else UNEXPLAINED
                 n += owner[i] == w
             if n < 2:
                 k -= 1
                 walls[w:k] = walls[w + 1 : k + 1].copy()
-                for i in range(ranges_m.size):
+                for i in range(readings.ranges_m.size):
                     if owner[i] == w:
                         owner[i] = -1
                     elif owner[i] > w:
                         owner[i] -= 1
             elif n > 2:
                 trial[:] = walls[w]
-                if (
-                    least_squares(
-                        positions_m, headings_rad, ranges_m, sigmas_m, verdicts, half_beam_rad, trial
-                    )
-                    and trial[VAR_PHI] <= 4.0 * walls[w, VAR_PHI]
-                ):
+                if least_squares(readings, verdicts, trial) and trial[VAR_PHI] <= 4.0 * walls[w, VAR_PHI]:
                     walls[w] = trial
     return k

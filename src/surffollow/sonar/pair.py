@@ -11,7 +11,7 @@ import math
 from typing import Any
 
 from surffollow.shm.jit import jit
-from surffollow.sonar.beam import MIN_COS_EDGE, sensitivity, wrap
+from surffollow.sonar.beam import MIN_COS_EDGE, reading_sensitivity, wrap
 
 EXACT_RAD = 1e-9  # tolerance of the states without noise
 MERGE = 1e-7  # candidates nearer than this [rad, m] are one
@@ -33,16 +33,7 @@ def _matches(
 
 
 @jit
-def pair_covariance(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    i: Any,
-    j: Any,
-    half_beam_rad: Any,
-    phi_rad: Any,
-) -> Any:
+def pair_covariance(readings: Any, i: Any, j: Any, phi_rad: Any) -> Any:
     """Covariance of (φ, d) from two readings: (AᵀWA)⁻¹.
 
     Returns
@@ -50,13 +41,9 @@ def pair_covariance(
     float64 × 3   var φ [rad²], covariance [rad m], var d [m²]; inf where the pair does not fix φ
     """
     nx, ny = math.cos(phi_rad), math.sin(phi_rad)
-    a_i, c_i = sensitivity(
-        positions_m[i, 0], positions_m[i, 1], headings_rad[i], ranges_m[i], half_beam_rad, phi_rad, nx, ny
-    )
-    a_j, c_j = sensitivity(
-        positions_m[j, 0], positions_m[j, 1], headings_rad[j], ranges_m[j], half_beam_rad, phi_rad, nx, ny
-    )
-    s_i, s_j = (sigmas_m[i] * c_i) ** 2, (sigmas_m[j] * c_j) ** 2
+    a_i, c_i = reading_sensitivity(readings, i, phi_rad, nx, ny)
+    a_j, c_j = reading_sensitivity(readings, j, phi_rad, nx, ny)
+    s_i, s_j = (readings.sigmas_m[i] * c_i) ** 2, (readings.sigmas_m[j] * c_j) ** 2
     if a_i == a_j:
         return math.inf, 0.0, math.inf
     # two equations, two unknowns: invert A itself
@@ -65,22 +52,12 @@ def pair_covariance(
 
 
 @jit
-def solve_pair(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    i: Any,
-    j: Any,
-    half_beam_rad: Any,
-    max_incidence_rad: Any,
-    found: Any,
-) -> Any:
+def solve_pair(readings: Any, i: Any, j: Any, found: Any) -> Any:
     """Every wall that readings i and j allow.
 
     Parameters
     ----------
-    positions_m : (m, 2) float64   headings_rad, ranges_m, sigmas_m : (m,) float64
+    readings : Readings
     i, j : int64                   two sonars with finite ranges
     found : (18, 5) float64        written: φ, d, var φ, covariance, var d
 
@@ -89,6 +66,8 @@ def solve_pair(
     int64   number of solutions
     """
     n = 0
+    positions_m, headings_rad, ranges_m = readings.positions_m, readings.headings_rad, readings.ranges_m
+    half_beam_rad, max_incidence_rad = readings.half_beam_rad, readings.max_incidence_rad
     xi, yi, xj, yj = positions_m[i, 0], positions_m[i, 1], positions_m[j, 0], positions_m[j, 1]
     ri, rj = ranges_m[i], ranges_m[j]
     edges = 1 if max_incidence_rad > half_beam_rad else 0
@@ -118,9 +97,7 @@ def solve_pair(
                     or distance - nx * xj - ny * yj <= 0.0
                 ):
                     continue
-                var_phi, cov, var_d = pair_covariance(
-                    positions_m, headings_rad, ranges_m, sigmas_m, i, j, half_beam_rad, phi
-                )
+                var_phi, cov, var_d = pair_covariance(readings, i, j, phi)
                 tolerance = EXACT_RAD
                 if math.isfinite(var_phi):
                     tolerance += N_SIGMA * math.sqrt(var_phi)

@@ -7,7 +7,7 @@ A range of inf means no echo, NaN means not measured.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,90 +17,11 @@ from surffollow.sonar import candidates as cd
 from surffollow.sonar.agreement import count_agreement
 from surffollow.sonar.pair import MAX_SOLUTIONS, SOLUTION
 from surffollow.sonar.posterior import N_POINTS
+from surffollow.sonar.readings import Readings, check_readings
 from surffollow.sonar.ring_walls import find_walls
 from surffollow.sonar.wall import WallPose, favour
 
 MAX_CANDIDATES = 8192
-MODELS = ("specular", "diffuse")
-MAX_LENGTH_M = 1e6  # positions, ranges and deviations beyond it are errors of units
-MIN_SIGMA_M = 1e-12  # the closed forms divide by the variance
-MAX_HEADING_RAD = 1e6  # beyond it a float's step is more than a nanoradian
-
-
-class Ring(NamedTuple):
-    """Checked readings, as the kernels take them."""
-
-    positions_m: NDArray[np.float64]
-    headings_rad: NDArray[np.float64]
-    ranges_m: NDArray[np.float64]
-    sigmas_m: NDArray[np.float64]
-    half_beam_rad: float
-    max_incidence_rad: float
-    max_range_m: float
-
-
-def incidence_limit(half_beam_rad: float, model: str, max_incidence_rad: float | None) -> float:
-    """δ_max [rad]: as given, or α of a specular wall, or α + 90° of a diffuse one.
-
-    Raises
-    ------
-    UsageError
-        the model is unknown, or an angle is outside its bounds
-    """
-    if not 0.0 < half_beam_rad < 0.5 * math.pi:
-        raise UsageError(f"half_beam_rad is {half_beam_rad}; expected an angle between 0 and π/2 rad")
-    if max_incidence_rad is None:
-        if model not in MODELS:
-            raise UsageError(f"sonar model {model!r} is unknown; choose one of {', '.join(MODELS)}")
-        return half_beam_rad + (0.5 * math.pi if model == "diffuse" else 0.0)
-    if not half_beam_rad <= max_incidence_rad <= half_beam_rad + 0.5 * math.pi:
-        raise UsageError(
-            f"max_incidence_rad is {max_incidence_rad}; expected half_beam_rad ({half_beam_rad}) to "
-            f"half_beam_rad + π/2"
-        )
-    return float(max_incidence_rad)
-
-
-def _checked(
-    positions_m: ArrayLike,
-    headings_rad: ArrayLike,
-    ranges_m: ArrayLike,
-    half_beam_rad: float,
-    model: str,
-    max_incidence_rad: float | None,
-    sigma_m: ArrayLike,
-    max_range_m: float,
-) -> Ring:
-    limit = incidence_limit(half_beam_rad, model, max_incidence_rad)
-    positions = np.ascontiguousarray(positions_m, np.float64)
-    headings = np.ascontiguousarray(headings_rad, np.float64)
-    ranges = np.ascontiguousarray(ranges_m, np.float64)
-    m = headings.size
-    if headings.shape != (m,) or ranges.shape != (m,) or positions.shape != (m, 2):
-        raise UsageError(
-            f"positions_m has shape {positions.shape}, headings_rad {headings.shape}, ranges_m "
-            f"{ranges.shape}; expected (m, 2), (m,), (m,)"
-        )
-    if not (np.isfinite(positions).all() and np.isfinite(headings).all()):
-        raise UsageError("positions_m or headings_rad is not finite; leave such a sonar out")
-    told = ranges[np.isfinite(ranges)]
-    longest_m = max((float(np.abs(a).max()) for a in (positions, told) if a.size), default=0.0)
-    if longest_m > MAX_LENGTH_M or (np.abs(headings) > MAX_HEADING_RAD).any():
-        raise UsageError(
-            f"positions_m and ranges_m reach {longest_m:.3g} m, headings_rad "
-            f"{np.abs(headings).max():.3g} rad; expected at most {MAX_LENGTH_M:g} m and "
-            f"{MAX_HEADING_RAD:g} rad"
-        )
-    if (ranges <= 0.0).any():
-        raise UsageError(
-            f"ranges_m has the value {ranges[ranges <= 0.0][0]}; use inf for no echo, NaN for none measured"
-        )
-    if not max_range_m > 0.0:
-        raise UsageError(f"max_range_m is {max_range_m}; expected a positive distance, or inf")
-    sigmas = np.ascontiguousarray(np.broadcast_to(np.asarray(sigma_m, np.float64), (m,)))
-    if not ((sigmas == 0.0) | (sigmas >= MIN_SIGMA_M) & (sigmas <= MAX_LENGTH_M)).all():
-        raise UsageError(f"sigma_m must be 0 (exact readings), or from {MIN_SIGMA_M:g} to {MAX_LENGTH_M:g} m")
-    return Ring(positions, headings, ranges, sigmas, float(half_beam_rad), limit, float(max_range_m))
 
 
 def _wall(row: NDArray[np.float64], sensors: tuple[int, ...]) -> WallPose:
@@ -108,17 +29,20 @@ def _wall(row: NDArray[np.float64], sensors: tuple[int, ...]) -> WallPose:
     return WallPose(float(row[0]), float(row[1]), covariance, sensors)
 
 
-def _candidates(ring: Ring) -> tuple[NDArray[np.float64], int]:
-    m = ring.ranges_m.size
-    found = np.empty((MAX_SOLUTIONS + 1, SOLUTION))
-    rows = np.empty((min(MAX_CANDIDATES, MAX_SOLUTIONS * m * (m - 1) // 2 + 1), cd.CANDIDATE))
-    free = np.isfinite(ring.ranges_m)
+def _room_for_pairs(m: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`found` and `candidates` of `find_candidates` for m readings."""
+    n = min(MAX_CANDIDATES, MAX_SOLUTIONS * m * (m - 1) // 2 + 1)
+    return np.empty((MAX_SOLUTIONS + 1, SOLUTION)), np.empty((n, cd.CANDIDATE))
+
+
+def _candidates(readings: Readings) -> tuple[NDArray[np.float64], int]:
+    m = readings.ranges_m.size
+    found, rows = _room_for_pairs(m)
+    free = np.isfinite(readings.ranges_m)
     # where noise leaves |r2 − r1| > B the beams tell, but not of sonars at one place
-    places = ring.positions_m[free]
-    by_beams = bool((ring.sigmas_m > 0.0).all()) and len(np.unique(places, axis=0)) == len(places)
-    n = cd.find_candidates(
-        *ring[:4], free, *ring[4:], by_beams, False, False, found, np.empty(m, np.int64), rows
-    )
+    places = readings.positions_m[free]
+    by_beams = bool((readings.sigmas_m > 0.0).all()) and len(np.unique(places, axis=0)) == len(places)
+    n = cd.find_candidates(readings, free, by_beams, False, False, found, np.empty(m, np.int64), rows)
     return rows, int(n)
 
 
@@ -189,22 +113,22 @@ def wall_pose(
     >>> round(found[0].phi_rad, 3), round(found[0].distance_m, 3)
     (0.166, 1.2)
     """
-    ring = _checked(
+    readings = check_readings(
         positions_m, headings_rad, ranges_m, half_beam_rad, model, max_incidence_rad, sigma_m, max_range_m
     )
-    rows, n = _candidates(ring)
+    rows, n = _candidates(readings)
     order = np.empty(max(n, 1), np.int64)
-    echoes = int(np.isfinite(ring.ranges_m).sum())
-    kept = int(cd.distinct_walls(rows, n, echoes, ring.half_beam_rad, order))
+    echoes = int(np.isfinite(readings.ranges_m).sum())
+    kept = int(cd.distinct_walls(rows, n, echoes, readings.half_beam_rad, order))
     pairs = [(rows[k], (int(rows[k, cd.FIRST]), int(rows[k, cd.SECOND]))) for k in order[:kept]]
-    told, verdicts = np.isfinite(ring.ranges_m), np.empty(ring.ranges_m.size, np.int64)
+    told, verdicts = np.isfinite(readings.ranges_m), np.empty(readings.ranges_m.size, np.int64)
 
     def reproduces(wall: WallPose) -> bool:
         exactly = np.array([wall.phi_rad, wall.distance_m, 0.0, 0.0, 0.0])
-        agreement = count_agreement(*ring, exactly, told, verdicts)
+        agreement = count_agreement(readings, exactly, told, verdicts)
         return bool(agreement == (echoes, 0))
 
-    return favour([_wall(row, pair) for row, pair in pairs], ring.headings_rad, prior, reproduces)
+    return favour([_wall(row, pair) for row, pair in pairs], readings.headings_rad, prior, reproduces)
 
 
 def optimal_pair(
@@ -320,18 +244,18 @@ def walls(
     UsageError
         shapes, units or the model are wrong, or sigma_m is not positive
     """
-    ring = _checked(
+    readings = check_readings(
         positions_m, headings_rad, ranges_m, half_beam_rad, model, max_incidence_rad, sigma_m, max_range_m
     )
-    if not (ring.sigmas_m > 0.0).all():
+    if not (readings.sigmas_m > 0.0).all():
         raise UsageError("sigma_m must be positive: the readings are weighed by it")
-    m = ring.ranges_m.size
-    rows = np.empty((min(MAX_CANDIDATES, MAX_SOLUTIONS * m * (m - 1) // 2 + 1), cd.CANDIDATE))
+    m = readings.ranges_m.size
+    found, rows = _room_for_pairs(m)
     result, owner = np.empty((max(k, 0), SOLUTION)), np.empty(m, np.int64)
     n = find_walls(
-        *ring,
+        readings,
         min_sensors,
-        np.empty((MAX_SOLUTIONS + 1, SOLUTION)),
+        found,
         rows,
         np.empty((N_POINTS, 4)),
         np.empty(m, np.bool_),

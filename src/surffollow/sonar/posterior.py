@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.sonar.agreement import INLIER
-from surffollow.sonar.beam import MIN_COS_EDGE, predicted_range, sensitivity, wrap
+from surffollow.sonar.beam import MIN_COS_EDGE, edge_angle, expected_range, reading_sensitivity, wrap
 from surffollow.sonar.pair import COV, DISTANCE, N_SIGMA, PHI, VAR_DISTANCE, VAR_PHI
 
 N_POINTS = 181
@@ -22,79 +22,53 @@ NARROW = 0.1  # standard deviation over the support's width below which the like
 MAX_ITERATIONS = 50
 
 
+@jit_inlined
+def _distance_told(readings: Any, i: Any, phi_rad: Any, nx: Any, ny: Any) -> Any:
+    """Distance [m] of a wall with normal φ that gives reading i, and the cosine of its edge angle."""
+    cos_edge = math.cos(edge_angle(wrap(phi_rad - readings.headings_rad[i]), readings.half_beam_rad))
+    x, y = readings.positions_m[i, 0], readings.positions_m[i, 1]
+    return readings.ranges_m[i] * cos_edge + nx * x + ny * y, cos_edge
+
+
 @jit
-def _profile(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    verdicts: Any,
-    half_beam_rad: Any,
-    phi_rad: Any,
-) -> Any:
+def _profile(readings: Any, verdicts: Any, phi_rad: Any) -> Any:
     """Best distance for one φ, its information, half the chi-square left, and whether φ is possible."""
     nx, ny = math.cos(phi_rad), math.sin(phi_rad)
     total = moment = 0.0
-    for i in range(ranges_m.size):
+    for i in range(readings.ranges_m.size):
         if verdicts[i] != INLIER:
             continue
-        edge = max(0.0, abs(wrap(phi_rad - headings_rad[i])) - half_beam_rad)
-        cos_edge = math.cos(edge)
+        told_m, cos_edge = _distance_told(readings, i, phi_rad, nx, ny)
         if cos_edge < MIN_COS_EDGE:
             return 0.0, 0.0, 0.0, False
-        weight = 1.0 / (sigmas_m[i] * cos_edge) ** 2
+        weight = 1.0 / (readings.sigmas_m[i] * cos_edge) ** 2
         total += weight
-        moment += weight * (ranges_m[i] * cos_edge + nx * positions_m[i, 0] + ny * positions_m[i, 1])
+        moment += weight * told_m
     distance = moment / total
     half_chi = 0.0
-    for i in range(ranges_m.size):
+    for i in range(readings.ranges_m.size):
         if verdicts[i] != INLIER:
             continue
-        edge = max(0.0, abs(wrap(phi_rad - headings_rad[i])) - half_beam_rad)
-        cos_edge = math.cos(edge)
-        left = ranges_m[i] * cos_edge + nx * positions_m[i, 0] + ny * positions_m[i, 1] - distance
-        half_chi += 0.5 * (left / (sigmas_m[i] * cos_edge)) ** 2
+        told_m, cos_edge = _distance_told(readings, i, phi_rad, nx, ny)
+        half_chi += 0.5 * ((told_m - distance) / (readings.sigmas_m[i] * cos_edge)) ** 2
     return distance, total, half_chi, distance > 0.0
 
 
 @jit
-def _is_excluded(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    verdicts: Any,
-    half_beam_rad: Any,
-    max_incidence_rad: Any,
-    max_range_m: Any,
-    phi_rad: Any,
-    distance_m: Any,
-) -> Any:
+def _is_excluded(readings: Any, verdicts: Any, phi_rad: Any, distance_m: Any) -> Any:
     """Whether a silent or farther sonar would have answered this wall."""
     nx, ny = math.cos(phi_rad), math.sin(phi_rad)
-    for i in range(ranges_m.size):
-        if verdicts[i] == INLIER or math.isnan(ranges_m[i]):
+    for i in range(readings.ranges_m.size):
+        if verdicts[i] == INLIER or math.isnan(readings.ranges_m[i]):
             continue
-        expected = predicted_range(
-            positions_m[i, 0],
-            positions_m[i, 1],
-            headings_rad[i],
-            half_beam_rad,
-            max_incidence_rad,
-            phi_rad,
-            nx,
-            ny,
-            distance_m,
-        )
-        if expected < min(ranges_m[i], max_range_m) - 2.0 * N_SIGMA * sigmas_m[i]:
+        expected = expected_range(readings, i, phi_rad, nx, ny, distance_m)
+        if expected < min(readings.ranges_m[i], readings.max_range_m) - 2.0 * N_SIGMA * readings.sigmas_m[i]:
             return True
     return False
 
 
 @jit
-def beam_interval(
-    headings_rad: Any, verdicts: Any, max_incidence_rad: Any, near_rad: Any, reach_rad: Any
-) -> Any:
+def beam_interval(readings: Any, verdicts: Any, near_rad: Any, reach_rad: Any) -> Any:
     """Normals [rad] within `reach_rad` of `near_rad` that all inliers can answer.
 
     Returns
@@ -103,34 +77,22 @@ def beam_interval(
         low end and width; the width is negative for none
     """
     low, high = -reach_rad, reach_rad
-    for i in range(headings_rad.size):
+    max_incidence_rad = readings.max_incidence_rad
+    for i in range(readings.headings_rad.size):
         if verdicts[i] == INLIER:
-            offset = wrap(headings_rad[i] - near_rad)
+            offset = wrap(readings.headings_rad[i] - near_rad)
             low, high = max(low, offset - max_incidence_rad), min(high, offset + max_incidence_rad)
     return near_rad + low, high - low
 
 
 @jit
-def fuse(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    verdicts: Any,
-    half_beam_rad: Any,
-    max_incidence_rad: Any,
-    max_range_m: Any,
-    near_rad: Any,
-    reach_rad: Any,
-    points: Any,
-    wall: Any,
-) -> Any:
+def fuse(readings: Any, verdicts: Any, near_rad: Any, reach_rad: Any, points: Any, wall: Any) -> Any:
     """Posterior mean and covariance of one wall from its inliers, bounded by all other readings.
 
     Parameters
     ----------
-    positions_m : (m, 2) float64
-        headings_rad, ranges_m, sigmas_m : (m,) float64, sigmas > 0
+    readings : Readings
+        sigmas > 0
     verdicts : (m,) int64
         INLIER: reading of this wall
     near_rad, reach_rad : float64
@@ -145,7 +107,7 @@ def fuse(
     bool
         False when no normal agrees with all readings
     """
-    low, width = beam_interval(headings_rad, verdicts, max_incidence_rad, near_rad, reach_rad)
+    low, width = beam_interval(readings, verdicts, near_rad, reach_rad)
     if width < 0.0:
         return False
     mean = mean_d = var_phi = cov = var_d = support = 0.0
@@ -154,22 +116,9 @@ def fuse(
         best = -math.inf
         for k in range(N_POINTS):
             phi = low + (k + 0.5) * step
-            distance, information, half_chi, possible = _profile(
-                positions_m, headings_rad, ranges_m, sigmas_m, verdicts, half_beam_rad, phi
-            )
+            distance, information, half_chi, possible = _profile(readings, verdicts, phi)
             if possible:
-                possible = not _is_excluded(
-                    positions_m,
-                    headings_rad,
-                    ranges_m,
-                    sigmas_m,
-                    verdicts,
-                    half_beam_rad,
-                    max_incidence_rad,
-                    max_range_m,
-                    phi,
-                    distance,
-                )
+                possible = not _is_excluded(readings, verdicts, phi, distance)
             points[k, 0], points[k, 1], points[k, 3] = distance, information, 1.0 if possible else 0.0
             points[k, 2] = -half_chi - 0.5 * math.log(information) if possible else -math.inf
             best = max(best, points[k, 2])
@@ -207,24 +156,19 @@ def fuse(
     wall[PHI], wall[DISTANCE] = wrap(mean), mean_d
     wall[VAR_PHI], wall[COV], wall[VAR_DISTANCE] = var_phi, cov, var_d
     if math.sqrt(var_phi) < NARROW * support:
-        least_squares(positions_m, headings_rad, ranges_m, sigmas_m, verdicts, half_beam_rad, wall)
+        least_squares(readings, verdicts, wall)
     return True
 
 
 @jit
-def least_squares(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    verdicts: Any,
-    half_beam_rad: Any,
-    wall: Any,
-) -> Any:
+def least_squares(readings: Any, verdicts: Any, wall: Any) -> Any:
     """Refine a wall by Gauss-Newton steps on d − n·p − r·cos e, weighted by 1/(σ cos e)².
 
     Parameters
     ----------
+    readings : Readings
+    verdicts : (m,) int64
+        INLIER: reading of this wall
     wall : (5,) float64
         start, and result with its covariance (AᵀWA)⁻¹; unchanged where the steps diverge
 
@@ -237,15 +181,15 @@ def least_squares(
     for _ in range(MAX_ITERATIONS):
         s_aa = s_a = s_1 = b_a = b_1 = 0.0
         nx, ny = math.cos(phi), math.sin(phi)
-        for i in range(ranges_m.size):
+        for i in range(readings.ranges_m.size):
             if verdicts[i] != INLIER:
                 continue
-            x, y = positions_m[i, 0], positions_m[i, 1]
-            slope, cos_edge = sensitivity(x, y, headings_rad[i], ranges_m[i], half_beam_rad, phi, nx, ny)
+            x, y = readings.positions_m[i, 0], readings.positions_m[i, 1]
+            slope, cos_edge = reading_sensitivity(readings, i, phi, nx, ny)
             if cos_edge < MIN_COS_EDGE:
                 return False
-            weight = 1.0 / (sigmas_m[i] * cos_edge) ** 2
-            left = distance - nx * x - ny * y - ranges_m[i] * cos_edge
+            weight = 1.0 / (readings.sigmas_m[i] * cos_edge) ** 2
+            left = distance - nx * x - ny * y - readings.ranges_m[i] * cos_edge
             s_aa += weight * slope * slope
             s_a += weight * slope
             s_1 += weight

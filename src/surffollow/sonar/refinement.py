@@ -21,23 +21,12 @@ REACH_RAD = math.radians(60.0)  # a refinement stays on the candidate's side of 
 
 
 @jit
-def polish_candidate(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    half_beam_rad: Any,
-    max_incidence_rad: Any,
-    max_range_m: Any,
-    free: Any,
-    verdicts: Any,
-    trial: Any,
-    wall: Any,
-) -> Any:
+def polish_candidate(readings: Any, free: Any, verdicts: Any, trial: Any, wall: Any) -> Any:
     """Fit a candidate to its inliers while that makes φ more certain.
 
     Parameters
     ----------
+    readings : Readings
     verdicts : (m,) int64   written: how the readings stand to the result
     trial : (5,) float64    scratch
     wall : (5,) float64     the candidate, bounded by its beams; written
@@ -49,19 +38,7 @@ def polish_candidate(
     trial[:] = wall
     best = 0
     for attempt in range(POLISHES + 1):
-        n, against = count_agreement(
-            positions_m,
-            headings_rad,
-            ranges_m,
-            sigmas_m,
-            half_beam_rad,
-            max_incidence_rad,
-            max_range_m,
-            trial,
-            free,
-            verdicts,
-            True,
-        )
+        n, against = count_agreement(readings, trial, free, verdicts, True)
         score = n - CONTRADICTION_WEIGHT * against
         if attempt > 0 and score < best:
             break
@@ -70,32 +47,18 @@ def polish_candidate(
             if score == best and attempt > 1:
                 break
         best = score
-        if n < 3 or not least_squares(
-            positions_m, headings_rad, ranges_m, sigmas_m, verdicts, half_beam_rad, trial
-        ):
+        if n < 3 or not least_squares(readings, verdicts, trial):
             break
     return best
 
 
 @jit
-def refine_wall(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    free: Any,
-    verdicts: Any,
-    half_beam_rad: Any,
-    max_incidence_rad: Any,
-    max_range_m: Any,
-    exactly: Any,
-    points: Any,
-    wall: Any,
-) -> Any:
+def refine_wall(readings: Any, free: Any, verdicts: Any, exactly: Any, points: Any, wall: Any) -> Any:
     """Fuse the inliers in `verdicts`, find the inliers of the result, and repeat.
 
     Parameters
     ----------
+    readings : Readings
     free : (m,) bool        readings that may belong to this wall
     verdicts : (m,) int64   inliers at first; those of the result afterwards
     exactly : bool          count the inliers without the wall's own error
@@ -108,35 +71,10 @@ def refine_wall(
     n = 0
     near = wall[PHI]
     for _ in range(REFINEMENTS):
-        if not fuse(
-            positions_m,
-            headings_rad,
-            ranges_m,
-            sigmas_m,
-            verdicts,
-            half_beam_rad,
-            max_incidence_rad,
-            max_range_m,
-            near,
-            REACH_RAD,
-            points,
-            wall,
-        ):
+        if not fuse(readings, verdicts, near, REACH_RAD, points, wall):
             return 0
         before = n
-        n, _ = count_agreement(
-            positions_m,
-            headings_rad,
-            ranges_m,
-            sigmas_m,
-            half_beam_rad,
-            max_incidence_rad,
-            max_range_m,
-            wall,
-            free,
-            verdicts,
-            exactly,
-        )
+        n, _ = count_agreement(readings, wall, free, verdicts, exactly)
         if n == before or n == 0:
             break
     return n

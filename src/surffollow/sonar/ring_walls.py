@@ -16,13 +16,7 @@ from surffollow.sonar.wall_search import best_wall, is_grazing
 
 @jit
 def find_walls(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    half_beam_rad: Any,
-    max_incidence_rad: Any,
-    max_range_m: Any,
+    readings: Any,
     min_sensors: Any,
     found: Any,
     candidates: Any,
@@ -36,7 +30,7 @@ def find_walls(
 
     Parameters
     ----------
-    positions_m : (m, 2) float64    headings_rad, ranges_m, sigmas_m : (m,) float64, sigmas > 0
+    readings : Readings             sigmas > 0
     min_sensors : int64             1: a lone echo is a wall, too, known as far as its beam tells
     found, candidates, points, free, verdicts   scratch of `find_candidates` and `fuse`
     walls : (k, 5) float64          written: φ, d, var φ, covariance, var d
@@ -46,96 +40,43 @@ def find_walls(
     -------
     int64   number of walls
     """
-    for i in range(ranges_m.size):
-        free[i] = math.isfinite(ranges_m[i])
+    for i in range(readings.ranges_m.size):
+        free[i] = math.isfinite(readings.ranges_m[i])
         owner[i] = -1
-    grazing = is_grazing(half_beam_rad, max_incidence_rad)
+    grazing = is_grazing(readings)
     k = 0
     while k < walls.shape[0]:
-        taken = best_wall(
-            positions_m,
-            headings_rad,
-            ranges_m,
-            sigmas_m,
-            half_beam_rad,
-            max_incidence_rad,
-            max_range_m,
-            found,
-            candidates,
-            points,
-            free,
-            verdicts,
-            walls[k],
-        )
+        taken = best_wall(readings, found, candidates, points, free, verdicts, walls[k])
         if taken < 2:
             break
-        for s in range(ranges_m.size):
+        for s in range(readings.ranges_m.size):
             if verdicts[s] == INLIER:
                 owner[s] = k
         known = k
         k += 1
         if k > 1 and grazing:
-            k = fit_jointly(
-                positions_m,
-                headings_rad,
-                ranges_m,
-                sigmas_m,
-                half_beam_rad,
-                max_incidence_rad,
-                max_range_m,
-                verdicts,
-                found[0],
-                walls,
-                k,
-                owner,
-            )
-        for s in range(ranges_m.size):
-            free[s] = math.isfinite(ranges_m[s]) and owner[s] < 0
+            k = fit_jointly(readings, verdicts, found[0], walls, k, owner)
+        for s in range(readings.ranges_m.size):
+            free[s] = math.isfinite(readings.ranges_m[s]) and owner[s] < 0
         if k <= known:
             break
     for w in range(k if k > 1 and grazing else 0):
-        for s in range(ranges_m.size):
+        for s in range(readings.ranges_m.size):
             verdicts[s] = INLIER if owner[s] == w else UNEXPLAINED
         found[0] = walls[w]
-        if fuse(
-            positions_m,
-            headings_rad,
-            ranges_m,
-            sigmas_m,
-            verdicts,
-            half_beam_rad,
-            max_incidence_rad,
-            max_range_m,
-            walls[w, PHI],
-            REACH_RAD,
-            points,
-            found[0],
-        ):
+        if fuse(readings, verdicts, walls[w, PHI], REACH_RAD, points, found[0]):
             walls[w] = found[0]
     if min_sensors > 1:
         return k
-    for s in range(ranges_m.size):
+    for s in range(readings.ranges_m.size):
         if k == walls.shape[0]:
             break
         if not free[s]:
             continue
-        for i in range(ranges_m.size):
+        for i in range(readings.ranges_m.size):
             verdicts[i] = INLIER if i == s else UNEXPLAINED
-        walls[k, PHI] = headings_rad[s]
-        if fuse(
-            positions_m,
-            headings_rad,
-            ranges_m,
-            sigmas_m,
-            verdicts,
-            half_beam_rad,
-            max_incidence_rad,
-            max_range_m,
-            headings_rad[s],
-            math.pi,
-            points,
-            walls[k],
-        ):
+        walls[k, PHI] = readings.headings_rad[s]
+        if fuse(readings, verdicts, readings.headings_rad[s], math.pi, points, walls[k]):
             free[s], owner[s] = False, k
             k += 1
     return k

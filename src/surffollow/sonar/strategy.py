@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from surffollow.sonar.agreement import INLIER, UNEXPLAINED
 from surffollow.sonar.beam import predict_ranges
-from surffollow.sonar.belief import Belief, Pose
+from surffollow.sonar.belief import Belief
 from surffollow.sonar.pair import SOLUTION
 from surffollow.sonar.posterior import N_POINTS, fuse
+from surffollow.sonar.refinement import REACH_RAD
+from surffollow.sonar.ring import Pose
 from surffollow.sonar.wall import WallPose
 
 # normals looked at, in half widths of a uniform distribution of the posterior's variance
@@ -126,25 +128,12 @@ def _chance(belief: Belief, wall: WallPose, pose: Pose, sensors: tuple[int, ...]
         phi, distance = wall.phi_rad + q * half_width, wall.distance_m + gain * q * half_width
         fresh = _predicted(belief, pose, sensors, [(phi, distance), *others])
         alone = _predicted(belief, pose, sensors, [(phi, distance)])
-        ranges = np.append(belief.ranges_m, fresh)
         verdicts[:] = UNEXPLAINED
         verdicts[list(wall.sensors)] = INLIER
         verdicts[belief.ranges_m.size :][np.isfinite(fresh) & (fresh == alone)] = INLIER
         row[:] = phi, distance, 0.0, 0.0, 0.0
-        fused = fuse(
-            all_positions,
-            all_headings,
-            ranges,
-            ring.sigmas(ranges),
-            verdicts,
-            ring.half_beam_rad,
-            ring.max_incidence_rad,
-            ring.max_range_m,
-            phi,
-            math.radians(60.0),
-            points,
-            row,
-        )
+        readings = ring.readings(all_positions, all_headings, np.append(belief.ranges_m, fresh))
+        fused = fuse(readings, verdicts, phi, REACH_RAD, points, row)
         known += bool(
             fused
             and math.sqrt(row[2]) <= belief.phi_bound_rad

@@ -32,20 +32,7 @@ GRAZING_RAD = math.radians(
 
 @jit
 def certain_wall(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    half_beam_rad: Any,
-    max_incidence_rad: Any,
-    max_range_m: Any,
-    n: Any,
-    found: Any,
-    candidates: Any,
-    points: Any,
-    free: Any,
-    verdicts: Any,
-    wall: Any,
+    readings: Any, n: Any, found: Any, candidates: Any, points: Any, free: Any, verdicts: Any, wall: Any
 ) -> Any:
     """The best of the candidates that least squares make certain, fused with its inliers.
 
@@ -70,20 +57,8 @@ def certain_wall(
         kept += 1
     for c in range(kept):
         i, j = int(candidates[c, FIRST]), int(candidates[c, SECOND])
-        bound_by_beams(positions_m, headings_rad, i, j, max_incidence_rad, candidates[c, :SOLUTION], bounded)
-        candidates[c, INLIERS] = polish_candidate(
-            positions_m,
-            headings_rad,
-            ranges_m,
-            sigmas_m,
-            half_beam_rad,
-            max_incidence_rad,
-            max_range_m,
-            free,
-            verdicts,
-            trial,
-            bounded,
-        )
+        bound_by_beams(readings, i, j, candidates[c, :SOLUTION], bounded)
+        candidates[c, INLIERS] = polish_candidate(readings, free, verdicts, trial, bounded)
         candidates[c, CONTRADICTIONS] = 0
         candidates[c, :SOLUTION] = bounded
         candidates[c, COST] = candidate_cost(bounded)
@@ -94,33 +69,8 @@ def certain_wall(
         wall[:] = candidates[best, :SOLUTION]
         if candidate_score(candidates[best]) < 3:
             break
-        count_agreement(
-            positions_m,
-            headings_rad,
-            ranges_m,
-            sigmas_m,
-            half_beam_rad,
-            max_incidence_rad,
-            max_range_m,
-            wall,
-            free,
-            verdicts,
-            True,
-        )
-        taken = refine_wall(
-            positions_m,
-            headings_rad,
-            ranges_m,
-            sigmas_m,
-            free,
-            verdicts,
-            half_beam_rad,
-            max_incidence_rad,
-            max_range_m,
-            True,
-            points,
-            wall,
-        )
+        count_agreement(readings, wall, free, verdicts, True)
+        taken = refine_wall(readings, free, verdicts, True, points, wall)
         if taken >= 3:
             return taken
         kept -= 1
@@ -130,20 +80,7 @@ def certain_wall(
 
 @jit
 def vague_wall(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    half_beam_rad: Any,
-    max_incidence_rad: Any,
-    max_range_m: Any,
-    n: Any,
-    found: Any,
-    candidates: Any,
-    points: Any,
-    free: Any,
-    verdicts: Any,
-    wall: Any,
+    readings: Any, n: Any, found: Any, candidates: Any, points: Any, free: Any, verdicts: Any, wall: Any
 ) -> Any:
     """The best candidate with the readings that its own covariance lets in, fused; else its pair alone.
 
@@ -155,40 +92,14 @@ def vague_wall(
         if candidate_score(candidates[best]) < 2:
             break
         i, j = int(candidates[best, FIRST]), int(candidates[best, SECOND])
-        bound_by_beams(
-            positions_m, headings_rad, i, j, max_incidence_rad, candidates[best, :SOLUTION], bounded
-        )
-        count_agreement(
-            positions_m,
-            headings_rad,
-            ranges_m,
-            sigmas_m,
-            half_beam_rad,
-            max_incidence_rad,
-            max_range_m,
-            bounded,
-            free,
-            verdicts,
-        )
+        bound_by_beams(readings, i, j, candidates[best, :SOLUTION], bounded)
+        count_agreement(readings, bounded, free, verdicts)
         for alone in range(2):
             if alone == 1:
-                for s in range(ranges_m.size):
+                for s in range(readings.ranges_m.size):
                     verdicts[s] = INLIER if s in (i, j) else UNEXPLAINED
             wall[:] = bounded
-            taken = refine_wall(
-                positions_m,
-                headings_rad,
-                ranges_m,
-                sigmas_m,
-                free,
-                verdicts,
-                half_beam_rad,
-                max_incidence_rad,
-                max_range_m,
-                False,
-                points,
-                wall,
-            )
+            taken = refine_wall(readings, free, verdicts, False, points, wall)
             if taken >= 2:
                 return taken
         n -= 1
@@ -197,9 +108,9 @@ def vague_wall(
 
 
 @jit_inlined
-def is_grazing(half_beam_rad: Any, max_incidence_rad: Any) -> Any:
+def is_grazing(readings: Any) -> Any:
     """Whether echoes come from so near to grazing that vague candidates agree with anything."""
-    return max_incidence_rad - half_beam_rad > GRAZING_RAD
+    return readings.max_incidence_rad - readings.half_beam_rad > GRAZING_RAD
 
 
 @jit
@@ -214,19 +125,7 @@ def mean_heading(headings_rad: Any, free: Any) -> Any:
 
 @jit
 def best_wall(
-    positions_m: Any,
-    headings_rad: Any,
-    ranges_m: Any,
-    sigmas_m: Any,
-    half_beam_rad: Any,
-    max_incidence_rad: Any,
-    max_range_m: Any,
-    found: Any,
-    candidates: Any,
-    points: Any,
-    free: Any,
-    verdicts: Any,
-    wall: Any,
+    readings: Any, found: Any, candidates: Any, points: Any, free: Any, verdicts: Any, wall: Any
 ) -> Any:
     """The wall that the free readings agree with best.
 
@@ -246,30 +145,13 @@ def best_wall(
     int64   inliers; less than 2 for no wall
     """
     echoes = 0
-    for s in range(ranges_m.size):
+    for s in range(readings.ranges_m.size):
         echoes += free[s]
         verdicts[s] = INLIER if free[s] else UNEXPLAINED
-    _, width = beam_interval(
-        headings_rad, verdicts, max_incidence_rad, mean_heading(headings_rad, free), math.pi
-    )
-    grazing = is_grazing(half_beam_rad, max_incidence_rad)
+    _, width = beam_interval(readings, verdicts, mean_heading(readings.headings_rad, free), math.pi)
+    grazing = is_grazing(readings)
     for search in range(0 if width >= 0.0 or not grazing else 1, 3):
-        n = find_candidates(
-            positions_m,
-            headings_rad,
-            ranges_m,
-            sigmas_m,
-            free,
-            half_beam_rad,
-            max_incidence_rad,
-            max_range_m,
-            True,
-            search == 0,
-            search == 1,
-            found,
-            verdicts,
-            candidates,
-        )
+        n = find_candidates(readings, free, True, search == 0, search == 1, found, verdicts, candidates)
         if n == 0:
             return 0
         taken = 0
@@ -278,55 +160,13 @@ def best_wall(
                 continue
             candidates[0], n = candidates[n - 1], 1
         if search == 1:
-            taken = certain_wall(
-                positions_m,
-                headings_rad,
-                ranges_m,
-                sigmas_m,
-                half_beam_rad,
-                max_incidence_rad,
-                max_range_m,
-                n,
-                found,
-                candidates,
-                points,
-                free,
-                verdicts,
-                wall,
-            )
+            taken = certain_wall(readings, n, found, candidates, points, free, verdicts, wall)
         else:
-            taken = vague_wall(
-                positions_m,
-                headings_rad,
-                ranges_m,
-                sigmas_m,
-                half_beam_rad,
-                max_incidence_rad,
-                max_range_m,
-                n,
-                found,
-                candidates,
-                points,
-                free,
-                verdicts,
-                wall,
-            )
+            taken = vague_wall(readings, n, found, candidates, points, free, verdicts, wall)
         if not grazing:
             return taken
         if search == 0 and taken >= 2:
-            taken, _ = count_agreement(
-                positions_m,
-                headings_rad,
-                ranges_m,
-                sigmas_m,
-                half_beam_rad,
-                max_incidence_rad,
-                max_range_m,
-                wall,
-                free,
-                verdicts,
-                True,
-            )
+            taken, _ = count_agreement(readings, wall, free, verdicts, True)
             if taken < echoes:
                 continue
         if taken >= 2:

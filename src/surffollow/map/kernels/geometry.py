@@ -149,6 +149,16 @@ def open_journal(header: Any, operation: Any) -> None:
 
 
 @jit
+def turn_into_reset(w: Any) -> None:
+    """Give the running operation up for a MapReset over the region it was for: its grids are half new."""
+    w.rejected += 1
+    w.journal_progress = 0
+    fence_release()
+    w.journal_op = _RESETTING
+    w.state = _RESETTING
+
+
+@jit
 def close_journal(header: Any, state: Any) -> None:
     """Put the planned geometry in force. May be cut off anywhere and run again."""
     w = header[0]

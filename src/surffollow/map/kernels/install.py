@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.map.kernels.geometry import close_journal, open_journal
+from surffollow.map.kernels.geometry import close_journal, open_journal, turn_into_reset
+from surffollow.map.kernels.refocus_journal import BACKWARD, HEAD, TAIL, finished_of, phase_of
 from surffollow.shm import map_layout as ml
 from surffollow.shm.atomics import fence_release
 from surffollow.shm.jit import jit
@@ -133,11 +134,7 @@ def reject(header: Any) -> Any:
     w = header[0]
     if w.journal_op != _INSTALLING:
         return 0
-    w.rejected += 1
-    w.journal_progress = 0
-    fence_release()
-    w.journal_op = _RESETTING
-    w.state = _RESETTING
+    turn_into_reset(w)
     return 1
 
 
@@ -153,13 +150,13 @@ def operation_progress(header: Any) -> Any:
     total = w.journal_nx * w.journal_ny
     if w.journal_op == 0 or total < 1:
         return 1.0
-    done = w.journal_progress & 0xFFFFFFFFFF
+    done = finished_of(w)
     if w.journal_op == _RESETTING or w.journal_op == _INSTALLING:
         return done / total
-    phase = w.journal_progress >> 48
-    if phase == 1 or phase == 3:
+    phase = phase_of(w)
+    if phase in (TAIL, HEAD):
         part = done / total
     else:
-        side = w.overlap_new if phase == 2 or w.journal_forward == 1 else w.overlap_old
+        side = w.overlap_new if phase == BACKWARD or w.journal_forward == 1 else w.overlap_old
         part = done / max(side[3] - side[2], 1)
     return min(1.0, (phase + part) / 4.0)

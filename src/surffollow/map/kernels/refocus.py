@@ -15,127 +15,29 @@ are intact, and storing a row twice is storing it once.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
-from surffollow.map.kernels.geometry import close_journal, margin_grids, open_journal, plan_geometry
+from surffollow.map.kernels.geometry import close_journal, turn_into_reset
 from surffollow.map.kernels.height_rows import clear_grids, copy_row, pack_row, place_row, unowned
-from surffollow.map.kernels.refocus_rows import (
+from surffollow.map.kernels.refocus_journal import (
     BACKWARD,
     FORWARD,
     HEAD,
     TAIL,
-    new_row,
-    new_row_span,
-    old_part,
-    place_finer,
+    finished_of,
+    leave_rows,
+    pending_of,
+    phase_of,
+    store_progress,
 )
-from surffollow.map.kernels.refocus_scratch import (
-    RING_ROWS,
-    forget_rows,
-    held_of,
-    prepare,
-    ring_of,
-    scratch_words,
-)
-from surffollow.map.kernels.resample import axis_overlap
+from surffollow.map.kernels.refocus_rows import new_row, new_row_span, old_part, place_finer
+from surffollow.map.kernels.refocus_scratch import RING_ROWS, forget_rows, prepare, ring_of
 from surffollow.shm import map_layout as ml
-from surffollow.shm.atomics import fence_release
 from surffollow.shm.jit import jit
 
-_OK, _NO_SCRATCH, _NOT_MAPPED, _BUSY = ml.OK, ml.NO_SCRATCH, ml.NOT_MAPPED, ml.BUSY
-_PAPER = ml.ROUND_PAPER
-_BAD_MAP, _FINEST_M, _COARSEST_M = ml.BAD_MAP, ml.MIN_GRID_M, ml.MAX_GRID_M
-# grid sizes that differ by less are the same size, edges that differ by less the same edge (of a grid)
-_SAME_GRID, EDGE = 1e-9, 1e-6
-_READY, _REFOCUSING, _RESETTING = ml.READY, ml.REFOCUSING, ml.RESETTING
-
-
-@jit
-def snap_to_grids(w: Any) -> None:
-    """Move a planned geometry of the same grid size onto the old lattice, so that no height changes.
-
-    Only whole grids are then moved. The plan is made anew from the whole grids that the region
-    touches; where memory has no room for these (a region that fills it), the plan is moved by at most half a
-    grid instead. The paper's rounding keeps the paper's geometry.
-    """
-    if w.rounding == _PAPER or abs(w.journal_grid_m - w.grid_m) > _SAME_GRID * w.grid_m:
-        return
-    grid = w.grid_m
-    left = math.floor((w.journal_region_m[0] - w.x0_m) / grid + EDGE)
-    bottom = math.floor((w.journal_region_m[1] - w.y0_m) / grid + EDGE)
-    nx = max(np.int64(math.ceil((w.journal_region_m[2] - w.x0_m) / grid - EDGE) - left), 1)
-    ny = max(np.int64(math.ceil((w.journal_region_m[3] - w.y0_m) / grid - EDGE) - bottom), 1)
-    if nx * ny <= w.capacity_grids:
-        m = margin_grids(nx, ny, w.capacity_grids)
-        w.journal_nx, w.journal_ny = nx + 2 * m, ny + 2 * m
-        left, bottom = left - m, bottom - m
-    else:
-        left = math.floor((w.journal_x0_m - w.x0_m) / grid + 0.5)
-        bottom = math.floor((w.journal_y0_m - w.y0_m) / grid + 0.5)
-    w.journal_grid_m = grid
-    w.journal_x0_m, w.journal_y0_m = w.x0_m + left * grid, w.y0_m + bottom * grid
-
-
-@jit
-def refocus_begin(
-    header: Any,
-    pairs: Any,
-    scratch: Any,
-    x_min: Any,
-    y_min: Any,
-    x_max: Any,
-    y_max: Any,
-    finest_grid_m: Any = 0.0,
-) -> Any:
-    """Start a MapRefocus; `refocus_step` carries it out. Nothing has changed unless the answer is OK.
-
-    Parameters
-    ----------
-    header : (1,) structured `MapHeader`
-    pairs : (n,) structured `GridPair`
-    scratch : (k,) float64                    kept with the map until the last step
-    x_min, y_min, x_max, y_max : float64      new region of interest [m]
-    finest_grid_m : float64                   finest useful grid of this refocus [m]; 0: the header's
-
-    Returns
-    -------
-    int64  OK, BAD_REGION, BAD_MAP (no such finest grid), BUSY, NOT_MAPPED, NO_SCRATCH (rows too long: see
-    `scratch_bytes`)
-    """
-    w = header[0]
-    if w.journal_op != 0:
-        return _BUSY
-    if w.state != _READY:
-        return _NOT_MAPPED
-    if finest_grid_m != 0.0 and not _FINEST_M <= finest_grid_m <= _COARSEST_M:
-        return _BAD_MAP
-    answer = plan_geometry(header, x_min, y_min, x_max, y_max, finest_grid_m)
-    if answer != _OK:
-        return answer
-    snap_to_grids(w)
-    ratio = w.journal_grid_m / w.grid_m
-    shift_x, shift_y = (w.journal_x0_m - w.x0_m) / w.grid_m, (w.journal_y0_m - w.y0_m) / w.grid_m
-    in_x = axis_overlap(shift_x, ratio, w.journal_nx, w.nx)
-    in_y = axis_overlap(shift_y, ratio, w.journal_ny, w.ny)
-    if in_x[0] == in_x[1] or in_y[0] == in_y[1]:
-        in_x, in_y = (0, 0, 0, 0), (0, 0, 0, 0)
-    columns = max(in_x[1] - in_x[0], in_x[3] - in_x[2])
-    if scratch_words(columns) > scratch.shape[0]:
-        return _NO_SCRATCH
-    w.overlap_new[0], w.overlap_new[1] = in_x[0], in_x[1]
-    w.overlap_new[2], w.overlap_new[3] = in_y[0], in_y[1]
-    w.overlap_old[0], w.overlap_old[1] = in_x[2], in_x[3]
-    w.overlap_old[2], w.overlap_old[3] = in_y[2], in_y[3]
-    n_new = (in_x[1] - in_x[0]) * (in_y[1] - in_y[0])
-    n_old = (in_x[3] - in_x[2]) * (in_y[3] - in_y[2])
-    w.journal_forward = 1 if n_new < n_old else 0
-    held_of(scratch, columns)[:] = -1
-    prepare(w, scratch, columns)
-    open_journal(header, _REFOCUSING)
-    return _OK
+_READY, _REFOCUSING = ml.READY, ml.REFOCUSING
 
 
 @jit
@@ -161,13 +63,6 @@ def _backward_limit(w: Any, left: Any) -> Any:
 
 
 @jit
-def _store_progress(w: Any, phase: Any, pending: Any, done: Any) -> None:
-    fence_release()
-    w.journal_progress = (phase << 48) + (pending << 40) + done
-    fence_release()
-
-
-@jit
 def _forward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) -> Any:
     """Pack rows to the front; returns the budget that is left, -1 when the ring was too short."""
     resample = w.journal_forward == 1
@@ -176,8 +71,7 @@ def _forward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) -
     cost = max(w.overlap_old[1] - w.overlap_old[0], 1)
     ring = ring_of(scratch, columns)
     words = pairs.view(np.int16)
-    done = w.journal_progress & 0xFFFFFFFFFF
-    pending = (w.journal_progress >> 40) & 0xFF
+    done, pending = finished_of(w), pending_of(w)
     while budget > 0 and (done < n_rows or pending > 0):
         if done < n_rows:
             if pending == RING_ROWS:
@@ -189,7 +83,7 @@ def _forward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) -
             else:
                 old_part(w, pairs, done, 0, out)
             done, pending = done + 1, pending + 1
-            _store_progress(w, FORWARD, pending, done)
+            store_progress(w, FORWARD, pending, done)
             budget -= cost
         limit = _forward_limit(w, done, n_rows)
         while pending > 0 and 2 * (done - pending + 1) * width <= limit:
@@ -197,11 +91,8 @@ def _forward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) -
             slot = (f % RING_ROWS) * columns
             copy_row(ring[slot : slot + width], words[f * width : (f + 1) * width])
             pending -= 1
-            _store_progress(w, FORWARD, pending, done)
-    if done == n_rows and pending == 0:
-        _store_progress(w, TAIL, 0, 0)
-        return max(budget, 1)
-    return max(budget, 0)
+            store_progress(w, FORWARD, pending, done)
+    return leave_rows(w, TAIL, pending, done, n_rows, budget)
 
 
 @jit
@@ -225,8 +116,7 @@ def _backward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) 
     width, n_rows = w.overlap_new[1] - w.overlap_new[0], w.overlap_new[3] - w.overlap_new[2]
     ring = ring_of(scratch, columns)
     words = pairs.view(np.int16)
-    done = w.journal_progress & 0xFFFFFFFFFF
-    pending = (w.journal_progress >> 40) & 0xFF
+    done, pending = finished_of(w), pending_of(w)
     while budget > 0 and (done < n_rows or pending > 0):
         if done < n_rows:
             if pending == RING_ROWS:
@@ -237,7 +127,7 @@ def _backward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) 
             free = pending == 0 and 3 * start - 1 >= _backward_limit(w, n_rows - done)
             if free and _place_directly(w, pairs, scratch, columns, j, start, width):
                 done += 1
-                _store_progress(w, BACKWARD, 0, done)
+                store_progress(w, BACKWARD, 0, done)
                 continue
             slot = (done % RING_ROWS) * columns
             out = ring[slot : slot + width]
@@ -246,7 +136,7 @@ def _backward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) 
             else:
                 new_row(w, pairs, scratch, columns, j, out)
             done, pending = done + 1, pending + 1
-            _store_progress(w, BACKWARD, pending, done)
+            store_progress(w, BACKWARD, pending, done)
         limit = _backward_limit(w, n_rows - done)
         while pending > 0:
             f = done - pending
@@ -256,24 +146,21 @@ def _backward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) 
             slot = (f % RING_ROWS) * columns
             place_row(ring[slot : slot + width], pairs, start, w.journal_nx, w.overlap_new[0])
             pending -= 1
-            _store_progress(w, BACKWARD, pending, done)
-    if done == n_rows and pending == 0:
-        _store_progress(w, HEAD, 0, 0)
-        return max(budget, 1)
-    return max(budget, 0)
+            store_progress(w, BACKWARD, pending, done)
+    return leave_rows(w, HEAD, pending, done, n_rows, budget)
 
 
 @jit
 def _clear_some(w: Any, pairs: Any, phase: Any, start: Any, stop: Any, budget: Any) -> Any:
     """Clear grids start … stop−1, going on where the journal says; returns the budget that is left."""
-    done = w.journal_progress & 0xFFFFFFFFFF
+    done = finished_of(w)
     to = min(stop, start + done + budget)
     clear_grids(pairs, start + done, to)
     budget -= to - start - done
     if to == stop:
-        _store_progress(w, phase + 1, 0, 0)
+        store_progress(w, phase + 1, 0, 0)
         return max(budget, 1)
-    _store_progress(w, phase, 0, to - start)
+    store_progress(w, phase, 0, to - start)
     return 0
 
 
@@ -283,7 +170,7 @@ def refocus_step(header: Any, pairs: Any, scratch: Any, budget_grids: Any) -> An
 
     Parameters
     ----------
-    header, pairs, scratch : as for `refocus_begin`; after a restart the same scratch contents
+    header, pairs, scratch : as for `refocus_plan.refocus_begin`; after a restart the same scratch contents
     budget_grids : int64                      how much to do before returning
 
     Returns
@@ -299,7 +186,7 @@ def refocus_step(header: Any, pairs: Any, scratch: Any, budget_grids: Any) -> An
     pairs, scratch = unowned(pairs), unowned(scratch)
     prepare(w, scratch, columns)
     while budget > 0:
-        phase = w.journal_progress >> 48
+        phase = phase_of(w)
         if phase == FORWARD:
             budget = _forward_rows(w, pairs, scratch, columns, budget)
             forget_rows(scratch, columns)
@@ -316,10 +203,6 @@ def refocus_step(header: Any, pairs: Any, scratch: Any, budget_grids: Any) -> An
             close_journal(header, _READY)
             return 1
         if budget < 0:
-            w.rejected += 1
-            w.journal_progress = 0
-            fence_release()
-            w.journal_op = _RESETTING
-            w.state = _RESETTING
+            turn_into_reset(w)
             return -1
     return 0

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from surffollow.map.kernels.height_rows import copy_row, has_unknown, pack_row, unpack_row
+from surffollow.map.kernels.refocus_journal import BACKWARD, phase_of
 from surffollow.map.kernels.refocus_scratch import (
     DENSE_ROWS,
     NARROW_RATIO,
@@ -33,8 +34,6 @@ from surffollow.map.kernels.row_means import (
 )
 from surffollow.shm.jit import jit
 
-FORWARD, TAIL, BACKWARD, HEAD, CLOSE = range(5)
-_BACKWARD = BACKWARD
 _STRIP = 1024  # columns whose sums stay in the first cache
 _ONE = np.float32(1.0)
 
@@ -49,7 +48,7 @@ def new_row_span(w: Any, j: Any) -> Any:
 @jit
 def old_part(w: Any, pairs: Any, k: Any, start: Any, part: Any) -> None:
     """Heights of old row k of the overlap from its column `start` on, as many as `part` takes."""
-    if w.journal_forward == 0 and (w.journal_progress >> 48) == _BACKWARD:
+    if w.journal_forward == 0 and phase_of(w) == BACKWARD:
         at = k * (w.overlap_old[1] - w.overlap_old[0]) + start
         copy_row(pairs.view(np.int16)[at : at + part.shape[0]], part)
     else:
