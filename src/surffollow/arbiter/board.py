@@ -29,7 +29,7 @@ from surffollow.shm.objects import SharedObject, unlink
 from surffollow.shm.process import own_pid, start_ticks
 from surffollow.shm.python_atomics import store_release
 
-DYING_S = 0.3  # a process that was just killed holds its locks until the kernel has taken it apart
+EXIT_GRACE_S = 0.3  # a process that was just killed holds its locks until the kernel has taken it apart
 EPOCH_LIMIT = (1 << 31) - 2
 _STATE = al.BoardHeader.offset("state")
 
@@ -56,7 +56,7 @@ def own_name(name: str) -> NameLock:
     NoPermissionError
         another user's lock file is in the way
     """
-    deadline = time.monotonic() + DYING_S
+    deadline = time.monotonic() + EXIT_GRACE_S
     while True:
         own = NameLock.take(f"{name}.arbiter")
         if own is not None:

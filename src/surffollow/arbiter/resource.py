@@ -21,7 +21,7 @@ _reply: Callable[..., Reply] = tuple.__new__  # half the time of the constructor
 _clock = time.monotonic_ns
 _NO_POSE = (0.0,) * al.POSE
 RELINQUISH_NS = 1_000_000_000
-MOST_TIMEOUT_S = 1e6
+MAX_TIMEOUT_S = 1e6
 
 
 class Reply(NamedTuple):
@@ -56,7 +56,8 @@ class Resource:
         self.name, self.n_values = str(config["name"]), int(config["n_values"])
         self.fields = tuple(str(config["fields"]).split(","))
         self._held, self._asked = exchange.desk_words(number)
-        self._words, self._put, self._post = exchange.words, exchange.put, exchange.post
+        self._words, self._mailbox = exchange.words, exchange.mailbox
+        self._mailbox_words = exchange.mailbox_words
         self._consumed = exchange.consumed
         self._padding = (0.0,) * (al.VALUES - self.n_values)
         self._command = al.ITEM_COMMAND | number << 8
@@ -108,14 +109,14 @@ class Resource:
         UsageError
             no such time
         """
-        if not 0.0 <= timeout_s < MOST_TIMEOUT_S:
-            raise UsageError(f"timeout_s is {timeout_s}; expected 0 to {MOST_TIMEOUT_S:g} s")
+        if not 0.0 <= timeout_s < MAX_TIMEOUT_S:
+            raise UsageError(f"timeout_s is {timeout_s}; expected 0 to {MAX_TIMEOUT_S:g} s")
         timeout_ns, words = int(timeout_s * 1e9), self._words
         before = words[self._held]
-        at = self._exchange.ask(self._queue_up if wait else self._request, timeout_ns)
+        at = self._exchange.request(self._queue_up if wait else self._request, timeout_ns)
         if at < 0:
             if before == 0:  # a server that answers later grants nothing
-                self._exchange.tell(self._relinquish, _clock())
+                self._exchange.send(self._relinquish, _clock())
             raise RequestTimeoutError(f"arbiter {self._client.name!r} did not answer in {timeout_s:g} s")
         result = words[at + _RESULT]
         if result == table.GRANT:
@@ -125,7 +126,7 @@ class Resource:
         other = (self._name_of(words[at + ex.HOLDER]), words[at + ex.HOLDER_PRIORITY])
         if result != table.ENQUEUE:
             return Reply(False, al.EVENT_NAMES.get(result, str(result)), 0, *other)
-        token = self._exchange.await_word(self._held, timeout_ns)
+        token = self._exchange.wait_for_word(self._held, timeout_ns)
         if token == 0:
             self.relinquish()
             token = self.token
@@ -172,26 +173,28 @@ class Resource:
             raise UsageError(
                 f"{self.name!r} takes {self.n_values} values ({', '.join(self.fields)}), not {values!r}"
             )
-        post = self._post
-        head = post[_HEAD]
+        mailbox_words = self._mailbox_words
+        head = mailbox_words[_HEAD]
         if head - self._words[self._consumed] >= al.MAILBOX_ITEMS:
             return False
         now = _clock()
         at = _ITEMS + (head & _MASK) * _ITEM_BYTES
         t = now if t_ns is None else t_ns
         if ref_t_ns == 0:
-            self._pack(self._put, at, head + 1, self._command, token, t, ref_t_ns, *values, *self._padding)
+            self._pack(
+                self._mailbox, at, head + 1, self._command, token, t, ref_t_ns, *values, *self._padding
+            )
         else:
             pose = tuple(ref_pose) if ref_pose is not None else _NO_POSE  # not what the place held before
             ex.COMMAND_AT_POSE.pack_into(
-                self._put, at, head + 1, self._command, token, t, ref_t_ns, *values, *self._padding, *pose
+                self._mailbox, at, head + 1, self._command, token, t, ref_t_ns, *values, *self._padding, *pose
             )
         if FENCED:
             fence()
-        post[_HEAD] = head + 1
-        post[_BEAT] = now
+        mailbox_words[_HEAD] = head + 1
+        mailbox_words[_BEAT] = now
         return True
 
     def relinquish(self) -> None:
         """Give control back, or leave the queue."""
-        self._exchange.ask(self._relinquish, RELINQUISH_NS)
+        self._exchange.request(self._relinquish, RELINQUISH_NS)

@@ -1,4 +1,4 @@
-"""The arbiter's process: the loop in a thread without the GIL, the reception in the main thread."""
+"""The arbiter's process: the loop in a thread without the GIL, the connections in the main thread."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from surffollow.arbiter import memory as m
 from surffollow.arbiter import table as t
 from surffollow.arbiter.board import Board, CommandBlock, group_id, own_name
 from surffollow.arbiter.config import ArbiterConfig, limits
-from surffollow.arbiter.connections import Reception, users_of
-from surffollow.arbiter.effects import happen
+from surffollow.arbiter.connections import ConnectionServer, users_of
+from surffollow.arbiter.effects import apply_event
 from surffollow.arbiter.loop import run_rounds
 from surffollow.config.service import mode
 from surffollow.errors import ServiceError
@@ -53,7 +53,9 @@ class Server:
             self._listener.close()
             raise
         self.mem = m.make_memory()
-        self._reception = Reception(config, users, self.board, self.mem, self._listener, self._wake_loop)
+        self._connections = ConnectionServer(
+            config, users, self.board, self.mem, self._listener, self._wake_loop
+        )
         self._fill()
 
     # -- set-up -----------------------------------------------------------------------------------
@@ -94,7 +96,7 @@ class Server:
 
     def _start_resources(self) -> None:
         for r in range(len(self.config.resources)):
-            happen(self.mem, r, t.RESTART, -1, 0, 0, time.monotonic_ns())
+            apply_event(self.mem, r, t.RESTART, -1, 0, 0, time.monotonic_ns())
             self.mem.machines[r]["counter"] = r << COUNTER_BITS  # no two resources grant the same token
 
     # -- run --------------------------------------------------------------------------------------
@@ -113,7 +115,7 @@ class Server:
             self.board.set_state(al.STATE_READY)
             if on_ready is not None:
                 on_ready()
-            self._reception.welcome_clients(self._wake)
+            self._connections.serve_connections(self._wake)
             if self._error:
                 raise ServiceError(f"the arbiter's loop failed: {self._error}")
         finally:
@@ -139,14 +141,14 @@ class Server:
         wake(address)
 
     def _end(self, thread: threading.Thread) -> None:
-        self._reception.dismiss_clients(thread)
+        self._connections.release_clients(thread)
         store_release(int(self.mem.ctx.ctypes.data) + 8 * m.STOP, 1)
         self._wake_loop()
         thread.join(2.0)
         if thread.is_alive():
             os._exit(1)  # its memory must not go away under it
         self._remove_objects()
-        self._reception.close()
+        self._connections.close()
         self._listener.close()
         os.close(self._wake)
         os.close(self._waker)
