@@ -23,7 +23,7 @@ from surffollow.shm.schema import Schema
 REATTACH_EVERY_NS = 20_000_000
 _NOTHING = memoryview(bytes(8 * (bl.FENCE_WORD + 1))).cast("Q")
 _NO_MEMORY = memoryview(b"")
-_MOST = SLOTS - 2
+_MAX_BEHIND = SLOTS - 2
 
 
 class Attachment:
@@ -92,7 +92,7 @@ class Attachment:
         self._own, self.is_writer = own, True
 
     def _adopt(self, obj: SharedObject, lock: FileLock) -> None:
-        self._let_go()
+        self._release()
         self._object, self._lock, self._memory = obj, lock, obj.memory
         self._owners = frozenset((obj.owner,))
         self._words = memoryview(obj.memory).cast("Q")
@@ -101,7 +101,7 @@ class Attachment:
         latch = bl.read_header(obj.memory)["latch_offset"]
         self._generation_word, self._slots, self._stride = bl.slot_places(self.schema, latch)
 
-    def _let_go(self, keep: bool = False) -> None:
+    def _release(self, keep: bool = False) -> None:
         obj, lock = self._object, self._lock
         if obj is not None and lock is not None:
             for view in (self._words, self._readonly, self._writable):
@@ -134,7 +134,7 @@ class Attachment:
             return False
         return True
 
-    def _here(self) -> FileLock:
+    def _require_lock(self) -> FileLock:
         if self._lock is None:
             raise NotRunningError(
                 f"block {self.object_name!r} is not attached: its writer has not started yet"
@@ -202,7 +202,7 @@ class Attachment:
             data = memory[at : at + self._size]
             if FENCED:
                 fence()
-            if words[word] - g <= _MOST:
+            if words[word] - g <= _MAX_BEHIND:
                 self._last = snapshot = Snapshot(self.schema, data, g, stale)
                 return snapshot
         last = self._last
@@ -219,7 +219,7 @@ class Attachment:
         if self._view is not None:
             self._view._end()
             self._view, self._writing = None, False
-        self._let_go(keep)
+        self._release(keep)
 
     def __repr__(self) -> str:
         role = "writer" if self.is_writer else "reader"

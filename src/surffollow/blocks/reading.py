@@ -16,7 +16,7 @@ from surffollow.shm.locks import FENCE_BASE, QUEUE_BYTE, FileLock
 
 OK, STALE = "ok", "stale"
 POLL_S = 50e-6
-LOOK_NS = 1_000_000  # between looks at the writer's process while one waits
+WRITER_LOOK_NS = 1_000_000  # between looks at the writer's process while one waits
 _clock = time.monotonic_ns
 
 
@@ -83,7 +83,7 @@ class ReadSide(Attachment):
             return True
         if self.is_writer or now < self._next_look_ns:
             return False
-        self._next_look_ns = now + LOOK_NS
+        self._next_look_ns = now + WRITER_LOOK_NS
         return not self._writer_runs()
 
     def _wait_to_read(self, timeout_s: float) -> tuple[Record, int]:
@@ -107,13 +107,13 @@ class ReadSide(Attachment):
                         lock.shared(QUEUE_BYTE)
                         queued = lock
                 if time.monotonic() >= deadline:
-                    raise BlockTimeoutError(self._why_no_read(timeout_s))
+                    raise BlockTimeoutError(self._read_failure(timeout_s))
                 time.sleep(POLL_S)
         finally:
             if queued is not None and queued.fd >= 0:
                 queued.release(QUEUE_BYTE)
 
-    def _why_no_read(self, timeout_s: float) -> str:
+    def _read_failure(self, timeout_s: float) -> str:
         if self._lock is None:
             why = "its writer has not started"
         elif self._words[bl.STATE_WORD] != bl.STATE_LIVE:
@@ -136,7 +136,7 @@ class ReadSide(Attachment):
             raise BlockError(f"block {self.name!r}: read_done without get_read_ok")
         self._view._end()
         self._view = None
-        lock, words = self._here(), self._words
+        lock, words = self._require_lock(), self._words
         if lock.fd < 0:
             return STALE  # the lock stayed with the parent process
         verdict = OK if words[bl.FENCE_WORD] == self._fence else STALE

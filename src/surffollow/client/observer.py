@@ -206,7 +206,7 @@ class Observer(MapReading):
         NotRunningError
             the service ended; one that stands still leaves its last words, see their `t_ns`
         """
-        self._must_be_there()
+        self._require_service()
         return self.board.latch("output", Output).read()
 
     def params(self) -> dict[str, float | int]:
@@ -219,7 +219,7 @@ class Observer(MapReading):
         """
         from surffollow.config.params import PARAMS
 
-        self._must_be_there()
+        self._require_service()
         values = self.board.latch("params", Params).read()
         if values is None:
             raise BlockError(f"service {self.name!r} has published no parameters yet")
@@ -268,7 +268,7 @@ class Observer(MapReading):
         self._try_reattach(now)
         return not self._ended
 
-    def _must_be_there(self) -> None:
+    def _require_service(self) -> None:
         if not self._follow():
             raise NotRunningError(
                 f"service {self.name!r} ended; start it again (surffollow start --name {self.name}), "

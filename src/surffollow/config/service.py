@@ -48,7 +48,7 @@ class MapConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     access_lease: str | float = "30 s"
 
 
-MOST_SLOTS = 16  # that a service has (shm.layout_board.CLIENTS)
+MAX_SLOTS = 16  # that a service has (shm.layout_board.CLIENTS)
 
 
 class AccessConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -169,8 +169,8 @@ def _check(c: ServiceConfig) -> None:
     for key in ("board_mode", "socket_mode", "map_mode"):
         mode(getattr(c.access, key), f"access.{key}")
     for key in ("slots_per_user", "slots_per_process"):
-        if not 1 <= getattr(c.access, key) <= MOST_SLOTS:
-            raise ConfigError(f"configuration key access.{key} must be a whole number from 1 to {MOST_SLOTS}")
+        if not 1 <= getattr(c.access, key) <= MAX_SLOTS:
+            raise ConfigError(f"configuration key access.{key} must be a whole number from 1 to {MAX_SLOTS}")
     for name, value in c.follow.items():
         check_param(name, value)
     if len({param_name(n) for n in c.follow}) < len(c.follow):

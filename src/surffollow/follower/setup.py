@@ -25,7 +25,7 @@ Config = Mapping[str, Any] | str | Path | None
 
 TOO_CLOSE_BEYOND_M = 0.15 * 0.0254  # beyond the near limit of a sensor given by its window
 TOO_CLOSE_EXIT_M = 0.3 * 0.0254  # but no more than the shares of the way to the stand-off
-MOST_MOUNT_M = 1e3
+MAX_MOUNT_M = 1e3
 # what differs from the service's defaults: readings come ready-made and stamped with their own time
 IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "sensor_readings": 1}
 # thresholds of too_close: of the way from the near limit to the stand-off
@@ -179,7 +179,7 @@ def _mounts(sensors: object) -> list[dict[str, Any]]:
                 f"{where}.orientation is {q.tolist()}; it must be a unit quaternion qx qy qz qw"
             )
         position = _numbers(s.get("position_m", (0.0, 0.0, 0.0)), 3, "m", f"{where}.position_m")
-        if not all(abs(v) <= MOST_MOUNT_M for v in position):
-            raise ConfigError(f"{where}.position_m is {position}; it must be within {MOST_MOUNT_M:g} m")
+        if not all(abs(v) <= MAX_MOUNT_M for v in position):
+            raise ConfigError(f"{where}.position_m is {position}; it must be within {MAX_MOUNT_M:g} m")
         mounts.append({"pose": [*position, *(q / np.linalg.norm(q)).tolist()], **s})
     return mounts

@@ -138,7 +138,7 @@ def fault_hits(table: Any, number: Any, state: Any, t_ns: Any, channel: Any) -> 
 
 @jit
 def fault_delay_ns(table: Any, state: Any, t_ns: Any, word: Any) -> Any:
-    """Longest delay that the schedule orders for a conversion [ns]; arguments as `spoil`."""
+    """Longest delay that the schedule orders for a conversion [ns]; arguments as `inject_faults`."""
     delay = 0
     for number in range(len(table)):
         if table[number].kind == LATE and fault_hits(table, number, state, t_ns, conversion_channel(word)):
@@ -147,7 +147,7 @@ def fault_delay_ns(table: Any, state: Any, t_ns: Any, word: Any) -> Any:
 
 
 @jit
-def spoil(table: Any, state: Any, t_ns: Any, word: Any) -> Any:
+def inject_faults(table: Any, state: Any, t_ns: Any, word: Any) -> Any:
     """Apply the schedule to one conversion; conversions come in order of time.
 
     Parameters
@@ -199,13 +199,13 @@ class Relay(Schema):
 
 @jit
 def run_relay(control: Any, relay: Any, table: Any, state: Any) -> None:
-    """Pass conversions on until `STOP`; see `spoil`.
+    """Pass conversions on until `STOP`; see `inject_faults`.
 
     Parameters
     ----------
     control : int64, address of the pump's control words
     relay : (1,) `Relay`
-    table, state : see `spoil`
+    table, state : see `inject_faults`
     """
     r = relay[0]
     wake = now_ns()
@@ -217,7 +217,7 @@ def run_relay(control: Any, relay: Any, table: Any, state: Any) -> None:
             if t_ns + fault_delay_ns(table, state, t_ns, word) > now:
                 break
             ring_drop(r.inner_ring, 1)
-            arrives, word = spoil(table, state, t_ns, word)
+            arrives, word = inject_faults(table, state, t_ns, word)
             if arrives:
                 push_conversion(r.ring, r.capacity, r.lost, r.item_address, t_ns, word)
         wake = max(wake + PERIOD_NS, now)
