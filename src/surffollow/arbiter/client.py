@@ -69,6 +69,11 @@ class ArbiterClient(ArbiterObserver):
         -------
         Resource
             handle of the resource
+
+        Raises
+        ------
+        UsageError
+            no resource has this name
         """
         return Resource(self, self.exchange, self.board.number_of(name))
 
@@ -85,8 +90,6 @@ class ArbiterClient(ArbiterObserver):
     def reattach(self, *, timeout_s: float = 5.0) -> ArbiterClient:
         """Attach anew under the same names, to a server of the same user only; this client is closed.
 
-        Every token is void: ask again. Raises as `attach`.
-
         Parameters
         ----------
         timeout_s : float
@@ -96,6 +99,15 @@ class ArbiterClient(ArbiterObserver):
         -------
         ArbiterClient
             the new attachment
+
+        Raises
+        ------
+        NotRunningError, NoPermissionError, RefusedError, ConfigError
+            as `attach`
+
+        Notes
+        -----
+        Every token is void: request the resources again.
         """
         self.close()
         return attach(self.name, self.client, timeout_s=timeout_s, owner=self.owner)

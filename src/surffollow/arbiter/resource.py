@@ -25,16 +25,20 @@ MAX_TIMEOUT_S = 1e6
 
 
 class Reply(NamedTuple):
-    """The answer to a request; true when the resource is ours.
+    """The answer to a request; true when this client holds the resource.
 
     Attributes
     ----------
+    granted : bool
+        whether this client holds the resource
     reason : str
-        GRANT, KEEP (it was ours), DENY, DENY_LEASE, or TIMEOUT (queued in vain)
+        GRANT, KEEP (this client held it already), DENY, DENY_LEASE, or TIMEOUT (queued in vain)
     token : int
+        under which this client's commands are forwarded; 0: none
     holder : str
-        who holds it instead; "" for nobody
+        name of the client that holds it instead; "" for none
     holder_priority : int
+        priority of that client; 0: none
     """
 
     granted: bool
@@ -48,7 +52,27 @@ class Reply(NamedTuple):
 
 
 class Resource:
-    """One resource as its clients see it; made by `ArbiterClient.resource`."""
+    """One resource as its clients see it; made by `ArbiterClient.resource`.
+
+    Attributes
+    ----------
+    name : str
+        of the resource
+    n_values : int
+        numbers of one command
+    fields : tuple of str
+        names of these numbers
+
+    Examples
+    --------
+    ::
+
+        with attach("cell", "go") as arbiter:
+            robot = arbiter.resource("robot")
+            if robot.request(wait=True, timeout_s=2.0):
+                while robot.command(0.2, 0.0):      # False: a client of higher priority has it now
+                    time.sleep(0.02)
+    """
 
     def __init__(self, client: ArbiterClient, exchange: ex.Exchange, number: int) -> None:
         self._client, self._exchange = client, exchange
@@ -82,7 +106,13 @@ class Resource:
         return self._words[self._asked] != 0 and self.held
 
     def holder(self) -> Any:
-        """Who holds the resource (`observer.Holder`), None: nobody, or the server ended."""
+        """Who holds the resource.
+
+        Returns
+        -------
+        Holder or None
+            None: nobody, or the server ended
+        """
         return None if self._exchange.ended else self._client.holder(self.name)
 
     def request(self, *, wait: bool = False, timeout_s: float = 1.0) -> Reply:
@@ -148,12 +178,15 @@ class Resource:
 
         Parameters
         ----------
-        values : as many floats as the resource's command has
+        values : float
+            as many as the resource's command has, in the declared units
         t_ns : int, optional
-            when it was made [ns]; now when absent
-        ref_t_ns, ref_pose
-            stamp and value (7 floats) of the pose that it is relative to; a stamp alone
-            is enough where nothing is summed that is relative to another pose
+            when it was made, CLOCK_MONOTONIC [ns]; now when absent
+        ref_t_ns : int
+            timestamp of the pose that the values are relative to [ns]; 0: relative to none
+        ref_pose : seven floats, optional
+            that pose: x y z [m], qx qy qz qw. The timestamp alone is enough where nothing is summed that is
+            relative to another pose
 
         Returns
         -------
@@ -165,6 +198,10 @@ class Resource:
         ------
         UsageError
             another number of values
+
+        Notes
+        -----
+        A command is valid for the `ttl` of the resource. Send the next one before that time is over.
         """
         token = self._words[self._held]
         if token == 0 or self._exchange.ended:
@@ -196,5 +233,13 @@ class Resource:
         return True
 
     def relinquish(self) -> None:
-        """Give control back, or leave the queue."""
+        """Give control back, or leave the queue.
+
+        Raises
+        ------
+        ClosedError
+            this client was closed
+        NotRunningError
+            the server ended
+        """
         self._exchange.request(self._relinquish, RELINQUISH_NS)

@@ -17,11 +17,12 @@ from surffollow.arbiter import handshake as hs
 from surffollow.arbiter import layout as al
 from surffollow.arbiter import memory as m
 from surffollow.arbiter import table as t
-from surffollow.arbiter.board import Board, CommandBlock, group_id, own_name
+from surffollow.arbiter.board import Board, CommandBlock, own_name
 from surffollow.arbiter.config import ArbiterConfig, limits
 from surffollow.arbiter.connections import ConnectionServer, users_of
 from surffollow.arbiter.effects import apply_event
 from surffollow.arbiter.loop import run_rounds
+from surffollow.config.group_id import configured_group_id
 from surffollow.config.service import mode
 from surffollow.errors import ServiceError
 from surffollow.shm.name_lock import NameLock
@@ -45,7 +46,7 @@ class Server:
         try:
             self._own = own_name(config.name)
             self.board = Board(config)
-            access, group = mode(config.mode, "mode"), group_id(config.group)
+            access, group = mode(config.mode, "mode"), configured_group_id(config.group, "group")
             for name in (*config.resources, *config.combine):
                 self._blocks.append(CommandBlock(f"{config.name}.{name}", access, group))
         except BaseException:

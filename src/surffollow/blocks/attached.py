@@ -163,7 +163,18 @@ class AttachedBlock(ReadSide):
         return int(words[bl.FENCE_WORD])
 
     def write_done(self) -> int:
-        """Publish the slot, let readers in, tell the hooks; returns the new generation."""
+        """Publish the slot, let readers in, call the hooks.
+
+        Returns
+        -------
+        int
+            the new generation
+
+        Raises
+        ------
+        BlockError
+            without `get_write_ok`, or this process is not the block's writer
+        """
         words = self._words
         g = words[self._generation_word] + 1
         self._end_write("write_done")
@@ -186,7 +197,13 @@ class AttachedBlock(ReadSide):
         self._view, self._writing = None, False
 
     def abandon(self) -> None:
-        """End the write without publishing: readers keep the values they had."""
+        """End the write without publishing: readers keep the values they had.
+
+        Raises
+        ------
+        BlockError
+            without `get_write_ok`
+        """
         self._end_write("abandon")
         self._admit_readers()
 
@@ -197,7 +214,7 @@ class AttachedBlock(ReadSide):
 
     @contextmanager
     def write(self, timeout_s: float = 5.0) -> Iterator[Record]:
-        """`with block.write() as slot:` get_write_ok, write_done; an exception inside publishes nothing.
+        """Write in a `with` statement: `get_write_ok`, `write_done`; an exception inside publishes nothing.
 
         Parameters
         ----------
@@ -208,6 +225,11 @@ class AttachedBlock(ReadSide):
         -------
         context manager of Record
             a slot that holds the newest values, to be changed
+
+        Raises
+        ------
+        BlockTimeoutError, BusyError, BlockError
+            as `get_write_ok`
         """
         slot = self.get_write_ok(timeout_s)
         try:

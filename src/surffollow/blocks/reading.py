@@ -131,6 +131,11 @@ class ReadSide(Attachment):
         -------
         str
             "ok", or "stale": the lease ran out meanwhile, the values may have changed under the reader
+
+        Raises
+        ------
+        BlockError
+            without `get_read_ok`
         """
         if self._view is None or self._writing:
             raise BlockError(f"block {self.name!r}: read_done without get_read_ok")
@@ -145,7 +150,7 @@ class ReadSide(Attachment):
 
     @contextmanager
     def read(self, timeout_s: float = 5.0) -> Iterator[Record]:
-        """`with block.read() as view:` get_read_ok and read_done.
+        """Read in a `with` statement: `get_read_ok`, then `read_done`.
 
         Parameters
         ----------
@@ -159,10 +164,10 @@ class ReadSide(Attachment):
 
         Raises
         ------
-        BlockTimeoutError
-            no turn in time
+        BlockTimeoutError, BusyError
+            as `get_read_ok`
         BlockError
-            at the end: the reader was fenced, what it read may be a mixture
+            at the end: the reader was fenced, the values may be a mixture
         """
         view, _ = self.get_read_ok(timeout_s)
         try:

@@ -175,9 +175,16 @@ class SlotHolder(Observer):
         return not (grant.is_open() and self.board.is_current())
 
     def ensure_slot(self) -> bool:
-        """Whether there is a slot; when not (after a fork, a re-attachment, its loss), one step towards one.
+        """Make one step towards a slot when there is none (after a fork, a re-attachment, its loss).
 
-        Never waits: who goes on calling gets it.
+        Returns
+        -------
+        bool
+            whether there is a slot
+
+        Notes
+        -----
+        It never waits. Call it again until it returns True.
         """
         with self._lock:
             if self._grant is None:

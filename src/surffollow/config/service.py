@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +11,9 @@ from surffollow.config.limits import CHANGED_BY, check_within_limits, client_lim
 from surffollow.config.names import check_service_name
 from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.config.stop_causes import stop_causes
+from surffollow.config.toml_file import read_toml
 from surffollow.errors import ConfigError
 from surffollow.units import parse_quantity
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
 
 _PAPER_MODE = PARAMS["mode"].choices.index("paper")
 
@@ -231,11 +225,4 @@ def load_config(path: str | Path) -> ServiceConfig:
     ConfigError
         the file cannot be read, is not TOML, or says something wrong
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-        data = tomllib.loads(text)
-    except OSError as e:
-        raise ConfigError(f"cannot read configuration {path}: {e.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
-        raise ConfigError(f"{path} is not TOML: {e}") from None
-    return parse_config(data, str(path))
+    return parse_config(read_toml(path, "configuration", ConfigError), str(path))

@@ -146,7 +146,7 @@ class Follower:
         self._params[:] = trial
 
     def reset(self, offset_m: float | None = None, *, keep_memory: bool = False) -> None:
-        """Forget the surface, with a new desired stand-off [m] if given; poses stay.
+        """Restart the forecast, with a new desired stand-off [m] if given; poses stay (paper: SFReset).
 
         Ground remembered from earlier passes is forgotten too. With `keep_memory` it stays, as the
         service's map does in a SFReset: for another stand-off over a part that was not moved.
@@ -157,6 +157,11 @@ class Follower:
             desired stand-off [m]; None: as before
         keep_memory : bool
             keep the ground remembered from earlier passes
+
+        Raises
+        ------
+        ConfigError
+            the stand-off is out of bounds, or cannot be kept in the sensor's window
         """
         if offset_m is not None:
             trial = self._params.copy()
@@ -232,6 +237,10 @@ class Follower:
         ------
         UsageError
             not 1 to 8 numbers, or a time more than an hour before 0
+
+        Notes
+        -----
+        The sequence of stages: docs/explanation/following.md.
         """
         try:
             n = len(ranges_m)
@@ -292,9 +301,21 @@ class Follower:
         return float(forecast_range(self._params, self._state, float(horizon_s)))
 
     def state(self) -> dict[str, Any]:
-        """What the follower knows: estimates, health, adapted parameters; plain Python values.
+        """Estimates, health and adapted parameters as plain Python values.
 
-        `weights` are the shares of all candidates (`estimation.model_bank`) in the blend; their sum is 1.
+        Returns
+        -------
+        dict
+            in every mode: `status` (names of bits), `mode`, `offset_m`, `poses_refused`, `t_ns`, `pose_t_ns`,
+            `cycle`, `height_m`, `slope`, `speed_mps`, `delta_h_m`, `error_m`, `demand` (6), `range_m` (per
+            channel). In mode "adaptive" also `health`, `reason`, `faults`, `sigma_m`, `noise_m`,
+            `roughness_m`, `late_s`, `latency_s`, `tau_s`, `permitted_variance_m`, `interval_size_m`,
+            `range_size`, `beams`, `preview_share`, `weights`, and `normal` (3) with several sensors
+
+        Notes
+        -----
+        `weights` are the probabilities of all models in the blend; their sum is 1
+        (`forecast.estimation.model_bank`).
         """
         o = self._output[0]
         bits = int(o["status"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,16 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surffollow.config.params import PARAMS, check_param, param_name
+from surffollow.config.toml_file import read_toml
 from surffollow.errors import ConfigError
 from surffollow.forecast.pose import QUATERNION_TOLERANCE
 from surffollow.forecast.reference_scales import scaled_defaults
 from surffollow.shm.layout_follow import CHANNELS, MODE_ADAPTIVE
 from surffollow.units import parse_quantity
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 Config = Mapping[str, Any] | str | Path | None
 
@@ -134,12 +129,7 @@ def _read(config: Config) -> dict[str, Any]:
     if config is None:
         return {}
     if isinstance(config, (str, Path)):
-        try:
-            data: dict[str, Any] = tomllib.loads(Path(config).read_text(encoding="utf-8"))
-        except OSError as e:
-            raise ConfigError(f"cannot read configuration {config}: {e.strerror}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
-            raise ConfigError(f"{config} is not TOML: {e}") from None
+        data = read_toml(config, "configuration", ConfigError)
     elif isinstance(config, Mapping):
         data = dict(config)
     else:
