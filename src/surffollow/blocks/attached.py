@@ -24,7 +24,7 @@ from surffollow.blocks.reading import POLL_S, ReadSide
 from surffollow.blocks.record import Record
 from surffollow.blocks.snapshot import Snapshot
 from surffollow.client.fence import FENCED, fence
-from surffollow.errors import BlockError, BlockTimeoutError, BusyError
+from surffollow.errors import BlockError, BlockTimeoutError
 from surffollow.shm.latch_shape import SLOTS
 from surffollow.shm.locks import FENCE_BASE, QUEUE_BYTE, FileLock
 from surffollow.shm.schema import Schema
@@ -81,7 +81,7 @@ class AttachedBlock(ReadSide):
         """
         lock = self._writer_lock()
         if self._view is not None:
-            raise BusyError(f"block {self.name!r}: a read or write is under way on this handle; end it first")
+            raise self._busy()
         words = self._words
         if _clock() - self._done_ns < BUSY_NS:
             self._admit_queued_readers(lock)

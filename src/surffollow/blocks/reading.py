@@ -48,7 +48,7 @@ class ReadSide(Attachment):
             this handle has a read or write under way
         """
         if self._view is not None:
-            raise BusyError(f"block {self.name!r}: a read or write is under way on this handle; end it first")
+            raise self._busy()
         words, lock = self._words, self._lock
         number = words[bl.FENCE_WORD]
         if (
@@ -63,6 +63,9 @@ class ReadSide(Attachment):
                 return self._begin_read(number)
             lock.release(FENCE_BASE + number)
         return self._wait_to_read(timeout_s)
+
+    def _busy(self) -> BusyError:
+        return BusyError(f"block {self.name!r}: a read or write is under way on this handle; end it first")
 
     def _begin_read(self, number: int) -> tuple[Record, int]:
         g = self._words[self._generation_word]

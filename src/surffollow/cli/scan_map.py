@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import click
 
+from surffollow.cli.facts import print_facts
 from surffollow.cli.map import LENGTH
 from surffollow.cli.output_checks import check_outputs
 from surffollow.cli.progress import progress_bar
-from surffollow.cli.scan_options import EXISTING, JSON, OUT, PICTURE, REGION, check_picture, print_facts
+from surffollow.cli.scan_options import EXISTING, JSON, OUT, PICTURE, REGION, check_picture
 from surffollow.errors import ScanInputError
 
 MIN_CELLS = 3  # rows and columns of a map: fewer have no slope
