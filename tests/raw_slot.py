@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from second_user import OtherUser
 from surffollow.client.board import LAYOUT_HASH, Board
-from surffollow.service.slot_server import GUESTS_PER_USER
+from surffollow.service.slot_server import MAX_PENDING_PER_USER
 from surffollow.shm import layout_board as lb
 from surffollow.shm.unix_socket import new_socket, socket_path
 
@@ -48,7 +48,7 @@ def crowd(path: str) -> Callable[[OtherUser], str]:
                     if sock.recv(1) == b"":
                         socks.remove(sock)
                         sock.close()
-            while len(socks) < GUESTS_PER_USER:
+            while len(socks) < MAX_PENDING_PER_USER:
                 sock = new_socket()
                 sock.connect(path)
                 sock.setblocking(False)

@@ -9,7 +9,7 @@ import numpy as np
 from surffollow.config.params import PARAMS
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.hw.driver import ConversionQueue, mounts_of
-from surffollow.hw.fault_injection import FaultConfig, FaultState, fault_table, spoil
+from surffollow.hw.fault_injection import FaultConfig, FaultState, fault_table, inject_faults
 from surffollow.hw.simulation import adc
 from surffollow.hw.simulation.led_sensor import FAR_M, NEAR_M, physics
 from surffollow.hw.simulation.pose_history import PoseHistory, add_pose
@@ -113,7 +113,7 @@ class ShellLoop:
         produce(self.rig, self.led, self.history, self.heights, self.frame, t_ns)
         i, n = self.inputs[0], 0
         for stamp, word in self.queue.drain(64).tolist():
-            arrives, spoilt = spoil(self.table, self.fault_state, stamp, word)
+            arrives, spoilt = inject_faults(self.table, self.fault_state, stamp, word)
             if arrives:
                 i["conversion"][n] = ((stamp - t_ns) << 32) | (spoilt & 0xFFFFFFFF)
                 n += 1

@@ -132,16 +132,16 @@ def idle_share(pid: int, seconds: float = 4.0) -> float:
 
 def post(one: Any, what: int, token: int, seq: int | None = None) -> None:
     """Put an item into the mailbox, whatever the library would say."""
-    words = one.exchange.post
+    words = one.exchange.mailbox_words
     head = words[ex.HEAD]
     at = ex.ITEMS + (head & ex.MASK) * ex.ITEM_BYTES
     numbers = (head + 1 if seq is None else seq, what, token, time.monotonic_ns(), 0)
-    ex.COMMAND.pack_into(one.exchange.put, at, *numbers, *(0.4,) * al.VALUES)
+    ex.COMMAND.pack_into(one.exchange.mailbox, at, *numbers, *(0.4,) * al.VALUES)
     words[ex.HEAD] = head + 1
 
 
 def scribble(one: Any, rng: random.Random) -> None:
-    words = one.exchange.post
+    words = one.exchange.mailbox_words
     for _ in range(200):
         words[rng.randrange(len(words))] = rng.choice((0, -1, 1, 1 << 62, rng.getrandbits(62)))
 
@@ -149,15 +149,15 @@ def scribble(one: Any, rng: random.Random) -> None:
 def forge(one: Any, rng: random.Random) -> None:
     token = one.board.status(0)["token"]
     for guess in (token, token + 1, token - 1, token ^ (1 << 32), rng.getrandbits(62), 0):
-        post(one, al.ITEM_COMMAND, guess, one.exchange.post[ex.HEAD] + 1)
+        post(one, al.ITEM_COMMAND, guess, one.exchange.mailbox_words[ex.HEAD] + 1)
 
 
 def flood(one: Any, rng: random.Random) -> None:
     for _ in range(32):
         what = rng.choice((al.ITEM_REQUEST, al.ITEM_RELINQUISH, al.ITEM_REQUEST | al.FLAG_WAIT << 16, 99))
         post(one, what | rng.choice((0, 0, 77)) << 8, 0)
-        one.exchange.post[ex.DOORBELL] = rng.getrandbits(31)
-        one.exchange.ring()
+        one.exchange.mailbox_words[ex.DOORBELL] = rng.getrandbits(31)
+        one.exchange.wake_server()
 
 
 def lock(one: Any, rng: random.Random) -> None:

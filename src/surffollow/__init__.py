@@ -45,7 +45,8 @@ _HEAVY = ("hw", "map", "scan", "sonar")
 def __dir__() -> list[str]:
     """Names that can be used here; those that compute are left out of a client-only installation."""
     computes = importlib.util.find_spec("numba") is not None
-    return sorted({*globals(), *_LIGHT, *((*__all__, *_HEAVY) if computes else ())})
+    own = (n for n in globals() if n.startswith("__") or f"{__name__}.{n}" in sys.modules)
+    return sorted({*own, *_LIGHT, *((*__all__, *_HEAVY) if computes else ())})
 
 
 def __getattr__(name: str) -> Any:

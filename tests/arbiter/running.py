@@ -173,11 +173,11 @@ def send_raw(client: Any, what: int, token: int, value: float = 0.4) -> None:
     from surffollow.arbiter import exchange as ex
     from surffollow.arbiter import layout as al
 
-    post = client.exchange.post
+    post = client.exchange.mailbox_words
     head = post[ex.HEAD]
     at = ex.ITEMS + (head & ex.MASK) * ex.ITEM_BYTES
     numbers = (head + 1, what, token, time.monotonic_ns(), 0)
-    ex.COMMAND.pack_into(client.exchange.put, at, *numbers, *(value,) * al.VALUES)
+    ex.COMMAND.pack_into(client.exchange.mailbox, at, *numbers, *(value,) * al.VALUES)
     post[ex.HEAD] = head + 1
 
 

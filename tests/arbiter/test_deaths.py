@@ -114,7 +114,7 @@ def test_a_token_seen_on_the_board_forwards_nothing(server):
 def test_a_client_that_scribbles_over_its_mailbox_harms_only_itself(server, seed):
     rng = random.Random(seed)
     with attach(server.name, "wall") as one, attach(server.name, "attacker") as other:
-        mine, words = one.resource("robot"), other.exchange.post
+        mine, words = one.resource("robot"), other.exchange.mailbox_words
         history = one.history()
         for _ in range(200):
             for _ in range(50):
@@ -134,20 +134,20 @@ def test_nobody_can_cut_grow_or_punch_a_mailbox(server):
 
     from surffollow.arbiter import handshake as hs
 
-    met = hs.knock(server.name, "attacker", 5.0)
+    grant = hs.request_slot(server.name, "attacker", 5.0)
     import mmap
 
-    mapped = mmap.mmap(met.fds[0], al.MAILBOX_BYTES)
-    hs.enter(met.sock, server.name)
+    mapped = mmap.mmap(grant.fds[0], al.MAILBOX_BYTES)
+    hs.confirm_mapping(grant.sock, server.name)
     for size in (0, 64, 2 * al.MAILBOX_BYTES):
         with pytest.raises(PermissionError):
-            os.ftruncate(met.fds[0], size)
+            os.ftruncate(grant.fds[0], size)
     with pytest.raises(PermissionError):
-        mmap.mmap(met.fds[0], al.MAILBOX_BYTES)
+        mmap.mmap(grant.fds[0], al.MAILBOX_BYTES)
     with pytest.raises(PermissionError):
-        mmap.mmap(met.fds[1], 0)  # the board, to write
+        mmap.mmap(grant.fds[1], 0)  # the board, to write
     mapped.close()
-    for fd in met.fds:
+    for fd in grant.fds:
         os.close(fd)
-    met.sock.shutdown(socket.SHUT_RDWR)
-    met.sock.close()
+    grant.sock.shutdown(socket.SHUT_RDWR)
+    grant.sock.close()

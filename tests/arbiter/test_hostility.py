@@ -21,7 +21,7 @@ from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import handshake as hs
 from surffollow.arbiter import layout as al
 from surffollow.arbiter.config import parse_config
-from surffollow.arbiter.connections import MOST_SILENT
+from surffollow.arbiter.connections import MAX_UNIDENTIFIED
 from surffollow.arbiter.exchange import HEAD
 from surffollow.errors import (
     AlreadyRunningError,
@@ -102,7 +102,7 @@ def test_no_number_that_is_none_leaves_the_server_whatever_finite_ones_come_in(s
             q.command(*six, ref_t_ns=2 + k, ref_pose=pose)
             u.command((1e308, -1e308)[k % 2])
             v.command((1e308, -1e308)[k // 2 % 2])
-            until(lambda: all(e.post[HEAD] == e.words[e.consumed] for e in (a.exchange, b.exchange)))
+            until(lambda: all(e.mailbox_words[HEAD] == e.words[e.consumed] for e in (a.exchange, b.exchange)))
             for reader in (tool, free):
                 c = reader.latest()
                 assert all(math.isfinite(x) for x in c.values), (pose, c)
@@ -173,7 +173,7 @@ def test_a_low_client_fills_the_history_no_faster_by_queueing_than_by_asking(bot
         for what in (u._queue_up, u._relinquish):
             send_raw(a, what, 0)
             sent += 1
-        until(lambda: a.exchange.post[HEAD] - a.exchange.words[a.exchange.consumed] < 32)
+        until(lambda: a.exchange.mailbox_words[HEAD] - a.exchange.words[a.exchange.consumed] < 32)
     most = 300 + 1000 * (time.monotonic() - since)  # a burst, and one each millisecond
     taken = [e.event for e in history if e.client == a.number]
     assert {"ENQUEUE", "DEQUEUE"} <= set(taken)
@@ -230,7 +230,7 @@ def test_a_request_that_was_not_answered_in_time_is_withdrawn(make_arbiter):
 def test_strangers_at_the_door_keep_nobody_out(summed):
     def crowd(child):
         kept = []
-        for _ in range(4 * MOST_SILENT):
+        for _ in range(4 * MAX_UNIDENTIFIED):
             kept.append(new_socket())
             kept[-1].settimeout(5.0)
             kept[-1].connect(hs.address(summed.name))
@@ -240,14 +240,14 @@ def test_strangers_at_the_door_keep_nobody_out(summed):
         signal.pause()
 
     with OtherUser(crowd) as others:
-        assert others.hear() == 4 * MOST_SILENT
+        assert others.hear() == 4 * MAX_UNIDENTIFIED
         with attach(summed.name, "a") as a:
             assert a.resource("u").request()
 
 
 def test_silent_connections_of_one_user_are_bounded_and_end_by_themselves(summed):
     kept = []
-    for _ in range(3 * MOST_SILENT):
+    for _ in range(3 * MAX_UNIDENTIFIED):
         kept.append(new_socket())
         kept[-1].setblocking(False)
         kept[-1].connect(hs.address(summed.name))
@@ -261,9 +261,9 @@ def test_silent_connections_of_one_user_are_bounded_and_end_by_themselves(summed
         return sum(is_closed(one) for one in kept)
 
     # those beyond the bound are ended at once, before the first ones had their time (HELLO_TIMEOUT_S)
-    until(lambda: all(is_closed(one) for one in kept[MOST_SILENT:]))
-    assert not any(is_closed(one) for one in kept[:MOST_SILENT])
-    until(lambda: closed() == 3 * MOST_SILENT)
+    until(lambda: all(is_closed(one) for one in kept[MAX_UNIDENTIFIED:]))
+    assert not any(is_closed(one) for one in kept[:MAX_UNIDENTIFIED])
+    until(lambda: closed() == 3 * MAX_UNIDENTIFIED)
     with attach(summed.name, "a"):
         pass
     for one in kept:

@@ -12,8 +12,8 @@ from surffollow.arbiter import layout as al
 from surffollow.arbiter import observe
 from surffollow.arbiter import table as t
 from surffollow.arbiter.config import parse_config
-from surffollow.arbiter.effects import happen
-from surffollow.arbiter.loop import keep_deadlines
+from surffollow.arbiter.effects import apply_event
+from surffollow.arbiter.loop import enforce_deadlines
 from surffollow.arbiter.publish import LOG_BURST_NS, LOG_EVERY_NS
 from surffollow.arbiter.server import Server
 
@@ -49,25 +49,25 @@ class Loop:
             self.mem.clients["live"][0, slot], self.mem.clients["priority"][0, slot] = 1, priority
             self.mem.client_runs["number"][slot] = slot + 1
         self.mem.runs["command_ns"][0] = 0
-        self.happen(t.RESTART, -1, T0)
+        self.apply_event(t.RESTART, -1, T0)
         self.server.board.set_state(al.STATE_READY)
         self.seen = observe(self.server.config.name)
         self.history = self.seen.history()
         self.seq = 0
 
-    def happen(self, event: int, slot: int, t_ns: int, guards: int = 0) -> None:
+    def apply_event(self, event: int, slot: int, t_ns: int, guards: int = 0) -> None:
         if event == t.COMMAND:
             self.seq += 1
             self.mem.item["seq"], self.mem.item["t_ns"] = self.seq, t_ns
-        happen(self.mem, 0, event, slot, int(self.mem.machines["token"][0]), guards, t_ns)
+        apply_event(self.mem, 0, event, slot, int(self.mem.machines["token"][0]), guards, t_ns)
 
     def command(self, t_ns: int) -> None:
-        self.happen(t.COMMAND, self.mem.machines["holder"][0], t_ns, t.FRESH | t.SOUND)
+        self.apply_event(t.COMMAND, self.mem.machines["holder"][0], t_ns, t.FRESH | t.SOUND)
 
     def look(self, t_ns: int) -> int:
         """One look at the deadlines; how many safe commands went out."""
         before = int(self.mem.status["safes"][0])
-        keep_deadlines(self.mem, t_ns)
+        enforce_deadlines(self.mem, t_ns)
         return int(self.mem.status["safes"][0]) - before
 
     def said(self) -> list[tuple[str, str]]:
@@ -75,7 +75,7 @@ class Loop:
 
     def close(self) -> None:
         self.seen.close()
-        self.server._reception.close()
+        self.server._connections.close()
         self.server._remove_objects()
         self.server._listener.close()
 
@@ -90,7 +90,7 @@ def loop():
 
 
 def test_the_first_safe_command_after_a_late_one_waits_for_no_period_and_the_rest_do(loop):
-    loop.happen(t.REQUEST, LOW, T0)
+    loop.apply_event(t.REQUEST, LOW, T0)
     now = T0
     for _ in range(2):
         loop.command(now)
@@ -109,9 +109,9 @@ def test_the_first_safe_command_after_a_late_one_waits_for_no_period_and_the_res
 
 
 def test_a_new_holder_is_late_anew(loop):
-    loop.happen(t.REQUEST, LOW, T0)
+    loop.apply_event(t.REQUEST, LOW, T0)
     assert loop.look(T0 + TTL) == 1
-    loop.happen(t.REQUEST, HIGH, T0 + TTL + 1)
+    loop.apply_event(t.REQUEST, HIGH, T0 + TTL + 1)
     loop.said()
     assert loop.look(T0 + 2 * TTL) == 0
     assert loop.look(T0 + 2 * TTL + 1) == 1
@@ -119,9 +119,9 @@ def test_a_new_holder_is_late_anew(loop):
 
 
 def test_a_free_resource_gets_its_safe_command_by_the_period_alone(loop):
-    loop.happen(t.REQUEST, LOW, T0)
+    loop.apply_event(t.REQUEST, LOW, T0)
     loop.command(T0)
-    loop.happen(t.RELINQUISH, LOW, T0 + MS)
+    loop.apply_event(t.RELINQUISH, LOW, T0 + MS)
     assert loop.said()[-1] == ("SAFE", "RELINQUISH")
     assert loop.look(T0 + TTL + MS) == 0
     assert loop.look(T0 + PERIOD) == 0
@@ -129,44 +129,44 @@ def test_a_free_resource_gets_its_safe_command_by_the_period_alone(loop):
 
 
 def test_a_wait_in_the_queue_is_logged_from_its_first_moment_with_the_grant_or_leave_that_ends_it(loop):
-    loop.happen(t.REQUEST, HIGH, T0)
+    loop.apply_event(t.REQUEST, HIGH, T0)
     for k in range(5):  # to ask again is no new wait
-        loop.happen(t.REQUEST, LOW, T0 + k * 100 * MS, t.WAIT)
-    loop.happen(t.RELINQUISH, HIGH, T0 + 700 * MS)
+        loop.apply_event(t.REQUEST, LOW, T0 + k * 100 * MS, t.WAIT)
+    loop.apply_event(t.RELINQUISH, HIGH, T0 + 700 * MS)
     grants = [e for e in loop.history if e.event == "GRANT"]
     assert [(e.client, e.reason) for e in grants] == [(HIGH + 1, "REQUEST"), (LOW + 1, "RELINQUISH")]
     assert [e.command[0] for e in grants] == pytest.approx([0.0, 0.7])
-    loop.happen(t.REQUEST, HIGH, T0 + 800 * MS)
-    loop.happen(t.REQUEST, LOW, T0 + 900 * MS, t.WAIT)
-    loop.happen(t.RELINQUISH, LOW, T0 + 950 * MS)
+    loop.apply_event(t.REQUEST, HIGH, T0 + 800 * MS)
+    loop.apply_event(t.REQUEST, LOW, T0 + 900 * MS, t.WAIT)
+    loop.apply_event(t.RELINQUISH, LOW, T0 + 950 * MS)
     left = [e for e in loop.history if e.event == "DEQUEUE"]
     assert [e.client for e in left] == [LOW + 1]
     assert left[0].command[0] == pytest.approx(0.05)
     assert int(loop.mem.client_runs["waited_ns"][LOW]) == 700 * MS
     # what holds the resource now has waited for nothing
-    loop.happen(t.RELINQUISH, HIGH, T0 + 960 * MS)
-    loop.happen(t.REQUEST, LOW, T0 + 970 * MS)
+    loop.apply_event(t.RELINQUISH, HIGH, T0 + 960 * MS)
+    loop.apply_event(t.REQUEST, LOW, T0 + 970 * MS)
     assert [e.command[0] for e in loop.history if e.event == "GRANT"] == [0.0]
 
 
 def test_queueing_and_leaving_takes_the_budget_of_refusals_and_a_grant_never_does(loop):
-    loop.happen(t.REQUEST, HIGH, T0)
+    loop.apply_event(t.REQUEST, HIGH, T0)
     loop.said()
     burst = LOG_BURST_NS // LOG_EVERY_NS
     for _ in range(burst):
-        loop.happen(t.REQUEST, LOW, T0, t.WAIT)
-        loop.happen(t.RELINQUISH, LOW, T0)
+        loop.apply_event(t.REQUEST, LOW, T0, t.WAIT)
+        loop.apply_event(t.RELINQUISH, LOW, T0)
     said = [event for event, _ in loop.said()]
     assert len(said) == burst
     assert said[:4] == ["ENQUEUE", "DEQUEUE", "ENQUEUE", "DEQUEUE"]
     # nothing of the budget is left: no refusal is logged, the grant is
-    loop.happen(t.REQUEST, LOW, T0, t.WAIT)
+    loop.apply_event(t.REQUEST, LOW, T0, t.WAIT)
     assert loop.said() == []
-    loop.happen(t.RELINQUISH, HIGH, T0)
+    loop.apply_event(t.RELINQUISH, HIGH, T0)
     assert ("GRANT", "RELINQUISH") in loop.said()
     # the other client's budget is its own, and time gives new
-    loop.happen(t.REQUEST, HIGH, T0)
+    loop.apply_event(t.REQUEST, HIGH, T0)
     loop.said()
     for _ in range(3):
-        loop.happen(t.REQUEST, LOW, T0 + LOG_EVERY_NS)
+        loop.apply_event(t.REQUEST, LOW, T0 + LOG_EVERY_NS)
     assert loop.said() == [("DENY", "REQUEST")]

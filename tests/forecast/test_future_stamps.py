@@ -7,7 +7,7 @@ import pytest
 
 from surffollow import Follower
 from surffollow.benchmark.hazards import FAR_M, NEAR_M, STANDOFF_M, PLoop, draw, play
-from surffollow.follower.future_stamps import FutureStamps, KnownTime
+from surffollow.follower.future_stamps import FutureStamps, ReferenceTime
 
 MS = 1_000_000
 BEGIN = 1000 * MS
@@ -17,7 +17,7 @@ class Sensor(FutureStamps):
     """Stamps of a sensor with a time of their own."""
 
     def __init__(self) -> None:
-        self.time = KnownTime()
+        self.time = ReferenceTime()
         super().__init__(self.time)
 
 
@@ -26,7 +26,7 @@ def fed(ms_range, stamps: Sensor, ahead_ms=0, times=True):
     out = []
     for ms in ms_range:
         if times and ms % 10 == 0:
-            stamps.time.tell(BEGIN + ms * MS)
+            stamps.time.add(BEGIN + ms * MS)
         if ms % 4 == 0:
             t = stamps.correct(BEGIN + (ms + ahead_ms) * MS)
             out.append(None if t is None else (t - BEGIN) / MS - ms)

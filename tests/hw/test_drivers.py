@@ -18,7 +18,7 @@ from surffollow.hw.fault_injection import (
     FaultyDriver,
     fault_delay_ns,
     fault_table,
-    spoil,
+    inject_faults,
 )
 from surffollow.hw.registry import make_driver
 from surffollow.hw.replayed import ReplayedDriver, save_conversions
@@ -219,7 +219,7 @@ def spoilt(faults: list[FaultConfig], n: int = 4000, seed: int = 0, channels: in
     state["seed"] = seed
     out = []
     for k in range(n):
-        arrives, word = spoil(table, state, k * MS, pack_conversion(k, k % channels, 0, 0))
+        arrives, word = inject_faults(table, state, k * MS, pack_conversion(k, k % channels, 0, 0))
         out.append((k, word if arrives else None))
     return out
 

@@ -16,7 +16,7 @@ from surffollow.cli.replay import replay_command
 from surffollow.errors import MapFileError, UsageError
 from surffollow.map import HeightMap
 from surffollow.record.figure import new_figure, outliers, save_figure, spans
-from surffollow.record.plot_recording import forecast_errors, log_histogram, read_story
+from surffollow.record.plot_recording import forecast_errors, log_histogram, read_figure_data
 
 BEGINNINGS = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
 COLUMNS = """
@@ -176,7 +176,7 @@ def test_shares_of_a_histogram_add_up() -> None:
 
 
 def test_the_forecast_is_compared_with_what_was_found_later(recording: Path) -> None:
-    story = read_story(recording)
+    story = read_figure_data(recording)
     guess, still = forecast_errors(story, 0.1)
     ground = story.ground_m
     k = int(np.flatnonzero(np.isfinite(still))[40])

@@ -16,7 +16,7 @@ from surffollow.forecast.step import follow_step
 from surffollow.map import HeightMap
 from surffollow.record.map_rebuild import rebuild_map
 from surffollow.record.reader import RecordingReader
-from surffollow.record.synthetic_log import NS_PER_S, SyntheticLog, invent_inputs
+from surffollow.record.synthetic_log import NS_PER_S, SyntheticLog, synthesise_inputs
 from surffollow.record.writer import RecordingWriter
 from surffollow.shm.layout_board import RQ_MAP_INSTALL, RQ_MAP_REFOCUS, RQ_MAP_RESET
 
@@ -27,7 +27,7 @@ def targets() -> np.ndarray:
     """The target points of the rehearsal, stepped here: (cycle, x, y, z)."""
     r, points = SyntheticLog(), []
     for cycle in range(CYCLES):
-        invent_inputs(r.params, r.inputs, cycle, 1, 25, 1_000_000)
+        synthesise_inputs(r.params, r.inputs, cycle, 1, 25, 1_000_000)
         follow_step(r.params, r.state, r.inputs, r.output, r.scratch)
         if r.output["fresh"][0] & 1:
             points.append([cycle, *r.output["target_m"][0][:3]])

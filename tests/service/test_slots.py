@@ -24,7 +24,7 @@ from surffollow.client.board import LAYOUT_HASH, Board
 from surffollow.client.slot_request import request_slot
 from surffollow.errors import BusyError, NoPermissionError, NotReadyError
 from surffollow.service.client_table import KEPT_PER_USER, RESERVED
-from surffollow.service.slot_server import GUESTS, GUESTS_PER_USER
+from surffollow.service.slot_server import MAX_PENDING, MAX_PENDING_PER_USER
 from surffollow.shm import layout_board as lb
 from surffollow.shm import sealed
 from surffollow.shm.unix_socket import listen, new_socket, socket_path
@@ -322,7 +322,7 @@ def test_one_user_has_few_connections_without_a_slot(open_service: Service) -> N
         return False
 
     def silent(child: OtherUser) -> list[bool]:
-        socks = [new_socket() for _ in range(GUESTS_PER_USER + 4)]
+        socks = [new_socket() for _ in range(MAX_PENDING_PER_USER + 4)]
         for sock in socks:
             sock.connect(path)
             sock.setblocking(False)
@@ -331,8 +331,8 @@ def test_one_user_has_few_connections_without_a_slot(open_service: Service) -> N
 
     # on a busy machine the exchange's own time may be over for all of them
     told = next(t for _ in range(20) if not all(t := as_other_user(silent)))
-    assert told.count(False) <= GUESTS_PER_USER
-    assert not any(told[:GUESTS_PER_USER]), "who came first may go on"
+    assert told.count(False) <= MAX_PENDING_PER_USER
+    assert not any(told[:MAX_PENDING_PER_USER]), "who came first may go on"
 
 
 @needs_root
@@ -341,7 +341,7 @@ def test_several_users_together_keep_neither_root_nor_another_from_a_slot(
 ) -> None:
     path = str(socket_path(open_service.name))
     with contextlib.ExitStack() as stack:
-        for k in range(GUESTS // GUESTS_PER_USER + 1):
+        for k in range(MAX_PENDING // MAX_PENDING_PER_USER + 1):
             assert stack.enter_context(OtherUser(crowd(path), uid=60000 + k)).hear() == "attacks"
         assert at_the_first_try(open_service.name) == "done"
         assert as_other_user(lambda _: at_the_first_try(open_service.name)) == "done"

@@ -16,7 +16,7 @@ import surffollow.arbiter.table as t
 from surffollow.apps.wall_clients import PRIORITIES, make_clients
 from surffollow.apps.wall_sensing import BaseClient, Sensing, wrap
 from surffollow.arbiter.machine import transition
-from surffollow.arbiter.records import MAX_EFFECTS, Clients, Effect, Happening, Machine
+from surffollow.arbiter.records import MAX_EFFECTS, Clients, Effect, Machine, StateEvent
 from surffollow.errors import UsageError
 from surffollow.shm.dtypes import numpy_dtype, zeros
 from surffollow.sim.base import (
@@ -75,7 +75,7 @@ class Arbitration:
     def __init__(self, names: list[str]) -> None:
         self._table = np.array(t.encode(), np.int64)
         self._machine, self._clients = zeros(Machine), zeros(Clients)
-        self._happening, self._effects = zeros(Happening), np.zeros(MAX_EFFECTS, numpy_dtype(Effect))
+        self._state_event, self._effects = zeros(StateEvent), np.zeros(MAX_EFFECTS, numpy_dtype(Effect))
         self._machine[0]["holder"] = -1
         self._clients[0]["n"] = len(names)
         for k, name in enumerate(names):
@@ -86,9 +86,9 @@ class Arbitration:
         return int(self._machine[0]["holder"])
 
     def _happen(self, event: int, client: int, token: int = 0, guards: int = 0) -> list[int]:
-        h = self._happening[0]
+        h = self._state_event[0]
         h["event"], h["client"], h["token"], h["guards"] = event, client, token, guards
-        n = transition(self._table, self._machine, self._clients, self._happening, self._effects)
+        n = transition(self._table, self._machine, self._clients, self._state_event, self._effects)
         return [int(self._effects[k]["action"]) for k in range(n)]
 
     def request(self, client: int) -> bool:

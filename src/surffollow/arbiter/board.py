@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import grp
 import os
 import time
 from typing import Any
@@ -13,12 +12,12 @@ from surffollow.arbiter import layout as al
 from surffollow.arbiter.config import ArbiterConfig, limits
 from surffollow.blocks import layout as bl
 from surffollow.blocks.claim import claim_writer, give_up
+from surffollow.config.group_id import configured_group_id
 from surffollow.config.service import mode, seconds
 from surffollow.config.trusted_users import own_user
 from surffollow.errors import (
     AlreadyRunningError,
     BlockError,
-    ConfigError,
     NotReadyError,
     NotRunningError,
 )
@@ -29,19 +28,9 @@ from surffollow.shm.objects import SharedObject, unlink
 from surffollow.shm.process import own_pid, start_ticks
 from surffollow.shm.python_atomics import store_release
 
-DYING_S = 0.3  # a process that was just killed holds its locks until the kernel has taken it apart
+EXIT_GRACE_S = 0.3  # a process that was just killed holds its locks until the kernel has taken it apart
 EPOCH_LIMIT = (1 << 31) - 2
 _STATE = al.BoardHeader.offset("state")
-
-
-def group_id(name: str) -> int:
-    """Number of a group, -1 for none."""
-    if not name:
-        return -1
-    try:
-        return grp.getgrnam(name).gr_gid
-    except KeyError:
-        raise ConfigError(f"configuration key group is {name!r}; there is no such group") from None
 
 
 def own_name(name: str) -> NameLock:
@@ -56,7 +45,7 @@ def own_name(name: str) -> NameLock:
     NoPermissionError
         another user's lock file is in the way
     """
-    deadline = time.monotonic() + DYING_S
+    deadline = time.monotonic() + EXIT_GRACE_S
     while True:
         own = NameLock.take(f"{name}.arbiter")
         if own is not None:
@@ -126,7 +115,9 @@ class Board:
             self._declare(config, size)
 
         # nobody sees half of it: it gets its name when it is declared
-        SharedObject.create(name, size, mode(config.mode, "mode"), group_id(config.group), prepare)
+        SharedObject.create(
+            name, size, mode(config.mode, "mode"), configured_group_id(config.group, "group"), prepare
+        )
 
     def _declare(self, config: ArbiterConfig, size: int) -> None:
         h = self.header[0]

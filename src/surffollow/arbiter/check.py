@@ -15,8 +15,8 @@ import numpy as np
 
 import surffollow.arbiter.table as t
 from surffollow.arbiter.machine import find_row, forget_client, guards_of, transition
-from surffollow.arbiter.properties import PROPERTIES, N, fault_of_step
-from surffollow.arbiter.records import MAX_EFFECTS, Clients, Effect, Happening, Machine
+from surffollow.arbiter.properties import PROPERTIES, N, failed_property
+from surffollow.arbiter.records import MAX_EFFECTS, Clients, Effect, Machine, StateEvent
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.jit import jit
 
@@ -26,7 +26,7 @@ PRIORITIES = (2, 2, 1)
 # beyond the events of the table: what happens to a client alone
 LEASE_BACK, ATTACH = 8, 9
 
-World = namedtuple("World", "machine before clients happening effects attached events seen queue used")  # type: ignore[name-match]
+World = namedtuple("World", "machine before clients state_event effects attached events seen queue used")  # type: ignore[name-match]
 
 
 @jit
@@ -112,8 +112,8 @@ def events_of(machine: Any, clients: Any, attached: Any, out: Any) -> Any:
 
 @jit
 def step(table: Any, w: Any) -> Any:
-    """Take the event of `w.happening`, check it; the number of the property broken (from 1), or 0."""
-    h, clients, attached = w.happening[0], w.clients, w.attached
+    """Take the event of `w.state_event`, check it; the number of the property broken (from 1), or 0."""
+    h, clients, attached = w.state_event[0], w.clients, w.attached
     c = h.client
     if h.event in (LEASE_BACK, ATTACH):
         attached[c] = clients[0].live[c] = 1
@@ -123,14 +123,14 @@ def step(table: Any, w: Any) -> Any:
     if h.event == t.RESTART:
         for k in range(N):
             attached[k] = clients[0].live[k] = 0
-    guards = guards_of(w.machine, clients, w.happening)
+    guards = guards_of(w.machine, clients, w.state_event)
     row = find_row(table, w.machine[0].state, h.event, guards, 0)
     if row < 0 or find_row(table, w.machine[0].state, h.event, guards, row + 1) >= 0:
         return 1
     w.used[row] = 1
     w.before[:] = w.machine
-    n = transition(table, w.machine, clients, w.happening, w.effects)
-    fault = fault_of_step(w.before, w.machine, clients, w.happening, w.effects, n)
+    n = transition(table, w.machine, clients, w.state_event, w.effects)
+    fault = failed_property(w.before, w.machine, clients, w.state_event, w.effects, n)
     if h.event == t.GONE:
         attached[c] = 0
         forget_client(w.machine, c)
@@ -143,7 +143,7 @@ def explore(table: Any, w: Any) -> Any:
 
     Returns
     -------
-    (states, steps, property broken or 0, state before it); the event is left in `w.happening`
+    (states, steps, property broken or 0, state before it); the event is left in `w.state_event`
     """
     start = pack(w.machine, w.clients, w.attached)
     w.seen[start] = 1
@@ -156,8 +156,8 @@ def explore(table: Any, w: Any) -> Any:
         n = events_of(w.machine, w.clients, w.attached, w.events)
         for k in range(n):
             unpack(code, w.machine, w.clients, w.attached)
-            w.happening[0].event, w.happening[0].client = w.events[k, 0], w.events[k, 1]
-            w.happening[0].token, w.happening[0].guards = w.events[k, 2], w.events[k, 3]
+            w.state_event[0].event, w.state_event[0].client = w.events[k, 0], w.events[k, 1]
+            w.state_event[0].token, w.state_event[0].guards = w.events[k, 2], w.events[k, 3]
             fault = step(table, w)
             steps += 1
             if fault:
@@ -189,7 +189,7 @@ def _world(cooperative: bool, newcomer: bool, priorities: Sequence[int], rows: i
         machine,
         zeros(Machine),
         clients,
-        zeros(Happening),
+        zeros(StateEvent),
         zeros(Effect, MAX_EFFECTS),
         np.zeros(N, np.int64),
         np.zeros((128, 4), np.int64),
@@ -208,7 +208,7 @@ def check_policy(
     states, steps, fault, code = explore(encoded, w)
     text = ""
     if fault:
-        h = w.happening[0]
+        h = w.state_event[0]
         name = (*t.EVENTS, "LEASE_BACK", "ATTACH")[h["event"]]
         state = t.STATES[code & 3] if code & 3 < len(t.STATES) else "?"
         text = (

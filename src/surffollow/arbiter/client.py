@@ -12,16 +12,16 @@ import weakref
 
 from surffollow.arbiter import layout as al
 from surffollow.arbiter.exchange import Exchange
-from surffollow.arbiter.handshake import Welcomed, enter, knock
+from surffollow.arbiter.handshake import MailboxGrant, confirm_mapping, request_slot
 from surffollow.arbiter.observer import ArbiterObserver, BoardReader
 from surffollow.arbiter.resource import Resource
 from surffollow.config.names import check_name
 from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import NotRunningError, RefusedError
 
-BEATS_PER_LEASE = 5
+HEARTBEATS_PER_LEASE = 5
 ATTACH_POLL_S = 0.02
-DYING_S = 0.3
+EXIT_GRACE_S = 0.3
 
 
 class ArbiterClient(ArbiterObserver):
@@ -37,18 +37,18 @@ class ArbiterClient(ArbiterObserver):
         user of the server's process, as the kernel told it
     """
 
-    def __init__(self, name: str, client: str, met: Welcomed) -> None:
-        mailbox, board = met.fds
+    def __init__(self, name: str, client: str, grant: MailboxGrant) -> None:
+        mailbox, board = grant.fds
         super().__init__(name, BoardReader(name, mmap.mmap(board, 0, mmap.MAP_SHARED, mmap.PROT_READ)))
-        self.client, self.number, self.slot, self.owner = client, met.number, met.slot, met.owner
-        self._met = met
-        self.exchange = Exchange(name, met.slot, self.board, mmap.mmap(mailbox, al.MAILBOX_BYTES))
+        self.client, self.number, self.slot, self.owner = client, grant.number, grant.slot, grant.owner
+        self._grant = grant
+        self.exchange = Exchange(name, grant.slot, self.board, mmap.mmap(mailbox, al.MAILBOX_BYTES))
         os.close(mailbox)
         os.close(board)
-        met.fds.clear()
-        enter(met.sock, name)
-        self._beat_s = self.board.header["lease_ns"] / 1e9 / BEATS_PER_LEASE
-        self._thread = threading.Thread(target=self._show_life, name="arbiter heartbeat", daemon=True)
+        grant.fds.clear()
+        confirm_mapping(grant.sock, name)
+        self._heartbeat_s = self.board.header["lease_ns"] / 1e9 / HEARTBEATS_PER_LEASE
+        self._thread = threading.Thread(target=self._send_heartbeats, name="arbiter heartbeat", daemon=True)
         self._thread.start()
         _clients.add(self)
 
@@ -69,23 +69,26 @@ class ArbiterClient(ArbiterObserver):
         -------
         Resource
             handle of the resource
+
+        Raises
+        ------
+        UsageError
+            no resource has this name
         """
         return Resource(self, self.exchange, self.board.number_of(name))
 
-    def _show_life(self) -> None:
+    def _send_heartbeats(self) -> None:
         poll = select.poll()
-        poll.register(self._met.sock.fileno(), select.POLLIN)
+        poll.register(self._grant.sock.fileno(), select.POLLIN)
         while not self.exchange.closed:
-            self.exchange.beat()
+            self.exchange.send_heartbeat()
             # the server never writes: what can be read is its end
-            if poll.poll(self._beat_s * 1e3):
+            if poll.poll(self._heartbeat_s * 1e3):
                 self.exchange.ended = True
                 return
 
     def reattach(self, *, timeout_s: float = 5.0) -> ArbiterClient:
         """Attach anew under the same names, to a server of the same user only; this client is closed.
-
-        Every token is void: ask again. Raises as `attach`.
 
         Parameters
         ----------
@@ -96,6 +99,15 @@ class ArbiterClient(ArbiterObserver):
         -------
         ArbiterClient
             the new attachment
+
+        Raises
+        ------
+        NotRunningError, NoPermissionError, RefusedError, ConfigError
+            as `attach`
+
+        Notes
+        -----
+        Every token is void: request the resources again.
         """
         self.close()
         return attach(self.name, self.client, timeout_s=timeout_s, owner=self.owner)
@@ -106,25 +118,25 @@ class ArbiterClient(ArbiterObserver):
             return
         self.exchange.closed = True
         with contextlib.suppress(OSError):
-            self._met.sock.shutdown(2)
+            self._grant.sock.shutdown(2)
         self.exchange.ended = True
         self._thread.join(1.0)
-        self._met.sock.close()
+        self._grant.sock.close()
         # mappings stay until the last handle goes: a thread may still look at `held`
 
 
 _clients: weakref.WeakSet[ArbiterClient] = weakref.WeakSet()
 
 
-def _forget_in_child() -> None:
+def _close_in_child() -> None:
     # the connection is the parent's life: a child must not keep it
     for client in list(_clients):
         client.exchange.ended = client.exchange.closed = True
         with contextlib.suppress(OSError):
-            client._met.sock.close()
+            client._grant.sock.close()
 
 
-os.register_at_fork(after_in_child=_forget_in_child)
+os.register_at_fork(after_in_child=_close_in_child)
 
 
 def attach(
@@ -167,12 +179,12 @@ def attach(
     deadline = began + timeout_s
     while True:
         try:
-            return ArbiterClient(name, client, knock(name, client, timeout_s, owners))
+            return ArbiterClient(name, client, request_slot(name, client, timeout_s, owners))
         except NotRunningError:
             if time.monotonic() >= deadline:
                 raise
         except RefusedError as e:
             # a client that ended just now holds its name until the server has let it go
-            if e.code not in (al.HELLO_TAKEN, al.HELLO_FULL) or time.monotonic() - began > DYING_S:
+            if e.code not in (al.HELLO_TAKEN, al.HELLO_FULL) or time.monotonic() - began > EXIT_GRACE_S:
                 raise
         time.sleep(ATTACH_POLL_S)

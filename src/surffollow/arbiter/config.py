@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +11,8 @@ import msgspec
 from surffollow.arbiter.layout import RESOURCES, VALUES
 from surffollow.config.names import check_name, check_service_name
 from surffollow.config.service import mode, seconds
+from surffollow.config.toml_file import read_toml
 from surffollow.errors import ConfigError, InvalidNameError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 TEXT = 255  # letters of all names, or all units, of a command
 MAX_PRIORITY = 1_000_000
@@ -193,10 +188,4 @@ def load_config(path: str | Path) -> ArbiterConfig:
     ConfigError
         the file cannot be read, is not TOML, or says something wrong
     """
-    try:
-        data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as e:
-        raise ConfigError(f"cannot read configuration {path}: {e.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
-        raise ConfigError(f"{path} is not TOML: {e}") from None
-    return parse_config(data, str(path))
+    return parse_config(read_toml(path, "configuration", ConfigError), str(path))

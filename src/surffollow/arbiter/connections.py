@@ -27,9 +27,9 @@ from surffollow.shm.received_descriptors import Disposal, hear
 from surffollow.shm.sealed import make_sealed, seal_for_good
 from surffollow.shm.unix_socket import peer_of, peer_pidfd
 
-WATCH_S = 0.2
+CHECK_PERIOD_S = 0.2
 LAST_ROUND_S = 2.0
-MOST_SILENT = al.CLIENTS  # connections of one user that have not said who they are
+MAX_UNIDENTIFIED = al.CLIENTS  # connections of one user that have not said who they are
 ACCEPT_AT_ONCE = 64
 
 
@@ -66,8 +66,8 @@ def users_of(config: ArbiterConfig) -> set[int] | None:
     return allowed
 
 
-class Reception:
-    """The main thread's part of an arbiter; the loop learns of clients by the states of their slots."""
+class ConnectionServer:
+    """Connections of an arbiter's clients, served by the main thread; slot states inform the loop."""
 
     def __init__(
         self,
@@ -88,18 +88,18 @@ class Reception:
     def _slot_state(self, slot: int) -> int:
         return int(self.mem.ctx.ctypes.data) + 8 * (m.SLOT_STATE + slot)
 
-    def welcome_clients(self, wake: int) -> None:
+    def serve_connections(self, wake: int) -> None:
         """Serve clients' connections until the descriptor `wake` can be read."""
         poll = select.epoll()
         poll.register(self._listener.fileno(), select.EPOLLIN)
         poll.register(wake, select.EPOLLIN)
         with poll:
             while True:
-                waiting = any(g is not None and g.slot < 0 for g in self._slots)
+                waiting = any(c is not None and c.slot < 0 for c in self._slots)
                 # connections that wait for their end take descriptors: no further ones until there is room
                 poll.modify(self._listener.fileno(), 0 if self._disposal.full else select.EPOLLIN)
-                hurry = self._disposal.waiting or any(not g.joined for g in self._connections.values())
-                for fd, _ in poll.poll(0.005 if waiting else WATCH_S if hurry else -1):
+                check_soon = self._disposal.waiting or any(not c.joined for c in self._connections.values())
+                for fd, _ in poll.poll(0.005 if waiting else CHECK_PERIOD_S if check_soon else -1):
                     if fd == wake:
                         return
                     if fd == self._listener.fileno():
@@ -121,14 +121,14 @@ class Reception:
                 return
             sock.setblocking(False)
             who = peer_of(sock)
-            silent = sum(not g.joined and g.uid == who.uid for g in self._unique_connections())
+            unidentified = sum(not c.joined and c.uid == who.uid for c in self._unique_connections())
             if not self._may_connect(who.uid):
-                # no word of it is heard, and it takes no place
+                # its messages are not read, and it takes no slot
                 with contextlib.suppress(OSError):
                     sock.send(hs.welcome(al.HELLO_USER), socket.MSG_NOSIGNAL)
                 self._disposal.part(sock)
                 continue
-            if silent >= MOST_SILENT:  # one user cannot keep others out by waiting at the door
+            if unidentified >= MAX_UNIDENTIFIED:  # connections without a name must not keep other users out
                 self._disposal.part(sock)
                 continue
             connection = Connection(sock, who.pid, who.uid)
@@ -141,7 +141,7 @@ class Reception:
         return self._users is None or uid in self._users
 
     def _unique_connections(self) -> list[Connection]:
-        return list({id(g): g for g in self._connections.values()}.values())
+        return list({id(c): c for c in self._connections.values()}.values())
 
     def _disconnect(self, poll: select.epoll, connection: Connection) -> None:
         """The connection is over: its slot is, too."""
@@ -246,8 +246,8 @@ class Reception:
         while load_acquire(self._slot_state(slot)) == m.JOINING and time.monotonic() < deadline:
             time.sleep(20e-6)
 
-    def dismiss_clients(self, loop: threading.Thread) -> None:
-        """Let the loop say that all clients are gone; what they hold becomes safe."""
+    def release_clients(self, loop: threading.Thread) -> None:
+        """Wait until the loop has released all clients; every resource gets its safe command."""
         for slot, connection in enumerate(self._slots):
             if connection is not None and connection.joined and connection.slot >= 0:
                 store_release(self._slot_state(slot), m.LEAVING)

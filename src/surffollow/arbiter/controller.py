@@ -88,7 +88,13 @@ class CommandReader:
         return self._block.attached
 
     def latest(self) -> ResourceCommand:
-        """What to do now; never waits."""
+        """The newest command, or the safe one; never waits.
+
+        Returns
+        -------
+        ResourceCommand
+            `safe` is set when no valid command is there; before the server's first start it has no values
+        """
         now = time.monotonic_ns()
         if not self._block.attached and now >= self._next_try_ns:
             self._next_try_ns = now + _RETRY_NS

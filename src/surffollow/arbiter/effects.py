@@ -1,4 +1,4 @@
-"""Let events happen to a resource, and carry out what its state machine did."""
+"""Apply events to the state machine of a resource and execute the actions that it returns."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def end_wait(mem: Any, resource: Any, slot: Any, t_ns: Any) -> None:
     client_run.waited_ns = max(client_run.waited_ns, waited_ns)
     status.waited_ns = max(status.waited_ns, waited_ns)
     mem.event[0].command[0] = 1e-9 * waited_ns
-    p.tell_waited(mem, slot)
+    p.publish_longest_wait(mem, slot)
 
 
 @jit
@@ -33,17 +33,17 @@ def carry_out(mem: Any, resource: Any, effect: Any, t_ns: Any) -> None:
         run.item_seq, run.command_ns, run.valid_until_ns, run.late = 0, t_ns, 0, 0
         status.grants += 1
         status.since_ns = t_ns
-        p.tell_held(mem, slot, resource, effect.token)
+        p.notify_held(mem, slot, resource, effect.token)
     elif action in (t.REVOKE, t.RELEASE):
         if action == t.REVOKE:
             status.preempted += 1
         status.since_ns = t_ns
-        p.tell_held(mem, slot, resource, 0)
+        p.notify_held(mem, slot, resource, 0)
     elif action == t.ASK:
         run.asked_ns = t_ns
-        p.tell_asked(mem, slot, resource, 1)
+        p.notify_asked(mem, slot, resource, 1)
     elif action == t.UNASK:
-        p.tell_asked(mem, slot, resource, 0)
+        p.notify_asked(mem, slot, resource, 0)
     elif action == t.ENQUEUE:
         if mem.client_runs[slot].queued_ns[resource] == 0:
             mem.client_runs[slot].queued_ns[resource] = t_ns
@@ -62,22 +62,24 @@ def carry_out(mem: Any, resource: Any, effect: Any, t_ns: Any) -> None:
 
 
 @jit
-def happen(mem: Any, resource: Any, event: Any, slot: Any, token: Any, guards: Any, t_ns: Any) -> None:
-    """Let one event happen to a resource.
+def apply_event(mem: Any, resource: Any, event: Any, slot: Any, token: Any, guards: Any, t_ns: Any) -> None:
+    """Apply one event to the state machine of a resource and execute its actions.
 
     Parameters
     ----------
     mem : Memory
     resource, event, slot, token, guards : int64
-        see `records.Happening`
+        see `records.StateEvent`
     t_ns : int64
         now
     """
-    h, record = mem.happening[0], mem.event[0]
+    h, record = mem.state_event[0], mem.event[0]
     h.event, h.client, h.token, h.guards = event, slot, token, guards
     from_item = event in (t.REQUEST, t.COMMAND, t.RELINQUISH)
     record.item = mem.item[0].seq if from_item else 0
-    n = transition(mem.table, mem.machines[resource : resource + 1], mem.clients, mem.happening, mem.effects)
+    n = transition(
+        mem.table, mem.machines[resource : resource + 1], mem.clients, mem.state_event, mem.effects
+    )
     for k in range(n):
         effect = mem.effects[k]
         if event == t.COMMAND:

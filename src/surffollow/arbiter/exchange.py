@@ -1,4 +1,4 @@
-"""What one client and the server tell each other: items go into the mailbox, answers come on the board.
+"""Messages between one client and the server: items go into the mailbox, answers come on the board.
 
 For one thread at a time, beside the one that shows life.
 """
@@ -31,7 +31,7 @@ RESULT, TOKEN, HOLDER, HOLDER_PRIORITY = (  # of an answer, in words; the item's
 )
 _REPLY_WORDS, _HEAD_WORDS, _LAST_SLOT = stride(al.Reply.SIZE) // 8, HEAD_BYTES // 8, SLOTS - 1
 _clock = time.monotonic_ns
-ROOM_NS, SLICE_NS = 1_000_000_000, 50_000_000
+ROOM_TIMEOUT_NS, WAIT_SLICE_NS = 1_000_000_000, 50_000_000
 
 
 class Exchange:
@@ -40,31 +40,31 @@ class Exchange:
     Attributes
     ----------
     words : memoryview   the board as words of 64 bits
-    post : memoryview    the mailbox as words of 64 bits
-    put : mmap.mmap      the mailbox
-    ring : callable      wake the server, after a change of the doorbell
+    mailbox_words : memoryview   the mailbox as words of 64 bits
+    mailbox : mmap.mmap  the mailbox
+    wake_server : callable       wakes the server after a change of the doorbell
     consumed : int       index in `words` of the number of items that the server took
     ended : bool         the server ended, or this client was closed
     """
 
     def __init__(self, name: str, slot: int, board: BoardReader, mailbox: mmap.mmap) -> None:
-        self.name, self._board, self.put = name, board, mailbox
-        self.words, self.post = board.words, memoryview(mailbox).cast("q")
+        self.name, self._board, self.mailbox = name, board, mailbox
+        self.words, self.mailbox_words = board.words, memoryview(mailbox).cast("q")
         self.ended = self.closed = False
         regions = board.regions
         self._desk = regions["desks"][0] + slot * _DESK
         self.consumed = (regions["clients"][0] + slot * _ENTRY + _CONSUMED) // 8
-        self._bell = (self._desk + _BELL) // 8
+        self._doorbell = (self._desk + _BELL) // 8
         base = (regions["replies"][0] + slot * al.REPLY_BYTES) // 8
         self._reply, self._replies = base, base + _HEAD_WORDS
         self._sleep = Waiter(address_of(board.memory) + self._desk + _BELL).wait
-        self.ring = waker(address_of(mailbox) + 8 * DOORBELL)
+        self.wake_server = waker(address_of(mailbox) + 8 * DOORBELL)
 
     def desk_words(self, resource: int) -> tuple[int, int]:
         """Indices in `words` of the token that is held of a resource, and of the wish to have it back."""
         return (self._desk + _HELD) // 8 + resource, (self._desk + _ASKED) // 8 + resource
 
-    def here(self) -> None:
+    def require_connection(self) -> None:
         """Raise ClosedError or NotRunningError when there is nobody to talk to."""
         if self.closed:
             raise ClosedError("this client was closed; attach again")
@@ -73,26 +73,26 @@ class Exchange:
                 f"arbiter {self.name!r} ended; attach again and ask again: every token is void"
             )
 
-    def tell(self, what: int, now_ns: int) -> int:
-        """Put a request or relinquishment into the mailbox and ring; the item's number. Raises as `ask`."""
-        post = self.post
+    def send(self, what: int, now_ns: int) -> int:
+        """Put a request or relinquishment into the mailbox and ring; its number. Raises as `request`."""
+        mailbox_words = self.mailbox_words
         if self.ended:
-            self.here()
-        head = post[HEAD]
+            self.require_connection()
+        head = mailbox_words[HEAD]
         if head - self.words[self.consumed] >= al.MAILBOX_ITEMS:
-            self._await_room(head)
+            self._wait_for_room(head)
         seq: int = head + 1
-        _HEADS.pack_into(self.put, ITEMS + (head & MASK) * ITEM_BYTES, seq, what, 0, now_ns, 0)
+        _HEADS.pack_into(self.mailbox, ITEMS + (head & MASK) * ITEM_BYTES, seq, what, 0, now_ns, 0)
         if FENCED:
             fence()
-        post[HEAD] = seq  # an item shows life as well as a heartbeat does
+        mailbox_words[HEAD] = seq  # an item shows life as well as a heartbeat does
         if FENCED:
             fence()
-        post[DOORBELL] = seq
-        self.ring()
+        mailbox_words[DOORBELL] = seq
+        self.wake_server()
         return seq
 
-    def ask(self, what: int, timeout_ns: int) -> int:
+    def request(self, what: int, timeout_ns: int) -> int:
         """Put a request or relinquishment into the mailbox, ring, and wait for the answer to it.
 
         Returns
@@ -105,8 +105,8 @@ class Exchange:
         RequestTimeoutError            the mailbox stays full
         """
         words = self.words
-        bell, now = words[self._bell], _clock()
-        seq = self.tell(what, now)
+        doorbell, now = words[self._doorbell], _clock()
+        seq = self.send(what, now)
         while True:
             # R1-R4 of the latch; one that is overtaken is read again
             g = words[self._reply]
@@ -118,33 +118,33 @@ class Exchange:
             left = now + timeout_ns - _clock()
             if left <= 0:
                 return -1
-            self._sleep(bell, left if left < SLICE_NS else SLICE_NS)
+            self._sleep(doorbell, left if left < WAIT_SLICE_NS else WAIT_SLICE_NS)
             if self.ended:
-                self.here()
-            bell = words[self._bell]
+                self.require_connection()
+            doorbell = words[self._doorbell]
 
-    def await_word(self, index: int, timeout_ns: int) -> int:
+    def wait_for_word(self, index: int, timeout_ns: int) -> int:
         """Wait until a word of this client's desk is not zero; its value, 0: too late."""
         words, deadline_ns = self.words, _clock() + timeout_ns
         while True:
-            bell = words[self._bell]
+            doorbell = words[self._doorbell]
             if words[index] != 0:
                 return int(words[index])
-            self.here()
+            self.require_connection()
             left = deadline_ns - _clock()
             if left <= 0:
                 return 0
-            self._sleep(bell, min(left, SLICE_NS))
+            self._sleep(doorbell, min(left, WAIT_SLICE_NS))
 
-    def _await_room(self, head: int) -> None:
-        deadline = _clock() + ROOM_NS
+    def _wait_for_room(self, head: int) -> None:
+        deadline = _clock() + ROOM_TIMEOUT_NS
         while head - self.words[self.consumed] >= al.MAILBOX_ITEMS:
-            self.here()
+            self.require_connection()
             if _clock() > deadline:
                 raise RequestTimeoutError(f"arbiter {self.name!r} takes nothing from this client's mailbox")
-            self.ring()
+            self.wake_server()
             time.sleep(0.001)
 
-    def beat(self) -> None:
+    def send_heartbeat(self) -> None:
         """Show that this client lives."""
-        self.post[BEAT] = _clock()
+        self.mailbox_words[BEAT] = _clock()

@@ -105,7 +105,7 @@ def welcome(result: int, slot: int = -1, number: int = 0, epoch: int = 0, detail
     return _WELCOME.pack(al.HELLO_MAGIC, result, slot, number, epoch, detail)
 
 
-def enter(sock: socket.socket, name: str) -> None:
+def confirm_mapping(sock: socket.socket, name: str) -> None:
     """Tell the server that the mailbox is mapped, and wait until it looks into it.
 
     Raises
@@ -122,7 +122,7 @@ def enter(sock: socket.socket, name: str) -> None:
         raise NotRunningError(f"arbiter {name!r} ended while this client attached; attach again")
 
 
-class Welcomed:
+class MailboxGrant:
     """What a client was given by a server of user `owner`; the connection stays open while it lives."""
 
     def __init__(self, sock: socket.socket, answer: dict[str, int], fds: list[int], owner: int) -> None:
@@ -130,7 +130,7 @@ class Welcomed:
         self.slot, self.number, self.epoch = answer["slot"], answer["number"], answer["epoch"]
 
 
-def knock(name: str, client: str, timeout_s: float, owners: Collection[int] = ()) -> Welcomed:
+def request_slot(name: str, client: str, timeout_s: float, owners: Collection[int] = ()) -> MailboxGrant:
     """Connect to an arbiter of one of the users `owners` (empty: anybody's) and ask for a slot.
 
     Raises
@@ -158,7 +158,7 @@ def knock(name: str, client: str, timeout_s: float, owners: Collection[int] = ()
             accept_rights(sock)
             with contextlib.suppress(ConnectionError):  # it may have refused already
                 sock.send(_HELLO.pack(al.HELLO_MAGIC, al.layout_hash(), client.encode()[:47]))
-            data, fds = _hear(sock)
+            data, fds = _receive_answer(sock)
         except NoPermissionError:  # an OSError, too
             raise
         except TimeoutError:
@@ -176,7 +176,7 @@ def knock(name: str, client: str, timeout_s: float, owners: Collection[int] = ()
             os.set_inheritable(fd, False)
         if not has_sealed_size(fds[0], al.MAILBOX_BYTES):
             raise BlockError(f"arbiter {name!r} handed out no sealed mailbox of {al.MAILBOX_BYTES} bytes")
-        return Welcomed(sock, answer, fds, owner)
+        return MailboxGrant(sock, answer, fds, owner)
     except BaseException:
         for fd in fds:
             os.close(fd)
@@ -184,7 +184,7 @@ def knock(name: str, client: str, timeout_s: float, owners: Collection[int] = ()
         raise
 
 
-def _hear(sock: socket.socket) -> tuple[bytes, list[int]]:
+def _receive_answer(sock: socket.socket) -> tuple[bytes, list[int]]:
     """The server's answer, and what came with it."""
     try:
         data, fds, _, _ = socket.recv_fds(sock, al.Welcome.SIZE, 2)

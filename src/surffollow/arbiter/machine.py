@@ -39,9 +39,9 @@ def head_of_queue(machine: Any, clients: Any, without: Any) -> Any:
 
 
 @jit
-def guards_of(machine: Any, clients: Any, happening: Any) -> Any:
+def guards_of(machine: Any, clients: Any, state_event: Any) -> Any:
     """The mask of guards that hold (`table.GUARDS`)."""
-    m, h = machine[0], happening[0]
+    m, h = machine[0], state_event[0]
     c, found = h.client, h.guards
     if m.cooperative != 0:
         found |= t.COOPERATIVE
@@ -129,7 +129,7 @@ def act(machine: Any, clients: Any, action: Any, c: Any) -> Any:
 
 
 @jit
-def transition(table: Any, machine: Any, clients: Any, happening: Any, effects: Any) -> Any:
+def transition(table: Any, machine: Any, clients: Any, state_event: Any, effects: Any) -> Any:
     """Take one event: find its row, do its actions, go to its next state.
 
     Parameters
@@ -137,16 +137,16 @@ def transition(table: Any, machine: Any, clients: Any, happening: Any, effects: 
     table : (rows, table.COLUMNS) int64     of `table.encode`
     machine : (1,) `Machine`                updated in place
     clients : (1,) `Clients`
-    happening : (1,) `Happening`
+    state_event : (1,) `StateEvent`
     effects : (MAX_EFFECTS,) `Effect`       written
 
     Returns
     -------
     int64  effects written; -1: no row matches, and nothing was changed
     """
-    h = happening[0]
+    h = state_event[0]
     state = machine[0].state
-    i = find_row(table, state, h.event, guards_of(machine, clients, happening), 0)
+    i = find_row(table, state, h.event, guards_of(machine, clients, state_event), 0)
     if i < 0:
         return -1
     row, n = table[i], 0

@@ -1,4 +1,4 @@
-"""Take what clients say: their coming and going, heartbeats, requests and commands.
+"""Process what clients send: attachment and detachment, heartbeats, requests and commands.
 
 A mailbox may hold anything at any time. An item is copied once, then looked at; the position up to which
 the mailbox was taken is the server's own.
@@ -14,7 +14,7 @@ import surffollow.arbiter.memory as m
 import surffollow.arbiter.publish as p
 import surffollow.arbiter.table as t
 from surffollow.arbiter.combine import is_pose
-from surffollow.arbiter.effects import happen
+from surffollow.arbiter.effects import apply_event
 from surffollow.arbiter.machine import forget_client
 from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit
@@ -29,7 +29,7 @@ _FUTURE_NS = 1_000_000
 
 
 @jit
-def note(mem: Any, t_ns: Any, slot: Any, event: Any) -> None:
+def log_client_event(mem: Any, t_ns: Any, slot: Any, event: Any) -> None:
     """Log an event that concerns a client and no resource."""
     record = mem.event[0]
     record.item = 0
@@ -42,20 +42,20 @@ def note(mem: Any, t_ns: Any, slot: Any, event: Any) -> None:
 def join(mem: Any, slot: Any, t_ns: Any) -> None:
     """A client was given this slot; the main thread filled in its mailbox, number and priority."""
     client_run = mem.client_runs[slot]
-    client_run.tail = client_run.beat = 0  # as the mailbox was made; its client may have begun already
+    client_run.tail = client_run.heartbeat = 0  # as the mailbox was made; its client may have begun already
     client_run.seen_ns = t_ns
     client_run.changed = client_run.broken = client_run.denied = client_run.waited_ns = 0
     client_run.log_ns = t_ns - p.LOG_BURST_NS
     for r in range(mem.ctx[m.N_RESOURCES]):
         client_run.queued_ns[r] = 0
         forget_client(mem.machines[r : r + 1], slot)
-        p.tell_held(mem, slot, r, 0)
+        p.notify_held(mem, slot, r, 0)
     # what the slot's last client was answered must not answer this one
     p.answer(mem, t_ns, slot, 0, 0, 0, 0)
     client_run.changed = 0
     mem.clients[0].live[slot] = 1
-    note(mem, t_ns, slot, al.EVENT_ATTACH)
-    tell(mem, slot)
+    log_client_event(mem, t_ns, slot, al.EVENT_ATTACH)
+    publish_counters(mem, slot)
     at.store_release_i64(mem.ctx.ctypes.data + 8 * (m.SLOT_STATE + slot), m.IN)
 
 
@@ -64,44 +64,44 @@ def leave(mem: Any, slot: Any, t_ns: Any) -> None:
     """The client of this slot is gone: it holds nothing from now on."""
     mem.clients[0].live[slot] = 0
     for r in range(mem.ctx[m.N_RESOURCES]):
-        happen(mem, r, t.GONE, slot, 0, 0, t_ns)
+        apply_event(mem, r, t.GONE, slot, 0, 0, t_ns)
         forget_client(mem.machines[r : r + 1], slot)
-    note(mem, t_ns, slot, al.EVENT_DETACH)
+    log_client_event(mem, t_ns, slot, al.EVENT_DETACH)
     mem.client_runs[slot].changed = 0
     at.store_release_i64(p.entry_of(mem, slot) + _NUMBER, 0)
     at.store_release_i64(mem.ctx.ctypes.data + 8 * (m.SLOT_STATE + slot), m.LEFT)
 
 
 @jit
-def tell(mem: Any, slot: Any) -> None:
+def publish_counters(mem: Any, slot: Any) -> None:
     """Publish a client's counters."""
     entry, client_run = p.entry_of(mem, slot), mem.client_runs[slot]
     at.store_relaxed_i64(entry + _LIVE, mem.clients[0].live[slot])
     at.store_relaxed_i64(entry + _DENIED, client_run.denied)
-    p.tell_waited(mem, slot)
+    p.publish_longest_wait(mem, slot)
     at.store_relaxed_i64(entry + _BROKEN, client_run.broken)
     at.store_release_i64(entry + _CONSUMED, client_run.tail)
 
 
 @jit
-def watch_lease(mem: Any, slot: Any, says_something: Any, t_ns: Any) -> None:
-    """See whether the client lives: any change of its heartbeat counts, and any item in its mailbox."""
+def watch_lease(mem: Any, slot: Any, has_items: Any, t_ns: Any) -> None:
+    """Update the lease of a client: any change of its heartbeat counts, and any item in its mailbox."""
     client_run, ctx = mem.client_runs[slot], mem.ctx
-    beat = at.load_relaxed_i64(client_run.mailbox + _BEAT)
-    if beat != client_run.beat or says_something:
-        client_run.beat, client_run.seen_ns = beat, t_ns
+    heartbeat = at.load_relaxed_i64(client_run.mailbox + _BEAT)
+    if heartbeat != client_run.heartbeat or has_items:
+        client_run.heartbeat, client_run.seen_ns = heartbeat, t_ns
         if mem.clients[0].live[slot] == 0:
             mem.clients[0].live[slot] = 1
-            note(mem, t_ns, slot, al.EVENT_LEASE_BACK)
-            tell(mem, slot)
+            log_client_event(mem, t_ns, slot, al.EVENT_LEASE_BACK)
+            publish_counters(mem, slot)
     else:
         # while the server itself stood still nobody could be seen
         silent_ns = t_ns - max(client_run.seen_ns, ctx[m.RESUMED_NS])
         if mem.clients[0].live[slot] != 0 and silent_ns > ctx[m.LEASE_NS]:
             mem.clients[0].live[slot] = 0
             for r in range(ctx[m.N_RESOURCES]):
-                happen(mem, r, t.LEASE_OVER, slot, 0, 0, t_ns)
-            tell(mem, slot)
+                apply_event(mem, r, t.LEASE_OVER, slot, 0, 0, t_ns)
+            publish_counters(mem, slot)
 
 
 @jit
@@ -130,26 +130,26 @@ def command_guards(mem: Any, resource: Any, t_ns: Any) -> Any:
 
 
 @jit
-def take_item(mem: Any, slot: Any, t_ns: Any) -> None:
-    """Do what the item in `mem.item` says."""
+def execute_item(mem: Any, slot: Any, t_ns: Any) -> None:
+    """Execute the item in `mem.item`."""
     item, ctx = mem.item[0], mem.ctx
     what, resource = item.what & 0xFF, (item.what >> 8) & 0xFF
     if resource >= ctx[m.N_RESOURCES] or what < al.ITEM_REQUEST or what > al.ITEM_RELINQUISH:
         mem.client_runs[slot].broken += 1
         if p.may_log(mem, t_ns, slot) != 0:
-            note(mem, t_ns, slot, al.EVENT_BROKEN)
+            log_client_event(mem, t_ns, slot, al.EVENT_BROKEN)
     elif what == al.ITEM_COMMAND:
-        happen(mem, resource, t.COMMAND, slot, item.token, command_guards(mem, resource, t_ns), t_ns)
+        apply_event(mem, resource, t.COMMAND, slot, item.token, command_guards(mem, resource, t_ns), t_ns)
     elif what == al.ITEM_REQUEST:
         wait = t.WAIT if (item.what >> 16) & al.FLAG_WAIT else 0
-        happen(mem, resource, t.REQUEST, slot, 0, wait, t_ns)
+        apply_event(mem, resource, t.REQUEST, slot, 0, wait, t_ns)
     else:
-        happen(mem, resource, t.RELINQUISH, slot, 0, 0, t_ns)
+        apply_event(mem, resource, t.RELINQUISH, slot, 0, 0, t_ns)
 
 
 @jit
 def drain(mem: Any, slot: Any, t_ns: Any) -> None:
-    """See whether a client lives, and take all items that are in its mailbox."""
+    """Update the lease of a client and execute all items in its mailbox."""
     client_run = mem.client_runs[slot]
     head = at.load_acquire_i64(client_run.mailbox + _HEAD)
     waiting = head - client_run.tail
@@ -160,13 +160,13 @@ def drain(mem: Any, slot: Any, t_ns: Any) -> None:
         client_run.tail = head
         client_run.broken += 1
         if p.may_log(mem, t_ns, slot) != 0:
-            note(mem, t_ns, slot, al.EVENT_BROKEN)
-        tell(mem, slot)
+            log_client_event(mem, t_ns, slot, al.EVENT_BROKEN)
+        publish_counters(mem, slot)
         return
     item = mem.item.ctypes.data
     for k in range(waiting):
         place = (client_run.tail + k) & (_CAPACITY - 1)
         copy_words_out(client_run.mailbox + _ITEMS + _ITEM_BYTES * place, _ITEM_WORDS, item)
-        take_item(mem, slot, t_ns)
+        execute_item(mem, slot, t_ns)
     client_run.tail = head
-    tell(mem, slot)
+    publish_counters(mem, slot)

@@ -20,7 +20,7 @@ from surffollow.arbiter.layout import (
     Reply,
     ResourceStatus,
 )
-from surffollow.arbiter.records import MAX_EFFECTS, Clients, Effect, Happening, Machine
+from surffollow.arbiter.records import MAX_EFFECTS, Clients, Effect, Machine, StateEvent
 from surffollow.arbiter.table import encode
 from surffollow.blocks.layout import SlotHead
 from surffollow.shm.dtypes import zeros
@@ -105,9 +105,9 @@ class ClientRun(Schema):
     mailbox = I64(doc="address")
     number = I64()
     tail = I64(doc="items taken")
-    beat = I64(doc="last heartbeat seen")
+    heartbeat = I64(doc="last value seen")
     seen_ns = I64(unit="ns", doc="when that changed")
-    bell = I64()
+    doorbell = I64(doc="of the client's desk, as stored last")
     changed = I64(doc="1: wake it")
     broken = I64()
     denied = I64()
@@ -125,7 +125,7 @@ class CommandSlot(Schema):
 
 Memory = namedtuple(  # type: ignore[name-match]
     "Memory",
-    "ctx table machines clients happening effects runs combinations client_runs status item item_words "
+    "ctx table machines clients state_event effects runs combinations client_runs status item item_words "
     "event slot reply scratch waiters",
 )
 
@@ -144,7 +144,7 @@ def make_memory() -> Any:
         table=np.array(encode(), np.int64),
         machines=machines,
         clients=zeros(Clients),
-        happening=zeros(Happening),
+        state_event=zeros(StateEvent),
         effects=zeros(Effect, MAX_EFFECTS),
         runs=zeros(ResourceRun, RESOURCES),
         combinations=zeros(CombinationRun, RESOURCES),

@@ -25,7 +25,21 @@ READY_POLL_S = 0.005
 
 
 class Holder(NamedTuple):
-    """Who holds a resource."""
+    """Who holds a resource.
+
+    Attributes
+    ----------
+    name : str
+        of the client in the configuration; "" for one that has just left
+    priority : int
+        of the client; the highest wins
+    client : int
+        number of the client, never used twice
+    token : int
+        under which its commands are forwarded
+    since_ns : int
+        when it was granted, CLOCK_MONOTONIC [ns]
+    """
 
     name: str
     priority: int
@@ -75,10 +89,20 @@ class BoardReader:
     def number_of(self, resource: str) -> int:
         """Number of a resource.
 
+        Parameters
+        ----------
+        resource : str
+            its name
+
+        Returns
+        -------
+        int
+            its index on the board
+
         Raises
         ------
         UsageError
-            none is called so
+            no resource has this name
         """
         if resource not in self.names:
             raise UsageError(
@@ -131,7 +155,13 @@ class ArbiterObserver:
         return self.board.names
 
     def alive(self) -> bool:
-        """Whether the server runs."""
+        """Whether the server runs.
+
+        Returns
+        -------
+        bool
+            False: it ended, or its process is gone
+        """
         return self.board.alive()
 
     def holder(self, resource: str) -> Holder | None:
@@ -172,7 +202,15 @@ class ArbiterObserver:
         return History(self.board.memory, offset, capacity, self.board.names, oldest)
 
     def status(self) -> dict[str, Any]:
-        """Everything at a glance, ready for JSON."""
+        """Everything at a glance, ready for JSON.
+
+        Returns
+        -------
+        dict
+            `name`, `alive`, `epoch` and `pid` of the server, `lease_s` [s], `rounds` of its loop;
+            `resources`: name → holder, state, queue, counters and declaration of each;
+            `clients`: a list with number, name, priority, pid and counters of each
+        """
         board, h = self.board, self.board.header
         resources = {}
         for k, config in enumerate(board.resources):

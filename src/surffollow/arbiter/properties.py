@@ -31,7 +31,7 @@ N = 3  # clients explored
 
 
 @jit
-def how_often(effects: Any, n: Any, action: Any) -> Any:
+def count_action(effects: Any, n: Any, action: Any) -> Any:
     """Times that an action was done."""
     found = 0
     for k in range(n):
@@ -41,7 +41,7 @@ def how_often(effects: Any, n: Any, action: Any) -> Any:
 
 
 @jit
-def place_of(effects: Any, n: Any, action: Any) -> Any:
+def position_of(effects: Any, n: Any, action: Any) -> Any:
     """Where an action comes in the order, 99: nowhere."""
     for k in range(n):
         if effects[k].action == action:
@@ -80,7 +80,7 @@ def command_step(b: Any, h: Any, effects: Any, n: Any) -> Any:
     c = h.client
     fresh, sound = h.guards & t.FRESH != 0, h.guards & t.SOUND != 0
     good = b.holder == c and b.token != 0 and h.token == b.token and fresh and sound
-    if (how_often(effects, n, t.FORWARD) == 1) != good:
+    if (count_action(effects, n, t.FORWARD) == 1) != good:
         return 5
     if n != 1 or effects[0].client != c:
         return 6
@@ -116,8 +116,8 @@ def request_step(b: Any, a: Any, clients: Any, h: Any, effects: Any, n: Any) -> 
     """Property 7, of the event REQUEST."""
     c, deserved, answers = h.client, request_answer(b, clients, h), 0
     for action in (t.DENY_LEASE, t.GRANT, t.KEEP, t.ENQUEUE, t.DENY):
-        answers += how_often(effects, n, action)
-    k = place_of(effects, n, deserved)
+        answers += count_action(effects, n, action)
+    k = position_of(effects, n, deserved)
     if answers != 1 or k == 99 or effects[k].client != c:
         return 7
     if deserved == t.KEEP and effects[k].token != b.token:
@@ -158,9 +158,9 @@ def holder_step(b: Any, a: Any, clients: Any, h: Any, effects: Any, n: Any) -> A
         return 8
     if b.state == t.FREE and a.holder >= 0 and (h.event != t.REQUEST or a.holder != c):
         return 8
-    grants = how_often(effects, n, t.GRANT)
+    grants = count_action(effects, n, t.GRANT)
     if a.token != 0 and a.token != b.token:
-        k = place_of(effects, n, t.GRANT)
+        k = position_of(effects, n, t.GRANT)
         if grants != 1 or effects[k].token != a.token or effects[k].client != a.holder:
             return 9
         for other in range(N):
@@ -170,19 +170,19 @@ def holder_step(b: Any, a: Any, clients: Any, h: Any, effects: Any, n: Any) -> A
             return 9
     elif grants != 0:
         return 9
-    ends = how_often(effects, n, t.REVOKE) + how_often(effects, n, t.RELEASE)
+    ends = count_action(effects, n, t.REVOKE) + count_action(effects, n, t.RELEASE)
     if loses:
         own_will = h.event == t.RELINQUISH
-        k = place_of(effects, n, t.RELEASE if own_will else t.REVOKE)
+        k = position_of(effects, n, t.RELEASE if own_will else t.REVOKE)
         if ends != 1 or k == 99 or effects[k].client != b.holder or effects[k].token != b.token:
             return 10
-        safe = place_of(effects, n, t.SAFE)
-        if not k < safe < 99 or (grants == 1 and safe > place_of(effects, n, t.GRANT)):
+        safe = position_of(effects, n, t.SAFE)
+        if not k < safe < 99 or (grants == 1 and safe > position_of(effects, n, t.GRANT)):
             return 10
     elif ends != 0:
         return 10
     due = loses or h.event in (t.LATE, t.RESTART)
-    if how_often(effects, n, t.SAFE) != (1 if due else 0):
+    if count_action(effects, n, t.SAFE) != (1 if due else 0):
         return 11
     if loses and not preempts:
         return 0 if a.holder == next_in_queue(b, clients, -1) else 12
@@ -196,14 +196,14 @@ def queue_step(b: Any, a: Any, clients: Any, h: Any, effects: Any, n: Any) -> An
     if h.event in (t.RELINQUISH, t.LEASE_OVER, t.GONE):
         if a.holder == c or a.ticket[c] != 0:
             return 13
-        if how_often(effects, n, t.DEQUEUE) != (1 if b.ticket[c] != 0 else 0):
+        if count_action(effects, n, t.DEQUEUE) != (1 if b.ticket[c] != 0 else 0):
             return 13
         idle = b.holder != c and b.ticket[c] == 0
-        if how_often(effects, n, t.NOTHING) != (1 if idle and h.event == t.RELINQUISH else 0):
+        if count_action(effects, n, t.NOTHING) != (1 if idle and h.event == t.RELINQUISH else 0):
             return 13
         if idle and h.event != t.RELINQUISH and n != 0:
             return 17
-    asks, unasks = how_often(effects, n, t.ASK), how_often(effects, n, t.UNASK)
+    asks, unasks = count_action(effects, n, t.ASK), count_action(effects, n, t.UNASK)
     begins = b.state != t.ASKED and a.state == t.ASKED
     ends = b.state == t.ASKED and a.state == t.HELD and a.token == b.token
     if asks != (1 if begins else 0) or unasks != (1 if ends else 0):
@@ -248,10 +248,14 @@ def superfluous(b: Any, a: Any, h: Any, effects: Any, n: Any) -> Any:
             known = n == 1
         if not known:
             return 17
-    dequeue = place_of(effects, n, t.DEQUEUE)
-    if dequeue != 99 and (how_often(effects, n, t.DEQUEUE) != 1 or b.ticket[h.client] == 0 or dequeue != 0):
+    dequeue = position_of(effects, n, t.DEQUEUE)
+    if dequeue != 99 and (
+        count_action(effects, n, t.DEQUEUE) != 1 or b.ticket[h.client] == 0 or dequeue != 0
+    ):
         return 17
-    if how_often(effects, n, t.ASK) == 1 and place_of(effects, n, t.ASK) < place_of(effects, n, t.ENQUEUE):
+    if count_action(effects, n, t.ASK) == 1 and position_of(effects, n, t.ASK) < position_of(
+        effects, n, t.ENQUEUE
+    ):
         return 17
     if h.event in (t.LATE, t.COMMAND) and (a.state != b.state or a.token != b.token):
         return 17
@@ -259,18 +263,18 @@ def superfluous(b: Any, a: Any, h: Any, effects: Any, n: Any) -> Any:
 
 
 @jit
-def fault_of_step(before: Any, after: Any, clients: Any, happening: Any, effects: Any, n: Any) -> Any:
+def failed_property(before: Any, after: Any, clients: Any, state_event: Any, effects: Any, n: Any) -> Any:
     """Number of the first property that a step breaks, or 0.
 
     Parameters
     ----------
     before, after : (1,) `Machine`
     clients : (1,) `Clients`      at the event
-    happening : (1,) `Happening`
+    state_event : (1,) `StateEvent`
     effects : (MAX_EFFECTS,) `Effect`
     n : int64                     effects
     """
-    b, a, h = before[0], after[0], happening[0]
+    b, a, h = before[0], after[0], state_event[0]
     fault = structure(a, clients[0])
     if fault == 0 and h.event == t.COMMAND:
         fault = command_step(b, h, effects, n)

@@ -1,4 +1,4 @@
-"""What the loop tells others: the history, answers, who holds what, and the command of each resource."""
+"""Output of the loop: history, answers, holders, and the command of each resource."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def entry_of(mem: Any, slot: Any) -> Any:
 
 @jit
 def desk_of(mem: Any, slot: Any) -> Any:
-    """Address of what a slot's client is told."""
+    """Address of the record in which a client finds its tokens and its doorbell."""
     return mem.ctx[m.DESKS] + _DESK * slot
 
 
@@ -77,8 +77,8 @@ def answer(mem: Any, t_ns: Any, slot: Any, seq: Any, result: Any, token: Any, re
 
 
 @jit
-def tell_held(mem: Any, slot: Any, resource: Any, token: Any) -> None:
-    """Tell a client which token of a resource it holds now; 0: none."""
+def notify_held(mem: Any, slot: Any, resource: Any, token: Any) -> None:
+    """Store which token of a resource a client holds now; 0: none."""
     desk = desk_of(mem, slot)
     at.store_relaxed_i64(desk + _ASKED + 8 * resource, 0)
     at.store_release_i64(desk + _HELD + 8 * resource, token)
@@ -86,27 +86,27 @@ def tell_held(mem: Any, slot: Any, resource: Any, token: Any) -> None:
 
 
 @jit
-def tell_asked(mem: Any, slot: Any, resource: Any, asked: Any) -> None:
-    """Tell a holder that it is to relinquish, or not any more."""
+def notify_asked(mem: Any, slot: Any, resource: Any, asked: Any) -> None:
+    """Store whether a holder is asked to relinquish (1) or not (0)."""
     at.store_release_i64(desk_of(mem, slot) + _ASKED + 8 * resource, asked)
     mem.client_runs[slot].changed = 1
 
 
 @jit
-def ring_bells(mem: Any) -> None:
-    """Wake every client that was told something."""
+def wake_clients(mem: Any) -> None:
+    """Wake every client that has a new answer, token or request to relinquish."""
     for slot in range(mem.clients[0].n):
         p = mem.client_runs[slot]
         if p.changed != 0:
             p.changed = 0
-            p.bell += 1
-            bell = desk_of(mem, slot) + _BELL
-            at.store_release_i64(bell, p.bell)
-            futex_wake(bell)
+            p.doorbell += 1
+            address = desk_of(mem, slot) + _BELL
+            at.store_release_i64(address, p.doorbell)
+            futex_wake(address)
 
 
 @jit
-def tell_waited(mem: Any, slot: Any) -> None:
+def publish_longest_wait(mem: Any, slot: Any) -> None:
     """Publish the longest wait of a client."""
     at.store_relaxed_i64(entry_of(mem, slot) + _WAITED, mem.client_runs[slot].waited_ns)
 

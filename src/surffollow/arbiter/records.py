@@ -31,7 +31,7 @@ class Clients(Schema):
     live = I64(CLIENTS, doc="1: attached, and the lease is live")
 
 
-class Happening(Schema):
+class StateEvent(Schema):
     """One event."""
 
     event = I64()

@@ -21,20 +21,24 @@ _reply: Callable[..., Reply] = tuple.__new__  # half the time of the constructor
 _clock = time.monotonic_ns
 _NO_POSE = (0.0,) * al.POSE
 RELINQUISH_NS = 1_000_000_000
-MOST_TIMEOUT_S = 1e6
+MAX_TIMEOUT_S = 1e6
 
 
 class Reply(NamedTuple):
-    """The answer to a request; true when the resource is ours.
+    """The answer to a request; true when this client holds the resource.
 
     Attributes
     ----------
+    granted : bool
+        whether this client holds the resource
     reason : str
-        GRANT, KEEP (it was ours), DENY, DENY_LEASE, or TIMEOUT (queued in vain)
+        GRANT, KEEP (this client held it already), DENY, DENY_LEASE, or TIMEOUT (queued in vain)
     token : int
+        under which this client's commands are forwarded; 0: none
     holder : str
-        who holds it instead; "" for nobody
+        name of the client that holds it instead; "" for none
     holder_priority : int
+        priority of that client; 0: none
     """
 
     granted: bool
@@ -48,7 +52,27 @@ class Reply(NamedTuple):
 
 
 class Resource:
-    """One resource as its clients see it; made by `ArbiterClient.resource`."""
+    """One resource as its clients see it; made by `ArbiterClient.resource`.
+
+    Attributes
+    ----------
+    name : str
+        of the resource
+    n_values : int
+        numbers of one command
+    fields : tuple of str
+        names of these numbers
+
+    Examples
+    --------
+    ::
+
+        with attach("cell", "go") as arbiter:
+            robot = arbiter.resource("robot")
+            if robot.request(wait=True, timeout_s=2.0):
+                while robot.command(0.2, 0.0):      # False: a client of higher priority has it now
+                    time.sleep(0.02)
+    """
 
     def __init__(self, client: ArbiterClient, exchange: ex.Exchange, number: int) -> None:
         self._client, self._exchange = client, exchange
@@ -56,7 +80,8 @@ class Resource:
         self.name, self.n_values = str(config["name"]), int(config["n_values"])
         self.fields = tuple(str(config["fields"]).split(","))
         self._held, self._asked = exchange.desk_words(number)
-        self._words, self._put, self._post = exchange.words, exchange.put, exchange.post
+        self._words, self._mailbox = exchange.words, exchange.mailbox
+        self._mailbox_words = exchange.mailbox_words
         self._consumed = exchange.consumed
         self._padding = (0.0,) * (al.VALUES - self.n_values)
         self._command = al.ITEM_COMMAND | number << 8
@@ -81,7 +106,13 @@ class Resource:
         return self._words[self._asked] != 0 and self.held
 
     def holder(self) -> Any:
-        """Who holds the resource (`observer.Holder`), None: nobody, or the server ended."""
+        """Who holds the resource.
+
+        Returns
+        -------
+        Holder or None
+            None: nobody, or the server ended
+        """
         return None if self._exchange.ended else self._client.holder(self.name)
 
     def request(self, *, wait: bool = False, timeout_s: float = 1.0) -> Reply:
@@ -108,14 +139,14 @@ class Resource:
         UsageError
             no such time
         """
-        if not 0.0 <= timeout_s < MOST_TIMEOUT_S:
-            raise UsageError(f"timeout_s is {timeout_s}; expected 0 to {MOST_TIMEOUT_S:g} s")
+        if not 0.0 <= timeout_s < MAX_TIMEOUT_S:
+            raise UsageError(f"timeout_s is {timeout_s}; expected 0 to {MAX_TIMEOUT_S:g} s")
         timeout_ns, words = int(timeout_s * 1e9), self._words
         before = words[self._held]
-        at = self._exchange.ask(self._queue_up if wait else self._request, timeout_ns)
+        at = self._exchange.request(self._queue_up if wait else self._request, timeout_ns)
         if at < 0:
             if before == 0:  # a server that answers later grants nothing
-                self._exchange.tell(self._relinquish, _clock())
+                self._exchange.send(self._relinquish, _clock())
             raise RequestTimeoutError(f"arbiter {self._client.name!r} did not answer in {timeout_s:g} s")
         result = words[at + _RESULT]
         if result == table.GRANT:
@@ -125,7 +156,7 @@ class Resource:
         other = (self._name_of(words[at + ex.HOLDER]), words[at + ex.HOLDER_PRIORITY])
         if result != table.ENQUEUE:
             return Reply(False, al.EVENT_NAMES.get(result, str(result)), 0, *other)
-        token = self._exchange.await_word(self._held, timeout_ns)
+        token = self._exchange.wait_for_word(self._held, timeout_ns)
         if token == 0:
             self.relinquish()
             token = self.token
@@ -147,12 +178,15 @@ class Resource:
 
         Parameters
         ----------
-        values : as many floats as the resource's command has
+        values : float
+            as many as the resource's command has, in the declared units
         t_ns : int, optional
-            when it was made [ns]; now when absent
-        ref_t_ns, ref_pose
-            stamp and value (7 floats) of the pose that it is relative to; a stamp alone
-            is enough where nothing is summed that is relative to another pose
+            when it was made, CLOCK_MONOTONIC [ns]; now when absent
+        ref_t_ns : int
+            timestamp of the pose that the values are relative to [ns]; 0: relative to none
+        ref_pose : seven floats, optional
+            that pose: x y z [m], qx qy qz qw. The timestamp alone is enough where nothing is summed that is
+            relative to another pose
 
         Returns
         -------
@@ -164,6 +198,10 @@ class Resource:
         ------
         UsageError
             another number of values
+
+        Notes
+        -----
+        A command is valid for the `ttl` of the resource. Send the next one before that time is over.
         """
         token = self._words[self._held]
         if token == 0 or self._exchange.ended:
@@ -172,26 +210,36 @@ class Resource:
             raise UsageError(
                 f"{self.name!r} takes {self.n_values} values ({', '.join(self.fields)}), not {values!r}"
             )
-        post = self._post
-        head = post[_HEAD]
+        mailbox_words = self._mailbox_words
+        head = mailbox_words[_HEAD]
         if head - self._words[self._consumed] >= al.MAILBOX_ITEMS:
             return False
         now = _clock()
         at = _ITEMS + (head & _MASK) * _ITEM_BYTES
         t = now if t_ns is None else t_ns
         if ref_t_ns == 0:
-            self._pack(self._put, at, head + 1, self._command, token, t, ref_t_ns, *values, *self._padding)
+            self._pack(
+                self._mailbox, at, head + 1, self._command, token, t, ref_t_ns, *values, *self._padding
+            )
         else:
             pose = tuple(ref_pose) if ref_pose is not None else _NO_POSE  # not what the place held before
             ex.COMMAND_AT_POSE.pack_into(
-                self._put, at, head + 1, self._command, token, t, ref_t_ns, *values, *self._padding, *pose
+                self._mailbox, at, head + 1, self._command, token, t, ref_t_ns, *values, *self._padding, *pose
             )
         if FENCED:
             fence()
-        post[_HEAD] = head + 1
-        post[_BEAT] = now
+        mailbox_words[_HEAD] = head + 1
+        mailbox_words[_BEAT] = now
         return True
 
     def relinquish(self) -> None:
-        """Give control back, or leave the queue."""
-        self._exchange.ask(self._relinquish, RELINQUISH_NS)
+        """Give control back, or leave the queue.
+
+        Raises
+        ------
+        ClosedError
+            this client was closed
+        NotRunningError
+            the server ended
+        """
+        self._exchange.request(self._relinquish, RELINQUISH_NS)

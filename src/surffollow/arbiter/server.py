@@ -1,4 +1,4 @@
-"""The arbiter's process: the loop in a thread without the GIL, the reception in the main thread."""
+"""The arbiter's process: the loop in a thread without the GIL, the connections in the main thread."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from surffollow.arbiter import handshake as hs
 from surffollow.arbiter import layout as al
 from surffollow.arbiter import memory as m
 from surffollow.arbiter import table as t
-from surffollow.arbiter.board import Board, CommandBlock, group_id, own_name
+from surffollow.arbiter.board import Board, CommandBlock, own_name
 from surffollow.arbiter.config import ArbiterConfig, limits
-from surffollow.arbiter.connections import Reception, users_of
-from surffollow.arbiter.effects import happen
+from surffollow.arbiter.connections import ConnectionServer, users_of
+from surffollow.arbiter.effects import apply_event
 from surffollow.arbiter.loop import run_rounds
+from surffollow.config.group_id import configured_group_id
 from surffollow.config.service import mode
 from surffollow.errors import ServiceError
 from surffollow.shm.name_lock import NameLock
@@ -45,7 +46,7 @@ class Server:
         try:
             self._own = own_name(config.name)
             self.board = Board(config)
-            access, group = mode(config.mode, "mode"), group_id(config.group)
+            access, group = mode(config.mode, "mode"), configured_group_id(config.group, "group")
             for name in (*config.resources, *config.combine):
                 self._blocks.append(CommandBlock(f"{config.name}.{name}", access, group))
         except BaseException:
@@ -53,7 +54,9 @@ class Server:
             self._listener.close()
             raise
         self.mem = m.make_memory()
-        self._reception = Reception(config, users, self.board, self.mem, self._listener, self._wake_loop)
+        self._connections = ConnectionServer(
+            config, users, self.board, self.mem, self._listener, self._wake_loop
+        )
         self._fill()
 
     # -- set-up -----------------------------------------------------------------------------------
@@ -94,7 +97,7 @@ class Server:
 
     def _start_resources(self) -> None:
         for r in range(len(self.config.resources)):
-            happen(self.mem, r, t.RESTART, -1, 0, 0, time.monotonic_ns())
+            apply_event(self.mem, r, t.RESTART, -1, 0, 0, time.monotonic_ns())
             self.mem.machines[r]["counter"] = r << COUNTER_BITS  # no two resources grant the same token
 
     # -- run --------------------------------------------------------------------------------------
@@ -113,7 +116,7 @@ class Server:
             self.board.set_state(al.STATE_READY)
             if on_ready is not None:
                 on_ready()
-            self._reception.welcome_clients(self._wake)
+            self._connections.serve_connections(self._wake)
             if self._error:
                 raise ServiceError(f"the arbiter's loop failed: {self._error}")
         finally:
@@ -139,14 +142,14 @@ class Server:
         wake(address)
 
     def _end(self, thread: threading.Thread) -> None:
-        self._reception.dismiss_clients(thread)
+        self._connections.release_clients(thread)
         store_release(int(self.mem.ctx.ctypes.data) + 8 * m.STOP, 1)
         self._wake_loop()
         thread.join(2.0)
         if thread.is_alive():
             os._exit(1)  # its memory must not go away under it
         self._remove_objects()
-        self._reception.close()
+        self._connections.close()
         self._listener.close()
         os.close(self._wake)
         os.close(self._waker)

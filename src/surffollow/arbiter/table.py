@@ -1,7 +1,7 @@
 """The state machine of one resource, declared once: the server runs it, `check` explores it, pages draw it.
 
 Each row: in one of these states, on one of these events, under these guards, do these actions in
-order and go to the next state. Exactly one row matches any event that can happen (`check` proves it).
+order and go to the next state. Exactly one row matches any possible event (`check` proves it).
 Source: the paper's communication protocol (§2.1), completed by leases, tokens and queues.
 """
 
@@ -15,7 +15,7 @@ FREE, HELD, ASKED = range(3)
 STATES = ("FREE", "HELD", "ASKED")
 SAME = -1  # as a next state: stay
 
-# what can happen to a resource; the first five concern one client
+# events of a resource; the first five concern one client
 REQUEST, COMMAND, RELINQUISH, LEASE_OVER, GONE, GRACE_OVER, LATE, RESTART = range(8)
 EVENTS = ("REQUEST", "COMMAND", "RELINQUISH", "LEASE_OVER", "GONE", "GRACE_OVER", "LATE", "RESTART")
 

@@ -4,12 +4,12 @@ Who waits for whom is settled by kernel locks on bytes of the object (`locks`); 
 read is kept whole by the latch's slots, whatever the locks do. Steps (docs/reference/blocks.md):
 
 A1 a reader enters unless the writer waits: shared lock on byte FENCE_BASE + fence;
-A2 the writer says that it waits, which closes the door to further readers (the turnstile);
+A2 the writer says that it waits: further readers wait, too (the turnstile);
 A3 it takes the byte exclusively; a reader that still has it after the lease is fenced: the
    fence number goes up by one, and with it the byte that counts;
 A4 a fenced reader learns it from `read_done`;
-A5 who has the new byte locked already keeps to no rules: the writer goes on behind the closed door, with no
-   lock and with no further wait, at this write and the next, until the byte is free again.
+A5 a process that has the new byte locked already breaks the rules: the writer goes on with no lock and no
+   further wait, at this write and the next, until the byte is free again; readers wait meanwhile.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from surffollow.blocks.reading import POLL_S, ReadSide
 from surffollow.blocks.record import Record
 from surffollow.blocks.snapshot import Snapshot
 from surffollow.client.fence import FENCED, fence
-from surffollow.errors import BlockError, BlockTimeoutError, BusyError
+from surffollow.errors import BlockError, BlockTimeoutError
 from surffollow.shm.latch_shape import SLOTS
 from surffollow.shm.locks import FENCE_BASE, QUEUE_BYTE, FileLock
 from surffollow.shm.schema import Schema
@@ -81,15 +81,15 @@ class AttachedBlock(ReadSide):
         """
         lock = self._writer_lock()
         if self._view is not None:
-            raise BusyError(f"block {self.name!r}: a read or write is under way on this handle; end it first")
+            raise self._busy()
         words = self._words
         if _clock() - self._done_ns < BUSY_NS:
-            self._let_queued_in(lock)
+            self._admit_queued_readers(lock)
         number = words[bl.FENCE_WORD]
         if lock.exclusive(FENCE_BASE + number):
             self.barred = False
         else:
-            number = self._pass_bar() if self.barred else self._wait_for_readers(lock, timeout_s)
+            number = self._write_without_lock() if self.barred else self._wait_for_readers(lock, timeout_s)
         g = words[self._generation_word]
         old = self._slots + (g & (SLOTS - 1)) * self._stride + bl.HEAD
         new = self._slots + ((g + 1) & (SLOTS - 1)) * self._stride + bl.HEAD
@@ -110,7 +110,7 @@ class AttachedBlock(ReadSide):
             )
         return lock
 
-    def _let_queued_in(self, lock: FileLock) -> None:
+    def _admit_queued_readers(self, lock: FileLock) -> None:
         if not lock.held_elsewhere(QUEUE_BYTE):
             self._queue_stuck = False
             return
@@ -136,7 +136,7 @@ class AttachedBlock(ReadSide):
                 elif now - since >= lease:
                     number += 1
                     words[bl.FENCE_WORD] = number
-                    return number if lock.exclusive(FENCE_BASE + number) else self._pass_bar()
+                    return number if lock.exclusive(FENCE_BASE + number) else self._write_without_lock()
                 seen = now
                 if now >= deadline:
                     raise BlockTimeoutError(
@@ -148,8 +148,8 @@ class AttachedBlock(ReadSide):
             if not self.barred:
                 words[bl.WAITING_WORD] = 0
 
-    def _pass_bar(self) -> int:
-        """Write without the lock: the door stays closed, and a read under way becomes stale (A5)."""
+    def _write_without_lock(self) -> int:
+        """Write without the lock: readers wait, and a read under way becomes stale (A5)."""
         words = self._words
         if not self.barred:
             self.barred = True
@@ -163,7 +163,18 @@ class AttachedBlock(ReadSide):
         return int(words[bl.FENCE_WORD])
 
     def write_done(self) -> int:
-        """Publish the slot, let readers in, tell the hooks; returns the new generation."""
+        """Publish the slot, let readers in, call the hooks.
+
+        Returns
+        -------
+        int
+            the new generation
+
+        Raises
+        ------
+        BlockError
+            without `get_write_ok`, or this process is not the block's writer
+        """
         words = self._words
         g = words[self._generation_word] + 1
         self._end_write("write_done")
@@ -173,7 +184,7 @@ class AttachedBlock(ReadSide):
         if FENCED:
             fence()
         words[self._generation_word] = g
-        self._open_door()
+        self._admit_readers()
         if self._hooks:
             self._replicate(Snapshot(self.schema, self._memory[start : start + self._size], g, False))
         return int(g)
@@ -186,18 +197,24 @@ class AttachedBlock(ReadSide):
         self._view, self._writing = None, False
 
     def abandon(self) -> None:
-        """End the write without publishing: readers keep the values they had."""
-        self._end_write("abandon")
-        self._open_door()
+        """End the write without publishing: readers keep the values they had.
 
-    def _open_door(self) -> None:
-        self._here().release(FENCE_BASE + self._fence)
+        Raises
+        ------
+        BlockError
+            without `get_write_ok`
+        """
+        self._end_write("abandon")
+        self._admit_readers()
+
+    def _admit_readers(self) -> None:
+        self._require_lock().release(FENCE_BASE + self._fence)
         if self.barred:
             self._words[bl.WAITING_WORD] = 0
 
     @contextmanager
     def write(self, timeout_s: float = 5.0) -> Iterator[Record]:
-        """`with block.write() as slot:` get_write_ok, write_done; an exception inside publishes nothing.
+        """Write in a `with` statement: `get_write_ok`, `write_done`; an exception inside publishes nothing.
 
         Parameters
         ----------
@@ -208,6 +225,11 @@ class AttachedBlock(ReadSide):
         -------
         context manager of Record
             a slot that holds the newest values, to be changed
+
+        Raises
+        ------
+        BlockTimeoutError, BusyError, BlockError
+            as `get_write_ok`
         """
         slot = self.get_write_ok(timeout_s)
         try:

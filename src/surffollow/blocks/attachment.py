@@ -23,7 +23,7 @@ from surffollow.shm.schema import Schema
 REATTACH_EVERY_NS = 20_000_000
 _NOTHING = memoryview(bytes(8 * (bl.FENCE_WORD + 1))).cast("Q")
 _NO_MEMORY = memoryview(b"")
-_MOST = SLOTS - 2
+_MAX_BEHIND = SLOTS - 2
 
 
 class Attachment:
@@ -65,7 +65,19 @@ class Attachment:
     # -- attaching --------------------------------------------------------------------------------
 
     def attach_reader(self) -> None:
-        """Map the block read-only; raises as `claim.open_reader`."""
+        """Map the block read-only.
+
+        Raises
+        ------
+        NotRunningError
+            no block of this name
+        LayoutMismatchError
+            it was declared otherwise
+        NoPermissionError
+            it belongs to another user, or its mode forbids reading
+        BlockError
+            the object of this name is no block
+        """
         self.refusal = ""
         try:
             self._adopt(*claim.open_reader(self.object_name, self.schema, self._owners))
@@ -74,16 +86,27 @@ class Attachment:
             raise
 
     def attach_writer(self, mode: int, group: int, lease_ns: int) -> None:
-        """Become the block's writer; raises as `claim.claim_writer`.
+        """Become the block's writer.
 
         Parameters
         ----------
         mode : int
             of the objects, for example 0o640
         group : int
-            number of the group of the objects
+            number of the group of the objects, -1: that of this process
         lease_ns : int
             longest time for which a reader may keep the writer out [ns]
+
+        Raises
+        ------
+        BusyError
+            another live process writes it; its pid is named
+        NoPermissionError
+            it belongs to another user, or its lock file does
+        NoSpaceError
+            /dev/shm cannot hold it
+        BlockError
+            the object of this name is no block
         """
         obj, lock, own = claim.claim_writer(
             self.object_name, self.schema, mode=mode, group=group, lease_ns=lease_ns
@@ -92,7 +115,7 @@ class Attachment:
         self._own, self.is_writer = own, True
 
     def _adopt(self, obj: SharedObject, lock: FileLock) -> None:
-        self._let_go()
+        self._release()
         self._object, self._lock, self._memory = obj, lock, obj.memory
         self._owners = frozenset((obj.owner,))
         self._words = memoryview(obj.memory).cast("Q")
@@ -101,7 +124,7 @@ class Attachment:
         latch = bl.read_header(obj.memory)["latch_offset"]
         self._generation_word, self._slots, self._stride = bl.slot_places(self.schema, latch)
 
-    def _let_go(self, keep: bool = False) -> None:
+    def _release(self, keep: bool = False) -> None:
         obj, lock = self._object, self._lock
         if obj is not None and lock is not None:
             for view in (self._words, self._readonly, self._writable):
@@ -134,7 +157,7 @@ class Attachment:
             return False
         return True
 
-    def _here(self) -> FileLock:
+    def _require_lock(self) -> FileLock:
         if self._lock is None:
             raise NotRunningError(
                 f"block {self.object_name!r} is not attached: its writer has not started yet"
@@ -169,7 +192,13 @@ class Attachment:
         return int(bl.read_header(self._memory)["writer_pid"]) if self._object is not None else 0
 
     def writer_alive(self) -> bool:
-        """Whether the writer's process lives (stopped ones do) and has not given the block up."""
+        """Whether the writer's process lives (stopped ones do) and has not given the block up.
+
+        Returns
+        -------
+        bool
+            False: it ended, gave the block up, or has not started
+        """
         if self._lock is None or not self._refresh():
             return False
         return self.is_writer or self._writer_runs()
@@ -180,9 +209,12 @@ class Attachment:
         return is_running(int(header["writer_pid"]), int(header["writer_start_ticks"]))
 
     def latest(self) -> Snapshot:
-        """A private copy of the newest publication, at once; never blocks anybody and never raises.
+        """A private copy of the newest publication, at once; it blocks no process and never raises.
 
-        When no whole copy could be had the last good one is returned with `stale` set.
+        Returns
+        -------
+        Snapshot
+            `stale` is set when it is an older copy: the writer gave the block up, or was too fast to copy
         """
         words, memory = self._words, self._memory
         stale = words[bl.STATE_WORD] != bl.STATE_LIVE
@@ -202,7 +234,7 @@ class Attachment:
             data = memory[at : at + self._size]
             if FENCED:
                 fence()
-            if words[word] - g <= _MOST:
+            if words[word] - g <= _MAX_BEHIND:
                 self._last = snapshot = Snapshot(self.schema, data, g, stale)
                 return snapshot
         last = self._last
@@ -219,7 +251,7 @@ class Attachment:
         if self._view is not None:
             self._view._end()
             self._view, self._writing = None, False
-        self._let_go(keep)
+        self._release(keep)
 
     def __repr__(self) -> str:
         role = "writer" if self.is_writer else "reader"

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from surffollow.blocks import layout as bl
-from surffollow.blocks.cwriter import schema_constant, writer_text
+from surffollow.blocks.cwriter import schema_constant, with_layout, writer_text
 from surffollow.shm.schema import Schema
 
 _READER = """
@@ -154,20 +153,4 @@ def _with_nested(schema: type[Schema], ordered: dict[type[Schema], None]) -> Non
 
 def reader_text() -> str:
     """C text of the reader of any block, guarded against being included twice."""
-    at = bl.BlockHeader.offset
-    values = {
-        "head_bytes": bl.PAGE,
-        "latch_offset": at("latch_offset"),
-        "slot_head": bl.HEAD,
-        "magic": bl.BLOCK_MAGIC,
-        "version_at": at("version"),
-        "version": bl.BLOCK_VERSION,
-        "hash_at": at("schema_hash"),
-        "state_at": at("state"),
-        "live": bl.STATE_LIVE,
-        "t_at": bl.SlotHead.offset("t_ns"),
-    }
-    text = _READER
-    for name, value in values.items():
-        text = text.replace("{" + name + "}", str(value))
-    return text
+    return with_layout(_READER, {})

@@ -24,7 +24,7 @@ from surffollow.shm.schema import Schema
 
 POLL_S = 0.005
 # a process that was just killed holds its locks until the kernel has taken it apart
-DYING_S = 0.1
+EXIT_GRACE_S = 0.1
 
 
 def open_reader(
@@ -93,7 +93,7 @@ def claim_writer(
 
 
 def _take_name(name: str) -> NameLock:
-    deadline = time.monotonic() + DYING_S
+    deadline = time.monotonic() + EXIT_GRACE_S
     while True:
         own = NameLock.take(check_name(name))
         if own is not None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from surffollow.blocks import layout as bl
 from surffollow.blocks.cwaiting import WAITING
 from surffollow.shm.locks import FENCE_BASE, QUEUE_BYTE
@@ -246,33 +248,56 @@ static inline int sfb_start_writing(sfb_writer *w, const char *object_name, cons
 """
 
 
-def writer_text() -> str:
-    """C text of the writer and of waiting reads of any block; stands behind the reader's."""
+def with_layout(text: str, more: Mapping[str, object]) -> str:
+    """Replace `{name}` in C text by places and constants of a block's layout.
+
+    Parameters
+    ----------
+    text : str
+        C text
+    more : mapping
+        names beyond those that reader and writer share, and their values
+
+    Returns
+    -------
+    str
+        C text without such names
+    """
     at = bl.BlockHeader.offset
     values = {
         "head_bytes": bl.PAGE,
         "latch_offset": at("latch_offset"),
         "slot_head": bl.HEAD,
         "magic": bl.BLOCK_MAGIC,
+        "version_at": at("version"),
         "version": bl.BLOCK_VERSION,
         "hash_at": at("schema_hash"),
+        "state_at": at("state"),
+        "live": bl.STATE_LIVE,
+        "t_at": bl.SlotHead.offset("t_ns"),
+        **more,
+    }
+    for name, value in values.items():
+        text = text.replace("{" + name + "}", str(value))
+    return text
+
+
+def writer_text() -> str:
+    """C text of the writer and of waiting reads of any block; stands behind the reader's."""
+    at = bl.BlockHeader.offset
+    values = {
         "payload_at": at("payload_bytes"),
         "text_at": at("text_bytes"),
         "pid_at": at("writer_pid"),
         "ticks_at": at("writer_start_ticks"),
         "lease_at": at("lease_ns"),
-        "live": bl.STATE_LIVE,
         "gone": bl.STATE_GONE,
-        "t_at": bl.SlotHead.offset("t_ns"),
         "fence_base": f"INT64_C({FENCE_BASE})",
         "queue_byte": QUEUE_BYTE,
     }
-    for name in ("version", "size", "epoch", "name", "schema_name", "state", "waiting", "fence"):
+    for name in ("size", "epoch", "name", "schema_name", "waiting", "fence"):
         values[f"{name}_at"] = at({"waiting": "waiting_ns"}.get(name, name))
-    text = _WRITER + WAITING
-    for name, value in values.items():
-        text = text.replace("{" + name + "}", str(value))
-    return text
+    return with_layout(_WRITER + WAITING, values)
 
 
 def schema_constant(schema: type[Schema], name: str) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from surffollow.blocks.attached import AttachedBlock
 from surffollow.blocks.record import Record
 from surffollow.blocks.snapshot import Snapshot
+from surffollow.config.group_id import group_id
 from surffollow.config.names import OBJECTS, check_name
 from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import InvalidNameError, NotRunningError, SchemaError
@@ -36,7 +37,13 @@ def block_name(schema: type[Schema]) -> str:
 
 
 class Memory:
-    """All blocks of one `mem_attach`, as attributes and by name; closes them when it ends."""
+    """All blocks of one `mem_attach`, as attributes and by name; closes them when it ends.
+
+    Attributes
+    ----------
+    name : str
+        of the memory; its objects are NAME.BLOCK
+    """
 
     def __init__(self, name: str, blocks: dict[str, AttachedBlock]) -> None:
         self.name, self._blocks = name, blocks
@@ -93,7 +100,8 @@ def mem_attach(
     Parameters
     ----------
     blocks : a schema, several, or {block name: schema}
-        without a name, a block is called after its class: `StateVector` → `state_vector`
+        declared by subclasses of `Block`; without a name, a block is called after its class:
+        `StateVector` → `state_vector`
     name : str
         of the memory; its objects are NAME.BLOCK
     write : bool or names or schemas
@@ -102,8 +110,10 @@ def mem_attach(
         how long to wait for blocks whose writers have not started
     lazy : bool
         do not wait for them: they attach when they appear
-    mode, group
-        of blocks written here: who may read them
+    mode : int
+        permissions of blocks written here, for example 0o640
+    group : str
+        of blocks written here: name of the group that may read them; "": that of this process
     lease_s : float
         of blocks written here: how long a reader may hold up a waiting writer
     owner : int or str
@@ -123,7 +133,16 @@ def mem_attach(
         a block was declared otherwise
     NotRunningError
         a block did not appear in time
-    NoSpaceError, NoPermissionError, InvalidNameError, SchemaError
+    ValueError
+        `lease_s` or `mode` is out of bounds
+    NoSpaceError
+        /dev/shm cannot hold a block
+    NoPermissionError
+        a block belongs to another user, or its mode forbids reading
+    InvalidNameError
+        (a ValueError) no name that a block can have, or no such group
+    SchemaError
+        `write` names no block, or two blocks would have one name
 
     Examples
     --------
@@ -143,7 +162,7 @@ def mem_attach(
         raise ValueError(f"lease_s must be 0.001 to 3600 s, not {lease_s!r}")
     if mode & ~0o666 or mode & 0o600 != 0o600:
         raise ValueError(f"mode must give its owner 0o600 and nobody more than 0o666, not {mode:#o}")
-    group_id = _group_id(group)
+    group_number = group_id(group, InvalidNameError(f"there is no group {group!r}"))
     owners = trusted_owners(owner)
     attached: dict[str, AttachedBlock] = {}
     deadline = time.monotonic() + timeout_s
@@ -152,7 +171,7 @@ def mem_attach(
         for block in sorted(named, key=lambda n: n not in writes):
             attached[block] = one = AttachedBlock(block, _object_name(name, block), named[block], owners)
             if block in writes:
-                one.attach_writer(mode, group_id, round(lease_s * 1e9))
+                one.attach_writer(mode, group_number, round(lease_s * 1e9))
             else:
                 _attach_reader(one, deadline, lazy)
     except BaseException:
@@ -191,17 +210,6 @@ def _object_name(name: str, block: str) -> str:
     if block in _TAKEN:
         raise InvalidNameError(f"a block cannot be called {block!r}; a service has an object of that name")
     return check_name(f"{name}.{block}")
-
-
-def _group_id(group: str) -> int:
-    if not group:
-        return -1
-    import grp
-
-    try:
-        return grp.getgrnam(group).gr_gid
-    except KeyError:
-        raise InvalidNameError(f"there is no group {group!r}") from None
 
 
 def _attach_reader(block: AttachedBlock, deadline: float, lazy: bool) -> None:

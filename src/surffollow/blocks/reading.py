@@ -16,7 +16,7 @@ from surffollow.shm.locks import FENCE_BASE, QUEUE_BYTE, FileLock
 
 OK, STALE = "ok", "stale"
 POLL_S = 50e-6
-LOOK_NS = 1_000_000  # between looks at the writer's process while one waits
+WRITER_LOOK_NS = 1_000_000  # between looks at the writer's process while one waits
 _clock = time.monotonic_ns
 
 
@@ -48,7 +48,7 @@ class ReadSide(Attachment):
             this handle has a read or write under way
         """
         if self._view is not None:
-            raise BusyError(f"block {self.name!r}: a read or write is under way on this handle; end it first")
+            raise self._busy()
         words, lock = self._words, self._lock
         number = words[bl.FENCE_WORD]
         if (
@@ -63,6 +63,9 @@ class ReadSide(Attachment):
                 return self._begin_read(number)
             lock.release(FENCE_BASE + number)
         return self._wait_to_read(timeout_s)
+
+    def _busy(self) -> BusyError:
+        return BusyError(f"block {self.name!r}: a read or write is under way on this handle; end it first")
 
     def _begin_read(self, number: int) -> tuple[Record, int]:
         g = self._words[self._generation_word]
@@ -83,7 +86,7 @@ class ReadSide(Attachment):
             return True
         if self.is_writer or now < self._next_look_ns:
             return False
-        self._next_look_ns = now + LOOK_NS
+        self._next_look_ns = now + WRITER_LOOK_NS
         return not self._writer_runs()
 
     def _wait_to_read(self, timeout_s: float) -> tuple[Record, int]:
@@ -107,13 +110,13 @@ class ReadSide(Attachment):
                         lock.shared(QUEUE_BYTE)
                         queued = lock
                 if time.monotonic() >= deadline:
-                    raise BlockTimeoutError(self._why_no_read(timeout_s))
+                    raise BlockTimeoutError(self._read_failure(timeout_s))
                 time.sleep(POLL_S)
         finally:
             if queued is not None and queued.fd >= 0:
                 queued.release(QUEUE_BYTE)
 
-    def _why_no_read(self, timeout_s: float) -> str:
+    def _read_failure(self, timeout_s: float) -> str:
         if self._lock is None:
             why = "its writer has not started"
         elif self._words[bl.STATE_WORD] != bl.STATE_LIVE:
@@ -131,12 +134,17 @@ class ReadSide(Attachment):
         -------
         str
             "ok", or "stale": the lease ran out meanwhile, the values may have changed under the reader
+
+        Raises
+        ------
+        BlockError
+            without `get_read_ok`
         """
         if self._view is None or self._writing:
             raise BlockError(f"block {self.name!r}: read_done without get_read_ok")
         self._view._end()
         self._view = None
-        lock, words = self._here(), self._words
+        lock, words = self._require_lock(), self._words
         if lock.fd < 0:
             return STALE  # the lock stayed with the parent process
         verdict = OK if words[bl.FENCE_WORD] == self._fence else STALE
@@ -145,7 +153,7 @@ class ReadSide(Attachment):
 
     @contextmanager
     def read(self, timeout_s: float = 5.0) -> Iterator[Record]:
-        """`with block.read() as view:` get_read_ok and read_done.
+        """Read in a `with` statement: `get_read_ok`, then `read_done`.
 
         Parameters
         ----------
@@ -159,10 +167,10 @@ class ReadSide(Attachment):
 
         Raises
         ------
-        BlockTimeoutError
-            no turn in time
+        BlockTimeoutError, BusyError
+            as `get_read_ok`
         BlockError
-            at the end: the reader was fenced, what it read may be a mixture
+            at the end: the reader was fenced, the values may be a mixture
         """
         view, _ = self.get_read_ok(timeout_s)
         try:

@@ -134,6 +134,15 @@ class Record:
         ----------
         values : any
             fields by name
+
+        Raises
+        ------
+        AttributeError
+            no field of that name
+        ValueError
+            a value does not fit its field
+        TypeError
+            the view is read-only, or a value has the wrong type
         """
         for name, value in values.items():
             if isinstance(value, dict):
@@ -142,7 +151,18 @@ class Record:
                 setattr(self, name, value)
 
     def as_dict(self) -> dict[str, Any]:
-        """All fields as plain values: numbers, text, lists, dictionaries."""
+        """All fields as plain values.
+
+        Returns
+        -------
+        dict
+            numbers, text, lists, dictionaries by name of the field
+
+        Raises
+        ------
+        BlockError
+            the view is over: `read_done` or `write_done` was called
+        """
         from surffollow.client.board import unpack_schema
 
         if self._buffer is None:
@@ -150,7 +170,7 @@ class Record:
         return unpack_schema(self._schema, self._buffer, self._base)
 
     def array(self, name: str) -> Any:
-        """A field of numbers as a view of the memory itself, shape (count,).
+        """A field of numbers as a view of the memory itself.
 
         Parameters
         ----------
@@ -160,7 +180,14 @@ class Record:
         Returns
         -------
         memoryview
-            of the numbers; not to be used after the end of the view
+            shape (count,), of the numbers; not to be used after the end of the view
+
+        Raises
+        ------
+        TypeError
+            it is a structure or a text
+        BlockError
+            the view is over
         """
         _, f = self._find(name)
         if f.nested is not None or f.is_text:
@@ -170,7 +197,18 @@ class Record:
         return memoryview(self._buffer)[start : start + f.size].cast("B").cast(letter)
 
     def numpy(self) -> Any:
-        """The structure as a NumPy record of the memory itself; not to be used after the view's end."""
+        """The structure as a NumPy record of the memory itself.
+
+        Returns
+        -------
+        numpy.void
+            structured; not to be used after the end of the view
+
+        Raises
+        ------
+        BlockError
+            the view is over
+        """
         import numpy as np
 
         from surffollow.shm.dtypes import numpy_dtype

@@ -52,7 +52,7 @@ def read_columns(path: Path, names: tuple[str, ...]) -> list[Any]:
     return list(np.array(table, float).reshape(-1, len(names)).T)
 
 
-def tell(as_json: bool, found: dict[str, Any], text: str) -> None:
+def print_result(as_json: bool, found: dict[str, Any], text: str) -> None:
     """Print what was found."""
     if as_json:
         json.dump(found, sys.stdout, indent=2, allow_nan=False)
@@ -113,7 +113,7 @@ def range_command(
     worst_m = max(map(abs, fit.residuals_m), default=0.0)
     inner = np.unique(np.asarray(indicated))[1:-1]
     worst_at = float(inner[int(np.argmax(np.abs(fit.residuals_m)))])
-    tell(
+    print_result(
         as_json,
         {"method": fit.method, "residuals_m": list(fit.residuals_m), "rms_m": fit.rms_m, "out": str(out)},
         f"{fit.method} through {len(indicated)} pairs; each pair against the curve without it: RMS "
@@ -212,7 +212,7 @@ def latency_command(move: Path | None, name: str | None, out: Path, as_json: boo
         latency_s, found = float(told), {}
     save_calibration(out, merged(out, latency_s=latency_s, about={"latency": found}))
     more = f" ± {1e3 * found['sigma_s']:.2f} ms" if found else ", as the follower learned it"
-    tell(
+    print_result(
         as_json,
         {"latency_s": latency_s, **found, "out": str(out)},
         f"latency {1e3 * latency_s:.2f} ms{more}; wrote {out}",
@@ -247,7 +247,7 @@ def mount_command(moves: Path, channel: int, out: Path, as_json: bool) -> None:
     save_calibration(out, merged(out, mounts=tuple(mounts), about=about))
     sigma = np.sqrt(np.diag(np.array(fit.covariance)))
     x, y, z = (1e3 * v for v in fit.mount[:3])
-    tell(
+    print_result(
         as_json,
         {"mount": fit.mount, "covariance": fit.covariance, "scatter_m": fit.scatter_m, "out": str(out)},
         f"mount x {x:.2f} ± {1e3 * sigma[0]:.2g}, y {y:.2f} ± {1e3 * sigma[1]:.2g}, z {z:.2f} ± "

@@ -43,10 +43,10 @@ def convert_command(
     """
     from dataclasses import asdict
 
-    from surffollow.cli.progress import tell
+    from surffollow.cli.progress import progress_line
     from surffollow.record.convert import convert
 
-    with tell() as show:
+    with progress_line() as show:
         progress = None if show is None else lambda part: show(f"{part:6.1%} converted")
         done = convert(files, to, out, rate_hz=rate, force=force, progress=progress)
     for text in done.damage:

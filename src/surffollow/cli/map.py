@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from surffollow.cli.facts import print_facts
 from surffollow.cli.map_live import install_command, upload_command
 from surffollow.cli.progress import progress_bar
 from surffollow.errors import UsageError
@@ -91,25 +91,12 @@ def _facts(m: HeightMap) -> dict[str, Any]:
     }
 
 
-def _print(facts: dict[str, Any], as_json: bool) -> None:
-    if as_json:
-        click.echo(json.dumps(facts))
-        return
-    width = max(map(len, facts))
-    for key, value in facts.items():
-        if isinstance(value, float):
-            value = f"{value:.9g}"
-        elif isinstance(value, list):
-            value = " ".join(f"{v:.9g}" for v in value)
-        click.echo(f"{key:<{width}}  {'-' if value is None else value}")
-
-
 @map_group.command("info")
 @click.argument("file", type=_EXISTING)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def info_command(file: str, as_json: bool) -> None:
     """Say what a map file holds."""
-    _print(_facts(_load(file)), as_json)
+    print_facts(_facts(_load(file)), as_json, digits=9)
 
 
 @map_group.command("show")
@@ -182,7 +169,7 @@ def compose_command(files: Sequence[str], output: str, grids: int | None, as_jso
     with progress_bar("composing") as progress:
         whole = compose([_load(f) for f in files], grids=grids, progress=progress)
     export(output, whole.header, whole.pairs)
-    _print(_facts(whole), as_json)
+    print_facts(_facts(whole), as_json, digits=9)
 
 
 @map_group.command("refocus")
@@ -224,7 +211,7 @@ def refocus_command(
     m.refocus(region)
     export(output, m.header, m.pairs)
     facts = _facts(m)
-    _print({**facts, "grid_before_m": before, "known_before": known}, as_json)
+    print_facts({**facts, "grid_before_m": before, "known_before": known}, as_json, digits=9)
     if not as_json:
         click.echo(_kept_text(before, m, finest), err=True)
 
@@ -272,6 +259,6 @@ def diff_command(one: str, other: str, limit: float | None, as_json: bool) -> No
         "max_abs_m": float(np.abs(d).max()) if d.size else None,
         "same_grids": bool(first.shape == second.shape and first.extent_m == second.extent_m),
     }
-    _print(facts, as_json)
+    print_facts(facts, as_json, digits=9)
     if limit is not None and not (d.size and float(np.abs(d).max()) <= limit):
         sys.exit(1)

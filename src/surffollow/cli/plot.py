@@ -53,10 +53,10 @@ def plot_command(
         replay, meaning = replay_csv_log(file, columns, start, end, mode)
         plot_csv(file, replay, meaning, target)
     elif _is_recording(file):
-        from surffollow.cli.progress import tell
+        from surffollow.cli.progress import progress_line
         from surffollow.record.plot_recording import plot_recording
 
-        with tell() as show:
+        with progress_line() as show:
             plot_recording(file, target, None if show is None else lambda part: show(f"{part:6.1%} read"))
     else:
         from surffollow.map import HeightMap

@@ -21,7 +21,7 @@ def stop_event() -> threading.Event:
 
 
 @contextlib.contextmanager
-def tell() -> Iterator[Callable[[str], None] | None]:
+def progress_line() -> Iterator[Callable[[str], None] | None]:
     """A function that shows a line in the place of the one before; None where nobody looks at a terminal."""
     if not sys.stderr.isatty():
         yield None
@@ -50,9 +50,9 @@ class progress_bar:  # noqa: N801 - used like a function
         if self._bar is None:
             return None
         self._bar.__enter__()
-        return self._tell
+        return self._report
 
-    def _tell(self, fraction: float) -> None:
+    def _report(self, fraction: float) -> None:
         if self._bar is not None:
             self._bar.update(int(1000 * fraction) - self._done)
             self._done = int(1000 * fraction)

@@ -53,11 +53,11 @@ def record_command(
     import time
     from dataclasses import asdict
 
-    from surffollow.cli.progress import stop_event, tell
+    from surffollow.cli.progress import progress_line, stop_event
     from surffollow.record.session import record_service
 
     path = out or time.strftime(f"{name}-%Y%m%d-%H%M%S.mcap")
-    with tell() as progress:
+    with progress_line() as progress:
         counts = record_service(
             name,
             path,

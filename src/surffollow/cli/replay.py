@@ -118,10 +118,10 @@ def _play_live(file: str, name: str | None, as_json: bool) -> None:
     import json
     from dataclasses import asdict
 
-    from surffollow.cli.progress import stop_event, tell
+    from surffollow.cli.progress import progress_line, stop_event
     from surffollow.record.live_replay import play_live
 
-    with tell() as progress:
+    with progress_line() as progress:
         r = play_live(file, name=name, stop=stop_event(), progress=progress)
     if as_json:
         click.echo(json.dumps(asdict(r)))

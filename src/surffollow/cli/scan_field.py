@@ -56,36 +56,36 @@ def demo_command(
 
         check_picture(picture or "report.png")
 
-    def tell(text: str, part: float) -> None:
+    def show_progress(text: str, part: float) -> None:
         click.echo(f"surffollow: {text} ({100 * part:.0f} %)", err=True)
 
-    made = [demonstrate(ground, seed + k, tell) for k in range(seeds)]
+    made = [demonstrate(ground, seed + k, show_progress) for k in range(seeds)]
     facts: dict[str, Any] = {"runs": [m.figures for m in made]}
     if tables:
         from surffollow.apps.field_tables import elements_table, filters_table
 
         every = range(seed, seed + seeds)
-        facts["elements"] = elements_table(every, tell)
-        facts["filters"] = filters_table(every, tell)
+        facts["elements"] = elements_table(every, show_progress)
+        facts["filters"] = filters_table(every, show_progress)
     if picture:
         from surffollow.apps.field_pictures import draw_field
 
-        tell("picture", 1.0)
+        show_progress("picture", 1.0)
         draw_field(picture, made[0])
     if report:
         from surffollow.apps.field_report import write_report
 
-        tell("report", 1.0)
+        show_progress("report", 1.0)
         write_report(report, made[0], {k: v for k, v in facts.items() if k != "runs"})
     if signal:
         made[0].signal.save_geotiff(signal)
     if as_json:
         click.echo(json.dumps(facts))
     else:
-        _tell_runs(facts)
+        _print_runs(facts)
         for name in ("elements", "filters"):
             if name in facts:
-                _tell_table(facts[name])
+                _print_table(facts[name])
     if any(m.figures["failures"] for m in made):
         sys.exit(1)
 
@@ -147,7 +147,7 @@ def calibrate_command(
         click.echo("surffollow: left-out spots confirm no correction; the matrix is zero", err=True)
 
 
-def _tell_runs(facts: dict[str, Any]) -> None:
+def _print_runs(facts: dict[str, Any]) -> None:
     for f in facts["runs"]:
         click.echo(
             f"\n{f['ground']} ground, seed {f['seed']}: gap {1e3 * f['gap_m']:.0f} mm, {f['speed_mps']} m/s"
@@ -181,7 +181,7 @@ def _tell_runs(facts: dict[str, Any]) -> None:
             click.echo(f"  FAIL: {failure}")
 
 
-def _tell_table(rows: list[dict[str, Any]]) -> None:
+def _print_table(rows: list[dict[str, Any]]) -> None:
     names = [
         k for k in rows[0] if k in ("switched_off", "ground", "filter", "speed_mps", "following", "shaping")
     ]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import click
 
+from surffollow.cli.facts import print_facts
 from surffollow.cli.map import LENGTH
 from surffollow.cli.output_checks import check_outputs
 from surffollow.cli.progress import progress_bar
-from surffollow.cli.scan_options import EXISTING, JSON, OUT, PICTURE, REGION, check_picture, print_facts
+from surffollow.cli.scan_options import EXISTING, JSON, OUT, PICTURE, REGION, check_picture
 from surffollow.errors import ScanInputError
 
-LEAST_CELLS = 3  # rows and columns of a map: fewer have no slope
+MIN_CELLS = 3  # rows and columns of a map: fewer have no slope
 
 
 @click.command("map")
@@ -76,10 +77,10 @@ def map_command(
     with progress_bar("mapping") as progress:
         ground, report = survey(images, [read_cloud(c) for c in clouds], settings, progress)
         rows, cols = ground.shape
-        if min(rows, cols) < LEAST_CELLS:
+        if min(rows, cols) < MIN_CELLS:
             raise ScanInputError(
                 f"a grid of {ground.grid_m:g} m makes {rows} × {cols} cells of the ground that is seen; at "
-                f"least {LEAST_CELLS} × {LEAST_CELLS} are needed: choose a finer --grid (is the unit metres?)"
+                f"least {MIN_CELLS} × {MIN_CELLS} are needed: choose a finer --grid (is the unit metres?)"
             )
         ground.to_map().save(output)
     if picture:

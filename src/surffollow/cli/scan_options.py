@@ -1,8 +1,7 @@
-"""What the commands of `surffollow scan` share: option types, the map meant, how facts are printed."""
+"""What the commands of `surffollow scan` share: option types, and the map meant."""
 
 from __future__ import annotations
 
-import json
 import os
 from typing import TYPE_CHECKING, Any
 
@@ -125,30 +124,3 @@ def check_picture(path: str) -> None:
     from surffollow.scan import pictures
 
     pictures.check_picture(path)
-
-
-def print_facts(facts: dict[str, Any], as_json: bool) -> None:
-    """One JSON object, or a line per fact."""
-    if as_json:
-        click.echo(json.dumps(facts))
-        return
-    width = max(map(len, facts))
-    for key, value in facts.items():
-        if isinstance(value, float):
-            value = f"{value:.6g}"
-        elif isinstance(value, dict):
-            value = ", ".join(f"{k} {v}" for k, v in value.items() if v)
-        elif isinstance(value, (list, tuple)) and value and isinstance(value[0], dict):
-            for one in value:
-                if "median_m" in one:
-                    click.echo(
-                        f"{one['name']:<{width}}  {one['cells']} cells in both, median difference "
-                        f"{1e3 * one['median_m']:.1f} mm, RMS {1e3 * one['rms_m']:.1f} mm"
-                    )
-                    continue
-                patches = ", ".join(f"{n} {k}" for k, n in one.get("patches", {}).items() if n)
-                click.echo(f"{one.get('name', key):<{width}}  patches: {patches}")
-            continue
-        elif isinstance(value, (list, tuple)):
-            value = " ".join(f"{v:.6g}" for v in value)
-        click.echo(f"{key:<{width}}  {'-' if value is None else value}")

@@ -7,6 +7,7 @@ import sys
 
 import click
 
+from surffollow.cli.facts import print_facts
 from surffollow.cli.map import LENGTH
 from surffollow.cli.option_types import Finite
 from surffollow.cli.output_checks import check_outputs
@@ -24,7 +25,6 @@ from surffollow.cli.scan_options import (
     check_picture,
     ground_of,
     known_region,
-    print_facts,
 )
 
 

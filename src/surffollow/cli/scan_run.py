@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surffollow.cli.facts import print_facts
 from surffollow.cli.option_types import SERVICE_NAME, Finite
 from surffollow.cli.output_checks import check_outputs
-from surffollow.cli.scan_options import EXISTING, JSON, OUT, PICTURE, check_picture, ground_of, print_facts
+from surffollow.cli.scan_options import EXISTING, JSON, OUT, PICTURE, check_picture, ground_of
 from surffollow.errors import NotRunningError, ScanInputError, UsageError
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ def run_command(
 
         figures["true"] = true_figures(done, file_surface(ground))
     flat = {f"{k}_{n}": v for k, found in figures.items() for n, v in found.items() if k == "true"}
-    _tell_gap(done)
+    _print_gap(done)
     print_facts({"path": path} | done.summary | figures["sensed"] | flat, as_json)
     if picture:
         from surffollow.apps.scan_report import draw_run
@@ -188,7 +189,7 @@ def _execute(
     wait_s: float,
 ) -> Any:
     from surffollow.apps.scan_run import execute
-    from surffollow.cli.progress import tell
+    from surffollow.cli.progress import progress_line
     from surffollow.client import Client, attach, observe
     from surffollow.sim.robot_run import claim_priority
 
@@ -204,7 +205,7 @@ def _execute(
         return attach(name, label="scan run")
 
     claim_priority()
-    with tell() as show:
+    with progress_line() as show:
         return execute(
             planned,
             name,
@@ -218,7 +219,7 @@ def _execute(
         )
 
 
-def _tell_gap(done: Any) -> None:
+def _print_gap(done: Any) -> None:
     """Why the run ended early, and whether the tool was inside the gap, on standard error."""
     from surffollow.apps.scan_report import inside_text
 
@@ -244,7 +245,7 @@ def _end(summary: dict[str, Any], interrupted: bool) -> None:
         sys.exit(1)
 
 
-def _tell(name: str, word: str, as_json: bool) -> None:
+def _send_command(name: str, word: str, as_json: bool) -> None:
     from surffollow.apps.scan_control import ask
 
     answer = ask(name, word)
@@ -268,7 +269,7 @@ _NAME = click.argument("name", type=SERVICE_NAME, default="surf")
 @JSON
 def pause_command(name: str, as_json: bool) -> None:
     """Let the running scan of service NAME come to rest where it is; it keeps its stand-off there."""
-    _tell(name, "pause", as_json)
+    _send_command(name, "pause", as_json)
 
 
 @click.command("resume")
@@ -276,7 +277,7 @@ def pause_command(name: str, as_json: bool) -> None:
 @JSON
 def resume_command(name: str, as_json: bool) -> None:
     """Let a paused scan of service NAME go on."""
-    _tell(name, "resume", as_json)
+    _send_command(name, "resume", as_json)
 
 
 @click.command("abort")
@@ -284,7 +285,7 @@ def resume_command(name: str, as_json: bool) -> None:
 @JSON
 def abort_command(name: str, as_json: bool) -> None:
     """Let the running scan of service NAME brake, retract and end."""
-    _tell(name, "abort", as_json)
+    _send_command(name, "abort", as_json)
 
 
 @click.command("status")
@@ -292,4 +293,4 @@ def abort_command(name: str, as_json: bool) -> None:
 @JSON
 def status_command(name: str, as_json: bool) -> None:
     """Tell what the running scan of service NAME does."""
-    _tell(name, "status", as_json)
+    _send_command(name, "status", as_json)

@@ -125,7 +125,7 @@ def simulate_command(
         plant=load_plant(plant) if plant else PlantConfig(),
     )
     summary = _run(config, name, wait_s, trace, arbiter, resource)
-    _tell(summary, as_json)
+    _print_result(summary, as_json)
     from surffollow.sim.robot_run import held_too_long
 
     if held_too_long(summary["ticks"], summary["held_ticks"]):
@@ -137,7 +137,7 @@ def simulate_command(
         )
 
 
-def _tell(summary: dict[str, Any], as_json: bool) -> None:
+def _print_result(summary: dict[str, Any], as_json: bool) -> None:
     if as_json:
         import json
 

@@ -23,7 +23,7 @@ from surffollow.shm.schema import Schema
 
 LAYOUT_HASH = layout_hash()
 COMPILE_PATIENCE_S = 300.0  # a cold start takes a minute where others share the processors
-TELL_EVERY_S = 2.0
+REPORT_EVERY_S = 2.0
 
 
 def unpack_schema(schema: type[Schema], data: Any, at: int = 0) -> dict[str, Any]:
@@ -87,7 +87,7 @@ class _Wait:
 
     def __init__(self, name: str, ready_timeout_s: float) -> None:
         self._name, self._patience_s = name, ready_timeout_s
-        self._start, self._told_s, self._compiled_s = time.monotonic(), 0.0, 0.0
+        self._start, self._reported_s, self._compiled_s = time.monotonic(), 0.0, 0.0
 
     def once_more(self, compiling: str) -> None:
         """Sleep a little.
@@ -104,10 +104,10 @@ class _Wait:
         if compiling and self._patience_s > 0.0:
             if waited_s < COMPILE_PATIENCE_S:
                 self._compiled_s = waited_s
-                if waited_s - self._told_s >= TELL_EVERY_S:
+                if waited_s - self._reported_s >= REPORT_EVERY_S:
                     import logging  # here: control loops attach without it
 
-                    self._told_s = waited_s
+                    self._reported_s = waited_s
                     logging.getLogger("surffollow").warning(
                         "surffollow: waiting for service %r: %s", self._name, compiling
                     )

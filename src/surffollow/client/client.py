@@ -71,7 +71,7 @@ class Client(ServiceRequests):
             x, y, z, qx, qy, qz, qw = checked_pose(pose)
         now = time.monotonic_ns()
         if now > self._next_look_ns:
-            self._look_after(now)
+            self._check_service(now)
         if t_ns is None:
             t_ns = now
         elif t_ns.__class__ is not int or not -FUTURE_NS <= now - t_ns <= self._pose_timeout_ns:
@@ -124,7 +124,7 @@ class Client(ServiceRequests):
         BusyError
             another live client sends the pose; its process is named
         """
-        self._must_be_there()
+        self._require_service()
         if not self._pose_held:
             self._claim_pose()
 

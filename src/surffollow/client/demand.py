@@ -72,26 +72,32 @@ class Demand(Sequence[float]):
 
     @property
     def valid(self) -> bool:
+        """Whether the demand may be used; False: all six numbers are zero."""
         return bool(self.status & VALID)
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names of the status bits that are set; see `status_names`."""
         return status_names(self.status)
 
     @property
     def t_ns(self) -> int:
+        """When the demand was computed, CLOCK_MONOTONIC [ns]."""
         return int(self._raw[0])
 
     @property
     def pose_t_ns(self) -> int:
+        """Timestamp of the pose that the demand refers to [ns]; 0: none."""
         return int(self._raw[1])
 
     @property
     def cycle(self) -> int:
+        """Number of the cycle of the service that computed the demand."""
         return int(self._raw[9])
 
     @property
     def epoch(self) -> int:
+        """Number of the start of the service that computed the demand."""
         return int(self._raw[10])
 
     @property

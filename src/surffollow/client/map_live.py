@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from surffollow.client.map_window import MapWindow
 
 TRIES = 8
-LOOK_AGAIN_NS = 100_000_000  # whether the object still has its name is asked at most so often
+LOOK_EVERY_NS = 100_000_000  # whether the object still has its name is asked at most so often
 _NAN = float("nan")
 _UNKNOWN = ml.UNKNOWN
 _READY = ml.READY
@@ -110,7 +110,7 @@ class MapReading:
             fresh = _Mapped(self.board)
             self._close_map()
             self._map = m = fresh
-        m.next_look_ns = now + LOOK_AGAIN_NS
+        m.next_look_ns = now + LOOK_EVERY_NS
         return m
 
     def _close_map(self) -> None:

@@ -13,12 +13,12 @@ from surffollow.client.board import CLOSED, Board
 from surffollow.client.demand import STALE, Demand
 from surffollow.client.fence import FENCED, fence
 from surffollow.client.map_live import MapReading
+from surffollow.client.service_state import ServiceState
 from surffollow.config.names import check_service_name
 from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import BlockError, NotReadyError, NotRunningError
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
-from surffollow.shm.layout_board import CLIENTS, ClientInfo
-from surffollow.shm.layout_follow import VALID, Output, Params
+from surffollow.shm.layout_follow import VALID, Output
 
 _HEAD = Output.struct_of("t_ns", "epoch")
 _STRIDE = stride(Output.SIZE)
@@ -43,7 +43,7 @@ def _renew_locks() -> None:
 os.register_at_fork(after_in_child=_renew_locks)
 
 
-class Observer(MapReading):
+class Observer(ServiceState, MapReading):
     """A read-only attachment; it follows the service through restarts by itself.
 
     Parameters
@@ -124,6 +124,11 @@ class Observer(MapReading):
         """The newest demand; all zero and marked STALE when the service is silent or gone.
 
         Never waits. After a restart of the service it re-attaches by itself.
+
+        Returns
+        -------
+        Demand
+            six numbers [m, rad] with status, age and the timestamp of their pose
         """
         raw = self._snapshot(_HEAD.unpack_from, 0) or _EMPTY
         now = time.monotonic_ns()
@@ -149,7 +154,17 @@ class Observer(MapReading):
         Raises
         ------
         ValueError
-            too small; TypeError: not writable. Nothing was written then
+            the buffer is too small; nothing was written
+        TypeError
+            it is not writable; nothing was written
+
+        Examples
+        --------
+        ::
+
+            buffer = bytearray(DEMAND_BYTES)
+            if robot.dev_vector_into(buffer):
+                t_ns, pose_t_ns, x, y, z, rx, ry, rz = struct.unpack_from("<2q6d", buffer)
         """
         words, memory, index, base, stale_ns = self._view
         # R1-R4, once and in a line; whatever is not fresh and whole takes the long way
@@ -198,66 +213,28 @@ class Observer(MapReading):
         values = self._snapshot(_RANGE.unpack_from, Output.offset("range_m"))
         return float("nan") if values is None else float(values[channel])
 
-    def output(self) -> dict[str, Any] | None:
-        """Everything the newest cycle published, as a dictionary; None before the first.
-
-        Raises
-        ------
-        NotRunningError
-            the service ended; one that stands still leaves its last words, see their `t_ns`
-        """
-        self._must_be_there()
-        return self.board.latch("output", Output).read()
-
-    def params(self) -> dict[str, float | int]:
-        """The parameters in force, name → value in SI units (times in ns).
-
-        Raises
-        ------
-        NotRunningError
-            the service ended
-        """
-        from surffollow.config.params import PARAMS
-
-        self._must_be_there()
-        values = self.board.latch("params", Params).read()
-        if values is None:
-            raise BlockError(f"service {self.name!r} has published no parameters yet")
-        return {n: values[n] for n in PARAMS}
-
     def alive(self) -> bool:
-        """Whether the service publishes now."""
+        """Whether the service publishes now.
+
+        Returns
+        -------
+        bool
+            False: it ended, or its process is gone
+        """
         # a second look: this process may have been put to sleep between the copy and the clock
         return any(not self.dev_vector().status & STALE for _ in range(2))
 
     def status(self) -> dict[str, Any]:
-        """State, health, counters, grants and map of the service, ready for JSON; works on a dead one too."""
-        from surffollow.client.status_report import status_report
-
-        return status_report(self)
-
-    def clients(self) -> list[dict[str, Any]]:
-        """Who holds slots, as the kernel told the service: slot, pid, uid, since_ns, and their own name."""
-        found = []
-        for slot in range(CLIENTS):
-            info = self.board.latch("clients", ClientInfo, slot).read()
-            if info and info["pid"]:
-                told = {k: info[k] for k in ("pid", "uid", "since_ns", "name")}
-                found.append({"slot": slot, **told})
-        return found
-
-    def audit(self) -> list[dict[str, Any]]:
-        """Changes that clients asked for, oldest first: who, what, when, with what result; of a dead one too.
+        """State, health, counters, grants and map of the service, ready for JSON; of a dead one, too.
 
         Returns
         -------
-        list of dict
-            the newest `AUDIT_ENTRIES` at most: pid, uid, client, request, parameter, old, new,
-            result, t_ns (CLOCK_MONOTONIC), age_s, and causes and reason of stops
+        dict
+            as `surffollow status --json` prints it
         """
-        from surffollow.client.audit import read_audit
+        from surffollow.client.status_report import status_report
 
-        return read_audit(self.board)
+        return status_report(self)
 
     def _follow(self) -> bool:
         """Follow a silent service to its new start; False: it ended, and there is no other."""
@@ -268,7 +245,7 @@ class Observer(MapReading):
         self._try_reattach(now)
         return not self._ended
 
-    def _must_be_there(self) -> None:
+    def _require_service(self) -> None:
         if not self._follow():
             raise NotRunningError(
                 f"service {self.name!r} ended; start it again (surffollow start --name {self.name}), "
@@ -307,7 +284,13 @@ class Observer(MapReading):
         """What else must follow the service to its new epoch."""
 
     def reattach(self) -> bool:
-        """Look for a newer service of this name now; True when attached to a current one."""
+        """Look for a newer service of this name now.
+
+        Returns
+        -------
+        bool
+            True: attached to a service that has not ended
+        """
         self.board.state()  # a closed attachment stays closed
         self._next_attach_ns = 0
         self._try_reattach(time.monotonic_ns(), wait=True)

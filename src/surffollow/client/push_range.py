@@ -22,7 +22,7 @@ _ITEM_BYTES = lb.RangeItem.SIZE
 _HEAD = lb.SLOT_RANGES // 8
 _ITEMS = lb.SLOT_RANGES + lb.RANGES_AT
 _LAST = lb.RANGE_ITEMS - 1
-_MOST = (1 << 62) - 1
+_MAX_GENERATION = (1 << 62) - 1
 FUTURE_NS = 1_000_000
 OLDEST_NS = 1_000_000_000
 NOT_HELD = 1 << 63  # in the place of the newest time: no time is newer
@@ -66,13 +66,13 @@ class RangePusher(Reclaimer):
         """
         now = time.monotonic_ns()
         if now > self._next_look_ns:
-            self._look_after(now)
+            self._check_service(now)
         pushed = self._pushed
         try:
             if not pushed.get(channel, NOT_HELD) < t_ns <= now + FUTURE_NS or now - t_ns > OLDEST_NS:
                 pushed = self._prepare(channel, t_ns, now)
             words, memory = self._range_view
-            g = (words[_HEAD] + 1) & _MOST  # what lies there may be anything
+            g = (words[_HEAD] + 1) & _MAX_GENERATION  # what lies there may be anything
             if FENCED:
                 fence()
             _ITEM.pack_into(
@@ -143,7 +143,7 @@ class RangePusher(Reclaimer):
         RefusedError
             the service's driver takes no pushed ranges on this channel
         """
-        self._must_be_there()
+        self._require_service()
         deadline = time.monotonic() + CLAIM_RETRY_S
         while channel not in self._pushed:
             try:

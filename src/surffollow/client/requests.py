@@ -76,7 +76,24 @@ def check_finest(finest_m: float) -> float:
 
 
 class Ticket:
-    """A request on its way; `result()` waits for the answer."""
+    """A request on its way; `result` waits for the answer.
+
+    Attributes
+    ----------
+    code : int
+        kind of the request (`layout_board.RQ_…`)
+    counter : int
+        number of the request in the client's slot
+
+    Examples
+    --------
+    A control loop that must not wait sends the request, and looks later whether it is done::
+
+        ticket = robot.sf_reset(0.12, wait=False)
+        ...
+        if ticket.done():
+            ticket.result()     # raises when the service refused
+    """
 
     def __init__(self, client: SlotHolder, code: int, counter: int) -> None:
         self._client, self.code, self.counter = client, code, counter
@@ -96,7 +113,13 @@ class Ticket:
         return None
 
     def done(self) -> bool:
-        """Whether nothing is left to wait for: answered, or the service ended or was restarted."""
+        """Whether nothing is left to wait for: answered, or the service ended or was restarted.
+
+        Returns
+        -------
+        bool
+            True: `result` returns or raises at once
+        """
         return self._answered() or not self._client._follow() or self._client.board is not self._board
 
     def _answered(self) -> bool:
@@ -105,13 +128,25 @@ class Ticket:
         return self._answer is not None
 
     def taken(self) -> bool:
-        """Whether the service has seen the request; its answer may be to come (the map's)."""
+        """Whether the service has seen the request; its answer may be to come (the map's).
+
+        Returns
+        -------
+        bool
+            True: the service has read the request
+        """
         ack = self._acks.read()
         mine = ack is not None and ack["counter"] == self.counter and ack["claim"] == self._claim
         return mine or self._answered()
 
     def under_way(self) -> bool:
-        """Whether an answer is still to be expected, and to be waited for before the next request."""
+        """Whether an answer is still to be expected, and to be waited for before the next request.
+
+        Returns
+        -------
+        bool
+            False: answered, given up, lost for 5 s, or sent to a service that ended
+        """
         if self._given_up or self._claim != self._client._claim or self.done():
             return False
         # one that was lost must not block all later ones

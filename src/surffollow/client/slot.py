@@ -35,7 +35,7 @@ GENERATION = (1 << 62) - 1  # 0 says nothing was published, and -1 is no generat
 _clients: weakref.WeakSet[SlotHolder] = weakref.WeakSet()
 
 
-def _forget_in_child() -> None:
+def _close_in_child() -> None:
     # slot and pose are the parent's: the child lets go of the connection, and gets its own when it needs one
     for client in list(_clients):
         # a thread that the child does not have may hold the old one
@@ -46,7 +46,7 @@ def _forget_in_child() -> None:
         client._release_slot()
 
 
-os.register_at_fork(after_in_child=_forget_in_child)
+os.register_at_fork(after_in_child=_close_in_child)
 
 
 class SlotHolder(Observer):
@@ -175,9 +175,16 @@ class SlotHolder(Observer):
         return not (grant.is_open() and self.board.is_current())
 
     def ensure_slot(self) -> bool:
-        """Whether there is a slot; when not (after a fork, a re-attachment, its loss), one step towards one.
+        """Make one step towards a slot when there is none (after a fork, a re-attachment, its loss).
 
-        Never waits: who goes on calling gets it.
+        Returns
+        -------
+        bool
+            whether there is a slot
+
+        Notes
+        -----
+        It never waits. Call it again until it returns True.
         """
         with self._lock:
             if self._grant is None:

@@ -14,10 +14,10 @@ LOOK_EVERY_NS = 100_000_000
 class SlotWatcher(SlotHolder):
     """An attachment that notices when its service or its slot has gone."""
 
-    def _look_after(self, now_ns: int) -> None:
+    def _check_service(self, now_ns: int) -> None:
         """As often as a service falls silent: whether it is there. Ten times a second: our slot."""
         self._next_look_ns = 0
-        self._must_be_there()
+        self._require_service()
         self._next_look_ns = now_ns + min(self._stale_ns, LOOK_EVERY_NS)
         if now_ns < self._next_life_ns:
             return
@@ -28,11 +28,11 @@ class SlotWatcher(SlotHolder):
         # a thread that re-attaches looks after everything itself
         if self._lock.acquire(blocking=False):
             try:
-                self._look_at_slot()
+                self._check_slot()
             finally:
                 self._lock.release()
 
-    def _look_at_slot(self) -> None:
+    def _check_slot(self) -> None:
         if self._grant is None:
             return
         if not self._grant.is_open():

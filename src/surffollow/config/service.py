@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +11,9 @@ from surffollow.config.limits import CHANGED_BY, check_within_limits, client_lim
 from surffollow.config.names import check_service_name
 from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.config.stop_causes import stop_causes
+from surffollow.config.toml_file import read_toml
 from surffollow.errors import ConfigError
 from surffollow.units import parse_quantity
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
 
 _PAPER_MODE = PARAMS["mode"].choices.index("paper")
 
@@ -48,7 +42,7 @@ class MapConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     access_lease: str | float = "30 s"
 
 
-MOST_SLOTS = 16  # that a service has (shm.layout_board.CLIENTS)
+MAX_SLOTS = 16  # that a service has (shm.layout_board.CLIENTS)
 
 
 class AccessConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -169,8 +163,8 @@ def _check(c: ServiceConfig) -> None:
     for key in ("board_mode", "socket_mode", "map_mode"):
         mode(getattr(c.access, key), f"access.{key}")
     for key in ("slots_per_user", "slots_per_process"):
-        if not 1 <= getattr(c.access, key) <= MOST_SLOTS:
-            raise ConfigError(f"configuration key access.{key} must be a whole number from 1 to {MOST_SLOTS}")
+        if not 1 <= getattr(c.access, key) <= MAX_SLOTS:
+            raise ConfigError(f"configuration key access.{key} must be a whole number from 1 to {MAX_SLOTS}")
     for name, value in c.follow.items():
         check_param(name, value)
     if len({param_name(n) for n in c.follow}) < len(c.follow):
@@ -231,11 +225,4 @@ def load_config(path: str | Path) -> ServiceConfig:
     ConfigError
         the file cannot be read, is not TOML, or says something wrong
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-        data = tomllib.loads(text)
-    except OSError as e:
-        raise ConfigError(f"cannot read configuration {path}: {e.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
-        raise ConfigError(f"{path} is not TOML: {e}") from None
-    return parse_config(data, str(path))
+    return parse_config(read_toml(path, "configuration", ConfigError), str(path))

@@ -1,31 +1,55 @@
 """Timestamps of readings that jump ahead of every time that is known.
 
-A follower in process has no clock. It knows the time from poses and from steps without a reading; a reading
-leads that time by a usual lead. A stamp that jumps ahead of it is wrong, or everything else is late. The
-reading is dropped until two more times are told. If the stamps are still ahead then, they all count as new as
-usual.
+A follower in process has no clock. Its reference time is the newest timestamp of a pose or of a step without
+a reading. The timestamp of a reading leads the reference time by a mean lead. A timestamp that jumps ahead
+of the mean lead is wrong, or the reference time is late. The reading is dropped until two reference times
+more have come. If the timestamps are still ahead, they are shifted back to the mean lead.
 """
 
 from __future__ import annotations
 
-RATE = 0.05  # of the usual lead, its deviation and the usual interval, per value
-DEVIATIONS = 4.0  # mean absolute deviations of the lead, beside one interval: what is usual
-MIN_LEADS = 20  # before anything is judged
-CONFIRMING_TIMES = 2  # told after the jump: a single one may be late for itself
+RATE = 0.05  # gain per value of the mean lead, its mean deviation and the mean interval
+DEVIATIONS = 4.0  # mean absolute deviations of the lead, in addition to one interval: the gate
+MIN_LEADS = 20  # burn-in of the mean lead
+CONFIRMING_TIMES = 2  # reference times after the jump: a single one may itself be late
 
 
-class KnownTime:
-    """The newest time [ns] of poses and of steps without a reading, and how often it is told."""
+class ReferenceTime:
+    """Newest timestamp of poses and of steps without a reading.
+
+    Attributes
+    ----------
+    newest_ns : int
+        the reference time [ns]; 0: unknown
+    interval_ns : float
+        mean interval between reference times [ns]
+    count : int
+        reference times since the start
+    restarts : int
+        changes of the clock
+    """
 
     def __init__(self) -> None:
-        self.begin_anew(0)
+        self.restart(0)
 
-    def begin_anew(self, t_ns: int) -> None:
-        """Forget what is usual; 0 ns: nothing is known."""
-        self.newest_ns, self.interval_ns, self.told, self.restarts = t_ns, 0.0, 0, 0
+    def restart(self, t_ns: int) -> None:
+        """Reset the statistics and begin at a time.
 
-    def tell(self, t_ns: int) -> None:
-        """Take a time."""
+        Parameters
+        ----------
+        t_ns : int
+            reference time [ns]; 0: unknown
+        """
+        self.newest_ns, self.interval_ns, self.count, self.restarts = t_ns, 0.0, 0, 0
+
+    def add(self, t_ns: int) -> None:
+        """Add a reference time.
+
+        Parameters
+        ----------
+        t_ns : int
+            timestamp of a pose, or of a step without a reading [ns]
+        """
         interval_ns = t_ns - self.newest_ns
         if self.newest_ns == 0:
             self.newest_ns = t_ns
@@ -34,26 +58,27 @@ class KnownTime:
                 self.interval_ns = float(interval_ns)
             self.interval_ns += RATE * (min(interval_ns, 2.0 * self.interval_ns) - self.interval_ns)
             self.newest_ns = t_ns
-            self.told += 1
+            self.count += 1
         elif interval_ns < -DEVIATIONS * self.interval_ns:  # another clock
             restarts = self.restarts + 1
-            self.begin_anew(t_ns)
+            self.restart(t_ns)
             self.restarts = restarts
 
 
 class FutureStamps:
-    """Correct the stamps of one sensor, in the order in which its readings and the times come.
+    """Correct the timestamps of one sensor in the order of arrival.
 
     Parameters
     ----------
-    time : KnownTime
+    time : ReferenceTime
+        shared by all sensors of a follower
     """
 
-    def __init__(self, time: KnownTime) -> None:
+    def __init__(self, time: ReferenceTime) -> None:
         self._time = time
-        self._begin_anew()
+        self._restart()
 
-    def _begin_anew(self) -> None:
+    def _restart(self) -> None:
         self.shift_ns = 0.0
         self._waits_since = -1
         self._leads = 0
@@ -62,22 +87,23 @@ class FutureStamps:
         self._restarts = self._time.restarts
 
     def correct(self, t_ns: int) -> int | None:
-        """The stamp of a reading, corrected; None: the reading is to be dropped.
+        """Correct the timestamp of a reading.
 
         Parameters
         ----------
         t_ns : int
-            as it was given [ns]
+            timestamp of the reading as given [ns]
 
         Returns
         -------
         int or None
+            corrected timestamp [ns]; None: the reading is to be dropped
         """
         time = self._time
         if time.newest_ns == 0:
             return t_ns
         if self._restarts != time.restarts:
-            self._begin_anew()
+            self._restart()
         lead_ns = float(t_ns - time.newest_ns)
         jump_ns, self._last_ns = t_ns - self._last_ns, t_ns
         margin_ns = time.interval_ns + DEVIATIONS * self._deviation_ns
@@ -92,14 +118,14 @@ class FutureStamps:
                 self.shift_ns = ahead_ns
             return t_ns - int(self.shift_ns)
         if self._waits_since >= 0:
-            if time.told < self._waits_since + CONFIRMING_TIMES:
+            if time.count < self._waits_since + CONFIRMING_TIMES:
                 return None
             self.shift_ns, self._waits_since = ahead_ns, -1
             return t_ns - int(ahead_ns)
         if jump_ns <= margin_ns:  # the stamps go on; what is late are the other times
             self._learn(lead_ns)
             return t_ns
-        self._waits_since = time.told
+        self._waits_since = time.count
         return None
 
     def _learn(self, lead_ns: float) -> None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from surffollow.config.params import check_param, param_name
 from surffollow.errors import ConfigError, PoseError, UsageError
-from surffollow.follower.future_stamps import FutureStamps, KnownTime
+from surffollow.follower.future_stamps import FutureStamps, ReferenceTime
 from surffollow.follower.setup import Config, check_standoff, check_window, read_setup
 from surffollow.forecast.estimation.model_bank import N_CANDIDATES
 from surffollow.forecast.horizon import forecast_range
@@ -109,7 +109,7 @@ class Follower:
         mounts[:, 6] = 1.0
         mounts[: len(setup.mounts)] = setup.mounts
         adaptive = self._params["mode"][0] == MODE_ADAPTIVE
-        self._time, self._checks_stamps = KnownTime(), bool(adaptive)
+        self._time, self._checks_stamps = ReferenceTime(), bool(adaptive)
         self._stamps = [FutureStamps(self._time) for _ in range(CHANNELS)]
         self._memory = new_memory() if setup.remembers and adaptive else None
         check_standoff(self._params[0])
@@ -146,7 +146,7 @@ class Follower:
         self._params[:] = trial
 
     def reset(self, offset_m: float | None = None, *, keep_memory: bool = False) -> None:
-        """Forget the surface, with a new desired stand-off [m] if given; poses stay.
+        """Restart the forecast, with a new desired stand-off [m] if given; poses stay (paper: SFReset).
 
         Ground remembered from earlier passes is forgotten too. With `keep_memory` it stays, as the
         service's map does in a SFReset: for another stand-off over a part that was not moved.
@@ -157,6 +157,11 @@ class Follower:
             desired stand-off [m]; None: as before
         keep_memory : bool
             keep the ground remembered from earlier passes
+
+        Raises
+        ------
+        ConfigError
+            the stand-off is out of bounds, or cannot be kept in the sensor's window
         """
         if offset_m is not None:
             trial = self._params.copy()
@@ -209,7 +214,7 @@ class Follower:
         if found == TOO_FAR:
             raise PoseError(f"pose {p.tolist()} lies beyond {MOST_POSITION_M:g} m")
         if found == TAKEN:
-            self._time.tell(t)
+            self._time.add(t)
         return bool(found == TAKEN)
 
     def step(self, t_ns: int, ranges_m: Sequence[float] | NDArray[Any]) -> NDArray[np.float64]:
@@ -232,6 +237,10 @@ class Follower:
         ------
         UsageError
             not 1 to 8 numbers, or a time more than an hour before 0
+
+        Notes
+        -----
+        The sequence of stages: docs/explanation/following.md.
         """
         try:
             n = len(ranges_m)
@@ -268,7 +277,7 @@ class Follower:
         """The step's time; readings whose timestamp must be wrong are dropped."""
         first = next((c for c, r in enumerate(self._given_m[:n].tolist()) if r == r), None)
         if first is None:
-            self._time.tell(t_ns)
+            self._time.add(t_ns)
             return t_ns
         stamp_ns = self._stamps[first].correct(t_ns)
         if stamp_ns is None:
@@ -292,9 +301,21 @@ class Follower:
         return float(forecast_range(self._params, self._state, float(horizon_s)))
 
     def state(self) -> dict[str, Any]:
-        """What the follower knows: estimates, health, adapted parameters; plain Python values.
+        """Estimates, health and adapted parameters as plain Python values.
 
-        `weights` are the shares of all candidates (`estimation.model_bank`) in the blend; their sum is 1.
+        Returns
+        -------
+        dict
+            in every mode: `status` (names of bits), `mode`, `offset_m`, `poses_refused`, `t_ns`, `pose_t_ns`,
+            `cycle`, `height_m`, `slope`, `speed_mps`, `delta_h_m`, `error_m`, `demand` (6), `range_m` (per
+            channel). In mode "adaptive" also `health`, `reason`, `faults`, `sigma_m`, `noise_m`,
+            `roughness_m`, `late_s`, `latency_s`, `tau_s`, `permitted_variance_m`, `interval_size_m`,
+            `range_size`, `beams`, `preview_share`, `weights`, and `normal` (3) with several sensors
+
+        Notes
+        -----
+        `weights` are the probabilities of all models in the blend; their sum is 1
+        (`forecast.estimation.model_bank`).
         """
         o = self._output[0]
         bits = int(o["status"])
@@ -315,9 +336,9 @@ class Follower:
             if out["health"] == "OK" and any(s.shift_ns != 0.0 for s in self._stamps):
                 out["health"], out["reason"] = "SUSPECT", FUTURE_REASON
             out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
-            told: tuple[str, ...] = ("sigma_m", "noise_m", "roughness_m", "late_s", "latency_s", "tau_s")
-            told += ("permitted_variance_m", "interval_size_m", "range_size", "beams")
-            out.update({n: o[n].item() for n in told})
+            shown: tuple[str, ...] = ("sigma_m", "noise_m", "roughness_m", "late_s", "latency_s", "tau_s")
+            shown += ("permitted_variance_m", "interval_size_m", "range_size", "beams")
+            out.update({n: o[n].item() for n in shown})
             out["preview_share"] = float(adaptive["preview"]["share"])
             out["weights"] = adaptive["weights"]["weight"][:N_CANDIDATES].tolist()
             if adaptive["plane"]["count"] > 0:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,22 +9,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surffollow.config.params import PARAMS, check_param, param_name
+from surffollow.config.toml_file import read_toml
 from surffollow.errors import ConfigError
 from surffollow.forecast.pose import QUATERNION_TOLERANCE
 from surffollow.forecast.reference_scales import scaled_defaults
 from surffollow.shm.layout_follow import CHANNELS, MODE_ADAPTIVE
 from surffollow.units import parse_quantity
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
 Config = Mapping[str, Any] | str | Path | None
 
 TOO_CLOSE_BEYOND_M = 0.15 * 0.0254  # beyond the near limit of a sensor given by its window
 TOO_CLOSE_EXIT_M = 0.3 * 0.0254  # but no more than the shares of the way to the stand-off
-MOST_MOUNT_M = 1e3
+MAX_MOUNT_M = 1e3
 # what differs from the service's defaults: readings come ready-made and stamped with their own time
 IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "sensor_readings": 1}
 # thresholds of too_close: of the way from the near limit to the stand-off
@@ -134,12 +129,7 @@ def _read(config: Config) -> dict[str, Any]:
     if config is None:
         return {}
     if isinstance(config, (str, Path)):
-        try:
-            data: dict[str, Any] = tomllib.loads(Path(config).read_text(encoding="utf-8"))
-        except OSError as e:
-            raise ConfigError(f"cannot read configuration {config}: {e.strerror}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
-            raise ConfigError(f"{config} is not TOML: {e}") from None
+        data = read_toml(config, "configuration", ConfigError)
     elif isinstance(config, Mapping):
         data = dict(config)
     else:
@@ -179,7 +169,7 @@ def _mounts(sensors: object) -> list[dict[str, Any]]:
                 f"{where}.orientation is {q.tolist()}; it must be a unit quaternion qx qy qz qw"
             )
         position = _numbers(s.get("position_m", (0.0, 0.0, 0.0)), 3, "m", f"{where}.position_m")
-        if not all(abs(v) <= MOST_MOUNT_M for v in position):
-            raise ConfigError(f"{where}.position_m is {position}; it must be within {MOST_MOUNT_M:g} m")
+        if not all(abs(v) <= MAX_MOUNT_M for v in position):
+            raise ConfigError(f"{where}.position_m is {position}; it must be within {MAX_MOUNT_M:g} m")
         mounts.append({"pose": [*position, *(q / np.linalg.norm(q)).tolist()], **s})
     return mounts

@@ -17,9 +17,9 @@ from surffollow.hw.driver import (
     mounts_of,
     push_conversion,
 )
-from surffollow.hw.driver_thread import PERIOD_NS, STOP, Pump
+from surffollow.hw.driver_thread import PERIOD_NS, STOP
 from surffollow.hw.ranges import FINEST_M
-from surffollow.hw.wrapped_driver import WrappingDriver
+from surffollow.hw.relay import RelayDriver, RelayQueues
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.conversion import (
@@ -35,7 +35,7 @@ from surffollow.shm.dtypes import zeros
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CHANNELS
 from surffollow.shm.ring import ring_drop, ring_peek
-from surffollow.shm.schema import F64, I64, Schema
+from surffollow.shm.schema import F64, I64, Nested, Schema
 
 INNER_CAPACITY = 1 << 14
 BEYOND_SHARE = 0.02  # of a table's length: so far beyond its ends it is carried on, farther is no measurement
@@ -44,13 +44,7 @@ BEYOND_SHARE = 0.02  # of a table's length: so far beyond its ends it is carried
 class Linearizer(Schema):
     """What the relay needs to know."""
 
-    inner_ring = I64()
-    inner_capacity = I64()
-    ring = I64()
-    capacity = I64()
-    lost = I64()
-    item = I64(2)
-    item_address = I64()
+    queues = Nested(RelayQueues)
     rows = I64(CHANNELS, doc="of the channel's table; 0: none, the driver's own scale holds")
     scale = F64(CHANNELS, doc="indicated per count")
     zero = F64(CHANNELS, doc="indicated at 0 counts")
@@ -103,15 +97,15 @@ def run_linearizer(control: Any, relay: Any, indicated: Any, range_m: Any) -> No
     control : int64, address of the pump's control words
     relay, indicated, range_m : see `linearize`
     """
-    r = relay[0]
+    q = relay[0].queues
     wake = now_ns()
     while at.load_acquire_i64(control + 8 * STOP) == 0:
-        while ring_peek(r.inner_ring, r.inner_capacity, ITEM_WORDS, r.item_address) == 1:
-            t_ns = at.load_relaxed_i64(r.item_address)
-            word = at.load_relaxed_i64(r.item_address + 8)
-            ring_drop(r.inner_ring, 1)
+        while ring_peek(q.inner_ring, q.inner_capacity, ITEM_WORDS, q.item_address) == 1:
+            t_ns = at.load_relaxed_i64(q.item_address)
+            word = at.load_relaxed_i64(q.item_address + 8)
+            ring_drop(q.inner_ring, 1)
             word = linearize(relay, indicated, range_m, word)
-            push_conversion(r.ring, r.capacity, r.lost, r.item_address, t_ns, word)
+            push_conversion(q.ring, q.capacity, q.lost, q.item_address, t_ns, word)
         wake = max(wake + PERIOD_NS, now_ns())
         wait_until_ns(wake, 0)
 
@@ -153,15 +147,13 @@ def _described(inner: DriverInfo, calibration: Calibration) -> DriverInfo:
     return msgspec.structs.replace(inner, **changes)
 
 
-class CalibratedDriver(WrappingDriver):
+class CalibratedDriver(RelayDriver):
     """Any driver, whose conversions are turned into distances by a calibration; see `calibrated`."""
 
     def __init__(self, inner: Driver, calibration: Calibration) -> None:
-        super().__init__(inner)
         self._calibration = calibration
         self._info = _described(inner.info, calibration)
-        self._pump = Pump(self._info.name)
-        self._between = ConversionQueue(INNER_CAPACITY)
+        super().__init__(inner, self._info.name, INNER_CAPACITY)
 
     @property
     def info(self) -> DriverInfo:
@@ -173,10 +165,7 @@ class CalibratedDriver(WrappingDriver):
         if not self._calibration.tables:
             self._inner.start(queue)
             return
-        between, relay = ConversionQueue(INNER_CAPACITY), zeros(Linearizer)
-        relay["inner_ring"], relay["inner_capacity"] = between.address, INNER_CAPACITY
-        relay["ring"], relay["capacity"], relay["lost"] = queue.address, queue.capacity, queue.lost_address
-        relay["item_address"] = relay.ctypes.data + Linearizer.offset("item")
+        relay = zeros(Linearizer)
         relay["scale"], relay["zero"] = self._inner.info.scale_m, self._inner.info.zero_m
         relay["quantum_m"] = self._info.scale_m[0]
         indicated, range_m, relay["rows"] = tables_of(self._calibration)
@@ -184,23 +173,11 @@ class CalibratedDriver(WrappingDriver):
         def kernel(control: int) -> None:
             run_linearizer(control, relay, indicated, range_m)
 
-        self._pump.start(kernel, keep=(queue, between))
-        self._between = between
-        try:
-            self._inner.start(between)
-        except BaseException:
-            self._pump.stop()
-            raise
-
-    def stop(self) -> None:
-        """End both; see `Driver`."""
-        self._inner.stop()
-        self._pump.stop()
+        self._start_relay(queue, relay["queues"], kernel)
 
     def faults(self) -> list[str]:
         """The inner driver's, and conversions that were lost between."""
-        lost = self._between.overflow
-        return self._inner.faults() + ([f"the calibration lost {lost} conversions"] if lost else [])
+        return self._relay_faults("the calibration")
 
 
 def calibrated(driver: Driver, calibration: Calibration) -> Driver:

@@ -31,7 +31,7 @@ from surffollow.shm.python_atomics import load_acquire
 from surffollow.units import format_ns
 
 SILENCE_S = 0.5
-TOLD_NS = 2_000_000_000  # so long a fault text stays after what it tells happened last
+FAULT_HOLD_NS = 2_000_000_000  # so long a fault text stays after what it tells happened last
 CLOSE_S = 2.0
 _REASONS = {
     WRONG_CHANNEL: "for a channel that their client does not hold",
@@ -127,7 +127,7 @@ class ExternalDriver:
             count = self._word("refused", k) if text else self._word("skipped")
             if count > self._counts[k]:
                 self._counts[k], self._grown_ns[k] = count, now_ns
-            if not count or now_ns - self._grown_ns[k] > TOLD_NS:
+            if not count or now_ns - self._grown_ns[k] > FAULT_HOLD_NS:
                 continue
             said = f"refused, {text}" if text else "left out: they come faster than the cycle takes them"
             found.append(f"{count} pushed ranges were {said}")

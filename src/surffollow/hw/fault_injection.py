@@ -1,7 +1,7 @@
-"""Faults on order, over any driver: what sensors, cables and converters do wrong in practice.
+"""Fault injection over any driver: what sensors, cables and converters do wrong in practice.
 
 `FaultyDriver` is a driver that wraps another one: a relay thread takes each conversion from the inner
-driver's queue, spoils it as the schedule says, and passes it on. What happens to a conversion depends on its
+driver's queue, changes it as the schedule says, and passes it on. What happens to a conversion depends on its
 time, its channel and the seed alone.
 """
 
@@ -22,9 +22,9 @@ from surffollow.hw.driver import (
     DriverInfo,
     push_conversion,
 )
-from surffollow.hw.driver_thread import PERIOD_NS, STOP, Pump
+from surffollow.hw.driver_thread import PERIOD_NS, STOP
+from surffollow.hw.relay import RelayDriver, RelayQueues
 from surffollow.hw.simulation.counter_noise import hashed_uniform
-from surffollow.hw.wrapped_driver import WrappingDriver
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.conversion import (
@@ -102,7 +102,7 @@ class Fault(Schema):
 
 
 class FaultState(Schema):
-    """What the relay remembers."""
+    """State of the relay."""
 
     seed = I64()
     origin_ns = I64(unit="ns", doc="the schedule's zero")
@@ -138,7 +138,7 @@ def fault_hits(table: Any, number: Any, state: Any, t_ns: Any, channel: Any) -> 
 
 @jit
 def fault_delay_ns(table: Any, state: Any, t_ns: Any, word: Any) -> Any:
-    """Longest delay that the schedule orders for a conversion [ns]; arguments as `spoil`."""
+    """Longest delay that the schedule orders for a conversion [ns]; arguments as `inject_faults`."""
     delay = 0
     for number in range(len(table)):
         if table[number].kind == LATE and fault_hits(table, number, state, t_ns, conversion_channel(word)):
@@ -147,7 +147,7 @@ def fault_delay_ns(table: Any, state: Any, t_ns: Any, word: Any) -> Any:
 
 
 @jit
-def spoil(table: Any, state: Any, t_ns: Any, word: Any) -> Any:
+def inject_faults(table: Any, state: Any, t_ns: Any, word: Any) -> Any:
     """Apply the schedule to one conversion; conversions come in order of time.
 
     Parameters
@@ -185,51 +185,39 @@ def spoil(table: Any, state: Any, t_ns: Any, word: Any) -> Any:
     return arrives, pack_conversion(counts, channel, flags, 0)
 
 
-class Relay(Schema):
-    """Addresses of the two queues and of scratch."""
-
-    inner_ring = I64()
-    inner_capacity = I64()
-    ring = I64()
-    capacity = I64()
-    lost = I64()
-    item = I64(2)
-    item_address = I64()
-
-
 @jit
-def run_relay(control: Any, relay: Any, table: Any, state: Any) -> None:
-    """Pass conversions on until `STOP`; see `spoil`.
+def run_relay(control: Any, queues: Any, table: Any, state: Any) -> None:
+    """Pass conversions on until `STOP`; see `inject_faults`.
 
     Parameters
     ----------
     control : int64, address of the pump's control words
-    relay : (1,) `Relay`
-    table, state : see `spoil`
+    queues : (1,) `RelayQueues`
+    table, state : see `inject_faults`
     """
-    r = relay[0]
+    q = queues[0]
     wake = now_ns()
     while at.load_acquire_i64(control + 8 * STOP) == 0:
         now = now_ns()
-        while ring_peek(r.inner_ring, r.inner_capacity, ITEM_WORDS, r.item_address) == 1:
-            t_ns = at.load_relaxed_i64(r.item_address)
-            word = at.load_relaxed_i64(r.item_address + 8)
+        while ring_peek(q.inner_ring, q.inner_capacity, ITEM_WORDS, q.item_address) == 1:
+            t_ns = at.load_relaxed_i64(q.item_address)
+            word = at.load_relaxed_i64(q.item_address + 8)
             if t_ns + fault_delay_ns(table, state, t_ns, word) > now:
                 break
-            ring_drop(r.inner_ring, 1)
-            arrives, word = spoil(table, state, t_ns, word)
+            ring_drop(q.inner_ring, 1)
+            arrives, word = inject_faults(table, state, t_ns, word)
             if arrives:
-                push_conversion(r.ring, r.capacity, r.lost, r.item_address, t_ns, word)
+                push_conversion(q.ring, q.capacity, q.lost, q.item_address, t_ns, word)
         wake = max(wake + PERIOD_NS, now)
         wait_until_ns(wake, 0)
 
 
-class FaultyDriver(WrappingDriver):
+class FaultyDriver(RelayDriver):
     """Any driver, with faults.
 
     Parameters
     ----------
-    inner : the driver whose conversions are spoilt
+    inner : the driver whose conversions are changed
     faults : the schedule; its time begins at `start`
     seed : of its probabilities
     """
@@ -237,41 +225,24 @@ class FaultyDriver(WrappingDriver):
     def __init__(
         self, inner: Driver, faults: list[FaultConfig] | tuple[FaultConfig, ...], seed: int = 0
     ) -> None:
-        super().__init__(inner)
+        super().__init__(inner, f"faults over {inner.info.name}", INNER_CAPACITY)
         self._seed = seed
         self._table = fault_table(faults, inner.info)
-        self._pump = Pump(f"faults over {inner.info.name}")
-        self._between = ConversionQueue(INNER_CAPACITY)
 
     def start(self, queue: ConversionQueue) -> None:
         """Begin to fill the queue; see `Driver`."""
-        between = ConversionQueue(INNER_CAPACITY)
-        relay, state = zeros(Relay), zeros(FaultState)
-        relay["inner_ring"], relay["inner_capacity"] = between.address, INNER_CAPACITY
-        relay["ring"], relay["capacity"] = queue.address, queue.capacity
-        relay["lost"] = queue.lost_address
-        relay["item_address"] = relay.ctypes.data + Relay.offset("item")
+        queues, state = zeros(RelayQueues), zeros(FaultState)
         state["seed"], state["origin_ns"] = self._seed, time.monotonic_ns()
         table = self._table
 
         def kernel(control: int) -> None:
-            run_relay(control, relay, table, state)
+            run_relay(control, queues, table, state)
 
-        self._pump.start(kernel, keep=(queue, between))
-        self._between = between
-        try:
+        def begin_schedule() -> None:
             state["origin_ns"] = time.monotonic_ns()
-            self._inner.start(between)
-        except BaseException:
-            self._pump.stop()
-            raise
 
-    def stop(self) -> None:
-        """End both drivers; see `Driver`."""
-        self._inner.stop()
-        self._pump.stop()
+        self._start_relay(queue, queues, kernel, begin_schedule)
 
     def faults(self) -> list[str]:
         """What is wrong with the inner driver: ordered faults are for the service to find out."""
-        lost = self._between.overflow
-        return self._inner.faults() + ([f"the fault wrapper lost {lost} conversions"] if lost else [])
+        return self._relay_faults("the fault wrapper")

@@ -78,7 +78,7 @@ class PolledDriver:
         self._end = threading.Event()
         self._trouble = ""
         self._connected = False
-        self._heard_ns = self._read_ns = 0
+        self._received_ns = self._read_ns = 0
         self._rejected_before = 0
         self.conversions = self.connections = 0
 
@@ -94,7 +94,7 @@ class PolledDriver:
             return STOPPED
         if not self._connected:
             return WAITING
-        if time.monotonic_ns() - self._heard_ns <= self._silence_ns:
+        if time.monotonic_ns() - self._received_ns <= self._silence_ns:
             return RUNNING
         return GARBLED if self._source.rejected > self._rejected_before else SILENT
 
@@ -109,7 +109,7 @@ class PolledDriver:
         if self._thread is not None:
             raise DriverError(f"driver '{self._source.name}' was started twice; stop it first")
         self._end.clear()
-        self._trouble, self._heard_ns = "", time.monotonic_ns()
+        self._trouble, self._received_ns = "", time.monotonic_ns()
         writer = RangeWriter(queue, self._info)
         self._thread = threading.Thread(target=self._run, args=(writer,), name="sensor", daemon=True)
         self._thread.start()
@@ -134,7 +134,7 @@ class PolledDriver:
         if state == WAITING:
             return [f"{name}: {self._trouble or 'not connected yet'}; it is tried again every {RETRY_S:g} s"]
         if state in (SILENT, GARBLED):
-            since = format_ns(time.monotonic_ns() - self._heard_ns)
+            since = format_ns(time.monotonic_ns() - self._received_ns)
             if state == SILENT:
                 return [f"{name}: connected, but nothing was received for {since}"]
             return [
@@ -147,7 +147,7 @@ class PolledDriver:
         while not self._end.is_set():
             try:
                 self._source.open()
-                self._connected, self._heard_ns = True, time.monotonic_ns()
+                self._connected, self._received_ns = True, time.monotonic_ns()
                 self._rejected_before = self._source.rejected
                 self.connections += 1
                 self._trouble = ""
@@ -164,7 +164,7 @@ class PolledDriver:
             for t_ns, word in self._source.read(POLL_S):
                 writer.push_word(t_ns, word)
                 self.conversions += 1
-                self._heard_ns = time.monotonic_ns()
+                self._received_ns = time.monotonic_ns()
                 self._rejected_before = self._source.rejected
 
 

@@ -10,6 +10,11 @@ if TYPE_CHECKING:
 __all__ = ["HeightMap"]
 
 
+def __dir__() -> list[str]:
+    """Names that can be used here."""
+    return sorted({*(n for n in globals() if n.startswith("__")), *__all__})
+
+
 def __getattr__(name: str) -> Any:
     # lazily, since it loads numba, and the client library reads this package's files without
     if name == "HeightMap":

@@ -199,6 +199,15 @@ class HeightMap(MapView):
             x_min, y_min, x_max, y_max [m]
         finest_m : float
             finest useful grid of this refocus [m]; 0: the map's own choice
+
+        Raises
+        ------
+        UsageError
+            `finest_m` is neither 0 nor within 1e-6 to 1e4 m
+        RegionError
+            not a region
+        MapFileError
+            the map could not be refocused in place; reset it
         """
         limits = region_limits(region)
         if finest_m and not ml.MIN_GRID_M <= finest_m <= ml.MAX_GRID_M:
@@ -219,7 +228,13 @@ class HeightMap(MapView):
             raise MapFileError("the map could not be refocused in place; it is lost, reset it")
 
     def copy(self) -> HeightMap:
-        """An independent map with the same memory."""
+        """An independent map with the same content.
+
+        Returns
+        -------
+        HeightMap
+            with memory of its own
+        """
         return HeightMap(self.header.copy(), self.pairs.copy())
 
     def save(self, path: str | os.PathLike[str], *, progress: Progress | None = None) -> None:
@@ -233,6 +248,13 @@ class HeightMap(MapView):
             .npz by suffix, or the text format
         progress : callable, optional
             gets the finished fraction; returning False cancels
+
+        Raises
+        ------
+        MapFileError, OSError
+            the suffix is of another format, or the file cannot be written
+        MapCancelledError
+            `progress` returned False; the old file, if any, is untouched
         """
         from surffollow.map.files import save
 
@@ -257,6 +279,15 @@ class HeightMap(MapView):
         -------
         HeightMap
             as the file has it
+
+        Raises
+        ------
+        UsageError
+            `grids` is less than the file has, or more than 1e9
+        MapFileError
+            not a map, damaged, cut short
+        MapCancelledError
+            `progress` returned False
         """
         from surffollow.map.files import load
 

@@ -26,7 +26,7 @@ from surffollow.shm.layout_board import MapStatus, Stats, Ticker
 
 SERVICE_S = 1.0
 # batches per look: a backlog after the kernels were compiled is worked off without holding the words up
-_MOST_BATCHES = 64
+_MAX_BATCHES = 64
 _COUNTERS = tuple(f.name for f in Stats.FIELDS if f.count == 1)
 _SERVICE_FIELDS = (
     *((f"{n}", "sfixed64") for n in _COUNTERS),
@@ -88,7 +88,7 @@ class ChannelFeed:
         self.channels = StandardChannels(writer, self.sampler.params)
         self._waiting: deque[tuple[int, NDArray[np.int64]]] = deque()
         self._segment, self._given_up = -1, -2
-        self._told = 0
+        self._reported = 0
         self._log, self._service_at = log, 0.0
         self._map = None if log is None else _LiveMap(log)
         self._pace = MapPace()
@@ -108,14 +108,14 @@ class ChannelFeed:
     def work(self) -> None:
         """Write the samples of waiting batches and, when it is time, what the board says."""
         if not self._ready.is_alive():
-            self._drain(_MOST_BATCHES)
+            self._drain(_MAX_BATCHES)
         now = time.monotonic()
         if self._log is not None and now >= self._service_at:
             self._service_at = now + SERVICE_S
             with contextlib.suppress(FaultError, OSError):  # a service that goes away just now
-                self._tell_service(self._log.board)
+                self._publish_service(self._log.board)
             with contextlib.suppress(FaultError, OSError):
-                self._tell_map(now)
+                self._publish_map(now)
 
     def _drain(self, most: int) -> None:
         while self._waiting and most > 0:
@@ -133,12 +133,12 @@ class ChannelFeed:
                 # the words go on; the next segment begins with a snapshot again
                 self._given_up = self._segment
                 self.channels.say(time.monotonic_ns(), f"no more samples of this segment: {e}", fx.WARNING)
-        if self.sampler.differing > self._told:
-            self._told = self.sampler.differing
-            text = f"{self._told} cycles came out otherwise here than in the service: another release?"
+        if self.sampler.differing > self._reported:
+            self._reported = self.sampler.differing
+            text = f"{self._reported} cycles came out otherwise here than in the service: another release?"
             self.channels.say(time.monotonic_ns(), text, fx.WARNING)
 
-    def _tell_service(self, board: Board) -> None:
+    def _publish_service(self, board: Board) -> None:
         stats = board.plain("stats", Stats)
         ticker = board.latch("ticker", Ticker).read() or {}
         map_status = board.latch("map_status", MapStatus).read() or {}
@@ -157,7 +157,7 @@ class ChannelFeed:
         values |= {f"map_{n}": map_status.get(n) for n in ("queued", "applied", "lost")}
         self.channels.sink.add_message("/service", SERVICE, t_ns, SERVICE.encode(values))
 
-    def _tell_map(self, now: float) -> None:
+    def _publish_map(self, now: float) -> None:
         assert self._map is not None
         if not self._pace.free(now):
             return
@@ -181,12 +181,12 @@ class ChannelFeed:
         """Write what waits, and the map once more."""
         self._ready.join()
         while self._waiting:
-            self._drain(_MOST_BATCHES)
+            self._drain(_MAX_BATCHES)
         if self._map is not None:
             with contextlib.suppress(FaultError, BlockError, OSError):
                 self._pace = MapPace()
-                self._tell_map(time.monotonic())
-                self._tell_service(self._log.board)  # type: ignore[union-attr]
+                self._publish_map(time.monotonic())
+                self._publish_service(self._log.board)  # type: ignore[union-attr]
 
     def close(self) -> None:
         """Let go of the map."""

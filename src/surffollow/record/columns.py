@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
 
+from surffollow.config.toml_file import read_toml
 from surffollow.errors import UsageError
 from surffollow.units import parse_quantity, unit_scale
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 Quantity = str | float
 
@@ -176,10 +171,4 @@ def load_columns(path: str | Path) -> Columns:
     ------
     UsageError  it cannot be read, is not TOML, or says something wrong
     """
-    try:
-        data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as e:
-        raise UsageError(f"cannot read column file {path}: {e.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
-        raise UsageError(f"column file {path} is not TOML: {e}") from None
-    return parse_columns(data, str(path))
+    return parse_columns(read_toml(path, "column file", UsageError), str(path))

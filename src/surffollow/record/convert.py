@@ -118,18 +118,18 @@ def _write_channels(source: FileSamples, path: Path) -> int:
             if len(part.rows):
                 t_ns = int(part.rows[-1]["output"]["t_ns"])
             if mapped.map is not None and pace.free(t_ns * 1e-9):
-                pace.spent(t_ns * 1e-9, _tell_map(channels, mapped.map, t_ns))
+                pace.spent(t_ns * 1e-9, _publish_map(channels, mapped.map, t_ns))
         if not writer.messages:
             raise RecordingError(f"{', '.join(map(str, source.paths))}: no whole cycle")
         try:
-            _tell_map(channels, mapped.finish(), t_ns)
+            _publish_map(channels, mapped.finish(), t_ns)
         except RecordingError as e:
             channels.say(t_ns, str(e), fx.WARNING)
         writer.finish({"cycles": str(source.cycles), "from": " ".join(p.name for p in source.paths)})
         return writer.messages
 
 
-def _tell_map(channels: StandardChannels, m: HeightMap, t_ns: int) -> int:
+def _publish_map(channels: StandardChannels, m: HeightMap, t_ns: int) -> int:
     ny, nx = m.shape
     quanta = access.quanta(m.pairs, 0, nx * ny).reshape(ny, nx)
     counts = access.counts(m.pairs, 0, nx * ny).reshape(ny, nx)

@@ -114,7 +114,14 @@ def run_csv(log: CsvLog, columns: Columns, mode: str | None = None) -> CsvReplay
 
 # what of [follow] bears upon height, slope and forecast: in the paper's mode these alone, in the adaptive
 # mode not the sizes of the paper's means of target points and intervals
-PAPER_HEEDS = ("mode", "sensor_readings", "ee_readings", "interval_size_m", "range_size", "sensor_latency_ns")
+PAPER_SETTINGS = (
+    "mode",
+    "sensor_readings",
+    "ee_readings",
+    "interval_size_m",
+    "range_size",
+    "sensor_latency_ns",
+)
 ADAPTIVE_IGNORES = ("ee_readings", "interval_size_m", "range_size", "pose_interpolate")
 
 
@@ -122,7 +129,7 @@ def follow_notes(columns: Columns, mode: str) -> list[str]:
     """What the column file sets in [follow] and the replay in this mode does not heed, for people."""
     names = {key: param_name(key) for key in columns.follow if key not in ("sensors",)}
     paper = mode == "paper"
-    idle = [k for k, n in names.items() if (n not in PAPER_HEEDS if paper else n in ADAPTIVE_IGNORES)]
+    idle = [k for k, n in names.items() if (n not in PAPER_SETTINGS if paper else n in ADAPTIVE_IGNORES)]
     if not idle:
         return []
     other = "; --mode paper heeds some" if not paper else ""

@@ -19,11 +19,11 @@ from surffollow.record.samples import Event
 from surffollow.record.sampling import FileSamples
 
 _RATE_NS = 10_000_000
-_MOST_SAMPLES = 40_000
+_MAX_SAMPLES = 40_000
 
 
 @dataclass
-class Story:
+class FigureData:
     """What a recording tells, sampled.
 
     Attributes
@@ -53,7 +53,7 @@ class Story:
         return error
 
 
-def read_story(path: str | Path, progress: Any = None) -> Story:
+def read_figure_data(path: str | Path, progress: Any = None) -> FigureData:
     """Sample a recording and build its map again.
 
     Raises
@@ -72,14 +72,14 @@ def read_story(path: str | Path, progress: Any = None) -> Story:
         offsets.append(np.full(len(part.rows), float(source.sampler.params[0]["offset_m"])))
     if not sum(map(len, rows)):
         raise RecordingError(f"{path} holds no whole cycle")
-    every = max(1, sum(map(len, rows)) // _MOST_SAMPLES)
+    every = max(1, sum(map(len, rows)) // _MAX_SAMPLES)
     all_rows, all_offsets = np.concatenate(rows)[::every], np.concatenate(offsets)[::every]
     t_s = (all_rows["output"]["t_ns"] - all_rows["output"]["t_ns"][0]) * 1e-9
     try:
         found, fault = known_part(mapped.finish()), ""
     except RecordingError as e:
         found, fault = None, str(e)
-    return Story(source, t_s, all_rows, all_offsets, found, fault)
+    return FigureData(source, t_s, all_rows, all_offsets, found, fault)
 
 
 def last_service(path: str | Path) -> dict[str, Any] | None:

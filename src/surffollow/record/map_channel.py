@@ -9,11 +9,11 @@ from surffollow.shm import map_layout as ml
 
 # every message holds all known grids: a large map is written seldom
 BYTES_PER_S = 50_000
-LEAST_S = 1.0
+MIN_PERIOD_S = 1.0
 
 
 class MapPace:
-    """Keeps the clouds of a growing map below `BYTES_PER_S` on average, at most one per `LEAST_S`."""
+    """Keeps the clouds of a growing map below `BYTES_PER_S` on average, at most one per `MIN_PERIOD_S`."""
 
     def __init__(self) -> None:
         self._free_at = -np.inf
@@ -24,7 +24,7 @@ class MapPace:
 
     def spent(self, now_s: float, size: int) -> None:
         """A cloud of so many bytes was written."""
-        self._free_at = now_s + max(LEAST_S, size / BYTES_PER_S)
+        self._free_at = now_s + max(MIN_PERIOD_S, size / BYTES_PER_S)
 
 
 def known_points(

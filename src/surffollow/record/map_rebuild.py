@@ -34,7 +34,7 @@ from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, 
 
 _POINTS = 1 << 16
 # a map over nothing but a straight line still has two sides
-_LEAST_SIDE_M = 0.01
+_MIN_SIDE_M = 0.01
 
 
 @jit
@@ -164,7 +164,7 @@ def map_of_points(points_m: NDArray[np.float64]) -> HeightMap:
     if not len(points):
         raise RecordingError("no target point was found; there is nothing to map")
     low, high = points.min(axis=0), points.max(axis=0)
-    pad = np.maximum(0.0, _LEAST_SIDE_M - (high - low)[:2]) / 2 + 1e-6
+    pad = np.maximum(0.0, _MIN_SIDE_M - (high - low)[:2]) / 2 + 1e-6
     (x0, y0), (x1, y1) = (low[:2] - pad).tolist(), (high[:2] + pad).tolist()
     steps = np.hypot(*np.diff(points[:, :2], axis=0).T)
     usual_m = float(np.median(steps)) if steps.size else 0.0

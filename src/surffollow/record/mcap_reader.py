@@ -32,7 +32,7 @@ _TAIL_BYTES = _RECORD.size + _FOOTER_BODY.size + len(MAGIC)
 _DATA_END = struct.Struct("<BQI")
 _CRC_BLOCK = 1 << 20
 # our chunks are 128 KiB plus one message; more is damage, not data
-_CHUNK_MOST = 64 << 20
+_MAX_CHUNK_BYTES = 64 << 20
 
 
 @dataclass
@@ -163,7 +163,7 @@ class McapReader:
         compression = bytes(body[_CHUNK_HEAD.size : at]).decode("ascii")
         (length,) = struct.unpack_from("<Q", body, at)
         packed = body[at + 8 :]
-        if len(packed) != length or unpacked > _CHUNK_MOST:
+        if len(packed) != length or unpacked > _MAX_CHUNK_BYTES:
             raise ValueError("its sizes do not agree")
         if compression == "lz4":
             # a decompressor of a set limit: a crafted chunk cannot fill the memory

@@ -14,7 +14,7 @@ from surffollow.record.columns import Columns
 from surffollow.record.csv_replay import CsvReplay, pair_forecasts, score_forecast
 
 # without a horizontal way of this many typical distances there is no map to draw
-_LEAST_WAY = 1.0
+_MIN_PATH = 1.0
 
 
 def plot_csv(file: str | Path, replay: CsvReplay, columns: Columns, out: str | Path) -> Path:
@@ -41,7 +41,7 @@ def plot_csv(file: str | Path, replay: CsvReplay, columns: Columns, out: str | P
         axes[0].set_xlim(0.0, max(float(t[-1]), 1e-3))
         axes[2].set(xlabel=f"time [s] since {replay.log.t_s[0]:.6g} s of the log")
         _draw_scores(figure.add_subplot(grid[3, 0]), replay, columns)
-        _draw_way(figure, figure.add_subplot(grid[3, 1]), replay)
+        _draw_path(figure, figure.add_subplot(grid[3, 1]), replay)
         fg.save_figure(figure, out)
     return Path(out)
 
@@ -140,12 +140,12 @@ def _draw_scores(ax: Any, replay: CsvReplay, columns: Columns) -> None:
     ax.legend(loc="upper left")
 
 
-def _draw_way(figure: Any, ax: Any, replay: CsvReplay) -> None:
+def _draw_path(figure: Any, ax: Any, replay: CsvReplay) -> None:
     has = np.isfinite(replay.target_m).all(axis=1)
     points = replay.target_m[has]
     way = np.ptp(points[:, :2], axis=0)
     typical = float(np.median(np.abs(replay.log.range_m[has]))) if has.any() else 0.0
-    if float(np.hypot(*way)) < _LEAST_WAY * typical * 1e-3 or float(np.hypot(*way)) == 0.0:
+    if float(np.hypot(*way)) < _MIN_PATH * typical * 1e-3 or float(np.hypot(*way)) == 0.0:
         ax.axis("off")
         ax.set_title("Way")
         ax.text(0.0, 0.9, "the log has no horizontal position", va="top", transform=ax.transAxes)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surffollow.client.histogram_report import bin_edges_ns
 from surffollow.record import figure as fg
-from surffollow.record.figure_data import Story, last_service, read_story
+from surffollow.record.figure_data import FigureData, last_service, read_figure_data
 from surffollow.shm.layout_adaptive import HEALTH_NAMES
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, STATUS_NAMES, VALID
 from surffollow.units import format_ns
@@ -25,11 +25,11 @@ def plot_recording(path: str | Path, out: str | Path, progress: Any = None) -> P
 
     Raises
     ------
-    RecordingError  see `read_story`
+    RecordingError  see `read_figure_data`
     UsageError, FaultError  the figure cannot be drawn or written
     """
     fg.check_figure(out)
-    story = read_story(path, progress)
+    story = read_figure_data(path, progress)
     service = last_service(path)
     import matplotlib as mpl
 
@@ -51,7 +51,7 @@ def plot_recording(path: str | Path, out: str | Path, progress: Any = None) -> P
     return Path(out)
 
 
-def _headline(path: str | Path, story: Story) -> str:
+def _headline(path: str | Path, story: FigureData) -> str:
     o, source = story.rows["output"], story.source
     mode = "adaptive" if int(source.sampler.params[0]["mode"]) == MODE_ADAPTIVE else "paper"
     begin_ns = int(o["t_ns"][0]) + source.wall_offset_ns
@@ -74,18 +74,18 @@ def _headline(path: str | Path, story: Story) -> str:
     return text
 
 
-def _gaps(story: Story) -> list[tuple[float, float]]:
+def _gaps(story: FigureData) -> list[tuple[float, float]]:
     return fg.spans(story.t_s, np.isnan(story.rows["output"]["range_m"][:, 0]))
 
 
-def _breaks(values: NDArray[np.float64], story: Story) -> NDArray[np.float64]:
+def _breaks(values: NDArray[np.float64], story: FigureData) -> NDArray[np.float64]:
     """Values with NaN behind breaks in time, so that no line bridges them."""
     dt = np.diff(story.t_s, prepend=story.t_s[0])
     usual = float(np.median(dt)) if dt.size else 0.0
     return np.where(dt > 5.0 * max(usual, 1e-9), np.nan, values)
 
 
-def _draw_ground(ax: Any, story: Story) -> None:
+def _draw_ground(ax: Any, story: FigureData) -> None:
     o, t = story.rows["output"], story.t_s
     has_pose = o["pose_t_ns"] != 0
     tool = np.where(has_pose, story.rows["pose"][:, 2], np.nan)
@@ -106,7 +106,7 @@ def _draw_ground(ax: Any, story: Story) -> None:
     ax.legend(loc="upper right", ncols=3)
 
 
-def _draw_error(ax: Any, story: Story) -> None:
+def _draw_error(ax: Any, story: FigureData) -> None:
     error = story.error_m * 1e3
     fg.shade(ax, _gaps(story), fg.SAND, "no distance")
     invalid = (story.rows["output"]["status"] & VALID) == 0
@@ -128,7 +128,7 @@ def _draw_error(ax: Any, story: Story) -> None:
 
 
 def forecast_errors(
-    story: Story, horizon_s: float = HORIZON_S
+    story: FigureData, horizon_s: float = HORIZON_S
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Errors (n,) [m] of "height + slope · speed · horizon" and of "as it is", against the ground found then.
 
@@ -149,7 +149,7 @@ def forecast_errors(
     return out[0], out[1]
 
 
-def _draw_forecast(ax: Any, story: Story) -> None:
+def _draw_forecast(ax: Any, story: FigureData) -> None:
     guess, still = forecast_errors(story)
     fg.shade(ax, _gaps(story), fg.SAND, "no distance")
     ax.axhline(0.0, color=fg.INK, lw=0.6)
@@ -179,7 +179,7 @@ def _draw_forecast(ax: Any, story: Story) -> None:
     ax.legend(loc="upper right", ncols=3, markerscale=5)
 
 
-def _draw_states(ax: Any, story: Story) -> None:
+def _draw_states(ax: Any, story: FigureData) -> None:
     o, t = story.rows["output"], story.t_s
     lanes: list[tuple[str, list[tuple[NDArray[np.bool_], str]]]] = []
     if int(story.source.sampler.params[0]["mode"]) == MODE_ADAPTIVE:
@@ -203,7 +203,7 @@ def _draw_states(ax: Any, story: Story) -> None:
     ax.set_title(title)
 
 
-def _draw_latency(ax: Any, story: Story, service: dict[str, Any] | None) -> None:
+def _draw_latency(ax: Any, story: FigureData, service: dict[str, Any] | None) -> None:
     """Shares of durations, in bins of a tenth of a decade, so that all kinds compare."""
     from matplotlib.ticker import EngFormatter, LogLocator
 
@@ -253,7 +253,7 @@ def log_histogram(
     return 100.0 * share / share.sum(), 10.0 ** (np.arange(first, last + 2) / 10.0)
 
 
-def _draw_ground_plan(figure: Any, ax: Any, story: Story) -> None:
+def _draw_ground_plan(figure: Any, ax: Any, story: FigureData) -> None:
     if story.map is None:
         ax.set_title("Map")
         ax.axis("off")

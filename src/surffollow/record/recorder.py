@@ -31,7 +31,7 @@ _COPY_WORDS = max(1 << 15, 2 * SNAPSHOT_WORDS)
 # a batch is sent on at this size even with few cycles in it
 _BATCH_WORDS = 1 << 14
 _ALL = 1 << 62
-_UNKNOWN_MOST = 3
+_MAX_UNKNOWN = 3
 
 
 class LogSource(Protocol):
@@ -205,7 +205,7 @@ class Recorder:
     def _refuse_unknown(self) -> None:
         # the copy was checked, so these are words of the log: once after an odd restart, or always
         self._unknown += 1
-        if self._unknown >= _UNKNOWN_MOST:
+        if self._unknown >= _MAX_UNKNOWN:
             raise LayoutMismatchError(
                 f"the cycle log of epoch {self.source.epoch} holds entries that this program does not know; "
                 "record with the release that runs the service, or restart the service"

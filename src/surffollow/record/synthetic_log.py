@@ -47,7 +47,9 @@ def noise(seed: Any) -> Any:
 
 
 @jit
-def invent_inputs(params: Any, inputs: Any, cycle: Any, seed: Any, per_cycle: Any, period_ns: Any) -> None:
+def synthesise_inputs(
+    params: Any, inputs: Any, cycle: Any, seed: Any, per_cycle: Any, period_ns: Any
+) -> None:
     """A cycle's conversions and poses: a swell under a tool at constant speed, noise, losses, odd poses."""
     p, i = params[0], inputs[0]
     t_ns = NS_PER_S + cycle * period_ns
@@ -85,7 +87,7 @@ def append_event(log: Any, capacity: Any, words: Any, address: Any, kind: Any, t
 
 
 @jit
-def rehearse(
+def simulate_cycles(
     log: Any, capacity: Any, words: Any, floats: Any, address: Any, records: Any, views: Any, plan: Any
 ) -> None:
     """Step `plan.cycles` cycles and log them.
@@ -115,7 +117,7 @@ def rehearse(
             sf_reset(params, state, offset_m)
             floats[2] = offset_m
             append_event(log, capacity, words, address, RESET, t_ns, 3)
-        invent_inputs(params, inputs, cycle, plan[3], plan[4], plan[5])
+        synthesise_inputs(params, inputs, cycle, plan[3], plan[4], plan[5])
         follow_step(params, state, inputs, output, scratch)
         log_append(log, capacity, address, encode_cycle(words, floats, inputs, output))
 
@@ -185,5 +187,5 @@ class SyntheticLog:
         views = (self.params.view(np.int64), self.state.view(np.int64))
         floats = self.words.view(np.float64)
         address = int(self.words.ctypes.data)
-        rehearse(self.address, self.capacity, self.words, floats, address, records, views, self.plan)
+        simulate_cycles(self.address, self.capacity, self.words, floats, address, records, views, self.plan)
         self.plan[0] += cycles

@@ -77,12 +77,12 @@ class AuditTrail:
         self._budgets: dict[tuple[int, int], _Budget] = {}
         self._gathered: dict[tuple[int, ...], _Gathered] = {}
         self._kept: deque[tuple[int, Any]] = deque(maxlen=KEPT)  # number of the last appending, entry
-        self._appended, self._untold = 0, 0
+        self._appended, self._unreported = 0, 0
 
     @property
     def lost(self) -> int:
         """Entries that found no room in the queue, and lines that found none in the log."""
-        return int(load_acquire(self._ctx.ctypes.data + 8 * m.CHANGES_LOST)) + self._untold
+        return int(load_acquire(self._ctx.ctypes.data + 8 * m.CHANGES_LOST)) + self._unreported
 
     def publish(self) -> None:
         """Take what is queued, a bounded number."""
@@ -97,21 +97,21 @@ class AuditTrail:
         for kind, gathered in list(self._gathered.items()):
             if now_ns - gathered.since_ns > GATHER_NS and self._may(kind[:2], now_ns):
                 del self._gathered[kind]
-                self._tell_of(gathered.entry, kind[1])
+                self._report(gathered.entry, kind[1])
 
     def finish(self) -> None:
         """The cycle has ended: take all that is queued, and tell what still waits for budget."""
         for _ in range(int(self._ctx[m.CHANGES_CAPACITY]) // PER_LOOK + 1):
             self.publish()
         for kind, gathered in self._gathered.items():
-            self._tell_of(gathered.entry, kind[1])
+            self._report(gathered.entry, kind[1])
         self._gathered.clear()
 
     def _take(self, entry: Any, now_ns: int) -> None:
         e = entry[0]
         if int(e["slot"]) < 0:
             e["pid"], e["uid"], e["name"] = os.getpid(), os.geteuid(), b"service"
-            self._tell_of(entry, CHANGED)
+            self._report(entry, CHANGED)
             return
         e["name"] = self._named(int(e["claim"])).encode()[:31]
         uid, code, word = int(e["uid"]), int(e["code"]), -1
@@ -126,7 +126,7 @@ class AuditTrail:
             e["count"], e["old_value"] = before["count"] + 1, before["old_value"]
             self._gathered[kind].entry = entry
         elif self._may((uid, group), now_ns):
-            self._tell_of(entry, group)
+            self._report(entry, group)
         else:
             self._gathered[kind] = _Gathered(entry, now_ns)
 
@@ -144,7 +144,7 @@ class AuditTrail:
         budget.left -= 1.0
         return True
 
-    def _tell_of(self, entry: Any, group: int) -> None:
+    def _report(self, entry: Any, group: int) -> None:
         """Publish an entry and tell its line; a line of a change waits where others are dropped."""
         self._append(entry)
         if group == CHANGED:
@@ -154,7 +154,7 @@ class AuditTrail:
             self._append(oldest)
             self._kept.append((self._appended, oldest))
         if not self._tell(_line(entry), limited=group != CHANGED):
-            self._untold += 1
+            self._unreported += 1
 
     def _append(self, entry: Any) -> None:
         log_append(self._ring, lb.AUDIT_WORDS, entry.ctypes.data, lb.AUDIT_ENTRY_WORDS)

@@ -46,7 +46,7 @@ from surffollow.shm.layout_follow import Output
 from surffollow.shm.python_atomics import load_acquire, store_release
 from surffollow.shm.readable import wait_readable
 
-BEAT_S = 0.05
+HOUSEKEEPING_S = 0.05
 DRIVER_END_S = 4.0
 END_S = 8.0  # for both threads to end, the map's queue applied
 
@@ -114,7 +114,7 @@ class Daemon:
             realtime.prepare_process(
                 self.grants, self.config.realtime.lock_memory, self.config.realtime.dma_latency
             )
-            self._insist(realtime.MLOCKALL)
+            self._require_realtime(realtime.MLOCKALL)
             if not self._compile(side) or wait_readable(self._wake, 0.0):
                 return
             threads = [
@@ -124,8 +124,8 @@ class Daemon:
             for t in threads:
                 t.start()
             self._await_first_cycles()
-            self._hurry(threads[0])
-            self._insist(realtime.FIFO | realtime.AFFINITY | realtime.MLOCKALL)
+            self._prioritise_cycle(threads[0])
+            self._require_realtime(realtime.FIFO | realtime.AFFINITY | realtime.MLOCKALL)
             self.objects.set_state(lb.STATE_READY)
             sd_notify(f"READY=1\nSTATUS=cycle {self.mem.ctx[m.PERIOD_NS] / 1e6:g} ms")
             if on_ready is not None:
@@ -135,7 +135,7 @@ class Daemon:
             side.end()
             self._end(threads)
 
-    def _insist(self, bits: int) -> None:
+    def _require_realtime(self, bits: int) -> None:
         """Refuse to start without what the configuration wants of the kernel, when it is strict about it."""
         missing = realtime.missing(self.grants, self.config.realtime, bits)
         if missing and self.config.realtime.strict:
@@ -180,7 +180,7 @@ class Daemon:
         note_complete()
         return True
 
-    def _hurry(self, cycle: threading.Thread) -> None:
+    def _prioritise_cycle(self, cycle: threading.Thread) -> None:
         real_time = self.config.realtime
         realtime.prepare_cycle_thread(self.grants, real_time.priority, real_time.cpu, cycle.native_id or 0)
 
@@ -227,9 +227,9 @@ class Daemon:
     def _serve(self) -> bool:
         """Serve the clients until the next beat; True when asked to end."""
         asked = self._heartbeat.guard.run(
-            "serving the clients", lambda: self._slots.serve(self._wake, BEAT_S), None
+            "serving the clients", lambda: self._slots.serve(self._wake, HOUSEKEEPING_S), None
         )
-        return wait_readable(self._wake, BEAT_S) if asked is None else asked
+        return wait_readable(self._wake, HOUSEKEEPING_S) if asked is None else asked
 
     def _watch(self) -> None:
         stall_s = seconds(self.config.watchdog, "watchdog", 0.01, 60.0)

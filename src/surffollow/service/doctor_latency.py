@@ -27,7 +27,7 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import HISTOGRAM_BINS
 
 LEAD_NS = 5_000_000
-CYCLICTEST_MOST_US = 20_000
+CYCLICTEST_MAX_US = 20_000
 
 
 @jit
@@ -126,7 +126,7 @@ def cyclictest_run(period_ns: int, seconds: float, priority: int) -> tuple[Laten
     line = [program, "-q", "-m", "-t", "1", "-p", str(priority), "-i", str(period_us), "-l", str(loops)]
     try:
         got = subprocess.run(
-            [*line, "-h", str(CYCLICTEST_MOST_US)], capture_output=True, text=True, timeout=seconds * 3 + 30
+            [*line, "-h", str(CYCLICTEST_MAX_US)], capture_output=True, text=True, timeout=seconds * 3 + 30
         )
     except (OSError, subprocess.TimeoutExpired) as e:
         return None, f"cyclictest did not run: {e}"
@@ -145,7 +145,7 @@ def parse_cyclictest(text: str) -> Lateness:
     out.longest_ns = int(longest[1]) * 1000 if longest else 0
     overflow = re.search(r"^# Histogram Overflows:\s*(\d+)", text, re.MULTILINE)
     if overflow and int(overflow[1]):
-        out.counts[_bin(max(out.longest_ns, CYCLICTEST_MOST_US * 1000))] += int(overflow[1])
+        out.counts[_bin(max(out.longest_ns, CYCLICTEST_MAX_US * 1000))] += int(overflow[1])
     return out
 
 

@@ -16,7 +16,7 @@ from surffollow.errors import ConfigError
 from surffollow.forecast.reference_scales import scaled_defaults
 from surffollow.hw.driver import ConversionQueue, DriverInfo, PoseQueue
 from surffollow.service import memory as m
-from surffollow.service.parameter_bounds import misfit
+from surffollow.service.parameter_bounds import contradiction
 from surffollow.service.requests import params_hash
 from surffollow.service.shared_objects import SharedObjects
 from surffollow.shm import layout_board as lb
@@ -168,10 +168,10 @@ def initialise_constants(params: Any, config: ServiceConfig, info: DriverInfo) -
 
 
 def _check_fit(p: Any) -> None:
-    """Refuse what `fitting.misfit` would refuse of every later request."""
+    """Refuse what `parameter_bounds.contradiction` would refuse of every later request."""
     near, far, offset = float(p["range_min_m"]), float(p["range_max_m"]), float(p["offset_m"])
     close, until = float(p["too_close_m"]), float(p["too_close_exit_m"])
-    word = misfit.py_func(near, far, offset, close, until)
+    word = contradiction.py_func(near, far, offset, close, until)
     if word < 0:
         return
     name = next(f.name for f in Params.FIELDS if f.offset == 8 * word)

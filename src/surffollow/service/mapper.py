@@ -171,7 +171,7 @@ def end_access(mem: Any, t_ns: Any) -> None:
     """Step 4, or the fence: go on when the holder is done, dead or late.
 
     A holder that is late still asks with its flag, perhaps stopped for ever: it is not heard again
-    until it takes the flag down (`hear_again`).
+    until it takes the flag down (`reopen_access`).
     """
     ctx, s, job = mem.ctx, mem.status[0], mem.job
     slot = s.access_slot
@@ -189,7 +189,7 @@ def end_access(mem: Any, t_ns: Any) -> None:
 
 
 @jit
-def hear_again(mem: Any, t_ns: Any) -> None:
+def reopen_access(mem: Any, t_ns: Any) -> None:
     """Lift the fence off slots whose flag came down or that belong to somebody else by now."""
     ctx, s = mem.ctx, mem.status[0]
     if s.fenced == 0:
@@ -254,7 +254,7 @@ def drain_samples(mem: Any) -> Any:
 @jit
 def map_pass(mem: Any, t_ns: Any) -> Any:
     """One look around; 1 when there was something to do."""
-    hear_again(mem, t_ns)
+    reopen_access(mem, t_ns)
     if mem.job[JOB_SLOT] != -1:
         # access comes after it: a holder must not see half of an operation
         return step_job(mem, t_ns)

@@ -52,7 +52,7 @@ class Messages:
         self.lost = self.unwritten = 0
         self._lines: deque[tuple[int, bytes, bool]] = deque()
         self._credit, self._earned_s = BURST, time.monotonic()
-        self._told = 0
+        self._reported = 0
         self._ready, self._over = threading.Event(), False
         self._idle = threading.Event()
         self._idle.set()
@@ -98,9 +98,9 @@ class Messages:
                 if not self._put(fd, data):
                     self.lost += 1
                     self.unwritten += not limited
-                if self.lost > self._told and not self._lines:
-                    told, self._told = self._told, self.lost
-                    self._put(STDERR, f"surffollow: {self._told - told} messages were lost\n".encode())
+                if self.lost > self._reported and not self._lines:
+                    before, self._reported = self._reported, self.lost
+                    self._put(STDERR, f"surffollow: {self._reported - before} messages were lost\n".encode())
             self._idle.set()
             if self._over:
                 return

@@ -45,7 +45,7 @@ class CompileProgress:
         publish: Callable[[str], object] | None = None,
     ) -> None:
         self._write, self.quiet, self.count, self._publish = write, quiet, 0, publish
-        self._start = self._told = self._published = time.monotonic()
+        self._start = self._reported = self._published = time.monotonic()
         self._tty = os.isatty(STDERR)
         self._guard: Any = None
 
@@ -81,9 +81,9 @@ class CompileProgress:
         if self._publish is not None and now - self._published >= PUBLISH_EVERY_S:
             self._published = now
             self._publish(line)
-        if self.quiet or now - self._told < (0.1 if self._tty else 2.0):
+        if self.quiet or now - self._reported < (0.1 if self._tty else 2.0):
             return
-        self._told = now
+        self._reported = now
         text = f"surffollow: {line}"
         self._write(f"\r\033[K{text}" if self._tty else f"{text}\n")
 

@@ -35,7 +35,7 @@ def within_limits(bounds: Any, word: Any, value: Any) -> Any:
 
 
 @jit
-def wanted_value(mem: Any, word: Any) -> Any:
+def requested_value(mem: Any, word: Any) -> Any:
     """What a float parameter will be once the request is carried out."""
     request, value = mem.request[0], mem.param_floats[word]
     for k in range(request.n):
@@ -45,7 +45,7 @@ def wanted_value(mem: Any, word: Any) -> Any:
 
 
 @jit
-def misfit(near_m: Any, far_m: Any, offset_m: Any, close_m: Any, exit_m: Any) -> Any:
+def contradiction(near_m: Any, far_m: Any, offset_m: Any, close_m: Any, exit_m: Any) -> Any:
     """Whether window, stand-off and fold-back fit each other, at the start and after every request.
 
     Parameters
@@ -68,12 +68,12 @@ def misfit(near_m: Any, far_m: Any, offset_m: Any, close_m: Any, exit_m: Any) ->
 
 
 @jit
-def misfit_after(mem: Any) -> Any:
-    """What `misfit` says of the parameters as the request would leave them."""
-    return misfit(
-        wanted_value(mem, _FIT_WORDS[0]),
-        wanted_value(mem, _FIT_WORDS[1]),
-        wanted_value(mem, _FIT_WORDS[2]),
-        wanted_value(mem, _FIT_WORDS[3]),
-        wanted_value(mem, _FIT_WORDS[4]),
+def contradiction_after(mem: Any) -> Any:
+    """What `contradiction` says of the parameters as the request would leave them."""
+    return contradiction(
+        requested_value(mem, _FIT_WORDS[0]),
+        requested_value(mem, _FIT_WORDS[1]),
+        requested_value(mem, _FIT_WORDS[2]),
+        requested_value(mem, _FIT_WORDS[3]),
+        requested_value(mem, _FIT_WORDS[4]),
     )

@@ -13,12 +13,12 @@ from surffollow.service.parameter_bounds import (
     FAR_WORD,
     NEAR_WORD,
     OFFSET_WORD,
+    contradiction_after,
     in_bounds,
-    misfit_after,
     within_limits,
 )
 from surffollow.service.range_inbox import any_held, do_range_role, drop_dead_range_holders
-from surffollow.service.stop_latch import do_stop, heed_stop_word, holder_pid, stop_as_asked, stop_for
+from surffollow.service.stop_latch import apply_stop_word, do_stop, holder_pid, stop_as_asked, stop_for
 from surffollow.shm import atomics as at
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.jit import jit, jit_pasted
@@ -130,7 +130,7 @@ def do_set_params(mem: Any, t_ns: Any) -> Any:
             return ERR_BAD_VALUE, request.number[k]
         if not within_limits(mem.bounds, request.number[k], request.value[k]):
             return ERR_BEYOND_LIMITS, request.number[k]
-    word = misfit_after(mem)
+    word = contradiction_after(mem)
     if word >= 0:
         return ERR_BAD_VALUE, word
     for k in range(n):
@@ -299,4 +299,4 @@ def process_requests(mem: Any, t_ns: Any) -> None:
     for slot in range(CLIENTS):
         if claim_of(ctx, slot) != 0:
             answer_slot(mem, slot, t_ns)
-            heed_stop_word(mem, slot, t_ns)
+            apply_stop_word(mem, slot, t_ns)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from surffollow.config.group_id import configured_group_id
 from surffollow.config.names import check_service_name
 from surffollow.config.service import ServiceConfig, map_rounding, metres, mode, seconds
 from surffollow.config.trusted_users import own_user
@@ -88,17 +89,6 @@ class SharedObjects:
         if self.map_is_new and self.map.is_current():
             unlink(self.map.name)
         self.lock.release()
-
-
-def _group_id(name: str) -> int:
-    if not name:
-        return -1
-    import grp
-
-    try:
-        return grp.getgrnam(name).gr_gid
-    except KeyError:
-        raise ConfigError(f"configuration key access.group is {name!r}; there is no such group") from None
 
 
 def take_name(name: str) -> NameLock:
@@ -205,7 +195,7 @@ def open_shared_objects(config: ServiceConfig) -> SharedObjects:
     InvalidNameError, AlreadyRunningError, NoSpaceError, NoPermissionError, BlockError, ConfigError
     """
     name = check_service_name(config.name)
-    group = _group_id(config.access.group)
+    group = configured_group_id(config.access.group, "access.group")
     lock = take_name(name)
     try:
         map_, fresh = _take_map(config, group)

@@ -1,10 +1,10 @@
 """Hand out slots on NAME.sock, and notice when a client lets go of its own or dies.
 
-A connection is the ownership of a slot: the kernel closes it with the client's last copy of it, and a pidfd
-tells of the end of the process that connected, whatever its children still have open. Steps of the exchange:
+A connection is the ownership of a slot. The kernel closes it with the client's last copy of it. A pidfd
+reports the end of the process that connected, whatever its children still have open. Steps of the exchange:
 docs/reference/protocol.md. Everything here runs in the main thread, beside the cycle: no call waits, the work
-per beat is bounded, and whatever fails costs one connection. Messages are heard and connections ended through
-`shm.uninvited` alone: a client may send descriptors whose end takes as long as it likes.
+per period is bounded, and any failure costs one connection. Messages are received and connections ended by
+`shm.received_descriptors` alone: a client may send descriptors whose end takes as long as it likes.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from surffollow.shm.unix_socket import Peer, peer_of, peer_pidfd
 
 EXCHANGE_S = 1.0  # for a client to answer
 FULL_S = 0.1  # for a slot of a client that is just ending to come free
-EVENTS_PER_BEAT = 256
-GUESTS, GUESTS_PER_USER = 32, 8  # connections without a slot
+EVENTS_PER_PASS = 256
+MAX_PENDING, MAX_PENDING_PER_USER = 32, 8  # connections without a slot
 BACKLOG = 64
 _RENEW_S = 0.002
 _MESSAGE = lb.SlotMessage.struct_of("magic", "name")
@@ -36,14 +36,14 @@ ASKED, OFFERED, HELD = range(3)
 
 
 @dataclass(eq=False)
-class Guest:
-    """One connection."""
+class Connection:
+    """A connection of a client, with or without a slot."""
 
     sock: socket.socket
     peer: Peer
     deadline: float
     pidfd: int = -1
-    stage: int = -1  # nothing was heard yet
+    stage: int = -1  # nothing was received yet
     name: str = ""
     slot: int = -1
     claim: int = 0
@@ -63,7 +63,7 @@ class SlotServer:
 
     def __init__(self, listener: socket.socket, table: ClientTable, epoch: int) -> None:
         self.table, self._listener, self._epoch = table, listener, epoch
-        self._guests: dict[int, Guest] = {}  # by each of their descriptors
+        self._connections: dict[int, Connection] = {}  # by each of their descriptors
         self._epoll = select.epoll()
         self._epoll.register(listener.fileno(), select.EPOLLIN)
         self._listening, self._disposal = True, Disposal()
@@ -71,7 +71,7 @@ class SlotServer:
 
     def serve(self, wake: int, seconds: float) -> bool:
         """Serve for so long; True as soon as the descriptor `wake` can be read."""
-        end, events_left = time.monotonic() + seconds, EVENTS_PER_BEAT
+        end, events_left = time.monotonic() + seconds, EVENTS_PER_PASS
         self._listen(True)
         with contextlib.suppress(FileExistsError):
             self._epoll.register(wake, select.EPOLLIN)
@@ -108,18 +108,18 @@ class SlotServer:
         if fd == self._listener.fileno():
             self._accept()
             return
-        guest = self._guests.get(fd)
-        if guest is None:
+        connection = self._connections.get(fd)
+        if connection is None:
             return
         try:
-            if fd == guest.pidfd or mask & (select.EPOLLHUP | select.EPOLLERR | select.EPOLLRDHUP):
-                self._drop(guest)
+            if fd == connection.pidfd or mask & (select.EPOLLHUP | select.EPOLLERR | select.EPOLLRDHUP):
+                self._drop(connection)
             else:
-                self._hear(guest)
+                self._receive(connection)
         except (ConnectionError, BlockingIOError):  # it left, takes nothing, or sent descriptors
-            self._drop(guest)
+            self._drop(connection)
         except Exception:
-            self._drop(guest)
+            self._drop(connection)
             raise
 
     def _accept(self) -> None:
@@ -136,98 +136,100 @@ class SlotServer:
             if not self._make_room(peer.uid):
                 self._disposal.part(sock)
                 return
-            guest = Guest(sock, peer, time.monotonic() + EXCHANGE_S)
-            self._watch(guest, sock.fileno(), select.EPOLLIN | select.EPOLLRDHUP)
-            guest.pidfd = peer_pidfd(sock, peer.pid)
-            if guest.pidfd >= 0:
-                self._watch(guest, guest.pidfd, select.EPOLLIN)
+            connection = Connection(sock, peer, time.monotonic() + EXCHANGE_S)
+            self._watch(connection, sock.fileno(), select.EPOLLIN | select.EPOLLRDHUP)
+            connection.pidfd = peer_pidfd(sock, peer.pid)
+            if connection.pidfd >= 0:
+                self._watch(connection, connection.pidfd, select.EPOLLIN)
         except BaseException:
             self._disposal.part(sock)
             raise
 
     def _make_room(self, uid: int) -> bool:
-        """Whether one more connection may wait for a slot; in a full objects the user with most gives way."""
-        waiting = [g for g in set(self._guests.values()) if g.stage != HELD]
-        of_user = Counter(g.peer.uid for g in waiting)
-        if of_user[uid] >= GUESTS_PER_USER and not is_exempt(uid):
+        """Whether one more connection may wait for a slot; else the user with most connections loses one."""
+        waiting = [c for c in set(self._connections.values()) if c.stage != HELD]
+        of_user = Counter(c.peer.uid for c in waiting)
+        if of_user[uid] >= MAX_PENDING_PER_USER and not is_exempt(uid):
             return False
-        if len(waiting) < GUESTS:
+        if len(waiting) < MAX_PENDING:
             return True
         most = max(of_user.values())
         if of_user[uid] + 1 >= most:
             return False
-        self._drop(min((g for g in waiting if of_user[g.peer.uid] == most), key=lambda g: g.deadline))
+        self._drop(min((c for c in waiting if of_user[c.peer.uid] == most), key=lambda c: c.deadline))
         return True
 
-    def _watch(self, guest: Guest, fd: int, events: int) -> None:
+    def _watch(self, connection: Connection, fd: int, events: int) -> None:
         self._epoll.register(fd, events)
-        self._guests[fd] = guest
-        guest.fds.append(fd)
+        self._connections[fd] = connection
+        connection.fds.append(fd)
 
-    def _hear(self, guest: Guest) -> None:
+    def _receive(self, connection: Connection) -> None:
         try:
-            data = hear(guest.sock, 4 * _MESSAGE.size)
+            data = hear(connection.sock, 4 * _MESSAGE.size)
         except BlockingIOError:
             return
         if not data:
-            self._drop(guest)
+            self._drop(connection)
             return
         if len(data) != _MESSAGE.size:
-            self._refuse(guest, lb.SLOT_BAD_MESSAGE)
+            self._refuse(connection, lb.SLOT_BAD_MESSAGE)
             return
         magic, layout, step, epoch, _, _, _, claim, name = _MESSAGE.unpack(data)
         if magic != lb.SLOT_MAGIC or layout != _LAYOUT_HASH:
-            self._refuse(guest, lb.SLOT_BAD_MESSAGE)
-        elif step == lb.SLOT_ASK and guest.stage == -1:
-            self._ask(guest, epoch, name)
-        elif step == lb.SLOT_MAPPED and guest.stage == OFFERED and claim == guest.claim:
-            self._grant(guest)
+            self._refuse(connection, lb.SLOT_BAD_MESSAGE)
+        elif step == lb.SLOT_ASK and connection.stage == -1:
+            self._ask(connection, epoch, name)
+        elif step == lb.SLOT_MAPPED and connection.stage == OFFERED and claim == connection.claim:
+            self._grant(connection)
         else:
-            self._refuse(guest, lb.SLOT_BAD_MESSAGE)
+            self._refuse(connection, lb.SLOT_BAD_MESSAGE)
 
-    def _ask(self, guest: Guest, epoch: int, name: bytes) -> None:
+    def _ask(self, connection: Connection, epoch: int, name: bytes) -> None:
         if epoch != self._epoch:
-            self._refuse(guest, lb.SLOT_OTHER_RUN)
+            self._refuse(connection, lb.SLOT_OTHER_RUN)
             return
         text = name.split(b"\0", 1)[0].decode("utf-8", "replace")
-        guest.name = "".join(c if c.isprintable() else "?" for c in text)
-        guest.stage, guest.asked = ASKED, time.monotonic()
-        self._offer(guest)
+        connection.name = "".join(c if c.isprintable() else "?" for c in text)
+        connection.stage, connection.asked = ASKED, time.monotonic()
+        self._offer(connection)
 
-    def _offer(self, guest: Guest) -> None:
-        result, detail = self.table.refusal(guest.peer.uid, guest.peer.pid)
+    def _offer(self, connection: Connection) -> None:
+        result, detail = self.table.refusal(connection.peer.uid, connection.peer.pid)
         if result != lb.SLOT_OK:
-            self._refuse(guest, result, detail)
+            self._refuse(connection, result, detail)
             return
-        slot = self.table.promise(ClientId(guest.peer.pid, guest.peer.uid, guest.name))
+        slot = self.table.promise(ClientId(connection.peer.pid, connection.peer.uid, connection.name))
         if slot < 0:
-            if not self.table.retiring and time.monotonic() - guest.asked > FULL_S:
-                self._refuse(guest, lb.SLOT_ALL_TAKEN, self.table.room_for(guest.peer.uid))
+            if not self.table.retiring and time.monotonic() - connection.asked > FULL_S:
+                self._refuse(connection, lb.SLOT_ALL_TAKEN, self.table.room_for(connection.peer.uid))
             return
-        guest.slot, guest.claim, guest.stage = slot, self.table.new_claim(), OFFERED
-        message = self._message(guest, lb.SLOT_OFFER)
+        connection.slot, connection.claim, connection.stage = slot, self.table.new_claim(), OFFERED
+        message = self._message(connection, lb.SLOT_OFFER)
         fd = self.table.descriptor(slot)
         try:
-            socket.send_fds(guest.sock, [message], [fd], socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
+            socket.send_fds(connection.sock, [message], [fd], socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
         finally:
             os.close(fd)
 
-    def _grant(self, guest: Guest) -> None:
+    def _grant(self, connection: Connection) -> None:
         try:
-            self.table.grant(guest.slot, guest.claim)
+            self.table.grant(connection.slot, connection.claim)
         except PermissionError:  # the client has sealed it against our seals
-            self._refuse(guest, lb.SLOT_BAD_MESSAGE)
+            self._refuse(connection, lb.SLOT_BAD_MESSAGE)
             return
-        guest.stage = HELD
-        guest.sock.send(self._message(guest, lb.SLOT_GRANT), socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
+        connection.stage = HELD
+        connection.sock.send(
+            self._message(connection, lb.SLOT_GRANT), socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT
+        )
 
-    def _refuse(self, guest: Guest, result: int, detail: int = 0) -> None:
+    def _refuse(self, connection: Connection, result: int, detail: int = 0) -> None:
         with contextlib.suppress(OSError):
-            message = self._message(guest, lb.SLOT_REFUSE, result, detail)
-            guest.sock.send(message, socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
-        self._drop(guest)
+            message = self._message(connection, lb.SLOT_REFUSE, result, detail)
+            connection.sock.send(message, socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
+        self._drop(connection)
 
-    def _message(self, guest: Guest, step: int, result: int = lb.SLOT_OK, detail: int = 0) -> bytes:
+    def _message(self, connection: Connection, step: int, result: int = lb.SLOT_OK, detail: int = 0) -> bytes:
         return _MESSAGE.pack(
             lb.SLOT_MAGIC,
             _LAYOUT_HASH,
@@ -235,46 +237,46 @@ class SlotServer:
             self._epoch,
             result,
             detail,
-            guest.slot,
-            guest.claim,
-            guest.name.encode()[:31],
+            connection.slot,
+            connection.claim,
+            connection.name.encode()[:31],
         )
 
-    def _drop(self, guest: Guest) -> None:
-        for fd in guest.fds:
-            self._guests.pop(fd, None)
+    def _drop(self, connection: Connection) -> None:
+        for fd in connection.fds:
+            self._connections.pop(fd, None)
             with contextlib.suppress(OSError):
                 self._epoll.unregister(fd)
-        guest.fds.clear()
-        self._disposal.part(guest.sock)
-        if guest.pidfd >= 0:
-            os.close(guest.pidfd)
-            guest.pidfd = -1
-        if guest.slot >= 0:
-            slot, guest.slot = guest.slot, -1
+        connection.fds.clear()
+        self._disposal.part(connection.sock)
+        if connection.pidfd >= 0:
+            os.close(connection.pidfd)
+            connection.pidfd = -1
+        if connection.slot >= 0:
+            slot, connection.slot = connection.slot, -1
             self.table.retire(slot)
 
     def _housekeeping(self) -> None:
         """Renew slots, offer them to clients that wait for one, end exchanges that take too long."""
         self.table.renew_retired()
         now = time.monotonic()
-        for guest in sorted(set(self._guests.values()), key=lambda g: g.asked):
-            if guest.stage == HELD:
+        for connection in sorted(set(self._connections.values()), key=lambda c: c.asked):
+            if connection.stage == HELD:
                 continue
-            if now > guest.deadline:
-                self._drop(guest)
-            elif guest.stage == ASKED:
+            if now > connection.deadline:
+                self._drop(connection)
+            elif connection.stage == ASKED:
                 try:
-                    self._offer(guest)
+                    self._offer(connection)
                 except ConnectionError:
-                    self._drop(guest)
+                    self._drop(connection)
                 except Exception:
-                    self._drop(guest)
+                    self._drop(connection)
                     raise
 
     def close(self) -> None:
         """Let all clients go."""
-        for guest in set(self._guests.values()):
-            self._drop(guest)
+        for connection in set(self._connections.values()):
+            self._drop(connection)
         self._epoll.close()
         self._disposal.part_listener(self._listener)

@@ -56,7 +56,7 @@ def stop_for(mem: Any, t_ns: Any, causes: Any) -> None:
 
 
 @jit
-def heed_stop_word(mem: Any, slot: Any, t_ns: Any) -> None:
+def apply_stop_word(mem: Any, slot: Any, t_ns: Any) -> None:
     """Stop when a client has stored a new stop word: it waits for no answer and for no turn."""
     ctx = mem.ctx
     word = at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + _STOP_WORD)

@@ -32,7 +32,7 @@ from surffollow.shm.schema import F64, I64, Schema
 from surffollow.sim.surfaces import HeightField
 from surffollow.sim.world import WorldPose, WorldReader
 
-WANTED, IN_USE, POSE_T, SOURCE = USER, USER + 1, USER + 2, USER + 3  # control words
+REQUESTED, IN_USE, POSE_T, SOURCE = USER, USER + 1, USER + 2, USER + 3  # control words
 ON_NOTHING, ON_WORLD, ON_REPORTS = 0, 1, 2  # SOURCE: what the sensors ride on
 WORLD_BYTES = WorldPose.SIZE
 WATCH_S = 0.05
@@ -105,7 +105,7 @@ def run_rig(
     generation = 0
     wake = now_ns()
     while at.load_acquire_i64(control + 8 * STOP) == 0:
-        latch = at.load_acquire_i64(control + 8 * WANTED)
+        latch = at.load_acquire_i64(control + 8 * REQUESTED)
         if latch != at.load_relaxed_i64(control + 8 * IN_USE):
             at.store_release_i64(control + 8 * IN_USE, latch)
             generation = 0
@@ -221,7 +221,7 @@ class SimulatedDriver:
             self._watcher.join()
             self._watcher = None
         self._pump.stop()
-        self._pump.control[WANTED] = self._pump.control[IN_USE] = self._pump.control[SOURCE] = 0
+        self._pump.control[REQUESTED] = self._pump.control[IN_USE] = self._pump.control[SOURCE] = 0
         for reader in (self._reader, self._retired):
             if reader is not None:
                 reader.close()
@@ -279,7 +279,7 @@ class SimulatedDriver:
             return
         self._trouble = ""
         old, self._reader = self._reader, fresh
-        self._pump.control[WANTED] = fresh.latch
+        self._pump.control[REQUESTED] = fresh.latch
         self._retired = old
         if old is None:
             return

@@ -15,7 +15,7 @@ LEARNED = 32  # increments before a rhythm is believed
 WINDOW = 64  # frames in which one, at least, is taken to have come without delay
 REGULAR = 0.15  # of the period: median deviation of a regular sensor's increments
 PAUSE = 3.0  # periods without an explanation: the sensor paused; shorter ones show in a window
-MOST_PAUSES = 8  # in a window; more is no rhythm
+MAX_PAUSES = 8  # in a window; more is no rhythm
 PERIODS = 256  # over which the period is measured
 
 
@@ -95,7 +95,7 @@ class ArrivalClock:
     def _learn(self) -> None:
         """Look for a rhythm, or measure the one that there is."""
         if self.period_ns:
-            if self._pauses > MOST_PAUSES:
+            if self._pauses > MAX_PAUSES:
                 self.restart()
             elif len(self._stamps) > WINDOW and not self._pauses:
                 self.period_ns = (self._stamps[-1] - self._stamps[0]) / (len(self._stamps) - 1)

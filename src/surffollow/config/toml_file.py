@@ -1,0 +1,40 @@
+"""Read a TOML file; every fault names the file and what it is for."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from surffollow.errors import SurffollowError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+
+def read_toml(path: str | Path, kind: str, error: type[SurffollowError]) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Parameters
+    ----------
+    path : path
+        the file
+    kind : str
+        purpose of the file, for the text of an error: "configuration"
+    error : subclass of SurffollowError
+        raised when the file cannot be read, or is not TOML
+
+    Returns
+    -------
+    dict
+        the tables, unchecked
+    """
+    try:
+        tables: dict[str, Any] = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as e:
+        raise error(f"cannot read {kind} {path}: {e.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
+        raise error(f"{kind} {path} is not TOML: {e}") from None
+    return tables
