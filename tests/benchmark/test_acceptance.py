@@ -96,6 +96,14 @@ def test_families_have_criteria_of_their_own_and_periodic_ones_are_reported_apar
     assert "–" in acceptance.text([reported])
 
 
+def test_figures_with_fewer_oracles_stand_in_the_note() -> None:
+    rows = cell("hump", 0.1, 1.0, 1.0)
+    rows.append({**rows[1], "method": "kalman-wave:oracle", "rms_m": 0.5e-3})
+    found = verdict(rows, "lead 0, geometric mean, all")
+    assert found.figure == pytest.approx(2.0)
+    assert "1.000 without kalman-wave; 1.000 with the first four oracles" in found.note
+
+
 def test_acceleration_at_lead_50_is_compared_with_tuned_and_untuned_baselines() -> None:
     rows = cell("hump", 0.1, 1.0, 1.0) + cell("hump", 0.1, 0.5, 1.0, lead_m=0.05)
     rows.append({**rows[-3], "method": "kalman-ff", "demand_accel_mps2": 0.25})
