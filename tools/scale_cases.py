@@ -36,7 +36,8 @@ class Case:
     lost: float = 0.0
     duration_s: float = 40.0
     disturbance: str = ""  # of `benchmark.disturbances`
-    undeclared_s: float = 0.0  # latency that the follower's timestamps do not tell; the baselines know it
+    undeclared_s: float = 0.0  # latency that the follower's timestamps do not tell
+    to_all: bool = False  # nor those that the baselines get
 
     @property
     def conditions(self) -> Conditions:
@@ -131,10 +132,10 @@ def _cell(name: str, ground: Any, **changes: Any) -> Case:
 
 _GROUNDS = {"terrain": f.terrain, "hull": f.hull, "casting": f.casting}
 _ROWS: dict[str, dict[str, Any]] = {
-    # the simulation has steps of 1 ms: 1 kHz is its fastest sensor
-    **{f"{hz:g} Hz": {"sensor_hz": hz} for hz in (2.0, 5.0, 9.0, 20.0, 50.0, 1000.0)},
+    **{f"{hz:g} Hz": {"sensor_hz": hz} for hz in (2.0, 5.0, 9.0, 20.0, 50.0, 1000.0, 2000.0)},
     **{name: {"disturbance": name} for name in DISTURBANCES},
     "30 ms undeclared": {"latency_s": 0.06, "undeclared_s": 0.03},
+    "30 ms undeclared to all": {"latency_s": 0.06, "undeclared_s": 0.03, "to_all": True},
     "τ 200 ms": {"tau_s": 0.2},
 }
 

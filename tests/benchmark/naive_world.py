@@ -30,7 +30,7 @@ def naive_run(scene: Any, conditions: Conditions, gain: float) -> np.ndarray:
         for stamp, arrival, _, noise_z, *_ in reports:
             if stamp == ms:
                 reported[arrival] = z + noise_z
-        for stamp, arrival, noise, _ in readings:
+        for stamp, arrival, noise, *_ in readings:
             if stamp == ms:
                 ground = float(profile.height_m(np.array([x + c.lead_m]))[0])
                 r = z - ground + noise

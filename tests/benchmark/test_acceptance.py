@@ -50,8 +50,66 @@ def test_errors_below_a_tenth_of_a_millimetre_are_as_good_as_none() -> None:
 
 
 def test_cells_that_physics_decides_are_exempt() -> None:
-    rows = cell("hump", 0.1, 1.0, 1.0) + cell("step", 0.2, 3.0, 1.0, limit=0.41)
+    rows = cell("hump", 0.1, 1.0, 1.0) + cell("step", 0.2, 3.0, 1.0, limit=0.81)
     assert verdict(rows, "lead 0, RMS over best oracle, up to").figure == 1.0
+    rows = cell("hump", 0.1, 1.0, 1.0) + cell("step", 0.2, 3.0, 1.0, limit=0.79)
+    assert verdict(rows, "lead 0, RMS over best oracle, up to").figure == pytest.approx(3.0)
+
+
+def test_half_of_the_own_error_is_asked_where_the_limit_leaves_a_fifth_of_it() -> None:
+    for limit, figure in ((0.39, 0.6), (0.41, math.nan)):
+        rows = cell("hump", 0.1, 1.0, 1.0, limit=limit)
+        rows += cell("hump", 0.1, 0.6, 1.0, lead_m=0.05, limit=limit)
+        found = verdict(rows, "lead 50 mm, RMS over own").figure
+        assert found == pytest.approx(figure, nan_ok=True)
+        allowed = 1.5 * limit + 0.8 * 0.25
+        assert verdict(rows, "lead 50 mm, RMS over 1.5").figure == pytest.approx(0.6 / allowed)
+
+
+def test_cells_near_the_limit_are_listed_with_what_was_made_of_them() -> None:
+    rows = cell("hump", 0.1, 1.0, 1.0, limit=0.3) + cell("step", 0.2, 1.2, 1.0, limit=0.5)
+    rows += cell("fy91", 0.4, 0.9, 1.0, limit=0.85) + cell("fy91", 0.4, 0.87, 1.0, limit=0.85, lead_m=0.05)
+    found = acceptance.near_the_limit(rows)
+    assert [(r["cell"], r["exempt"]) for r in found] == [
+        ("step 200 mm/s", False),
+        ("fy91 400 mm/s", True),
+        ("fy91 400 mm/s", True),
+    ]
+    assert found[0]["ours_over_limit"] == pytest.approx(2.4)
+    assert found[2]["reference_m"] == pytest.approx(0.9e-3)
+    assert "2.40" in acceptance.near_text(found)
+    assert acceptance.near_text(found, markdown=True).count("\n") == len(found) + 4
+
+
+def test_families_have_criteria_of_their_own_and_periodic_ones_are_reported_apart() -> None:
+    rows = cell("hump", 0.1, 0.8, 1.0) + cell("sine-100", 0.1, 0.2, 1.0)
+    rows += cell("weld", 0.2, 1.2, 1.0) + cell("hull", 0.4, 0.9, 1.0) + cell("corrugated", 0.1, 0.1, 1.0)
+    assert verdict(rows, "lead 0, geometric mean, all").figure == pytest.approx(math.sqrt(0.8 * 0.2))
+    hard = verdict(rows, "families, not periodic, geometric mean")
+    assert (hard.figure, hard.passed) == (pytest.approx(math.sqrt(1.2 * 0.9)), False)
+    assert verdict(rows, "families, not periodic, RMS over best oracle, up to").figure == pytest.approx(1.2)
+    assert verdict(rows, "families, not periodic, RMS over best oracle, 400").passed
+    assert verdict(rows, "all periodic").figure == pytest.approx(math.sqrt(0.2 * 0.1))
+    reported = verdict(rows, "all surfaces, geometric mean")
+    assert reported.passed
+    assert reported.figure == pytest.approx((0.8 * 0.2 * 1.2 * 0.9 * 0.1) ** 0.2)
+    assert "–" in acceptance.text([reported])
+
+
+def test_figures_with_fewer_oracles_stand_in_the_note() -> None:
+    rows = cell("hump", 0.1, 1.0, 1.0)
+    rows.append({**rows[1], "method": "kalman-wave:oracle", "rms_m": 0.5e-3})
+    found = verdict(rows, "lead 0, geometric mean, all")
+    assert found.figure == pytest.approx(2.0)
+    assert "1.000 without kalman-wave; 1.000 with the first four oracles" in found.note
+
+
+def test_acceleration_at_lead_50_is_compared_with_tuned_and_untuned_baselines() -> None:
+    rows = cell("hump", 0.1, 1.0, 1.0) + cell("hump", 0.1, 0.5, 1.0, lead_m=0.05)
+    rows.append({**rows[-3], "method": "kalman-ff", "demand_accel_mps2": 0.25})
+    each = verdict(rows, "lead 50 mm, demand acceleration over best baseline, each")
+    assert (each.figure, each.passed) == (pytest.approx(4.0), False)
+    assert verdict(rows, "demand acceleration over best oracle, each").figure == pytest.approx(1.0)
 
 
 def test_what_was_not_run_is_short() -> None:

@@ -44,7 +44,7 @@ def test_holding_keeps_the_first_height_whichever_comes_first_a_reading_or_a_pos
 def test_every_loop_follows_far_better_than_not_following() -> None:
     for surface in ("ramp-5", "hump", "sine-400"):
         held = rms("hold", surface, Conditions())
-        for name in ("p", "pi", "lpf-gate", "kalman-ff"):
+        for name in ("p", "pi", "lpf-gate", "kalman-ff", "kalman-wave", "kalman-adaptive"):
             assert rms(name, surface, Conditions()) < 0.2 * held, (name, surface)
 
 
@@ -53,19 +53,19 @@ def test_slope_feed_forward_removes_the_lag_on_a_ramp() -> None:
 
 
 def test_leading_sensor_lets_height_methods_be_in_place_on_time() -> None:
-    for name in ("lpf-gate", "kalman-ff"):
+    for name in ("lpf-gate", "kalman-ff", "kalman-wave", "kalman-adaptive"):
         assert rms(name, "sine-200", Conditions(lead_m=0.05)) < 0.5 * rms(name, "sine-200", Conditions())
 
 
 def test_gates_keep_glitches_out() -> None:
     clean = Conditions(sensor=SensorConfig(glitch_rate=0.0))
-    for name in ("lpf-gate", "kalman-ff"):
+    for name in ("lpf-gate", "kalman-ff", "kalman-wave", "kalman-adaptive"):
         assert rms(name, "flat", Conditions()) < 1.5 * rms(name, "flat", clean) + 0.05e-3
 
 
 def test_oracle_beats_the_suite_tuning_on_its_own_cell_and_repeats() -> None:
     scenes = [make_scene(SHAPES["sine-200"](s), 0.4, s, Conditions(), stream=TRAINING_STREAM) for s in (7, 8)]
-    for name in ("p", "kalman-ff"):
+    for name in ("p", "kalman-ff", "kalman-adaptive", "kalman-wave"):
         m = BASELINES[name]
         n = len(m.tunable)
         best = tune_oracle(m, scenes, 0.0)
@@ -98,3 +98,26 @@ def test_hold_policy_stays_and_extrapolation_goes_on_when_readings_stop() -> Non
         moved[policy] = abs(float(w.z[5950] - w.z[5150]))
     assert moved[b.POLICY_HOLD] < 0.2e-3
     assert moved[b.POLICY_EXTRAPOLATE] != pytest.approx(moved[b.POLICY_HOLD], abs=1e-5)
+
+
+@pytest.mark.parametrize("sigma_m", [0.1e-3, 0.25e-3, 1e-3])
+def test_adaptive_filter_finds_the_noise_of_the_readings(sigma_m: float) -> None:
+    rng = np.random.default_rng(3)
+    m, track = np.zeros(b.STATE_SIZE), np.empty((4000, b.TRACK_COLUMNS))
+    params = np.array([0.5, 1e-4, 20.0, 3.0, 0.05, 200.0])
+    for i in range(4000):
+        b._kalman_sample(
+            params, m, track, 0.4e-3 * i, 5e-3 * np.sin(8e-3 * i) + rng.normal(0.0, sigma_m), 200.0
+        )
+    assert np.sqrt(m[b._R]) == pytest.approx(sigma_m, rel=0.15)
+
+
+def test_adaptive_filter_is_calmer_than_a_fixed_one_on_calm_ground_and_as_good_on_a_ramp() -> None:
+    fixed = suite_params(BASELINES["kalman-ff"], 0.0)
+    adaptive = (*fixed[:5], 100.0)
+    for surface, share in (("flat", 0.9), ("ramp-5", 1.0)):
+        scene = make_scene(SHAPES[surface](1), 0.1, 1, Conditions())
+        plain = score_run(scene, *run_method("kalman-ff", scene, fixed))
+        found = score_run(scene, *run_method("kalman-adaptive", scene, adaptive))
+        assert found.rms_m < share * plain.rms_m, surface
+        assert found.demand_accel_mps2 < plain.demand_accel_mps2

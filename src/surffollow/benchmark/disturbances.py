@@ -59,7 +59,7 @@ def add_speckle(scene: Scene) -> None:
 
     def make(rng: np.random.Generator, r: Any) -> Noise:
         length = float(np.exp(rng.uniform(*np.log(SPECKLE_M))))
-        x = scene.speed_mps * 1e-3 * r["ms"].astype(np.float64)
+        x = scene.speed_mps * 1e-3 * (r["ms"] - r["early_ms"])
         return speckle(rng, x, scene.conditions.sensor.sigma_m, length)
 
     _disturb(scene, make)
@@ -68,7 +68,7 @@ def add_speckle(scene: Scene) -> None:
 def add_bursts(scene: Scene) -> None:
     """Add bursts to the scene's noise."""
     size = BURST_SHARE * scene.conditions.standoff_m
-    _disturb(scene, lambda rng, r: r["noise"] + bursts(rng, r["ms"].astype(np.float64), size))
+    _disturb(scene, lambda rng, r: r["noise"] + bursts(rng, r["ms"] - r["early_ms"], size))
 
 
 DISTURBANCES: dict[str, Callable[[Scene], None]] = {

@@ -23,6 +23,7 @@ from surffollow.benchmark.suite import (
     surface_names,
     surface_profile,
     sweep_cells,
+    without_families,
 )
 from surffollow.benchmark.trials import run_trials
 from surffollow.errors import FaultError, UsageError
@@ -103,21 +104,29 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
         found["sweeps"] = swept
     text = text_table(rows)
     verdicts: list[acceptance.Verdict] = []
+    judged_tables: list[str] = []
     if request.bars:
         judged = [m for m in methods if m.partition("=")[0] == acceptance.JUDGED]
         trials: list[dict[str, Any]] = []
         for method in judged[:1]:
             trials = run_trials(
-                method, conditions, surfaces, request.seeds, request.processes, stage("trials")
+                method,
+                conditions,
+                without_families(surfaces),
+                request.seeds,
+                request.processes,
+                stage("trials"),
             )
         verdicts = acceptance.evaluate(rows, trials, conditions)
+        near = acceptance.near_the_limit(rows)
         found["trials"] = trials
         found["bars"] = [msgspec.to_builtins(v) for v in verdicts]
-        text = acceptance.text(verdicts)
+        found["near_the_limit"] = near
+        text = acceptance.text(verdicts) + "\n\n" + acceptance.near_text(near)
+        judged_tables = [acceptance.text(verdicts, markdown=True), acceptance.near_text(near, markdown=True)]
     found = _finite(found)
     if folder:
-        judged_table = acceptance.text(verdicts, markdown=True) if verdicts else ""
-        _write(folder, found, judged_table, summary_table(rows), markdown_table(rows))
+        _write(folder, found, *judged_tables, summary_table(rows), markdown_table(rows))
         write_plots(results, folder)
     if faults:  # what was found is kept: it took long, and shows where to look
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""

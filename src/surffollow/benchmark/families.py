@@ -2,7 +2,7 @@
 
 Each generator takes a random generator and positions x [m] along the path and returns heights [m]. Sizes are
 arguments, so the same family serves a weld seam and a hillside. Those in `PERIODIC` are left out of
-headlines.
+headlines. Those in `MEASURED_FAMILIES` need the data folder (`SURFFOLLOW_DATA`).
 """
 
 from __future__ import annotations
@@ -14,8 +14,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import detrend
 
+from surffollow.errors import UsageError
 from surffollow.sim.profiles import Profile, grid_x, made
+from surffollow.sim.profiles_measured import data_dir
 
 Heights = NDArray[np.float64]
 Generator = Callable[[np.random.Generator, Heights], Heights]
@@ -168,6 +171,31 @@ def sea(rng: np.random.Generator, x: Heights, rms_m: float = 0.25, wave_m: float
     return np.asarray(rms_m * h / float(h.std()))
 
 
+def machined(
+    rng: np.random.Generator, x: Heights, least_m: float = 5e-3, greatest_m: float = 20e-3
+) -> Heights:
+    """Part of a row or column of a microscope's height map, stretched over the path and scaled.
+
+    Raises
+    ------
+    UsageError
+        when there is no data folder
+    """
+    folder = data_dir()
+    if folder is None:
+        raise UsageError("the family 'machined' needs the data folder; set SURFFOLLOW_DATA to it")
+    maps = np.load(folder / "surfaces" / "microscope_height_maps.npz")
+    heights = maps[rng.choice(["st_sur-2_sur", "st_x3p-2_x3p"])].astype(np.float64)
+    if rng.random() < 0.5:
+        heights = heights.T
+    rows = heights[np.isfinite(heights).all(axis=1)]
+    row = rows[rng.integers(len(rows))]
+    count = int(len(row) * rng.uniform(1.0 / 3.0, 1.0))
+    row = detrend(row[int(rng.integers(len(row) - count + 1)) :][:count])
+    h = np.interp(np.linspace(0.0, count - 1.0, len(x)), np.arange(count), row)
+    return np.asarray(h * rng.uniform(least_m, greatest_m) / np.ptp(h), np.float64)
+
+
 FAMILIES: dict[str, Generator] = {
     "weld": weld,
     "hull": hull,
@@ -178,6 +206,7 @@ FAMILIES: dict[str, Generator] = {
     "corrugated": corrugated,
     "furrows": furrows,
 }
+MEASURED_FAMILIES: dict[str, Generator] = {"machined": machined}
 PERIODIC = frozenset({"corrugated", "furrows"})
 
 
@@ -185,7 +214,7 @@ def family_profile(family: str, seed: int) -> Profile:
     """The profile of a family on the benchmark's grid."""
     x = grid_x()
     rng = np.random.default_rng([seed, 61, *family.encode()])
-    return made(family, x, FAMILIES[family](rng, x))
+    return made(family, x, (FAMILIES | MEASURED_FAMILIES)[family](rng, x))
 
 
 def scaled_profile(
@@ -199,5 +228,10 @@ def scaled_profile(
 
 
 FAMILY_SURFACES: dict[str, Callable[[int], Profile]] = {
-    name: partial(family_profile, name) for name in FAMILIES
+    name: partial(family_profile, name) for name in FAMILIES | MEASURED_FAMILIES
 }
+
+
+def family_names() -> list[str]:
+    """Families that this machine can draw; measured ones need the data folder."""
+    return [*FAMILIES, *(MEASURED_FAMILIES if data_dir() else {})]

@@ -43,8 +43,15 @@ REPORT = np.dtype(
 )
 """A pose report: stamp and arrival [ms], noise [m], and what is reported [m]."""
 
-READING = np.dtype([("ms", np.int64), ("arrival_ms", np.int64), ("noise", np.float64), ("range", np.float64)])
-"""A reading: stamp and arrival [ms], noise [m] (NaN: lost), range [m] or NaN."""
+READING = np.dtype(
+    [("ms", np.int64), ("arrival_ms", np.int64), ("noise", np.float64), ("range", np.float64)]
+    + [(n, np.float64) for n in ("early_ms", "told_ms")]
+)
+"""A reading: when it is made and arrives [ms], noise [m] (NaN: lost), range [m] or NaN.
+
+It is true `early_ms` (below 1) before `ms`, so a sensor may be faster than the steps of the simulation.
+`told_ms` is the timestamp that a method is told.
+"""
 
 ORDER = np.dtype([("set_point", np.float64), ("demand", np.float64)])
 """What the controller did at a tick: demand as given and the set point made of it [m]."""
@@ -70,8 +77,10 @@ def read_range(s: Any, range_m: float, noise_m: float) -> float:
 
 
 @jit
-def _make_reports(s: Any, heights: NDArray[Any], reports: NDArray[Any], readings: NDArray[Any]) -> None:
-    """Write the pose report and the reading that are stamped with this millisecond, if any."""
+def _make_reports(
+    s: Any, heights: NDArray[Any], reports: NDArray[Any], readings: NDArray[Any], z: NDArray[Any]
+) -> None:
+    """Write the pose report and the readings of this millisecond, if any."""
     x = s.start_m + s.speed_mps * s.ms * STEP_S
     i = s.poses_made
     while i < reports.shape[0] and reports[i].ms <= s.ms:
@@ -81,8 +90,13 @@ def _make_reports(s: Any, heights: NDArray[Any], reports: NDArray[Any], readings
     s.poses_made = i
     i = s.samples_made
     while i < readings.shape[0] and readings[i].ms <= s.ms:
-        ground = profile_height(heights, s.profile_x0_m, s.profile_dx_m, x + s.lead_m)
-        readings[i].range = read_range(s, s.axis[0] - ground, readings[i].noise)
+        at_x, at_z = x, s.axis[0]
+        early_ms = readings[i].early_ms
+        if early_ms > 0.0:
+            at_x -= s.speed_mps * early_ms * STEP_S
+            at_z += early_ms * (z[s.ms - 1] - at_z)
+        ground = profile_height(heights, s.profile_x0_m, s.profile_dx_m, at_x + s.lead_m)
+        readings[i].range = read_range(s, at_z - ground, readings[i].noise)
         i += 1
     s.samples_made = i
 
@@ -144,7 +158,7 @@ def advance(s: Any, w: World) -> int:
         if s.phase == _ARRIVE:
             if s.ms >= s.end_ms:
                 return END
-            _make_reports(s, w.heights, w.reports, w.readings)
+            _make_reports(s, w.heights, w.reports, w.readings, w.z)
             s.phase = _POSES
         if s.phase == _POSES:
             if s.poses < s.poses_made and w.reports[s.poses].arrival_ms <= s.ms:

@@ -45,16 +45,34 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Baseline:
-    """A jitted loop: `kind` of `baselines`, what may be tuned, first guesses, fixed parameters behind."""
+    """A jitted loop: `kind` of `baselines`, what may be tuned, first guesses, fixed parameters behind.
+
+    `evaluations` is the budget of a tuning; `leading` methods run with a leading sensor only.
+    """
 
     name: str
     kind: int
     tunable: tuple[Parameter, ...] = ()
     guesses: tuple[tuple[float, ...], ...] = ((),)
     fixed: tuple[float, ...] = ()
+    evaluations: int = 100
+    leading: bool = False
 
 
 _LAG = Parameter("lag_s", 1e-3, 0.6)
+_KALMAN = (
+    Parameter("slope_noise", 1e-3, 100.0),
+    Parameter("height_noise", 1e-6, 0.1),
+    Parameter("gate_sigma", 2.0, 50.0),
+    Parameter("rejects", 1.0, 10.0),
+)
+_KALMAN_GUESSES = (
+    (1.0, 1e-3, 5.0, 3.0, 0.05),
+    (0.1, 1e-4, 5.0, 4.0, 0.05),
+    (5.0, 1e-2, 8.0, 3.0, 0.04),
+    (5.0, 1e-3, 4.0, 4.0, 0.001),
+    (0.01, 2e-2, 8.0, 3.0, 0.03),
+)
 _LAG_OF_LEAD = Parameter("lag_s", 1e-3, 0.6, leading_only=True)
 
 BASELINES: dict[str, Baseline] = {
@@ -77,21 +95,44 @@ BASELINES: dict[str, Baseline] = {
         Baseline(
             "kalman-ff",
             b.KALMAN_FF,
-            (
-                Parameter("slope_noise", 1e-3, 100.0),
-                Parameter("height_noise", 1e-6, 0.1),
-                Parameter("gate_sigma", 2.0, 50.0),
-                Parameter("rejects", 1.0, 10.0),
-                _LAG,
-            ),
-            (
-                (1.0, 1e-3, 5.0, 3.0, 0.05),
-                (0.1, 1e-4, 5.0, 4.0, 0.05),
-                (5.0, 1e-2, 8.0, 3.0, 0.04),
-                (5.0, 1e-3, 4.0, 4.0, 0.001),
-                (0.01, 2e-2, 8.0, 3.0, 0.03),
-            ),
+            (*_KALMAN, _LAG),
+            _KALMAN_GUESSES,
             fixed=(b.POLICY_EXTRAPOLATE,),
+        ),
+        Baseline(
+            "kalman-wave",
+            b.KALMAN_WAVE,
+            (*_KALMAN, _LAG, Parameter("wave_m", 0.03, 1.0), Parameter("wave_noise", 1e-5, 0.1)),
+            (
+                *((1.0, 1e-3, 5.0, 3.0, 0.05, wave_m, 1e-3) for wave_m in (0.08, 0.1, 0.15, 0.2, 0.3, 0.4)),
+                (0.1, 1e-4, 5.0, 4.0, 0.05, 0.2, 1e-3),
+                (5.0, 1e-2, 8.0, 3.0, 0.04, 0.2, 1e-2),
+                (0.01, 2e-2, 8.0, 3.0, 0.03, 0.2, 1e-2),
+            ),
+            evaluations=140,
+        ),
+        Baseline(
+            "kalman-adaptive",
+            b.KALMAN_ADAPTIVE,
+            (*_KALMAN, _LAG, Parameter("memory_readings", 5.0, 10_000.0)),
+            tuple(
+                (*guess, memory)
+                for guess, memory in zip(_KALMAN_GUESSES, (100.0, 500.0, 50.0, 300.0, 1000.0))
+            ),
+            evaluations=120,
+        ),
+        Baseline(
+            "preview",
+            b.PREVIEW,
+            (*_KALMAN, Parameter("smooth_m", 0.2e-3, 8e-3), Parameter("effort_s4", 1e-12, 1e-5)),
+            (
+                (1.0, 1e-3, 5.0, 3.0, 2e-3, 1e-8),
+                (5.0, 1e-2, 8.0, 3.0, 1e-3, 1e-8),
+                (0.2, 1e-4, 7.0, 4.0, 4e-3, 1e-8),
+                (0.1, 1e-4, 5.0, 4.0, 6e-3, 1e-7),
+            ),
+            evaluations=80,
+            leading=True,
         ),
     )
 }

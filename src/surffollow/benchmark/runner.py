@@ -184,15 +184,25 @@ def in_parallel(
 
 
 def methods_in(cell: Cell, methods: Sequence[str]) -> list[str]:
-    """Return the methods that run in a cell: sweeps do with the rows that tell something there."""
+    """Return the methods that run in a cell: sweeps do with the rows that tell something there.
+
+    The planner over seen ground runs with a leading sensor only.
+    """
     found = list(methods)
+    if cell.conditions.lead_m == 0.0:
+        found = [m for m in found if not _needs_lead(m)]
     if not cell.variant:
         return found
     if not cell.variant.startswith("tau"):
-        found = [m for m in found if not m.endswith(ORACLE) or m.startswith("kalman")]
+        found = [m for m in found if not m.endswith(ORACLE) or m == "kalman-ff" + ORACLE]
     if not cell.variant.startswith(("latency", "poses")):
         found = [m for m in found if m != "paper"]
     return found
+
+
+def _needs_lead(method: str) -> bool:
+    baseline = BASELINES.get(method.removesuffix(ORACLE))
+    return baseline is not None and baseline.leading
 
 
 def run_cells(

@@ -82,7 +82,11 @@ def make_scene(
     duration_ms = int(profile.length_m / speed_mps * 1e3)
     rng = np.random.default_rng([stream, seed, 101])
     readings = np.zeros(_count(c.sensor.rate_hz, duration_ms), READING)
-    _stamp(readings, c.sensor.rate_hz, c.sensor.latency_s)
+    if c.sensor.rate_hz > 1e3:
+        _stamp_between(readings, c.sensor.rate_hz, c.sensor.latency_s)
+    else:
+        _stamp(readings, c.sensor.rate_hz, c.sensor.latency_s)
+    readings["told_ms"] = readings["ms"] - readings["early_ms"]
     n = len(readings)
     noise = c.sensor.sigma_m * rng.standard_normal(n)
     glitch = rng.random(n) < c.sensor.glitch_rate
@@ -135,3 +139,11 @@ def _stamp(rows: NDArray[Any], rate_hz: float, latency_s: float) -> None:
     """Fill in stamps and arrivals, in whole milliseconds."""
     rows["ms"] = np.round(np.arange(len(rows)) * 1e3 / rate_hz)
     rows["arrival_ms"] = rows["ms"] + round(latency_s * 1e3)
+
+
+def _stamp_between(rows: NDArray[Any], rate_hz: float, latency_s: float) -> None:
+    """Fill in timestamps between the steps of the simulation, and arrivals at the step after."""
+    exact = np.arange(len(rows)) * 1e3 / rate_hz
+    rows["ms"] = np.ceil(exact - 1e-9)
+    rows["early_ms"] = np.maximum(rows["ms"] - exact, 0.0)
+    rows["arrival_ms"] = np.ceil(exact + latency_s * 1e3 - 1e-9)

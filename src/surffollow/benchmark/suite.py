@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from surffollow.benchmark.conditions import PAPER_PROFILE, Conditions
-from surffollow.benchmark.families import FAMILY_SURFACES
+from surffollow.benchmark.families import FAMILY_SURFACES, family_names
 from surffollow.errors import UsageError
 from surffollow.sim.profiles import SHAPES, Profile
 from surffollow.sim.profiles_measured import MEASURED, data_dir, read_csv
@@ -57,7 +57,12 @@ class Cell:
 
 def surface_names() -> list[str]:
     """Return every surface this machine can make; measured ones need the data folder."""
-    return [*SHAPES, *RANDOM, *(MEASURED if data_dir() else {})]
+    return [*SHAPES, *RANDOM, *(MEASURED if data_dir() else {}), *family_names()]
+
+
+def without_families(surfaces: list[str]) -> list[str]:
+    """Return the surfaces that belong to no family; all of them when every one does."""
+    return [s for s in surfaces if s not in FAMILY_SURFACES] or surfaces
 
 
 def is_file(surface: str) -> bool:
@@ -118,7 +123,7 @@ def sweep_cells(surfaces: list[str], conditions: Conditions) -> list[Cell]:
     """Return the cells of all sweeps, one thing changed at a time, at 100 mm/s and lead 0.
 
     Latency, noise, the newest report as reference and the paper's 32 Hz poses run on a few surfaces; a plant
-    whose τ is not what the follower believes runs on all.
+    whose τ is not what the follower believes runs on all but the families.
     """
     base = conditions.but(lead_m=0.0)
     few = [s for s in surfaces if s in SWEEP_SURFACES] or surfaces[:1]
@@ -136,5 +141,5 @@ def sweep_cells(surfaces: list[str], conditions: Conditions) -> list[Cell]:
     for factor in TAU_FACTORS:
         plant = msgspec.structs.replace(base.plant, tau_s=factor * base.plant.tau_s)
         wrong = base.but(plant=plant, believed_tau_s=base.plant.tau_s)
-        cells += [Cell(s, SWEEP_SPEED_MPS, wrong, f"tau×{factor:g}") for s in surfaces]
+        cells += [Cell(s, SWEEP_SPEED_MPS, wrong, f"tau×{factor:g}") for s in without_families(surfaces)]
     return cells

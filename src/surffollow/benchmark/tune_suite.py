@@ -1,6 +1,6 @@
 """Find one tuning per baseline for the whole suite, and print it as `tuning.SUITE` carries it.
 
-Run by hand (`python -m surffollow.benchmark.tune_suite`) when plant, surfaces or baselines
+Run by hand (`python -m surffollow.benchmark.tune_suite [NAME]...`) when plant, surfaces or baselines
 change. The cost is the geometric mean of the RMS error over surfaces and speeds, on training seeds.
 """
 
@@ -40,7 +40,9 @@ def tune(job: tuple[str, float]) -> tuple[str, float, tuple[float, ...], float]:
 
 def main() -> None:
     """Tune all and print the table."""
-    jobs = [(n, lead) for lead in LEADS_M for n, m in BASELINES.items() if m.tunable]
+    wanted = sys.argv[1:] or list(BASELINES)
+    jobs = [(n, lead) for lead in LEADS_M for n, m in BASELINES.items() if n in wanted and m.tunable]
+    jobs = [(n, lead) for n, lead in jobs if lead > 0.0 or not BASELINES[n].leading]
     for name, lead_m, best, cost in in_parallel(tune, jobs, 2, None):
         numbers = ", ".join(f"{v:.4g}" for v in best)
         sys.stdout.write(f'    ("{name}", {lead_m > 0.0}): ({numbers}{"," if len(best) == 1 else ""}),')

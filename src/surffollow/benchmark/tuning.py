@@ -17,7 +17,6 @@ from surffollow.benchmark.scene import Scene
 
 FIRST_STEP = math.log(2.5)
 LAST_STEP = math.log(1.06)
-MAX_EVALUATIONS = 100
 STARTS = 2  # refined from so many first guesses: the cost has several valleys
 
 # What `python -m surffollow.benchmark.tune_suite` found: one tuning per baseline for the whole suite, by
@@ -51,7 +50,7 @@ def pattern_search(
     baseline: Baseline,
     cost: Callable[[tuple[float, ...]], float],
     guesses: Sequence[tuple[float, ...]],
-    max_evaluations: int = MAX_EVALUATIONS,
+    max_evaluations: int = 100,
     leading: bool = True,
 ) -> tuple[tuple[float, ...], float]:
     """Minimise a cost over a baseline's parameters, inside their bounds.
@@ -106,5 +105,5 @@ def tune_oracle(baseline: Baseline, scenes: Sequence[Scene], lead_m: float) -> t
     def cost(params: tuple[float, ...]) -> float:
         return float(np.mean([rms_of(baseline, params, s) for s in scenes]))
 
-    best, _ = pattern_search(baseline, cost, guesses, leading=lead_m > 0.0)
+    best, _ = pattern_search(baseline, cost, guesses, baseline.evaluations, lead_m > 0.0)
     return best + baseline.fixed
