@@ -31,7 +31,8 @@ STANDOFF_M = 0.1
 POSE = (0.05, 0.05, STANDOFF_M, 0.0, 0.0, 0.0, 1.0)
 # a service takes the last processor unless told otherwise: tests keep off those that run beside
 QUIET_CPU = min(os.sched_getaffinity(0))
-OBJECTS = ("", ".sock", ".lock", ".map", ".world", ".world.lock")
+OWN_OBJECTS = ("", ".sock", ".lock", ".map")
+OBJECTS = (*OWN_OBJECTS, ".world", ".world.lock")
 # parts of programs beside a test: attach to the service named by the first word, send poses for ever
 ATTACHED = f"""
 import os, sys, time
@@ -177,6 +178,13 @@ class Service:
         code = self.process.wait(timeout=WAIT_S)
         self._reap()
         return code
+
+    def stop(self) -> None:
+        """End it in good order and remove all that it left, the map too, but not the world."""
+        if self.process is not None:
+            assert self.terminate() == 0
+        for part in OWN_OBJECTS:
+            unlink(self.name + part)
 
     def _reap(self) -> None:
         process, self.process = self.process, None

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-import signal
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
-from cabi.running import Probe, Service
+from cabi.running import Probe
 from hanging_socket import MANNERS, hanging
-from running_service import until
+from running_service import Service
 from surffollow.client import STALE
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import VALID
@@ -177,12 +175,7 @@ def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(
 def test_poll_of_a_dead_services_answer_says_so(mortal: Service, make_probe: Callable[..., Probe]) -> None:
     probe = make_probe(stale_ms=2000)  # the request is sent before that
     assert probe(f"attach {mortal.name}").result == OK
-    assert mortal.process is not None
-    os.kill(mortal.process.pid, signal.SIGSTOP)
-    threads = list(Path(f"/proc/{mortal.process.pid}/task").iterdir())
-    until(
-        lambda: all((t / "stat").read_text().rsplit(")")[1].split()[0] == "T" for t in threads), "stillness"
-    )
+    mortal.freeze()
     assert probe("send 1 0.1").result == OK
     assert probe("poll").result == 2
     probe.until("alive", lambda a: a.result == 0)
