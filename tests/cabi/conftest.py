@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from cabi.running import CPP, PATIENT_MS, ROOT, SANITIZED, C, Probe, flat_ground
-from running_service import Service, World
+from running_service import Service, over_ground
 from surffollow.shm.cheader import header_text
 
 LARGEST = (
@@ -25,25 +25,15 @@ LARGEST = (
 @pytest.fixture(scope="package")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service that lives as long as this folder's tests, with one sensor 0.1 m over the ground."""
-    s = flat_ground(tmp_path_factory.mktemp("service"))
-    world = World(s.name)
-    try:
-        yield s.start()
-    finally:
-        s.purge()
-        world.close()
+    with over_ground(tmp_path_factory.mktemp("service"), flat_ground()) as s:
+        yield s
 
 
 @pytest.fixture(scope="module")
 def module_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service of a module's own, not started, with something to see for its sensor."""
-    s = flat_ground(tmp_path_factory.mktemp("mortal"))
-    world = World(s.name)
-    try:
+    with over_ground(tmp_path_factory.mktemp("mortal"), flat_ground(), started=False) as s:
         yield s
-    finally:
-        s.purge()
-        world.close()
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from running_service import Service, config_text
+from running_service import config_text
 
 ROOT = Path(__file__).parents[2]
 WARNINGS = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wshadow", "-Wconversion", "-Wundef"]
@@ -19,9 +19,9 @@ PATIENT_MS = 500
 SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 
-def flat_ground(folder: Path, lease: str = "60 s") -> Service:
-    """A service with one sensor over flat ground, not started."""
-    return Service(folder, config_text(kind="simulated", map=f'access_lease = "{lease}"'))
+def flat_ground(lease: str = "60 s") -> str:
+    """The configuration of one sensor over flat ground."""
+    return config_text(kind="simulated", map=f'access_lease = "{lease}"')
 
 
 def run(program: Path, *words: str, timeout_s: float = 120.0, code: int = 0) -> str:

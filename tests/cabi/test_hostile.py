@@ -14,7 +14,7 @@ import pytest
 from cabi.running import ROOT, Probe
 from running_service import Service
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
-from service.forged_objects import forged_board, put, remove
+from service.forged_objects import forged_board, published, put, remove
 from surffollow.client import STALE, attach, observe
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import VALID
@@ -51,13 +51,7 @@ def test_an_impostor_after_a_clean_stop_moves_nobody(
         forged = forged_board(path.read_bytes(), python.board.regions["output"][0])
     assert mortal.terminate() == 0
 
-    def impersonate(child: OtherUser) -> str:
-        path.write_bytes(forged)
-        path.chmod(0o666)
-        child.say("there")
-        return str(child.hear())
-
-    with OtherUser(impersonate) as impostor:
+    with OtherUser(published(path, forged)) as impostor:
         assert impostor.hear() == "there"
         for p in (robot, watcher, fixed):
             p.until("dev", lambda a: bool(int(a.values[2]) & STALE))
