@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from running_service import Service, World, config_text
+from running_service import Service, config_text, over_ground
 from two_workers import make_scheduler
 
 
@@ -30,13 +30,8 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """One simulated sensor 0.1 m over flat ground, alive for the whole module; do not kill it."""
     # many clients of many tests share it: who may change what is for service/test_policy.py
     text = config_text(kind="simulated", access='parameters = "any"\nmap = "any"')
-    s = Service(tmp_path_factory.mktemp("service"), text)
-    s.world = world = World(s.name)
-    try:
-        yield s.start()
-    finally:
-        s.purge()
-        world.close()
+    with over_ground(tmp_path_factory.mktemp("service"), text) as s:
+        yield s
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Services and arbiters that start in 0.1 s: forked from a process that has loaded every kernel.
+"""Commands of the package that start in 0.1 s: forked from a process that has loaded every kernel.
 
 `surffollow start` costs 1.3 s of processor time, nearly all of it imports and the loading of kernels, and the
 tests start some hundreds. `fork_start` runs the same command line, with the same standard files, environment

@@ -31,7 +31,8 @@ STANDOFF_M = 0.1
 POSE = (0.05, 0.05, STANDOFF_M, 0.0, 0.0, 0.0, 1.0)
 # a service takes the last processor unless told otherwise: tests keep off those that run beside
 QUIET_CPU = min(os.sched_getaffinity(0))
-OBJECTS = ("", ".sock", ".lock", ".map", ".world", ".world.lock")
+OWN_OBJECTS = ("", ".sock", ".lock", ".map")
+OBJECTS = (*OWN_OBJECTS, ".world", ".world.lock")
 # parts of programs beside a test: attach to the service named by the first word, send poses for ever
 ATTACHED = f"""
 import os, sys, time
@@ -54,6 +55,16 @@ def until(condition: Callable[[], Any], what: str = "it", seconds: float = WAIT_
         assert time.monotonic() < end, f"{what} did not happen within {seconds:g} s"
         pause.wait(0.002)
     return value
+
+
+def freeze(pid: int) -> None:
+    """SIGSTOP to a process, and wait until every thread of it stands still."""
+    os.kill(pid, signal.SIGSTOP)
+    tasks = Path(f"/proc/{pid}/task")
+    until(
+        lambda: {p.read_text().rsplit(")", 1)[1].split()[0] for p in tasks.glob("*/stat")} == {"T"},
+        "standstill",
+    )
 
 
 def quickest(action: Callable[[], Any], tries: int = 5) -> float:
@@ -95,6 +106,19 @@ def config_text(
     return head + "".join(f"[{table}]\n{text}" for table, text in lines.items() if text)
 
 
+def run_command(words: Sequence[str], timeout_s: float = READY_S) -> subprocess.CompletedProcess[str]:
+    """Run a command line of the package to its end, forked where that is possible (`forked_start`)."""
+    process = fork_start(words, subprocess.PIPE)
+    if process is None:
+        return subprocess.run(list(words), capture_output=True, text=True, timeout=timeout_s)
+    with process:
+        try:
+            out, errors = process.communicate(timeout=timeout_s)
+        finally:
+            process.kill()
+    return subprocess.CompletedProcess(list(words), process.returncode, out, errors)
+
+
 def _patient(options: dict[str, Any]) -> dict[str, Any]:
     """Options of an attachment; the time of silence is the caller's where he says one."""
     told = options.keys() & {"stale_periods", "stale_min_s"}
@@ -119,32 +143,53 @@ class Service:
     def command(self, verb: str, *words: str) -> list[str]:
         return [self.python, "-m", "surffollow", verb, "--name", self.name, *words]
 
+    def start_command(self) -> list[str]:
+        return self.command("start", "--quiet", "--config", str(self.config))
+
     def run(self, verb: str, *words: str) -> subprocess.CompletedProcess[str]:
         """Run one verb of the command line to its end."""
-        return subprocess.run(self.command(verb, *words), capture_output=True, text=True, timeout=READY_S)
+        return run_command(self.command(verb, *words))
 
     def launch(self, **options: Any) -> subprocess.Popen[str]:
         """Start without waiting, from nothing: the interpreter is executed."""
-        words = self.command("start", "--quiet", "--config", str(self.config))
-        self.process = subprocess.Popen(
-            words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
-        )
+        words = self.start_command()
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        self.process = subprocess.Popen(words, text=True, **pipes | options)
         return self.process
 
-    def _fork(self) -> subprocess.Popen[str] | None:
-        words = self.command("start", "--quiet", "--config", str(self.config))
-        self.process = fork_start(words, subprocess.PIPE)
+    def begin(self) -> subprocess.Popen[str]:
+        """Start without waiting, forked (`forked_start`)."""
+        self.process = fork_start(self.start_command(), subprocess.PIPE) or self.launch()
         return self.process
 
     def start(self, **options: Any) -> Service:
         """Start and wait for READY; with options from nothing, else forked (`forked_start`)."""
-        process = (None if options else self._fork()) or self.launch(**options)
+        return self._await_ready(self.launch(**options) if options else self.begin())
+
+    def start_logged(self, log: Path) -> Service:
+        """Start with the standard error in a file, and wait for READY."""
+        with log.open("w") as err:
+            self.process = fork_start(self.start_command(), err.fileno()) or self.launch(stderr=err)
+        return self._await_ready(self.process)
+
+    def _await_ready(self, process: subprocess.Popen[str]) -> Service:
         assert process.stdout is not None
         line = process.stdout.readline()
         if not line.startswith("READY"):
             _, error = process.communicate(timeout=READY_S)
             raise AssertionError(f"the service did not start: {line!r} {error}")
         return self
+
+    @contextlib.contextmanager
+    def recorder(self, out: Path) -> Iterator[subprocess.Popen[str]]:
+        """Its recorder, which tells its counts as JSON when it is asked to end; killed at the end of this."""
+        words = self.command("record", "--out", str(out), "--json")
+        child = fork_start(words) or subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        try:
+            yield child
+        finally:
+            child.kill()
+            child.communicate()
 
     @property
     def pid(self) -> int:
@@ -157,12 +202,7 @@ class Service:
 
     def freeze(self) -> None:
         """SIGSTOP, and wait until every thread of it stands still."""
-        self.send(signal.SIGSTOP)
-        tasks = Path(f"/proc/{self.pid}/task")
-        until(
-            lambda: {p.read_text().rsplit(")", 1)[1].split()[0] for p in tasks.glob("*/stat")} == {"T"},
-            "standstill",
-        )
+        freeze(self.pid)
 
     def kill(self) -> None:
         """SIGKILL: nothing is tidied up."""
@@ -177,6 +217,13 @@ class Service:
         code = self.process.wait(timeout=WAIT_S)
         self._reap()
         return code
+
+    def stop(self) -> None:
+        """End it in good order and remove all that it left, the map too, but not the world."""
+        if self.process is not None:
+            assert self.terminate() == 0
+        for part in OWN_OBJECTS:
+            unlink(self.name + part)
 
     def _reap(self) -> None:
         process, self.process = self.process, None
@@ -204,6 +251,18 @@ class Service:
         with self.observe() as watcher:
             start = watcher.status()["cycles"]
             until(lambda: watcher.status()["cycles"] >= start + n, f"{n} cycles")
+
+
+@contextlib.contextmanager
+def over_ground(folder: Path, text: str, started: bool = True) -> Iterator[Service]:
+    """A service with a simulated sensor 0.1 m over flat ground, purged at the end."""
+    s = Service(folder, text)
+    s.world = world = World(s.name)
+    try:
+        yield s.start() if started else s
+    finally:
+        s.purge()
+        world.close()
 
 
 @contextlib.contextmanager

@@ -63,6 +63,8 @@ def render(camera, board):
             low, high = np.where(below, low, middle), np.where(below, middle, high)
         depth[hit] = 0.5 * (low + high)
         before[:] = d
+        if not np.isnan(depth).any():  # every ray has met something
+            break
     return depth
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from arbiter.running import until
+from running_service import until
 from surffollow.apps.device_processes import CameraStatus, SpeakerStatus
 from surffollow.arbiter import attach
 from surffollow.blocks import mem_attach

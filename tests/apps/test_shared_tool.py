@@ -10,7 +10,8 @@ import time
 
 import pytest
 
-from arbiter.running import Running, until
+from arbiter.running import Running
+from running_service import until
 from surffollow.apps.run_by_holder import RunByHolder
 from surffollow.apps.shared_demo import arbiter_text
 from surffollow.apps.shared_tool import ReportedPoses, ToolStatus, attach_arbitrated, follow

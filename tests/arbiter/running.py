@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 from forked_start import fork_start
+from running_service import freeze, until
 
 CONFIG = """
 [clients]
@@ -75,9 +76,7 @@ class Running:
     def freeze(self) -> None:
         """SIGSTOP, and wait until every thread stands still."""
         assert self.process is not None
-        self.process.send_signal(signal.SIGSTOP)
-        tasks = Path(f"/proc/{self.process.pid}/task")
-        until(lambda: {p.read_text().rsplit(")", 1)[1].split()[0] for p in tasks.glob("*/stat")} == {"T"})
+        freeze(self.process.pid)
 
     def go_on(self) -> None:
         assert self.process is not None
@@ -127,6 +126,15 @@ def compile_client(folder: Path, language: str = "C", source: Path = PATROL) -> 
     return program
 
 
+def compile_impatient(folder: Path, language: str = "C") -> Path:
+    """The tutorial's client, which waits half a second for an arbiter rather than ten."""
+    source, wait = folder / "impatient.c", '"patrol", 10000)'
+    text = PATROL.read_text()
+    assert wait in text
+    source.write_text(text.replace(wait, '"patrol", 500)'))
+    return compile_client(folder, language, source)
+
+
 class Child:
     """A forked client; `work` gets a pipe to speak through. It never returns into pytest."""
 
@@ -159,15 +167,6 @@ class Child:
             self.pid = -1
 
 
-def until(condition: Callable[[], Any], timeout_s: float = 20.0) -> Any:
-    """Wait for a condition; what it gave."""
-    deadline = time.monotonic() + timeout_s
-    while not (got := condition()):
-        assert time.monotonic() < deadline, "the condition did not come true"
-        time.sleep(0.001)
-    return got
-
-
 def send_raw(client: Any, what: int, token: int, value: float = 0.4) -> None:
     """Put an item into a client's own mailbox, whatever the library would say."""
     from surffollow.arbiter import exchange as ex
@@ -191,6 +190,6 @@ def holding(name: str, client: str, resource: str, speed: float = 0.1) -> Callab
         assert mine.request(wait=True, timeout_s=20.0)
         mine.command(*(speed,) * mine.n_values)
         say(b"h")
-        until(lambda: mine.command(*(speed,) * mine.n_values) and None, float("inf"))
+        until(lambda: mine.command(*(speed,) * mine.n_values) and None, seconds=float("inf"))
 
     return work

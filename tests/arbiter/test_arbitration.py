@@ -7,7 +7,8 @@ import time
 
 import pytest
 
-from arbiter.running import send_raw, until
+from arbiter.running import send_raw
+from running_service import until
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import layout as al
 from surffollow.errors import NotRunningError, RefusedError, UsageError

@@ -12,8 +12,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 
-from arbiter.running import until
 from arbiter_audit import Book, Entry, Follower, audit_file
+from running_service import until
 from surffollow.arbiter import attach
 from surffollow.arbiter.layout import EVENT_NAMES
 

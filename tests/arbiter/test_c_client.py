@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from arbiter.running import CONFIG, compile_client, until
+from arbiter.running import CONFIG, compile_client, compile_impatient
+from running_service import until
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter.cheader import HEADER, header_text
 
@@ -45,11 +46,13 @@ def test_a_client_in_c_is_preempted_waits_and_goes_on(make_arbiter, patrol):
     assert int(words[5]) >= 2, out
 
 
-def test_a_client_in_c_says_why_it_cannot_attach(arbiter, patrol):
-    done = subprocess.run([str(patrol), arbiter.name, "1"], capture_output=True, text=True)
+@pytest.mark.parametrize("language", ["C", "C++"])
+def test_a_client_in_c_says_why_it_cannot_attach(arbiter, tmp_path, language):
+    impatient = compile_impatient(tmp_path, language)
+    done = subprocess.run([str(impatient), arbiter.name, "1"], capture_output=True, text=True)
     assert done.returncode == 1
     assert "declares no client" in done.stderr
-    done = subprocess.run([str(patrol), "nobody-here", "1"], capture_output=True, text=True)
+    done = subprocess.run([str(impatient), "nobody-here", "1"], capture_output=True, text=True)
     assert "no arbiter of that name" in done.stderr
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from arbiter.running import until
+from running_service import until
 from surffollow.arbiter import attach, command_reader
 from surffollow.arbiter.combine import to_pose
 

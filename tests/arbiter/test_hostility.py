@@ -15,7 +15,8 @@ import time
 
 import pytest
 
-from arbiter.running import CONFIG, Running, send_raw, until
+from arbiter.running import CONFIG, Running, send_raw
+from running_service import until
 from second_user import OtherUser, needs_root
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import handshake as hs

@@ -17,7 +17,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from arbiter.running import CONFIG, compile_client, until
+from arbiter.running import CONFIG, compile_client, compile_impatient
+from running_service import until
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import handshake as hs
@@ -101,7 +102,7 @@ def impostor_of(honest):
         robot.command(0.5, 1.0)
         child.say("there")
         threading.Thread(target=lambda: (child.hear(), server.stop()), daemon=True).start()
-        until(lambda: not (robot.command(0.5, 1.0) or one.connected), float("inf"))
+        until(lambda: not (robot.command(0.5, 1.0) or one.connected), seconds=float("inf"))
         serving.join()
         return "ended"
 
@@ -303,12 +304,13 @@ def test_a_client_in_c_attaches_again_to_the_same_user_only(honest, patrol):
     honest.stop()
 
 
-def test_a_client_in_c_waits_no_longer_than_it_was_told_for_a_squatter(honest, patrol):
+def test_a_client_in_c_waits_no_longer_than_it_was_told_for_a_squatter(honest, tmp_path):
+    impatient = compile_impatient(tmp_path)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as sock:
         sock.bind(hs.address(honest.name))
         sock.listen(0)
         fill_backlog(honest.name)
-        done = run_patrol(patrol, honest.name, "1")
+        done = run_patrol(impatient, honest.name, "1")
         assert done.returncode == 1
         assert "did not answer in time" in done.stderr
         kept.clear()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from surffollow.arbiter import table as t
 from surffollow.arbiter.check import check_table, is_caught
@@ -10,8 +11,13 @@ from surffollow.arbiter.memory import make_memory
 from surffollow.arbiter.mutants import mutants
 
 
-def test_no_step_of_any_policy_breaks_a_property():
-    found = check_table()
+@pytest.fixture(scope="module")
+def found():
+    """What the exploration of the table found, policy by policy."""
+    return check_table()
+
+
+def test_no_step_of_any_policy_breaks_a_property(found):
     print({f.policy: f.states for f in found})
     assert [f.fault for f in found] == ["", "", "", ""]
     assert all(f.states > 200 and f.steps > 15_000 for f in found)
@@ -22,9 +28,9 @@ def test_equal_and_descending_priorities_are_without_fault_too():
         assert not any(f.fault for f in check_table(priorities=priorities)), priorities
 
 
-def test_every_row_is_needed():
+def test_every_row_is_needed(found):
     used = set()
-    for f in check_table():
+    for f in found:
         used |= set(f.rows_used)
     assert used == set(range(len(t.TABLE)))
 

@@ -6,6 +6,7 @@ import fcntl
 import os
 import struct
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,19 @@ def lock_all(path: Path) -> int:
     fd = os.open(path, os.O_RDONLY)
     fcntl.fcntl(fd, fcntl.F_OFD_SETLK, FLOCK.pack(fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0))
     return fd
+
+
+def maker(space: str) -> Callable[[OtherUser], str]:
+    """Work of another user, who makes a block and keeps it until he hears a word."""
+
+    def made(child: OtherUser) -> str:
+        mem = mem_attach(Platform, space, write=True, mode=0o644)
+        child.say("made")
+        child.hear()
+        mem.close()
+        return "closed"
+
+    return made
 
 
 def test_a_reader_that_locks_every_byte_holds_the_writer_up_for_one_lease_and_never_again(space):
@@ -59,15 +73,8 @@ def test_a_reader_that_locks_every_byte_holds_the_writer_up_for_one_lease_and_ne
 
 @needs_root
 def test_no_file_of_an_untrusted_user_is_mapped_for_it_could_be_cut_while_it_is_listed(space):
-    def made(child: OtherUser) -> str:
-        mem = mem_attach(Platform, space, write=True, mode=0o644)
-        child.say("made")
-        child.hear()
-        mem.close()
-        return "closed"
-
     name = f"{space}.platform"
-    with OtherUser(made) as other:
+    with OtherUser(maker(space)) as other:
         assert other.hear() == "made"
         assert name not in [b["name"] for b in list_blocks()]
         Path(f"/dev/shm/{name}.lock").unlink()  # root's rights: only the object itself is in the way
@@ -115,19 +122,12 @@ def test_a_reader_that_locks_every_byte_keeps_no_new_writer_out(space):
 
 @needs_root
 def test_a_block_that_another_user_made_is_not_read(space):
-    def made(child: OtherUser) -> str:
-        mem = mem_attach(Platform, space, write=True, mode=0o644)
-        child.say("made")
-        child.hear()
-        mem.close()
-        return "closed"
-
     with mem_attach(Platform, space, write=True) as mem, mem_attach(Platform, space) as reader:
         with mem.platform.write() as slot:
             slot.t_ns = 7
         assert reader.platform.latest()["t_ns"] == 7
         mem.close()
-        with OtherUser(made) as impostor:
+        with OtherUser(maker(space)) as impostor:
             assert impostor.hear() == "made"
             with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0"):
                 mem_attach(Platform, space)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import signal
 import subprocess
@@ -11,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from cabi.running import CPP, PATIENT_MS, ROOT, SANITIZED, C, Probe, Service, StillWorld
-from running_service import unique_name
+from cabi.running import CPP, PATIENT_MS, ROOT, SANITIZED, C, Probe, flat_ground
+from running_service import Service, over_ground
 from surffollow.shm.cheader import header_text
 
 LARGEST = (
@@ -26,36 +25,25 @@ LARGEST = (
 @pytest.fixture(scope="package")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service that lives as long as this folder's tests, with one sensor 0.1 m over the ground."""
-    s = Service(f"cabi-{os.getpid()}", tmp_path_factory.mktemp("service"))
-    world = StillWorld(s.name)
-    try:
-        s.start()
+    with over_ground(tmp_path_factory.mktemp("service"), flat_ground()) as s:
         yield s
-    finally:
-        s.stop()
-        world.close()
 
 
 @pytest.fixture(scope="module")
 def module_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service of a module's own, not started, with something to see for its sensor."""
-    s = Service(unique_name("cabi-own"), tmp_path_factory.mktemp("mortal"))
-    world = StillWorld(s.name)
-    try:
+    with over_ground(tmp_path_factory.mktemp("mortal"), flat_ground(), started=False) as s:
         yield s
-    finally:
-        s.stop()
-        world.close()
 
 
 @pytest.fixture
 def mortal(module_service: Service) -> Iterator[Service]:
     """A living service that a test may kill or stop; the next test starts it again."""
-    if module_service.process is None or module_service.process.poll() is not None:
+    if module_service.process is None:
         module_service.start()
     yield module_service
-    if module_service.process is not None and module_service.process.poll() is None:
-        module_service.process.send_signal(signal.SIGCONT)
+    if module_service.process is not None:
+        module_service.send(signal.SIGCONT)
 
 
 @pytest.fixture(scope="session")

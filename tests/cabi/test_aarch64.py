@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from cabi.latch_threads import AARCH64, THREADS
-from cabi.running import ROOT, STANDOFF_M, C, Probe, Service, numbers
-from running_service import until
+from cabi.running import ROOT, C, Probe, numbers
+from running_service import STANDOFF_M, Service, until
 from surffollow.client import attach
 from surffollow.shm.cheader import header_text
 from surffollow.shm.layout_follow import VALID

@@ -8,12 +8,11 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 
-from cabi.running import PATIENT_MS, STANDOFF_M, Answer, Probe, Service
-from running_service import until
+from cabi.running import PATIENT_MS, Answer, Probe
+from running_service import STANDOFF_M, Service, until
 from surffollow.client import STALE, Client, Demand, observe
 from surffollow.client import attach as attach_hasty
 from surffollow.config.names import OBJECTS
@@ -183,19 +182,11 @@ def test_unknown_request_is_answered(probe: Probe) -> None:
 @contextlib.contextmanager
 def stopped(service: Service) -> Iterator[None]:
     """The service stands still, every thread of it."""
-    assert service.process is not None
-    pid = service.process.pid
-    os.kill(pid, signal.SIGSTOP)
+    service.freeze()
     try:
-        deadline = time.monotonic() + 10.0
-        states = ["R"]
-        while set(states) != {"T"}:
-            assert time.monotonic() < deadline
-            tasks = Path(f"/proc/{pid}/task").glob("*/stat")
-            states = [p.read_text().rsplit(")", 1)[1].split()[0] for p in tasks]
         yield
     finally:
-        os.kill(pid, signal.SIGCONT)
+        service.send(signal.SIGCONT)
 
 
 def test_request_cannot_overtake_one_that_the_service_has_not_seen(

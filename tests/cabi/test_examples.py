@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from cabi.running import ROOT, SANITIZED, STANDOFF_M, Service, numbers, run
+from cabi.running import ROOT, SANITIZED, numbers, run
+from running_service import STANDOFF_M, Service
 from surffollow.map.formats.text_file import read_text
 
 

@@ -11,21 +11,16 @@ from pathlib import Path
 
 import pytest
 
-from cabi.running import ROOT, Probe, Service
+from cabi.running import ROOT, Probe
+from running_service import Service
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
-from service.forged_objects import forged_board, put, remove
+from service.forged_objects import forged_board, published, put, remove
 from surffollow.client import STALE, attach, observe
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import VALID
 
 OK, NOT_RUNNING, BLOCK, OWNER = 0, -20, -24, -36
 POSE = "ee 0.05 0.05 0.1 0 0 0 1"
-
-
-def clean_stop(service: Service) -> None:
-    assert service.process is not None
-    service.process.terminate()
-    assert service.process.wait(60) == 0
 
 
 @pytest.mark.parametrize("kind", ["fifo", "directory", "link", "socket"])
@@ -54,15 +49,9 @@ def test_an_impostor_after_a_clean_stop_moves_nobody(
     robot.until(POSE, lambda a: int(robot("dev").values[2]) & VALID != 0)
     with observe(mortal.name) as python:
         forged = forged_board(path.read_bytes(), python.board.regions["output"][0])
-    clean_stop(mortal)
+    assert mortal.terminate() == 0
 
-    def impersonate(child: OtherUser) -> str:
-        path.write_bytes(forged)
-        path.chmod(0o666)
-        child.say("there")
-        return str(child.hear())
-
-    with OtherUser(impersonate) as impostor:
+    with OtherUser(published(path, forged)) as impostor:
         assert impostor.hear() == "there"
         for p in (robot, watcher, fixed):
             p.until("dev", lambda a: bool(int(a.values[2]) & STALE))
@@ -94,7 +83,7 @@ def test_a_robot_bears_what_takes_the_place_of_its_service(
     probe = make_probe(stale_ms=50)
     assert probe(f"attach {mortal.name}").result == OK
     assert probe(POSE).result == OK
-    clean_stop(mortal)
+    assert mortal.terminate() == 0
     assert as_other_user(lambda _: outcome(lambda: put(path, kind))) == "done"
     try:
         probe.until("dev", lambda a: bool(int(a.values[2]) & STALE))

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from cabi.latch_threads import AARCH64, THREADS
-from cabi.running import Service, numbers, run
+from cabi.running import numbers, run
+from running_service import Service
 from surffollow.shm.latch import latch_read, latch_write
 from surffollow.shm.latch_shape import latch_bytes
 

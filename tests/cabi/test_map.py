@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cabi.running import PATIENT_MS, Probe, Service
-from running_service import quickest, until
+from cabi.running import PATIENT_MS, Probe, flat_ground
+from running_service import Service, quickest, until
 from surffollow.client import Client, attach, observe
 from surffollow.client.map_reader import copy_map
 from surffollow.errors import MapFileError, RefusedError, RequestTimeoutError
@@ -154,12 +154,11 @@ def test_map_stands_still_while_a_c_client_holds_it_and_following_goes_on(
 @pytest.fixture(scope="module")
 def hasty_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service whose lease is 0.7 s, for those who outlive it."""
-    s = Service(f"cabi-hasty-{os.getpid()}", tmp_path_factory.mktemp("hasty"), "700 ms")
+    s = Service(tmp_path_factory.mktemp("hasty"), flat_ground("700 ms"))
     try:
-        s.start()
-        yield s
+        yield s.start()
     finally:
-        s.stop()
+        s.purge()
 
 
 def test_holder_that_outlives_its_lease_is_told_that_its_copy_may_be_mixed(

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-import signal
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
-from cabi.running import Probe, Service
+from cabi.running import Probe
 from hanging_socket import MANNERS, hanging
-from running_service import until
+from running_service import Service
 from surffollow.client import STALE
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import VALID
@@ -26,6 +24,7 @@ POSE = "ee 0.05 0.05 0.1 0 0 0 1"
 def test_client_follows_a_killed_service_into_its_next_life(
     mortal: Service, make_probe: Callable[..., Probe]
 ) -> None:
+    # GIVEN a client that drives, an observer, and a client that does not attach again by itself
     probe, watcher, fixed = (make_probe(stale_ms=0) for _ in range(3))
     fixed("auto 0")
     for p, how in ((probe, "attach"), (watcher, "observe"), (fixed, "attach")):
@@ -34,8 +33,9 @@ def test_client_follows_a_killed_service_into_its_next_life(
     probe.until(POSE, lambda a: int(probe("dev").values[2]) & VALID != 0)
     probe.until(POSE, lambda a: probe("height 0.05 0.05").result == OK)
     epoch = int(probe("dev").values[3])
-
+    # WHEN the service is killed
     mortal.kill()
+    # THEN each is told after 20 periods, demands are zero, and every request is refused
     for p in (probe, watcher, fixed):
         fresh = [0.0]
         silent = p.until("dev", lambda a, f=fresh: bool(int(a.values[2]) & STALE or f.append(a.values[4])))
@@ -44,8 +44,9 @@ def test_client_follows_a_killed_service_into_its_next_life(
         assert not int(silent.values[2]) & VALID
     assert probe("reset 0.1").result == -20
     assert probe("begin 50").result == -20
-
+    # WHEN it is started again
     mortal.start()
+    # THEN two follow it by themselves and the third when it is told to
     for p in (probe, watcher):
         p.until("dev", lambda a: int(a.values[3]) > epoch and not int(a.values[2]) & STALE)
     # this one was told not to look by itself
@@ -125,6 +126,7 @@ def test_client_that_only_posts_poses_is_told_of_the_end_and_goes_on_after_it(
         assert p(f"{how} {mortal.name}").result == OK
     assert probe(POSE).result == OK
     mortal.kill()
+    # THEN every pose is refused until it is started again, elsewhere in memory
     probe.until(POSE, lambda a: a.result == NOT_RUNNING)
     assert probe(POSE).result == NOT_RUNNING
     start_with_other_memory(mortal)
@@ -138,6 +140,7 @@ def test_client_that_only_posts_poses_is_told_of_the_end_and_goes_on_after_it(
 def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(
     mortal: Service, make_probe: Callable[..., Probe]
 ) -> None:
+    # GIVEN a probe for each way to read, and a map
     ended = ("get range_size", "params", "output")
     purged = ("height 0.05 0.05", "surface 0.05 0.05")
     silent = {"alive": 0, "raw 0": 3}
@@ -151,6 +154,7 @@ def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(
     robot.until(POSE, lambda a: reads["raw 0"]("raw 0").result == OK)
     for line in (*ended, *purged):
         assert reads[line](line).result == OK, line
+    # WHEN the service is killed THEN all but the map's readers are told
     mortal.kill()
     for line in ended:
         reads[line].until(line, lambda a: a.result == NOT_RUNNING)
@@ -159,9 +163,11 @@ def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(
     reads["status"].until("status", lambda a: a.values[0] == 0)
     for line in purged:
         assert reads[line](line).result == OK, "the map outlives the service"
+    # WHEN the map is removed THEN its readers are told, too
     mortal.stop()
     for line in purged:
         reads[line].until(line, lambda a: a.result == NOT_RUNNING)
+    # WHEN another service starts under the name THEN each of them follows it
     start_with_other_memory(mortal)
     new = make_probe()
     assert new(f"attach {mortal.name}").result == OK
@@ -177,12 +183,7 @@ def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(
 def test_poll_of_a_dead_services_answer_says_so(mortal: Service, make_probe: Callable[..., Probe]) -> None:
     probe = make_probe(stale_ms=2000)  # the request is sent before that
     assert probe(f"attach {mortal.name}").result == OK
-    assert mortal.process is not None
-    os.kill(mortal.process.pid, signal.SIGSTOP)
-    threads = list(Path(f"/proc/{mortal.process.pid}/task").iterdir())
-    until(
-        lambda: all((t / "stat").read_text().rsplit(")")[1].split()[0] == "T" for t in threads), "stillness"
-    )
+    mortal.freeze()
     assert probe("send 1 0.1").result == OK
     assert probe("poll").result == 2
     probe.until("alive", lambda a: a.result == 0)

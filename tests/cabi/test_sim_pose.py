@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from cabi.running import Probe, Service
-from running_service import Service as OwnService
-from running_service import until
+from cabi.running import Probe
+from running_service import Service, until
 from surffollow.errors import NotRunningError
 from surffollow.sim.world import WorldReader, WorldWriter
 
@@ -17,7 +16,7 @@ TRUE = "0.1 0.2 0.3 0 0 0 1"
 
 
 def test_c_client_publishes_the_true_pose_and_removes_the_block(
-    make_probe: Callable[..., Probe], own_service: OwnService
+    make_probe: Callable[..., Probe], own_service: Service
 ) -> None:
     probe = make_probe()
     assert probe(f"attach {own_service.name}").result == 0
@@ -37,7 +36,7 @@ def test_c_client_publishes_the_true_pose_and_removes_the_block(
 
 
 def test_a_block_of_a_killed_c_client_is_taken_over_by_python_and_back(
-    make_probe: Callable[..., Probe], own_service: OwnService
+    make_probe: Callable[..., Probe], own_service: Service
 ) -> None:
     probe = make_probe()
     probe(f"attach {own_service.name}")

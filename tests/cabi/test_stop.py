@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from cabi.running import PATIENT_MS, ROOT, SANITIZED, STANDOFF_M, Probe, Service, numbers
-from running_service import program, said, until
+from cabi.running import PATIENT_MS, ROOT, SANITIZED, Probe, numbers
+from running_service import STANDOFF_M, Service, program, said, until
 from surffollow.client import attach
 from surffollow.client.demand import STALE
 from surffollow.shm import layout_board as lb

@@ -6,7 +6,7 @@ import math
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -21,16 +21,6 @@ EXAMPLES = ROOT / "examples"
 SECONDS = "7"
 LIMIT_M = 0.5e-3
 TRIES = 4  # another process may hold both processors of a busy machine for a while
-
-
-@pytest.fixture(scope="module")
-def bare(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """What `surffollow start` gives without a configuration."""
-    service = Service(tmp_path_factory.mktemp("bare"), "")
-    try:
-        yield service.start()
-    finally:
-        service.purge()
 
 
 def python(folder: Path) -> list[str]:

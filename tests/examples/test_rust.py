@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -39,16 +38,6 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert done.returncode == 0, done.stderr
     assert done.stderr == "", "no warnings"
     return target / "release/surffollow-controller"
-
-
-@pytest.fixture(scope="module")
-def bare(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """What `surffollow start` gives without a configuration."""
-    service = Service(tmp_path_factory.mktemp("bare"), "")
-    try:
-        yield service.start()
-    finally:
-        service.purge()
 
 
 def figures(line: str) -> dict[str, float]:

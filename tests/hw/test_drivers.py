@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from running_service import until
 from surffollow.errors import ConfigError, DriverError, RecordingError
 from surffollow.hw.driver import ConversionQueue, Driver, DriverInfo
 from surffollow.hw.fault_injection import (
@@ -43,14 +44,6 @@ NAME = f"test-drivers-{os.getpid()}"
 INFO = SilentDriver().info
 RECORDED_T = np.arange(10**15, 10**15 + 400 * MS, MS)
 RECORDED_WORDS = np.array([pack_conversion(100 + k, 0, 0, 5) for k in range(len(RECORDED_T))])
-
-
-def until(met: Callable[[], bool], timeout_s: float = 60.0) -> None:
-    """Wait until something is so; the deadline is only there to fail."""
-    end = time.monotonic() + timeout_s
-    while not met():
-        assert time.monotonic() < end, "it did not happen"
-        os.sched_yield()
 
 
 def simulated() -> Driver:

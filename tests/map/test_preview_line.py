@@ -181,7 +181,8 @@ def test_short_gaps_are_bridged_and_long_ones_are_not():
     assert bridge_gaps(np.full(5, nan), 5, 3) == 0
 
 
-@njit(cache=True, nogil=True)
+# not cached: numba would keep the map's kernels inlined when only their own files change
+@njit(nogil=True)
 def lay_anew(header: Any, pairs: Any, rounds: Any) -> Any:
     """Reset the map to one of two regions again and again, each time with ground of another height."""
     for k in range(rounds):
@@ -193,7 +194,7 @@ def lay_anew(header: Any, pairs: Any, rounds: Any) -> Any:
             update_map(header, pairs, 0.002 * (j % 50), 0.001 * (j // 50), 0.0005 * (k % 16))
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def look_all_the_time(header: Any, pairs: Any, kept: Any, out: Any, over: Any) -> Any:
     """Look until `over`; how many readings mixed two grounds, knew something, knew nothing."""
     mixed = some = none = 0

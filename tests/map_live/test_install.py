@@ -184,9 +184,11 @@ def test_a_service_killed_in_an_installation_starts_with_an_empty_map(tmp_path: 
     try:
         ground = some_map(300, 301)
         with s.attach() as robot:
+            # GIVEN an installation that is half done WHEN the service is killed
             post_pieces(MapStream(robot, ground.header, ground.pairs, 30.0), 4)
             s.kill()
             assert math.isnan(robot.map_height(*ground.origin_m))
+        # THEN the next start has an empty map of that shape, into which the file can be installed
         s.start()
         with s.attach() as robot:
             window = robot.map_window()
@@ -222,10 +224,12 @@ def test_no_target_point_is_lost_while_maps_come_and_go(
         with s.attach() as robot, s.attach() as other:
             robot.map_reset((0.0, 0.0, 0.1, 0.1))
 
+            # GIVEN a robot that drives over ground in sight
             def handed_over() -> int:
                 return int(robot.status()["samples"])
 
             drive(robot, lambda: handed_over() > 50, what="samples")
+            # WHEN another client replaces, refocuses, uploads and resets the map THEN samples go on coming
             for change in (
                 lambda: other.map_install(tmp_path / "a.txt", timeout_s=30.0),
                 lambda: other.map_refocus((0.0, 0.0, 0.2, 0.2)),
@@ -235,6 +239,7 @@ def test_no_target_point_is_lost_while_maps_come_and_go(
                 before = handed_over()
                 change()
                 drive(robot, lambda n=before: handed_over() > n + 20, what="samples after a change")
+            # WHEN it holds the map exclusively THEN samples wait, and all are applied afterwards
             with other.exclusive():
                 before = handed_over()
                 drive(robot, lambda: handed_over() > before + 50, what="samples during exclusive access")

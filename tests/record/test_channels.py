@@ -6,7 +6,7 @@ import importlib
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -124,26 +124,38 @@ def test_a_public_reader_decodes_what_every_cycle_published(tmp_path: Path, mode
     assert frames == {"tool", *(f"sensor{c}" for c in range(channels))}
 
 
-def test_words_alone_give_the_same_channels_as_recording_them_did(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    rehearsed(path)
-    done = convert([path], "foxglove", tmp_path / "again.mcap")
-    assert done.differing == 0
-    live, again = decoded(path), decoded(tmp_path / "again.mcap")
+class Converted(NamedTuple):
+    """A rehearsal and what its words alone were converted to."""
+
+    live: Decoded
+    again: Decoded
+    published: dict[int, dict[str, Any]]
+    differing: int
+
+
+@pytest.fixture(scope="module")
+def converted(tmp_path_factory: pytest.TempPathFactory) -> Converted:
+    folder = tmp_path_factory.mktemp("converted")
+    path, again = folder / "run.mcap", folder / "again.mcap"
+    published = rehearsed(path)
+    differing = convert([path], "foxglove", again).differing
+    return Converted(decoded(path), decoded(again), published, differing)
+
+
+def test_words_alone_give_the_same_channels_as_recording_them_did(converted: Converted) -> None:
+    assert converted.differing == 0
+    live, again = converted.live, converted.again
     assert set(again) - {"/map"} == set(live)
     for topic, messages in live.items():
         assert [m.data for m, _ in again[topic]] == [m.data for m, _ in messages], topic
 
 
-def test_a_cloud_of_the_map_lies_where_the_target_points_were(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    published = rehearsed(path)
-    convert([path], "foxglove", tmp_path / "again.mcap")
-    _, cloud = decoded(tmp_path / "again.mcap")["/map"][-1]
+def test_a_cloud_of_the_map_lies_where_the_target_points_were(converted: Converted) -> None:
+    _, cloud = converted.again["/map"][-1]
     kinds = [(f.name, "u1" if f.type == 1 else "<f8") for f in cloud.fields]
     points = np.frombuffer(cloud.data, np.dtype(kinds))
     assert points.dtype.itemsize == cloud.point_stride
-    targets = np.array([p["target_m"][:3] for p in published.values() if p["fresh"] & 1])
+    targets = np.array([p["target_m"][:3] for p in converted.published.values() if p["fresh"] & 1])
     assert int(points["samples"].sum()) == len(targets)
     assert abs(points["x"].min() - targets[:, 0].min()) < 0.003
     np.testing.assert_allclose(

@@ -2,76 +2,41 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import signal
-import subprocess
-import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from surffollow.client import attach
+from running_service import Service, until
 from surffollow.errors import NotReadyError, NotRunningError, RecordingError
 from surffollow.record.live_replay import LEAD_NS, LiveReport, driver_info, play_live
 from surffollow.record.reader import RecordingReader
 from surffollow.record.recorded_inputs import load_playback
 from surffollow.record.replay import replay_file
 from surffollow.record.session import record_service
-from surffollow.shm.objects import unlink
 
 POSE = (0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0)
 DEADLINE_S = 300.0
 
 
-def until(condition: Callable[[], bool]) -> None:
-    """Wait for something that another process does."""
-    end, pause = time.monotonic() + DEADLINE_S, threading.Event()
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        pause.wait(0.01)
-
-
 @pytest.fixture
-def name() -> Iterator[str]:
-    """A service name of this test's own; nothing of it is left."""
-    text = f"test-record-{os.getpid()}"
-    yield text
-    for part in ("", ".sock", ".lock", ".map", ".world", ".world.lock"):
-        unlink(text + part)
+def bare(tmp_path: Path) -> Iterator[Service]:
+    """A service without sensors, not started; its period and its cycle log are those of the defaults."""
+    s = Service(tmp_path, '[driver]\nkind = "none"\n[map]\ngrids = 1000\n')
+    yield s
+    s.purge()
 
 
-@contextlib.contextmanager
-def program(*words: str) -> Iterator[subprocess.Popen[str]]:
-    child = subprocess.Popen([sys.executable, "-m", "surffollow", *words], stdout=subprocess.PIPE, text=True)
-    try:
-        yield child
-    finally:
-        child.kill()
-        child.communicate()
-
-
-@contextlib.contextmanager
-def service(name: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
-    config = folder / "service.toml"
-    config.write_text('[driver]\nkind = "none"\n[map]\ngrids = 1000\n')
-    with program("start", "--name", name, "--config", str(config), "--quiet") as child:
-        assert child.stdout is not None
-        assert child.stdout.readline().startswith("READY")
-        yield child
-
-
-def run_robot(name: str, poses: int) -> None:
-    with attach(name, stale_min_s=5.0) as client:
+def run_robot(s: Service, poses: int) -> None:
+    with s.attach(stale_min_s=5.0) as client:
         for _ in range(poses):
             before = client.status()["poses"]
             client.ee_pos(POSE)
-            until(lambda before=before: client.status()["poses"] > before)
+            until(lambda before=before: client.status()["poses"] > before, "the pose's arrival")
         client.set_params(permitted_variance="0.2 mm")
         client.sf_reset(0.11)
 
@@ -92,21 +57,22 @@ def bytes_of(path: Path) -> int:
 
 
 def test_a_killed_and_restarted_service_gives_two_segments_of_the_same_bits(
-    name: str, tmp_path: Path
+    bare: Service, tmp_path: Path
 ) -> None:
+    # GIVEN a recorder that has written cycles of a service with a robot
     out = tmp_path / "log.mcap"
-    with contextlib.ExitStack() as stack:
-        first = stack.enter_context(service(name, tmp_path))
-        recorder = stack.enter_context(program("record", "--name", name, "--out", str(out), "--json"))
-        run_robot(name, 30)
-        until(lambda: segments_of(out) == {0})
-        first.kill()
-        first.wait()
-        stack.enter_context(service(name, tmp_path))
-        run_robot(name, 30)
-        until(lambda: segments_of(out) == {0, 1})
+    bare.start()
+    with bare.recorder(out) as recorder:
+        run_robot(bare, 30)
+        until(lambda: segments_of(out) == {0}, "the first segment")
+        # WHEN the service is killed and started again, and the robot goes on
+        bare.kill()
+        bare.start()
+        run_robot(bare, 30)
+        until(lambda: segments_of(out) == {0, 1}, "the second segment")
         recorder.send_signal(signal.SIGTERM)
         text, _ = recorder.communicate(timeout=DEADLINE_S)
+    # THEN the file has two segments, lacks no cycle, and replays bit for bit
     counts = json.loads(text)
     assert recorder.returncode == 0
     assert (counts["segments"], counts["restarts"], counts["lost_cycles"]) == (2, 1, 0)
@@ -116,13 +82,16 @@ def test_a_killed_and_restarted_service_gives_two_segments_of_the_same_bits(
     assert report.events >= 4, "two parameter changes and two resets went through the log"
 
 
-def test_a_killed_recorder_leaves_a_file_that_replays_up_to_its_last_chunk(name: str, tmp_path: Path) -> None:
+def test_a_killed_recorder_leaves_a_file_that_replays_up_to_its_last_chunk(
+    bare: Service, tmp_path: Path
+) -> None:
     out = tmp_path / "log.mcap"
-    with service(name, tmp_path), program("record", "--name", name, "--out", str(out)) as recorder:
-        until(out.exists)
+    bare.start()
+    with bare.recorder(out) as recorder:
+        until(out.exists, "the file")
         for _ in range(4):  # the first may be the file's head, the last may be cut
             begin = bytes_of(out)
-            until(lambda begin=begin: bytes_of(out) > begin)
+            until(lambda begin=begin: bytes_of(out) > begin, "the next chunk")
         recorder.kill()
         recorder.wait()
     report = replay_file(out)
@@ -132,9 +101,9 @@ def test_a_killed_recorder_leaves_a_file_that_replays_up_to_its_last_chunk(name:
     assert "ends early" in report.damage
 
 
-def test_recording_without_a_service_is_refused_and_makes_no_file(name: str, tmp_path: Path) -> None:
-    with pytest.raises(NotRunningError, match=name):
-        record_service(name, tmp_path / "log.mcap", threading.Event())
+def test_recording_without_a_service_is_refused_and_makes_no_file(bare: Service, tmp_path: Path) -> None:
+    with pytest.raises(NotRunningError, match=bare.name):
+        record_service(bare.name, tmp_path / "log.mcap", threading.Event())
     assert not (tmp_path / "log.mcap").exists()
 
 
@@ -159,7 +128,7 @@ def play_and_record(name: str, path: Path, again: Path) -> LiveReport:
         return True
 
     try:
-        until(record)
+        until(record, "the recording's end", DEADLINE_S)
     finally:
         thread.join(DEADLINE_S)
     [report] = played
@@ -167,13 +136,13 @@ def play_and_record(name: str, path: Path, again: Path) -> LiveReport:
 
 
 def test_a_recording_played_live_reaches_the_new_service_as_it_was(
-    name: str, tmp_path: Path, make_recording: Callable[..., Path]
+    bare: Service, tmp_path: Path, make_recording: Callable[..., Path]
 ) -> None:
     path = make_recording(cycles=2400, snapshot_cycles=500)
     old = load_playback(path)
     for k in range(4):  # a player that stands still posts late, and of late poses a cycle sees the newest
         again = tmp_path / f"again{k}.mcap"
-        report = play_and_record(name, path, again)
+        report = play_and_record(bare.name, path, again)
         new = load_playback(again)
         if len(new.pose) > 0.9 * len(old.pose):
             break

@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import socket
 import stat
+from collections.abc import Callable
 from pathlib import Path
 
+from second_user import OtherUser
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, stride
 from surffollow.shm.layout_follow import VALID, Output
@@ -34,6 +36,18 @@ def remove(path: Path) -> None:
         path.rmdir()
     else:
         path.unlink(missing_ok=True)
+
+
+def published(path: Path, content: bytes) -> Callable[[OtherUser], str]:
+    """Work of another user, who puts this under a name for all to read and says "there"."""
+
+    def impersonate(child: OtherUser) -> str:
+        path.write_bytes(content)
+        path.chmod(0o666)
+        child.say("there")
+        return str(child.hear())
+
+    return impersonate
 
 
 def forged_board(content: bytes, offset: int) -> bytes:

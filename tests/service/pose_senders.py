@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
-from running_service import (
-    ATTACHED,
-    SENDING,
-    Service,
-    until,
-)
+import contextlib
+import os
+import signal
+from collections.abc import Iterator
+
+from running_service import ATTACHED, SENDING, Service, program, said, until
 
 SENDER = f"""{ATTACHED}
 print("sending", client.slot, flush=True)
 {SENDING}"""
+
+
+@contextlib.contextmanager
+def orphan_of(code: str, name: str) -> Iterator[None]:
+    """The forked child, which lives on, of a killed client whose `code` prints "forked PID"."""
+    with program(code, name) as parent:
+        child = int(said(parent).split()[1])
+        try:
+            parent.kill()
+            parent.wait()
+            os.kill(child, 0)
+            yield
+        finally:
+            os.kill(child, signal.SIGKILL)
 
 
 def free_of_poses(s: Service) -> None:

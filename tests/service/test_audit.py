@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -142,11 +141,7 @@ def test_a_change_between_two_floods_is_on_the_board_and_in_the_log(
     make_service: Make, tmp_path: Path
 ) -> None:
     s, log = make_service(), tmp_path / "log"
-    with open(log, "w") as err:
-        words = s.command("start", "--quiet", "--config", str(s.config))
-        s.process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=err, text=True)
-        assert s.process.stdout is not None
-        assert s.process.stdout.readline().startswith("READY")
+    s.start_logged(log)
     with s.attach(label="mallory") as client:
         client.claim_pose()
 

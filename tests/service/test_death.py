@@ -46,15 +46,18 @@ def test_a_killed_service_is_stale_after_the_configured_periods_and_demands_zero
 
 
 def test_clients_follow_a_killed_and_restarted_service_by_themselves(make_service: Make) -> None:
+    # GIVEN a client that drives with a parameter of its own, and an observer
     s = make_service().start()
     with s.attach() as client, s.observe() as watcher:
         client.ee_pos(POSE)
         client.set_params(range_size=7)
         old = client.epoch
+        # WHEN the service is killed THEN requests are refused
         s.kill()
         until(lambda: not client.alive(), "silence")
         with pytest.raises(NotRunningError):
             client.sf_reset(0.1)
+        # WHEN it is started again THEN both are attached to it, and it has the configuration's parameters
         s.start()
         until(lambda: client.alive() and watcher.alive(), "re-attachment")
         assert client.epoch == watcher.epoch > old
@@ -68,8 +71,10 @@ def test_clients_follow_a_killed_and_restarted_service_by_themselves(make_servic
 def test_a_request_that_is_under_way_when_the_service_dies_says_so(make_service: Make) -> None:
     s = make_service().start()
     with s.attach(stale_min_s=3.0) as client:  # the request is sent before that
+        # GIVEN a request that a service which stands still has not answered
         s.freeze()
         ticket = client.sf_reset(0.1, wait=False)
+        # WHEN that service dies THEN the ticket says so, also after the next start
         s.kill()
         with pytest.raises(NotRunningError, match="does not answer"):
             ticket.result(10.0)

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 
 from running_service import POSE, READY_S, Service, objects_of, unique_name, until
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
-from service.forged_objects import forged_board, put, remove
+from service.forged_objects import forged_board, published, put, remove
 from surffollow.blocks.listing import list_blocks
 from surffollow.cli.service import purge_leftovers, running_pid, stop_command
 from surffollow.client import STALE, attach, observe
@@ -112,13 +112,7 @@ def test_an_impostor_after_a_clean_stop_moves_nobody(make_service: Make) -> None
         forged = forged_board(path.read_bytes(), client.board.regions["output"][0])
         assert s.terminate() == 0
 
-        def impersonate(child: OtherUser) -> str:
-            path.write_bytes(forged)
-            path.chmod(0o666)
-            child.say("there")
-            return str(child.hear())
-
-        with OtherUser(impersonate) as impostor:
+        with OtherUser(published(path, forged)) as impostor:
             assert impostor.hear() == "there"
             for one in (client, watcher):
                 until(lambda one=one: one.dev_vector().status & STALE, "silence")

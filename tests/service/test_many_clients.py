@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -24,7 +23,7 @@ from running_service import (
     take_pose,
     until,
 )
-from service.pose_senders import SENDER, free_of_poses
+from service.pose_senders import SENDER, free_of_poses, orphan_of
 from surffollow.client import Client
 from surffollow.errors import BusyError, RefusedError
 from surffollow.shm import layout_board as lb
@@ -106,15 +105,8 @@ def test_a_slot_taken_over_from_a_dead_pose_writer_does_not_inherit_its_pose(cro
 
 def test_a_forked_child_does_not_keep_its_dead_parents_pose(crowd: Service, client: Client) -> None:
     free_of_poses(crowd)
-    with program(FORKER, crowd.name) as parent:
-        child = int(said(parent).split()[1])
-        try:
-            parent.kill()
-            parent.wait()
-            os.kill(child, 0)
-            take_pose(client)
-        finally:
-            os.kill(child, signal.SIGKILL)
+    with orphan_of(FORKER, crowd.name):
+        take_pose(client)
 
 
 def test_a_client_whose_pose_was_given_back_in_its_name_takes_it_again(client: Client) -> None:

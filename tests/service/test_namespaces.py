@@ -31,7 +31,7 @@ def test_clients_without_a_pid_are_listed_named_and_held_apart(make_service: Mak
     if not can_unshare(*inside[1:]):
         pytest.skip("no pid namespace can be made here")
     s = make_service()
-    words = [*inside, *s.command("start", "--quiet", "--config", str(s.config))]
+    words = [*inside, *s.start_command()]
     s.process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert s.process.stdout is not None
     assert s.process.stdout.readline().startswith("READY")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -163,17 +162,23 @@ def test_a_flood_of_refusals_is_gathered_and_leaves_what_was_accepted(limited: S
 
 def test_the_log_keeps_the_audit_trail(make_service: Make, tmp_path: Path) -> None:
     s, log = make_service(), tmp_path / "log"
-
-    with open(log, "w") as err:
-        words = s.command("start", "--quiet", "--config", str(s.config))
-        s.process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=err, text=True)
-        assert s.process.stdout is not None
-        assert s.process.stdout.readline().startswith("READY")
+    s.start_logged(log)
     with s.attach(label="logged") as client:
         client.set_params(max_demand=0.0456)
         until(lambda: "0.0456" in log.read_text(), "a line of the log")
     line = next(text for text in log.read_text().splitlines() if "0.0456" in text)
     assert f"audit: pid {os.getpid()} uid {os.geteuid()} logged: set_params max_demand_m" in line
+
+
+def may(change: Callable[[], object]) -> bool:
+    """Whether a change is accepted of a client that need not hold the pose."""
+    try:
+        change()
+    except RefusedError as e:
+        if e.code == lb.ERR_NOT_POSE_HOLDER:
+            return False
+        raise
+    return True
 
 
 @pytest.mark.parametrize(
@@ -185,20 +190,14 @@ def test_the_configuration_says_who_may_set_parameters(
 ) -> None:
     s = make_service(access=f'parameters = "{policy}"').start()
 
-    def may(client) -> bool:
-        try:
-            client.set_params(interval_size="3 mm")
-        except RefusedError as e:
-            if e.code == lb.ERR_NOT_POSE_HOLDER:
-                return False
-            raise
-        return True
+    def changes(client: Client) -> bool:
+        return may(lambda: client.set_params(interval_size="3 mm"))
 
     with s.attach() as driver, s.attach() as other:
-        assert may(driver) is without
+        assert changes(driver) is without
         driver.claim_pose()
-        assert may(driver)
-        assert may(other) is as_other
+        assert changes(driver)
+        assert changes(other) is as_other
 
 
 @pytest.mark.parametrize(
@@ -212,15 +211,6 @@ def test_the_configuration_says_who_may_change_the_map(
     region = (0.0, 0.0, 0.1, 0.1)
     kept = tmp_path / "kept.txt"
     HeightMap.over(region, grids=100).save(kept)
-
-    def may(change: Callable[[], object]) -> bool:
-        try:
-            change()
-        except RefusedError as e:
-            if e.code == lb.ERR_NOT_POSE_HOLDER:
-                return False
-            raise
-        return True
 
     with s.attach() as driver, s.attach() as other:
 

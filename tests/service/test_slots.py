@@ -17,8 +17,9 @@ from pathlib import Path
 import pytest
 
 from raw_slot import MESSAGE, crowd, raw_slot
-from running_service import POSE, READY_S, Service, config_text, program, said, take_pose, until
+from running_service import POSE, READY_S, Service, config_text, take_pose, until
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
+from service.pose_senders import orphan_of
 from surffollow.client import attach
 from surffollow.client.board import LAYOUT_HASH, Board
 from surffollow.client.slot_request import request_slot
@@ -167,15 +168,9 @@ if child == 0:
 print("forked", child, flush=True)
 time.sleep(60)
 """
-    with program(code, open_service.name) as parent, open_service.attach() as client:
-        child = int(said(parent).split()[1])
-        try:
-            parent.kill()
-            parent.wait()
-            os.kill(child, 0)
+    with open_service.attach() as client:
+        with orphan_of(code, open_service.name):
             take_pose(client)
-        finally:
-            os.kill(child, signal.SIGKILL)
         client.release_pose()
 
 

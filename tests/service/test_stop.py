@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -21,6 +19,7 @@ from running_service import (
     World,
     config_text,
     drive,
+    over_ground,
     program,
     said,
     until,
@@ -41,13 +40,8 @@ OPEN = 'board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"'
 @pytest.fixture(scope="module")
 def following(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service with a simulated sensor, whose objects everybody may use."""
-    s = Service(tmp_path_factory.mktemp("stop"), config_text(kind="simulated", access=OPEN))
-    s.world = world = World(s.name)
-    try:
-        yield s.start()
-    finally:
-        s.purge()
-        world.close()
+    with over_ground(tmp_path_factory.mktemp("stop"), config_text(kind="simulated", access=OPEN)) as s:
+        yield s
 
 
 def is_stopped(client: Client) -> bool:
@@ -119,13 +113,16 @@ def test_a_stop_outlives_the_kill_of_its_service(make_service: Make) -> None:
     s.world = world = World(s.name)
     try:
         with s.start().attach() as driver:
+            # GIVEN a stop that a client asked for
             driver.sf_reset(STANDOFF_M)
             drive(driver, lambda: valid(driver), what="a demand")
             driver.stop()
             drive(driver, lambda: is_stopped(driver), what="the stop")
+            # WHEN the service is killed and started again
             s.kill()
             s.start()
             until(driver.reattach, "the new service")
+            # THEN it is stopped for the same cause until the pose's holder resets it
             drive(driver, lambda: is_stopped(driver), what="the stop, still")
             assert driver.status()["stopped"] == ["request"]
             driver.reset_stop()
@@ -205,9 +202,7 @@ def test_a_recording_with_stops_replays_to_the_same_bits(following: Service, tmp
 
     with following.attach() as driver, following.attach() as other:
         drive(driver, lambda: valid(driver), what="a demand")
-        words = [sys.executable, "-m", "surffollow", "record", "--name", following.name, "--out", str(out)]
-        recorder = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        try:
+        with following.recorder(out) as recorder:
             drive(driver, lambda: size() > 400_000, what="a recording of a second")
             for _ in range(2):
                 drive(driver, lambda: valid(driver), what="a demand")
@@ -217,9 +212,8 @@ def test_a_recording_with_stops_replays_to_the_same_bits(following: Service, tmp
             drive(driver, lambda: valid(driver), what="a demand")
             now = size()
             drive(driver, lambda: size() > now + 400_000, what="a recording of another second")
-        finally:
             recorder.send_signal(signal.SIGINT)
-            recorder.wait(timeout=READY_S)
+            recorder.communicate(timeout=READY_S)
     report = replay_file(out)
     assert report.identical, report
     assert report.events >= 4

@@ -1,0 +1,19 @@
+"""A service for the example controllers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from running_service import Service
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """What `surffollow start` gives without a configuration."""
+    service = Service(tmp_path_factory.mktemp("bare"), "")
+    try:
+        yield service.start()
+    finally:
+        service.purge()
