@@ -64,14 +64,6 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
     "wider deadband in burn-in": [("adaptation", "BURN_IN_WIDENING = 3.5", "BURN_IN_WIDENING = 0.0")],
     "chance penalty": [("model_weights", "chance = noise_share", "chance = 0.0 * noise_share")],
-    "bias penalty": [
-        (
-            "model_weights",
-            "c = burn_in * (c + bias_share * bias)",
-            "c = burn_in * (c + 0.0 * bias_share * bias)",
-        ),
-        ("model_weights", "bias_in_force += weights.weight[i] * bias", "bias_in_force += 0.0 * bias"),
-    ],
     "filter of the weights": [("model_weights", "rate = 1.0 - math.exp(", "rate = 1.0 - 0.0 * math.exp(")],
     "variance penalty": [("model_weights", "if variance_share > 0.0:", "if variance_share > 2.0:")],
     "burn-in of the index": [

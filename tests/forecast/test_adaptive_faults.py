@@ -287,7 +287,6 @@ def test_a_coarse_sensor_on_a_ramp_is_not_taken_for_stuck(slope, speed_mps, lsb_
         ("weights", "longer_m2"),
         ("bank", "mean"),
         ("bank", "covariance"),
-        ("weights", "bias"),
         ("noise", "sigma_m"),
         ("shadow", "effort"),
     ],

@@ -17,14 +17,11 @@ from surffollow.forecast.estimation.model_bank import (
     CANDIDATE_MODEL,
     CURVE,
     N_CANDIDATES,
-    N_MODELS,
     SLOPE,
     SMOOTH_MODEL,
     WAVE,
 )
 from surffollow.forecast.estimation.model_weights import (
-    BIAS_RATE,
-    BIAS_SPEEDUP,
     FULL_POWER_SAMPLES,
     ROUGH_EFFORT_POWER,
     ROUGH_WEIGHT_TIME_CONSTANT_S,
@@ -43,12 +40,10 @@ QUICK = 13
 AT_ONCE_S = 10.0
 
 
-def weight_change(
-    rms_m: float, dt_s: float, deviations: float = 0.0, scored: int = FULL_POWER_SAMPLES
-) -> float:
+def weight_change(rms_m: float, dt_s: float, scored: int = FULL_POWER_SAMPLES) -> float:
     """How much of its way the weight of a model goes in a time after it has become the best one.
 
-    `deviations`: bias of the model that was best before, in standard deviations; `scored`: samples judged.
+    `scored`: samples that entered the index.
     """
     a = zeros(AdaptiveState)[0]
     a["noise"]["sigma_m"], a["weights"]["scored"], a["estimate"]["samples"] = (
@@ -61,8 +56,6 @@ def weight_change(
     update_weights(default_params(), a, AT_ONCE_S)
     before = float(a["weights"]["weight"][NEW])
     a["weights"]["recent_m2"][[OLD, NEW]] = a["weights"]["recent_m2"][[NEW, OLD]]
-    a["weights"]["bias"][:N_MODELS] = 0.0
-    a["weights"]["bias"][OLD] = deviations * math.sqrt(BIAS_RATE / (2.0 - BIAS_RATE))
     there = a.copy()
     update_weights(default_params(), there, AT_ONCE_S)
     update_weights(default_params(), a, dt_s)
@@ -84,15 +77,6 @@ def test_weights_have_a_time_constant_in_noise_and_on_terrain_that_no_model_desc
     assert young == pytest.approx(1.0 - math.exp(-0.004 / young_s), rel=0.01), (
         "who has judged little learns sooner"
     )
-
-
-def test_a_bias_in_force_shortens_the_time_constant():
-    cost = 6.0**2 - 16.0
-    slow_s = WEIGHT_TIME_CONSTANT_S / (1.0 + (cost / BIAS_SPEEDUP) ** 2)
-    assert weight_change(NOISE_M, 0.001, deviations=6.0) == pytest.approx(
-        1.0 - math.exp(-0.001 / slow_s), rel=0.05
-    )
-    assert weight_change(NOISE_M, 0.001, deviations=3.9) == weight_change(NOISE_M, 0.001), "chance does not"
 
 
 def odds_of(kind: int, score_m2: float, scored: int) -> float:
@@ -169,7 +153,7 @@ def fine_log_odds(scored: int) -> float:
 
 def test_the_power_of_the_index_grows_with_the_scored_samples():
     powers = [
-        3.0 + 17.0 * (scored / FULL_POWER_SAMPLES) ** 2
+        3.0 + 7.0 * (scored / FULL_POWER_SAMPLES) ** 2
         for scored in (FULL_POWER_SAMPLES, FULL_POWER_SAMPLES // 2)
     ]
     assert fine_log_odds(FULL_POWER_SAMPLES) / fine_log_odds(FULL_POWER_SAMPLES // 2) == pytest.approx(

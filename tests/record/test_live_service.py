@@ -64,12 +64,12 @@ def test_a_killed_and_restarted_service_gives_two_segments_of_the_same_bits(
     bare.start()
     with bare.recorder(out) as recorder:
         run_robot(bare, 30)
-        until(lambda: segments_of(out) == {0}, "the first segment")
+        until(lambda: segments_of(out) == {0}, "the first segment", DEADLINE_S)
         # WHEN the service is killed and started again, and the robot goes on
         bare.kill()
         bare.start()
         run_robot(bare, 30)
-        until(lambda: segments_of(out) == {0, 1}, "the second segment")
+        until(lambda: segments_of(out) == {0, 1}, "the second segment", DEADLINE_S)
         recorder.send_signal(signal.SIGTERM)
         text, _ = recorder.communicate(timeout=DEADLINE_S)
     # THEN the file has two segments, lacks no cycle, and replays bit for bit

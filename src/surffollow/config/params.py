@@ -49,7 +49,7 @@ PARAMS: dict[str, ParamSpec] = {
     "plant_a_max_mps2": ParamSpec(2.0, 1e-8, 1e6, "m/s^2"),
     "score_way_m": ParamSpec(0.25, 1e-6, 1e4, "m"),
     "score_time_s": ParamSpec(2.0, 1e-4, 1e5, "s"),
-    "score_power": ParamSpec(20.0, 0.0, 100.0),
+    "score_power": ParamSpec(10.0, 0.0, 100.0),
     "long_power": ParamSpec(3.0, 0.0, 100.0),
     "long_factor": ParamSpec(12.0, 1.0, 1e3),
     "effort_m": ParamSpec(2.5e-6, 0.0, 1e4),

@@ -440,7 +440,7 @@ typedef struct sf_params {
   double gate_m; /* [m] adaptive: least innovation that is quarantined */
   double step_way_m; /* [m] adaptive: way after which a quarantined step down is believed */
   int64_t step_samples; /* adaptive: agreeing samples after which a quarantined step is believed */
-  double tick_lead_s; /* [s] adaptive: mean time a demand waits for the controller */
+  double tick_lead_s; /* [s] adaptive: mean wait of a demand; at most half a report interval */
   double plan_calm_s4; /* [s^4] adaptive: squared error worth a squared planned acceleration */
   int64_t orient; /* adaptive: 1: with 3 or more sensors, demand rotations too */
   double max_turn_rad; /* [rad] adaptive: limit of the rotation demanded */
@@ -452,7 +452,7 @@ typedef struct sf_params {
   double max_speed_mps; /* [m/s] adaptive: limit of the set point's speed, away from the surface */
   double max_accel_mps2; /* [m/s^2] adaptive: limit of the set point's acceleration */
   double max_jerk_mps3; /* [m/s^3] adaptive: limit of the set point's jerk */
-  double toward_factor; /* adaptive: share of those limits toward the surface */
+  double toward_factor; /* adaptive: share of those limits toward the surface, behind a fall */
   double max_turn_speed_radps; /* [rad/s] adaptive: limit of the turning set point's speed */
   double max_turn_accel_radps2; /* [rad/s^2] adaptive: limit of its acceleration */
   double max_tilt_rad; /* [rad] adaptive: greatest angle of the tool's axis to the world's z axis */

@@ -63,7 +63,6 @@ class Weights(Schema):
     scored = I64(doc="samples that entered the index, up to FULL_POWER_SAMPLES")
     recent_m2 = F64(MAX_CANDIDATES, unit="m^2", doc="squared error of the shadow axis, recent horizon")
     longer_m2 = F64(MAX_CANDIDATES, unit="m^2", doc="the same over the longer horizon")
-    bias = F64(MAX_CANDIDATES, doc="mean normalised innovation per model")
     cost = F64(MAX_CANDIDATES, doc="logarithm of the index with penalties, then its exponential")
     weight = F64(MAX_CANDIDATES, doc="weights, sum 1")
 

@@ -28,9 +28,7 @@ from surffollow.forecast.estimation.model_bank import (
     update_bank,
 )
 from surffollow.forecast.estimation.model_weights import (
-    reset_bias,
     reset_index,
-    update_bias,
     update_index,
     update_weights,
 )
@@ -90,7 +88,6 @@ def reset_estimate(
     estimate = adaptive.estimate
     fresh = gate.slot_likelihood == 0.0 and noise.sigma_m == 0.0
     reset_bank(adaptive.bank, h_m, INITIAL_NOISE_M * INITIAL_NOISE_M)
-    reset_bias(weights)
     reset_shadows(shadow, h_m + standoff_m)
     if fresh:
         reset_index(weights)
@@ -225,7 +222,6 @@ def update_estimate(
     if gap:
         estimate.settle_ns = t_ns + SETTLING_NS
     if adapt != 0:
-        update_bias(adaptive, h_m, max(noise.sigma_m, MIN_NOISE_M) ** 2)
         update_scale(gate, innovation, width)
         # a shadow axis is where the tool is: only heights measured there give its error
         if t_ns > estimate.settle_ns and abs(adaptive.sample.lead_m) < MIN_LEAD_M:

@@ -2,7 +2,7 @@
 
 Each candidate drives a shadow axis (`shadow_axes`). The squared stand-off error of that axis at a sample,
 averaged over a recent and a longer horizon, is the performance index. The variance of the noise is
-subtracted, and penalties for effort, chance, variance and bias are added.
+subtracted, and penalties for effort, chance and variance are added.
 """
 
 from __future__ import annotations
@@ -17,23 +17,16 @@ from surffollow.forecast.estimation.model_bank import (
     CANDIDATE_MODEL,
     CANDIDATE_PENALTY,
     N_CANDIDATES,
-    N_MODELS,
     SMOOTH_MODEL,
-    WAVE,
     extrapolation_variance,
-    model_height,
 )
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.jit import jit
 
 NOISE_MARGIN = 1.4  # mean squares up to so many noise variances are noise
 VARIANCE_PENALTY = 3.0  # power of the models' own variance during burn-in
-BIAS_RATE = 0.2  # per sample
-BIAS_INNOVATION_LIMIT = 4.0  # in standard deviations, of one innovation
-BIAS_GATE, MAX_BIAS_PENALTY = 16.0, 20.0  # four standard deviations squared: beyond, it is not chance
 WEIGHT_TIME_CONSTANT_S = 0.01  # of the weights where errors are noise …
 ROUGH_WEIGHT_TIME_CONSTANT_S = 0.05  # … and on terrain that no model describes
-BIAS_SPEEDUP = 4.5  # penalty of the bias in force that halves these time constants
 MIN_TIME_CONSTANT_S = 1e-6  # avoids a division by zero at the first samples
 LONGER_POWER_FACTOR = 10.0  # of the longer horizon's power on quiet ground …
 RECENT_POWER_REDUCTION = 0.9  # … where the recent one's power is reduced by this share
@@ -67,26 +60,6 @@ def update_index(params: Any, adaptive: Any, travel_m: Any, dt_s: Any, target_m:
         weights.longer_m2[i] += g * (e * e - weights.longer_m2[i])
     weights.scored = min(weights.scored + 1, FULL_POWER_SAMPLES)
     update_weights(params, adaptive, dt_s)
-
-
-@jit
-def update_bias(adaptive: Any, h_m: Any, variance_m2: Any) -> None:
-    """Update the mean normalised innovation of every model, before the sample enters it."""
-    bank, weights = adaptive.bank, adaptive.weights
-    for i in range(N_MODELS):
-        z = (h_m - model_height(i, bank.mean)) / math.sqrt(
-            extrapolation_variance(i, bank.covariance, 0.0) + variance_m2
-        )
-        weights.bias[i] += BIAS_RATE * (
-            min(max(z, -BIAS_INNOVATION_LIMIT), BIAS_INNOVATION_LIMIT) - weights.bias[i]
-        )
-
-
-@jit
-def bias_penalty(bias: Any, min_bias2: Any) -> Any:
-    """Penalty for the bias of a model beyond that of the least biased, above a gate."""
-    excess = (bias * bias - min_bias2) * (2.0 - BIAS_RATE) / BIAS_RATE  # in variances of white innovations
-    return min(max(excess - BIAS_GATE, 0.0), MAX_BIAS_PENALTY)
 
 
 @jit
@@ -127,7 +100,7 @@ def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
     """Compute the weights: powers of both indices with penalties, filtered in time.
 
     Weights follow with a time constant of 10 ms where errors are noise and of 50 ms on terrain that no model
-    describes; a bias of the models in force shortens both.
+    describes.
     """
     shadow, weights = adaptive.shadow, adaptive.weights
     least_recent, least_longer = weights.recent_m2[0], weights.longer_m2[0]
@@ -162,20 +135,13 @@ def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
     effort_power = ROUGH_EFFORT_POWER * rough + BURN_IN_EFFORT_POWER * noise_share * noise_share * (
         1.0 - progress
     )
-    min_bias2 = 1e300
-    for i in range(N_MODELS):
-        min_bias2 = min(min_bias2, weights.bias[i] * weights.bias[i])
-    least, bias_in_force = 1e300, 0.0
+    least = 1e300
     for i in range(N_CANDIDATES):
         extra = floor + mu * shadow.effort[i]
         c = power * math.log(weights.recent_m2[i] - subtracted + extra)
         c += long_power * math.log(weights.longer_m2[i] - subtracted_longer + extra)
         c += effort_power * math.log(shadow.effort[i] / EFFORT_UNIT + 1.0)
-        # rough ground biases all slow models, so the penalty is reduced there; not that of a wave
-        bias_share = 1.0 if BANK[CANDIDATE_MODEL[i], 0] == WAVE else noise_share * noise_share
-        bias = bias_penalty(weights.bias[CANDIDATE_MODEL[i]], min_bias2)
-        bias_in_force += weights.weight[i] * bias
-        c = burn_in * (c + bias_share * bias) + CANDIDATE_PENALTY[i] + chance * CHANCE_PENALTY[i]
+        c = burn_in * c + CANDIDATE_PENALTY[i] + chance * CHANCE_PENALTY[i]
         if variance_share > 0.0:
             c += (
                 VARIANCE_PENALTY
@@ -194,17 +160,9 @@ def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
         WEIGHT_TIME_CONSTANT_S * noise_share * noise_share
         + ROUGH_WEIGHT_TIME_CONSTANT_S * (1.0 - noise_share * noise_share) * progress
     )
-    time_constant_s /= 1.0 + (bias_in_force / BIAS_SPEEDUP) ** 2
     rate = 1.0 - math.exp(-dt_s / max(time_constant_s, MIN_TIME_CONSTANT_S))
     for i in range(N_CANDIDATES):
         weights.weight[i] += rate * (weights.cost[i] / total - weights.weight[i])
-
-
-@jit
-def reset_bias(weights: Any) -> None:
-    """Set the mean normalised innovations to zero."""
-    for i in range(N_MODELS):
-        weights.bias[i] = 0.0
 
 
 @jit
