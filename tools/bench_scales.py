@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from scale_cases import CASES, Case
-from surffollow.benchmark.baselines import KALMAN_FF, KALMAN_SIGMA_M, POLICY_EXTRAPOLATE, P, run_jitted
+from surffollow.benchmark.baselines import KALMAN_FF, POLICY_EXTRAPOLATE, P, run_jitted
 from surffollow.benchmark.drive import drive
+from surffollow.benchmark.height_filters import KALMAN_SIGMA_M
 from surffollow.benchmark.methods import factory_of
 from surffollow.benchmark.scene import Scene
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surffollow.benchmark import acceptance, dropouts, trials
+from surffollow.benchmark import acceptance, comparison, dropouts, near_limit, trials
 from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.normals import bound_rad, mounts
 from surffollow.benchmark.trials import Job
@@ -32,7 +32,7 @@ def cell(surface: str, speed: float, ours: float, best: float, **more: Any) -> l
 
 def verdict(
     rows: list[dict[str, Any]], start: str, found: list[dict[str, Any]] | None = None
-) -> acceptance.Verdict:
+) -> comparison.Verdict:
     return next(v for v in acceptance.evaluate(rows, found or [], Conditions()) if v.bar.startswith(start))
 
 
@@ -69,7 +69,7 @@ def test_half_of_the_own_error_is_asked_where_the_limit_leaves_a_fifth_of_it() -
 def test_cells_near_the_limit_are_listed_with_what_was_made_of_them() -> None:
     rows = cell("hump", 0.1, 1.0, 1.0, limit=0.3) + cell("step", 0.2, 1.2, 1.0, limit=0.5)
     rows += cell("fy91", 0.4, 0.9, 1.0, limit=0.85) + cell("fy91", 0.4, 0.87, 1.0, limit=0.85, lead_m=0.05)
-    found = acceptance.near_the_limit(rows)
+    found = near_limit.near_the_limit(rows)
     assert [(r["cell"], r["exempt"]) for r in found] == [
         ("step 200 mm/s", False),
         ("fy91 400 mm/s", True),
@@ -77,8 +77,8 @@ def test_cells_near_the_limit_are_listed_with_what_was_made_of_them() -> None:
     ]
     assert found[0]["ours_over_limit"] == pytest.approx(2.4)
     assert found[2]["reference_m"] == pytest.approx(0.9e-3)
-    assert "2.40" in acceptance.near_text(found)
-    assert acceptance.near_text(found, markdown=True).count("\n") == len(found) + 4
+    assert "2.40" in near_limit.near_text(found)
+    assert near_limit.near_text(found, markdown=True).count("\n") == len(found) + 4
 
 
 def test_families_have_criteria_of_their_own_and_periodic_ones_are_reported_apart() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from surffollow.benchmark import baselines as b
+from surffollow.benchmark import height_filters
 from surffollow.benchmark.conditions import Conditions, SensorConfig
 from surffollow.benchmark.loop import World
 from surffollow.benchmark.methods import BASELINES
@@ -103,13 +104,13 @@ def test_hold_policy_stays_and_extrapolation_goes_on_when_readings_stop() -> Non
 @pytest.mark.parametrize("sigma_m", [0.1e-3, 0.25e-3, 1e-3])
 def test_adaptive_filter_finds_the_noise_of_the_readings(sigma_m: float) -> None:
     rng = np.random.default_rng(3)
-    m, track = np.zeros(b.STATE_SIZE), np.empty((4000, b.TRACK_COLUMNS))
+    m, track = np.zeros(height_filters.STATE_SIZE), np.empty((4000, height_filters.TRACK_COLUMNS))
     params = np.array([0.5, 1e-4, 20.0, 3.0, 0.05, 200.0])
     for i in range(4000):
-        b._kalman_sample(
+        height_filters.update_kalman(
             params, m, track, 0.4e-3 * i, 5e-3 * np.sin(8e-3 * i) + rng.normal(0.0, sigma_m), 200.0
         )
-    assert np.sqrt(m[b._R]) == pytest.approx(sigma_m, rel=0.15)
+    assert np.sqrt(m[height_filters.R]) == pytest.approx(sigma_m, rel=0.15)
 
 
 def test_adaptive_filter_is_calmer_than_a_fixed_one_on_calm_ground_and_as_good_on_a_ramp() -> None:

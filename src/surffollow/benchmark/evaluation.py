@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from surffollow.benchmark import acceptance
+from surffollow.benchmark import acceptance, comparison, near_limit
 from surffollow.benchmark.conditions import Conditions, load_conditions
 from surffollow.benchmark.methods import all_methods, check_methods
 from surffollow.benchmark.report import markdown_table, summary_table, text_table, write_plots
@@ -103,10 +103,10 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
     if swept:
         found["sweeps"] = swept
     text = text_table(rows)
-    verdicts: list[acceptance.Verdict] = []
+    verdicts: list[comparison.Verdict] = []
     judged_tables: list[str] = []
     if request.bars:
-        judged = [m for m in methods if m.partition("=")[0] == acceptance.JUDGED]
+        judged = [m for m in methods if m.partition("=")[0] == comparison.JUDGED]
         trials: list[dict[str, Any]] = []
         for method in judged[:1]:
             trials = run_trials(
@@ -118,12 +118,12 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
                 stage("trials"),
             )
         verdicts = acceptance.evaluate(rows, trials, conditions)
-        near = acceptance.near_the_limit(rows)
+        near = near_limit.near_the_limit(rows)
         found["trials"] = trials
         found["bars"] = [msgspec.to_builtins(v) for v in verdicts]
         found["near_the_limit"] = near
-        text = acceptance.text(verdicts) + "\n\n" + acceptance.near_text(near)
-        judged_tables = [acceptance.text(verdicts, markdown=True), acceptance.near_text(near, markdown=True)]
+        text = acceptance.text(verdicts) + "\n\n" + near_limit.near_text(near)
+        judged_tables = [acceptance.text(verdicts, markdown=True), near_limit.near_text(near, markdown=True)]
     found = _finite(found)
     if folder:
         _write(folder, found, *judged_tables, summary_table(rows), markdown_table(rows))
