@@ -1,9 +1,9 @@
 """Leave out one mechanism of the default follower after the other, and see what each is worth.
 
 Every variant is a change of its source in a copy of the package. Printed per variant, over the full follower:
-geometric means of the RMS over surfaces without sines, over sines, and with a sensor that leads by 50 mm, the
-worst cell, the acceleration of the set points, and the greatest excursion after slots and glitches in 180
-trials.
+geometric means of the RMS over surfaces without sines, over sines, with a sensor that leads by 50 mm, and
+over the cases of `bench_scales`; the worst of these; the acceleration of the setpoints; and the greatest
+excursion after slots and glitches.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +48,10 @@ SURFACES = (
     "chirp",
 )
 SINES = ("sine-100", "sine-400", "chirp")
-SPEEDS_MPS, LEADS_M = (0.1, 0.2, 0.4), (0.0, 0.05)
-EXCURSIONS = ("slot", "glitch")
+SPEEDS_MPS, LEADS_M = (0.1, 0.4), (0.0, 0.05)
+SCALES = ("publish", "tune")
+SCALE_SEEDS = 2
+EXCURSIONS, EXCURSION_SEEDS = ("slot", "glitch"), 15
 
 # name: (module, text, its replacement) …
 VARIANTS: dict[str, list[tuple[str, str, str]]] = {
@@ -133,8 +137,16 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
             "remaining = 0.0 * adaptation.deadband_m + excess",
         ),
     ],
-    "toward_factor 1": [
-        ("../../config/params", '"toward_factor": ParamSpec(0.5,', '"toward_factor": ParamSpec(1.0,')
+    "limits behind a fall": [("setpoint_limits", "factor = params.toward_factor if", "factor = 1.0 if")],
+    "two samples of slow sensors": [
+        ("innovation_gate", "CONFIRMATION_TAUS = 0.5", "CONFIRMATION_TAUS = 1e9")
+    ],
+    "learned waiting time": [
+        (
+            "controller_clock",
+            "return min(params.tick_lead_s, 0.5e-9 * controller.interval_ns)",
+            "return params.tick_lead_s",
+        )
     ],
 }
 
@@ -160,17 +172,52 @@ def excursion_trial(job: tuple[str, float, int]) -> float:
     return float(excursion(Job("excursion", "ours", seed, Conditions(), "flat", speed, case))["excursion_m"])
 
 
-def measure(seeds: Sequence[int]) -> dict[str, Any]:
-    """All figures of the follower that is imported."""
-    cells = [(s, v, lead, seed) for s in SURFACES for v in SPEEDS_MPS for lead in LEADS_M for seed in seeds]
-    trials = [(c, v, s) for c in EXCURSIONS for v in SPEEDS_MPS for s in range(seeds[0], seeds[0] + 30)]
-    return {
-        "cells": [[list(job), *cell_trial(job)] for job in cells],
-        "excursions": [[list(job), excursion_trial(job)] for job in trials],
-    }
+def scale_trial(job: tuple[str, str, int]) -> float:
+    """RMS of a case of `bench_scales` [m]."""
+    from bench_scales import run_follower
+    from scale_cases import CASES
+
+    which, name, seed = job
+    return run_follower(next(c for c in CASES[which] if c.name == name), "ours", seed)
 
 
-def run_variant(name: str, seeds: str, cache: Path) -> dict[str, Any]:
+def trial(job: tuple[str, tuple[Any, ...]]) -> list[float]:
+    """Figures of one run: RMS [m] and acceleration [m/s²], RMS alone, or an excursion [m]."""
+    kind, what = job
+    if kind == "cell":
+        return list(cell_trial(what))  # type: ignore[arg-type]
+    return [scale_trial(what) if kind == "scale" else excursion_trial(what)]  # type: ignore[arg-type]
+
+
+def measure(seeds: Sequence[int], processes: int) -> list[list[Any]]:
+    """All figures of the follower that is imported: rows of kind, job, figures."""
+    from scale_cases import CASES
+
+    jobs: list[tuple[str, tuple[Any, ...]]] = [
+        ("cell", (s, v, lead, seed))
+        for s in SURFACES
+        for v in SPEEDS_MPS
+        for lead in LEADS_M
+        for seed in seeds
+    ]
+    jobs += [
+        ("scale", (which, c.name, seeds[0] + k))
+        for which in SCALES
+        for c in CASES[which]
+        for k in range(SCALE_SEEDS)
+    ]
+    jobs += [
+        ("excursion", (c, v, seeds[0] + k))
+        for c in EXCURSIONS
+        for v in SPEEDS_MPS
+        for k in range(EXCURSION_SEEDS)
+    ]
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        found = list(pool.map(trial, jobs, chunksize=4))
+    return [[kind, list(what), *figures] for (kind, what), figures in zip(jobs, found)]
+
+
+def run_variant(name: str, seeds: str, processes: int, cache: Path) -> list[list[Any]]:
     """Measure a variant in a copy of the package."""
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "src"
@@ -184,72 +231,73 @@ def run_variant(name: str, seeds: str, cache: Path) -> dict[str, Any]:
         environment = {
             **os.environ,
             "SURFFOLLOW_DATA": str(data_dir()),
-            "PYTHONPATH": str(source),
+            "PYTHONPATH": os.pathsep.join((str(source), str(ROOT / "tools"))),
             "SURFFOLLOW_CACHE_DIR": str(cache / name.replace(" ", "-")),
         }
         done = subprocess.run(
-            [sys.executable, __file__, "--measure", "--seeds", seeds],
+            [sys.executable, __file__, "--measure", "--seeds", seeds, "--processes", str(processes)],
             env=environment,
             capture_output=True,
             text=True,
         )
         if done.returncode:
             raise SystemExit(f"{name}: {done.stderr[-2000:]}")
-        return dict(json.loads(done.stdout))
+        return list(json.loads(done.stdout))
 
 
 def geometric_mean(values: Sequence[float]) -> float:
     return math.exp(sum(map(math.log, values)) / len(values))
 
 
-def compare(found: dict[str, Any], full: dict[str, Any]) -> dict[str, float]:
+def compare(found: list[list[Any]], full: list[list[Any]]) -> dict[str, float]:
     """Figures of a variant over those of the full follower."""
-    rms, accel = {}, []
-    for (job, r, a), (_, r0, a0) in zip(found["cells"], full["cells"]):
-        rms[tuple(job)] = r / r0
-        accel.append(a / a0)
+    cells = {tuple(f[1]): f[2] / g[2] for f, g in zip(found, full) if f[0] == "cell"}
+    scales = [f[2] / g[2] for f, g in zip(found, full) if f[0] == "scale"]
 
     def of(keep: Any) -> float:
-        return geometric_mean([x for job, x in rms.items() if keep(job)])
+        return geometric_mean([x for job, x in cells.items() if keep(job)])
 
     return {
         "rms": of(lambda j: j[2] == 0.0 and j[0] not in SINES),
         "sines": of(lambda j: j[2] == 0.0 and j[0] in SINES),
         "lead": of(lambda j: j[2] > 0.0),
-        "worst": max(rms.values()),
-        "acceleration": geometric_mean(accel),
-        "excursion_m": max(e for _, e in found["excursions"]),
+        "scales": geometric_mean(scales),
+        "worst": max(*cells.values(), *scales),
+        "acceleration": geometric_mean([f[3] / g[3] for f, g in zip(found, full) if f[0] == "cell"]),
+        "excursion_m": max(f[2] for f in found if f[0] == "excursion"),
     }
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the variants one after the other."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--seeds", default="340:342")
+    parser.add_argument("--seeds", default="340:341")
+    parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--variant", action="append", choices=list(VARIANTS), help="only these")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--measure", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args(argv)
     first, last = map(int, given.seeds.split(":"))
     if given.measure:
-        print(json.dumps(measure(range(first, last))))
+        print(json.dumps(measure(range(first, last), given.processes)))
         return 0
     if data_dir() is None:
         parser.error("the measured grounds are missing: set SURFFOLLOW_DATA to the folder of the real data")
     names = ["full", *[v for v in given.variant or VARIANTS if v != "full"]]
     rows: dict[str, dict[str, float]] = {}
     with tempfile.TemporaryDirectory() as cache:
-        full = run_variant("full", given.seeds, Path(cache))
+        full = run_variant("full", given.seeds, given.processes, Path(cache))
         if not given.json:
-            print("| left out | RMS | sines | lead 50 mm | worst cell | acceleration | excursion [mm] |")
-            print("| --- | --- | --- | --- | --- | --- | --- |")
+            print("| left out | RMS | sines | lead 50 mm | scales | worst | acceleration | excursion [mm] |")
+            print("| --- |" + " ---: |" * 7)
         for name in names:
-            found = full if name == "full" else run_variant(name, given.seeds, Path(cache))
+            found = full if name == "full" else run_variant(name, given.seeds, given.processes, Path(cache))
             row = rows[name] = compare(found, full)
             if not given.json:
                 print(
                     f"| {name} | {row['rms']:.3f} | {row['sines']:.3f} | {row['lead']:.3f} |"
-                    f" {row['worst']:.2f} | {row['acceleration']:.2f} | {1e3 * row['excursion_m']:.3f} |",
+                    f" {row['scales']:.3f} | {row['worst']:.2f} | {row['acceleration']:.2f} |"
+                    f" {1e3 * row['excursion_m']:.3f} |",
                     flush=True,
                 )
     if given.json:
