@@ -49,7 +49,6 @@ LONG = (
     "tests/map/test_grids.py",
     "tests/forecast/test_adaptive_response_twin.py",
     "tests/cli/test_full_output.py",
-    "tests/forecast/test_adaptive_bias.py",
     "tests/map/test_refocus.py",
     "tests/shm/test_python_child.py",
     "tests/service/test_access.py",

@@ -256,7 +256,8 @@ def test_after_a_restart_every_token_is_void_and_clients_ask_again(make_arbiter)
     until(lambda: reader.latest().safe)  # nobody says so: the last command's time is over
     with pytest.raises(NotRunningError, match="every token is void"):
         robot.request()
-    assert [e.event for e in observe(server.name).history().newest(1)] == ["FORWARD"]
+    # the safe command, if the machine was so busy that the last command's time ran out before the kill
+    assert observe(server.name).history().newest(1)[0].event in ("FORWARD", "SAFE")
     server.start()
     with attach(server.name, "go") as again:
         mine = again.resource("robot")

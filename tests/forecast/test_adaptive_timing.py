@@ -6,7 +6,7 @@ import pytest
 
 from surffollow.forecast.estimation.innovation_gate import hold_pending
 from surffollow.forecast.plant.controller_clock import mean_wait_s, observe_report
-from surffollow.forecast.setpoint.setpoint_limits import SLOT_WAYS, limit_setpoint
+from surffollow.forecast.setpoint.setpoint_limits import CONFIRMED_SAMPLES, SLOT_WAYS, limit_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 
@@ -44,11 +44,13 @@ def test_two_samples_confirm_a_step_when_three_take_longer_than_half_the_time_co
     assert samples_that_confirm(1.01 * TAU_S / 6) == 2
 
 
-def descent_after_50_ms(step_m: float, travel_m: float) -> float:
+def descent_after_50_ms(step_m: float, travel_m: float, arrived: bool = True) -> float:
     """How far the setpoint descends toward a target 50 mm below [m]."""
     a = zeros(AdaptiveState)[0]
     a["gate"]["step_m"], a["gate"]["travel_since_step_m"] = step_m, travel_m
-    for k in range(51):
+    a["estimate"]["samples"] = CONFIRMED_SAMPLES
+    limit_setpoint(default_params(), a, 10**9 - MS, 0.0 if arrived else -0.05, 0.0)
+    for k in range(50):
         limit_setpoint(default_params(), a, 10**9 + k * MS, -0.05, 0.0)
     return -float(a["setpoint"]["position_m"])
 
@@ -60,3 +62,10 @@ def test_the_setpoint_descends_slower_just_behind_a_fall_because_it_may_be_a_slo
     assert descent_after_50_ms(-0.01, 0.9 * length) == pytest.approx(0.5 * free, rel=0.1)
     assert descent_after_50_ms(-0.01, 1.1 * length) == free
     assert descent_after_50_ms(+0.01, 0.0) == free
+
+
+def test_the_setpoint_approaches_the_surface_slower_than_it_follows_it() -> None:
+    """GIVEN a setpoint that begins at the tool, WHEN it has not arrived yet, THEN the limits are halved."""
+    assert descent_after_50_ms(0.0, 0.0, arrived=False) == pytest.approx(
+        0.5 * descent_after_50_ms(0.0, 0.0), rel=0.1
+    )

@@ -39,7 +39,12 @@ from surffollow.forecast.sensing.measurement import process_sample, standoff_hei
 from surffollow.forecast.sensing.response import is_unresponsive, least_target
 from surffollow.forecast.setpoint.preview_control import plan_setpoint
 from surffollow.forecast.setpoint.setpoint_blend import blend_setpoints, dropout_s, filter_setpoint
-from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint, mark_shown, release_setpoint
+from surffollow.forecast.setpoint.setpoint_limits import (
+    CONFIRMED_SAMPLES,
+    limit_setpoint,
+    mark_shown,
+    release_setpoint,
+)
 from surffollow.forecast.terrain.known_ground import lowest_plan, reset_known_ground
 from surffollow.forecast.terrain.lookahead_sensor import observe_lookahead
 from surffollow.forecast.terrain.preview import (
@@ -70,8 +75,6 @@ from surffollow.shm.layout_follow import (
     TOO_CLOSE,
     VALID,
 )
-
-CONFIRMED_SAMPLES = 25  # after a drop-out with fewer samples the set point does not descend
 
 
 @jit

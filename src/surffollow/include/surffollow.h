@@ -452,7 +452,7 @@ typedef struct sf_params {
   double max_speed_mps; /* [m/s] adaptive: limit of the set point's speed, away from the surface */
   double max_accel_mps2; /* [m/s^2] adaptive: limit of the set point's acceleration */
   double max_jerk_mps3; /* [m/s^3] adaptive: limit of the set point's jerk */
-  double toward_factor; /* adaptive: share of those limits toward the surface, behind a fall */
+  double toward_factor; /* adaptive: share of those limits at the approach and behind a fall */
   double max_turn_speed_radps; /* [rad/s] adaptive: limit of the turning set point's speed */
   double max_turn_accel_radps2; /* [rad/s^2] adaptive: limit of its acceleration */
   double max_tilt_rad; /* [rad] adaptive: greatest angle of the tool's axis to the world's z axis */

@@ -99,6 +99,7 @@ class Setpoint(Schema):
     preview_share = F64(doc="share of preview that raises the limits in force, 0 to 1")
     t_ns = I64(unit="ns", doc="when it was made; 0: begin at the tool")
     shown = I64(doc="1: made in DRYRUN, not applied")
+    approaching = I64(doc="1: it began at the tool and has not arrived yet")
     interval_s = F64(unit="s", doc="usual interval of calls, an upper estimate; 0: not known")
     min_interval_s = F64(unit="s", doc="shortest interval lately; 0: not known")
 

@@ -115,7 +115,7 @@ class Params(Schema):
     max_speed_mps = F64(unit="m/s", doc="adaptive: limit of the set point's speed, away from the surface")
     max_accel_mps2 = F64(unit="m/s^2", doc="adaptive: limit of the set point's acceleration")
     max_jerk_mps3 = F64(unit="m/s^3", doc="adaptive: limit of the set point's jerk")
-    toward_factor = F64(doc="adaptive: share of those limits toward the surface, behind a fall")
+    toward_factor = F64(doc="adaptive: share of those limits at the approach and behind a fall")
     max_turn_speed_radps = F64(unit="rad/s", doc="adaptive: limit of the turning set point's speed")
     max_turn_accel_radps2 = F64(unit="rad/s^2", doc="adaptive: limit of its acceleration")
     max_tilt_rad = F64(unit="rad", doc="adaptive: greatest angle of the tool's axis to the world's z axis")

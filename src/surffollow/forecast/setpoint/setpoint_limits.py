@@ -2,8 +2,9 @@
 
 Each cycle takes the greatest acceleration from which the set point can still be brought to rest at its
 target. When it can reach the target in this cycle and stop in the next one, it does; the next cycle is taken
-to be as short as the shortest one lately. Just behind a fall of the ground, which may be a slot, the limits
-of velocity and acceleration toward the surface are multiplied by `toward_factor`.
+to be as short as the shortest one lately. Toward the surface the limits of velocity and acceleration are
+multiplied by `toward_factor` until the setpoint has arrived for the first time, and just behind a fall of the
+ground, which may be a slot.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ VELOCITY_RATIO, ACCELERATION_RATIO = (
     2.0,
     20.0,
 )  # to the limits of the axis: quicker set points add effort only
+CONFIRMED_SAMPLES = 25  # of an estimate: with fewer there is no arrival, and after a drop-out no descent
+ARRIVED_M = 1e-5  # a setpoint that reaches its target in a cycle is on it but for rounding
 SLOT_WAYS = 12.0  # of `step_way`: length of slots and of their groups, behind the last fall of the ground
 SETTLED_M, SETTLED_MPS = 1e-3, 0.02  # distance and rate within which a set point is back from a plan
 BISECTIONS = 8  # resolution: 1/256 of the change that the jerk allows in a cycle
@@ -148,7 +151,8 @@ def propagate_setpoint(params: Any, adaptive: Any, target_m: Any, dt_s: Any) -> 
     if preview.share > setpoint.preview_share or has_settled(params, setpoint, e):
         setpoint.preview_share = preview.share
     direction = 1.0 if e >= 0.0 else -1.0
-    factor = params.toward_factor if e < 0.0 and may_be_slot(params, adaptive.gate) else 1.0
+    gentle = e < 0.0 and (setpoint.approaching != 0 or may_be_slot(params, adaptive.gate))
+    factor = params.toward_factor if gentle else 1.0
     accel = direction * next_acceleration(
         direction * e,
         direction * setpoint.velocity_mps,
@@ -168,6 +172,8 @@ def propagate_setpoint(params: Any, adaptive: Any, target_m: Any, dt_s: Any) -> 
     setpoint.acceleration_mps2 = accel
     setpoint.velocity_mps += accel * dt_s
     setpoint.position_m += setpoint.velocity_mps * dt_s
+    if abs(target_m - setpoint.position_m) < ARRIVED_M and adaptive.estimate.samples >= CONFIRMED_SAMPLES:
+        setpoint.approaching = 0
 
 
 @jit
@@ -194,6 +200,7 @@ def limit_setpoint(params: Any, adaptive: Any, now_ns: Any, target_m: Any, tool_
     if pause:
         setpoint.position_m, setpoint.velocity_mps, setpoint.acceleration_mps2 = tool_z_m, 0.0, 0.0
         setpoint.preview_share = 0.0
+        setpoint.approaching = 1
         dt = FIRST_STEP_S
     if dt <= PAUSE_S:
         propagate_setpoint(params, adaptive, target_m, min(dt, MAX_STEP_S))
