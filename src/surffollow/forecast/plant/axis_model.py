@@ -10,6 +10,7 @@ from surffollow.shm.jit import jit
 BISECTIONS = 24  # resolution: 6e-8 of the interval searched
 AXIS_STEPS = 5  # axis steps of 2 ms in a controller period
 PERIOD_S = 0.01  # of the plan: one controller period
+ATTAINABLE_SHARE = 0.999  # of the greatest change of velocity in a period; the rest is for rounding
 
 
 @jit
@@ -49,8 +50,11 @@ def velocity_after_period(params: Any, tau_s: Any, z_m: Any, v_mps: Any, target_
 def invert_axis(params: Any, tau_s: Any, z_m: Any, v_mps: Any, wanted_mps: Any) -> Any:
     """Set point with which the axis has a velocity one controller period from now [m].
 
-    Bisection: the velocity is monotone in the set point.
+    Bisection: the velocity is monotone in the set point. A velocity that the axis does not attain would give
+    a set point at the end of the interval searched; the next attainable one is taken instead.
     """
+    change = ATTAINABLE_SHARE * params.plant_a_max_mps2 * PERIOD_S
+    wanted_mps = min(max(wanted_mps, v_mps - change), v_mps + change)
     v = abs(wanted_mps)
     reach = v * tau_s + v * v / params.plant_a_max_mps2 + 0.01
     low, high = z_m - reach, z_m + reach
