@@ -10,7 +10,13 @@ from scipy.linalg import expm
 from scipy.optimize import lsq_linear
 
 from surffollow.forecast.estimation import model_bank as bank
-from surffollow.forecast.plant.axis_model import axis_velocity, invert_axis, velocity_after_period
+from surffollow.forecast.plant.axis_model import (
+    ATTAINABLE_SHARE,
+    PERIOD_S,
+    axis_velocity,
+    invert_axis,
+    velocity_after_period,
+)
 from surffollow.forecast.setpoint import preview_control as plan
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import HORIZON, AdaptiveState
@@ -137,3 +143,16 @@ def test_the_inverted_axis_reaches_the_speed_that_was_asked():
         for more in (-0.015, 0.0, 0.015):
             target = invert_axis(params[0], 0.04, 0.3, v, v + more)
             assert velocity_after_period(params[0], 0.04, 0.3, v, target) == pytest.approx(v + more, abs=1e-4)
+
+
+@pytest.mark.parametrize("wanted_mps", [-5.0, 5.0])
+def test_a_speed_that_the_axis_does_not_attain_gives_the_setpoint_of_the_next_attainable_one(
+    wanted_mps: float,
+) -> None:
+    params = zeros(Params)
+    params["plant_a_max_mps2"], params["plant_v_max_mps"] = 2.0, 0.2
+    most = math.copysign(ATTAINABLE_SHARE * 2.0 * PERIOD_S, wanted_mps)
+    target = invert_axis(params[0], 0.04, 0.3, 0.0, wanted_mps)
+    assert target == invert_axis(params[0], 0.04, 0.3, 0.0, most)
+    assert velocity_after_period(params[0], 0.04, 0.3, 0.0, target) == pytest.approx(most, abs=1e-5)
+    assert abs(target - 0.3) < 2e-3, "without the bound the end of the interval searched: metres away"
