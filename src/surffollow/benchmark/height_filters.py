@@ -128,6 +128,16 @@ def propagate(m: NDArray[Any], dx: float, qs: float, qh: float) -> tuple[float, 
 
 
 @jit
+def correct(
+    m: NDArray[Any], h: float, p00: float, p01: float, p11: float, innovation: float, variance: float
+) -> tuple[float, float, float, float]:
+    """Correct height, slope and covariance by an innovation; the slope in the state row."""
+    k0, k1 = p00 / variance, p01 / variance
+    m[SLOPE] += k1 * innovation
+    return h + k0 * innovation, p00 - k0 * p00, p01 - k0 * p01, p11 - k1 * p01
+
+
+@jit
 def adapt_noise(
     m: NDArray[Any], innovation: float, variance: float, k0: float, p00: float, memory: float
 ) -> None:
@@ -182,12 +192,8 @@ def update_kalman(
         p00, p01, p11 = r, 0.0, p11 + 1e-3
         made = RESET
     else:
-        k0, k1 = p00 / variance, p01 / variance
-        h += k0 * innovation
-        m[SLOPE] += k1 * innovation
-        p11 -= k1 * p01
-        p01 -= k0 * p01
-        p00 -= k0 * p00
+        k0 = p00 / variance
+        h, p00, p01, p11 = correct(m, h, p00, p01, p11, innovation, variance)
         if memory > 0.0:
             adapt_noise(m, innovation, variance, k0, p00, memory)
     m[HEIGHT], m[X] = h, max(x_m, m[X])
@@ -237,12 +243,7 @@ def update_waves(
         p00, p01, p11 = r, 0.0, p11 + 1e-3
         waves.shift(f, h_m)
     else:
-        k0, k1 = p00 / variance, p01 / variance
-        h += k0 * innovation
-        m[SLOPE] += k1 * innovation
-        p11 -= k1 * p01
-        p01 -= k0 * p01
-        p00 -= k0 * p00
+        h, p00, p01, p11 = correct(m, h, p00, p01, p11, innovation, variance)
         waves.update(f, h_m, r)
     m[HEIGHT], m[X] = h, max(x_m, m[X])
     m[P00], m[P01], m[P11] = p00, p01, p11
