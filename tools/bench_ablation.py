@@ -113,21 +113,8 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "penalty on an early descent": [
         ("preview_control", "EARLY_WEIGHT = 1.5e-3, 300.0", "EARLY_WEIGHT = 1.5e-3, 0.0")
     ],
-    "curve models": [("model_bank", "for qc in (3.0, 10.0, 30.0, 100.0, 300.0):", "for qc in (30.0,):")],
-    "wave models": [
-        (
-            "model_bank",
-            "for lam in (0.063, 0.08, 0.1, 0.126, 0.16, 0.2, 0.252, 0.32, 0.4, 0.5, 0.63):",
-            "for lam in (0.2,):",
-        )
-    ],
-    "shares of the slope": [
-        (
-            "model_bank",
-            "for s in (_HALF_SLOPE, _NO_SLOPE) for i in range(N_MODELS) if s in _MODELS[i][1]]",
-            "for s in (_HALF_SLOPE,) for i in range(1) if s in _MODELS[i][1]]",
-        )
-    ],
+    "curve models": [("model_bank", "for qc in (3.0, 20.0, 150.0)]", "for qc in (20.0,)]")],
+    "wave models": [("model_bank", "_N_WAVES, _PER_OCTAVE = 11, 3", "_N_WAVES, _PER_OCTAVE = 3, 3")],
     "deadband": [
         ("setpoint_blend", "excess = abs(e) - adaptation.deadband_m", "excess = abs(e) - 1e-9"),
         ("setpoint_blend", "softness = DEADBAND_SOFTNESS * adaptation.deadband_m", "softness = 1e-12"),

@@ -11,13 +11,11 @@ from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.trials import Job, excursion
 from surffollow.forecast.estimation.model_bank import (
     BANK,
-    CANDIDATE_MODEL,
-    N_CANDIDATES,
     N_MODELS,
-    SLOPE_SHARE,
     WAVE,
-    extrapolate,
+    extrapolate_bank,
     extrapolation_variance,
+    model_height,
 )
 from surffollow.forecast.estimation.model_weights import BURN_IN_SAMPLES, FULL_POWER_SAMPLES, update_weights
 from surffollow.forecast.pose import push_pose
@@ -118,7 +116,7 @@ def test_a_bad_first_sample_is_discarded_with_all_that_it_taught():
     assert list(taken) == [1, 0, 0]
     a, _ = feed([0.0] * 3, a=a, start=4, seed=1)
     assert abs(a["estimate"]["height_m"]) < 1e-3
-    assert np.abs(a["shadow"]["position_m"][:N_CANDIDATES] - 0.1).max() < 1e-3, (
+    assert np.abs(a["shadow"]["position_m"][:N_MODELS] - 0.1).max() < 1e-3, (
         "the shadows stand where the ground is"
     )
     assert a["gate"]["slot_likelihood"] == 1.0, "no step was seen"
@@ -134,11 +132,10 @@ def judged(samples, scored):
         0.04,
         0.03,
     )
-    a["weights"]["recent_m2"][:N_CANDIDATES] = a["weights"]["longer_m2"][:N_CANDIDATES] = (
+    a["weights"]["recent_m2"][:N_MODELS] = a["weights"]["longer_m2"][:N_MODELS] = (
         1.1 * a["noise"]["sigma_m"] ** 2
     )
-    for i in range(N_MODELS):
-        a["bank"]["covariance"][6 * i] = 1e-10
+    a["bank"]["p00"] = 1e-10
     return a
 
 
@@ -152,7 +149,7 @@ def test_the_variance_penalty_acts_during_burn_in_only():
         (BURN_IN_SAMPLES, FULL_POWER_SAMPLES),
     ):
         a = judged(samples, scored)
-        a["bank"]["covariance"][6 * bold + 3] = 1.0  # no idea of its slope
+        a["bank"]["p11"][bold] = 1.0  # no idea of its slope
         update_weights(default_params(), a, 1.0)
         shares.append(a["weights"]["weight"][bold] / a["weights"]["weight"][bold + 1])
     assert shares[0] < 1e-3
@@ -166,7 +163,7 @@ def test_there_is_no_variance_penalty_with_a_leading_sensor():
     for lead_m in (-0.05, 0.0, 0.05):
         a = judged(BURN_IN_SAMPLES, 0)
         a["sample"]["lead_m"] = lead_m
-        a["bank"]["covariance"][6 * 10 + 3] = 1.0  # no idea of its slope
+        a["bank"]["p11"][10] = 1.0  # no idea of its slope
         update_weights(default_params(), a, 1.0)
         shares.append(a["weights"]["weight"][10] / a["weights"]["weight"][11])
     assert max(shares[:2]) < 1e-3
@@ -177,7 +174,7 @@ def test_the_power_of_the_index_is_high_in_noise_and_low_in_great_errors():
     def advantage(factor, scored):
         a = judged(BURN_IN_SAMPLES, scored)
         for horizon in ("recent_m2", "longer_m2"):
-            a["weights"][horizon][:N_CANDIDATES] *= factor
+            a["weights"][horizon][:N_MODELS] *= factor
             a["weights"][horizon][10] *= 0.99
         update_weights(default_params(), a, 1.0)
         return a["weights"]["weight"][10] / a["weights"]["weight"][11]
@@ -189,29 +186,23 @@ def test_the_power_of_the_index_is_high_in_noise_and_low_in_great_errors():
     assert 1.0 < advantage(400.0, FULL_POWER_SAMPLES) < 1.1
 
 
-def test_candidates_of_one_model_have_the_prior_weight_of_one_and_lead_by_their_share():
-    assert sorted(set(CANDIDATE_MODEL)) == list(range(N_MODELS))
-    assert len(set(zip(CANDIDATE_MODEL, SLOPE_SHARE))) == N_CANDIDATES
+def test_levels_and_slopes_that_did_equally_well_have_equal_weights():
     a = judged(BURN_IN_SAMPLES, FULL_POWER_SAMPLES)
     update_weights(default_params(), a, 1.0)
-    of_model = np.bincount(CANDIDATE_MODEL, a["weights"]["weight"][:N_CANDIDATES])
-    levels_and_slopes = of_model[BANK[:, 0] == 0]
+    weights = a["weights"]["weight"][:N_MODELS]
+    assert weights.sum() == pytest.approx(1.0)
+    levels_and_slopes = weights[BANK[:, 0] == 0]
     assert levels_and_slopes == pytest.approx(levels_and_slopes[0])
-    assert (SLOPE_SHARE[:N_MODELS] == 1.0).all()
-    assert set(SLOPE_SHARE[N_MODELS:]) == {0.0, 0.5}
 
 
-def test_a_candidate_leads_by_its_share_of_the_slope():
+def test_the_setpoint_of_a_model_leads_by_its_slope_times_the_time_constant():
     a = judged(BURN_IN_SAMPLES, FULL_POWER_SAMPLES)
-    for i in range(N_MODELS):
-        if BANK[i, 0] != WAVE:
-            a["bank"]["mean"][3 * i + 1] = 0.2
+    rising = (BANK[:, 2] > 0.0) & (BANK[:, 0] != WAVE)
+    a["bank"]["x1"][:N_MODELS][rising] = 0.2
     blend_setpoints(default_params(), a, 0, 0.0, 0.1, 1)
-    targets = a["shadow"]["setpoint_m"].reshape(-1, N_PERIODS)[:N_CANDIDATES, 0]
+    targets = a["shadow"]["setpoint_m"].reshape(N_PERIODS, -1)[0, :N_MODELS]
     lead_m = 0.1 * 0.04  # speed times τ
-    slopes = BANK[CANDIDATE_MODEL, 2] > 0.0
-    rising = slopes & (BANK[CANDIDATE_MODEL, 0] != WAVE)
-    assert targets[rising] == pytest.approx(0.1 + 0.2 * lead_m * SLOPE_SHARE[rising])
+    assert targets[rising] == pytest.approx(0.1 + 0.2 * lead_m)
     assert targets[~rising] == pytest.approx(0.1)
 
 
@@ -220,16 +211,18 @@ def test_variance_of_a_look_ahead_is_that_of_the_models_own_line(i):
     rng = np.random.default_rng(i)
     b = rng.standard_normal((3, 3))
     c = b @ b.T
-    cov = np.zeros(6 * N_MODELS)
-    cov[6 * i : 6 * i + 6] = c[np.triu_indices(3)]
+    bank = zeros(AdaptiveState)[0]["bank"]
+    for name, value in zip(("p00", "p01", "p02", "p11", "p12", "p22"), c[np.triu_indices(3)]):
+        bank[name][i] = value
     d = 1e-6  # near, where a line is a line for every model
     gradient = np.zeros(3)
-    for k in range(3):
-        x = np.zeros(3 * N_MODELS)
-        x[3 * i + k] = 1.0
-        gradient[k] = extrapolate(i, x, d, 0.0)
-    assert extrapolation_variance(i, cov, d) == pytest.approx(gradient @ c @ gradient, rel=1e-3)
-    assert gradient[1] == pytest.approx(1.0 if BANK[i, 0] == WAVE else (d if BANK[i, 2] else 0.0), abs=1e-6)
+    for k, name in enumerate(("x0", "x1", "x2")):
+        ahead = zeros(AdaptiveState)[0]["bank"]
+        ahead[name][i] = 1.0
+        extrapolate_bank(ahead, d)
+        gradient[k] = model_height(i, ahead) + ahead["rise_m"][i]
+    assert extrapolation_variance(i, bank, d) == pytest.approx(gradient @ c @ gradient, rel=1e-3)
+    assert gradient[1] == pytest.approx(1.0 if BANK[i, 0] == WAVE else d, abs=1e-6)
 
 
 def test_no_speed_is_measured_across_a_long_gap_of_reports():

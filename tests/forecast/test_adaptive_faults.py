@@ -105,7 +105,7 @@ def test_another_assumed_time_constant_counts_at_once():
     assert b.f.state()["tau_s"] == 0.2
 
 
-def test_the_published_weights_are_those_of_all_candidates():
+def test_the_published_weights_are_those_of_all_models():
     b = Bench()
     b.go(300, 0.1, speed_mps=0.1)
     assert sum(b.f.state()["weights"]) == pytest.approx(1.0)
@@ -285,8 +285,8 @@ def test_a_coarse_sensor_on_a_ramp_is_not_taken_for_stuck(slope, speed_mps, lsb_
         ("weights", "weight"),
         ("weights", "recent_m2"),
         ("weights", "longer_m2"),
-        ("bank", "mean"),
-        ("bank", "covariance"),
+        ("bank", "x0"),
+        ("bank", "p00"),
         ("noise", "sigma_m"),
         ("shadow", "effort"),
     ],

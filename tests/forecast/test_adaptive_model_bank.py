@@ -41,41 +41,53 @@ def dense(i, d):
     return f, np.diag([qh * qh * d, q * q * d, q * q * d]), np.array([1.0, 1.0, 0])
 
 
-def matrix(p, i):
-    a, b, c, d, e, f = p[6 * i : 6 * i + 6]
-    return np.array([[a, b, c], [b, d, e], [c, e, f]])
+def fresh_bank():
+    """A bank that has been reset to a height of 10 mm."""
+    b = zeros(AdaptiveState)[0]["bank"]
+    bank.reset_bank(b, 0.01, 1e-7)
+    return b
+
+
+def mean_of(b, i):
+    return np.array([b[name][i] for name in ("x0", "x1", "x2")])
+
+
+def covariance_of(b, i):
+    p00, p01, p02, p11, p12, p22 = (b[name][i] for name in ("p00", "p01", "p02", "p11", "p12", "p22"))
+    return np.array([[p00, p01, p02], [p01, p11, p12], [p02, p12, p22]])
 
 
 @pytest.mark.parametrize("i", range(bank.N_MODELS))
 def test_every_model_is_its_dense_kalman_filter(i):
-    rng = np.random.default_rng(i)
-    x, p = np.zeros(3 * bank.N_MODELS), np.zeros(6 * bank.N_MODELS)
-    bank.reset_model(i, x, p, 0.01, 1e-7)
-    state, cov = x[3 * i : 3 * i + 3].copy(), matrix(p, i)
+    rng, b = np.random.default_rng(i), fresh_bank()
+    state, cov = mean_of(b, i), covariance_of(b, i)
     for _ in range(40):
         d, h, r = rng.uniform(0.0, 3e-3), 0.01 + 0.002 * rng.standard_normal(), 1e-7
         f, q, row = dense(i, d)
         state, cov = f @ state, f @ cov @ f.T + q
-        bank.propagate_model(i, x, p, d)
-        assert bank.model_height(i, x) == pytest.approx(row @ state, abs=1e-12)
+        bank.propagate_bank(b, d)
+        assert bank.model_height(i, b) == pytest.approx(row @ state, abs=1e-12)
         gain = cov @ row / (row @ cov @ row + r)
         state, cov = state + gain * (h - row @ state), cov - np.outer(gain, row @ cov)
-        bank.update_model(i, x, p, h, r)
-    assert x[3 * i : 3 * i + 3] == pytest.approx(state, rel=1e-6, abs=1e-9)
-    assert matrix(p, i) == pytest.approx(cov, rel=1e-5, abs=1e-12)
+        bank.update_bank(b, h, r)
+    assert mean_of(b, i) == pytest.approx(state, rel=1e-6, abs=1e-9)
+    assert covariance_of(b, i) == pytest.approx(cov, rel=1e-5, abs=1e-12)
 
 
 @pytest.mark.parametrize("i", range(bank.N_MODELS))
-def test_looking_ahead_is_predicting_and_its_lead_is_the_slope(i):
+def test_looking_ahead_is_predicting(i):
     rng = np.random.default_rng(100 + i)
-    x = 0.01 * rng.standard_normal(3 * bank.N_MODELS)
+    b = fresh_bank()
+    for name in ("x0", "x1", "x2"):
+        b[name][i] = 0.01 * rng.standard_normal()
     if bank.BANK[i, 0] == bank.SLOPE and bank.BANK[i, 2] == 0.0:
-        x[3 * i + 1] = 0.0
-    y, p = x.copy(), np.zeros(6 * bank.N_MODELS)
-    bank.propagate_model(i, y, p, 0.012)
-    assert bank.extrapolate(i, x, 0.012, 0.0) == pytest.approx(bank.model_height(i, y), abs=1e-12)
-    with_lead = bank.extrapolate(i, x, 0.012, 0.004) - bank.extrapolate(i, x, 0.012, 0.0)
-    assert with_lead == pytest.approx(0.004 * bank.model_slope(i, y), abs=1e-12)
+        b["x1"][i] = 0.0
+    before = bank.model_height(i, b)
+    bank.extrapolate_bank(b, 0.012)
+    rise_m, slope = float(b["rise_m"][i]), float(b["slope_ahead"][i])
+    bank.propagate_bank(b, 0.012)
+    assert before + rise_m == pytest.approx(bank.model_height(i, b), abs=1e-12)
+    assert slope == pytest.approx(bank.model_slope(i, b), abs=1e-12)
 
 
 def test_the_assumed_axis_is_the_simulated_one():

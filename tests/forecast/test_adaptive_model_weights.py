@@ -14,9 +14,8 @@ from surffollow.benchmark.trials import Job, excursion
 from surffollow.forecast.estimation.adaptation import update_deadband
 from surffollow.forecast.estimation.model_bank import (
     BANK,
-    CANDIDATE_MODEL,
     CURVE,
-    N_CANDIDATES,
+    N_MODELS,
     SLOPE,
     SMOOTH_MODEL,
     WAVE,
@@ -36,7 +35,7 @@ from .feeding import default_params
 
 NOISE_M = 2.5e-4
 OLD, NEW = 0, 2
-QUICK = 13
+QUICK = 9
 AT_ONCE_S = 10.0
 
 
@@ -51,7 +50,7 @@ def weight_change(rms_m: float, dt_s: float, scored: int = FULL_POWER_SAMPLES) -
         scored,
         FULL_POWER_SAMPLES,
     )
-    a["weights"]["recent_m2"][:N_CANDIDATES] = a["weights"]["longer_m2"][:N_CANDIDATES] = 1.2 * rms_m * rms_m
+    a["weights"]["recent_m2"][:N_MODELS] = a["weights"]["longer_m2"][:N_MODELS] = 1.2 * rms_m * rms_m
     a["weights"]["recent_m2"][OLD] = rms_m * rms_m
     update_weights(default_params(), a, AT_ONCE_S)
     before = float(a["weights"]["weight"][NEW])
@@ -59,8 +58,8 @@ def weight_change(rms_m: float, dt_s: float, scored: int = FULL_POWER_SAMPLES) -
     there = a.copy()
     update_weights(default_params(), there, AT_ONCE_S)
     update_weights(default_params(), a, dt_s)
-    assert a["weights"]["weight"][:N_CANDIDATES].sum() == pytest.approx(1.0, abs=1e-12)
-    assert (a["weights"]["weight"][:N_CANDIDATES] >= 0.0).all()
+    assert a["weights"]["weight"][:N_MODELS].sum() == pytest.approx(1.0, abs=1e-12)
+    assert (a["weights"]["weight"][:N_MODELS] >= 0.0).all()
     return float((a["weights"]["weight"][NEW] - before) / (there["weights"]["weight"][NEW] - before))
 
 
@@ -87,9 +86,9 @@ def odds_of(kind: int, score_m2: float, scored: int) -> float:
         scored,
         FULL_POWER_SAMPLES,
     )
-    a["weights"]["recent_m2"][:N_CANDIDATES] = a["weights"]["longer_m2"][:N_CANDIDATES] = score_m2
+    a["weights"]["recent_m2"][:N_MODELS] = a["weights"]["longer_m2"][:N_MODELS] = score_m2
     update_weights(default_params(), a, AT_ONCE_S)
-    i = int(np.flatnonzero(BANK[CANDIDATE_MODEL, 0] == kind)[0])
+    i = int(np.flatnonzero(BANK[:, 0] == kind)[0])
     return float(a["weights"]["weight"][i] / a["weights"]["weight"][SMOOTH_MODEL])
 
 
@@ -111,10 +110,10 @@ def effort_odds(rms_m: float, scored: int) -> float:
         scored,
         FULL_POWER_SAMPLES,
     )
-    a["weights"]["recent_m2"][:N_CANDIDATES] = a["weights"]["longer_m2"][:N_CANDIDATES] = rms_m * rms_m
-    still, jumpy = 3, 4  # both follow levels
-    assert tuple(BANK[CANDIDATE_MODEL[[still, jumpy]], 0]) == (SLOPE, SLOPE)
-    a["shadow"]["effort"][jumpy] = 100.0
+    a["weights"]["recent_m2"][:N_MODELS] = a["weights"]["longer_m2"][:N_MODELS] = rms_m * rms_m
+    still, jumpy = 2, 3  # both follow levels
+    assert tuple(BANK[[still, jumpy], 0]) == (SLOPE, SLOPE)
+    a["shadow"]["log_effort"][jumpy] = math.log(101.0)
     update_weights(default_params(), a, AT_ONCE_S)
     return float(a["weights"]["weight"][still] / a["weights"]["weight"][jumpy])
 
@@ -141,7 +140,7 @@ def fine_log_odds(scored: int) -> float:
             scored,
             FULL_POWER_SAMPLES,
         )
-        a["weights"]["recent_m2"][:N_CANDIDATES], a["weights"]["longer_m2"][:N_CANDIDATES] = (
+        a["weights"]["recent_m2"][:N_MODELS], a["weights"]["longer_m2"][:N_MODELS] = (
             NOISE_M**2,
             1e6 * NOISE_M**2,
         )
@@ -165,9 +164,9 @@ def test_the_weights_of_a_sensor_without_any_noise_stay_finite():
     a = zeros(AdaptiveState)[0]
     a["weights"]["scored"], a["estimate"]["samples"] = FULL_POWER_SAMPLES, FULL_POWER_SAMPLES
     for score_m2 in (1e-8, 0.0):
-        a["weights"]["recent_m2"][:N_CANDIDATES] = a["weights"]["longer_m2"][:N_CANDIDATES] = score_m2
+        a["weights"]["recent_m2"][:N_MODELS] = a["weights"]["longer_m2"][:N_MODELS] = score_m2
         update_weights(default_params(), a, 0.004)
-        assert np.isfinite(a["weights"]["weight"][:N_CANDIDATES]).all()
+        assert np.isfinite(a["weights"]["weight"][:N_MODELS]).all()
 
 
 def long_odds(recent: float, ever: float, quick_recent: float = 1.3, quick_ever: float = 1.0) -> float:
@@ -178,8 +177,8 @@ def long_odds(recent: float, ever: float, quick_recent: float = 1.3, quick_ever:
         FULL_POWER_SAMPLES,
         FULL_POWER_SAMPLES,
     )
-    a["weights"]["recent_m2"][:N_CANDIDATES] = 2.0 * recent * NOISE_M**2
-    a["weights"]["longer_m2"][:N_CANDIDATES] = 2.0 * ever * NOISE_M**2
+    a["weights"]["recent_m2"][:N_MODELS] = 2.0 * recent * NOISE_M**2
+    a["weights"]["longer_m2"][:N_MODELS] = 2.0 * ever * NOISE_M**2
     a["weights"]["recent_m2"][[SMOOTH_MODEL, QUICK]] = np.array([recent, quick_recent]) * NOISE_M**2
     a["weights"]["longer_m2"][[SMOOTH_MODEL, QUICK]] = np.array([ever, quick_ever]) * NOISE_M**2
     update_weights(default_params(), a, AT_ONCE_S)
@@ -203,7 +202,7 @@ def deadband_m(samples: int, scored: int, rms_m: float) -> float:
         samples,
         scored,
     )
-    a["weights"]["recent_m2"][:N_CANDIDATES] = rms_m * rms_m
+    a["weights"]["recent_m2"][:N_MODELS] = rms_m * rms_m
     update_deadband(default_params(), a)
     return float(a["adaptation"]["deadband_m"])
 

@@ -10,13 +10,12 @@ from surffollow.benchmark.runner import run_method
 from surffollow.benchmark.scene import make_scene
 from surffollow.forecast.estimation.model_bank import (
     BANK,
-    CANDIDATE_MODEL,
-    N_CANDIDATES,
+    N_MODELS,
     SLOPE,
-    extrapolate,
-    model_height,
+    WAVES,
+    extrapolate_bank,
 )
-from surffollow.forecast.setpoint.setpoint_blend import HEIGHT_MARGIN_M, candidate_setpoint
+from surffollow.forecast.setpoint.setpoint_blend import HEIGHT_MARGIN_M, compute_setpoints
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.sim.profiles_measured import from_points
@@ -25,26 +24,26 @@ from surffollow.sim.profiles_measured import from_points
 def planes(slope: float) -> np.void:
     """A follower whose models all stand at 2 m on ground of this slope."""
     a = zeros(AdaptiveState)[0]
-    a["bank"]["mean"][0::3] = 2.0
-    a["bank"]["mean"][1::3] = slope
+    a["bank"]["x0"] = 2.0
+    a["bank"]["x1"][:WAVES] = slope
     return a
 
 
 @pytest.mark.parametrize("steepest", [0.2, 0.9])
 @pytest.mark.parametrize("ahead_m", [-0.01, 0.0, 0.004, 0.05])
 @pytest.mark.parametrize("slope", [-3.0, -0.1, 0.0, 0.15, 1.0])
-def test_a_candidate_asks_for_no_more_than_the_steepest_ground_allows(
+def test_a_model_asks_for_no_more_than_the_steepest_ground_allows(
     slope: float, ahead_m: float, steepest: float
 ) -> None:
     a, lead_m = planes(slope), 0.008
     most = HEIGHT_MARGIN_M + steepest * (abs(ahead_m) + lead_m)
-    for i in np.flatnonzero(BANK[CANDIDATE_MODEL, 0] == SLOPE):
-        free = extrapolate(CANDIDATE_MODEL[i], a["bank"]["mean"], ahead_m, lead_m) - 2.0
-        got = candidate_setpoint(i, a["bank"], ahead_m, lead_m, steepest) - 2.0
-        assert got == pytest.approx(min(max(free, -most), most), abs=1e-12)
-    for i in range(N_CANDIDATES):
-        h = model_height(CANDIDATE_MODEL[i], a["bank"]["mean"])
-        assert abs(candidate_setpoint(i, a["bank"], ahead_m, lead_m, steepest) - h) <= most + 1e-12
+    compute_setpoints(a, ahead_m, lead_m, steepest, 0.1)
+    got = a["blend"]["model_m"] - 2.1
+    extrapolate_bank(a["bank"], ahead_m)
+    for i in np.flatnonzero(BANK[:, 0] == SLOPE):
+        free = a["bank"]["rise_m"][i] + lead_m * a["bank"]["slope_ahead"][i]
+        assert got[i] == pytest.approx(min(max(free, -most), most), abs=1e-12)
+    assert (np.abs(got[:N_MODELS]) <= most + 1e-12).all()
 
 
 def errors_m(x_m: np.ndarray, heights_m: np.ndarray, speed_mps: float) -> np.ndarray:

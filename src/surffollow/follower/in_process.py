@@ -21,7 +21,7 @@ from surffollow.config.params import check_param, param_name
 from surffollow.errors import ConfigError, PoseError, UsageError
 from surffollow.follower.future_stamps import FutureStamps, ReferenceTime
 from surffollow.follower.setup import Config, check_standoff, check_window, read_setup
-from surffollow.forecast.estimation.model_bank import N_CANDIDATES
+from surffollow.forecast.estimation.model_bank import N_MODELS
 from surffollow.forecast.horizon import forecast_range
 from surffollow.forecast.pose import MOST_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
 from surffollow.forecast.step import follow_step, sf_reset
@@ -340,7 +340,7 @@ class Follower:
             shown += ("permitted_variance_m", "interval_size_m", "range_size", "beams")
             out.update({n: o[n].item() for n in shown})
             out["preview_share"] = float(adaptive["preview"]["share"])
-            out["weights"] = adaptive["weights"]["weight"][:N_CANDIDATES].tolist()
+            out["weights"] = adaptive["weights"]["weight"][:N_MODELS].tolist()
             if adaptive["plane"]["count"] > 0:
                 out["normal"] = o["normal"].tolist()
         out["demand"] = self._demand.tolist()

@@ -97,7 +97,7 @@ def target_of_blend(
 ) -> Any:
     """Blended set point [m], and 1 when a controller period begins.
 
-    The candidates are blended when a sample, a pose or a controller period is new. In between the blend
+    The models are blended when a sample, a pose or a controller period is new. In between the blend
     continues at the rate that the models predict.
     """
     clock, blend = adaptive.clock, adaptive.blend

@@ -17,13 +17,13 @@ from surffollow.shm import blas_check as blas_check  # before the first kernel i
 
 YOUNG_OBJECTS = 100_000  # between collections while numba compiles; 5 % more memory, 15 % less time
 
-_NO_C_ENTRY: dict[str, Any] = {"no_cfunc_wrapper": True}
+_OPTIONS: dict[str, Any] = {"no_cfunc_wrapper": True, "error_model": "numpy"}
 
-jit = njit(cache=True, nogil=True, **_NO_C_ENTRY)
-jit_inlined = njit(cache=True, nogil=True, forceinline=True, **_NO_C_ENTRY)  # by LLVM
+jit = njit(cache=True, nogil=True, **_OPTIONS)
+jit_inlined = njit(cache=True, nogil=True, forceinline=True, **_OPTIONS)  # by LLVM
 # for long loops over arrays: a division by zero gives inf or NaN, so that LLVM can vectorise the loop
-jit_arrays = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, **_NO_C_ENTRY)
-jit_pasted = njit(cache=True, nogil=True, inline="always", **_NO_C_ENTRY)  # by numba, before it finds types
+jit_arrays = njit(cache=True, nogil=True, fastmath={"contract"}, **_OPTIONS)
+jit_pasted = njit(cache=True, nogil=True, inline="always", **_OPTIONS)  # by numba, before it finds types
 
 
 class _FewerCollections(event.Listener):  # type: ignore[misc]

@@ -7,6 +7,7 @@ Only the stage that owns a record writes it.
 from __future__ import annotations
 
 from surffollow.shm.layout_adaptive_estimation import (
+    MAX_MODELS,
     N_PERIODS,
     Bank,
     Buffer,
@@ -80,7 +81,8 @@ class Adaptation(Schema):
 class Blend(Schema):
     """Blended set point and its filter (`setpoint_blend`)."""
 
-    setpoint_m = F64(unit="m", doc="blend of the candidates' set points")
+    model_m = F64(MAX_MODELS, unit="m", doc="newest set points of the models")
+    setpoint_m = F64(unit="m", doc="their blend")
     rate_mps = F64(unit="m/s", doc="its rate as the models predict it")
     t_ns = I64(unit="ns", doc="when it was made")
     pose_ns = I64(unit="ns", doc="timestamp of the pose that it was made with")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from surffollow.shm.schema import F64, I64, Schema
 
-MAX_CANDIDATES = 64  # most candidates, and models
+MAX_MODELS = 32
 N_PERIODS = 64  # controller periods that the set-point rings hold: 640 ms
 PENDING_HEIGHTS = 32  # pending heights that enter the terrain buffer when a step is confirmed
 BUFFER_CELLS = 512  # of the terrain buffer, 1 mm each
@@ -44,27 +44,40 @@ class Gate(Schema):
 class Bank(Schema):
     """Kalman filters of the ground (`model_bank`)."""
 
-    mean = F64(MAX_CANDIDATES * 3, doc="states: height [m], slope, curvature (wave: mean, sine, cosine)")
-    covariance = F64(MAX_CANDIDATES * 6, doc="covariances 00 01 02 11 12 22")
+    x0 = F64(MAX_MODELS, doc="height [m]; of a wave its mean")
+    x1 = F64(MAX_MODELS, doc="slope; of a wave its sine [m]")
+    x2 = F64(MAX_MODELS, doc="curvature [1/m]; of a wave its cosine [m]")
+    p00 = F64(MAX_MODELS, doc="covariance of these")
+    p01 = F64(MAX_MODELS)
+    p02 = F64(MAX_MODELS)
+    p11 = F64(MAX_MODELS)
+    p12 = F64(MAX_MODELS)
+    p22 = F64(MAX_MODELS)
+    f0 = F64(MAX_MODELS, doc="coefficients over a distance: decay of the slope; of a wave the cosine")
+    f1 = F64(MAX_MODELS, doc="integral of the decay [m]; of a wave the sine")
+    rise_m = F64(MAX_MODELS, unit="m", doc="change of height up to the point ahead")
+    slope_ahead = F64(MAX_MODELS, doc="slope there")
 
 
 class Shadow(Schema):
-    """Shadow axes of the candidates (`shadow_axes`)."""
+    """Shadow axes of the models (`shadow_axes`)."""
 
-    setpoint_m = F64(MAX_CANDIDATES * N_PERIODS, unit="m", doc="ring of set points per candidate")
-    position_m = F64(MAX_CANDIDATES, unit="m", doc="position of the axes")
-    velocity_mps = F64(MAX_CANDIDATES, unit="m/s", doc="velocity")
-    effort = F64(MAX_CANDIDATES, unit="m^2/s^4", doc="mean squared acceleration of the set points")
+    setpoint_m = F64(MAX_MODELS * N_PERIODS, unit="m", doc="set points of all models, per period of a ring")
+    position_m = F64(MAX_MODELS, unit="m", doc="position of the axes")
+    velocity_mps = F64(MAX_MODELS, unit="m/s", doc="velocity")
+    effort = F64(MAX_MODELS, unit="m^2/s^4", doc="mean squared acceleration of the set points")
+    log_effort = F64(MAX_MODELS, doc="ln(1 + effort in units of 1 m²/s⁴)")
 
 
 class Weights(Schema):
-    """Performance index and weights of the candidates (`model_weights`)."""
+    """Performance index and weights of the models (`model_weights`)."""
 
     scored = I64(doc="samples that entered the index, up to FULL_POWER_SAMPLES")
-    recent_m2 = F64(MAX_CANDIDATES, unit="m^2", doc="squared error of the shadow axis, recent horizon")
-    longer_m2 = F64(MAX_CANDIDATES, unit="m^2", doc="the same over the longer horizon")
-    cost = F64(MAX_CANDIDATES, doc="logarithm of the index with penalties, then its exponential")
-    weight = F64(MAX_CANDIDATES, doc="weights, sum 1")
+    recent_m2 = F64(MAX_MODELS, unit="m^2", doc="squared error of the shadow axis, recent horizon")
+    longer_m2 = F64(MAX_MODELS, unit="m^2", doc="the same over the longer horizon")
+    cost = F64(MAX_MODELS, doc="logarithm of the index with penalties, then its exponential")
+    weight = F64(MAX_MODELS, doc="weights, sum 1")
+    waiting_s = F64(unit="s", doc="time since the weights were updated")
 
 
 class Estimate(Schema):

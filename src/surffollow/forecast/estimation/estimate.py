@@ -18,8 +18,7 @@ from surffollow.forecast.estimation.innovation_gate import (
     update_travel,
 )
 from surffollow.forecast.estimation.model_bank import (
-    CANDIDATE_MODEL,
-    N_CANDIDATES,
+    N_MODELS,
     model_height,
     model_slope,
     propagate_bank,
@@ -61,19 +60,26 @@ SLOPE_POWER_LENGTH_M = 1.0  # over which the mean squared slope is taken
 
 
 @jit
+def blend_height(adaptive: Any) -> Any:
+    """Blended height at the point up to which the models are propagated [m]: h = Σ w_i h_i."""
+    h = 0.0
+    for i in range(N_MODELS):
+        h += adaptive.weights.weight[i] * model_height(i, adaptive.bank)
+    return h
+
+
+@jit
 def blend_models(adaptive: Any) -> None:
     """Blend height, slope and variance of the models at the newest sample.
 
-    h = Σ w_i h_i        σ² = Σ w_i (P_i + (h_i − h)²)
+    σ² = Σ w_i (P_i + (h_i − h)²)
     """
     bank, weights, estimate = adaptive.bank, adaptive.weights, adaptive.estimate
-    h, s, spread, variance = 0.0, 0.0, 0.0, 0.0
-    for i in range(N_CANDIDATES):
-        h += weights.weight[i] * model_height(CANDIDATE_MODEL[i], bank.mean)
-        s += weights.weight[i] * model_slope(CANDIDATE_MODEL[i], bank.mean)
-    for i in range(N_CANDIDATES):
-        e = model_height(CANDIDATE_MODEL[i], bank.mean) - h
-        variance += weights.weight[i] * max(bank.covariance[6 * CANDIDATE_MODEL[i]], 0.0)
+    h, s, spread, variance = blend_height(adaptive), 0.0, 0.0, 0.0
+    for i in range(N_MODELS):
+        e = model_height(i, bank) - h
+        s += weights.weight[i] * model_slope(i, bank)
+        variance += weights.weight[i] * max(bank.p00[i], 0.0)
         spread += weights.weight[i] * e * e
     estimate.height_m, estimate.slope, estimate.sigma_m = h, s, math.sqrt(variance + spread)
     estimate.gain = variance / max(adaptive.noise.sigma_m, MIN_NOISE_M) ** 2  # just after an update
@@ -191,7 +197,7 @@ def update_estimate(
     estimate.sample_ns = t_ns
     estimate.arc_length_m += travel
     propagate_bank(bank, travel)
-    blend_models(adaptive)
+    estimate.height_m = blend_height(adaptive)
     innovation = h_m - estimate.height_m
     width = max(gate_width(params, gate), PLAUSIBLE_SLOPE * travel)
     update_travel(params, gate, travel)

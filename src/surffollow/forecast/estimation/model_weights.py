@@ -1,6 +1,6 @@
 """Model weights from a two-horizon performance index on simulated axes.
 
-Each candidate drives a shadow axis (`shadow_axes`). The squared stand-off error of that axis at a sample,
+Each model drives a shadow axis (`shadow_axes`). The squared stand-off error of that axis at a sample,
 averaged over a recent and a longer horizon, is the performance index. The variance of the noise is
 subtracted, and penalties for effort, chance and variance are added.
 """
@@ -14,9 +14,7 @@ import numpy as np
 
 from surffollow.forecast.estimation.model_bank import (
     BANK,
-    CANDIDATE_MODEL,
-    CANDIDATE_PENALTY,
-    N_CANDIDATES,
+    N_MODELS,
     SMOOTH_MODEL,
     extrapolation_variance,
 )
@@ -27,24 +25,24 @@ NOISE_MARGIN = 1.4  # mean squares up to so many noise variances are noise
 VARIANCE_PENALTY = 3.0  # power of the models' own variance during burn-in
 WEIGHT_TIME_CONSTANT_S = 0.01  # of the weights where errors are noise …
 ROUGH_WEIGHT_TIME_CONSTANT_S = 0.05  # … and on terrain that no model describes
+WEIGHT_INTERVAL_S = 0.005  # quicker sensors do not update the weights with each sample
 MIN_TIME_CONSTANT_S = 1e-6  # avoids a division by zero at the first samples
 LONGER_POWER_FACTOR = 10.0  # of the longer horizon's power on quiet ground …
 RECENT_POWER_REDUCTION = 0.9  # … where the recent one's power is reduced by this share
 BURN_IN_SAMPLES, FULL_POWER_SAMPLES = 200, 500  # samples for the full index, and for its full power
 MIN_BURN_IN_SHARE = 0.03  # of these samples: errors far beyond the noise are significant after a few
 # per kind of model: a wave fits part of any noise for a while, a curve a smaller part
-CHANCE_PENALTY = np.array([0.0, 1.0, 5.0])[BANK[CANDIDATE_MODEL, 0].astype(np.int64)]
+CHANCE_PENALTY = np.array([0.0, 1.0, 5.0])[BANK[:, 0].astype(np.int64)]
 BURN_IN_CHANCE_FACTOR = 4.0  # at the start, falling to 1
-# power of the effort over EFFORT_UNIT: on rough ground the smoother of two equal models is better, and during
+# power of the effort: on rough ground the smoother of two equal models is better, and during
 # burn-in a model that follows the noise may fit by chance
 ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.8, 6.0
-EFFORT_UNIT = 1.0  # (1 m/s²)²
 INITIAL_INDEX_M2 = 1e-6  # (1 mm)²: the same for all, so that it prefers none
 
 
 @jit
 def update_index(params: Any, adaptive: Any, travel_m: Any, dt_s: Any, target_m: Any) -> None:
-    """Update the performance index of all candidates with a sample, then the weights."""
+    """Update the performance index of all models with a sample, then the weights."""
     weights, estimate = adaptive.weights, adaptive.estimate
     rate = travel_m / params.score_way_m + dt_s / params.score_time_s
     # after an initialisation the samples since then count
@@ -54,12 +52,14 @@ def update_index(params: Any, adaptive: Any, travel_m: Any, dt_s: Any, target_m:
     )
     f = max(1.0 - math.exp(-rate), burn_in_rate)
     g = max(1.0 - math.exp(-rate / params.long_factor), burn_in_rate)
-    for i in range(N_CANDIDATES):
+    for i in range(N_MODELS):
         e = adaptive.shadow.position_m[i] - target_m
         weights.recent_m2[i] += f * (e * e - weights.recent_m2[i])
         weights.longer_m2[i] += g * (e * e - weights.longer_m2[i])
     weights.scored = min(weights.scored + 1, FULL_POWER_SAMPLES)
-    update_weights(params, adaptive, dt_s)
+    weights.waiting_s += dt_s
+    if weights.waiting_s >= WEIGHT_INTERVAL_S:
+        update_weights(params, adaptive, weights.waiting_s)
 
 
 @jit
@@ -73,7 +73,7 @@ def least_noise_fraction(adaptive: Any) -> Any:
     """The same of the least index."""
     weights = adaptive.weights
     best = weights.recent_m2[0]
-    for i in range(1, N_CANDIDATES):
+    for i in range(1, N_MODELS):
         best = min(best, weights.recent_m2[i])
     return noise_fraction(best, adaptive.noise.sigma_m)
 
@@ -104,7 +104,7 @@ def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
     """
     shadow, weights = adaptive.shadow, adaptive.weights
     least_recent, least_longer = weights.recent_m2[0], weights.longer_m2[0]
-    for i in range(1, N_CANDIDATES):
+    for i in range(1, N_MODELS):
         least_recent = min(least_recent, weights.recent_m2[i])
         least_longer = min(least_longer, weights.longer_m2[i])
     variance = adaptive.noise.sigma_m * adaptive.noise.sigma_m
@@ -136,24 +136,22 @@ def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
         1.0 - progress
     )
     least = 1e300
-    for i in range(N_CANDIDATES):
+    for i in range(N_MODELS):
         extra = floor + mu * shadow.effort[i]
         c = power * math.log(weights.recent_m2[i] - subtracted + extra)
         c += long_power * math.log(weights.longer_m2[i] - subtracted_longer + extra)
-        c += effort_power * math.log(shadow.effort[i] / EFFORT_UNIT + 1.0)
-        c = burn_in * c + CANDIDATE_PENALTY[i] + chance * CHANCE_PENALTY[i]
+        c += effort_power * shadow.log_effort[i]
+        c = burn_in * c + chance * CHANCE_PENALTY[i]
         if variance_share > 0.0:
             c += (
                 VARIANCE_PENALTY
                 * variance_share
-                * math.log(
-                    extrapolation_variance(CANDIDATE_MODEL[i], adaptive.bank.covariance, ahead_m) + variance
-                )
+                * math.log(extrapolation_variance(i, adaptive.bank, ahead_m) + variance)
             )
         weights.cost[i] = c
         least = min(least, c)
     total = 0.0
-    for i in range(N_CANDIDATES):
+    for i in range(N_MODELS):
         weights.cost[i] = math.exp(least - weights.cost[i])
         total += weights.cost[i]
     time_constant_s = (
@@ -161,14 +159,15 @@ def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
         + ROUGH_WEIGHT_TIME_CONSTANT_S * (1.0 - noise_share * noise_share) * progress
     )
     rate = 1.0 - math.exp(-dt_s / max(time_constant_s, MIN_TIME_CONSTANT_S))
-    for i in range(N_CANDIDATES):
+    for i in range(N_MODELS):
         weights.weight[i] += rate * (weights.cost[i] / total - weights.weight[i])
+    weights.waiting_s = 0.0
 
 
 @jit
 def reset_index(weights: Any) -> None:
-    """Set the performance index of all candidates to the same value."""
-    for i in range(N_CANDIDATES):
+    """Set the performance index of all models to the same value."""
+    for i in range(N_MODELS):
         weights.recent_m2[i] = weights.longer_m2[i] = INITIAL_INDEX_M2
     weights.scored = 0
 
@@ -176,5 +175,5 @@ def reset_index(weights: Any) -> None:
 @jit
 def discard_weights(weights: Any) -> None:
     """Set all weights to zero: new ones would be filtered from them."""
-    for i in range(N_CANDIDATES):
+    for i in range(N_MODELS):
         weights.weight[i] = 0.0

@@ -25,14 +25,11 @@ MIN_SCALE_M = 1e-6  # of a sensor without noise
 GAP_INTERVALS = 5.0  # usual intervals, or seconds if that is more: begin at the next range
 
 
-def _models() -> np.ndarray[Any, Any]:
-    """(N_TRENDS, 2): ratio of rate noise to reading noise [s^-1.5], damping [s]; ratio 0: no change."""
-    rows = [(0.0, 1.0)]
-    rows += [(ratio, damping) for ratio in (0.2, 0.6, 2.0, 8.0, 20.0) for damping in (1.0, 2.5, 8.0)]
-    return np.array(rows)
-
-
-MODELS = _models()
+RATIOS = np.array([0.2, 0.6, 2.0, 8.0, 20.0])  # of rate noise to reading noise [s^-1.5]
+DAMPINGS_S = np.array([1.0, 2.5, 8.0])
+# the first line is "no change", then come all ratios with the first damping
+DAMPING_S = np.concatenate([DAMPINGS_S[:1], np.repeat(DAMPINGS_S, len(RATIOS))])
+assert len(DAMPING_S) == N_TRENDS
 
 
 @jit
@@ -75,7 +72,7 @@ def score_predictions(prediction: Any, t_ns: Any, range_m: Any) -> None:
             e = (
                 range_m
                 - prediction.snapshot_range_m[s]
-                - prediction.snapshot_rate_mps[s] * damped_time(h, MODELS[k, 1])
+                - prediction.snapshot_rate_mps[s] * damped_time(h, DAMPING_S[k])
             )
             prediction.error_m2[j * N_TRENDS + k] += SCORE_RATE * (
                 e * e - prediction.error_m2[j * N_TRENDS + k]
@@ -100,9 +97,11 @@ def update_prediction(prediction: Any, t_ns: Any, range_m: Any) -> None:
     prediction.interval_s += (INTERVAL_RATE if prediction.interval_s > 0.0 else 1.0) * (
         dt - prediction.interval_s
     )
-    mean = 0.0
-    for k in range(N_TRENDS):
-        mean += (prediction.range_m[k] + prediction.rate_mps[k] * damped_time(dt, MODELS[k, 1])) / N_TRENDS
+    mean = prediction.range_m[0] / N_TRENDS
+    for j in range(DAMPINGS_S.size):
+        g = damped_time(dt, DAMPINGS_S[j])
+        for k in range(1 + j * RATIOS.size, 1 + (j + 1) * RATIOS.size):
+            mean += (prediction.range_m[k] + g * prediction.rate_mps[k]) / N_TRENDS
     innovation = range_m - mean
     outlier = (
         abs(innovation) > GATE_SCALES * max(prediction.scale_m, MIN_SCALE_M) and prediction.scale_m > 0.0
@@ -114,26 +113,29 @@ def update_prediction(prediction: Any, t_ns: Any, range_m: Any) -> None:
     prediction.rejected = 0
     rate = SCALE_RATE if prediction.scale_m > 0.0 else 1.0
     prediction.scale_m += rate * (1.25 * abs(innovation) - prediction.scale_m)
-    for k in range(N_TRENDS):
-        ratio, damping, c = MODELS[k, 0], MODELS[k, 1], 3 * k
-        g, e = damped_time(dt, damping), math.exp(-dt / damping)
-        r, v = prediction.range_m[k] + g * prediction.rate_mps[k] + shift, e * prediction.rate_mps[k]
-        if ratio == 0.0:
-            prediction.range_m[k] = range_m
-            continue
-        p00, p01, p11 = prediction.covariance[c], prediction.covariance[c + 1], prediction.covariance[c + 2]
-        q = ratio * ratio
-        p00 += 2.0 * g * p01 + g * g * p11 + q * dt * dt * dt / 3.0
-        p01 = e * (p01 + g * p11) + 0.5 * q * dt * dt
-        p11 = e * e * p11 + q * dt
-        s = p00 + 1.0
-        k0, k1 = p00 / s, p01 / s
-        prediction.range_m[k], prediction.rate_mps[k] = r + k0 * (range_m - r), v + k1 * (range_m - r)
-        prediction.covariance[c], prediction.covariance[c + 1], prediction.covariance[c + 2] = (
-            p00 - k0 * p00,
-            p01 - k0 * p01,
-            p11 - k1 * p01,
-        )
+    prediction.range_m[0] = range_m
+    for j in range(DAMPINGS_S.size):
+        g, e = damped_time(dt, DAMPINGS_S[j]), math.exp(-dt / DAMPINGS_S[j])
+        for i in range(RATIOS.size):
+            k, q = 1 + j * RATIOS.size + i, RATIOS[i] * RATIOS[i]
+            c = 3 * k
+            r, v = prediction.range_m[k] + g * prediction.rate_mps[k] + shift, e * prediction.rate_mps[k]
+            p00, p01, p11 = (
+                prediction.covariance[c],
+                prediction.covariance[c + 1],
+                prediction.covariance[c + 2],
+            )
+            p00 += 2.0 * g * p01 + g * g * p11 + q * dt * dt * dt / 3.0
+            p01 = e * (p01 + g * p11) + 0.5 * q * dt * dt
+            p11 = e * e * p11 + q * dt
+            s = p00 + 1.0
+            k0, k1 = p00 / s, p01 / s
+            prediction.range_m[k], prediction.rate_mps[k] = r + k0 * (range_m - r), v + k1 * (range_m - r)
+            prediction.covariance[c], prediction.covariance[c + 1], prediction.covariance[c + 2] = (
+                p00 - k0 * p00,
+                p01 - k0 * p01,
+                p11 - k1 * p01,
+            )
     prediction.t_ns = t_ns
     last = prediction.snapshot_ns[(prediction.snapshots - 1) & (SNAPSHOTS - 1)]
     if prediction.snapshots == 0 or t_ns - last >= SNAPSHOT_NS:
@@ -158,7 +160,7 @@ def predict_range(prediction: Any, horizon_s: Any) -> Any:
     for k in range(N_TRENDS):
         score = prediction.error_m2[j * N_TRENDS + k]
         w = (least / score) ** WEIGHT_POWER if score > 0.0 and least > 0.0 else 1.0
-        total += w * (prediction.range_m[k] + prediction.rate_mps[k] * damped_time(horizon_s, MODELS[k, 1]))
+        total += w * (prediction.range_m[k] + prediction.rate_mps[k] * damped_time(horizon_s, DAMPING_S[k]))
         weight += w
     return total / weight
 

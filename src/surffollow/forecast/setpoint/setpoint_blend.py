@@ -1,4 +1,4 @@
-"""Blend the candidates' set points by weight and filter the blend with a deadband."""
+"""Blend the models' set points by weight and filter the blend with a deadband."""
 
 from __future__ import annotations
 
@@ -7,26 +7,22 @@ from typing import Any
 
 from surffollow.forecast.estimation.estimate import SETTLING_NS
 from surffollow.forecast.estimation.model_bank import (
-    CANDIDATE_MODEL,
-    N_CANDIDATES,
-    SLOPE_SHARE,
-    extrapolate,
+    N_MODELS,
+    extrapolate_bank,
     model_height,
 )
 from surffollow.forecast.plant.controller_clock import begin_period
-from surffollow.forecast.plant.shadow_axes import record_setpoint, update_effort
+from surffollow.forecast.plant.shadow_axes import record_setpoints
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.measurement import has_turned_back
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
 DROPOUT_TOLERANCE_S = 0.025  # a single missing sample is no drop-out
 RATE_STEP_S = 0.005  # over which the rate of the blended set point is taken
 DEADBAND_DECAY_S = 0.01  # time in which an excess of DEADBAND_SOFTNESS deadbands is halved
 DEADBAND_SOFTNESS = 2.5  # in deadbands
 FILTER_GAP_S = 0.1  # after a longer pause the filter begins at the blend
-MIN_RATE_WEIGHT = 1e-3  # candidates with less weight are left out of that rate
 SLOPE_LIMIT = 0.2  # slope that is never clamped …
 SLOPE_LIMIT_RMS = 3.0  # … or multiples of the RMS slope of the last metre …
 HEIGHT_MARGIN_M = 1e-3  # … plus this
@@ -43,32 +39,34 @@ def dropout_s(adaptive: Any) -> Any:
 
 
 @jit
-def candidate_setpoint(i: Any, bank: Any, ahead_m: Any, lead_m: Any, max_slope: Any) -> Any:
-    """Height by candidate i at `ahead_m` beyond the newest footprint, with slope times `lead_m` [m].
+def compute_setpoints(adaptive: Any, ahead_m: Any, lead_m: Any, max_slope: Any, standoff_m: Any) -> Any:
+    """Set points of all models at `ahead_m` beyond the newest footprint; returns their blend [m].
 
-    The change of height is clamped to max(20 %, 3 × RMS slope) of the distance, plus 1 mm.
+    A model adds its slope times `lead_m`. The change of height is clamped to `max_slope` of the
+    distance, plus 1 mm.
     """
-    h = model_height(CANDIDATE_MODEL[i], bank.mean)
+    bank, blend, weights = adaptive.bank, adaptive.blend, adaptive.weights
+    extrapolate_bank(bank, ahead_m)
     margin = HEIGHT_MARGIN_M + max_slope * (abs(ahead_m) + lead_m)
-    return h + min(max(extrapolate(CANDIDATE_MODEL[i], bank.mean, ahead_m, lead_m) - h, -margin), margin)
+    z = 0.0
+    for i in range(N_MODELS):
+        change = bank.rise_m[i] + lead_m * bank.slope_ahead[i]
+        t = model_height(i, bank) + min(max(change, -margin), margin) + standoff_m
+        blend.model_m[i] = t
+        z += weights.weight[i] * t
+    return z
 
 
 @jit
 def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, standoff_m: Any, due: Any) -> Any:
-    """Blend the candidates' set points; when a controller period is due, record each of them.
+    """Blend the models' set points; when a controller period is due, record each of them.
 
     The axis lags by τ. Its set point is the height plus τ times the rate of the height. In a drop-out slopes
     fade over `dropout_way_m`, a step away from the tool that was confirmed just before is taken back, and the
     set point descends no farther than that of the last sample less a margin.
     While the tool goes back since the newest sample, the height at that sample is held.
     """
-    clock, kinematics, gate, bank, weights = (
-        adaptive.clock,
-        adaptive.kinematics,
-        adaptive.gate,
-        adaptive.bank,
-        adaptive.weights,
-    )
+    clock, kinematics, gate = adaptive.clock, adaptive.kinematics, adaptive.gate
     estimate, blend = adaptive.estimate, adaptive.blend
     dropout = dropout_s(adaptive)
     lead_length_m = kinematics.speed_mps * adaptive.plant.tau_s
@@ -79,20 +77,11 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
         lead_length_m *= decay
     if has_turned_back(adaptive) != 0:  # hold the height of the newest footprint
         ahead_m = lead_length_m = 0.0
-    slot = adaptive.controller.periods & (N_PERIODS - 1)
     step_m = kinematics.speed_mps * RATE_STEP_S
     max_slope = max(SLOPE_LIMIT, SLOPE_LIMIT_RMS * math.sqrt(estimate.slope_power))
-    z, change = 0.0, 0.0
-    for i in range(N_CANDIDATES):
-        lead_m = SLOPE_SHARE[i] * lead_length_m
-        t = candidate_setpoint(i, bank, ahead_m, lead_m, max_slope) + standoff_m
-        z += weights.weight[i] * t
-        if weights.weight[i] > MIN_RATE_WEIGHT:
-            change += weights.weight[i] * (
-                candidate_setpoint(i, bank, ahead_m + step_m, lead_m, max_slope) + standoff_m - t
-            )
-        if due:
-            record_setpoint(adaptive.shadow, i, slot, t)
+    later = compute_setpoints(adaptive, ahead_m + step_m, lead_length_m, max_slope, standoff_m)
+    z = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
+    rate_mps = (later - z) / RATE_STEP_S
     recent = (
         estimate.accepted_ns - gate.step_ns < SETTLING_NS and gate.travel_since_step_m < params.step_way_m
     )
@@ -103,9 +92,9 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
     else:
         blend.seen_m = z
     if due:
-        update_effort(adaptive)
+        record_setpoints(adaptive)
         begin_period(adaptive.controller, clock.now_ns)
-    blend.setpoint_m, blend.rate_mps, blend.t_ns = z, change / RATE_STEP_S, clock.now_ns
+    blend.setpoint_m, blend.rate_mps, blend.t_ns = z, rate_mps, clock.now_ns
     blend.sample_ns, blend.pose_ns = estimate.sample_ns, pose_ns
     return z
 
