@@ -27,7 +27,7 @@ from typing import Any
 import msgspec
 
 MESSAGE = 1 << 20
-READY_S = 400.0  # with a cold kernel cache
+READY_S = 1200.0  # on a busy machine with a cold kernel cache
 _templates: dict[int, Template] = {}
 
 

@@ -24,7 +24,7 @@ from surffollow.shm.dtypes import zeros
 from surffollow.shm.objects import unlink
 from surffollow.sim.world import WorldPose, WorldWriter
 
-READY_S = 400.0  # a start on a busy machine with a cold kernel cache
+READY_S = 1200.0  # a start on a busy machine with a cold kernel cache
 WAIT_S = 60.0  # only there to fail
 PATIENT_S = 1.0  # silence that a busy machine may cause and that is not what a test is about
 STANDOFF_M = 0.1

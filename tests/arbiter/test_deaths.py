@@ -23,7 +23,7 @@ from surffollow.errors import RefusedError
 def server(arbiter):
     arbiter.stop()
     arbiter.path.write_text(
-        arbiter.path.read_text().replace("[clients]", 'lease = "100 ms"\n[clients]\nattacker = 20')
+        arbiter.path.read_text().replace("[clients]", 'lease = "1 s"\n[clients]\nattacker = 20')
     )
     return arbiter.start()
 

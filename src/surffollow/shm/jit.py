@@ -43,12 +43,12 @@ class _LateCache:
 
 def _kernels(**options: Any) -> Callable[[Any], Any]:
     """A decorator of kernels that are kept on disk."""
-    compiled = njit(nogil=True, no_cfunc_wrapper=True, **options)
+    compiled: Any = njit(**{"nogil": True, "no_cfunc_wrapper": True, **options})
 
     def decorate(py_func: Any) -> Any:
-        kernel = compiled(py_func)
+        kernel: Any = compiled(py_func)
         if isinstance(kernel, Dispatcher):  # else numba's compiler is switched off
-            kernel._cache = _LateCache(py_func)
+            setattr(kernel, "_cache", _LateCache(py_func))  # noqa: B010 - of an untyped class
         return kernel
 
     return decorate

@@ -67,7 +67,7 @@ def incidence_limit(half_beam_rad: float, model: str, max_incidence_rad: float |
 
 
 def _copied(values: ArrayLike) -> NDArray[np.float64]:
-    """A contiguous array that can be written: for one that cannot, the kernels would be compiled once more."""
+    """A contiguous array that can be written; for others the kernels would be compiled once more."""
     return np.array(np.ascontiguousarray(values, np.float64))
 
 
