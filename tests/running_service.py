@@ -106,12 +106,15 @@ def config_text(
     return head + "".join(f"[{table}]\n{text}" for table, text in lines.items() if text)
 
 
+def begin_command(words: Sequence[str]) -> subprocess.Popen[str]:
+    """Run a command line of the package with pipes, forked where that is possible (`forked_start`)."""
+    pipe = subprocess.PIPE
+    return fork_start(words, pipe) or subprocess.Popen(words, stdout=pipe, stderr=pipe, text=True)
+
+
 def run_command(words: Sequence[str], timeout_s: float = READY_S) -> subprocess.CompletedProcess[str]:
     """Run a command line of the package to its end, forked where that is possible (`forked_start`)."""
-    process = fork_start(words, subprocess.PIPE)
-    if process is None:
-        return subprocess.run(list(words), capture_output=True, text=True, timeout=timeout_s)
-    with process:
+    with begin_command(words) as process:
         try:
             out, errors = process.communicate(timeout=timeout_s)
         finally:

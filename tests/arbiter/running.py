@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from forked_start import fork_start
-from running_service import READY_S, WAIT_S, freeze, until
+from running_service import WAIT_S, freeze, run_command, until
 
 CONFIG = """
 [clients]
@@ -95,13 +95,9 @@ class Running:
             left.unlink()
 
     def command(self, *words: str) -> Any:
-        done = subprocess.run(
-            [sys.executable, "-m", "surffollow", "arbiter", *words, "--name", self.name, "--json"],
-            capture_output=True,
-            text=True,
-            timeout=READY_S,
-            check=True,
-        )
+        command = [sys.executable, "-m", "surffollow", "arbiter", *words, "--name", self.name, "--json"]
+        done = run_command(command)
+        done.check_returncode()
         return json.loads(done.stdout)
 
 
