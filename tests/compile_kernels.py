@@ -55,7 +55,9 @@ def warm_scan() -> None:
 def warm_sonar() -> None:
     """Walls from a ring, and the base that carries it."""
     from surffollow.apps.wall_following import run_experiment
+    from surffollow.sonar import fused_pose
 
+    fused_pose([(0.35, 0.0), (0.35, 0.0)], (0.0, 0.26), (0.8, 0.8), 0.2, sigma_m=0.01)
     run_experiment("paper", laps=1)
 
 
