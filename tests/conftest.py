@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from forked_start import note_environment
 from running_service import Service, config_text, over_ground
 from surffollow.shm.jit import YOUNG_OBJECTS
 from two_workers import make_scheduler
@@ -23,6 +24,11 @@ def pytest_configure() -> None:
     for number, handler in ((signal.SIGHUP, signal.SIG_DFL), (signal.SIGINT, signal.default_int_handler)):
         if signal.getsignal(number) == signal.SIG_IGN:
             signal.signal(number, handler)
+
+
+def pytest_collection_finish() -> None:
+    """Commands are forked from a process with the environment that the tests begin with."""
+    note_environment()
 
 
 @pytest.hookimpl(optionalhook=True)
