@@ -25,7 +25,7 @@ demo: $(STAMP)
 test: export PYTHONDONTWRITEBYTECODE :=
 test: $(STAMP)
 	$(PY) tests/compile_kernels.py
-	$(PY) -m pytest -n 4 || $(PY) tests/again.py
+	$(PY) -m pytest -n 4
 
 bench: $(STAMP)
 	$(PY) tools/bench.py

@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from forked_start import note_environment
 from running_service import Service, config_text, over_ground
+from surffollow.shm.jit import YOUNG_OBJECTS
 from two_workers import make_scheduler
 
 
 def pytest_configure() -> None:
-    """Tests send signals; under nohup or in the background children would inherit that they are ignored."""
+    """Collect garbage seldom: tests and kernels are millions of objects that stay.
+
+    Tests send signals; under nohup or in the background children would inherit that they are ignored.
+    """
+    gc.set_threshold(YOUNG_OBJECTS)
     for number, handler in ((signal.SIGHUP, signal.SIG_DFL), (signal.SIGINT, signal.default_int_handler)):
         if signal.getsignal(number) == signal.SIG_IGN:
             signal.signal(number, handler)
+
+
+def pytest_collection_finish() -> None:
+    """Commands are forked from a process with the environment that the tests begin with."""
+    note_environment()
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -24,7 +24,7 @@ from surffollow.shm.dtypes import zeros
 from surffollow.shm.objects import unlink
 from surffollow.sim.world import WorldPose, WorldWriter
 
-READY_S = 400.0  # a start on a busy machine with a cold kernel cache
+READY_S = 1200.0  # a start on a busy machine with a cold kernel cache
 WAIT_S = 60.0  # only there to fail
 PATIENT_S = 1.0  # silence that a busy machine may cause and that is not what a test is about
 STANDOFF_M = 0.1
@@ -106,12 +106,15 @@ def config_text(
     return head + "".join(f"[{table}]\n{text}" for table, text in lines.items() if text)
 
 
+def begin_command(words: Sequence[str]) -> subprocess.Popen[str]:
+    """Run a command line of the package with pipes, forked where that is possible (`forked_start`)."""
+    pipe = subprocess.PIPE
+    return fork_start(words, pipe) or subprocess.Popen(words, stdout=pipe, stderr=pipe, text=True)
+
+
 def run_command(words: Sequence[str], timeout_s: float = READY_S) -> subprocess.CompletedProcess[str]:
     """Run a command line of the package to its end, forked where that is possible (`forked_start`)."""
-    process = fork_start(words, subprocess.PIPE)
-    if process is None:
-        return subprocess.run(list(words), capture_output=True, text=True, timeout=timeout_s)
-    with process:
+    with begin_command(words) as process:
         try:
             out, errors = process.communicate(timeout=timeout_s)
         finally:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 
 import pytest
 
-from running_service import objects_of
+from running_service import READY_S, begin_command, objects_of, run_command
 from surffollow.apps.demo_figures import table, verdict
 
 KEYS = {
@@ -27,11 +26,8 @@ KEYS = {
 def result(tmp_path_factory):
     folder = tmp_path_factory.mktemp("demo")
     words = ["demo", "--seconds", "4", "--json", "--picture", str(folder / "demo.png"), "--keep", str(folder)]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(
-        [sys.executable, "-m", "surffollow", *words], stdout=pipe, stderr=pipe, text=True
-    ) as demo:
-        out, errors = demo.communicate(timeout=400)
+    with begin_command([sys.executable, "-m", "surffollow", *words]) as demo:
+        out, errors = demo.communicate(timeout=READY_S)
     assert demo.returncode == 0, errors + out
     return folder, json.loads(out), demo.pid
 
@@ -103,9 +99,7 @@ def test_closeness_above_the_bars_speed_is_told_not_judged_and_a_folder_may_be_u
         "--keep",
         str(folder),
     ]
-    done = subprocess.run(
-        [sys.executable, "-m", "surffollow", *words], capture_output=True, text=True, timeout=400
-    )
+    done = run_command([sys.executable, "-m", "surffollow", *words])
     figures = json.loads(done.stdout)
     assert done.returncode == 0, figures["failures"]
     assert figures["standoff_rms_m"] > 0.0

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from running_service import READY_S, WAIT_S, Service, config_text, until
+from running_service import READY_S, WAIT_S, Service, begin_command, config_text, run_command, until
 from surffollow.apps.scan_control import ControlServer, ask
 from surffollow.cli.main import cli
 from surffollow.errors import NotRunningError
@@ -51,10 +51,7 @@ def words(service, folder, *more):
 
 
 def begin(service, folder, *more):
-    pipe = subprocess.PIPE
-    child = subprocess.Popen(
-        words(service, folder, "--yes", *more), stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True
-    )
+    child = begin_command(words(service, folder, "--yes", *more))
     reach(service, child, lambda s: s["state"] == "scan" and s["progress"] > 0.05)
     return child
 
@@ -79,13 +76,7 @@ def ended(child):
 def test_a_scan_is_run_to_its_end_and_reported(service, folder, tmp_path):
     pytest.importorskip("matplotlib", reason="extra `plot`")
     more = ["--ground", str(folder / "ground.npz"), "--report", str(tmp_path / "run.html")]
-    child = subprocess.run(
-        words(service, folder, "--yes", *more, "--picture", str(tmp_path / "run.png")),
-        capture_output=True,
-        text=True,
-        timeout=READY_S,
-        stdin=subprocess.DEVNULL,
-    )
+    child = run_command(words(service, folder, "--yes", *more, "--picture", str(tmp_path / "run.png")))
     assert child.returncode == 0, child.stderr
     facts = json.loads(child.stdout)
     assert facts["finished"]
@@ -191,7 +182,7 @@ def test_a_path_that_the_checker_refuses_needs_the_operators_word(service, folde
     )
     command = words(service, folder, "--yes")
     command[command.index(str(folder / "ground.npz"))] = str(tmp_path / "higher.npz")
-    done = subprocess.run(command, capture_output=True, text=True, timeout=READY_S, stdin=subprocess.DEVNULL)
+    done = run_command(command)
     assert done.returncode == 2
     assert "--unchecked" in done.stderr
 
@@ -202,13 +193,7 @@ def test_a_report_that_cannot_be_written_is_refused_before_anything_moves(folder
         ["--picture", str(tmp_path / "none/r.png")],
     ):
         command = [sys.executable, "-m", "surffollow", "scan", "run", str(folder / "path.csv"), "--yes"]
-        done = subprocess.run(
-            [*command, "--name", "nobody", "--wait", "0", *more],
-            capture_output=True,
-            text=True,
-            timeout=READY_S,
-            stdin=subprocess.DEVNULL,
-        )
+        done = run_command([*command, "--name", "nobody", "--wait", "0", *more])
         assert done.returncode == 1
         assert "cannot write beside" in done.stderr
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import threading
 import time
@@ -11,7 +10,7 @@ import time
 import pytest
 
 from arbiter.running import Running
-from running_service import until
+from running_service import run_command, until
 from surffollow.apps.run_by_holder import RunByHolder
 from surffollow.apps.shared_demo import arbiter_text
 from surffollow.apps.shared_tool import ReportedPoses, ToolStatus, attach_arbitrated, follow
@@ -39,7 +38,7 @@ def test_reported_poses_are_found_by_their_stamps_and_the_oldest_forgotten():
 @pytest.mark.parametrize("combine", ["priority", "sum"])
 def test_the_demonstration_lifts_the_tool_over_an_obstacle_and_brings_it_back(combine):
     command = [sys.executable, "-m", "surffollow", "arbiter", "demo", "--seconds", "12", "--json"]
-    done = subprocess.run([*command, "--combine", combine], capture_output=True, text=True, timeout=300)
+    done = run_command([*command, "--combine", combine])
     assert done.returncode == 0, done.stdout + done.stderr
     told = json.loads(done.stdout)
     assert told["failures"] == []

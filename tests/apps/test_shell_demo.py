@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from running_service import run_command
 from surffollow.apps.demo import run_demo
 from surffollow.apps.demo_figures import table, verdict
 from surffollow.apps.demo_task import DemoConfig
@@ -30,9 +30,7 @@ from surffollow.shm.layout_follow import DRYRUN, FROZEN, VALID
 def result(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     folder = tmp_path_factory.mktemp("shell")
     words = ["--sensors", "4", "--seconds", "4", "--json", "--picture", str(folder / "shell.png")]
-    done = subprocess.run(
-        [sys.executable, "-m", "surffollow", "demo", *words], capture_output=True, text=True, timeout=400
-    )
+    done = run_command([sys.executable, "-m", "surffollow", "demo", *words])
     assert done.returncode == 0, done.stderr + done.stdout
     return folder, json.loads(done.stdout)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import signal
-import subprocess
 import sys
 import uuid
 
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from running_service import begin_command, run_command
 from surffollow.apps.wall_clients import Avoid, make_clients
 from surffollow.apps.wall_following import Arbitration, Run, figures, ring_of, run_experiment, sense, tick
 from surffollow.apps.wall_heading import heading_table
@@ -173,12 +173,11 @@ def test_the_command_prints_json_and_draws(tmp_path):
         "1",
         "--json",
     ]
-    got = subprocess.run(
-        [*words, "--plot", str(tmp_path / "run.svg")], capture_output=True, text=True, check=True
-    )
+    got = run_command([*words, "--plot", str(tmp_path / "run.svg")])
+    got.check_returncode()
     assert json.loads(got.stdout)["median"]["turns"] >= 3
     assert (tmp_path / "run.svg").read_text().lstrip().startswith("<?xml")
-    wrong = subprocess.run([*words, "--plot", str(tmp_path / "run.doc")], capture_output=True, text=True)
+    wrong = run_command([*words, "--plot", str(tmp_path / "run.doc")])
     assert wrong.returncode == 2
     assert not (tmp_path / "run.doc").exists()
 
@@ -198,7 +197,7 @@ def test_corrections_mend_the_heading_and_scatter_it_more_in_motion():
 
 def test_a_base_without_an_arbiter_says_what_it_waits_for():
     words = [sys.executable, "-m", "surffollow", "base", "--name", f"lone{uuid.uuid4().hex[:8]}"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as base:
+    with begin_command(words) as base:
         assert base.stderr is not None
         try:
             assert "no arbiter" in base.stderr.readline()

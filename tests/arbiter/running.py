@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from forked_start import fork_start
-from running_service import freeze, until
+from running_service import WAIT_S, freeze, run_command, until
 
 CONFIG = """
 [clients]
@@ -85,7 +85,7 @@ class Running:
     def stop(self) -> int:
         assert self.process is not None
         self.process.terminate()
-        return self.process.wait(timeout=60)
+        return self.process.wait(timeout=WAIT_S)
 
     def purge(self) -> None:
         if self.process is not None:
@@ -95,13 +95,9 @@ class Running:
             left.unlink()
 
     def command(self, *words: str) -> Any:
-        done = subprocess.run(
-            [sys.executable, "-m", "surffollow", "arbiter", *words, "--name", self.name, "--json"],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=True,
-        )
+        command = [sys.executable, "-m", "surffollow", "arbiter", *words, "--name", self.name, "--json"]
+        done = run_command(command)
+        done.check_returncode()
         return json.loads(done.stdout)
 
 
@@ -187,7 +183,7 @@ def holding(name: str, client: str, resource: str, speed: float = 0.1) -> Callab
         from surffollow.arbiter import attach
 
         mine = attach(name, client).resource(resource)
-        assert mine.request(wait=True, timeout_s=20.0)
+        assert mine.request(wait=True, timeout_s=WAIT_S)
         mine.command(*(speed,) * mine.n_values)
         say(b"h")
         until(lambda: mine.command(*(speed,) * mine.n_values) and None, seconds=float("inf"))

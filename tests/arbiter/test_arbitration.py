@@ -8,7 +8,7 @@ import time
 import pytest
 
 from arbiter.running import send_raw
-from running_service import until
+from running_service import WAIT_S, until
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import layout as al
 from surffollow.errors import NotRunningError, RefusedError, UsageError
@@ -62,7 +62,7 @@ def test_who_waits_gets_its_turn_by_priority_then_by_patience(attach_client):
 
     def wait(name):
         mine = clients[name].resource("robot")
-        assert mine.request(wait=True, timeout_s=20.0)
+        assert mine.request(wait=True, timeout_s=WAIT_S)
         turns.append(name)
         mine.relinquish()
 
@@ -75,7 +75,7 @@ def test_who_waits_gets_its_turn_by_priority_then_by_patience(attach_client):
     history = clients["avoid"].history()
     clients["avoid"].resource("robot").relinquish()
     for thread in threads:
-        thread.join(20.0)
+        thread.join(WAIT_S)
     assert turns == ["wall-2", "wall", "go"]
     waited = [e.command[0] for e in history if e.event == "GRANT"]
     assert min(waited) > 0.0
@@ -105,7 +105,7 @@ def test_a_cooperative_holder_is_asked_and_fenced_after_the_grace(attach_client)
     go, wall = attach_client("go").resource("camera"), attach_client("wall").resource("camera")
     assert go.request()
     history = go._client.history()
-    assert wall.request(timeout_s=5.0)
+    assert wall.request(timeout_s=WAIT_S)
     events = [e for e in history if e.resource == "camera"]
     asked = next(e for e in events if e.event == "ASK")
     revoked = next(e for e in events if e.event == "REVOKE")
@@ -120,11 +120,11 @@ def test_a_cooperative_holder_that_relinquishes_when_asked_is_not_fenced(attach_
     go, wall = attach_client("go").resource("camera"), attach_client("wall").resource("camera")
     assert go.request()
     history = go._client.history()
-    thread = threading.Thread(target=lambda: wall.request(timeout_s=5.0))
+    thread = threading.Thread(target=lambda: wall.request(timeout_s=WAIT_S))
     thread.start()
     until(lambda: go.asked)
     go.relinquish()
-    thread.join(20.0)
+    thread.join(WAIT_S)
     assert wall.held
     assert [e.event for e in history if e.resource == "camera"][-3:] == ["RELEASE", "SAFE", "GRANT"]
 

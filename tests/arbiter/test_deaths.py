@@ -23,7 +23,7 @@ from surffollow.errors import RefusedError
 def server(arbiter):
     arbiter.stop()
     arbiter.path.write_text(
-        arbiter.path.read_text().replace("[clients]", 'lease = "100 ms"\n[clients]\nattacker = 20')
+        arbiter.path.read_text().replace("[clients]", 'lease = "1 s"\n[clients]\nattacker = 20')
     )
     return arbiter.start()
 
@@ -32,6 +32,7 @@ def server(arbiter):
 def test_a_dead_or_stopped_holder_loses_the_resource_and_the_safe_command_goes_out(
     server, child, number, reason
 ):
+    """GIVEN a holder that commands WHEN it is killed or stopped THEN SAFE goes out, the resource is free."""
     with observe(server.name) as watcher, command_reader(server.name, "robot") as reader:
         history = watcher.history()
         holder = child(holding(server.name, "go", "robot"))
@@ -53,6 +54,8 @@ def test_a_dead_or_stopped_holder_loses_the_resource_and_the_safe_command_goes_o
 
 
 def test_a_stopped_holder_that_comes_back_commands_nothing_until_it_asks_again(server, child):
+    """GIVEN a holder WHEN it is stopped until its lease is over THEN it commands nothing until it asks."""
+
     def work(say):
         mine = attach(server.name, "go").resource("robot")
         assert mine.request()
@@ -74,6 +77,7 @@ def test_a_stopped_holder_that_comes_back_commands_nothing_until_it_asks_again(s
 
 
 def test_a_dead_client_in_the_queue_is_not_served(server, child):
+    """GIVEN a client in the queue WHEN it is killed THEN it leaves the queue and the next one is served."""
     with attach(server.name, "avoid") as one, attach(server.name, "wall") as two:
         assert one.resource("robot").request()
         waiting = child(holding(server.name, "go", "robot"))
@@ -86,6 +90,8 @@ def test_a_dead_client_in_the_queue_is_not_served(server, child):
 
 
 def test_a_child_that_inherits_the_connection_does_not_keep_its_parent_alive(server, child):
+    """GIVEN a holder with a forked child WHEN the holder is killed THEN the resource is free."""
+
     def work(say):
         mine = attach(server.name, "go").resource("robot")
         assert mine.request()

@@ -16,7 +16,7 @@ import time
 import pytest
 
 from arbiter.running import CONFIG, Running, send_raw
-from running_service import until
+from running_service import WAIT_S, until
 from second_user import OtherUser, needs_root
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import handshake as hs
@@ -310,7 +310,7 @@ def test_a_descriptor_that_lingers_holds_nobody_up(summed):
 
     with OtherUser(attack) as attacker:
         assert attacker.hear() in ("PermissionError", "BrokenPipeError")
-        with attach(summed.name, "a", timeout_s=10.0) as a:
+        with attach(summed.name, "a", timeout_s=WAIT_S) as a:
             assert a.resource("u").request()
 
 
@@ -336,10 +336,10 @@ def test_before_linux_6_16_no_client_that_is_admitted_holds_the_server_up_either
             socket.send_fds(senders[-1], [b"hello"], [out.fileno()])
         out.close()
         for sender in senders:
-            sender.settimeout(10.0)
+            sender.settimeout(WAIT_S)
             with contextlib.suppress(ConnectionError):
                 assert sender.recv(1) == b"", "the connection is over at once"
-        with attach(server.name, "go", timeout_s=10.0) as go:
+        with attach(server.name, "go", timeout_s=WAIT_S) as go:
             assert go.resource("robot").request()
         assert server.stop() == 0
         other.close()
@@ -441,6 +441,6 @@ def test_a_refused_user_is_told_so_even_when_the_server_was_faster(summed):
         thread = threading.Thread(target=refuse)
         thread.start()
         with pytest.raises(RefusedError, match="this user may not attach"):
-            attach(name, "a", timeout_s=5.0)
+            attach(name, "a", timeout_s=WAIT_S)
         thread.join()
     sock.close()

@@ -23,7 +23,7 @@ from surffollow.blocks import Block  # the other light half
 robot = attach(sys.argv[1])
 robot.claim_pose()
 robot.sf_reset(0.1)
-end = time.monotonic() + 20.0
+end = time.monotonic() + 120.0
 valid = False
 while not valid and time.monotonic() < end:
     robot.ee_pos((0.05, 0.05, 0.12, 0.0, 0.0, 0.0, 1.0), time.monotonic_ns())

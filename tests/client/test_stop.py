@@ -55,6 +55,9 @@ def test_a_stop_in_a_signal_handler_is_in_force_wherever_it_interrupts(
 
 
 def test_who_drove_before_a_restart_and_does_not_now_stops_at_once(make_service: Make) -> None:
+    """GIVEN two clients WHEN the service restarts and the second sends poses THEN the first stops it without
+    the pose.
+    """
     s = make_service(kind="simulated")
     s.world = world = World(s.name)
     over = threading.Event()

@@ -27,8 +27,8 @@ def near_100(text: str) -> bool:
 
 
 def near_120(text: str) -> bool:
-    found = distances_mm(text)
-    return len(found) == 5 and max(abs(d - 120.0) for d in found[1:]) < 1.0
+    found = distances_mm(text)  # "nan": the service stood still for 20 ms, as on a busy machine it may
+    return text.count("distance ") == 5 and len(found) >= 3 and max(abs(d - 120.0) for d in found[1:]) < 1.0
 
 
 def followed(text: str) -> bool:

@@ -137,7 +137,7 @@ def test_on_a_gentle_curve_what_is_seen_ahead_still_helps(sensors):
 @pytest.mark.parametrize("height_m", [-0.02, 0.02])
 def test_a_high_step_that_no_robot_can_follow_at_once_does_not_end_preview(height_m):
     run = Run(UNDER_AND_AHEAD, lambda t: (0.1 * t, 0.0, 0.0), lambda x, y: height_m if x > 0.3 else 0.0, 4.5)
-    assert run.f._state["adaptive"][0]["preview"]["share"] == 1.0
+    assert run.f.state()["preview_share"] == 1.0
 
 
 @pytest.mark.parametrize("speed_mps", [0.05, 0.1, 0.3])

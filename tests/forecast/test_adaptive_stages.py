@@ -240,7 +240,7 @@ def over_one_spot(
 @pytest.mark.parametrize("truth_s", [-0.02, 0.0, 0.01, 0.04])
 def test_the_latency_is_identified_while_the_tool_climbs_over_one_spot(truth_s):
     f = over_one_spot(truth_s, lambda t: 0.006 * math.sin(2 * math.pi * 1.5 * t))
-    assert f._state["adaptive"][0]["latency"]["correction_s"] == pytest.approx(truth_s, abs=2e-3)
+    assert f.state()["latency_s"] == pytest.approx(truth_s, abs=2e-3)  # none is configured
 
 
 def bobbing_m(t: float) -> float:
@@ -249,20 +249,19 @@ def bobbing_m(t: float) -> float:
 
 def test_a_configured_latency_discards_the_correction():
     f = over_one_spot(0.02, bobbing_m)
-    assumed_s = f.state()["latency_s"] - f._state["adaptive"][0]["latency"]["correction_s"]
-    assert f.state()["latency_s"] == pytest.approx(assumed_s + 0.02, abs=2e-3)
-    f.set_params(sensor_latency=f"{assumed_s + 0.015} s")
+    assert f.state()["latency_s"] == pytest.approx(0.02, abs=2e-3)  # none is configured
+    f.set_params(sensor_latency="0.015 s")
     over_one_spot(0.02, bobbing_m, f=f, steps=range(2500, 2530))
-    assert f.state()["latency_s"] == pytest.approx(assumed_s + 0.015, abs=1e-9)
+    assert f.state()["latency_s"] == pytest.approx(0.015, abs=1e-9)
     f.set_params(max_demand="0.04 m")
-    f.set_params(sensor_latency=f"{assumed_s + 0.015} s")
+    f.set_params(sensor_latency="0.015 s")
     before = f._state["adaptive"][0]["latency"]["count"]
     over_one_spot(0.02, bobbing_m, f=f, steps=range(2530, 2560))
     assert f._state["adaptive"][0]["latency"]["count"] > before, "the same latency again drops nothing"
 
 
 def test_a_tool_at_rest_identifies_no_latency():
-    assert over_one_spot(0.04, lambda t: 0.0)._state["adaptive"][0]["latency"]["correction_s"] == 0.0
+    assert over_one_spot(0.04, lambda t: 0.0).state()["latency_s"] == 0.0
 
 
 def stand_off_rms(sensors: list[dict[str, list[float]]], biases_m: list[float], seed: int = 3) -> float:

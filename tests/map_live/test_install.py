@@ -13,7 +13,7 @@ import pytest
 
 from map_live.conftest import GRIDS, SHORT_S, some_map
 from map_live.known_grids import known_grids
-from running_service import POSE, Service, World, config_text, drive, until
+from running_service import POSE, Service, World, config_text, drive, run_command, until
 from surffollow.client import Client
 from surffollow.client.map_install import MapStream
 from surffollow.errors import MapCancelledError, MapFileError, RefusedError, RequestTimeoutError
@@ -264,7 +264,7 @@ def test_no_target_point_is_lost_while_maps_come_and_go(
 def test_the_command_line_uploads_and_installs(client: Client, map_service: Service, map_file: Path) -> None:
     def run(verb: str, *words: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "surffollow", "map", verb, "--name", map_service.name, *words]
-        return subprocess.run(command, capture_output=True, text=True, timeout=60)
+        return run_command(command)
 
     done = run("install", str(map_file))
     assert (done.returncode, done.stderr) == (0, "")

@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 import naive_scan as naive
+from running_service import run_command
 from surffollow.cli.scan import scan_group
 from surffollow.errors import ScanFileError, SurffollowError
 from surffollow.map import HeightMap
@@ -199,13 +200,8 @@ def test_a_pipe_is_refused_as_an_input(verb, tmp_path):
     os.mkfifo(pipe)
     output = [] if verb in ("check", "run") else ["-o", tmp_path / "made.npz"]
     more = {"plan": ["--gap", "5cm"], "check": [pipe], "run": ["--yes", "--wait", "0"]}.get(verb, [])
-    done = subprocess.run(
-        [sys.executable, "-m", "surffollow", "scan", verb, pipe, *more, *output],
-        capture_output=True,
-        text=True,
-        timeout=60.0,
-        stdin=subprocess.DEVNULL,
-    )
+    words = ["scan", verb, pipe, *more, *output]
+    done = run_command([sys.executable, "-m", "surffollow", *map(str, words)])
     assert done.returncode == 2
     assert "is no plain file" in done.stderr
 
@@ -213,13 +209,8 @@ def test_a_pipe_is_refused_as_an_input(verb, tmp_path):
 def test_a_pipe_is_refused_as_the_map_of_a_station(tmp_path):
     os.mkfifo(tmp_path / "pipe.npz")
     (tmp_path / "stations.toml").write_text('[stations."pipe.npz"]\nx_m = 0.0\ny_m = 0.0\n')
-    done = subprocess.run(
-        [*(sys.executable, "-m", "surffollow", "scan", "compose", tmp_path / "stations.toml")]
-        + ["-o", tmp_path / "made.npz"],
-        capture_output=True,
-        text=True,
-        timeout=60.0,
-    )
+    words = ["scan", "compose", tmp_path / "stations.toml", "-o", tmp_path / "made.npz"]
+    done = run_command([sys.executable, "-m", "surffollow", *map(str, words)])
     assert done.returncode == 1
     assert "is no plain file" in done.stderr
 

@@ -25,6 +25,9 @@ ZERO = [0.0] * 6
 def test_a_killed_service_is_stale_after_the_configured_periods_and_demands_zero(
     make_service: Make, periods: int
 ) -> None:
+    """GIVEN an observer of a service WHEN the service is killed THEN its demand is zero and STALE after the
+    periods asked for.
+    """
     s = make_service().start()
     with s.observe(stale_periods=periods) as watcher:
         until(lambda: not watcher.dev_vector().status & STALE, "a fresh demand")
@@ -85,6 +88,9 @@ def test_a_request_that_is_under_way_when_the_service_dies_says_so(make_service:
 
 
 def test_a_stopped_and_continued_service_recovers_and_keeps_its_clients(make_service: Make) -> None:
+    """GIVEN a client WHEN its service stands still and goes on, twice THEN it is stale and afterwards takes
+    poses again.
+    """
     s = make_service().start()
     with s.attach() as client:
         client.ee_pos(POSE)
@@ -102,6 +108,9 @@ def test_a_stopped_and_continued_service_recovers_and_keeps_its_clients(make_ser
 
 
 def test_a_stopped_and_continued_client_goes_on_where_it_was(service: Service) -> None:
+    """GIVEN a program that sends poses WHEN it stands still THEN the pose is stale; WHEN it goes on THEN
+    demands are valid.
+    """
     with service.observe() as watcher, program(SENDER, service.name) as sender:
         said(sender)
         until(lambda: watcher.dev_vector().status & VALID, "a demand")
@@ -117,6 +126,7 @@ def test_a_stopped_and_continued_client_goes_on_where_it_was(service: Service) -
 
 
 def test_a_killed_client_leaves_a_zero_demand_and_a_free_slot(service: Service) -> None:
+    """GIVEN a program that sends poses WHEN it is killed THEN the demand is zero, pose and slot are free."""
     with service.observe() as watcher, program(SENDER, service.name) as sender:
         slot = int(said(sender).split()[1])
         until(lambda: watcher.dev_vector().status & VALID, "a demand")
@@ -130,6 +140,7 @@ def test_a_killed_client_leaves_a_zero_demand_and_a_free_slot(service: Service) 
 
 
 def test_a_client_that_died_while_writing_leaves_no_half_pose(service: Service) -> None:
+    """GIVEN a pose that is half written WHEN the service runs on THEN it takes nothing of it."""
     with service.attach() as client:
         drive(client, lambda: client.dev_vector().status & VALID, what="a demand")
         before = client.status()

@@ -29,7 +29,7 @@ from surffollow.shm.process import start_ticks
 
 Make = Callable[..., Service]
 ODD = ("fifo", "directory", "link", "socket", "device")
-AT_ONCE_S = 20.0  # on a busy machine; what hangs hangs for ever
+AT_ONCE_S = 120.0  # on a busy machine; what hangs hangs for ever
 FLOCK = struct.Struct("hhxxxxqqixxxx")
 
 

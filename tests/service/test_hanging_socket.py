@@ -16,7 +16,7 @@ from surffollow.client.reclaim import CLAIM_ANSWER_S
 from surffollow.errors import NotReadyError, NotRunningError, SurffollowError
 
 TICKS = 300
-MOST_S = 0.02  # a twentieth of what one waiting exchange took; a busy machine may cost a tick
+MOST_S = 0.2  # half of what one waiting exchange took; a busy machine may cost a tick
 
 
 def slow_calls(call: Callable[[], object], others: Callable[[], object]) -> int:
@@ -94,7 +94,7 @@ def test_pose_and_channels_of_ranges_are_claimed_anew_in_steps_whichever_call_co
                 began = time.monotonic()
                 with pytest.raises(NotRunningError):
                     call()
-                assert time.monotonic() - began < CLAIM_ANSWER_S / 2
+                assert time.monotonic() - began < CLAIM_ANSWER_S
         finally:
             s.send(signal.SIGCONT)
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from running_service import READY_S, Service, objects_of, program, said, until
+from running_service import READY_S, WAIT_S, Service, objects_of, program, said, until
 from surffollow.client import Client
 from surffollow.errors import SurffollowError
 from surffollow.service.driver_watch import DriverWatch
@@ -101,7 +101,7 @@ def test_a_log_that_nobody_takes_neither_ends_nor_freezes_the_beat(
             goes_on(client)
         began = time.monotonic()
         assert s.terminate() == 0
-        assert time.monotonic() - began < 20.0, "the queue was not waited for"
+        assert time.monotonic() - began < WAIT_S, "the queue was not waited for"
 
 
 IN_THE_BACKGROUND = """
@@ -135,7 +135,7 @@ def test_a_service_in_the_background_of_a_terminal_is_not_stopped_by_its_own_lin
                 chatter(client)
                 goes_on(client)
             s.run("stop")
-            session.wait(20.0)
+            session.wait(WAIT_S)
         finally:
             session.kill()
             os.close(other)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,7 +12,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from running_service import ATTACHED, POSE, READY_S, SENDING, Service, objects_of, program, said, until
+from running_service import ATTACHED, POSE, SENDING, Service, objects_of, program, run_command, said, until
 from service.pose_senders import free_of_poses
 from surffollow.client import Client
 from surffollow.errors import (
@@ -211,12 +210,7 @@ def test_a_service_named_like_an_object_of_another_is_refused_and_that_one_goes_
     s = make_service().start()
     before = objects_of(s.name)
     for verb in ("start", "stop", "status", "simulate", "record"):
-        done = subprocess.run(
-            [sys.executable, "-m", "surffollow", verb, "--name", s.name + ending],
-            capture_output=True,
-            text=True,
-            timeout=READY_S,
-        )
+        done = run_command([sys.executable, "-m", "surffollow", verb, "--name", s.name + ending])
         assert done.returncode == 2, (verb, done.stderr)
         assert "cannot be called" in done.stderr, verb
     with pytest.raises(InvalidNameError):

@@ -202,6 +202,7 @@ def test_start_in_a_tiny_dev_shm_fails_before_ready_with_one_line(make_service: 
 
 
 def test_the_map_survives_a_restart_and_a_sigkill_byte_for_byte(make_service: Make) -> None:
+    """GIVEN a map WHEN the service is terminated, started, killed and started THEN its bytes are the same."""
     s = make_service().start()
     with s.attach() as client:
         client.map_reset(REGION)
@@ -244,6 +245,7 @@ def test_the_configured_quantum_holds_from_every_map_reset_on(make_service: Make
 
 
 def test_purge_after_a_sigkill_removes_what_was_left(own_service: Service) -> None:
+    """GIVEN a killed service WHEN `stop --purge` runs THEN no object is left."""
     own_service.kill()
     assert own_service.run("stop", "--purge").returncode == 0
     assert objects_of(own_service.name) == set()
@@ -318,6 +320,7 @@ def test_without_a_service_every_verb_says_so(make_service: Make) -> None:
 
 
 def test_two_starts_at_once_give_one_service(make_service: Make) -> None:
+    """GIVEN no service WHEN three start at once THEN one becomes READY and two are refused."""
     s = make_service()
     rivals = [s.begin() for _ in range(3)]
     s.process = None

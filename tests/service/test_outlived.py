@@ -58,6 +58,9 @@ def settle(client: Client) -> None:
 
 
 def test_client_that_only_posts_poses_is_told_of_the_end_and_goes_on_after_it(mortal: Service) -> None:
+    """GIVEN a client that only sends poses WHEN the service is killed and purged THEN it raises; WHEN one
+    starts THEN it is used.
+    """
     with mortal.attach() as sender:
         sender.ee_pos(POSE)
         mortal.kill()
@@ -76,6 +79,7 @@ def test_client_that_only_posts_poses_is_told_of_the_end_and_goes_on_after_it(mo
 
 
 def test_client_that_only_posts_poses_goes_on_after_a_quick_restart(mortal: Service) -> None:
+    """GIVEN a client that only sends poses WHEN the service restarts at once THEN its poses are taken."""
     with mortal.attach() as sender:
         sender.ee_pos(POSE)
         assert mortal.terminate() == 0
@@ -102,6 +106,7 @@ TOLD_BY_THE_PURGE = ("map_height", "map_surface", "map_window", "map_changes")
 
 
 def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(mortal: Service) -> None:
+    """GIVEN an observer per reading WHEN the service is killed, purged, started THEN each says so."""
     watchers = {name: mortal.observe() for name in READS}
     with mortal.attach() as client:
         make_map(client)
@@ -131,6 +136,7 @@ def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(mortal: Se
 
 
 def test_ticket_of_a_dead_service_is_done_and_says_so_at_once(mortal: Service) -> None:
+    """GIVEN a request that is under way WHEN the service is killed THEN its ticket is done and raises."""
     with mortal.attach(stale_min_s=3.0) as client:  # the request is sent before that
         mortal.freeze()
         ticket = client.sf_reset(0.1, wait=False)
@@ -142,6 +148,9 @@ def test_ticket_of_a_dead_service_is_done_and_says_so_at_once(mortal: Service) -
 
 
 def test_request_outlasts_a_stall_shorter_than_its_time(mortal: Service) -> None:
+    """GIVEN a service that stands still WHEN a request waits and the service goes on THEN the request is
+    answered.
+    """
     with mortal.attach() as client, ThreadPoolExecutor(1) as asker:
         mortal.freeze()
         until(lambda: not client.alive(), "silence")
@@ -158,6 +167,7 @@ def test_request_outlasts_a_stall_shorter_than_its_time(mortal: Service) -> None
 
 
 def test_service_that_only_stands_still_is_not_taken_for_dead(mortal: Service) -> None:
+    """GIVEN a client WHEN its service stands still THEN readings hold; WHEN it goes on, poses are taken."""
     with mortal.attach() as client:
         client.ee_pos(POSE)
         mortal.freeze()

@@ -36,6 +36,7 @@ def valid(client: Client) -> bool:
 
 
 def test_what_died_with_other_parameters_in_force_comes_back_stopped(mortal: Service) -> None:
+    """GIVEN another stand-off than configured WHEN the service is killed and starts THEN it is stopped."""
     with mortal.attach() as driver:
         driver.sf_reset(0.09)
         drive(driver, lambda: valid(driver), what="a demand")
@@ -52,6 +53,9 @@ def test_what_died_with_other_parameters_in_force_comes_back_stopped(mortal: Ser
 
 
 def test_what_died_with_the_parameters_of_its_start_goes_on_by_itself(mortal: Service) -> None:
+    """GIVEN the parameters of the configuration WHEN the service is killed and starts THEN it follows by
+    itself.
+    """
     with mortal.attach() as driver:
         driver.set_params(max_demand=0.01)
         driver.set_params(max_demand=0.05)
@@ -63,6 +67,9 @@ def test_what_died_with_the_parameters_of_its_start_goes_on_by_itself(mortal: Se
 
 
 def test_after_an_end_in_good_order_the_configuration_holds_and_nothing_stops(mortal: Service) -> None:
+    """GIVEN another stand-off WHEN the service is terminated and starts THEN the configuration holds and it
+    follows.
+    """
     with mortal.attach() as driver:
         driver.sf_reset(0.09)
         drive(driver, lambda: valid(driver), what="a demand")

@@ -75,14 +75,12 @@ def test_any_client_stops_and_only_the_poses_holder_resets(following: Service) -
         driver.reset_stop()
         drive(driver, lambda: valid(driver), what="a demand after the reset")
         assert driver.status()["stopped"] == []
-        entries = until(
-            lambda: (
-                [e for e in driver.audit() if e["request"] in ("stop", "stop_reset")][-3:][2:]
-                and driver.audit()
-            ),
-            "the trail",
-        )
-        stop, refused_reset, reset = [e for e in entries if e["request"] in ("stop", "stop_reset")][-3:]
+
+        def requests() -> list[dict[str, object]]:
+            return [e for e in driver.audit() if e["request"] in ("stop", "stop_reset")]
+
+        until(lambda: requests()[-1:] and requests()[-1]["accepted"] and len(requests()) > 2, "the trail")
+        stop, refused_reset, reset = requests()[-3:]
         assert (stop["client"], stop["reason"], stop["causes"]) == (
             "operator",
             "smoke over cell 3",
@@ -133,7 +131,8 @@ def test_a_stop_outlives_the_kill_of_its_service(make_service: Make) -> None:
 
 def test_named_causes_stop_and_cannot_be_reset_while_they_last(make_service: Make) -> None:
     causes = ("pose_stale", "sensor_lost", "too_close", "pose_lost", "driver", "start")
-    s = make_service(kind="simulated", follow='loss_timeout = "0.2 s"')
+    # a sensor that does not ride on reported poses when nobody publishes the true one
+    s = make_service(kind="simulated", follow='loss_timeout = "0.2 s"', driver='pose = "world"')
     s.config.write_text(s.config.read_text() + f"[stop]\non = {list(causes)}\n")
     s.world = world = World(s.name)
     try:

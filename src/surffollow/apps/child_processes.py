@@ -23,7 +23,8 @@ ctypes.CDLL(None).prctl(1, 15, 0, 0, 0)
 if os.getppid() != int(sys.argv[1]):
     sys.exit(1)
 from surffollow.cli.main import main
-main(sys.argv[2:])
+del sys.argv[1]
+main()
 """
 _JANITOR = (
     "import sys; sys.stdin.read(); from surffollow.apps.child_processes import purge; "

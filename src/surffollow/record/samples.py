@@ -201,6 +201,7 @@ class Sampler:
         ------
         RecordingError  a word begins no entry, or the segment does not begin with a snapshot
         """
+        words = np.require(words, requirements="W")  # no second kernel for arrays that cannot be written
         at = 0
         while at < words.size:
             if entry_kind(words[at]) != CYCLE:

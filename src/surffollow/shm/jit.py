@@ -8,22 +8,57 @@ collections of garbage, which walk the compiler's millions of objects.
 from __future__ import annotations
 
 import gc
+from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 from numba import njit
 from numba.core import event
+from numba.core.caching import FunctionCache
+from numba.core.dispatcher import Dispatcher
 
 from surffollow.shm import blas_check as blas_check  # before the first kernel is loaded
+from surffollow.shm.kernel_cache import note_source
 
 YOUNG_OBJECTS = 100_000  # between collections while numba compiles; 5 % more memory, 15 % less time
 
-_OPTIONS: dict[str, Any] = {"no_cfunc_wrapper": True, "error_model": "numpy"}
 
-jit = njit(cache=True, nogil=True, **_OPTIONS)
-jit_inlined = njit(cache=True, nogil=True, forceinline=True, **_OPTIONS)  # by LLVM
-# for long loops over arrays: a division by zero gives inf or NaN, so that LLVM can vectorise the loop
-jit_arrays = njit(cache=True, nogil=True, fastmath={"contract"}, **_OPTIONS)
-jit_pasted = njit(cache=True, nogil=True, inline="always", **_OPTIONS)  # by numba, before it finds types
+class _LateCache:
+    """numba's cache of one kernel, opened when the kernel is loaded or compiled.
+
+    A command imports 500 kernels and calls a few of them. Opening a cache costs 0.5 ms.
+    """
+
+    def __init__(self, py_func: Any) -> None:
+        self._py_func = py_func
+        note_source(py_func.__code__.co_filename)
+
+    @cached_property
+    def _opened(self) -> Any:
+        return FunctionCache(self._py_func)  # type: ignore[no-untyped-call]
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._opened, name)
+
+
+def _kernels(**options: Any) -> Callable[[Any], Any]:
+    """A decorator of kernels that are kept on disk."""
+    # a division by zero gives inf or NaN: no exceptions, and LLVM can vectorise loops
+    compiled: Any = njit(nogil=True, no_cfunc_wrapper=True, error_model="numpy", **options)
+
+    def decorate(py_func: Any) -> Any:
+        kernel: Any = compiled(py_func)
+        if isinstance(kernel, Dispatcher):  # else numba's compiler is switched off
+            setattr(kernel, "_cache", _LateCache(py_func))  # noqa: B010 - of an untyped class
+        return kernel
+
+    return decorate
+
+
+jit: Any = _kernels()
+jit_inlined: Any = _kernels(forceinline=True)  # by LLVM
+jit_arrays: Any = _kernels(fastmath={"contract"})  # for long loops over arrays
+jit_pasted: Any = _kernels(inline="always")  # by numba, before it finds types
 
 
 class _FewerCollections(event.Listener):  # type: ignore[misc]

@@ -36,40 +36,34 @@ from surffollow.errors import ConfigError
 from surffollow.shm.trusted_folder import fault_within, why_not_trusted
 
 PACKAGE = Path(__file__).resolve().parents[1]
+_PACKAGE = str(PACKAGE)
 _IMPORT = re.compile(
     r"^\s*(?:from\s+surffollow([.\w]*)\s+import\s+(\([^)]*\)|[^\n]+)|import\s+surffollow([.\w]+))", re.M
 )
 
 
 @cache
-def _file_of(dotted: str) -> Path | None:
-    base = PACKAGE.joinpath(*[p for p in dotted.split(".") if p])
-    for candidate in (base.with_suffix(".py"), base / "__init__.py"):
-        if candidate.is_file():
+def _file_of(dotted: str) -> str | None:
+    base = os.path.join(_PACKAGE, *[p for p in dotted.split(".") if p])
+    for candidate in (f"{base}.py", os.path.join(base, "__init__.py")):
+        if os.path.isfile(candidate):
             return candidate
     return None
 
 
 @cache
-def _imports(path: Path) -> tuple[Path, ...]:
-    found: set[Path] = set()
-    for module, names, plain in _IMPORT.findall(path.read_text(encoding="utf-8")):
+def _source(file: str) -> tuple[frozenset[str], bytes]:
+    """What a module imports of this package; its name within the package and a hash over its source."""
+    source = Path(file).read_bytes()
+    found: set[str] = set()
+    for module, names, plain in _IMPORT.findall(source.decode()):
         dotted = module or plain
         parts = [
             f"{dotted}.{n.split(' as ')[0].strip()}" for n in names.strip("()\n ").split(",") if n.strip()
         ]
-        for name in (dotted, *parts):
-            target = _file_of(name)
-            if target is not None and target != path:
-                found.add(target)
-    return tuple(sorted(found))
-
-
-@cache
-def _digest(path: Path) -> bytes:
-    """A module's name within the package, and a hash over its source."""
-    name = str(path.relative_to(PACKAGE)).encode()
-    return name + hashlib.blake2b(path.read_bytes(), digest_size=16).digest()
+        found.update(target for name in (dotted, *parts) if (target := _file_of(name)) is not None)
+    digest = hashlib.blake2b(source, digest_size=16).digest()
+    return frozenset(found - {file}), os.path.relpath(file, _PACKAGE).encode() + digest
 
 
 @cache
@@ -82,16 +76,28 @@ def _resolved(py_file: str) -> Path | None:
 @cache
 def source_stamp(path: Path) -> str:
     """Hash over a module and every surffollow module that it reaches by imports."""
-    reached, waiting = {path}, [path]
+    reached, waiting = {str(path)}, [str(path)]
     while waiting:
-        for target in _imports(waiting.pop()):
-            if target not in reached:
-                reached.add(target)
-                waiting.append(target)
+        fresh = _source(waiting.pop())[0] - reached
+        reached |= fresh
+        waiting += fresh
     total = hashlib.blake2b(digest_size=16)
     for file in sorted(reached):
-        total.update(_digest(file))
+        total.update(_source(file)[1])
     return total.hexdigest()
+
+
+def note_source(py_file: str) -> None:
+    """Take the stamp of a module while it is imported: what is compiled later is of that source.
+
+    Raises
+    ------
+    ConfigError   there is no folder for its kernels that nobody else can change
+    """
+    path = _resolved(py_file)
+    if path is not None:
+        cache_directory()
+        source_stamp(path)
 
 
 FRESH_IN = ("/tmp", "/var/tmp")  # where a private folder is made when TMPDIR is others', too

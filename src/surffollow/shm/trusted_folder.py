@@ -78,7 +78,7 @@ def fault_within(folder: str | Path) -> str:
     closed, me = not os.stat(folder).st_mode & 0o011, own_user()
     for at, folders, files in os.walk(folder):
         for name in (*folders, *files):
-            path = Path(at, name)
+            path = f"{at}/{name}"  # of some thousands: no objects for their paths
             try:
                 status = os.lstat(path)
             except OSError:

@@ -66,6 +66,11 @@ def incidence_limit(half_beam_rad: float, model: str, max_incidence_rad: float |
     return float(max_incidence_rad)
 
 
+def _copied(values: ArrayLike) -> NDArray[np.float64]:
+    """A contiguous array that can be written; for others the kernels would be compiled once more."""
+    return np.array(np.ascontiguousarray(values, np.float64))
+
+
 def check_readings(
     positions_m: ArrayLike,
     headings_rad: ArrayLike,
@@ -81,9 +86,7 @@ def check_readings(
     Parameters and errors as `poses.wall_pose`.
     """
     limit = incidence_limit(half_beam_rad, model, max_incidence_rad)
-    positions = np.ascontiguousarray(positions_m, np.float64)
-    headings = np.ascontiguousarray(headings_rad, np.float64)
-    ranges = np.ascontiguousarray(ranges_m, np.float64)
+    positions, headings, ranges = (_copied(a) for a in (positions_m, headings_rad, ranges_m))
     m = headings.size
     if headings.shape != (m,) or ranges.shape != (m,) or positions.shape != (m, 2):
         raise UsageError(
@@ -106,7 +109,7 @@ def check_readings(
         )
     if not max_range_m > 0.0:
         raise UsageError(f"max_range_m is {max_range_m}; expected a positive distance, or inf")
-    sigmas = np.ascontiguousarray(np.broadcast_to(np.asarray(sigma_m, np.float64), (m,)))
+    sigmas = _copied(np.broadcast_to(np.asarray(sigma_m, np.float64), (m,)))
     if not ((sigmas == 0.0) | (sigmas >= MIN_SIGMA_M) & (sigmas <= MAX_LENGTH_M)).all():
         raise UsageError(f"sigma_m must be 0 (exact readings), or from {MIN_SIGMA_M:g} to {MAX_LENGTH_M:g} m")
     return Readings(positions, headings, ranges, sigmas, float(half_beam_rad), limit, float(max_range_m))
