@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.benchmark import preview_planner as planner
 from surffollow.benchmark import wave_filter as waves
 from surffollow.benchmark.height_filters import (
     COUNT,
@@ -36,7 +35,10 @@ from surffollow.benchmark.height_filters import (
     update_low_pass,
     update_waves,
 )
+from surffollow.benchmark.local_line import smoothed
 from surffollow.benchmark.loop import END, SAMPLE, STEP_S, TICK, World, advance
+from surffollow.benchmark.preview_planner import setpoint
+from surffollow.benchmark.preview_programme import PERIODS, new_planner, reference
 from surffollow.shm.jit import jit
 
 HOLD, P, PI, LPF_GATE, KALMAN_FF, KALMAN_WAVE, KALMAN_ADAPTIVE, PREVIEW = range(8)
@@ -90,18 +92,18 @@ def _planned(
     v_mps: float,
 ) -> float:
     """Setpoint of the preview planner (p: as above, smoothing width [m], effort [s⁴]); x is that of now."""
-    wanted = planner.reference(g)
+    wanted = reference(g)
     count = int(m[KEPT])
     cursor = int(m[CURSOR])
-    way = v_mps * s.tick_ms * STEP_S
-    for k in range(planner.PERIODS):
-        x = min(x_m + (k + 1) * way, m[X])  # behind the last reading: its height
-        h, cursor = planner.smoothed(seen, cursor, count, x, p[4])
+    step_m = v_mps * s.tick_ms * STEP_S
+    for k in range(PERIODS):
+        x = min(x_m + (k + 1) * step_m, m[X])  # behind the last reading: its height
+        h, cursor = smoothed(seen, cursor, count, x, p[4])
         if k == 0:
             m[CURSOR] = cursor
         wanted[k] = h + s.standoff_m
     last = w.reports[s.poses - 1]
-    return float(planner.set_point(g, p[5], s.poses, float(last.ms), last.z, s))
+    return float(setpoint(g, p[5], s.poses, float(last.ms), last.z, s))
 
 
 @jit
@@ -231,5 +233,5 @@ def run_jitted(kind: int, params: tuple[float, ...], s: Any, w: World) -> None:
     if kind == KALMAN_WAVE:
         memory = waves.new_bank()
     elif kind == PREVIEW:
-        memory, plan = np.empty((count, 2)), planner.new_planner()
+        memory, plan = np.empty((count, 2)), new_planner()
     run_baseline(kind, np.array(params, np.float64), np.zeros(STATE_SIZE), track, memory, plan, s, w)
