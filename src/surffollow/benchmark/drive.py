@@ -34,7 +34,7 @@ def drive(follower: FollowerLike, s: Any, w: World, start_ns: int = START_NS) ->
     run = s.base  # the array whose record this is: numba takes it sooner
     now_ms, poses_told, samples_told, demand_m = run["ms"], run["poses"], run["samples"], run["demand_m"]
     pose_ns = (start_ns + reports["ms"] * MS_NS).tolist()
-    sample_ns = (start_ns + np.round(readings["told_ms"] * MS_NS).astype(np.int64)).tolist()
+    sample_ns = (start_ns + np.round(readings["timestamp_ms"] * MS_NS).astype(np.int64)).tolist()
     ranges, x, z = readings["range"], reports["x"], reports["z"]
     # everything in the order of its arrival, poses before readings of the same millisecond
     arrivals = np.concatenate([2 * reports["arrival_ms"], 2 * readings["arrival_ms"] + 1])

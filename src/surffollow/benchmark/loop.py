@@ -45,12 +45,12 @@ REPORT = np.dtype(
 
 READING = np.dtype(
     [("ms", np.int64), ("arrival_ms", np.int64), ("noise", np.float64), ("range", np.float64)]
-    + [(n, np.float64) for n in ("early_ms", "told_ms")]
+    + [(n, np.float64) for n in ("early_ms", "timestamp_ms")]
 )
 """A reading: when it is made and arrives [ms], noise [m] (NaN: lost), range [m] or NaN.
 
 It is true `early_ms` (below 1) before `ms`, so a sensor may be faster than the steps of the simulation.
-`told_ms` is the timestamp that a method is told.
+`timestamp_ms` is the timestamp that a method gets.
 """
 
 ORDER = np.dtype([("set_point", np.float64), ("demand", np.float64)])

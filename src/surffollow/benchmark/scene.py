@@ -86,7 +86,7 @@ def make_scene(
         _stamp_between(readings, c.sensor.rate_hz, c.sensor.latency_s)
     else:
         _stamp(readings, c.sensor.rate_hz, c.sensor.latency_s)
-    readings["told_ms"] = readings["ms"] - readings["early_ms"]
+    readings["timestamp_ms"] = readings["ms"] - readings["early_ms"]
     n = len(readings)
     noise = c.sensor.sigma_m * rng.standard_normal(n)
     glitch = rng.random(n) < c.sensor.glitch_rate
