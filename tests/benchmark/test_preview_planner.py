@@ -7,10 +7,11 @@ import pytest
 from scipy.optimize import minimize
 
 from surffollow.benchmark import preview_programme as programme
+from surffollow.benchmark.cell_runs import methods_in, run_cells
 from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.local_line import smoothed
 from surffollow.benchmark.methods import BASELINES
-from surffollow.benchmark.runner import methods_in, run_cells, run_method, score_run
+from surffollow.benchmark.runner import run_method, score_run
 from surffollow.benchmark.scene import make_scene
 from surffollow.benchmark.suite import Cell
 from surffollow.sim.profiles import SHAPES

@@ -8,21 +8,19 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
-from surffollow.benchmark.hazards import (
+from surffollow.benchmark.hazard_ground import make_ground as ground_of
+from surffollow.benchmark.hazard_ground import rotate, true_range
+from surffollow.benchmark.hazard_scenarios import (
     FAMILIES,
     FAR_M,
     KINDS,
     LEADING,
     NEAR_M,
     STANDOFF_M,
-    PLoop,
     Scenario,
     draw,
-    play,
-    rotate,
-    true_range,
 )
-from surffollow.benchmark.hazards import make_ground as ground_of
+from surffollow.benchmark.hazards import PLoop, play
 from surffollow.forecast.attitude.beam_detection import BENT_GATE, is_bent
 from surffollow.forecast.terrain.known_ground import (
     CONTRADICTION_SAMPLES,

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
-from surffollow.benchmark.hazards import FAR_M, NEAR_M, STANDOFF_M, PLoop, draw, play
+from surffollow.benchmark.hazard_scenarios import FAR_M, NEAR_M, STANDOFF_M, draw
+from surffollow.benchmark.hazards import PLoop, play
 from surffollow.follower.future_stamps import FutureStamps, ReferenceTime
 
 MS = 1_000_000

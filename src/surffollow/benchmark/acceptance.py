@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from surffollow.benchmark.cell_runs import geometric_mean
 from surffollow.benchmark.comparison import (
     FLOOR_M,
     HALF,
@@ -33,7 +34,6 @@ from surffollow.benchmark.comparison import (
 from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.methods import LIMIT, ORACLE
 from surffollow.benchmark.near_limit import beyond_half
-from surffollow.benchmark.runner import geometric_mean
 
 FAST_MPS = 0.3  # above: the bar of 400 mm/s
 STEP_SCORED_MPS = 0.2

@@ -12,9 +12,9 @@ from typing import Any
 
 import msgspec
 
+from surffollow.benchmark.cell_runs import geometric_mean
 from surffollow.benchmark.families import FAMILY_SURFACES, PERIODIC
 from surffollow.benchmark.methods import BASELINES, LIMIT, ORACLE
-from surffollow.benchmark.runner import geometric_mean
 
 JUDGED = "ours"
 FLOOR_M = 0.1e-3

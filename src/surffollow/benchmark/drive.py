@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from surffollow.benchmark.followers import FollowerLike
 from surffollow.benchmark.loop import END, MS_NS, STEP_S, World, advance_to_tick
-from surffollow.benchmark.methods import FollowerLike
 from surffollow.benchmark.scene import START_NS, Scene
 
 RETURN_SPEED_MPS = 0.5  # between two passes the tool travels back, lifted, at this speed

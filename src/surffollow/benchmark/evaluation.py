@@ -11,10 +11,11 @@ from typing import Any
 import msgspec
 
 from surffollow.benchmark import acceptance, comparison, near_limit
+from surffollow.benchmark.cell_runs import run_cells
 from surffollow.benchmark.conditions import Conditions, load_conditions
 from surffollow.benchmark.methods import all_methods, check_methods
 from surffollow.benchmark.report import markdown_table, summary_table, text_table, write_plots
-from surffollow.benchmark.runner import Result, Tuned, run_cells
+from surffollow.benchmark.runner import Result, Tuned
 from surffollow.benchmark.suite import (
     LEADS_M,
     SPEEDS_MPS,

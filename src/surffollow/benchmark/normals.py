@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.benchmark.conditions import STANDOFF_M, Conditions
+from surffollow.benchmark.followers import follower_config
 from surffollow.benchmark.loop import MS_NS
-from surffollow.benchmark.methods import follower_config
 from surffollow.benchmark.scene import START_NS
 
 RADIUS_M = 0.04

@@ -13,13 +13,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from surffollow.benchmark.cell_runs import in_parallel
 from surffollow.benchmark.conditions import STANDOFF_M, Conditions
 from surffollow.benchmark.drive import two_passes
 from surffollow.benchmark.dropouts import CASES, dropout_trial
 from surffollow.benchmark.limit import limit_path
 from surffollow.benchmark.methods import factory_of
 from surffollow.benchmark.normals import plane_trial
-from surffollow.benchmark.runner import in_parallel, run_method, scene_of, score_run
+from surffollow.benchmark.runner import run_method, scene_of, score_run
 from surffollow.benchmark.suite import LATENCIES_S, Cell, surface_labels
 
 SECOND_PASS_SPEED_MPS = 0.1

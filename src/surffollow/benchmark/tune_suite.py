@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import sys
 
+from surffollow.benchmark.cell_runs import geometric_mean, in_parallel
 from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.methods import BASELINES, Baseline
-from surffollow.benchmark.runner import geometric_mean, in_parallel, training_scenes
+from surffollow.benchmark.runner import training_scenes
 from surffollow.benchmark.scene import Scene
 from surffollow.benchmark.suite import LEADS_M, Cell
 from surffollow.benchmark.tuning import pattern_search, rms_of
