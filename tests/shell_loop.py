@@ -18,7 +18,8 @@ from surffollow.hw.simulation.simulated import SimulatedDriver
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, VALID, FollowState, Inputs, Output, Params
 from surffollow.sim.mounts import around_tool
-from surffollow.sim.robot import RobotConfig, RobotCore
+from surffollow.sim.robot import RobotCore
+from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.robot_run import Controller
 
 MS = 1_000_000

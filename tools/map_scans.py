@@ -12,7 +12,7 @@ from scipy.ndimage import map_coordinates
 
 from surffollow.hw.simulation.led_sensor import LedConfig
 from surffollow.map import HeightMap
-from surffollow.sim.robot import RobotConfig
+from surffollow.sim.robot_config import RobotConfig
 
 
 def scan(

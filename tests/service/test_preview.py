@@ -29,7 +29,7 @@ from surffollow.shm.conversion import pack_conversion
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_follow import MODE_PAPER
-from surffollow.sim.robot import RobotConfig
+from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.world_surface import WorldConfig
 
 TOOLS = Path(__file__).parents[2] / "tools"

@@ -14,7 +14,8 @@ from surffollow.hw.registry import make_driver
 from surffollow.map.height_map import HeightMap
 from surffollow.sim.path_table import read_path_table
 from surffollow.sim.raster import file_path, raster_path
-from surffollow.sim.robot import RobotConfig, RobotCore
+from surffollow.sim.robot import RobotCore
+from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.world_surface import WorldConfig
 
 

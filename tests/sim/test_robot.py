@@ -14,7 +14,8 @@ from robots import FLAT, MS, REGION, START, PerfectService, drive, robot
 from surffollow.errors import ConfigError, NotRunningError, PoseError, UsageError
 from surffollow.sim.plant import PlantConfig
 from surffollow.sim.raster import MARGIN_M, line_path, raster_path, slow_down
-from surffollow.sim.robot import APPROACH_M, RobotConfig, RobotCore
+from surffollow.sim.robot import RobotCore
+from surffollow.sim.robot_config import APPROACH_M, RobotConfig
 from surffollow.sim.robot_run import Controller, held_too_long, run_robot
 from surffollow.sim.surfaces import sine_field, step_field
 from surffollow.sim.world import WorldReader

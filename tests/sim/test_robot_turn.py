@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from surffollow.shm.dtypes import zeros
 from surffollow.sim.mounts import around_tool
-from surffollow.sim.robot import RobotConfig, RobotCore
+from surffollow.sim.robot import RobotCore
+from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.robot_turn import ACCEL_RADPS2, SPEED_RADPS, along_axis, turned, wrist_step
 from surffollow.sim.surfaces import shell_field
 from surffollow.sim.world import WorldPose

@@ -21,7 +21,7 @@ NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 VERBS = {
     "start": ("service", "start_command", "Run the service in the foreground."),
     "stop": ("service", "stop_command", "End a service; --purge removes its kept map."),
-    "status": ("service", "status_command", "Say how a service is doing."),
+    "status": ("status", "status_command", "Say how a service is doing."),
     "demo": ("demo", "demo_command", "Follow simulated rough ground with the real service."),
     "simulate": ("simulate", "simulate_command", "Simulate a robot that follows the service's demands."),
     "record": ("record", "record_command", "Record a service's cycles to a file."),

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import FaultError, NotRunningError, PoseError
-from surffollow.sim.robot import RobotConfig, RobotCore
+from surffollow.sim.robot import RobotCore
+from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.world import WorldWriter
 
 RETRY_NS = 200_000_000
