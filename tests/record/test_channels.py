@@ -19,10 +19,10 @@ from surffollow.record.channels import add_demand, plain
 from surffollow.record.convert import convert
 from surffollow.record.protobuf import Message
 from surffollow.record.recorder import Recorder
+from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.replay import replay_file
 from surffollow.record.synthetic_log import SyntheticLog
 from surffollow.record.table import Table
-from surffollow.record.writer import RecordingWriter
 from surffollow.shm.layout_follow import VALID, Output
 
 Decoded = dict[str, list[tuple[Any, Any]]]

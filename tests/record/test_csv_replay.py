@@ -18,15 +18,8 @@ from surffollow.errors import UsageError
 from surffollow.map import HeightMap
 from surffollow.record.columns import Columns, load_columns, parse_columns
 from surffollow.record.csv_log import CsvLog, read_csv
-from surffollow.record.csv_replay import (
-    CsvReplay,
-    follow_notes,
-    run_csv,
-    score_forecast,
-    summarise,
-    target_points,
-    write_rows,
-)
+from surffollow.record.csv_replay import CsvReplay, follow_notes, run_csv, target_points, write_rows
+from surffollow.record.forecast_scores import score_forecast, summarise
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples" / "columns"

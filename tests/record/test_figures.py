@@ -16,7 +16,8 @@ from surffollow.cli.replay import replay_command
 from surffollow.errors import MapFileError, UsageError
 from surffollow.map import HeightMap
 from surffollow.record.figure import new_figure, outliers, save_figure, spans
-from surffollow.record.plot_recording import forecast_errors, log_histogram, read_figure_data
+from surffollow.record.latency_histogram import log_histogram
+from surffollow.record.plot_recording import forecast_errors, read_figure_data
 
 BEGINNINGS = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
 COLUMNS = """

@@ -16,8 +16,8 @@ from surffollow.forecast.step import follow_step
 from surffollow.map import HeightMap
 from surffollow.record.map_rebuild import rebuild_map
 from surffollow.record.reader import RecordingReader
+from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.synthetic_log import NS_PER_S, SyntheticLog, synthesise_inputs
-from surffollow.record.writer import RecordingWriter
 from surffollow.shm.layout_board import RQ_MAP_INSTALL, RQ_MAP_REFOCUS, RQ_MAP_RESET
 
 CYCLES = 1400  # before the rehearsal's first change of parameters

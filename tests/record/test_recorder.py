@@ -18,9 +18,9 @@ from surffollow.forecast.journal import CYCLE, SNAPSHOT, entry_kind, entry_words
 from surffollow.record.format import BATCH_CYCLES, SCHEMA_ENCODING, TOPIC
 from surffollow.record.reader import RecordingReader
 from surffollow.record.recorder import Recorder
+from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.replay import replay_file
 from surffollow.record.synthetic_log import SyntheticLog
-from surffollow.record.writer import RecordingWriter
 from surffollow.shm.cycle_log import log_head
 from surffollow.shm.layout_board import LogHead
 

@@ -95,7 +95,7 @@ def test_a_stop_is_kept_before_it_is_answered_and_no_reset_undoes_what_nobody_sa
 
 
 def test_only_parameters_that_differ_stop_a_start(memory: Any) -> None:
-    from surffollow.service.requests import params_hash
+    from surffollow.service.answers import params_hash
 
     memory.params[0]["offset_m"] = 0.1
     objects: Any = SimpleNamespace(map_header=memory.header)

@@ -71,7 +71,7 @@ def replay_csv_command(
 ) -> None:
     import json
 
-    from surffollow.record.csv_replay import summarise
+    from surffollow.record.forecast_scores import summarise
 
     replay, meaning = replay_csv_log(file, columns, start, end, mode)
     if out is not None:

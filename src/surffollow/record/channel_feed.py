@@ -19,9 +19,9 @@ from surffollow.record import foxglove as fx
 from surffollow.record.channels import PACKAGE, StandardChannels
 from surffollow.record.map_channel import MapPace, known_points
 from surffollow.record.protobuf import Field, Message
+from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.samples import Sampler
 from surffollow.record.service_log import ServiceLog
-from surffollow.record.writer import RecordingWriter
 from surffollow.shm.layout_board import MapStatus, Stats, Ticker
 
 SERVICE_S = 1.0

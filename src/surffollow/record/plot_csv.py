@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from surffollow.record import figure as fg
 from surffollow.record.columns import Columns
-from surffollow.record.csv_replay import CsvReplay, pair_forecasts, score_forecast
+from surffollow.record.csv_replay import CsvReplay
+from surffollow.record.forecast_scores import pair_forecasts, score_forecast
 
 # without a horizontal way of this many typical distances there is no map to draw
 _MIN_PATH = 1.0

@@ -23,7 +23,7 @@ from surffollow.record.log_kernels import (
     W_SNAPSHOT,
     walk_entries,
 )
-from surffollow.record.writer import RecordingWriter
+from surffollow.record.recording_writer import RecordingWriter
 from surffollow.shm.cycle_log import log_copy, log_head
 
 # one copy out of the log; must hold the longest entry

@@ -11,8 +11,8 @@ from pathlib import Path
 from surffollow.errors import UsageError
 from surffollow.record.channel_feed import ChannelFeed
 from surffollow.record.recorder import Counts, Recorder
+from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.service_log import ServiceLog
-from surffollow.record.writer import RecordingWriter
 
 # a default log goes once around in 20 s; 20 ms behind keeps a watching eye current
 POLL_S = 0.02

@@ -16,8 +16,8 @@ from surffollow.errors import ConfigError
 from surffollow.forecast.reference_scales import scaled_defaults
 from surffollow.hw.driver import ConversionQueue, DriverInfo, PoseQueue
 from surffollow.service import memory as m
+from surffollow.service.answers import params_hash
 from surffollow.service.parameter_bounds import contradiction
-from surffollow.service.requests import params_hash
 from surffollow.service.shared_objects import SharedObjects
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros

@@ -24,7 +24,7 @@ from surffollow.service.mapper_memory import (
     JOB_PIECE,
     JOB_SLOT,
 )
-from surffollow.service.requests import holder_is_gone
+from surffollow.service.pose_role import holder_is_gone
 from surffollow.shm import atomics as at
 from surffollow.shm import map_layout as ml
 from surffollow.shm.clock import now_ns

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time
 
 from surffollow.config.trusted_users import NOBODYS, own_user
 from surffollow.errors import BlockError, NoPermissionError, NoSpaceError
@@ -18,6 +19,7 @@ from surffollow.shm.process import belongs_to, is_running, own_pid, start_ticks
 
 ENDING = ".lock"
 _BYTE = 0
+_POLL_S = 0.005
 
 
 class NameLock:
@@ -61,6 +63,14 @@ class NameLock:
             except BaseException:
                 lock.close()
                 raise
+
+    @classmethod
+    def take_within(cls, name: str, timeout_s: float) -> NameLock | None:
+        """As `take`, but wait for an owner that ends: the kernel frees locks late in a process's end."""
+        deadline = time.monotonic() + timeout_s
+        while (own := cls.take(name)) is None and time.monotonic() <= deadline:
+            time.sleep(_POLL_S)
+        return own
 
     @property
     def held(self) -> bool:
