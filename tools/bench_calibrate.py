@@ -16,7 +16,7 @@ from report import print_figures
 from surffollow.apps.fit_latency import fit_latency
 from surffollow.apps.fit_mount import beam_of, fit_mount
 from surffollow.apps.fit_range import fit_range
-from surffollow.hw.simulation.led_sensor import FAR_M, NEAR_M
+from surffollow.hw.simulation.led_config import FAR_M, NEAR_M
 
 NONLINEARITY_M = 0.38e-3  # the data sheet's whole tolerance
 

@@ -13,14 +13,8 @@ import pytest
 from running_service import until
 from surffollow.errors import ConfigError, DriverError, RecordingError
 from surffollow.hw.driver import ConversionQueue, Driver, DriverInfo
-from surffollow.hw.fault_injection import (
-    FaultConfig,
-    FaultState,
-    FaultyDriver,
-    fault_delay_ns,
-    fault_table,
-    inject_faults,
-)
+from surffollow.hw.fault_injection import FaultState, FaultyDriver, inject_faults
+from surffollow.hw.fault_schedule import FaultConfig, fault_delay_ns, fault_table
 from surffollow.hw.registry import make_driver
 from surffollow.hw.replayed import ReplayedDriver, save_conversions
 from surffollow.hw.silent import SilentDriver

@@ -12,9 +12,10 @@ import pytest
 from running_service import Service, drive, unique_name, until
 from surffollow.errors import BusyError, ConfigError, PoseError
 from surffollow.hw.driver import ConversionQueue, PoseQueue, reports_of
-from surffollow.hw.fault_injection import FaultConfig, FaultyDriver
+from surffollow.hw.fault_injection import FaultyDriver
+from surffollow.hw.fault_schedule import FaultConfig
 from surffollow.hw.registry import make_driver
-from surffollow.hw.simulation.led_sensor import LedConfig
+from surffollow.hw.simulation.led_config import LedConfig
 from surffollow.hw.simulation.pose_history import PoseHistory, add_report, pose_at
 from surffollow.hw.simulation.sensor_rig import SimulatedConfig
 from surffollow.hw.simulation.simulated import SimulatedDriver

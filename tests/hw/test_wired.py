@@ -21,7 +21,7 @@ from surffollow.errors import ConfigError
 from surffollow.hw.driver import ConversionQueue, Driver
 from surffollow.hw.polled import GARBLED, RUNNING, SILENT, STOPPED, WAITING
 from surffollow.hw.registry import make_driver
-from surffollow.hw.wire.iio import Element
+from surffollow.hw.wire.iio_scan import Element
 from surffollow.shm.conversion import FLAG_INVALID, conversion_channel, conversion_counts, conversion_flags
 
 MS = 1_000_000

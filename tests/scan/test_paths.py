@@ -376,7 +376,11 @@ def test_the_checker_imports_nothing_of_the_planner():
     assert set(got.stdout.split()) == {
         "surffollow.scan",
         "surffollow.scan.check",
+        "surffollow.scan.check_clearance",
+        "surffollow.scan.check_coverage",
         "surffollow.scan.check_file",
+        "surffollow.scan.check_finding",
+        "surffollow.scan.check_placement",
     }
 
 

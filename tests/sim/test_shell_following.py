@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from shell_loop import ShellLoop
-from surffollow.hw.fault_injection import FaultConfig
+from surffollow.hw.fault_schedule import FaultConfig
 from surffollow.shm.layout_follow import VALID
 from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.world_surface import WorldConfig

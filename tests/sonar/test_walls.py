@@ -14,6 +14,7 @@ from sonar.naive_sonar import range_of, ring_ranges, wrapped
 from surffollow.errors import UsageError
 from surffollow.sonar import candidates as cd
 from surffollow.sonar import fused_pose, wall_pose, walls
+from surffollow.sonar.candidate_ranking import best_candidate
 from surffollow.sonar.ring import SonarRing
 
 ALPHA = math.radians(11.25)
@@ -270,4 +271,4 @@ def test_one_contradiction_outweighs_two_further_inliers():
     more, fewer = np.zeros(cd.CANDIDATE), np.zeros(cd.CANDIDATE)
     more[[cd.INLIERS, cd.CONTRADICTIONS]] = 4, 1
     fewer[cd.INLIERS] = 2
-    assert cd.best_candidate(np.array([more, fewer]), 2) == 1
+    assert best_candidate(np.array([more, fewer]), 2) == 1

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from surffollow.errors import UsageError
-from surffollow.hw.simulation.led_sensor import FAR_M, NEAR_M
+from surffollow.hw.simulation.led_config import FAR_M, NEAR_M
 from surffollow.sim.mounts import around_tool
 from surffollow.sim.raster import MARGIN_M
 from surffollow.sim.robot_config import RobotConfig

@@ -10,7 +10,7 @@ import struct
 import time
 
 from surffollow.arbiter import layout as al
-from surffollow.arbiter.observer import BoardReader
+from surffollow.arbiter.board_reader import BoardReader
 from surffollow.arbiter.python_futex import Waiter, address_of, waker
 from surffollow.client.fence import FENCED, fence
 from surffollow.errors import ClosedError, NotRunningError, RequestTimeoutError

@@ -13,10 +13,11 @@ from surffollow.errors import ConfigError, SurffollowError
 from surffollow.hw.calibrated import calibrated
 from surffollow.hw.calibration import load_calibration
 from surffollow.hw.driver import Driver
-from surffollow.hw.fault_injection import FaultConfig, FaultyDriver
+from surffollow.hw.fault_injection import FaultyDriver
+from surffollow.hw.fault_schedule import FaultConfig
 from surffollow.hw.replayed import ReplayedDriver
 from surffollow.hw.silent import SilentDriver
-from surffollow.hw.simulation.led_sensor import LedConfig
+from surffollow.hw.simulation.led_config import LedConfig
 from surffollow.hw.simulation.sensor_rig import SimulatedConfig
 from surffollow.hw.simulation.simulated import SimulatedDriver
 from surffollow.units import parse_quantity

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.scan.image_filters import gauss_row, moments_row
+from surffollow.scan.image_kernels import gauss_row, moments_row
 from surffollow.shm.jit import jit_arrays
 
 NO_DATA, ROUGH, PLANAR = 0, 1, 2

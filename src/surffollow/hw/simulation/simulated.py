@@ -18,7 +18,7 @@ from surffollow.errors import BlockError, NotRunningError
 from surffollow.hw.driver import REPORT_WORDS, ConversionQueue, DriverInfo, Eight, PoseQueue, mounts_of
 from surffollow.hw.driver_thread import CATCH_UP_NS, CONTROL_WORDS, PERIOD_NS, STOP, USER, Pump
 from surffollow.hw.simulation import adc
-from surffollow.hw.simulation.led_sensor import physics
+from surffollow.hw.simulation.led_config import physics
 from surffollow.hw.simulation.pose_history import PoseHistory, add_pose, add_report
 from surffollow.hw.simulation.sensor_rig import SimulatedConfig, make_rig, produce
 from surffollow.shm import atomics as at
