@@ -10,7 +10,8 @@ from pathlib import Path
 
 from surffollow.errors import UsageError
 from surffollow.record.channel_feed import ChannelFeed
-from surffollow.record.recorder import Counts, Recorder
+from surffollow.record.recorder import Recorder
+from surffollow.record.recorder_parts import Counts
 from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.service_log import ServiceLog
 
