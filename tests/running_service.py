@@ -24,6 +24,9 @@ from surffollow.shm.dtypes import zeros
 from surffollow.shm.objects import unlink
 from surffollow.sim.world import WorldPose, WorldWriter
 
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
 READY_S = 400.0  # a start on a busy machine with a cold kernel cache
 WAIT_S = 60.0  # only there to fail
 PATIENT_S = 1.0  # silence that a busy machine may cause and that is not what a test is about
@@ -238,12 +241,21 @@ class Service:
         for part in OBJECTS:
             unlink(self.name + part)
 
+    @contextlib.contextmanager
+    def running(self) -> Iterator[Self]:
+        """Start it; at the end of this, end it whatever its state and remove all that it left."""
+        try:
+            self.start()
+            yield self
+        finally:
+            self.purge()
+
     def attach(self, **options: Any) -> Client:
-        """A client; unless told otherwise it bears `PATIENT_S` of silence."""
+        """A client; it bears `PATIENT_S` of silence unless an option names another time."""
         return attach(self.name, **_patient(options))
 
     def observe(self, **options: Any) -> Observer:
-        """An observer; unless told otherwise it bears `PATIENT_S` of silence."""
+        """An observer; it bears `PATIENT_S` of silence unless an option names another time."""
         return observe(self.name, **_patient(options))
 
     def cycles(self, n: int) -> None:

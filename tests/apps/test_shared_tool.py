@@ -96,11 +96,8 @@ def test_the_follower_learns_only_while_it_holds_the_tool_whatever_becomes_of_it
 
 @pytest.fixture
 def shared(tmp_path):
-    server = Running(tmp_path, arbiter_text("sum"))
-    try:
-        yield server.start()
-    finally:
-        server.purge()
+    with Running(tmp_path, arbiter_text("sum")).running() as server:
+        yield server
 
 
 def test_an_offset_from_another_pose_is_converted_to_the_followers(service, shared):

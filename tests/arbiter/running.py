@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -10,14 +11,17 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from forked_start import fork_start
 from running_service import freeze, until
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 CONFIG = """
 [clients]
@@ -93,6 +97,15 @@ class Running:
             self.process.wait()
         for left in Path("/dev/shm").glob(f"{self.name}*"):
             left.unlink()
+
+    @contextlib.contextmanager
+    def running(self) -> Iterator[Self]:
+        """Start it; at the end of this, end it whatever its state and remove all that it left."""
+        try:
+            self.start()
+            yield self
+        finally:
+            self.purge()
 
     def command(self, *words: str) -> Any:
         done = subprocess.run(

@@ -66,11 +66,8 @@ POSE = (0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0)
 
 @pytest.fixture(scope="module")
 def summed(tmp_path_factory):
-    server = Running(tmp_path_factory.mktemp("sum"), SUM)
-    try:
-        yield server.start()
-    finally:
-        server.purge()
+    with Running(tmp_path_factory.mktemp("sum"), SUM).running() as server:
+        yield server
 
 
 @pytest.fixture

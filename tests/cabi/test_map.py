@@ -154,11 +154,8 @@ def test_map_stands_still_while_a_c_client_holds_it_and_following_goes_on(
 @pytest.fixture(scope="module")
 def hasty_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service whose lease is 0.7 s, for those who outlive it."""
-    s = Service(tmp_path_factory.mktemp("hasty"), flat_ground("700 ms"))
-    try:
-        yield s.start()
-    finally:
-        s.purge()
+    with Service(tmp_path_factory.mktemp("hasty"), flat_ground("700 ms")).running() as s:
+        yield s
 
 
 def test_holder_that_outlives_its_lease_is_told_that_its_copy_may_be_mixed(

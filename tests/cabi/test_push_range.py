@@ -46,11 +46,10 @@ while True:
 @pytest.fixture(scope="module")
 def outside(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service whose ranges come from clients."""
-    s = Service(tmp_path_factory.mktemp("outside"), config_text(kind="external", driver=DRIVER))
-    try:
-        yield s.start()
-    finally:
-        s.purge()
+    with Service(
+        tmp_path_factory.mktemp("outside"), config_text(kind="external", driver=DRIVER)
+    ).running() as s:
+        yield s
 
 
 @pytest.fixture

@@ -74,11 +74,8 @@ def layout(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service whose simulated sensor rides on the poses that the foreign client reports."""
-    s = Service(tmp_path_factory.mktemp("service"), config_text(kind="simulated"))
-    try:
-        yield s.start()
-    finally:
-        s.purge()
+    with Service(tmp_path_factory.mktemp("service"), config_text(kind="simulated")).running() as s:
+        yield s
 
 
 @pytest.fixture

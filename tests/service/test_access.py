@@ -50,11 +50,8 @@ def keeper(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service whose leases are short, for tests that let one end or restart the service."""
     from running_service import config_text
 
-    s = Service(tmp_path_factory.mktemp("keeper"), config_text(map='access_lease = "1 s"'))
-    try:
-        yield s.start()
-    finally:
-        s.purge()
+    with Service(tmp_path_factory.mktemp("keeper"), config_text(map='access_lease = "1 s"')).running() as s:
+        yield s
 
 
 def holder(watcher: Observer) -> tuple[int, int]:

@@ -53,11 +53,8 @@ offset = { min = "80 mm", max = "120 mm" }
 def limited(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service with ceilings, whose objects everybody may use."""
     text = config_text(access='board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"') + LIMITS
-    s = Service(tmp_path_factory.mktemp("limited"), text)
-    try:
-        yield s.start()
-    finally:
-        s.purge()
+    with Service(tmp_path_factory.mktemp("limited"), text).running() as s:
+        yield s
 
 
 def test_no_client_passes_a_ceiling_or_a_floor_of_the_configuration(limited: Service) -> None:

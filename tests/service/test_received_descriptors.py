@@ -53,11 +53,8 @@ def test_the_kernel_refuses_a_descriptor_to_its_sender(make_service) -> None:
 
 @pytest.fixture
 def old(tmp_path: Path) -> Iterator[Service]:
-    s = OldKernelService(tmp_path)
-    try:
-        yield s.start()
-    finally:
-        s.purge()
+    with OldKernelService(tmp_path).running() as s:
+        yield s
 
 
 def beats(s: Service) -> int:

@@ -38,11 +38,8 @@ PUNCH_AND_KEEP_SIZE = 3
 @pytest.fixture(scope="module")
 def open_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service that any user may command."""
-    s = Service(tmp_path_factory.mktemp("open"), config_text(access=LIMITS))
-    try:
-        yield s.start()
-    finally:
-        s.purge()
+    with Service(tmp_path_factory.mktemp("open"), config_text(access=LIMITS)).running() as s:
+        yield s
 
 
 def attacks_on_memory(name: str) -> dict[str, str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from surffollow.apps.base_blocks import Base, TrueBase, publish
+from surffollow.apps.ending_signals import ending_signals
 from surffollow.apps.wall_figures import Run, find_turns
 from surffollow.arbiter import command_reader, observe
 from surffollow.blocks import mem_attach
@@ -24,20 +24,6 @@ BASE_HZ, CLIENT_HZ = 100.0, 50.0
 ROUND_S = 0.15  # one round of the ring, and a little
 WAIT_NOTICE_S = 1.0  # without a command, until a line says what the base waits for
 LOG_COLUMNS = ("t_s", "x_m", "y_m", "heading_rad", "gap_m", "client")
-
-
-@contextlib.contextmanager
-def ending_signals() -> Any:
-    """A list that gets an entry when SIGINT or SIGTERM arrives."""
-    caught: list[int] = []
-    before = {
-        n: signal.signal(n, lambda number, _: caught.append(number)) for n in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield caught
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def run_base(

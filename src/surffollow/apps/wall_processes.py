@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from surffollow.apps.base_blocks import Base, sensing_of
-from surffollow.apps.base_process import CLIENT_HZ, ending_signals, read_log
+from surffollow.apps.base_process import CLIENT_HZ, read_log
 from surffollow.apps.child_processes import Child, running
+from surffollow.apps.ending_signals import ending_signals
 from surffollow.apps.wall_clients import PRIORITIES, make_clients
 from surffollow.apps.wall_figures import Run
 from surffollow.apps.wall_following import ring_of

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from surffollow.apps.ending_signals import ending_signals
 from surffollow.cli.facts import print_facts
 from surffollow.cli.option_types import SERVICE_NAME, Finite
 from surffollow.cli.output_checks import check_outputs
@@ -92,7 +91,7 @@ def run_command(
     shaper = Shaper.zvd(vertical_mode, damping) if vertical_mode > 0.0 else None
     simulated: dict[str, Any] = {"errors": None, "compliance": None} if stiff else {}
     config = ScanRobotConfig(way=way, shaper=shaper, seed=seed, **simulated)
-    with _signals() as caught:
+    with ending_signals(signal.SIGHUP) as caught:
         done = _execute(planned, name, config, mapped, map_file if way == "map" else None, caught, wait_s)
     from surffollow.apps.scan_figures import sensed_figures, true_figures
 
@@ -159,23 +158,6 @@ def _confirm(yes: bool) -> None:
     if not click.confirm("Start the scan?", err=True):
         click.echo("nothing moved", err=True)
         sys.exit(1)
-
-
-@contextmanager
-def _signals() -> Iterator[list[int]]:
-    """Numbers of the signals that came: each means abort."""
-    caught: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {
-        n: signal.signal(n, lambda number, _: caught.append(number))
-        for n in numbers
-        if signal.getsignal(n) != signal.SIG_IGN
-    }
-    try:
-        yield caught
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _execute(
