@@ -37,8 +37,8 @@ def warm_scan() -> None:
         ground, _ = survey([DepthImage(disparity, "disparity", camera)], [], settings)
     region, base = (0.4, 0.4, 0.6, 0.6), (-0.5, 0.5, 0.5)
     for scheme in ("lanes", "arcs"):
-        told = PlanSettings(region, 0.05, disc(0.05), scheme=scheme, base_m=base)
-        path = plan_scan(ground, told)
+        reported = PlanSettings(region, 0.05, disc(0.05), scheme=scheme, base_m=base)
+        path = plan_scan(ground, reported)
     tip = np.nan_to_num(path.position_m)
     tip_deflection(tip, 100.0, np.array(base), Compliance())
     laser_range(field, tip, np.ascontiguousarray(path.normal))

@@ -232,7 +232,7 @@ class NaiveFollower:
             fresh.add(c)
         return fresh
 
-    def told(self, c, t_ns, fresh):
+    def reported(self, c, t_ns, fresh):
         """The distance of a channel, or None when there is none or the last one came too long ago."""
         came_ns = self.range_t_ns[c] + self.params["sensor_latency_ns"]
         if self.valid[c] and (c in fresh or t_ns - came_ns <= self.params["loss_timeout_ns"]):
@@ -262,7 +262,7 @@ class NaiveFollower:
             out["status"] = (out["status"] - {"VALID"}) | {"FROZEN"}
             out["dz"] = 0.0
         out["cycle"] = self.cycle
-        out["range_m"] = [self.told(c, t_ns, fresh) for c in range(8)]
+        out["range_m"] = [self.reported(c, t_ns, fresh) for c in range(8)]
         out["slope"], out["speed"], out["intervals"] = self.slope, self.speed, self.intervals.opened
         self.cycle += 1
         return out

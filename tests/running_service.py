@@ -124,8 +124,8 @@ def run_command(words: Sequence[str], timeout_s: float = READY_S) -> subprocess.
 
 def _patient(options: dict[str, Any]) -> dict[str, Any]:
     """Options of an attachment; the time of silence is the caller's where he says one."""
-    told = options.keys() & {"stale_periods", "stale_min_s"}
-    return options if told else {"stale_min_s": PATIENT_S, **options}
+    given = options.keys() & {"stale_periods", "stale_min_s"}
+    return options if given else {"stale_min_s": PATIENT_S, **options}
 
 
 class Service:

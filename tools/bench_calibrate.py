@@ -91,9 +91,9 @@ def main() -> None:
     words = argparse.ArgumentParser(description="Calibrations on simulated faults.")
     words.add_argument("--seeds", type=int, default=100)
     words.add_argument("--json", action="store_true")
-    told = words.parse_args()
-    result = measure(told.seeds)
-    print_figures(result, told.json)
+    options = words.parse_args()
+    result = measure(options.seeds)
+    print_figures(result, options.json)
 
 
 if __name__ == "__main__":

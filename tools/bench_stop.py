@@ -28,7 +28,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 import numpy as np  # noqa: E402
 
 from report import finish  # noqa: E402
-from report import result as told  # noqa: E402
+from report import result as bench_result  # noqa: E402
 from running_service import Service, config_text, unique_name  # noqa: E402
 from stop_controller import COMMAND, REPORT  # noqa: E402
 from surffollow.client import Client  # noqa: E402
@@ -249,7 +249,7 @@ def run(trials: int, seed: int, retract_m: float) -> dict[str, Any]:
         for kind, r in rows.items()
     ]
     what = f"seconds from a random loss to rest, {'retracting' if retract_m else 'holding'} height"
-    return told(what, bars, [*notes, *failed], kinds=rows, failed=failed, trials=trials, seed=seed)
+    return bench_result(what, bars, [*notes, *failed], kinds=rows, failed=failed, trials=trials, seed=seed)
 
 
 def main() -> int:

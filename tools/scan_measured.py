@@ -117,8 +117,8 @@ def lidar(folder: Path) -> Bars:
     bars = []
     for name, other in (names, names[::-1]):
         k = int(np.argmin(wrong[other]))
-        told = zip(("cell_m", "slope_factor", "support_m", "tolerance_m"), cases[k])
-        note = ", ".join(f"{key} {value:g}" for key, value in told) + f", chosen on {other}"
+        choices = zip(("cell_m", "slope_factor", "support_m", "tolerance_m"), cases[k])
+        note = ", ".join(f"{key} {value:g}" for key, value in choices) + f", chosen on {other}"
         bars.append(bar(f"ISPRS {name}: total error", 100 * wrong[name][k], 15, "%", note))
     return bars
 

@@ -108,26 +108,26 @@ def main() -> int:
     words.add_argument("seconds", nargs="?", type=float, default=20.0)
     words.add_argument("--plot", metavar="FILE", help="draw the run (PNG, SVG, PDF)")
     words.add_argument("--trace", metavar="FILE", help="write the run as CSV")
-    told = words.parse_args()
-    if not 0.0 < told.seconds <= 1e6:
+    options = words.parse_args()
+    if not 0.0 < options.seconds <= 1e6:
         words.error("seconds: more than 0, at most 1e6")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        rows = run(told.service, told.seconds)
+        rows = run(options.service, options.seconds)
     except SurffollowError as error:
         print(f"controller: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
-    if told.trace:
-        with open(told.trace, "w") as file:
+    if options.trace:
+        with open(options.trace, "w") as file:
             file.write("t_s,x_m,y_m,z_m,range_m,demand_m\n")
             file.writelines(",".join(f"{v:.9g}" for v in row) + "\n" for row in rows)
     errors = [row[4] - STANDOFF_M for row in rows if math.isfinite(row[4])]
     rms_mm = 1e3 * math.sqrt(sum(e * e for e in errors) / len(errors)) if errors else math.nan
     print(f"ticks {len(rows)} readings {len(errors)} standoff_rms_mm {rms_mm:.3f}")
-    if told.plot:
-        plot(rows, told.plot)
+    if options.plot:
+        plot(rows, options.plot)
     return 0
 
 

@@ -121,12 +121,12 @@ def main() -> int:
     words = argparse.ArgumentParser(description="Follow a pretended ground with a laser of your own.")
     words.add_argument("service", nargs="?", default="surf")
     words.add_argument("seconds", nargs="?", type=float, default=20.0)
-    told = words.parse_args()
-    if not 0.0 < told.seconds <= 1e6:
+    options = words.parse_args()
+    if not 0.0 < options.seconds <= 1e6:
         words.error("seconds: more than 0, at most 1e6")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        errors = run(told.service, told.seconds)
+        errors = run(options.service, options.seconds)
     except SurffollowError as error:
         print(f"push_range: {error}", file=sys.stderr)
         return 1

@@ -41,9 +41,9 @@ def test_the_demonstration_lifts_the_tool_over_an_obstacle_and_brings_it_back(co
     command = [sys.executable, "-m", "surffollow", "arbiter", "demo", "--seconds", "12", "--json"]
     done = subprocess.run([*command, "--combine", combine], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
-    told = json.loads(done.stdout)
-    assert told["failures"] == []
-    assert told["least_standoff_over_obstacle_m"] > told["obstacle_m"]
+    reported = json.loads(done.stdout)
+    assert reported["failures"] == []
+    assert reported["least_standoff_over_obstacle_m"] > reported["obstacle_m"]
 
 
 class FakeService:

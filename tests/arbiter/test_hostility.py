@@ -233,8 +233,8 @@ def test_strangers_at_the_door_keep_nobody_out(summed):
             kept[-1].settimeout(5.0)
             kept[-1].connect(hs.address(summed.name))
         # all are told that they may not
-        told = sum(len(one.recv(256)) > 0 for one in kept)
-        child.say(told)
+        answered = sum(len(one.recv(256)) > 0 for one in kept)
+        child.say(answered)
         signal.pause()
 
     with OtherUser(crowd) as others:

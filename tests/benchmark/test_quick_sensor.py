@@ -38,9 +38,9 @@ def test_a_follower_gets_timestamps_below_a_millisecond():
     follower = PythonP(c)
     s, w = scene.fresh()
     drive(follower, s, w)
-    told = [t for kind, t, v in follower.calls if kind == "step" and not np.isnan(v)]
-    assert np.array_equal(np.diff(told), np.full(len(told) - 1, 500_000))
-    assert told[0] == START_NS
+    received_ns = [t for kind, t, v in follower.calls if kind == "step" and not np.isnan(v)]
+    assert np.array_equal(np.diff(received_ns), np.full(len(received_ns) - 1, 500_000))
+    assert received_ns[0] == START_NS
 
 
 def test_a_sensor_of_one_kilohertz_or_less_keeps_whole_milliseconds():

@@ -244,7 +244,7 @@ def test_an_altered_hash_is_refused(layout: Path, service: Service, tmp_path: Pa
 
 
 def test_status_names_version_and_hashes_as_the_header_does(layout: Path, service: Service) -> None:
-    told = json.loads(service.run("status", "--json").stdout)["layout"]
+    reported = json.loads(service.run("status", "--json").stdout)["layout"]
     header = json.loads(layout.read_text())
-    assert told == {k: header[k] for k in told}
-    assert {"release", "version", "hash", "map_hash"} <= told.keys()
+    assert reported == {k: header[k] for k in reported}
+    assert {"release", "version", "hash", "map_hash"} <= reported.keys()

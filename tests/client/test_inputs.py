@@ -291,12 +291,12 @@ def test_faults_are_numbered_and_what_cannot_be_told_is_null(client: Client) -> 
         {"number": 35, "name": "SAMPLES_LOST"},
     ]
     assert follower_report(None, 1) == {"mode": "adaptive"}
-    told = client.status()["follower"]
-    assert told["mode"] == "adaptive"
-    assert told["health"] in HEALTH_NAMES
-    assert told["latency_s"] == pytest.approx(0.032, abs=5e-3)
-    assert told["range_size"] >= 1
-    assert all(v is None or not isinstance(v, float) or math.isfinite(v) for v in told.values())
+    reported = client.status()["follower"]
+    assert reported["mode"] == "adaptive"
+    assert reported["health"] in HEALTH_NAMES
+    assert reported["latency_s"] == pytest.approx(0.032, abs=5e-3)
+    assert reported["range_size"] >= 1
+    assert all(v is None or not isinstance(v, float) or math.isfinite(v) for v in reported.values())
 
 
 def test_every_parameter_is_known_without_its_unit() -> None:

@@ -149,13 +149,13 @@ def test_what_start_finds_wrong_later_names_the_file_too(tmp_path, text, says):
     path.write_text(text)
     name = f"test-wrong-{os.getpid()}"
     try:
-        told = CliRunner().invoke(start_command, ["--config", str(path), "--name", name]).exception
+        error = CliRunner().invoke(start_command, ["--config", str(path), "--name", name]).exception
     finally:
         for part in ("", ".sock", ".lock", ".map"):
             unlink(name + part)
-    assert isinstance(told, ConfigError)
-    assert str(told).startswith(f"{path}: ")
-    assert says in str(told)
+    assert isinstance(error, ConfigError)
+    assert str(error).startswith(f"{path}: ")
+    assert says in str(error)
 
 
 @pytest.mark.parametrize(

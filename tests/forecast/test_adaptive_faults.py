@@ -313,13 +313,13 @@ def test_a_follower_whose_readings_never_confirm_each_other_is_not_valid_and_say
         t = k * 10 * MS
         f.pose(t, (0.01 * k, 0.0, 30.0, 0.0, 0.0, 0.0, 1.0))
         demand = f.step(t, [20.0 + 5.0 * rng.standard_normal() if k % 100 == 0 else math.nan])
-        told = f.state()
-        if t > 10_000 * MS and "VALID" in told["status"] and demand[2] == 0.0:
+        reported = f.state()
+        if t > 10_000 * MS and "VALID" in reported["status"] and demand[2] == 0.0:
             valid_s += 0.01
-        reasons.add((told["health"], told["reason"]))
+        reasons.add((reported["health"], reported["reason"]))
     assert valid_s < 2.5, "a demand of zero is not VALID for longer than the loss time-out"
     assert ("DROPOUT", "no sample entered the estimate within the loss time-out") in reasons
-    assert "LOST" in told["faults"]
+    assert "LOST" in reported["faults"]
 
 
 @pytest.mark.parametrize("slope", [-0.2, -0.1])

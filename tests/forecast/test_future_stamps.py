@@ -98,17 +98,17 @@ def test_the_tool_keeps_its_distance(seed):
 
 def test_state_says_why_until_the_stamps_are_usual_again_or_a_reset():
     f = standard()
-    told = []
+    health = []
     for ms in range(3000):
         if ms % 10 == 0:
             f.pose(ms * MS, (1e-4 * ms, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
         if ms % 4 == 0:
             f.step((ms + (60 if 1000 <= ms < 2000 else 0)) * MS, [0.1])
-            told.append((f.state()["health"], f.state()["reason"]))
+            health.append((f.state()["health"], f.state()["reason"]))
     reason = "timestamps jumped ahead; readings count as new as usual"
-    assert told[240] == ("OK", "")
-    assert told[260:490] == [("SUSPECT", reason)] * 230
-    assert told[-1] == ("OK", "")
+    assert health[240] == ("OK", "")
+    assert health[260:490] == [("SUSPECT", reason)] * 230
+    assert health[-1] == ("OK", "")
 
 
 def test_a_new_sensor_beside_a_late_one_is_not_dropped():

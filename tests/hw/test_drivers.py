@@ -288,10 +288,10 @@ def test_a_schedule_that_cannot_be_is_refused(wrong: dict) -> None:
     ],
 )
 def test_a_wrong_set_up_is_told_with_what_would_be_right(wrong: dict, says: list) -> None:
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as error:
         make_driver(wrong, NAME)
     for part in says:
-        assert part in str(told.value)
+        assert part in str(error.value)
 
 
 def test_a_file_that_is_no_recording_is_told_without_what_numpy_says(tmp_path: Path) -> None:
@@ -300,9 +300,9 @@ def test_a_file_that_is_no_recording_is_told_without_what_numpy_says(tmp_path: P
         (tmp_path / name).write_bytes(content)
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     for name in (*made, "other.npz"):
-        with pytest.raises(RecordingError, match=r"no recording of conversions.*save_conversions") as told:
+        with pytest.raises(RecordingError, match=r"no recording of conversions.*save_conversions") as error:
             make_driver({"kind": "replay", "file": str(tmp_path / name)}, NAME)
-        assert "pickle" not in str(told.value)
+        assert "pickle" not in str(error.value)
     with pytest.raises(RecordingError, match=r"cannot read .*No such file"):
         make_driver({"kind": "replay", "file": str(tmp_path / "none.npz")}, NAME)
     with pytest.raises(RecordingError, match="Is a directory"):

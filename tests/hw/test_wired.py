@@ -356,8 +356,8 @@ def test_only_the_named_sender_is_listened_to() -> None:
         )
         for one in (sensor, stranger):
             one.bind(("127.0.0.1", 0))
-        told = "{}:{}".format(*sensor.getsockname())
-        driver = made({"kind": "udp", "port": 0, "sender": told, "format": LINE_FORMAT, **WINDOW})
+        reported = "{}:{}".format(*sensor.getsockname())
+        driver = made({"kind": "udp", "port": 0, "sender": reported, "format": LINE_FORMAT, **WINDOW})
         source, queue = driver._source, ConversionQueue()
         driver.start(queue)
         try:

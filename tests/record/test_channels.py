@@ -198,8 +198,8 @@ def test_a_table_holds_what_every_cycle_published(
         assert int(table["t_ns"][k]) == expected["t_ns"]
         assert float(table["demand_z_m"][k]) == expected["demand"][2]
         assert float(table["height_m"][k]) == expected["height_m"]
-        told = table["range0_m"][k]
-        assert (told in ("", None) or float(told) != float(told)) == math.isnan(expected["range_m"][0])
+        cell = table["range0_m"][k]
+        assert (cell in ("", None) or float(cell) != float(cell)) == math.isnan(expected["range_m"][0])
 
 
 def test_of_a_cut_recording_the_table_holds_what_is_whole(tmp_path: Path, recording_bytes: bytes) -> None:

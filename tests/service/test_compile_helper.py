@@ -88,10 +88,10 @@ def test_a_request_to_stop_is_heard_while_the_helper_compiles(sleeper: None, pip
 
 
 def test_waiting_is_told_and_ends_when_the_helper_is_killed(sleeper: None, pipe: tuple[int, int]) -> None:
-    side, told = SideCompile(), []
+    side, notices = SideCompile(), []
 
     def tell() -> None:
-        told.append(1)
+        notices.append(1)
         assert side._process is not None
         side._process.kill()
 
@@ -99,7 +99,7 @@ def test_waiting_is_told_and_ends_when_the_helper_is_killed(sleeper: None, pipe:
         assert side.wait(tell, pipe[0])
     finally:
         side.end()
-    assert told
+    assert notices
 
 
 def test_a_helper_that_cannot_start_or_fails_leaves_the_work_to_the_service(

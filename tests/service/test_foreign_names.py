@@ -35,12 +35,12 @@ FLOCK = struct.Struct("hhxxxxqqixxxx")
 
 def at_once(action: Callable[[], Any]) -> str:
     """What an action says, which must not wait for anybody."""
-    told: list[str] = []
-    thread = threading.Thread(target=lambda: told.append(outcome(action)), daemon=True)
+    outcomes: list[str] = []
+    thread = threading.Thread(target=lambda: outcomes.append(outcome(action)), daemon=True)
     thread.start()
     thread.join(AT_ONCE_S)
-    assert told, "it hangs"
-    return told[0]
+    assert outcomes, "it hangs"
+    return outcomes[0]
 
 
 @pytest.fixture
@@ -67,15 +67,15 @@ def test_what_is_no_plain_file_is_an_error_with_a_remedy_for_everybody(
     put(path, kind)
     if part == "":
         for door in (attach, observe, ServiceLog):
-            told = at_once(lambda door=door: door(name))
-            assert told.startswith("BlockError"), told
-            assert str(path) in told
-            assert "remove it" in told
-    told = at_once(lambda: shared_objects.open_shared_objects(odd_name.settings()))
-    assert told.split(":")[0] in ("BlockError", "NoPermissionError"), told
-    assert str(path) in told
-    told = at_once(lambda: purge_leftovers(name))
-    assert told == "done" or str(path) in told
+            outcomes = at_once(lambda door=door: door(name))
+            assert outcomes.startswith("BlockError"), outcomes
+            assert str(path) in outcomes
+            assert "remove it" in outcomes
+    outcomes = at_once(lambda: shared_objects.open_shared_objects(odd_name.settings()))
+    assert outcomes.split(":")[0] in ("BlockError", "NoPermissionError"), outcomes
+    assert str(path) in outcomes
+    outcomes = at_once(lambda: purge_leftovers(name))
+    assert outcomes == "done" or str(path) in outcomes
     assert at_once(lambda: running_pid(name)) == "done"
     assert at_once(list_blocks) == "done"
     assert objects_of(name) <= {path.name}, "nothing else is left"
@@ -219,16 +219,16 @@ def test_a_reader_that_locks_every_byte_keeps_no_service_from_its_name(
     s = make_service(access='board_mode = "0644"\nmap_mode = "0644"').start()
 
     def locking(child: OtherUser) -> str:
-        told = [outcome(lambda: os.open(f"/dev/shm/{s.name}.lock", os.O_RDONLY))]
+        outcomes = [outcome(lambda: os.open(f"/dev/shm/{s.name}.lock", os.O_RDONLY))]
         held = [lock_everything(Path(f"/dev/shm/{s.name}{part}")) for part in ("", ".map")]
-        child.say(told + [str(len(held))])
+        child.say(outcomes + [str(len(held))])
         child.hear()
         return "over"
 
     with OtherUser(locking) as reader, s.attach(stale_min_s=0.05) as client:
-        told = reader.hear()
-        assert told[0].startswith("PermissionError")
-        assert told[1] == "2"
+        outcomes = reader.hear()
+        assert outcomes[0].startswith("PermissionError")
+        assert outcomes[1] == "2"
         s.kill()
         until(lambda: not client.alive(), "silence")
         client._next_attach_ns = 0

@@ -135,8 +135,8 @@ def test_the_audit_trail_says_who_set_what_from_what_to_what(limited: Service) -
             f"pid {os.getpid()} uid {os.geteuid()} the driver: set_params max_demand_m 0.021 -> 0.022: ok"
             in shown
         )
-        told = json.loads(limited.run("status", "--audit", "--json").stdout)
-        assert e | {"age_s": 0} in [t | {"age_s": 0} for t in told["audit"]]
+        reported = json.loads(limited.run("status", "--audit", "--json").stdout)
+        assert e | {"age_s": 0} in [t | {"age_s": 0} for t in reported["audit"]]
 
 
 def test_a_flood_of_refusals_is_gathered_and_leaves_what_was_accepted(limited: Service) -> None:

@@ -74,8 +74,8 @@ def attacks_on_memory(name: str) -> dict[str, str]:
 def test_no_client_can_cut_grow_or_punch_its_slot(open_service: Service) -> None:
     with open_service.attach() as watcher:
         before = watcher.status()
-        told = as_other_user(lambda _: attacks_on_memory(open_service.name))
-        assert all(t.startswith("PermissionError") for t in told.values()), told
+        reported = as_other_user(lambda _: attacks_on_memory(open_service.name))
+        assert all(t.startswith("PermissionError") for t in reported.values()), reported
         open_service.cycles(50)
         after = watcher.status()
         assert after["alive"]
@@ -114,17 +114,17 @@ def test_one_user_and_one_process_hold_no_more_slots_than_allowed(open_service: 
 
     def crowd_of_one_process(child: OtherUser) -> list[str]:
         held = [attach(name, stale_min_s=1.0) for _ in range(2)]
-        told = outcome(lambda: attach(name, stale_min_s=1.0))
-        child.say([told, len(held)])
+        reported = outcome(lambda: attach(name, stale_min_s=1.0))
+        child.say([reported, len(held)])
         child.hear()
         return []
 
     with OtherUser(crowd_of_one_process) as first:
-        told, held = first.hear()
+        reported, held = first.hear()
         assert held == 2
-        assert told.startswith("BusyError"), told
-        assert "this process" in told
-        assert "limit 2" in told
+        assert reported.startswith("BusyError"), reported
+        assert "this process" in reported
+        assert "limit 2" in reported
         with OtherUser(crowd_of_one_process) as second:
             assert "this user" in second.hear()["failed"], "three for the user, two of which are taken"
         with open_service.observe() as watcher:
@@ -146,8 +146,8 @@ def test_pid_and_user_in_the_status_are_the_kernels_word(open_service: Service) 
 
     with OtherUser(held) as other, open_service.observe() as watcher:
         slot = other.hear()
-        (told,) = [c for c in watcher.clients() if c["slot"] == slot]
-        assert (told["pid"], told["uid"], told["name"]) == (other.pid, NOBODY, "attacker")
+        (reported,) = [c for c in watcher.clients() if c["slot"] == slot]
+        assert (reported["pid"], reported["uid"], reported["name"]) == (other.pid, NOBODY, "attacker")
 
 
 def test_a_child_that_keeps_every_descriptor_does_not_keep_its_dead_parents_slot(
@@ -262,15 +262,15 @@ def test_a_client_whose_slot_the_service_took_back_gets_another(open_service: Se
         client.ee_pos(POSE)
         client._grant._sock.shutdown(socket.SHUT_RDWR)  # as if the connection had broken
         before = client.status()["poses"]
-        told: list[str] = []
+        reported: list[str] = []
 
         def again() -> bool:
-            told.append(outcome(lambda: client.ee_pos(POSE)))
+            reported.append(outcome(lambda: client.ee_pos(POSE)))
             return bool(client.status()["poses"] > before + 3)
 
         until(again, "poses through another slot")
         # the pose is still that of the slot that is gone, until the cycle has seen it
-        assert {t.partition(":")[0] for t in told} <= {"done", "NotRunningError", "BusyError"}, told
+        assert {t.partition(":")[0] for t in reported} <= {"done", "NotRunningError", "BusyError"}, reported
 
 
 def test_sealed_memory_keeps_its_size_and_its_pages() -> None:
@@ -300,8 +300,8 @@ def test_a_full_house_is_an_error_with_a_remedy(open_service: Service) -> None:
 
 def test_a_name_that_steers_a_terminal_is_shown_without_it(open_service: Service) -> None:
     with open_service.attach(label="x\x1b[2J\u202e") as client:
-        (told,) = until(client.clients, "the client")
-        assert told["name"] == "x?[2J?"
+        (reported,) = until(client.clients, "the client")
+        assert reported["name"] == "x?[2J?"
 
 
 @needs_root
@@ -322,9 +322,9 @@ def test_one_user_has_few_connections_without_a_slot(open_service: Service) -> N
         return [closed(sock) for sock in socks]
 
     # on a busy machine the exchange's own time may be over for all of them
-    told = next(t for _ in range(20) if not all(t := as_other_user(silent)))
-    assert told.count(False) <= MAX_PENDING_PER_USER
-    assert not any(told[:MAX_PENDING_PER_USER]), "who came first may go on"
+    reported = next(t for _ in range(20) if not all(t := as_other_user(silent)))
+    assert reported.count(False) <= MAX_PENDING_PER_USER
+    assert not any(reported[:MAX_PENDING_PER_USER]), "who came first may go on"
 
 
 @needs_root

@@ -250,11 +250,11 @@ def test_a_fitted_wall_predicts_the_side_sonars_of_a_real_robot():
                 positions[others], headings[others], r, ALPHA, 1, min_sensors=1, max_range_m=5.0,
                 sigma_m=0.05 * np.where(np.isfinite(r), np.maximum(r, 0.3), 5.0), max_incidence_rad=limit,
             )  # fmt: skip
-            told = [
+            distances = [
                 range_of(positions[held_out], headings[held_out], ALPHA, limit, (w.phi_rad, w.distance_m))
                 for w in found
             ]
-            errors.append(abs(min([5.0, *told]) - row[held_out]))
+            errors.append(abs(min([5.0, *distances]) - row[held_out]))
         assert np.median(errors) < bar, f"US{held_out + 1}"
 
 

@@ -19,9 +19,9 @@ BASE_AWAY_M, BASE_HEIGHT_M = 1.7, 0.6  # of the arm from the region's middle, wh
 
 def base_of(path: ScanPath) -> Floats:
     """(3,) place of the arm [m]: the path's own, else in front of its region."""
-    told = path.facts.get("base_m")
-    if told is not None:
-        return np.array([*map(float, told), BASE_HEIGHT_M][:3])
+    given = path.facts.get("base_m")
+    if given is not None:
+        return np.array([*map(float, given), BASE_HEIGHT_M][:3])
     middle = 0.5 * (path.position_m.min(axis=0) + path.position_m.max(axis=0))
     made: Floats = middle + np.array([-BASE_AWAY_M, 0.0, BASE_HEIGHT_M])
     return made

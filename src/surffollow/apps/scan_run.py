@@ -130,7 +130,7 @@ class _Run:
         self.robot, self.controller, self.control, self.world = robot, controller, control, world
         self._tell = progress if progress is not None else lambda _text, _part: None
         self._rows: list[tuple[float, float, float]] = []
-        self._told_ns = self._paused_ticks = self._pauses = 0
+        self._reported_ns = self._paused_ticks = self._pauses = 0
         self.aborted = False
         self.gap = GapWatch(robot)
 
@@ -212,8 +212,8 @@ class _Run:
                 distance = float("nan")
         t_s = (robot.t_ns - int(robot.state["start_ns"][0])) * 1e-9
         self._rows.append((t_s, distance, robot.correction_m))
-        if robot.t_ns - self._told_ns > TELL_NS:
-            self._told_ns = robot.t_ns
+        if robot.t_ns - self._reported_ns > TELL_NS:
+            self._reported_ns = robot.t_ns
             self._tell(f"{self.state}, stand-off {1e3 * distance:.1f} mm", robot.progress)
 
     @property

@@ -123,15 +123,15 @@ def _acceleration(
     """
     ratios, mild = _accelerations(table, lead_m, methods)
     worst = max(mild, key=lambda key: mild[key], default=None)
-    told_mean = told_each = ""
+    stated_mean = stated_each = ""
     if worst:
         own = [v for k, v in ratios.items() if not of_family(k)]
-        told_mean = f"{len(mild)} cells; {sum(mild.values()) / len(mild):.3f} over the best by RMS"
-        told_mean += f"; {sum(own) / len(own):.3f} without the families" if own else ""
-        told_each = f"{mild[worst]:.3f} over the best by RMS, {cell_name(worst)}"
+        stated_mean = f"{len(mild)} cells; {sum(mild.values()) / len(mild):.3f} over the best by RMS"
+        stated_mean += f"; {sum(own) / len(own):.3f} without the families" if own else ""
+        stated_each = f"{mild[worst]:.3f} over the best by RMS, {cell_name(worst)}"
     return [
-        mean_verdict(f"{start}, mean", mean, list(ratios.values()), told_mean, geometric=False),
-        worst_verdict(f"{start}, each", each, {cell_name(k): v for k, v in ratios.items()}, told_each),
+        mean_verdict(f"{start}, mean", mean, list(ratios.values()), stated_mean, geometric=False),
+        worst_verdict(f"{start}, each", each, {cell_name(k): v for k, v in ratios.items()}, stated_each),
     ]
 
 

@@ -152,8 +152,8 @@ class Oracles:
         self, keep: Callable[[CellKey], bool], figure: Callable[[dict[CellKey, float]], float], note: str = ""
     ) -> str:
         """The figure with fewer oracles, behind a remark."""
-        told = [f"{figure(self.ratios(keep, t)):.3f} {name}" for name, t in self.others.items()]
-        return "; ".join([note] * bool(note) + told)
+        reported = [f"{figure(self.ratios(keep, t)):.3f} {name}" for name, t in self.others.items()]
+        return "; ".join([note] * bool(note) + reported)
 
     def worst(self, bar: str, bound: float, keep: Callable[[CellKey], bool], note: str = "") -> Verdict:
         """Verdict on the greatest ratio."""

@@ -178,8 +178,8 @@ class Board:
         at = {r["name"]: r["offset"] for r in h["region"]}.get("ticker")
         if at is None:
             return ""
-        told = LatchReader(memoryview(self.object.memory).cast("Q"), self.object.memory, at, Ticker).read()
-        return "" if told is None else str(told["text"])
+        ticker = LatchReader(memoryview(self.object.memory).cast("Q"), self.object.memory, at, Ticker).read()
+        return "" if ticker is None else str(ticker["text"])
 
     def header(self) -> dict[str, Any]:
         """The header, as a dictionary."""

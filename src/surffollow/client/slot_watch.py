@@ -40,6 +40,6 @@ class SlotWatcher(RequestSender):
             return
         ticker = self.board.latch("ticker", lb.Ticker).copy()
         if ticker is not None and self._pose_held:
-            told_ns, slot = _POSE_ROLE.unpack_from(ticker)
-            if slot != self.slot and told_ns > self._pose_held_ns + LOOK_EVERY_NS:
+            reported_ns, slot = _POSE_ROLE.unpack_from(ticker)
+            if slot != self.slot and reported_ns > self._pose_held_ns + LOOK_EVERY_NS:
                 self._pose_held = False  # it is not ours any more: ask for it again

@@ -135,8 +135,8 @@ class StandardChannels:
         code = int(o["health"])
         adaptive = int(self.params[0]["mode"]) == MODE_ADAPTIVE
         name = HEALTH_NAMES[code] if adaptive and 0 <= code < len(HEALTH_NAMES) else ""
-        told = {"timestamp": fx.stamp(wall), "health_name": name, **values}
-        sink.add_message("/state", OUTPUT, t_ns, OUTPUT.encode(told))
+        message = {"timestamp": fx.stamp(wall), "health_name": name, **values}
+        sink.add_message("/state", OUTPUT, t_ns, OUTPUT.encode(message))
         self._transforms(t_ns, pose_t_ns, row["pose"].tolist(), n)
         if pose_t_ns:
             pose = row["pose"].tolist()

@@ -106,9 +106,15 @@ def run_csv(log: CsvLog, columns: Columns, mode: str | None = None) -> CsvReplay
             height[i], slope[i] = state["height_m"], state["slope"]
         if reading:
             forecast[i] = [follower.forecast_range_m(h) for h in horizons]
-    told = follower.state()["mode"]
+    used_mode = follower.state()["mode"]
     return CsvReplay(
-        log, target_points(log, columns), height, slope, forecast, told, columns.range.kind == "depth"
+        log,
+        target_points(log, columns),
+        height,
+        slope,
+        forecast,
+        used_mode,
+        columns.range.kind == "depth",
     )
 
 

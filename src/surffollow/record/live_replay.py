@@ -102,7 +102,7 @@ def _play(
     events += [(t, 1, offset) for t, offset in p.resets] + [(t, 2, values) for t, values in p.changes]
     events.sort(key=lambda e: e[:2])
     late: list[int] = []
-    begin = told = time.monotonic_ns()
+    begin = last_progress_ns = time.monotonic_ns()
     for t_ns, kind, what in [*events, (p.last_ns + SETTLE_NS, 3, None)]:
         due = t_ns + shift_ns
         while (left := due - time.monotonic_ns()) > 0 and not stop.is_set():
@@ -128,8 +128,8 @@ def _play(
         else:
             report.finished = True
         now = time.monotonic_ns()
-        if progress is not None and now - told > 1_000_000_000:
-            told = now
+        if progress is not None and now - last_progress_ns > 1_000_000_000:
+            last_progress_ns = now
             played = (now - shift_ns - p.first_ns) / 1e9
             progress(f"{played:6.1f} of {(p.last_ns - p.first_ns) / 1e9:.1f} s played into {report.name!r}")
     report.seconds = (time.monotonic_ns() - begin) / 1e9

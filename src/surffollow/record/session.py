@@ -136,7 +136,7 @@ def _run(
     progress: Callable[[str], None] | None,
 ) -> Counts:
     recorder.poll()
-    begin = told = time.monotonic()
+    begin = last_progress_s = time.monotonic()
     begun = recorder.counts.cycles > 0
     while not stop.is_set():
         now = time.monotonic()
@@ -149,8 +149,8 @@ def _run(
             recorder.restart()
         if not begun and recorder.counts.cycles > 0:
             begin, begun = time.monotonic(), True
-        if progress is not None and now - told >= PROGRESS_S:
-            told = now
+        if progress is not None and now - last_progress_s >= PROGRESS_S:
+            last_progress_s = now
             waits = "; channels follow when their kernel is compiled" if feed and feed.compiling else ""
             progress(progress_line(recorder, log, now - begin) + waits)
         left = POLL_S if seconds is None or not begun else begin + seconds - now

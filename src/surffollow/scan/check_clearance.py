@@ -39,7 +39,7 @@ def _distances(z: Array, origin: tuple[float, float], g: float, flat: Array, gap
 
 
 def check_clearance(
-    z: Array, origin: tuple[float, float], g: float, points: Array, gap: float, told: Array
+    z: Array, origin: tuple[float, float], g: float, points: Array, gap: float, stated_m: Array
 ) -> list[Finding]:
     if not np.isfinite(z).any() or len(points) == 0:
         return [Finding("clearance", False, "no known ground, or no sample with a height, to compare")]
@@ -52,9 +52,9 @@ def check_clearance(
     least = distance.reshape(n, m).min(axis=1)
     inside = int(np.count_nonzero(distance < gap - GAP_SPARE_M))
     # the column has no number where no ground lies within three gaps
-    silent = ~np.isfinite(told)
+    silent = ~np.isfinite(stated_m)
     missing = int(np.count_nonzero(silent & (least < 3.0 * gap - g)))
-    worst = float(np.abs(told - least)[~silent].max()) if not silent.all() else 0.0
+    worst = float(np.abs(stated_m - least)[~silent].max()) if not silent.all() else 0.0
     text = f"{inside} of {n * m} control points are inside the gap of {gap:g} m; the least distance is "
     column = f"the column clearance_m is off by at most {worst:.2g} m, and missing in {missing} samples"
     return [

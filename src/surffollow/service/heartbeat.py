@@ -69,7 +69,7 @@ class Heartbeat:
 
     def publish(self, faults: int = 0) -> None:
         """Look once and publish; `faults` are bits that the caller found itself. Raises nothing."""
-        told_ns = time.monotonic_ns()  # before what it tells was looked at
+        reported_ns = time.monotonic_ns()  # before what it tells was looked at
         clients, pose_slot = self._server.table, int(self._ctx[m.POSE_SLOT])
         sender = clients.who(pose_slot)
         driver_faults = self._watch.faults()
@@ -87,7 +87,7 @@ class Heartbeat:
         faults |= FAULT_SAMPLES_LOST if int(self._ctx[m.LOST]) else 0
         faults |= FAULT_HOUSEKEEPING if self.guard.failed else 0
         t = self._ticker[0]
-        t["t_ns"], t["pose_slot"], t["pose_pid"] = told_ns, pose_slot, sender.pid if sender else 0
+        t["t_ns"], t["pose_slot"], t["pose_pid"] = reported_ns, pose_slot, sender.pid if sender else 0
         for c in range(CHANNELS):
             slot = int(load_acquire(self._ctx.ctypes.data + 8 * (m.RANGE_SLOT + c)))
             pusher = clients.who(slot)

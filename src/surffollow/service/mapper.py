@@ -65,14 +65,14 @@ def run_map(mem: Any) -> None:
     """Serve the map until STOP is set; then apply what is still queued and end."""
     ctx = mem.ctx
     recover(mem)
-    told, passes = 0, ctx.ctypes.data + 8 * m.MAP_PASSES
+    last_status_ns, passes = 0, ctx.ctypes.data + 8 * m.MAP_PASSES
     while at.load_relaxed_i64(ctx.ctypes.data + 8 * m.STOP) == 0:
         t_ns = now_ns()
         at.store_release_i64(passes, at.load_relaxed_i64(passes) + 1)
         busy = map_pass(mem, t_ns)
-        if t_ns - told > 5_000_000:
+        if t_ns - last_status_ns > 5_000_000:
             publish_status(mem, t_ns)
-            told = t_ns
+            last_status_ns = t_ns
         if busy == 0:
             sleep_until_ns(t_ns + (IDLE_NS if mem.job[JOB_SLOT] == -1 else STREAM_IDLE_NS))
     mem.status[0].access, mem.status[0].access_slot, mem.status[0].access_claim = ACCESS_FREE, -1, 0

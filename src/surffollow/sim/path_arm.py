@@ -134,8 +134,8 @@ def arm_step(a: Any, path: Any, scanning: Any, world: Any, trace: Any) -> None:
     p = world[0]
     acceleration = p.velocity  # scratch, written below
     for k in range(3):
-        told = x if k == 0 else (y if k == 1 else z)
-        place = told + path[i, 7 + k] * (1.0 - w) + path[i + 1, 7 + k] * w
+        origin_m = x if k == 0 else (y if k == 1 else z)
+        place = origin_m + path[i, 7 + k] * (1.0 - w) + path[i + 1, 7 + k] * w
         speed = (place - r.stiff[k]) / dt if r.primed > 0 else 0.0
         acceleration[k] = (speed - r.speed[k]) / dt if r.primed > 1 else 0.0
         r.stiff[k], r.speed[k] = place, speed

@@ -122,11 +122,11 @@ def wall_pose(
     echoes = int(np.isfinite(readings.ranges_m).sum())
     kept = int(distinct_walls(rows, n, echoes, readings.half_beam_rad, order))
     pairs = [(rows[k], (int(rows[k, cd.FIRST]), int(rows[k, cd.SECOND]))) for k in order[:kept]]
-    told, verdicts = np.isfinite(readings.ranges_m), np.empty(readings.ranges_m.size, np.int64)
+    reported, verdicts = np.isfinite(readings.ranges_m), np.empty(readings.ranges_m.size, np.int64)
 
     def reproduces(wall: WallPose) -> bool:
         exactly = np.array([wall.phi_rad, wall.distance_m, 0.0, 0.0, 0.0])
-        agreement = count_agreement(readings, exactly, told, verdicts)
+        agreement = count_agreement(readings, exactly, reported, verdicts)
         return bool(agreement == (echoes, 0))
 
     return favour([_wall(row, pair) for row, pair in pairs], readings.headings_rad, prior, reproduces)
