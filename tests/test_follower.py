@@ -253,8 +253,8 @@ def test_three_sensors_find_the_normal_and_losing_them_moves_nothing():
             assert np.abs(demand - before).max() < 1e-3, f"jump at {k}"
         before = demand
     normal = np.array(f.state()["normal"])
-    wanted = np.array([-0.05, 0.03, 1.0])
-    assert normal == pytest.approx(wanted / np.linalg.norm(wanted), abs=1e-3)
+    expected = np.array([-0.05, 0.03, 1.0])
+    assert normal == pytest.approx(expected / np.linalg.norm(expected), abs=1e-3)
     assert demand[3:] == pytest.approx([-0.03, -0.05, 0.0], abs=2e-3)
 
 
@@ -381,13 +381,13 @@ def test_readings_that_come_later_than_the_pose_timeout_are_used():
     assert demand[2] == pytest.approx(-0.02, abs=5e-4)
 
 
-@pytest.mark.parametrize(("config", "wanted"), [({}, 0.0), ({"pose_interpolate": "interpolated"}, 0.005)])
-def test_paper_mode_takes_the_latest_pose_unless_it_is_told_to_interpolate(config, wanted):
+@pytest.mark.parametrize(("config", "expected"), [({}, 0.0), ({"pose_interpolate": "interpolated"}, 0.005)])
+def test_paper_mode_takes_the_latest_pose_unless_it_is_told_to_interpolate(config, expected):
     f = surffollow.Follower({"mode": "paper", "permitted_variance": "0 m", **config}, offset_m=0.1)
     f.pose(T0, at(0.0, 0.2))
     f.pose(T0 + 10 * MS, at(0.0, 0.21))
     # read half way between the two poses: interpolation knows that the tool has risen by 5 mm since
-    assert f.step(T0 + 5 * MS, [0.1])[2] == pytest.approx(-wanted)
+    assert f.step(T0 + 5 * MS, [0.1])[2] == pytest.approx(-expected)
 
 
 @pytest.mark.parametrize("mode", ["paper", "adaptive"])

@@ -43,7 +43,7 @@ from surffollow.sim.world import WorldPose, WorldWriter  # noqa: E402
 from surffollow.sim.world_surface import WorldConfig  # noqa: E402
 
 TICK_NS = 10_000_000
-STALE_S, LOSS_S, BEAT_S = 0.02, 0.3, 0.05
+STALE_S, LOSS_S, HEARTBEAT_S = 0.02, 0.3, 0.05
 HOST_S = 0.1  # a busy host's share: what it keeps from controller and service
 KINDS = ("service killed", "service stopped", "controller killed", "driver silent", "stop requested")
 REGION = (0.0, 0.0, 1.0, 0.2)
@@ -56,7 +56,7 @@ def noticed_s(kind: str, config: RobotConfig) -> float:
         "service killed": STALE_S,
         "service stopped": STALE_S,
         "controller killed": config.command_timeout_s,
-        "driver silent": LOSS_S + BEAT_S,
+        "driver silent": LOSS_S + HEARTBEAT_S,
         "stop requested": 0.002,
     }[kind]
 

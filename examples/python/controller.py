@@ -52,7 +52,7 @@ def run(name: str, seconds: float) -> list[tuple[float, ...]]:
     robot.claim_pose()  # who sends the pose may set parameters
     robot.sf_reset(STANDOFF_M)
     sent: dict[int, float] = {}  # height of the tool by the time that it was reported for
-    set_point_m, path_m, speed_mps, settled, following = arm.z_m, 0.0, 0.0, 0, False
+    setpoint_m, path_m, speed_mps, settled, following = arm.z_m, 0.0, 0.0, 0, False
     next_ns = start_ns = time.monotonic_ns()
     end_ns = start_ns + round(seconds * 1e9)
     while next_ns < end_ns:
@@ -64,18 +64,18 @@ def run(name: str, seconds: float) -> list[tuple[float, ...]]:
             posed = True
         demand = robot.dev_vector()
         # without a valid demand (stale, in doubt, stopped): hold the height, brake along the path
-        set_point_m = pose[2] if following else set_point_m
+        setpoint_m = pose[2] if following else setpoint_m
         following = posed and demand.valid and demand.pose_t_ns in sent
         if following:
             # the demand adds to the pose that it names, not to a newer one
-            set_point_m = sent[demand.pose_t_ns] + demand[2]
+            setpoint_m = sent[demand.pose_t_ns] + demand[2]
             settled += abs(demand[2]) < SETTLED_M
-        wanted = ACCEL_MPS2 if following and settled >= SETTLED_TICKS else -ACCEL_MPS2
-        speed_mps = min(max(speed_mps + wanted * TICK_NS * 1e-9, 0.0), SPEED_MPS)
+        expected = ACCEL_MPS2 if following and settled >= SETTLED_TICKS else -ACCEL_MPS2
+        speed_mps = min(max(speed_mps + expected * TICK_NS * 1e-9, 0.0), SPEED_MPS)
         path_m += speed_mps * TICK_NS * 1e-9
         if following and speed_mps > 0.0:
             rows.append(((t_ns - start_ns) * 1e-9, *pose[:3], robot.raw_distance(), demand[2]))
-        arm.move_to(path_m, set_point_m)
+        arm.move_to(path_m, setpoint_m)
         while len(sent) > 64:
             del sent[next(iter(sent))]
         next_ns += TICK_NS

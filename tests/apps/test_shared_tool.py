@@ -68,10 +68,10 @@ def test_the_follower_learns_only_while_it_holds_the_tool_whatever_becomes_of_it
     service = FakeService()
     run = RunByHolder(service, server.name, "tool", "follow")
 
-    def becomes(wanted):
+    def becomes(desired):
         def look():
             run.look(time.monotonic_ns())
-            return service.runs and service.runs[-1] == wanted
+            return service.runs and service.runs[-1] == desired
 
         until(look)
 

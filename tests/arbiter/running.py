@@ -164,7 +164,7 @@ class Child:
             os._exit(0)
         os.close(w)
 
-    def hear(self) -> bytes:
+    def receive(self) -> bytes:
         return os.read(self._r, 1)
 
     def signal(self, number: int) -> None:

@@ -35,7 +35,7 @@ def test_a_dead_or_stopped_holder_loses_the_resource_and_the_safe_command_goes_o
     with observe(server.name) as watcher, command_reader(server.name, "robot") as reader:
         history = watcher.history()
         holder = child(holding(server.name, "go", "robot"))
-        assert holder.hear() == b"h"
+        assert holder.receive() == b"h"
         until(lambda: not reader.latest().safe)
         holder.signal(number)
         until(lambda: watcher.holder("robot") is None)
@@ -65,12 +65,12 @@ def test_a_stopped_holder_that_comes_back_commands_nothing_until_it_asks_again(s
 
     with observe(server.name) as watcher:
         one = child(work)
-        assert one.hear() == b"h"
+        assert one.receive() == b"h"
         one.signal(signal.SIGSTOP)
         until(lambda: watcher.holder("robot") is None)
         one.signal(signal.SIGCONT)
-        assert one.hear() == b"l"
-        assert one.hear() == b"a"
+        assert one.receive() == b"l"
+        assert one.receive() == b"a"
 
 
 def test_a_dead_client_in_the_queue_is_not_served(server, child):
@@ -96,7 +96,7 @@ def test_a_child_that_inherits_the_connection_does_not_keep_its_parent_alive(ser
         signal.pause()
 
     one = child(work)
-    assert one.hear() == b"c"
+    assert one.receive() == b"c"
     one.kill()
     with observe(server.name) as watcher:
         until(lambda: watcher.holder("robot") is None)

@@ -188,7 +188,7 @@ def test_what_ended_takes_no_commands_and_tells_nothing_of_what_it_held(make_arb
         say(b"f" if robot.command(0.5, 1.0) or robot.held or robot.token or robot.holder() else b"n")
 
     assert robot.command(0.1, 0.1)
-    assert child(work).hear() == b"n"  # a forked child is not its parent
+    assert child(work).receive() == b"n"  # a forked child is not its parent
     assert robot.command(0.1, 0.1)
     server.kill()
     until(lambda: not go.connected)
@@ -238,7 +238,7 @@ def test_strangers_at_the_door_keep_nobody_out(summed):
         signal.pause()
 
     with OtherUser(crowd) as others:
-        assert others.hear() == 4 * MAX_UNIDENTIFIED
+        assert others.receive() == 4 * MAX_UNIDENTIFIED
         with attach(summed.name, "a") as a:
             assert a.resource("u").request()
 
@@ -270,14 +270,14 @@ def test_silent_connections_of_one_user_are_bounded_and_end_by_themselves(summed
 
 def lingering():
     """A TCP connection whose last close waits for 60 s."""
-    with socket.socket() as door:
-        door.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        door.bind(("127.0.0.1", 0))
-        door.listen(1)
+    with socket.socket() as server:
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        server.bind(("127.0.0.1", 0))
+        server.listen(1)
         out = socket.socket()
         out.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
-        out.connect(door.getsockname())
-        other, _ = door.accept()
+        out.connect(server.getsockname())
+        other, _ = server.accept()
     out.setblocking(False)
     with contextlib.suppress(BlockingIOError):
         while True:
@@ -306,7 +306,7 @@ def test_a_descriptor_that_lingers_holds_nobody_up(summed):
         other.close()
 
     with OtherUser(attack) as attacker:
-        assert attacker.hear() in ("PermissionError", "BrokenPipeError")
+        assert attacker.receive() in ("PermissionError", "BrokenPipeError")
         with attach(summed.name, "a", timeout_s=10.0) as a:
             assert a.resource("u").request()
 

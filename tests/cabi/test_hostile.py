@@ -52,7 +52,7 @@ def test_an_impostor_after_a_clean_stop_moves_nobody(
     assert mortal.terminate() == 0
 
     with OtherUser(published(path, forged)) as impostor:
-        assert impostor.hear() == "there"
+        assert impostor.receive() == "there"
         for p in (robot, watcher, fixed):
             p.until("dev", lambda a: bool(int(a.values[2]) & STALE))
         for _ in range(10):

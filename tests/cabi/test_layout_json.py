@@ -95,7 +95,7 @@ def test_waits_and_limits_are_those_of_service_and_client() -> None:
         (cheader.EXCHANGE_NS, client.CLAIM_ANSWER_S),
         (cheader.SLOT_WAIT_NS, slot.ATTACH_S),
         (lj.FULL_NS, slot_server.FULL_S),
-        (lj.BEAT_NS, daemon.HOUSEKEEPING_S),
+        (lj.HEARTBEAT_NS, daemon.HOUSEKEEPING_S),
         (lj.CONNECT_AGAIN_NS, slot_request._AGAIN_S),
         (lj.CLAIM_NS, client.CLAIM_RETRY_S),
         (lj.CLAIM_AGAIN_NS, slot.CLAIM_PAUSE_S),

@@ -69,8 +69,8 @@ def push_until(client: Client, condition: Callable[[], Any], range_m: float | No
     return until(step, "it")
 
 
-def is_near(found: float, wanted: float) -> bool:
-    return abs(found - wanted) < 0.6e-6
+def is_near(found: float, expected: float) -> bool:
+    return abs(found - expected) < 0.6e-6
 
 
 def test_what_python_pushes_is_the_distance_to_the_micrometre_and_none_ends_it(client: Client) -> None:

@@ -154,7 +154,7 @@ class Slot(Shared):
             if struct.unpack("3i", peer)[1] != board.owner:
                 raise RefusedError("another user listens there")
             self._say("SLOT_ASK", epoch=board.epoch, name=label)
-            offer, fds = self._hear("SLOT_OFFER")
+            offer, fds = self._receive("SLOT_OFFER")
             try:
                 size = os.fstat(fds[0]).st_size
                 if fcntl.fcntl(fds[0], F_GET_SEALS) & place["seals"] != place["seals"]:
@@ -167,7 +167,7 @@ class Slot(Shared):
                     os.close(fd)
             self.number, self.claim = offer["slot"], offer["claim"]
             self._say("SLOT_MAPPED", slot=self.number, claim=self.claim)
-            self._hear("SLOT_GRANT")
+            self._receive("SLOT_GRANT")
             self.socket.setblocking(False)  # a look at it never waits
         except BaseException:
             self.socket.close()
@@ -182,7 +182,7 @@ class Slot(Shared):
         }
         self.socket.send(pack(self.place["struct"], step=self.steps[step], **known, **fields))
 
-    def _hear(self, step: str) -> tuple[dict[str, Any], list[int]]:
+    def _receive(self, step: str) -> tuple[dict[str, Any], list[int]]:
         size = LAYOUT["structs"][self.place["struct"]]["bytes"]
         data, fds, _, _ = socket.recv_fds(self.socket, size, 1, socket.MSG_CMSG_CLOEXEC)
         if len(data) != size:

@@ -106,12 +106,12 @@ def test_it_drives_and_its_stand_off_and_parameters_are_in_force(foreign: Foreig
     assert foreign("params")["offset_m"] == 0.09
     assert until(lambda: abs(foreign.until_valid()["demand"][2] + 0.01) < 1e-3, "a demand 10 mm down")
 
-    wanted = {"permitted_variance_m": 2e-4, "range_size": 7}
-    assert foreign("set_params", wanted) == ["OK", 0]
+    expected = {"permitted_variance_m": 2e-4, "range_size": 7}
+    assert foreign("set_params", expected) == ["OK", 0]
     with service.observe() as watcher:
         ours = watcher.params()
         names = [c["name"] for c in watcher.clients()]
-    assert {n: ours[n] for n in wanted} == wanted
+    assert {n: ours[n] for n in expected} == expected
     assert foreign("params") == ours
     assert any(n.startswith("foreign ") for n in names)
 
@@ -178,8 +178,8 @@ def test_it_lays_refocuses_installs_and_holds_the_map(foreign: Foreign) -> None:
     found = foreign("map")
     assert {k: found[k] for k in geometry} == geometry
     assert found["region_m"] == [*region.values()]
-    wanted = [None if h == -32768 else 0.002 + 25.4e-6 * h for h in heights]
-    assert found["grids"] == [w if w is None else pytest.approx(w, abs=1e-12) for w in wanted]
+    expected = [None if h == -32768 else 0.002 + 25.4e-6 * h for h in heights]
+    assert found["grids"] == [w if w is None else pytest.approx(w, abs=1e-12) for w in expected]
 
     until(lambda: foreign("enter"), "exclusive access")
     assert foreign("exit")

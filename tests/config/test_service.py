@@ -159,7 +159,7 @@ def test_what_start_finds_wrong_later_names_the_file_too(tmp_path, text, says):
 
 
 @pytest.mark.parametrize(
-    ("rounding", "follow", "wanted"),
+    ("rounding", "follow", "expected"),
     [
         ({}, {}, "unbiased"),
         ({}, {"mode": "adaptive"}, "unbiased"),
@@ -169,5 +169,5 @@ def test_what_start_finds_wrong_later_names_the_file_too(tmp_path, text, says):
         ({"rounding": "paper"}, {}, "paper"),
     ],
 )
-def test_paper_mode_is_one_setting_the_maps_rounding_included(rounding, follow, wanted):
-    assert map_rounding(parse_config({"map": rounding, "follow": follow})) == wanted
+def test_paper_mode_is_one_setting_the_maps_rounding_included(rounding, follow, expected):
+    assert map_rounding(parse_config({"map": rounding, "follow": follow})) == expected

@@ -129,5 +129,5 @@ def test_the_largest_window_uses_all_it_keeps():
     k = Kernel(default_params(sensor_readings=64))
     for cycle in range(4):
         k.step(T + cycle * MS, conversions=counts(32, value=1000 + 100 * cycle))
-    wanted = np.mean([*range(1200, 1232), *range(1300, 1332)])
-    assert sensed(k)["range_m"][0] == pytest.approx(ZERO + SCALE * wanted, abs=1e-14)
+    expected = np.mean([*range(1200, 1232), *range(1300, 1332)])
+    assert sensed(k)["range_m"][0] == pytest.approx(ZERO + SCALE * expected, abs=1e-14)

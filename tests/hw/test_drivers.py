@@ -139,9 +139,9 @@ def test_simulated_sensor_finds_the_robot_says_when_it_is_gone_and_finds_the_nex
     def sees(writer: WorldWriter, height_m: float) -> bool:
         stand(writer, height_m)
         words = queue.drain()[-20:, 1]
-        wanted = (height_m - driver.info.zero_m[0]) / driver.info.scale_m[0]
+        requested = (height_m - driver.info.zero_m[0]) / driver.info.scale_m[0]
         return any(
-            not conversion_flags(w) and abs(conversion_counts(w) - wanted) < 60 for w in words.tolist()
+            not conversion_flags(w) and abs(conversion_counts(w) - requested) < 60 for w in words.tolist()
         )
 
     try:

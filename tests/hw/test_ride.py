@@ -97,10 +97,10 @@ def test_a_world_block_comes_before_reports_and_reports_come_back_when_its_write
     r = running("auto")
     writer = WorldWriter(name)
 
-    def both(wanted_m: float) -> bool:
+    def both(desired_m: float) -> bool:
         r.report(0.12)
         stand(writer, 0.08)
-        return r.sees(wanted_m)
+        return r.sees(desired_m)
 
     until(lambda: both(0.08), "the world's range")
     for _ in range(50):

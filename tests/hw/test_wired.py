@@ -195,14 +195,14 @@ def test_iio_scans_become_distances_by_scale_offset_type_and_the_device_s_time(a
     try:
         until(lambda: driver.state != WAITING, "the device")
         folder = adc.folder
-        for path, wanted in {
+        for path, expected in {
             "scan_elements/in_voltage0_en": "1",
             "scan_elements/in_voltage2_en": "0",
             "scan_elements/in_timestamp_en": "1",
             "current_timestamp_clock": "monotonic",
             "buffer/enable": "1",
         }.items():
-            assert (folder / path).read_text().strip() == wanted, path
+            assert (folder / path).read_text().strip() == expected, path
         t_ns = time.monotonic_ns() - 3 * MS
         data = adc.scan(2000, 1608, t_ns) + adc.scan(4095, -2000, t_ns + MS)
         adc.write(data[:21])  # a scan may come in pieces

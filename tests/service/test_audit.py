@@ -41,10 +41,10 @@ class Trail:
         self.ctx = np.zeros(m.CTX_WORDS, np.int64)
         self.lines: list[tuple[str, bool]] = []
         self.takes = True
-        self.trail = AuditTrail(objects, self.ctx, lambda claim: "mallory", self._tell)
+        self.trail = AuditTrail(objects, self.ctx, lambda claim: "mallory", self._report)
         self.now_ns = 10 * SECOND
 
-    def _tell(self, line: str, *, limited: bool) -> bool:
+    def _report(self, line: str, *, limited: bool) -> bool:
         self.lines.append((line, limited))
         return self.takes
 

@@ -116,17 +116,17 @@ def test_one_user_and_one_process_hold_no_more_slots_than_allowed(open_service: 
         held = [attach(name, stale_min_s=1.0) for _ in range(2)]
         reported = outcome(lambda: attach(name, stale_min_s=1.0))
         child.say([reported, len(held)])
-        child.hear()
+        child.receive()
         return []
 
     with OtherUser(crowd_of_one_process) as first:
-        reported, held = first.hear()
+        reported, held = first.receive()
         assert held == 2
         assert reported.startswith("BusyError"), reported
         assert "this process" in reported
         assert "limit 2" in reported
         with OtherUser(crowd_of_one_process) as second:
-            assert "this user" in second.hear()["failed"], "three for the user, two of which are taken"
+            assert "this user" in second.receive()["failed"], "three for the user, two of which are taken"
         with open_service.observe() as watcher:
             assert {c["uid"] for c in watcher.clients()} == {NOBODY}
             assert len(watcher.clients()) in (2, 3)
@@ -141,11 +141,11 @@ def test_pid_and_user_in_the_status_are_the_kernels_word(open_service: Service) 
         sock, _, memory, slot = raw_slot(open_service.name)
         memory[:] = b"\x01" * len(memory)
         child.say(slot)
-        child.hear()
+        child.receive()
         sock.close()
 
     with OtherUser(held) as other, open_service.observe() as watcher:
-        slot = other.hear()
+        slot = other.receive()
         (reported,) = [c for c in watcher.clients() if c["slot"] == slot]
         assert (reported["pid"], reported["uid"], reported["name"]) == (other.pid, NOBODY, "attacker")
 
@@ -226,13 +226,13 @@ def test_a_socket_of_another_user_is_refused_with_both_users(open_service: Servi
     def listening(child: OtherUser) -> None:
         sock = listen(path, 0o666, -1, 8)
         child.say("listens")
-        child.hear()
+        child.receive()
         sock.close()
 
     path.rename(aside)
     try:
         with OtherUser(listening) as impostor:
-            assert impostor.hear() == "listens"
+            assert impostor.receive() == "listens"
             with pytest.raises(NoPermissionError, match=f"runs as user {NOBODY}.*expected user 0"):
                 open_service.attach()
     finally:
@@ -334,7 +334,7 @@ def test_several_users_together_keep_neither_root_nor_another_from_a_slot(
     path = str(socket_path(open_service.name))
     with contextlib.ExitStack() as stack:
         for k in range(MAX_PENDING // MAX_PENDING_PER_USER + 1):
-            assert stack.enter_context(OtherUser(crowd(path), uid=60000 + k)).hear() == "attacks"
+            assert stack.enter_context(OtherUser(crowd(path), uid=60000 + k)).receive() == "attacks"
         assert at_the_first_try(open_service.name) == "done"
         assert as_other_user(lambda _: at_the_first_try(open_service.name)) == "done"
 
@@ -400,7 +400,7 @@ def test_a_user_who_keeps_what_he_gave_back_gets_no_more(open_service: Service) 
 
     (n,) = as_other_user(hoard)
     assert KEPT_PER_USER <= n <= KEPT_PER_USER + 3
-    with OtherUser(lambda child: child.hear()):
+    with OtherUser(lambda child: child.receive()):
         open_service.attach().close()
 
 
@@ -414,12 +414,12 @@ def test_two_slots_are_left_for_root_and_the_services_own_user(tmp_path: Path) -
             while True:
                 held.append(attach(s.name, stale_min_s=1.0))
         child.say(len(held))
-        child.hear()
+        child.receive()
 
     try:
         s.start()
         with OtherUser(crowd) as first:
-            assert first.hear() == lb.CLIENTS - RESERVED
+            assert first.receive() == lb.CLIENTS - RESERVED
             with s.attach() as one, s.attach() as two:
                 assert {one.slot, two.slot} & set(range(lb.CLIENTS))
     finally:

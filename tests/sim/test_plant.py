@@ -18,12 +18,12 @@ def naive_step(z: float, v: float, target: float, plant: PlantConfig) -> tuple[f
     p, a = 1.0 / plant.tau_s, plant.a_max_mps2
     e = target - z
     if abs(e) <= a / p**2:
-        wanted = p * e
+        desired = p * e
     else:
-        wanted = math.copysign(math.sqrt(2 * a * (abs(e) - a / (2 * p**2))), e)
+        desired = math.copysign(math.sqrt(2 * a * (abs(e) - a / (2 * p**2))), e)
     for limit in (abs(e) / DT_S, plant.v_max_mps):
-        wanted = max(-limit, min(limit, wanted))
-    v += max(-a * DT_S, min(a * DT_S, wanted - v))
+        desired = max(-limit, min(limit, desired))
+    v += max(-a * DT_S, min(a * DT_S, desired - v))
     return z + v * DT_S, v
 
 

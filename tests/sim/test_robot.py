@@ -246,8 +246,8 @@ def test_motion_equals_a_slow_twin() -> None:
         controller.tick()
         moving = core.motion["moving"][0]
         for _ in range(10):
-            wanted = max(np.interp(path / ds, np.arange(len(points)), points[:, 2]), 1e-3) if moving else 0.0
-            speed = min(max(wanted, speed - 1.5 * 0.2e-3), speed + 0.2e-3)
+            desired = max(np.interp(path / ds, np.arange(len(points)), points[:, 2]), 1e-3) if moving else 0.0
+            speed = min(max(desired, speed - 1.5 * 0.2e-3), speed + 0.2e-3)
             path += speed * 1e-3
         core.advance(core.t_ns + 10 * MS)
         assert core.motion["path_m"][0] == pytest.approx(path, abs=1e-9)

@@ -41,7 +41,7 @@ class RunByHolder:
 
     def look(self, now_ns: int) -> None:
         """Once in each of the robot's ticks; never waits."""
-        run = self._wanted(now_ns)
+        run = self._desired(now_ns)
         if run is None:
             return
         if self._ticket is not None and self._ticket.done():
@@ -58,7 +58,7 @@ class RunByHolder:
             return
         self._next_ns = now_ns + RETRY_NS
 
-    def _wanted(self, now_ns: int) -> str | None:
+    def _desired(self, now_ns: int) -> str | None:
         """Run mode by who holds the resource; None: nobody can tell."""
         watch = self._watch
         if watch is None or not watch.alive():

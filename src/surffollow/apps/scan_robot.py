@@ -89,7 +89,7 @@ class ScanRobot(CommandedRobot):
         self._asked: deque[tuple[float, float, float]] = deque(maxlen=ASKED_KEPT)
         self._settled = 0
         self.started_ns = 0
-        self._heard_ns = self._tick_ns = start_ns
+        self._received_ns = self._tick_ns = start_ns
 
     @property
     def base_m(self) -> Floats:
@@ -99,7 +99,7 @@ class ScanRobot(CommandedRobot):
     # -- what `sim.robot_run.Controller` needs --------------------------------------------------------
 
     @property
-    def wanted_m(self) -> float:
+    def desired_m(self) -> float:
         """Stand-off that it asks of the service: the path's gap [m]."""
         return float(self.path.facts["gap_m"])
 
@@ -158,7 +158,7 @@ class ScanRobot(CommandedRobot):
         pose_t_ns : stamp of that report [ns]; an unknown one makes the robot hold
         turn_rad : not used
         """
-        self._heard_ns, passed_s = self.t_ns, (self.t_ns - self._tick_ns) * 1e-9
+        self._received_ns, passed_s = self.t_ns, (self.t_ns - self._tick_ns) * 1e-9
         self._tick_ns = self.t_ns
         if self.leaving:
             return
@@ -167,16 +167,16 @@ class ScanRobot(CommandedRobot):
             return
         self.holding = False
         followed = set_point_for(float(self._reports.sent[pose_t_ns][2]), demand_m) + self._ahead(self._above)
-        self._set(self._wanted(followed, passed_s))
+        self._set(self._desired(followed, passed_s))
 
     def go_by_plan(self) -> None:
         """Use no demand at all: way "plan"."""
-        self._heard_ns = self._tick_ns = self.t_ns
+        self._received_ns = self._tick_ns = self.t_ns
         if not self.leaving:
             self.holding = False
             self._set(self._ahead(self._z))
 
-    def _wanted(self, followed_m: float, passed_s: float) -> float:
+    def _desired(self, followed_m: float, passed_s: float) -> float:
         """Height from the plan, from what the follower wants, and the least that known ground bears."""
         c = self.config
         planned = self._ahead(self._z)
@@ -250,7 +250,7 @@ class ScanRobot(CommandedRobot):
 
     def hold(self) -> None:
         """Without a demand to trust: stop along the path; keep the reported height over rises of the plan."""
-        self._heard_ns = self._tick_ns = self.t_ns
+        self._received_ns = self._tick_ns = self.t_ns
         if self.leaving:
             return
         if not self.holding:
@@ -304,5 +304,5 @@ class ScanRobot(CommandedRobot):
 
     def restart_clock(self, t_ns: int) -> None:
         """Let it be `t_ns` [ns] now, and nothing traced yet."""
-        self.state["t_ns"] = self.state["start_ns"] = self._heard_ns = self._tick_ns = t_ns
+        self.state["t_ns"] = self.state["start_ns"] = self._received_ns = self._tick_ns = t_ns
         self.state["trace_rows"] = 0

@@ -155,9 +155,9 @@ def tick(base: SimulatedBase, clients: list[BaseClient], arbitration: Arbitratio
     for k, client in enumerate(clients):
         wish = client.step(seen, arbitration.holder == k)
         wishes.append(wish)
-        if wish.wanted and arbitration.holder != k:
+        if wish.desired and arbitration.holder != k:
             arbitration.request(k)
-        elif not wish.wanted and arbitration.holder == k:
+        elif not wish.desired and arbitration.holder == k:
             arbitration.relinquish(k)
     holder = arbitration.holder
     if holder >= 0 and arbitration.command(holder):

@@ -65,25 +65,25 @@ def run_client(name: str, client: str, experiment: str, config: BaseConfig | Non
         mem_attach({"base": Base}, name) as blocks,
         ending_signals() as ended,
     ):
-        robot, heard = arbiter.resource("robot"), time.monotonic()
+        robot, received = arbiter.resource("robot"), time.monotonic()
         last_ns = 0
         while not ended and arbiter.connected:
             time.sleep(1.0 / CLIENT_HZ)
             got = sensing_of(blocks["base"])
             if got is None or got[1] == last_ns:
-                if time.monotonic() - heard > SILENT_S:
+                if time.monotonic() - received > SILENT_S:
                     break
                 continue
             seen, last_ns = got
-            heard = time.monotonic()
+            received = time.monotonic()
             wish = brain.step(seen, robot.held)
             steps += 1
-            if wish.wanted and not robot.held:
+            if wish.desired and not robot.held:
                 asked += 1
                 robot.request(timeout_s=0.5)
-            elif not wish.wanted and robot.held:
+            elif not wish.desired and robot.held:
                 robot.relinquish()
-            if wish.wanted and robot.held:
+            if wish.desired and robot.held:
                 sent += robot.command(wish.speed, wish.turn_rate)
     return {"client": client, "steps": steps, "commands": sent, "requests": asked}
 

@@ -15,7 +15,7 @@ from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.process import start_ticks
 
 _ENTRY = -(-al.ClientEntry.SIZE // 64) * 64
-_STATE, _BEAT = al.BoardHeader.offset("state") // 8, al.BoardHeader.offset("beat_ns") // 8
+_STATE, _HEARTBEAT = al.BoardHeader.offset("state") // 8, al.BoardHeader.offset("beat_ns") // 8
 
 
 class Holder(NamedTuple):
@@ -76,7 +76,7 @@ class BoardReader:
         h = self.header
         if self.words[_STATE] != al.STATE_READY:
             return False
-        if time.monotonic_ns() - self.words[_BEAT] < 2 * h["lease_ns"]:
+        if time.monotonic_ns() - self.words[_HEARTBEAT] < 2 * h["lease_ns"]:
             return True
         return start_ticks(h["server_pid"]) == h["server_start_ticks"] != 0
 

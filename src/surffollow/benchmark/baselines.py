@@ -100,7 +100,7 @@ def _keep_reading(m: NDArray[Any], seen: NDArray[Any], made: int, x_m: float, h_
 def _planned(p: NDArray[Any], buffers: Buffers, s: Any, w: World, x_m: float, v_mps: float) -> float:
     """Setpoint of the preview planner (p: as above, smoothing width [m], effort [s⁴]); x is that of now."""
     m, seen, g = buffers.state, buffers.memory, buffers.plan
-    wanted = reference(g)
+    desired = reference(g)
     count = int(m[KEPT])
     cursor = int(m[CURSOR])
     step_m = v_mps * s.tick_ms * STEP_S
@@ -109,7 +109,7 @@ def _planned(p: NDArray[Any], buffers: Buffers, s: Any, w: World, x_m: float, v_
         h, cursor = smoothed(seen, cursor, count, x, p[4])
         if k == 0:
             m[CURSOR] = cursor
-        wanted[k] = h + s.standoff_m
+        desired[k] = h + s.standoff_m
     last = w.reports[s.poses - 1]
     return float(setpoint(g, p[5], s.poses, float(last.ms), last.z, s))
 

@@ -16,7 +16,7 @@ from surffollow.benchmark.cell_runs import geometric_mean
 from surffollow.benchmark.families import FAMILY_SURFACES, PERIODIC
 from surffollow.benchmark.methods import BASELINES, LIMIT, ORACLE
 
-JUDGED = "ours"
+OURS = "ours"
 FLOOR_M = 0.1e-3
 EXEMPT_SHARE = 0.8  # of what a criterion permits: beyond it even full knowledge gains less than a fifth
 LEAD_M = 0.05
@@ -109,7 +109,7 @@ def ratios_to_oracles(table: Table, keys: Sequence[CellKey]) -> dict[CellKey, fl
     """Ratio of the judged RMS to the best oracle's, by cell."""
     ratios: dict[CellKey, float] = {}
     for key in keys:
-        ours, best = table.cells[key].get(JUDGED), table.best_oracle(key)
+        ours, best = table.cells[key].get(OURS), table.best_oracle(key)
         if ours and best:
             ratios[key] = rms_ratio(ours["rms_m"], best["rms_m"])
     return ratios

@@ -39,7 +39,7 @@ def follower_config(conditions: Conditions) -> dict[str, Any]:
             }
         ],
         "plant": {
-            "tau_s": conditions.believed_tau_s,
+            "tau_s": conditions.nominal_tau_s,
             "v_max_mps": conditions.plant.v_max_mps,
             "a_max_mps2": conditions.plant.a_max_mps2,
         },

@@ -198,13 +198,13 @@ def bounded_path(r: NDArray[Any], d1_max: float, d2_max: float, z: NDArray[Any])
 
 
 def limit_path(
-    wanted_m: NDArray[np.float64], v_max_mps: float, a_max_mps2: float
+    desired_m: NDArray[np.float64], v_max_mps: float, a_max_mps2: float
 ) -> tuple[float, NDArray[np.float64], int]:
     """Smallest RMS error of any axis with these limits along a path known beforehand.
 
     Parameters
     ----------
-    wanted_m : (ms,) float64, where the tool should be at every millisecond of the scored part [m]
+    desired_m : (ms,) float64, where the tool should be at every millisecond of the scored part [m]
     v_max_mps, a_max_mps2 : limits of the axis
 
     Returns
@@ -213,10 +213,10 @@ def limit_path(
     path_m : (n,) the path that reaches it
     thinning : milliseconds between its points
     """
-    thinning = max(1, -(-len(wanted_m) // MAX_POINTS))
-    r = np.ascontiguousarray(wanted_m[::thinning], np.float64)
+    thinning = max(1, -(-len(desired_m) // MAX_POINTS))
+    r = np.ascontiguousarray(desired_m[::thinning], np.float64)
     r = r - r.mean()
     dt = thinning * 1e-3
     path = np.empty_like(r)
     bound, _ = bounded_path(r, v_max_mps * dt, a_max_mps2 * dt * dt, path)
-    return float(np.sqrt(2.0 * max(bound, 0.0) / len(r))), path + wanted_m[::thinning].mean(), thinning
+    return float(np.sqrt(2.0 * max(bound, 0.0) / len(r))), path + desired_m[::thinning].mean(), thinning

@@ -115,7 +115,7 @@ def _move(s: Any, reports: NDArray[Any], readings: NDArray[Any], z: NDArray[Any]
         until = min(until, readings[s.samples].arrival_ms)
     axis = s.axis
     ms = s.ms
-    target, tau_s, v_max, a_max = s.set_point_m, s.tau_s, s.v_max_mps, s.a_max_mps2
+    target, tau_s, v_max, a_max = s.setpoint_m, s.tau_s, s.v_max_mps, s.a_max_mps2
     while ms < until:
         ms += 1
         axis_step(axis, target, tau_s, v_max, a_max, STEP_S)
@@ -131,8 +131,8 @@ def _apply_demand(s: Any, reports: NDArray[Any], orders: NDArray[Any]) -> None:
         s.bad_demands += 1
     report = s.poses_made if s.newest else s.poses
     if report > 0:
-        s.set_point_m = set_point_for(reports[report - 1].z, s.demand_m)
-    orders[s.ticks].set_point = s.set_point_m
+        s.setpoint_m = set_point_for(reports[report - 1].z, s.demand_m)
+    orders[s.ticks].setpoint = s.setpoint_m
     orders[s.ticks].demand = s.demand_m
     s.ticks += 1
 

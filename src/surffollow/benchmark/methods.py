@@ -37,7 +37,7 @@ class Baseline:
     name: str
     kind: int
     tunable: tuple[Parameter, ...] = ()
-    guesses: tuple[tuple[float, ...], ...] = ((),)
+    starts: tuple[tuple[float, ...], ...] = ((),)
     fixed: tuple[float, ...] = ()
     evaluations: int = 100
     leading: bool = False
@@ -50,7 +50,7 @@ _KALMAN = (
     Parameter("gate_sigma", 2.0, 50.0),
     Parameter("rejects", 1.0, 10.0),
 )
-_KALMAN_GUESSES = (
+_KALMAN_STARTS = (
     (1.0, 1e-3, 5.0, 3.0, 0.05),
     (0.1, 1e-4, 5.0, 4.0, 0.05),
     (5.0, 1e-2, 8.0, 3.0, 0.04),
@@ -80,7 +80,7 @@ BASELINES: dict[str, Baseline] = {
             "kalman-ff",
             b.KALMAN_FF,
             (*_KALMAN, _LAG),
-            _KALMAN_GUESSES,
+            _KALMAN_STARTS,
             fixed=(b.POLICY_EXTRAPOLATE,),
         ),
         Baseline(
@@ -100,8 +100,7 @@ BASELINES: dict[str, Baseline] = {
             b.KALMAN_ADAPTIVE,
             (*_KALMAN, _LAG, Parameter("memory_readings", 5.0, 10_000.0)),
             tuple(
-                (*guess, memory)
-                for guess, memory in zip(_KALMAN_GUESSES, (100.0, 500.0, 50.0, 300.0, 1000.0))
+                (*start, memory) for start, memory in zip(_KALMAN_STARTS, (100.0, 500.0, 50.0, 300.0, 1000.0))
             ),
             evaluations=120,
         ),

@@ -61,11 +61,11 @@ def _reach(z_m: float, v_mps: float, sign: float, s: Any) -> float:
 
 
 @jit
-def _move(g: NDArray[Any], axis: NDArray[Any], set_point_m: float, s: Any) -> None:
+def _move(g: NDArray[Any], axis: NDArray[Any], setpoint_m: float, s: Any) -> None:
     """Put into `axis` where the model is after one period with this setpoint."""
     axis[0], axis[1] = g[HEAD, Z], g[HEAD, V]
     for _ in range(s.tick_ms):
-        axis_step(axis, set_point_m, s.tau_s, s.v_max_mps, s.a_max_mps2, STEP_S)
+        axis_step(axis, setpoint_m, s.tau_s, s.v_max_mps, s.a_max_mps2, STEP_S)
 
 
 @jit

@@ -108,10 +108,10 @@ def score_run(scene: Scene, s: Any, w: World) -> Score:
 
 def score_limit(scene: Scene) -> Score:
     """Score the best path there is; its RMS is the proven bound."""
-    wanted = scene.ground_m[scene.first_ms :]
+    desired = scene.ground_m[scene.first_ms :]
     plant = scene.conditions.plant
-    rms_m, path, thinning = limit_path(wanted, plant.v_max_mps, plant.a_max_mps2)
-    ground = wanted[::thinning]
+    rms_m, path, thinning = limit_path(desired, plant.v_max_mps, plant.a_max_mps2)
+    ground = desired[::thinning]
     s = score(path + STANDOFF_M, ground, path, 0, thinning, scene.speed_mps, lag=False)
     return Score(
         rms_m=rms_m,

@@ -99,7 +99,7 @@ def make_scene(
     reports["noise_x"], reports["noise_z"] = c.pose.sigma_m * rng.standard_normal((2, len(reports)))
 
     x = np.asarray(profile.start_m + speed_mps * 1e-3 * np.arange(duration_ms), np.float64)
-    ground = profile.wanted_height_m(x)
+    ground = profile.desired_height_m(x)
     ticks = duration_ms // max(1, round(1e3 / c.plant.tick_hz)) + 1
     start_z = float(ground[0]) + c.standoff_m  # every run begins at the right height, at rest
     z = np.full(duration_ms, start_z)

@@ -82,11 +82,11 @@ def excursion(job: Job) -> dict[str, float]:
         `missed`: share of the readings off by > 2 mm after which the set points part by > 0.5 mm
     """
     clean = _without_glitches(job.conditions)
-    calm = Cell("flat", job.speed_mps, clean)
+    undisturbed = Cell("flat", job.speed_mps, clean)
     disturbed = Cell("slot", job.speed_mps, clean) if job.case == "slot" else job.cell
     points: list[Any] = []
     first_tick, tick_ms = 0, 1
-    for cell in (calm, disturbed):
+    for cell in (undisturbed, disturbed):
         scene = scene_of(cell, job.seed)
         s, w = run_method(job.method, scene)
         tick_ms = int(s["tick_ms"])

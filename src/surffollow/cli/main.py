@@ -63,9 +63,9 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, text) for name, (_, _, text) in VERBS.items()])
 
 
-def print_includedir(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:
+def print_includedir(ctx: click.Context, param: click.Parameter, expected: bool) -> None:
     """For build scripts: `cc -I"$(surffollow --includedir)" ...`."""
-    if wanted:
+    if expected:
         from pathlib import Path
 
         click.echo(Path(__file__).parents[1] / "include")

@@ -77,9 +77,9 @@ def run_command(
     from surffollow.scan.path_file import read_path
     from surffollow.scan.shaping import Shaper
 
-    for wanted in (picture, report and "report.png"):
-        if wanted:
-            check_picture(wanted)
+    for expected in (picture, report and "report.png"):
+        if expected:
+            check_picture(expected)
     check_outputs((picture, report), (path, map_file, ground))
     planned = read_path(path)
     check_executable(planned)

@@ -121,9 +121,9 @@ def _take_item(pushed: Any, queue: Any, item: Any, number: Any, held: Any, now_n
     if t_ns <= at.load_relaxed_i64(base + _NEWEST + 8 * channel):
         return -1 - NOT_NEWER
     counts, flags = 0, FLAG_INVALID
-    wanted = range_m / p.scale_m[channel]
-    if abs(wanted) <= COUNTS_MAX:  # NaN is not, and says that there is no reading
-        counts, flags = round(wanted), 0
+    expected = range_m / p.scale_m[channel]
+    if abs(expected) <= COUNTS_MAX:  # NaN is not, and says that there is no reading
+        counts, flags = round(expected), 0
     word = pack_conversion(counts, channel, flags, 0)
     at.store_relaxed_i64(base + _NEWEST + 8 * channel, t_ns)
     at.store_relaxed_i64(base + _HEARD + 8 * channel, now_ns)

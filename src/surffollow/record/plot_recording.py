@@ -142,14 +142,14 @@ def forecast_errors(
         good = j < has.size
         good[good] &= t[has][j[good]] - t[has][good] - horizon_s <= 1.5 * step
         at, then = has[good], has[j[good]]
-        guess = o["height_m"][at] + o["slope"][at] * o["speed_mps"][at] * horizon_s
-        out[0, then] = guess - ground[then]
+        predicted = o["height_m"][at] + o["slope"][at] * o["speed_mps"][at] * horizon_s
+        out[0, then] = predicted - ground[then]
         out[1, then] = ground[at] - ground[then]
     return out[0], out[1]
 
 
 def _draw_forecast(ax: Any, story: FigureData) -> None:
-    guess, still = forecast_errors(story)
+    predicted, still = forecast_errors(story)
     fg.shade(ax, _gaps(story), fg.SAND, "no distance")
     ax.axhline(0.0, color=fg.INK, lw=0.6)
     ax.plot(
@@ -163,14 +163,14 @@ def _draw_forecast(ax: Any, story: FigureData) -> None:
     )
     ax.plot(
         story.t_s,
-        guess * 1e3,
+        predicted * 1e3,
         ".",
         ms=1.4,
         color=fg.ORANGE,
         rasterized=True,
-        label=f"forecast by height and slope: RMS {fg.rms(guess) * 1e3:.2f} mm",
+        label=f"forecast by height and slope: RMS {fg.rms(predicted) * 1e3:.2f} mm",
     )
-    low, high = fg.robust_limits(np.concatenate([guess, still]) * 1e3)
+    low, high = fg.robust_limits(np.concatenate([predicted, still]) * 1e3)
     reach = max(abs(low), abs(high))
     ax.set_ylim(-reach, 1.35 * reach)
     ax.set_title(f"Ground {HORIZON_S:g} s ahead: forecast less what was found then")

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surffollow.errors import ScanInputError
 from surffollow.scan.checks import Floats, positive, real_array
-from surffollow.scan.patches import SLOPE_BLOCK, SLOPE_FACTOR, STEEPEST_RAD, Patches, judge
+from surffollow.scan.patches import SLOPE_BLOCK, SLOPE_FACTOR, STEEPEST_RAD, Patches, classify
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def cloud_patches(
         slope = positive("slope_factor", slope_factor, "1") * general_slope(_lowest(points, block)[1], block)
     jump = np.full(image.shape[:2], slope * cell + support_m / 3.0)
     above = np.array([image[..., 0].mean(), image[..., 1].mean(), 1e9])
-    patches = judge(
+    patches = classify(
         lowest,
         image,
         jump,

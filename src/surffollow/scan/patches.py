@@ -105,7 +105,7 @@ def coherent_patches(
     scale = 1.0 / camera.stereo_factor_m_px() if camera.baseline_m > 0.0 else JUMP_PER_M
     jump = positive("jump_px", jump_px, "px") * scale * z * z
     eye = camera.pose()[:3, 3]
-    made = judge(
+    made = classify(
         z,
         points,
         jump,
@@ -130,7 +130,7 @@ def _near_border(patches: Patches, border_px: int) -> NDArray[np.bool_]:
     return np.asarray(maximum_filter(edge, size=2 * border_px + 1, mode="constant"), np.bool_)
 
 
-def judge(
+def classify(
     z: Floats,
     points: Floats,
     jump: Floats,

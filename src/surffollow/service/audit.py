@@ -72,7 +72,7 @@ class AuditTrail:
         named: Callable[[int], str],
         tell: Callable[..., bool],
     ) -> None:
-        self._ring, self._ctx, self._named, self._tell = objects.address("audit"), ctx, named, tell
+        self._ring, self._ctx, self._named, self._write_line = objects.address("audit"), ctx, named, tell
         self._entry: Any = np.zeros(1, numpy_dtype(lb.AuditEntry))
         self._budgets: dict[tuple[int, int], _Budget] = {}
         self._gathered: dict[tuple[int, ...], _Gathered] = {}
@@ -153,7 +153,7 @@ class AuditTrail:
             _, oldest = self._kept.popleft()
             self._append(oldest)
             self._kept.append((self._appended, oldest))
-        if not self._tell(_line(entry), limited=group != CHANGED):
+        if not self._write_line(_line(entry), limited=group != CHANGED):
             self._unreported += 1
 
     def _append(self, entry: Any) -> None:

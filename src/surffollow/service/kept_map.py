@@ -76,13 +76,13 @@ def _map_header(map_: SharedObject) -> Any:
 def _check_owner(config: ServiceConfig, map_: SharedObject, group: int) -> None:
     """Adopt only a map that nobody but the service's own user could have changed."""
     status, me = os.fstat(map_.fd), own_user()
-    name, wanted = map_.name, mode(config.access.map_mode, "access.map_mode")
+    name, expected = map_.name, mode(config.access.map_mode, "access.map_mode")
     remedy = f"look at it (ls -l /dev/shm), then remove it: surffollow stop --name {config.name} --purge"
     if status.st_uid != me:
         raise NoPermissionError(
             f"the kept map {name!r} belongs to user {status.st_uid}, the service runs as {me}; {remedy}"
         )
-    if status.st_mode & 0o022 & ~wanted:
+    if status.st_mode & 0o022 & ~expected:
         raise NoPermissionError(
             f"the kept map {name!r} has mode {status.st_mode & 0o777:o}: others could write it; {remedy}"
         )
@@ -90,7 +90,7 @@ def _check_owner(config: ServiceConfig, map_: SharedObject, group: int) -> None:
         raise NoPermissionError(f"the kept map {name!r} has another name (a hard link); {remedy}")
     if group >= 0:
         os.fchown(map_.fd, -1, group)
-    os.fchmod(map_.fd, wanted)
+    os.fchmod(map_.fd, expected)
 
 
 def check_kept_map(config: ServiceConfig, map_: SharedObject, group: int) -> None:

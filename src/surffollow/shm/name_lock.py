@@ -10,7 +10,7 @@ import contextlib
 import os
 import time
 
-from surffollow.config.trusted_users import NOBODYS, own_user
+from surffollow.config.trusted_users import UNMAPPED_USER, own_user
 from surffollow.errors import BlockError, NoPermissionError, NoSpaceError
 from surffollow.shm.checked_open import open_plain
 from surffollow.shm.locks import FileLock
@@ -96,7 +96,7 @@ class NameLock:
 def _open_own(name: str) -> int:
     """The lock's file, made when there is none; -1 when it came or went meanwhile."""
     path, me = SHM_ROOT / (name + ENDING), own_user()
-    if me == NOBODYS:
+    if me == UNMAPPED_USER:
         raise NoPermissionError(
             f"user {os.geteuid()} has no number of its own in this user namespace (/proc/self/uid_map): "
             "files of strangers would look like its own; run it as a user that is mapped"

@@ -35,7 +35,7 @@ class ArmState(Schema):
     end_s = F64(unit="s", doc="the path's last time")
     at = I64(doc="sample of the path before path_s")
     axis = F64(2, unit="m, m/s", doc="height and vertical speed of the stiff tip")
-    set_point_m = F64(unit="m")
+    setpoint_m = F64(unit="m")
     tau_s = F64(unit="s", doc="see PlantConfig")
     v_max_mps = F64(unit="m/s")
     a_max_mps2 = F64(unit="m/s^2")
@@ -120,7 +120,7 @@ def arm_step(a: Any, path: Any, scanning: Any, world: Any, trace: Any) -> None:
     a[0].rate = r.rate + min(max(r.rate_wanted - r.rate, -change), change)
     a[0].path_s = min(r.path_s + r.rate * dt, r.end_s)
     i, w = along(a, path)
-    axis_step(r.axis, r.set_point_m, r.tau_s, r.v_max_mps, r.a_max_mps2, dt)
+    axis_step(r.axis, r.setpoint_m, r.tau_s, r.v_max_mps, r.a_max_mps2, dt)
     norm = 0.0
     for k in range(4):
         r.q[k] = path[i, 3 + k] * (1.0 - w) + path[i + 1, 3 + k] * w
@@ -167,7 +167,7 @@ def arm_step(a: Any, path: Any, scanning: Any, world: Any, trace: Any) -> None:
         row[9] = 2.0 * (r.q[0] * r.q[2] + r.q[3] * r.q[1])
         row[10] = 2.0 * (r.q[1] * r.q[2] - r.q[3] * r.q[0])
         row[11] = 1.0 - 2.0 * (r.q[0] * r.q[0] + r.q[1] * r.q[1])
-        row[12], row[13] = r.set_point_m, 1.0 if on else 0.0
+        row[12], row[13] = r.setpoint_m, 1.0 if on else 0.0
         a[0].trace_rows = r.trace_rows + 1
 
 

@@ -73,7 +73,7 @@ class RobotCore(CommandedRobot):
         self.holding = True
         self._settled = 0
         self.started_ns = 0
-        self._heard_ns = start_ns
+        self._received_ns = start_ns
 
     @property
     def expected_steps(self) -> int:
@@ -86,7 +86,7 @@ class RobotCore(CommandedRobot):
         return int((seconds + 30.0) * 1e9) // STEP_NS
 
     @property
-    def wanted_m(self) -> float:
+    def desired_m(self) -> float:
         """Stand-off that it asks of the service [m]."""
         return self.config.standoff_m
 
@@ -119,7 +119,7 @@ class RobotCore(CommandedRobot):
 
     def restart_clock(self, t_ns: int) -> None:
         """Let it be `t_ns` [ns] now, and nothing traced yet."""
-        self.motion["t_ns"] = self.motion["start_ns"] = self._heard_ns = t_ns
+        self.motion["t_ns"] = self.motion["start_ns"] = self._received_ns = t_ns
         self.motion["trace_rows"] = 0
 
     def measure(self) -> None:
@@ -147,7 +147,7 @@ class RobotCore(CommandedRobot):
         pose_t_ns : stamp of that report [ns]; an unknown one makes the robot hold
         turn_rad : rotation vector demanded, world axes [rad]; heeded when the configuration says so
         """
-        self._heard_ns = self.t_ns
+        self._received_ns = self.t_ns
         x, y, z = turn_rad
         if pose_t_ns not in self._reports.sent or not math.isfinite(demand_m + x + y + z):
             self.hold()
@@ -187,7 +187,7 @@ class RobotCore(CommandedRobot):
 
     def hold(self) -> None:
         """Without a demand to trust: stop along the path; stay at the height last reported, or retract."""
-        self._heard_ns = self.t_ns
+        self._received_ns = self.t_ns
         if not self.holding:
             self.holding = True
             self.motion["set_point_m"] = self._reports.newest[2] + self.config.retract_m

@@ -168,11 +168,11 @@ class SimulatedDriver:
 
     def _choose(self) -> None:
         """Take the world block that is written, or the reports where none is and the settings allow it."""
-        wanted = self._config.pose
-        if wanted != "reported":
+        expected = self._config.pose
+        if expected != "reported":
             self._attach()
         trouble, source = self._trouble, ON_WORLD
-        if wanted == "reported" or (wanted == "auto" and not self._world_is_written()):
+        if expected == "reported" or (expected == "auto" and not self._world_is_written()):
             trouble, source = "", ON_REPORTS
         self._pump.control[SOURCE] = source
         self._trouble = trouble

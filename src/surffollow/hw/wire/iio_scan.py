@@ -39,7 +39,7 @@ class Element(msgspec.Struct, frozen=True):
         return raw - (1 << self.bits) if self.signed and raw >> (self.bits - 1) else raw
 
 
-def find_device(root: Path, wanted: str) -> Path:
+def find_device(root: Path, expected: str) -> Path:
     """The directory of a device in sysfs, by its directory's or its own name.
 
     Raises
@@ -48,17 +48,17 @@ def find_device(root: Path, wanted: str) -> Path:
         there is none, or more than one of that name
     """
     base = root / SYSFS
-    if (base / wanted).is_dir():
-        return base / wanted
+    if (base / expected).is_dir():
+        return base / expected
     names = {}
     for folder in sorted(base.glob("iio:device*")):
         with contextlib.suppress(OSError):
             names[folder] = (folder / "name").read_text().strip()
-    found = [f for f, n in names.items() if n == wanted]
+    found = [f for f, n in names.items() if n == expected]
     if len(found) != 1:
         there = ", ".join(f"{f.name} ({n})" for f, n in names.items()) or "none"
         many = "several devices" if found else "no device"
-        raise DriverError(f"{many} '{wanted}' under {base}; there are: {there}")
+        raise DriverError(f"{many} '{expected}' under {base}; there are: {there}")
     return found[0]
 
 
@@ -80,13 +80,13 @@ def calibration_of(folder: Path, input_name: str) -> tuple[float, float]:
     return (1e-3 * scale if scale == scale else 1e-3), (offset if offset == offset else 0.0)
 
 
-def scan_layout(folder: Path, wanted: tuple[str, ...]) -> tuple[dict[str, Element], int]:
+def scan_layout(folder: Path, expected: tuple[str, ...]) -> tuple[dict[str, Element], int]:
     """Elements of a scan by name, and its size in bytes, as the enabled ones are laid out.
 
     An element lies at a multiple of its own size, a scan at a multiple of its largest element's.
     """
     rows = []
-    for name in (*wanted, "timestamp"):
+    for name in (*expected, "timestamp"):
         stem = folder / "scan_elements" / f"in_{name}" if name != "timestamp" else (
             folder / "scan_elements" / "in_timestamp"
         )  # fmt: skip

@@ -168,12 +168,12 @@ def with_preset(settings: dict[str, Any]) -> dict[str, Any]:
     ConfigError
         unknown preset
     """
-    wanted = settings.get("preset", "")
-    if not wanted:
+    expected = settings.get("preset", "")
+    if not expected:
         return settings
-    if wanted not in PRESETS:
-        raise ConfigError(f"preset '{wanted}' is unknown; one of: {', '.join(PRESETS)}")
-    preset = PRESETS[wanted]
+    if expected not in PRESETS:
+        raise ConfigError(f"preset '{expected}' is unknown; one of: {', '.join(PRESETS)}")
+    preset = PRESETS[expected]
     whole = {**preset, **settings}
     whole["format"] = {**preset["format"], **settings.get("format", {})}
     return whole
