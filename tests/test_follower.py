@@ -382,7 +382,7 @@ def test_readings_that_come_later_than_the_pose_timeout_are_used():
 
 
 @pytest.mark.parametrize(("config", "expected"), [({}, 0.0), ({"pose_interpolate": "interpolated"}, 0.005)])
-def test_paper_mode_takes_the_latest_pose_unless_it_is_told_to_interpolate(config, expected):
+def test_paper_mode_takes_the_latest_pose_unless_it_is_configured_to_interpolate(config, expected):
     f = surffollow.Follower({"mode": "paper", "permitted_variance": "0 m", **config}, offset_m=0.1)
     f.pose(T0, at(0.0, 0.2))
     f.pose(T0 + 10 * MS, at(0.0, 0.21))

@@ -134,7 +134,7 @@ def test_a_client_that_scribbles_over_its_mailbox_harms_only_itself(server, seed
         until(lambda: one.board.entry(other.slot)["broken"] > 0)
 
 
-def test_nobody_can_cut_grow_or_punch_a_mailbox(server):
+def test_no_process_can_truncate_grow_or_punch_a_mailbox(server):
     def requested():
         try:
             return hs.request_slot(server.name, "attacker", 5.0)

@@ -225,7 +225,7 @@ def test_a_request_that_was_not_answered_in_time_is_withdrawn(make_arbiter):
 
 
 @needs_root
-def test_strangers_at_the_door_keep_nobody_out(summed):
+def test_unidentified_connections_keep_no_client_out(summed):
     def crowd(child):
         kept = []
         for _ in range(4 * MAX_UNIDENTIFIED):
@@ -287,7 +287,7 @@ def lingering():
 
 
 @needs_root
-def test_a_descriptor_that_lingers_holds_nobody_up(summed):
+def test_a_descriptor_that_lingers_delays_no_client(summed):
     with new_socket() as probe:
         if not refuse_rights(probe):
             pytest.skip("this kernel cannot refuse descriptors (Linux 6.16)")
@@ -423,7 +423,7 @@ def test_settings_that_would_let_others_command_or_no_client_hold_are_refused(mo
         parse_config({"clients": {"a": 1}, "resources": {"r": ONE}} | more)
 
 
-def test_a_refused_user_is_told_so_even_when_the_server_was_faster(summed):
+def test_a_refused_user_gets_the_reason_even_when_the_server_was_faster(summed):
     """The server answers and closes before the client has said a word."""
     name = f"{summed.name}x"
     sock = hs.listen(name)

@@ -148,7 +148,7 @@ def test_an_impostor_after_a_clean_stop_commands_no_controller_and_gets_no_clien
     honest.stop()
 
 
-def test_who_is_named_is_trusted_and_nobody_else_from_the_first_attachment_on(honest, monkeypatch):
+def test_who_is_named_is_trusted_and_no_other_from_the_first_attachment_on(honest, monkeypatch):
     with impostor_of(honest) as impostor:
         with attach(honest.name, "go", owner=NOBODY) as one, observe(honest.name, owner=NOBODY) as seen:
             assert one.owner == NOBODY
@@ -208,7 +208,7 @@ def fill_backlog(name):
 kept: list[socket.socket] = []
 
 
-def test_a_squatter_keeps_nobody_waiting_and_is_named(honest):
+def test_a_squatter_keeps_no_client_waiting_and_is_named(honest):
     def squat(child):
         sock = hs.new_socket()
         sock.bind(hs.address(honest.name))
@@ -304,7 +304,7 @@ def test_a_client_in_c_attaches_again_to_the_same_user_only(honest, patrol):
     honest.stop()
 
 
-def test_a_client_in_c_waits_no_longer_than_it_was_told_for_a_squatter(honest, tmp_path):
+def test_a_client_in_c_waits_no_longer_than_configured_for_a_squatter(honest, tmp_path):
     impatient = compile_impatient(tmp_path)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as sock:
         sock.bind(hs.address(honest.name))

@@ -75,7 +75,7 @@ def test_what_two_cells_share_is_run_once(monkeypatch: pytest.MonkeyPatch) -> No
     assert [r.cell for r in together] == [cell for cell in cells for _ in range(2)]
 
 
-def test_files_of_one_stem_are_told_apart_and_nothing_runs_twice(hill: str, tmp_path: Path) -> None:
+def test_files_of_one_stem_are_distinguished_and_nothing_runs_twice(hill: str, tmp_path: Path) -> None:
     other = tmp_path / "other" / "hill.csv"
     other.parent.mkdir()
     other.write_bytes(b"\xef\xbb\xbf" + Path(hill).read_bytes())  # as spreadsheets write it

@@ -51,7 +51,7 @@ def test_a_sensor_of_one_kilohertz_or_less_keeps_whole_milliseconds():
         assert np.array_equal(r["timestamp_ms"], r["ms"])
 
 
-def test_baselines_believe_the_timestamps_that_they_are_told():
+def test_baselines_use_the_given_timestamps():
     scene = make_scene(SHAPES["ramp-20"](1), 0.2, 1, Conditions(sensor=SensorConfig(latency_s=0.06)))
     errors = []
     for late_ms in (0.0, 30.0):

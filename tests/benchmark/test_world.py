@@ -51,7 +51,7 @@ def test_run_equals_the_slow_twin_of_the_world(surface: str, conditions: Conditi
     assert np.allclose(w.z, naive_run(scene, conditions, 0.5), atol=1e-12)
 
 
-def test_follower_at_the_door_meets_the_same_world_as_a_jitted_method() -> None:
+def test_follower_of_another_module_meets_the_same_world_as_a_jitted_method() -> None:
     scene = scene_of("step", Conditions())
     s, w = scene.fresh()
     drive(PythonP(scene.conditions), s, w)
@@ -116,7 +116,7 @@ def test_demand_is_added_to_the_report_it_refers_to_or_to_the_newest_as_configur
         s, w = run(scene)
         ticks = np.arange(5, int(s["ticks"]))
         expected = w.reports["z"][ticks - behind] + w.orders["demand"][ticks]
-        assert np.allclose(w.orders["set_point"][ticks], expected, atol=1e-15)
+        assert np.allclose(w.orders["setpoint"][ticks], expected, atol=1e-15)
 
 
 def test_demand_that_is_no_number_holds_the_report_and_is_counted() -> None:

@@ -45,7 +45,7 @@ def test_a_killed_reader_gives_its_lock_back_at_once(space, child):
         assert mem.platform.fenced == 0
 
 
-def test_a_stopped_reader_is_fenced_after_its_lease_and_told_so(space, child):
+def test_a_stopped_reader_is_fenced_after_its_lease_and_informed(space, child):
     # a busy machine may delay a writer, but not at every try
     waited = [fence_off(f"{space}-{k}", child) for k in range(3)]
     assert LEASE_S <= min(waited) < LEASE_S + 1.0

@@ -64,7 +64,7 @@ def test_a_c_compiler_agrees_with_every_offset_and_number(tmp_path: Path) -> Non
     assert len(facts) > 350
 
 
-def test_every_request_and_answer_is_told() -> None:
+def test_every_request_and_answer_is_reported() -> None:
     layout = printed()
     codes = {r["code"] for r in layout["requests"]}
     assert codes == set(layout["enums"]["request"].values()) - {lb.RQ_NONE}

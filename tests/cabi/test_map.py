@@ -158,7 +158,7 @@ def hasty_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]
         yield s
 
 
-def test_holder_that_outlives_its_lease_is_told_that_its_copy_may_be_mixed(
+def test_holder_that_outlives_its_lease_learns_that_its_copy_may_be_mixed(
     make_probe: Callable[..., Probe], hasty_service: Service
 ) -> None:
     probe = make_probe()

@@ -166,7 +166,7 @@ def test_a_killed_client_frees_its_channel(outside: Service, client: Client) -> 
         (0, 0, "0.1", "a number of metres or None"),
     ],
 )
-def test_what_cannot_be_a_range_is_told_at_once(
+def test_what_cannot_be_a_range_is_reported_at_once(
     client: Client, channel: Any, ahead_ns: int, range_m: Any, says: str
 ) -> None:
     client.push_range(0, time.monotonic_ns(), 0.1)

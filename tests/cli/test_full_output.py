@@ -91,7 +91,7 @@ def test_a_start_that_cannot_say_ready_follows_all_the_same(make_service: Callab
     assert objects_of(s.name) == {f"{s.name}.map"}
 
 
-def test_an_error_of_its_own_is_told_as_such() -> None:
+def test_an_error_of_its_own_is_reported_as_such() -> None:
     done = into_full("status", "--name", "nobody-runs-this")
     assert done.returncode == 1
     assert "No space" not in done.stderr

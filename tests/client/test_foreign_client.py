@@ -116,7 +116,7 @@ def test_it_drives_and_its_stand_off_and_parameters_are_in_force(foreign: Foreig
     assert any(n.startswith("foreign ") for n in names)
 
 
-def test_it_is_told_which_parameter_was_wrong(foreign: Foreign) -> None:
+def test_it_learns_which_parameter_was_wrong(foreign: Foreign) -> None:
     numbers = {p["number"]: p["name"] for p in layout_document()["parameters"]}
     for name, spec in PARAMS.items():
         if not math.isfinite(spec.high):

@@ -233,7 +233,7 @@ def test_requests_of_two_clients_are_answered_to_each(service: Service, client: 
                 bad.result(0.0)
 
 
-def test_a_request_that_nobody_answers_times_out(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_request_without_an_answer_times_out(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     with service.attach() as c:
         ticket = c.sf_reset(0.1)
         ticket._answer, ticket.counter = None, ticket.counter + 1000
@@ -284,7 +284,7 @@ def test_the_papers_spellings_are_the_same_functions(client: Client) -> None:
     drive(client, lambda: client.RawDistance() > 0, what="a distance")
 
 
-def test_faults_are_numbered_and_what_cannot_be_told_is_null(client: Client) -> None:
+def test_faults_are_numbered_and_what_is_unknown_is_null(client: Client) -> None:
     assert numbered_faults(0b10010, 0b100) == [
         {"number": 2, "name": "STUCK"},
         {"number": 5, "name": "CLOCK"},

@@ -102,7 +102,7 @@ def test_a_full_file_is_taken_as_written(tmp_path):
         ({"name": 3}, ["name"]),
     ],
 )
-def test_a_mistake_is_told_with_its_key(data, says):
+def test_a_mistake_is_reported_with_its_key(data, says):
     with pytest.raises(ConfigError) as e:
         parse_config(data, "arm.toml")
     text = str(e.value)
@@ -122,7 +122,7 @@ def test_a_file_that_cannot_be_read_or_is_no_toml_is_named(tmp_path):
         load_config(tmp_path)
 
 
-def test_a_file_in_another_encoding_is_told_and_not_a_crash(tmp_path):
+def test_a_file_in_another_encoding_is_reported_and_not_a_crash(tmp_path):
     bad = tmp_path / "latin.toml"
     bad.write_bytes('name = "größe"'.encode("latin-1"))
     with pytest.raises(ConfigError, match=r"latin\.toml"):

@@ -68,7 +68,7 @@ def test_the_deadband_filter_solves_its_equation_in_cycles_of_any_length(desired
     assert at_100_hz == pytest.approx(filtered_in_small_steps(desired_m, 0.03), rel=2e-3)
 
 
-def test_within_the_deadband_the_set_point_continues_at_the_predicted_rate():
+def test_within_the_deadband_the_setpoint_continues_at_the_predicted_rate():
     assert filtered(deadband_state(), 0.9 * BAND, 50, MS) == 0.0
     assert filtered(deadband_state(rate_mps=1e-3), 0.0, 50, MS) == pytest.approx(5e-5)
 
@@ -249,7 +249,7 @@ def test_no_speed_is_measured_across_a_long_gap_of_reports():
 
 
 @pytest.mark.parametrize("case", ["slot", "glitch"])
-def test_slots_and_glitches_hardly_move_the_set_point(case):
+def test_slots_and_glitches_hardly_move_the_setpoint(case):
     job = Job("excursion", "ours", 302, Conditions(), "flat", 0.1, case)
     found = excursion(job)
     assert found["excursion_m"] < 0.15e-3

@@ -68,7 +68,7 @@ def test_a_clock_that_jumps_back_is_followed_with_several_sensors():
 
 
 @pytest.mark.parametrize("run", ["freeze", "dryrun"])
-def test_after_freeze_and_dryrun_the_set_point_begins_at_the_tool(run):
+def test_after_freeze_and_dryrun_the_setpoint_begins_at_the_tool(run):
     b = Bench()
     b.go(500, 0.1)
     b.f.set_params(run=run)
@@ -170,7 +170,7 @@ def test_a_slow_caller_is_followed_within_the_limits_of_the_elapsed_time(rate_hz
     assert np.diff(zs).min() >= -0.01 * dt_s - 1e-9, "half of max_speed toward the surface"
 
 
-def test_after_a_pause_the_set_point_starts_at_the_tool():
+def test_after_a_pause_the_setpoint_starts_at_the_tool():
     for period_ns, pause_ns in ((MS, 110 * MS), (200 * MS, 900 * MS)):
         b = Bench()
         b.go(60, 0.1, period_ns=period_ns)
@@ -180,7 +180,7 @@ def test_after_a_pause_the_set_point_starts_at_the_tool():
 
 
 @pytest.mark.parametrize("intervals_ms", [(1, 20), (2, 4), (0.05, 3, 30), (0.1, 20)])
-def test_a_set_point_in_irregular_cycles_does_not_overshoot(intervals_ms):
+def test_a_setpoint_in_irregular_cycles_does_not_overshoot(intervals_ms):
     params, a, rng = zeros(Params), zeros(AdaptiveState)[0], np.random.default_rng(0)
     for name, spec in PARAMS.items():
         params[name] = spec.default

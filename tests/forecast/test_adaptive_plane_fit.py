@@ -209,7 +209,7 @@ def test_a_wrong_beam_of_three_tilts_the_demand_no_farther_than_max_tilt_rad(max
     assert math.acos(f.state()["normal"][2]) > 0.6, "the ground that the beams see is reported as it is"
 
 
-def test_the_attitude_set_point_keeps_its_limits():
+def test_the_attitude_setpoint_keeps_its_limits():
     params, a = zeros(Params)[0], zeros(AdaptiveState)[0]
     params["max_turn_speed_radps"], params["max_turn_accel_radps2"] = 0.5, 5.0
     params["permitted_turn_rad"] = 1e-3

@@ -123,7 +123,7 @@ def test_frozen_adaptation_keeps_weights_and_noise():
     assert (a["weights"]["recent_m2"] == before[2]).all()
 
 
-def test_a_set_point_keeps_its_limits_and_arrives_without_overshoot():
+def test_a_setpoint_keeps_its_limits_and_arrives_without_overshoot():
     params = default_params()
     params["max_speed_mps"], params["max_accel_mps2"], params["max_jerk_mps3"] = 0.5, 20.0, 1e9
     for expected, most in ((0.05, 0.5), (-0.05, 0.25)):

@@ -54,7 +54,7 @@ def test_one_stamp_ahead_is_dropped():
     assert set(fed(range(2004, 2400), stamps)) == {0}
 
 
-def test_stamps_go_on_while_no_time_is_told():
+def test_stamps_go_on_while_no_time_is_given():
     """GIVEN poses that stop WHEN readings go on as before THEN their stamps are taken as they are."""
     stamps = Sensor()
     fed(range(2000), stamps)

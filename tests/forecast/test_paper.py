@@ -170,7 +170,7 @@ def test_paper_mode_uses_the_latest_pose_and_interpolation_that_of_the_samples_t
         assert o["target_m"][0] == expected
 
 
-def test_reset_leaves_a_follower_that_cannot_be_told_from_one_that_just_began():
+def test_reset_leaves_a_follower_that_cannot_be_distinguished_from_one_that_just_began():
     rng = np.random.default_rng(5)
     used, fresh = paper(range_size=2, ee_readings=4), paper(range_size=2, ee_readings=4)
     ramp(used, slope=0.15, speed=0.4, cycles=900)

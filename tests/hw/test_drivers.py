@@ -120,7 +120,7 @@ def test_every_driver_pushes_nothing_after_stop_and_may_be_started_again(driver:
         assert isinstance(driver.faults(), list)
 
 
-def test_every_driver_goes_on_and_counts_when_nobody_drains(driver: Driver) -> None:
+def test_every_driver_goes_on_and_counts_when_the_queue_is_not_drained(driver: Driver) -> None:
     queue = ConversionQueue(4)
     driver.start(queue)
     if not isinstance(driver, SilentDriver):
@@ -287,14 +287,14 @@ def test_a_schedule_that_cannot_be_is_refused(wrong: dict) -> None:
         ({"led": {"latency_s": 3}}, ["latency_s", "3", "0.0 to 0.4 s"]),
     ],
 )
-def test_a_wrong_set_up_is_told_with_what_would_be_right(wrong: dict, says: list) -> None:
+def test_a_wrong_set_up_is_reported_with_what_would_be_right(wrong: dict, says: list) -> None:
     with pytest.raises(ConfigError) as error:
         make_driver(wrong, NAME)
     for part in says:
         assert part in str(error.value)
 
 
-def test_a_file_that_is_no_recording_is_told_without_what_numpy_says(tmp_path: Path) -> None:
+def test_a_file_that_is_no_recording_is_reported_without_the_text_of_numpy(tmp_path: Path) -> None:
     made = {"text.npz": b"hello", "empty.npz": b"", "zip.npz": b"PK\x03\x04" + bytes(40)}
     for name, content in made.items():
         (tmp_path / name).write_bytes(content)

@@ -116,7 +116,7 @@ def test_a_world_block_comes_before_reports_and_reports_come_back_when_its_write
     until(reported, "a range from reports")
 
 
-def test_a_silent_writer_keeps_the_block_for_a_stopped_robot_is_no_reason_to_believe_reports(
+def test_a_silent_writer_keeps_the_block_for_a_stopped_robot_is_no_reason_to_use_reports(
     running: Callable[[str], Running], name: str
 ) -> None:
     r = running("auto")

@@ -217,7 +217,7 @@ def test_iio_scans_become_distances_by_scale_offset_type_and_the_device_s_time(a
     assert (folder / "buffer/enable").read_text() == "0"
 
 
-def test_an_iio_device_that_vanishes_is_told_and_found_again(adc: FakeIio) -> None:
+def test_an_iio_device_that_vanishes_is_reported_and_found_again(adc: FakeIio) -> None:
     driver, queue = iio(adc), ConversionQueue()
     driver.start(queue)
     try:
@@ -242,7 +242,7 @@ def test_an_iio_set_up_that_cannot_be_is_refused(adc: FakeIio) -> None:
         iio(adc)
 
 
-def test_can_messages_are_stamped_before_their_receive_time_and_others_are_not_heard() -> None:
+def test_can_messages_are_stamped_before_their_receive_time_and_others_are_ignored() -> None:
     library = pytest.importorskip("can")
     name = unique_name()
     # distances in tenths of millimetres, two sensors
@@ -277,7 +277,7 @@ def test_can_messages_are_stamped_before_their_receive_time_and_others_are_not_h
         driver.stop()
 
 
-def test_a_can_bus_that_fails_is_told_and_joined_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_can_bus_that_fails_is_reported_and_joined_again(monkeypatch: pytest.MonkeyPatch) -> None:
     library = pytest.importorskip("can")
     name = unique_name()
     settings = {"kind": "can", "interface": "virtual", "bus": name, **WINDOW}
@@ -377,7 +377,7 @@ def test_a_udp_sensor_without_a_sender_is_refused(sender: str) -> None:
         made({"kind": "udp", "port": 0, "sender": sender, "format": LINE_FORMAT, **WINDOW})
 
 
-def test_a_udp_port_in_use_is_told_until_it_is_free() -> None:
+def test_a_udp_port_in_use_is_reported_until_it_is_free() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
         port = other.getsockname()[1]

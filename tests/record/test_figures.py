@@ -144,7 +144,7 @@ def test_converted_files_are_what_their_names_say_and_in_order(recording: Path, 
 
 
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
-def test_a_figure_that_finds_no_room_is_told(
+def test_a_figure_that_finds_no_room_is_reported(
     suffix: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def full(*_: object) -> None:

@@ -94,7 +94,7 @@ def test_an_input_that_was_not_logged_shows_in_the_next_snapshot(make_recording:
     assert report.first_state_difference == 1000
 
 
-def test_a_missing_message_is_told(make_recording: Callable[..., Path]) -> None:
+def test_a_missing_message_is_reported(make_recording: Callable[..., Path]) -> None:
     path = make_recording()
     with RecordingReader(path) as reader:
         batches = list(reader.batches())

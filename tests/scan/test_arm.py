@@ -127,7 +127,7 @@ def test_an_impossible_arm_is_refused(change, message):
         Arm(**change)
 
 
-def test_polar_fit_recovers_the_arms_errors_and_brings_the_tip_to_the_wanted_place():
+def test_polar_fit_recovers_the_arms_errors_and_brings_the_tip_to_the_desired_place():
     rng, base = np.random.default_rng(2), np.array([0.3, -0.2])
     desired = base + rng.uniform([1.0, -1.0], [2.5, 1.0], (40, 2))
     truth = PolarCorrection((0.3, -0.2), 1.02, -0.015, 0.02)

@@ -210,7 +210,7 @@ def test_a_matrix_of_too_many_nodes_is_refused(side_m, grid_m):
         "ply\nformat\nelement vertex 3\nproperty float\nend_header\n",
     ],
 )
-def test_a_damaged_header_of_a_cloud_is_told(head, tmp_path):
+def test_a_damaged_header_of_a_cloud_is_reported(head, tmp_path):
     cloud = tmp_path / "a.ply"
     cloud.write_text(head)
     with pytest.raises(ScanFileError, match="is damaged"):

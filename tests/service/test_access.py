@@ -212,7 +212,7 @@ def test_two_clients_take_turns(service: Service) -> None:
         assert holder(first) == (ACCESS_FREE, -1)
 
 
-def test_a_holder_that_outlives_its_lease_is_fenced_off_and_told(keeper: Service) -> None:
+def test_a_holder_that_outlives_its_lease_is_fenced_off_and_informed(keeper: Service) -> None:
     with keeper.attach() as slow, keeper.attach() as other:
         access = slow.exclusive().__enter__()
         until(lambda: not access.granted(), "the end of the lease")
@@ -235,7 +235,7 @@ def test_a_stopped_holder_does_not_take_the_map_again_and_again(keeper: Service)
 
 
 @pytest.mark.parametrize("step", [0, 1, 2, 3])
-def test_a_client_killed_in_any_of_the_four_steps_holds_nobody_up(service: Service, step: int) -> None:
+def test_a_client_killed_in_any_of_the_four_steps_delays_no_client(service: Service, step: int) -> None:
     with service.attach() as other, program(STEPS, service.name, str(step)) as victim:
         if step == 1:
             with other.exclusive():

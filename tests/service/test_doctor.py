@@ -59,7 +59,7 @@ def test_the_preemption_model_is_read_from_the_kernel(tmp_path, version, extra, 
     assert bool(got.remedy) == (state != "good")
 
 
-def test_governors_isolation_throttling_clock_and_hypervisor_are_told_apart(tmp_path):
+def test_governors_isolation_throttling_clock_and_hypervisor_are_distinguished(tmp_path):
     cpu = "sys__devices__system__cpu__"
     good = tree(
         tmp_path / "good",
@@ -250,7 +250,7 @@ def test_interrupts_on_the_cycles_processor_are_counted(tmp_path, monkeypatch):
         ("always madvise [never]", "good"),
     ],
 )
-def test_huge_pages_are_told_apart(tmp_path, text, state):
+def test_huge_pages_are_distinguished(tmp_path, text, state):
     got = doctor_host.check_huge_pages(tree(tmp_path, sys__kernel__mm__transparent_hugepage__enabled=text))
     assert got.state == state
     assert ("echo madvise" in got.remedy) == (state == "lacking")

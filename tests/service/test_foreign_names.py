@@ -103,7 +103,7 @@ def test_a_client_that_runs_bears_what_takes_the_place_of_its_service(make_servi
 
 
 @needs_root
-def test_an_impostor_after_a_clean_stop_moves_nobody(make_service: Make) -> None:
+def test_an_impostor_after_a_clean_stop_moves_no_client(make_service: Make) -> None:
     s = make_service().start()
     path = Path(f"/dev/shm/{s.name}")
     log = ServiceLog(s.name)
@@ -141,7 +141,7 @@ def test_an_impostor_after_a_clean_stop_moves_nobody(make_service: Make) -> None
 
 
 @needs_root
-def test_the_configured_user_is_trusted_and_nobody_else(
+def test_the_configured_user_is_trusted_and_no_other(
     make_service: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     s = make_service(access='board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"').start()

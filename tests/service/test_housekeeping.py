@@ -91,7 +91,7 @@ def gone_reader() -> Iterator[int]:
 
 
 @pytest.mark.parametrize("stderr", [stopped_terminal, stopped_reader, gone_reader])
-def test_a_log_that_nobody_takes_neither_ends_nor_freezes_the_beat(
+def test_a_log_that_is_not_read_neither_ends_nor_stops_the_heartbeat(
     make_service: Make, stderr: Callable[[], contextlib.AbstractContextManager[int]]
 ) -> None:
     with stderr() as fd:
@@ -288,7 +288,7 @@ def test_the_queue_is_bounded_when_nothing_is_written() -> None:
     assert not messages.write("y"), "what may be dropped leaves the rest its room"
 
 
-def test_a_part_that_fails_is_told_once_and_latched_until_the_end() -> None:
+def test_a_part_that_fails_is_reported_once_and_latched_until_the_end() -> None:
     reported: list[str] = []
     guard = Guard(reported.append)
 
@@ -394,7 +394,7 @@ def test_a_service_asked_to_end_before_it_compiles_compiles_nothing(make_service
     assert objects_of(s.name) <= {f"{s.name}.map"}
 
 
-def test_a_compilation_is_left_when_the_service_is_told_to_end(
+def test_a_compilation_is_left_when_the_service_is_asked_to_end(
     make_service: Callable[..., Service], tmp_path: Path
 ) -> None:
     s = make_service()

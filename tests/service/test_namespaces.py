@@ -63,7 +63,7 @@ def test_clients_without_a_pid_are_listed_named_and_held_apart(make_service: Mak
         (0, "0 1000 1", 0),
     ],
 )
-def test_the_number_of_everybody_who_has_none_is_nobodys_own(
+def test_the_number_of_everybody_who_has_none_is_no_users_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, user: int, mapped: str, own: int
 ) -> None:
     (tmp_path / "overflowuid").write_text("65534\n")

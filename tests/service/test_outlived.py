@@ -57,7 +57,7 @@ def settle(client: Client) -> None:
     until(lambda: (s := client.status())["map"]["applied"] == s["samples"], "an empty queue")
 
 
-def test_client_that_only_posts_poses_is_told_of_the_end_and_goes_on_after_it(mortal: Service) -> None:
+def test_client_that_only_posts_poses_learns_of_the_end_and_goes_on_after_it(mortal: Service) -> None:
     with mortal.attach() as sender:
         sender.ee_pos(POSE)
         mortal.kill()

@@ -102,7 +102,7 @@ def readers_end() -> Iterator[None]:
         _readers.pop().close()
 
 
-def test_lingering_sockets_freeze_neither_beat_nor_clients_nor_end(old: Service) -> None:
+def test_lingering_sockets_freeze_neither_heartbeat_nor_clients_nor_end(old: Service) -> None:
     began = time.monotonic()
     held = attack(old)
     before = heartbeat_ns(old)

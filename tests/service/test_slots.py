@@ -71,7 +71,7 @@ def attacks_on_memory(name: str) -> dict[str, str]:
 
 
 @needs_root
-def test_no_client_can_cut_grow_or_punch_its_slot(open_service: Service) -> None:
+def test_no_client_can_truncate_grow_or_punch_its_slot(open_service: Service) -> None:
     with open_service.attach() as watcher:
         before = watcher.status()
         reported = as_other_user(lambda _: attacks_on_memory(open_service.name))
@@ -83,7 +83,7 @@ def test_no_client_can_cut_grow_or_punch_its_slot(open_service: Service) -> None
         watcher.sf_reset(0.1)
 
 
-def test_what_a_client_that_let_go_has_mapped_is_nobodys(open_service: Service) -> None:
+def test_what_a_client_that_let_go_has_mapped_has_no_owner(open_service: Service) -> None:
     sock, _, memory, slot = raw_slot(open_service.name)
     with open_service.observe() as watcher:
         until(lambda: any(c["slot"] == slot for c in watcher.clients()), "the slot is told of")
@@ -172,7 +172,7 @@ time.sleep(60)
 
 
 @pytest.mark.parametrize("what", ["nothing", "garbage", "half", "the second step first", "twice the first"])
-def test_who_does_not_keep_to_the_exchange_is_let_go_and_holds_nobody_up(
+def test_who_does_not_keep_to_the_exchange_is_let_go_and_delays_no_client(
     open_service: Service, what: str
 ) -> None:
     with open_service.observe() as watcher:
@@ -288,7 +288,7 @@ def test_sealed_memory_keeps_its_size_and_its_pages() -> None:
     os.close(fd)
 
 
-def test_a_full_house_is_an_error_with_a_remedy(open_service: Service) -> None:
+def test_a_service_without_free_slots_is_an_error_with_a_remedy(open_service: Service) -> None:
     held = [open_service.attach() for _ in range(lb.CLIENTS)]
     try:
         with pytest.raises(BusyError, match="end a client"):

@@ -26,7 +26,7 @@ def test_a_raster_with_one_lane_is_refused_and_says_what_would_help() -> None:
 
 
 @pytest.mark.parametrize("kind", ["csv", "npz"])
-def test_a_planned_path_goes_through_its_corners_at_its_speeds_and_stops_where_told(
+def test_a_planned_path_goes_through_its_corners_at_its_speeds_and_stops_where_planned(
     kind: str, tmp_path: Path
 ) -> None:
     corners = {
@@ -54,7 +54,7 @@ def test_a_planned_path_goes_through_its_corners_at_its_speeds_and_stops_where_t
 
 
 @pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 cut short"])
-def test_a_file_that_is_no_npz_is_told_without_advice_to_trust_it(content: bytes, tmp_path: Path) -> None:
+def test_a_file_that_is_no_npz_is_reported_without_advice_to_trust_it(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "path.npz").write_bytes(content)
     with pytest.raises(UsageError, match=r"no NPZ file of numbers; numpy.savez") as error:
         read_path_table(str(tmp_path / "path.npz"))

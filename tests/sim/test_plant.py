@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surffollow.errors import ConfigError
-from surffollow.sim.plant import PlantConfig, axis_step, load_plant, set_point_for
+from surffollow.sim.plant import PlantConfig, axis_step, load_plant, setpoint_for
 
 DT_S = 1e-3
 
@@ -76,10 +76,10 @@ def test_axis_lags_a_slow_ramp_by_its_time_constant() -> None:
     assert 0.01 * 0.999 - axis[0] == pytest.approx(0.01 * plant.tau_s, rel=0.05)
 
 
-def test_set_point_holds_the_report_when_the_demand_is_not_a_number() -> None:
-    assert set_point_for(0.1, 0.02) == pytest.approx(0.12)
-    assert set_point_for(0.1, math.nan) == 0.1
-    assert set_point_for(0.1, math.inf) == 0.1
+def test_setpoint_holds_the_report_when_the_demand_is_not_a_number() -> None:
+    assert setpoint_for(0.1, 0.02) == pytest.approx(0.12)
+    assert setpoint_for(0.1, math.nan) == 0.1
+    assert setpoint_for(0.1, math.inf) == 0.1
 
 
 def test_plant_file_is_read_and_a_wrong_key_or_value_is_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]

@@ -22,7 +22,7 @@ from surffollow.sim.world import WorldReader
 from surffollow.sim.world_surface import WorldConfig
 
 
-def test_robot_starts_above_the_wanted_stand_off_settles_and_only_then_moves() -> None:
+def test_robot_starts_above_the_desired_stand_off_settles_and_only_then_moves() -> None:
     core, controller, _ = robot(seconds=5.0)
     drive(core, controller, 1)
     assert core.standoff_m == pytest.approx(0.1 + APPROACH_M, abs=1e-6)
@@ -67,7 +67,7 @@ def test_demand_is_added_to_the_report_it_refers_to_not_to_the_newest() -> None:
     drive(core, controller, 50)
     old_t, old_pose = service.poses[-8]
     core.command(0.003, old_t)
-    assert core.motion["set_point_m"][0] == pytest.approx(old_pose[2] + 0.003, abs=1e-12)
+    assert core.motion["setpoint_m"][0] == pytest.approx(old_pose[2] + 0.003, abs=1e-12)
 
 
 def test_demand_for_a_pose_that_was_never_sent_makes_the_robot_hold() -> None:
@@ -116,7 +116,7 @@ def test_a_service_that_fails_is_attached_to_again() -> None:
     assert not core.holding
 
 
-def test_a_service_that_started_anew_is_told_the_stand_off_again() -> None:
+def test_a_service_that_started_anew_gets_the_stand_off_again() -> None:
     core, controller, service = robot(seconds=20.0, standoff_m=0.08)
     drive(core, controller, 200)
     assert service.resets == 1

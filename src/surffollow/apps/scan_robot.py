@@ -22,7 +22,7 @@ from surffollow.scan.path import ScanPath
 from surffollow.shm.dtypes import zeros
 from surffollow.sim.commanded_robot import SETTLED_M, SETTLED_TICKS, CommandedRobot
 from surffollow.sim.path_arm import TRACE_COLUMNS, run_arm
-from surffollow.sim.plant import set_point_for
+from surffollow.sim.plant import setpoint_for
 from surffollow.sim.pose_reports import PoseReports
 from surffollow.sim.robot_stop import REST_MPS
 from surffollow.sim.step_clock import STEP_NS
@@ -166,7 +166,7 @@ class ScanRobot(CommandedRobot):
             self.hold()
             return
         self.holding = False
-        followed = set_point_for(float(self._reports.sent[pose_t_ns][2]), demand_m) + self._ahead(self._above)
+        followed = setpoint_for(float(self._reports.sent[pose_t_ns][2]), demand_m) + self._ahead(self._above)
         self._set(self._desired(followed, passed_s))
 
     def go_by_plan(self) -> None:
@@ -230,7 +230,7 @@ class ScanRobot(CommandedRobot):
         return shaped[0], shaped[1]
 
     def _set(self, z_m: float) -> None:
-        self.state["set_point_m"] = z_m
+        self.state["setpoint_m"] = z_m
         if self.started_ns == 0:
             near = abs(float(self.state["axis"][0, 0]) - z_m) < SETTLED_M
             self._settled = self._settled + 1 if near else 0
@@ -258,7 +258,7 @@ class ScanRobot(CommandedRobot):
             here, rate = float(self.state["path_s"][0]), float(self.state["rate"][0])
             ahead = np.linspace(here, here + 0.5 * rate * rate * self.stopping_s, 20)
             planned = np.interp(ahead, self._t, self._z)
-            self.state["set_point_m"] = self._reports.newest[2] + max(0.0, float(planned.max() - planned[0]))
+            self.state["setpoint_m"] = self._reports.newest[2] + max(0.0, float(planned.max() - planned[0]))
         self._settled = 0
         self._asked.clear()
         self.state["rate_wanted"] = 0.0
@@ -278,13 +278,13 @@ class ScanRobot(CommandedRobot):
         self.hold()
         self.leaving = True
         self.state["rate_wanted"] = 0.0
-        self.state["set_point_m"] = float(self.state["set_point_m"][0]) + self.config.retract_m
+        self.state["setpoint_m"] = float(self.state["setpoint_m"][0]) + self.config.retract_m
 
     @property
     def away(self) -> bool:
         """Retracted and at rest."""
         s = self.state[0]
-        left = abs(float(s["axis"][0]) - float(s["set_point_m"]))
+        left = abs(float(s["axis"][0]) - float(s["setpoint_m"]))
         resting = abs(float(s["axis"][1])) < REST_MPS and float(s["rate"]) <= 0.0
         return self.leaving and left < 1e-3 and resting
 

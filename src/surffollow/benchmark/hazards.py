@@ -30,7 +30,7 @@ from surffollow.benchmark.hazard_scenarios import (
     TICK_MS,
     Scenario,
 )
-from surffollow.sim.plant import PlantConfig, axis_step, set_point_for
+from surffollow.sim.plant import PlantConfig, axis_step, setpoint_for
 
 P_GAIN, P_TIMEOUT_MS = 0.7, 130
 PLANT = PlantConfig()
@@ -148,7 +148,7 @@ def play(follower: Any, s: Scenario) -> Outcome:
             follower.step((1000 + at) * 1_000_000, r)
         if ms % TICK_MS == 0:
             demand = follower.step((1000 + ms) * 1_000_000, np.full(n, math.nan))
-            target = set_point_for(report, float(demand[2]))
+            target = setpoint_for(report, float(demand[2]))
             tilt_target = tilt_report + np.array([float(demand[3]), float(demand[4])])
         axis_step(axis, target, PLANT.tau_s, PLANT.v_max_mps, PLANT.a_max_mps2, 1e-3)
         tilt += (tilt_target - tilt) * (1e-3 / PLANT.tau_s)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.shm.jit import jit
-from surffollow.sim.plant import axis_step, set_point_for
+from surffollow.sim.plant import axis_step, setpoint_for
 from surffollow.sim.profiles import profile_height
 
 MS_NS = 1_000_000
@@ -32,7 +32,7 @@ RUN = np.dtype(
         (name, np.float64)
         for name in ("speed_mps", "start_m", "lead_m", "profile_x0_m", "profile_dx_m")
         + ("tau_s", "v_max_mps", "a_max_mps2", "near_m", "far_m", "quantum_m", "standoff_m")
-        + ("set_point_m", "demand_m")
+        + ("setpoint_m", "demand_m")
     ]
     + [("axis", np.float64, (2,))]
 )
@@ -53,7 +53,7 @@ It is true `early_ms` (below 1) before `ms`, so a sensor may be faster than the 
 `timestamp_ms` is the timestamp that a method gets.
 """
 
-ORDER = np.dtype([("set_point", np.float64), ("demand", np.float64)])
+ORDER = np.dtype([("setpoint", np.float64), ("demand", np.float64)])
 """What the controller did at a tick: demand as given and the set point made of it [m]."""
 
 
@@ -131,7 +131,7 @@ def _apply_demand(s: Any, reports: NDArray[Any], orders: NDArray[Any]) -> None:
         s.bad_demands += 1
     report = s.poses_made if s.newest else s.poses
     if report > 0:
-        s.setpoint_m = set_point_for(reports[report - 1].z, s.demand_m)
+        s.setpoint_m = setpoint_for(reports[report - 1].z, s.demand_m)
     orders[s.ticks].setpoint = s.setpoint_m
     orders[s.ticks].demand = s.demand_m
     s.ticks += 1

@@ -92,7 +92,7 @@ def run_method(method: str, scene: Scene, params: tuple[float, ...] = ()) -> tup
 
 def score_run(scene: Scene, s: Any, w: World) -> Score:
     """Score a finished run."""
-    orders = w.orders["set_point"][: int(s["ticks"])]
+    orders = w.orders["setpoint"][: int(s["ticks"])]
     tick_ms, bad = int(s["tick_ms"]), int(s["bad_demands"])
     return score(
         w.z,

@@ -122,7 +122,7 @@ def make_scene(
         "far_m": c.sensor.far_m,
         "quantum_m": (c.sensor.far_m - c.sensor.near_m) / 2**c.sensor.bits,
         "standoff_m": c.standoff_m,
-        "set_point_m": start_z,
+        "setpoint_m": start_z,
     }
     for name, value in fields.items():
         run[name] = value

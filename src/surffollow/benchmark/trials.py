@@ -91,7 +91,7 @@ def excursion(job: Job) -> dict[str, float]:
         s, w = run_method(job.method, scene)
         tick_ms = int(s["tick_ms"])
         first_tick = -(-scene.first_ms // tick_ms)
-        points.append((w.orders["set_point"][: int(s["ticks"])] - STANDOFF_M, w.readings))
+        points.append((w.orders["setpoint"][: int(s["ticks"])] - STANDOFF_M, w.readings))
     away = np.abs(points[1][0] - points[0][0])
     off = np.abs(points[1][1]["range"] - points[0][1]["range"]) > OUTLIER_M
     ticks = -(-points[1][1]["arrival_ms"][off] // tick_ms)
@@ -112,7 +112,7 @@ def step_delay(job: Job) -> dict[str, float]:
     """
     scene = scene_of(Cell("step", job.speed_mps, _without_glitches(job.conditions)), job.seed)
     s, w = run_method(job.method, scene)
-    points, tick_ms = w.orders["set_point"][: int(s["ticks"])], int(s["tick_ms"])
+    points, tick_ms = w.orders["setpoint"][: int(s["ticks"])], int(s["tick_ms"])
     p = scene.profile
     jumps = np.flatnonzero(np.abs(np.diff(p.heights_m)) > 1e-3)
     period_ms = 1e3 / job.conditions.sensor.rate_hz

@@ -163,7 +163,7 @@ def axis_step(
 
 
 @jit
-def set_point_for(report_m: float, demand_m: float) -> float:
+def setpoint_for(report_m: float, demand_m: float) -> float:
     """Set point from a demand and the report it refers to; a demand that is not finite holds the report.
 
     Parameters

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from surffollow.shm.dtypes import zeros
 from surffollow.sim.commanded_robot import SETTLED_M, SETTLED_TICKS, CommandedRobot
-from surffollow.sim.plant import set_point_for
+from surffollow.sim.plant import setpoint_for
 from surffollow.sim.pose_reports import PoseReports
 from surffollow.sim.robot_config import APPROACH_M, RobotConfig, make_path
 from surffollow.sim.robot_motion import CREEP_MPS, TRACE_COLUMNS, Motion, run_until
@@ -50,7 +50,7 @@ class RobotCore(CommandedRobot):
         m["t_ns"] = m["start_ns"] = start_ns
         m["x_m"], m["y_m"] = x, y
         above_m = field.height_m(x, y) + config.standoff_m + APPROACH_M
-        m["axis"][0, 0] = m["set_point_m"] = self.path.points[0, 3] if self.path.has_heights else above_m
+        m["axis"][0, 0] = m["setpoint_m"] = self.path.points[0, 3] if self.path.has_heights else above_m
         m["tau_s"], m["v_max_mps"] = config.plant.tau_s, config.plant.v_max_mps
         m["a_max_mps2"], m["accel_mps2"] = config.plant.a_max_mps2, config.accel_mps2
         m["spacing_m"], m["standoff_m"] = self.path.spacing_m, config.standoff_m
@@ -68,7 +68,7 @@ class RobotCore(CommandedRobot):
         self._rolling = field.rolling_mask().astype(np.uint8)
         self.world = zeros(WorldPose)
         self._rng = np.random.default_rng(config.seed)
-        first = np.array([x, y, m["set_point_m"][0], 0.0, 0.0, 0.0, 1.0])
+        first = np.array([x, y, m["setpoint_m"][0], 0.0, 0.0, 0.0, 1.0])
         self._reports = PoseReports(config.report_latency_s, first)
         self.holding = True
         self._settled = 0
@@ -154,7 +154,7 @@ class RobotCore(CommandedRobot):
             return
         self.holding = False
         report = self._reports.sent[pose_t_ns]
-        self.motion["set_point_m"] = set_point_for(float(report[2]), demand_m)
+        self.motion["setpoint_m"] = setpoint_for(float(report[2]), demand_m)
         settled = abs(demand_m) < SETTLED_M
         if self.config.turn:
             turned(report[3:], x, y, z, self.motion["attitude_set"][0])
@@ -190,7 +190,7 @@ class RobotCore(CommandedRobot):
         self._received_ns = self.t_ns
         if not self.holding:
             self.holding = True
-            self.motion["set_point_m"] = self._reports.newest[2] + self.config.retract_m
+            self.motion["setpoint_m"] = self._reports.newest[2] + self.config.retract_m
             self.motion["attitude_set"] = self._reports.newest[3:]
         self._settled = 0
         self.motion["moving"] = 0
