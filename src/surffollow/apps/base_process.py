@@ -44,7 +44,7 @@ def run_base(
     name : str           of the arbiter and the blocks
     seconds : float      of motion
     log : str            CSV file: time, true pose, gap, number of the client whose command was obeyed
-    say : callable       gets a line for people when the base has to wait for its first command
+    say : callable       gets a line of text when the base has to wait for its first command
 
     Returns
     -------

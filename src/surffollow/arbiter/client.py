@@ -35,7 +35,7 @@ class ArbiterClient(ArbiterObserver):
     number : int
         as in the history
     owner : int
-        user of the server's process, as the kernel told it
+        user of the server's process, from the kernel
     """
 
     def __init__(self, name: str, client: str, grant: MailboxGrant) -> None:

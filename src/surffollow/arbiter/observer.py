@@ -20,7 +20,7 @@ READY_POLL_S = 0.005
 
 
 class ArbiterObserver:
-    """Reading access to an arbiter; it follows no restart: observe anew (`alive` tells)."""
+    """Reading access to an arbiter; it follows no restart: observe anew (see `alive`)."""
 
     def __init__(self, name: str, board: BoardReader) -> None:
         self.name, self.board = name, board

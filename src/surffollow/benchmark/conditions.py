@@ -69,7 +69,7 @@ class Conditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     lead_m : how far the sensor looks ahead of the tool [m]; results of different leads do not compare
     reference : what the controller adds a demand to: the newest report the follower had ("report"),
         or the newest report there is ("newest", which costs every method)
-    nominal_tau_s : what a follower is told about the plant [s]
+    nominal_tau_s : time constant that the follower is configured with [s]
     standoff_m : wanted distance between tool and ground [m]
     unscored_m : so much of the path does not count at first [m]
     """
@@ -97,7 +97,7 @@ PAPER_PROFILE = Conditions(pose=PoseConfig(rate_hz=32.0))
 def load_conditions(path: str | Path) -> Conditions:
     """Read plant, [pose] and [sensor] from a TOML file; what it leaves out keeps its default.
 
-    A follower is told the τ of the file: to judge a wrong belief use the plant sweep.
+    The follower is configured with the τ of the file; the plant sweep covers a wrong one.
 
     Raises
     ------

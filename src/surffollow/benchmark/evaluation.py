@@ -50,7 +50,7 @@ class Request:
 
 @dataclass
 class Outcome:
-    """What came out: an object for JSON, a text for people, and whether every bar asked for was met."""
+    """What came out: an object for JSON, a text, and whether every bar asked for was met."""
 
     json: dict[str, Any]
     text: str

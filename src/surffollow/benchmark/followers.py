@@ -25,7 +25,7 @@ Factory = Callable[[Conditions], FollowerLike]
 
 
 def follower_config(conditions: Conditions) -> dict[str, Any]:
-    """Return what `surffollow.Follower` is told: sensor mount and window, plant as believed; no more.
+    """Return the configuration of `surffollow.Follower`: sensor mount and window, nominal plant; no more.
 
     Everything else keeps its default: one configuration for every surface, speed and noise.
     """

@@ -182,7 +182,7 @@ def advance(s: Any, w: World) -> int:
 def advance_to_tick(run: NDArray[Any], w: World) -> int:
     """Run to the next `TICK` or to the `END`, past arrivals: `poses` and `samples` say what came meanwhile.
 
-    What a follower is told between ticks changes nothing before the next tick, so it can be told then.
+    Input of a follower between controller periods has no effect before the next one, so it is given then.
     `run` is (1,) of `RUN`.
     """
     while True:

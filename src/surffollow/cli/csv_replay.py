@@ -91,7 +91,7 @@ def replay_csv_command(
 
 
 def csv_text(summary: dict[str, Any]) -> str:
-    """The summary of a CSV replay for people."""
+    """The summary of a CSV replay as text."""
 
     def figure(value: float | None) -> str:
         return "-" if value is None else f"{value:.4f}"

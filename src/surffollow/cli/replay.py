@@ -141,7 +141,7 @@ def _replay_recording(file: str, as_json: bool) -> None:
 
 
 def report_text(file: str, report: object) -> str:
-    """A `ReplayReport` for people."""
+    """A `ReplayReport` as text."""
     from surffollow.record.replay import ReplayReport
 
     assert isinstance(report, ReplayReport)

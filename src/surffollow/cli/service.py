@@ -118,7 +118,7 @@ def running_pid(name: str) -> int:
             f"{name!r} is a block of a program (pid {pid}), no service; end that program by its own means "
             "(surffollow blocks ls)"
         )
-    # another user's lock cannot be looked at, and a lock may have been removed by hand: the board tells
+    # another user's lock cannot be looked at, and a lock may have been removed manually: the board decides
     return pid if pid > 0 else board_owner(name)
 
 

@@ -42,7 +42,7 @@ def status_command(name: str, as_json: bool, audit: bool) -> None:
 
 
 def audit_lines(status: dict[str, Any]) -> list[str]:
-    """The audit trail for people, with local times."""
+    """The audit trail as text, with local times."""
     from datetime import datetime, timedelta
 
     from surffollow.client.audit import audit_line
@@ -57,14 +57,14 @@ def audit_lines(status: dict[str, Any]) -> list[str]:
 
 
 def durations(summary: dict[str, float]) -> str:
-    """p50, p99 and maximum of a histogram, for people."""
+    """p50, p99 and maximum of a histogram, as text."""
     from surffollow.units import format_ns
 
     return ", ".join(f"{k} {format_ns(summary[k + '_ns'])}" for k in ("p50", "p99", "max"))
 
 
 def follower_lines(f: dict[str, Any]) -> list[str]:
-    """Estimates of the follower, for people."""
+    """Estimates of the follower, as text."""
     if "health" not in f:
         return [f"follower {f['mode']}"]
 
@@ -82,7 +82,7 @@ def follower_lines(f: dict[str, Any]) -> list[str]:
 
 
 def render(s: dict[str, Any]) -> str:
-    """The status as a few lines for people."""
+    """The status as a few lines of text."""
     from surffollow.shm.bit_names import GRANT_NAMES
     from surffollow.units import format_ns
 

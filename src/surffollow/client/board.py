@@ -83,7 +83,7 @@ class LatchReader:
 
 
 class _Wait:
-    """Waits for a service that starts, as long as it says that it compiles; tells how far it is."""
+    """Waits for a service that starts, as long as it says that it compiles; reports its progress."""
 
     def __init__(self, name: str, ready_timeout_s: float) -> None:
         self._name, self._patience_s = name, ready_timeout_s

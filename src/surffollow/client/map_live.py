@@ -96,7 +96,7 @@ class MapReading:
             self._map = None
 
     def _look(self, x_m: float, y_m: float, look: Any, nothing: Any) -> Any:
-        """`look` at the grids about a point, by the three steps; `nothing` when it cannot be told."""
+        """`look` at the grids about a point, by the three steps; `nothing` when it is unknown."""
         m = self._mapped()
         words, at = m.words, _GENERATION // 8
         for _ in range(TRIES):

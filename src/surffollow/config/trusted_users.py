@@ -19,8 +19,8 @@ def own_user() -> int:
     """The user whose objects are this process's own.
 
     In a user namespace that does not map all users, the others all have the overflow user's number, and so
-    has this process when it is not mapped itself: then its own objects cannot be told from a stranger's, and
-    no number is its own (`UNMAPPED_USER`).
+    has this process when it is not mapped itself. Then its own objects cannot be distinguished from a
+    stranger's, and no number is its own (`UNMAPPED_USER`).
     """
     user = os.geteuid()
     try:

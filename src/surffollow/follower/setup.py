@@ -1,4 +1,4 @@
-"""What a follower in process may be told: a dictionary or a TOML file, read and checked."""
+"""Configuration of a follower in process: a dictionary or a TOML file, read and checked."""
 
 from __future__ import annotations
 

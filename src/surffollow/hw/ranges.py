@@ -27,7 +27,7 @@ def metre_info(
 
     Parameters
     ----------
-    name : for people
+    name : for messages
     range_min_m, range_max_m : the sensors' window [m]
     n_channels : 1 to 8
     latency_ns : mean age of a distance at the time that it is stamped with [ns]

@@ -158,7 +158,7 @@ def _checked(factory: Any, kind: str) -> Factory:
         try:
             driver = factory(settings, name)
         except (msgspec.ValidationError, SurffollowError, KeyboardInterrupt):
-            raise  # told with the kind by `make_driver`, or told well already
+            raise  # `make_driver` adds the kind, or the text is complete already
         except BaseException as error:  # another package's: whatever it raises ends the start in one line
             raise ConfigError(
                 f"driver kind '{kind}' could not be made: {type(error).__name__}: {error}; mend its factory "

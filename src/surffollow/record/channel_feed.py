@@ -172,7 +172,7 @@ class ChannelFeed:
             self._pace.spent(now, self.channels.map_points(time.monotonic_ns(), points, counts))
 
     def change_file(self, writer: RecordingWriter) -> None:
-        """Go on in another file, which tells parameters, mounts and map anew."""
+        """Go on in another file, which repeats parameters, mounts and map."""
         self.channels = StandardChannels(writer, self.sampler.params)
         self.channels.announce(time.monotonic_ns(), "continued from the file before")
         self._changes, self._pace = None, MapPace()

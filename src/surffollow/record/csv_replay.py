@@ -132,7 +132,7 @@ ADAPTIVE_IGNORES = ("ee_readings", "interval_size_m", "range_size", "pose_interp
 
 
 def follow_notes(columns: Columns, mode: str) -> list[str]:
-    """What the column file sets in [follow] and the replay in this mode does not heed, for people."""
+    """What the column file sets in [follow] and the replay in this mode ignores, as text."""
     names = {key: param_name(key) for key in columns.follow if key not in ("sensors",)}
     paper = mode == "paper"
     idle = [k for k, n in names.items() if (n not in PAPER_SETTINGS if paper else n in ADAPTIVE_IGNORES)]

@@ -61,7 +61,7 @@ def play_live(
     path : recording
     name : of the service; default one of its own
     stop : set it to end early
-    progress : told a line a second
+    progress : called with one line per second
 
     Raises
     ------
@@ -83,7 +83,7 @@ def play_live(
                 shift_ns = begin + LEAD_NS - playback.first_ns
                 _play(playback, client, shift_ns, report, stop, child, progress)
                 status = client.status()
-    # the mark that tells the beginning is not of the recording
+    # the mark of the beginning is not part of the recording
     report.conversions, report.cycles = max(0, status["conversions"] - 1), status["cycles"]
     report.conversions_skipped = status["conversions_skipped"]
     return report

@@ -1,4 +1,4 @@
-"""Run a recorder until told to stop: poll, go over to restarted services, rotate files, tell the progress."""
+"""Run a recorder until asked to stop: poll, follow restarted services, rotate files, report the progress."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ def _run(
 
 
 def progress_line(recorder: Recorder, log: ServiceLog, elapsed_s: float) -> str:
-    """One line for people."""
+    """One line of text."""
     c = recorder.counts
     state = "" if log.alive() else f"; waiting for service {log.name!r}"
     return (

@@ -31,7 +31,7 @@ def _distances(z: Array, origin: tuple[float, float], g: float, flat: Array, gap
     distance = np.empty(len(flat))
     for k in range(0, len(flat), _CHUNK):
         distance[k : k + _CHUNK] = tree.query(flat[k : k + _CHUNK])[0]
-    # below the surface is nearer than the distance tells
+    # a point below the surface is nearer than the distance
     j = np.clip(((flat[:, 0] - origin[0]) / g).astype(np.int64), 0, z.shape[1] - 1)
     i = np.clip(((flat[:, 1] - origin[1]) / g).astype(np.int64), 0, z.shape[0] - 1)
     with np.errstate(invalid="ignore"):

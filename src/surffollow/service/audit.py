@@ -1,7 +1,7 @@
 """The audit trail: who asked for which change and what came of it, on the board and in the service's log.
 
 The cycle queues an entry per change (`service.changes`); the main thread looks up who it was, publishes the
-entries in the board's ring and tells them as lines. What one user's clients can fill of both is bounded:
+entries in the board's ring and prints them as lines. What one user's clients can fill of both is bounded:
 beyond a budget, entries are gathered by user and kind, and the kind is nothing that a client can choose at
 will. What changed a parameter, the stand-off or the stop is appended anew before other entries displace it.
 """

@@ -1,4 +1,4 @@
-"""Housekeeping that may fail and does not end the service: faults are latched and told, work is repeated."""
+"""Housekeeping that may fail without ending the service: faults are latched, work is repeated."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def finish_job(mem: Any, result: Any) -> None:
 
 @jit
 def refusal(begun: Any) -> Any:
-    """What a client is told when the map says this to the start of an operation; `OK`: it goes on."""
+    """Answer to a client for the map's result at the start of an operation; `OK`: it goes on."""
     if begun == ml.OK:
         return OK
     if begun == ml.BAD_REGION:

@@ -72,7 +72,7 @@ def _acknowledge(mem: Any, taken: Any) -> None:
 
 @jit
 def _is_early(mem: Any) -> Any:
-    """Whether the first piece lies there uncalled for: nothing tells whether its client still lives."""
+    """Whether the first piece lies there uncalled for: it is unknown whether its client still runs."""
     i, job = at.load_acquire_i64, mem.job
     if holder_is_gone(mem.ctx, job[JOB_SLOT], job[JOB_CLAIM]):
         return False

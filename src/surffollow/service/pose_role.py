@@ -22,7 +22,7 @@ from surffollow.shm.layout_follow import STOP_POSE_LOST
 
 @jit
 def holder_is_gone(ctx: Any, slot: Any, claim: Any) -> Any:
-    """Whether who held something through this slot died or let go of it, as the kernel tells."""
+    """Whether who held something through this slot died or let go of it, from the kernel."""
     return claim_of(ctx, slot) != claim
 
 

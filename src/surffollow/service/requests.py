@@ -85,7 +85,7 @@ def do_set_params(mem: Any, t_ns: Any) -> Any:
 
 @jit
 def may_change(ctx: Any, slot: Any, claim: Any, policy: Any) -> Any:
-    """Whether this client may change what `policy` tells of (access.parameters, access.map)."""
+    """Whether this client may change what `policy` governs (access.parameters, access.map)."""
     if policy == m.BY_ANY:
         return True
     base = ctx.ctypes.data

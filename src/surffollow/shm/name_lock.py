@@ -147,7 +147,7 @@ def lock_owner(name: str) -> int:
 def holder(name: str) -> int:
     """The pid of the live process that owns a name; 0: nobody does, -1: this user may not know.
 
-    Anybody may make the file before its owner does, and write any pid into it: one that is told runs as the
+    Anybody may make the file before its owner does, and write any pid into it: a pid from it runs as the
     file's own user.
     """
     try:

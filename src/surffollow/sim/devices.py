@@ -15,7 +15,7 @@ class PanCamera:
     Attributes
     ----------
     pan_rad : float   where it looks, 0: ahead, left positive
-    moving : bool     it is not where it was told to look
+    moving : bool     it has not reached its target angles
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""A compliant arm that runs a timed path in steps of 1 ms: planar motion by the path, height as it is told.
+"""A compliant arm that runs a timed path in steps of 1 ms: planar motion by the path, height as commanded.
 
 The *stiff* tip is what the drives reach and the joints report. The *real* tip, on which the simulated
 sensor rides, adds what the arm's model does not know, bending modes and sway (`flexible_tip`).

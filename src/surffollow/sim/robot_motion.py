@@ -1,4 +1,4 @@
-"""The simulated robot's motion in steps of 1 ms: along its path by itself, up, down and round as it is told.
+"""The simulated robot's motion in steps of 1 ms: along its path, vertically and in rotation as commanded.
 
 Each step publishes the true pose for the simulated sensors, and adds the true stand-off to the score.
 """

@@ -40,7 +40,7 @@ class Reading:
     expected_known : float
         walls that should be known afterwards
     separates : bool
-        it tells competing hypotheses apart
+        it distinguishes competing hypotheses
     """
 
     turn_rad: float

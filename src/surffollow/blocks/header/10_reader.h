@@ -1,7 +1,7 @@
 
 #ifndef SURFFOLLOW_BLOCKS_READER
 #define SURFFOLLOW_BLOCKS_READER
-/* A block mapped read-only. After a restart of its writer `given_up` tells to open it again. */
+/* A block mapped read-only. After a restart of its writer `given_up` asks to open it again. */
 typedef struct sfb_block {
   unsigned char *memory;
   size_t size, payload_bytes;

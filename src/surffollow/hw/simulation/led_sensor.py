@@ -1,6 +1,6 @@
 """The range sensor of the simulation: a Spectronics 204-4, LED triangulation (paper §2.1).
 
-It sees 2 to 6 in, unless told otherwise; 0 V is the nearest and 10 V the farthest distance. Nearer than
+It sees 2 to 6 in by default; 0 V is the nearest and 10 V the farthest distance. Nearer than
 that the voltage folds back: a closer target reads like a farther one. Out of view it gives a rail voltage.
 Its output is refreshed at 250 Hz with what was measured a while before. All of it is a function of time,
 pose and seed: there is no state.

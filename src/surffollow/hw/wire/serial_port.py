@@ -34,7 +34,7 @@ class SerialConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     start_command : sent after each opening
     range_min_m, range_max_m : the sensor's window [m]
     latency_s : age of the distance when its frame begins [s]
-    channels : sensors on the line, told apart by the format's channel
+    channels : sensors on the line, distinguished by the format's channel
     mounts : tool from sensor, one per channel
     silence_s : so long without a frame is a fault [s]
     """
