@@ -90,8 +90,8 @@ def warm_recorder() -> None:
     from surffollow.record.channel_feed import ChannelFeed
     from surffollow.record.map_rebuild import rebuild_map
     from surffollow.record.recorder import Recorder
+    from surffollow.record.recording_writer import RecordingWriter
     from surffollow.record.synthetic_log import SyntheticLog
-    from surffollow.record.writer import RecordingWriter
 
     with tempfile.TemporaryDirectory() as folder:
         log, path = SyntheticLog(), Path(folder, "log.mcap")

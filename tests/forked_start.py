@@ -69,13 +69,13 @@ class ForkedProcess(subprocess.Popen[str]):
         self._template = template
         super().__init__(words, stdout=subprocess.PIPE, stderr=stderr, text=True)
 
-    def _execute_child(self, *told: Any) -> None:
-        words, pipes = told[0], told[10:16]
-        ended, told_end = os.pipe()
+    def _execute_child(self, *arguments: Any) -> None:
+        words, pipes = arguments[0], arguments[10:16]
+        ended, end_fd = os.pipe()
         try:
-            self.pid = self._template.fork(words, [0, pipes[3], 2 if pipes[5] < 0 else pipes[5], told_end])
+            self.pid = self._template.fork(words, [0, pipes[3], 2 if pipes[5] < 0 else pipes[5], end_fd])
         finally:
-            os.close(told_end)
+            os.close(end_fd)
             self._close_pipe_fds(*pipes)  # type: ignore[attr-defined]
         self._ended = ended
         self._child_created = True

@@ -211,7 +211,7 @@ class NaiveFollower:
     def smooth(self, sampled):
         """The channels with a new reading: the mean of the last Sensor_Readings samples."""
         p, fresh = self.params, set()
-        wanted = p["sensor_readings"]
+        expected = p["sensor_readings"]
         for c in range(p["n_channels"]):
             if c not in sampled:
                 self.steps_without[c] += 1
@@ -222,17 +222,17 @@ class NaiveFollower:
                 slower = usual > 0 and gap >= usual
                 self.spacing_ns[c] = usual + (gap - usual) // 8 if slower else max(gap, 1)
             self.last_sample_ns[c] = newest
-            last = self.windows[c][-wanted:]
-            if len(last) < wanted:
+            last = self.windows[c][-expected:]
+            if len(last) < expected:
                 continue
-            self.range_m[c] = total(d for _, d in last) / wanted
+            self.range_m[c] = total(d for _, d in last) / expected
             middle = last[0][0] + (newest - last[0][0]) // 2
             self.range_t_ns[c] = middle - p["sensor_latency_ns"]
             self.valid[c] = True
             fresh.add(c)
         return fresh
 
-    def told(self, c, t_ns, fresh):
+    def reported(self, c, t_ns, fresh):
         """The distance of a channel, or None when there is none or the last one came too long ago."""
         came_ns = self.range_t_ns[c] + self.params["sensor_latency_ns"]
         if self.valid[c] and (c in fresh or t_ns - came_ns <= self.params["loss_timeout_ns"]):
@@ -262,7 +262,7 @@ class NaiveFollower:
             out["status"] = (out["status"] - {"VALID"}) | {"FROZEN"}
             out["dz"] = 0.0
         out["cycle"] = self.cycle
-        out["range_m"] = [self.told(c, t_ns, fresh) for c in range(8)]
+        out["range_m"] = [self.reported(c, t_ns, fresh) for c in range(8)]
         out["slope"], out["speed"], out["intervals"] = self.slope, self.speed, self.intervals.opened
         self.cycle += 1
         return out
@@ -309,9 +309,9 @@ class NaiveFollower:
         age = None if self.reading is None else t_ns - self.reading[0]
         if 0 not in fresh and (not self.valid[0] or age is None or age > ABSENT_NS):
             status.add("NO_SENSOR")
-        wanted = delta_h + error
-        cut = max(-p["max_demand_m"], min(p["max_demand_m"], wanted))
-        if cut != wanted:
+        expected = delta_h + error
+        cut = max(-p["max_demand_m"], min(p["max_demand_m"], expected))
+        if cut != expected:
             status.add("LIMITED")
         # the limit holds for what was relayed before, too
         dz = max(-p["max_demand_m"], min(p["max_demand_m"], self.relay(cut, sensor_z)))

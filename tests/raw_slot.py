@@ -41,7 +41,7 @@ def crowd(path: str) -> Callable[[OtherUser], str]:
 
     def work(child: OtherUser) -> str:
         socks: list[socket.socket] = []
-        told = False
+        answered = False
         while True:
             for sock in list(socks):
                 with contextlib.suppress(BlockingIOError):
@@ -53,9 +53,9 @@ def crowd(path: str) -> Callable[[OtherUser], str]:
                 sock.connect(path)
                 sock.setblocking(False)
                 socks.append(sock)
-            if not told:
+            if not answered:
                 child.say("attacks")
-                told = True
+                answered = True
             select.select(socks, [], [])  # until one is closed
 
     return work

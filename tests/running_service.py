@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -23,6 +23,9 @@ from surffollow.errors import BusyError, NotRunningError
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.objects import unlink
 from surffollow.sim.world import WorldPose, WorldWriter
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 READY_S = 1200.0  # a start on a busy machine with a cold kernel cache
 WAIT_S = 60.0  # only there to fail
@@ -124,8 +127,8 @@ def run_command(words: Sequence[str], timeout_s: float = READY_S) -> subprocess.
 
 def _patient(options: dict[str, Any]) -> dict[str, Any]:
     """Options of an attachment; the time of silence is the caller's where he says one."""
-    told = options.keys() & {"stale_periods", "stale_min_s"}
-    return options if told else {"stale_min_s": PATIENT_S, **options}
+    given = options.keys() & {"stale_periods", "stale_min_s"}
+    return options if given else {"stale_min_s": PATIENT_S, **options}
 
 
 class Service:
@@ -241,12 +244,21 @@ class Service:
         for part in OBJECTS:
             unlink(self.name + part)
 
+    @contextlib.contextmanager
+    def running(self) -> Iterator[Self]:
+        """Start it; at the end of this, end it whatever its state and remove all that it left."""
+        try:
+            self.start()
+            yield self
+        finally:
+            self.purge()
+
     def attach(self, **options: Any) -> Client:
-        """A client; unless told otherwise it bears `PATIENT_S` of silence."""
+        """A client; it bears `PATIENT_S` of silence unless an option names another time."""
         return attach(self.name, **_patient(options))
 
     def observe(self, **options: Any) -> Observer:
-        """An observer; unless told otherwise it bears `PATIENT_S` of silence."""
+        """An observer; it bears `PATIENT_S` of silence unless an option names another time."""
         return observe(self.name, **_patient(options))
 
     def cycles(self, n: int) -> None:

@@ -15,7 +15,7 @@ needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can act as 
 
 
 class OtherUser:
-    """A child that runs `work(self)` as another user without groups; `say` and `hear` pass JSON lines."""
+    """A child that runs `work(self)` as another user without groups; `say` and `receive` pass JSON lines."""
 
     def __init__(self, work: Callable[[OtherUser], Any], uid: int = NOBODY) -> None:
         up, down = os.pipe(), os.pipe()
@@ -45,7 +45,7 @@ class OtherUser:
         self._out.write(json.dumps(value) + "\n")
         self._out.flush()
 
-    def hear(self) -> Any:
+    def receive(self) -> Any:
         """The next value that the other side sent; None when it ended."""
         line = self._in.readline()
         return json.loads(line) if line else None
@@ -67,7 +67,7 @@ class OtherUser:
 def as_other_user(work: Callable[[OtherUser], Any], uid: int = NOBODY) -> Any:
     """What `work` gives when another user does it."""
     with OtherUser(work, uid) as child:
-        return child.hear()
+        return child.receive()
 
 
 def outcome(action: Callable[[], Any]) -> str:

@@ -9,16 +9,18 @@ import numpy as np
 from surffollow.config.params import PARAMS
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.hw.driver import ConversionQueue, mounts_of
-from surffollow.hw.fault_injection import FaultConfig, FaultState, fault_table, inject_faults
+from surffollow.hw.fault_injection import FaultState, inject_faults
+from surffollow.hw.fault_schedule import FaultConfig, fault_table
 from surffollow.hw.simulation import adc
-from surffollow.hw.simulation.led_sensor import FAR_M, NEAR_M, physics
+from surffollow.hw.simulation.led_config import FAR_M, NEAR_M, physics
 from surffollow.hw.simulation.pose_history import PoseHistory, add_pose
 from surffollow.hw.simulation.sensor_rig import SimulatedConfig, make_rig, produce
 from surffollow.hw.simulation.simulated import SimulatedDriver
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, VALID, FollowState, Inputs, Output, Params
 from surffollow.sim.mounts import around_tool
-from surffollow.sim.robot import RobotConfig, RobotCore
+from surffollow.sim.robot import RobotCore
+from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.robot_run import Controller
 
 MS = 1_000_000

@@ -57,11 +57,11 @@ def test_a_clock_that_begins_at_zero_follows_as_any_other(mode):
             demands.append(f.step(t, [0.11 + 1e-5 * k if k % 4 == 0 else math.nan]))
         return np.array(demands), f.state()
 
-    (late, told), (zero, told_zero) = run(T0), run(0)
+    (late, reported), (zero, reported_zero) = run(T0), run(0)
     assert zero[0 if mode == "paper" else 20, 2] != 0.0
     assert np.array_equal(late, zero)
-    assert (told_zero["t_ns"], told_zero["pose_t_ns"]) == (399 * MS, 390 * MS)
-    assert (told["t_ns"], told["pose_t_ns"]) == (T0 + 399 * MS, T0 + 390 * MS)
+    assert (reported_zero["t_ns"], reported_zero["pose_t_ns"]) == (399 * MS, 390 * MS)
+    assert (reported["t_ns"], reported["pose_t_ns"]) == (T0 + 399 * MS, T0 + 390 * MS)
 
 
 def test_times_before_the_clocks_beginning_or_beyond_its_end_are_refused():
@@ -196,11 +196,11 @@ def test_the_default_follower_learns_a_slope_and_stays_on_it():
     f = surffollow.Follower(offset_m=0.1)
     errors = travel(f, lambda x: 0.15 * x, seconds=3.0, sigma=0.25e-3)
     assert np.abs(errors[1000:]).max() < 1e-3
-    told = f.state()
-    assert told["slope"] == pytest.approx(0.15, abs=0.02)
-    assert told["speed_mps"] == pytest.approx(0.1, abs=1e-6)
-    assert told["noise_m"] == pytest.approx(0.25e-3, rel=0.4)
-    assert told["health"] == "OK"
+    reported = f.state()
+    assert reported["slope"] == pytest.approx(0.15, abs=0.02)
+    assert reported["speed_mps"] == pytest.approx(0.1, abs=1e-6)
+    assert reported["noise_m"] == pytest.approx(0.25e-3, rel=0.4)
+    assert reported["health"] == "OK"
 
 
 def test_the_same_calls_give_the_same_bits():
@@ -253,8 +253,8 @@ def test_three_sensors_find_the_normal_and_losing_them_moves_nothing():
             assert np.abs(demand - before).max() < 1e-3, f"jump at {k}"
         before = demand
     normal = np.array(f.state()["normal"])
-    wanted = np.array([-0.05, 0.03, 1.0])
-    assert normal == pytest.approx(wanted / np.linalg.norm(wanted), abs=1e-3)
+    expected = np.array([-0.05, 0.03, 1.0])
+    assert normal == pytest.approx(expected / np.linalg.norm(expected), abs=1e-3)
     assert demand[3:] == pytest.approx([-0.03, -0.05, 0.0], abs=2e-3)
 
 
@@ -301,8 +301,8 @@ def test_no_input_makes_a_demand_that_is_not_finite_or_beyond_its_limits(n, most
         assert np.isfinite(demand).all()
         assert abs(demand[2]) <= most
         assert np.linalg.norm(demand[3:]) <= 0.35 + 1e-12
-        told = f.state()
-        assert all(math.isfinite(told[k]) for k in ("height_m", "slope", "sigma_m", "noise_m", "tau_s"))
+        reported = f.state()
+        assert all(math.isfinite(reported[k]) for k in ("height_m", "slope", "sigma_m", "noise_m", "tau_s"))
 
 
 @pytest.mark.parametrize(
@@ -381,13 +381,13 @@ def test_readings_that_come_later_than_the_pose_timeout_are_used():
     assert demand[2] == pytest.approx(-0.02, abs=5e-4)
 
 
-@pytest.mark.parametrize(("config", "wanted"), [({}, 0.0), ({"pose_interpolate": "interpolated"}, 0.005)])
-def test_paper_mode_takes_the_latest_pose_unless_it_is_told_to_interpolate(config, wanted):
+@pytest.mark.parametrize(("config", "expected"), [({}, 0.0), ({"pose_interpolate": "interpolated"}, 0.005)])
+def test_paper_mode_takes_the_latest_pose_unless_it_is_configured_to_interpolate(config, expected):
     f = surffollow.Follower({"mode": "paper", "permitted_variance": "0 m", **config}, offset_m=0.1)
     f.pose(T0, at(0.0, 0.2))
     f.pose(T0 + 10 * MS, at(0.0, 0.21))
     # read half way between the two poses: interpolation knows that the tool has risen by 5 mm since
-    assert f.step(T0 + 5 * MS, [0.1])[2] == pytest.approx(-wanted)
+    assert f.step(T0 + 5 * MS, [0.1])[2] == pytest.approx(-expected)
 
 
 @pytest.mark.parametrize("mode", ["paper", "adaptive"])
@@ -395,12 +395,12 @@ def test_sensor_readings_averages_so_many_ranges_and_no_reading_between_them_mat
     f = surffollow.Follower({"mode": mode, "sensor_readings": 3}, offset_m=0.1)
     f.pose(T0, at(0.0, 0.2))
     ranges = [0.110, math.nan, 0.111, 0.115, 0.118]
-    told = []
+    reported = []
     for k, r in enumerate(ranges):
         f.step(T0 + k * MS, [r])
-        told.append(f.state()["range_m"][0])
-    assert [v != v for v in told] == [True, True, True, False, False]
-    assert told[3:] == pytest.approx([0.112, (0.111 + 0.115 + 0.118) / 3])
+        reported.append(f.state()["range_m"][0])
+    assert [v != v for v in reported] == [True, True, True, False, False]
+    assert reported[3:] == pytest.approx([0.112, (0.111 + 0.115 + 0.118) / 3])
     f.step(T0 + 5 * MS, [9.0])
     f.step(T0 + 6 * MS, [0.118])
     assert math.isnan(f.state()["range_m"][0]), "a mean does not span a loss"

@@ -84,5 +84,5 @@ def test_scales_are_each_others_inverse(number, unit):
     ("t_ns", "text"),
     [(0, "0 ns"), (850, "850 ns"), (12_340, "12.3 µs"), (4_560_000, "4.56 ms"), (1_200_000_000, "1.2 s")],
 )
-def test_durations_for_people(t_ns, text):
+def test_durations_as_text(t_ns, text):
     assert format_ns(t_ns) == text

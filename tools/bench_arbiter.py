@@ -148,8 +148,8 @@ def scribble(one: Any, rng: random.Random) -> None:
 
 def forge(one: Any, rng: random.Random) -> None:
     token = one.board.status(0)["token"]
-    for guess in (token, token + 1, token - 1, token ^ (1 << 32), rng.getrandbits(62), 0):
-        post(one, al.ITEM_COMMAND, guess, one.exchange.mailbox_words[ex.HEAD] + 1)
+    for forged in (token, token + 1, token - 1, token ^ (1 << 32), rng.getrandbits(62), 0):
+        post(one, al.ITEM_COMMAND, forged, one.exchange.mailbox_words[ex.HEAD] + 1)
 
 
 def flood(one: Any, rng: random.Random) -> None:

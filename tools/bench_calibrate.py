@@ -16,7 +16,7 @@ from report import print_figures
 from surffollow.apps.fit_latency import fit_latency
 from surffollow.apps.fit_mount import beam_of, fit_mount
 from surffollow.apps.fit_range import fit_range
-from surffollow.hw.simulation.led_sensor import FAR_M, NEAR_M
+from surffollow.hw.simulation.led_config import FAR_M, NEAR_M
 
 NONLINEARITY_M = 0.38e-3  # the data sheet's whole tolerance
 
@@ -91,9 +91,9 @@ def main() -> None:
     words = argparse.ArgumentParser(description="Calibrations on simulated faults.")
     words.add_argument("--seeds", type=int, default=100)
     words.add_argument("--json", action="store_true")
-    told = words.parse_args()
-    result = measure(told.seeds)
-    print_figures(result, told.json)
+    options = words.parse_args()
+    result = measure(options.seeds)
+    print_figures(result, options.json)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from report import bar, finish, result
 from surffollow.record.columns import Columns, load_columns
 from surffollow.record.csv_log import read_csv
-from surffollow.record.csv_replay import CsvReplay, pair_forecasts, run_csv, score_forecast
+from surffollow.record.csv_replay import CsvReplay, run_csv
+from surffollow.record.forecast_scores import pair_forecasts, score_forecast
 from surffollow.sim.profiles_measured import data_dir
 
 LIMITS = {0.2: 0.78, 0.5: 0.70, 1.0: 0.75, 2.0: 0.85}  # by horizon [s]

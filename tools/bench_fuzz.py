@@ -138,10 +138,10 @@ def impersonate(service: Service, robot: Robot, seconds: float) -> None:
         path.write_bytes(forged)
         path.chmod(0o666)
         child.say("attacks")
-        child.hear()
+        child.receive()
 
     with OtherUser(there, NOBODY if os.geteuid() == 0 else os.getuid()) as other:
-        other.hear()
+        other.receive()
         if os.geteuid() == 0:
             robot.work(seconds)
     path.unlink(missing_ok=True)
@@ -184,7 +184,7 @@ def run(args: argparse.Namespace, private: bool) -> dict[str, Any]:
                     robot.work(seconds)
                 else:
                     with OtherUser(attack(what, service.name, rng.randrange(1 << 30))) as attacker:
-                        began = attacker.hear()
+                        began = attacker.receive()
                         if began != "attacks":
                             raise SystemExit(f"the attack {what} did not begin: {began}")
                         robot.work(seconds)

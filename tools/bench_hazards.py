@@ -18,18 +18,8 @@ from multiprocessing import get_context
 from typing import Any
 
 from surffollow import Follower
-from surffollow.benchmark.hazards import (
-    FAMILIES,
-    FAR_M,
-    KINDS,
-    NEAR_M,
-    STANDOFF_M,
-    PLoop,
-    Scenario,
-    draw,
-    play,
-    shrink,
-)
+from surffollow.benchmark.hazard_scenarios import FAMILIES, FAR_M, KINDS, NEAR_M, STANDOFF_M, Scenario, draw
+from surffollow.benchmark.hazards import PLoop, play, shrink
 
 BELOW_P_M = 5e-3
 METHODS = ("adaptive", "paper", "p")

@@ -21,7 +21,7 @@ from report import bar, finish, result
 from surffollow.config.params import PARAMS
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.hw.driver import ConversionQueue
-from surffollow.hw.simulation.led_sensor import physics
+from surffollow.hw.simulation.led_config import physics
 from surffollow.hw.simulation.pose_history import PoseHistory, add_pose
 from surffollow.hw.simulation.sensor_rig import SimulatedConfig, make_rig, produce
 from surffollow.hw.simulation.simulated import SimulatedDriver

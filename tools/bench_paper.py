@@ -116,8 +116,8 @@ def drive(
     pose[6] = 1.0
     t_ns, pose_due_ns = np.int64(10**12), np.int64(0)
     end_ns = t_ns + np.int64(RUN_S * 1e9)
-    x, ahead, set_point = 0.0, 1.0, OFFSET_M + beside_m
-    z = set_point
+    x, ahead, setpoint = 0.0, 1.0, OFFSET_M + beside_m
+    z = setpoint
     turn_ns = t_ns + np.int64(leg_s * 1e9)
     turns, turn_intervals, rest_ns, rest_turns, rest_intervals = 0, -1000, t_ns, 0, 0
     range_m, untold_m = z, 0.0
@@ -134,7 +134,7 @@ def drive(
         if kind == 0:
             z = slope * x + OFFSET_M + beside_m
         elif kind == 2:
-            v = (set_point - z) / AXIS_TAU_S
+            v = (setpoint - z) / AXIS_TAU_S
             z += max(-AXIS_MAX_MPS, min(AXIS_MAX_MPS, v)) * min(dt, AXIS_TAU_S)
         if t_ns >= pose_due_ns:
             pose_due_ns = t_ns + np.int64(MS * (between(seed, 1.0, 30.0) if uneven_poses else pose_ms))
@@ -175,7 +175,7 @@ def drive(
             if excess_m - strict_m > ALLOWED_M:
                 worst[OVER] += 1
             worst[SPEED] = max(worst[SPEED], o.speed_mps / speed)
-            set_point = pose[2] + o.demand[2]
+            setpoint = pose[2] + o.demand[2]
         if o.fresh & 1:
             if turns > rest_turns:
                 turn_intervals = o.intervals

@@ -24,9 +24,9 @@ import numba
 import numpy as np
 
 from surffollow.record.recorder import Recorder
+from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.replay import replay_file
 from surffollow.record.synthetic_log import SyntheticLog
-from surffollow.record.writer import RecordingWriter
 
 BAR_CYCLES_PER_S = 1e6
 CONVERSIONS_PER_CYCLE = 25  # 25 kHz converter, 1 kHz cycle

@@ -40,7 +40,7 @@ def run_baseline(case: Case, kind: int, params: tuple[float, ...], seed: int) ->
     scene = case.scene(seed)
     s, w = scene.fresh()
     if case.to_all:
-        w.readings["told_ms"] += 1e3 * case.undeclared_s
+        w.readings["timestamp_ms"] += 1e3 * case.undeclared_s
     run_jitted(kind, params, s, w)
     return rms_of(scene, w)
 
@@ -112,9 +112,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if given.case and not any(c in case.name for c in given.case):
             continue
         rows.append(run_case(case, seeds, methods))
-        told = ", ".join(f"{m} {rows[-1][f'{m} ratio']:.2f}" for m in methods)
+        reported = ", ".join(f"{m} {rows[-1][f'{m} ratio']:.2f}" for m in methods)
         print(
-            f"{case.name}: p {rows[-1]['p']:.2e} m, kalman-ff {rows[-1]['kalman-ff']:.2e} m; {told}",
+            f"{case.name}: p {rows[-1]['p']:.2e} m, kalman-ff {rows[-1]['kalman-ff']:.2e} m; {reported}",
             file=sys.stderr,
         )
     ratios = {m: [r[f"{m} ratio"] for r in rows] for m in methods}

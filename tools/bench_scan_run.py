@@ -113,15 +113,15 @@ def main() -> None:
     words.add_argument("--lateral-hz", type=float, default=2.0, help="planar shaper (ZVD); 0: not shaped")
     words.add_argument("--mode-hz", type=float, default=MODE_HZ, help="that the shaper is made for")
     words.add_argument("--json", action="store_true")
-    told = words.parse_args()
+    args = words.parse_args()
     rows: list[dict[str, Any]] = []
     try:
-        for seed in range(told.first, told.first + told.seeds):
-            for kind in told.kinds.split(","):
-                rows += run_kind(kind, seed, told)
+        for seed in range(args.first, args.first + args.seeds):
+            for kind in args.kinds.split(","):
+                rows += run_kind(kind, seed, args)
     except KeyboardInterrupt:
         print("interrupted; of the runs so far:", file=sys.stderr)
-    if told.json:
+    if args.json:
         print(json.dumps({"machine": machine(), "rows": rows}))
         return
     print_rows(rows)
@@ -156,9 +156,14 @@ def print_rows(rows: list[dict[str, Any]]) -> None:
         print(text)
 
 
-def run_kind(kind: str, seed: int, told: argparse.Namespace) -> list[dict[str, Any]]:
+def run_kind(kind: str, seed: int, args: argparse.Namespace) -> list[dict[str, Any]]:
     """All ways over one wrong map, with one service."""
-    speed_mps, ways, mode_hz, limit = told.speed, told.ways.split(","), told.mode_hz, told.acceleration
+    speed_mps, ways, mode_hz, limit = (
+        args.speed,
+        args.ways.split(","),
+        args.mode_hz,
+        args.acceleration,
+    )
     true, mapped = grounds(kind, seed)
     name = f"scanrun-{os.getpid()}"
     rows = []
@@ -173,7 +178,7 @@ def run_kind(kind: str, seed: int, told: argparse.Namespace) -> list[dict[str, A
             region=REGION,
             gap_m=GAP_M,
             body_m=disc(RADIUS_M),
-            shaper=Shaper.zvd(told.lateral_hz, LATERAL_DAMPING) if told.lateral_hz > 0.0 else None,
+            shaper=Shaper.zvd(args.lateral_hz, LATERAL_DAMPING) if args.lateral_hz > 0.0 else None,
             motion=MotionLimits(speed_mps=speed_mps, acceleration_mps2=limit, lateral_mps2=limit),
         )
         grid = TerrainGrid.of(mapped, origin_m=FIELD[:2], grid_m=GRID_M)

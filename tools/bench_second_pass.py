@@ -115,12 +115,12 @@ def there_and_back(
         words += ["--speed", str(SPEED_MPS), "--seconds", str(seconds), "--surface", surface]
         words += ["--seed", str(SEED), "--field", *(str(v) for v in FIELD), "--region", *region]
         with program(*words) as robot:
-            told, _ = robot.communicate(timeout=seconds + 120.0)
+            figures, _ = robot.communicate(timeout=seconds + 120.0)
         with attach(name, stale_min_s=1.0) as client:
             status = client.status()
         found = passes(np.load(trace), x0 + UNSCORED_M, x1 - UNSCORED_M)
         if len(found) != 2:
-            raise SystemExit(f"the robot made {len(found)} passes, not 2: {told}")
+            raise SystemExit(f"the robot made {len(found)} passes, not 2: {figures}")
         result = {
             "surface": surface,
             "preview": preview,
@@ -172,9 +172,11 @@ def main() -> dict[str, Any]:
         differ = 0.0 if same else math.inf
         bars.append(bar(f"{r['surface']}: replay differs", differ, 0.0, "", f"{r['replay_cycles']} cycles"))
         for what, run in (*(("on", one) for one in runs), ("off", plain)):
-            told = ", ".join(f"{p['rms_m'] * 1e3:.3f}" for p in run["passes"])
+            figures = ", ".join(f"{p['rms_m'] * 1e3:.3f}" for p in run["passes"])
             work = f"work p50 {run['work_p50_ns'] / 1e3:.1f}, p99 {run['work_p99_ns'] / 1e3:.1f} µs"
-            notes.append(f"{r['surface']}, preview {what}: RMS {told} mm, {work}, {run['overruns']} overruns")
+            notes.append(
+                f"{r['surface']}, preview {what}: RMS {figures} mm, {work}, {run['overruns']} overruns"
+            )
     return {
         "what": f"a line there and back at {SPEED_MPS * 1e3:g} mm/s, the map empty before",
         "machine": begun_on,

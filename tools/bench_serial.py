@@ -117,9 +117,9 @@ def main() -> None:
     words.add_argument("--seconds", type=float, default=60.0)
     words.add_argument("--rate", type=float, default=1000.0, help="frames per second")
     words.add_argument("--json", action="store_true")
-    told = words.parse_args()
-    result = measure(told.seconds, told.rate)
-    print_figures(result, told.json)
+    options = words.parse_args()
+    result = measure(options.seconds, options.rate)
+    print_figures(result, options.json)
 
 
 if __name__ == "__main__":

@@ -99,11 +99,11 @@ def covariance_ratio(seed: int) -> float:
             found = wall_pose(p, t, ranges, ALPHA, model="diffuse", sigma_m=sigma)  # noqa: B023
             return min(found, key=lambda w: abs(turned(w.phi_rad - phi)))  # noqa: B023
 
-        told = nearest(r)
+        reported = nearest(r)
         draws = [nearest(r + sigma * rng.standard_normal(2)) for _ in range(8000)]
         spread = np.std([(turned(w.phi_rad - phi), w.distance_m) for w in draws], axis=0)
         worst = max(
-            worst, abs(told.phi_std_rad / spread[0] - 1.0), abs(told.distance_std_m / spread[1] - 1.0)
+            worst, abs(reported.phi_std_rad / spread[0] - 1.0), abs(reported.distance_std_m / spread[1] - 1.0)
         )
     return worst
 
@@ -234,11 +234,11 @@ def real_log() -> list[float] | None:
                 p[others], t[others], r, ALPHA, 1, min_sensors=1, max_range_m=5.0, sigma_m=sigma,
                 max_incidence_rad=limit,
             )  # fmt: skip
-            told = np.full(1, math.inf)
+            reported = np.full(1, math.inf)
             if found:
                 wall = np.array([[found[0].phi_rad, found[0].distance_m]])
-                predict_ranges(p[[held_out]], t[[held_out]], ALPHA, limit, wall, told)
-            errors.append(abs(min(5.0, told[0]) - row[held_out]))
+                predict_ranges(p[[held_out]], t[[held_out]], ALPHA, limit, wall, reported)
+            errors.append(abs(min(5.0, reported[0]) - row[held_out]))
         medians.append(float(np.median(errors)))
     return medians
 

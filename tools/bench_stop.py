@@ -28,21 +28,22 @@ sys.path.insert(0, str(ROOT / "tests"))
 import numpy as np  # noqa: E402
 
 from report import finish  # noqa: E402
-from report import result as told  # noqa: E402
+from report import result as bench_result  # noqa: E402
 from running_service import Service, config_text, unique_name  # noqa: E402
 from stop_controller import COMMAND, REPORT  # noqa: E402
 from surffollow.client import Client  # noqa: E402
 from surffollow.client import attach as attach_to  # noqa: E402
 from surffollow.errors import NotRunningError, SurffollowError  # noqa: E402
 from surffollow.shm.latch_shape import latch_bytes  # noqa: E402
-from surffollow.sim.robot import RobotConfig, RobotCore  # noqa: E402
+from surffollow.sim.robot import RobotCore  # noqa: E402
+from surffollow.sim.robot_config import RobotConfig  # noqa: E402
 from surffollow.sim.robot_run import claim_priority  # noqa: E402
 from surffollow.sim.robot_stop import REST_MPS, time_to_rest_s  # noqa: E402
 from surffollow.sim.world import WorldPose, WorldWriter  # noqa: E402
 from surffollow.sim.world_surface import WorldConfig  # noqa: E402
 
 TICK_NS = 10_000_000
-STALE_S, LOSS_S, BEAT_S = 0.02, 0.3, 0.05
+STALE_S, LOSS_S, HEARTBEAT_S = 0.02, 0.3, 0.05
 HOST_S = 0.1  # a busy host's share: what it keeps from controller and service
 KINDS = ("service killed", "service stopped", "controller killed", "driver silent", "stop requested")
 REGION = (0.0, 0.0, 1.0, 0.2)
@@ -55,7 +56,7 @@ def noticed_s(kind: str, config: RobotConfig) -> float:
         "service killed": STALE_S,
         "service stopped": STALE_S,
         "controller killed": config.command_timeout_s,
-        "driver silent": LOSS_S + BEAT_S,
+        "driver silent": LOSS_S + HEARTBEAT_S,
         "stop requested": 0.002,
     }[kind]
 
@@ -248,7 +249,7 @@ def run(trials: int, seed: int, retract_m: float) -> dict[str, Any]:
         for kind, r in rows.items()
     ]
     what = f"seconds from a random loss to rest, {'retracting' if retract_m else 'holding'} height"
-    return told(what, bars, [*notes, *failed], kinds=rows, failed=failed, trials=trials, seed=seed)
+    return bench_result(what, bars, [*notes, *failed], kinds=rows, failed=failed, trials=trials, seed=seed)
 
 
 def main() -> int:

@@ -17,7 +17,8 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 from report import bar, finish, result
-from surffollow.apps.wall_following import EXPERIMENTS, figures, run_experiment
+from surffollow.apps.wall_figures import figures
+from surffollow.apps.wall_following import EXPERIMENTS, run_experiment
 from surffollow.apps.wall_heading import heading_table
 
 LAPS = 4

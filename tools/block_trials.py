@@ -57,13 +57,13 @@ class Child:
     def say(self, number: int) -> None:
         os.write(self._down, struct.pack("<q", number))
 
-    def hear(self) -> int:
+    def receive(self) -> int:
         data = os.read(self._up, 8)
         if len(data) < 8:
             raise SystemExit("a child ended before it answered")
         return int(struct.unpack("<q", data)[0])
 
-    def last_heard(self) -> int:
+    def last_received(self) -> int:
         """The last number said before the child's end that was not heard yet; -1: none."""
         data = b""
         while part := os.read(self._up, 1 << 16):
@@ -127,17 +127,17 @@ class Trials:
         def work(me: Child) -> None:
             mem_attach(Words, self.name).words.get_read_ok()
             me.say(1)
-            me.hear()
+            me.receive()
             time.sleep(pause)
             me.say(time.monotonic_ns())
             os.kill(os.getpid(), signal.SIGKILL)
 
         child = Child(work)
-        child.hear()
+        child.receive()
         child.say(1)
         called = time.monotonic_ns()
         turn = self.write()
-        died = child.hear()
+        died = child.receive()
         child.bury()
         if called < died:  # else the writer had not to wait
             self.late_ms.append((turn - died) / 1e6)
@@ -153,12 +153,12 @@ class Trials:
 
         self.relet(LEASE_S)
         child = Child(work)
-        child.hear()
+        child.receive()
         os.waitpid(child.pid, os.WUNTRACED)
         called = time.monotonic_ns()
         self.lease_ms.append((self.write() - called) / 1e6)
         os.kill(child.pid, signal.SIGCONT)
-        self.verdicts += child.hear() != 1
+        self.verdicts += child.receive() != 1
         child.bury()
         self.relet(LONG_S)
 
@@ -183,7 +183,7 @@ class Trials:
 
         children = [Child(work) for _ in range(2)]
         for child in children:
-            child.hear()
+            child.receive()
         for _ in range(10):
             called = time.monotonic_ns()
             try:
@@ -192,7 +192,7 @@ class Trials:
                 self.starved += 1
         for child in children:
             child.kill()
-            self.torn += child.last_heard() == TORN
+            self.torn += child.last_received() == TORN
             child.bury()
 
     def half_way(self) -> None:
@@ -214,10 +214,10 @@ class Trials:
         epoch = self.block.epoch
         self.block.close(keep=True)
         child = Child(work)
-        child.hear()
+        child.receive()
         time.sleep(self.random.uniform(0.0, 0.002))
         child.kill()
-        published = child.last_heard()
+        published = child.last_received()
         child.bury()
         self.look(published)
         self.block = self.attach(LONG_S)

@@ -38,9 +38,9 @@ def cyclictest_run(period_us: int, most_us: int, *words: str) -> tuple[Counter[i
 
 def percentile_us(counts: Counter[int], fraction: float) -> float:
     """Lower edge of the bin [µs] below or in which a fraction of the wake-ups lie; NaN of none."""
-    wanted, seen = fraction * sum(counts.values()), 0
+    expected, seen = fraction * sum(counts.values()), 0
     for us in sorted(counts):
         seen += counts[us]
-        if seen >= wanted:
+        if seen >= expected:
             return float(us)
     return float("nan")

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from surffollow.hw.simulation.led_sensor import LedConfig
+from surffollow.hw.simulation.led_config import LedConfig
 from surffollow.map import HeightMap
-from surffollow.sim.robot import RobotConfig
+from surffollow.sim.robot_config import RobotConfig
 
 
 def scan(

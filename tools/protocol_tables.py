@@ -121,8 +121,8 @@ def page() -> str:
 
 
 if __name__ == "__main__":
-    wanted = page()
+    expected = page()
     if "--check" in sys.argv[1:]:
-        same = wanted == PAGE.read_text(encoding="utf-8")
+        same = expected == PAGE.read_text(encoding="utf-8")
         sys.exit(0 if same else f"docs/reference/{PAGE.name} is out of date")
-    PAGE.write_text(wanted, encoding="utf-8")
+    PAGE.write_text(expected, encoding="utf-8")

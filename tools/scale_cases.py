@@ -55,7 +55,7 @@ class Case:
                 self.spikes,
                 0.3 * self.standoff_m,
             ),
-            believed_tau_s=self.tau_s,
+            nominal_tau_s=self.tau_s,
             standoff_m=self.standoff_m,
             unscored_m=0.08 * self.duration_s * self.speed_mps,
         )

@@ -14,11 +14,13 @@ from report import bar
 from surffollow.scan.body import disc
 from surffollow.scan.camera import Camera, looking_down
 from surffollow.scan.check import check_path
+from surffollow.scan.cloud_patches import cloud_patches
 from surffollow.scan.grid import TerrainGrid
-from surffollow.scan.patches import cloud_patches, coherent_patches
+from surffollow.scan.patches import coherent_patches
 from surffollow.scan.path_file import write_path
 from surffollow.scan.plan import PlanSettings, plan_scan
-from surffollow.scan.planar_filter import PLANAR, conditional_planar_filter
+from surffollow.scan.planar_filter import conditional_planar_filter
+from surffollow.scan.planar_kernels import PLANAR
 
 ROOT = Path(__file__).resolve().parents[1]
 Bars = list[dict[str, Any]]
@@ -115,8 +117,8 @@ def lidar(folder: Path) -> Bars:
     bars = []
     for name, other in (names, names[::-1]):
         k = int(np.argmin(wrong[other]))
-        told = zip(("cell_m", "slope_factor", "support_m", "tolerance_m"), cases[k])
-        note = ", ".join(f"{key} {value:g}" for key, value in told) + f", chosen on {other}"
+        choices = zip(("cell_m", "slope_factor", "support_m", "tolerance_m"), cases[k])
+        note = ", ".join(f"{key} {value:g}" for key, value in choices) + f", chosen on {other}"
         bars.append(bar(f"ISPRS {name}: total error", 100 * wrong[name][k], 15, "%", note))
     return bars
 

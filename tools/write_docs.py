@@ -44,21 +44,21 @@ def pages() -> Iterator[tuple[Path, str, str]]:
     """Each page with generated parts: where, as it is, as it should be."""
     for name in dict.fromkeys(page for page, _, _ in PARTS):
         path = DOCS / name
-        text = wanted = path.read_text(encoding="utf-8")
+        text = expected = path.read_text(encoding="utf-8")
         for page, mark, make in PARTS:
             if page == name:
                 begin, end = f"<!-- {mark}: written by tools/write_docs.py -->\n", f"<!-- end of {mark} -->"
-                head, rest = wanted.split(begin, 1)
-                wanted = head + begin + make() + end + rest.split(end, 1)[1]
-        yield path, text, wanted
+                head, rest = expected.split(begin, 1)
+                expected = head + begin + make() + end + rest.split(end, 1)[1]
+        yield path, text, expected
     for name, whole in PAGES:
         path = DOCS / name
         yield path, path.read_text(encoding="utf-8") if path.exists() else "", whole()
 
 
 if __name__ == "__main__":
-    stale = [(path, wanted) for path, text, wanted in pages() if text != wanted]
+    stale = [(path, expected) for path, text, expected in pages() if text != expected]
     if "--check" in sys.argv[1:]:
         sys.exit("\n".join(f"docs/reference/{path.name} is out of date" for path, _ in stale) or 0)
-    for path, wanted in stale:
-        path.write_text(wanted, encoding="utf-8")
+    for path, expected in stale:
+        path.write_text(expected, encoding="utf-8")

@@ -52,7 +52,7 @@ def run(name: str, seconds: float) -> list[tuple[float, ...]]:
     robot.claim_pose()  # who sends the pose may set parameters
     robot.sf_reset(STANDOFF_M)
     sent: dict[int, float] = {}  # height of the tool by the time that it was reported for
-    set_point_m, path_m, speed_mps, settled, following = arm.z_m, 0.0, 0.0, 0, False
+    setpoint_m, path_m, speed_mps, settled, following = arm.z_m, 0.0, 0.0, 0, False
     next_ns = start_ns = time.monotonic_ns()
     end_ns = start_ns + round(seconds * 1e9)
     while next_ns < end_ns:
@@ -64,18 +64,18 @@ def run(name: str, seconds: float) -> list[tuple[float, ...]]:
             posed = True
         demand = robot.dev_vector()
         # without a valid demand (stale, in doubt, stopped): hold the height, brake along the path
-        set_point_m = pose[2] if following else set_point_m
+        setpoint_m = pose[2] if following else setpoint_m
         following = posed and demand.valid and demand.pose_t_ns in sent
         if following:
             # the demand adds to the pose that it names, not to a newer one
-            set_point_m = sent[demand.pose_t_ns] + demand[2]
+            setpoint_m = sent[demand.pose_t_ns] + demand[2]
             settled += abs(demand[2]) < SETTLED_M
-        wanted = ACCEL_MPS2 if following and settled >= SETTLED_TICKS else -ACCEL_MPS2
-        speed_mps = min(max(speed_mps + wanted * TICK_NS * 1e-9, 0.0), SPEED_MPS)
+        expected = ACCEL_MPS2 if following and settled >= SETTLED_TICKS else -ACCEL_MPS2
+        speed_mps = min(max(speed_mps + expected * TICK_NS * 1e-9, 0.0), SPEED_MPS)
         path_m += speed_mps * TICK_NS * 1e-9
         if following and speed_mps > 0.0:
             rows.append(((t_ns - start_ns) * 1e-9, *pose[:3], robot.raw_distance(), demand[2]))
-        arm.move_to(path_m, set_point_m)
+        arm.move_to(path_m, setpoint_m)
         while len(sent) > 64:
             del sent[next(iter(sent))]
         next_ns += TICK_NS
@@ -108,26 +108,26 @@ def main() -> int:
     words.add_argument("seconds", nargs="?", type=float, default=20.0)
     words.add_argument("--plot", metavar="FILE", help="draw the run (PNG, SVG, PDF)")
     words.add_argument("--trace", metavar="FILE", help="write the run as CSV")
-    told = words.parse_args()
-    if not 0.0 < told.seconds <= 1e6:
+    options = words.parse_args()
+    if not 0.0 < options.seconds <= 1e6:
         words.error("seconds: more than 0, at most 1e6")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        rows = run(told.service, told.seconds)
+        rows = run(options.service, options.seconds)
     except SurffollowError as error:
         print(f"controller: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
-    if told.trace:
-        with open(told.trace, "w") as file:
+    if options.trace:
+        with open(options.trace, "w") as file:
             file.write("t_s,x_m,y_m,z_m,range_m,demand_m\n")
             file.writelines(",".join(f"{v:.9g}" for v in row) + "\n" for row in rows)
     errors = [row[4] - STANDOFF_M for row in rows if math.isfinite(row[4])]
     rms_mm = 1e3 * math.sqrt(sum(e * e for e in errors) / len(errors)) if errors else math.nan
     print(f"ticks {len(rows)} readings {len(errors)} standoff_rms_mm {rms_mm:.3f}")
-    if told.plot:
-        plot(rows, told.plot)
+    if options.plot:
+        plot(rows, options.plot)
     return 0
 
 

@@ -86,7 +86,7 @@ def run(name: str, seconds: float) -> list[float]:
     robot.sf_reset(STANDOFF_M)
     laser.start()
     sent: dict[int, float] = {}
-    set_point_m, path_m, speed_mps, settled, following = STANDOFF_M, 0.0, 0.0, 0, False
+    setpoint_m, path_m, speed_mps, settled, following = STANDOFF_M, 0.0, 0.0, 0, False
     next_ns = start_ns = time.monotonic_ns()
     while next_ns < start_ns + round(seconds * 1e9):
         t_ns = time.monotonic_ns()
@@ -95,17 +95,17 @@ def run(name: str, seconds: float) -> list[float]:
         with contextlib.suppress(SurffollowError):
             robot.ee_pos((x_m, 0.0, z_m, 0.0, 0.0, 0.0, 1.0), t_ns)
         demand = robot.dev_vector()
-        set_point_m = z_m if following else set_point_m
+        setpoint_m = z_m if following else setpoint_m
         following = demand.valid and demand.pose_t_ns in sent
         if following:
-            set_point_m = sent[demand.pose_t_ns] + demand[2]
+            setpoint_m = sent[demand.pose_t_ns] + demand[2]
             settled += abs(demand[2]) < SETTLED_M
-        wanted = ACCEL_MPS2 if following and settled >= SETTLED_TICKS else -ACCEL_MPS2
-        speed_mps = min(max(speed_mps + wanted * TICK_NS * 1e-9, 0.0), SPEED_MPS)
+        expected = ACCEL_MPS2 if following and settled >= SETTLED_TICKS else -ACCEL_MPS2
+        speed_mps = min(max(speed_mps + expected * TICK_NS * 1e-9, 0.0), SPEED_MPS)
         path_m += speed_mps * TICK_NS * 1e-9
         if following and speed_mps > 0.0:
             errors.append(z_m - ground_m(x_m) - STANDOFF_M)
-        arm.move_to(t_ns, path_m, set_point_m)
+        arm.move_to(t_ns, path_m, setpoint_m)
         while len(sent) > 64:
             del sent[next(iter(sent))]
         next_ns += TICK_NS
@@ -121,12 +121,12 @@ def main() -> int:
     words = argparse.ArgumentParser(description="Follow a pretended ground with a laser of your own.")
     words.add_argument("service", nargs="?", default="surf")
     words.add_argument("seconds", nargs="?", type=float, default=20.0)
-    told = words.parse_args()
-    if not 0.0 < told.seconds <= 1e6:
+    options = words.parse_args()
+    if not 0.0 < options.seconds <= 1e6:
         words.error("seconds: more than 0, at most 1e6")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        errors = run(told.service, told.seconds)
+        errors = run(options.service, options.seconds)
     except SurffollowError as error:
         print(f"push_range: {error}", file=sys.stderr)
         return 1

@@ -127,7 +127,7 @@ def parse_quantity(value: object, unit: str) -> float:
 
 
 def format_ns(t_ns: float) -> str:
-    """A duration for people: 850 ns, 12.3 µs, 4.56 ms, 1.20 s.
+    """A duration as text: 850 ns, 12.3 µs, 4.56 ms, 1.20 s.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ def test_table_has_a_row_for_every_figure(result):
         assert word in text
 
 
-def test_closeness_above_the_bars_speed_is_told_not_judged_and_a_folder_may_be_used_again(result):
+def test_closeness_above_the_criterions_speed_is_reported_not_scored_and_a_folder_may_be_used_again(result):
     folder, _, _ = result
     words = [
         "demo",

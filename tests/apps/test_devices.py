@@ -33,10 +33,10 @@ def test_a_camera_turns_at_its_rate_and_stays_within_its_range():
     assert camera.pan_rad == pytest.approx(math.pi / 2 - 0.25)
 
 
-def test_a_speaker_counts_its_tones_and_what_nobody_hears_is_silence():
+def test_a_speaker_counts_its_tones_and_what_is_not_heard_is_silence():
     speaker = Speaker()
-    for wanted in (440.0, 440.0, 880.0, 0.0, 5.0, float("nan"), 880.0):
-        speaker.step(wanted, 0.02)
+    for desired in (440.0, 440.0, 880.0, 0.0, 5.0, float("nan"), 880.0):
+        speaker.step(desired, 0.02)
     assert (speaker.tone_hz, speaker.tones) == (880.0, 3)
     speaker.step(float("nan"), 0.02)
     assert speaker.tone_hz == 0.0

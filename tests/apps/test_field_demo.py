@@ -47,7 +47,7 @@ def test_the_report_is_one_page_with_picture_and_figures(made, tmp_path):
     assert f"<td>{1e3 * made.figures['shaped']['gap_error_p99_m']:.1f}</td>" in page
 
 
-def test_a_missed_bar_is_told(made):
+def test_a_missed_criterion_is_reported(made):
     worse = json.loads(json.dumps(made.figures))
     worse["shaped"]["gap_error_p99_m"] = 0.006
     worse["target"]["error_m"] = 0.04

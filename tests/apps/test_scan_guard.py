@@ -118,7 +118,7 @@ def scanned(plan, true, *, guarded=True, said=None, **settings):
     return done, least, np.interp(trace["path_s"][on], path.t_s, path.passes.astype(float)).round()
 
 
-def test_an_object_that_the_map_lacks_is_lifted_over_and_told_about(plan):
+def test_an_object_that_the_map_lacks_is_lifted_over_and_reported(plan):
     _, true = grounds(0.02)
     said: list[str] = []
     done, least, number = scanned(plan, true, said=lambda text, _part: said.append(text))

@@ -213,15 +213,12 @@ def test_two_scans_of_one_service_exclude_each_other_and_words_are_checked():
 def test_an_abort_retracts_after_the_service_has_died(folder):
     text = config_text(kind="simulated", grids=100_000, follow=f"offset = {GAP_M}")
     text = text.replace('surface = "flat"\nregion = [0.0, 0.0, 0.1, 0.1]', f'file = "{folder}/ground.npz"')
-    own = Service(folder, text).start()
-    try:
+    with Service(folder, text).running() as own:
         child = begin(own, folder)
         own.kill()
         reach(own, child, lambda s: s["state"] == "hold" and s["trouble"])
         ask(own.name, "abort")
         code, facts = ended(child)
-    finally:
-        own.purge()
     assert code == 1
     assert facts["aborted"]
     assert facts["retracted"]

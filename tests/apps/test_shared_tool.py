@@ -40,9 +40,9 @@ def test_the_demonstration_lifts_the_tool_over_an_obstacle_and_brings_it_back(co
     command = [sys.executable, "-m", "surffollow", "arbiter", "demo", "--seconds", "12", "--json"]
     done = run_command([*command, "--combine", combine])
     assert done.returncode == 0, done.stdout + done.stderr
-    told = json.loads(done.stdout)
-    assert told["failures"] == []
-    assert told["least_standoff_over_obstacle_m"] > told["obstacle_m"]
+    reported = json.loads(done.stdout)
+    assert reported["failures"] == []
+    assert reported["least_standoff_over_obstacle_m"] > reported["obstacle_m"]
 
 
 class FakeService:
@@ -67,10 +67,10 @@ def test_the_follower_learns_only_while_it_holds_the_tool_whatever_becomes_of_it
     service = FakeService()
     run = RunByHolder(service, server.name, "tool", "follow")
 
-    def becomes(wanted):
+    def becomes(desired):
         def look():
             run.look(time.monotonic_ns())
-            return service.runs and service.runs[-1] == wanted
+            return service.runs and service.runs[-1] == desired
 
         until(look)
 
@@ -95,11 +95,8 @@ def test_the_follower_learns_only_while_it_holds_the_tool_whatever_becomes_of_it
 
 @pytest.fixture
 def shared(tmp_path):
-    server = Running(tmp_path, arbiter_text("sum"))
-    try:
-        yield server.start()
-    finally:
-        server.purge()
+    with Running(tmp_path, arbiter_text("sum")).running() as server:
+        yield server
 
 
 def test_an_offset_from_another_pose_is_converted_to_the_followers(service, shared):

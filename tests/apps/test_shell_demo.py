@@ -74,11 +74,11 @@ def cycles(path: Path) -> dict[str, np.ndarray]:
                     entry = words[at : at + n]
                     n_conversions, n_poses = (head >> 32) & 0xFF, (head >> 40) & 0xFF
                     first = 10 + 8 * n_poses
-                    heard = 0
+                    received = 0
                     for word in entry[first : first + n_conversions].tolist():
-                        heard |= 1 << conversion_channel(word)
+                        received |= 1 << conversion_channel(word)
                     demand = entry[4:10].view(np.float64)
-                    rows.append((entry[1], entry[3], demand, n_poses > 0, heard))
+                    rows.append((entry[1], entry[3], demand, n_poses > 0, received))
                 at += n
     names = ("t_ns", "status", "demand", "posed", "heard")
     return {name: np.array([row[k] for row in rows]) for k, name in enumerate(names)}

@@ -13,11 +13,13 @@ import pytest
 from click.testing import CliRunner
 
 from running_service import begin_command, run_command
+from surffollow.apps.base_process import run_base
 from surffollow.apps.wall_clients import Avoid, make_clients
-from surffollow.apps.wall_following import Arbitration, Run, figures, ring_of, run_experiment, sense, tick
+from surffollow.apps.wall_figures import Run, figures
+from surffollow.apps.wall_following import Arbitration, ring_of, run_experiment, sense, tick
 from surffollow.apps.wall_heading import heading_table
 from surffollow.apps.wall_pictures import figure_of
-from surffollow.apps.wall_processes import run_base, run_processes
+from surffollow.apps.wall_processes import run_processes
 from surffollow.apps.wall_sensing import Wish
 from surffollow.cli.base import base_command, wall_follow_command
 from surffollow.errors import ConfigError, MapFileError, UsageError

@@ -12,11 +12,8 @@ from arbiter.running import Child, Running
 @pytest.fixture(scope="module")
 def arbiter(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     """A server for the whole module; do not kill it, leave its resources free."""
-    one = Running(tmp_path_factory.mktemp("arbiter"))
-    try:
-        yield one.start()
-    finally:
-        one.purge()
+    with Running(tmp_path_factory.mktemp("arbiter")).running() as one:
+        yield one
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -10,14 +11,17 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from forked_start import fork_start
 from running_service import WAIT_S, freeze, run_command, until
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 CONFIG = """
 [clients]
@@ -94,6 +98,15 @@ class Running:
         for left in Path("/dev/shm").glob(f"{self.name}*"):
             left.unlink()
 
+    @contextlib.contextmanager
+    def running(self) -> Iterator[Self]:
+        """Start it; at the end of this, end it whatever its state and remove all that it left."""
+        try:
+            self.start()
+            yield self
+        finally:
+            self.purge()
+
     def command(self, *words: str) -> Any:
         command = [sys.executable, "-m", "surffollow", "arbiter", *words, "--name", self.name, "--json"]
         done = run_command(command)
@@ -147,7 +160,7 @@ class Child:
             os._exit(0)
         os.close(w)
 
-    def hear(self) -> bytes:
+    def receive(self) -> bytes:
         return os.read(self._r, 1)
 
     def signal(self, number: int) -> None:

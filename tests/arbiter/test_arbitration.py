@@ -21,7 +21,7 @@ def attach_client(arbiter):
         yield lambda client: stack.enter_context(attach(arbiter.name, client))
 
 
-def test_the_higher_priority_wins_and_the_lower_is_told_who_holds(attach_client):
+def test_the_higher_priority_wins_and_the_lower_gets_the_holders_name(attach_client):
     go, wall = attach_client("go").resource("robot"), attach_client("wall").resource("robot")
     assert go.request().reason == "GRANT"
     first = go.token
@@ -84,7 +84,7 @@ def test_who_waits_gets_its_turn_by_priority_then_by_patience(attach_client):
     assert entries["go"] > longest
 
 
-def test_a_wait_in_vain_leaves_the_queue_and_is_told(attach_client):
+def test_a_wait_in_vain_leaves_the_queue_and_is_reported(attach_client):
     go, wall = attach_client("go"), attach_client("wall")
     assert wall.resource("robot").request()
     history = wall.history()

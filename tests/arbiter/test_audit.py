@@ -132,7 +132,7 @@ def test_a_safe_command_that_never_comes_is_found_at_the_end() -> None:
     assert "to the end" in violations(cut, end_ns=400 * MS)[0]
 
 
-def test_what_was_overwritten_before_it_was_read_accuses_nobody() -> None:
+def test_what_was_overwritten_before_it_was_read_accuses_no_client() -> None:
     for first in range(1, len(HONEST)):
         book = Book()
         book.begin(EPOCH, 5 * MS)

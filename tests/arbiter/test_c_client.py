@@ -88,7 +88,7 @@ def test_a_client_in_c_loses_what_it_holds_by_fork_and_by_the_servers_end(make_a
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with subprocess.Popen([str(program), server.name], text=True, **pipes) as process:
 
-        def heard():
+        def received():
             return process.stdout.readline().split()
 
         def go_on():
@@ -96,10 +96,10 @@ def test_a_client_in_c_loses_what_it_holds_by_fork_and_by_the_servers_end(make_a
             process.stdin.flush()
 
         try:
-            assert heard() == ["ready"]
+            assert received() == ["ready"]
             server.freeze()
             go_on()
-            assert heard() == ["request", str(-errno.ETIMEDOUT)]
+            assert received() == ["request", str(-errno.ETIMEDOUT)]
             server.go_on()
             with observe(server.name) as watcher:
                 released = until(
@@ -108,11 +108,11 @@ def test_a_client_in_c_loses_what_it_holds_by_fork_and_by_the_servers_end(make_a
                 until(lambda: watcher.status()["resources"]["robot"]["state"] == "FREE")
             assert released
             go_on()
-            assert heard() == ["withdrawn", "1"]
-            assert heard() == ["again", "1"]
-            assert heard() == ["child", "0", "0", str(-errno.ENOENT)]
-            assert heard() == ["parent", "0", "1", "1"]
+            assert received() == ["withdrawn", "1"]
+            assert received() == ["again", "1"]
+            assert received() == ["child", "0", "0", str(-errno.ENOENT)]
+            assert received() == ["parent", "0", "1", "1"]
             server.kill()
-            assert heard() == ["ended", "0", str(-errno.ENOENT)]
+            assert received() == ["ended", "0", str(-errno.ENOENT)]
         finally:
             process.kill()

@@ -51,9 +51,9 @@ def test_a_demand_asks_for_the_same_pose_whatever_pose_it_is_relative_to(seed):
     demand[3:6] = rng.normal(0.0, 1.0, 3) * rng.choice([1.0, 1e-9, 0.0])
     to_pose(demand, one, other, 6, np.zeros(12), out)
     np.testing.assert_allclose(other[:3] + out[:3], one[:3] + demand[:3], atol=1e-12)
-    wanted = Rotation.from_rotvec(demand[3:6]) * Rotation.from_quat(one[3:])
+    expected = Rotation.from_rotvec(demand[3:6]) * Rotation.from_quat(one[3:])
     got = Rotation.from_rotvec(out[3:6]) * Rotation.from_quat(other[3:])
-    assert (wanted.inv() * got).magnitude() < 1e-7
+    assert (expected.inv() * got).magnitude() < 1e-7
     assert np.linalg.norm(out[3:6]) <= np.pi + 1e-9
 
 
@@ -82,14 +82,14 @@ def parts(tool):
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 
 
-def see(reader, wanted, *sends):
+def see(reader, expected, *sends):
     """Send until the sum is as wanted; commands end with their time to live."""
 
     def look():
         for send in sends:
             send()
         c = reader.latest()
-        return c if not c.safe and np.allclose(c.values, wanted, atol=1e-12) else None
+        return c if not c.safe and np.allclose(c.values, expected, atol=1e-12) else None
 
     return until(look)
 

@@ -36,7 +36,7 @@ def test_a_dead_or_stopped_holder_loses_the_resource_and_the_safe_command_goes_o
     with observe(server.name) as watcher, command_reader(server.name, "robot") as reader:
         history = watcher.history()
         holder = child(holding(server.name, "go", "robot"))
-        assert holder.hear() == b"h"
+        assert holder.receive() == b"h"
         until(lambda: not reader.latest().safe)
         holder.signal(number)
         until(lambda: watcher.holder("robot") is None)
@@ -68,12 +68,12 @@ def test_a_stopped_holder_that_comes_back_commands_nothing_until_it_asks_again(s
 
     with observe(server.name) as watcher:
         one = child(work)
-        assert one.hear() == b"h"
+        assert one.receive() == b"h"
         one.signal(signal.SIGSTOP)
         until(lambda: watcher.holder("robot") is None)
         one.signal(signal.SIGCONT)
-        assert one.hear() == b"l"
-        assert one.hear() == b"a"
+        assert one.receive() == b"l"
+        assert one.receive() == b"a"
 
 
 def test_a_dead_client_in_the_queue_is_not_served(server, child):
@@ -102,7 +102,7 @@ def test_a_child_that_inherits_the_connection_does_not_keep_its_parent_alive(ser
         signal.pause()
 
     one = child(work)
-    assert one.hear() == b"c"
+    assert one.receive() == b"c"
     one.kill()
     with observe(server.name) as watcher:
         until(lambda: watcher.holder("robot") is None)
@@ -140,7 +140,7 @@ def test_a_client_that_scribbles_over_its_mailbox_harms_only_itself(server, seed
         until(lambda: one.board.entry(other.slot)["broken"] > 0)
 
 
-def test_nobody_can_cut_grow_or_punch_a_mailbox(server):
+def test_no_process_can_truncate_grow_or_punch_a_mailbox(server):
     def requested():
         try:
             return hs.request_slot(server.name, "attacker", 5.0)

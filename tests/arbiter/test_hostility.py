@@ -66,11 +66,8 @@ POSE = (0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0)
 
 @pytest.fixture(scope="module")
 def summed(tmp_path_factory):
-    server = Running(tmp_path_factory.mktemp("sum"), SUM)
-    try:
-        yield server.start()
-    finally:
-        server.purge()
+    with Running(tmp_path_factory.mktemp("sum"), SUM).running() as server:
+        yield server
 
 
 @pytest.fixture
@@ -191,7 +188,7 @@ def test_what_ended_takes_no_commands_and_tells_nothing_of_what_it_held(make_arb
         say(b"f" if robot.command(0.5, 1.0) or robot.held or robot.token or robot.holder() else b"n")
 
     assert robot.command(0.1, 0.1)
-    assert child(work).hear() == b"n"  # a forked child is not its parent
+    assert child(work).receive() == b"n"  # a forked child is not its parent
     assert robot.command(0.1, 0.1)
     server.kill()
     until(lambda: not go.connected)
@@ -228,7 +225,7 @@ def test_a_request_that_was_not_answered_in_time_is_withdrawn(make_arbiter):
 
 
 @needs_root
-def test_strangers_at_the_door_keep_nobody_out(summed):
+def test_unidentified_connections_keep_no_client_out(summed):
     def crowd(child):
         kept = []
         for _ in range(4 * MAX_UNIDENTIFIED):
@@ -236,12 +233,12 @@ def test_strangers_at_the_door_keep_nobody_out(summed):
             kept[-1].settimeout(5.0)
             kept[-1].connect(hs.address(summed.name))
         # all are told that they may not
-        told = sum(len(one.recv(256)) > 0 for one in kept)
-        child.say(told)
+        answered = sum(len(one.recv(256)) > 0 for one in kept)
+        child.say(answered)
         signal.pause()
 
     with OtherUser(crowd) as others:
-        assert others.hear() == 4 * MAX_UNIDENTIFIED
+        assert others.receive() == 4 * MAX_UNIDENTIFIED
         with attach(summed.name, "a") as a:
             assert a.resource("u").request()
 
@@ -273,14 +270,14 @@ def test_silent_connections_of_one_user_are_bounded_and_end_by_themselves(summed
 
 def lingering():
     """A TCP connection whose last close waits for 60 s."""
-    with socket.socket() as door:
-        door.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        door.bind(("127.0.0.1", 0))
-        door.listen(1)
+    with socket.socket() as server:
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        server.bind(("127.0.0.1", 0))
+        server.listen(1)
         out = socket.socket()
         out.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
-        out.connect(door.getsockname())
-        other, _ = door.accept()
+        out.connect(server.getsockname())
+        other, _ = server.accept()
     out.setblocking(False)
     with contextlib.suppress(BlockingIOError):
         while True:
@@ -290,7 +287,7 @@ def lingering():
 
 
 @needs_root
-def test_a_descriptor_that_lingers_holds_nobody_up(summed):
+def test_a_descriptor_that_lingers_delays_no_client(summed):
     with new_socket() as probe:
         if not refuse_rights(probe):
             pytest.skip("this kernel cannot refuse descriptors (Linux 6.16)")
@@ -309,7 +306,7 @@ def test_a_descriptor_that_lingers_holds_nobody_up(summed):
         other.close()
 
     with OtherUser(attack) as attacker:
-        assert attacker.hear() in ("PermissionError", "BrokenPipeError")
+        assert attacker.receive() in ("PermissionError", "BrokenPipeError")
         with attach(summed.name, "a", timeout_s=WAIT_S) as a:
             assert a.resource("u").request()
 
@@ -426,7 +423,7 @@ def test_settings_that_would_let_others_command_or_no_client_hold_are_refused(mo
         parse_config({"clients": {"a": 1}, "resources": {"r": ONE}} | more)
 
 
-def test_a_refused_user_is_told_so_even_when_the_server_was_faster(summed):
+def test_a_refused_user_gets_the_reason_even_when_the_server_was_faster(summed):
     """The server answers and closes before the client has said a word."""
     name = f"{summed.name}x"
     sock = hs.listen(name)

@@ -50,12 +50,12 @@ class Honest:
             return "ended"
 
         self._child = OtherUser(work, uid=0)
-        assert self._child.hear() == "READY"
+        assert self._child.receive() == "READY"
 
     def stop(self) -> None:
         assert self._child is not None
         os.kill(self._child.pid, signal.SIGTERM)
-        assert self._child.hear() == "ended"
+        assert self._child.receive() == "ended"
         self._child.end()
         self._child = None
 
@@ -101,13 +101,13 @@ def impostor_of(honest):
         assert robot.request()
         robot.command(0.5, 1.0)
         child.say("there")
-        threading.Thread(target=lambda: (child.hear(), server.stop()), daemon=True).start()
+        threading.Thread(target=lambda: (child.receive(), server.stop()), daemon=True).start()
         until(lambda: not (robot.command(0.5, 1.0) or one.connected), seconds=float("inf"))
         serving.join()
         return "ended"
 
     with OtherUser(work) as other:
-        assert other.hear() == "there"
+        assert other.receive() == "there"
         yield other
     for left in Path("/dev/shm").glob(f"{honest.name}*"):
         left.unlink()  # as root does: no server of another user would
@@ -148,7 +148,7 @@ def test_an_impostor_after_a_clean_stop_commands_no_controller_and_gets_no_clien
     honest.stop()
 
 
-def test_who_is_named_is_trusted_and_nobody_else_from_the_first_attachment_on(honest, monkeypatch):
+def test_who_is_named_is_trusted_and_no_other_from_the_first_attachment_on(honest, monkeypatch):
     with impostor_of(honest) as impostor:
         with attach(honest.name, "go", owner=NOBODY) as one, observe(honest.name, owner=NOBODY) as seen:
             assert one.owner == NOBODY
@@ -163,7 +163,7 @@ def test_who_is_named_is_trusted_and_nobody_else_from_the_first_attachment_on(ho
         reader = command_reader(honest.name, "robot")
         until(lambda: not reader.latest().safe)
         impostor.say("stop")
-        assert impostor.hear() == "ended"
+        assert impostor.receive() == "ended"
     monkeypatch.delenv("SURFFOLLOW_OWNER")
     honest.start()  # root's: trusted by default, but not whom those two attached to
     with pytest.raises(NoPermissionError, match=f"user 0, expected user {NOBODY}"):
@@ -208,25 +208,25 @@ def fill_backlog(name):
 kept: list[socket.socket] = []
 
 
-def test_a_squatter_keeps_nobody_waiting_and_is_named(honest):
+def test_a_squatter_keeps_no_client_waiting_and_is_named(honest):
     def squat(child):
         sock = hs.new_socket()
         sock.bind(hs.address(honest.name))
         sock.listen(8)
         child.say("there")
-        child.hear()
+        child.receive()
         fill_backlog(honest.name)
         child.say("full")
         signal.pause()
 
     with OtherUser(squat) as squatter:
-        assert squatter.hear() == "there"
+        assert squatter.receive() == "there"
         with pytest.raises(AlreadyRunningError, match=rf"process {squatter.pid} of user {NOBODY}"):
             hs.listen(honest.name)
         with pytest.raises(NoPermissionError, match=BOTH):
             attach(honest.name, "go")
         squatter.say("fill")
-        assert squatter.hear() == "full"
+        assert squatter.receive() == "full"
         with pytest.raises(NotRunningError):
             attach(honest.name, "go", timeout_s=0.1)
 
@@ -304,7 +304,7 @@ def test_a_client_in_c_attaches_again_to_the_same_user_only(honest, patrol):
     honest.stop()
 
 
-def test_a_client_in_c_waits_no_longer_than_it_was_told_for_a_squatter(honest, tmp_path):
+def test_a_client_in_c_waits_no_longer_than_configured_for_a_squatter(honest, tmp_path):
     impatient = compile_impatient(tmp_path)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as sock:
         sock.bind(hs.address(honest.name))

@@ -22,8 +22,8 @@ def naive_run(scene: Any, conditions: Conditions, gain: float) -> np.ndarray:
     reports, readings = w.reports.tolist(), w.readings.tolist()  # (stamp, arrival, noise…)
     for ms in range(len(w.z)):
         if ms:
-            wanted = naive_velocity(target - z, c)
-            speed += max(-c.plant.a_max_mps2 * 1e-3, min(c.plant.a_max_mps2 * 1e-3, wanted - speed))
+            desired = naive_velocity(target - z, c)
+            speed += max(-c.plant.a_max_mps2 * 1e-3, min(c.plant.a_max_mps2 * 1e-3, desired - speed))
             z += speed * 1e-3
         heights.append(z)
         x = profile.start_m + v * ms * 1e-3

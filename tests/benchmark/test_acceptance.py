@@ -119,7 +119,7 @@ def test_what_was_not_run_is_short() -> None:
     assert acceptance.text(verdicts, markdown=True).count("\n") == len(verdicts) + 2
 
 
-def test_leading_sensor_is_judged_against_own_lead_0_and_the_limit() -> None:
+def test_leading_sensor_is_compared_with_own_lead_0_and_the_limit() -> None:
     rows = cell("hump", 0.1, 1.0, 1.0) + cell("hump", 0.1, 0.6, 1.0, lead_m=0.05)
     assert verdict(rows, "lead 50 mm, RMS over own").figure == pytest.approx(0.6)
     assert verdict(rows, "lead 50 mm, RMS over 1.5").figure == pytest.approx(0.6 / 0.2)
@@ -127,7 +127,7 @@ def test_leading_sensor_is_judged_against_own_lead_0_and_the_limit() -> None:
     assert math.isnan(verdict(rows, "lead 50 mm, RMS over own").figure)
 
 
-def test_sweeps_are_judged_apart_from_the_main_table() -> None:
+def test_sweeps_are_evaluated_apart_from_the_main_table() -> None:
     rows = cell("hump", 0.1, 1.0, 1.0) + cell("hump", 0.1, 2.0, 1.0, variant="latency=0.3")
     rows += cell("hump", 0.1, 0.8, 1.0, variant="tau×0.7")
     assert verdict(rows, "lead 0, RMS over best oracle, up to").figure == 1.0

@@ -80,10 +80,10 @@ def test_oracle_beats_the_suite_tuning_on_its_own_cell_and_repeats() -> None:
 def test_pattern_search_finds_a_minimum_inside_the_bounds() -> None:
     m = BASELINES["pi"]
     goal = np.log([0.7, 3.0])
-    best, cost = pattern_search(m, lambda p: float(np.sum((np.log(p) - goal) ** 2)), m.guesses)
+    best, cost = pattern_search(m, lambda p: float(np.sum((np.log(p) - goal) ** 2)), m.starts)
     assert best == pytest.approx((0.7, 3.0), rel=0.1)
     assert cost < 0.01
-    edge, _ = pattern_search(m, lambda p: -p[0], m.guesses)
+    edge, _ = pattern_search(m, lambda p: -p[0], m.starts)
     assert edge[0] == m.tunable[0].high
 
 

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from surffollow.benchmark import runner
+from surffollow.benchmark import cell_runs, runner
+from surffollow.benchmark.cell_runs import run_cells
 from surffollow.benchmark.methods import all_methods, check_methods
 from surffollow.benchmark.report import markdown_table
-from surffollow.benchmark.runner import run_cells
 from surffollow.benchmark.suite import Cell, main_cells, surface_names, sweep_cells
 from surffollow.cli.benchmark import benchmark_command
 from surffollow.errors import FaultError, UsageError
@@ -62,20 +62,20 @@ def test_what_two_cells_share_is_run_once(monkeypatch: pytest.MonkeyPatch) -> No
     cells += [Cell("iso-c", 0.4, main.conditions.but(lead_m=0.05)), Cell("iso-c", 0.4, slow_axis)]
     alone = [run_cells([cell], ["p", "limit"], [0, 1], processes=1) for cell in cells]
     done: list[tuple[str, float, float]] = []
-    do_task = runner.do_task
+    do_task = cell_runs.do_task
 
     def counted(task: runner.Task) -> runner.Result:
         done.append((task.method, task.cell.conditions.lead_m, task.cell.conditions.plant.tau_s))
         return do_task(task)
 
-    monkeypatch.setattr(runner, "do_task", counted)
+    monkeypatch.setattr(cell_runs, "do_task", counted)
     together = run_cells(cells, ["p", "limit"], [0, 1], processes=1)
     assert sorted(done) == [("limit", 0.0, 0.04), ("p", 0.0, 0.04), ("p", 0.0, 0.06), ("p", 0.05, 0.04)]
     assert [r.row() for r in together] == [r.row() for part in alone for r in part]
     assert [r.cell for r in together] == [cell for cell in cells for _ in range(2)]
 
 
-def test_files_of_one_stem_are_told_apart_and_nothing_runs_twice(hill: str, tmp_path: Path) -> None:
+def test_files_of_one_stem_are_distinguished_and_nothing_runs_twice(hill: str, tmp_path: Path) -> None:
     other = tmp_path / "other" / "hill.csv"
     other.parent.mkdir()
     other.write_bytes(b"\xef\xbb\xbf" + Path(hill).read_bytes())  # as spreadsheets write it
@@ -190,6 +190,6 @@ def test_markdown_never_puts_two_leads_into_one_table() -> None:
 
 def test_sweeps_leave_out_rows_that_no_bar_and_no_table_needs() -> None:
     rows = ["p", "p:oracle", "kalman-ff:oracle", "paper", "ours"]
-    assert runner.methods_in(Cell("flat", 0.1), rows) == rows
-    assert runner.methods_in(Cell("flat", 0.1, variant="tau×0.7"), rows) == rows[:3] + rows[4:]
-    assert runner.methods_in(Cell("flat", 0.1, variant="latency=0"), rows) == ["p", *rows[2:]]
+    assert cell_runs.methods_in(Cell("flat", 0.1), rows) == rows
+    assert cell_runs.methods_in(Cell("flat", 0.1, variant="tau×0.7"), rows) == rows[:3] + rows[4:]
+    assert cell_runs.methods_in(Cell("flat", 0.1, variant="latency=0"), rows) == ["p", *rows[2:]]

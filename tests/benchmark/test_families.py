@@ -41,7 +41,7 @@ def test_the_default_follower_follows_at_every_scale(scale):
         plant=plant,
         pose=PoseConfig(plant.tick_hz, 0.01, 0.2 * sigma),
         sensor=SensorConfig(hz, late, sigma, near, far, 14, 0.01, 0.3 * standoff),
-        believed_tau_s=plant.tau_s,
+        nominal_tau_s=plant.tau_s,
         standoff_m=standoff,
         unscored_m=0.1 * seconds * speed,
     )

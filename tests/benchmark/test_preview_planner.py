@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from surffollow.benchmark import preview_planner as planner
+from surffollow.benchmark import preview_programme as programme
+from surffollow.benchmark.cell_runs import methods_in, run_cells
 from surffollow.benchmark.conditions import Conditions
+from surffollow.benchmark.local_line import smoothed
 from surffollow.benchmark.methods import BASELINES
-from surffollow.benchmark.runner import methods_in, run_cells, run_method, score_run
+from surffollow.benchmark.runner import run_method, score_run
 from surffollow.benchmark.scene import make_scene
 from surffollow.benchmark.suite import Cell
 from surffollow.sim.profiles import SHAPES
@@ -19,15 +21,15 @@ EFFORT = 1.0
 
 
 def planned(reference, step_m, rounds=1):
-    g = planner.new_planner()
-    planner._factor(g[planner._FREE : planner._FREE + 3], 0.0, EFFORT)
-    bound = g[planner._BOUND : planner._BOUND + 3]
-    planner._factor(bound, planner.SPEED_PENALTY, EFFORT + planner.ACCEL_PENALTY)
-    planner.reference(g)[:] = reference
+    g = programme.new_planner()
+    programme.factor(g[programme.FREE : programme.FREE + 3], 0.0, EFFORT)
+    bound = g[programme.BOUND : programme.BOUND + 3]
+    programme.factor(bound, programme.SPEED_PENALTY, EFFORT + programme.ACCEL_PENALTY)
+    programme.reference(g)[:] = reference
     done = 0
     for _ in range(rounds):
-        done = planner.solve(g, step_m, EFFORT, V_STEP, A_STEP)
-    return g[planner._PLAN].copy(), done
+        done = programme.solve(g, step_m, EFFORT, V_STEP, A_STEP)
+    return g[programme.PLAN].copy(), done
 
 
 def differences(z, step_m):
@@ -40,10 +42,10 @@ def cost(z, reference, step_m):
 
 
 def test_gentle_ground_needs_no_iteration_and_the_plan_is_the_least_squares_one():
-    reference = 1e-3 * np.sin(np.arange(planner.PERIODS) / 12.0)
+    reference = 1e-3 * np.sin(np.arange(programme.PERIODS) / 12.0)
     z, done = planned(reference, 0.05e-3)
     assert done == 0
-    n = planner.PERIODS
+    n = programme.PERIODS
     second = np.diff(np.vstack([np.zeros((2, n)), np.eye(n)]), 2, axis=0)
     known = np.zeros(n)
     known[0] = -0.05e-3
@@ -52,9 +54,9 @@ def test_gentle_ground_needs_no_iteration_and_the_plan_is_the_least_squares_one(
 
 
 def test_a_step_of_the_ground_is_planned_within_the_limits_and_near_the_best_plan():
-    reference = np.where(np.arange(planner.PERIODS) >= 15, 5e-3, 0.0)
+    reference = np.where(np.arange(programme.PERIODS) >= 15, 5e-3, 0.0)
     z, done = planned(reference, 0.0)
-    assert done == planner.ITERATIONS
+    assert done == programme.ITERATIONS
     speed, accel = differences(z, 0.0)
     assert np.abs(speed).max() < 1.05 * V_STEP
     assert np.abs(accel).max() < 1.3 * A_STEP
@@ -77,11 +79,11 @@ def test_height_between_readings_is_that_of_a_local_line():
     seen = np.column_stack([x, 0.02 + 0.2 * x])
     first = 0
     for at in (0.0101, 0.0203, 0.0499):
-        h, first = planner.smoothed(seen, first, len(x), at, 2e-3)
+        h, first = smoothed(seen, first, len(x), at, 2e-3)
         assert h == pytest.approx(0.02 + 0.2 * at, abs=1e-9)
     gap = np.array([[0.0, 0.0], [0.01, 1e-3]])
-    assert planner.smoothed(gap, 0, 2, 0.005, 1e-3)[0] == pytest.approx(0.5e-3)
-    assert planner.smoothed(gap, 0, 2, 0.02, 1e-3)[0] == pytest.approx(1e-3)
+    assert smoothed(gap, 0, 2, 0.005, 1e-3)[0] == pytest.approx(0.5e-3)
+    assert smoothed(gap, 0, 2, 0.02, 1e-3)[0] == pytest.approx(1e-3)
 
 
 def rms(method, surface, speed, lead_m=0.05):

@@ -22,11 +22,11 @@ def test_readings_between_the_steps_lie_on_the_motion_and_come_in_order():
     s, w = scene.fresh()
     b.run_jitted(b.P, (0.3,), s, w)
     r = w.readings
-    assert r["told_ms"] == pytest.approx(0.5 * np.arange(len(r)))
+    assert r["timestamp_ms"] == pytest.approx(0.5 * np.arange(len(r)))
     assert (np.diff(r["arrival_ms"]) >= 0).all()
-    assert (r["arrival_ms"] - r["told_ms"] >= 5.2 - 1e-9).all()
-    assert (r["arrival_ms"] - r["told_ms"] < 6.2).all()
-    at = r["told_ms"][:-2]
+    assert (r["arrival_ms"] - r["timestamp_ms"] >= 5.2 - 1e-9).all()
+    assert (r["arrival_ms"] - r["timestamp_ms"] < 6.2).all()
+    at = r["timestamp_ms"][:-2]
     z = np.interp(at, np.arange(len(w.z)), w.z)
     ground = scene.profile.height_m(scene.profile.start_m + 0.2e-3 * at)
     assert r["range"][:-2] == pytest.approx(z - ground, abs=1e-8)
@@ -38,9 +38,9 @@ def test_a_follower_gets_timestamps_below_a_millisecond():
     follower = PythonP(c)
     s, w = scene.fresh()
     drive(follower, s, w)
-    told = [t for kind, t, v in follower.calls if kind == "step" and not np.isnan(v)]
-    assert np.array_equal(np.diff(told), np.full(len(told) - 1, 500_000))
-    assert told[0] == START_NS
+    received_ns = [t for kind, t, v in follower.calls if kind == "step" and not np.isnan(v)]
+    assert np.array_equal(np.diff(received_ns), np.full(len(received_ns) - 1, 500_000))
+    assert received_ns[0] == START_NS
 
 
 def test_a_sensor_of_one_kilohertz_or_less_keeps_whole_milliseconds():
@@ -48,15 +48,15 @@ def test_a_sensor_of_one_kilohertz_or_less_keeps_whole_milliseconds():
         scene = make_scene(SHAPES["flat"](1), 0.4, 1, Conditions(sensor=SensorConfig(rate_hz=rate)))
         r = scene.world.readings
         assert not r["early_ms"].any()
-        assert np.array_equal(r["told_ms"], r["ms"])
+        assert np.array_equal(r["timestamp_ms"], r["ms"])
 
 
-def test_baselines_believe_the_timestamps_that_they_are_told():
+def test_baselines_use_the_given_timestamps():
     scene = make_scene(SHAPES["ramp-20"](1), 0.2, 1, Conditions(sensor=SensorConfig(latency_s=0.06)))
     errors = []
     for late_ms in (0.0, 30.0):
         s, w = scene.fresh()
-        w.readings["told_ms"] += late_ms
+        w.readings["timestamp_ms"] += late_ms
         b.run_jitted(b.KALMAN_FF, (0.7, 1e-3, 5.0, 3.0, 0.045, b.POLICY_EXTRAPOLATE), s, w)
         errors.append(
             float(np.sqrt(np.mean((w.z - scene.ground_m - scene.conditions.standoff_m)[500:] ** 2)))

@@ -51,7 +51,7 @@ def test_run_equals_the_slow_twin_of_the_world(surface: str, conditions: Conditi
     assert np.allclose(w.z, naive_run(scene, conditions, 0.5), atol=1e-12)
 
 
-def test_follower_at_the_door_meets_the_same_world_as_a_jitted_method() -> None:
+def test_follower_of_another_module_meets_the_same_world_as_a_jitted_method() -> None:
     scene = scene_of("step", Conditions())
     s, w = scene.fresh()
     drive(PythonP(scene.conditions), s, w)
@@ -116,7 +116,7 @@ def test_demand_is_added_to_the_report_it_refers_to_or_to_the_newest_as_configur
         s, w = run(scene)
         ticks = np.arange(5, int(s["ticks"]))
         expected = w.reports["z"][ticks - behind] + w.orders["demand"][ticks]
-        assert np.allclose(w.orders["set_point"][ticks], expected, atol=1e-15)
+        assert np.allclose(w.orders["setpoint"][ticks], expected, atol=1e-15)
 
 
 def test_demand_that_is_no_number_holds_the_report_and_is_counted() -> None:
@@ -150,7 +150,7 @@ def test_conditions_are_read_from_a_file_and_nonsense_is_refused(tmp_path) -> No
     path = tmp_path / "plant.toml"
     path.write_text("tau_s = 0.06\n[sensor]\nlatency = '100 ms'\n[pose]\nrate_hz = 32\n")
     c = load_conditions(path)
-    assert (c.plant.tau_s, c.believed_tau_s, c.sensor.latency_s, c.pose.rate_hz) == (0.06, 0.06, 0.1, 32.0)
+    assert (c.plant.tau_s, c.nominal_tau_s, c.sensor.latency_s, c.pose.rate_hz) == (0.06, 0.06, 0.1, 32.0)
     for text in ("[sensor]\nnoise = 1\n", "[sensor]\nglitch_rate = 2.0\n", "[pose]\nrate_hz = 0\n"):
         path.write_text(text)
         with pytest.raises(ConfigError):

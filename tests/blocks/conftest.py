@@ -54,7 +54,7 @@ class Child:
     def say(self, number: int) -> None:
         os.write(self._w, struct.pack("<q", number))
 
-    def hear(self) -> int | None:
+    def receive(self) -> int | None:
         data = os.read(self._r, 8)
         return struct.unpack("<q", data)[0] if data else None
 

@@ -143,7 +143,7 @@ def test_a_waiting_reader_and_a_waiting_writer_get_their_turn(space):
         assert seen == [11]
 
 
-def test_nothing_written_yet_is_told_apart_from_zeros(space):
+def test_nothing_written_yet_is_distinguished_from_zeros(space):
     with mem_attach(Platform, space, write=True), mem_attach(Platform, space) as theirs:
         snapshot = theirs.platform.latest()
         assert snapshot.generation == 0

@@ -36,7 +36,7 @@ def test_a_killed_reader_gives_its_lock_back_at_once(space, child):
 
         for _ in range(5):
             reader = child(read_and_hang)
-            assert reader.hear() == 1
+            assert reader.receive() == 1
             with pytest.raises(BlockTimeoutError):
                 mem.platform.get_write_ok(0.01)
             reader.kill()
@@ -45,7 +45,7 @@ def test_a_killed_reader_gives_its_lock_back_at_once(space, child):
         assert mem.platform.fenced == 0
 
 
-def test_a_stopped_reader_is_fenced_after_its_lease_and_told_so(space, child):
+def test_a_stopped_reader_is_fenced_after_its_lease_and_informed(space, child):
     # a busy machine may delay a writer, but not at every try
     waited = [fence_off(f"{space}-{k}", child) for k in range(3)]
     assert LEASE_S <= min(waited) < LEASE_S + 1.0
@@ -69,7 +69,7 @@ def fence_off(space, child):
             me.say(block.read_done() == "ok")
 
         reader = child(read_for_long)
-        assert reader.hear() == 1
+        assert reader.receive() == 1
         os.waitpid(reader.pid, os.WUNTRACED)
         begin = time.monotonic()
         with mem.words.write() as slot:
@@ -79,7 +79,7 @@ def fence_off(space, child):
         with mem.words.write(LEASE_S / 2) as slot:  # fenced once, it holds nobody up again
             slot.word = [2] * 256
         reader.signal(signal.SIGCONT)
-        assert [reader.hear() for _ in range(4)] == [1, True, 3, True]
+        assert [reader.receive() for _ in range(4)] == [1, True, 3, True]
         assert reader.end() == 0
     return waited
 
@@ -121,7 +121,7 @@ def test_readers_that_overlap_for_ever_do_not_starve_the_writer(space, child):
 
         readers = [child(keep_reading) for _ in range(2)]
         for r in readers:
-            assert r.hear() == 0
+            assert r.receive() == 0
         for k in range(20):
             with mem.words.write(20.0) as slot:
                 slot.word = [k] * 256
@@ -140,7 +140,7 @@ def test_a_writer_that_never_pauses_does_not_starve_readers(space, child):
                     me.say(1)
 
     writer = child(keep_writing)
-    assert writer.hear() == 1
+    assert writer.receive() == 1
     with mem_attach(Words, space) as theirs:
         last = 0
         for _ in range(50):
@@ -189,7 +189,7 @@ def test_a_writer_that_was_itself_stopped_does_not_fence_readers_for_it(space, c
         me.say(block.fenced)
 
     writer = child(write_once)
-    assert writer.hear() == 1
+    assert writer.receive() == 1
     with mem_attach(Platform, space) as theirs:
         theirs.platform.get_read_ok()
         os.write(go_w, b"x")
@@ -200,7 +200,7 @@ def test_a_writer_that_was_itself_stopped_does_not_fence_readers_for_it(space, c
         writer.signal(signal.SIGCONT)
         until(lambda: times_asleep(writer.pid) > looks + 10, "the writer's looking again")
         assert theirs.platform.read_done() == "ok"
-    assert writer.hear() == 0
+    assert writer.receive() == 0
 
 
 def test_a_writer_killed_half_way_leaves_the_previous_generation_and_its_successor_goes_on(space, child):
@@ -217,7 +217,7 @@ def test_a_writer_killed_half_way_leaves_the_previous_generation_and_its_success
     epochs = []
     for k in range(3):
         writer = child(write_half)
-        epochs.append(writer.hear())
+        epochs.append(writer.receive())
         with mem_attach(Words, space) as theirs:
             with pytest.raises(BlockTimeoutError, match=f"process {writer.pid} did not finish"):
                 theirs.words.get_read_ok(0.01)
@@ -240,11 +240,11 @@ def test_a_writer_killed_while_it_waits_does_not_keep_readers_out(space, child):
 
     go_r, go_w = os.pipe()
     writer = child(wait_for_ever)
-    assert writer.hear() == 1
+    assert writer.receive() == 1
     with mem_attach(Platform, space) as first, mem_attach(Platform, space) as second:
         first.platform.get_read_ok()
         os.write(go_w, b"x")
-        assert writer.hear() == 2
+        assert writer.receive() == 2
 
         def closed():
             try:
@@ -336,7 +336,7 @@ def test_a_forked_reader_opens_its_own_locks(space, child):
             forever()
 
         reader = child(read_on)
-        assert reader.hear() == 1
+        assert reader.receive() == 1
         with pytest.raises(BlockTimeoutError):
             mem.platform.get_write_ok(0.01)
         reader.kill()

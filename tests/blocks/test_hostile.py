@@ -34,7 +34,7 @@ def maker(space: str) -> Callable[[OtherUser], str]:
     def made(child: OtherUser) -> str:
         mem = mem_attach(Platform, space, write=True, mode=0o644)
         child.say("made")
-        child.hear()
+        child.receive()
         mem.close()
         return "closed"
 
@@ -75,14 +75,14 @@ def test_a_reader_that_locks_every_byte_holds_the_writer_up_for_one_lease_and_ne
 def test_no_file_of_an_untrusted_user_is_mapped_for_it_could_be_cut_while_it_is_listed(space):
     name = f"{space}.platform"
     with OtherUser(maker(space)) as other:
-        assert other.hear() == "made"
+        assert other.receive() == "made"
         assert name not in [b["name"] for b in list_blocks()]
         Path(f"/dev/shm/{name}.lock").unlink()  # root's rights: only the object itself is in the way
-        for door in (lambda: attach_unknown(name), lambda: mem_attach(Platform, space, write=True)):
+        for open_it in (lambda: attach_unknown(name), lambda: mem_attach(Platform, space, write=True)):
             with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0"):
-                door()
+                open_it()
         other.say("end")
-        assert other.hear() == "closed"
+        assert other.receive() == "closed"
     with mem_attach(Platform, space, write=True):
         assert name in [b["name"] for b in list_blocks()]
 
@@ -109,12 +109,12 @@ def test_a_reader_that_locks_every_byte_keeps_no_new_writer_out(space):
         child.say(outcome(lambda: os.open(f"/dev/shm/{space}.platform.lock", os.O_RDONLY)))
         lock_all(Path(f"/dev/shm/{space}.platform"))
         child.say("locked")
-        return str(child.hear())
+        return str(child.receive())
 
     first = mem_attach(Platform, space, write=True, mode=0o644)
     with OtherUser(locking) as reader:
-        assert reader.hear().startswith("PermissionError")
-        assert reader.hear() == "locked"
+        assert reader.receive().startswith("PermissionError")
+        assert reader.receive() == "locked"
         first.close(keep=True)
         with mem_attach(Platform, space, write=True, lease_s=LEASE_S) as mem:
             assert mem.platform.is_writer
@@ -128,7 +128,7 @@ def test_a_block_that_another_user_made_is_not_read(space):
         assert reader.platform.latest()["t_ns"] == 7
         mem.close()
         with OtherUser(maker(space)) as impostor:
-            assert impostor.hear() == "made"
+            assert impostor.receive() == "made"
             with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0"):
                 mem_attach(Platform, space)
             for _ in range(5):
@@ -137,7 +137,7 @@ def test_a_block_that_another_user_made_is_not_read(space):
             with mem_attach(Platform, space, owner=NOBODY) as trusting:
                 assert trusting.platform.attached
             impostor.say("over")
-            assert impostor.hear() == "closed"
+            assert impostor.receive() == "closed"
 
 
 @needs_root

@@ -254,7 +254,7 @@ def test_status_names_the_pose_sender_and_counts(probe: Probe, service: Service)
     assert probe("status").values[2] >= cycles
 
 
-def test_seventeenth_client_hears_that_the_slots_are_taken(
+def test_seventeenth_client_learns_that_the_slots_are_taken(
     make_probe: Callable[..., Probe], service: Service
 ) -> None:
     crowd = []
@@ -290,7 +290,7 @@ def test_observer_sees_demands_but_cannot_send(make_probe: Callable[..., Probe],
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
-def test_other_users_are_refused_by_the_kernel_and_told_so(
+def test_other_users_are_refused_by_the_kernel_with_the_reason(
     make_probe: Callable[..., Probe], service: Service, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     base = tmp_path_factory.getbasetemp()

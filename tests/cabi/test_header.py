@@ -36,28 +36,28 @@ def test_header_is_ascii_so_that_any_compiler_reads_it() -> None:
 
 def dump_of(schemas: tuple[type[Schema], ...]) -> tuple[str, dict[str, int]]:
     """A C program that prints every offset and size, and what it must print."""
-    lines, wanted = [], {}
+    lines, expected = [], {}
     for schema in schemas:
         name = cheader.c_name(schema)
         lines.append(f'printf("{name} %zu\\n", sizeof({name}));')
-        wanted[name] = schema.SIZE
+        expected[name] = schema.SIZE
         for path, at, field in schema.walk():
             lines.append(f'printf("{name}.{path} %zu\\n", offsetof({name}, {path}));')
-            wanted[f"{name}.{path}"] = at
+            expected[f"{name}.{path}"] = at
             lines.append(f'printf("{name}.{path}# %zu\\n", sizeof((({name} *)0)->{path}));')
-            wanted[f"{name}.{path}#"] = field.size
+            expected[f"{name}.{path}#"] = field.size
     body = "\n  ".join(lines)
-    return f'#include "surffollow.h"\nint main(void) {{\n  {body}\n  return 0;\n}}\n', wanted
+    return f'#include "surffollow.h"\nint main(void) {{\n  {body}\n  return 0;\n}}\n', expected
 
 
 @pytest.mark.parametrize("language", ["C", "C++"])
 def test_offsets_and_sizes_are_those_of_the_schemas(
     compile_program: Callable[..., Path], language: str
 ) -> None:
-    source, wanted = dump_of(cheader.SCHEMAS)
+    source, expected = dump_of(cheader.SCHEMAS)
     printed = run(compile_program(source, language=language)).split("\n")
     found = {line.split()[0]: int(line.split()[1]) for line in printed if line}
-    assert found == wanted
+    assert found == expected
     assert len(found) > 400
 
 

@@ -38,7 +38,7 @@ def test_what_is_no_plain_file_is_refused_at_once(make_probe: Callable[..., Prob
 
 
 @needs_root
-def test_an_impostor_after_a_clean_stop_moves_nobody(
+def test_an_impostor_after_a_clean_stop_moves_no_client(
     mortal: Service, make_probe: Callable[..., Probe]
 ) -> None:
     path = Path(f"/dev/shm/{mortal.name}")
@@ -52,7 +52,7 @@ def test_an_impostor_after_a_clean_stop_moves_nobody(
     assert mortal.terminate() == 0
 
     with OtherUser(published(path, forged)) as impostor:
-        assert impostor.hear() == "there"
+        assert impostor.receive() == "there"
         for p in (robot, watcher, fixed):
             p.until("dev", lambda a: bool(int(a.values[2]) & STALE))
         for _ in range(10):

@@ -26,30 +26,33 @@ def printed() -> dict[str, Any]:
 
 
 def test_a_c_compiler_agrees_with_every_offset_and_number(tmp_path: Path) -> None:
-    told = printed()
+    layout = printed()
     facts = []
-    for name, shape in told["structs"].items():
+    for name, shape in layout["structs"].items():
         facts.append(f"sizeof({name}) == {shape['bytes']}")
         for f in shape["fields"]:
             member = f"(({name} *)0)->{f['name']}"
             facts.append(
                 f"offsetof({name}, {f['name']}) == {f['offset']} && sizeof({member}) == {f['bytes']}"
             )
-    enums = told["enums"]
+    enums = layout["enums"]
     for key in ("request", "board_state", "access", "slot_step"):
         facts += [f"SF_{name} == {number}" for name, number in enums[key].items()]
     facts += [f"SF_{n} == {v}" for n, v in enums["slot_result"].items() if v]
-    facts += [f"SF_RQ_{r['name']} == {r['code']}" for r in told["requests"]]
-    facts += [f"SF_ANSWER_{a['name']} == {a['result']}" for a in told["answers"]]
-    facts += [f"SF_{n} == 1 << {k}" for n, k in told["bits"]["sf_output.status"].items()]
-    facts += [f"SF_STOP_{n.upper()} == 1 << {k}" for n, k in told["bits"]["sf_output.stop"].items()]
-    facts += [f"SF_LAYOUT_HASH == UINT64_C({told['hash']})", f"SF_LAYOUT_VERSION == {told['version']}"]
+    facts += [f"SF_RQ_{r['name']} == {r['code']}" for r in layout["requests"]]
+    facts += [f"SF_ANSWER_{a['name']} == {a['result']}" for a in layout["answers"]]
+    facts += [f"SF_{n} == 1 << {k}" for n, k in layout["bits"]["sf_output.status"].items()]
+    facts += [f"SF_STOP_{n.upper()} == 1 << {k}" for n, k in layout["bits"]["sf_output.stop"].items()]
+    facts += [
+        f"SF_LAYOUT_HASH == UINT64_C({layout['hash']})",
+        f"SF_LAYOUT_VERSION == {layout['version']}",
+    ]
     for key, name in (("board", "BOARD"), ("map", "MAP"), ("world", "WORLD")):
-        facts.append(f"(uint64_t)SF_{name}_MAGIC == UINT64_C({told['objects'][key]['magic']['value']})")
-    facts.append(f"(uint64_t)SF_SLOT_MAGIC == UINT64_C({told['handshake']['magic']['value']})")
-    parts = {p["name"]: p["offset"] for p in told["objects"]["slot"]["parts"]}
+        facts.append(f"(uint64_t)SF_{name}_MAGIC == UINT64_C({layout['objects'][key]['magic']['value']})")
+    facts.append(f"(uint64_t)SF_SLOT_MAGIC == UINT64_C({layout['handshake']['magic']['value']})")
+    parts = {p["name"]: p["offset"] for p in layout["objects"]["slot"]["parts"]}
     facts += [f"SF_SLOT_{n.upper()} == {parts[n]}" for n in ("head", "pose", "request", "ranges")]
-    ring = next(p for p in told["objects"]["slot"]["parts"] if p["name"] == "ranges")
+    ring = next(p for p in layout["objects"]["slot"]["parts"] if p["name"] == "ranges")
     facts += [f"SF_RANGE_ITEMS == {ring['items']}", f"SF_RANGES_AT == {ring['items_at']}"]
     facts.append(f"SF_SLOT_STREAM + SF_PIECE_BYTES == {parts['stream1']}")
     source = tmp_path / "facts.c"
@@ -61,12 +64,12 @@ def test_a_c_compiler_agrees_with_every_offset_and_number(tmp_path: Path) -> Non
     assert len(facts) > 350
 
 
-def test_every_request_and_answer_is_told() -> None:
-    told = printed()
-    codes = {r["code"] for r in told["requests"]}
-    assert codes == set(told["enums"]["request"].values()) - {lb.RQ_NONE}
-    known = {a["result"] for a in told["answers"]}
-    used = {a["result"] for r in told["requests"] for a in (*r["acks"], *r["map_acks"])}
+def test_every_request_and_answer_is_reported() -> None:
+    layout = printed()
+    codes = {r["code"] for r in layout["requests"]}
+    assert codes == set(layout["enums"]["request"].values()) - {lb.RQ_NONE}
+    known = {a["result"] for a in layout["answers"]}
+    used = {a["result"] for r in layout["requests"] for a in (*r["acks"], *r["map_acks"])}
     assert known - used == {lb.ERR_UNKNOWN_REQUEST}, "the answer to what is no request"
 
 
@@ -92,7 +95,7 @@ def test_waits_and_limits_are_those_of_service_and_client() -> None:
         (cheader.EXCHANGE_NS, client.CLAIM_ANSWER_S),
         (cheader.SLOT_WAIT_NS, slot.ATTACH_S),
         (lj.FULL_NS, slot_server.FULL_S),
-        (lj.BEAT_NS, daemon.HOUSEKEEPING_S),
+        (lj.HEARTBEAT_NS, daemon.HOUSEKEEPING_S),
         (lj.CONNECT_AGAIN_NS, slot_request._AGAIN_S),
         (lj.CLAIM_NS, client.CLAIM_RETRY_S),
         (lj.CLAIM_AGAIN_NS, slot.CLAIM_PAUSE_S),

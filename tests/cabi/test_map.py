@@ -60,11 +60,11 @@ def test_heights_in_c_are_those_of_the_kernel(probe: Probe, robot: Client) -> No
     for x_m, y_m in np.random.default_rng(7).uniform(0.0, 0.1, (60, 2)).tolist() + [
         (0.002 * k + 0.01, 0.04) for k in range(40)
     ]:
-        wanted, is_known = height_at(header, pairs, x_m, y_m)
+        expected, is_known = height_at(header, pairs, x_m, y_m)
         answer = probe(f"height {x_m!r} {y_m!r}")
         assert answer.result == (OK if is_known else UNKNOWN), (x_m, y_m)
         if is_known:
-            assert answer.values == [wanted]
+            assert answer.values == [expected]
             known += 1
     assert known >= 20
 
@@ -75,13 +75,13 @@ def test_surface_in_c_is_pythons(probe: Probe, robot: Client) -> None:
     points += [(0.0013 * k + 0.01, 0.04 + 0.0001 * (k % 5)) for k in range(60)]
     known = slopes = 0
     for x_m, y_m in points:
-        wanted = robot.map_surface(x_m, y_m)
+        expected = robot.map_surface(x_m, y_m)
         answer = probe(f"surface {x_m!r} {y_m!r}")
-        assert answer.result == (OK if wanted.known else UNKNOWN), (x_m, y_m)
-        if wanted.known:
+        assert answer.result == (OK if expected.known else UNKNOWN), (x_m, y_m)
+        if expected.known:
             known += 1
-            slopes += wanted.slope_x == wanted.slope_x
-            np.testing.assert_allclose(answer.values, wanted[:3], rtol=1e-12, atol=1e-12)
+            slopes += expected.slope_x == expected.slope_x
+            np.testing.assert_allclose(answer.values, expected[:3], rtol=1e-12, atol=1e-12)
     assert known >= 20
     assert slopes >= 20
     for point in ("9 9", "nan 0", "0 inf", "1e300 1e300"):
@@ -154,14 +154,11 @@ def test_map_stands_still_while_a_c_client_holds_it_and_following_goes_on(
 @pytest.fixture(scope="module")
 def hasty_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service whose lease is 0.7 s, for those who outlive it."""
-    s = Service(tmp_path_factory.mktemp("hasty"), flat_ground("700 ms"))
-    try:
-        yield s.start()
-    finally:
-        s.purge()
+    with Service(tmp_path_factory.mktemp("hasty"), flat_ground("700 ms")).running() as s:
+        yield s
 
 
-def test_holder_that_outlives_its_lease_is_told_that_its_copy_may_be_mixed(
+def test_holder_that_outlives_its_lease_learns_that_its_copy_may_be_mixed(
     make_probe: Callable[..., Probe], hasty_service: Service
 ) -> None:
     probe = make_probe()

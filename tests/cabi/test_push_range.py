@@ -46,11 +46,10 @@ while True:
 @pytest.fixture(scope="module")
 def outside(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service whose ranges come from clients."""
-    s = Service(tmp_path_factory.mktemp("outside"), config_text(kind="external", driver=DRIVER))
-    try:
-        yield s.start()
-    finally:
-        s.purge()
+    with Service(
+        tmp_path_factory.mktemp("outside"), config_text(kind="external", driver=DRIVER)
+    ).running() as s:
+        yield s
 
 
 @pytest.fixture
@@ -70,8 +69,8 @@ def push_until(client: Client, condition: Callable[[], Any], range_m: float | No
     return until(step, "it")
 
 
-def is_near(found: float, wanted: float) -> bool:
-    return abs(found - wanted) < 0.6e-6
+def is_near(found: float, expected: float) -> bool:
+    return abs(found - expected) < 0.6e-6
 
 
 def test_what_python_pushes_is_the_distance_to_the_micrometre_and_none_ends_it(client: Client) -> None:
@@ -167,7 +166,7 @@ def test_a_killed_client_frees_its_channel(outside: Service, client: Client) -> 
         (0, 0, "0.1", "a number of metres or None"),
     ],
 )
-def test_what_cannot_be_a_range_is_told_at_once(
+def test_what_cannot_be_a_range_is_reported_at_once(
     client: Client, channel: Any, ahead_ns: int, range_m: Any, says: str
 ) -> None:
     client.push_range(0, time.monotonic_ns(), 0.1)

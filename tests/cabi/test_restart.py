@@ -63,7 +63,7 @@ def test_client_follows_a_killed_service_into_its_next_life(
     assert probe("map_reset 0 0 0.1 0.1").result == OK
 
 
-def test_holder_is_told_that_the_service_was_restarted(
+def test_holder_learns_that_the_service_was_restarted(
     mortal: Service, make_probe: Callable[..., Probe]
 ) -> None:
     for how in ("auto 0", "auto 1"):
@@ -117,7 +117,7 @@ def start_with_other_memory(service: Service) -> None:
     service.start()
 
 
-def test_client_that_only_posts_poses_is_told_of_the_end_and_goes_on_after_it(
+def test_client_that_only_posts_poses_learns_of_the_end_and_goes_on_after_it(
     mortal: Service, make_probe: Callable[..., Probe]
 ) -> None:
     probe, fixed, watcher = make_probe(), make_probe(), make_probe()

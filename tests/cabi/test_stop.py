@@ -23,16 +23,16 @@ def refused(error: int) -> int:
     return -100 - error
 
 
-def demands(probe: Probe, wanted: int) -> None:
+def demands(probe: Probe, expected: int) -> None:
     """Send poses until the demand has these status bits."""
 
     def step() -> bool:
         assert probe(POSE).result == 0
         answer = probe("dev")
         assert (answer.result == 0) == bool(int(answer.values[2]) & VALID)
-        return bool(int(answer.values[2]) & wanted)
+        return bool(int(answer.values[2]) & expected)
 
-    until(step, f"status {wanted:#x}")
+    until(step, f"status {expected:#x}")
 
 
 def test_a_c_client_stops_and_only_the_poses_holder_resets(

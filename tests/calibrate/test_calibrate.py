@@ -119,14 +119,14 @@ def test_moves_that_cannot_tell_the_mount_are_refused(tilt_x: float, tilt_y: flo
 
 
 @pytest.mark.parametrize("norm", [0.0, 0.5, 1.1])
-def test_a_quaternion_that_is_none_is_told_with_its_move(norm: float) -> None:
+def test_a_quaternion_that_is_none_is_reported_with_its_move(norm: float) -> None:
     poses, seen = over_a_plate(0.4, 0.4, 40)
     poses[6, 3:] *= norm
     with pytest.raises(ConfigError, match="move 7: the quaternion"):
         fit_mount(poses, seen)
 
 
-def test_stray_readings_are_told_where_they_spoil_the_mount() -> None:
+def test_stray_readings_are_reported_where_they_spoil_the_mount() -> None:
     poses, seen = over_a_plate(0.4, 0.4, 40)
     seen[11] += 0.2
     with pytest.raises(ConfigError, match=r"stray readings: .* move 12 is .* off"):
@@ -223,7 +223,9 @@ def test_a_driver_with_a_calibration_delivers_linear_distances_latency_and_keeps
         ('{"mounts": [[0, 0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 0, 0, 1]]}', "2 mounts for 1"),
     ],
 )
-def test_a_file_that_is_no_calibration_of_this_driver_is_told(text: str, says: str, tmp_path: Path) -> None:
+def test_a_file_that_is_no_calibration_of_this_driver_is_reported(
+    text: str, says: str, tmp_path: Path
+) -> None:
     (tmp_path / "c.json").write_text(text)
     with pytest.raises(ConfigError, match=says):
         make_driver({"kind": "none", "calibration": str(tmp_path / "c.json")}, "x")

@@ -32,7 +32,7 @@ def into_full(*words: str) -> subprocess.CompletedProcess[str]:
         )
 
 
-def is_told(done: subprocess.CompletedProcess[str]) -> bool:
+def is_reported(done: subprocess.CompletedProcess[str]) -> bool:
     """Whether the last line says so, after whatever else was said, and nothing follows."""
     lines = done.stderr.splitlines()
     return (
@@ -48,19 +48,19 @@ def is_told(done: subprocess.CompletedProcess[str]) -> bool:
 )
 def test_a_verb_that_needs_nothing_else(words: tuple[str, ...]) -> None:
     done = into_full(*words)
-    assert is_told(done), done
+    assert is_reported(done), done
 
 
 def test_a_map_files_facts(tmp_path: Path) -> None:
     HeightMap.over((0.0, 0.0, 1.0, 1.0), grids=100).save(tmp_path / "a.txt")
     done = into_full("map", "info", "--json", str(tmp_path / "a.txt"))
-    assert is_told(done), done
+    assert is_reported(done), done
 
 
 @pytest.mark.parametrize("words", [("status",), ("status", "--json")])
 def test_the_status_of_a_service(service: Service, words: tuple[str, ...]) -> None:
     done = into_full(*words, "--name", service.name)
-    assert is_told(done), done
+    assert is_reported(done), done
 
 
 def test_a_start_that_cannot_say_ready_follows_all_the_same(make_service: Callable[..., Service]) -> None:
@@ -91,7 +91,7 @@ def test_a_start_that_cannot_say_ready_follows_all_the_same(make_service: Callab
     assert objects_of(s.name) == {f"{s.name}.map"}
 
 
-def test_an_error_of_its_own_is_told_as_such() -> None:
+def test_an_error_of_its_own_is_reported_as_such() -> None:
     done = into_full("status", "--name", "nobody-runs-this")
     assert done.returncode == 1
     assert "No space" not in done.stderr

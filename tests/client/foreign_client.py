@@ -105,8 +105,8 @@ class Board(Shared):
     """*Attaching*, steps 1 to 4."""
 
     def __init__(self, name: str) -> None:
-        told = LAYOUT["objects"]["board"]
-        self.path = told["path"].replace("NAME", name)
+        place = LAYOUT["objects"]["board"]
+        self.path = place["path"].replace("NAME", name)
         fd = os.open(self.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
             found = os.fstat(fd)
@@ -116,16 +116,16 @@ class Board(Shared):
             super().__init__(mmap.mmap(fd, found.st_size, mmap.MAP_SHARED, mmap.PROT_READ))
         finally:
             os.close(fd)
-        header = unpack(told["header"]["struct"], self.memory)
+        header = unpack(place["header"]["struct"], self.memory)
         states = LAYOUT["enums"]["board_state"]
-        if header["state"] < states["STATE_READY"] or header["magic"] != hex64(told["magic"]["value"]):
+        if header["state"] < states["STATE_READY"] or header["magic"] != hex64(place["magic"]["value"]):
             raise RefusedError("the board is not ready")
-        header = unpack(told["header"]["struct"], self.memory)
-        if header["version"] != told["version"] or header["layout_hash"] != hex64(told["hash"]):
+        header = unpack(place["header"]["struct"], self.memory)
+        if header["version"] != place["version"] or header["layout_hash"] != hex64(place["hash"]):
             raise RefusedError("the board is of another release")
         self.epoch, self.period_ns = header["epoch"], header["period_ns"]
         at = {r["name"]: r["offset"] for r in header["region"]}
-        self.parts = {p["name"]: (at[p["name"]], p) for p in told["parts"]}
+        self.parts = {p["name"]: (at[p["name"]], p) for p in place["parts"]}
 
     def part(self, name: str, index: int = 0) -> dict[str, Any] | None:
         at, p = self.parts[name]
@@ -144,20 +144,20 @@ class Slot(Shared):
     """*Getting a slot*, S1 to S5."""
 
     def __init__(self, name: str, board: Board, label: str) -> None:
-        told = self.told = LAYOUT["handshake"]
-        self.steps = {m["name"]: m["step"] for m in told["messages"]}
-        self.socket = socket.socket(getattr(socket, told["family"]), getattr(socket, told["type"]))
+        place = self.place = LAYOUT["handshake"]
+        self.steps = {m["name"]: m["step"] for m in place["messages"]}
+        self.socket = socket.socket(getattr(socket, place["family"]), getattr(socket, place["type"]))
         self.socket.settimeout(LAYOUT["waits"]["slot_wait_ns"] / 1e9)
         try:
-            self.socket.connect(told["path"].replace("NAME", name))
+            self.socket.connect(place["path"].replace("NAME", name))
             peer = self.socket.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)
             if struct.unpack("3i", peer)[1] != board.owner:
                 raise RefusedError("another user listens there")
             self._say("SLOT_ASK", epoch=board.epoch, name=label)
-            offer, fds = self._hear("SLOT_OFFER")
+            offer, fds = self._receive("SLOT_OFFER")
             try:
                 size = os.fstat(fds[0]).st_size
-                if fcntl.fcntl(fds[0], F_GET_SEALS) & told["seals"] != told["seals"]:
+                if fcntl.fcntl(fds[0], F_GET_SEALS) & place["seals"] != place["seals"]:
                     raise RefusedError("the slot is not sealed")
                 if size != LAYOUT["objects"]["slot"]["bytes"]:
                     raise RefusedError("the slot has another size")
@@ -167,7 +167,7 @@ class Slot(Shared):
                     os.close(fd)
             self.number, self.claim = offer["slot"], offer["claim"]
             self._say("SLOT_MAPPED", slot=self.number, claim=self.claim)
-            self._hear("SLOT_GRANT")
+            self._receive("SLOT_GRANT")
             self.socket.setblocking(False)  # a look at it never waits
         except BaseException:
             self.socket.close()
@@ -176,15 +176,18 @@ class Slot(Shared):
         self.counter = 0
 
     def _say(self, step: str, **fields: Any) -> None:
-        known = {"magic": hex64(self.told["magic"]["value"]), "layout_hash": hex64(self.told["hash"])}
-        self.socket.send(pack(self.told["struct"], step=self.steps[step], **known, **fields))
+        known = {
+            "magic": hex64(self.place["magic"]["value"]),
+            "layout_hash": hex64(self.place["hash"]),
+        }
+        self.socket.send(pack(self.place["struct"], step=self.steps[step], **known, **fields))
 
-    def _hear(self, step: str) -> tuple[dict[str, Any], list[int]]:
-        size = LAYOUT["structs"][self.told["struct"]]["bytes"]
+    def _receive(self, step: str) -> tuple[dict[str, Any], list[int]]:
+        size = LAYOUT["structs"][self.place["struct"]]["bytes"]
         data, fds, _, _ = socket.recv_fds(self.socket, size, 1, socket.MSG_CMSG_CLOEXEC)
         if len(data) != size:
             raise RefusedError("the service closed the connection")
-        message = unpack(self.told["struct"], data)
+        message = unpack(self.place["struct"], data)
         if message["step"] == self.steps["SLOT_REFUSE"]:
             raise RefusedError(LAYOUT["slot_refusals"][message["result"]]["text"])
         if message["step"] != self.steps[step]:
@@ -229,7 +232,7 @@ class Client:
         if stale:
             status = status & ~(1 << self.status_bits["VALID"]) | 1 << self.status_bits["STALE"]
         valid = bool(status >> self.status_bits["VALID"] & 1)
-        told = {k: output[k] for k in ("pose_t_ns", "epoch", "cycle")} if output else {}
+        place = {k: output[k] for k in ("pose_t_ns", "epoch", "cycle")} if output else {}
         return {
             "valid": valid,
             "status": [n for n, bit in self.status_bits.items() if status >> bit & 1],
@@ -238,7 +241,7 @@ class Client:
                 n for n, b in LAYOUT["bits"]["sf_output.stop"].items() if output and output["stop"] >> b & 1
             ],
             "range_m": output["range_m"][0] if output and output["range_m"][0] > 0 else None,
-            **told,
+            **place,
         }
 
     def attach(self) -> list[int]:
@@ -327,19 +330,19 @@ class Client:
 
     def map(self) -> dict[str, Any]:
         """Geometry, and the first grids' heights, of a map that is not being laid anew."""
-        told = LAYOUT["objects"]["map"]
-        with open(told["path"].replace("NAME", self.name), "rb") as f:
+        place = LAYOUT["objects"]["map"]
+        with open(place["path"].replace("NAME", self.name), "rb") as f:
             if os.fstat(f.fileno()).st_uid != self.board.owner:
                 raise RefusedError("the map belongs to another user")
             memory = mmap.mmap(f.fileno(), 0, mmap.MAP_SHARED, mmap.PROT_READ)
         for _ in range(1000):
-            header = unpack(told["header"]["struct"], memory)
-            if header["layout_hash"] != hex64(told["hash"]) or header["magic"] != hex64(
-                told["magic"]["value"]
+            header = unpack(place["header"]["struct"], memory)
+            if header["layout_hash"] != hex64(place["hash"]) or header["magic"] != hex64(
+                place["magic"]["value"]
             ):
                 raise RefusedError("the map is of another release")
             grids = [self._height(memory, header, i) for i in range(min(8, header["nx"] * header["ny"]))]
-            again = unpack(told["header"]["struct"], memory)["generation"]
+            again = unpack(place["header"]["struct"], memory)["generation"]
             if again == header["generation"] and again % 2 == 0:
                 geometry = {k: v for k, v in header.items() if not k.startswith(("journal_", "dirty"))}
                 return {**geometry, "grids": grids}
@@ -348,10 +351,10 @@ class Client:
 
     def _height(self, memory: Any, header: dict[str, Any], grid: int) -> float | None:
         """Height [m] of a grid: grid i lies in pair i / 2."""
-        told = LAYOUT["objects"]["map"]
-        pairs = told["pairs"]
+        place = LAYOUT["objects"]["map"]
+        pairs = place["pairs"]
         h = unpack(pairs["struct"], memory, pairs["offset"] + grid // 2 * pairs["stride"])["h"][grid % 2]
-        return None if h == told["unknown_height"] else header["datum_m"] + header["quantum_m"] * h
+        return None if h == place["unknown_height"] else header["datum_m"] + header["quantum_m"] * h
 
     # -- beneath --------------------------------------------------------------------------------
 

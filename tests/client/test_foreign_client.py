@@ -74,11 +74,8 @@ def layout(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service whose simulated sensor rides on the poses that the foreign client reports."""
-    s = Service(tmp_path_factory.mktemp("service"), config_text(kind="simulated"))
-    try:
-        yield s.start()
-    finally:
-        s.purge()
+    with Service(tmp_path_factory.mktemp("service"), config_text(kind="simulated")).running() as s:
+        yield s
 
 
 @pytest.fixture
@@ -109,17 +106,17 @@ def test_it_drives_and_its_stand_off_and_parameters_are_in_force(foreign: Foreig
     assert foreign("params")["offset_m"] == 0.09
     assert until(lambda: abs(foreign.until_valid()["demand"][2] + 0.01) < 1e-3, "a demand 10 mm down")
 
-    wanted = {"permitted_variance_m": 2e-4, "range_size": 7}
-    assert foreign("set_params", wanted) == ["OK", 0]
+    expected = {"permitted_variance_m": 2e-4, "range_size": 7}
+    assert foreign("set_params", expected) == ["OK", 0]
     with service.observe() as watcher:
         ours = watcher.params()
         names = [c["name"] for c in watcher.clients()]
-    assert {n: ours[n] for n in wanted} == wanted
+    assert {n: ours[n] for n in expected} == expected
     assert foreign("params") == ours
     assert any(n.startswith("foreign ") for n in names)
 
 
-def test_it_is_told_which_parameter_was_wrong(foreign: Foreign) -> None:
+def test_it_learns_which_parameter_was_wrong(foreign: Foreign) -> None:
     numbers = {p["number"]: p["name"] for p in layout_document()["parameters"]}
     for name, spec in PARAMS.items():
         if not math.isfinite(spec.high):
@@ -181,8 +178,8 @@ def test_it_lays_refocuses_installs_and_holds_the_map(foreign: Foreign) -> None:
     found = foreign("map")
     assert {k: found[k] for k in geometry} == geometry
     assert found["region_m"] == [*region.values()]
-    wanted = [None if h == -32768 else 0.002 + 25.4e-6 * h for h in heights]
-    assert found["grids"] == [w if w is None else pytest.approx(w, abs=1e-12) for w in wanted]
+    expected = [None if h == -32768 else 0.002 + 25.4e-6 * h for h in heights]
+    assert found["grids"] == [w if w is None else pytest.approx(w, abs=1e-12) for w in expected]
 
     until(lambda: foreign("enter"), "exclusive access")
     assert foreign("exit")
@@ -247,7 +244,7 @@ def test_an_altered_hash_is_refused(layout: Path, service: Service, tmp_path: Pa
 
 
 def test_status_names_version_and_hashes_as_the_header_does(layout: Path, service: Service) -> None:
-    told = json.loads(service.run("status", "--json").stdout)["layout"]
+    reported = json.loads(service.run("status", "--json").stdout)["layout"]
     header = json.loads(layout.read_text())
-    assert told == {k: header[k] for k in told}
-    assert {"release", "version", "hash", "map_hash"} <= told.keys()
+    assert reported == {k: header[k] for k in reported}
+    assert {"release", "version", "hash", "map_hash"} <= reported.keys()

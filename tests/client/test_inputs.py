@@ -233,7 +233,7 @@ def test_requests_of_two_clients_are_answered_to_each(service: Service, client: 
                 bad.result(0.0)
 
 
-def test_a_request_that_nobody_answers_times_out(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_request_without_an_answer_times_out(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     with service.attach() as c:
         ticket = c.sf_reset(0.1)
         ticket._answer, ticket.counter = None, ticket.counter + 1000
@@ -284,19 +284,19 @@ def test_the_papers_spellings_are_the_same_functions(client: Client) -> None:
     drive(client, lambda: client.RawDistance() > 0, what="a distance")
 
 
-def test_faults_are_numbered_and_what_cannot_be_told_is_null(client: Client) -> None:
+def test_faults_are_numbered_and_what_is_unknown_is_null(client: Client) -> None:
     assert numbered_faults(0b10010, 0b100) == [
         {"number": 2, "name": "STUCK"},
         {"number": 5, "name": "CLOCK"},
         {"number": 35, "name": "SAMPLES_LOST"},
     ]
     assert follower_report(None, 1) == {"mode": "adaptive"}
-    told = client.status()["follower"]
-    assert told["mode"] == "adaptive"
-    assert told["health"] in HEALTH_NAMES
-    assert told["latency_s"] == pytest.approx(0.032, abs=5e-3)
-    assert told["range_size"] >= 1
-    assert all(v is None or not isinstance(v, float) or math.isfinite(v) for v in told.values())
+    reported = client.status()["follower"]
+    assert reported["mode"] == "adaptive"
+    assert reported["health"] in HEALTH_NAMES
+    assert reported["latency_s"] == pytest.approx(0.032, abs=5e-3)
+    assert reported["range_size"] >= 1
+    assert all(v is None or not isinstance(v, float) or math.isfinite(v) for v in reported.values())
 
 
 def test_every_parameter_is_known_without_its_unit() -> None:

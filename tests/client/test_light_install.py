@@ -75,10 +75,10 @@ def test_a_client_installation_drives_a_service_and_has_the_header(light: Path, 
         service.start()
         got = run(light / "bin/python", "-c", DRIVE, service.name, cwd=tmp_path)
         assert got.returncode == 0, got.stderr
-        told = json.loads(got.stdout)
-        assert told["valid"]
-        assert told["range_m"] == pytest.approx(0.12, abs=0.001)
-        assert told["heavy"] == []
+        reported = json.loads(got.stdout)
+        assert reported["valid"]
+        assert reported["range_m"] == pytest.approx(0.12, abs=0.001)
+        assert reported["heavy"] == []
         status = run(light / "bin/surffollow", "status", "--name", service.name, "--json", cwd=tmp_path)
         assert json.loads(status.stdout)["alive"], status.stderr
         audit = run(light / "bin/surffollow", "status", "--name", service.name, "--audit", cwd=tmp_path)

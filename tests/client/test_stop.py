@@ -10,7 +10,7 @@ import pytest
 
 from running_service import POSE, STANDOFF_M, Service, World, drive, quickest, until
 from surffollow.client import Client
-from surffollow.client.slot import SlotHolder
+from surffollow.client.request_sender import RequestSender
 from surffollow.errors import BusyError
 
 Make = Callable[..., Service]
@@ -25,17 +25,17 @@ def test_a_stop_in_a_signal_handler_is_in_force_wherever_it_interrupts(
 ) -> None:
     with service.attach() as client, service.attach() as other:
         drive(client, lambda: client.dev_vector().valid, what="a demand")
-        own_post = SlotHolder._post_request
+        own_post = RequestSender._post_request
         tickets = []
 
-        def post_with_a_signal_in_between(self: SlotHolder, *words: object) -> object:
+        def post_with_a_signal_in_between(self: RequestSender, *words: object) -> object:
             signal.raise_signal(signal.SIGALRM)
             return own_post(self, *words)  # type: ignore[arg-type]
 
         before = signal.signal(
             signal.SIGALRM, lambda *_: tickets.append(client.stop("by a signal", wait=False))
         )
-        monkeypatch.setattr(SlotHolder, "_post_request", post_with_a_signal_in_between)
+        monkeypatch.setattr(RequestSender, "_post_request", post_with_a_signal_in_between)
         try:
             client.sf_reset(STANDOFF_M)  # its answer comes though the signal came in between
         finally:

@@ -102,7 +102,7 @@ def test_a_full_file_is_taken_as_written(tmp_path):
         ({"name": 3}, ["name"]),
     ],
 )
-def test_a_mistake_is_told_with_its_key(data, says):
+def test_a_mistake_is_reported_with_its_key(data, says):
     with pytest.raises(ConfigError) as e:
         parse_config(data, "arm.toml")
     text = str(e.value)
@@ -122,7 +122,7 @@ def test_a_file_that_cannot_be_read_or_is_no_toml_is_named(tmp_path):
         load_config(tmp_path)
 
 
-def test_a_file_in_another_encoding_is_told_and_not_a_crash(tmp_path):
+def test_a_file_in_another_encoding_is_reported_and_not_a_crash(tmp_path):
     bad = tmp_path / "latin.toml"
     bad.write_bytes('name = "größe"'.encode("latin-1"))
     with pytest.raises(ConfigError, match=r"latin\.toml"):
@@ -149,17 +149,17 @@ def test_what_start_finds_wrong_later_names_the_file_too(tmp_path, text, says):
     path.write_text(text)
     name = f"test-wrong-{os.getpid()}"
     try:
-        told = CliRunner().invoke(start_command, ["--config", str(path), "--name", name]).exception
+        error = CliRunner().invoke(start_command, ["--config", str(path), "--name", name]).exception
     finally:
         for part in ("", ".sock", ".lock", ".map"):
             unlink(name + part)
-    assert isinstance(told, ConfigError)
-    assert str(told).startswith(f"{path}: ")
-    assert says in str(told)
+    assert isinstance(error, ConfigError)
+    assert str(error).startswith(f"{path}: ")
+    assert says in str(error)
 
 
 @pytest.mark.parametrize(
-    ("rounding", "follow", "wanted"),
+    ("rounding", "follow", "expected"),
     [
         ({}, {}, "unbiased"),
         ({}, {"mode": "adaptive"}, "unbiased"),
@@ -169,5 +169,5 @@ def test_what_start_finds_wrong_later_names_the_file_too(tmp_path, text, says):
         ({"rounding": "paper"}, {}, "paper"),
     ],
 )
-def test_paper_mode_is_one_setting_the_maps_rounding_included(rounding, follow, wanted):
-    assert map_rounding(parse_config({"map": rounding, "follow": follow})) == wanted
+def test_paper_mode_is_one_setting_the_maps_rounding_included(rounding, follow, expected):
+    assert map_rounding(parse_config({"map": rounding, "follow": follow})) == expected

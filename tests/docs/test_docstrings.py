@@ -53,13 +53,13 @@ def faults(function: Callable[..., Any]) -> list[str]:
     if not doc:
         return ["no docstring"]
     signature = inspect.signature(function)
-    wanted = [name for name in signature.parameters if name not in ("self", "cls")]
+    expected = [name for name in signature.parameters if name not in ("self", "cls")]
     entries = [line for line in section(doc, "Parameters").splitlines() if line[:1].strip()]
     named = {word.strip() for line in entries for word in line.split(" : ")[0].split(",")}
-    wrong = [f"parameter {name}" for name in wanted if name not in named]
+    wrong = [f"parameter {name}" for name in expected if name not in named]
     gives = str(signature.return_annotation) not in ("None", str(inspect.Signature.empty))
     # without parameters the summary says what comes back
-    if wanted and gives and not section(doc, "Returns"):
+    if expected and gives and not section(doc, "Returns"):
         wrong.append("what it returns")
     return wrong
 

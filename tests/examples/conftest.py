@@ -12,8 +12,5 @@ from running_service import Service
 @pytest.fixture(scope="module")
 def bare(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """What `surffollow start` gives without a configuration."""
-    service = Service(tmp_path_factory.mktemp("bare"), "")
-    try:
-        yield service.start()
-    finally:
-        service.purge()
+    with Service(tmp_path_factory.mktemp("bare"), "").running() as service:
+        yield service

@@ -49,12 +49,12 @@ def test_it_keeps_its_distance_from_rolling_ground(program: Path, bare: Service)
     for _ in range(TRIES):
         done = subprocess.run([str(program), bare.name, "6"], capture_output=True, text=True, timeout=60)
         assert done.returncode == 0, done.stderr
-        told = figures(done.stdout.splitlines()[-1])
-        if told["standoff_rms_mm"] <= LIMIT_MM and told["readings"] > 350:
+        reported = figures(done.stdout.splitlines()[-1])
+        if reported["standoff_rms_mm"] <= LIMIT_MM and reported["readings"] > 350:
             break
-    assert told["readings"] > 350
-    assert told["standoff_rms_mm"] <= LIMIT_MM
-    assert told["attachments"] == 1
+    assert reported["readings"] > 350
+    assert reported["standoff_rms_mm"] <= LIMIT_MM
+    assert reported["attachments"] == 1
 
 
 def test_it_attaches_again_to_a_service_that_was_killed_and_started(program: Path, bare: Service) -> None:
@@ -94,9 +94,9 @@ def test_a_layout_of_another_release_is_refused(program: Path, bare: Service, tm
     command = [sys.executable, "-m", "surffollow", "print-header", "--json"]
     text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     layout = tmp_path / "layout.json"
-    told = json.loads(text)
-    told["hash"] = "0x0123456789abcdef"
-    layout.write_text(json.dumps(told))
+    reported = json.loads(text)
+    reported["hash"] = "0x0123456789abcdef"
+    layout.write_text(json.dumps(reported))
     out = tmp_path / "layout.rs"
     subprocess.run(
         [sys.executable, "-I", str(FOLDER / "generate.py"), str(out)],

@@ -43,30 +43,30 @@ def deadband_state(rate_mps=0.0):
     return a
 
 
-def filtered(a, wanted_m, cycles, cycle_ns):
+def filtered(a, desired_m, cycles, cycle_ns):
     for _ in range(cycles):
         a["clock"]["now_ns"] += cycle_ns
-        filter_setpoint(default_params(), a, wanted_m)
+        filter_setpoint(default_params(), a, desired_m)
     return float(a["blend"]["filtered_m"])
 
 
-def filtered_in_small_steps(wanted_m, seconds, steps=200_000):
+def filtered_in_small_steps(desired_m, seconds, steps=200_000):
     """The set point's equation, in steps far smaller than any cycle."""
-    excess = wanted_m - BAND
+    excess = desired_m - BAND
     for _ in range(steps):
         excess -= excess * excess / (DEADBAND_SOFTNESS * BAND * DEADBAND_DECAY_S) * seconds / steps
-    return wanted_m - BAND - excess
+    return desired_m - BAND - excess
 
 
-@pytest.mark.parametrize("wanted_m", [1.5e-4, 5e-4, 2e-3])
-def test_the_deadband_filter_solves_its_equation_in_cycles_of_any_length(wanted_m):
-    at_100_hz = filtered(deadband_state(), wanted_m, 3, 10 * MS)
-    assert at_100_hz == pytest.approx(filtered(deadband_state(), wanted_m, 30, MS), rel=1e-9)
-    assert at_100_hz == pytest.approx(filtered(deadband_state(), wanted_m, 300, MS // 10), rel=1e-9)
-    assert at_100_hz == pytest.approx(filtered_in_small_steps(wanted_m, 0.03), rel=2e-3)
+@pytest.mark.parametrize("desired_m", [1.5e-4, 5e-4, 2e-3])
+def test_the_deadband_filter_solves_its_equation_in_cycles_of_any_length(desired_m):
+    at_100_hz = filtered(deadband_state(), desired_m, 3, 10 * MS)
+    assert at_100_hz == pytest.approx(filtered(deadband_state(), desired_m, 30, MS), rel=1e-9)
+    assert at_100_hz == pytest.approx(filtered(deadband_state(), desired_m, 300, MS // 10), rel=1e-9)
+    assert at_100_hz == pytest.approx(filtered_in_small_steps(desired_m, 0.03), rel=2e-3)
 
 
-def test_within_the_deadband_the_set_point_continues_at_the_predicted_rate():
+def test_within_the_deadband_the_setpoint_continues_at_the_predicted_rate():
     assert filtered(deadband_state(), 0.9 * BAND, 50, MS) == 0.0
     assert filtered(deadband_state(rate_mps=1e-3), 0.0, 50, MS) == pytest.approx(5e-5)
 
@@ -94,21 +94,21 @@ def test_a_single_sample_near_the_gate_is_held_back_and_a_second_one_alike_accep
 def test_samples_across_the_edges_of_a_slot_do_not_widen_the_gate():
     heights = np.zeros(420)
     heights[400:405] = -0.004, -0.01, -0.01, -0.01, -0.0021
-    calm, _ = feed(np.zeros(420))
+    undisturbed, _ = feed(np.zeros(420))
     a, taken = feed(heights)
     assert not taken[400:405].any()
-    assert a["gate"]["scale_m"] == pytest.approx(calm["gate"]["scale_m"], rel=0.1)
+    assert a["gate"]["scale_m"] == pytest.approx(undisturbed["gate"]["scale_m"], rel=0.1)
     assert abs(a["estimate"]["height_m"]) < 2e-4
 
 
 def test_outliers_that_never_agree_widen_the_gate_when_they_are_more_than_a_burst():
-    calm, _ = feed(np.zeros(440))
+    undisturbed, _ = feed(np.zeros(440))
     for count, wider in ((12, False), (30, True)):
         heights = np.zeros(400 + count)
         heights[400:] = 0.01 * (1.0 + np.arange(count) // 2) * (-1.0) ** np.arange(count)
         a, taken = feed(heights)
         assert not taken[400:412].any(), "a burst confirms no step"
-        assert (a["gate"]["scale_m"] > 1.5 * calm["gate"]["scale_m"]) == wider
+        assert (a["gate"]["scale_m"] > 1.5 * undisturbed["gate"]["scale_m"]) == wider
 
 
 def test_a_bad_first_sample_is_discarded_with_all_that_it_taught():
@@ -122,7 +122,7 @@ def test_a_bad_first_sample_is_discarded_with_all_that_it_taught():
     assert a["gate"]["slot_likelihood"] == 1.0, "no step was seen"
 
 
-def judged(samples, scored):
+def evaluated(samples, scored):
     """A state whose models have equal scores, far below the reading noise."""
     a = zeros(AdaptiveState)[0]
     a["estimate"]["samples"], a["weights"]["scored"] = samples, scored
@@ -148,7 +148,7 @@ def test_the_variance_penalty_acts_during_burn_in_only():
         (BURN_IN_SAMPLES, 0),
         (BURN_IN_SAMPLES, FULL_POWER_SAMPLES),
     ):
-        a = judged(samples, scored)
+        a = evaluated(samples, scored)
         a["bank"]["p11"][bold] = 1.0  # no idea of its slope
         update_weights(default_params(), a, 1.0)
         shares.append(a["weights"]["weight"][bold] / a["weights"]["weight"][bold + 1])
@@ -161,7 +161,7 @@ def test_the_variance_penalty_acts_during_burn_in_only():
 def test_there_is_no_variance_penalty_with_a_leading_sensor():
     shares = []
     for lead_m in (-0.05, 0.0, 0.05):
-        a = judged(BURN_IN_SAMPLES, 0)
+        a = evaluated(BURN_IN_SAMPLES, 0)
         a["sample"]["lead_m"] = lead_m
         a["bank"]["p11"][10] = 1.0  # no idea of its slope
         update_weights(default_params(), a, 1.0)
@@ -172,7 +172,7 @@ def test_there_is_no_variance_penalty_with_a_leading_sensor():
 
 def test_the_power_of_the_index_is_high_in_noise_and_low_in_great_errors():
     def advantage(factor, scored):
-        a = judged(BURN_IN_SAMPLES, scored)
+        a = evaluated(BURN_IN_SAMPLES, scored)
         for horizon in ("recent_m2", "longer_m2"):
             a["weights"][horizon][:N_MODELS] *= factor
             a["weights"][horizon][10] *= 0.99
@@ -187,7 +187,7 @@ def test_the_power_of_the_index_is_high_in_noise_and_low_in_great_errors():
 
 
 def test_levels_and_slopes_that_did_equally_well_have_equal_weights():
-    a = judged(BURN_IN_SAMPLES, FULL_POWER_SAMPLES)
+    a = evaluated(BURN_IN_SAMPLES, FULL_POWER_SAMPLES)
     update_weights(default_params(), a, 1.0)
     weights = a["weights"]["weight"][:N_MODELS]
     assert weights.sum() == pytest.approx(1.0)
@@ -196,7 +196,7 @@ def test_levels_and_slopes_that_did_equally_well_have_equal_weights():
 
 
 def test_the_setpoint_of_a_model_leads_by_its_slope_times_the_time_constant():
-    a = judged(BURN_IN_SAMPLES, FULL_POWER_SAMPLES)
+    a = evaluated(BURN_IN_SAMPLES, FULL_POWER_SAMPLES)
     rising = (BANK[:, 2] > 0.0) & (BANK[:, 0] != WAVE)
     a["bank"]["x1"][:N_MODELS][rising] = 0.2
     blend_setpoints(default_params(), a, 0, 0.0, 0.1, 1)
@@ -242,7 +242,7 @@ def test_no_speed_is_measured_across_a_long_gap_of_reports():
 
 
 @pytest.mark.parametrize("case", ["slot", "glitch"])
-def test_slots_and_glitches_hardly_move_the_set_point(case):
+def test_slots_and_glitches_hardly_move_the_setpoint(case):
     job = Job("excursion", "ours", 302, Conditions(), "flat", 0.1, case)
     found = excursion(job)
     assert found["excursion_m"] < 0.15e-3

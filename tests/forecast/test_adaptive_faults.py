@@ -68,7 +68,7 @@ def test_a_clock_that_jumps_back_is_followed_with_several_sensors():
 
 
 @pytest.mark.parametrize("run", ["freeze", "dryrun"])
-def test_after_freeze_and_dryrun_the_set_point_begins_at_the_tool(run):
+def test_after_freeze_and_dryrun_the_setpoint_begins_at_the_tool(run):
     b = Bench()
     b.go(500, 0.1)
     b.f.set_params(run=run)
@@ -170,7 +170,7 @@ def test_a_slow_caller_is_followed_within_the_limits_of_the_elapsed_time(rate_hz
     assert np.diff(zs).min() >= -0.01 * dt_s - 1e-9, "half of max_speed toward the surface"
 
 
-def test_after_a_pause_the_set_point_starts_at_the_tool():
+def test_after_a_pause_the_setpoint_starts_at_the_tool():
     for period_ns, pause_ns in ((MS, 110 * MS), (200 * MS, 900 * MS)):
         b = Bench()
         b.go(60, 0.1, period_ns=period_ns)
@@ -180,7 +180,7 @@ def test_after_a_pause_the_set_point_starts_at_the_tool():
 
 
 @pytest.mark.parametrize("intervals_ms", [(1, 20), (2, 4), (0.05, 3, 30), (0.1, 20)])
-def test_a_set_point_in_irregular_cycles_does_not_overshoot(intervals_ms):
+def test_a_setpoint_in_irregular_cycles_does_not_overshoot(intervals_ms):
     params, a, rng = zeros(Params), zeros(AdaptiveState)[0], np.random.default_rng(0)
     for name, spec in PARAMS.items():
         params[name] = spec.default
@@ -313,13 +313,13 @@ def test_a_follower_whose_readings_never_confirm_each_other_is_not_valid_and_say
         t = k * 10 * MS
         f.pose(t, (0.01 * k, 0.0, 30.0, 0.0, 0.0, 0.0, 1.0))
         demand = f.step(t, [20.0 + 5.0 * rng.standard_normal() if k % 100 == 0 else math.nan])
-        told = f.state()
-        if t > 10_000 * MS and "VALID" in told["status"] and demand[2] == 0.0:
+        reported = f.state()
+        if t > 10_000 * MS and "VALID" in reported["status"] and demand[2] == 0.0:
             valid_s += 0.01
-        reasons.add((told["health"], told["reason"]))
+        reasons.add((reported["health"], reported["reason"]))
     assert valid_s < 2.5, "a demand of zero is not VALID for longer than the loss time-out"
     assert ("DROPOUT", "no sample entered the estimate within the loss time-out") in reasons
-    assert "LOST" in told["faults"]
+    assert "LOST" in reported["faults"]
 
 
 @pytest.mark.parametrize("slope", [-0.2, -0.1])

@@ -8,21 +8,19 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
-from surffollow.benchmark.hazards import (
+from surffollow.benchmark.hazard_ground import make_ground as ground_of
+from surffollow.benchmark.hazard_ground import rotate, true_range
+from surffollow.benchmark.hazard_scenarios import (
     FAMILIES,
     FAR_M,
     KINDS,
     LEADING,
     NEAR_M,
     STANDOFF_M,
-    PLoop,
     Scenario,
     draw,
-    play,
-    rotate,
-    true_range,
 )
-from surffollow.benchmark.hazards import make_ground as ground_of
+from surffollow.benchmark.hazards import PLoop, play
 from surffollow.forecast.attitude.beam_detection import BENT_GATE, is_bent
 from surffollow.forecast.terrain.known_ground import (
     CONTRADICTION_SAMPLES,
@@ -101,8 +99,8 @@ def test_timestamps_that_go_back_are_corrected_and_reported():
     readings = [z(4 * k - 30) + 1e-4 * e for k, e in enumerate(np.random.default_rng(5).standard_normal(n))]
     wrong = range(1000, 1300)
     seen = []
-    told = drive(f, readings, z_m=z, stamp_ms=lambda t: t - 100 if t in wrong else t)
-    for k, (_, state) in enumerate(told):
+    states = drive(f, readings, z_m=z, stamp_ms=lambda t: t - 100 if t in wrong else t)
+    for k, (_, state) in enumerate(states):
         # THEN the ground stays where it is, and the state says why it is suspect
         if 4 * k in range(1020, 1500):
             seen.append(state["reason"])
@@ -114,14 +112,14 @@ def test_timestamps_that_go_back_are_corrected_and_reported():
 def test_one_timestamp_in_the_future_does_not_shift_those_that_follow():
     f = follower()
     speed, slope = 0.2, 0.1
-    told = drive(
+    states = drive(
         f,
         noisy(300),
         speed=speed,
         z_m=lambda t: STANDOFF_M + slope * speed * t * 1e-3,
         stamp_ms=lambda t: t + (25 if t == 800 else 0),
     )
-    for k, (_, state) in enumerate(told):
+    for k, (_, state) in enumerate(states):
         if 4 * k > 1000:
             assert state["reason"] == ""
             assert abs(state["late_s"] - 0.03) < 3e-3
@@ -136,8 +134,8 @@ def test_a_jump_of_the_reported_position_keeps_the_velocity_and_is_reported():
         return STANDOFF_M + slope * speed * t * 1e-3
 
     # WHEN the reported x jumps by 0.16 m while the tool climbs a ramp
-    told = drive(f, noisy(500, sigma=1e-4), x_m=lambda t: speed * t * 1e-3 + 0.16 * (t >= jump), z_m=z)
-    for k, (demand, state) in enumerate(told):
+    states = drive(f, noisy(500, sigma=1e-4), x_m=lambda t: speed * t * 1e-3 + 0.16 * (t >= jump), z_m=z)
+    for k, (demand, state) in enumerate(states):
         t = 4 * k
         # THEN the demand goes on as before
         if t > 900:

@@ -36,8 +36,8 @@ class Run:
                 d = f.step(t, [z - ground(*s) + 5e-5 * rng.standard_normal() for s in spots])
             if k % 10 == 0:
                 goal = reported + d[2]
-            wanted = np.clip((goal - z) / 0.04, -0.2, 0.2)
-            v += float(np.clip(wanted - v, -2e-3, 2e-3))
+            expected = np.clip((goal - z) / 0.04, -0.2, 0.2)
+            v += float(np.clip(expected - v, -2e-3, 2e-3))
             z += 1e-3 * v
             errors.append(z - ground(x, y) - 0.1)
         self.errors = np.array(errors)

@@ -124,7 +124,7 @@ def test_the_plan_is_the_bounded_least_squares_solution(seed, known):
     # positions are linear in the accelerations: p = v·dt·(k+1) + S·u with u in metres per tick²
     s = np.array([[max(0, i - j + 1) for j in range(n)] for i in range(n)], float)
     rows = np.vstack([np.sqrt(weight)[:, None] * s, math.sqrt(4e-8 / dt**4) * np.eye(n)])
-    wanted = np.concatenate([np.sqrt(weight) * (aims - v * dt * after), np.zeros(n)])
+    expected = np.concatenate([np.sqrt(weight) * (aims - v * dt * after), np.zeros(n)])
     # going down by more than 1.5 mm before the ground does costs 300 times as much: which points are early?
     lowest = np.minimum.accumulate(ground[:known])[1:]
     bound = np.full(n, -np.inf)
@@ -133,7 +133,7 @@ def test_the_plan_is_the_bounded_least_squares_solution(seed, known):
     def problem(early):
         more = math.sqrt(plan.EARLY_WEIGHT) * early[:, None] * s
         target = math.sqrt(plan.EARLY_WEIGHT) * np.where(early, bound - v * dt * after, 0.0)
-        return np.vstack([rows, more]), np.concatenate([wanted, target])
+        return np.vstack([rows, more]), np.concatenate([expected, target])
 
     def cost(u):
         r, w = problem(v * dt * after + s @ u < bound)

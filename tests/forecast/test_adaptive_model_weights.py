@@ -239,7 +239,7 @@ def test_the_deadband_is_wider_during_burn_in_in_noise():
         ("glitch", 0.4, 7000),
     ],
 )
-def test_a_few_samples_on_flat_ground_do_not_move_the_set_point(case, speed_mps, seed):
+def test_a_few_samples_on_flat_ground_do_not_move_the_setpoint(case, speed_mps, seed):
     job = Job("excursion", "ours", seed, Conditions(), speed_mps=speed_mps, case=case)
     assert excursion(job)["excursion_m"] < 0.12e-3
 

@@ -209,25 +209,25 @@ def test_a_wrong_beam_of_three_tilts_the_demand_no_farther_than_max_tilt_rad(max
     assert math.acos(f.state()["normal"][2]) > 0.6, "the ground that the beams see is reported as it is"
 
 
-def test_the_attitude_set_point_keeps_its_limits():
+def test_the_attitude_setpoint_keeps_its_limits():
     params, a = zeros(Params)[0], zeros(AdaptiveState)[0]
     params["max_turn_speed_radps"], params["max_turn_accel_radps2"] = 0.5, 5.0
     params["permitted_turn_rad"] = 1e-3
     a["attitude"]["axis"][2] = 1.0
-    wanted = normal_of(0.4, 0.3)
+    expected = normal_of(0.4, 0.3)
     axes, speeds = [a["attitude"]["axis"].copy()], [a["attitude"]["angular_velocity_radps"].copy()]
     for _ in range(2000):
-        limit_attitude(params, a["attitude"], *wanted, 1e-3)
+        limit_attitude(params, a["attitude"], *expected, 1e-3)
         axes.append(a["attitude"]["axis"].copy())
         speeds.append(a["attitude"]["angular_velocity_radps"].copy())
     steps = [angle_between(u, v) for u, v in itertools.pairwise(axes)]
     assert max(steps) <= 0.5e-3 * (1 + 1e-6)
     assert np.linalg.norm(np.diff(speeds, axis=0), axis=1).max() <= 5e-3 * (1 + 1e-9)
-    assert angle_between(axes[-1], wanted) <= 1e-3 + 5e-5
+    assert angle_between(axes[-1], expected) <= 1e-3 + 5e-5
     # what lies within the band turns nothing
     still = a["attitude"]["axis"].copy()
     for k in range(100):
-        near = still + 4e-4 * np.array([math.sin(k), math.cos(k), 0.0]) + (wanted - still) * 0.3
+        near = still + 4e-4 * np.array([math.sin(k), math.cos(k), 0.0]) + (expected - still) * 0.3
         limit_attitude(params, a["attitude"], *(near / np.linalg.norm(near)), 1e-3)
     assert angle_between(still, a["attitude"]["axis"]) < 1e-4
 

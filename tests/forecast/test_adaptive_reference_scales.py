@@ -158,7 +158,7 @@ def test_every_published_quantity_scales_as_its_unit_says(length, power):
 
 
 @pytest.mark.parametrize(("offset", "tau"), [(0.1, 0.04), (0.1016, 0.04), (0.0762, 0.05)])
-def test_the_usual_cell_is_followed_with_the_numbers_it_is_told(offset, tau):
+def test_the_usual_cell_is_followed_with_the_given_numbers(offset, tau):
     f = Follower({"plant": {"tau_s": tau}}, offset_m=offset)
     assert (f._state["scaled"]["length"][0], f._state["scaled"]["time"][0]) == (1.0, 1.0)
     assert scaled_defaults(offset, tau) == {n: PARAMS[n].default for n in scaled_defaults(offset, tau)}

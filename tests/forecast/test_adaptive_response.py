@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
-from surffollow.benchmark.hazards import FAR_M, NEAR_M, SIGMA_M, STANDOFF_M, PLoop, draw, play
+from surffollow.benchmark.hazard_scenarios import FAR_M, NEAR_M, SIGMA_M, STANDOFF_M, draw
+from surffollow.benchmark.hazards import PLoop, play
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_HOLD, RESPONSE_NONE, RESPONSE_RUN
 
 MS = 1_000_000

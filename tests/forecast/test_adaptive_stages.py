@@ -123,21 +123,21 @@ def test_frozen_adaptation_keeps_weights_and_noise():
     assert (a["weights"]["recent_m2"] == before[2]).all()
 
 
-def test_a_set_point_keeps_its_limits_and_arrives_without_overshoot():
+def test_a_setpoint_keeps_its_limits_and_arrives_without_overshoot():
     params = default_params()
     params["max_speed_mps"], params["max_accel_mps2"], params["max_jerk_mps3"] = 0.5, 20.0, 1e9
-    for wanted, most in ((0.05, 0.5), (-0.05, 0.25)):
+    for expected, most in ((0.05, 0.5), (-0.05, 0.25)):
         a = zeros(AdaptiveState)[0]
         path = []
         for k in range(600):
-            limit_setpoint(params, a, 10**9 + k * MS, wanted, 0.0)
+            limit_setpoint(params, a, 10**9 + k * MS, expected, 0.0)
             path.append(float(a["setpoint"]["position_m"]))
         path = np.array(path)
         speed = np.diff(path) / 1e-3
         assert np.abs(speed).max() <= most * (1 + 1e-9)
         assert np.abs(np.diff(speed)).max() <= 20.0 * 1e-3 * (1 + 1e-6)
-        assert path[-1] == pytest.approx(wanted, abs=1e-6)
-        assert np.abs(path).max() <= 1.01 * abs(wanted)
+        assert path[-1] == pytest.approx(expected, abs=1e-6)
+        assert np.abs(path).max() <= 1.01 * abs(expected)
 
 
 def test_the_terrain_buffer_returns_stored_heights_and_nothing_else():

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
-from surffollow.benchmark.hazards import FAR_M, NEAR_M, STANDOFF_M, PLoop, Scenario, draw, play
+from surffollow.benchmark.hazard_scenarios import FAR_M, NEAR_M, STANDOFF_M, Scenario, draw
+from surffollow.benchmark.hazards import PLoop, play
 from surffollow.errors import ConfigError
 
 MS = 1_000_000

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
-from surffollow.benchmark.hazards import FAR_M, NEAR_M, STANDOFF_M, PLoop, draw, play
+from surffollow.benchmark.hazard_scenarios import FAR_M, NEAR_M, STANDOFF_M, draw
+from surffollow.benchmark.hazards import PLoop, play
 from surffollow.follower.future_stamps import FutureStamps, ReferenceTime
 
 MS = 1_000_000
@@ -53,7 +54,7 @@ def test_one_stamp_ahead_is_dropped():
     assert set(fed(range(2004, 2400), stamps)) == {0}
 
 
-def test_stamps_go_on_while_no_time_is_told():
+def test_stamps_go_on_while_no_time_is_given():
     """GIVEN poses that stop WHEN readings go on as before THEN their stamps are taken as they are."""
     stamps = Sensor()
     fed(range(2000), stamps)
@@ -97,17 +98,17 @@ def test_the_tool_keeps_its_distance(seed):
 
 def test_state_says_why_until_the_stamps_are_usual_again_or_a_reset():
     f = standard()
-    told = []
+    health = []
     for ms in range(3000):
         if ms % 10 == 0:
             f.pose(ms * MS, (1e-4 * ms, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
         if ms % 4 == 0:
             f.step((ms + (60 if 1000 <= ms < 2000 else 0)) * MS, [0.1])
-            told.append((f.state()["health"], f.state()["reason"]))
+            health.append((f.state()["health"], f.state()["reason"]))
     reason = "timestamps jumped ahead; readings count as new as usual"
-    assert told[240] == ("OK", "")
-    assert told[260:490] == [("SUSPECT", reason)] * 230
-    assert told[-1] == ("OK", "")
+    assert health[240] == ("OK", "")
+    assert health[260:490] == [("SUSPECT", reason)] * 230
+    assert health[-1] == ("OK", "")
 
 
 def test_a_new_sensor_beside_a_late_one_is_not_dropped():

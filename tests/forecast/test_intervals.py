@@ -135,9 +135,9 @@ def test_ranges_are_disjoint_hold_the_newest_and_give_the_slope_between_their_me
         along = np.concatenate([[0.0], np.hypot(*np.diff(both[:, :2], axis=0).T).cumsum()])
         gap = along[n:].mean() - along[:n].mean()
         if gap > 1e-6 * size:
-            wanted = (current[2] - previous[2]) / gap
+            expected = (current[2] - previous[2]) / gap
             tolerance = 1e-11 * (1.0 + abs(both[:, :2]).max()) / gap
-            assert range_slope(p, n) == pytest.approx(wanted, rel=max(1e-9, tolerance), abs=1e-9)
+            assert range_slope(p, n) == pytest.approx(expected, rel=max(1e-9, tolerance), abs=1e-9)
 
 
 def test_the_mean_of_an_interval_is_the_mean_of_its_points():

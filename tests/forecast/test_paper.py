@@ -121,8 +121,8 @@ def test_hysteresis_keeps_the_relayed_demand_until_it_changes_by_more_than_permi
 
 def test_a_change_of_exactly_permitted_variance_is_not_relayed():
     k = paper(permitted_variance_m=0.25, max_demand_m=1.0, range_max_m=2.0, offset_m=0.5)
-    for n, (r, wanted) in enumerate([(0.5, 0.0), (0.75, 0.0), (0.7500001, 0.5 - 0.7500001)]):
-        assert relayed_after(k, r, T + 2 * n * MS, z=0.9) == wanted
+    for n, (r, expected) in enumerate([(0.5, 0.0), (0.75, 0.0), (0.7500001, 0.5 - 0.7500001)]):
+        assert relayed_after(k, r, T + 2 * n * MS, z=0.9) == expected
 
 
 def test_while_nothing_new_is_relayed_the_tools_own_motion_counts_against_the_demand():
@@ -163,14 +163,14 @@ def test_ee_averaging_delays_a_step_of_the_tool_by_about_half_its_window():
 
 
 def test_paper_mode_uses_the_latest_pose_and_interpolation_that_of_the_samples_time():
-    for interpolate, wanted in ((0, 1.0), (1, 0.25)):
+    for interpolate, expected in ((0, 1.0), (1, 0.25)):
         k = paper(pose_interpolate=interpolate)
         k.step(T, [(T, (0, 0, 0.3, *LEVEL))], ranges=[math.nan], given_t_ns=T)
         o = k.step(T + 8 * MS, [(T + 8 * MS, (1, 0, 0.3, *LEVEL))], ranges=[0.1], given_t_ns=T + 2 * MS)
-        assert o["target_m"][0] == wanted
+        assert o["target_m"][0] == expected
 
 
-def test_reset_leaves_a_follower_that_cannot_be_told_from_one_that_just_began():
+def test_reset_leaves_a_follower_that_cannot_be_distinguished_from_one_that_just_began():
     rng = np.random.default_rng(5)
     used, fresh = paper(range_size=2, ee_readings=4), paper(range_size=2, ee_readings=4)
     ramp(used, slope=0.15, speed=0.4, cycles=900)

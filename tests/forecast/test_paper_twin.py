@@ -148,19 +148,19 @@ def test_distances_end_when_nothing_comes_any_more(given):
     rng = np.random.default_rng(7)
     params = random_params(rng)
     pair, stream = Pair(params), Stream(rng, params)
-    t_ns, told = 5_000 * MS, []
+    t_ns, reported = 5_000 * MS, []
     for k in range(900):
         t_ns += MS
         poses = stream.inputs(t_ns, MS)
         come = 200 <= k < 300 or k >= 800
         ranges = stream.ranges(t_ns) if given and come else None
         got = pair.step(t_ns, poses, stream.conversions(t_ns, MS) if come and not given else (), ranges, t_ns)
-        told.append(any(r is not None for r in got["range_m"]))
-    assert not any(told[:200])
-    assert any(told[200:300])
-    assert told[301:590] == [told[300]] * 289
-    assert not any(told[605:800])
-    assert any(told[800:])
+        reported.append(any(r is not None for r in got["range_m"]))
+    assert not any(reported[:200])
+    assert any(reported[200:300])
+    assert reported[301:590] == [reported[300]] * 289
+    assert not any(reported[605:800])
+    assert any(reported[800:])
 
 
 def test_the_random_streams_reach_every_state_the_follower_knows():

@@ -56,9 +56,9 @@ def test_the_footprint_is_the_pose_then_the_mount_then_the_beam_along_minus_z(se
         c, distance = int(rng.integers(0, 8)), rng.uniform(0.05, 0.15)
         world, sensor = Rotation.from_quat(tool[3:]), Rotation.from_quat(mounts[c, 3:])
         face = tool[:3] + world.apply(mounts[c, :3])
-        wanted = face + world.apply(sensor.apply([0.0, 0.0, -distance]))
+        expected = face + world.apply(sensor.apply([0.0, 0.0, -distance]))
         got = footprint(tool, mounts.reshape(-1), c, distance)
-        assert np.allclose(got, [*wanted, face[2]], atol=1e-13)
+        assert np.allclose(got, [*expected, face[2]], atol=1e-13)
         naive_face, naive_point = sensor_and_footprint(tool.tolist(), mounts[c].tolist(), distance)
         assert got == (*naive_point, naive_face[2])
 

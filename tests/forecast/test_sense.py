@@ -85,7 +85,7 @@ def test_an_old_reading_stays_readable_and_is_not_fresh_again():
 
 @pytest.mark.parametrize("mode", [0, 1])
 @pytest.mark.parametrize("latency_ns", [0, 60 * MS])
-def test_a_reading_is_told_for_the_time_of_extrapolation_and_no_longer(mode, latency_ns):
+def test_a_reading_is_reported_for_the_time_of_extrapolation_and_no_longer(mode, latency_ns):
     k = Kernel(default_params(mode=mode, sensor_latency_ns=latency_ns, loss_timeout_ns=40 * MS))
     pose = (0, 0, 0.2, 0, 0, 0, 1)
     first = float(k.step(T, poses=[(T, pose)], conversions=counts(7))["range_m"][0])
@@ -96,7 +96,7 @@ def test_a_reading_is_told_for_the_time_of_extrapolation_and_no_longer(mode, lat
     assert k.step(T + 500 * MS, conversions=counts(7))["range_m"][0] == first
 
 
-def test_a_reading_that_just_came_is_told_whatever_its_age():
+def test_a_reading_that_just_came_is_reported_whatever_its_age():
     k = Kernel(default_params(sensor_readings=64, loss_timeout_ns=0))
     o = k.step(T, conversions=counts(64, first_ns=-640_000, step_ns=10_000))
     assert o["range_m"][0] == o["range_m"][0]
@@ -129,5 +129,5 @@ def test_the_largest_window_uses_all_it_keeps():
     k = Kernel(default_params(sensor_readings=64))
     for cycle in range(4):
         k.step(T + cycle * MS, conversions=counts(32, value=1000 + 100 * cycle))
-    wanted = np.mean([*range(1200, 1232), *range(1300, 1332)])
-    assert sensed(k)["range_m"][0] == pytest.approx(ZERO + SCALE * wanted, abs=1e-14)
+    expected = np.mean([*range(1200, 1232), *range(1300, 1332)])
+    assert sensed(k)["range_m"][0] == pytest.approx(ZERO + SCALE * expected, abs=1e-14)

@@ -228,7 +228,7 @@ def test_a_driver_that_is_right_passes() -> None:
 
 
 @pytest.mark.parametrize("says", WRONG)
-def test_a_driver_that_breaks_the_contract_is_told_what(says: str) -> None:
+def test_a_driver_that_breaks_the_contract_is_reported_with_the_reason(says: str) -> None:
     if says.startswith("lacks"):
         broken: Any = type("Broken", (), {})
     else:

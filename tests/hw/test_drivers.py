@@ -13,14 +13,8 @@ import pytest
 from running_service import until
 from surffollow.errors import ConfigError, DriverError, RecordingError
 from surffollow.hw.driver import ConversionQueue, Driver, DriverInfo
-from surffollow.hw.fault_injection import (
-    FaultConfig,
-    FaultState,
-    FaultyDriver,
-    fault_delay_ns,
-    fault_table,
-    inject_faults,
-)
+from surffollow.hw.fault_injection import FaultState, FaultyDriver, inject_faults
+from surffollow.hw.fault_schedule import FaultConfig, fault_delay_ns, fault_table
 from surffollow.hw.registry import make_driver
 from surffollow.hw.replayed import ReplayedDriver, save_conversions
 from surffollow.hw.silent import SilentDriver
@@ -126,7 +120,7 @@ def test_every_driver_pushes_nothing_after_stop_and_may_be_started_again(driver:
         assert isinstance(driver.faults(), list)
 
 
-def test_every_driver_goes_on_and_counts_when_nobody_drains(driver: Driver) -> None:
+def test_every_driver_goes_on_and_counts_when_the_queue_is_not_drained(driver: Driver) -> None:
     queue = ConversionQueue(4)
     driver.start(queue)
     if not isinstance(driver, SilentDriver):
@@ -145,9 +139,9 @@ def test_simulated_sensor_finds_the_robot_says_when_it_is_gone_and_finds_the_nex
     def sees(writer: WorldWriter, height_m: float) -> bool:
         stand(writer, height_m)
         words = queue.drain()[-20:, 1]
-        wanted = (height_m - driver.info.zero_m[0]) / driver.info.scale_m[0]
+        requested = (height_m - driver.info.zero_m[0]) / driver.info.scale_m[0]
         return any(
-            not conversion_flags(w) and abs(conversion_counts(w) - wanted) < 60 for w in words.tolist()
+            not conversion_flags(w) and abs(conversion_counts(w) - requested) < 60 for w in words.tolist()
         )
 
     try:
@@ -293,22 +287,22 @@ def test_a_schedule_that_cannot_be_is_refused(wrong: dict) -> None:
         ({"led": {"latency_s": 3}}, ["latency_s", "3", "0.0 to 0.4 s"]),
     ],
 )
-def test_a_wrong_set_up_is_told_with_what_would_be_right(wrong: dict, says: list) -> None:
-    with pytest.raises(ConfigError) as told:
+def test_a_wrong_set_up_is_reported_with_what_would_be_right(wrong: dict, says: list) -> None:
+    with pytest.raises(ConfigError) as error:
         make_driver(wrong, NAME)
     for part in says:
-        assert part in str(told.value)
+        assert part in str(error.value)
 
 
-def test_a_file_that_is_no_recording_is_told_without_what_numpy_says(tmp_path: Path) -> None:
+def test_a_file_that_is_no_recording_is_reported_without_the_text_of_numpy(tmp_path: Path) -> None:
     made = {"text.npz": b"hello", "empty.npz": b"", "zip.npz": b"PK\x03\x04" + bytes(40)}
     for name, content in made.items():
         (tmp_path / name).write_bytes(content)
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     for name in (*made, "other.npz"):
-        with pytest.raises(RecordingError, match=r"no recording of conversions.*save_conversions") as told:
+        with pytest.raises(RecordingError, match=r"no recording of conversions.*save_conversions") as error:
             make_driver({"kind": "replay", "file": str(tmp_path / name)}, NAME)
-        assert "pickle" not in str(told.value)
+        assert "pickle" not in str(error.value)
     with pytest.raises(RecordingError, match=r"cannot read .*No such file"):
         make_driver({"kind": "replay", "file": str(tmp_path / "none.npz")}, NAME)
     with pytest.raises(RecordingError, match="Is a directory"):

@@ -11,19 +11,8 @@ from surffollow.errors import ConfigError
 from surffollow.hw.simulation.adc import COUNTS, calibration, convert, quantise
 from surffollow.hw.simulation.beam import NO_HIT, cast_ray, compose
 from surffollow.hw.simulation.counter_noise import hashed_normal, hashed_uniform
-from surffollow.hw.simulation.led_sensor import (
-    ACCURACY_M,
-    FAR_M,
-    INCH_M,
-    NEAR_M,
-    RAIL_V,
-    LedConfig,
-    characteristic,
-    output_volts,
-    physics,
-    refresh_at,
-    spot_range,
-)
+from surffollow.hw.simulation.led_config import ACCURACY_M, FAR_M, INCH_M, NEAR_M, RAIL_V, LedConfig, physics
+from surffollow.hw.simulation.led_sensor import characteristic, output_volts, refresh_at, spot_range
 from surffollow.sim.surfaces import HeightField, flat_field, ramp_field, sine_field, step_field
 
 CLEAN = LedConfig(noise_m=0.0, nonlinearity_m=0.0)

@@ -72,7 +72,7 @@ def test_a_service_follows_with_a_driver_of_an_installed_package(installed: Path
         service.purge()
 
 
-def test_an_entry_point_that_is_broken_or_unknown_is_told(
+def test_an_entry_point_that_is_broken_or_unknown_is_reported(
     installed: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(str(installed))
@@ -83,7 +83,7 @@ def test_an_entry_point_that_is_broken_or_unknown_is_told(
     assert make_driver({"kind": "other-laser", "range_m": 0.1}, "x").info.name == "other laser"
 
 
-def test_a_factory_by_name_that_is_none_is_told(installed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_factory_by_name_that_is_none_is_reported(installed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(installed))
     (installed / "brokenlaser.py").write_text("raise RuntimeError('no licence')\n")
     made = make_driver({"kind": "otherlaser:make", "range_m": 0.1, "faults": [{"kind": "stuck"}]}, "x")

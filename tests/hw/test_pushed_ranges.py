@@ -185,7 +185,7 @@ def test_faults_say_who_is_silent_and_what_was_refused() -> None:
     assert "1 pushed ranges were refused, with a time" in driver.faults()[0]
 
 
-def test_settings_that_cannot_be_are_told() -> None:
+def test_settings_that_cannot_be_are_reported() -> None:
     for wrong in ({"latency_s": 2.0}, {"silence_s": 0.0}, {"channels": 9}, {"range_max_m": 0.01}):
         settings: dict[str, Any] = {"range_min_m": 0.05, "range_max_m": 0.3, **wrong}
         with pytest.raises(ConfigError):

@@ -12,9 +12,10 @@ import pytest
 from running_service import Service, drive, unique_name, until
 from surffollow.errors import BusyError, ConfigError, PoseError
 from surffollow.hw.driver import ConversionQueue, PoseQueue, reports_of
-from surffollow.hw.fault_injection import FaultConfig, FaultyDriver
+from surffollow.hw.fault_injection import FaultyDriver
+from surffollow.hw.fault_schedule import FaultConfig
 from surffollow.hw.registry import make_driver
-from surffollow.hw.simulation.led_sensor import LedConfig
+from surffollow.hw.simulation.led_config import LedConfig
 from surffollow.hw.simulation.pose_history import PoseHistory, add_report, pose_at
 from surffollow.hw.simulation.sensor_rig import SimulatedConfig
 from surffollow.hw.simulation.simulated import SimulatedDriver
@@ -96,10 +97,10 @@ def test_a_world_block_comes_before_reports_and_reports_come_back_when_its_write
     r = running("auto")
     writer = WorldWriter(name)
 
-    def both(wanted_m: float) -> bool:
+    def both(desired_m: float) -> bool:
         r.report(0.12)
         stand(writer, 0.08)
-        return r.sees(wanted_m)
+        return r.sees(desired_m)
 
     until(lambda: both(0.08), "the world's range")
     for _ in range(50):
@@ -115,7 +116,7 @@ def test_a_world_block_comes_before_reports_and_reports_come_back_when_its_write
     until(reported, "a range from reports")
 
 
-def test_a_silent_writer_keeps_the_block_for_a_stopped_robot_is_no_reason_to_believe_reports(
+def test_a_silent_writer_keeps_the_block_for_a_stopped_robot_is_no_reason_to_use_reports(
     running: Callable[[str], Running], name: str
 ) -> None:
     r = running("auto")

@@ -11,7 +11,7 @@ import pytest
 from surffollow.errors import ConfigError
 from surffollow.hw.driver import IDENTITY, ConversionQueue, mounts_of
 from surffollow.hw.simulation import adc
-from surffollow.hw.simulation.led_sensor import FAR_M, NEAR_M, LedConfig, physics
+from surffollow.hw.simulation.led_config import FAR_M, NEAR_M, LedConfig, physics
 from surffollow.hw.simulation.pose_history import PoseHistory, add_pose, pose_at
 from surffollow.hw.simulation.sensor_rig import SimulatedConfig, make_rig, produce
 from surffollow.shm.conversion import FLAG_INVALID, conversion_channel, conversion_counts, conversion_flags

@@ -21,7 +21,7 @@ from surffollow.errors import ConfigError
 from surffollow.hw.driver import ConversionQueue, Driver
 from surffollow.hw.polled import GARBLED, RUNNING, SILENT, STOPPED, WAITING
 from surffollow.hw.registry import make_driver
-from surffollow.hw.wire.iio import Element
+from surffollow.hw.wire.iio_scan import Element
 from surffollow.shm.conversion import FLAG_INVALID, conversion_channel, conversion_counts, conversion_flags
 
 MS = 1_000_000
@@ -195,14 +195,14 @@ def test_iio_scans_become_distances_by_scale_offset_type_and_the_device_s_time(a
     try:
         until(lambda: driver.state != WAITING, "the device")
         folder = adc.folder
-        for path, wanted in {
+        for path, expected in {
             "scan_elements/in_voltage0_en": "1",
             "scan_elements/in_voltage2_en": "0",
             "scan_elements/in_timestamp_en": "1",
             "current_timestamp_clock": "monotonic",
             "buffer/enable": "1",
         }.items():
-            assert (folder / path).read_text().strip() == wanted, path
+            assert (folder / path).read_text().strip() == expected, path
         t_ns = time.monotonic_ns() - 3 * MS
         data = adc.scan(2000, 1608, t_ns) + adc.scan(4095, -2000, t_ns + MS)
         adc.write(data[:21])  # a scan may come in pieces
@@ -217,7 +217,7 @@ def test_iio_scans_become_distances_by_scale_offset_type_and_the_device_s_time(a
     assert (folder / "buffer/enable").read_text() == "0"
 
 
-def test_an_iio_device_that_vanishes_is_told_and_found_again(adc: FakeIio) -> None:
+def test_an_iio_device_that_vanishes_is_reported_and_found_again(adc: FakeIio) -> None:
     driver, queue = iio(adc), ConversionQueue()
     driver.start(queue)
     try:
@@ -242,7 +242,7 @@ def test_an_iio_set_up_that_cannot_be_is_refused(adc: FakeIio) -> None:
         iio(adc)
 
 
-def test_can_messages_are_stamped_before_their_receive_time_and_others_are_not_heard() -> None:
+def test_can_messages_are_stamped_before_their_receive_time_and_others_are_ignored() -> None:
     library = pytest.importorskip("can")
     name = unique_name()
     # distances in tenths of millimetres, two sensors
@@ -277,7 +277,7 @@ def test_can_messages_are_stamped_before_their_receive_time_and_others_are_not_h
         driver.stop()
 
 
-def test_a_can_bus_that_fails_is_told_and_joined_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_can_bus_that_fails_is_reported_and_joined_again(monkeypatch: pytest.MonkeyPatch) -> None:
     library = pytest.importorskip("can")
     name = unique_name()
     settings = {"kind": "can", "interface": "virtual", "bus": name, **WINDOW}
@@ -356,8 +356,8 @@ def test_only_the_named_sender_is_listened_to() -> None:
         )
         for one in (sensor, stranger):
             one.bind(("127.0.0.1", 0))
-        told = "{}:{}".format(*sensor.getsockname())
-        driver = made({"kind": "udp", "port": 0, "sender": told, "format": LINE_FORMAT, **WINDOW})
+        reported = "{}:{}".format(*sensor.getsockname())
+        driver = made({"kind": "udp", "port": 0, "sender": reported, "format": LINE_FORMAT, **WINDOW})
         source, queue = driver._source, ConversionQueue()
         driver.start(queue)
         try:
@@ -377,7 +377,7 @@ def test_a_udp_sensor_without_a_sender_is_refused(sender: str) -> None:
         made({"kind": "udp", "port": 0, "sender": sender, "format": LINE_FORMAT, **WINDOW})
 
 
-def test_a_udp_port_in_use_is_told_until_it_is_free() -> None:
+def test_a_udp_port_in_use_is_reported_until_it_is_free() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
         port = other.getsockname()[1]

@@ -110,7 +110,7 @@ def test_a_killed_writer_is_replaced_in_place_and_its_readers_go_on(name: str) -
     assert not os.path.exists(f"/dev/shm/{name}.world")
 
 
-def test_missing_unfinished_and_foreign_blocks_are_told_apart(name: str) -> None:
+def test_missing_unfinished_and_foreign_blocks_are_distinguished(name: str) -> None:
     with pytest.raises(NotRunningError, match="start a robot"):
         WorldReader(name)
     writer = WorldWriter(name)

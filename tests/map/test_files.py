@@ -376,5 +376,5 @@ def test_grids_of_a_composed_map_are_at_most_those_asked_for(tmp_path):
     assert grids[""] == grids["--grids 1000"] == (200, False), "the finest map's grids where they fit"
     assert grids["--grids 50"][0] <= 50
     assert grids["--grids 50"][1]
-    told = " ".join(run.invoke(map_group, ["compose", "--help"]).output.split())
-    assert "Most grids in the result: coarser ones where" in told
+    reported = " ".join(run.invoke(map_group, ["compose", "--help"]).output.split())
+    assert "Most grids in the result: coarser ones where" in reported

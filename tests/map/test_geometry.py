@@ -124,7 +124,7 @@ def test_look_up_beside_the_map_and_in_holes_is_unknown():
     assert np.isnan(m.slope_at(0.5, 0.5)).all()
 
 
-def test_a_reader_whom_a_change_overtakes_is_told_unknown_at_once():
+def test_a_reader_whom_a_change_overtakes_gets_unknown_at_once():
     m = HeightMap.from_heights(np.ones((10, 10)), origin_m=(0, 0), grid_m=1.0)
     assert height_at(m.header, m.pairs, 5.0, 5.0)[1]
     assert reset_begin(m.header, 0.0, 0.0, 5.0, 5.0) == ml.OK

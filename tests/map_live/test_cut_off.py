@@ -56,8 +56,8 @@ def test_a_service_killed_in_a_refocus_has_the_old_map_or_the_whole_new_one(
     new = old.copy()
     new.header["finest_grid_m"] = ml.DEFAULT_FINEST_GRID_M
     new.refocus(region)
-    wanted = {m.shape: m.heights_m for m in (old, new)}
-    assert len(wanted) == 2
+    expected = {m.shape: m.heights_m for m in (old, new)}
+    assert len(expected) == 2
     rng = np.random.default_rng(4)
     for _ in range(2):
         with service.attach() as robot:
@@ -71,7 +71,7 @@ def test_a_service_killed_in_a_refocus_has_the_old_map_or_the_whole_new_one(
         with service.attach() as robot:
             until(partial(has_map, robot), "the end of the MapRefocus")
             found = robot.map_window().heights_m()
-            np.testing.assert_array_equal(found, wanted[found.shape])
+            np.testing.assert_array_equal(found, expected[found.shape])
 
 
 def begun(folder: Path, upload: subprocess.Popen[str]) -> bool:

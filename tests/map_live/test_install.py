@@ -180,8 +180,7 @@ def test_access_is_granted_after_the_installation_not_within(client: Client, map
 
 
 def test_a_service_killed_in_an_installation_starts_with_an_empty_map(tmp_path: Path) -> None:
-    s = Service(tmp_path, config_text(grids=GRIDS)).start()
-    try:
+    with Service(tmp_path, config_text(grids=GRIDS)).running() as s:
         ground = some_map(300, 301)
         with s.attach() as robot:
             # GIVEN an installation that is half done WHEN the service is killed
@@ -198,19 +197,14 @@ def test_a_service_killed_in_an_installation_starts_with_an_empty_map(tmp_path: 
             robot.map_install(tmp_path / "a.txt")
             np.testing.assert_array_equal(robot.map_window().heights_m(), ground.heights_m)
             assert s.terminate() == 0
-    finally:
-        s.purge()
 
 
 def test_a_service_that_is_stopped_in_an_installation_ends_at_once(tmp_path: Path) -> None:
-    s = Service(tmp_path, config_text(grids=GRIDS)).start()
-    try:
+    with Service(tmp_path, config_text(grids=GRIDS)).running() as s:
         ground = some_map(300, 301)
         with s.attach() as robot:
             post_pieces(MapStream(robot, ground.header, ground.pairs, 30.0), 2)
             assert s.terminate() == 0
-    finally:
-        s.purge()
 
 
 def test_no_target_point_is_lost_while_maps_come_and_go(

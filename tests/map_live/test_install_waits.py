@@ -145,8 +145,7 @@ def test_one_whose_client_never_sends_a_piece(hasty_service: Service, map_file: 
 
 @pytest.mark.parametrize("held", [True, False])
 def test_one_that_waits_when_the_service_is_stopped(tmp_path: Path, held: bool) -> None:
-    s = Service(tmp_path, config_text(grids=GRIDS)).start()
-    try:
+    with Service(tmp_path, config_text(grids=GRIDS)).running() as s:
         ground = HeightMap.from_heights(np.ones((40, 50)), origin_m=(0.0, 0.0), grid_m=0.01)
         ground.save(tmp_path / "a.txt")
         with s.attach() as robot, s.attach() as other:
@@ -160,5 +159,3 @@ def test_one_that_waits_when_the_service_is_stopped(tmp_path: Path, held: bool) 
         s.start()
         with s.attach() as robot:
             np.testing.assert_array_equal(robot.map_window().heights_m(), ground.heights_m)
-    finally:
-        s.purge()

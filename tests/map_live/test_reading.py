@@ -157,8 +157,7 @@ def test_after_a_reset_nothing_is_known_until_a_sample_sets_the_datum(client: Cl
 
 
 def test_a_map_of_a_restarted_service_is_read_without_attaching_again(tmp_path: Path) -> None:
-    s = Service(tmp_path, config_text()).start()
-    try:
+    with Service(tmp_path, config_text()).running() as s:
         ground = some_map(40, 30)
         ground.save(tmp_path / "a.txt")
         x, y = ground.origin_m[0] + 0.105, ground.origin_m[1] + 0.105
@@ -172,5 +171,3 @@ def test_a_map_of_a_restarted_service_is_read_without_attaching_again(tmp_path: 
             assert until(observer.alive)
             assert observer.map_height(x, y) == pytest.approx(z, nan_ok=True)
             np.testing.assert_array_equal(observer.map_window().heights_m(), ground.heights_m)
-    finally:
-        s.purge()

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from surffollow.record.recorder import Recorder
+from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.synthetic_log import SyntheticLog
-from surffollow.record.writer import RecordingWriter
 
 
 def record(path: Path, cycles: int = 3000, step: int = 250, **options: int) -> Path:

@@ -19,10 +19,10 @@ from surffollow.record.channels import add_demand, plain
 from surffollow.record.convert import convert
 from surffollow.record.protobuf import Message
 from surffollow.record.recorder import Recorder
+from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.replay import replay_file
 from surffollow.record.synthetic_log import SyntheticLog
 from surffollow.record.table import Table
-from surffollow.record.writer import RecordingWriter
 from surffollow.shm.layout_follow import VALID, Output
 
 Decoded = dict[str, list[tuple[Any, Any]]]
@@ -198,8 +198,8 @@ def test_a_table_holds_what_every_cycle_published(
         assert int(table["t_ns"][k]) == expected["t_ns"]
         assert float(table["demand_z_m"][k]) == expected["demand"][2]
         assert float(table["height_m"][k]) == expected["height_m"]
-        told = table["range0_m"][k]
-        assert (told in ("", None) or float(told) != float(told)) == math.isnan(expected["range_m"][0])
+        cell = table["range0_m"][k]
+        assert (cell in ("", None) or float(cell) != float(cell)) == math.isnan(expected["range_m"][0])
 
 
 def test_of_a_cut_recording_the_table_holds_what_is_whole(tmp_path: Path, recording_bytes: bytes) -> None:

@@ -18,15 +18,8 @@ from surffollow.errors import UsageError
 from surffollow.map import HeightMap
 from surffollow.record.columns import Columns, load_columns, parse_columns
 from surffollow.record.csv_log import CsvLog, read_csv
-from surffollow.record.csv_replay import (
-    CsvReplay,
-    follow_notes,
-    run_csv,
-    score_forecast,
-    summarise,
-    target_points,
-    write_rows,
-)
+from surffollow.record.csv_replay import CsvReplay, follow_notes, run_csv, target_points, write_rows
+from surffollow.record.forecast_scores import score_forecast, summarise
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples" / "columns"
@@ -147,7 +140,7 @@ def make_replay(t_s: list[float], range_m: list[float], forecast_m: list[float])
     return CsvReplay(log, np.full((n, 3), np.nan), none, none, np.array(forecast_m)[:, None], "paper")
 
 
-def test_forecasts_are_judged_by_the_first_reading_at_or_after_the_horizon() -> None:
+def test_forecasts_are_scored_by_the_first_reading_at_or_after_the_horizon() -> None:
     nan = math.nan
     replay = make_replay(
         [0.0, 0.4, 1.0, 1.2, 1.6, 2.1, 2.55],
@@ -220,7 +213,7 @@ def test_the_clocks_origin_changes_no_figure(tmp_path: Path, origin_ms: str, cut
 
 
 @pytest.mark.parametrize("origin_s", [0.0, 1763765270.123])
-def test_times_that_were_printed_with_a_floats_last_bit_are_judged_alike(
+def test_times_that_were_printed_with_a_floats_last_bit_are_scored_alike(
     tmp_path: Path, origin_s: float
 ) -> None:
     times = "".join(f"{origin_s + 0.1 * k:.18e},200,0,0,0,0,0,0\n" for k in range(40))
@@ -235,7 +228,7 @@ def test_a_time_that_no_decimal_holds_is_read_as_a_float(tmp_path: Path) -> None
     assert log.elapsed_s().tolist() == [0.0, 0.001]
 
 
-def test_start_and_end_choose_rows_and_an_empty_choice_is_told(tmp_path: Path) -> None:
+def test_start_and_end_choose_rows_and_an_empty_choice_is_reported(tmp_path: Path) -> None:
     log = slope_log(tmp_path)
     assert log.between(1.0, 2.0).t_s.tolist() == pytest.approx([1.0 + 0.1 * k for k in range(11)])
     with pytest.raises(UsageError, match="none of the 0 rows has a reading"):

@@ -16,7 +16,8 @@ from surffollow.cli.replay import replay_command
 from surffollow.errors import MapFileError, UsageError
 from surffollow.map import HeightMap
 from surffollow.record.figure import new_figure, outliers, save_figure, spans
-from surffollow.record.plot_recording import forecast_errors, log_histogram, read_figure_data
+from surffollow.record.latency_histogram import log_histogram
+from surffollow.record.plot_recording import forecast_errors, read_figure_data
 
 BEGINNINGS = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
 COLUMNS = """
@@ -143,7 +144,7 @@ def test_converted_files_are_what_their_names_say_and_in_order(recording: Path, 
 
 
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
-def test_a_figure_that_finds_no_room_is_told(
+def test_a_figure_that_finds_no_room_is_reported(
     suffix: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def full(*_: object) -> None:
@@ -177,10 +178,10 @@ def test_shares_of_a_histogram_add_up() -> None:
 
 def test_the_forecast_is_compared_with_what_was_found_later(recording: Path) -> None:
     story = read_figure_data(recording)
-    guess, still = forecast_errors(story, 0.1)
+    predicted, still = forecast_errors(story, 0.1)
     ground = story.ground_m
     k = int(np.flatnonzero(np.isfinite(still))[40])
     before = np.flatnonzero(np.isfinite(ground) & (story.t_s <= story.t_s[k] - 0.1 + 1e-6))[-1]
     o = story.rows["output"][before]
     assert still[k] == ground[before] - ground[k]
-    assert guess[k] == o["height_m"] + o["slope"] * o["speed_mps"] * 0.1 - ground[k]
+    assert predicted[k] == o["height_m"] + o["slope"] * o["speed_mps"] * 0.1 - ground[k]

@@ -13,10 +13,11 @@ import pytest
 
 from running_service import Service, until
 from surffollow.errors import NotReadyError, NotRunningError, RecordingError
-from surffollow.record.live_replay import LEAD_NS, LiveReport, driver_info, play_live
+from surffollow.record.live_replay import LiveReport, play_live
 from surffollow.record.reader import RecordingReader
 from surffollow.record.recorded_inputs import load_playback
 from surffollow.record.replay import replay_file
+from surffollow.record.replay_service import LEAD_NS, driver_info
 from surffollow.record.session import record_service
 
 POSE = (0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0)

@@ -16,8 +16,8 @@ from surffollow.forecast.step import follow_step
 from surffollow.map import HeightMap
 from surffollow.record.map_rebuild import rebuild_map
 from surffollow.record.reader import RecordingReader
+from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.synthetic_log import NS_PER_S, SyntheticLog, synthesise_inputs
-from surffollow.record.writer import RecordingWriter
 from surffollow.shm.layout_board import RQ_MAP_INSTALL, RQ_MAP_REFOCUS, RQ_MAP_RESET
 
 CYCLES = 1400  # before the rehearsal's first change of parameters
@@ -108,10 +108,10 @@ def test_a_map_that_was_installed_cannot_be_built_again_unless_a_reset_follows(
 def test_the_commands_map_option_knows_its_formats_and_refuses_others(
     make_recording: Callable[..., Path], tmp_path: Path
 ) -> None:
-    path, told = str(make_recording(cycles=CYCLES)), CliRunner()
-    wrong = told.invoke(replay_command, [path, "--map", str(tmp_path / "map.wurst")])
+    path, runner = str(make_recording(cycles=CYCLES)), CliRunner()
+    wrong = runner.invoke(replay_command, [path, "--map", str(tmp_path / "map.wurst")])
     assert isinstance(wrong.exception, UsageError)
     assert ".txt, .npz, .asc" in str(wrong.exception)
     assert not (tmp_path / "map.wurst").exists()
-    assert told.invoke(replay_command, [path, "--map", str(tmp_path / "map.asc")]).exit_code == 0
+    assert runner.invoke(replay_command, [path, "--map", str(tmp_path / "map.asc")]).exit_code == 0
     assert (tmp_path / "map.asc").read_text().startswith("ncols")

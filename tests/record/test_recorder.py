@@ -18,9 +18,9 @@ from surffollow.forecast.journal import CYCLE, SNAPSHOT, entry_kind, entry_words
 from surffollow.record.format import BATCH_CYCLES, SCHEMA_ENCODING, TOPIC
 from surffollow.record.reader import RecordingReader
 from surffollow.record.recorder import Recorder
+from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.replay import replay_file
 from surffollow.record.synthetic_log import SyntheticLog
-from surffollow.record.writer import RecordingWriter
 from surffollow.shm.cycle_log import log_head
 from surffollow.shm.layout_board import LogHead
 
@@ -206,7 +206,7 @@ class FullDisk(io.BytesIO):
         super().close()
 
 
-def test_a_full_disk_is_told_and_the_file_stays_readable_up_to_there(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_and_the_file_stays_readable_up_to_there(tmp_path: Path) -> None:
     disk = FullDisk()
     rehearsal = SyntheticLog()
     recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap", stream=disk))
@@ -226,7 +226,7 @@ def test_a_full_disk_is_told_and_the_file_stays_readable_up_to_there(tmp_path: P
     assert "ends early" in report.damage
 
 
-def test_a_recording_that_cannot_be_opened_is_told_with_its_path(tmp_path: Path) -> None:
+def test_a_recording_that_cannot_be_opened_is_reported_with_its_path(tmp_path: Path) -> None:
     with pytest.raises(FaultError, match="nowhere"):
         RecordingWriter(tmp_path / "nowhere" / "a.mcap")
 

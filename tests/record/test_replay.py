@@ -15,9 +15,9 @@ from surffollow.errors import RecordingError
 from surffollow.forecast.journal import CYCLE, PARAMS_WORDS, SNAPSHOT, entry_kind, entry_words
 from surffollow.record.reader import RecordingReader
 from surffollow.record.recorder import Recorder
+from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.replay import replay_file
 from surffollow.record.synthetic_log import SyntheticLog
-from surffollow.record.writer import RecordingWriter
 from surffollow.shm.layout_follow import Params
 
 
@@ -94,7 +94,7 @@ def test_an_input_that_was_not_logged_shows_in_the_next_snapshot(make_recording:
     assert report.first_state_difference == 1000
 
 
-def test_a_missing_message_is_told(make_recording: Callable[..., Path]) -> None:
+def test_a_missing_message_is_reported(make_recording: Callable[..., Path]) -> None:
     path = make_recording()
     with RecordingReader(path) as reader:
         batches = list(reader.batches())

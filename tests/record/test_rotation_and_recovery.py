@@ -77,8 +77,8 @@ def test_a_cut_recording_is_recovered_up_to_its_last_whole_chunk(
     with open(done.file, "rb") as file:
         reader = make_reader(file, validate_crcs=True)
         assert sum(1 for _ in reader.iter_messages()) == done.messages
-        told = {m.name: m.metadata for m in reader.iter_metadata()}
-    assert "ends early" in told["surffollow.recovered"]["damage"]
+        reported = {m.name: m.metadata for m in reader.iter_metadata()}
+    assert "ends early" in reported["surffollow.recovered"]["damage"]
 
 
 def test_the_commands_keep_what_is_there_and_tell_damage(tmp_path: Path, recording_bytes: bytes) -> None:

@@ -127,15 +127,15 @@ def test_an_impossible_arm_is_refused(change, message):
         Arm(**change)
 
 
-def test_polar_fit_recovers_the_arms_errors_and_brings_the_tip_to_the_wanted_place():
+def test_polar_fit_recovers_the_arms_errors_and_brings_the_tip_to_the_desired_place():
     rng, base = np.random.default_rng(2), np.array([0.3, -0.2])
-    wanted = base + rng.uniform([1.0, -1.0], [2.5, 1.0], (40, 2))
+    desired = base + rng.uniform([1.0, -1.0], [2.5, 1.0], (40, 2))
     truth = PolarCorrection((0.3, -0.2), 1.02, -0.015, 0.02)
-    commanded = truth.apply(wanted)
-    fit = PolarCorrection.fit(commanded, wanted, base)
+    commanded = truth.apply(desired)
+    fit = PolarCorrection.fit(commanded, desired, base)
     assert (fit.scale, fit.offset_m, fit.offset_rad) == pytest.approx((1.02, -0.015, 0.02), abs=1e-12)
-    noisy = PolarCorrection.fit(commanded + rng.normal(0, 0.002, (40, 2)), wanted, base)
-    assert np.abs(noisy.apply(wanted) - commanded).max() < 0.004
+    noisy = PolarCorrection.fit(commanded + rng.normal(0, 0.002, (40, 2)), desired, base)
+    assert np.abs(noisy.apply(desired) - commanded).max() < 0.004
 
 
 def test_zone_of_effectiveness_ends_where_residuals_are_large():

@@ -38,8 +38,8 @@ NAN, INF = float("nan"), float("inf")
 
 
 def settings(**change):
-    told = {"region": (0.2, 0.2, 0.6, 0.6), "gap_m": 0.05, "body_m": disc(0.05)} | change
-    return PlanSettings(**told)
+    error = {"region": (0.2, 0.2, 0.6, 0.6), "gap_m": 0.05, "body_m": disc(0.05)} | change
+    return PlanSettings(**error)
 
 
 def survey_of(depth_m, camera=CAMERA):
@@ -123,9 +123,9 @@ def ring(frequency_hz, rate_hz=100.0):
     ids=lambda v: v if isinstance(v, str) and " " in v else "",
 )
 def test_what_cannot_be_is_refused(name, call, words):
-    with pytest.raises(ScanInputError) as told:
+    with pytest.raises(ScanInputError) as error:
         call()
-    assert re.search(words, str(told.value)), f"{name}: {told.value}"
+    assert re.search(words, str(error.value)), f"{name}: {error.value}"
 
 
 def test_one_pixel_is_no_terrain():
@@ -210,7 +210,7 @@ def test_a_matrix_of_too_many_nodes_is_refused(side_m, grid_m):
         "ply\nformat\nelement vertex 3\nproperty float\nend_header\n",
     ],
 )
-def test_a_damaged_header_of_a_cloud_is_told(head, tmp_path):
+def test_a_damaged_header_of_a_cloud_is_reported(head, tmp_path):
     cloud = tmp_path / "a.ply"
     cloud.write_text(head)
     with pytest.raises(ScanFileError, match="is damaged"):

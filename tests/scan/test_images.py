@@ -10,12 +10,14 @@ import pytest
 import naive_scan as naive
 from surffollow.errors import ScanInputError
 from surffollow.scan.camera import Camera, looking_down
+from surffollow.scan.cloud_patches import cloud_patches
 from surffollow.scan.cloud_terrain import general_slope
 from surffollow.scan.deviation import planar_deviation
 from surffollow.scan.image_filters import gaussian_filter, median_filter
 from surffollow.scan.patch_labels import label_patches
-from surffollow.scan.patches import cloud_patches, coherent_patches
-from surffollow.scan.planar_filter import NO_DATA, PLANAR, ROUGH, conditional_planar_filter
+from surffollow.scan.patches import coherent_patches
+from surffollow.scan.planar_filter import conditional_planar_filter
+from surffollow.scan.planar_kernels import NO_DATA, PLANAR, ROUGH
 
 CAMERA = Camera(300.0, 300.0, 79.5, 59.5, looking_down(0.0, 0.0, 1.5), baseline_m=0.12)
 

@@ -298,7 +298,7 @@ def test_the_checker_follows_the_robot_between_rows(tmp_path):
     assert "unknown_beneath" in failed(ground, file)
 
 
-def test_rows_too_far_apart_to_be_judged_are_refused(tmp_path):
+def test_rows_too_far_apart_to_be_checked_are_refused(tmp_path):
     ground = ground_of(4, 120)
     _, file = plan_of(tmp_path, ground)
     damage(file, "x_m", lambda v: 1e9)
@@ -306,7 +306,7 @@ def test_rows_too_far_apart_to_be_judged_are_refused(tmp_path):
         failed(ground, file)
 
 
-def test_a_clearance_that_is_not_told_and_heights_left_out_over_known_ground_are_found(tmp_path):
+def test_a_clearance_that_is_not_reported_and_heights_left_out_over_known_ground_are_found(tmp_path):
     ground = ground_of(8, 120)
     _, file = plan_of(tmp_path, ground)
     facts, names, rows = table_of(file)
@@ -336,7 +336,7 @@ def test_a_clearance_that_is_not_told_and_heights_left_out_over_known_ground_are
         ("format", '"surffollow-scan-path-9"'),
     ],
 )
-def test_the_checker_judges_by_no_fact_that_cannot_be(tmp_path, fact, value):
+def test_the_checker_uses_no_fact_that_cannot_be(tmp_path, fact, value):
     ground = ground_of(9, 120)
     _, file = plan_of(tmp_path, ground)
     facts, names, rows = table_of(file)
@@ -349,7 +349,7 @@ def test_the_checker_judges_by_no_fact_that_cannot_be(tmp_path, fact, value):
         failed(ground, file)
 
 
-def test_a_tiny_swath_is_judged_in_bounded_memory(tmp_path):
+def test_a_tiny_swath_is_checked_in_bounded_memory(tmp_path):
     ground = ground_of(9, 120)
     _, file = plan_of(tmp_path, ground)
     facts, names, rows = table_of(file)
@@ -376,7 +376,11 @@ def test_the_checker_imports_nothing_of_the_planner():
     assert set(got.stdout.split()) == {
         "surffollow.scan",
         "surffollow.scan.check",
+        "surffollow.scan.check_clearance",
+        "surffollow.scan.check_coverage",
         "surffollow.scan.check_file",
+        "surffollow.scan.check_finding",
+        "surffollow.scan.check_placement",
     }
 
 

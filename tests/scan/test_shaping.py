@@ -213,8 +213,8 @@ def test_a_shaped_plan_leaves_no_vibration_on_its_passes_and_stays_clear(scheme,
         (0.5, 0.35, 0.9, 0.65), 0.06, disc(0.05), scheme=scheme, base_m=base, shaper=Shaper.zvd(2.0, 0.03)
     )
     left = {}
-    for name, told in (("shaped", settings), ("unshaped", replace(settings, shaper=None))):
-        path = plan_scan(ground, told)
+    for name, chosen in (("shaped", settings), ("unshaped", replace(settings, shaper=None))):
+        path = plan_scan(ground, chosen)
         t = np.arange(0.0, path.t_s[-1], 0.005)
         tip = np.column_stack([np.interp(t, path.t_s, c) for c in path.position_m.T])
         on = np.interp(t, path.t_s, path.passes >= 0) > 0.99

@@ -140,7 +140,7 @@ def test_points_that_cannot_be_are_refused():
         terrain_map(np.zeros((3, 3)), 0.01, region=(5, 5, 6, 6))
 
 
-def test_holes_of_a_plane_get_the_plane_up_to_the_width_told():
+def test_holes_of_a_plane_get_the_plane_up_to_the_given_width():
     y, x = np.mgrid[0:60, 0:80] * 0.01
     z = 0.4 * x - 0.1 * y
     holed = z.copy()

@@ -45,7 +45,7 @@ def published(path: Path, content: bytes) -> Callable[[OtherUser], str]:
         path.write_bytes(content)
         path.chmod(0o666)
         child.say("there")
-        return str(child.hear())
+        return str(child.receive())
 
     return impersonate
 

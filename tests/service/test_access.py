@@ -50,11 +50,8 @@ def keeper(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service whose leases are short, for tests that let one end or restart the service."""
     from running_service import config_text
 
-    s = Service(tmp_path_factory.mktemp("keeper"), config_text(map='access_lease = "1 s"'))
-    try:
-        yield s.start()
-    finally:
-        s.purge()
+    with Service(tmp_path_factory.mktemp("keeper"), config_text(map='access_lease = "1 s"')).running() as s:
+        yield s
 
 
 def holder(watcher: Observer) -> tuple[int, int]:
@@ -144,10 +141,10 @@ def test_access_lost_and_granted_anew_is_not_reported_as_held(keeper: Service) -
 def test_an_interrupt_while_waiting_takes_the_request_down(service: Service) -> None:
     with service.attach() as holding, service.attach() as waiting:
         with holding.exclusive():
-            wanted = waiting.exclusive()
-            wanted._look = _interrupt  # type: ignore[method-assign]
+            expected = waiting.exclusive()
+            expected._look = _interrupt  # type: ignore[method-assign]
             with pytest.raises(KeyboardInterrupt):
-                wanted.__enter__()
+                expected.__enter__()
             flag = int.from_bytes(waiting._in[:8], "little")
             assert flag == ACCESS_FREE
         with waiting.exclusive():
@@ -215,7 +212,7 @@ def test_two_clients_take_turns(service: Service) -> None:
         assert holder(first) == (ACCESS_FREE, -1)
 
 
-def test_a_holder_that_outlives_its_lease_is_fenced_off_and_told(keeper: Service) -> None:
+def test_a_holder_that_outlives_its_lease_is_fenced_off_and_informed(keeper: Service) -> None:
     with keeper.attach() as slow, keeper.attach() as other:
         access = slow.exclusive().__enter__()
         until(lambda: not access.granted(), "the end of the lease")
@@ -238,7 +235,7 @@ def test_a_stopped_holder_does_not_take_the_map_again_and_again(keeper: Service)
 
 
 @pytest.mark.parametrize("step", [0, 1, 2, 3])
-def test_a_client_killed_in_any_of_the_four_steps_holds_nobody_up(service: Service, step: int) -> None:
+def test_a_client_killed_in_any_of_the_four_steps_delays_no_client(service: Service, step: int) -> None:
     with service.attach() as other, program(STEPS, service.name, str(step)) as victim:
         if step == 1:
             with other.exclusive():
@@ -255,19 +252,19 @@ def test_a_client_killed_in_any_of_the_four_steps_holds_nobody_up(service: Servi
 
 def test_the_service_may_be_restarted_in_any_of_the_four_steps(keeper: Service) -> None:
     with keeper.attach() as holding, keeper.attach() as waiting:
-        access, wanted = holding.exclusive(timeout_s=READY_S), waiting.exclusive(timeout_s=READY_S)
+        access, expected = holding.exclusive(timeout_s=READY_S), waiting.exclusive(timeout_s=READY_S)
         access.__enter__()  # step 2
-        thread = threading.Thread(target=wanted.__enter__)
+        thread = threading.Thread(target=expected.__enter__)
         thread.start()  # step 1
         keeper.kill()
         keeper.start()
         thread.join()
-        assert wanted.granted(), "the request was made again at the new service"
+        assert expected.granted(), "the request was made again at the new service"
         with pytest.raises(RefusedError, match="restarted"):
             access.__exit__(None, None, None)
         # step 3: done is stored, the service is not there to see it
         keeper.freeze()
-        ending = threading.Thread(target=_end, args=(wanted,))
+        ending = threading.Thread(target=_end, args=(expected,))
         ending.start()
         keeper.kill()
         ending.join()

@@ -41,10 +41,10 @@ class Trail:
         self.ctx = np.zeros(m.CTX_WORDS, np.int64)
         self.lines: list[tuple[str, bool]] = []
         self.takes = True
-        self.trail = AuditTrail(objects, self.ctx, lambda claim: "mallory", self._tell)
+        self.trail = AuditTrail(objects, self.ctx, lambda claim: "mallory", self._report)
         self.now_ns = 10 * SECOND
 
-    def _tell(self, line: str, *, limited: bool) -> bool:
+    def _report(self, line: str, *, limited: bool) -> bool:
         self.lines.append((line, limited))
         return self.takes
 
@@ -104,7 +104,7 @@ def test_only_later_changes_displace_a_change_and_slowly(trail: Trail) -> None:
     assert any(e["uid"] == 1 for e in trail.shown())
 
 
-def test_changes_beyond_the_budget_are_told_as_one_from_the_first_value_to_the_last(trail: Trail) -> None:
+def test_changes_beyond_the_budget_are_reported_as_one_from_the_first_value_to_the_last(trail: Trail) -> None:
     n = int(BURST[CHANGED])
     for k in range(n + 50):
         change(trail, float(k), k + 1.0)

@@ -74,7 +74,7 @@ def test_a_warm_start_and_one_processor_need_no_helper(
     assert SideCompile().wait(lambda: None, 0)
 
 
-def test_a_request_to_stop_is_heard_while_the_helper_compiles(sleeper: None, pipe: tuple[int, int]) -> None:
+def test_a_request_to_stop_is_handled_while_the_helper_compiles(sleeper: None, pipe: tuple[int, int]) -> None:
     side = SideCompile()
     try:
         os.write(pipe[1], b"x")
@@ -87,11 +87,11 @@ def test_a_request_to_stop_is_heard_while_the_helper_compiles(sleeper: None, pip
     assert not alive(pid)
 
 
-def test_waiting_is_told_and_ends_when_the_helper_is_killed(sleeper: None, pipe: tuple[int, int]) -> None:
-    side, told = SideCompile(), []
+def test_waiting_is_reported_and_ends_when_the_helper_is_killed(sleeper: None, pipe: tuple[int, int]) -> None:
+    side, notices = SideCompile(), []
 
     def tell() -> None:
-        told.append(1)
+        notices.append(1)
         assert side._process is not None
         side._process.kill()
 
@@ -99,7 +99,7 @@ def test_waiting_is_told_and_ends_when_the_helper_is_killed(sleeper: None, pipe:
         assert side.wait(tell, pipe[0])
     finally:
         side.end()
-    assert told
+    assert notices
 
 
 def test_a_helper_that_cannot_start_or_fails_leaves_the_work_to_the_service(

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from surffollow.cli.doctor import doctor_command, latency_command, render
 from surffollow.client.histogram_report import percentile_ns
 from surffollow.errors import UsageError
-from surffollow.service import doctor, doctor_host
+from surffollow.service import doctor, doctor_clock, doctor_host
 from surffollow.service.doctor_latency import Lateness, measure_lateness, parse_cyclictest
 from surffollow.service.doctor_unit import examine_unit
 from surffollow.shm.layout_board import HISTOGRAM_BINS
@@ -59,7 +59,7 @@ def test_the_preemption_model_is_read_from_the_kernel(tmp_path, version, extra, 
     assert bool(got.remedy) == (state != "good")
 
 
-def test_governors_isolation_throttling_clock_and_hypervisor_are_told_apart(tmp_path):
+def test_governors_isolation_throttling_clock_and_hypervisor_are_distinguished(tmp_path):
     cpu = "sys__devices__system__cpu__"
     good = tree(
         tmp_path / "good",
@@ -90,8 +90,8 @@ def test_governors_isolation_throttling_clock_and_hypervisor_are_told_apart(tmp_
         doctor.check_governor,
         doctor.check_isolation,
         doctor.check_throttling,
-        doctor.check_hypervisor,
-        doctor.check_clock,
+        doctor_clock.check_hypervisor,
+        doctor_clock.check_clock,
     )
     for check in checks:
         assert check(good).state == "good", check
@@ -110,7 +110,7 @@ def test_an_empty_machine_is_unknown_not_a_crash(tmp_path):
 
 
 def test_doctor_always_ends_well_and_says_why_and_how(monkeypatch):
-    monkeypatch.setattr(doctor, "JITTER_S", 0.01)
+    monkeypatch.setattr(doctor_clock, "JITTER_S", 0.01)
     got = CliRunner().invoke(doctor_command, ["--json"], catch_exceptions=False)
     assert got.exit_code == 0
     report = json.loads(got.output)
@@ -250,7 +250,7 @@ def test_interrupts_on_the_cycles_processor_are_counted(tmp_path, monkeypatch):
         ("always madvise [never]", "good"),
     ],
 )
-def test_huge_pages_are_told_apart(tmp_path, text, state):
+def test_huge_pages_are_distinguished(tmp_path, text, state):
     got = doctor_host.check_huge_pages(tree(tmp_path, sys__kernel__mm__transparent_hugepage__enabled=text))
     assert got.state == state
     assert ("echo madvise" in got.remedy) == (state == "lacking")

@@ -122,7 +122,7 @@ def test_too_close_only_demands_away_leave_until_a_move_shows_the_true_branch(
     assert not demand.status & TOO_CLOSE
 
 
-def test_a_lost_surface_is_told_and_ends_in_no_demand(service: Service, client: Client) -> None:
+def test_a_lost_surface_is_reported_and_ends_in_no_demand(service: Service, client: Client) -> None:
     client.set_params(loss_timeout="50 ms")
     assert service.world is not None
     service.world.pose = high = at_height(0.5)

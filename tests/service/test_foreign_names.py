@@ -35,12 +35,12 @@ FLOCK = struct.Struct("hhxxxxqqixxxx")
 
 def at_once(action: Callable[[], Any]) -> str:
     """What an action says, which must not wait for anybody."""
-    told: list[str] = []
-    thread = threading.Thread(target=lambda: told.append(outcome(action)), daemon=True)
+    outcomes: list[str] = []
+    thread = threading.Thread(target=lambda: outcomes.append(outcome(action)), daemon=True)
     thread.start()
     thread.join(AT_ONCE_S)
-    assert told, "it hangs"
-    return told[0]
+    assert outcomes, "it hangs"
+    return outcomes[0]
 
 
 @pytest.fixture
@@ -66,16 +66,16 @@ def test_what_is_no_plain_file_is_an_error_with_a_remedy_for_everybody(
     name, path = odd_name.name, Path(f"/dev/shm/{odd_name.name}{part}")
     put(path, kind)
     if part == "":
-        for door in (attach, observe, ServiceLog):
-            told = at_once(lambda door=door: door(name))
-            assert told.startswith("BlockError"), told
-            assert str(path) in told
-            assert "remove it" in told
-    told = at_once(lambda: shared_objects.open_shared_objects(odd_name.settings()))
-    assert told.split(":")[0] in ("BlockError", "NoPermissionError"), told
-    assert str(path) in told
-    told = at_once(lambda: purge_leftovers(name))
-    assert told == "done" or str(path) in told
+        for open_it in (attach, observe, ServiceLog):
+            outcomes = at_once(lambda open_it=open_it: open_it(name))
+            assert outcomes.startswith("BlockError"), outcomes
+            assert str(path) in outcomes
+            assert "remove it" in outcomes
+    outcomes = at_once(lambda: shared_objects.open_shared_objects(odd_name.settings()))
+    assert outcomes.split(":")[0] in ("BlockError", "NoPermissionError"), outcomes
+    assert str(path) in outcomes
+    outcomes = at_once(lambda: purge_leftovers(name))
+    assert outcomes == "done" or str(path) in outcomes
     assert at_once(lambda: running_pid(name)) == "done"
     assert at_once(list_blocks) == "done"
     assert objects_of(name) <= {path.name}, "nothing else is left"
@@ -103,7 +103,7 @@ def test_a_client_that_runs_bears_what_takes_the_place_of_its_service(make_servi
 
 
 @needs_root
-def test_an_impostor_after_a_clean_stop_moves_nobody(make_service: Make) -> None:
+def test_an_impostor_after_a_clean_stop_moves_no_client(make_service: Make) -> None:
     s = make_service().start()
     path = Path(f"/dev/shm/{s.name}")
     log = ServiceLog(s.name)
@@ -113,7 +113,7 @@ def test_an_impostor_after_a_clean_stop_moves_nobody(make_service: Make) -> None
         assert s.terminate() == 0
 
         with OtherUser(published(path, forged)) as impostor:
-            assert impostor.hear() == "there"
+            assert impostor.receive() == "there"
             for one in (client, watcher):
                 until(lambda one=one: one.dev_vector().status & STALE, "silence")
             for _ in range(30):
@@ -127,9 +127,9 @@ def test_an_impostor_after_a_clean_stop_moves_nobody(make_service: Make) -> None
             for action in (lambda: client.ee_pos(POSE), lambda: client.sf_reset(0.1), watcher.params):
                 with pytest.raises(NotRunningError, match=f"belongs to user {NOBODY}, expected user 0"):
                     action()
-            for door in (attach, observe, ServiceLog):
+            for open_it in (attach, observe, ServiceLog):
                 with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0"):
-                    door(s.name)
+                    open_it(s.name)
             # who says that he trusts that user does
             with observe(s.name, owner=NOBODY, stale_min_s=3600.0) as fooled:
                 assert fooled.dev_vector()[2] == -0.5
@@ -141,14 +141,14 @@ def test_an_impostor_after_a_clean_stop_moves_nobody(make_service: Make) -> None
 
 
 @needs_root
-def test_the_configured_user_is_trusted_and_nobody_else(
+def test_the_configured_user_is_trusted_and_no_other(
     make_service: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     s = make_service(access='board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"').start()
     assert as_other_user(lambda _: outcome(lambda: attach(s.name, stale_min_s=1.0).close())) == "done"
-    for door in (attach, observe):
+    for open_it in (attach, observe):
         with pytest.raises(NoPermissionError, match="belongs to user 0, expected user 1234"):
-            door(s.name, owner=1234)
+            open_it(s.name, owner=1234)
     with observe(s.name, owner="root", stale_min_s=1.0) as watcher:
         assert watcher.alive()
     monkeypatch.setenv("SURFFOLLOW_OWNER", "1234")
@@ -189,17 +189,17 @@ def test_stop_ends_no_process_that_another_users_lock_file_names(make_service: M
             fd = os.open(path, os.O_RDWR)
             fcntl.fcntl(fd, fcntl.F_OFD_SETLK, FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 1, 0))
             child.say("squats")
-            child.hear()
+            child.receive()
             return "done"
 
         try:
             with OtherUser(squat) as other:
-                assert other.hear() == "squats"
+                assert other.receive() == "squats"
                 result = CliRunner().invoke(stop_command, ["--name", name, "--timeout", "1"])
                 assert isinstance(result.exception, NotRunningError), result.output
                 assert bystander.poll() is None
                 other.say("end")
-                assert other.hear() == "done"
+                assert other.receive() == "done"
         finally:
             bystander.kill()
             path.unlink(missing_ok=True)
@@ -219,16 +219,16 @@ def test_a_reader_that_locks_every_byte_keeps_no_service_from_its_name(
     s = make_service(access='board_mode = "0644"\nmap_mode = "0644"').start()
 
     def locking(child: OtherUser) -> str:
-        told = [outcome(lambda: os.open(f"/dev/shm/{s.name}.lock", os.O_RDONLY))]
+        outcomes = [outcome(lambda: os.open(f"/dev/shm/{s.name}.lock", os.O_RDONLY))]
         held = [lock_everything(Path(f"/dev/shm/{s.name}{part}")) for part in ("", ".map")]
-        child.say(told + [str(len(held))])
-        child.hear()
+        child.say(outcomes + [str(len(held))])
+        child.receive()
         return "over"
 
     with OtherUser(locking) as reader, s.attach(stale_min_s=0.05) as client:
-        told = reader.hear()
-        assert told[0].startswith("PermissionError")
-        assert told[1] == "2"
+        outcomes = reader.receive()
+        assert outcomes[0].startswith("PermissionError")
+        assert outcomes[1] == "2"
         s.kill()
         until(lambda: not client.alive(), "silence")
         client._next_attach_ns = 0

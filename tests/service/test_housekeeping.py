@@ -91,7 +91,7 @@ def gone_reader() -> Iterator[int]:
 
 
 @pytest.mark.parametrize("stderr", [stopped_terminal, stopped_reader, gone_reader])
-def test_a_log_that_nobody_takes_neither_ends_nor_freezes_the_beat(
+def test_a_log_that_is_not_read_neither_ends_nor_stops_the_heartbeat(
     make_service: Make, stderr: Callable[[], contextlib.AbstractContextManager[int]]
 ) -> None:
     with stderr() as fd:
@@ -288,21 +288,21 @@ def test_the_queue_is_bounded_when_nothing_is_written() -> None:
     assert not messages.write("y"), "what may be dropped leaves the rest its room"
 
 
-def test_a_part_that_fails_is_told_once_and_latched_until_the_end() -> None:
-    told: list[str] = []
-    guard = Guard(told.append)
+def test_a_part_that_fails_is_reported_once_and_latched_until_the_end() -> None:
+    reported: list[str] = []
+    guard = Guard(reported.append)
 
     def fail() -> int:
         raise OSError(28, "No space left on device")
 
     assert [guard.run("mending", fail, 7) for _ in range(3)] == [7, 7, 7]
-    assert len(told) == 1
+    assert len(reported) == 1
     assert "No space" in guard.texts()[0]
     assert "3 times" in guard.texts()[0]
     assert guard.run("mending", lambda: 8, 7) == 8
     assert guard.failed
     assert guard.texts() == ["mending failed 3 times, works again"]
-    assert told[1] == "mending works again"
+    assert reported[1] == "mending works again"
 
 
 def test_a_driver_that_is_not_started_has_nothing_to_say() -> None:
@@ -394,7 +394,7 @@ def test_a_service_asked_to_end_before_it_compiles_compiles_nothing(make_service
     assert objects_of(s.name) <= {f"{s.name}.map"}
 
 
-def test_a_compilation_is_left_when_the_service_is_told_to_end(
+def test_a_compilation_is_left_when_the_service_is_asked_to_end(
     make_service: Callable[..., Service], tmp_path: Path
 ) -> None:
     s = make_service()
@@ -407,8 +407,8 @@ def test_a_compilation_is_left_when_the_service_is_told_to_end(
         READY_S,
     )
     process.send_signal(signal.SIGTERM)
-    told, _ = process.communicate(timeout=READY_S)
-    assert "READY" not in told
+    reported, _ = process.communicate(timeout=READY_S)
+    assert "READY" not in reported
     assert process.returncode == 0
     assert not list((tmp_path / "cold").rglob("complete")), "the compilation went on to its end"
     assert not list((tmp_path / "cold").rglob("cycle.run_cycles*.nbi")), "the cycle was compiled to its end"

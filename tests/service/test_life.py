@@ -75,10 +75,10 @@ def test_stop_ends_the_service_keeps_the_map_and_purge_removes_everything(make_s
     assert s.run("stop", "--purge").returncode == 1, "nothing is left to remove"
 
 
-def listen(ear: socket.socket, heard: list[str]) -> None:
+def listen(ear: socket.socket, received: list[str]) -> None:
     """Keep what comes until an empty message."""
     while message := ear.recv(4096).decode():
-        heard.append(message)
+        received.append(message)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -88,20 +88,20 @@ def test_a_signal_ends_it_in_good_order_and_tells_systemd(
     path = str(tmp_path / "notify")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ear:
         ear.bind(path)
-        heard: list[str] = []
+        received: list[str] = []
         # as systemd does: who listens now and then lets the queue fill, and the service wait
-        listener = threading.Thread(target=listen, args=(ear, heard))
+        listener = threading.Thread(target=listen, args=(ear, received))
         listener.start()
         try:
             s = make_service().start(env={**os.environ, "NOTIFY_SOCKET": path})
-            until(lambda: len(heard) >= 2, "two notifications")
-            assert heard[0].startswith("READY=1")
-            assert "WATCHDOG=1" in heard[1]
+            until(lambda: len(received) >= 2, "two notifications")
+            assert received[0].startswith("READY=1")
+            assert "WATCHDOG=1" in received[1]
             assert s.terminate(number) == 0
         finally:
             ear.sendto(b"", path)
             listener.join()
-    assert heard[-1] == "STOPPING=1"
+    assert received[-1] == "STOPPING=1"
     assert objects_of(s.name) == {f"{s.name}.map"}
 
 

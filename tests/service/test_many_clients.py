@@ -53,11 +53,8 @@ for what in (observe, attach):
 @pytest.fixture(scope="module")
 def crowd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service without sensors for this module's clients."""
-    s = Service(tmp_path_factory.mktemp("crowd"))
-    try:
-        yield s.start()
-    finally:
-        s.purge()
+    with Service(tmp_path_factory.mktemp("crowd")).running() as s:
+        yield s
 
 
 @pytest.fixture

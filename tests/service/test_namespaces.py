@@ -12,7 +12,7 @@ import pytest
 
 from running_service import POSE, READY_S, Service, take_pose, until
 from surffollow.config import trusted_users
-from surffollow.config.trusted_users import NOBODYS, own_user
+from surffollow.config.trusted_users import UNMAPPED_USER, own_user
 from surffollow.errors import BusyError, ConfigError, RefusedError
 from surffollow.shm import layout_board as lb
 from surffollow.shm.trusted_folder import NUMBA_SETTINGS, check_numba_settings
@@ -57,13 +57,13 @@ def test_clients_without_a_pid_are_listed_named_and_held_apart(make_service: Mak
     ("user", "mapped", "own"),
     [
         (65534, "0 0 4294967295", 65534),
-        (65534, "0 100000 65536", NOBODYS),
-        (65534, "", NOBODYS),
+        (65534, "0 100000 65536", UNMAPPED_USER),
+        (65534, "", UNMAPPED_USER),
         (1000, "0 100000 65536", 1000),
         (0, "0 1000 1", 0),
     ],
 )
-def test_the_number_of_everybody_who_has_none_is_nobodys_own(
+def test_the_number_of_everybody_who_has_none_is_no_users_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, user: int, mapped: str, own: int
 ) -> None:
     (tmp_path / "overflowuid").write_text("65534\n")

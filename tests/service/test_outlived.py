@@ -57,7 +57,7 @@ def settle(client: Client) -> None:
     until(lambda: (s := client.status())["map"]["applied"] == s["samples"], "an empty queue")
 
 
-def test_client_that_only_posts_poses_is_told_of_the_end_and_goes_on_after_it(mortal: Service) -> None:
+def test_client_that_only_posts_poses_learns_of_the_end_and_goes_on_after_it(mortal: Service) -> None:
     """GIVEN a client that only sends poses WHEN the service is killed and purged THEN it raises; WHEN one
     starts THEN it is used.
     """
@@ -101,8 +101,8 @@ READS: dict[str, Callable[[Observer], Any]] = {
     "map_window": lambda o: o.map_window().current(),
     "map_changes": lambda o: len(o.map_changes().tiles) > 0,
 }
-TOLD_BY_THE_END = ("params", "output")
-TOLD_BY_THE_PURGE = ("map_height", "map_surface", "map_window", "map_changes")
+REPORTED_BY_THE_END = ("params", "output")
+REPORTED_BY_THE_PURGE = ("map_height", "map_surface", "map_window", "map_changes")
 
 
 def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(mortal: Service) -> None:
@@ -116,15 +116,15 @@ def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(mortal: Se
         held = [o.map_height(*SPOT) for o in watchers.values()]
         assert min(held) == max(held)
         mortal.kill()
-        for name in TOLD_BY_THE_END:
+        for name in REPORTED_BY_THE_END:
             until(lambda name=name: over(lambda: READS[name](watchers[name])), f"{name} tells the end")
         for name in ("alive", "status", "raw_distance"):
             until(lambda name=name: not READS[name](watchers[name]), f"{name} tells the end")
-        for name in TOLD_BY_THE_PURGE:
+        for name in REPORTED_BY_THE_PURGE:
             assert READS[name](watchers[name]), "the map outlives the service"
         assert mortal.run("stop", "--purge").returncode == 0
         assert not old.current()
-        for name in TOLD_BY_THE_PURGE:
+        for name in REPORTED_BY_THE_PURGE:
             until(lambda name=name: over(lambda: READS[name](watchers[name])), f"{name} tells the purge")
         start_with_other_memory(mortal)
         with mortal.attach() as robot:

@@ -53,11 +53,8 @@ offset = { min = "80 mm", max = "120 mm" }
 def limited(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service with ceilings, whose objects everybody may use."""
     text = config_text(access='board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"') + LIMITS
-    s = Service(tmp_path_factory.mktemp("limited"), text)
-    try:
-        yield s.start()
-    finally:
-        s.purge()
+    with Service(tmp_path_factory.mktemp("limited"), text).running() as s:
+        yield s
 
 
 def test_no_client_passes_a_ceiling_or_a_floor_of_the_configuration(limited: Service) -> None:
@@ -138,8 +135,8 @@ def test_the_audit_trail_says_who_set_what_from_what_to_what(limited: Service) -
             f"pid {os.getpid()} uid {os.geteuid()} the driver: set_params max_demand_m 0.021 -> 0.022: ok"
             in shown
         )
-        told = json.loads(limited.run("status", "--audit", "--json").stdout)
-        assert e | {"age_s": 0} in [t | {"age_s": 0} for t in told["audit"]]
+        reported = json.loads(limited.run("status", "--audit", "--json").stdout)
+        assert e | {"age_s": 0} in [t | {"age_s": 0} for t in reported["audit"]]
 
 
 def test_a_flood_of_refusals_is_gathered_and_leaves_what_was_accepted(limited: Service) -> None:

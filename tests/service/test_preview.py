@@ -29,7 +29,7 @@ from surffollow.shm.conversion import pack_conversion
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_follow import MODE_PAPER
-from surffollow.sim.robot import RobotConfig
+from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.world_surface import WorldConfig
 
 TOOLS = Path(__file__).parents[2] / "tools"
@@ -145,13 +145,13 @@ def test_a_preview_is_due_for_ticks_and_new_samples_and_never_in_paper_mode():
     a["controller"]["period_ns"] = a["clock"]["now_ns"]
     counts = int((a["hold"]["range_m"] - p["zero_m"][0]) / p["scale_m"][0])
     i["n_conversions"] = 1
-    for word, wanted in (
+    for word, expected in (
         (pack_conversion(counts + 40, 0, 0, -1000), FOR_SAMPLE),
         (pack_conversion(counts + 40, 1, 0, -1000), 0),
         (pack_conversion(counts + 40, 0, 1, -1000), 0),
     ):
         i["conversion"][0] = word
-        assert due(loop) == wanted
+        assert due(loop) == expected
     i["conversion"][0] = pack_conversion(counts + 40, 0, 0, -1000)
     for name, value in (("mode", MODE_PAPER), ("preview", 0)):
         before = p[name].item()

@@ -20,7 +20,7 @@ from raw_slot import MESSAGE, raw_slot
 from running_service import Service, until
 from surffollow.shm import board_regions
 from surffollow.shm import layout_board as lb
-from surffollow.shm.received_descriptors import EVERY_S, Disposal, RightsSentError, hear, refuse_rights
+from surffollow.shm.received_descriptors import EVERY_S, Disposal, RightsSentError, receive, refuse_rights
 from surffollow.shm.unix_socket import listen, new_socket
 
 
@@ -53,14 +53,11 @@ def test_the_kernel_refuses_a_descriptor_to_its_sender(make_service) -> None:
 
 @pytest.fixture
 def old(tmp_path: Path) -> Iterator[Service]:
-    s = OldKernelService(tmp_path)
-    try:
-        yield s.start()
-    finally:
-        s.purge()
+    with OldKernelService(tmp_path).running() as s:
+        yield s
 
 
-def beats(s: Service) -> int:
+def heartbeat_ns(s: Service) -> int:
     with s.observe() as watcher:
         return int(watcher.status()["main"]["t_ns"])
 
@@ -105,11 +102,11 @@ def readers_end() -> Iterator[None]:
         _readers.pop().close()
 
 
-def test_lingering_sockets_freeze_neither_beat_nor_clients_nor_end(old: Service) -> None:
+def test_lingering_sockets_freeze_neither_heartbeat_nor_clients_nor_end(old: Service) -> None:
     began = time.monotonic()
     held = attack(old)
-    before = beats(old)
-    until(lambda: beats(old) > before + 1_000_000_000, "a second of beats")
+    before = heartbeat_ns(old)
+    until(lambda: heartbeat_ns(old) > before + 1_000_000_000, "a second of beats")
     with old.attach() as client:
         client.sf_reset(0.1)
     with old.observe() as watcher:
@@ -132,15 +129,15 @@ def children_of(pid: int) -> list[int]:
 def test_a_message_with_descriptors_is_neither_taken_nor_are_they_installed(pair) -> None:
     ours, theirs = pair
     with pytest.raises(BlockingIOError):
-        hear(ours, 64)
+        receive(ours, 64)
     theirs.send(b"plain")
     before = len(os.listdir("/proc/self/fd"))
     with open(os.devnull, "rb") as file:
         socket.send_fds(theirs, [b"x"], [file.fileno()])
-        assert hear(ours, 64) == b"plain"
+        assert receive(ours, 64) == b"plain"
         for _ in range(3):
             with pytest.raises(RightsSentError):
-                hear(ours, 64)
+                receive(ours, 64)
     assert len(os.listdir("/proc/self/fd")) == before
     theirs.close()
 

@@ -91,7 +91,7 @@ def memory() -> Iterator[m.CycleMemory]:
     del log  # the memory has its address only
 
 
-def test_a_stop_is_kept_before_it_is_answered_and_no_reset_undoes_what_nobody_saw(memory: Any) -> None:
+def test_a_stop_is_kept_before_it_is_answered_and_no_reset_undoes_what_was_not_seen(memory: Any) -> None:
     header = memory.header[0]
     assert do_stop(memory, 3, lb.RQ_STOP, 1)[0] == lb.OK
     assert header["stop"] == STOP_REQUEST
@@ -102,7 +102,7 @@ def test_a_stop_is_kept_before_it_is_answered_and_no_reset_undoes_what_nobody_sa
 
 
 def test_only_parameters_that_differ_stop_a_start(memory: Any) -> None:
-    from surffollow.service.requests import params_hash
+    from surffollow.service.answers import params_hash
 
     memory.params[0]["offset_m"] = 0.1
     objects: Any = SimpleNamespace(map_header=memory.header)

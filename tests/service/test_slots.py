@@ -38,11 +38,8 @@ PUNCH_AND_KEEP_SIZE = 3
 @pytest.fixture(scope="module")
 def open_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service that any user may command."""
-    s = Service(tmp_path_factory.mktemp("open"), config_text(access=LIMITS))
-    try:
-        yield s.start()
-    finally:
-        s.purge()
+    with Service(tmp_path_factory.mktemp("open"), config_text(access=LIMITS)).running() as s:
+        yield s
 
 
 def attacks_on_memory(name: str) -> dict[str, str]:
@@ -74,11 +71,11 @@ def attacks_on_memory(name: str) -> dict[str, str]:
 
 
 @needs_root
-def test_no_client_can_cut_grow_or_punch_its_slot(open_service: Service) -> None:
+def test_no_client_can_truncate_grow_or_punch_its_slot(open_service: Service) -> None:
     with open_service.attach() as watcher:
         before = watcher.status()
-        told = as_other_user(lambda _: attacks_on_memory(open_service.name))
-        assert all(t.startswith("PermissionError") for t in told.values()), told
+        reported = as_other_user(lambda _: attacks_on_memory(open_service.name))
+        assert all(t.startswith("PermissionError") for t in reported.values()), reported
         open_service.cycles(50)
         after = watcher.status()
         assert after["alive"]
@@ -86,7 +83,7 @@ def test_no_client_can_cut_grow_or_punch_its_slot(open_service: Service) -> None
         watcher.sf_reset(0.1)
 
 
-def test_what_a_client_that_let_go_has_mapped_is_nobodys(open_service: Service) -> None:
+def test_what_a_client_that_let_go_has_mapped_has_no_owner(open_service: Service) -> None:
     sock, _, memory, slot = raw_slot(open_service.name)
     with open_service.observe() as watcher:
         until(lambda: any(c["slot"] == slot for c in watcher.clients()), "the slot is told of")
@@ -117,19 +114,19 @@ def test_one_user_and_one_process_hold_no_more_slots_than_allowed(open_service: 
 
     def crowd_of_one_process(child: OtherUser) -> list[str]:
         held = [attach(name, stale_min_s=1.0) for _ in range(2)]
-        told = outcome(lambda: attach(name, stale_min_s=1.0))
-        child.say([told, len(held)])
-        child.hear()
+        reported = outcome(lambda: attach(name, stale_min_s=1.0))
+        child.say([reported, len(held)])
+        child.receive()
         return []
 
     with OtherUser(crowd_of_one_process) as first:
-        told, held = first.hear()
+        reported, held = first.receive()
         assert held == 2
-        assert told.startswith("BusyError"), told
-        assert "this process" in told
-        assert "limit 2" in told
+        assert reported.startswith("BusyError"), reported
+        assert "this process" in reported
+        assert "limit 2" in reported
         with OtherUser(crowd_of_one_process) as second:
-            assert "this user" in second.hear()["failed"], "three for the user, two of which are taken"
+            assert "this user" in second.receive()["failed"], "three for the user, two of which are taken"
         with open_service.observe() as watcher:
             assert {c["uid"] for c in watcher.clients()} == {NOBODY}
             assert len(watcher.clients()) in (2, 3)
@@ -144,13 +141,13 @@ def test_pid_and_user_in_the_status_are_the_kernels_word(open_service: Service) 
         sock, _, memory, slot = raw_slot(open_service.name)
         memory[:] = b"\x01" * len(memory)
         child.say(slot)
-        child.hear()
+        child.receive()
         sock.close()
 
     with OtherUser(held) as other, open_service.observe() as watcher:
-        slot = other.hear()
-        (told,) = [c for c in watcher.clients() if c["slot"] == slot]
-        assert (told["pid"], told["uid"], told["name"]) == (other.pid, NOBODY, "attacker")
+        slot = other.receive()
+        (reported,) = [c for c in watcher.clients() if c["slot"] == slot]
+        assert (reported["pid"], reported["uid"], reported["name"]) == (other.pid, NOBODY, "attacker")
 
 
 def test_a_child_that_keeps_every_descriptor_does_not_keep_its_dead_parents_slot(
@@ -175,7 +172,7 @@ time.sleep(60)
 
 
 @pytest.mark.parametrize("what", ["nothing", "garbage", "half", "the second step first", "twice the first"])
-def test_who_does_not_keep_to_the_exchange_is_let_go_and_holds_nobody_up(
+def test_who_does_not_keep_to_the_exchange_is_let_go_and_delays_no_client(
     open_service: Service, what: str
 ) -> None:
     with open_service.observe() as watcher:
@@ -229,13 +226,13 @@ def test_a_socket_of_another_user_is_refused_with_both_users(open_service: Servi
     def listening(child: OtherUser) -> None:
         sock = listen(path, 0o666, -1, 8)
         child.say("listens")
-        child.hear()
+        child.receive()
         sock.close()
 
     path.rename(aside)
     try:
         with OtherUser(listening) as impostor:
-            assert impostor.hear() == "listens"
+            assert impostor.receive() == "listens"
             with pytest.raises(NoPermissionError, match=f"runs as user {NOBODY}.*expected user 0"):
                 open_service.attach()
     finally:
@@ -265,15 +262,15 @@ def test_a_client_whose_slot_the_service_took_back_gets_another(open_service: Se
         client.ee_pos(POSE)
         client._grant._sock.shutdown(socket.SHUT_RDWR)  # as if the connection had broken
         before = client.status()["poses"]
-        told: list[str] = []
+        reported: list[str] = []
 
         def again() -> bool:
-            told.append(outcome(lambda: client.ee_pos(POSE)))
+            reported.append(outcome(lambda: client.ee_pos(POSE)))
             return bool(client.status()["poses"] > before + 3)
 
         until(again, "poses through another slot")
         # the pose is still that of the slot that is gone, until the cycle has seen it
-        assert {t.partition(":")[0] for t in told} <= {"done", "NotRunningError", "BusyError"}, told
+        assert {t.partition(":")[0] for t in reported} <= {"done", "NotRunningError", "BusyError"}, reported
 
 
 def test_sealed_memory_keeps_its_size_and_its_pages() -> None:
@@ -291,7 +288,7 @@ def test_sealed_memory_keeps_its_size_and_its_pages() -> None:
     os.close(fd)
 
 
-def test_a_full_house_is_an_error_with_a_remedy(open_service: Service) -> None:
+def test_a_service_without_free_slots_is_an_error_with_a_remedy(open_service: Service) -> None:
     held = [open_service.attach() for _ in range(lb.CLIENTS)]
     try:
         with pytest.raises(BusyError, match="end a client"):
@@ -303,8 +300,8 @@ def test_a_full_house_is_an_error_with_a_remedy(open_service: Service) -> None:
 
 def test_a_name_that_steers_a_terminal_is_shown_without_it(open_service: Service) -> None:
     with open_service.attach(label="x\x1b[2J\u202e") as client:
-        (told,) = until(client.clients, "the client")
-        assert told["name"] == "x?[2J?"
+        (reported,) = until(client.clients, "the client")
+        assert reported["name"] == "x?[2J?"
 
 
 @needs_root
@@ -325,9 +322,9 @@ def test_one_user_has_few_connections_without_a_slot(open_service: Service) -> N
         return [closed(sock) for sock in socks]
 
     # on a busy machine the exchange's own time may be over for all of them
-    told = next(t for _ in range(20) if not all(t := as_other_user(silent)))
-    assert told.count(False) <= MAX_PENDING_PER_USER
-    assert not any(told[:MAX_PENDING_PER_USER]), "who came first may go on"
+    reported = next(t for _ in range(20) if not all(t := as_other_user(silent)))
+    assert reported.count(False) <= MAX_PENDING_PER_USER
+    assert not any(reported[:MAX_PENDING_PER_USER]), "who came first may go on"
 
 
 @needs_root
@@ -337,7 +334,7 @@ def test_several_users_together_keep_neither_root_nor_another_from_a_slot(
     path = str(socket_path(open_service.name))
     with contextlib.ExitStack() as stack:
         for k in range(MAX_PENDING // MAX_PENDING_PER_USER + 1):
-            assert stack.enter_context(OtherUser(crowd(path), uid=60000 + k)).hear() == "attacks"
+            assert stack.enter_context(OtherUser(crowd(path), uid=60000 + k)).receive() == "attacks"
         assert at_the_first_try(open_service.name) == "done"
         assert as_other_user(lambda _: at_the_first_try(open_service.name)) == "done"
 
@@ -403,7 +400,7 @@ def test_a_user_who_keeps_what_he_gave_back_gets_no_more(open_service: Service) 
 
     (n,) = as_other_user(hoard)
     assert KEPT_PER_USER <= n <= KEPT_PER_USER + 3
-    with OtherUser(lambda child: child.hear()):
+    with OtherUser(lambda child: child.receive()):
         open_service.attach().close()
 
 
@@ -417,12 +414,12 @@ def test_two_slots_are_left_for_root_and_the_services_own_user(tmp_path: Path) -
             while True:
                 held.append(attach(s.name, stale_min_s=1.0))
         child.say(len(held))
-        child.hear()
+        child.receive()
 
     try:
         s.start()
         with OtherUser(crowd) as first:
-            assert first.hear() == lb.CLIENTS - RESERVED
+            assert first.receive() == lb.CLIENTS - RESERVED
             with s.attach() as one, s.attach() as two:
                 assert {one.slot, two.slot} & set(range(lb.CLIENTS))
     finally:

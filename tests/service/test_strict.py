@@ -56,7 +56,7 @@ def test_the_configuration_may_ask_for_it_and_locked_memory_counts(make_service:
     assert "does not grant mlockall" in done.stderr
 
 
-def test_what_is_wanted_and_refused_is_missing_and_nothing_else() -> None:
+def test_what_is_required_and_refused_is_missing_and_nothing_else() -> None:
     grants = Grants()
     grants.note(FIFO, None, "")
     grants.note(MLOCKALL, OSError(1, "Operation not permitted"), "raise the limit")

@@ -50,10 +50,10 @@ def test_threads_that_find_the_service_restarted_claim_one_slot_together(
                     service.kill()
                     service.start()
                     until(lambda old=epoch: client.epoch != old and client.alive(), "the new service")
-                    told = until(
+                    reported = until(
                         lambda: (m := client.status()["main"])["pose_slot"] == client.slot and m, "the pose"
                     )
-                    assert told["clients"] == 1
+                    assert reported["clients"] == 1
             finally:
                 over.set()
                 for thread in threads:

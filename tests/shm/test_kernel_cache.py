@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from surffollow.shm import cache_directory as cache_module
 from surffollow.shm import kernel_cache
 from surffollow.shm.kernel_cache import KernelCacheFile
 
@@ -119,8 +120,8 @@ def test_the_cache_of_others_stays_as_numba_keeps_it(folder: Path, tmp_path_fact
 def test_without_any_writable_place_a_temporary_folder_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("SURFFOLLOW_CACHE_DIR", "NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "HOME"):
         monkeypatch.setenv(name, "/proc/none")
-    monkeypatch.setattr(kernel_cache.os, "access", lambda *_: False)
-    found = Path(kernel_cache.cache_directory.__wrapped__())
+    monkeypatch.setattr(cache_module.os, "access", lambda *_: False)
+    found = Path(cache_module.cache_directory.__wrapped__())
     try:
         assert found.is_dir()
         assert found.name == "surffollow"

@@ -235,7 +235,7 @@ def test_closing_twice_and_while_views_are_held_is_harmless(name):
     assert view[0] == 0
 
 
-def test_processes_are_told_apart_by_start_time_and_boots_by_identity():
+def test_processes_are_distinguished_by_start_time_and_boots_by_identity():
     assert start_ticks(os.getpid()) > 0
     assert start_ticks(2**22 + 1) == 0
     assert len(boot_id()) == 36

@@ -130,7 +130,7 @@ def test_nothing_new_gives_no_words_and_a_new_reader_begins_at_the_head():
     assert log.copy(10)[0] == 0
 
 
-def test_a_position_that_was_never_written_is_told_as_lost():
+def test_a_position_that_was_never_written_is_reported_as_lost():
     log = Log()
     log.append(10)
     assert log.copy(11)[0] == -1

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from surffollow.errors import ConfigError
+from surffollow.shm import cache_directory as cache_module
 from surffollow.shm import kernel_cache
 from surffollow.shm.trusted_folder import why_not_trusted
 
@@ -26,14 +27,14 @@ def only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
         monkeypatch.delenv(name, raising=False)
     tmp_path.chmod(0o755)
     (tmp_path / "tmp").mkdir(mode=0o700)
-    monkeypatch.setattr(kernel_cache.tempfile, "tempdir", str(tmp_path / "tmp"))
+    monkeypatch.setattr(cache_module.tempfile, "tempdir", str(tmp_path / "tmp"))
     cache = tmp_path / "above" / "cache"
     monkeypatch.setenv("SURFFOLLOW_CACHE_DIR", str(cache))
     return cache
 
 
 def taken() -> Path:
-    return Path(kernel_cache.cache_directory.__wrapped__())
+    return Path(cache_module.cache_directory.__wrapped__())
 
 
 def test_a_folder_of_ones_own_is_made_private_and_kept(
@@ -105,7 +106,7 @@ def test_a_sticky_folder_is_no_danger_above_and_links_in_a_ring_end(tmp_path: Pa
 def test_the_fresh_folder_goes_with_its_process(only: Path) -> None:
     only.mkdir(parents=True)
     only.chmod(0o777)
-    code = "from surffollow.shm.kernel_cache import cache_directory as c; print(c())"
+    code = "from surffollow.shm.cache_directory import cache_directory as c; print(c())"
     env = {k: v for k, v in os.environ.items() if k not in VARIABLES} | {
         "SURFFOLLOW_CACHE_DIR": str(only),
         "TMPDIR": str(only),  # not to be trusted either: nothing in a folder without a sticky bit stays ours
@@ -125,12 +126,12 @@ def test_the_fresh_folder_is_not_made_where_others_can_rename_it(
         folder.mkdir(parents=True, exist_ok=True)
         folder.chmod(mode)
     safe.mkdir(mode=0o700)
-    monkeypatch.setattr(kernel_cache, "FRESH_IN", (str(safe),))
+    monkeypatch.setattr(cache_module, "FRESH_IN", (str(safe),))
     found = taken()
     assert safe in found.parents
     assert why_not_trusted(found) == ""
     assert [p.name for p in temporary.iterdir()] == [f"surffollow-cache-{os.getuid()}"], "nothing fresh"
-    monkeypatch.setattr(kernel_cache, "FRESH_IN", ())
+    monkeypatch.setattr(cache_module, "FRESH_IN", ())
     with pytest.raises(ConfigError, match=r"can be written by others.*SURFFOLLOW_CACHE_DIR"):
         taken()
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from surffollow.sim.robot import RobotConfig, RobotCore
+from surffollow.sim.robot import RobotCore
+from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.robot_run import Controller
 from surffollow.sim.surfaces import flat_field
 

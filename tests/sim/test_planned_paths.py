@@ -14,7 +14,8 @@ from surffollow.hw.registry import make_driver
 from surffollow.map.height_map import HeightMap
 from surffollow.sim.path_table import read_path_table
 from surffollow.sim.raster import file_path, raster_path
-from surffollow.sim.robot import RobotConfig, RobotCore
+from surffollow.sim.robot import RobotCore
+from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.world_surface import WorldConfig
 
 
@@ -25,7 +26,7 @@ def test_a_raster_with_one_lane_is_refused_and_says_what_would_help() -> None:
 
 
 @pytest.mark.parametrize("kind", ["csv", "npz"])
-def test_a_planned_path_goes_through_its_corners_at_its_speeds_and_stops_where_told(
+def test_a_planned_path_goes_through_its_corners_at_its_speeds_and_stops_where_planned(
     kind: str, tmp_path: Path
 ) -> None:
     corners = {
@@ -53,11 +54,11 @@ def test_a_planned_path_goes_through_its_corners_at_its_speeds_and_stops_where_t
 
 
 @pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 cut short"])
-def test_a_file_that_is_no_npz_is_told_without_advice_to_trust_it(content: bytes, tmp_path: Path) -> None:
+def test_a_file_that_is_no_npz_is_reported_without_advice_to_trust_it(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "path.npz").write_bytes(content)
-    with pytest.raises(UsageError, match=r"no NPZ file of numbers; numpy.savez") as told:
+    with pytest.raises(UsageError, match=r"no NPZ file of numbers; numpy.savez") as error:
         read_path_table(str(tmp_path / "path.npz"))
-    assert "pickle" not in str(told.value)
+    assert "pickle" not in str(error.value)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surffollow.errors import ConfigError
-from surffollow.sim.plant import PlantConfig, axis_step, load_plant, set_point_for
+from surffollow.sim.plant import PlantConfig, axis_step, load_plant, setpoint_for
 
 DT_S = 1e-3
 
@@ -18,12 +18,12 @@ def naive_step(z: float, v: float, target: float, plant: PlantConfig) -> tuple[f
     p, a = 1.0 / plant.tau_s, plant.a_max_mps2
     e = target - z
     if abs(e) <= a / p**2:
-        wanted = p * e
+        desired = p * e
     else:
-        wanted = math.copysign(math.sqrt(2 * a * (abs(e) - a / (2 * p**2))), e)
+        desired = math.copysign(math.sqrt(2 * a * (abs(e) - a / (2 * p**2))), e)
     for limit in (abs(e) / DT_S, plant.v_max_mps):
-        wanted = max(-limit, min(limit, wanted))
-    v += max(-a * DT_S, min(a * DT_S, wanted - v))
+        desired = max(-limit, min(limit, desired))
+    v += max(-a * DT_S, min(a * DT_S, desired - v))
     return z + v * DT_S, v
 
 
@@ -76,10 +76,10 @@ def test_axis_lags_a_slow_ramp_by_its_time_constant() -> None:
     assert 0.01 * 0.999 - axis[0] == pytest.approx(0.01 * plant.tau_s, rel=0.05)
 
 
-def test_set_point_holds_the_report_when_the_demand_is_not_a_number() -> None:
-    assert set_point_for(0.1, 0.02) == pytest.approx(0.12)
-    assert set_point_for(0.1, math.nan) == 0.1
-    assert set_point_for(0.1, math.inf) == 0.1
+def test_setpoint_holds_the_report_when_the_demand_is_not_a_number() -> None:
+    assert setpoint_for(0.1, 0.02) == pytest.approx(0.12)
+    assert setpoint_for(0.1, math.nan) == 0.1
+    assert setpoint_for(0.1, math.inf) == 0.1
 
 
 def test_plant_file_is_read_and_a_wrong_key_or_value_is_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]

@@ -14,14 +14,15 @@ from robots import FLAT, MS, REGION, START, PerfectService, drive, robot
 from surffollow.errors import ConfigError, NotRunningError, PoseError, UsageError
 from surffollow.sim.plant import PlantConfig
 from surffollow.sim.raster import MARGIN_M, line_path, raster_path, slow_down
-from surffollow.sim.robot import APPROACH_M, RobotConfig, RobotCore
+from surffollow.sim.robot import RobotCore
+from surffollow.sim.robot_config import APPROACH_M, RobotConfig
 from surffollow.sim.robot_run import Controller, held_too_long, run_robot
 from surffollow.sim.surfaces import sine_field, step_field
 from surffollow.sim.world import WorldReader
 from surffollow.sim.world_surface import WorldConfig
 
 
-def test_robot_starts_above_the_wanted_stand_off_settles_and_only_then_moves() -> None:
+def test_robot_starts_above_the_desired_stand_off_settles_and_only_then_moves() -> None:
     core, controller, _ = robot(seconds=5.0)
     drive(core, controller, 1)
     assert core.standoff_m == pytest.approx(0.1 + APPROACH_M, abs=1e-6)
@@ -66,7 +67,7 @@ def test_demand_is_added_to_the_report_it_refers_to_not_to_the_newest() -> None:
     drive(core, controller, 50)
     old_t, old_pose = service.poses[-8]
     core.command(0.003, old_t)
-    assert core.motion["set_point_m"][0] == pytest.approx(old_pose[2] + 0.003, abs=1e-12)
+    assert core.motion["setpoint_m"][0] == pytest.approx(old_pose[2] + 0.003, abs=1e-12)
 
 
 def test_demand_for_a_pose_that_was_never_sent_makes_the_robot_hold() -> None:
@@ -115,7 +116,7 @@ def test_a_service_that_fails_is_attached_to_again() -> None:
     assert not core.holding
 
 
-def test_a_service_that_started_anew_is_told_the_stand_off_again() -> None:
+def test_a_service_that_started_anew_gets_the_stand_off_again() -> None:
     core, controller, service = robot(seconds=20.0, standoff_m=0.08)
     drive(core, controller, 200)
     assert service.resets == 1
@@ -245,8 +246,8 @@ def test_motion_equals_a_slow_twin() -> None:
         controller.tick()
         moving = core.motion["moving"][0]
         for _ in range(10):
-            wanted = max(np.interp(path / ds, np.arange(len(points)), points[:, 2]), 1e-3) if moving else 0.0
-            speed = min(max(wanted, speed - 1.5 * 0.2e-3), speed + 0.2e-3)
+            desired = max(np.interp(path / ds, np.arange(len(points)), points[:, 2]), 1e-3) if moving else 0.0
+            speed = min(max(desired, speed - 1.5 * 0.2e-3), speed + 0.2e-3)
             path += speed * 1e-3
         core.advance(core.t_ns + 10 * MS)
         assert core.motion["path_m"][0] == pytest.approx(path, abs=1e-9)

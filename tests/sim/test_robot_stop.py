@@ -13,7 +13,7 @@ import pytest
 from robots import MS, REGION, drive, robot
 
 from surffollow.errors import ConfigError
-from surffollow.sim.robot import RobotConfig
+from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.robot_stop import REST_MPS, clearance_m, stopping_distance_m, time_to_rest_s
 from surffollow.sim.surfaces import sine_field
 

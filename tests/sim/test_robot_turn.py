@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from surffollow.shm.dtypes import zeros
 from surffollow.sim.mounts import around_tool
-from surffollow.sim.robot import RobotConfig, RobotCore
+from surffollow.sim.robot import RobotCore
+from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.robot_turn import ACCEL_RADPS2, SPEED_RADPS, along_axis, turned, wrist_step
 from surffollow.sim.surfaces import shell_field
 from surffollow.sim.world import WorldPose
@@ -34,15 +35,15 @@ def test_an_attitude_is_turned_about_world_axes() -> None:
 
 def test_the_wrist_arrives_within_its_speed_and_acceleration() -> None:
     q, w, scratch = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(4)
-    wanted = Rotation.from_rotvec([0.4, -0.7, 0.2])
-    goal, speeds = -wanted.as_quat(), [w.copy()]  # the other sign is the same attitude
+    desired = Rotation.from_rotvec([0.4, -0.7, 0.2])
+    goal, speeds = -desired.as_quat(), [w.copy()]  # the other sign is the same attitude
     for _ in range(3000):
         before = Rotation.from_quat(q)
         wrist_step(q, w, goal, scratch, 1e-3)
         moved = (Rotation.from_quat(q) * before.inv()).as_rotvec()
         assert moved == pytest.approx(w * 1e-3, abs=1e-9)
         speeds.append(w.copy())
-    assert (Rotation.from_quat(q) * wanted.inv()).magnitude() < 1e-6
+    assert (Rotation.from_quat(q) * desired.inv()).magnitude() < 1e-6
     assert np.linalg.norm(speeds, axis=1).max() <= SPEED_RADPS + 1e-9
     assert np.linalg.norm(np.diff(speeds, axis=0), axis=1).max() <= ACCEL_RADPS2 * 1e-3 + 1e-9
 

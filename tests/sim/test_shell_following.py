@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from shell_loop import ShellLoop
-from surffollow.hw.fault_injection import FaultConfig
+from surffollow.hw.fault_schedule import FaultConfig
 from surffollow.shm.layout_follow import VALID
-from surffollow.sim.robot import RobotConfig
+from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.world_surface import WorldConfig
 
 DOME = WorldConfig(surface="dome", region=(0.0, 0.0, 1.2, 1.0), grid_m=2e-3)

@@ -74,7 +74,7 @@ def test_robot_prints_one_json_object_and_writes_its_trace(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_robot_ends_cleanly_when_told_and_still_prints_its_summary(number: signal.Signals) -> None:
+def test_robot_ends_cleanly_when_asked_and_still_prints_its_summary(number: signal.Signals) -> None:
     process = command("--seconds", "600")
     while not os.path.exists(f"/dev/shm/{NAME}.world"):
         assert process.poll() is None

@@ -14,6 +14,7 @@ from sonar.naive_sonar import range_of, ring_ranges, wrapped
 from surffollow.errors import UsageError
 from surffollow.sonar import candidates as cd
 from surffollow.sonar import fused_pose, wall_pose, walls
+from surffollow.sonar.candidate_ranking import best_candidate
 from surffollow.sonar.ring import SonarRing
 
 ALPHA = math.radians(11.25)
@@ -249,11 +250,11 @@ def test_a_fitted_wall_predicts_the_side_sonars_of_a_real_robot():
                 positions[others], headings[others], r, ALPHA, 1, min_sensors=1, max_range_m=5.0,
                 sigma_m=0.05 * np.where(np.isfinite(r), np.maximum(r, 0.3), 5.0), max_incidence_rad=limit,
             )  # fmt: skip
-            told = [
+            distances = [
                 range_of(positions[held_out], headings[held_out], ALPHA, limit, (w.phi_rad, w.distance_m))
                 for w in found
             ]
-            errors.append(abs(min([5.0, *told]) - row[held_out]))
+            errors.append(abs(min([5.0, *distances]) - row[held_out]))
         assert np.median(errors) < bar, f"US{held_out + 1}"
 
 
@@ -270,4 +271,4 @@ def test_one_contradiction_outweighs_two_further_inliers():
     more, fewer = np.zeros(cd.CANDIDATE), np.zeros(cd.CANDIDATE)
     more[[cd.INLIERS, cd.CONTRADICTIONS]] = 4, 1
     fewer[cd.INLIERS] = 2
-    assert cd.best_candidate(np.array([more, fewer]), 2) == 1
+    assert best_candidate(np.array([more, fewer]), 2) == 1

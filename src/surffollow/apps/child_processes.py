@@ -126,7 +126,7 @@ def no_leftovers(name: str) -> Iterator[None]:
 
 
 class Terminated(SystemExit):
-    """A signal told the demonstration to end."""
+    """A signal asked the demonstration to end."""
 
 
 @contextlib.contextmanager

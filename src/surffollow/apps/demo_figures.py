@@ -64,7 +64,7 @@ def verdict(
 
 
 def table(result: dict[str, Any]) -> str:
-    """The figures for people."""
+    """The figures as text."""
 
     def mm(name: str) -> str:
         return "nothing scored" if result[name] is None else f"{result[name] * 1e3:.2f} mm"

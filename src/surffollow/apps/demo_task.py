@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from surffollow.errors import UsageError
-from surffollow.hw.simulation.led_sensor import FAR_M, NEAR_M
+from surffollow.hw.simulation.led_config import FAR_M, NEAR_M
 from surffollow.sim.mounts import around_tool
 from surffollow.sim.raster import MARGIN_M
-from surffollow.sim.robot import RobotConfig
+from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.world_surface import DEFAULT_REGION, SURFACES
 
 SHELL_REGION = (0.0, 0.0, 1.2, 1.0)  # of the ground when the tool turns

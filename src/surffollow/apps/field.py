@@ -129,7 +129,7 @@ def view_joints(arm: Arm) -> Floats:
 def take_images(place: Field, rng: np.random.Generator) -> list[DepthImage]:
     """Disparity images from all views: rendered from the real camera, posed as the model believes."""
     joints = view_joints(place.model)
-    real, believed = place.real.ground_from_camera(joints), place.model.ground_from_camera(joints)
+    real, modelled = place.real.ground_from_camera(joints), place.model.ground_from_camera(joints)
     fx, fy, cx, cy = LENS_PX
     images = []
     for k in range(len(joints)):
@@ -141,7 +141,7 @@ def take_images(place: Field, rng: np.random.Generator) -> list[DepthImage]:
         else:
             q = fx * BASELINE_M / depth
         camera = Camera(
-            fx, fy, cx, cy, believed[k], baseline_m=BASELINE_M, max_range_m=4.0, name=f"view {k + 1}"
+            fx, fy, cx, cy, modelled[k], baseline_m=BASELINE_M, max_range_m=4.0, name=f"view {k + 1}"
         )
         images.append(DepthImage(q, "disparity", camera))
     return images

@@ -99,10 +99,10 @@ def touch(place: Field) -> tuple[Floats, Floats]:
 def as_seen(place: Field, points_m: Floats) -> Floats:
     """(n, 3) points of the ground at the places that the nearest view's believed pose gives them."""
     joints = view_joints(place.model)
-    real, believed = place.real.ground_from_camera(joints), place.model.ground_from_camera(joints)
+    real, modelled = place.real.ground_from_camera(joints), place.model.ground_from_camera(joints)
     nearest = np.linalg.norm(points_m[:, None, :2] - real[None, :, :2, 3], axis=2).argmin(axis=1)
     whole = np.column_stack([points_m, np.ones(len(points_m))])
-    moved = np.stack([believed[k] @ np.linalg.inv(real[k]) for k in range(len(joints))])
+    moved = np.stack([modelled[k] @ np.linalg.inv(real[k]) for k in range(len(joints))])
     return np.asarray(np.einsum("nij,nj->ni", moved[nearest], whole)[:, :3])
 
 

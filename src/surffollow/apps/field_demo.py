@@ -83,10 +83,10 @@ def demonstrate(kind: str, seed: int, progress: Progress | None = None) -> Demon
     tell("signal map", 0.9)
     rng = np.random.default_rng([seed, 6])
     felt = target_signal(shaped.tip_m, np.array(target), rng)
-    on = shaped.wanted.passes >= 0
+    on = shaped.desired.passes >= 0
     signal = signal_map(shaped.tip_m[on], felt[on], SIGNAL_GRID_M)
     here = locate_source(shaped.tip_m[on], felt[on], ground, size_m=TARGET_SIZE_M)
-    there = locate_source(shaped.wanted.position_m[on], felt[on], ground, size_m=TARGET_SIZE_M)
+    there = locate_source(shaped.desired.position_m[on], felt[on], ground, size_m=TARGET_SIZE_M)
     peak_x, peak_y, height = signal.peak_m()
     (x, y, _), (bx, by, _) = here.place_m, there.place_m
     polar = found.polar

@@ -51,8 +51,8 @@ def _gaps(axes: Any, seed: int) -> None:
     task = replace(PASS_TASK, following="none")
     for which in FILTERS:
         ground = survey_field(place, image_filter=which, average_m=STEEP_AVERAGE_M)
-        wanted = plan(ground, task, shaper_of(found))
-        one = run(place, wanted, found, task)
+        desired = plan(ground, task, shaper_of(found))
+        one = run(place, desired, found, task)
         on = one.scored & np.isfinite(one.clearance_m)
         order = np.argsort(one.tip_m[on, 1])
         axes.plot(one.tip_m[on, 1][order], 1e3 * one.clearance_m[on][order], lw=0.9, label=which)

@@ -56,4 +56,4 @@ def write_report(path: str | os.PathLike[str], made: Demonstration, tables: dict
 
 
 def _flags(made: Demonstration) -> dict[str, int]:
-    return {k: v for k, v in flag_counts(made.shaped.wanted.flags).items() if v}
+    return {k: v for k, v in flag_counts(made.shaped.desired.flags).items() if v}

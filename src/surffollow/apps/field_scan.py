@@ -72,7 +72,7 @@ class Run:
     ----------
     t_s : (n,)
     command : ScanPath            sent to the arm
-    wanted : ScanPath             the same in map coordinates
+    desired : ScanPath             the same in map coordinates
     tip_m, normal : (n, 3)        real
     joints_rad : (n, 5)
     laser_m : (n,)                true range at the detector's middle
@@ -84,7 +84,7 @@ class Run:
 
     t_s: Floats
     command: ScanPath
-    wanted: ScanPath
+    desired: ScanPath
     tip_m: Floats
     normal: Floats
     joints_rad: Floats
@@ -164,9 +164,9 @@ def _laid(planar: ScanPath, envelope: Any, ground: TerrainGrid, task: Task) -> S
     )
 
 
-def run(place: Field, wanted: ScanPath, calibration: Calibration | None, task: Task) -> Run:
+def run(place: Field, desired: ScanPath, calibration: Calibration | None, task: Task) -> Run:
     """Send a path to the arm; without calibration as it is."""
-    command = wanted if calibration is None else calibration.apply(wanted)
+    command = desired if calibration is None else calibration.apply(desired)
     stiff, normal, joints = place.real_tip(command.position_m, command.normal)
     parts = place.compliance
     if not place.errors.sway:
@@ -177,16 +177,16 @@ def run(place: Field, wanted: ScanPath, calibration: Calibration | None, task: T
     tip = stiff + moved
     x0, y0, x1, y1 = task.region_m
     inside = (tip[:, 0] >= x0) & (tip[:, 0] <= x1) & (tip[:, 1] >= y0) & (tip[:, 1] <= y1)
-    scored = inside & (wanted.passes >= 0)
-    real = wanted.changed(position_m=tip, normal=normal)
+    scored = inside & (desired.passes >= 0)
+    real = desired.changed(position_m=tip, normal=normal)
     body = task.body_m if task.following != "none" else np.zeros((1, 3))
     on = np.flatnonzero(scored)
     checked = on[:: max(1, len(on) // CHECKED)]
     rng = np.random.default_rng([place.seed, 4])
     return Run(
-        wanted.t_s,
+        desired.t_s,
         command,
-        wanted,
+        desired,
         tip,
         normal,
         joints,

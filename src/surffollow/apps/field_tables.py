@@ -76,17 +76,17 @@ def _elements(seed: int) -> Iterator[Row]:
         place = make_field("bumpy", seed, errors)
         ground, found = survey_field(place), calibrate(place)
         shaper = shaper_of(found)
-        wanted = plan(ground, task, shaper)
-        yield {"switched_off": name}, run(place, wanted, found, task)
+        desired = plan(ground, task, shaper)
+        yield {"switched_off": name}, run(place, desired, found, task)
         if name != "nothing":
             continue
-        yield {"switched_off": "both corrections (eqs 8-11)"}, run(place, wanted, None, task)
+        yield {"switched_off": "both corrections (eqs 8-11)"}, run(place, desired, None, task)
         every = calibrate(place, "triangles")
-        yield {"switched_off": "choice by left-out spots"}, run(place, wanted, every, task)
+        yield {"switched_off": "choice by left-out spots"}, run(place, desired, every, task)
         only = replace(found, polar=replace(found.polar, scale=1.0, offset_m=0.0, offset_rad=0.0))
-        yield {"switched_off": "polar correction (eqs 8-10)"}, run(place, wanted, only, task)
+        yield {"switched_off": "polar correction (eqs 8-10)"}, run(place, desired, only, task)
         again = replace(found, surface=envelope_of(ground, task.gap_m))
-        yield {"switched_off": "z of the wanted place (eq 10)"}, run(place, wanted, again, task)
+        yield {"switched_off": "z of the wanted place (eq 10)"}, run(place, desired, again, task)
         unshaped = plan(ground, task, Shaper.none())
         yield {"switched_off": "shaping"}, run(place, unshaped, found, task)
         for label, change in (
@@ -103,8 +103,8 @@ def _elements(seed: int) -> Iterator[Row]:
     exact = make_field("bumpy", seed, Errors(*(False for _ in names)))
     for label, following in (("all errors, map exact", "atf"), ("the same, point detector", "none")):
         other = replace(task, following=following)
-        wanted = plan(exact.true_grid(), other, Shaper.none())
-        yield {"switched_off": label}, run(exact, wanted, None, other)
+        desired = plan(exact.true_grid(), other, Shaper.none())
+        yield {"switched_off": label}, run(exact, desired, None, other)
 
 
 def _filters(seed: int) -> Iterator[Row]:

@@ -35,30 +35,30 @@ class RunByHolder:
     def __init__(self, service: Settable, arbiter: str, resource: str, follower: str) -> None:
         self._service, self._arbiter, self._resource, self._follower = service, arbiter, resource, follower
         self._watch: ArbiterObserver | None = None
-        self._told: tuple[int, str] | None = None  # epoch and run mode that the service was asked for
+        self._reported: tuple[int, str] | None = None  # epoch and run mode that the service was asked for
         self._ticket: Any = None
         self._next_ns = 0
 
     def look(self, now_ns: int) -> None:
         """Once in each of the robot's ticks; never waits."""
-        run = self._wanted(now_ns)
+        run = self._desired(now_ns)
         if run is None:
             return
         if self._ticket is not None and self._ticket.done():
             try:
                 self._ticket.result(0.0)
             except SurffollowError:
-                self._told = None  # refused, or lost in a restart: ask again
+                self._reported = None  # refused, or lost in a restart: ask again
             self._ticket = None
-        if self._told == (self._service.epoch, run) or now_ns < self._next_ns:
+        if self._reported == (self._service.epoch, run) or now_ns < self._next_ns:
             return
         with contextlib.suppress(SurffollowError):
             self._ticket = self._service.set_params(run=run, wait=False)
-            self._told = self._service.epoch, run
+            self._reported = self._service.epoch, run
             return
         self._next_ns = now_ns + RETRY_NS
 
-    def _wanted(self, now_ns: int) -> str | None:
+    def _desired(self, now_ns: int) -> str | None:
         """Run mode by who holds the resource; None: nobody can tell."""
         watch = self._watch
         if watch is None or not watch.alive():
@@ -76,7 +76,7 @@ class RunByHolder:
 
     def close(self) -> None:
         """The robot leaves the arbiter: its next controller finds the service as it was."""
-        if self._told is not None and self._told[1] != "normal":
+        if self._reported is not None and self._reported[1] != "normal":
             deadline = time.monotonic() + 1.0
             while time.monotonic() < deadline:
                 with contextlib.suppress(SurffollowError):

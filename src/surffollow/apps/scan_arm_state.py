@@ -19,9 +19,9 @@ BASE_AWAY_M, BASE_HEIGHT_M = 1.7, 0.6  # of the arm from the region's middle, wh
 
 def base_of(path: ScanPath) -> Floats:
     """(3,) place of the arm [m]: the path's own, else in front of its region."""
-    told = path.facts.get("base_m")
-    if told is not None:
-        return np.array([*map(float, told), BASE_HEIGHT_M][:3])
+    given = path.facts.get("base_m")
+    if given is not None:
+        return np.array([*map(float, given), BASE_HEIGHT_M][:3])
     middle = 0.5 * (path.position_m.min(axis=0) + path.position_m.max(axis=0))
     made: Floats = middle + np.array([-BASE_AWAY_M, 0.0, BASE_HEIGHT_M])
     return made
@@ -40,7 +40,7 @@ def arm_state(path: ScanPath, config: ScanRobotConfig, start_ns: int, stopping_s
     a, c = zeros(ArmState), config
     a["t_ns"] = a["start_ns"] = start_ns
     a["end_s"], a["rate_change_ps"] = path.t_s[-1] - path.t_s[0], 1.0 / stopping_s
-    a["axis"][0, 0] = a["set_point_m"] = path.position_m[0, 2] + APPROACH_M
+    a["axis"][0, 0] = a["setpoint_m"] = path.position_m[0, 2] + APPROACH_M
     a["tau_s"], a["v_max_mps"], a["a_max_mps2"] = c.plant.tau_s, c.plant.v_max_mps, c.plant.a_max_mps2
     a["base"] = base_of(path)
     a["trace_every"] = TRACE_EVERY

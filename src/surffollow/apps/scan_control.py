@@ -65,7 +65,7 @@ class ControlServer:
                 connection, _ = self._socket.accept()
                 connection.setblocking(False)
                 self._open.append(connection)
-        heard: list[str] = []
+        received: list[str] = []
         for connection in list(self._open):
             try:
                 word = connection.recv(64).decode("ascii", "replace")
@@ -74,22 +74,22 @@ class ControlServer:
             except OSError:
                 word = ""
             if word:
-                answer = self._answer(connection, word, status, heard)
+                answer = self._answer(connection, word, status, received)
                 with contextlib.suppress(OSError):
                     connection.send(json.dumps(answer).encode())
             connection.close()
             self._open.remove(connection)
-        return heard
+        return received
 
     def _answer(
-        self, connection: socket.socket, word: str, status: dict[str, Any], heard: list[str]
+        self, connection: socket.socket, word: str, status: dict[str, Any], received: list[str]
     ) -> dict[str, Any]:
         if _user(connection) not in (own_user(), 0):
             return {"error": f"user {_user(connection)} may not control a scan of user {own_user()}"}
         if word not in WORDS:
             return {"error": f"unknown word '{word}'; expected one of {', '.join(WORDS)}"}
         if word != "status":
-            heard.append(word)
+            received.append(word)
         return status
 
     def close(self) -> None:
@@ -148,13 +148,13 @@ def keys() -> Iterator[Any]:
     before = termios.tcgetattr(terminal)
 
     def pressed() -> list[str]:
-        heard = []
+        received = []
         while wait_readable(terminal, 0.0):
             data = os.read(terminal, 64)
             if not data:
                 break
-            heard += [KEYS[k] for k in data.decode("ascii", "replace").lower() if k in KEYS]
-        return heard
+            received += [KEYS[k] for k in data.decode("ascii", "replace").lower() if k in KEYS]
+        return received
 
     tty.setcbreak(terminal)
     try:

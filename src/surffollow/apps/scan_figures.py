@@ -37,7 +37,7 @@ def least_distance(ground: HeightField, path: ScanPath, body_m: Floats, at: Any)
     return made
 
 
-def wanted_range_m(done: Executed, path_s: Floats) -> Floats:
+def desired_range_m(done: Executed, path_s: Floats) -> Floats:
     """Distance along the body's axis that the plan means to keep at times of the path (k,) [m]."""
     return np.asarray(np.interp(path_s, done.path.t_s - done.path.t_s[0], done.expected_m))
 
@@ -50,7 +50,7 @@ def sensed_figures(done: Executed) -> dict[str, float | None]:
     when, distance = done.ranges_m[:, 0], done.ranges_m[:, 1]
     on = np.interp(when, t, scanning) > 0.99
     path_s = np.interp(when, t, done.trace["path_s"])
-    error = (distance - wanted_range_m(done, path_s))[on]
+    error = (distance - desired_range_m(done, path_s))[on]
     good = np.isfinite(error)
     if not good.any():
         return {"sensed_rms_m": None, "sensed_p99_m": None, "sensed_part": 0.0}
@@ -77,7 +77,7 @@ def true_figures(done: Executed, ground: HeightField) -> dict[str, Any]:
         return {"samples": 0}
     tip = np.column_stack([trace[f"real_{c}_m"] for c in "xyz"])[on]
     normal = np.column_stack([trace[f"n{c}"] for c in "xyz"])[on]
-    error = laser_range(ground, tip, normal) - wanted_range_m(done, trace["path_s"][on])
+    error = laser_range(ground, tip, normal) - desired_range_m(done, trace["path_s"][on])
     good = error[np.isfinite(error)]
     at = np.arange(0, len(on), max(1, len(on) // CHECKED))
     n = len(at)

@@ -78,8 +78,8 @@ class GapWatch:
         on = on[:: max(1, len(on) // AFTERWARDS)]
         later = None
         if len(on):
-            told = np.column_stack([trace[f"{c}_m"][on] for c in "xyz"])
-            poses = np.column_stack([told, robot.attitude_at(trace["path_s"][on])])
+            recorded = np.column_stack([trace[f"{c}_m"][on] for c in "xyz"])
+            poses = np.column_stack([recorded, robot.attitude_at(trace["path_s"][on])])
             later = float(guard.is_inside(poses).mean())
         least = [e["clearance_m"] for e in self.events]
         return {

@@ -110,7 +110,7 @@ class Guard:
         Parameters
         ----------
         poses : (n, 7) [m]
-        least_m : at least this; below 0, the answer tells how far the poses may be lowered [m]
+        least_m : at least this; below 0, the answer says how far the poses may be lowered [m]
         """
         points = self.points(poses)
         points[..., 2] += least_m

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from surffollow.apps.html_page import Page
-from surffollow.apps.scan_figures import wanted_range_m
+from surffollow.apps.scan_figures import desired_range_m
 from surffollow.apps.scan_guard import INSIDE_M
 from surffollow.apps.scan_run import Executed
 from surffollow.scan.grid import TerrainGrid
@@ -43,7 +43,7 @@ def draw_run(path: str | os.PathLike[str], done: Executed, ground: TerrainGrid |
     when, distance = done.ranges_m[:, 0], done.ranges_m[:, 1]
     path_s = np.interp(when, t, done.trace["path_s"]) if len(t) else when
     ranges.plot(when, 1e3 * distance, lw=0.8, label="sensed")
-    ranges.plot(when, 1e3 * wanted_range_m(done, path_s), color="black", lw=0.8, label="wanted")
+    ranges.plot(when, 1e3 * desired_range_m(done, path_s), color="black", lw=0.8, label="desired")
     gap = 1e3 * float(done.path.facts["gap_m"])
     ranges.set_ylim(0.0, 3.0 * gap)
     ranges.set_ylabel("stand-off [mm]")

@@ -22,7 +22,7 @@ from surffollow.scan.path import ScanPath
 from surffollow.shm.dtypes import zeros
 from surffollow.sim.commanded_robot import SETTLED_M, SETTLED_TICKS, CommandedRobot
 from surffollow.sim.path_arm import TRACE_COLUMNS, run_arm
-from surffollow.sim.plant import set_point_for
+from surffollow.sim.plant import setpoint_for
 from surffollow.sim.pose_reports import PoseReports
 from surffollow.sim.robot_stop import REST_MPS
 from surffollow.sim.step_clock import STEP_NS
@@ -89,7 +89,7 @@ class ScanRobot(CommandedRobot):
         self._asked: deque[tuple[float, float, float]] = deque(maxlen=ASKED_KEPT)
         self._settled = 0
         self.started_ns = 0
-        self._heard_ns = self._tick_ns = start_ns
+        self._received_ns = self._tick_ns = start_ns
 
     @property
     def base_m(self) -> Floats:
@@ -99,7 +99,7 @@ class ScanRobot(CommandedRobot):
     # -- what `sim.robot_run.Controller` needs --------------------------------------------------------
 
     @property
-    def wanted_m(self) -> float:
+    def desired_m(self) -> float:
         """Stand-off that it asks of the service: the path's gap [m]."""
         return float(self.path.facts["gap_m"])
 
@@ -158,7 +158,7 @@ class ScanRobot(CommandedRobot):
         pose_t_ns : stamp of that report [ns]; an unknown one makes the robot hold
         turn_rad : not used
         """
-        self._heard_ns, passed_s = self.t_ns, (self.t_ns - self._tick_ns) * 1e-9
+        self._received_ns, passed_s = self.t_ns, (self.t_ns - self._tick_ns) * 1e-9
         self._tick_ns = self.t_ns
         if self.leaving:
             return
@@ -166,17 +166,17 @@ class ScanRobot(CommandedRobot):
             self.hold()
             return
         self.holding = False
-        followed = set_point_for(float(self._reports.sent[pose_t_ns][2]), demand_m) + self._ahead(self._above)
-        self._set(self._wanted(followed, passed_s))
+        followed = setpoint_for(float(self._reports.sent[pose_t_ns][2]), demand_m) + self._ahead(self._above)
+        self._set(self._desired(followed, passed_s))
 
     def go_by_plan(self) -> None:
         """Use no demand at all: way "plan"."""
-        self._heard_ns = self._tick_ns = self.t_ns
+        self._received_ns = self._tick_ns = self.t_ns
         if not self.leaving:
             self.holding = False
             self._set(self._ahead(self._z))
 
-    def _wanted(self, followed_m: float, passed_s: float) -> float:
+    def _desired(self, followed_m: float, passed_s: float) -> float:
         """Height from the plan, from what the follower wants, and the least that known ground bears."""
         c = self.config
         planned = self._ahead(self._z)
@@ -230,7 +230,7 @@ class ScanRobot(CommandedRobot):
         return shaped[0], shaped[1]
 
     def _set(self, z_m: float) -> None:
-        self.state["set_point_m"] = z_m
+        self.state["setpoint_m"] = z_m
         if self.started_ns == 0:
             near = abs(float(self.state["axis"][0, 0]) - z_m) < SETTLED_M
             self._settled = self._settled + 1 if near else 0
@@ -250,7 +250,7 @@ class ScanRobot(CommandedRobot):
 
     def hold(self) -> None:
         """Without a demand to trust: stop along the path; keep the reported height over rises of the plan."""
-        self._heard_ns = self._tick_ns = self.t_ns
+        self._received_ns = self._tick_ns = self.t_ns
         if self.leaving:
             return
         if not self.holding:
@@ -258,7 +258,7 @@ class ScanRobot(CommandedRobot):
             here, rate = float(self.state["path_s"][0]), float(self.state["rate"][0])
             ahead = np.linspace(here, here + 0.5 * rate * rate * self.stopping_s, 20)
             planned = np.interp(ahead, self._t, self._z)
-            self.state["set_point_m"] = self._reports.newest[2] + max(0.0, float(planned.max() - planned[0]))
+            self.state["setpoint_m"] = self._reports.newest[2] + max(0.0, float(planned.max() - planned[0]))
         self._settled = 0
         self._asked.clear()
         self.state["rate_wanted"] = 0.0
@@ -278,13 +278,13 @@ class ScanRobot(CommandedRobot):
         self.hold()
         self.leaving = True
         self.state["rate_wanted"] = 0.0
-        self.state["set_point_m"] = float(self.state["set_point_m"][0]) + self.config.retract_m
+        self.state["setpoint_m"] = float(self.state["setpoint_m"][0]) + self.config.retract_m
 
     @property
     def away(self) -> bool:
         """Retracted and at rest."""
         s = self.state[0]
-        left = abs(float(s["axis"][0]) - float(s["set_point_m"]))
+        left = abs(float(s["axis"][0]) - float(s["setpoint_m"]))
         resting = abs(float(s["axis"][1])) < REST_MPS and float(s["rate"]) <= 0.0
         return self.leaving and left < 1e-3 and resting
 
@@ -304,5 +304,5 @@ class ScanRobot(CommandedRobot):
 
     def restart_clock(self, t_ns: int) -> None:
         """Let it be `t_ns` [ns] now, and nothing traced yet."""
-        self.state["t_ns"] = self.state["start_ns"] = self._heard_ns = self._tick_ns = t_ns
+        self.state["t_ns"] = self.state["start_ns"] = self._received_ns = self._tick_ns = t_ns
         self.state["trace_rows"] = 0

@@ -22,7 +22,7 @@ from surffollow.scan.path import ScanPath
 from surffollow.sim.robot_run import Controller, Service
 from surffollow.sim.world import WorldWriter
 
-TELL_NS = 500_000_000
+REPORT_EVERY_NS = 500_000_000
 RETRACT_S = 10.0  # longest that a retract may take
 STATES = ("approach", "scan", "inside", "waiting", "hold", "stopped", "paused", "retract")
 LIFTS = (
@@ -128,9 +128,9 @@ class _Run:
         progress: Progress | None,
     ) -> None:
         self.robot, self.controller, self.control, self.world = robot, controller, control, world
-        self._tell = progress if progress is not None else lambda _text, _part: None
+        self._report = progress if progress is not None else lambda _text, _part: None
         self._rows: list[tuple[float, float, float]] = []
-        self._told_ns = self._paused_ticks = self._pauses = 0
+        self._reported_ns = self._paused_ticks = self._pauses = 0
         self.aborted = False
         self.gap = GapWatch(robot)
 
@@ -179,7 +179,7 @@ class _Run:
     def _watch_gap(self) -> None:
         """Note what readings say about the gap; abort where a lift does not lead out of it."""
         for text in self.gap.tick(self.controller.service):
-            self._tell(text, self.robot.progress)
+            self._report(text, self.robot.progress)
         if self.gap.why and not self.robot.leaving:
             self._obey("abort")
 
@@ -212,9 +212,9 @@ class _Run:
                 distance = float("nan")
         t_s = (robot.t_ns - int(robot.state["start_ns"][0])) * 1e-9
         self._rows.append((t_s, distance, robot.correction_m))
-        if robot.t_ns - self._told_ns > TELL_NS:
-            self._told_ns = robot.t_ns
-            self._tell(f"{self.state}, stand-off {1e3 * distance:.1f} mm", robot.progress)
+        if robot.t_ns - self._reported_ns > REPORT_EVERY_NS:
+            self._reported_ns = robot.t_ns
+            self._report(f"{self.state}, stand-off {1e3 * distance:.1f} mm", robot.progress)
 
     @property
     def state(self) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.apps.wall_following import Run, distance_to_wall, straights
+from surffollow.apps.wall_figures import Run, distance_to_wall, straights
 from surffollow.errors import UsageError
 from surffollow.map.formats.atomic_file import replacing
 

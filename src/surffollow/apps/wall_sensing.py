@@ -37,7 +37,7 @@ class Sensing(NamedTuple):
 class Wish(NamedTuple):
     """Whether a client wants the base, and its command: speed [m/s], turn rate [rad/s]."""
 
-    wanted: bool
+    desired: bool
     speed: float = 0.0
     turn_rate: float = 0.0
 

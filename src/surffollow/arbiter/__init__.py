@@ -12,10 +12,11 @@ Light (no NumPy, no numba); the server is `surffollow arbiter start`. See docs/r
 
 from __future__ import annotations
 
+from surffollow.arbiter.board_reader import Holder
 from surffollow.arbiter.client import ArbiterClient, attach
 from surffollow.arbiter.controller import CommandReader, ResourceCommand, command_reader
 from surffollow.arbiter.events import History, HistoryEvent
-from surffollow.arbiter.observer import ArbiterObserver, Holder, observe
+from surffollow.arbiter.observer import ArbiterObserver, observe
 from surffollow.arbiter.resource import Reply, Resource
 
 __all__ = [

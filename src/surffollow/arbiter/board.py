@@ -45,18 +45,14 @@ def own_name(name: str) -> NameLock:
     NoPermissionError
         another user's lock file is in the way
     """
-    deadline = time.monotonic() + EXIT_GRACE_S
-    while True:
-        own = NameLock.take(f"{name}.arbiter")
-        if own is not None:
-            return own
-        if time.monotonic() > deadline:
-            pid = holder(f"{name}.arbiter")
-            raise AlreadyRunningError(
-                f"an arbiter {name!r} runs already (process {pid if pid > 0 else 'unknown'}, perhaps in "
-                "another network namespace); end it, or start this one under another name (--name)"
-            )
-        time.sleep(0.005)
+    own = NameLock.take_within(f"{name}.arbiter", EXIT_GRACE_S)
+    if own is None:
+        pid = holder(f"{name}.arbiter")
+        raise AlreadyRunningError(
+            f"an arbiter {name!r} runs already (process {pid if pid > 0 else 'unknown'}, perhaps in "
+            "another network namespace); end it, or start this one under another name (--name)"
+        )
+    return own
 
 
 def take_old_board(name: str) -> int:

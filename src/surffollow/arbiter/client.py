@@ -11,9 +11,10 @@ import time
 import weakref
 
 from surffollow.arbiter import layout as al
+from surffollow.arbiter.board_reader import BoardReader
 from surffollow.arbiter.exchange import Exchange
 from surffollow.arbiter.handshake import MailboxGrant, confirm_mapping, request_slot
-from surffollow.arbiter.observer import ArbiterObserver, BoardReader
+from surffollow.arbiter.observer import ArbiterObserver
 from surffollow.arbiter.resource import Resource
 from surffollow.config.names import check_name
 from surffollow.config.trusted_users import trusted_owners
@@ -34,7 +35,7 @@ class ArbiterClient(ArbiterObserver):
     number : int
         as in the history
     owner : int
-        user of the server's process, as the kernel told it
+        user of the server's process, from the kernel
     """
 
     def __init__(self, name: str, client: str, grant: MailboxGrant) -> None:

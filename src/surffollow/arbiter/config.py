@@ -44,7 +44,7 @@ class CombinationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ArbiterConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """All that `surffollow arbiter start` is told."""
+    """Configuration of `surffollow arbiter start`."""
 
     clients: dict[str, int]
     resources: dict[str, ResourceSpec]

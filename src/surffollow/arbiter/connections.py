@@ -23,7 +23,7 @@ from surffollow.arbiter.config import ArbiterConfig
 from surffollow.config.trusted_users import own_user
 from surffollow.errors import ConfigError
 from surffollow.shm.python_atomics import load_acquire, store_release
-from surffollow.shm.received_descriptors import Disposal, hear
+from surffollow.shm.received_descriptors import Disposal, receive
 from surffollow.shm.sealed import make_sealed, seal_for_good
 from surffollow.shm.unix_socket import peer_of, peer_pidfd
 
@@ -170,7 +170,7 @@ class ConnectionServer:
             self._disconnect(poll, connection)
             return
         try:
-            data = hear(connection.sock, 256)
+            data = receive(connection.sock, 256)
             if connection.slot < 0:
                 self._offer(connection, hs.read_hello(data))
             elif not connection.joined and data == hs.MAPPED:

@@ -10,7 +10,7 @@ import struct
 import time
 
 from surffollow.arbiter import layout as al
-from surffollow.arbiter.observer import BoardReader
+from surffollow.arbiter.board_reader import BoardReader
 from surffollow.arbiter.python_futex import Waiter, address_of, waker
 from surffollow.client.fence import FENCED, fence
 from surffollow.errors import ClosedError, NotRunningError, RequestTimeoutError
@@ -20,7 +20,7 @@ _DESK = -(-al.ClientDesk.SIZE // 64) * 64
 _ENTRY = -(-al.ClientEntry.SIZE // 64) * 64
 _CONSUMED = al.ClientEntry.offset("consumed")
 _BELL, _HELD, _ASKED = (al.ClientDesk.offset(n) for n in ("bell", "held", "asked"))
-BEAT, HEAD, DOORBELL = (al.Mailbox.offset(n) // 8 for n in ("beat_ns", "head", "doorbell"))
+HEARTBEAT, HEAD, DOORBELL = (al.Mailbox.offset(n) // 8 for n in ("beat_ns", "head", "doorbell"))
 ITEMS = al.Mailbox.offset("item")
 ITEM_BYTES, MASK = al.Item.SIZE, al.MAILBOX_ITEMS - 1
 _HEADS = struct.Struct("<5q")  # of an item: the values of a request mean nothing
@@ -147,4 +147,4 @@ class Exchange:
 
     def send_heartbeat(self) -> None:
         """Show that this client lives."""
-        self.mailbox_words[BEAT] = _clock()
+        self.mailbox_words[HEARTBEAT] = _clock()

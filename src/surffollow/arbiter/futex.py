@@ -1,7 +1,7 @@
 """Futexes for kernels: sleep until one of several words changes, wake who sleeps on a word.
 
 Shared words of 32 bits: the low halves of words of 64. Linux 5.16 knows futex_waitv; on an older
-kernel the caller is told to pace itself.
+kernel the caller must pace itself.
 """
 
 from __future__ import annotations

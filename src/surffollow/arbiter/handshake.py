@@ -81,9 +81,9 @@ def _owner_of(sock: socket.socket, name: str, owners: Collection[int]) -> int:
     """The user of the server at the other end; raises NoPermissionError when it is none of `owners`."""
     peer = peer_of(sock)
     if owners and peer.uid not in owners:
-        wanted = " or ".join(str(u) for u in sorted(owners))
+        expected = " or ".join(str(u) for u in sorted(owners))
         raise NoPermissionError(
-            f"arbiter {name!r} is process {peer.pid} of user {peer.uid}, expected user {wanted}: somebody "
+            f"arbiter {name!r} is process {peer.pid} of user {peer.uid}, expected user {expected}: somebody "
             f"else may have taken its name; look at it (ps -p {peer.pid}), or name the arbiter's user "
             "(owner=, SURFFOLLOW_OWNER)"
         )
@@ -115,10 +115,10 @@ def confirm_mapping(sock: socket.socket, name: str) -> None:
     """
     try:
         sock.send(MAPPED)
-        heard = sock.recv(len(MAPPED)) == MAPPED
+        received = sock.recv(len(MAPPED)) == MAPPED
     except OSError:
-        heard = False
-    if not heard:
+        received = False
+    if not received:
         raise NotRunningError(f"arbiter {name!r} ended while this client attached; attach again")
 
 
@@ -188,7 +188,7 @@ def _receive_answer(sock: socket.socket) -> tuple[bytes, list[int]]:
     """The server's answer, and what came with it."""
     try:
         data, fds, _, _ = socket.recv_fds(sock, al.Welcome.SIZE, 2)
-    except ConnectionResetError:  # told once; what it said before it closed comes next
+    except ConnectionResetError:  # reported once; what the other end sent before it closed comes next
         data, fds, _, _ = socket.recv_fds(sock, al.Welcome.SIZE, 2)
     return data, list(fds)
 

@@ -153,7 +153,7 @@ class Reply(Schema):
 
 
 class ClientDesk(Schema):
-    """What the server tells one client."""
+    """What the server publishes for one client."""
 
     bell = I64(align=64, doc="its low half is a futex; changes with every answer or grant")
     held = I64(RESOURCES, align=64, doc="token held of each resource, 0: none")

@@ -16,7 +16,7 @@ from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, sleep_until_ns
 from surffollow.shm.jit import jit
 
-_BEAT, _ROUNDS = al.BoardHeader.offset("beat_ns"), al.BoardHeader.offset("rounds")
+_HEARTBEAT, _ROUNDS = al.BoardHeader.offset("beat_ns"), al.BoardHeader.offset("rounds")
 _DOORBELL = al.Mailbox.offset("doorbell")
 _LOW_HALF = 0xFFFFFFFF
 # a client that rings all the time gets no more rounds than this, and costs a part of a processor at most
@@ -90,7 +90,7 @@ def one_round(mem: Any, t_ns: Any) -> Any:
     wake_clients(mem)
     ctx[m.ROUNDS] += 1
     at.store_relaxed_i64(ctx[m.HEADER] + _ROUNDS, ctx[m.ROUNDS])
-    at.store_relaxed_i64(ctx[m.HEADER] + _BEAT, t_ns)
+    at.store_relaxed_i64(ctx[m.HEADER] + _HEARTBEAT, t_ns)
     return due
 
 

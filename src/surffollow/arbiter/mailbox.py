@@ -20,7 +20,7 @@ from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit
 from surffollow.shm.latch import copy_words_out
 
-_BEAT, _HEAD, _ITEMS = (al.Mailbox.offset(n) for n in ("beat_ns", "head", "item"))
+_HEARTBEAT, _HEAD, _ITEMS = (al.Mailbox.offset(n) for n in ("beat_ns", "head", "item"))
 _ITEM_BYTES, _ITEM_WORDS, _CAPACITY = al.Item.SIZE, al.ITEM_WORDS, al.MAILBOX_ITEMS
 _NUMBER, _CONSUMED, _LIVE, _DENIED, _BROKEN = (
     al.ClientEntry.offset(n) for n in ("number", "consumed", "live", "denied", "broken")
@@ -87,7 +87,7 @@ def publish_counters(mem: Any, slot: Any) -> None:
 def watch_lease(mem: Any, slot: Any, has_items: Any, t_ns: Any) -> None:
     """Update the lease of a client: any change of its heartbeat counts, and any item in its mailbox."""
     client_run, ctx = mem.client_runs[slot], mem.ctx
-    heartbeat = at.load_relaxed_i64(client_run.mailbox + _BEAT)
+    heartbeat = at.load_relaxed_i64(client_run.mailbox + _HEARTBEAT)
     if heartbeat != client_run.heartbeat or has_items:
         client_run.heartbeat, client_run.seen_ns = heartbeat, t_ns
         if mem.clients[0].live[slot] == 0:

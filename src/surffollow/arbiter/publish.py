@@ -133,7 +133,7 @@ def publish_status(mem: Any, resource: Any) -> None:
 
 @jit
 def put_command(mem: Any, block: Any, fence: Any, t_ns: Any) -> None:
-    """Publish `mem.slot` in a command block; a reader that holds it is told that it is stale."""
+    """Publish `mem.slot` in a command block; a reader that holds it sees that it is stale."""
     head = mem.slot[0].head
     head.generation, head.t_ns = at.load_relaxed_i64(block) + 1, t_ns
     head.epoch = mem.machines[0].epoch
@@ -183,7 +183,7 @@ def forward(mem: Any, resource: Any, slot: Any, token: Any, t_ns: Any) -> None:
 
 @jit
 def is_refusal(action: Any) -> Any:
-    """Whether an action only tells a client what it has or may not have: it may repeat it without end."""
+    """Whether an action only answers a client; such an action may be repeated without end."""
     return (
         action in (t.KEEP, t.DENY, t.DENY_LEASE, t.NOTHING, t.ENQUEUE, t.DEQUEUE, t.REJECT_NO_CONTROL)
         or action == t.REJECT_STALE_TOKEN

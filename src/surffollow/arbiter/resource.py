@@ -15,7 +15,7 @@ from surffollow.errors import RequestTimeoutError, UsageError
 if TYPE_CHECKING:
     from surffollow.arbiter.client import ArbiterClient
 
-_HEAD, _BEAT, _ITEMS, _MASK, _ITEM_BYTES = ex.HEAD, ex.BEAT, ex.ITEMS, ex.MASK, ex.ITEM_BYTES
+_HEAD, _HEARTBEAT, _ITEMS, _MASK, _ITEM_BYTES = ex.HEAD, ex.HEARTBEAT, ex.ITEMS, ex.MASK, ex.ITEM_BYTES
 _RESULT, _TOKEN = ex.RESULT, ex.TOKEN
 _reply: Callable[..., Reply] = tuple.__new__  # half the time of the constructor
 _clock = time.monotonic_ns
@@ -229,7 +229,7 @@ class Resource:
         if FENCED:
             fence()
         mailbox_words[_HEAD] = head + 1
-        mailbox_words[_BEAT] = now
+        mailbox_words[_HEARTBEAT] = now
         return True
 
     def relinquish(self) -> None:

@@ -43,9 +43,9 @@ ACTIONS = (
     "none",
     "GRANT",  # a new token for c, which leaves the queue; c is the holder
     "GRANT_HEAD",  # the same for the head of the queue: highest priority, then longest waiting
-    "KEEP",  # c is told its token again
-    "DENY",  # c is told who holds the resource
-    "DENY_LEASE",  # c is told that its heartbeat is missing
+    "KEEP",  # c gets its token again
+    "DENY",  # c gets the name of the holder
+    "DENY_LEASE",  # c learns that its heartbeat is missing
     "ENQUEUE",  # c is in the queue; where it was, if it was there
     "DEQUEUE",  # c is in the queue no longer
     "REVOKE",  # the holder's token is void; it did not ask for that

@@ -8,12 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from surffollow.benchmark.cell_runs import geometric_mean
 from surffollow.benchmark.comparison import (
     FLOOR_M,
     HALF,
-    JUDGED,
     LEAD_M,
     ORACLES,
+    OURS,
     REPORTED,
     TUNABLE,
     CellKey,
@@ -33,7 +34,6 @@ from surffollow.benchmark.comparison import (
 from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.methods import LIMIT, ORACLE
 from surffollow.benchmark.near_limit import beyond_half
-from surffollow.benchmark.runner import geometric_mean
 
 FAST_MPS = 0.3  # above: the bar of 400 mm/s
 STEP_SCORED_MPS = 0.2
@@ -103,7 +103,7 @@ def _accelerations(
     ratios: dict[CellKey, float] = {}
     mild: dict[CellKey, float] = {}
     for key in table.where(lead_m):
-        ours = table.cells[key].get(JUDGED)
+        ours = table.cells[key].get(OURS)
         rows = [r for name, r in table.cells[key].items() if name in methods]
         if not ours or not rows:
             continue
@@ -123,15 +123,15 @@ def _acceleration(
     """
     ratios, mild = _accelerations(table, lead_m, methods)
     worst = max(mild, key=lambda key: mild[key], default=None)
-    told_mean = told_each = ""
+    stated_mean = stated_each = ""
     if worst:
         own = [v for k, v in ratios.items() if not of_family(k)]
-        told_mean = f"{len(mild)} cells; {sum(mild.values()) / len(mild):.3f} over the best by RMS"
-        told_mean += f"; {sum(own) / len(own):.3f} without the families" if own else ""
-        told_each = f"{mild[worst]:.3f} over the best by RMS, {cell_name(worst)}"
+        stated_mean = f"{len(mild)} cells; {sum(mild.values()) / len(mild):.3f} over the best by RMS"
+        stated_mean += f"; {sum(own) / len(own):.3f} without the families" if own else ""
+        stated_each = f"{mild[worst]:.3f} over the best by RMS, {cell_name(worst)}"
     return [
-        mean_verdict(f"{start}, mean", mean, list(ratios.values()), told_mean, geometric=False),
-        worst_verdict(f"{start}, each", each, {cell_name(k): v for k, v in ratios.items()}, told_each),
+        mean_verdict(f"{start}, mean", mean, list(ratios.values()), stated_mean, geometric=False),
+        worst_verdict(f"{start}, each", each, {cell_name(k): v for k, v in ratios.items()}, stated_each),
     ]
 
 
@@ -139,8 +139,8 @@ def _lead_50(table: Table, conditions: Conditions) -> list[Verdict]:
     own: dict[CellKey, float] = {}
     bound: dict[CellKey, float] = {}
     for key, rows in table.cells.items():
-        ours, limit = rows.get(JUDGED), rows.get(LIMIT)
-        at_0 = table.cells.get((key[0], key[1], 0.0, key[3]), {}).get(JUDGED)
+        ours, limit = rows.get(OURS), rows.get(LIMIT)
+        at_0 = table.cells.get((key[0], key[1], 0.0, key[3]), {}).get(OURS)
         if key[2] != LEAD_M or key[3] or not ours or not limit or not at_0:
             continue
         if key[0] == "sine-100" and key[1] >= FAST_MPS:
@@ -151,7 +151,7 @@ def _lead_50(table: Table, conditions: Conditions) -> list[Verdict]:
         allowed = 1.5 * limit["rms_m"] + 0.8 * conditions.sensor.sigma_m
         bound[key] = ours["rms_m"] / max(allowed, FLOOR_M)
 
-    def judged(bar: str, most: float, figures: dict[CellKey, float]) -> Verdict:
+    def scored(bar: str, most: float, figures: dict[CellKey, float]) -> Verdict:
         families = {k: v for k, v in figures.items() if of_family(k)}
         worst = max(families, key=lambda k: families[k], default=None)
         note = f"families, not judged: worst {families[worst]:.3f}, {cell_name(worst)}" if worst else ""
@@ -160,15 +160,15 @@ def _lead_50(table: Table, conditions: Conditions) -> list[Verdict]:
         )
 
     return [
-        judged("lead 50 mm, RMS over own at lead 0", HALF, own),
-        judged("lead 50 mm, RMS over 1.5·limit + 0.8·σ", 1.0, bound),
+        scored("lead 50 mm, RMS over own at lead 0", HALF, own),
+        scored("lead 50 mm, RMS over 1.5·limit + 0.8·σ", 1.0, bound),
     ]
 
 
 def _sweeps(table: Table) -> list[Verdict]:
     late: dict[str, float] = {}
     for key in table.where(0.0, lambda v: v.startswith("latency=")):
-        ours, kalman = table.cells[key].get(JUDGED), table.cells[key].get("kalman-ff" + ORACLE)
+        ours, kalman = table.cells[key].get(OURS), table.cells[key].get("kalman-ff" + ORACLE)
         if ours and kalman:
             late[cell_name(key)] = rms_ratio(ours["rms_m"], kalman["rms_m"])
     verdicts = [worst_verdict("latency 0-300 ms, RMS over kalman-ff tuned for it", 1.15, late)]
@@ -180,7 +180,7 @@ def _sweeps(table: Table) -> list[Verdict]:
 
 
 def _trials(trials: Sequence[Row], conditions: Conditions) -> list[Verdict]:
-    def of(kind: str, method: str = JUDGED) -> list[Row]:
+    def of(kind: str, method: str = OURS) -> list[Row]:
         return [t for t in trials if t["trial"] == kind and t["method"] == method]
 
     def label(t: Row) -> str:

@@ -1,18 +1,17 @@
-"""The hand-made loops that a follower is judged against, jitted together with their run.
+"""The baseline controllers that a follower is compared with, compiled together with their run.
 
-All get the same stamped data: readings with their stamps, poses interpolated to those stamps. A method is
-two functions, one for a reading and one for a controller tick, on a parameter row and a state row.
+All get the same data: readings with their timestamps, poses interpolated to those timestamps. A method is
+two functions, one for a reading and one for a controller period, on a parameter row and its buffers.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.benchmark import preview_planner as planner
 from surffollow.benchmark import wave_filter as waves
 from surffollow.benchmark.height_filters import (
     COUNT,
@@ -36,7 +35,10 @@ from surffollow.benchmark.height_filters import (
     update_low_pass,
     update_waves,
 )
+from surffollow.benchmark.local_line import smoothed
 from surffollow.benchmark.loop import END, SAMPLE, STEP_S, TICK, World, advance
+from surffollow.benchmark.preview_planner import setpoint
+from surffollow.benchmark.preview_programme import PERIODS, new_planner, reference
 from surffollow.shm.jit import jit
 
 HOLD, P, PI, LPF_GATE, KALMAN_FF, KALMAN_WAVE, KALMAN_ADAPTIVE, PREVIEW = range(8)
@@ -46,6 +48,22 @@ READING_TIMEOUT_PERIODS = 3.0  # … or so many intervals of a slow sensor
 INTEGRAL_LIMIT_M = 0.02
 DROPOUT_AFTER_MS = 25.0  # no reading for so long beyond the sensor's latency: a drop-out, not a glitch
 POLICY_EXTRAPOLATE, POLICY_HOLD = 0.0, 1.0
+
+
+class Buffers(NamedTuple):
+    """Memory of one baseline.
+
+    Attributes
+    ----------
+    state : (`STATE_SIZE`,) float64
+    track : (readings, `TRACK_COLUMNS`) float64, one estimate per reading
+    memory, plan : what some kinds need beside, see `run_jitted`
+    """
+
+    state: NDArray[Any]
+    track: NDArray[Any]
+    memory: NDArray[Any]
+    plan: NDArray[Any]
 
 
 @jit
@@ -79,47 +97,32 @@ def _keep_reading(m: NDArray[Any], seen: NDArray[Any], made: int, x_m: float, h_
 
 
 @jit
-def _planned(
-    p: NDArray[Any],
-    m: NDArray[Any],
-    seen: NDArray[Any],
-    g: NDArray[Any],
-    s: Any,
-    w: World,
-    x_m: float,
-    v_mps: float,
-) -> float:
+def _planned(p: NDArray[Any], buffers: Buffers, s: Any, w: World, x_m: float, v_mps: float) -> float:
     """Setpoint of the preview planner (p: as above, smoothing width [m], effort [s⁴]); x is that of now."""
-    wanted = planner.reference(g)
+    m, seen, g = buffers.state, buffers.memory, buffers.plan
+    desired = reference(g)
     count = int(m[KEPT])
     cursor = int(m[CURSOR])
-    way = v_mps * s.tick_ms * STEP_S
-    for k in range(planner.PERIODS):
-        x = min(x_m + (k + 1) * way, m[X])  # behind the last reading: its height
-        h, cursor = planner.smoothed(seen, cursor, count, x, p[4])
+    step_m = v_mps * s.tick_ms * STEP_S
+    for k in range(PERIODS):
+        x = min(x_m + (k + 1) * step_m, m[X])  # behind the last reading: its height
+        h, cursor = smoothed(seen, cursor, count, x, p[4])
         if k == 0:
             m[CURSOR] = cursor
-        wanted[k] = h + s.standoff_m
+        desired[k] = h + s.standoff_m
     last = w.reports[s.poses - 1]
-    return float(planner.set_point(g, p[5], s.poses, float(last.ms), last.z, s))
+    return float(setpoint(g, p[5], s.poses, float(last.ms), last.z, s))
 
 
 @jit
-def on_sample(
-    kind: int,
-    p: NDArray[Any],
-    m: NDArray[Any],
-    track: NDArray[Any],
-    memory: NDArray[Any],
-    s: Any,
-    w: World,
-) -> None:
-    """Take the reading that has just arrived (index `samples` − 1)."""
+def on_sample(kind: int, p: NDArray[Any], buffers: Buffers, s: Any, w: World) -> None:
+    """Use the reading that has just arrived (index `samples` − 1)."""
+    m, track, memory = buffers.state, buffers.track, buffers.memory
     i = s.samples - 1
     r = w.readings[i].range
     if not math.isfinite(r):
         return
-    stamp = w.readings[i].told_ms
+    stamp = w.readings[i].timestamp_ms
     dt_s = (stamp - m[STAMP]) * STEP_S if m[SEEN] > 0.0 else 0.0
     m[STAMP] = stamp
     m[SEEN] = 1.0
@@ -143,17 +146,9 @@ def on_sample(
 
 
 @jit
-def on_tick(
-    kind: int,
-    p: NDArray[Any],
-    m: NDArray[Any],
-    track: NDArray[Any],
-    memory: NDArray[Any],
-    plan: NDArray[Any],
-    s: Any,
-    w: World,
-) -> float:
+def on_period(kind: int, p: NDArray[Any], buffers: Buffers, s: Any, w: World) -> float:
     """Demand [m] to be added to the newest report that has arrived; 0 before anything is known."""
+    m, track, memory = buffers.state, buffers.track, buffers.memory
     if s.poses == 0:
         return 0.0
     z_report = w.reports[s.poses - 1].z
@@ -165,12 +160,13 @@ def on_tick(
     if m[SEEN] == 0.0:
         return 0.0
     if kind in (P, PI):
-        patience_ms = READING_TIMEOUT_MS
+        timeout_ms = READING_TIMEOUT_MS
         if w.readings.shape[0] > 1:
-            patience_ms = max(
-                patience_ms, READING_TIMEOUT_PERIODS * (w.readings[1].told_ms - w.readings[0].told_ms)
+            timeout_ms = max(
+                timeout_ms,
+                READING_TIMEOUT_PERIODS * (w.readings[1].timestamp_ms - w.readings[0].timestamp_ms),
             )
-        if s.ms - m[STAMP] > patience_ms + (w.readings[0].arrival_ms - w.readings[0].told_ms):
+        if s.ms - m[STAMP] > timeout_ms + (w.readings[0].arrival_ms - w.readings[0].timestamp_ms):
             return 0.0
         if kind == P:
             return float(-p[0] * m[ERROR])
@@ -182,35 +178,25 @@ def on_tick(
     ahead_s = (s.ms - w.reports[s.poses - 1].ms) * STEP_S
     v = lateral_speed(s, w)
     if kind == PREVIEW:
-        return float(_planned(p, m, memory, plan, s, w, w.reports[s.poses - 1].x + v * ahead_s, v) - z_report)
+        return float(_planned(p, buffers, s, w, w.reports[s.poses - 1].x + v * ahead_s, v) - z_report)
     lag_s = p[2] if kind == LPF_GATE else p[4]
     x = w.reports[s.poses - 1].x + v * (ahead_s + lag_s)
     if kind == KALMAN_WAVE:
         return float(_wave_target(p, m, track, memory, s, x, v) + s.standoff_m - z_report)
-    lost_ms = s.ms - m[STAMP] - (w.readings[0].arrival_ms - w.readings[0].told_ms)
-    if not (kind == KALMAN_FF and p[5] == POLICY_HOLD and lost_ms > DROPOUT_AFTER_MS):
+    silent_ms = s.ms - m[STAMP] - (w.readings[0].arrival_ms - w.readings[0].timestamp_ms)
+    if not (kind == KALMAN_FF and p[5] == POLICY_HOLD and silent_ms > DROPOUT_AFTER_MS):
         m[TARGET] = height_at(m, track, x) + s.standoff_m
     return float(m[TARGET] - z_report)
 
 
 @jit
-def run_baseline(
-    kind: int,
-    p: NDArray[Any],
-    m: NDArray[Any],
-    track: NDArray[Any],
-    memory: NDArray[Any],
-    plan: NDArray[Any],
-    s: Any,
-    w: World,
-) -> None:
+def run_baseline(kind: int, p: NDArray[Any], buffers: Buffers, s: Any, w: World) -> None:
     """Run one baseline to the end of the path.
 
     Parameters
     ----------
-    kind, p, m : which, its parameters, its state row (`STATE_SIZE`) of zeros
-    track : (readings, `TRACK_COLUMNS`) float64, room for one estimate per reading
-    memory, plan : what some kinds need beside, see `run_jitted`
+    kind, p : which, and its parameters
+    buffers : its memory; the state is zeros
     s, w : a fresh run
     """
     while True:
@@ -218,9 +204,9 @@ def run_baseline(
         if event == END:
             return
         if event == SAMPLE:
-            on_sample(kind, p, m, track, memory, s, w)
+            on_sample(kind, p, buffers, s, w)
         elif event == TICK:
-            s.demand_m = on_tick(kind, p, m, track, memory, plan, s, w)
+            s.demand_m = on_period(kind, p, buffers, s, w)
 
 
 def run_jitted(kind: int, params: tuple[float, ...], s: Any, w: World) -> None:
@@ -231,5 +217,5 @@ def run_jitted(kind: int, params: tuple[float, ...], s: Any, w: World) -> None:
     if kind == KALMAN_WAVE:
         memory = waves.new_bank()
     elif kind == PREVIEW:
-        memory, plan = np.empty((count, 2)), planner.new_planner()
-    run_baseline(kind, np.array(params, np.float64), np.zeros(STATE_SIZE), track, memory, plan, s, w)
+        memory, plan = np.empty((count, 2)), new_planner()
+    run_baseline(kind, np.array(params, np.float64), Buffers(np.zeros(STATE_SIZE), track, memory, plan), s, w)

@@ -12,11 +12,11 @@ from typing import Any
 
 import msgspec
 
+from surffollow.benchmark.cell_runs import geometric_mean
 from surffollow.benchmark.families import FAMILY_SURFACES, PERIODIC
 from surffollow.benchmark.methods import BASELINES, LIMIT, ORACLE
-from surffollow.benchmark.runner import geometric_mean
 
-JUDGED = "ours"
+OURS = "ours"
 FLOOR_M = 0.1e-3
 EXEMPT_SHARE = 0.8  # of what a criterion permits: beyond it even full knowledge gains less than a fifth
 LEAD_M = 0.05
@@ -109,7 +109,7 @@ def ratios_to_oracles(table: Table, keys: Sequence[CellKey]) -> dict[CellKey, fl
     """Ratio of the judged RMS to the best oracle's, by cell."""
     ratios: dict[CellKey, float] = {}
     for key in keys:
-        ours, best = table.cells[key].get(JUDGED), table.best_oracle(key)
+        ours, best = table.cells[key].get(OURS), table.best_oracle(key)
         if ours and best:
             ratios[key] = rms_ratio(ours["rms_m"], best["rms_m"])
     return ratios
@@ -152,8 +152,8 @@ class Oracles:
         self, keep: Callable[[CellKey], bool], figure: Callable[[dict[CellKey, float]], float], note: str = ""
     ) -> str:
         """The figure with fewer oracles, behind a remark."""
-        told = [f"{figure(self.ratios(keep, t)):.3f} {name}" for name, t in self.others.items()]
-        return "; ".join([note] * bool(note) + told)
+        reported = [f"{figure(self.ratios(keep, t)):.3f} {name}" for name, t in self.others.items()]
+        return "; ".join([note] * bool(note) + reported)
 
     def worst(self, bar: str, bound: float, keep: Callable[[CellKey], bool], note: str = "") -> Verdict:
         """Verdict on the greatest ratio."""

@@ -69,7 +69,7 @@ class Conditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     lead_m : how far the sensor looks ahead of the tool [m]; results of different leads do not compare
     reference : what the controller adds a demand to: the newest report the follower had ("report"),
         or the newest report there is ("newest", which costs every method)
-    believed_tau_s : what a follower is told about the plant [s]
+    nominal_tau_s : time constant that the follower is configured with [s]
     standoff_m : wanted distance between tool and ground [m]
     unscored_m : so much of the path does not count at first [m]
     """
@@ -79,12 +79,12 @@ class Conditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sensor: SensorConfig = SensorConfig()
     lead_m: float = 0.0
     reference: Literal["report", "newest"] = "report"
-    believed_tau_s: float = 0.040
+    nominal_tau_s: float = 0.040
     standoff_m: float = STANDOFF_M
     unscored_m: float = UNSCORED_M
 
     def __post_init__(self) -> None:
-        _check(self, positive=("believed_tau_s", "standoff_m"), not_negative=("lead_m", "unscored_m"))
+        _check(self, positive=("nominal_tau_s", "standoff_m"), not_negative=("lead_m", "unscored_m"))
 
     def but(self, **changes: object) -> Conditions:
         """Return a copy in which some fields differ."""
@@ -97,7 +97,7 @@ PAPER_PROFILE = Conditions(pose=PoseConfig(rate_hz=32.0))
 def load_conditions(path: str | Path) -> Conditions:
     """Read plant, [pose] and [sensor] from a TOML file; what it leaves out keeps its default.
 
-    A follower is told the τ of the file: to judge a wrong belief use the plant sweep.
+    The follower is configured with the τ of the file; the plant sweep covers a wrong one.
 
     Raises
     ------
@@ -108,4 +108,4 @@ def load_conditions(path: str | Path) -> Conditions:
     table = read_tables(path)
     pose = from_table(table.get("pose", {}), PoseConfig, f"[pose] of '{path}'")
     sensor = from_table(table.get("sensor", {}), SensorConfig, f"[sensor] of '{path}'")
-    return Conditions(plant=plant, pose=pose, sensor=sensor, believed_tau_s=plant.tau_s)
+    return Conditions(plant=plant, pose=pose, sensor=sensor, nominal_tau_s=plant.tau_s)

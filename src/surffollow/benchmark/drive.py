@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from surffollow.benchmark.followers import FollowerLike
 from surffollow.benchmark.loop import END, MS_NS, STEP_S, World, advance_to_tick
-from surffollow.benchmark.methods import FollowerLike
 from surffollow.benchmark.scene import START_NS, Scene
 
 RETURN_SPEED_MPS = 0.5  # between two passes the tool travels back, lifted, at this speed
@@ -32,24 +32,29 @@ def drive(follower: FollowerLike, s: Any, w: World, start_ns: int = START_NS) ->
     step, pose = follower.step, follower.pose
     reports, readings = w.reports, w.readings
     run = s.base  # the array whose record this is: numba takes it sooner
-    now_ms, poses_told, samples_told, demand_m = run["ms"], run["poses"], run["samples"], run["demand_m"]
+    now_ms, poses_sent, samples_sent, demand_m = (
+        run["ms"],
+        run["poses"],
+        run["samples"],
+        run["demand_m"],
+    )
     pose_ns = (start_ns + reports["ms"] * MS_NS).tolist()
-    sample_ns = (start_ns + np.round(readings["told_ms"] * MS_NS).astype(np.int64)).tolist()
+    sample_ns = (start_ns + np.round(readings["timestamp_ms"] * MS_NS).astype(np.int64)).tolist()
     ranges, x, z = readings["range"], reports["x"], reports["z"]
     # everything in the order of its arrival, poses before readings of the same millisecond
     arrivals = np.concatenate([2 * reports["arrival_ms"], 2 * readings["arrival_ms"] + 1])
     order = np.argsort(arrivals, kind="stable").tolist()
-    told, poses = 0, len(reports)
+    delivered, poses = 0, len(reports)
     while True:
         event = advance_to_tick(run, w)
-        arrived = int(poses_told[0] + samples_told[0])
-        for k in order[told:arrived]:
+        arrived = int(poses_sent[0] + samples_sent[0])
+        for k in order[delivered:arrived]:
             if k < poses:
                 pose(pose_ns[k], np.array([x[k], 0.0, z[k], 0.0, 0.0, 0.0, 1.0]))
             else:
                 i = k - poses
                 step(sample_ns[i], ranges[i : i + 1].copy())
-        told = arrived
+        delivered = arrived
         if event == END:
             return
         demand_m[0] = step(start_ns + int(now_ms[0]) * MS_NS, nothing)[2]

@@ -11,10 +11,11 @@ from typing import Any
 import msgspec
 
 from surffollow.benchmark import acceptance, comparison, near_limit
+from surffollow.benchmark.cell_runs import run_cells
 from surffollow.benchmark.conditions import Conditions, load_conditions
 from surffollow.benchmark.methods import all_methods, check_methods
 from surffollow.benchmark.report import markdown_table, summary_table, text_table, write_plots
-from surffollow.benchmark.runner import Result, Tuned, run_cells
+from surffollow.benchmark.runner import Result, Tuned
 from surffollow.benchmark.suite import (
     LEADS_M,
     SPEEDS_MPS,
@@ -49,7 +50,7 @@ class Request:
 
 @dataclass
 class Outcome:
-    """What came out: an object for JSON, a text for people, and whether every bar asked for was met."""
+    """What came out: an object for JSON, a text, and whether every bar asked for was met."""
 
     json: dict[str, Any]
     text: str
@@ -80,8 +81,8 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
     speeds = list(dict.fromkeys(request.speeds_mps)) or list(SPEEDS_MPS)
     leads = list(dict.fromkeys(request.leads_m)) or (list(LEADS_M) if full or request.bars else [0.0])
     cells = main_cells(surfaces, speeds, leads, conditions)
-    wanted = request.bars or (full and not request.leads_m)
-    if wanted if request.sweeps is None else request.sweeps:
+    desired = request.bars or (full and not request.leads_m)
+    if desired if request.sweeps is None else request.sweeps:
         cells += sweep_cells(surfaces, conditions)
     folder = Path(request.folder) if request.folder else None
     tuned = _load_tuned(folder)
@@ -104,11 +105,11 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
         found["sweeps"] = swept
     text = text_table(rows)
     verdicts: list[comparison.Verdict] = []
-    judged_tables: list[str] = []
+    scored_tables: list[str] = []
     if request.bars:
-        judged = [m for m in methods if m.partition("=")[0] == comparison.JUDGED]
+        scored = [m for m in methods if m.partition("=")[0] == comparison.OURS]
         trials: list[dict[str, Any]] = []
-        for method in judged[:1]:
+        for method in scored[:1]:
             trials = run_trials(
                 method,
                 conditions,
@@ -123,10 +124,10 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
         found["bars"] = [msgspec.to_builtins(v) for v in verdicts]
         found["near_the_limit"] = near
         text = acceptance.text(verdicts) + "\n\n" + near_limit.near_text(near)
-        judged_tables = [acceptance.text(verdicts, markdown=True), near_limit.near_text(near, markdown=True)]
+        scored_tables = [acceptance.text(verdicts, markdown=True), near_limit.near_text(near, markdown=True)]
     found = _finite(found)
     if folder:
-        _write(folder, found, *judged_tables, summary_table(rows), markdown_table(rows))
+        _write(folder, found, *scored_tables, summary_table(rows), markdown_table(rows))
         write_plots(results, folder)
     if faults:  # what was found is kept: it took long, and shows where to look
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.shm.jit import jit
-from surffollow.sim.plant import axis_step, set_point_for
+from surffollow.sim.plant import axis_step, setpoint_for
 from surffollow.sim.profiles import profile_height
 
 MS_NS = 1_000_000
@@ -32,7 +32,7 @@ RUN = np.dtype(
         (name, np.float64)
         for name in ("speed_mps", "start_m", "lead_m", "profile_x0_m", "profile_dx_m")
         + ("tau_s", "v_max_mps", "a_max_mps2", "near_m", "far_m", "quantum_m", "standoff_m")
-        + ("set_point_m", "demand_m")
+        + ("setpoint_m", "demand_m")
     ]
     + [("axis", np.float64, (2,))]
 )
@@ -45,15 +45,15 @@ REPORT = np.dtype(
 
 READING = np.dtype(
     [("ms", np.int64), ("arrival_ms", np.int64), ("noise", np.float64), ("range", np.float64)]
-    + [(n, np.float64) for n in ("early_ms", "told_ms")]
+    + [(n, np.float64) for n in ("early_ms", "timestamp_ms")]
 )
 """A reading: when it is made and arrives [ms], noise [m] (NaN: lost), range [m] or NaN.
 
 It is true `early_ms` (below 1) before `ms`, so a sensor may be faster than the steps of the simulation.
-`told_ms` is the timestamp that a method is told.
+`timestamp_ms` is the timestamp that a method gets.
 """
 
-ORDER = np.dtype([("set_point", np.float64), ("demand", np.float64)])
+ORDER = np.dtype([("setpoint", np.float64), ("demand", np.float64)])
 """What the controller did at a tick: demand as given and the set point made of it [m]."""
 
 
@@ -115,7 +115,7 @@ def _move(s: Any, reports: NDArray[Any], readings: NDArray[Any], z: NDArray[Any]
         until = min(until, readings[s.samples].arrival_ms)
     axis = s.axis
     ms = s.ms
-    target, tau_s, v_max, a_max = s.set_point_m, s.tau_s, s.v_max_mps, s.a_max_mps2
+    target, tau_s, v_max, a_max = s.setpoint_m, s.tau_s, s.v_max_mps, s.a_max_mps2
     while ms < until:
         ms += 1
         axis_step(axis, target, tau_s, v_max, a_max, STEP_S)
@@ -131,8 +131,8 @@ def _apply_demand(s: Any, reports: NDArray[Any], orders: NDArray[Any]) -> None:
         s.bad_demands += 1
     report = s.poses_made if s.newest else s.poses
     if report > 0:
-        s.set_point_m = set_point_for(reports[report - 1].z, s.demand_m)
-    orders[s.ticks].set_point = s.set_point_m
+        s.setpoint_m = setpoint_for(reports[report - 1].z, s.demand_m)
+    orders[s.ticks].setpoint = s.setpoint_m
     orders[s.ticks].demand = s.demand_m
     s.ticks += 1
 
@@ -182,7 +182,7 @@ def advance(s: Any, w: World) -> int:
 def advance_to_tick(run: NDArray[Any], w: World) -> int:
     """Run to the next `TICK` or to the `END`, past arrivals: `poses` and `samples` say what came meanwhile.
 
-    What a follower is told between ticks changes nothing before the next tick, so it can be told then.
+    Input of a follower between controller periods has no effect before the next one, so it is given then.
     `run` is (1,) of `RUN`.
     """
     while True:

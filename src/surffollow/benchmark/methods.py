@@ -1,4 +1,4 @@
-"""The methods of the benchmark: jitted baselines, and followers driven through their one door.
+"""The methods of the benchmark: compiled baselines, and followers behind one interface.
 
 A follower is any object with `pose(t_ns, pose)` and `step(t_ns, ranges_m)`; `surffollow.Follower` is one,
 and `--methods NAME=module:factory` adds anybody's. A method that cannot be imported is not registered.
@@ -6,31 +6,15 @@ and `--methods NAME=module:factory` adds anybody's. A method that cannot be impo
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
-from typing import Any, Protocol
 
 from surffollow.benchmark import baselines as b
-from surffollow.benchmark.conditions import Conditions
+from surffollow.benchmark.followers import Factory, check_follower, followers, outside_follower
 from surffollow.errors import UsageError
 
 LIMIT = "limit"
 ORACLE = ":oracle"
-
-
-class FollowerLike(Protocol):
-    """The door: what a follower must be able to do."""
-
-    def pose(self, t_ns: int, pose: Any) -> None:
-        """Take a pose report that was true at `t_ns`: x y z [m], qx qy qz qw."""
-
-    def step(self, t_ns: int, ranges_m: Any) -> Sequence[float]:
-        """Take ranges read at `t_ns` [m], NaN for none, and return the demand (6,) [m, rad]."""
-
-
-Factory = Callable[[Conditions], FollowerLike]
 
 
 @dataclass(frozen=True)
@@ -53,7 +37,7 @@ class Baseline:
     name: str
     kind: int
     tunable: tuple[Parameter, ...] = ()
-    guesses: tuple[tuple[float, ...], ...] = ((),)
+    starts: tuple[tuple[float, ...], ...] = ((),)
     fixed: tuple[float, ...] = ()
     evaluations: int = 100
     leading: bool = False
@@ -66,7 +50,7 @@ _KALMAN = (
     Parameter("gate_sigma", 2.0, 50.0),
     Parameter("rejects", 1.0, 10.0),
 )
-_KALMAN_GUESSES = (
+_KALMAN_STARTS = (
     (1.0, 1e-3, 5.0, 3.0, 0.05),
     (0.1, 1e-4, 5.0, 4.0, 0.05),
     (5.0, 1e-2, 8.0, 3.0, 0.04),
@@ -96,7 +80,7 @@ BASELINES: dict[str, Baseline] = {
             "kalman-ff",
             b.KALMAN_FF,
             (*_KALMAN, _LAG),
-            _KALMAN_GUESSES,
+            _KALMAN_STARTS,
             fixed=(b.POLICY_EXTRAPOLATE,),
         ),
         Baseline(
@@ -116,8 +100,7 @@ BASELINES: dict[str, Baseline] = {
             b.KALMAN_ADAPTIVE,
             (*_KALMAN, _LAG, Parameter("memory_readings", 5.0, 10_000.0)),
             tuple(
-                (*guess, memory)
-                for guess, memory in zip(_KALMAN_GUESSES, (100.0, 500.0, 50.0, 300.0, 1000.0))
+                (*start, memory) for start, memory in zip(_KALMAN_STARTS, (100.0, 500.0, 50.0, 300.0, 1000.0))
             ),
             evaluations=120,
         ),
@@ -136,91 +119,6 @@ BASELINES: dict[str, Baseline] = {
         ),
     )
 }
-
-
-def follower_config(conditions: Conditions) -> dict[str, Any]:
-    """Return what `surffollow.Follower` is told: sensor mount and window, plant as believed; no more.
-
-    Everything else keeps its default: one configuration for every surface, speed and noise.
-    """
-    sensor = conditions.sensor
-    return {
-        "sensors": [
-            {
-                "position_m": [conditions.lead_m, 0.0, 0.0],
-                "near_m": sensor.near_m,
-                "far_m": sensor.far_m,
-            }
-        ],
-        "plant": {
-            "tau_s": conditions.believed_tau_s,
-            "v_max_mps": conditions.plant.v_max_mps,
-            "a_max_mps2": conditions.plant.a_max_mps2,
-        },
-    }
-
-
-def _follower_factory(choices: dict[str, Any]) -> Factory:
-    def make(conditions: Conditions) -> FollowerLike:
-        follower: Any = importlib.import_module("surffollow").Follower
-        made: FollowerLike = follower(
-            config=follower_config(conditions) | choices, offset_m=conditions.standoff_m
-        )
-        return made
-
-    return make
-
-
-def followers() -> dict[str, Factory]:
-    """Return the followers that this installation has, by row name."""
-    if find_spec("surffollow.follower") is None:
-        return {}
-    # the paper uses the newest pose there is, whatever the reading's stamp
-    return {
-        "paper": _follower_factory({"mode": "paper", "pose_interpolate": "latest"}),
-        "ours": _follower_factory({}),
-    }
-
-
-def outside_follower(spec: str) -> Factory:
-    """Find a factory given as `module:name`; it is called with the `Conditions` of a run.
-
-    Raises
-    ------
-    UsageError
-        when there is no such module or name
-    """
-    module, _, name = spec.partition(":")
-    try:
-        factory: Factory = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise UsageError(f"no follower at '{spec}' ({error}); expected module:factory") from error
-    return factory
-
-
-def check_follower(spec: str) -> None:
-    """Make the follower given as `module:name` once, to see that it is one.
-
-    Raises
-    ------
-    UsageError
-        when there is no such factory, it fails, or what it makes has not the methods of a `FollowerLike`
-    """
-    try:
-        made = outside_follower(spec)(Conditions())
-    except UsageError:
-        raise
-    except Exception as error:
-        raise UsageError(
-            f"'{spec}' makes no follower: called with the benchmark's Conditions it raised "
-            f"{type(error).__name__}: {error}"
-        ) from error
-    lacking = [name for name in ("pose", "step") if not callable(getattr(made, name, None))]
-    if lacking:
-        raise UsageError(
-            f"'{spec}' makes no follower: what it returned has no method {' and no '.join(lacking)}; "
-            "expected a factory whose product has pose(t_ns, pose) and step(t_ns, ranges_m)"
-        )
 
 
 def factory_of(method: str) -> Factory:

@@ -52,7 +52,7 @@ def standoff_error(
 def score(
     z_m: NDArray[np.float64],
     ground_m: NDArray[np.float64],
-    set_points_m: NDArray[np.float64],
+    setpoints_m: NDArray[np.float64],
     first_ms: int,
     tick_ms: int,
     speed_mps: float,
@@ -65,14 +65,14 @@ def score(
     Parameters
     ----------
     z_m, ground_m : (ms,) float64, true height of the tool and the ground under it [m]
-    set_points_m : (ticks,) float64 [m]
+    setpoints_m : (ticks,) float64 [m]
     first_ms : the first millisecond that counts
     tick_ms, speed_mps : of the run
     standoff_m : wanted distance between tool and ground [m]
     lag : False leaves the (slow) cross-correlation out
     """
     e = np.abs(standoff_error(z_m, ground_m, standoff_m)[first_ms:])
-    p = set_points_m[first_ms // tick_ms : (len(z_m) - 1) // tick_ms + 1]
+    p = setpoints_m[first_ms // tick_ms : (len(z_m) - 1) // tick_ms + 1]
     dt = tick_ms * 1e-3
     accel = np.diff(p, 2) / dt**2
     move = np.diff(p)

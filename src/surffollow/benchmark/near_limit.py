@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from surffollow.benchmark.comparison import (
     EXEMPT_SHARE,
     HALF,
-    JUDGED,
     LEAD_M,
+    OURS,
     CellKey,
     Row,
     Table,
@@ -38,7 +38,7 @@ def near_the_limit(rows: Sequence[Row]) -> list[Row]:
     found: list[Row] = []
 
     def add(criterion: str, key: CellKey, reference_m: float, exempt: bool) -> None:
-        limit_m, ours = table.cells[key][LIMIT]["rms_m"], table.cells[key].get(JUDGED)
+        limit_m, ours = table.cells[key][LIMIT]["rms_m"], table.cells[key].get(OURS)
         ours_m = ours["rms_m"] if ours else math.nan
         head = {
             "criterion": criterion,
@@ -50,7 +50,7 @@ def near_the_limit(rows: Sequence[Row]) -> list[Row]:
         found.append({**head, "ours_m": ours_m, "ours_over_limit": ratio, "exempt": exempt})
 
     for key, cell in table.cells.items():
-        best, at_0 = table.best_oracle(key), table.cells.get((key[0], key[1], 0.0, key[3]), {}).get(JUDGED)
+        best, at_0 = table.best_oracle(key), table.cells.get((key[0], key[1], 0.0, key[3]), {}).get(OURS)
         if LIMIT not in cell:
             continue
         if key[2] == 0.0 and best and table.limit_share(key) > NEAR_SHARE:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.benchmark.conditions import STANDOFF_M, Conditions
+from surffollow.benchmark.followers import follower_config
 from surffollow.benchmark.loop import MS_NS
-from surffollow.benchmark.methods import follower_config
 from surffollow.benchmark.scene import START_NS
 
 RADIUS_M = 0.04
@@ -79,9 +79,9 @@ def plane_trial(method: str, count: int, seed: int, conditions: Conditions) -> d
 
 def estimated_normal(follower: Any, demand: Any) -> NDArray[np.float64]:
     """Normal in a follower's state, else the tool axis turned by the demanded rotation vector."""
-    told = follower.state().get("normal")
-    if told is not None:
-        return np.asarray(told / np.linalg.norm(told), np.float64)
+    reported = follower.state().get("normal")
+    if reported is not None:
+        return np.asarray(reported / np.linalg.norm(reported), np.float64)
     turn = np.asarray(demand[3:6], np.float64)
     angle = float(np.linalg.norm(turn))
     z = np.array([0.0, 0.0, 1.0])

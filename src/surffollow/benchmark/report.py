@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from surffollow.benchmark.cell_runs import geometric_mean
 from surffollow.benchmark.methods import LIMIT, ORACLE
-from surffollow.benchmark.runner import Result, geometric_mean, run_method, scene_of
+from surffollow.benchmark.runner import Result, run_method, scene_of
 from surffollow.benchmark.suite import surface_labels
 from surffollow.errors import UsageError
 

@@ -86,7 +86,7 @@ def make_scene(
         _stamp_between(readings, c.sensor.rate_hz, c.sensor.latency_s)
     else:
         _stamp(readings, c.sensor.rate_hz, c.sensor.latency_s)
-    readings["told_ms"] = readings["ms"] - readings["early_ms"]
+    readings["timestamp_ms"] = readings["ms"] - readings["early_ms"]
     n = len(readings)
     noise = c.sensor.sigma_m * rng.standard_normal(n)
     glitch = rng.random(n) < c.sensor.glitch_rate
@@ -99,7 +99,7 @@ def make_scene(
     reports["noise_x"], reports["noise_z"] = c.pose.sigma_m * rng.standard_normal((2, len(reports)))
 
     x = np.asarray(profile.start_m + speed_mps * 1e-3 * np.arange(duration_ms), np.float64)
-    ground = profile.wanted_height_m(x)
+    ground = profile.desired_height_m(x)
     ticks = duration_ms // max(1, round(1e3 / c.plant.tick_hz)) + 1
     start_z = float(ground[0]) + c.standoff_m  # every run begins at the right height, at rest
     z = np.full(duration_ms, start_z)
@@ -122,7 +122,7 @@ def make_scene(
         "far_m": c.sensor.far_m,
         "quantum_m": (c.sensor.far_m - c.sensor.near_m) / 2**c.sensor.bits,
         "standoff_m": c.standoff_m,
-        "set_point_m": start_z,
+        "setpoint_m": start_z,
     }
     for name, value in fields.items():
         run[name] = value

@@ -140,6 +140,6 @@ def sweep_cells(surfaces: list[str], conditions: Conditions) -> list[Cell]:
     cells = [Cell(s, SWEEP_SPEED_MPS, c, variant) for variant, c in varied for s in few]
     for factor in TAU_FACTORS:
         plant = msgspec.structs.replace(base.plant, tau_s=factor * base.plant.tau_s)
-        wrong = base.but(plant=plant, believed_tau_s=base.plant.tau_s)
+        wrong = base.but(plant=plant, nominal_tau_s=base.plant.tau_s)
         cells += [Cell(s, SWEEP_SPEED_MPS, wrong, f"tau×{factor:g}") for s in without_families(surfaces)]
     return cells

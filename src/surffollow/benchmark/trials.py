@@ -13,13 +13,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from surffollow.benchmark.cell_runs import in_parallel
 from surffollow.benchmark.conditions import STANDOFF_M, Conditions
 from surffollow.benchmark.drive import two_passes
 from surffollow.benchmark.dropouts import CASES, dropout_trial
 from surffollow.benchmark.limit import limit_path
 from surffollow.benchmark.methods import factory_of
 from surffollow.benchmark.normals import plane_trial
-from surffollow.benchmark.runner import in_parallel, run_method, scene_of, score_run
+from surffollow.benchmark.runner import run_method, scene_of, score_run
 from surffollow.benchmark.suite import LATENCIES_S, Cell, surface_labels
 
 SECOND_PASS_SPEED_MPS = 0.1
@@ -81,16 +82,16 @@ def excursion(job: Job) -> dict[str, float]:
         `missed`: share of the readings off by > 2 mm after which the set points part by > 0.5 mm
     """
     clean = _without_glitches(job.conditions)
-    calm = Cell("flat", job.speed_mps, clean)
+    undisturbed = Cell("flat", job.speed_mps, clean)
     disturbed = Cell("slot", job.speed_mps, clean) if job.case == "slot" else job.cell
     points: list[Any] = []
     first_tick, tick_ms = 0, 1
-    for cell in (calm, disturbed):
+    for cell in (undisturbed, disturbed):
         scene = scene_of(cell, job.seed)
         s, w = run_method(job.method, scene)
         tick_ms = int(s["tick_ms"])
         first_tick = -(-scene.first_ms // tick_ms)
-        points.append((w.orders["set_point"][: int(s["ticks"])] - STANDOFF_M, w.readings))
+        points.append((w.orders["setpoint"][: int(s["ticks"])] - STANDOFF_M, w.readings))
     away = np.abs(points[1][0] - points[0][0])
     off = np.abs(points[1][1]["range"] - points[0][1]["range"]) > OUTLIER_M
     ticks = -(-points[1][1]["arrival_ms"][off] // tick_ms)
@@ -111,7 +112,7 @@ def step_delay(job: Job) -> dict[str, float]:
     """
     scene = scene_of(Cell("step", job.speed_mps, _without_glitches(job.conditions)), job.seed)
     s, w = run_method(job.method, scene)
-    points, tick_ms = w.orders["set_point"][: int(s["ticks"])], int(s["tick_ms"])
+    points, tick_ms = w.orders["setpoint"][: int(s["ticks"])], int(s["tick_ms"])
     p = scene.profile
     jumps = np.flatnonzero(np.abs(np.diff(p.heights_m)) > 1e-3)
     period_ms = 1e3 / job.conditions.sensor.rate_hz

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import sys
 
+from surffollow.benchmark.cell_runs import geometric_mean, in_parallel
 from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.methods import BASELINES, Baseline
-from surffollow.benchmark.runner import geometric_mean, in_parallel, training_scenes
+from surffollow.benchmark.runner import training_scenes
 from surffollow.benchmark.scene import Scene
 from surffollow.benchmark.suite import LEADS_M, Cell
 from surffollow.benchmark.tuning import pattern_search, rms_of
@@ -34,14 +35,14 @@ def tune(job: tuple[str, float]) -> tuple[str, float, tuple[float, ...], float]:
     def cost(params: tuple[float, ...]) -> float:
         return geometric_mean(max(rms_of(baseline, params, s), FLOOR_M) for s in scenes)
 
-    best, best_cost = pattern_search(baseline, cost, baseline.guesses, 140, lead_m > 0.0)
+    best, best_cost = pattern_search(baseline, cost, baseline.starts, 140, lead_m > 0.0)
     return name, lead_m, best, best_cost
 
 
 def main() -> None:
     """Tune all and print the table."""
-    wanted = sys.argv[1:] or list(BASELINES)
-    jobs = [(n, lead) for lead in LEADS_M for n, m in BASELINES.items() if n in wanted and m.tunable]
+    desired = sys.argv[1:] or list(BASELINES)
+    jobs = [(n, lead) for lead in LEADS_M for n, m in BASELINES.items() if n in desired and m.tunable]
     jobs = [(n, lead) for n, lead in jobs if lead > 0.0 or not BASELINES[n].leading]
     for name, lead_m, best, cost in in_parallel(tune, jobs, 2, None):
         numbers = ", ".join(f"{v:.4g}" for v in best)

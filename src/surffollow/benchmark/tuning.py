@@ -35,7 +35,7 @@ SUITE: dict[tuple[str, bool], tuple[float, ...]] = {
 
 def suite_params(baseline: Baseline, lead_m: float) -> tuple[float, ...]:
     """Return the tuning for the whole suite, with the fixed parameters behind it."""
-    return SUITE.get((baseline.name, lead_m > 0.0), baseline.guesses[0]) + baseline.fixed
+    return SUITE.get((baseline.name, lead_m > 0.0), baseline.starts[0]) + baseline.fixed
 
 
 def rms_of(baseline: Baseline, params: Sequence[float], scene: Scene) -> float:
@@ -49,7 +49,7 @@ def rms_of(baseline: Baseline, params: Sequence[float], scene: Scene) -> float:
 def pattern_search(
     baseline: Baseline,
     cost: Callable[[tuple[float, ...]], float],
-    guesses: Sequence[tuple[float, ...]],
+    starts: Sequence[tuple[float, ...]],
     max_evaluations: int = 100,
     leading: bool = True,
 ) -> tuple[tuple[float, ...], float]:
@@ -59,7 +59,7 @@ def pattern_search(
     ----------
     baseline : whose `tunable` parameters are sought
     cost : of a tuple of parameters; the same tuple must cost the same again
-    guesses : where to look first; the best two are refined
+    starts : where to look first; the best two are refined
     max_evaluations : budget, first guesses included
     leading : False leaves parameters alone that matter only with a leading sensor
 
@@ -92,18 +92,20 @@ def pattern_search(
                 steps[i] *= 1.25 if moved else 0.5
         return best, best_cost
 
-    starts = sorted((at(g) for g in guesses), key=lambda found: found[1])[:STARTS]
+    best_starts = sorted((at(g) for g in starts), key=lambda found: found[1])[:STARTS]
     left = max_evaluations - len(seen)
-    budgets = [len(seen) + left * (k + 1) // len(starts) for k in range(len(starts))]
-    return min((refine(*start, budget) for start, budget in zip(starts, budgets)), key=lambda found: found[1])
+    budgets = [len(seen) + left * (k + 1) // len(best_starts) for k in range(len(best_starts))]
+    return min(
+        (refine(*start, budget) for start, budget in zip(best_starts, budgets)), key=lambda found: found[1]
+    )
 
 
 def tune_oracle(baseline: Baseline, scenes: Sequence[Scene], lead_m: float) -> tuple[float, ...]:
     """Best parameters for the given training scenes, fixed parameters behind them."""
-    guesses = [suite_params(baseline, lead_m)[: len(baseline.tunable)], *baseline.guesses]
+    starts = [suite_params(baseline, lead_m)[: len(baseline.tunable)], *baseline.starts]
 
     def cost(params: tuple[float, ...]) -> float:
         return float(np.mean([rms_of(baseline, params, s) for s in scenes]))
 
-    best, _ = pattern_search(baseline, cost, guesses, baseline.evaluations, lead_m > 0.0)
+    best, _ = pattern_search(baseline, cost, starts, baseline.evaluations, lead_m > 0.0)
     return best + baseline.fixed

@@ -17,16 +17,8 @@ Light (no NumPy, no numba); see docs/reference/blocks.md.
 from __future__ import annotations
 
 from surffollow.blocks.attached import AttachedBlock
-from surffollow.blocks.memory import (
-    Memory,
-    block_name,
-    get_read_ok,
-    get_write_ok,
-    latest,
-    mem_attach,
-    read_done,
-    write_done,
-)
+from surffollow.blocks.block_calls import get_read_ok, get_write_ok, latest, read_done, write_done
+from surffollow.blocks.memory import Memory, block_name, mem_attach
 from surffollow.blocks.record import Record
 from surffollow.blocks.snapshot import Snapshot
 from surffollow.shm.schema import F32, F64, I8, I16, I32, I64, U8, U16, U32, U64, Nested, Text

@@ -22,7 +22,6 @@ from surffollow.shm.objects import SharedObject, unlink
 from surffollow.shm.process import own_pid, start_ticks
 from surffollow.shm.schema import Schema
 
-POLL_S = 0.005
 # a process that was just killed holds its locks until the kernel has taken it apart
 EXIT_GRACE_S = 0.1
 
@@ -93,18 +92,14 @@ def claim_writer(
 
 
 def _take_name(name: str) -> NameLock:
-    deadline = time.monotonic() + EXIT_GRACE_S
-    while True:
-        own = NameLock.take(check_name(name))
-        if own is not None:
-            return own
-        if time.monotonic() > deadline:
-            pid = holder(name)
-            raise BusyError(
-                f"block {name!r} is written by process {pid if pid > 0 else '(unknown)'}; a block has one "
-                "writer: end that one"
-            )
-        time.sleep(POLL_S)
+    own = NameLock.take_within(check_name(name), EXIT_GRACE_S)
+    if own is None:
+        pid = holder(name)
+        raise BusyError(
+            f"block {name!r} is written by process {pid if pid > 0 else '(unknown)'}; a block has one "
+            "writer: end that one"
+        )
+    return own
 
 
 def _take_over(obj: SharedObject, schema: type[Schema], mode: int, group: int, lease_ns: int) -> bool:

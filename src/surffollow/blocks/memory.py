@@ -7,8 +7,6 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 
 from surffollow.blocks.attached import AttachedBlock
-from surffollow.blocks.record import Record
-from surffollow.blocks.snapshot import Snapshot
 from surffollow.config.group_id import group_id
 from surffollow.config.names import OBJECTS, check_name
 from surffollow.config.trusted_users import trusted_owners
@@ -222,87 +220,3 @@ def _attach_reader(block: AttachedBlock, deadline: float, lazy: bool) -> None:
             if time.monotonic() >= deadline:
                 raise
         time.sleep(ATTACH_POLL_S)
-
-
-def get_read_ok(block: AttachedBlock, timeout_s: float = 5.0) -> tuple[Record, int]:
-    """Wait until writing has finished; returns a read-only view and its generation.
-
-    Parameters
-    ----------
-    block : AttachedBlock
-        as `mem_attach` gave it
-    timeout_s : float
-        longest wait [s]
-
-    Returns
-    -------
-    tuple of Record and int
-        the view, valid until `read_done`, and its generation
-    """
-    return block.get_read_ok(timeout_s)
-
-
-def read_done(block: AttachedBlock) -> str:
-    """End the read: "ok", or "stale" when the reader was fenced meanwhile.
-
-    Parameters
-    ----------
-    block : AttachedBlock
-        as `mem_attach` gave it
-
-    Returns
-    -------
-    str
-        "ok" or "stale"
-    """
-    return block.read_done()
-
-
-def get_write_ok(block: AttachedBlock, timeout_s: float = 5.0) -> Record:
-    """Wait until all reading has finished; returns a slot that holds the newest values.
-
-    Parameters
-    ----------
-    block : AttachedBlock
-        as `mem_attach` gave it
-    timeout_s : float
-        longest wait [s]
-
-    Returns
-    -------
-    Record
-        the slot, to be changed and published by `write_done`
-    """
-    return block.get_write_ok(timeout_s)
-
-
-def write_done(block: AttachedBlock) -> int:
-    """Publish, let readers in, replicate; returns the new generation.
-
-    Parameters
-    ----------
-    block : AttachedBlock
-        as `mem_attach` gave it
-
-    Returns
-    -------
-    int
-        the new generation
-    """
-    return block.write_done()
-
-
-def latest(block: AttachedBlock) -> Snapshot:
-    """A private copy of the newest values, at once, whatever readers and writer do.
-
-    Parameters
-    ----------
-    block : AttachedBlock
-        as `mem_attach` gave it
-
-    Returns
-    -------
-    Snapshot
-        a private copy; `stale` is set when it is an old one
-    """
-    return block.latest()

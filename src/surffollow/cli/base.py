@@ -37,7 +37,7 @@ def base_command(
 
     It waits for the first command of a client, until Ctrl-C.
     """
-    from surffollow.apps.wall_processes import run_base
+    from surffollow.apps.base_process import run_base
     from surffollow.sim.base import BaseConfig
 
     said = run_base(
@@ -105,7 +105,8 @@ def wall_follow_command(
     Experiment "paper": go and follow-wall by a pair of sonars. "1": with avoid, fused pose. "1-pair": with
     avoid, by a pair. "2": with follow-wall-2, too.
     """
-    from surffollow.apps.wall_following import figures, run_experiment
+    from surffollow.apps.wall_figures import figures
+    from surffollow.apps.wall_following import run_experiment
 
     if processes and len(seeds) > 1:
         raise click.UsageError(

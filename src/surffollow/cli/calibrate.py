@@ -203,13 +203,13 @@ def latency_command(move: Path | None, name: str | None, out: Path, as_json: boo
         from surffollow.client import observe
 
         with observe(str(name)) as watcher:
-            told = watcher.status()["follower"].get("latency_s")
-        if told is None:
+            reported = watcher.status()["follower"].get("latency_s")
+        if reported is None:
             raise ConfigError(
                 f"service {name!r} has learned no latency; it does in mode adaptive, on an approach or a "
                 "move up and down over one spot"
             )
-        latency_s, found = float(told), {}
+        latency_s, found = float(reported), {}
     save_calibration(out, merged(out, latency_s=latency_s, about={"latency": found}))
     more = f" ± {1e3 * found['sigma_s']:.2f} ms" if found else ", as the follower learned it"
     print_result(

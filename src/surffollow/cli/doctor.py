@@ -99,7 +99,7 @@ def latency_command(
 
 
 def render(r: dict[str, Any]) -> list[str]:
-    """The measurement as lines for people."""
+    """The measurement as lines of text."""
     from surffollow.units import format_ns
 
     runs = len(r["runs"])

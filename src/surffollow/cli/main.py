@@ -25,7 +25,7 @@ YOUNG_OBJECTS = 100_000
 VERBS = {
     "start": ("service", "start_command", "Run the service in the foreground."),
     "stop": ("service", "stop_command", "End a service; --purge removes its kept map."),
-    "status": ("service", "status_command", "Say how a service is doing."),
+    "status": ("status", "status_command", "Say how a service is doing."),
     "demo": ("demo", "demo_command", "Follow simulated rough ground with the real service."),
     "simulate": ("simulate", "simulate_command", "Simulate a robot that follows the service's demands."),
     "record": ("record", "record_command", "Record a service's cycles to a file."),
@@ -67,9 +67,9 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, text) for name, (_, _, text) in VERBS.items()])
 
 
-def print_includedir(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:
+def print_includedir(ctx: click.Context, param: click.Parameter, expected: bool) -> None:
     """For build scripts: `cc -I"$(surffollow --includedir)" ...`."""
-    if wanted:
+    if expected:
         from pathlib import Path
 
         click.echo(Path(__file__).parents[1] / "include")

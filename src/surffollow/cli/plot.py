@@ -47,7 +47,7 @@ def plot_command(
     if needless and not is_csv:
         raise UsageError(f"{', '.join(needless)}: only for CSV logs")
     if is_csv:
-        from surffollow.cli.replay import replay_csv_log
+        from surffollow.cli.csv_replay import replay_csv_log
         from surffollow.record.plot_csv import plot_csv
 
         replay, meaning = replay_csv_log(file, columns, start, end, mode)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import click
 
+from surffollow.cli.scan_control import abort_command, pause_command, resume_command, status_command
 from surffollow.cli.scan_field import calibrate_command, demo_command
 from surffollow.cli.scan_map import compose_command, map_command
 from surffollow.cli.scan_plan import check_command, plan_command
-from surffollow.cli.scan_run import abort_command, pause_command, resume_command, run_command, status_command
+from surffollow.cli.scan_run import run_command
 
 
 @click.group("scan")

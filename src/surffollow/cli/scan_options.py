@@ -76,8 +76,8 @@ class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic only in cli
         except UsageError as error:
             self.fail(str(error), param, ctx)
         if len(made) not in self.counts:
-            wanted = " or ".join(map(str, self.counts))
-            self.fail(f"{len(made)} lengths given; expected {wanted}, separated by commas", param, ctx)
+            expected = " or ".join(map(str, self.counts))
+            self.fail(f"{len(made)} lengths given; expected {expected}, separated by commas", param, ctx)
         return made
 
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from surffollow.apps.ending_signals import ending_signals
 from surffollow.cli.facts import print_facts
 from surffollow.cli.option_types import SERVICE_NAME, Finite
 from surffollow.cli.output_checks import check_outputs
@@ -79,9 +77,9 @@ def run_command(
     from surffollow.scan.path_file import read_path
     from surffollow.scan.shaping import Shaper
 
-    for wanted in (picture, report and "report.png"):
-        if wanted:
-            check_picture(wanted)
+    for expected in (picture, report and "report.png"):
+        if expected:
+            check_picture(expected)
     check_outputs((picture, report), (path, map_file, ground))
     planned = read_path(path)
     check_executable(planned)
@@ -93,7 +91,7 @@ def run_command(
     shaper = Shaper.zvd(vertical_mode, damping) if vertical_mode > 0.0 else None
     simulated: dict[str, Any] = {"errors": None, "compliance": None} if stiff else {}
     config = ScanRobotConfig(way=way, shaper=shaper, seed=seed, **simulated)
-    with _signals() as caught:
+    with ending_signals(signal.SIGHUP) as caught:
         done = _execute(planned, name, config, mapped, map_file if way == "map" else None, caught, wait_s)
     from surffollow.apps.scan_figures import sensed_figures, true_figures
 
@@ -162,23 +160,6 @@ def _confirm(yes: bool) -> None:
         sys.exit(1)
 
 
-@contextmanager
-def _signals() -> Iterator[list[int]]:
-    """Numbers of the signals that came: each means abort."""
-    caught: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {
-        n: signal.signal(n, lambda number, _: caught.append(number))
-        for n in numbers
-        if signal.getsignal(n) != signal.SIG_IGN
-    }
-    try:
-        yield caught
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
 def _execute(
     planned: ScanPath,
     name: str,
@@ -243,54 +224,3 @@ def _end(summary: dict[str, Any], interrupted: bool) -> None:
         sys.exit(130)
     if not summary["finished"] or held_too_long(summary["ticks"], summary["held_ticks"]):
         sys.exit(1)
-
-
-def _send_command(name: str, word: str, as_json: bool) -> None:
-    from surffollow.apps.scan_control import ask
-
-    answer = ask(name, word)
-    if as_json:
-        click.echo(json.dumps(answer))
-        return
-    x, y, z = answer["tip_m"]
-    done = "" if word == "status" else f"{word} asked for; it was: "
-    click.echo(
-        f"{done}{answer['state']}, {100 * answer['progress']:.0f} %, pass {answer['pass'] + 1} of "
-        f"{answer['passes']}, tip at {x:.3f}, {y:.3f}, {z:.3f} m"
-        + (f"; {answer['trouble']}" if answer["trouble"] else "")
-    )
-
-
-_NAME = click.argument("name", type=SERVICE_NAME, default="surf")
-
-
-@click.command("pause")
-@_NAME
-@JSON
-def pause_command(name: str, as_json: bool) -> None:
-    """Let the running scan of service NAME come to rest where it is; it keeps its stand-off there."""
-    _send_command(name, "pause", as_json)
-
-
-@click.command("resume")
-@_NAME
-@JSON
-def resume_command(name: str, as_json: bool) -> None:
-    """Let a paused scan of service NAME go on."""
-    _send_command(name, "resume", as_json)
-
-
-@click.command("abort")
-@_NAME
-@JSON
-def abort_command(name: str, as_json: bool) -> None:
-    """Let the running scan of service NAME brake, retract and end."""
-    _send_command(name, "abort", as_json)
-
-
-@click.command("status")
-@_NAME
-@JSON
-def status_command(name: str, as_json: bool) -> None:
-    """Tell what the running scan of service NAME does."""
-    _send_command(name, "status", as_json)

@@ -107,7 +107,7 @@ def simulate_command(
     Exit code 1 when it stood still for more than a tenth of the time: there was no valid demand.
     """
     from surffollow.sim.plant import PlantConfig, load_plant
-    from surffollow.sim.robot import RobotConfig
+    from surffollow.sim.robot_config import RobotConfig
     from surffollow.sim.world_surface import WorldConfig
 
     config = RobotConfig(

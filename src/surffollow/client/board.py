@@ -83,7 +83,7 @@ class LatchReader:
 
 
 class _Wait:
-    """Waits for a service that starts, as long as it says that it compiles; tells how far it is."""
+    """Waits for a service that starts, as long as it says that it compiles; reports its progress."""
 
     def __init__(self, name: str, ready_timeout_s: float) -> None:
         self._name, self._patience_s = name, ready_timeout_s
@@ -178,8 +178,8 @@ class Board:
         at = {r["name"]: r["offset"] for r in h["region"]}.get("ticker")
         if at is None:
             return ""
-        told = LatchReader(memoryview(self.object.memory).cast("Q"), self.object.memory, at, Ticker).read()
-        return "" if told is None else str(told["text"])
+        ticker = LatchReader(memoryview(self.object.memory).cast("Q"), self.object.memory, at, Ticker).read()
+        return "" if ticker is None else str(ticker["text"])
 
     def header(self) -> dict[str, Any]:
         """The header, as a dictionary."""

@@ -41,19 +41,19 @@ def follower_report(output: Mapping[str, Any] | None, mode: int) -> dict[str, An
     output : the board's `Output`, or None when it cannot be read
     mode : of the parameters in force
     """
-    told: dict[str, Any] = {"mode": "adaptive" if mode == MODE_ADAPTIVE else "paper"}
+    facts: dict[str, Any] = {"mode": "adaptive" if mode == MODE_ADAPTIVE else "paper"}
     if output is None:
-        return told
+        return facts
     names: tuple[str, ...] = _ESTIMATES
     if mode == MODE_ADAPTIVE:
-        told["health"] = HEALTH_NAMES[output["health"]] if 0 <= output["health"] < len(HEALTH_NAMES) else "?"
-        told["reason"] = REASON_NAMES[output["reason"]] if 0 <= output["reason"] < len(REASON_NAMES) else "?"
+        facts["health"] = HEALTH_NAMES[output["health"]] if 0 <= output["health"] < len(HEALTH_NAMES) else "?"
+        facts["reason"] = REASON_NAMES[output["reason"]] if 0 <= output["reason"] < len(REASON_NAMES) else "?"
         names += _ADAPTED
     for name in names:
         value = output[name]
-        told[name] = value if math.isfinite(value) else None
+        facts[name] = value if math.isfinite(value) else None
     normal = list(output["normal"])
     if mode == MODE_ADAPTIVE and any(normal):
-        told["normal"] = normal
-        told["beams"] = [c for c in range(8) if output["beams"] >> c & 1]
-    return told
+        facts["normal"] = normal
+        facts["beams"] = [c for c in range(8) if output["beams"] >> c & 1]
+    return facts

@@ -22,11 +22,11 @@ def percentile_ns(counts: Sequence[int], fraction: float) -> float:
     total = sum(counts)
     if total == 0:
         return float("nan")
-    wanted, seen = fraction * total, 0
+    expected, seen = fraction * total, 0
     for b, n in enumerate(counts):
-        if n and seen + n >= wanted:
+        if n and seen + n >= expected:
             low, high = bin_edges_ns(b)
-            return low + (high - low) * max(0.0, (wanted - seen) / n)
+            return low + (high - low) * max(0.0, (expected - seen) / n)
         seen += n
     return bin_edges_ns(len(counts) - 1)[1]
 

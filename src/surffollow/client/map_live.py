@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from surffollow.client.board import Board
 from surffollow.client.fence import fence
+from surffollow.client.map_point import UNKNOWN_POINT, SurfacePoint, mean_height, surface_point
 from surffollow.client.map_reader import open_map
 from surffollow.shm import map_layout as ml
 
@@ -23,33 +24,12 @@ if TYPE_CHECKING:
 
 TRIES = 8
 LOOK_EVERY_NS = 100_000_000  # whether the object still has its name is asked at most so often
-_NAN = float("nan")
-_UNKNOWN = ml.UNKNOWN
 _READY = ml.READY
 _GENERATION = ml.MapHeader.offset("generation")
 _DATUM_SET = ml.MapHeader.offset("datum_set")
 _GEOMETRY = ml.MapHeader.struct_of("generation", "tiles_x")
 _DIRTY = ml.MapHeader.struct_of("dirty", "dirty")
 _DIRTY_AT = ml.MapHeader.offset("dirty")
-_FIRST_PAIR = ml.pairs_offset() // 2  # in 16-bit words
-
-
-class SurfacePoint(NamedTuple):
-    """The surface at a point of the map.
-
-    Attributes
-    ----------
-    height_m : float
-        between grid centres, NaN where unknown [m]
-    slope_x, slope_y : float
-        dz/dx and dz/dy over the neighbouring grids, NaN where unknown
-    known : bool
-    """
-
-    height_m: float
-    slope_x: float
-    slope_y: float
-    known: bool
 
 
 class MapChanges(NamedTuple):
@@ -68,9 +48,6 @@ class MapChanges(NamedTuple):
     generation: int
     tiles: tuple[tuple[int, int, int, int], ...]
     counters: tuple[int, ...]
-
-
-_NOWHERE = SurfacePoint(_NAN, _NAN, _NAN, False)
 
 
 class _Mapped:
@@ -119,7 +96,7 @@ class MapReading:
             self._map = None
 
     def _look(self, x_m: float, y_m: float, look: Any, nothing: Any) -> Any:
-        """`look` at the grids about a point, by the three steps; `nothing` when it cannot be told."""
+        """`look` at the grids about a point, by the three steps; `nothing` when it is unknown."""
         m = self._mapped()
         words, at = m.words, _GENERATION // 8
         for _ in range(TRIES):
@@ -163,7 +140,7 @@ class MapReading:
         NoPermissionError
             it may not be read, or it belongs to another user than the board
         """
-        return float(self._look(x_m, y_m, _mean, _NAN))
+        return float(self._look(x_m, y_m, mean_height, math.nan))
 
     def map_surface(self, x_m: float, y_m: float) -> SurfacePoint:
         """Height between grid centres, and slope, at a point of the live map; never waits.
@@ -190,7 +167,7 @@ class MapReading:
         NoPermissionError
             it may not be read, or it belongs to another user than the board
         """
-        point: SurfacePoint = self._look(x_m, y_m, _point, _NOWHERE)
+        point: SurfacePoint = self._look(x_m, y_m, surface_point, UNKNOWN_POINT)
         return point
 
     def map_window(self, region: Sequence[float] | None = None) -> MapWindow:
@@ -261,65 +238,6 @@ class MapReading:
                 old = since.counters if since is not None and since.generation == before else None
                 return MapChanges(before, _tiles(old, counters, nx, ny, shift, tiles_x), counters)
         return MapChanges(m.words[at] | 1, (), ())
-
-
-def _mean(
-    heights: Any, nx: int, ny: int, fx: float, fy: float, inv_grid: float, datum: float, quantum: float
-) -> float:
-    """Mean height of the grid at (fx, fy) [m]; NaN: unknown."""
-    i = int(fy) * nx + int(fx)
-    q = heights[_FIRST_PAIR + 3 * (i >> 1) + (i & 1)]
-    return _NAN if q == _UNKNOWN else datum + q * quantum
-
-
-def _point(
-    heights: Any, nx: int, ny: int, fx: float, fy: float, inv_grid: float, datum: float, quantum: float
-) -> SurfacePoint:
-    """Height between grid centres, and slopes, at (fx, fy)."""
-    z, sx, sy = _surface(heights, nx, ny, fx, fy)
-    if z != z:
-        return _NOWHERE
-    unit = quantum * inv_grid
-    return SurfacePoint(datum + quantum * z, sx * unit, sy * unit, True)
-
-
-def _surface(heights: Any, nx: int, ny: int, fx: float, fy: float) -> tuple[float, float, float]:
-    """Bilinear height and slopes in quanta per grid, as `map.lookup.surface_at`; NaN: unknown."""
-
-    def q(ix: int, iy: int) -> int:
-        if not (0 <= ix < nx and 0 <= iy < ny):
-            return _UNKNOWN
-        i = iy * nx + ix
-        return int(heights[_FIRST_PAIR + 3 * (i >> 1) + (i & 1)])
-
-    ix, iy = int(fx), int(fy)
-    own = q(ix, iy)
-    if own == _UNKNOWN:
-        return _NAN, _NAN, _NAN
-    bx, by = math.floor(fx - 0.5), math.floor(fy - 0.5)
-    tx, ty = fx - 0.5 - bx, fy - 0.5 - by
-    total = weight = 0.0
-    for x, y, part in (
-        (bx, by, (1.0 - tx) * (1.0 - ty)),
-        (bx + 1, by, tx * (1.0 - ty)),
-        (bx, by + 1, (1.0 - tx) * ty),
-        (bx + 1, by + 1, tx * ty),
-    ):
-        z = q(x, y)
-        if z != _UNKNOWN:
-            total += part * z
-            weight += part
-    slope_x = _slope(own, q(ix - 1, iy), q(ix + 1, iy))
-    slope_y = _slope(own, q(ix, iy - 1), q(ix, iy + 1))
-    return total / weight, slope_x, slope_y
-
-
-def _slope(own: int, before: int, after: int) -> float:
-    if before != _UNKNOWN and after != _UNKNOWN:
-        return 0.5 * (after - before)
-    if after != _UNKNOWN:
-        return float(after - own)
-    return float(own - before) if before != _UNKNOWN else _NAN
 
 
 def _tiles(

@@ -62,8 +62,8 @@ class Reclaimer(SlotWatcher):
                 return False
         return True
 
-    def _collect(self, wanted: tuple[int, int]) -> bool:
-        """Take the answer to the claim under way, if it is there; whether `wanted` is held now."""
+    def _collect(self, expected: tuple[int, int]) -> bool:
+        """Take the answer to the claim under way, if it is there; whether `expected` is held now."""
         if self._claiming is None:
             return False
         claim, ticket = self._claiming
@@ -78,8 +78,8 @@ class Reclaimer(SlotWatcher):
         try:
             ticket.result(0.0)
         except RefusedError:
-            if claim == wanted:
+            if claim == expected:
                 raise
             return False  # who wants that one asks again
         self._hold(claim)
-        return claim == wanted
+        return claim == expected

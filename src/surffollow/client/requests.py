@@ -25,7 +25,7 @@ from surffollow.shm.layout_board import (
 from surffollow.shm.layout_follow import STOPPED
 
 if TYPE_CHECKING:
-    from surffollow.client.slot import SlotHolder
+    from surffollow.client.request_sender import RequestSender
 
 MAX_REGION_M = 1e6
 LOST_S = 5.0
@@ -95,7 +95,7 @@ class Ticket:
             ticket.result()     # raises when the service refused
     """
 
-    def __init__(self, client: SlotHolder, code: int, counter: int) -> None:
+    def __init__(self, client: RequestSender, code: int, counter: int) -> None:
         self._client, self.code, self.counter = client, code, counter
         self._board = client.board
         self._acks = client.board.latch("acks", Ack, client.slot)
@@ -244,7 +244,7 @@ def _explain(code: int, detail: int) -> str:
 class StopTicket(Ticket):
     """Of a stop that was stored while a request was being sent: done when demands are stopped."""
 
-    def __init__(self, client: SlotHolder) -> None:
+    def __init__(self, client: RequestSender) -> None:
         super().__init__(client, RQ_STOP, 0)
 
     def _look(self) -> dict[str, Any] | None:

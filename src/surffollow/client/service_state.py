@@ -71,8 +71,8 @@ class ServiceState:
         for slot in range(CLIENTS):
             info = self.board.latch("clients", ClientInfo, slot).read()
             if info and info["pid"]:
-                told = {k: info[k] for k in ("pid", "uid", "since_ns", "name")}
-                found.append({"slot": slot, **told})
+                facts = {k: info[k] for k in ("pid", "uid", "since_ns", "name")}
+                found.append({"slot": slot, **facts})
         return found
 
     def audit(self) -> list[dict[str, Any]]:

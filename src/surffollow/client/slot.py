@@ -1,4 +1,4 @@
-"""What a client holds: a slot with the connection that owns it, and the request that is under way in it."""
+"""A client's slot with the connection that owns it: asked for, renewed after a restart, given back."""
 
 from __future__ import annotations
 
@@ -7,27 +7,19 @@ import os
 import threading
 import time
 import weakref
-from collections.abc import Sequence
 from typing import Any
 
 from surffollow.client.board import CLOSED
-from surffollow.client.fence import fence
 from surffollow.client.observer import Observer
 from surffollow.client.requests import Ticket
 from surffollow.client.slot_request import SlotGrant, SlotRequest
 from surffollow.errors import (
-    BusyError,
     NotReadyError,
     NotRunningError,
-    RefusedError,
 )
 from surffollow.shm import layout_board as lb
-from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, stride
+from surffollow.shm.latch_shape import HEAD_BYTES
 
-_REQUEST = lb.RequestPost.struct_of("counter", "value")
-_STOP_WORD = (lb.SLOT_HEAD + lb.SlotHead.offset("stop")) // 8
-_REQUEST_STRIDE = stride(lb.RequestPost.SIZE)
-_OF_THE_MAP = (lb.RQ_MAP_RESET, lb.RQ_MAP_REFOCUS, lb.RQ_MAP_INSTALL)
 CLAIM_TRIES, CLAIM_PAUSE_S = 50, 0.02
 EXCHANGE_S = 1.0  # for the service's main thread to hand out a slot; then it is asked again
 ATTACH_S = 3.0  # for `attach` to get one
@@ -209,121 +201,3 @@ class SlotHolder(Observer):
             self._range_view = (CLOSED, self._in)
         self._stop_asking()
         super().close()
-
-    # -- requests -------------------------------------------------------------------------------------
-
-    def _store_stop(self) -> None:
-        """Stop by one store into the slot, if there is one: the service looks at it in every cycle."""
-        if self._grant is not None:
-            word = self._in_words[_STOP_WORD]
-            self._in_words[_STOP_WORD] = (((word >> 32) + 1) & 0x7FFFFFFF) << 32 | lb.STOP_WORD
-
-    def _request(
-        self,
-        code: int,
-        numbers: Sequence[int] = (),
-        values: Sequence[float] = (),
-        n: int = 0,
-        patience_s: float = 0.0,
-        wait: bool = False,
-        stall_s: float = 0.0,
-    ) -> Ticket:
-        """Send a request.
-
-        `patience_s` is how long an earlier one may be under way, `stall_s` how long the service may stand
-        still without having ended; who waits in a control loop gives neither.
-        """
-        asked = time.monotonic()
-        if (wait or code == lb.RQ_MAP_INSTALL) and code in _OF_THE_MAP and self._holds_the_map():
-            raise RefusedError(
-                "this thread holds the map itself (exclusive()), so the answer would never come; "
-                "leave exclusive() first, or ask with wait=False",
-                lb.ERR_MAP_BUSY,
-            )
-        while True:
-            with self._lock:
-                under_way = None
-                if self._posting:  # this very thread: a signal handler came in between
-                    raise BusyError("a request is just being sent by this thread; call again after it")
-                if self.alive() and self._has_slot(asked + stall_s):
-                    self._posting = True
-                    try:
-                        under_way = self._under_way(code)
-                        if under_way is None:
-                            return self._post_request(code, numbers, values, n)
-                    finally:
-                        self._posting = False
-                elif time.monotonic() >= asked + stall_s or not self._follow():
-                    raise NotRunningError(
-                        f"service {self.name!r} does not answer; it ended or stands still (surffollow status)"
-                        f"{self._refusal}"
-                    )
-            if under_way is not None and time.monotonic() >= asked + patience_s:
-                raise BusyError(
-                    f"the last request (code {under_way.code}) is still under way, and a second one could "
-                    "overtake it unseen; wait for its ticket's result()"
-                )
-            time.sleep(0.0002)
-
-    def _has_slot(self, until: float) -> bool:
-        try:
-            if self.ensure_slot():
-                return True
-            why = f"service {self.name!r} was started anew and is about to hand out a slot; call again"
-        except NotReadyError as e:
-            why = str(e)
-        if time.monotonic() >= until:
-            raise NotRunningError(why)
-        return False
-
-    def _holds_the_map(self) -> bool:
-        return threading.get_ident() in self._holders
-
-    def _under_way(self, code: int) -> Ticket | None:
-        """The own request that another one with this code may not overtake; None: go ahead."""
-        self._open = [t for t in self._open if t.under_way()]
-        for ticket in self._open:
-            if not ticket.taken() or (code in _OF_THE_MAP and ticket.code in _OF_THE_MAP):
-                return ticket
-        return None
-
-    def _settled(self, ticket: Ticket) -> None:
-        with self._lock:
-            self._open = [t for t in self._open if t is not ticket]
-
-    def _post_request(self, code: int, numbers: Sequence[int], values: Sequence[float], n: int) -> Ticket:
-        self._counter += 1
-        words, index = self._in_words, self._request_index
-        g = (words[index] + 1) & GENERATION or 1
-        fence()
-        pad = lb.REQUEST_ARGS
-        _REQUEST.pack_into(
-            self._in,
-            self._request_base + (g & (SLOTS - 1)) * _REQUEST_STRIDE,
-            self._counter,
-            code,
-            n,
-            self._claim,
-            *numbers,
-            *([0] * (pad - len(numbers))),
-            *values,
-            *([0.0] * (pad - len(values))),
-        )
-        fence()
-        words[index] = g
-        ticket = Ticket(self, code, self._counter)
-        self._open.append(ticket)
-        return ticket
-
-    def _ask(
-        self,
-        code: int,
-        values: Sequence[float],
-        timeout_s: float,
-        wait: bool,
-        numbers: Sequence[int] = (),
-    ) -> Ticket:
-        """Send a request; one that waits for its answer waits for its turn too."""
-        patience_s = timeout_s if wait else 0.0
-        ticket = self._request(code, numbers, values, len(numbers), patience_s, wait, stall_s=patience_s)
-        return ticket.settle(timeout_s, wait)

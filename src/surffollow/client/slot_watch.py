@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from surffollow.client.slot import SlotHolder
+from surffollow.client.request_sender import RequestSender
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import Params
 
@@ -11,7 +11,7 @@ _POSE_TIMEOUT = Params.struct_of("pose_timeout_ns", "pose_timeout_ns")
 LOOK_EVERY_NS = 100_000_000
 
 
-class SlotWatcher(SlotHolder):
+class SlotWatcher(RequestSender):
     """An attachment that notices when its service or its slot has gone."""
 
     def _check_service(self, now_ns: int) -> None:
@@ -40,6 +40,6 @@ class SlotWatcher(SlotHolder):
             return
         ticker = self.board.latch("ticker", lb.Ticker).copy()
         if ticker is not None and self._pose_held:
-            told_ns, slot = _POSE_ROLE.unpack_from(ticker)
-            if slot != self.slot and told_ns > self._pose_held_ns + LOOK_EVERY_NS:
+            reported_ns, slot = _POSE_ROLE.unpack_from(ticker)
+            if slot != self.slot and reported_ns > self._pose_held_ns + LOOK_EVERY_NS:
                 self._pose_held = False  # it is not ours any more: ask for it again

@@ -31,23 +31,5 @@ def group_id(name: str, error: SurffollowError) -> int:
 
 
 def configured_group_id(name: str, key: str) -> int:
-    """Look up the group that a configuration names.
-
-    Parameters
-    ----------
-    name : str
-        of the group; "" for none
-    key : str
-        key of the configuration, for the text of an error
-
-    Returns
-    -------
-    int
-        its number, -1 for none
-
-    Raises
-    ------
-    ConfigError
-        there is no such group
-    """
+    """As `group_id`, for the group that configuration key `key` names; raises ConfigError."""
     return group_id(name, ConfigError(f"configuration key {key} is {name!r}; there is no such group"))

@@ -66,7 +66,7 @@ class StopConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """All that `surffollow start` may be told by a file."""
+    """Configuration of `surffollow start`."""
 
     name: str = "surf"
     period: str | float = "1 ms"

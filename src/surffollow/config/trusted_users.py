@@ -9,7 +9,7 @@ from surffollow.errors import ConfigError
 
 ENVIRONMENT = "SURFFOLLOW_OWNER"
 ROOT = 0
-NOBODYS = -2  # no object belongs to this user
+UNMAPPED_USER = -2  # no object belongs to this user
 _KERNEL = Path("/proc/sys/kernel/overflowuid")
 _NAMESPACE = Path("/proc/self/uid_map")
 _EVERYBODY = ["0", "0", "4294967295"]
@@ -19,13 +19,13 @@ def own_user() -> int:
     """The user whose objects are this process's own.
 
     In a user namespace that does not map all users, the others all have the overflow user's number, and so
-    has this process when it is not mapped itself: then its own objects cannot be told from a stranger's, and
-    no number is its own (`NOBODYS`).
+    has this process when it is not mapped itself. Then its own objects cannot be distinguished from a
+    stranger's, and no number is its own (`UNMAPPED_USER`).
     """
     user = os.geteuid()
     try:
         if user == int(_KERNEL.read_text()) and _NAMESPACE.read_text().split() != _EVERYBODY:
-            return NOBODYS
+            return UNMAPPED_USER
     except (OSError, ValueError):
         pass  # no /proc: nothing more can be known
     return user
@@ -64,4 +64,4 @@ def trusted_owners(owner: int | str | None = None) -> frozenset[int]:
     if owner is not None:
         return frozenset((user_id(owner),))
     configured = os.environ.get(ENVIRONMENT, "")
-    return frozenset((own_user(), ROOT, *((user_id(configured),) if configured else ()))) - {NOBODYS}
+    return frozenset((own_user(), ROOT, *((user_id(configured),) if configured else ()))) - {UNMAPPED_USER}

@@ -1,4 +1,4 @@
-"""What a follower in process may be told: a dictionary or a TOML file, read and checked."""
+"""Configuration of a follower in process: a dictionary or a TOML file, read and checked."""
 
 from __future__ import annotations
 
@@ -75,12 +75,12 @@ def read_setup(config: Config, offset_m: float | None = None) -> FollowerSetup:
         values[_PLANT[key]] = check_param(_PLANT[key], value)
     if offset_m is not None:
         data = {k: v for k, v in data.items() if k not in ("offset", "offset_m")} | {"offset_m": offset_m}
-    wanted = check_param("offset_m", data.get("offset_m", data.get("offset", values["offset_m"])))
+    desired = check_param("offset_m", data.get("offset_m", data.get("offset", values["offset_m"])))
     if data.get("mode", "adaptive") in ("adaptive", *_MODES, MODE_ADAPTIVE):
         tau = next((data[k] for k in ("plant_tau_s", "plant_tau") if k in data), values["plant_tau_s"])
-        values.update(scaled_defaults(wanted, check_param("plant_tau_s", tau)))
+        values.update(scaled_defaults(desired, check_param("plant_tau_s", tau)))
     if near:
-        values["too_close_m"], values["too_close_exit_m"] = default_too_close(min(near), wanted)
+        values["too_close_m"], values["too_close_exit_m"] = default_too_close(min(near), desired)
     if isinstance(data.get("mode"), str):
         data["mode"] = _MODES.get(data["mode"], data["mode"])
     for name, value in data.items():

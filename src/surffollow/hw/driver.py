@@ -30,7 +30,7 @@ class DriverInfo(msgspec.Struct, frozen=True):
 
     Attributes
     ----------
-    name : for people
+    name : for messages
     n_channels : channels 0 … n-1 deliver
     scale_m, zero_m : per channel, range_m = zero_m + scale_m · counts
     range_min_m, range_max_m : the sensors' window [m]

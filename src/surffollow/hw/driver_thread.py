@@ -1,4 +1,4 @@
-"""The thread of a driver: a nogil kernel that runs until a word in memory tells it to end."""
+"""The thread of a driver: a nogil kernel that runs until a word in memory asks it to end."""
 
 from __future__ import annotations
 

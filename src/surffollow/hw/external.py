@@ -31,7 +31,7 @@ from surffollow.shm.python_atomics import load_acquire
 from surffollow.units import format_ns
 
 SILENCE_S = 0.5
-FAULT_HOLD_NS = 2_000_000_000  # so long a fault text stays after what it tells happened last
+FAULT_HOLD_NS = 2_000_000_000  # so long a fault text stays after its cause happened last
 CLOSE_S = 2.0
 _REASONS = {
     WRONG_CHANNEL: "for a channel that their client does not hold",

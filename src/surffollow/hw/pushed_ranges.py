@@ -104,7 +104,7 @@ def close_queue(base: Any) -> Any:
 def _take_item(pushed: Any, queue: Any, item: Any, number: Any, held: Any, now_ns: Any, head: Any) -> Any:
     """Take one item: 1 taken, 0 overwritten meanwhile, -1 - reason refused."""
     p, base = pushed[0], pushed.ctypes.data
-    told = at.load_relaxed_i64(item)
+    published = at.load_relaxed_i64(item)
     t_ns = at.load_relaxed_i64(item + 8)
     channel = at.load_relaxed_i64(item + 16)
     range_m = at.load_relaxed_f64(item + 24)
@@ -112,7 +112,7 @@ def _take_item(pushed: Any, queue: Any, item: Any, number: Any, held: Any, now_n
     ahead = at.load_relaxed_i64(head) - number
     if not 0 <= ahead < _HELD_ITEMS:
         return 0
-    if told != number:
+    if published != number:
         return -1 - NO_ITEM
     if not 0 <= channel < p.n_channels or (held >> channel) & 1 == 0:
         return -1 - WRONG_CHANNEL
@@ -121,9 +121,9 @@ def _take_item(pushed: Any, queue: Any, item: Any, number: Any, held: Any, now_n
     if t_ns <= at.load_relaxed_i64(base + _NEWEST + 8 * channel):
         return -1 - NOT_NEWER
     counts, flags = 0, FLAG_INVALID
-    wanted = range_m / p.scale_m[channel]
-    if abs(wanted) <= COUNTS_MAX:  # NaN is not, and says that there is no reading
-        counts, flags = round(wanted), 0
+    expected = range_m / p.scale_m[channel]
+    if abs(expected) <= COUNTS_MAX:  # NaN is not, and says that there is no reading
+        counts, flags = round(expected), 0
     word = pack_conversion(counts, channel, flags, 0)
     at.store_relaxed_i64(base + _NEWEST + 8 * channel, t_ns)
     at.store_relaxed_i64(base + _HEARD + 8 * channel, now_ns)

@@ -27,7 +27,7 @@ def metre_info(
 
     Parameters
     ----------
-    name : for people
+    name : for messages
     range_min_m, range_max_m : the sensors' window [m]
     n_channels : 1 to 8
     latency_ns : mean age of a distance at the time that it is stamped with [ns]
@@ -60,8 +60,8 @@ def metre_info(
     scale_m = max(FINEST_M, 1.05 * range_max_m / COUNTS_MAX)
     scale: Eight = (scale_m,) * 8
     zero: Eight = (0.0,) * 8
-    told = mounts_of(list(mounts), n_channels)
-    return DriverInfo(name, n_channels, scale, zero, range_min_m, range_max_m, latency_ns, period_ns, told)
+    mounted = mounts_of(list(mounts), n_channels)
+    return DriverInfo(name, n_channels, scale, zero, range_min_m, range_max_m, latency_ns, period_ns, mounted)
 
 
 def pack_counts(counts: int | None, channel: int) -> int:

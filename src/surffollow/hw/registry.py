@@ -13,10 +13,11 @@ from surffollow.errors import ConfigError, SurffollowError
 from surffollow.hw.calibrated import calibrated
 from surffollow.hw.calibration import load_calibration
 from surffollow.hw.driver import Driver
-from surffollow.hw.fault_injection import FaultConfig, FaultyDriver
+from surffollow.hw.fault_injection import FaultyDriver
+from surffollow.hw.fault_schedule import FaultConfig
 from surffollow.hw.replayed import ReplayedDriver
 from surffollow.hw.silent import SilentDriver
-from surffollow.hw.simulation.led_sensor import LedConfig
+from surffollow.hw.simulation.led_config import LedConfig
 from surffollow.hw.simulation.sensor_rig import SimulatedConfig
 from surffollow.hw.simulation.simulated import SimulatedDriver
 from surffollow.units import parse_quantity
@@ -157,7 +158,7 @@ def _checked(factory: Any, kind: str) -> Factory:
         try:
             driver = factory(settings, name)
         except (msgspec.ValidationError, SurffollowError, KeyboardInterrupt):
-            raise  # told with the kind by `make_driver`, or told well already
+            raise  # `make_driver` adds the kind, or the text is complete already
         except BaseException as error:  # another package's: whatever it raises ends the start in one line
             raise ConfigError(
                 f"driver kind '{kind}' could not be made: {type(error).__name__}: {error}; mend its factory "

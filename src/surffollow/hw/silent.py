@@ -5,7 +5,7 @@ from __future__ import annotations
 from surffollow.errors import DriverError
 from surffollow.hw.driver import ConversionQueue, DriverInfo, Eight
 from surffollow.hw.simulation.adc import calibration
-from surffollow.hw.simulation.led_sensor import FAR_M, NEAR_M
+from surffollow.hw.simulation.led_config import FAR_M, NEAR_M
 
 
 class SilentDriver:

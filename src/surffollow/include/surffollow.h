@@ -428,7 +428,7 @@ typedef struct sf_params {
   double plant_tau_s; /* [s] adaptive: assumed time constant of the vertical axis */
   double plant_v_max_mps; /* [m/s] adaptive: assumed speed limit of the vertical axis */
   double plant_a_max_mps2; /* [m/s^2] adaptive: assumed acceleration limit of the vertical axis */
-  double score_way_m; /* [m] adaptive: way over which models are judged */
+  double score_way_m; /* [m] adaptive: arc length over which models are scored */
   double score_time_s; /* [s] adaptive: time over which models are judged */
   double score_power; /* adaptive: how strongly the recently better model is preferred */
   double long_power; /* adaptive: how strongly the model better over a longer way is preferred; where it is quiet x 10 */
@@ -438,8 +438,8 @@ typedef struct sf_params {
   double score_floor_m; /* [m] adaptive: stand-off errors below this are as good as none */
   double gate_scales; /* adaptive: innovations beyond so many scales are quarantined */
   double gate_m; /* [m] adaptive: least innovation that is quarantined */
-  double step_way_m; /* [m] adaptive: way after which a quarantined step down is believed */
-  int64_t step_samples; /* adaptive: agreeing samples after which a quarantined step is believed */
+  double step_way_m; /* [m] adaptive: travel after which a pending step down is confirmed */
+  int64_t step_samples; /* adaptive: agreeing samples that confirm a pending step */
   double tick_lead_s; /* [s] adaptive: mean wait of a demand; at most half a report interval */
   double plan_calm_s4; /* [s^4] adaptive: squared error worth a squared planned acceleration */
   int64_t orient; /* adaptive: 1: with 3 or more sensors, demand rotations too */
@@ -597,7 +597,7 @@ SF_STATIC_ASSERT(offsetof(sf_ack, result) == 8, "layout of sf_ack");
 SF_STATIC_ASSERT(offsetof(sf_ack, detail) == 16, "layout of sf_ack");
 SF_STATIC_ASSERT(offsetof(sf_ack, claim) == 24, "layout of sf_ack");
 
-/* What the main thread tells at its own pace: 20 Hz. */
+/* State of the main thread, published at 20 Hz. */
 typedef struct sf_ticker {
   int64_t t_ns; /* [ns] heartbeat of the main thread */
   int64_t pose_slot; /* slot of the pose writer; -1: none */
@@ -609,7 +609,7 @@ typedef struct sf_ticker {
   int64_t audit_lost; /* changes that are in no audit entry: the main thread stood still */
   int64_t range_slot[8]; /* per channel, slot of the client that pushes its ranges; -1: none */
   int64_t range_pid[8];
-  char text[512]; /* one line for people */
+  char text[512]; /* one line of text */
 } sf_ticker;
 SF_STATIC_ASSERT(sizeof(sf_ticker) == 704, "layout of sf_ticker");
 SF_STATIC_ASSERT(offsetof(sf_ticker, t_ns) == 0, "layout of sf_ticker");
@@ -624,7 +624,7 @@ SF_STATIC_ASSERT(offsetof(sf_ticker, range_slot) == 64, "layout of sf_ticker");
 SF_STATIC_ASSERT(offsetof(sf_ticker, range_pid) == 128, "layout of sf_ticker");
 SF_STATIC_ASSERT(offsetof(sf_ticker, text) == 192, "layout of sf_ticker");
 
-/* What the map thread tells. */
+/* State of the map thread. */
 typedef struct sf_map_status {
   int64_t t_ns; /* [ns] */
   int64_t queued; /* samples and commands waiting */
@@ -761,7 +761,7 @@ SF_STATIC_ASSERT(offsetof(sf_slot_message, slot) == 48, "layout of sf_slot_messa
 SF_STATIC_ASSERT(offsetof(sf_slot_message, claim) == 56, "layout of sf_slot_message");
 SF_STATIC_ASSERT(offsetof(sf_slot_message, name) == 64, "layout of sf_slot_message");
 
-/* Who holds a slot, as the kernel told the service (SO_PEERCRED). */
+/* Who holds a slot, from the kernel (SO_PEERCRED). */
 typedef struct sf_client_info {
   int64_t pid; /* 0: the slot is free; -1: a process of another pid namespace */
   int64_t uid;
@@ -1540,7 +1540,7 @@ static inline int sf_i_connect(sf_client *c) {
     if (number == EPROTOTYPE || number == ENOTSOCK) return SF_ERR_BLOCK;
     return sf_i_errno(c, number);
   }
-  int32_t peer[3] = {0, -1, -1}; /* pid, uid, gid of the process that listens, as the kernel tells it */
+  int32_t peer[3] = {0, -1, -1}; /* pid, uid, gid of the process that listens, from the kernel */
   socklen_t size = sizeof peer;
   if (getsockopt(fd, SOL_SOCKET, SF_I_SO_PEERCRED, peer, &size) != 0 ||
       SF_CAST(uid_t, peer[1]) != c->board.owner) {
@@ -2183,7 +2183,7 @@ static inline int sf_claim_pose(sf_client *c) {
   if (c->pose_held) return SF_OK;
   const int64_t now = sf_now_ns(), deadline = now + 300000000;
   if (c->output != NULL && !c->options.observe && c->slot_memory == NULL && c->options.auto_reattach && sf_alive(c))
-    (void)sf_i_claim_slot(c, now + SF_EXCHANGE_NS); /* an error of it is told below */
+    (void)sf_i_claim_slot(c, now + SF_EXCHANGE_NS); /* an error of it is reported below */
   for (;;) {
     const int result = sf_i_ask(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, c->options.timeout_ns, 0);
     if (result == SF_OK) sf_i_hold(c, SF_RQ_CLAIM_POSE, 0);
@@ -2577,8 +2577,8 @@ typedef struct sf_status_info {
   int64_t demand_status;      /* SF_VALID, ... */
   int64_t cycles, overruns, skipped, poses, poses_refused, requests, requests_refused, torn;
   int64_t lateness_max_ns, execution_max_ns;
-  sf_ticker ticker;           /* what the main thread tells: clients, pose holder, grants, faults, text */
-  sf_map_status map;          /* what the map thread tells */
+  sf_ticker ticker;           /* state of the main thread: clients, pose holder, grants, faults, text */
+  sf_map_status map;          /* state of the map thread */
 } sf_status_info;
 
 /* Ask how the service is doing; works on a dead one too. SF_OK or SF_ERR_ARGUMENT. */

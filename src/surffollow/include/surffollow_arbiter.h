@@ -233,7 +233,7 @@ SF_STATIC_ASSERT(offsetof(sfa_reply, holder) == 24, "layout of sfa_reply");
 SF_STATIC_ASSERT(offsetof(sfa_reply, holder_priority) == 32, "layout of sfa_reply");
 SF_STATIC_ASSERT(offsetof(sfa_reply, t_ns) == 40, "layout of sfa_reply");
 
-/* What the server tells one client. */
+/* What the server publishes for one client. */
 typedef struct sfa_client_desk {
   SF_ALIGNAS(64) int64_t bell; /* its low half is a futex; changes with every answer or grant */
   SF_ALIGNAS(64) int64_t held[16]; /* token held of each resource, 0: none */
@@ -377,7 +377,7 @@ static inline const char *sfa_hello_text(int result) {
 
 #ifndef SURFFOLLOW_BLOCKS_READER
 #define SURFFOLLOW_BLOCKS_READER
-/* A block mapped read-only. After a restart of its writer `given_up` tells to open it again. */
+/* A block mapped read-only. After a restart of its writer `given_up` asks to open it again. */
 typedef struct sfb_block {
   unsigned char *memory;
   size_t size, payload_bytes;
@@ -557,7 +557,7 @@ static inline int sfa_i_greet(sfa_client *a, const char *client, int fds[2]) {
   message.msg_control = control.bytes;
   message.msg_controllen = sizeof control.bytes;
   n = 1;
-  do { /* a reset is told once; what the server said before it closed comes next */
+  do { /* a reset is reported once; what the server sent before it closed comes next */
     got = recvmsg(a->sock, &message, MSG_CMSG_CLOEXEC);
   } while (got < 0 && (errno == EINTR || (errno == ECONNRESET && n-- > 0)));
   n = sfa_i_descriptors(&message, fds);
@@ -638,7 +638,7 @@ static inline void sfa_detach(sfa_client *a) {
 static inline int sfa_i_connect(sfa_client *a, int timeout_ms, int64_t owner) {
   struct sockaddr_un address;
   struct timeval limit;
-  int32_t peer[3] = {0, -1, -1}; /* pid, uid, gid of the process that listens, as the kernel tells it */
+  int32_t peer[3] = {0, -1, -1}; /* pid, uid, gid of the process that listens, from the kernel */
   socklen_t size = sizeof peer;
   const int no = 0, yes = 1;
   int n;

@@ -30,7 +30,7 @@ class HeightMap(MapView):
     """A rectangle of square grids with mean heights and sample counts (3 bytes per grid).
 
     Make one with `over`, `load` or `from_heights`. `header` and `pairs` are the map's memory as in the
-    daemon's map object, for use with the kernels; what the map tells is in `MapView`.
+    daemon's map object, for use with the kernels; its contents are read through `MapView`.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What a map tells: geometry, heights, counts, height and slope at a point; it changes nothing."""
+"""Contents of a map, read-only: geometry, heights, counts, height and slope at a point."""
 
 from __future__ import annotations
 

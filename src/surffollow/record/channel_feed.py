@@ -19,9 +19,9 @@ from surffollow.record import foxglove as fx
 from surffollow.record.channels import PACKAGE, StandardChannels
 from surffollow.record.map_channel import MapPace, known_points
 from surffollow.record.protobuf import Field, Message
+from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.samples import Sampler
 from surffollow.record.service_log import ServiceLog
-from surffollow.record.writer import RecordingWriter
 from surffollow.shm.layout_board import MapStatus, Stats, Ticker
 
 SERVICE_S = 1.0
@@ -172,7 +172,7 @@ class ChannelFeed:
             self._pace.spent(now, self.channels.map_points(time.monotonic_ns(), points, counts))
 
     def change_file(self, writer: RecordingWriter) -> None:
-        """Go on in another file, which tells parameters, mounts and map anew."""
+        """Go on in another file, which repeats parameters, mounts and map."""
         self.channels = StandardChannels(writer, self.sampler.params)
         self.channels.announce(time.monotonic_ns(), "continued from the file before")
         self._changes, self._pace = None, MapPace()

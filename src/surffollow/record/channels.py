@@ -38,7 +38,7 @@ WORLD, TOOL = "world", "tool"
 _STAMP = (Field("timestamp", 1, "message", of=fx.TIMESTAMP),)
 OUTPUT = message_of(Output, PACKAGE, (*_STAMP, Field("health_name", 2, "string")))
 PARAMS = message_of(Params, PACKAGE, _STAMP)
-STATIC_NS = 1_000_000_000  # mounts are told again so often, for readers that begin in the middle
+STATIC_NS = 1_000_000_000  # mounts are repeated so often, for readers that begin in the middle
 # a beam leaves along the sensor's -z; a scan's zero is along x
 _BEAM = {"position": {}, "orientation": {"y": math.sqrt(0.5), "w": math.sqrt(0.5)}}
 _NO_POINTS = np.zeros((0, 3))
@@ -135,8 +135,8 @@ class StandardChannels:
         code = int(o["health"])
         adaptive = int(self.params[0]["mode"]) == MODE_ADAPTIVE
         name = HEALTH_NAMES[code] if adaptive and 0 <= code < len(HEALTH_NAMES) else ""
-        told = {"timestamp": fx.stamp(wall), "health_name": name, **values}
-        sink.add_message("/state", OUTPUT, t_ns, OUTPUT.encode(told))
+        message = {"timestamp": fx.stamp(wall), "health_name": name, **values}
+        sink.add_message("/state", OUTPUT, t_ns, OUTPUT.encode(message))
         self._transforms(t_ns, pose_t_ns, row["pose"].tolist(), n)
         if pose_t_ns:
             pose = row["pose"].tolist()

@@ -1,4 +1,4 @@
-"""What a recording tells, sampled: the data behind its figure."""
+"""Contents of a recording, sampled: the data behind its figure."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MAX_SAMPLES = 40_000
 
 @dataclass
 class FigureData:
-    """What a recording tells, sampled.
+    """Contents of a recording, sampled.
 
     Attributes
     ----------

@@ -118,7 +118,7 @@ def point_cloud(
 ) -> bytes:
     """Points (n, 3) [m], float64: a workshop's coordinates may have six digits before the point.
 
-    With `counts` (n,) each point tells how many samples are behind it.
+    With `counts` (n,) each point has its number of samples.
     """
     kinds: list[tuple[str, str]] = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
     if counts is not None:

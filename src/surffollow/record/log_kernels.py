@@ -47,7 +47,7 @@ _WHOLE = np.array(
     np.int64,
 )
 
-# what a walk tells, int64 each
+# results of a walk, int64 each
 (
     W_END,  # index of the first word that was not taken
     W_CYCLES,

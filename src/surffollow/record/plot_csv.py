@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from surffollow.record import figure as fg
 from surffollow.record.columns import Columns
-from surffollow.record.csv_replay import CsvReplay, pair_forecasts, score_forecast
+from surffollow.record.csv_replay import CsvReplay
+from surffollow.record.forecast_scores import pair_forecasts, score_forecast
 
 # without a horizontal way of this many typical distances there is no map to draw
 _MIN_PATH = 1.0
@@ -99,14 +100,14 @@ def _draw_readings(ax: Any, t: NDArray[np.float64], replay: CsvReplay) -> None:
 def _draw_forecast(ax: Any, t: NDArray[np.float64], replay: CsvReplay, columns: Columns) -> None:
     """Errors of the forecasts at the first horizon, at the time that they were for."""
     pairs = pair_forecasts(replay, columns, 0)
-    guess, still = pairs.forecast_m - pairs.truth_m, pairs.present_m - pairs.truth_m
-    both = np.concatenate([guess, still])
+    predicted, still = pairs.forecast_m - pairs.truth_m, pairs.present_m - pairs.truth_m
+    both = np.concatenate([predicted, still])
     factor, unit = fg.length_scale(both)
     fg.shade(ax, _gaps(t, replay), fg.SAND, "no reading")
     ax.axhline(0.0, color=fg.INK, lw=0.6)
     for values, color, label in (
         (still, fg.GREY, "no change"),
-        (guess, fg.ORANGE, "forecast"),
+        (predicted, fg.ORANGE, "forecast"),
     ):
         text = f"{label}: RMS {fg.rms(values) * factor:.3g} {unit}"
         ax.plot(pairs.t_s, values * factor, ".", ms=2.5, color=color, label=text)

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.client.histogram_report import bin_edges_ns
 from surffollow.record import figure as fg
 from surffollow.record.figure_data import FigureData, last_service, read_figure_data
+from surffollow.record.latency_histogram import draw_latency
 from surffollow.shm.layout_adaptive import HEALTH_NAMES
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, STATUS_NAMES, VALID
-from surffollow.units import format_ns
 
 HORIZON_S = 0.1
 _HEALTH_COLORS = (fg.GREEN, "#d8b13a", fg.ORANGE, fg.RED, "#8e44ad", fg.RED)
@@ -45,7 +44,7 @@ def plot_recording(path: str | Path, out: str | Path, progress: Any = None) -> P
         _draw_forecast(axes[2], story)
         _draw_states(axes[3], story)
         axes[0].set_xlim(0.0, max(float(story.t_s[-1]), 1e-3))
-        _draw_latency(figure.add_subplot(grid[4, 0]), story, service)
+        draw_latency(figure.add_subplot(grid[4, 0]), story, service)
         _draw_ground_plan(figure, figure.add_subplot(grid[4, 1]), story)
         fg.save_figure(figure, out)
     return Path(out)
@@ -143,14 +142,14 @@ def forecast_errors(
         good = j < has.size
         good[good] &= t[has][j[good]] - t[has][good] - horizon_s <= 1.5 * step
         at, then = has[good], has[j[good]]
-        guess = o["height_m"][at] + o["slope"][at] * o["speed_mps"][at] * horizon_s
-        out[0, then] = guess - ground[then]
+        predicted = o["height_m"][at] + o["slope"][at] * o["speed_mps"][at] * horizon_s
+        out[0, then] = predicted - ground[then]
         out[1, then] = ground[at] - ground[then]
     return out[0], out[1]
 
 
 def _draw_forecast(ax: Any, story: FigureData) -> None:
-    guess, still = forecast_errors(story)
+    predicted, still = forecast_errors(story)
     fg.shade(ax, _gaps(story), fg.SAND, "no distance")
     ax.axhline(0.0, color=fg.INK, lw=0.6)
     ax.plot(
@@ -164,14 +163,14 @@ def _draw_forecast(ax: Any, story: FigureData) -> None:
     )
     ax.plot(
         story.t_s,
-        guess * 1e3,
+        predicted * 1e3,
         ".",
         ms=1.4,
         color=fg.ORANGE,
         rasterized=True,
-        label=f"forecast by height and slope: RMS {fg.rms(guess) * 1e3:.2f} mm",
+        label=f"forecast by height and slope: RMS {fg.rms(predicted) * 1e3:.2f} mm",
     )
-    low, high = fg.robust_limits(np.concatenate([guess, still]) * 1e3)
+    low, high = fg.robust_limits(np.concatenate([predicted, still]) * 1e3)
     reach = max(abs(low), abs(high))
     ax.set_ylim(-reach, 1.35 * reach)
     ax.set_title(f"Ground {HORIZON_S:g} s ahead: forecast less what was found then")
@@ -201,56 +200,6 @@ def _draw_states(ax: Any, story: FigureData) -> None:
     if seen:
         title += ": " + ", ".join(f"{HEALTH_NAMES[k]} {np.mean(o['health'] == k):.1%}" for k in seen)
     ax.set_title(title)
-
-
-def _draw_latency(ax: Any, story: FigureData, service: dict[str, Any] | None) -> None:
-    """Shares of durations, in bins of a tenth of a decade, so that all kinds compare."""
-    from matplotlib.ticker import EngFormatter, LogLocator
-
-    o = story.rows["output"]
-    delay = story.rows["pose_delay_ns"]
-    seen = np.isfinite(o["range_m"][:, 0]) & (o["range_t_ns"][:, 0] > 0)
-    age = (o["t_ns"] - o["range_t_ns"][:, 0])[seen]
-    kinds = [
-        ("pose, when it arrives", fg.BLUE, delay[delay > 0], np.ones(int((delay > 0).sum()))),
-        ("distance, when it is used", fg.ORANGE, age[age > 0], np.ones(int((age > 0).sum()))),
-    ]
-    for name, color, label in (("lateness", fg.GREY, "wake-up"), ("execution", fg.INK, "cycle's work")):
-        if service is not None and sum(service.get(name, [])):
-            counts = np.array(service[name], float)
-            centres = np.array([sum(bin_edges_ns(b)) / 2 for b in range(counts.size)])
-            kinds.append((label, color, centres[counts > 0], counts[counts > 0]))
-    for label, color, values_ns, weights in kinds:
-        if values_ns.size:
-            share, edges = log_histogram(values_ns, weights)
-            median = float(values_ns[np.argsort(values_ns)][_middle(values_ns, weights)])
-            text = f"{label}: median {format_ns(median)}"
-            ax.stairs(share, edges * 1e-9, fill=True, alpha=0.6, color=color, label=text)
-    ax.set(xscale="log", xlabel="age or duration", ylabel="share [%]")
-    ax.xaxis.set_major_locator(LogLocator(numticks=6))  # from ns to s there is no room for every decade
-    ax.xaxis.set_major_formatter(EngFormatter(unit="s"))
-    ax.tick_params(axis="x", which="minor", bottom=False)
-    ax.set_title("Latencies")
-    ax.set_ylim(0.0, ax.get_ylim()[1] * 1.5)
-    ax.set_yticks([v for v in ax.get_yticks() if v <= 100.0])
-    if ax.get_legend_handles_labels()[1]:
-        ax.legend(loc="upper left")
-
-
-def _middle(values: NDArray[Any], weights: NDArray[np.float64]) -> int:
-    """Index of the weighted median among the sorted values."""
-    total = np.cumsum(weights[np.argsort(values)])
-    return int(np.searchsorted(total, total[-1] / 2))
-
-
-def log_histogram(
-    values_ns: NDArray[Any], weights: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Shares [%] and edges [ns] of bins of a tenth of a decade."""
-    at = np.floor(10.0 * np.log10(values_ns)).astype(int)
-    first, last = int(at.min()), int(at.max())
-    share = np.bincount(at - first, weights=weights, minlength=last - first + 1)
-    return 100.0 * share / share.sum(), 10.0 ** (np.arange(first, last + 2) / 10.0)
 
 
 def _draw_ground_plan(figure: Any, ax: Any, story: FigureData) -> None:

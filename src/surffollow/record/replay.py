@@ -199,7 +199,7 @@ def _conclude(report: ReplayReport, tally: Any, reader: RecordingReader) -> None
     if reader.damage:
         report.complete = False
         report.damage = "; ".join(x for x in (str(reader.damage), report.damage) if x)
-    # a recovered file is whole and tells what the one it was made of had lost
+    # a recovered file is whole and lists what its source had lost
     before = reader.summary.get("lost_bytes", "0")
     report.lost_bytes = reader.damage.lost_bytes + (int(before) if before.isdigit() else 0)
     for name in ("lost_cycles", "lost_words", "losses", "restarts"):

@@ -50,7 +50,7 @@ class FileSamples:
         self._position = -1
         self._synced = False
         self._progress = progress
-        # files of one recording may be given in any order of theirs, but a missing one is told at once
+        # files of one recording may be given in any order of theirs, but a missing one is an error at once
         with RecordingReader(self.paths[0]) as first:
             self.wall_offset_ns = first.wall_offset_ns
             self.period_cycle_ns = int(first.about.get("period_ns", "1000000"))

@@ -1,4 +1,4 @@
-"""Run a recorder until told to stop: poll, go over to restarted services, rotate files, tell the progress."""
+"""Run a recorder until asked to stop: poll, follow restarted services, rotate files, report the progress."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from pathlib import Path
 
 from surffollow.errors import UsageError
 from surffollow.record.channel_feed import ChannelFeed
-from surffollow.record.recorder import Counts, Recorder
+from surffollow.record.recorder import Recorder
+from surffollow.record.recorder_parts import Counts
+from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.service_log import ServiceLog
-from surffollow.record.writer import RecordingWriter
 
 # a default log goes once around in 20 s; 20 ms behind keeps a watching eye current
 POLL_S = 0.02
@@ -135,7 +136,7 @@ def _run(
     progress: Callable[[str], None] | None,
 ) -> Counts:
     recorder.poll()
-    begin = told = time.monotonic()
+    begin = last_progress_s = time.monotonic()
     begun = recorder.counts.cycles > 0
     while not stop.is_set():
         now = time.monotonic()
@@ -148,8 +149,8 @@ def _run(
             recorder.restart()
         if not begun and recorder.counts.cycles > 0:
             begin, begun = time.monotonic(), True
-        if progress is not None and now - told >= PROGRESS_S:
-            told = now
+        if progress is not None and now - last_progress_s >= PROGRESS_S:
+            last_progress_s = now
             waits = "; channels follow when their kernel is compiled" if feed and feed.compiling else ""
             progress(progress_line(recorder, log, now - begin) + waits)
         left = POLL_S if seconds is None or not begun else begin + seconds - now
@@ -158,7 +159,7 @@ def _run(
 
 
 def progress_line(recorder: Recorder, log: ServiceLog, elapsed_s: float) -> str:
-    """One line for people."""
+    """One line of text."""
     c = recorder.counts
     state = "" if log.alive() else f"; waiting for service {log.name!r}"
     return (

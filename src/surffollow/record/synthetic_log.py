@@ -136,7 +136,7 @@ def default_params(mode: int = 0, channels: int = 1) -> NDArray[Any]:
 
 
 class SyntheticLog:
-    """A private cycle log that fills when told; offers what the recorder wants of a service's log.
+    """A private cycle log that is filled on request; offers what the recorder wants of a service's log.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ _AXES = {
     "demand": ("demand_x_m", "demand_y_m", "demand_z_m", "demand_rx_rad", "demand_ry_rad", "demand_rz_rad"),
     "normal": ("normal_x", "normal_y", "normal_z"),
 }
-# told by other columns, or the same in every row
+# given by other columns, or the same in every row
 _LEFT_OUT = ("t_ns", "pose_t_ns", "cycle", "epoch", "fresh")
 
 
@@ -80,7 +80,7 @@ def as_table(
             continue
         if f.name == "target_m":
             for c in range(channels):
-                # a target point is told once, in the row after it was found
+                # a target point is written once, in the row after it was found
                 seen = (rows["seen"] >> c) & 1 != 0
                 for k, axis in enumerate("xyz"):
                     out[f"target{c}_{axis}_m"] = np.where(seen, o[f.name][:, 3 * c + k], np.nan)

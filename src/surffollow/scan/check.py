@@ -8,33 +8,28 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from surffollow.scan.check_file import Facts, Poses, between, read_rows
+from surffollow.scan.check_clearance import (
+    UNKNOWN_BENEATH,
+    check_between_rows,
+    check_clearance,
+    check_unknown_ground,
+    is_beside,
+    unknown_centres,
+)
+from surffollow.scan.check_coverage import check_coverage
+from surffollow.scan.check_file import Array, Facts, Poses, between, read_rows
+from surffollow.scan.check_finding import Finding
+from surffollow.scan.check_placement import control_points, rotations
 
-GAP_SPARE_M = 1e-6  # digits of the file
 ANGLE_SPARE_RAD = 1e-6
 CHORD_RAD = 0.01  # angles, mixed linearly between rows, leave their limits by less
 MOTION_SPARE = 1.02
-UNKNOWN_BENEATH, OUT_OF_REACH, WRIST_LIMIT = 16, 64, 8
-CHORD_CELLS = 4.0  # length of a chord between rows whose sagitta is let pass: steps up flanks are that long
-MOST_ACROSS = 2000  # swath cells along a side of the region
-_CHUNK = 200_000
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One requirement: whether it is met, and the figure behind it."""
-
-    name: str
-    ok: bool
-    text: str
-    value: float | None = None
+OUT_OF_REACH, WRIST_LIMIT = 64, 8
 
 
 def check_path(
@@ -62,7 +57,7 @@ def check_path(
         the file cannot be read or lacks what is needed to judge it
     """
     facts, at, rows = read_rows(path)
-    axes = _rotations(rows.quaternion)
+    axes = rotations(rows.quaternion)
     inner = between(path, rows, facts.body, grid_m)
     every = Poses(
         np.vstack([rows.position, inner.position]),
@@ -76,34 +71,14 @@ def check_path(
     return [
         *_rows(at, axes, normal, rows.planned, rows.flags),
         _without_height(*place, rows, facts),
-        *_clearance(*place, _points(rows, facts), facts.gap, at["clearance_m"][rows.planned]),
-        _between(*place, inner, facts),
-        _unknown(*place, every, facts),
-        _wrist(axes, rows.azimuth, facts.wrist, _rotations(inner.quaternion), inner.azimuth),
+        *check_clearance(*place, control_points(rows, facts), facts.gap, at["clearance_m"][rows.planned]),
+        check_between_rows(*place, inner, facts),
+        check_unknown_ground(*place, every, facts),
+        _wrist(axes, rows.azimuth, facts.wrist, rotations(inner.quaternion), inner.azimuth),
         _reach(rows.flags, rows.passes),
         *_motion(at["t_s"], rows.position, facts.speed, facts.acceleration, facts.climb),
-        _coverage(*place, every, facts.swath, facts.region),
+        check_coverage(*place, every, facts.swath, facts.region),
     ]
-
-
-def _points(poses: Poses, facts: Facts) -> Array:
-    """(n, m, 3) control points of the poses that have a height."""
-    on = poses.planned
-    axes = _rotations(poses.quaternion[on])
-    return np.asarray(poses.position[on][:, None, :] + (axes @ facts.body.T).transpose(0, 2, 1), np.float64)
-
-
-def _rotations(q: Array) -> Array:
-    """(n, 3, 3) matrices: the columns are the body's axes."""
-    x, y, z, w = q.T
-    n = x * x + y * y + z * z + w * w
-    s = 2.0 / np.where(n > 0.0, n, np.nan)
-    rows = [
-        [1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
-        [s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)],
-        [s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)],
-    ]
-    return np.asarray(np.array(rows).transpose(2, 0, 1), np.float64)
 
 
 def _rows(
@@ -129,101 +104,10 @@ def _without_height(z: Array, origin: tuple[float, float], g: float, rows: Poses
     groundless = np.ones(len(xy), np.bool_)
     given = np.isfinite(xy).all(axis=1)
     if given.any():
-        near = cKDTree(_unknown_centres(z, origin, g)).query(xy[given], distance_upper_bound=reach)[0]
-        groundless[given] = np.isfinite(near) | _beside(z, origin, g, xy[given])
+        near = cKDTree(unknown_centres(z, origin, g)).query(xy[given], distance_upper_bound=reach)[0]
+        groundless[given] = np.isfinite(near) | is_beside(z, origin, g, xy[given])
     wrong = int(np.count_nonzero(~groundless | ~given))
     return Finding("height", wrong == 0, f"{wrong} samples over known ground have no height", wrong)
-
-
-def _distances(z: Array, origin: tuple[float, float], g: float, flat: Array, gap: float) -> Array | None:
-    """Distance of points (n, 3) from the ground, negative below it; None: they lie beside the map."""
-    row, col = np.nonzero(np.isfinite(z))
-    # cells farther from the path than any clearance of interest only make the tree larger
-    low, high = flat.min(axis=0) - 4 * gap, flat.max(axis=0) + 4 * gap
-    x, y = origin[0] + (col + 0.5) * g, origin[1] + (row + 0.5) * g
-    near = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
-    if not near.any():
-        return None
-    tree = cKDTree(np.column_stack([x, y, z[row, col]])[near])
-    distance = np.empty(len(flat))
-    for k in range(0, len(flat), _CHUNK):
-        distance[k : k + _CHUNK] = tree.query(flat[k : k + _CHUNK])[0]
-    # below the surface is nearer than the distance tells
-    j = np.clip(((flat[:, 0] - origin[0]) / g).astype(np.int64), 0, z.shape[1] - 1)
-    i = np.clip(((flat[:, 1] - origin[1]) / g).astype(np.int64), 0, z.shape[0] - 1)
-    with np.errstate(invalid="ignore"):
-        return np.where(flat[:, 2] < z[i, j], -distance, distance)
-
-
-def _clearance(
-    z: Array, origin: tuple[float, float], g: float, points: Array, gap: float, told: Array
-) -> list[Finding]:
-    if not np.isfinite(z).any() or len(points) == 0:
-        return [Finding("clearance", False, "no known ground, or no sample with a height, to compare")]
-    if not np.isfinite(points).all():
-        return [Finding("clearance", False, "samples with a height have a quaternion that is none")]
-    n, m = points.shape[:2]
-    distance = _distances(z, origin, g, points.reshape(-1, 3), gap)
-    if distance is None:
-        return [Finding("clearance", False, "the path lies beside the map")]
-    least = distance.reshape(n, m).min(axis=1)
-    inside = int(np.count_nonzero(distance < gap - GAP_SPARE_M))
-    # the column has no number where no ground lies within three gaps
-    silent = ~np.isfinite(told)
-    missing = int(np.count_nonzero(silent & (least < 3.0 * gap - g)))
-    worst = float(np.abs(told - least)[~silent].max()) if not silent.all() else 0.0
-    text = f"{inside} of {n * m} control points are inside the gap of {gap:g} m; the least distance is "
-    column = f"the column clearance_m is off by at most {worst:.2g} m, and missing in {missing} samples"
-    return [
-        Finding("clearance", inside == 0, f"{text}{least.min():.6g} m", float(least.min())),
-        Finding("clearance_column", worst < 1e-5 and missing == 0, column, worst),
-    ]
-
-
-def _between(z: Array, origin: tuple[float, float], g: float, inner: Poses, facts: Facts) -> Finding:
-    """Between rows of a dense path a chord cuts into the gap by the sagitta of a few cells, not by more."""
-    points = _points(inner, facts)
-    distance = None
-    if np.isfinite(z).any() and len(points):
-        if not np.isfinite(points).all():
-            return Finding("between_rows", False, "the attitude between two rows is not defined")
-        distance = _distances(z, origin, g, points.reshape(-1, 3), facts.gap)
-    if distance is None:
-        return Finding("between_rows", True, "no pose between rows is more than a cell from them")
-    half = min(0.5 * CHORD_CELLS * g, facts.gap)
-    spare = facts.gap - math.sqrt(facts.gap**2 - half**2)
-    inside = int(np.count_nonzero(distance < facts.gap - spare))
-    text = f"{inside} control points of {len(points)} poses between rows are more than {1e3 * spare:.2g} mm "
-    text += f"inside the gap; the least distance is {distance.min():.6g} m"
-    return Finding("between_rows", inside == 0, text, float(distance.min()))
-
-
-def _unknown_centres(z: Array, origin: tuple[float, float], g: float) -> Array:
-    """Centres of unknown cells, and of those around the map."""
-    row, col = np.nonzero(~np.pad(np.isfinite(z), 1))
-    return np.column_stack([origin[0] + (col - 0.5) * g, origin[1] + (row - 0.5) * g])
-
-
-def _beside(z: Array, origin: tuple[float, float], g: float, xy: Array) -> NDArray[np.bool_]:
-    """Which places (…, 2) lie beside the map."""
-    rows, cols = z.shape
-    u, v = (xy[..., 0] - origin[0]) / g, (xy[..., 1] - origin[1]) / g
-    return np.asarray((u < 0.0) | (u > cols) | (v < 0.0) | (v > rows))
-
-
-def _unknown(z: Array, origin: tuple[float, float], g: float, poses: Poses, facts: Facts) -> Finding:
-    """Samples with unknown ground within the gap of a control point must carry the flag."""
-    xy, flags = _points(poses, facts)[:, :, :2], poses.flags[poses.planned]
-    if len(xy) == 0 or not np.isfinite(xy).all():
-        return Finding("unknown_beneath", False, "no sample has a height, or a quaternion is none")
-    tree = cKDTree(_unknown_centres(z, origin, g))
-    distance = tree.query(xy.reshape(-1, 2), distance_upper_bound=facts.gap)[0].reshape(xy.shape[:2])
-    # within a cell of the limit either answer is right: the flag is taken per cell
-    over = ((distance < facts.gap - 1.5 * g) | _beside(z, origin, g, xy)).any(axis=1)
-    silent = int(np.count_nonzero(over & (flags & UNKNOWN_BENEATH == 0)))
-    total = int(np.count_nonzero(poses.flags & UNKNOWN_BENEATH))
-    text = f"{silent} samples over unknown ground are not flagged ({total} are)"
-    return Finding("unknown_beneath", silent == 0, text, silent)
 
 
 def _wrist(axes: Array, azimuth: Array, limits: list[float], inner: Array, there: Array) -> Finding:
@@ -270,44 +154,3 @@ def _motion(t: Array, position: Array, speed: float, acceleration: float, climb:
             hard,
         ),
     ]
-
-
-def _coverage(
-    z: Array, origin: tuple[float, float], g: float, poses: Poses, swath: float, region: Array
-) -> Finding:
-    """Swath cells of the region, a quarter swath wide, within half a swath of a pass with a height."""
-    low, high = region.min(axis=0), region.max(axis=0)
-    side = max(0.25 * swath, float((high - low).max()) / MOST_ACROSS)
-    nx, ny = (max(1, math.ceil((high[k] - low[k]) / side)) for k in range(2))
-    x, y = np.meshgrid(
-        np.minimum(low[0] + (np.arange(nx) + 0.5) * side, high[0]),
-        np.minimum(low[1] + (np.arange(ny) + 0.5) * side, high[1]),
-    )
-    cells = np.column_stack([x.ravel(), y.ravel()])
-    cells = cells[_within(region, cells)]
-    on = (poses.passes >= 0) & poses.planned
-    if not on.any() or len(cells) == 0:
-        return Finding("coverage", False, "no pass of the path has a height", 0.0)
-    # poses are at most a cell apart along a pass
-    reach = math.hypot(0.5 * swath, 0.5 * g) + 1e-6
-    seen = cKDTree(poses.position[on, :2]).query(cells)[0] <= reach
-    col = ((cells[:, 0] - origin[0]) / g).astype(np.int64)
-    row = ((cells[:, 1] - origin[1]) / g).astype(np.int64)
-    inside = (col >= 0) & (row >= 0) & (col < z.shape[1]) & (row < z.shape[0])
-    known = np.zeros(len(cells), np.bool_)
-    known[inside] = np.isfinite(z[row[inside], col[inside]])
-    missed, unknown = int(np.count_nonzero(known & ~seen)), int(np.count_nonzero(~known))
-    part = float(seen.mean())
-    text = (
-        f"{100 * part:.4g} % of {len(cells)} swath cells; {missed} on known ground missed, {unknown} unknown"
-    )
-    return Finding("coverage", missed == 0, text, part)
-
-
-def _within(corners: Array, points: Array) -> NDArray[np.bool_]:
-    """Winding number of a polygon about each point is not 0."""
-    total = np.zeros(len(points))
-    for p, q in zip(corners, np.roll(corners, -1, axis=0)):
-        a, b = p - points, q - points
-        total += np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
-    return np.abs(total) > math.pi

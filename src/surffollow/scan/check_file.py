@@ -91,11 +91,11 @@ def read_rows(path: str | os.PathLike[str]) -> tuple[Facts, dict[str, Array], Po
 
 
 def _facts(path: str | os.PathLike[str], found: dict[str, Any]) -> Facts:
-    def refuse(key: str, wanted: str) -> ScanFileError:
+    def refuse(key: str, expected: str) -> ScanFileError:
         if key not in found:
             return ScanFileError(f"{path} lacks the fact {key}, which a check needs; plan it again")
         return ScanFileError(
-            f"{path}: the fact {key} is {str(found[key])[:80]}; expected {wanted}: plan it again"
+            f"{path}: the fact {key} is {str(found[key])[:80]}; expected {expected}: plan it again"
         )
 
     def numbers(key: str, columns: int, rows: tuple[int, int]) -> Array:

@@ -67,8 +67,8 @@ def choose_matrix(
     for name in MODELS[:-1]:
         fitted[name], left[name] = _linear(given, name)
     surrounded = np.isfinite(full.left_out_m)
-    judged = surrounded if int(surrounded.sum()) >= 3 else np.ones(len(given), np.bool_)
-    rms = {name: _rms(left[name][judged]) for name in MODELS}
+    scored = surrounded if int(surrounded.sum()) >= 3 else np.ones(len(given), np.bool_)
+    rms = {name: _rms(left[name][scored]) for name in MODELS}
     if not np.isfinite(rms["triangles"]):  # too few spots surround another one
         rms["triangles"] = float("inf")
     chosen = _simplest(rms) if model == "auto" else model

@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter
 
-from surffollow.errors import ScanInputError
 from surffollow.scan.camera import Camera, depth_image
-from surffollow.scan.checks import Floats, positive, real_array, region_of
+from surffollow.scan.checks import Floats, positive, region_of
 from surffollow.scan.patch_labels import label_patches, patch_sums
 from surffollow.scan.patch_support import floating_patches
 
@@ -107,7 +105,7 @@ def coherent_patches(
     scale = 1.0 / camera.stereo_factor_m_px() if camera.baseline_m > 0.0 else JUMP_PER_M
     jump = positive("jump_px", jump_px, "px") * scale * z * z
     eye = camera.pose()[:3, 3]
-    made = judge(
+    made = classify(
         z,
         points,
         jump,
@@ -132,7 +130,7 @@ def _near_border(patches: Patches, border_px: int) -> NDArray[np.bool_]:
     return np.asarray(maximum_filter(edge, size=2 * border_px + 1, mode="constant"), np.bool_)
 
 
-def judge(
+def classify(
     z: Floats,
     points: Floats,
     jump: Floats,
@@ -195,94 +193,3 @@ def _pixel_size(z: Floats, camera: Camera) -> float:
     """Ground covered by some pixels at the median depth [m]: cells smaller than that would stay empty."""
     known = z[np.isfinite(z)]
     return 3.0 * float(np.median(known)) / camera.fx_px if known.size else 0.0
-
-
-@dataclass(frozen=True)
-class CloudPatches:
-    """Which points of a cloud can be terrain.
-
-    Attributes
-    ----------
-    ground : (n,) bool
-        per point
-    patches : Patches
-        of the image of lowest points
-    """
-
-    ground: NDArray[np.bool_]
-    patches: Patches
-
-
-def cloud_patches(
-    points_m: ArrayLike,
-    *,
-    cell_m: float,
-    slope: float | None = None,
-    slope_factor: float = SLOPE_FACTOR,
-    min_points: int = 20,
-    support_m: float = 1.0,
-    tolerance_m: float = 0.7,
-) -> CloudPatches:
-    """The same test for a point cloud seen from above.
-
-    Parameters
-    ----------
-    points_m : (n, 3) float [m]
-    cell_m : float [m]
-        side of the cells whose lowest points form the image
-    slope : float
-        neighbours may differ by this times their distance, plus support_m / 3; None: the cloud's own slope,
-        `cloud_terrain.general_slope` over blocks of 5 cells, times slope_factor
-    slope_factor : float
-    min_points, support_m
-        as `coherent_patches`, in cells
-    tolerance_m : float [m]
-        points this close to the terrain of the kept patches are ground
-
-    Returns
-    -------
-    CloudPatches
-    """
-    from surffollow.scan.cloud_terrain import general_slope, terrain_heights_at
-
-    points = real_array("points_m", points_m, (None, 3))
-    if len(points) == 0 or not np.isfinite(points).all():
-        raise ScanInputError("points_m needs at least one point, all finite")
-    cell = positive("cell_m", cell_m)
-    image, lowest = _lowest(points, cell)
-    if slope is None:
-        block = SLOPE_BLOCK * cell
-        slope = positive("slope_factor", slope_factor, "1") * general_slope(_lowest(points, block)[1], block)
-    jump = np.full(image.shape[:2], slope * cell + support_m / 3.0)
-    above = np.array([image[..., 0].mean(), image[..., 1].mean(), 1e9])
-    patches = judge(
-        lowest,
-        image,
-        jump,
-        above,
-        min_pixels=min_points,
-        support_m=support_m,
-        cell_m=cell,
-        steepest_rad=STEEPEST_RAD,
-        region=None,
-    )
-    heights, local_slope = terrain_heights_at(image[patches.terrain], points)
-    with np.errstate(invalid="ignore"):
-        ground = np.abs(points[:, 2] - heights) <= tolerance_m * (1.0 + local_slope)
-    return CloudPatches(ground, patches)
-
-
-def _lowest(points: Floats, cell: float) -> tuple[Floats, Floats]:
-    """(rows, cols, 3) lowest point of every cell, its cell's middle where there is none, and its height."""
-    low = points[:, :2].min(axis=0)
-    at: NDArray[Any] = np.floor((points[:, :2] - low) / cell).astype(np.int64)
-    cols, rows = (int(v) + 1 for v in at.max(axis=0))
-    order = np.lexsort((points[:, 2], at[:, 0], at[:, 1]))
-    number = at[order, 1] * cols + at[order, 0]
-    first = order[np.r_[True, np.diff(number) != 0]]
-    image = np.full((rows, cols, 3), np.nan)
-    row, col = np.indices((rows, cols))
-    image[..., 0] = low[0] + (col + 0.5) * cell
-    image[..., 1] = low[1] + (row + 0.5) * cell
-    image[at[first, 1], at[first, 0]] = points[first]
-    return image, np.ascontiguousarray(image[..., 2])

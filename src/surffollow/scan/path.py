@@ -160,7 +160,7 @@ class ScanPath:
         return replace(self, **columns)
 
     def with_flag(self, flag: int, where: NDArray[np.bool_]) -> ScanPath:
-        """A copy whose `flag` is set exactly where told.
+        """A copy whose `flag` is set exactly at the given rows.
 
         Parameters
         ----------

@@ -91,10 +91,12 @@ def _check_facts(path: str | os.PathLike[str], facts: dict[str, Any]) -> None:
         else:
             good = good and value.ndim == len(columns) and value.shape[-1] in columns[-1]
         if not good:
-            wanted = (
+            expected = (
                 "a finite number above 0" if columns is None else f"rows of {columns[-1][0]} finite numbers"
             )
-            raise ScanFileError(f"{path}: the fact {key} is {facts[key]!r}; expected {wanted}: plan it again")
+            raise ScanFileError(
+                f"{path}: the fact {key} is {facts[key]!r}; expected {expected}: plan it again"
+            )
 
 
 def read_path(path: str | os.PathLike[str]) -> ScanPath:

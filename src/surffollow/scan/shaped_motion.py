@@ -66,7 +66,7 @@ def shaped_planar(
     n = max(2, int(np.ceil(end * rate_hz - 1e-9)) + (rest_s == 0.0))
     t = np.arange(n) / rate_hz
 
-    def told(values: Floats) -> Floats:
+    def shaped_values(values: Floats) -> Floats:
         # between samples the acceleration is nearly constant: straight pieces would jerk where it starts
         slope = np.gradient(values, path.t_s)
         slope[[0, -1]] = 0.0
@@ -75,15 +75,15 @@ def shaped_planar(
 
     x, y = path.position_m[:, 0], path.position_m[:, 1]
     if base_m is None:
-        xy = np.column_stack([told(x), told(y)])
+        xy = np.column_stack([shaped_values(x), shaped_values(y)])
     else:
         x, y = x - base_m[0], y - base_m[1]
-        radius, azimuth = told(np.hypot(x, y)), told(np.unwrap(np.arctan2(y, x)))
+        radius, azimuth = shaped_values(np.hypot(x, y)), shaped_values(np.unwrap(np.arctan2(y, x)))
         xy = np.column_stack([base_m[0] + radius * np.cos(azimuth), base_m[1] + radius * np.sin(azimuth)])
     late = t - 0.5 * shaper.duration_s
     nearest = np.clip(np.searchsorted(path.t_s, late), 0, len(path) - 1)
     moving = (late >= 0.0) & (late <= path.t_s[-1])
     passes = np.where(moving, path.passes[nearest], -1).astype(np.int32)
-    turned = told(np.unwrap(path.azimuth_rad))
+    turned = shaped_values(np.unwrap(path.azimuth_rad))
     turned = (turned + np.pi) % (2.0 * np.pi) - np.pi
     return ScanPath.planar(xy, passes, azimuth_rad=turned, facts=path.facts).changed(t_s=t)

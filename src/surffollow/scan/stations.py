@@ -57,11 +57,11 @@ def read_stations(path: str | os.PathLike[str]) -> list[Station]:
         table: dict[str, Any] = msgspec.toml.decode(Path(path).read_bytes())
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as e:
         raise ScanFileError(f"cannot read the stations {path}: {e}") from e
-    told = table.get("stations")
-    if not isinstance(told, dict) or not told:
+    given = table.get("stations")
+    if not isinstance(given, dict) or not given:
         raise ScanFileError(f'{path} has no stations; expected tables such as [stations."a.npz"]')
     made = []
-    for name, pose in told.items():
+    for name, pose in given.items():
         matrix = _pose(str(path), name, pose)
         plain_file(Path(path).parent / name)
         try:
@@ -72,8 +72,8 @@ def read_stations(path: str | os.PathLike[str]) -> list[Station]:
     return made
 
 
-def _pose(path: str, name: str, told: Any) -> Floats:
-    keys = set(told) if isinstance(told, dict) else set()
+def _pose(path: str, name: str, given: Any) -> Floats:
+    keys = set(given) if isinstance(given, dict) else set()
     unknown = keys - set(POSE_KEYS)
     whole, parts = "common_from_station" in keys, {"x_m", "y_m"} <= keys
     if unknown or whole == parts or (whole and len(keys) > 1):
@@ -83,8 +83,8 @@ def _pose(path: str, name: str, told: Any) -> Floats:
         )
     try:
         if whole:
-            return rigid_transform(np.array(told["common_from_station"], np.float64))
-        x, y, z, heading = (float(told.get(k, 0.0)) for k in POSE_KEYS[1:])
+            return rigid_transform(np.array(given["common_from_station"], np.float64))
+        x, y, z, heading = (float(given.get(k, 0.0)) for k in POSE_KEYS[1:])
     except (TypeError, ValueError) as e:
         raise ScanInputError(f"{path}, station {name}: {e}") from e
     if not all(map(math.isfinite, (x, y, z, heading))):

@@ -14,7 +14,8 @@ from surffollow.scan.grid import CELL_NAMES, TerrainGrid
 from surffollow.scan.image_files import DepthImage
 from surffollow.scan.image_filters import gaussian_filter, median_filter
 from surffollow.scan.patches import coherent_patches
-from surffollow.scan.planar_filter import PLANAR, ROUGH, conditional_planar_filter
+from surffollow.scan.planar_filter import conditional_planar_filter
+from surffollow.scan.planar_kernels import PLANAR, ROUGH
 from surffollow.scan.terrain import terrain_map
 
 FILTERS = ("cpf", "cpf-fast", "gaussian", "median", "none")

@@ -15,7 +15,7 @@ from surffollow.scan.checks import Floats, positive, real_array, region_of
 from surffollow.scan.grid import FILLED, MEASURED, UNKNOWN, TerrainGrid
 from surffollow.scan.triangles import lay_triangles
 
-FILL_CELLS = 10.0  # holes this wide are filled unless told otherwise
+FILL_CELLS = 10.0  # holes this wide are filled by default
 MOST_CELLS = 100_000_000
 
 

@@ -1,7 +1,7 @@
 """The audit trail: who asked for which change and what came of it, on the board and in the service's log.
 
 The cycle queues an entry per change (`service.changes`); the main thread looks up who it was, publishes the
-entries in the board's ring and tells them as lines. What one user's clients can fill of both is bounded:
+entries in the board's ring and prints them as lines. What one user's clients can fill of both is bounded:
 beyond a budget, entries are gathered by user and kind, and the kind is nothing that a client can choose at
 will. What changed a parameter, the stand-off or the stop is appended anew before other entries displace it.
 """
@@ -72,7 +72,7 @@ class AuditTrail:
         named: Callable[[int], str],
         tell: Callable[..., bool],
     ) -> None:
-        self._ring, self._ctx, self._named, self._tell = objects.address("audit"), ctx, named, tell
+        self._ring, self._ctx, self._named, self._write_line = objects.address("audit"), ctx, named, tell
         self._entry: Any = np.zeros(1, numpy_dtype(lb.AuditEntry))
         self._budgets: dict[tuple[int, int], _Budget] = {}
         self._gathered: dict[tuple[int, ...], _Gathered] = {}
@@ -153,7 +153,7 @@ class AuditTrail:
             _, oldest = self._kept.popleft()
             self._append(oldest)
             self._kept.append((self._appended, oldest))
-        if not self._tell(_line(entry), limited=group != CHANGED):
+        if not self._write_line(_line(entry), limited=group != CHANGED):
             self._unreported += 1
 
     def _append(self, entry: Any) -> None:

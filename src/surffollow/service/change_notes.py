@@ -105,7 +105,7 @@ def note_change(mem: Any, slot: Any, t_ns: Any, result: Any, detail: Any) -> Non
         entry[_WORD] = _OFFSET_WORD
         mem.audit_floats[_OLD], mem.audit_floats[_NEW] = mem.old_values[0], request.value[0]
     elif request.code == RQ_SET_PARAMS and 1 <= request.n <= REQUEST_ARGS:
-        # where one parameter is at fault that one is told: nothing was changed
+        # where one parameter is at fault that one is named: nothing was changed
         one = result in (ERR_BAD_VALUE, ERR_BEYOND_LIMITS) and detail >= 0
         for k in range(request.n):
             if one and request.number[k] != detail:

@@ -1,4 +1,4 @@
-"""Who holds which slot, as the kernel told it, and how many slots one user or process may hold."""
+"""Who holds which slot, from the kernel, and how many slots one user or process may hold."""
 
 from __future__ import annotations
 

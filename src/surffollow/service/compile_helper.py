@@ -29,10 +29,11 @@ from surffollow.service.mapper import run_map
 from surffollow.service.mapper_memory import make_map_memory
 from surffollow.service.memory import make_cycle_memory
 from surffollow.shm import map_layout as ml
+from surffollow.shm.cache_directory import cache_directory
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.kernel_cache import cache_directory, source_stamp
 from surffollow.shm.python_child import module_command
 from surffollow.shm.readable import wait_readable
+from surffollow.shm.source_stamp import source_stamp
 
 PATIENCE_S = 120.0  # after the service's own part: a helper that takes longer is stopped or stuck
 LOOK_S = 0.1

@@ -20,6 +20,7 @@ from surffollow.hw.registry import make_driver
 from surffollow.hw.simulation.simulated import SimulatedDriver
 from surffollow.service import memory as m
 from surffollow.service import realtime
+from surffollow.service.answers import publish_params
 from surffollow.service.client_table import ClientTable, Limits
 from surffollow.service.compile_helper import SideCompile, note_complete
 from surffollow.service.cycle import run_cycles
@@ -37,7 +38,6 @@ from surffollow.service.mapper import run_map
 from surffollow.service.mapper_memory import make_map_memory
 from surffollow.service.messages import STDOUT, Messages
 from surffollow.service.notify import CompileProgress, sd_notify
-from surffollow.service.requests import publish_params
 from surffollow.service.shared_objects import SharedObjects, open_shared_objects
 from surffollow.service.slot_server import SlotServer
 from surffollow.shm import layout_board as lb

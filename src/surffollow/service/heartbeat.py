@@ -26,9 +26,9 @@ FAULT_DRIVER, FAULT_CYCLE_STALLED, FAULT_SAMPLES_LOST, FAULT_SLOTS, FAULT_HOUSEK
 
 
 class Heartbeat:
-    """What the main thread tells clients about itself, the driver and who is alive.
+    """State that the main thread publishes: itself, the driver, clients that are alive.
 
-    Parts of it may fail: the fault is latched and told, and the part is tried again at the next heartbeat.
+    Parts of it may fail: the fault is latched and reported, and the next heartbeat tries the part again.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class Heartbeat:
     watch : DriverWatch      knows the driver's faults
     grants : Grants          what the kernel granted
     server : SlotServer      who holds which slot
-    messages : Messages      lines for people
+    messages : Messages      lines of text
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Heartbeat:
 
     def publish(self, faults: int = 0) -> None:
         """Look once and publish; `faults` are bits that the caller found itself. Raises nothing."""
-        told_ns = time.monotonic_ns()  # before what it tells was looked at
+        reported_ns = time.monotonic_ns()  # before its contents were looked at
         clients, pose_slot = self._server.table, int(self._ctx[m.POSE_SLOT])
         sender = clients.who(pose_slot)
         driver_faults = self._watch.faults()
@@ -87,7 +87,7 @@ class Heartbeat:
         faults |= FAULT_SAMPLES_LOST if int(self._ctx[m.LOST]) else 0
         faults |= FAULT_HOUSEKEEPING if self.guard.failed else 0
         t = self._ticker[0]
-        t["t_ns"], t["pose_slot"], t["pose_pid"] = told_ns, pose_slot, sender.pid if sender else 0
+        t["t_ns"], t["pose_slot"], t["pose_pid"] = reported_ns, pose_slot, sender.pid if sender else 0
         for c in range(CHANNELS):
             slot = int(load_acquire(self._ctx.ctypes.data + 8 * (m.RANGE_SLOT + c)))
             pusher = clients.who(slot)

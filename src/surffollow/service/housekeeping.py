@@ -1,4 +1,4 @@
-"""Housekeeping that may fail and does not end the service: faults are latched and told, work is repeated."""
+"""Housekeeping that may fail without ending the service: faults are latched, work is repeated."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Guard:
     """
 
     def __init__(self, tell: Callable[[str], object]) -> None:
-        self._tell = tell
+        self._report = tell
         self._failed: dict[str, int] = {}  # times, since the start
         self._now: dict[str, str] = {}
 
@@ -27,12 +27,12 @@ class Guard:
             value = action()
         except Exception as e:
             if what not in self._now:
-                self._tell(f"{what} failed: {e!r}; it is tried again")
+                self._report(f"{what} failed: {e!r}; it is tried again")
             self._now[what] = repr(e)
             self._failed[what] = self._failed.get(what, 0) + 1
             return otherwise
         if self._now.pop(what, None) is not None:
-            self._tell(f"{what} works again")
+            self._report(f"{what} works again")
         return value
 
     @property

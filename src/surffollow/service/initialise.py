@@ -16,8 +16,8 @@ from surffollow.errors import ConfigError
 from surffollow.forecast.reference_scales import scaled_defaults
 from surffollow.hw.driver import ConversionQueue, DriverInfo, PoseQueue
 from surffollow.service import memory as m
+from surffollow.service.answers import params_hash
 from surffollow.service.parameter_bounds import contradiction
-from surffollow.service.requests import params_hash
 from surffollow.service.shared_objects import SharedObjects
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
@@ -155,12 +155,12 @@ def initialise_constants(params: Any, config: ServiceConfig, info: DriverInfo) -
     near, width = info.range_min_m, info.range_max_m - info.range_min_m
     p["too_close_m"] = near + TOO_CLOSE_SHARE * width
     p["too_close_exit_m"] = near + TOO_CLOSE_EXIT_SHARE * width
-    told = follow_params(config)
-    if told.get("mode", PARAMS["mode"].default) == MODE_ADAPTIVE:
-        offset, tau = (told.get(n, PARAMS[n].default) for n in ("offset_m", "plant_tau_s"))
+    given = follow_params(config)
+    if given.get("mode", PARAMS["mode"].default) == MODE_ADAPTIVE:
+        offset, tau = (given.get(n, PARAMS[n].default) for n in ("offset_m", "plant_tau_s"))
         for name, value in scaled_defaults(offset, tau).items():
             p[name] = value
-    for name, value in told.items():
+    for name, value in given.items():
         p[name] = value
     _check_fit(p)
     # defaults follow from driver, stand-off and time constant: only now are all of them known

@@ -24,7 +24,7 @@ from surffollow.service.mapper_memory import (
     JOB_PIECE,
     JOB_SLOT,
 )
-from surffollow.service.requests import holder_is_gone
+from surffollow.service.pose_role import holder_is_gone
 from surffollow.shm import atomics as at
 from surffollow.shm import map_layout as ml
 from surffollow.shm.clock import now_ns
@@ -72,7 +72,7 @@ def _acknowledge(mem: Any, taken: Any) -> None:
 
 @jit
 def _is_early(mem: Any) -> Any:
-    """Whether the first piece lies there uncalled for: nothing tells whether its client still lives."""
+    """Whether the first piece lies there uncalled for: it is unknown whether its client still runs."""
     i, job = at.load_acquire_i64, mem.job
     if holder_is_gone(mem.ctx, job[JOB_SLOT], job[JOB_CLAIM]):
         return False

@@ -51,7 +51,7 @@ from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, 
 ) = range(27)
 # main → threads: per slot, the claim of the client that holds it; 0: nobody does, its memory is not read
 CLAIM = 32
-PID = CLAIM + CLIENTS  # per slot, that client's process and user, as the kernel told them
+PID = CLAIM + CLIENTS  # per slot, that client's process and user, from the kernel
 UID = PID + CLIENTS
 SEEN = UID + CLIENTS  # per slot, generation of the request read last; 0 when the slot is granted
 COUNTER = SEEN + CLIENTS  # per slot, counter answered last

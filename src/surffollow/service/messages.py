@@ -1,4 +1,4 @@
-"""Lines for people and for the service manager, written by a thread of their own.
+"""Lines on standard error and for the service manager, written by a thread of their own.
 
 A terminal that is stopped, a full pipe, a reader that went away: a write may block for ever or fail, and
 following must not notice. Lines wait in a bounded queue; those that find no room, come too fast or cannot be
@@ -25,7 +25,7 @@ END_S = 0.5
 
 
 def hold_standard_files() -> None:
-    """Make the standard files safe to write to, before anything is told.
+    """Make the standard files safe to write to, before the first line.
 
     Closed ones become /dev/null before another file takes their numbers: a message would be written into
     whatever got number 2, a shared-memory object, say. A line to a terminal of which this process is not in

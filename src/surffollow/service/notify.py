@@ -69,13 +69,13 @@ class CompileProgress:
         """One more kernel begins to compile."""
         self.count += 1
         dispatcher = happened.data.get("dispatcher")
-        self._tell(f"{self.count}: {getattr(getattr(dispatcher, 'py_func', None), '__name__', '?')}")
+        self._report(f"{self.count}: {getattr(getattr(dispatcher, 'py_func', None), '__name__', '?')}")
 
     def waiting(self) -> None:
         """A second process still compiles the map's."""
-        self._tell("waiting for the map's")
+        self._report("waiting for the map's")
 
-    def _tell(self, what: str) -> None:
+    def _report(self, what: str) -> None:
         now = time.monotonic()
         line = f"compiling kernels for this machine, {what} ({now - self._start:.0f} s)"
         if self._publish is not None and now - self._published >= PUBLISH_EVERY_S:

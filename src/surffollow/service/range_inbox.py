@@ -95,7 +95,7 @@ def do_range_role(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
 
 @jit
 def drop_dead_range_holders(mem: Any, t_ns: Any) -> None:
-    """Free the channels whose clients died or closed, as the kernel tells."""
+    """Free the channels whose clients died or closed, from the kernel."""
     ctx = mem.ctx
     for c in range(CHANNELS):
         if (ctx[m.RANGES_HELD] >> c) & 1 == 0:

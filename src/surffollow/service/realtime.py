@@ -34,14 +34,14 @@ class Grants:
             self.refused.append(f"{name}: {error.strerror or error} ({remedy})")
 
 
-def missing(grants: Grants, wanted: Realtime, bits: int) -> list[str]:
+def missing(grants: Grants, expected: Realtime, bits: int) -> list[str]:
     """What the configuration wants of these grants and the kernel refused, with the reasons.
 
     The wait for a processor of one's own counts only where one is named: else any will do.
     """
-    if not wanted.lock_memory:
+    if not expected.lock_memory:
         bits &= ~MLOCKALL
-    if wanted.cpu < 0:
+    if expected.cpu < 0:
         bits &= ~AFFINITY
     names = [n for i, n in enumerate(GRANT_NAMES) if bits & ~grants.bits & 1 << i]
     return [next((text for text in grants.refused if text.startswith(f"{n}:")), n) for n in names]

@@ -7,8 +7,9 @@ from typing import Any
 from surffollow.forecast import journal
 from surffollow.forecast.step import sf_reset
 from surffollow.service import memory as m
-from surffollow.service.change_notes import note_change, note_old_values, note_stop
-from surffollow.service.inbox import claim_of, new_request, slot_address
+from surffollow.service.answers import ACK_STEP, count, log_params, log_value, publish_params, write_ack
+from surffollow.service.change_notes import note_change, note_old_values
+from surffollow.service.inbox import claim_of, new_request
 from surffollow.service.parameter_bounds import (
     FAR_WORD,
     NEAR_WORD,
@@ -17,13 +18,12 @@ from surffollow.service.parameter_bounds import (
     in_bounds,
     within_limits,
 )
+from surffollow.service.pose_role import do_pose_role, drop_dead_pose_writer
 from surffollow.service.range_inbox import any_held, do_range_role, drop_dead_range_holders
-from surffollow.service.stop_latch import apply_stop_word, do_stop, holder_pid, stop_as_asked, stop_for
+from surffollow.service.stop_latch import apply_stop_word, do_stop, holder_pid, stop_as_asked
 from surffollow.shm import atomics as at
 from surffollow.shm.cycle_log import log_append
-from surffollow.shm.jit import jit, jit_pasted
-from surffollow.shm.latch import latch_write
-from surffollow.shm.latch_shape import latch_bytes
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import (
     ACCEPTED,
     CLIENTS,
@@ -31,9 +31,7 @@ from surffollow.shm.layout_board import (
     ERR_BAD_VALUE,
     ERR_BEYOND_LIMITS,
     ERR_MAP_BUSY,
-    ERR_NOT_HOLDER,
     ERR_NOT_POSE_HOLDER,
-    ERR_POSE_HELD,
     ERR_QUEUE_FULL,
     ERR_UNKNOWN_REQUEST,
     OK,
@@ -49,73 +47,14 @@ from surffollow.shm.layout_board import (
     RQ_SF_RESET,
     RQ_STOP,
     RQ_STOP_RESET,
-    SLOT_POSE,
-    Ack,
     Stats,
 )
-from surffollow.shm.layout_follow import STOP_POSE_LOST, Params
-from surffollow.shm.map_layout import MapHeader
 from surffollow.shm.ring import ring_push
 
-_ACK_STEP = latch_bytes(Ack.SIZE)
-_ACK_BYTES = Ack.SIZE
-_PARAMS_BYTES = Params.SIZE
 _REQUESTS = Stats.offset("requests")
 _REFUSED = Stats.offset("requests_refused")
 _TORN = Stats.offset("torn")
-_PARAMS_HASH = MapHeader.offset("params_hash")
-_FNV_START, _FNV_PRIME = -3750763034362895579, 1099511628211
 _MAX_SIDE_M = 1e6
-
-
-@jit_pasted
-def count(stats: Any, offset: Any, n: Any) -> None:
-    """Add to a counter that only this thread writes."""
-    at.store_relaxed_i64(stats + offset, at.load_relaxed_i64(stats + offset) + n)
-
-
-@jit
-def write_ack(latch: Any, ack: Any, request: Any, result: Any, detail: Any) -> None:
-    """Publish the answer to a request."""
-    a = ack[0]
-    a.counter, a.claim = request[0].counter, request[0].claim
-    a.result, a.detail = result, detail
-    latch_write(latch, ack.ctypes.data, _ACK_BYTES)
-
-
-@jit
-def params_hash(mem: Any) -> Any:
-    """A number that other parameters do not have; never 0 (FNV-1a over words)."""
-    h = _FNV_START
-    for k in range(journal.PARAMS_WORDS):
-        h = (h ^ mem.param_words[k]) * _FNV_PRIME
-        h ^= h >> 29
-    return h | 1
-
-
-@jit
-def publish_params(mem: Any) -> None:
-    """Publish the parameters in force, and keep their hash for the service's next start."""
-    at.store_release_i64(mem.header.ctypes.data + _PARAMS_HASH, params_hash(mem))
-    latch_write(mem.ctx[m.PARAMS_LATCH], mem.params.ctypes.data, _PARAMS_BYTES)
-
-
-@jit
-def log_params(mem: Any, t_ns: Any) -> None:
-    """Write a PARAMS entry: in force from the next cycle on."""
-    n = 2 + journal.PARAMS_WORDS
-    mem.entry[0], mem.entry[1] = journal.entry_head(journal.PARAMS, n), t_ns
-    for i in range(journal.PARAMS_WORDS):
-        mem.entry[2 + i] = mem.param_words[i]
-    log_append(mem.ctx[m.LOG], mem.ctx[m.LOG_CAPACITY], mem.entry.ctypes.data, n)
-
-
-@jit
-def log_value(mem: Any, kind: Any, t_ns: Any, value: Any) -> None:
-    """Write an entry of one float64, e.g. RESET."""
-    mem.entry[0], mem.entry[1] = journal.entry_head(kind, 3), t_ns
-    mem.entry_floats[2] = value
-    log_append(mem.ctx[m.LOG], mem.ctx[m.LOG_CAPACITY], mem.entry.ctypes.data, 3)
 
 
 @jit
@@ -145,27 +84,8 @@ def do_set_params(mem: Any, t_ns: Any) -> Any:
 
 
 @jit
-def holder_is_gone(ctx: Any, slot: Any, claim: Any) -> Any:
-    """Whether who held something through this slot died or let go of it, as the kernel tells."""
-    return claim_of(ctx, slot) != claim
-
-
-@jit
-def drop_dead_pose_writer(mem: Any, t_ns: Any) -> None:
-    """Free the pose when its writer died or closed; where the configuration says so, stop."""
-    ctx = mem.ctx
-    slot = ctx[m.POSE_SLOT]
-    if slot >= 0 and holder_is_gone(ctx, slot, ctx[m.POSE_CLAIM]):
-        ctx[m.POSE_SLOT] = -1
-        causes = STOP_POSE_LOST & mem.params[0].stop_on & ~mem.state[0].stop
-        if causes != 0:
-            stop_for(mem, t_ns, causes)
-            note_stop(mem, t_ns, causes)
-
-
-@jit
 def may_change(ctx: Any, slot: Any, claim: Any, policy: Any) -> Any:
-    """Whether this client may change what `policy` tells of (access.parameters, access.map)."""
+    """Whether this client may change what `policy` governs (access.parameters, access.map)."""
     if policy == m.BY_ANY:
         return True
     base = ctx.ctypes.data
@@ -173,25 +93,6 @@ def may_change(ctx: Any, slot: Any, claim: Any, policy: Any) -> Any:
     if driver < 0:
         return policy == m.BY_HOLDER
     return driver == slot and at.load_relaxed_i64(base + 8 * m.POSE_CLAIM) == claim
-
-
-@jit
-def do_pose_role(mem: Any, slot: Any, code: Any) -> Any:
-    """CLAIM_POSE and RELEASE_POSE; (result, pid of the holder)."""
-    ctx, claim = mem.ctx, claim_of(mem.ctx, slot)
-    holder = ctx[m.POSE_SLOT]
-    mine = holder == slot and ctx[m.POSE_CLAIM] == claim
-    if code == RQ_RELEASE_POSE:
-        if not mine:
-            return ERR_NOT_HOLDER, 0
-        ctx[m.POSE_SLOT] = -1
-        return OK, 0
-    if holder >= 0 and holder != slot:
-        return ERR_POSE_HELD, holder_pid(ctx)
-    ctx[m.POSE_SLOT], ctx[m.POSE_CLAIM] = slot, claim
-    # what was posted before the pose was claimed does not count
-    ctx[m.POSE_SEEN] = at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + SLOT_POSE)
-    return OK, 0
 
 
 @jit
@@ -285,7 +186,7 @@ def answer_slot(mem: Any, slot: Any, t_ns: Any) -> None:
     note_change(mem, slot, t_ns, result, detail)
     if result != OK and result != ACCEPTED:
         count(stats, _REFUSED, 1)
-    write_ack(ctx[m.ACKS] + slot * _ACK_STEP, mem.ack, mem.request, result, detail)
+    write_ack(ctx[m.ACKS] + slot * ACK_STEP, mem.ack, mem.request, result, detail)
 
 
 @jit

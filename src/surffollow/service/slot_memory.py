@@ -55,7 +55,7 @@ class SlotMemory:
         return sealed.reopened(self._fds[slot], os.O_RDWR)
 
     def take_watch(self, slot: int) -> int:
-        """A descriptor that tells whether the last client still has this memory; -1: there was none."""
+        """A descriptor that shows whether the last client still has this memory; -1: there was none."""
         watch, self._watches[slot] = self._watches[slot], -1
         return watch
 

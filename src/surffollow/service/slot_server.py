@@ -21,7 +21,7 @@ from surffollow.service.client_table import ClientId, ClientTable, is_exempt
 from surffollow.shm import board_regions
 from surffollow.shm import layout_board as lb
 from surffollow.shm.readable import wait_readable
-from surffollow.shm.received_descriptors import Disposal, hear
+from surffollow.shm.received_descriptors import Disposal, receive
 from surffollow.shm.unix_socket import Peer, peer_of, peer_pidfd
 
 EXCHANGE_S = 1.0  # for a client to answer
@@ -99,10 +99,10 @@ class SlotServer:
             self.failures, self.last_failure = self.failures + 1, f"{type(e).__name__}: {e}"
             self._listen(False)  # until the next beat: perhaps there are no descriptors left
 
-    def _listen(self, wanted: bool) -> None:
-        if wanted != self._listening and self._listener.fileno() >= 0:
-            self._listening = wanted
-            self._epoll.modify(self._listener.fileno(), select.EPOLLIN if wanted else 0)
+    def _listen(self, expected: bool) -> None:
+        if expected != self._listening and self._listener.fileno() >= 0:
+            self._listening = expected
+            self._epoll.modify(self._listener.fileno(), select.EPOLLIN if expected else 0)
 
     def _on_event(self, fd: int, mask: int) -> None:
         if fd == self._listener.fileno():
@@ -166,7 +166,7 @@ class SlotServer:
 
     def _receive(self, connection: Connection) -> None:
         try:
-            data = hear(connection.sock, 4 * _MESSAGE.size)
+            data = receive(connection.sock, 4 * _MESSAGE.size)
         except BlockingIOError:
             return
         if not data:

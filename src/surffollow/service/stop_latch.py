@@ -51,7 +51,7 @@ def stop_for(mem: Any, t_ns: Any, causes: Any) -> None:
     fresh = causes & ~mem.state[0].stop
     if fresh != 0:
         latch_stop(mem.state, fresh)
-        keep_word(mem)  # before anybody is told that it stopped
+        keep_word(mem)  # before the stop is reported
         log_stop(mem, t_ns, fresh)
 
 

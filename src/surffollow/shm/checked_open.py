@@ -69,9 +69,9 @@ def open_plain(path: Path, flags: int, *, owners: Collection[int] = ()) -> tuple
 
 def foreign(name: str, found: int, owners: Collection[int]) -> str:
     """What is said of an object of a user who is not trusted."""
-    wanted = " or ".join(str(u) for u in sorted(owners))
+    expected = " or ".join(str(u) for u in sorted(owners))
     return (
-        f"shared-memory object {name!r} belongs to user {found}, expected user {wanted}: somebody else may "
+        f"shared-memory object {name!r} belongs to user {found}, expected user {expected}: somebody else may "
         f"have made it; look at it (ls -ln /dev/shm/{name}), or name the service's user (owner=, "
         "SURFFOLLOW_OWNER)"
     )

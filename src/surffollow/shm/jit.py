@@ -44,7 +44,7 @@ class _LateCache:
 def _kernels(**options: Any) -> Callable[[Any], Any]:
     """A decorator of kernels that are kept on disk."""
     # a division by zero gives inf or NaN: no exceptions, and LLVM can vectorise loops
-    compiled: Any = njit(nogil=True, no_cfunc_wrapper=True, error_model="numpy", **options)
+    compiled: Any = njit(**{"nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy", **options})
 
     def decorate(py_func: Any) -> Any:
         kernel: Any = compiled(py_func)

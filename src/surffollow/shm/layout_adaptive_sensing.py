@@ -14,7 +14,7 @@ STUCK_COUNT = 1 << 40  # added to the repeat count of a stuck sensor
 class Clock(Schema):
     """Time of the follower (`clock`)."""
 
-    now_ns = I64(unit="ns", doc="latest time that any step was told")
+    now_ns = I64(unit="ns", doc="latest time of any step")
 
 
 class Kinematics(Schema):

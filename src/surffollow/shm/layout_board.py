@@ -132,7 +132,7 @@ class Ack(Schema):
 
 
 class Ticker(Schema):
-    """What the main thread tells at its own pace: 20 Hz."""
+    """State of the main thread, published at 20 Hz."""
 
     t_ns = I64(unit="ns", doc="heartbeat of the main thread")
     pose_slot = I64(doc="slot of the pose writer; -1: none")
@@ -144,11 +144,11 @@ class Ticker(Schema):
     audit_lost = I64(doc="changes that are in no audit entry: the main thread stood still")
     range_slot = I64(CHANNELS, doc="per channel, slot of the client that pushes its ranges; -1: none")
     range_pid = I64(CHANNELS)
-    text = Text(512, doc="one line for people")
+    text = Text(512, doc="one line of text")
 
 
 class MapStatus(Schema):
-    """What the map thread tells."""
+    """State of the map thread."""
 
     t_ns = I64(unit="ns")
     queued = I64(doc="samples and commands waiting")
@@ -264,7 +264,7 @@ class SlotMessage(Schema):
 
 
 class ClientInfo(Schema):
-    """Who holds a slot, as the kernel told the service (SO_PEERCRED)."""
+    """Who holds a slot, from the kernel (SO_PEERCRED)."""
 
     pid = I64(doc="0: the slot is free; -1: a process of another pid namespace")
     uid = I64()

@@ -18,7 +18,7 @@ POINTS = 64  # the most EE_Readings may ask for
 INTERVALS = 1024  # the interval ring; 2 * Range_Size must fit
 MAX_CONVERSIONS = 64  # taken per cycle; older ones than these could not matter
 SCALED_UNITS = 16  # different powers of length and time among the units of `Params` and `Output`
-MAX_PREVIEW = 128  # remembered heights told per cycle
+MAX_PREVIEW = 128  # remembered heights per cycle
 MAX_POSES = 4  # new poses taken per cycle
 
 MODE_PAPER, MODE_ADAPTIVE = 0, 1
@@ -89,7 +89,7 @@ class Params(Schema):
     plant_tau_s = F64(unit="s", doc="adaptive: assumed time constant of the vertical axis")
     plant_v_max_mps = F64(unit="m/s", doc="adaptive: assumed speed limit of the vertical axis")
     plant_a_max_mps2 = F64(unit="m/s^2", doc="adaptive: assumed acceleration limit of the vertical axis")
-    score_way_m = F64(unit="m", doc="adaptive: way over which models are judged")
+    score_way_m = F64(unit="m", doc="adaptive: arc length over which models are scored")
     score_time_s = F64(unit="s", doc="adaptive: time over which models are judged")
     score_power = F64(doc="adaptive: how strongly the recently better model is preferred")
     long_power = F64(
@@ -101,8 +101,8 @@ class Params(Schema):
     score_floor_m = F64(unit="m", doc="adaptive: stand-off errors below this are as good as none")
     gate_scales = F64(doc="adaptive: innovations beyond so many scales are quarantined")
     gate_m = F64(unit="m", doc="adaptive: least innovation that is quarantined")
-    step_way_m = F64(unit="m", doc="adaptive: way after which a quarantined step down is believed")
-    step_samples = I64(doc="adaptive: agreeing samples after which a quarantined step is believed")
+    step_way_m = F64(unit="m", doc="adaptive: travel after which a pending step down is confirmed")
+    step_samples = I64(doc="adaptive: agreeing samples that confirm a pending step")
     tick_lead_s = F64(unit="s", doc="adaptive: mean wait of a demand; at most half a report interval")
     plan_calm_s4 = F64(unit="s^4", doc="adaptive: squared error worth a squared planned acceleration")
     orient = I64(doc="adaptive: 1: with 3 or more sensors, demand rotations too")

@@ -21,7 +21,7 @@ from surffollow.shm.schema import SCALARS, Field, Schema
 
 FORMAT = 1  # of this document; grows when a key goes or changes its meaning
 FULL_NS = 100_000_000
-BEAT_NS = 50_000_000
+HEARTBEAT_NS = 50_000_000
 CONNECT_AGAIN_NS = 2_000_000
 CLAIM_AGAIN_NS = 20_000_000
 CLAIM_NS = 300_000_000
@@ -222,7 +222,7 @@ def _waits() -> dict[str, int]:
         "connect_again_ns": CONNECT_AGAIN_NS,
         "exchange_ns": cheader.EXCHANGE_NS,
         "slots_full_ns": FULL_NS,
-        "beat_ns": BEAT_NS,
+        "beat_ns": HEARTBEAT_NS,
         "claim_again_ns": CLAIM_AGAIN_NS,
         "claim_ns": CLAIM_NS,
         "request_lost_ns": REQUEST_LOST_NS,

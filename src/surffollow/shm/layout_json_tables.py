@@ -85,7 +85,7 @@ def requests() -> list[dict[str, Any]]:
     names = {v: n for n, v in _constants("RQ_").items()}
     answers = answer_names()
 
-    def told(results: dict[int, str]) -> list[dict[str, Any]]:
+    def results_of(results: dict[int, str]) -> list[dict[str, Any]]:
         return [{"result": r, "name": answers[r], "detail": text} for r, text in sorted(results.items())]
 
     return [
@@ -96,8 +96,8 @@ def requests() -> list[dict[str, Any]]:
             "may": r.may,
             "n": r.n or "ignored",
             "arguments": [_argument(a) for a in r.arguments],
-            "acks": told(r.answers),
-            "map_acks": told(r.end),
+            "acks": results_of(r.answers),
+            "map_acks": results_of(r.end),
         }
         for r in REQUESTS
     ]

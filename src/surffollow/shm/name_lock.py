@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time
 
-from surffollow.config.trusted_users import NOBODYS, own_user
+from surffollow.config.trusted_users import UNMAPPED_USER, own_user
 from surffollow.errors import BlockError, NoPermissionError, NoSpaceError
 from surffollow.shm.checked_open import open_plain
 from surffollow.shm.locks import FileLock
@@ -18,6 +19,7 @@ from surffollow.shm.process import belongs_to, is_running, own_pid, start_ticks
 
 ENDING = ".lock"
 _BYTE = 0
+_POLL_S = 0.005
 
 
 class NameLock:
@@ -62,6 +64,14 @@ class NameLock:
                 lock.close()
                 raise
 
+    @classmethod
+    def take_within(cls, name: str, timeout_s: float) -> NameLock | None:
+        """As `take`, but wait for an owner that ends: the kernel frees locks late in a process's end."""
+        deadline = time.monotonic() + timeout_s
+        while (own := cls.take(name)) is None and time.monotonic() <= deadline:
+            time.sleep(_POLL_S)
+        return own
+
     @property
     def held(self) -> bool:
         """Whether this process has it still: a forked child has not."""
@@ -86,7 +96,7 @@ class NameLock:
 def _open_own(name: str) -> int:
     """The lock's file, made when there is none; -1 when it came or went meanwhile."""
     path, me = SHM_ROOT / (name + ENDING), own_user()
-    if me == NOBODYS:
+    if me == UNMAPPED_USER:
         raise NoPermissionError(
             f"user {os.geteuid()} has no number of its own in this user namespace (/proc/self/uid_map): "
             "files of strangers would look like its own; run it as a user that is mapped"
@@ -137,7 +147,7 @@ def lock_owner(name: str) -> int:
 def holder(name: str) -> int:
     """The pid of the live process that owns a name; 0: nobody does, -1: this user may not know.
 
-    Anybody may make the file before its owner does, and write any pid into it: one that is told runs as the
+    Anybody may make the file before its owner does, and write any pid into it: a pid from it runs as the
     file's own user.
     """
     try:

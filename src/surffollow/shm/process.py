@@ -1,4 +1,4 @@
-"""Whether a process that was started then still runs: pid and start time, as /proc tells them."""
+"""Whether a process that was started then still runs: by pid and start time from /proc."""
 
 from __future__ import annotations
 

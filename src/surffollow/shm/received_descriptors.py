@@ -5,7 +5,7 @@ waits for its end: for as long as the sender likes if it is a TCP socket that li
 is a file of a server that does not answer. `recv` of such a message and `close` of a socket that holds one
 both drop it.
 
-From Linux 6.16 on the kernel refuses such messages to their sender (`refuse_rights`). Before that, `hear`
+From Linux 6.16 on the kernel refuses such messages to their sender (`refuse_rights`). Before that, `receive`
 looks at a message without taking it and raises when it carries descriptors, and `Disposal` lets a child
 process of its own hold the connection when it is closed: an exiting process does not linger.
 """
@@ -48,7 +48,7 @@ def _pass_rights(sock: socket.socket, value: int) -> bool:
     return True
 
 
-def hear(sock: socket.socket, size: int) -> bytes:
+def receive(sock: socket.socket, size: int) -> bytes:
     """One message of a client, cut at `size` bytes; empty when the other end is closed. Never waits.
 
     Raises

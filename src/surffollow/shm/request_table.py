@@ -24,7 +24,7 @@ class Argument:
 
 @dataclass(frozen=True)
 class Request:
-    """A request: its arguments, and what each of its answers tells in `detail`.
+    """A request: its arguments, and the meaning of `detail` in each of its answers.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Unix sockets with names in /dev/shm: who is at the other end, as the kernel tells it."""
+"""Unix sockets with names in /dev/shm: who is at the other end, from the kernel."""
 
 from __future__ import annotations
 

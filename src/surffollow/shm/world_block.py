@@ -23,7 +23,7 @@ MAGIC = int.from_bytes(b"SURFWLD1", "little")
 PAGE = 4096
 MODE = 0o640
 # a writer that was just killed holds its lock until the kernel has taken it apart
-DYING_S, POLL_S = 0.1, 0.005
+EXIT_GRACE_S = 0.1
 
 
 class WorldHeader(Schema):
@@ -124,12 +124,10 @@ def claim_world(name: str) -> tuple[SharedObject, NameLock]:
 
 
 def _take_name(name: str) -> NameLock:
-    deadline = time.monotonic() + DYING_S
-    while (own := NameLock.take(name)) is None:
-        if time.monotonic() > deadline:
-            raise BusyError(
-                f"block {name!r} has a live writer: a simulated robot, or a client that calls sim_pose(); "
-                "stop that one first"
-            )
-        time.sleep(POLL_S)
+    own = NameLock.take_within(name, EXIT_GRACE_S)
+    if own is None:
+        raise BusyError(
+            f"block {name!r} has a live writer: a simulated robot, or a client that calls sim_pose(); "
+            "stop that one first"
+        )
     return own

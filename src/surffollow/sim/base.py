@@ -139,11 +139,11 @@ def advance(
     m = sonar_m.size
     while state[TIME_S] < until_s - 1e-9:
         dt = min(STEP_S, until_s - state[TIME_S])
-        wanted_v = min(max(command[0], -max_speed), max_speed)
-        wanted_w = min(max(command[1], -max_turn_rate), max_turn_rate)
-        state[SPEED] += min(max(wanted_v - state[SPEED], -acceleration * dt), acceleration * dt)
+        desired_v = min(max(command[0], -max_speed), max_speed)
+        desired_w = min(max(command[1], -max_turn_rate), max_turn_rate)
+        state[SPEED] += min(max(desired_v - state[SPEED], -acceleration * dt), acceleration * dt)
         change = turn_acceleration * dt
-        state[TURN_RATE] += min(max(wanted_w - state[TURN_RATE], -change), change)
+        state[TURN_RATE] += min(max(desired_w - state[TURN_RATE], -change), change)
         v, w = state[SPEED], state[TURN_RATE]
         middle = state[HEADING] + 0.5 * w * dt
         nearest = radius - BUMPER_M

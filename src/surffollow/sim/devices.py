@@ -15,18 +15,18 @@ class PanCamera:
     Attributes
     ----------
     pan_rad : float   where it looks, 0: ahead, left positive
-    moving : bool     it is not where it was told to look
+    moving : bool     it has not reached its target angles
     """
 
     def __init__(self) -> None:
         self.pan_rad, self.moving = 0.0, False
 
-    def step(self, wanted_rad: float, dt_s: float) -> None:
+    def step(self, desired_rad: float, dt_s: float) -> None:
         """Turn toward an angle for a while."""
-        wanted_rad = min(max(wanted_rad, -CAMERA_RANGE_RAD), CAMERA_RANGE_RAD)
+        desired_rad = min(max(desired_rad, -CAMERA_RANGE_RAD), CAMERA_RANGE_RAD)
         most = CAMERA_RATE_RADPS * dt_s
-        self.pan_rad += min(max(wanted_rad - self.pan_rad, -most), most)
-        self.moving = abs(wanted_rad - self.pan_rad) > 1e-9
+        self.pan_rad += min(max(desired_rad - self.pan_rad, -most), most)
+        self.moving = abs(desired_rad - self.pan_rad) > 1e-9
 
 
 class Speaker:
@@ -41,8 +41,8 @@ class Speaker:
     def __init__(self) -> None:
         self.tone_hz, self.tones = 0.0, 0
 
-    def step(self, wanted_hz: float, dt_s: float) -> None:
+    def step(self, desired_hz: float, dt_s: float) -> None:
         """Sound a tone for a while."""
-        tone_hz = wanted_hz if AUDIBLE_HZ[0] <= wanted_hz <= AUDIBLE_HZ[1] else 0.0
+        tone_hz = desired_hz if AUDIBLE_HZ[0] <= desired_hz <= AUDIBLE_HZ[1] else 0.0
         self.tones += tone_hz != 0.0 and tone_hz != self.tone_hz
         self.tone_hz = tone_hz

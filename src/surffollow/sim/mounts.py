@@ -12,7 +12,7 @@ def around_tool(
 ) -> tuple[tuple[float, float, float, float, float, float, float], ...]:
     """Mounts of `count` sensors: three on a ring; from four on the first in the middle, the others around it.
 
-    The one in the middle tells a curved surface from a plane, which a ring alone cannot.
+    The sensor in the middle distinguishes a curved surface from a plane, which a ring alone cannot.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A compliant arm that runs a timed path in steps of 1 ms: planar motion by the path, height as it is told.
+"""A compliant arm that runs a timed path in steps of 1 ms: planar motion by the path, height as commanded.
 
 The *stiff* tip is what the drives reach and the joints report. The *real* tip, on which the simulated
 sensor rides, adds what the arm's model does not know, bending modes and sway (`flexible_tip`).
@@ -35,7 +35,7 @@ class ArmState(Schema):
     end_s = F64(unit="s", doc="the path's last time")
     at = I64(doc="sample of the path before path_s")
     axis = F64(2, unit="m, m/s", doc="height and vertical speed of the stiff tip")
-    set_point_m = F64(unit="m")
+    setpoint_m = F64(unit="m")
     tau_s = F64(unit="s", doc="see PlantConfig")
     v_max_mps = F64(unit="m/s")
     a_max_mps2 = F64(unit="m/s^2")
@@ -120,7 +120,7 @@ def arm_step(a: Any, path: Any, scanning: Any, world: Any, trace: Any) -> None:
     a[0].rate = r.rate + min(max(r.rate_wanted - r.rate, -change), change)
     a[0].path_s = min(r.path_s + r.rate * dt, r.end_s)
     i, w = along(a, path)
-    axis_step(r.axis, r.set_point_m, r.tau_s, r.v_max_mps, r.a_max_mps2, dt)
+    axis_step(r.axis, r.setpoint_m, r.tau_s, r.v_max_mps, r.a_max_mps2, dt)
     norm = 0.0
     for k in range(4):
         r.q[k] = path[i, 3 + k] * (1.0 - w) + path[i + 1, 3 + k] * w
@@ -134,8 +134,8 @@ def arm_step(a: Any, path: Any, scanning: Any, world: Any, trace: Any) -> None:
     p = world[0]
     acceleration = p.velocity  # scratch, written below
     for k in range(3):
-        told = x if k == 0 else (y if k == 1 else z)
-        place = told + path[i, 7 + k] * (1.0 - w) + path[i + 1, 7 + k] * w
+        origin_m = x if k == 0 else (y if k == 1 else z)
+        place = origin_m + path[i, 7 + k] * (1.0 - w) + path[i + 1, 7 + k] * w
         speed = (place - r.stiff[k]) / dt if r.primed > 0 else 0.0
         acceleration[k] = (speed - r.speed[k]) / dt if r.primed > 1 else 0.0
         r.stiff[k], r.speed[k] = place, speed
@@ -167,7 +167,7 @@ def arm_step(a: Any, path: Any, scanning: Any, world: Any, trace: Any) -> None:
         row[9] = 2.0 * (r.q[0] * r.q[2] + r.q[3] * r.q[1])
         row[10] = 2.0 * (r.q[1] * r.q[2] - r.q[3] * r.q[0])
         row[11] = 1.0 - 2.0 * (r.q[0] * r.q[0] + r.q[1] * r.q[1])
-        row[12], row[13] = r.set_point_m, 1.0 if on else 0.0
+        row[12], row[13] = r.setpoint_m, 1.0 if on else 0.0
         a[0].trace_rows = r.trace_rows + 1
 
 

@@ -89,10 +89,10 @@ def read_path_table(file: str) -> PathTable:
     )
 
 
-def _check(file: str, name: str, good: NDArray[np.bool_], values: NDArray[np.float64], wanted: str) -> None:
+def _check(file: str, name: str, good: NDArray[np.bool_], values: NDArray[np.float64], desired: str) -> None:
     if not good.all():
         row = int(np.argmin(good))
-        raise UsageError(f"path '{file}', corner {row + 1}: {name} is {values[row]:g}; it must be {wanted}")
+        raise UsageError(f"path '{file}', corner {row + 1}: {name} is {values[row]:g}; it must be {desired}")
 
 
 def _check_names(file: str, columns: dict[str, Any]) -> None:

@@ -142,28 +142,28 @@ def sqrt_velocity(distance_m: float, gain_hz: float, a_max_mps2: float, dt_s: fl
 
 @jit
 def axis_step(
-    axis: NDArray[Any], set_point_m: float, tau_s: float, v_max_mps: float, a_max_mps2: float, dt_s: float
+    axis: NDArray[Any], setpoint_m: float, tau_s: float, v_max_mps: float, a_max_mps2: float, dt_s: float
 ) -> None:
     """Advance the vertical axis by one step.
 
     Parameters
     ----------
     axis : (2,) float64, position [m] and velocity [m/s], updated in place
-    set_point_m : float64 [m]
+    setpoint_m : float64 [m]
     tau_s, v_max_mps, a_max_mps2 : float64, see `PlantConfig`
     dt_s : float64 [s]; the benchmark and the live robot use 1 ms
     """
     v = axis[1]
-    wanted = sqrt_velocity(set_point_m - axis[0], 1.0 / tau_s, a_max_mps2, dt_s)
-    wanted = min(max(wanted, -v_max_mps), v_max_mps)
+    desired = sqrt_velocity(setpoint_m - axis[0], 1.0 / tau_s, a_max_mps2, dt_s)
+    desired = min(max(desired, -v_max_mps), v_max_mps)
     change = a_max_mps2 * dt_s
-    v += min(max(wanted - v, -change), change)
+    v += min(max(desired - v, -change), change)
     axis[1] = v
     axis[0] += v * dt_s
 
 
 @jit
-def set_point_for(report_m: float, demand_m: float) -> float:
+def setpoint_for(report_m: float, demand_m: float) -> float:
     """Set point from a demand and the report it refers to; a demand that is not finite holds the report.
 
     Parameters

@@ -37,7 +37,7 @@ class Profile:
     heights_m : (n,) float64 [m], finite
     parts : (n,) uint8, `PART_ROLLING`, `PART_BOX` or `PART_RAMP`
     start_m, length_m : the path of the tool [m]; a leading sensor sees beyond its end
-    wanted_m : (n,) float64 [m], the heights that a tool should follow; the surface itself but for what
+    desired_m : (n,) float64 [m], the heights that a tool should follow; the surface itself but for what
         must not be chased (the slot)
     """
 
@@ -48,23 +48,23 @@ class Profile:
     parts: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
     start_m: float = 0.0
     length_m: float = PATH_LENGTH_M
-    wanted_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    desired_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         if self.heights_m.ndim != 1 or len(self.heights_m) < 2 or not np.isfinite(self.heights_m).all():
             raise UsageError(f"profile '{self.name}' needs at least two finite heights in one row")
         if len(self.parts) == 0:
             object.__setattr__(self, "parts", np.zeros(len(self.heights_m), np.uint8))
-        if len(self.wanted_m) == 0:
-            object.__setattr__(self, "wanted_m", self.heights_m)
+        if len(self.desired_m) == 0:
+            object.__setattr__(self, "desired_m", self.heights_m)
 
     def height_m(self, x_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Height at x [m], the end heights beyond the ends."""
         return np.asarray(np.interp(x_m, self.x_m, self.heights_m), np.float64)
 
-    def wanted_height_m(self, x_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def desired_height_m(self, x_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Height that the tool should follow at x [m]."""
-        return np.asarray(np.interp(x_m, self.x_m, self.wanted_m), np.float64)
+        return np.asarray(np.interp(x_m, self.x_m, self.desired_m), np.float64)
 
     @property
     def x_m(self) -> NDArray[np.float64]:
@@ -162,7 +162,7 @@ def slot(seed: int = 0, width_m: float = 2e-3, depth_m: float = 0.01, every_m: f
     x = grid_x()
     s = np.mod(x + _phase(seed, every_m), every_m)
     cut = made("slot", x, np.where((s > 0.5 * SPACING_M) & (s < width_m), -depth_m, 0.0))
-    return replace(cut, wanted_m=np.zeros_like(x))
+    return replace(cut, desired_m=np.zeros_like(x))
 
 
 def sine(seed: int = 0, wavelength_m: float = 0.2, amplitude_m: float = 0.01) -> Profile:

@@ -10,104 +10,23 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import ConfigError
 from surffollow.shm.dtypes import zeros
 from surffollow.sim.commanded_robot import SETTLED_M, SETTLED_TICKS, CommandedRobot
-from surffollow.sim.plant import PlantConfig, set_point_for
+from surffollow.sim.plant import setpoint_for
 from surffollow.sim.pose_reports import PoseReports
-from surffollow.sim.raster import FILES, KINDS, Path, file_path, line_path, raster_path
+from surffollow.sim.robot_config import APPROACH_M, RobotConfig, make_path
 from surffollow.sim.robot_motion import CREEP_MPS, TRACE_COLUMNS, Motion, run_until
 from surffollow.sim.robot_turn import turned
 from surffollow.sim.step_clock import STEP_NS
-from surffollow.sim.surfaces import HeightField, Region
+from surffollow.sim.surfaces import HeightField
 from surffollow.sim.world import WorldPose
-from surffollow.sim.world_surface import WorldConfig
 
 TRACE_ROWS = 1_000_000
-APPROACH_M = 0.010  # the tool starts that much above the wanted stand-off
 SETTLED_RAD = 0.02
 WAIT_WITHIN_M = 20e-6  # of the place of a wait: two ticks at the speed at which a corner is crept to
-FOR_EVER_S = 86_400.0
-
-
-class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A simulated robot and its task.
-
-    Attributes
-    ----------
-    world : the ground, the same as the service's simulated sensors have
-    path : "line" (to and fro through the middle), "raster", or a file (see `raster.file_path`): its times,
-        heights and attitudes are kept, a demand corrects the height (with `turn` the attitude, too)
-    region : part of the ground that the path keeps to; None: all of it
-    speed_mps, accel_mps2 : along the path [m/s], [m/s²]
-    lane_m : distance of a raster's lanes [m]
-    seconds : of motion along the path; 0: to its end (a line: for ever)
-    standoff_m : wanted distance of the tool above the ground [m]
-    unscored_m : first piece of the path, where the follower still learns [m]
-    report_latency_s, report_sigma_m : of pose reports [s], noise of x, y and z [m]
-    retract_m : without a valid demand, rise so far above the held height [m]; 0: hold it
-    command_timeout_s : a controller that says nothing for so long is dead: the drives stop by themselves [s]
-    turn, report_turn_sigma_rad : heed the demanded rotations, too; noise of the reported attitude [rad]
-    seed : of that noise
-    plant : vertical axis and rate of controller and reports
-    """
-
-    world: WorldConfig = WorldConfig()
-    path: str = "line"
-    region: Region | None = None
-    speed_mps: float = 0.05
-    accel_mps2: float = 0.2
-    lane_m: float = 0.02
-    seconds: float = 20.0
-    standoff_m: float = 0.1
-    unscored_m: float = 0.1
-    report_latency_s: float = 0.010
-    report_sigma_m: float = 0.05e-3
-    retract_m: float = 0.0
-    command_timeout_s: float = 0.05
-    turn: bool = False
-    report_turn_sigma_rad: float = 0.1e-3
-    seed: int = 1
-    plant: PlantConfig = PlantConfig()
-
-    def __post_init__(self) -> None:
-        if self.path not in KINDS and not self.path.lower().endswith(FILES):
-            raise ConfigError(
-                f"path '{self.path}' is unknown; one of: {', '.join(KINDS)}, or a file that ends in "
-                f"{' or '.join(FILES)}"
-            )
-        bounds = {
-            "speed_mps": (1e-3, 2.0),
-            "accel_mps2": (1e-2, 10.0),
-            "lane_m": (2e-3, 10.0),
-            "seconds": (0.0, FOR_EVER_S),
-            "standoff_m": (1e-3, 10.0),
-            "unscored_m": (0.0, 1e3),
-            "report_latency_s": (0.0, 0.09),
-            "report_sigma_m": (0.0, 0.1),
-            "retract_m": (0.0, 1.0),
-            "command_timeout_s": (0.01, 10.0),
-            "report_turn_sigma_rad": (0.0, 0.1),
-        }
-        for name, (low, high) in bounds.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ConfigError(f"robot {name} = {value}, expected {low} to {high}")
-
-
-def make_path(config: RobotConfig, field: HeightField) -> Path:
-    """Lay the path of a configuration over a field."""
-    region = config.region if config.region is not None else field.region
-    if config.path not in KINDS:
-        return file_path(config.path, config.speed_mps, config.accel_mps2, field.region)
-    if config.path == "raster":
-        return raster_path(region, config.speed_mps, config.accel_mps2, config.lane_m)
-    seconds = config.seconds if config.seconds > 0.0 else 3600.0
-    return line_path(region, config.speed_mps, config.accel_mps2, config.speed_mps * seconds)
 
 
 class RobotCore(CommandedRobot):
@@ -131,7 +50,7 @@ class RobotCore(CommandedRobot):
         m["t_ns"] = m["start_ns"] = start_ns
         m["x_m"], m["y_m"] = x, y
         above_m = field.height_m(x, y) + config.standoff_m + APPROACH_M
-        m["axis"][0, 0] = m["set_point_m"] = self.path.points[0, 3] if self.path.has_heights else above_m
+        m["axis"][0, 0] = m["setpoint_m"] = self.path.points[0, 3] if self.path.has_heights else above_m
         m["tau_s"], m["v_max_mps"] = config.plant.tau_s, config.plant.v_max_mps
         m["a_max_mps2"], m["accel_mps2"] = config.plant.a_max_mps2, config.accel_mps2
         m["spacing_m"], m["standoff_m"] = self.path.spacing_m, config.standoff_m
@@ -149,12 +68,12 @@ class RobotCore(CommandedRobot):
         self._rolling = field.rolling_mask().astype(np.uint8)
         self.world = zeros(WorldPose)
         self._rng = np.random.default_rng(config.seed)
-        first = np.array([x, y, m["set_point_m"][0], 0.0, 0.0, 0.0, 1.0])
+        first = np.array([x, y, m["setpoint_m"][0], 0.0, 0.0, 0.0, 1.0])
         self._reports = PoseReports(config.report_latency_s, first)
         self.holding = True
         self._settled = 0
         self.started_ns = 0
-        self._heard_ns = start_ns
+        self._received_ns = start_ns
 
     @property
     def expected_steps(self) -> int:
@@ -167,7 +86,7 @@ class RobotCore(CommandedRobot):
         return int((seconds + 30.0) * 1e9) // STEP_NS
 
     @property
-    def wanted_m(self) -> float:
+    def desired_m(self) -> float:
         """Stand-off that it asks of the service [m]."""
         return self.config.standoff_m
 
@@ -200,7 +119,7 @@ class RobotCore(CommandedRobot):
 
     def restart_clock(self, t_ns: int) -> None:
         """Let it be `t_ns` [ns] now, and nothing traced yet."""
-        self.motion["t_ns"] = self.motion["start_ns"] = self._heard_ns = t_ns
+        self.motion["t_ns"] = self.motion["start_ns"] = self._received_ns = t_ns
         self.motion["trace_rows"] = 0
 
     def measure(self) -> None:
@@ -228,14 +147,14 @@ class RobotCore(CommandedRobot):
         pose_t_ns : stamp of that report [ns]; an unknown one makes the robot hold
         turn_rad : rotation vector demanded, world axes [rad]; heeded when the configuration says so
         """
-        self._heard_ns = self.t_ns
+        self._received_ns = self.t_ns
         x, y, z = turn_rad
         if pose_t_ns not in self._reports.sent or not math.isfinite(demand_m + x + y + z):
             self.hold()
             return
         self.holding = False
         report = self._reports.sent[pose_t_ns]
-        self.motion["set_point_m"] = set_point_for(float(report[2]), demand_m)
+        self.motion["setpoint_m"] = setpoint_for(float(report[2]), demand_m)
         settled = abs(demand_m) < SETTLED_M
         if self.config.turn:
             turned(report[3:], x, y, z, self.motion["attitude_set"][0])
@@ -268,10 +187,10 @@ class RobotCore(CommandedRobot):
 
     def hold(self) -> None:
         """Without a demand to trust: stop along the path; stay at the height last reported, or retract."""
-        self._heard_ns = self.t_ns
+        self._received_ns = self.t_ns
         if not self.holding:
             self.holding = True
-            self.motion["set_point_m"] = self._reports.newest[2] + self.config.retract_m
+            self.motion["setpoint_m"] = self._reports.newest[2] + self.config.retract_m
             self.motion["attitude_set"] = self._reports.newest[3:]
         self._settled = 0
         self.motion["moving"] = 0

@@ -1,4 +1,4 @@
-"""The simulated robot's motion in steps of 1 ms: along its path by itself, up, down and round as it is told.
+"""The simulated robot's motion in steps of 1 ms: along its path, vertically and in rotation as commanded.
 
 Each step publishes the true pose for the simulated sensors, and adds the true stand-off to the score.
 """
@@ -34,7 +34,7 @@ class Motion(Schema):
     x_m = F64(unit="m")
     y_m = F64(unit="m")
     axis = F64(2, unit="m, m/s", doc="height and vertical speed")
-    set_point_m = F64(unit="m")
+    setpoint_m = F64(unit="m")
     turns = I64(doc="1: the wrist turns; stand-off and angle count along the tool's axis")
     attitude = F64(4, doc="qx qy qz qw, world from tool")
     spin_radps = F64(3, unit="rad/s", doc="angular velocity, world axes")
@@ -83,12 +83,12 @@ def move_along(m: Any, points: Any) -> Any:
     last = len(points) - 1
     i = min(int(r.path_m / r.spacing_m), last - 1)
     w = min(r.path_m / r.spacing_m - i, 1.0)
-    wanted = 0.0
+    desired = 0.0
     if r.moving != 0 and r.arrived == 0:
-        wanted = max(points[i, 2] * (1.0 - w) + points[i + 1, 2] * w, CREEP_MPS)
+        desired = max(points[i, 2] * (1.0 - w) + points[i + 1, 2] * w, CREEP_MPS)
     # the limits along the path are made for this deceleration; half as much again lets the robot keep them
     fastest, slowest = r.speed_mps + r.accel_mps2 * dt, r.speed_mps - 1.5 * r.accel_mps2 * dt
-    speed = min(max(wanted, slowest), fastest)
+    speed = min(max(desired, slowest), fastest)
     path = r.path_m + speed * dt
     if path >= last * r.spacing_m:
         path, speed = last * r.spacing_m, 0.0
@@ -97,7 +97,7 @@ def move_along(m: Any, points: Any) -> Any:
     before_m = points[i, 3] * (1.0 - w) + points[i + 1, 3] * w
     i = min(int(path / r.spacing_m), last - 1)
     w = path / r.spacing_m - i
-    m[0].set_point_m = r.set_point_m + (points[i, 3] * (1.0 - w) + points[i + 1, 3] * w - before_m)
+    m[0].setpoint_m = r.setpoint_m + (points[i, 3] * (1.0 - w) + points[i + 1, 3] * w - before_m)
     m[0].x_m = points[i, 0] * (1.0 - w) + points[i + 1, 0] * w
     m[0].y_m = points[i, 1] * (1.0 - w) + points[i + 1, 1] * w
     along = speed / r.spacing_m
@@ -134,7 +134,7 @@ def one_step(m: Any, points: Any, z: Any, frame: Any, rolling: Any, world: Any, 
     m[0].t_ns = r.t_ns + STEP_NS
     m[0].step = r.step + 1
     vx, vy = move_along(m, points)
-    axis_step(r.axis, r.set_point_m, r.tau_s, r.v_max_mps, r.a_max_mps2, STEP_NS * 1e-9)
+    axis_step(r.axis, r.setpoint_m, r.tau_s, r.v_max_mps, r.a_max_mps2, STEP_NS * 1e-9)
     angle = tilt = 0.0
     if r.turns != 0:
         wrist_step(r.attitude, r.spin_radps, r.attitude_set, r.scratch, STEP_NS * 1e-9)
@@ -162,7 +162,7 @@ def one_step(m: Any, points: Any, z: Any, frame: Any, rolling: Any, world: Any, 
         row = trace[r.trace_rows]
         row[0], row[1], row[2], row[3] = (r.t_ns - r.start_ns) * 1e-9, r.x_m, r.y_m, r.axis[0]
         row[4], row[5], row[6], row[7] = ground, standoff, is_rolling, counts
-        row[8], row[9], row[10] = r.set_point_m, angle, tilt
+        row[8], row[9], row[10] = r.setpoint_m, angle, tilt
         m[0].trace_rows = r.trace_rows + 1
 
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import FaultError, NotRunningError, PoseError
-from surffollow.sim.robot import RobotConfig, RobotCore
+from surffollow.sim.robot import RobotCore
+from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.world import WorldWriter
 
 RETRY_NS = 200_000_000
@@ -50,7 +51,7 @@ class Core(Protocol):
     @property
     def t_ns(self) -> int: ...
     @property
-    def wanted_m(self) -> float: ...
+    def desired_m(self) -> float: ...
     @property
     def is_holding(self) -> bool: ...
     def measure(self) -> None: ...
@@ -102,7 +103,7 @@ class Controller:
             return False
         try:
             service.claim_pose()
-            service.sf_reset(self._core.wanted_m)
+            service.sf_reset(self._core.desired_m)
         except FaultError as error:
             self.trouble = str(error)
             service.close()
@@ -128,7 +129,7 @@ class Controller:
             demand = self._service.dev_vector()
             if demand.valid and self._epoch not in (0, demand.epoch):
                 # a service that started anew has forgotten the stand-off
-                self._service.sf_reset(core.wanted_m)
+                self._service.sf_reset(core.desired_m)
                 core.hold()
                 self._epoch = demand.epoch
             elif demand.valid:

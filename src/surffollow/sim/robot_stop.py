@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from surffollow.sim.step_clock import STEP_NS
 
 if TYPE_CHECKING:
-    from surffollow.sim.robot import RobotConfig
+    from surffollow.sim.robot_config import RobotConfig
 
 REST_MPS = 1e-3  # slower is rest: what the noise of reports makes of a held height
 SETTLING = 6.0  # time constants of the vertical axis until what is left of its speed is no motion

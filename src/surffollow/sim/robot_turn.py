@@ -36,21 +36,21 @@ def turned(q: Any, x_rad: Any, y_rad: Any, z_rad: Any, out: Any) -> None:
 
 
 @jit
-def wrist_step(q: Any, w: Any, wanted: Any, scratch: Any, dt_s: Any) -> None:
+def wrist_step(q: Any, w: Any, desired: Any, scratch: Any, dt_s: Any) -> None:
     """Advance the wrist by one step.
 
     Parameters
     ----------
     q, w : (4,) and (3,) float64, attitude and angular velocity in world axes [rad/s], updated in place
-    wanted : (4,) float64, attitude to reach
+    desired : (4,) float64, attitude to reach
     scratch : (4,) float64
     dt_s : float64 [s]
     """
     # error = wanted · q⁻¹, the short way round
-    x = -wanted[3] * q[0] + wanted[0] * q[3] - wanted[1] * q[2] + wanted[2] * q[1]
-    y = -wanted[3] * q[1] + wanted[0] * q[2] + wanted[1] * q[3] - wanted[2] * q[0]
-    z = -wanted[3] * q[2] - wanted[0] * q[1] + wanted[1] * q[0] + wanted[2] * q[3]
-    c = wanted[3] * q[3] + wanted[0] * q[0] + wanted[1] * q[1] + wanted[2] * q[2]
+    x = -desired[3] * q[0] + desired[0] * q[3] - desired[1] * q[2] + desired[2] * q[1]
+    y = -desired[3] * q[1] + desired[0] * q[2] + desired[1] * q[3] - desired[2] * q[0]
+    z = -desired[3] * q[2] - desired[0] * q[1] + desired[1] * q[0] + desired[2] * q[3]
+    c = desired[3] * q[3] + desired[0] * q[0] + desired[1] * q[1] + desired[2] * q[2]
     sine = math.sqrt(x * x + y * y + z * z)
     sign = 1.0 if c >= 0.0 else -1.0
     angle = 2.0 * math.atan2(sine, abs(c))

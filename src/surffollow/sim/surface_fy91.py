@@ -23,7 +23,7 @@ def fy91_field(
     """Make the FY91 field over a region.
 
     Rolling terrain of wavelengths 0.2-1 m and 30 mm peak to peak, a fine clay texture, and per metre of
-    path along x 5 boxes of 5-20 mm and 2 ramps of 20 %. `HeightField.parts` tells which is where.
+    path along x 5 boxes of 5-20 mm and 2 ramps of 20 %. `HeightField.parts` has their places.
 
     Parameters
     ----------

@@ -46,15 +46,15 @@ def compare_reading(readings: Any, i: Any, wall: Any, nx: Any, ny: Any, exactly:
     half_beam_rad, max_incidence_rad = readings.half_beam_rad, readings.max_incidence_rad
     phi, var_phi = wall[PHI], wall[VAR_PHI]
     incidence = abs(wrap(phi - heading))
-    doubt_rad = N_SIGMA * math.sqrt(var_phi) if math.isfinite(var_phi) else math.pi
+    margin_rad = N_SIGMA * math.sqrt(var_phi) if math.isfinite(var_phi) else math.pi
     expected = predicted_range(x, y, heading, half_beam_rad, max_incidence_rad, phi, nx, ny, wall[DISTANCE])
     if math.isinf(expected):
         # an echo may still come from this wall when its normal is uncertain
-        reachable = incidence <= max_incidence_rad + doubt_rad
+        reachable = incidence <= max_incidence_rad + margin_rad
         if not reachable or math.isinf(r):
             return UNEXPLAINED
         expected = predicted_range(
-            x, y, heading, half_beam_rad, max_incidence_rad + doubt_rad, phi, nx, ny, wall[DISTANCE]
+            x, y, heading, half_beam_rad, max_incidence_rad + margin_rad, phi, nx, ny, wall[DISTANCE]
         )
         if math.isinf(expected):
             return UNEXPLAINED
@@ -71,7 +71,7 @@ def compare_reading(readings: Any, i: Any, wall: Any, nx: Any, ny: Any, exactly:
         return INLIER
     if r < expected:
         return UNEXPLAINED
-    if expected > readings.max_range_m - tolerance or incidence > max_incidence_rad - doubt_rad - 1e-9:
+    if expected > readings.max_range_m - tolerance or incidence > max_incidence_rad - margin_rad - 1e-9:
         return UNEXPLAINED
     return CONTRADICTION
 

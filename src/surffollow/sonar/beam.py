@@ -143,7 +143,7 @@ def sensitivity(
 
 @jit_inlined
 def reading_sensitivity(readings: Any, i: Any, phi_rad: Any, nx: Any, ny: Any) -> Any:
-    """`sensitivity` of reading i at the range that it told.
+    """`sensitivity` of reading i at its range.
 
     Parameters
     ----------

@@ -150,12 +150,12 @@ class Belief:
             np.append(self.ranges_m, ranges),
         )
         found = self._found(*readings)
-        before = [self._judged(h, positions[index], headings[index], ranges) for h in self.hypotheses]
+        before = [self._scored(h, positions[index], headings[index], ranges) for h in self.hypotheses]
         self.positions_m, self.headings_rad, self.ranges_m = readings
         self._fired.update(chosen)
         self._match(before, found)
 
-    def _judged(
+    def _scored(
         self,
         hypothesis: Hypothesis,
         positions: NDArray[np.float64],
@@ -214,8 +214,8 @@ class Belief:
     def _same(self, a: WallPose, b: WallPose, phi_std_rad: float = 0.0) -> bool:
         """Whether two walls are one, as far as their distances and a standard deviation of φ tell."""
         turn = abs(math.remainder(a.phi_rad - b.phi_rad, 2.0 * math.pi))
-        doubt = 3.0 * math.hypot(a.distance_std_m, b.distance_std_m)
+        margin_m = 3.0 * math.hypot(a.distance_std_m, b.distance_std_m)
         return (
             turn <= max(self.ring.half_beam_rad, 3.0 * phi_std_rad)
-            and abs(a.distance_m - b.distance_m) <= doubt
+            and abs(a.distance_m - b.distance_m) <= margin_m
         )

@@ -23,7 +23,6 @@ from surffollow.sonar.pair import (
 
 COST, FIRST, SECOND, INLIERS, CONTRADICTIONS = range(SOLUTION, SOLUTION + 5)
 CANDIDATE = SOLUTION + 5  # columns of a candidate
-CONTRADICTION_WEIGHT = 3  # inliers that one contradiction outweighs
 REFERENCE_LENGTH_M = 1.0  # L in L²·var φ + var d
 
 
@@ -179,69 +178,3 @@ def find_candidates(
                 if stop_early and inliers == echoes and contradictions == 0:
                     return n
     return n
-
-
-@jit
-def candidate_score(candidate: Any) -> Any:
-    """Inliers less three times the contradictions."""
-    return candidate[INLIERS] - CONTRADICTION_WEIGHT * candidate[CONTRADICTIONS]
-
-
-@jit
-def best_candidate(candidates: Any, n: Any) -> Any:
-    """Index of the candidate with the highest score, then the least cost; −1 of none."""
-    best = -1
-    for k in range(n):
-        if (
-            best < 0
-            or candidate_score(candidates[k]) > candidate_score(candidates[best])
-            or (
-                candidate_score(candidates[k]) == candidate_score(candidates[best])
-                and candidates[k, COST] < candidates[best, COST]
-            )
-        ):
-            best = k
-    return best
-
-
-@jit
-def distinct_walls(candidates: Any, n: Any, n_readings: Any, half_beam_rad: Any, order: Any) -> Any:
-    """Indices of distinct candidates that every echo agrees with, cheapest first.
-
-    Candidates of different pairs that describe one wall are represented by the cheapest.
-
-    Parameters
-    ----------
-    n_readings : int64      echoes that must all be inliers
-    order : (c,) int64      written
-
-    Returns
-    -------
-    int64   number of indices
-    """
-    kept = 0
-    for k in range(n):
-        if candidates[k, CONTRADICTIONS] > 0 or candidates[k, INLIERS] < n_readings:
-            continue
-        at = kept
-        while at > 0 and candidates[order[at - 1], COST] > candidates[k, COST]:
-            order[at] = order[at - 1]
-            at -= 1
-        order[at] = k
-        kept += 1
-    distinct = 0
-    for k in range(kept):
-        candidate = candidates[order[k]]
-        known = False
-        for d in range(distinct):
-            other = candidates[order[d]]
-            own_pair = candidate[FIRST] == other[FIRST] and candidate[SECOND] == other[SECOND]
-            turn, shift = abs(wrap(candidate[PHI] - other[PHI])), abs(candidate[DISTANCE] - other[DISTANCE])
-            if (turn < MERGE and shift < MERGE) or (
-                not own_pair and same_wall(candidate, other, half_beam_rad)
-            ):
-                known = True
-        if not known:
-            order[distinct] = order[k]
-            distinct += 1
-    return distinct

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from surffollow.errors import UsageError
 from surffollow.sonar import candidates as cd
 from surffollow.sonar.agreement import count_agreement
+from surffollow.sonar.candidate_ranking import distinct_walls
 from surffollow.sonar.pair import MAX_SOLUTIONS, SOLUTION
 from surffollow.sonar.posterior import N_POINTS
 from surffollow.sonar.readings import Readings, check_readings
@@ -119,13 +120,13 @@ def wall_pose(
     rows, n = _candidates(readings)
     order = np.empty(max(n, 1), np.int64)
     echoes = int(np.isfinite(readings.ranges_m).sum())
-    kept = int(cd.distinct_walls(rows, n, echoes, readings.half_beam_rad, order))
+    kept = int(distinct_walls(rows, n, echoes, readings.half_beam_rad, order))
     pairs = [(rows[k], (int(rows[k, cd.FIRST]), int(rows[k, cd.SECOND]))) for k in order[:kept]]
-    told, verdicts = np.isfinite(readings.ranges_m), np.empty(readings.ranges_m.size, np.int64)
+    reported, verdicts = np.isfinite(readings.ranges_m), np.empty(readings.ranges_m.size, np.int64)
 
     def reproduces(wall: WallPose) -> bool:
         exactly = np.array([wall.phi_rad, wall.distance_m, 0.0, 0.0, 0.0])
-        agreement = count_agreement(readings, exactly, told, verdicts)
+        agreement = count_agreement(readings, exactly, reported, verdicts)
         return bool(agreement == (echoes, 0))
 
     return favour([_wall(row, pair) for row, pair in pairs], readings.headings_rad, prior, reproduces)

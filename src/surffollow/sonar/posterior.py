@@ -23,7 +23,7 @@ MAX_ITERATIONS = 50
 
 
 @jit_inlined
-def _distance_told(readings: Any, i: Any, phi_rad: Any, nx: Any, ny: Any) -> Any:
+def _distance_reported(readings: Any, i: Any, phi_rad: Any, nx: Any, ny: Any) -> Any:
     """Distance [m] of a wall with normal φ that gives reading i, and the cosine of its edge angle."""
     cos_edge = math.cos(edge_angle(wrap(phi_rad - readings.headings_rad[i]), readings.half_beam_rad))
     x, y = readings.positions_m[i, 0], readings.positions_m[i, 1]
@@ -38,19 +38,19 @@ def _profile(readings: Any, verdicts: Any, phi_rad: Any) -> Any:
     for i in range(readings.ranges_m.size):
         if verdicts[i] != INLIER:
             continue
-        told_m, cos_edge = _distance_told(readings, i, phi_rad, nx, ny)
+        reported_m, cos_edge = _distance_reported(readings, i, phi_rad, nx, ny)
         if cos_edge < MIN_COS_EDGE:
             return 0.0, 0.0, 0.0, False
         weight = 1.0 / (readings.sigmas_m[i] * cos_edge) ** 2
         total += weight
-        moment += weight * told_m
+        moment += weight * reported_m
     distance = moment / total
     half_chi = 0.0
     for i in range(readings.ranges_m.size):
         if verdicts[i] != INLIER:
             continue
-        told_m, cos_edge = _distance_told(readings, i, phi_rad, nx, ny)
-        half_chi += 0.5 * ((told_m - distance) / (readings.sigmas_m[i] * cos_edge)) ** 2
+        reported_m, cos_edge = _distance_reported(readings, i, phi_rad, nx, ny)
+        half_chi += 0.5 * ((reported_m - distance) / (readings.sigmas_m[i] * cos_edge)) ** 2
     return distance, total, half_chi, distance > 0.0
 
 

@@ -95,8 +95,8 @@ def check_readings(
         )
     if not (np.isfinite(positions).all() and np.isfinite(headings).all()):
         raise UsageError("positions_m or headings_rad is not finite; leave such a sonar out")
-    told = ranges[np.isfinite(ranges)]
-    longest_m = max((float(np.abs(a).max()) for a in (positions, told) if a.size), default=0.0)
+    measured = ranges[np.isfinite(ranges)]
+    longest_m = max((float(np.abs(a).max()) for a in (positions, measured) if a.size), default=0.0)
     if longest_m > MAX_LENGTH_M or (np.abs(headings) > MAX_HEADING_RAD).any():
         raise UsageError(
             f"positions_m and ranges_m reach {longest_m:.3g} m, headings_rad "

@@ -11,7 +11,7 @@ from typing import Any
 
 from surffollow.shm.jit import jit
 from surffollow.sonar.agreement import count_agreement
-from surffollow.sonar.candidates import CONTRADICTION_WEIGHT
+from surffollow.sonar.candidate_ranking import CONTRADICTION_WEIGHT
 from surffollow.sonar.pair import PHI
 from surffollow.sonar.posterior import fuse, least_squares
 

@@ -31,7 +31,7 @@ def find_walls(
     Parameters
     ----------
     readings : Readings             sigmas > 0
-    min_sensors : int64             1: a lone echo is a wall, too, known as far as its beam tells
+    min_sensors : int64             1: a lone echo is a wall, too, known within its beam
     found, candidates, points, free, verdicts   scratch of `find_candidates` and `fuse`
     walls : (k, 5) float64          written: φ, d, var φ, covariance, var d
     owner : (m,) int64              written: index of the wall that a reading belongs to; −1: none

@@ -40,7 +40,7 @@ class Reading:
     expected_known : float
         walls that should be known afterwards
     separates : bool
-        it tells competing hypotheses apart
+        it distinguishes competing hypotheses
     """
 
     turn_rad: float
@@ -100,9 +100,9 @@ def _predicted(
 
 def _separates(belief: Belief, pose: Pose, sensors: tuple[int, ...]) -> bool:
     """Whether any two competing hypotheses predict readings that differ by more than their noise."""
-    told = [_predicted(belief, pose, sensors, [(w.phi_rad, w.distance_m)]) for w in belief.walls]
-    for i, a in enumerate(told):
-        for b in told[i + 1 :]:
+    predictions = [_predicted(belief, pose, sensors, [(w.phi_rad, w.distance_m)]) for w in belief.walls]
+    for i, a in enumerate(predictions):
+        for b in predictions[i + 1 :]:
             both = np.isfinite(a) & np.isfinite(b)
             apart = np.abs(a[both] - b[both]) > 2.0 * N_SIGMA * belief.ring.range_sigma * a[both]
             if not apart.any() and not (np.isfinite(a) != np.isfinite(b)).any():

@@ -114,8 +114,8 @@ def favour(
     for rule in rules:
         kept = [w for w in kept if rule(w)] or kept
     several = len(kept) > 1
-    told = [replace(w, ambiguous=several, favoured=any(w is k for k in kept)) for w in found]
-    return sorted(told, key=lambda w: not w.favoured)
+    marked = [replace(w, ambiguous=several, favoured=any(w is k for k in kept)) for w in found]
+    return sorted(marked, key=lambda w: not w.favoured)
 
 
 def _near(prior: WallPose) -> Callable[[WallPose], bool]:

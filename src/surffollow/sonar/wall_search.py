@@ -7,16 +7,15 @@ from typing import Any
 
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.sonar.agreement import INLIER, UNEXPLAINED, count_agreement
+from surffollow.sonar.candidate_ranking import best_candidate, candidate_score
 from surffollow.sonar.candidates import (
     CONTRADICTIONS,
     COST,
     FIRST,
     INLIERS,
     SECOND,
-    best_candidate,
     bound_by_beams,
     candidate_cost,
-    candidate_score,
     find_candidates,
 )
 from surffollow.sonar.pair import MAX_SOLUTIONS, SOLUTION

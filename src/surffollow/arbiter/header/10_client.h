@@ -78,7 +78,7 @@ static inline int sfa_i_greet(sfa_client *a, const char *client, int fds[2]) {
   message.msg_control = control.bytes;
   message.msg_controllen = sizeof control.bytes;
   n = 1;
-  do { /* a reset is told once; what the server said before it closed comes next */
+  do { /* a reset is reported once; what the server sent before it closed comes next */
     got = recvmsg(a->sock, &message, MSG_CMSG_CLOEXEC);
   } while (got < 0 && (errno == EINTR || (errno == ECONNRESET && n-- > 0)));
   n = sfa_i_descriptors(&message, fds);
@@ -159,7 +159,7 @@ static inline void sfa_detach(sfa_client *a) {
 static inline int sfa_i_connect(sfa_client *a, int timeout_ms, int64_t owner) {
   struct sockaddr_un address;
   struct timeval limit;
-  int32_t peer[3] = {0, -1, -1}; /* pid, uid, gid of the process that listens, as the kernel tells it */
+  int32_t peer[3] = {0, -1, -1}; /* pid, uid, gid of the process that listens, from the kernel */
   socklen_t size = sizeof peer;
   const int no = 0, yes = 1;
   int n;

@@ -11,7 +11,8 @@ from surffollow.errors import ConfigError
 from surffollow.hw.driver import ConversionQueue, Mount, mounts_of, push_conversion
 from surffollow.hw.simulation import adc
 from surffollow.hw.simulation.beam import compose
-from surffollow.hw.simulation.led_sensor import RAIL_V, LedConfig, output_volts, refresh_at
+from surffollow.hw.simulation.led_config import RAIL_V, LedConfig
+from surffollow.hw.simulation.led_sensor import output_volts, refresh_at
 from surffollow.hw.simulation.pose_history import pose_at
 from surffollow.shm.conversion import FLAG_INVALID, pack_conversion
 from surffollow.shm.dtypes import zeros

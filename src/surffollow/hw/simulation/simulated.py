@@ -15,28 +15,29 @@ from typing import Any
 import numpy as np
 
 from surffollow.errors import BlockError, NotRunningError
-from surffollow.hw.driver import REPORT_WORDS, ConversionQueue, DriverInfo, Eight, PoseQueue, mounts_of
-from surffollow.hw.driver_thread import CATCH_UP_NS, CONTROL_WORDS, PERIOD_NS, STOP, USER, Pump
+from surffollow.hw.driver import ConversionQueue, DriverInfo, Eight, PoseQueue, mounts_of
+from surffollow.hw.driver_thread import CONTROL_WORDS, STOP, Pump
 from surffollow.hw.simulation import adc
-from surffollow.hw.simulation.led_sensor import physics
-from surffollow.hw.simulation.pose_history import PoseHistory, add_pose, add_report
+from surffollow.hw.simulation.led_config import physics
+from surffollow.hw.simulation.pose_history import PoseHistory
+from surffollow.hw.simulation.ride import (
+    IN_USE,
+    ON_REPORTS,
+    ON_WORLD,
+    POSE_T,
+    REQUESTED,
+    SOURCE,
+    STALE_WORLD_NS,
+    make_ride,
+    run_rig,
+)
 from surffollow.hw.simulation.sensor_rig import SimulatedConfig, make_rig, produce
-from surffollow.shm import atomics as at
-from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.jit import jit
-from surffollow.shm.latch import latch_read
 from surffollow.shm.layout_follow import CHANNELS
-from surffollow.shm.ring import ring_drop, ring_peek
-from surffollow.shm.schema import F64, I64, Schema
 from surffollow.sim.surfaces import HeightField
 from surffollow.sim.world import WorldPose, WorldReader
 
-REQUESTED, IN_USE, POSE_T, SOURCE = USER, USER + 1, USER + 2, USER + 3  # control words
-ON_NOTHING, ON_WORLD, ON_REPORTS = 0, 1, 2  # SOURCE: what the sensors ride on
-WORLD_BYTES = WorldPose.SIZE
 WATCH_S = 0.05
-STALE_WORLD_NS = 100_000_000
 NOTHING_REPORTED = (
     "no pose was reported yet, so the simulated sensor sees nothing; send poses (client.ee_pos), publish the "
     "true one (client.sim_pose) or start a simulated robot (surffollow simulate)"
@@ -45,94 +46,6 @@ ON_REPORTS_NOTE = (
     "the simulated sensor rides on the reported poses, so errors of the reports cancel; publish the true "
     "pose (client.sim_pose) to have them count"
 )
-
-
-class Ride(Schema):
-    """What the pump needs to take poses from one source or the other."""
-
-    source = I64(doc="ON_…, of the history")
-    reports = I64(doc="address of the queue of reported poses")
-    capacity = I64()
-    item = I64(REPORT_WORDS, doc="scratch")
-    item_address = I64()
-    pose = F64(7, unit="m, 1", doc="scratch")
-    velocity = F64(6, unit="m/s, rad/s", doc="scratch")
-
-
-def make_ride(reports: PoseQueue) -> np.ndarray[Any, Any]:
-    """`Ride` record, shape (1,), over a queue of reported poses."""
-    ride = zeros(Ride)
-    ride["reports"], ride["capacity"] = reports.address, reports.capacity
-    ride["item_address"] = ride.ctypes.data + Ride.offset("item")
-    return ride
-
-
-@jit
-def take_reports(control: Any, ride: Any, history: Any) -> None:
-    """Empty the queue of reported poses; they enter the history when the sensors ride on them.
-
-    Parameters
-    ----------
-    control : int64, address of the pump's control words
-    ride : (1,) `Ride`
-    history : (1,) `PoseHistory`
-    """
-    r = ride[0]
-    while ring_peek(r.reports, r.capacity, REPORT_WORDS, r.item_address) == 1:
-        ring_drop(r.reports, 1)
-        if r.source != ON_REPORTS:
-            continue
-        for k in range(7):
-            r.pose[k] = at.load_relaxed_f64(r.item_address + 8 * (1 + k))
-        t_ns = at.load_relaxed_i64(r.item_address)
-        if add_report(history, t_ns, r.pose, r.velocity) == 1:
-            at.store_relaxed_i64(control + 8 * POSE_T, t_ns)
-
-
-@jit
-def run_rig(
-    control: Any, rig: Any, led: Any, history: Any, z: Any, frame: Any, world: Any, ride: Any
-) -> None:
-    """Follow a source of poses and the clock until `STOP`.
-
-    Parameters
-    ----------
-    control : int64, address of the pump's control words
-    rig, led, history, z, frame : see `produce`
-    world : (1,) `WorldPose`, scratch
-    ride : (1,) `Ride`
-    """
-    generation = 0
-    wake = now_ns()
-    while at.load_acquire_i64(control + 8 * STOP) == 0:
-        latch = at.load_acquire_i64(control + 8 * REQUESTED)
-        if latch != at.load_relaxed_i64(control + 8 * IN_USE):
-            at.store_release_i64(control + 8 * IN_USE, latch)
-            generation = 0
-        source = at.load_acquire_i64(control + 8 * SOURCE)
-        if source != ride[0].source:
-            ride[0].source = source
-            at.store_relaxed_i64(control + 8 * POSE_T, 0)
-            history[0].count = 0  # two sources are never interpolated across
-            generation = 0
-        take_reports(control, ride, history)
-        now = now_ns()
-        if source == ON_WORLD and latch != 0 and at.load_acquire_i64(latch) != generation:
-            found = latch_read(latch, np.int64(world.ctypes.data), WORLD_BYTES)
-            t_ns = world[0].t_ns
-            if found > 0 and t_ns <= now + STALE_WORLD_NS:
-                generation = found
-                history[0].carry_ns = 0
-                add_pose(history, t_ns, world[0].pose, world[0].velocity)
-                at.store_relaxed_i64(control + 8 * POSE_T, t_ns)
-        first = adc.first_number_from(now - CATCH_UP_NS)
-        missed = first - rig[0].next_number
-        if missed > 0:
-            at.store_relaxed_i64(rig[0].lost, at.load_relaxed_i64(rig[0].lost) + missed)
-            rig[0].next_number = first
-        produce(rig, led, history, z, frame, now)
-        wake = max(wake + PERIOD_NS, now)
-        wait_until_ns(wake, 0)
 
 
 def warm_up() -> None:
@@ -255,11 +168,11 @@ class SimulatedDriver:
 
     def _choose(self) -> None:
         """Take the world block that is written, or the reports where none is and the settings allow it."""
-        wanted = self._config.pose
-        if wanted != "reported":
+        expected = self._config.pose
+        if expected != "reported":
             self._attach()
         trouble, source = self._trouble, ON_WORLD
-        if wanted == "reported" or (wanted == "auto" and not self._world_is_written()):
+        if expected == "reported" or (expected == "auto" and not self._world_is_written()):
             trouble, source = "", ON_REPORTS
         self._pump.control[SOURCE] = source
         self._trouble = trouble

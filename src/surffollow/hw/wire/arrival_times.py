@@ -2,7 +2,7 @@
 
 The time at which a read returns, less the bytes' time on the line, is never before the frame truly began,
 but may be milliseconds late on a busy machine: the kernel hands input over in a thread of normal priority.
-Delayed frames pile up and come in one read, so that a delay is told from a pause by their number.
+Delayed frames pile up and come in one read, so that their number distinguishes a delay from a pause.
 """
 
 from __future__ import annotations

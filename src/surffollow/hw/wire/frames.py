@@ -64,7 +64,7 @@ class LineFinder(_Finder):
         super().__init__(form)
         try:
             self._pattern = re.compile(form.pattern.encode())
-            self._says_none = re.compile(form.no_target.encode()) if form.no_target else None
+            self._reports_none = re.compile(form.no_target.encode()) if form.no_target else None
         except re.error as error:
             raise ConfigError(f"pattern is no regular expression: {error}") from None
         groups = self._pattern.groupindex
@@ -118,7 +118,9 @@ class LineFinder(_Finder):
         """Channel and distance of one line; None when it is no line of the format."""
         match = self._pattern.fullmatch(line)
         if match is None:
-            return (0, None) if self._says_none is not None and self._says_none.fullmatch(line) else None
+            return (
+                (0, None) if self._reports_none is not None and self._reports_none.fullmatch(line) else None
+            )
         if self._checksum is not None:
             try:
                 if int(match["check"], 16) != self._checksum(match["body"]):

@@ -34,7 +34,7 @@ class SerialConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     start_command : sent after each opening
     range_min_m, range_max_m : the sensor's window [m]
     latency_s : age of the distance when its frame begins [s]
-    channels : sensors on the line, told apart by the format's channel
+    channels : sensors on the line, distinguished by the format's channel
     mounts : tool from sensor, one per channel
     silence_s : so long without a frame is a fault [s]
     """
@@ -168,12 +168,12 @@ def with_preset(settings: dict[str, Any]) -> dict[str, Any]:
     ConfigError
         unknown preset
     """
-    wanted = settings.get("preset", "")
-    if not wanted:
+    expected = settings.get("preset", "")
+    if not expected:
         return settings
-    if wanted not in PRESETS:
-        raise ConfigError(f"preset '{wanted}' is unknown; one of: {', '.join(PRESETS)}")
-    preset = PRESETS[wanted]
+    if expected not in PRESETS:
+        raise ConfigError(f"preset '{expected}' is unknown; one of: {', '.join(PRESETS)}")
+    preset = PRESETS[expected]
     whole = {**preset, **settings}
     whole["format"] = {**preset["format"], **settings.get("format", {})}
     return whole

@@ -1,45 +1,24 @@
-"""Rasters that geographic programs read: ESRI ASCII grid, and GeoTIFF through rasterio."""
+"""ESRI ASCII grids: rasters that geographic programs read."""
 
 from __future__ import annotations
 
 import math
 import os
-import re
-import warnings
-import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import MapFileError, UsageError
+from surffollow.errors import MapFileError
 from surffollow.map import access
 from surffollow.map.formats.atomic_file import Progress, replacing, report
 from surffollow.shm import map_layout as ml
-from surffollow.units import unit_scale
 
 Raster = tuple[NDArray[np.float64], tuple[float, float], float]
 _NODATA = -9999.0
-_UNIT_NAMES = {
-    "": "m",
-    "metre": "m",
-    "metres": "m",
-    "meter": "m",
-    "meters": "m",
-    "foot": "ft",
-    "feet": "ft",
-    "inch": "in",
-    "millimetre": "mm",
-    "millimeter": "mm",
-}
-_SURVEY_FEET = ("us-ft", "us survey foot", "ftus")
-_SURVEY_FOOT_M = 1200.0 / 3937.0
-_WKT_UNIT = re.compile(r'UNIT\["[^"]*",\s*([-+.\deE]+)')
 
 
-def _nodata(header: NDArray[Any]) -> float:
+def nodata_value(header: NDArray[Any]) -> float:
     """-9999, or a number far below the height range where that range holds -9999."""
     w = header[0]
     reach = ml.MAX_HEIGHT * float(w["quantum_m"])
@@ -58,7 +37,7 @@ def write_esri_ascii(
     ny, nx = access.shape_of(header)
     w = header[0]
     digits = max(0, 2 - math.floor(math.log10(float(w["quantum_m"]))))
-    nodata = _nodata(header)
+    nodata = nodata_value(header)
     with replacing(path) as temporary, open(temporary, "w", encoding="ascii", newline="\n") as f:
         f.write(f"ncols {nx}\nnrows {ny}\n")
         f.write(f"xllcorner {float(w['x0_m'])!r}\nyllcorner {float(w['y0_m'])!r}\n")
@@ -119,150 +98,3 @@ def read_esri_ascii(path: str | os.PathLike[str]) -> Raster:
             raise MapFileError(f"{path} is not an ESRI ASCII grid: it lacks {axis}llcorner")
     values[values == head.get("nodata_value", _NODATA)] = np.nan
     return values.reshape(ny, nx)[::-1], (corner[0], corner[1]), grid
-
-
-def _rasterio() -> Any:
-    try:
-        import rasterio
-    except ImportError as e:
-        raise MapFileError("GeoTIFF needs rasterio: install the extra 'geo' (surffollow[geo])") from e
-    return rasterio
-
-
-def write_geotiff(
-    path: str | os.PathLike[str],
-    header: NDArray[Any],
-    pairs: NDArray[Any],
-    *,
-    progress: Progress | None = None,
-) -> None:
-    """Write a GeoTIFF: band 1 heights [m] (NaN unknown), band 2 counts; no coordinate system, metres.
-
-    What was written is read back before it takes the name: GDAL does not tell of a write that
-    fails when it closes the file.
-    """
-    rasterio = _rasterio()
-    ny, nx = access.shape_of(header)
-    w = header[0]
-    grid = float(w["grid_m"])
-    transform = rasterio.transform.from_origin(float(w["x0_m"]), float(w["y0_m"]) + ny * grid, grid, grid)
-    profile = {
-        "driver": "GTiff",
-        "width": nx,
-        "height": ny,
-        "count": 2,
-        "dtype": "float64",
-        "nodata": math.nan,
-        "transform": transform,
-        "compress": "deflate",
-        "BIGTIFF": "IF_SAFER",
-    }
-    with replacing(path) as temporary, _quiet():
-        crc = 0
-        with rasterio.open(temporary, "w", **profile) as out:
-            out.set_band_description(1, "height [m]")
-            out.set_band_description(2, "samples")
-            for first, last in access.row_blocks(ny, nx):
-                low, high = ny - last, ny - first
-                z = access.metres(header, access.quanta(pairs, low * nx, high * nx)).reshape(-1, nx)
-                c = access.counts(pairs, low * nx, high * nx).reshape(-1, nx)
-                bands = np.stack([z[::-1], c[::-1].astype(np.float64)])
-                out.write(bands, window=rasterio.windows.Window(0, first, nx, last - first))
-                crc = zlib.crc32(bands.tobytes(), crc)
-                report(progress, last / ny / 2)
-        _read_back(rasterio, temporary, path, (ny, nx), crc, progress)
-
-
-def _read_back(
-    rasterio: Any,
-    written: os.PathLike[str],
-    path: str | os.PathLike[str],
-    shape: tuple[int, int],
-    crc: int,
-    progress: Progress | None,
-) -> None:
-    """Raise MapFileError unless a GeoTIFF holds what went into it."""
-    ny, nx = shape
-    found, why = 0, "it does not hold what was written"
-    try:
-        with rasterio.open(written) as source:
-            for first, last in access.row_blocks(ny, nx):
-                bands = source.read(window=rasterio.windows.Window(0, first, nx, last - first))
-                found = zlib.crc32(bands.tobytes(), found)
-                report(progress, (1 + last / ny) / 2)
-    except rasterio.errors.RasterioError as e:
-        found, why = crc ^ 1, f"it cannot be read back ({e})"
-    if found != crc:
-        raise MapFileError(f"cannot write {path}: {why}; is the disk full?")
-
-
-def read_geotiff(path: str | os.PathLike[str]) -> Raster:
-    """Read band 1 of a GeoTIFF with square, unrotated cells in metres; returns as `read_esri_ascii`.
-
-    The band's scale and offset are applied and its unit converted. A coordinate system in degrees or feet is
-    refused: a map is flat and in metres.
-    """
-    rasterio = _rasterio()
-    try:
-        with _quiet(), rasterio.open(path) as source:
-            t = source.transform
-            _check_places(path, source.crs, rasterio.errors.CRSError)
-            scale, offset = float(source.scales[0]), float(source.offsets[0])
-            metres = _metres_per_unit(path, source.units[0], source.crs)
-            heights = source.read(1, masked=True)
-    except (rasterio.errors.RasterioError, OSError) as e:
-        raise MapFileError(f"cannot read {path}: {e}") from e
-    if not (math.isfinite(scale) and math.isfinite(offset)) or scale == 0:
-        raise MapFileError(
-            f"{path} has the scale {scale} and the offset {offset}; heights cannot be had of it"
-        )
-    z = np.ma.filled(heights.astype(np.float64), np.nan)
-    if (scale, offset, metres) != (1.0, 0.0, 1.0):
-        z = (z * scale + offset) * metres
-    square = math.isclose(abs(t.a), abs(t.e), rel_tol=1e-6)
-    if t.b or t.d or not square or t.a <= 0:
-        raise MapFileError(f"{path} has rotated or oblong cells; resample it to square ones first")
-    if t.e > 0:
-        return z, (t.c, t.f), t.a
-    return z[::-1], (t.c, t.f - z.shape[0] * t.a), t.a
-
-
-def _check_places(path: str | os.PathLike[str], crs: Any, crs_error: type[Exception]) -> None:
-    """Refuse a coordinate system whose x and y are no metres in a plane."""
-    if not crs:
-        return
-    try:
-        flat, factor = crs.is_projected, crs.linear_units_factor[1] if crs.is_projected else math.nan
-        if not flat and not crs.is_geographic:
-            # a local system: what its text says
-            text = crs.to_wkt()
-            flat = text.startswith(("LOCAL_CS", "ENGCRS"))
-            units = {float(u) for u in _WKT_UNIT.findall(text)}
-            factor = units.pop() if len(units) == 1 else math.nan
-    except (crs_error, ValueError) as e:
-        raise MapFileError(f"{path} has a coordinate system that cannot be understood: {e}") from e
-    if not flat or factor != 1.0:
-        kind = "degrees" if crs.is_geographic else f"units of {factor} m" if flat else "no plane"
-        raise MapFileError(
-            f"{path} has places in {kind}, not in metres; reproject it to a system in metres first (gdalwarp)"
-        )
-
-
-def _metres_per_unit(path: str | os.PathLike[str], unit: str | None, crs: Any) -> float:
-    """Metres in the unit of a band's heights: the band's own, else the vertical one of its system."""
-    vertical = crs.to_dict().get("vunits") if crs else None
-    given = (unit or vertical or "").strip()
-    if given.lower() in _SURVEY_FEET:
-        return _SURVEY_FOOT_M
-    try:
-        return unit_scale(_UNIT_NAMES.get(given.lower(), given), "m")
-    except UsageError as e:
-        raise MapFileError(f"{path} has heights in a unit that is not known: {e}") from e
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """A map in a workshop has no coordinate system; rasterio need not warn about it."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield

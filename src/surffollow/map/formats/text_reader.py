@@ -1,4 +1,4 @@
-"""Read a map's text file line by line; every fault is told with its line.
+"""Read a map's text file line by line; every fault is reported with its line.
 
 The grammar is in docs/reference/map-file-format.md. NumPy only.
 """

@@ -58,7 +58,7 @@ static inline int sf_i_connect(sf_client *c) {
     if (number == EPROTOTYPE || number == ENOTSOCK) return SF_ERR_BLOCK;
     return sf_i_errno(c, number);
   }
-  int32_t peer[3] = {0, -1, -1}; /* pid, uid, gid of the process that listens, as the kernel tells it */
+  int32_t peer[3] = {0, -1, -1}; /* pid, uid, gid of the process that listens, from the kernel */
   socklen_t size = sizeof peer;
   if (getsockopt(fd, SOL_SOCKET, SF_I_SO_PEERCRED, peer, &size) != 0 ||
       SF_CAST(uid_t, peer[1]) != c->board.owner) {

@@ -161,7 +161,7 @@ static inline int sf_claim_pose(sf_client *c) {
   if (c->pose_held) return SF_OK;
   const int64_t now = sf_now_ns(), deadline = now + 300000000;
   if (c->output != NULL && !c->options.observe && c->slot_memory == NULL && c->options.auto_reattach && sf_alive(c))
-    (void)sf_i_claim_slot(c, now + SF_EXCHANGE_NS); /* an error of it is told below */
+    (void)sf_i_claim_slot(c, now + SF_EXCHANGE_NS); /* an error of it is reported below */
   for (;;) {
     const int result = sf_i_ask(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, c->options.timeout_ns, 0);
     if (result == SF_OK) sf_i_hold(c, SF_RQ_CLAIM_POSE, 0);

@@ -72,8 +72,8 @@ typedef struct sf_status_info {
   int64_t demand_status;      /* SF_VALID, ... */
   int64_t cycles, overruns, skipped, poses, poses_refused, requests, requests_refused, torn;
   int64_t lateness_max_ns, execution_max_ns;
-  sf_ticker ticker;           /* what the main thread tells: clients, pose holder, grants, faults, text */
-  sf_map_status map;          /* what the map thread tells */
+  sf_ticker ticker;           /* state of the main thread: clients, pose holder, grants, faults, text */
+  sf_map_status map;          /* state of the map thread */
 } sf_status_info;
 
 /* Ask how the service is doing; works on a dead one too. SF_OK or SF_ERR_ARGUMENT. */

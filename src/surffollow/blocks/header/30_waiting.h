@@ -1,8 +1,3 @@
-"""C for user blocks, continued: publish, and read with waiting (steps A1-A5)."""
-
-from __future__ import annotations
-
-WAITING = """\
 /* Steps A2, A3 and A5: the fence number to write under; `timeout_ms` below the lease may end it sooner. */
 static inline int64_t sfb_i_wait_for_readers(sfb_writer *w, int timeout_ms) {
   const int64_t lease = SF_CAST(int64_t, sfb_word(w->memory, {lease_at}));
@@ -123,4 +118,3 @@ static inline int sfb_read_done(const sfb_block *block, sfb_reading *reading) {
   return stale ? SFB_STALE : 0;
 }
 #endif
-"""

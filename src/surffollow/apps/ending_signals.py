@@ -1,0 +1,25 @@
+"""Signals that ask a program to end: collected, for a loop that looks at them."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+from collections.abc import Iterator
+
+NUMBERS = (signal.SIGINT, signal.SIGTERM)
+
+
+@contextlib.contextmanager
+def ending_signals(*more: signal.Signals) -> Iterator[list[int]]:
+    """A list of the numbers of SIGINT, SIGTERM and `more` as they arrive; ignored ones stay ignored."""
+    caught: list[int] = []
+    before = {
+        n: signal.signal(n, lambda number, _: caught.append(number))
+        for n in (*NUMBERS, *more)
+        if signal.getsignal(n) != signal.SIG_IGN
+    }
+    try:
+        yield caught
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

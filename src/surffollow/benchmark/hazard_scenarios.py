@@ -1,0 +1,88 @@
+"""Hazards: families of wrong readings and poses, and scenarios drawn from them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+STANDOFF_M, NEAR_M, FAR_M = 0.1, 0.0508, 0.1524
+SIGMA_M, COUNT_M = 0.25e-3, 25e-6
+READING_MS, TICK_MS, LATE_MS, POSE_LATE_MS = 4, 10, 30, 10
+SECONDS, BEGIN_S = 4.0, 2.0
+MARGIN_M, STEP_M = 0.1, 0.5e-3
+LEAD_M, RING_M = 0.05, 0.03
+_THIRD = 2.0 * math.pi / 3.0
+ONE = ((0.0, 0.0),)
+LEADING = ((0.0, 0.0), (LEAD_M, 0.0))
+FOUR = ((0.0, 0.0), *((RING_M * math.cos(k * _THIRD), RING_M * math.sin(k * _THIRD)) for k in range(3)))
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A family: ranges of `size_m` and `length_s`, uniform; where the sensors are [m].
+
+    `signed`: the size has either sign. `passes`: 2 means there and back over the same ground.
+    """
+
+    size_m: tuple[float, float] = (0.0, 0.0)
+    length_s: tuple[float, float] = (0.0, 0.0)
+    signed: bool = False
+    late_s: tuple[float, float] = (0.0, 0.0)
+    mounts_m: tuple[tuple[float, float], ...] = ONE
+    passes: int = 1
+
+
+KINDS = {
+    "stuck": Kind((0.0, 5e-3), (0.3, 1.5), signed=True),
+    "blocked": Kind((0.0, 5e-3), (0.3, 1.5), signed=True),
+    "frozen": Kind((0.1 * SIGMA_M, 0.5 * SIGMA_M), (0.3, 1.5)),
+    "biased": Kind((0.0, 10e-3), (0.02, 1.02), signed=True),
+    "burst": Kind((3e-3, 28e-3), (0.02, 0.1)),
+    "near": Kind((10e-3, 40e-3), (0.004, 0.016)),
+    "late stamps": Kind(length_s=(0.3, 1.3), late_s=(0.06, 0.15)),
+    "early stamps": Kind(length_s=(0.3, 1.3), late_s=(-0.15, -0.02)),
+    "lost": Kind(length_s=(0.2, 1.8)),
+    "glitches": Kind((0.0, 30e-3), (2.0, 2.0)),
+    "frame jump": Kind((0.0, 0.2), (2.0, 2.0), signed=True),
+    "slots": Kind((5e-3, 25e-3)),
+    "leading frozen": Kind((0.0, 5e-3), (0.3, 2.0), signed=True, mounts_m=LEADING),
+    "leading wrong": Kind((0.0, 20e-3), (0.3, 2.0), signed=True, mounts_m=LEADING),
+    "two of four": Kind((0.0, 30e-3), (0.1, 2.0), signed=True, mounts_m=FOUR),
+    "filled slot": Kind((5e-3, 25e-3), passes=2),
+    "jump on known ground": Kind((0.0, 0.1), (2.0, 2.0), signed=True, passes=2),
+}
+FAMILIES = tuple(KINDS)
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One hazard: readings (poses) wrong by `size_m` for `length_s`, or stamps too old by `late_s`
+    (negative: in the future)."""
+
+    family: str
+    seed: int
+    speed_mps: float
+    size_m: float = 0.0
+    length_s: float = 0.0
+    late_s: float = 0.0
+
+
+def draw(family: str, seed: int) -> Scenario:
+    """Draw a scenario of a family."""
+    kind = KINDS[family]
+    rng = np.random.default_rng([seed, 79, *family.encode()])
+    speed = float(np.exp(rng.uniform(np.log(0.03), np.log(0.4))))
+    size, length, late = (float(v) for v in rng.random(3))
+    if kind.signed:
+        size = 2.0 * size - 1.0
+    low, high = kind.size_m
+    return Scenario(
+        family,
+        seed,
+        speed,
+        math.copysign(low, size) + (high - low) * size,
+        kind.length_s[0] + (kind.length_s[1] - kind.length_s[0]) * length,
+        kind.late_s[0] + (kind.late_s[1] - kind.late_s[0]) * late,
+    )

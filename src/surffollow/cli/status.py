@@ -1,0 +1,122 @@
+"""The command that prints the status of a service."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from typing import Any
+
+import click
+
+from surffollow.cli.option_types import SERVICE_NAME
+
+
+@click.command("status")
+@click.option("--name", type=SERVICE_NAME, default="surf", show_default=True, help="Name of the service.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--audit", is_flag=True, help="Who changed or tried to change what, oldest first.")
+def status_command(name: str, as_json: bool, audit: bool) -> None:
+    """Say how a service is doing: health, cycles, lateness, clients, map."""
+    from surffollow.client import observe
+    from surffollow.errors import NotRunningError
+
+    with observe(name) as watcher:
+        status = watcher.status()
+        with contextlib.suppress(NotRunningError):  # nothing is in force there any more
+            status["params"] = watcher.params()
+        if audit:
+            status["audit"] = watcher.audit()
+    if as_json:
+        from surffollow.shm.layout_json import identity
+
+        status["layout"] = identity()
+        json.dump(status, sys.stdout, indent=2, allow_nan=False, default=str)
+        print()
+    elif audit:
+        print("\n".join(audit_lines(status)))
+    else:
+        print(render(status))
+    if not status["alive"]:
+        sys.exit(1)
+
+
+def audit_lines(status: dict[str, Any]) -> list[str]:
+    """The audit trail as text, with local times."""
+    from datetime import datetime, timedelta
+
+    from surffollow.client.audit import audit_line
+
+    now = datetime.now()
+    lost = int(status["main"].get("audit_lost", 0))
+    lines = [
+        f"{now - timedelta(seconds=e['age_s']):%Y-%m-%d %H:%M:%S.%f}"[:-3] + " " + audit_line(e)[7:]
+        for e in status["audit"]
+    ]
+    return (lines or ["nobody has asked for a change"]) + ([f"{lost} entries were lost"] if lost else [])
+
+
+def durations(summary: dict[str, float]) -> str:
+    """p50, p99 and maximum of a histogram, as text."""
+    from surffollow.units import format_ns
+
+    return ", ".join(f"{k} {format_ns(summary[k + '_ns'])}" for k in ("p50", "p99", "max"))
+
+
+def follower_lines(f: dict[str, Any]) -> list[str]:
+    """Estimates of the follower, as text."""
+    if "health" not in f:
+        return [f"follower {f['mode']}"]
+
+    def mm(name: str) -> str:
+        return "-" if f[name] is None else f"{1e3 * f[name]:.3g} mm"
+
+    why = f" ({f['reason']})" if f.get("reason") else ""
+    return [
+        f"follower {f['mode']}, {f['health']}{why}; noise {mm('noise_m')}, roughness {mm('roughness_m')}, "
+        f"height to {mm('sigma_m')}",
+        f"         latency {1e3 * f['latency_s']:.1f} ms, axis τ {1e3 * f['tau_s']:.0f} ms, "
+        f"Permitted_Variance {mm('permitted_variance_m')}, "
+        f"Range_Size {f['range_size']} × {mm('interval_size_m')}",
+    ]
+
+
+def render(s: dict[str, Any]) -> str:
+    """The status as a few lines of text."""
+    from surffollow.shm.bit_names import GRANT_NAMES
+    from surffollow.units import format_ns
+
+    late, run, main, map_ = s["lateness"], s["execution"], s["main"], s["map"]
+    granted = [n for i, n in enumerate(GRANT_NAMES) if main.get("granted", 0) >> i & 1]
+    pose = f"pid {main['pose_pid']}" if main.get("pose_slot", -1) >= 0 else "nobody"
+    lines = [
+        f"service {s['name']}: {s['state']}, pid {s['pid']}, epoch {s['epoch']}",
+        f"cycle    {format_ns(s['period_ns'])}, {s['cycles']} run, {s['overruns']} overruns",
+        f"lateness {durations(late)} (from a cycle's deadline to its start; 1-20 ns: it was spinning)",
+        f"work     {durations(run)} (from its start to the published demand)",
+        f"demand   {'|'.join(s['demand_status']) or 'none'}, age {format_ns(s['age_ns'])}",
+        f"poses    {s['poses']} taken, {s['poses_refused']} refused; sent by {pose}",
+        f"clients  {main.get('clients', 0)}; requests {s['requests']}, refused {s['requests_refused']}",
+        f"map      {map_.get('applied', 0)} samples, {map_.get('queued', 0)} waiting, "
+        f"{map_.get('lost', 0)} lost",
+        f"granted  {', '.join(granted) or 'nothing'}",
+    ]
+    # behind the line of clients, and behind that of poses
+    lines[7:7] = [
+        f"         slot {c['slot']}: {c['name']}, pid {c['pid']}, user {c['uid']}" for c in s["clients"]
+    ]
+    pushers = [f"{c} by pid {p}" for c, p in enumerate(main.get("range_pid", ())) if p]
+    if pushers or s["ranges"]:
+        lines.insert(
+            6,
+            f"ranges   {s['ranges']} taken, {s['ranges_refused']} refused, {s['ranges_skipped']} left out; "
+            f"channel {', '.join(pushers) or 'pushed by nobody'}",
+        )
+    lines[5:5] = follower_lines(s["follower"])
+    if s["stopped"]:
+        lines.append(f"STOPPED  {', '.join(s['stopped'])}; the pose's holder resets it")
+    if s["faults"]:
+        lines.append("faults   " + ", ".join(f"{f['number']} {f['name']}" for f in s["faults"]))
+    if main.get("text"):
+        lines.append(f"note     {main['text']}")
+    return "\n".join(lines)
