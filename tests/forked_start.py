@@ -28,6 +28,7 @@ import msgspec
 
 MESSAGE = 1 << 20
 READY_S = 1200.0  # on a busy machine with a cold kernel cache
+ADDED = ("PYTEST_", "GDAL_", "PROJ_")
 _templates: dict[int, Template] = {}
 _environment: dict[str, str] = {}  # of the tests, before any of them changes it
 
@@ -58,8 +59,8 @@ class Template:
 
 
 def _own_environment() -> dict[str, str]:
-    """What a process may have read while it was imported; pytest writes the test's name beside it."""
-    return {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    """What a process may have read while it was imported, without what pytest and rasterio add meanwhile."""
+    return {name: value for name, value in os.environ.items() if not name.startswith(ADDED)}
 
 
 class ForkedProcess(subprocess.Popen[str]):

@@ -135,12 +135,12 @@ def compile_client(folder: Path, language: str = "C", source: Path = PATROL) -> 
     return program
 
 
-def compile_impatient(folder: Path, language: str = "C") -> Path:
-    """The tutorial's client, which waits half a second for an arbiter rather than ten."""
-    source, wait = folder / "impatient.c", '"patrol", 10000)'
+def compile_waiting(folder: Path, wait_ms: int, language: str = "C") -> Path:
+    """The tutorial's client, which waits another time for an arbiter rather than ten seconds."""
+    source, wait = folder / "waiting.c", '"patrol", 10000)'
     text = PATROL.read_text()
     assert wait in text
-    source.write_text(text.replace(wait, '"patrol", 500)'))
+    source.write_text(text.replace(wait, f'"patrol", {wait_ms})'))
     return compile_client(folder, language, source)
 
 

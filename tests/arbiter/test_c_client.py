@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from arbiter.running import CONFIG, compile_client, compile_impatient
+from arbiter.running import CONFIG, compile_client, compile_waiting
 from running_service import until
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter.cheader import HEADER, header_text
@@ -48,7 +48,7 @@ def test_a_client_in_c_is_preempted_waits_and_goes_on(make_arbiter, patrol):
 
 @pytest.mark.parametrize("language", ["C", "C++"])
 def test_a_client_in_c_says_why_it_cannot_attach(arbiter, tmp_path, language):
-    impatient = compile_impatient(tmp_path, language)
+    impatient = compile_waiting(tmp_path, 500, language)
     done = subprocess.run([str(impatient), arbiter.name, "1"], capture_output=True, text=True)
     assert done.returncode == 1
     assert "declares no client" in done.stderr

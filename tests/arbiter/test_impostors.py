@@ -17,7 +17,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from arbiter.running import CONFIG, compile_client, compile_impatient
+from arbiter.running import CONFIG, compile_client, compile_waiting
 from running_service import until
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from surffollow.arbiter import attach, command_reader, observe
@@ -305,7 +305,7 @@ def test_a_client_in_c_attaches_again_to_the_same_user_only(honest, patrol):
 
 
 def test_a_client_in_c_waits_no_longer_than_configured_for_a_squatter(honest, tmp_path):
-    impatient = compile_impatient(tmp_path)
+    impatient = compile_waiting(tmp_path, 500)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as sock:
         sock.bind(hs.address(honest.name))
         sock.listen(0)

@@ -45,6 +45,7 @@ def test_what_died_with_other_parameters_in_force_comes_back_stopped(mortal: Ser
             mortal.start()
             drive(driver, lambda: driver.status()["stopped"] == ["restart"], what="the stop")
             assert not valid(driver)
+        drive(driver, lambda: driver.slot >= 0, what="a slot of the new one")
         driver.sf_reset(0.09)
         assert not valid(driver)
         driver.reset_stop()

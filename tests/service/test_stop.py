@@ -123,6 +123,7 @@ def test_a_stop_outlives_the_kill_of_its_service(make_service: Make) -> None:
             # THEN it is stopped for the same cause until the pose's holder resets it
             drive(driver, lambda: is_stopped(driver), what="the stop, still")
             assert driver.status()["stopped"] == ["request"]
+            drive(driver, lambda: driver.slot >= 0, what="a slot of the new one")
             driver.reset_stop()
             drive(driver, lambda: valid(driver), what="a demand after the reset")
     finally:
