@@ -59,14 +59,6 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "powers without sharpness": [
         ("model_weights", "sharpness = noise_share * noise_share * progress * progress", "sharpness = 1.0")
     ],
-    "longer horizon on quiet ground": [
-        (
-            "model_weights",
-            "longer_share = longer_horizon_share(adaptive, least_longer)",
-            "longer_share = 0.0 * least_longer",
-        )
-    ],
-    "wider deadband in burn-in": [("adaptation", "BURN_IN_WIDENING = 3.5", "BURN_IN_WIDENING = 0.0")],
     "chance penalty": [("model_weights", "chance = noise_share", "chance = 0.0 * noise_share")],
     "filter of the weights": [("model_weights", "rate = 1.0 - math.exp(", "rate = 1.0 - 0.0 * math.exp(")],
     "variance penalty": [("model_weights", "if variance_share > 0.0:", "if variance_share > 2.0:")],

@@ -11,19 +11,16 @@ from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.runner import run_method, score_run
 from surffollow.benchmark.scene import make_scene
 from surffollow.benchmark.trials import Job, excursion
-from surffollow.forecast.estimation.adaptation import update_deadband
 from surffollow.forecast.estimation.model_bank import (
     BANK,
     CURVE,
     N_MODELS,
     SLOPE,
-    SMOOTH_MODEL,
     WAVE,
 )
 from surffollow.forecast.estimation.model_weights import (
     FULL_POWER_SAMPLES,
     ROUGH_EFFORT_POWER,
-    ROUGH_WEIGHT_TIME_CONSTANT_S,
     WEIGHT_TIME_CONSTANT_S,
     update_weights,
 )
@@ -35,7 +32,7 @@ from .feeding import default_params
 
 NOISE_M = 2.5e-4
 OLD, NEW = 0, 2
-QUICK = 9
+CALM = int(np.flatnonzero((BANK[:, 0] == SLOPE) & (BANK[:, 2] == 0.05))[0])
 AT_ONCE_S = 10.0
 
 
@@ -63,19 +60,12 @@ def weight_change(rms_m: float, dt_s: float, scored: int = FULL_POWER_SAMPLES) -
     return float((a["weights"]["weight"][NEW] - before) / (there["weights"]["weight"][NEW] - before))
 
 
-def test_weights_have_a_time_constant_in_noise_and_on_terrain_that_no_model_describes():
-    assert weight_change(NOISE_M, 0.004) == pytest.approx(1.0 - math.exp(-0.004 / WEIGHT_TIME_CONSTANT_S))
-    assert weight_change(NOISE_M, 0.05) > 0.99, "a slow sensor's next reading is far away"
-    assert weight_change(20.0 * NOISE_M, 0.004) == pytest.approx(
-        1.0 - math.exp(-0.004 / ROUGH_WEIGHT_TIME_CONSTANT_S), rel=0.01
-    )
-    between = weight_change(1.5 * NOISE_M, 0.004)
-    assert weight_change(20.0 * NOISE_M, 0.004) < between < weight_change(NOISE_M, 0.004)
-    young_s = 0.1 * ROUGH_WEIGHT_TIME_CONSTANT_S
-    young = weight_change(20.0 * NOISE_M, 0.004, scored=FULL_POWER_SAMPLES // 10)
-    assert young == pytest.approx(1.0 - math.exp(-0.004 / young_s), rel=0.01), (
-        "who has judged little learns sooner"
-    )
+def test_weights_have_a_time_constant_that_is_shorter_while_little_was_scored():
+    for rms_m in (NOISE_M, 20.0 * NOISE_M):
+        assert weight_change(rms_m, 0.004) == pytest.approx(1.0 - math.exp(-0.004 / WEIGHT_TIME_CONSTANT_S))
+        assert weight_change(rms_m, 0.1) > 0.99, "a slow sensor's next reading is far away"
+        early = weight_change(rms_m, 0.004, scored=FULL_POWER_SAMPLES // 10)
+        assert early == pytest.approx(1.0 - math.exp(-0.004 / (0.1 * WEIGHT_TIME_CONSTANT_S)))
 
 
 def odds_of(kind: int, score_m2: float, scored: int) -> float:
@@ -89,7 +79,7 @@ def odds_of(kind: int, score_m2: float, scored: int) -> float:
     a["weights"]["recent_m2"][:N_MODELS] = a["weights"]["longer_m2"][:N_MODELS] = score_m2
     update_weights(default_params(), a, AT_ONCE_S)
     i = int(np.flatnonzero(BANK[:, 0] == kind)[0])
-    return float(a["weights"]["weight"][i] / a["weights"]["weight"][SMOOTH_MODEL])
+    return float(a["weights"]["weight"][i] / a["weights"]["weight"][CALM])
 
 
 def test_the_chance_penalty_of_waves_is_greatest_during_burn_in():
@@ -169,62 +159,6 @@ def test_the_weights_of_a_sensor_without_any_noise_stay_finite():
         assert np.isfinite(a["weights"]["weight"][:N_MODELS]).all()
 
 
-def long_odds(recent: float, ever: float, quick_recent: float = 1.3, quick_ever: float = 1.0) -> float:
-    """Weight of a quick model over that of the calm one, whose scores these are, in noise variances."""
-    a = zeros(AdaptiveState)[0]
-    a["noise"]["sigma_m"], a["weights"]["scored"], a["estimate"]["samples"] = (
-        NOISE_M,
-        FULL_POWER_SAMPLES,
-        FULL_POWER_SAMPLES,
-    )
-    a["weights"]["recent_m2"][:N_MODELS] = 2.0 * recent * NOISE_M**2
-    a["weights"]["longer_m2"][:N_MODELS] = 2.0 * ever * NOISE_M**2
-    a["weights"]["recent_m2"][[SMOOTH_MODEL, QUICK]] = np.array([recent, quick_recent]) * NOISE_M**2
-    a["weights"]["longer_m2"][[SMOOTH_MODEL, QUICK]] = np.array([ever, quick_ever]) * NOISE_M**2
-    update_weights(default_params(), a, AT_ONCE_S)
-    return float(a["weights"]["weight"][QUICK] / a["weights"]["weight"][SMOOTH_MODEL])
-
-
-def test_between_grooves_the_longer_horizon_decides():
-    """The calm one fits the quiet stretch better, and failed at the last groove."""
-    assert long_odds(1.05, 3.0) > 30.0
-    assert long_odds(1.0, 1.03, quick_recent=1.075) > 30.0, "even a small difference, kept for long"
-    assert long_odds(1.05, 1.05, quick_ever=1.3) < 1e-3, "where both were always right the calmer one"
-    assert long_odds(1.05, 60.0, quick_ever=30.0) < 0.1, "on rough ground the longer horizon says little"
-    assert long_odds(20.0, 1.2, quick_ever=6.0) > 1e3, "nor while the ground is lively: a wave was just found"
-
-
-def deadband_m(samples: int, scored: int, rms_m: float) -> float:
-    a = zeros(AdaptiveState)[0]
-    a["noise"]["sigma_m"], a["estimate"]["sigma_m"], a["estimate"]["samples"], a["weights"]["scored"] = (
-        NOISE_M,
-        3e-4,
-        samples,
-        scored,
-    )
-    a["weights"]["recent_m2"][:N_MODELS] = rms_m * rms_m
-    update_deadband(default_params(), a)
-    return float(a["adaptation"]["deadband_m"])
-
-
-def test_the_deadband_is_wider_during_burn_in_in_noise():
-    usual = deadband_m(FULL_POWER_SAMPLES, FULL_POWER_SAMPLES, NOISE_M)
-    assert usual == pytest.approx(0.1 * 3e-4)
-    assert deadband_m(1, 1, NOISE_M) == pytest.approx(4.5 * usual, rel=0.01)
-    assert (
-        usual
-        < deadband_m(FULL_POWER_SAMPLES // 2, FULL_POWER_SAMPLES // 2, NOISE_M)
-        < deadband_m(1, 1, NOISE_M)
-    )
-    assert deadband_m(1, FULL_POWER_SAMPLES, NOISE_M) == usual, (
-        "a new start after a loss knows what to think of its models"
-    )
-    assert deadband_m(FULL_POWER_SAMPLES, 0, NOISE_M) == usual, (
-        "and so does, by then, one that is led by what was seen before"
-    )
-    assert deadband_m(1, 1, 5.0 * NOISE_M) < 1.1 * usual
-
-
 # in each of these runs two or three readings made the follower go up to 0.2 mm after them; in the last one it
 # started in a slot, took its end for a step that stays, and the next slot for a step: 3 mm
 @pytest.mark.parametrize(
@@ -264,8 +198,8 @@ def test_a_gently_curved_panel_is_followed_within_a_fifth_of_the_noise_and_calml
     assert accel_mps2 < 0.25
 
 
-def test_grooves_far_apart_are_followed_by_the_longer_horizon():
+def test_grooves_far_apart_are_followed():
     """4 mm deep, 40 mm wide, one every half metre; between them the ground is flat."""
     off_m = np.abs(WAY_M % 0.5 - 0.25)
     rms_m, _ = ran_over(-0.004 * np.maximum(0.0, 1.0 - off_m / 0.02), 0.1)
-    assert rms_m < 0.338e-3
+    assert rms_m < 0.37e-3

@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.forecast.estimation.model_weights import FULL_POWER_SAMPLES, least_noise_fraction
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import INTERVALS
 
 MAX_PERMITTED_M = 2e-3  # uncertainty of the height raises Permitted_Variance no farther
-BURN_IN_WIDENING = 3.5  # the deadband is wider by this factor at first
 MIN_GAIN = 1e-4  # bounds the published Interval_Size
 
 
@@ -22,16 +20,7 @@ def update_deadband(params: Any, adaptive: Any) -> None:
     """Set Permitted_Variance in force and the deadband of the set-point filter."""
     estimate, adaptation = adaptive.estimate, adaptive.adaptation
     adaptation.permitted_variance_m = max(params.permitted_variance_m, min(estimate.sigma_m, MAX_PERMITTED_M))
-    # during burn-in, where errors are noise, differences between models are chance
-    burn_in = (
-        1.0 - min(max(estimate.samples, adaptive.weights.scored), FULL_POWER_SAMPLES) / FULL_POWER_SAMPLES
-    )
-    noise_share = least_noise_fraction(adaptive)
-    adaptation.deadband_m = (
-        params.calm_share
-        * adaptation.permitted_variance_m
-        * (1.0 + BURN_IN_WIDENING * burn_in * noise_share * noise_share)
-    )
+    adaptation.deadband_m = params.calm_share * adaptation.permitted_variance_m
 
 
 @jit

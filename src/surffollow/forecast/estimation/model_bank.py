@@ -22,13 +22,12 @@ SLOPE, CURVE, WAVE = 0, 1, 2
 _N_WAVES, _PER_OCTAVE = 11, 3
 _LONGEST_WAVE_M = 0.4 * 2.0 ** (2 / 3)
 _STRAIGHT_M = 1e3  # slopes that do not decay
-_SMOOTH_NOISE = 0.05  # slope noise of planes with few bends
 
 
 def _models() -> Any:
     """Rows of (kind, scale, noise of slope or curve, noise of height)."""
     levels = [(SLOPE, _STRAIGHT_M, 0.0, qh) for qh in (3e-5, 3e-4, 2e-3, 2e-2)]
-    slopes = [(SLOPE, _STRAIGHT_M, qs, 1e-5) for qs in (0.01, _SMOOTH_NOISE, 0.15, 0.5, 1.0, 2.0)]
+    slopes = [(SLOPE, _STRAIGHT_M, qs, 1e-5) for qs in (0.01, 0.05, 0.15, 0.5, 1.0, 2.0)]
     slopes += [(SLOPE, _STRAIGHT_M, qs, 3e-3) for qs in (0.15, 1.0)]
     decaying = ((0.006, 8.0), (0.015, 4.0), (0.05, 1.0), (0.05, 3.0), (0.15, 0.5))
     slopes += [(SLOPE, length_m, qs, 1e-3) for length_m, qs in decaying]
@@ -43,7 +42,6 @@ N_MODELS = len(BANK)
 N_SLOPES = int(np.sum(BANK[:, 0] == SLOPE))
 WAVES = int(np.sum(BANK[:, 0] != WAVE))  # first of them; curves are between
 assert np.all(np.diff(BANK[:, 0]) >= 0)
-SMOOTH_MODEL = int(np.flatnonzero((BANK[:, 0] == SLOPE) & (BANK[:, 2] == _SMOOTH_NOISE))[0])
 # scale a: length of decay [m], or 2π over the wavelength [1/m]
 SCALE, SLOPE_POWER, HEIGHT_POWER = BANK[:, 1].copy(), BANK[:, 2] ** 2, BANK[:, 3] ** 2
 # variances of slope and curvature at the start; of a wave, of sine and cosine [m²]

@@ -15,7 +15,6 @@ import numpy as np
 from surffollow.forecast.estimation.model_bank import (
     BANK,
     N_MODELS,
-    SMOOTH_MODEL,
     extrapolation_variance,
 )
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
@@ -23,12 +22,9 @@ from surffollow.shm.jit import jit
 
 NOISE_MARGIN = 1.4  # mean squares up to so many noise variances are noise
 VARIANCE_PENALTY = 3.0  # power of the models' own variance during burn-in
-WEIGHT_TIME_CONSTANT_S = 0.01  # of the weights where errors are noise …
-ROUGH_WEIGHT_TIME_CONSTANT_S = 0.05  # … and on terrain that no model describes
+WEIGHT_TIME_CONSTANT_S = 0.02  # of the weights once the index has its full power
 WEIGHT_INTERVAL_S = 0.005  # quicker sensors do not update the weights with each sample
 MIN_TIME_CONSTANT_S = 1e-6  # avoids a division by zero at the first samples
-LONGER_POWER_FACTOR = 10.0  # of the longer horizon's power on quiet ground …
-RECENT_POWER_REDUCTION = 0.9  # … where the recent one's power is reduced by this share
 BURN_IN_SAMPLES, FULL_POWER_SAMPLES = 200, 500  # samples for the full index, and for its full power
 MIN_BURN_IN_SHARE = 0.03  # of these samples: errors far beyond the noise are significant after a few
 # per kind of model: a wave fits part of any noise for a while, a curve a smaller part
@@ -69,39 +65,8 @@ def noise_fraction(score_m2: Any, noise_m: Any) -> Any:
 
 
 @jit
-def least_noise_fraction(adaptive: Any) -> Any:
-    """The same of the least index."""
-    weights = adaptive.weights
-    best = weights.recent_m2[0]
-    for i in range(1, N_MODELS):
-        best = min(best, weights.recent_m2[i])
-    return noise_fraction(best, adaptive.noise.sigma_m)
-
-
-@jit
-def longer_horizon_share(adaptive: Any, best_long_m2: Any) -> Any:
-    """Share by which the longer horizon replaces the recent one, 0 to 1.
-
-    On a quiet stretch between two bends, beads or grooves every model fits. The recent index would prefer the
-    smoothest model, which fails at the next bend. Where the smooth model's error is noise, the longer
-    horizon decides.
-    """
-    noise, weights = adaptive.noise, adaptive.weights
-    return (
-        noise_fraction(weights.recent_m2[SMOOTH_MODEL], noise.sigma_m)
-        * noise_fraction(best_long_m2, noise.sigma_m)
-        * weights.scored
-        / FULL_POWER_SAMPLES
-    )
-
-
-@jit
 def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
-    """Compute the weights: powers of both indices with penalties, filtered in time.
-
-    Weights follow with a time constant of 10 ms where errors are noise and of 50 ms on terrain that no model
-    describes.
-    """
+    """Compute the weights: powers of both indices with penalties, filtered in time."""
     shadow, weights = adaptive.shadow, adaptive.weights
     least_recent, least_longer = weights.recent_m2[0], weights.longer_m2[0]
     for i in range(1, N_MODELS):
@@ -118,13 +83,7 @@ def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
     needed = BURN_IN_SAMPLES * max(noise_share * noise_share, MIN_BURN_IN_SHARE)
     burn_in, progress = min(weights.scored / needed, 1.0), weights.scored / FULL_POWER_SAMPLES
     sharpness = noise_share * noise_share * progress * progress
-    longer_share = longer_horizon_share(adaptive, least_longer)
-    power = params.long_power + (params.score_power - params.long_power) * sharpness * (
-        1.0 - RECENT_POWER_REDUCTION * longer_share
-    )
-    long_power = (
-        params.long_power + (LONGER_POWER_FACTOR * params.long_power - params.long_power) * longer_share
-    )
+    power = params.long_power + (params.score_power - params.long_power) * sharpness
     # until then, and after an initialisation, the models' own variance decides
     variance_share = max(1.0 - burn_in, 1.0 - adaptive.estimate.samples / needed)
     if adaptive.sample.lead_m > MIN_LEAD_M:
@@ -139,7 +98,7 @@ def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
     for i in range(N_MODELS):
         extra = floor + mu * shadow.effort[i]
         c = power * math.log(weights.recent_m2[i] - subtracted + extra)
-        c += long_power * math.log(weights.longer_m2[i] - subtracted_longer + extra)
+        c += params.long_power * math.log(weights.longer_m2[i] - subtracted_longer + extra)
         c += effort_power * shadow.log_effort[i]
         c = burn_in * c + chance * CHANCE_PENALTY[i]
         if variance_share > 0.0:
@@ -154,11 +113,7 @@ def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
     for i in range(N_MODELS):
         weights.cost[i] = math.exp(least - weights.cost[i])
         total += weights.cost[i]
-    time_constant_s = (
-        WEIGHT_TIME_CONSTANT_S * noise_share * noise_share
-        + ROUGH_WEIGHT_TIME_CONSTANT_S * (1.0 - noise_share * noise_share) * progress
-    )
-    rate = 1.0 - math.exp(-dt_s / max(time_constant_s, MIN_TIME_CONSTANT_S))
+    rate = 1.0 - math.exp(-dt_s / max(WEIGHT_TIME_CONSTANT_S * progress, MIN_TIME_CONSTANT_S))
     for i in range(N_MODELS):
         weights.weight[i] += rate * (weights.cost[i] / total - weights.weight[i])
     weights.waiting_s = 0.0
