@@ -14,9 +14,9 @@ from report import bar
 from surffollow.scan.body import disc
 from surffollow.scan.camera import Camera, looking_down
 from surffollow.scan.check import check_path
-from surffollow.scan.cloud_patches import cloud_patches
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.patches import coherent_patches
+from surffollow.scan.patches_of_clouds import cloud_patches
 from surffollow.scan.path_file import write_path
 from surffollow.scan.plan import PlanSettings, plan_scan
 from surffollow.scan.planar_filter import conditional_planar_filter

@@ -10,12 +10,12 @@ import pytest
 import naive_scan as naive
 from surffollow.errors import ScanInputError
 from surffollow.scan.camera import Camera, looking_down
-from surffollow.scan.cloud_patches import cloud_patches
 from surffollow.scan.cloud_terrain import general_slope
 from surffollow.scan.deviation import planar_deviation
 from surffollow.scan.image_filters import gaussian_filter, median_filter
 from surffollow.scan.patch_labels import label_patches
 from surffollow.scan.patches import coherent_patches
+from surffollow.scan.patches_of_clouds import cloud_patches
 from surffollow.scan.planar_filter import conditional_planar_filter
 from surffollow.scan.planar_kernels import NO_DATA, PLANAR, ROUGH
 

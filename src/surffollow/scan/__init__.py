@@ -34,7 +34,7 @@ _HOME = {
     "ball_envelope": "envelope",
     "check_path": "check",
     "clear_ground": "clearance",
-    "cloud_patches": "cloud_patches",
+    "cloud_patches": "patches_of_clouds",
     "coherent_patches": "patches",
     "compose_stations": "terrain",
     "conditional_planar_filter": "planar_filter",
