@@ -24,6 +24,7 @@ from surffollow.forecast.estimation.model_weights import (
     WEIGHT_TIME_CONSTANT_S,
     update_weights,
 )
+from surffollow.forecast.plant.shadow_axes import EFFORT_RATE, record_setpoints
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.sim.profiles import Profile
@@ -106,6 +107,18 @@ def effort_odds(rms_m: float, scored: int) -> float:
     a["shadow"]["log_effort"][jumpy] = math.log(101.0)
     update_weights(default_params(), a, AT_ONCE_S)
     return float(a["weights"]["weight"][still] / a["weights"]["weight"][jumpy])
+
+
+def test_the_effort_is_the_mean_squared_acceleration_of_the_recorded_setpoints():
+    a = zeros(AdaptiveState)[0]
+    for period, setpoint_m in enumerate((0.0, 0.0, 1e-4, 2e-4)):  # one acceleration of 1 m/s²
+        a["blend"]["model_m"][NEW] = setpoint_m
+        a["controller"]["periods"] = period
+        record_setpoints(a)
+    effort = EFFORT_RATE * 1.0 * (1.0 - EFFORT_RATE)
+    assert a["shadow"]["effort"][NEW] == pytest.approx(effort)
+    assert a["shadow"]["log_effort"][NEW] == pytest.approx(math.log1p(effort))
+    assert a["shadow"]["effort"][OLD] == a["shadow"]["log_effort"][OLD] == 0.0
 
 
 def test_of_two_models_that_fit_rough_ground_alike_the_one_with_less_effort_has_the_weight():
