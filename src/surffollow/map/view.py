@@ -23,10 +23,8 @@ class MapView:
 
         Parameters
         ----------
-        x_m : float
-            place [m]
-        y_m : float
-            place [m]
+        x_m, y_m : float
+            place in the frame of `origin_m` [m]
 
         Returns
         -------
@@ -40,10 +38,8 @@ class MapView:
 
         Parameters
         ----------
-        x_m : float
-            place [m]
-        y_m : float
-            place [m]
+        x_m, y_m : float
+            as for `height_at`
 
         Returns
         -------
