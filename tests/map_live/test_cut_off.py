@@ -54,8 +54,7 @@ def test_a_service_killed_in_a_refocus_has_the_old_map_or_the_whole_new_one(
     x0, y0, x1, y1 = old.extent_m
     region = (x0 + 1.0, y0 + 1.0, x1 - 1.3, y1 - 1.1)
     new = old.copy()
-    new.header["finest_grid_m"] = ml.DEFAULT_FINEST_GRID_M
-    new.refocus(region)
+    new.refocus(region, finest_m=ml.DEFAULT_FINEST_GRID_M)
     expected = {m.shape: m.heights_m for m in (old, new)}
     assert len(expected) == 2
     rng = np.random.default_rng(4)
