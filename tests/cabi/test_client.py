@@ -13,6 +13,7 @@ import pytest
 
 from cabi.running import PATIENT_MS, Answer, Probe
 from running_service import STANDOFF_M, Service, until
+from second_user import needs_root
 from surffollow.client import STALE, Client, Demand, observe
 from surffollow.client import attach as attach_hasty
 from surffollow.config.names import OBJECTS
@@ -289,7 +290,7 @@ def test_observer_sees_demands_but_cannot_send(make_probe: Callable[..., Probe],
         assert probe(line).result == -26, line
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
+@needs_root
 def test_other_users_are_refused_by_the_kernel_with_the_reason(
     make_probe: Callable[..., Probe], service: Service, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

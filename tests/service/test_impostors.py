@@ -13,6 +13,7 @@ import msgspec
 import pytest
 
 from running_service import ATTACHED, POSE, SENDING, Service, objects_of, program, run_command, said, until
+from second_user import NOBODY, needs_root
 from service.pose_senders import free_of_poses
 from surffollow.client import Client
 from surffollow.errors import (
@@ -28,8 +29,6 @@ from surffollow.shm import layout_board as lb
 from surffollow.shm.objects import unlink
 
 Make = Callable[..., Service]
-NOBODY = 65534
-ROOT_ONLY = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file away")
 FORKER = f"""{ATTACHED}
 pins = memoryview(client._in), client._in_words  # mappings that a child cannot let go of
 child = os.fork()
@@ -137,7 +136,7 @@ def test_a_request_that_was_wiped_out_does_not_block_the_next_for_ever(
         assert client.params()["offset_m"] == 0.12
 
 
-@ROOT_ONLY
+@needs_root
 def test_a_map_of_another_user_than_the_boards_is_not_read(make_service: Make, tmp_path: Path) -> None:
     s = make_service().start()
     path = Path(f"/dev/shm/{s.name}.map")
@@ -172,7 +171,7 @@ def leave_a_map(s: Service) -> None:
 @pytest.mark.parametrize(
     ("how", "why"),
     [
-        pytest.param("owner", f"belongs to user {NOBODY}", marks=ROOT_ONLY),
+        pytest.param("owner", f"belongs to user {NOBODY}", marks=needs_root),
         ("mode", "others could write it"),
         ("link", "another name"),
     ],

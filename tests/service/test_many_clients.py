@@ -23,13 +23,13 @@ from running_service import (
     take_pose,
     until,
 )
+from second_user import AS_NOBODY, needs_root
 from service.pose_senders import SENDER, free_of_poses, orphan_of
 from surffollow.client import Client
 from surffollow.errors import BusyError, RefusedError
 from surffollow.shm import layout_board as lb
 
 Make = Callable[..., Service]
-NOBODY = ("setpriv", "--reuid=65534", "--regid=65534", "--clear-groups")
 FORKER = f"""{ATTACHED}
 child = os.fork()
 if child == 0:
@@ -153,14 +153,17 @@ def test_sixteen_clients_fit_the_seventeenth_is_refused_and_a_freed_slot_is_used
 
 
 def as_nobody(s: Service) -> list[str]:
-    done = subprocess.run([*NOBODY, sys.executable, "-c", STRANGER, s.name], capture_output=True, text=True)
+    done = subprocess.run(
+        [*AS_NOBODY, sys.executable, "-c", STRANGER, s.name], capture_output=True, text=True
+    )
     if "Permission denied" in done.stderr:
         pytest.skip("another user cannot run this Python")
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
 
 
-@pytest.mark.skipif(os.geteuid() != 0 or shutil.which("setpriv") is None, reason="needs root and setpriv")
+@needs_root
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs setpriv")
 def test_modes_decide_who_may_watch_and_who_may_command(make_service: Make, crowd: Service) -> None:
     # WHEN nobody but the group may read, THEN another user may neither watch nor command
     watch, attach = as_nobody(crowd)

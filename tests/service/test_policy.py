@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from running_service import POSE, Service, config_text, objects_of, program, said, until
+from second_user import AS_NOBODY, NOBODY, needs_root
 from surffollow.client import Client
 from surffollow.client.audit import audit_line, printable
 from surffollow.config.service import parse_config
@@ -19,9 +20,6 @@ from surffollow.map.height_map import HeightMap
 from surffollow.shm import layout_board as lb
 
 Make = Callable[..., Service]
-NOBODY = 65534
-SECOND_USER = pytest.mark.skipif(os.geteuid() != 0, reason="only root can run a client as another user")
-AS_NOBODY = ("setpriv", "--reuid", str(NOBODY), "--regid", str(NOBODY), "--clear-groups")
 # a client that tries to change everything dangerous, and says how it fared
 MEDDLER = """
 import os, sys
@@ -97,7 +95,7 @@ def test_who_does_not_hold_the_pose_changes_nothing_while_another_drives(limited
         other.set_params(max_demand=0.03)  # nobody is driven now
 
 
-@SECOND_USER
+@needs_root
 def test_another_user_without_the_pose_changes_nothing_and_is_in_the_audit_trail(limited: Service) -> None:
     with limited.attach() as driver:
         driver.ee_pos(POSE)
@@ -237,7 +235,7 @@ with attach(sys.argv[1], owner=0) as client:
 """
 
 
-@SECOND_USER
+@needs_root
 @pytest.mark.parametrize(
     ("key", "may"), [("", False), ("nobody", True), ("65534", True), ("daemon", False), ("any", True)]
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -24,6 +23,7 @@ from running_service import (
     said,
     until,
 )
+from second_user import AS_NOBODY, needs_root
 from surffollow.client import Client
 from surffollow.errors import RefusedError
 from surffollow.record.replay import replay_file
@@ -31,9 +31,6 @@ from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import STOPPED, VALID
 
 Make = Callable[..., Service]
-NOBODY = 65534
-SECOND_USER = pytest.mark.skipif(os.geteuid() != 0, reason="only root can run a client as another user")
-AS_NOBODY = ("setpriv", "--reuid", str(NOBODY), "--regid", str(NOBODY), "--clear-groups")
 OPEN = 'board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"'
 
 
@@ -95,7 +92,7 @@ def test_any_client_stops_and_only_the_poses_holder_resets(following: Service) -
         assert (refused_reset["accepted"], reset["accepted"]) == (False, True)
 
 
-@SECOND_USER
+@needs_root
 def test_another_user_may_stop_but_not_start_again(following: Service) -> None:
     code = (
         "import sys; from surffollow.client import attach; from surffollow.errors import RefusedError\n"
