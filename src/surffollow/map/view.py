@@ -95,9 +95,7 @@ class MapView:
     @property
     def extent_m(self) -> tuple[float, float, float, float]:
         """What the grids cover: x_min, y_min, x_max, y_max [m]."""
-        ny, nx = self.shape
-        x0, y0 = self.origin_m
-        return x0, y0, x0 + nx * self.grid_m, y0 + ny * self.grid_m
+        return access.extent(self.shape, self.origin_m, self.grid_m)
 
     @property
     def samples(self) -> int:
