@@ -140,27 +140,53 @@ def test_the_map_is_read_where_a_tilted_tool_points(loop):
     assert (tip_x - x, tip_y - y) == pytest.approx((0.03, -0.01))
 
 
-def test_ticks_are_put_before_reports_that_come_a_hundred_times_a_second():
-    a = zeros(AdaptiveState)[0]
-    ticks, late = [], np.random.default_rng(5).uniform(0, 300_000, 3000)
+class Periods:
+    """The controller's periods, as the follower keeps them; `t_ns` counts from START."""
+
+    def __init__(self):
+        self._controller = zeros(AdaptiveState)[0]["controller"]
+
+    def report(self, number, t_ns):
+        observe_report(self._controller, number, START + t_ns)
+
+    def is_due(self, t_ns, answers_each=False):
+        """Whether a setpoint is due; `answers_each`: the caller takes each answer himself."""
+        return period_is_due(self._controller, int(answers_each), START + t_ns) != 0
+
+    def answer(self, t_ns):
+        """A setpoint is computed now; when the controller takes it."""
+        self._controller["period_ns"] = START + t_ns
+        self._controller["periods"] += 1
+        open_period(self._controller, 0, START + t_ns)
+        return self.latch_ns(t_ns)
+
+    def latch_ns(self, t_ns, answers_each=False):
+        return int(latch_time(self._controller, int(answers_each), START + t_ns)) - START
+
+
+def test_periods_are_put_before_reports_that_come_a_hundred_times_a_second():
+    # GIVEN reports every 10 ms, which are late by up to 0.3 ms
+    periods, answered = Periods(), []
+    late = np.random.default_rng(5).uniform(0, 300_000, 3000)
+    # WHEN the cycles of three seconds look whether a period is due
     for k in range(3000):
-        t = START + k * MS + int(late[k])
+        t_ns = k * MS + int(late[k])
         if k % 10 == 3:
-            observe_report(a["controller"], k // 10 + 1, t)
-        if period_is_due(a["controller"], 0, t) != 0:
-            a["controller"]["period_ns"], a["controller"]["periods"] = t, a["controller"]["periods"] + 1
-            open_period(a["controller"], 0, t)
-            ticks.append((k, latch_time(a["controller"], 0, t) - START))
-    settled = [(k, taken) for k, taken in ticks if k > 1000]
+            periods.report(k // 10 + 1, t_ns)
+        if periods.is_due(t_ns):
+            answered.append((k, periods.answer(t_ns)))
+            last_ns = t_ns
+    # THEN each is answered in the cycles after a report, and taken half a millisecond before the next
+    settled = [(k, taken) for k, taken in answered if k > 1000]
     assert {k % 10 for k, _ in settled} <= {4, 5}
     assert len(settled) == pytest.approx(200, abs=2)
     for k, taken in settled:
         report = k + (3 - k) % 10
         assert abs(taken - (report * MS - 500_000)) < 600_000
-    # without reports, and where the caller takes each answer himself, a tick is every 10 ms
-    assert period_is_due(a["controller"], 1, int(a["controller"]["period_ns"]) + 9_999_000) == 1
-    assert period_is_due(a["controller"], 1, int(a["controller"]["period_ns"]) + 9_998_000) == 0
-    assert latch_time(a["controller"], 1, START) == START
+    # THEN where the caller takes each answer himself, one is due every 10 ms and taken at once
+    assert periods.is_due(last_ns + 9_999_000, answers_each=True)
+    assert not periods.is_due(last_ns + 9_998_000, answers_each=True)
+    assert periods.latch_ns(0, answers_each=True) == 0
 
 
 def test_live_the_second_pass_is_better_and_its_replay_has_the_same_bits(monkeypatch):
