@@ -122,7 +122,6 @@ def against_writer(
     """Counts per reader against a writer that only publishes, and its publications."""
     path = folder / "latch"
     path.write_bytes(bytes(-(-latch_bytes(8 * WORDS) // 4096) * 4096))
-    full_speed_writer(str(path), 0.0)  # compile before the clock runs
     writer = mp.get_context("spawn").Process(target=full_speed_writer, args=(str(path), seconds + 60.0))
     writer.start()
     generation = lambda: int.from_bytes(path.read_bytes()[:8], "little")  # noqa: E731
