@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from surffollow.arbiter import layout as al
@@ -144,5 +145,7 @@ def header_text() -> str:
 
 
 if __name__ == "__main__":
+    if "--check" in sys.argv[1:]:
+        sys.exit(0 if header_text() == HEADER.read_text() else f"{HEADER.name} is out of date")
     HEADER.write_text(header_text())
     print(f"wrote {HEADER.name}: {HEADER.stat().st_size} bytes")

@@ -122,7 +122,7 @@ class ResourceStatus(Schema):
     denied = I64()
     safes = I64(doc="safe commands published")
     waited_ns = I64(unit="ns", doc="longest wait in its queue that ended, by a grant or in vain")
-    waiting_since_ns = I64(unit="ns", doc="when the client that waits longest now began, 0: nobody waits")
+    waiting_since_ns = I64(unit="ns", doc="since when the longest-waiting client waits; 0: none waits")
 
 
 class ClientEntry(Schema):

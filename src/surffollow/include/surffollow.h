@@ -428,35 +428,35 @@ typedef struct sf_params {
   double plant_tau_s; /* [s] adaptive: assumed time constant of the vertical axis */
   double plant_v_max_mps; /* [m/s] adaptive: assumed speed limit of the vertical axis */
   double plant_a_max_mps2; /* [m/s^2] adaptive: assumed acceleration limit of the vertical axis */
-  double score_way_m; /* [m] adaptive: arc length over which models are scored */
-  double score_time_s; /* [s] adaptive: time over which models are judged */
-  double score_power; /* adaptive: how strongly the recently better model is preferred */
-  double long_power; /* adaptive: how strongly the model better over a longer way is preferred; where it is quiet x 10 */
-  double long_factor; /* adaptive: longer way and time of judgement, as a multiple */
-  double effort_m; /* [m s^2/m] adaptive: stand-off error worth a set point acceleration of 1 m/s^2 */
-  double noise_share; /* adaptive: share of the reading noise taken off the scores */
-  double score_floor_m; /* [m] adaptive: stand-off errors below this are as good as none */
-  double gate_scales; /* adaptive: innovations beyond so many scales are quarantined */
-  double gate_m; /* [m] adaptive: least innovation that is quarantined */
+  double score_way_m; /* [m] adaptive: arc length over which model errors are averaged */
+  double score_time_s; /* [s] adaptive: time over which model errors are averaged */
+  double score_power; /* adaptive: exponent of the weights over the recent horizon */
+  double long_power; /* adaptive: exponent of the weights over the longer horizon */
+  double long_factor; /* adaptive: longer horizon, as a multiple of the recent one */
+  double effort_m; /* [m s^2/m] adaptive: stand-off error equal to a setpoint acceleration of 1 m/s^2 */
+  double noise_share; /* adaptive: share of the noise subtracted from the model errors */
+  double score_floor_m; /* [m] adaptive: stand-off errors below this count as none */
+  double gate_scales; /* adaptive: width of the innovation gate, in usual innovations */
+  double gate_m; /* [m] adaptive: least width of the innovation gate */
   double step_way_m; /* [m] adaptive: travel after which a pending step down is confirmed */
   int64_t step_samples; /* adaptive: agreeing samples that confirm a pending step */
   double tick_lead_s; /* [s] adaptive: mean wait of a demand; at most half a report interval */
-  double plan_calm_s4; /* [s^4] adaptive: squared error worth a squared planned acceleration */
+  double plan_calm_s4; /* [s^4] adaptive: weight of squared acceleration against squared error in a plan */
   int64_t orient; /* adaptive: 1: with 3 or more sensors, demand rotations too */
   double max_turn_rad; /* [rad] adaptive: limit of the rotation demanded */
-  double permitted_turn_rad; /* [rad] adaptive: tilt of the surface that turns nothing */
-  double calm_share; /* adaptive: share of Permitted_Variance within which the set point glides on */
-  int64_t adapt; /* adaptive: 1: learn; 0: scores, weights, noise, how ground goes on stay as they are */
+  double permitted_turn_rad; /* [rad] adaptive: deadband of the attitude setpoint */
+  double calm_share; /* adaptive: share of Permitted_Variance that is the setpoint's deadband */
+  int64_t adapt; /* adaptive: 1: adapt; 0: index, weights, noise and terrain regression are frozen */
   int64_t hold_ns; /* [ns] adaptive: an unchanged reading counts as new after so long */
-  double dropout_way_m; /* [m] adaptive: way over which a slope is trusted without readings */
-  double max_speed_mps; /* [m/s] adaptive: limit of the set point's speed, away from the surface */
-  double max_accel_mps2; /* [m/s^2] adaptive: limit of the set point's acceleration */
-  double max_jerk_mps3; /* [m/s^3] adaptive: limit of the set point's jerk */
+  double dropout_way_m; /* [m] adaptive: travel without readings over which the slope decays */
+  double max_speed_mps; /* [m/s] adaptive: limit of the setpoint's speed, away from the surface */
+  double max_accel_mps2; /* [m/s^2] adaptive: limit of the setpoint's acceleration */
+  double max_jerk_mps3; /* [m/s^3] adaptive: limit of the setpoint's jerk */
   double toward_factor; /* adaptive: share of those limits at the approach and behind a fall */
-  double max_turn_speed_radps; /* [rad/s] adaptive: limit of the turning set point's speed */
-  double max_turn_accel_radps2; /* [rad/s^2] adaptive: limit of its acceleration */
+  double max_turn_speed_radps; /* [rad/s] adaptive: limit of the attitude setpoint's angular speed */
+  double max_turn_accel_radps2; /* [rad/s^2] adaptive: limit of its angular acceleration */
   double max_tilt_rad; /* [rad] adaptive: greatest angle of the tool's axis to the world's z axis */
-  int64_t preview; /* adaptive: 1: plan over ground remembered ahead (the service: its map's) */
+  int64_t preview; /* adaptive: 1: preview control over remembered ground (in the service: its map) */
   int64_t stop_on; /* causes that latch the stop, bits of STOP_NAMES; set by the configuration alone */
 } sf_params;
 SF_STATIC_ASSERT(sizeof(sf_params) == 984, "layout of sf_params");
@@ -636,7 +636,7 @@ typedef struct sf_map_status {
   double progress; /* 0 to 1 of the request under way */
   int64_t access_claim; /* claim of the slot that access was granted to; 0: none */
   int64_t grants; /* grants of access since the service started: another number, another grant */
-  int64_t fenced; /* bit per slot: its request outlived a lease and is not heard until its flag is 0 */
+  int64_t fenced; /* bit per slot: its request outlived a lease and is ignored until its flag is 0 */
 } sf_map_status;
 SF_STATIC_ASSERT(sizeof(sf_map_status) == 88, "layout of sf_map_status");
 SF_STATIC_ASSERT(offsetof(sf_map_status, t_ns) == 0, "layout of sf_map_status");
@@ -703,7 +703,7 @@ typedef struct sf_audit_entry {
   int64_t code; /* RQ_... */
   int64_t word; /* number of the parameter; -1: none */
   double old_value; /* its value before, NaN: none; in the unit of the parameter */
-  double new_value; /* its value wanted, NaN: none */
+  double new_value; /* requested value, NaN: none */
   int64_t result; /* OK, ACCEPTED or ERR_... */
   int64_t detail; /* of the answer; of a stop: its causes */
   int64_t count; /* times that this was refused since the entry before of the same kind; else 1 */

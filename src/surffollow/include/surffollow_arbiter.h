@@ -169,7 +169,7 @@ typedef struct sfa_resource_status {
   int64_t denied;
   int64_t safes; /* safe commands published */
   int64_t waited_ns; /* [ns] longest wait in its queue that ended, by a grant or in vain */
-  int64_t waiting_since_ns; /* [ns] when the client that waits longest now began, 0: nobody waits */
+  int64_t waiting_since_ns; /* [ns] since when the longest-waiting client waits; 0: none waits */
 } sfa_resource_status;
 SF_STATIC_ASSERT(sizeof(sfa_resource_status) == 128, "layout of sfa_resource_status");
 SF_STATIC_ASSERT(offsetof(sfa_resource_status, state) == 0, "layout of sfa_resource_status");

@@ -160,7 +160,7 @@ class MapStatus(Schema):
     progress = F64(doc="0 to 1 of the request under way")
     access_claim = I64(doc="claim of the slot that access was granted to; 0: none")
     grants = I64(doc="grants of access since the service started: another number, another grant")
-    fenced = I64(doc="bit per slot: its request outlived a lease and is not heard until its flag is 0")
+    fenced = I64(doc="bit per slot: its request outlived a lease and is ignored until its flag is 0")
 
 
 class Stats(Schema):
@@ -198,7 +198,7 @@ class AuditEntry(Schema):
     code = I64(doc="RQ_...")
     word = I64(doc="number of the parameter; -1: none")
     old_value = F64(doc="its value before, NaN: none; in the unit of the parameter")
-    new_value = F64(doc="its value wanted, NaN: none")
+    new_value = F64(doc="requested value, NaN: none")
     result = I64(doc="OK, ACCEPTED or ERR_...")
     detail = I64(doc="of the answer; of a stop: its causes")
     count = I64(doc="times that this was refused since the entry before of the same kind; else 1")
