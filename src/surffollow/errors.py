@@ -43,7 +43,7 @@ class SurffollowError(Exception):
 
 
 class UsageError(SurffollowError, ValueError):
-    """The caller's argument cannot be right, whatever the world is like."""
+    """The caller's argument is wrong in every situation."""
 
     exit_code = 2
 
@@ -164,7 +164,7 @@ SERVICE_LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "msgspec", "mcap", "
 
 
 def missing_library(error: ModuleNotFoundError) -> str:
-    """What to install where a library of the extra `service` is missing.
+    """The package to install where a library of the extra `service` is missing.
 
     Parameters
     ----------

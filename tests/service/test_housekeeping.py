@@ -271,7 +271,7 @@ def test_the_rate_of_lines_is_limited_and_what_is_dropped_is_counted(
 ) -> None:
     messages = Messages().start()
     for k in range(int(BURST) + 300):
-        messages.tell(f"line {k}")
+        messages.report(f"line {k}")
     messages.end()
     lines = capfd.readouterr().err.splitlines()
     assert messages.lost >= 250

@@ -35,7 +35,7 @@ Progress = Callable[[str, float], Any]
 
 @dataclass(frozen=True)
 class Executed:
-    """What a run did.
+    """Result of a run.
 
     Attributes
     ----------
@@ -235,7 +235,7 @@ class _Run:
         return "waiting" if robot.barred else "scan"
 
     def status(self) -> dict[str, Any]:
-        """What `surffollow scan status` shows."""
+        """Data of `surffollow scan status`."""
         robot = self.robot
         x, y, z = robot.tip_m
         return {
@@ -250,7 +250,7 @@ class _Run:
         }
 
     def executed(self) -> Executed:
-        """What was done."""
+        """Result of the run."""
         robot, c = self.robot, self.controller
         rows = np.array(self._rows).reshape(-1, 3)
         summary = {

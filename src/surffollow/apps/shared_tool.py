@@ -31,7 +31,7 @@ class ToolStatus(Block):
 
 
 class ToolDemand:
-    """What an arbiter wants of the tool, as a robot looks at a demand."""
+    """An arbiter's command to the tool, as the demand that a robot reads."""
 
     def __init__(self, command: ResourceCommand, epoch: int) -> None:
         self._values, self.pose_t_ns, self.epoch = command.values, command.ref_t_ns, epoch
@@ -80,7 +80,7 @@ class ArbitratedService:
         self._service.claim_pose()
 
     def sf_reset(self, offset_m: float) -> object:
-        """Restart the forecast with a wanted stand-off [m]."""
+        """Restart the forecast with a desired stand-off [m]."""
         return self._service.sf_reset(offset_m)
 
     def close(self) -> None:

@@ -81,7 +81,7 @@ static inline int sfa_latest(const sfb_block *block, sfa_command_block *out) {
     memset(out, 0, sizeof *out);
     return 0;
   }
-  /* a command of the future is of another clock: nobody knows how old it is */
+  /* a command of the future is of another clock: its age is unknown */
   const int64_t now_ns = sf_now_ns(), begin_ns = 2 * out->t_ns - out->valid_until_ns;
   const int valid = out->source != SFA_SOURCE_SAFE && begin_ns < now_ns && now_ns < out->valid_until_ns;
   if (valid && !sfb_given_up(block)) return 1;

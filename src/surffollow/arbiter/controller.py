@@ -22,7 +22,7 @@ class ResourceCommand(NamedTuple):
     values : tuple of floats
         as many as the resource declares; the safe ones when nothing valid is there
     safe : bool
-        True: nobody commands, the holder is late, or the server is gone
+        True: no client commands, the holder is late, or the server is gone
     seq : int
         rises with each publication; 0: none yet
     client : int

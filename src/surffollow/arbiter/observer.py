@@ -41,7 +41,7 @@ class ArbiterObserver:
         return self.board.alive()
 
     def holder(self, resource: str) -> Holder | None:
-        """Who holds a resource, None: nobody.
+        """Holder of a resource, None: none.
 
         Parameters
         ----------
@@ -51,7 +51,7 @@ class ArbiterObserver:
         Returns
         -------
         Holder or None
-            name, priority, token and since when; None: nobody
+            name, priority, token and since when; None: none
         """
         s = self.board.status(self.board.number_of(resource))
         if s["token"] == 0:

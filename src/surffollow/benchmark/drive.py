@@ -1,4 +1,4 @@
-"""Drive a follower through its one door: poses and readings as they arrive, a demand at every tick."""
+"""Drive a follower through its one interface: poses and readings as they arrive, a demand per period."""
 
 from __future__ import annotations
 

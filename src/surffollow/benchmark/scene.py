@@ -16,7 +16,7 @@ from surffollow.benchmark.loop import MS_NS, ORDER, READING, REPORT, RUN, World
 from surffollow.errors import UsageError
 from surffollow.sim.profiles import Profile
 
-START_NS = 1_000 * MS_NS  # simulated time does not begin at 0: nobody may take 0 for "never"
+START_NS = 1_000 * MS_NS  # simulated time does not begin at 0: 0 may not be taken for "never"
 TEST_STREAM = 1
 TRAINING_STREAM = 2  # tuning draws from another stream: no test seed can ever be a training seed
 
@@ -42,7 +42,7 @@ class Scene:
     first_ms: int
 
     def fresh(self) -> tuple[Any, World]:
-        """Return a run at its start: the `RUN` record and a world nobody has walked through."""
+        """Return a run at its start: the `RUN` record and an unused world."""
         w = self.world
         z = np.empty_like(w.z)
         z[0] = w.z[0]

@@ -1,4 +1,4 @@
-"""What `dev_vector()` returns: six numbers to add to a pose, and whether to trust them."""
+"""Result of `dev_vector()`: six numbers to add to a pose, and their validity."""
 
 from __future__ import annotations
 

@@ -167,7 +167,7 @@ class Observer(ServiceState, MapReading):
                 t_ns, pose_t_ns, x, y, z, rx, ry, rz = struct.unpack_from("<2q6d", buffer)
         """
         words, memory, index, base, stale_ns = self._view
-        # R1-R4, once and in a line; whatever is not fresh and whole takes the long way
+        # R1-R4, once and in a line; all that is not fresh and whole takes the slow path
         g = words[index]
         at = base + (g & (SLOTS - 1)) * _STRIDE
         copy = _copy_of(memory, at)
@@ -255,7 +255,7 @@ class Observer(ServiceState, MapReading):
     def _try_reattach(self, now_ns: int, wait: bool = False) -> None:
         if now_ns < self._next_attach_ns:
             return
-        # who wants a demand waits for no other thread; that one attaches for all
+        # a call for a demand waits for no other thread; that one attaches for all
         if not self._lock.acquire(blocking=wait):
             return
         try:
@@ -281,7 +281,7 @@ class Observer(ServiceState, MapReading):
         return self.board.has_ended()
 
     def _reattached(self) -> None:
-        """What else must follow the service to its new epoch."""
+        """Make further parts follow the service to its new epoch."""
 
     def reattach(self) -> bool:
         """Look for a newer service of this name now.

@@ -182,7 +182,7 @@ def _check(c: ServiceConfig) -> None:
 
 
 def mode(text: str, key: str) -> int:
-    """An access mode written in octal; nobody else may write what everybody obeys.
+    """An access mode written in octal; other users may not write settings of all.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def mode(text: str, key: str) -> int:
     if writable or value & 0o111:
         raise ConfigError(
             f"configuration key {key} is {text!r}; "
-            + ("group and others may read it only" if writable else "nobody executes it")
+            + ("group and others may read it only" if writable else "no execution")
             + ", for example '0640'"
         )
     return value

@@ -1,4 +1,4 @@
-"""What every driver must do, as checks that anybody can run on theirs.
+"""The contract of drivers, as checks that run on any driver.
 
 In a test:
 
@@ -81,7 +81,7 @@ def check_items(driver: Driver, queue: ConversionQueue, started_ns: int) -> None
 
 
 def check_faults(driver: Driver) -> None:
-    """`faults` gives a list of texts, whatever the state."""
+    """`faults` gives a list of texts, in every state."""
     faults = driver.faults()
     _demand(
         isinstance(faults, list) and all(isinstance(f, str) and f for f in faults),

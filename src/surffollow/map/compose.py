@@ -1,4 +1,4 @@
-"""Put several maps together, count-weighted, at whatever resolutions they have; compare two."""
+"""Put several maps together, count-weighted, of any resolutions; compare two."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def compose(
     Returns
     -------
     HeightMap   a grid's height is the mean of the grids under it, weighted by overlap area and
-    count; its count the samples expected in its area (at most 255). Priors fill what nobody
+    count; its count the samples expected in its area (at most 255). Priors fill grids that no map
     sampled. Maps on one lattice compose without any resampling.
 
     Raises

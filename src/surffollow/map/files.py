@@ -102,7 +102,7 @@ def export(
 def load(
     path: str | os.PathLike[str], *, progress: Progress | None = None
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Read a map, whatever its name ends in: text or .npz losslessly; rasters as a prior (count 0).
+    """Read a map, with any suffix: text or .npz losslessly; rasters as a prior (count 0).
 
     Returns
     -------
@@ -153,7 +153,7 @@ _OTHERS = (
 
 
 def _kind(path: str | os.PathLike[str]) -> str:
-    """What a file is by how it begins, else by its suffix: .txt, .npz, .asc or .tif."""
+    """Format of a file by its first bytes, else by its suffix: .txt, .npz, .asc or .tif."""
     suffix = Path(path).suffix.lower()
     try:
         with open(path, "rb") as f:

@@ -143,7 +143,7 @@ def load_playback(path: str | Path) -> Playback:
     now: dict[str, float] = {}
     end_ns = first_ns
     for words in runs:
-        # the next segment begins soon after the last one, whatever happened in between
+        # the next segment begins soon after the last one, in every case
         shift_ns = 0 if out is None else end_ns + SEGMENT_GAP_NS - int(words[1])
         event = int(at_out[2])
         take_inputs(words, shift_ns, t_ns, conversion, poses, events, at_out)

@@ -20,14 +20,14 @@ COLUMNS = (
     *("azimuth_rad", "clearance_m", "lift_m", "pass", "flags"),
 )
 MOST_POINTS = 1000  # of a body, of a region: more than any planner writes
-MOST_BETWEEN = 1_000_000  # poses between rows: more take longer than anybody waits
+MOST_BETWEEN = 1_000_000  # poses between rows: more take too long
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What the file says about itself; lengths in metres, angles in radians, SI units of motion."""
+    """Header of the file; lengths in metres, angles in radians, SI units of motion."""
 
     body: Array
     region: Array
@@ -70,7 +70,7 @@ def read_rows(path: str | os.PathLike[str]) -> tuple[Facts, dict[str, Array], Po
     Raises
     ------
     ScanFileError
-        the file cannot be read or lacks what is needed to judge it
+        the file cannot be read or lacks what is needed to check it
     """
     found, at = _read(path)
     whole = [np.isfinite(at[c]).all() and (at[c] == np.round(at[c])).all() for c in ("pass", "flags")]
@@ -142,7 +142,7 @@ def between(path: str | os.PathLike[str], rows: Poses, body: Array, step: float)
         k = int(travel.argmax())
         raise ScanFileError(
             f"{path}: from row {k + 1} to row {k + 2} a control point moves by {travel[k]:g} m; the rows are "
-            "too far apart to be judged: plan it again"
+            "too far apart to be checked: plan it again"
         )
     inner = np.maximum(parts.astype(np.int64) - 1, 0)
     first = np.repeat(np.arange(len(inner)), inner)

@@ -103,8 +103,8 @@ def advanced_terrain_following(
     Notes
     -----
     Paper §3.3. A sample whose body is clear keeps its attitude. The step is halved to 1/16 of itself near
-    the equilibrium, so that the lift is close to the least one of any attitude. The lift comes last: whatever
-    the attitude, every control point is at or above the interpolated envelope.
+    the equilibrium, so that the lift is close to the least one of any attitude. The lift comes last: with any
+    attitude, every control point is at or above the interpolated envelope.
     """
     return _follow(path, body_points_m, envelope, wrist_limits_rad, positive("step_rad", step_rad, "rad"))
 

@@ -29,7 +29,7 @@ LEAST_NOISE_PX = 1e-9  # in an image without noise only exact planes are planar
 
 @dataclass(frozen=True)
 class FilteredImage:
-    """What the filter made.
+    """Result of the filter.
 
     Attributes
     ----------

@@ -211,7 +211,7 @@ class Inputs(Schema):
 
 
 class Output(Schema):
-    """What a cycle publishes."""
+    """Output of a cycle."""
 
     t_ns = I64(unit="ns", doc="when the demand was computed")
     pose_t_ns = I64(unit="ns", doc="stamp of the pose the demand adds to; 0: none")

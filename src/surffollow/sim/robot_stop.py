@@ -1,4 +1,4 @@
-"""What a robot does without a valid demand, and when it is at rest (docs/reference/protocol.md, "Stop")."""
+"""Behaviour of a robot without a valid demand, and its time to rest (docs/reference/protocol.md, "Stop")."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ import statistics
 from collections import deque
 from collections.abc import Sequence
 
-LEARNED = 32  # increments before a rhythm is believed
+LEARNED = 32  # increments before a rhythm is confirmed
 WINDOW = 64  # frames in which one, at least, is taken to have come without delay
 REGULAR = 0.15  # of the period: median deviation of a regular sensor's increments
 PAUSE = 3.0  # periods without an explanation: the sensor paused; shorter ones show in a window

@@ -50,7 +50,7 @@ class UdpConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ConfigError(f"port = {self.port}, expected 0 to 65535")
         if not self.sender:
             raise ConfigError(
-                'sender is missing: whoever may send ranges moves the robot; write "address:port" of the '
+                'sender is missing: a sender of ranges moves the robot; write "address:port" of the '
                 'sensor, "address" for every program there, or "any"'
             )
         port = self.sender.partition(":")[2]
@@ -126,7 +126,7 @@ class UdpSource:
         return True
 
     def _measurements(self, data: bytes) -> list[tuple[int, float | None]]:
-        """What a datagram says, or nothing when any of it is no frame."""
+        """Conversions of a datagram, or nothing when any of it is no frame."""
         finder = self._finder
         if isinstance(finder, FrameFinder):
             n = self._config.format.length

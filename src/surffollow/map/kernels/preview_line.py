@@ -182,7 +182,7 @@ def heights_along(
 def bridge_gaps(heights_m: Any, n: Any, most: Any) -> Any:
     """Fill gaps of at most `most` unknown places between known ones, linearly; how many places are known.
 
-    Samples next to a step are held back from the map until the step is believed: without them every edge
+    Samples next to a step are held back from the map until the step is confirmed: without them every edge
     would end what is known.
 
     Parameters

@@ -25,7 +25,7 @@ static inline int sf_i_demand(const sf_client *c, sf_demand *d, int64_t *now_ns)
   const int64_t now = sf_now_ns();
   *now_ns = now;
   d->age_ns = now - d->t_ns;
-  /* a stamp of the future is of another clock: nobody knows how old the demand is */
+  /* a timestamp of the future is of another clock: the age of the demand is unknown */
   if (d->age_ns <= c->stale_ns && d->age_ns >= -c->stale_ns && g > 0) {
     if (d->status & SF_VALID) return SF_OK;
   } else {
