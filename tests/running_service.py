@@ -188,7 +188,7 @@ class Service:
 
     @contextlib.contextmanager
     def recorder(self, out: Path) -> Iterator[subprocess.Popen[str]]:
-        """Its recorder, which tells its counts as JSON when it is asked to end; killed at the end of this."""
+        """Its recorder, which prints its counts as JSON at its end; killed at the end of this."""
         words = self.command("record", "--out", str(out), "--json")
         child = fork_start(words) or subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
         try:
@@ -237,7 +237,7 @@ class Service:
             process.communicate(timeout=WAIT_S)
 
     def purge(self) -> None:
-        """End it whatever its state and remove all that it left."""
+        """End it in any state and remove all that it left."""
         if self.process is not None:
             self.process.kill()
             self._reap()
@@ -246,7 +246,7 @@ class Service:
 
     @contextlib.contextmanager
     def running(self) -> Iterator[Self]:
-        """Start it; at the end of this, end it whatever its state and remove all that it left."""
+        """Start it; at the end of this, end it in any state and remove all that it left."""
         try:
             self.start()
             yield self
@@ -282,7 +282,7 @@ def over_ground(folder: Path, text: str, started: bool = True) -> Iterator[Servi
 
 @contextlib.contextmanager
 def program(code: str, *words: str, before: Sequence[str] = ()) -> Iterator[subprocess.Popen[str]]:
-    """A Python program beside the test, killed at the end; `before` runs it, e.g. as somebody else."""
+    """A Python program beside the test, killed at the end; `before` runs it, e.g. as another user."""
     pipe = subprocess.PIPE
     child = subprocess.Popen(
         [*before, sys.executable, "-c", code, *words], stdin=pipe, stdout=pipe, stderr=pipe, text=True
@@ -326,7 +326,7 @@ class World:
 
 
 def take_pose(client: Client) -> None:
-    """Send a pose though its last holder has only just died, which the service sees at its own beat."""
+    """Send a pose though its last holder has only just died; the service sees that within 50 ms."""
 
     def taken() -> bool:
         with contextlib.suppress(BusyError):

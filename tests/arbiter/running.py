@@ -100,7 +100,7 @@ class Running:
 
     @contextlib.contextmanager
     def running(self) -> Iterator[Self]:
-        """Start it; at the end of this, end it whatever its state and remove all that it left."""
+        """Start it; at the end of this, end it in any state and remove all that it left."""
         try:
             self.start()
             yield self
@@ -177,7 +177,7 @@ class Child:
 
 
 def send_raw(client: Any, what: int, token: int, value: float = 0.4) -> None:
-    """Put an item into a client's own mailbox, whatever the library would say."""
+    """Put an item into a client's own mailbox, without the library's checks."""
     from surffollow.arbiter import exchange as ex
     from surffollow.arbiter import layout as al
 

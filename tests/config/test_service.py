@@ -1,4 +1,4 @@
-"""The service's configuration file: what is taken, and how a mistake is told."""
+"""The service's configuration file: accepted keys, and the message of each mistake."""
 
 from __future__ import annotations
 
