@@ -182,7 +182,7 @@ def _check(c: ServiceConfig) -> None:
 
 
 def mode(text: str, key: str) -> int:
-    """An access mode written in octal; other users may not write settings of all.
+    """An access mode written in octal; only the owner may write board and map.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def mode(text: str, key: str) -> int:
     if writable or value & 0o111:
         raise ConfigError(
             f"configuration key {key} is {text!r}; "
-            + ("group and others may read it only" if writable else "no execution")
+            + ("group and others may read it only" if writable else "clear the execute bits")
             + ", for example '0640'"
         )
     return value
