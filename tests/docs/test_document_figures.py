@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,9 +14,9 @@ from surffollow.units import parse_quantity
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").glob("**/*.md"))]
 MARKED = re.compile(
-    r"(\d[\d.,·^e-]*(?: ?(?:[µmnk]?[ms]|%|kHz|Hz|rad|deg|B|KiB|MiB))?)<!-- ([\w.]+\.[A-Z]\w*) -->"
+    r"(\d[\d.,·^e-]*(?: ?(?:[µmnk]?[ms]|%|kHz|Hz|rad|deg|B|KiB|MiB))?)<!-- ([\w.]+\.[A-Z]\w*(?:\.\w+)?) -->"
 )
-NAMED = re.compile(r"<!-- [\w.]+\.[A-Z][A-Z_\d]+ -->")
+NAMED = re.compile(r"<!-- [\w.]+\.[A-Z]\w*(?:\.\w+)? -->")
 # the unit of a constant, by the end of its name
 UNITS = {"NS": "ns", "S": "s", "M": "m", "RAD": "rad", "HZ": "Hz", "BYTES": "B", "MPS": "m/s"}
 
@@ -29,14 +30,18 @@ def figures(text: str) -> list[tuple[str, str]]:
 
 
 def value_of(constant: str) -> float:
-    """The constant `package.module.NAME` of the program."""
-    module, _, name = constant.rpartition(".")
-    return float(getattr(importlib.import_module(f"surffollow.{module}"), name))
+    """The constant `package.module.NAME` of the program, or the default of a parameter `….PARAMS.name`."""
+    parts = constant.split(".")
+    n = next(k for k, part in enumerate(parts) if part[0].isupper())
+    value: Any = importlib.import_module(".".join(("surffollow", *parts[:n])))
+    for part in parts[n:]:
+        value = value[part] if isinstance(value, dict) else getattr(value, part)
+    return float(getattr(value, "default", value))
 
 
 def said(figure: str, constant: str) -> float:
     """The number that a figure says, in the unit of the constant."""
-    unit = UNITS.get(constant.rpartition("_")[2], "1")
+    unit = UNITS.get(constant.rpartition("_")[2].upper(), "1")
     return parse_quantity(figure.replace(",", ""), unit)
 
 

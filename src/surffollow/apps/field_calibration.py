@@ -39,7 +39,7 @@ class Calibration:
     mode : Mode                of the arm across its plane
     model : str                of the matrix, chosen by left-out spots (`scan.held_out`)
     held_out_rms_m : dict      residuals [m] of left-out spots by model
-    surface : Envelope         z is sampled again from it as in equation 10; None: z of the desired place
+    surface : Envelope         z is sampled again from it as in equation 10; None: z of the planned place
     """
 
     polar: PolarCorrection
@@ -52,7 +52,7 @@ class Calibration:
     def apply(self, path: ScanPath) -> ScanPath:
         """Commands that bring the real tip to a path in map coordinates: equations 8, 9 and 11.
 
-        Without `surface` z stays that of the desired place: the map is right here, and the arm is sent
+        Without `surface` z stays that of the planned place: the map is right here, and the arm is sent
         elsewhere to reach it.
         """
         return self.matrix.apply(polar_correction(path, self.polar, self.surface))

@@ -86,7 +86,7 @@ def _elements(seed: int) -> Iterator[Row]:
         only = replace(found, polar=replace(found.polar, scale=1.0, offset_m=0.0, offset_rad=0.0))
         yield {"switched_off": "polar correction (eqs 8-10)"}, run(place, desired, only, task)
         again = replace(found, surface=envelope_of(ground, task.gap_m))
-        yield {"switched_off": "z of the desired place (eq 10)"}, run(place, desired, again, task)
+        yield {"switched_off": "z of the planned place (eq 10)"}, run(place, desired, again, task)
         unshaped = plan(ground, task, Shaper.none())
         yield {"switched_off": "shaping"}, run(place, unshaped, found, task)
         for label, change in (
