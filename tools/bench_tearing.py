@@ -40,7 +40,7 @@ from tearing_readers import (
     race,
 )
 
-LEAST_READS = 10**7
+MIN_READS = 10**7
 CONFIG = """
 period = "100 us"
 log_words = 65536
@@ -153,7 +153,7 @@ def main(seconds: float) -> dict[str, Any]:
     total = {k: sum(c[k] for c in everyone) for k in no_counts()}
     blind = [k for k in daemon if not daemon[k]["overlapped"] + writer[k]["overlapped"]]
     failed = sum(c["failed"] for c in daemon.values())
-    missing = max(0, round(LEAST_READS * seconds / 60) - sum(c["reads"] for c in daemon.values()))
+    missing = max(0, round(MIN_READS * seconds / 60) - sum(c["reads"] for c in daemon.values()))
     notes = [
         f"daemon at 10 kHz, {k}: {c['reads']} reads, {c['overlapped']} overlapped, {c['failed']} failed"
         for k, c in daemon.items()

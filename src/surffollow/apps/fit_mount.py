@@ -17,7 +17,7 @@ from surffollow.hw.driver import Mount
 
 FEWEST = 24
 NORM_TOLERANCE = 0.01  # of a unit quaternion that was written with three digits
-MOST_POSITION_M, MOST_ANGLE_RAD = 2e-3, math.radians(1.0)  # greatest uncertainty of an identified mount
+MAX_POSITION_M, MAX_ANGLE_RAD = 2e-3, math.radians(1.0)  # greatest uncertainty of an identified mount
 
 
 class MountFit(msgspec.Struct, frozen=True):
@@ -105,7 +105,7 @@ def fit_mount(poses: NDArray[np.float64], range_m: NDArray[np.float64]) -> Mount
         f"; or leave out stray readings: they scatter by {1e3 * scatter_m:.3g} mm about the fit, move "
         f"{np.flatnonzero(known)[worst] + 1} is {1e3 * off[worst]:.3g} mm off"
     )
-    for k, most in enumerate((*[MOST_POSITION_M] * 3, *[MOST_ANGLE_RAD] * 2)):
+    for k, most in enumerate((*[MAX_POSITION_M] * 3, *[MAX_ANGLE_RAD] * 2)):
         if not sigma[k] < most:
             unit = f"{1e3 * sigma[k]:.3g} mm" if k < 3 else f"{math.degrees(sigma[k]):.3g} deg"
             raise ConfigError(

@@ -155,7 +155,7 @@ class ScanRobot(CommandedRobot):
         Parameters
         ----------
         demand_m : vertical demand [m]
-        pose_t_ns : stamp of that report [ns]; an unknown one makes the robot hold
+        pose_t_ns : timestamp of that report [ns]; an unknown one makes the robot hold
         turn_rad : not used
         """
         self._received_ns, passed_s = self.t_ns, (self.t_ns - self._tick_ns) * 1e-9

@@ -64,7 +64,9 @@ class ArbitratedService:
 
     def ee_pos(self, pose: Sequence[float], t_ns: int | None = None) -> None:
         """Report a pose to the service and to the arbiter's clients."""
-        t_ns = time.monotonic_ns() if t_ns is None else t_ns  # one stamp for both: demands are found by it
+        t_ns = (
+            time.monotonic_ns() if t_ns is None else t_ns
+        )  # one timestamp for both: demands are found by it
         self._service.ee_pos(pose, t_ns)
         with self._memory["tool_status"].write(0.001) as status:
             status.t_ns = t_ns
@@ -97,7 +99,7 @@ def attach_arbitrated(service: str, arbiter: str, resource: str) -> ArbitratedSe
 
 
 class ReportedPoses:
-    """The newest poses that a robot reported, by their stamps, from its status block; it may be absent."""
+    """The newest poses that a robot reported, by timestamp, from its status block; it may be absent."""
 
     KEPT = 64
 
@@ -107,7 +109,7 @@ class ReportedPoses:
         self._next_ns = 0
 
     def at(self, t_ns: int) -> tuple[float, ...] | None:
-        """The pose reported with this stamp; None: not seen."""
+        """The pose reported with this timestamp; None: not seen."""
         block, now = self._memory["tool_status"], time.monotonic_ns()
         if not block.attached:
             if now < self._next_ns:

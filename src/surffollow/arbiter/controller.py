@@ -30,7 +30,7 @@ class ResourceCommand(NamedTuple):
     t_ns : int
         when it was made [ns]
     ref_t_ns : int
-        stamp of the pose that the values are relative to; 0: none
+        timestamp of the pose that the values are relative to; 0: none
     limited : bool
         a value was brought within its limits
     """

@@ -35,7 +35,7 @@ class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The range sensor: a new reading `rate_hz` times a second, stamped, `latency_s` late.
+    """The range sensor: a new reading `rate_hz` times a second, with timestamps, `latency_s` late.
 
     Attributes
     ----------

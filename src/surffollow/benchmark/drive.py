@@ -19,7 +19,7 @@ PAUSE_MS = 200
 def drive(follower: FollowerLike, s: Any, w: World, start_ns: int = START_NS) -> None:
     """Run a follower to the end of the path.
 
-    Each pose report and each reading is handed over when it arrives, with the stamp of when it was true;
+    Each pose report and each reading is handed over when it arrives, with its timestamp;
     at each tick `step` is called with the tick's time and no reading, and its answer is the demand.
 
     Parameters

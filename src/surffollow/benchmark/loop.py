@@ -41,7 +41,7 @@ RUN = np.dtype(
 REPORT = np.dtype(
     [("ms", np.int64), ("arrival_ms", np.int64)] + [(n, np.float64) for n in ("noise_x", "noise_z", "x", "z")]
 )
-"""A pose report: stamp and arrival [ms], noise [m], and what is reported [m]."""
+"""A pose report: timestamp and arrival [ms], noise [m], and what is reported [m]."""
 
 READING = np.dtype(
     [("ms", np.int64), ("arrival_ms", np.int64), ("noise", np.float64), ("range", np.float64)]

@@ -64,7 +64,7 @@ def make_scene(
     profile, speed_mps : surface and lateral speed [m/s]
     seed, stream : which noise; tests use `TEST_STREAM`, tuning `TRAINING_STREAM`
     conditions : see `Conditions`
-    lost_s : drop-outs, (begin, end) [s] of the stamps of readings that never come
+    lost_s : drop-outs, (begin, end) [s] of the timestamps of readings that never come
 
     Raises
     ------
@@ -136,7 +136,7 @@ def _count(rate_hz: float, duration_ms: int) -> int:
 
 
 def _stamp(rows: NDArray[Any], rate_hz: float, latency_s: float) -> None:
-    """Fill in stamps and arrivals, in whole milliseconds."""
+    """Fill in timestamps and arrivals, in whole milliseconds."""
     rows["ms"] = np.round(np.arange(len(rows)) * 1e3 / rate_hz)
     rows["arrival_ms"] = rows["ms"] + round(latency_s * 1e3)
 

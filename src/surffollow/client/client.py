@@ -47,7 +47,7 @@ class Client(ServiceRequests):
         ------
         PoseError
             (a ValueError) not seven finite numbers, quaternion norm off by more than 1e-3,
-            stamped more than 1 ms ahead or longer ago than `pose_timeout_ns`
+            with a timestamp more than 1 ms ahead or older than `pose_timeout_ns`
         BusyError
             another live client sends the pose; its process is named
         NotRunningError

@@ -133,7 +133,7 @@ class Observer(ServiceState, MapReading):
         raw = self._snapshot(_HEAD.unpack_from, 0) or _EMPTY
         now = time.monotonic_ns()
         age = now - raw[0]
-        if -self._stale_ns <= age <= self._stale_ns:  # a stamp of the future is of another clock
+        if -self._stale_ns <= age <= self._stale_ns:  # a timestamp of the future is of another clock
             return Demand(raw, age, raw[8])
         self._try_reattach(now)
         return Demand(raw, age, (raw[8] & ~VALID) | STALE)

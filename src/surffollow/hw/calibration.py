@@ -48,7 +48,7 @@ class Calibration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes
     ----------
     tables : per channel
-    latency_s : age of a distance at its conversion's time stamp [s]
+    latency_s : age of a distance at its conversion's timestamp [s]
     mounts : tool from sensor, per channel
     about : how it was found: methods, residuals, covariances
     """

@@ -34,7 +34,7 @@ class DriverInfo(msgspec.Struct, frozen=True):
     n_channels : channels 0 … n-1 deliver
     scale_m, zero_m : per channel, range_m = zero_m + scale_m · counts
     range_min_m, range_max_m : the sensors' window [m]
-    latency_ns : mean age of the range in a conversion, at the conversion's time stamp [ns]
+    latency_ns : mean age of the range in a conversion, at the conversion's timestamp [ns]
     conversion_period_ns : from one conversion of any channel to the next [ns]; 0: irregular
     mounts : tool from sensor per channel, x y z [m] and a unit quaternion; the beam leaves along −z
     """
@@ -150,7 +150,7 @@ class ConversionQueue:
         return out
 
 
-REPORT_WORDS = 8  # time stamp [ns], x y z [m] and unit quaternion
+REPORT_WORDS = 8  # timestamp [ns], x y z [m] and unit quaternion
 
 
 class PoseQueue:

@@ -13,7 +13,7 @@
  *     while (moving) {
  *         sf_ee_pos(&robot, pose, SF_NOW);             x y z [m], qx qy qz qw, world from tool
  *         sf_demand d;
- *         if (sf_dev_vector(&robot, &d) == SF_OK) { ... add d.demand to the pose stamped d.pose_t_ns ... }
+ *         if (sf_dev_vector(&robot, &d) == SF_OK) { ... add d.demand to the pose of d.pose_t_ns ... }
  *     }
  *     sf_detach(&robot);
  *
@@ -518,7 +518,7 @@ SF_STATIC_ASSERT(offsetof(sf_params, stop_on) == 976, "layout of sf_params");
 /* Output of a cycle. */
 typedef struct sf_output {
   int64_t t_ns; /* [ns] when the demand was computed */
-  int64_t pose_t_ns; /* [ns] stamp of the pose the demand adds to; 0: none */
+  int64_t pose_t_ns; /* [ns] timestamp of the pose that the demand adds to; 0: none */
   double demand[6]; /* [m, rad] x y z rx ry rz to add to that pose */
   int64_t status; /* bits, see STATUS_NAMES */
   int64_t cycle; /* cycle number */
@@ -1921,10 +1921,10 @@ static inline int sf_i_follow(sf_client *c, int64_t now_ns) {
 
 /* ---- demands and distances ------------------------------------------------------------------ */
 
-/* What to add to the pose stamped `pose_t_ns`. The first eleven fields lie as in sf_output. */
+/* Correction of the pose with the timestamp `pose_t_ns`. The first eleven fields lie as in sf_output. */
 typedef struct sf_demand {
   int64_t t_ns;      /* when the service computed it */
-  int64_t pose_t_ns; /* stamp of the pose it refers to; 0: none */
+  int64_t pose_t_ns; /* timestamp of the pose it refers to; 0: none */
   double demand[6];  /* x y z [m], rx ry rz [rad]; all zero unless sf_dev_vector returned SF_OK */
   int64_t status;    /* SF_VALID, SF_NO_POSE, ... and SF_STALE */
   int64_t cycle;

@@ -141,7 +141,7 @@ class SenseState(Schema):
         CHANNELS, unit="ns", doc="usual time between the newest samples of two steps; 0: not known"
     )
     losses = I64(CHANNELS, doc="losses so far: invalid samples and gaps")
-    pose_t_ns = I64(POSES, unit="ns", doc="ring of stamps, ascending")
+    pose_t_ns = I64(POSES, unit="ns", doc="ring of timestamps, ascending")
     pose = F64(POSES * 7, unit="m, 1", doc="ring of x y z qx qy qz qw, world from tool")
     pose_count = I64(doc="poses ever accepted")
     poses_refused = I64(doc="poses not newer than the last one")
@@ -151,7 +151,7 @@ class PaperState(Schema):
     """Intervals, ranges and forecast of the paper (§3.2)."""
 
     point_m = F64(CHANNELS * POINTS * 3, unit="m", doc="per channel a ring of target points")
-    point_t_ns = I64(POINTS, unit="ns", doc="channel 0: stamp of the pose that each point was made with")
+    point_t_ns = I64(POINTS, unit="ns", doc="channel 0: timestamp of the pose that each point was made with")
     point_count = I64(CHANNELS, doc="target points of the channel since the reset or the last loss")
     point_losses = I64(CHANNELS, doc="losses of the channel when its last point came")
     mean_m = F64(3, unit="m", doc="channel 0: rolling mean of the target points")
@@ -168,7 +168,7 @@ class PaperState(Schema):
     speed_mps = F64(unit="m/s", doc="most recent lateral speed of the footprint")
     speed_x_m = F64(unit="m", doc="mean target point at the pose update before")
     speed_y_m = F64(unit="m")
-    speed_t_ns = I64(unit="ns", doc="mean stamp of the poses that it was made with")
+    speed_t_ns = I64(unit="ns", doc="mean timestamp of the poses that it was made with")
     speed_pose = I64(doc="pose_count then; 0: none since the reset or the last loss")
     reading_t_ns = I64(unit="ns", doc="cycle time of the last valid reading; 0: none yet")
     reading_m = F64(unit="m", doc="last valid distance")
@@ -214,7 +214,7 @@ class Output(Schema):
     """Output of a cycle."""
 
     t_ns = I64(unit="ns", doc="when the demand was computed")
-    pose_t_ns = I64(unit="ns", doc="stamp of the pose the demand adds to; 0: none")
+    pose_t_ns = I64(unit="ns", doc="timestamp of the pose that the demand adds to; 0: none")
     demand = F64(6, unit="m, rad", doc="x y z rx ry rz to add to that pose")
     status = I64(doc="bits, see STATUS_NAMES")
     cycle = I64(doc="cycle number")

@@ -168,7 +168,7 @@ def setpoint_for(report_m: float, demand_m: float) -> float:
 
     Parameters
     ----------
-    report_m : float64, height in the report whose stamp the demand carries [m]
+    report_m : float64, height in the report that the demand refers to [m]
     demand_m : float64, what the follower asks to add to it [m]
     """
     if math.isfinite(demand_m):

@@ -144,7 +144,7 @@ class RobotCore(CommandedRobot):
         Parameters
         ----------
         demand_m : vertical demand [m]
-        pose_t_ns : stamp of that report [ns]; an unknown one makes the robot hold
+        pose_t_ns : timestamp of that report [ns]; an unknown one makes the robot hold
         turn_rad : rotation vector demanded, world axes [rad]; applied when configured
         """
         self._received_ns = self.t_ns

@@ -340,7 +340,7 @@ static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t
 
 /*
  * Command a resource that this client holds: `n` values, as many as the resource declares, relative to the
- * pose stamped `ref_t_ns` (0: none; then `ref_pose` may be NULL). Never waits.
+ * pose of `ref_t_ns` (0: none; then `ref_pose` may be NULL). Never waits.
  * Returns 1; 0: the resource is not ours (any more), nothing was sent; -EAGAIN: the mailbox is full; -ENOENT: the
  * server was silent for a lease; -EINVAL: no such resource, or another number of values.
  */

@@ -1,4 +1,4 @@
-"""Time stamps of a sensor with a rhythm of its own, from arrivals that the machine delays now and then.
+"""Timestamps of a sensor with a rhythm of its own, from arrivals that the machine delays now and then.
 
 The time at which a read returns, less the bytes' time on the line, is never before the frame truly began,
 but may be milliseconds late on a busy machine: the kernel hands input over in a thread of normal priority.
@@ -45,7 +45,7 @@ class ArrivalClock:
 
         Returns
         -------
-        list of int   ascending; no later than their arrivals, unless the stamp before is
+        list of int   ascending; no later than their arrivals, unless the timestamp before is
         """
         if not arrivals_ns:
             return []

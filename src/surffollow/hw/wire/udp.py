@@ -89,7 +89,7 @@ class UdpSource:
         self._socket, self._number = opened, None
 
     def read(self, timeout_s: float) -> list[tuple[int, int]]:
-        """Conversions, stamped with their datagram's arrival."""
+        """Conversions, with their datagram's arrival as timestamp."""
         assert self._socket is not None
         if not wait_readable(self._socket.fileno(), timeout_s):
             return []
