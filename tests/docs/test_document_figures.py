@@ -14,7 +14,7 @@ from surffollow.units import parse_quantity
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").glob("**/*.md"))]
 MARKED = re.compile(
-    r"(\d[\d.,·^e-]*(?: ?(?:[µmnk]?[ms]|%|kHz|Hz|rad|deg|B|KiB|MiB))?)<!-- ([\w.]+\.[A-Z]\w*(?:\.\w+)?) -->"
+    r"(\d[\d.,·^e-]*(?:\s?(?:[µmnk]?[ms]|%|kHz|Hz|rad|deg|B|KiB|MiB))?)<!-- ([\w.]+\.[A-Z]\w*(?:\.\w+)?) -->"
 )
 NAMED = re.compile(r"<!-- [\w.]+\.[A-Z]\w*(?:\.\w+)? -->")
 # the unit of a constant, by the end of its name
