@@ -29,6 +29,7 @@ class NaiveResponse:
     def _begin_run(self, t_ns: int, z_m: float) -> None:
         self.phase, self.run_m, self.in_run = RUN, self.mean_m, 0
         self.top_z_m, self.top_ns = z_m, t_ns
+        self.shift_ns, self.shift_m = None, 0.0
 
     def _observe_noise(self) -> None:
         n = len(self.readings)
@@ -84,11 +85,15 @@ class NaiveResponse:
             and error_m * descent_m > r.ERROR_DESCENT * self.band_m * self.standoff_m
         )
         quiet = self.noise_m < r.QUIET_SHARE * self.usual_m
-        enough = descent_m > r.DESCENT_SHARE * self.standoff_m + r.DESCENT_ERRORS * error_m
+        enough = descent_m > r.DESCENT_SHARE * self.standoff_m
         far = descent_m > r.FAR_DESCENT * self.standoff_m
         if self.in_run <= r.MIN_RUN_MEANS * self.number:
             return
-        if far or (enough and (wrong or quiet)):
+        if self.shift_ns is None and descent_m > r.SHIFT_DESCENT * self.standoff_m:
+            self.shift_ns, self.shift_m = t_ns, r.SHIFT_BANDS * self.band_m
+        allowed_s = r.SHIFT_TAUS * self.tau_s + r.SHIFT_MEANS * self.number * self.interval_s
+        unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > allowed_s
+        if far or unanswered or (enough and (wrong or quiet)):
             self.phase, self.begin_ns, self.begin_z_m, self.rate_mps = HOLD, t_ns, z_m, rate_mps
 
     def _hold(self, t_ns: int, z_m: float) -> None:
@@ -107,7 +112,9 @@ class NaiveResponse:
             self._begin_run(t_ns, z_m)
 
     def least_target_m(self, target_m: float) -> float:
-        """The target, or the height that the test asks for when that is more."""
+        """The target, shifted up in a long run, or the height that the test asks for when that is more."""
+        if self.phase == RUN:
+            return target_m + self.shift_m
         if self.phase == HOLD:
             return max(target_m, self.begin_z_m)
         if self.phase == LIFT:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from forked_start import fork_start
+from startable import Startable
 from surffollow.client import Client, Observer, attach, observe
 from surffollow.config.service import ServiceConfig, load_config
 from surffollow.errors import BusyError, NotRunningError
@@ -131,7 +132,7 @@ def _patient(options: dict[str, Any]) -> dict[str, Any]:
     return options if given else {"stale_min_s": PATIENT_S, **options}
 
 
-class Service:
+class Service(Startable):
     """A `surffollow start` of a test's own."""
 
     def __init__(self, folder: Path, config: str | None = None, name: str = "") -> None:
@@ -168,17 +169,17 @@ class Service:
         self.process = fork_start(self.start_command(), subprocess.PIPE) or self.launch()
         return self.process
 
-    def start(self, **options: Any) -> Service:
+    def start(self, **options: Any) -> Self:
         """Start and wait for READY; with options from nothing, else forked (`forked_start`)."""
         return self._await_ready(self.launch(**options) if options else self.begin())
 
-    def start_logged(self, log: Path) -> Service:
+    def start_logged(self, log: Path) -> Self:
         """Start with the standard error in a file, and wait for READY."""
         with log.open("w") as err:
             self.process = fork_start(self.start_command(), err.fileno()) or self.launch(stderr=err)
         return self._await_ready(self.process)
 
-    def _await_ready(self, process: subprocess.Popen[str]) -> Service:
+    def _await_ready(self, process: subprocess.Popen[str]) -> Self:
         assert process.stdout is not None
         line = process.stdout.readline()
         if not line.startswith("READY"):
@@ -243,15 +244,6 @@ class Service:
             self._reap()
         for part in OBJECTS:
             unlink(self.name + part)
-
-    @contextlib.contextmanager
-    def running(self) -> Iterator[Self]:
-        """Start it; at the end of this, end it in any state and remove all that it left."""
-        try:
-            self.start()
-            yield self
-        finally:
-            self.purge()
 
     def attach(self, **options: Any) -> Client:
         """A client; it bears `PATIENT_S` of silence unless an option names another time."""

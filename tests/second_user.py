@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 
 NOBODY = 65534
+# before a command: run it as NOBODY
+AS_NOBODY = ("setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups")
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can act as another user")
 
 

@@ -110,6 +110,14 @@ class ShellLoop:
             self._cycle(t + MS)
 
     def _cycle(self, t_ns: int) -> None:
+        self._sense(t_ns)
+        follow_step(self.params, self.state, self.inputs, self.output, self.scratch)
+        self.inputs["n_poses"] = 0
+        self.outputs.append(self.output[0].copy())
+        self.curves.append(float(self.state["adaptive"]["plane"]["curvature"][0]))
+
+    def _sense(self, t_ns: int) -> None:
+        """What the sensors deliver in this cycle."""
         world = self.core.world[0]
         add_pose(self.history, int(world["t_ns"]), world["pose"], world["velocity"])
         produce(self.rig, self.led, self.history, self.heights, self.frame, t_ns)
@@ -120,10 +128,6 @@ class ShellLoop:
                 i["conversion"][n] = ((stamp - t_ns) << 32) | (spoilt & 0xFFFFFFFF)
                 n += 1
         i["n_conversions"], i["t_ns"] = n, t_ns
-        follow_step(self.params, self.state, self.inputs, self.output, self.scratch)
-        i["n_poses"] = 0
-        self.outputs.append(self.output[0].copy())
-        self.curves.append(float(self.state["adaptive"]["plane"]["curvature"][0]))
 
     def column(self, name: str) -> np.ndarray:
         """A field of all outputs."""

@@ -54,12 +54,7 @@ def __getattr__(name: str) -> Any:
     if name in _LIGHT or name in _HEAVY:
         return importlib.import_module(f"{__name__}.{name}")
     if name == "Follower":
-        from surffollow.errors import missing_library
+        from surffollow.errors import attribute_of
 
-        try:
-            from surffollow.follower import Follower
-        except ModuleNotFoundError as e:
-            raise ModuleNotFoundError(missing_library(e) or str(e), name=e.name) from e
-
-        return Follower
+        return attribute_of("surffollow.follower", name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

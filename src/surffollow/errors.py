@@ -35,6 +35,9 @@
 
 from __future__ import annotations
 
+import importlib
+from typing import Any
+
 
 class SurffollowError(Exception):
     """Base of all; `exit_code` is what the command line ends with."""
@@ -161,6 +164,30 @@ class DriverError(FaultError):
 
 
 SERVICE_LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "msgspec", "mcap", "lz4", "tomli")
+
+
+def attribute_of(module: str, name: str) -> Any:
+    """What a module of the extra `service` offers, imported on its first use.
+
+    Parameters
+    ----------
+    module, name : str
+        dotted name of the module, and the name in it
+
+    Returns
+    -------
+    object
+        the function or class
+
+    Raises
+    ------
+    ModuleNotFoundError
+        a library is missing; the text says what to install
+    """
+    try:
+        return getattr(importlib.import_module(module), name)
+    except ModuleNotFoundError as e:
+        raise ModuleNotFoundError(missing_library(e) or str(e), name=e.name) from e
 
 
 def missing_library(error: ModuleNotFoundError) -> str:

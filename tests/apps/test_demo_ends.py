@@ -66,11 +66,14 @@ def test_a_demonstration_that_is_ended_by_a_signal_leaves_no_process_and_no_memo
     demo = subprocess.Popen([sys.executable, "-m", "surffollow", *words], stdout=subprocess.DEVNULL)
     name = f"demo-{demo.pid}"
     try:
+        # GIVEN a demonstration with all of its processes
         # service, recorder, robot, and who purges
         until(lambda: len(objects_of(name)) == len(living(name)) == 4, "service and robot", READY_S)
+        # WHEN a signal ends it
         demo.send_signal(number)
         code = demo.wait(60.0)
         assert code == (-number if number == signal.SIGKILL else 128 + number)
+        # THEN no process and no object is left
         until(lambda: not living(name), "the end of its children", 60.0)
         assert objects_of(name) == set()
     finally:

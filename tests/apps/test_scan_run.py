@@ -75,8 +75,11 @@ def ended(child):
 
 def test_a_scan_is_run_to_its_end_and_reported(service, folder, tmp_path):
     pytest.importorskip("matplotlib", reason="extra `plot`")
+    # GIVEN a plan over known ground, a report and a picture that are wanted
     more = ["--ground", str(folder / "ground.npz"), "--report", str(tmp_path / "run.html")]
+    # WHEN the scan is run
     child = run_command(words(service, folder, "--yes", *more, "--picture", str(tmp_path / "run.png")))
+    # THEN it came to its end without a contact, and both are written
     assert child.returncode == 0, child.stderr
     facts = json.loads(child.stdout)
     assert facts["finished"]
@@ -94,6 +97,7 @@ def test_a_scan_is_run_to_its_end_and_reported(service, folder, tmp_path):
 
 
 def test_nothing_moves_before_somebody_confirms(service, folder):
+    # WHEN nobody can be asked, THEN nothing moves
     refused = subprocess.run(
         words(service, folder), capture_output=True, text=True, timeout=READY_S, stdin=subprocess.DEVNULL
     )
@@ -101,6 +105,7 @@ def test_nothing_moves_before_somebody_confirms(service, folder):
     assert "--yes" in refused.stderr
     with pytest.raises(NotRunningError):
         ask(service.name, "status")
+    # WHEN the operator says no, THEN nothing moves
     ours, theirs = pty.openpty()
     child = subprocess.Popen(
         words(service, folder), stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -115,11 +120,14 @@ def test_nothing_moves_before_somebody_confirms(service, folder):
 
 
 def test_pause_resume_and_abort_by_commands(service, folder):
+    # GIVEN a scan that runs
     child = begin(service, folder)
+    # WHEN it is paused and resumed, THEN it does so
     for word, state in (("pause", "paused"), ("resume", "scan")):
         done = CliRunner().invoke(cli, ["scan", word, service.name, "--json"])
         assert done.exit_code == 0, done.output
         reach(service, child, lambda s, state=state: s["state"] == state)
+    # WHEN it is aborted, THEN it retracts and reports what happened
     done = CliRunner().invoke(cli, ["scan", "abort", service.name])
     assert "abort asked for" in done.output
     code, facts = ended(child)
@@ -132,7 +140,9 @@ def test_pause_resume_and_abort_by_commands(service, folder):
 
 
 def test_ctrl_c_retracts_before_it_ends(service, folder):
+    # GIVEN a scan that runs
     child = begin(service, folder)
+    # WHEN it is interrupted, THEN it retracts before it ends
     child.send_signal(signal.SIGINT)
     code, facts = ended(child)
     assert code == 130
@@ -141,15 +151,19 @@ def test_ctrl_c_retracts_before_it_ends(service, folder):
 
 
 def test_a_latched_stop_holds_the_scan_until_the_operator_resumes(service, folder):
+    # GIVEN a scan that runs
     child = begin(service, folder)
     with service.attach(label="guard") as guard:
+        # WHEN a guard stops the service
         guard.stop("somebody stepped in")
+    # THEN the scan stays where it is
     reach(service, child, lambda s: s["state"] == "stopped")
     at = ask(service.name, "status")["progress"]
     service.cycles(300)
     later = ask(service.name, "status")
     assert later["state"] == "stopped"
     assert later["progress"] - at < 0.1
+    # WHEN the operator resumes, THEN it goes on
     ask(service.name, "resume")
     reach(service, child, lambda s: s["state"] == "scan")
     ask(service.name, "abort")
@@ -157,6 +171,7 @@ def test_a_latched_stop_holds_the_scan_until_the_operator_resumes(service, folde
 
 
 def test_keys_of_a_terminal_pause_and_abort(service, folder):
+    # GIVEN a scan that runs at a terminal
     ours, theirs = pty.openpty()
     child = subprocess.Popen(
         words(service, folder, "--yes"),
@@ -166,6 +181,7 @@ def test_keys_of_a_terminal_pause_and_abort(service, folder):
         text=True,
     )
     reach(service, child, lambda s: s["state"] == "scan")
+    # WHEN keys are pressed, THEN it pauses and aborts
     os.write(ours, b"p")
     reach(service, child, lambda s: s["state"] == "paused")
     os.write(ours, b"a")
@@ -176,12 +192,14 @@ def test_keys_of_a_terminal_pause_and_abort(service, folder):
 
 
 def test_a_path_that_the_checker_refuses_needs_the_operators_word(service, folder, tmp_path):
+    # GIVEN ground that is higher than planned for
     rough = HeightMap.load(folder / "ground.npz")
     HeightMap.from_heights(rough.heights_m + 0.03, origin_m=(0.0, 0.0), grid_m=0.005).save(
         tmp_path / "higher.npz"
     )
     command = words(service, folder, "--yes")
     command[command.index(str(folder / "ground.npz"))] = str(tmp_path / "higher.npz")
+    # WHEN the scan is run, THEN it asks for `--unchecked`
     done = run_command(command)
     assert done.returncode == 2
     assert "--unchecked" in done.stderr
@@ -199,12 +217,15 @@ def test_a_report_that_cannot_be_written_is_refused_before_anything_moves(folder
 
 
 def test_two_scans_of_one_service_exclude_each_other_and_words_are_checked():
+    # GIVEN a scan of a service
     server = ControlServer("twice")
     try:
+        # WHEN another one begins, THEN it is refused
         with pytest.raises(Exception, match="another scan"):
             ControlServer("twice")
     finally:
         server.close()
+    # WHEN no scan runs, THEN a command to it is refused, and the next may begin
     with pytest.raises(NotRunningError, match="scan run"):
         ask("twice", "pause")
     ControlServer("twice").close()
@@ -214,9 +235,12 @@ def test_an_abort_retracts_after_the_service_has_died(folder):
     text = config_text(kind="simulated", grids=100_000, follow=f"offset = {GAP_M}")
     text = text.replace('surface = "flat"\nregion = [0.0, 0.0, 0.1, 0.1]', f'file = "{folder}/ground.npz"')
     with Service(folder, text).running() as own:
+        # GIVEN a scan that runs
         child = begin(own, folder)
+        # WHEN its service is killed, THEN it holds
         own.kill()
         reach(own, child, lambda s: s["state"] == "hold" and s["trouble"])
+        # WHEN it is aborted, THEN it retracts
         ask(own.name, "abort")
         code, facts = ended(child)
     assert code == 1

@@ -63,6 +63,7 @@ class FakeService:
 
 
 def test_the_follower_learns_only_while_it_holds_the_tool_whatever_becomes_of_its_process(tmp_path):
+    # GIVEN a tool that an arbiter shares
     server = Running(tmp_path, arbiter_text("priority")).start()
     service = FakeService()
     run = RunByHolder(service, server.name, "tool", "follow")
@@ -75,10 +76,13 @@ def test_the_follower_learns_only_while_it_holds_the_tool_whatever_becomes_of_it
         until(look)
 
     try:
+        # THEN the follower learns nothing while nobody leads
         becomes("dryrun")  # nobody leads yet
+        # WHEN the follower leads, THEN it learns
         follow_client = attach(server.name, "follow")
         assert follow_client.resource("tool").request()
         becomes("normal")
+        # WHEN another one leads, THEN it learns nothing, after its death and a restart too
         with attach(server.name, "avoid") as avoider:
             assert avoider.resource("tool").request()
             becomes("dryrun")
@@ -87,6 +91,7 @@ def test_the_follower_learns_only_while_it_holds_the_tool_whatever_becomes_of_it
             count = len(service.runs)
             until(lambda: run.look(time.monotonic_ns()) or len(service.runs) > count)
             assert service.runs[-1] == "dryrun"
+        # WHEN the tool is shared no more, THEN it learns
         run.close()
         assert service.runs[-1] == "normal"
     finally:
@@ -101,6 +106,7 @@ def shared(tmp_path):
 
 def test_an_offset_from_another_pose_is_converted_to_the_followers(service, shared):
     """20 mm above 0.104 m are 24 mm above the pose that the follower's demand is relative to."""
+    # GIVEN a tool that reports its pose, and a follower that leads it
     over, counts = threading.Event(), {}
     robot = attach_arbitrated(service.name, shared.name, "tool")
 
@@ -117,6 +123,7 @@ def test_an_offset_from_another_pose_is_converted_to_the_followers(service, shar
     try:
         until(lambda: robot.dev_vector().valid)
         alone = robot.dev_vector()[2]
+        # WHEN another client adds an offset that is relative to another pose
         with attach(shared.name, "avoid") as avoider:
             offset = avoider.resource("offset")
             assert offset.request()
@@ -130,6 +137,7 @@ def test_an_offset_from_another_pose_is_converted_to_the_followers(service, shar
                     seen.append(demand[2])
                 return len(seen) >= 20
 
+            # THEN the sum is relative to the follower's
             until(lifted)
             assert seen == pytest.approx([alone + 0.024] * len(seen), abs=1e-3)
     finally:

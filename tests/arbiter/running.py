@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import shutil
@@ -11,7 +10,7 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +18,7 @@ import pytest
 
 from forked_start import fork_start
 from running_service import WAIT_S, freeze, run_command, until
+from startable import Startable
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -52,7 +52,7 @@ equal = "newcomer"
 """
 
 
-class Running:
+class Running(Startable):
     """A server process of a test's own."""
 
     program = ("-m", "surffollow")
@@ -63,7 +63,7 @@ class Running:
         self.path.write_text(text.replace("MORE_CLIENTS", more_clients))
         self.process: subprocess.Popen[str] | None = None
 
-    def start(self) -> Running:
+    def start(self) -> Self:
         words = [sys.executable, *self.program, "arbiter", "start", "--quiet", "--name", self.name]
         words.append(str(self.path))
         self.process = fork_start(words) or subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
@@ -97,15 +97,6 @@ class Running:
             self.process.wait()
         for left in Path("/dev/shm").glob(f"{self.name}*"):
             left.unlink()
-
-    @contextlib.contextmanager
-    def running(self) -> Iterator[Self]:
-        """Start it; at the end of this, end it in any state and remove all that it left."""
-        try:
-            self.start()
-            yield self
-        finally:
-            self.purge()
 
     def command(self, *words: str) -> Any:
         command = [sys.executable, "-m", "surffollow", "arbiter", *words, "--name", self.name, "--json"]

@@ -45,9 +45,12 @@ def test_asking_again_gives_the_same_token(attach_client):
 
 
 def test_the_incumbent_keeps_among_equals_and_the_newcomer_takes_where_configured(attach_client):
+    # GIVEN two clients of one priority
     one, two = attach_client("wall"), attach_client("wall-2")
+    # WHEN both want a resource, THEN the first keeps it
     assert one.resource("robot").request()
     assert not two.resource("robot").request()
+    # WHEN the resource is configured for it, THEN the newcomer takes it
     assert one.resource("speaker").request()
     assert two.resource("speaker").request()
     until(lambda: not one.resource("speaker").held)
@@ -56,6 +59,7 @@ def test_the_incumbent_keeps_among_equals_and_the_newcomer_takes_where_configure
 def test_who_waits_gets_its_turn_by_priority_then_by_patience(attach_client):
     import threading
 
+    # GIVEN a holder, and three clients that wait
     clients = {n: attach_client(n) for n in ("avoid", "go", "wall", "wall-2")}
     assert clients["avoid"].resource("robot").request()
     turns, threads = [], []
@@ -73,9 +77,11 @@ def test_who_waits_gets_its_turn_by_priority_then_by_patience(attach_client):
     longest = clients["avoid"].status()["resources"]["robot"]["waiting_ns"]
     until(lambda: clients["avoid"].status()["resources"]["robot"]["waiting_ns"] > longest > 0)
     history = clients["avoid"].history()
+    # WHEN the holder gives the resource back
     clients["avoid"].resource("robot").relinquish()
     for thread in threads:
         thread.join(WAIT_S)
+    # THEN they get it by priority, then in the order that they came in
     assert turns == ["wall-2", "wall", "go"]
     waited = [e.command[0] for e in history if e.event == "GRANT"]
     assert min(waited) > 0.0
@@ -85,10 +91,13 @@ def test_who_waits_gets_its_turn_by_priority_then_by_patience(attach_client):
 
 
 def test_a_wait_in_vain_leaves_the_queue_and_is_reported(attach_client):
+    # GIVEN a holder of higher priority
     go, wall = attach_client("go"), attach_client("wall")
     assert wall.resource("robot").request()
     history = wall.history()
+    # WHEN a client waits in vain
     reply = go.resource("robot").request(wait=True, timeout_s=0.1)
+    # THEN it has left the queue, and how long it waited is reported
     assert (reply.granted, reply.reason) == (False, "TIMEOUT")
     status = go.status()
     robot = status["resources"]["robot"]
@@ -102,10 +111,13 @@ def test_a_wait_in_vain_leaves_the_queue_and_is_reported(attach_client):
 
 
 def test_a_cooperative_holder_is_asked_and_fenced_after_the_grace(attach_client):
+    # GIVEN a cooperative resource, and a holder that does not heed
     go, wall = attach_client("go").resource("camera"), attach_client("wall").resource("camera")
     assert go.request()
     history = go._client.history()
+    # WHEN a client of higher priority wants it
     assert wall.request(timeout_s=WAIT_S)
+    # THEN the holder is asked, and fenced when the grace is over
     events = [e for e in history if e.resource == "camera"]
     asked = next(e for e in events if e.event == "ASK")
     revoked = next(e for e in events if e.event == "REVOKE")
@@ -117,14 +129,17 @@ def test_a_cooperative_holder_is_asked_and_fenced_after_the_grace(attach_client)
 def test_a_cooperative_holder_that_relinquishes_when_asked_is_not_fenced(attach_client):
     import threading
 
+    # GIVEN a cooperative resource, and a holder that was asked for it
     go, wall = attach_client("go").resource("camera"), attach_client("wall").resource("camera")
     assert go.request()
     history = go._client.history()
     thread = threading.Thread(target=lambda: wall.request(timeout_s=WAIT_S))
     thread.start()
     until(lambda: go.asked)
+    # WHEN it gives the resource back
     go.relinquish()
     thread.join(WAIT_S)
+    # THEN the other one has it, and nobody was fenced
     assert wall.held
     assert [e.event for e in history if e.resource == "camera"][-3:] == ["RELEASE", "SAFE", "GRANT"]
 
@@ -132,18 +147,22 @@ def test_a_cooperative_holder_that_relinquishes_when_asked_is_not_fenced(attach_
 def test_commands_reach_the_controller_within_limits_and_safe_when_late(arbiter, attach_client):
     go = attach_client("go").resource("robot")
     with command_reader(arbiter.name, "robot") as reader:
+        # GIVEN a resource without commands
         assert reader.latest().safe
+        # WHEN a client commands beyond the limits, THEN the controller gets a limited command
         assert go.request()
         assert go.command(0.2, 7.0)
         got = until(lambda: (c := reader.latest()) and not c.safe and c)
         assert got.values == (0.2, 1.0)
         assert got.limited
         assert got.client == go._client.number
+        # WHEN the client falls silent, THEN the controller gets the safe command
         # it keeps control and sends nothing: safe after the time to live, at a fixed rate from then on
         late = until(lambda: (c := reader.latest()).safe and c)
         assert late.values == (0.0, 0.0)
         assert go.held
         until(lambda: reader.latest().seq > late.seq + 2)
+        # WHEN it commands again, THEN the controller gets that
         assert go.command(0.1, 0.0)
         until(lambda: not reader.latest().safe)
 
@@ -163,28 +182,34 @@ def test_a_command_block_can_be_read_by_name_as_any_block(arbiter, attach_client
 
 
 def test_commands_that_are_no_numbers_old_or_repeated_are_rejected(attach_client):
+    # GIVEN a holder
     client = attach_client("go")
     go = client.resource("robot")
     assert go.request()
     history = client.history()
+    # WHEN it commands no number, with a time that cannot be, and rightly
     go.command(float("nan"), 0.0)
     go.command(0.1, 0.0, t_ns=time.monotonic_ns() - 10**9)
     go.command(0.1, 0.0, t_ns=time.monotonic_ns() + 10**9)
     go.command(0.1, 0.0)
+    # THEN all but the last are rejected
     events = []
     until(lambda: events.extend(e for e in history if e.item) or len(events) >= 4)
     assert [e.event for e in events] == ["REJECT_BAD", "REJECT_OLD", "REJECT_OLD", "FORWARD"]
 
 
 def test_every_command_is_in_the_history_in_order(attach_client):
+    # GIVEN a holder
     client = attach_client("go")
     go = client.resource("robot")
     assert go.request()
     history, seen = client.history(), []
+    # WHEN it sends two thousand commands
     for k in range(2000):
         until(lambda k=k: go.command(k / 10_000.0, 0.0))
         seen += [e.command[0] for e in history if e.event == "FORWARD"]
     until(lambda: seen.extend(e.command[0] for e in history if e.event == "FORWARD") or len(seen) >= 2000)
+    # THEN the history has all of them in order
     assert seen == [k / 10_000.0 for k in range(2000)]
     assert history.lost == 0
 
@@ -198,14 +223,17 @@ def test_a_slot_used_before_answers_its_next_client_anew(arbiter):
 
 
 def test_overwritten_history_is_noticed(arbiter, attach_client):
+    # GIVEN a reader of the history
     client = attach_client("go")
     go = client.resource("robot")
     assert go.request()
     history = client.history()
     next_of = iter(history)
+    # WHEN more happens than the history holds
     for _ in range(5000):
         until(lambda: go.command(0.1, 0.0))
     until(lambda: client.status()["resources"]["robot"]["forwarded"] >= 5000)
+    # THEN it knows of the loss, and has the rest without a gap
     seqs = [e.seq for e in next_of]
     assert history.lost > 0
     assert seqs == list(range(seqs[0], seqs[0] + len(seqs)))
@@ -222,9 +250,6 @@ def test_wrong_calls_are_refused_with_reason(arbiter, attach_client):
         one.resource("arm")
     mine = one.resource("robot")
     assert mine.request()
-    for e in one.history().newest(30):
-        print(e[:8])
-    print(mine.token, mine._held, one.number, one.slot)
     with pytest.raises(UsageError, match="takes 2 values"):
         mine.command(1.0)
     with pytest.raises(NotRunningError, match="start it"):
@@ -244,6 +269,7 @@ def test_status_and_history_commands_tell_what_clients_did(arbiter, attach_clien
 
 
 def test_after_a_restart_every_token_is_void_and_clients_ask_again(make_arbiter):
+    # GIVEN a holder that commands
     server = make_arbiter().start()
     go = attach(server.name, "go")
     robot = go.resource("robot")
@@ -251,15 +277,19 @@ def test_after_a_restart_every_token_is_void_and_clients_ask_again(make_arbiter)
     assert robot.request()
     old = robot.token
     until(lambda: robot.command(0.2, 0.0) and not reader.latest().safe)
+    # WHEN the server is killed
     server.kill()
+    # THEN the holder knows that it holds nothing, and the controller gets the safe command
     until(lambda: not robot.held and not go.connected)
     until(lambda: reader.latest().safe)  # nobody says so: the last command's time is over
     with pytest.raises(NotRunningError, match="every token is void"):
         robot.request()
     # the safe command, if the machine was so busy that the last command's time ran out before the kill
     assert observe(server.name).history().newest(1)[0].event in ("FORWARD", "SAFE")
+    # WHEN it is started again
     server.start()
     with attach(server.name, "go") as again:
+        # THEN a client that asks has a token of the new epoch, and the old one counts for nothing
         mine = again.resource("robot")
         assert mine.request()
         assert mine.token >> 32 > old >> 32

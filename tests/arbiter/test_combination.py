@@ -95,6 +95,7 @@ def see(reader, expected, *sends):
 
 
 def test_the_sum_is_relative_to_the_followers_pose_and_others_are_converted(parts):
+    # GIVEN a follower and another client that each hold a part
     follow, avoid, reader = parts
     assert follow.request()
     assert avoid.request()
@@ -155,9 +156,11 @@ def test_what_is_relative_to_a_pose_that_was_not_given_is_not_converted(parts):
 
 
 def test_limits_hold_for_the_sum(parts):
+    # GIVEN two holders of parts
     follow, avoid, reader = parts
     assert follow.request()
     assert avoid.request()
+    # WHEN their sum is beyond the limits, THEN it is limited
     got = see(
         reader,
         (0, 0, 0.05, 0, 0, 0),

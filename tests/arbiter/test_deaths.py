@@ -110,11 +110,14 @@ def test_a_child_that_inherits_the_connection_does_not_keep_its_parent_alive(ser
 
 def test_a_token_seen_on_the_board_forwards_nothing(server):
     with attach(server.name, "wall") as one, attach(server.name, "attacker") as other:
+        # GIVEN a holder
         mine = one.resource("robot")
         assert mine.request()
         history = one.history()
+        # WHEN another client sends commands under its token and others like it
         for token in (mine.token, mine.token + 1, mine.token ^ (1 << 32), 0, -1):
             send_raw(other, al.ITEM_COMMAND, token)
+        # THEN all are rejected, and the holder keeps the resource
         events = []
         until(lambda: events.extend(e for e in history if e.client == other.number) or len(events) >= 5)
         assert {e.event for e in events} == {"REJECT_NO_CONTROL"}
@@ -125,17 +128,21 @@ def test_a_token_seen_on_the_board_forwards_nothing(server):
 def test_a_client_that_scribbles_over_its_mailbox_harms_only_itself(server, seed):
     rng = random.Random(seed)
     with attach(server.name, "wall") as one, attach(server.name, "attacker") as other:
+        # GIVEN a client that holds and commands
         mine, words = one.resource("robot"), other.exchange.mailbox_words
         history = one.history()
+        # WHEN another one scribbles over its own mailbox meanwhile
         for _ in range(200):
             for _ in range(50):
                 words[rng.randrange(len(words))] = rng.choice((0, -1, 1, 1 << 62, rng.getrandbits(62)))
             assert mine.request()
             assert mine.command(0.1, 0.1)
             mine.relinquish()
+        # THEN only the first one's commands are forwarded
         forwarded = {e.client for e in history if e.event == "FORWARD"}
         assert history.lost == 0
         assert forwarded <= {one.number}
+        # WHEN the head of that mailbox is impossible, THEN it counts as broken
         words[ex.HEAD] = -5
         until(lambda: one.board.entry(other.slot)["broken"] > 0)
 
@@ -149,9 +156,11 @@ def test_no_process_can_truncate_grow_or_punch_a_mailbox(server):
                 raise
             return None
 
+    # GIVEN the descriptors of a mailbox and of the board
     grant = until(requested, "the end of another test's client of that name")
     mapped = mmap.mmap(grant.fds[0], al.MAILBOX_BYTES)
     hs.confirm_mapping(grant.sock, server.name)
+    # WHEN their owner resizes them, or maps them to write, THEN the kernel refuses
     for size in (0, 64, 2 * al.MAILBOX_BYTES):
         with pytest.raises(PermissionError):
             os.ftruncate(grant.fds[0], size)

@@ -118,15 +118,18 @@ def names_of(arbiter):
 
 
 def test_an_impostor_after_a_clean_stop_commands_no_controller_and_gets_no_client(honest):
+    # GIVEN a holder that commands, and a controller
     honest.start()
     client = attach(honest.name, "go")
     with command_reader(honest.name, "robot") as reader:
         robot = client.resource("robot")
         assert robot.request()
         until(lambda: robot.command(0.2, 0.1) and not reader.latest().safe)
+        # WHEN the arbiter ends and another user starts one of its name
         honest.stop()
         until(lambda: reader.latest().safe)
         with impostor_of(honest):
+            # THEN the controller stays safe, and nobody attaches to it
             until(lambda: BOTH in reader.refusal or not reader.latest().safe)
             assert reader.latest().values == (0.0, 0.0)
             for action in (
@@ -139,6 +142,7 @@ def test_an_impostor_after_a_clean_stop_commands_no_controller_and_gets_no_clien
                 with pytest.raises(NoPermissionError, match=BOTH):
                     action()
             assert reader.latest().safe
+        # WHEN the first user starts it again, THEN both follow it
         honest.start()
         with client.reattach() as again:
             robot = again.resource("robot")
@@ -149,23 +153,29 @@ def test_an_impostor_after_a_clean_stop_commands_no_controller_and_gets_no_clien
 
 
 def test_who_is_named_is_trusted_and_no_other_from_the_first_attachment_on(honest, monkeypatch):
+    # GIVEN another user's arbiter
     with impostor_of(honest) as impostor:
+        # WHEN a client names that user, THEN it attaches
         with attach(honest.name, "go", owner=NOBODY) as one, observe(honest.name, owner=NOBODY) as seen:
             assert one.owner == NOBODY
             assert not one.resource("robot").request()
             assert names_of(seen) == {"avoid", "go"}
             with command_reader(honest.name, "robot", owner=NOBODY) as reader:
                 until(lambda: reader.latest().values == (0.5, 1.0))
+        # WHEN it names a third one, THEN it is refused
         with pytest.raises(NoPermissionError, match=f"user {NOBODY}, expected user 12345"):
             attach(honest.name, "go", owner=12345)
         monkeypatch.setenv("SURFFOLLOW_OWNER", str(NOBODY))
+        # GIVEN a client and a controller that trust the other user by the environment
         first = attach(honest.name, "go")
         reader = command_reader(honest.name, "robot")
         until(lambda: not reader.latest().safe)
         impostor.say("stop")
         assert impostor.receive() == "ended"
     monkeypatch.delenv("SURFFOLLOW_OWNER")
+    # WHEN root starts an arbiter of the name
     honest.start()  # root's: trusted by default, but not whom those two attached to
+    # THEN these two do not follow it, and new ones do
     with pytest.raises(NoPermissionError, match=f"user 0, expected user {NOBODY}"):
         first.reattach()
     with attach(honest.name, "go") as one, command_reader(honest.name, "robot") as new:
@@ -181,10 +191,12 @@ def test_only_whom_users_names_may_attach(honest):
     def try_it(_):
         return outcome(lambda: attach(honest.name, "go", owner=0).close())
 
+    # WHEN nobody else is named, THEN another user is refused
     honest.config = msgspec.structs.replace(honest.config, users=())
     honest.start()
     assert "RefusedError" in as_other_user(try_it)
     honest.stop()
+    # WHEN he is named, THEN he attaches
     name = pwd.getpwuid(NOBODY).pw_name
     honest.config = msgspec.structs.replace(honest.config, users=(name,))
     honest.start()
@@ -220,11 +232,14 @@ def test_a_squatter_keeps_no_client_waiting_and_is_named(honest):
         signal.pause()
 
     with OtherUser(squat) as squatter:
+        # GIVEN another user's process that has the name and answers nobody
         assert squatter.receive() == "there"
+        # WHEN an arbiter or a client wants it, THEN it is told whose it is
         with pytest.raises(AlreadyRunningError, match=rf"process {squatter.pid} of user {NOBODY}"):
             hs.listen(honest.name)
         with pytest.raises(NoPermissionError, match=BOTH):
             attach(honest.name, "go")
+        # WHEN not even a connection is taken, THEN no client waits longer than it must
         squatter.say("fill")
         assert squatter.receive() == "full"
         with pytest.raises(NotRunningError):
@@ -248,11 +263,14 @@ def test_a_board_that_another_user_made_is_not_taken_over(honest):
 
 
 def test_a_server_that_may_not_write_a_command_block_leaves_nothing_behind(honest):
+    # GIVEN a file of another user in the place of a command block
     path = Path(f"/dev/shm/{honest.name}.speaker")
     assert as_other_user(lambda _: outcome(lambda: path.write_bytes(bytes(8192)))) == "done"
+    # WHEN the server starts, THEN it fails and leaves nothing
     with pytest.raises((BlockError, NoPermissionError)):
         Server(honest.config)
     assert [p.name for p in Path("/dev/shm").glob(f"{honest.name}*")] == [path.name]
+    # WHEN the file is gone, THEN it starts
     path.unlink()
     honest.start()  # and does not keep the name
     honest.stop()
@@ -274,15 +292,18 @@ def run_patrol(patrol, name, seconds, **environment):
 
 def test_a_client_in_c_refuses_another_users_arbiter_unless_he_is_named(honest, patrol):
     with impostor_of(honest):
+        # WHEN a C client names nobody, THEN it refuses another user's arbiter
         done = run_patrol(patrol, honest.name, "0.2")
         assert (done.returncode, done.stdout) == (1, "")
         assert "a user who is not trusted" in done.stderr
+        # WHEN it names that user, THEN it attaches
         done = run_patrol(patrol, honest.name, "0.2", SURFFOLLOW_OWNER=str(NOBODY))
         assert done.returncode == 0, done.stderr
         assert "granted the cart 0 times" in done.stdout
 
 
 def test_a_client_in_c_attaches_again_to_the_same_user_only(honest, patrol):
+    # GIVEN a C client of root's arbiter, which trusts another user too
     honest.start()
     words = [str(patrol), honest.name, "60"]
     environment = os.environ | {"SURFFOLLOW_OWNER": str(NOBODY)}  # trusted at first, but the pin is root's
@@ -290,12 +311,14 @@ def test_a_client_in_c_attaches_again_to_the_same_user_only(honest, patrol):
         try:
             with observe(honest.name) as seen:
                 until(lambda: seen.holder("robot") is not None)
+            # WHEN that user starts an arbiter of the name, THEN the client does not attach
             honest.stop()
             with impostor_of(honest), observe(honest.name, owner=NOBODY) as seen:
                 history = seen.history(oldest=True)
                 began = time.monotonic()
                 until(lambda: time.monotonic() - began > 0.5)  # it tries every 20 ms
                 assert {e.client for e in history if e.event == "ATTACH"} == {1}
+            # WHEN root starts it again, THEN it does
             honest.start()
             with observe(honest.name) as seen:
                 until(lambda: (h := seen.holder("robot")) is not None and h.name == "patrol")

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from second_user import needs_root
 from surffollow.blocks import (
     F64,
     I8,
@@ -343,7 +344,7 @@ def test_links_and_foreign_objects_are_not_followed_or_overwritten(space, tmp_pa
     assert link.read_bytes() == victim.read_bytes() == b"precious" * 4096
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="needs another user's object: only root can make one")
+@needs_root
 def test_a_block_of_another_user_is_not_written_into(space):
     mem_attach(Platform, space, write=True).close(keep=True)
     os.chown(f"/dev/shm/{space}.platform", 65534, -1)

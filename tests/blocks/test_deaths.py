@@ -25,6 +25,7 @@ STEP = 7  # lines between two makers that are killed
 
 
 def test_a_killed_reader_gives_its_lock_back_at_once(space, child):
+    # GIVEN a block with a long lease
     with mem_attach(Platform, space, write=True, lease_s=60) as mem:
         with mem.platform.write() as slot:
             slot.t_ns = 1
@@ -35,11 +36,14 @@ def test_a_killed_reader_gives_its_lock_back_at_once(space, child):
             forever()
 
         for _ in range(5):
+            # GIVEN a reader that keeps the writer out
             reader = child(read_and_hang)
             assert reader.receive() == 1
             with pytest.raises(BlockTimeoutError):
                 mem.platform.get_write_ok(0.01)
+            # WHEN it is killed
             reader.kill()
+            # THEN the writer goes on, and had nobody to fence
             with mem.platform.write(20.0) as slot:  # far below the lease: the kernel released it
                 slot.t_ns += 1
         assert mem.platform.fenced == 0
@@ -68,16 +72,20 @@ def fence_off(space, child):
             me.say(generation)
             me.say(block.read_done() == "ok")
 
+        # GIVEN a reader that is stopped while it reads
         reader = child(read_for_long)
         assert reader.receive() == 1
         os.waitpid(reader.pid, os.WUNTRACED)
+        # WHEN the writer writes
         begin = time.monotonic()
         with mem.words.write() as slot:
             slot.word = [2] * 256
         waited = time.monotonic() - begin
+        # THEN it waits for the lease, fences the reader, and waits for it no more
         assert mem.words.fenced == 1
         with mem.words.write(LEASE_S / 2) as slot:  # fenced once, it holds nobody up again
             slot.word = [2] * 256
+        # THEN the reader is told that its values are stale, and its next read is good
         reader.signal(signal.SIGCONT)
         assert [reader.receive() for _ in range(4)] == [1, True, 3, True]
         assert reader.end() == 0
@@ -85,10 +93,12 @@ def fence_off(space, child):
 
 
 def test_the_read_context_raises_when_the_reader_was_fenced(space):
+    # GIVEN a short lease
     with mem_attach(Platform, space, write=True, lease_s=0.002) as mem, mem_attach(Platform, space) as theirs:
         with mem.platform.write():
             pass
 
+        # WHEN a read lasts longer than it, THEN the end of the read raises
         def read_too_long():
             with theirs.platform.read():
                 mem.platform.get_write_ok()
@@ -119,9 +129,11 @@ def test_readers_that_overlap_for_ever_do_not_starve_the_writer(space, child):
                         a.read_done()
                     n += 1
 
+        # GIVEN readers whose reads overlap without end
         readers = [child(keep_reading) for _ in range(2)]
         for r in readers:
             assert r.receive() == 0
+        # WHEN the writer writes, THEN it gets its turn, and fences nobody
         for k in range(20):
             with mem.words.write(20.0) as slot:
                 slot.word = [k] * 256
@@ -139,8 +151,10 @@ def test_a_writer_that_never_pauses_does_not_starve_readers(space, child):
                 if k == 1:
                     me.say(1)
 
+    # GIVEN a writer that writes without a pause
     writer = child(keep_writing)
     assert writer.receive() == 1
+    # WHEN a reader reads, THEN it gets its turn, and whole values in order
     with mem_attach(Words, space) as theirs:
         last = 0
         for _ in range(50):
@@ -156,11 +170,13 @@ def test_a_reader_stopped_in_the_queue_slows_a_busy_writer_once_not_at_every_wri
         def wait_for_my_turn(me):
             mem_attach(Platform, space).platform.get_read_ok(30.0)
 
+        # GIVEN a reader that was stopped in the queue
         with mem.platform.write():
             reader = child(wait_for_my_turn)
             until(lambda: theirs.platform._lock.held_elsewhere(QUEUE_BYTE), "a reader in the queue")
             reader.signal(signal.SIGSTOP)
 
+        # WHEN the writer writes often, THEN it waits for that reader once
         def write_often():
             for _ in range(500):
                 with mem.platform.write():
@@ -188,17 +204,20 @@ def test_a_writer_that_was_itself_stopped_does_not_fence_readers_for_it(space, c
             pass
         me.say(block.fenced)
 
+    # GIVEN a writer that waits for a reader
     writer = child(write_once)
     assert writer.receive() == 1
     with mem_attach(Platform, space) as theirs:
         theirs.platform.get_read_ok()
         os.write(go_w, b"x")
         until(lambda: theirs.platform._words[WAITING_WORD], "a writer that waits")
+        # WHEN the writer is stopped for longer than the lease
         writer.signal(signal.SIGSTOP)
         begin, looks = time.monotonic(), times_asleep(writer.pid)
         until(lambda: time.monotonic() > begin + 2.1, "the end of the lease")  # which is what is tested
         writer.signal(signal.SIGCONT)
         until(lambda: times_asleep(writer.pid) > looks + 10, "the writer's looking again")
+        # THEN the reader was not fenced
         assert theirs.platform.read_done() == "ok"
     assert writer.receive() == 0
 
@@ -216,16 +235,20 @@ def test_a_writer_killed_half_way_leaves_the_previous_generation_and_its_success
 
     epochs = []
     for k in range(3):
+        # GIVEN a writer in the middle of a write
         writer = child(write_half)
         epochs.append(writer.receive())
         with mem_attach(Words, space) as theirs:
             with pytest.raises(BlockTimeoutError, match=f"process {writer.pid} did not finish"):
                 theirs.words.get_read_ok(0.01)
+            # WHEN it is killed
             writer.kill()
+            # THEN readers have the generation before
             with theirs.words.read(20.0) as view:
                 assert set(view.word) == {epochs[-1] % 1000}
             assert theirs.words.latest().generation == k + 1
             assert not theirs.words.writer_alive()
+    # THEN each writer went on from its predecessor
     assert epochs == [epochs[0], epochs[0] + 1, epochs[0] + 2]
 
 
@@ -239,6 +262,7 @@ def test_a_writer_killed_while_it_waits_does_not_keep_readers_out(space, child):
         block.get_write_ok(60.0)
 
     go_r, go_w = os.pipe()
+    # GIVEN a writer that waits for a reader and keeps others out
     writer = child(wait_for_ever)
     assert writer.receive() == 1
     with mem_attach(Platform, space) as first, mem_attach(Platform, space) as second:
@@ -255,7 +279,9 @@ def test_a_writer_killed_while_it_waits_does_not_keep_readers_out(space, child):
             return False
 
         until(closed, "the door of the waiting writer")
+        # WHEN it is killed
         writer.kill()
+        # THEN the others may read, and the first reader is not fenced
         second.platform.get_read_ok(20.0)
         assert second.platform.read_done() == "ok"
         assert first.platform.read_done() == "ok"
@@ -281,10 +307,12 @@ def test_makers_killed_at_any_moment_leave_nothing_that_a_successor_must_clean(s
         sys.settrace(killed_at(at))
         mem_attach(Words, space, write=True).words.get_write_ok()
 
+    # GIVEN makers of a block that were killed at every step
     for lines in range(1, 2000, STEP):
         if child(partial(make, at=lines)).end() == 0:
             break
     assert 10 * STEP < lines < 2000, "makers were killed, and the last one came to its end"
+    # THEN what they left is the block and its lock, and the next one makes the block
     left = {p.name for p in Path("/dev/shm").glob(f"{space}*")}
     assert left <= {f"{space}.words", f"{space}.words.lock"}
     with mem_attach(Words, space, write=True) as mem, mem.words.write() as slot:
@@ -293,6 +321,7 @@ def test_makers_killed_at_any_moment_leave_nothing_that_a_successor_must_clean(s
 
 def test_a_forked_child_neither_keeps_nor_frees_its_parents_locks(space):
     mem = mem_attach(Platform, space, write=True)
+    # GIVEN a writer that forks in the middle of a write
     with mem.platform.write() as slot:
         slot.t_ns = 1
     slot = mem.platform.get_write_ok()  # the fork happens in the middle of a write
@@ -308,19 +337,24 @@ def test_a_forked_child_neither_keeps_nor_frees_its_parents_locks(space):
 
     out = context.Queue()
     process = context.Process(target=in_child, args=(out,), daemon=True)
+    # WHEN the child tries to publish, then closes the block
     process.start()
     try:
         assert out.get(timeout=20) == 1
         assert out.get(timeout=20) == "closed"
+        # THEN the parent is still the writer
         slot.t_ns = 2
         mem.platform.write_done()
         with mem_attach(Platform, space) as theirs:
             assert theirs.platform.writer_alive()
+            # WHEN the parent closes it
             mem.close(keep=True)
+            # THEN the block has no writer
             assert not theirs.platform.writer_alive()  # though the child lives
     finally:
         process.kill()
         process.join()
+    # THEN the next writer finds what was published last
     with mem_attach(Platform, space, write=True) as mem:
         assert mem.platform.latest()["t_ns"] == 2
 
@@ -335,10 +369,13 @@ def test_a_forked_reader_opens_its_own_locks(space, child):
             me.say(1)
             forever()
 
+        # GIVEN a forked reader that reads by the block of its parent
         reader = child(read_on)
         assert reader.receive() == 1
+        # THEN it keeps the writer out
         with pytest.raises(BlockTimeoutError):
             mem.platform.get_write_ok(0.01)
+        # WHEN it is killed, THEN the writer goes on
         reader.kill()
         with mem.platform.write(20.0):
             pass

@@ -13,6 +13,7 @@ import pytest
 
 from cabi.running import PATIENT_MS, Answer, Probe
 from running_service import STANDOFF_M, Service, until
+from second_user import needs_root
 from surffollow.client import STALE, Client, Demand, observe
 from surffollow.client import attach as attach_hasty
 from surffollow.config.names import OBJECTS
@@ -105,13 +106,16 @@ def test_pose_is_checked_as_the_python_client_does(probe: Probe, pose: str, resu
 def test_second_sender_of_the_pose_is_refused_with_the_holders_pid(
     probe: Probe, make_probe: Callable[..., Probe], service: Service
 ) -> None:
+    # GIVEN a C client that holds the pose
     assert probe("claim").result == OK
+    # WHEN another one, in C or in Python, sends it, THEN it is refused by the holder's pid
     other = make_probe()
     other(f"attach {service.name}")
     refused = other(POSE)
     assert (refused.result, refused.detail) == (-100 - lb.ERR_POSE_HELD, probe.pid)
     with attach(service.name) as robot, pytest.raises(BusyError, match=f"pid {probe.pid}"):
         robot.ee_pos((0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+    # WHEN the holder lets go, THEN the other may
     assert probe("release").result == OK
     assert other(POSE).result == OK
 
@@ -119,7 +123,9 @@ def test_second_sender_of_the_pose_is_refused_with_the_holders_pid(
 def test_pose_of_a_killed_sender_is_free_again(
     probe: Probe, make_probe: Callable[..., Probe], service: Service
 ) -> None:
+    # GIVEN a C client that sends the pose
     assert probe(POSE).result == OK
+    # WHEN it is killed, THEN another one may send it
     probe.process.kill()
     probe.process.wait()
     other = make_probe()
@@ -130,9 +136,11 @@ def test_pose_of_a_killed_sender_is_free_again(
 def test_child_that_forgot_its_parents_client_does_not_keep_the_slot(
     probe: Probe, make_probe: Callable[..., Probe], service: Service
 ) -> None:
+    # GIVEN a client that sends the pose and has a forked child
     assert probe(POSE).result == OK
     assert probe("fork 20000").result == OK
     assert probe(POSE).result == OK
+    # WHEN the client is killed, THEN another one may send the pose though the child lives
     probe.process.kill()
     probe.process.wait()
     other = make_probe()
@@ -192,14 +200,17 @@ def stopped(service: Service) -> Iterator[None]:
 def test_request_cannot_overtake_one_that_the_service_has_not_seen(
     make_probe: Callable[..., Probe], service: Service
 ) -> None:
+    # GIVEN a patient client, and a service that stands still
     patient = make_probe()
     patient("stale_ms 60000")
     assert patient(f"attach {service.name}").result == OK
     with stopped(service):
         assert patient(f"send {lb.RQ_SF_RESET} 0.11").result == OK
+        # WHEN it sends a second request, THEN that is refused, and the first is still to be answered
         assert patient(f"send {lb.RQ_SF_RESET} 0.12").result == -29
         assert patient("poll").result == PENDING
         assert patient("wait 30").result == -27
+    # WHEN the service goes on, THEN the first request is carried out
     patient.until("poll", lambda a: a.result == OK)  # carried out after all
     assert patient("get offset").values == [0.11]
     assert patient(f"reset {STANDOFF_M}").result == OK
@@ -208,10 +219,12 @@ def test_request_cannot_overtake_one_that_the_service_has_not_seen(
 def test_stopped_service_is_silent_and_its_demand_is_zero(
     make_probe: Callable[..., Probe], service: Service
 ) -> None:
+    # GIVEN a client of a service that stands still
     probe = make_probe()
     probe("timeout_ms 300")
     assert probe(f"attach {service.name}").result == OK
     with stopped(service):
+        # THEN its demand is zero and stale, and its requests are refused
         silent = probe.until("dev", lambda a: int(a.values[2]) & STALE != 0)
         assert silent.result == NO_DEMAND
         assert not int(silent.values[2]) & VALID
@@ -219,6 +232,7 @@ def test_stopped_service_is_silent_and_its_demand_is_zero(
         assert math.isnan(probe("raw 0").values[0])
         for line in (f"reset {STANDOFF_M}", "begin 10", "map_reset 0 0 1 1"):
             assert probe(line).result == -20, line
+    # WHEN the service goes on, THEN requests are answered
     probe.until("alive", lambda a: a.result == 1)
     probe.until(f"reset {STANDOFF_M}", lambda a: a.result == OK)
 
@@ -257,12 +271,15 @@ def test_status_names_the_pose_sender_and_counts(probe: Probe, service: Service)
 def test_seventeenth_client_learns_that_the_slots_are_taken(
     make_probe: Callable[..., Probe], service: Service
 ) -> None:
+    # GIVEN as many clients as there are slots
     crowd = []
     while (probe := make_probe())(f"attach {service.name}").result == OK:
         crowd.append(probe)
         assert len(crowd) <= lb.CLIENTS
+    # WHEN one more attaches, THEN it is refused
     assert probe(f"attach {service.name}").result == -25
     assert len({p("alive").slot for p in crowd}) == len(crowd) == lb.CLIENTS
+    # WHEN one is killed, THEN the next one gets its slot
     crowd[3].process.kill()
     crowd[3].process.wait()
     assert probe(f"attach {service.name}").result == OK
@@ -289,7 +306,7 @@ def test_observer_sees_demands_but_cannot_send(make_probe: Callable[..., Probe],
         assert probe(line).result == -26, line
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
+@needs_root
 def test_other_users_are_refused_by_the_kernel_with_the_reason(
     make_probe: Callable[..., Probe], service: Service, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

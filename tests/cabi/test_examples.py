@@ -10,7 +10,7 @@ import pytest
 
 from cabi.running import ROOT, SANITIZED, numbers, run
 from running_service import STANDOFF_M, Service
-from surffollow.map.formats.text_file import read_text
+from surffollow.map import HeightMap
 
 
 def quiet_run(program: Path, *words: str) -> dict[str, float]:
@@ -46,9 +46,9 @@ def test_cpp_controller_follows_and_brings_a_map_home(
     assert found["max_demand_m"] == 0.02
     # a tool that began at 0.1 m, over ground that does not answer it: late demands let the tool wander
     assert abs(found["map_height_m"]) < 0.02
-    header, pairs = read_text(tmp_path / "map.txt")
-    assert header[0]["samples"] > 30
-    assert (pairs["c"] > 0).sum() >= 3
+    brought = HeightMap.load(tmp_path / "map.txt")
+    assert brought.samples > 30
+    assert (brought.counts > 0).sum() >= 3
 
 
 def test_examples_say_what_is_wrong_when_no_service_runs(compile_program: Callable[..., Path]) -> None:

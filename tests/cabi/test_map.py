@@ -16,6 +16,7 @@ from running_service import Service, quickest, until
 from surffollow.client import Client, attach, observe
 from surffollow.client.map_reader import copy_map
 from surffollow.errors import MapFileError, RefusedError, RequestTimeoutError
+from surffollow.map import HeightMap
 from surffollow.map.formats.text_file import OTHER_SUFFIXES
 from surffollow.map.kernels.lookup import height_at
 from surffollow.shm import map_layout as ml
@@ -55,7 +56,7 @@ def settle(probe: Probe, robot: Client) -> None:
 def test_heights_in_c_are_those_of_the_kernel(probe: Probe, robot: Client) -> None:
     settle(probe, robot)
     header, pairs = copy_map(robot, 5.0)
-    assert header[0]["samples"] > 40
+    assert HeightMap(header, pairs).samples > 40
     known = 0
     for x_m, y_m in np.random.default_rng(7).uniform(0.0, 0.1, (60, 2)).tolist() + [
         (0.002 * k + 0.01, 0.04) for k in range(40)

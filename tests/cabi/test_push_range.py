@@ -111,9 +111,11 @@ def test_what_c_pushes_is_the_distance(
 def test_a_channel_has_one_client_until_it_lets_go(
     make_probe: Callable[..., Probe], outside: Service, client: Client
 ) -> None:
+    # GIVEN a channel of a Python client, and another one of a C client
     client.push_range(0, time.monotonic_ns(), 0.1)
     probe = make_probe()
     probe(f"attach {outside.name}")
+    # WHEN either pushes into the other's channel, THEN it is refused by the holder's pid
     refused = probe("push 0 0.1 0")
     assert (refused.result, refused.detail) == (HELD, client.status()["clients"][0]["pid"])
     assert probe("claim_range 1").result == 0  # another channel is free
@@ -122,6 +124,7 @@ def test_a_channel_has_one_client_until_it_lets_go(
     assert f"channel 0 by pid {refused.detail}, 1 by pid {probe.pid}" in until(
         lambda: (text := outside.run("status").stdout) and f"1 by pid {probe.pid}" in text and text
     )
+    # WHEN one lets go, THEN the other may push
     client.release_range(0)
     assert probe("push 0 0.1 0").result == 0
     assert probe("release_range 0").result == 0
@@ -136,10 +139,12 @@ def test_a_killed_client_frees_its_channel(outside: Service, client: Client) -> 
         text=True,
     )
     try:
+        # GIVEN a process that pushes ranges
         assert said(child) == "pushes"
         with pytest.raises(BusyError, match=f"pid {child.pid}"):
             client.claim_range(2)
     finally:
+        # WHEN it is killed
         child.kill()
         child.communicate()
 
@@ -150,6 +155,7 @@ def test_a_killed_client_frees_its_channel(outside: Service, client: Client) -> 
             return False
         return True
 
+    # THEN another client may push into its channel
     until(free, "a free channel")
     push_until(client, lambda: is_near(client.raw_distance(2), 0.15), 0.15, 2)
 
@@ -232,11 +238,13 @@ class Scribbler:
 def test_rubbish_in_one_ring_never_moves_a_distance_of_another(
     outside: Service, client: Client, seed: int
 ) -> None:
+    # GIVEN a client that pushes, and one that writes rubbish into the ring of another channel
     push_until(client, lambda: is_near(client.raw_distance(), 0.25), 0.25)
     before = client.status()
     attacker = Scribbler(outside.name, seed)
     try:
         until(lambda: client.status()["main"]["range_slot"][1] >= 0, "the claim")
+        # WHEN both go on until hundreds of ranges were refused
         wrong: list[float] = []
 
         def step() -> bool:
@@ -254,7 +262,9 @@ def test_rubbish_in_one_ring_never_moves_a_distance_of_another(
         until(step, "refusals")
     finally:
         attacker.close()
+    # THEN the first one's distance was never another
     assert wrong == []
+    # WHEN the attacker is gone, THEN its channel is free
     until(lambda: client.status()["main"]["range_slot"][1] == -1, "a free channel")
     push_until(client, lambda: is_near(client.raw_distance(), 0.26), 0.26)
 
@@ -262,6 +272,7 @@ def test_rubbish_in_one_ring_never_moves_a_distance_of_another(
 def test_a_run_with_pushed_ranges_replays_bit_for_bit(
     outside: Service, client: Client, tmp_path: Path
 ) -> None:
+    # GIVEN a recording of a client that pushes ranges and losses
     path, done = tmp_path / "run.mcap", threading.Event()
     # a snapshot, from which a replay begins, is written once in a second
     options = {"seconds": 2.5, "rate_hz": 0}
@@ -275,13 +286,16 @@ def test_a_run_with_pushed_ranges_replays_bit_for_bit(
     finally:
         done.set()
         recorder.join()
+    # WHEN it is replayed, THEN its bits are the same
     report = replay_file(path)
     assert report.identical, report
     assert report.cycles > 200
 
 
 def test_a_client_goes_on_pushing_to_a_restarted_service(outside: Service, client: Client) -> None:
+    # GIVEN a client that pushes
     push_until(client, lambda: is_near(client.raw_distance(), 0.11), 0.11)
+    # WHEN the service is killed and started again
     outside.kill()
     outside.start()
 
@@ -291,21 +305,25 @@ def test_a_client_goes_on_pushing_to_a_restarted_service(outside: Service, clien
             client.ee_pos(POSE)
         return is_near(client.raw_distance(), 0.13)
 
+    # THEN its ranges are taken there
     until(step, "the new service")
 
 
 def test_pose_and_channels_of_ranges_are_claimed_anew_in_steps_whichever_call_comes_first(
     outside: Service, make_probe: Callable[..., Probe]
 ) -> None:
+    # GIVEN a C client that sends the pose and ranges
     probe = make_probe()
     assert probe(f"attach {outside.name}").result == 0
     calls = ("ee 0.05 0.05 0.1 0 0 0 1", "push 0 0.1 0", "push 1 0.1 0")
     for call in calls:
         probe.until(call, lambda a: a.result == 0)
+    # WHEN the service is started again and its socket hangs
     outside.kill()
     probe.until(calls[0], lambda a: a.result == ENDED)
     outside.start()
     with hanging(outside.name, MANNERS[0]):
+        # THEN no call waits for it
         slow = 0
         for k in range(100):
             began = time.monotonic()
@@ -313,4 +331,5 @@ def test_pose_and_channels_of_ranges_are_claimed_anew_in_steps_whichever_call_co
             probe("dev")
             slow += time.monotonic() - began > 0.1
         assert slow < 10, "one waiting exchange takes a second"
+    # WHEN the socket answers, THEN the client has all that it had
     until(lambda: [probe(call).result for call in calls] == [0, 0, 0], "pose and ranges")

@@ -67,12 +67,15 @@ def test_holder_learns_that_the_service_was_restarted(
     mortal: Service, make_probe: Callable[..., Probe]
 ) -> None:
     for how in ("auto 0", "auto 1"):
+        # GIVEN a C client that holds the map
         probe = make_probe()
         probe(how)
         assert probe(f"attach {mortal.name}").result == OK
         assert probe("begin 60000").result == OK
+        # WHEN the service is killed and started again
         mortal.kill()
         mortal.start()
+        # THEN the end of the access says so, and the client may take the map again
         assert probe("end").result == -31
         probe.until("reattach", lambda a: a.result == OK)
         assert probe("holding 60000 0").result == OK
@@ -81,14 +84,17 @@ def test_holder_learns_that_the_service_was_restarted(
 def test_purged_map_is_found_again_when_it_is_made_anew(
     mortal: Service, make_probe: Callable[..., Probe]
 ) -> None:
+    # GIVEN a C client that reads the map
     probe = make_probe()
     probe(f"attach {mortal.name}")
     assert probe("map_reset 0 0 0.1 0.1").result == OK
     probe.until(POSE, lambda a: probe("height 0.05 0.05").result == OK)
+    # WHEN the service ends, its map is removed, and it starts again
     mortal.stop()
     probe.until("dev", lambda a: bool(int(a.values[2]) & STALE))  # it is seen to have ended
     mortal.start()
     probe.until("dev", lambda a: not int(a.values[2]) & STALE)
+    # THEN the new map is empty, and may be laid
     assert probe("height 0.05 0.05").result == 4
     assert probe("map_reset 0 0 0.1 0.1").result == OK
 
@@ -96,7 +102,9 @@ def test_purged_map_is_found_again_when_it_is_made_anew(
 def test_attaching_to_what_a_killed_service_left_is_safe(
     mortal: Service, make_probe: Callable[..., Probe]
 ) -> None:
+    # GIVEN what a killed service left
     mortal.kill()
+    # WHEN a C client attaches or observes, THEN it is told that nobody is there
     probe = make_probe()
     probe("ready_ms 100")
     assert probe(f"attach {mortal.name}").result == NOT_RUNNING
@@ -120,15 +128,18 @@ def start_with_other_memory(service: Service) -> None:
 def test_client_that_only_posts_poses_learns_of_the_end_and_goes_on_after_it(
     mortal: Service, make_probe: Callable[..., Probe]
 ) -> None:
+    # GIVEN clients that post poses
     probe, fixed, watcher = make_probe(), make_probe(), make_probe()
     fixed("auto 0")
     for p, how in ((probe, "attach"), (fixed, "attach"), (watcher, "observe")):
         assert p(f"{how} {mortal.name}").result == OK
     assert probe(POSE).result == OK
+    # WHEN the service is killed
     mortal.kill()
     # THEN every pose is refused until it is started again, elsewhere in memory
     probe.until(POSE, lambda a: a.result == NOT_RUNNING)
     assert probe(POSE).result == NOT_RUNNING
+    # WHEN it is started again, THEN poses go on, or after `reattach` where a client is told to wait
     start_with_other_memory(mortal)
     probe.until(POSE, lambda a: a.result in (OK, NOT_RUNNING) and watcher("status").values[6] > 3)
     assert fixed(POSE).result == NOT_RUNNING, "told not to look by itself"
@@ -181,17 +192,21 @@ def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(
 
 
 def test_poll_of_a_dead_services_answer_says_so(mortal: Service, make_probe: Callable[..., Probe]) -> None:
+    # GIVEN a request to a service that stands still
     probe = make_probe(stale_ms=2000)  # the request is sent before that
     assert probe(f"attach {mortal.name}").result == OK
     mortal.freeze()
     assert probe("send 1 0.1").result == OK
+    # THEN its answer is to come
     assert probe("poll").result == 2
     probe.until("alive", lambda a: a.result == 0)
     assert probe("poll").result == 2, "it only stands still"
     assert probe("get range_size").result == OK
+    # WHEN the service is killed, THEN there will be none
     mortal.kill()
     probe.until("poll", lambda a: a.result == NOT_RUNNING)
     assert probe("wait 1000000").result == NOT_RUNNING, "at once"
+    # WHEN it is started again, THEN the request is lost
     mortal.start()
     probe.until("poll", lambda a: a.result == -28)
 
@@ -200,13 +215,16 @@ def test_poll_of_a_dead_services_answer_says_so(mortal: Service, make_probe: Cal
 def test_no_call_of_a_control_loop_waits_for_a_socket_that_hangs(
     mortal: Service, make_probe: Callable[..., Probe], manner: str
 ) -> None:
+    # GIVEN a client that drives
     probe = make_probe()
     assert probe(f"attach {mortal.name}").result == OK
     probe.until(POSE, lambda a: a.result == OK)
+    # WHEN the service is started again and its socket hangs
     mortal.kill()
     probe.until(POSE, lambda a: a.result == NOT_RUNNING)
     mortal.start()
     with hanging(mortal.name, manner):
+        # THEN no call waits for it
         slow = 0
         for _ in range(100):
             began = time.monotonic()
@@ -214,4 +232,5 @@ def test_no_call_of_a_control_loop_waits_for_a_socket_that_hangs(
             probe("dev")
             slow += time.monotonic() - began > 0.1
         assert slow < 10, "one waiting exchange takes a second"
+    # THEN poses go on when the socket does
     probe.until(POSE, lambda a: a.result == OK)

@@ -38,17 +38,20 @@ def demands(probe: Probe, expected: int) -> None:
 def test_a_c_client_stops_and_only_the_poses_holder_resets(
     make_probe: Callable[..., Probe], service: Service
 ) -> None:
+    # GIVEN a robot that follows, and another client
     driver, other = make_probe(), make_probe()
     for p in (driver, other):
         assert p(f"attach {service.name}").result == 0
     assert driver(f"reset {STANDOFF_M}").result == 0
     demands(driver, VALID)
+    # WHEN the other one stops it, THEN it may neither reset it nor change anything
     assert other("stop smoke").result == 0
     demands(driver, STOPPED)
     answer = other("stop_reset")
     assert (answer.result, answer.detail) == (refused(lb.ERR_NOT_POSE_HOLDER), driver.pid)
     assert other("set max_demand 0.01").result == refused(lb.ERR_NOT_POSE_HOLDER)
     assert other(f"reset {STANDOFF_M}").result == refused(lb.ERR_NOT_POSE_HOLDER)
+    # WHEN the robot resets it, THEN demands are valid, and the audit trail has the stop
     assert driver("stop_reset").result == 0
     demands(driver, VALID)
     with attach(service.name, stale_min_s=PATIENT_MS / 1000) as watcher:
@@ -62,10 +65,12 @@ def test_a_c_client_stops_and_only_the_poses_holder_resets(
 def test_a_stop_waits_for_no_request_before_it_and_one_store_is_enough(
     make_probe: Callable[..., Probe], service: Service
 ) -> None:
+    # GIVEN a robot that follows
     driver = make_probe()
     assert driver("stop_now").result < 0, "there is no slot yet"
     assert driver(f"attach {service.name}").result == 0
     assert driver(f"reset {STANDOFF_M}").result == 0
+    # WHEN it stops right behind a request, or by one store, THEN it is stopped
     for how in (f"send_and_stop {lb.RQ_SF_RESET} {STANDOFF_M}", "stop_now"):
         demands(driver, VALID)
         assert driver(how).result == 0
@@ -112,12 +117,15 @@ sys.stdin.readline()
 def test_the_example_controller_brakes_and_stays_when_the_service_is_stopped(
     service: Service, compile_program: Callable[..., Path]
 ) -> None:
+    # GIVEN the controller of the examples
     controller = compile_program(ROOT / "examples/c/controller.c", *SANITIZED)
+    # WHEN somebody stops the service while it drives
     with program(STOPPER, service.name):
         done = subprocess.run(
             [str(controller), service.name, "3"], capture_output=True, text=True, timeout=120
         )
     try:
+        # THEN it brakes and stays where it is
         assert done.returncode == 0, done.stderr
         found = numbers(done.stdout)
         assert found["stopped"] > 50

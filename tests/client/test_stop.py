@@ -24,6 +24,7 @@ def test_a_stop_in_a_signal_handler_is_in_force_wherever_it_interrupts(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with service.attach() as client, service.attach() as other:
+        # GIVEN a robot that follows, and a handler that stops it in the middle of any request
         drive(client, lambda: client.dev_vector().valid, what="a demand")
         own_post = RequestSender._post_request
         tickets = []
@@ -37,10 +38,12 @@ def test_a_stop_in_a_signal_handler_is_in_force_wherever_it_interrupts(
         )
         monkeypatch.setattr(RequestSender, "_post_request", post_with_a_signal_in_between)
         try:
+            # WHEN a signal comes in the middle of a request
             client.sf_reset(STANDOFF_M)  # its answer comes though the signal came in between
         finally:
             signal.signal(signal.SIGALRM, before)
             monkeypatch.undo()
+        # THEN it is stopped, the request is answered, and nothing waits for a lost one
         until(lambda: stopped(client), "the stop")
         assert tickets[0].result() >= 0
         assert quickest(lambda: client.stop("again"), 1) < 3.0, "nothing waits for a lost request"

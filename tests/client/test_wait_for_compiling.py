@@ -64,13 +64,16 @@ def tell(objects: SharedObjects, text: str) -> None:
 def test_it_waits_until_ready_and_tells_the_progress(
     objects: SharedObjects, clock: Clock, caplog: pytest.LogCaptureFixture
 ) -> None:
+    # GIVEN a service that compiles for a minute and tells how far it is
     tell(objects, "compiling kernels, 7: one")
     clock.then = {
         30: lambda: tell(objects, "compiling kernels, 99: other"),
         60: lambda: tell(objects, ""),  # compiled; the first cycles run
         61: lambda: objects.set_state(lb.STATE_READY),
     }
+    # WHEN a client attaches
     Board(NAME).close()
+    # THEN it waits until the service is ready, and logs the progress
     assert clock.now_s == 61.0
     assert f"waiting for service '{NAME}': compiling kernels, 7: one" in caplog.text
     assert "99: other" in caplog.text
@@ -86,23 +89,29 @@ def test_it_waits_no_longer_than_before_for_one_that_does_not_compile(
 def test_it_does_not_wait_for_one_that_died_while_it_compiled(
     objects: SharedObjects, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # GIVEN a service that died while it compiled
     tell(objects, "compiling kernels, 7: one")
     monkeypatch.setattr(board_module, "is_running", lambda *_: False)
+    # WHEN a client attaches, THEN it does not wait longer than for any other
     with pytest.raises(NotReadyError, match="not ready after 2 s"):
         Board(NAME)
 
 
 def test_a_control_loop_that_attaches_again_never_waits(objects: SharedObjects, clock: Clock) -> None:
+    # GIVEN a service that compiles
     tell(objects, "compiling kernels, 7: one")
+    # WHEN a control loop attaches, THEN it is refused at once
     with pytest.raises(NotReadyError, match=r"not ready .*: compiling kernels, 7: one; try again in a while"):
         Board(NAME, ready_timeout_s=0.0)
     assert clock.now_s == 0.0
 
 
 def test_a_cold_start_publishes_how_far_it_is_even_when_it_is_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+    # GIVEN a quiet start that publishes its progress
     clock, lines = Clock(), list[str]()
     monkeypatch.setattr("surffollow.service.notify.time", clock)
     progress = CompileProgress(lambda _: None, quiet=True, publish=lines.append)
+    # WHEN it waits for three seconds, THEN it says so in each
     for _ in range(3):
         clock.sleep(1.0)
         progress.waiting()

@@ -71,6 +71,16 @@ def test_a_range_that_freezes_at_the_stand_off_on_a_fall_is_found_within_half_th
     assert heights.min() > 0.7 * STANDOFF_M, "it would descend for ever"
 
 
+@pytest.mark.parametrize("slope", [0.1, 0.3])
+def test_a_good_sensor_on_a_long_fall_answers_a_small_shift_without_a_hold(slope):
+    """GIVEN a long even fall WHEN the sensor sees it THEN the tool keeps its distance and is never held."""
+    heights, phases, _ = closed_loop(lambda x: -slope * max(x - 0.2, 0.0), noisy, seconds=6.0)
+    assert set(phases) == {RESPONSE_RUN}
+    on_fall = heights[200:] - STANDOFF_M
+    assert abs(on_fall).max() < 6.0 * SIGMA_M
+    assert on_fall.min() > -3.0 * SIGMA_M, "the shift points away from the surface"
+
+
 @pytest.mark.parametrize("family", ["blocked", "frozen"])
 @pytest.mark.parametrize("seed", range(8))
 def test_no_contact_while_valid(family, seed):

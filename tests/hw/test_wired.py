@@ -60,11 +60,14 @@ def test_serial_frames_become_distances_with_stamps_before_their_arrival(tty: Pt
     driver, queue = serial(tty, FRAME_FORMAT, baud=9600), ConversionQueue()
     driver.start(queue)
     try:
+        # GIVEN a driver of a serial sensor
         until(lambda: driver.state != WAITING, "the port")
+        # WHEN two frames arrive
         tty.write(frame(0.1))
         before_ns = time.monotonic_ns()
         tty.write(frame(0.2))
         until(lambda: len(queue) == 2, "two distances")
+        # THEN they are distances, stamped with the begin of their frame
         now_ns = time.monotonic_ns()
         (_, _, first_m), (t_ns, _, second_m) = ranges(driver, queue)
         assert (first_m, second_m) == (pytest.approx(0.1), pytest.approx(0.2))
@@ -77,6 +80,7 @@ def test_serial_frames_become_distances_with_stamps_before_their_arrival(tty: Pt
 
 def test_serial_states_from_waiting_to_running_garbled_silent_unplugged_and_back(tty: Pty) -> None:
     driver, queue = serial(tty, LINE_FORMAT), ConversionQueue()
+    # GIVEN a driver whose sensor is not plugged in
     tty.unplug()
     driver.start(queue)
     try:
@@ -88,7 +92,9 @@ def test_serial_states_from_waiting_to_running_garbled_silent_unplugged_and_back
             tty.write(data)
             return driver.state == state
 
+        # WHEN it sends lines, THEN the driver runs
         until(lambda: sends(line(0.1), RUNNING) and driver.faults() == [], "distances")
+        # WHEN it sends rubbish, nothing, or is unplugged, THEN the driver says which
         until(lambda: sends(b"\xff\x00\x12rubbish\r\n", GARBLED), "rubbish told")
         assert "check baud rate, format and checksum" in driver.faults()[0]
         until(lambda: sends(line(0.2), RUNNING), "recovery")
@@ -97,6 +103,7 @@ def test_serial_states_from_waiting_to_running_garbled_silent_unplugged_and_back
         tty.unplug()
         until(lambda: driver.state == WAITING, "unplugging told")
         assert str(tty.path) in driver.faults()[0]
+        # WHEN it is plugged in again, THEN its distances are new ones
         queue.drain()
         tty.plug()
         until(lambda: sends(line(0.3), RUNNING) and len(queue) > 0, "replugging")
@@ -109,6 +116,7 @@ def test_serial_states_from_waiting_to_running_garbled_silent_unplugged_and_back
 def test_two_hundred_faults_on_a_line_in_use_never_deliver_a_wrong_distance(tty: Pty) -> None:
     seed = 15
     rng = random.Random(seed)
+    # GIVEN a driver of a serial sensor
     driver, queue = serial(tty, FRAME_FORMAT), ConversionQueue(1 << 14)
     driver.start(queue)
     sent = {round(0.1 + 0.001 * k, 3) for k in range(100)}
@@ -116,6 +124,7 @@ def test_two_hundred_faults_on_a_line_in_use_never_deliver_a_wrong_distance(tty:
     try:
         until(lambda: driver.state != WAITING, "the port")
         k = 0
+        # WHEN frames are cut, changed, made up, and the line is unplugged
         while faults < 200:
             for _ in range(6):
                 tty.write(frame(0.1 + 0.001 * (k % 100)))
@@ -138,6 +147,7 @@ def test_two_hundred_faults_on_a_line_in_use_never_deliver_a_wrong_distance(tty:
         until(lambda: tty.write(frame(0.1)) or (len(queue) > 0 and driver.state == RUNNING), "running")
     finally:
         driver.stop()
+    # THEN every distance that it delivers was sent
     got = [r for _, _, r in ranges(driver, queue)]
     assert len(got) > 500
     wrong = [r for r in got if r is None or round(r, 3) not in sent or abs(r - round(r, 3)) > 1e-6]
@@ -193,6 +203,7 @@ def test_iio_scans_become_distances_by_scale_offset_type_and_the_device_s_time(a
     driver, queue = iio(adc), ConversionQueue()
     driver.start(queue)
     try:
+        # GIVEN a driver that has set up a converter
         until(lambda: driver.state != WAITING, "the device")
         folder = adc.folder
         for path, expected in {
@@ -203,17 +214,20 @@ def test_iio_scans_become_distances_by_scale_offset_type_and_the_device_s_time(a
             "buffer/enable": "1",
         }.items():
             assert (folder / path).read_text().strip() == expected, path
+        # WHEN scans arrive, in pieces too
         t_ns = time.monotonic_ns() - 3 * MS
         data = adc.scan(2000, 1608, t_ns) + adc.scan(4095, -2000, t_ns + MS)
         adc.write(data[:21])  # a scan may come in pieces
         adc.write(data[21:])
         until(lambda: len(queue) == 4, "two scans of two inputs")
+        # THEN they are distances at the device's own times
         got = ranges(driver, queue)
         assert [(t, c) for t, c, _ in got] == [(t_ns, 0), (t_ns, 1), (t_ns + MS, 0), (t_ns + MS, 1)]
         volts = [2000 * 0.5e-3, (1608 - 8) * 0.25e-3, 4095 * 0.5e-3, -2008 * 0.25e-3]
         assert [r for _, _, r in got] == pytest.approx([0.01 + 0.1 * v for v in volts])
     finally:
         driver.stop()
+    # THEN the converter is off when the driver has stopped
     assert (folder / "buffer/enable").read_text() == "0"
 
 
@@ -221,10 +235,13 @@ def test_an_iio_device_that_vanishes_is_reported_and_found_again(adc: FakeIio) -
     driver, queue = iio(adc), ConversionQueue()
     driver.start(queue)
     try:
+        # GIVEN a driver that delivers distances
         until(lambda: adc.write(adc.scan(1000, 0)) or driver.state == RUNNING, "distances")
+        # WHEN its device vanishes, THEN that is told
         adc.unplug()
         until(lambda: driver.state == WAITING, "unplugging told")
         until(lambda: "no device 'fakeadc'" in driver.faults()[0], "the fault's text")
+        # WHEN it is there again, THEN distances come
         adc.plug()
         until(lambda: adc.write(adc.scan(1000, 0)) or driver.state == RUNNING, "replugging")
         until(lambda: driver.state == SILENT, "silence told")
@@ -252,6 +269,7 @@ def test_can_messages_are_stamped_before_their_receive_time_and_others_are_ignor
         {"id": 0x18FF01, "extended": True, "channel": 1, "format": form},
     ]
     settings = {"kind": "can", "interface": "virtual", "bus": name, "messages": messages, "silence_s": 0.1}
+    # GIVEN a driver of two sensors on a bus
     driver, queue = made({**settings, "bitrate": 50_000, **WINDOW}), ConversionQueue()
     driver.start(queue)
 
@@ -262,6 +280,7 @@ def test_can_messages_are_stamped_before_their_receive_time_and_others_are_ignor
         until(lambda: driver.state != WAITING, "the bus")
         with library.Bus(channel=name, interface="virtual") as bus:
             until(lambda: driver.state == SILENT, "silence told")
+            # WHEN their messages, another one's and a cut one arrive
             before_ns = time.monotonic_ns()
             bus.send(message(0x10, False, struct.pack(">HH", 1234, 0)))
             bus.send(message(0x11, False, struct.pack(">HH", 1111, 0)))
@@ -269,6 +288,7 @@ def test_can_messages_are_stamped_before_their_receive_time_and_others_are_ignor
             bus.send(message(0x10, False, b"\x01"))
             until(lambda: len(queue) == 2 and driver._source.rejected == 1, "two distances, one rejected")
             now_ns = time.monotonic_ns()
+        # THEN the two are distances, stamped with the begin of their frame
         got = ranges(driver, queue)
         assert [(c, r) for _, c, r in got] == [(0, pytest.approx(0.1234)), (1, pytest.approx(0.2345))]
         frame_ns = round(1e9 * (47 + 32) / 50_000)
@@ -284,7 +304,9 @@ def test_a_can_bus_that_fails_is_reported_and_joined_again(monkeypatch: pytest.M
     driver = made({**settings, "messages": [{"id": 1, "format": FRAME_FORMAT}]})
     driver.start(ConversionQueue())
     try:
+        # GIVEN a driver on a bus
         until(lambda: driver.state != WAITING, "the bus")
+        # WHEN the bus fails, THEN that is told
         with monkeypatch.context() as broken:
 
             def fails(self: object, timeout: float) -> None:
@@ -292,6 +314,7 @@ def test_a_can_bus_that_fails_is_reported_and_joined_again(monkeypatch: pytest.M
 
             broken.setattr("can.interfaces.virtual.VirtualBus._recv_internal", fails)
             until(lambda: "pulled out" in " ".join(driver.faults()), "the fault")
+        # WHEN it works again, THEN distances come
         with library.Bus(channel=name, interface="virtual") as bus:
             data = frame(0.1)
             until(
@@ -336,12 +359,15 @@ def test_datagrams_give_distances_in_order_and_count_what_is_missing() -> None:
     driver.start(queue)
     send = datagrams(lambda: source.port)
     try:
+        # GIVEN a driver of a sensor that numbers its datagrams
         until(lambda: source.port != 0, "the socket")
+        # WHEN they come with gaps, out of order, and cut
         for number, range_m in ((65535, 0.1), (0, 0.2), (3, 0.3), (2, 0.25), (4, 0.4)):
             send(struct.pack("<Hf", number, range_m))
         until(lambda: len(queue) == 4 and source.rejected == 1, "four distances")
         send(b"short")
         until(lambda: source.rejected == 2, "what is no datagram of this form")
+        # THEN the newer ones are distances, and those that are missing are counted
         assert [r for _, _, r in ranges(driver, queue)] == pytest.approx([0.1, 0.2, 0.3, 0.4], abs=1e-6)
         assert source.missing == 2
         until(lambda: driver.state == GARBLED, "what came last told")
@@ -361,10 +387,13 @@ def test_only_the_named_sender_is_listened_to() -> None:
         source, queue = driver._source, ConversionQueue()
         driver.start(queue)
         try:
+            # GIVEN a driver that listens to one sender
             until(lambda: source.port != 0, "the socket")
+            # WHEN a stranger sends too
             stranger.sendto(line(0.07), ("127.0.0.1", source.port))
             sensor.sendto(line(0.1), ("127.0.0.1", source.port))
             until(lambda: len(queue) > 0, "a distance")
+            # THEN its datagram is rejected
             assert source.rejected == 1
             assert [r for _, _, r in ranges(driver, queue)] == pytest.approx([0.1], abs=1e-6)
         finally:
@@ -379,6 +408,7 @@ def test_a_udp_sensor_without_a_sender_is_refused(sender: str) -> None:
 
 def test_a_udp_port_in_use_is_reported_until_it_is_free() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        # GIVEN a port in use, THEN that is told
         other.bind(("127.0.0.1", 0))
         port = other.getsockname()[1]
         driver = made({"kind": "udp", "port": port, "sender": "any", "format": LINE_FORMAT, **WINDOW})
@@ -386,6 +416,7 @@ def test_a_udp_port_in_use_is_reported_until_it_is_free() -> None:
         driver.start(queue)
         until(lambda: "cannot listen there" in driver.faults()[0], "the fault")
     try:
+        # WHEN it is free, THEN distances come
         send = datagrams(lambda: port)
         until(lambda: send(line(0.123)) or len(queue) > 0, "a distance")
         assert ranges(driver, queue)[0][2] == pytest.approx(0.123)

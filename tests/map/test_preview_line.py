@@ -20,6 +20,7 @@ from surffollow.map.kernels.preview_line import (
     heights_along,
     new_kept,
 )
+from surffollow.map.view import MapView
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 
@@ -34,6 +35,7 @@ class Map:
     def __init__(self, width_m=0.3, height_m=0.05):
         self.header, self.pairs = zeros(ml.MapHeader), zeros(ml.GridPair, 5000)
         init_header(self.header, capacity_grids=10_000, datum_m=0.0)
+        self.view = MapView(self.header, self.pairs)
         self.reset(width_m, height_m)
         self.kept, self.out = new_kept(), np.zeros(128)
 
@@ -43,8 +45,8 @@ class Map:
             pass
 
     def centre(self, ix, iy):
-        w = self.header[0]
-        return w["x0_m"] + (ix + 0.5) * w["grid_m"], w["y0_m"] + (iy + 0.5) * w["grid_m"]
+        (x0, y0), grid = self.view.origin_m, self.view.grid_m
+        return x0 + (ix + 0.5) * grid, y0 + (iy + 0.5) * grid
 
     def add(self, ix, iy, z_m, times=1):
         for _ in range(times):
@@ -86,7 +88,7 @@ def naive_height(m, x, y):
 def test_heights_along_a_line_are_those_of_the_slow_twin(seed):
     rng = np.random.default_rng(seed)
     m = Map()
-    ny, nx = int(m.header["ny"][0]), int(m.header["nx"][0])
+    ny, nx = m.view.shape
     for iy in range(ny):
         for ix in range(nx):
             if rng.random() < 0.6:
@@ -148,7 +150,7 @@ def test_while_the_map_is_being_laid_nothing_is_known():
     m = Map()
     m.add(3, 5, 0.01)
     x, y = m.centre(3, 5)
-    assert grid_width(m.header) == m.header[0]["grid_m"]
+    assert grid_width(m.header) == m.view.grid_m
     open_journal(m.header, ml.REFOCUSING)
     assert m.look(START, x, y, GRID, 0.0, 5)[0] == 0
     assert grid_width(m.header) == 0.0

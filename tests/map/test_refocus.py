@@ -67,11 +67,11 @@ def test_500_random_refocus_pairs_equal_both_slow_twins():
     rng = np.random.default_rng(2024)
     ratios, worst, overlapping = [], 0.0, 0
     for trial in range(500):
-        m = random_map(rng, int(rng.integers(1, 900)))
+        capacity = int(rng.integers(1, 900))
+        m = random_map(rng, capacity)
         old, before = geometry(m), quanta_of(m)
-        capacity = int(m.header[0]["capacity_grids"])
-        m.header["finest_grid_m"] = old[4] * 2.0 ** rng.uniform(-6, 3)
-        m.refocus(random_region(rng, m.extent_m))
+        finest_m = old[4] * 2.0 ** rng.uniform(-6, 3)
+        m.refocus(random_region(rng, m.extent_m), finest_m=finest_m)
         new, after = geometry(m), quanta_of(m)
         assert new[0] * new[1] <= capacity
         ratios.append(new[4] / old[4])
@@ -92,8 +92,7 @@ def test_500_random_refocus_pairs_equal_both_slow_twins():
 def test_one_two_one_onto_two_grids_gives_four_thirds_each():
     m = HeightMap.over((0, 0, 3, 1), grids=3, finest_m=1.0, quantum_m=1e-3, datum_m=0.0)
     m.add([[0.5, 0.5, 3.0], [1.5, 0.5, 6.0], [2.5, 0.5, 3.0]])
-    m.header["finest_grid_m"] = 1.5
-    m.refocus((0, 0, 3, 1.5))
+    m.refocus((0, 0, 3, 1.5), finest_m=1.5)
     assert m.shape == (1, 2)
     np.testing.assert_allclose(m.heights_m, [[4.0, 4.0]])
     assert not m.counts.any()
@@ -105,8 +104,8 @@ def test_a_constant_map_stays_constant(height):
     for _ in range(40):
         m = random_map(rng, 400)
         fill(m, np.full(m.shape, height))
-        m.header["finest_grid_m"] = m.grid_m * 2.0 ** rng.uniform(-3, 3)
-        m.refocus(random_region(rng, m.extent_m))
+        finest_m = m.grid_m * 2.0 ** rng.uniform(-3, 3)
+        m.refocus(random_region(rng, m.extent_m), finest_m=finest_m)
         after = quanta_of(m)
         assert set(np.unique(after)) <= {UNKNOWN, height}
 
@@ -119,8 +118,8 @@ def test_a_plane_is_exact_at_the_centroid_of_each_interior_overlap():
         slope_x, slope_y = rng.uniform(-3000, 3000, 2)
         plane = np.rint(slope_x * (x[None, :] - 2) + slope_y * (y[:, None] - 2))
         fill(m, plane)
-        m.header["finest_grid_m"] = 0.1 * 2.0 ** rng.uniform(-3, 3)
-        m.refocus(tuple(rng.uniform((0.5, 0.5, 2.5, 2.5), (1.5, 1.5, 3.5, 3.5))))
+        finest_m = 0.1 * 2.0 ** rng.uniform(-3, 3)
+        m.refocus(tuple(rng.uniform((0.5, 0.5, 2.5, 2.5), (1.5, 1.5, 3.5, 3.5))), finest_m=finest_m)
         ny, nx = m.shape
         # old grids are boxes: the height at a new grid's centroid is that of the area mean of boxes
         px = m.origin_m[0] + (np.arange(nx) + 0.5) * m.grid_m
@@ -202,12 +201,12 @@ def test_a_slice_whose_progress_was_not_stored_may_be_run_again():
     repeated, mark = 0, 1000
     for _ in range(60):
         m = random_map(rng, 700)
-        m.header["finest_grid_m"] = m.grid_m * 2.0 ** rng.uniform(-2, 2)
+        finest_m = m.grid_m * 2.0 ** rng.uniform(-2, 2)
         region = random_region(rng, m.extent_m)
         whole = m.copy()
-        whole.refocus(region)
+        whole.refocus(region, finest_m=finest_m)
         scratch = np.zeros(ml.scratch_bytes(700) // 8)
-        assert refocus_begin(m.header, m.pairs, scratch, *region) == ml.OK
+        assert refocus_begin(m.header, m.pairs, scratch, *region, finest_m) == ml.OK
         done = 0
         while not done:
             before = int(m.header[0]["journal_progress"])

@@ -49,18 +49,19 @@ def has_map(robot: Client) -> bool:
 def test_a_service_killed_in_a_refocus_has_the_old_map_or_the_whole_new_one(
     large_service: tuple[Service, Path],
 ) -> None:
+    # GIVEN a large map, and what a refocus would make of it
     service, path = large_service
     old = HeightMap.load(path, grids=CAPACITY)
     x0, y0, x1, y1 = old.extent_m
     region = (x0 + 1.0, y0 + 1.0, x1 - 1.3, y1 - 1.1)
     new = old.copy()
-    new.header["finest_grid_m"] = ml.DEFAULT_FINEST_GRID_M
-    new.refocus(region)
+    new.refocus(region, finest_m=ml.DEFAULT_FINEST_GRID_M)
     expected = {m.shape: m.heights_m for m in (old, new)}
     assert len(expected) == 2
     rng = np.random.default_rng(4)
     for _ in range(2):
         with service.attach() as robot:
+            # WHEN the service is killed somewhere in the refocus, and started again
             robot.map_install(path)
             robot.map_refocus(region, wait=False)
             end = time.perf_counter_ns() + int(rng.integers(0, 3_000_000))
@@ -69,6 +70,7 @@ def test_a_service_killed_in_a_refocus_has_the_old_map_or_the_whole_new_one(
             service.kill()
         service.start()
         with service.attach() as robot:
+            # THEN its map is the old one or the whole new one
             until(partial(has_map, robot), "the end of the MapRefocus")
             found = robot.map_window().heights_m()
             np.testing.assert_array_equal(found, expected[found.shape])
@@ -83,6 +85,7 @@ def begun(folder: Path, upload: subprocess.Popen[str]) -> bool:
 def test_an_upload_cut_off_leaves_the_old_file_and_lets_the_map_go(
     large_service: tuple[Service, Path], tmp_path: Path, number: int
 ) -> None:
+    # GIVEN a file that an upload is about to replace
     service, path = large_service
     target = tmp_path / "wall.txt"
     target.write_text("old")
@@ -94,12 +97,14 @@ def test_an_upload_cut_off_leaves_the_old_file_and_lets_the_map_go(
                 command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
             ) as upload:
                 until(partial(begun, tmp_path, upload), "the upload's temporary file")
+                # WHEN the upload is cut off
                 upload.send_signal(number)
                 _, error = upload.communicate(timeout=60)
             if upload.returncode != 0:
                 break
             assert target.read_text() != "old"
             target.write_text("old")
+        # THEN the old file is there, and the map is free
         assert upload.returncode != 0
         assert "Traceback" not in error
         assert target.read_text() == "old"

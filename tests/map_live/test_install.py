@@ -34,11 +34,13 @@ def post_pieces(stream: MapStream, n: int) -> None:
 
 
 def test_an_uploaded_map_installs_again_without_loss(client: Client, map_file: Path, tmp_path: Path) -> None:
+    # GIVEN a map file that was installed, with its progress told
     fractions: list[float] = []
     client.map_install(map_file, progress=fractions.append)
     assert fractions == sorted(fractions)
     assert fractions[-1] == 1.0
     assert len(fractions) > 10
+    # WHEN the map is uploaded, THEN the file says the same
     again = client.upload_map(tmp_path / "again.txt")
     one, two = HeightMap.load(map_file), HeightMap.load(again)
     np.testing.assert_array_equal(one.heights_m, two.heights_m)
@@ -58,13 +60,16 @@ def test_a_map_of_one_grid_and_one_of_all_memory_install(client: Client, tmp_pat
 
 
 def test_a_map_that_is_too_large_is_refused_and_the_old_one_stays(client: Client, tmp_path: Path) -> None:
+    # GIVEN a live map
     some_map(20, 20).save(tmp_path / "small.txt")
     client.map_install(tmp_path / "small.txt")
     before = client.map_window()
+    # WHEN one that the service has no memory for is to be installed
     large = HeightMap.from_heights(np.zeros((2, GRIDS // 2 + 1)), origin_m=(0, 0), grid_m=0.01)
     large.save(tmp_path / "large.txt")
     with pytest.raises(RefusedError, match=r"map\.grids") as caught:
         client.map_install(tmp_path / "large.txt")
+    # THEN it is refused, and the old one is there
     assert caught.value.code == lb.ERR_MAP_TOO_LARGE
     assert before.current()
 
@@ -73,6 +78,7 @@ def test_a_map_that_is_too_large_is_refused_and_the_old_one_stays(client: Client
 def test_a_file_that_is_no_map_leaves_the_service_alone(
     client: Client, tmp_path: Path, map_file: Path, fault: str
 ) -> None:
+    # GIVEN a live map, and a file that is missing, cut, changed or no map
     client.map_reset((0.0, 0.0, 1.0, 1.0))
     before, requests = client.map_window(), client.status()["requests"]
     text = map_file.read_text()
@@ -85,6 +91,7 @@ def test_a_file_that_is_no_map_leaves_the_service_alone(
         bad.write_text(text[:digit] + str(int(text[digit]) + 1) + text[digit + 1 :])
     elif fault == "nonsense":
         bad.write_bytes(bytes(range(256)) * 40)
+    # WHEN the file is to be installed, THEN the client refuses it and asks the service nothing
     with pytest.raises(MapFileError):
         client.map_install(bad)
     assert before.current()
@@ -94,14 +101,17 @@ def test_a_file_that_is_no_map_leaves_the_service_alone(
 def test_a_cancelled_installation_leaves_an_empty_map_and_the_next_one_works(
     client: Client, map_file: Path
 ) -> None:
+    # WHEN an installation is cancelled while the file is read, THEN the next one works
     with pytest.raises(MapCancelledError):
         client.map_install(map_file, progress=lambda f: f < 0.3)  # still reading the file
     client.map_install(map_file)
     assert known_grids(client) > 100_000
+    # WHEN it is cancelled in the middle of the stream, THEN the map is empty
     with pytest.raises(MapCancelledError):
         client.map_install(map_file, progress=lambda f: f < 0.8)
     until(lambda: client.map_changes().generation % 2 == 0, "the reset that follows")
     assert known_grids(client) == 0
+    # THEN the next one works
     client.map_install(map_file)
     assert known_grids(client) > 100_000
 
@@ -110,15 +120,18 @@ def test_a_client_that_leaves_half_way_leaves_an_empty_map(map_service: Service)
     ground = some_map(300, 301)
     with map_service.observe() as observer:
         for leave in ("close", "die"):
+            # GIVEN an installation that is half done
             quitter = map_service.attach()
             stream = MapStream(quitter, ground.header, ground.pairs, 30.0)
             post_pieces(stream, 3)
             assert observer.map_changes().generation % 2 == 1
             assert math.isnan(observer.map_height(ground.origin_m[0] + 0.05, ground.origin_m[1] + 0.05))
+            # WHEN its client closes or dies
             if leave == "close":
                 quitter.close()
             else:  # the kernel closes the connection, nothing else is tidied up
                 quitter._release_slot()
+            # THEN the map is empty, with the shape that was announced
             until(lambda: observer.map_changes().generation % 2 == 0, f"the rejection after {leave}")
             window = observer.map_window()
             assert window.shape == ground.shape
@@ -128,8 +141,10 @@ def test_a_client_that_leaves_half_way_leaves_an_empty_map(map_service: Service)
 def test_a_client_that_stops_half_way_is_fenced_off_after_its_lease(hasty_service: Service) -> None:
     ground = some_map(300, 301)
     with hasty_service.attach() as client, hasty_service.attach() as other:
+        # GIVEN an installation that is half done, by a client that sends no more
         stream = MapStream(client, ground.header, ground.pairs, 30.0)
         post_pieces(stream, 2)
+        # WHEN its lease is over, THEN it is cancelled and the map is empty
         with pytest.raises(RefusedError) as caught:
             stream.ticket.result(SHORT_S + 30.0)
         assert caught.value.code == lb.ERR_CANCELLED
@@ -142,11 +157,14 @@ def test_a_client_that_stops_half_way_is_fenced_off_after_its_lease(hasty_servic
 
 @pytest.mark.parametrize("bad", ["start", "n"])
 def test_a_piece_that_does_not_continue_the_map_ends_the_installation(client: Client, bad: str) -> None:
+    # GIVEN an installation that has begun
     ground = some_map(300, 301)
     stream = MapStream(client, ground.header, ground.pairs, 30.0)
     post_pieces(stream, 1)
+    # WHEN a piece begins or ends elsewhere than it must
     n = lb.PIECE_GRIDS if bad == "start" else lb.PIECE_GRIDS - 8
     stream.post(lb.PIECE_GRIDS + (bad == "start"), bytes(2 * n), bytes(n))
+    # THEN the installation is cancelled
     with pytest.raises(RefusedError) as caught:
         stream.ticket.result(30.0)
     assert caught.value.code == lb.ERR_CANCELLED
@@ -168,12 +186,15 @@ def test_numbers_that_no_map_has_are_refused(client: Client) -> None:
 
 
 def test_access_is_granted_after_the_installation_not_within(client: Client, map_service: Service) -> None:
+    # GIVEN an installation that has begun
     ground = some_map(300, 301)
     stream = MapStream(client, ground.header, ground.pairs, 30.0)
     post_pieces(stream, 2)
     with map_service.attach() as other:
+        # WHEN another client wants exclusive access, THEN it waits
         with pytest.raises(RequestTimeoutError), other.exclusive(timeout_s=0.1):
             pass
+        # WHEN the installation ends, THEN access is granted
         stream.give_up()
         with other.exclusive(timeout_s=30.0):
             assert other.map_changes().generation % 2 == 0
@@ -201,9 +222,11 @@ def test_a_service_killed_in_an_installation_starts_with_an_empty_map(tmp_path: 
 
 def test_a_service_that_is_stopped_in_an_installation_ends_at_once(tmp_path: Path) -> None:
     with Service(tmp_path, config_text(grids=GRIDS)).running() as s:
+        # GIVEN an installation that has begun
         ground = some_map(300, 301)
         with s.attach() as robot:
             post_pieces(MapStream(robot, ground.header, ground.pairs, 30.0), 2)
+            # WHEN the service is asked to end, THEN it ends in good order
             assert s.terminate() == 0
 
 

@@ -22,10 +22,13 @@ def uploaded(client: Client, folder: Path) -> HeightMap:
 def test_the_grids_that_are_there_stay_with_every_height(
     client: Client, map_file: Path, tmp_path: Path
 ) -> None:
+    # GIVEN a live map
     client.map_install(map_file)
     before = uploaded(client, tmp_path)
+    # WHEN it is laid over another region with the grids that it has
     client.map_refocus(REGION, finest_m=before.grid_m)
     after = uploaded(client, tmp_path)
+    # THEN grids lie on the old lattice, with the heights that they had
     assert after.grid_m == before.grid_m
     columns, rows = ((a - b) / before.grid_m for a, b in zip(after.origin_m, before.origin_m, strict=True))
     assert (columns, rows) == (pytest.approx(round(columns)), pytest.approx(round(rows)))
@@ -40,17 +43,22 @@ def test_the_grids_that_are_there_stay_with_every_height(
     np.testing.assert_array_equal(after.heights_m, old)
     assert np.isfinite(old).sum() > 1000
     x0, y0, x1, y1 = after.extent_m
+    # THEN they cover the region
     assert x0 <= REGION[0] and y0 <= REGION[1] and x1 >= REGION[2] and y1 >= REGION[3]  # noqa: PT018
 
 
 def test_other_grids_are_as_fine_as_asked_for_and_the_choice_counts_once(
     client: Client, map_file: Path, tmp_path: Path
 ) -> None:
+    # GIVEN a live map
     client.map_install(map_file)
+    # WHEN a grid is asked for, THEN it is taken
     client.map_refocus(REGION, finest_m=0.005)
     assert uploaded(client, tmp_path).grid_m == 0.005
+    # WHEN none is asked for, THEN the configured one is
     client.map_refocus(REGION)
     assert uploaded(client, tmp_path).grid_m == pytest.approx(2.54e-3)  # map.finest_grid
+    # WHEN one is too fine for the memory, THEN the finest that fits is taken
     client.map_refocus(REGION, finest_m=1e-6)  # finer than memory allows
     assert uploaded(client, tmp_path).grid_m == pytest.approx(np.sqrt(0.513 * 0.617 / 200_000), rel=0.01)
 

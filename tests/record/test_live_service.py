@@ -86,6 +86,7 @@ def test_a_killed_and_restarted_service_gives_two_segments_of_the_same_bits(
 def test_a_killed_recorder_leaves_a_file_that_replays_up_to_its_last_chunk(
     bare: Service, tmp_path: Path
 ) -> None:
+    # GIVEN a recorder that has written chunks of a service
     out = tmp_path / "log.mcap"
     bare.start()
     with bare.recorder(out) as recorder:
@@ -93,8 +94,10 @@ def test_a_killed_recorder_leaves_a_file_that_replays_up_to_its_last_chunk(
         for _ in range(4):  # the first may be the file's head, the last may be cut
             begin = bytes_of(out)
             until(lambda begin=begin: bytes_of(out) > begin, "the next chunk")
+        # WHEN it is killed
         recorder.kill()
         recorder.wait()
+    # THEN the file replays up to its last whole chunk, and says that it ends early
     report = replay_file(out)
     assert report.cycles > 200
     assert (report.differing, report.states_differing) == (0, 0)

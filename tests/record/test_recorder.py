@@ -40,11 +40,13 @@ def kinds(words: np.ndarray) -> list[int]:
 
 
 def test_recording_holds_the_words_of_the_log_unchanged(tmp_path: Path) -> None:
+    # GIVEN a log, and a recorder that looks at it now and then
     rehearsal = SyntheticLog(1 << 20)
     recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap"))
     for _ in range(7):
         rehearsal.run(311)
         recorder.poll()
+    # WHEN the recording is finished, THEN it holds the words of the log
     recorder.finish()
     head = int(log_head(rehearsal.address))
     logged = rehearsal.memory[LogHead.SIZE // 8 :][:head]
@@ -63,29 +65,35 @@ def test_messages_hold_whole_entries_and_at_least_a_hundred_cycles(
 
 
 def test_a_log_that_has_gone_around_is_recorded_from_the_next_snapshot_on(tmp_path: Path) -> None:
+    # GIVEN a log that has overwritten its beginning
     rehearsal = SyntheticLog(1 << 15, snapshot_cycles=400)
     rehearsal.run(1100)
+    # WHEN it is recorded
     recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap"))
     for _ in range(20):
         rehearsal.run(50)
         recorder.poll()
     counts = recorder.finish()
+    # THEN the recording begins with the next snapshot, and lacks nothing from there on
     assert counts.cycles == 2100 - 1200
     assert (counts.lost_words, counts.losses, counts.segments) == (0, 0, 1)
     assert replay_file(tmp_path / "a.mcap").identical
 
 
 def test_after_a_loss_the_recording_resumes_at_a_snapshot_and_counts_what_is_missing(tmp_path: Path) -> None:
+    # GIVEN a recorder that follows a log
     rehearsal = SyntheticLog(1 << 15, snapshot_cycles=400)
     recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap"))
     for _ in range(10):
         rehearsal.run(50)
         recorder.poll()
+    # WHEN it sleeps while the log overwrites what it has not seen
     rehearsal.run(3333)  # far more than the log holds
     recorder.poll()
     for _ in range(20):
         rehearsal.run(50)
         recorder.poll()
+    # THEN it goes on in a new segment from a snapshot, and counts what it lost
     counts = recorder.finish()
     assert (counts.segments, counts.losses) == (2, 1)
     assert counts.lost_words > 0

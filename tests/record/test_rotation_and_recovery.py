@@ -34,18 +34,22 @@ def recorded(folder: Path, cycles: int, **limits: float) -> tuple[Recorder, File
 
 
 def test_files_that_follow_each_other_hold_every_cycle_and_replay_each_by_itself(tmp_path: Path) -> None:
+    # GIVEN a recording in several files
     recorder, files = recorded(tmp_path, 6000, max_bytes=150_000)
     assert len(files.paths) >= 3
+    # WHEN each is replayed, THEN all have the same bits and no cycle is lost
     reports = [replay_file(path) for path in files.paths]
     assert all(r.identical for r in reports), reports
     assert sum(r.cycles for r in reports) == recorder.counts.cycles == 6000
     assert (recorder.counts.losses, recorder.counts.segments) == (0, 1)
+    # WHEN they are converted together, THEN the table has every cycle in order
     done = convert(files.paths, "csv", tmp_path / "all.csv", rate_hz=0)
     rows = (tmp_path / "all.csv").read_text().splitlines()
     place = rows[0].split(",").index("cycle")
     cycles = np.array([int(row.split(",")[place]) for row in rows[1:]])
     assert done.rows == 6000
     assert (np.diff(cycles) == 1).all()
+    # THEN the last file has all that a reader needs
     with open(files.paths[-1], "rb") as file:
         topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
     assert {"/params", "/tf", "/state"} <= topics, "a later file is understood without the first"
@@ -66,10 +70,13 @@ def test_keeping_without_rotation_is_refused(tmp_path: Path) -> None:
 def test_a_cut_recording_is_recovered_up_to_its_last_whole_chunk(
     tmp_path: Path, recording_bytes: bytes, part: float
 ) -> None:
+    # GIVEN a recording that was cut
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(recording_bytes[: int(len(recording_bytes) * part)])
     before = replay_file(cut)
+    # WHEN it is recovered
     done = recover(cut)
+    # THEN the new file is whole, has the cycles up to the cut, and names the damage
     after = replay_file(done.file)
     assert after.identical, after
     assert after.cycles == before.cycles == done.cycles > 0

@@ -94,6 +94,7 @@ def test_the_demand_goes_where_the_offset_says_and_never_beyond_its_limit(client
 
 
 def test_without_poses_it_is_stale_and_zero_until_they_come_again(client: Client) -> None:
+    # WHEN no poses come, THEN the demand is stale and zero, and the map takes nothing
     stale = until(lambda: (d := client.dev_vector()).status & POSE_STALE and d, "POSE_STALE")
     assert list(stale) == ZERO
     assert not stale.valid
@@ -104,32 +105,40 @@ def test_without_poses_it_is_stale_and_zero_until_they_come_again(client: Client
     until(lambda: client.status()["cycles"] > cycles + 50)
     assert client.status()["map"]["applied"] == applied, "the map takes nothing from an unknown place"
     assert distance_m(client) == pytest.approx(STANDOFF_M, abs=1e-3), "the distance is still told"
+    # WHEN they come again, THEN demands are valid
     drive(client, lambda: client.dev_vector().valid, what="a demand again")
 
 
 def test_too_close_only_demands_away_leave_until_a_move_shows_the_true_branch(
     service: Service, client: Client
 ) -> None:
+    # GIVEN a stand-off near the fold-back
     client.sf_reset(0.0515)
+    # WHEN the tool comes too close, THEN only demands away are valid, after a reset too
     demand = follow(service, client, 0.053)
     assert demand.status & TOO_CLOSE
     assert demand.valid
     assert demand[2] > 0.0
     client.sf_reset(0.0515)
     assert follow(service, client, 0.053).status & TOO_CLOSE, "a reset does not open the latch"
+    # WHEN it moves away, THEN the latch opens
     for height in (0.056, 0.059, 0.062, 0.065, 0.068):
         demand = follow(service, client, height)
     assert not demand.status & TOO_CLOSE
 
 
 def test_a_lost_surface_is_reported_and_ends_in_no_demand(service: Service, client: Client) -> None:
+    # GIVEN 50 ms that are permitted without a surface
     client.set_params(loss_timeout="50 ms")
+    # WHEN the surface goes out of sight
     assert service.world is not None
     service.world.pose = high = at_height(0.5)
     lost = drive(client, lambda: (d := client.dev_vector()).status & SENSOR_LOST and d, high, "SENSOR_LOST")
+    # THEN the loss is reported, and the demand is zero
     assert lost.status & NO_SENSOR
     assert list(lost) == ZERO
     assert math.isnan(client.raw_distance())
+    # WHEN it is in sight again, THEN demands are valid
     service.world.pose = POSE
     drive(client, lambda: client.dev_vector().valid, what="a demand again")
 
@@ -138,9 +147,11 @@ def test_a_lost_surface_is_reported_and_ends_in_no_demand(service: Service, clie
 def test_dry_run_and_freeze_publish_no_demand_that_a_robot_could_heed(
     client: Client, run: str, bit: int
 ) -> None:
+    # WHEN the follower is to show what it would do, or to stand still
     client.sf_reset(0.12)
     client.set_params(run=run)
     idle = drive(client, lambda: (d := client.dev_vector()).status & bit and d)
+    # THEN no demand is valid, and a dry run shows what it would be
     assert list(idle) == ZERO
     assert not idle.valid
     output = client.output()
@@ -150,5 +161,6 @@ def test_dry_run_and_freeze_publish_no_demand_that_a_robot_could_heed(
         assert not shown["status"] & VALID
     else:
         assert output["demand"] == ZERO
+    # WHEN it goes on, THEN demands are valid
     client.set_params(run="normal")
     drive(client, lambda: (d := client.dev_vector()).valid and d[2] > 1e-3, what="a demand")

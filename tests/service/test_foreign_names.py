@@ -87,10 +87,13 @@ def test_a_client_that_runs_bears_what_takes_the_place_of_its_service(make_servi
     s = make_service().start()
     path = Path(f"/dev/shm/{s.name}")
     with s.attach(stale_min_s=0.05) as client, s.observe(stale_min_s=0.05) as watcher:
+        # GIVEN clients of a service that ended
         client.ee_pos(POSE)
         assert s.terminate() == 0
+        # WHEN another user puts something else under its name
         assert as_other_user(lambda _: outcome(lambda: put(path, kind))) == "done"
         try:
+            # THEN they are stale, and no call waits
             for one in (client, watcher):
                 until(lambda one=one: one.dev_vector().status & STALE, "silence")
                 for _ in range(20):
@@ -104,6 +107,7 @@ def test_a_client_that_runs_bears_what_takes_the_place_of_its_service(make_servi
 
 @needs_root
 def test_an_impostor_after_a_clean_stop_moves_no_client(make_service: Make) -> None:
+    # GIVEN clients of a service that ended, and another user's forged board under its name
     s = make_service().start()
     path = Path(f"/dev/shm/{s.name}")
     log = ServiceLog(s.name)
@@ -114,6 +118,7 @@ def test_an_impostor_after_a_clean_stop_moves_no_client(make_service: Make) -> N
 
         with OtherUser(published(path, forged)) as impostor:
             assert impostor.receive() == "there"
+            # WHEN they look at it in every way that there is, THEN no demand is valid
             for one in (client, watcher):
                 until(lambda one=one: one.dev_vector().status & STALE, "silence")
             for _ in range(30):
@@ -130,9 +135,11 @@ def test_an_impostor_after_a_clean_stop_moves_no_client(make_service: Make) -> N
             for open_it in (attach, observe, ServiceLog):
                 with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0"):
                     open_it(s.name)
+            # THEN who names that user reads it
             # who says that he trusts that user does
             with observe(s.name, owner=NOBODY, stale_min_s=3600.0) as fooled:
                 assert fooled.dev_vector()[2] == -0.5
+        # WHEN the service is started again, THEN they follow it
         path.unlink()
         s.start()
         until(client.alive, "its own service is followed again")
@@ -161,19 +168,23 @@ def test_the_configured_user_is_trusted_and_no_other(
 @needs_root
 def test_a_squatted_lock_file_is_an_error_that_names_its_user(make_service: Make) -> None:
     s = make_service()
+    # GIVEN another user's lock file
     path = Path(f"/dev/shm/{s.name}.lock")
     assert as_other_user(lambda _: outcome(lambda: path.write_bytes(b""))) == "done"
     try:
+        # WHEN the service starts, THEN it is told whose it is
         with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0.*remove it"):
             shared_objects.open_shared_objects(s.settings())
         assert objects_of(s.name) == {path.name}
     finally:
         path.unlink()
+    # WHEN it is the own user's but open to others, THEN it is refused too
     path.write_bytes(b"")
     path.chmod(0o644)
     with pytest.raises(FaultError, match="mode 644, expected 600"):
         shared_objects.open_shared_objects(s.settings())
     path.unlink()
+    # WHEN it is gone, THEN the service starts
     shared_objects.open_shared_objects(s.settings()).leave()
 
 
@@ -194,7 +205,9 @@ def test_stop_ends_no_process_that_another_users_lock_file_names(make_service: M
 
         try:
             with OtherUser(squat) as other:
+                # GIVEN another user's lock file that names a process
                 assert other.receive() == "squats"
+                # WHEN the service is to be stopped, THEN that process lives on
                 result = CliRunner().invoke(stop_command, ["--name", name, "--timeout", "1"])
                 assert isinstance(result.exception, NotRunningError), result.output
                 assert bystander.poll() is None
@@ -226,9 +239,11 @@ def test_a_reader_that_locks_every_byte_keeps_no_service_from_its_name(
         return "over"
 
     with OtherUser(locking) as reader, s.attach(stale_min_s=0.05) as client:
+        # GIVEN a reader of another user that locks every byte which it may read
         outcomes = reader.receive()
         assert outcomes[0].startswith("PermissionError")
         assert outcomes[1] == "2"
+        # WHEN the service is killed, THEN its clients know that it ended
         s.kill()
         until(lambda: not client.alive(), "silence")
         client._next_attach_ns = 0
@@ -237,8 +252,10 @@ def test_a_reader_that_locks_every_byte_keeps_no_service_from_its_name(
         with observe(s.name) as watcher:
             until(lambda: not watcher.alive(), "silence")
             assert watcher.board.has_ended()
+        # WHEN it is started again, THEN they follow it
         s.start()
         until(client.alive, "the new service")
+        # WHEN it is killed and purged, THEN nothing is left
         s.kill()
         assert s.run("stop", "--purge").returncode == 0
         assert objects_of(s.name) == set()

@@ -94,11 +94,14 @@ def gone_reader() -> Iterator[int]:
 def test_a_log_that_is_not_read_neither_ends_nor_stops_the_heartbeat(
     make_service: Make, stderr: Callable[[], contextlib.AbstractContextManager[int]]
 ) -> None:
+    # GIVEN a service whose standard error nobody reads
     with stderr() as fd:
         s = start_with(make_service(), fd)
         with s.attach() as client:
+            # WHEN it has much to tell, THEN it goes on
             chatter(client)
             goes_on(client)
+        # WHEN it is asked to end, THEN it does so in time
         began = time.monotonic()
         assert s.terminate() == 0
         assert time.monotonic() - began < WAIT_S, "the queue was not waited for"
@@ -150,9 +153,11 @@ def is_ready(s: Service) -> bool:
 
 
 def test_with_standard_error_closed_no_message_lands_in_a_shared_object(make_service: Make) -> None:
+    # GIVEN a service without a standard error
     s = start_with(make_service(), subprocess.DEVNULL, "sh", "-c", 'exec "$@" 2>&-', "sh")
     assert os.readlink(f"/proc/{s.pid}/fd/2") == os.devnull
     with s.attach() as client:
+        # WHEN it has much to tell, THEN it goes on, and its board is whole
         header = client.board.header()
         chatter(client)
         goes_on(client)
@@ -255,13 +260,16 @@ daemon.serve(msgspec.structs.replace(load_config(sys.argv[1]), name=sys.argv[2])
 def test_a_driver_or_a_part_of_the_main_thread_that_fails_is_a_fault_and_no_more(
     make_service: Make, how: str, text: str, fault: str
 ) -> None:
+    # GIVEN a service with a driver, or a part, that fails
     s = make_service()
     with program(BAD_DRIVER, str(s.config), s.name, how) as service:
         assert said(service).startswith("READY")
         with s.attach() as client:
+            # THEN the fault is told, and the service goes on
             until(lambda: text in client.status()["main"]["text"], text)
             assert fault in [f["name"] for f in client.status()["faults"]]
             goes_on(client)
+        # WHEN it is asked to end, THEN it ends
         service.send_signal(signal.SIGTERM)
         assert service.wait(timeout=60) == 0, "it ends although the driver does not"
 
@@ -269,11 +277,13 @@ def test_a_driver_or_a_part_of_the_main_thread_that_fails_is_a_fault_and_no_more
 def test_the_rate_of_lines_is_limited_and_what_is_dropped_is_counted(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
+    # WHEN more lines are told than may be
     messages = Messages().start()
     for k in range(int(BURST) + 300):
         messages.report(f"line {k}")
     messages.end()
     lines = capfd.readouterr().err.splitlines()
+    # THEN the first are written, and the rest is counted
     assert messages.lost >= 250
     assert lines[0] == "surffollow: line 0"
     assert sum(line.startswith("surffollow: line") for line in lines) + messages.lost == BURST + 300
@@ -295,10 +305,12 @@ def test_a_part_that_fails_is_reported_once_and_latched_until_the_end() -> None:
     def fail() -> int:
         raise OSError(28, "No space left on device")
 
+    # WHEN a part fails three times, THEN it is reported once
     assert [guard.run("mending", fail, 7) for _ in range(3)] == [7, 7, 7]
     assert len(reported) == 1
     assert "No space" in guard.texts()[0]
     assert "3 times" in guard.texts()[0]
+    # WHEN it works again, THEN that is reported, and the fault stays latched
     assert guard.run("mending", lambda: 8, 7) == 8
     assert guard.failed
     assert guard.texts() == ["mending failed 3 times, works again"]
@@ -326,10 +338,12 @@ def test_a_driver_is_stopped_where_no_thread_can_be_had(monkeypatch: pytest.Monk
     def refuse(thread: threading.Thread) -> None:
         raise RuntimeError("can't start new thread")
 
+    # GIVEN a process that can start no thread
     driver = Driver()
     watch = DriverWatch(driver)  # type: ignore[arg-type]
     watch.start()
     monkeypatch.setattr(threading.Thread, "start", refuse)
+    # WHEN its driver is to be stopped, THEN it is
     watch.stop(10.0)
     assert driver.stopped == 1
     DriverWatch(driver).stop(1.0)  # type: ignore[arg-type]
@@ -357,12 +371,15 @@ def test_a_flood_ends_no_service_whose_descriptors_have_high_numbers(
     if limit[1] < 4096:
         pytest.skip("this process may not have so many files")
     resource.setrlimit(resource.RLIMIT_NOFILE, (4096, limit[1]))
+    # GIVEN a service whose descriptors have high numbers
     files = [os.open(os.devnull, os.O_RDONLY) for _ in range(1100)]
     try:
         s.start(close_fds=False, preexec_fn=lambda: [os.set_inheritable(fd, True) for fd in files])
         with s.attach() as client:  # this process has as many
+            # WHEN connections flood its socket
             for _ in range(5):
                 subprocess.run([sys.executable, "-c", FLOOD, f"/dev/shm/{s.name}.sock"], check=True)
+            # THEN it goes on and serves clients
             s.cycles(50)
             assert client.alive()
         with s.attach() as another:
@@ -398,6 +415,7 @@ def test_a_compilation_is_left_when_the_service_is_asked_to_end(
     make_service: Callable[..., Service], tmp_path: Path
 ) -> None:
     s = make_service()
+    # GIVEN a service that compiles its kernels
     process = s.launch(env=os.environ | {"SURFFOLLOW_CACHE_DIR": str(tmp_path / "cold")})
     until(lambda: list((tmp_path / "cold").rglob("*.nbi")) or process.poll() is not None, "a kernel", READY_S)
     caught = Path(f"/proc/{process.pid}/status")
@@ -406,7 +424,9 @@ def test_a_compilation_is_left_when_the_service_is_asked_to_end(
         "the handler",
         READY_S,
     )
+    # WHEN it is asked to end
     process.send_signal(signal.SIGTERM)
+    # THEN it ends without having finished
     reported, _ = process.communicate(timeout=READY_S)
     assert "READY" not in reported
     assert process.returncode == 0

@@ -60,16 +60,20 @@ def test_a_second_service_of_the_same_name_is_refused_with_the_pid_of_the_first(
 
 
 def test_stop_ends_the_service_keeps_the_map_and_purge_removes_everything(make_service: Make) -> None:
+    # GIVEN a service with a map
     s = make_service().start()
     with s.attach() as client:
         client.map_reset(REGION)
+    # WHEN it is stopped, THEN its map alone is left
     assert s.run("stop").returncode == 0
     assert s.process is not None
     assert s.process.wait(WAIT_S) == 0
     assert objects_of(s.name) == {f"{s.name}.map"}
+    # WHEN it is stopped again, THEN there is no service
     again = s.run("stop")
     assert again.returncode == 1
     assert "no service" in again.stderr
+    # WHEN it is purged, THEN nothing is left
     assert s.run("stop", "--purge").returncode == 0
     assert objects_of(s.name) == set()
     assert s.run("stop", "--purge").returncode == 1, "nothing is left to remove"
@@ -93,24 +97,30 @@ def test_a_signal_ends_it_in_good_order_and_tells_systemd(
         listener = threading.Thread(target=listen, args=(ear, received))
         listener.start()
         try:
+            # GIVEN a service that tells systemd of itself
             s = make_service().start(env={**os.environ, "NOTIFY_SOCKET": path})
             until(lambda: len(received) >= 2, "two notifications")
             assert received[0].startswith("READY=1")
             assert "WATCHDOG=1" in received[1]
+            # WHEN a signal asks it to end
             assert s.terminate(number) == 0
         finally:
             ear.sendto(b"", path)
             listener.join()
+    # THEN it says so, and its map alone is left
     assert received[-1] == "STOPPING=1"
     assert objects_of(s.name) == {f"{s.name}.map"}
 
 
 def test_a_terminal_ctrl_c_before_ready_leaves_nothing_that_stops_the_next_start(make_service: Make) -> None:
+    # GIVEN a service that is starting
     s = make_service()
     process = s.launch()
     until(lambda: objects_of(s.name) or process.poll() is not None, "the first object", READY_S)
+    # WHEN it is interrupted
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=READY_S)
+    # THEN the next one starts
     s.start()
     assert s.run("status").returncode == 0
 
@@ -222,20 +232,25 @@ def test_the_map_survives_a_restart_and_a_sigkill_byte_for_byte(make_service: Ma
 
 
 def test_the_configured_quantum_holds_from_every_map_reset_on(make_service: Make, tmp_path: Path) -> None:
+    # GIVEN a map of the default quantum
     s = make_service().start()
     with s.attach() as client:
         client.map_reset((0.0, 0.0, 1.0, 1.0))
         of_old = client.map_window().quantum_m
+    # WHEN the service is started with another quantum
     assert s.terminate() == 0
     s.config.write_text(config_text(map='quantum = "0.1 mm"'))
     s.start()
     with s.attach() as client:
+        # THEN the kept map has its own, after a refocus too
         assert client.map_window().quantum_m == of_old
         assert of_old == pytest.approx(25.4e-6)
         client.map_refocus((0.2, 0.2, 0.8, 0.8))  # its heights are counts of the old quantum
         assert client.map_window().quantum_m == of_old
+        # WHEN it is reset, THEN the new quantum holds
         client.map_reset((0.0, 0.0, 1.0, 1.0))
         assert client.map_window().quantum_m == 1e-4
+        # WHEN a map with a third one is installed, THEN that holds until the next reset
         other = HeightMap.from_heights(np.zeros((4, 5)), origin_m=(0.0, 0.0), grid_m=0.1, quantum_m=5e-5)
         other.save(tmp_path / "other.txt")
         client.map_install(tmp_path / "other.txt")
@@ -252,12 +267,15 @@ def test_purge_after_a_sigkill_removes_what_was_left(own_service: Service) -> No
 
 
 def test_a_kept_map_of_another_size_is_neither_used_nor_lost(make_service: Make) -> None:
+    # GIVEN a kept map
     s = make_service(grids=1000)
     first = shared_objects.open_shared_objects(s.settings())
     first.set_state(lb.STATE_READY)
     first.leave()
+    # WHEN the service is configured for another size
     s.config.write_text(config_text(grids=2000))
     before = map_bytes(s.name)
+    # THEN its start is refused, and the map is as it was
     with pytest.raises(ConfigError, match=r"has room for 1000 grids.*asks for 2000.*--purge"):
         shared_objects.open_shared_objects(s.settings())
     assert map_bytes(s.name) == before

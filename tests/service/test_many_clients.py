@@ -23,13 +23,13 @@ from running_service import (
     take_pose,
     until,
 )
+from second_user import AS_NOBODY, needs_root
 from service.pose_senders import SENDER, free_of_poses, orphan_of
 from surffollow.client import Client
 from surffollow.errors import BusyError, RefusedError
 from surffollow.shm import layout_board as lb
 
 Make = Callable[..., Service]
-NOBODY = ("setpriv", "--reuid=65534", "--regid=65534", "--clear-groups")
 FORKER = f"""{ATTACHED}
 child = os.fork()
 if child == 0:
@@ -65,12 +65,15 @@ def client(crowd: Service) -> Iterator[Client]:
 
 def test_a_second_pose_writer_is_refused_with_the_pid_of_the_first(crowd: Service, client: Client) -> None:
     with program(SENDER, crowd.name) as first:
+        # GIVEN a process that sends the pose
         said(first)
+        # WHEN a second one sends it, THEN it is refused and the first goes on
         with pytest.raises(BusyError, match=f"pid {first.pid}"):
             client.ee_pos(POSE)
         status = client.status()
         until(lambda: client.status()["main"]["pose_pid"] == first.pid, "the status names the holder")
         until(lambda: client.status()["poses"] > status["poses"] + 10, "the first goes on")
+        # WHEN the first is killed, THEN the second may
         first.kill()
         first.wait()
         take_pose(client)
@@ -79,9 +82,12 @@ def test_a_second_pose_writer_is_refused_with_the_pid_of_the_first(crowd: Servic
 
 def test_the_pose_can_be_handed_over_in_good_order(crowd: Service, client: Client) -> None:
     with crowd.attach() as other:
+        # GIVEN a client that sends the pose
         client.ee_pos(POSE)
+        # WHEN another one sends it, THEN it is refused
         with pytest.raises(BusyError, match="release_pose"):
             other.ee_pos(POSE)
+        # WHEN the first gives it back, THEN the other one has it, and may be rid of it only itself
         client.release_pose()
         other.ee_pos(POSE)
         with pytest.raises(RefusedError, match="does not hold"):
@@ -92,9 +98,11 @@ def test_the_pose_can_be_handed_over_in_good_order(crowd: Service, client: Clien
 def test_a_slot_taken_over_from_a_dead_pose_writer_does_not_inherit_its_pose(crowd: Service) -> None:
     free_of_poses(crowd)
     with program(SENDER, crowd.name) as first:
+        # GIVEN a slot whose dead client held the pose
         slot = int(said(first).split()[1])
         first.kill()
         first.wait()
+        # WHEN another client gets the slot, THEN the pose is anybody's
         with crowd.attach() as heir, crowd.attach() as other:
             assert heir.slot in (slot, slot + 1), "the slot is used again, or retired a moment ago"
             take_pose(other)
@@ -107,10 +115,12 @@ def test_a_forked_child_does_not_keep_its_dead_parents_pose(crowd: Service, clie
 
 
 def test_a_client_whose_pose_was_given_back_in_its_name_takes_it_again(client: Client) -> None:
+    # GIVEN a client whose pose was given back by a request in its name
     client.ee_pos(POSE)
     client._request(lb.RQ_RELEASE_POSE).result()
     before = client.status()["poses"]
 
+    # WHEN it goes on, THEN its poses are taken
     drive(client, lambda: client.status()["poses"] > before + 3, what="poses are taken again")
 
 
@@ -125,13 +135,16 @@ def test_a_latch_generation_at_its_end_does_not_stop_a_client(client: Client) ->
 
 def test_sixteen_clients_fit_the_seventeenth_is_refused_and_a_freed_slot_is_used(crowd: Service) -> None:
     with contextlib.ExitStack() as stack:
+        # GIVEN as many clients as there are slots
         all_ = [stack.enter_context(crowd.attach()) for _ in range(lb.CLIENTS)]
         assert sorted(c.slot for c in all_) == list(range(lb.CLIENTS))
         for c in all_:
             c.sf_reset(0.1)
+        # WHEN one more attaches, THEN it is refused
         with pytest.raises(BusyError, match=r"all client slots are taken.*limit 16"):
             crowd.attach()
         until(lambda: all_[0].status()["main"]["clients"] == lb.CLIENTS, "the status counts them")
+        # WHEN one leaves, THEN the next one gets its slot
         all_[5].close()
         with crowd.attach() as late:
             assert late.slot == 5
@@ -140,19 +153,24 @@ def test_sixteen_clients_fit_the_seventeenth_is_refused_and_a_freed_slot_is_used
 
 
 def as_nobody(s: Service) -> list[str]:
-    done = subprocess.run([*NOBODY, sys.executable, "-c", STRANGER, s.name], capture_output=True, text=True)
+    done = subprocess.run(
+        [*AS_NOBODY, sys.executable, "-c", STRANGER, s.name], capture_output=True, text=True
+    )
     if "Permission denied" in done.stderr:
         pytest.skip("another user cannot run this Python")
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
 
 
-@pytest.mark.skipif(os.geteuid() != 0 or shutil.which("setpriv") is None, reason="needs root and setpriv")
+@needs_root
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs setpriv")
 def test_modes_decide_who_may_watch_and_who_may_command(make_service: Make, crowd: Service) -> None:
+    # WHEN nobody but the group may read, THEN another user may neither watch nor command
     watch, attach = as_nobody(crowd)
     assert watch.startswith("observe refused: no permission to read")
     assert attach.startswith("attach refused: no permission to read")
     assert "join its group" in watch
+    # WHEN everybody may read, THEN another user may watch
     s = make_service(access='board_mode = "0644"\nmap_mode = "0644"').start()
     watch, attach = as_nobody(s)
     assert watch == "observe ready ('NO_POSE',)"

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from running_service import POSE, Service, config_text, objects_of, program, said, until
+from second_user import AS_NOBODY, NOBODY, needs_root
 from surffollow.client import Client
 from surffollow.client.audit import audit_line, printable
 from surffollow.config.service import parse_config
@@ -19,9 +20,6 @@ from surffollow.map.height_map import HeightMap
 from surffollow.shm import layout_board as lb
 
 Make = Callable[..., Service]
-NOBODY = 65534
-SECOND_USER = pytest.mark.skipif(os.geteuid() != 0, reason="only root can run a client as another user")
-AS_NOBODY = ("setpriv", "--reuid", str(NOBODY), "--regid", str(NOBODY), "--clear-groups")
 # a client that tries to change everything dangerous, and says how it fared
 MEDDLER = """
 import os, sys
@@ -59,7 +57,9 @@ def limited(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
 
 def test_no_client_passes_a_ceiling_or_a_floor_of_the_configuration(limited: Service) -> None:
     with limited.attach() as client:
+        # GIVEN the holder of the pose, and limits in the configuration
         client.ee_pos(POSE)  # not even the pose's holder
+        # WHEN it asks for more or less than they allow, THEN it is refused and nothing has changed
         for values in ({"max_demand": 0.061}, {"max_speed": 4.01}, {"offset": 0.079}, {"offset": "121 mm"}):
             before = client.params()
             with pytest.raises(RefusedError, match=r"\[limits\]") as refused:
@@ -70,6 +70,7 @@ def test_no_client_passes_a_ceiling_or_a_floor_of_the_configuration(limited: Ser
         for offset in (0.0799, 0.1201):
             with pytest.raises(RefusedError, match=r"\[limits\].*offset"):
                 client.sf_reset(offset)
+        # WHEN it asks for the limits themselves, THEN it gets them
         client.set_params(max_demand="60 mm", max_speed=4.0)
         client.sf_reset(0.12)
         client.sf_reset(0.1)
@@ -85,26 +86,33 @@ def test_all_or_none_holds_across_a_limit(limited: Service) -> None:
 
 def test_who_does_not_hold_the_pose_changes_nothing_while_another_drives(limited: Service) -> None:
     with limited.attach() as driver, limited.attach() as other:
+        # GIVEN a client that drives
         driver.ee_pos(POSE)
         before = driver.params()
+        # WHEN another one changes parameters, THEN it is refused
         for ask in (lambda: other.set_params(max_demand=0.01), lambda: other.sf_reset(0.11)):
             with pytest.raises(RefusedError, match=f"pid {os.getpid()}") as refused:
                 ask()
             assert refused.value.code == lb.ERR_NOT_POSE_HOLDER
         assert driver.params() == before
+        # THEN the driver may change them
         driver.set_params(max_demand=0.02)
+        # WHEN nobody drives, THEN the other one may
         driver.release_pose()
         other.set_params(max_demand=0.03)  # nobody is driven now
 
 
-@SECOND_USER
+@needs_root
 def test_another_user_without_the_pose_changes_nothing_and_is_in_the_audit_trail(limited: Service) -> None:
     with limited.attach() as driver:
+        # GIVEN a client that drives
         driver.ee_pos(POSE)
         before = driver.params()
+        # WHEN another user's client changes parameters
         with program(MEDDLER, limited.name, before=AS_NOBODY) as meddler:
             pid = int(said(meddler))
             answers = [said(meddler) for _ in range(4)]
+            # THEN it is refused
             assert all(a.startswith(f"{lb.ERR_NOT_POSE_HOLDER} ") for a in answers), answers
             assert driver.params() == before
 
@@ -112,6 +120,7 @@ def test_another_user_without_the_pose_changes_nothing_and_is_in_the_audit_trail
                 return [e for e in driver.audit() if e["pid"] == pid]
 
             until(lambda: len(entries()) >= 4, "four entries")
+        # THEN the audit trail tells of every attempt
         for e, parameter in zip(entries(), ("max_demand_m", "max_speed_mps", "pose_timeout_ns", "offset_m")):
             assert (e["uid"], e["parameter"], e["accepted"]) == (NOBODY, parameter, False)
             assert e["client"] == "meddler?[2J", "nothing that steers a terminal"
@@ -120,9 +129,11 @@ def test_another_user_without_the_pose_changes_nothing_and_is_in_the_audit_trail
 
 def test_the_audit_trail_says_who_set_what_from_what_to_what(limited: Service) -> None:
     with limited.attach(label="the driver") as client:
+        # GIVEN a client that has set parameters twice
         client.ee_pos(POSE)
         client.set_params(max_demand=0.021, interval_size="2 mm")
         client.set_params(max_demand=0.022, interval_size="3 mm")
+        # THEN the trail has who, what, from what and to what
         mine = until(
             lambda: [e for e in client.audit() if e["client"] == "the driver" and e["new"] == 0.022], "it"
         )
@@ -130,6 +141,7 @@ def test_the_audit_trail_says_who_set_what_from_what_to_what(limited: Service) -
         assert (e["parameter"], e["old"], e["new"]) == ("max_demand_m", 0.021, 0.022)
         assert (e["pid"], e["uid"], e["accepted"], e["result"]) == (os.getpid(), os.geteuid(), True, "ok")
         assert 0.0 <= e["age_s"] < 60.0
+        # THEN the command line shows the same
         shown = limited.run("status", "--audit").stdout
         assert (
             f"pid {os.getpid()} uid {os.geteuid()} the driver: set_params max_demand_m 0.021 -> 0.022: ok"
@@ -141,12 +153,15 @@ def test_the_audit_trail_says_who_set_what_from_what_to_what(limited: Service) -
 
 def test_a_flood_of_refusals_is_gathered_and_leaves_what_was_accepted(limited: Service) -> None:
     with limited.attach(label="accepted") as driver, limited.attach(label="flood") as other:
+        # GIVEN a change that was accepted
         driver.ee_pos(POSE)
         driver.set_params(max_demand=0.0123)
+        # WHEN another client has more changes refused than the trail holds
         for _ in range(lb.AUDIT_ENTRIES + 100):
             ticket = other.set_params(max_demand=0.5, wait=False)
             with pytest.raises(RefusedError):
                 ticket.result()
+        # THEN these are gathered, and the accepted one is still there
         entries = until(
             lambda: (
                 [e for e in driver.audit() if e["client"] == "flood" and e["count"] > 1] and driver.audit()
@@ -237,7 +252,7 @@ with attach(sys.argv[1], owner=0) as client:
 """
 
 
-@SECOND_USER
+@needs_root
 @pytest.mark.parametrize(
     ("key", "may"), [("", False), ("nobody", True), ("65534", True), ("daemon", False), ("any", True)]
 )
@@ -319,12 +334,15 @@ def test_what_the_driver_says_is_held_against_the_limits_too(make_service: Make)
 
 def test_a_map_that_was_announced_before_somebody_drove_is_not_installed(make_service: Make) -> None:
     with make_service().start().attach() as member, member.__class__(member.name, stale_min_s=1.0) as driver:
+        # GIVEN an installation that was announced while nobody drove
         member.map_reset((0.0, 0.0, 0.1, 0.1))
         grid = (10, 10, 0.01, 0.0, 0.0, 0.0, 1e-4)
         values = (0.0, 0.0, 0.1, 0.1, *grid[2:])
         ticket = member._ask(lb.RQ_MAP_INSTALL, values, 5.0, False, (*grid[:2], 1))
         until(ticket.taken, "the announcement")
+        # WHEN another client takes the pose
         driver.claim_pose()
+        # THEN the installation is cancelled
         with pytest.raises(RefusedError) as refused:
             ticket.result(30.0)
         assert refused.value.code == lb.ERR_CANCELLED

@@ -8,87 +8,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shell_loop import MS, START, ShellLoop
+from service.map_loop import MapLoop
+from shell_loop import MS, START
 from surffollow.forecast.plant.controller_clock import (
     latch_time,
     observe_report,
     open_period,
     period_is_due,
 )
-from surffollow.forecast.step import follow_step
-from surffollow.forecast.terrain.preview_schedule import FOR_PERIOD, FOR_SAMPLE, preview_window
-from surffollow.hw.simulation.pose_history import add_pose
-from surffollow.hw.simulation.sensor_rig import produce
-from surffollow.map.header import init_header
-from surffollow.map.kernels.geometry import open_journal, reset_begin, reset_step
-from surffollow.map.kernels.grids import update_map
-from surffollow.service import memory as m
-from surffollow.service.map_preview import fill_preview
-from surffollow.shm import map_layout as ml
-from surffollow.shm.conversion import pack_conversion
+from surffollow.forecast.terrain.preview_schedule import FOR_PERIOD, FOR_SAMPLE
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_follow import MODE_PAPER
-from surffollow.sim.robot_config import RobotConfig
-from surffollow.sim.world_surface import WorldConfig
 
 TOOLS = Path(__file__).parents[2] / "tools"
-BEAM = ((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),)
-STANDOFF_M = 0.1
-
-
-class MapLoop(ShellLoop):
-    """One sensor, and a map of what it saw: the daemon's cycle and map thread one after the other."""
-
-    def __init__(self, surface, **params):
-        world = WorldConfig(surface=surface, region=(0.0, 0.0, 0.7, 0.2))
-        region = (0.0, 0.05, 0.6, 0.15)
-        robot = RobotConfig(world=world, path="line", speed_mps=0.1, seconds=10.8, region=region)
-        super().__init__(robot, list(BEAM), **params)
-        self.header, self.pairs = zeros(ml.MapHeader), zeros(ml.GridPair, 50_000)
-        init_header(self.header, capacity_grids=100_000)
-        reset_begin(self.header, 0.0, 0.0, 0.7, 0.2)
-        while reset_step(self.header, self.pairs, 1 << 20) == 0:
-            pass
-        memory = m.make_cycle_memory(self.header, self.pairs)
-        self.memory = memory._replace(params=self.params, state=self.state, inputs=self.inputs)
-        self.heights = self.core._field.heights_m
-        self.previews = []
-
-    def _cycle(self, t_ns):
-        world = self.core.world[0]
-        add_pose(self.history, int(world["t_ns"]), world["pose"], world["velocity"])
-        produce(self.rig, self.led, self.history, self.heights, self.frame, t_ns)
-        i, n = self.inputs[0], 0
-        for stamp, word in self.queue.drain(64).tolist():
-            i["conversion"][n] = ((stamp - t_ns) << 32) | (word & 0xFFFFFFFF)
-            n += 1
-        i["n_conversions"], i["t_ns"] = n, t_ns
-        fill_preview(self.memory)
-        self.previews.append(int(i["n_preview"]))
-        follow_step(self.params, self.state, self.inputs, self.output, self.scratch)
-        i["n_poses"] = 0
-        o = self.output[0]
-        if o["fresh"] & 1:
-            update_map(self.header, self.pairs, *o["target_m"][:3])
-
-    def passes(self, x0=0.15, x1=0.45):
-        """Scatter of the stand-off error over a stretch, pass by pass [m]."""
-        trace = self.core.trace()
-        x, error = trace["x_m"], trace["standoff_m"] - STANDOFF_M
-        inside = np.flatnonzero((x > x0) & (x < x1))
-        pieces = np.split(inside, np.flatnonzero(np.diff(inside) > 1) + 1)
-        return [float(error[k].std()) for k in pieces if abs(x[k[-1]] - x[k[0]]) > 0.95 * (x1 - x0)]
-
-
-def run_to_end(loop):
-    loop.run(20.0)
-    assert loop.core.done
-    return loop
 
 
 def test_the_way_back_over_ground_just_mapped_is_followed_far_better_than_the_way_there():
-    loop = run_to_end(MapLoop("fy91"))
+    # GIVEN a robot that goes over unknown ground and back
+    loop = MapLoop("fy91")
+    # WHEN it has done so
+    loop.run_to_end()
+    # THEN the way there had no preview, and the way back is followed better by it
     first, second = loop.passes()
     assert second <= 0.4 * first, (first, second)
     assert not any(loop.previews[2500:5500]), "the first pass has nothing to remember"
@@ -101,7 +42,11 @@ def test_with_the_parameter_off_nothing_is_looked_up():
 
 
 def test_ground_is_looked_up_only_in_cycles_that_use_it():
-    loop = run_to_end(MapLoop("fy91-rolling"))
+    # GIVEN a robot that goes over rolling ground and back
+    loop = MapLoop("fy91-rolling")
+    # WHEN it has done so
+    loop.run_to_end()
+    # THEN the way back is followed better, by heights that were looked up in a part of the cycles only
     first, second = loop.passes()
     assert second <= 0.5 * first, (first, second)
     back = np.array(loop.previews[8000:10000])
@@ -111,91 +56,137 @@ def test_ground_is_looked_up_only_in_cycles_that_use_it():
 
 
 def test_memory_that_is_plainly_wrong_is_soon_distrusted():
+    # GIVEN a robot that has gone over rolling ground and turns
     loop = MapLoop("fy91-rolling")
     loop.run(5.9)
-    loop.header["datum_m"] += 0.02  # as after another part was put there
-    run_to_end(loop)
+    # WHEN the map is wrong by 20 mm on the way back
+    loop.raise_map(0.02)
+    loop.run_to_end()
+    # THEN the way back is followed about as well as the way there
     first, second = loop.passes()
     assert second < 1.5 * first, (first, second)
 
 
 def test_a_map_that_is_laid_anew_meanwhile_previews_nothing_and_the_cycle_goes_on():
+    # GIVEN a robot on its way back with a preview
     loop = MapLoop("fy91-rolling")
     loop.run(8.0)
     assert any(loop.previews[-100:])
-    open_journal(loop.header, ml.REFOCUSING)
+    # WHEN the map is being laid anew
+    loop.begin_refocus()
     loop.run(0.5)
+    # THEN nothing is previewed, and the demand is valid
     assert not any(loop.previews[-500:])
-    assert loop.output["status"][0] & 1
+    assert loop.is_valid
 
 
-def due(loop):
-    return preview_window(loop.params, loop.state, loop.inputs)[0]
-
-
-def test_a_preview_is_due_for_ticks_and_new_samples_and_never_in_paper_mode():
+@pytest.fixture(scope="module")
+def on_flat_ground():
+    """A robot that has gone over flat ground for three seconds."""
     loop = MapLoop("flat")
     loop.run(3.0)
-    a, i, p = loop.state["adaptive"][0], loop.inputs[0], loop.params[0]
-    i["n_poses"], i["n_conversions"] = 0, 0
-    a["controller"]["period_ns"] = a["clock"]["now_ns"]
-    assert due(loop) == 0
-    a["controller"]["period_ns"] = 0
-    assert due(loop) == FOR_PERIOD
-    a["controller"]["period_ns"] = a["clock"]["now_ns"]
-    counts = int((a["hold"]["range_m"] - p["zero_m"][0]) / p["scale_m"][0])
-    i["n_conversions"] = 1
-    for word, expected in (
-        (pack_conversion(counts + 40, 0, 0, -1000), FOR_SAMPLE),
-        (pack_conversion(counts + 40, 1, 0, -1000), 0),
-        (pack_conversion(counts + 40, 0, 1, -1000), 0),
-    ):
-        i["conversion"][0] = word
-        assert due(loop) == expected
-    i["conversion"][0] = pack_conversion(counts + 40, 0, 0, -1000)
-    for name, value in (("mode", MODE_PAPER), ("preview", 0)):
-        before = p[name].item()
-        p[name] = value
-        assert due(loop) == 0
-        p[name] = before
-    a["sample"]["lead_m"] = 0.05
-    assert due(loop) == 0, "a leading sensor sees better than memory"
+    return loop
 
 
-def test_the_map_is_read_where_a_tilted_tool_points():
-    loop = MapLoop("flat")
-    loop.run(3.0)
-    a, i, sense = loop.state["adaptive"][0], loop.inputs[0], loop.state["sense"][0]
-    i["n_poses"], a["controller"]["period_ns"] = 0, 0
-    newest = 7 * ((int(sense["pose_count"]) - 1) % (len(sense["pose"]) // 7))
-    _, x, y, *_ = preview_window(loop.params, loop.state, loop.inputs)
-    assert (x, y) == pytest.approx(tuple(sense["pose"][newest : newest + 2]), abs=1e-9)
-    a["sample"]["tip_x_m"], a["sample"]["tip_y_m"] = 0.03, -0.01
-    _, tip_x, tip_y, *_ = preview_window(loop.params, loop.state, loop.inputs)
+@pytest.fixture
+def loop(on_flat_ground):
+    with on_flat_ground.tried():
+        yield on_flat_ground
+
+
+def test_a_preview_is_due_for_each_controller_period(loop):
+    loop.expect_nothing()
+    assert loop.preview_uses() == 0
+    loop.expect_period()
+    assert loop.preview_uses() == FOR_PERIOD
+
+
+@pytest.mark.parametrize(
+    ("change_counts", "channel", "flags", "expected"),
+    [(40, 0, 0, FOR_SAMPLE), (40, 1, 0, 0), (40, 0, 1, 0)],
+    ids=["new", "of another channel", "invalid"],
+)
+def test_a_preview_is_due_for_new_valid_samples_of_the_first_sensor(
+    loop, change_counts, channel, flags, expected
+):
+    loop.expect_reading(change_counts, channel, flags)
+    assert loop.preview_uses() == expected
+
+
+@pytest.mark.parametrize(("name", "value"), [("mode", MODE_PAPER), ("preview", 0)])
+def test_no_preview_is_due_in_paper_mode_or_with_the_parameter_off(loop, name, value):
+    loop.expect_reading(40)
+    before = loop.set_param(name, value)
+    assert loop.preview_uses() == 0
+    loop.set_param(name, before)
+    assert loop.preview_uses() == FOR_SAMPLE
+
+
+def test_no_preview_is_due_for_a_sensor_that_leads_and_so_sees_better_than_memory(loop):
+    loop.expect_reading(40)
+    loop.lead(0.05)
+    assert loop.preview_uses() == 0
+
+
+def test_the_map_is_read_where_a_tilted_tool_points(loop):
+    # GIVEN an upright tool, under whose newest place the preview begins
+    loop.expect_period()
+    x, y = loop.preview_begin()
+    assert (x, y) == pytest.approx(loop.newest_place(), abs=1e-9)
+    # WHEN the tool is tilted
+    loop.tilt(0.03, -0.01)
+    # THEN the preview begins where it points
+    tip_x, tip_y = loop.preview_begin()
     assert (tip_x - x, tip_y - y) == pytest.approx((0.03, -0.01))
 
 
-def test_ticks_are_put_before_reports_that_come_a_hundred_times_a_second():
-    a = zeros(AdaptiveState)[0]
-    ticks, late = [], np.random.default_rng(5).uniform(0, 300_000, 3000)
+class Periods:
+    """The controller's periods, as the follower keeps them; `t_ns` counts from START."""
+
+    def __init__(self):
+        self._controller = zeros(AdaptiveState)[0]["controller"]
+
+    def report(self, number, t_ns):
+        observe_report(self._controller, number, START + t_ns)
+
+    def is_due(self, t_ns, answers_each=False):
+        """Whether a setpoint is due; `answers_each`: the caller takes each answer himself."""
+        return period_is_due(self._controller, int(answers_each), START + t_ns) != 0
+
+    def answer(self, t_ns):
+        """A setpoint is computed now; when the controller takes it."""
+        self._controller["period_ns"] = START + t_ns
+        self._controller["periods"] += 1
+        open_period(self._controller, 0, START + t_ns)
+        return self.latch_ns(t_ns)
+
+    def latch_ns(self, t_ns, answers_each=False):
+        return int(latch_time(self._controller, int(answers_each), START + t_ns)) - START
+
+
+def test_periods_are_put_before_reports_that_come_a_hundred_times_a_second():
+    # GIVEN reports every 10 ms, which are late by up to 0.3 ms
+    periods, answered = Periods(), []
+    late = np.random.default_rng(5).uniform(0, 300_000, 3000)
+    # WHEN the cycles of three seconds look whether a period is due
     for k in range(3000):
-        t = START + k * MS + int(late[k])
+        t_ns = k * MS + int(late[k])
         if k % 10 == 3:
-            observe_report(a["controller"], k // 10 + 1, t)
-        if period_is_due(a["controller"], 0, t) != 0:
-            a["controller"]["period_ns"], a["controller"]["periods"] = t, a["controller"]["periods"] + 1
-            open_period(a["controller"], 0, t)
-            ticks.append((k, latch_time(a["controller"], 0, t) - START))
-    settled = [(k, taken) for k, taken in ticks if k > 1000]
+            periods.report(k // 10 + 1, t_ns)
+        if periods.is_due(t_ns):
+            answered.append((k, periods.answer(t_ns)))
+            last_ns = t_ns
+    # THEN each is answered in the cycles after a report, and taken half a millisecond before the next
+    settled = [(k, taken) for k, taken in answered if k > 1000]
     assert {k % 10 for k, _ in settled} <= {4, 5}
     assert len(settled) == pytest.approx(200, abs=2)
     for k, taken in settled:
         report = k + (3 - k) % 10
         assert abs(taken - (report * MS - 500_000)) < 600_000
-    # without reports, and where the caller takes each answer himself, a tick is every 10 ms
-    assert period_is_due(a["controller"], 1, int(a["controller"]["period_ns"]) + 9_999_000) == 1
-    assert period_is_due(a["controller"], 1, int(a["controller"]["period_ns"]) + 9_998_000) == 0
-    assert latch_time(a["controller"], 1, START) == START
+    # THEN where the caller takes each answer himself, one is due every 10 ms and taken at once
+    assert periods.is_due(last_ns + 9_999_000, answers_each=True)
+    assert not periods.is_due(last_ns + 9_998_000, answers_each=True)
+    assert periods.latch_ns(0, answers_each=True) == 0
 
 
 def test_live_the_second_pass_is_better_and_its_replay_has_the_same_bits(monkeypatch):

@@ -104,7 +104,9 @@ def readers_end() -> Iterator[None]:
 
 def test_lingering_sockets_freeze_neither_heartbeat_nor_clients_nor_end(old: Service) -> None:
     began = time.monotonic()
+    # GIVEN a service on an old kernel that was passed lingering sockets
     held = attack(old)
+    # THEN its heart beats, it serves clients, and has no fault
     before = heartbeat_ns(old)
     until(lambda: heartbeat_ns(old) > before + 1_000_000_000, "a second of beats")
     with old.attach() as client:
@@ -114,6 +116,7 @@ def test_lingering_sockets_freeze_neither_heartbeat_nor_clients_nor_end(old: Ser
     for sock in held:
         sock.close()
     until(lambda: children_of(old.pid) == [], "the child that ended them is gone")
+    # WHEN it is asked to end while it has more of them, THEN it ends
     held = attack(old)
     assert old.terminate() == 0
     assert time.monotonic() - began < LINGER_S, "nobody waited for a lingering socket"
@@ -130,10 +133,12 @@ def test_a_message_with_descriptors_is_neither_taken_nor_are_they_installed(pair
     ours, theirs = pair
     with pytest.raises(BlockingIOError):
         receive(ours, 64)
+    # GIVEN a plain message and one with a descriptor
     theirs.send(b"plain")
     before = len(os.listdir("/proc/self/fd"))
     with open(os.devnull, "rb") as file:
         socket.send_fds(theirs, [b"x"], [file.fileno()])
+        # WHEN both are received, THEN the second one is an error, and no descriptor is ours
         assert receive(ours, 64) == b"plain"
         for _ in range(3):
             with pytest.raises(RightsSentError):
@@ -147,14 +152,17 @@ def test_a_connection_with_a_lingering_socket_is_ended_by_a_child(pair, first: l
     ours, theirs = pair
     began = time.monotonic()
     disposal = Disposal()
+    # GIVEN a connection with a lingering socket in its queue
     for message in first:
         theirs.send(message)
     with lingering_alone() as sock:
         socket.send_fds(theirs, [b""], [sock.fileno()])
+    # WHEN we part with it, THEN the other end sees it at once
     disposal.part(ours)
     assert theirs.recv(1) == b"", "the other end sees it at once"
     with pytest.raises(BrokenPipeError):
         theirs.send(b"more")
+    # THEN a child waits for it, and we do not
     disposal.look()
     assert children_of(os.getpid()), "a child holds it"
     until(lambda: (disposal.look(), not disposal._children)[1], "the child ended")
@@ -163,9 +171,11 @@ def test_a_connection_with_a_lingering_socket_is_ended_by_a_child(pair, first: l
 
 def test_what_carries_nothing_is_closed_at_once_and_costs_no_child(pair) -> None:
     ours, theirs = pair
+    # GIVEN a connection with plain messages
     for message in (b"a", b"", b"b"):
         theirs.send(message)
     disposal = Disposal()
+    # WHEN we part with it, THEN it is closed without a child
     disposal.part(ours)
     assert ours.fileno() == -1
     assert not disposal._kept
@@ -176,6 +186,7 @@ def test_what_carries_nothing_is_closed_at_once_and_costs_no_child(pair) -> None
 def test_a_listener_ends_with_lingering_sockets_in_its_queue(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr("surffollow.shm.unix_socket.refuse_rights", lambda sock: False)
     began, disposal = time.monotonic(), Disposal()
+    # GIVEN a listener with lingering sockets in its queue
     listener = listen(tmp_path / "sock", 0o600, -1, 8)
     clients = []
     for _ in range(3):
@@ -184,6 +195,7 @@ def test_a_listener_ends_with_lingering_sockets_in_its_queue(tmp_path: Path, mon
         with lingering_alone() as sock:
             socket.send_fds(client, [b"x"], [sock.fileno()])
         clients.append(client)
+    # WHEN we part with it, THEN nobody waits
     disposal.part_listener(listener)
     assert len(disposal._kept) == 3
     disposal.look()
@@ -232,16 +244,19 @@ def test_no_process_is_no_harm(pair, monkeypatch: pytest.MonkeyPatch) -> None:
         raise OSError(errno.EAGAIN, "no process")
 
     disposal = Disposal()
+    # GIVEN a connection that a child must end
     with open(os.devnull, "rb") as file:
         socket.send_fds(theirs, [b"x"], [file.fileno()])
     disposal.part(ours)
     descriptors = len(os.listdir("/proc/self/fd"))
+    # WHEN no process can be had, THEN it is kept
     with monkeypatch.context() as m:
         m.setattr("surffollow.shm.received_descriptors._spawn_holder", refused)
         with pytest.raises(OSError, match="no process"):
             disposal.look()
     assert len(os.listdir("/proc/self/fd")) == descriptors
     assert len(disposal._kept) == 1
+    # WHEN one can be had, THEN it is ended
     disposal._next_s = 0.0
     disposal.look()
     assert not disposal._kept

@@ -12,6 +12,7 @@ import pytest
 from running_service import STANDOFF_M, Service, World, drive, until
 from surffollow.client import Client
 from surffollow.service import memory as m
+from surffollow.service.answers import params_hash
 from surffollow.service.initialise import stop_after_death
 from surffollow.service.stop_latch import do_stop
 from surffollow.shm import layout_board as lb
@@ -80,39 +81,74 @@ def test_after_an_end_in_good_order_the_configuration_holds_and_nothing_stops(mo
         assert driver.params()["offset_m"] == STANDOFF_M
 
 
-@pytest.fixture
-def memory() -> Iterator[m.CycleMemory]:
-    """The cycle's memory without a service; slot 0 sends the pose."""
-    header, log = zeros(ml.MapHeader), np.zeros(lb.LogHead.SIZE // 8 + 4096, np.int64)
-    log[lb.LogHead.offset("capacity") // 8] = 4096
-    mem = m.make_cycle_memory(header, zeros(ml.GridPair, 1), None)
-    mem.ctx[m.LOG], mem.ctx[m.LOG_CAPACITY] = log.ctypes.data, 4096
-    mem.ctx[m.POSE_SLOT], mem.ctx[m.POSE_CLAIM], mem.ctx[m.CLAIM] = 0, 7, 7
-    yield mem
-    del log  # the memory has its address only
+class StopMemory:
+    """The cycle's memory and the map's header without a service; slot 0 sends the pose."""
+
+    def __init__(self) -> None:
+        self._header, self._log = zeros(ml.MapHeader), np.zeros(lb.LogHead.SIZE // 8 + 4096, np.int64)
+        self._log[lb.LogHead.offset("capacity") // 8] = 4096
+        self._memory = mem = m.make_cycle_memory(self._header, zeros(ml.GridPair, 1), None)
+        mem.ctx[m.LOG], mem.ctx[m.LOG_CAPACITY] = self._log.ctypes.data, 4096
+        mem.ctx[m.POSE_SLOT], mem.ctx[m.POSE_CLAIM], mem.ctx[m.CLAIM] = 0, 7, 7
+
+    @property
+    def kept(self) -> int:
+        """Causes that outlive the service."""
+        return int(self._header[0]["stop"])
+
+    @property
+    def in_force(self) -> int:
+        """Causes for which the follower is stopped."""
+        return int(self._memory.state[0]["stop"])
+
+    def ask(self, slot: int, request: int, counter: int) -> tuple[int, int]:
+        """Result and detail of a request."""
+        result, detail = do_stop(self._memory, slot, request, counter)
+        return int(result), int(detail)
+
+    def publish(self) -> None:
+        """A cycle shows its demand, and with it the stop."""
+        self._memory.output[0]["stop"] = self._memory.state[0]["stop"]
+
+    def set_offset(self, offset_m: float) -> None:
+        """The stand-off that the next start is configured for."""
+        self._memory.params[0]["offset_m"] = offset_m
+
+    def note_parameters(self) -> None:
+        """The map keeps which parameters were in force."""
+        self._header[0]["params_hash"] = params_hash(self._memory)
+
+    def start_stops(self) -> bool:
+        """Whether a start after a death is stopped."""
+        objects: Any = SimpleNamespace(map_header=self._header)
+        return bool(stop_after_death(self._memory, objects))
 
 
-def test_a_stop_is_kept_before_it_is_answered_and_no_reset_undoes_what_was_not_seen(memory: Any) -> None:
-    header = memory.header[0]
-    assert do_stop(memory, 3, lb.RQ_STOP, 1)[0] == lb.OK
-    assert header["stop"] == STOP_REQUEST
-    assert do_stop(memory, 0, lb.RQ_STOP_RESET, 1) == (lb.ERR_STOP_REMAINS, STOP_REQUEST)
-    memory.output[0]["stop"] = memory.state[0]["stop"]  # a cycle has published it
-    assert do_stop(memory, 0, lb.RQ_STOP_RESET, 2) == (lb.OK, 0)
-    assert memory.state[0]["stop"] == 0
+def test_a_stop_is_kept_before_it_is_answered_and_no_reset_undoes_what_was_not_seen() -> None:
+    memory = StopMemory()
+    # WHEN a stop is asked for, THEN it is kept when it is answered
+    assert memory.ask(3, lb.RQ_STOP, 1)[0] == lb.OK
+    assert memory.kept == STOP_REQUEST
+    # WHEN it is reset before a cycle has published it, THEN it remains
+    assert memory.ask(0, lb.RQ_STOP_RESET, 1) == (lb.ERR_STOP_REMAINS, STOP_REQUEST)
+    # WHEN it is reset afterwards, THEN it is over
+    memory.publish()
+    assert memory.ask(0, lb.RQ_STOP_RESET, 2) == (lb.OK, 0)
+    assert memory.in_force == 0
 
 
-def test_only_parameters_that_differ_stop_a_start(memory: Any) -> None:
-    from surffollow.service.answers import params_hash
-
-    memory.params[0]["offset_m"] = 0.1
-    objects: Any = SimpleNamespace(map_header=memory.header)
-    assert not stop_after_death(memory, objects), "nothing is known of one before"
-    memory.header[0]["params_hash"] = params_hash(memory)
-    assert not stop_after_death(memory, objects)
-    memory.params[0]["offset_m"] = np.nextafter(0.1, 1.0)
-    assert stop_after_death(memory, objects)
-    assert memory.header[0]["stop"] == STOP_RESTART
+def test_only_parameters_that_differ_stop_a_start() -> None:
+    memory = StopMemory()
+    memory.set_offset(0.1)
+    assert not memory.start_stops(), "nothing is known of one before"
+    # GIVEN parameters that were in force at a death
+    memory.note_parameters()
+    # WHEN the next start has the same ones, THEN it is not stopped
+    assert not memory.start_stops()
+    # WHEN one differs, THEN it is
+    memory.set_offset(np.nextafter(0.1, 1.0))
+    assert memory.start_stops()
+    assert memory.kept == STOP_RESTART
 
 
 def test_a_cause_that_this_release_does_not_know_stops_too(make_service: Make) -> None:

@@ -73,8 +73,11 @@ def attacks_on_memory(name: str) -> dict[str, str]:
 @needs_root
 def test_no_client_can_truncate_grow_or_punch_its_slot(open_service: Service) -> None:
     with open_service.attach() as watcher:
+        # GIVEN a service with clients
         before = watcher.status()
+        # WHEN another user's client takes pages out of its slot in every way that there is
         reported = as_other_user(lambda _: attacks_on_memory(open_service.name))
+        # THEN the kernel refuses, and the service goes on
         assert all(t.startswith("PermissionError") for t in reported.values()), reported
         open_service.cycles(50)
         after = watcher.status()
@@ -84,6 +87,7 @@ def test_no_client_can_truncate_grow_or_punch_its_slot(open_service: Service) ->
 
 
 def test_what_a_client_that_let_go_has_mapped_has_no_owner(open_service: Service) -> None:
+    # GIVEN the mapping of a client that let its slot go, and the next one in that slot
     sock, _, memory, slot = raw_slot(open_service.name)
     with open_service.observe() as watcher:
         until(lambda: any(c["slot"] == slot for c in watcher.clients()), "the slot is told of")
@@ -97,8 +101,10 @@ def test_what_a_client_that_let_go_has_mapped_has_no_owner(open_service: Service
             heir = heirs[-1]
             heir.ee_pos(POSE)
             before = watcher.status()
+            # WHEN the first writes into what it has mapped
             memory[: lb.SLOT_STREAM] = os.urandom(lb.SLOT_STREAM)
             open_service.cycles(50)
+            # THEN the service and the next one see nothing of it
             after = watcher.status()
             for counter in ("requests", "requests_refused", "poses_refused", "torn"):
                 assert after[counter] == before[counter], counter
@@ -204,6 +210,7 @@ def test_who_does_not_keep_to_the_exchange_is_let_go_and_delays_no_client(
 
 
 def test_a_client_that_is_killed_in_the_exchange_takes_no_slot_along(open_service: Service) -> None:
+    # WHEN more clients than there are slots end in the middle of the exchange
     for _ in range(lb.CLIENTS + 2):
         sock = new_socket()
         sock.connect(str(socket_path(open_service.name)))
@@ -214,6 +221,7 @@ def test_a_client_that_is_killed_in_the_exchange_takes_no_slot_along(open_servic
         sock.close()
         for fd in fds:
             os.close(fd)
+    # THEN the next one gets a slot
     with open_service.attach() as client:
         client.sf_reset(0.1)
 
@@ -244,10 +252,12 @@ def test_a_socket_of_another_user_is_refused_with_both_users(open_service: Servi
 def test_a_service_that_stands_still_hands_out_no_slot_and_says_so(
     open_service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # GIVEN a service that stands still
     board = Board(open_service.name)
     open_service.freeze()
     try:
         began = time.monotonic()
+        # WHEN a client asks for a slot, THEN it is told so in time
         with pytest.raises(NotReadyError, match=r"did not hand out a slot within 0\.2 s"):
             request_slot(board, b"", 0.2)
         assert time.monotonic() - began < READY_S
@@ -259,7 +269,9 @@ def test_a_service_that_stands_still_hands_out_no_slot_and_says_so(
 
 def test_a_client_whose_slot_the_service_took_back_gets_another(open_service: Service) -> None:
     with open_service.attach() as client:
+        # GIVEN a client that sends the pose
         client.ee_pos(POSE)
+        # WHEN its connection breaks
         client._grant._sock.shutdown(socket.SHUT_RDWR)  # as if the connection had broken
         before = client.status()["poses"]
         reported: list[str] = []
@@ -268,6 +280,7 @@ def test_a_client_whose_slot_the_service_took_back_gets_another(open_service: Se
             reported.append(outcome(lambda: client.ee_pos(POSE)))
             return bool(client.status()["poses"] > before + 3)
 
+        # THEN poses go on through another slot
         until(again, "poses through another slot")
         # the pose is still that of the slot that is gone, until the cycle has seen it
         assert {t.partition(":")[0] for t in reported} <= {"done", "NotRunningError", "BusyError"}, reported
@@ -289,8 +302,10 @@ def test_sealed_memory_keeps_its_size_and_its_pages() -> None:
 
 
 def test_a_service_without_free_slots_is_an_error_with_a_remedy(open_service: Service) -> None:
+    # GIVEN as many clients as there are slots
     held = [open_service.attach() for _ in range(lb.CLIENTS)]
     try:
+        # WHEN one more attaches, THEN it is refused with a remedy
         with pytest.raises(BusyError, match="end a client"):
             open_service.attach()
     finally:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -24,6 +23,7 @@ from running_service import (
     said,
     until,
 )
+from second_user import AS_NOBODY, needs_root
 from surffollow.client import Client
 from surffollow.errors import RefusedError
 from surffollow.record.replay import replay_file
@@ -31,9 +31,6 @@ from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import STOPPED, VALID
 
 Make = Callable[..., Service]
-NOBODY = 65534
-SECOND_USER = pytest.mark.skipif(os.geteuid() != 0, reason="only root can run a client as another user")
-AS_NOBODY = ("setpriv", "--reuid", str(NOBODY), "--regid", str(NOBODY), "--clear-groups")
 OPEN = 'board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"'
 
 
@@ -59,9 +56,12 @@ def valid(client: Client) -> bool:
 
 def test_any_client_stops_and_only_the_poses_holder_resets(following: Service) -> None:
     with following.attach() as driver, following.attach(label="operator") as other:
+        # GIVEN a robot that follows, and an operator
         driver.sf_reset(STANDOFF_M)
         drive(driver, lambda: valid(driver), what="a demand")
+        # WHEN the operator stops it
         other.stop("smoke over cell 3")
+        # THEN no demand is valid, and nothing but a reset by the pose's holder changes that
         drive(driver, lambda: is_stopped(driver), what="the stop")
         assert driver.status()["stopped"] == ["request"]
         with pytest.raises(RefusedError, match="sends the pose") as refused:
@@ -72,10 +72,13 @@ def test_any_client_stops_and_only_the_poses_holder_resets(following: Service) -
         seen = driver.status()["cycles"]
         drive(driver, lambda: driver.status()["cycles"] > seen + 200, what="200 cycles")
         assert is_stopped(driver)
+        # WHEN the holder resets it
         driver.reset_stop()
+        # THEN demands are valid again
         drive(driver, lambda: valid(driver), what="a demand after the reset")
         assert driver.status()["stopped"] == []
 
+        # THEN the audit trail tells of all three requests
         def requests() -> list[dict[str, object]]:
             return [e for e in driver.audit() if e["request"] in ("stop", "stop_reset")]
 
@@ -89,7 +92,7 @@ def test_any_client_stops_and_only_the_poses_holder_resets(following: Service) -
         assert (refused_reset["accepted"], reset["accepted"]) == (False, True)
 
 
-@SECOND_USER
+@needs_root
 def test_another_user_may_stop_but_not_start_again(following: Service) -> None:
     code = (
         "import sys; from surffollow.client import attach; from surffollow.errors import RefusedError\n"
@@ -97,11 +100,15 @@ def test_another_user_may_stop_but_not_start_again(following: Service) -> None:
         "try:\n    c.reset_stop(); print('reset')\nexcept RefusedError as e:\n    print(e.code, flush=True)\n"
         "sys.stdin.readline()"
     )
+    # GIVEN a robot that follows
     with following.attach() as driver:
         drive(driver, lambda: valid(driver), what="a demand")
+        # WHEN another user's client stops it and wants to reset it
         with program(code, following.name, before=AS_NOBODY) as other:
+            # THEN it is stopped, and the reset is refused
             assert said(other) == str(lb.ERR_NOT_POSE_HOLDER)
             drive(driver, lambda: is_stopped(driver), what="the stop")
+        # WHEN the pose's holder resets it, THEN demands are valid again
         driver.reset_stop()
         drive(driver, lambda: valid(driver), what="a demand after the reset")
 
@@ -133,16 +140,19 @@ def test_a_stop_outlives_the_kill_of_its_service(make_service: Make) -> None:
 def test_named_causes_stop_and_cannot_be_reset_while_they_last(make_service: Make) -> None:
     causes = ("pose_stale", "sensor_lost", "too_close", "pose_lost", "driver", "start")
     # a sensor that does not ride on reported poses when nobody publishes the true one
+    # GIVEN a service that stops for every cause that it knows
     s = make_service(kind="simulated", follow='loss_timeout = "0.2 s"', driver='pose = "world"')
     s.config.write_text(s.config.read_text() + f"[stop]\non = {list(causes)}\n")
     s.world = world = World(s.name)
     try:
         s.start()
         with s.attach() as driver:
+            # WHEN it starts, THEN it is stopped until a reset
             driver.ee_pos(POSE)
             assert driver.status()["stopped"][-1] == "start", "the first demand waits for a reset"
             # the sensor and the driver may have been late to begin
             drive(driver, lambda: _resets(driver) and valid(driver), what="a demand after a reset")
+            # WHEN a cause begins, THEN it is stopped, and a reset is refused until the cause ends
             # the pose grows stale
             until(lambda: "pose_stale" in driver.status()["stopped"], "pose_stale")
             with pytest.raises(RefusedError, match="pose_stale") as refused:
@@ -200,6 +210,7 @@ def test_a_recording_with_stops_replays_to_the_same_bits(following: Service, tmp
     def size() -> int:
         return out.stat().st_size if out.exists() else 0
 
+    # GIVEN a recording of stops and resets
     with following.attach() as driver, following.attach() as other:
         drive(driver, lambda: valid(driver), what="a demand")
         with following.recorder(out) as recorder:
@@ -214,6 +225,7 @@ def test_a_recording_with_stops_replays_to_the_same_bits(following: Service, tmp
             drive(driver, lambda: size() > now + 400_000, what="a recording of another second")
             recorder.send_signal(signal.SIGINT)
             recorder.communicate(timeout=READY_S)
+    # WHEN it is replayed, THEN its bits are the same
     report = replay_file(out)
     assert report.identical, report
     assert report.events >= 4

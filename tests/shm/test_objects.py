@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from second_user import NOBODY
 from surffollow.config.names import check_name
 from surffollow.errors import (
     BlockError,
@@ -18,8 +19,6 @@ from surffollow.errors import (
 )
 from surffollow.shm.objects import SHM_ROOT, SharedObject, unlink
 from surffollow.shm.process import boot_id, start_ticks
-
-NOBODY = 65534
 
 
 @pytest.fixture

@@ -10,13 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from second_user import NOBODY, needs_root
 from surffollow.errors import ConfigError
 from surffollow.shm import cache_directory as cache_module
 from surffollow.shm import kernel_cache
 from surffollow.shm.trusted_folder import why_not_trusted
 
-NOBODY = 65534
-ROOT_ONLY = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder away")
 VARIABLES = ("SURFFOLLOW_CACHE_DIR", "NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "HOME")
 
 
@@ -47,7 +46,7 @@ def test_a_folder_of_ones_own_is_made_private_and_kept(
     assert capsys.readouterr().err == ""
 
 
-@ROOT_ONLY
+@needs_root
 @pytest.mark.parametrize("which", ["surffollow", ".", ".."])
 def test_a_cache_folder_that_somebody_else_made_is_passed_over(
     only: Path, capsys: pytest.CaptureFixture[str], which: str
@@ -76,7 +75,7 @@ def test_a_component_that_others_can_write_is_named(
     assert f"{open_one} can be written by others (mode {mode:o})" in capsys.readouterr().err
 
 
-@ROOT_ONLY
+@needs_root
 def test_a_link_of_somebody_else_is_not_followed(only: Path, tmp_path: Path) -> None:
     mine = tmp_path / "mine"
     (mine / "surffollow").mkdir(parents=True, mode=0o755)

@@ -17,6 +17,7 @@ from surffollow.blocks import F64, I64, Block, Memory, mem_attach
 from surffollow.client import Client
 from surffollow.client import attach as attach_service
 from surffollow.errors import BlockError, FaultError, NotRunningError
+from surffollow.shm.closing import Closing
 
 FOLLOW_PERIOD_S, WAIT_S = 0.002, 0.5
 LOOK_EVERY_NS = 20_000_000
@@ -98,7 +99,7 @@ def attach_arbitrated(service: str, arbiter: str, resource: str) -> ArbitratedSe
     return ArbitratedService(attach_service(service, label="simulated robot"), arbiter, resource)
 
 
-class ReportedPoses:
+class ReportedPoses(Closing):
     """The newest poses that a robot reported, by timestamp, from its status block; it may be absent."""
 
     KEPT = 64
@@ -129,12 +130,6 @@ class ReportedPoses:
     def close(self) -> None:
         """Detach."""
         self._memory.close()
-
-    def __enter__(self) -> ReportedPoses:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 def follow(

@@ -181,11 +181,5 @@ def _check_combination(c: ArbiterConfig, name: str, spec: CombinationSpec) -> No
 
 
 def load_config(path: str | Path) -> ArbiterConfig:
-    """Read a configuration file.
-
-    Raises
-    ------
-    ConfigError
-        the file cannot be read, is not TOML, or says something wrong
-    """
+    """Read an arbiter's configuration file; raises `ConfigError` as `config.service.load_config`."""
     return parse_config(read_toml(path, "configuration", ConfigError), str(path))

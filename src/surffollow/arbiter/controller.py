@@ -10,6 +10,7 @@ from surffollow.blocks.attached import AttachedBlock
 from surffollow.config.names import check_name
 from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import BlockError, NoPermissionError, NotRunningError
+from surffollow.shm.closing import Closing
 
 _RETRY_NS = 20_000_000
 
@@ -49,17 +50,17 @@ class ResourceCommand(NamedTuple):
         Parameters
         ----------
         now_ns : int, optional
-            CLOCK_MONOTONIC [ns]; now when absent
+            at this time [ns], CLOCK_MONOTONIC; at present when absent
 
         Returns
         -------
         int
-            time since the command was made [ns]
+            age [ns]; negative: made after `now_ns`
         """
         return (time.monotonic_ns() if now_ns is None else now_ns) - self.t_ns
 
 
-class CommandReader:
+class CommandReader(Closing):
     """Reads the command block of one resource, or of a combination; follows restarts of the server.
 
     The block must belong to a trusted user when it is attached first, and to that same user ever after.
@@ -119,12 +120,6 @@ class CommandReader:
         """Detach."""
         self._block.close()
 
-    def __enter__(self) -> CommandReader:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
 
 def command_reader(name: str, resource: str, *, owner: int | str | None = None) -> CommandReader:
     """Read what a resource of an arbiter is to do; attaches when the server appears.
@@ -134,8 +129,7 @@ def command_reader(name: str, resource: str, *, owner: int | str | None = None) 
     name, resource : str
         arbiter, and resource or combination
     owner : int or str
-        number or name of the user whose block to trust; None: this process's own,
-        root's, or that of the user that SURFFOLLOW_OWNER names
+        whose block to trust; as for `attach`
 
     Returns
     -------

@@ -14,12 +14,13 @@ from surffollow.client.board import unpack_schema
 from surffollow.config.names import check_name
 from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import NotRunningError
+from surffollow.shm.closing import Closing
 from surffollow.shm.objects import SharedObject
 
 READY_POLL_S = 0.005
 
 
-class ArbiterObserver:
+class ArbiterObserver(Closing):
     """Reading access to an arbiter; it follows no restart: observe anew (see `alive`)."""
 
     def __init__(self, name: str, board: BoardReader) -> None:
@@ -117,12 +118,6 @@ class ArbiterObserver:
         """Let go of the board."""
         self.board.close()
 
-    def __enter__(self) -> Any:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
 
 def observe(name: str = "cell", *, owner: int | str | None = None) -> ArbiterObserver:
     """Watch an arbiter; a dead one's board can be read until the next start.
@@ -132,8 +127,7 @@ def observe(name: str = "cell", *, owner: int | str | None = None) -> ArbiterObs
     name : str
         of the arbiter
     owner : int or str
-        number or name of the user whose board to trust; None: this process's own, root's,
-        or that of the user that SURFFOLLOW_OWNER names
+        whose board to trust; as for `attach`
 
     Returns
     -------

@@ -63,7 +63,7 @@ class AttachedBlock(ReadSide):
         Parameters
         ----------
         timeout_s : float
-            longest wait [s]
+            longest wait for the readers [s]
 
         Returns
         -------
@@ -219,7 +219,7 @@ class AttachedBlock(ReadSide):
         Parameters
         ----------
         timeout_s : float
-            longest wait [s]
+            as in `get_write_ok`
 
         Returns
         -------

@@ -13,9 +13,9 @@ def get_read_ok(block: AttachedBlock, timeout_s: float = 5.0) -> tuple[Record, i
     Parameters
     ----------
     block : AttachedBlock
-        as `mem_attach` gave it
+        to be read, as `mem_attach` gave it
     timeout_s : float
-        longest wait [s]
+        longest wait for the writer [s]
 
     Returns
     -------
@@ -31,7 +31,7 @@ def read_done(block: AttachedBlock) -> str:
     Parameters
     ----------
     block : AttachedBlock
-        as `mem_attach` gave it
+        whose read ends
 
     Returns
     -------
@@ -47,9 +47,9 @@ def get_write_ok(block: AttachedBlock, timeout_s: float = 5.0) -> Record:
     Parameters
     ----------
     block : AttachedBlock
-        as `mem_attach` gave it
+        to be written
     timeout_s : float
-        longest wait [s]
+        longest wait for the readers [s]
 
     Returns
     -------
@@ -65,7 +65,7 @@ def write_done(block: AttachedBlock) -> int:
     Parameters
     ----------
     block : AttachedBlock
-        as `mem_attach` gave it
+        whose slot is published
 
     Returns
     -------
@@ -81,7 +81,7 @@ def latest(block: AttachedBlock) -> Snapshot:
     Parameters
     ----------
     block : AttachedBlock
-        as `mem_attach` gave it
+        to be copied from
 
     Returns
     -------

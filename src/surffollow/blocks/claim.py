@@ -65,8 +65,7 @@ def claim_writer(
     NoSpaceError        /dev/shm cannot hold it
     BlockError          something that is no block bears the name
     """
-    own = _take_name(name)
-    try:
+    with _take_name(name).released_on_error() as own:
         while True:
             try:
                 obj = SharedObject.open(name, writable=True, owners=(own_user(),))
@@ -86,9 +85,6 @@ def claim_writer(
                 obj.close()
                 raise
             obj.close()
-    except BaseException:
-        own.release()
-        raise
 
 
 def _take_name(name: str) -> NameLock:

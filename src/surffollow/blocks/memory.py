@@ -11,6 +11,7 @@ from surffollow.config.group_id import group_id
 from surffollow.config.names import OBJECTS, check_name
 from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import InvalidNameError, NotRunningError, SchemaError
+from surffollow.shm.closing import Closing
 from surffollow.shm.schema import Schema
 
 Blocks = type[Schema] | Iterable[type[Schema]] | Mapping[str, type[Schema]]
@@ -34,7 +35,7 @@ def block_name(schema: type[Schema]) -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", schema.__name__).lower()
 
 
-class Memory:
+class Memory(Closing):
     """All blocks of one `mem_attach`, as attributes and by name; closes them when it ends.
 
     Attributes
@@ -73,12 +74,6 @@ class Memory:
         """
         for block in self:
             block.close(keep=keep)
-
-    def __enter__(self) -> Memory:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 def mem_attach(

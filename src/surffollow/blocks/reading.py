@@ -31,7 +31,7 @@ class ReadSide(Attachment):
         Parameters
         ----------
         timeout_s : float
-            longest wait [s]
+            longest wait for the writer [s]
 
         Returns
         -------
@@ -158,7 +158,7 @@ class ReadSide(Attachment):
         Parameters
         ----------
         timeout_s : float
-            longest wait [s]
+            as in `get_read_ok`
 
         Returns
         -------

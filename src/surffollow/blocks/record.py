@@ -175,7 +175,7 @@ class Record:
         Parameters
         ----------
         name : str
-            of the field
+            of a field of numbers
 
         Returns
         -------

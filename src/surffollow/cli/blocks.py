@@ -13,6 +13,8 @@ from surffollow.cli.old_names import old_name
 from surffollow.cli.option_types import Finite
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from surffollow.blocks import AttachedBlock
 
 WATCH_POLL_S = 0.001
@@ -107,16 +109,15 @@ def _text(value: Any) -> str:
     )
 
 
+def _every_option(default: float, text: str) -> Callable[[Any], Any]:
+    """Option --every of commands that look at blocks again and again."""
+    return click.option("--every", type=Finite(min=0.0), default=default, show_default=True, help=text)
+
+
 @blocks_group.command("watch")
 @click.argument("block")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
-@click.option(
-    "--every",
-    type=Finite(min=0.0),
-    default=0.1,
-    show_default=True,
-    help="Seconds between looks at the block.",
-)
+@_every_option(0.1, "Seconds between looks at the block.")
 @click.option("--count", default=0, help="End after that many publications [0: go on].")
 @click.option("--seconds", type=Finite(min=0.0), default=0.0, help="End after that time [0: go on].")
 def watch_command(block: str, as_json: bool, every: float, count: int, seconds: float) -> None:
@@ -163,13 +164,7 @@ def _flat(value: Any) -> str:
 @blocks_group.command("record")
 @click.argument("blocks", nargs=-1, required=True, metavar="BLOCK...")
 @click.option("--out", type=click.Path(dir_okay=False), required=True, help="MCAP file to write.")
-@click.option(
-    "--every",
-    type=Finite(min=0.0),
-    default=0.005,
-    show_default=True,
-    help="Seconds between looks; what is published in between is missed, and counted.",
-)
+@_every_option(0.005, "Seconds between looks; what is published in between is missed, and counted.")
 @click.option("--seconds", type=Finite(min=0.0), default=None, help="Stop after this long.")
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 @click.option("--json", "as_json", is_flag=True, help="Print the counts as JSON.")

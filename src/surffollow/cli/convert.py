@@ -7,7 +7,7 @@ import sys
 
 import click
 
-from surffollow.cli.option_types import Finite
+from surffollow.cli.option_types import rate_option
 
 
 @click.command("convert")
@@ -24,13 +24,7 @@ from surffollow.cli.option_types import Finite
     default=None,
     help="File to write.  [default: FILE with .foxglove.mcap, .csv or .parquet]",
 )
-@click.option(
-    "--rate",
-    type=Finite(min=0.0, max=10_000.0),
-    default=100.0,
-    show_default=True,
-    help="Samples per second; 0: every cycle.",
-)
+@rate_option("Samples per second; 0: every cycle.")
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def convert_command(

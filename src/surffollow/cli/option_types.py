@@ -1,8 +1,9 @@
-"""Option types that several verbs share: names of services, and numbers that are numbers."""
+"""Option types and options that several verbs share: names of services, and numbers that are numbers."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import click
@@ -65,6 +66,12 @@ class Quantity(click.ParamType):  # type: ignore[type-arg]  # generic only in cl
             units = ", ".join(self._scales)
             self.fail(f"{value!r} is not a positive number with one of the units {units}", param, ctx)
         return number
+
+
+def rate_option(text: str) -> Callable[[Any], Any]:
+    """Option --rate of the commands that write samples of a recording."""
+    kind = Finite(min=0.0, max=10_000.0)
+    return click.option("--rate", type=kind, default=100.0, show_default=True, help=text)
 
 
 SERVICE_NAME = ServiceName()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from surffollow.cli.option_types import DURATION, SERVICE_NAME, SIZE, Finite
+from surffollow.cli.option_types import DURATION, SERVICE_NAME, SIZE, Finite, rate_option
 
 
 @click.command("record")
@@ -13,13 +13,7 @@ from surffollow.cli.option_types import DURATION, SERVICE_NAME, SIZE, Finite
     "--out", type=click.Path(dir_okay=False), default=None, help="File to write.  [default: NAME-TIME.mcap]"
 )
 @click.option("--seconds", type=Finite(min=0.0), default=None, help="Stop after this long.")
-@click.option(
-    "--rate",
-    type=Finite(min=0.0, max=10_000.0),
-    default=100.0,
-    show_default=True,
-    help="Samples per second of the channels for viewers; 0: only what a replay needs.",
-)
+@rate_option("Samples per second of the channels for viewers; 0: only what a replay needs.")
 @click.option(
     "--rotate-size", type=SIZE, default=None, help="Begin another file after so many bytes, such as 100MB."
 )

@@ -46,7 +46,7 @@ def attach(
     stale_periods : int
         cycles of silence after which demands become zero
     stale_min_s : float
-        but never sooner than this
+        but never sooner than this [s]
     label : str
         how the service's status names this client
     owner : int or str
@@ -87,12 +87,8 @@ def observe(
     ----------
     name : str
         of the service
-    stale_periods : int
-        cycles of silence after which demands become zero
-    stale_min_s : float
-        but never sooner than this [s]
-    owner : int or str, optional
-        number or name of the user whose service to trust, as for `attach`
+    stale_periods, stale_min_s, owner
+        as for `attach`
 
     Returns
     -------

@@ -11,7 +11,6 @@ from surffollow.client.fence import FENCED, fence
 from surffollow.client.observer import Observer
 from surffollow.client.pose import FUTURE_NS, MAX_POSITION_M, checked_pose, checked_stamp
 from surffollow.client.reclaim import CLAIM_ANSWER_S, CLAIM_RETRY_S, POSE
-from surffollow.client.requests import Ticket
 from surffollow.client.service_requests import ServiceRequests
 from surffollow.client.slot import CLAIM_PAUSE_S, GENERATION
 from surffollow.errors import BusyError, PoseError, RefusedError
@@ -128,19 +127,11 @@ class Client(ServiceRequests):
         if not self._pose_held:
             self._claim_pose()
 
-    def _ask(
-        self,
-        code: int,
-        values: Sequence[float],
-        timeout_s: float,
-        wait: bool,
-        numbers: Sequence[int] = (),
-    ) -> Ticket:
-        """Send a request; one that may wait, but no stop, first claims the pose anew that a restart took."""
+    def _before_asking(self, code: int, wait: bool) -> None:
+        """Claim the pose anew that a restart took, where the request may wait and is no stop."""
         if wait and code != lb.RQ_STOP and not self._pose_held and POSE in self._had:
             with contextlib.suppress(BusyError):  # another one has it: the service says what that means
                 self._claim_pose()
-        return super()._ask(code, values, timeout_s, wait, numbers)
 
     def release_pose(self) -> None:
         """Let another client send the pose."""

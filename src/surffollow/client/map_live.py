@@ -123,10 +123,8 @@ class MapReading:
 
         Parameters
         ----------
-        x_m : float
-            place [m]
-        y_m : float
-            place [m]
+        x_m, y_m : float
+            of the point, world frame [m]
 
         Returns
         -------
@@ -150,10 +148,8 @@ class MapReading:
 
         Parameters
         ----------
-        x_m : float
-            place [m]
-        y_m : float
-            place [m]
+        x_m, y_m : float
+            as for `map_height`
 
         Returns
         -------
@@ -162,10 +158,8 @@ class MapReading:
 
         Raises
         ------
-        NotRunningError
-            there is no map object of this name (any more)
-        NoPermissionError
-            it may not be read, or it belongs to another user than the board
+        NotRunningError, NoPermissionError
+            as `map_height`
         """
         point: SurfacePoint = self._look(x_m, y_m, surface_point, UNKNOWN_POINT)
         return point
@@ -185,10 +179,8 @@ class MapReading:
 
         Raises
         ------
-        NotRunningError
-            there is no map object of this name (any more)
-        NoPermissionError
-            it may not be read, or it belongs to another user than the board
+        NotRunningError, NoPermissionError
+            as `map_height`
         RefusedError
             there is no map yet, or it is being laid anew
         RegionError
@@ -218,10 +210,8 @@ class MapReading:
 
         Raises
         ------
-        NotRunningError
-            there is no map object of this name (any more)
-        NoPermissionError
-            it may not be read, or it belongs to another user than the board
+        NotRunningError, NoPermissionError
+            as `map_height`
         """
         m = self._mapped()
         at = _GENERATION // 8

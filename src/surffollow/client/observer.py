@@ -17,6 +17,7 @@ from surffollow.client.service_state import ServiceState
 from surffollow.config.names import check_service_name
 from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import BlockError, NotReadyError, NotRunningError
+from surffollow.shm.closing import Closing
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.layout_follow import VALID, Output
 
@@ -43,7 +44,7 @@ def _renew_locks() -> None:
 os.register_at_fork(after_in_child=_renew_locks)
 
 
-class Observer(ServiceState, MapReading):
+class Observer(ServiceState, MapReading, Closing):
     """A read-only attachment; it follows the service through restarts by itself.
 
     Parameters
@@ -302,9 +303,3 @@ class Observer(ServiceState, MapReading):
             self._view = (CLOSED, *self._view[1:])
             self._close_map()
             self.board.close()
-
-    def __enter__(self) -> Any:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()

@@ -130,6 +130,9 @@ class RequestSender(SlotHolder):
         self._open.append(ticket)
         return ticket
 
+    def _before_asking(self, code: int, wait: bool) -> None:
+        """What must hold before a request is sent."""
+
     def _ask(
         self,
         code: int,
@@ -139,6 +142,7 @@ class RequestSender(SlotHolder):
         numbers: Sequence[int] = (),
     ) -> Ticket:
         """Send a request; one that waits for its answer waits for its turn too."""
+        self._before_asking(code, wait)
         patience_s = timeout_s if wait else 0.0
         ticket = self._request(code, numbers, values, len(numbers), patience_s, wait, stall_s=patience_s)
         return ticket.settle(timeout_s, wait)

@@ -158,7 +158,7 @@ class Ticket:
         Parameters
         ----------
         timeout_s : float
-            longest wait [s]
+            longest wait for the answer [s]
 
         Returns
         -------
@@ -207,7 +207,7 @@ class Ticket:
         Parameters
         ----------
         timeout_s : float
-            longest wait [s]
+            longest wait for the answer [s]
         wait : bool
             False: return at once
 

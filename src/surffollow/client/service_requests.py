@@ -35,7 +35,7 @@ class ServiceRequests(RangePusher):
         Returns
         -------
         Ticket
-            the request; `result` gives its answer
+            answered when the forecast begins anew; `result` waits and gives the answer
 
         Raises
         ------
@@ -65,15 +65,13 @@ class ServiceRequests(RangePusher):
         ----------
         reason : str
             for the audit trail; its first 63 bytes as UTF-8 are kept
-        timeout_s : float
-            how long to wait for the answer
-        wait : bool
-            False: return at once; `Ticket.result` waits
+        timeout_s, wait : float, bool
+            as in `sf_reset`
 
         Returns
         -------
         Ticket
-            the request; `result` gives its answer
+            answered when the stop is latched
         """
         self._store_stop()
         data = reason.encode(errors="replace")[: 8 * lb.STOP_TEXT_WORDS - 1]
@@ -88,25 +86,21 @@ class ServiceRequests(RangePusher):
 
         Parameters
         ----------
-        timeout_s : float
-            how long to wait for the answer
-        wait : bool
-            False: return at once; `Ticket.result` waits
+        timeout_s, wait : float, bool
+            as in `sf_reset`
 
         Returns
         -------
         Ticket
-            the request; `result` gives its answer
+            answered when the stop is left
 
         Raises
         ------
         RefusedError
             this client does not send the pose, or a cause that the configuration names is
             still there (the text says which)
-        RequestTimeoutError
-            no answer within `timeout_s`
-        NotRunningError
-            the service ended
+        RequestTimeoutError, NotRunningError
+            as `sf_reset`
         """
         return self._ask(lb.RQ_STOP_RESET, (), timeout_s, wait)
 
@@ -117,15 +111,13 @@ class ServiceRequests(RangePusher):
         ----------
         region : four floats
             x_min, y_min, x_max, y_max [m]
-        timeout_s : float
-            how long to wait for the answer
-        wait : bool
-            False: return at once; `Ticket.result` waits
+        timeout_s, wait : float, bool
+            as in `sf_reset`
 
         Returns
         -------
         Ticket
-            the request; `result` gives its answer
+            answered when the map lies empty over the region
 
         Raises
         ------
@@ -134,10 +126,8 @@ class ServiceRequests(RangePusher):
         RefusedError
             the configuration does not let this client change the map (`access.map`), or another has
             exclusive access
-        RequestTimeoutError
-            no answer within `timeout_s`
-        NotRunningError
-            the service ended
+        RequestTimeoutError, NotRunningError
+            as `sf_reset`
         """
         return self._ask(lb.RQ_MAP_RESET, check_region(region), timeout_s, wait)
 
@@ -158,15 +148,13 @@ class ServiceRequests(RangePusher):
         finest_m : float
             finest useful grid of this refocus [m]; the grids' size so far keeps them and
             every height as they are; 0: the configuration's (map.finest_grid)
-        timeout_s : float
-            how long to wait for the answer
-        wait : bool
-            False: return at once; `Ticket.result` waits
+        timeout_s, wait : float, bool
+            as in `sf_reset`
 
         Returns
         -------
         Ticket
-            the request; `result` gives its answer
+            answered when the known heights lie in the new grids
 
         Raises
         ------
@@ -181,17 +169,15 @@ class ServiceRequests(RangePusher):
 
         Parameters
         ----------
-        timeout_s : float
-            how long to wait for the answer
-        wait : bool
-            False: return at once; `Ticket.result` waits
+        timeout_s, wait : float, bool
+            as in `sf_reset`
         values : numbers, or text with a unit
             new values by name: `set_params(interval_size="2 mm", range_size=5)`
 
         Returns
         -------
         Ticket
-            the request; `result` gives its answer
+            answered when the values are in force
 
         Raises
         ------
@@ -201,10 +187,8 @@ class ServiceRequests(RangePusher):
             no name, or more than fit into one request
         RefusedError
             this client does not send the pose, or the values contradict each other
-        RequestTimeoutError
-            no answer within `timeout_s`
-        NotRunningError
-            the service ended
+        RequestTimeoutError, NotRunningError
+            as `sf_reset`
         """
         from surffollow.config.params import check_param, param_name
 
@@ -235,7 +219,7 @@ class ServiceRequests(RangePusher):
         Returns
         -------
         Path
-            the file
+            the file that was written
 
         Raises
         ------
@@ -264,12 +248,12 @@ class ServiceRequests(RangePusher):
         timeout_s : float
             how long the service may take for nothing
         progress : callable
-            gets the finished fraction 0 … 1; returning False cancels
+            as in `upload_map`
 
         Returns
         -------
         Path
-            the file
+            the file that was read
 
         Raises
         ------

@@ -11,7 +11,7 @@ from surffollow.config.limits import CHANGED_BY, check_within_limits, client_lim
 from surffollow.config.names import check_service_name
 from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.config.stop_causes import stop_causes
-from surffollow.config.toml_file import read_toml
+from surffollow.config.toml_file import naming_source, read_toml
 from surffollow.errors import ConfigError
 from surffollow.units import parse_quantity
 
@@ -116,10 +116,8 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Service
         config = msgspec.convert(data, ServiceConfig)
     except msgspec.ValidationError as e:
         raise ConfigError(f"{source}: {e}; see docs/reference/configuration.md") from None
-    try:
+    with naming_source(source, ConfigError):
         _check(config)
-    except ConfigError as e:
-        raise ConfigError(f"{source}: {e}") from None
     return config
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,15 @@ if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
+
+
+@contextmanager
+def naming_source(source: str, error: type[SurffollowError]) -> Iterator[None]:
+    """Put the name of what was read before the text of an error that is raised inside."""
+    try:
+        yield
+    except error as e:
+        raise error(f"{source}: {e}") from None
 
 
 def read_toml(path: str | Path, kind: str, error: type[SurffollowError]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from surffollow.errors import ConfigError, DriverError
-from surffollow.hw.driver import ConversionQueue, Driver, DriverInfo, Mount
+from surffollow.hw.driver import ConversionQueue, Driver, DriverInfo
 from surffollow.hw.pushed_ranges import (
     NO_ITEM,
     NOT_NEWER,
@@ -26,11 +26,10 @@ from surffollow.hw.pushed_ranges import (
     make_pushed,
     queue_of,
 )
-from surffollow.hw.ranges import metre_info
+from surffollow.hw.range_settings import RangeSettings
 from surffollow.shm.python_atomics import load_acquire
 from surffollow.units import format_ns
 
-SILENCE_S = 0.5
 FAULT_HOLD_NS = 2_000_000_000  # so long a fault text stays after its cause happened last
 CLOSE_S = 2.0
 _REASONS = {
@@ -41,24 +40,17 @@ _REASONS = {
 }
 
 
-class ExternalConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class ExternalConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
     """Sensors whose ranges other programs push.
 
     Attributes
     ----------
-    range_min_m, range_max_m : the sensors' window [m]
-    latency_s : age of a range at the time that it is pushed with [s]
     channels : 1 to 8
-    mounts : tool from sensor per channel
-    silence_s : a channel that is held and gets nothing for so long is a fault [s]
+    range_min_m, range_max_m, latency_s, mounts, silence_s : see `RangeSettings`; only a channel that is held
+        can be silent
     """
 
-    range_min_m: float
-    range_max_m: float
-    latency_s: float = 0.0
     channels: int = 1
-    mounts: tuple[Mount, ...] = ()
-    silence_s: float = SILENCE_S
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.latency_s <= 1.0:
@@ -80,14 +72,7 @@ class ExternalDriver:
     """
 
     def __init__(self, config: ExternalConfig) -> None:
-        self._info = metre_info(
-            "ranges pushed by clients",
-            config.range_min_m,
-            config.range_max_m,
-            n_channels=config.channels,
-            latency_ns=round(config.latency_s * 1e9),
-            mounts=config.mounts,
-        )
+        self._info = config.info("ranges pushed by clients", config.channels)
         self._silence_ns = round(config.silence_s * 1e9)
         self.pushed: np.ndarray[Any, Any] = make_pushed(self._info)
         self._queue: ConversionQueue | None = None

@@ -12,12 +12,12 @@ from typing import Protocol
 from surffollow.errors import DriverError
 from surffollow.hw.driver import ConversionQueue, DriverInfo
 from surffollow.hw.driver_thread import FIFO_PRIORITY, JOIN_S
+from surffollow.hw.range_settings import SILENCE_S
 from surffollow.hw.ranges import RangeWriter
 from surffollow.units import format_ns
 
 POLL_S = 0.05  # how long a read may wait, and `stop` for it
 RETRY_S = 0.2
-SILENCE_S = 0.5
 # the states of a polled driver
 STOPPED, WAITING, SILENT, GARBLED, RUNNING = "stopped", "waiting", "silent", "garbled", "running"
 

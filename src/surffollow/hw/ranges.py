@@ -119,10 +119,8 @@ class RangeWriter:
 
         Parameters
         ----------
-        t_ns : int
-            when it was true, CLOCK_MONOTONIC [ns]
-        word : int
-            packed conversion, see `pack_range`
+        t_ns, word : int
+            as for `ConversionQueue.push`
         """
         self._last_ns = t_ns = max(self._last_ns, min(t_ns, time.monotonic_ns()))
         self._queue.push(t_ns, word)

@@ -22,6 +22,15 @@ def shape_of(header: NDArray[Any]) -> tuple[int, int]:
     return int(w["ny"]), int(w["nx"])
 
 
+def extent(
+    shape: tuple[int, int], origin_m: tuple[float, float], grid_m: float
+) -> tuple[float, float, float, float]:
+    """x_min, y_min, x_max, y_max [m] of (rows, columns) of grids from an outer corner on."""
+    rows, columns = shape
+    x0, y0 = origin_m
+    return x0, y0, x0 + columns * grid_m, y0 + rows * grid_m
+
+
 def quanta(pairs: NDArray[Any], start: int, stop: int) -> NDArray[np.int16]:
     """Heights of grids start … stop−1 in quanta, UNKNOWN where unknown; a copy."""
     return _lanes(pairs["h"], start, stop)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
 from surffollow.errors import MapFileError, UsageError
-from surffollow.map.formats.atomic_file import Progress, report
+from surffollow.map.formats.atomic_file import FilePath, Progress, report
 from surffollow.map.formats.npz import read_npz, write_npz
 from surffollow.map.formats.text_file import OTHER_SUFFIXES, read_text, write_text
 from surffollow.map.header import numbers_fault
@@ -20,7 +19,7 @@ EXPORTS = (".txt", *OTHER_SUFFIXES)
 READS = "the map's text file, .npz, ESRI ASCII grid, GeoTIFF"
 
 
-def check_suffix(path: str | os.PathLike[str]) -> str:
+def check_suffix(path: FilePath) -> str:
     """The suffix of a file that a map can be written to, in lower case.
 
     Raises
@@ -36,11 +35,7 @@ def check_suffix(path: str | os.PathLike[str]) -> str:
 
 
 def save(
-    path: str | os.PathLike[str],
-    header: NDArray[Any],
-    pairs: NDArray[Any],
-    *,
-    progress: Progress | None = None,
+    path: FilePath, header: NDArray[Any], pairs: NDArray[Any], *, progress: Progress | None = None
 ) -> None:
     """Write a map losslessly, atomically: NumPy archive for .npz, else the text format.
 
@@ -56,11 +51,7 @@ def save(
 
 
 def export(
-    path: str | os.PathLike[str],
-    header: NDArray[Any],
-    pairs: NDArray[Any],
-    *,
-    progress: Progress | None = None,
+    path: FilePath, header: NDArray[Any], pairs: NDArray[Any], *, progress: Progress | None = None
 ) -> None:
     """Write a map in the format that the suffix names, atomically.
 
@@ -99,9 +90,7 @@ def export(
     write(path, header, pairs, progress=progress)
 
 
-def load(
-    path: str | os.PathLike[str], *, progress: Progress | None = None
-) -> tuple[NDArray[Any], NDArray[Any]]:
+def load(path: FilePath, *, progress: Progress | None = None) -> tuple[NDArray[Any], NDArray[Any]]:
     """Read a map, with any suffix: text or .npz losslessly; rasters as a prior (count 0).
 
     Returns
@@ -152,7 +141,7 @@ _OTHERS = (
 )
 
 
-def _kind(path: str | os.PathLike[str]) -> str:
+def _kind(path: FilePath) -> str:
     """Format of a file by its first bytes, else by its suffix: .txt, .npz, .asc or .tif."""
     suffix = Path(path).suffix.lower()
     try:

@@ -23,10 +23,8 @@ class MapView:
 
         Parameters
         ----------
-        x_m : float
-            place [m]
-        y_m : float
-            place [m]
+        x_m, y_m : float
+            place in the frame of `origin_m` [m]
 
         Returns
         -------
@@ -40,10 +38,8 @@ class MapView:
 
         Parameters
         ----------
-        x_m : float
-            place [m]
-        y_m : float
-            place [m]
+        x_m, y_m : float
+            as for `height_at`
 
         Returns
         -------
@@ -99,9 +95,7 @@ class MapView:
     @property
     def extent_m(self) -> tuple[float, float, float, float]:
         """What the grids cover: x_min, y_min, x_max, y_max [m]."""
-        ny, nx = self.shape
-        x0, y0 = self.origin_m
-        return x0, y0, x0 + nx * self.grid_m, y0 + ny * self.grid_m
+        return access.extent(self.shape, self.origin_m, self.grid_m)
 
     @property
     def samples(self) -> int:

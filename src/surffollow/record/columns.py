@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from surffollow.config.toml_file import read_toml
+from surffollow.config.toml_file import naming_source, read_toml
 from surffollow.errors import UsageError
 from surffollow.units import parse_quantity, unit_scale
 
@@ -131,14 +131,10 @@ def parse_columns(data: dict[str, Any], source: str = "column file") -> Columns:
     ]
     for key, table, si_unit in checks:
         if table is not None:
-            try:
+            with naming_source(f"{source}: [{key}] unit", UsageError):
                 unit_scale(table.unit, si_unit)
-            except UsageError as e:
-                raise UsageError(f"{source}: [{key}] unit: {e}") from None
-    try:
+    with naming_source(source, UsageError):
         _check(columns)
-    except UsageError as e:
-        raise UsageError(f"{source}: {e}") from None
     return columns
 
 

@@ -12,14 +12,12 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import lz4.frame  # type: ignore[import-untyped]
 
 from surffollow.errors import RecordingError
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
+from surffollow.shm.closing import Closing
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 2, 3, 4, 5, 6, 12, 15
@@ -56,7 +54,7 @@ class Damage:
         return shown + (f"; and {len(self.reasons) - 3} more" if len(self.reasons) > 3 else "")
 
 
-class McapReader:
+class McapReader(Closing):
     """An open MCAP file whose chunks may be damaged; iterate `records()`, then look at `damage`.
 
     Raises
@@ -182,9 +180,3 @@ class McapReader:
     def close(self) -> None:
         """Let go of the file."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

@@ -152,24 +152,12 @@ def _draw_forecast(ax: Any, story: FigureData) -> None:
     predicted, still = forecast_errors(story)
     fg.shade(ax, _gaps(story), fg.SAND, "no distance")
     ax.axhline(0.0, color=fg.INK, lw=0.6)
-    ax.plot(
-        story.t_s,
-        still * 1e3,
-        ".",
-        ms=1.2,
-        color=fg.GREY,
-        rasterized=True,
-        label=f"ground taken as level: RMS {fg.rms(still) * 1e3:.2f} mm",
-    )
-    ax.plot(
-        story.t_s,
-        predicted * 1e3,
-        ".",
-        ms=1.4,
-        color=fg.ORANGE,
-        rasterized=True,
-        label=f"forecast by height and slope: RMS {fg.rms(predicted) * 1e3:.2f} mm",
-    )
+    for error, size, color, what in (
+        (still, 1.2, fg.GREY, "ground taken as level"),
+        (predicted, 1.4, fg.ORANGE, "forecast by height and slope"),
+    ):
+        label = f"{what}: RMS {fg.rms(error) * 1e3:.2f} mm"
+        ax.plot(story.t_s, error * 1e3, ".", ms=size, color=color, rasterized=True, label=label)
     low, high = fg.robust_limits(np.concatenate([predicted, still]) * 1e3)
     reach = max(abs(low), abs(high))
     ax.set_ylim(-reach, 1.35 * reach)

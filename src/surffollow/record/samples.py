@@ -15,16 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import RecordingError
-from surffollow.forecast.journal import (
-    CYCLE,
-    MAP,
-    PARAMS,
-    PARAMS_WORDS,
-    RESET,
-    SNAPSHOT,
-    STATE_WORDS,
-    entry_kind,
-)
+from surffollow.forecast import journal
 from surffollow.forecast.step import sf_reset
 from surffollow.record.log_kernels import entry_length, params_in_bounds
 from surffollow.record.step_samples import (
@@ -69,7 +60,7 @@ class Event:
     values: tuple[float, ...] = ()
 
 
-_NAMES = {SNAPSHOT: "snapshot", PARAMS: "params", RESET: "reset", MAP: "map"}
+_NAMES = {journal.SNAPSHOT: "snapshot", journal.PARAMS: "params", journal.RESET: "reset", journal.MAP: "map"}
 
 
 class Sampler:
@@ -126,7 +117,7 @@ class Sampler:
         words = np.require(words, requirements="W")  # no second kernel for arrays that cannot be written
         at = 0
         while at < words.size:
-            if entry_kind(words[at]) != CYCLE:
+            if journal.entry_kind(words[at]) != journal.CYCLE:
                 yield self._event(words, at)
                 at += int(entry_length(words[at]))
                 continue
@@ -140,25 +131,25 @@ class Sampler:
             yield Run(rows.copy().view(numpy_dtype(Sample)).reshape(-1), points.copy())
 
     def _event(self, words: NDArray[np.int64], at: int) -> Event:
-        length, kind = int(entry_length(words[at])), int(entry_kind(words[at]))
+        length, kind = int(entry_length(words[at])), int(journal.entry_kind(words[at]))
         if length == 0 or at + length > words.size or kind not in _NAMES:
             raise RecordingError(f"the word at {at} of a batch begins no entry")
         event = Event(_NAMES[kind], int(words[at + 1]))
         floats = words.view(np.float64)
-        if kind in (SNAPSHOT, PARAMS):
+        if kind in (journal.SNAPSHOT, journal.PARAMS):
             if not params_in_bounds(words, at):
                 raise RecordingError("a recording holds parameters out of bounds")
-            if kind == PARAMS or not self._plan[STARTED]:
-                self.params.view(np.int64)[:] = words[at + 2 : at + 2 + PARAMS_WORDS]
-            if kind == SNAPSHOT and not self._plan[STARTED]:
-                start = at + 2 + PARAMS_WORDS
-                self.state.view(np.int64)[:] = words[start : start + STATE_WORDS]
+            if kind == journal.PARAMS or not self._plan[STARTED]:
+                self.params.view(np.int64)[:] = words[at + 2 : at + 2 + journal.PARAMS_WORDS]
+            if kind == journal.SNAPSHOT and not self._plan[STARTED]:
+                start = at + 2 + journal.PARAMS_WORDS
+                self.state.view(np.int64)[:] = words[start : start + journal.STATE_WORDS]
                 self._plan[STARTED] = 1
                 event.code = 1  # the segment's first
-        elif kind == RESET:
+        elif kind == journal.RESET:
             event.values = (float(floats[at + 2]),)
             sf_reset(self.params, self.state, floats[at + 2])
-        elif kind == MAP:
+        elif kind == journal.MAP:
             event.code = int(words[at + 2])
             event.values = tuple(float(v) for v in floats[at + 3 : at + length])
         return event

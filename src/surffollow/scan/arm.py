@@ -18,7 +18,7 @@ from surffollow.errors import ScanInputError
 from surffollow.scan.attitude_angles import body_axes, wrist_angles
 from surffollow.scan.camera import rigid_transform
 from surffollow.scan.checks import Floats, finite, positive, real_array
-from surffollow.scan.limits import WristLimits, azimuth_from
+from surffollow.scan.limits import AboutBase, WristLimits
 
 JOINTS = ("yaw", "shoulder", "elbow", "pitch", "roll")
 SAG_REFERENCE_M = 2.0
@@ -31,7 +31,7 @@ def _identity() -> Floats:
 
 
 @dataclass(frozen=True)
-class Arm:
+class Arm(AboutBase):
     """Geometry, limits and sag.
 
     Attributes
@@ -172,7 +172,7 @@ class Arm:
         Parameters
         ----------
         joints_rad : (n, 5) float [rad]
-            joint angles
+            columns of JOINTS; NaN is outside
 
         Returns
         -------
@@ -192,32 +192,15 @@ class Arm:
 
         Parameters
         ----------
-        tip_m : (n, 3) float [m]
-            places of the tip in the ground frame
-        normal : (n, 3) float
-            unit normals of the underside
+        tip_m, normal : (n, 3) float
+            as in `WorkSpace.reachable`
 
         Returns
         -------
         (n,) bool
-            True: the tip can be there
+            True: joint angles within the limits reach it
         """
         return self.within_limits(self.inverse(tip_m, normal))
-
-    def azimuth_rad(self, tip_m: Floats) -> Floats:
-        """(n,) direction from the base to the tip, in the ground frame (`WorkSpace`).
-
-        Parameters
-        ----------
-        tip_m : (n, 3) float [m]
-            places of the tip in the ground frame
-
-        Returns
-        -------
-        (n,) float64 [rad]
-            azimuths
-        """
-        return azimuth_from(self.base_m, tip_m)
 
     def ground_from_tip(self, joints_rad: ArrayLike) -> Floats:
         """(n, 4, 4) poses of the tip.
@@ -225,12 +208,12 @@ class Arm:
         Parameters
         ----------
         joints_rad : (n, 5) float [rad]
-            joint angles
+            as for `forward`
 
         Returns
         -------
         (n, 4, 4) float64
-            homogeneous matrices
+            homogeneous matrices, ground from tip
         """
         q = real_array("joints_rad", joints_rad, (None, 5))
         axes = self._axes(q)
@@ -242,12 +225,12 @@ class Arm:
         Parameters
         ----------
         joints_rad : (n, 5) float [rad]
-            joint angles
+            columns of JOINTS; pitch and roll do not matter
 
         Returns
         -------
         (n, 4, 4) float64
-            homogeneous matrices
+            homogeneous matrices, ground from camera
         """
         q = real_array("joints_rad", joints_rad, (None, 5))
         level = np.zeros((len(q), 5))

@@ -31,7 +31,7 @@ def disc(radius_m: float, rings: int = 2, per_ring: int = 12) -> Floats:
     Returns
     -------
     (n, 3) float64 [m]
-        control points; the first is the middle
+        1 + rings · per_ring control points; the first is the middle
 
     Examples
     --------
@@ -59,7 +59,7 @@ def ring(radius_m: float, per_ring: int = 16) -> Floats:
     Returns
     -------
     (n, 3) float64 [m]
-        control points; the first is the middle
+        1 + per_ring control points; the first is the middle
     """
     return np.vstack([np.zeros((1, 3)), _circle(positive("radius of the ring", radius_m), per_ring, 0.0)])
 
@@ -81,7 +81,7 @@ def rectangle(length_m: float, width_m: float, along: int = 5, across: int = 5) 
     Returns
     -------
     (n, 3) float64 [m]
-        control points; the first is the middle
+        control points; the first is the middle, whether it is on the grid or not
 
     Examples
     --------
@@ -132,7 +132,7 @@ def parse_body(text: str) -> Floats:
     Returns
     -------
     (n, 3) float64 [m]
-        control points; the first is the middle
+        control points; the first is the tip
 
     Raises
     ------

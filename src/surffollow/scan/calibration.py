@@ -135,7 +135,7 @@ class CalibrationMatrix:
         Parameters
         ----------
         xy_m : (n, 2) float [m]
-            places
+            places in map coordinates
 
         Returns
         -------
@@ -204,7 +204,7 @@ class CalibrationMatrix:
         Parameters
         ----------
         path : path
-            of the file
+            of a file that `save` wrote
 
         Returns
         -------

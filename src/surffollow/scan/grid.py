@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surffollow.errors import ScanInputError
+from surffollow.map import access
 from surffollow.scan.checks import Floats, positive, real_array, region_of
 
 if TYPE_CHECKING:
@@ -137,9 +138,7 @@ class TerrainGrid:
     @property
     def extent_m(self) -> tuple[float, float, float, float]:
         """x_min, y_min, x_max, y_max of the cells' outer edges [m]."""
-        rows, cols = self.shape
-        x0, y0 = self.origin_m
-        return x0, y0, x0 + cols * self.grid_m, y0 + rows * self.grid_m
+        return access.extent(self.shape, self.origin_m, self.grid_m)
 
     @property
     def known(self) -> NDArray[np.bool_]:

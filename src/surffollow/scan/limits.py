@@ -52,9 +52,23 @@ class WorkSpace(Protocol):
         """
 
 
-def azimuth_from(base_m: tuple[float, float, float], tip_m: Floats) -> Floats:
-    """(n,) direction [rad] from a base to places of the tip (n, 3) [m], in the ground frame."""
-    return np.arctan2(tip_m[:, 1] - base_m[1], tip_m[:, 0] - base_m[0])
+class AboutBase:
+    """A work space whose wrist has the azimuth of the direction from the base joint to the tip."""
+
+    def azimuth_rad(self: WorkSpace, tip_m: Floats) -> Floats:
+        """(n,) direction from the base to the tip, in the ground frame.
+
+        Parameters
+        ----------
+        tip_m : (n, 3) float [m]
+            as in `WorkSpace.azimuth_rad`
+
+        Returns
+        -------
+        (n,) float64 [rad]
+            directions
+        """
+        return np.arctan2(tip_m[:, 1] - self.base_m[1], tip_m[:, 0] - self.base_m[0])
 
 
 @dataclass(frozen=True)
@@ -142,7 +156,7 @@ class WristLimits:
 
 
 @dataclass(frozen=True)
-class Annulus:
+class Annulus(AboutBase):
     """A ring sector about a base joint, the same at every height between two limits.
 
     Attributes
@@ -169,15 +183,13 @@ class Annulus:
 
         Parameters
         ----------
-        tip_m : (n, 3) float [m]
-            places of the tip in the ground frame
-        normal : (n, 3) float
-            unit normals of the underside
+        tip_m, normal : (n, 3) float
+            as in `WorkSpace.reachable`; the normal does not matter
 
         Returns
         -------
         (n,) bool
-            True: the tip can be there
+            True: the tip is within the sector
         """
         d = tip_m - np.asarray(self.base_m)
         rho = np.hypot(d[:, 0], d[:, 1])
@@ -187,18 +199,3 @@ class Annulus:
         inside = (rho >= self.radius_min_m) & (rho <= self.radius_max_m) & (off <= half + 1e-12)
         made: NDArray[np.bool_] = inside & (d[:, 2] >= self.z_min_m) & (d[:, 2] <= self.z_max_m)
         return made
-
-    def azimuth_rad(self, tip_m: Floats) -> Floats:
-        """(n,) direction from the base to the tip.
-
-        Parameters
-        ----------
-        tip_m : (n, 3) float [m]
-            places of the tip in the ground frame
-
-        Returns
-        -------
-        (n,) float64 [rad]
-            azimuths
-        """
-        return azimuth_from(self.base_m, tip_m)

@@ -50,10 +50,8 @@ def normal_offset(heights_m: ArrayLike, grid_m: float, gap_m: float) -> OffsetSu
 
     Parameters
     ----------
-    heights_m : (rows, cols) float [m]
-        NaN unknown
-    grid_m : float [m]
-        side of a cell
+    heights_m, grid_m
+        as for `ball_envelope`
     gap_m : float [m]
         d
 

@@ -105,7 +105,7 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
     Parameters
     ----------
     path : path
-        of the file
+        of a file that `write_path` wrote
 
     Returns
     -------

@@ -117,7 +117,7 @@ class PolarCorrection:
         Parameters
         ----------
         xy_m : (n, 2) float [m]
-            places
+            places as they were measured
 
         Returns
         -------
@@ -136,7 +136,7 @@ class PolarCorrection:
         Parameters
         ----------
         xy_m : (n, 2) float [m]
-            places
+            places to be judged
 
         Returns
         -------

@@ -70,15 +70,13 @@ class Shaper:
 
         Parameters
         ----------
-        frequency_hz : float [Hz]
-            undamped natural frequency, above 0
-        damping : float
-            ratio ζ, 0 ≤ ζ < 1
+        frequency_hz, damping : float
+            as for `zv`
 
         Returns
         -------
         Shaper
-            three impulses
+            three impulses: ZV convolved with itself
 
         Notes
         -----
@@ -94,10 +92,8 @@ class Shaper:
 
         Parameters
         ----------
-        frequency_hz : float [Hz]
-            undamped natural frequency, above 0
-        damping : float
-            ratio ζ, 0 ≤ ζ < 1
+        frequency_hz, damping : float
+            as for `zv`
         tolerance : float
             residual V at the design frequency without damping, 0 ≤ V < 1
 

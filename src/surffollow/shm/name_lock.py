@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
+from collections.abc import Iterator
 
 from surffollow.config.trusted_users import UNMAPPED_USER, own_user
 from surffollow.errors import BlockError, NoPermissionError, NoSpaceError
@@ -87,6 +88,15 @@ class NameLock:
             if (there.st_dev, there.st_ino) == (found.st_dev, found.st_ino):
                 os.unlink(path)
         self._lock.close()
+
+    @contextlib.contextmanager
+    def released_on_error(self) -> Iterator[NameLock]:
+        """This lock; the name is given back when what is done with it fails."""
+        try:
+            yield self
+        except BaseException:
+            self.release()
+            raise
 
     def abandon(self) -> None:
         """Give the name back as a killed process does: the file stays for the next owner."""

@@ -160,7 +160,7 @@ def Nested(schema: type[Schema], count: int = 1, *, doc: str = "", align: int = 
     Returns
     -------
     Field
-        to be assigned to a name in the body of a `Schema` or `Block`
+        for a name in a layout's body
     """
     return Field("V", count, nested=schema, doc=doc, align=align)
 

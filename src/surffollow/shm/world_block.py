@@ -101,8 +101,7 @@ def claim_world(name: str) -> tuple[SharedObject, NameLock]:
     NoSpaceError
         /dev/shm cannot hold it
     """
-    own = _take_name(name)
-    try:
+    with _take_name(name).released_on_error() as own:
         while True:
             try:
                 obj = SharedObject.open(name, writable=True, owners=(own_user(),))
@@ -118,9 +117,6 @@ def claim_world(name: str) -> tuple[SharedObject, NameLock]:
                 return obj, own
             obj.close()
             unlink(name)  # another version's: never changed under its readers
-    except BaseException:
-        own.release()
-        raise
 
 
 def _take_name(name: str) -> NameLock:

@@ -4,9 +4,10 @@ A sensor that no longer sees the ground (stuck, or blocked by something that mov
 range with any noise. The tool then makes the ground fall by itself: what it descends, the height falls.
 A follower that tracks a falling plane well reads a constant range, too, but that is the wanted one, with
 the usual noise. A descent with a constant range that is not the wanted one, or with far less noise, is
-tested, and so is every one by half the stand-off: the tool stops descending (`RESPONSE_HOLD`), and the range
-must grow by the descent that does not take place. If it does not, the tool rises (`RESPONSE_LIFT`), and the
-range must follow.
+tested: the tool stops descending (`RESPONSE_HOLD`), and the range must grow by the descent that does not take
+place. If it does not, the tool rises (`RESPONSE_LIFT`), and the range must follow.
+In a longer descent the setpoint is shifted up by a little more than the noise hides. A range that grows by
+the shift ends the run; without that, or after a descent by half the stand-off, a hold follows.
 """
 
 from __future__ import annotations
@@ -18,15 +19,17 @@ from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_NONE, RESPONSE_RUN
 
-DESCENT_SHARE = 0.03  # of the stand-off: a descent of this length, and of so many errors, is tested
-DESCENT_ERRORS = 3.0
+DESCENT_SHARE = 0.01  # of the stand-off: shorter descents are not tested
 ERROR_DESCENT = 0.36  # of a band times the stand-off: error times descent; a small one needs a long one
 FAR_DESCENT = 0.5  # of the stand-off: beyond, a constant range is always tested, before the tool can touch
+SHIFT_DESCENT = 0.3  # of the stand-off: beyond, the setpoint is shifted up …
+SHIFT_BANDS = 2.0  # … by so many bands; an answer spares the hold
+SHIFT_TAUS, SHIFT_MEANS = 2.0, 2.0  # time for an answer: of the axis and of the mean
 LAG_TAUS = 0.3  # errors that so great a lag of the axis model explains are no sign of a fault
 QUIET_SHARE = 0.5  # of the usual noise
 NOISE_RATE, USUAL_RATE = 0.03, 0.003  # of the noise and of the usual noise, per sample
 SECOND_DIFFERENCE = 1.954  # mean absolute second difference of white Gaussian noise, in standard deviations
-MIN_RUN_MEANS = 4.0  # independent means in a run before a test
+MIN_RUN_MEANS = 2.0  # independent means in a run before a test
 RUN_SAMPLES = 64  # in the mean of a run
 MEAN_TAUS, MIN_MEAN, MAX_MEAN = 1.0, 2.0, 8.0  # samples in the mean range: those of a time constant
 BAND_SIGMAS = 3.0  # of the mean: the range has changed …
@@ -44,6 +47,7 @@ def _begin_run(response: Any, t_ns: Any, tool_z_m: Any) -> None:
     response.phase, response.count = RESPONSE_RUN, 0
     response.run_range_m, response.run_z_m, response.run_ns = response.mean_m, tool_z_m, t_ns
     response.run_samples = 0
+    response.lift_m = 0.0
 
 
 @jit
@@ -113,8 +117,11 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
         quiet = response.noise_m < QUIET_SHARE * response.usual_m
         far = descent > FAR_DESCENT * params.offset_m
         long = response.run_samples > MIN_RUN_MEANS * number
-        least = DESCENT_SHARE * params.offset_m + DESCENT_ERRORS * error
-        if long and (far or ((wrong or quiet) and descent > least)):
+        if long and response.lift_m == 0.0 and descent > SHIFT_DESCENT * params.offset_m:
+            response.lift_m, response.test_ns, since_s = SHIFT_BANDS * band, t_ns, 0.0
+        late = response.lift_m > 0.0 and since_s > SHIFT_TAUS * tau + SHIFT_MEANS * number * interval
+        suspicious = (wrong or quiet) and descent > DESCENT_SHARE * params.offset_m
+        if long and (far or late or suspicious):
             response.phase, response.test_ns, response.test_z_m = RESPONSE_HOLD, t_ns, tool_z_m
             response.rate_mps = rate
     elif response.phase == RESPONSE_HOLD:
@@ -140,6 +147,8 @@ def is_unresponsive(response: Any) -> Any:
 @jit
 def least_target(response: Any, target_m: Any) -> Any:
     """The target of the axis, or the higher one that a running test asks for [m]."""
+    if response.phase == RESPONSE_RUN:
+        return target_m + response.lift_m
     if response.phase == RESPONSE_HOLD:
         return max(target_m, response.test_z_m)
     if response.phase == RESPONSE_LIFT:

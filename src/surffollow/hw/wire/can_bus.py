@@ -8,9 +8,10 @@ from typing import Any
 import msgspec
 
 from surffollow.errors import ConfigError, DriverError
-from surffollow.hw.driver import Driver, DriverInfo, Mount
-from surffollow.hw.polled import SILENCE_S, PolledDriver
-from surffollow.hw.ranges import metre_info, pack_range
+from surffollow.hw.driver import Driver, DriverInfo
+from surffollow.hw.polled import PolledDriver
+from surffollow.hw.range_settings import RangeSettings
+from surffollow.hw.ranges import pack_range
 from surffollow.hw.wire.frame_format import Format
 from surffollow.hw.wire.frames import FrameFinder
 
@@ -29,7 +30,7 @@ class CanMessage(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     extended: bool = False
 
 
-class CanConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class CanConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
     """Sensors on a CAN bus.
 
     Attributes
@@ -37,18 +38,13 @@ class CanConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     interface, bus : of python-can ("socketcan" and "can0", "virtual" and any name)
     bitrate : of the bus [1/s]
     messages : one per sensor, see `CanMessage`; a format's `length` is the number of data bytes
-    range_min_m, range_max_m, latency_s, mounts, silence_s : see `serial_port.SerialConfig`
+    range_min_m, range_max_m, latency_s, mounts, silence_s : see `RangeSettings`
     """
 
     messages: tuple[CanMessage, ...]
-    range_min_m: float
-    range_max_m: float
     interface: str = "socketcan"
     bus: str = "can0"
     bitrate: int = 500_000
-    latency_s: float = 0.0
-    mounts: tuple[Mount, ...] = ()
-    silence_s: float = SILENCE_S
 
     def __post_init__(self) -> None:
         if not self.messages:
@@ -137,12 +133,5 @@ def make(settings: dict[str, Any], name: str) -> Driver:
             "driver 'can' needs python-can; install it: pip install 'surffollow[can]'"
         ) from None
     config = msgspec.convert(settings, CanConfig)
-    info = metre_info(
-        f"sensor on CAN bus {config.bus}",
-        config.range_min_m,
-        config.range_max_m,
-        n_channels=config.channels,
-        latency_ns=round(config.latency_s * 1e9),
-        mounts=config.mounts,
-    )
+    info = config.info(f"sensor on CAN bus {config.bus}", config.channels)
     return PolledDriver(info, CanSource(config, info), config.silence_s)

@@ -16,7 +16,8 @@ import msgspec
 
 from surffollow.errors import ConfigError, DriverError
 from surffollow.hw.driver import Driver, DriverInfo, Mount, mounts_of
-from surffollow.hw.polled import SILENCE_S, PolledDriver
+from surffollow.hw.polled import PolledDriver
+from surffollow.hw.range_settings import SILENCE_S
 from surffollow.hw.ranges import pack_counts
 from surffollow.hw.wire.iio_scan import calibration_of, eight_channels, find_device, scan_layout
 from surffollow.shm.layout_follow import CHANNELS
@@ -38,7 +39,7 @@ class IioConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     trigger : name of an IIO trigger to set; empty: as it is
     root : where sys and dev are looked for
     latency_s : age of the distance at a scan's timestamp [s]
-    mounts, silence_s : see `serial_port.SerialConfig`
+    mounts, silence_s : see `RangeSettings`
     """
 
     device: str

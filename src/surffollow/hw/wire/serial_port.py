@@ -10,9 +10,10 @@ from typing import Any
 import msgspec
 
 from surffollow.errors import ConfigError, DriverError
-from surffollow.hw.driver import Driver, DriverInfo, Mount
-from surffollow.hw.polled import SILENCE_S, PolledDriver
-from surffollow.hw.ranges import metre_info, pack_range
+from surffollow.hw.driver import Driver, DriverInfo
+from surffollow.hw.polled import PolledDriver
+from surffollow.hw.range_settings import RangeSettings
+from surffollow.hw.ranges import pack_range
 from surffollow.hw.wire.arrival_times import ArrivalClock
 from surffollow.hw.wire.frame_format import Format
 from surffollow.hw.wire.frames import make_finder
@@ -22,7 +23,7 @@ from surffollow.shm.readable import wait_readable
 READ_BYTES = 4096
 
 
-class SerialConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class SerialConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
     """A serial sensor.
 
     Attributes
@@ -32,16 +33,12 @@ class SerialConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     baud, bytesize, parity, stopbits : of the line; parity "N", "E" or "O"
     format : how a measurement is written
     start_command : sent after each opening
-    range_min_m, range_max_m : the sensor's window [m]
-    latency_s : age of the distance when its frame begins [s]
     channels : sensors on the line, distinguished by the format's channel
-    mounts : tool from sensor, one per channel
-    silence_s : so long without a frame is a fault [s]
+    range_min_m, range_max_m, latency_s, mounts, silence_s : see `RangeSettings`; the latency is that at the
+        begin of a frame
     """
 
     port: str
-    range_min_m: float
-    range_max_m: float
     preset: str = ""
     baud: int = 115200
     bytesize: int = 8
@@ -49,10 +46,7 @@ class SerialConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     stopbits: int = 1
     format: Format = Format()
     start_command: str = ""
-    latency_s: float = 0.0
     channels: int = 1
-    mounts: tuple[Mount, ...] = ()
-    silence_s: float = SILENCE_S
 
     def __post_init__(self) -> None:
         if not 50 <= self.baud <= 20_000_000 or self.bytesize not in (7, 8) or self.stopbits not in (1, 2):
@@ -149,14 +143,7 @@ def make(settings: dict[str, Any], name: str) -> Driver:
             "driver 'serial' needs pyserial; install it: pip install 'surffollow[serial]'"
         ) from None
     config = msgspec.convert(with_preset(settings), SerialConfig)
-    info = metre_info(
-        f"serial sensor on {config.port}",
-        config.range_min_m,
-        config.range_max_m,
-        n_channels=config.channels,
-        latency_ns=round(config.latency_s * 1e9),
-        mounts=config.mounts,
-    )
+    info = config.info(f"serial sensor on {config.port}", config.channels)
     return PolledDriver(info, SerialSource(config, info), config.silence_s)
 
 

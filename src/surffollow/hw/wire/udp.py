@@ -9,9 +9,10 @@ from typing import Any
 import msgspec
 
 from surffollow.errors import ConfigError, DriverError
-from surffollow.hw.driver import Driver, DriverInfo, Mount
-from surffollow.hw.polled import SILENCE_S, PolledDriver
-from surffollow.hw.ranges import metre_info, pack_range
+from surffollow.hw.driver import Driver, DriverInfo
+from surffollow.hw.polled import PolledDriver
+from surffollow.hw.range_settings import RangeSettings
+from surffollow.hw.ranges import pack_range
 from surffollow.hw.wire.frame_format import Format, Number, reader_of
 from surffollow.hw.wire.frames import FrameFinder, make_finder
 from surffollow.shm.readable import wait_readable
@@ -20,7 +21,7 @@ DATAGRAM_BYTES = 65536
 AT_ONCE = 64  # datagrams taken in one read
 
 
-class UdpConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class UdpConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
     """A sensor that sends datagrams.
 
     Attributes
@@ -30,20 +31,16 @@ class UdpConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sender : who is listened to: "address:port", "address" (every program there), or "any"
     format : see `frame_format.Format`; a datagram holds whole frames or lines; a line may lack its terminator
     sequence : where a datagram's number is, if it is there; older ones than the last are dropped
-    range_min_m, range_max_m, latency_s, channels, mounts, silence_s : see `serial_port.SerialConfig`
+    channels : sensors in the datagrams
+    range_min_m, range_max_m, latency_s, mounts, silence_s : see `RangeSettings`
     """
 
     port: int
-    range_min_m: float
-    range_max_m: float
     host: str = "127.0.0.1"
     sender: str = ""
     format: Format = Format()
     sequence: Number | None = None
-    latency_s: float = 0.0
     channels: int = 1
-    mounts: tuple[Mount, ...] = ()
-    silence_s: float = SILENCE_S
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
@@ -150,12 +147,5 @@ class UdpSource:
 def make(settings: dict[str, Any], name: str) -> Driver:
     """Make a UDP driver from its settings."""
     config = msgspec.convert(settings, UdpConfig)
-    info = metre_info(
-        f"sensor on UDP port {config.port}",
-        config.range_min_m,
-        config.range_max_m,
-        n_channels=config.channels,
-        latency_ns=round(config.latency_s * 1e9),
-        mounts=config.mounts,
-    )
+    info = config.info(f"sensor on UDP port {config.port}", config.channels)
     return PolledDriver(info, UdpSource(config, info), config.silence_s)

@@ -12,12 +12,13 @@ from pathlib import Path
 
 from surffollow.errors import MapCancelledError, MapFileError, UsageError
 
+FilePath = str | os.PathLike[str]
 Progress = Callable[[float], object]
 """Called with the finished fraction, 0 … 1; returning False (not None) cancels."""
 
 
 @contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+def replacing(path: FilePath) -> Iterator[Path]:
     """A temporary path beside `path`; on a clean exit it is fsynced and takes its name, else it goes.
 
     A file that was there keeps its mode, a new one gets that of the umask; no other user reads it before.
@@ -42,7 +43,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def check_place(path: str | os.PathLike[str]) -> None:
+def check_place(path: FilePath) -> None:
     """Fail before long work when `replacing` could not even begin to write there.
 
     Raises
@@ -57,7 +58,7 @@ def check_place(path: str | os.PathLike[str]) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def check_not_read(out: str | os.PathLike[str], *read: str | os.PathLike[str] | None) -> None:
+def check_not_read(out: FilePath, *read: FilePath | None) -> None:
     """Refuse to write over a file that the work reads, under any name.
 
     Raises
@@ -71,7 +72,7 @@ def check_not_read(out: str | os.PathLike[str], *read: str | os.PathLike[str] | 
                 raise UsageError(f"{out} would replace {source}, which is read; choose another name to write")
 
 
-def _names(path: str | os.PathLike[str]) -> tuple[Path, Path]:
+def _names(path: FilePath) -> tuple[Path, Path]:
     """The file and its temporary one."""
     target = Path(path)
     if target.exists() and not target.is_file():

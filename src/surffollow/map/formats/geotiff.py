@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from surffollow.errors import MapFileError, UsageError
 from surffollow.map import access
-from surffollow.map.formats.atomic_file import Progress, replacing, report
+from surffollow.map.formats.atomic_file import FilePath, Progress, replacing, report
 from surffollow.map.formats.raster import Raster
 from surffollow.units import unit_scale
 
@@ -46,11 +46,7 @@ def _rasterio() -> Any:
 
 
 def write_geotiff(
-    path: str | os.PathLike[str],
-    header: NDArray[Any],
-    pairs: NDArray[Any],
-    *,
-    progress: Progress | None = None,
+    path: FilePath, header: NDArray[Any], pairs: NDArray[Any], *, progress: Progress | None = None
 ) -> None:
     """Write a GeoTIFF: band 1 heights [m] (NaN unknown), band 2 counts; no coordinate system, metres.
 
@@ -92,7 +88,7 @@ def write_geotiff(
 def _read_back(
     rasterio: Any,
     written: os.PathLike[str],
-    path: str | os.PathLike[str],
+    path: FilePath,
     shape: tuple[int, int],
     crc: int,
     progress: Progress | None,
@@ -112,7 +108,7 @@ def _read_back(
         raise MapFileError(f"cannot write {path}: {why}; is the disk full?")
 
 
-def read_geotiff(path: str | os.PathLike[str]) -> Raster:
+def read_geotiff(path: FilePath) -> Raster:
     """Read band 1 of a GeoTIFF with square, unrotated cells in metres; returns as `read_esri_ascii`.
 
     The band's scale and offset are applied and its unit converted. A coordinate system in degrees or feet is
@@ -143,7 +139,7 @@ def read_geotiff(path: str | os.PathLike[str]) -> Raster:
     return z[::-1], (t.c, t.f - z.shape[0] * t.a), t.a
 
 
-def _check_places(path: str | os.PathLike[str], crs: Any, crs_error: type[Exception]) -> None:
+def _check_places(path: FilePath, crs: Any, crs_error: type[Exception]) -> None:
     """Refuse a coordinate system whose x and y are no metres in a plane."""
     if not crs:
         return
@@ -164,7 +160,7 @@ def _check_places(path: str | os.PathLike[str], crs: Any, crs_error: type[Except
         )
 
 
-def _metres_per_unit(path: str | os.PathLike[str], unit: str | None, crs: Any) -> float:
+def _metres_per_unit(path: FilePath, unit: str | None, crs: Any) -> float:
     """Metres in the unit of a band's heights: the band's own, else the vertical one of its system."""
     vertical = crs.to_dict().get("vunits") if crs else None
     given = (unit or vertical or "").strip()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import zipfile
 import zlib
 from typing import Any
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from surffollow.errors import MapFileError
 from surffollow.map import access
-from surffollow.map.formats.atomic_file import Progress, replacing, report
+from surffollow.map.formats.atomic_file import FilePath, Progress, replacing, report
 from surffollow.map.header import header_fault, numbers_fault, tile_shift_of
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype
@@ -22,9 +21,7 @@ _FORMAT = "surffollow-map-npz-1"
 _NOT_OURS = (ValueError, KeyError, TypeError, AttributeError, IndexError, MemoryError, NotImplementedError)
 
 
-def write_npz(
-    path: str | os.PathLike[str], header: NDArray[Any], pairs: NDArray[Any], progress: Progress | None
-) -> None:
+def write_npz(path: FilePath, header: NDArray[Any], pairs: NDArray[Any], progress: Progress | None) -> None:
     ny, nx = access.shape_of(header)
     heights = access.quanta(pairs, 0, ny * nx)
     with replacing(path) as temporary, open(temporary, "wb") as f:
@@ -58,7 +55,7 @@ def _settle(header: NDArray[Any], known: bool) -> None:
         w["gate_m"], w["gate_min_count"] = 0.0, 8
 
 
-def read_npz(path: str | os.PathLike[str]) -> tuple[NDArray[Any], NDArray[Any]]:
+def read_npz(path: FilePath) -> tuple[NDArray[Any], NDArray[Any]]:
     try:
         with np.load(path, allow_pickle=False) as data:
             if "format" not in data or str(data["format"]) != _FORMAT:

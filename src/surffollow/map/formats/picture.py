@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surffollow.errors import MapFileError
 from surffollow.map import access
-from surffollow.map.formats.atomic_file import Progress, replacing, report
+from surffollow.map.formats.atomic_file import FilePath, Progress, replacing, report
 from surffollow.shm import map_layout as ml
 
 _MAX_SIDE = 800  # as many as a figure has dots
@@ -119,11 +119,7 @@ def known_part(m: Any) -> tuple[NDArray[np.float64], tuple[float, float, float]]
 
 
 def write_picture(
-    path: str | os.PathLike[str],
-    header: NDArray[Any],
-    pairs: NDArray[Any],
-    *,
-    progress: Progress | None = None,
+    path: FilePath, header: NDArray[Any], pairs: NDArray[Any], *, progress: Progress | None = None
 ) -> None:
     """Write shaded relief and counts as PNG, SVG or PDF by the suffix (extra `plot`).
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from surffollow.errors import MapFileError
 from surffollow.map import access
-from surffollow.map.formats.atomic_file import Progress, replacing, report
+from surffollow.map.formats.atomic_file import FilePath, Progress, replacing, report
 from surffollow.shm import map_layout as ml
 
 _LAS_MOST = 2**31 - 2  # a LAS coordinate is a 32-bit number of steps
@@ -24,11 +23,7 @@ def _digits(step_m: float) -> int:
 
 
 def write_xyz(
-    path: str | os.PathLike[str],
-    header: NDArray[Any],
-    pairs: NDArray[Any],
-    *,
-    progress: Progress | None = None,
+    path: FilePath, header: NDArray[Any], pairs: NDArray[Any], *, progress: Progress | None = None
 ) -> None:
     """Write a line `x y z` [m] for the centre of every known grid, rows ascending in y.
 
@@ -55,11 +50,7 @@ def write_xyz(
 
 
 def write_las(
-    path: str | os.PathLike[str],
-    header: NDArray[Any],
-    pairs: NDArray[Any],
-    *,
-    progress: Progress | None = None,
+    path: FilePath, header: NDArray[Any], pairs: NDArray[Any], *, progress: Progress | None = None
 ) -> None:
     """Write a LAS 1.4 file (extra `las`): a point per known grid, its samples as intensity.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from surffollow.errors import MapFileError
 from surffollow.map import access
-from surffollow.map.formats.atomic_file import Progress, replacing, report
+from surffollow.map.formats.atomic_file import FilePath, Progress, replacing, report
 from surffollow.shm import map_layout as ml
 
 Raster = tuple[NDArray[np.float64], tuple[float, float], float]
@@ -27,11 +26,7 @@ def nodata_value(header: NDArray[Any]) -> float:
 
 
 def write_esri_ascii(
-    path: str | os.PathLike[str],
-    header: NDArray[Any],
-    pairs: NDArray[Any],
-    *,
-    progress: Progress | None = None,
+    path: FilePath, header: NDArray[Any], pairs: NDArray[Any], *, progress: Progress | None = None
 ) -> None:
     """Write heights [m] as an ESRI ASCII grid: northernmost row first, NODATA where unknown."""
     ny, nx = access.shape_of(header)
@@ -52,7 +47,7 @@ def write_esri_ascii(
             report(progress, last / ny)
 
 
-def read_esri_ascii(path: str | os.PathLike[str]) -> Raster:
+def read_esri_ascii(path: FilePath) -> Raster:
     """Read an ESRI ASCII grid.
 
     Returns

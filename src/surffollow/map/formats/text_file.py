@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from surffollow.errors import MapFileError
 from surffollow.map import access
-from surffollow.map.formats.atomic_file import Progress, replacing, report
+from surffollow.map.formats.atomic_file import FilePath, Progress, replacing, report
 from surffollow.map.formats.text_reader import FIRST_LINE, REAL, WHOLE, Reader
 from surffollow.shm import map_layout as ml
 
@@ -55,11 +55,7 @@ def _head(w: Any) -> str:
 
 
 def write_text(
-    path: str | os.PathLike[str],
-    header: NDArray[Any],
-    pairs: NDArray[Any],
-    *,
-    progress: Progress | None = None,
+    path: FilePath, header: NDArray[Any], pairs: NDArray[Any], *, progress: Progress | None = None
 ) -> None:
     """Write a map to a text file, atomically.
 
@@ -108,7 +104,7 @@ def write_text(
 
 
 def read_text(
-    path: str | os.PathLike[str], *, capacity_grids: int | None = None, progress: Progress | None = None
+    path: FilePath, *, capacity_grids: int | None = None, progress: Progress | None = None
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Read what `write_text` wrote.
 
