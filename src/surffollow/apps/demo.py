@@ -146,7 +146,7 @@ def run_demo(config: DemoConfig, folder: Path, progress: Progress) -> dict[str, 
     result["failures"] = verdict(result, *limits)
     if not summary["finished"]:
         result["failures"].append(
-            f"the robot had no valid demand in {summary['held_ticks']} of its {summary['ticks']} ticks"
+            f"the robot had no valid demand in {summary['held_ticks']} of its {summary['ticks']} periods"
         )
     return result
 

@@ -40,7 +40,7 @@ class RunByHolder:
         self._next_ns = 0
 
     def look(self, now_ns: int) -> None:
-        """Once in each of the robot's ticks; never waits."""
+        """Once in each of the robot's periods; never waits."""
         run = self._desired(now_ns)
         if run is None:
             return

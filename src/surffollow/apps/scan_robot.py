@@ -28,7 +28,7 @@ from surffollow.sim.robot_stop import REST_MPS
 from surffollow.sim.step_clock import STEP_NS
 from surffollow.sim.world import WorldPose
 
-ASKED_KEPT = 200  # ticks that a shaper may look back
+ASKED_KEPT = 200  # periods that a shaper may look back
 WITHOUT_FACTS = {"speed_mps": 0.1, "acceleration_mps2": 1.0}
 
 

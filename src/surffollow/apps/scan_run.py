@@ -80,7 +80,7 @@ def execute(
     config : ScanRobotConfig
     ground : TerrainGrid    the map of the plan, from which the expected ranges follow; None: from the path
     prepare : gets an attachment before anything moves: to install a map
-    aborted : asked at every tick; once true the tip retracts and the run ends
+    aborted : asked in every period; once true the tip retracts and the run ends
     progress : gets a line of text and the finished part
     wait_s : how long to wait for the service at the start [s]
 

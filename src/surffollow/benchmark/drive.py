@@ -20,7 +20,7 @@ def drive(follower: FollowerLike, s: Any, w: World, start_ns: int = START_NS) ->
     """Run a follower to the end of the path.
 
     Each pose report and each reading is handed over when it arrives, with its timestamp;
-    at each tick `step` is called with the tick's time and no reading, and its answer is the demand.
+    in each controller period `step` is called with the time and no reading, and its answer is the demand.
 
     Parameters
     ----------

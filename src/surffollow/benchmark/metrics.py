@@ -24,7 +24,7 @@ class Score(msgspec.Struct, frozen=True):
     rms_m, p95_m, peak_m : of the stand-off error [m]
     min_clearance_m : smallest distance between tool and ground [m]
     within_1mm, within_2_5mm : share of the time
-    demand_accel_mps2 : RMS of the second difference of the setpoint per tick² [m/s²]
+    demand_accel_mps2 : RMS of the second difference of the setpoint per squared controller period [m/s²]
     demand_sign_changes_per_m : how often the setpoint turns, per metre of path
     lag_s : by which delay the tool resembles the ground most; NaN on flat ground
     bad_demands : demands that were not finite

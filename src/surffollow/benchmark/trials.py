@@ -30,7 +30,7 @@ EXCURSION_SPEEDS_MPS = (0.1, 0.2, 0.4)
 STEP_SPEEDS_MPS = (0.2, 0.4)
 STEP_MOVED_M = 1e-3  # the setpoint has moved by a tenth of the step: it was accepted
 OUTLIER_M = 2e-3  # a reading so far off is an outlier for every follower
-OUTLIER_TICKS = 4  # it was missed when within so many ticks of its arrival
+OUTLIER_TICKS = 4  # it was missed when within so many periods of its arrival
 CHASED_M = 0.5e-3  # the setpoint followed it by so much
 OSCILLATION_SURFACES = ("flat", "ramp-5", "hump")
 
@@ -107,7 +107,7 @@ def step_delay(job: Job) -> dict[str, float]:
     """How long after the arrival of the first reading beyond a step the setpoint goes there.
 
     `late_s` is the 95th percentile over the path's steps of the delay beyond what three agreeing readings
-    and 2.5 mm of travel need, one tick and one reading of discretisation allowed; `refused` is the share of
+    and 2.5 mm of travel need, one period and one reading of discretisation allowed; `refused` is the share of
     steps later than that: true ground taken for a glitch.
     """
     scene = scene_of(Cell("step", job.speed_mps, _without_glitches(job.conditions)), job.seed)

@@ -132,7 +132,7 @@ def simulate_command(
         from surffollow.errors import ServiceError
 
         raise ServiceError(
-            f"the robot stood still in {summary['held_ticks']} of its {summary['ticks']} ticks: "
+            f"the robot stood still in {summary['held_ticks']} of its {summary['ticks']} periods: "
             f"service {name!r} gave it no valid demand"
         )
 

@@ -26,7 +26,7 @@ from surffollow.sim.world import WorldPose
 
 TRACE_ROWS = 1_000_000
 SETTLED_RAD = 0.02
-WAIT_WITHIN_M = 20e-6  # of the place of a wait: two ticks at the speed at which a corner is crept to
+WAIT_WITHIN_M = 20e-6  # of the place of a wait: two periods at the speed at which a corner is crept to
 
 
 class RobotCore(CommandedRobot):

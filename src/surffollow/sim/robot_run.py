@@ -20,7 +20,7 @@ RETRY_NS = 200_000_000
 FIFO_PRIORITY = 20  # above other programs, below any service
 
 
-HELD_PART, HELD_TICKS = 0.1, 50  # of its ticks, and the first half second: more is no following
+HELD_PART, HELD_TICKS = 0.1, 50  # of its periods, and the first half second: more is no following
 
 
 class SomeDemand(Protocol):
@@ -180,7 +180,7 @@ def run_robot(
     config : RobotConfig
     name : of the service; the true pose goes to the block NAME.world
     attach : see `Controller`
-    stopped : asked at every tick
+    stopped : asked in every period
     wait_s : how long to wait for the service at the start [s]
 
     Returns
