@@ -5,7 +5,7 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 export SURFFOLLOW_CACHE_DIR ?= $(CURDIR)/$(VENV)/kernel-cache
 
-.PHONY: setup demo test bench lint docs clean
+.PHONY: setup demo test bench lint docs generated clean
 setup: $(STAMP)
 
 $(STAMP): requirements/dev.txt pyproject.toml
@@ -36,6 +36,17 @@ lint: $(STAMP)
 	$(VENV)/bin/mypy
 	$(VENV)/bin/mypy --config-file tests/mypy.ini
 	$(PY) tools/check_prose.py
+	$(PY) -m surffollow.shm.cheader --check
+	$(PY) -m surffollow.arbiter.cheader --check
+	$(PY) tools/protocol_tables.py --check
+	$(PY) tools/write_docs.py --check
+
+# what follows from the layouts, the parameters, the commands and the C interface
+generated: $(STAMP)
+	$(PY) -m surffollow.shm.cheader
+	$(PY) -m surffollow.arbiter.cheader
+	$(PY) tools/protocol_tables.py
+	$(PY) tools/write_docs.py
 
 # every warning is an error: a link or an anchor that leads nowhere, a docstring that cannot be read
 docs: $(VENV)/.docs

@@ -113,7 +113,7 @@ def warm_replay() -> None:
 
 
 def warm_limit() -> None:
-    """The path that no follower can beat."""
+    """The path of the theoretical limit."""
     from surffollow.benchmark.limit import bounded_path
 
     path = np.zeros(100)

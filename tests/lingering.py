@@ -30,7 +30,7 @@ class OldKernelService(Service):
 
 @contextlib.contextmanager
 def lingering() -> Iterator[socket.socket]:
-    """A TCP socket with data that nobody reads: who closes its last descriptor waits `LINGER_S`."""
+    """A TCP socket with unread data: closing its last descriptor takes `LINGER_S`."""
     listener = socket.socket()
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     listener.bind(("127.0.0.1", 0))

@@ -189,7 +189,7 @@ class Service(Startable):
 
     @contextlib.contextmanager
     def recorder(self, out: Path) -> Iterator[subprocess.Popen[str]]:
-        """Its recorder, which tells its counts as JSON when it is asked to end; killed at the end of this."""
+        """Its recorder, which prints its counts as JSON at its end; killed at the end of this."""
         words = self.command("record", "--out", str(out), "--json")
         child = fork_start(words) or subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
         try:
@@ -238,7 +238,7 @@ class Service(Startable):
             process.communicate(timeout=WAIT_S)
 
     def purge(self) -> None:
-        """End it whatever its state and remove all that it left."""
+        """End it in any state and remove all that it left."""
         if self.process is not None:
             self.process.kill()
             self._reap()
@@ -274,7 +274,7 @@ def over_ground(folder: Path, text: str, started: bool = True) -> Iterator[Servi
 
 @contextlib.contextmanager
 def program(code: str, *words: str, before: Sequence[str] = ()) -> Iterator[subprocess.Popen[str]]:
-    """A Python program beside the test, killed at the end; `before` runs it, e.g. as somebody else."""
+    """A Python program beside the test, killed at the end; `before` runs it, e.g. as another user."""
     pipe = subprocess.PIPE
     child = subprocess.Popen(
         [*before, sys.executable, "-c", code, *words], stdin=pipe, stdout=pipe, stderr=pipe, text=True
@@ -318,7 +318,7 @@ class World:
 
 
 def take_pose(client: Client) -> None:
-    """Send a pose though its last holder has only just died, which the service sees at its own beat."""
+    """Send a pose though its last holder has only just died; the service sees that within 50 ms."""
 
     def taken() -> bool:
         with contextlib.suppress(BusyError):

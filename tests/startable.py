@@ -18,12 +18,12 @@ class Startable:
         raise NotImplementedError
 
     def purge(self) -> None:
-        """End it whatever its state and remove all that it left."""
+        """End it in any state and remove all that it left."""
         raise NotImplementedError
 
     @contextlib.contextmanager
     def running(self) -> Iterator[Self]:
-        """Start it; at the end of this, end it whatever its state and remove all that it left."""
+        """Start it; at the end of this, end it in any state and remove all that it left."""
         try:
             self.start()
             yield self

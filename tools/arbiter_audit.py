@@ -36,7 +36,7 @@ from surffollow.shm.layout_board import LogHead
 
 RECORD = struct.Struct("<8q8d")
 PERIOD_NS = 100_000_000  # of a file: the longest period that a configuration may give
-MOST_VIOLATIONS = 50
+MAX_VIOLATIONS = 50
 # without a client's doing, or of a client whose detachment made them
 _AFTERWARDS = ("REVOKE", "DEQUEUE", "SAFE", "UNASK")
 
@@ -80,7 +80,7 @@ class Book:
 
     def blame(self, entry: Entry, why: str) -> None:
         """Note a violation."""
-        if len(self.violations) < MOST_VIOLATIONS:
+        if len(self.violations) < MAX_VIOLATIONS:
             self.violations.append(f"{why}: {tuple(entry)}")
 
     def enter(self, e: Entry) -> None:

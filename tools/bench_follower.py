@@ -29,7 +29,7 @@ P99_US = 50.0
 MS = 1_000_000
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _next(seed: Any) -> Any:
     """SplitMix64: a random word and the next seed."""
     seed += np.uint64(0x9E3779B97F4A7C15)
@@ -39,7 +39,7 @@ def _next(seed: Any) -> Any:
     return seed, z ^ (z >> np.uint64(31))
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)  # not kept: numba would not see a change of the package's kernels
 def random_cycles(
     params: Any, state: Any, inputs: Any, output: Any, scratch: Any, cycles: Any, seed: Any
 ) -> Any:

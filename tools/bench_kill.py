@@ -32,7 +32,7 @@ from surffollow.shm.dtypes import numpy_dtype  # noqa: E402
 from surffollow.shm.objects import SharedObject  # noqa: E402
 
 HEALTH_S = 90.0
-ENOUGH_KNOWN = 10  # grids before the first kill
+MIN_KNOWN_GRIDS = 10  # grids before the first kill
 GRIDS = 20_000
 PARTS = ("client", "recorder", "service")
 OWN = ("", ".sock", ".lock", ".map", ".world", ".world.lock")
@@ -168,7 +168,7 @@ class Trial:
     def enough_known(self) -> bool:
         """The map holds something that could be lost."""
         now = map_of(self.name)
-        return now is not None and int(np.count_nonzero(now[0] != ml.UNKNOWN)) > ENOUGH_KNOWN
+        return now is not None and int(np.count_nonzero(now[0] != ml.UNKNOWN)) > MIN_KNOWN_GRIDS
 
     def answers(self) -> bool:
         try:

@@ -102,7 +102,7 @@ def bench_bias(table: Table) -> None:
         table.add(f"  spread of that error, {rounding}", error.std(), "quanta")
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)  # not kept: numba would not see a change of the package's kernels
 def one_by_one(header: Any, pairs: Any, points: Any) -> Any:
     """`update_map` for each point."""
     changed = 0

@@ -45,7 +45,7 @@ PEAK_TO_PEAK_M = 0.03
 LIMIT_M = 1e-3
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)  # not kept: numba would not see a change of the package's kernels
 def scan_lane(
     follower: Any,
     rig: Any,

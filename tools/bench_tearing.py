@@ -40,7 +40,7 @@ from tearing_readers import (
     race,
 )
 
-LEAST_READS = 10**7
+MIN_READS = 10**7
 CONFIG = """
 period = "100 us"
 log_words = 65536
@@ -122,7 +122,6 @@ def against_writer(
     """Counts per reader against a writer that only publishes, and its publications."""
     path = folder / "latch"
     path.write_bytes(bytes(-(-latch_bytes(8 * WORDS) // 4096) * 4096))
-    full_speed_writer(str(path), 0.0)  # compile before the clock runs
     writer = mp.get_context("spawn").Process(target=full_speed_writer, args=(str(path), seconds + 60.0))
     writer.start()
     generation = lambda: int.from_bytes(path.read_bytes()[:8], "little")  # noqa: E731
@@ -154,7 +153,7 @@ def main(seconds: float) -> dict[str, Any]:
     total = {k: sum(c[k] for c in everyone) for k in no_counts()}
     blind = [k for k in daemon if not daemon[k]["overlapped"] + writer[k]["overlapped"]]
     failed = sum(c["failed"] for c in daemon.values())
-    missing = max(0, round(LEAST_READS * seconds / 60) - sum(c["reads"] for c in daemon.values()))
+    missing = max(0, round(MIN_READS * seconds / 60) - sum(c["reads"] for c in daemon.values()))
     notes = [
         f"daemon at 10 kHz, {k}: {c['reads']} reads, {c['overlapped']} overlapped, {c['failed']} failed"
         for k, c in daemon.items()

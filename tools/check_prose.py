@@ -51,6 +51,7 @@ INSTEAD = {
     r"way ahead": "lookahead",
     r"hears?|heard": "received",
     r"by hand": "manually",
+    r"(?:no|some|any|every)body|whoever": "no client, a user, another process, all users",
 }
 WORDS = {re.compile(rf"\b(?:{pattern})\b", re.IGNORECASE): better for pattern, better in INSTEAD.items()}
 SUBJECT = re.compile(r"\W*(?:What|Who|Whoever|Whatever|Whose)\b")

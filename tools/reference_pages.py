@@ -34,7 +34,7 @@ def cli_page() -> str:
     """`--help` of every command."""
     text = """# Command line
 
-This page is for whoever types `surffollow`. It has the help text of every command.
+This page is for users of the command line. It has the help text of every command.
 `python tools/write_docs.py` writes it from the program.
 
 Exit codes: 0 done, 1 fault, 2 wrong usage.

@@ -34,7 +34,7 @@ class Words(Schema):
 Counts = dict[str, int]
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)  # not kept: numba would not see a change of the package's kernels
 def publish_until(latch: Any, payload: Any, stop: Any) -> Any:
     """Publish payloads whose words are all their generation, without a pause, until `stop` is set."""
     n, g = payload.shape[0], at.load_relaxed_i64(latch)
@@ -50,9 +50,11 @@ def full_speed_writer(path: str, seconds: float) -> None:
     """Body of the writer's process."""
     with open(path, "r+b") as f:
         memory = np.frombuffer(mmap.mmap(f.fileno(), 0), np.uint8)
-    stop = np.zeros(1, np.int64)
+    latch, payload, stop = int(memory.ctypes.data), np.zeros(WORDS, np.int64), np.ones(1, np.int64)
+    publish_until(latch, payload, stop)  # compiles, and publishes nothing
+    stop[0] = 0
     threading.Timer(seconds, stop.fill, (1,)).start()
-    publish_until(int(memory.ctypes.data), np.zeros(WORDS, np.int64), stop)
+    publish_until(latch, payload, stop)
 
 
 def python_words(path: str, seconds: float) -> Counts:

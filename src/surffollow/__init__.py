@@ -50,7 +50,7 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
-    """Load a part only when somebody asks for it."""
+    """Load a part on its first use."""
     if name in _LIGHT or name in _HEAVY:
         return importlib.import_module(f"{__name__}.{name}")
     if name == "Follower":

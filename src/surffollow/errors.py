@@ -46,7 +46,7 @@ class SurffollowError(Exception):
 
 
 class UsageError(SurffollowError, ValueError):
-    """The caller's argument cannot be right, whatever the world is like."""
+    """The caller's argument is wrong in every situation."""
 
     exit_code = 2
 
@@ -167,7 +167,7 @@ SERVICE_LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "msgspec", "mcap", "
 
 
 def attribute_of(module: str, name: str) -> Any:
-    """What a module of the extra `service` offers, imported when somebody asks for it.
+    """What a module of the extra `service` offers, imported on its first use.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def attribute_of(module: str, name: str) -> Any:
 
 
 def missing_library(error: ModuleNotFoundError) -> str:
-    """What to install where a library of the extra `service` is missing.
+    """The package to install where a library of the extra `service` is missing.
 
     Parameters
     ----------

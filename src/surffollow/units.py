@@ -78,10 +78,10 @@ def unit_scale(unit: str, si_unit: str) -> float:
         if u not in _UNITS:
             known = ", ".join(sorted(n for n, (d, _) in _UNITS.items() if d == _UNITS.get(si_unit, ("",))[0]))
             raise UsageError(f"unknown unit {u!r}; {'use one of ' + known if known else 'see the manual'}")
-    (have, factor), (want, si) = _UNITS[unit], _UNITS[si_unit]
-    if have != want:
+    (given, factor), (expected, si) = _UNITS[unit], _UNITS[si_unit]
+    if given != expected:
         raise UsageError(
-            f"unit {unit!r} is a {have}, but a {want} in {si_unit!r} (or its multiples) is needed"
+            f"unit {unit!r} is a {given}, but a {expected} in {si_unit!r} (or its multiples) is needed"
         )
     return factor / si
 

@@ -1,4 +1,4 @@
-"""How a demonstration ends when it is told to, killed, or asked for what it cannot do."""
+"""The end of a demonstration: on request, killed, or with an impossible request."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def test_the_report_is_one_page_with_picture_and_figures(made, tmp_path):
     pytest.importorskip("matplotlib", reason="extra `plot`")
     write_report(tmp_path / "scan.html", made, {"elements": [{"switched_off": "<noise>", "x_m": 0.5}]})
     page = (tmp_path / "scan.html").read_text(encoding="utf-8")
-    assert "all bars met" in page
+    assert "all limits met" in page
     assert page.count("data:image/png;base64,") == 1
     assert "&lt;noise&gt;" in page
     assert f"<td>{1e3 * made.figures['shaped']['gap_error_p99_m']:.1f}</td>" in page

@@ -1,4 +1,4 @@
-"""`surffollow scan run` against the real service: confirmed, paused, aborted, stopped, and told about."""
+"""`surffollow scan run` against the real service: confirmed, paused, aborted, stopped, and reported."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def test_verdict_holds_the_angle_against_its_limit(result: tuple[Path, dict[str,
 
 
 def cycles(path: Path) -> dict[str, np.ndarray]:
-    """Columns of every recorded cycle: t_ns, status, demand (6), if a pose came, channels heard (bits)."""
+    """Columns of every recorded cycle: t_ns, status, demand (6), if a pose came, channels received (bits)."""
     rows = []
     with RecordingReader(path) as reader:
         for batch in reader.batches():

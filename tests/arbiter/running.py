@@ -168,7 +168,7 @@ class Child:
 
 
 def send_raw(client: Any, what: int, token: int, value: float = 0.4) -> None:
-    """Put an item into a client's own mailbox, whatever the library would say."""
+    """Put an item into a client's own mailbox, without the library's checks."""
     from surffollow.arbiter import exchange as ex
     from surffollow.arbiter import layout as al
 

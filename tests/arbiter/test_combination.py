@@ -83,7 +83,7 @@ LEVEL = (0.0, 0.0, 0.0, 1.0)
 
 
 def see(reader, expected, *sends):
-    """Send until the sum is as wanted; commands end with their time to live."""
+    """Send until the sum is as expected; commands end with their time to live."""
 
     def look():
         for send in sends:

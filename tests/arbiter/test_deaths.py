@@ -1,4 +1,4 @@
-"""Deaths, stops, hostile clients: the resource comes free, the safe command goes out, nobody else waits."""
+"""Deaths, stops, hostile clients: the resource comes free, the safe command goes out, no other waits."""
 
 from __future__ import annotations
 

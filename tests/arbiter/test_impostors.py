@@ -1,4 +1,4 @@
-"""Another user under an arbiter's names: nobody who did not name him obeys him, asks him or trusts him."""
+"""Another user under an arbiter's names: no client obeys, asks or trusts it without naming it."""
 
 from __future__ import annotations
 

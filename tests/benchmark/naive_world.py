@@ -60,7 +60,7 @@ def naive_velocity(e: float, c: Conditions) -> float:
 
 
 class PythonP:
-    """The `p` baseline as anybody would write a follower for the benchmark's door."""
+    """The `p` baseline, written against the benchmark's public interface."""
 
     def __init__(self, conditions: Conditions, gain: float = 0.5) -> None:
         self.gain, self.error, self.stamp = gain, math.nan, 0

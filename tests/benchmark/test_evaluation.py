@@ -157,12 +157,12 @@ def test_row_that_beats_the_limit_is_an_error(monkeypatch: pytest.MonkeyPatch, t
         return 1.0, path, thinning
 
     monkeypatch.setattr(runner, "limit_path", too_strict)
-    with pytest.raises(FaultError, match="beats the limit"):
+    with pytest.raises(FaultError, match="below the limit"):
         run_cells([Cell("flat", 0.4)], ["p"], [0], processes=1)
     one = ("--surface", "flat", "--speed", "0.4", "--seeds", "0:1", "--methods", "p", "--processes", "1")
     result = call(*one, "--out", str(tmp_path))
     assert result.exit_code != 0
-    assert "beats the limit" in result.output + result.stderr
+    assert "below the limit" in result.output + result.stderr
     assert json.loads((tmp_path / "results.json").read_text())["results"], "what was found is kept"
 
 

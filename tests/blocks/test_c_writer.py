@@ -77,7 +77,7 @@ def program(request, tmp_path_factory):
 
 
 class Writer:
-    """The program, told one letter at a time."""
+    """The program, driven by one letter at a time."""
 
     def __init__(self, program, name):
         pipe = subprocess.PIPE

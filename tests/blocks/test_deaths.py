@@ -1,4 +1,4 @@
-"""Readers and writers that are killed, stopped, fork, or never let go: nobody else is hurt for long."""
+"""Readers and writers that are killed, stopped, fork, or never let go: others wait a bounded time."""
 
 from __future__ import annotations
 

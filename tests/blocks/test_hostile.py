@@ -29,7 +29,7 @@ def lock_all(path: Path) -> int:
 
 
 def maker(space: str) -> Callable[[OtherUser], str]:
-    """Work of another user, who makes a block and keeps it until he hears a word."""
+    """Work of another user, who makes a block and keeps it until a line arrives."""
 
     def made(child: OtherUser) -> str:
         mem = mem_attach(Platform, space, write=True, mode=0o644)

@@ -78,7 +78,7 @@ class Probe:
         return Answer(int(words[-3]), int(words[-2]), int(words[-1]), [float(w) for w in words[:-3]])
 
     def until(self, line: str, condition: Callable[[Answer], bool], timeout_s: float = 60.0) -> Answer:
-        """Repeat a call until its answer is as wanted."""
+        """Repeat a call until its answer is as expected."""
         deadline = time.monotonic() + timeout_s
         while not condition(answer := self(line)):
             assert time.monotonic() < deadline, f"{line!r} still answers {answer}"

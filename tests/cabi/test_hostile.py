@@ -1,4 +1,4 @@
-"""The C header among names and memory of others: no hang, no signal, no belief in anybody else."""
+"""The C header among names and memory of others: no hang, no signal, no trust in other users."""
 
 from __future__ import annotations
 

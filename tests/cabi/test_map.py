@@ -247,7 +247,7 @@ def victim_slot(robot: Client) -> int:
 def test_grant_given_anew_behind_the_holders_back_is_not_its_own(
     make_probe: Callable[..., Probe], hasty_service: Service
 ) -> None:
-    """The service's lease is 0.7 s: a holder that sleeps through it is told, however long it slept."""
+    """The service's lease is 0.7 s: a holder that sleeps longer gets an error, after any sleep."""
     probe, name = make_probe(), hasty_service.name
     assert probe(f"attach {name}").result == OK
     for over_ms in (800, 1600):

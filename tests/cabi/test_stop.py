@@ -81,7 +81,7 @@ def test_a_stop_waits_for_no_request_before_it_and_one_store_is_enough(
 def test_a_demand_of_the_future_is_of_another_clock(
     make_probe: Callable[..., Probe], service: Service
 ) -> None:
-    """In a time namespace that is 1000 s behind, nobody can say how old a demand is."""
+    """In a time namespace that is 1000 s behind, the age of a demand is unknown."""
     behind = ["unshare", "--time", "--monotonic", "-1000"]
     if subprocess.run([*behind, "true"], capture_output=True).returncode != 0:
         pytest.skip("no time namespace can be made here")

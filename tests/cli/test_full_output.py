@@ -33,7 +33,7 @@ def into_full(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 def is_reported(done: subprocess.CompletedProcess[str]) -> bool:
-    """Whether the last line says so, after whatever else was said, and nothing follows."""
+    """Whether the last line names the full disk, after any other output."""
     lines = done.stderr.splitlines()
     return (
         done.returncode == 1

@@ -22,7 +22,7 @@ NAME = f"compiling-{os.getpid()}"
 
 
 class Clock:
-    """Seconds that pass only while somebody sleeps, one each time; `then` is done after so many of them."""
+    """Seconds that pass only in calls of sleep, one each time; `then` is done after so many of them."""
 
     def __init__(self) -> None:
         self.now_s = 0.0

@@ -1,4 +1,4 @@
-"""The service's configuration file: what is taken, and how a mistake is told."""
+"""The service's configuration file: accepted keys, and the message of each mistake."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_a_full_file_is_taken_as_written(tmp_path):
         ({"map": {"access_lease": "0 s"}}, ["map.access_lease"]),
         ({"access": {"board_mode": "rw-r--"}}, ["access.board_mode", "octal"]),
         ({"access": {"socket_mode": "7777"}}, ["access.socket_mode", "octal"]),
-        ({"access": {"socket_mode": "0777"}}, ["access.socket_mode", "executes"]),
+        ({"access": {"socket_mode": "0777"}}, ["access.socket_mode", "execute bits"]),
         ({"access": {"board_mode": "0660"}}, ["access.board_mode", "read it only"]),
         ({"access": {"board_mode": "0646"}}, ["access.board_mode", "read it only"]),
         ({"access": {"map_mode": "0664"}}, ["access.map_mode", "read it only"]),

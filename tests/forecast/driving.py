@@ -33,7 +33,7 @@ def default_params(**changes):
 
 
 def as_dict(params):
-    """The same as the twin wants it: plain Python numbers and lists."""
+    """The same as the twin takes it: plain Python numbers and lists."""
     p = params[0]
     out = {n: p[n].item() for n in p.dtype.names if p[n].ndim == 0}
     out["scale_m"], out["zero_m"] = p["scale_m"].tolist(), p["zero_m"].tolist()

@@ -1,4 +1,4 @@
-"""Stamps of readings that jump ahead of every time the follower in process was told."""
+"""Timestamps of readings that jump ahead of every time given to the follower in process."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Sensor(FutureStamps):
 
 
 def fed(ms_range, stamps: Sensor, ahead_ms=0, times=True):
-    """Corrections of readings every 4 ms, beside a time told every 10 ms [ms]."""
+    """Corrections of readings every 4 ms, beside a time given every 10 ms [ms]."""
     out = []
     for ms in ms_range:
         if times and ms % 10 == 0:

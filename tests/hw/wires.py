@@ -153,7 +153,7 @@ def datagrams(port: Callable[[], int]) -> Callable[[bytes], None]:
 
 
 class Ring:
-    """A ring as it lies in a slot, written as a client writes it, or as nobody should."""
+    """A ring as it lies in a slot, written as a client writes it, or wrongly."""
 
     def __init__(self) -> None:
         self.words = np.zeros((lb.RANGES_AT + lb.RANGE_ITEMS * lb.RangeItem.SIZE) // 8, np.int64)

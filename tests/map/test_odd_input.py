@@ -148,7 +148,7 @@ def text(tmp_path):
 
 
 def changed(text, key, value):
-    """As somebody changes a header by hand, who deletes its checksum."""
+    """A header that was changed manually, without its checksum."""
     new, n = re.subn(rf"(?m)^{key} .*$", f"{key} {value}", text)
     assert n == 1
     return re.sub(r"(?m)^head_crc .*\n", "", new)

@@ -19,7 +19,7 @@ SHORT_S = 2.0  # of those who are to outlive it
 
 @pytest.fixture(scope="module")
 def map_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """No sensors, room for 200,000 grids, a lease that nobody outlives; alive for the whole module."""
+    """No sensors, room for 200,000 grids, a lease longer than any test; alive for the whole module."""
     text = config_text(grids=GRIDS, map=f'access_lease = "{LEASE_S} s"')
     with Service(tmp_path_factory.mktemp("map_service"), text).running() as s:
         yield s

@@ -1,4 +1,4 @@
-"""CSV logs: what a column file may say, what the rows become, and which pairs a forecast is judged by."""
+"""CSV logs: keys of a column file, conversion of rows, and the pairs that score a forecast."""
 
 from __future__ import annotations
 

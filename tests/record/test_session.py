@@ -1,4 +1,4 @@
-"""How long a recording lasts: seconds count from its first cycle, whatever came before that."""
+"""How long a recording lasts: seconds count from its first cycle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The issue's list of bad input, one by one: a clear error or a flagged part of the path, never a guess."""
+"""The issue's list of bad input, one by one: a clear error or a flagged part of the path."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def test_held_out_residuals_are_those_of_fits_without_the_spot():
 
 
 def test_a_noisy_calibration_is_never_worse_on_the_ground_than_the_spots_say():
-    """Over many seeds the choice beats the triangles where nothing is to be corrected."""
+    """Over many seeds the choice is better than the triangles where nothing is to be corrected."""
     none, full = [], []
     for seed in range(20):
         given = spots(np.random.default_rng(seed), lambda x, y: 0.0 * x, 2e-3)

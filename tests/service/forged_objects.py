@@ -31,7 +31,7 @@ def put(path: Path, kind: str) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove whatever it is."""
+    """Remove it, of any kind."""
     if path.is_dir() and not path.is_symlink():
         path.rmdir()
     else:

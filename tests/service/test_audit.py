@@ -29,7 +29,7 @@ BURST_OF_CHANGES = round(BURST[CHANGED])
 
 
 class Trail:
-    """An audit trail on a board of a test's own; `lines`: what was told, and whether it may be dropped."""
+    """An audit trail on a board of a test's own; `lines`: reported lines, and whether each may be dropped."""
 
     def __init__(self) -> None:
         board = np.zeros((lb.LogHead.SIZE // 8) + lb.AUDIT_WORDS, np.uint64)

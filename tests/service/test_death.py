@@ -1,4 +1,4 @@
-"""Deaths, stops and restarts of either side: silence is told, demands become zero, all heals by itself."""
+"""Deaths, stops and restarts of either side: silence is reported, demands become zero, then recovery."""
 
 from __future__ import annotations
 

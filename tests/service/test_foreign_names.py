@@ -34,7 +34,7 @@ FLOCK = struct.Struct("hhxxxxqqixxxx")
 
 
 def at_once(action: Callable[[], Any]) -> str:
-    """What an action says, which must not wait for anybody."""
+    """The error text of an action, which must not wait."""
     outcomes: list[str] = []
     thread = threading.Thread(target=lambda: outcomes.append(outcome(action)), daemon=True)
     thread.start()

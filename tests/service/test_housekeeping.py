@@ -39,7 +39,7 @@ def start_with(s: Service, stderr: int, *before: str) -> Service:
 
 
 def goes_on(client: Client) -> None:
-    """The cycle and the main thread's beat go on, and the service answers."""
+    """The cycle and the housekeeping go on, and the service answers."""
     before = client.status()
     until(lambda: client.status()["cycles"] > before["cycles"] + 100, "100 cycles")
     until(lambda: client.status()["main"]["t_ns"] > before["main"]["t_ns"], "a beat")
@@ -47,7 +47,7 @@ def goes_on(client: Client) -> None:
 
 
 def chatter(client: Client) -> None:
-    """Make the service tell as much as a client can, which is more than a small pipe holds."""
+    """Make the service log as much as a client can cause, which is more than a small pipe holds."""
     for _ in range(40):
         client.set_params(max_demand="20 mm")
         client.stop("x" * 63)
@@ -280,7 +280,7 @@ def test_the_rate_of_lines_is_limited_and_what_is_dropped_is_counted(
     # WHEN more lines are told than may be
     messages = Messages().start()
     for k in range(int(BURST) + 300):
-        messages.tell(f"line {k}")
+        messages.report(f"line {k}")
     messages.end()
     lines = capfd.readouterr().err.splitlines()
     # THEN the first are written, and the rest is counted

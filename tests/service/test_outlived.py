@@ -1,4 +1,4 @@
-"""Clients that outlive the service: every call alone tells its end and follows it to a new start."""
+"""Clients that outlive the service: every call detects its end and follows it to a new start."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ offset = { min = "80 mm", max = "120 mm" }
 
 @pytest.fixture(scope="module")
 def limited(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """A service with ceilings, whose objects everybody may use."""
+    """A service with limits, whose objects every user may use."""
     text = config_text(access='board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"') + LIMITS
     with Service(tmp_path_factory.mktemp("limited"), text).running() as s:
         yield s

@@ -1,4 +1,4 @@
-"""Descriptors that nobody asked for: no client decides how long the service's main thread waits."""
+"""Unrequested descriptors: no client decides how long the service's main thread waits."""
 
 from __future__ import annotations
 

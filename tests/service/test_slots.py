@@ -1,4 +1,4 @@
-"""Slots behind the socket: nobody cuts them, keeps them, takes more than his share, or speaks for another."""
+"""Slots behind the socket: no client cuts them, keeps them, exceeds its share, or acts for another."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ OPEN = 'board_mode = "0644"\nsocket_mode = "0666"\nmap_mode = "0644"'
 
 @pytest.fixture(scope="module")
 def following(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """A service with a simulated sensor, whose objects everybody may use."""
+    """A service with a simulated sensor, whose objects every user may use."""
     with over_ground(tmp_path_factory.mktemp("stop"), config_text(kind="simulated", access=OPEN)) as s:
         yield s
 

@@ -1,4 +1,4 @@
-"""A strict start refuses a machine that does not grant what the configuration wants."""
+"""A strict start refuses a machine that does not grant the configured settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The latch: readers get whole structures, whatever the writer does meanwhile."""
+"""The latch: readers get whole structures, during any writing."""
 
 from __future__ import annotations
 

@@ -164,7 +164,7 @@ def test_a_file_system_that_fills_up_meanwhile_leaves_nothing_behind(name, monke
     [
         ("", "fewer log_words"),
         (".map", r"fewer map\.grids"),
-        (".world", "nobody needs"),
+        (".world", "unused objects"),
         (".poses", "a block"),
     ],
 )

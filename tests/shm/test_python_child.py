@@ -1,4 +1,4 @@
-"""Child processes import nothing from the working directory, which may be anybody's."""
+"""Child processes import nothing from the working directory, which may be another user's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A kernel cache holds code that is run: no folder that somebody else could change is used."""
+"""A kernel cache holds code that is run: no folder that another user could change is used."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ class Demand:
 
 
 class PerfectService:
-    """Knows the ground: demands what brings the newest report to the wanted height."""
+    """Knows the ground: demands the difference of the newest report to the desired height."""
 
     def __init__(self, field: Any) -> None:
         self.field, self.offset_m, self.poses = field, 0.0, []

@@ -1,4 +1,4 @@
-"""What a follower meets in the simulated robot: its path, its late noisy reports, how it heeds demands."""
+"""The simulated robot: its path, its late noisy reports, its response to demands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The simulated robot's wrist, what a tilted tool is over, and how the robot heeds rotations."""
+"""The simulated robot's wrist, the ground under a tilted tool, and demanded rotations."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What people look at: the demonstration and its picture."""
+"""Applications: the demonstration and its picture, scans, shared robots."""

@@ -63,7 +63,7 @@ def publish(base: SimulatedBase, seen: AttachedBlock, true: AttachedBlock, t_ns:
 
 
 def sensing_of(block: AttachedBlock) -> tuple[Sensing, int] | None:
-    """The newest sensing of a base and its time stamp [ns]; None before the first."""
+    """The newest sensing of a base and its timestamp [ns]; None before the first."""
     now = block.latest()
     if now.generation == 0 or now["t_ns"] == 0:
         return None

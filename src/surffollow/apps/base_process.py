@@ -96,7 +96,7 @@ def waited_for(name: str) -> str:
 
 @contextlib.contextmanager
 def log_rows(path: str | None) -> Iterator[Callable[[tuple[float, ...]], object]]:
-    """What appends a row to a log; the file stands beside its name from the first moment on."""
+    """Writer of rows to a log; the file stands beside its name from the first moment on."""
     if path is None:
         yield lambda row: None
         return

@@ -48,7 +48,7 @@ class Child:
         )
 
     def errors(self) -> str:
-        """What it wrote to its standard error so far."""
+        """Its standard error so far."""
         self._errors.seek(0)
         return self._errors.read().strip()
 
@@ -64,7 +64,7 @@ class Child:
         return out
 
     def result(self, timeout_s: float) -> dict[str, Any]:
-        """Wait for its end and parse the JSON object that it printed; code 1 is for the caller to judge."""
+        """Wait for its end and parse the JSON object that it printed; the caller interprets code 1."""
         try:
             out, _ = self.child.communicate(timeout=timeout_s)
         except subprocess.TimeoutExpired:

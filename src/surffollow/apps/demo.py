@@ -21,7 +21,7 @@ Progress = Callable[[str, float], None]
 READY_TIMEOUT_S = 180.0
 RMS_LIMIT_M, ROLLING_LIMIT_M = 5e-3, 2e-3
 SHELL_RMS_LIMIT_M, ANGLE_RMS_LIMIT_DEG = 1e-3, 1.0
-SPEED_MPS, SHELL_SPEED_MPS = 0.05, 0.1  # up to which the bars are meant
+SPEED_MPS, SHELL_SPEED_MPS = 0.05, 0.1  # up to which the limits apply
 SHELLS = ("dome", "shell", "flat", "ramp")  # grounds whose normal means something to a tool of this size
 
 
@@ -141,12 +141,12 @@ def run_demo(config: DemoConfig, folder: Path, progress: Progress) -> dict[str, 
     if config.speed_mps > bar_mps * (1.0 + 1e-9):
         limits = (math.inf, math.inf, math.inf)
         result["notes"] = [
-            f"how close it kept is not judged: the bars are for {bar_mps * 1e3:g} mm/s and below"
+            f"the stand-off error is not evaluated: the limits are for {bar_mps * 1e3:g} mm/s and below"
         ]
     result["failures"] = verdict(result, *limits)
     if not summary["finished"]:
         result["failures"].append(
-            f"the robot had no valid demand in {summary['held_ticks']} of its {summary['ticks']} ticks"
+            f"the robot had no valid demand in {summary['held_ticks']} of its {summary['ticks']} periods"
         )
     return result
 
@@ -162,7 +162,7 @@ def check_writable(folder: Path) -> None:
 
 @contextlib.contextmanager
 def demo_folder(keep: Path | None) -> Iterator[Path]:
-    """Where the demonstration's files go: a folder of the user's, or one that vanishes."""
+    """Folder of the demonstration's files: a folder of the user's, or one that vanishes."""
     if keep is not None:
         try:
             keep.mkdir(parents=True, exist_ok=True)

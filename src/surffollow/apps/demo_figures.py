@@ -35,7 +35,7 @@ def map_figures(client: Client, path: Path) -> dict[str, Any]:
 def verdict(
     result: dict[str, Any], rms_limit_m: float, rolling_limit_m: float, angle_limit_deg: float = math.inf
 ) -> list[str]:
-    """What did not come out as it must."""
+    """Failed checks."""
     failures = []
     rms = result["standoff_rms_m"]
     if rms is None:

@@ -1,4 +1,4 @@
-"""What a demonstration is to do, as the service's configuration and the robot's command line say it."""
+"""Task of a demonstration, as the service's configuration and the robot's command line."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SHELL_HALF_M = 0.39  # half a lane: 20 degrees on a radius of 1 m, and the way i
 
 @dataclass(frozen=True)
 class DemoConfig:
-    """What the demonstration runs; lengths [m], speeds [m/s]."""
+    """Settings of the demonstration; lengths [m], speeds [m/s]."""
 
     seconds: float = 20.0
     speed_mps: float = 0.05
@@ -37,7 +37,7 @@ class DemoConfig:
 
     @property
     def turns(self) -> bool:
-        """Whether the tool turns to the normal: three sensors can tell it."""
+        """Whether the tool turns to the normal: three sensors measure it."""
         return self.sensors >= 3
 
     @property
@@ -47,7 +47,7 @@ class DemoConfig:
 
     @property
     def region(self) -> tuple[float, float, float, float]:
-        """Where the path lies [m]."""
+        """Extent of the path [m]."""
         return self._shell_region() if self.turns else self._field_region()
 
     def _shell_region(self) -> tuple[float, float, float, float]:

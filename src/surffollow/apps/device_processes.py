@@ -14,19 +14,19 @@ DEVICE_HZ = 50.0
 
 
 class CameraStatus(Block):
-    """What a camera does; NAME.camera_status."""
+    """State of a camera; NAME.camera_status."""
 
     t_ns = I64(unit="ns", doc="CLOCK_MONOTONIC")
-    client = I64(doc="number of the client that it obeys, 0: nobody's, the safe command")
+    client = I64(doc="number of the client that it obeys, 0: none, the safe command")
     pan_rad = F64(unit="rad", doc="left positive")
     moving = I64()
 
 
 class SpeakerStatus(Block):
-    """What a speaker does; NAME.speaker_status."""
+    """State of a speaker; NAME.speaker_status."""
 
     t_ns = I64(unit="ns", doc="CLOCK_MONOTONIC")
-    client = I64(doc="number of the client that it obeys, 0: nobody's, the safe command")
+    client = I64(doc="number of the client that it obeys, 0: none, the safe command")
     tone_hz = F64(unit="Hz", doc="0: silence")
     tones = I64(doc="begun so far")
 

@@ -38,7 +38,7 @@ SAG_KNOWN = 0.9  # part of the sag that the model arm has
 
 @dataclass(frozen=True)
 class Errors:
-    """What differs between the real field and the model; every element can be switched off."""
+    """Differences between the real field and the model; every element can be switched off."""
 
     noise: bool = True  # of disparities, wrong matches, lost texture
     occlusion: bool = True
@@ -127,7 +127,7 @@ def view_joints(arm: Arm) -> Floats:
 
 
 def take_images(place: Field, rng: np.random.Generator) -> list[DepthImage]:
-    """Disparity images from all views: rendered from the real camera, posed as the model believes."""
+    """Disparity images from all views: rendered from the real camera, posed as in the model."""
     joints = view_joints(place.model)
     real, modelled = place.real.ground_from_camera(joints), place.model.ground_from_camera(joints)
     fx, fy, cx, cy = LENS_PX

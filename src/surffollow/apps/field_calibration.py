@@ -30,7 +30,7 @@ RING_S = 5.0
 
 @dataclass(frozen=True)
 class Calibration:
-    """What touching and ringing found.
+    """Results of touching and ringing.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Calibration:
     mode : Mode                of the arm across its plane
     model : str                of the matrix, chosen by left-out spots (`scan.held_out`)
     held_out_rms_m : dict      residuals [m] of left-out spots by model
-    surface : Envelope         z is sampled again from it as in equation 10; None: z of the wanted place
+    surface : Envelope         z is sampled again from it as in equation 10; None: z of the planned place
     """
 
     polar: PolarCorrection
@@ -52,7 +52,7 @@ class Calibration:
     def apply(self, path: ScanPath) -> ScanPath:
         """Commands that bring the real tip to a path in map coordinates: equations 8, 9 and 11.
 
-        Without `surface` z stays that of the wanted place: the map is what is right here, and the arm is sent
+        Without `surface` z stays that of the planned place: the map is right here, and the arm is sent
         elsewhere to reach it.
         """
         return self.matrix.apply(polar_correction(path, self.polar, self.surface))
@@ -97,7 +97,7 @@ def touch(place: Field) -> tuple[Floats, Floats]:
 
 
 def as_seen(place: Field, points_m: Floats) -> Floats:
-    """(n, 3) points of the ground at the places that the nearest view's believed pose gives them."""
+    """(n, 3) points of the ground at the places that the nearest view's modelled pose gives them."""
     joints = view_joints(place.model)
     real, modelled = place.real.ground_from_camera(joints), place.model.ground_from_camera(joints)
     nearest = np.linalg.norm(points_m[:, None, :2] - real[None, :, :2, 3], axis=2).argmin(axis=1)

@@ -69,18 +69,18 @@ def demonstrate(kind: str, seed: int, progress: Progress | None = None) -> Demon
     ScanInputError
         a stage that cannot do its work
     """
-    tell = progress if progress is not None else lambda _text, _part: None
+    report = progress if progress is not None else lambda _text, _part: None
     place, task = make_field(kind, seed), task_for(kind)
-    tell("survey", 0.0)
+    report("survey", 0.0)
     ground = survey_field(place, average_m=STEEP_AVERAGE_M if kind == "hump" else AVERAGE_M)
-    tell("calibration", 0.4)
+    report("calibration", 0.4)
     found = calibrate(place)
-    tell("plan and scan", 0.7)
+    report("plan and scan", 0.7)
     shaper = shaper_of(found)
     shaped = run(place, plan(ground, task, shaper), found, task)
     unshaped = run(place, plan(ground, task, Shaper.none()), found, task)
     target = bury(place)
-    tell("signal map", 0.9)
+    report("signal map", 0.9)
     rng = np.random.default_rng([seed, 6])
     felt = target_signal(shaped.tip_m, np.array(target), rng)
     on = shaped.desired.passes >= 0
@@ -135,7 +135,7 @@ def bury(place: Field) -> tuple[float, float, float]:
 
 
 def failures(figures: dict[str, Any]) -> list[str]:
-    """Bars that are not met."""
+    """Limits that are not met."""
     found = []
     shaped = figures["shaped"]
     if figures["ground"] == "hump":

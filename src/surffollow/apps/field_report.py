@@ -30,7 +30,7 @@ def write_report(path: str | os.PathLike[str], made: Demonstration, tables: dict
     failed = f["failures"]
     page = Page(
         f"Scan of {f['ground']} ground, seed {f['seed']}",
-        "all bars met" if not failed else "; ".join(failed),
+        "all limits met" if not failed else "; ".join(failed),
         not failed,
     )
     page.picture(lambda p: draw_field(p, made), "scene, gap, acceleration, signal")

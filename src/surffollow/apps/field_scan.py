@@ -66,7 +66,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Run:
-    """What a scan did, sample by sample at RATE_HZ.
+    """Record of a scan, sample by sample at RATE_HZ.
 
     Attributes
     ----------

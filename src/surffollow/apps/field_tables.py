@@ -46,13 +46,13 @@ def filters_table(seeds: Sequence[int], progress: Progress | None = None) -> lis
 def _over(
     seeds: Sequence[int], cases: Callable[[int], Iterator[Row]], progress: Progress | None
 ) -> list[dict[str, Any]]:
-    tell = progress if progress is not None else lambda _text, _part: None
+    report = progress if progress is not None else lambda _text, _part: None
     made: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     keys: dict[tuple[Any, ...], dict[str, Any]] = {}
     for k, seed in enumerate(seeds):
         for case, one in cases(seed):
             name = tuple(case.values())
-            tell(f"seed {seed}: {' '.join(map(str, name))}", k / len(seeds))
+            report(f"seed {seed}: {' '.join(map(str, name))}", k / len(seeds))
             keys[name] = case
             made.setdefault(name, []).append(one.figures())
     return [keys[n] | averaged(rows) for n, rows in made.items()]
@@ -86,7 +86,7 @@ def _elements(seed: int) -> Iterator[Row]:
         only = replace(found, polar=replace(found.polar, scale=1.0, offset_m=0.0, offset_rad=0.0))
         yield {"switched_off": "polar correction (eqs 8-10)"}, run(place, desired, only, task)
         again = replace(found, surface=envelope_of(ground, task.gap_m))
-        yield {"switched_off": "z of the wanted place (eq 10)"}, run(place, desired, again, task)
+        yield {"switched_off": "z of the planned place (eq 10)"}, run(place, desired, again, task)
         unshaped = plan(ground, task, Shaper.none())
         yield {"switched_off": "shaping"}, run(place, unshaped, found, task)
         for label, change in (

@@ -10,8 +10,8 @@ from surffollow.errors import ConfigError
 
 LONGEST_S = 0.5
 SIGMAS = 4.0  # by which another delay must fit worse
-RESOLVED = 1e-3  # of the move: finer differences of two fits tell nothing
-LEAST_MOVE = 20.0  # the move must exceed the readings' scatter so many times
+RESOLVED = 1e-3  # of the move: finer differences of two fits are noise
+MIN_MOVE = 20.0  # the move must exceed the readings' scatter so many times
 
 
 class LatencyFit(msgspec.Struct, frozen=True):
@@ -92,9 +92,9 @@ def fit_latency(
     slope = np.gradient(np.interp(at - latency_s, t_s, z_m), at)
     information = float(np.sum((slope - slope.mean()) ** 2))
     sigma_s = scatter_m / np.sqrt(information) if information > 0.0 else np.inf
-    if not sigma_s < LONGEST_S / LEAST_MOVE:
+    if not sigma_s < LONGEST_S / MIN_MOVE:
         raise ConfigError(
-            f"the move does not tell the latency: it is uncertain by {1e3 * sigma_s:.3g} ms; move up and "
-            f"down by some millimetres, faster or farther (readings scatter by {1e3 * scatter_m:.3g} mm)"
+            f"the move does not determine the latency: it is uncertain by {1e3 * sigma_s:.3g} ms; move up "
+            f"and down by some millimetres, faster or farther (readings scatter by {1e3 * scatter_m:.3g} mm)"
         )
     return LatencyFit(latency_s, float(sigma_s), scatter_m)

@@ -17,7 +17,7 @@ from surffollow.hw.driver import Mount
 
 FEWEST = 24
 NORM_TOLERANCE = 0.01  # of a unit quaternion that was written with three digits
-MOST_POSITION_M, MOST_ANGLE_RAD = 2e-3, math.radians(1.0)  # uncertainty beyond which moves do not tell
+MAX_POSITION_M, MAX_ANGLE_RAD = 2e-3, math.radians(1.0)  # greatest uncertainty of an identified mount
 
 
 class MountFit(msgspec.Struct, frozen=True):
@@ -64,7 +64,7 @@ def fit_mount(poses: NDArray[np.float64], range_m: NDArray[np.float64]) -> Mount
     Raises
     ------
     ConfigError
-        too few readings, no unit quaternion, or moves that cannot tell one of the unknowns
+        too few readings, no unit quaternion, or moves that do not determine one of the unknowns
     """
     from scipy.optimize import least_squares
 
@@ -96,7 +96,7 @@ def fit_mount(poses: NDArray[np.float64], range_m: NDArray[np.float64]) -> Mount
     values, vectors = np.linalg.eigh(normal * scale[:, None] * scale[None, :])
     if values[0] < 1e-12:
         weak = int(np.argmax(np.abs(vectors[:, 0])))
-        raise ConfigError(f"the moves cannot tell {_NAMES[weak]}; {_REMEDY}")
+        raise ConfigError(f"the moves do not determine {_NAMES[weak]}; {_REMEDY}")
     covariance = scatter_m**2 * np.linalg.inv(normal)
     sigma = np.sqrt(np.diag(covariance))
     off = np.abs(found.fun)
@@ -105,11 +105,11 @@ def fit_mount(poses: NDArray[np.float64], range_m: NDArray[np.float64]) -> Mount
         f"; or leave out stray readings: they scatter by {1e3 * scatter_m:.3g} mm about the fit, move "
         f"{np.flatnonzero(known)[worst] + 1} is {1e3 * off[worst]:.3g} mm off"
     )
-    for k, most in enumerate((*[MOST_POSITION_M] * 3, *[MOST_ANGLE_RAD] * 2)):
+    for k, most in enumerate((*[MAX_POSITION_M] * 3, *[MAX_ANGLE_RAD] * 2)):
         if not sigma[k] < most:
             unit = f"{1e3 * sigma[k]:.3g} mm" if k < 3 else f"{math.degrees(sigma[k]):.3g} deg"
             raise ConfigError(
-                f"the moves cannot tell {_NAMES[k]}: it is uncertain by {unit}; {_REMEDY}{stray}"
+                f"the moves do not determine {_NAMES[k]}: it is uncertain by {unit}; {_REMEDY}{stray}"
             )
     x, y, z, a, b = found.x[:5].tolist()
     n = _plate(found.x[5], found.x[6])

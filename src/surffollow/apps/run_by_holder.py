@@ -13,7 +13,7 @@ RETRY_NS = 100_000_000
 
 
 class Settable(Protocol):
-    """What is needed of the client that holds the pose, and so may set parameters."""
+    """Interface of the client that holds the pose, and so may set parameters."""
 
     @property
     def epoch(self) -> int: ...
@@ -40,7 +40,7 @@ class RunByHolder:
         self._next_ns = 0
 
     def look(self, now_ns: int) -> None:
-        """Once in each of the robot's ticks; never waits."""
+        """Once in each of the robot's periods; never waits."""
         run = self._desired(now_ns)
         if run is None:
             return
@@ -59,7 +59,7 @@ class RunByHolder:
         self._next_ns = now_ns + RETRY_NS
 
     def _desired(self, now_ns: int) -> str | None:
-        """Run mode by who holds the resource; None: nobody can tell."""
+        """Run mode by who holds the resource; None: unknown."""
         watch = self._watch
         if watch is None or not watch.alive():
             if now_ns < self._next_ns:

@@ -15,7 +15,7 @@ from surffollow.scan.path import ScanPath
 from surffollow.sim.field_sensors import laser_range
 from surffollow.sim.surfaces import HeightField
 
-SETTLE_S = 1.0  # of a run's beginning, before it is judged
+SETTLE_S = 1.0  # of a run's beginning, left out of the figures
 CHECKED = 4000  # samples whose clearance is looked at
 
 
@@ -43,7 +43,7 @@ def desired_range_m(done: Executed, path_s: Floats) -> Floats:
 
 
 def sensed_figures(done: Executed) -> dict[str, float | None]:
-    """Sensed stand-off minus the wanted one on passes: RMS [m], P99 [m] and the share of readings."""
+    """Sensed stand-off minus the desired one on passes: RMS [m], P99 [m] and the share of readings."""
     t, scanning = done.trace["t_s"], done.trace["scanning"] > 0.0
     if not scanning.any():
         return {"sensed_rms_m": None, "sensed_p99_m": None, "sensed_part": 0.0}
@@ -67,9 +67,9 @@ def true_figures(done: Executed, ground: HeightField) -> dict[str, Any]:
 
     Returns
     -------
-    dict     rms_m, p99_m, mean_m of range along the axis minus the wanted one; clearance_min_m of the control
-        points; violations (part of the samples with one more than 10 mm inside the gap), contacts (part with
-        one below the ground); tip_acceleration_rms_mps2 (horizontal, of the real tip); samples
+    dict     rms_m, p99_m, mean_m of range along the axis minus the desired one; clearance_min_m of the
+        control points; violations (part of the samples with one more than 10 mm inside the gap), contacts
+        (part with one below the ground); tip_acceleration_rms_mps2 (horizontal, of the real tip); samples
     """
     trace, path = done.trace, done.path
     on = np.flatnonzero((trace["scanning"] > 0.0) & (trace["t_s"] > _begin_s(trace) + SETTLE_S))

@@ -1,4 +1,4 @@
-"""What a run does about the gap: it notes when the tool is inside, and ends where no lift helps."""
+"""Response of a run to the gap: it notes when the tool is inside, and ends where no lift helps."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class GapWatch:
         return [f"inside the gap: {place}"] if first else []
 
     def figures(self) -> dict[str, Any]:
-        """What the readings say about the gap; None without readings."""
+        """Gap from the readings; None without readings."""
         robot, guard = self._robot, self._robot.guard
         if guard is None or guard.ground.measured == 0:
             return {"inside_times": None, "inside_s": None, "inside_least_m": None, "inside_later_part": None}

@@ -1,4 +1,4 @@
-"""What a scan's range readings say about the gap: ground known so far, lift that it asks for, clearance.
+"""The gap from a scan's range readings: ground known so far, lift that it asks for, clearance.
 
 The readings see the ground under the tool's middle only. Every reading corrects the map of the plan
 (`scan.known_ground`) as far as the underside meets it at the poses that are looked at, unless another reading

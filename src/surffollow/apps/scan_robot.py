@@ -28,7 +28,7 @@ from surffollow.sim.robot_stop import REST_MPS
 from surffollow.sim.step_clock import STEP_NS
 from surffollow.sim.world import WorldPose
 
-ASKED_KEPT = 200  # ticks that a shaper may look back
+ASKED_KEPT = 200  # periods that a shaper may look back
 WITHOUT_FACTS = {"speed_mps": 0.1, "acceleration_mps2": 1.0}
 
 
@@ -41,7 +41,7 @@ class ScanRobot(CommandedRobot):
     config : ScanRobotConfig
     start_ns : time at which the tip stands above the path's first sample [ns]
     expected_m : (n,) range that the sensor should read at the samples [m]; None: see `expected_range_m`
-    guard : Guard      what readings say about the gap; None: the plan and the demand alone are heeded
+    guard : Guard      the gap from readings; None: the plan and the demand alone are used
 
     Raises
     ------
@@ -150,12 +150,12 @@ class ScanRobot(CommandedRobot):
         return due
 
     def command(self, demand_m: float, pose_t_ns: int, turn_rad: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
-        """Heed a demand, each added to the report that it refers to; rotations are the plan's.
+        """Apply a demand, each added to the report that it refers to; rotations are the plan's.
 
         Parameters
         ----------
         demand_m : vertical demand [m]
-        pose_t_ns : stamp of that report [ns]; an unknown one makes the robot hold
+        pose_t_ns : timestamp of that report [ns]; an unknown one makes the robot hold
         turn_rad : not used
         """
         self._received_ns, passed_s = self.t_ns, (self.t_ns - self._tick_ns) * 1e-9
@@ -177,7 +177,7 @@ class ScanRobot(CommandedRobot):
             self._set(self._ahead(self._z))
 
     def _desired(self, followed_m: float, passed_s: float) -> float:
-        """Height from the plan, from what the follower wants, and the least that known ground bears."""
+        """Height from the plan, from the follower's demand, and the least above known ground."""
         c = self.config
         planned = self._ahead(self._z)
         asked = min(max(followed_m - planned, -self.limit_m), self.limit_m)
@@ -218,7 +218,7 @@ class ScanRobot(CommandedRobot):
         return stop_s, stop_s + rate * (0.0 if shaper is None else shaper.duration_s)
 
     def _shaped(self, error_m: float, lift_m: float) -> tuple[float, float]:
-        """What follower and known ground ask for beyond the plan, as the shaper's impulses take it."""
+        """Demand of follower and known ground beyond the plan, after the shaper's impulses."""
         shaper = self.config.shaper
         if shaper is None:
             return error_m, lift_m

@@ -20,7 +20,7 @@ RETRACT_M = 0.1  # above the ground after a scan
 
 @dataclass(frozen=True)
 class ArmErrors:
-    """What the arm's model does not know: the stiff real tip minus the commanded one.
+    """Errors of the arm's model: the stiff real tip minus the commanded one.
 
     Attributes
     ----------

@@ -35,7 +35,7 @@ Progress = Callable[[str, float], Any]
 
 @dataclass(frozen=True)
 class Executed:
-    """What a run did.
+    """Result of a run.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ def execute(
     config : ScanRobotConfig
     ground : TerrainGrid    the map of the plan, from which the expected ranges follow; None: from the path
     prepare : gets an attachment before anything moves: to install a map
-    aborted : asked at every tick; once true the tip retracts and the run ends
+    aborted : asked in every period; once true the tip retracts and the run ends
     progress : gets a line of text and the finished part
     wait_s : how long to wait for the service at the start [s]
 
@@ -235,7 +235,7 @@ class _Run:
         return "waiting" if robot.barred else "scan"
 
     def status(self) -> dict[str, Any]:
-        """What `surffollow scan status` shows."""
+        """Data of `surffollow scan status`."""
         robot = self.robot
         x, y, z = robot.tip_m
         return {
@@ -250,7 +250,7 @@ class _Run:
         }
 
     def executed(self) -> Executed:
-        """What was done."""
+        """Result of the run."""
         robot, c = self.robot, self.controller
         rows = np.array(self._rows).reshape(-1, 3)
         summary = {

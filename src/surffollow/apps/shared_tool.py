@@ -32,7 +32,7 @@ class ToolStatus(Block):
 
 
 class ToolDemand:
-    """What an arbiter wants of the tool, as a robot looks at a demand."""
+    """An arbiter's command to the tool, as the demand that a robot reads."""
 
     def __init__(self, command: ResourceCommand, epoch: int) -> None:
         self._values, self.pose_t_ns, self.epoch = command.values, command.ref_t_ns, epoch
@@ -65,7 +65,9 @@ class ArbitratedService:
 
     def ee_pos(self, pose: Sequence[float], t_ns: int | None = None) -> None:
         """Report a pose to the service and to the arbiter's clients."""
-        t_ns = time.monotonic_ns() if t_ns is None else t_ns  # one stamp for both: demands are found by it
+        t_ns = (
+            time.monotonic_ns() if t_ns is None else t_ns
+        )  # one timestamp for both: demands are found by it
         self._service.ee_pos(pose, t_ns)
         with self._memory["tool_status"].write(0.001) as status:
             status.t_ns = t_ns
@@ -81,7 +83,7 @@ class ArbitratedService:
         self._service.claim_pose()
 
     def sf_reset(self, offset_m: float) -> object:
-        """Restart the forecast with a wanted stand-off [m]."""
+        """Restart the forecast with a desired stand-off [m]."""
         return self._service.sf_reset(offset_m)
 
     def close(self) -> None:
@@ -98,7 +100,7 @@ def attach_arbitrated(service: str, arbiter: str, resource: str) -> ArbitratedSe
 
 
 class ReportedPoses(Closing):
-    """The newest poses that a robot reported, by their stamps, from its status block; it may be absent."""
+    """The newest poses that a robot reported, by timestamp, from its status block; it may be absent."""
 
     KEPT = 64
 
@@ -108,7 +110,7 @@ class ReportedPoses(Closing):
         self._next_ns = 0
 
     def at(self, t_ns: int) -> tuple[float, ...] | None:
-        """The pose reported with this stamp; None: not seen."""
+        """The pose reported with this timestamp; None: not seen."""
         block, now = self._memory["tool_status"], time.monotonic_ns()
         if not block.attached:
             if now < self._next_ns:

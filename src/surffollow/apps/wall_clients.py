@@ -1,8 +1,8 @@
-"""The clients of the wall-following experiments: what each wants of the base, step by step.
+"""The clients of the wall-following experiments: their requests for the base, step by step.
 
 Four clients share the base by priority: `avoid` 40, `follow-wall` 30, `follow-wall-2` 20, `go` 10 (Dekhil and
-Henderson, section 3). A client sees the sensors and the odometry, and answers whether it wants the base and
-for which command. Time is an argument, so the same code runs in a process of its own and in simulated time.
+Henderson, section 3). A client sees the sensors and the odometry, and answers whether it requests the base
+and for which command. Time is an argument: the same code runs in its own process and in simulated time.
 """
 
 from __future__ import annotations

@@ -13,12 +13,12 @@ from surffollow.apps.wall_sensing import wrap
 
 @dataclass
 class Run:
-    """What happened in one experiment.
+    """Record of one experiment.
 
     Attributes
     ----------
     time_s, x_m, y_m, heading_rad, gap_m : (n,) ndarray     true motion; gap: rim to the nearest wall
-    holder : (n,) ndarray     index into `names`; −1: nobody
+    holder : (n,) ndarray     index into `names`; −1: none
     turns : list of (begin, end)    indices between which follow-wall held the base
     laps : float
     """
@@ -38,7 +38,7 @@ class Run:
 
 
 def find_turns(run: Run) -> list[tuple[int, int]]:
-    """Where follow-wall held the base and turned it by more than 45°."""
+    """Samples at which follow-wall held the base and turned it by more than 45°."""
     own = run.names.index("follow-wall")
     held = np.concatenate([[False], run.holder == own, [False]])
     edges = np.flatnonzero(held[1:] != held[:-1])

@@ -51,7 +51,7 @@ def ring_of(config: BaseConfig) -> SonarRing:
 
 
 def sense(base: SimulatedBase) -> Sensing:
-    """What the clients may see of a simulated base."""
+    """Part of a simulated base that clients may read."""
     s = base.state
     return Sensing(
         base.time_s,
@@ -69,7 +69,7 @@ class Arbitration:
 
     Attributes
     ----------
-    holder : int      index of the client that holds the base; −1: nobody
+    holder : int      index of the client that holds the base; −1: none
     """
 
     def __init__(self, names: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""What the clients of the wall-following experiments see, and how they say what they want."""
+"""Inputs and outputs of the clients of the wall-following experiments."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CRUISE_MPS = 0.2
 
 
 class Sensing(NamedTuple):
-    """What a client sees.
+    """Inputs of a client.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Sensing(NamedTuple):
 
 
 class Wish(NamedTuple):
-    """Whether a client wants the base, and its command: speed [m/s], turn rate [rad/s]."""
+    """Whether a client requests the base, and its command: speed [m/s], turn rate [rad/s]."""
 
     desired: bool
     speed: float = 0.0
@@ -48,7 +48,7 @@ class BaseClient(Protocol):
     name: str
 
     def step(self, seen: Sensing, held: bool) -> Wish:
-        """What it wants now; `held`: the arbiter granted it the base."""
+        """Its present request; `held`: the arbiter granted it the base."""
 
 
 def wrap(angle_rad: float) -> float:

@@ -48,7 +48,7 @@ class FollowWall2:
         self._next_s = seen.t_s + self.period_s
         if math.isnan(self._kept_m) and math.sqrt(self._cov[0, 0]) < 0.015:
             self._kept_m = float(self._state[0])
-        # a heading toward the wall is positive; aim 0.8 m ahead at the wanted distance
+        # a heading toward the wall is positive; aim 0.8 m ahead at the desired distance
         aim = 0.0 if math.isnan(self._kept_m) else math.atan2(self._state[0] - self._kept_m, 0.8)
         aim = max(-self.most_rad, min(self.most_rad, aim))
         turn = self._side * (aim - self._state[1])

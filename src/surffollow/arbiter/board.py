@@ -110,7 +110,7 @@ class Board:
             self._entry_bytes = self.regions["clients"][1] // al.CLIENTS
             self._declare(config, size)
 
-        # nobody sees half of it: it gets its name when it is declared
+        # no reader sees half of it: it gets its name when it is declared
         SharedObject.create(
             name, size, mode(config.mode, "mode"), configured_group_id(config.group, "group"), prepare
         )
@@ -176,6 +176,6 @@ class CommandBlock:
         self.fence = base + 8 * bl.FENCE_WORD
 
     def remove(self) -> None:
-        """Tell readers that no more will come, and take the name away."""
+        """Announce the end to readers, and take the name away."""
         block, lock, own = self._claimed
         give_up(block, lock, own, keep=False)

@@ -19,7 +19,7 @@ _STATE, _HEARTBEAT = al.BoardHeader.offset("state") // 8, al.BoardHeader.offset(
 
 
 class Holder(NamedTuple):
-    """Who holds a resource.
+    """Holder of a resource.
 
     Attributes
     ----------

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from surffollow.arbiter import layout as al
@@ -80,7 +81,7 @@ static inline int sfa_latest(const sfb_block *block, sfa_command_block *out) {
     memset(out, 0, sizeof *out);
     return 0;
   }
-  /* a command of the future is of another clock: nobody knows how old it is */
+  /* a command of the future is of another clock: its age is unknown */
   const int64_t now_ns = sf_now_ns(), begin_ns = 2 * out->t_ns - out->valid_until_ns;
   const int valid = out->source != SFA_SOURCE_SAFE && begin_ns < now_ns && now_ns < out->valid_until_ns;
   if (valid && !sfb_given_up(block)) return 1;
@@ -144,5 +145,7 @@ def header_text() -> str:
 
 
 if __name__ == "__main__":
+    if "--check" in sys.argv[1:]:
+        sys.exit(0 if header_text() == HEADER.read_text() else f"{HEADER.name} is out of date")
     HEADER.write_text(header_text())
     print(f"wrote {HEADER.name}: {HEADER.stat().st_size} bytes")

@@ -172,7 +172,7 @@ def explore(table: Any, w: Any) -> Any:
 
 @dataclass
 class Found:
-    """What exploring one policy found."""
+    """Result of exploring one policy."""
 
     policy: str
     states: int

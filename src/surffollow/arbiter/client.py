@@ -114,7 +114,7 @@ class ArbiterClient(ArbiterObserver):
         return attach(self.name, self.client, timeout_s=timeout_s, owner=self.owner)
 
     def close(self) -> None:
-        """End: whatever this client holds or waits for is given up."""
+        """End: everything that this client holds or waits for is given up."""
         if self.exchange.closed:
             return
         self.exchange.closed = True

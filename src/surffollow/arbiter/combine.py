@@ -108,7 +108,7 @@ def add_parts(mem: Any, combination: Any, t_ns: Any) -> Any:
         if reference >= 0 and run.ref_t_ns != 0 and run.ref_t_ns != c.ref_t_ns:
             to = mem.runs[reference].ref_pose
             if not (is_pose(run.ref_pose) and is_pose(to)):
-                return 0  # relative to what nobody said
+                return 0  # relative to a command that no client sent
             to_pose(run.value, run.ref_pose, to, x.n_values, mem.scratch[0:12], mem.scratch[12:20])
             for k in range(_VALUES):
                 c.value[k] += mem.scratch[12 + k]

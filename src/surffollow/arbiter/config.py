@@ -19,7 +19,7 @@ MAX_PRIORITY = 1_000_000
 
 
 class ResourceSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What is declared of one resource; as many numbers in `safe`, `low`, `high` as names in `command`."""
+    """Declaration of one resource; as many numbers in `safe`, `low`, `high` as names in `command`."""
 
     command: tuple[str, ...]
     safe: tuple[float, ...]

@@ -54,7 +54,7 @@ class Connection:
 
 
 def users_of(config: ArbiterConfig) -> set[int] | None:
-    """Who may attach; None: everybody."""
+    """Users that may attach; None: all."""
     if "*" in config.users:
         return None
     allowed = {0, own_user()}
@@ -206,7 +206,7 @@ class ConnectionServer:
             os.close(board)
 
     def _admit(self, connection: Connection) -> None:
-        """The client has its mapping: nobody can change the mailbox in any other way from now on."""
+        """The client has its mapping: the mailbox cannot be changed in any other way from now on."""
         seal_for_good(connection.mailbox_fd)
         connection.mailbox = mmap.mmap(
             connection.mailbox_fd, al.MAILBOX_BYTES, mmap.MAP_SHARED, mmap.PROT_READ
@@ -259,7 +259,7 @@ class ConnectionServer:
             time.sleep(0.001)
 
     def close(self) -> None:
-        """End all connections, and those that nobody accepted yet."""
+        """End all connections, and those not yet accepted."""
         for connection in self._unique_connections():
             connection.close(self._disposal)
         self._disposal.part_listener(self._listener)

@@ -23,7 +23,7 @@ class ResourceCommand(NamedTuple):
     values : tuple of floats
         as many as the resource declares; the safe ones when nothing valid is there
     safe : bool
-        True: nobody commands, the holder is late, or the server is gone
+        True: no client commands, the holder is late, or the server is gone
     seq : int
         rises with each publication; 0: none yet
     client : int
@@ -31,7 +31,7 @@ class ResourceCommand(NamedTuple):
     t_ns : int
         when it was made [ns]
     ref_t_ns : int
-        stamp of the pose that the values are relative to; 0: none
+        timestamp of the pose that the values are relative to; 0: none
     limited : bool
         a value was brought within its limits
     """

@@ -74,7 +74,7 @@ class Declaration:
 
     @classmethod
     def table(cls) -> dict[str, Any]:
-        """What TOML would say of it."""
+        """The same as TOML."""
         values = list(cls.VALUES.values())
         columns = {c: tuple(getattr(v, c) for v in values) for c in ("safe", "low", "high")}
         units = tuple(v.unit for v in values)

@@ -65,7 +65,7 @@ class Exchange:
         return (self._desk + _HELD) // 8 + resource, (self._desk + _ASKED) // 8 + resource
 
     def require_connection(self) -> None:
-        """Raise ClosedError or NotRunningError when there is nobody to talk to."""
+        """Raise ClosedError or NotRunningError when there is no server."""
         if self.closed:
             raise ClosedError("this client was closed; attach again")
         if self.ended:
@@ -101,7 +101,7 @@ class Exchange:
 
         Raises
         ------
-        NotRunningError, ClosedError   nobody answers
+        NotRunningError, ClosedError   no server answers
         RequestTimeoutError            the mailbox stays full
         """
         words = self.words

@@ -83,8 +83,8 @@ def _owner_of(sock: socket.socket, name: str, owners: Collection[int]) -> int:
     if owners and peer.uid not in owners:
         expected = " or ".join(str(u) for u in sorted(owners))
         raise NoPermissionError(
-            f"arbiter {name!r} is process {peer.pid} of user {peer.uid}, expected user {expected}: somebody "
-            f"else may have taken its name; look at it (ps -p {peer.pid}), or name the arbiter's user "
+            f"arbiter {name!r} is process {peer.pid} of user {peer.uid}, expected user {expected}: another "
+            f"process may have taken its name; look at it (ps -p {peer.pid}), or name the arbiter's user "
             "(owner=, SURFFOLLOW_OWNER)"
         )
     return peer.uid
@@ -106,7 +106,7 @@ def welcome(result: int, slot: int = -1, number: int = 0, epoch: int = 0, detail
 
 
 def confirm_mapping(sock: socket.socket, name: str) -> None:
-    """Tell the server that the mailbox is mapped, and wait until it looks into it.
+    """Report to the server that the mailbox is mapped, and wait until it looks into it.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def confirm_mapping(sock: socket.socket, name: str) -> None:
 
 
 class MailboxGrant:
-    """What a client was given by a server of user `owner`; the connection stays open while it lives."""
+    """Slot of a client, from a server of user `owner`; the connection stays open while it lives."""
 
     def __init__(self, sock: socket.socket, answer: dict[str, int], fds: list[int], owner: int) -> None:
         self.sock, self.fds, self.owner = sock, fds, owner
@@ -131,12 +131,12 @@ class MailboxGrant:
 
 
 def request_slot(name: str, client: str, timeout_s: float, owners: Collection[int] = ()) -> MailboxGrant:
-    """Connect to an arbiter of one of the users `owners` (empty: anybody's) and ask for a slot.
+    """Connect to an arbiter of one of the users `owners` (empty: any user) and ask for a slot.
 
     Raises
     ------
     NotRunningError
-        nobody listens
+        no server listens
     NoPermissionError
         another user listens
     BlockError

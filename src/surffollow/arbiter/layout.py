@@ -1,6 +1,6 @@
 """Memory of an arbiter: the board that it alone writes, and the mailbox that one client writes.
 
-The board NAME.arbiter is a POSIX object, read-only for everybody else. A mailbox has no name: the
+The board NAME.arbiter is a POSIX object, read-only for all others. A mailbox has no name: the
 server makes it, seals its size and hands it to one client over a Unix socket (`handshake`).
 Times are CLOCK_MONOTONIC [ns]. Token: epoch << 32 | number of the grant.
 """
@@ -58,7 +58,7 @@ HELLO_TEXT = (
 
 
 class Item(Schema):
-    """What a client says: a request, a command or a relinquishment."""
+    """Message of a client: a request, a command or a relinquishment."""
 
     seq = I64(doc="rises by one with each item of the client")
     what = I64(doc="bits 0-7: 1 request, 2 command, 3 relinquish; 8-15: resource; 16-: flags")
@@ -86,7 +86,7 @@ MAILBOX_BYTES = -(-Mailbox.SIZE // PAGE) * PAGE
 
 
 class ResourceConfig(Schema):
-    """What was declared of a resource; constant while the server runs."""
+    """Declaration of a resource; constant while the server runs."""
 
     name = Text(48)
     fields = Text(256, doc="names of the command's values, separated by commas")
@@ -105,7 +105,7 @@ class ResourceConfig(Schema):
 
 
 class ResourceStatus(Schema):
-    """Who holds a resource, and what happened to it so far."""
+    """Holder of a resource, and its counters so far."""
 
     state = I64(doc="0 FREE, 1 HELD, 2 ASKED")
     holder = I64(doc="slot of the client, -1: none")
@@ -122,11 +122,11 @@ class ResourceStatus(Schema):
     denied = I64()
     safes = I64(doc="safe commands published")
     waited_ns = I64(unit="ns", doc="longest wait in its queue that ended, by a grant or in vain")
-    waiting_since_ns = I64(unit="ns", doc="when the client that waits longest now began, 0: nobody waits")
+    waiting_since_ns = I64(unit="ns", doc="since when the longest-waiting client waits; 0: none waits")
 
 
 class ClientEntry(Schema):
-    """A client slot as everybody sees it."""
+    """The public part of a client slot."""
 
     number = I64(align=64, doc="of the client, never used again; 0: the slot is empty")
     priority = I64()
@@ -153,7 +153,7 @@ class Reply(Schema):
 
 
 class ClientDesk(Schema):
-    """What the server publishes for one client."""
+    """Published state of one client."""
 
     bell = I64(align=64, doc="its low half is a futex; changes with every answer or grant")
     held = I64(RESOURCES, align=64, doc="token held of each resource, 0: none")
@@ -178,7 +178,7 @@ EVENT_WORDS = Event.SIZE // 8
 
 
 class BoardHeader(Schema):
-    """What the board is; state comes last."""
+    """Header of the board; the state is stored last."""
 
     magic = U64()
     version = U64()
@@ -200,7 +200,7 @@ class BoardHeader(Schema):
 
 
 class Command(Schema):
-    """What a resource is to do now: the command block NAME.RESOURCE."""
+    """Present command of a resource: the command block NAME.RESOURCE."""
 
     seq = I64(doc="rises by one with each publication")
     t_ns = I64(unit="ns", doc="when the client made it, or the server the safe command")
@@ -216,7 +216,7 @@ class Command(Schema):
 
 
 class Hello(Schema):
-    """What a client says first."""
+    """First message of a client."""
 
     magic = U64()
     layout_hash = U64()

@@ -95,7 +95,7 @@ def watch_lease(mem: Any, slot: Any, has_items: Any, t_ns: Any) -> None:
             log_client_event(mem, t_ns, slot, al.EVENT_LEASE_BACK)
             publish_counters(mem, slot)
     else:
-        # while the server itself stood still nobody could be seen
+        # while the server itself stood still no client could be seen
         silent_ns = t_ns - max(client_run.seen_ns, ctx[m.RESUMED_NS])
         if mem.clients[0].live[slot] != 0 and silent_ns > ctx[m.LEASE_NS]:
             mem.clients[0].live[slot] = 0

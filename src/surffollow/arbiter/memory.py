@@ -1,4 +1,4 @@
-"""What the server's loop works on: private records, and where the shared parts lie."""
+"""Memory of the server's loop: private records, and addresses of the shared parts."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ EMPTY, JOINING, IN, LEAVING, LEFT = range(5)
 
 
 class ResourceRun(Schema):
-    """What the loop knows of a resource beyond its state machine."""
+    """State of a resource in the loop, beside its state machine."""
 
     n_values = I64()
     ttl_ns = I64(unit="ns")
@@ -100,7 +100,7 @@ class CombinationRun(Schema):
 
 
 class ClientRun(Schema):
-    """What the loop knows of a client."""
+    """State of a client in the loop."""
 
     mailbox = I64(doc="address")
     number = I64()

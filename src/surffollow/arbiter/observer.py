@@ -42,7 +42,7 @@ class ArbiterObserver(Closing):
         return self.board.alive()
 
     def holder(self, resource: str) -> Holder | None:
-        """Who holds a resource, None: nobody.
+        """Holder of a resource, None: none.
 
         Parameters
         ----------
@@ -52,7 +52,7 @@ class ArbiterObserver(Closing):
         Returns
         -------
         Holder or None
-            name, priority, token and since when; None: nobody
+            name, priority, token and since when; None: none
         """
         s = self.board.status(self.board.number_of(resource))
         if s["token"] == 0:

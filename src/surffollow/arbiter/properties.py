@@ -1,4 +1,4 @@
-"""What must hold for every step of the state machine, written without the table and without its kernels."""
+"""Properties of every step of the state machine, written without the table and without its kernels."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from surffollow.shm.jit import jit
 
 PROPERTIES = (
     "exactly one row matches",
-    "FREE means no holder, no token and nobody queued; else there is a live holder with its own token",
+    "FREE means no holder, no token and no client queued; else there is a live holder with its own token",
     "only live clients queue, and the holder does not",
-    "ASKED is for the cooperative policy, and somebody in the queue outranks the holder",
-    "HELD: nobody in the queue has a higher priority than the holder",
+    "ASKED is for the cooperative policy, and a client in the queue outranks the holder",
+    "HELD: no client in the queue has a higher priority than the holder",
     "a command is forwarded if and only if the holder sends it under the current token, fresh and sound",
     "a command that is not forwarded is rejected for the right reason",
     "a request is answered once, as its priority and the policy demand",
     "only a request, a departure or the end of the grace changes the holder",
     "a new token is higher than all before, and goes to the new holder alone",
-    "the old holder is told first, then the safe command goes out, then the next one is told",
+    "the old holder is informed first, then the safe command goes out, then the next one is informed",
     "the safe command goes out with each loss of control, when late, and at a start, and not else",
     "who is served next has the highest priority, and among equals waited longest",
     "who leaves holds nothing and is in no queue",
-    "the holder is asked when it is to leave, and told when not any more",
+    "the holder is asked when it is to leave, and informed when not any more",
     "a restart makes every token void and empties the queue",
     "the queue keeps its order",
     "nothing is done that was not called for",
@@ -42,7 +42,7 @@ def count_action(effects: Any, n: Any, action: Any) -> Any:
 
 @jit
 def position_of(effects: Any, n: Any, action: Any) -> Any:
-    """Where an action comes in the order, 99: nowhere."""
+    """Place of an action in the order, 99: none."""
     for k in range(n):
         if effects[k].action == action:
             return k
@@ -132,7 +132,7 @@ def request_step(b: Any, a: Any, clients: Any, h: Any, effects: Any, n: Any) -> 
 
 @jit
 def next_in_queue(b: Any, clients: Any, without: Any) -> Any:
-    """Who is to be served next."""
+    """The client to be served next."""
     best = -1
     for c in range(N):
         if c != without and b.ticket[c] != 0:

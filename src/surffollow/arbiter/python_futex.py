@@ -26,13 +26,13 @@ class _Timespec(ctypes.Structure):
 
 
 def waker(address: int) -> Callable[[], object]:
-    """What wakes everybody who waits for the word at this address."""
+    """The address key that wakes all waiters for the word at this address."""
     words = (ctypes.c_long(_FUTEX), ctypes.c_void_p(address), ctypes.c_long(_WAKE), ctypes.c_long(_ALL))
     return functools.partial(_passing, *words)
 
 
 def wake(address: int) -> None:
-    """Wake everybody who waits for the word at this address."""
+    """Wake all waiters for the word at this address."""
     waker(address)()
 
 

@@ -24,7 +24,7 @@ class Machine(Schema):
 
 
 class Clients(Schema):
-    """What the machine must know of the clients."""
+    """Data of clients for the state machine."""
 
     n = I64(doc="slots looked at")
     priority = I64(CLIENTS)

@@ -106,12 +106,12 @@ class Resource:
         return self._words[self._asked] != 0 and self.held
 
     def holder(self) -> Any:
-        """Who holds the resource.
+        """Holder of the resource.
 
         Returns
         -------
         Holder or None
-            None: nobody, or the server ended
+            None: no client, or the server ended
         """
         return None if self._exchange.ended else self._client.holder(self.name)
 

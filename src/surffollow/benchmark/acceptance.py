@@ -154,7 +154,7 @@ def _lead_50(table: Table, conditions: Conditions) -> list[Verdict]:
     def scored(bar: str, most: float, figures: dict[CellKey, float]) -> Verdict:
         families = {k: v for k, v in figures.items() if of_family(k)}
         worst = max(families, key=lambda k: families[k], default=None)
-        note = f"families, not judged: worst {families[worst]:.3f}, {cell_name(worst)}" if worst else ""
+        note = f"families, without a limit: worst {families[worst]:.3f}, {cell_name(worst)}" if worst else ""
         return worst_verdict(
             bar, most, {cell_name(k): v for k, v in figures.items() if not of_family(k)}, note
         )
@@ -229,7 +229,7 @@ def _trials(trials: Sequence[Row], conditions: Conditions) -> list[Verdict]:
 
 
 def evaluate(rows: Sequence[Row], trials: Sequence[Row], conditions: Conditions) -> list[Verdict]:
-    """Judge every bar.
+    """Evaluate every acceptance criterion.
 
     Parameters
     ----------

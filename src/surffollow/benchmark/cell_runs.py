@@ -38,7 +38,7 @@ def in_parallel(
             if progress:
                 progress(done, len(jobs))
         return
-    # spawn: a forked child would inherit threads and locks of whoever embeds us
+    # spawn: a forked child would inherit threads and locks of the embedding program
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         for future in as_completed([pool.submit(work, job) for job in jobs]):
             yield future.result()
@@ -48,7 +48,7 @@ def in_parallel(
 
 
 def methods_in(cell: Cell, methods: Sequence[str]) -> list[str]:
-    """Return the methods that run in a cell: sweeps do with the rows that tell something there.
+    """Return the methods that run in a cell: sweeps run only the rows that differ there.
 
     The planner over seen ground runs with a leading sensor only.
     """
@@ -78,7 +78,7 @@ def run_cells(
     progress: Callable[[int, int], None] | None = None,
     faults: list[str] | None = None,
 ) -> list[Result]:
-    """Run every method in every cell on every seed; `limit` always runs, and no row may beat it.
+    """Run every method in every cell on every seed; `limit` always runs, and no row may be better.
 
     Parameters
     ----------
@@ -135,9 +135,9 @@ def run_cells(
 
 
 def _run_of(cell: Cell, method: str) -> tuple[str, str]:
-    """What decides a method's figures in a cell; cells of the main table and of sweeps may share a run.
+    """Inputs of a method's figures in a cell; cells of the main table and of sweeps may share a run.
 
-    The limit is that of surface, speed and axis, whatever the sensor sees and when.
+    The limit is that of surface, speed and axis, independent of the sensor.
     """
     if method == LIMIT:
         axis = cell.conditions.plant
@@ -152,7 +152,7 @@ def _beaten(result: Result, limit: Result) -> Iterable[str]:
         if got.rms_m < bound:
             yield (
                 f"{result.method} on {result.cell.surface} at {result.cell.speed_mps} m/s, seed {seed}: RMS "
-                f"{got.rms_m:.3e} m beats the limit {limit.scores[seed].rms_m:.3e} m; one of them is wrong"
+                f"{got.rms_m:.3e} m is below the limit {limit.scores[seed].rms_m:.3e} m; one of them is wrong"
             )
 
 

@@ -1,4 +1,4 @@
-"""Compare the judged follower with the oracles, cell by cell, and make verdicts on the ratios.
+"""Compare the evaluated follower with the oracles, cell by cell, and make verdicts on the ratios.
 
 Ratios compare RMS errors, both taken as at least 0.1 mm. A cell is exempt where the limit exceeds 0.8 × the
 best oracle at lead 0: there a method that knew everything beforehand would gain less than a fifth.
@@ -21,7 +21,7 @@ FLOOR_M = 0.1e-3
 EXEMPT_SHARE = 0.8  # of what a criterion permits: beyond it even full knowledge gains less than a fifth
 LEAD_M = 0.05
 HALF = 0.5  # of the own error at lead 0 is permitted at lead 50
-REPORTED = math.inf  # the bound of a figure that is not judged
+REPORTED = math.inf  # the bound of a figure without a limit
 TUNABLE = tuple(name for name, m in BASELINES.items() if m.tunable)
 ORACLES = tuple(name + ORACLE for name in TUNABLE)
 WAVE = "kalman-wave"
@@ -70,7 +70,7 @@ class Table:
         return float(limit["rms_m"]) / max(float(best["rms_m"]), 1e-12)
 
     def exempt(self, key: CellKey) -> bool:
-        """True when physics, not the method, decides the cell (judged at lead 0)."""
+        """True when physics, not the method, decides the cell (evaluated at lead 0)."""
         return self.limit_share(key) > EXEMPT_SHARE
 
     def where(self, lead_m: float, variant: Callable[[str], bool] = lambda v: v == "") -> list[CellKey]:
@@ -106,7 +106,7 @@ def cell_name(key: CellKey) -> str:
 
 
 def ratios_to_oracles(table: Table, keys: Sequence[CellKey]) -> dict[CellKey, float]:
-    """Ratio of the judged RMS to the best oracle's, by cell."""
+    """Ratio of the evaluated RMS to the best oracle's, by cell."""
     ratios: dict[CellKey, float] = {}
     for key in keys:
         ours, best = table.cells[key].get(OURS), table.best_oracle(key)
@@ -134,7 +134,7 @@ def geometric(ratios: dict[CellKey, float]) -> float:
 
 
 class Oracles:
-    """The table as judged, without the wave oracle, and with the first four oracles alone."""
+    """The table as evaluated, without the wave oracle, and with the first four oracles alone."""
 
     def __init__(self, rows: Sequence[Row]) -> None:
         self.table = Table(rows)

@@ -1,4 +1,4 @@
-"""What a benchmark run is made under: plant, pose reports, sensor, lead, and how a demand is used."""
+"""Conditions of a benchmark run: plant, pose reports, sensor, lead, and how a demand is used."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The range sensor: a new reading `rate_hz` times a second, stamped, `latency_s` late.
+    """The range sensor: a new reading `rate_hz` times a second, with timestamps, `latency_s` late.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Conditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reference : what the controller adds a demand to: the newest report the follower had ("report"),
         or the newest report there is ("newest", which costs every method)
     nominal_tau_s : time constant that the follower is configured with [s]
-    standoff_m : wanted distance between tool and ground [m]
+    standoff_m : desired distance between tool and ground [m]
     unscored_m : so much of the path does not count at first [m]
     """
 

@@ -1,4 +1,4 @@
-"""Drive a follower through its one door: poses and readings as they arrive, a demand at every tick."""
+"""Drive a follower through its one interface: poses and readings as they arrive, a demand per period."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ PAUSE_MS = 200
 def drive(follower: FollowerLike, s: Any, w: World, start_ns: int = START_NS) -> None:
     """Run a follower to the end of the path.
 
-    Each pose report and each reading is handed over when it arrives, with the stamp of when it was true;
-    at each tick `step` is called with the tick's time and no reading, and its answer is the demand.
+    Each pose report and each reading is handed over when it arrives, with its timestamp;
+    in each controller period `step` is called with the time and no reading, and its answer is the demand.
 
     Parameters
     ----------

@@ -87,7 +87,7 @@ def dropout_trial(method: str, case: str, seed: int, conditions: Conditions) -> 
         round((end_s + late + AFTER_S) * 1e3),
     )
     outside = np.flatnonzero(np.abs(e[back:]) > RECOVERED_M)
-    # whatever happens more than 0.6 s later has other reasons than this drop-out
+    # anything that happens more than 0.6 s later has other reasons than this drop-out
     soon = outside[outside < AFTER_S * 1e3]
     return {
         "peak_m": float(np.abs(e[begin:end]).max()),

@@ -34,7 +34,7 @@ ORACLES_FILE = "oracles.json"
 
 @dataclass
 class Request:
-    """What to run; empty lists mean everything."""
+    """Parts to run; empty lists mean everything."""
 
     surfaces: list[str] = field(default_factory=list)
     plant: str | None = None
@@ -50,7 +50,7 @@ class Request:
 
 @dataclass
 class Outcome:
-    """What came out: an object for JSON, a text, and whether every bar asked for was met."""
+    """Results: an object for JSON, a text, and whether every requested criterion was met."""
 
     json: dict[str, Any]
     text: str
@@ -69,7 +69,7 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
     Raises
     ------
     SurffollowError
-        for a request that cannot be run, or when a row beats the limit
+        for a request that cannot be run, or when a row is better than the limit
     """
     conditions = load_conditions(request.plant) if request.plant else Conditions()
     methods = check_methods(request.methods or all_methods())

@@ -61,7 +61,7 @@ def followers() -> dict[str, Factory]:
     """Return the followers that this installation has, by row name."""
     if find_spec("surffollow.follower") is None:
         return {}
-    # the paper uses the newest pose there is, whatever the reading's stamp
+    # the paper uses the newest pose there is, with any timestamp of the reading
     return {
         "paper": _follower_factory({"mode": "paper", "pose_interpolate": "latest"}),
         "ours": _follower_factory({}),

@@ -58,7 +58,7 @@ FAMILIES = tuple(KINDS)
 
 @dataclass(frozen=True)
 class Scenario:
-    """One hazard: readings (poses) wrong by `size_m` for `length_s`, or stamps too old by `late_s`
+    """One hazard: readings (poses) wrong by `size_m` for `length_s`, or timestamps too old by `late_s`
     (negative: in the future)."""
 
     family: str

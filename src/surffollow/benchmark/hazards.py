@@ -70,7 +70,7 @@ class PLoop:
 
 
 def misread(s: Scenario, r: float, held: float, rng: np.random.Generator) -> float:
-    """What the sensor gives instead of `r`; `held` is what it read when the fault began."""
+    """The reading in place of `r`; `held` is what it read when the fault began."""
     n = float(rng.standard_normal()) if s.family in ("blocked", "frozen") else 0.0
     if s.family in ("stuck", "leading frozen"):
         return held + s.size_m + COUNT_M * int(rng.integers(0, 2))

@@ -33,7 +33,7 @@ MAX_LN_SCALE = math.log(1000.0)  # likewise the adapted process noise
 WHITENESS = (
     5.0  # by so much ln(process noise) follows the correlation of successive innovations in one memory
 )
-LEAST_PRODUCT, GREATEST_PRODUCT = -4.0, 4.0  # of two normalised innovations: one reading decides nothing
+MIN_PRODUCT, MAX_PRODUCT = -4.0, 4.0  # of two normalised innovations: one reading decides nothing
 REFUSED, TAKEN, RESET = 0, 1, 2  # what a filter made of a reading
 
 
@@ -153,7 +153,7 @@ def adapt_noise(
     r = KALMAN_SIGMA_M * KALMAN_SIGMA_M
     m[R] = min(max(m[R], r / R_RANGE), r * R_RANGE)
     normalised = innovation / math.sqrt(variance)
-    product = min(max(normalised * m[LAST], LEAST_PRODUCT), GREATEST_PRODUCT)
+    product = min(max(normalised * m[LAST], MIN_PRODUCT), MAX_PRODUCT)
     m[LN_SCALE] = min(max(m[LN_SCALE] + WHITENESS * share * product, -MAX_LN_SCALE), MAX_LN_SCALE)
     m[LAST] = normalised
 

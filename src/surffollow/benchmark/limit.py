@@ -1,6 +1,6 @@
 """The best that any method could do: an offline quadratic programme over the whole path.
 
-min ½·Σ(z − wanted)² under the plant's speed and acceleration limits, everything known beforehand. The
+min ½·Σ(z − desired)² under the plant's speed and acceleration limits, everything known beforehand. The
 figure returned is the value of the *dual* at the last iterate: a lower bound even if the solver stopped
 early. The path is thinned in time; a thinned path of a feasible run is feasible in the thinned programme
 (its differences are means of the run's), so the bound stands.

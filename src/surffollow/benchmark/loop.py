@@ -1,6 +1,6 @@
 """The simulated world of one run: 1 ms steps from event to event, in one resumable kernel.
 
-`advance` stops whenever a pose or a reading arrives at the follower and whenever the controller wants
+`advance` stops whenever a pose or a reading arrives at the follower and whenever the controller needs
 a demand. Jitted baselines and Python followers are driven by the same kernel, so they meet the same world.
 """
 
@@ -41,7 +41,7 @@ RUN = np.dtype(
 REPORT = np.dtype(
     [("ms", np.int64), ("arrival_ms", np.int64)] + [(n, np.float64) for n in ("noise_x", "noise_z", "x", "z")]
 )
-"""A pose report: stamp and arrival [ms], noise [m], and what is reported [m]."""
+"""A pose report: timestamp and arrival [ms], noise [m], and what is reported [m]."""
 
 READING = np.dtype(
     [("ms", np.int64), ("arrival_ms", np.int64), ("noise", np.float64), ("range", np.float64)]
@@ -54,7 +54,7 @@ It is true `early_ms` (below 1) before `ms`, so a sensor may be faster than the 
 """
 
 ORDER = np.dtype([("setpoint", np.float64), ("demand", np.float64)])
-"""What the controller did at a tick: demand as given and the set point made of it [m]."""
+"""Record of the controller at one period: demand as given and the setpoint made of it [m]."""
 
 
 class World(NamedTuple):

@@ -1,7 +1,7 @@
 """The methods of the benchmark: compiled baselines, and followers behind one interface.
 
 A follower is any object with `pose(t_ns, pose)` and `step(t_ns, ranges_m)`; `surffollow.Follower` is one,
-and `--methods NAME=module:factory` adds anybody's. A method that cannot be imported is not registered.
+and `--methods NAME=module:factory` adds any other. A method that cannot be imported is not registered.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Baseline:
-    """A jitted loop: `kind` of `baselines`, what may be tuned, first guesses, fixed parameters behind.
+    """A jitted loop: `kind` of `baselines`, what may be tuned, starting values, fixed parameters behind.
 
     `evaluations` is the budget of a tuning; `leading` methods run with a leading sensor only.
     """

@@ -13,7 +13,7 @@ from surffollow.benchmark.conditions import STANDOFF_M
 
 LAG_STEP_MS = 4
 LAG_SPAN_MS = 600
-SIGN_DEADBAND_M = 1e-6  # smaller changes of the set point are rounding, not chatter
+SIGN_DEADBAND_M = 1e-6  # smaller changes of the setpoint are rounding, not chatter
 
 
 class Score(msgspec.Struct, frozen=True):
@@ -24,8 +24,8 @@ class Score(msgspec.Struct, frozen=True):
     rms_m, p95_m, peak_m : of the stand-off error [m]
     min_clearance_m : smallest distance between tool and ground [m]
     within_1mm, within_2_5mm : share of the time
-    demand_accel_mps2 : RMS of the second difference of the set point per tick² [m/s²]
-    demand_sign_changes_per_m : how often the set point turns, per metre of path
+    demand_accel_mps2 : RMS of the second difference of the setpoint per squared controller period [m/s²]
+    demand_sign_changes_per_m : how often the setpoint turns, per metre of path
     lag_s : by which delay the tool resembles the ground most; NaN on flat ground
     bad_demands : demands that were not finite
     """
@@ -68,7 +68,7 @@ def score(
     setpoints_m : (ticks,) float64 [m]
     first_ms : the first millisecond that counts
     tick_ms, speed_mps : of the run
-    standoff_m : wanted distance between tool and ground [m]
+    standoff_m : desired distance between tool and ground [m]
     lag : False leaves the (slow) cross-correlation out
     """
     e = np.abs(standoff_error(z_m, ground_m, standoff_m)[first_ms:])

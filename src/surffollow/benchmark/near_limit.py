@@ -69,7 +69,7 @@ def near_text(found: Sequence[Row], markdown: bool = False) -> str:
             r["cell"],
             *(f"{1e3 * r[name]:.3f}" for name in ("limit_m", "reference_m", "ours_m")),
             f"{r['ours_over_limit']:.2f}",
-            "exempt" if r["exempt"] else "judged",
+            "exempt" if r["exempt"] else "evaluated",
         )
         for r in found
     ]

@@ -44,7 +44,7 @@ STEP_S = 1e-3  # of the simulated axis
 
 @jit
 def _distance(v_mps: float, tau_s: float, a_max_mps2: float) -> float:
-    """Distance to the setpoint at which the sqrt controller wants this velocity [m]."""
+    """Distance to the setpoint at which the sqrt controller demands this velocity [m]."""
     linear_m = a_max_mps2 * tau_s * tau_s
     if abs(v_mps) <= linear_m / tau_s:
         return float(v_mps * tau_s)

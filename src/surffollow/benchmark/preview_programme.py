@@ -37,7 +37,7 @@ def new_planner() -> NDArray[np.float64]:
 
 @jit
 def reference(g: NDArray[Any]) -> NDArray[Any]:
-    """Row to be filled with wanted positions at the end of the next periods [m]."""
+    """Row to be filled with desired positions at the end of the next periods [m]."""
     row: NDArray[Any] = g[REF]
     return row
 
@@ -94,7 +94,7 @@ def _add_accel(b: NDArray[Any], k: int, value: float) -> None:
 
 @jit
 def _known_accel(k: int, step_m: float) -> float:
-    """What the known positions contribute to the second difference."""
+    """Contribution of the known positions to the second difference."""
     return step_m if k == 0 else 0.0
 
 

@@ -16,7 +16,7 @@ from surffollow.benchmark.loop import MS_NS, ORDER, READING, REPORT, RUN, World
 from surffollow.errors import UsageError
 from surffollow.sim.profiles import Profile
 
-START_NS = 1_000 * MS_NS  # simulated time does not begin at 0: nobody may take 0 for "never"
+START_NS = 1_000 * MS_NS  # simulated time does not begin at 0: 0 may not be taken for "never"
 TEST_STREAM = 1
 TRAINING_STREAM = 2  # tuning draws from another stream: no test seed can ever be a training seed
 
@@ -42,7 +42,7 @@ class Scene:
     first_ms: int
 
     def fresh(self) -> tuple[Any, World]:
-        """Return a run at its start: the `RUN` record and a world nobody has walked through."""
+        """Return a run at its start: the `RUN` record and an unused world."""
         w = self.world
         z = np.empty_like(w.z)
         z[0] = w.z[0]
@@ -64,7 +64,7 @@ def make_scene(
     profile, speed_mps : surface and lateral speed [m/s]
     seed, stream : which noise; tests use `TEST_STREAM`, tuning `TRAINING_STREAM`
     conditions : see `Conditions`
-    lost_s : drop-outs, (begin, end) [s] of the stamps of readings that never come
+    lost_s : drop-outs, (begin, end) [s] of the timestamps of readings that never come
 
     Raises
     ------
@@ -136,7 +136,7 @@ def _count(rate_hz: float, duration_ms: int) -> int:
 
 
 def _stamp(rows: NDArray[Any], rate_hz: float, latency_s: float) -> None:
-    """Fill in stamps and arrivals, in whole milliseconds."""
+    """Fill in timestamps and arrivals, in whole milliseconds."""
     rows["ms"] = np.round(np.arange(len(rows)) * 1e3 / rate_hz)
     rows["arrival_ms"] = rows["ms"] + round(latency_s * 1e3)
 

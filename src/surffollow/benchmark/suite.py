@@ -49,7 +49,7 @@ class Cell:
 
     @property
     def key(self) -> str:
-        """What a tuning of this cell is remembered by: everything that it depends on."""
+        """Key of a tuning of this cell: everything that it depends on."""
         conditions = msgspec.json.encode(self.conditions).decode()
         content = f"{zlib.crc32(Path(self.surface).read_bytes()):08x}" if is_file(self.surface) else ""
         return f"{TUNING_VERSION}|{self.surface}|{content}|{self.speed_mps!r}|{conditions}"
@@ -96,12 +96,12 @@ def surface_profile(surface: str, seed: int) -> Profile:
 
 
 def surface_label(surface: str) -> str:
-    """What tables call a surface: a file goes by its stem."""
+    """Label of a surface in tables; a file has its stem."""
     return Path(surface).stem if is_file(surface) else surface
 
 
 def surface_labels(surfaces: Iterable[str]) -> dict[str, str]:
-    """What tables call each of some surfaces: its label, and its path where two would have one label."""
+    """Labels of several surfaces in tables: its label, and its path where two would have one label."""
     found = list(dict.fromkeys(surfaces))
     labels = [surface_label(s) for s in found]
     return {s: label if labels.count(label) == 1 else s for s, label in zip(found, labels)}
@@ -123,7 +123,7 @@ def sweep_cells(surfaces: list[str], conditions: Conditions) -> list[Cell]:
     """Return the cells of all sweeps, one thing changed at a time, at 100 mm/s and lead 0.
 
     Latency, noise, the newest report as reference and the paper's 32 Hz poses run on a few surfaces; a plant
-    whose τ is not what the follower believes runs on all but the families.
+    whose τ differs from the follower's assumption runs on all but the families.
     """
     base = conditions.but(lead_m=0.0)
     few = [s for s in surfaces if s in SWEEP_SURFACES] or surfaces[:1]

@@ -28,10 +28,10 @@ SECOND_PASS_SEEDS = 5
 SECOND_NOISE = 10_000  # added to the seed: the second pass meets the same ground with other noise
 EXCURSION_SPEEDS_MPS = (0.1, 0.2, 0.4)
 STEP_SPEEDS_MPS = (0.2, 0.4)
-STEP_MOVED_M = 1e-3  # the set point has moved by a tenth of the step: it was accepted
-OUTLIER_M = 2e-3  # a reading so far off is an outlier for anybody
-OUTLIER_TICKS = 4  # it was missed when within so many ticks of its arrival
-CHASED_M = 0.5e-3  # the set point went after it by so much
+STEP_MOVED_M = 1e-3  # the setpoint has moved by a tenth of the step: it was accepted
+OUTLIER_M = 2e-3  # a reading so far off is an outlier for every follower
+OUTLIER_TICKS = 4  # it was missed when within so many periods of its arrival
+CHASED_M = 0.5e-3  # the setpoint followed it by so much
 OSCILLATION_SURFACES = ("flat", "ramp-5", "hump")
 
 
@@ -70,16 +70,16 @@ def _without_glitches(conditions: Conditions) -> Conditions:
 
 
 def excursion(job: Job) -> dict[str, float]:
-    """How far slots or glitches move the set point away from where it would have been.
+    """How far slots or glitches move the setpoint away from where it would have been.
 
     The same noise is run with and without them.
 
     Returns
     -------
     dict
-        `excursion_m`: greatest distance between the two set points [m];
-        `sigma_m`: scatter of the undisturbed set point about the ground [m];
-        `missed`: share of the readings off by > 2 mm after which the set points part by > 0.5 mm
+        `excursion_m`: greatest distance between the two setpoints [m];
+        `sigma_m`: scatter of the undisturbed setpoint about the ground [m];
+        `missed`: share of the readings off by > 2 mm after which the setpoints differ by > 0.5 mm
     """
     clean = _without_glitches(job.conditions)
     undisturbed = Cell("flat", job.speed_mps, clean)
@@ -104,10 +104,10 @@ def excursion(job: Job) -> dict[str, float]:
 
 
 def step_delay(job: Job) -> dict[str, float]:
-    """How long after the arrival of the first reading beyond a step the set point goes there.
+    """How long after the arrival of the first reading beyond a step the setpoint goes there.
 
     `late_s` is the 95th percentile over the path's steps of the delay beyond what three agreeing readings
-    and 2.5 mm of travel need, one tick and one reading of discretisation allowed; `refused` is the share of
+    and 2.5 mm of travel need, one period and one reading of discretisation allowed; `refused` is the share of
     steps later than that: true ground taken for a glitch.
     """
     scene = scene_of(Cell("step", job.speed_mps, _without_glitches(job.conditions)), job.seed)

@@ -1,6 +1,6 @@
 """Find one tuning per baseline for the whole suite, and print it as `tuning.SUITE` carries it.
 
-Run by hand (`python -m surffollow.benchmark.tune_suite [NAME]...`) when plant, surfaces or baselines
+Run manually (`python -m surffollow.benchmark.tune_suite [NAME]...`) when plant, surfaces or baselines
 change. The cost is the geometric mean of the RMS error over surfaces and speeds, on training seeds.
 """
 

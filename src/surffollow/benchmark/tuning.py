@@ -1,6 +1,6 @@
 """Tune a baseline on training seeds: for one surface and speed (`:oracle`) or for a whole suite.
 
-Pattern search on logarithms of the parameters, from several first guesses; deterministic. Training noise
+Pattern search on logarithms of the parameters, from several starting values; deterministic. Training noise
 comes from a stream of its own, so no test seed is ever trained on.
 """
 
@@ -17,9 +17,9 @@ from surffollow.benchmark.scene import Scene
 
 FIRST_STEP = math.log(2.5)
 LAST_STEP = math.log(1.06)
-STARTS = 2  # refined from so many first guesses: the cost has several valleys
+STARTS = 2  # refined from so many starting values: the cost has several valleys
 
-# What `python -m surffollow.benchmark.tune_suite` found: one tuning per baseline for the whole suite, by
+# Result of `python -m surffollow.benchmark.tune_suite`: one tuning per baseline for the whole suite, by
 # (name, sensor leads).
 SUITE: dict[tuple[str, bool], tuple[float, ...]] = {
     ("p", False): (1.216,),
@@ -60,7 +60,7 @@ def pattern_search(
     baseline : whose `tunable` parameters are sought
     cost : of a tuple of parameters; the same tuple must cost the same again
     starts : where to look first; the best two are refined
-    max_evaluations : budget, first guesses included
+    max_evaluations : budget, starting values included
     leading : False leaves parameters alone that matter only with a leading sensor
 
     Returns

@@ -155,7 +155,7 @@ def median_of(runs: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def line_of(f: dict[str, Any]) -> str:
-    """The figures in one line; "-" for what a run was too short to tell."""
+    """The figures in one line; "-" for figures that the run was too short for."""
     import math
 
     def shown(value: float, form: str) -> str:

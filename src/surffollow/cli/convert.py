@@ -33,7 +33,7 @@ def convert_command(
     """Turn recordings into a table, or into channels for viewers; several FILEs in order become one.
 
     Distances, heights and health come out of the same kernels as in the service, so recordings
-    of any age work. Of a damaged FILE what is whole is converted, and the rest is told.
+    of any age work. Of a damaged FILE the whole part is converted, and the rest is reported.
     """
     from dataclasses import asdict
 

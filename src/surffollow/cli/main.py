@@ -19,7 +19,7 @@ from surffollow.errors import SurffollowError, missing_library
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 # between collections of garbage: a command imports a million objects and keeps them; saves 0.1 s of a start
-YOUNG_OBJECTS = 100_000
+OBJECTS_PER_COLLECTION = 100_000
 
 # verb → (module, click command object, what it does)
 VERBS = {
@@ -105,7 +105,7 @@ def cli(owner: str | None) -> None:
 def main(argv: list[str] | None = None) -> Any:
     """Entry point: errors of ours become one line and their exit code."""
     if argv is None:  # a process of its own
-        gc.set_threshold(YOUNG_OBJECTS)
+        gc.set_threshold(OBJECTS_PER_COLLECTION)
     for stream in (sys.stdout, sys.stderr):
         # a terminal that knows no µ gets a question mark instead of a traceback
         if isinstance(stream, io.TextIOWrapper):

@@ -223,7 +223,7 @@ def _known(m: HeightMap) -> int:
 
 
 def _kept_text(before_m: float, m: HeightMap, finest: float | None) -> str:
-    """What a MapRefocus did to the resolution, and what would change it."""
+    """Effect of a MapRefocus on the resolution, and the option that changes it."""
     after_m = m.grid_m
     sizes = f"grids of {before_m * 1e3:.6g} mm"
     if abs(after_m - before_m) <= 1e-9 * before_m:

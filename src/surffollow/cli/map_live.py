@@ -48,7 +48,7 @@ def upload_command(file: str, name: str, timeout_s: float) -> None:
 def install_command(file: str, name: str, timeout_s: float) -> None:
     """Put a map FILE in the place of a running service's map; following goes on meanwhile.
 
-    FILE is the map's text file, .npz, an ESRI ASCII grid or a GeoTIFF, whatever its name ends in.
+    FILE is the map's text file, .npz, an ESRI ASCII grid or a GeoTIFF, with any suffix.
     It is checked as a whole first. Interrupted after that, the map is empty.
     """
     from surffollow.client import attach

@@ -1,4 +1,4 @@
-"""`surffollow print-header`: the C header, what pkg-config wants to know about it, and the layout as JSON."""
+"""`surffollow print-header`: the C header, its pkg-config data, and the layout as JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What long commands share: a line of progress on a terminal's standard error, and an end by signals."""
+"""Common parts of long commands: a line of progress on a terminal's standard error, and an end by signals."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def stop_event() -> threading.Event:
 
 @contextlib.contextmanager
 def progress_line() -> Iterator[Callable[[str], None] | None]:
-    """A function that shows a line in the place of the one before; None where nobody looks at a terminal."""
+    """A function that shows a line in the place of the one before; None without a terminal."""
     if not sys.stderr.isatty():
         yield None
         return

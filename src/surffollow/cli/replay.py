@@ -152,7 +152,7 @@ def report_text(file: str, report: object) -> str:
         f"replayed at {r.cycles_per_s / 1e6:.2f} million cycles/s",
     ]
     if not r.complete:
-        lines.append(f"DAMAGED: {r.damage}; {r.lost_bytes} bytes lost; judged is only what is whole")
+        lines.append(f"DAMAGED: {r.damage}; {r.lost_bytes} bytes lost; only whole entries were compared")
     elif r.lost_bytes:
         lines.append(f"recovered: {r.lost_bytes} bytes of the file that it was made of were lost")
     if r.differing:

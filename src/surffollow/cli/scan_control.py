@@ -57,5 +57,5 @@ def abort_command(name: str, as_json: bool) -> None:
 @_NAME
 @JSON
 def status_command(name: str, as_json: bool) -> None:
-    """Tell what the running scan of service NAME does."""
+    """Report the state of the running scan of service NAME."""
     _send_command(name, "status", as_json)

@@ -110,7 +110,7 @@ def compose_command(
 ) -> None:
     """Make one map of the maps of several STATIONS: a TOML file of map files and their poses.
 
-    Tells how far the maps differ where they overlap: a median that is not near 0 is an error of a pose.
+    Reports how far the maps differ where they overlap: a median that is not near 0 is an error of a pose.
     """
     from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What the commands of `surffollow scan` share: option types, and the map meant."""
+"""Common parts of the commands of `surffollow scan`: option types, choice of the map."""
 
 from __future__ import annotations
 

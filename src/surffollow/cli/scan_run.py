@@ -154,7 +154,7 @@ def _confirm(yes: bool) -> None:
     if yes:
         return
     if not sys.stdin.isatty():
-        raise UsageError("nobody can confirm the plan without a terminal; nothing moved (scripts: --yes)")
+        raise UsageError("the plan cannot be confirmed without a terminal; nothing moved (scripts: --yes)")
     if not click.confirm("Start the scan?", err=True):
         click.echo("nothing moved", err=True)
         sys.exit(1)

@@ -60,11 +60,11 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
     "--region", type=Finite(), nargs=4, default=None, help="x_min y_min x_max y_max of the path [m]."
 )
 @click.option("--lane", callback=LENGTH, default="20 mm", show_default=True, help="Distance of raster lanes.")
-@click.option("--standoff", callback=LENGTH, default="0.1 m", show_default=True, help="Wanted distance.")
+@click.option("--standoff", callback=LENGTH, default="0.1 m", show_default=True, help="Desired distance.")
 @click.option("--plant", type=click.Path(dir_okay=False), help="TOML file with the vertical axis.")
 @click.option("--latency", callback=TIME, default="10 ms", show_default=True, help="Of pose reports.")
 @click.option("--sigma", callback=LENGTH, default="0.05 mm", show_default=True, help="Noise of pose reports.")
-@click.option("--turn", is_flag=True, help="Heed rotations, too; count along the tool's axis.")
+@click.option("--turn", is_flag=True, help="Apply rotations, too; count along the tool's axis.")
 @click.option("--noise-seed", default=1, show_default=True, help="Of that noise.")
 @click.option(
     "--wait",
@@ -101,7 +101,7 @@ def simulate_command(
     trace: str | None,
     as_json: bool,
 ) -> None:
-    """Simulate a robot that moves over rough ground and heeds the service's demands.
+    """Simulate a robot that moves over rough ground and applies the service's demands.
 
     Ends when its time or its path is over, or on Ctrl-C or SIGTERM, and prints how it kept its stand-off.
     Exit code 1 when it stood still for more than a tenth of the time: there was no valid demand.
@@ -132,7 +132,7 @@ def simulate_command(
         from surffollow.errors import ServiceError
 
         raise ServiceError(
-            f"the robot stood still in {summary['held_ticks']} of its {summary['ticks']} ticks: "
+            f"the robot stood still in {summary['held_ticks']} of its {summary['ticks']} periods: "
             f"service {name!r} gave it no valid demand"
         )
 

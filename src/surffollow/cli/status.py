@@ -53,7 +53,7 @@ def audit_lines(status: dict[str, Any]) -> list[str]:
         f"{now - timedelta(seconds=e['age_s']):%Y-%m-%d %H:%M:%S.%f}"[:-3] + " " + audit_line(e)[7:]
         for e in status["audit"]
     ]
-    return (lines or ["nobody has asked for a change"]) + ([f"{lost} entries were lost"] if lost else [])
+    return (lines or ["no change was requested"]) + ([f"{lost} entries were lost"] if lost else [])
 
 
 def durations(summary: dict[str, float]) -> str:
@@ -88,7 +88,7 @@ def render(s: dict[str, Any]) -> str:
 
     late, run, main, map_ = s["lateness"], s["execution"], s["main"], s["map"]
     granted = [n for i, n in enumerate(GRANT_NAMES) if main.get("granted", 0) >> i & 1]
-    pose = f"pid {main['pose_pid']}" if main.get("pose_slot", -1) >= 0 else "nobody"
+    pose = f"pid {main['pose_pid']}" if main.get("pose_slot", -1) >= 0 else "no client"
     lines = [
         f"service {s['name']}: {s['state']}, pid {s['pid']}, epoch {s['epoch']}",
         f"cycle    {format_ns(s['period_ns'])}, {s['cycles']} run, {s['overruns']} overruns",
@@ -110,7 +110,7 @@ def render(s: dict[str, Any]) -> str:
         lines.insert(
             6,
             f"ranges   {s['ranges']} taken, {s['ranges_refused']} refused, {s['ranges_skipped']} left out; "
-            f"channel {', '.join(pushers) or 'pushed by nobody'}",
+            f"channel {', '.join(pushers) or 'pushed by no client'}",
         )
     lines[5:5] = follower_lines(s["follower"])
     if s["stopped"]:

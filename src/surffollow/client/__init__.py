@@ -1,4 +1,4 @@
-"""What robot controllers and observers import: light (no NumPy, no numba).
+"""Client library of robot controllers and observers: light (no NumPy, no numba).
 
 from surffollow.client import attach
 
@@ -6,7 +6,7 @@ robot = attach("surf")
 robot.sf_reset(0.1)
 while moving:
     robot.ee_pos(pose, t_ns)
-    demand = robot.dev_vector()     # zero and not valid when in doubt
+    demand = robot.dev_vector()     # zero and not valid when uncertain
 """
 
 from __future__ import annotations

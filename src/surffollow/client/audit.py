@@ -28,7 +28,7 @@ _RESERVED, _HEAD = lb.LogHead.offset("reserved") // 8, lb.LogHead.offset("head")
 
 
 def printable(text: str) -> str:
-    """Text that somebody else wrote, without what would steer a terminal."""
+    """Text of another program, without control characters of a terminal."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 

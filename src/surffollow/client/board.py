@@ -44,7 +44,7 @@ def unpack_schema(schema: type[Schema], data: Any, at: int = 0) -> dict[str, Any
 
 
 class _Closed:
-    """In the place of the words of a closed attachment: says so to whoever looks."""
+    """In the place of the words of a closed attachment: every access raises ClosedError."""
 
     def __getitem__(self, _: int) -> int:
         raise ClosedError("this client was closed; attach again")
@@ -124,7 +124,7 @@ class _Wait:
 
 
 class Board:
-    """A service's board, mapped read-only and checked; `owners`: whose it may be (empty: anybody's).
+    """A service's board, mapped read-only and checked; `owners`: whose it may be (empty: any user).
 
     Raises
     ------

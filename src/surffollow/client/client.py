@@ -33,7 +33,7 @@ class Client(ServiceRequests):
     # -- poses ------------------------------------------------------------------------------------
 
     def ee_pos(self, pose: Sequence[float], t_ns: int | None = None) -> None:
-        """Tell the service where the tool is, or was.
+        """Report the pose of the tool, now or at a past time.
 
         Parameters
         ----------
@@ -46,7 +46,7 @@ class Client(ServiceRequests):
         ------
         PoseError
             (a ValueError) not seven finite numbers, quaternion norm off by more than 1e-3,
-            stamped more than 1 ms ahead or longer ago than `pose_timeout_ns`
+            with a timestamp more than 1 ms ahead or older than `pose_timeout_ns`
         BusyError
             another live client sends the pose; its process is named
         NotRunningError
@@ -56,7 +56,7 @@ class Client(ServiceRequests):
         Notes
         -----
         The first call of an attachment waits for the pose (`claim_pose` does that beforehand). No later one
-        waits for anything, whatever the service or its socket does.
+        waits, in any state of the service or its socket.
         """
         try:
             x, y, z, qx, qy, qz, qw = pose
@@ -142,7 +142,7 @@ class Client(ServiceRequests):
         self._had.discard(POSE)
 
     def sim_pose(self, t_ns: int, pose: Sequence[float], velocity: Sequence[float] | None = None) -> None:
-        """Tell the simulated sensor where the tool truly is, where reports are noisy or late.
+        """Give the simulated sensor the true pose of the tool, where reports are noisy or late.
 
         The service itself never reads it. Without it the simulated sensor rides on the reported poses, whose
         errors then cancel. The first call makes the block NAME.world, `close` removes it.

@@ -1,4 +1,4 @@
-"""What `dev_vector()` returns: six numbers to add to a pose, and whether to trust them."""
+"""Result of `dev_vector()`: six numbers to add to a pose, and their validity."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def status_names(status: int) -> tuple[str, ...]:
 
 
 class Demand(Sequence[float]):
-    """Demand on the end effector: x y z [m], rx ry rz [rad], to add to the pose stamped `pose_t_ns`.
+    """Demand on the end effector: x y z [m], rx ry rz [rad], to add to the pose of `pose_t_ns`.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Demand(Sequence[float]):
     status : int
         bits, see `names`
     pose_t_ns : int
-        stamp of the pose it refers to; 0: none
+        timestamp of the pose it refers to; 0: none
     t_ns : int
         when it was computed, CLOCK_MONOTONIC
     cycle, epoch : int

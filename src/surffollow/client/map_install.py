@@ -1,6 +1,6 @@
 """Install a map file: read here with this process's rights, streamed to the map thread piece by piece.
 
-The file is read and checked as a whole before the service hears of it. Piece k (from 1) goes into
+The file is read and checked as a whole before the service is asked. Piece k (from 1) goes into
 half k & 1 of the slot's stream area once piece k - 2 was taken; its number is stored last. The service
 acknowledges with the number of grids it has taken, first with 0 when the installation's turn has come:
 no piece is written before, so that one who gives up or dies while he waits leaves the old map untouched.
@@ -88,7 +88,7 @@ class MapStream:
         self.posted = number
 
     def give_up(self) -> None:
-        """Tell the service not to wait for more."""
+        """Ask the service not to wait for more."""
         with contextlib.suppress(NotRunningError, RequestTimeoutError):
             # before the turn has come the first half is free, too
             early = self.posted == 0 and self.client.alive() and self.client.board is self.board

@@ -134,7 +134,7 @@ class Observer(ServiceState, MapReading, Closing):
         raw = self._snapshot(_HEAD.unpack_from, 0) or _EMPTY
         now = time.monotonic_ns()
         age = now - raw[0]
-        if -self._stale_ns <= age <= self._stale_ns:  # a stamp of the future is of another clock
+        if -self._stale_ns <= age <= self._stale_ns:  # a timestamp of the future is of another clock
             return Demand(raw, age, raw[8])
         self._try_reattach(now)
         return Demand(raw, age, (raw[8] & ~VALID) | STALE)
@@ -168,7 +168,7 @@ class Observer(ServiceState, MapReading, Closing):
                 t_ns, pose_t_ns, x, y, z, rx, ry, rz = struct.unpack_from("<2q6d", buffer)
         """
         words, memory, index, base, stale_ns = self._view
-        # R1-R4, once and in a line; whatever is not fresh and whole takes the long way
+        # R1-R4, once and in a line; all that is not fresh and whole takes the slow path
         g = words[index]
         at = base + (g & (SLOTS - 1)) * _STRIDE
         copy = _copy_of(memory, at)
@@ -256,7 +256,7 @@ class Observer(ServiceState, MapReading, Closing):
     def _try_reattach(self, now_ns: int, wait: bool = False) -> None:
         if now_ns < self._next_attach_ns:
             return
-        # who wants a demand waits for no other thread; that one attaches for all
+        # a call for a demand waits for no other thread; that one attaches for all
         if not self._lock.acquire(blocking=wait):
             return
         try:
@@ -282,7 +282,7 @@ class Observer(ServiceState, MapReading, Closing):
         return self.board.has_ended()
 
     def _reattached(self) -> None:
-        """What else must follow the service to its new epoch."""
+        """Make further parts follow the service to its new epoch."""
 
     def reattach(self) -> bool:
         """Look for a newer service of this name now.

@@ -1,4 +1,4 @@
-"""What a pose must be before it is posted; the service checks its copy once more."""
+"""Checks of a pose before it is posted; the service checks its copy once more."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class RangePusher(Reclaimer):
         """Hand the service one range of an own sensor ([driver] kind = "external").
 
         The first range of a channel claims it and waits for the answer (`claim_range` does that beforehand).
-        No later one waits for anything, whatever the service or its socket does. One thread pushes.
+        No later one waits, in any state of the service or its socket. One thread pushes.
 
         Parameters
         ----------

@@ -80,6 +80,6 @@ class Reclaimer(SlotWatcher):
         except RefusedError:
             if claim == expected:
                 raise
-            return False  # who wants that one asks again
+            return False  # the caller asks again for that one
         self._hold(claim)
         return claim == expected

@@ -228,7 +228,7 @@ def _explain(code: int, detail: int) -> str:
     if code == ERR_NO_CHANNEL:
         return f"refused: {text}; it has " + (f"{detail} channels" if detail else "another kind of driver")
     if code == ERR_NOT_POSE_HOLDER:
-        return f"refused: {text}; " + (f"now that is pid {detail}" if detail else "nobody sends it now")
+        return f"refused: {text}; " + (f"now that is pid {detail}" if detail else "no client sends it now")
     if code == ERR_STOP_REMAINS:
         from surffollow.config.stop_causes import stop_names
 

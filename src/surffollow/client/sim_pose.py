@@ -89,7 +89,7 @@ class SimulatedTool:
         )
 
     def close(self) -> None:
-        """Remove the block: from now on nobody says where the tool truly is."""
+        """Remove the block: from now on the true pose of the tool is unknown."""
         if self._object.fd >= 0:
             # a forked child's copy is no writer: the block is its parent's
             if self._pid == os.getpid() and self._object.is_current():

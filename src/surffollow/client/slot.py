@@ -158,7 +158,7 @@ class SlotHolder(Observer):
         self._grant = grant
 
     def _reattached(self) -> None:
-        self._release_slot()  # who needs one asks the new service; who only wants a demand never waits for it
+        self._release_slot()  # a request asks the new service for one; a call for a demand never waits for it
 
     def _has_ended(self) -> bool:
         grant = self._grant

@@ -152,7 +152,7 @@ def _connect(sock: socket.socket, board: Board) -> bool:
     try:
         sock.connect(str(path))
     except (FileNotFoundError, ConnectionRefusedError):
-        raise NotReadyError(f"nobody listens on {path}; the service ended or is being replaced") from None
+        raise NotReadyError(f"no service listens on {path}; the service ended or is being replaced") from None
     except PermissionError:
         raise NoPermissionError(
             f"no permission to connect to {path}; join its group (ls -l {path}), or only watch: observe()"

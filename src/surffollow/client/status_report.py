@@ -1,4 +1,4 @@
-"""What a service says of itself, as one dictionary."""
+"""Status of a service, as one dictionary."""
 
 from __future__ import annotations
 

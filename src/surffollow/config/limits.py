@@ -1,4 +1,4 @@
-"""What a configuration lets clients set: [limits], and whom: [access]."""
+"""Limits of a configuration on clients: values [limits] and permissions [access]."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ ANY_USER, NO_OTHER_USER = -1, -2
 
 
 def range_user(text: str) -> int:
-    """Who may push ranges beside root and the service's own user: a user's number, or one of the two above.
+    """User that may push ranges beside root and the service's own: a number, or one of the two above.
 
     Parameters
     ----------
-    text : `access.ranges`: "" for nobody else, "any", or a user's number or name
+    text : `access.ranges`: "" for no other user, "any", or a user's number or name
 
     Raises
     ------

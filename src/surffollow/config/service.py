@@ -180,7 +180,7 @@ def _check(c: ServiceConfig) -> None:
 
 
 def mode(text: str, key: str) -> int:
-    """An access mode written in octal; nobody else may write what everybody obeys.
+    """An access mode written in octal; only the owner may write board and map.
 
     Raises
     ------
@@ -197,7 +197,7 @@ def mode(text: str, key: str) -> int:
     if writable or value & 0o111:
         raise ConfigError(
             f"configuration key {key} is {text!r}; "
-            + ("group and others may read it only" if writable else "nobody executes it")
+            + ("group and others may read it only" if writable else "clear the execute bits")
             + ", for example '0640'"
         )
     return value

@@ -1,4 +1,4 @@
-"""Whose shared memory a program trusts: its own user's, root's, and the configured service user's."""
+"""Users whose shared memory a program trusts: its own, root, and the configured service user."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The embedders' door: `Follower`, the service's kernels in process."""
+"""The embedders' interface: `Follower`, the service's kernels in process."""
 
 from surffollow.follower.in_process import Follower
 

@@ -110,7 +110,7 @@ class FutureStamps:
         ahead_ns = lead_ns - self._lead_ns
         if self._leads < MIN_LEADS or ahead_ns <= margin_ns:
             self.shift_ns, self._waits_since = 0.0, -1
-            if self._leads < MIN_LEADS or ahead_ns >= -margin_ns:  # stamps that are too old are not usual
+            if self._leads < MIN_LEADS or ahead_ns >= -margin_ns:  # timestamps that are too old are not usual
                 self._learn(lead_ns)
             return t_ns
         if self.shift_ns != 0.0:
@@ -122,7 +122,7 @@ class FutureStamps:
                 return None
             self.shift_ns, self._waits_since = ahead_ns, -1
             return t_ns - int(ahead_ns)
-        if jump_ns <= margin_ns:  # the stamps go on; what is late are the other times
+        if jump_ns <= margin_ns:  # the timestamps go on; the other times are late
             self._learn(lead_ns)
             return t_ns
         self._waits_since = time.count

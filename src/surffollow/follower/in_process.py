@@ -4,8 +4,8 @@
     f.pose(t_ns, (x, y, z, qx, qy, qz, qw))      # whenever a pose report arrives
     demand = f.step(t_ns, [range_m])             # six numbers to add to the newest pose reported
 
-Times are int64 ns of any one clock, which may begin at 0. A reading's stamp may lie before the last step's.
-In the adaptive mode stamps that jump ahead of poses and other steps are corrected (`future_stamps`).
+Times are int64 ns of one clock, which may begin at 0. A reading's timestamp may lie before the last step's.
+In the adaptive mode timestamps that jump ahead of poses and other steps are corrected (`future_stamps`).
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ Config = Mapping[str, Any] | str | Path | None
 TOO_CLOSE_BEYOND_M = 0.15 * 0.0254  # beyond the near limit of a sensor given by its window
 TOO_CLOSE_EXIT_M = 0.3 * 0.0254  # but no more than the shares of the way to the stand-off
 MAX_MOUNT_M = 1e3
-# what differs from the service's defaults: readings come ready-made and stamped with their own time
+# what differs from the service's defaults: readings come ready-made with timestamps of their own
 IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "sensor_readings": 1}
 # thresholds of too_close: of the way from the near limit to the stand-off
 TOO_CLOSE_SHARE, TOO_CLOSE_EXIT_SHARE = 0.075, 0.15

@@ -42,7 +42,7 @@ BEYOND_SHARE = 0.02  # of a table's length: so far beyond its ends it is carried
 
 
 class Linearizer(Schema):
-    """What the relay needs to know."""
+    """Parameters of the relay."""
 
     queues = Nested(RelayQueues)
     rows = I64(CHANNELS, doc="of the channel's table; 0: none, the driver's own scale holds")

@@ -1,4 +1,4 @@
-"""What a calibration found, as a file that `[driver] calibration = "…"` reads (JSON)."""
+"""Result of a calibration, as a file that `[driver] calibration = "…"` reads (JSON)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ VERSION = 1
 
 
 class RangeTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a channel's sensor indicates, and the distances that this means; linear between the rows.
+    """Indications of a channel's sensor and the true distances; linear between the rows.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Calibration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes
     ----------
     tables : per channel
-    latency_s : age of a distance at its conversion's time stamp [s]
+    latency_s : age of a distance at its conversion's timestamp [s]
     mounts : tool from sensor, per channel
     about : how it was found: methods, residuals, covariances
     """
@@ -96,7 +96,7 @@ def save_calibration(path: str | Path, calibration: Calibration) -> None:
 
 
 def merged(path: str | Path, **found: Any) -> Calibration:
-    """What a file holds, or nothing when there is none, with what was found now in its place."""
+    """Contents of a file, or nothing when there is none, with the new results in their place."""
     old = load_calibration(path) if Path(path).exists() else Calibration()
     about = {**old.about, **found.pop("about", {})}
     if "tables" in found:

@@ -1,4 +1,4 @@
-"""What every driver must do, as checks that anybody can run on theirs.
+"""The contract of drivers, as checks that run on any driver.
 
 In a test:
 
@@ -68,11 +68,11 @@ def check_items(driver: Driver, queue: ConversionQueue, started_ns: int) -> None
     """Times ascend and are past; channels are its own; the time part of a word is 0."""
     items, now_ns = queue.drain(), time.monotonic_ns()
     t_ns = items[:, 0]
-    _demand(bool((np.diff(t_ns) >= 0).all()), "time stamps go back")
-    _demand(bool((t_ns <= now_ns).all()), "a time stamp lies ahead; use CLOCK_MONOTONIC (time.monotonic_ns)")
+    _demand(bool((np.diff(t_ns) >= 0).all()), "timestamps go back")
+    _demand(bool((t_ns <= now_ns).all()), "a timestamp lies ahead; use CLOCK_MONOTONIC (time.monotonic_ns)")
     _demand(
         bool((t_ns >= started_ns - OLDEST_NS).all()),
-        f"a time stamp is older than the start by more than {OLDEST_NS * 1e-9:g} s; use CLOCK_MONOTONIC",
+        f"a timestamp is older than the start by more than {OLDEST_NS * 1e-9:g} s; use CLOCK_MONOTONIC",
     )
     for word in items[:, 1].tolist():
         channel = conversion_channel(word)
@@ -81,7 +81,7 @@ def check_items(driver: Driver, queue: ConversionQueue, started_ns: int) -> None
 
 
 def check_faults(driver: Driver) -> None:
-    """`faults` gives a list of texts, whatever the state."""
+    """`faults` gives a list of texts, in every state."""
     faults = driver.faults()
     _demand(
         isinstance(faults, list) and all(isinstance(f, str) and f for f in faults),

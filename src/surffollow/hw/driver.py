@@ -1,4 +1,4 @@
-"""The one interface between the service and its range sensors, whatever they are.
+"""The one interface between the service and range sensors of any kind.
 
 A driver fills a queue in process-private memory from a thread of its own; the service's cycle drains it.
 Each item is the time at which a conversion ended and the conversion's word (`shm.conversion`, dt 0).
@@ -26,7 +26,7 @@ Eight = tuple[float, float, float, float, float, float, float, float]
 
 
 class DriverInfo(msgspec.Struct, frozen=True):
-    """What the service must know about a driver; constant while it runs.
+    """Description of a driver for the service; constant while it runs.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class DriverInfo(msgspec.Struct, frozen=True):
     n_channels : channels 0 … n-1 deliver
     scale_m, zero_m : per channel, range_m = zero_m + scale_m · counts
     range_min_m, range_max_m : the sensors' window [m]
-    latency_ns : mean age of the range in a conversion, at the conversion's time stamp [ns]
+    latency_ns : mean age of the range in a conversion, at the conversion's timestamp [ns]
     conversion_period_ns : from one conversion of any channel to the next [ns]; 0: irregular
     mounts : tool from sensor per channel, x y z [m] and a unit quaternion; the beam leaves along −z
     """
@@ -150,7 +150,7 @@ class ConversionQueue:
         return out
 
 
-REPORT_WORDS = 8  # time stamp [ns], x y z [m] and unit quaternion
+REPORT_WORDS = 8  # timestamp [ns], x y z [m] and unit quaternion
 
 
 class PoseQueue:
@@ -196,7 +196,7 @@ def push_conversion(ring: Any, capacity: Any, lost: Any, item: Any, t_ns: Any, w
 
 @runtime_checkable
 class Driver(Protocol):
-    """What the service asks of a sensor driver."""
+    """Interface of a sensor driver to the service."""
 
     @property
     def info(self) -> DriverInfo:
@@ -218,17 +218,17 @@ class Driver(Protocol):
         ...
 
     def faults(self) -> list[str]:
-        """What is wrong now, one line each; empty when all is well."""
+        """Present faults, one line each; empty without any."""
         ...
 
 
 def reports_of(driver: Driver) -> PoseQueue | None:
-    """The queue of reported poses that a driver wants filled: its attribute `reports`, if it has one."""
+    """The queue of reported poses that a driver takes: its attribute `reports`, if it has one."""
     found = getattr(driver, "reports", None)
     return found if isinstance(found, PoseQueue) else None
 
 
 def notes_of(driver: Driver) -> list[str]:
-    """What a user should know of a driver that is no fault: its method `notes()`, if it has one."""
-    tell = getattr(driver, "notes", None)
-    return list(tell()) if callable(tell) else []
+    """Notes of a driver that are no faults: its method `notes()`, if it has one."""
+    notes = getattr(driver, "notes", None)
+    return list(notes()) if callable(notes) else []

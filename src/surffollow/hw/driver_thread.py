@@ -60,7 +60,7 @@ class Pump:
         self._thread = threading.Thread(target=kernel, args=(self.address,), name=self.name, daemon=True)
         self._thread.start()
         if self._thread.native_id is not None:
-            with contextlib.suppress(OSError):  # not permitted: then it goes on as everybody else
+            with contextlib.suppress(OSError):  # not permitted: then it runs at normal priority
                 param = os.sched_param(FIFO_PRIORITY)
                 os.sched_setscheduler(self._thread.native_id, os.SCHED_FIFO, param)
 

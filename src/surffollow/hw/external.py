@@ -34,7 +34,7 @@ FAULT_HOLD_NS = 2_000_000_000  # so long a fault text stays after its cause happ
 CLOSE_S = 2.0
 _REASONS = {
     WRONG_CHANNEL: "for a channel that their client does not hold",
-    WRONG_TIME: "with a time more than 2 ms ahead or 1 s old (CLOCK_MONOTONIC is wanted)",
+    WRONG_TIME: "with a time more than 2 ms ahead or 1 s old (CLOCK_MONOTONIC is expected)",
     NOT_NEWER: "not newer than the range before of their channel",
     NO_ITEM: "that are no items of the ring",
 }

@@ -156,5 +156,5 @@ class FaultyDriver(RelayDriver):
         self._start_relay(queue, queues, kernel, begin_schedule)
 
     def faults(self) -> list[str]:
-        """What is wrong with the inner driver: ordered faults are for the service to find out."""
+        """Faults of the inner driver; ordered faults are for the service to detect."""
         return self._relay_faults("the fault wrapper")

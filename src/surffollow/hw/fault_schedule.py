@@ -96,7 +96,7 @@ def fault_table(faults: list[FaultConfig] | tuple[FaultConfig, ...], info: Drive
 
 @jit
 def fault_hits(table: Any, number: Any, state: Any, t_ns: Any, channel: Any) -> Any:
-    """Tell whether fault `number` of the table hits a conversion of that time and channel."""
+    """Decide whether fault `number` of the table hits a conversion of that time and channel."""
     f = table[number]
     since = t_ns - state[0].origin_ns
     if since < f.start_ns or since >= f.end_ns or (f.channel >= 0 and f.channel != channel):

@@ -23,7 +23,7 @@ STOPPED, WAITING, SILENT, GARBLED, RUNNING = "stopped", "waiting", "silent", "ga
 
 
 class Source(Protocol):
-    """What a polled driver reads."""
+    """Input of a polled driver: a device or a stream."""
 
     @property
     def name(self) -> str:
@@ -89,7 +89,7 @@ class PolledDriver:
 
     @property
     def state(self) -> str:
-        """What it does: STOPPED, WAITING (not connected), SILENT, GARBLED (nothing fits), RUNNING."""
+        """Its state: STOPPED, WAITING (not connected), SILENT, GARBLED (nothing fits), RUNNING."""
         if self._thread is None:
             return STOPPED
         if not self._connected:
@@ -114,7 +114,7 @@ class PolledDriver:
         self._thread = threading.Thread(target=self._run, args=(writer,), name="sensor", daemon=True)
         self._thread.start()
         if self._thread.native_id is not None:
-            with contextlib.suppress(OSError):  # not permitted: then it goes on as everybody else
+            with contextlib.suppress(OSError):  # not permitted: then it runs at normal priority
                 param = os.sched_param(FIFO_PRIORITY)
                 os.sched_setscheduler(self._thread.native_id, os.SCHED_FIFO, param)
 
@@ -129,7 +129,7 @@ class PolledDriver:
         self._thread = None
 
     def faults(self) -> list[str]:
-        """What is wrong now."""
+        """Present faults."""
         state, name = self.state, self._source.name
         if state == WAITING:
             return [f"{name}: {self._trouble or 'not connected yet'}; it is tried again every {RETRY_S:g} s"]
@@ -152,7 +152,7 @@ class PolledDriver:
                 self.connections += 1
                 self._trouble = ""
                 self._read(writer)
-            except Exception as error:  # whatever a device or its library says, it is tried again
+            except Exception as error:  # any exception of a device or its library: it is tried again
                 self._trouble = _text(error)
             self._connected = False
             with contextlib.suppress(Exception):

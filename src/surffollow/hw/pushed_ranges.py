@@ -1,7 +1,7 @@
 """Take the ranges that a client pushed into its slot: copied once, checked, packed, never waited for.
 
 The ring's protocol is docs/reference/protocol.md, "Pushed ranges", steps P1 to P4. Time per call is bounded
-by `at_most` items, whatever the client writes.
+by `at_most` items, for any content of the ring.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ REASONS = 4
 
 
 class PushedRanges(Schema):
-    """What the cycle thread and an external driver share; words are reached through the atomics only."""
+    """Memory shared by the cycle thread and an external driver; words are accessed by atomics only."""
 
     queue = I64(doc="address of the conversions' queue; 0: the driver does not run")
     capacity = I64()
@@ -67,7 +67,7 @@ def make_pushed(info: DriverInfo | None = None) -> np.ndarray[Any, Any]:
 
 
 def pushed_of(driver: Driver) -> np.ndarray[Any, Any] | None:
-    """What a driver whose ranges clients push shares with the cycle: its attribute `pushed`."""
+    """Memory that a driver of pushed ranges shares with the cycle: its attribute `pushed`."""
     found = getattr(driver, "pushed", None)
     ours = isinstance(found, np.ndarray) and found.dtype == numpy_dtype(PushedRanges) and found.shape == (1,)
     return found if ours else None
@@ -94,7 +94,7 @@ def open_queue(base: Any, queue: Any, capacity: Any, lost: Any) -> None:
 
 @jit
 def close_queue(base: Any) -> Any:
-    """Say that no more conversions are wanted; 1 while the cycle may still be pushing one."""
+    """End the delivery of conversions; 1 while the cycle may still be pushing one."""
     at.store_release_i64(base + _QUEUE, 0)
     at.fence_full()
     return at.load_acquire_i64(base + _BUSY)

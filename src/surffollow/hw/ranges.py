@@ -30,7 +30,7 @@ def metre_info(
     name : for messages
     range_min_m, range_max_m : the sensors' window [m]
     n_channels : 1 to 8
-    latency_ns : mean age of a distance at the time that it is stamped with [ns]
+    latency_ns : mean age of a distance at its timestamp [ns]
     period_ns : from one conversion of any channel to the next [ns]; 0: irregular
     mounts : tool from sensor, one per channel; none: every sensor at the tool's origin, along −z
 
@@ -91,7 +91,7 @@ def pack_range(info: DriverInfo, channel: int, range_m: float | None) -> int:
 
 
 class RangeWriter:
-    """Puts distances into a driver's queue, with stamps that never go back and never lie ahead.
+    """Puts distances into a driver's queue, with timestamps that never go back and never lie ahead.
 
     Parameters
     ----------

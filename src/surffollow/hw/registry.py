@@ -119,7 +119,7 @@ def _in_other_package(kind: str) -> Factory:
         found: Any = importlib.import_module(module)
         for part in attribute.split("."):
             found = getattr(found, part)
-    except Exception as error:  # also whatever the module raises while it is imported
+    except Exception as error:  # also any exception while the module is imported
         raise ConfigError(
             f"driver kind '{kind}' cannot be loaded: {error}; install its package into the service's "
             'environment and write kind = "package.module:factory"'
@@ -141,7 +141,7 @@ def _installed(kind: str) -> Factory | None:
         return _checked(found[0].load(), kind)
     except ConfigError:
         raise
-    except Exception as error:  # also whatever the module raises while it is imported
+    except Exception as error:  # also any exception while the module is imported
         raise ConfigError(
             f"driver kind '{kind}' ({found[0].value}) cannot be loaded: {error}; mend or "
             "reinstall its package"
@@ -159,7 +159,7 @@ def _checked(factory: Any, kind: str) -> Factory:
             driver = factory(settings, name)
         except (msgspec.ValidationError, SurffollowError, KeyboardInterrupt):
             raise  # `make_driver` adds the kind, or the text is complete already
-        except BaseException as error:  # another package's: whatever it raises ends the start in one line
+        except BaseException as error:  # another package's: any exception ends the start in one line
             raise ConfigError(
                 f"driver kind '{kind}' could not be made: {type(error).__name__}: {error}; mend its factory "
                 "or its settings"
@@ -175,7 +175,7 @@ def _checked(factory: Any, kind: str) -> Factory:
 
 
 def factory_of(kind: str) -> Factory:
-    """What makes drivers of a kind: built in, installed by another package, or named by its module.
+    """Factory of drivers of a kind: built in, installed by another package, or named by its module.
 
     Raises
     ------

@@ -88,7 +88,7 @@ class ReplayedDriver:
             raise RecordingError(f"cannot read '{path}': {error.strerror or error}") from None
         except RecordingError:
             raise
-        except Exception:  # what numpy, zip and JSON say about bytes that are not theirs helps nobody
+        except Exception:  # messages of numpy, zip and JSON about foreign bytes do not help
             raise RecordingError(
                 f"'{path}' is no recording of conversions, or is cut short; a replay driver's file is the "
                 ".npz that hw.replayed.save_conversions writes (a recorder's .mcap plays with "

@@ -9,7 +9,7 @@ from surffollow.hw.pushed_ranges import pushed_of
 
 
 class WrappingDriver:
-    """What drivers around another driver share; `start`, `stop` and `faults` are their own.
+    """Common parts of drivers around another driver; `start`, `stop` and `faults` are their own.
 
     Parameters
     ----------

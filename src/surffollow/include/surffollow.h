@@ -13,7 +13,7 @@
  *     while (moving) {
  *         sf_ee_pos(&robot, pose, SF_NOW);             x y z [m], qx qy qz qw, world from tool
  *         sf_demand d;
- *         if (sf_dev_vector(&robot, &d) == SF_OK) { ... add d.demand to the pose stamped d.pose_t_ns ... }
+ *         if (sf_dev_vector(&robot, &d) == SF_OK) { ... add d.demand to the pose of d.pose_t_ns ... }
  *     }
  *     sf_detach(&robot);
  *
@@ -233,7 +233,7 @@ static inline const char *sf_answer_text(int answer) {
     case 5: return "there is no map yet; call map_reset(region) first";
     case 6: return "the map is busy with another client's request";
     case 7: return "the map's queue is full";
-    case 8: return "this client does not hold what it wants to give back";
+    case 8: return "this client does not hold the resource that it releases";
     case 9: return "the request was cancelled";
     case 10: return "accepted, the map's answer follows";
     case 11: return "the service's map memory (map.grids) has no room for this map";
@@ -428,35 +428,35 @@ typedef struct sf_params {
   double plant_tau_s; /* [s] adaptive: assumed time constant of the vertical axis */
   double plant_v_max_mps; /* [m/s] adaptive: assumed speed limit of the vertical axis */
   double plant_a_max_mps2; /* [m/s^2] adaptive: assumed acceleration limit of the vertical axis */
-  double score_way_m; /* [m] adaptive: arc length over which models are scored */
-  double score_time_s; /* [s] adaptive: time over which models are judged */
-  double score_power; /* adaptive: how strongly the recently better model is preferred */
-  double long_power; /* adaptive: how strongly the model better over a longer way is preferred; where it is quiet x 10 */
-  double long_factor; /* adaptive: longer way and time of judgement, as a multiple */
-  double effort_m; /* [m s^2/m] adaptive: stand-off error worth a set point acceleration of 1 m/s^2 */
-  double noise_share; /* adaptive: share of the reading noise taken off the scores */
-  double score_floor_m; /* [m] adaptive: stand-off errors below this are as good as none */
-  double gate_scales; /* adaptive: innovations beyond so many scales are quarantined */
-  double gate_m; /* [m] adaptive: least innovation that is quarantined */
+  double score_way_m; /* [m] adaptive: arc length over which model errors are averaged */
+  double score_time_s; /* [s] adaptive: time over which model errors are averaged */
+  double score_power; /* adaptive: exponent of the weights over the recent horizon */
+  double long_power; /* adaptive: exponent of the weights over the longer horizon */
+  double long_factor; /* adaptive: longer horizon, as a multiple of the recent one */
+  double effort_m; /* [m s^2/m] adaptive: stand-off error equal to a setpoint acceleration of 1 m/s^2 */
+  double noise_share; /* adaptive: share of the noise subtracted from the model errors */
+  double score_floor_m; /* [m] adaptive: stand-off errors below this count as none */
+  double gate_scales; /* adaptive: width of the innovation gate, in usual innovations */
+  double gate_m; /* [m] adaptive: least width of the innovation gate */
   double step_way_m; /* [m] adaptive: travel after which a pending step down is confirmed */
   int64_t step_samples; /* adaptive: agreeing samples that confirm a pending step */
   double tick_lead_s; /* [s] adaptive: mean wait of a demand; at most half a report interval */
-  double plan_calm_s4; /* [s^4] adaptive: squared error worth a squared planned acceleration */
+  double plan_calm_s4; /* [s^4] adaptive: weight of squared acceleration against squared error in a plan */
   int64_t orient; /* adaptive: 1: with 3 or more sensors, demand rotations too */
   double max_turn_rad; /* [rad] adaptive: limit of the rotation demanded */
-  double permitted_turn_rad; /* [rad] adaptive: tilt of the surface that turns nothing */
-  double calm_share; /* adaptive: share of Permitted_Variance within which the set point glides on */
-  int64_t adapt; /* adaptive: 1: learn; 0: scores, weights, noise, how ground goes on stay as they are */
+  double permitted_turn_rad; /* [rad] adaptive: deadband of the attitude setpoint */
+  double calm_share; /* adaptive: share of Permitted_Variance that is the setpoint's deadband */
+  int64_t adapt; /* adaptive: 1: adapt; 0: index, weights, noise and terrain regression are frozen */
   int64_t hold_ns; /* [ns] adaptive: an unchanged reading counts as new after so long */
-  double dropout_way_m; /* [m] adaptive: way over which a slope is trusted without readings */
-  double max_speed_mps; /* [m/s] adaptive: limit of the set point's speed, away from the surface */
-  double max_accel_mps2; /* [m/s^2] adaptive: limit of the set point's acceleration */
-  double max_jerk_mps3; /* [m/s^3] adaptive: limit of the set point's jerk */
+  double dropout_way_m; /* [m] adaptive: travel without readings over which the slope decays */
+  double max_speed_mps; /* [m/s] adaptive: limit of the setpoint's speed, away from the surface */
+  double max_accel_mps2; /* [m/s^2] adaptive: limit of the setpoint's acceleration */
+  double max_jerk_mps3; /* [m/s^3] adaptive: limit of the setpoint's jerk */
   double toward_factor; /* adaptive: share of those limits at the approach and behind a fall */
-  double max_turn_speed_radps; /* [rad/s] adaptive: limit of the turning set point's speed */
-  double max_turn_accel_radps2; /* [rad/s^2] adaptive: limit of its acceleration */
+  double max_turn_speed_radps; /* [rad/s] adaptive: limit of the attitude setpoint's angular speed */
+  double max_turn_accel_radps2; /* [rad/s^2] adaptive: limit of its angular acceleration */
   double max_tilt_rad; /* [rad] adaptive: greatest angle of the tool's axis to the world's z axis */
-  int64_t preview; /* adaptive: 1: plan over ground remembered ahead (the service: its map's) */
+  int64_t preview; /* adaptive: 1: preview control over remembered ground (in the service: its map) */
   int64_t stop_on; /* causes that latch the stop, bits of STOP_NAMES; set by the configuration alone */
 } sf_params;
 SF_STATIC_ASSERT(sizeof(sf_params) == 984, "layout of sf_params");
@@ -515,10 +515,10 @@ SF_STATIC_ASSERT(offsetof(sf_params, max_tilt_rad) == 960, "layout of sf_params"
 SF_STATIC_ASSERT(offsetof(sf_params, preview) == 968, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, stop_on) == 976, "layout of sf_params");
 
-/* What a cycle publishes. */
+/* Output of a cycle. */
 typedef struct sf_output {
   int64_t t_ns; /* [ns] when the demand was computed */
-  int64_t pose_t_ns; /* [ns] stamp of the pose the demand adds to; 0: none */
+  int64_t pose_t_ns; /* [ns] timestamp of the pose that the demand adds to; 0: none */
   double demand[6]; /* [m, rad] x y z rx ry rz to add to that pose */
   int64_t status; /* bits, see STATUS_NAMES */
   int64_t cycle; /* cycle number */
@@ -636,7 +636,7 @@ typedef struct sf_map_status {
   double progress; /* 0 to 1 of the request under way */
   int64_t access_claim; /* claim of the slot that access was granted to; 0: none */
   int64_t grants; /* grants of access since the service started: another number, another grant */
-  int64_t fenced; /* bit per slot: its request outlived a lease and is not heard until its flag is 0 */
+  int64_t fenced; /* bit per slot: its request outlived a lease and is ignored until its flag is 0 */
 } sf_map_status;
 SF_STATIC_ASSERT(sizeof(sf_map_status) == 88, "layout of sf_map_status");
 SF_STATIC_ASSERT(offsetof(sf_map_status, t_ns) == 0, "layout of sf_map_status");
@@ -692,7 +692,7 @@ SF_STATIC_ASSERT(offsetof(sf_stats, ranges) == 8296, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, ranges_refused) == 8304, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, ranges_skipped) == 8312, "layout of sf_stats");
 
-/* One change that somebody asked for, or a stop by the service itself; `audit` holds a stream of them. */
+/* A requested change, or a stop by the service itself; `audit` holds a stream of them. */
 typedef struct sf_audit_entry {
   int64_t t_ns; /* [ns] when the cycle answered it */
   int64_t slot; /* of the client; -1: the service itself */
@@ -703,7 +703,7 @@ typedef struct sf_audit_entry {
   int64_t code; /* RQ_... */
   int64_t word; /* number of the parameter; -1: none */
   double old_value; /* its value before, NaN: none; in the unit of the parameter */
-  double new_value; /* its value wanted, NaN: none */
+  double new_value; /* requested value, NaN: none */
   int64_t result; /* OK, ACCEPTED or ERR_... */
   int64_t detail; /* of the answer; of a stop: its causes */
   int64_t count; /* times that this was refused since the entry before of the same kind; else 1 */
@@ -761,7 +761,7 @@ SF_STATIC_ASSERT(offsetof(sf_slot_message, slot) == 48, "layout of sf_slot_messa
 SF_STATIC_ASSERT(offsetof(sf_slot_message, claim) == 56, "layout of sf_slot_message");
 SF_STATIC_ASSERT(offsetof(sf_slot_message, name) == 64, "layout of sf_slot_message");
 
-/* Who holds a slot, from the kernel (SO_PEERCRED). */
+/* Holder of a slot, from the kernel (SO_PEERCRED). */
 typedef struct sf_client_info {
   int64_t pid; /* 0: the slot is free; -1: a process of another pid namespace */
   int64_t uid;
@@ -787,7 +787,7 @@ SF_STATIC_ASSERT(offsetof(sf_slot_head, access) == 0, "layout of sf_slot_head");
 SF_STATIC_ASSERT(offsetof(sf_slot_head, stop) == 8, "layout of sf_slot_head");
 SF_STATIC_ASSERT(offsetof(sf_slot_head, pad) == 16, "layout of sf_slot_head");
 
-/* What ee_pos posts. */
+/* A pose, as ee_pos posts it. */
 typedef struct sf_pose_post {
   int64_t t_ns; /* [ns] when the pose was true */
   double pose[7]; /* [m, 1] x y z qx qy qz qw, world from tool */
@@ -809,7 +809,7 @@ SF_STATIC_ASSERT(offsetof(sf_range_item, t_ns) == 8, "layout of sf_range_item");
 SF_STATIC_ASSERT(offsetof(sf_range_item, channel) == 16, "layout of sf_range_item");
 SF_STATIC_ASSERT(offsetof(sf_range_item, range_m) == 24, "layout of sf_range_item");
 
-/* What a request posts; the counter is inside so that the copy is whole. */
+/* A request; the counter is inside so that the copy is whole. */
 typedef struct sf_request_post {
   int64_t counter;
   int64_t code; /* RQ_... */
@@ -1087,7 +1087,7 @@ static inline const char *sf_strerror(int result) {
   return result < SF_REFUSED ? sf_answer_text(SF_REFUSED - result) : "unknown result";
 }
 
-/* ---- latches: one writer publishes, readers copy whole, nobody waits ------------------------ */
+/* ---- latches: one writer publishes, readers copy whole, no side waits ----------------------- */
 
 static inline int64_t sf_load_relaxed(const void *word) {
   return __atomic_load_n(SF_CAST(const int64_t *, word), __ATOMIC_RELAXED);
@@ -1191,7 +1191,7 @@ typedef struct sf_object {
 typedef struct sf_options {
   const char *label;    /* how the service's status names this client; copied */
   int observe;          /* 1: read only; no slot, no write permission needed */
-  int auto_reattach;    /* 1: whatever is called looks for a restarted service itself (system calls, every
+  int auto_reattach;    /* 1: every call looks for a restarted service itself (system calls, every
                            20 ms while stale); 0: call sf_reattach where it suits */
   int64_t stale_periods; /* cycles of silence after which demands become zero ... */
   int64_t stale_min_ns;  /* ... but never sooner than this */
@@ -1342,7 +1342,7 @@ static inline int sf_i_owner_ok(int64_t owner, uid_t found) {
 }
 
 /*
- * Map NAME + suffix read-only. What stands under the name may be anything of anybody's: nothing here waits
+ * Map NAME + suffix read-only. The name may lead to any kind of file of any user: nothing here waits
  * for it (O_NONBLOCK), follows a link, or maps what is no plain file of a user who is trusted.
  */
 static inline int sf_i_open(sf_client *c, const char *suffix, sf_object *o) {
@@ -1473,7 +1473,7 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
     if (sf_i_open(c, ".map", &map) == SF_OK) {
       if (map.owner == c->board.owner)
         c->map = map;
-      else /* somebody else's, under the name of the service's */
+      else /* another user's, under the name of the service's */
         sf_i_close(&map);
     }
   }
@@ -1491,12 +1491,12 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
 /* Wait until a socket can be read. 0, or an errno: ETIMEDOUT. */
 static inline int sf_i_await(int fd, int64_t deadline_ns) {
   for (;;) {
-    struct pollfd wanted;
+    struct pollfd request;
     const int64_t left_ns = deadline_ns - sf_now_ns();
-    wanted.fd = fd;
-    wanted.events = POLLIN;
-    wanted.revents = 0;
-    const int got = poll(&wanted, 1, left_ns > 0 ? SF_CAST(int, left_ns / 1000000) + 1 : 0);
+    request.fd = fd;
+    request.events = POLLIN;
+    request.revents = 0;
+    const int got = poll(&request, 1, left_ns > 0 ? SF_CAST(int, left_ns / 1000000) + 1 : 0);
     if (got > 0) return 0;
     if (got == 0 && sf_now_ns() >= deadline_ns) return ETIMEDOUT;
     if (got < 0 && errno != EINTR) return errno;
@@ -1528,7 +1528,7 @@ static inline int sf_i_begin_asking(sf_client *c) {
 static inline int sf_i_connect(sf_client *c) {
   char path[96];
   struct sockaddr_un address;
-  const int fd = c->asking.fd, wanted = 1;
+  const int fd = c->asking.fd, enabled = 1;
   if (!sf_i_path(c->name, ".sock", path)) return SF_ERR_NAME;
   memset(&address, 0, sizeof address);
   address.sun_family = AF_UNIX;
@@ -1547,7 +1547,7 @@ static inline int sf_i_connect(sf_client *c) {
     c->detail = peer[1];
     return SF_ERR_OWNER;
   }
-  (void)setsockopt(fd, SOL_SOCKET, SF_I_SO_PASSRIGHTS, &wanted, SF_CAST(socklen_t, sizeof wanted));
+  (void)setsockopt(fd, SOL_SOCKET, SF_I_SO_PASSRIGHTS, &enabled, SF_CAST(socklen_t, sizeof enabled));
   return SF_OK;
 }
 
@@ -1572,7 +1572,7 @@ static inline int sf_i_say(const sf_client *c, int fd, int64_t step, int64_t slo
 
 /* Receive one message and, with it, at most one descriptor (else -1). SF_OK, SF_PENDING: none yet, or an error. */
 static inline int sf_i_hear(sf_client *c, int fd, sf_slot_message *m, int *memory_fd) {
-  /* the control data of one descriptor, aligned as its head wants it */
+  /* the control data of one descriptor, aligned as its head requires */
   union {
     struct cmsghdr head;
     unsigned char bytes[CMSG_SPACE(sizeof(int))];
@@ -1896,7 +1896,7 @@ static inline void sf_i_look_again(sf_client *c, int64_t now_ns) {
   c->next_attach_ns = now_ns + SF_REATTACH_EVERY_NS;
   if (c->options.auto_reattach) sf_i_reattach_board(c);
   c->ended = sf_i_has_ended(c);
-  /* purged: what is mapped is nobody's map any more */
+  /* purged: the mapped map is without an owner */
   if (c->map.memory != NULL && !sf_i_is_current(c, ".map", &c->map)) sf_i_close(&c->map);
 }
 
@@ -1921,10 +1921,10 @@ static inline int sf_i_follow(sf_client *c, int64_t now_ns) {
 
 /* ---- demands and distances ------------------------------------------------------------------ */
 
-/* What to add to the pose stamped `pose_t_ns`. The first eleven fields lie as in sf_output. */
+/* Correction of the pose with the timestamp `pose_t_ns`. The first eleven fields lie as in sf_output. */
 typedef struct sf_demand {
   int64_t t_ns;      /* when the service computed it */
-  int64_t pose_t_ns; /* stamp of the pose it refers to; 0: none */
+  int64_t pose_t_ns; /* timestamp of the pose it refers to; 0: none */
   double demand[6];  /* x y z [m], rx ry rz [rad]; all zero unless sf_dev_vector returned SF_OK */
   int64_t status;    /* SF_VALID, SF_NO_POSE, ... and SF_STALE */
   int64_t cycle;
@@ -1946,7 +1946,7 @@ static inline int sf_i_demand(const sf_client *c, sf_demand *d, int64_t *now_ns)
   const int64_t now = sf_now_ns();
   *now_ns = now;
   d->age_ns = now - d->t_ns;
-  /* a stamp of the future is of another clock: nobody knows how old the demand is */
+  /* a timestamp of the future is of another clock: the age of the demand is unknown */
   if (d->age_ns <= c->stale_ns && d->age_ns >= -c->stale_ns && g > 0) {
     if (d->status & SF_VALID) return SF_OK;
   } else {
@@ -2149,7 +2149,7 @@ static inline void sf_i_hold(sf_client *c, int64_t code, int64_t channel) {
 
 /*
  * One step in a control loop towards what a restart of the service took; never waits. The slot carries one request
- * at a time: the answer to the claim under way is taken, whatever it claims, before another one is sent.
+ * at a time: the answer to any claim under way is taken before another one is sent.
  * SF_OK, SF_ERR_NOT_RUNNING: not there yet, SF_REFUSED_...
  */
 static inline int sf_i_claim_again(sf_client *c, int64_t code, int64_t channel, int64_t now_ns) {
@@ -2250,9 +2250,9 @@ static inline int sf_i_look_after(sf_client *c, int64_t now_ns) {
 #define SF_NOW INT64_MIN
 
 /*
- * Tell the service where the tool is, or was: x y z [m], unit quaternion qx qy qz qw, world from tool,
+ * Report the pose of the tool, now or at a past time: x y z [m], unit quaternion qx qy qz qw, world from tool,
  * true at `t_ns` (SF_NOW: now). The first call of an attachment claims the pose and waits for the answer
- * (sf_claim_pose does that beforehand). No later one waits, whatever the service or its socket does, and none makes
+ * (sf_claim_pose does that beforehand). No later one waits, in any state of the service or its socket, and none makes
  * a system call but the clock's unless the service is silent or its slot is lost.
  * SF_OK, SF_ERR_POSE, _POSE_FUTURE, _POSE_OLD, _OBSERVER, _NOT_RUNNING (it ended, or slot and pose are being asked
  * for anew of one that was started again: call again), or SF_REFUSED_POSE_HELD with the holder's pid in the client's `detail`.
@@ -2277,7 +2277,7 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
 }
 /* ---- ranges of an own sensor ([driver] kind = "external"; docs/reference/protocol.md, "Pushed ranges") ----- */
 
-/* What says that the sensor sees nothing, whatever -ffast-math thinks of it. */
+/* The value for "the sensor sees nothing", safe with -ffast-math. */
 static inline double sf_no_reading(void) {
   const uint64_t nan_bits = UINT64_C(0x7FF8000000000000);
   double value;
@@ -2314,7 +2314,7 @@ static inline int sf_release_range(sf_client *c, int channel) {
 /*
  * Hand the service one range of an own sensor [m], true at `t_ns` (SF_NOW: now); sf_no_reading(), NaN or
  * infinite: it sees nothing. The first range of a channel claims it and waits for the answer (sf_claim_range does that
- * beforehand). No later one waits, whatever the service or its socket does, and none makes a system call but the
+ * beforehand). No later one waits, in any state of the service or its socket, and none makes a system call but the
  * clock's unless the service is silent or its slot is lost.
  * SF_OK, SF_ERR_RANGE_TIME, _ARGUMENT, _OBSERVER, _NOT_RUNNING (it ended, or slot and channel are being asked for
  * anew of one that was started again: call again); SF_REFUSED_RANGE_HELD with the holder's pid in
@@ -2378,7 +2378,7 @@ static inline int sf_i_lock_world(sf_client *c) {
     const int known = fstat(fd, &status) == 0;
     if (!known || !S_ISREG(status.st_mode) || status.st_uid != geteuid() || (status.st_mode & 0177) != 0) {
       close(fd);
-      return SF_ERR_NO_PERMISSION; /* somebody else's file stands there, or others may lock it */
+      return SF_ERR_NO_PERMISSION; /* another user's file stands there, or others may lock it */
     }
     /* 37: F_OFD_SETLK, which strict ISO C hides; such a lock belongs to this open and ends with it */
     if (fcntl(fd, 37, &lock) == 0) {
@@ -2470,7 +2470,7 @@ static inline int sf_i_claim_world(sf_client *c) {
 }
 
 /*
- * Tell the simulated sensor where the tool truly is, where reports are noisy or late: `pose` as in sf_ee_pos,
+ * Give the simulated sensor the true pose of the tool, where reports are noisy or late: `pose` as in sf_ee_pos,
  * true at `t_ns`; `velocity` m/s and rad/s, world axes, NULL: at rest. The service itself never reads it.
  * Without it the simulated sensor rides on the reported poses, whose errors then cancel. The first call makes
  * the block NAME.world; sf_detach removes it.
@@ -2646,7 +2646,7 @@ static inline int sf_stop_now(sf_client *c) {
 
 /*
  * Leave the latched stop; the forecast restarts with the stand-off in force. SF_OK, SF_REFUSED_NOT_POSE_HOLDER
- * (`detail` of the client: who sends the pose, 0: nobody), or SF_REFUSED_STOP_REMAINS (`detail`: SF_STOP_... causes).
+ * (`detail` of the client: the pose's holder, 0: none), or SF_REFUSED_STOP_REMAINS (`detail`: SF_STOP_... causes).
  */
 static inline int sf_stop_reset(sf_client *c) {
   if (c == NULL) return SF_ERR_ARGUMENT;
@@ -2726,7 +2726,7 @@ static inline double sf_i_load_double(const void *word) {
 
 /*
  * Mean height of the grid that holds a point [m], read from the live map without waiting.
- * SF_OK; SF_UNKNOWN: nobody has been there, it is beside the map, or the map is being laid anew.
+ * SF_OK; SF_UNKNOWN: no sample is there, it is beside the map, or the map is being laid anew.
  */
 static inline int sf_map_height(sf_client *c, double x_m, double y_m, double *height_m) {
   if (c == NULL || c->output == NULL || height_m == NULL) return SF_ERR_ARGUMENT;
@@ -2931,7 +2931,7 @@ static inline uint32_t sf_i_crc32(uint32_t crc, const unsigned char *bytes, size
   return ~crc;
 }
 
-/* The shortest decimal number that reads back as `value`, whatever the locale; as Python prints it. */
+/* The shortest decimal number that reads back as `value`, in any locale; as Python prints it. */
 static inline void sf_i_write_double(FILE *f, double value) {
   char text[40], digits[24];
   int precision = 0, n = 0, exponent = 0;

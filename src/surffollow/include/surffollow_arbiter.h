@@ -85,7 +85,7 @@ extern "C" {
 #define SFA_NOTHING 18
 #define SFA_NEW_EPOCH 19
 
-/* What a client says: a request, a command or a relinquishment. */
+/* Message of a client: a request, a command or a relinquishment. */
 typedef struct sfa_item {
   int64_t seq; /* rises by one with each item of the client */
   int64_t what; /* bits 0-7: 1 request, 2 command, 3 relinquish; 8-15: resource; 16-: flags */
@@ -119,7 +119,7 @@ SF_STATIC_ASSERT(offsetof(sfa_mailbox, head) == 64, "layout of sfa_mailbox");
 SF_STATIC_ASSERT(offsetof(sfa_mailbox, doorbell) == 128, "layout of sfa_mailbox");
 SF_STATIC_ASSERT(offsetof(sfa_mailbox, item) == 192, "layout of sfa_mailbox");
 
-/* What was declared of a resource; constant while the server runs. */
+/* Declaration of a resource; constant while the server runs. */
 typedef struct sfa_resource_config {
   char name[48];
   char fields[256]; /* names of the command's values, separated by commas */
@@ -152,7 +152,7 @@ SF_STATIC_ASSERT(offsetof(sfa_resource_config, low) == 680, "layout of sfa_resou
 SF_STATIC_ASSERT(offsetof(sfa_resource_config, high) == 744, "layout of sfa_resource_config");
 SF_STATIC_ASSERT(offsetof(sfa_resource_config, safe) == 808, "layout of sfa_resource_config");
 
-/* Who holds a resource, and what happened to it so far. */
+/* Holder of a resource, and its counters so far. */
 typedef struct sfa_resource_status {
   int64_t state; /* 0 FREE, 1 HELD, 2 ASKED */
   int64_t holder; /* slot of the client, -1: none */
@@ -169,7 +169,7 @@ typedef struct sfa_resource_status {
   int64_t denied;
   int64_t safes; /* safe commands published */
   int64_t waited_ns; /* [ns] longest wait in its queue that ended, by a grant or in vain */
-  int64_t waiting_since_ns; /* [ns] when the client that waits longest now began, 0: nobody waits */
+  int64_t waiting_since_ns; /* [ns] since when the longest-waiting client waits; 0: none waits */
 } sfa_resource_status;
 SF_STATIC_ASSERT(sizeof(sfa_resource_status) == 128, "layout of sfa_resource_status");
 SF_STATIC_ASSERT(offsetof(sfa_resource_status, state) == 0, "layout of sfa_resource_status");
@@ -189,7 +189,7 @@ SF_STATIC_ASSERT(offsetof(sfa_resource_status, safes) == 104, "layout of sfa_res
 SF_STATIC_ASSERT(offsetof(sfa_resource_status, waited_ns) == 112, "layout of sfa_resource_status");
 SF_STATIC_ASSERT(offsetof(sfa_resource_status, waiting_since_ns) == 120, "layout of sfa_resource_status");
 
-/* A client slot as everybody sees it. */
+/* The public part of a client slot. */
 typedef struct sfa_client_entry {
   SF_ALIGNAS(64) int64_t number; /* of the client, never used again; 0: the slot is empty */
   int64_t priority;
@@ -233,7 +233,7 @@ SF_STATIC_ASSERT(offsetof(sfa_reply, holder) == 24, "layout of sfa_reply");
 SF_STATIC_ASSERT(offsetof(sfa_reply, holder_priority) == 32, "layout of sfa_reply");
 SF_STATIC_ASSERT(offsetof(sfa_reply, t_ns) == 40, "layout of sfa_reply");
 
-/* What the server publishes for one client. */
+/* Published state of one client. */
 typedef struct sfa_client_desk {
   SF_ALIGNAS(64) int64_t bell; /* its low half is a futex; changes with every answer or grant */
   SF_ALIGNAS(64) int64_t held[16]; /* token held of each resource, 0: none */
@@ -267,7 +267,7 @@ SF_STATIC_ASSERT(offsetof(sfa_event, reason) == 48, "layout of sfa_event");
 SF_STATIC_ASSERT(offsetof(sfa_event, item) == 56, "layout of sfa_event");
 SF_STATIC_ASSERT(offsetof(sfa_event, command) == 64, "layout of sfa_event");
 
-/* What the board is; state comes last. */
+/* Header of the board; the state is stored last. */
 typedef struct sfa_board_header {
   uint64_t magic;
   uint64_t version;
@@ -306,7 +306,7 @@ SF_STATIC_ASSERT(offsetof(sfa_board_header, state) == 192, "layout of sfa_board_
 SF_STATIC_ASSERT(offsetof(sfa_board_header, beat_ns) == 256, "layout of sfa_board_header");
 SF_STATIC_ASSERT(offsetof(sfa_board_header, rounds) == 264, "layout of sfa_board_header");
 
-/* What a resource is to do now: the command block NAME.RESOURCE. */
+/* Present command of a resource: the command block NAME.RESOURCE. */
 typedef struct sfa_command_block {
   int64_t seq; /* rises by one with each publication */
   int64_t t_ns; /* [ns] when the client made it, or the server the safe command */
@@ -333,7 +333,7 @@ SF_STATIC_ASSERT(offsetof(sfa_command_block, n_values) == 64, "layout of sfa_com
 SF_STATIC_ASSERT(offsetof(sfa_command_block, value) == 72, "layout of sfa_command");
 SF_STATIC_ASSERT(offsetof(sfa_command_block, safe) == 136, "layout of sfa_command");
 
-/* What a client says first. */
+/* First message of a client. */
 typedef struct sfa_hello {
   uint64_t magic;
   uint64_t layout_hash;
@@ -549,7 +549,7 @@ static inline int sfa_i_greet(sfa_client *a, const char *client, int fds[2]) {
   hello.magic = SFA_HELLO_MAGIC;
   hello.layout_hash = SFA_LAYOUT_HASH;
   strncpy(hello.name, client, sizeof hello.name - 1);
-  (void)!send(a->sock, &hello, sizeof hello, MSG_NOSIGNAL); /* it may have refused already: its answer tells */
+  (void)!send(a->sock, &hello, sizeof hello, MSG_NOSIGNAL); /* it may have refused already: its answer decides */
   part.iov_base = &answer;
   part.iov_len = sizeof answer;
   message.msg_iov = &part;
@@ -610,19 +610,19 @@ static inline int sfa_i_map(sfa_client *a, const int fds[2]) {
   return 0;
 }
 
-/* Tell the server that the mailbox is mapped, and wait until it looks into it. */
+/* Report to the server that the mailbox is mapped, and wait until it looks into it. */
 static inline int sfa_i_enter(sfa_client *a) {
-  char heard[8];
+  char received[8];
   ssize_t got;
   if (send(a->sock, SFA_MAPPED, sizeof SFA_MAPPED - 1, MSG_NOSIGNAL) < 0) return -ENOENT;
   do {
-    got = recv(a->sock, heard, sizeof heard, 0);
+    got = recv(a->sock, received, sizeof received, 0);
   } while (got < 0 && errno == EINTR);
   if (got < 0) return errno == EAGAIN || errno == EWOULDBLOCK ? -ETIMEDOUT : -ENOENT;
   return got == SF_CAST(ssize_t, sizeof SFA_MAPPED - 1) ? 0 : -ENOENT;
 }
 
-/* End: whatever this client holds or waits for is given up. Its names and the server's user stay for sfa_reattach. */
+/* End: everything that this client holds or waits for is given up. Its names and the server's user stay for sfa_reattach. */
 static inline void sfa_detach(sfa_client *a) {
   if (a->sock >= 0) close(a->sock);
   if (a->mailbox != NULL) munmap(a->mailbox, SFA_MAILBOX_BYTES);
@@ -819,7 +819,7 @@ static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t
 
 /*
  * Command a resource that this client holds: `n` values, as many as the resource declares, relative to the
- * pose stamped `ref_t_ns` (0: none; then `ref_pose` may be NULL). Never waits.
+ * pose of `ref_t_ns` (0: none; then `ref_pose` may be NULL). Never waits.
  * Returns 1; 0: the resource is not ours (any more), nothing was sent; -EAGAIN: the mailbox is full; -ENOENT: the
  * server was silent for a lease; -EINVAL: no such resource, or another number of values.
  */
@@ -919,7 +919,7 @@ static inline int sfa_latest(const sfb_block *block, sfa_command_block *out) {
     memset(out, 0, sizeof *out);
     return 0;
   }
-  /* a command of the future is of another clock: nobody knows how old it is */
+  /* a command of the future is of another clock: its age is unknown */
   const int64_t now_ns = sf_now_ns(), begin_ns = 2 * out->t_ns - out->valid_until_ns;
   const int valid = out->source != SFA_SOURCE_SAFE && begin_ns < now_ns && now_ns < out->valid_until_ns;
   if (valid && !sfb_given_up(block)) return 1;

@@ -23,7 +23,7 @@ def rounded_up(value: float) -> float:
 
 
 def real_numbers(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Real numbers, whatever holds them; NaN where a mask hides them."""
+    """Real numbers of any container; NaN where a mask hides them."""
     try:
         if isinstance(values, (list, tuple)) and any(np.ma.isMaskedArray(v) for v in values):
             values = np.ma.array(values)

@@ -1,4 +1,4 @@
-"""Put several maps together, count-weighted, at whatever resolutions they have; compare two."""
+"""Put several maps together, count-weighted, of any resolutions; compare two."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from surffollow.map.kernels.geometry import fit_grids
 from surffollow.map.resample_areas import lattice_sums, overlap_lengths
 from surffollow.shm import map_layout as ml
 
-MOST_TIMES = 8  # as many grids as the maps have together: what their places may ask for unasked
-LEAST_GRIDS = 1_000_000  # that are never too many
+MAX_GRIDS_FACTOR = 8  # as many grids as the maps have together: what their places may ask for unasked
+ALWAYS_PERMITTED_GRIDS = 1_000_000  # that are never too many
 GRID_BYTES = 100  # at the peak, per grid of the result; 70 measured at nine million grids
 BLOCK_BYTES = 250  # per grid of a block of rows, and per edge of the lattice and map
 
@@ -60,7 +60,7 @@ def _bytes_available() -> float:
 def _size(maps: Sequence[HeightMap], grids: int | None) -> tuple[int, int, float, float, float]:
     """`_lattice`, or UsageError where places far apart, or the memory, forbid it: before any is taken."""
     together = sum(m.shape[0] * m.shape[1] for m in maps)
-    most = max(MOST_TIMES * together, LEAST_GRIDS) if grids is None else grids
+    most = max(MAX_GRIDS_FACTOR * together, ALWAYS_PERMITTED_GRIDS) if grids is None else grids
     nx, ny, x0, y0, grid = _lattice(maps, min(most, 10**9), grids is not None)
     needed = _bytes_needed(nx, ny, len(maps))
     what = (
@@ -106,7 +106,7 @@ def compose(
     Returns
     -------
     HeightMap   a grid's height is the mean of the grids under it, weighted by overlap area and
-    count; its count the samples expected in its area (at most 255). Priors fill what nobody
+    count; its count the samples expected in its area (at most 255). Priors fill grids that no map
     sampled. Maps on one lattice compose without any resampling.
 
     Raises

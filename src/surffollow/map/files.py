@@ -91,7 +91,7 @@ def export(
 
 
 def load(path: FilePath, *, progress: Progress | None = None) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Read a map, whatever its name ends in: text or .npz losslessly; rasters as a prior (count 0).
+    """Read a map, with any suffix: text or .npz losslessly; rasters as a prior (count 0).
 
     Returns
     -------
@@ -142,7 +142,7 @@ _OTHERS = (
 
 
 def _kind(path: FilePath) -> str:
-    """What a file is by how it begins, else by its suffix: .txt, .npz, .asc or .tif."""
+    """Format of a file by its first bytes, else by its suffix: .txt, .npz, .asc or .tif."""
     suffix = Path(path).suffix.lower()
     try:
         with open(path, "rb") as f:

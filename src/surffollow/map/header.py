@@ -15,7 +15,7 @@ _FINEST_M, _FARTHEST_M = 1e-12, 1e12
 
 
 def numbers_fault(grid_m: float, quantum_m: float, **positions_m: float) -> str:
-    """What makes these numbers no map's, or "".
+    """Reason why these numbers are no map's, or "".
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def tile_shift_of(nx: int, ny: int) -> int:
 
 
 def header_fault(header: np.ndarray[Any, Any], n_pairs: int) -> str:
-    """What makes this header unusable, or "" when nothing does.
+    """Reason why this header is unusable, or "".
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ def lattice_sums(
     Parameters
     ----------
     weights_y, weights_x : sparse   from `overlap_lengths`
-    rows : (first, last)            new rows wanted
+    rows : (first, last)            requested new rows
     fetch : callable                (old first row, old last row) → fields, each (rows, nx) float64
 
     Returns

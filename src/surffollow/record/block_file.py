@@ -40,7 +40,7 @@ def block_message(schema: type[Schema]) -> Message:
 
 @dataclass
 class BlockCounts:
-    """What was recorded; `missed` publications came and went between two looks."""
+    """Counts of a recording; `missed` publications were replaced between two looks."""
 
     publications: dict[str, int] = field(default_factory=dict)
     missed: dict[str, int] = field(default_factory=dict)

@@ -47,7 +47,7 @@ _MAP_COMMANDS = {RQ_MAP_RESET: "MapReset", RQ_MAP_REFOCUS: "MapRefocus", RQ_MAP_
 
 
 class Sink(Protocol):
-    """Where messages go."""
+    """Destination of messages."""
 
     def add_message(self, topic: str, kind: Message, t_ns: int, data: bytes) -> None:
         """Append one message, `t_ns` of CLOCK_MONOTONIC."""

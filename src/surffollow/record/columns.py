@@ -39,7 +39,7 @@ class RangeColumn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PositionColumns(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where the vehicle is; an axis without a column is 0."""
+    """Position of the vehicle; an axis without a column is 0."""
 
     unit: str
     north: str | None = None
@@ -57,14 +57,14 @@ class AttitudeColumns(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ReferenceColumn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Somebody else's estimate of the surface height, to compare with."""
+    """Another estimator's surface height, to compare with."""
 
     column: str
     unit: str
 
 
 class Mount(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where the sensor sits on the vehicle (x forward, y left, z up); its beam leaves along its -z."""
+    """Mount of the sensor on the vehicle (x forward, y left, z up); its beam leaves along its -z."""
 
     position: tuple[Quantity, Quantity, Quantity] = (0.0, 0.0, 0.0)
     orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)

@@ -27,7 +27,7 @@ Progress = Callable[[float], object]
 
 @dataclass
 class Converted:
-    """What was written: `rows` of tables, `messages` for viewers."""
+    """Counts of a conversion: `rows` of tables, `messages` for viewers."""
 
     files: list[str] = field(default_factory=list)
     cycles: int = 0

@@ -28,7 +28,7 @@ class CsvLog:
     t_s : (n,) float64          ascending [s]
     range_m : (n,) float64      [m]; NaN: no reading
     pose : (n, 7) float64       x y z [m], unit quaternion qx qy qz qw, world from vehicle
-    reference_m : (n,) float64  somebody else's surface height [m], or None
+    reference_m : (n,) float64  surface height of another estimator [m], or None
     since_s : (n,) float64      time since the first row [s] by the digits as written: a clock's origin takes
                                 none of a float64's; None: `t_s` less its first
     """
@@ -45,7 +45,7 @@ class CsvLog:
         return times - times[:1]
 
     def slack_s(self) -> float:
-        """By how much times may be off [s]: a nanosecond, or what a float64 cannot tell at these times."""
+        """By how much times may be off [s]: a nanosecond, or the resolution of a float64 at these times."""
         return max(1e-9, 2.0 * float(np.spacing(np.abs(self.t_s).max(initial=0.0))))
 
     def between(self, start_s: float | None, end_s: float | None) -> CsvLog:

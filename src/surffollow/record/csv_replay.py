@@ -23,7 +23,7 @@ ROW_HEADER = ("t_s", "range_m", "target_x_m", "target_y_m", "target_z_m", "heigh
 
 @dataclass(frozen=True)
 class CsvReplay:
-    """What came out, row by row.
+    """Results, row by row.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class CsvReplay:
 
 
 def make_follower(columns: Columns, log: CsvLog, mode: str | None) -> Follower:
-    """A follower set up for the log's sensor; the stand-off it wants is the first reading.
+    """A follower set up for the log's sensor; its desired stand-off is the first reading.
 
     Raises
     ------
@@ -132,18 +132,18 @@ ADAPTIVE_IGNORES = ("ee_readings", "interval_size_m", "range_size", "pose_interp
 
 
 def follow_notes(columns: Columns, mode: str) -> list[str]:
-    """What the column file sets in [follow] and the replay in this mode ignores, as text."""
+    """Settings of the column file's [follow] that the replay in this mode ignores, as text."""
     names = {key: param_name(key) for key in columns.follow if key not in ("sensors",)}
     paper = mode == "paper"
     idle = [k for k, n in names.items() if (n not in PAPER_SETTINGS if paper else n in ADAPTIVE_IGNORES)]
     if not idle:
         return []
-    other = "; --mode paper heeds some" if not paper else ""
+    other = "; --mode paper uses some" if not paper else ""
     return [f"[follow] {', '.join(idle)}: without effect on height, slope and forecast in {mode} mode{other}"]
 
 
 def target_points(log: CsvLog, columns: Columns) -> NDArray[np.float64]:
-    """Where each row's beam ended in the world, (n, 3) [m]; NaN without a reading."""
+    """End of each row's beam in the world, (n, 3) [m]; NaN without a reading."""
     from scipy.spatial.transform import Rotation
 
     attitude = Rotation.from_quat(log.pose[:, 3:])

@@ -1,4 +1,4 @@
-"""What figures have in common: which files can be written, style, shading, scales."""
+"""Common parts of figures: file types, style, shading, scales."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class FigureData:
     ----------
     t_s : (n,) float64        since the first sample
     rows : (n,) records of `Sample`
-    offset_m : (n,) float64   stand-off wanted at that time
+    offset_m : (n,) float64   stand-off desired at that time
     map : heights (ny, nx) [m], (x, y, grid) [m] of what is known; None: it cannot be built again
     """
 
@@ -48,7 +48,7 @@ class FigureData:
 
     @property
     def error_m(self) -> NDArray[np.float64]:
-        """Stand-off less the wanted one (n,) [m]; NaN without a distance."""
+        """Stand-off less the desired one (n,) [m]; NaN without a distance."""
         error: NDArray[np.float64] = self.rows["output"]["range_m"][:, 0] - self.offset_m
         return error
 

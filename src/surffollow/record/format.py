@@ -1,4 +1,4 @@
-"""What a recording is made of: an MCAP file with runs of the cycle log's own words on one channel.
+"""Parts of a recording: an MCAP file with runs of the cycle log's own words on one channel.
 
 One schema record holds the layout as JSON, so that a reader without this program can
 decode the words; every message begins with a `BatchHead`. Entries are never split.

@@ -31,7 +31,7 @@ from surffollow.record.service_log import ServiceLog
 
 @dataclass
 class LiveReport:
-    """What was played."""
+    """Counts of a played recording."""
 
     name: str
     seconds: float = 0.0

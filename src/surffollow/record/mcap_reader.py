@@ -35,7 +35,7 @@ _MAX_CHUNK_BYTES = 64 << 20
 
 @dataclass
 class Damage:
-    """What is wrong with a file; all zero and empty when nothing is."""
+    """Damage of a file; all zero and empty without damage."""
 
     reasons: list[str] = field(default_factory=list)
     lost_bytes: int = 0

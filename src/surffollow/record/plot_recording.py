@@ -95,7 +95,7 @@ def _draw_ground(ax: Any, story: FigureData) -> None:
     height = np.where(np.isfinite(ground) | (o["height_m"] != 0.0), o["height_m"], np.nan)
     ax.plot(t, ground * factor, ".", ms=3.0, color=fg.GREY, label="target points", rasterized=True)
     ax.plot(t, _breaks(height, story) * factor, color=fg.INK, lw=0.8, label="surface, as the follower has it")
-    ax.plot(t, _breaks(goal, story) * factor, color=fg.ORANGE, lw=0.8, label="set point: pose and demand")
+    ax.plot(t, _breaks(goal, story) * factor, color=fg.ORANGE, lw=0.8, label="setpoint: pose and demand")
     ax.plot(t, _breaks(tool, story) * factor, color=fg.BLUE, lw=1.0, label="tool, as reported")
     fg.mark_outliers(ax, t, ground * factor, odd)
     shown = np.concatenate([ground[~odd], tool, height]) * factor
@@ -121,7 +121,7 @@ def _draw_error(ax: Any, story: FigureData) -> None:
     if finite.size:
         text += f", 99 % within {np.percentile(finite, 99):.2f} mm, greatest {finite.max():.2f} mm"
     ax.set_title(text + (f" ({outside} samples beyond the axis)" if outside else ""))
-    ax.set(ylabel="actual − wanted [mm]")
+    ax.set(ylabel="actual − desired [mm]")
     if ax.get_legend_handles_labels()[1]:
         ax.legend(loc="upper right", ncols=2)
 

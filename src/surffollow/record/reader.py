@@ -59,7 +59,7 @@ class RecordingReader(McapReader):
 
     @property
     def about(self) -> dict[str, str]:
-        """What the recorder kept about the service: name, period, clocks."""
+        """Description of the service by the recorder: name, period, clocks."""
         return dict(self.layout.get("about", {}))
 
     @property

@@ -28,7 +28,7 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import Params
 
 SEGMENT_GAP_NS = 100_000_000
-POSE_COLUMNS = 9  # arrival, stamp, x y z qx qy qz qw
+POSE_COLUMNS = 9  # arrival, timestamp, x y z qx qy qz qw
 
 
 @jit
@@ -56,7 +56,7 @@ def take_inputs(
     words : (n,) int64
     shift_ns : int64
     t_ns, conversion : (c,) int64        when each conversion ended [ns], its word
-    poses : (p, 9) int64                 arrival [ns], stamp [ns], the pose's seven numbers as bits
+    poses : (p, 9) int64                 arrival [ns], timestamp [ns], the pose's seven numbers as bits
     events : (e, 2) int64                time [ns] and index in `words` of PARAMS, RESET and SNAPSHOT entries
     at_out : (3,) int64                  where to go on in the three; advanced
     """
@@ -94,7 +94,7 @@ class Playback:
     ----------
     first_ns, last_ns : int      of the cycles
     conversion_t_ns, conversion : (c,) int64
-    pose_t_ns : (p, 2) int64     arrival and stamp
+    pose_t_ns : (p, 2) int64     arrival and timestamp
     pose : (p, 7) float64
     params : (1,) record         in force at the beginning
     period_ns : int              of the cycle
@@ -143,7 +143,7 @@ def load_playback(path: str | Path) -> Playback:
     now: dict[str, float] = {}
     end_ns = first_ns
     for words in runs:
-        # the next segment begins soon after the last one, whatever happened in between
+        # the next segment begins soon after the last one, in every case
         shift_ns = 0 if out is None else end_ns + SEGMENT_GAP_NS - int(words[1])
         event = int(at_out[2])
         take_inputs(words, shift_ns, t_ns, conversion, poses, events, at_out)

@@ -1,4 +1,4 @@
-"""What a recorder works with: a source of log words, counts, a feed for viewers, a rotation of files."""
+"""Parts of a recorder: a source of log words, counts, a feed for viewers, a rotation of files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class LogSource(Protocol):
 
     @property
     def address(self) -> int:
-        """Where the `LogHead` lies."""
+        """Address of the `LogHead`."""
 
     @property
     def capacity(self) -> int:
@@ -35,7 +35,7 @@ class LogSource(Protocol):
 
 @dataclass
 class Counts:
-    """What a recording holds and lacks."""
+    """Counts of a recording: held and lost."""
 
     cycles: int = 0
     segments: int = 0
@@ -52,13 +52,13 @@ class Counts:
 
 
 class Feed(Protocol):
-    """Who else gets what is recorded: the standard channels."""
+    """Receiver of the recorded words: the standard channels."""
 
     def take(self, segment: int, words: NDArray[np.int64]) -> None:
         """A batch of whole entries of a segment, in order."""
 
     def change_file(self, writer: RecordingWriter) -> None:
-        """What comes now belongs into another file."""
+        """Begin another file with the next words."""
 
     def finish(self) -> None:
         """Nothing more comes for this file."""

@@ -62,7 +62,7 @@ class RecordingWriter(MessageWriter):
         ----------
         segment, epoch, position, cycles : int   see `BatchHead`
         words : (n,) int64
-        first_t_ns, last_t_ns : int              stamps of the first and the last entry [ns]
+        first_t_ns, last_t_ns : int              timestamps of the first and the last entry [ns]
 
         Raises
         ------

@@ -19,7 +19,7 @@ _CYCLES_AT = MESSAGE_HEAD.size + 8 * (HEAD_WORDS - 1)
 
 @dataclass
 class Recovered:
-    """What went into the new file, and what is wrong with the old one."""
+    """Contents of the new file, and damage of the old one."""
 
     file: str = ""
     messages: int = 0

@@ -53,7 +53,7 @@ class Difference:
 
 @dataclass
 class ReplayReport:
-    """What a replay found.
+    """Result of a replay.
 
     `identical` is true only when the file is whole and every demand, status and
     snapshot of every segment came out with the same bits.

@@ -108,7 +108,7 @@ def _await_ready(child: subprocess.Popen[str], errors: Any) -> None:
 
 
 def first_conversion_ns(log: ServiceLog, deadline_ns: int) -> int:
-    """When the service's first conversion was stamped: the driver's beginning, from the cycle log.
+    """Timestamp of the service's first conversion: the driver's beginning, from the cycle log.
 
     Raises
     ------

@@ -19,7 +19,7 @@ _ALL = 1 << 62
 class FileSamples:
     """Iterates over the runs and events of files.
 
-    Where words are missing, stepping goes on at the next snapshot.
+    After missing words, stepping goes on at the next snapshot.
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ class ServiceLog:
 
     @property
     def address(self) -> int:
-        """Where the `LogHead` lies."""
+        """Address of the `LogHead`."""
         return self._address
 
     @property
@@ -65,7 +65,7 @@ class ServiceLog:
         return self._epoch
 
     def about(self) -> dict[str, str]:
-        """What the recording keeps about the service."""
+        """The description of the service in the recording."""
         return {"name": self.name, "period_ns": str(self.board.period_ns), "pid": str(self.board.pid)}
 
     def _same_start(self) -> bool:

@@ -43,7 +43,7 @@ class Files:
         self.paths: list[Path] = []
         self._begin = 0.0
         if self.keep and not self.rotates:
-            raise UsageError("how many files to keep was told, but not when to begin another (size or time)")
+            raise UsageError("how many files to keep was given, but not when to begin another (size or time)")
 
     @property
     def rotates(self) -> bool:

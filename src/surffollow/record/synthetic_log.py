@@ -136,7 +136,7 @@ def default_params(mode: int = 0, channels: int = 1) -> NDArray[Any]:
 
 
 class SyntheticLog:
-    """A private cycle log that is filled on request; offers what the recorder wants of a service's log.
+    """A private cycle log that is filled on request; offers the recorder's interface to a service's log.
 
     Parameters
     ----------
@@ -169,11 +169,11 @@ class SyntheticLog:
 
     @property
     def address(self) -> int:
-        """Where the log's head lies."""
+        """Address of the log's head."""
         return int(self.memory.ctypes.data)
 
     def alive(self) -> bool:
-        """Whether somebody still writes the log."""
+        """Whether the log still has a writer."""
         return self.running
 
     def reattach(self) -> bool:

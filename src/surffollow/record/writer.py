@@ -185,7 +185,7 @@ class MessageWriter:
 
 
 class _Sink:
-    """What the MCAP writer writes to: counts bytes, and remembers where the last whole record ended."""
+    """File of the MCAP writer: counts bytes, and remembers where the last whole record ended."""
 
     def __init__(self, owner: MessageWriter) -> None:
         self._owner = owner

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 from surffollow.scan.surface_lookup import height_at
 from surffollow.shm.jit import jit
 
-MOST_POINTS = 128  # control points of a body
+MAX_POINTS = 128  # control points of a body
 HALVINGS = 4  # of the step near the equilibrium, down to 1/16 of it
 DOUBLINGS = 3  # of the step while every turn relieves
-MOST_TURNS = 400  # per sample; the step alone ends the search long before
+MAX_TURNS = 400  # per sample; the step alone ends the search long before
 GILBERT_STEPS = 12
 RASTER = 5  # attitudes per axis tried where the first equilibrium needs a lift
 WORTH_M = 5e-4  # lifts below this are left as they are
@@ -136,7 +136,7 @@ def settle_attitude(stand: Any, angles: Any, limits: Any, step: Any, s: Any) -> 
     depth = deviations(stand, p, r, dev)
     smallest, small, largest = step / 2.0**HALVINGS, step, step * 2.0**DOUBLINGS
     turns = 0
-    while depth > CLEAR_M and step >= smallest and turns < MOST_TURNS:
+    while depth > CLEAR_M and step >= smallest and turns < MAX_TURNS:
         turns += 1
         h = 0.25 * min(step, small)
         deviations(stand, p + h, r, trial)

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-LEAST_ROWS = 16  # a band below this costs more in overlap than it gains
+MIN_ROWS = 16  # a band below this costs more in overlap than it gains
 
 
 def in_bands(rows: int, work: Callable[[int, int], object], *, threads: int | None = None) -> None:
@@ -16,7 +16,7 @@ def in_bands(rows: int, work: Callable[[int, int], object], *, threads: int | No
     `work` allocates its own scratch, so that no two bands share memory that they write.
     """
     n = processors() if threads is None else threads
-    n = max(1, min(n, rows // LEAST_ROWS))
+    n = max(1, min(n, rows // MIN_ROWS))
     if n == 1:
         work(0, rows)
         return

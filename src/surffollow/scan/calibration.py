@@ -21,7 +21,7 @@ from surffollow.scan.triangles import lay_triangles
 FORMAT = "surffollow-calibration-1"
 OUTSIDE = ("nearest", "unknown")
 LARGEST_M = 1.0  # correction that can be; beyond it the unit is wrong
-MOST_NODES = 1_000_000  # 100 × 100 m at 0.1 m
+MAX_NODES = 1_000_000  # 100 × 100 m at 0.1 m
 
 
 @dataclass(frozen=True)
@@ -109,10 +109,10 @@ class CalibrationMatrix:
         box = region_of(region) if region is not None else (*points[:, :2].min(0), *points[:, :2].max(0))
         x0, y0 = np.floor(np.array(box[:2]) / g + 1e-9) * g
         cols, rows = (int(np.ceil((box[k + 2] - o) / g - 1e-9)) + 1 for k, o in enumerate((x0, y0)))
-        if rows * cols > MOST_NODES:
+        if rows * cols > MAX_NODES:
             raise ScanInputError(
                 f"{box[2] - box[0]:g} × {box[3] - box[1]:g} m with nodes every {g:g} m are {rows * cols} "
-                f"nodes; at most {MOST_NODES}; are spots and grid in metres?"
+                f"nodes; at most {MAX_NODES}; are spots and grid in metres?"
             )
         x, y = x0 + g * np.arange(cols), y0 + g * np.arange(rows)
         nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

@@ -54,7 +54,7 @@ def check_path(
     Raises
     ------
     ScanFileError
-        the file cannot be read or lacks what is needed to judge it
+        the file cannot be read or lacks what is needed to check it
     """
     facts, at, rows = read_rows(path)
     axes = rotations(rows.quaternion)

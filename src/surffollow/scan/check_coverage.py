@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from surffollow.scan.check_file import Array, Poses
 from surffollow.scan.check_finding import Finding
 
-MOST_ACROSS = 2000  # swath cells along a side of the region
+MAX_CELLS_ACROSS = 2000  # swath cells along a side of the region
 
 
 def check_coverage(
@@ -19,7 +19,7 @@ def check_coverage(
 ) -> Finding:
     """Swath cells of the region, a quarter swath wide, within half a swath of a pass with a height."""
     low, high = region.min(axis=0), region.max(axis=0)
-    side = max(0.25 * swath, float((high - low).max()) / MOST_ACROSS)
+    side = max(0.25 * swath, float((high - low).max()) / MAX_CELLS_ACROSS)
     nx, ny = (max(1, math.ceil((high[k] - low[k]) / side)) for k in range(2))
     x, y = np.meshgrid(
         np.minimum(low[0] + (np.arange(nx) + 0.5) * side, high[0]),

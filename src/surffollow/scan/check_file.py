@@ -19,15 +19,15 @@ COLUMNS = (
     *("t_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "nx", "ny", "nz"),
     *("azimuth_rad", "clearance_m", "lift_m", "pass", "flags"),
 )
-MOST_POINTS = 1000  # of a body, of a region: more than any planner writes
-MOST_BETWEEN = 1_000_000  # poses between rows: more take longer than anybody waits
+MAX_POINTS = 1000  # of a body, of a region: more than any planner writes
+MAX_POSES_BETWEEN = 1_000_000  # poses between rows: more take too long
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What the file says about itself; lengths in metres, angles in radians, SI units of motion."""
+    """Header of the file; lengths in metres, angles in radians, SI units of motion."""
 
     body: Array
     region: Array
@@ -70,7 +70,7 @@ def read_rows(path: str | os.PathLike[str]) -> tuple[Facts, dict[str, Array], Po
     Raises
     ------
     ScanFileError
-        the file cannot be read or lacks what is needed to judge it
+        the file cannot be read or lacks what is needed to check it
     """
     found, at = _read(path)
     whole = [np.isfinite(at[c]).all() and (at[c] == np.round(at[c])).all() for c in ("pass", "flags")]
@@ -118,8 +118,8 @@ def _facts(path: str | os.PathLike[str], found: dict[str, Any]) -> Facts:
     if found.get("format") != FORMAT:
         raise ScanFileError(f"{path} is no path file of this version; expected the format {FORMAT}")
     return Facts(
-        numbers("body_m", 3, (1, MOST_POINTS)),
-        numbers("region_m", 2, (3, MOST_POINTS)),
+        numbers("body_m", 3, (1, MAX_POINTS)),
+        numbers("region_m", 2, (3, MAX_POINTS)),
         numbers("wrist_rad", 4, (1, 1))[0].tolist(),
         *(positive(k) for k in ("gap_m", "swath_m", "speed_mps", "acceleration_mps2", "vertical_mps")),
     )
@@ -138,11 +138,11 @@ def between(path: str | os.PathLike[str], rows: Poses, body: Array, step: float)
     travel = move + 2.0 * turn * float(np.linalg.norm(body, axis=1).max())
     travel = np.where(np.isfinite(travel), travel, 0.0)
     parts = np.ceil(travel / step - 1e-9)
-    if parts.sum() - len(parts) > MOST_BETWEEN:
+    if parts.sum() - len(parts) > MAX_POSES_BETWEEN:
         k = int(travel.argmax())
         raise ScanFileError(
             f"{path}: from row {k + 1} to row {k + 2} a control point moves by {travel[k]:g} m; the rows are "
-            "too far apart to be judged: plan it again"
+            "too far apart to be checked: plan it again"
         )
     inner = np.maximum(parts.astype(np.int64) - 1, 0)
     first = np.repeat(np.arange(len(inner)), inner)

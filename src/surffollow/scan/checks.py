@@ -30,8 +30,8 @@ def real_array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> F
     except (TypeError, ValueError) as e:
         raise ScanInputError(f"{name} must be an array of real numbers: {e}") from e
     if made.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, made.shape)):
-        want = ", ".join("n" if n is None else str(n) for n in shape)
-        raise ScanInputError(f"{name} must have shape ({want}), not {made.shape}")
+        expected = ", ".join("n" if n is None else str(n) for n in shape)
+        raise ScanInputError(f"{name} must have shape ({expected}), not {made.shape}")
     return made
 
 

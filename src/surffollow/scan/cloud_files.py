@@ -95,7 +95,7 @@ def _ply(raw: bytes, name: str) -> Floats:
 
 
 def _ply_header(raw: bytes, end: int, name: str) -> tuple[int, str, int, list[tuple[str, str]]]:
-    """Where the data begin, their layout, how many vertices, and name and type of each field."""
+    """Start of the data, their layout, number of vertices, name and type of each field."""
     start = raw.index(b"\n", end) + 1
     layout, count, first = "", 0, True
     fields: list[tuple[str, str]] = []

@@ -46,7 +46,7 @@ def ball_heights(gap_m: float, grid_m: float) -> Floats:
     r = math.floor(gap_m / grid_m * (1.0 + 1e-12))
     k = np.arange(r + 1, dtype=np.float64) * grid_m
     left = gap_m * gap_m - (k[:, None] ** 2 + k[None, :] ** 2)
-    slack = 1e-12 * gap_m * gap_m  # cells on the rim belong to the ball whatever the rounding
+    slack = 1e-12 * gap_m * gap_m  # cells on the rim belong to the ball in spite of rounding
     return np.where(left >= -slack, np.sqrt(np.maximum(left, 0.0)), -1.0)
 
 

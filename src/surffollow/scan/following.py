@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surffollow.errors import ScanInputError
 from surffollow.scan.attitude_angles import body_axes, normals_of, wrist_angles
-from surffollow.scan.attitude_kernels import MOST_POINTS, settle_path
+from surffollow.scan.attitude_kernels import MAX_POINTS, settle_path
 from surffollow.scan.bands import in_bands
 from surffollow.scan.body import body_points
 from surffollow.scan.checks import Floats, positive
@@ -103,8 +103,8 @@ def advanced_terrain_following(
     Notes
     -----
     Paper §3.3. A sample whose body is clear keeps its attitude. The step is halved to 1/16 of itself near
-    the equilibrium, so that the lift is close to the least one of any attitude. The lift comes last: whatever
-    the attitude, every control point is at or above the interpolated envelope.
+    the equilibrium, so that the lift is close to the least one of any attitude. The lift comes last: with any
+    attitude, every control point is at or above the interpolated envelope.
     """
     return _follow(path, body_points_m, envelope, wrist_limits_rad, positive("step_rad", step_rad, "rad"))
 
@@ -140,8 +140,8 @@ def _follow(
     path: ScanPath, body_points_m: ArrayLike, envelope: Envelope | TerrainGrid, wrist: Any, step_rad: float
 ) -> ScanPath:
     body, limits, grid = body_points(body_points_m), WristLimits.of(wrist), _grid(envelope)
-    if len(body) > MOST_POINTS:
-        raise ScanInputError(f"the body has {len(body)} control points; at most {MOST_POINTS}")
+    if len(body) > MAX_POINTS:
+        raise ScanInputError(f"the body has {len(body)} control points; at most {MAX_POINTS}")
     n = len(path)
     normal, clamped = limits.clamp(path.normal, path.azimuth_rad)
     angles = wrist_angles(normal, path.azimuth_rad)

@@ -12,11 +12,11 @@ from scipy.optimize import least_squares
 from surffollow.errors import ScanInputError
 from surffollow.scan.checks import Floats, positive, real_array
 
-LEAST_PERIODS = 2.0
-LEAST_EXPLAINED = 0.5  # part of the variance that the mode must explain
+MIN_PERIODS = 2.0
+MIN_EXPLAINED = 0.5  # part of the variance that the mode must explain
 FREQUENCY_SPAN = 1.5  # the fit keeps within this factor of the spectrum's peak
 HIGHEST_DAMPING = 0.9  # of the fit
-MOST_DAMPING = 0.7  # a mode with more hardly swings: a drift or a decay fits as well
+MAX_DAMPING = 0.7  # a mode with more hardly swings: a drift or a decay fits as well
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def identify_mode(
     rate = positive("rate_hz", rate_hz, "Hz")
     if len(x) < 8 or not np.isfinite(x).all():
         raise ScanInputError(f"a ring-down of {len(x)} samples; expected at least 8, all finite")
-    lowest, highest = LEAST_PERIODS * rate / len(x), 0.4 * rate
+    lowest, highest = MIN_PERIODS * rate / len(x), 0.4 * rate
     low, high = (lowest, highest) if band_hz is None else band_hz
     if not (lowest - 1e-9 <= low < high <= 0.5 * rate):
         raise ScanInputError(
@@ -112,16 +112,16 @@ def identify_mode(
     best = min(found, key=lambda f: float(f.cost))
     left, weights = fit(best.x)
     explained = 1.0 - float((left**2).mean()) / variance
-    if explained < LEAST_EXPLAINED:
+    if explained < MIN_EXPLAINED:
         raise ScanInputError(
             f"one mode explains {100.0 * explained:.0f} % of the trace, expected at least "
-            f"{100.0 * LEAST_EXPLAINED:.0f} %; cut the motion off, or narrow band_hz around {peak:.3g} Hz"
+            f"{100.0 * MIN_EXPLAINED:.0f} %; cut the motion off, or narrow band_hz around {peak:.3g} Hz"
         )
     found_hz, damping = float(np.exp(best.x[0])), float(best.x[1])
-    if damping > MOST_DAMPING:
+    if damping > MAX_DAMPING:
         raise ScanInputError(
             f"the trace drifts or decays without swinging: the best mode of it has a damping of "
-            f"{damping:.2g}, expected at most {MOST_DAMPING:g}; cut the motion off, or take the drift out"
+            f"{damping:.2g}, expected at most {MAX_DAMPING:g}; cut the motion off, or take the drift out"
         )
     return Mode(found_hz, damping, float(np.hypot(weights[0], weights[1])), explained)
 

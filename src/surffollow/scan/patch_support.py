@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from surffollow.scan.checks import Floats
 
-MOST_UNSUPPORTED = 0.5  # of the cells along the outline
+MAX_UNSUPPORTED = 0.5  # of the cells along the outline
 
 
 def floating_patches(
@@ -65,4 +65,4 @@ def floating_patches(
     hanging = met & (low - best > support_m)
     met_n = np.bincount(own[met], minlength=n)
     hanging_n = np.bincount(own[hanging], minlength=n)
-    return np.asarray((met_n > 0) & (hanging_n > MOST_UNSUPPORTED * met_n))
+    return np.asarray((met_n > 0) & (hanging_n > MAX_UNSUPPORTED * met_n))

@@ -13,7 +13,7 @@ from surffollow.map.formats.picture import shaded_relief
 from surffollow.scan.grid import FILLED, TerrainGrid
 from surffollow.scan.path import UNKNOWN_BENEATH, WRIST_LIMIT, ScanPath
 
-_MOST = 1200  # cells a side that are drawn
+_MAX_CELLS = 1200  # cells a side that are drawn
 
 
 def new_figure(columns: int, width: float, height: float) -> tuple[Any, Any]:
@@ -30,7 +30,7 @@ def new_figure(columns: int, width: float, height: float) -> tuple[Any, Any]:
 
 def draw_relief(axes: Any, ground: TerrainGrid, figure: Any) -> None:
     """Heights of a map with shaded relief."""
-    step = max(1, -(-max(ground.shape) // _MOST))
+    step = max(1, -(-max(ground.shape) // _MAX_CELLS))
     z = np.where(ground.known, ground.heights_m, np.nan)[::step, ::step]
     x0, y0, x1, y1 = ground.extent_m
     common: dict[str, Any] = {"origin": "lower", "extent": (x0, x1, y0, y1), "interpolation": "nearest"}
@@ -55,7 +55,7 @@ def draw_map(path: str | os.PathLike[str], ground: TerrainGrid) -> None:
     draw_relief(left, ground, figure)
     left.set_title("terrain map")
     x0, y0, x1, y1 = ground.extent_m
-    step = max(1, -(-max(ground.shape) // _MOST))
+    step = max(1, -(-max(ground.shape) // _MAX_CELLS))
     kinds = ground.cells[::step, ::step]
     shown = right.imshow(
         kinds, origin="lower", extent=(x0, x1, y0, y1), interpolation="nearest", vmin=0, vmax=FILLED

@@ -32,7 +32,7 @@ STEEPEST = 4.0  # slope of a path from row to row: a steeper chord would cut a s
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """What a plan is made for.
+    """Task of a plan.
 
     Attributes
     ----------
@@ -206,7 +206,7 @@ def _followed(path: ScanPath, body: Floats, envelope: Envelope, settings: PlanSe
 
 
 def plan_figures(path: ScanPath) -> dict[str, Any]:
-    """What an operator wants to know of a plan before anything moves.
+    """Summary of a plan for its operator, before anything moves.
 
     Parameters
     ----------

@@ -24,12 +24,12 @@ from surffollow.scan.planar_kernels import filter_rows, finish_rows, prepare_row
 # deviation over that of noise alone → strength; between the knots linear
 CURVE = ((2.0, 1.0), (4.0, 0.0))
 NOISE_QUANTILE = 0.25  # deviations of the most planar quarter are noise
-LEAST_NOISE_PX = 1e-9  # in an image without noise only exact planes are planar
+MIN_NOISE_PX = 1e-9  # in an image without noise only exact planes are planar
 
 
 @dataclass(frozen=True)
 class FilteredImage:
-    """What the filter made.
+    """Result of the filter.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ def conditional_planar_filter(
     dev = np.empty((4, rows, cols))
     deviations(weak, mp, r, mode, dev)
     noise = _noise(dev[0]) if noise_px is None else positive("noise_px", noise_px, "px")
-    knots = np.stack([ratios * max(noise, LEAST_NOISE_PX), strengths])
+    knots = np.stack([ratios * max(noise, MIN_NOISE_PX), strengths])
     strong = medians(weak, mp, r)
     weights = np.stack([gauss_weights(window / 8.0, r), gauss_weights(window / 4.0, r)])
     out = np.empty((2, rows, cols))

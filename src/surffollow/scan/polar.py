@@ -83,7 +83,7 @@ class PolarCorrection:
 
         Notes
         -----
-        ρ_commanded = ρ_measured scale + offset, φ_commanded = φ_measured + offset: applied to a wanted
+        ρ_commanded = ρ_measured scale + offset, φ_commanded = φ_measured + offset: applied to a desired
         place, the correction gives the command that brings the real tip there.
         """
         base = np.array([float(v) for v in list(base_m)[:2]])

@@ -13,7 +13,7 @@ from surffollow.scan.checks import Floats, finite, positive
 from surffollow.scan.path import ScanPath
 from surffollow.scan.serpentine import Stretch, dense_outline, joined, outline, strips
 
-MOST_SAMPLES = 5_000_000
+MAX_SAMPLES = 5_000_000
 STEPS_PER_SWATH = 64  # of the region's outline
 
 
@@ -167,7 +167,7 @@ def _inside(corners: Floats, point: Floats) -> bool:
 
 
 def _not_too_many(samples: float) -> None:
-    if samples > MOST_SAMPLES:
+    if samples > MAX_SAMPLES:
         raise ScanInputError(
-            f"the path would have {samples:.3g} samples; at most {MOST_SAMPLES}; is the region in metres?"
+            f"the path would have {samples:.3g} samples; at most {MAX_SAMPLES}; is the region in metres?"
         )

@@ -1,4 +1,4 @@
-"""Any stamped scalar laid over the scanned ground, at the sensor's true places: what a scan is for."""
+"""Any scalar with timestamps, mapped over the scanned ground at the sensor's true places."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from surffollow.errors import ScanFileError, ScanInputError
 from surffollow.map.formats.atomic_file import replacing
 from surffollow.scan.checks import Floats, positive, real_array, region_of
 
-MOST_CELLS = 100_000_000
+MAX_CELLS = 100_000_000
 NODATA = -9999.0
 
 
@@ -175,8 +175,8 @@ def signal_map(
     else:
         x0, y0, x1, y1 = region_of(region)
     cols, rows = math.ceil((x1 - x0) / g - 1e-9), math.ceil((y1 - y0) / g - 1e-9)
-    if rows * cols > MOST_CELLS:
-        raise ScanInputError(f"{rows} × {cols} cells of {g:g} m; at most {MOST_CELLS}; is grid_m in metres?")
+    if rows * cols > MAX_CELLS:
+        raise ScanInputError(f"{rows} × {cols} cells of {g:g} m; at most {MAX_CELLS}; is grid_m in metres?")
     col = np.floor((xy[:, 0] - x0) / g + 1e-9).astype(np.int64)
     row = np.floor((xy[:, 1] - y0) / g + 1e-9).astype(np.int64)
     inside = (col >= 0) & (col < cols) & (row >= 0) & (row < rows)

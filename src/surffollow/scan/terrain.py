@@ -16,7 +16,7 @@ from surffollow.scan.grid import FILLED, MEASURED, UNKNOWN, TerrainGrid
 from surffollow.scan.triangles import lay_triangles
 
 FILL_CELLS = 10.0  # holes this wide are filled by default
-MOST_CELLS = 100_000_000
+MAX_CELLS = 100_000_000
 
 
 def terrain_map(
@@ -67,9 +67,9 @@ def terrain_map(
     fill = FILL_CELLS * g if fill_m is None else positive("fill_m", fill_m)
     x0, y0, x1, y1 = region_of(region) if region is not None else _around(points, g)
     cols, rows = math.ceil((x1 - x0) / g - 1e-9), math.ceil((y1 - y0) / g - 1e-9)
-    if rows * cols > MOST_CELLS:
+    if rows * cols > MAX_CELLS:
         raise ScanInputError(
-            f"{x1 - x0:g} × {y1 - y0:g} m in cells of {g:g} m are {rows * cols} cells; at most {MOST_CELLS}; "
+            f"{x1 - x0:g} × {y1 - y0:g} m in cells of {g:g} m are {rows * cols} cells; at most {MAX_CELLS}; "
             "are the points in metres?"
         )
     near = (

@@ -27,7 +27,7 @@ from surffollow.shm.dtypes import numpy_dtype
 from surffollow.shm.python_atomics import load_acquire
 from surffollow.shm.ring import ring_drop, ring_peek
 
-PER_LOOK = 4096  # entries taken at once: the beat has other work
+PER_LOOK = 4096  # entries taken at once: the main thread has other work
 GATHER_NS = 1_000_000_000
 REFUSED, ASKED, CHANGED = range(3)
 # entries that one user's clients may make at once, and per second; further ones are gathered
@@ -40,7 +40,7 @@ _CHANGES = frozenset((lb.RQ_SET_PARAMS, lb.RQ_SF_RESET, lb.RQ_STOP, lb.RQ_STOP_R
 
 @dataclass
 class _Budget:
-    """What is left of one user's share of one group of entries."""
+    """Remaining share of one user in one group of entries."""
 
     left: float
     at_ns: int
@@ -62,7 +62,7 @@ class AuditTrail:
     objects : SharedObjects                      its board has the ring
     ctx : (n,) int64                   the words that the service's threads share
     named : gives the name of the client with a claim
-    tell : called with a line and `limited` (False: to be kept before others); False: it was dropped
+    report : called with a line and `limited` (False: to be kept before others); False: it was dropped
     """
 
     def __init__(
@@ -70,9 +70,9 @@ class AuditTrail:
         objects: SharedObjects,
         ctx: NDArray[np.int64],
         named: Callable[[int], str],
-        tell: Callable[..., bool],
+        report: Callable[..., bool],
     ) -> None:
-        self._ring, self._ctx, self._named, self._write_line = objects.address("audit"), ctx, named, tell
+        self._ring, self._ctx, self._named, self._write_line = objects.address("audit"), ctx, named, report
         self._entry: Any = np.zeros(1, numpy_dtype(lb.AuditEntry))
         self._budgets: dict[tuple[int, int], _Budget] = {}
         self._gathered: dict[tuple[int, ...], _Gathered] = {}
@@ -100,7 +100,7 @@ class AuditTrail:
                 self._report(gathered.entry, kind[1])
 
     def finish(self) -> None:
-        """The cycle has ended: take all that is queued, and tell what still waits for budget."""
+        """The cycle has ended: take all that is queued, and report the entries that still wait for budget."""
         for _ in range(int(self._ctx[m.CHANGES_CAPACITY]) // PER_LOOK + 1):
             self.publish()
         for kind, gathered in self._gathered.items():
@@ -145,7 +145,7 @@ class AuditTrail:
         return True
 
     def _report(self, entry: Any, group: int) -> None:
-        """Publish an entry and tell its line; a line of a change waits where others are dropped."""
+        """Publish an entry and report its line; a line of a change waits where others are dropped."""
         self._append(entry)
         if group == CHANGED:
             self._kept.append((self._appended, entry))

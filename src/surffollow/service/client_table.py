@@ -1,4 +1,4 @@
-"""Who holds which slot, from the kernel, and how many slots one user or process may hold."""
+"""Holders of slots, from the kernel, and how many slots one user or process may hold."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PASSES = 2
 RESERVED = 2  # slots that only root and the service's own user get
 # slots that a user's processes gave back and still have mapped: memory that the service answers for
 KEPT_PER_USER, KEPT = 16, 256
-NAMES = 256  # of clients remembered: more than come and go in a beat
+NAMES = 256  # of clients remembered: more than come and go in a housekeeping period
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class ClientTable:
         self._claims: dict[int, int] = {}  # slot → claim of who holds it
 
     def who(self, slot: int) -> ClientId | None:
-        """Who holds a slot; None: nobody."""
+        """The holder of a slot; None: none."""
         return self._who[slot] if 0 <= slot < lb.CLIENTS and self._held[slot] else None
 
     def named(self, claim: int) -> str:
@@ -167,7 +167,7 @@ class ClientTable:
             store_release(words + 8 * (block + slot), value)
 
     def retire(self, slot: int) -> None:
-        """Take a slot back: what its holder has mapped is looked at by nobody from now on."""
+        """Take a slot back: its holder's mapping is not read from now on."""
         who = self._who[slot]
         if who is None:
             return

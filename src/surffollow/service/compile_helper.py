@@ -52,7 +52,7 @@ def _stamp() -> str:
 
 
 def is_cold() -> bool:
-    """Whether no service of this source has filled the kernel cache yet (a guess: nothing depends on it)."""
+    """Whether no service of this source has filled the kernel cache yet (an estimate)."""
     try:
         return _marker().read_text() != _stamp()
     except OSError:
@@ -91,15 +91,15 @@ class SideCompile:
                 start_new_session=True,  # a Ctrl-C is the service's to answer
             )
 
-    def wait(self, tell: Callable[[], None], stop_fd: int) -> bool:
-        """Until the helper has ended, calling `tell` now and then; False when `stop_fd` became readable."""
+    def wait(self, report: Callable[[], None], stop_fd: int) -> bool:
+        """Until the helper has ended, calling `report` now and then; False when `stop_fd` became readable."""
         deadline = time.monotonic() + PATIENCE_S
         while self._process is not None and self._process.poll() is None:
             if wait_readable(stop_fd, LOOK_S):
                 return False
             if time.monotonic() > deadline:
                 self.end()
-            tell()
+            report()
         return True
 
     def end(self) -> None:
@@ -118,7 +118,7 @@ def compile_map() -> None:
 
 
 def main(parent: int, with_sensors: bool = False) -> None:
-    """The helper: ends with its parent, whatever that ends of. One compiles at a time, the others load."""
+    """The helper: ends with its parent, for any cause. One compiles at a time, the others load."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:  # it died before the line above
         return

@@ -106,7 +106,7 @@ class Daemon:
     # -- run --------------------------------------------------------------------------------------
 
     def run(self, on_ready: Callable[[], None] | None = None) -> None:
-        """Start the threads, announce READY, beat until asked to stop, end cleanly."""
+        """Start the threads, announce READY, do housekeeping until asked to stop, end cleanly."""
         self._take_signals()
         side = SideCompile(with_sensors=isinstance(self.driver, SimulatedDriver))
         threads: list[threading.Thread] = []
@@ -136,7 +136,7 @@ class Daemon:
             self._end(threads)
 
     def _require_realtime(self, bits: int) -> None:
-        """Refuse to start without what the configuration wants of the kernel, when it is strict about it."""
+        """Refuse to start without the configured grants of the kernel, when it is strict about it."""
         missing = realtime.missing(self.grants, self.config.realtime, bits)
         if missing and self.config.realtime.strict:
             raise ServiceError(
@@ -160,7 +160,7 @@ class Daemon:
                 sf_reset(self.mem.params, self.mem.state, self.mem.params[0]["offset_m"])
                 died, self._in_force = stop_after_death(self.mem, self.objects), True
                 if died:
-                    self.messages.tell(
+                    self.messages.report(
                         "the service before died with other parameters in force: stopped until the pose's "
                         "holder has set its own and resets the stop"
                     )
@@ -188,7 +188,7 @@ class Daemon:
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGTERM, signal.SIGINT):
                 signal.signal(number, lambda *_: self._on_signal())
-            signal.signal(signal.SIGIO, signal.SIG_IGN)  # somebody opened memory that is being looked at
+            signal.signal(signal.SIGIO, signal.SIG_IGN)  # a process opened memory that is being examined
 
     def _on_signal(self) -> None:
         """Ask to end; a compilation, which may last a minute, is left at once."""
@@ -225,7 +225,7 @@ class Daemon:
             time.sleep(0.001)
 
     def _serve(self) -> bool:
-        """Serve the clients until the next beat; True when asked to end."""
+        """Serve the clients until the next housekeeping period; True when asked to end."""
         asked = self._heartbeat.guard.run(
             "serving the clients", lambda: self._slots.serve(self._wake, HOUSEKEEPING_S), None
         )
@@ -242,7 +242,7 @@ class Daemon:
             if (now - since > stall_s) != stalled:
                 stalled = not stalled
                 said = f"stands still for {now - since:.3g} s; does another process hold its processor?"
-                self.messages.tell(f"the cycle {said if stalled else 'runs again'}")
+                self.messages.report(f"the cycle {said if stalled else 'runs again'}")
             self._heartbeat.publish(FAULT_CYCLE_STALLED if stalled else 0)
             if self._errors:
                 raise ServiceError("; ".join(self._errors))
@@ -250,7 +250,7 @@ class Daemon:
     def _end(self, threads: list[threading.Thread]) -> None:
         try:
             self._end_threads(threads)
-        finally:  # whatever failed, the names are given back
+        finally:  # after any failure the names are given back
             if not any(t.is_alive() for t in threads):
                 self.objects.leave()
                 realtime.release(self.grants)
@@ -272,13 +272,13 @@ class Daemon:
         alive = [t.name for t in threads if t.is_alive()]
         if alive:
             # its memory must not go away under a thread: leave the names to the next start and end at once
-            self.messages.tell(f"thread {', '.join(alive)} does not end; giving up")
+            self.messages.report(f"thread {', '.join(alive)} does not end; giving up")
             self.messages.end()
             os._exit(1)
         self.mem.output[0]["status"] = 0
         self.mem.output[0]["demand"] = 0.0
         latch_write(self.objects.address("output"), self.mem.output.ctypes.data, Output.SIZE)
-        if self._in_force and wait_readable(self._wake, 0.0):  # somebody asked: no fault ended it
+        if self._in_force and wait_readable(self._wake, 0.0):  # the stop was requested: no fault ended it
             self.objects.map_header[0]["params_hash"] = 0
         self._heartbeat.end()
         self.objects.set_state(lb.STATE_STOPPED)
@@ -295,7 +295,8 @@ def serve(config: ServiceConfig, quiet: bool = False) -> None:
             refused = "; ".join(daemon.grants.refused)
             if not quiet:
                 granted = ", ".join(daemon.grants.names()) or "nothing"
-                messages.tell(f"real time granted: {granted}" + (f"; refused: {refused}" if refused else ""))
+                suffix = f"; refused: {refused}" if refused else ""
+                messages.report(f"real time granted: {granted}{suffix}")
             messages.write(f"READY {config.name} pid {os.getpid()}\n", fd=STDOUT, limited=False)
 
         daemon.run(ready)

@@ -1,4 +1,4 @@
-"""What this machine lacks for hard timing, why it matters and how to get it (`surffollow doctor`).
+"""Missing settings of this machine for hard timing, with reason and remedy (`surffollow doctor`).
 
 Each check looks, changes nothing that outlasts it, and says what it found. The files it
 reads lie under a root that tests replace.
@@ -214,7 +214,7 @@ def examine(root: Path = Path("/")) -> list[Finding]:
 
 
 def machine() -> dict[str, Any]:
-    """What was examined."""
+    """The examined part."""
     return {
         "kernel": platform.release(),
         "machine": platform.machine(),

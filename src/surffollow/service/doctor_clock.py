@@ -21,7 +21,7 @@ def check_clock(root: Path) -> Finding:
     why = "the cycle reads the clock some ten times; a slow source makes each a system call"
     source = read_text(root / "sys" / _CLOCK / "current_clocksource")
     if source is None:
-        return Finding("clock source", UNKNOWN, "not told by the kernel", why)
+        return Finding("clock source", UNKNOWN, "not reported by the kernel", why)
     if source in ("tsc", "kvm-clock", "arch_sys_counter", "hyperv_clocksource_tsc_page"):
         return Finding("clock source", GOOD, source, why)
     return Finding(

@@ -1,4 +1,4 @@
-"""What a check of `surffollow doctor` found."""
+"""Result of a check of `surffollow doctor`."""
 
 from __future__ import annotations
 

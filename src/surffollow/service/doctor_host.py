@@ -52,7 +52,7 @@ def check_remove_ipc(root: Path) -> Finding:
 
 def check_interrupts(root: Path) -> Finding:
     """Whether devices interrupt the cycle's processor."""
-    why = "an interrupt's handler runs before the cycle, whatever its priority"
+    why = "an interrupt's handler runs before the cycle, at any priority"
     allowed = os.sched_getaffinity(0)
     core = max(allowed)  # as the service chooses
     there, possible = [], []

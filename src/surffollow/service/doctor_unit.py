@@ -1,4 +1,4 @@
-"""Let systemd itself judge a unit file (`surffollow doctor --unit`)."""
+"""Let systemd itself check a unit file (`surffollow doctor --unit`)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _analyze(*words: str) -> tuple[int, str]:
 
 
 def examine_unit(unit: Path) -> list[Finding]:
-    """What `systemd-analyze` says of a unit file: is it valid, and how far is the service shut in.
+    """Result of `systemd-analyze` on a unit file: validity, and sandboxing of the service.
 
     Raises
     ------

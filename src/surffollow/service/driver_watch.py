@@ -1,4 +1,4 @@
-"""Ask the driver for faults and notes in a thread of its own: one that raises or blocks delays nobody."""
+"""Ask the driver for faults and notes in a thread of its own: one that fails or blocks delays no other."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ class DriverWatch:
         self._thread.start()
 
     def faults(self) -> list[str]:
-        """What the driver said last, or that it does not answer."""
+        """Faults that the driver reported last, or that it does not answer."""
         asked, now = self._asked_s, time.monotonic()
         if asked and now - asked > SILENT_S:
             return [f"the driver has not answered faults() for {now - asked:.0f} s"]
         return self._faults
 
     def notes(self) -> list[str]:
-        """What a user should know of the driver that is no fault, as it said last."""
+        """Notes of the driver that are no faults, as it reported last."""
         return self._notes
 
     def _ask(self) -> None:

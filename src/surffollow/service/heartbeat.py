@@ -54,16 +54,16 @@ class Heartbeat:
         messages: Messages,
     ) -> None:
         self._objects, self._ctx, self._watch, self._grants = objects, ctx, watch, grants
-        self._server, self._messages, self.guard = server, messages, Guard(messages.tell)
-        self._audit = AuditTrail(objects, ctx, server.table.named, messages.tell)
+        self._server, self._messages, self.guard = server, messages, Guard(messages.report)
+        self._audit = AuditTrail(objects, ctx, server.table.named, messages.report)
         self._ticker = zeros(lb.Ticker)
 
     def end(self) -> None:
-        """The cycle has ended: tell what the audit trail still holds. Raises nothing."""
+        """The cycle has ended: report what the audit trail still holds. Raises nothing."""
         self.guard.run("the audit trail", self._audit.finish, None)
 
     def compiling(self, text: str) -> None:
-        """Tell clients that wait how far the start is; empty: nothing. Before the first heartbeat only."""
+        """Report the progress of the start to waiting clients, before the first heartbeat only."""
         self._ticker[0]["text"] = text.encode(errors="replace")[:511]
         latch_write(self._objects.address("ticker"), self._ticker.ctypes.data, lb.Ticker.SIZE)
 

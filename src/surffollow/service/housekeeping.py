@@ -13,16 +13,16 @@ class Guard:
 
     Parameters
     ----------
-    tell : called with one line when a part begins to fail, and when it works again
+    report : called with one line when a part begins to fail, and when it works again
     """
 
-    def __init__(self, tell: Callable[[str], object]) -> None:
-        self._report = tell
+    def __init__(self, report: Callable[[str], object]) -> None:
+        self._report = report
         self._failed: dict[str, int] = {}  # times, since the start
         self._now: dict[str, str] = {}
 
     def run(self, what: str, action: Callable[[], T], otherwise: T) -> T:
-        """What the action gives; `otherwise` when it raises."""
+        """Result of the action; `otherwise` when it raises."""
         try:
             value = action()
         except Exception as e:

@@ -1,4 +1,4 @@
-"""Read what clients wrote: copied once, then checked; nothing of it is believed twice."""
+"""Read what clients wrote: copied once, then checked; nothing of it is read twice."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _POST_BYTES, _REQUEST_BYTES = PosePost.SIZE, RequestPost.SIZE
 
 @jit_pasted
 def slot_address(inbox: Any, slot: Any) -> Any:
-    """Where a slot begins."""
+    """Address of a slot."""
     return inbox + slot * SLOT_BYTES
 
 
 @jit_pasted
 def claim_of(ctx: Any, slot: Any) -> Any:
-    """The claim of the client that holds a slot; 0: nobody does, and its memory must not be looked at."""
+    """The claim of the client that holds a slot; 0: none, and its memory must not be read."""
     return at.load_acquire_i64(ctx.ctypes.data + 8 * (m.CLAIM + slot))
 
 

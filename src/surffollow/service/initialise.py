@@ -115,7 +115,7 @@ def stop_after_death(mem: m.CycleMemory, objects: SharedObjects) -> bool:
     """Stop when the service before died with other parameters in force than those of this start.
 
     Its clients attach to this one by themselves; without the stop the robot would move to another stand-off,
-    within other limits, and nobody asked for it.
+    within other limits, without a request.
     """
     kept = objects.map_header[0]
     differ = int(kept["params_hash"]) not in (0, int(params_hash(mem)))

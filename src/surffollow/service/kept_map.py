@@ -74,7 +74,7 @@ def _map_header(map_: SharedObject) -> Any:
 
 
 def _check_owner(config: ServiceConfig, map_: SharedObject, group: int) -> None:
-    """Adopt only a map that nobody but the service's own user could have changed."""
+    """Adopt only a map that no user but the service's own could have changed."""
     status, me = os.fstat(map_.fd), own_user()
     name, expected = map_.name, mode(config.access.map_mode, "access.map_mode")
     remedy = f"look at it (ls -l /dev/shm), then remove it: surffollow stop --name {config.name} --purge"

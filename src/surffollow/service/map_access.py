@@ -33,7 +33,7 @@ _ACCESS = SLOT_HEAD + SlotHead.offset("access")
 def end_access(mem: Any, t_ns: Any) -> None:
     """Step 4, or the fence: go on when the holder is done, dead or late.
 
-    A holder that is late still asks with its flag, perhaps stopped for ever: it is not heard again
+    A holder that is late still asks with its flag, perhaps stopped for ever: it is ignored
     until it takes the flag down (`reopen_access`).
     """
     ctx, s, job = mem.ctx, mem.status[0], mem.job
@@ -53,7 +53,7 @@ def end_access(mem: Any, t_ns: Any) -> None:
 
 @jit
 def reopen_access(mem: Any, t_ns: Any) -> None:
-    """Lift the fence off slots whose flag came down or that belong to somebody else by now."""
+    """Lift the fence off slots whose flag came down or that belong to another client by now."""
     ctx, s = mem.ctx, mem.status[0]
     if s.fenced == 0:
         return
@@ -73,8 +73,8 @@ def reopen_access(mem: Any, t_ns: Any) -> None:
 def watch_access(mem: Any, t_ns: Any) -> None:
     """The four-step flag: 1 requested → 2 granted → 3 done → 0; slots take turns.
 
-    What queued up while one held the map is done before the next one gets it: a client that takes it again
-    and again delays a request by one lease at most, and the queue does not grow from lease to lease.
+    Requests that queued up while one held the map are done before the next one gets it: a client that takes
+    it again and again delays a request by one lease at most, and the queue does not grow from lease to lease.
     """
     ctx, s, job = mem.ctx, mem.status[0], mem.job
     if s.access == ACCESS_GRANTED:

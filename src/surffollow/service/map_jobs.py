@@ -54,7 +54,7 @@ _REFOCUSING, _INSTALLING = ml.REFOCUSING, ml.INSTALLING
 
 @jit
 def publish_status(mem: Any, t_ns: Any) -> None:
-    """Tell what the map is doing."""
+    """Publish the state of the map."""
     ctx, s, header = mem.ctx, mem.status[0], mem.header[0]
     s.t_ns = t_ns
     s.queued = ring_length(ctx[m.SAMPLES])

@@ -49,7 +49,7 @@ NOTHING, TAKEN, WHOLE, FAILED = range(4)
 
 @jit
 def _announced(mem: Any) -> Any:
-    """Where the request under way left its numbers: region, then the map's."""
+    """Numbers of the request under way: region, then the map's."""
     return mem.ctx.ctypes.data + 8 * (m.REGION + mem.job[JOB_SLOT] * m.REGION_WORDS)
 
 
@@ -63,7 +63,7 @@ def _announced_grids(mem: Any) -> Any:
 
 @jit
 def _acknowledge(mem: Any, taken: Any) -> None:
-    """Tell the client that it is its turn, and how many grids were taken."""
+    """Report to the client that it is its turn, and how many grids were taken."""
     a, job = mem.ack[0], mem.job
     a.counter, a.claim = job[JOB_COUNTER], job[JOB_CLAIM]
     a.result, a.detail = ACCEPTED, taken

@@ -1,4 +1,4 @@
-"""What the map thread works on: the map object, and memory of its own."""
+"""Memory of the map thread: the map object, and memory of its own."""
 
 from __future__ import annotations
 

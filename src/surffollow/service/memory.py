@@ -1,4 +1,4 @@
-"""What the service's threads share: addresses and flags in one word array, records for the kernels.
+"""Shared memory of the service's threads: addresses and flags in one word array, records for the kernels.
 
 Words that more than one thread touches (STOP, CLAIM, PENDING, LOST, …) are only
 reached through the atomics module, by `ctx.ctypes.data + 8 * index`.
@@ -41,15 +41,15 @@ from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, 
     SNAPSHOT_CYCLES,
     EPOCH,
     LOST,  # cycle → map thread: samples that found no room
-    POSE_SLOT,  # cycle → main: who sends the pose, -1: nobody
+    POSE_SLOT,  # cycle → main: sender of the pose, -1: none
     POSE_CLAIM,
     POSE_SEEN,  # generation of the pose read last
     LEASE_NS,  # of exclusive access
-    REPORTS,  # a simulated sensor's queue of accepted poses; 0: the driver wants none
+    REPORTS,  # a simulated sensor's queue of accepted poses; 0: the driver takes none
     REPORTS_CAPACITY,
     MAP_PASSES,  # map → main: looks around that have begun
 ) = range(27)
-# main → threads: per slot, the claim of the client that holds it; 0: nobody does, its memory is not read
+# main → threads: per slot, the claim of the client that holds it; 0: none, its memory is not read
 CLAIM = 32
 PID = CLAIM + CLIENTS  # per slot, that client's process and user, from the kernel
 UID = PID + CLIENTS
@@ -60,7 +60,7 @@ REGION = PENDING + CLIENTS  # per slot, four float64 of that request, its claim,
 REGION_WORDS = 16
 # grid (of a refocus: the finest), x0, y0, datum, quantum [m] as float64; columns, rows, datum is set
 INSTALL_WORD = 5
-FENCED = REGION + CLIENTS * REGION_WORDS  # per slot, the claim whose request for access is not heard; 0: none
+FENCED = REGION + CLIENTS * REGION_WORDS  # per slot, the claim whose request for access is ignored; 0: none
 POLICY = FENCED + CLIENTS
 (
     STOP_ASKED,  # main → cycle: causes of a stop that the main thread sees now

@@ -28,8 +28,8 @@ def hold_standard_files() -> None:
     """Make the standard files safe to write to, before the first line.
 
     Closed ones become /dev/null before another file takes their numbers: a message would be written into
-    whatever got number 2, a shared-memory object, say. A line to a terminal of which this process is not in
-    the foreground (`stty tostop`) must not stop the process, cycle and all.
+    the object with number 2, for example shared memory. A line to a terminal of which this process is not
+    in the foreground (`stty tostop`) must not stop the process, cycle and all.
     """
     signal.signal(signal.SIGTTOU, signal.SIG_IGN)
     while True:
@@ -63,7 +63,7 @@ class Messages:
         self._thread.start()
         return self
 
-    def tell(self, text: str, *, fd: int = STDERR, limited: bool = True) -> bool:
+    def report(self, text: str, *, fd: int = STDERR, limited: bool = True) -> bool:
         """Queue one line; never blocks, never raises. False: it is dropped, and counted.
 
         `limited` False: not counted against the rate, and there is room of its own for it.
@@ -71,7 +71,7 @@ class Messages:
         return self.write(f"surffollow: {text}\n", fd=fd, limited=limited)
 
     def write(self, text: str, *, fd: int = STDERR, limited: bool = True) -> bool:
-        """Queue text as it is, such as READY; otherwise as `tell`."""
+        """Queue text as it is, such as READY; otherwise as `report`."""
         if len(self._lines) >= WAITING + (0 if limited else RESERVED) or (limited and not self._may()):
             self.lost += 1
             return False

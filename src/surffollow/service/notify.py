@@ -1,4 +1,4 @@
-"""Tell systemd how the service is doing (sd_notify), and people how far compiling has come."""
+"""Report the state of the service to systemd (sd_notify), and the progress of compiling to users."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def sd_notify(message: str) -> bool:
     address = "\0" + path[1:] if path.startswith("@") else path
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as s:
-            s.setblocking(False)  # a manager that does not read must not hold the beat up
+            s.setblocking(False)  # a manager that does not read must not delay housekeeping
             s.sendto(message.encode(), address)
     except OSError:
         return False

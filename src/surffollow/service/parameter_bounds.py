@@ -36,7 +36,7 @@ def within_limits(bounds: Any, word: Any, value: Any) -> Any:
 
 @jit
 def requested_value(mem: Any, word: Any) -> Any:
-    """What a float parameter will be once the request is carried out."""
+    """Value of a float parameter after the request."""
     request, value = mem.request[0], mem.param_floats[word]
     for k in range(request.n):
         if request.number[k] == word:
@@ -69,7 +69,7 @@ def contradiction(near_m: Any, far_m: Any, offset_m: Any, close_m: Any, exit_m: 
 
 @jit
 def contradiction_after(mem: Any) -> Any:
-    """What `contradiction` says of the parameters as the request would leave them."""
+    """Result of `contradiction` for the parameters after the request."""
     return contradiction(
         requested_value(mem, _FIT_WORDS[0]),
         requested_value(mem, _FIT_WORDS[1]),

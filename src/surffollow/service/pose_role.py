@@ -28,7 +28,7 @@ def holder_is_gone(ctx: Any, slot: Any, claim: Any) -> Any:
 
 @jit
 def drop_dead_pose_writer(mem: Any, t_ns: Any) -> None:
-    """Free the pose when its writer died or closed; where the configuration says so, stop."""
+    """Free the pose when its writer died or closed; where configured, stop."""
     ctx = mem.ctx
     slot = ctx[m.POSE_SLOT]
     if slot >= 0 and holder_is_gone(ctx, slot, ctx[m.POSE_CLAIM]):

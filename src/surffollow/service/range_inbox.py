@@ -37,7 +37,7 @@ def any_held(ctx: Any) -> Any:
 
 @jit
 def _hold(mem: Any, channel: Any, slot: Any, t_ns: Any) -> None:
-    """Give a channel to a slot, -1: to nobody."""
+    """Give a channel to a slot, -1: to none."""
     ctx = mem.ctx
     bit = 1 << channel
     ctx[m.RANGES_HELD] = ctx[m.RANGES_HELD] & ~bit

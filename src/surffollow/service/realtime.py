@@ -17,7 +17,7 @@ _MCL_CURRENT, _MCL_FUTURE = 1, 2
 
 @dataclass
 class Grants:
-    """What was asked for and what came of it."""
+    """Requested and granted."""
 
     bits: int = 0
     refused: list[str] = field(default_factory=list)
@@ -35,7 +35,7 @@ class Grants:
 
 
 def missing(grants: Grants, expected: Realtime, bits: int) -> list[str]:
-    """What the configuration wants of these grants and the kernel refused, with the reasons.
+    """Configured grants that the kernel refused, with the reasons.
 
     The wait for a processor of one's own counts only where one is named: else any will do.
     """
@@ -88,7 +88,7 @@ def prepare_cycle_thread(grants: Grants, priority: int, cpu: int, thread: int) -
 
 
 def relax_thread(thread: int, allowed: set[int]) -> None:
-    """Take real time and pinning off a thread again, so that it can end whoever holds its processor."""
+    """Remove real time and pinning of a thread, so that it ends though another one holds its processor."""
     with contextlib.suppress(OSError):
         os.sched_setaffinity(thread, allowed)
         os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))

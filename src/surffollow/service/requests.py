@@ -191,7 +191,7 @@ def answer_slot(mem: Any, slot: Any, t_ns: Any) -> None:
 
 @jit
 def process_requests(mem: Any, t_ns: Any) -> None:
-    """Look at every slot that somebody holds once and answer what is new."""
+    """Look at every held slot once and answer what is new."""
     ctx = mem.ctx
     drop_dead_pose_writer(mem, t_ns)
     if any_held(ctx):

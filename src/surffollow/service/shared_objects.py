@@ -35,7 +35,7 @@ from surffollow.shm.unix_socket import listen, socket_path
 
 
 class SharedObjects:
-    """What one running service shares and owns; made by `open_shared_objects`."""
+    """Shared objects of one running service; made by `open_shared_objects`."""
 
     def __init__(
         self,

@@ -14,7 +14,7 @@ class SlotMemory:
     """Slots of a service, mapped read-only from `address` on, slot k at `address + k * SLOT_BYTES`.
 
     A slot that was handed to a client is never used again: `renew` puts fresh memory in its place, and what
-    its last holder still has mapped is nobody's any more.
+    its last holder still has mapped has no owner any more.
 
     Raises
     ------
@@ -49,7 +49,7 @@ class SlotMemory:
         self._fds[slot] = fd
 
     def descriptor(self, slot: int) -> int:
-        """What a client gets to map its slot; the caller closes it."""
+        """Descriptor with which a client maps its slot; the caller closes it."""
         if self._watches[slot] < 0:
             self._watches[slot] = sealed.reopened(self._fds[slot], os.O_RDONLY)
         return sealed.reopened(self._fds[slot], os.O_RDWR)

@@ -1,7 +1,7 @@
 """Hand out slots on NAME.sock, and notice when a client lets go of its own or dies.
 
 A connection is the ownership of a slot. The kernel closes it with the client's last copy of it. A pidfd
-reports the end of the process that connected, whatever its children still have open. Steps of the exchange:
+reports the end of the process that connected, also when its children keep descriptors. Steps of the exchange:
 docs/reference/protocol.md. Everything here runs in the main thread, beside the cycle: no call waits, the work
 per period is bounded, and any failure costs one connection. Messages are received and connections ended by
 `shm.received_descriptors` alone: a client may send descriptors whose end takes as long as it likes.
@@ -97,7 +97,7 @@ class SlotServer:
             action(*args)  # type: ignore[operator]
         except Exception as e:  # nothing here may end following
             self.failures, self.last_failure = self.failures + 1, f"{type(e).__name__}: {e}"
-            self._listen(False)  # until the next beat: perhaps there are no descriptors left
+            self._listen(False)  # until the next housekeeping period: perhaps there are no descriptors left
 
     def _listen(self, expected: bool) -> None:
         if expected != self._listening and self._listener.fileno() >= 0:
@@ -124,7 +124,7 @@ class SlotServer:
 
     def _accept(self) -> None:
         if self._disposal.full:
-            self._listen(False)  # until the next beat
+            self._listen(False)  # until the next housekeeping period
             return
         try:
             sock, _ = self._listener.accept()

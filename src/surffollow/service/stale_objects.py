@@ -1,7 +1,7 @@
-"""Tell what a dead service left under its names from what belongs to somebody who lives.
+"""Distinguish the objects of a dead service from those of a live one.
 
-What lies under a name may be anybody's. It is read with `pread` and never mapped: a mapped page of a file
-that its owner cuts, or of a hole in a full /dev/shm, would end this process by SIGBUS.
+An object under a name may belong to any user. It is read with `pread` and never mapped: a mapped page of a
+file that its owner cuts, or of a hole in a full /dev/shm, would end this process by SIGBUS.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class _Found(NamedTuple):
 
 
 def _found(name: str) -> _Found | None:
-    """What lies under the name; None when there is nothing or it is empty."""
+    """Contents under the name; None when there is nothing or it is empty."""
     path = SHM_ROOT / check_object_name(name)
     try:
         fd, status = open_plain(path, os.O_RDONLY)
@@ -65,7 +65,7 @@ def _live_owner(found: _Found) -> int:
         return 0
     if pid <= 0 or not is_running(pid, int(h["start_ticks"])):
         return 0
-    # anybody may write a board of his own: only the object's own user can be its service
+    # any user may write a board: only the object's own user can be its service
     return pid if belongs_to(pid, found.owner) else 0
 
 
@@ -90,8 +90,8 @@ def is_block(name: str) -> bool:
 def clear_stale(name: str) -> bool:
     """Unlink the board and the socket that a dead service left; False when there were none.
 
-    Whoever calls it has the name (its lock). That proves nothing when somebody removed the lock of a
-    running service by hand, nor about an object that only looks like one of ours.
+    The caller has the name (its lock). That proves nothing when a user removed the lock of a
+    running service manually, nor about an object that only looks like one of ours.
 
     Raises
     ------

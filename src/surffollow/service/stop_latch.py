@@ -87,7 +87,7 @@ def stop_as_asked(mem: Any, t_ns: Any) -> None:
 
 @jit
 def holder_pid(ctx: Any) -> Any:
-    """The process that sends the pose; 0: nobody does."""
+    """The process that sends the pose; 0: none."""
     slot = ctx[m.POSE_SLOT]
     if slot < 0:
         return 0
@@ -103,7 +103,7 @@ def do_stop(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
         return OK, mem.state[0].stop
     if ctx[m.POSE_SLOT] != slot or ctx[m.POSE_CLAIM] != claim_of(ctx, slot):
         return ERR_NOT_POSE_HOLDER, holder_pid(ctx)
-    unseen = mem.state[0].stop & ~mem.output[0].stop  # latched since the newest output: nobody saw it yet
+    unseen = mem.state[0].stop & ~mem.output[0].stop  # latched since the newest output: no client saw it yet
     left = (mem.output[0].stop_now & mem.params[0].stop_on) | asked_causes(mem) | unseen
     if left != 0:
         return ERR_STOP_REMAINS, left
@@ -115,7 +115,7 @@ def do_stop(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
 
 @jit
 def keep_stop(mem: Any, before: Any, t_ns: Any) -> None:
-    """After a cycle: tell of causes that it latched, and keep the word for the service's next start.
+    """After a cycle: report the causes that it latched, and keep the word for the service's next start.
 
     `before` : int64, causes latched when the cycle began to step
     """

@@ -16,7 +16,7 @@ def end_child(child: subprocess.Popen[str], number: int, timeout_s: float) -> st
 
     Returns
     -------
-    str  what it printed and nobody has read
+    str  its unread output
     """
     if child.poll() is None:
         child.send_signal(number)

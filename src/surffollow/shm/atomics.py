@@ -1,4 +1,4 @@
-"""Atomic loads, stores and fences for jitted kernels: the only door to shared memory.
+"""Atomic loads, stores and fences for jitted kernels: the only interface to shared memory.
 
 NumPy indexing in a jitted loop may be hoisted or torn; these intrinsics may not.
 Addresses are plain integers (`array.ctypes.data + offset`), naturally aligned.

@@ -21,12 +21,12 @@ FRESH_IN = ("/tmp", "/var/tmp")  # where a private folder is made when TMPDIR is
 def cache_directory() -> str:
     """SURFFOLLOW_CACHE_DIR, NUMBA_CACHE_DIR, the user's cache, or else a temporary folder of theirs.
 
-    A folder that somebody else can change, at any component of its path or below it, is passed over and
+    A folder that another user can change, at any component of its path or below it, is passed over and
     named on stderr: what is kept in it is run.
 
     Raises
     ------
-    ConfigError   there is no folder for it that nobody else can change
+    ConfigError   there is no folder for it that only this user can change
     """
     home = os.environ.get("HOME", "")
     candidates = [
@@ -68,7 +68,7 @@ def cache_directory() -> str:
         _say_refused(refused, folder)
         return str(folder)
     raise ConfigError(
-        "there is no folder for compiled kernels that nobody else can change: "
+        "there is no folder for compiled kernels that only this user can change: "
         f"{'; '.join(refused) or 'none can be made'}; name one of your own: SURFFOLLOW_CACHE_DIR"
     )
 

@@ -1,11 +1,13 @@
 """Write the C header: layouts, constants and parameters from their declarations, functions from parts.
 
-`python -m surffollow.shm.cheader` rewrites the committed file; `surffollow print-header` prints it.
+`python -m surffollow.shm.cheader` rewrites the committed file, with `--check` only compares;
+`surffollow print-header` prints it.
 """
 
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -249,5 +251,7 @@ def header_text() -> str:
 
 
 if __name__ == "__main__":
+    if "--check" in sys.argv[1:]:
+        sys.exit(0 if header_text() == HEADER.read_text() else f"{HEADER.name} is out of date")
     HEADER.write_text(header_text())
     print(f"wrote {HEADER.name}: {HEADER.stat().st_size} bytes")

@@ -26,7 +26,7 @@ _KINDS = (
 
 
 def kind_of(mode: int) -> str:
-    """What `st_mode` says a name leads to, in words."""
+    """Kind of file of a `st_mode`, in words."""
     return next((text for test, text in _KINDS if test(mode)), "a plain file")
 
 
@@ -37,7 +37,7 @@ def open_plain(path: Path, flags: int, *, owners: Collection[int] = ()) -> tuple
     ----------
     path : Path
     flags : int             O_RDONLY, O_RDWR, O_CREAT, …
-    owners : users          whose file it may be; empty: anybody's
+    owners : users          permitted owners; empty: any user
 
     Returns
     -------
@@ -47,7 +47,7 @@ def open_plain(path: Path, flags: int, *, owners: Collection[int] = ()) -> tuple
     ------
     NoPermissionError   it belongs to another user than those
     BlockError          it is no plain file
-    OSError             whatever else the kernel says: FileNotFoundError, PermissionError, …
+    OSError             any other error of the kernel: FileNotFoundError, PermissionError, …
     """
     try:
         fd = os.open(path, flags | _ALWAYS, 0o600)
@@ -68,10 +68,10 @@ def open_plain(path: Path, flags: int, *, owners: Collection[int] = ()) -> tuple
 
 
 def foreign(name: str, found: int, owners: Collection[int]) -> str:
-    """What is said of an object of a user who is not trusted."""
+    """Error text for an object of an untrusted user."""
     expected = " or ".join(str(u) for u in sorted(owners))
     return (
-        f"shared-memory object {name!r} belongs to user {found}, expected user {expected}: somebody else may "
+        f"shared-memory object {name!r} belongs to user {found}, expected user {expected}: another user may "
         f"have made it; look at it (ls -ln /dev/shm/{name}), or name the service's user (owner=, "
         "SURFFOLLOW_OWNER)"
     )

@@ -2,7 +2,7 @@
 
 Bits 0-23: counts, two's complement; 24-26: channel; 27-31: flags; 32-63: time
 relative to a reference [ns], two's complement (0 in a driver's queue, where the
-time stamp has a word of its own; the cycle's time in `Inputs` and in the log).
+timestamp has a word of its own; the cycle's time in `Inputs` and in the log).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from surffollow.shm.jit import jit_pasted
 
 FLAG_INVALID = 1  # the driver knows that this is no measurement (out of view, over-range, NaN)
 COUNTS_MIN, COUNTS_MAX = -(1 << 23), (1 << 23) - 1
-# words of one item in a driver's queue: time stamp, conversion
+# words of one item in a driver's queue: timestamp, conversion
 ITEM_WORDS = 2
 
 

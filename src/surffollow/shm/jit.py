@@ -1,7 +1,7 @@
 """How the kernels of this package are compiled: kept on disk, free of the GIL, and quickly.
 
 A service has some 350 kernels, and a first start waits for all of them. Two habits of numba's cost
-time and give us nothing: an entry for C callers beside each kernel, which nobody calls, and frequent
+time and give us nothing: an entry for C callers beside each kernel, which is never called, and frequent
 collections of garbage, which walk the compiler's millions of objects.
 """
 

@@ -33,7 +33,7 @@ def note_source(py_file: str) -> None:
 
     Raises
     ------
-    ConfigError   there is no folder for its kernels that nobody else can change
+    ConfigError   there is no folder for its kernels that only this user can change
     """
     path = path_in_package(py_file)
     if path is not None:
@@ -54,7 +54,7 @@ class KernelCacheLocator(_CacheLocator):  # type: ignore[misc]
         return str(self._folder)
 
     def ensure_cache_path(self) -> None:
-        make_private(self._folder)  # whatever the umask is
+        make_private(self._folder)  # with any umask
 
     def get_source_stamp(self) -> str:
         return source_stamp(self._path)
@@ -64,7 +64,7 @@ class KernelCacheLocator(_CacheLocator):  # type: ignore[misc]
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> KernelCacheLocator | None:
-        """The locator of a kernel of ours; None for anybody else's."""
+        """The locator of a kernel of ours; None for another one."""
         return None if path_in_package(py_file) is None else cls(py_func, py_file)
 
 
@@ -108,7 +108,7 @@ class KernelCacheFile(_Files):  # type: ignore[misc]
             self._save_index(overloads | {key: name})
 
     def load(self, key: Any) -> Any:
-        """What was kept for this signature; None as well when power failed while it was written."""
+        """The kept code of this signature; None as well when power failed while it was written."""
         if not self._ours:
             return super().load(key)
         name = self._load_index_or_none().get(key)
@@ -132,5 +132,5 @@ class KernelCacheFile(_Files):  # type: ignore[misc]
                 old.unlink()
 
 
-# numba offers no other door to the files behind a locator
+# numba offers no other interface to the files behind a locator
 setattr(caching, "IndexDataCacheFile", KernelCacheFile)  # noqa: B010 - a name of an untyped module

@@ -1,4 +1,4 @@
-"""A latch: one writer publishes a structure, readers copy it whole, nobody waits.
+"""A latch: one writer publishes a structure, readers copy it whole, no side waits.
 
 In memory: a u64 generation (own cache line), then SLOTS copies of the payload.
 Generation g lives in slot g % SLOTS. Steps (docs/reference/protocol.md):

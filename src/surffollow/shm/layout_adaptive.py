@@ -60,7 +60,7 @@ class Controller(Schema):
 class Plant(Schema):
     """Identified axis (`plant_identification`)."""
 
-    setpoint_m = F64(N_PERIODS, unit="m", doc="ring of the follower's own set points")
+    setpoint_m = F64(N_PERIODS, unit="m", doc="ring of the follower's own setpoints")
     position_m = F64(N_PLANTS, unit="m", doc="axis models of different τ that follow them")
     velocity_mps = F64(N_PLANTS, unit="m/s", doc="their velocity")
     error_m2 = F64(N_PLANTS, unit="m^2", doc="their squared errors against the pose reports")
@@ -79,9 +79,9 @@ class Adaptation(Schema):
 
 
 class Blend(Schema):
-    """Blended set point and its filter (`setpoint_blend`)."""
+    """Blended setpoint and its filter (`setpoint_blend`)."""
 
-    model_m = F64(MAX_MODELS, unit="m", doc="newest set points of the models")
+    model_m = F64(MAX_MODELS, unit="m", doc="newest setpoints of the models")
     setpoint_m = F64(unit="m", doc="their blend")
     rate_mps = F64(unit="m/s", doc="its rate as the models predict it")
     t_ns = I64(unit="ns", doc="when it was made")
@@ -93,9 +93,9 @@ class Blend(Schema):
 
 
 class Setpoint(Schema):
-    """Jerk-limited set point (`setpoint_limits`)."""
+    """Jerk-limited setpoint (`setpoint_limits`)."""
 
-    position_m = F64(unit="m", doc="set point of the tool: where the demand points")
+    position_m = F64(unit="m", doc="setpoint of the tool: where the demand points")
     velocity_mps = F64(unit="m/s", doc="its rate")
     acceleration_mps2 = F64(unit="m/s^2", doc="and the rate of that")
     preview_share = F64(doc="share of preview that raises the limits in force, 0 to 1")
@@ -107,9 +107,9 @@ class Setpoint(Schema):
 
 
 class Preview(Schema):
-    """Preview of the terrain and its share of the set point (`preview`)."""
+    """Preview of the terrain and its share of the setpoint (`preview`)."""
 
-    share = F64(doc="share of the planned set point, 0 to 1")
+    share = F64(doc="share of the planned setpoint, 0 to 1")
     error_m2 = F64(unit="m^2", doc="recent squared stand-off error of the tool")
     reference_error_m2 = F64(unit="m^2", doc="the same without preview, over longer")
     suspended_until_ns = I64(unit="ns", doc="no preview until then")
@@ -131,7 +131,7 @@ class Known(Schema):
 class Plan(Schema):
     """Preview control (`preview_control`)."""
 
-    setpoint_m = F64(unit="m", doc="set point of the plan")
+    setpoint_m = F64(unit="m", doc="setpoint of the plan")
     position_m = F64(HORIZON, unit="m", doc="planned axis")
     foreseen_error_m = F64(unit="m", doc="greatest stand-off error that plans contain, decaying")
     early = I64(HORIZON, doc="1: the plan descends there before the ground does")
@@ -144,9 +144,9 @@ class Plan(Schema):
 
 
 class Attitude(Schema):
-    """Attitude set point (`attitude`)."""
+    """Attitude setpoint (`attitude`)."""
 
-    axis = F64(3, unit="1", doc="set point of the tool's axis, behind the limits")
+    axis = F64(3, unit="1", doc="setpoint of the tool's axis, behind the limits")
     angular_velocity_radps = F64(3, unit="rad/s", doc="its rate")
     t_ns = I64(unit="ns", doc="when it was made; 0: begin at the tool")
 

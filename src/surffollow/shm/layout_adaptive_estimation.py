@@ -62,10 +62,10 @@ class Bank(Schema):
 class Shadow(Schema):
     """Shadow axes of the models (`shadow_axes`)."""
 
-    setpoint_m = F64(MAX_MODELS * N_PERIODS, unit="m", doc="set points of all models, per period of a ring")
+    setpoint_m = F64(MAX_MODELS * N_PERIODS, unit="m", doc="setpoints of all models, per period of a ring")
     position_m = F64(MAX_MODELS, unit="m", doc="position of the axes")
     velocity_mps = F64(MAX_MODELS, unit="m/s", doc="velocity")
-    effort = F64(MAX_MODELS, unit="m^2/s^4", doc="mean squared acceleration of the set points")
+    effort = F64(MAX_MODELS, unit="m^2/s^4", doc="mean squared acceleration of the setpoints")
     log_effort = F64(MAX_MODELS, doc="ln(1 + effort in units of 1 m²/s⁴)")
 
 

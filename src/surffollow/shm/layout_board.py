@@ -66,7 +66,7 @@ RESULT_TEXT = (
     "there is no map yet; call map_reset(region) first",
     "the map is busy with another client's request",
     "the map's queue is full",
-    "this client does not hold what it wants to give back",
+    "this client does not hold the resource that it releases",
     "the request was cancelled",
     "accepted, the map's answer follows",
     "the service's map memory (map.grids) has no room for this map",
@@ -160,7 +160,7 @@ class MapStatus(Schema):
     progress = F64(doc="0 to 1 of the request under way")
     access_claim = I64(doc="claim of the slot that access was granted to; 0: none")
     grants = I64(doc="grants of access since the service started: another number, another grant")
-    fenced = I64(doc="bit per slot: its request outlived a lease and is not heard until its flag is 0")
+    fenced = I64(doc="bit per slot: its request outlived a lease and is ignored until its flag is 0")
 
 
 class Stats(Schema):
@@ -187,7 +187,7 @@ class Stats(Schema):
 
 
 class AuditEntry(Schema):
-    """One change that somebody asked for, or a stop by the service itself; `audit` holds a stream of them."""
+    """A requested change, or a stop by the service itself; `audit` holds a stream of them."""
 
     t_ns = I64(unit="ns", doc="when the cycle answered it")
     slot = I64(doc="of the client; -1: the service itself")
@@ -198,7 +198,7 @@ class AuditEntry(Schema):
     code = I64(doc="RQ_...")
     word = I64(doc="number of the parameter; -1: none")
     old_value = F64(doc="its value before, NaN: none; in the unit of the parameter")
-    new_value = F64(doc="its value wanted, NaN: none")
+    new_value = F64(doc="requested value, NaN: none")
     result = I64(doc="OK, ACCEPTED or ERR_...")
     detail = I64(doc="of the answer; of a stop: its causes")
     count = I64(doc="times that this was refused since the entry before of the same kind; else 1")
@@ -215,7 +215,7 @@ class LogHead(Schema):
 
 
 class PosePost(Schema):
-    """What ee_pos posts."""
+    """A pose, as ee_pos posts it."""
 
     t_ns = I64(unit="ns", doc="when the pose was true")
     pose = F64(7, unit="m, 1", doc="x y z qx qy qz qw, world from tool")
@@ -231,7 +231,7 @@ class RangeItem(Schema):
 
 
 class RequestPost(Schema):
-    """What a request posts; the counter is inside so that the copy is whole."""
+    """A request; the counter is inside so that the copy is whole."""
 
     counter = I64()
     code = I64(doc="RQ_…")
@@ -264,7 +264,7 @@ class SlotMessage(Schema):
 
 
 class ClientInfo(Schema):
-    """Who holds a slot, from the kernel (SO_PEERCRED)."""
+    """Holder of a slot, from the kernel (SO_PEERCRED)."""
 
     pid = I64(doc="0: the slot is free; -1: a process of another pid namespace")
     uid = I64()

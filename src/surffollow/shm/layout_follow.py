@@ -89,37 +89,39 @@ class Params(Schema):
     plant_tau_s = F64(unit="s", doc="adaptive: assumed time constant of the vertical axis")
     plant_v_max_mps = F64(unit="m/s", doc="adaptive: assumed speed limit of the vertical axis")
     plant_a_max_mps2 = F64(unit="m/s^2", doc="adaptive: assumed acceleration limit of the vertical axis")
-    score_way_m = F64(unit="m", doc="adaptive: arc length over which models are scored")
-    score_time_s = F64(unit="s", doc="adaptive: time over which models are judged")
-    score_power = F64(doc="adaptive: how strongly the recently better model is preferred")
-    long_power = F64(
-        doc="adaptive: how strongly the model better over a longer way is preferred; where it is quiet × 10"
+    score_way_m = F64(unit="m", doc="adaptive: arc length over which model errors are averaged")
+    score_time_s = F64(unit="s", doc="adaptive: time over which model errors are averaged")
+    score_power = F64(doc="adaptive: exponent of the weights over the recent horizon")
+    long_power = F64(doc="adaptive: exponent of the weights over the longer horizon")
+    long_factor = F64(doc="adaptive: longer horizon, as a multiple of the recent one")
+    effort_m = F64(
+        unit="m s^2/m", doc="adaptive: stand-off error equal to a setpoint acceleration of 1 m/s^2"
     )
-    long_factor = F64(doc="adaptive: longer way and time of judgement, as a multiple")
-    effort_m = F64(unit="m s^2/m", doc="adaptive: stand-off error worth a set point acceleration of 1 m/s^2")
-    noise_share = F64(doc="adaptive: share of the reading noise taken off the scores")
-    score_floor_m = F64(unit="m", doc="adaptive: stand-off errors below this are as good as none")
-    gate_scales = F64(doc="adaptive: innovations beyond so many scales are quarantined")
-    gate_m = F64(unit="m", doc="adaptive: least innovation that is quarantined")
+    noise_share = F64(doc="adaptive: share of the noise subtracted from the model errors")
+    score_floor_m = F64(unit="m", doc="adaptive: stand-off errors below this count as none")
+    gate_scales = F64(doc="adaptive: width of the innovation gate, in usual innovations")
+    gate_m = F64(unit="m", doc="adaptive: least width of the innovation gate")
     step_way_m = F64(unit="m", doc="adaptive: travel after which a pending step down is confirmed")
     step_samples = I64(doc="adaptive: agreeing samples that confirm a pending step")
     tick_lead_s = F64(unit="s", doc="adaptive: mean wait of a demand; at most half a report interval")
-    plan_calm_s4 = F64(unit="s^4", doc="adaptive: squared error worth a squared planned acceleration")
+    plan_calm_s4 = F64(
+        unit="s^4", doc="adaptive: weight of squared acceleration against squared error in a plan"
+    )
     orient = I64(doc="adaptive: 1: with 3 or more sensors, demand rotations too")
     max_turn_rad = F64(unit="rad", doc="adaptive: limit of the rotation demanded")
-    permitted_turn_rad = F64(unit="rad", doc="adaptive: tilt of the surface that turns nothing")
-    calm_share = F64(doc="adaptive: share of Permitted_Variance within which the set point glides on")
-    adapt = I64(doc="adaptive: 1: learn; 0: scores, weights, noise, how ground goes on stay as they are")
+    permitted_turn_rad = F64(unit="rad", doc="adaptive: deadband of the attitude setpoint")
+    calm_share = F64(doc="adaptive: share of Permitted_Variance that is the setpoint's deadband")
+    adapt = I64(doc="adaptive: 1: adapt; 0: index, weights, noise and terrain regression are frozen")
     hold_ns = I64(unit="ns", doc="adaptive: an unchanged reading counts as new after so long")
-    dropout_way_m = F64(unit="m", doc="adaptive: way over which a slope is trusted without readings")
-    max_speed_mps = F64(unit="m/s", doc="adaptive: limit of the set point's speed, away from the surface")
-    max_accel_mps2 = F64(unit="m/s^2", doc="adaptive: limit of the set point's acceleration")
-    max_jerk_mps3 = F64(unit="m/s^3", doc="adaptive: limit of the set point's jerk")
+    dropout_way_m = F64(unit="m", doc="adaptive: travel without readings over which the slope decays")
+    max_speed_mps = F64(unit="m/s", doc="adaptive: limit of the setpoint's speed, away from the surface")
+    max_accel_mps2 = F64(unit="m/s^2", doc="adaptive: limit of the setpoint's acceleration")
+    max_jerk_mps3 = F64(unit="m/s^3", doc="adaptive: limit of the setpoint's jerk")
     toward_factor = F64(doc="adaptive: share of those limits at the approach and behind a fall")
-    max_turn_speed_radps = F64(unit="rad/s", doc="adaptive: limit of the turning set point's speed")
-    max_turn_accel_radps2 = F64(unit="rad/s^2", doc="adaptive: limit of its acceleration")
+    max_turn_speed_radps = F64(unit="rad/s", doc="adaptive: limit of the attitude setpoint's angular speed")
+    max_turn_accel_radps2 = F64(unit="rad/s^2", doc="adaptive: limit of its angular acceleration")
     max_tilt_rad = F64(unit="rad", doc="adaptive: greatest angle of the tool's axis to the world's z axis")
-    preview = I64(doc="adaptive: 1: plan over ground remembered ahead (the service: its map's)")
+    preview = I64(doc="adaptive: 1: preview control over remembered ground (in the service: its map)")
     stop_on = I64(doc="causes that latch the stop, bits of STOP_NAMES; set by the configuration alone")
 
 
@@ -139,7 +141,7 @@ class SenseState(Schema):
         CHANNELS, unit="ns", doc="usual time between the newest samples of two steps; 0: not known"
     )
     losses = I64(CHANNELS, doc="losses so far: invalid samples and gaps")
-    pose_t_ns = I64(POSES, unit="ns", doc="ring of stamps, ascending")
+    pose_t_ns = I64(POSES, unit="ns", doc="ring of timestamps, ascending")
     pose = F64(POSES * 7, unit="m, 1", doc="ring of x y z qx qy qz qw, world from tool")
     pose_count = I64(doc="poses ever accepted")
     poses_refused = I64(doc="poses not newer than the last one")
@@ -149,7 +151,7 @@ class PaperState(Schema):
     """Intervals, ranges and forecast of the paper (§3.2)."""
 
     point_m = F64(CHANNELS * POINTS * 3, unit="m", doc="per channel a ring of target points")
-    point_t_ns = I64(POINTS, unit="ns", doc="channel 0: stamp of the pose that each point was made with")
+    point_t_ns = I64(POINTS, unit="ns", doc="channel 0: timestamp of the pose that each point was made with")
     point_count = I64(CHANNELS, doc="target points of the channel since the reset or the last loss")
     point_losses = I64(CHANNELS, doc="losses of the channel when its last point came")
     mean_m = F64(3, unit="m", doc="channel 0: rolling mean of the target points")
@@ -166,7 +168,7 @@ class PaperState(Schema):
     speed_mps = F64(unit="m/s", doc="most recent lateral speed of the footprint")
     speed_x_m = F64(unit="m", doc="mean target point at the pose update before")
     speed_y_m = F64(unit="m")
-    speed_t_ns = I64(unit="ns", doc="mean stamp of the poses that it was made with")
+    speed_t_ns = I64(unit="ns", doc="mean timestamp of the poses that it was made with")
     speed_pose = I64(doc="pose_count then; 0: none since the reset or the last loss")
     reading_t_ns = I64(unit="ns", doc="cycle time of the last valid reading; 0: none yet")
     reading_m = F64(unit="m", doc="last valid distance")
@@ -209,10 +211,10 @@ class Inputs(Schema):
 
 
 class Output(Schema):
-    """What a cycle publishes."""
+    """Output of a cycle."""
 
     t_ns = I64(unit="ns", doc="when the demand was computed")
-    pose_t_ns = I64(unit="ns", doc="stamp of the pose the demand adds to; 0: none")
+    pose_t_ns = I64(unit="ns", doc="timestamp of the pose that the demand adds to; 0: none")
     demand = F64(6, unit="m, rad", doc="x y z rx ry rz to add to that pose")
     status = I64(doc="bits, see STATUS_NAMES")
     cycle = I64(doc="cycle number")

@@ -230,7 +230,7 @@ def _waits() -> dict[str, int]:
 
 
 def layout_document() -> dict[str, Any]:
-    """What a client needs besides the rules in docs/reference/protocol.md, ready for JSON."""
+    """The numbers that a client needs besides the rules in docs/reference/protocol.md, ready for JSON."""
     answers = answer_names()
     return {
         "format": FORMAT,

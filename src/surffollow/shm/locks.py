@@ -45,7 +45,7 @@ class FileLock:
 
     @classmethod
     def beside(cls, fd: int, writable: bool) -> FileLock:
-        """A new open of the very object behind `fd`, whatever its name leads to by now."""
+        """A new open of the very object behind `fd`; its name may lead to another one by now."""
         flags = (os.O_RDWR if writable else os.O_RDONLY) | os.O_CLOEXEC
         try:
             return cls(os.open(f"/proc/self/fd/{fd}", flags))

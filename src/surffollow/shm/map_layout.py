@@ -16,7 +16,7 @@ HEADER_BYTES = 4096
 PAIR_BYTES = 6
 DIRTY_TILES = 512
 UNKNOWN = -32768
-"""Height of a grid that nobody has seen; known heights are -32767 … 32767."""
+"""Height of a grid without a sample; known heights are -32767 … 32767."""
 MAX_HEIGHT = 32767
 FULL_COUNT = 255
 MAX_REGION_M = 1e6

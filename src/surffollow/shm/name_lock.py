@@ -1,6 +1,6 @@
-"""Who owns a name: a lock on a file that only the owner's user can open.
+"""Ownership of a name: a lock on a file that only the owner's user can open.
 
-A lock on a file that others may read can be held by them, too. NAME.lock has mode 0600, so that nobody but
+A lock on a file that others may read can be held by them, too. NAME.lock has mode 0600, so that only
 its owner and root ever has an open of it. The kernel gives the lock back when its process ends.
 """
 
@@ -36,7 +36,7 @@ class NameLock:
         Raises
         ------
         NoPermissionError
-            somebody else's file stands in the place of the lock
+            another user's file stands in the place of the lock
         BlockError
             what stands there is no plain file, or others may open it
         NoSpaceError
@@ -155,9 +155,9 @@ def lock_owner(name: str) -> int:
 
 
 def holder(name: str) -> int:
-    """The pid of the live process that owns a name; 0: nobody does, -1: this user may not know.
+    """The pid of the live process that owns a name; 0: none, -1: this user may not know.
 
-    Anybody may make the file before its owner does, and write any pid into it: a pid from it runs as the
+    Any user may make the file before its owner does, and write any pid into it: a pid from it runs as the
     file's own user.
     """
     try:

@@ -55,7 +55,7 @@ class SharedObject:
         """Make the object anew, all zero, every page reserved.
 
         It is made without a name, filled in by `prepare` (which may take locks), and linked when it is
-        whole: nobody sees half of it, and a creator that is killed leaves nothing behind.
+        whole: no reader sees half of it, and a creator that is killed leaves nothing behind.
 
         Raises
         ------
@@ -202,8 +202,8 @@ def _less(name: str) -> str:
     if not part:
         return "configure fewer log_words"
     if part in ("sock", "lock", "world"):
-        return f"remove what nobody needs (ls -l /dev/shm): service {service!r} cannot do with less"
-    return "declare a block with fewer elements, or remove what nobody needs (surffollow blocks ls)"
+        return f"remove unused objects (ls -l /dev/shm): service {service!r} cannot do with less"
+    return "declare a block with fewer elements, or remove unused objects (surffollow blocks ls)"
 
 
 def unlink(name: str) -> bool:

@@ -17,7 +17,7 @@ def own_pid() -> int:
     """This process's number in /proc, by which others look it up.
 
     It is not `os.getpid` in a pid namespace whose /proc is still that of another one: there number 1, say, is
-    somebody else.
+    another process.
     """
     try:
         return int(os.readlink("/proc/self"))

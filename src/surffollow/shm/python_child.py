@@ -13,10 +13,10 @@ _RUN = "import runpy\nrunpy.run_module(sys.argv.pop(1), run_name='__main__', alt
 
 
 def module_command(module: str, *words: str) -> list[str]:
-    """What `python -m module words...` does."""
+    """Run as `python -m module words...` does."""
     return [sys.executable, "-c", _NOT_FROM_HERE + _RUN, module, *words]
 
 
 def code_command(code: str, *words: str) -> list[str]:
-    """What `python -c code words...` does."""
+    """Run as `python -c code words...` does."""
     return [sys.executable, "-c", _NOT_FROM_HERE + code, *words]

@@ -1,4 +1,4 @@
-"""Wait for a descriptor, whatever its number: `select` ends in an error from number 1024 on."""
+"""Wait for a descriptor of any number: `select` ends in an error from number 1024 on."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Sockets of clients that may carry descriptors nobody asked for, which are never closed in this process.
+"""Sockets of clients that may carry unrequested descriptors, which are never closed in this process.
 
-Whoever connects can pass descriptors (SCM_RIGHTS), and the thread that drops the last reference to one
+Every connected process can pass descriptors (SCM_RIGHTS), and the thread that drops the last reference to one
 waits for its end: for as long as the sender likes if it is a TCP socket that lingers, without limit if it
 is a file of a server that does not answer. `recv` of such a message and `close` of a socket that holds one
 both drop it.
@@ -58,7 +58,7 @@ def receive(sock: socket.socket, size: int) -> bytes:
     """
     _, _, flags, _ = sock.recvmsg(size, 0, socket.MSG_PEEK | socket.MSG_DONTWAIT)
     if flags & socket.MSG_CTRUNC:  # without room for any, none was installed
-        raise RightsSentError("a client sent descriptors with its message; nobody asked for any")
+        raise RightsSentError("a client sent descriptors with its message; none were requested")
     return sock.recv(size, socket.MSG_DONTWAIT)
 
 
@@ -107,9 +107,9 @@ class Disposal:
             self._kept.append(sock.detach())
 
     def part_listener(self, listener: socket.socket) -> None:
-        """End a listening socket with those in its queue that nobody accepted."""
+        """End a listening socket with the connections in its queue."""
         with contextlib.suppress(OSError):
-            listener.shutdown(socket.SHUT_RDWR)  # from here on nobody connects
+            listener.shutdown(socket.SHUT_RDWR)  # from here on no connection is made
             listener.setblocking(False)
             while True:
                 self.part(listener.accept()[0])

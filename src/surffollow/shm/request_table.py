@@ -1,4 +1,4 @@
-"""What every request carries and how it is answered, for clients that are written from the layout's JSON.
+"""Arguments and answers of every request, for clients that are written from the layout's JSON.
 
 The service reads only the words that stand here; all others of a request are ignored.
 """
@@ -44,12 +44,12 @@ class Request:
 
 
 _NUMBER = "number of the parameter at fault"
-_HOLDER = "pid of the client that sends the pose; 0: nobody does"
+_HOLDER = "pid of the client that sends the pose; 0: none"
 _ANYBODY = "any client"
 _CHANNEL = Argument("number", 0, 1, "channel", doc="of the external driver")
 _CHANNELS = "channels that the driver has; 0: it takes no pushed ranges"
 _SETTER = (
-    "as access.parameters says: by default the pose's holder, and any client while nobody sends the pose"
+    "as access.parameters says: by default the pose's holder, and any client while no client sends the pose"
 )
 _REGION = (
     Argument("value", 0, 1, "x_min", "m"),
@@ -57,7 +57,7 @@ _REGION = (
     Argument("value", 2, 1, "x_max", "m"),
     Argument("value", 3, 1, "y_max", "m"),
 )
-_MAPPER = "as access.map says: by default the pose's holder, and any client while nobody sends the pose"
+_MAPPER = "as access.map says: by default the pose's holder, and any client while no client sends the pose"
 _MAP_ANSWERS = {
     lb.ERR_NOT_POSE_HOLDER: _HOLDER,
     lb.ACCEPTED: "0",
@@ -92,7 +92,9 @@ REQUESTS: tuple[Request, ...] = (
         _SETTER,
         (
             Argument("number", 0, 0, "parameter", doc="number of a parameter, each at most once"),
-            Argument("value", 0, 0, "value", doc="its value in the parameter's unit, whole where it says so"),
+            Argument(
+                "value", 0, 0, "value", doc="its value in the parameter's unit, whole where the parameter is"
+            ),
         ),
         {
             lb.OK: "0",

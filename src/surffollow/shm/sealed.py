@@ -35,7 +35,7 @@ _LIBC = _libc()
 
 
 def make_sealed(name: str, size: int) -> int:
-    """A new memfd of this size [B], all zero, that nobody can cut or grow; its descriptor.
+    """A new memfd of this size [B], all zero, of sealed size; its descriptor.
 
     Raises
     ------
@@ -71,14 +71,14 @@ def reopened(fd: int, flags: int) -> int:
 
 
 def is_open_for_writing(fd: int) -> bool:
-    """Whether anybody still holds what `reopened` gave for writing: descriptor, mapping or message.
+    """Whether any process still holds what `reopened` gave for writing: descriptor, mapping or message.
 
     Parameters
     ----------
     fd : int   opened for reading alone, by the user who made the memfd; SIGIO must be ignored by its process
     """
     try:
-        # a lease for reading is refused while somebody has the file open for writing
+        # a lease for reading is refused while a process has the file open for writing
         fcntl.fcntl(fd, fcntl.F_SETLEASE, fcntl.F_RDLCK)
     except OSError as e:
         return e.errno == errno.EAGAIN
@@ -99,7 +99,7 @@ def seal_for_good(fd: int) -> bool:
 
 
 def has_sealed_size(fd: int, size: int) -> bool:
-    """Whether a descriptor is a memfd of just this size [B] that nobody can change."""
+    """Whether a descriptor is a memfd of just this size [B] that is sealed against every change."""
     try:
         seals = fcntl.fcntl(fd, GET_SEALS)
     except OSError:

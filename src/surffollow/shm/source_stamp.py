@@ -26,7 +26,7 @@ def _file_of(dotted: str) -> str | None:
 
 @cache
 def _source(file: str) -> tuple[frozenset[str], bytes]:
-    """What a module imports of this package; its name within the package and a hash over its source."""
+    """Imports of a module from this package; its name within the package and a hash over its source."""
     source = Path(file).read_bytes()
     found: set[str] = set()
     for module, names, plain in _IMPORT.findall(source.decode()):
@@ -41,7 +41,7 @@ def _source(file: str) -> tuple[frozenset[str], bytes]:
 
 @cache
 def path_in_package(py_file: str) -> Path | None:
-    """The path of a module of this package; None for anybody else's."""
+    """The path of a module of this package; None for another one."""
     path = Path(py_file)
     return resolved if path.is_file() and PACKAGE in (resolved := path.resolve()).parents else None
 

@@ -17,7 +17,7 @@ _LINKS = 40  # as many as the kernel follows
 
 
 def why_not_trusted(folder: str | Path) -> str:
-    """What lets another user change the folder or the way to it; empty when nothing does.
+    """Reasons why another user can change the folder or the path to it; empty when there are none.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def why_not_trusted(folder: str | Path) -> str:
 
 
 def check_numba_settings() -> None:
-    """Refuse to import numba in a folder where somebody else has left settings for it.
+    """Refuse to import numba in a folder where another user has left settings for it.
 
     Where PyYAML is installed, numba obeys `.numba_config.yaml` of the working directory: other machine code
     for the kernels, or none.
@@ -71,9 +71,9 @@ def check_numba_settings() -> None:
 
 
 def fault_within(folder: str | Path) -> str:
-    """What somebody else made or can change below a trusted folder; empty when there is nothing.
+    """Files of other users, or that they can change, below a trusted folder; empty when there are none.
 
-    Nobody else gets below a folder that he cannot enter: there only the owner counts.
+    No other user gets below a folder that it cannot enter: there only the owner counts.
     """
     closed, me = not os.stat(folder).st_mode & 0o011, own_user()
     for at, folders, files in os.walk(folder):
@@ -98,7 +98,7 @@ def _fault(at: Path, last: bool) -> str:
         return f"{at} is no folder"
     if status.st_uid not in (0, own_user()) or (last and status.st_uid != own_user()):
         return f"{at} belongs to user {status.st_uid}"
-    # in a sticky folder, such as /tmp, nobody can replace what belongs to somebody else
+    # in a sticky folder, such as /tmp, no user can replace another user's file
     if status.st_mode & 0o022 and (last or not status.st_mode & stat.S_ISVTX):
         return f"{at} can be written by others (mode {status.st_mode & 0o7777:o})"
     return ""

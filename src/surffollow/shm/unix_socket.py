@@ -34,7 +34,7 @@ def new_socket() -> socket.socket:
 
 
 def peer_of(sock: socket.socket) -> Peer:
-    """Who is at the other end (SO_PEERCRED): nothing that the other end says of itself.
+    """Process at the other end, from the kernel (SO_PEERCRED), not from its messages.
 
     The pid is -1 where this pid namespace has no number for the process.
     """
@@ -58,7 +58,7 @@ def peer_pidfd(sock: socket.socket, pid: int) -> int:
 
 
 def listen(path: Path, mode: int, group: int, backlog: int) -> socket.socket:
-    """Listen under a name that nothing bears yet; nobody can connect before the mode is set.
+    """Listen under an unused name; no process can connect before the mode is set.
 
     Raises
     ------

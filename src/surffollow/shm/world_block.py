@@ -106,7 +106,7 @@ def claim_world(name: str) -> tuple[SharedObject, NameLock]:
             try:
                 obj = SharedObject.open(name, writable=True, owners=(own_user(),))
             except NotRunningError:
-                with contextlib.suppress(ExistsError):  # somebody was faster: look at what it made
+                with contextlib.suppress(ExistsError):  # another process was faster: look at its block
                     return SharedObject.create(name, SIZE, MODE, prepare=_sign), own
                 continue
             except NotReadyError:

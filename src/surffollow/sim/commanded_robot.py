@@ -16,7 +16,7 @@ class CommandedRobot:
     Attributes
     ----------
     holding : bool
-        it stands still for want of a demand to trust
+        it stands still without a valid demand
     """
 
     TRACE_COLUMNS: ClassVar[tuple[str, ...]]
@@ -33,7 +33,7 @@ class CommandedRobot:
 
     @property
     def is_holding(self) -> bool:
-        """Whether it stands still for want of a demand to trust."""
+        """Whether it stands still without a valid demand."""
         return self.holding
 
     def hold(self) -> None:

@@ -30,7 +30,7 @@ class PanCamera:
 
 
 class Speaker:
-    """A speaker that sounds one tone at a time; zero, or what nobody hears, is silence.
+    """A speaker that sounds one tone at a time; zero, or an inaudible frequency, is silence.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a compliant arm adds to its commanded motion: bending modes and sway of the vehicle on its springs."""
+"""Deviations of a compliant arm from its command: bending modes and sway of the vehicle on its springs."""
 
 from __future__ import annotations
 

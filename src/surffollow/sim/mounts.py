@@ -1,4 +1,4 @@
-"""Where several range sensors sit on a simulated tool, all looking along its axis."""
+"""Mounts of several range sensors on a simulated tool, all looking along its axis."""
 
 from __future__ import annotations
 

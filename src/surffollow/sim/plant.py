@@ -1,6 +1,6 @@
 """The robot's vertical axis and its 100 Hz controller: one step function for benchmark and live simulator.
 
-The axis is the benchmark's: a sqrt controller makes the wanted velocity from the distance to the set
+The axis is the benchmark's: a sqrt controller makes the demanded velocity from the distance to the set
 point, speed and acceleration are limited. The controller adds each demand to the pose report that the
 demand refers to, never to a newer one.
 """
@@ -114,14 +114,14 @@ def load_plant(path: str | Path) -> PlantConfig:
 
 @jit
 def sqrt_velocity(distance_m: float, gain_hz: float, a_max_mps2: float, dt_s: float) -> float:
-    """Velocity from which the axis can still stop at the set point with `a_max` (sqrt controller).
+    """Velocity from which the axis can still stop at the setpoint with `a_max` (sqrt controller).
 
-    Proportional near the set point, square root beyond: there a constant deceleration of a_max leads
+    Proportional near the setpoint, square root beyond: there a constant deceleration of a_max leads
     into the proportional part without a jump of acceleration.
 
     Parameters
     ----------
-    distance_m : float64, set point − position [m]
+    distance_m : float64, setpoint − position [m]
     gain_hz : float64, 1/τ [1/s]
     a_max_mps2, dt_s : float64 [m/s²], [s]
 
@@ -164,11 +164,11 @@ def axis_step(
 
 @jit
 def setpoint_for(report_m: float, demand_m: float) -> float:
-    """Set point from a demand and the report it refers to; a demand that is not finite holds the report.
+    """Setpoint from a demand and the report it refers to; a demand that is not finite holds the report.
 
     Parameters
     ----------
-    report_m : float64, height in the report whose stamp the demand carries [m]
+    report_m : float64, height in the report that the demand refers to [m]
     demand_m : float64, what the follower asks to add to it [m]
     """
     if math.isfinite(demand_m):

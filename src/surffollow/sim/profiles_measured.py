@@ -1,4 +1,4 @@
-"""Profiles that somebody measured: rows of the shared height maps, and any CSV with x_m,height_m."""
+"""Measured profiles: rows of the shared height maps, and any CSV with x_m,height_m."""
 
 from __future__ import annotations
 

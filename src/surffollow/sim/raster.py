@@ -52,7 +52,7 @@ def line_path(region: Region, speed_mps: float, accel_mps2: float, length_m: flo
     Parameters
     ----------
     region : (x_min, y_min, x_max, y_max) [m]
-    speed_mps, accel_mps2 : wanted speed [m/s]; deceleration toward an end [m/s²]
+    speed_mps, accel_mps2 : desired speed [m/s]; deceleration toward an end [m/s²]
     length_m : [m]
     """
     x0, x1, y = region[0] + MARGIN_M, region[2] - MARGIN_M, 0.5 * (region[1] + region[3])
@@ -178,7 +178,7 @@ def _speeds(file: str, table: PathTable, steps: NDArray[np.float64], speed_mps: 
 
 
 def _waits(table: PathTable, along: NDArray[np.float64]) -> tuple[tuple[float, float], ...]:
-    """Where the robot waits along the path [m], and how long [s]: corners repeated at a later time."""
+    """Stops along the path [m], and their durations [s]: corners repeated at a later time."""
     found: dict[float, float] = {}
     if table.t_s is not None:
         for k in np.flatnonzero(np.diff(along) == 0.0):
@@ -207,7 +207,7 @@ def _check_length(length_m: float) -> None:
 def _path(
     pieces: list[NDArray[np.float64]], speeds: list[float], accel_mps2: float, stop_between: bool
 ) -> Path:
-    """Join pieces, sample them at equal distances, and slow down before whatever must be passed slower."""
+    """Join pieces, sample them at equal distances, and slow down before each slower part."""
     corners = np.concatenate([pieces[0][:1], *(p[1:] for p in pieces)])
     steps = np.hypot(*np.diff(corners, axis=0).T)
     along = np.concatenate([[0.0], np.cumsum(steps)])

@@ -1,6 +1,6 @@
 """The simulated robot: a body that moves in 1 ms steps, and the controller's half of following.
 
-`RobotCore` has no clock and knows no service: whoever drives it says how far time has come, fetches its late
+`RobotCore` has no clock and knows no service: its caller passes the time, fetches its late
 and noisy pose reports, and gives it demands. `robot_run` does that against the real service.
 """
 
@@ -26,7 +26,7 @@ from surffollow.sim.world import WorldPose
 
 TRACE_ROWS = 1_000_000
 SETTLED_RAD = 0.02
-WAIT_WITHIN_M = 20e-6  # of the place of a wait: two ticks at the speed at which a corner is crept to
+WAIT_WITHIN_M = 20e-6  # of the place of a wait: two periods at the speed at which a corner is crept to
 
 
 class RobotCore(CommandedRobot):
@@ -139,13 +139,13 @@ class RobotCore(CommandedRobot):
         return self._reports.due(self.t_ns)
 
     def command(self, demand_m: float, pose_t_ns: int, turn_rad: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
-        """Heed a demand: it is added to the report that it refers to, never to a newer one.
+        """Apply a demand: it is added to the report that it refers to, never to a newer one.
 
         Parameters
         ----------
         demand_m : vertical demand [m]
-        pose_t_ns : stamp of that report [ns]; an unknown one makes the robot hold
-        turn_rad : rotation vector demanded, world axes [rad]; heeded when the configuration says so
+        pose_t_ns : timestamp of that report [ns]; an unknown one makes the robot hold
+        turn_rad : rotation vector demanded, world axes [rad]; applied when configured
         """
         self._received_ns = self.t_ns
         x, y, z = turn_rad

@@ -12,7 +12,7 @@ from surffollow.sim.world_surface import WorldConfig
 
 FOR_EVER_S = 86_400.0
 
-APPROACH_M = 0.010  # the tool starts that much above the wanted stand-off
+APPROACH_M = 0.010  # the tool starts that much above the desired stand-off
 
 
 class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -27,12 +27,12 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     speed_mps, accel_mps2 : along the path [m/s], [m/s²]
     lane_m : distance of a raster's lanes [m]
     seconds : of motion along the path; 0: to its end (a line: for ever)
-    standoff_m : wanted distance of the tool above the ground [m]
+    standoff_m : desired distance of the tool above the ground [m]
     unscored_m : first piece of the path, where the follower still learns [m]
     report_latency_s, report_sigma_m : of pose reports [s], noise of x, y and z [m]
     retract_m : without a valid demand, rise so far above the held height [m]; 0: hold it
     command_timeout_s : a controller that says nothing for so long is dead: the drives stop by themselves [s]
-    turn, report_turn_sigma_rad : heed the demanded rotations, too; noise of the reported attitude [rad]
+    turn, report_turn_sigma_rad : apply the demanded rotations, too; noise of the reported attitude [rad]
     seed : of that noise
     plant : vertical axis and rate of controller and reports
     """

@@ -38,7 +38,7 @@ class Motion(Schema):
     turns = I64(doc="1: the wrist turns; stand-off and angle count along the tool's axis")
     attitude = F64(4, doc="qx qy qz qw, world from tool")
     spin_radps = F64(3, unit="rad/s", doc="angular velocity, world axes")
-    attitude_set = F64(4, doc="attitude wanted")
+    attitude_set = F64(4, doc="attitude setpoint")
     scratch = F64(4)
     frozen_ns = I64(unit="ns", doc="time that the process was stopped")
     tau_s = F64(unit="s", doc="see PlantConfig")
@@ -46,7 +46,7 @@ class Motion(Schema):
     a_max_mps2 = F64(unit="m/s^2")
     accel_mps2 = F64(unit="m/s^2", doc="along the path")
     spacing_m = F64(unit="m", doc="of the path's points")
-    standoff_m = F64(unit="m", doc="wanted")
+    standoff_m = F64(unit="m", doc="desired")
     score_from_m = F64(unit="m", doc="distance from which on the error counts")
     trace_every = I64(doc="steps from one row of the trace to the next")
     trace_rows = I64(doc="rows written")
@@ -76,7 +76,7 @@ def move_along(m: Any, points: Any) -> Any:
 
     Notes
     -----
-    The set point rises and falls with the planned heights, which are 0 where none are planned.
+    The setpoint rises and falls with the planned heights, which are 0 where none are planned.
     """
     r = m[0]
     dt = STEP_NS * 1e-9

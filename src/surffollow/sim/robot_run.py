@@ -20,11 +20,11 @@ RETRY_NS = 200_000_000
 FIFO_PRIORITY = 20  # above other programs, below any service
 
 
-HELD_PART, HELD_TICKS = 0.1, 50  # of its ticks, and the first half second: more is no following
+HELD_PART, HELD_TICKS = 0.1, 50  # of its periods, and the first half second: more is no following
 
 
 class SomeDemand(Protocol):
-    """What the robot looks at in a demand."""
+    """The parts of a demand that the robot reads."""
 
     @property
     def valid(self) -> bool: ...
@@ -36,7 +36,7 @@ class SomeDemand(Protocol):
 
 
 class Service(Protocol):
-    """What the robot needs of `surffollow.client.Client`."""
+    """The part of `surffollow.client.Client` that the robot needs."""
 
     def ee_pos(self, pose: Sequence[float], t_ns: int | None = None) -> None: ...
     def dev_vector(self) -> SomeDemand: ...
@@ -46,7 +46,7 @@ class Service(Protocol):
 
 
 class Core(Protocol):
-    """What the controller drives: `robot.RobotCore`, or a robot with a path of its own."""
+    """A driven robot: `robot.RobotCore`, or a robot with a path of its own."""
 
     @property
     def t_ns(self) -> int: ...
@@ -82,7 +82,7 @@ class Controller:
         return self._service
 
     def connect(self, wait_s: float) -> None:
-        """Attach and ask for the wanted stand-off.
+        """Attach and request the desired stand-off.
 
         Raises
         ------
@@ -156,7 +156,7 @@ class Controller:
 
 
 def held_too_long(ticks: int, held: int) -> bool:
-    """Whether a robot stood still, for want of a valid demand, for so long that it did not follow."""
+    """Whether a robot stood still, without a valid demand, for so long that it did not follow."""
     return held > HELD_PART * ticks + HELD_TICKS
 
 
@@ -180,7 +180,7 @@ def run_robot(
     config : RobotConfig
     name : of the service; the true pose goes to the block NAME.world
     attach : see `Controller`
-    stopped : asked at every tick
+    stopped : asked in every period
     wait_s : how long to wait for the service at the start [s]
 
     Returns

@@ -1,4 +1,4 @@
-"""What a robot does without a valid demand, and when it is at rest (docs/reference/protocol.md, "Stop")."""
+"""Behaviour of a robot without a valid demand, and its time to rest (docs/reference/protocol.md, "Stop")."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ SETTLING = 6.0  # time constants of the vertical axis until what is left of its 
 
 
 def time_to_rest_s(config: RobotConfig) -> float:
-    """Time from the tick in which the demand is missed until the tool is at rest, or retracts [s].
+    """Time from the period in which the demand is missed until the tool is at rest, or retracts [s].
 
-    The controller reacts with its next tick. Then the speed along the path falls with `accel_mps2`, while the
+    The controller reacts in its next period. Then the speed along the path falls with `accel_mps2`, while the
     vertical axis brakes with its own limit and settles with its time constant on the held height.
 
     Parameters
@@ -36,7 +36,7 @@ def stopping_distance_m(config: RobotConfig, reaction_s: float) -> float:
     Parameters
     ----------
     config : RobotConfig
-    reaction_s : until the controller begins to brake: age limit of the demand and one tick [s]
+    reaction_s : until the controller begins to brake: age limit of the demand and one period [s]
     """
     v = config.speed_mps
     return v * reaction_s + v * v / (2.0 * config.accel_mps2)

@@ -46,7 +46,7 @@ def wrist_step(q: Any, w: Any, desired: Any, scratch: Any, dt_s: Any) -> None:
     scratch : (4,) float64
     dt_s : float64 [s]
     """
-    # error = wanted · q⁻¹, the short way round
+    # error = desired · q⁻¹, the short way round
     x = -desired[3] * q[0] + desired[0] * q[3] - desired[1] * q[2] + desired[2] * q[1]
     y = -desired[3] * q[1] + desired[0] * q[2] + desired[1] * q[3] - desired[2] * q[0]
     z = -desired[3] * q[2] - desired[0] * q[1] + desired[1] * q[0] + desired[2] * q[3]
@@ -68,7 +68,7 @@ def wrist_step(q: Any, w: Any, desired: Any, scratch: Any, dt_s: Any) -> None:
 
 @jit
 def along_axis(z: Any, frame: Any, x_m: Any, y_m: Any, z_m: Any, q: Any) -> Any:
-    """What a tilted tool is over: stand-off along its axis, angle to the normal there, tilt of the normal.
+    """The ground under a tilted tool: stand-off along its axis, angle to the normal, tilt of the normal.
 
     Parameters
     ----------

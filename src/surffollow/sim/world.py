@@ -27,7 +27,7 @@ class _View:
 
 
 class _Mapped:
-    """What both ends see of the block while they have it mapped."""
+    """The block as both ends have it mapped."""
 
     _view: _View | None
 

@@ -1,4 +1,4 @@
-"""What the readings so far say about the walls of an enclosure, over several poses of the robot.
+"""Hypotheses on the walls of an enclosure from the readings so far, over several poses of the robot.
 
 Readings of earlier poses stay: they are sonars at other places in the belief's frame, so one sonar that
 moves (1W1S with motion) is handled like a ring. The odometry between the poses is taken as exact.
@@ -40,7 +40,7 @@ class Hypothesis:
 
     @property
     def state(self) -> Literal["supposed", "corroborated", "refuted"]:
-        """What the later readings make of it."""
+        """Evaluate it with the later readings."""
         if self.refuted > self.corroborated:
             return "refuted"
         return "corroborated" if self.corroborated else "supposed"
@@ -120,7 +120,7 @@ class Belief:
         self._fired.clear()
 
     def add(self, ranges_m: ArrayLike, sensors: tuple[int, ...] | None = None) -> None:
-        """Take readings at the present pose and judge the hypotheses by them.
+        """Take readings at the present pose and score the hypotheses by them.
 
         Parameters
         ----------
@@ -212,7 +212,7 @@ class Belief:
         self.refuted += [h for h in left if h.state == "refuted"]
 
     def _same(self, a: WallPose, b: WallPose, phi_std_rad: float = 0.0) -> bool:
-        """Whether two walls are one, as far as their distances and a standard deviation of φ tell."""
+        """Whether two walls are one, within their distances and a standard deviation of φ."""
         turn = abs(math.remainder(a.phi_rad - b.phi_rad, 2.0 * math.pi))
         margin_m = 3.0 * math.hypot(a.distance_std_m, b.distance_std_m)
         return (

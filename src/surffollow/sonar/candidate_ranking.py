@@ -1,4 +1,4 @@
-"""Rank candidate walls by score, and tell distinct ones apart."""
+"""Rank candidate walls by score, and separate distinct ones."""
 
 from __future__ import annotations
 

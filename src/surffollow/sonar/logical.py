@@ -1,6 +1,6 @@
 """Logical sensors: named quantities computed from raw readings, with tolerance, age and alternatives.
 
-A logical sensor has sources in order of preference. The first one that gives a value young enough is used.
+A logical sensor has sources in order of preference. The first one that gives a recent value is used.
 When it fails, the next takes over and the published tolerance is that of the source in use (Henderson and
 Shilcrat's scheme, as the paper cites it). Raw readings stay readable in their own blocks.
 """
@@ -22,7 +22,7 @@ MAX_VALUES = 8
 class LogicalReading(Block):
     """A quantity as its logical sensor publishes it."""
 
-    valid = I64(doc="1: a source gave a value that is young enough")
+    valid = I64(doc="1: a source gave a value that is recent")
     t_ns = I64(unit="ns", doc="when the value was true, CLOCK_MONOTONIC")
     n = I64(doc="values used")
     value = F64(MAX_VALUES, doc="in the units of the quantity")
@@ -70,7 +70,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Evaluated:
-    """What a logical sensor says: the quantity and the source that gave it, or neither."""
+    """Output of a logical sensor: the quantity and its source, or neither."""
 
     quantity: Quantity | None
     source: int
@@ -94,7 +94,7 @@ class LogicalSensor:
         self._memory: Memory | None = None
 
     def evaluate(self, now_ns: int | None = None) -> Evaluated:
-        """The first source that gives a finite value young enough.
+        """The first source that gives a finite recent value.
 
         A source that raises, or gives what is no quantity, has failed.
 

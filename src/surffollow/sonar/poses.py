@@ -40,7 +40,7 @@ def _candidates(readings: Readings) -> tuple[NDArray[np.float64], int]:
     m = readings.ranges_m.size
     found, rows = _room_for_pairs(m)
     free = np.isfinite(readings.ranges_m)
-    # where noise leaves |r2 − r1| > B the beams tell, but not of sonars at one place
+    # where noise leaves |r2 − r1| > B the beams decide, but not of sonars at one place
     places = readings.positions_m[free]
     by_beams = bool((readings.sigmas_m > 0.0).all()) and len(np.unique(places, axis=0)) == len(places)
     n = cd.find_candidates(readings, free, by_beams, False, False, found, np.empty(m, np.int64), rows)

@@ -1,7 +1,7 @@
 """A supposed wall fitted to its inliers: by least squares, to compare it; by its posterior, as a result.
 
 A solution of one pair is vague: its own covariance lets readings of other walls in. Least squares over
-the readings that it predicts exactly make it certain. Then its inliers tell how well it explains the round.
+the readings that it predicts exactly make it certain. Its inliers measure how well it explains the round.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ static inline int sfa_i_greet(sfa_client *a, const char *client, int fds[2]) {
   hello.magic = SFA_HELLO_MAGIC;
   hello.layout_hash = SFA_LAYOUT_HASH;
   strncpy(hello.name, client, sizeof hello.name - 1);
-  (void)!send(a->sock, &hello, sizeof hello, MSG_NOSIGNAL); /* it may have refused already: its answer tells */
+  (void)!send(a->sock, &hello, sizeof hello, MSG_NOSIGNAL); /* it may have refused already: its answer decides */
   part.iov_base = &answer;
   part.iov_len = sizeof answer;
   message.msg_iov = &part;
@@ -131,19 +131,19 @@ static inline int sfa_i_map(sfa_client *a, const int fds[2]) {
   return 0;
 }
 
-/* Tell the server that the mailbox is mapped, and wait until it looks into it. */
+/* Report to the server that the mailbox is mapped, and wait until it looks into it. */
 static inline int sfa_i_enter(sfa_client *a) {
-  char heard[8];
+  char received[8];
   ssize_t got;
   if (send(a->sock, SFA_MAPPED, sizeof SFA_MAPPED - 1, MSG_NOSIGNAL) < 0) return -ENOENT;
   do {
-    got = recv(a->sock, heard, sizeof heard, 0);
+    got = recv(a->sock, received, sizeof received, 0);
   } while (got < 0 && errno == EINTR);
   if (got < 0) return errno == EAGAIN || errno == EWOULDBLOCK ? -ETIMEDOUT : -ENOENT;
   return got == SF_CAST(ssize_t, sizeof SFA_MAPPED - 1) ? 0 : -ENOENT;
 }
 
-/* End: whatever this client holds or waits for is given up. Its names and the server's user stay for sfa_reattach. */
+/* End: everything that this client holds or waits for is given up. Its names and the server's user stay for sfa_reattach. */
 static inline void sfa_detach(sfa_client *a) {
   if (a->sock >= 0) close(a->sock);
   if (a->mailbox != NULL) munmap(a->mailbox, SFA_MAILBOX_BYTES);
@@ -340,7 +340,7 @@ static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t
 
 /*
  * Command a resource that this client holds: `n` values, as many as the resource declares, relative to the
- * pose stamped `ref_t_ns` (0: none; then `ref_pose` may be NULL). Never waits.
+ * pose of `ref_t_ns` (0: none; then `ref_pose` may be NULL). Never waits.
  * Returns 1; 0: the resource is not ours (any more), nothing was sent; -EAGAIN: the mailbox is full; -ENOENT: the
  * server was silent for a lease; -EINVAL: no such resource, or another number of values.
  */

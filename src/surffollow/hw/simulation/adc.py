@@ -1,7 +1,7 @@
 """The A/D converter of the simulation: a MIZAR M28605-2-00, free-running over the enabled channels.
 
 12 bits, 8 differential channels, 25 kHz in all. Conversions have numbers: number n ends at n · 40 µs of
-CLOCK_MONOTONIC and belongs to channel n mod (channels enabled), whoever looks and whenever.
+CLOCK_MONOTONIC and belongs to channel n mod (channels enabled), for every reader at any time.
 """
 
 from __future__ import annotations

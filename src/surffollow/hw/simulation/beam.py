@@ -1,4 +1,4 @@
-"""Where a sensor's beam meets a height field: rotation by quaternions, and a ray cast of bounded work."""
+"""Intersection of a sensor's beam with a height field: rotation by quaternions, bounded ray cast."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ PATCH_M = 0.05  # side of a glossy patch when only a share of the surface is glo
 
 
 class LedConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What may be set about the sensors of a simulated set-up.
+    """Settings of the sensors of a simulated set-up.
 
     Attributes
     ----------

@@ -28,7 +28,7 @@ STREAM_GLITCH, STREAM_GLITCH_SIZE, STREAM_PATCH, STREAM_PHASE = 1, 2, 3, 4
 def refresh_at(p: Any, channel: Any, t_ns: Any) -> Any:
     """Number of the refresh that the output shows at a time, and when it happened.
 
-    Each sensor keeps its own beat: refresh k of a channel happens at k · hold + phase of the channel.
+    Each sensor keeps its own period: refresh k of a channel happens at k · hold + phase of the channel.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def refresh_at(p: Any, channel: Any, t_ns: Any) -> Any:
 
 @jit
 def gloss_is_seen(p: Any, z: Any, frame: Any, sensor: Any, range_m: Any) -> Any:
-    """Tell whether the spot can be seen: always on matte ground, on gloss at some incidences only.
+    """Decide whether the spot can be seen: always on matte ground, on gloss at some incidences only.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ STALE_NS = 100_000_000
 
 
 class PoseHistory(Schema):
-    """A ring of poses, stamps ascending."""
+    """A ring of poses, timestamps ascending."""
 
     count = I64(doc="poses ever added")
     carry_ns = I64(unit="ns", doc="how long the newest pose is carried on by its velocity; at least 20 ms")

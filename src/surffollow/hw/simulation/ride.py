@@ -28,7 +28,7 @@ STALE_WORLD_NS = 100_000_000
 
 
 class Ride(Schema):
-    """What the pump needs to take poses from one source or the other."""
+    """State for taking poses from one source or the other."""
 
     source = I64(doc="ON_…, of the history")
     reports = I64(doc="address of the queue of reported poses")

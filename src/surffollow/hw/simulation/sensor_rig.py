@@ -37,7 +37,7 @@ class SimulatedConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     led : the sensors
     world : the ground, the same as the robot's
     pose : what the sensors ride on: "world": the true pose of the block NAME.world; "reported": the poses
-        that clients report; "auto": the world block while somebody writes it, else the reports
+        that clients report; "auto": the world block while it has a writer, else the reports
     """
 
     channels: int = 1

@@ -1,7 +1,7 @@
 """The simulated driver: LED sensors over a known ground, read through a free-running A/D converter.
 
 Its sensors ride on the true pose, which a simulator of a robot publishes in the block NAME.world, or, where
-nobody does, on the poses that are reported to the service. A watcher thread keeps the block mapped and
+it has no writer, on the poses that are reported to the service. A watcher thread keeps the block mapped and
 chooses; the pump, a nogil kernel, learns of another mapping through a control word and says which one it
 uses, so that no page is given up under it.
 """
@@ -141,7 +141,7 @@ class SimulatedDriver:
         self._reader = self._retired = None
 
     def faults(self) -> list[str]:
-        """What is wrong now."""
+        """Present faults."""
         if not self._pump.running:
             return ["the simulated sensors are not started"]
         if self._trouble:
@@ -157,7 +157,7 @@ class SimulatedDriver:
         return []
 
     def notes(self) -> list[str]:
-        """What the sensors ride on, when that is not the truth."""
+        """Source of the sensors' pose, when that is not the true one."""
         return [ON_REPORTS_NOTE] if int(self._pump.control[SOURCE]) == ON_REPORTS else []
 
     def _watch(self) -> None:

@@ -1,4 +1,4 @@
-"""Time stamps of a sensor with a rhythm of its own, from arrivals that the machine delays now and then.
+"""Timestamps of a sensor with a rhythm of its own, from arrivals that the machine delays now and then.
 
 The time at which a read returns, less the bytes' time on the line, is never before the frame truly began,
 but may be milliseconds late on a busy machine: the kernel hands input over in a thread of normal priority.
@@ -11,7 +11,7 @@ import statistics
 from collections import deque
 from collections.abc import Sequence
 
-LEARNED = 32  # increments before a rhythm is believed
+LEARNED = 32  # increments before a rhythm is confirmed
 WINDOW = 64  # frames in which one, at least, is taken to have come without delay
 REGULAR = 0.15  # of the period: median deviation of a regular sensor's increments
 PAUSE = 3.0  # periods without an explanation: the sensor paused; shorter ones show in a window
@@ -45,7 +45,7 @@ class ArrivalClock:
 
         Returns
         -------
-        list of int   ascending; no later than their arrivals, unless the stamp before is
+        list of int   ascending; no later than their arrivals, unless the timestamp before is
         """
         if not arrivals_ns:
             return []

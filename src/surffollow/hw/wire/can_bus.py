@@ -91,7 +91,7 @@ class CanSource:
             raise DriverError(f"cannot be joined: {error}") from error
 
     def read(self, timeout_s: float) -> list[tuple[int, int]]:
-        """Conversions, stamped when their frame began: receive time less its time on the bus."""
+        """Conversions, with the begin of their frame as timestamp: receive time less its time on the bus."""
         out: list[tuple[int, int]] = []
         message = self._bus.recv(timeout_s)
         while message is not None:

@@ -136,7 +136,7 @@ class Format(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def reader_of(number: Number | Limits | Checksum, length: int, what: str) -> struct.Struct:
-    """What reads a number of a frame of `length` bytes.
+    """Reader of a number in a frame of `length` bytes.
 
     Raises
     ------

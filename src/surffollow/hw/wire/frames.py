@@ -19,7 +19,7 @@ Measurement = tuple[int, int, "float | None"]
 
 
 class _Finder:
-    """What both formats share: the input that waits, rejections, caution after them."""
+    """Common parts of both formats: waiting input, rejections, confirmation after them."""
 
     def __init__(self, form: Format) -> None:
         self._form, self._scale_m, self._zero_m = form, form.scale_m(), form.zero_m

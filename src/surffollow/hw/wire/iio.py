@@ -1,4 +1,4 @@
-"""A/D converters of Linux IIO (kind = "iio"): buffered reads of the character device, stamped by it.
+"""A/D converters of Linux IIO (kind = "iio"): buffered reads of the character device, with its timestamps.
 
 Every file is looked for under a configurable root, so that a tree of plain files and a FIFO can stand for a
 device. Units: an IIO voltage is (raw + offset) · scale in millivolts.
@@ -38,7 +38,7 @@ class IioConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     buffer : scans that the kernel keeps
     trigger : name of an IIO trigger to set; empty: as it is
     root : where sys and dev are looked for
-    latency_s : age of the distance at a scan's time stamp [s]
+    latency_s : age of the distance at a scan's timestamp [s]
     mounts, silence_s : see `RangeSettings`
     """
 
@@ -76,11 +76,11 @@ class IioSource:
         self._rest = b""
 
     def open(self) -> None:
-        """Enable the inputs and the time stamp, set the clock, start the buffer."""
+        """Enable the inputs and the timestamp, set the clock, start the buffer."""
         c = self._config
         folder = self._folder = find_device(self._root, c.device)
         self._write("buffer/enable", "0")
-        with contextlib.suppress(OSError):  # kernels before 4.8 stamp with the wall clock
+        with contextlib.suppress(OSError):  # kernels before 4.8 use the wall clock
             self._write("current_timestamp_clock", "monotonic")
         for path in sorted((folder / "scan_elements").glob("*_en")):
             name = path.name.removeprefix("in_").removesuffix("_en")
@@ -100,7 +100,7 @@ class IioSource:
         (self._folder / name).write_text(text)
 
     def read(self, timeout_s: float) -> list[tuple[int, int]]:
-        """Conversions, stamped by the device."""
+        """Conversions, with timestamps of the device."""
         if not wait_readable(self._fd, timeout_s):
             return []
         try:
@@ -115,7 +115,7 @@ class IioSource:
         stamp, now_ns = self._layout["timestamp"], time.monotonic_ns()
         for at in range(0, whole, self._size):
             t_ns = stamp.value(data, at)
-            # a device whose clock is another one is stamped by arrival
+            # a device with another clock: the time of arrival
             if not 0 <= now_ns - t_ns <= 2_000_000_000:
                 t_ns = now_ns
             for channel, name in enumerate(self._config.inputs):

@@ -102,7 +102,7 @@ class SerialSource:
             self._port.write(c.start_command.encode())
 
     def read(self, timeout_s: float) -> list[tuple[int, int]]:
-        """Conversions, stamped when their frame began: see `ArrivalClock`."""
+        """Conversions, with the begin of their frame as timestamp: see `ArrivalClock`."""
         if not wait_readable(self._line, timeout_s):
             return []
         data = os.read(self._line, READ_BYTES)

@@ -47,7 +47,7 @@ class UdpConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
             raise ConfigError(f"port = {self.port}, expected 0 to 65535")
         if not self.sender:
             raise ConfigError(
-                'sender is missing: whoever may send ranges moves the robot; write "address:port" of the '
+                'sender is missing: a sender of ranges moves the robot; write "address:port" of the '
                 'sensor, "address" for every program there, or "any"'
             )
         port = self.sender.partition(":")[2]
@@ -86,7 +86,7 @@ class UdpSource:
         self._socket, self._number = opened, None
 
     def read(self, timeout_s: float) -> list[tuple[int, int]]:
-        """Conversions, stamped with their datagram's arrival."""
+        """Conversions, with their datagram's arrival as timestamp."""
         assert self._socket is not None
         if not wait_readable(self._socket.fileno(), timeout_s):
             return []
@@ -123,7 +123,7 @@ class UdpSource:
         return True
 
     def _measurements(self, data: bytes) -> list[tuple[int, float | None]]:
-        """What a datagram says, or nothing when any of it is no frame."""
+        """Conversions of a datagram, or nothing when any of it is no frame."""
         finder = self._finder
         if isinstance(finder, FrameFinder):
             n = self._config.format.length

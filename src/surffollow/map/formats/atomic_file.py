@@ -21,7 +21,7 @@ Progress = Callable[[float], object]
 def replacing(path: FilePath) -> Iterator[Path]:
     """A temporary path beside `path`; on a clean exit it is fsynced and takes its name, else it goes.
 
-    A file that was there keeps its mode, a new one gets what the umask says; nobody else reads it before.
+    A file that was there keeps its mode, a new one gets that of the umask; no other user reads it before.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def check_place(path: FilePath) -> None:
 
 
 def check_not_read(out: FilePath, *read: FilePath | None) -> None:
-    """Refuse to write over a file that the work reads, under whatever name.
+    """Refuse to write over a file that the work reads, under any name.
 
     Raises
     ------
@@ -110,6 +110,6 @@ def _sync(path: Path, mode: int | None = None) -> None:
 
 
 def report(progress: Progress | None, fraction: float) -> None:
-    """Tell the caller; raise MapCancelledError when it answers False."""
+    """Report to the caller; raise MapCancelledError when it answers False."""
     if progress is not None and progress(fraction) is False:
         raise MapCancelledError("cancelled by the caller; no file was changed")

@@ -50,8 +50,8 @@ def write_geotiff(
 ) -> None:
     """Write a GeoTIFF: band 1 heights [m] (NaN unknown), band 2 counts; no coordinate system, metres.
 
-    What was written is read back before it takes the name: GDAL does not tell of a write that
-    fails when it closes the file.
+    The written file is read back before it takes the name: GDAL does not report a write that
+        fails when it closes the file.
     """
     rasterio = _rasterio()
     ny, nx = access.shape_of(header)

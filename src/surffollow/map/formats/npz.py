@@ -42,7 +42,7 @@ def write_npz(path: FilePath, header: NDArray[Any], pairs: NDArray[Any], progres
 
 
 def _settle(header: NDArray[Any], known: bool) -> None:
-    """Derive again what kernels trust, whatever the archive says of it."""
+    """Derive again the values that kernels trust, not those of the archive."""
     w = header[0]
     w["inv_grid_per_m"], w["inv_quantum_per_m"] = 1.0 / w["grid_m"], 1.0 / w["quantum_m"]
     w["finest_grid_m"] = w["finest_grid_m"] if w["finest_grid_m"] > 0 else w["grid_m"]

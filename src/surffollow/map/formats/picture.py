@@ -62,7 +62,7 @@ def known_bounds(header: NDArray[Any], pairs: NDArray[Any]) -> tuple[int, int, i
 
 
 def _shown(header: NDArray[Any], pairs: NDArray[Any]) -> tuple[int, int, int, int]:
-    """What a picture shows: the known grids and a margin of a twentieth about them; all where none is."""
+    """Range of a picture: the known grids and a margin of a twentieth about them; all where none is."""
     ny, nx = access.shape_of(header)
     bounds = known_bounds(header, pairs)
     if bounds is None:

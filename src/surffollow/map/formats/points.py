@@ -18,7 +18,7 @@ _FINEST_STEP_M = 1e-4
 
 
 def _digits(step_m: float) -> int:
-    """Decimals that tell two numbers apart that differ by a hundredth of a step."""
+    """Decimals that distinguish two numbers that differ by a hundredth of a step."""
     return max(0, 2 - math.floor(math.log10(step_m)))
 
 

@@ -124,7 +124,7 @@ def read_text(
     Raises
     ------
     MapFileError
-        not such a file, cut short, damaged (its checksum says so), or too large for the capacity
+        not such a file, cut short, damaged (wrong checksum), or too large for the capacity
     """
     try:
         with open(path, encoding="ascii", newline="\n") as f:

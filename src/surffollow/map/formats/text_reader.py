@@ -80,7 +80,7 @@ class Reader:
                     said = value
                     if said != f"{before:08x}":
                         why = f"the header's checksum is {before:08x}, head_crc says {said!r}"
-                        raise self.fail(f"{why}: damaged, or changed by hand; then delete the line head_crc")
+                        raise self.fail(f"{why}: damaged, or changed manually; then delete the line head_crc")
                 yield key, value
 
     def _head_line(self) -> str:

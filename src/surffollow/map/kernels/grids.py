@@ -74,7 +74,7 @@ def blended(height: Any, count: Any, z: Any, paper: Any, u: Any) -> Any:
         n = np.uint64(count) + _U1
         return np.int64((total + total + n) // (n + n)) - 32768
     mean = float(height) if count > 0 else z
-    # u + 32768 is exact, hence z == mean leaves the mean alone whatever u is; u ≤ 1 − 2^-32 keeps the
+    # u + 32768 is exact, hence z == mean leaves the mean alone for every u; u ≤ 1 − 2^-32 keeps the
     # sum below 65536, and the mean is above −32767 unless all samples were there: UNKNOWN cannot come out
     return np.int64(np.int32(mean + (z - mean) * _RECIPROCAL[count] + (u + 32768.0))) - 32768
 

@@ -25,7 +25,7 @@ _MAX_REGION = ml.MAX_REGION_M
 def install_fault(
     header: Any, nx: Any, ny: Any, grid_m: Any, x0_m: Any, y0_m: Any, datum_m: Any, quantum_m: Any
 ) -> Any:
-    """What `install_begin` would answer to the same arguments; nothing is touched.
+    """Answer of `install_begin` to the same arguments, without a change.
 
     Returns
     -------

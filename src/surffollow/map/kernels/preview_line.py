@@ -33,8 +33,8 @@ NOW_NS = 1_000_000_000
 PASS_NS = 4_000_000_000  # the slowest tool that looks ahead is over a grid and past it sooner
 SIDE_BITS = 7  # the table keeps a square of 128 grids; a line that is longer displaces what it kept
 SIDE = 1 << SIDE_BITS
-LEAST_NEAR = 0.4  # share of known grids in a mean that stands for a place in an unknown one
-MOST_SAMPLES = 8  # a grid seen more often weighs no more beside its neighbours
+MIN_KNOWN_SHARE = 0.4  # share of known grids in a mean that stands for a place in an unknown one
+MAX_SAMPLES = 8  # a grid seen more often weighs no more beside its neighbours
 FASTEST_GRIDS = 1e9  # of a coordinate, in grids from the map's corner: beyond, no whole number is exact
 _MASK = SIDE - 1
 _UNKNOWN = ml.UNKNOWN
@@ -69,7 +69,7 @@ def kept_grid(pairs: Any, nx: Any, ny: Any, generation: Any, kept: Any, now_ns: 
     known = k.grid == grid + 1 and k.generation == generation
     if not (known and 0 <= now_ns - k.looked_ns <= NOW_NS and now_ns - k.since_ns <= PASS_NS):
         k.quanta = quanta_of(pairs, grid)
-        k.weight = float(min(max(count_of(pairs, grid), 1), MOST_SAMPLES))
+        k.weight = float(min(max(count_of(pairs, grid), 1), MAX_SAMPLES))
         k.grid, k.generation, k.since_ns = grid + 1, generation, now_ns
     k.looked_ns = now_ns
     return k.quanta, k.weight
@@ -99,7 +99,7 @@ def mean_of(tx: Any, ty: Any, q: Any, weights: Any) -> Any:
         total += part * weights[k] * q[k]
         weight += part * weights[k]
         own_known = own_known or k == own
-    return total / weight if own_known or near >= LEAST_NEAR else np.nan
+    return total / weight if own_known or near >= MIN_KNOWN_SHARE else np.nan
 
 
 @jit
@@ -182,7 +182,7 @@ def heights_along(
 def bridge_gaps(heights_m: Any, n: Any, most: Any) -> Any:
     """Fill gaps of at most `most` unknown places between known ones, linearly; how many places are known.
 
-    Samples next to a step are held back from the map until the step is believed: without them every edge
+    Samples next to a step are held back from the map until the step is confirmed: without them every edge
     would end what is known.
 
     Parameters

@@ -97,7 +97,7 @@ def _forward_rows(w: Any, pairs: Any, scratch: Any, columns: Any, budget: Any) -
 
 @jit
 def _place_directly(w: Any, pairs: Any, scratch: Any, columns: Any, j: Any, start: Any, width: Any) -> Any:
-    """Row j into its place, which nobody, this row included, will read; False: not a case for this."""
+    """Row j into its place, which no row, this one included, will read; False: not a case for this."""
     first = w.overlap_new[0]
     if w.journal_forward == 1:
         pack_row(pairs.view(np.int16)[j * width : (j + 1) * width], pairs, start + first)

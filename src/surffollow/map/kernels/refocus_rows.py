@@ -207,7 +207,7 @@ def _finer(w: Any, pairs: Any, scratch: Any, columns: Any, at: Any, target: Any)
 def place_finer(w: Any, pairs: Any, scratch: Any, columns: Any, j: Any, grid: Any) -> None:
     """Row j of the overlap, of finer or equal grids, straight into the map's grids from `grid` on.
 
-    For rows into whose place nobody, they themselves included, has yet to look.
+    For rows whose place is not read any more, by themselves included.
     """
     nowhere = dense_of(scratch, columns)[0, :0]
     _finer(w, pairs, scratch, columns, new_row_span(w, j), (nowhere, grid))

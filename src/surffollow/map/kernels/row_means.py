@@ -60,7 +60,7 @@ def _make_means(lanes: int, taps: int) -> Any:
             starts = builder.insert_element(starts, start, ir.Constant(_I32, 0))
             spread = ir.Constant(ir.VectorType(_I32, lanes), [0] * lanes)
             starts = builder.shuffle_vector(starts, ir.Constant(index.type, ir.Undefined), spread)
-            # within the vector whatever the table says
+            # within the vector for any table
             index = builder.and_(builder.sub(index, starts), ir.Constant(index.type, [_LANES - 1] * lanes))
             at = builder.add(values, builder.shl(builder.sext(start, _I64), ir.Constant(_I64, 2)))
             total = None

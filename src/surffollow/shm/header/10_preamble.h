@@ -13,7 +13,7 @@
  *     while (moving) {
  *         sf_ee_pos(&robot, pose, SF_NOW);             x y z [m], qx qy qz qw, world from tool
  *         sf_demand d;
- *         if (sf_dev_vector(&robot, &d) == SF_OK) { ... add d.demand to the pose stamped d.pose_t_ns ... }
+ *         if (sf_dev_vector(&robot, &d) == SF_OK) { ... add d.demand to the pose of d.pose_t_ns ... }
  *     }
  *     sf_detach(&robot);
  *

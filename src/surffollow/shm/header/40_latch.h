@@ -1,4 +1,4 @@
-/* ---- latches: one writer publishes, readers copy whole, nobody waits ------------------------ */
+/* ---- latches: one writer publishes, readers copy whole, no side waits ----------------------- */
 
 static inline int64_t sf_load_relaxed(const void *word) {
   return __atomic_load_n(SF_CAST(const int64_t *, word), __ATOMIC_RELAXED);

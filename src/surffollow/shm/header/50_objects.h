@@ -16,7 +16,7 @@ typedef struct sf_object {
 typedef struct sf_options {
   const char *label;    /* how the service's status names this client; copied */
   int observe;          /* 1: read only; no slot, no write permission needed */
-  int auto_reattach;    /* 1: whatever is called looks for a restarted service itself (system calls, every
+  int auto_reattach;    /* 1: every call looks for a restarted service itself (system calls, every
                            20 ms while stale); 0: call sf_reattach where it suits */
   int64_t stale_periods; /* cycles of silence after which demands become zero ... */
   int64_t stale_min_ns;  /* ... but never sooner than this */
@@ -167,7 +167,7 @@ static inline int sf_i_owner_ok(int64_t owner, uid_t found) {
 }
 
 /*
- * Map NAME + suffix read-only. What stands under the name may be anything of anybody's: nothing here waits
+ * Map NAME + suffix read-only. The name may lead to any kind of file of any user: nothing here waits
  * for it (O_NONBLOCK), follows a link, or maps what is no plain file of a user who is trusted.
  */
 static inline int sf_i_open(sf_client *c, const char *suffix, sf_object *o) {
@@ -298,7 +298,7 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
     if (sf_i_open(c, ".map", &map) == SF_OK) {
       if (map.owner == c->board.owner)
         c->map = map;
-      else /* somebody else's, under the name of the service's */
+      else /* another user's, under the name of the service's */
         sf_i_close(&map);
     }
   }

@@ -9,12 +9,12 @@
 /* Wait until a socket can be read. 0, or an errno: ETIMEDOUT. */
 static inline int sf_i_await(int fd, int64_t deadline_ns) {
   for (;;) {
-    struct pollfd wanted;
+    struct pollfd request;
     const int64_t left_ns = deadline_ns - sf_now_ns();
-    wanted.fd = fd;
-    wanted.events = POLLIN;
-    wanted.revents = 0;
-    const int got = poll(&wanted, 1, left_ns > 0 ? SF_CAST(int, left_ns / 1000000) + 1 : 0);
+    request.fd = fd;
+    request.events = POLLIN;
+    request.revents = 0;
+    const int got = poll(&request, 1, left_ns > 0 ? SF_CAST(int, left_ns / 1000000) + 1 : 0);
     if (got > 0) return 0;
     if (got == 0 && sf_now_ns() >= deadline_ns) return ETIMEDOUT;
     if (got < 0 && errno != EINTR) return errno;
@@ -46,7 +46,7 @@ static inline int sf_i_begin_asking(sf_client *c) {
 static inline int sf_i_connect(sf_client *c) {
   char path[96];
   struct sockaddr_un address;
-  const int fd = c->asking.fd, wanted = 1;
+  const int fd = c->asking.fd, enabled = 1;
   if (!sf_i_path(c->name, ".sock", path)) return SF_ERR_NAME;
   memset(&address, 0, sizeof address);
   address.sun_family = AF_UNIX;
@@ -65,7 +65,7 @@ static inline int sf_i_connect(sf_client *c) {
     c->detail = peer[1];
     return SF_ERR_OWNER;
   }
-  (void)setsockopt(fd, SOL_SOCKET, SF_I_SO_PASSRIGHTS, &wanted, SF_CAST(socklen_t, sizeof wanted));
+  (void)setsockopt(fd, SOL_SOCKET, SF_I_SO_PASSRIGHTS, &enabled, SF_CAST(socklen_t, sizeof enabled));
   return SF_OK;
 }
 
@@ -90,7 +90,7 @@ static inline int sf_i_say(const sf_client *c, int fd, int64_t step, int64_t slo
 
 /* Receive one message and, with it, at most one descriptor (else -1). SF_OK, SF_PENDING: none yet, or an error. */
 static inline int sf_i_hear(sf_client *c, int fd, sf_slot_message *m, int *memory_fd) {
-  /* the control data of one descriptor, aligned as its head wants it */
+  /* the control data of one descriptor, aligned as its head requires */
   union {
     struct cmsghdr head;
     unsigned char bytes[CMSG_SPACE(sizeof(int))];

@@ -156,7 +156,7 @@ static inline void sf_i_look_again(sf_client *c, int64_t now_ns) {
   c->next_attach_ns = now_ns + SF_REATTACH_EVERY_NS;
   if (c->options.auto_reattach) sf_i_reattach_board(c);
   c->ended = sf_i_has_ended(c);
-  /* purged: what is mapped is nobody's map any more */
+  /* purged: the mapped map is without an owner */
   if (c->map.memory != NULL && !sf_i_is_current(c, ".map", &c->map)) sf_i_close(&c->map);
 }
 

@@ -1,9 +1,9 @@
 /* ---- demands and distances ------------------------------------------------------------------ */
 
-/* What to add to the pose stamped `pose_t_ns`. The first eleven fields lie as in sf_output. */
+/* Correction of the pose with the timestamp `pose_t_ns`. The first eleven fields lie as in sf_output. */
 typedef struct sf_demand {
   int64_t t_ns;      /* when the service computed it */
-  int64_t pose_t_ns; /* stamp of the pose it refers to; 0: none */
+  int64_t pose_t_ns; /* timestamp of the pose it refers to; 0: none */
   double demand[6];  /* x y z [m], rx ry rz [rad]; all zero unless sf_dev_vector returned SF_OK */
   int64_t status;    /* SF_VALID, SF_NO_POSE, ... and SF_STALE */
   int64_t cycle;
@@ -25,7 +25,7 @@ static inline int sf_i_demand(const sf_client *c, sf_demand *d, int64_t *now_ns)
   const int64_t now = sf_now_ns();
   *now_ns = now;
   d->age_ns = now - d->t_ns;
-  /* a stamp of the future is of another clock: nobody knows how old the demand is */
+  /* a timestamp of the future is of another clock: the age of the demand is unknown */
   if (d->age_ns <= c->stale_ns && d->age_ns >= -c->stale_ns && g > 0) {
     if (d->status & SF_VALID) return SF_OK;
   } else {

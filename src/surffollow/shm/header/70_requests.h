@@ -127,7 +127,7 @@ static inline void sf_i_hold(sf_client *c, int64_t code, int64_t channel) {
 
 /*
  * One step in a control loop towards what a restart of the service took; never waits. The slot carries one request
- * at a time: the answer to the claim under way is taken, whatever it claims, before another one is sent.
+ * at a time: the answer to any claim under way is taken before another one is sent.
  * SF_OK, SF_ERR_NOT_RUNNING: not there yet, SF_REFUSED_...
  */
 static inline int sf_i_claim_again(sf_client *c, int64_t code, int64_t channel, int64_t now_ns) {
@@ -228,9 +228,9 @@ static inline int sf_i_look_after(sf_client *c, int64_t now_ns) {
 #define SF_NOW INT64_MIN
 
 /*
- * Tell the service where the tool is, or was: x y z [m], unit quaternion qx qy qz qw, world from tool,
+ * Report the pose of the tool, now or at a past time: x y z [m], unit quaternion qx qy qz qw, world from tool,
  * true at `t_ns` (SF_NOW: now). The first call of an attachment claims the pose and waits for the answer
- * (sf_claim_pose does that beforehand). No later one waits, whatever the service or its socket does, and none makes
+ * (sf_claim_pose does that beforehand). No later one waits, in any state of the service or its socket, and none makes
  * a system call but the clock's unless the service is silent or its slot is lost.
  * SF_OK, SF_ERR_POSE, _POSE_FUTURE, _POSE_OLD, _OBSERVER, _NOT_RUNNING (it ended, or slot and pose are being asked
  * for anew of one that was started again: call again), or SF_REFUSED_POSE_HELD with the holder's pid in the client's `detail`.

@@ -1,6 +1,6 @@
 /* ---- ranges of an own sensor ([driver] kind = "external"; docs/reference/protocol.md, "Pushed ranges") ----- */
 
-/* What says that the sensor sees nothing, whatever -ffast-math thinks of it. */
+/* The value for "the sensor sees nothing", safe with -ffast-math. */
 static inline double sf_no_reading(void) {
   const uint64_t nan_bits = UINT64_C(0x7FF8000000000000);
   double value;
@@ -37,7 +37,7 @@ static inline int sf_release_range(sf_client *c, int channel) {
 /*
  * Hand the service one range of an own sensor [m], true at `t_ns` (SF_NOW: now); sf_no_reading(), NaN or
  * infinite: it sees nothing. The first range of a channel claims it and waits for the answer (sf_claim_range does that
- * beforehand). No later one waits, whatever the service or its socket does, and none makes a system call but the
+ * beforehand). No later one waits, in any state of the service or its socket, and none makes a system call but the
  * clock's unless the service is silent or its slot is lost.
  * SF_OK, SF_ERR_RANGE_TIME, _ARGUMENT, _OBSERVER, _NOT_RUNNING (it ended, or slot and channel are being asked for
  * anew of one that was started again: call again); SF_REFUSED_RANGE_HELD with the holder's pid in

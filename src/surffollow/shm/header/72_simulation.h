@@ -27,7 +27,7 @@ static inline int sf_i_lock_world(sf_client *c) {
     const int known = fstat(fd, &status) == 0;
     if (!known || !S_ISREG(status.st_mode) || status.st_uid != geteuid() || (status.st_mode & 0177) != 0) {
       close(fd);
-      return SF_ERR_NO_PERMISSION; /* somebody else's file stands there, or others may lock it */
+      return SF_ERR_NO_PERMISSION; /* another user's file stands there, or others may lock it */
     }
     /* 37: F_OFD_SETLK, which strict ISO C hides; such a lock belongs to this open and ends with it */
     if (fcntl(fd, 37, &lock) == 0) {
@@ -119,7 +119,7 @@ static inline int sf_i_claim_world(sf_client *c) {
 }
 
 /*
- * Tell the simulated sensor where the tool truly is, where reports are noisy or late: `pose` as in sf_ee_pos,
+ * Give the simulated sensor the true pose of the tool, where reports are noisy or late: `pose` as in sf_ee_pos,
  * true at `t_ns`; `velocity` m/s and rad/s, world axes, NULL: at rest. The service itself never reads it.
  * Without it the simulated sensor rides on the reported poses, whose errors then cancel. The first call makes
  * the block NAME.world; sf_detach removes it.

@@ -30,7 +30,7 @@ static inline int sf_stop_now(sf_client *c) {
 
 /*
  * Leave the latched stop; the forecast restarts with the stand-off in force. SF_OK, SF_REFUSED_NOT_POSE_HOLDER
- * (`detail` of the client: who sends the pose, 0: nobody), or SF_REFUSED_STOP_REMAINS (`detail`: SF_STOP_... causes).
+ * (`detail` of the client: the pose's holder, 0: none), or SF_REFUSED_STOP_REMAINS (`detail`: SF_STOP_... causes).
  */
 static inline int sf_stop_reset(sf_client *c) {
   if (c == NULL) return SF_ERR_ARGUMENT;

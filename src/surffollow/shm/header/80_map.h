@@ -71,7 +71,7 @@ static inline double sf_i_load_double(const void *word) {
 
 /*
  * Mean height of the grid that holds a point [m], read from the live map without waiting.
- * SF_OK; SF_UNKNOWN: nobody has been there, it is beside the map, or the map is being laid anew.
+ * SF_OK; SF_UNKNOWN: no sample is there, it is beside the map, or the map is being laid anew.
  */
 static inline int sf_map_height(sf_client *c, double x_m, double y_m, double *height_m) {
   if (c == NULL || c->output == NULL || height_m == NULL) return SF_ERR_ARGUMENT;

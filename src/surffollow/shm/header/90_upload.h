@@ -13,7 +13,7 @@ static inline uint32_t sf_i_crc32(uint32_t crc, const unsigned char *bytes, size
   return ~crc;
 }
 
-/* The shortest decimal number that reads back as `value`, whatever the locale; as Python prints it. */
+/* The shortest decimal number that reads back as `value`, in any locale; as Python prints it. */
 static inline void sf_i_write_double(FILE *f, double value) {
   char text[40], digits[24];
   int precision = 0, n = 0, exponent = 0;

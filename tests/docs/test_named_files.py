@@ -1,0 +1,42 @@
+"""Modules and tests that the pages name exist; decisions record history and are exempt."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = [
+    ROOT / "README.md",
+    *(p for p in sorted((ROOT / "docs").glob("**/*.md")) if p.parent.name != "decisions"),
+]
+FOLDERS = ("src", "tests", "tools", "examples", "include")
+MODULES = {p.name for folder in FOLDERS for p in (ROOT / folder).rglob("*.*")}
+TESTS = {p.stem for p in (ROOT / "tests").rglob("test_*.py")} | {
+    name
+    for p in (ROOT / "tests").rglob("test_*.py")
+    for name in re.findall(r"^(?:async )?def (test_\w+)", p.read_text(encoding="utf-8"), re.MULTILINE)
+}
+
+
+def without_blocks(page: Path) -> str:
+    """Text of a page without its code blocks: programs of the reader are named there."""
+    text = page.read_text(encoding="utf-8")
+    return re.sub(r"^([ ]*)```.*?^\1```", "", text, flags=re.DOTALL | re.MULTILINE)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_a_module_that_a_page_names_exists(page):
+    saved = set(
+        re.findall(r"as `(\w+\.\w+)`", page.read_text(encoding="utf-8"))
+    )  # by the reader of a tutorial
+    for name in set(re.findall(r"`(?:[\w.-]+/)*([\w-]+\.(?:py|c|h))\b", without_blocks(page))) - saved:
+        assert name in MODULES, name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_a_test_that_a_page_names_exists(page):
+    for name in set(re.findall(r"\b(test_\w+)", without_blocks(page))):
+        assert name in TESTS, name
