@@ -64,7 +64,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "burn-in of the index": [
         (
             "model_weights",
-            "burn_in, progress = min(weights.scored / BURN_IN_SAMPLES, 1.0),",
+            "burn_in, progress = min(weights.scored / needed, 1.0),",
             "burn_in, progress = 1.0,",
         )
     ],
