@@ -59,7 +59,6 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
         ("model_weights", "sharpness = noise_share * noise_share * progress * progress", "sharpness = 1.0")
     ],
     "chance penalty": [("model_weights", "chance = noise_share", "chance = 0.0 * noise_share")],
-    "filter of the weights": [("model_weights", "rate = 1.0 - math.exp(", "rate = 1.0 - 0.0 * math.exp(")],
     "variance penalty": [("model_weights", "if variance_share > 0.0:", "if variance_share > 2.0:")],
     "burn-in of the index": [
         (
@@ -130,9 +129,6 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "levels but one": [("model_bank", "for qh in (3e-5, 3e-4, 2e-3, 2e-2)]", "for qh in (3e-4,)]")],
     "slopes with noise of the height": [
         ("model_bank", "slopes += [(SLOPE, _STRAIGHT_M, qs, 3e-3) for qs in (0.15, 1.0)]", "pass")
-    ],
-    "every second slope": [
-        ("model_bank", "for qs in (0.01, 0.05, 0.15, 0.5, 1.0, 2.0)]", "for qs in (0.05, 0.5, 2.0)]")
     ],
     "longer horizon": [
         (
