@@ -59,6 +59,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
         ("model_weights", "sharpness = noise_share * noise_share * progress * progress", "sharpness = 1.0")
     ],
     "chance penalty": [("model_weights", "chance = noise_share", "chance = 0.0 * noise_share")],
+    "filter of the weights": [("model_weights", "rate = 1.0 - math.exp(", "rate = 1.0 - 0.0 * math.exp(")],
     "variance penalty": [("model_weights", "if variance_share > 0.0:", "if variance_share > 2.0:")],
     "burn-in of the index": [
         (

@@ -51,7 +51,7 @@ def filtered(a, desired_m, cycles, cycle_ns):
 
 
 def filtered_in_small_steps(desired_m, seconds, steps=200_000):
-    """The setpoint's equation, in steps far smaller than any cycle."""
+    """The set point's equation, in steps far smaller than any cycle."""
     excess = desired_m - BAND
     for _ in range(steps):
         excess -= excess * excess / (DEADBAND_SOFTNESS * BAND * DEADBAND_DECAY_S) * seconds / steps
@@ -150,7 +150,7 @@ def test_the_variance_penalty_acts_during_burn_in_only():
     ):
         a = evaluated(samples, scored)
         a["bank"]["p11"][bold] = 1.0  # no idea of its slope
-        update_weights(default_params(), a)
+        update_weights(default_params(), a, 1.0)
         shares.append(a["weights"]["weight"][bold] / a["weights"]["weight"][bold + 1])
     assert shares[0] < 1e-3
     assert shares[1] < 1e-3, "a new start after a loss is young too"
@@ -164,7 +164,7 @@ def test_there_is_no_variance_penalty_with_a_leading_sensor():
         a = evaluated(BURN_IN_SAMPLES, 0)
         a["sample"]["lead_m"] = lead_m
         a["bank"]["p11"][10] = 1.0  # no idea of its slope
-        update_weights(default_params(), a)
+        update_weights(default_params(), a, 1.0)
         shares.append(a["weights"]["weight"][10] / a["weights"]["weight"][11])
     assert max(shares[:2]) < 1e-3
     assert shares[2] > 0.1
@@ -176,7 +176,7 @@ def test_the_power_of_the_index_is_high_in_noise_and_low_in_great_errors():
         for horizon in ("recent_m2", "longer_m2"):
             a["weights"][horizon][:N_MODELS] *= factor
             a["weights"][horizon][10] *= 0.99
-        update_weights(default_params(), a)
+        update_weights(default_params(), a, 1.0)
         return a["weights"]["weight"][10] / a["weights"]["weight"][11]
 
     assert advantage(1.0, FULL_POWER_SAMPLES) > 2.5
@@ -188,7 +188,7 @@ def test_the_power_of_the_index_is_high_in_noise_and_low_in_great_errors():
 
 def test_levels_and_slopes_that_did_equally_well_have_equal_weights():
     a = evaluated(BURN_IN_SAMPLES, FULL_POWER_SAMPLES)
-    update_weights(default_params(), a)
+    update_weights(default_params(), a, 1.0)
     weights = a["weights"]["weight"][:N_MODELS]
     assert weights.sum() == pytest.approx(1.0)
     levels_and_slopes = weights[BANK[:, 0] == 0]

@@ -14,6 +14,7 @@ from surffollow.forecast.estimation.estimate import (
     unconfirm_estimate,
 )
 from surffollow.forecast.estimation.innovation_gate import discard_gate, drop_pending
+from surffollow.forecast.estimation.model_weights import discard_weights
 from surffollow.forecast.estimation.noise import discard_noise
 from surffollow.forecast.plant.controller_clock import reset_controller
 from surffollow.forecast.plant.plant_identification import reset_plant_time, reset_time_constant
@@ -41,6 +42,7 @@ def reset_all(params: Any, adaptive: Any) -> None:
     erase_estimate(adaptive.estimate)
     discard_gate(adaptive.gate)
     discard_noise(adaptive.noise)
+    discard_weights(adaptive.weights)
     reset_sample(adaptive.sample)
     reset_response(adaptive.response)
     reset_latency(adaptive.latency)

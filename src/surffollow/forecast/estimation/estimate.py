@@ -48,6 +48,7 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
 MIN_SPEED_MPS = 1e-3  # least speed assumed: the bank updates at rest, too
+IMMEDIATELY_S = 1.0  # long against every time constant of the weights
 INITIALISATION_SAMPLES = 3  # fewer are not confirmed: one of them may be a glitch
 AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well replace the first one
 SETTLING_NS = 150_000_000  # after a step all shadow axes have the same error
@@ -102,7 +103,7 @@ def reset_estimate(
         reset_delay(adaptive.latency)
     estimate.samples = 1
     if fresh or adapt != 0:
-        update_weights(params, adaptive)
+        update_weights(params, adaptive, IMMEDIATELY_S)
     reset_gate(gate)
     estimate.sample_ns = estimate.accepted_ns = t_ns
     if estimate.confirmed_ns == 0:

@@ -22,7 +22,9 @@ from surffollow.shm.jit import jit
 
 NOISE_MARGIN = 1.4  # mean squares up to so many noise variances are noise
 VARIANCE_PENALTY = 3.0  # power of the models' own variance during burn-in
+WEIGHT_TIME_CONSTANT_S = 0.02  # of the weights once the index has its full power
 WEIGHT_INTERVAL_S = 0.005  # quicker sensors do not update the weights with each sample
+MIN_TIME_CONSTANT_S = 1e-6  # avoids a division by zero at the first samples
 BURN_IN_SAMPLES, FULL_POWER_SAMPLES = 200, 500  # samples for the full index, and for its full power
 MIN_BURN_IN_SHARE = 0.03  # of these samples: errors far beyond the noise are significant after a few
 # per kind of model: a wave fits part of any noise for a while, a curve a smaller part
@@ -53,7 +55,7 @@ def update_index(params: Any, adaptive: Any, travel_m: Any, dt_s: Any, target_m:
     weights.scored = min(weights.scored + 1, FULL_POWER_SAMPLES)
     weights.waiting_s += dt_s
     if weights.waiting_s >= WEIGHT_INTERVAL_S:
-        update_weights(params, adaptive)
+        update_weights(params, adaptive, weights.waiting_s)
 
 
 @jit
@@ -63,8 +65,8 @@ def noise_fraction(score_m2: Any, noise_m: Any) -> Any:
 
 
 @jit
-def update_weights(params: Any, adaptive: Any) -> None:
-    """Compute the weights: powers of both indices with penalties."""
+def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
+    """Compute the weights: powers of both indices with penalties, filtered in time."""
     shadow, weights = adaptive.shadow, adaptive.weights
     least_recent, least_longer = weights.recent_m2[0], weights.longer_m2[0]
     for i in range(1, N_MODELS):
@@ -111,8 +113,9 @@ def update_weights(params: Any, adaptive: Any) -> None:
     for i in range(N_MODELS):
         weights.cost[i] = math.exp(least - weights.cost[i])
         total += weights.cost[i]
+    rate = 1.0 - math.exp(-dt_s / max(WEIGHT_TIME_CONSTANT_S * progress, MIN_TIME_CONSTANT_S))
     for i in range(N_MODELS):
-        weights.weight[i] = weights.cost[i] / total
+        weights.weight[i] += rate * (weights.cost[i] / total - weights.weight[i])
     weights.waiting_s = 0.0
 
 
@@ -122,3 +125,10 @@ def reset_index(weights: Any) -> None:
     for i in range(N_MODELS):
         weights.recent_m2[i] = weights.longer_m2[i] = INITIAL_INDEX_M2
     weights.scored = 0
+
+
+@jit
+def discard_weights(weights: Any) -> None:
+    """Set all weights to zero: new ones would be filtered from them."""
+    for i in range(N_MODELS):
+        weights.weight[i] = 0.0
