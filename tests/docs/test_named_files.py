@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from surffollow.cli.old_names import VERBS
+
 ROOT = Path(__file__).parents[2]
 PAGES = [
     ROOT / "README.md",
@@ -34,6 +36,14 @@ def test_a_module_that_a_page_names_exists(page):
     )  # by the reader of a tutorial
     for name in set(re.findall(r"`(?:[\w.-]+/)*([\w-]+\.(?:py|c|h))\b", without_blocks(page))) - saved:
         assert name in MODULES, name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_a_page_gives_commands_their_listed_names(page):
+    text = page.read_text(encoding="utf-8")
+    for old, new in VERBS.items():
+        used = re.findall(rf"(?:surffollow |arbiter |blocks |`){old} [^`\n]*", text)
+        assert not used, f"{used}; write {new}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
