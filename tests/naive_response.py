@@ -25,6 +25,7 @@ class NaiveResponse:
     last_ns: int | None = None
     noise_m: float = 0.0
     usual_m: float = 0.0
+    began_quiet: bool = False
 
     def _begin_run(self, t_ns: int, z_m: float) -> None:
         self.phase, self.run_m, self.in_run = RUN, self.mean_m, 0
@@ -62,7 +63,9 @@ class NaiveResponse:
             self.run_m += (self.mean_m - self.run_m) / self.in_run
         self.band_m = r.BAND_SIGMAS * self.sigma_m / math.sqrt(self.number)
         allowed_m = self.band_m if self.phase == RUN else r.SURE * self.band_m
-        if abs(self.mean_m - self.run_m) > allowed_m:
+        self.noisy = self.noise_m > r.QUIET_SHARE * self.usual_m
+        noise_is_back = self.phase == NONE and self.began_quiet and self.noisy
+        if abs(self.mean_m - self.run_m) > allowed_m or noise_is_back:
             self._begin_run(t_ns, z_m)
             self.usual_m = min(self.usual_m, self.noise_m / r.QUIET_SHARE)
         elif self.phase == RUN:
@@ -84,7 +87,7 @@ class NaiveResponse:
             and error_m > r.LAG_TAUS * self.tau_s * rate_mps
             and error_m * descent_m > r.ERROR_DESCENT * self.band_m * self.standoff_m
         )
-        quiet = self.noise_m < r.QUIET_SHARE * self.usual_m
+        quiet = not self.noisy
         enough = descent_m > r.DESCENT_SHARE * self.standoff_m
         far = descent_m > r.FAR_DESCENT * self.standoff_m
         if self.in_run <= r.MIN_RUN_MEANS * self.number:
@@ -95,6 +98,7 @@ class NaiveResponse:
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > allowed_s
         if far or unanswered or (enough and (wrong or quiet)):
             self.phase, self.begin_ns, self.begin_z_m, self.rate_mps = HOLD, t_ns, z_m, rate_mps
+            self.began_quiet = quiet
 
     def _hold(self, t_ns: int, z_m: float) -> None:
         since_s = (t_ns - self.begin_ns) * 1e-9

@@ -64,7 +64,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "burn-in of the index": [
         (
             "model_weights",
-            "burn_in, progress = min(weights.scored / BURN_IN_SAMPLES, 1.0),",
+            "burn_in, progress = min(weights.scored / needed, 1.0),",
             "burn_in, progress = 1.0,",
         )
     ],
@@ -130,9 +130,6 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "levels but one": [("model_bank", "for qh in (3e-5, 3e-4, 2e-3, 2e-2)]", "for qh in (3e-4,)]")],
     "slopes with noise of the height": [
         ("model_bank", "slopes += [(SLOPE, _STRAIGHT_M, qs, 3e-3) for qs in (0.15, 1.0)]", "pass")
-    ],
-    "every second slope": [
-        ("model_bank", "for qs in (0.01, 0.05, 0.15, 0.5, 1.0, 2.0)]", "for qs in (0.05, 0.5, 2.0)]")
     ],
     "longer horizon": [
         (

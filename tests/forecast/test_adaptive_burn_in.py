@@ -51,7 +51,7 @@ def filtered(a, desired_m, cycles, cycle_ns):
 
 
 def filtered_in_small_steps(desired_m, seconds, steps=200_000):
-    """The setpoint's equation, in steps far smaller than any cycle."""
+    """The set point's equation, in steps far smaller than any cycle."""
     excess = desired_m - BAND
     for _ in range(steps):
         excess -= excess * excess / (DEADBAND_SOFTNESS * BAND * DEADBAND_DECAY_S) * seconds / steps

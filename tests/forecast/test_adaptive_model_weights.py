@@ -94,7 +94,7 @@ def test_the_chance_penalty_of_waves_is_greatest_during_burn_in():
 
 
 def effort_odds(rms_m: float, scored: int) -> float:
-    """Weight of a model with a still setpoint over that of one that jumps, at equal errors."""
+    """Weight of a model whose set points lie still over that of a like one that jumps, both fitting alike."""
     a = zeros(AdaptiveState)[0]
     a["noise"]["sigma_m"], a["weights"]["scored"], a["estimate"]["samples"] = (
         NOISE_M,

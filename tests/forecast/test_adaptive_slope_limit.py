@@ -61,14 +61,14 @@ def test_the_slope_clamp_reduces_the_overshoot_behind_a_first_narrow_bump() -> N
     assert errors_m(x, gentle + bump, 0.2).max() < 9.8e-3
 
 
-def test_ground_that_goes_on_steeply_is_followed_closely_between_tests_of_the_sensor() -> None:
-    """Downward the tool holds once in half the stand-off, to see that the range responds: 6 mm too high."""
+def test_ground_that_goes_on_steeply_is_followed_closely_while_the_sensor_is_tested() -> None:
+    """Downward the setpoint is shifted up a little from time to time, to see that the range responds."""
     x = np.arange(0.0, 5.0, 1e-3)
     teeth = 0.6 * np.abs((x / 0.6) % 1.0 - 0.5)  # 45 degrees up and down
     error = errors_m(x, teeth, 0.05)
     way = 5e-5 * np.arange(len(error))
     flank, phase = np.abs((way / 0.3) % 1.0 - 0.5) < 0.2, (way / 0.6) % 1.0
     up, down = (np.abs(error[flank & (way > 1.5) & side]) for side in (phase > 0.5, phase < 0.5))
-    assert np.sqrt(np.mean(up**2)) < 0.25e-3
-    assert np.quantile(down, 0.8) < 0.35e-3
-    assert down.max() < 7e-3
+    assert np.sqrt(np.mean(up**2)) < 0.27e-3
+    assert np.sqrt(np.mean(down**2)) < 0.35e-3
+    assert down.max() < 1.2e-3

@@ -100,6 +100,7 @@ class Response(Schema):
     test_z_m = F64(unit="m", doc="height of the tool when the phase of the test began")
     test_ns = I64(unit="ns", doc="when that was")
     rate_mps = F64(unit="m/s", doc="descent before the test")
+    quiet = I64(doc="1: the test began with far less than the usual noise")
     lift_m = F64(unit="m", doc="height of the lift, or shift of the setpoint in a long run")
     recent_m = F64(2, unit="m", doc="the newest ranges")
     samples = I64(doc="samples since the begin")

@@ -27,7 +27,7 @@ _STRAIGHT_M = 1e3  # slopes that do not decay
 def _models() -> Any:
     """Rows of (kind, scale, noise of slope or curve, noise of height)."""
     levels = [(SLOPE, _STRAIGHT_M, 0.0, qh) for qh in (3e-5, 3e-4, 2e-3, 2e-2)]
-    slopes = [(SLOPE, _STRAIGHT_M, qs, 1e-5) for qs in (0.01, 0.05, 0.15, 0.5, 1.0, 2.0)]
+    slopes = [(SLOPE, _STRAIGHT_M, qs, 1e-5) for qs in (0.01, 0.05, 0.5, 2.0)]
     slopes += [(SLOPE, _STRAIGHT_M, qs, 3e-3) for qs in (0.15, 1.0)]
     decaying = ((0.006, 8.0), (0.015, 4.0), (0.05, 1.0), (0.05, 3.0), (0.15, 0.5))
     slopes += [(SLOPE, length_m, qs, 1e-3) for length_m, qs in decaying]

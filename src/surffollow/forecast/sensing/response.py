@@ -97,7 +97,9 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
         response.run_range_m += share * (response.mean_m - response.run_range_m)
     band = BAND_SIGMAS * sigma / number**0.5
     sure = 1.0 if response.phase == RESPONSE_RUN else SURE
-    if abs(response.mean_m - response.run_range_m) > sure * band:
+    noisy = response.noise_m > QUIET_SHARE * response.usual_m
+    sees_again = response.phase == RESPONSE_NONE and response.quiet != 0 and noisy
+    if abs(response.mean_m - response.run_range_m) > sure * band or sees_again:
         _begin_run(response, t_ns, tool_z_m)
         response.usual_m = min(response.usual_m, response.noise_m / QUIET_SHARE)  # it responds
         return
@@ -114,16 +116,15 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
             error > max(band, LAG_TAUS * tau * rate)
             and error * descent > ERROR_DESCENT * band * params.offset_m
         )
-        quiet = response.noise_m < QUIET_SHARE * response.usual_m
         far = descent > FAR_DESCENT * params.offset_m
         long = response.run_samples > MIN_RUN_MEANS * number
         if long and response.lift_m == 0.0 and descent > SHIFT_DESCENT * params.offset_m:
             response.lift_m, response.test_ns, since_s = SHIFT_BANDS * band, t_ns, 0.0
         late = response.lift_m > 0.0 and since_s > SHIFT_TAUS * tau + SHIFT_MEANS * number * interval
-        suspicious = (wrong or quiet) and descent > DESCENT_SHARE * params.offset_m
+        suspicious = (wrong or not noisy) and descent > DESCENT_SHARE * params.offset_m
         if long and (far or late or suspicious):
             response.phase, response.test_ns, response.test_z_m = RESPONSE_HOLD, t_ns, tool_z_m
-            response.rate_mps = rate
+            response.rate_mps, response.quiet = rate, 0 if noisy else 1
     elif response.phase == RESPONSE_HOLD:
         missing = response.rate_mps * (since_s - STOP_TAUS * tau)
         if missing > HOLD_BANDS * band or since_s > MAX_PHASE_TAUS * tau:
