@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import time
@@ -82,6 +83,18 @@ def test_dir_names_every_part_and_loads_none():
     parts = {"Follower", "arbiter", "blocks", "client", "errors", "hw", "map", "scan", "sonar", "units"}
     assert parts <= set(done.stdout.split())
     assert heavy(modules_after("import surffollow\ndir(surffollow)")) == []
+
+
+@pytest.mark.parametrize("part", ["arbiter", "blocks", "client", "hw", "map", "scan", "sonar"])
+def test_dir_and_help_of_a_part_show_its_names(part):
+    code = f"import surffollow.{part} as part\nprint(*dir(part))\nprint(*part.__all__)\nhelp(part)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    shown, public, page = done.stdout.split("\n", 2)
+    assert set(public.split()) <= set(shown.split())
+    assert set(public.split()) <= set(re.findall(r"\w+", page))
+    assert "class " in page
+    if part in ("hw", "map", "scan", "sonar"):
+        assert heavy(modules_after(f"import surffollow.{part}\ndir(surffollow.{part})")) == []
 
 
 def test_a_part_is_there_without_an_import_of_its_own():

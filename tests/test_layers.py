@@ -14,7 +14,7 @@ LAYERS = (
     ("cli",),
     ("apps", "record", "benchmark"),
     ("service",),
-    ("bridge", "monitor", "arbiter", "scan", "sonar"),
+    ("arbiter", "scan", "sonar"),
     ("client", "blocks"),
     ("hw", "sim"),
     ("forecast", "map"),

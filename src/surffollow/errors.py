@@ -167,7 +167,7 @@ SERVICE_LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "msgspec", "mcap", "
 
 
 def attribute_of(module: str, name: str) -> Any:
-    """What a module of the extra `service` offers, imported on its first use.
+    """A name of a module of the extra `service`, imported on its first use.
 
     Parameters
     ----------

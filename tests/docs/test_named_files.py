@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from surffollow.cli.old_names import VERBS
+
 ROOT = Path(__file__).parents[2]
 PAGES = [
     ROOT / "README.md",
@@ -34,6 +36,28 @@ def test_a_module_that_a_page_names_exists(page):
     )  # by the reader of a tutorial
     for name in set(re.findall(r"`(?:[\w.-]+/)*([\w-]+\.(?:py|c|h))\b", without_blocks(page))) - saved:
         assert name in MODULES, name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_a_page_gives_commands_their_listed_names(page):
+    text = page.read_text(encoding="utf-8")
+    for old, new in VERBS.items():
+        used = re.findall(rf"(?:surffollow |arbiter |blocks |`){old} [^`\n]*", text)
+        assert not used, f"{used}; write {new}"
+
+
+def test_a_module_that_a_docstring_or_comment_names_exists():
+    source = ROOT / "src" / "surffollow"
+    modules = {".".join(p.relative_to(source).with_suffix("").parts) for p in source.rglob("*.py")}
+    packages = {p.parent.name for p in source.glob("*/__init__.py")} - {"client"}  # `client.ee_pos`: a call
+    for path in source.rglob("*.py"):
+        for package, name in re.findall(r"`(\w+)\.(\w+)`", path.read_text(encoding="utf-8")):
+            known = (
+                package not in packages
+                or f"{package}.{name}" in modules
+                or (source / package / name).is_dir()
+            )
+            assert known, f"{path.relative_to(ROOT)}: {package}.{name}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)

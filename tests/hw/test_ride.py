@@ -80,7 +80,7 @@ def test_without_a_world_block_the_sensor_rides_on_reports_and_says_so(
     running: Callable[[str], Running],
 ) -> None:
     r = running("auto")
-    until(lambda: any("no pose was reported yet" in f for f in r.driver.faults()), "the fault")
+    until(lambda: any("no pose is reported" in f for f in r.driver.faults()), "the fault")
 
     def seen() -> bool:
         r.report(0.08)

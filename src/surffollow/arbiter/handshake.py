@@ -5,7 +5,7 @@ server the only one of its name. SO_PEERCRED says who the other side is. A mailb
 size is sealed, and once the client has its mapping nothing but that mapping can change it.
 
 Any user may take an abstract name that is free. A client therefore asks the kernel who listens, and says
-nothing to a user whom it does not trust (`config.owner`).
+nothing to a user whom it does not trust (`config.trusted_users`).
 """
 
 from __future__ import annotations

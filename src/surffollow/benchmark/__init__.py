@@ -1,0 +1,1 @@
+"""The benchmark of following methods: plant, surfaces, methods, figures, acceptance criteria."""

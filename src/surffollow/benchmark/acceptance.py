@@ -96,7 +96,7 @@ def _lead_0(oracles: Oracles) -> list[Verdict]:
 def _accelerations(
     table: Table, lead_m: float, methods: Sequence[str]
 ) -> tuple[dict[CellKey, float], dict[CellKey, float]]:
-    """Demand acceleration over that of the calmest good method, and over that of the best, by cell.
+    """Demand acceleration over the least of the good methods, and over that of the best, by cell.
 
     A method of `methods` is good when its RMS is within 1.1 × that of the best of them.
     """
@@ -117,9 +117,9 @@ def _accelerations(
 def _acceleration(
     table: Table, start: str, lead_m: float, methods: Sequence[str], mean: float, each: float
 ) -> list[Verdict]:
-    """Demand acceleration over the calmest method among those within 1.1 × the best one's RMS.
+    """Demand acceleration over the least among those within 1.1 × the best one's RMS.
 
-    The remarks give the milder reading too: over the method that is best by RMS, calm or not.
+    The remarks give the milder figure, too: over the method that is best by RMS, whatever its acceleration.
     """
     ratios, mild = _accelerations(table, lead_m, methods)
     worst = max(mild, key=lambda key: mild[key], default=None)

@@ -37,7 +37,7 @@ CellKey = tuple[str, float, float, str]  # surface, speed, lead, variant
 
 
 class Verdict(msgspec.Struct, frozen=True):
-    """One bar: what it is, its figure, the bound, and a remark on where the figure comes from."""
+    """One acceptance criterion: text, figure, bound, and a remark on the source of the figure."""
 
     bar: str
     figure: float

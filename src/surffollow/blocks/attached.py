@@ -38,7 +38,7 @@ _clock = time.monotonic_ns
 class AttachedBlock(ReadSide):
     """A block of this process; made by `mem_attach`. For one thread at a time: attach once per thread.
 
-    `latest` and `get_read_ok` / `read_done` are everybody's, `get_write_ok` / `write_done` the writer's.
+    All processes may call `latest`, `get_read_ok`, `read_done`; the writer `get_write_ok`, `write_done`.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What an attachment to a block is before anybody waits: its map, its writer, the wait-free `latest`."""
+"""The part of an attachment to a block that never waits: its map, its writer, `latest`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What blocks there are on this machine, for `surffollow blocks` and other onlookers."""
+"""The blocks of this machine, for `surffollow blocks` and other onlookers."""
 
 from __future__ import annotations
 

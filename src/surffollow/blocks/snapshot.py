@@ -13,7 +13,7 @@ _HEAD = SlotHead.struct_of("generation", "t_ns")
 
 
 class Snapshot:
-    """What `latest` returns: a whole publication, never a mixture of two.
+    """Result of `latest`: a whole publication, never a mixture of two.
 
     Attributes
     ----------

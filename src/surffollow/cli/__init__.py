@@ -1,0 +1,1 @@
+"""The `surffollow` command: one module per command, no logic."""

@@ -70,7 +70,11 @@ def _flat(values: tuple[Any, ...]) -> list[Any]:
 @click.option("--seeds", type=Seeds(), default="0:20", show_default=True, help="Test seeds, half-open.")
 @click.option("--methods", help="Comma-separated rows; NAME=module:factory adds a follower.")
 @click.option("--sweeps/--no-sweeps", default=None, help="Latency, noise, plant… (default: full table only).")
-@click.option("--bars", is_flag=True, help="Also the special trials; print each bar; exit 1 when short.")
+@click.option(
+    "--bars",
+    is_flag=True,
+    help="Also the special trials and each acceptance criterion; exit 1 when one is missed.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--out", "folder", metavar="DIR", help="Write results, table, plots; remember tunings.")
 @click.option("--processes", default=2, show_default=True, type=click.IntRange(1, 64))

@@ -1,4 +1,4 @@
-"""Names that commands had before 0.2: they still work for one release, and `--help` does not list them."""
+"""Names of commands before release 0.1.0: they work for one release, and `--help` does not list them."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def demo_command(
 ) -> None:
     """Scan a simulated field: survey, filter, map, plan, calibrate, shaped scan, signal map.
 
-    Exit code 1: a bar of the demonstration is not met.
+    Exit code 1: a limit of the demonstration is exceeded.
     """
     from surffollow.apps.field_demo import demonstrate
     from surffollow.cli.output_checks import check_outputs

@@ -33,7 +33,7 @@ _DIRTY_AT = ml.MapHeader.offset("dirty")
 
 
 class MapChanges(NamedTuple):
-    """What a viewer must fetch again; give it back as `since` the next time.
+    """The parts of a map that a viewer must fetch again; give it back as `since` the next time.
 
     Attributes
     ----------

@@ -57,7 +57,7 @@ class Observer(ServiceState, MapReading, Closing):
         but never sooner than this
     owner : int or str
         number or name of the user whose service to trust; None: this process's own
-        user, root, or the one that SURFFOLLOW_OWNER names. Whose it is at first it must be ever after
+        user, root, or the one that SURFFOLLOW_OWNER names. Later services must have the owner of the first
 
     Raises
     ------

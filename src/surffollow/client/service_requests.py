@@ -55,7 +55,7 @@ class ServiceRequests(RangePusher):
     def stop(self, reason: str = "", *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
         """Stop: from the next cycle on no demand is valid, until the pose's holder calls `reset_stop`.
 
-        Any client may ask. What the robot's controller does then: docs/reference/protocol.md. This is no
+        Any client may ask. docs/reference/protocol.md defines the duty of the robot's controller. This is no
         safety function: it needs the service, the controller and the machine between them.
 
         It may be called while another request is under way, and in a signal handler. Without a slot (just

@@ -1,0 +1,1 @@
+"""Configuration files, parameters with their bounds, names and limits."""

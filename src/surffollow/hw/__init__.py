@@ -36,10 +36,15 @@ __all__ = [
 ]
 
 
+def __dir__() -> list[str]:
+    """Names that can be used here."""
+    return sorted({*(n for n in globals() if n.startswith("__")), *__all__})
+
+
 def __getattr__(name: str) -> Any:
-    """Load what is asked for: the kernels behind a queue take a moment to import."""
+    """Load a name on its first use: the kernels behind a queue take a moment to import."""
     if name not in _WHERE:
         raise AttributeError(f"module 'surffollow.hw' has no attribute {name!r}")
-    import importlib
+    from surffollow.errors import attribute_of
 
-    return getattr(importlib.import_module(f"surffollow.hw.{_WHERE[name]}"), name)
+    return attribute_of(f"surffollow.hw.{_WHERE[name]}", name)

@@ -1,7 +1,7 @@
 """Fault injection over any driver: what sensors, cables and converters do wrong in practice.
 
 `FaultyDriver` is a driver that wraps another one: a relay thread takes each conversion from the inner
-driver's queue, changes it as the schedule says, and passes it on. What happens to a conversion depends on its
+driver's queue, changes it as the schedule says, and passes it on. The fault of a conversion depends on its
 time, its channel and the seed alone.
 """
 

@@ -1,4 +1,4 @@
-"""What the configurations of sensors that measure metres have in common."""
+"""The common part of the configurations of sensors that measure metres."""
 
 from __future__ import annotations
 

@@ -94,7 +94,7 @@ class MapView:
 
     @property
     def extent_m(self) -> tuple[float, float, float, float]:
-        """What the grids cover: x_min, y_min, x_max, y_max [m]."""
+        """Extent of the grids: x_min, y_min, x_max, y_max [m]."""
         return access.extent(self.shape, self.origin_m, self.grid_m)
 
     @property

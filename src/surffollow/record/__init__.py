@@ -1,0 +1,1 @@
+"""Recordings: writing, reading, replay, conversion, figures, CSV logs."""

@@ -6,7 +6,6 @@ and `path`. Names here load their module when they are used first.
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
 # name → module
@@ -74,7 +73,15 @@ _HOME = {
 __all__ = sorted(_HOME)
 
 
+def __dir__() -> list[str]:
+    """Names that can be used here."""
+    return sorted({*(n for n in globals() if n.startswith("__")), *__all__})
+
+
 def __getattr__(name: str) -> Any:
+    """Load a name on its first use."""
     if name in _HOME:
-        return getattr(importlib.import_module(f"surffollow.scan.{_HOME[name]}"), name)
+        from surffollow.errors import attribute_of
+
+        return attribute_of(f"surffollow.scan.{_HOME[name]}", name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""What an arm can do, as planning needs it: where its tip reaches, and how far its wrist turns."""
+"""Limits of an arm, as planning needs them: the reach of its tip, and the angles of its wrist."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from surffollow.scan.checks import Floats, finite
 
 
 class WorkSpace(Protocol):
-    """What a plan asks of an arm; `Annulus` is the simplest one."""
+    """Interface of an arm for a plan; `Annulus` is the simplest one."""
 
     @property
     def base_m(self) -> tuple[float, float, float]:

@@ -1,9 +1,10 @@
 """The audit trail: who asked for which change and what came of it, on the board and in the service's log.
 
-The cycle queues an entry per change (`service.changes`); the main thread looks up who it was, publishes the
-entries in the board's ring and prints them as lines. What one user's clients can fill of both is bounded:
+The cycle queues an entry per change (`service.change_notes`). The main thread looks up who it was, publishes
+the entries in the board's ring and prints them as lines. The share of one user's clients in both is bounded:
 beyond a budget, entries are gathered by user and kind, and the kind is nothing that a client can choose at
-will. What changed a parameter, the stand-off or the stop is appended anew before other entries displace it.
+will. Entries that changed a parameter, the stand-off or the stop are appended anew before others displace
+them.
 """
 
 from __future__ import annotations

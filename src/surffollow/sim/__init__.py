@@ -1,0 +1,1 @@
+"""Simulated surfaces, plants, robots, arms and bases."""

@@ -1,0 +1,1 @@
+"""The simulated sensors: beam, LED triangulation, A/D converter, and source of the pose."""

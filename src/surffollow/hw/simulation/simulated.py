@@ -39,7 +39,7 @@ from surffollow.sim.world import WorldPose, WorldReader
 
 WATCH_S = 0.05
 NOTHING_REPORTED = (
-    "no pose was reported yet, so the simulated sensor sees nothing; send poses (client.ee_pos), publish the "
+    "no pose is reported, so the simulated sensor sees nothing; send poses (client.ee_pos), publish the "
     "true one (client.sim_pose) or start a simulated robot (surffollow simulate)"
 )
 ON_REPORTS_NOTE = (

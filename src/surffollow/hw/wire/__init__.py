@@ -1,0 +1,1 @@
+"""Drivers of sensors on serial lines, IIO, CAN and UDP."""

@@ -20,7 +20,7 @@ PERIODS = 256  # over which the period is measured
 
 
 class ArrivalClock:
-    """Stamps of consecutive frames; a sensor without rhythm keeps those of its arrivals."""
+    """Timestamps of consecutive frames; a sensor without a regular period keeps those of its arrivals."""
 
     def __init__(self) -> None:
         self.restart()

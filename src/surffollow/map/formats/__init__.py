@@ -1,0 +1,1 @@
+"""Map files in the formats of other programs."""
