@@ -122,8 +122,8 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "learned waiting time": [
         (
             "controller_clock",
-            "return min(params.tick_lead_s, 0.5e-9 * controller.interval_ns)",
-            "return params.tick_lead_s",
+            "return min(params.max_wait_s, 0.5e-9 * controller.interval_ns)",
+            "return params.max_wait_s",
         )
     ],
     "decaying slopes": [("model_bank", "for length_m, qs in decaying]", "for length_m, qs in decaying[:0]]")],

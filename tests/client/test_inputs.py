@@ -304,7 +304,7 @@ def test_every_parameter_is_known_without_its_unit() -> None:
     assert len(short) == len(PARAMS)
     for name, full in short.items():
         assert param_name(name) == full
-    for name in ("plant_a_max", "max_jerk", "max_turn", "max_turn_accel", "plan_calm"):
+    for name in ("plant_a_max", "max_jerk", "max_turn", "max_turn_accel", "plan_effort"):
         assert name in short
 
 

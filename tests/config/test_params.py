@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from surffollow.config.params import PARAMS, check_param, param_name
+from surffollow.config.params import OLD_NAMES, PARAMS, check_param, param_name
 from surffollow.errors import ConfigError
 
 
@@ -80,3 +80,10 @@ def test_unit_endings_are_optional_and_never_ambiguous():
     assert len(short) == len(set(short))
     for name in short:
         assert param_name(name).startswith(name)
+
+
+@pytest.mark.parametrize(("old", "new"), OLD_NAMES.items())
+def test_an_old_name_of_a_parameter_is_accepted_for_one_release(old, new):
+    assert old not in PARAMS
+    assert param_name(old) == new
+    assert check_param(old, PARAMS[new].default) == PARAMS[new].default

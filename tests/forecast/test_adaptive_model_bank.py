@@ -97,7 +97,7 @@ def test_the_assumed_axis_is_the_simulated_one():
 
 def planned(ground, v, known=HORIZON, rounds=40):
     params, a = zeros(Params), zeros(AdaptiveState)
-    params["plant_a_max_mps2"], params["plant_v_max_mps"], params["plan_calm_s4"] = 2.0, 0.2, 4e-8
+    params["plant_a_max_mps2"], params["plant_v_max_mps"], params["plan_effort_s4"] = 2.0, 0.2, 4e-8
     a["preview"]["ground_m"][0], a["kinematics"]["speed_mps"] = ground, 0.1
     for _ in range(rounds):  # the warm start shifts by a tick; shift back to solve one problem exactly
         a["plan"]["acceleration_m"][0, 1:], a["plan"]["multiplier_m"][0, 1:] = (

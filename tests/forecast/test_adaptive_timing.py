@@ -20,7 +20,7 @@ def test_a_demand_waits_for_half_the_interval_of_reports_and_for_no_more_than_th
     interval_ms: int, wait_s: float
 ) -> None:
     controller = zeros(AdaptiveState)[0]["controller"]
-    assert mean_wait_s(default_params(), controller) == default_params()["tick_lead_s"]  # no report yet
+    assert mean_wait_s(default_params(), controller) == default_params()["max_wait_s"]  # no report yet
     for k in range(1, 6):
         observe_report(controller, k, k * interval_ms * MS + 10**9)
     assert mean_wait_s(default_params(), controller) == pytest.approx(wait_s)
@@ -57,7 +57,7 @@ def descent_after_50_ms(step_m: float, travel_m: float, arrived: bool = True) ->
 
 def test_the_setpoint_descends_slower_just_behind_a_fall_because_it_may_be_a_slot() -> None:
     """GIVEN a confirmed fall, WHEN the tool is within the length of slots, THEN limits are halved."""
-    length = SLOT_WAYS * float(default_params()["step_way_m"])
+    length = SLOT_WAYS * float(default_params()["step_travel_m"])
     free = descent_after_50_ms(0.0, 0.0)
     assert descent_after_50_ms(-0.01, 0.9 * length) == pytest.approx(0.5 * free, rel=0.1)
     assert descent_after_50_ms(-0.01, 1.1 * length) == free

@@ -47,7 +47,7 @@ PARAMS: dict[str, ParamSpec] = {
     "plant_tau_s": ParamSpec(0.04, 1e-4, 1e3, "s"),
     "plant_v_max_mps": ParamSpec(0.2, 1e-6, 1e3, "m/s"),
     "plant_a_max_mps2": ParamSpec(2.0, 1e-8, 1e6, "m/s^2"),
-    "score_way_m": ParamSpec(0.25, 1e-6, 1e4, "m"),
+    "score_travel_m": ParamSpec(0.25, 1e-6, 1e4, "m"),
     "score_time_s": ParamSpec(2.0, 1e-4, 1e5, "s"),
     "score_power": ParamSpec(10.0, 0.0, 100.0),
     "long_power": ParamSpec(3.0, 0.0, 100.0),
@@ -57,17 +57,17 @@ PARAMS: dict[str, ParamSpec] = {
     "score_floor_m": ParamSpec(3e-5, 1e-9, 10.0, "m"),
     "gate_scales": ParamSpec(8.0, 1.0, 1e3),
     "gate_m": ParamSpec(1e-3, 0.0, 1e3, "m"),
-    "step_way_m": ParamSpec(2.5e-3, 0.0, 1e3, "m"),
+    "step_travel_m": ParamSpec(2.5e-3, 0.0, 1e3, "m"),
     "step_samples": ParamSpec(3, 1, 100, whole=True),
-    "tick_lead_s": ParamSpec(0.005, 0.0, 100.0, "s"),
-    "plan_calm_s4": ParamSpec(3e-8, 0.0, 1e12),
+    "max_wait_s": ParamSpec(0.005, 0.0, 100.0, "s"),
+    "plan_effort_s4": ParamSpec(3e-8, 0.0, 1e12),
     "orient": ParamSpec(1, 0, 1, whole=True, choices=("off", "on")),
     "max_turn_rad": ParamSpec(0.35, 0.0, 1.6, "rad"),
     "permitted_turn_rad": ParamSpec(1e-3, 0.0, 1.6, "rad"),
-    "calm_share": ParamSpec(0.1, 0.0, 10.0),
+    "deadband_share": ParamSpec(0.1, 0.0, 10.0),
     "adapt": ParamSpec(1, 0, 1, whole=True, choices=("frozen", "learn")),
     "hold_ns": ParamSpec(3.5e6, 0, 10e9, "ns", whole=True),
-    "dropout_way_m": ParamSpec(0.06, 1e-6, 1e4, "m"),
+    "dropout_travel_m": ParamSpec(0.06, 1e-6, 1e4, "m"),
     "max_speed_mps": ParamSpec(4.0, 1e-8, 1e8, "m/s"),
     "max_accel_mps2": ParamSpec(800.0, 1e-9, 1e13, "m/s^2"),
     "max_jerk_mps3": ParamSpec(4e5, 1e-12, 1e15, "m/s^3"),
@@ -121,8 +121,25 @@ def check_param(name: str, value: object) -> float:
     return number
 
 
+# names before the terms of the field; they work for one release, with the ending or without
+OLD_NAMES = {
+    "calm_share": "deadband_share",
+    "dropout_way": "dropout_travel_m",
+    "dropout_way_m": "dropout_travel_m",
+    "plan_calm": "plan_effort_s4",
+    "plan_calm_s4": "plan_effort_s4",
+    "score_way": "score_travel_m",
+    "score_way_m": "score_travel_m",
+    "step_way": "step_travel_m",
+    "step_way_m": "step_travel_m",
+    "tick_lead": "max_wait_s",
+    "tick_lead_s": "max_wait_s",
+}
+
+
 def param_name(name: str) -> str:
     """The full name of a parameter; ConfigError with the nearest names when there is none."""
+    name = OLD_NAMES.get(name, name)
     for ending in UNIT_ENDINGS:
         if name + ending in PARAMS:
             return name + ending

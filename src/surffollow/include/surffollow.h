@@ -79,7 +79,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 /* ---- layout: generated ------------------------------------------------------------ */
 
 #define SF_LAYOUT_VERSION 3u
-#define SF_LAYOUT_HASH UINT64_C(7270189096893465338)
+#define SF_LAYOUT_HASH UINT64_C(746142486071537084)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_SLOT_MAGIC UINT64_C(3554549926447961427)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
@@ -325,7 +325,7 @@ static inline const sf_param_info *sf_param_table(void) {
     {"plant_tau_s", 90, 0, 0.0001, 1000.0},
     {"plant_v_max_mps", 91, 0, 1e-06, 1000.0},
     {"plant_a_max_mps2", 92, 0, 1e-08, 1000000.0},
-    {"score_way_m", 93, 0, 1e-06, 10000.0},
+    {"score_travel_m", 93, 0, 1e-06, 10000.0},
     {"score_time_s", 94, 0, 0.0001, 100000.0},
     {"score_power", 95, 0, 0.0, 100.0},
     {"long_power", 96, 0, 0.0, 100.0},
@@ -335,17 +335,17 @@ static inline const sf_param_info *sf_param_table(void) {
     {"score_floor_m", 100, 0, 1e-09, 10.0},
     {"gate_scales", 101, 0, 1.0, 1000.0},
     {"gate_m", 102, 0, 0.0, 1000.0},
-    {"step_way_m", 103, 0, 0.0, 1000.0},
+    {"step_travel_m", 103, 0, 0.0, 1000.0},
     {"step_samples", 104, 1, 1.0, 100.0},
-    {"tick_lead_s", 105, 0, 0.0, 100.0},
-    {"plan_calm_s4", 106, 0, 0.0, 1000000000000.0},
+    {"max_wait_s", 105, 0, 0.0, 100.0},
+    {"plan_effort_s4", 106, 0, 0.0, 1000000000000.0},
     {"orient", 107, 1, 0.0, 1.0},
     {"max_turn_rad", 108, 0, 0.0, 1.6},
     {"permitted_turn_rad", 109, 0, 0.0, 1.6},
-    {"calm_share", 110, 0, 0.0, 10.0},
+    {"deadband_share", 110, 0, 0.0, 10.0},
     {"adapt", 111, 1, 0.0, 1.0},
     {"hold_ns", 112, 1, 0.0, 10000000000.0},
-    {"dropout_way_m", 113, 0, 1e-06, 10000.0},
+    {"dropout_travel_m", 113, 0, 1e-06, 10000.0},
     {"max_speed_mps", 114, 0, 1e-08, 100000000.0},
     {"max_accel_mps2", 115, 0, 1e-09, 10000000000000.0},
     {"max_jerk_mps3", 116, 0, 1e-12, 1000000000000000.0},
@@ -428,7 +428,7 @@ typedef struct sf_params {
   double plant_tau_s; /* [s] adaptive: assumed time constant of the vertical axis */
   double plant_v_max_mps; /* [m/s] adaptive: assumed speed limit of the vertical axis */
   double plant_a_max_mps2; /* [m/s^2] adaptive: assumed acceleration limit of the vertical axis */
-  double score_way_m; /* [m] adaptive: arc length over which model errors are averaged */
+  double score_travel_m; /* [m] adaptive: arc length over which model errors are averaged */
   double score_time_s; /* [s] adaptive: time over which model errors are averaged */
   double score_power; /* adaptive: exponent of the weights over the recent horizon */
   double long_power; /* adaptive: exponent of the weights over the longer horizon */
@@ -438,17 +438,17 @@ typedef struct sf_params {
   double score_floor_m; /* [m] adaptive: stand-off errors below this count as none */
   double gate_scales; /* adaptive: width of the innovation gate, in usual innovations */
   double gate_m; /* [m] adaptive: least width of the innovation gate */
-  double step_way_m; /* [m] adaptive: travel after which a pending step down is confirmed */
+  double step_travel_m; /* [m] adaptive: travel after which a pending step down is confirmed */
   int64_t step_samples; /* adaptive: agreeing samples that confirm a pending step */
-  double tick_lead_s; /* [s] adaptive: mean wait of a demand; at most half a report interval */
-  double plan_calm_s4; /* [s^4] adaptive: weight of squared acceleration against squared error in a plan */
+  double max_wait_s; /* [s] adaptive: mean wait of a demand; at most half a report interval */
+  double plan_effort_s4; /* [s^4] adaptive: weight of squared acceleration against squared error in a plan */
   int64_t orient; /* adaptive: 1: with 3 or more sensors, demand rotations too */
   double max_turn_rad; /* [rad] adaptive: limit of the rotation demanded */
   double permitted_turn_rad; /* [rad] adaptive: deadband of the attitude setpoint */
-  double calm_share; /* adaptive: share of Permitted_Variance that is the setpoint's deadband */
+  double deadband_share; /* adaptive: share of Permitted_Variance that is the setpoint's deadband */
   int64_t adapt; /* adaptive: 1: adapt; 0: index, weights, noise and terrain regression are frozen */
   int64_t hold_ns; /* [ns] adaptive: an unchanged reading counts as new after so long */
-  double dropout_way_m; /* [m] adaptive: travel without readings over which the slope decays */
+  double dropout_travel_m; /* [m] adaptive: travel without readings over which the slope decays */
   double max_speed_mps; /* [m/s] adaptive: limit of the setpoint's speed, away from the surface */
   double max_accel_mps2; /* [m/s^2] adaptive: limit of the setpoint's acceleration */
   double max_jerk_mps3; /* [m/s^3] adaptive: limit of the setpoint's jerk */
@@ -484,7 +484,7 @@ SF_STATIC_ASSERT(offsetof(sf_params, tool_from_sensor) == 272, "layout of sf_par
 SF_STATIC_ASSERT(offsetof(sf_params, plant_tau_s) == 720, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, plant_v_max_mps) == 728, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, plant_a_max_mps2) == 736, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, score_way_m) == 744, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, score_travel_m) == 744, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, score_time_s) == 752, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, score_power) == 760, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, long_power) == 768, "layout of sf_params");
@@ -494,17 +494,17 @@ SF_STATIC_ASSERT(offsetof(sf_params, noise_share) == 792, "layout of sf_params")
 SF_STATIC_ASSERT(offsetof(sf_params, score_floor_m) == 800, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, gate_scales) == 808, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, gate_m) == 816, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, step_way_m) == 824, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, step_travel_m) == 824, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, step_samples) == 832, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, tick_lead_s) == 840, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, plan_calm_s4) == 848, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_wait_s) == 840, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, plan_effort_s4) == 848, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, orient) == 856, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, max_turn_rad) == 864, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, permitted_turn_rad) == 872, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, calm_share) == 880, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, deadband_share) == 880, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, adapt) == 888, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, hold_ns) == 896, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, dropout_way_m) == 904, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, dropout_travel_m) == 904, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, max_speed_mps) == 912, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, max_accel_mps2) == 920, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, max_jerk_mps3) == 928, "layout of sf_params");

@@ -56,7 +56,7 @@ def hold_pending(
             gate.scale_m *= SCALE_GROWTH
         gate.pending = 1
         gate.pending_innovation_m = gate.pending_arc_length_m = gate.pending_height_m = 0.0
-        gate.pending_travel_m = params.step_way_m if gap else 0.0
+        gate.pending_travel_m = params.step_travel_m if gap else 0.0
         gate.pending_ns = estimate.sample_ns
     gate.pending_innovation_m += innovation_m
     gate.pending_arc_length_m += estimate.arc_length_m
@@ -76,7 +76,7 @@ def hold_pending(
     )
     if gate.pending < need + more:
         return 0
-    if innovation_m > 0.0 or gate.pending_travel_m >= params.step_way_m * gate.slot_likelihood:
+    if innovation_m > 0.0 or gate.pending_travel_m >= params.step_travel_m * gate.slot_likelihood:
         return 1
     # more pending samples than accepted ones: the start was bad; at rest there is no travel
     outvoted = gate.pending > estimate.samples
@@ -112,7 +112,7 @@ def gate_width(params: Any, gate: Any) -> Any:
 def update_travel(params: Any, gate: Any, travel_m: Any) -> None:
     """Add the distance travelled since the last step; a step that stays lowers the likelihood of slots."""
     if (
-        gate.travel_since_step_m < params.step_way_m <= gate.travel_since_step_m + travel_m
+        gate.travel_since_step_m < params.step_travel_m <= gate.travel_since_step_m + travel_m
         and gate.step_m != 0.0
     ):
         gate.slot_likelihood = max(SLOT_DECAY * gate.slot_likelihood, MIN_SLOT_LIKELIHOOD)
@@ -131,11 +131,13 @@ def accept_sample(params: Any, gate: Any) -> None:
 def register_step(params: Any, gate: Any, t_ns: Any) -> None:
     """Take the pending samples as a step confirmed at `t_ns`."""
     n = gate.pending
-    if gate.travel_since_step_m < params.step_way_m and gate.pending_innovation_m * gate.step_m < 0.0:
+    if gate.travel_since_step_m < params.step_travel_m and gate.pending_innovation_m * gate.step_m < 0.0:
         gate.slot_likelihood = 0.5  # it came back within the width of a slot: the step before was a slot
     # after a start in a slot the ground outside it says nothing about steps
     began_in_slot = (
-        gate.step_ns == 0 and gate.travel_since_step_m < params.step_way_m and gate.pending_innovation_m > 0.0
+        gate.step_ns == 0
+        and gate.travel_since_step_m < params.step_travel_m
+        and gate.pending_innovation_m > 0.0
     )
     gate.travel_since_step_m = 0.0
     gate.step_m = 0.0 if began_in_slot else gate.pending_innovation_m / n

@@ -40,7 +40,7 @@ INITIAL_INDEX_M2 = 1e-6  # (1 mm)²: the same for all, so that it prefers none
 def update_index(params: Any, adaptive: Any, travel_m: Any, dt_s: Any, target_m: Any) -> None:
     """Update the performance index of all models with a sample, then the weights."""
     weights, estimate = adaptive.weights, adaptive.estimate
-    rate = travel_m / params.score_way_m + dt_s / params.score_time_s
+    rate = travel_m / params.score_travel_m + dt_s / params.score_time_s
     # after an initialisation the samples since then count
     burn_in_rate = 1.0 / (
         1.0

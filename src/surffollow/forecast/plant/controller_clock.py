@@ -66,13 +66,13 @@ def latch_time(controller: Any, ranges_given: Any, now_ns: Any) -> Any:
 
 @jit
 def mean_wait_s(params: Any, controller: Any) -> Any:
-    """Mean time from a demand to its effect: half a controller period, `tick_lead_s` at most [s].
+    """Mean time from a demand to its effect: half a controller period, `max_wait_s` at most [s].
 
     A controller reports its pose once per period.
     """
     if controller.interval_ns <= 0.0:
-        return params.tick_lead_s
-    return min(params.tick_lead_s, 0.5e-9 * controller.interval_ns)
+        return params.max_wait_s
+    return min(params.max_wait_s, 0.5e-9 * controller.interval_ns)
 
 
 @jit

@@ -130,7 +130,7 @@ def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, sta
     plan = adaptive.plan
     n = HORIZON
     most = ACCELERATION_SHARE * params.plant_a_max_mps2 * PERIOD_S * PERIOD_S
-    calm = params.plan_calm_s4 / PERIOD_S**4
+    calm = params.plan_effort_s4 / PERIOD_S**4
     stiff = calm + ADMM_PENALTY
     for k in range(n):
         plan.early[k] = 0

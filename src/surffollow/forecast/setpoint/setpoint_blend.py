@@ -61,9 +61,9 @@ def compute_setpoints(adaptive: Any, ahead_m: Any, lead_m: Any, max_slope: Any, 
 def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, standoff_m: Any, due: Any) -> Any:
     """Blend the models' set points; when a controller period is due, record each of them.
 
-    The axis lags by τ. Its set point is the height plus τ times the rate of the height. In a drop-out slopes
-    fade over `dropout_way_m`, a step away from the tool that was confirmed just before is taken back, and the
-    set point descends no farther than that of the last sample less a margin.
+    The axis lags by τ. Its setpoint is the height plus τ times the rate of the height. In a drop-out slopes
+    fade over `dropout_travel_m`, a step away from the tool that was confirmed just before is taken back, and
+    the setpoint descends no farther than that of the last sample less a margin.
     While the tool goes back since the newest sample, the height at that sample is held.
     """
     clock, kinematics, gate = adaptive.clock, adaptive.kinematics, adaptive.gate
@@ -72,8 +72,8 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
     lead_length_m = kinematics.speed_mps * adaptive.plant.tau_s
     if dropout > 0.0:
         dropout_m = min(kinematics.speed_mps * dropout, ahead_m)
-        decay = math.exp(-dropout_m / params.dropout_way_m)
-        ahead_m += params.dropout_way_m * (1.0 - decay) - dropout_m
+        decay = math.exp(-dropout_m / params.dropout_travel_m)
+        ahead_m += params.dropout_travel_m * (1.0 - decay) - dropout_m
         lead_length_m *= decay
     if has_turned_back(adaptive) != 0:  # hold the height of the newest footprint
         ahead_m = lead_length_m = 0.0
@@ -83,7 +83,7 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
     z = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
     rate_mps = (later - z) / RATE_STEP_S
     recent = (
-        estimate.accepted_ns - gate.step_ns < SETTLING_NS and gate.travel_since_step_m < params.step_way_m
+        estimate.accepted_ns - gate.step_ns < SETTLING_NS and gate.travel_since_step_m < params.step_travel_m
     )
     if dropout > 0.0 and gate.step_m < 0.0 and recent:
         z -= gate.step_m

@@ -29,7 +29,7 @@ VELOCITY_RATIO, ACCELERATION_RATIO = (
 )  # to the limits of the axis: quicker set points add effort only
 CONFIRMED_SAMPLES = 25  # of an estimate: with fewer there is no arrival, and after a drop-out no descent
 ARRIVED_M = 1e-5  # a setpoint that reaches its target in a cycle is on it but for rounding
-SLOT_WAYS = 12.0  # of `step_way`: length of slots and of their groups, behind the last fall of the ground
+SLOT_WAYS = 12.0  # of `step_travel`: length of slots and of their groups, behind the last fall of the ground
 SETTLED_M, SETTLED_MPS = 1e-3, 0.02  # distance and rate within which a set point is back from a plan
 BISECTIONS = 8  # resolution: 1/256 of the change that the jerk allows in a cycle
 
@@ -140,7 +140,7 @@ def has_settled(params: Any, setpoint: Any, e_m: Any) -> Any:
 @jit
 def may_be_slot(params: Any, gate: Any) -> Any:
     """Whether the tool is just behind a confirmed fall of the ground."""
-    return gate.step_m < 0.0 and gate.travel_since_step_m < SLOT_WAYS * params.step_way_m
+    return gate.step_m < 0.0 and gate.travel_since_step_m < SLOT_WAYS * params.step_travel_m
 
 
 @jit
