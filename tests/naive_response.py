@@ -88,15 +88,15 @@ class NaiveResponse:
             and error_m * descent_m > r.ERROR_DESCENT * self.band_m * self.standoff_m
         )
         quiet = not self.noisy
-        enough = descent_m > r.DESCENT_SHARE * self.standoff_m
+        enough = descent_m > r.DESCENT_BANDS * self.band_m
         far = descent_m > r.FAR_DESCENT * self.standoff_m
-        if self.in_run <= r.MIN_RUN_MEANS * self.number:
-            return
-        if self.shift_ns is None and descent_m > r.SHIFT_DESCENT * self.standoff_m:
+        long = self.in_run > r.MIN_LONG_MEANS * self.number
+        if long and self.shift_ns is None and descent_m > r.SHIFT_DESCENT * self.standoff_m:
             self.shift_ns, self.shift_m = t_ns, r.SHIFT_BANDS * self.band_m
         allowed_s = r.SHIFT_TAUS * self.tau_s + r.SHIFT_MEANS * self.number * self.interval_s
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > allowed_s
-        if far or unanswered or (enough and (wrong or quiet)):
+        begun = self.in_run > r.MIN_RUN_MEANS * self.number
+        if (long and far) or unanswered or (begun and enough and (wrong or quiet)):
             self.phase, self.begin_ns, self.begin_z_m, self.rate_mps = HOLD, t_ns, z_m, rate_mps
             self.began_quiet = quiet
 

@@ -160,7 +160,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "descent limit in a loss": [
         ("setpoint_blend", "        z = max(z, blend.seen_m - MAX_UNCONFIRMED_DESCENT_M)", "        pass")
     ],
-    "test of the response": [("response", "if long and (far or", "if False and (far or")],
+    "test of the response": [("response", "if far or late or (", "if False and (")],
     "shift before a hold": [("response", "SHIFT_DESCENT = 0.3", "SHIFT_DESCENT = 1e9")],
 }
 

@@ -46,13 +46,17 @@ def __dir__() -> list[str]:
     """Names that can be used here; those that compute are left out of a client-only installation."""
     computes = importlib.util.find_spec("numba") is not None
     own = (n for n in globals() if n.startswith("__") or f"{__name__}.{n}" in sys.modules)
-    return sorted({*own, *_LIGHT, *((*__all__, *_HEAVY) if computes else ())})
+    return sorted({*own, "__version__", *_LIGHT, *((*__all__, *_HEAVY) if computes else ())})
 
 
 def __getattr__(name: str) -> Any:
     """Load a part on its first use."""
     if name in _LIGHT or name in _HEAVY:
         return importlib.import_module(f"{__name__}.{name}")
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("surffollow")
     if name == "Follower":
         from surffollow.errors import attribute_of
 

@@ -43,7 +43,7 @@ class Request:
     seeds: list[int] = field(default_factory=lambda: list(range(20)))
     methods: list[str] = field(default_factory=list)
     sweeps: bool | None = None
-    bars: bool = False
+    criteria: bool = False
     folder: str | None = None
     processes: int = 2
 
@@ -79,9 +79,9 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
     full = not (request.surfaces or request.speeds_mps)
     # the same twice would be equal rows: "0.1" and "100mm/s" are one speed
     speeds = list(dict.fromkeys(request.speeds_mps)) or list(SPEEDS_MPS)
-    leads = list(dict.fromkeys(request.leads_m)) or (list(LEADS_M) if full or request.bars else [0.0])
+    leads = list(dict.fromkeys(request.leads_m)) or (list(LEADS_M) if full or request.criteria else [0.0])
     cells = main_cells(surfaces, speeds, leads, conditions)
-    desired = request.bars or (full and not request.leads_m)
+    desired = request.criteria or (full and not request.leads_m)
     if desired if request.sweeps is None else request.sweeps:
         cells += sweep_cells(surfaces, conditions)
     folder = Path(request.folder) if request.folder else None
@@ -106,7 +106,7 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
     text = text_table(rows)
     verdicts: list[comparison.Verdict] = []
     scored_tables: list[str] = []
-    if request.bars:
+    if request.criteria:
         scored = [m for m in methods if m.partition("=")[0] == comparison.OURS]
         trials: list[dict[str, Any]] = []
         for method in scored[:1]:

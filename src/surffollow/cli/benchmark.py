@@ -71,10 +71,11 @@ def _flat(values: tuple[Any, ...]) -> list[Any]:
 @click.option("--methods", help="Comma-separated rows; NAME=module:factory adds a follower.")
 @click.option("--sweeps/--no-sweeps", default=None, help="Latency, noise, plant… (default: full table only).")
 @click.option(
-    "--bars",
+    "--criteria",
     is_flag=True,
     help="Also the special trials and each acceptance criterion; exit 1 when one is missed.",
 )
+@click.option("--bars", is_flag=True, hidden=True, help="The name of --criteria before this release.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--out", "folder", metavar="DIR", help="Write results, table, plots; remember tunings.")
 @click.option("--processes", default=2, show_default=True, type=click.IntRange(1, 64))
@@ -87,6 +88,7 @@ def benchmark_command(
     seeds: list[int],
     methods: str | None,
     sweeps: bool | None,
+    criteria: bool,
     bars: bool,
     as_json: bool,
     folder: str | None,
@@ -111,7 +113,7 @@ def benchmark_command(
             seeds=seeds,
             methods=_methods(methods),
             sweeps=sweeps,
-            bars=bars,
+            criteria=criteria or bars,
             folder=folder,
             processes=processes,
         )

@@ -19,7 +19,7 @@ from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_NONE, RESPONSE_RUN
 
-DESCENT_SHARE = 0.01  # of the stand-off: shorter descents are not tested
+DESCENT_BANDS = 4.0  # shorter descents hide in the noise
 ERROR_DESCENT = 0.36  # of a band times the stand-off: error times descent; a small one needs a long one
 FAR_DESCENT = 0.5  # of the stand-off: beyond, a constant range is always tested, before the tool can touch
 SHIFT_DESCENT = 0.3  # of the stand-off: beyond, the setpoint is shifted up …
@@ -29,7 +29,7 @@ LAG_TAUS = 0.3  # errors that so great a lag of the axis model explains are no s
 QUIET_SHARE = 0.5  # of the usual noise
 NOISE_RATE, USUAL_RATE = 0.03, 0.003  # of the noise and of the usual noise, per sample
 SECOND_DIFFERENCE = 1.954  # mean absolute second difference of white Gaussian noise, in standard deviations
-MIN_RUN_MEANS = 2.0  # independent means in a run before a test
+MIN_RUN_MEANS, MIN_LONG_MEANS = 2.0, 4.0  # independent means in a run before a test; without a suspicion
 RUN_SAMPLES = 64  # in the mean of a run
 MEAN_TAUS, MIN_MEAN, MAX_MEAN = 1.0, 2.0, 8.0  # samples in the mean range: those of a time constant
 BAND_SIGMAS = 3.0  # of the mean: the range has changed …
@@ -116,13 +116,13 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
             error > max(band, LAG_TAUS * tau * rate)
             and error * descent > ERROR_DESCENT * band * params.offset_m
         )
-        far = descent > FAR_DESCENT * params.offset_m
-        long = response.run_samples > MIN_RUN_MEANS * number
+        long = response.run_samples > MIN_LONG_MEANS * number
+        far = long and descent > FAR_DESCENT * params.offset_m
         if long and response.lift_m == 0.0 and descent > SHIFT_DESCENT * params.offset_m:
             response.lift_m, response.test_ns, since_s = SHIFT_BANDS * band, t_ns, 0.0
         late = response.lift_m > 0.0 and since_s > SHIFT_TAUS * tau + SHIFT_MEANS * number * interval
-        suspicious = (wrong or not noisy) and descent > DESCENT_SHARE * params.offset_m
-        if long and (far or late or suspicious):
+        suspicious = (wrong or not noisy) and descent > DESCENT_BANDS * band
+        if far or late or (suspicious and response.run_samples > MIN_RUN_MEANS * number):
             response.phase, response.test_ns, response.test_z_m = RESPONSE_HOLD, t_ns, tool_z_m
             response.rate_mps, response.quiet = rate, 0 if noisy else 1
     elif response.phase == RESPONSE_HOLD:
