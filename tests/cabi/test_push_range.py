@@ -34,8 +34,14 @@ DRIVER = f'range_min_m = "50 mm"\nrange_max_m = "300 mm"\nchannels = {CHANNELS}'
 PUSHING = """
 import sys, time
 from surffollow.client import attach
+from surffollow.errors import NotRunningError
 client = attach(sys.argv[1], label="pusher")
-client.push_range(2, time.monotonic_ns(), 0.2)
+while True:  # on a busy machine the service may answer late
+    try:
+        client.push_range(2, time.monotonic_ns(), 0.2)
+        break
+    except NotRunningError:
+        time.sleep(0.01)
 print("pushes", flush=True)
 while True:
     client.push_range(2, time.monotonic_ns(), 0.2)
