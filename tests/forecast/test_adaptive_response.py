@@ -72,9 +72,10 @@ def test_a_range_that_freezes_at_the_stand_off_on_a_fall_is_found_within_half_th
 
 
 @pytest.mark.parametrize("slope", [0.1, 0.3])
-def test_a_good_sensor_on_a_long_fall_answers_a_small_shift_without_a_hold(slope):
+@pytest.mark.parametrize("read", [noisy, lambda _, r, rng: r], ids=["noisy", "exact"])
+def test_a_good_sensor_on_a_long_fall_answers_a_small_shift_without_a_hold(read, slope):
     """GIVEN a long even fall WHEN the sensor sees it THEN the tool keeps its distance and is never held."""
-    heights, phases, _ = closed_loop(lambda x: -slope * max(x - 0.2, 0.0), noisy, seconds=6.0)
+    heights, phases, _ = closed_loop(lambda x: -slope * max(x - 0.2, 0.0), read, seconds=6.0)
     assert set(phases) == {RESPONSE_RUN}
     on_fall = heights[200:] - STANDOFF_M
     assert abs(on_fall).max() < 6.0 * SIGMA_M

@@ -119,7 +119,7 @@ def _acceleration(
 ) -> list[Verdict]:
     """Demand acceleration over the least among those within 1.1 × the best one's RMS.
 
-    The remarks give the milder figure, too: over the method that is best by RMS, whatever its acceleration.
+    The remarks give the milder figure, too: over the method that is best by RMS, at any acceleration.
     """
     ratios, mild = _accelerations(table, lead_m, methods)
     worst = max(mild, key=lambda key: mild[key], default=None)

@@ -12,7 +12,7 @@ class Closing:
     """Base of what is closed by its `close`, or at the end of a `with` statement."""
 
     def close(self) -> None:
-        """Let go of everything."""
+        """Release everything that is held."""
         raise NotImplementedError
 
     def __enter__(self) -> Self:

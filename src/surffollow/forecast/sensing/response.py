@@ -97,7 +97,7 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
         response.run_range_m += share * (response.mean_m - response.run_range_m)
     band = BAND_SIGMAS * sigma / number**0.5
     sure = 1.0 if response.phase == RESPONSE_RUN else SURE
-    noisy = response.noise_m > QUIET_SHARE * response.usual_m
+    noisy = response.noise_m >= QUIET_SHARE * response.usual_m
     sees_again = response.phase == RESPONSE_NONE and response.quiet != 0 and noisy
     if abs(response.mean_m - response.run_range_m) > sure * band or sees_again:
         _begin_run(response, t_ns, tool_z_m)
