@@ -62,7 +62,7 @@ class NaiveResponse:
         if self.number < self.in_run < r.RUN_SAMPLES:
             self.run_m += (self.mean_m - self.run_m) / self.in_run
         self.band_m = r.BAND_SIGMAS * self.sigma_m / math.sqrt(self.number)
-        allowed_m = self.band_m if self.phase == RUN else r.SURE * self.band_m
+        allowed_m = self.band_m if self.phase == RUN else r.TEST_BAND_FACTOR * self.band_m
         self.noisy = self.noise_m >= r.QUIET_SHARE * self.usual_m
         noise_is_back = self.phase == NONE and self.began_quiet and self.noisy
         if abs(self.mean_m - self.run_m) > allowed_m or noise_is_back:

@@ -23,7 +23,7 @@ from surffollow.follower.future_stamps import FutureStamps, ReferenceTime
 from surffollow.follower.setup import Config, check_standoff, check_window, read_setup
 from surffollow.forecast.estimation.model_bank import N_MODELS
 from surffollow.forecast.horizon import forecast_range
-from surffollow.forecast.pose import MOST_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
+from surffollow.forecast.pose import MAX_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.forecast.terrain.terrain_memory import new_memory, read_preview, store_footprint
 from surffollow.shm.dtypes import zeros
@@ -212,7 +212,7 @@ class Follower:
         if found == NO_POSE:
             raise PoseError(f"pose {p.tolist()} is not finite or its quaternion's norm is not 1")
         if found == TOO_FAR:
-            raise PoseError(f"pose {p.tolist()} lies beyond {MOST_POSITION_M:g} m")
+            raise PoseError(f"pose {p.tolist()} lies beyond {MAX_POSITION_M:g} m")
         if found == TAKEN:
             self._time.add(t)
         return bool(found == TAKEN)

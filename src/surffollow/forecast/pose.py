@@ -12,8 +12,8 @@ from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import POSES
 
 QUATERNION_TOLERANCE = 1e-3
-MOST_POSITION_M = 1e9  # as the service's client
-ASTRAY_NS = 1_000_000_000  # a pose so far ahead of the steps and of a newer report was stamped wrongly
+MAX_POSITION_M = 1e9  # as the service's client
+MAX_FUTURE_NS = 1_000_000_000  # a pose so far ahead of the steps and of a newer report was stamped wrongly
 REFUSED, TAKEN, NO_POSE, TOO_FAR = range(4)
 
 
@@ -63,14 +63,14 @@ def report_pose(state: Any, step_ns: Any, t_ns: Any, pose: Any) -> Any:
     norm = math.sqrt(norm2)
     if not (math.isfinite(pose[0] + pose[1] + pose[2]) and abs(norm - 1.0) <= QUATERNION_TOLERANCE):
         return NO_POSE
-    if not max(abs(pose[0]), abs(pose[1]), abs(pose[2])) <= MOST_POSITION_M:
+    if not max(abs(pose[0]), abs(pose[1]), abs(pose[2])) <= MAX_POSITION_M:
         return TOO_FAR
     for i in range(3, 7):
         pose[i] /= norm
     sense = state[0].sense
     if sense.pose_count > 0:
         newest = sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
-        if t_ns <= newest - ASTRAY_NS and newest > max(t_ns, step_ns) + ASTRAY_NS:
+        if t_ns <= newest - MAX_FUTURE_NS and newest > max(t_ns, step_ns) + MAX_FUTURE_NS:
             sense.pose_count = 0  # else a single wrong stamp would refuse every report for ever
     return push_pose(sense, t_ns, pose, 0)
 

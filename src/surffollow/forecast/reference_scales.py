@@ -52,7 +52,7 @@ EXPONENTS: dict[str, tuple[int, int]] = {
     "rad/s": (0, -1),
     "rad/s^2": (0, -2),
 }
-_NUMBER, _COUNT, _DURATION, _NOT_OURS = 0, 1, 2, 3
+_NUMBER, _COUNT, _DURATION, _UNSCALED = 0, 1, 2, 3
 # fields of the output that the cycle sets itself, in SI units
 _CYCLE_FIELDS = ("t_ns", "pose_t_ns", "status", "cycle", "epoch", "range_m", "range_t_ns", "stop", "stop_now")
 _POSE_UNITS = {"m, 1": ("m",) * 3 + ("1",) * 4, "m, rad": ("m",) * 3 + ("rad",) * 3}
@@ -68,7 +68,7 @@ def _table(schema: type[Schema]) -> NDArray[np.int64]:
         for k in range(f.count):
             units = _POSE_UNITS.get(f.unit, (f.unit,))
             if schema is Output and f.name in _CYCLE_FIELDS:
-                rows.append((_NOT_OURS, 0))
+                rows.append((_UNSCALED, 0))
             elif f.code == "f8":
                 rows.append((_NUMBER, POWERS.index(EXPONENTS[units[k % len(units)]])))
             elif f.unit == "ns":
@@ -221,7 +221,7 @@ def unscale_outputs(state: Any, output: Any) -> None:
 
 
 # given by driver, configuration or the sensor's window at every scale
-_TOLD = (
+_CONFIGURED = (
     "offset_m",
     "range_min_m",
     "range_max_m",
@@ -243,7 +243,7 @@ def scaled_defaults(offset_m: float, tau_s: float) -> dict[str, float]:
     found: dict[str, float] = {}
     for name, spec in PARAMS.items():
         unit = Params.field(name).unit
-        if name in _TOLD or name in _PLANT:
+        if name in _CONFIGURED or name in _PLANT:
             continue
         powers = (0, 1) if unit == "ns" else EXPONENTS[unit]
         if powers == (0, 0):

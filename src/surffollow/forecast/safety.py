@@ -36,10 +36,10 @@ def watch_fold_back(fold: Any, range_m: Any, sensor_z_m: Any, too_close_m: Any, 
 
 
 @jit_inlined
-def limit(value: Any, most: Any) -> Any:
-    """`value` cut to ±`most`; NaN gives 0."""
-    if value > most:
-        return most
-    if value < -most:
-        return -most
+def limit(value: Any, bound: Any) -> Any:
+    """`value` cut to ±`bound`; NaN gives 0."""
+    if value > bound:
+        return bound
+    if value < -bound:
+        return -bound
     return value if value == value else 0.0

@@ -8,11 +8,11 @@ from typing import Any
 from surffollow.forecast.adaptive_step import compute_demand, publish_estimate
 from surffollow.forecast.paper.extrapolation import (
     average_point,
+    distance_since_reading,
     note_place,
     paper_forecast,
     paper_update,
     relay,
-    way_told,
 )
 from surffollow.forecast.pose import footprint, pose_at
 from surffollow.forecast.reference_scales import (
@@ -119,9 +119,9 @@ def find_targets(params: Any, state: Any, output: Any, pose: Any, interpolate: A
 
 @jit_inlined
 def clear_output(params: Any, state: Any, inputs: Any, output: Any) -> None:
-    """The output of a cycle that demands nothing; distances are told no longer than they are extrapolated.
+    """Output of a cycle without a demand; distances are published as long as they are extrapolated.
 
-    What stops coming leaves its last reading behind, which is as good as any until `loss_timeout_ns`.
+    A reading that is not renewed stays valid until `loss_timeout_ns`.
     """
     output.t_ns = inputs.t_ns
     output.cycle = state.cycle
@@ -133,8 +133,8 @@ def clear_output(params: Any, state: Any, inputs: Any, output: Any) -> None:
     for c in range(CHANNELS):
         sense = state.sense
         age_ns = inputs.t_ns - params.sensor_latency_ns - sense.range_t_ns[c]
-        told = sense.valid[c] != 0 and (sense.fresh[c] != 0 or age_ns <= params.loss_timeout_ns)
-        output.range_m[c] = sense.range_m[c] if told else math.nan
+        current = sense.valid[c] != 0 and (sense.fresh[c] != 0 or age_ns <= params.loss_timeout_ns)
+        output.range_m[c] = sense.range_m[c] if current else math.nan
         output.range_t_ns[c] = state.sense.range_t_ns[c]
 
 
@@ -154,9 +154,9 @@ def demand_z(params: Any, state: Any, inputs: Any, output: Any, reading_z_m: Any
     if fresh == 0 or params.pose_interpolate != 0:
         pose_at(state.sense, inputs.t_ns, 0, pose)
         _, _, _, sensor_z_m = footprint(pose, params.tool_from_sensor, 0, 0.0)
-    most_way_m = math.inf if fresh != 0 else way_told(params, p, state.sense, inputs.t_ns)
+    max_distance_m = math.inf if fresh != 0 else distance_since_reading(params, p, state.sense, inputs.t_ns)
     delta_h, error = paper_forecast(
-        params, p, inputs.t_ns, fresh, range_m, reading_z_m, sensor_z_m, most_way_m
+        params, p, inputs.t_ns, fresh, range_m, reading_z_m, sensor_z_m, max_distance_m
     )
     if fresh != 0:
         note_place(p, state.sense)
@@ -164,12 +164,12 @@ def demand_z(params: Any, state: Any, inputs: Any, output: Any, reading_z_m: Any
     status = VALID
     if fresh == 0 and (state.sense.valid[0] == 0 or inputs.t_ns - p.reading_t_ns > ABSENT_NS):
         status |= NO_SENSOR
-    wanted = delta_h + error
-    cut = limit(wanted, params.max_demand_m)
-    if cut != wanted:
+    demand_m = delta_h + error
+    limited_m = limit(demand_m, params.max_demand_m)
+    if limited_m != demand_m:
         status |= LIMITED
     # once more: hysteresis keeps what was relayed, up to Permitted_Variance beyond the limit
-    dz = limit(relay(p, cut, sensor_z_m, params.permitted_variance_m), params.max_demand_m)
+    dz = limit(relay(p, limited_m, sensor_z_m, params.permitted_variance_m), params.max_demand_m)
     lost = p.reading_t_ns == 0 or inputs.t_ns - p.reading_t_ns > params.loss_timeout_ns
     if lost:
         status = (status & ~(VALID | LIMITED)) | SENSOR_LOST

@@ -107,16 +107,16 @@ def note_place(paper: Any, sense: Any) -> None:
 
 
 @jit_inlined
-def way_told(params: Any, paper: Any, sense: Any, t_ns: Any) -> Any:
-    """The way along the heading since the last reading, as the poses tell, and one Interval_Size [m].
+def distance_since_reading(params: Any, paper: Any, sense: Any, t_ns: Any) -> Any:
+    """Distance along the heading since the last reading, from the poses, plus one Interval_Size [m].
 
-    The newest pose is carried on to `t_ns` by the last speed. Negative when the tool went back farther.
+    The newest pose is extrapolated to `t_ns` by the last speed. Negative when the tool went back farther.
     """
     slot = (sense.pose_count - 1) & (POSES - 1)
     dx, dy = sense.pose[7 * slot] - paper.reading_x_m, sense.pose[7 * slot + 1] - paper.reading_y_m
     ux, uy = paper.reading_x_m - paper.before_x_m, paper.reading_y_m - paper.before_y_m
-    way_m = (ux * ux + uy * uy) ** 0.5
-    along_m = (dx * ux + dy * uy) / way_m if way_m > 0.0 else 0.0
+    heading_m = (ux * ux + uy * uy) ** 0.5
+    along_m = (dx * ux + dy * uy) / heading_m if heading_m > 0.0 else 0.0
     return along_m + paper.speed_mps * ((t_ns - sense.pose_t_ns[slot]) * 1e-9) + params.interval_size_m
 
 
@@ -129,7 +129,7 @@ def paper_forecast(
     range_m: Any,
     reading_z_m: Any,
     sensor_z_m: Any,
-    most_way_m: Any,
+    max_distance_m: Any,
 ) -> Any:
     """ΔH since the previous reading, and desired minus previous actual stand-off.
 
@@ -144,7 +144,7 @@ def paper_forecast(
     fresh : int                        1: `range_m` is a new reading of channel 0
     range_m, reading_z_m : float64     that reading, and the sensor's height in the pose it was made with
     sensor_z_m : float64               the sensor's height in the newest pose [m]
-    most_way_m : float64               the tool has gone no farther since the previous reading; inf: not known
+    max_distance_m : float64           the tool has gone no farther since the previous reading; inf: not known
 
     Returns
     -------
@@ -158,8 +158,8 @@ def paper_forecast(
         paper.reading_t_ns, paper.reading_m, paper.reading_z_m = t_ns, range_m, reading_z_m
     since_s = (t_ns - paper.reading_t_ns) * 1e-9
     delta_h = paper.slope * paper.speed_mps * since_s
-    if paper.speed_mps * since_s > most_way_m:
-        delta_h = paper.slope * most_way_m
+    if paper.speed_mps * since_s > max_distance_m:
+        delta_h = paper.slope * max_distance_m
     error = params.offset_m - (paper.reading_m + (sensor_z_m - paper.reading_z_m))
     if fresh != 0:
         paper.reading_t_ns, paper.reading_m, paper.reading_z_m = t_ns, range_m, reading_z_m

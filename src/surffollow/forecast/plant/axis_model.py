@@ -30,8 +30,8 @@ def step_axis(
 ) -> Any:
     """Position and velocity of the axis after a time step toward its set point [m, m/s]."""
     d = target_m - z_m
-    most = min(v_max_mps, abs(d) / dt_s)
-    w = min(max(axis_velocity(d, tau_s, a_max_mps2), -most), most)
+    limit = min(v_max_mps, abs(d) / dt_s)
+    w = min(max(axis_velocity(d, tau_s, a_max_mps2), -limit), limit)
     dv = a_max_mps2 * dt_s
     v_mps += min(max(w - v_mps, -dv), dv)
     return z_m + v_mps * dt_s, v_mps

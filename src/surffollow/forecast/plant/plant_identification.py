@@ -154,8 +154,8 @@ def update_plant(params: Any, adaptive: Any, sense: Any, adapt: Any) -> None:
     e = z - plant.axis_m
     plant.axis_m += POSITION_GAIN * e
     plant.axis_mps += VELOCITY_GAIN_HZ * e
-    most = params.plant_v_max_mps
-    plant.axis_mps = min(max(plant.axis_mps, -most), most)
+    limit = params.plant_v_max_mps
+    plant.axis_mps = min(max(plant.axis_mps, -limit), limit)
     if adapt == 0 or not least < MAX_MODEL_ERROR_M:
         return
     for k in range(N_PLANTS):

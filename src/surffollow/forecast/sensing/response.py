@@ -33,7 +33,7 @@ MIN_RUN_MEANS, MIN_LONG_MEANS = 2.0, 4.0  # independent means in a run before a 
 RUN_SAMPLES = 64  # in the mean of a run
 MEAN_TAUS, MIN_MEAN, MAX_MEAN = 1.0, 2.0, 8.0  # samples in the mean range: those of a time constant
 BAND_SIGMAS = 3.0  # of the mean: the range has changed …
-SURE = 1.5  # … beyond the chance of many looks, in bands: during a test and after it
+TEST_BAND_FACTOR = 1.5  # … beyond the chance of many looks, in bands: during a test and after it
 OUTLIER_SIGMAS = 3.0  # one sample moves the mean by no more
 HOLD_BANDS = 4.0  # change of the range that ends the hold, in bands
 LIFT_BANDS = 4.0  # height of the lift, in bands
@@ -96,10 +96,10 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
         share = 1.0 / response.run_samples
         response.run_range_m += share * (response.mean_m - response.run_range_m)
     band = BAND_SIGMAS * sigma / number**0.5
-    sure = 1.0 if response.phase == RESPONSE_RUN else SURE
+    factor = 1.0 if response.phase == RESPONSE_RUN else TEST_BAND_FACTOR
     noisy = response.noise_m >= QUIET_SHARE * response.usual_m
-    sees_again = response.phase == RESPONSE_NONE and response.quiet != 0 and noisy
-    if abs(response.mean_m - response.run_range_m) > sure * band or sees_again:
+    noise_is_back = response.phase == RESPONSE_NONE and response.quiet != 0 and noisy
+    if abs(response.mean_m - response.run_range_m) > factor * band or noise_is_back:
         _begin_run(response, t_ns, tool_z_m)
         response.usual_m = min(response.usual_m, response.noise_m / QUIET_SHARE)  # it responds
         return

@@ -73,15 +73,15 @@ def update_foreseen_error(adaptive: Any, known: Any, standoff_m: Any, z_m: Any) 
 
 
 @jit
-def factorise(plan: Any, known: Any, stiff: Any) -> None:
-    """LDLᵀ of W + stiff·DᵀD, for second differences D that begin with two known points."""
+def factorise(plan: Any, known: Any, stiffness: Any) -> None:
+    """LDLᵀ of W + stiffness·DᵀD, for second differences D that begin with two known points."""
     n = HORIZON
     for k in range(n):
         # row k of DᵀD: differences b_k (centre k-1), b_{k+1}, b_{k+2}
         d = 1.0 + (4.0 if k + 1 < n else 0.0) + (1.0 if k + 2 < n else 0.0)
         e = (-2.0 if k + 1 < n else 0.0) + (-2.0 if k + 2 < n else 0.0)
         f = 1.0 if k + 2 < n else 0.0
-        d, e, f = point_weight(k, known) + stiff * d, stiff * e, stiff * f
+        d, e, f = point_weight(k, known) + stiffness * d, stiffness * e, stiffness * f
         if plan.early[k] != 0:
             d += EARLY_WEIGHT
         if k >= 1:
@@ -129,12 +129,12 @@ def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, sta
     """
     plan = adaptive.plan
     n = HORIZON
-    most = ACCELERATION_SHARE * params.plant_a_max_mps2 * PERIOD_S * PERIOD_S
-    calm = params.plan_effort_s4 / PERIOD_S**4
-    stiff = calm + ADMM_PENALTY
+    limit = ACCELERATION_SHARE * params.plant_a_max_mps2 * PERIOD_S * PERIOD_S
+    effort = params.plan_effort_s4 / PERIOD_S**4
+    stiffness = effort + ADMM_PENALTY
     for k in range(n):
         plan.early[k] = 0
-    factorise(plan, known, stiff)
+    factorise(plan, known, stiffness)
     before = -v_mps * PERIOD_S  # the point before now, relative to now
     for k in range(n - 1):
         plan.acceleration_m[k] = plan.acceleration_m[k + 1]
@@ -153,7 +153,7 @@ def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, sta
         for k in range(n):
             # difference k spans points k-2, k-1 and k; the point before point 0 is now, at 0
             r = ADMM_PENALTY * (plan.acceleration_m[k] - plan.multiplier_m[k]) - (
-                stiff * before if k == 0 else 0.0
+                stiffness * before if k == 0 else 0.0
             )
             plan.position_m[k] += r
             if k >= 1:
@@ -162,13 +162,13 @@ def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, sta
                 plan.position_m[k - 2] += r
         solve(plan)
         if mark_early(adaptive, known, standoff_m, z_m) > 0:
-            factorise(plan, known, stiff)
+            factorise(plan, known, stiffness)
             rounds = EARLY_ITERATIONS
         z2, z1 = before, 0.0
         for k in range(n):
             b = plan.position_m[k] - 2.0 * z1 + z2
             z2, z1 = z1, plan.position_m[k]
-            u = min(max(b + plan.multiplier_m[k], -most), most)
+            u = min(max(b + plan.multiplier_m[k], -limit), limit)
             plan.multiplier_m[k] += b - u
             plan.acceleration_m[k] = u
     update_foreseen_error(adaptive, known, standoff_m, z_m)

@@ -29,7 +29,9 @@ VELOCITY_RATIO, ACCELERATION_RATIO = (
 )  # to the limits of the axis: quicker set points add effort only
 CONFIRMED_SAMPLES = 25  # of an estimate: with fewer there is no arrival, and after a drop-out no descent
 ARRIVED_M = 1e-5  # a setpoint that reaches its target in a cycle is on it but for rounding
-SLOT_WAYS = 12.0  # of `step_travel`: length of slots and of their groups, behind the last fall of the ground
+SLOT_GROUP_LENGTHS = (
+    12.0  # of `step_travel`: length of slots and of their groups, behind the last fall of the ground
+)
 SETTLED_M, SETTLED_MPS = 1e-3, 0.02  # distance and rate within which a set point is back from a plan
 BISECTIONS = 8  # resolution: 1/256 of the change that the jerk allows in a cycle
 
@@ -118,29 +120,29 @@ def update_interval(setpoint: Any, dt_s: Any) -> None:
 
 
 @jit
-def limit_in_force(most: Any, usable: Any, share: Any) -> Any:
+def limit_in_force(permitted: Any, usable: Any, share: Any) -> Any:
     """Limit in force: what the axis can use, up to the permitted limit with preview.
 
     Set points of a plan are far ahead of the axis, so that it responds sooner.
     """
-    return most + (1.0 - share) * (min(most, usable) - most)
+    return permitted + (1.0 - share) * (min(permitted, usable) - permitted)
 
 
 @jit
 def has_settled(params: Any, setpoint: Any, e_m: Any) -> Any:
     """Whether a set point that a plan led is back at its target: until then its limits stay raised."""
-    calm = params.toward_factor * ACCELERATION_RATIO * params.plant_a_max_mps2
+    limit_mps2 = params.toward_factor * ACCELERATION_RATIO * params.plant_a_max_mps2
     return (
         abs(e_m) < SETTLED_M
         and abs(setpoint.velocity_mps) < SETTLED_MPS
-        and abs(setpoint.acceleration_mps2) <= calm
+        and abs(setpoint.acceleration_mps2) <= limit_mps2
     )
 
 
 @jit
 def may_be_slot(params: Any, gate: Any) -> Any:
     """Whether the tool is just behind a confirmed fall of the ground."""
-    return gate.step_m < 0.0 and gate.travel_since_step_m < SLOT_WAYS * params.step_travel_m
+    return gate.step_m < 0.0 and gate.travel_since_step_m < SLOT_GROUP_LENGTHS * params.step_travel_m
 
 
 @jit

@@ -32,8 +32,8 @@ def point_at(adaptive: Any, s_m: Any) -> Any:
 def is_off_path(adaptive: Any, c: Any, s_m: Any, x_m: Any, y_m: Any) -> Any:
     """Whether cell c was measured away from a point of the path."""
     buffer = adaptive.buffer
-    most = max(OFF_PATH_M, OFF_PATH_SHARE * abs(s_m - adaptive.sample.arc_length_m))
-    return (buffer.x_m[c] - x_m) ** 2 + (buffer.y_m[c] - y_m) ** 2 > most * most
+    tolerance = max(OFF_PATH_M, OFF_PATH_SHARE * abs(s_m - adaptive.sample.arc_length_m))
+    return (buffer.x_m[c] - x_m) ** 2 + (buffer.y_m[c] - y_m) ** 2 > tolerance * tolerance
 
 
 @jit
