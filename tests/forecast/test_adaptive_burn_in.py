@@ -101,14 +101,15 @@ def test_samples_across_the_edges_of_a_slot_do_not_widen_the_gate():
     assert abs(a["estimate"]["height_m"]) < 2e-4
 
 
-def test_outliers_that_never_agree_widen_the_gate_when_they_are_more_than_a_burst():
-    undisturbed, _ = feed(np.zeros(440))
-    for count, wider in ((12, False), (30, True)):
-        heights = np.zeros(400 + count)
-        heights[400:] = 0.01 * (1.0 + np.arange(count) // 2) * (-1.0) ** np.arange(count)
-        a, taken = feed(heights)
-        assert not taken[400:412].any(), "a burst confirms no step"
-        assert (a["gate"]["scale_m"] > 1.5 * undisturbed["gate"]["scale_m"]) == wider
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_that_grows_a_hundredfold_is_accepted_within_seconds(seed):
+    # GIVEN a sensor with 0.2 mm of noise WHEN the noise grows to 20 mm after 400 samples
+    heights = np.zeros(2000)
+    heights[400:] = 0.02 * np.random.default_rng(seed).standard_normal(1600)
+    _, taken = feed(heights, seed=seed)
+    # THEN most of a burst's length is rejected, and after four seconds every sample enters the estimate
+    assert taken[400:412].sum() < 6
+    assert taken[1400:].all()
 
 
 def test_a_bad_first_sample_is_discarded_with_all_that_it_taught():

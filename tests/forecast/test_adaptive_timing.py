@@ -33,7 +33,7 @@ def samples_that_confirm(interval_s: float) -> int:
     a["gate"]["slot_likelihood"] = 1.0
     for n in range(1, 10):
         a["estimate"]["sample_ns"] += int(interval_s * 1e9)
-        if hold_pending(default_params(), a, 0.01, 1e-4, 1e-3, False, 1):
+        if hold_pending(default_params(), a, 0.01, 1e-4, 1e-3, False):
             return n
     return 0
 

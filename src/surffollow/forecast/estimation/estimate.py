@@ -51,8 +51,8 @@ MIN_SPEED_MPS = 1e-3  # least speed assumed: the bank updates at rest, too
 IMMEDIATELY_S = 1.0  # long against every time constant of the weights
 INITIALISATION_SAMPLES = 3  # fewer are not confirmed: one of them may be a glitch
 AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well replace the first one
-SETTLING_NS = 150_000_000  # after a step all shadow axes have the same error
-INITIAL_SETTLING_NS = 60_000_000  # after a start, until set points of a few samples have acted
+# after a start and after a loss the performance index waits until set points have acted
+INITIAL_SETTLING_NS, SETTLING_NS = 60_000_000, 150_000_000
 GAP_NS = 100_000_000  # a step after a longer gap, unusual for the sensor, needs no travel
 PLAUSIBLE_SLOPE = 0.2  # ground may change by so much of the travel since the sample before: sparse samples
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
@@ -215,18 +215,15 @@ def update_estimate(
         restart_estimate(params, adaptive, t_ns, h_m, standoff_m, adapt)
         return 1
     if abs(innovation) > width:
-        if hold_pending(params, adaptive, innovation, travel, width, gap, adapt) == 0:
+        if hold_pending(params, adaptive, innovation, travel, width, gap) == 0:
             return 0
         if gate.pending > estimate.samples:
             restart_estimate(params, adaptive, t_ns, gate.pending_height_m / gate.pending, standoff_m, adapt)
             return 1
         confirm_step(params, adaptive)
         innovation = h_m - estimate.height_m
-        estimate.settle_ns = t_ns + SETTLING_NS
     else:
         accept_sample(params, gate)
-    if gap:
-        estimate.settle_ns = t_ns + SETTLING_NS
     if adapt != 0:
         update_scale(gate, innovation, width)
         # a shadow axis is where the tool is: only heights measured there give its error

@@ -16,9 +16,7 @@ SCALE_RATE = 0.02  # of the usual innovation, per sample
 PERMANENT_STEPS = 0.2  # likelihood of slots below which two samples confirm a step
 SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 0.3, 0.01  # factor per step that stays; least value
 STANDING_CONFIRMATION_NS = 120_000_000  # agreeing samples over this time need no travel
-SCALE_GROWTH = 1.3  # of the usual innovation, per outlier that agrees with none
-REJECTED_TOLERANCE = 12  # outliers that agree with none: more than a burst of wrong readings has
-AGREEMENT_SIGMAS = 6.0  # agreeing samples differ by no more noise than this, on ground as steep as 45 degrees
+AGREEMENT_SIGMAS = 6.0  # in a burst agreeing samples differ by no more noise, on ground of 45 degrees
 # two samples confirm a step where more of them take longer than so many time constants of the axis
 CONFIRMATION_TAUS = 0.5
 BURST_TAUS = 0.25  # confirmation is delayed by no more of the axis' time constant
@@ -33,9 +31,7 @@ def update_scale(gate: Any, innovation_m: Any, gate_m: Any) -> None:
 
 
 @jit
-def hold_pending(
-    params: Any, adaptive: Any, innovation_m: Any, travel_m: Any, gate_m: Any, gap: Any, adapt: Any
-) -> Any:
+def hold_pending(params: Any, adaptive: Any, innovation_m: Any, travel_m: Any, gate_m: Any, gap: Any) -> Any:
     """Hold an outlier as pending; 1 when it confirms a step.
 
     `pending_arc_length_m` and `pending_height_m` are sums over the samples that agree.
@@ -43,7 +39,7 @@ def hold_pending(
     gate, estimate = adaptive.gate, adaptive.estimate
     last_height = gate.kept_height_m[(gate.pending - 1) & (PENDING_HEIGHTS - 1)]
     tolerance = gate_m
-    if innovation_m > 0.0:  # a fall needs travel, too, and may be steep
+    if innovation_m > 0.0 and gate.rejected > 0:  # a burst of wrong readings; a fall needs travel, too
         tolerance = min(AGREEMENT_SIGMAS * max(adaptive.noise.sigma_m, MIN_NOISE_M) + travel_m, gate_m)
     if gate.pending > 0 and abs(estimate.height_m + innovation_m - last_height) < tolerance:
         gate.pending += 1
@@ -51,9 +47,6 @@ def hold_pending(
     else:
         if gate.pending > 0:
             gate.rejected += 1
-        if gate.rejected > REJECTED_TOLERANCE and adapt != 0:
-            # outliers that do not agree with each other: the ground is rougher than assumed
-            gate.scale_m *= SCALE_GROWTH
         gate.pending = 1
         gate.pending_innovation_m = gate.pending_arc_length_m = gate.pending_height_m = 0.0
         gate.pending_travel_m = params.step_travel_m if gap else 0.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.forecast.estimation.estimate import SETTLING_NS
 from surffollow.forecast.estimation.model_bank import (
     N_MODELS,
     extrapolate_bank,
@@ -19,6 +18,7 @@ from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit
 
 DROPOUT_TOLERANCE_S = 0.025  # a single missing sample is no drop-out
+UNCONFIRMED_STEP_NS = 150_000_000  # a fall that no sample followed for longer is taken back in a drop-out
 RATE_STEP_S = 0.005  # over which the rate of the blended set point is taken
 DEADBAND_DECAY_S = 0.01  # time in which an excess of DEADBAND_SOFTNESS deadbands is halved
 DEADBAND_SOFTNESS = 2.5  # in deadbands
@@ -83,7 +83,8 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
     z = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
     rate_mps = (later - z) / RATE_STEP_S
     recent = (
-        estimate.accepted_ns - gate.step_ns < SETTLING_NS and gate.travel_since_step_m < params.step_travel_m
+        estimate.accepted_ns - gate.step_ns < UNCONFIRMED_STEP_NS
+        and gate.travel_since_step_m < params.step_travel_m
     )
     if dropout > 0.0 and gate.step_m < 0.0 and recent:
         z -= gate.step_m
