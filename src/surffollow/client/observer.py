@@ -74,7 +74,7 @@ class Observer(ServiceState, MapReading, Closing):
     ...     range_m = watcher.raw_distance(channel=0)         # NaN: no reading, or an old one
     ...     offset_m = watcher.params()["offset_m"]
     >>> len(demand), 0.0 < offset_m < 1.0
-    (True, True)
+    (6, True)
     """
 
     def __init__(
