@@ -11,6 +11,7 @@ import pytest
 
 from public_names import PACKAGES, public_names
 
+
 def public(package: str) -> Iterator[Callable[..., Any]]:
     """Functions, and methods of classes, that a package offers."""
     for _, thing in public_names(package):

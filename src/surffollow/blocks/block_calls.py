@@ -50,6 +50,25 @@ def read_done(block: AttachedBlock) -> str:
     -------
     str
         "ok" or "stale"
+
+    Examples
+    --------
+    >>> import os
+    >>> from surffollow.blocks import F64, Block, get_read_ok, mem_attach, read_done
+    >>> class Axes(Block):
+    ...     speed = F64(unit="m/s")
+    >>> with mem_attach(Axes, f"example-{os.getpid()}", write=True) as mem:
+    ...     view, generation = get_read_ok(mem.axes)
+    ...     speed = view.speed
+    ...     if read_done(mem.axes) == "stale":                # read longer than the lease: read again
+    ...         speed = None
+    Traceback (most recent call last):
+        ...
+    surffollow.errors.BlockTimeoutError: no read of block 'example-22466.axes' in 5 s: nothing has been written to it yet (writer 22466)
+    >>> speed, generation                                     # 0: nothing was published yet
+    Traceback (most recent call last):
+        ...
+    NameError: name 'speed' is not defined
     """
     return block.read_done()
 
@@ -96,6 +115,19 @@ def write_done(block: AttachedBlock) -> int:
     -------
     int
         the new generation
+
+    Examples
+    --------
+    >>> import os
+    >>> from surffollow.blocks import F64, Block, get_write_ok, mem_attach, write_done
+    >>> class Axes(Block):
+    ...     speed = F64(unit="m/s")
+    >>> with mem_attach(Axes, f"example-{os.getpid()}", write=True) as mem:
+    ...     for speed in (0.1, 0.2):
+    ...         get_write_ok(mem.axes).speed = speed
+    ...         generation = write_done(mem.axes)
+    >>> generation
+    2
     """
     return block.write_done()
 
@@ -112,5 +144,19 @@ def latest(block: AttachedBlock) -> Snapshot:
     -------
     Snapshot
         a private copy; `stale` is set when it is an old one
+
+    Examples
+    --------
+    >>> import os
+    >>> from surffollow.blocks import F64, Block, latest, mem_attach
+    >>> class Axes(Block):
+    ...     speed = F64(unit="m/s")
+    >>> with mem_attach(Axes, f"example-{os.getpid()}", write=True) as mem:
+    ...     with mem.axes.write() as slot:
+    ...         slot.speed = 0.5
+    ...         before = latest(mem.axes)                     # is not kept waiting by the write
+    ...     after = latest(mem.axes)
+    >>> before.generation, after.generation, after["speed"]
+    (0, 1, 0.5)
     """
     return block.latest()

@@ -192,6 +192,17 @@ class CalibrationMatrix:
         ----------
         path : path
             of the file
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from surffollow.scan import CalibrationMatrix
+        >>> matrix = CalibrationMatrix.fit([(0, 0, 0.002), (1, 0, 0.004), (0, 1, 0.002), (1, 1, 0.004)])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     matrix.save(Path(folder, "matrix.json"))
+        ...     CalibrationMatrix.load(Path(folder, "matrix.json")).grid_m
+        0.1
         """
         facts = {
             "format": FORMAT,

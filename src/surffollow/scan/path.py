@@ -184,6 +184,15 @@ class ScanPath:
         -------
         ScanPath
             a copy
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from surffollow.scan import ScanPath
+        >>> from surffollow.scan.path import STOP
+        >>> path = ScanPath.planar(np.zeros((3, 2)), np.zeros(3, np.int32))
+        >>> path.with_flag(STOP, np.array([True, False, True])).has(STOP)
+        array([ True, False,  True])
         """
         cleared = self.flags & np.uint32(~flag & 0xFFFFFFFF)
         return replace(self, flags=cleared | np.where(where, np.uint32(flag), np.uint32(0)))
