@@ -14,7 +14,6 @@ from arbiter.running import Running
 from public_names import PACKAGES, public_names
 from running_service import Service, until
 from surffollow.arbiter import command_reader, observe
-from surffollow.errors import SurffollowError
 
 SRC = Path(__file__).parents[2] / "src"
 MODULES = sorted(
@@ -24,11 +23,11 @@ MODULES = sorted(
 )
 # examples use these names; the test has servers under names of its own
 SERVICE, ARBITER = '"surf"', '"cell"'
-# a result or an interface without an example of its own → the name whose example shows it
+# names without an example of their own → the name whose example shows them
 SHOWN_BY = {
-    "Holder": "ArbiterClient",
-    "HistoryEvent": "History",
-    "Source": "PolledDriver",
+    "arbiter.Holder": "arbiter.ArbiterClient",  # a result
+    "arbiter.HistoryEvent": "arbiter.History",  # a result
+    "hw.Source": "hw.PolledDriver",  # an interface, for the argument of that class
 }
 
 
@@ -74,10 +73,14 @@ def has_example(thing: object) -> bool:
 
 
 def test_every_public_name_is_shown_in_an_example() -> None:
-    """GIVEN the names of the site THEN each has an example, or another's shows it; errors are alike."""
-    things = dict(pair for package in PACKAGES for pair in public_names(package))
+    """GIVEN the names of the site THEN each has an example, or another's shows it.
+
+    An error without one is caught as the example of their base class shows.
+    """
+    pairs = ((f"{package}.{name}", thing) for package in PACKAGES for name, thing in public_names(package))
+    things = {name.removeprefix("surffollow."): thing for name, thing in pairs}
     shown = {name for name, thing in things.items() if has_example(thing)}
-    errors = {n for n, t in things.items() if isinstance(t, type) and issubclass(t, SurffollowError)}
-    assert "SurffollowError" in shown
+    errors = {name for name in things if name.startswith("errors.") and name.endswith("Error")}
+    assert "errors.SurffollowError" in shown
     assert things.keys() - shown - errors == SHOWN_BY.keys()
     assert set(SHOWN_BY.values()) <= shown

@@ -260,6 +260,16 @@ class ServiceRequests(RangePusher):
             no exclusive access within `timeout_s`; another client may hold it
         NotRunningError
             there is no service, or it ended
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from surffollow.client import attach
+        >>> with attach("surf") as robot, tempfile.TemporaryDirectory() as folder:
+        ...     _ = robot.map_reset((0.0, 0.0, 0.1, 0.1))         # x_min, y_min, x_max, y_max [m]
+        ...     robot.upload_map(Path(folder, "ground.txt")).name
+        'ground.txt'
         """
         from surffollow.client.map_reader import upload_map
 
