@@ -98,9 +98,13 @@ def read_source(app: Any, name: str, text: list[str]) -> None:
 
 
 def literal(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
-    """Make single backticks and plain asterisks of docstrings safe for reStructuredText."""
-    out = []
+    """Make single backticks and plain asterisks of docstrings safe for reStructuredText, but in examples."""
+    out, example = [], False
     for line in lines:
+        example = line.lstrip().startswith(">>> ") or (example and bool(line.strip()))
+        if example:
+            out.append(line)
+            continue
         line = re.sub(r"(?<![`\w])`([^`]+)`(?!`)", r"``\1``", line)
         parts = re.split(r"(``.*?``)", line)
         out.append("".join(p if p.startswith("``") else re.sub(r"([*|])", r"\\\1", p) for p in parts))

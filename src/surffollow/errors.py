@@ -40,19 +40,50 @@ from typing import Any
 
 
 class SurffollowError(Exception):
-    """Base of all; `exit_code` is what the command line ends with."""
+    """Base of all; `exit_code` is what the command line ends with.
+
+    Examples
+    --------
+    >>> from surffollow.errors import SurffollowError
+    >>> from surffollow.units import parse_quantity
+    >>> try:
+    ...     parse_quantity("5 kg", "m")
+    ... except SurffollowError as e:  # and every FaultError
+    ...     print(type(e).__name__, e.exit_code, isinstance(e, ValueError))
+    UsageError 2 True
+    """
 
     exit_code = 1
 
 
 class UsageError(SurffollowError, ValueError):
-    """The caller's argument is wrong in every situation."""
+    """The caller's argument is wrong in every situation.
+
+    Examples
+    --------
+    >>> from surffollow.units import parse_quantity
+    >>> parse_quantity("7 ms", "m")
+    Traceback (most recent call last):
+        ...
+    surffollow.errors.UsageError: unit 'ms' is a time, but a length in 'm' (or its multiples) is needed
+    """
 
     exit_code = 2
 
 
 class ConfigError(UsageError):
-    """A configuration file has an unknown key, a value out of range or a wrong unit."""
+    """A configuration file has an unknown key, a value out of range or a wrong unit.
+
+    Examples
+    --------
+    >>> import surffollow
+    >>> from surffollow.errors import ConfigError
+    >>> try:
+    ...     surffollow.Follower({"ofset_m": 0.1})
+    ... except ConfigError:
+    ...     print("unknown parameter")
+    unknown parameter
+    """
 
 
 class PoseError(UsageError):
@@ -64,7 +95,16 @@ class ReadingError(UsageError):
 
 
 class RegionError(UsageError):
-    """A map region whose sides are not positive, finite and at most 1e6 m."""
+    """A map region whose sides are not positive, finite and at most 1e6 m.
+
+    Examples
+    --------
+    >>> from surffollow.map import HeightMap
+    >>> HeightMap.over((0.0, 0.0, -1.0, 1.0))
+    Traceback (most recent call last):
+        ...
+    surffollow.errors.RegionError: the region's sides must be positive, finite and at most 1e6 m
+    """
 
 
 class ClosedError(UsageError):
@@ -84,7 +124,18 @@ class SchemaError(UsageError):
 
 
 class FaultError(SurffollowError):
-    """The call was right, the world was not."""
+    """The call was right, the world was not.
+
+    Examples
+    --------
+    >>> from surffollow.errors import FaultError
+    >>> from surffollow.map import HeightMap
+    >>> try:
+    ...     HeightMap.load("no-such-map.txt")
+    ... except FaultError as e:
+    ...     print(type(e).__name__, e.exit_code)
+    MapFileError 1
+    """
 
 
 class ServiceError(FaultError):
@@ -92,7 +143,18 @@ class ServiceError(FaultError):
 
 
 class NotRunningError(ServiceError):
-    """No live service answers under that name."""
+    """No live service answers under that name.
+
+    Examples
+    --------
+    >>> from surffollow.client import attach
+    >>> from surffollow.errors import NotRunningError
+    >>> try:
+    ...     robot = attach("no-such-service")
+    ... except NotRunningError:
+    ...     print("start it: surffollow start")
+    start it: surffollow start
+    """
 
 
 class AlreadyRunningError(ServiceError):
@@ -100,7 +162,15 @@ class AlreadyRunningError(ServiceError):
 
 
 class RefusedError(ServiceError):
-    """The service looked at the request and refused it; `code` says why."""
+    """The service looked at the request and refused it; `code` says why.
+
+    Examples
+    --------
+    >>> from surffollow.errors import RefusedError, ServiceError
+    >>> refused = RefusedError("refused: another client sends the pose", code=3)
+    >>> refused.code, isinstance(refused, ServiceError)
+    (3, True)
+    """
 
     def __init__(self, message: str, code: int = 0) -> None:
         super().__init__(message)
@@ -183,6 +253,12 @@ def attribute_of(module: str, name: str) -> Any:
     ------
     ModuleNotFoundError
         a library is missing; the text says what to install
+
+    Examples
+    --------
+    >>> from surffollow.errors import attribute_of
+    >>> attribute_of("surffollow.units", "format_ns")(1_500_000)
+    '1.5 ms'
     """
     try:
         return getattr(importlib.import_module(module), name)
@@ -202,6 +278,14 @@ def missing_library(error: ModuleNotFoundError) -> str:
     -------
     str
         a sentence with the command; "" for any other module
+
+    Examples
+    --------
+    >>> from surffollow.errors import missing_library
+    >>> missing_library(ModuleNotFoundError("No module named 'numba'", name="numba")).split("; ")[0]
+    'this needs numba, which a client-only installation does not have'
+    >>> missing_library(ModuleNotFoundError("No module named 'mine'", name="mine"))
+    ''
     """
     library = (error.name or "").split(".")[0]
     if library not in SERVICE_LIBRARIES:

@@ -73,6 +73,12 @@ def unit_scale(unit: str, si_unit: str) -> float:
     ------
     UsageError
         when either is unknown or their dimensions differ
+
+    Examples
+    --------
+    >>> from surffollow.units import unit_scale
+    >>> unit_scale("in", "mm"), unit_scale("ms", "ns")
+    (25.4, 1000000.0)
     """
     for u in (unit, si_unit):
         if u not in _UNITS:
@@ -138,6 +144,12 @@ def format_ns(t_ns: float) -> str:
     -------
     str
         three digits and a unit
+
+    Examples
+    --------
+    >>> from surffollow.units import format_ns
+    >>> format_ns(850), format_ns(4_560_000)
+    ('850 ns', '4.56 ms')
     """
     for limit, scale, unit in ((1e3, 1.0, "ns"), (1e6, 1e3, "µs"), (1e9, 1e6, "ms")):
         if abs(t_ns) < limit:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import re
 from collections.abc import Callable, Iterator
@@ -10,30 +9,14 @@ from typing import Any
 
 import pytest
 
-PACKAGES = (
-    "surffollow",
-    "surffollow.arbiter",
-    "surffollow.arbiter.declaration",
-    "surffollow.blocks",
-    "surffollow.client",
-    "surffollow.errors",
-    "surffollow.hw",
-    "surffollow.map",
-    "surffollow.scan",
-    "surffollow.sonar",
-    "surffollow.units",
-)
+from public_names import PACKAGES, public_names
 
 
 def public(package: str) -> Iterator[Callable[..., Any]]:
     """Functions, and methods of classes, that a package offers."""
-    module = importlib.import_module(package)
-    own = [n for n, v in vars(module).items() if getattr(v, "__module__", "") == package and n[0] != "_"]
-    for name in getattr(module, "__all__", own):
-        thing = getattr(module, name)
+    for _, thing in public_names(package):
         if not isinstance(thing, type):
-            if callable(thing):
-                yield inspect.unwrap(thing)
+            yield inspect.unwrap(thing)
         elif not issubclass(thing, Exception):
             for base in thing.__mro__:
                 for word, method in vars(base).items():

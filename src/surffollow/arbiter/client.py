@@ -36,6 +36,15 @@ class ArbiterClient(ArbiterObserver):
         as in the history
     owner : int
         user of the server's process, from the kernel
+
+    Examples
+    --------
+    >>> from surffollow.arbiter import attach
+    >>> with attach("cell", "go") as arbiter:
+    ...     reply = arbiter.resource("robot").request(timeout_s=5.0)
+    ...     holder = arbiter.holder("robot")
+    >>> reply.granted, holder.name, holder.priority
+    (True, 'go', 10)
     """
 
     def __init__(self, name: str, client: str, grant: MailboxGrant) -> None:
@@ -172,6 +181,13 @@ def attach(
         unknown or taken name, no free slot, not a user who may
     ConfigError
         there is no user of that name
+
+    Examples
+    --------
+    >>> from surffollow.arbiter import attach
+    >>> with attach("cell", "go") as arbiter:
+    ...     arbiter.client, arbiter.connected
+    ('go', True)
     """
     check_name(f"{name}.arbiter")
     check_name(client)

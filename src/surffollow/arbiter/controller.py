@@ -34,6 +34,13 @@ class ResourceCommand(NamedTuple):
         timestamp of the pose that the values are relative to; 0: none
     limited : bool
         a value was brought within its limits
+
+    Examples
+    --------
+    >>> from surffollow.arbiter import ResourceCommand
+    >>> command = ResourceCommand((0.2, 0.0), False, 1, 3, t_ns=5_000_000, ref_t_ns=0, limited=False)
+    >>> command.age_ns(now_ns=7_000_000)                      # [ns]
+    2000000
     """
 
     values: tuple[float, ...]
@@ -64,6 +71,14 @@ class CommandReader(Closing):
     """Reads the command block of one resource, or of a combination; follows restarts of the server.
 
     The block must belong to a trusted user when it is attached first, and to that same user ever after.
+
+    Examples
+    --------
+    >>> from surffollow.arbiter import command_reader
+    >>> with command_reader("cell", "robot") as reader:
+    ...     command = reader.latest()
+    >>> command.values if not command.safe else "stop the robot"
+    'stop the robot'
     """
 
     def __init__(self, name: str, resource: str, owner: int | str | None = None) -> None:
@@ -142,5 +157,15 @@ def command_reader(name: str, resource: str, *, owner: int | str | None = None) 
         a block of another user bears the name, or its mode forbids reading
     ConfigError
         there is no user of that name
+
+    Examples
+    --------
+    >>> from surffollow.arbiter import attach, command_reader
+    >>> with attach("cell", "go") as arbiter, command_reader("cell", "robot") as reader:
+    ...     robot = arbiter.resource("robot")
+    ...     if robot.request(timeout_s=5.0) and robot.command(0.2, 0.0):
+    ...         command = reader.latest()                     # a controller reads it in each cycle
+    >>> len(command.values)                                   # speed [m/s], turn_rate [rad/s]
+    2
     """
     return CommandReader(name, resource, owner)

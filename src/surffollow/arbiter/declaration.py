@@ -29,6 +29,12 @@ class Value(NamedTuple):
         its part of the safe command
     low, high : float
         limits; a command beyond them is brought within
+
+    Examples
+    --------
+    >>> from surffollow.arbiter.declaration import Value
+    >>> Value("m/s", low=-0.5, high=0.5)
+    Value(unit='m/s', safe=0.0, low=-0.5, high=0.5)
     """
 
     unit: str = ""
@@ -47,6 +53,15 @@ class Declaration:
     status : str
         block that its controller publishes
     policy, equal, ttl, safe_period, grace : as in TOML (docs/reference/arbiter.md)
+
+    Examples
+    --------
+    >>> from surffollow.arbiter.declaration import Declaration, Value
+    >>> class PanCamera(Declaration):
+    ...     pan = Value("rad", low=-1.5, high=1.5)
+    ...     policy = "cooperative"
+    >>> PanCamera.resource, PanCamera.table()["command"], PanCamera.table()["units"]
+    ('pan-camera', ('pan',), ('rad',))
     """
 
     resource: ClassVar[str] = ""

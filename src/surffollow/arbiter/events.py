@@ -56,6 +56,16 @@ class History:
     ----------
     lost : int
         records that were overwritten before they were read
+
+    Examples
+    --------
+    >>> from surffollow.arbiter import attach
+    >>> with attach("cell", "go") as arbiter:
+    ...     history = arbiter.history()                       # from now on
+    ...     _ = arbiter.resource("robot").request(timeout_s=5.0)
+    ...     events = [(event.event, event.resource) for event in history]
+    >>> ("GRANT", "robot") in events
+    True
     """
 
     def __init__(

@@ -21,7 +21,16 @@ READY_POLL_S = 0.005
 
 
 class ArbiterObserver(Closing):
-    """Reading access to an arbiter; it follows no restart: observe anew (see `alive`)."""
+    """Reading access to an arbiter; it follows no restart: observe anew (see `alive`).
+
+    Examples
+    --------
+    >>> from surffollow.arbiter import observe
+    >>> with observe("cell") as watcher:
+    ...     status = watcher.status()["resources"]["robot"]
+    >>> status["policy"], status["fields"], status["units"]
+    ('fence', ['speed', 'turn_rate'], ['m/s', 'rad/s'])
+    """
 
     def __init__(self, name: str, board: BoardReader) -> None:
         self.name, self.board = name, board
@@ -137,6 +146,13 @@ def observe(name: str = "cell", *, owner: int | str | None = None) -> ArbiterObs
     Raises
     ------
     NotRunningError, NoPermissionError, BlockError, LayoutMismatchError, ConfigError
+
+    Examples
+    --------
+    >>> from surffollow.arbiter import observe
+    >>> with observe("cell") as watcher:
+    ...     watcher.alive(), "robot" in watcher.resources, watcher.holder("robot")
+    (True, True, None)
     """
     try:
         obj = SharedObject.open(check_name(f"{name}.arbiter"), owners=trusted_owners(owner))

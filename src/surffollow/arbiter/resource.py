@@ -39,6 +39,15 @@ class Reply(NamedTuple):
         name of the client that holds it instead; "" for none
     holder_priority : int
         priority of that client; 0: none
+
+    Examples
+    --------
+    >>> from surffollow.arbiter import attach
+    >>> with attach("cell", "avoid") as first, attach("cell", "go") as second:
+    ...     _ = first.resource("robot").request(timeout_s=5.0)
+    ...     reply = second.resource("robot").request(timeout_s=5.0)
+    >>> bool(reply), reply.reason, reply.holder, reply.holder_priority
+    (False, 'DENY', 'avoid', 40)
     """
 
     granted: bool
@@ -65,13 +74,14 @@ class Resource:
 
     Examples
     --------
-    ::
-
-        with attach("cell", "go") as arbiter:
-            robot = arbiter.resource("robot")
-            if robot.request(wait=True, timeout_s=2.0):
-                while robot.command(0.2, 0.0):      # False: a client of higher priority has it now
-                    time.sleep(0.02)
+    >>> from surffollow.arbiter import attach
+    >>> with attach("cell", "go") as arbiter:
+    ...     robot = arbiter.resource("robot")
+    ...     if robot.request(wait=True, timeout_s=5.0):
+    ...         sent = robot.command(0.2, 0.0)      # False: a client of higher priority has it now
+    ...     robot.relinquish()
+    >>> robot.fields, sent
+    (('speed', 'turn_rate'), True)
     """
 
     def __init__(self, client: ArbiterClient, exchange: ex.Exchange, number: int) -> None:

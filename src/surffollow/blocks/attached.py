@@ -46,6 +46,20 @@ class AttachedBlock(ReadSide):
         somebody locks bytes of the block against the rules: the writer waits for no reader
     hook_failures : int
         calls of `on_write_done` hooks that failed
+
+    Examples
+    --------
+    >>> import os
+    >>> from surffollow.blocks import F64, Block, mem_attach
+    >>> class Axes(Block):
+    ...     speed = F64(unit="m/s")
+    >>> with mem_attach(Axes, f"example-{os.getpid()}", write=True) as mem:
+    ...     with mem.axes.write() as slot:                # waits for readers, publishes at its end
+    ...         slot.speed = 0.5
+    ...     with mem.axes.read() as view:                 # keeps the writer out
+    ...         speed = view.speed
+    ...     print(speed, mem.axes.latest()["speed"], mem.axes.generation, mem.axes.writer_alive())
+    0.5 0.5 1 True
     """
 
     def __init__(
@@ -254,6 +268,21 @@ class AttachedBlock(ReadSide):
         -------
         callable
             takes the hook off again
+
+        Examples
+        --------
+        >>> import os
+        >>> from surffollow.blocks import F64, Block, mem_attach
+        >>> class Axes(Block):
+        ...     speed = F64(unit="m/s")
+        >>> with mem_attach(Axes, f"example-{os.getpid()}", write=True) as mem:
+        ...     sent = []                                     # a hook may send the bytes to another machine
+        ...     stop = mem.axes.on_write_done(lambda snapshot: sent.append(snapshot.payload))
+        ...     with mem.axes.write() as slot:
+        ...         slot.speed = 0.5
+        ...     stop()
+        >>> len(sent), len(sent[0])
+        (1, 8)
         """
         self._hooks.append(hook)
         return lambda: self._hooks.remove(hook) if hook in self._hooks else None

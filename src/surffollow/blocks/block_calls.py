@@ -21,6 +21,19 @@ def get_read_ok(block: AttachedBlock, timeout_s: float = 5.0) -> tuple[Record, i
     -------
     tuple of Record and int
         the view, valid until `read_done`, and its generation
+
+    Examples
+    --------
+    >>> import os
+    >>> from surffollow.blocks import F64, Block, get_read_ok, mem_attach, read_done
+    >>> class Axes(Block):
+    ...     speed = F64(unit="m/s")
+    >>> with mem_attach(Axes, f"example-{os.getpid()}", write=True) as mem:
+    ...     with mem.axes.write() as slot:
+    ...         slot.speed = 0.5
+    ...     view, generation = get_read_ok(mem.axes)      # the writer waits until `read_done`
+    ...     print(view.speed, generation, read_done(mem.axes))
+    0.5 1 ok
     """
     return block.get_read_ok(timeout_s)
 
@@ -37,6 +50,22 @@ def read_done(block: AttachedBlock) -> str:
     -------
     str
         "ok" or "stale"
+
+    Examples
+    --------
+    >>> import os
+    >>> from surffollow.blocks import F64, Block, get_read_ok, mem_attach, read_done
+    >>> class Axes(Block):
+    ...     speed = F64(unit="m/s")
+    >>> with mem_attach(Axes, f"example-{os.getpid()}", write=True) as mem:
+    ...     with mem.axes.write() as slot:
+    ...         slot.speed = 0.5
+    ...     view, generation = get_read_ok(mem.axes)
+    ...     speed = view.speed
+    ...     if read_done(mem.axes) == "stale":                # it took longer than the lease: read again
+    ...         speed = None
+    >>> speed
+    0.5
     """
     return block.read_done()
 
@@ -55,6 +84,18 @@ def get_write_ok(block: AttachedBlock, timeout_s: float = 5.0) -> Record:
     -------
     Record
         the slot, to be changed and published by `write_done`
+
+    Examples
+    --------
+    >>> import os
+    >>> from surffollow.blocks import F64, Block, get_write_ok, latest, mem_attach, write_done
+    >>> class Axes(Block):
+    ...     speed = F64(unit="m/s")
+    >>> with mem_attach(Axes, f"example-{os.getpid()}", write=True) as mem:
+    ...     slot = get_write_ok(mem.axes)
+    ...     slot.speed = 0.5
+    ...     print(write_done(mem.axes), latest(mem.axes)["speed"])
+    1 0.5
     """
     return block.get_write_ok(timeout_s)
 
@@ -71,6 +112,19 @@ def write_done(block: AttachedBlock) -> int:
     -------
     int
         the new generation
+
+    Examples
+    --------
+    >>> import os
+    >>> from surffollow.blocks import F64, Block, get_write_ok, mem_attach, write_done
+    >>> class Axes(Block):
+    ...     speed = F64(unit="m/s")
+    >>> with mem_attach(Axes, f"example-{os.getpid()}", write=True) as mem:
+    ...     for speed in (0.1, 0.2):
+    ...         get_write_ok(mem.axes).speed = speed
+    ...         generation = write_done(mem.axes)
+    >>> generation
+    2
     """
     return block.write_done()
 
@@ -87,5 +141,19 @@ def latest(block: AttachedBlock) -> Snapshot:
     -------
     Snapshot
         a private copy; `stale` is set when it is an old one
+
+    Examples
+    --------
+    >>> import os
+    >>> from surffollow.blocks import F64, Block, latest, mem_attach
+    >>> class Axes(Block):
+    ...     speed = F64(unit="m/s")
+    >>> with mem_attach(Axes, f"example-{os.getpid()}", write=True) as mem:
+    ...     with mem.axes.write() as slot:
+    ...         slot.speed = 0.5
+    ...         before = latest(mem.axes)                     # is not kept waiting by the write
+    ...     after = latest(mem.axes)
+    >>> before.generation, after.generation, after["speed"]
+    (0, 1, 0.5)
     """
     return block.latest()

@@ -31,6 +31,14 @@ def block_name(schema: type[Schema]) -> str:
     -------
     str
         name of the block
+
+    Examples
+    --------
+    >>> from surffollow.blocks import I64, Block, block_name
+    >>> class StateVector(Block):
+    ...     mode = I64()
+    >>> block_name(StateVector)
+    'state_vector'
     """
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", schema.__name__).lower()
 
@@ -42,6 +50,18 @@ class Memory(Closing):
     ----------
     name : str
         of the memory; its objects are NAME.BLOCK
+
+    Examples
+    --------
+    >>> import os
+    >>> from surffollow.blocks import F64, Block, mem_attach
+    >>> class Axes(Block):
+    ...     speed = F64(unit="m/s")
+    >>> class Gripper(Block):
+    ...     width = F64(unit="m")
+    >>> with mem_attach([Axes, Gripper], f"example-{os.getpid()}", write=True) as mem:
+    ...     mem["gripper"].name, mem["gripper"] is mem.gripper
+    ('gripper', True)
     """
 
     def __init__(self, name: str, blocks: dict[str, AttachedBlock]) -> None:

@@ -41,6 +41,20 @@ class Record:
     Scalars are numbers, texts are `str`, arrays are tuples (copies), nested schemas are
     records. Writable ones take assignments: `slot.speed = 0.2`, `slot.axes = [0] * 6`.
     `slot.array("axes")[2] = 0.1` changes one element in place.
+
+    Examples
+    --------
+    >>> import os
+    >>> from surffollow.blocks import F64, Block, Text, mem_attach
+    >>> class Arm(Block):
+    ...     angles = F64(3, unit="rad")
+    ...     tool = Text(16)
+    >>> with mem_attach(Arm, f"example-{os.getpid()}", write=True) as mem:
+    ...     with mem.arm.write() as slot:
+    ...         slot.update(angles=[0.1, 0.2, 0.3], tool="laser")
+    ...         slot.array("angles")[2] = 0.0
+    ...     print(mem.arm.latest().values.as_dict())
+    {'angles': [0.1, 0.2, 0.0], 'tool': 'laser'}
     """
 
     __slots__ = ("_base", "_buffer", "_plan", "_schema")

@@ -24,6 +24,22 @@ class Snapshot:
         try, or gave the block up, or has not published yet
     data : bytes
         slot head and payload
+
+    Examples
+    --------
+    >>> import os
+    >>> from surffollow.blocks import F64, Block, mem_attach
+    >>> class Axes(Block):
+    ...     speed = F64(unit="m/s")
+    >>> with mem_attach(Axes, f"example-{os.getpid()}", write=True) as mem:
+    ...     empty = mem.axes.latest()
+    ...     with mem.axes.write() as slot:
+    ...         slot.speed = 0.5
+    ...     newest = mem.axes.latest()
+    >>> empty.generation, newest.generation, newest["speed"], newest.values.speed
+    (0, 1, 0.5, 0.5)
+    >>> newest.stale, newest.age_ns(newest.t_ns + 1_000), len(newest.payload)
+    (False, 1000, 8)
     """
 
     __slots__ = ("data", "generation", "schema", "stale")

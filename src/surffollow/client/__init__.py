@@ -70,6 +70,14 @@ def attach(
         the service is of another release
     BusyError
         all slots are taken, or as many as this user or process may have
+
+    Examples
+    --------
+    >>> from surffollow.client import attach
+    >>> with attach("surf", label="example") as robot:
+    ...     robot.claim_pose()
+    ...     [client["name"] for client in robot.clients()]
+    ['example']
     """
     return Client(name, stale_periods=stale_periods, stale_min_s=stale_min_s, label=label, owner=owner)
 
@@ -94,5 +102,12 @@ def observe(
     -------
     Observer
         to be closed, or used in a `with` statement
+
+    Examples
+    --------
+    >>> from surffollow.client import observe
+    >>> with observe("surf") as watcher:
+    ...     watcher.output()["cycle"] > 0, "offset_m" in watcher.params()
+    (True, True)
     """
     return Observer(name, stale_periods=stale_periods, stale_min_s=stale_min_s, owner=owner)

@@ -26,7 +26,18 @@ _MAX_SIZE2 = MAX_POSITION_M**2
 
 
 class Client(ServiceRequests):
-    """An attachment that may send poses and requests; see `attach`."""
+    """An attachment that may send poses and requests; see `attach`.
+
+    Examples
+    --------
+    >>> from surffollow.client import attach
+    >>> with attach("surf") as robot:
+    ...     ticket = robot.sf_reset(0.1)                            # stand-off [m]
+    ...     robot.ee_pos((0.05, 0.05, 0.1, 0.0, 0.0, 0.0, 1.0))     # x y z [m], qx qy qz qw
+    ...     demand = robot.dev_vector()                             # add it to that pose while it is valid
+    >>> ticket.done(), len(demand)
+    (True, 6)
+    """
 
     _tool: SimulatedTool | None = None
 
@@ -57,6 +68,19 @@ class Client(ServiceRequests):
         -----
         The first call of an attachment waits for the pose (`claim_pose` does that beforehand). No later one
         waits, in any state of the service or its socket.
+
+        Examples
+        --------
+        >>> import time
+        >>> from surffollow.client import attach
+        >>> from surffollow.errors import PoseError
+        >>> with attach("surf") as robot:
+        ...     robot.ee_pos((0.05, 0.05, 0.1, 0.0, 0.0, 0.0, 1.0), time.monotonic_ns())
+        ...     try:
+        ...         robot.ee_pos((0.05, 0.05, 0.1, 0.0, 0.0, 0.0, 0.9))
+        ...     except PoseError:
+        ...         print("no unit quaternion")
+        no unit quaternion
         """
         try:
             x, y, z, qx, qy, qz, qw = pose

@@ -185,6 +185,16 @@ class MapReading:
             there is no map yet, or it is being laid anew
         RegionError
             not a region, or beside the map
+
+        Examples
+        --------
+        >>> from surffollow.client import attach
+        >>> with attach("surf") as robot:
+        ...     _ = robot.map_reset((0.0, 0.0, 0.1, 0.1))         # x_min, y_min, x_max, y_max [m]
+        ...     window = robot.map_window()
+        ...     heights_m, counts = window.heights_m(), window.samples()     # NaN and 0: unknown
+        >>> heights_m.shape == counts.shape
+        True
         """
         from surffollow.client.map_window import make_window
         from surffollow.client.requests import check_region

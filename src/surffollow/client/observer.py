@@ -65,6 +65,16 @@ class Observer(ServiceState, MapReading, Closing):
         (a ValueError) no name that a service can have
     NoPermissionError
         it belongs to another user; both are named
+
+    Examples
+    --------
+    >>> from surffollow.client import observe
+    >>> with observe("surf") as watcher:
+    ...     demand = watcher.dev_vector()
+    ...     range_m = watcher.raw_distance(channel=0)         # NaN: no reading, or an old one
+    ...     offset_m = watcher.params()["offset_m"]
+    >>> len(demand), 0.0 < offset_m < 1.0
+    (6, True)
     """
 
     def __init__(
@@ -161,11 +171,14 @@ class Observer(ServiceState, MapReading, Closing):
 
         Examples
         --------
-        ::
-
-            buffer = bytearray(DEMAND_BYTES)
-            if robot.dev_vector_into(buffer):
-                t_ns, pose_t_ns, x, y, z, rx, ry, rz = struct.unpack_from("<2q6d", buffer)
+        >>> import struct
+        >>> from surffollow.client import DEMAND_BYTES, observe
+        >>> buffer = bytearray(DEMAND_BYTES)
+        >>> with observe("surf") as watcher:
+        ...     valid = watcher.dev_vector_into(buffer)
+        >>> t_ns, pose_t_ns, x_m, y_m, z_m, rx_rad, ry_rad, rz_rad = struct.unpack_from("<2q6d", buffer)
+        >>> t_ns > 0
+        True
         """
         words, memory, index, base, stale_ns = self._view
         # R1-R4, once and in a line; all that is not fresh and whole takes the slow path

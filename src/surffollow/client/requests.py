@@ -87,12 +87,17 @@ class Ticket:
 
     Examples
     --------
-    A control loop that must not wait sends the request, and looks later whether it is done::
+    A control loop that must not wait sends the request, and looks later whether it is done:
 
-        ticket = robot.sf_reset(0.12, wait=False)
-        ...
-        if ticket.done():
-            ticket.result()     # raises when the service refused
+    >>> import time
+    >>> from surffollow.client import attach
+    >>> with attach("surf") as robot:
+    ...     ticket = robot.sf_reset(0.12, wait=False)
+    ...     while not ticket.done():
+    ...         time.sleep(0.001)     # the rest of the loop's period
+    ...     _ = ticket.result()       # raises when the service refused
+    >>> ticket.done()
+    True
     """
 
     def __init__(self, client: RequestSender, code: int, counter: int) -> None:

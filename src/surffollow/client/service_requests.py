@@ -72,6 +72,16 @@ class ServiceRequests(RangePusher):
         -------
         Ticket
             answered when the stop is latched
+
+        Examples
+        --------
+        >>> from surffollow.client import attach
+        >>> with attach("surf") as robot:
+        ...     robot.claim_pose()
+        ...     _ = robot.stop("a person came near")
+        ...     "STOPPED" in robot.dev_vector().names
+        ...     _ = robot.reset_stop()
+        True
         """
         self._store_stop()
         data = reason.encode(errors="replace")[: 8 * lb.STOP_TEXT_WORDS - 1]
@@ -128,6 +138,15 @@ class ServiceRequests(RangePusher):
             exclusive access
         RequestTimeoutError, NotRunningError
             as `sf_reset`
+
+        Examples
+        --------
+        >>> from surffollow.client import attach
+        >>> with attach("surf") as robot:
+        ...     ticket = robot.map_reset((0.0, 0.0, 0.1, 0.1))    # x_min, y_min, x_max, y_max [m]
+        ...     height_m = robot.map_height(0.05, 0.05)           # NaN: nothing was measured there yet
+        >>> ticket.done()
+        True
         """
         return self._ask(lb.RQ_MAP_RESET, check_region(region), timeout_s, wait)
 
@@ -189,6 +208,14 @@ class ServiceRequests(RangePusher):
             this client does not send the pose, or the values contradict each other
         RequestTimeoutError, NotRunningError
             as `sf_reset`
+
+        Examples
+        --------
+        >>> from surffollow.client import attach
+        >>> with attach("surf") as robot:
+        ...     _ = robot.set_params(max_speed="0.2 m/s")         # SI numbers, or text with units
+        ...     robot.params()["max_speed_mps"]
+        0.2
         """
         from surffollow.config.params import check_param, param_name
 
@@ -233,6 +260,16 @@ class ServiceRequests(RangePusher):
             no exclusive access within `timeout_s`; another client may hold it
         NotRunningError
             there is no service, or it ended
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from surffollow.client import attach
+        >>> with attach("surf") as robot, tempfile.TemporaryDirectory() as folder:
+        ...     _ = robot.map_reset((0.0, 0.0, 0.1, 0.1))         # x_min, y_min, x_max, y_max [m]
+        ...     robot.upload_map(Path(folder, "ground.txt")).name
+        'ground.txt'
         """
         from surffollow.client.map_reader import upload_map
 

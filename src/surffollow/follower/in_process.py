@@ -85,8 +85,8 @@ class Follower:
     ...     t_ns = k * 4_000_000
     ...     _ = follower.pose(t_ns, (0.0002 * k, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
     ...     demand = follower.step(t_ns, [0.09])
-    >>> round(float(demand[2]), 3)
-    0.01
+    >>> round(float(demand[2]), 3), follower.state()["offset_m"]
+    (0.01, 0.1)
     """
 
     def __init__(self, config: Config = None, offset_m: float | None = None) -> None:

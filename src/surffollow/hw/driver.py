@@ -37,6 +37,13 @@ class DriverInfo(msgspec.Struct, frozen=True):
     latency_ns : mean age of the range in a conversion, at the conversion's timestamp [ns]
     conversion_period_ns : from one conversion of any channel to the next [ns]; 0: irregular
     mounts : tool from sensor per channel, x y z [m] and a unit quaternion; the beam leaves along −z
+
+    Examples
+    --------
+    >>> from surffollow.hw import metre_info
+    >>> info = metre_info("laser", 0.05, 0.3, latency_ns=500_000)
+    >>> round(info.zero_m[0] + 100_000 * info.scale_m[0], 6)      # range_m of 100 000 counts
+    0.1
     """
 
     name: str
@@ -97,6 +104,16 @@ class ConversionQueue:
     ----------
     address : int, of the ring, for `shm.ring`'s kernels
     lost_address : int, of the count of conversions that found no room
+
+    Examples
+    --------
+    >>> from surffollow.hw import ConversionQueue, metre_info, pack_range
+    >>> queue = ConversionQueue(64)
+    >>> queue.push(1_000_000, pack_range(metre_info("laser", 0.05, 0.3), 0, 0.1234))
+    >>> queue.drain()
+    array([[1000000,  123400]])
+    >>> len(queue), queue.overflow
+    (0, 0)
     """
 
     def __init__(self, capacity: int = 16384) -> None:
@@ -196,7 +213,25 @@ def push_conversion(ring: Any, capacity: Any, lost: Any, item: Any, t_ns: Any, w
 
 @runtime_checkable
 class Driver(Protocol):
-    """Interface of a sensor driver to the service."""
+    """Interface of a sensor driver to the service.
+
+    Examples
+    --------
+    >>> import time
+    >>> from surffollow.hw import ConversionQueue, Driver, RangeWriter, metre_info
+    >>> class Fixed:
+    ...     '''A driver that measures 0.1 m once.'''
+    ...     info = metre_info("fixed", 0.05, 0.3)
+    ...     def start(self, queue):     # a real driver starts a thread, which pushes
+    ...         RangeWriter(queue, self.info).push(time.monotonic_ns(), 0.1)
+    ...     def stop(self): ...
+    ...     def faults(self):
+    ...         return []
+    >>> driver, queue = Fixed(), ConversionQueue(64)
+    >>> driver.start(queue)
+    >>> isinstance(driver, Driver), len(queue)
+    (True, 1)
+    """
 
     @property
     def info(self) -> DriverInfo:

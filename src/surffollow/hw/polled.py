@@ -69,6 +69,26 @@ class PolledDriver:
     info : of the sensors
     source : the device
     silence_s : a device that is connected and gives nothing for so long is a fault [s]
+
+    Examples
+    --------
+    >>> import time
+    >>> from surffollow.hw import ConversionQueue, PolledDriver, metre_info, pack_range
+    >>> info = metre_info("laser", 0.05, 0.3)
+    >>> class Laser:                                      # a `Source`
+    ...     name, rejected = "laser on /dev/ttyUSB0", 0
+    ...     def open(self): ...
+    ...     def read(self, timeout_s):
+    ...         time.sleep(0.001)                         # a real one waits for the device
+    ...         return [(time.monotonic_ns(), pack_range(info, 0, 0.1))]
+    ...     def close(self): ...
+    >>> driver, queue = PolledDriver(info, Laser()), ConversionQueue(64)
+    >>> driver.start(queue)
+    >>> while not len(queue):
+    ...     time.sleep(0.001)
+    >>> driver.stop()
+    >>> driver.state, driver.faults()
+    ('stopped', [])
     """
 
     def __init__(self, info: DriverInfo, source: Source, silence_s: float = SILENCE_S) -> None:

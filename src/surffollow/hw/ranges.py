@@ -84,6 +84,16 @@ def pack_range(info: DriverInfo, channel: int, range_m: float | None) -> int:
     -------
     int
         packed conversion
+
+    Examples
+    --------
+    >>> from surffollow.hw import metre_info, pack_range
+    >>> info = metre_info("two lasers", 0.05, 0.3, n_channels=2)
+    >>> word = pack_range(info, 1, 0.1234)                # 24 bits of counts, then the channel
+    >>> word & 0xFFFFFF, word >> 24 & 7
+    (123400, 1)
+    >>> pack_range(info, 1, None) >> 27                   # the sensor sees nothing
+    1
     """
     if range_m is None or not math.isfinite(range_m):
         return pack_counts(None, channel)
@@ -97,6 +107,17 @@ class RangeWriter:
     ----------
     queue : the one that `Driver.start` was given
     info : the driver's own description
+
+    Examples
+    --------
+    >>> import time
+    >>> from surffollow.hw import ConversionQueue, RangeWriter, metre_info
+    >>> queue = ConversionQueue(64)
+    >>> writer = RangeWriter(queue, metre_info("laser", 0.05, 0.3))
+    >>> writer.push(time.monotonic_ns(), 0.1)
+    >>> writer.push(time.monotonic_ns(), None)            # no echo
+    >>> queue.drain().shape                               # time [ns] and word of each
+    (2, 2)
     """
 
     def __init__(self, queue: ConversionQueue, info: DriverInfo) -> None:

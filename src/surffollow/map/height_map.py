@@ -141,6 +141,13 @@ class HeightMap(MapView):
         ------
         UsageError
             the heights do not fit the range of `quantum_m`, or an array has the wrong shape or type
+
+        Examples
+        --------
+        >>> from surffollow.map import HeightMap
+        >>> ground = HeightMap.from_heights([[0.0, 0.01], [0.0, 0.01]], origin_m=(0.0, 0.0), grid_m=0.5)
+        >>> ground.extent_m, round(ground.height_at(0.75, 0.25), 3), int(ground.counts[0, 0])
+        ((0.0, 0.0, 1.0, 1.0), 0.01, 0)
         """
         return cls(
             *map_of_heights(
@@ -208,6 +215,15 @@ class HeightMap(MapView):
             not a region
         MapFileError
             the map could not be refocused in place; reset it
+
+        Examples
+        --------
+        >>> from surffollow.map import HeightMap
+        >>> ground = HeightMap.over((0.0, 0.0, 1.0, 1.0), grids=100, datum_m=0.0)
+        >>> _ = ground.add([(0.25, 0.25, 0.0127)])
+        >>> ground.refocus((0.0, 0.0, 0.5, 0.5))
+        >>> ground.grid_m < 0.1, int(ground.counts.max())         # finer; heights are priors now
+        (True, 0)
         """
         limits = region_limits(region)
         if finest_m and not ml.MIN_GRID_M <= finest_m <= ml.MAX_GRID_M:
@@ -255,6 +271,17 @@ class HeightMap(MapView):
             the suffix is of another format, or the file cannot be written
         MapCancelledError
             `progress` returned False; the old file, if any, is untouched
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from surffollow.map import HeightMap
+        >>> ground = HeightMap.from_heights([[0.0, 0.01]], origin_m=(0.0, 0.0), grid_m=0.5)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     ground.save(Path(folder, "ground.npz"))
+        ...     HeightMap.load(Path(folder, "ground.npz")).shape
+        (1, 2)
         """
         from surffollow.map.files import save
 

@@ -53,6 +53,18 @@ class Arm(AboutBase):
     shoulder_rad, elbow_rad : (min, max)
         limits of the links' elevations
     wrist : WristLimits
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import Arm
+    >>> arm = Arm(upper_m=1.0, fore_m=1.0, tool_m=0.2)
+    >>> joints_rad = arm.inverse([[1.2, 0.3, -0.5]], [[0.0, 0.0, 1.0]])
+    >>> joints_rad.shape, bool(arm.within_limits(joints_rad)[0])
+    ((1, 5), True)
+    >>> tip_m, normal = arm.forward(joints_rad)
+    >>> np.round(tip_m, 6) + 0.0
+    array([[ 1.2,  0.3, -0.5]])
     """
 
     upper_m: float = 1.5

@@ -60,6 +60,18 @@ def ring(radius_m: float, per_ring: int = 16) -> Floats:
     -------
     (n, 3) float64 [m]
         1 + per_ring control points; the first is the middle
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import ring
+    >>> coil_m = ring(0.12, per_ring=4)
+    >>> np.round(coil_m, 3) + 0.0
+    array([[ 0.  ,  0.  ,  0.  ],
+           [ 0.12,  0.  ,  0.  ],
+           [ 0.  ,  0.12,  0.  ],
+           [-0.12,  0.  ,  0.  ],
+           [ 0.  , -0.12,  0.  ]])
     """
     return np.vstack([np.zeros((1, 3)), _circle(positive("radius of the ring", radius_m), per_ring, 0.0)])
 
@@ -138,6 +150,12 @@ def parse_body(text: str) -> Floats:
     ------
     ScanInputError
         another shape, or a size that is no positive length
+
+    Examples
+    --------
+    >>> from surffollow.scan import parse_body
+    >>> parse_body("ring:12cm").shape, parse_body("rectangle:0.3x0.2").shape
+    ((17, 3), (25, 3))
     """
     shape, _, size = text.strip().partition(":")
     try:

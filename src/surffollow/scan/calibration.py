@@ -44,6 +44,15 @@ class CalibrationMatrix:
         x, y and correction of each spot
     left_out_m : (n,) float64 [m]
         leave-one-out residual of each spot
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import CalibrationMatrix
+    >>> spots = [(0, 0, 0.002), (1, 0, 0.004), (0, 1, 0.002), (1, 1, 0.004)]     # x, y, correction [m]
+    >>> matrix = CalibrationMatrix.fit(spots, grid_m=0.5)
+    >>> np.round(matrix.at([[0.5, 0.5], [1.0, 0.2]]), 4)
+    array([0.003, 0.004])
     """
 
     values_m: Floats
@@ -183,6 +192,17 @@ class CalibrationMatrix:
         ----------
         path : path
             of the file
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from surffollow.scan import CalibrationMatrix
+        >>> matrix = CalibrationMatrix.fit([(0, 0, 0.002), (1, 0, 0.004), (0, 1, 0.002), (1, 1, 0.004)])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     matrix.save(Path(folder, "matrix.json"))
+        ...     CalibrationMatrix.load(Path(folder, "matrix.json")).grid_m
+        0.1
         """
         facts = {
             "format": FORMAT,

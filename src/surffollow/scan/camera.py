@@ -36,6 +36,17 @@ class Camera:
         depths that the camera can measure
     name : str
         in messages and reports
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import Camera, looking_down
+    >>> camera = Camera(100.0, 100.0, 1.0, 1.0, looking_down(0.5, 0.5, 1.2), baseline_m=0.1)
+    >>> camera.depth_m([5.0, 10.0])                       # of disparities [px]
+    array([2., 1.])
+    >>> points_m = camera.points_m(np.full((3, 3), 1.2))
+    >>> points_m.shape, np.round(points_m[1, 1], 6) + 0.0
+    ((3, 3, 3), array([0.5, 0.5, 0. ]))
     """
 
     fx_px: float
@@ -218,6 +229,14 @@ def looking_down(
     -------
     (4, 4) float64
         ground_from_camera
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import looking_down
+    >>> ground_from_camera = looking_down(0.5, 0.2, 1.2)
+    >>> np.round(ground_from_camera[:3, 3], 3), np.round(ground_from_camera[:3, 2], 3) + 0.0
+    (array([0.5, 0.2, 1.2]), array([ 0.,  0., -1.]))
     """
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     ahead = np.array([c, s, 0.0])

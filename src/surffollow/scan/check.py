@@ -55,6 +55,20 @@ def check_path(
     ------
     ScanFileError
         the file cannot be read or lacks what is needed to check it
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> from surffollow.scan import PlanSettings, TerrainGrid, check_path, disc, plan_scan, write_path
+    >>> ground = TerrainGrid.of(np.zeros((50, 50)), grid_m=0.02)
+    >>> path = plan_scan(ground, PlanSettings((0.3, 0.3, 0.7, 0.7), 0.05, disc(0.05)))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_path(Path(folder, "plan.csv"), path)
+    ...     findings = check_path(ground.heights_m, ground.origin_m, 0.02, Path(folder, "plan.csv"))
+    >>> all(finding.ok for finding in findings)
+    True
     """
     facts, at, rows = read_rows(path)
     axes = rotations(rows.quaternion)

@@ -164,6 +164,16 @@ def clear_ground(path: ScanPath, body_points_m: ArrayLike, ground: TerrainGrid, 
     -------
     ScanPath
         `lift_m` increased, `clearance_m` set (NaN where no ground lies within three gaps)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import ScanPath, TerrainGrid, clear_ground, disc, sample_terrain
+    >>> ground = TerrainGrid.of(np.zeros((20, 20)), grid_m=0.05)
+    >>> path = ScanPath.planar(np.array([[0.4, 0.5], [0.6, 0.5]]), np.zeros(2, np.int32))
+    >>> path = clear_ground(sample_terrain(path, ground), disc(0.1), ground, gap_m=0.05)
+    >>> np.round(path.clearance_m, 3)
+    array([0.05, 0.05])
     """
     body, gap = body_points(body_points_m), positive("gap_m", gap_m) + SPARE_M
     rows, cols = ground.shape

@@ -49,6 +49,21 @@ def read_cloud(path: str | os.PathLike[str]) -> Floats:
     ------
     ScanFileError
         another format, a cut file, or no points
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from surffollow.scan import read_cloud
+    >>> axes = [f"property float {axis}" for axis in "xyz"]
+    >>> lines = ["ply", "format ascii 1.0", "element vertex 2", *axes, "end_header", "0 0 0.1", "1 0 0.2"]
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with open(Path(folder, "cloud.ply"), "w") as file:
+    ...         for line in lines:
+    ...             print(line, file=file)
+    ...     read_cloud(Path(folder, "cloud.ply"))
+    array([[0. , 0. , 0.1],
+           [1. , 0. , 0.2]])
     """
     plain_file(path)
     suffix = Path(path).suffix.lower()

@@ -146,6 +146,15 @@ def planar_deviation(
     Notes
     -----
     Paper §2.1. Cost: O(window) per pixel fast, O(window²) exact.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import planar_deviation
+    >>> ramp_px = np.tile(np.arange(12.0), (12, 1))           # a plane, in disparities
+    >>> deviation_px, planes = planar_deviation(ramp_px, window=5)
+    >>> bool(deviation_px.max() < 1e-9), np.round(planes[:, 6, 6], 6) + 0.0
+    (True, array([1., 0., 6.]))
     """
     z = real_array("image", image, (None, None))
     r = half_width(window)

@@ -34,6 +34,15 @@ class Envelope:
     unknown_beneath : (rows, cols) bool
         an unknown cell, or the grid's edge, within the gap
     gap_m : float [m]
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import TerrainGrid, envelope_of
+    >>> ground = TerrainGrid.of(np.zeros((5, 5)), grid_m=0.1)
+    >>> envelope = envelope_of(ground, 0.1)
+    >>> envelope.gap_m, round(float(envelope.grid.heights_m[2, 2]), 3), bool(envelope.unknown_beneath[2, 2])
+    (0.1, 0.1, False)
     """
 
     grid: TerrainGrid
@@ -179,6 +188,14 @@ def ball_envelope(heights_m: ArrayLike, grid_m: float, gap_m: float) -> Floats:
     Paper §2.3, in place of eqs 1-4, which fold on concave ground (`normal_offset`). Cost: at most a quarter
     of the ball's cells per cell, two rows and two columns at a time; less on smooth ground. Memory beside
     input and output: one copy of the heights.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import ball_envelope
+    >>> ground_m = np.array([[0.0, 0.0, 0.2, 0.0, 0.0]])      # a pole
+    >>> np.round(ball_envelope(ground_m, grid_m=0.05, gap_m=0.1), 3)
+    array([[0.2  , 0.287, 0.3  , 0.287, 0.2  ]])
     """
     z = real_array("heights_m", heights_m, (None, None))
     g, d = positive("grid_m", grid_m), positive("gap_m", gap_m)
@@ -225,6 +242,16 @@ def envelope_of(ground: TerrainGrid, gap_m: float, *, footprint_m: float | None 
     ------
     ScanInputError
         as `ball_envelope`
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import TerrainGrid, envelope_of
+    >>> heights_m = np.zeros((9, 9))
+    >>> heights_m[4, 4] = np.nan                              # a hole
+    >>> envelope = envelope_of(TerrainGrid.of(heights_m, grid_m=0.05), gap_m=0.1, footprint_m=0.05)
+    >>> bool(envelope.unknown_beneath[4, 3]), bool(envelope.unknown_beneath[4, 2])
+    (True, False)
     """
     heights = ball_envelope(ground.heights_m, ground.grid_m, gap_m)
     radius = gap_m if footprint_m is None else positive("footprint_m", footprint_m)

@@ -51,6 +51,16 @@ def sample_terrain(
     Notes
     -----
     z = f_env (5), n = γ (-f_x, -f_y, 1) (6), γ = 1 / √(f_x² + f_y² + 1) (7).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import ScanPath, TerrainGrid, sample_terrain
+    >>> slope = TerrainGrid.of(np.tile(0.1 * np.arange(10), (10, 1)), grid_m=0.1)     # 45° along x
+    >>> path = ScanPath.planar(np.array([[0.35, 0.5], [0.55, 0.5]]), np.zeros(2, np.int32))
+    >>> path = sample_terrain(path, slope)
+    >>> np.round(path.position_m[:, 2], 3), np.round(path.normal[0], 3) + 0.0
+    (array([0.3, 0.5]), array([-0.707,  0.   ,  0.707]))
     """
     grid = _grid(envelope)
     span = grid.grid_m if span_m is None else positive("span_m", span_m)
@@ -105,6 +115,18 @@ def advanced_terrain_following(
     Paper §3.3. A sample whose body is clear keeps its attitude. The step is halved to 1/16 of itself near
     the equilibrium, so that the lift is close to the least one of any attitude. The lift comes last: with any
     attitude, every control point is at or above the interpolated envelope.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import ScanPath, TerrainGrid, advanced_terrain_following, disc, sample_terrain
+    >>> ground_m = np.zeros((20, 20))
+    >>> ground_m[:, 10] = 0.02                                # a ridge
+    >>> envelope = TerrainGrid.of(ground_m, grid_m=0.05)
+    >>> path = ScanPath.planar(np.array([[0.2, 0.5], [0.45, 0.5]]), np.zeros(2, np.int32))
+    >>> path = advanced_terrain_following(sample_terrain(path, envelope), disc(0.1), envelope, 0.3)
+    >>> np.round(path.lift_m, 3)                              # on flat ground, and beside the ridge
+    array([0.   , 0.008])
     """
     return _follow(path, body_points_m, envelope, wrist_limits_rad, positive("step_rad", step_rad, "rad"))
 
@@ -131,6 +153,18 @@ def reactionary(
     -------
     ScanPath
         the lifted path
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import ScanPath, TerrainGrid, disc, reactionary, sample_terrain
+    >>> ground_m = np.zeros((20, 20))
+    >>> ground_m[:, 10] = 0.02                                # a ridge
+    >>> envelope = TerrainGrid.of(ground_m, grid_m=0.05)
+    >>> path = ScanPath.planar(np.array([[0.2, 0.5], [0.45, 0.5]]), np.zeros(2, np.int32))
+    >>> path = reactionary(sample_terrain(path, envelope), disc(0.1), envelope)
+    >>> np.round(path.lift_m, 3)                              # on flat ground, and beside the ridge
+    array([0.  , 0.01])
     """
     limits = WristLimits.symmetric(math.radians(89.0)) if wrist_limits_rad is None else wrist_limits_rad
     return _follow(path, body_points_m, envelope, limits, 0.0)

@@ -115,6 +115,14 @@ class TerrainGrid:
         -------
         TerrainGrid
             with the same cells
+
+        Examples
+        --------
+        >>> from surffollow.map import HeightMap
+        >>> from surffollow.scan import TerrainGrid
+        >>> ground = HeightMap.from_heights([[0.0, 0.01]], origin_m=(0.0, 0.0), grid_m=0.5)
+        >>> TerrainGrid.from_map(ground).extent_m
+        (0.0, 0.0, 1.0, 0.5)
         """
         z, counts = m.heights_m, m.counts
         cells = np.where(np.isfinite(z), MEASURED, UNKNOWN).astype(np.uint8)
@@ -186,6 +194,14 @@ class TerrainGrid:
         ------
         ScanInputError
             the region lies beside the grid
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from surffollow.scan import TerrainGrid
+        >>> ground = TerrainGrid.of(np.zeros((10, 10)), grid_m=0.1)
+        >>> ground.window((0.22, 0.22, 0.48, 0.38)).shape
+        (2, 3)
         """
         x0, y0, x1, y1 = region_of(region)
         rows, cols = self.shape

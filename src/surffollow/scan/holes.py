@@ -76,6 +76,14 @@ def fill_holes(ground: TerrainGrid, fill_m: float) -> TerrainGrid:
     ------
     ScanInputError
         fill_m is not positive
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import TerrainGrid, fill_holes
+    >>> ground = TerrainGrid.of([[0.0, 0.1, 0.2], [0.0, np.nan, 0.2], [0.0, 0.1, 0.2]], grid_m=0.1)
+    >>> round(float(fill_holes(ground, 0.3).heights_m[1, 1]), 3)
+    0.1
     """
     widest = math.floor(positive("fill_m", fill_m) / ground.grid_m + 1e-9)
     filled = np.empty(ground.shape)

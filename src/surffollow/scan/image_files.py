@@ -65,6 +65,20 @@ def read_images(
     ------
     ScanFileError
         a file that cannot be read, or an image without camera
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> from surffollow.scan import read_images
+    >>> camera = 'images."a.npz" = { fx_px = 60.0, fy_px = 60.0, cx_px = 31.5, cy_px = 23.5 }'
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     np.savez(Path(folder, "a.npz"), depth_m=np.ones((48, 64)))
+    ...     size = Path(folder, "cameras.toml").write_text(camera)
+    ...     (image,) = read_images([Path(folder, "a.npz")], Path(folder, "cameras.toml"))
+    >>> image.kind, image.values.shape, image.camera.fx_px
+    ('depth', (48, 64), 60.0)
     """
     table = _cameras(cameras) if cameras is not None else {}
     return [_read(Path(f), table, cameras) for f in files]

@@ -50,6 +50,15 @@ def median_filter(image: ArrayLike, *, passes: int = 1) -> Floats:
     Returns
     -------
     (rows, cols) float64
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import median_filter
+    >>> depth_m = np.ones((3, 3))
+    >>> depth_m[1, 1] = 9.0                                   # an outlier
+    >>> float(median_filter(depth_m)[1, 1])
+    1.0
     """
     z = _image(image)
     mask = np.isfinite(z)
@@ -72,6 +81,16 @@ def gaussian_filter(image: ArrayLike, *, sigma_px: float = 2.0) -> Floats:
     Returns
     -------
     (rows, cols) float64
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import gaussian_filter
+    >>> depth_m = np.ones((9, 9))
+    >>> depth_m[4, 4] = 2.0
+    >>> smooth_m = gaussian_filter(depth_m, sigma_px=2.0)
+    >>> smooth_m.shape, bool(smooth_m.max() < 1.1)
+    ((9, 9), True)
     """
     z = _image(image)
     if finite("sigma_px", sigma_px, "px") <= 0.0:

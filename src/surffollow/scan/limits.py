@@ -15,7 +15,15 @@ from surffollow.scan.checks import Floats, finite
 
 
 class WorkSpace(Protocol):
-    """Interface of an arm for a plan; `Annulus` is the simplest one."""
+    """Interface of an arm for a plan; `Annulus` is the simplest one.
+
+    Examples
+    --------
+    >>> from surffollow.scan import Annulus, WorkSpace
+    >>> work_space: WorkSpace = Annulus((0.0, 0.0, 1.0), radius_max_m=2.0)
+    >>> work_space.base_m
+    (0.0, 0.0, 1.0)
+    """
 
     @property
     def base_m(self) -> tuple[float, float, float]:
@@ -73,7 +81,19 @@ class AboutBase:
 
 @dataclass(frozen=True)
 class WristLimits:
-    """Limits of the two wrist angles [rad] (`attitude_angles`): pitch about y, then roll about x."""
+    """Limits of the two wrist angles [rad] (`attitude_angles`): pitch about y, then roll about x.
+
+    Examples
+    --------
+    >>> import math
+    >>> import numpy as np
+    >>> from surffollow.scan import WristLimits
+    >>> limits = WristLimits.symmetric(math.radians(20.0))
+    >>> steep = np.array([[-0.6, 0.0, 0.8]])              # 37° from up
+    >>> normal, changed = limits.clamp(steep, np.zeros(1))
+    >>> round(math.degrees(math.acos(normal[0, 2])), 1), bool(changed[0])
+    (20.0, True)
+    """
 
     pitch_min: float = math.radians(-45.0)
     pitch_max: float = math.radians(45.0)
@@ -168,6 +188,15 @@ class Annulus(AboutBase):
         height of the tip above the base
     azimuth_min_rad, azimuth_max_rad : float
         sector, in the ground frame
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import Annulus
+    >>> work_space = Annulus((0.0, 0.0, 1.0), radius_max_m=2.0, radius_min_m=0.5)
+    >>> tip_m = np.array([[1.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    >>> work_space.reachable(tip_m, np.array([[0.0, 0.0, 1.0]] * 2))
+    array([ True, False])
     """
 
     base_m: tuple[float, float, float]

@@ -28,6 +28,17 @@ def live_grid(name: str, region: tuple[float, float, float, float] | None = None
     ------
     NotRunningError, RefusedError, RegionError
         no service, no map, or a region beside it
+
+    Examples
+    --------
+    >>> from surffollow.client import attach
+    >>> from surffollow.scan import live_grid
+    >>> with attach("surf") as robot:
+    ...     _ = robot.map_reset((0.0, 0.0, 0.1, 0.1))
+    ...     ground = live_grid("surf")
+    >>> x_min, y_min, x_max, y_max = ground.extent_m      # the region and a margin [m]
+    >>> x_min <= 0.0 and x_max >= 0.1
+    True
     """
     observer = observe(name)
     try:

@@ -33,6 +33,13 @@ class Mode:
         at the first sample, in the trace's unit
     explained : float
         part of the trace's variance that the fit explains, 0 … 1
+
+    Examples
+    --------
+    >>> from surffollow.scan import Mode, Shaper
+    >>> mode = Mode(frequency_hz=2.0, damping=0.0, amplitude=0.3, explained=0.99)
+    >>> Shaper.zv(mode.frequency_hz, mode.damping).duration_s
+    0.25
     """
 
     frequency_hz: float
@@ -68,6 +75,15 @@ def identify_mode(
     -----
     x(t) = e^{-ζωt} (a cos ω_d t + b sin ω_d t) + c: the spectrum's peak starts a fit over ω and ζ;
     a, b and c follow linearly.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import identify_mode
+    >>> t_s = np.arange(200) / 100.0
+    >>> mode = identify_mode(np.exp(-0.4 * t_s) * np.cos(2 * np.pi * 2.5 * t_s), rate_hz=100.0)
+    >>> round(mode.frequency_hz, 2), round(mode.damping, 3)
+    (2.5, 0.025)
     """
     x = real_array("ring_down", ring_down, (None,))
     rate = positive("rate_hz", rate_hz, "Hz")

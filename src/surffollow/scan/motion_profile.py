@@ -69,6 +69,16 @@ def jerk_limited(distance: float, speed: float, acceleration: float, jerk: float
     The trapezoid's mean over a sliding window of acceleration / jerk: every step of acceleration becomes
     a ramp of that length, and the motion takes that much longer. A motion that hardly cruises changes from
     full acceleration to full braking: its window is twice as long.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import jerk_limited
+    >>> position, duration_s = jerk_limited(1.0, speed=0.5, acceleration=1.0, jerk=5.0)
+    >>> round(duration_s, 3)                                  # the trapezoid takes 2.5 s
+    2.7
+    >>> np.round(position(np.array([0.0, duration_s])), 6)
+    array([0., 1.])
     """
     steps, a, whole = _steps(distance, speed, acceleration)
     window = a / positive("jerk", jerk, "m/s³")

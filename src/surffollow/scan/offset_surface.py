@@ -64,6 +64,14 @@ def normal_offset(heights_m: ArrayLike, grid_m: float, gap_m: float) -> OffsetSu
     x_e = x - λ f_x (1), y_e = y - λ f_y (2), z_e = f + λ (3), λ = d / √(1 + f_x² + f_y²) (4). On ground
     whose radius of curvature is below d, and concave, the surface folds and the highest sheet is the safe
     one. Slopes over one cell and chords between cells make it differ from `ball_envelope` at edges.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import normal_offset
+    >>> offset = normal_offset(np.zeros((5, 5)), grid_m=0.1, gap_m=0.05)
+    >>> float(offset.heights_m[2, 2])
+    0.05
     """
     z = real_array("heights_m", heights_m, (None, None))
     g, d = positive("grid_m", grid_m), positive("gap_m", gap_m)
@@ -116,6 +124,17 @@ def disagreement(
     -------
     (rows, cols) bool
         True: both are known and differ
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import ball_envelope, disagreement, normal_offset
+    >>> ground_m = np.zeros((5, 9))
+    >>> ground_m[:, 5:] = 0.3                                 # a step
+    >>> offset = normal_offset(ground_m, 0.1, 0.15)
+    >>> differs = disagreement(offset, ball_envelope(ground_m, 0.1, 0.15), 0.1, tolerance_m=0.01)
+    >>> bool(differs[2, 0]), bool(differs[2].any())           # flat ground, and the step
+    (False, True)
     """
     limit = AGREE_CELLS * grid_m if tolerance_m is None else tolerance_m
     both = np.isfinite(offset.heights_m) & np.isfinite(envelope_m)

@@ -37,6 +37,15 @@ class Patches:
         per patch
     terrain : (rows, cols) bool
         pixels of kept patches within the region
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import Camera, coherent_patches, looking_down
+    >>> camera = Camera(60.0, 60.0, 31.5, 23.5, looking_down(0.5, 0.5, 1.2), baseline_m=0.1)
+    >>> patches = coherent_patches(np.full((48, 64), 1.2), camera)
+    >>> patches.counts()["kept"], patches.pixel_counts()["kept"]
+    (1, 3072)
     """
 
     labels: NDArray[np.int32]
@@ -99,6 +108,17 @@ def coherent_patches(
     Notes
     -----
     Paper §2. The mean normal is the area-weighted one, turned towards the camera.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import Camera, coherent_patches, looking_down
+    >>> camera = Camera(60.0, 60.0, 31.5, 23.5, looking_down(0.5, 0.5, 1.2), baseline_m=0.1)
+    >>> depth_m = np.full((48, 64), 1.2)
+    >>> depth_m[10:30, 20:40] = 0.5                           # a branch above the ground
+    >>> patches = coherent_patches(depth_m, camera)
+    >>> patches.counts()["floating"], bool(patches.terrain[20, 30])
+    (1, False)
     """
     z = depth_image(depth_m, camera)
     points = camera.points_m(z)

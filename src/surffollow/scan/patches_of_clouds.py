@@ -58,6 +58,18 @@ def cloud_patches(
     Returns
     -------
     CloudPatches
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import cloud_patches
+    >>> x_m, y_m = np.meshgrid(np.arange(0.0, 20.0, 0.5), np.arange(0.0, 20.0, 0.5))
+    >>> points_m = np.column_stack([x_m.ravel(), y_m.ravel(), np.zeros(x_m.size)])
+    >>> roof = (abs(points_m[:, 0] - 10.0) < 3.0) & (abs(points_m[:, 1] - 10.0) < 3.0)
+    >>> points_m[roof, 2] = 5.0
+    >>> found = cloud_patches(points_m, cell_m=0.5, slope=0.5)
+    >>> bool(found.ground[roof].any()), bool(found.ground[~roof].all())
+    (False, True)
     """
     from surffollow.scan.cloud_terrain import general_slope, terrain_heights_at
 

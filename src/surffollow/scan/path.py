@@ -62,6 +62,17 @@ class ScanPath:
         number of the pass; -1 on turns
     facts : dict
         how the path was made: gap_m, swath_m, region, body, limits …
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import ScanPath
+    >>> xy_m = np.array([[0.0, 0.0], [0.1, 0.0], [0.2, 0.0]])
+    >>> path = ScanPath.planar(xy_m, np.zeros(3, np.int32))       # all samples are of pass 0
+    >>> len(path), path.poses.shape, path.normal[0]
+    (3, (3, 7), array([0., 0., 1.]))
+    >>> path.changed(t_s=np.array([0.0, 0.5, 1.0])).t_s
+    array([0. , 0.5, 1. ])
     """
 
     t_s: Floats
@@ -173,6 +184,15 @@ class ScanPath:
         -------
         ScanPath
             a copy
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from surffollow.scan import ScanPath
+        >>> from surffollow.scan.path import STOP
+        >>> path = ScanPath.planar(np.zeros((3, 2)), np.zeros(3, np.int32))
+        >>> path.with_flag(STOP, np.array([True, False, True])).has(STOP)
+        array([ True, False,  True])
         """
         cleared = self.flags & np.uint32(~flag & 0xFFFFFFFF)
         return replace(self, flags=cleared | np.where(where, np.uint32(flag), np.uint32(0)))

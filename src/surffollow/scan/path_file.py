@@ -61,6 +61,20 @@ def write_path(path: str | os.PathLike[str], plan: ScanPath) -> None:
     ------
     ScanFileError, MapFileError
         a fact that JSON cannot hold, or a place that cannot be written
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> from surffollow.scan import ScanPath, write_path
+    >>> xy_m = np.array([[0.0, 0.0], [0.1, 0.0]])
+    >>> plan = ScanPath.planar(xy_m, np.zeros(2, np.int32), facts={"gap_m": 0.05})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder, "plan.csv")
+    ...     write_path(file, plan)
+    ...     file.read_text().splitlines()[:2]
+    ['# format = "surffollow-scan-path-1"', '# gap_m = 0.05']
     """
     try:
         facts = [f"# {k} = {json.dumps(v, allow_nan=False)}\n" for k, v in plan.facts.items()]
@@ -116,6 +130,20 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
     ------
     ScanFileError
         it cannot be read, is of another format, lacks columns, or has rows or facts that are not numbers
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> from surffollow.scan import ScanPath, read_path, write_path
+    >>> xy_m = np.array([[0.0, 0.0], [0.1, 0.0]])
+    >>> plan = ScanPath.planar(xy_m, np.zeros(2, np.int32), facts={"gap_m": 0.05})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_path(Path(folder, "plan.csv"), plan)
+    ...     path = read_path(Path(folder, "plan.csv"))
+    >>> len(path), path.facts["gap_m"]
+    (2, 0.05)
     """
     plain_file(path)
     try:

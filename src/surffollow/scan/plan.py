@@ -62,6 +62,13 @@ class PlanSettings:
         reach of the arm; None: not looked at
     shaper : Shaper
         of the planar motion (x, y; arcs: radius and azimuth); None: none
+
+    Examples
+    --------
+    >>> from surffollow.scan import PlanSettings, WristLimits, disc
+    >>> settings = PlanSettings((0.2, 0.2, 0.8, 0.8), 0.05, disc(0.05), wrist=WristLimits.symmetric(0.4))
+    >>> settings.scheme, settings.following, settings.motion.speed_mps
+    ('lanes', 'atf', 0.5)
     """
 
     region: ArrayLike
@@ -98,6 +105,15 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
     ------
     ScanInputError
         a region beside the map or without known ground, a gap as large as the region, a scheme that is none
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import PlanSettings, TerrainGrid, disc, plan_scan
+    >>> ground = TerrainGrid.of(np.zeros((50, 50)), grid_m=0.02)      # flat, 1 m by 1 m
+    >>> path = plan_scan(ground, PlanSettings((0.3, 0.3, 0.7, 0.7), 0.05, disc(0.05)))
+    >>> round(float(path.position_m[0, 2]), 3), float(path.t_s[0]), path.poses.shape == (len(path), 7)
+    (0.05, 0.0, True)
     """
     body = body_points(settings.body_m)
     gap = positive("gap_m", settings.gap_m)
@@ -217,6 +233,15 @@ def plan_figures(path: ScanPath) -> dict[str, Any]:
     -------
     dict
         figures by name, in SI units; flags by name
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import PlanSettings, TerrainGrid, disc, plan_figures, plan_scan
+    >>> ground = TerrainGrid.of(np.zeros((50, 50)), grid_m=0.02)
+    >>> figures = plan_figures(plan_scan(ground, PlanSettings((0.3, 0.3, 0.7, 0.7), 0.05, disc(0.05))))
+    >>> figures["passes"], round(figures["length_m"], 2), figures["flags"]["lifted"]
+    (4, 1.9, 0)
     """
     on = path.passes >= 0
     known = on & np.isfinite(path.clearance_m)

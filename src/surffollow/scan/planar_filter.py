@@ -44,6 +44,15 @@ class FilteredImage:
         0 weak … 1 strong
     noise_px : float [px]
         deviation that counts as noise
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import Camera, conditional_planar_filter
+    >>> camera = Camera(60.0, 60.0, 31.5, 23.5, baseline_m=0.1)
+    >>> filtered = conditional_planar_filter(np.full((48, 64), 1.2), camera, noise_px=0.1)
+    >>> filtered.depth_m.shape, filtered.noise_px
+    ((48, 64), 0.1)
     """
 
     depth_m: Floats
@@ -97,6 +106,16 @@ def conditional_planar_filter(
     -----
     Paper §2.1. Weak filter: 3 × 3 median. Strong filter: a second 3 × 3 median and the Gaussian. Where the
     window has holes, the weighted mean is moved along the local plane, so that a slope keeps its height.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import Camera, conditional_planar_filter
+    >>> camera = Camera(60.0, 60.0, 31.5, 23.5, baseline_m=0.1)
+    >>> depth_m = 1.2 + np.random.default_rng(1).normal(0.0, 0.01, (48, 64))
+    >>> filtered = conditional_planar_filter(depth_m, camera, window=9)
+    >>> bool(filtered.depth_m[8:-8, 8:-8].std() < 0.5 * depth_m.std())
+    True
     """
     r = half_width(window)
     if mode not in MODES:

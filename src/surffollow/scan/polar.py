@@ -40,6 +40,16 @@ class PolarCorrection:
         distance of each commanded spot from its corrected one
     zone_m : float [m]
         bound of the zone of effectiveness
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import PolarCorrection
+    >>> commanded_m = np.array([[1.0, 0.0], [0.0, 1.0], [2.0, 0.0], [0.0, 2.0]])
+    >>> measured_m = 1.01 * commanded_m                       # the arm reaches 1 % too far
+    >>> correction = PolarCorrection.fit(commanded_m, measured_m, (0.0, 0.0))
+    >>> np.round(correction.apply([[1.5, 0.0]]), 4) + 0.0     # to be sent, to reach 1.5 m
+    array([[1.4851, 0.    ]])
     """
 
     base_m: tuple[float, float]
@@ -173,6 +183,15 @@ def polar_correction(
     Notes
     -----
     ρ' = ρ scale + offset (8), φ' = φ + offset (9), (ρ' cos φ', ρ' sin φ', f_env there) (10).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import PolarCorrection, ScanPath, polar_correction
+    >>> path = ScanPath.planar(np.array([[1.0, 0.0], [1.5, 0.0]]), np.zeros(2, np.int32))
+    >>> sent = polar_correction(path, PolarCorrection((0.0, 0.0), offset_m=0.02))
+    >>> np.round(sent.position_m[:, 0], 3)
+    array([1.02, 1.52])
     """
     xy = correction.apply(path.position_m)
     position = np.column_stack([xy, path.position_m[:, 2]])

@@ -55,6 +55,17 @@ def lanes(
     -----
     Paper §3.1. Each pass runs over all of its strip of the region, so that every point of the region is
     within half a swath of a pass. Turns leave the region by about half a swath.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import lanes
+    >>> path = lanes((0.0, 0.0, 1.0, 0.6), 0.2, step_m=0.05)      # x_min, y_min, x_max, y_max [m]
+    >>> int(path.passes.max()) + 1                            # passes of 0.2 m over 0.6 m
+    3
+    >>> np.round(path.position_m[path.passes == 0][:2], 3)     # z is not known yet [m]
+    array([[0.  , 0.1 ,  nan],
+           [0.05, 0.1 ,  nan]])
     """
     corners, swath, step = outline(region), positive("swath_m", swath_m), positive("step_m", step_m)
     angle = finite("angle_rad", angle_rad, "rad")
@@ -98,6 +109,15 @@ def arcs(
     Notes
     -----
     Paper §3.1: linear increments in joint space. Each arc covers its ring of the region.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import arcs
+    >>> path = arcs((1.0, -0.3, 1.6, 0.3), 0.2, step_m=0.05, base_m=(0.0, 0.0))
+    >>> first = path.position_m[path.passes == 0]
+    >>> bool(np.ptp(np.hypot(first[:, 0], first[:, 1])) < 1e-9)       # a circle about the base
+    True
     """
     corners, swath, step = outline(region), positive("swath_m", swath_m), positive("step_m", step_m)
     base = np.array([finite("base_m", v) for v in list(base_m)[:2]])

@@ -144,6 +144,13 @@ class Shaper:
         Notes
         -----
         V = exp(-ζ ω t_n) √(C² + S²), C and S the sums of A_i exp(ζ ω t_i) times cos and sin of ω_d t_i.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from surffollow.scan import Shaper
+        >>> np.round(Shaper.zv(2.0).residual([2.0, 2.2]), 3) + 0.0
+        array([0.   , 0.156])
         """
         zeta = _damping(damping)
         omega = 2.0 * math.pi * np.asarray(frequency_hz, np.float64)[..., None]
@@ -191,6 +198,13 @@ class Shaper:
         ------
         ScanInputError
             a trace shorter than the shaper, or a design frequency at or above half the rate
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from surffollow.scan import Shaper
+        >>> Shaper.zv(2.0).shape([0.0, 1.0, 1.0], rate_hz=8.0)    # half at once, half after 0.25 s
+        array([0. , 0.5, 0.5, 1. , 1. ])
         """
         given = np.asarray(command, np.float64)
         columns = given.reshape(given.shape[0], math.prod(given.shape[1:])) if given.ndim else given

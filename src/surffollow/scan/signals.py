@@ -31,6 +31,17 @@ class SignalMap:
     origin_m : (x, y) [m]
         outer corner of cell [0, 0]
     grid_m : float [m]
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import signal_map
+    >>> x_m = np.arange(0.05, 1.0, 0.1)
+    >>> signal = np.where(abs(x_m - 0.65) < 0.01, 5.0, 1.0)       # one response at x = 0.65 m
+    >>> found = signal_map(np.column_stack([x_m, 0.0 * x_m]), signal, 0.1)
+    >>> x_peak_m, y_peak_m, height = found.peak_m()
+    >>> round(float(x_peak_m), 2), float(height)
+    (0.65, 4.0)
     """
 
     mean: Floats
@@ -161,6 +172,15 @@ def signal_map(
     ------
     ScanInputError
         arrays of different lengths, no finite sample, none in the region, or more than 1e8 cells
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import signal_map
+    >>> position_m = np.array([[0.01, 0.01], [0.03, 0.01], [0.15, 0.01]])
+    >>> found = signal_map(position_m, [1.0, 3.0, 7.0], 0.1)
+    >>> found.mean, found.highest, found.count
+    (array([[2., 7.]]), array([[3., 7.]]), array([[2, 1]]))
     """
     xy = real_array("position_m", position_m, (None, None))[:, :2]
     v = real_array("values", values, (len(xy),))

@@ -30,6 +30,19 @@ def read_spots(path: str | os.PathLike[str], map_file: str | os.PathLike[str] | 
     ------
     ScanFileError
         a file that cannot be read, a column that is missing, a spot on unknown ground
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> from surffollow.scan import read_spots
+    >>> header = "x_m,y_m,correction_m"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder, "spots.csv")
+    ...     np.savetxt(file, [[0.1, 0.2, 0.003]], delimiter=",", header=header, comments="")
+    ...     read_spots(file)
+    array([[0.1  , 0.2  , 0.003]])
     """
     plain_file(path)
     third = "correction_m" if map_file is None else "z_m"

@@ -37,6 +37,13 @@ class SurveySettings:
         of `coherent_patches`
     fill_m, average_m
         of `terrain_map`
+
+    Examples
+    --------
+    >>> from surffollow.scan import SurveySettings
+    >>> settings = SurveySettings(grid_m=0.02, region=(0.0, 0.0, 1.0, 1.0), filter="median")
+    >>> settings.support_m, settings.min_pixels
+    (0.1, 50)
     """
 
     grid_m: float
@@ -76,6 +83,16 @@ def survey(
     Raises
     ------
     ScanInputError
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import SurveySettings, survey
+    >>> x_m, y_m = np.meshgrid(np.arange(0.0, 1.0, 0.02), np.arange(0.0, 1.0, 0.02))
+    >>> cloud_m = np.column_stack([x_m.ravel(), y_m.ravel(), 0.1 * x_m.ravel()])
+    >>> ground, report = survey([], [cloud_m], SurveySettings(grid_m=0.05))
+    >>> round(float(ground.heights_m[10, 10]), 2), sorted(report)
+    (0.05, ['cells', 'images', 'points'])
     """
     if not images and not clouds:
         raise ScanInputError("no image and no cloud; give at least one")

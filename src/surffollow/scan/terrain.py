@@ -60,6 +60,15 @@ def terrain_map(
     -----
     Averages stand at the weighted mean place of their points, so that a plane keeps its height at every
     cell. Cells that hold a point outside every triangle take the mean of their points.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import terrain_map
+    >>> points_m = np.array([[0.05, 0.05, 0.0], [0.25, 0.05, 0.2], [0.05, 0.25, 0.0], [0.25, 0.25, 0.2]])
+    >>> ground = terrain_map(points_m, 0.1, region=(0.0, 0.0, 0.3, 0.3))
+    >>> np.round(ground.heights_m[1], 3) + 0.0                # the middle row holds no point: filled [m]
+    array([0. , 0.1, 0.2])
     """
     points, w = _points(points_m, weights)
     g = positive("grid_m", grid_m)
@@ -145,6 +154,17 @@ def compose_stations(
     -------
     TerrainGrid
         measured cells of all stations averaged where they overlap, holes filled anew
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import TerrainGrid, compose_stations
+    >>> local = TerrainGrid.of(np.zeros((4, 4)), grid_m=0.1)
+    >>> moved = np.eye(4)
+    >>> moved[:3, 3] = 0.4, 0.0, 0.5                          # place of the second station [m]
+    >>> ground = compose_stations([(local, np.eye(4)), (local, moved)], 0.1)
+    >>> np.round(ground.heights_m[1], 3) + 0.0
+    array([0. , 0. , 0. , 0. , 0.5, 0.5, 0.5, 0.5])
     """
     from surffollow.scan.camera import rigid_transform
 

@@ -30,6 +30,13 @@ class MotionLimits:
         up and down
     tilt_radps : float
         of the normal
+
+    Examples
+    --------
+    >>> from surffollow.scan import MotionLimits
+    >>> limits = MotionLimits(speed_mps=0.2)
+    >>> limits.speed_mps, limits.acceleration_mps2, limits.tilt_radps
+    (0.2, 2.66, 3.0)
     """
 
     speed_mps: float = 0.5
@@ -73,6 +80,15 @@ def timed(path: ScanPath, limits: MotionLimits) -> ScanPath:
     -------
     ScanPath
         SLOWED where a pass is slower than asked for; STOP at both ends
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from surffollow.scan import MotionLimits, ScanPath, timed
+    >>> xy_m = np.column_stack([np.linspace(0.0, 1.0, 11), np.zeros(11)])
+    >>> path = timed(ScanPath.planar(xy_m, np.zeros(11, np.int32)), MotionLimits(0.5, 1.0))
+    >>> float(path.t_s[0]), round(float(path.t_s[-1]), 1)     # 1 m at 0.5 m/s, with 1 m/s² [s]
+    (0.0, 2.5)
     """
     n = len(path)
     xy, z = path.position_m[:, :2], path.position_m[:, 2]

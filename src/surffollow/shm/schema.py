@@ -112,6 +112,15 @@ def _scalar(code: str) -> Any:
         -------
         Field
             to be assigned to a name in the body of a `Schema` or `Block`
+
+        Examples
+        --------
+        >>> from surffollow.blocks import F64, I8, Block
+        >>> class Joystick(Block):
+        ...     axes = F64(6, unit="m/s, rad/s", doc="linear and angular velocity")
+        ...     deadman = I8(doc="1: pressed")
+        >>> Joystick.offset("deadman"), Joystick.SIZE
+        (48, 56)
         """
         return Field(code, count, unit=unit, doc=doc, align=align)
 
@@ -139,6 +148,14 @@ def Text(size: int, *, doc: str = "") -> Any:  # noqa: N802 - reads like the oth
     -------
     Field
         to be assigned to a name in the body of a `Schema` or `Block`
+
+    Examples
+    --------
+    >>> from surffollow.blocks import Block, Text
+    >>> class Tool(Block):
+    ...     serial = Text(16, doc="as engraved")
+    >>> Tool.SIZE, Tool.field("serial").doc
+    (16, 'as engraved')
     """
     return Field("S", size, doc=doc)
 
@@ -161,6 +178,17 @@ def Nested(schema: type[Schema], count: int = 1, *, doc: str = "", align: int = 
     -------
     Field
         for a name in a layout's body
+
+    Examples
+    --------
+    >>> from surffollow.blocks import F64, Block, Nested
+    >>> class Axis(Block):
+    ...     angle = F64(unit="rad")
+    ...     torque = F64(unit="N m")
+    >>> class Arm(Block):
+    ...     axes = Nested(Axis, 5)
+    >>> Arm.SIZE, Arm.offset("axes", 2, "torque")
+    (80, 40)
     """
     return Field("V", count, nested=schema, doc=doc, align=align)
 
@@ -172,6 +200,17 @@ class Schema:
     ------
     SchemaError
         at class creation: no fields, a name that C or Python cannot use, or a size over 1 TiB.
+
+    Examples
+    --------
+    >>> from surffollow.blocks import F64, I64, Block
+    >>> class Pose(Block):
+    ...     t_ns = I64(unit="ns", doc="CLOCK_MONOTONIC")
+    ...     xyz_m = F64(3, unit="m", doc="world from tool")
+    >>> Pose.SIZE, Pose.offset("xyz_m", 1), Pose.field("xyz_m").unit
+    (32, 16, 'm')
+    >>> Pose.describe()
+    'Pose(32;t_ns:i8*1@0[ns];xyz_m:f8*3@8[m])'
     """
 
     FIELDS: ClassVar[tuple[Field, ...]] = ()

@@ -150,6 +150,17 @@ def optimal_pair(
     -------
     WallPose or None
         None where no wall agrees
+
+    Examples
+    --------
+    >>> import math
+    >>> import numpy as np
+    >>> from surffollow.sonar import optimal_pair
+    >>> headings_rad = np.radians([0.0, 15.0])
+    >>> positions_m = 0.35 * np.column_stack([np.cos(headings_rad), np.sin(headings_rad)])
+    >>> found = optimal_pair(positions_m, headings_rad, [0.8548, 0.851611], math.radians(11.25), sigma_m=1e-6)
+    >>> round(found.distance_m, 3), found.sensors
+    (1.2, (0, 1))
     """
     found = wall_pose(positions_m, headings_rad, ranges_m, half_beam_rad, **options)
     return found[0] if found else None
@@ -187,6 +198,18 @@ def fused_pose(
     -------
     WallPose or None
         None where no echo came
+
+    Examples
+    --------
+    >>> import math
+    >>> import numpy as np
+    >>> from surffollow.sonar import fused_pose
+    >>> headings_rad = np.radians([-15.0, 0.0, 15.0])
+    >>> positions_m = 0.35 * np.column_stack([np.cos(headings_rad), np.sin(headings_rad)])
+    >>> ranges_m = 1.2 - 0.35 * np.cos(headings_rad)      # a wall at x = 1.2 m
+    >>> wall = fused_pose(positions_m, headings_rad, ranges_m, math.radians(20.0), sigma_m=0.005)
+    >>> abs(wall.phi_rad) < 3 * wall.phi_std_rad, round(wall.distance_m, 2), wall.sensors
+    (True, 1.2, (0, 1, 2))
     """
     found = walls(
         positions_m,
@@ -244,6 +267,18 @@ def walls(
     ------
     UsageError
         shapes, units or the model are wrong, or sigma_m is not positive
+
+    Examples
+    --------
+    >>> import math
+    >>> import numpy as np
+    >>> from surffollow.sonar import walls
+    >>> headings_rad = np.radians([-10.0, 0.0, 10.0, 80.0, 90.0, 100.0])
+    >>> positions_m = 0.35 * np.column_stack([np.cos(headings_rad), np.sin(headings_rad)])
+    >>> ranges_m = np.r_[1.2 - positions_m[:3, 0], 1.5 - positions_m[3:, 1]]      # a corner
+    >>> found = walls(positions_m, headings_rad, ranges_m, math.radians(15.0), 2, sigma_m=0.005)
+    >>> sorted(round(wall.distance_m, 1) for wall in found)
+    [1.2, 1.5]
     """
     readings = check_readings(
         positions_m, headings_rad, ranges_m, half_beam_rad, model, max_incidence_rad, sigma_m, max_range_m

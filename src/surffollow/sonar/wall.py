@@ -32,6 +32,18 @@ class WallPose:
         another wall explains the same readings as well
     favoured : bool
         beams' axes and prior pose speak for no other wall (see `favour`)
+
+    Examples
+    --------
+    >>> import math
+    >>> import numpy as np
+    >>> from surffollow.sonar import WallPose
+    >>> wall = WallPose(phi_rad=0.0, distance_m=1.2, covariance=np.diag([1e-4, 4e-6]), sensors=(0, 1))
+    >>> round(wall.phi_std_rad, 3), round(wall.distance_std_m, 3)
+    (0.01, 0.002)
+    >>> seen = wall.moved(0.2, 0.0, math.pi / 2)          # by a robot that went 0.2 m and turned left
+    >>> round(seen.phi_rad, 3), round(seen.distance_m, 3)
+    (-1.571, 1.0)
     """
 
     phi_rad: float
