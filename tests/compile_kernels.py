@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from arbiter.running import Running
+from arbiter.arbiter_process import ArbiterProcess
 from running_service import Service, config_text
 
 
@@ -137,7 +137,7 @@ AFTER = (warm_recorder, warm_replay)
 
 def start_and_stop(folder: Path) -> None:
     """Start the service, which has a helper, and the arbiter beside each other."""
-    service, arbiter = Service(folder, config_text(kind="simulated")), Running(folder)
+    service, arbiter = Service(folder, config_text(kind="simulated")), ArbiterProcess(folder)
     arbiter.program = ("-m", "surffollow.cli.main")  # as the service's options: two processes, not forked
     try:
         with ThreadPoolExecutor() as beside:

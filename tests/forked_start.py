@@ -124,7 +124,7 @@ def fork_start(words: Sequence[str], stderr: int | None = None) -> subprocess.Po
 
 def load() -> None:
     """Run a service with a simulated sensor and an arbiter once, to their end."""
-    from arbiter.running import Running
+    from arbiter.arbiter_process import ArbiterProcess
     from running_service import Service, config_text
     from surffollow.arbiter.config import load_config
     from surffollow.arbiter.server import Server
@@ -137,7 +137,7 @@ def load() -> None:
             daemon.run(on_ready=daemon.stop)
         finally:
             once.purge()
-        shared = Running(Path(folder))
+        shared = ArbiterProcess(Path(folder))
         try:
             server = Server(msgspec.structs.replace(load_config(shared.path), name=shared.name))
             server.run(on_ready=server.stop)

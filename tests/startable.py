@@ -1,4 +1,4 @@
-"""What tests start and end: a server process of a test's own."""
+"""Base of the server processes that tests start and end."""
 
 from __future__ import annotations
 

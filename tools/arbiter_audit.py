@@ -213,14 +213,14 @@ def audit(name: str, stopped: list[int], poll_s: float = 0.0005) -> Book:
             if follower is None or path.stat().st_ino != follower.identity:
                 if follower is not None:
                     follower.read(book)
-                    book.end(follower.word("beat_ns"))
+                    book.end(follower.word("heartbeat_ns"))
                 follower = Follower(path)
                 follower.begin(book)
         except (OSError, ValueError, IndexError):
             pass  # being replaced
         if over and not new:
             if follower is not None:
-                book.end(follower.word("beat_ns"))
+                book.end(follower.word("heartbeat_ns"))
             return book
         if not new:
             time.sleep(poll_s)

@@ -1,9 +1,10 @@
-"""`make bench`: run tools/bench_*.py one after the other, gather their bars in one table.
+"""`make bench`: run tools/bench_*.py one after the other, gather their criteria in one table.
 
     python tools/bench.py [--only NAME]... [--json]
 
 A bench is a script that takes `--json`, prints one JSON object on its last line and exits non-zero when
-a bar is missed; its `bars` (name, got, limit, unit, ok) become rows. They run alone, never side by side.
+a criterion is missed; its `criteria` (name, got, limit, unit, ok) become rows. They run alone, never side by
+side.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from report import bar_line
+from report import criterion_line
 
 TOOLS = Path(__file__).resolve().parent
 
@@ -40,19 +41,24 @@ def last_object(text: str) -> dict[str, Any]:
     return {}
 
 
-def bars_of(result: dict[str, Any]) -> list[dict[str, Any]]:
-    """The bars that a result tells: `bars` of tools/report.py, or rows of (name, value, bar, sense, met)."""
-    bars = result.get("bars")
-    if isinstance(bars, list) and all(isinstance(b, dict) and "bar" in b for b in bars):
-        return bars
+def criteria_of(result: dict[str, Any]) -> list[dict[str, Any]]:
+    """Criteria of a result: `criteria` of tools/report.py, or rows of (name, value, limit, sense, met).
+
+    Checkouts before this release write `bars` for `criteria` and `bar` for `criterion` and `limit`.
+    """
+    criteria = result.get("criteria", result.get("bars"))
+    if isinstance(criteria, list) and all(
+        isinstance(b, dict) and {"criterion", "bar"} & {*b} for b in criteria
+    ):
+        return [{"criterion": b.get("bar"), **b} for b in criteria]
     rows = result.get("rows")
     if not isinstance(rows, list) or not all(isinstance(r, dict) and "value" in r for r in rows):
         return []
     return [
         {
-            "bar": r.get("name", ""),
+            "criterion": r.get("name", ""),
             "got": r["value"],
-            "limit": r.get("bar"),
+            "limit": r.get("limit", r.get("bar")),
             "sense": r.get("sense") or "≤",
             "unit": r.get("unit", ""),
             "ok": r.get("met"),
@@ -83,10 +89,10 @@ def show(done: dict[str, Any]) -> None:
     verdict = "ok" if done["ok"] else "MISSED"
     print(f"\n== {done['name']}: {verdict}, {done['seconds']:.0f} s", flush=True)
     result = done["result"]
-    bars = bars_of(result)
-    if bars:
-        for b in bars:
-            print("   " + bar_line(b))
+    criteria = criteria_of(result)
+    if criteria:
+        for b in criteria:
+            print("   " + criterion_line(b))
         for line in result.get("notes", ()):
             print("   " + line)
     elif result:
@@ -96,7 +102,7 @@ def show(done: dict[str, Any]) -> None:
 
 
 def main() -> int:
-    """Run what was asked for; 1 when any bar was missed."""
+    """Run what was asked for; 1 when any criterion was missed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--only", action="append", metavar="NAME", help="run this bench only (repeatable)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -122,7 +128,7 @@ def main() -> int:
         print(json.dumps({**machine, "ok": not missed, "benches": done}))
     else:
         print(
-            f"\n{len(done) - len(missed)} of {len(done)} met their bars"
+            f"\n{len(done) - len(missed)} of {len(done)} met their criteria"
             + (f"; missed: {', '.join(missed)}" if missed else "")
         )
     return 1 if missed else 0

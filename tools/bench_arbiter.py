@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from arbiter_trials import LEASE_S, PERIOD_S, Nursery, Trials, audited, end, fork
-from report import bar, finish, result
+from report import criterion, finish, result
 from surffollow.arbiter import attach
 from surffollow.arbiter import exchange as ex
 from surffollow.arbiter import layout as al
@@ -240,7 +240,7 @@ def main() -> dict[str, Any]:
     words = parser.parse_args()
     ctypes.CDLL(None)  # loaded before the first fork
     nursery = Nursery(f"bench-{os.getpid()}")
-    bars, figures = [], {}
+    criteria, figures = [], {}
     try:
         pid = nursery.start()
         figures["times"] = {}
@@ -254,21 +254,23 @@ def main() -> dict[str, Any]:
                 grant, trip = times[f"{mark}grant_p50_ns"], times[f"{mark}socket_p50_ns"]
                 note = f"{grant / 1e3:.1f} of {trip / 1e3:.1f} us"
                 what = f"grant / socket round trip, p50, {language}, {where}"
-                bars.append(bar(what, grant / trip, 1.0, "", note))
-        bars.append(bar("command, C, p50", times["command_p50_ns"], 60.0, "ns"))
-        bars.append(bar("command, Python, p50", times["python_command_p50_ns"] / 1e3, 2.0, "us"))
+                criteria.append(criterion(what, grant / trip, 1.0, "", note))
+        criteria.append(criterion("command, C, p50", times["command_p50_ns"], 60.0, "ns"))
+        criteria.append(criterion("command, Python, p50", times["python_command_p50_ns"] / 1e3, 2.0, "us"))
         rate = times["forwarded_per_s"]
-        bars.append(bar("1e6 / commands forwarded per second", 1e6 / rate, 50.0, "", f"{rate:.0f} per s"))
+        criteria.append(
+            criterion("1e6 / commands forwarded per second", 1e6 / rate, 50.0, "", f"{rate:.0f} per s")
+        )
         share = idle_share(pid)
-        bars.append(bar("idle server, part of a processor", share, 0.03, ""))
+        criteria.append(criterion("idle server, part of a processor", share, 0.03, ""))
         say("times taken")
         attacks = {}
         for what in ATTACKS:
             attacks[what] = got = withstand(nursery, what, words.attack_seconds, words.seed)
             note = f"{got['grants']} grants meanwhile"
-            bars.append(bar(f"attacker {what}: longest wait", got["longest_s"], LEASE_S, "s", note))
+            criteria.append(criterion(f"attacker {what}: longest wait", got["longest_s"], LEASE_S, "s", note))
             forged = got["forwarded_of_attacker"] if what == "forges" else 0
-            bars.append(bar(f"attacker {what}: violations", len(got["violations"]) + forged, 0, ""))
+            criteria.append(criterion(f"attacker {what}: violations", len(got["violations"]) + forged, 0, ""))
             say(f"attack: {what}")
         figures["attacks"] = attacks
         nursery.restart()
@@ -279,13 +281,15 @@ def main() -> dict[str, Any]:
         limit = LEASE_S + PERIOD_S + SCHEDULING_S
         for kind, values in trials.times_s.items():
             note = f"{len(values)} trials, p50 {quantile(values, 0.5) * 1e3:.1f} ms"
-            bars.append(bar(f"{kind}: safe and free after", max(values, default=None), limit, "s", note))
+            criteria.append(
+                criterion(f"{kind}: safe and free after", max(values, default=None), limit, "s", note)
+            )
         note = f"{found['records']} records, {found['forwarded']} forwarded, {found['servers']} servers"
-        bars.append(
-            bar("violations found by the audit", len(found["violations"]) + found["lost"], 0, "", note)
+        criteria.append(
+            criterion("violations found by the audit", len(found["violations"]) + found["lost"], 0, "", note)
         )
-        bars.append(
-            bar("hangs and unusable resources", len(trials.hangs), 0, "", "; ".join(trials.hangs[:3]))
+        criteria.append(
+            criterion("hangs and unusable resources", len(trials.hangs), 0, "", "; ".join(trials.hangs[:3]))
         )
     finally:
         nursery.close()
@@ -293,7 +297,7 @@ def main() -> dict[str, Any]:
         f"the limit of a kill is lease + period + {SCHEDULING_S:g} s of scheduling",
         f"seed {words.seed}",
     ]
-    return result("arbiter", bars, notes, **figures)
+    return result("arbiter", criteria, notes, **figures)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ import time
 from typing import Any
 
 from block_trials import LEASE_S, Trials, ask_fifo
-from report import bar, finish, result
+from report import criterion, finish, result
 from surffollow.blocks import I64, Block, mem_attach
 from surffollow.shm.objects import unlink
 
@@ -73,7 +73,7 @@ def most(values: list[float]) -> float | None:
 
 
 def main() -> dict[str, Any]:
-    """Run the trials and the calls, hold them against the bars."""
+    """Run the trials and the calls, hold them against the criteria."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--trials", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=91)
@@ -107,15 +107,15 @@ def main() -> dict[str, Any]:
     return result(
         f"user blocks: {o.trials} trials of deaths, and uncontended calls",
         [
-            bar("dead reader delays the writer, max", most(late), DEAD_READER_MS, "ms"),
-            bar("stopped reader, beyond its lease, max", most(beyond), DEAD_READER_MS, "ms"),
-            bar("torn reads", trials.torn, 0, ""),
-            bar("lost generations", trials.lost, 0, ""),
-            bar("starved writes", trials.starved, 0, ""),
-            bar("fenced readers not told", trials.verdicts, 0, ""),
-            bar("uncontended read p50", calls["read"][0], CALL_US, "µs"),
-            bar("uncontended write p50", calls["write"][0], CALL_US, "µs"),
-            bar("latest p50", calls["latest"][0], LATEST_US, "µs"),
+            criterion("dead reader delays the writer, max", most(late), DEAD_READER_MS, "ms"),
+            criterion("stopped reader, beyond its lease, max", most(beyond), DEAD_READER_MS, "ms"),
+            criterion("torn reads", trials.torn, 0, ""),
+            criterion("lost generations", trials.lost, 0, ""),
+            criterion("starved writes", trials.starved, 0, ""),
+            criterion("fenced readers not told", trials.verdicts, 0, ""),
+            criterion("uncontended read p50", calls["read"][0], CALL_US, "µs"),
+            criterion("uncontended write p50", calls["write"][0], CALL_US, "µs"),
+            criterion("latest p50", calls["latest"][0], LATEST_US, "µs"),
         ],
         notes,
         calls_us=calls,

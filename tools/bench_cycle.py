@@ -20,14 +20,14 @@ import numba
 import numpy as np
 from numba import njit
 
-from report import bar, finish, machine
+from report import criterion, finish, machine
 from surffollow.config.params import PARAMS
 from surffollow.forecast.step import follow_step
 from surffollow.map.header import init_header
 from surffollow.map.kernels.geometry import reset_begin, reset_step
 from surffollow.map.kernels.grids import update_map
 from surffollow.service import memory as m
-from surffollow.service.range_inbox import any_held, drain_ranges, drop_dead_range_holders
+from surffollow.service.range_inputs import any_held, drain_ranges, drop_dead_range_holders
 from surffollow.shm import map_layout as ml
 from surffollow.shm.conversion import pack_conversion
 from surffollow.shm.dtypes import numpy_dtype, zeros
@@ -36,7 +36,7 @@ from surffollow.shm.schema import SCALARS, Schema
 
 CYCLES, BATCHES = 2000, 300
 SKIP = 12  # the first batches compile, load and touch the pages
-BAR_NS, BAR_RATIO, BAR_UNUSED_NS = 1000.0, 1.3, 10.0
+LIMIT_NS, LIMIT_RATIO, LIMIT_UNUSED_NS = 1000.0, 1.3, 10.0
 PERIOD_NS = 1_000_000
 
 
@@ -215,7 +215,7 @@ def unused_ring_ns() -> float:
 
 
 def main() -> dict[str, Any]:
-    """Measure and hold against the bars."""
+    """Measure and hold against the criteria."""
     got = measure()
     compiler = subprocess.run(["cc", "--version"], capture_output=True, text=True).stdout.split("\n")[0]
     c, k = got["c"], got["kernel"]
@@ -223,11 +223,11 @@ def main() -> dict[str, Any]:
         "what": "one cycle: follow_step with 8 channels and 8 update_map, paper mode, beside plain C",
         "machine": machine(f"numba {numba.__version__}", compiler),
         **got,
-        "bars": [
-            bar("cycle p50", k["p50_ns"], BAR_NS, "ns"),
-            bar("cycle / cc -O3", got["ratio"], BAR_RATIO, "", "median over pairs of batches"),
-            bar("look for pushed ranges, none held", unused_ring_ns(), BAR_UNUSED_NS, "ns"),
-            bar("parts that differ from the C twin", len(got["differences"]), 0, "", "bit for bit"),
+        "criteria": [
+            criterion("cycle p50", k["p50_ns"], LIMIT_NS, "ns"),
+            criterion("cycle / cc -O3", got["ratio"], LIMIT_RATIO, "", "median over pairs of batches"),
+            criterion("look for pushed ranges, none held", unused_ring_ns(), LIMIT_UNUSED_NS, "ns"),
+            criterion("parts that differ from the C twin", len(got["differences"]), 0, "", "bit for bit"),
         ],
         "notes": [
             f"{name:<8} p50 {t['p50_ns']:.0f} ns, p99 {t['p99_ns']:.0f} ns, max {t['max_ns']:.0f} ns"

@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from cyclictest import cyclictest_run, percentile_us  # noqa: E402
-from report import bar, finish  # noqa: E402
+from report import criterion, finish  # noqa: E402
 from running_service import POSE, Service, config_text  # noqa: E402
 from surffollow.client.histogram_report import percentile_ns  # noqa: E402
 from surffollow.shm.layout_board import HISTOGRAM_BINS, Stats  # noqa: E402
@@ -99,10 +99,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "alone": quiet,
         "beside_a_busy_process": busy,
         "cyclictest": reference,
-        "bars": [
-            bar("median lateness with a busy neighbour", percentile_ns(beside["lateness"], 0.5), limit, "ns",
+        "criteria": [
+            criterion("median lateness with a busy neighbour", percentile_ns(beside["lateness"], 0.5), limit,
+                "ns",
                 f"alone {alone_median:.0f} ns; limit: that + {MEDIAN_SLACK_NS:.0f} ns"),
-            bar("p99.9 lateness alone", quiet["lateness_p99.9_us"],
+            criterion("p99.9 lateness alone", quiet["lateness_p99.9_us"],
                 reference["p99.9_us"] if reference else float("inf"), "us",
                 "limit: cyclictest's, in alternation" if reference else absent),
         ],

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from report import bar, finish, result
+from report import criterion, finish, result
 from surffollow.record.columns import Columns, load_columns
 from surffollow.record.csv_log import read_csv
 from surffollow.record.csv_replay import CsvReplay, run_csv
@@ -123,10 +123,10 @@ def main() -> int:
     what = "range predicted over a real flight, RMS error over that of no change"
     if file is None:
         note = "no data folder; set SURFFOLLOW_DATA to it"
-        return finish(result(what, [bar(f"{h:g} s", None, m, "", note) for h, m in LIMITS.items()], []))
+        return finish(result(what, [criterion(f"{h:g} s", None, m, "", note) for h, m in LIMITS.items()], []))
     rows = measure(file, o.columns)
-    bars = [
-        bar(
+    criteria = [
+        criterion(
             f"default follower, {r['horizon_s']:g} s",
             r["follower"],
             LIMITS[r["horizon_s"]],
@@ -138,7 +138,7 @@ def main() -> int:
     ]
     level, trend, damping = rows[0]["holt_tuning_s"]
     notes = [f"damped trend: level {level:g} s, trend {trend:g} s, decay {damping:g} s, tuned on the log"]
-    return finish(result(what, bars, notes, rows=rows))
+    return finish(result(what, criteria, notes, rows=rows))
 
 
 if __name__ == "__main__":

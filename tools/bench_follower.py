@@ -4,7 +4,7 @@
 
 Times are CPU times of `follow_step` alone, called from Python, 1 kHz cycles with a sample every fourth;
 "leading" has its only sensor 50 mm ahead, so that every tenth cycle plans over known ground. The random
-cycles run inside one kernel with every kind of bad input. Exit 1 when a bar is missed.
+cycles run inside one kernel with every kind of bad input. Exit 1 when a criterion is missed.
 """
 
 from __future__ import annotations

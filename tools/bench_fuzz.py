@@ -35,7 +35,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from fuzz_attacks import KINDS, SHM, attack  # noqa: E402
-from report import bar, bar_line  # noqa: E402
+from report import criterion, criterion_line  # noqa: E402
 from running_service import POSE, Service, World, config_text, objects_of, until  # noqa: E402
 from second_user import NOBODY, OtherUser  # noqa: E402
 from service.test_foreign_names import forged_board  # noqa: E402
@@ -217,14 +217,14 @@ def run(args: argparse.Namespace, private: bool) -> dict[str, Any]:
         "poses": robot.poses,
         "refusals_seen_by_the_robot": robot.refusals,
         "faults": robot.faults[:10],
-        "bars": [
-            bar("bad demands, refused clients and ends of the service", len(robot.faults), 0, ""),
-            bar(
+        "criteria": [
+            criterion("bad demands, refused clients and ends of the service", len(robot.faults), 0, ""),
+            criterion(
                 "cycles over 300 us under attack", long, most, "", f"idle {idle['long']} of {idle['cycles']}"
             ),
-            bar("slowest answer after an attack", robot.slowest_s, args.answer, "s"),
-            bar("service's exit code", abs(code), 0, ""),
-            bar("objects left", len(left), 0, "", str(left)),
+            criterion("slowest answer after an attack", robot.slowest_s, args.answer, "s"),
+            criterion("service's exit code", abs(code), 0, ""),
+            criterion("objects left", len(left), 0, "", str(left)),
         ],
     }
 
@@ -248,9 +248,9 @@ def main() -> int:
     else:
         for kind, totals in report["runs"].items():
             print(f"{kind:10s}", ", ".join(f"{k} {v}" for k, v in totals.items()))
-        print(*(f"{k}: {v}" for k, v in report.items() if k not in ("runs", "bars")), sep="\n")
-        print(*map(bar_line, report["bars"]), sep="\n")
-    return 0 if all(b["ok"] for b in report["bars"]) else 1
+        print(*(f"{k}: {v}" for k, v in report.items() if k not in ("runs", "criteria")), sep="\n")
+        print(*map(criterion_line, report["criteria"]), sep="\n")
+    return 0 if all(b["ok"] for b in report["criteria"]) else 1
 
 
 if __name__ == "__main__":

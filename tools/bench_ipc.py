@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from ipc_others import WAYS, measure
-from report import bar, finish, result
+from report import criterion, finish, result
 from service_process import pinned, service_process
 from surffollow.client import DEMAND_BYTES, Client, attach
 from surffollow.shm.cheader import HEADER
@@ -170,7 +170,7 @@ def clear_debris(before: set[Path]) -> int:
 
 
 def main(rounds: int) -> dict[str, Any]:
-    """Measure everything in one run and hold ours against the bars."""
+    """Measure everything in one run and hold ours against the criteria."""
     python, c = with_daemon(rounds)
     before, state = set(Path("/dev/shm").glob("iox2_*")), Path("/tmp/iceoryx2")
     was_there = state.exists()
@@ -179,20 +179,24 @@ def main(rounds: int) -> dict[str, Any]:
     if not was_there:
         shutil.rmtree(state, ignore_errors=True)
     no_c = "" if c else "no gcc here"
-    bars = [
-        bar("Python ee_pos p50", python["ee_pos_p50_ns"], PYTHON_NS, "ns"),
-        bar("Python dev_vector p50", python["dev_vector_p50_ns"], PYTHON_NS, "ns"),
-        bar("Python dev_vector_into p50", python["dev_vector_into_p50_ns"], INTO_NS, "ns"),
-        bar("Python ee_pos p50, as it makes no object", python["ee_pos_p50_ns"], INTO_NS, "ns"),
-        bar("C ee_pos p50", c.get("ee_pos_p50_ns"), C_NS, "ns", no_c),
-        bar("C dev_vector p50", c.get("dev_vector_p50_ns"), C_NS, "ns", no_c),
-        bar("Python push_range p50", python["push_range_p50_ns"], PUSH_NS, "ns"),
-        bar("C sf_push_range p50", c.get("push_p50_ns"), C_PUSH_NS, "ns", no_c),
-        bar("C pose to demand at 10 kHz p50", c.get("handover_p50_ns"), PERIOD_NS + SLACK_NS, "ns", no_c),
-        bar("Python pose to demand at 10 kHz p50", python["handover_p50_ns"], PERIOD_NS + SLACK_NS, "ns"),
+    criteria = [
+        criterion("Python ee_pos p50", python["ee_pos_p50_ns"], PYTHON_NS, "ns"),
+        criterion("Python dev_vector p50", python["dev_vector_p50_ns"], PYTHON_NS, "ns"),
+        criterion("Python dev_vector_into p50", python["dev_vector_into_p50_ns"], INTO_NS, "ns"),
+        criterion("Python ee_pos p50, as it makes no object", python["ee_pos_p50_ns"], INTO_NS, "ns"),
+        criterion("C ee_pos p50", c.get("ee_pos_p50_ns"), C_NS, "ns", no_c),
+        criterion("C dev_vector p50", c.get("dev_vector_p50_ns"), C_NS, "ns", no_c),
+        criterion("Python push_range p50", python["push_range_p50_ns"], PUSH_NS, "ns"),
+        criterion("C sf_push_range p50", c.get("push_p50_ns"), C_PUSH_NS, "ns", no_c),
+        criterion(
+            "C pose to demand at 10 kHz p50", c.get("handover_p50_ns"), PERIOD_NS + SLACK_NS, "ns", no_c
+        ),
+        criterion(
+            "Python pose to demand at 10 kHz p50", python["handover_p50_ns"], PERIOD_NS + SLACK_NS, "ns"
+        ),
     ]
     if "clock_p50_ns" in c:
-        bars[5]["note"] = bars[4]["note"] = f"the clock alone takes {c['clock_p50_ns']:.0f} ns"
+        criteria[5]["note"] = criteria[4]["note"] = f"the clock alone takes {c['clock_p50_ns']:.0f} ns"
     notes = ["other ways, Python to Python:"]
     for way, figures in others.items():
         if figures is None:
@@ -205,7 +209,7 @@ def main(rounds: int) -> dict[str, Any]:
     if debris:
         notes.append(f"  iceoryx2 left {debris} objects in /dev/shm, removed here")
     what = "Calls of the clients, pose to demand through the daemon at 10 kHz, and other ways"
-    return result(what, bars, notes, python=python, c=c, others=others)
+    return result(what, criteria, notes, python=python, c=c, others=others)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 import numpy as np  # noqa: E402
 
-from report import bar, finish  # noqa: E402
+from report import criterion, finish  # noqa: E402
 from running_service import READY_S, Service, World, config_text, objects_of, unique_name  # noqa: E402
 from surffollow.client import observe  # noqa: E402
 from surffollow.errors import SurffollowError  # noqa: E402
@@ -282,11 +282,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "kills": kills,
         "seed": args.seed,
         "known_grids": trial.known,
-        "bars": [
-            bar("hangs", trial.hangs, 0, "", f"slowest recovery {trial.slowest_s:.1f} s"),
-            bar("ends that nobody asked for", sum(ends.values()), 0, "", str(ends)),
-            bar("objects leaked in /dev/shm", trial.leaked + len(left), 0, "", str(sorted(left))),
-            bar("grids lost", trial.lost, 0, "", f"{trial.known} known at the end"),
+        "criteria": [
+            criterion("hangs", trial.hangs, 0, "", f"slowest recovery {trial.slowest_s:.1f} s"),
+            criterion("ends that nobody asked for", sum(ends.values()), 0, "", str(ends)),
+            criterion("objects leaked in /dev/shm", trial.leaked + len(left), 0, "", str(sorted(left))),
+            criterion("grids lost", trial.lost, 0, "", f"{trial.known} known at the end"),
         ],
         "notes": [f"{k}: {v}" for k, v in logs.items() if sum(ends.values()) or trial.hangs],
     }

@@ -2,7 +2,7 @@
 
 The daemon's figures are its board's histogram: time from the deadline to the cycle's first clock reading,
 over all runs together. cyclictest runs with the same period and priority as long, between the daemon's runs,
-never beside them. Without cyclictest or the right to SCHED_FIFO that bar is not measured.
+never beside them. Without cyclictest or the right to SCHED_FIFO that criterion is not measured.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from cyclictest import cyclictest_run, percentile_us
-from report import bar, finish, result
+from report import criterion, finish, result
 from service_process import service_process
 from surffollow.client.board import Board
 from surffollow.client.histogram_report import percentile_ns
@@ -47,7 +47,7 @@ def daemon_run(name: str, seconds: float) -> dict[str, Any]:
 
 
 def main() -> dict[str, Any]:
-    """Alternate, measure and hold against the bars."""
+    """Alternate, measure and hold against the criteria."""
     name = f"bench-late-{os.getpid()}"
     total, cyclic, why = [0] * Stats.field("lateness").count, Counter[int](), ""
     cycles = overruns = 0
@@ -74,8 +74,8 @@ def main() -> dict[str, Any]:
     return result(
         f"wake-up lateness at 1 kHz, {RUNS} runs of {SECONDS:g} s alternating with cyclictest",
         [
-            bar("lateness p50", ours[0.5], P50_NS, "ns"),
-            bar(
+            criterion("lateness p50", ours[0.5], P50_NS, "ns"),
+            criterion(
                 "lateness p99 against cyclictest's",
                 ours[0.99] if measured else None,
                 theirs[0.99] if measured else 0.0,

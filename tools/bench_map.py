@@ -1,6 +1,6 @@
-"""Measure the map's bars that need no daemon: bias, speed, MapRefocus, accuracy; exit 1 when one is missed.
+"""Measure the map's criteria that need no daemon: bias, speed, MapRefocus, accuracy; exit 1: one is missed.
 
-What is timed: wall time on one thread, the best of many short repetitions (adding: until both bars are
+What is timed: wall time on one thread, the best of many short repetitions (adding: until both criteria are
 met, at most 20 s), rivals alternating with us in the same run. A busy machine makes all of them slower,
 so the load is printed. `--json` prints one object.
 """
@@ -43,7 +43,7 @@ def best_s(work: Callable[[], object], times: int) -> float:
 
 
 class Table:
-    """Rows of (what, figure, bar); a row without a bar is for comparison."""
+    """Rows of (what, figure, limit); a row without a limit is for comparison."""
 
     def __init__(self) -> None:
         self.rows: list[dict[str, Any]] = []
@@ -57,23 +57,23 @@ class Table:
         elif at_least is not None:
             met = value >= at_least
         row = {"name": name, "value": float(value), "unit": unit, "met": None if met is None else bool(met)}
-        row["bar"] = at_most if at_most is not None else at_least
+        row["limit"] = at_most if at_most is not None else at_least
         row["sense"] = "≤" if at_most is not None else "≥" if at_least is not None else ""
         self.rows.append(row)
 
     def text(self) -> str:
         lines = []
         for r in self.rows:
-            bar = "" if r["bar"] is None else f"{r['sense']} {r['bar']:.4g}"
+            limit = "" if r["limit"] is None else f"{r['sense']} {r['limit']:.4g}"
             mark = {None: "", True: "met", False: "MISSED"}[r["met"]]
-            lines.append(f"{r['name']:<58} {r['value']:>10.4g} {r['unit']:<12} {bar:>10}  {mark}")
+            lines.append(f"{r['name']:<58} {r['value']:>10.4g} {r['unit']:<12} {limit:>10}  {mark}")
         return "\n".join(lines)
 
 
 def bench_bias(table: Table) -> None:
-    """The bars on rounding."""
+    """The criteria on rounding."""
     quantum = ml.DEFAULT_QUANTUM_M
-    for rounding, bar in (("unbiased", 0.1), ("paper", None)):
+    for rounding, limit in (("unbiased", 0.1), ("paper", None)):
         ends = []
         for seed in range(100):
             m = HeightMap.over((0, 0, 1, 1), grids=1, finest_m=1.0, datum_m=0.0, rounding=rounding, seed=seed)
@@ -81,11 +81,11 @@ def bench_bias(table: Table) -> None:
             m.add(np.stack([np.full(h.size, 0.5), np.full(h.size, 0.5), h], axis=1))
             ends.append(abs(m.heights_m[0, 0] - h[-1]) * 1e3)
         table.add(
-            f"255 samples, then 4000 2.5 mm higher: worst error, {rounding}", max(ends), "mm", at_most=bar
+            f"255 samples, then 4000 2.5 mm higher: worst error, {rounding}", max(ends), "mm", at_most=limit
         )
     rng = np.random.default_rng(1)
     n = 250_000
-    for rounding, bar in (("unbiased", 0.02), ("paper", None)):
+    for rounding, limit in (("unbiased", 0.02), ("paper", None)):
         m = HeightMap.over((0, 0, 500, 500), grids=n, finest_m=1.0, datum_m=0.0, rounding=rounding)
         y, x = np.divmod(np.arange(n), 500)
         points = np.stack([x + 0.5, y + 0.5, np.zeros(n)], axis=1)
@@ -98,7 +98,7 @@ def bench_bias(table: Table) -> None:
             m.add(points)
         error = m.heights_m.reshape(-1) / quantum - exact
         bias = abs(error.mean())
-        table.add(f"Monte-Carlo mean error of 250,000 grids, {rounding}", bias, "quanta", at_most=bar)
+        table.add(f"Monte-Carlo mean error of 250,000 grids, {rounding}", bias, "quanta", at_most=limit)
         table.add(f"  spread of that error, {rounding}", error.std(), "quanta")
 
 
@@ -262,14 +262,14 @@ def bench_accuracy(table: Table) -> None:
             m = HeightMap.over(extent, grids=1_000_000, rounding=rounding)
             m.add(points)
             error = np.abs(m.heights_m - area_means(z, spacing, m, 0.0, 0.0))
-            bar = 1.0 if rounding == "unbiased" else None
-            table.add(f"map of the {name}, {rounding}: MAE", np.nanmean(error) * 1e3, "mm", at_most=bar)
+            limit = 1.0 if rounding == "unbiased" else None
+            table.add(f"map of the {name}, {rounding}: MAE", np.nanmean(error) * 1e3, "mm", at_most=limit)
         table.add("  grids known", np.isfinite(error).sum(), "")
         table.add("  samples per known grid", points.shape[0] / np.isfinite(error).sum(), "")
 
 
 def main() -> None:
-    """Run, print, and say by the exit code whether every bar is met."""
+    """Run, print, and say by the exit code whether every limit is met."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--only", choices=("bias", "adding", "refocus", "accuracy"))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from map_scans import area_means, measured_surfaces
-from report import bar, finish, result
+from report import criterion, finish, result
 from surffollow.config.params import PARAMS
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.hw.driver import ConversionQueue
@@ -153,9 +153,9 @@ def grounds() -> dict[str, HeightField]:
 
 
 def main() -> dict[str, Any]:
-    """Scan all grounds, hold their errors against the bar."""
+    """Scan all grounds, hold their errors against the criterion."""
     lane_m = LANE_M * (5 if "--quick" in sys.argv[1:] else 1)
-    bars, notes = [], []
+    criteria, notes = [], []
     for name, field in grounds().items():
         for setting, given in (("default", {}), ("pose_interpolate = 1", {"pose_interpolate": 1.0})):
             made = scan(field, lane_m, **given)
@@ -164,7 +164,7 @@ def main() -> dict[str, Any]:
             known = np.isfinite(error)
             error = error[known]
             mae = float(np.mean(np.abs(error))) if error.size else float("nan")
-            bars.append(bar(f"{name}, {setting}: MAE", mae * 1e3, LIMIT_M * 1e3, "mm"))
+            criteria.append(criterion(f"{name}, {setting}: MAE", mae * 1e3, LIMIT_M * 1e3, "mm"))
             p = np.percentile(np.abs(error), (50, 95, 99)) * 1e3
             notes.append(
                 f"{name}, {setting}: {error.size} of {known.size} grids, {made.samples} samples, bias "
@@ -172,7 +172,7 @@ def main() -> dict[str, Any]:
                 f"{p[0]:.3f}/{p[1]:.3f}/{p[2]:.3f} mm, clipped {made.clipped}"
             )
     what = f"map accuracy, lanes of {lane_m * 1e3:g} mm at {SPEED_MPS:g} m/s, {GRID_M * 1e3:g} mm grids"
-    return result(what, bars, notes)
+    return result(what, criteria, notes)
 
 
 if __name__ == "__main__":

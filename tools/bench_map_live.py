@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from report import bar, finish, result
+from report import criterion, finish, result
 from running import Running, running
 from surffollow.client.histogram_report import percentile_ns
 from surffollow.map import HeightMap
@@ -115,7 +115,7 @@ def repeat(work: Callable[[], object], seconds: float) -> int:
 
 
 def measure(grids: int, options: argparse.Namespace, folder: Path) -> tuple[list[Any], list[str]]:
-    """All operations on a map of so many grids; bars and notes."""
+    """All operations on a map of so many grids; criteria and notes."""
     idle, busy = Tally(), {}
     with running(CONFIG.format(grids=grids)) as service:
         todo = operations(service, grids, folder)
@@ -134,7 +134,7 @@ def measure(grids: int, options: argparse.Namespace, folder: Path) -> tuple[list
         rate = (service.stats()["samples"] - first) / (time.monotonic() - began)
         lost = service.lost_points()
     size = f"{grids:.0e}".replace("e+0", "e")
-    bars = [bar(f"{size} grids: target points lost", float(lost), 0.0, "")]
+    criteria = [criterion(f"{size} grids: target points lost", float(lost), 0.0, "")]
     notes = [
         f"{size} grids: {rate:.0f} target points per second; idle: {idle.overruns} overruns in {idle.cycles} "
         f"cycles, {idle.late()}"
@@ -143,12 +143,14 @@ def measure(grids: int, options: argparse.Namespace, folder: Path) -> tuple[list
         expected = idle.overruns * tally.cycles / max(idle.cycles, 1)
         # both counts scatter
         sigma = math.sqrt(expected * (1 + tally.cycles / max(idle.cycles, 1)))
-        bars.append(bar(f"{size} grids, {name}: overruns", tally.overruns, expected + 3 * sigma, ""))
+        criteria.append(
+            criterion(f"{size} grids, {name}: overruns", tally.overruns, expected + 3 * sigma, "")
+        )
         notes.append(
             f"{size} grids, {name}: {tally.times} times, {tally.overruns} overruns in {tally.cycles} "
             f"cycles (idle rate: {expected:.1f}), {tally.late()}"
         )
-    return bars, notes
+    return criteria, notes
 
 
 def main() -> dict[str, Any]:
@@ -161,17 +163,17 @@ def main() -> dict[str, Any]:
     p.add_argument("--folder")
     p.add_argument("--json", action="store_true")
     options = p.parse_args()
-    bars, notes = [], []
+    criteria, notes = [], []
     for grids in options.grids:
         room = os.statvfs("/dev/shm")
         if ml.map_object_size(grids) > 0.8 * room.f_bavail * room.f_frsize:
-            bars.append(bar(f"{grids} grids", None, 0.0, "", "/dev/shm has no room"))
+            criteria.append(criterion(f"{grids} grids", None, 0.0, "", "/dev/shm has no room"))
             continue
         with tempfile.TemporaryDirectory(dir=options.folder) as folder:
             b, n = measure(grids, options, Path(folder))
-        bars, notes = bars + b, notes + n
+        criteria, notes = criteria + b, notes + n
     each = f"{options.seconds:g} s each in {options.rounds} rounds"
-    return result(f"map operations beside following at 1 kHz, {each}", bars, notes)
+    return result(f"map operations beside following at 1 kHz, {each}", criteria, notes)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ A demand may be as large as
 - and 2 mm.
 
 How far demands go beyond the same sum with the ramp's slope alone is told as a note. A point for the map is
-held against the places where readings were taken. Exit 1 when a bar is missed.
+held against the places where readings were taken. Exit 1 when a criterion is missed.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from report import bar, finish, result
+from report import criterion, finish, result
 from surffollow.config.params import PARAMS
 from surffollow.forecast.pose import push_pose
 from surffollow.forecast.step import follow_step, sf_reset
@@ -42,7 +42,7 @@ OFFSET_M = 0.1
 AXIS_TAU_S, AXIS_MAX_MPS = 0.04, 0.2
 ALLOWED_M = 2e-3
 CONVERSION_S = 320e-6  # 25 kHz over eight channels
-QUANTUM_M = 1e-7  # of a conversion: fine, as the bar is on the algorithm and not on the converter
+QUANTUM_M = 1e-7  # of a conversion: fine, as the criterion is on the algorithm and not on the converter
 KEPT = 64  # places of readings: as many as the longest mean
 SPEED_ROUNDING = 1e-4  # mean stamps are whole nanoseconds
 # worst: excess of a demand [m], the same with the ramp's slope [m], distance of a mapped point from a
@@ -223,7 +223,7 @@ def measure(runs: int, seed: int) -> dict[str, float]:
 
 
 def main() -> dict[str, Any]:
-    """Measure and hold against the bars."""
+    """Measure and hold against the criteria."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--runs", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=1)
@@ -233,9 +233,9 @@ def main() -> dict[str, Any]:
     return result(
         f"paper mode, {got['runs']} random runs with losses, seed {got['seed']}",
         [
-            bar("demand beyond error and slope", got["excess_m"] * 1e3, ALLOWED_M * 1e3, "mm", "worst"),
-            bar("map point from a measured place", got["ghost"], 1.0 + 1e-9, "Interval_Size", "worst"),
-            bar("lateral speed measured / true", got["speed"], 1.0 + SPEED_ROUNDING, "", "worst"),
+            criterion("demand beyond error and slope", got["excess_m"] * 1e3, ALLOWED_M * 1e3, "mm", "worst"),
+            criterion("map point from a measured place", got["ghost"], 1.0 + 1e-9, "Interval_Size", "worst"),
+            criterion("lateral speed measured / true", got["speed"], 1.0 + SPEED_ROUNDING, "", "worst"),
         ],
         [
             f"{got['demands']} demands, {got['losses']} losses, {got['turns']} reversals, "

@@ -24,7 +24,7 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from report import bar, finish, result
+from report import criterion, finish, result
 from service_process import COMMAND, await_ready, remove_objects
 from surffollow.record.format import CHUNK_BYTES, TOPIC
 from surffollow.record.replay import replay_file
@@ -103,7 +103,7 @@ def words_alone(path: Path, out: Path) -> None:
 
 
 def main() -> int:
-    """Measure and print; 1 when a bar is missed."""
+    """Measure and print; 1 when a criterion is missed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--rate", type=float, default=100.0)
@@ -124,9 +124,9 @@ def main() -> int:
         slower = float(np.median(both[got["path"]]) / np.median(both[bare]))
         minutes = reports[0].cycles / 60_000
         share_of_words = bare.stat().st_size / got["path"].stat().st_size
-        bars = [
-            bar("recorder's processor time", got["share"], SHARE_LIMIT, "of a core"),
-            bar("replay not identical", float(not all(r.identical for r in reports)), 0.0, ""),
+        criteria = [
+            criterion("recorder's processor time", got["share"], SHARE_LIMIT, "of a core"),
+            criterion("replay not identical", float(not all(r.identical for r in reports)), 0.0, ""),
         ]
         notes = [
             f"size: {got['bytes_per_min'] / 1e6:.1f} MB/min at {o.rate:g} samples/s, of which the words that "
@@ -137,7 +137,7 @@ def main() -> int:
         return finish(
             result(
                 f"recording of {reports[0].cycles} cycles",
-                bars,
+                criteria,
                 notes,
                 bytes_per_min=got["bytes_per_min"],
                 share=got["share"],

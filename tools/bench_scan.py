@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 import naive_scan as naive  # noqa: E402
-from report import bar, finish, result  # noqa: E402
+from report import criterion, finish, result  # noqa: E402
 from scan_measured import data_folder, lidar, plans_on_measured_ground, stereo  # noqa: E402
 from surffollow.scan.attitude_angles import wrist_angles  # noqa: E402
 from surffollow.scan.body import disc  # noqa: E402
@@ -44,7 +44,7 @@ from surffollow.scan.planar_filter import conditional_planar_filter  # noqa: E40
 from surffollow.scan.schemes import arcs, lanes  # noqa: E402
 from surffollow.scan.terrain import terrain_map  # noqa: E402
 
-Bars = list[dict[str, Any]]
+Criteria = list[dict[str, Any]]
 
 
 def best_ms(work: Callable[[], object], runs: int = 7) -> tuple[float, float]:
@@ -60,12 +60,12 @@ def best_ms(work: Callable[[], object], runs: int = 7) -> tuple[float, float]:
 
 
 def took(name: str, work: Callable[[], object], limit_ms: float, runs: int = 7) -> dict[str, Any]:
-    """A bar of wall time, with the processor time as its note."""
+    """A criterion of wall time, with the processor time as its note."""
     wall, processor = best_ms(work, runs)
-    return bar(name, wall, limit_ms, "ms", f"processor {processor:.1f} ms")
+    return criterion(name, wall, limit_ms, "ms", f"processor {processor:.1f} ms")
 
 
-def twins_of_images(rng: Any) -> Bars:
+def twins_of_images(rng: Any) -> Criteria:
     """Deviations, medians and labels against pixel-by-pixel twins."""
     exact = fast = med = 0.0
     wrong = 0
@@ -86,11 +86,11 @@ def twins_of_images(rng: Any) -> Bars:
     noise = rng.normal(0, 1, (300, 300))
     ratio = planar_deviation(noise)[0] / planar_deviation(noise, mode="fast")[0]
     return [
-        bar("deviation exact − direct plane fits", exact, 1e-9, "px"),
-        bar("deviation fast − RMS of direct fits", fast, 1e-6, "px"),
-        bar("fast/exact on normal noise: mean off 1", abs(1 - float(ratio.mean())), 0.02, ""),
-        bar("median − direct median", med, 1e-12, "px"),
-        bar("patch labels unlike growing", wrong, 0, "px"),
+        criterion("deviation exact − direct plane fits", exact, 1e-9, "px"),
+        criterion("deviation fast − RMS of direct fits", fast, 1e-6, "px"),
+        criterion("fast/exact on normal noise: mean off 1", abs(1 - float(ratio.mean())), 0.02, ""),
+        criterion("median − direct median", med, 1e-12, "px"),
+        criterion("patch labels unlike growing", wrong, 0, "px"),
     ]
 
 
@@ -101,7 +101,7 @@ def _off(a: Any, b: Any) -> float:
     return float(np.nanmax(np.abs(a - b))) if np.isfinite(a).any() else 0.0
 
 
-def terrains(count: int, rng: Any) -> Bars:
+def terrains(count: int, rng: Any) -> Criteria:
     """Envelope, attitude and clearance over random terrains."""
     different = flags = inside = beyond = below = 0
     worst_lp = worst_search = -math.inf
@@ -160,31 +160,31 @@ def terrains(count: int, rng: Any) -> Bars:
         inside += int((tree.query(control_points(clear, body).reshape(-1, 3))[0] < gap).sum())
     atf, lazy_mean = np.mean(lifts, axis=0)
     return [
-        bar(f"envelope unlike brute force, {count} terrains", different, 0, "cells"),
-        bar("unknown beneath unlike looking at each cell", flags, 0, "cells"),
-        bar("ATF: control points below the envelope", below, 0, ""),
-        bar("ATF: samples beyond the wrist limits", beyond, 0, ""),
-        bar("ATF lift − (1.05 LP + 0.5 mm), slopes ≤ 45°: missed", gentle_lp, 0, f"of {gentle}"),
-        bar(
+        criterion(f"envelope unlike brute force, {count} terrains", different, 0, "cells"),
+        criterion("unknown beneath unlike looking at each cell", flags, 0, "cells"),
+        criterion("ATF: control points below the envelope", below, 0, ""),
+        criterion("ATF: samples beyond the wrist limits", beyond, 0, ""),
+        criterion("ATF lift − (1.05 LP + 0.5 mm), slopes ≤ 45°: missed", gentle_lp, 0, f"of {gentle}"),
+        criterion(
             "  same on all grounds (to 68° and steps): missed",
             100 * missed_lp / compared,
             5.0,
             f"% of {compared}",
             "the LP keeps the footprint of one attitude",
         ),
-        bar(
+        criterion(
             "  of these also over the best of 961 attitudes",
             100 * missed_search / compared,
             0.5,
             "%",
             f"worst by {1e3 * max(worst_search, 0.0):.2g} mm",
         ),
-        bar("ATF lift / reactionary lift, mean", float(atf / lazy_mean), 1.0, ""),
-        bar("control points inside the gap after the last lift", inside, 0, ""),
+        criterion("ATF lift / reactionary lift, mean", float(atf / lazy_mean), 1.0, ""),
+        criterion("control points inside the gap after the last lift", inside, 0, ""),
     ]
 
 
-def coverage(count: int, rng: Any) -> Bars:
+def coverage(count: int, rng: Any) -> Criteria:
     """Distance of points of random regions from the nearest pass, less half a swath."""
     worst = -math.inf
     for k in range(count):
@@ -199,10 +199,10 @@ def coverage(count: int, rng: Any) -> Bars:
         step = float(np.linalg.norm(np.diff(path.position_m[:, :2], axis=0), axis=1).max())
         d = cKDTree(on).query(points)[0]
         worst = max(worst, float(np.sqrt(np.maximum(d**2 - (step / 2) ** 2, 0)).max()) - swath / 2)
-    return [bar(f"coverage: farther than half a swath, {count} regions", max(worst, 0.0), 1e-9, "m")]
+    return [criterion(f"coverage: farther than half a swath, {count} regions", max(worst, 0.0), 1e-9, "m")]
 
 
-def filters_on_a_hump(rng: Any) -> Bars:
+def filters_on_a_hump(rng: Any) -> Criteria:
     """Noise on the flat and height of a 70° hump after three filters, stereo noise of 0.1 px."""
     camera = Camera(400.0, 400.0, 159.5, 119.5, looking_down(0.0, 0.0, 1.5), baseline_m=0.12)
     top, flank = 0.15, math.tan(math.radians(70.0))
@@ -226,24 +226,24 @@ def filters_on_a_hump(rng: Any) -> Bars:
     c, g, m = errors["CPF"], errors["gaussian"], errors["median"]
     note = ", ".join(f"{n} {1e3 * a:.2f}/{1e3 * b:.2f}" for n, (a, b) in errors.items()) + " mm flat/flank"
     return [
-        bar("CPF / Gaussian error on the flat", c[0] / g[0], 1.1, "", note),
-        bar("CPF / median error on the flat", c[0] / m[0], 0.6, ""),
-        bar("CPF / Gaussian error at the 70° flank", c[1] / g[1], 0.9, ""),
-        bar("CPF / median error at the 70° flank", c[1] / m[1], 1.0, ""),
+        criterion("CPF / Gaussian error on the flat", c[0] / g[0], 1.1, "", note),
+        criterion("CPF / median error on the flat", c[0] / m[0], 0.6, ""),
+        criterion("CPF / Gaussian error at the 70° flank", c[1] / g[1], 0.9, ""),
+        criterion("CPF / median error at the 70° flank", c[1] / m[1], 1.0, ""),
     ]
 
 
-def speed() -> Bars:
+def speed() -> Criteria:
     """Speeds side by side, and memory."""
     rng = np.random.default_rng(5)
     camera = Camera(500.0, 500.0, 320.0, 240.0, baseline_m=0.12)
     q = 30 + rng.normal(0, 0.1, (480, 640)) + np.arange(640) * 0.01
-    bars = [
+    criteria = [
         took("planar deviation 640×480, 9×9, exact", lambda: planar_deviation(q), 33),
         took("planar deviation 640×480, 9×9, fast", lambda: planar_deviation(q, mode="fast"), 16),
     ]
     for mode, limit in (("exact", 33), ("fast", 16)):
-        bars.append(
+        criteria.append(
             took(
                 f"whole filter 640×480, 9×9, {mode}",
                 lambda mode=mode: conditional_planar_filter(q, camera, kind="disparity", mode=mode),
@@ -254,20 +254,22 @@ def speed() -> Bars:
     for radius, limit in ((10, 300), (20, 600), (40, 1300)):
         wall, processor = best_ms(lambda radius=radius: ball_envelope(z, 0.005, radius * 0.005), 3)
         note = f"processor {processor:.1f} ms"
-        bars.append(bar(f"envelope of 1M cells, radius {radius}", wall, limit, "ms", note))
+        criteria.append(criterion(f"envelope of 1M cells, radius {radius}", wall, limit, "ms", note))
         quarter = ball_heights(radius * 0.005, 0.005)
         full = np.block([[quarter[::-1, ::-1], quarter[::-1, 1:]], [quarter[1:, ::-1], quarter[1:, 1:]]])
         start, begin = time.perf_counter(), time.process_time()
         grey_dilation(z, footprint=full >= 0, structure=np.where(full >= 0, full, 0))
         other, used = 1e3 * (time.perf_counter() - start), 1e3 * (time.process_time() - begin)
         note = f"scipy {other:.0f} ms; of its processor time {processor / used:.3f}"
-        bars.append(bar(f"  time / scipy grey_dilation, radius {radius}", wall / other, 1 / 1.5, "", note))
+        criteria.append(
+            criterion(f"  time / scipy grey_dilation, radius {radius}", wall / other, 1 / 1.5, "", note)
+        )
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]
     tracemalloc.reset_peak()
     made = ball_envelope(z, 0.005, 0.1)
     peak = tracemalloc.get_traced_memory()[1] - before - made.nbytes
-    bars.append(bar("envelope: memory beyond input and output", peak / z.size, 20, "B/cell"))
+    criteria.append(criterion("envelope: memory beyond input and output", peak / z.size, 20, "B/cell"))
     points = rng.random((100_000, 3))
     points[:, 2] = 0.3 * points[:, 0]
     tracemalloc.reset_peak()
@@ -275,42 +277,44 @@ def speed() -> Bars:
     grid = terrain_map(points, 0.001, region=(0, 0, 1, 1))
     peak = tracemalloc.get_traced_memory()[1] - before - grid.heights_m.nbytes - grid.cells.nbytes
     tracemalloc.stop()
-    bars.append(bar("terrain map: memory beyond input and output", peak / grid.cells.size, 20, "B/cell"))
-    bars.append(
+    criteria.append(
+        criterion("terrain map: memory beyond input and output", peak / grid.cells.size, 20, "B/cell")
+    )
+    criteria.append(
         took("100k points to 1M cells", lambda: terrain_map(points, 0.001, region=(0, 0, 1, 1)), 1500, 3)
     )
     holes = TerrainGrid.of(np.where(rng.random(z.shape) < 0.02, np.nan, z), grid_m=0.005)
-    bars.append(took("fill holes of 1M cells", lambda: fill_holes(holes, 0.05), 100, 3))
+    criteria.append(took("fill holes of 1M cells", lambda: fill_holes(holes, 0.05), 100, 3))
     ground = TerrainGrid.of(naive.rough_ground(rng, 520, 0.005, steepest=1.0), grid_m=0.005)
     settings = PlanSettings((0.3, 0.3, 2.3, 2.3), 0.1, disc(0.1))
-    bars.append(
+    criteria.append(
         took("plan of 2 × 2 m at 5 mm cells, end to end", lambda: plan_scan(ground, settings), 1000, 3)
     )
-    return bars
+    return criteria
 
 
 def main() -> int:
-    """Run what was asked for, print it, and say by the exit code whether every bar is met."""
+    """Run what was asked for, print it, and say by the exit code whether every criterion is met."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--only", choices=("accuracy", "speed", "data"))
     parser.add_argument("--terrains", type=int, default=500)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     rng = np.random.default_rng(17)
-    bars: Bars = []
+    criteria: Criteria = []
     notes = []
     if options.only in (None, "accuracy"):
-        bars += twins_of_images(rng) + filters_on_a_hump(rng)
-        bars += terrains(options.terrains, rng) + coverage(options.terrains, rng)
+        criteria += twins_of_images(rng) + filters_on_a_hump(rng)
+        criteria += terrains(options.terrains, rng) + coverage(options.terrains, rng)
     if options.only in (None, "speed"):
-        bars += speed()
+        criteria += speed()
     if options.only in (None, "data"):
         folder = data_folder()
         if (folder / "surfaces").is_dir():
-            bars += stereo(folder) + lidar(folder) + plans_on_measured_ground(folder)
+            criteria += stereo(folder) + lidar(folder) + plans_on_measured_ground(folder)
         else:
             notes.append(f"real data left out: {folder} is not there (SURFFOLLOW_DATA)")
-    return finish(result("terrain scanning", bars, notes))
+    return finish(result("terrain scanning", criteria, notes))
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from report import bar, finish, machine
+from report import criterion, finish, machine
 from service_process import await_ready, remove_objects
 from surffollow.benchmark.limit import limit_path
 from surffollow.client import attach
@@ -153,14 +153,14 @@ def main() -> dict[str, Any]:
     every = [[there_and_back(s) for _ in range(RUNS)] for s in SURFACES]
     on = [sorted(runs, key=lambda r: r["passes"][1]["rms_m"])[RUNS // 2] for runs in every]
     off = [there_and_back(s, preview="off", record=False) for s in SURFACES]
-    bars, notes = [], []
+    criteria, notes = [], []
     for r, plain, runs in zip(on, off, every):
         first, second = r["passes"]
         gain, bound = second["rms_m"] / first["rms_m"], contest_bound_m(first)
-        bars.append(bar(f"{r['surface']}: second pass / first, RMS", gain, SHARE, ""))
+        criteria.append(criterion(f"{r['surface']}: second pass / first, RMS", gain, SHARE, ""))
         text = f"first {first['scatter_m'] * 1e3:.3f}, limit {first['limit_m'] * 1e3:.3f} mm"
-        bars.append(
-            bar(
+        criteria.append(
+            criterion(
                 f"{r['surface']}: second pass about its mean",
                 second["scatter_m"] * 1e3,
                 bound * 1e3,
@@ -170,7 +170,9 @@ def main() -> dict[str, Any]:
         )
         same = all(run["replay_identical"] and not run["lost_cycles"] for run in runs)
         differ = 0.0 if same else math.inf
-        bars.append(bar(f"{r['surface']}: replay differs", differ, 0.0, "", f"{r['replay_cycles']} cycles"))
+        criteria.append(
+            criterion(f"{r['surface']}: replay differs", differ, 0.0, "", f"{r['replay_cycles']} cycles")
+        )
         for what, run in (*(("on", one) for one in runs), ("off", plain)):
             figures = ", ".join(f"{p['rms_m'] * 1e3:.3f}" for p in run["passes"])
             work = f"work p50 {run['work_p50_ns'] / 1e3:.1f}, p99 {run['work_p99_ns'] / 1e3:.1f} µs"
@@ -181,7 +183,7 @@ def main() -> dict[str, Any]:
         "what": f"a line there and back at {SPEED_MPS * 1e3:g} mm/s, the map empty before",
         "machine": begun_on,
         "runs": [run for runs in every for run in runs] + off,
-        "bars": bars,
+        "criteria": criteria,
         "notes": notes,
     }
 

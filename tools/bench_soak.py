@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from report import bar, finish, result
+from report import criterion, finish, result
 from running import running
 
 PERIOD_S = 1e-4
@@ -68,9 +68,9 @@ def main() -> dict[str, Any]:
     return result(
         f"soak at 10 kHz for {seconds:g} s with samples flowing",
         [
-            bar("drift of the update rate", drift, RATE_DRIFT, ""),
-            bar("growth of the resident set", float(settled[-1] - settled[0]), RSS_DRIFT_KIB, "KiB"),
-            bar("target points lost", float(lost), 0.0, ""),
+            criterion("drift of the update rate", drift, RATE_DRIFT, ""),
+            criterion("growth of the resident set", float(settled[-1] - settled[0]), RSS_DRIFT_KIB, "KiB"),
+            criterion("target points lost", float(lost), 0.0, ""),
         ],
         [
             f"periods per second {rates[0][0]:.2f} then {rates[1][0]:.2f} (nominal {1 / PERIOD_S:.0f}); "

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from report import bar, finish, result
+from report import criterion, finish, result
 from surffollow.sonar import fused_pose, wall_pose, walls
 from surffollow.sonar.beam import predict_ranges
 from surffollow.sonar.belief import Belief
@@ -280,30 +280,32 @@ def main() -> dict[str, Any]:
     moves = [moves_needed(asked.seed + k) for k in range(asked.rooms)]
     log = real_log()
     absent = "" if log else "the real log is not on this machine"
-    bars = [
-        bar("largest error without noise, 12,000 pairs", worst, 1e-9, "rad or m"),
-        bar("walls missed without noise", missed, 0, "", f"{ambiguous} pairs are ambiguous and say so"),
-        bar("covariance against 8,000 draws", covariance_ratio(asked.seed), 0.05, ""),
-        bar("fused, specular, φ RMS", specular[0], 2.1, "deg", "7.5°/√12 = 2.17° is what two beams allow"),
-        bar("fused, specular, d RMS", specular[1], 12.0, "mm"),
-        bar("fused, diffuse, φ RMS", diffuse[0], 0.14, "deg"),
-        bar("fused, diffuse, d RMS", diffuse[1], 5.7, "mm"),
-        bar("rooms without all four walls, of 500", 500 - whole, 0, ""),
-        bar("room, φ RMS", room_deg, 1.5, "deg"),
-        bar("room, d RMS", room_mm, 13.5, "mm"),
-        bar("moves beyond exhaustive search, worst", max(a - b for a, b in moves), 1, "",
+    criteria = [
+        criterion("largest error without noise, 12,000 pairs", worst, 1e-9, "rad or m"),
+        criterion("walls missed without noise", missed, 0, "", f"{ambiguous} pairs are ambiguous and say so"),
+        criterion("covariance against 8,000 draws", covariance_ratio(asked.seed), 0.05, ""),
+        criterion("fused, specular, φ RMS", specular[0], 2.1, "deg", "two beams allow 7.5°/√12 = 2.17°"),
+        criterion("fused, specular, d RMS", specular[1], 12.0, "mm"),
+        criterion("fused, diffuse, φ RMS", diffuse[0], 0.14, "deg"),
+        criterion("fused, diffuse, d RMS", diffuse[1], 5.7, "mm"),
+        criterion("rooms without all four walls, of 500", 500 - whole, 0, ""),
+        criterion("room, φ RMS", room_deg, 1.5, "deg"),
+        criterion("room, d RMS", room_mm, 13.5, "mm"),
+        criterion("moves beyond exhaustive search, worst", max(a - b for a, b in moves), 1, "",
             f"{asked.rooms} rooms, mean {np.mean([a for a, _ in moves]):.2f} against "
             f"{np.mean([b for _, b in moves]):.2f}"),
         *(
-            bar(f"real log, US{18 + k}, median error", None if log is None else log[k], limit, "m", absent)
+            criterion(
+                f"real log, US{18 + k}, median error", None if log is None else log[k], limit, "m", absent
+            )
             for k, limit in enumerate((0.042, 0.042, 0.092))
         ),
-        bar("diffuse room, walls of four or more echoes missed", missed, 0, "",
+        criterion("diffuse room, walls of four or more echoes missed", missed, 0, "",
             f"of 200 rooms; {strange} walls found lie beyond five standard deviations of every true one"),
-        bar("diffuse room, φ RMS", diffuse_deg, 1.5, "deg", "walls of four or more echoes"),
-        bar("diffuse room, normalised squared error / 2", normalised, 1.5, "", "1: the covariance is true"),
+        criterion("diffuse room, φ RMS", diffuse_deg, 1.5, "deg", "walls of four or more echoes"),
+        criterion("diffuse room, normalised squared error / 2", normalised, 1.5, "", "1: true covariance"),
         *(
-            bar(f"24 sonars, {what}", median, limit_ms, "ms", f"processor time; longest {longest:.2f} ms")
+            criterion(f"24 sonars, {what}", median, limit_ms, "ms", f"processor time; max {longest:.2f} ms")
             for what, limit_ms, (median, longest) in (
                 ("one wall, diffuse", 1.0, call_ms(1, "diffuse")),
                 ("one wall, specular", 1.0, call_ms(1, "specular")),
@@ -313,7 +315,7 @@ def main() -> dict[str, Any]:
             )
         ),
     ]  # fmt: skip
-    return result("wall poses from sonars", bars, [], seed=asked.seed)
+    return result("wall poses from sonars", criteria, [], seed=asked.seed)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from report import bar, finish, result
+from report import criterion, finish, result
 from service_process import COMMAND, END_S, remove_objects
 
 REPEATS = 7
@@ -64,7 +64,7 @@ def ready_s(name: str, cache: str | None = None) -> tuple[float, int]:
 
 
 def main() -> dict[str, Any]:
-    """Measure and hold against the bars."""
+    """Measure and hold against the criteria."""
     name = f"bench-start-{os.getpid()}"
     help_s = run_s([*COMMAND, "--help"])
     import_s = run_s([sys.executable, "-c", "import surffollow.client"])
@@ -79,12 +79,12 @@ def main() -> dict[str, Any]:
     return result(
         "start-up times, each of a fresh process",
         [
-            bar("surffollow --help", help_s, HELP_S, "s"),
-            bar(
+            criterion("surffollow --help", help_s, HELP_S, "s"),
+            criterion(
                 "import surffollow.client", import_s, IMPORT_S, "s", f"of which Python itself {bare_s:.3f} s"
             ),
-            bar("READY, warm kernel cache", warm_s, WARM_S, "s", "best of 3"),
-            bar(
+            criterion("READY, warm kernel cache", warm_s, WARM_S, "s", "best of 3"),
+            criterion(
                 "READY, empty kernel cache",
                 cold_s,
                 COLD_S,

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from report import bar, finish, result
+from report import criterion, finish, result
 from service_process import pinned, service_process
 from surffollow.client import attach
 from surffollow.shm.dtypes import zeros
@@ -141,7 +141,7 @@ def against_writer(
 
 
 def main(seconds: float) -> dict[str, Any]:
-    """Race, count and hold against the bars."""
+    """Race, count and hold against the criteria."""
     with tempfile.TemporaryDirectory() as name, mp.get_context("spawn").Pool(1) as pool:
         pool.apply_async(no_counts)  # its process imports what it needs meanwhile
         folder = Path(name)
@@ -164,16 +164,18 @@ def main(seconds: float) -> dict[str, Any]:
         for k, c in writer.items()
     ]
     notes.append(f"{compared} snapshots were compared between readers; control without recheck: {control}")
-    bars = [
-        bar("torn snapshots", total["torn"], 0, ""),
-        bar("snapshots that differ between readers", differing, 0, ""),
-        bar("reads missing to 1e7 per minute", missing, 0, "", f"{total['reads']} reads"),
-        bar("readers without an overlapped read", len(blind), 0, "", f"{total['overlapped']} overlapped"),
-        bar("reader failures against the daemon", failed, 0, ""),
-        bar("torn ones that the control missed", 0 if control["torn"] or not readers else 1, 0, ""),
+    criteria = [
+        criterion("torn snapshots", total["torn"], 0, ""),
+        criterion("snapshots that differ between readers", differing, 0, ""),
+        criterion("reads missing to 1e7 per minute", missing, 0, "", f"{total['reads']} reads"),
+        criterion(
+            "readers without an overlapped read", len(blind), 0, "", f"{total['overlapped']} overlapped"
+        ),
+        criterion("reader failures against the daemon", failed, 0, ""),
+        criterion("torn ones that the control missed", 0 if control["torn"] or not readers else 1, 0, ""),
     ]
     what = f"Tearing, {seconds:g} s of daemon and {max(1.0, seconds / 4):g} s of a full-speed writer"
-    return result(what, bars, notes, daemon=daemon, writer=writer, control=control, compared=compared)
+    return result(what, criteria, notes, daemon=daemon, writer=writer, control=control, compared=compared)
 
 
 if __name__ == "__main__":

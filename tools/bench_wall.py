@@ -16,7 +16,7 @@ import sys
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
-from report import bar, finish, result
+from report import criterion, finish, result
 from surffollow.apps.wall_figures import figures
 from surffollow.apps.wall_following import EXPERIMENTS, run_experiment
 from surffollow.apps.wall_heading import heading_table
@@ -52,14 +52,14 @@ def main() -> dict[str, Any]:
         for e in EXPERIMENTS
         for k in ("heading_repeatability_rad", "heading_rms_rad")
     }
-    bars = [
-        bar("experiment 1, distance RMS", 1e3 * median("1", "distance_rms_m"), 60.0, "mm"),
-        bar("experiment 1, heading repeats", degrees["1", "heading_repeatability_rad"], 3.0, "deg"),
-        bar("experiment 2, distance RMS", 1e3 * median("2", "distance_rms_m"), 25.0, "mm"),
-        bar("experiment 2, heading repeats", degrees["2", "heading_repeatability_rad"], 1.5, "deg"),
-        bar("contacts, experiment 1", contacts("1"), 0, ""),
-        bar("contacts, experiment 2", contacts("2"), 0, ""),
-        bar("contacts, experiment 1 by a pair, with avoid", contacts("1-pair"), 0, ""),
+    criteria = [
+        criterion("experiment 1, distance RMS", 1e3 * median("1", "distance_rms_m"), 60.0, "mm"),
+        criterion("experiment 1, heading repeats", degrees["1", "heading_repeatability_rad"], 3.0, "deg"),
+        criterion("experiment 2, distance RMS", 1e3 * median("2", "distance_rms_m"), 25.0, "mm"),
+        criterion("experiment 2, heading repeats", degrees["2", "heading_repeatability_rad"], 1.5, "deg"),
+        criterion("contacts, experiment 1", contacts("1"), 0, ""),
+        criterion("contacts, experiment 2", contacts("2"), 0, ""),
+        criterion("contacts, experiment 1 by a pair, with avoid", contacts("1-pair"), 0, ""),
     ]
     notes = [
         f"experiment {e}: distance RMS {1e3 * median(e, 'distance_rms_m'):.0f} mm, heading repeats within "
@@ -73,7 +73,7 @@ def main() -> dict[str, Any]:
         f"off the wall by {math.degrees(f['error_rms_rad']):.2f} deg RMS"
         for case, f in heading_table(seeds).items()
     ]
-    return result(f"wall following, {LAPS} laps, {len(seeds)} seeds", bars, notes, seeds=[*seeds])
+    return result(f"wall following, {LAPS} laps, {len(seeds)} seeds", criteria, notes, seeds=[*seeds])
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from bench import bars_of, last_object
+from bench import criteria_of, last_object
 
 HERE = Path(__file__).resolve().parent.parent
 RATES, TIMES = ("per_s", "per_processor_s"), ("_s", "_ms", "_us", "_ns")
@@ -34,19 +34,19 @@ def benches(checkout: Path) -> set[str]:
 
 
 def timings(result: dict[str, Any], prefix: str = "") -> Iterator[dict[str, Any]]:
-    """Figures of a bench that tells no bars: numbers whose names end in a unit of time or in "per_s"."""
+    """Figures of a bench without criteria: numbers whose names end in a unit of time or in "per_s"."""
     for key, value in result.items():
         name = f"{prefix}{key}"
         if isinstance(value, dict):
             yield from timings(value, f"{name}.")
         elif isinstance(value, int | float) and any(part.endswith(RATES) for part in name.split(".")):
-            yield {"bar": name, "got": value, "sense": "≥"}
+            yield {"criterion": name, "got": value, "sense": "≥"}
         elif isinstance(value, int | float) and key.endswith(TIMES):
-            yield {"bar": name, "got": value}
+            yield {"criterion": name, "got": value}
 
 
 def run(checkout: Path, name: str) -> list[dict[str, Any]]:
-    """Bars of one run of a bench in a checkout, by that checkout's own interpreter."""
+    """Criteria of one run of a bench in a checkout, by that checkout's own interpreter."""
     tools = checkout / "tools"
     got = subprocess.run(
         [str(checkout / ".venv/bin/python"), str(tools / f"bench_{name}.py"), "--json"],
@@ -56,17 +56,17 @@ def run(checkout: Path, name: str) -> list[dict[str, Any]]:
         env=os.environ | {"PYTHONPATH": str(tools)},
     )
     result = last_object(got.stdout)
-    bars = bars_of(result) or list(timings(result))
-    if not bars:
+    criteria = criteria_of(result) or list(timings(result))
+    if not criteria:
         print(f"{name} in {checkout}: no figures, exit code {got.returncode}", file=sys.stderr)
-    return bars
+    return criteria
 
 
-def keep(runs: Runs, name: str, side: str, bars: list[dict[str, Any]]) -> None:
+def keep(runs: Runs, name: str, side: str, criteria: list[dict[str, Any]]) -> None:
     """Add the figures of one run."""
-    for b in bars:
+    for b in criteria:
         if isinstance(b.get("got"), int | float) and not isinstance(b["got"], bool):
-            row = runs.setdefault((name, b["bar"]), {"here": [], "other": []})
+            row = runs.setdefault((name, b["criterion"]), {"here": [], "other": []})
             row[side].append(float(b["got"]))
             row["more_is_better"] = b.get("sense", "≤") in ("≥", ">")
             row["unit"] = b.get("unit", "")

@@ -1,4 +1,4 @@
-"""Known fields for the map's accuracy bars: scans of them as a robot would bring them, and the truth."""
+"""Known fields for the map's accuracy criteria: scans of them as a robot would bring them, and the truth."""
 
 from __future__ import annotations
 

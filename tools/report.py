@@ -1,4 +1,4 @@
-"""How a bench tells its figures: one JSON object, or a table of its bars; exit code 1 when one is missed."""
+"""Report of a bench: one JSON object, or a table of its criteria; exit code 1 when one is missed."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import sys
 from typing import Any
 
 
-def bar(name: str, got: float | None, limit: float, unit: str, note: str = "") -> dict[str, Any]:
-    """One bar: met when `got` is at most `limit`; `got` None: not measured here, `note` says why."""
+def criterion(name: str, got: float | None, limit: float, unit: str, note: str = "") -> dict[str, Any]:
+    """One criterion: met when `got` is at most `limit`; `got` None: not measured here, `note` says why."""
     return {
-        "bar": name,
+        "criterion": name,
         "got": got,
         "limit": limit,
         "unit": unit,
@@ -21,13 +21,13 @@ def bar(name: str, got: float | None, limit: float, unit: str, note: str = "") -
     }
 
 
-def bar_line(b: dict[str, Any]) -> str:
-    """A bar as a line of a table."""
+def criterion_line(b: dict[str, Any]) -> str:
+    """A criterion as a line of a table."""
     got = "not measured" if b.get("got") is None else f"{b['got']:.4g}"
     unit = b.get("unit", "")
     limit = f"{b.get('sense', '≤')} {b['limit']:.4g} {unit}" if b.get("limit") is not None else f"  {unit}"
     verdict = {True: "met", False: "MISSED", None: "-"}[b.get("ok")]
-    return f"{b['bar']:<44} {got:>12}  {limit:<18} {verdict:<6} {b.get('note', '')}".rstrip()
+    return f"{b['criterion']:<44} {got:>12}  {limit:<18} {verdict:<6} {b.get('note', '')}".rstrip()
 
 
 def machine(*more: str) -> str:
@@ -42,9 +42,9 @@ def machine(*more: str) -> str:
     return ", ".join((*facts, *more))
 
 
-def result(what: str, bars: list[dict[str, Any]], notes: list[str], **figures: Any) -> dict[str, Any]:
-    """All that a bench tells: what was measured, where, its bars and notes; `figures` for programs."""
-    return {"what": what, "machine": machine(), "bars": bars, "notes": notes, **figures}
+def result(what: str, criteria: list[dict[str, Any]], notes: list[str], **figures: Any) -> dict[str, Any]:
+    """Result of a bench: what was measured, on which machine, criteria and notes; `figures` for programs."""
+    return {"what": what, "machine": machine(), "criteria": criteria, "notes": notes, **figures}
 
 
 def finish(result: dict[str, Any]) -> int:
@@ -53,15 +53,15 @@ def finish(result: dict[str, Any]) -> int:
         print(json.dumps(result))
     else:
         print(f"{result['what']}\n({result['machine']})")
-        for b in result["bars"]:
-            print(bar_line(b))
+        for b in result["criteria"]:
+            print(criterion_line(b))
         for line in result.get("notes", ()):
             print(line)
-    return 1 if any(b["ok"] is False for b in result["bars"]) else 0
+    return 1 if any(b["ok"] is False for b in result["criteria"]) else 0
 
 
 def print_figures(figures: dict[str, Any], as_json: bool) -> None:
-    """Print a bench's figures that have no bars: as one JSON object, or a line each."""
+    """Print a bench's figures that have no criteria: as one JSON object, or a line each."""
     if as_json:
         print(json.dumps(figures, indent=2))
     else:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from report import bar
+from report import criterion
 from surffollow.scan.body import disc
 from surffollow.scan.camera import Camera, looking_down
 from surffollow.scan.check import check_path
@@ -23,7 +23,7 @@ from surffollow.scan.planar_filter import conditional_planar_filter
 from surffollow.scan.planar_kernels import PLANAR
 
 ROOT = Path(__file__).resolve().parents[1]
-Bars = list[dict[str, Any]]
+Criteria = list[dict[str, Any]]
 
 
 def data_folder() -> Path:
@@ -31,7 +31,7 @@ def data_folder() -> Path:
     return Path(os.environ.get("SURFFOLLOW_DATA", ROOT.parent / "shared" / "data"))
 
 
-def stereo(folder: Path) -> Bars:
+def stereo(folder: Path) -> Criteria:
     """Motorcycle: a real block matcher's depths before and after patches and filter.
 
     Jump, border, least size of a patch, and whether rough pixels (the filter's label) count, are chosen on
@@ -78,7 +78,7 @@ def stereo(folder: Path) -> Bars:
         for least in (50, 200)
         for rough in (True, False)
     }
-    bars = []
+    criteria = []
     for name, half, other in (("right", left, ~left), ("left", ~left, left)):
         start = errors(raw, half)
         good = {k: errors(d, half)[0] for k, d in made.items() if errors(d, half)[1] <= start[1]}
@@ -89,14 +89,16 @@ def stereo(folder: Path) -> Bars:
             f"{chosen[0]:g} px, border {chosen[1]} px, {chosen[2]} pixels, "
             f"{'all' if chosen[3] else 'planar'} pixels, chosen on the other half"
         )
-        bars += [
-            bar(f"motorcycle, {name} half: depth RMS after / before", after[0] / before[0], 0.5, "", note),
-            bar(f"motorcycle, {name} half: median error after / before", after[1] / before[1], 1.0, ""),
+        criteria += [
+            criterion(
+                f"motorcycle, {name} half: depth RMS after / before", after[0] / before[0], 0.5, "", note
+            ),
+            criterion(f"motorcycle, {name} half: median error after / before", after[1] / before[1], 1.0, ""),
         ]
-    return bars
+    return criteria
 
 
-def lidar(folder: Path) -> Bars:
+def lidar(folder: Path) -> Criteria:
     """ISPRS samples: ground against objects; settings chosen on one sample, figures of the other."""
     data = np.load(folder / "surfaces" / "isprs_lidar.npz")
     names = ("samp11", "samp51")
@@ -114,13 +116,13 @@ def lidar(folder: Path) -> Bars:
             )
             for c, f, u, t in cases
         ]
-    bars = []
+    criteria = []
     for name, other in (names, names[::-1]):
         k = int(np.argmin(wrong[other]))
         choices = zip(("cell_m", "slope_factor", "support_m", "tolerance_m"), cases[k])
         note = ", ".join(f"{key} {value:g}" for key, value in choices) + f", chosen on {other}"
-        bars.append(bar(f"ISPRS {name}: total error", 100 * wrong[name][k], 15, "%", note))
-    return bars
+        criteria.append(criterion(f"ISPRS {name}: total error", 100 * wrong[name][k], 15, "%", note))
+    return criteria
 
 
 def measured_grounds(folder: Path) -> dict[str, TerrainGrid]:
@@ -136,9 +138,9 @@ def measured_grounds(folder: Path) -> dict[str, TerrainGrid]:
     return out
 
 
-def plans_on_measured_ground(folder: Path) -> Bars:
+def plans_on_measured_ground(folder: Path) -> Criteria:
     """Plan and check each measured ground, in lanes and arcs."""
-    bars = []
+    criteria = []
     for name, ground in measured_grounds(folder).items():
         x0, y0, x1, y1 = ground.extent_m
         region = (x0 + 0.3, y0 + 0.3, x1 - 0.3, y1 - 0.3)
@@ -153,5 +155,5 @@ def plans_on_measured_ground(folder: Path) -> Bars:
             failed = [f"{f.name}: {f.text}" for f in findings if not f.ok]
             least = next(f.value for f in findings if f.name == "clearance")
             note = "; ".join(failed) or f"least distance {1e3 * (least or 0):.3f} mm of 50"
-            bars.append(bar(f"{name}, {scheme}: findings of the checker", len(failed), 0, "", note))
-    return bars
+            criteria.append(criterion(f"{name}, {scheme}: findings of the checker", len(failed), 0, "", note))
+    return criteria

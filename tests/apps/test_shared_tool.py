@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from arbiter.running import Running
+from arbiter.arbiter_process import ArbiterProcess
 from running_service import run_command, until
 from surffollow.apps.run_by_holder import RunByHolder
 from surffollow.apps.shared_demo import arbiter_text
@@ -64,7 +64,7 @@ class FakeService:
 
 def test_the_follower_learns_only_while_it_holds_the_tool_whatever_becomes_of_its_process(tmp_path):
     # GIVEN a tool that an arbiter shares
-    server = Running(tmp_path, arbiter_text("priority")).start()
+    server = ArbiterProcess(tmp_path, arbiter_text("priority")).start()
     service = FakeService()
     run = RunByHolder(service, server.name, "tool", "follow")
 
@@ -100,7 +100,7 @@ def test_the_follower_learns_only_while_it_holds_the_tool_whatever_becomes_of_it
 
 @pytest.fixture
 def shared(tmp_path):
-    with Running(tmp_path, arbiter_text("sum")).running() as server:
+    with ArbiterProcess(tmp_path, arbiter_text("sum")).running() as server:
         yield server
 
 

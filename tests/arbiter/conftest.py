@@ -1,4 +1,4 @@
-"""Running arbiters and their children."""
+"""ArbiterProcess arbiters and their children."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from arbiter.running import Child, Running
+from arbiter.arbiter_process import ArbiterProcess, Child
 
 
 @pytest.fixture(scope="module")
-def arbiter(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+def arbiter(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ArbiterProcess]:
     """A server for the whole module; do not kill it, leave its resources free."""
-    with Running(tmp_path_factory.mktemp("arbiter")).running() as one:
+    with ArbiterProcess(tmp_path_factory.mktemp("arbiter")).running() as one:
         yield one
 
 
 @pytest.fixture
-def make_arbiter(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Running]]:
+def make_arbiter(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., ArbiterProcess]]:
     """Servers of a test's own, not started."""
-    made: list[Running] = []
+    made: list[ArbiterProcess] = []
 
-    def make(**options: str) -> Running:
-        made.append(Running(tmp_path_factory.mktemp("arbiter"), **options))
+    def make(**options: str) -> ArbiterProcess:
+        made.append(ArbiterProcess(tmp_path_factory.mktemp("arbiter"), **options))
         return made[-1]
 
     yield make

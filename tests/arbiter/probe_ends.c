@@ -30,7 +30,7 @@ int main(int argc, char **argv) {
   if (child == 0) {
     printf("child %d %d %d\n", sfa_held(&a, robot) != 0, sfa_command(&a, robot, two, 2), sfa_relinquish(&a, robot));
     fflush(stdout);
-    sfa_beat(&a);
+    sfa_heartbeat(&a);
     _exit(0);
   }
   waitpid(child, &status, 0);
@@ -38,7 +38,7 @@ int main(int argc, char **argv) {
   fflush(stdout);
 
   for (k = 0; k < 1000 && sfa_held(&a, robot) != 0; k++) { /* the server is killed */
-    sfa_beat(&a);
+    sfa_heartbeat(&a);
     sf_sleep_until_ns(sf_now_ns() + 10000000);
   }
   printf("ended %d %d\n", sfa_held(&a, robot) != 0, sfa_command(&a, robot, two, 2));

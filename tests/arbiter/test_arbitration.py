@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from arbiter.running import send_raw
+from arbiter.arbiter_process import send_raw
 from running_service import WAIT_S, until
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import layout as al

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from arbiter.running import CONFIG, compile_client, compile_waiting
+from arbiter.arbiter_process import CONFIG, compile_client, compile_waiting
 from running_service import until
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter.cheader import HEADER, header_text

@@ -60,9 +60,9 @@ def test_a_demand_asks_for_the_same_pose_whatever_pose_it_is_relative_to(seed):
 @pytest.fixture(scope="module")
 def tool(tmp_path_factory):
     """A server with one combination, its clients and a reader of the sum."""
-    from arbiter.running import Running
+    from arbiter.arbiter_process import ArbiterProcess
 
-    server = Running(tmp_path_factory.mktemp("tool"), CONFIG)
+    server = ArbiterProcess(tmp_path_factory.mktemp("tool"), CONFIG)
     try:
         server.start()
         yield server

@@ -10,7 +10,7 @@ import socket
 
 import pytest
 
-from arbiter.running import holding, send_raw
+from arbiter.arbiter_process import holding, send_raw
 from running_service import until
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import exchange as ex

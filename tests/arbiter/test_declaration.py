@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from arbiter.running import CONFIG
+from arbiter.arbiter_process import CONFIG
 from surffollow.arbiter.config import parse_config
 from surffollow.arbiter.declaration import Declaration, Value, declare
 from surffollow.errors import ConfigError, InvalidNameError

@@ -15,7 +15,7 @@ import time
 
 import pytest
 
-from arbiter.running import CONFIG, Running, send_raw
+from arbiter.arbiter_process import CONFIG, ArbiterProcess, send_raw
 from running_service import WAIT_S, until
 from second_user import OtherUser, needs_root
 from surffollow.arbiter import attach, command_reader, observe
@@ -66,7 +66,7 @@ POSE = (0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0)
 
 @pytest.fixture(scope="module")
 def summed(tmp_path_factory):
-    with Running(tmp_path_factory.mktemp("sum"), SUM).running() as server:
+    with ArbiterProcess(tmp_path_factory.mktemp("sum"), SUM).running() as server:
         yield server
 
 
@@ -143,7 +143,9 @@ def test_a_command_is_valid_for_its_time_from_when_it_was_made(summed, both):
 
 
 def test_the_safe_command_goes_out_at_the_end_of_the_time_to_live_however_long_its_period(tmp_path):
-    server = Running(tmp_path, CONFIG.replace('status = "cell.base"', 'safe_period = "30 s"\nttl = "400 ms"'))
+    server = ArbiterProcess(
+        tmp_path, CONFIG.replace('status = "cell.base"', 'safe_period = "30 s"\nttl = "400 ms"')
+    )
     try:
         server.start()
         with attach(server.name, "go") as go:
@@ -311,7 +313,7 @@ def test_a_descriptor_that_lingers_delays_no_client(summed):
             assert a.resource("u").request()
 
 
-class OldKernelArbiter(Running):
+class OldKernelArbiter(ArbiterProcess):
     """An arbiter that takes descriptors from clients, as on a kernel before Linux 6.16."""
 
     program = (

@@ -17,7 +17,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from arbiter.running import CONFIG, compile_client, compile_waiting
+from arbiter.arbiter_process import CONFIG, compile_client, compile_waiting
 from running_service import until
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from surffollow.arbiter import attach, command_reader, observe

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from arbiter.running import ROOT, Running, compile_waiting
+from arbiter.arbiter_process import ROOT, ArbiterProcess, compile_waiting
 from surffollow.arbiter import observe
 from surffollow.errors import SurffollowError
 
@@ -57,7 +57,7 @@ def test_the_tutorial_works_when_it_is_pasted_as_one_block(tmp_path: Path) -> No
 
 
 def test_a_client_in_c_waits_for_a_server_that_starts(tmp_path: Path) -> None:
-    running = Running(tmp_path, more_clients="patrol = 10")
+    running = ArbiterProcess(tmp_path, more_clients="patrol = 10")
     patrol = compile_waiting(tmp_path, 120_000)
     with subprocess.Popen(
         [str(patrol), running.name, "0.5"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

@@ -33,7 +33,9 @@ def cell(surface: str, speed: float, ours: float, best: float, **more: Any) -> l
 def verdict(
     rows: list[dict[str, Any]], start: str, found: list[dict[str, Any]] | None = None
 ) -> comparison.Verdict:
-    return next(v for v in acceptance.evaluate(rows, found or [], Conditions()) if v.bar.startswith(start))
+    return next(
+        v for v in acceptance.evaluate(rows, found or [], Conditions()) if v.criterion.startswith(start)
+    )
 
 
 def test_worst_cell_decides_and_is_named() -> None:

@@ -22,7 +22,7 @@ def test_two_dozen_deaths_tear_lose_and_starve_nothing():
     )
     assert got.stdout, got.stderr
     result = json.loads(got.stdout)
-    counts = {b["bar"]: b["got"] for b in result["bars"] if not b["bar"].endswith(TIMES)}
+    counts = {b["criterion"]: b["got"] for b in result["criteria"] if not b["criterion"].endswith(TIMES)}
     assert set(counts) == {"torn reads", "lost generations", "starved writes", "fenced readers not told"}
     assert set(counts.values()) == {0}
     assert result["waited_for_dead"] + result["died_within_a_slot"] > 0

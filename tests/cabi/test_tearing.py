@@ -21,10 +21,10 @@ def test_no_reader_sees_a_torn_snapshot_though_reads_overlap_writes() -> None:
         done = subprocess.run(command, capture_output=True, text=True, timeout=300)
         assert done.stdout, done.stderr
         found = json.loads(done.stdout)
-        missed = {bar["bar"] for bar in found["bars"] if not bar["ok"]}
+        missed = {criterion["criterion"] for criterion in found["criteria"] if not criterion["ok"]}
         if found["compared"] > 100 and missed.isdisjoint(TOO_FEW):
             break
-    for bar in found["bars"]:
-        assert bar["ok"], (bar, found["notes"])
+    for criterion in found["criteria"]:
+        assert criterion["ok"], (criterion, found["notes"])
     assert set(found["daemon"]) >= {"Python"}
     assert found["compared"] > 100

@@ -56,9 +56,9 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 
 def tell(objects: SharedObjects, text: str) -> None:
-    ticker = zeros(lb.Ticker)
-    ticker[0]["text"] = text.encode()
-    latch_write(objects.address("ticker"), ticker.ctypes.data, lb.Ticker.SIZE)
+    main_thread = zeros(lb.MainThreadState)
+    main_thread[0]["text"] = text.encode()
+    latch_write(objects.address("ticker"), main_thread.ctypes.data, lb.MainThreadState.SIZE)
 
 
 def test_it_waits_until_ready_and_tells_the_progress(

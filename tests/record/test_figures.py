@@ -177,11 +177,11 @@ def test_shares_of_a_histogram_add_up() -> None:
 
 
 def test_the_forecast_is_compared_with_what_was_found_later(recording: Path) -> None:
-    story = read_figure_data(recording)
-    predicted, still = forecast_errors(story, 0.1)
-    ground = story.ground_m
+    data = read_figure_data(recording)
+    predicted, still = forecast_errors(data, 0.1)
+    ground = data.ground_m
     k = int(np.flatnonzero(np.isfinite(still))[40])
-    before = np.flatnonzero(np.isfinite(ground) & (story.t_s <= story.t_s[k] - 0.1 + 1e-6))[-1]
-    o = story.rows["output"][before]
+    before = np.flatnonzero(np.isfinite(ground) & (data.t_s <= data.t_s[k] - 0.1 + 1e-6))[-1]
+    o = data.rows["output"][before]
     assert still[k] == ground[before] - ground[k]
     assert predicted[k] == o["height_m"] + o["slope"] * o["speed_mps"] * 0.1 - ground[k]

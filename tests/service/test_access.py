@@ -324,17 +324,17 @@ def test_requests_come_between_the_leases_of_a_greedy_client() -> None:
     """Who takes the map again as soon as its lease is over waits until what was queued is done."""
     # GIVEN a client that holds the map, and samples that wait
     lease_ns, queued, slot = 1000, 10_000, 2
-    header, inbox = zeros(ml.MapHeader), np.zeros(board_regions.inbox_bytes() // 8, np.int64)
+    header, slots = zeros(ml.MapHeader), np.zeros(board_regions.slots_bytes() // 8, np.int64)
     status = np.zeros(latch_bytes(lb.MapStatus.SIZE) // 8, np.int64)
     pairs = zeros(ml.GridPair, 1)
     cycle = m.make_cycle_memory(header, pairs, None)
     ctx, samples = cycle.ctx, make_ring(1 << 14, m.SAMPLE_WORDS)
     ctx[m.SAMPLES], ctx[m.SAMPLES_CAPACITY] = samples.ctypes.data, 1 << 14
-    ctx[m.INBOX], ctx[m.MAP_STATUS], ctx[m.LEASE_NS] = inbox.ctypes.data, status.ctypes.data, lease_ns
+    ctx[m.SLOTS_AT], ctx[m.MAP_STATUS], ctx[m.LEASE_NS] = slots.ctypes.data, status.ctypes.data, lease_ns
     ctx[m.CLAIM + slot] = 7
     mem = make_map_memory(ctx, header, pairs, np.zeros(1), ml.DEFAULT_QUANTUM_M)
     flag = (slot * lb.SLOT_BYTES + lb.SLOT_HEAD + lb.SlotHead.offset("access")) // 8
-    inbox[flag] = lb.ACCESS_REQUESTED
+    slots[flag] = lb.ACCESS_REQUESTED
     map_pass(mem, 1)
     assert mem.status[0]["access"] == lb.ACCESS_GRANTED
     item = np.zeros(m.SAMPLE_WORDS, np.int64)
@@ -346,9 +346,9 @@ def test_requests_come_between_the_leases_of_a_greedy_client() -> None:
     assert mem.status[0]["access"] == lb.ACCESS_FREE
     grants = mem.status[0]["grants"]
     while mem.status[0]["grants"] == grants:
-        inbox[flag] = lb.ACCESS_FREE
+        slots[flag] = lb.ACCESS_FREE
         map_pass(mem, t_ns)
-        inbox[flag] = lb.ACCESS_REQUESTED
+        slots[flag] = lb.ACCESS_REQUESTED
         left = ring_length(samples.ctypes.data)
         map_pass(mem, t_ns)
         t_ns += 1

@@ -19,7 +19,7 @@ def bench(name: str, *words: str) -> dict[str, Any]:
     )
     assert done.stdout, done.stderr
     result = json.loads(done.stdout)
-    missed = [b for b in result["bars"] if b["ok"] is False]
+    missed = [b for b in result["criteria"] if b["ok"] is False]
     assert (done.returncode, missed) == (0, []), result
     return result
 

@@ -229,6 +229,21 @@ def test_the_hash_notices_names_types_counts_units_order_and_nested_changes():
     assert made(("a", F64(unit="m", doc="other words")), ("b", I64())) == base
 
 
+def test_a_renamed_layout_that_names_its_former_names_keeps_its_hash():
+    class Old(Schema):
+        beat_ns = I64(unit="ns")
+
+    class New(Schema):
+        HASHED_AS = {"": "Old", "heartbeat_ns": "beat_ns"}
+        heartbeat_ns = I64(unit="ns")
+
+    class Forgotten(Schema):
+        heartbeat_ns = I64(unit="ns")
+
+    assert New.HASH == Old.HASH != Forgotten.HASH
+    assert New.offset("heartbeat_ns") == 0
+
+
 @pytest.mark.parametrize("name", ["class", "_hidden", "größe"])
 def test_names_that_c_or_python_cannot_use_are_refused(name):
     with pytest.raises(SchemaError):

@@ -242,7 +242,7 @@ def test_a_fitted_wall_predicts_the_side_sonars_of_a_real_robot():
     positions = 0.2 * np.column_stack([np.cos(headings), np.sin(headings)])
     limit = math.radians(30)
     side = [16, 17, 18, 19, 20]  # US17 to US21
-    for held_out, bar in ((17, 0.042), (18, 0.042), (19, 0.092)):
+    for held_out, limit in ((17, 0.042), (18, 0.042), (19, 0.092)):
         others, errors = [s for s in side if s != held_out], []
         for row in ranges[::8]:
             r = np.where(row[others] >= 4.99, math.inf, row[others])
@@ -255,7 +255,7 @@ def test_a_fitted_wall_predicts_the_side_sonars_of_a_real_robot():
                 for w in found
             ]
             errors.append(abs(min([5.0, *distances]) - row[held_out]))
-        assert np.median(errors) < bar, f"US{held_out + 1}"
+        assert np.median(errors) < limit, f"US{held_out + 1}"
 
 
 def test_a_wall_that_a_silent_sonar_would_have_answered_is_refused():

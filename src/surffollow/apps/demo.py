@@ -136,12 +136,12 @@ def run_demo(config: DemoConfig, folder: Path, progress: Progress) -> dict[str, 
         limits = (rms_m, rms_m, ANGLE_RMS_LIMIT_DEG if smooth else math.inf)
     else:
         limits = (RMS_LIMIT_M, ROLLING_LIMIT_M, math.inf)
-    bar_mps = SHELL_SPEED_MPS if config.turns else SPEED_MPS
+    limit_mps = SHELL_SPEED_MPS if config.turns else SPEED_MPS
     result["notes"] = []
-    if config.speed_mps > bar_mps * (1.0 + 1e-9):
+    if config.speed_mps > limit_mps * (1.0 + 1e-9):
         limits = (math.inf, math.inf, math.inf)
         result["notes"] = [
-            f"the stand-off error is not evaluated: the limits are for {bar_mps * 1e3:g} mm/s and below"
+            f"the stand-off error is not evaluated: the limits are for {limit_mps * 1e3:g} mm/s and below"
         ]
     result["failures"] = verdict(result, *limits)
     if not summary["finished"]:

@@ -15,7 +15,7 @@ from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.process import start_ticks
 
 _ENTRY = -(-al.ClientEntry.SIZE // 64) * 64
-_STATE, _HEARTBEAT = al.BoardHeader.offset("state") // 8, al.BoardHeader.offset("beat_ns") // 8
+_STATE, _HEARTBEAT = al.BoardHeader.offset("state") // 8, al.BoardHeader.offset("heartbeat_ns") // 8
 
 
 class Holder(NamedTuple):

@@ -16,11 +16,11 @@ from surffollow.client.fence import FENCED, fence
 from surffollow.errors import ClosedError, NotRunningError, RequestTimeoutError
 from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, stride
 
-_DESK = -(-al.ClientDesk.SIZE // 64) * 64
+_GRANTS = -(-al.ClientGrants.SIZE // 64) * 64
 _ENTRY = -(-al.ClientEntry.SIZE // 64) * 64
 _CONSUMED = al.ClientEntry.offset("consumed")
-_BELL, _HELD, _ASKED = (al.ClientDesk.offset(n) for n in ("bell", "held", "asked"))
-HEARTBEAT, HEAD, DOORBELL = (al.Mailbox.offset(n) // 8 for n in ("beat_ns", "head", "doorbell"))
+_GRANTS_DOORBELL, _HELD, _ASKED = (al.ClientGrants.offset(n) for n in ("doorbell", "held", "asked"))
+HEARTBEAT, HEAD, DOORBELL = (al.Mailbox.offset(n) // 8 for n in ("heartbeat_ns", "head", "doorbell"))
 ITEMS = al.Mailbox.offset("item")
 ITEM_BYTES, MASK = al.Item.SIZE, al.MAILBOX_ITEMS - 1
 _HEADS = struct.Struct("<5q")  # of an item: the values of a request mean nothing
@@ -52,17 +52,17 @@ class Exchange:
         self.words, self.mailbox_words = board.words, memoryview(mailbox).cast("q")
         self.ended = self.closed = False
         regions = board.regions
-        self._desk = regions["desks"][0] + slot * _DESK
+        self._grants = regions["grants"][0] + slot * _GRANTS
         self.consumed = (regions["clients"][0] + slot * _ENTRY + _CONSUMED) // 8
-        self._doorbell = (self._desk + _BELL) // 8
+        self._doorbell = (self._grants + _GRANTS_DOORBELL) // 8
         base = (regions["replies"][0] + slot * al.REPLY_BYTES) // 8
         self._reply, self._replies = base, base + _HEAD_WORDS
-        self._sleep = Waiter(address_of(board.memory) + self._desk + _BELL).wait
+        self._sleep = Waiter(address_of(board.memory) + self._grants + _GRANTS_DOORBELL).wait
         self.wake_server = waker(address_of(mailbox) + 8 * DOORBELL)
 
-    def desk_words(self, resource: int) -> tuple[int, int]:
+    def grant_words(self, resource: int) -> tuple[int, int]:
         """Indices in `words` of the token that is held of a resource, and of the wish to have it back."""
-        return (self._desk + _HELD) // 8 + resource, (self._desk + _ASKED) // 8 + resource
+        return (self._grants + _HELD) // 8 + resource, (self._grants + _ASKED) // 8 + resource
 
     def require_connection(self) -> None:
         """Raise ClosedError or NotRunningError when there is no server."""
@@ -124,7 +124,7 @@ class Exchange:
             doorbell = words[self._doorbell]
 
     def wait_for_word(self, index: int, timeout_ns: int) -> int:
-        """Wait until a word of this client's desk is not zero; its value, 0: too late."""
+        """Wait until a word of this client's `ClientGrants` is not zero; its value, 0: too late."""
         words, deadline_ns = self.words, _clock() + timeout_ns
         while True:
             doorbell = words[self._doorbell]

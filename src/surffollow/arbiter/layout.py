@@ -7,6 +7,8 @@ Times are CLOCK_MONOTONIC [ns]. Token: epoch << 32 | number of the grant.
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import surffollow.arbiter.table as table
 from surffollow.shm.latch_shape import latch_bytes
 from surffollow.shm.layout_board import LogHead
@@ -76,7 +78,9 @@ ITEM_WORDS = Item.SIZE // 8
 class Mailbox(Schema):
     """All that one client writes."""
 
-    beat_ns = I64(unit="ns", align=64, doc="heartbeat; any change counts")
+    HASHED_AS: ClassVar = {"heartbeat_ns": "beat_ns"}
+
+    heartbeat_ns = I64(unit="ns", align=64, doc="any change counts")
     head = I64(align=64, doc="items written so far")
     doorbell = I64(align=64, doc="its low half is a futex; rung after a request")
     item = Nested(Item, MAILBOX_ITEMS, align=64)
@@ -152,10 +156,12 @@ class Reply(Schema):
     t_ns = I64(unit="ns")
 
 
-class ClientDesk(Schema):
-    """Published state of one client."""
+class ClientGrants(Schema):
+    """Published state of one client: the resources that it holds and is asked for."""
 
-    bell = I64(align=64, doc="its low half is a futex; changes with every answer or grant")
+    HASHED_AS: ClassVar = {"": "ClientDesk", "doorbell": "bell"}
+
+    doorbell = I64(align=64, doc="its low half is a futex; changes with every answer or grant")
     held = I64(RESOURCES, align=64, doc="token held of each resource, 0: none")
     asked = I64(RESOURCES, align=64, doc="1: asked to relinquish it")
 
@@ -180,6 +186,8 @@ EVENT_WORDS = Event.SIZE // 8
 class BoardHeader(Schema):
     """Header of the board; the state is stored last."""
 
+    HASHED_AS: ClassVar = {"heartbeat_ns": "beat_ns"}
+
     magic = U64()
     version = U64()
     layout_hash = U64()
@@ -195,7 +203,7 @@ class BoardHeader(Schema):
     period_ns = I64(unit="ns")
     name = Text(48)
     state = I64(align=64, doc="0 starting, 1 ready, 2 ended")
-    beat_ns = I64(align=64, unit="ns", doc="last round of the server")
+    heartbeat_ns = I64(align=64, unit="ns", doc="last round of the server")
     rounds = I64(doc="looks at the mailboxes so far")
 
 
@@ -249,7 +257,7 @@ def board_regions(history_records: int) -> dict[str, tuple[int, int]]:
         ("config", ResourceConfig.SIZE * RESOURCES),
         ("status", STATUS_BYTES * RESOURCES),
         ("clients", _up(ClientEntry.SIZE) * CLIENTS),
-        ("desks", _up(ClientDesk.SIZE) * CLIENTS),
+        ("grants", _up(ClientGrants.SIZE) * CLIENTS),
         ("replies", REPLY_BYTES * CLIENTS),
         ("history", LogHead.SIZE + history_records * Event.SIZE),
     )
@@ -270,7 +278,7 @@ def layout_hash() -> int:
     """Hash over everything that a client must agree on."""
     import hashlib
 
-    schemas = (Mailbox, ResourceConfig, ResourceStatus, ClientEntry, ClientDesk, Reply, Event, BoardHeader)
+    schemas = (Mailbox, ResourceConfig, ResourceStatus, ClientEntry, ClientGrants, Reply, Event, BoardHeader)
     text = "\n".join([*(s.describe() for s in (*schemas, Command)), repr(table.ACTIONS)])
     text += repr((LAYOUT_VERSION, CLIENTS, RESOURCES, MAILBOX_ITEMS))
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "little")

@@ -16,7 +16,7 @@ from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, sleep_until_ns
 from surffollow.shm.jit import jit
 
-_HEARTBEAT, _ROUNDS = al.BoardHeader.offset("beat_ns"), al.BoardHeader.offset("rounds")
+_HEARTBEAT, _ROUNDS = al.BoardHeader.offset("heartbeat_ns"), al.BoardHeader.offset("rounds")
 _DOORBELL = al.Mailbox.offset("doorbell")
 _LOW_HALF = 0xFFFFFFFF
 # a client that rings all the time gets no more rounds than this, and costs a part of a processor at most

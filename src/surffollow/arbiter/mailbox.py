@@ -20,7 +20,7 @@ from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit
 from surffollow.shm.latch import copy_words_out
 
-_HEARTBEAT, _HEAD, _ITEMS = (al.Mailbox.offset(n) for n in ("beat_ns", "head", "item"))
+_HEARTBEAT, _HEAD, _ITEMS = (al.Mailbox.offset(n) for n in ("heartbeat_ns", "head", "item"))
 _ITEM_BYTES, _ITEM_WORDS, _CAPACITY = al.Item.SIZE, al.ITEM_WORDS, al.MAILBOX_ITEMS
 _NUMBER, _CONSUMED, _LIVE, _DENIED, _BROKEN = (
     al.ClientEntry.offset(n) for n in ("number", "consumed", "live", "denied", "broken")

@@ -36,7 +36,7 @@ from surffollow.shm.schema import F64, I64, Nested, Schema
     HEADER,
     STATUS,
     CLIENT_ENTRIES,
-    DESKS,
+    GRANTS,
     REPLIES,
     HISTORY,
     HISTORY_WORDS,
@@ -107,7 +107,7 @@ class ClientRun(Schema):
     tail = I64(doc="items taken")
     heartbeat = I64(doc="last value seen")
     seen_ns = I64(unit="ns", doc="when that changed")
-    doorbell = I64(doc="of the client's desk, as stored last")
+    doorbell = I64(doc="of the client's grants, as stored last")
     changed = I64(doc="1: wake it")
     broken = I64()
     denied = I64()

@@ -13,14 +13,14 @@ from surffollow.shm.cycle_log import log_append
 from surffollow.shm.jit import jit
 from surffollow.shm.latch import latch_write
 
-_ENTRY, _DESK = -(-al.ClientEntry.SIZE // 64) * 64, -(-al.ClientDesk.SIZE // 64) * 64
+_ENTRY, _GRANTS = -(-al.ClientEntry.SIZE // 64) * 64, -(-al.ClientGrants.SIZE // 64) * 64
 _REPLY, _REPLY_LATCH, _STATUS, _STATUS_LATCH = (
     al.Reply.SIZE,
     al.REPLY_BYTES,
     al.ResourceStatus.SIZE,
     al.STATUS_BYTES,
 )
-_HELD, _ASKED, _BELL = (al.ClientDesk.offset(n) for n in ("held", "asked", "bell"))
+_HELD, _ASKED, _DOORBELL = (al.ClientGrants.offset(n) for n in ("held", "asked", "doorbell"))
 _WAITED = al.ClientEntry.offset("waited_ns")
 _SLOT_BYTES = m.CommandSlot.SIZE
 _EVENT_WORDS, _VALUES, _POSE = al.EVENT_WORDS, al.VALUES, al.POSE
@@ -36,9 +36,9 @@ def entry_of(mem: Any, slot: Any) -> Any:
 
 
 @jit
-def desk_of(mem: Any, slot: Any) -> Any:
+def grants_of(mem: Any, slot: Any) -> Any:
     """Address of the record in which a client finds its tokens and its doorbell."""
-    return mem.ctx[m.DESKS] + _DESK * slot
+    return mem.ctx[m.GRANTS] + _GRANTS * slot
 
 
 @jit
@@ -79,16 +79,16 @@ def answer(mem: Any, t_ns: Any, slot: Any, seq: Any, result: Any, token: Any, re
 @jit
 def notify_held(mem: Any, slot: Any, resource: Any, token: Any) -> None:
     """Store which token of a resource a client holds now; 0: none."""
-    desk = desk_of(mem, slot)
-    at.store_relaxed_i64(desk + _ASKED + 8 * resource, 0)
-    at.store_release_i64(desk + _HELD + 8 * resource, token)
+    grants = grants_of(mem, slot)
+    at.store_relaxed_i64(grants + _ASKED + 8 * resource, 0)
+    at.store_release_i64(grants + _HELD + 8 * resource, token)
     mem.client_runs[slot].changed = 1
 
 
 @jit
 def notify_asked(mem: Any, slot: Any, resource: Any, asked: Any) -> None:
     """Store whether a holder is asked to relinquish (1) or not (0)."""
-    at.store_release_i64(desk_of(mem, slot) + _ASKED + 8 * resource, asked)
+    at.store_release_i64(grants_of(mem, slot) + _ASKED + 8 * resource, asked)
     mem.client_runs[slot].changed = 1
 
 
@@ -100,7 +100,7 @@ def wake_clients(mem: Any) -> None:
         if p.changed != 0:
             p.changed = 0
             p.doorbell += 1
-            address = desk_of(mem, slot) + _BELL
+            address = grants_of(mem, slot) + _DOORBELL
             at.store_release_i64(address, p.doorbell)
             futex_wake(address)
 

@@ -89,7 +89,7 @@ class Resource:
         config = client.board.resources[number]
         self.name, self.n_values = str(config["name"]), int(config["n_values"])
         self.fields = tuple(str(config["fields"]).split(","))
-        self._held, self._asked = exchange.desk_words(number)
+        self._held, self._asked = exchange.grant_words(number)
         self._words, self._mailbox = exchange.words, exchange.mailbox
         self._mailbox_words = exchange.mailbox_words
         self._consumed = exchange.consumed

@@ -67,7 +67,7 @@ class Server:
         ctx[m.LEASE_NS], ctx[m.PERIOD_NS] = self.config.lease_ns, self.config.period_ns
         for word, part in ((m.HEADER, "header"), (m.STATUS, "status"), (m.CLIENT_ENTRIES, "clients")):
             ctx[word] = board.address(part)
-        for word, part in ((m.DESKS, "desks"), (m.REPLIES, "replies"), (m.HISTORY, "history")):
+        for word, part in ((m.GRANTS, "grants"), (m.REPLIES, "replies"), (m.HISTORY, "history")):
             ctx[word] = board.address(part)
         ctx[m.HISTORY_WORDS] = self.config.history * al.EVENT_WORDS
         ctx[m.HAS_WAITV] = has_waitv()

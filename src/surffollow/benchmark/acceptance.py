@@ -35,7 +35,7 @@ from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.methods import LIMIT, ORACLE
 from surffollow.benchmark.near_limit import beyond_half
 
-FAST_MPS = 0.3  # above: the bar of 400 mm/s
+FAST_MPS = 0.3  # above: the criterion of 400 mm/s
 STEP_SCORED_MPS = 0.2
 NORMAL_RATIO = 1.2
 OSCILLATION_GROWTH = 1.5
@@ -151,12 +151,12 @@ def _lead_50(table: Table, conditions: Conditions) -> list[Verdict]:
         allowed = 1.5 * limit["rms_m"] + 0.8 * conditions.sensor.sigma_m
         bound[key] = ours["rms_m"] / max(allowed, FLOOR_M)
 
-    def scored(bar: str, most: float, figures: dict[CellKey, float]) -> Verdict:
+    def scored(criterion: str, most: float, figures: dict[CellKey, float]) -> Verdict:
         families = {k: v for k, v in figures.items() if of_family(k)}
         worst = max(families, key=lambda k: families[k], default=None)
         note = f"families, without a limit: worst {families[worst]:.3f}, {cell_name(worst)}" if worst else ""
         return worst_verdict(
-            bar, most, {cell_name(k): v for k, v in figures.items() if not of_family(k)}, note
+            criterion, most, {cell_name(k): v for k, v in figures.items() if not of_family(k)}, note
         )
 
     return [
@@ -253,10 +253,14 @@ def evaluate(rows: Sequence[Row], trials: Sequence[Row], conditions: Conditions)
 def text(verdicts: Sequence[Verdict], markdown: bool = False) -> str:
     """Return the criteria as lines for the terminal, or as a Markdown table."""
     if markdown:
-        lines = ["| bar | figure | bound | | |", "| --- | ---: | ---: | --- | --- |"]
-        lines += [f"| {v.bar} | {v.figure:.3f} | {_bound(v)} | {_word(v)} | {v.note} |" for v in verdicts]
+        lines = ["| criterion | figure | bound | | |", "| --- | ---: | ---: | --- | --- |"]
+        lines += [
+            f"| {v.criterion} | {v.figure:.3f} | {_bound(v)} | {_word(v)} | {v.note} |" for v in verdicts
+        ]
         return "\n".join(lines) + "\n"
-    return "\n".join(f"{_word(v):<6} {v.figure:>9.3f} ≤ {_bound(v):<5} {v.bar} ({v.note})" for v in verdicts)
+    return "\n".join(
+        f"{_word(v):<6} {v.figure:>9.3f} ≤ {_bound(v):<5} {v.criterion} ({v.note})" for v in verdicts
+    )
 
 
 def _bound(verdict: Verdict) -> str:

@@ -39,7 +39,7 @@ CellKey = tuple[str, float, float, str]  # surface, speed, lead, variant
 class Verdict(msgspec.Struct, frozen=True):
     """One acceptance criterion: text, figure, bound, and a remark on the source of the figure."""
 
-    bar: str
+    criterion: str
     figure: float
     bound: float
     passed: bool
@@ -82,23 +82,23 @@ def rms_ratio(a_m: float, b_m: float) -> float:
     return max(a_m, FLOOR_M) / max(b_m, FLOOR_M)
 
 
-def worst_verdict(bar: str, bound: float, figures: dict[str, float], note: str = "") -> Verdict:
+def worst_verdict(criterion: str, bound: float, figures: dict[str, float], note: str = "") -> Verdict:
     """Make a verdict on the greatest of some figures by cell name."""
     if not figures:
-        return Verdict(bar, math.nan, bound, False, "not run")
+        return Verdict(criterion, math.nan, bound, False, "not run")
     cell = max(figures, key=lambda name: figures[name])
     over = sum(not v <= bound for v in figures.values())
     remark = f"worst {cell}; {over} of {len(figures)} over" + (f"; {note}" if note else "")
-    return Verdict(bar, figures[cell], bound, bool(figures[cell] <= bound), remark)
+    return Verdict(criterion, figures[cell], bound, bool(figures[cell] <= bound), remark)
 
 
 def mean_verdict(
-    bar: str, bound: float, values: Sequence[float], note: str = "", geometric: bool = True
+    criterion: str, bound: float, values: Sequence[float], note: str = "", geometric: bool = True
 ) -> Verdict:
     if not values:
-        return Verdict(bar, math.nan, bound, False, "not run")
+        return Verdict(criterion, math.nan, bound, False, "not run")
     figure = geometric_mean(values) if geometric else sum(values) / len(values)
-    return Verdict(bar, figure, bound, bool(figure <= bound), note or f"{len(values)} cells")
+    return Verdict(criterion, figure, bound, bool(figure <= bound), note or f"{len(values)} cells")
 
 
 def cell_name(key: CellKey) -> str:
@@ -155,13 +155,13 @@ class Oracles:
         reported = [f"{figure(self.ratios(keep, t)):.3f} {name}" for name, t in self.others.items()]
         return "; ".join([note] * bool(note) + reported)
 
-    def worst(self, bar: str, bound: float, keep: Callable[[CellKey], bool], note: str = "") -> Verdict:
+    def worst(self, criterion: str, bound: float, keep: Callable[[CellKey], bool], note: str = "") -> Verdict:
         """Verdict on the greatest ratio."""
         found = {cell_name(k): v for k, v in self.ratios(keep).items()}
-        return worst_verdict(bar, bound, found, self.note(keep, greatest, note))
+        return worst_verdict(criterion, bound, found, self.note(keep, greatest, note))
 
-    def mean(self, bar: str, bound: float, keep: Callable[[CellKey], bool], note: str = "") -> Verdict:
+    def mean(self, criterion: str, bound: float, keep: Callable[[CellKey], bool], note: str = "") -> Verdict:
         """Verdict on the geometric mean of the ratios."""
         values = list(self.ratios(keep).values())
         count = f"{len(values)} cells" + (f"; {note}" if note else "")
-        return mean_verdict(bar, bound, values, self.note(keep, geometric, count))
+        return mean_verdict(criterion, bound, values, self.note(keep, geometric, count))

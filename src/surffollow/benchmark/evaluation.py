@@ -121,7 +121,9 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
         verdicts = acceptance.evaluate(rows, trials, conditions)
         near = near_limit.near_the_limit(rows)
         found["trials"] = trials
-        found["bars"] = [msgspec.to_builtins(v) for v in verdicts]
+        criteria = [msgspec.to_builtins(v) for v in verdicts]
+        found["criteria"] = criteria
+        found["bars"] = [{"bar": c["criterion"], **c} for c in criteria]  # the keys before this release
         found["near_the_limit"] = near
         text = acceptance.text(verdicts) + "\n\n" + near_limit.near_text(near)
         scored_tables = [acceptance.text(verdicts, markdown=True), near_limit.near_text(near, markdown=True)]

@@ -16,7 +16,7 @@ from surffollow.errors import (
 )
 from surffollow.shm.board_regions import layout_hash
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
-from surffollow.shm.layout_board import BOARD_MAGIC, LAYOUT_VERSION, STATE_READY, BoardHeader, Ticker
+from surffollow.shm.layout_board import BOARD_MAGIC, LAYOUT_VERSION, STATE_READY, BoardHeader, MainThreadState
 from surffollow.shm.objects import SharedObject
 from surffollow.shm.process import is_running
 from surffollow.shm.schema import Schema
@@ -178,8 +178,9 @@ class Board:
         at = {r["name"]: r["offset"] for r in h["region"]}.get("ticker")
         if at is None:
             return ""
-        ticker = LatchReader(memoryview(self.object.memory).cast("Q"), self.object.memory, at, Ticker).read()
-        return "" if ticker is None else str(ticker["text"])
+        words = memoryview(self.object.memory).cast("Q")
+        main_thread = LatchReader(words, self.object.memory, at, MainThreadState).read()
+        return "" if main_thread is None else str(main_thread["text"])
 
     def header(self) -> dict[str, Any]:
         """The header, as a dictionary."""

@@ -6,7 +6,7 @@ from surffollow.client.request_sender import RequestSender
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import Params
 
-_POSE_ROLE = lb.Ticker.struct_of("t_ns", "pose_slot")
+_POSE_ROLE = lb.MainThreadState.struct_of("t_ns", "pose_slot")
 _POSE_TIMEOUT = Params.struct_of("pose_timeout_ns", "pose_timeout_ns")
 LOOK_EVERY_NS = 100_000_000
 
@@ -38,8 +38,8 @@ class SlotWatcher(RequestSender):
         if not self._grant.is_open():
             self._release_slot()  # the service took it back: the next pose or request asks for another
             return
-        ticker = self.board.latch("ticker", lb.Ticker).copy()
-        if ticker is not None and self._pose_held:
-            reported_ns, slot = _POSE_ROLE.unpack_from(ticker)
+        main_thread = self.board.latch("ticker", lb.MainThreadState).copy()
+        if main_thread is not None and self._pose_held:
+            reported_ns, slot = _POSE_ROLE.unpack_from(main_thread)
             if slot != self.slot and reported_ns > self._pose_held_ns + LOOK_EVERY_NS:
                 self._pose_held = False  # it is not ours any more: ask for it again

@@ -8,7 +8,7 @@ from surffollow.client.demand import STALE, status_names
 from surffollow.client.follower_report import follower_report, numbered_faults
 from surffollow.client.histogram_report import histogram_summary
 from surffollow.config.stop_causes import stop_names
-from surffollow.shm.layout_board import STATE_READY, MapStatus, Stats, Ticker
+from surffollow.shm.layout_board import STATE_READY, MainThreadState, MapStatus, Stats
 from surffollow.shm.layout_follow import Output, Params
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def status_report(observer: Observer) -> dict[str, Any]:
     output = observer.board.latch("output", Output).read()
     params = observer.board.latch("params", Params).read() or {}
     stats = observer.board.plain("stats", Stats)
-    ticker = observer.board.latch("ticker", Ticker).read() or {}
+    main_thread = observer.board.latch("ticker", MainThreadState).read() or {}
     map_status = observer.board.latch("map_status", MapStatus).read() or {}
     state = observer.board.state()
     stale = bool(demand.status & STALE)
@@ -44,9 +44,9 @@ def status_report(observer: Observer) -> dict[str, Any]:
         "lateness": histogram_summary(stats["lateness"], stats["lateness_max_ns"]),
         "execution": histogram_summary(stats["execution"], stats["execution_max_ns"]),
         "follower": follower_report(output, int(params.get("mode", 0))),
-        "faults": numbered_faults(int(output["faults"]) if output else 0, int(ticker.get("faults", 0))),
+        "faults": numbered_faults(int(output["faults"]) if output else 0, int(main_thread.get("faults", 0))),
         "stopped": list(stop_names(int(output["stop"]) if output else 0)),
-        "main": ticker,
+        "main": main_thread,
         "clients": observer.clients(),
         "map": map_status,
     }

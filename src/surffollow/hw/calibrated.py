@@ -94,7 +94,7 @@ def run_linearizer(control: Any, relay: Any, indicated: Any, range_m: Any) -> No
 
     Parameters
     ----------
-    control : int64, address of the pump's control words
+    control : int64, address of the thread's control words
     relay, indicated, range_m : see `linearize`
     """
     q = relay[0].queues

@@ -15,12 +15,12 @@ from surffollow.errors import DriverError
 STOP, USER = 0, 1
 CONTROL_WORDS = 16
 PERIOD_NS = 500_000
-CATCH_UP_NS = 100_000_000  # a pump that was held up longer drops what it missed, and counts it
+CATCH_UP_NS = 100_000_000  # a thread that was held up longer drops what it missed, and counts it
 JOIN_S = 5.0
 FIFO_PRIORITY = 30  # hardware does not wait for a busy machine; below the cycle, above a simulated robot
 
 
-class Pump:
+class DriverThread:
     """Runs `kernel(control address)` on its own thread.
 
     The kernel must not hold the GIL, must look at the word `STOP` at least every few milliseconds, and is
@@ -44,7 +44,7 @@ class Pump:
         Parameters
         ----------
         kernel : called with the address of the control words
-        keep : what the kernel knows by its address only; held until the pump starts anew
+        keep : what the kernel knows by its address only; held until the thread starts anew
 
         Raises
         ------

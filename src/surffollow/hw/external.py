@@ -1,7 +1,7 @@
 """Ranges that any program pushes through the client library (kind = "external").
 
 Each channel's ranges are pushed by one client, `push_range` in Python and `sf_push_range` in C. The cycle
-thread takes them out of the client's slot (`service.range_inbox`) and checks them; this driver says how they
+thread takes them out of the client's slot (`service.range_inputs`) and checks them; this driver says how they
 are to be understood, whether they come, and what was wrong with them.
 """
 

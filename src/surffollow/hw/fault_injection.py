@@ -103,7 +103,7 @@ def run_relay(control: Any, queues: Any, table: Any, state: Any) -> None:
 
     Parameters
     ----------
-    control : int64, address of the pump's control words
+    control : int64, address of the thread's control words
     queues : (1,) `RelayQueues`
     table, state : see `inject_faults`
     """

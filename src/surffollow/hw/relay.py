@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from surffollow.hw.driver import ConversionQueue, Driver
-from surffollow.hw.driver_thread import Pump
+from surffollow.hw.driver_thread import DriverThread
 from surffollow.hw.wrapped_driver import WrappingDriver
 from surffollow.shm.schema import I64, Schema
 
@@ -38,7 +38,7 @@ class RelayDriver(WrappingDriver):
 
     def __init__(self, inner: Driver, name: str, capacity: int) -> None:
         super().__init__(inner)
-        self._pump = Pump(name)
+        self._thread = DriverThread(name)
         self._between = ConversionQueue(capacity)
 
     def _start_relay(
@@ -65,19 +65,19 @@ class RelayDriver(WrappingDriver):
         queues["inner_ring"], queues["inner_capacity"] = between.address, between.capacity
         queues["ring"], queues["capacity"], queues["lost"] = queue.address, queue.capacity, queue.lost_address
         queues["item_address"] = queues.ctypes.data + RelayQueues.offset("item")
-        self._pump.start(kernel, keep=(queue, between))
+        self._thread.start(kernel, keep=(queue, between))
         self._between = between
         try:
             before_inner()
             self._inner.start(between)
         except BaseException:
-            self._pump.stop()
+            self._thread.stop()
             raise
 
     def stop(self) -> None:
         """End both drivers; see `Driver`."""
         self._inner.stop()
-        self._pump.stop()
+        self._thread.stop()
 
     def _relay_faults(self, relay: str) -> list[str]:
         """Faults of the inner driver, and conversions that the relay lost."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surffollow.errors import RecordingError
 from surffollow.hw.driver import ConversionQueue, DriverInfo, push_conversion
-from surffollow.hw.driver_thread import PERIOD_NS, STOP, USER, Pump
+from surffollow.hw.driver_thread import PERIOD_NS, STOP, USER, DriverThread
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.jit import jit
@@ -27,7 +27,7 @@ def run_replay(control: Any, t_ns: Any, words: Any, start_ns: Any, queue: Any) -
 
     Parameters
     ----------
-    control : int64, address of the pump's control words
+    control : int64, address of the thread's control words
     t_ns, words : (n,) int64, ascending times [ns] and packed conversions
     start_ns : int64, when the first is due [ns]
     queue : (6,) int64, address, capacity, address of the lost count, address of the scratch, 2 words scratch
@@ -67,7 +67,7 @@ class ReplayedDriver:
         self._t_ns = np.ascontiguousarray(t_ns, np.int64)
         self._words = np.ascontiguousarray(words, np.int64) & np.int64(0xFFFFFFFF)
         self._info = msgspec.structs.replace(info, name=f"replay of {info.name}")
-        self._pump = Pump("replay")
+        self._thread = DriverThread("replay")
 
     @classmethod
     def from_file(cls, path: str | Path) -> ReplayedDriver:
@@ -108,7 +108,7 @@ class ReplayedDriver:
     @property
     def finished(self) -> bool:
         """True when all has been played."""
-        return int(self._pump.control[PLAYED]) == len(self._t_ns)
+        return int(self._thread.control[PLAYED]) == len(self._t_ns)
 
     def start(self, queue: ConversionQueue) -> None:
         """Begin to fill the queue; see `Driver`."""
@@ -118,15 +118,15 @@ class ReplayedDriver:
         def kernel(control: int) -> None:
             run_replay(control, self._t_ns, self._words, time.monotonic_ns(), plumbing)
 
-        self._pump.start(kernel, keep=queue)
+        self._thread.start(kernel, keep=queue)
 
     def stop(self) -> None:
         """End the thread; see `Driver`."""
-        self._pump.stop()
+        self._thread.stop()
 
     def faults(self) -> list[str]:
         """Say when the recording is over."""
-        if self._pump.running and self.finished:
+        if self._thread.running and self.finished:
             return [f"the recording of {len(self._t_ns)} conversions is over"]
         return []
 

@@ -598,7 +598,7 @@ SF_STATIC_ASSERT(offsetof(sf_ack, detail) == 16, "layout of sf_ack");
 SF_STATIC_ASSERT(offsetof(sf_ack, claim) == 24, "layout of sf_ack");
 
 /* State of the main thread, published at 20 Hz. */
-typedef struct sf_ticker {
+typedef struct sf_main_thread_state {
   int64_t t_ns; /* [ns] heartbeat of the main thread */
   int64_t pose_slot; /* slot of the pose writer; -1: none */
   int64_t pose_pid;
@@ -610,19 +610,19 @@ typedef struct sf_ticker {
   int64_t range_slot[8]; /* per channel, slot of the client that pushes its ranges; -1: none */
   int64_t range_pid[8];
   char text[512]; /* one line of text */
-} sf_ticker;
-SF_STATIC_ASSERT(sizeof(sf_ticker) == 704, "layout of sf_ticker");
-SF_STATIC_ASSERT(offsetof(sf_ticker, t_ns) == 0, "layout of sf_ticker");
-SF_STATIC_ASSERT(offsetof(sf_ticker, pose_slot) == 8, "layout of sf_ticker");
-SF_STATIC_ASSERT(offsetof(sf_ticker, pose_pid) == 16, "layout of sf_ticker");
-SF_STATIC_ASSERT(offsetof(sf_ticker, clients) == 24, "layout of sf_ticker");
-SF_STATIC_ASSERT(offsetof(sf_ticker, granted) == 32, "layout of sf_ticker");
-SF_STATIC_ASSERT(offsetof(sf_ticker, faults) == 40, "layout of sf_ticker");
-SF_STATIC_ASSERT(offsetof(sf_ticker, messages_lost) == 48, "layout of sf_ticker");
-SF_STATIC_ASSERT(offsetof(sf_ticker, audit_lost) == 56, "layout of sf_ticker");
-SF_STATIC_ASSERT(offsetof(sf_ticker, range_slot) == 64, "layout of sf_ticker");
-SF_STATIC_ASSERT(offsetof(sf_ticker, range_pid) == 128, "layout of sf_ticker");
-SF_STATIC_ASSERT(offsetof(sf_ticker, text) == 192, "layout of sf_ticker");
+} sf_main_thread_state;
+SF_STATIC_ASSERT(sizeof(sf_main_thread_state) == 704, "layout of sf_main_thread_state");
+SF_STATIC_ASSERT(offsetof(sf_main_thread_state, t_ns) == 0, "layout of sf_main_thread_state");
+SF_STATIC_ASSERT(offsetof(sf_main_thread_state, pose_slot) == 8, "layout of sf_main_thread_state");
+SF_STATIC_ASSERT(offsetof(sf_main_thread_state, pose_pid) == 16, "layout of sf_main_thread_state");
+SF_STATIC_ASSERT(offsetof(sf_main_thread_state, clients) == 24, "layout of sf_main_thread_state");
+SF_STATIC_ASSERT(offsetof(sf_main_thread_state, granted) == 32, "layout of sf_main_thread_state");
+SF_STATIC_ASSERT(offsetof(sf_main_thread_state, faults) == 40, "layout of sf_main_thread_state");
+SF_STATIC_ASSERT(offsetof(sf_main_thread_state, messages_lost) == 48, "layout of sf_main_thread_state");
+SF_STATIC_ASSERT(offsetof(sf_main_thread_state, audit_lost) == 56, "layout of sf_main_thread_state");
+SF_STATIC_ASSERT(offsetof(sf_main_thread_state, range_slot) == 64, "layout of sf_main_thread_state");
+SF_STATIC_ASSERT(offsetof(sf_main_thread_state, range_pid) == 128, "layout of sf_main_thread_state");
+SF_STATIC_ASSERT(offsetof(sf_main_thread_state, text) == 192, "layout of sf_main_thread_state");
 
 /* State of the map thread. */
 typedef struct sf_map_status {
@@ -1449,7 +1449,7 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
   const unsigned char *params = sf_i_part(&board, "params", sf_i_latch_bytes(sizeof(sf_params)));
   const unsigned char *acks = sf_i_part(&board, "acks", SF_CLIENTS * sf_i_latch_bytes(sizeof(sf_ack)));
   const unsigned char *map_acks = sf_i_part(&board, "map_acks", SF_CLIENTS * sf_i_latch_bytes(sizeof(sf_ack)));
-  const unsigned char *ticker = sf_i_part(&board, "ticker", sf_i_latch_bytes(sizeof(sf_ticker)));
+  const unsigned char *ticker = sf_i_part(&board, "ticker", sf_i_latch_bytes(sizeof(sf_main_thread_state)));
   const unsigned char *map_status = sf_i_part(&board, "map_status", sf_i_latch_bytes(sizeof(sf_map_status)));
   const unsigned char *stats = sf_i_part(&board, "stats", sizeof(sf_stats));
   if (!output || !params || !acks || !map_acks || !ticker || !map_status || !stats || h->period_ns <= 0) {
@@ -2224,7 +2224,7 @@ static inline int sf_i_check_pose(const double pose[7], double out[7]) {
 
 /* Ten times a second: whether the slot and the pose are ours still. */
 static inline void sf_i_look_at_slot(sf_client *c, int64_t now_ns) {
-  sf_ticker t;
+  sf_main_thread_state t;
   c->next_life_ns = now_ns + SF_LOOK_EVERY_NS;
   sf_i_read_pose_timeout(c);
   if (c->slot_memory == NULL) return;
@@ -2232,7 +2232,7 @@ static inline void sf_i_look_at_slot(sf_client *c, int64_t now_ns) {
     sf_i_release_slot(c);
     return;
   }
-  const size_t words = offsetof(sf_ticker, pose_pid) / 8;
+  const size_t words = offsetof(sf_main_thread_state, pose_pid) / 8;
   if (!c->pose_held || sf_latch_read_part(c->ticker, sizeof t, 0, words, &t) <= 0) return;
   if (t.pose_slot != c->slot && t.t_ns > c->pose_held_ns + SF_LOOK_EVERY_NS) c->pose_held = 0; /* ask again */
 }
@@ -2568,6 +2568,8 @@ static inline int sf_set_param(sf_client *c, const char *name, double value) {
 
 /* ---- status --------------------------------------------------------------------------------- */
 
+typedef sf_main_thread_state sf_ticker; /* the name before release 0.1.0, for one release */
+
 /* How a service is doing. */
 typedef struct sf_status_info {
   int alive;                  /* it publishes now */
@@ -2577,7 +2579,7 @@ typedef struct sf_status_info {
   int64_t demand_status;      /* SF_VALID, ... */
   int64_t cycles, overruns, skipped, poses, poses_refused, requests, requests_refused, torn;
   int64_t lateness_max_ns, execution_max_ns;
-  sf_ticker ticker;           /* state of the main thread: clients, pose holder, grants, faults, text */
+  sf_main_thread_state ticker; /* of the main thread: clients, pose holder, grants, faults, text */
   sf_map_status map;          /* state of the map thread */
 } sf_status_info;
 

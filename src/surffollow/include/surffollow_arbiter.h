@@ -51,11 +51,11 @@ extern "C" {
 #define SFA_SOURCE_HOLDER 1
 #define SFA_SOURCE_COMBINED 2
 #define SFA_ENTRY_BYTES 192
-#define SFA_DESK_BYTES 320
+#define SFA_GRANTS_BYTES 320
 #define SFA_CONFIG_AT 4096
 #define SFA_STATUS_AT 18048
 #define SFA_CLIENTS_AT 27264
-#define SFA_DESKS_AT 33408
+#define SFA_GRANTS_AT 33408
 #define SFA_REPLIES_AT 43648
 #define SFA_REFUSED (-1000)
 #define SFA_MAPPED "mapped"
@@ -108,13 +108,13 @@ SF_STATIC_ASSERT(offsetof(sfa_item, reserved) == 160, "layout of sfa_item");
 
 /* All that one client writes. */
 typedef struct sfa_mailbox {
-  SF_ALIGNAS(64) int64_t beat_ns; /* [ns] heartbeat; any change counts */
+  SF_ALIGNAS(64) int64_t heartbeat_ns; /* [ns] any change counts */
   SF_ALIGNAS(64) int64_t head; /* items written so far */
   SF_ALIGNAS(64) int64_t doorbell; /* its low half is a futex; rung after a request */
   SF_ALIGNAS(64) sfa_item item[64];
 } sfa_mailbox;
 SF_STATIC_ASSERT(sizeof(sfa_mailbox) == 12480, "layout of sfa_mailbox");
-SF_STATIC_ASSERT(offsetof(sfa_mailbox, beat_ns) == 0, "layout of sfa_mailbox");
+SF_STATIC_ASSERT(offsetof(sfa_mailbox, heartbeat_ns) == 0, "layout of sfa_mailbox");
 SF_STATIC_ASSERT(offsetof(sfa_mailbox, head) == 64, "layout of sfa_mailbox");
 SF_STATIC_ASSERT(offsetof(sfa_mailbox, doorbell) == 128, "layout of sfa_mailbox");
 SF_STATIC_ASSERT(offsetof(sfa_mailbox, item) == 192, "layout of sfa_mailbox");
@@ -233,16 +233,16 @@ SF_STATIC_ASSERT(offsetof(sfa_reply, holder) == 24, "layout of sfa_reply");
 SF_STATIC_ASSERT(offsetof(sfa_reply, holder_priority) == 32, "layout of sfa_reply");
 SF_STATIC_ASSERT(offsetof(sfa_reply, t_ns) == 40, "layout of sfa_reply");
 
-/* Published state of one client. */
-typedef struct sfa_client_desk {
-  SF_ALIGNAS(64) int64_t bell; /* its low half is a futex; changes with every answer or grant */
+/* Published state of one client: the resources that it holds and is asked for. */
+typedef struct sfa_client_grants {
+  SF_ALIGNAS(64) int64_t doorbell; /* its low half is a futex; changes with every answer or grant */
   SF_ALIGNAS(64) int64_t held[16]; /* token held of each resource, 0: none */
   SF_ALIGNAS(64) int64_t asked[16]; /* 1: asked to relinquish it */
-} sfa_client_desk;
-SF_STATIC_ASSERT(sizeof(sfa_client_desk) == 320, "layout of sfa_client_desk");
-SF_STATIC_ASSERT(offsetof(sfa_client_desk, bell) == 0, "layout of sfa_client_desk");
-SF_STATIC_ASSERT(offsetof(sfa_client_desk, held) == 64, "layout of sfa_client_desk");
-SF_STATIC_ASSERT(offsetof(sfa_client_desk, asked) == 192, "layout of sfa_client_desk");
+} sfa_client_grants;
+SF_STATIC_ASSERT(sizeof(sfa_client_grants) == 320, "layout of sfa_client_grants");
+SF_STATIC_ASSERT(offsetof(sfa_client_grants, doorbell) == 0, "layout of sfa_client_grants");
+SF_STATIC_ASSERT(offsetof(sfa_client_grants, held) == 64, "layout of sfa_client_grants");
+SF_STATIC_ASSERT(offsetof(sfa_client_grants, asked) == 192, "layout of sfa_client_grants");
 
 /* One record of the history. */
 typedef struct sfa_event {
@@ -284,7 +284,7 @@ typedef struct sfa_board_header {
   int64_t period_ns; /* [ns] */
   char name[48];
   SF_ALIGNAS(64) int64_t state; /* 0 starting, 1 ready, 2 ended */
-  SF_ALIGNAS(64) int64_t beat_ns; /* [ns] last round of the server */
+  SF_ALIGNAS(64) int64_t heartbeat_ns; /* [ns] last round of the server */
   int64_t rounds; /* looks at the mailboxes so far */
 } sfa_board_header;
 SF_STATIC_ASSERT(sizeof(sfa_board_header) == 320, "layout of sfa_board_header");
@@ -303,7 +303,7 @@ SF_STATIC_ASSERT(offsetof(sfa_board_header, lease_ns) == 88, "layout of sfa_boar
 SF_STATIC_ASSERT(offsetof(sfa_board_header, period_ns) == 96, "layout of sfa_board_header");
 SF_STATIC_ASSERT(offsetof(sfa_board_header, name) == 104, "layout of sfa_board_header");
 SF_STATIC_ASSERT(offsetof(sfa_board_header, state) == 192, "layout of sfa_board_header");
-SF_STATIC_ASSERT(offsetof(sfa_board_header, beat_ns) == 256, "layout of sfa_board_header");
+SF_STATIC_ASSERT(offsetof(sfa_board_header, heartbeat_ns) == 256, "layout of sfa_board_header");
 SF_STATIC_ASSERT(offsetof(sfa_board_header, rounds) == 264, "layout of sfa_board_header");
 
 /* Present command of a resource: the command block NAME.RESOURCE. */
@@ -480,8 +480,8 @@ static inline void sfb_close(sfb_block *block) {
 /* ---- a client of an arbiter ----------------------------------------------------------------- */
 
 /*
- * One attachment; for one thread. Every call of sfa_command, sfa_request, sfa_relinquish and sfa_beat shows
- * that the client lives: call one of them at least every 100 ms (the lease is `lease_ns` of the board).
+ * One attachment; for one thread. Every call of sfa_command, sfa_request, sfa_relinquish and sfa_heartbeat
+ * renews the lease: call one of them at least every 100 ms (the lease is `lease_ns` of the board).
  * `owner` is the server's user; after -EPERM from sfa_attach the one who is not trusted.
  */
 typedef struct sfa_client {
@@ -490,7 +490,7 @@ typedef struct sfa_client {
   size_t board_bytes;
   int sock;
   int64_t slot, number, epoch, head, lease_ns;
-  size_t status_at, desk_at, reply_at, entry_at;
+  size_t status_at, grants_at, reply_at, entry_at;
   int64_t *ours; /* 1; 0 in a forked child, which the kernel gives a zero page: what is held is the parent's */
   int64_t owner;
   char name[48], client[48];
@@ -603,7 +603,7 @@ static inline int sfa_i_map(sfa_client *a, const int fds[2]) {
   (void)syscall(SYS_madvise, memory, SF_CAST(size_t, SF_PAGE), SFA_I_WIPE_ON_FORK); /* Linux 4.14 */
   *a->ours = 1;
   a->status_at = SFA_STATUS_AT;
-  a->desk_at = SFA_DESKS_AT + slot * SFA_DESK_BYTES;
+  a->grants_at = SFA_GRANTS_AT + slot * SFA_GRANTS_BYTES;
   a->reply_at = SFA_REPLIES_AT + slot * SFA_REPLY_BYTES;
   a->entry_at = SFA_CLIENTS_AT + slot * SFA_ENTRY_BYTES;
   a->head = sf_load_relaxed(a->mailbox + offsetof(sfa_mailbox, head));
@@ -744,20 +744,22 @@ static inline int sfa_resource(const sfa_client *a, const char *name) {
   return -EINVAL;
 }
 
-/* Show that this client lives. */
-static inline void sfa_beat(sfa_client *a) {
+/* Renew the lease of this client. */
+static inline void sfa_heartbeat(sfa_client *a) {
   if (*a->ours == 0) return;
-  sf_store_relaxed(a->mailbox + offsetof(sfa_mailbox, beat_ns), sf_now_ns());
+  sf_store_relaxed(a->mailbox + offsetof(sfa_mailbox, heartbeat_ns), sf_now_ns());
 }
+
+#define sfa_beat sfa_heartbeat /* the name before release 0.1.0, for one release */
 
 /* A server looks at the mailbox of a holder once in its period: one that did not for a lease is no more. */
 static inline int sfa_i_is_silent(const sfa_client *a, int64_t now) {
-  return now - sf_load_relaxed(a->board + offsetof(sfa_board_header, beat_ns)) > a->lease_ns;
+  return now - sf_load_relaxed(a->board + offsetof(sfa_board_header, heartbeat_ns)) > a->lease_ns;
 }
 
 static inline int64_t sfa_i_token(const sfa_client *a, int resource) {
   if (resource < 0 || resource >= SFA_RESOURCES || *a->ours == 0) return 0;
-  return sf_load_acquire(a->board + a->desk_at + offsetof(sfa_client_desk, held) + 8 * SF_CAST(size_t, resource));
+  return sf_load_acquire(a->board + a->grants_at + offsetof(sfa_client_grants, held) + 8 * SF_CAST(size_t, resource));
 }
 
 /*
@@ -772,7 +774,7 @@ static inline int64_t sfa_held(const sfa_client *a, int resource) {
 /* Whether the server asks this holder to relinquish (cooperative policy). */
 static inline int sfa_asked(const sfa_client *a, int resource) {
   if (resource < 0 || resource >= SFA_RESOURCES) return 0;
-  return sf_load_acquire(a->board + a->desk_at + offsetof(sfa_client_desk, asked) + 8 * SF_CAST(size_t, resource)) != 0;
+  return sf_load_acquire(a->board + a->grants_at + offsetof(sfa_client_grants, asked) + 8 * SF_CAST(size_t, resource)) != 0;
 }
 
 /* Whether the server ended, or was replaced: then detach and attach again. */
@@ -813,7 +815,7 @@ static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t
   }
   a->head++;
   sf_store_release(a->mailbox + offsetof(sfa_mailbox, head), a->head);
-  sf_store_relaxed(a->mailbox + offsetof(sfa_mailbox, beat_ns), now);
+  sf_store_relaxed(a->mailbox + offsetof(sfa_mailbox, heartbeat_ns), now);
   return 0;
 }
 
@@ -852,8 +854,8 @@ static inline int sfa_i_tell(sfa_client *a, int64_t what) {
 
 /* The same, and wait for the answer to it. */
 static inline int sfa_i_ask(sfa_client *a, int64_t what, int64_t deadline, sfa_reply *reply) {
-  const unsigned char *bell_word = a->board + a->desk_at + offsetof(sfa_client_desk, bell);
-  int64_t bell = sf_load_acquire(bell_word), seq;
+  const unsigned char *doorbell = a->board + a->grants_at + offsetof(sfa_client_grants, doorbell);
+  int64_t rung = sf_load_acquire(doorbell), seq;
   const int err = sfa_i_tell(a, what);
   if (err != 0) return err;
   seq = a->head;
@@ -864,9 +866,9 @@ static inline int sfa_i_ask(sfa_client *a, int64_t what, int64_t deadline, sfa_r
     left = deadline - sf_now_ns();
     if (left <= 0) return sfa_ended(a) ? -ENOENT : -ETIMEDOUT;
     if (left > 50000000) left = 50000000;
-    sfa_i_futex(bell_word, 0, bell, left);
-    bell = sf_load_acquire(bell_word);
-    sfa_beat(a);
+    sfa_i_futex(doorbell, 0, rung, left);
+    rung = sf_load_acquire(doorbell);
+    sfa_heartbeat(a);
   }
 }
 
@@ -884,7 +886,7 @@ static inline int sfa_relinquish(sfa_client *a, int resource) {
  */
 static inline int sfa_request(sfa_client *a, int resource, int wait, int timeout_ms, sfa_reply *reply) {
   const int64_t deadline = sf_now_ns() + SF_CAST(int64_t, timeout_ms) * 1000000;
-  const unsigned char *bell_word = a->board + a->desk_at + offsetof(sfa_client_desk, bell);
+  const unsigned char *doorbell = a->board + a->grants_at + offsetof(sfa_client_grants, doorbell);
   const int64_t before = sfa_i_token(a, resource);
   sfa_reply own;
   int err;
@@ -896,13 +898,13 @@ static inline int sfa_request(sfa_client *a, int resource, int wait, int timeout
   if (reply->result == SFA_GRANT || reply->result == SFA_KEEP) return 1;
   if (reply->result != SFA_ENQUEUE) return 0;
   for (;;) {
-    const int64_t bell = sf_load_acquire(bell_word);
+    const int64_t rung = sf_load_acquire(doorbell);
     int64_t left;
     if (sfa_held(a, resource) != 0) return 1;
     left = deadline - sf_now_ns();
     if (left <= 0 || sfa_ended(a)) break;
-    sfa_i_futex(bell_word, 0, bell, left < 50000000 ? left : 50000000);
-    sfa_beat(a);
+    sfa_i_futex(doorbell, 0, rung, left < 50000000 ? left : 50000000);
+    sfa_heartbeat(a);
   }
   err = sfa_relinquish(a, resource); /* leave the queue; a grant on the last moment is given back */
   return err;

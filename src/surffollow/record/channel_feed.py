@@ -22,7 +22,7 @@ from surffollow.record.protobuf import Field, Message
 from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.samples import Sampler
 from surffollow.record.service_log import ServiceLog
-from surffollow.shm.layout_board import MapStatus, Stats, Ticker
+from surffollow.shm.layout_board import MainThreadState, MapStatus, Stats
 
 SERVICE_S = 1.0
 # batches per look: a backlog after the kernels were compiled is worked off without holding the words up
@@ -140,7 +140,7 @@ class ChannelFeed:
 
     def _publish_service(self, board: Board) -> None:
         stats = board.plain("stats", Stats)
-        ticker = board.latch("ticker", Ticker).read() or {}
+        main_thread = board.latch("ticker", MainThreadState).read() or {}
         map_status = board.latch("map_status", MapStatus).read() or {}
         t_ns = time.monotonic_ns()
         values: dict[str, Any] = {
@@ -152,8 +152,8 @@ class ChannelFeed:
             summary = histogram_summary(stats[name], stats[f"{name}_max_ns"])
             values |= {f"{name}_{p}": summary[p] for p in ("p50_ns", "p99_ns", "p99_9_ns")}
             values[name] = stats[name]
-        values |= {"pose_pid": ticker.get("pose_pid"), "clients": ticker.get("clients")}
-        values["service_faults"] = ticker.get("faults")
+        values |= {"pose_pid": main_thread.get("pose_pid"), "clients": main_thread.get("clients")}
+        values["service_faults"] = main_thread.get("faults")
         values |= {f"map_{n}": map_status.get(n) for n in ("queued", "applied", "lost")}
         self.channels.sink.add_message("/service", SERVICE, t_ns, SERVICE.encode(values))
 

@@ -13,12 +13,12 @@ from surffollow.record.figure_data import FigureData
 from surffollow.units import format_ns
 
 
-def draw_latency(ax: Any, story: FigureData, service: dict[str, Any] | None) -> None:
+def draw_latency(ax: Any, data: FigureData, service: dict[str, Any] | None) -> None:
     """Shares of durations, in bins of a tenth of a decade, so that all kinds compare."""
     from matplotlib.ticker import EngFormatter, LogLocator
 
-    o = story.rows["output"]
-    delay = story.rows["pose_delay_ns"]
+    o = data.rows["output"]
+    delay = data.rows["pose_delay_ns"]
     seen = np.isfinite(o["range_m"][:, 0]) & (o["range_t_ns"][:, 0] > 0)
     age = (o["t_ns"] - o["range_t_ns"][:, 0])[seen]
     kinds = [

@@ -28,7 +28,7 @@ def plot_recording(path: str | Path, out: str | Path, progress: Any = None) -> P
     UsageError, FaultError  the figure cannot be drawn or written
     """
     fg.check_figure(out)
-    story = read_figure_data(path, progress)
+    data = read_figure_data(path, progress)
     service = last_service(path)
     import matplotlib as mpl
 
@@ -38,20 +38,20 @@ def plot_recording(path: str | Path, out: str | Path, progress: Any = None) -> P
         axes = [figure.add_subplot(grid[k, :]) for k in range(4)]
         for ax in axes[1:]:
             ax.sharex(axes[0])
-        figure.suptitle(_headline(path, story), x=0.02, ha="left", fontsize=9)
-        _draw_ground(axes[0], story)
-        _draw_error(axes[1], story)
-        _draw_forecast(axes[2], story)
-        _draw_states(axes[3], story)
-        axes[0].set_xlim(0.0, max(float(story.t_s[-1]), 1e-3))
-        draw_latency(figure.add_subplot(grid[4, 0]), story, service)
-        _draw_ground_plan(figure, figure.add_subplot(grid[4, 1]), story)
+        figure.suptitle(_headline(path, data), x=0.02, ha="left", fontsize=9)
+        _draw_ground(axes[0], data)
+        _draw_error(axes[1], data)
+        _draw_forecast(axes[2], data)
+        _draw_states(axes[3], data)
+        axes[0].set_xlim(0.0, max(float(data.t_s[-1]), 1e-3))
+        draw_latency(figure.add_subplot(grid[4, 0]), data, service)
+        _draw_ground_plan(figure, figure.add_subplot(grid[4, 1]), data)
         fg.save_figure(figure, out)
     return Path(out)
 
 
-def _headline(path: str | Path, story: FigureData) -> str:
-    o, source = story.rows["output"], story.source
+def _headline(path: str | Path, data: FigureData) -> str:
+    o, source = data.rows["output"], data.source
     mode = "adaptive" if int(source.sampler.params[0]["mode"]) == MODE_ADAPTIVE else "paper"
     begin_ns = int(o["t_ns"][0]) + source.wall_offset_ns
     when = ""
@@ -59,9 +59,9 @@ def _headline(path: str | Path, story: FigureData) -> str:
         when = time.strftime("%Y-%m-%d %H:%M:%S UTC, ", time.gmtime(begin_ns // 1_000_000_000))
     valid = float(np.mean((o["status"] & VALID) != 0))
     text = (
-        f"{Path(path).name}: {when}{story.t_s[-1]:.1f} s, {source.cycles} cycles of "
+        f"{Path(path).name}: {when}{data.t_s[-1]:.1f} s, {source.cycles} cycles of "
         f"{source.period_cycle_ns / 1e6:g} ms, {mode} mode\n"
-        f"stand-off RMS {fg.rms(story.error_m) * 1e3:.2f} mm where there was a distance; "
+        f"stand-off RMS {fg.rms(data.error_m) * 1e3:.2f} mm where there was a distance; "
         f"demand valid {valid:.1%} of the time"
     )
     if source.segment > 0:
@@ -73,30 +73,30 @@ def _headline(path: str | Path, story: FigureData) -> str:
     return text
 
 
-def _gaps(story: FigureData) -> list[tuple[float, float]]:
-    return fg.spans(story.t_s, np.isnan(story.rows["output"]["range_m"][:, 0]))
+def _gaps(data: FigureData) -> list[tuple[float, float]]:
+    return fg.spans(data.t_s, np.isnan(data.rows["output"]["range_m"][:, 0]))
 
 
-def _breaks(values: NDArray[np.float64], story: FigureData) -> NDArray[np.float64]:
+def _breaks(values: NDArray[np.float64], data: FigureData) -> NDArray[np.float64]:
     """Values with NaN behind breaks in time, so that no line bridges them."""
-    dt = np.diff(story.t_s, prepend=story.t_s[0])
+    dt = np.diff(data.t_s, prepend=data.t_s[0])
     usual = float(np.median(dt)) if dt.size else 0.0
     return np.where(dt > 5.0 * max(usual, 1e-9), np.nan, values)
 
 
-def _draw_ground(ax: Any, story: FigureData) -> None:
-    o, t = story.rows["output"], story.t_s
+def _draw_ground(ax: Any, data: FigureData) -> None:
+    o, t = data.rows["output"], data.t_s
     has_pose = o["pose_t_ns"] != 0
-    tool = np.where(has_pose, story.rows["pose"][:, 2], np.nan)
+    tool = np.where(has_pose, data.rows["pose"][:, 2], np.nan)
     goal = np.where((o["status"] & VALID) != 0, tool + o["demand"][:, 2], np.nan)
-    ground, odd = story.ground_m, fg.outliers(story.ground_m)
+    ground, odd = data.ground_m, fg.outliers(data.ground_m)
     factor, unit = fg.length_scale(np.concatenate([ground, tool]))
-    fg.shade(ax, _gaps(story), fg.SAND, "no distance")
+    fg.shade(ax, _gaps(data), fg.SAND, "no distance")
     height = np.where(np.isfinite(ground) | (o["height_m"] != 0.0), o["height_m"], np.nan)
     ax.plot(t, ground * factor, ".", ms=3.0, color=fg.GREY, label="target points", rasterized=True)
-    ax.plot(t, _breaks(height, story) * factor, color=fg.INK, lw=0.8, label="surface, as the follower has it")
-    ax.plot(t, _breaks(goal, story) * factor, color=fg.ORANGE, lw=0.8, label="setpoint: pose and demand")
-    ax.plot(t, _breaks(tool, story) * factor, color=fg.BLUE, lw=1.0, label="tool, as reported")
+    ax.plot(t, _breaks(height, data) * factor, color=fg.INK, lw=0.8, label="surface, as the follower has it")
+    ax.plot(t, _breaks(goal, data) * factor, color=fg.ORANGE, lw=0.8, label="setpoint: pose and demand")
+    ax.plot(t, _breaks(tool, data) * factor, color=fg.BLUE, lw=1.0, label="tool, as reported")
     fg.mark_outliers(ax, t, ground * factor, odd)
     shown = np.concatenate([ground[~odd], tool, height]) * factor
     ax.set_ylim(*fg.with_room(shown))
@@ -105,13 +105,13 @@ def _draw_ground(ax: Any, story: FigureData) -> None:
     ax.legend(loc="upper right", ncols=3)
 
 
-def _draw_error(ax: Any, story: FigureData) -> None:
-    error = story.error_m * 1e3
-    fg.shade(ax, _gaps(story), fg.SAND, "no distance")
-    invalid = (story.rows["output"]["status"] & VALID) == 0
-    fg.shade(ax, fg.spans(story.t_s, invalid), "#f6d5cf", "demand not valid")
+def _draw_error(ax: Any, data: FigureData) -> None:
+    error = data.error_m * 1e3
+    fg.shade(ax, _gaps(data), fg.SAND, "no distance")
+    invalid = (data.rows["output"]["status"] & VALID) == 0
+    fg.shade(ax, fg.spans(data.t_s, invalid), "#f6d5cf", "demand not valid")
     ax.axhline(0.0, color=fg.INK, lw=0.6)
-    ax.plot(story.t_s, _breaks(error, story), color=fg.BLUE, lw=0.8)
+    ax.plot(data.t_s, _breaks(error, data), color=fg.BLUE, lw=0.8)
     low, high = fg.robust_limits(error)
     reach = max(abs(low), abs(high))
     ax.set_ylim(-reach, reach)
@@ -127,13 +127,13 @@ def _draw_error(ax: Any, story: FigureData) -> None:
 
 
 def forecast_errors(
-    story: FigureData, horizon_s: float = HORIZON_S
+    data: FigureData, horizon_s: float = HORIZON_S
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Errors (n,) [m] of "height + slope · speed · horizon" and of "as it is", against the ground found then.
 
     The truth is the first target point at or after the horizon, at most one and a half samples late.
     """
-    o, t, ground = story.rows["output"], story.t_s, story.ground_m
+    o, t, ground = data.rows["output"], data.t_s, data.ground_m
     has = np.flatnonzero(np.isfinite(ground))
     out = np.full((2, t.size), np.nan)
     if has.size > 1:
@@ -148,16 +148,16 @@ def forecast_errors(
     return out[0], out[1]
 
 
-def _draw_forecast(ax: Any, story: FigureData) -> None:
-    predicted, still = forecast_errors(story)
-    fg.shade(ax, _gaps(story), fg.SAND, "no distance")
+def _draw_forecast(ax: Any, data: FigureData) -> None:
+    predicted, still = forecast_errors(data)
+    fg.shade(ax, _gaps(data), fg.SAND, "no distance")
     ax.axhline(0.0, color=fg.INK, lw=0.6)
     for error, size, color, what in (
         (still, 1.2, fg.GREY, "ground taken as level"),
         (predicted, 1.4, fg.ORANGE, "forecast by height and slope"),
     ):
         label = f"{what}: RMS {fg.rms(error) * 1e3:.2f} mm"
-        ax.plot(story.t_s, error * 1e3, ".", ms=size, color=color, rasterized=True, label=label)
+        ax.plot(data.t_s, error * 1e3, ".", ms=size, color=color, rasterized=True, label=label)
     low, high = fg.robust_limits(np.concatenate([predicted, still]) * 1e3)
     reach = max(abs(low), abs(high))
     ax.set_ylim(-reach, 1.35 * reach)
@@ -166,10 +166,10 @@ def _draw_forecast(ax: Any, story: FigureData) -> None:
     ax.legend(loc="upper right", ncols=3, markerscale=5)
 
 
-def _draw_states(ax: Any, story: FigureData) -> None:
-    o, t = story.rows["output"], story.t_s
+def _draw_states(ax: Any, data: FigureData) -> None:
+    o, t = data.rows["output"], data.t_s
     lanes: list[tuple[str, list[tuple[NDArray[np.bool_], str]]]] = []
-    if int(story.source.sampler.params[0]["mode"]) == MODE_ADAPTIVE:
+    if int(data.source.sampler.params[0]["mode"]) == MODE_ADAPTIVE:
         parts = [(o["health"] == k, _HEALTH_COLORS[k]) for k in range(len(HEALTH_NAMES))]
         lanes.append(("health", parts))
     for k, name in enumerate(STATUS_NAMES):
@@ -190,16 +190,14 @@ def _draw_states(ax: Any, story: FigureData) -> None:
     ax.set_title(title)
 
 
-def _draw_ground_plan(figure: Any, ax: Any, story: FigureData) -> None:
-    if story.map is None:
+def _draw_ground_plan(figure: Any, ax: Any, data: FigureData) -> None:
+    if data.map is None:
         ax.set_title("Map")
         ax.axis("off")
-        ax.text(
-            0.0, 0.9, story.map_fault or "nothing was mapped", wrap=True, va="top", transform=ax.transAxes
-        )
+        ax.text(0.0, 0.9, data.map_fault or "nothing was mapped", wrap=True, va="top", transform=ax.transAxes)
         return
-    heights, frame = story.map
+    heights, frame = data.map
     ax.set_title("Map of the target points" + fg.draw_map(figure, ax, heights, frame))
-    has_pose = story.rows["output"]["pose_t_ns"] != 0
-    pose = story.rows["pose"][has_pose]
+    has_pose = data.rows["output"]["pose_t_ns"] != 0
+    pose = data.rows["pose"][has_pose]
     ax.plot(pose[:, 0], pose[:, 1], color=fg.ORANGE, lw=0.5, alpha=0.8)

@@ -10,7 +10,7 @@ import math
 from typing import Any
 
 from surffollow.service import memory as m
-from surffollow.service.inbox import claim_of
+from surffollow.service.slot_inputs import claim_of
 from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import (

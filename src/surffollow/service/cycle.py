@@ -9,10 +9,10 @@ from surffollow.forecast.step import follow_step
 from surffollow.hw.driver import REPORT_WORDS
 from surffollow.service import memory as m
 from surffollow.service.answers import count
-from surffollow.service.inbox import POSE_BAD, POSE_OK, POSE_TORN, read_pose
 from surffollow.service.map_preview import fill_preview
-from surffollow.service.range_inbox import any_held, drain_ranges
+from surffollow.service.range_inputs import any_held, drain_ranges
 from surffollow.service.requests import process_requests
+from surffollow.service.slot_inputs import POSE_BAD, POSE_OK, POSE_TORN, read_pose
 from surffollow.service.stop_latch import keep_stop
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, wait_until_ns

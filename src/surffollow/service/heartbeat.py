@@ -1,4 +1,4 @@
-"""The main thread's heartbeat: publish what it found of clients, driver and faults (the ticker)."""
+"""The main thread's heartbeat: publish the state of clients, driver and faults."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Heartbeat:
         self._objects, self._ctx, self._watch, self._grants = objects, ctx, watch, grants
         self._server, self._messages, self.guard = server, messages, Guard(messages.report)
         self._audit = AuditTrail(objects, ctx, server.table.named, messages.report)
-        self._ticker = zeros(lb.Ticker)
+        self._published = zeros(lb.MainThreadState)
 
     def end(self) -> None:
         """The cycle has ended: report what the audit trail still holds. Raises nothing."""
@@ -64,8 +64,8 @@ class Heartbeat:
 
     def compiling(self, text: str) -> None:
         """Report the progress of the start to waiting clients, before the first heartbeat only."""
-        self._ticker[0]["text"] = text.encode(errors="replace")[:511]
-        latch_write(self._objects.address("ticker"), self._ticker.ctypes.data, lb.Ticker.SIZE)
+        self._published[0]["text"] = text.encode(errors="replace")[:511]
+        latch_write(self._objects.address("ticker"), self._published.ctypes.data, lb.MainThreadState.SIZE)
 
     def publish(self, faults: int = 0) -> None:
         """Look once and publish; `faults` are bits that the caller found itself. Raises nothing."""
@@ -86,7 +86,7 @@ class Heartbeat:
         faults |= FAULT_DRIVER if driver_faults else 0
         faults |= FAULT_SAMPLES_LOST if int(self._ctx[m.LOST]) else 0
         faults |= FAULT_HOUSEKEEPING if self.guard.failed else 0
-        t = self._ticker[0]
+        t = self._published[0]
         t["t_ns"], t["pose_slot"], t["pose_pid"] = reported_ns, pose_slot, sender.pid if sender else 0
         for c in range(CHANNELS):
             slot = int(load_acquire(self._ctx.ctypes.data + 8 * (m.RANGE_SLOT + c)))
@@ -95,4 +95,4 @@ class Heartbeat:
         t["clients"], t["granted"], t["faults"] = clients.held(), self._grants.bits, faults
         t["messages_lost"], t["audit_lost"] = self._messages.lost, self._audit.lost + self._messages.unwritten
         t["text"] = "; ".join(texts).encode(errors="replace")[:511]
-        latch_write(self._objects.address("ticker"), self._ticker.ctypes.data, lb.Ticker.SIZE)
+        latch_write(self._objects.address("ticker"), self._published.ctypes.data, lb.MainThreadState.SIZE)

@@ -84,7 +84,7 @@ def initialise_memory(
     ):
         ctx[index] = objects.address(part)
     ctx[m.LOG_CAPACITY] = config.log_words
-    ctx[m.INBOX] = objects.slots.address
+    ctx[m.SLOTS_AT] = objects.slots.address
     ctx[m.CONVERSIONS], ctx[m.CONVERSIONS_CAPACITY] = queue.address, queue.capacity
     if reports is not None:
         ctx[m.REPORTS], ctx[m.REPORTS_CAPACITY] = reports.address, reports.capacity

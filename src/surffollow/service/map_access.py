@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from surffollow.service import memory as m
-from surffollow.service.inbox import claim_of, slot_address
 from surffollow.service.map_jobs import publish_status
 from surffollow.service.mapper_memory import (
     GRANTED_NS,
@@ -14,6 +13,7 @@ from surffollow.service.mapper_memory import (
     WAITING_ITEMS,
 )
 from surffollow.service.pose_role import holder_is_gone
+from surffollow.service.slot_inputs import claim_of, slot_address
 from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import (
@@ -40,7 +40,7 @@ def end_access(mem: Any, t_ns: Any) -> None:
     slot = s.access_slot
     late = t_ns - job[GRANTED_NS] > ctx[m.LEASE_NS]
     gone = holder_is_gone(ctx, slot, job[HOLDER_CLAIM])
-    asks = not gone and at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + _ACCESS) == ACCESS_REQUESTED
+    asks = not gone and at.load_acquire_i64(slot_address(ctx[m.SLOTS_AT], slot) + _ACCESS) == ACCESS_REQUESTED
     if asks and not late:
         return
     if late and not gone:
@@ -62,7 +62,7 @@ def reopen_access(mem: Any, t_ns: Any) -> None:
         if (s.fenced >> slot) & 1 == 0:
             continue
         gone = holder_is_gone(ctx, slot, ctx[m.FENCED + slot])
-        if gone or at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + _ACCESS) == ACCESS_FREE:
+        if gone or at.load_acquire_i64(slot_address(ctx[m.SLOTS_AT], slot) + _ACCESS) == ACCESS_FREE:
             ctx[m.FENCED + slot] = 0
             s.fenced &= ~(1 << slot)
     if s.fenced != before:
@@ -87,7 +87,7 @@ def watch_access(mem: Any, t_ns: Any) -> None:
         claim = claim_of(ctx, slot)
         if claim == 0 or (s.fenced >> slot) & 1 == 1:
             continue
-        if at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + _ACCESS) != ACCESS_REQUESTED:
+        if at.load_acquire_i64(slot_address(ctx[m.SLOTS_AT], slot) + _ACCESS) != ACCESS_REQUESTED:
             continue
         job[HOLDER_CLAIM], job[GRANTED_NS] = claim, t_ns
         s.access, s.access_slot, s.access_claim = ACCESS_GRANTED, slot, claim

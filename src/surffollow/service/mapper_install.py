@@ -15,7 +15,6 @@ from typing import Any
 
 from surffollow.map.kernels.install import install_begin, install_end, install_fault, install_grids, reject
 from surffollow.service import memory as m
-from surffollow.service.inbox import slot_address
 from surffollow.service.mapper_memory import (
     JOB_BEGAN_NS,
     JOB_CLAIM,
@@ -25,6 +24,7 @@ from surffollow.service.mapper_memory import (
     JOB_SLOT,
 )
 from surffollow.service.pose_role import holder_is_gone
+from surffollow.service.slot_inputs import slot_address
 from surffollow.shm import atomics as at
 from surffollow.shm import map_layout as ml
 from surffollow.shm.clock import now_ns
@@ -76,7 +76,7 @@ def _is_early(mem: Any) -> Any:
     i, job = at.load_acquire_i64, mem.job
     if holder_is_gone(mem.ctx, job[JOB_SLOT], job[JOB_CLAIM]):
         return False
-    half = slot_address(mem.ctx[m.INBOX], job[JOB_SLOT]) + SLOT_STREAM + PIECE_BYTES
+    half = slot_address(mem.ctx[m.SLOTS_AT], job[JOB_SLOT]) + SLOT_STREAM + PIECE_BYTES
     return i(half) == 1 and i(half + 8) == job[JOB_COUNTER] and i(half + 16) == job[JOB_CLAIM]
 
 
@@ -125,7 +125,7 @@ def take_piece(mem: Any) -> Any:
     number, slot = job[JOB_PIECE], job[JOB_SLOT]
     if number == 0 or holder_is_gone(ctx, slot, job[JOB_CLAIM]):
         return FAILED
-    half = slot_address(ctx[m.INBOX], slot) + SLOT_STREAM + (number & 1) * PIECE_BYTES
+    half = slot_address(ctx[m.SLOTS_AT], slot) + SLOT_STREAM + (number & 1) * PIECE_BYTES
     if at.load_acquire_i64(half) != number:
         return NOTHING
     for k in range(_PIECE_WORDS):

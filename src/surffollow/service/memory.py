@@ -33,7 +33,7 @@ from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, 
     STATS,
     LOG,
     LOG_CAPACITY,
-    INBOX,  # where the slots are mapped
+    SLOTS_AT,  # where the slots are mapped
     CONVERSIONS,  # the driver's queue
     CONVERSIONS_CAPACITY,
     SAMPLES,  # the map's queue

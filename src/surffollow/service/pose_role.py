@@ -6,7 +6,7 @@ from typing import Any
 
 from surffollow.service import memory as m
 from surffollow.service.change_notes import note_stop
-from surffollow.service.inbox import claim_of, slot_address
+from surffollow.service.slot_inputs import claim_of, slot_address
 from surffollow.service.stop_latch import holder_pid, stop_for
 from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit
@@ -54,5 +54,5 @@ def do_pose_role(mem: Any, slot: Any, code: Any) -> Any:
         return ERR_POSE_HELD, holder_pid(ctx)
     ctx[m.POSE_SLOT], ctx[m.POSE_CLAIM] = slot, claim
     # what was posted before the pose was claimed does not count
-    ctx[m.POSE_SEEN] = at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + SLOT_POSE)
+    ctx[m.POSE_SEEN] = at.load_acquire_i64(slot_address(ctx[m.SLOTS_AT], slot) + SLOT_POSE)
     return OK, 0

@@ -9,7 +9,6 @@ from surffollow.forecast.step import sf_reset
 from surffollow.service import memory as m
 from surffollow.service.answers import ACK_STEP, count, log_params, log_value, publish_params, write_ack
 from surffollow.service.change_notes import note_change, note_old_values
-from surffollow.service.inbox import claim_of, new_request
 from surffollow.service.parameter_bounds import (
     FAR_WORD,
     NEAR_WORD,
@@ -19,7 +18,8 @@ from surffollow.service.parameter_bounds import (
     within_limits,
 )
 from surffollow.service.pose_role import do_pose_role, drop_dead_pose_writer
-from surffollow.service.range_inbox import any_held, do_range_role, drop_dead_range_holders
+from surffollow.service.range_inputs import any_held, do_range_role, drop_dead_range_holders
+from surffollow.service.slot_inputs import claim_of, new_request
 from surffollow.service.stop_latch import apply_stop_word, do_stop, holder_pid, stop_as_asked
 from surffollow.shm import atomics as at
 from surffollow.shm.cycle_log import log_append

@@ -145,7 +145,7 @@ def _make_slots(name: str) -> SlotMemory:
     except OSError as e:
         raise NoSpaceError(
             f"cannot make the memory of {lb.CLIENTS} client slots "
-            f"({board_regions.inbox_bytes()} bytes): {e}; raise the limits of memory, locked memory or open "
+            f"({board_regions.slots_bytes()} bytes): {e}; raise the limits of memory, locked memory or open "
             "files (ulimit -v, -l, -n)"
         ) from None
 

@@ -6,7 +6,7 @@ import contextlib
 import os
 
 from surffollow.shm import sealed
-from surffollow.shm.board_regions import inbox_bytes
+from surffollow.shm.board_regions import slots_bytes
 from surffollow.shm.layout_board import CLIENTS, SLOT_BYTES
 
 
@@ -26,7 +26,7 @@ class SlotMemory:
         self._fds = [-1] * CLIENTS
         self._watches = [-1] * CLIENTS  # of memory that a client was offered
         self.can_punch = False  # whether this kernel lets clients punch holes into their own slots
-        self.address = sealed.reserve_addresses(inbox_bytes())
+        self.address = sealed.reserve_addresses(slots_bytes())
         try:
             for slot in range(CLIENTS):
                 self.renew(slot)
@@ -78,4 +78,4 @@ class SlotMemory:
                 self._drop(slot)
             if (watch := self.take_watch(slot)) >= 0:
                 os.close(watch)
-        sealed.unmap(self.address, inbox_bytes())
+        sealed.unmap(self.address, slots_bytes())

@@ -9,7 +9,7 @@ from surffollow.forecast.step import reset_stop
 from surffollow.forecast.stop import latch_stop
 from surffollow.service import memory as m
 from surffollow.service.change_notes import fill_entry, note_stop, push_entry
-from surffollow.service.inbox import claim_of, slot_address
+from surffollow.service.slot_inputs import claim_of, slot_address
 from surffollow.shm import atomics as at
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.jit import jit
@@ -59,7 +59,7 @@ def stop_for(mem: Any, t_ns: Any, causes: Any) -> None:
 def apply_stop_word(mem: Any, slot: Any, t_ns: Any) -> None:
     """Stop when a client has stored a new stop word: it waits for no answer and for no turn."""
     ctx = mem.ctx
-    word = at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + _STOP_WORD)
+    word = at.load_acquire_i64(slot_address(ctx[m.SLOTS_AT], slot) + _STOP_WORD)
     if word == ctx[m.STOP_SEEN + slot]:
         return
     ctx[m.STOP_SEEN + slot] = word

@@ -1,4 +1,4 @@
-"""Names of the bits in the ticker that layouts of kernels do not declare; bit k is entry k."""
+"""Names of the bits in `MainThreadState` that layouts of kernels do not declare; bit k is entry k."""
 
 GRANT_NAMES = ("fifo", "affinity", "mlockall", "dma_latency")
 SERVICE_FAULT_NAMES = ("DRIVER", "CYCLE_STALLED", "SAMPLES_LOST", "SLOTS", "HOUSEKEEPING")

@@ -14,6 +14,7 @@ from surffollow.shm.layout_board import (
     BoardHeader,
     ClientInfo,
     LogHead,
+    MainThreadState,
     MapStatus,
     PosePost,
     RangeItem,
@@ -22,7 +23,6 @@ from surffollow.shm.layout_board import (
     SlotMessage,
     Stats,
     StreamPiece,
-    Ticker,
 )
 from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
 from surffollow.shm.schema import Schema
@@ -32,7 +32,7 @@ BOARD_PARTS: tuple[tuple[str, type[Schema], int], ...] = (
     ("output", Output, latch_bytes(Output.SIZE)),
     ("acks", Ack, CLIENTS * latch_bytes(Ack.SIZE)),
     ("map_acks", Ack, CLIENTS * latch_bytes(Ack.SIZE)),
-    ("ticker", Ticker, latch_bytes(Ticker.SIZE)),
+    ("ticker", MainThreadState, latch_bytes(MainThreadState.SIZE)),
     ("clients", ClientInfo, CLIENTS * latch_bytes(ClientInfo.SIZE)),
     ("map_status", MapStatus, latch_bytes(MapStatus.SIZE)),
     ("stats", Stats, Stats.SIZE),
@@ -63,7 +63,7 @@ def board_bytes(log_words: int) -> int:
     return page_up(offset + size)
 
 
-def inbox_bytes() -> int:
+def slots_bytes() -> int:
     """All slots as the service maps them, one behind the other [B]."""
     return CLIENTS * SLOT_BYTES
 

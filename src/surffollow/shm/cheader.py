@@ -29,7 +29,7 @@ SCHEMAS: tuple[type[Schema], ...] = (
     Params,
     Output,
     lb.Ack,
-    lb.Ticker,
+    lb.MainThreadState,
     lb.MapStatus,
     lb.Stats,
     lb.AuditEntry,

@@ -6,6 +6,8 @@ to one client through the socket NAME.sock. (The map object NAME.map is in `map_
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from surffollow.shm.layout_follow import CHANNELS
 from surffollow.shm.schema import F64, I64, U32, U64, Nested, Schema, Text
 
@@ -131,8 +133,10 @@ class Ack(Schema):
     claim = I64(doc="of the client it answers")
 
 
-class Ticker(Schema):
+class MainThreadState(Schema):
     """State of the main thread, published at 20 Hz."""
+
+    HASHED_AS: ClassVar = {"": "Ticker"}
 
     t_ns = I64(unit="ns", doc="heartbeat of the main thread")
     pose_slot = I64(doc="slot of the pose writer; -1: none")

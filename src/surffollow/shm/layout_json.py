@@ -222,7 +222,8 @@ def _waits() -> dict[str, int]:
         "connect_again_ns": CONNECT_AGAIN_NS,
         "exchange_ns": cheader.EXCHANGE_NS,
         "slots_full_ns": FULL_NS,
-        "beat_ns": HEARTBEAT_NS,
+        "heartbeat_ns": HEARTBEAT_NS,
+        "beat_ns": HEARTBEAT_NS,  # the name before release 0.1.0
         "claim_again_ns": CLAIM_AGAIN_NS,
         "claim_ns": CLAIM_NS,
         "request_lost_ns": REQUEST_LOST_NS,

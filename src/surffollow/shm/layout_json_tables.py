@@ -55,8 +55,8 @@ def bits() -> dict[str, dict[str, int]]:
         "sf_output.stop_now": stop,
         "sf_params.stop_on": stop,
         "sf_map_header.stop": stop,
-        "sf_ticker.faults": {name: k for k, name in enumerate(SERVICE_FAULT_NAMES)},
-        "sf_ticker.granted": {name: k for k, name in enumerate(GRANT_NAMES)},
+        "sf_main_thread_state.faults": {name: k for k, name in enumerate(SERVICE_FAULT_NAMES)},
+        "sf_main_thread_state.granted": {name: k for k, name in enumerate(GRANT_NAMES)},
     }
 
 

@@ -88,9 +88,9 @@ class Field:
             return f"{self.size}s"
         return f"{self.count}{SCALARS[self.code][0]}"
 
-    def describe(self) -> str:
+    def describe(self, name: str = "") -> str:
         what = self.nested.describe() if self.nested is not None else self.code
-        return f"{self.name}:{what}*{self.count}@{self.offset}[{self.unit}]"
+        return f"{name or self.name}:{what}*{self.count}@{self.offset}[{self.unit}]"
 
 
 def _scalar(code: str) -> Any:
@@ -217,6 +217,8 @@ class Schema:
     SIZE: ClassVar[int] = 0
     ALIGN: ClassVar[int] = 1
     HASH: ClassVar[int] = 0
+    # names in the hash of fields, and of the class (""), that were renamed since: the layout is the same
+    HASHED_AS: ClassVar[dict[str, str]] = {}
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -240,7 +242,8 @@ class Schema:
     @classmethod
     def describe(cls) -> str:
         """The canonical text that the hash is made of: names, types, offsets, units."""
-        return f"{cls.__name__}({cls.SIZE};" + ";".join(f.describe() for f in cls.FIELDS) + ")"
+        fields = ";".join(f.describe(cls.HASHED_AS.get(f.name, "")) for f in cls.FIELDS)
+        return f"{cls.HASHED_AS.get('', cls.__name__)}({cls.SIZE};{fields})"
 
     @classmethod
     def field(cls, name: str) -> Field:

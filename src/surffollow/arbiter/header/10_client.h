@@ -1,8 +1,8 @@
 /* ---- a client of an arbiter ----------------------------------------------------------------- */
 
 /*
- * One attachment; for one thread. Every call of sfa_command, sfa_request, sfa_relinquish and sfa_beat shows
- * that the client lives: call one of them at least every 100 ms (the lease is `lease_ns` of the board).
+ * One attachment; for one thread. Every call of sfa_command, sfa_request, sfa_relinquish and sfa_heartbeat
+ * renews the lease: call one of them at least every 100 ms (the lease is `lease_ns` of the board).
  * `owner` is the server's user; after -EPERM from sfa_attach the one who is not trusted.
  */
 typedef struct sfa_client {
@@ -11,7 +11,7 @@ typedef struct sfa_client {
   size_t board_bytes;
   int sock;
   int64_t slot, number, epoch, head, lease_ns;
-  size_t status_at, desk_at, reply_at, entry_at;
+  size_t status_at, grants_at, reply_at, entry_at;
   int64_t *ours; /* 1; 0 in a forked child, which the kernel gives a zero page: what is held is the parent's */
   int64_t owner;
   char name[48], client[48];
@@ -124,7 +124,7 @@ static inline int sfa_i_map(sfa_client *a, const int fds[2]) {
   (void)syscall(SYS_madvise, memory, SF_CAST(size_t, SF_PAGE), SFA_I_WIPE_ON_FORK); /* Linux 4.14 */
   *a->ours = 1;
   a->status_at = SFA_STATUS_AT;
-  a->desk_at = SFA_DESKS_AT + slot * SFA_DESK_BYTES;
+  a->grants_at = SFA_GRANTS_AT + slot * SFA_GRANTS_BYTES;
   a->reply_at = SFA_REPLIES_AT + slot * SFA_REPLY_BYTES;
   a->entry_at = SFA_CLIENTS_AT + slot * SFA_ENTRY_BYTES;
   a->head = sf_load_relaxed(a->mailbox + offsetof(sfa_mailbox, head));
@@ -265,20 +265,22 @@ static inline int sfa_resource(const sfa_client *a, const char *name) {
   return -EINVAL;
 }
 
-/* Show that this client lives. */
-static inline void sfa_beat(sfa_client *a) {
+/* Renew the lease of this client. */
+static inline void sfa_heartbeat(sfa_client *a) {
   if (*a->ours == 0) return;
-  sf_store_relaxed(a->mailbox + offsetof(sfa_mailbox, beat_ns), sf_now_ns());
+  sf_store_relaxed(a->mailbox + offsetof(sfa_mailbox, heartbeat_ns), sf_now_ns());
 }
+
+#define sfa_beat sfa_heartbeat /* the name before release 0.1.0, for one release */
 
 /* A server looks at the mailbox of a holder once in its period: one that did not for a lease is no more. */
 static inline int sfa_i_is_silent(const sfa_client *a, int64_t now) {
-  return now - sf_load_relaxed(a->board + offsetof(sfa_board_header, beat_ns)) > a->lease_ns;
+  return now - sf_load_relaxed(a->board + offsetof(sfa_board_header, heartbeat_ns)) > a->lease_ns;
 }
 
 static inline int64_t sfa_i_token(const sfa_client *a, int resource) {
   if (resource < 0 || resource >= SFA_RESOURCES || *a->ours == 0) return 0;
-  return sf_load_acquire(a->board + a->desk_at + offsetof(sfa_client_desk, held) + 8 * SF_CAST(size_t, resource));
+  return sf_load_acquire(a->board + a->grants_at + offsetof(sfa_client_grants, held) + 8 * SF_CAST(size_t, resource));
 }
 
 /*
@@ -293,7 +295,7 @@ static inline int64_t sfa_held(const sfa_client *a, int resource) {
 /* Whether the server asks this holder to relinquish (cooperative policy). */
 static inline int sfa_asked(const sfa_client *a, int resource) {
   if (resource < 0 || resource >= SFA_RESOURCES) return 0;
-  return sf_load_acquire(a->board + a->desk_at + offsetof(sfa_client_desk, asked) + 8 * SF_CAST(size_t, resource)) != 0;
+  return sf_load_acquire(a->board + a->grants_at + offsetof(sfa_client_grants, asked) + 8 * SF_CAST(size_t, resource)) != 0;
 }
 
 /* Whether the server ended, or was replaced: then detach and attach again. */
@@ -334,7 +336,7 @@ static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t
   }
   a->head++;
   sf_store_release(a->mailbox + offsetof(sfa_mailbox, head), a->head);
-  sf_store_relaxed(a->mailbox + offsetof(sfa_mailbox, beat_ns), now);
+  sf_store_relaxed(a->mailbox + offsetof(sfa_mailbox, heartbeat_ns), now);
   return 0;
 }
 
@@ -373,8 +375,8 @@ static inline int sfa_i_tell(sfa_client *a, int64_t what) {
 
 /* The same, and wait for the answer to it. */
 static inline int sfa_i_ask(sfa_client *a, int64_t what, int64_t deadline, sfa_reply *reply) {
-  const unsigned char *bell_word = a->board + a->desk_at + offsetof(sfa_client_desk, bell);
-  int64_t bell = sf_load_acquire(bell_word), seq;
+  const unsigned char *doorbell = a->board + a->grants_at + offsetof(sfa_client_grants, doorbell);
+  int64_t rung = sf_load_acquire(doorbell), seq;
   const int err = sfa_i_tell(a, what);
   if (err != 0) return err;
   seq = a->head;
@@ -385,9 +387,9 @@ static inline int sfa_i_ask(sfa_client *a, int64_t what, int64_t deadline, sfa_r
     left = deadline - sf_now_ns();
     if (left <= 0) return sfa_ended(a) ? -ENOENT : -ETIMEDOUT;
     if (left > 50000000) left = 50000000;
-    sfa_i_futex(bell_word, 0, bell, left);
-    bell = sf_load_acquire(bell_word);
-    sfa_beat(a);
+    sfa_i_futex(doorbell, 0, rung, left);
+    rung = sf_load_acquire(doorbell);
+    sfa_heartbeat(a);
   }
 }
 
@@ -405,7 +407,7 @@ static inline int sfa_relinquish(sfa_client *a, int resource) {
  */
 static inline int sfa_request(sfa_client *a, int resource, int wait, int timeout_ms, sfa_reply *reply) {
   const int64_t deadline = sf_now_ns() + SF_CAST(int64_t, timeout_ms) * 1000000;
-  const unsigned char *bell_word = a->board + a->desk_at + offsetof(sfa_client_desk, bell);
+  const unsigned char *doorbell = a->board + a->grants_at + offsetof(sfa_client_grants, doorbell);
   const int64_t before = sfa_i_token(a, resource);
   sfa_reply own;
   int err;
@@ -417,13 +419,13 @@ static inline int sfa_request(sfa_client *a, int resource, int wait, int timeout
   if (reply->result == SFA_GRANT || reply->result == SFA_KEEP) return 1;
   if (reply->result != SFA_ENQUEUE) return 0;
   for (;;) {
-    const int64_t bell = sf_load_acquire(bell_word);
+    const int64_t rung = sf_load_acquire(doorbell);
     int64_t left;
     if (sfa_held(a, resource) != 0) return 1;
     left = deadline - sf_now_ns();
     if (left <= 0 || sfa_ended(a)) break;
-    sfa_i_futex(bell_word, 0, bell, left < 50000000 ? left : 50000000);
-    sfa_beat(a);
+    sfa_i_futex(doorbell, 0, rung, left < 50000000 ? left : 50000000);
+    sfa_heartbeat(a);
   }
   err = sfa_relinquish(a, resource); /* leave the queue; a grant on the last moment is given back */
   return err;

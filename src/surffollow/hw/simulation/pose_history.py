@@ -8,7 +8,7 @@ from typing import Any
 from surffollow.shm.jit import jit
 from surffollow.shm.schema import F64, I64, Schema
 
-POSES = 1024  # at the pump's 2 kHz: 0.5 s, more than the largest latency
+POSES = 1024  # at the driver thread's 2 kHz: 0.5 s, more than the largest latency
 EXTRAPOLATE_NS = 20_000_000
 REPORT_GAPS = 1.5  # how long a report is carried on by its velocity, as a multiple of the last two's distance
 STALE_NS = 100_000_000

@@ -2,7 +2,7 @@
 
 Its sensors ride on the true pose, which a simulator of a robot publishes in the block NAME.world, or, where
 it has no writer, on the poses that are reported to the service. A watcher thread keeps the block mapped and
-chooses; the pump, a nogil kernel, learns of another mapping through a control word and says which one it
+chooses; the thread, a nogil kernel, learns of another mapping through a control word and says which one it
 uses, so that no page is given up under it.
 """
 
@@ -16,19 +16,19 @@ import numpy as np
 
 from surffollow.errors import BlockError, NotRunningError
 from surffollow.hw.driver import ConversionQueue, DriverInfo, Eight, PoseQueue, mounts_of
-from surffollow.hw.driver_thread import CONTROL_WORDS, STOP, Pump
+from surffollow.hw.driver_thread import CONTROL_WORDS, STOP, DriverThread
 from surffollow.hw.simulation import adc
 from surffollow.hw.simulation.led_config import physics
 from surffollow.hw.simulation.pose_history import PoseHistory
-from surffollow.hw.simulation.ride import (
+from surffollow.hw.simulation.pose_source import (
+    FROM_REPORTS,
+    FROM_WORLD,
     IN_USE,
-    ON_REPORTS,
-    ON_WORLD,
     POSE_T,
     REQUESTED,
     SOURCE,
     STALE_WORLD_NS,
-    make_ride,
+    make_pose_source,
     run_rig,
 )
 from surffollow.hw.simulation.sensor_rig import SimulatedConfig, make_rig, produce
@@ -42,7 +42,7 @@ NOTHING_REPORTED = (
     "no pose is reported, so the simulated sensor sees nothing; send poses (client.ee_pos), publish the "
     "true one (client.sim_pose) or start a simulated robot (surffollow simulate)"
 )
-ON_REPORTS_NOTE = (
+REPORTED_POSES_NOTE = (
     "the simulated sensor rides on the reported poses, so errors of the reports cancel; publish the true "
     "pose (client.sim_pose) to have them count"
 )
@@ -57,7 +57,7 @@ def warm_up() -> None:
     rig = make_rig(config, ConversionQueue(2), 0)
     history, frame, world = zeros(PoseHistory), np.zeros(3), zeros(WorldPose)
     produce(rig, led, history, heights_m, frame, 0)
-    run_rig(control.ctypes.data, rig, led, history, heights_m, frame, world, make_ride(PoseQueue(2)))
+    run_rig(control.ctypes.data, rig, led, history, heights_m, frame, world, make_pose_source(PoseQueue(2)))
 
 
 class SimulatedDriver:
@@ -80,7 +80,7 @@ class SimulatedDriver:
         self._name = name
         self._config = config if config is not None else SimulatedConfig()
         self._field = field if field is not None else self._config.world.make()
-        self._pump = Pump(f"{name}-sensors")
+        self._thread = DriverThread(f"{name}-sensors")
         self._led = physics(self._config.led, self._config.seed)
         self._reader: WorldReader | None = None
         self._retired: WorldReader | None = None
@@ -114,15 +114,15 @@ class SimulatedDriver:
         field = self._field
         frame = np.array([field.x0_m, field.y0_m, field.grid_m])
         history, world = zeros(PoseHistory), zeros(WorldPose)
-        rig, ride = make_rig(self._config, queue, time.monotonic_ns()), make_ride(self.reports)
+        rig, poses = make_rig(self._config, queue, time.monotonic_ns()), make_pose_source(self.reports)
         produce(rig, self._led, history, field.heights_m, frame, 0)
 
         def kernel(control: int) -> None:
             rig["next_number"] = adc.first_number_from(time.monotonic_ns())  # compiling took its time
-            run_rig(control, rig, self._led, history, field.heights_m, frame, world, ride)
+            run_rig(control, rig, self._led, history, field.heights_m, frame, world, poses)
 
-        self._pump.control[POSE_T] = 0
-        self._pump.start(kernel, keep=queue)
+        self._thread.control[POSE_T] = 0
+        self._thread.start(kernel, keep=queue)
         self._end.clear()
         self._watcher = threading.Thread(target=self._watch, name=f"{self._name}-world", daemon=True)
         self._watcher.start()
@@ -133,8 +133,8 @@ class SimulatedDriver:
         if self._watcher is not None:
             self._watcher.join()
             self._watcher = None
-        self._pump.stop()
-        self._pump.control[REQUESTED] = self._pump.control[IN_USE] = self._pump.control[SOURCE] = 0
+        self._thread.stop()
+        self._thread.control[REQUESTED] = self._thread.control[IN_USE] = self._thread.control[SOURCE] = 0
         for reader in (self._reader, self._retired):
             if reader is not None:
                 reader.close()
@@ -142,12 +142,12 @@ class SimulatedDriver:
 
     def faults(self) -> list[str]:
         """Present faults."""
-        if not self._pump.running:
+        if not self._thread.running:
             return ["the simulated sensors are not started"]
         if self._trouble:
             return [self._trouble]
-        on_reports = int(self._pump.control[SOURCE]) == ON_REPORTS
-        pose_t_ns = int(self._pump.control[POSE_T])
+        on_reports = int(self._thread.control[SOURCE]) == FROM_REPORTS
+        pose_t_ns = int(self._thread.control[POSE_T])
         if on_reports and pose_t_ns == 0:
             return [NOTHING_REPORTED]
         age_ns = time.monotonic_ns() - pose_t_ns
@@ -158,7 +158,7 @@ class SimulatedDriver:
 
     def notes(self) -> list[str]:
         """Source of the sensors' pose, when that is not the true one."""
-        return [ON_REPORTS_NOTE] if int(self._pump.control[SOURCE]) == ON_REPORTS else []
+        return [REPORTED_POSES_NOTE] if int(self._thread.control[SOURCE]) == FROM_REPORTS else []
 
     def _watch(self) -> None:
         while True:
@@ -171,10 +171,10 @@ class SimulatedDriver:
         expected = self._config.pose
         if expected != "reported":
             self._attach()
-        trouble, source = self._trouble, ON_WORLD
+        trouble, source = self._trouble, FROM_WORLD
         if expected == "reported" or (expected == "auto" and not self._world_is_written()):
-            trouble, source = "", ON_REPORTS
-        self._pump.control[SOURCE] = source
+            trouble, source = "", FROM_REPORTS
+        self._thread.control[SOURCE] = source
         self._trouble = trouble
 
     def _world_is_written(self) -> bool:
@@ -192,13 +192,13 @@ class SimulatedDriver:
             return
         self._trouble = ""
         old, self._reader = self._reader, fresh
-        self._pump.control[REQUESTED] = fresh.latch
+        self._thread.control[REQUESTED] = fresh.latch
         self._retired = old
         if old is None:
             return
-        while int(self._pump.control[IN_USE]) != fresh.latch:
+        while int(self._thread.control[IN_USE]) != fresh.latch:
             if self._end.wait(0.002):
-                return  # `stop` closes it, after the pump
+                return  # `stop` closes it, after the thread
         old.close()
         self._retired = None
 

@@ -274,7 +274,7 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
   const unsigned char *params = sf_i_part(&board, "params", sf_i_latch_bytes(sizeof(sf_params)));
   const unsigned char *acks = sf_i_part(&board, "acks", SF_CLIENTS * sf_i_latch_bytes(sizeof(sf_ack)));
   const unsigned char *map_acks = sf_i_part(&board, "map_acks", SF_CLIENTS * sf_i_latch_bytes(sizeof(sf_ack)));
-  const unsigned char *ticker = sf_i_part(&board, "ticker", sf_i_latch_bytes(sizeof(sf_ticker)));
+  const unsigned char *ticker = sf_i_part(&board, "ticker", sf_i_latch_bytes(sizeof(sf_main_thread_state)));
   const unsigned char *map_status = sf_i_part(&board, "map_status", sf_i_latch_bytes(sizeof(sf_map_status)));
   const unsigned char *stats = sf_i_part(&board, "stats", sizeof(sf_stats));
   if (!output || !params || !acks || !map_acks || !ticker || !map_status || !stats || h->period_ns <= 0) {

@@ -202,7 +202,7 @@ static inline int sf_i_check_pose(const double pose[7], double out[7]) {
 
 /* Ten times a second: whether the slot and the pose are ours still. */
 static inline void sf_i_look_at_slot(sf_client *c, int64_t now_ns) {
-  sf_ticker t;
+  sf_main_thread_state t;
   c->next_life_ns = now_ns + SF_LOOK_EVERY_NS;
   sf_i_read_pose_timeout(c);
   if (c->slot_memory == NULL) return;
@@ -210,7 +210,7 @@ static inline void sf_i_look_at_slot(sf_client *c, int64_t now_ns) {
     sf_i_release_slot(c);
     return;
   }
-  const size_t words = offsetof(sf_ticker, pose_pid) / 8;
+  const size_t words = offsetof(sf_main_thread_state, pose_pid) / 8;
   if (!c->pose_held || sf_latch_read_part(c->ticker, sizeof t, 0, words, &t) <= 0) return;
   if (t.pose_slot != c->slot && t.t_ns > c->pose_held_ns + SF_LOOK_EVERY_NS) c->pose_held = 0; /* ask again */
 }

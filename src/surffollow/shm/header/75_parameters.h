@@ -63,6 +63,8 @@ static inline int sf_set_param(sf_client *c, const char *name, double value) {
 
 /* ---- status --------------------------------------------------------------------------------- */
 
+typedef sf_main_thread_state sf_ticker; /* the name before release 0.1.0, for one release */
+
 /* How a service is doing. */
 typedef struct sf_status_info {
   int alive;                  /* it publishes now */
@@ -72,7 +74,7 @@ typedef struct sf_status_info {
   int64_t demand_status;      /* SF_VALID, ... */
   int64_t cycles, overruns, skipped, poses, poses_refused, requests, requests_refused, torn;
   int64_t lateness_max_ns, execution_max_ns;
-  sf_ticker ticker;           /* state of the main thread: clients, pose holder, grants, faults, text */
+  sf_main_thread_state ticker; /* of the main thread: clients, pose holder, grants, faults, text */
   sf_map_status map;          /* state of the map thread */
 } sf_status_info;
 

@@ -1,4 +1,4 @@
-"""A running arbiter, clients in forked children that can be killed, and waiting for conditions."""
+"""An arbiter as a process, clients in forked children that can be killed, and waiting for conditions."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ equal = "newcomer"
 """
 
 
-class Running(Startable):
+class ArbiterProcess(Startable):
     """A server process of a test's own."""
 
     program = ("-m", "surffollow")

@@ -7,7 +7,7 @@ from typing import Any
 from surffollow.config.limits import ANY_USER
 from surffollow.hw.pushed_ranges import PushedRanges, take_pushed
 from surffollow.service import memory as m
-from surffollow.service.inbox import claim_of, slot_address
+from surffollow.service.slot_inputs import claim_of, slot_address
 from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit, jit_pasted
 from surffollow.shm.layout_board import (
@@ -88,7 +88,7 @@ def do_range_role(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
         holder = ctx[m.RANGE_SLOT + channel]
         return ERR_RANGE_HELD, at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.PID + holder))
     if channels_of(ctx, slot) == 0:  # what was pushed before does not count
-        ctx[m.RANGE_SEEN + slot] = at.load_acquire_i64(slot_address(ctx[m.INBOX], slot) + SLOT_RANGES)
+        ctx[m.RANGE_SEEN + slot] = at.load_acquire_i64(slot_address(ctx[m.SLOTS_AT], slot) + SLOT_RANGES)
     _hold(mem, channel, slot, t_ns)
     return OK, 0
 
@@ -124,7 +124,7 @@ def drain_ranges(mem: Any, t_ns: Any) -> None:
     for slot in range(CLIENTS):
         if (slots >> slot) & 1 == 0 or claim_of(ctx, slot) == 0:
             continue
-        ring = slot_address(ctx[m.INBOX], slot) + SLOT_RANGES
+        ring = slot_address(ctx[m.SLOTS_AT], slot) + SLOT_RANGES
         head, taken, refused, skipped = take_pushed(
             mem.pushed,
             ring,

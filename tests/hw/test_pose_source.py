@@ -1,4 +1,4 @@
-"""What the simulated sensor rides on: the world block while it is written, else the reported poses."""
+"""Source of the simulated sensor's poses: the world block while it is written, else the reported poses."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CLEAN = LedConfig(noise_m=0.0, nonlinearity_m=0.0)
 
 @pytest.fixture
 def name() -> str:
-    return unique_name("ride")
+    return unique_name("poses")
 
 
 def pose(height_m: float) -> list[float]:
@@ -44,7 +44,7 @@ def stand(writer: WorldWriter, height_m: float) -> None:
     writer.write(record)
 
 
-class Running:
+class RunningDriver:
     """A simulated driver whose queue is looked at."""
 
     def __init__(self, name: str, source: str) -> None:
@@ -64,11 +64,11 @@ class Running:
 
 
 @pytest.fixture
-def running(name: str) -> Iterator[Callable[[str], Running]]:
-    made: list[Running] = []
+def start_driver(name: str) -> Iterator[Callable[[str], RunningDriver]]:
+    made: list[RunningDriver] = []
 
-    def make(source: str) -> Running:
-        made.append(Running(name, source))
+    def make(source: str) -> RunningDriver:
+        made.append(RunningDriver(name, source))
         return made[-1]
 
     yield make
@@ -77,9 +77,9 @@ def running(name: str) -> Iterator[Callable[[str], Running]]:
 
 
 def test_without_a_world_block_the_sensor_rides_on_reports_and_says_so(
-    running: Callable[[str], Running],
+    start_driver: Callable[[str], RunningDriver],
 ) -> None:
-    r = running("auto")
+    r = start_driver("auto")
     until(lambda: any("no pose is reported" in f for f in r.driver.faults()), "the fault")
 
     def seen() -> bool:
@@ -92,9 +92,9 @@ def test_without_a_world_block_the_sensor_rides_on_reports_and_says_so(
 
 
 def test_a_world_block_comes_before_reports_and_reports_come_back_when_its_writer_ends(
-    running: Callable[[str], Running], name: str
+    start_driver: Callable[[str], RunningDriver], name: str
 ) -> None:
-    r = running("auto")
+    r = start_driver("auto")
     writer = WorldWriter(name)
 
     def both(desired_m: float) -> bool:
@@ -117,9 +117,9 @@ def test_a_world_block_comes_before_reports_and_reports_come_back_when_its_write
 
 
 def test_a_silent_writer_keeps_the_block_for_a_stopped_robot_is_no_reason_to_use_reports(
-    running: Callable[[str], Running], name: str
+    start_driver: Callable[[str], RunningDriver], name: str
 ) -> None:
-    r = running("auto")
+    r = start_driver("auto")
     writer = WorldWriter(name)
     until(lambda: stand(writer, 0.08) or r.sees(0.08), "the world's range")
     until(lambda: any("has not moved" in f for f in r.driver.faults()), "the fault")
@@ -130,9 +130,9 @@ def test_a_silent_writer_keeps_the_block_for_a_stopped_robot_is_no_reason_to_use
 
 @pytest.mark.parametrize(("source", "seen_m"), [("reported", 0.12), ("world", 0.08)])
 def test_the_setting_chooses_whatever_else_there_is(
-    source: str, seen_m: float, running: Callable[[str], Running], name: str
+    source: str, seen_m: float, start_driver: Callable[[str], RunningDriver], name: str
 ) -> None:
-    r = running(source)
+    r = start_driver(source)
     writer = WorldWriter(name)
 
     def both() -> bool:

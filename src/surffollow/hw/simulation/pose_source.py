@@ -21,16 +21,16 @@ from surffollow.shm.schema import F64, I64, Schema
 from surffollow.shm.world_block import WorldPose
 
 REQUESTED, IN_USE, POSE_T, SOURCE = USER, USER + 1, USER + 2, USER + 3  # control words
-ON_NOTHING, ON_WORLD, ON_REPORTS = 0, 1, 2  # SOURCE: what the sensors ride on
+FROM_NOTHING, FROM_WORLD, FROM_REPORTS = 0, 1, 2  # SOURCE: origin of the poses
 
 WORLD_BYTES = WorldPose.SIZE
 STALE_WORLD_NS = 100_000_000
 
 
-class Ride(Schema):
+class PoseSource(Schema):
     """State for taking poses from one source or the other."""
 
-    source = I64(doc="ON_…, of the history")
+    source = I64(doc="FROM_…, of the history")
     reports = I64(doc="address of the queue of reported poses")
     capacity = I64()
     item = I64(REPORT_WORDS, doc="scratch")
@@ -39,28 +39,28 @@ class Ride(Schema):
     velocity = F64(6, unit="m/s, rad/s", doc="scratch")
 
 
-def make_ride(reports: PoseQueue) -> np.ndarray[Any, Any]:
-    """`Ride` record, shape (1,), over a queue of reported poses."""
-    ride = zeros(Ride)
-    ride["reports"], ride["capacity"] = reports.address, reports.capacity
-    ride["item_address"] = ride.ctypes.data + Ride.offset("item")
-    return ride
+def make_pose_source(reports: PoseQueue) -> np.ndarray[Any, Any]:
+    """`PoseSource` record, shape (1,), over a queue of reported poses."""
+    poses = zeros(PoseSource)
+    poses["reports"], poses["capacity"] = reports.address, reports.capacity
+    poses["item_address"] = poses.ctypes.data + PoseSource.offset("item")
+    return poses
 
 
 @jit
-def take_reports(control: Any, ride: Any, history: Any) -> None:
-    """Empty the queue of reported poses; they enter the history when the sensors ride on them.
+def read_reports(control: Any, poses: Any, history: Any) -> None:
+    """Empty the queue of reported poses; they enter the history when they are the source of the poses.
 
     Parameters
     ----------
-    control : int64, address of the pump's control words
-    ride : (1,) `Ride`
+    control : int64, address of the thread's control words
+    poses : (1,) `PoseSource`
     history : (1,) `PoseHistory`
     """
-    r = ride[0]
+    r = poses[0]
     while ring_peek(r.reports, r.capacity, REPORT_WORDS, r.item_address) == 1:
         ring_drop(r.reports, 1)
-        if r.source != ON_REPORTS:
+        if r.source != FROM_REPORTS:
             continue
         for k in range(7):
             r.pose[k] = at.load_relaxed_f64(r.item_address + 8 * (1 + k))
@@ -71,16 +71,16 @@ def take_reports(control: Any, ride: Any, history: Any) -> None:
 
 @jit
 def run_rig(
-    control: Any, rig: Any, led: Any, history: Any, z: Any, frame: Any, world: Any, ride: Any
+    control: Any, rig: Any, led: Any, history: Any, z: Any, frame: Any, world: Any, poses: Any
 ) -> None:
     """Follow a source of poses and the clock until `STOP`.
 
     Parameters
     ----------
-    control : int64, address of the pump's control words
+    control : int64, address of the thread's control words
     rig, led, history, z, frame : see `produce`
     world : (1,) `WorldPose`, scratch
-    ride : (1,) `Ride`
+    poses : (1,) `PoseSource`
     """
     generation = 0
     wake = now_ns()
@@ -90,14 +90,14 @@ def run_rig(
             at.store_release_i64(control + 8 * IN_USE, latch)
             generation = 0
         source = at.load_acquire_i64(control + 8 * SOURCE)
-        if source != ride[0].source:
-            ride[0].source = source
+        if source != poses[0].source:
+            poses[0].source = source
             at.store_relaxed_i64(control + 8 * POSE_T, 0)
             history[0].count = 0  # two sources are never interpolated across
             generation = 0
-        take_reports(control, ride, history)
+        read_reports(control, poses, history)
         now = now_ns()
-        if source == ON_WORLD and latch != 0 and at.load_acquire_i64(latch) != generation:
+        if source == FROM_WORLD and latch != 0 and at.load_acquire_i64(latch) != generation:
             found = latch_read(latch, np.int64(world.ctypes.data), WORLD_BYTES)
             t_ns = world[0].t_ns
             if found > 0 and t_ns <= now + STALE_WORLD_NS:

@@ -18,9 +18,9 @@ _POST_BYTES, _REQUEST_BYTES = PosePost.SIZE, RequestPost.SIZE
 
 
 @jit_pasted
-def slot_address(inbox: Any, slot: Any) -> Any:
+def slot_address(slots: Any, slot: Any) -> Any:
     """Address of a slot."""
-    return inbox + slot * SLOT_BYTES
+    return slots + slot * SLOT_BYTES
 
 
 @jit_pasted
@@ -70,7 +70,7 @@ def read_pose(mem: Any, now_ns: Any) -> Any:
     slot = ctx[m.POSE_SLOT]
     if slot < 0:
         return POSE_NONE
-    latch = slot_address(ctx[m.INBOX], slot) + SLOT_POSE
+    latch = slot_address(ctx[m.SLOTS_AT], slot) + SLOT_POSE
     generation = at.load_acquire_i64(latch)
     if generation == ctx[m.POSE_SEEN]:
         return POSE_NONE
@@ -97,7 +97,7 @@ def read_pose(mem: Any, now_ns: Any) -> Any:
 def new_request(mem: Any, slot: Any) -> Any:
     """Copy a slot's request when it changed; 1: `mem.request` holds a new one, 0: nothing, -1: torn."""
     ctx = mem.ctx
-    latch = slot_address(ctx[m.INBOX], slot) + SLOT_REQUEST
+    latch = slot_address(ctx[m.SLOTS_AT], slot) + SLOT_REQUEST
     generation = at.load_acquire_i64(latch)
     seen = ctx.ctypes.data + 8 * (m.SEEN + slot)
     if generation == at.load_relaxed_i64(seen):
