@@ -2,8 +2,8 @@
 
 `surffollow start` costs 1.3 s of processor time, nearly all of it imports and the loading of kernels, and the
 tests start some hundreds. `fork_start` runs the same command line, with the same standard files, environment
-and folder, in a child of one template process for each test process. What tests say of a start from nothing
-(modules loaded, signals before READY, refused starts) uses `Service.launch`, which executes the interpreter.
+and folder, in a child of one template process for each test process. Tests of a start from nothing
+(modules loaded, signals before READY, refused starts) use `Service.launch`, which executes the interpreter.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Template:
 
 
 def _own_environment() -> dict[str, str]:
-    """What a process may have read while it was imported, without what pytest and rasterio add meanwhile."""
+    """Environment variables that an import may read, without those that pytest and rasterio add."""
     return {name: value for name, value in os.environ.items() if not name.startswith(ADDED)}
 
 
@@ -187,7 +187,7 @@ def _report(ends: dict[int, int]) -> None:
 
 
 def become(asked: dict[str, Any]) -> None:
-    """What `python -m surffollow WORDS` does, in a fresh child."""
+    """Run `python -m surffollow WORDS` in a fresh child."""
     for number, action in (
         (signal.SIGINT, signal.default_int_handler),
         *((n, signal.SIG_DFL) for n in (signal.SIGTERM, signal.SIGCHLD, signal.SIGIO)),

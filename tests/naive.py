@@ -146,7 +146,7 @@ class NaiveFollower:
         self.forget()
 
     def forget(self):
-        """What SFReset clears."""
+        """Clear the state that SFReset clears."""
         self.points = [[] for _ in range(8)]  # per channel (stamp of the pose used, point)
         self.intervals = NaiveIntervals()
         self.slope, self.speed, self.heading = 0.0, 0.0, (0.0, 0.0)

@@ -12,7 +12,7 @@ RUN, HOLD, LIFT, NONE = "run", "hold", "lift", "none"
 
 @dataclass
 class NaiveResponse:
-    """What is known of one sensor; lengths in metres, times in seconds."""
+    """State of one sensor; lengths in metres, times in seconds."""
 
     tau_s: float
     interval_s: float

@@ -67,7 +67,7 @@ class OtherUser:
 
 
 def as_other_user(work: Callable[[OtherUser], Any], uid: int = NOBODY) -> Any:
-    """What `work` gives when another user does it."""
+    """Result of `work`, run as another user."""
     with OtherUser(work, uid) as child:
         return child.receive()
 

@@ -81,7 +81,7 @@ class ShellLoop:
         self.controller.connect(0.0)
 
     def claim_pose(self) -> None:
-        """Nobody else sends one."""
+        """No other client sends one."""
 
     def sf_reset(self, offset_m: float) -> None:
         sf_reset(self.params, self.state, offset_m)
@@ -117,7 +117,7 @@ class ShellLoop:
         self.curves.append(float(self.state["adaptive"]["plane"]["curvature"][0]))
 
     def _sense(self, t_ns: int) -> None:
-        """What the sensors deliver in this cycle."""
+        """Conversions of the sensors in this cycle."""
         world = self.core.world[0]
         add_pose(self.history, int(world["t_ns"]), world["pose"], world["velocity"])
         produce(self.rig, self.led, self.history, self.heights, self.frame, t_ns)

@@ -1,4 +1,4 @@
-"""What other programs import stays light: no numba, no NumPy, a fraction of a second."""
+"""Imports of other programs stay light: no numba, no NumPy, a fraction of a second."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `make test` gives to each of its workers: modules whole, the long ones first.
+"""Scheduler of `make test`: each worker gets whole modules, the long ones first.
 
 Tests of real processes mostly wait, those that compute do not: four workers fill two processors.
 """
@@ -9,7 +9,7 @@ from typing import Any
 
 # a folder whose programs and service are shared by all of its modules
 WHOLE = ("tests/cabi",)
-# what lasts longest begins first, as measured one module after the other beside other work
+# the longest module starts first; durations measured one module after the other beside other work
 LONG = (
     "tests/cabi",
     "tests/docs/test_tutorials.py",

@@ -54,7 +54,7 @@ class Entry(NamedTuple):
 
 
 class Book:
-    """What must be so, by the records read so far."""
+    """State that follows from the records read so far."""
 
     def __init__(self) -> None:
         self.violations: list[str] = []

@@ -25,7 +25,7 @@ TOOLS = Path(__file__).resolve().parent
 
 
 def bench_names() -> list[str]:
-    """What there is to run: NAME of every tools/bench_NAME.py."""
+    """Benches: NAME of every tools/bench_NAME.py."""
     return sorted(p.stem.removeprefix("bench_") for p in TOOLS.glob("bench_*.py"))
 
 

@@ -65,7 +65,7 @@ def placed(server: int, cpu: int) -> Iterator[None]:
 
 
 def c_times(name: str, rounds: int, cpu: int) -> dict[str, float]:
-    """What tools/arbiter_timing.c prints."""
+    """Output of tools/arbiter_timing.c."""
     with tempfile.TemporaryDirectory() as folder:
         program = Path(folder) / "timing"
         source = ROOT / "tools/arbiter_timing.c"

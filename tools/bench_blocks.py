@@ -8,7 +8,7 @@ overlap   two readers whose reads overlap without a gap: the writer writes ten t
 half-way  a writer is killed at a random moment of its writes; its successor goes on from what was published
 
 The writer's process asks for SCHED_FIFO, as a controller would, and so do the readers that are killed or
-stopped: on a busy machine the time to be scheduled would be measured instead. What was granted is noted.
+stopped: on a busy machine the time to be scheduled would be measured instead. The granted policy is noted.
 Every publication is 2 KiB of one number, its generation: a mixture or a loss shows. Then the times of
 uncontended calls, measured call by call with perf_counter_ns around them (which costs some 50 ns of each).
 

@@ -1,6 +1,6 @@
 """Time the kernels of one cycle beside plain C in the same run: 8 channels, 8 map updates, paper mode.
 
-What is timed: a batch of cycles, each `follow_step` with 25 conversions over 8 channels and a new pose
+Timed: a batch of cycles, each `follow_step` with 25 conversions over 8 channels and a new pose
 every tenth cycle, then `update_map` for each fresh target point. Batches of both alternate; the time of a
 cycle is a batch's time over its cycles, p50/p99/max are over batches. Results (outputs, state, map) are
 compared bit for bit after the run.
@@ -152,7 +152,7 @@ class Side:
         return self.params, self.state, inputs, self.output, self.scratch, self.header, self.pairs
 
     def differences(self, other: Side) -> list[str]:
-        """What is not the same, bit for bit."""
+        """Parts that differ in a bit."""
         names = ("params", "state", "output", "header", "pairs")
         return [n for n in names if getattr(self, n).tobytes() != getattr(other, n).tobytes()]
 
@@ -193,7 +193,7 @@ def measure(batches: int = BATCHES, cycles: int = CYCLES) -> dict[str, Any]:
 
 @njit(nogil=True)
 def look_for_ranges(mem: Any, cycles: Any) -> Any:
-    """What every service's cycle does about pushed ranges; the sum keeps it from being left out."""
+    """Work of every service's cycle for pushed ranges; the sum keeps the compiler from removing it."""
     for k in range(cycles):
         if any_held(mem.ctx):
             drop_dead_range_holders(mem, k)

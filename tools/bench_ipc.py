@@ -1,4 +1,4 @@
-"""What talking to the service costs, in C and Python, beside other ways between two processes.
+"""Cost of calls to the service, in C and Python, beside other ways between two processes.
 
     python tools/bench_ipc.py [--rounds 3000] [--json]
 
@@ -121,7 +121,7 @@ def c_figures(name: str, folder: Path, rounds: int) -> dict[str, float]:
 
 
 def c_modes(name: str, folder: Path, modes: tuple[tuple[str, int], ...]) -> dict[str, float]:
-    """What ipc_timing.c says in some of its modes; empty without a compiler."""
+    """Figures of ipc_timing.c in some of its modes; empty without a compiler."""
     if shutil.which("gcc") is None:
         return {}
     program = str(folder / "ipc_timing")

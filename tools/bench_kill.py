@@ -230,7 +230,7 @@ class Trial:
             self.wait(self.healthy)
 
     def compare(self) -> None:
-        """Nobody writes the map now: is all still there that was known when the service died last?"""
+        """Compare the map, which has no writer now, with the one at the service's last death."""
         now = map_of(self.name)
         self.lost += lost_grids(self.reference, now)
         self.reference = now

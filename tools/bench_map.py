@@ -1,6 +1,6 @@
 """Measure the map's criteria that need no daemon: bias, speed, MapRefocus, accuracy; exit 1: one is missed.
 
-What is timed: wall time on one thread, the best of many short repetitions (adding: until both criteria are
+Timed: wall time on one thread, the best of many short repetitions (adding: until both criteria are
 met, at most 20 s), rivals alternating with us in the same run. A busy machine makes all of them slower,
 so the load is printed. `--json` prints one object.
 """

@@ -1,4 +1,4 @@
-"""What map operations do to a running service at 1 kHz: overruns and lost target points.
+"""Effect of map operations on a running service at 1 kHz: overruns and lost target points.
 
 For every operation a window of idle following and a window of the operation, over and over, alternate;
 target points flow all the time (simulated sensor over flat ground). An operation's overruns may not

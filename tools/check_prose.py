@@ -7,10 +7,13 @@
 - A table cell has at most 25 words.
 - No sentence has "what" or "who" for its subject, and the words of the list below are not used.
   Decisions record history and are exempt from this rule. So are parts that other tools generate.
+- No heading of a page and no docstring of a module, class or function begins with "what", "who" or "nobody".
+  `src/surffollow/forecast` and `tests/forecast` are not checked yet.
 """
 
 from __future__ import annotations
 
+import ast
 import re
 import sys
 from collections.abc import Iterator
@@ -57,6 +60,8 @@ WORDS = {re.compile(rf"\b(?:{pattern})\b", re.IGNORECASE): better for pattern, b
 SUBJECT = re.compile(r"\W*(?:What|Who|Whoever|Whatever|Whose)\b")
 GENERATED = re.compile(r"<!-- ([\w ]+): written by .*? -->.*?<!-- end of \1 -->", re.DOTALL)
 WHOLE = ("docs/reference/cli.md", "docs/reference/c-api.md")
+OPENING = re.compile(r"\W*(?:What|Who|Whoever|Whatever|Whose|Nobody|Somebody|Anybody|Everybody)\b")
+UNCHECKED = ("src/surffollow/forecast/", "tests/forecast/")
 END = re.compile(r"(?<=[.!?])[\"')*_]*\s+(?=[\"'(*_]*[A-ZΑ-ΩŠ0-9`\d])")
 
 
@@ -116,7 +121,7 @@ def sentences(text: str) -> list[str]:
 
 
 def faults(path: Path, show: bool) -> Iterator[str]:
-    """What is wrong with a page."""
+    """Findings of a page."""
     name = path.relative_to(ROOT).as_posix()
     text = path.read_text(encoding="utf-8")
     own = "" if name in WHOLE else GENERATED.sub("", text)
@@ -131,6 +136,9 @@ def faults(path: Path, show: bool) -> Iterator[str]:
         if show:
             for s in sorted(spoken, key=count, reverse=True)[:8]:
                 yield f"    {count(s)}: {s}"
+    for title in re.findall(r"^#+ (.*)", text, re.MULTILINE):
+        if OPENING.match(title) and not title.endswith("?"):
+            yield f"{name}: the heading is a question: {title}"
     for kind, block in blocks(text):
         if kind == "cell" and count(plain(block)) > CELL_WORDS:
             yield f"{name}: a cell of {count(plain(block))} words: {plain(block)[:70]}…"
@@ -146,9 +154,25 @@ def faults(path: Path, show: bool) -> Iterator[str]:
                 yield f"{name}: “{found[0]}” (… {near} …); write: {better}"
 
 
+def docstring_faults() -> Iterator[str]:
+    """Docstrings of modules, classes and functions that begin with a question word."""
+    for folder in ("src", "tests", "tools", "examples"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            name = path.relative_to(ROOT).as_posix()
+            if name.startswith(UNCHECKED):
+                continue
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                    said = ast.get_docstring(node) or ""
+                    if OPENING.match(said):
+                        at = 1 if isinstance(node, ast.Module) else node.lineno
+                        yield f"{name}:{at}: the docstring has no subject: {said.splitlines()[0]}"
+
+
 if __name__ == "__main__":
     named = [Path(a).resolve() for a in sys.argv[1:] if not a.startswith("-")]
     said = [fault for path in named or pages() for fault in faults(path, "--list" in sys.argv[1:])]
+    said += [] if named else docstring_faults()
     for fault in said:
         print(fault)
     sys.exit(any(not fault.startswith("    ") for fault in said))

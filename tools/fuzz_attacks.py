@@ -1,4 +1,4 @@
-"""What a hostile user does to a service, for bench_fuzz: each kind of attack is the work of one process."""
+"""Attacks of a hostile user on a service, for bench_fuzz: each kind of attack is the work of one process."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _PUNCH_AND_KEEP_SIZE = 3
 
 
 def attack(kind: str, name: str, seed: int) -> Callable[[OtherUser], None]:
-    """What the attacker's process does until it is killed; it says how often it has."""
+    """Work of the attacker's process until it is killed; it counts its attacks."""
     libc = ctypes.CDLL(None)
 
     def scribble(step: int, held: tuple[int, mmap.mmap, Writer]) -> None:

@@ -1,4 +1,4 @@
-"""What a hostile client of bench_fuzz writes into its slot: random bytes, and well-formed commands."""
+"""A hostile client of bench_fuzz: it writes random bytes and well-formed commands into its slot."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Follow and map surfaces with a stand-off sensor.
 
-What there is; each part is loaded when it is used first:
+Contents; each part is loaded when it is used first:
 
 - `surffollow.Follower`: the follower in process, without a service
 - `surffollow.client`: attach to a running service: poses in, demands out

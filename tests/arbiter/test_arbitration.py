@@ -1,4 +1,4 @@
-"""What clients and controllers see: priorities, queues, cooperation, limits, safe commands, restarts."""
+"""Rules seen by clients and controllers: priorities, queues, cooperation, limits, safe commands, restarts."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def test_a_cooperative_holder_that_relinquishes_when_asked_is_not_fenced(attach_
     # WHEN it gives the resource back
     go.relinquish()
     thread.join(WAIT_S)
-    # THEN the other one has it, and nobody was fenced
+    # THEN the other one has it, and no client was fenced
     assert wall.held
     assert [e.event for e in history if e.resource == "camera"][-3:] == ["RELEASE", "SAFE", "GRANT"]
 
@@ -281,7 +281,7 @@ def test_after_a_restart_every_token_is_void_and_clients_ask_again(make_arbiter)
     server.kill()
     # THEN the holder knows that it holds nothing, and the controller gets the safe command
     until(lambda: not robot.held and not go.connected)
-    until(lambda: reader.latest().safe)  # nobody says so: the last command's time is over
+    until(lambda: reader.latest().safe)  # no client reports it: the last command's time is over
     with pytest.raises(NotRunningError, match="every token is void"):
         robot.request()
     # the safe command, if the machine was so busy that the last command's time ran out before the kill

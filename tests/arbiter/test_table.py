@@ -13,7 +13,7 @@ from surffollow.arbiter.mutants import mutants
 
 @pytest.fixture(scope="module")
 def found():
-    """What the exploration of the table found, policy by policy."""
+    """Result of the exploration of the table, per policy."""
     return check_table()
 
 

@@ -1,4 +1,4 @@
-"""What a method can rely on in the simulated world."""
+"""Properties of the simulated world that methods rely on."""
 
 from __future__ import annotations
 

@@ -102,6 +102,6 @@ def child() -> Iterator[Callable[[Callable[[Child], None]], Child]]:
 
 
 def forever() -> None:
-    """What a child does that is to be killed."""
+    """Work of a child that is to be killed."""
     while True:
         signal.pause()

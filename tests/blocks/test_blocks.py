@@ -1,4 +1,4 @@
-"""What a program that shares a block may rely on while all goes well."""
+"""Guarantees for programs that share a block, without failures."""
 
 from __future__ import annotations
 

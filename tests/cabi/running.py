@@ -38,7 +38,7 @@ def numbers(line: str) -> dict[str, float]:
 
 
 class Answer(NamedTuple):
-    """What one call gave: its result, the client's detail and slot, and the values it wrote."""
+    """Outcome of one call: its result, the client's detail and slot, and the values it wrote."""
 
     result: int
     detail: int

@@ -1,4 +1,4 @@
-"""What a C or C++ client sees of a real service: poses, demands, requests, and what is refused."""
+"""C and C++ clients of a real service: poses, demands, requests and refusals."""
 
 from __future__ import annotations
 

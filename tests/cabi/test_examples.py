@@ -14,7 +14,7 @@ from surffollow.map import HeightMap
 
 
 def quiet_run(program: Path, *words: str) -> dict[str, float]:
-    """What a controller printed of a run that a busy machine did not stop; of the last one if all."""
+    """Output of a controller in a run that a busy machine did not stop; else of the last run."""
     for _ in range(10):
         done = subprocess.run([str(program), *words], capture_output=True, text=True, timeout=120.0)
         found = numbers(done.stdout)

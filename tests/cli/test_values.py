@@ -1,4 +1,4 @@
-"""What every verb refuses on its command line before it does anything."""
+"""Every command refuses invalid options before it does anything."""
 
 from __future__ import annotations
 

@@ -208,7 +208,7 @@ class Slot(Shared):
 
 
 class Client:
-    """What the verbs work on."""
+    """Memory and sockets that the commands use."""
 
     def __init__(self, name: str) -> None:
         self.name, self.label = name, f"foreign {os.getpid()}"

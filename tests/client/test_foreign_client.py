@@ -64,7 +64,7 @@ class Foreign:
 
 @pytest.fixture(scope="module")
 def layout(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the command prints."""
+    """Output of the command."""
     path = tmp_path_factory.mktemp("layout") / "layout.json"
     command = [sys.executable, "-m", "surffollow", "print-header", "--json"]
     path.write_text(subprocess.run(command, capture_output=True, text=True, check=True).stdout)

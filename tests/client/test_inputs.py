@@ -1,4 +1,4 @@
-"""What a client may ask and post: bad input is refused, by the library and again by the service."""
+"""Requests and posts of a client: bad input is refused, by the library and again by the service."""
 
 from __future__ import annotations
 

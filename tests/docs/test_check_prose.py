@@ -29,6 +29,7 @@ def found(
         ("The scout sees it.", "look-ahead sensor"),
         ("| a | b |\n| --- | --- |\n| x | the tick |", "controller period"),
         ("What is lost is counted.", "subject"),
+        ("# What a loss does\n\nIt ends.", "heading"),
         (" ".join(["word"] * 41) + ".", "a sentence of 41 words"),
         ("Word" + " word" * 20 + ". Word" + " word" * 20 + ".", "21.0 words on average"),
         ("| a |\n| --- |\n| " + "word " * 26 + "|", "a cell of 26 words"),
@@ -58,3 +59,20 @@ def test_code_links_and_generated_parts_are_no_prose(
 
 def test_decisions_keep_their_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert found("The scout won.", tmp_path, monkeypatch, "docs/decisions/1.md") == []
+
+
+def test_docstrings_that_begin_with_a_question_word_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # GIVEN modules whose docstrings begin with a question word, one of them in an unchecked folder
+    for name in ("src/a.py", "tests/forecast/b.py"):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).write_text(
+            '"""What a client may do."""\n\n\ndef f():\n    """Whatever is left."""\n'
+        )
+    monkeypatch.setattr(check_prose, "ROOT", tmp_path)
+    # THEN those of the checked folder are found, with their lines
+    assert [line.partition(": ")[0] for line in check_prose.docstring_faults()] == [
+        "src/a.py:1",
+        "src/a.py:4",
+    ]

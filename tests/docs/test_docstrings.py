@@ -31,7 +31,7 @@ def section(doc: str, name: str) -> str:
 
 
 def faults(function: Callable[..., Any]) -> list[str]:
-    """What the docstring of a function leaves out."""
+    """Parts that are missing in the docstring of a function."""
     doc = inspect.getdoc(function) or ""
     if not doc:
         return ["no docstring"]

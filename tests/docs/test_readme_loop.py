@@ -81,7 +81,7 @@ def test_the_loop_follows_holds_when_stopped_or_interrupted_and_goes_on(
 
 
 class Arm:
-    """What a reader of the page brings: a robot that moves at 50 mm/s and within 0.2 m/s up and down."""
+    """The robot of the page's reader: it moves at 50 mm/s and within 0.2 m/s up and down."""
 
     def __init__(self) -> None:
         self.pose, self.over, self.held = [0.845, 0.55, 0.1, 0.0, 0.0, 0.0, 1.0], False, 0

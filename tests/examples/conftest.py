@@ -11,6 +11,6 @@ from running_service import Service
 
 @pytest.fixture(scope="module")
 def bare(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """What `surffollow start` gives without a configuration."""
+    """A service as `surffollow start` starts it without a configuration."""
     with Service(tmp_path_factory.mktemp("bare"), "").running() as service:
         yield service

@@ -23,7 +23,7 @@ WINDOW = {"range_min_m": "50 mm", "range_max_m": "300 mm"}
 
 
 class Twin:
-    """What `take_pushed` does, slowly and plainly."""
+    """Slow twin of `take_pushed`."""
 
     def __init__(self, channels: int) -> None:
         self.channels, self.seen, self.newest = channels, 0, [0] * 8

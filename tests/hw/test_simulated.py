@@ -35,7 +35,7 @@ def moved(z_m, first_ms: int = -200, last_ms: int = 600, x_m=lambda ms: 0.5) -> 
 
 
 def conversions(config: SimulatedConfig, history: np.ndarray, until_ms: list[float], field=FLAT) -> dict:
-    """What the driver delivers from START on, produced in pieces that end at `until_ms`."""
+    """Conversions of the driver from START on, produced in pieces that end at `until_ms`."""
     queue = ConversionQueue(1 << 16)
     rig = make_rig(config, queue, START)
     frame = np.array([field.x0_m, field.y0_m, field.grid_m])

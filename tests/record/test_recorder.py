@@ -1,4 +1,4 @@
-"""What the recorder keeps of a cycle log, and what it says it lost."""
+"""Records that the recorder keeps of a cycle log, and losses that it reports."""
 
 from __future__ import annotations
 

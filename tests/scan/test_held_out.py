@@ -1,4 +1,4 @@
-"""What left-out spots confirm, where a source lies, and how stations compose."""
+"""Left-out spots, location of a source, and composition of stations."""
 
 from __future__ import annotations
 

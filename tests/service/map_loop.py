@@ -114,7 +114,7 @@ class MapLoop(ShellLoop):
 
     @contextlib.contextmanager
     def tried(self) -> Iterator[None]:
-        """What is changed inside is as before at the end."""
+        """Restore parameters, state and inputs at the end of the context."""
         records = self.params, self.state, self.inputs
         before = [r.copy() for r in records]
         try:
@@ -145,7 +145,7 @@ class MapLoop(ShellLoop):
         return float(x), float(y)
 
     def preview_uses(self) -> int:
-        """What the coming cycle uses a preview for: bits FOR_PERIOD, FOR_SAMPLE."""
+        """Uses of a preview in the next cycle: bits FOR_PERIOD, FOR_SAMPLE."""
         return int(preview_window(self.params, self.state, self.inputs)[0])
 
     def preview_begin(self) -> tuple[float, float]:

@@ -321,7 +321,7 @@ def _end(access) -> None:
 
 
 def test_requests_come_between_the_leases_of_a_greedy_client() -> None:
-    """Who takes the map again as soon as its lease is over waits until what was queued is done."""
+    """A client that takes the map again when its lease ends waits for the queued work."""
     # GIVEN a client that holds the map, and samples that wait
     lease_ns, queued, slot = 1000, 10_000, 2
     header, slots = zeros(ml.MapHeader), np.zeros(board_regions.slots_bytes() // 8, np.int64)

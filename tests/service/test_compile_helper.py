@@ -36,7 +36,7 @@ def sleeper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def pipe() -> Iterator[tuple[int, int]]:
-    """What a service is woken by to end."""
+    """Event that wakes a service for its end."""
     wake, waker = os.pipe()
     yield wake, waker
     os.close(wake)

@@ -1,4 +1,4 @@
-"""What a demand may be, in the real service: limits, stale poses, fold-back, loss, dry run and freeze."""
+"""Demands of the real service: limits, stale poses, fold-back, loss, dry run and freeze."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What another user puts under a service's names in /dev/shm is refused, at once and in words."""
+"""Objects of another user under a service's names in /dev/shm are refused, at once and with a reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who may change what, how far, and how it is kept: [limits], access.parameters, the audit trail."""
+"""Rights to change parameters and the map: [limits], access.parameters, the audit trail."""
 
 from __future__ import annotations
 

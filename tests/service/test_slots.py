@@ -43,7 +43,7 @@ def open_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
 
 
 def attacks_on_memory(name: str) -> dict[str, str]:
-    """What the kernel says to each way of taking pages out of a slot."""
+    """Error codes of the kernel for each way of taking pages out of a slot."""
     sock, fd, memory, _ = raw_slot(name)
     libc = ctypes.CDLL(None, use_errno=True)
 

@@ -1,4 +1,4 @@
-"""What compiling a kernel does to the process it is compiled in."""
+"""Effects of compiling a kernel on its process."""
 
 from __future__ import annotations
 

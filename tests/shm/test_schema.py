@@ -6,6 +6,7 @@ import json
 import shutil
 import struct
 import subprocess
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -88,7 +89,7 @@ def c_type(schema, name, done, out):
 
 
 def c_offsets(tmp_path, pairs):
-    """What the C compiler says: name → (size, alignment, offsets)."""
+    """Layout by the C compiler: name → (size, alignment, offsets)."""
     out, done = [], []
     for name, schema in pairs:
         c_type(schema, name, done, out)
@@ -234,7 +235,7 @@ def test_a_renamed_layout_that_names_its_former_names_keeps_its_hash():
         beat_ns = I64(unit="ns")
 
     class New(Schema):
-        HASHED_AS = {"": "Old", "heartbeat_ns": "beat_ns"}
+        HASHED_AS: ClassVar = {"": "Old", "heartbeat_ns": "beat_ns"}
         heartbeat_ns = I64(unit="ns")
 
     class Forgotten(Schema):

@@ -1,4 +1,4 @@
-"""What a user of the simulated axis relies on."""
+"""Properties of the simulated axis."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def command(*arguments: str) -> subprocess.Popen[str]:
 
 
 def robot_time_ns(process: subprocess.Popen[str]) -> int:
-    """What the robot's world says that the time is; 0 before it says anything."""
+    """Time of the robot's world; 0 before its first pose."""
     assert process.poll() is None, process.communicate()[1]
     try:
         reader = WorldReader(NAME)

@@ -1,4 +1,4 @@
-"""What a user of the profiles and height fields relies on."""
+"""Properties of the profiles and height fields."""
 
 from __future__ import annotations
 

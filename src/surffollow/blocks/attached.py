@@ -1,7 +1,7 @@
 """One attached block: the paper's read and write routines, and the wait-free `latest`.
 
-Who waits for whom is settled by kernel locks on bytes of the object (`locks`); what is
-read is kept whole by the latch's slots, whatever the locks do. Steps (docs/reference/blocks.md):
+Kernel locks on bytes of the object order readers and writer (`locks`). The latch's slots keep a snapshot
+whole even without the locks. Steps (docs/reference/blocks.md):
 
 A1 a reader enters unless the writer waits: shared lock on byte FENCE_BASE + fence;
 A2 the writer says that it waits: further readers wait, too (the turnstile);

@@ -1,7 +1,7 @@
 """Open a block to read it, or become its one writer: make it, or take it over from a dead one.
 
-Who writes a block owns its name (`shm.name_lock`): the lock lies in a file of its own, for a reader may lock
-any byte of the block itself. A new block appears under its name complete.
+The writer of a block owns its name (`shm.name_lock`). The lock is in a file of its own, because a reader may
+lock any byte of the block itself. A new block appears under its name complete.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ MAX_ALIGN = 64
 
 
 class BlockHeader(Schema):
-    """What a block is and who writes it; magic is stored last."""
+    """Identity of a block and of its writer; magic is stored last."""
 
     magic = U64()
     version = U64()
@@ -46,7 +46,7 @@ class BlockHeader(Schema):
 
 
 class SlotHead(Schema):
-    """What precedes the payload in every slot of the latch."""
+    """Header of the payload in every slot of the latch."""
 
     generation = U64()
     epoch = U64()

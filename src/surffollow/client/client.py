@@ -105,7 +105,7 @@ class Client(ServiceRequests):
             else:
                 self._claim_pose()
         words, memory, index, base = self._pose_view
-        g = (words[index] + 1) & GENERATION or 1  # what lies there may be anything
+        g = (words[index] + 1) & GENERATION or 1  # the bytes there are untrusted
         if FENCED:
             fence()
         _POST.pack_into(memory, base + (g & (SLOTS - 1)) * _POSE_STRIDE, t_ns, x, y, z, qx, qy, qz, qw)

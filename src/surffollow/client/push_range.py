@@ -72,7 +72,7 @@ class RangePusher(Reclaimer):
             if not pushed.get(channel, NOT_HELD) < t_ns <= now + FUTURE_NS or now - t_ns > OLDEST_NS:
                 pushed = self._prepare(channel, t_ns, now)
             words, memory = self._range_view
-            g = (words[_HEAD] + 1) & _MAX_GENERATION  # what lies there may be anything
+            g = (words[_HEAD] + 1) & _MAX_GENERATION  # the bytes there are untrusted
             if FENCED:
                 fence()
             _ITEM.pack_into(

@@ -131,7 +131,7 @@ class RequestSender(SlotHolder):
         return ticket
 
     def _before_asking(self, code: int, wait: bool) -> None:
-        """What must hold before a request is sent."""
+        """Check the conditions for sending a request."""
 
     def _ask(
         self,

@@ -1,7 +1,7 @@
 """Fill a cycle's preview from the live map: ground ahead known from an earlier pass or an installed map.
 
 The cycle never waits for the map thread: a map that is being laid anew, or that changes while it is
-read, previews nothing. What is read is an input of the cycle and goes into its log, so a replay needs no map.
+read, previews nothing. The heights are inputs of the cycle and go into its log: a replay needs no map.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Lay out the scratch of a MapRefocus: a ring of eight dense rows, column tables, sums, and what they hold.
 
 Grids up to twice as coarse work in float32 (`row_means`), coarser ones in float64 (`resample`): two
-layouts of the same memory. What lies here besides the ring can be made again from the header and the
-old grids, and is, when another version of this program left it.
+layouts of the same memory. All parts except the ring follow from the header and the old
+grids. They are computed again when another version of this program left them.
 """
 
 from __future__ import annotations
