@@ -40,7 +40,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """One simulated sensor 0.1 m over flat ground, alive for the whole module; do not kill it."""
-    # many clients of many tests share it: who may change what is for service/test_policy.py
+    # many clients of many tests share it: rights are for service/test_policy.py
     text = config_text(kind="simulated", access='parameters = "any"\nmap = "any"')
     with over_ground(tmp_path_factory.mktemp("service"), text) as s:
         yield s

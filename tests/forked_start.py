@@ -181,7 +181,7 @@ def _report(ends: dict[int, int]) -> None:
         if pid == 0:
             return
         pipe = ends.pop(pid)
-        with contextlib.suppress(OSError):  # nobody waits for it
+        with contextlib.suppress(OSError):  # no process waits for it
             os.write(pipe, b"%d" % status)
         os.close(pipe)
 

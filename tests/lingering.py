@@ -47,7 +47,7 @@ def lingering() -> Iterator[socket.socket]:
     try:
         yield full
     finally:
-        reader.close()  # unread data: a reset, and nobody waits any more
+        reader.close()  # unread data: a reset, and no process waits any more
         listener.close()
         full.close()
 

@@ -44,7 +44,7 @@ from surffollow.sim.world_surface import WorldConfig  # noqa: E402
 
 TICK_NS = 10_000_000
 STALE_S, LOSS_S, HEARTBEAT_S = 0.02, 0.3, 0.05
-HOST_S = 0.1  # a busy host's share: what it keeps from controller and service
+HOST_S = 0.1  # a busy host's share: time taken from controller and service
 KINDS = ("service killed", "service stopped", "controller killed", "driver silent", "stop requested")
 REGION = (0.0, 0.0, 1.0, 0.2)
 HEALTH_S = 120.0

@@ -33,7 +33,7 @@ class OwnDriver:
             self._thread = None
 
     def faults(self) -> list[str]:
-        return []  # what is wrong now, one line each
+        return []  # present faults, one line each
 
     def _run(self, writer: RangeWriter) -> None:
         while not self._end.wait(0.002):

@@ -97,7 +97,7 @@ def test_a_scan_is_run_to_its_end_and_reported(service, folder, tmp_path):
 
 
 def test_nothing_moves_before_somebody_confirms(service, folder):
-    # WHEN nobody can be asked, THEN nothing moves
+    # WHEN no terminal can ask, THEN nothing moves
     refused = subprocess.run(
         words(service, folder), capture_output=True, text=True, timeout=READY_S, stdin=subprocess.DEVNULL
     )

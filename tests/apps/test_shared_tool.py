@@ -76,8 +76,8 @@ def test_the_follower_learns_only_while_it_holds_the_tool_whatever_becomes_of_it
         until(look)
 
     try:
-        # THEN the follower learns nothing while nobody leads
-        becomes("dryrun")  # nobody leads yet
+        # THEN the follower learns nothing while no client leads
+        becomes("dryrun")  # no client leads yet
         # WHEN the follower leads, THEN it learns
         follow_client = attach(server.name, "follow")
         assert follow_client.resource("tool").request()

@@ -187,7 +187,7 @@ def test_the_command_prints_json_and_draws(tmp_path):
 def test_corrections_mend_the_heading_and_scatter_it_more_in_motion():
     seeds = range(40, 46)
     table = heading_table(seeds)
-    # nothing turns a base that nobody corrects; motion noise is in the ranges alone
+    # no command turns an uncorrected base; motion noise is in the ranges alone
     assert table["still"]["variance_rad2"] < 1e-12, seeds
     assert table["moving"]["variance_rad2"] < 1e-12, seeds
     still, moving = table["still, corrected"], table["moving, corrected"]

@@ -184,7 +184,7 @@ def test_the_sum_is_valid_only_while_every_part_is(parts):
     # it gives its part back: the rest is the sum
     avoid.relinquish()
     see(reader, alone, lambda: follow.command(*alone))
-    # a required part that nobody holds: no sum
+    # a required part without a holder: no sum
     assert avoid.request()
     follow.relinquish()
     until(lambda: avoid.command(*alone) and reader.latest().safe)

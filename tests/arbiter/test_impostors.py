@@ -129,7 +129,7 @@ def test_an_impostor_after_a_clean_stop_commands_no_controller_and_gets_no_clien
         honest.stop()
         until(lambda: reader.latest().safe)
         with impostor_of(honest):
-            # THEN the controller stays safe, and nobody attaches to it
+            # THEN the controller stays safe, and no client attaches to it
             until(lambda: BOTH in reader.refusal or not reader.latest().safe)
             assert reader.latest().values == (0.0, 0.0)
             for action in (
@@ -191,7 +191,7 @@ def test_only_whom_users_names_may_attach(honest):
     def try_it(_):
         return outcome(lambda: attach(honest.name, "go", owner=0).close())
 
-    # WHEN nobody else is named, THEN another user is refused
+    # WHEN no other user is named, THEN another user is refused
     honest.config = msgspec.structs.replace(honest.config, users=())
     honest.start()
     assert "RefusedError" in as_other_user(try_it)
@@ -232,7 +232,7 @@ def test_a_squatter_keeps_no_client_waiting_and_is_named(honest):
         signal.pause()
 
     with OtherUser(squat) as squatter:
-        # GIVEN another user's process that has the name and answers nobody
+        # GIVEN another user's process that has the name and never answers
         assert squatter.receive() == "there"
         # WHEN an arbiter or a client wants it, THEN it is told whose it is
         with pytest.raises(AlreadyRunningError, match=rf"process {squatter.pid} of user {NOBODY}"):
@@ -292,7 +292,7 @@ def run_patrol(patrol, name, seconds, **environment):
 
 def test_a_client_in_c_refuses_another_users_arbiter_unless_he_is_named(honest, patrol):
     with impostor_of(honest):
-        # WHEN a C client names nobody, THEN it refuses another user's arbiter
+        # WHEN a C client names no user, THEN it refuses another user's arbiter
         done = run_patrol(patrol, honest.name, "0.2")
         assert (done.returncode, done.stdout) == (1, "")
         assert "a user who is not trusted" in done.stderr

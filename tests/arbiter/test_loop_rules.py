@@ -143,7 +143,7 @@ def test_a_wait_in_the_queue_is_logged_from_its_first_moment_with_the_grant_or_l
     assert [e.client for e in left] == [LOW + 1]
     assert left[0].command[0] == pytest.approx(0.05)
     assert int(loop.mem.client_runs["waited_ns"][LOW]) == 700 * MS
-    # what holds the resource now has waited for nothing
+    # the present holder has not waited
     loop.apply_event(t.RELINQUISH, HIGH, T0 + 960 * MS)
     loop.apply_event(t.REQUEST, LOW, T0 + 970 * MS)
     assert [e.command[0] for e in loop.history if e.event == "GRANT"] == [0.0]

@@ -183,7 +183,7 @@ def test_a_writer_with_another_schema_replaces_a_block_whose_writer_ended(space)
         with mem_attach({"b": Other}, space, write=True) as new:
             with new.b.write() as slot:
                 slot.x = 2.0
-            assert reader.b.latest().stale  # what bears the name is not what this reader was built for
+            assert reader.b.latest().stale  # the object of that name has another layout than this reader
             assert reader.b.latest()["t_ns"] == 1
             with pytest.raises(LayoutMismatchError):
                 reader.b.get_read_ok(0.1)

@@ -43,7 +43,7 @@ def test_a_killed_reader_gives_its_lock_back_at_once(space, child):
                 mem.platform.get_write_ok(0.01)
             # WHEN it is killed
             reader.kill()
-            # THEN the writer goes on, and had nobody to fence
+            # THEN the writer goes on, and had no reader to fence
             with mem.platform.write(20.0) as slot:  # far below the lease: the kernel released it
                 slot.t_ns += 1
         assert mem.platform.fenced == 0
@@ -83,7 +83,7 @@ def fence_off(space, child):
         waited = time.monotonic() - begin
         # THEN it waits for the lease, fences the reader, and waits for it no more
         assert mem.words.fenced == 1
-        with mem.words.write(LEASE_S / 2) as slot:  # fenced once, it holds nobody up again
+        with mem.words.write(LEASE_S / 2) as slot:  # fenced once, it delays no writer again
             slot.word = [2] * 256
         # THEN the reader is told that its values are stale, and its next read is good
         reader.signal(signal.SIGCONT)
@@ -133,7 +133,7 @@ def test_readers_that_overlap_for_ever_do_not_starve_the_writer(space, child):
         readers = [child(keep_reading) for _ in range(2)]
         for r in readers:
             assert r.receive() == 0
-        # WHEN the writer writes, THEN it gets its turn, and fences nobody
+        # WHEN the writer writes, THEN it gets its turn, and fences no reader
         for k in range(20):
             with mem.words.write(20.0) as slot:
                 slot.word = [k] * 256

@@ -68,7 +68,7 @@ def compile_program(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callab
         compiler, standard = ("gcc", C) if language == "C" else ("g++", CPP)
         if shutil.which(compiler) is None:
             pytest.skip(f"no {compiler} on this machine")
-        # programs of ours in C, compiled as C++, cast as C does; what the header says is stricter
+        # programs of ours in C, compiled as C++, cast as C does; the header is stricter
         style = ["-x", "c++", "-Wno-old-style-cast"] if path.suffix == ".c" and language != "C" else []
         include = f"-I{folder}"
         command = [compiler, *standard, *style, include, *flags, "-o", str(program), str(path), "-lm"]
@@ -85,7 +85,7 @@ def compile_program(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callab
             made[key] = program
         return made[key]
 
-    # what most tests want, while the service starts
+    # compiled for most tests, while the service starts
     for source, compiler, language in LARGEST:
         if shutil.which(compiler) is not None:
             begin(ROOT / source, *SANITIZED, language=language)

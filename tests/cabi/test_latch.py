@@ -48,7 +48,7 @@ def test_c_and_python_latches_are_one(
     with path.open("r+b") as f, mmap.mmap(f.fileno(), 65536) as memory:
         whole = np.frombuffer(memory, np.uint8)
         address, got = whole.ctypes.data, np.zeros(words, np.int64)
-        assert latch_read(address, got.ctypes.data, 8 * words) == 1  # what C has written
+        assert latch_read(address, got.ctypes.data, 8 * words) == 1  # written by C
         assert got.tolist() == [1000 + k for k in range(words)]
         for generation in range(2, 8):
             sent = np.arange(words) * 7 + generation

@@ -147,7 +147,7 @@ def test_map_stands_still_while_a_c_client_holds_it_and_following_goes_on(
     with pytest.raises(RequestTimeoutError), robot.exclusive(timeout_s=0.05):
         pass
     assert probe("end").result == OK
-    probe.until("status", lambda a: a.values[4] > applied)  # what queued up is applied
+    probe.until("status", lambda a: a.values[4] > applied)  # the queue is applied
     with robot.exclusive():
         assert probe("begin 50").result == -27
 

@@ -104,7 +104,7 @@ def test_attaching_to_what_a_killed_service_left_is_safe(
 ) -> None:
     # GIVEN what a killed service left
     mortal.kill()
-    # WHEN a C client attaches or observes, THEN it is told that nobody is there
+    # WHEN a C client attaches or observes, THEN the error is that no service is there
     probe = make_probe()
     probe("ready_ms 100")
     assert probe(f"attach {mortal.name}").result == NOT_RUNNING

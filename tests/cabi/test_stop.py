@@ -101,7 +101,7 @@ def test_a_demand_of_the_future_is_of_another_clock(
         assert said(python) == "False False False"
 
 
-# stops the service named by the first word as soon as somebody is driven
+# stops the service named by the first word as soon as a robot is driven
 STOPPER = """
 import sys, time
 from surffollow.client import attach
@@ -119,7 +119,7 @@ def test_the_example_controller_brakes_and_stays_when_the_service_is_stopped(
 ) -> None:
     # GIVEN the controller of the examples
     controller = compile_program(ROOT / "examples/c/controller.c", *SANITIZED)
-    # WHEN somebody stops the service while it drives
+    # WHEN another client stops the service while it drives
     with program(STOPPER, service.name):
         done = subprocess.run(
             [str(controller), service.name, "3"], capture_output=True, text=True, timeout=120

@@ -87,7 +87,7 @@ def test_a_silent_dead_or_restarted_service_never_leaves_an_old_demand(
         buffer = bytearray(DEMAND_BYTES)
         for number in (signal.SIGSTOP, signal.SIGKILL):
             until(lambda: not stale(c, buffer), "a living service")
-            # as if there had been a demand: what lies there must go
+            # as if there had been a demand: the old values must go
             LAYOUT.pack_into(buffer, 0, 1, 1, *(9.0,) * 6, VALID, 1, 1)
             s.send(number)
             until(lambda: stale(c, buffer), "silence")

@@ -125,7 +125,7 @@ def test_the_loop_closes_over_the_simulated_sensor_and_survives_a_kill(tmp_path:
         assert max(arm.errors[100:]) < 10e-3, "the tool swings"
         own.kill()
         for manner in MANNERS:
-            with hanging(own.name, manner):  # whoever stands in its place delays no tick
+            with hanging(own.name, manner):  # its replacement delays no period
                 arm.longest_s, held = 0.0, arm.held
                 until(lambda held=held: arm.held > held + 50, f"holding while the socket {manner}")
                 assert arm.longest_s < 1.0, manner

@@ -96,7 +96,7 @@ def test_a_sensor_without_rhythm_keeps_its_arrivals(seed: int) -> None:
 def test_a_sensor_that_changes_its_rate_is_followed() -> None:
     begin = 10**12 + np.cumsum(np.r_[np.full(2000, 1.0e6), np.full(3000, 4.0e6), np.full(3000, 2.0e6)])
     error = np.abs(stamped(begin, np.full(8000, 1e3)) - begin)
-    assert error[2000:].max() <= 3.01e6  # what may be a delay: three periods of before, for a moment
+    assert error[2000:].max() <= 3.01e6  # greatest delay: three periods of before, for a moment
     assert np.percentile(error, 95) < 0.05 * FRAME_NS
 
 

@@ -64,7 +64,7 @@ def test_a_second_live_writer_is_refused(name: str) -> None:
 
 @needs_root
 def test_a_block_of_another_user_is_not_mapped(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    # who owns a block can cut it, and reading what was cut ends the reader's process
+    # the owner of a block can truncate it, and reading beyond the end ends the reader's process
     assert as_other_user(lambda _: outcome(lambda: WorldWriter(name).write(pose(1)))) == "done"
     with pytest.raises(NoPermissionError, match=f"user {NOBODY}"):
         WorldReader(name)

@@ -61,7 +61,7 @@ class Pty:
             self.master = -1
 
     def write(self, data: bytes) -> None:
-        with contextlib.suppress(BlockingIOError, OSError):  # nobody reads, or it is unplugged
+        with contextlib.suppress(BlockingIOError, OSError):  # no reader, or unplugged
             os.write(self.master, data)
 
 

@@ -243,7 +243,7 @@ def test_a_recording_that_cannot_be_opened_is_reported_with_its_path(tmp_path: P
 def test_what_is_no_plain_file_is_refused_at_once(tmp_path: Path, force: bool) -> None:
     pipe = tmp_path / "pipe.mcap"
     os.mkfifo(pipe)
-    # opened for reading and writing it lets nobody wait, whatever the writer does
+    # opened for reading and writing no process waits, independent of the writer
     end = os.open(pipe, os.O_RDWR)
     try:
         for path in (pipe, Path("/dev/null"), tmp_path):

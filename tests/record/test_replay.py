@@ -152,7 +152,7 @@ def test_a_killed_recorder_loses_only_its_last_chunk(tmp_path: Path) -> None:
     for _ in range(60):
         rehearsal.run(100)
         recorder.poll()
-    # what a kill leaves is what the kernel has: the file is unbuffered
+    # after a kill the kernel has all data: the file is unbuffered
     (tmp_path / "killed.mcap").write_bytes((tmp_path / "a.mcap").read_bytes())
     writer.close()
     report = replay_file(tmp_path / "killed.mcap")

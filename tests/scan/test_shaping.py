@@ -46,7 +46,7 @@ def test_residual_within_twenty_percent_of_the_frequency(kind, most, zeta):
     worst = shaper.residual(2.0 * np.linspace(0.8, 1.2, 81), zeta).max()
     assert worst <= most
     if kind == "zv":
-        assert worst > 0.25  # what ZVD is for
+        assert worst > 0.25  # purpose of ZVD
     assert float(shaper.residual(2.0, zeta)) <= (0.051 if kind == "ei" else 1e-12)
 
 

@@ -304,7 +304,7 @@ def test_the_service_may_be_restarted_in_any_of_the_four_steps(keeper: Service) 
         ending.start()
         keeper.kill()
         ending.join()
-        # THEN nobody gets it before the next start, and everybody after
+        # THEN no client gets it before the next start, and all clients after
         with pytest.raises(NotRunningError), waiting.exclusive(timeout_s=0.1):
             pass
         keeper.start()

@@ -29,7 +29,7 @@ from surffollow.shm.process import start_ticks
 
 Make = Callable[..., Service]
 ODD = ("fifo", "directory", "link", "socket", "device")
-AT_ONCE_S = 120.0  # on a busy machine; what hangs hangs for ever
+AT_ONCE_S = 120.0  # on a busy machine; a hang lasts for ever
 FLOCK = struct.Struct("hhxxxxqqixxxx")
 
 
@@ -136,7 +136,7 @@ def test_an_impostor_after_a_clean_stop_moves_no_client(make_service: Make) -> N
                 with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0"):
                     open_it(s.name)
             # THEN who names that user reads it
-            # who says that he trusts that user does
+            # a client that trusts that user attaches
             with observe(s.name, owner=NOBODY, stale_min_s=3600.0) as fooled:
                 assert fooled.dev_vector()[2] == -0.5
         # WHEN the service is started again, THEN they follow it

@@ -94,7 +94,7 @@ def gone_reader() -> Iterator[int]:
 def test_a_log_that_is_not_read_neither_ends_nor_stops_the_heartbeat(
     make_service: Make, stderr: Callable[[], contextlib.AbstractContextManager[int]]
 ) -> None:
-    # GIVEN a service whose standard error nobody reads
+    # GIVEN a service whose standard error has no reader
     with stderr() as fd:
         s = start_with(make_service(), fd)
         with s.attach() as client:

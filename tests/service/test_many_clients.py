@@ -165,12 +165,12 @@ def as_nobody(s: Service) -> list[str]:
 @needs_root
 @pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs setpriv")
 def test_modes_decide_who_may_watch_and_who_may_command(make_service: Make, crowd: Service) -> None:
-    # WHEN nobody but the group may read, THEN another user may neither watch nor command
+    # WHEN only the group may read, THEN another user may neither watch nor command
     watch, attach = as_nobody(crowd)
     assert watch.startswith("observe refused: no permission to read")
     assert attach.startswith("attach refused: no permission to read")
     assert "join its group" in watch
-    # WHEN everybody may read, THEN another user may watch
+    # WHEN all users may read, THEN another user may watch
     s = make_service(access='board_mode = "0644"\nmap_mode = "0644"').start()
     watch, attach = as_nobody(s)
     assert watch == "observe ready ('NO_POSE',)"

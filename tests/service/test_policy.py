@@ -97,9 +97,9 @@ def test_who_does_not_hold_the_pose_changes_nothing_while_another_drives(limited
         assert driver.params() == before
         # THEN the driver may change them
         driver.set_params(max_demand=0.02)
-        # WHEN nobody drives, THEN the other one may
+        # WHEN no client drives, THEN the other one may
         driver.release_pose()
-        other.set_params(max_demand=0.03)  # nobody is driven now
+        other.set_params(max_demand=0.03)  # no robot is driven now
 
 
 @needs_root
@@ -269,7 +269,7 @@ def test_the_configuration_says_whose_clients_may_push_ranges(
     def free_again() -> bool:
         try:
             own.push_range(0, time.monotonic_ns(), 0.1)
-        except BusyError:  # who pushed before has just ended
+        except BusyError:  # the client that pushed before has just ended
             return False
         return True
 
@@ -334,7 +334,7 @@ def test_what_the_driver_says_is_held_against_the_limits_too(make_service: Make)
 
 def test_a_map_that_was_announced_before_somebody_drove_is_not_installed(make_service: Make) -> None:
     with make_service().start().attach() as member, member.__class__(member.name, stale_min_s=1.0) as driver:
-        # GIVEN an installation that was announced while nobody drove
+        # GIVEN an installation that was announced while no client drove
         member.map_reset((0.0, 0.0, 0.1, 0.1))
         grid = (10, 10, 0.01, 0.0, 0.0, 0.0, 1e-4)
         values = (0.0, 0.0, 0.1, 0.1, *grid[2:])

@@ -90,9 +90,9 @@ def lingering_alone() -> Iterator[socket.socket]:
     stack = contextlib.ExitStack()
     sock = stack.enter_context(lingering())
     yield sock
-    # the last one when the service has closed its own already: then it waits, and nobody for it
+    # the last one when the service has closed its own already: then it waits, and the service does not
     threading.Thread(target=sock.close, daemon=True).start()
-    _readers.append(stack)  # who reads stays until the test ends
+    _readers.append(stack)  # the reader stays until the test ends
 
 
 @pytest.fixture(autouse=True)
@@ -195,7 +195,7 @@ def test_a_listener_ends_with_lingering_sockets_in_its_queue(tmp_path: Path, mon
         with lingering_alone() as sock:
             socket.send_fds(client, [b"x"], [sock.fileno()])
         clients.append(client)
-    # WHEN we part with it, THEN nobody waits
+    # WHEN we part with it, THEN no process waits
     disposal.part_listener(listener)
     assert len(disposal._kept) == 3
     disposal.look()

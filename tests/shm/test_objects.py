@@ -220,7 +220,7 @@ def test_an_object_knows_when_its_name_leads_elsewhere(name):
     new = SharedObject.create(name, 4096, 0o600)
     assert new.is_current()
     assert not old.is_current()
-    old.memory[0] = 7  # what was mapped stays usable
+    old.memory[0] = 7  # mapped memory stays usable
     assert new.memory[0] == 0
     old.close()
     new.close()

@@ -151,7 +151,7 @@ def test_a_cache_with_something_that_others_can_change_below_it_is_passed_over(o
         (below / "k.nbi").symlink_to("/tmp")
     assert only not in taken().parents
     if what != "link":
-        (only / "surffollow").chmod(0o700)  # nobody else gets there
+        (only / "surffollow").chmod(0o700)  # no other user gets there
         assert taken() == only / "surffollow"
 
 

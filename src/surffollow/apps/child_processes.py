@@ -139,7 +139,7 @@ def ended_by_signals() -> Iterator[None]:
         raise Terminated(128 + number)
 
     numbers = (signal.SIGTERM, signal.SIGHUP)
-    # what nohup ignores stays ignored
+    # signals that nohup ignores stay ignored
     before = {n: h for n in numbers if (h := signal.getsignal(n)) != signal.SIG_IGN}
     try:
         for n in before:

@@ -33,7 +33,7 @@ class DemoConfig:
     follow: dict[str, object] = field(default_factory=dict)
     sensors: int = 1
     faults: tuple[dict[str, object], ...] = ()
-    parameters: str = "holder"  # who may set parameters meanwhile: `access.parameters` of the service
+    parameters: str = "holder"  # rights to set parameters meanwhile: `access.parameters` of the service
 
     @property
     def turns(self) -> bool:

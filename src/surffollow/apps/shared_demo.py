@@ -34,7 +34,7 @@ def arbiter_text(combine: str) -> str:
     if combine == "priority":
         return ARBITER.replace("RESOURCES", f"[resources.tool]\n{one}")
     parts = f"[resources.follow]\n{one}\n[resources.offset]\n{one}\n"
-    # what the follower alone may demand, and the lift, together
+    # limit of the follower's demand and of the lift together
     limits = "low = [-0.2, -0.2, -0.2, -0.5, -0.5, -0.5]\nhigh = [0.2, 0.2, 0.2, 0.5, 0.5, 0.5]\n"
     both = f'[combine.tool]\nparts = ["follow", "offset"]\nrequired = ["follow"]\n{limits}'
     return ARBITER.replace("RESOURCES", parts + both)

@@ -23,7 +23,7 @@ from surffollow.shm.jit import jit
 BITS = 22
 EPOCH, COUNTER = 5, 10  # of a state that is taken up; any would do
 PRIORITIES = (2, 2, 1)
-# beyond the events of the table: what happens to a client alone
+# beyond the events of the table: events of one client
 LEASE_BACK, ATTACH = 8, 9
 
 World = namedtuple("World", "machine before clients state_event effects attached events seen queue used")  # type: ignore[name-match]

@@ -92,7 +92,7 @@ class ArbiterClient(ArbiterObserver):
         poll.register(self._grant.sock.fileno(), select.POLLIN)
         while not self.exchange.closed:
             self.exchange.send_heartbeat()
-            # the server never writes: what can be read is its end
+            # the server never writes: only its end makes the socket readable
             if poll.poll(self._heartbeat_s * 1e3):
                 self.exchange.ended = True
                 return

@@ -188,7 +188,7 @@ def _receive_answer(sock: socket.socket) -> tuple[bytes, list[int]]:
     """The server's answer, and what came with it."""
     try:
         data, fds, _, _ = socket.recv_fds(sock, al.Welcome.SIZE, 2)
-    except ConnectionResetError:  # reported once; what the other end sent before it closed comes next
+    except ConnectionResetError:  # reported once; data sent before the other end closed come next
         data, fds, _, _ = socket.recv_fds(sock, al.Welcome.SIZE, 2)
     return data, list(fds)
 

@@ -30,7 +30,7 @@ EVENT_NAMES = {
     EVENT_BROKEN: "BROKEN_MAILBOX",
 }
 
-# what a client puts into its mailbox
+# kinds of items in a client's mailbox
 ITEM_REQUEST, ITEM_COMMAND, ITEM_RELINQUISH = 1, 2, 3
 FLAG_WAIT = 1
 MAILBOX_ITEMS = 64

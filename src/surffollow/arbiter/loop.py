@@ -53,7 +53,7 @@ def serve_clients(mem: Any, t_ns: Any) -> None:
         elif state == m.IN:
             drain(mem, slot, t_ns)
         elif state == m.LEAVING:
-            leave(mem, slot, t_ns)  # what a dead client still had in its mailbox is never looked at
+            leave(mem, slot, t_ns)  # items left in a dead client's mailbox are ignored
 
 
 @jit

@@ -50,7 +50,7 @@ def join(mem: Any, slot: Any, t_ns: Any) -> None:
         client_run.queued_ns[r] = 0
         forget_client(mem.machines[r : r + 1], slot)
         p.notify_held(mem, slot, r, 0)
-    # what the slot's last client was answered must not answer this one
+    # a reply to the slot's last client must not answer this one
     p.answer(mem, t_ns, slot, 0, 0, 0, 0)
     client_run.changed = 0
     mem.clients[0].live[slot] = 1

@@ -19,7 +19,7 @@ SAME = -1  # as a next state: stay
 REQUEST, COMMAND, RELINQUISH, LEASE_OVER, GONE, GRACE_OVER, LATE, RESTART = range(8)
 EVENTS = ("REQUEST", "COMMAND", "RELINQUISH", "LEASE_OVER", "GONE", "GRACE_OVER", "LATE", "RESTART")
 
-# what a row may ask of the situation, c being the client of the event
+# conditions of a row; c is the client of the event
 GUARDS = (
     "live",  # the lease of c is live
     "holder",  # c holds the resource
@@ -38,7 +38,7 @@ LIVE, HOLDER, HIGHER, WAIT, QUEUED, COOPERATIVE, QUEUE, PRESSING, TOKEN, ONCE, F
     1 << k for k in range(len(GUARDS))
 )
 
-# what is done; each leaves one record in the history
+# actions; each leaves one record in the history
 ACTIONS = (
     "none",
     "GRANT",  # a new token for c, which leaves the queue; c is the holder

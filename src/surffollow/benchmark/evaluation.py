@@ -94,7 +94,7 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
     try:
         results = run_cells(cells, methods, request.seeds, request.processes, tuned, stage("runs"), faults)
     finally:
-        if folder:  # what was tuned took most of the time: a run that ends early does not lose it
+        if folder:  # tuning takes most of the time: a run that ends early keeps its results
             _keep_tuned(folder, tuned)
     labels = surface_labels(r.cell.surface for r in results)
     rows = [r.row() | {"surface": labels[r.cell.surface]} for r in results]
@@ -131,7 +131,7 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
     if folder:
         _write(folder, found, *scored_tables, summary_table(rows), markdown_table(rows))
         write_plots(results, folder)
-    if faults:  # what was found is kept: it took long, and shows where to look
+    if faults:  # results are kept: they took long, and show the cause
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         kept = f"; the results are in {folder}" if folder else ""
         raise FaultError(f"{faults[0]}{more}{kept}")

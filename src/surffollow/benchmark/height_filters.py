@@ -34,7 +34,7 @@ WHITENESS = (
     5.0  # by so much ln(process noise) follows the correlation of successive innovations in one memory
 )
 MIN_PRODUCT, MAX_PRODUCT = -4.0, 4.0  # of two normalised innovations: one reading decides nothing
-REFUSED, TAKEN, RESET = 0, 1, 2  # what a filter made of a reading
+REFUSED, TAKEN, RESET = 0, 1, 2  # outcome of a filter for a reading
 
 
 @jit

@@ -120,7 +120,7 @@ def shift(f: NDArray[Any], h_m: float) -> None:
     for j in range(1, 1 + N_WAVES):
         f[j, _MEAN] = h_m - f[j, _COS]
         f[j, _P00] += STEP_M * STEP_M
-    f[0, _COUNT] = 0.0  # what was predicted for the ground before the step does not count
+    f[0, _COUNT] = 0.0  # predictions for the ground before the step do not count
 
 
 @jit

@@ -219,7 +219,7 @@ class Attachment:
         words, memory = self._words, self._memory
         stale = words[bl.STATE_WORD] != bl.STATE_LIVE
         if stale:
-            # what bears the name by now may not be ours: then the old values stay
+            # the object of that name may be another one by now: then the old values stay
             with contextlib.suppress(BlockError):
                 stale = not self._refresh()
             words, memory = self._words, self._memory

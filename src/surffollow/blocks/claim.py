@@ -73,7 +73,7 @@ def claim_writer(
                 try:
                     return *_make(name, schema, mode, group, lease_ns), own
                 except ExistsError:
-                    continue  # somebody made something under the name just now: look at it
+                    continue  # another process has just made an object of that name: look at it
             try:
                 if not bl.is_block(obj):
                     raise BlockError(

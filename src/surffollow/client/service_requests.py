@@ -88,7 +88,7 @@ class ServiceRequests(RangePusher):
         numbers = struct.unpack(f"<{lb.STOP_TEXT_WORDS}q", data.ljust(8 * lb.STOP_TEXT_WORDS, b"\0"))
         try:
             return self._ask(lb.RQ_STOP, (), timeout_s, wait, numbers)
-        except BusyError:  # of this thread itself: what is stored is heeded, only the reason is lost
+        except BusyError:  # of this thread itself: the stored request takes effect, only the reason is lost
             return StopTicket(self).settle(timeout_s, wait)
 
     def reset_stop(self, *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:

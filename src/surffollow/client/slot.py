@@ -137,7 +137,7 @@ class SlotHolder(Observer):
             self._asking = None
 
     def _use_slot(self, grant: SlotGrant) -> None:
-        # what a pose is written to changes at once, and the grant comes last
+        # the target of poses changes at once, and the grant comes last
         self.slot, self._claim = grant.slot, grant.claim
         self._in, self._in_words = grant.memory, memoryview(grant.memory).cast("Q")
         self._pose_index = lb.SLOT_POSE // 8

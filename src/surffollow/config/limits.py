@@ -9,7 +9,7 @@ from surffollow.config.params import PARAMS, check_param, param_name
 from surffollow.config.trusted_users import user_id
 from surffollow.errors import ConfigError
 
-# who may call SFReset and set parameters (access.parameters), and change the map (access.map)
+# users who may call SFReset and set parameters (access.parameters), and change the map (access.map)
 CHANGED_BY = ("any", "holder", "holder-only")
 ANY_USER, NO_OTHER_USER = -1, -2
 

@@ -79,7 +79,7 @@ PARAMS: dict[str, ParamSpec] = {
 }
 
 _UNIT_ENDING = re.compile(r"_(?:ns|s|m|rad)(?:ps)?\d?$")
-# what a name may lack: no ending first, so that a full name is always itself
+# endings that a name may lack: no ending first, so that a full name is always itself
 UNIT_ENDINGS = ("", *sorted({found[0] for name in PARAMS if (found := _UNIT_ENDING.search(name))}))
 
 

@@ -148,7 +148,7 @@ def _kind(path: FilePath) -> str:
         with open(path, "rb") as f:
             begins = f.read(64) if Path(path).is_file() else b""
     except OSError:
-        begins = b""  # who reads it says what is wrong
+        begins = b""  # the reader reports the fault
     for beginning, kind in _BEGINNINGS:
         if begins.startswith(beginning):
             return kind

@@ -137,7 +137,7 @@ class BlockFile(McapReader):
         for opcode, body in reader.records():
             if opcode == CHANNEL:
                 if DECLARATION in read_channel(body)[4]:
-                    # what this look stumbled over will be met and counted again
+                    # damage met in this look will be met and counted again
                     reader.damage = found
                     return reader
                 break

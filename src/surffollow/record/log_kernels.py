@@ -118,7 +118,7 @@ def walk_entries(words: Any, n: Any, most_cycles: Any, stop_at_snapshot: Any, wa
     walk[W_CYCLES] = cycles
 
 
-# what a replay adds up, int64 each
+# sums of a replay, int64 each
 (
     R_STARTED,  # 1: a snapshot was loaded, the state is known
     R_CYCLES,

@@ -10,7 +10,7 @@ from surffollow.record.protobuf import BYTES, KINDS, VARINT, Enum, Field, Messag
 from surffollow.shm.schema import Schema
 
 _PROTO3 = "proto3"
-# what a declared scalar becomes: fixed widths, which every language reads back exactly
+# types of declared scalars: fixed widths, which every language reads back exactly
 _OF_CODE = {
     "f8": "double",
     "f4": "float",

@@ -85,7 +85,7 @@ class RecordingReader(McapReader):
                 f"{self.path} is an MCAP file, but no whole recording of the cycle log begins in it"
                 + (f" ({self.damage})" if self.damage else "")
             )
-        # what this first look stumbled over will be met and counted again
+        # damage met in this first look will be met and counted again
         self.damage = found
 
     def batches(self) -> Iterator[Batch]:

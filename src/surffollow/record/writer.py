@@ -79,7 +79,7 @@ class MessageWriter:
             # a pipe would wait for its reader, and a device keeps nothing
             raise FaultError(f"recording {self.path} is there and is no plain file; choose another --out")
         try:
-            # unbuffered below: what `write` returned from belongs to the kernel
+            # unbuffered below: the kernel has the data when `write` returns
             self._stream: Any = stream or open(self.path, "wb" if force else "xb", buffering=0)  # noqa: SIM115
         except FileExistsError:
             raise FaultError(

@@ -187,7 +187,7 @@ def search_attitude(stand: Any, angles: Any, limits: Any, step: Any, s: Any) -> 
     best_p, best_r = angles[0], angles[1]
     reach = reach_of(stand.body)
     wide_p, wide_r = (limits[1] - limits[0]) / (RASTER - 1), (limits[3] - limits[2]) / (RASTER - 1)
-    # what settling may save at most: turning by about a step of the raster
+    # greatest saving of settling: turning by about a step of the raster
     d1 = d2 = 0.95 * best + reach * math.sin(0.75 * max(wide_p, wide_r))
     p1, r1, p2, r2 = best_p, best_r, best_p, best_r
     for i in range(RASTER):

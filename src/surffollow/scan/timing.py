@@ -96,7 +96,7 @@ def timed(path: ScanPath, limits: MotionLimits) -> ScanPath:
     ds = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-12)
     cap = np.full(n, limits.speed_mps)
     if n > 1:
-        # what happens between two samples limits both of them
+        # the motion between two samples limits both of them
         rise = np.abs(np.nan_to_num(np.diff(z))) / ds
         tilt = np.linalg.norm(np.diff(path.normal, axis=0), axis=1) / ds
         between = np.minimum(

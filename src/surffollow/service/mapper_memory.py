@@ -33,7 +33,7 @@ class MapMemory(NamedTuple):
     piece: Any  # copy of a piece of an installed map, as int64 words
     piece_heights: Any
     piece_counts: Any
-    quantum_m: float  # of the configuration: what every MapReset goes back to
+    quantum_m: float  # of the configuration: every MapReset goes back to it
 
 
 # slot of the request under way (-1: none, -2: recovery after a cut-off), its code, counter and

@@ -64,8 +64,8 @@ FENCED = REGION + CLIENTS * REGION_WORDS  # per slot, the claim whose request fo
 POLICY = FENCED + CLIENTS
 (
     STOP_ASKED,  # main → cycle: causes of a stop that the main thread sees now
-    PARAMS_BY,  # who may set parameters: BY_ANY, BY_HOLDER, BY_HOLDER_ONLY
-    MAP_BY,  # who may change the map, as above
+    PARAMS_BY,  # rights to set parameters: BY_ANY, BY_HOLDER, BY_HOLDER_ONLY
+    MAP_BY,  # rights to change the map, as above
     RANGES_BY,  # user who may push ranges beside root and the service's; ANY_USER, NO_OTHER_USER
     OWN_USER,  # the service's
     CHANGES,  # the audit trail's queue, cycle → main
@@ -110,7 +110,7 @@ class CycleMemory(NamedTuple):
     audit: NDArray[np.int64]  # an `AuditEntry` that is being filled
     audit_floats: NDArray[np.float64]
     old_values: NDArray[np.float64]  # of the parameters that a request is about to change
-    pushed: Any  # what an external driver shares; takes nothing where there is none
+    pushed: Any  # memory shared with an external driver; empty where there is none
 
 
 def bounds_table() -> NDArray[np.float64]:

@@ -53,6 +53,6 @@ def do_pose_role(mem: Any, slot: Any, code: Any) -> Any:
     if holder >= 0 and holder != slot:
         return ERR_POSE_HELD, holder_pid(ctx)
     ctx[m.POSE_SLOT], ctx[m.POSE_CLAIM] = slot, claim
-    # what was posted before the pose was claimed does not count
+    # poses posted before the claim do not count
     ctx[m.POSE_SEEN] = at.load_acquire_i64(slot_address(ctx[m.SLOTS_AT], slot) + SLOT_POSE)
     return OK, 0

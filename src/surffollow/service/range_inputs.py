@@ -87,7 +87,7 @@ def do_range_role(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
     if is_held:
         holder = ctx[m.RANGE_SLOT + channel]
         return ERR_RANGE_HELD, at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.PID + holder))
-    if channels_of(ctx, slot) == 0:  # what was pushed before does not count
+    if channels_of(ctx, slot) == 0:  # ranges pushed before do not count
         ctx[m.RANGE_SEEN + slot] = at.load_acquire_i64(slot_address(ctx[m.SLOTS_AT], slot) + SLOT_RANGES)
     _hold(mem, channel, slot, t_ns)
     return OK, 0

@@ -141,7 +141,7 @@ def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
     code, claim = mem.request[0].code, claim_of(mem.ctx, slot)
     if code in (RQ_SF_RESET, RQ_SET_PARAMS) and not may_change(mem.ctx, slot, claim, mem.ctx[m.PARAMS_BY]):
         return ERR_NOT_POSE_HOLDER, holder_pid(mem.ctx)
-    # the follower looks ahead in the map: what is put there moves the robot
+    # the follower looks ahead in the map: changes of the map move the robot
     of_the_map = code in (RQ_MAP_RESET, RQ_MAP_REFOCUS, RQ_MAP_INSTALL)
     if of_the_map and not may_change(mem.ctx, slot, claim, mem.ctx[m.MAP_BY]):
         return ERR_NOT_POSE_HOLDER, holder_pid(mem.ctx)

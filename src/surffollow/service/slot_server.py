@@ -82,7 +82,7 @@ class SlotServer:
             events = self._epoll.poll(pause, 16)
             if any(fd == wake for fd, _ in events):
                 return True
-            for fd, mask in sorted(events, key=self._comes_later):  # who goes makes room for who comes
+            for fd, mask in sorted(events, key=self._comes_later):  # leaving clients make room for new ones
                 events_left -= 1
                 self._guard(self._on_event, fd, mask)
             self._guard(self._housekeeping)

@@ -56,7 +56,7 @@ def cache_directory() -> str:
             fresh = tempfile.mkdtemp(prefix="surffollow-cache-", dir=place)
         except OSError:
             continue
-        fault = why_not_trusted(fresh)  # who may rename in `place` puts a folder of his own there
+        fault = why_not_trusted(fresh)  # a user who may rename in `place` can put another folder there
         if fault:
             refused.append(fault)
             with contextlib.suppress(OSError):

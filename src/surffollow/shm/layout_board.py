@@ -22,7 +22,7 @@ HISTOGRAM_BINS = 512  # 8 per octave of nanoseconds
 
 STATE_INITIALISING, STATE_READY, STATE_STOPPING, STATE_STOPPED = 0, 1, 2, 3
 
-# what a request asks for
+# kinds of requests
 (
     RQ_NONE,
     RQ_SF_RESET,

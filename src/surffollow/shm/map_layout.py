@@ -30,9 +30,9 @@ STATE_NAMES = ("no_map", "ready", "resetting", "refocusing", "installing")
 # MapHeader.rounding
 ROUND_UNBIASED, ROUND_PAPER = range(2)
 ROUNDING_NAMES = ("unbiased", "paper")
-# what one sample did (update_map)
+# outcome of one sample (update_map)
 UPDATED, OUTSIDE, CLIPPED, GATED, INVALID, NOT_READY = range(6)
-# what a map operation answered
+# answers of map operations
 OK, BAD_REGION, BUSY, NO_SCRATCH, TOO_SMALL, NOT_MAPPED, BAD_MAP = range(7)
 ANSWER_NAMES = (
     "ok",

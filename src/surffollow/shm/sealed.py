@@ -52,7 +52,7 @@ def make_sealed(name: str, size: int) -> int:
         os.ftruncate(fd, size)
         os.fchmod(
             fd, 0o600
-        )  # who has a descriptor can open it again through /proc, unless the mode forbids it
+        )  # a process with a descriptor can open it again through /proc, unless the mode forbids it
         fcntl.fcntl(fd, _ADD_SEALS, SIZE_SEALS)
     except BaseException:
         os.close(fd)

@@ -150,7 +150,7 @@ def advance(
         state[X] = min(max(state[X] + v * dt * math.cos(middle), nearest), width - nearest)
         state[Y] = min(max(state[Y] + v * dt * math.sin(middle), nearest), depth - nearest)
         state[HEADING] += w * dt
-        # wheels slip: what is measured differs by a constant and by noise that grows with the way
+        # wheels slip: odometry differs by a constant and by noise that grows with the distance travelled
         drawn = int(state[DRAWN])
         rough = slip[2] * math.sqrt(dt)
         seen_v = v * (1.0 + slip[0]) + rough * abs(v) / math.sqrt(dt + 1e-12) * noise[drawn % noise.size]

@@ -10,7 +10,7 @@ from surffollow.sim.step_clock import STEP_NS
 if TYPE_CHECKING:
     from surffollow.sim.robot_config import RobotConfig
 
-REST_MPS = 1e-3  # slower is rest: what the noise of reports makes of a held height
+REST_MPS = 1e-3  # slower is rest: speed that the noise of reports gives to a held height
 SETTLING = 6.0  # time constants of the vertical axis until what is left of its speed is no motion
 
 

@@ -146,7 +146,7 @@ def _check_places(path: FilePath, crs: Any, crs_error: type[Exception]) -> None:
     try:
         flat, factor = crs.is_projected, crs.linear_units_factor[1] if crs.is_projected else math.nan
         if not flat and not crs.is_geographic:
-            # a local system: what its text says
+            # a local system: its text
             text = crs.to_wkt()
             flat = text.startswith(("LOCAL_CS", "ENGCRS"))
             units = {float(u) for u in _WKT_UNIT.findall(text)}
