@@ -53,7 +53,7 @@ class Entry(NamedTuple):
     reason: str
 
 
-class Book:
+class AuditState:
     """State that follows from the records read so far."""
 
     def __init__(self) -> None:
@@ -78,7 +78,7 @@ class Book:
         self.attached: set[int] = set()
         self.silent: set[int] = set()
 
-    def blame(self, entry: Entry, why: str) -> None:
+    def report(self, entry: Entry, why: str) -> None:
         """Note a violation."""
         if len(self.violations) < MAX_VIOLATIONS:
             self.violations.append(f"{why}: {tuple(entry)}")
@@ -88,24 +88,24 @@ class Book:
         self.counts["records"] += 1
         if self.last is not None:
             if e.seq != self.last.seq + 1:
-                self.blame(e, f"record {self.last.seq} is followed by record {e.seq}")
+                self.report(e, f"record {self.last.seq} is followed by record {e.seq}")
             if e.t_ns < self.last.t_ns:
-                self.blame(e, "time goes back")
+                self.report(e, "time goes back")
         self.last = e
         if e.event not in EVENT_NAMES.values():
-            self.blame(e, "an unknown event")
+            self.report(e, "an unknown event")
         if e.client in self.gone and e.event not in _AFTERWARDS:
-            self.blame(e, "a client that detached does something")
+            self.report(e, "a client that detached does something")
         since_ns = self.owes_safe.pop(e.resource, None)
         if since_ns is not None and (e.event != "SAFE" or e.t_ns - since_ns > self.period_ns):
-            self.blame(e, "no safe command within a period after a loss of control")
+            self.report(e, "no safe command within a period after a loss of control")
         getattr(self, f"_{e.event.lower()}", lambda _: None)(e)
 
     def end(self, t_ns: int) -> None:
         """The history ends at this time: no safe command may be missing."""
         for resource, since_ns in self.owes_safe.items():
             if t_ns - since_ns > self.period_ns and self.last is not None:
-                self.blame(self.last, f"no safe command within a period on {resource!r} to the end")
+                self.report(self.last, f"no safe command within a period on {resource!r} to the end")
 
     def _attach(self, e: Entry) -> None:
         self.attached.add(e.client)
@@ -114,7 +114,7 @@ class Book:
         self.attached.discard(e.client)
         self.gone.add(e.client)
         if any(h is not None and h[0] == e.client for h in self.held.values()):
-            self.blame(e, "a client that is gone still holds something")
+            self.report(e, "a client that is gone still holds something")
 
     def _lease_back(self, e: Entry) -> None:
         self.silent.discard(e.client)
@@ -125,22 +125,22 @@ class Book:
     def _grant(self, e: Entry) -> None:
         self.counts["grants"] += 1
         if self.held.get(e.resource) is not None or (self.whole and e.resource not in self.held):
-            self.blame(e, "granted while held, or before the server's epoch began")
+            self.report(e, "granted while held, or before the server's epoch began")
         if e.token <= self.tokens.get(e.resource, 0):
-            self.blame(e, "a token is not higher than all before")
+            self.report(e, "a token is not higher than all before")
         if self.epoch and e.token >> 32 != self.epoch:
-            self.blame(e, f"a token is not of epoch {self.epoch}")
+            self.report(e, f"a token is not of epoch {self.epoch}")
         if self.whole and e.client not in self.attached:
-            self.blame(e, "granted to nobody")
+            self.report(e, "granted to nobody")
         if e.client in self.silent:
-            self.blame(e, "granted to a client whose lease is over")
+            self.report(e, "granted to a client whose lease is over")
         self.tokens[e.resource] = max(e.token, self.tokens.get(e.resource, 0))
         self.held[e.resource] = (e.client, e.token)
 
     def _revoke(self, e: Entry) -> None:
         self.counts["revoked"] += 1
         if self.held.get(e.resource, (e.client, e.token)) != (e.client, e.token):
-            self.blame(e, "took what was not held")
+            self.report(e, "took what was not held")
         self.held[e.resource] = None
         self.owes_safe[e.resource] = e.t_ns
         if e.reason == "LEASE_OVER":
@@ -153,9 +153,9 @@ class Book:
         self.forwarded_of[e.client] = self.forwarded_of.get(e.client, 0) + 1
         holder = self.held.get(e.resource, None if self.whole else (e.client, e.token))
         if holder != (e.client, e.token) or (self.whole and e.client not in self.attached):
-            self.blame(e, "forwarded a command of a client that does not hold the resource")
+            self.report(e, "forwarded a command of a client that does not hold the resource")
         if e.client in self.silent:
-            self.blame(e, "forwarded a command of a client whose lease is over")
+            self.report(e, "forwarded a command of a client whose lease is over")
         self.held[e.resource] = (e.client, e.token)
 
 
@@ -175,12 +175,12 @@ class Follower:
         """A number of the board's header."""
         return int(self.words[BoardHeader.offset(field) // 8])
 
-    def begin(self, book: Book) -> None:
-        """Start the book for this server."""
-        book.counts["servers"] += 1
-        book.begin(self.word("epoch"), self.word("period_ns"))
+    def begin(self, state: AuditState) -> None:
+        """Start the state for this server."""
+        state.counts["servers"] += 1
+        state.begin(self.word("epoch"), self.word("period_ns"))
 
-    def read(self, book: Book) -> int:
+    def read(self, state: AuditState) -> int:
         """Enter what is new; how much that was."""
         head = self.words[(self.base + LogHead.offset("head")) // 8] // 16
         start = self.next
@@ -189,56 +189,56 @@ class Follower:
             record = RECORD.unpack_from(self.memory, at)
             reserved = self.words[(self.base + LogHead.offset("reserved")) // 8] // 16
             if reserved - self.next > self.capacity:
-                book.counts["lost"] += head - self.next
+                state.counts["lost"] += head - self.next
                 self.next = head
-                book.skip()
+                state.skip()
                 break
             seq, t_ns, client, resource, token, event, reason = record[:7]
             kind = EVENT_NAMES.get(event, f"event {event}")
             why = EVENTS[reason] if 0 <= reason < len(EVENTS) else ""
-            book.enter(Entry(seq, t_ns, client, str(resource) if resource >= 0 else "", token, kind, why))
+            state.enter(Entry(seq, t_ns, client, str(resource) if resource >= 0 else "", token, kind, why))
             self.next += 1
         return self.next - start
 
 
-def audit(name: str, stopped: list[int], poll_s: float = 0.0005) -> Book:
+def audit(name: str, stopped: list[int], poll_s: float = 0.0005) -> AuditState:
     """Follow until `stopped` holds something."""
-    path, book, follower = Path("/dev/shm") / f"{name}.arbiter", Book(), None
+    path, state, follower = Path("/dev/shm") / f"{name}.arbiter", AuditState(), None
     while True:
         over = bool(stopped)
         new = 0
         if follower is not None:
-            new = follower.read(book)
+            new = follower.read(state)
         try:
             if follower is None or path.stat().st_ino != follower.identity:
                 if follower is not None:
-                    follower.read(book)
-                    book.end(follower.word("heartbeat_ns"))
+                    follower.read(state)
+                    state.end(follower.word("heartbeat_ns"))
                 follower = Follower(path)
-                follower.begin(book)
+                follower.begin(state)
         except (OSError, ValueError, IndexError):
             pass  # being replaced
         if over and not new:
             if follower is not None:
-                book.end(follower.word("heartbeat_ns"))
-            return book
+                state.end(follower.word("heartbeat_ns"))
+            return state
         if not new:
             time.sleep(poll_s)
 
 
-def audit_file(path: Path) -> Book:
+def audit_file(path: Path) -> AuditState:
     """Check what `surffollow arbiter history --json` printed of one server."""
-    book = Book()
-    book.counts["servers"] = 1
+    state = AuditState()
+    state.counts["servers"] = 1
     entry = None
     for line in path.read_text().splitlines():
         entry = Entry(**{k: v for k, v in json.loads(line).items() if k in Entry._fields})
-        if entry.seq > 1 and book.last is None:
-            book.skip()
-        book.enter(entry)
+        if entry.seq > 1 and state.last is None:
+            state.skip()
+        state.enter(entry)
     if entry is not None:
-        book.end(entry.t_ns)
-    return book
+        state.end(entry.t_ns)
+    return state
 
 
 def main() -> int:
@@ -251,16 +251,16 @@ def main() -> int:
     if (words.name is None) == (words.file is None):
         parser.error("give the name of an arbiter, or --file HISTORY")
     if words.file is not None:
-        book = audit_file(words.file)
+        state = audit_file(words.file)
     else:
         stopped: list[int] = []
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda n, _: stopped.append(n))
         print("following", flush=True)
-        book = audit(words.name, stopped)
-    result = {**book.counts, "forwarded_of": book.forwarded_of, "violations": book.violations}
+        state = audit(words.name, stopped)
+    result = {**state.counts, "forwarded_of": state.forwarded_of, "violations": state.violations}
     print(json.dumps(result) if words.json else result, flush=True)
-    return 1 if book.violations else 0
+    return 1 if state.violations else 0
 
 
 if __name__ == "__main__":

@@ -196,7 +196,7 @@ def attacker(name: str, attack: Callable[[Any, random.Random], None], seed: int)
     return work
 
 
-def withstand(nursery: Nursery, what: str, seconds: float, seed: int) -> dict[str, Any]:
+def measure_attack(nursery: Nursery, what: str, seconds: float, seed: int) -> dict[str, Any]:
     """One attack: how long an honest client waited at most, and what the audit says of the attacker."""
     nursery.restart()  # the audit reads a history from its beginning
     longest, grants = 0.0, 0
@@ -266,7 +266,7 @@ def main() -> dict[str, Any]:
         say("times taken")
         attacks = {}
         for what in ATTACKS:
-            attacks[what] = got = withstand(nursery, what, words.attack_seconds, words.seed)
+            attacks[what] = got = measure_attack(nursery, what, words.attack_seconds, words.seed)
             note = f"{got['grants']} grants meanwhile"
             criteria.append(criterion(f"attacker {what}: longest wait", got["longest_s"], LEASE_S, "s", note))
             forged = got["forwarded_of_attacker"] if what == "forges" else 0

@@ -95,7 +95,7 @@ class Part:
         self.process.wait()
         self.kills += 1
 
-    def tend(self, may_end: bool) -> None:
+    def restart_if_ended(self, may_end: bool) -> None:
         """Start it again when it ended by itself."""
         if self.process.poll() is not None:
             self.own_ends += not may_end
@@ -209,7 +209,7 @@ class Trial:
         while not condition():
             for part in self.parts.values():
                 # without a service there is nothing to record: an init system tries again
-                part.tend(may_end=part.name == "recorder")
+                part.restart_if_ended(may_end=part.name == "recorder")
             if time.monotonic() - start > seconds:
                 self.hangs += 1
                 return
@@ -220,7 +220,7 @@ class Trial:
         part = self.parts[PARTS[number % 3]]
         time.sleep(self.rng.random() ** 2 * self.pause_s)
         if part.process.poll() is not None:
-            part.tend(may_end=part.name == "recorder")
+            part.restart_if_ended(may_end=part.name == "recorder")
         part.kill()
         if part.name == "service":
             self.compare()

@@ -114,7 +114,7 @@ class Trials:
         self.torn += len(values) != 1
         self.lost += min(values) < at_least
 
-    def relet(self, lease_s: float) -> None:
+    def reattach_writer(self, lease_s: float) -> None:
         """Become the writer anew, with another lease."""
         self.block.close(keep=True)
         self.block = self.attach(lease_s)
@@ -151,7 +151,7 @@ class Trials:
             whole = len(set(view.word)) == 1
             me.say(whole and block.read_done() == "stale")
 
-        self.relet(LEASE_S)
+        self.reattach_writer(LEASE_S)
         child = Child(work)
         child.receive()
         os.waitpid(child.pid, os.WUNTRACED)
@@ -160,7 +160,7 @@ class Trials:
         os.kill(child.pid, signal.SIGCONT)
         self.verdicts += child.receive() != 1
         child.bury()
-        self.relet(LONG_S)
+        self.reattach_writer(LONG_S)
 
     def overlap(self) -> None:
         def work(me: Child) -> None:

@@ -52,7 +52,7 @@ class Follower:
     def __init__(self, true: np.ndarray) -> None:
         self.field = HeightField(np.ascontiguousarray(true), 0.5 * GRID_M, 0.5 * GRID_M, GRID_M)
         self.seen: list[tuple[int, float, float]] = []
-        self.trouble, self.ticks, self.held, self.refused, self.attachments = "", 0, 0, 0, 1
+        self.fault, self.ticks, self.held, self.refused, self.attachments = "", 0, 0, 0, 1
         self.service = self
         self.robot: ScanRobot
 

@@ -20,7 +20,7 @@ from surffollow.apps.wall_following import Arbitration, ring_of, run_experiment,
 from surffollow.apps.wall_heading import heading_table
 from surffollow.apps.wall_pictures import figure_of
 from surffollow.apps.wall_processes import run_processes
-from surffollow.apps.wall_sensing import Wish
+from surffollow.apps.wall_sensing import BaseRequest
 from surffollow.cli.base import base_command, wall_follow_command
 from surffollow.errors import ConfigError, MapFileError, UsageError
 from surffollow.sim.base import BaseConfig, SimulatedBase
@@ -54,7 +54,7 @@ def test_avoid_halts_before_a_wall_whoever_drives():
         name = "go"
 
         def step(self, seen, held):
-            return Wish(True, 0.3)
+            return BaseRequest(True, 0.3)
 
     clients, arbitration = [Avoid(ring), Ram()], Arbitration(["avoid", "go"])
     base.run(0.15)

@@ -12,7 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 
-from arbiter_audit import Book, Entry, Follower, audit_file
+from arbiter_audit import AuditState, Entry, Follower, audit_file
 from running_service import until
 from surffollow.arbiter import attach
 from surffollow.arbiter.layout import EVENT_NAMES
@@ -54,12 +54,12 @@ def honest() -> list[Entry]:
 
 
 def violations(entries: list[Entry], period_ns: int = 5 * MS, end_ns: int = 307 * MS) -> list[str]:
-    book = Book()
-    book.begin(EPOCH, period_ns)
+    state = AuditState()
+    state.begin(EPOCH, period_ns)
     for e in entries:
-        book.enter(e)
-    book.end(end_ns)
-    return book.violations
+        state.enter(e)
+    state.end(end_ns)
+    return state.violations
 
 
 def at(event: str, nth: int = 0) -> int:
@@ -134,12 +134,12 @@ def test_a_safe_command_that_never_comes_is_found_at_the_end() -> None:
 
 def test_what_was_overwritten_before_it_was_read_accuses_no_client() -> None:
     for first in range(1, len(HONEST)):
-        book = Book()
-        book.begin(EPOCH, 5 * MS)
-        book.skip()
+        state = AuditState()
+        state.begin(EPOCH, 5 * MS)
+        state.skip()
         for e in honest()[first:]:
-            book.enter(e)
-        assert book.violations == [], f"read from record {first} on"
+            state.enter(e)
+        assert state.violations == [], f"read from record {first} on"
 
 
 def test_every_event_that_the_server_knows_is_known_and_the_file_of_a_history_is_read(
@@ -152,11 +152,11 @@ def test_every_event_that_the_server_knows_is_known_and_the_file_of_a_history_is
         assert camera.request()
         until(lambda: robot.command(0.1, 0.1) and arbiter.command("status")["resources"])
         robot.relinquish()
-    book, follower = Book(), Follower(Path("/dev/shm") / f"{arbiter.name}.arbiter")
-    follower.begin(book)
-    assert until(lambda: follower.read(book) == 0 and book.counts["records"] > 0)
-    assert book.violations == []
-    assert book.counts["grants"] >= 2
+    state, follower = AuditState(), Follower(Path("/dev/shm") / f"{arbiter.name}.arbiter")
+    follower.begin(state)
+    assert until(lambda: follower.read(state) == 0 and state.counts["records"] > 0)
+    assert state.violations == []
+    assert state.counts["grants"] >= 2
 
     words = [sys.executable, "-m", "surffollow", "arbiter", "history", "--name", arbiter.name, "--json"]
     lines = subprocess.run([*words, "--last", "4000"], capture_output=True, text=True, check=True).stdout

@@ -221,7 +221,7 @@ kept: list[socket.socket] = []
 
 
 def test_a_squatter_keeps_no_client_waiting_and_is_named(honest):
-    def squat(child):
+    def occupy_name(child):
         sock = hs.new_socket()
         sock.bind(hs.address(honest.name))
         sock.listen(8)
@@ -231,7 +231,7 @@ def test_a_squatter_keeps_no_client_waiting_and_is_named(honest):
         child.say("full")
         signal.pause()
 
-    with OtherUser(squat) as squatter:
+    with OtherUser(occupy_name) as squatter:
         # GIVEN another user's process that has the name and never answers
         assert squatter.receive() == "there"
         # WHEN an arbiter or a client wants it, THEN it is told whose it is

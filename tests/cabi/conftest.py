@@ -32,12 +32,12 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
 @pytest.fixture(scope="module")
 def module_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service of a module's own, not started, with something to see for its sensor."""
-    with over_ground(tmp_path_factory.mktemp("mortal"), flat_ground(), started=False) as s:
+    with over_ground(tmp_path_factory.mktemp("killable"), flat_ground(), started=False) as s:
         yield s
 
 
 @pytest.fixture
-def mortal(module_service: Service) -> Iterator[Service]:
+def killable(module_service: Service) -> Iterator[Service]:
     """A living service that a test may kill or stop; the next test starts it again."""
     if module_service.process is None:
         module_service.start()

@@ -39,17 +39,17 @@ def test_what_is_no_plain_file_is_refused_at_once(make_probe: Callable[..., Prob
 
 @needs_root
 def test_an_impostor_after_a_clean_stop_moves_no_client(
-    mortal: Service, make_probe: Callable[..., Probe]
+    killable: Service, make_probe: Callable[..., Probe]
 ) -> None:
-    path = Path(f"/dev/shm/{mortal.name}")
+    path = Path(f"/dev/shm/{killable.name}")
     robot, watcher, fixed, trusting = (make_probe(stale_ms=50) for _ in range(4))
     fixed("auto 0")
     for p, how in ((robot, "attach"), (watcher, "observe"), (fixed, "attach")):
-        assert p(f"{how} {mortal.name}").result == OK
+        assert p(f"{how} {killable.name}").result == OK
     robot.until(POSE, lambda a: int(robot("dev").values[2]) & VALID != 0)
-    with observe(mortal.name) as python:
+    with observe(killable.name) as python:
         forged = forged_board(path.read_bytes(), python.board.regions["output"][0])
-    assert mortal.terminate() == 0
+    assert killable.terminate() == 0
 
     with OtherUser(published(path, forged)) as impostor:
         assert impostor.receive() == "there"
@@ -62,28 +62,28 @@ def test_an_impostor_after_a_clean_stop_moves_no_client(
                 assert p("dev").values[0] == 0.0
                 assert not int(p("dev").values[2]) & VALID
             assert robot(POSE).result == NOT_RUNNING
-        answer = trusting(f"attach {mortal.name}")
+        answer = trusting(f"attach {killable.name}")
         assert (answer.result, answer.detail) == (OWNER, NOBODY)
         trusting(f"owner {NOBODY}")
         trusting("stale_ms 3600000")
-        assert trusting(f"observe {mortal.name}").result == OK
+        assert trusting(f"observe {killable.name}").result == OK
         assert trusting("dev").values[0] == -0.5
         assert fixed("detach").result == OK
     path.unlink()
-    mortal.start()
+    killable.start()
     robot.until(POSE, lambda a: a.result == OK)
 
 
 @needs_root
 @pytest.mark.parametrize("kind", ["fifo", "directory", "link"])
 def test_a_robot_bears_what_takes_the_place_of_its_service(
-    mortal: Service, make_probe: Callable[..., Probe], kind: str
+    killable: Service, make_probe: Callable[..., Probe], kind: str
 ) -> None:
-    path = Path(f"/dev/shm/{mortal.name}")
+    path = Path(f"/dev/shm/{killable.name}")
     probe = make_probe(stale_ms=50)
-    assert probe(f"attach {mortal.name}").result == OK
+    assert probe(f"attach {killable.name}").result == OK
     assert probe(POSE).result == OK
-    assert mortal.terminate() == 0
+    assert killable.terminate() == 0
     assert as_other_user(lambda _: outcome(lambda: put(path, kind))) == "done"
     try:
         probe.until("dev", lambda a: bool(int(a.values[2]) & STALE))
@@ -96,14 +96,14 @@ def test_a_robot_bears_what_takes_the_place_of_its_service(
 
 
 def test_no_call_is_a_signal_when_the_service_died_and_its_names_are_gone(
-    mortal: Service, make_probe: Callable[..., Probe]
+    killable: Service, make_probe: Callable[..., Probe]
 ) -> None:
     probe = make_probe(stale_ms=50)
-    assert probe(f"attach {mortal.name}").result == OK
+    assert probe(f"attach {killable.name}").result == OK
     assert probe(POSE).result == OK
-    mortal.kill()
+    killable.kill()
     for part in ("", ".sock", ".lock"):
-        Path(f"/dev/shm/{mortal.name}{part}").unlink()
+        Path(f"/dev/shm/{killable.name}{part}").unlink()
     probe.until("dev", lambda a: bool(int(a.values[2]) & STALE))
     for line in (POSE, "reset 0.1", "begin 10", "end", "reattach", "release", "status", "detach", POSE):
         probe(line)  # the probe is sanitised and says so when it dies
@@ -111,15 +111,15 @@ def test_no_call_is_a_signal_when_the_service_died_and_its_names_are_gone(
 
 
 def test_more_clients_than_slots_and_one_that_comes_free(
-    mortal: Service, make_probe: Callable[..., Probe]
+    killable: Service, make_probe: Callable[..., Probe]
 ) -> None:
     probe = make_probe()
     with contextlib.ExitStack() as stack:
-        held = [stack.enter_context(attach(mortal.name, stale_min_s=1.0)) for _ in range(lb.CLIENTS)]
-        answer = probe(f"attach {mortal.name}")
+        held = [stack.enter_context(attach(killable.name, stale_min_s=1.0)) for _ in range(lb.CLIENTS)]
+        answer = probe(f"attach {killable.name}")
         assert (answer.result, answer.detail) == (-25, lb.CLIENTS)
         held[3].close()
-        probe.until(f"attach {mortal.name}", lambda a: a.result == OK)
+        probe.until(f"attach {killable.name}", lambda a: a.result == OK)
 
 
 TOOLS = {

@@ -153,17 +153,17 @@ def test_map_stands_still_while_a_c_client_holds_it_and_following_goes_on(
 
 
 @pytest.fixture(scope="module")
-def hasty_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+def short_lease_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service whose lease is 0.7 s, for those who outlive it."""
     with Service(tmp_path_factory.mktemp("hasty"), flat_ground("700 ms")).running() as s:
         yield s
 
 
 def test_holder_that_outlives_its_lease_learns_that_its_copy_may_be_mixed(
-    make_probe: Callable[..., Probe], hasty_service: Service
+    make_probe: Callable[..., Probe], short_lease_service: Service
 ) -> None:
     probe = make_probe()
-    assert probe(f"attach {hasty_service.name}").result == OK
+    assert probe(f"attach {short_lease_service.name}").result == OK
     assert probe("begin 60000").result == OK
     probe.until("held", lambda a: a.result == 0)  # the service's lease is 0.7 s
     cycles = probe("status").values[2]
@@ -245,10 +245,10 @@ def victim_slot(robot: Client) -> int:
 
 
 def test_grant_given_anew_behind_the_holders_back_is_not_its_own(
-    make_probe: Callable[..., Probe], hasty_service: Service
+    make_probe: Callable[..., Probe], short_lease_service: Service
 ) -> None:
     """The service's lease is 0.7 s: a holder that sleeps longer gets an error, after any sleep."""
-    probe, name = make_probe(), hasty_service.name
+    probe, name = make_probe(), short_lease_service.name
     assert probe(f"attach {name}").result == OK
     for over_ms in (800, 1600):
         assert probe(f"holding 60000 {over_ms}").result == -31

@@ -22,19 +22,19 @@ POSE = "ee 0.05 0.05 0.1 0 0 0 1"
 
 
 def test_client_follows_a_killed_service_into_its_next_life(
-    mortal: Service, make_probe: Callable[..., Probe]
+    killable: Service, make_probe: Callable[..., Probe]
 ) -> None:
     # GIVEN a client that drives, an observer, and a client that does not attach again by itself
     probe, watcher, fixed = (make_probe(stale_ms=0) for _ in range(3))
     fixed("auto 0")
     for p, how in ((probe, "attach"), (watcher, "observe"), (fixed, "attach")):
-        assert p(f"{how} {mortal.name}").result == OK
+        assert p(f"{how} {killable.name}").result == OK
     assert probe("map_reset 0 0 0.1 0.1").result == OK
     probe.until(POSE, lambda a: int(probe("dev").values[2]) & VALID != 0)
     probe.until(POSE, lambda a: probe("height 0.05 0.05").result == OK)
     epoch = int(probe("dev").values[3])
     # WHEN the service is killed
-    mortal.kill()
+    killable.kill()
     # THEN each is told after 20 periods, demands are zero, and every request is refused
     for p in (probe, watcher, fixed):
         fresh = [0.0]
@@ -45,7 +45,7 @@ def test_client_follows_a_killed_service_into_its_next_life(
     assert probe("reset 0.1").result == -20
     assert probe("begin 50").result == -20
     # WHEN it is started again
-    mortal.start()
+    killable.start()
     # THEN two follow it by themselves and the third when it is told to
     for p in (probe, watcher):
         p.until("dev", lambda a: int(a.values[3]) > epoch and not int(a.values[2]) & STALE)
@@ -64,17 +64,17 @@ def test_client_follows_a_killed_service_into_its_next_life(
 
 
 def test_holder_learns_that_the_service_was_restarted(
-    mortal: Service, make_probe: Callable[..., Probe]
+    killable: Service, make_probe: Callable[..., Probe]
 ) -> None:
     for how in ("auto 0", "auto 1"):
         # GIVEN a C client that holds the map
         probe = make_probe()
         probe(how)
-        assert probe(f"attach {mortal.name}").result == OK
+        assert probe(f"attach {killable.name}").result == OK
         assert probe("begin 60000").result == OK
         # WHEN the service is killed and started again
-        mortal.kill()
-        mortal.start()
+        killable.kill()
+        killable.start()
         # THEN the end of the access says so, and the client may take the map again
         assert probe("end").result == -31
         probe.until("reattach", lambda a: a.result == OK)
@@ -82,17 +82,17 @@ def test_holder_learns_that_the_service_was_restarted(
 
 
 def test_purged_map_is_found_again_when_it_is_made_anew(
-    mortal: Service, make_probe: Callable[..., Probe]
+    killable: Service, make_probe: Callable[..., Probe]
 ) -> None:
     # GIVEN a C client that reads the map
     probe = make_probe()
-    probe(f"attach {mortal.name}")
+    probe(f"attach {killable.name}")
     assert probe("map_reset 0 0 0.1 0.1").result == OK
     probe.until(POSE, lambda a: probe("height 0.05 0.05").result == OK)
     # WHEN the service ends, its map is removed, and it starts again
-    mortal.stop()
+    killable.stop()
     probe.until("dev", lambda a: bool(int(a.values[2]) & STALE))  # it is seen to have ended
-    mortal.start()
+    killable.start()
     probe.until("dev", lambda a: not int(a.values[2]) & STALE)
     # THEN the new map is empty, and may be laid
     assert probe("height 0.05 0.05").result == 4
@@ -100,20 +100,20 @@ def test_purged_map_is_found_again_when_it_is_made_anew(
 
 
 def test_attaching_to_what_a_killed_service_left_is_safe(
-    mortal: Service, make_probe: Callable[..., Probe]
+    killable: Service, make_probe: Callable[..., Probe]
 ) -> None:
     # GIVEN what a killed service left
-    mortal.kill()
+    killable.kill()
     # WHEN a C client attaches or observes, THEN the error is that no service is there
     probe = make_probe()
     probe("ready_ms 100")
-    assert probe(f"attach {mortal.name}").result == NOT_RUNNING
-    assert probe(f"observe {mortal.name}").result == OK
+    assert probe(f"attach {killable.name}").result == NOT_RUNNING
+    assert probe(f"observe {killable.name}").result == OK
     probe.until("alive", lambda a: a.result == 0)
     assert probe(POSE).result == -26
     assert probe("status").values[0] == 0
     assert probe("upload /dev/null/x").result == -26
-    assert os.path.exists(f"/dev/shm/{mortal.name}.map")
+    assert os.path.exists(f"/dev/shm/{killable.name}.map")
 
 
 def start_with_other_memory(service: Service) -> None:
@@ -126,21 +126,21 @@ def start_with_other_memory(service: Service) -> None:
 
 
 def test_client_that_only_posts_poses_learns_of_the_end_and_goes_on_after_it(
-    mortal: Service, make_probe: Callable[..., Probe]
+    killable: Service, make_probe: Callable[..., Probe]
 ) -> None:
     # GIVEN clients that post poses
     probe, fixed, watcher = make_probe(), make_probe(), make_probe()
     fixed("auto 0")
     for p, how in ((probe, "attach"), (fixed, "attach"), (watcher, "observe")):
-        assert p(f"{how} {mortal.name}").result == OK
+        assert p(f"{how} {killable.name}").result == OK
     assert probe(POSE).result == OK
     # WHEN the service is killed
-    mortal.kill()
+    killable.kill()
     # THEN every pose is refused until it is started again, elsewhere in memory
     probe.until(POSE, lambda a: a.result == NOT_RUNNING)
     assert probe(POSE).result == NOT_RUNNING
     # WHEN it is started again, THEN poses go on, or after `reattach` where a client is told to wait
-    start_with_other_memory(mortal)
+    start_with_other_memory(killable)
     probe.until(POSE, lambda a: a.result in (OK, NOT_RUNNING) and watcher("status").values[6] > 3)
     assert fixed(POSE).result == NOT_RUNNING, "told not to look by itself"
     assert probe("release").result == OK
@@ -149,7 +149,7 @@ def test_client_that_only_posts_poses_learns_of_the_end_and_goes_on_after_it(
 
 
 def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(
-    mortal: Service, make_probe: Callable[..., Probe]
+    killable: Service, make_probe: Callable[..., Probe]
 ) -> None:
     # GIVEN a probe for each way to read, and a map
     ended = ("get range_size", "params", "output")
@@ -158,15 +158,15 @@ def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(
     reads = {line: make_probe() for line in (*ended, *purged, *silent, "status")}
     robot = make_probe()
     for p in reads.values():
-        assert p(f"observe {mortal.name}").result == OK
-    assert robot(f"attach {mortal.name}").result == OK
+        assert p(f"observe {killable.name}").result == OK
+    assert robot(f"attach {killable.name}").result == OK
     assert robot("map_reset 0 0 0.1 0.1").result == OK
     robot.until(POSE, lambda a: robot("height 0.05 0.05").result == OK)
     robot.until(POSE, lambda a: reads["raw 0"]("raw 0").result == OK)
     for line in (*ended, *purged):
         assert reads[line](line).result == OK, line
     # WHEN the service is killed THEN all but the map's readers are told
-    mortal.kill()
+    killable.kill()
     for line in ended:
         reads[line].until(line, lambda a: a.result == NOT_RUNNING)
     for line, result in silent.items():
@@ -175,13 +175,13 @@ def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(
     for line in purged:
         assert reads[line](line).result == OK, "the map outlives the service"
     # WHEN the map is removed THEN its readers are told, too
-    mortal.stop()
+    killable.stop()
     for line in purged:
         reads[line].until(line, lambda a: a.result == NOT_RUNNING)
     # WHEN another service starts under the name THEN each of them follows it
-    start_with_other_memory(mortal)
+    start_with_other_memory(killable)
     new = make_probe()
-    assert new(f"attach {mortal.name}").result == OK
+    assert new(f"attach {killable.name}").result == OK
     assert new("map_reset 0 0 0.1 0.1").result == OK
     new.until(POSE, lambda a: new("height 0.05 0.05").result == OK)
     for line in (*ended, *purged):
@@ -191,11 +191,11 @@ def test_each_way_to_read_alone_tells_the_end_and_follows_a_new_start(
     new.until(POSE, lambda a: reads["raw 0"]("raw 0").result == OK)
 
 
-def test_poll_of_a_dead_services_answer_says_so(mortal: Service, make_probe: Callable[..., Probe]) -> None:
+def test_poll_of_a_dead_services_answer_says_so(killable: Service, make_probe: Callable[..., Probe]) -> None:
     # GIVEN a request to a service that stands still
     probe = make_probe(stale_ms=2000)  # the request is sent before that
-    assert probe(f"attach {mortal.name}").result == OK
-    mortal.freeze()
+    assert probe(f"attach {killable.name}").result == OK
+    killable.freeze()
     assert probe("send 1 0.1").result == OK
     # THEN its answer is to come
     assert probe("poll").result == 2
@@ -203,27 +203,27 @@ def test_poll_of_a_dead_services_answer_says_so(mortal: Service, make_probe: Cal
     assert probe("poll").result == 2, "it only stands still"
     assert probe("get range_size").result == OK
     # WHEN the service is killed, THEN there will be none
-    mortal.kill()
+    killable.kill()
     probe.until("poll", lambda a: a.result == NOT_RUNNING)
     assert probe("wait 1000000").result == NOT_RUNNING, "at once"
     # WHEN it is started again, THEN the request is lost
-    mortal.start()
+    killable.start()
     probe.until("poll", lambda a: a.result == -28)
 
 
 @pytest.mark.parametrize("manner", MANNERS)
 def test_no_call_of_a_control_loop_waits_for_a_socket_that_hangs(
-    mortal: Service, make_probe: Callable[..., Probe], manner: str
+    killable: Service, make_probe: Callable[..., Probe], manner: str
 ) -> None:
     # GIVEN a client that drives
     probe = make_probe()
-    assert probe(f"attach {mortal.name}").result == OK
+    assert probe(f"attach {killable.name}").result == OK
     probe.until(POSE, lambda a: a.result == OK)
     # WHEN the service is started again and its socket hangs
-    mortal.kill()
+    killable.kill()
     probe.until(POSE, lambda a: a.result == NOT_RUNNING)
-    mortal.start()
-    with hanging(mortal.name, manner):
+    killable.start()
+    with hanging(killable.name, manner):
         # THEN no call waits for it
         slow = 0
         for _ in range(100):

@@ -177,7 +177,7 @@ def test_faults_say_who_is_silent_and_what_was_refused() -> None:
     now_ns = time.monotonic_ns()
     driver.pushed[0]["claimed_ns"][:2] = now_ns, now_ns - 2_000_000_000
     assert "has pushed no range for 2" in "; ".join(driver.faults())
-    driver.pushed[0]["heard_ns"][1] = now_ns
+    driver.pushed[0]["received_ns"][1] = now_ns
     assert driver.faults() == []
     ring = Ring()
     ring.push(NOW, 0, 0.1)

@@ -26,7 +26,7 @@ def map_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
 
 
 @pytest.fixture
-def hasty_service(make_service: Callable[..., Service]) -> Service:
+def short_lease_service(make_service: Callable[..., Service]) -> Service:
     """As `map_service`, with a lease of two seconds."""
     return make_service(grids=GRIDS, map=f'access_lease = "{SHORT_S} s"').start()
 

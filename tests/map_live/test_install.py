@@ -138,9 +138,9 @@ def test_a_client_that_leaves_half_way_leaves_an_empty_map(map_service: Service)
             assert not (window.heights != ml.UNKNOWN).any()
 
 
-def test_a_client_that_stops_half_way_is_fenced_off_after_its_lease(hasty_service: Service) -> None:
+def test_a_client_that_stops_half_way_is_fenced_off_after_its_lease(short_lease_service: Service) -> None:
     ground = some_map(300, 301)
-    with hasty_service.attach() as client, hasty_service.attach() as other:
+    with short_lease_service.attach() as client, short_lease_service.attach() as other:
         # GIVEN an installation that is half done, by a client that sends no more
         stream = MapStream(client, ground.header, ground.pairs, 30.0)
         post_pieces(stream, 2)

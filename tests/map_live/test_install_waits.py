@@ -146,8 +146,8 @@ def test_one_whose_client_goes_on_to_a_later_one(client: Client, live: MapWindow
     assert untouched(client, live)
 
 
-def test_one_whose_client_never_sends_a_piece(hasty_service: Service, map_file: Path) -> None:
-    with hasty_service.attach() as client, hasty_service.attach() as other:
+def test_one_whose_client_never_sends_a_piece(short_lease_service: Service, map_file: Path) -> None:
+    with short_lease_service.attach() as client, short_lease_service.attach() as other:
         # GIVEN a service of little patience, with a map
         client.map_install(map_file)
         live = client.map_window()

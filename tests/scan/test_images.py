@@ -146,9 +146,9 @@ def test_jumps_grow_with_the_square_of_the_range():
     assert coherent_patches(rows, CAMERA, min_pixels=1).counts()["kept"] == 1
     far = np.full((40, 40), 4.0)
     far[:, 20:] += 0.8 * 16.0 / (300 * 0.12)
-    assert coherent_patches(far, CAMERA, min_pixels=1, support_m=9.0).fate.size == 1
+    assert coherent_patches(far, CAMERA, min_pixels=1, support_m=9.0).outcome.size == 1
     far[:, 20:] += 0.8 * 16.0 / (300 * 0.12)
-    assert coherent_patches(far, CAMERA, min_pixels=1, support_m=9.0).fate.size == 2
+    assert coherent_patches(far, CAMERA, min_pixels=1, support_m=9.0).outcome.size == 2
 
 
 def test_pixels_beside_a_jump_can_be_left_out():

@@ -37,7 +37,7 @@ if child == 0:
 print("forked", child, flush=True)
 time.sleep(60)
 """
-STRANGER = f"""
+OTHER_USER_PROGRAM = f"""
 import sys
 from surffollow.client import attach, observe
 from surffollow.errors import NoPermissionError
@@ -154,7 +154,7 @@ def test_sixteen_clients_fit_the_seventeenth_is_refused_and_a_freed_slot_is_used
 
 def as_nobody(s: Service) -> list[str]:
     done = subprocess.run(
-        [*AS_NOBODY, sys.executable, "-c", STRANGER, s.name], capture_output=True, text=True
+        [*AS_NOBODY, sys.executable, "-c", OTHER_USER_PROGRAM, s.name], capture_output=True, text=True
     )
     if "Permission denied" in done.stderr:
         pytest.skip("another user cannot run this Python")

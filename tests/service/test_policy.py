@@ -21,11 +21,11 @@ from surffollow.shm import layout_board as lb
 
 Make = Callable[..., Service]
 # a client that tries to change everything dangerous, and says how it fared
-MEDDLER = """
+OTHER_CLIENT = """
 import os, sys
 from surffollow.client import attach
 from surffollow.errors import SurffollowError
-client = attach(sys.argv[1], stale_min_s=1.0, label="meddler\\x1b[2J")
+client = attach(sys.argv[1], stale_min_s=1.0, label="other_client\\x1b[2J")
 print(os.getpid(), flush=True)
 for values in ({"max_demand": 0.05}, {"max_speed": 3.0}, {"pose_timeout": "90 ms"}):
     try:
@@ -109,9 +109,9 @@ def test_another_user_without_the_pose_changes_nothing_and_is_in_the_audit_trail
         driver.ee_pos(POSE)
         before = driver.params()
         # WHEN another user's client changes parameters
-        with program(MEDDLER, limited.name, before=AS_NOBODY) as meddler:
-            pid = int(said(meddler))
-            answers = [said(meddler) for _ in range(4)]
+        with program(OTHER_CLIENT, limited.name, before=AS_NOBODY) as other_client:
+            pid = int(said(other_client))
+            answers = [said(other_client) for _ in range(4)]
             # THEN it is refused
             assert all(a.startswith(f"{lb.ERR_NOT_POSE_HOLDER} ") for a in answers), answers
             assert driver.params() == before
@@ -123,7 +123,7 @@ def test_another_user_without_the_pose_changes_nothing_and_is_in_the_audit_trail
         # THEN the audit trail tells of every attempt
         for e, parameter in zip(entries(), ("max_demand_m", "max_speed_mps", "pose_timeout_ns", "offset_m")):
             assert (e["uid"], e["parameter"], e["accepted"]) == (NOBODY, parameter, False)
-            assert e["client"] == "meddler?[2J", "nothing that steers a terminal"
+            assert e["client"] == "other_client?[2J", "nothing that steers a terminal"
             assert e["result"] == "not_pose_holder"
 
 

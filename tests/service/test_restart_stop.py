@@ -24,7 +24,7 @@ Make = Callable[..., Service]
 
 
 @pytest.fixture
-def mortal(make_service: Make) -> Iterator[Service]:
+def killable(make_service: Make) -> Iterator[Service]:
     """A service with a simulated sensor over flat ground."""
     s = make_service(kind="simulated", access='parameters = "any"')
     s.world = World(s.name)
@@ -36,14 +36,14 @@ def valid(client: Client) -> bool:
     return client.dev_vector().valid
 
 
-def test_what_died_with_other_parameters_in_force_comes_back_stopped(mortal: Service) -> None:
+def test_what_died_with_other_parameters_in_force_comes_back_stopped(killable: Service) -> None:
     """GIVEN another stand-off than configured WHEN the service is killed and starts THEN it is stopped."""
-    with mortal.attach() as driver:
+    with killable.attach() as driver:
         driver.sf_reset(0.09)
         drive(driver, lambda: valid(driver), what="a demand")
         for _ in range(2):  # a second death keeps it
-            mortal.kill()
-            mortal.start()
+            killable.kill()
+            killable.start()
             drive(driver, lambda: driver.status()["stopped"] == ["restart"], what="the stop")
             assert not valid(driver)
         drive(driver, lambda: driver.slot >= 0, what="a slot of the new one")
@@ -54,29 +54,31 @@ def test_what_died_with_other_parameters_in_force_comes_back_stopped(mortal: Ser
         assert driver.params()["offset_m"] == 0.09
 
 
-def test_what_died_with_the_parameters_of_its_start_goes_on_by_itself(mortal: Service) -> None:
+def test_what_died_with_the_parameters_of_its_start_goes_on_by_itself(killable: Service) -> None:
     """GIVEN the parameters of the configuration WHEN the service is killed and starts THEN it follows by
     itself.
     """
-    with mortal.attach() as driver:
+    with killable.attach() as driver:
         driver.set_params(max_demand=0.01)
         driver.set_params(max_demand=0.05)
         driver.sf_reset(STANDOFF_M)
         drive(driver, lambda: valid(driver), what="a demand")
-        mortal.kill()
-        mortal.start()
+        killable.kill()
+        killable.start()
         drive(driver, lambda: valid(driver), what="a demand of the new one")
 
 
-def test_after_an_end_in_good_order_the_configuration_holds_and_nothing_stops(mortal: Service) -> None:
+def test_after_an_end_in_good_order_the_configuration_holds_and_nothing_stops(
+    killable: Service,
+) -> None:
     """GIVEN another stand-off WHEN the service is terminated and starts THEN the configuration holds and it
     follows.
     """
-    with mortal.attach() as driver:
+    with killable.attach() as driver:
         driver.sf_reset(0.09)
         drive(driver, lambda: valid(driver), what="a demand")
-        assert mortal.terminate() == 0
-        mortal.start()
+        assert killable.terminate() == 0
+        killable.start()
         drive(driver, lambda: valid(driver), what="a demand of the new one")
         assert driver.params()["offset_m"] == STANDOFF_M
 

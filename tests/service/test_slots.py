@@ -390,7 +390,7 @@ def test_a_client_that_seals_its_slot_itself_costs_its_own_connection_alone(open
 
 @needs_root
 def test_a_user_who_keeps_what_he_gave_back_gets_no_more(open_service: Service) -> None:
-    def hoard(child: OtherUser) -> list[int]:
+    def hold_all_slots(child: OtherUser) -> list[int]:
         kept: list[mmap.mmap] = []
 
         def refused() -> bool:
@@ -413,7 +413,7 @@ def test_a_user_who_keeps_what_he_gave_back_gets_no_more(open_service: Service) 
         )
         return [n]
 
-    (n,) = as_other_user(hoard)
+    (n,) = as_other_user(hold_all_slots)
     assert KEPT_PER_USER <= n <= KEPT_PER_USER + 3
     with OtherUser(lambda child: child.receive()):
         open_service.attach().close()

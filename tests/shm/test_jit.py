@@ -20,7 +20,7 @@ def thresholds() -> Iterator[None]:
     gc.set_threshold(*before)
 
 
-class Spy(event.Listener):  # type: ignore[misc]
+class ThresholdRecorder(event.Listener):  # type: ignore[misc]
     """Notes the collector's threshold while a kernel compiles."""
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ def compile_two(fails: bool = False) -> list[int]:
     def outer(x: int) -> int:
         return inner(x) * 2
 
-    spy = Spy()
+    spy = ThresholdRecorder()
     with event.install_listener("numba:compile", spy):
         if fails:
             with pytest.raises(TypingError):

@@ -109,7 +109,7 @@ def test_a_service_that_fails_is_attached_to_again() -> None:
     drive(core, controller, 5)
     assert service.closed
     assert core.holding
-    assert controller.trouble == "gone"
+    assert controller.fault == "gone"
     service.dev_vector = good  # type: ignore[method-assign]
     drive(core, controller, 60)
     assert controller.attachments == 2

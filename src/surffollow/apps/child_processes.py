@@ -26,7 +26,7 @@ from surffollow.cli.main import main
 del sys.argv[1]
 main()
 """
-_JANITOR = (
+_CLEANUP_CODE = (
     "import sys; sys.stdin.read(); from surffollow.apps.child_processes import purge; "
     "purge(sys.argv[1], 30.0)"
 )
@@ -111,7 +111,7 @@ def purge(name: str, wait_s: float = 0.0) -> None:
 def no_leftovers(name: str) -> Iterator[None]:
     """Purge a service's objects at the end, even when this process is killed: a child waits for that."""
     janitor = subprocess.Popen(
-        code_command(_JANITOR, name),
+        code_command(_CLEANUP_CODE, name),
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -79,7 +79,7 @@ def demonstrate(kind: str, seed: int, progress: Progress | None = None) -> Demon
     shaper = shaper_of(found)
     shaped = run(place, plan(ground, task, shaper), found, task)
     unshaped = run(place, plan(ground, task, Shaper.none()), found, task)
-    target = bury(place)
+    target = buried_target(place)
     report("signal map", 0.9)
     rng = np.random.default_rng([seed, 6])
     felt = target_signal(shaped.tip_m, np.array(target), rng)
@@ -127,7 +127,7 @@ def demonstrate(kind: str, seed: int, progress: Progress | None = None) -> Demon
     return Demonstration(place, ground, found, shaped, unshaped, signal, target, figures)
 
 
-def bury(place: Field) -> tuple[float, float, float]:
+def buried_target(place: Field) -> tuple[float, float, float]:
     """A target 50 mm below the ground, at a place that the seed chooses."""
     rng = np.random.default_rng([place.seed, 7])
     x, y = float(rng.uniform(1.45, 1.95)), float(rng.uniform(-0.3, 0.3))

@@ -84,7 +84,7 @@ class ScanRobot(CommandedRobot):
         self.holding, self.paused, self.leaving = True, False, False
         if guard is not None:
             guard.look_ahead(speed * self._looked_at_s(1.0)[1])
-        self.inside, self.barred = False, False
+        self.inside, self.blocked = False, False
         self.correction_m = self.lift_m = 0.0
         self._asked: deque[tuple[float, float, float]] = deque(maxlen=ASKED_KEPT)
         self._settled = 0
@@ -194,7 +194,7 @@ class ScanRobot(CommandedRobot):
     def _watch(self) -> float:
         """Least correction that known ground bears from here to where a lift has had its effect [m].
 
-        `inside`: a control point is inside the gap. `barred`: it would be, at the present height, before the
+        `inside`: a control point is inside the gap. `blocked`: it would be, at the present height, before the
         arm can stop; the path is then not followed any further.
         """
         if self.guard is None:
@@ -208,7 +208,7 @@ class ScanRobot(CommandedRobot):
         self.lift_m = self.guard.lift_m(poses, -self.limit_m)
         near = poses[ahead <= here + stop_s]
         near[:, 2] += newest[2] - float(np.interp(here, self._t, self._z))
-        self.barred = self.inside or bool(self.guard.is_inside(near).any())
+        self.blocked = self.inside or bool(self.guard.is_inside(near).any())
         return self.lift_m
 
     def _looked_at_s(self, rate: float) -> tuple[float, float]:
@@ -241,7 +241,7 @@ class ScanRobot(CommandedRobot):
                 "shaper_s" in self.path.facts
             ):  # from rest in its own time; slower would not be what was shaped
                 self.state["rate"] = 1.0
-        self.state["rate_wanted"] = 0.0 if self.paused or self.barred else 1.0
+        self.state["rate_setpoint"] = 0.0 if self.paused or self.blocked else 1.0
 
     def _ahead(self, column: Floats) -> float:
         """A column of the path where the axis will be when it has reacted."""
@@ -261,7 +261,7 @@ class ScanRobot(CommandedRobot):
             self.state["setpoint_m"] = self._reports.newest[2] + max(0.0, float(planned.max() - planned[0]))
         self._settled = 0
         self._asked.clear()
-        self.state["rate_wanted"] = 0.0
+        self.state["rate_setpoint"] = 0.0
 
     # -- what the operator asks for --------------------------------------------------------------------
 
@@ -269,7 +269,7 @@ class ScanRobot(CommandedRobot):
         """Come to rest along the path and keep the stand-off there, or go on."""
         self.paused = on
         if on:
-            self.state["rate_wanted"] = 0.0
+            self.state["rate_setpoint"] = 0.0
 
     def leave(self) -> None:
         """Come to rest and retract; nothing that is demanded counts any more."""
@@ -277,7 +277,7 @@ class ScanRobot(CommandedRobot):
             return
         self.hold()
         self.leaving = True
-        self.state["rate_wanted"] = 0.0
+        self.state["rate_setpoint"] = 0.0
         self.state["setpoint_m"] = float(self.state["setpoint_m"][0]) + self.config.retract_m
 
     @property

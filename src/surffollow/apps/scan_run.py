@@ -199,7 +199,7 @@ class _Run:
         try:
             self.controller.service.reset_stop(wait=False)  # type: ignore[union-attr]
         except FaultError as error:
-            self.controller.trouble = str(error)
+            self.controller.fault = str(error)
 
     def _note(self) -> None:
         robot, service = self.robot, self.controller.service
@@ -232,7 +232,7 @@ class _Run:
             return "paused"
         if not robot.started_ns:
             return "approach"
-        return "waiting" if robot.barred else "scan"
+        return "waiting" if robot.blocked else "scan"
 
     def status(self) -> dict[str, Any]:
         """Data of `surffollow scan status`."""
@@ -246,7 +246,7 @@ class _Run:
             "tip_m": [float(x), float(y), float(z)],
             "correction_m": robot.correction_m,
             "inside_times": len(self.gap.events),
-            "trouble": self.gap.why or self.controller.trouble,
+            "trouble": self.gap.why or self.controller.fault,
         }
 
     def executed(self) -> Executed:

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from surffollow.apps.wall_sensing import CRUISE_MPS, BaseClient, Sensing, Wish, beams_near, wrap
+from surffollow.apps.wall_sensing import CRUISE_MPS, BaseClient, BaseRequest, Sensing, beams_near, wrap
 from surffollow.apps.wall_side import FollowWall2
 from surffollow.sonar.belief import Belief
 from surffollow.sonar.poses import optimal_pair, walls
@@ -34,9 +34,9 @@ class Go:
 
     name: str = "go"
 
-    def step(self, seen: Sensing, held: bool) -> Wish:
+    def step(self, seen: Sensing, held: bool) -> BaseRequest:
         """Always the same."""
-        return Wish(True, CRUISE_MPS)
+        return BaseRequest(True, CRUISE_MPS)
 
 
 @dataclass
@@ -47,7 +47,7 @@ class Avoid:
     name: str = "avoid"
     _turning: float = 0.0
 
-    def step(self, seen: Sensing, held: bool) -> Wish:
+    def step(self, seen: Sensing, held: bool) -> BaseRequest:
         """Halt and turn until the way ahead is clear."""
         ahead = [
             k for k in range(len(seen.sonar_m)) if abs(wrap(self.ring.headings_rad[k])) < math.radians(50)
@@ -60,7 +60,7 @@ class Avoid:
             self._turning = 1.0 if left >= right else -1.0
         elif near > CLEAR_M:
             self._turning = 0.0
-        return Wish(self._turning != 0.0, 0.0, TURN_RADPS * self._turning)
+        return BaseRequest(self._turning != 0.0, 0.0, TURN_RADPS * self._turning)
 
 
 @dataclass
@@ -86,50 +86,50 @@ class FollowWall:
     _corrections: int = 0
     _belief: Belief | None = field(default=None)
 
-    def step(self, seen: Sensing, held: bool) -> Wish:
+    def step(self, seen: Sensing, held: bool) -> BaseRequest:
         """Watch the front three sonars; stop, turn, look again."""
         if self._phase == "watch":
             front = seen.sonar_m[beams_near(self.ring, 0.0, 3)]
             if np.nan_to_num(front, nan=math.inf).min() >= TRIGGER_M:
-                return Wish(False)
+                return BaseRequest(False)
             self._enter("stop", seen)
         if not held:
             self._since_s = seen.t_s  # not ours yet, or taken by avoid: begin this phase anew
-            return Wish(True)
+            return BaseRequest(True)
         if self._phase == "turn":
             return self._turn(seen)
         if abs(seen.speed) > 0.005 or abs(seen.turn_rate) > 0.01:
             self._since_s = seen.t_s
         if seen.t_s - self._since_s < SETTLE_S:
-            return Wish(True)
+            return BaseRequest(True)
         return self._estimate_ahead(seen) if self._phase == "stop" else self._look(seen)
 
     def _enter(self, phase: Literal["watch", "stop", "turn", "look"], seen: Sensing) -> None:
         self._phase, self._since_s = phase, seen.t_s
 
-    def _estimate_ahead(self, seen: Sensing) -> Wish:
+    def _estimate_ahead(self, seen: Sensing) -> BaseRequest:
         wall = self._pair_ahead(seen) if self.method == "pair" else self._nearest(seen, 0.0)
         if wall is None:  # this round gave no wall: take the next
             self._since_s = seen.t_s
-            return Wish(True)
+            return BaseRequest(True)
         # the wall ahead comes to lie on the right
         self._target = seen.pose[2] + wrap(wall.phi_rad + 0.5 * math.pi)
         self._corrections, self._belief = 0, None
         self._enter("turn", seen)
-        return Wish(True)
+        return BaseRequest(True)
 
-    def _turn(self, seen: Sensing) -> Wish:
+    def _turn(self, seen: Sensing) -> BaseRequest:
         left = self._target - seen.pose[2]
         if abs(left) < math.radians(0.15) and abs(seen.turn_rate) < 0.02:
             if self.method == "pair":
                 self._enter("watch", seen)
-                return Wish(False)
+                return BaseRequest(False)
             self._enter("look", seen)
-            return Wish(True)
+            return BaseRequest(True)
         rate = math.copysign(min(TURN_RADPS, 2.0 * abs(left) + 0.01), left)
-        return Wish(True, 0.0, rate)
+        return BaseRequest(True, 0.0, rate)
 
-    def _look(self, seen: Sensing) -> Wish:
+    def _look(self, seen: Sensing) -> BaseRequest:
         if self._belief is None:
             self._belief = Belief(self.ring, 4, phi_bound_rad=self.heading_bound_rad)
             self._at = seen.pose
@@ -141,18 +141,18 @@ class FollowWall:
         side = [w for w in here if abs(wrap(w.phi_rad + 0.5 * math.pi)) < math.radians(40)]
         if not side or self._corrections >= self.most_corrections:
             self._enter("watch", seen)
-            return Wish(False)
+            return BaseRequest(False)
         wall = min(side, key=lambda w: w.phi_std_rad)
         error = wrap(wall.phi_rad + 0.5 * math.pi)
         if wall.phi_std_rad <= self.heading_bound_rad and abs(error) < math.radians(0.3):
             self._enter("watch", seen)
-            return Wish(False)
+            return BaseRequest(False)
         # turn onto the estimate; while it is uncertain, to either side of it, so that other beams look
         spread = 0.0 if wall.phi_std_rad <= self.heading_bound_rad else 1.5 * wall.phi_std_rad
         self._target = seen.pose[2] + error + spread * (-1.0) ** self._corrections
         self._corrections += 1
         self._enter("turn", seen)
-        return Wish(True)
+        return BaseRequest(True)
 
     def _pair_ahead(self, seen: Sensing) -> WallPose | None:
         front = [k for k in beams_near(self.ring, 0.0, 3) if math.isfinite(seen.sonar_m[k])]

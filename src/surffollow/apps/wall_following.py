@@ -85,7 +85,7 @@ class Arbitration:
     def holder(self) -> int:
         return int(self._machine[0]["holder"])
 
-    def _happen(self, event: int, client: int, token: int = 0, guards: int = 0) -> list[int]:
+    def _apply_event(self, event: int, client: int, token: int = 0, guards: int = 0) -> list[int]:
         h = self._state_event[0]
         h["event"], h["client"], h["token"], h["guards"] = event, client, token, guards
         n = transition(self._table, self._machine, self._clients, self._state_event, self._effects)
@@ -93,17 +93,17 @@ class Arbitration:
 
     def request(self, client: int) -> bool:
         """Ask for the base; whether it is the client's now."""
-        self._happen(t.REQUEST, client)
+        self._apply_event(t.REQUEST, client)
         return self.holder == client
 
     def relinquish(self, client: int) -> None:
         """Give the base back."""
-        self._happen(t.RELINQUISH, client)
+        self._apply_event(t.RELINQUISH, client)
 
     def command(self, client: int) -> bool:
         """Whether a command of this client is forwarded."""
         token = int(self._machine[0]["token"])
-        return t.FORWARD in self._happen(t.COMMAND, client, token, t.FRESH | t.SOUND)
+        return t.FORWARD in self._apply_event(t.COMMAND, client, token, t.FRESH | t.SOUND)
 
 
 def run_experiment(experiment: str, *, laps: int = 4, seed: int = 1, config: BaseConfig | None = None) -> Run:

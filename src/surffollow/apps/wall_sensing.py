@@ -34,7 +34,7 @@ class Sensing(NamedTuple):
     infrared_m: NDArray[np.float64]
 
 
-class Wish(NamedTuple):
+class BaseRequest(NamedTuple):
     """Whether a client requests the base, and its command: speed [m/s], turn rate [rad/s]."""
 
     desired: bool
@@ -47,7 +47,7 @@ class BaseClient(Protocol):
 
     name: str
 
-    def step(self, seen: Sensing, held: bool) -> Wish:
+    def step(self, seen: Sensing, held: bool) -> BaseRequest:
         """Its present request; `held`: the arbiter granted it the base."""
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.apps.wall_sensing import CRUISE_MPS, Sensing, Wish, beams_near, wrap
+from surffollow.apps.wall_sensing import CRUISE_MPS, BaseRequest, Sensing, beams_near, wrap
 from surffollow.sonar.ring import SonarRing
 
 
@@ -36,7 +36,7 @@ class FollowWall2:
     _until_s: float = 0.0
     _kept_m: float = math.nan
 
-    def step(self, seen: Sensing, held: bool) -> Wish:
+    def step(self, seen: Sensing, held: bool) -> BaseRequest:
         """Keep the filter going; correct once a second."""
         self._predict(seen)
         self._measure(seen)
@@ -44,7 +44,7 @@ class FollowWall2:
             return self._correct(seen, held)
         certain = self._side != 0.0 and math.sqrt(self._cov[1, 1]) < math.radians(4.0)
         if not certain or seen.t_s < self._next_s:
-            return Wish(False)
+            return BaseRequest(False)
         self._next_s = seen.t_s + self.period_s
         if math.isnan(self._kept_m) and math.sqrt(self._cov[0, 0]) < 0.015:
             self._kept_m = float(self._state[0])
@@ -54,16 +54,16 @@ class FollowWall2:
         turn = self._side * (aim - self._state[1])
         turn = max(-self.most_rad, min(self.most_rad, turn))
         if abs(turn) < math.radians(0.2):
-            return Wish(False)
+            return BaseRequest(False)
         self._left_rad, self._until_s = turn, seen.t_s + 0.8
         return self._correct(seen, held)
 
-    def _correct(self, seen: Sensing, held: bool) -> Wish:
+    def _correct(self, seen: Sensing, held: bool) -> BaseRequest:
         if seen.t_s > self._until_s:
             self._left_rad = 0.0
-            return Wish(False)
+            return BaseRequest(False)
         rate = math.copysign(min(0.2, 3.0 * abs(self._left_rad) + 0.02), self._left_rad)
-        return Wish(True, self.cruise_mps, rate)
+        return BaseRequest(True, self.cruise_mps, rate)
 
     def _predict(self, seen: Sensing) -> None:
         if self._at is None:

@@ -127,7 +127,7 @@ def run_cells(
         limit = found[_run_of(cell, LIMIT)]
         for method in methods_in(cell, methods):
             ran = found[_run_of(cell, method)]
-            wrong += _beaten(ran, limit)
+            wrong += _better_than_limit(ran, limit)
             results.append(Result(cell, method, ran.scores, ran.params))
     if wrong and faults is None:
         raise FaultError(wrong[0])
@@ -146,7 +146,7 @@ def _run_of(cell: Cell, method: str) -> tuple[str, str]:
     return cell.key, method
 
 
-def _beaten(result: Result, limit: Result) -> Iterable[str]:
+def _better_than_limit(result: Result, limit: Result) -> Iterable[str]:
     for seed, got in result.scores.items():
         bound = limit.scores[seed].rms_m * (1.0 - LIMIT_TOLERANCE) - LIMIT_FLOOR_M
         if got.rms_m < bound:

@@ -145,7 +145,7 @@ class Attachment:
         if self._words[bl.STATE_WORD] == bl.STATE_LIVE:
             if self._lock is not None and self._lock.fd < 0 and self._object is not None:
                 # we are a forked child: the parent stays the writer
-                self._lock, self.is_writer = FileLock.beside(self._object.fd, False), False
+                self._lock, self.is_writer = FileLock.reopen(self._object.fd, False), False
             return True
         now = time.monotonic_ns()
         if self.is_writer or self._view is not None or now < self._next_attach_ns:

@@ -43,7 +43,7 @@ def open_reader(
         ) from None
     try:
         bl.check_block(obj, schema)
-        return obj, FileLock.beside(obj.fd, False)
+        return obj, FileLock.reopen(obj.fd, False)
     except BlockError:
         obj.close()
         raise
@@ -80,7 +80,7 @@ def claim_writer(
                         f"shared-memory object {name!r} is there and is no block; take another name"
                     )
                 if _take_over(obj, schema, mode, group, lease_ns):
-                    return obj, FileLock.beside(obj.fd, True), own
+                    return obj, FileLock.reopen(obj.fd, True), own
             except BaseException:
                 obj.close()
                 raise
@@ -164,7 +164,7 @@ def _make(
 
     obj = SharedObject.create(name, size, mode, group, prepare)
     try:
-        return obj, FileLock.beside(obj.fd, True)
+        return obj, FileLock.reopen(obj.fd, True)
     except BaseException:
         obj.close()
         unlink(name)

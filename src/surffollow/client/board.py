@@ -22,7 +22,7 @@ from surffollow.shm.process import is_running
 from surffollow.shm.schema import Schema
 
 LAYOUT_HASH = layout_hash()
-COMPILE_PATIENCE_S = 300.0  # a cold start takes a minute where others share the processors
+COMPILE_TIMEOUT_S = 300.0  # a cold start takes a minute where others share the processors
 REPORT_EVERY_S = 2.0
 
 
@@ -102,7 +102,7 @@ class _Wait:
         """
         waited_s = time.monotonic() - self._start
         if compiling and self._patience_s > 0.0:
-            if waited_s < COMPILE_PATIENCE_S:
+            if waited_s < COMPILE_TIMEOUT_S:
                 self._compiled_s = waited_s
                 if waited_s - self._reported_s >= REPORT_EVERY_S:
                     import logging  # here: control loops attach without it

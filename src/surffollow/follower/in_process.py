@@ -111,7 +111,7 @@ class Follower:
         adaptive = self._params["mode"][0] == MODE_ADAPTIVE
         self._time, self._checks_stamps = ReferenceTime(), bool(adaptive)
         self._stamps = [FutureStamps(self._time) for _ in range(CHANNELS)]
-        self._memory = new_memory() if setup.remembers and adaptive else None
+        self._memory = new_memory() if setup.use_memory and adaptive else None
         check_standoff(self._params[0])
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
         self._scaled = self._state["scaled"][0]

@@ -36,12 +36,12 @@ class FollowerSetup(NamedTuple):
     ----------
     values : dict          every parameter by its full name, in the parameter's unit
     mounts : list          per channel x y z [m], unit quaternion qx qy qz qw: tool from sensor
-    remembers : bool       use ground seen on earlier passes
+    use_memory : bool       use ground seen on earlier passes
     """
 
     values: dict[str, float]
     mounts: list[list[float]]
-    remembers: bool
+    use_memory: bool
 
 
 def read_setup(config: Config, offset_m: float | None = None) -> FollowerSetup:
@@ -57,9 +57,9 @@ def read_setup(config: Config, offset_m: float | None = None) -> FollowerSetup:
     ConfigError  file not readable, unknown key, wrong unit, value out of bounds
     """
     data = _read(config)
-    remembers = data.pop("memory", True)
-    if not isinstance(remembers, bool):
-        raise ConfigError(f"memory is {remembers!r}; it must be true or false")
+    use_memory = data.pop("memory", True)
+    if not isinstance(use_memory, bool):
+        raise ConfigError(f"memory is {use_memory!r}; it must be true or false")
     values = {name: spec.default for name, spec in PARAMS.items()} | IN_PROCESS
     mounts = _mounts(data.pop("sensors", [{}]))
     near = [check_param("range_min_m", m["near_m"]) for m in mounts if "near_m" in m]
@@ -86,7 +86,7 @@ def read_setup(config: Config, offset_m: float | None = None) -> FollowerSetup:
     for name, value in data.items():
         values[param_name(name)] = check_param(name, value)
     check_window(values["range_min_m"], values["range_max_m"])
-    return FollowerSetup(values, [m["pose"] for m in mounts], remembers)
+    return FollowerSetup(values, [m["pose"] for m in mounts], use_memory)
 
 
 def check_window(low_m: float, high_m: float) -> None:

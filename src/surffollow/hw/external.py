@@ -122,7 +122,7 @@ class ExternalDriver:
         since_ns = self._word("claimed_ns", channel)
         if since_ns == 0:
             return f"channel {channel}: no client pushes its ranges (client.push_range, sf_push_range)"
-        silent_ns = now_ns - max(since_ns, self._word("heard_ns", channel))
+        silent_ns = now_ns - max(since_ns, self._word("received_ns", channel))
         if silent_ns <= self._silence_ns:
             return ""
         return f"channel {channel}: its client has pushed no range for {format_ns(silent_ns)}"

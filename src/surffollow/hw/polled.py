@@ -96,7 +96,7 @@ class PolledDriver:
         self._silence_ns = round(silence_s * 1e9)
         self._thread: threading.Thread | None = None
         self._end = threading.Event()
-        self._trouble = ""
+        self._fault = ""
         self._connected = False
         self._received_ns = self._read_ns = 0
         self._rejected_before = 0
@@ -129,7 +129,7 @@ class PolledDriver:
         if self._thread is not None:
             raise DriverError(f"driver '{self._source.name}' was started twice; stop it first")
         self._end.clear()
-        self._trouble, self._received_ns = "", time.monotonic_ns()
+        self._fault, self._received_ns = "", time.monotonic_ns()
         writer = RangeWriter(queue, self._info)
         self._thread = threading.Thread(target=self._run, args=(writer,), name="sensor", daemon=True)
         self._thread.start()
@@ -152,7 +152,7 @@ class PolledDriver:
         """Present faults."""
         state, name = self.state, self._source.name
         if state == WAITING:
-            return [f"{name}: {self._trouble or 'not connected yet'}; it is tried again every {RETRY_S:g} s"]
+            return [f"{name}: {self._fault or 'not connected yet'}; it is tried again every {RETRY_S:g} s"]
         if state in (SILENT, GARBLED):
             since = format_ns(time.monotonic_ns() - self._received_ns)
             if state == SILENT:
@@ -170,10 +170,10 @@ class PolledDriver:
                 self._connected, self._received_ns = True, time.monotonic_ns()
                 self._rejected_before = self._source.rejected
                 self.connections += 1
-                self._trouble = ""
+                self._fault = ""
                 self._read(writer)
             except Exception as error:  # any exception of a device or its library: it is tried again
-                self._trouble = _text(error)
+                self._fault = _text(error)
             self._connected = False
             with contextlib.suppress(Exception):
                 self._source.close()

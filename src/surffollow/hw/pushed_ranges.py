@@ -37,7 +37,7 @@ class PushedRanges(Schema):
     scale_m = F64(CHANNELS, unit="m", doc="distance of one count")
     item = I64(ITEM_WORDS, doc="scratch")
     newest_ns = I64(CHANNELS, unit="ns", doc="time of the newest range taken")
-    heard_ns = I64(CHANNELS, unit="ns", doc="when that was taken")
+    received_ns = I64(CHANNELS, unit="ns", doc="when that was taken")
     claimed_ns = I64(CHANNELS, unit="ns", doc="since when a client holds the channel; 0: none does")
     taken = I64()
     refused = I64(REASONS, doc="items by WRONG_CHANNEL, WRONG_TIME, NOT_NEWER, NO_ITEM")
@@ -52,7 +52,7 @@ _CAPACITY = PushedRanges.offset("capacity")
 _LOST = PushedRanges.offset("lost")
 _BUSY = PushedRanges.offset("busy")
 _NEWEST = PushedRanges.offset("newest_ns")
-_HEARD = PushedRanges.offset("heard_ns")
+_RECEIVED = PushedRanges.offset("received_ns")
 _TAKEN = PushedRanges.offset("taken")
 _REFUSED = PushedRanges.offset("refused")
 _SKIPPED = PushedRanges.offset("skipped")
@@ -126,7 +126,7 @@ def _take_item(pushed: Any, queue: Any, item: Any, number: Any, held: Any, now_n
         counts, flags = round(expected), 0
     word = pack_conversion(counts, channel, flags, 0)
     at.store_relaxed_i64(base + _NEWEST + 8 * channel, t_ns)
-    at.store_relaxed_i64(base + _HEARD + 8 * channel, now_ns)
+    at.store_relaxed_i64(base + _RECEIVED + 8 * channel, now_ns)
     push_conversion(queue, p.capacity, p.lost, base + _ITEM, t_ns, word)
     return 1
 

@@ -132,11 +132,11 @@ class ChannelFeed:
             except RecordingError as e:
                 # the words go on; the next segment begins with a snapshot again
                 self._given_up = self._segment
-                self.channels.say(time.monotonic_ns(), f"no more samples of this segment: {e}", fx.WARNING)
+                self.channels.log(time.monotonic_ns(), f"no more samples of this segment: {e}", fx.WARNING)
         if self.sampler.differing > self._reported:
             self._reported = self.sampler.differing
             text = f"{self._reported} cycles came out otherwise here than in the service: another release?"
-            self.channels.say(time.monotonic_ns(), text, fx.WARNING)
+            self.channels.log(time.monotonic_ns(), text, fx.WARNING)
 
     def _publish_service(self, board: Board) -> None:
         stats = board.plain("stats", Stats)

@@ -111,19 +111,19 @@ class StandardChannels:
         elif event.kind == "snapshot" and event.code:
             self.announce(t_ns, "a segment begins")
         elif event.kind == "reset":
-            self.say(t_ns, f"SFReset: stand-off {event.values[0]:.6g} m")
+            self.log(t_ns, f"SFReset: stand-off {event.values[0]:.6g} m")
         elif event.kind == "map":
             name = _MAP_COMMANDS.get(event.code, f"map command {event.code}")
-            self.say(t_ns, f"{name} over {' '.join(f'{v:.6g}' for v in event.values)} m")
+            self.log(t_ns, f"{name} over {' '.join(f'{v:.6g}' for v in event.values)} m")
 
     def announce(self, t_ns: int, why: str) -> None:
         """Write the parameters in force; mounts and status follow with the next sample."""
         self._static_ns, self._health = 0, None
         values = {"timestamp": fx.stamp(self._wall(t_ns)), **plain(Params, self.params[0])}
         self.sink.add_message("/params", PARAMS, t_ns, PARAMS.encode(values))
-        self.say(t_ns, why)
+        self.log(t_ns, why)
 
-    def say(self, t_ns: int, text: str, level: int = fx.INFO) -> None:
+    def log(self, t_ns: int, text: str, level: int = fx.INFO) -> None:
         """Write a line into /log."""
         self.sink.add_message("/log", fx.LOG, t_ns, fx.log_line(self._wall(t_ns), level, text))
 
@@ -196,7 +196,7 @@ class StandardChannels:
         if faults:
             text += "; faults " + " ".join(faults)
         fine = bool(now[0] & VALID) and health == 0
-        self.say(t_ns, text, fx.INFO if fine else fx.WARNING)
+        self.log(t_ns, text, fx.INFO if fine else fx.WARNING)
 
 
 def add_demand(pose: list[float], demand: list[float]) -> list[float]:

@@ -124,7 +124,7 @@ def _write_channels(source: FileSamples, path: Path) -> int:
         try:
             _publish_map(channels, mapped.finish(), t_ns)
         except RecordingError as e:
-            channels.say(t_ns, str(e), fx.WARNING)
+            channels.log(t_ns, str(e), fx.WARNING)
         writer.finish({"cycles": str(source.cycles), "from": " ".join(p.name for p in source.paths)})
         return writer.messages
 

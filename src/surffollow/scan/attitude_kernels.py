@@ -14,11 +14,11 @@ DOUBLINGS = 3  # of the step while every turn relieves
 MAX_TURNS = 400  # per sample; the step alone ends the search long before
 GILBERT_STEPS = 12
 RASTER = 5  # attitudes per axis tried where the first equilibrium needs a lift
-WORTH_M = 5e-4  # lifts below this are left as they are
+MIN_SAVING_M = 5e-4  # lifts below this are left as they are
 CLEAR_M = 1e-7  # deeper than this is below the envelope
 
 
-class Stand(NamedTuple):
+class BodyPlacement(NamedTuple):
     """A body over an envelope, with its two wrist angles left to choose.
 
     Attributes
@@ -47,16 +47,16 @@ class Stand(NamedTuple):
 
 
 @jit
-def deviations(stand: Any, pitch: Any, roll: Any, dev: Any) -> float:
+def deviations(placement: Any, pitch: Any, roll: Any, dev: Any) -> float:
     """Depth of each control point below the envelope; the deepest is returned.
 
     Parameters
     ----------
-    stand : Stand
+    placement : BodyPlacement
     pitch, roll : float [rad]   attitude (`attitude_angles`)
     dev : (m,) float64 [m]      out: envelope minus point; -inf over unknown ground
     """
-    z, scale, u0, v0, tip_z, azimuth, body = stand
+    z, scale, u0, v0, tip_z, azimuth, body = placement
     ca, sa = math.cos(azimuth), math.sin(azimuth)
     cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
     deepest = -math.inf
@@ -111,12 +111,12 @@ def reach_of(body: Any) -> float:
 
 
 @jit
-def settle_attitude(stand: Any, angles: Any, limits: Any, step: Any, s: Any) -> float:
+def settle_attitude(placement: Any, angles: Any, limits: Any, step: Any, s: Any) -> float:
     """Turn from `angles` until the deepest point is clear or in equilibrium; returns its depth [m].
 
     Parameters
     ----------
-    stand : Stand
+    placement : BodyPlacement
     angles : (2,) float64 [rad]      pitch and roll, within the limits; updated in place
     limits : (4,) float64 [rad]      pitch_min, pitch_max, roll_min, roll_max
     step : float [rad]               first turn; doubled up to thrice while turns relieve the deepest point,
@@ -129,18 +129,18 @@ def settle_attitude(stand: Any, angles: Any, limits: Any, step: Any, s: Any) -> 
     vector in the hull of their gradients, which relieves them all. When there is none, or the depth did not
     fall, eight directions are tried; then the step is halved.
     """
-    m = stand.body.shape[0]
+    m = placement.body.shape[0]
     dev, trial, more, gp, gr = s[0], s[1], s[2], s[3], s[4]
-    reach = reach_of(stand.body)
+    reach = reach_of(placement.body)
     p, r = angles[0], angles[1]
-    depth = deviations(stand, p, r, dev)
+    depth = deviations(placement, p, r, dev)
     smallest, small, largest = step / 2.0**HALVINGS, step, step * 2.0**DOUBLINGS
     turns = 0
     while depth > CLEAR_M and step >= smallest and turns < MAX_TURNS:
         turns += 1
         h = 0.25 * min(step, small)
-        deviations(stand, p + h, r, trial)
-        deviations(stand, p, r + h, more)
+        deviations(placement, p + h, r, trial)
+        deviations(placement, p, r + h, more)
         n = 0
         for k in range(m):
             if dev[k] >= depth - min(step, small) * reach:
@@ -153,19 +153,19 @@ def settle_attitude(stand: Any, angles: Any, limits: Any, step: Any, s: Any) -> 
         best, best_p, best_r = depth, p, r
         if size > 1e-12:
             np_, nr = _inside(p - step * dp / size, r - step * dr / size, limits)
-            d = deviations(stand, np_, nr, trial)
+            d = deviations(placement, np_, nr, trial)
             if d < best:
                 best, best_p, best_r = d, np_, nr
         if best == depth and step <= small:
             for k in range(8):
                 turn = k * math.pi / 4.0
                 np_, nr = _inside(p + step * math.cos(turn), r + step * math.sin(turn), limits)
-                d = deviations(stand, np_, nr, trial)
+                d = deviations(placement, np_, nr, trial)
                 if d < best:
                     best, best_p, best_r = d, np_, nr
         if best < depth:
             p, r = best_p, best_r
-            depth = deviations(stand, p, r, dev)
+            depth = deviations(placement, p, r, dev)
             step = min(2.0 * step, largest) if step >= small else step
         else:
             step *= 0.5
@@ -174,18 +174,18 @@ def settle_attitude(stand: Any, angles: Any, limits: Any, step: Any, s: Any) -> 
 
 
 @jit
-def search_attitude(stand: Any, angles: Any, limits: Any, step: Any, s: Any) -> float:
+def search_attitude(placement: Any, angles: Any, limits: Any, step: Any, s: Any) -> float:
     """`settle_attitude` from the angles given, and where the body still has to be lifted, from others too.
 
     On broken ground the equilibrium next to the normal may be a poor one. The best two attitudes of a
     coarse raster over the wrist's range are settled as well; one of them is taken when it saves more than a
     twentieth of the lift.
     """
-    best = settle_attitude(stand, angles, limits, step, s)
-    if best <= WORTH_M:
+    best = settle_attitude(placement, angles, limits, step, s)
+    if best <= MIN_SAVING_M:
         return best  # type: ignore[no-any-return]
     best_p, best_r = angles[0], angles[1]
-    reach = reach_of(stand.body)
+    reach = reach_of(placement.body)
     wide_p, wide_r = (limits[1] - limits[0]) / (RASTER - 1), (limits[3] - limits[2]) / (RASTER - 1)
     # greatest saving of settling: turning by about a step of the raster
     d1 = d2 = 0.95 * best + reach * math.sin(0.75 * max(wide_p, wide_r))
@@ -195,7 +195,7 @@ def search_attitude(stand: Any, angles: Any, limits: Any, step: Any, s: Any) -> 
             p, r = limits[0] + wide_p * i, limits[2] + wide_r * j
             if abs(p - best_p) <= wide_p and abs(r - best_r) <= wide_r:
                 continue  # would settle in the same place
-            d = deviations(stand, p, r, s[0])
+            d = deviations(placement, p, r, s[0])
             if d < d1:
                 d2, p2, r2 = d1, p1, r1
                 d1, p1, r1 = d, p, r
@@ -205,7 +205,7 @@ def search_attitude(stand: Any, angles: Any, limits: Any, step: Any, s: Any) -> 
         angles[0], angles[1] = (p1, r1) if k == 0 else (p2, r2)
         if angles[0] == best_p and angles[1] == best_r:
             continue
-        d = settle_attitude(stand, angles, limits, step, s)
+        d = settle_attitude(placement, angles, limits, step, s)
         if d < 0.95 * best:
             best, best_p, best_r = d, angles[0], angles[1]
     angles[0], angles[1] = best_p, best_r
@@ -243,8 +243,8 @@ def settle_path(
         if not math.isfinite(tip_z[k]):
             depth[k] = math.nan
             continue
-        stand = Stand(z, scale, uv[k, 0], uv[k, 1], tip_z[k], azimuth[k], body)
+        placement = BodyPlacement(z, scale, uv[k, 0], uv[k, 1], tip_z[k], azimuth[k], body)
         if step > 0.0:
-            depth[k] = search_attitude(stand, angles[k], limits, step, s)
+            depth[k] = search_attitude(placement, angles[k], limits, step, s)
         else:
-            depth[k] = deviations(stand, angles[k, 0], angles[k, 1], s[0])
+            depth[k] = deviations(placement, angles[k, 0], angles[k, 1], s[0])

@@ -16,7 +16,7 @@ from surffollow.scan.patch_labels import label_patches, patch_sums
 from surffollow.scan.patch_support import floating_patches
 
 KEPT, TOO_SMALL, OVERHANGING, OUTSIDE, FLOATING = 0, 1, 2, 3, 4
-FATES = ("kept", "too_small", "overhanging", "outside", "floating")
+OUTCOMES = ("kept", "too_small", "overhanging", "outside", "floating")
 STEEPEST_RAD = math.radians(80.0)  # of a patch's mean normal from up
 JUMP_PX = 1.0  # of disparity between neighbours
 SLOPE_FACTOR, SLOPE_BLOCK = 1.5, 5  # of a cloud's own slope; cells per block, wider than most objects
@@ -31,7 +31,7 @@ class Patches:
     ----------
     labels : (rows, cols) int32
         number of the patch, -1 without data
-    fate : (n,) uint8
+    outcome : (n,) uint8
         per patch: KEPT or why it was dropped
     pixels : (n,) int64
         per patch
@@ -49,17 +49,22 @@ class Patches:
     """
 
     labels: NDArray[np.int32]
-    fate: NDArray[np.uint8]
+    outcome: NDArray[np.uint8]
     pixels: NDArray[np.int64]
     terrain: NDArray[np.bool_]
 
+    @property
+    def fate(self) -> NDArray[np.uint8]:
+        """The name of `outcome` before release 0.1.0; it works for one release."""
+        return self.outcome
+
     def counts(self) -> dict[str, int]:
-        """Patches by what became of them."""
-        return {name: int(np.count_nonzero(self.fate == k)) for k, name in enumerate(FATES)}
+        """Number of patches by outcome."""
+        return {name: int(np.count_nonzero(self.outcome == k)) for k, name in enumerate(OUTCOMES)}
 
     def pixel_counts(self) -> dict[str, int]:
-        """Pixels by what became of their patch."""
-        return {name: int(self.pixels[self.fate == k].sum()) for k, name in enumerate(FATES)}
+        """Number of pixels by the outcome of their patch."""
+        return {name: int(self.pixels[self.outcome == k].sum()) for k, name in enumerate(OUTCOMES)}
 
 
 def coherent_patches(
@@ -169,7 +174,7 @@ def classify(
     sums = np.zeros((n, 4))
     patch_sums(points, labels, sums)
     pixels = sums[:, 3].astype(np.int64)
-    fate = np.full(n, KEPT, np.uint8)
+    outcome = np.full(n, KEPT, np.uint8)
     inside = np.isfinite(z)
     if region is not None:
         x0, y0, x1, y1 = region_of(region)
@@ -177,20 +182,20 @@ def classify(
             inside &= (points[..., 0] >= x0) & (points[..., 0] <= x1)
             inside &= (points[..., 1] >= y0) & (points[..., 1] <= y1)
         seen = np.bincount(labels[inside], minlength=n)
-        fate[seen == 0] = OUTSIDE
-    fate[_overhanging(points, labels, sums, eye, steepest_rad)] = OVERHANGING
-    fate[pixels < min_pixels] = TOO_SMALL
+        outcome[seen == 0] = OUTSIDE
+    outcome[_overhanging(points, labels, sums, eye, steepest_rad)] = OVERHANGING
+    outcome[pixels < min_pixels] = TOO_SMALL
     while True:
-        kept = fate == KEPT
+        kept = outcome == KEPT
         use = (labels >= 0) & kept[np.maximum(labels, 0)] if n else np.zeros(z.shape, np.bool_)
         dropped = floating_patches(points[use], labels[use], pixels, support_m, cell_m)
         if not dropped.any():
             break
-        fate[dropped] = FLOATING
+        outcome[dropped] = FLOATING
     terrain = inside & (labels >= 0)
     if n:
-        terrain &= fate[np.maximum(labels, 0)] == KEPT
-    return Patches(labels, fate, pixels, terrain)
+        terrain &= outcome[np.maximum(labels, 0)] == KEPT
+    return Patches(labels, outcome, pixels, terrain)
 
 
 def _overhanging(

@@ -80,7 +80,7 @@ class ClientTable:
             cycles,
             limits,
         )
-        self._who: list[ClientId | None] = [None] * lb.CLIENTS
+        self._holders: list[ClientId | None] = [None] * lb.CLIENTS
         self._held = [False] * lb.CLIENTS
         self._retired: dict[int, tuple[int, int]] = {}  # slot → cycles and passes of the map then
         self._kept: list[tuple[int, int]] = []  # user and watch (`sealed.is_open_for_writing`)
@@ -89,9 +89,9 @@ class ClientTable:
         self._names: dict[int, str] = {}  # by claim, of clients that have gone, too
         self._claims: dict[int, int] = {}  # slot → claim of who holds it
 
-    def who(self, slot: int) -> ClientId | None:
+    def holder_of(self, slot: int) -> ClientId | None:
         """The holder of a slot; None: none."""
-        return self._who[slot] if 0 <= slot < lb.CLIENTS and self._held[slot] else None
+        return self._holders[slot] if 0 <= slot < lb.CLIENTS and self._held[slot] else None
 
     def named(self, claim: int) -> str:
         """How the client with this claim calls itself, also when it has just gone; empty when unknown."""
@@ -113,7 +113,7 @@ class ClientTable:
             kept = sum(u == uid for u, _ in self._kept)
             if kept >= KEPT_PER_USER or len(self._kept) >= KEPT:
                 return lb.SLOT_USER_LIMIT, KEPT_PER_USER
-            taken = [w for w in self._who if w is not None and w.uid == uid]
+            taken = [w for w in self._holders if w is not None and w.uid == uid]
             if len(taken) >= self._limits.per_user:
                 return lb.SLOT_USER_LIMIT, self._limits.per_user
             if pid > 0 and sum(w.pid == pid for w in taken) >= self._limits.per_process:
@@ -133,12 +133,12 @@ class ClientTable:
 
     def promise(self, client: ClientId) -> int:
         """Set a free slot aside; -1 when there is none for this client."""
-        others = sum(w is not None and not is_exempt(w.uid) for w in self._who)
+        others = sum(w is not None and not is_exempt(w.uid) for w in self._holders)
         if not is_exempt(client.uid) and others >= self.room_for(client.uid):
             return -1
         for slot in range(lb.CLIENTS):
-            if self._who[slot] is None and slot not in self._retired:
-                self._who[slot] = client
+            if self._holders[slot] is None and slot not in self._retired:
+                self._holders[slot] = client
                 return slot
         return -1
 
@@ -153,7 +153,7 @@ class ClientTable:
     def grant(self, slot: int, claim: int) -> None:
         """Seal a promised slot that its client has mapped, and let the threads look at it."""
         self._memory.seal(slot)
-        client = self._who[slot]
+        client = self._holders[slot]
         assert client is not None
         self._held[slot] = True
         self._names[claim] = client.name
@@ -168,7 +168,7 @@ class ClientTable:
 
     def retire(self, slot: int) -> None:
         """Take a slot back: its holder's mapping is not read from now on."""
-        who = self._who[slot]
+        who = self._holders[slot]
         if who is None:
             return
         watch = self._memory.take_watch(slot)
@@ -179,7 +179,7 @@ class ClientTable:
         store_release(self._ctx.ctypes.data + 8 * (m.CLAIM + slot), 0)
         if self._held[slot]:
             self._publish(slot, None)
-        self._who[slot], self._held[slot] = None, False
+        self._holders[slot], self._held[slot] = None, False
         self._claims.pop(slot, None)
         self._retired[slot] = self._now()
 

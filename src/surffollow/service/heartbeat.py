@@ -71,7 +71,7 @@ class Heartbeat:
         """Look once and publish; `faults` are bits that the caller found itself. Raises nothing."""
         reported_ns = time.monotonic_ns()  # before its contents were looked at
         clients, pose_slot = self._server.table, int(self._ctx[m.POSE_SLOT])
-        sender = clients.who(pose_slot)
+        sender = clients.holder_of(pose_slot)
         driver_faults = self._watch.faults()
         causes = STOP_DRIVER if driver_faults else 0
         store_release(self._ctx.ctypes.data + 8 * m.STOP_ASKED, causes)
@@ -90,7 +90,7 @@ class Heartbeat:
         t["t_ns"], t["pose_slot"], t["pose_pid"] = reported_ns, pose_slot, sender.pid if sender else 0
         for c in range(CHANNELS):
             slot = int(load_acquire(self._ctx.ctypes.data + 8 * (m.RANGE_SLOT + c)))
-            pusher = clients.who(slot)
+            pusher = clients.holder_of(slot)
             t["range_slot"][c], t["range_pid"][c] = slot, pusher.pid if pusher else 0
         t["clients"], t["granted"], t["faults"] = clients.held(), self._grants.bits, faults
         t["messages_lost"], t["audit_lost"] = self._messages.lost, self._audit.lost + self._messages.unwritten

@@ -40,11 +40,11 @@ class FileLock:
 
     def __init__(self, fd: int) -> None:
         self.fd = fd
-        self._aim(FENCE_BASE)
+        self._select_byte(FENCE_BASE)
         _live.add(self)
 
     @classmethod
-    def beside(cls, fd: int, writable: bool) -> FileLock:
+    def reopen(cls, fd: int, writable: bool) -> FileLock:
         """A new open of the very object behind `fd`; its name may lead to another one by now."""
         flags = (os.O_RDWR if writable else os.O_RDONLY) | os.O_CLOEXEC
         try:
@@ -54,14 +54,14 @@ class FileLock:
         except OSError as e:
             raise BlockError(f"cannot open a shared-memory object for its locks: {e}") from None
 
-    def _aim(self, at: int) -> None:
+    def _select_byte(self, at: int) -> None:
         self._at = at
         self._read, self._write, self._free = (_pack(kind, at) for kind in (_READ, _WRITE, _FREE))
 
     def shared(self, at: int) -> bool:
         """Take or keep a shared lock on byte `at`; False when another holds it exclusively."""
         if at != self._at:
-            self._aim(at)
+            self._select_byte(at)
         try:
             _fcntl(self.fd, _SET, self._read)
         except (BlockingIOError, PermissionError):
@@ -71,7 +71,7 @@ class FileLock:
     def exclusive(self, at: int) -> bool:
         """Take an exclusive lock on byte `at`; False when another holds any."""
         if at != self._at:
-            self._aim(at)
+            self._select_byte(at)
         try:
             _fcntl(self.fd, _SET, self._write)
         except (BlockingIOError, PermissionError):
@@ -81,7 +81,7 @@ class FileLock:
     def release(self, at: int) -> None:
         """Give back what is held on byte `at`."""
         if at != self._at:
-            self._aim(at)
+            self._select_byte(at)
         _fcntl(self.fd, _SET, self._free)
 
     def held_elsewhere(self, at: int) -> bool:

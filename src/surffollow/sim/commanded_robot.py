@@ -42,10 +42,10 @@ class CommandedRobot:
 
     def watch_commands(self) -> None:
         """Hold when the controller has said nothing for too long: the drives' own watchdog."""
-        heard_ns = self._received_ns
-        if self.t_ns - heard_ns > round(self._command_timeout_s * 1e9):
+        received_ns = self._received_ns
+        if self.t_ns - received_ns > round(self._command_timeout_s * 1e9):
             self.hold()
-            self._received_ns = heard_ns
+            self._received_ns = received_ns
 
     def trace(self) -> dict[str, NDArray[np.float64]]:
         """Columns of what happened so far, by the names of `TRACE_COLUMNS`."""

@@ -30,7 +30,7 @@ class ArmState(Schema):
     step = I64(doc="steps made")
     path_s = F64(unit="s", doc="time along the path")
     rate = F64(doc="seconds of the path per second")
-    rate_wanted = F64(doc="1: go on, 0: come to rest")
+    rate_setpoint = F64(doc="1: go on, 0: come to rest")
     rate_change_ps = F64(unit="1/s", doc="most by which the rate changes in a second")
     end_s = F64(unit="s", doc="the path's last time")
     at = I64(doc="sample of the path before path_s")
@@ -117,7 +117,7 @@ def arm_step(a: Any, path: Any, scanning: Any, world: Any, trace: Any) -> None:
     a[0].t_ns = r.t_ns + STEP_NS
     a[0].step = r.step + 1
     change = r.rate_change_ps * dt
-    a[0].rate = r.rate + min(max(r.rate_wanted - r.rate, -change), change)
+    a[0].rate = r.rate + min(max(r.rate_setpoint - r.rate, -change), change)
     a[0].path_s = min(r.path_s + r.rate * dt, r.end_s)
     i, w = along(a, path)
     axis_step(r.axis, r.setpoint_m, r.tau_s, r.v_max_mps, r.a_max_mps2, dt)
@@ -151,7 +151,7 @@ def arm_step(a: Any, path: Any, scanning: Any, world: Any, trace: Any) -> None:
     p.velocity[1] = 0.0 if first else (r.real[1] - was_y) / dt
     p.velocity[2] = 0.0 if first else (r.real[2] - was_z) / dt
     p.t_ns, p.standoff_m, p.ground_m, p.path_m = r.t_ns, math.nan, math.nan, r.path_s
-    on = scanning[i] != 0 and r.rate > 0.0 and r.rate_wanted > 0.0 and r.path_s < r.end_s
+    on = scanning[i] != 0 and r.rate > 0.0 and r.rate_setpoint > 0.0 and r.path_s < r.end_s
     p.scored, p.step = (1 if on else 0), r.step
     for k in range(3):
         p.pose[k] = r.real[k]

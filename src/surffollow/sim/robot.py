@@ -18,7 +18,7 @@ from surffollow.sim.commanded_robot import SETTLED_M, SETTLED_TICKS, CommandedRo
 from surffollow.sim.plant import setpoint_for
 from surffollow.sim.pose_reports import PoseReports
 from surffollow.sim.robot_config import APPROACH_M, RobotConfig, make_path
-from surffollow.sim.robot_motion import CREEP_MPS, TRACE_COLUMNS, Motion, run_until
+from surffollow.sim.robot_motion import MIN_SPEED_MPS, TRACE_COLUMNS, Motion, run_until
 from surffollow.sim.robot_turn import turned
 from surffollow.sim.step_clock import STEP_NS
 from surffollow.sim.surfaces import HeightField
@@ -81,7 +81,7 @@ class RobotCore(CommandedRobot):
         c = self.config
         seconds = c.seconds if c.seconds > 0.0 else 2.0 * self.path.length_m / c.speed_mps
         if c.seconds == 0.0:
-            seconds += float((self.path.spacing_m / np.maximum(self.path.points[:, 2], CREEP_MPS)).sum())
+            seconds += float((self.path.spacing_m / np.maximum(self.path.points[:, 2], MIN_SPEED_MPS)).sum())
             seconds += sum(s for _, s in self.path.waits)
         return int((seconds + 30.0) * 1e9) // STEP_NS
 

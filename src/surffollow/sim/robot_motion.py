@@ -14,7 +14,7 @@ from surffollow.sim.robot_turn import along_axis, wrist_step
 from surffollow.sim.step_clock import STEP_NS, await_step, publish_step
 from surffollow.sim.surfaces import field_height, field_part
 
-CREEP_MPS = 1e-3  # a limit of zero is passed at this speed: a corner, not an end
+MIN_SPEED_MPS = 1e-3  # a limit of zero is passed at this speed: a corner, not an end
 TRACE_COLUMNS = (
     *("t_s", "x_m", "y_m", "z_m", "surface_m", "standoff_m", "rolling", "scored", "set_point_m"),
     *("angle_rad", "tilt_rad"),
@@ -85,7 +85,7 @@ def move_along(m: Any, points: Any) -> Any:
     w = min(r.path_m / r.spacing_m - i, 1.0)
     desired = 0.0
     if r.moving != 0 and r.arrived == 0:
-        desired = max(points[i, 2] * (1.0 - w) + points[i + 1, 2] * w, CREEP_MPS)
+        desired = max(points[i, 2] * (1.0 - w) + points[i + 1, 2] * w, MIN_SPEED_MPS)
     # the limits along the path are made for this deceleration; half as much again lets the robot keep them
     fastest, slowest = r.speed_mps + r.accel_mps2 * dt, r.speed_mps - 1.5 * r.accel_mps2 * dt
     speed = min(max(desired, slowest), fastest)

@@ -74,7 +74,7 @@ class Controller:
         self._service: Service | None = None
         self._retry_ns = self._epoch = 0
         self.ticks = self.held = self.refused = self.attachments = 0
-        self.trouble = ""
+        self.fault = ""
 
     @property
     def service(self) -> Service | None:
@@ -92,23 +92,23 @@ class Controller:
         deadline = time.monotonic() + wait_s
         while not self._try_attach():
             if time.monotonic() > deadline:
-                raise NotRunningError(self.trouble)
+                raise NotRunningError(self.fault)
             time.sleep(0.05)
 
     def _try_attach(self) -> bool:
         try:
             service = self._attach()
         except FaultError as error:
-            self.trouble = str(error)
+            self.fault = str(error)
             return False
         try:
             service.claim_pose()
             service.sf_reset(self._core.desired_m)
         except FaultError as error:
-            self.trouble = str(error)
+            self.fault = str(error)
             service.close()
             return False
-        self._service, self._epoch, self.trouble = service, 0, ""
+        self._service, self._epoch, self.fault = service, 0, ""
         self.attachments += 1
         return True
 
@@ -143,7 +143,7 @@ class Controller:
         except PoseError:
             self.refused += 1  # a report that grew too old while this process was stopped
         except FaultError as error:
-            self.trouble = str(error)
+            self.fault = str(error)
             core.hold()
             self.close()
             self._retry_ns = core.t_ns + RETRY_NS

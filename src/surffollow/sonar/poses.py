@@ -20,7 +20,7 @@ from surffollow.sonar.pair import MAX_SOLUTIONS, SOLUTION
 from surffollow.sonar.posterior import N_POINTS
 from surffollow.sonar.readings import Readings, check_readings
 from surffollow.sonar.ring_walls import find_walls
-from surffollow.sonar.wall import WallPose, favour
+from surffollow.sonar.wall import WallPose, mark_favoured
 
 MAX_CANDIDATES = 8192
 
@@ -129,7 +129,7 @@ def wall_pose(
         agreement = count_agreement(readings, exactly, reported, verdicts)
         return bool(agreement == (echoes, 0))
 
-    return favour([_wall(row, pair) for row, pair in pairs], readings.headings_rad, prior, reproduces)
+    return mark_favoured([_wall(row, pair) for row, pair in pairs], readings.headings_rad, prior, reproduces)
 
 
 def optimal_pair(

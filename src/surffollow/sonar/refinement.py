@@ -21,7 +21,7 @@ REACH_RAD = math.radians(60.0)  # a refinement stays on the candidate's side of 
 
 
 @jit
-def polish_candidate(readings: Any, free: Any, verdicts: Any, trial: Any, wall: Any) -> Any:
+def refine_candidate(readings: Any, free: Any, verdicts: Any, trial: Any, wall: Any) -> Any:
     """Fit a candidate to its inliers while that makes φ more certain.
 
     Parameters

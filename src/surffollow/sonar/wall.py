@@ -31,7 +31,7 @@ class WallPose:
     ambiguous : bool
         another wall explains the same readings as well
     favoured : bool
-        beams' axes and prior pose speak for no other wall (see `favour`)
+        beams' axes and prior pose speak for no other wall (see `mark_favoured`)
 
     Examples
     --------
@@ -88,7 +88,7 @@ class WallPose:
         return replace(self, phi_rad=phi, distance_m=distance, covariance=turn @ self.covariance @ turn.T)
 
 
-def favour(
+def mark_favoured(
     found: list[WallPose],
     headings_rad: NDArray[np.float64],
     prior: WallPose | None,

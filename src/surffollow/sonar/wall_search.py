@@ -20,7 +20,7 @@ from surffollow.sonar.candidates import (
 )
 from surffollow.sonar.pair import MAX_SOLUTIONS, SOLUTION
 from surffollow.sonar.posterior import beam_interval
-from surffollow.sonar.refinement import polish_candidate, refine_wall
+from surffollow.sonar.refinement import refine_candidate, refine_wall
 
 MAX_POLISHED = 8  # candidates that are compared once least squares made them certain
 MAX_FUSED = 4  # of them, tried until one agrees with all readings
@@ -57,7 +57,7 @@ def certain_wall(
     for c in range(kept):
         i, j = int(candidates[c, FIRST]), int(candidates[c, SECOND])
         bound_by_beams(readings, i, j, candidates[c, :SOLUTION], bounded)
-        candidates[c, INLIERS] = polish_candidate(readings, free, verdicts, trial, bounded)
+        candidates[c, INLIERS] = refine_candidate(readings, free, verdicts, trial, bounded)
         candidates[c, CONTRADICTIONS] = 0
         candidates[c, :SOLUTION] = bounded
         candidates[c, COST] = candidate_cost(bounded)

@@ -86,7 +86,7 @@ class SimulatedDriver:
         self._retired: WorldReader | None = None
         self._watcher: threading.Thread | None = None
         self._end = threading.Event()
-        self._trouble = ""
+        self._fault = ""
         self.reports = PoseQueue()
         near_m, far_m = self._config.led.window_m
         scale_m, zero_m = adc.calibration(near_m, far_m)
@@ -144,8 +144,8 @@ class SimulatedDriver:
         """Present faults."""
         if not self._thread.running:
             return ["the simulated sensors are not started"]
-        if self._trouble:
-            return [self._trouble]
+        if self._fault:
+            return [self._fault]
         on_reports = int(self._thread.control[SOURCE]) == FROM_REPORTS
         pose_t_ns = int(self._thread.control[POSE_T])
         if on_reports and pose_t_ns == 0:
@@ -171,11 +171,11 @@ class SimulatedDriver:
         expected = self._config.pose
         if expected != "reported":
             self._attach()
-        trouble, source = self._trouble, FROM_WORLD
+        fault, source = self._fault, FROM_WORLD
         if expected == "reported" or (expected == "auto" and not self._world_is_written()):
-            trouble, source = "", FROM_REPORTS
+            fault, source = "", FROM_REPORTS
         self._thread.control[SOURCE] = source
-        self._trouble = trouble
+        self._fault = fault
 
     def _world_is_written(self) -> bool:
         return self._reader is not None and self._reader.is_current and self._reader.has_writer
@@ -183,14 +183,14 @@ class SimulatedDriver:
     def _attach(self) -> None:
         """Take the block that bears the name now; the last one stays mapped until another is in use."""
         if self._reader is not None and self._reader.is_current:
-            self._trouble = ""
+            self._fault = ""
             return
         try:
             fresh = WorldReader(self._name)
         except (NotRunningError, BlockError) as error:
-            self._trouble = str(error)
+            self._fault = str(error)
             return
-        self._trouble = ""
+        self._fault = ""
         old, self._reader = self._reader, fresh
         self._thread.control[REQUESTED] = fresh.latch
         self._retired = old

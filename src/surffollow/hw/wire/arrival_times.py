@@ -49,7 +49,7 @@ class ArrivalClock:
         """
         if not arrivals_ns:
             return []
-        out = self._with_rhythm(arrivals_ns) if self.period_ns else [float(a) for a in arrivals_ns]
+        out = self._regularised(arrivals_ns) if self.period_ns else [float(a) for a in arrivals_ns]
         if out[0] <= self._last_ns:
             out = [max(t, self._last_ns + 1.0 + k) for k, t in enumerate(out)]
         for arrived in arrivals_ns:
@@ -64,7 +64,7 @@ class ArrivalClock:
             self._learn()
         return [round(t) for t in out]
 
-    def _with_rhythm(self, arrivals_ns: Sequence[int]) -> list[float]:
+    def _regularised(self, arrivals_ns: Sequence[int]) -> list[float]:
         n, period = len(arrivals_ns), self.period_ns
         late = arrivals_ns[-1] - (self._last_ns + n * period)
         if late > PAUSE * period:

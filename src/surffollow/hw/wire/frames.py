@@ -26,29 +26,29 @@ class _Finder:
         self._no_target = frozenset(form.no_target_values)
         self._held: tuple[int, int, float | None] | None = None
         self._waiting = bytearray()
-        self._sure = False
+        self._synchronised = False
         self.rejected = 0
 
     def restart(self) -> None:
         """Forget what waits: the device was away."""
         self._waiting.clear()
-        self._sure, self._held = False, None
+        self._synchronised, self._held = False, None
 
     def _reject(self) -> None:
         self.rejected += 1
-        self._sure, self._held = False, None
+        self._synchronised, self._held = False, None
 
     def _accept(
         self, out: list[Measurement], behind: int, length: int, got: tuple[int, float | None]
     ) -> None:
         """A good frame that ends `behind` bytes before the end of the input."""
-        if not self._sure:
+        if not self._synchronised:
             if self._held is None:
                 self._held = (length, *got)
                 return
             before, channel, range_m = self._held
             out.append((behind + length + before, channel, range_m))
-            self._sure, self._held = True, None
+            self._synchronised, self._held = True, None
         out.append((behind + length, *got))
 
     def _metres(self, number: float) -> float | None:
