@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arbiter.running import Running
+from arbiter.arbiter_process import ArbiterProcess
 from public_names import PACKAGES, public_names
 from running_service import Service, until
 from surffollow.arbiter import command_reader, observe
@@ -32,12 +32,12 @@ SHOWN_BY = {
 
 
 @pytest.fixture(scope="module")
-def arbiter(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    with Running(tmp_path_factory.mktemp("arbiter")).running() as one:
+def arbiter(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ArbiterProcess]:
+    with ArbiterProcess(tmp_path_factory.mktemp("arbiter")).running() as one:
         yield one
 
 
-def await_free(arbiter: Running) -> None:
+def await_free(arbiter: ArbiterProcess) -> None:
     """Wait until the server has let go of the clients of the example before."""
     with observe(arbiter.name) as seen, command_reader(arbiter.name, "robot") as robot:
         until(lambda: not seen.status()["clients"] and robot.latest().safe, "a free arbiter")
@@ -58,7 +58,7 @@ def test_the_examples_of_a_module_run(name: str, request: pytest.FixtureRequest)
             service: Service = request.getfixturevalue("service")
             put_name(test, SERVICE, service.name)
         if ARBITER in source:
-            arbiter: Running = request.getfixturevalue("arbiter")
+            arbiter: ArbiterProcess = request.getfixturevalue("arbiter")
             await_free(arbiter)
             put_name(test, ARBITER, arbiter.name)
         with np.printoptions(legacy="1.25", precision=8, suppress=False):
