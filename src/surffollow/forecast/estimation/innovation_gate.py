@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.forecast.estimation.noise import INITIAL_NOISE_M, MIN_NOISE_M
+from surffollow.forecast.estimation.noise import INITIAL_NOISE_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
@@ -16,7 +16,6 @@ SCALE_RATE = 0.02  # of the usual innovation, per sample
 PERMANENT_STEPS = 0.2  # likelihood of slots below which two samples confirm a step
 SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 0.3, 0.01  # factor per step that stays; least value
 STANDING_CONFIRMATION_NS = 120_000_000  # agreeing samples over this time need no travel
-AGREEMENT_SIGMAS = 6.0  # in a burst agreeing samples differ by no more noise, on ground of 45 degrees
 # two samples confirm a step where more of them take longer than so many time constants of the axis
 CONFIRMATION_TAUS = 0.5
 BURST_TAUS = 0.25  # confirmation is delayed by no more of the axis' time constant
@@ -38,10 +37,7 @@ def hold_pending(params: Any, adaptive: Any, innovation_m: Any, travel_m: Any, g
     """
     gate, estimate = adaptive.gate, adaptive.estimate
     last_height = gate.kept_height_m[(gate.pending - 1) & (PENDING_HEIGHTS - 1)]
-    tolerance = gate_m
-    if innovation_m > 0.0 and gate.rejected > 0:  # a burst of wrong readings; a fall needs travel, too
-        tolerance = min(AGREEMENT_SIGMAS * max(adaptive.noise.sigma_m, MIN_NOISE_M) + travel_m, gate_m)
-    if gate.pending > 0 and abs(estimate.height_m + innovation_m - last_height) < tolerance:
+    if gate.pending > 0 and abs(estimate.height_m + innovation_m - last_height) < gate_m:
         gate.pending += 1
         gate.pending_travel_m += travel_m
     else:
