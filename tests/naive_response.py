@@ -115,7 +115,7 @@ class NaiveResponse:
         elif (t_ns - self.begin_ns) * 1e-9 > r.MAX_PHASE_TAUS * self.tau_s:
             self._begin_run(t_ns, z_m)
 
-    def least_target_m(self, target_m: float) -> float:
+    def raised_target_m(self, target_m: float) -> float:
         """The target, shifted up in a long run, or the height that the test asks for when that is more."""
         if self.phase == RUN:
             return target_m + self.shift_m

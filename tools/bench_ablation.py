@@ -59,9 +59,9 @@ EXCURSIONS, EXCURSION_SEEDS = ("slot", "glitch"), 15
 VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "full": [],
     "powers without sharpness": [
-        ("model_weights", "sharpness = noise_share * noise_share * progress * progress", "sharpness = 1.0")
+        ("model_weights", "sharpness = noise_part * noise_part * progress * progress", "sharpness = 1.0")
     ],
-    "chance penalty": [("model_weights", "chance = noise_share", "chance = 0.0 * noise_share")],
+    "chance penalty": [("model_weights", "chance = noise_part", "chance = 0.0 * noise_part")],
     "filter of the weights": [("model_weights", "rate = 1.0 - math.exp(", "rate = 1.0 - 0.0 * math.exp(")],
     "variance penalty": [("model_weights", "if variance_share > 0.0:", "if variance_share > 2.0:")],
     "burn-in of the index": [
@@ -157,7 +157,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "more samples in a burst": [("innovation_gate", "BURST_TAUS = 0.25", "BURST_TAUS = 0.0")],
     "wider gate of sparse samples": [("estimate", "PLAUSIBLE_SLOPE = 0.2", "PLAUSIBLE_SLOPE = 0.0")],
     "descent limit in a loss": [
-        ("setpoint_blend", "        z = max(z, blend.seen_m - MAX_UNCONFIRMED_DESCENT_M)", "        pass")
+        ("setpoint_blend", "        z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)", "        pass")
     ],
     "test of the response": [("response", "if far or late or (", "if False and (")],
     "shift before a hold": [("response", "SHIFT_DESCENT = 0.3", "SHIFT_DESCENT = 1e9")],
@@ -177,7 +177,7 @@ def cell_trial(job: tuple[str, float, float, int]) -> tuple[float, float]:
 
 
 def excursion_trial(job: tuple[str, float, int]) -> float:
-    """Greatest excursion of the set point after slots or glitches [m]."""
+    """Greatest excursion of the setpoint after slots or glitches [m]."""
     from surffollow.benchmark.conditions import Conditions
     from surffollow.benchmark.trials import Job, excursion
 

@@ -86,9 +86,9 @@ class Robot:
         except SurffollowError:
             self.refusals += 1
         demand = self.client.dev_vector()
-        seen_m = self.client.raw_distance()
-        if self.pushes and abs(seen_m - PUSHED_M) > 1e-6:  # NaN is not
-            self.faults.append(f"cycle {demand.cycle}: distance {seen_m} m, {PUSHED_M} m was pushed")
+        tracked_m = self.client.raw_distance()
+        if self.pushes and abs(tracked_m - PUSHED_M) > 1e-6:  # NaN is not
+            self.faults.append(f"cycle {demand.cycle}: distance {tracked_m} m, {PUSHED_M} m was pushed")
         self.demands += 1
         board = self.client.board
         limits = [board.latch("params", Params).read() for _ in range(2)]

@@ -3,7 +3,7 @@
     surffollow start &
     python controller.py surf 20 --plot run.png
 
-The arm is a stand-in: an axis that reaches its set point within a speed limit. Put your own read_pose() and
+The arm is a stand-in: an axis that reaches its setpoint within a speed limit. Put your own read_pose() and
 move_to() in its place; the rest is what a real controller does. The path is a circle of 80 mm between the
 boxes of the default simulated ground. The stand-off printed is that of the sensor.
 """

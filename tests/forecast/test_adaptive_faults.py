@@ -325,7 +325,7 @@ def test_a_follower_whose_readings_never_confirm_each_other_is_not_valid_and_say
 @pytest.mark.parametrize("slope", [-0.2, -0.1])
 @pytest.mark.parametrize("forward_s", [0.0, 0.2])
 def test_a_tool_that_turns_back_in_a_loss_goes_no_deeper(slope, forward_s):
-    """What the slope says of the way ahead says nothing of the way back over ground just measured."""
+    """The slope ahead says nothing about the way back over ground that was just measured."""
     f = Follower({"memory": False}, offset_m=0.1)
     rng, x_m, z_m, v_mps, goal_m, turn_z_m = np.random.default_rng(3), 0.0, 0.1, 0.0, 0.1, math.inf
     for ms in range(5400):

@@ -192,7 +192,7 @@ def test_a_few_samples_on_flat_ground_do_not_move_the_setpoint(case, speed_mps, 
 
 
 def ran_over(heights_m: np.ndarray, speed_mps: float) -> tuple[float, float]:
-    """Stand-off error and set-point acceleration, RMS of two runs over 6 m of ground given per millimetre."""
+    """Stand-off error and setpoint acceleration, RMS of two runs over 6 m of ground given per millimetre."""
     squares = []
     for seed in range(2):
         scene = make_scene(Profile("ground", 0.0, 1e-3, heights_m), speed_mps, seed, Conditions())

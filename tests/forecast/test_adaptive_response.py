@@ -10,7 +10,7 @@ import pytest
 from surffollow import Follower
 from surffollow.benchmark.hazard_scenarios import FAR_M, NEAR_M, SIGMA_M, STANDOFF_M, draw
 from surffollow.benchmark.hazards import PLoop, play
-from surffollow.shm.layout_adaptive_sensing import RESPONSE_HOLD, RESPONSE_NONE, RESPONSE_RUN
+from surffollow.shm.layout_adaptive_sensing import RESPONSE_FAILED, RESPONSE_HOLD, RESPONSE_RUN
 
 MS = 1_000_000
 TAU_MS = 40.0
@@ -52,7 +52,7 @@ def test_something_that_moves_with_the_sensor_in_its_beam_ends_as_stuck(offset_m
         return (STANDOFF_M + offset_m if t > 2.0 else r) + SIGMA_M * rng.standard_normal()
 
     heights, phases, states = closed_loop(lambda _: 0.0, blocked, seed=seed)
-    assert RESPONSE_NONE in phases
+    assert RESPONSE_FAILED in phases
     stuck = next(k for k, s in enumerate(states) if s["health"] == "STUCK")
     assert "respond" in states[stuck]["reason"]
     assert heights.min() > 0.06  # a P loop falls for ever
@@ -98,7 +98,7 @@ def test_no_contact_while_valid(family, seed):
 )
 def test_a_good_sensor_is_never_found_unresponsive(ground):
     _, phases, states = closed_loop(ground, noisy, seed=5)
-    assert RESPONSE_NONE not in phases
+    assert RESPONSE_FAILED not in phases
     assert all(s["health"] != "STUCK" for s in states)
 
 
@@ -110,7 +110,7 @@ def test_a_good_sensor_that_reads_too_far_for_long_passes_the_test():
 
     heights, phases, states = closed_loop(ground, noisy, seconds=2.5, speed=0.4)
     assert all(s["health"] != "STUCK" for s in states)
-    assert RESPONSE_NONE not in phases
+    assert RESPONSE_FAILED not in phases
     assert heights[60:].min() > STANDOFF_M - 3e-3
 
 
@@ -119,7 +119,7 @@ def test_a_sensor_that_sees_again_is_used_again():
         return (STANDOFF_M + 4e-3 if 2.0 < t < 3.0 else r) + SIGMA_M * rng.standard_normal()
 
     heights, phases, states = closed_loop(lambda _: 0.0, blocked_for_a_while, seconds=5.0)
-    assert RESPONSE_NONE in phases
+    assert RESPONSE_FAILED in phases
     assert phases[-1] == RESPONSE_RUN
     assert states[-1]["health"] == "OK"
     assert abs(heights[-1] - STANDOFF_M) < 1e-3

@@ -7,8 +7,8 @@ import numpy as np
 from naive_response import HOLD, LIFT, NONE, RUN, NaiveResponse
 from surffollow.forecast.sensing.response import (
     is_unresponsive,
-    least_target,
     observe_response,
+    raised_target,
     reset_response,
 )
 from surffollow.shm.dtypes import zeros
@@ -52,7 +52,7 @@ def states_seen(seed: int) -> set[str]:
         in_kernel.append([record[n] for n in ESTIMATES])
         in_twin.append((twin.mean_m, twin.run_m, twin.noise_m, twin.usual_m, twin.top_z_m))
         target = z + STANDOFF_M - read
-        asked, expected = least_target(record, target), twin.least_target_m(target)
+        asked, expected = raised_target(record, target), twin.raised_target_m(target)
         assert abs(asked - expected) <= max(1e-12, 1e-6 * abs(expected)), (seed, k)
         z += (asked - z) * min(1.0, interval_s / tau_s)
         seen.add(twin.phase)

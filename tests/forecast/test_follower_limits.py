@@ -1,4 +1,4 @@
-"""What the follower does when the sensor lies, which configurations it refuses, and what it says."""
+"""Wrong readings, refused configurations, and the state that the follower publishes."""
 
 import math
 

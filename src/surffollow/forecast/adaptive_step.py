@@ -1,6 +1,6 @@
 """One cycle of the default follower: the block diagram, stage by stage.
 
-clock → kinematics → plant → measurement (sensing, estimation, terrain) → health → set point → demand
+clock → kinematics → plant → measurement (sensing, estimation, terrain) → health → setpoint → demand
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import Any
 from surffollow.forecast.attitude.attitude import demand_rotation, publish_normal, release_attitude
 from surffollow.forecast.estimation.adaptation import publish_adaptation
 from surffollow.forecast.estimation.estimate import INITIALISATION_SAMPLES
+from surffollow.forecast.fold_back import PROBE_M, limit
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.plant.controller_clock import (
     latch_time,
@@ -26,7 +27,6 @@ from surffollow.forecast.plant.plant_identification import (
     update_plant,
 )
 from surffollow.forecast.reset import reset_all, reset_timestamps
-from surffollow.forecast.safety import PROBE_M, limit
 from surffollow.forecast.sensing.clock import update_clock
 from surffollow.forecast.sensing.health import (
     is_lost,
@@ -36,13 +36,13 @@ from surffollow.forecast.sensing.health import (
 )
 from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, has_jumped, update_kinematics
 from surffollow.forecast.sensing.measurement import process_sample, standoff_height
-from surffollow.forecast.sensing.response import is_unresponsive, least_target
+from surffollow.forecast.sensing.response import is_unresponsive, raised_target
 from surffollow.forecast.setpoint.preview_control import plan_setpoint
 from surffollow.forecast.setpoint.setpoint_blend import blend_setpoints, dropout_s, filter_setpoint
 from surffollow.forecast.setpoint.setpoint_limits import (
     CONFIRMED_SAMPLES,
     limit_setpoint,
-    mark_shown,
+    mark_dryrun,
     release_setpoint,
 )
 from surffollow.forecast.terrain.known_ground import lowest_plan, reset_known_ground
@@ -95,7 +95,7 @@ def distance_ahead(params: Any, adaptive: Any, pose: Any, pose_t_ns: Any) -> Any
 def target_of_blend(
     params: Any, adaptive: Any, inputs: Any, pose_t_ns: Any, ahead_m: Any, standoff_m: Any
 ) -> Any:
-    """Blended set point [m], and 1 when a controller period begins.
+    """Blended setpoint [m], and 1 when a controller period begins.
 
     The models are blended when a sample, a pose or a controller period is new. In between the blend
     continues at the rate that the models predict.
@@ -135,7 +135,7 @@ def plan_period(
 
 @jit
 def target_of_preview(params: Any, adaptive: Any, target_m: Any, standoff_m: Any) -> Any:
-    """Set point before the limits: the filtered blend, and the plan by its share [m].
+    """Setpoint before the limits: the filtered blend, and the plan by its share [m].
 
     A sensor that leads measures no ground under the tool: its buffered heights replace the blend.
     """
@@ -203,8 +203,8 @@ def compute_demand(
         release_setpoint(setpoint)
         withdraw_preview(adaptive.preview)
         return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
-    if setpoint.shown != 0 and params.run != RUN_DRYRUN:  # set points of DRYRUN were not applied
-        mark_shown(setpoint, 0)
+    if setpoint.in_dryrun != 0 and params.run != RUN_DRYRUN:  # setpoints of DRYRUN were not applied
+        mark_dryrun(setpoint, 0)
         release_setpoint(setpoint)
         release_attitude(adaptive.attitude)
     standoff = standoff_height(params, adaptive.plane, sense, several, pose)
@@ -217,7 +217,7 @@ def compute_demand(
     few = estimate.samples < CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
     if estimate.samples < INITIALISATION_SAMPLES or few:
         target = max(target, tool_z)  # no descent over ground that is hardly known
-    target = least_target(adaptive.response, target)
+    target = raised_target(adaptive.response, target)
     if stuck != 0:  # ground that is not seen may rise as steeply as it did before
         rise_mps = max(math.sqrt(estimate.slope_power), estimate.slope) * kinematics.speed_mps
         target = max(target, tool_z + rise_mps * adaptive.plant.tau_s)
@@ -241,7 +241,7 @@ def compute_demand(
     if controller.period_ns == clock.now_ns or controller.latch_pending != 0:
         record_own_setpoint(adaptive, tool_z + (limited if params.run == RUN_NORMAL else 0.0))
     if params.run == RUN_DRYRUN:
-        mark_shown(setpoint, 1)
+        mark_dryrun(setpoint, 1)
     elif params.run == RUN_FREEZE:
         release_setpoint(setpoint)  # no demand is applied
     output.delta_h_m = estimate.slope * max(ahead, 0.0)

@@ -33,7 +33,7 @@ from surffollow.shm.schema import Schema
 
 # stand-offs and time constants from here to twice as much have scale 1; 0.1 m and 40 ms among them
 STANDOFF_M, TAU_S = 0.052, 0.038
-EPOCH_NS = 1 << 42  # plain time of the first cycle: a time of 0 means never
+TIME_ORIGIN_NS = 1 << 42  # plain time of the first cycle: a time of 0 means never
 MAX_SHIFT = 12  # plain times of a fast axis: 2^62 ns stay above 10 days
 # powers of length and time by unit; a rotation is plain as it is
 EXPONENTS: dict[str, tuple[int, int]] = {
@@ -132,7 +132,7 @@ def plain_duration(d: Any, ns: Any) -> Any:
 @jit_inlined
 def plain_time(d: Any, t_ns: Any) -> Any:
     """A time in plain nanoseconds; without an epoch as it is."""
-    return t_ns if d.epoch_ns == 0 else plain_duration(d, t_ns - d.epoch_ns) + EPOCH_NS
+    return t_ns if d.epoch_ns == 0 else plain_duration(d, t_ns - d.epoch_ns) + TIME_ORIGIN_NS
 
 
 @jit

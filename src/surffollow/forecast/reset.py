@@ -1,4 +1,4 @@
-"""Resets of the whole follower: which stage forgets what."""
+"""Resets of the whole follower, and the records that each of them clears."""
 
 from __future__ import annotations
 

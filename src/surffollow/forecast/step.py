@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from surffollow.forecast.adaptive_step import compute_demand, publish_estimate
+from surffollow.forecast.fold_back import PROBE_M, limit, watch_fold_back
 from surffollow.forecast.paper.extrapolation import (
     average_point,
     distance_since_reading,
@@ -22,10 +23,9 @@ from surffollow.forecast.reference_scales import (
     unscale_outputs,
 )
 from surffollow.forecast.reset import reset_surface
-from surffollow.forecast.safety import PROBE_M, limit, watch_fold_back
 from surffollow.forecast.sense import ABSENT_NS, take_conversions, take_poses, take_ranges
 from surffollow.forecast.sensing.latency_identification import check_configured_latency
-from surffollow.forecast.stop import obey_stop
+from surffollow.forecast.stop import apply_stop
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import (
     CHANNELS,
@@ -186,7 +186,19 @@ def demand_z(params: Any, state: Any, inputs: Any, output: Any, reading_z_m: Any
 def adaptive_cycle(
     params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, pose: Any, ready: Any
 ) -> Any:
-    """Demand, if a pose is `ready`, and report of the adaptive mode in plain numbers; returns status bits."""
+    """Demand, if a pose is `ready`, and report of the adaptive mode in plain numbers.
+
+    Parameters
+    ----------
+    params, adaptive, sense, fold, inputs, output : records in plain numbers (`reference_scales`)
+    pose : (7,) float64 scratch
+    ready : int              0: no pose, or a stale one
+
+    Returns
+    -------
+    int
+        Status bits.
+    """
     check_configured_latency(params, adaptive.latency)
     status = 0
     if ready != 0:
@@ -196,7 +208,7 @@ def adaptive_cycle(
 
 
 @jit
-def adaptive_step(params: Any, state: Any, inputs: Any, output: Any, pose: Any, ready: Any) -> Any:
+def scaled_adaptive_cycle(params: Any, state: Any, inputs: Any, output: Any, pose: Any, ready: Any) -> Any:
     """`adaptive_cycle` behind the reference scales; where these are 1 nothing is copied."""
     s = state[0]
     d = s.scaled
@@ -212,13 +224,13 @@ def adaptive_step(params: Any, state: Any, inputs: Any, output: Any, pose: Any, 
 
 @jit
 def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any) -> None:
-    """Step the follower once: smoothing, target point, intervals, ranges, forecast.
+    """One cycle: readings, footprints, demand of the mode in force, run mode, stop.
 
     Parameters
     ----------
     params : (1,) records of `Params`        read only
     state : (1,) records of `FollowState`    updated
-    inputs : (1,) records of `Inputs`        all that the outside tells in this cycle
+    inputs : (1,) records of `Inputs`        poses, conversions or ranges, and preview of this cycle
     output : (1,) records of `Output`        overwritten, `epoch` excepted
     scratch : (7,) float64                   a pose
 
@@ -253,7 +265,7 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
             sensor_z = find_targets(p, s, o, scratch, p.pose_interpolate)
             o.status = demand_z(p, s, i, o, sensor_z, scratch)
     if p.mode == MODE_ADAPTIVE:
-        o.status |= adaptive_step(params, state, inputs, output, scratch, ready)
+        o.status |= scaled_adaptive_cycle(params, state, inputs, output, scratch, ready)
     if p.run == RUN_DRYRUN:
         o.status = (o.status & ~VALID) | DRYRUN
     elif p.run == RUN_FREEZE:
@@ -263,12 +275,12 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
     s.cycle += 1
     if p.mode != MODE_ADAPTIVE:
         report_paper(s.paper, o)
-    obey_stop(p, s, o)
+    apply_stop(p, s, o)
 
 
 @jit_inlined
 def report_paper(paper: Any, output: Any) -> None:
-    """Publish what the paper's follower believes."""
+    """Copy the state of the paper mode to the output."""
     output.slope, output.speed_mps = paper.slope, paper.speed_mps
     output.reason = 0
     output.intervals = paper.interval_count

@@ -57,7 +57,7 @@ def causes_seen(params: Any, state: Any, output: Any) -> Any:
 
 
 @jit_inlined
-def obey_stop(params: Any, state: Any, output: Any) -> None:
+def apply_stop(params: Any, state: Any, output: Any) -> None:
     """Latch the causes that the configuration names; while stopped the demand is zero and not valid."""
     if output.status & VALID:
         state.stop_armed = 1

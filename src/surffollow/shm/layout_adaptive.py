@@ -75,7 +75,7 @@ class Adaptation(Schema):
     """Adapted parameters (`adaptation`)."""
 
     permitted_variance_m = F64(unit="m", doc="Permitted_Variance in force")
-    deadband_m = F64(unit="m", doc="deadband of the set-point filter")
+    deadband_m = F64(unit="m", doc="deadband of the setpoint filter")
 
 
 class Blend(Schema):
@@ -87,7 +87,7 @@ class Blend(Schema):
     t_ns = I64(unit="ns", doc="when it was made")
     pose_ns = I64(unit="ns", doc="timestamp of the pose that it was made with")
     sample_ns = I64(unit="ns", doc="timestamp of the sample that it was made with")
-    seen_m = F64(unit="m", doc="the newest one that is not of a drop-out")
+    tracked_m = F64(unit="m", doc="the newest one that is not of a drop-out")
     filtered_m = F64(unit="m", doc="behind the deadband filter")
     filtered_ns = I64(unit="ns", doc="when that was made")
 
@@ -100,7 +100,7 @@ class Setpoint(Schema):
     acceleration_mps2 = F64(unit="m/s^2", doc="and the rate of that")
     preview_share = F64(doc="share of preview that raises the limits in force, 0 to 1")
     t_ns = I64(unit="ns", doc="when it was made; 0: begin at the tool")
-    shown = I64(doc="1: made in DRYRUN, not applied")
+    in_dryrun = I64(doc="1: made in DRYRUN, not applied")
     approaching = I64(doc="1: it began at the tool and has not arrived yet")
     interval_s = F64(unit="s", doc="usual interval of calls, an upper estimate; 0: not known")
     min_interval_s = F64(unit="s", doc="shortest interval lately; 0: not known")

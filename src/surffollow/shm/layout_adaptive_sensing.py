@@ -83,13 +83,13 @@ class Health(Schema):
     usual_repeats = F64(doc="longest such run lately; 0: not known")
 
 
-RESPONSE_RUN, RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_NONE = range(4)
+RESPONSE_RUN, RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_FAILED = range(4)
 
 
 class Response(Schema):
     """Response of the range to the tool's own motion (`response`)."""
 
-    phase = I64(doc="constant range, tested by holding, by lifting; RESPONSE_NONE: it does not respond")
+    phase = I64(doc="constant range, tested by holding, by lifting; RESPONSE_FAILED: it does not respond")
     count = I64(doc="samples after the lift")
     t_ns = I64(unit="ns", doc="timestamp of the newest sample; 0: none")
     mean_m = F64(unit="m", doc="running mean of the range")

@@ -183,7 +183,7 @@ class PaperState(Schema):
 
 
 class FoldBackState(Schema):
-    """The sensor's fold-back, in every mode (`forecast.safety`)."""
+    """The sensor's fold-back, in every mode (`forecast.fold_back`)."""
 
     close = I64(doc="1: TOO_CLOSE is latched")
     close_z_m = F64(unit="m", doc="tool height where the branch test began")

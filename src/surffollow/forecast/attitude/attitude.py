@@ -1,6 +1,6 @@
-"""Attitude set point: rotation of the tool's axis toward the surface normal.
+"""Attitude setpoint: rotation of the tool's axis toward the surface normal.
 
-The tool's axis has a set point in the world that moves within limits of angular velocity and acceleration.
+The tool's axis has a setpoint in the world that moves within limits of angular velocity and acceleration.
 A single reading therefore cannot make the demanded rotation jump.
 """
 
@@ -52,7 +52,7 @@ def rotation_between(ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> An
 
 @jit
 def limit_attitude(params: Any, attitude: Any, nx: Any, ny: Any, nz: Any, dt: Any) -> None:
-    """Move the axis' set point toward a direction within limits of velocity and acceleration.
+    """Move the axis' setpoint toward a direction within limits of velocity and acceleration.
 
     A deviation within `permitted_turn_rad` moves nothing (deadband). The square-root profile limits the
     velocity to what the acceleration can stop.
@@ -76,7 +76,7 @@ def limit_attitude(params: Any, attitude: Any, nx: Any, ny: Any, nz: Any, dt: An
 
 @jit
 def demand_rotation(params: Any, adaptive: Any, sense: Any, output: Any) -> None:
-    """Rotation vector from the reported axis of the tool to its set point, at most `max_turn_rad`."""
+    """Rotation vector from the reported axis of the tool to its setpoint, at most `max_turn_rad`."""
     clock, attitude = adaptive.clock, adaptive.attitude
     q = 7 * ((sense.pose_count - 1) & (POSES - 1)) + 3
     p = sense.pose
@@ -122,5 +122,5 @@ def publish_normal(adaptive: Any, output: Any) -> None:
 
 @jit
 def release_attitude(attitude: Any) -> None:
-    """Begin at the tool with the next attitude set point."""
+    """Begin at the tool with the next attitude setpoint."""
     attitude.t_ns = 0

@@ -17,7 +17,7 @@ MIN_GAIN = 1e-4  # bounds the published Interval_Size
 
 @jit
 def update_deadband(params: Any, adaptive: Any) -> None:
-    """Set Permitted_Variance in force and the deadband of the set-point filter."""
+    """Set Permitted_Variance in force and the deadband of the setpoint filter."""
     estimate, adaptation = adaptive.estimate, adaptive.adaptation
     adaptation.permitted_variance_m = max(params.permitted_variance_m, min(estimate.sigma_m, MAX_PERMITTED_M))
     adaptation.deadband_m = params.deadband_share * adaptation.permitted_variance_m

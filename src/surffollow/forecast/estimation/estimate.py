@@ -51,7 +51,7 @@ MIN_SPEED_MPS = 1e-3  # least speed assumed: the bank updates at rest, too
 IMMEDIATELY_S = 1.0  # long against every time constant of the weights
 INITIALISATION_SAMPLES = 3  # fewer are not confirmed: one of them may be a glitch
 AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well replace the first one
-# after a start and after a loss the performance index waits until set points have acted
+# after a start and after a loss the performance index waits until setpoints have acted
 INITIAL_SETTLING_NS, SETTLING_NS = 60_000_000, 150_000_000
 GAP_NS = 100_000_000  # a step after a longer gap, unusual for the sensor, needs no travel
 PLAUSIBLE_SLOPE = 0.2  # ground may change by so much of the travel since the sample before: sparse samples
@@ -117,7 +117,7 @@ def reset_estimate(
 
 @jit
 def restart_estimate(params: Any, adaptive: Any, t_ns: Any, h_m: Any, standoff_m: Any, adapt: Any) -> None:
-    """Initialise again after a bad first sample and discard what it taught; older knowledge stays."""
+    """Initialise again after a bad first sample; discard noise and slots learned from it, keep older ones."""
     if adaptive.weights.scored <= adaptive.estimate.samples:
         discard_slots(adaptive.gate)
         discard_noise(adaptive.noise)

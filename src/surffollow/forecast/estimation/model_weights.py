@@ -78,20 +78,20 @@ def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
     floor = params.score_floor_m * params.score_floor_m
     mu = params.effort_m * params.effort_m
     # differences below the noise are small but significant; great errors come from few places
-    noise_share = noise_fraction(least_recent, adaptive.noise.sigma_m)
+    noise_part = noise_fraction(least_recent, adaptive.noise.sigma_m)
     # few samples give no significance; fine differences need many
-    needed = BURN_IN_SAMPLES * max(noise_share * noise_share, MIN_BURN_IN_SHARE)
+    needed = BURN_IN_SAMPLES * max(noise_part * noise_part, MIN_BURN_IN_SHARE)
     burn_in, progress = min(weights.scored / needed, 1.0), weights.scored / FULL_POWER_SAMPLES
-    sharpness = noise_share * noise_share * progress * progress
+    sharpness = noise_part * noise_part * progress * progress
     power = params.long_power + (params.score_power - params.long_power) * sharpness
     # until then, and after an initialisation, the models' own variance decides
     variance_share = max(1.0 - burn_in, 1.0 - adaptive.estimate.samples / needed)
     if adaptive.sample.lead_m > MIN_LEAD_M:
         variance_share = 0.0  # the buffered heights are followed, not the models
     ahead_m = adaptive.kinematics.speed_mps * (adaptive.latency.delay_s + adaptive.plant.tau_s)
-    chance = noise_share * noise_share * (BURN_IN_CHANCE_FACTOR - (BURN_IN_CHANCE_FACTOR - 1.0) * progress)
-    rough = (1.0 - noise_share) * (1.0 - noise_share)
-    effort_power = ROUGH_EFFORT_POWER * rough + BURN_IN_EFFORT_POWER * noise_share * noise_share * (
+    chance = noise_part * noise_part * (BURN_IN_CHANCE_FACTOR - (BURN_IN_CHANCE_FACTOR - 1.0) * progress)
+    rough = (1.0 - noise_part) * (1.0 - noise_part)
+    effort_power = ROUGH_EFFORT_POWER * rough + BURN_IN_EFFORT_POWER * noise_part * noise_part * (
         1.0 - progress
     )
     least = 1e300

@@ -15,7 +15,7 @@ ATTAINABLE_SHARE = 0.999  # of the greatest change of velocity in a period; the 
 
 @jit
 def axis_velocity(distance_m: Any, tau_s: Any, a_max_mps2: Any) -> Any:
-    """Velocity at which the axis approaches its set point: proportional, then square root [m/s]."""
+    """Velocity at which the axis approaches its setpoint: proportional, then square root [m/s]."""
     linear = a_max_mps2 * tau_s * tau_s
     if distance_m > linear:
         return math.sqrt(2.0 * a_max_mps2 * (distance_m - 0.5 * linear))
@@ -28,7 +28,7 @@ def axis_velocity(distance_m: Any, tau_s: Any, a_max_mps2: Any) -> Any:
 def step_axis(
     tau_s: Any, v_max_mps: Any, a_max_mps2: Any, z_m: Any, v_mps: Any, target_m: Any, dt_s: Any
 ) -> Any:
-    """Position and velocity of the axis after a time step toward its set point [m, m/s]."""
+    """Position and velocity of the axis after a time step toward its setpoint [m, m/s]."""
     d = target_m - z_m
     limit = min(v_max_mps, abs(d) / dt_s)
     w = min(max(axis_velocity(d, tau_s, a_max_mps2), -limit), limit)
@@ -39,7 +39,7 @@ def step_axis(
 
 @jit
 def velocity_after_period(params: Any, tau_s: Any, z_m: Any, v_mps: Any, target_m: Any) -> Any:
-    """Velocity of the axis one controller period from now with a set point [m/s]."""
+    """Velocity of the axis one controller period from now with a setpoint [m/s]."""
     v_max, a_max, dt = params.plant_v_max_mps, params.plant_a_max_mps2, PERIOD_S / AXIS_STEPS
     for _ in range(AXIS_STEPS):
         z_m, v_mps = step_axis(tau_s, v_max, a_max, z_m, v_mps, target_m, dt)
@@ -48,10 +48,10 @@ def velocity_after_period(params: Any, tau_s: Any, z_m: Any, v_mps: Any, target_
 
 @jit
 def invert_axis(params: Any, tau_s: Any, z_m: Any, v_mps: Any, wanted_mps: Any) -> Any:
-    """Set point with which the axis has a velocity one controller period from now [m].
+    """Setpoint with which the axis has a velocity one controller period from now [m].
 
-    Bisection: the velocity is monotone in the set point. A velocity that the axis does not attain would give
-    a set point at the end of the interval searched; the next attainable one is taken instead.
+    Bisection: the velocity is monotone in the setpoint. A velocity that the axis does not attain would give
+    a setpoint at the end of the interval searched; the next attainable one is taken instead.
     """
     change = ATTAINABLE_SHARE * params.plant_a_max_mps2 * PERIOD_S
     wanted_mps = min(max(wanted_mps, v_mps - change), v_mps + change)

@@ -13,7 +13,7 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
 DEFAULT_PERIOD_NS = 9_999_000  # 100 Hz; a microsecond less, timestamps may be rounded
-# before the next report: the jerk-limited set point needs 7 ms for 5 mm and 12 ms for 20 mm
+# before the next report: the jerk-limited setpoint needs 7 ms for 5 mm and 12 ms for 20 mm
 PREPARATION_NS = 8_900_000
 LATCH_DELAY_NS = 500_000  # latch time before the cycle that sees the report, on average
 MIN_PERIOD_NS, MAX_PERIOD_NS = 6_000_000, 14_000_000  # between two periods synchronised by reports
@@ -128,4 +128,4 @@ def period_at(controller: Any, k: Any, t_ns: Any) -> Any:
 def reset_controller(controller: Any) -> None:
     """Discard all periods and the arrival of reports: the clock jumped."""
     controller.period_ns = controller.report_ns = 0
-    controller.periods = controller.latch_pending = 0  # set points of future periods would never be latched
+    controller.periods = controller.latch_pending = 0  # setpoints of future periods would never be latched

@@ -1,6 +1,6 @@
 """Plant identification: the time constant of the controlled axis.
 
-Axis models with different time constants follow the follower's own set points. The squared errors against
+Axis models with different time constants follow the follower's own setpoints. The squared errors against
 the reported positions have their minimum near the true one; a parabola interpolates it. Without motion the
 errors are equal, and the configured time constant stays.
 """
@@ -63,7 +63,7 @@ def predict_axis(params: Any, adaptive: Any, to_ns: Any) -> Any:
 
 @jit
 def propagate_axes(params: Any, adaptive: Any, to_ns: Any) -> None:
-    """Propagate all axis models with the follower's own set points."""
+    """Propagate all axis models with the follower's own setpoints."""
     controller, plant = adaptive.controller, adaptive.plant
     span = to_ns - plant.t_ns
     steps = max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1)
@@ -136,7 +136,7 @@ def update_plant(params: Any, adaptive: Any, sense: Any, adapt: Any) -> None:
     if (
         adaptive.controller.periods == 0
         or setpoint.t_ns == 0
-        or setpoint.shown != 0
+        or setpoint.in_dryrun != 0
         or gap
         or plant.tau_configured_s != params.plant_tau_s
     ):
@@ -168,7 +168,7 @@ def update_plant(params: Any, adaptive: Any, sense: Any, adapt: Any) -> None:
 
 @jit
 def record_own_setpoint(adaptive: Any, setpoint_m: Any) -> None:
-    """Record the follower's own set point of the present period."""
+    """Record the follower's own setpoint of the present period."""
     adaptive.plant.setpoint_m[(adaptive.controller.periods - 1) & (N_PERIODS - 1)] = setpoint_m
 
 

@@ -1,4 +1,4 @@
-"""Shadow axes: a simulated copy of the controlled axis per model, driven by its set points."""
+"""Shadow axes: a simulated copy of the controlled axis per model, driven by its setpoints."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surffollow.shm.layout_adaptive_estimation import MAX_MODELS, N_PERIODS
 AXIS_STEP_NS = 2_000_000  # of the shadow axes
 MAX_AXIS_STEPS = 32  # bounds the work per sample
 MIN_TAU_S = 1e-3  # below, the steps would be too long for the axis
-MAX_AXIS_GAP_NS = 250_000_000  # after a longer gap the axes are set to their set points
+MAX_AXIS_GAP_NS = 250_000_000  # after a longer gap the axes are set to their setpoints
 EFFORT_RATE = 0.02  # per controller period
 EFFORT_UNIT = 1.0  # (1 m/s²)²
 MAX_EFFORT = 100.0  # (10 m/s²)²: bounds the memory of a step
@@ -31,7 +31,7 @@ def reset_shadows(shadow: Any, z_m: Any) -> None:
 
 @jit
 def propagate_shadows(params: Any, adaptive: Any, from_ns: Any, to_ns: Any) -> None:
-    """Propagate every shadow axis with the set points of its model."""
+    """Propagate every shadow axis with the setpoints of its model."""
     shadow, controller = adaptive.shadow, adaptive.controller
     span = to_ns - from_ns
     if controller.periods == 0 or span <= 0:
@@ -58,7 +58,7 @@ def propagate_shadows(params: Any, adaptive: Any, from_ns: Any, to_ns: Any) -> N
 
 @jit
 def update_effort(adaptive: Any) -> None:
-    """Update the effort with the set points of the period that has just been recorded."""
+    """Update the effort with the setpoints of the period that has just been recorded."""
     shadow, controller = adaptive.shadow, adaptive.controller
     n = controller.periods
     now, one = MAX_MODELS * (n & (N_PERIODS - 1)), MAX_MODELS * ((n - 1) & (N_PERIODS - 1))
@@ -74,7 +74,7 @@ def update_effort(adaptive: Any) -> None:
 
 @jit
 def record_setpoints(adaptive: Any) -> None:
-    """Record the newest set points of all models for the period that begins, and update the effort."""
+    """Record the newest setpoints of all models for the period that begins, and update the effort."""
     shadow = adaptive.shadow
     first = (adaptive.controller.periods & (N_PERIODS - 1)) * MAX_MODELS
     for i in range(N_MODELS):
@@ -84,6 +84,6 @@ def record_setpoints(adaptive: Any) -> None:
 
 @jit
 def reset_effort(shadow: Any) -> None:
-    """Set the mean squared acceleration of all set points to zero."""
+    """Set the mean squared acceleration of all setpoints to zero."""
     for i in range(N_MODELS):
         shadow.effort[i] = shadow.log_effort[i] = 0.0

@@ -1,4 +1,4 @@
-"""The follower's time: the latest time heard of."""
+"""The follower's time: the latest timestamp of steps and poses."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ CLOCK_JUMP_NS = 1_000_000_000  # late samples are never so late: it is another c
 
 @jit
 def update_clock(clock: Any, t_ns: Any, pose_t_ns: Any) -> Any:
-    """Advance the time to the latest one told; 1 when the clock jumped back and is followed."""
+    """Advance the time to the latest timestamp; 1 when the clock jumped back and is followed."""
     t = max(t_ns, pose_t_ns)
     jumped = t < clock.now_ns - CLOCK_JUMP_NS
     if jumped:

@@ -11,8 +11,8 @@ from surffollow.forecast.attitude.beam_detection import any_beam_changed, observ
 from surffollow.forecast.attitude.plane_fit import plane_height
 from surffollow.forecast.estimation.adaptation import update_deadband
 from surffollow.forecast.estimation.estimate import discard_estimate, update_estimate
+from surffollow.forecast.fold_back import watch_fold_back
 from surffollow.forecast.pose import footprint, rotate
-from surffollow.forecast.safety import watch_fold_back
 from surffollow.forecast.sensing.health import (
     DROPOUT_NS,
     count_close,
@@ -74,7 +74,14 @@ def standoff_height(params: Any, plane: Any, sense: Any, several: Any, pose: Any
 def process_sample(
     params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, several: Any, pose: Any
 ) -> None:
-    """Process a new sample, if there is one; a sample that does not enter the estimate is not mapped."""
+    """Process a new sample, if there is one; a sample that does not enter the estimate is not mapped.
+
+    Parameters
+    ----------
+    params, adaptive, sense, fold, inputs, output : records in plain numbers (`reference_scales`)
+    several : int            1: three or more sensors and the tool is rotated to the surface normal
+    pose : (7,) float64      scratch: the pose at the sample's time
+    """
     kinematics, hold, latency, sample, health = (
         adaptive.kinematics,
         adaptive.hold,
@@ -166,7 +173,7 @@ def process_sample(
 
 @jit
 def has_turned_back(adaptive: Any) -> Any:
-    """1 when the tool goes back since the newest sample: its slope tells nothing of the way to come."""
+    """1 when the tool goes back since the newest sample: that slope says nothing about the ground ahead."""
     kinematics, sample = adaptive.kinematics, adaptive.sample
     along = kinematics.velocity_x_mps * sample.heading_x + kinematics.velocity_y_mps * sample.heading_y
     return 1 if along < -MIN_DIRECTION_SPEED_MPS else 0

@@ -17,7 +17,7 @@ from typing import Any
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_sensing import RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_NONE, RESPONSE_RUN
+from surffollow.shm.layout_adaptive_sensing import RESPONSE_FAILED, RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_RUN
 
 DESCENT_BANDS = 4.0  # shorter descents hide in the noise
 ERROR_DESCENT = 0.36  # of a band times the stand-off: error times descent; a small one needs a long one
@@ -98,7 +98,7 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
     band = BAND_SIGMAS * sigma / number**0.5
     factor = 1.0 if response.phase == RESPONSE_RUN else TEST_BAND_FACTOR
     noisy = response.noise_m >= QUIET_SHARE * response.usual_m
-    noise_is_back = response.phase == RESPONSE_NONE and response.quiet != 0 and noisy
+    noise_is_back = response.phase == RESPONSE_FAILED and response.quiet != 0 and noisy
     if abs(response.mean_m - response.run_range_m) > factor * band or noise_is_back:
         _begin_run(response, t_ns, tool_z_m)
         response.usual_m = min(response.usual_m, response.noise_m / QUIET_SHARE)  # it responds
@@ -134,7 +134,7 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
         if tool_z_m - response.test_z_m > 0.5 * response.lift_m:
             response.count += 1
             if response.count > 2.0 * number:
-                response.phase = RESPONSE_NONE
+                response.phase = RESPONSE_FAILED
         elif since_s > MAX_PHASE_TAUS * tau:
             _begin_run(response, t_ns, tool_z_m)
 
@@ -142,12 +142,12 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
 @jit
 def is_unresponsive(response: Any) -> Any:
     """1 after a test that the range did not follow, until it changes."""
-    return 1 if response.phase == RESPONSE_NONE else 0
+    return 1 if response.phase == RESPONSE_FAILED else 0
 
 
 @jit
-def least_target(response: Any, target_m: Any) -> Any:
-    """The target of the axis, or the higher one that a running test asks for [m]."""
+def raised_target(response: Any, target_m: Any) -> Any:
+    """Setpoint target, raised by the response test in progress [m]."""
     if response.phase == RESPONSE_RUN:
         return target_m + response.lift_m
     if response.phase == RESPONSE_HOLD:

@@ -178,14 +178,14 @@ def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, sta
 
 @jit
 def plan_setpoint(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, standoff_m: Any) -> None:
-    """Solve the plan and invert the axis model: set point of the coming period."""
+    """Solve the plan and invert the axis model: setpoint of the coming period."""
     speed = solve_plan(params, adaptive, known, z_m, v_mps, standoff_m)
     adaptive.plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, speed)
 
 
 @jit
 def reset_plan(plan: Any) -> None:
-    """Discard set point and warm start."""
+    """Discard setpoint and warm start."""
     plan.setpoint_m = 0.0
     for k in range(HORIZON):
         plan.acceleration_m[k] = plan.multiplier_m[k] = 0.0

@@ -1,4 +1,4 @@
-"""Blend the models' set points by weight and filter the blend with a deadband."""
+"""Blend the models' setpoints by weight and filter the blend with a deadband."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from surffollow.shm.jit import jit
 
 DROPOUT_TOLERANCE_S = 0.025  # a single missing sample is no drop-out
 UNCONFIRMED_STEP_NS = 150_000_000  # a fall that no sample followed for longer is taken back in a drop-out
-RATE_STEP_S = 0.005  # over which the rate of the blended set point is taken
+RATE_STEP_S = 0.005  # over which the rate of the blended setpoint is taken
 DEADBAND_DECAY_S = 0.01  # time in which an excess of DEADBAND_SOFTNESS deadbands is halved
 DEADBAND_SOFTNESS = 2.5  # in deadbands
 FILTER_GAP_S = 0.1  # after a longer pause the filter begins at the blend
@@ -40,7 +40,7 @@ def dropout_s(adaptive: Any) -> Any:
 
 @jit
 def compute_setpoints(adaptive: Any, ahead_m: Any, lead_m: Any, max_slope: Any, standoff_m: Any) -> Any:
-    """Set points of all models at `ahead_m` beyond the newest footprint; returns their blend [m].
+    """Setpoints of all models at `ahead_m` beyond the newest footprint; returns their blend [m].
 
     A model adds its slope times `lead_m`. The change of height is clamped to `max_slope` of the
     distance, plus 1 mm.
@@ -59,7 +59,7 @@ def compute_setpoints(adaptive: Any, ahead_m: Any, lead_m: Any, max_slope: Any, 
 
 @jit
 def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, standoff_m: Any, due: Any) -> Any:
-    """Blend the models' set points; when a controller period is due, record each of them.
+    """Blend the models' setpoints; when a controller period is due, record each of them.
 
     The axis lags by τ. Its setpoint is the height plus τ times the rate of the height. In a drop-out slopes
     fade over `dropout_travel_m`, a step away from the tool that was confirmed just before is taken back, and
@@ -89,9 +89,9 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
     if dropout > 0.0 and gate.step_m < 0.0 and recent:
         z -= gate.step_m
     if dropout > 0.0:
-        z = max(z, blend.seen_m - MAX_UNCONFIRMED_DESCENT_M)
+        z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)
     else:
-        blend.seen_m = z
+        blend.tracked_m = z
     if due:
         record_setpoints(adaptive)
         begin_period(adaptive.controller, clock.now_ns)

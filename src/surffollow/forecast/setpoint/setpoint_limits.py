@@ -1,6 +1,6 @@
-"""Jerk-limited set point: limits on velocity, acceleration and jerk without overshoot.
+"""Jerk-limited setpoint: limits on velocity, acceleration and jerk without overshoot.
 
-Each cycle takes the greatest acceleration from which the set point can still be brought to rest at its
+Each cycle takes the greatest acceleration from which the setpoint can still be brought to rest at its
 target. When it can reach the target in this cycle and stop in the next one, it does; the next cycle is taken
 to be as short as the shortest one lately. Toward the surface the limits of velocity and acceleration are
 multiplied by `toward_factor` until the setpoint has arrived for the first time, and just behind a fall of the
@@ -14,7 +14,7 @@ from typing import Any
 
 from surffollow.shm.jit import jit
 
-PAUSE_S = 0.1  # after so long without a call the set point begins at the tool …
+PAUSE_S = 0.1  # after so long without a call the setpoint begins at the tool …
 PAUSE_INTERVALS = 3.0  # … or after so many intervals of a slow caller
 MAX_INTERVAL_S = 1.5  # longest interval that is taken as usual
 INITIAL_INTERVAL_S = 0.05  # a first long interval counts as this; later ones double it at most
@@ -22,17 +22,17 @@ INTERVAL_RATE = 0.2  # of the usual interval, per call
 MIN_INTERVAL_RATE = 0.002  # at which the shortest interval fades
 MIN_INTERVAL_S = 5e-4  # shorter ones are ignored: their overshoot is small
 FIRST_STEP_S = 0.001  # length assumed for the first cycle
-MAX_STEP_S = 0.02  # a longer cycle moves the set point no farther, unless all are long
+MAX_STEP_S = 0.02  # a longer cycle moves the setpoint no farther, unless all are long
 VELOCITY_RATIO, ACCELERATION_RATIO = (
     2.0,
     20.0,
-)  # to the limits of the axis: quicker set points add effort only
+)  # to the limits of the axis: quicker setpoints add effort only
 CONFIRMED_SAMPLES = 25  # of an estimate: with fewer there is no arrival, and after a drop-out no descent
 ARRIVED_M = 1e-5  # a setpoint that reaches its target in a cycle is on it but for rounding
 SLOT_GROUP_LENGTHS = (
     12.0  # of `step_travel`: length of slots and of their groups, behind the last fall of the ground
 )
-SETTLED_M, SETTLED_MPS = 1e-3, 0.02  # distance and rate within which a set point is back from a plan
+SETTLED_M, SETTLED_MPS = 1e-3, 0.02  # distance and rate within which a setpoint is back from a plan
 BISECTIONS = 8  # resolution: 1/256 of the change that the jerk allows in a cycle
 
 
@@ -102,7 +102,7 @@ def next_acceleration(
 
 @jit
 def restart_pause_s(setpoint: Any) -> Any:
-    """Pause after which a set point begins at the tool again [s]."""
+    """Pause after which a setpoint begins at the tool again [s]."""
     return max(PAUSE_S, PAUSE_INTERVALS * setpoint.interval_s)
 
 
@@ -123,14 +123,14 @@ def update_interval(setpoint: Any, dt_s: Any) -> None:
 def limit_in_force(permitted: Any, usable: Any, share: Any) -> Any:
     """Limit in force: what the axis can use, up to the permitted limit with preview.
 
-    Set points of a plan are far ahead of the axis, so that it responds sooner.
+    Setpoints of a plan are far ahead of the axis, so that it responds sooner.
     """
     return permitted + (1.0 - share) * (min(permitted, usable) - permitted)
 
 
 @jit
 def has_settled(params: Any, setpoint: Any, e_m: Any) -> Any:
-    """Whether a set point that a plan led is back at its target: until then its limits stay raised."""
+    """Whether a setpoint that a plan led is back at its target: until then its limits stay raised."""
     limit_mps2 = params.toward_factor * ACCELERATION_RATIO * params.plant_a_max_mps2
     return (
         abs(e_m) < SETTLED_M
@@ -147,7 +147,7 @@ def may_be_slot(params: Any, gate: Any) -> Any:
 
 @jit
 def propagate_setpoint(params: Any, adaptive: Any, target_m: Any, dt_s: Any) -> None:
-    """Move the set point for a time at one acceleration."""
+    """Move the setpoint for a time at one acceleration."""
     setpoint, preview = adaptive.setpoint, adaptive.preview
     e = target_m - setpoint.position_m
     if preview.share > setpoint.preview_share or has_settled(params, setpoint, e):
@@ -180,7 +180,7 @@ def propagate_setpoint(params: Any, adaptive: Any, target_m: Any, dt_s: Any) -> 
 
 @jit
 def limit_setpoint(params: Any, adaptive: Any, now_ns: Any, target_m: Any, tool_z_m: Any) -> None:
-    """Move the set point toward its target within the limits; after a pause it begins at the tool.
+    """Move the setpoint toward its target within the limits; after a pause it begins at the tool.
 
     Parameters
     ----------
@@ -214,11 +214,11 @@ def limit_setpoint(params: Any, adaptive: Any, now_ns: Any, target_m: Any, tool_
 
 @jit
 def release_setpoint(setpoint: Any) -> None:
-    """Begin at the tool with the next set point."""
+    """Begin at the tool with the next setpoint."""
     setpoint.t_ns = 0
 
 
 @jit
-def mark_shown(setpoint: Any, shown: Any) -> None:
-    """Note whether the set point was made in DRYRUN, and not applied."""
-    setpoint.shown = shown
+def mark_dryrun(setpoint: Any, in_dryrun: Any) -> None:
+    """Note whether the setpoint was made in DRYRUN, and not applied."""
+    setpoint.in_dryrun = in_dryrun

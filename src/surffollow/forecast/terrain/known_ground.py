@@ -15,7 +15,7 @@ CONTRADICTION_SIGMAS = 6.0  # … or by so many standard deviations of a reading
 CONTRADICTION_SAMPLES = 2  # … so often in a row: the known ground is wrong
 REGISTRATION_M = 2e-3  # error of the place of a known height
 DROP_LENGTH_M = 0.01  # length of a drop, and of the ground beyond that confirms it
-MAX_UNCONFIRMED_DESCENT_M = 3e-3  # of a plan below the set point of the sensor under the tool
+MAX_UNCONFIRMED_DESCENT_M = 3e-3  # of a plan below the setpoint of the sensor under the tool
 
 
 @jit
@@ -56,7 +56,7 @@ def compare_known_ground(adaptive: Any, behind_m: Any, here_m: Any, before_m: An
 
 @jit
 def lowest_plan(known: Any, sensed_m: Any) -> Any:
-    """Lowest set point of a plan beside that of the sensor under the tool [m]."""
+    """Lowest setpoint of a plan beside that of the sensor under the tool [m]."""
     return sensed_m - MAX_UNCONFIRMED_DESCENT_M - known.descent_m
 
 

@@ -1,4 +1,4 @@
-"""Preview: terrain ahead of the tool, from a look-ahead sensor or from a map, and its share of the set point.
+"""Preview: terrain ahead of the tool, from a look-ahead sensor or from a map, and its share of the setpoint.
 
 Heights of a look-ahead sensor are in the terrain buffer. Heights of a map are an input of the cycle, at equal
 distances ahead of the point under the newest pose.
@@ -153,7 +153,7 @@ def monitor_error(adaptive: Any, error_m: Any) -> None:
 
 @jit
 def update_share(adaptive: Any, known: Any, leading: Any, plant_m2: Any) -> None:
-    """Raise or lower preview's share of the set point by one controller period."""
+    """Raise or lower preview's share of the setpoint by one controller period."""
     # with a sensor that leads, an uncertain plan is better than none
     preview = adaptive.preview
     trusted = (

@@ -1,4 +1,4 @@
-"""What protects the arm: limits, stale poses, the fold-back, and numbers that are none."""
+"""Limits of the demand, stale poses, the fold-back, and values that are not finite."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from forecast.driving import MS, Kernel, names_of
 from forecast.driving import default_params as conversion_params
-from surffollow.forecast.safety import PROBE_M, limit
+from surffollow.forecast.fold_back import PROBE_M, limit
 
 T = 10_000 * MS
 LEVEL = (0.0, 0.0, 0.0, 1.0)

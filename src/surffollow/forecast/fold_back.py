@@ -1,4 +1,4 @@
-"""What holds in every mode: limits, stale poses, and the sensor's fold-back.
+"""Fold-back of the sensor, and the symmetric limit of a demand.
 
 Nearer than its near limit the LED sensor reads like a farther target, so a reading
 alone cannot tell. Once a reading came near the limit, TOO_CLOSE is latched and only
