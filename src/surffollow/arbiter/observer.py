@@ -83,6 +83,7 @@ class ArbiterObserver(Closing):
         History
             an iterator of `HistoryEvent`
         """
+        self.board.require_open()
         capacity = self.board.header["history_capacity"]
         offset = self.board.regions["history"][0]
         return History(self.board.memory, offset, capacity, self.board.names, oldest)
@@ -124,7 +125,7 @@ class ArbiterObserver(Closing):
         }
 
     def close(self) -> None:
-        """Let go of the board."""
+        """Let go of the board; what is called afterwards raises ClosedError."""
         self.board.close()
 
 
