@@ -130,7 +130,7 @@ class ArbiterObserver(Closing):
 
 
 def observe(name: str = "cell", *, owner: int | str | None = None) -> ArbiterObserver:
-    """Watch an arbiter; a dead one's board can be read until the next start.
+    """Watch an arbiter; the board of one that has ended can be read until the next start.
 
     Parameters
     ----------
