@@ -36,7 +36,7 @@ def raw_slot(name: str) -> tuple[socket.socket, int, mmap.mmap, int]:
     return sock, fds[0], memory, slot
 
 
-def crowd(path: str) -> Callable[[OtherUser], str]:
+def fill_silent_connections(path: str) -> Callable[[OtherUser], str]:
     """Work of a user who keeps as many silent connections as he may have, renewing those that are closed."""
 
     def work(child: OtherUser) -> str:

@@ -1,6 +1,6 @@
 """Time the offline replay: cycles per second on one core, reading, checking and comparing included.
 
-Records a rehearsed run (the same kernels and log as the service, invented inputs), then
+Records a synthetic log (the same kernels and log as the service, invented inputs), then
 replays the file several times in this process, after one replay that is not counted.
 Wall time and processor time are given. The criterion is of one core, so it is judged by
 processor time: wall time on a busy machine measures the neighbours. (The file lies in
@@ -34,12 +34,12 @@ MODES = {"paper": 0, "adaptive": 1}
 
 
 def make_file(path: Path, cycles: int, mode: str, channels: int) -> float:
-    """Record a rehearsal; cycles per second of recording (rehearsing excluded)."""
-    rehearsal = SyntheticLog(mode=MODES[mode], channels=channels, conversions=CONVERSIONS_PER_CYCLE)
-    recorder = Recorder(rehearsal, RecordingWriter(path, {"name": "bench"}))
+    """Record a synthetic log; cycles per second of recording (without the making of the log)."""
+    synthetic_log = SyntheticLog(mode=MODES[mode], channels=channels, conversions=CONVERSIONS_PER_CYCLE)
+    recorder = Recorder(synthetic_log, RecordingWriter(path, {"name": "bench"}))
     spent = 0.0
     for _ in range(0, cycles, 1000):
-        rehearsal.run(1000)
+        synthetic_log.run(1000)
         begin = time.process_time()
         recorder.poll()
         spent += time.process_time() - begin

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lingering import hand_over, lingering
-from raw_slot import crowd, raw_slot
+from raw_slot import fill_silent_connections, raw_slot
 from scribbler import Writer
 from second_user import OtherUser
 from service.test_foreign_names import lock_everything
@@ -107,4 +107,7 @@ def attack(kind: str, name: str, seed: int) -> Callable[[OtherUser], None]:
                     client.set_params(max_demand=5.0, wait=False)
 
     alone = {"lock": lock, "full": full, "churn": churn, "linger": linger, "audit": audit}
-    return alone.get(kind, crowd(str(socket_path(name))) if kind == "crowd" else on_slot)
+    return alone.get(
+        kind,
+        fill_silent_connections(str(socket_path(name))) if kind == "crowd" else on_slot,
+    )

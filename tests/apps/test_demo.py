@@ -38,7 +38,7 @@ def test_demo_prints_one_json_object_with_the_promised_figures(result):
     assert figures["failures"] == []
 
 
-def test_demo_follows_within_its_bars_and_maps_where_it_went(result):
+def test_demo_follows_within_its_criteria_and_maps_where_it_went(result):
     _, figures, _ = result
     assert figures["standoff_rms_m"] <= 5e-3
     # 4 s at 50 mm/s pass about 80 grids of 2.54 mm

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surffollow.apps.scan_figures import least_distance
-from surffollow.apps.scan_guard import INSIDE_M, Guard
+from surffollow.apps.scan_guard import INSIDE_M, ClearanceMonitor
 from surffollow.apps.scan_robot import ScanRobot
 from surffollow.apps.scan_robot_config import ScanRobotConfig
 from surffollow.apps.scan_run import _Run
@@ -103,8 +103,8 @@ def scanned(plan, true, *, guarded=True, said=None, **settings):
     ground, path = plan
     config = ScanRobotConfig(shaper=Shaper.zvd(4.5, 0.04), **settings)
     follower = Follower(true)
-    guard = Guard(path, ground) if guarded else None
-    follower.robot = robot = ScanRobot(path, config, 0, guard=guard)
+    monitor = ClearanceMonitor(path, ground) if guarded else None
+    follower.robot = robot = ScanRobot(path, config, 0, monitor=monitor)
     run = _Run(robot, follower, Control(), World(), said)
     run.go(lambda: False, list, now_ns=lambda: 0)
     done = run.executed()
@@ -182,18 +182,18 @@ def test_a_map_that_is_wrong_without_danger_ends_no_scan(kind):
 
 def test_without_a_map_the_readings_alone_are_known_ground(plan):
     _, path = plan
-    guard = Guard(path, None)
+    monitor = ClearanceMonitor(path, None)
     pose = np.array([0.6, 0.35, 0.08, 0.0, 0.0, 0.0, 1.0])
-    assert not guard.is_inside(pose[None])[0]
-    guard.pose(0, pose)
-    guard.reading(5, 0.04)
-    guard.reading(5, 0.01)  # the same reading again
-    guard.reading(6, math.nan)
-    guard.pose(10, pose)
-    assert guard.ground.measured == 1
-    assert guard.is_inside(pose[None])[0]
-    assert guard.clearance_m(pose) == pytest.approx(0.04, abs=1e-3)
-    assert guard.lift_m(pose[None]) == pytest.approx(0.015, abs=1e-3)
+    assert not monitor.is_inside(pose[None])[0]
+    monitor.pose(0, pose)
+    monitor.reading(5, 0.04)
+    monitor.reading(5, 0.01)  # the same reading again
+    monitor.reading(6, math.nan)
+    monitor.pose(10, pose)
+    assert monitor.ground.measured == 1
+    assert monitor.is_inside(pose[None])[0]
+    assert monitor.clearance_m(pose) == pytest.approx(0.04, abs=1e-3)
+    assert monitor.lift_m(pose[None]) == pytest.approx(0.015, abs=1e-3)
 
 
 def test_an_error_sideways_on_a_flank_is_no_height_of_the_flat_beside_it():

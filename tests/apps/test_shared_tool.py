@@ -69,11 +69,11 @@ def test_the_follower_learns_only_while_it_holds_the_tool_whatever_becomes_of_it
     run = RunByHolder(service, server.name, "tool", "follow")
 
     def becomes(desired):
-        def look():
-            run.look(time.monotonic_ns())
+        def is_set():
+            run.update(time.monotonic_ns())
             return service.runs and service.runs[-1] == desired
 
-        until(look)
+        until(is_set)
 
     try:
         # THEN the follower learns nothing while no client leads
@@ -89,7 +89,7 @@ def test_the_follower_learns_only_while_it_holds_the_tool_whatever_becomes_of_it
             follow_client.close()  # or killed: the robot looks, not the follower
             service.epoch += 1  # a restarted service has its configuration's mode
             count = len(service.runs)
-            until(lambda: run.look(time.monotonic_ns()) or len(service.runs) > count)
+            until(lambda: run.update(time.monotonic_ns()) or len(service.runs) > count)
             assert service.runs[-1] == "dryrun"
         # WHEN the tool is shared no more, THEN it learns
         run.close()

@@ -11,7 +11,7 @@ from arbiter.arbiter_process import send_raw
 from running_service import WAIT_S, until
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import layout as al
-from surffollow.errors import NotRunningError, RefusedError, UsageError
+from surffollow.errors import ClosedError, NotRunningError, RefusedError, UsageError
 
 
 @pytest.fixture
@@ -35,6 +35,17 @@ def test_the_higher_priority_wins_and_the_lower_gets_the_holders_name(attach_cli
     wall.relinquish()
     assert go.holder() is None
     assert go.request()
+
+
+def test_a_closed_observer_says_that_it_was_closed(arbiter):
+    # GIVEN an observer that was closed, twice
+    watcher = observe(arbiter.name)
+    watcher.close()
+    watcher.close()
+    # THEN every question is refused
+    for call in (watcher.alive, lambda: watcher.holder("robot"), watcher.history, watcher.status):
+        with pytest.raises(ClosedError, match="was closed"):
+            call()
 
 
 def test_asking_again_gives_the_same_token(attach_client):

@@ -228,7 +228,7 @@ def test_a_request_that_was_not_answered_in_time_is_withdrawn(make_arbiter):
 
 @needs_root
 def test_unidentified_connections_keep_no_client_out(summed):
-    def crowd(child):
+    def fill_connections(child):
         kept = []
         for _ in range(4 * MAX_UNIDENTIFIED):
             kept.append(new_socket())
@@ -239,7 +239,7 @@ def test_unidentified_connections_keep_no_client_out(summed):
         child.say(answered)
         signal.pause()
 
-    with OtherUser(crowd) as others:
+    with OtherUser(fill_connections) as others:
         assert others.receive() == 4 * MAX_UNIDENTIFIED
         with attach(summed.name, "a") as a:
             assert a.resource("u").request()

@@ -37,7 +37,7 @@ BOTH = f"user {NOBODY}, expected user 0"
 OPEN = 'users = ["*"]\nmode = "0644"\n' + CONFIG.replace("MORE_CLIENTS", "patrol = 10")
 
 
-class Honest:
+class GenuineServer:
     """Root's arbiter, in a forked child that need not load the kernels."""
 
     def __init__(self, path: Path) -> None:
@@ -76,11 +76,11 @@ def loaded():
 
 
 @pytest.fixture
-def honest(tmp_path, loaded):
+def genuine(tmp_path, loaded):
     """Root's arbiter, not started."""
     path = tmp_path / f"i{uuid.uuid4().hex[:10]}.toml"
     path.write_text(f'name = "{path.stem}"\n' + OPEN)
-    one = Honest(path)
+    one = GenuineServer(path)
     try:
         yield one
     finally:
@@ -88,9 +88,9 @@ def honest(tmp_path, loaded):
 
 
 @contextlib.contextmanager
-def impostor_of(honest):
+def impostor_of(genuine):
     """Another user's arbiter of the same name, whose client drives at full speed."""
-    config = honest.config
+    config = genuine.config
 
     def work(child):
         server = Server(config)
@@ -109,7 +109,7 @@ def impostor_of(honest):
     with OtherUser(work) as other:
         assert other.receive() == "there"
         yield other
-    for left in Path("/dev/shm").glob(f"{honest.name}*"):
+    for left in Path("/dev/shm").glob(f"{genuine.name}*"):
         left.unlink()  # as root does: no server of another user would
 
 
@@ -117,91 +117,91 @@ def names_of(arbiter):
     return {e["name"] for e in arbiter.status()["clients"]}
 
 
-def test_an_impostor_after_a_clean_stop_commands_no_controller_and_gets_no_client(honest):
+def test_an_impostor_after_a_clean_stop_commands_no_controller_and_gets_no_client(genuine):
     # GIVEN a holder that commands, and a controller
-    honest.start()
-    client = attach(honest.name, "go")
-    with command_reader(honest.name, "robot") as reader:
+    genuine.start()
+    client = attach(genuine.name, "go")
+    with command_reader(genuine.name, "robot") as reader:
         robot = client.resource("robot")
         assert robot.request()
         until(lambda: robot.command(0.2, 0.1) and not reader.latest().safe)
         # WHEN the arbiter ends and another user starts one of its name
-        honest.stop()
+        genuine.stop()
         until(lambda: reader.latest().safe)
-        with impostor_of(honest):
+        with impostor_of(genuine):
             # THEN the controller stays safe, and no client attaches to it
             until(lambda: BOTH in reader.refusal or not reader.latest().safe)
             assert reader.latest().values == (0.0, 0.0)
             for action in (
-                lambda: attach(honest.name, "go"),
+                lambda: attach(genuine.name, "go"),
                 lambda: client.reattach(),
-                lambda: observe(honest.name),
-                lambda: command_reader(honest.name, "robot"),
+                lambda: observe(genuine.name),
+                lambda: command_reader(genuine.name, "robot"),
                 lambda: client.reattach(),
             ):
                 with pytest.raises(NoPermissionError, match=BOTH):
                     action()
             assert reader.latest().safe
         # WHEN the first user starts it again, THEN both follow it
-        honest.start()
+        genuine.start()
         with client.reattach() as again:
             robot = again.resource("robot")
             assert robot.request()
             until(lambda: robot.command(0.2, 0.1) and not reader.latest().safe)
             assert reader.refusal == ""
-    honest.stop()
+    genuine.stop()
 
 
-def test_who_is_named_is_trusted_and_no_other_from_the_first_attachment_on(honest, monkeypatch):
+def test_who_is_named_is_trusted_and_no_other_from_the_first_attachment_on(genuine, monkeypatch):
     # GIVEN another user's arbiter
-    with impostor_of(honest) as impostor:
+    with impostor_of(genuine) as impostor:
         # WHEN a client names that user, THEN it attaches
-        with attach(honest.name, "go", owner=NOBODY) as one, observe(honest.name, owner=NOBODY) as seen:
+        with attach(genuine.name, "go", owner=NOBODY) as one, observe(genuine.name, owner=NOBODY) as seen:
             assert one.owner == NOBODY
             assert not one.resource("robot").request()
             assert names_of(seen) == {"avoid", "go"}
-            with command_reader(honest.name, "robot", owner=NOBODY) as reader:
+            with command_reader(genuine.name, "robot", owner=NOBODY) as reader:
                 until(lambda: reader.latest().values == (0.5, 1.0))
         # WHEN it names a third one, THEN it is refused
         with pytest.raises(NoPermissionError, match=f"user {NOBODY}, expected user 12345"):
-            attach(honest.name, "go", owner=12345)
+            attach(genuine.name, "go", owner=12345)
         monkeypatch.setenv("SURFFOLLOW_OWNER", str(NOBODY))
         # GIVEN a client and a controller that trust the other user by the environment
-        first = attach(honest.name, "go")
-        reader = command_reader(honest.name, "robot")
+        first = attach(genuine.name, "go")
+        reader = command_reader(genuine.name, "robot")
         until(lambda: not reader.latest().safe)
         impostor.say("stop")
         assert impostor.receive() == "ended"
     monkeypatch.delenv("SURFFOLLOW_OWNER")
     # WHEN root starts an arbiter of the name
-    honest.start()  # root's: trusted by default, but not whom those two attached to
+    genuine.start()  # root's: trusted by default, but not whom those two attached to
     # THEN these two do not follow it, and new ones do
     with pytest.raises(NoPermissionError, match=f"user 0, expected user {NOBODY}"):
         first.reattach()
-    with attach(honest.name, "go") as one, command_reader(honest.name, "robot") as new:
+    with attach(genuine.name, "go") as one, command_reader(genuine.name, "robot") as new:
         robot = one.resource("robot")
         assert robot.request()
         until(lambda: robot.command(0.2, 0.1) and not new.latest().safe)
         until(lambda: reader.latest().safe and f"user 0, expected user {NOBODY}" in reader.refusal)
-    honest.stop()
+    genuine.stop()
     reader.close()
 
 
-def test_only_whom_users_names_may_attach(honest):
+def test_only_whom_users_names_may_attach(genuine):
     def try_it(_):
-        return outcome(lambda: attach(honest.name, "go", owner=0).close())
+        return outcome(lambda: attach(genuine.name, "go", owner=0).close())
 
     # WHEN no other user is named, THEN another user is refused
-    honest.config = msgspec.structs.replace(honest.config, users=())
-    honest.start()
+    genuine.config = msgspec.structs.replace(genuine.config, users=())
+    genuine.start()
     assert "RefusedError" in as_other_user(try_it)
-    honest.stop()
+    genuine.stop()
     # WHEN he is named, THEN he attaches
     name = pwd.getpwuid(NOBODY).pw_name
-    honest.config = msgspec.structs.replace(honest.config, users=(name,))
-    honest.start()
+    genuine.config = msgspec.structs.replace(genuine.config, users=(name,))
+    genuine.start()
     assert as_other_user(try_it) == "done"
-    honest.stop()
+    genuine.stop()
 
 
 def fill_backlog(name):
@@ -220,14 +220,14 @@ def fill_backlog(name):
 kept: list[socket.socket] = []
 
 
-def test_a_squatter_keeps_no_client_waiting_and_is_named(honest):
+def test_a_squatter_keeps_no_client_waiting_and_is_named(genuine):
     def occupy_name(child):
         sock = hs.new_socket()
-        sock.bind(hs.address(honest.name))
+        sock.bind(hs.address(genuine.name))
         sock.listen(8)
         child.say("there")
         child.receive()
-        fill_backlog(honest.name)
+        fill_backlog(genuine.name)
         child.say("full")
         signal.pause()
 
@@ -236,18 +236,18 @@ def test_a_squatter_keeps_no_client_waiting_and_is_named(honest):
         assert squatter.receive() == "there"
         # WHEN an arbiter or a client wants it, THEN it is told whose it is
         with pytest.raises(AlreadyRunningError, match=rf"process {squatter.pid} of user {NOBODY}"):
-            hs.listen(honest.name)
+            hs.listen(genuine.name)
         with pytest.raises(NoPermissionError, match=BOTH):
-            attach(honest.name, "go")
+            attach(genuine.name, "go")
         # WHEN not even a connection is taken, THEN no client waits longer than it must
         squatter.say("fill")
         assert squatter.receive() == "full"
         with pytest.raises(NotRunningError):
-            attach(honest.name, "go", timeout_s=0.1)
+            attach(genuine.name, "go", timeout_s=0.1)
 
 
-def test_a_board_that_another_user_made_is_not_taken_over(honest):
-    path = f"/dev/shm/{honest.name}.arbiter"
+def test_a_board_that_another_user_made_is_not_taken_over(genuine):
+    path = f"/dev/shm/{genuine.name}.arbiter"
 
     def make(_):
         with open(path, "wb") as file:
@@ -257,23 +257,23 @@ def test_a_board_that_another_user_made_is_not_taken_over(honest):
     assert as_other_user(lambda child: outcome(lambda: make(child))) == "done"
     try:
         with pytest.raises(NoPermissionError, match=BOTH):
-            take_old_board(f"{honest.name}.arbiter")
+            take_old_board(f"{genuine.name}.arbiter")
     finally:
         os.unlink(path)
 
 
-def test_a_server_that_may_not_write_a_command_block_leaves_nothing_behind(honest):
+def test_a_server_that_may_not_write_a_command_block_leaves_nothing_behind(genuine):
     # GIVEN a file of another user in the place of a command block
-    path = Path(f"/dev/shm/{honest.name}.speaker")
+    path = Path(f"/dev/shm/{genuine.name}.speaker")
     assert as_other_user(lambda _: outcome(lambda: path.write_bytes(bytes(8192)))) == "done"
     # WHEN the server starts, THEN it fails and leaves nothing
     with pytest.raises((BlockError, NoPermissionError)):
-        Server(honest.config)
-    assert [p.name for p in Path("/dev/shm").glob(f"{honest.name}*")] == [path.name]
+        Server(genuine.config)
+    assert [p.name for p in Path("/dev/shm").glob(f"{genuine.name}*")] == [path.name]
     # WHEN the file is gone, THEN it starts
     path.unlink()
-    honest.start()  # and does not keep the name
-    honest.stop()
+    genuine.start()  # and does not keep the name
+    genuine.stop()
 
 
 # -- the header in C ----------------------------------------------------------------------------------
@@ -290,50 +290,50 @@ def run_patrol(patrol, name, seconds, **environment):
     )
 
 
-def test_a_client_in_c_refuses_another_users_arbiter_unless_he_is_named(honest, patrol):
-    with impostor_of(honest):
+def test_a_client_in_c_refuses_another_users_arbiter_unless_he_is_named(genuine, patrol):
+    with impostor_of(genuine):
         # WHEN a C client names no user, THEN it refuses another user's arbiter
-        done = run_patrol(patrol, honest.name, "0.2")
+        done = run_patrol(patrol, genuine.name, "0.2")
         assert (done.returncode, done.stdout) == (1, "")
         assert "a user who is not trusted" in done.stderr
         # WHEN it names that user, THEN it attaches
-        done = run_patrol(patrol, honest.name, "0.2", SURFFOLLOW_OWNER=str(NOBODY))
+        done = run_patrol(patrol, genuine.name, "0.2", SURFFOLLOW_OWNER=str(NOBODY))
         assert done.returncode == 0, done.stderr
         assert "granted the cart 0 times" in done.stdout
 
 
-def test_a_client_in_c_attaches_again_to_the_same_user_only(honest, patrol):
+def test_a_client_in_c_attaches_again_to_the_same_user_only(genuine, patrol):
     # GIVEN a C client of root's arbiter, which trusts another user too
-    honest.start()
-    words = [str(patrol), honest.name, "60"]
+    genuine.start()
+    words = [str(patrol), genuine.name, "60"]
     environment = os.environ | {"SURFFOLLOW_OWNER": str(NOBODY)}  # trusted at first, but the pin is root's
     with subprocess.Popen(words, env=environment) as running:
         try:
-            with observe(honest.name) as seen:
+            with observe(genuine.name) as seen:
                 until(lambda: seen.holder("robot") is not None)
             # WHEN that user starts an arbiter of the name, THEN the client does not attach
-            honest.stop()
-            with impostor_of(honest), observe(honest.name, owner=NOBODY) as seen:
+            genuine.stop()
+            with impostor_of(genuine), observe(genuine.name, owner=NOBODY) as seen:
                 history = seen.history(oldest=True)
                 began = time.monotonic()
                 until(lambda: time.monotonic() - began > 0.5)  # it tries every 20 ms
                 assert {e.client for e in history if e.event == "ATTACH"} == {1}
             # WHEN root starts it again, THEN it does
-            honest.start()
-            with observe(honest.name) as seen:
+            genuine.start()
+            with observe(genuine.name) as seen:
                 until(lambda: (h := seen.holder("robot")) is not None and h.name == "patrol")
         finally:
             running.kill()
-    honest.stop()
+    genuine.stop()
 
 
-def test_a_client_in_c_waits_no_longer_than_configured_for_a_squatter(honest, tmp_path):
+def test_a_client_in_c_waits_no_longer_than_configured_for_a_squatter(genuine, tmp_path):
     impatient = compile_waiting(tmp_path, 500)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as sock:
-        sock.bind(hs.address(honest.name))
+        sock.bind(hs.address(genuine.name))
         sock.listen(0)
-        fill_backlog(honest.name)
-        done = run_patrol(impatient, honest.name, "1")
+        fill_backlog(genuine.name)
+        done = run_patrol(impatient, genuine.name, "1")
         assert done.returncode == 1
         assert "did not answer in time" in done.stderr
         kept.clear()

@@ -145,7 +145,7 @@ def test_demand_acceleration_is_compared_with_the_calmest_good_oracle() -> None:
     assert verdict(rows, "demand acceleration over best oracle, each").figure == pytest.approx(1.0)
 
 
-def test_pure_policies_are_good_where_they_must_be() -> None:
+def test_hold_policy_is_worse_on_slopes_and_better_on_crests_and_flats_than_extrapolation() -> None:
     def peak(method: str, case: str) -> float:
         values = [dropouts.dropout_trial(method, case, seed, Conditions())["peak_m"] for seed in (0, 1)]
         return float(np.mean(values))
@@ -155,7 +155,7 @@ def test_pure_policies_are_good_where_they_must_be() -> None:
     assert peak("hold-policy", "flat 2 s") < peak("extrapolate-policy", "flat 2 s")
 
 
-def test_naked_loop_chases_slots_and_glitches_and_one_that_does_not_follow_does_not() -> None:
+def test_p_loop_follows_slots_and_glitches_and_a_held_tool_does_not_move() -> None:
     for case in ("slot", "glitch"):
         moved = {
             method: trials.excursion(Job("excursion", method, 0, Conditions(), "flat", 0.2, case))[
@@ -167,7 +167,7 @@ def test_naked_loop_chases_slots_and_glitches_and_one_that_does_not_follow_does_
         assert moved["p"] > 2e-3
 
 
-def test_loop_without_a_gate_takes_a_step_at_once_and_a_deaf_one_never() -> None:
+def test_step_delay_is_zero_for_a_p_loop_and_infinite_for_a_held_tool() -> None:
     assert trials.step_delay(Job("step-delay", "p", 0, Conditions(), "step", 0.2))["late_s"] <= 0.0
     assert trials.step_delay(Job("step-delay", "hold", 0, Conditions(), "step", 0.2))["late_s"] == math.inf
 

@@ -272,16 +272,16 @@ def test_seventeenth_client_learns_that_the_slots_are_taken(
     make_probe: Callable[..., Probe], service: Service
 ) -> None:
     # GIVEN as many clients as there are slots
-    crowd = []
+    probes = []
     while (probe := make_probe())(f"attach {service.name}").result == OK:
-        crowd.append(probe)
-        assert len(crowd) <= lb.CLIENTS
+        probes.append(probe)
+        assert len(probes) <= lb.CLIENTS
     # WHEN one more attaches, THEN it is refused
     assert probe(f"attach {service.name}").result == -25
-    assert len({p("alive").slot for p in crowd}) == len(crowd) == lb.CLIENTS
+    assert len({p("alive").slot for p in probes}) == len(probes) == lb.CLIENTS
     # WHEN one is killed, THEN the next one gets its slot
-    crowd[3].process.kill()
-    crowd[3].process.wait()
+    probes[3].process.kill()
+    probes[3].process.wait()
     assert probe(f"attach {service.name}").result == OK
     assert probe("alive").slot == 3
 

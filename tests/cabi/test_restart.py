@@ -21,7 +21,7 @@ SILENCE_NS = 20_000_000
 POSE = "ee 0.05 0.05 0.1 0 0 0 1"
 
 
-def test_client_follows_a_killed_service_into_its_next_life(
+def test_client_of_a_killed_service_attaches_again_after_its_next_start(
     killable: Service, make_probe: Callable[..., Probe]
 ) -> None:
     # GIVEN a client that drives, an observer, and a client that does not attach again by itself

@@ -73,7 +73,7 @@ def layout(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """A service whose simulated sensor rides on the poses that the foreign client reports."""
+    """A service whose simulated sensor takes its pose from the reports of the foreign client."""
     with Service(tmp_path_factory.mktemp("service"), config_text(kind="simulated")).running() as s:
         yield s
 

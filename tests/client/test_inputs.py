@@ -74,7 +74,7 @@ def test_a_quaternion_that_is_nearly_unit_is_normalised(client: Client, norm: fl
 
 
 @pytest.mark.parametrize("x", [1e9, -1e12, 1e308])
-def test_a_position_out_of_this_world_is_refused_and_a_far_one_is_not(client: Client, x: float) -> None:
+def test_a_position_beyond_1e9_m_is_refused_and_one_within_is_not(client: Client, x: float) -> None:
     with pytest.raises(PoseError, match="within 1e\\+09 m"):
         client.ee_pos((x, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
     client.ee_pos((6.4e6, -3e7, 0.1, 0.0, 0.0, 0.0, 1.0))
@@ -218,6 +218,18 @@ def test_a_ticket_does_not_wait_and_is_done_when_the_service_answered(client: Cl
     until(refused.done, "the answer")
     with pytest.raises(RefusedError):
         refused.result(0.0)
+
+
+@pytest.mark.parametrize("call", ["taken", "done", "under_way", "result"])
+def test_a_ticket_of_a_closed_client_says_that_it_was_closed(service: Service, call: str) -> None:
+    # GIVEN a request whose answer was not read
+    client = service.attach()
+    ticket = client.sf_reset(0.1, wait=False)
+    # WHEN the client is closed
+    client.close()
+    # THEN its ticket refuses every question
+    with pytest.raises(ClosedError, match="was closed"):
+        getattr(ticket, call)()
 
 
 def test_requests_of_two_clients_are_answered_to_each(service: Service, client: Client) -> None:

@@ -90,7 +90,7 @@ def test_the_example_draws_its_run(bare: Service, tmp_path: Path) -> None:
 
 def test_status_says_that_errors_of_reports_cancel(bare: Service) -> None:
     note = bare.run("status").stdout
-    assert "rides on the reported poses, so errors of the reports cancel" in note
+    assert "takes its pose from the reports, so errors of the reports cancel" in note
 
 
 def test_an_own_laser_pushed_from_python_closes_the_loop(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surffollow.hw.wire.arrival_times import LEARNED, ArrivalClock
+from surffollow.hw.wire.arrival_times import MIN_INCREMENTS, ArrivalClock
 
 FRAME_NS = 694_000  # 8 bytes at 115200 baud
 PERIOD_NS = 1_000_000
@@ -102,6 +102,6 @@ def test_a_sensor_that_changes_its_rate_is_followed() -> None:
 
 def test_the_first_frames_keep_their_arrivals() -> None:
     clock = ArrivalClock()
-    for k in range(LEARNED // 2):
+    for k in range(MIN_INCREMENTS // 2):
         assert clock.stamps([k * PERIOD_NS + 5]) == [k * PERIOD_NS + 5]
     assert clock.stamps([]) == []

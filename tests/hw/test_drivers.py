@@ -69,7 +69,7 @@ def robot() -> Iterator[WorldWriter]:
     writer.close()
 
 
-def stand(writer: WorldWriter, height_m: float) -> None:
+def publish_true_height(writer: WorldWriter, height_m: float) -> None:
     record = zeros(WorldPose)
     record["t_ns"] = time.monotonic_ns()
     record["pose"] = [0.05, 0.05, height_m, 0, 0, 0, 1]
@@ -136,8 +136,8 @@ def test_simulated_sensor_finds_the_robot_says_when_it_is_gone_and_finds_the_nex
     queue = ConversionQueue()
     driver.start(queue)
 
-    def sees(writer: WorldWriter, height_m: float) -> bool:
-        stand(writer, height_m)
+    def reads(writer: WorldWriter, height_m: float) -> bool:
+        publish_true_height(writer, height_m)
         words = queue.drain()[-20:, 1]
         requested = (height_m - driver.info.zero_m[0]) / driver.info.scale_m[0]
         return any(
@@ -145,12 +145,12 @@ def test_simulated_sensor_finds_the_robot_says_when_it_is_gone_and_finds_the_nex
         )
 
     try:
-        until(lambda: sees(robot, 0.08) and driver.faults() == [])
+        until(lambda: reads(robot, 0.08) and driver.faults() == [])
         robot.close()
         until(lambda: driver.faults() != [])
         assert NAME in driver.faults()[0] or "has not moved" in driver.faults()[0]
         second = WorldWriter(NAME)
-        until(lambda: sees(second, 0.12) and driver.faults() == [])
+        until(lambda: reads(second, 0.12) and driver.faults() == [])
         assert WorldReader(NAME).is_current
         second.close()
     finally:
@@ -162,7 +162,7 @@ def test_simulated_sensor_never_touches_a_block_that_was_taken_away() -> None:
     driver.start(ConversionQueue())
     for k in range(30):
         writer = WorldWriter(NAME)
-        stand(writer, 0.1)
+        publish_true_height(writer, 0.1)
         if k % 3 == 0:
             until(lambda: not any("no block" in f for f in driver.faults()))
         writer.close()

@@ -38,7 +38,7 @@ def pose(height_m: float) -> list[float]:
     return [0.05, 0.05, height_m, 0.0, 0.0, 0.0, 1.0]
 
 
-def stand(writer: WorldWriter, height_m: float) -> None:
+def publish_true_height(writer: WorldWriter, height_m: float) -> None:
     record = zeros(WorldPose)
     record["t_ns"], record["pose"] = time.monotonic_ns(), pose(height_m)
     writer.write(record)
@@ -55,7 +55,7 @@ class RunningDriver:
     def report(self, height_m: float) -> None:
         self.driver.reports.push(time.monotonic_ns(), pose(height_m))
 
-    def sees(self, height_m: float) -> bool:
+    def reads(self, height_m: float) -> bool:
         info, words = self.driver.info, self.queue.drain()[-20:, 1].tolist()
         ranges = [
             info.zero_m[0] + info.scale_m[0] * conversion_counts(w) for w in words if not conversion_flags(w)
@@ -76,7 +76,7 @@ def start_driver(name: str) -> Iterator[Callable[[str], RunningDriver]]:
         r.driver.stop()
 
 
-def test_without_a_world_block_the_sensor_rides_on_reports_and_says_so(
+def test_without_a_world_block_the_sensor_uses_reported_poses_and_notes_it(
     start_driver: Callable[[str], RunningDriver],
 ) -> None:
     r = start_driver("auto")
@@ -84,7 +84,7 @@ def test_without_a_world_block_the_sensor_rides_on_reports_and_says_so(
 
     def seen() -> bool:
         r.report(0.08)
-        return r.sees(0.08) and r.driver.faults() == []
+        return r.reads(0.08) and r.driver.faults() == []
 
     until(seen, "a range from reports, and no fault")
     assert "errors of the reports cancel" in r.driver.notes()[0]
@@ -99,8 +99,8 @@ def test_a_world_block_comes_before_reports_and_reports_come_back_when_its_write
 
     def both(desired_m: float) -> bool:
         r.report(0.12)
-        stand(writer, 0.08)
-        return r.sees(desired_m)
+        publish_true_height(writer, 0.08)
+        return r.reads(desired_m)
 
     until(lambda: both(0.08), "the world's range")
     for _ in range(50):
@@ -111,7 +111,7 @@ def test_a_world_block_comes_before_reports_and_reports_come_back_when_its_write
 
     def reported() -> bool:
         r.report(0.12)
-        return r.sees(0.12)
+        return r.reads(0.12)
 
     until(reported, "a range from reports")
 
@@ -121,10 +121,10 @@ def test_a_silent_writer_keeps_the_block_for_a_stopped_robot_is_no_reason_to_use
 ) -> None:
     r = start_driver("auto")
     writer = WorldWriter(name)
-    until(lambda: stand(writer, 0.08) or r.sees(0.08), "the world's range")
+    until(lambda: publish_true_height(writer, 0.08) or r.reads(0.08), "the world's range")
     until(lambda: any("has not moved" in f for f in r.driver.faults()), "the fault")
     r.report(0.12)
-    assert not r.sees(0.12)
+    assert not r.reads(0.12)
     writer.close()
 
 
@@ -137,8 +137,8 @@ def test_the_setting_chooses_whatever_else_there_is(
 
     def both() -> bool:
         r.report(0.12)
-        stand(writer, 0.08)
-        return r.sees(seen_m)
+        publish_true_height(writer, 0.08)
+        return r.reads(seen_m)
 
     until(both, "its range")
     writer.close()
@@ -207,11 +207,11 @@ def test_a_service_sees_the_true_pose_of_its_client_and_not_the_report(
     service = make_service(kind="simulated").start()
     with service.attach() as client:
 
-        def sees(distance_m: float) -> bool:
+        def reads(distance_m: float) -> bool:
             client.sim_pose(time.monotonic_ns(), pose(0.09))
             return abs(client.raw_distance() - distance_m) < 1e-3
 
-        drive(client, lambda: sees(0.09), pose(0.1), "the distance from the true pose")
+        drive(client, lambda: reads(0.09), pose(0.1), "the distance from the true pose")
         drive(
             client,
             lambda: client.sim_pose(time.monotonic_ns(), pose(0.09)) or not client.status()["main"]["text"],

@@ -13,11 +13,11 @@ from surffollow.record.synthetic_log import SyntheticLog
 
 
 def record(path: Path, cycles: int = 3000, step: int = 250, **options: int) -> Path:
-    """A recording of a rehearsal, polled every `step` cycles."""
-    rehearsal = SyntheticLog(**options)
-    recorder = Recorder(rehearsal, RecordingWriter(path, {"name": "rehearsal"}, force=True))
+    """A recording of a synthetic log, polled every `step` cycles."""
+    synthetic_log = SyntheticLog(**options)
+    recorder = Recorder(synthetic_log, RecordingWriter(path, {"name": "synthetic_log"}, force=True))
     for done in range(0, cycles, step):
-        rehearsal.run(min(step, cycles - done))
+        synthetic_log.run(min(step, cycles - done))
         recorder.poll()
     recorder.finish()
     return path

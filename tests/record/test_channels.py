@@ -41,18 +41,18 @@ def decoded(path: Path) -> Decoded:
     return found
 
 
-def rehearsed(
+def record_synthetic_log(
     path: Path, cycles: int = 1000, rate_hz: float = 100.0, **options: int
 ) -> dict[int, dict[str, Any]]:
-    """Record a rehearsal with channels; what each cycle published, by its number."""
-    rehearsal = SyntheticLog(**options)
-    writer = RecordingWriter(path, {"name": "rehearsal"}, force=True)
+    """Record a synthetic log with channels; what each cycle published, by its number."""
+    synthetic_log = SyntheticLog(**options)
+    writer = RecordingWriter(path, {"name": "synthetic_log"}, force=True)
     feed = ChannelFeed(writer, round(1e9 / rate_hz))
-    recorder = Recorder(rehearsal, writer, feed)
+    recorder = Recorder(synthetic_log, writer, feed)
     published = {}
     for _ in range(cycles):
-        rehearsal.run(1)
-        published[int(rehearsal.output[0]["cycle"])] = plain(Output, rehearsal.output[0].copy())
+        synthetic_log.run(1)
+        published[int(synthetic_log.output[0]["cycle"])] = plain(Output, synthetic_log.output[0].copy())
         if len(published) % 50 == 0:
             recorder.poll()
             feed.work()
@@ -83,7 +83,7 @@ def test_types_are_those_of_foxgloves_own_schemas(kind: Message) -> None:
 @pytest.mark.parametrize(("mode", "channels"), [(0, 1), (1, 3)])
 def test_a_public_reader_decodes_what_every_cycle_published(tmp_path: Path, mode: int, channels: int) -> None:
     path = tmp_path / "run.mcap"
-    published = rehearsed(path, mode=mode, channels=channels)
+    published = record_synthetic_log(path, mode=mode, channels=channels)
     report = replay_file(path)
     assert report.identical, report
     assert report.cycles == len(published)
@@ -125,7 +125,7 @@ def test_a_public_reader_decodes_what_every_cycle_published(tmp_path: Path, mode
 
 
 class Converted(NamedTuple):
-    """A rehearsal and what its words alone were converted to."""
+    """A synthetic log and what its words alone were converted to."""
 
     live: Decoded
     again: Decoded
@@ -137,7 +137,7 @@ class Converted(NamedTuple):
 def converted(tmp_path_factory: pytest.TempPathFactory) -> Converted:
     folder = tmp_path_factory.mktemp("converted")
     path, again = folder / "run.mcap", folder / "again.mcap"
-    published = rehearsed(path)
+    published = record_synthetic_log(path)
     differing = convert([path], "foxglove", again).differing
     return Converted(decoded(path), decoded(again), published, differing)
 
@@ -189,7 +189,7 @@ def test_a_table_holds_what_every_cycle_published(
     tmp_path: Path, make_recording: Callable[..., Path], to: str
 ) -> None:
     path = tmp_path / "run.mcap"
-    published = rehearsed(path, cycles=600, mode=1)
+    published = record_synthetic_log(path, cycles=600, mode=1)
     done = convert([path], to, rate_hz=0)
     table = read_table(Path(done.files[0]))
     assert done.rows == done.cycles == len(table["cycle"]) == len(published)

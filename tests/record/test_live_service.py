@@ -15,7 +15,7 @@ from running_service import Service, until
 from surffollow.errors import NotReadyError, NotRunningError, RecordingError
 from surffollow.record.live_replay import LiveReport, play_live
 from surffollow.record.reader import RecordingReader
-from surffollow.record.recorded_inputs import load_playback
+from surffollow.record.recorded_inputs import load_recorded_inputs
 from surffollow.record.replay import replay_file
 from surffollow.record.replay_service import LEAD_NS, driver_info
 from surffollow.record.session import record_service
@@ -143,11 +143,11 @@ def test_a_recording_played_live_reaches_the_new_service_as_it_was(
     bare: Service, tmp_path: Path, make_recording: Callable[..., Path]
 ) -> None:
     path = make_recording(cycles=2400, snapshot_cycles=500)
-    old = load_playback(path)
+    old = load_recorded_inputs(path)
     for k in range(4):  # a player that stands still posts late, and of late poses a cycle sees the newest
         again = tmp_path / f"again{k}.mcap"
         report = play_and_record(bare.name, path, again)
-        new = load_playback(again)
+        new = load_recorded_inputs(again)
         if len(new.pose) > 0.9 * len(old.pose):
             break
     assert replay_file(again).identical

@@ -19,9 +19,9 @@ from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
 
 
 def log_words(cycles: int = 2600, **options: int) -> np.ndarray:
-    rehearsal = SyntheticLog(1 << 20, **options)
-    rehearsal.run(cycles)
-    return rehearsal.memory[LogHead.SIZE // 8 :][: int(log_head(rehearsal.address))].copy()
+    synthetic_log = SyntheticLog(1 << 20, **options)
+    synthetic_log.run(cycles)
+    return synthetic_log.memory[LogHead.SIZE // 8 :][: int(log_head(synthetic_log.address))].copy()
 
 
 def split(words: np.ndarray) -> list[tuple[int, int, np.ndarray]]:

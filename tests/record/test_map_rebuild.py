@@ -20,11 +20,11 @@ from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.synthetic_log import NS_PER_S, SyntheticLog, synthesise_inputs
 from surffollow.shm.layout_board import RQ_MAP_INSTALL, RQ_MAP_REFOCUS, RQ_MAP_RESET
 
-CYCLES = 1400  # before the rehearsal's first change of parameters
+CYCLES = 1400  # before the synthetic log's first change of parameters
 
 
 def targets() -> np.ndarray:
-    """The target points of the rehearsal, stepped here: (cycle, x, y, z)."""
+    """The target points of the synthetic log, stepped here: (cycle, x, y, z)."""
     r, points = SyntheticLog(), []
     for cycle in range(CYCLES):
         synthesise_inputs(r.params, r.inputs, cycle, 1, 25, 1_000_000)

@@ -41,15 +41,15 @@ def kinds(words: np.ndarray) -> list[int]:
 
 def test_recording_holds_the_words_of_the_log_unchanged(tmp_path: Path) -> None:
     # GIVEN a log, and a recorder that looks at it now and then
-    rehearsal = SyntheticLog(1 << 20)
-    recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap"))
+    synthetic_log = SyntheticLog(1 << 20)
+    recorder = Recorder(synthetic_log, RecordingWriter(tmp_path / "a.mcap"))
     for _ in range(7):
-        rehearsal.run(311)
+        synthetic_log.run(311)
         recorder.poll()
     # WHEN the recording is finished, THEN it holds the words of the log
     recorder.finish()
-    head = int(log_head(rehearsal.address))
-    logged = rehearsal.memory[LogHead.SIZE // 8 :][:head]
+    head = int(log_head(synthetic_log.address))
+    logged = synthetic_log.memory[LogHead.SIZE // 8 :][:head]
     kept = np.concatenate([w for _, w in words_of(tmp_path / "a.mcap")])
     np.testing.assert_array_equal(kept, logged)
 
@@ -66,12 +66,12 @@ def test_messages_hold_whole_entries_and_at_least_a_hundred_cycles(
 
 def test_a_log_that_has_gone_around_is_recorded_from_the_next_snapshot_on(tmp_path: Path) -> None:
     # GIVEN a log that has overwritten its beginning
-    rehearsal = SyntheticLog(1 << 15, snapshot_cycles=400)
-    rehearsal.run(1100)
+    synthetic_log = SyntheticLog(1 << 15, snapshot_cycles=400)
+    synthetic_log.run(1100)
     # WHEN it is recorded
-    recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap"))
+    recorder = Recorder(synthetic_log, RecordingWriter(tmp_path / "a.mcap"))
     for _ in range(20):
-        rehearsal.run(50)
+        synthetic_log.run(50)
         recorder.poll()
     counts = recorder.finish()
     # THEN the recording begins with the next snapshot, and lacks nothing from there on
@@ -82,16 +82,16 @@ def test_a_log_that_has_gone_around_is_recorded_from_the_next_snapshot_on(tmp_pa
 
 def test_after_a_loss_the_recording_resumes_at_a_snapshot_and_counts_what_is_missing(tmp_path: Path) -> None:
     # GIVEN a recorder that follows a log
-    rehearsal = SyntheticLog(1 << 15, snapshot_cycles=400)
-    recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap"))
+    synthetic_log = SyntheticLog(1 << 15, snapshot_cycles=400)
+    recorder = Recorder(synthetic_log, RecordingWriter(tmp_path / "a.mcap"))
     for _ in range(10):
-        rehearsal.run(50)
+        synthetic_log.run(50)
         recorder.poll()
     # WHEN it sleeps while the log overwrites what it has not seen
-    rehearsal.run(3333)  # far more than the log holds
+    synthetic_log.run(3333)  # far more than the log holds
     recorder.poll()
     for _ in range(20):
-        rehearsal.run(50)
+        synthetic_log.run(50)
         recorder.poll()
     # THEN it goes on in a new segment from a snapshot, and counts what it lost
     counts = recorder.finish()
@@ -109,18 +109,18 @@ def test_after_a_loss_the_recording_resumes_at_a_snapshot_and_counts_what_is_mis
 def test_every_cycle_is_recorded_or_counted_as_lost_however_the_polls_fall(tmp_path: Path) -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        rehearsal = SyntheticLog(1 << 15, snapshot_cycles=int(rng.integers(60, 500)), seed=seed)
+        synthetic_log = SyntheticLog(1 << 15, snapshot_cycles=int(rng.integers(60, 500)), seed=seed)
         path = tmp_path / f"{seed}.mcap"
-        recorder = Recorder(rehearsal, RecordingWriter(path))
+        recorder = Recorder(synthetic_log, RecordingWriter(path))
         total = 0
         for _ in range(30):
             n = int(rng.choice([1, 17, 130, 700, 1500], p=[0.2, 0.3, 0.3, 0.1, 0.1]))
-            rehearsal.run(n)
+            synthetic_log.run(n)
             total += n
             if rng.random() < 0.8:
                 recorder.poll()
         for _ in range(8):
-            rehearsal.run(100)
+            synthetic_log.run(100)
             recorder.poll()
         counts = recorder.finish()
         assert counts.cycles + counts.lost_cycles == total + 800, f"seed {seed}: {counts}"
@@ -184,14 +184,14 @@ def test_any_mcap_reader_opens_the_recording_and_finds_the_layout(
 
 
 def test_a_log_of_another_version_is_refused_and_not_recorded_as_one_long_loss(tmp_path: Path) -> None:
-    rehearsal = SyntheticLog()
-    recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap"))
+    synthetic_log = SyntheticLog()
+    recorder = Recorder(synthetic_log, RecordingWriter(tmp_path / "a.mcap"))
 
     def record_on() -> None:
         for _ in range(20):
-            begin = int(log_head(rehearsal.address))
-            rehearsal.run(10)
-            rehearsal.memory[LogHead.SIZE // 8 + begin] ^= 1 << 9  # the first entry's length
+            begin = int(log_head(synthetic_log.address))
+            synthetic_log.run(10)
+            synthetic_log.memory[LogHead.SIZE // 8 + begin] ^= 1 << 9  # the first entry's length
             recorder.poll()
 
     with pytest.raises(LayoutMismatchError, match="does not know"):
@@ -216,12 +216,12 @@ class FullDisk(io.BytesIO):
 
 def test_a_full_disk_is_reported_and_the_file_stays_readable_up_to_there(tmp_path: Path) -> None:
     disk = FullDisk()
-    rehearsal = SyntheticLog()
-    recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "a.mcap", stream=disk))
+    synthetic_log = SyntheticLog()
+    recorder = Recorder(synthetic_log, RecordingWriter(tmp_path / "a.mcap", stream=disk))
 
     def record_on() -> None:
         for _ in range(1000):
-            rehearsal.run(100)
+            synthetic_log.run(100)
             recorder.poll()
 
     with pytest.raises(FaultError, match=r"a\.mcap ends after \d+ bytes: the disk is full"):

@@ -32,10 +32,10 @@ from surffollow.shm.layout_follow import Params
     period_ns=st.sampled_from([100_000, 1_000_000, 4_000_000]),
 )
 def test_every_recording_replays_with_the_same_bits(tmp_path: Path, step: int, **options: int) -> None:
-    rehearsal = SyntheticLog(**options)
-    recorder = Recorder(rehearsal, RecordingWriter(tmp_path / "log.mcap", force=True))
+    synthetic_log = SyntheticLog(**options)
+    recorder = Recorder(synthetic_log, RecordingWriter(tmp_path / "log.mcap", force=True))
     for _ in range(max(1, 1200 // step)):
-        rehearsal.run(step)
+        synthetic_log.run(step)
         recorder.poll()
     counts = recorder.finish()
     report = replay_file(tmp_path / "log.mcap")
@@ -146,11 +146,11 @@ def test_a_cut_file_replays_what_is_whole_and_is_never_called_identical(
 
 
 def test_a_killed_recorder_loses_only_its_last_chunk(tmp_path: Path) -> None:
-    rehearsal = SyntheticLog()
+    synthetic_log = SyntheticLog()
     writer = RecordingWriter(tmp_path / "a.mcap")
-    recorder = Recorder(rehearsal, writer)
+    recorder = Recorder(synthetic_log, writer)
     for _ in range(60):
-        rehearsal.run(100)
+        synthetic_log.run(100)
         recorder.poll()
     # after a kill the kernel has all data: the file is unbuffered
     (tmp_path / "killed.mcap").write_bytes((tmp_path / "a.mcap").read_bytes())

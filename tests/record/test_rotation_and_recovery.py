@@ -22,12 +22,12 @@ from surffollow.record.synthetic_log import SyntheticLog
 
 
 def recorded(folder: Path, cycles: int, **limits: float) -> tuple[Recorder, Files]:
-    rehearsal = SyntheticLog(snapshot_cycles=500)
-    files = Files(folder / "run.mcap", {"name": "rehearsal"}, **limits)  # type: ignore[arg-type]
+    synthetic_log = SyntheticLog(snapshot_cycles=500)
+    files = Files(folder / "run.mcap", {"name": "synthetic_log"}, **limits)  # type: ignore[arg-type]
     writer = files.open_next()
-    recorder = Recorder(rehearsal, writer, ChannelFeed(writer, 10_000_000), files)
+    recorder = Recorder(synthetic_log, writer, ChannelFeed(writer, 10_000_000), files)
     for _ in range(0, cycles, 100):
-        rehearsal.run(100)
+        synthetic_log.run(100)
         recorder.poll()
     recorder.finish()
     return recorder, files

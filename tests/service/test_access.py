@@ -46,11 +46,13 @@ time.sleep(60)
 
 
 @pytest.fixture(scope="module")
-def keeper(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+def short_lease_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service whose leases are short, for tests that let one end or restart the service."""
     from running_service import config_text
 
-    with Service(tmp_path_factory.mktemp("keeper"), config_text(map='access_lease = "1 s"')).running() as s:
+    with Service(
+        tmp_path_factory.mktemp("short-lease"), config_text(map='access_lease = "1 s"')
+    ).running() as s:
         yield s
 
 
@@ -60,7 +62,7 @@ def holder(watcher: Observer) -> tuple[int, int]:
 
 
 def takes_and_gives_back(client: Client) -> bool:
-    """Take and give back the map; False when this process slept through the keeper's lease."""
+    """Take and give back the map; False when this process slept longer than the lease."""
     try:
         with client.exclusive(timeout_s=WAIT_S):
             return True
@@ -127,9 +129,9 @@ def test_a_dead_holders_grant_is_not_taken_for_the_next_clients(service: Service
                     assert watcher.status()["map"]["grants"] > before["grants"], "a grant of its own"
 
 
-def test_access_lost_and_granted_anew_is_not_reported_as_held(keeper: Service) -> None:
+def test_access_lost_and_granted_anew_is_not_reported_as_held(short_lease_service: Service) -> None:
     """The lease is 1 s; a holder that stays is fenced until it takes its flag down."""
-    with keeper.attach() as slow, keeper.observe() as watcher:
+    with short_lease_service.attach() as slow, short_lease_service.observe() as watcher:
         # GIVEN a holder that stays longer than its lease
         access = slow.exclusive().__enter__()
         before = watcher.status()
@@ -236,8 +238,8 @@ def test_two_clients_take_turns(service: Service) -> None:
         assert holder(first) == (ACCESS_FREE, -1)
 
 
-def test_a_holder_that_outlives_its_lease_is_fenced_off_and_informed(keeper: Service) -> None:
-    with keeper.attach() as slow, keeper.attach() as other:
+def test_a_holder_that_outlives_its_lease_is_fenced_off_and_informed(short_lease_service: Service) -> None:
+    with short_lease_service.attach() as slow, short_lease_service.attach() as other:
         # GIVEN a holder whose lease is over
         access = slow.exclusive().__enter__()
         until(lambda: not access.granted(), "the end of the lease")
@@ -250,8 +252,8 @@ def test_a_holder_that_outlives_its_lease_is_fenced_off_and_informed(keeper: Ser
         until(lambda: takes_and_gives_back(slow), "a new request is heard")
 
 
-def test_a_stopped_holder_does_not_take_the_map_again_and_again(keeper: Service) -> None:
-    with program(STEPS, keeper.name, "2") as stopped, keeper.observe() as watcher:
+def test_a_stopped_holder_does_not_take_the_map_again_and_again(short_lease_service: Service) -> None:
+    with program(STEPS, short_lease_service.name, "2") as stopped, short_lease_service.observe() as watcher:
         # GIVEN a holder that was stopped
         said(stopped)
         stopped.send_signal(signal.SIGSTOP)
@@ -261,7 +263,7 @@ def test_a_stopped_holder_does_not_take_the_map_again_and_again(keeper: Service)
         since = watcher.status()["cycles"]
         while watcher.status()["cycles"] < since + 500:  # half a lease
             assert holder(watcher)[0] == ACCESS_FREE
-        obtain(keeper)
+        obtain(short_lease_service)
 
 
 @pytest.mark.parametrize("step", [0, 1, 2, 3])
@@ -282,16 +284,16 @@ def test_a_client_killed_in_any_of_the_four_steps_delays_no_client(service: Serv
             assert access.granted()
 
 
-def test_the_service_may_be_restarted_in_any_of_the_four_steps(keeper: Service) -> None:
-    with keeper.attach() as holding, keeper.attach() as waiting:
+def test_the_service_may_be_restarted_in_any_of_the_four_steps(short_lease_service: Service) -> None:
+    with short_lease_service.attach() as holding, short_lease_service.attach() as waiting:
         # GIVEN a client that holds the map, and one that waits for it
         access, expected = holding.exclusive(timeout_s=READY_S), waiting.exclusive(timeout_s=READY_S)
         access.__enter__()  # step 2
         thread = threading.Thread(target=expected.__enter__)
         thread.start()  # step 1
         # WHEN the service is killed and started again
-        keeper.kill()
-        keeper.start()
+        short_lease_service.kill()
+        short_lease_service.start()
         thread.join()
         # THEN the one that waited has it, and the holder is told
         assert expected.granted(), "the request was made again at the new service"
@@ -299,16 +301,16 @@ def test_the_service_may_be_restarted_in_any_of_the_four_steps(keeper: Service) 
             access.__exit__(None, None, None)
         # WHEN it is killed while a client gives the map back
         # step 3: done is stored, the service is not there to see it
-        keeper.freeze()
+        short_lease_service.freeze()
         ending = threading.Thread(target=_end, args=(expected,))
         ending.start()
-        keeper.kill()
+        short_lease_service.kill()
         ending.join()
         # THEN no client gets it before the next start, and all clients after
         with pytest.raises(NotRunningError), waiting.exclusive(timeout_s=0.1):
             pass
-        keeper.start()
-        obtain(keeper)  # step 0
+        short_lease_service.start()
+        obtain(short_lease_service)  # step 0
         until(waiting.alive, "re-attachment")
         until(lambda: takes_and_gives_back(waiting), "access at the new service")
 

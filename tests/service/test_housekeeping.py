@@ -42,7 +42,7 @@ def goes_on(client: Client) -> None:
     """The cycle and the housekeeping go on, and the service answers."""
     before = client.status()
     until(lambda: client.status()["cycles"] > before["cycles"] + 100, "100 cycles")
-    until(lambda: client.status()["main"]["t_ns"] > before["main"]["t_ns"], "a beat")
+    until(lambda: client.status()["main"]["t_ns"] > before["main"]["t_ns"], "a heartbeat")
     client.set_params(max_demand="20 mm")
 
 
@@ -190,7 +190,7 @@ try:
             client.reset_stop()
         client.map_reset((0.0, 0.0, 0.1, 0.1))
         until(lambda: client.status()["cycles"] > before["cycles"] + 200, "200 cycles")
-        until(lambda: client.status()["main"]["t_ns"] > before["main"]["t_ns"], "a beat")
+        until(lambda: client.status()["main"]["t_ns"] > before["main"]["t_ns"], "a heartbeat")
         print("goes on", client.status()["main"]["text"], flush=True)
     print("end", s.terminate(), flush=True)
 finally:

@@ -43,28 +43,30 @@ from surffollow.client import attach, observe
 from surffollow.errors import NoPermissionError
 for what in (observe, attach):
     try:
-        door = what(sys.argv[1], stale_min_s={PATIENT_S})
-        print(what.__name__, door.status()["state"], door.dev_vector().names)
+        observer = what(sys.argv[1], stale_min_s={PATIENT_S})
+        print(what.__name__, observer.status()["state"], observer.dev_vector().names)
     except NoPermissionError as e:
         print(what.__name__, "refused:", e)
 """
 
 
 @pytest.fixture(scope="module")
-def crowd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+def shared_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service without sensors for this module's clients."""
-    with Service(tmp_path_factory.mktemp("crowd")).running() as s:
+    with Service(tmp_path_factory.mktemp("many-clients")).running() as s:
         yield s
 
 
 @pytest.fixture
-def client(crowd: Service) -> Iterator[Client]:
-    with crowd.attach() as c:
+def client(shared_service: Service) -> Iterator[Client]:
+    with shared_service.attach() as c:
         yield c
 
 
-def test_a_second_pose_writer_is_refused_with_the_pid_of_the_first(crowd: Service, client: Client) -> None:
-    with program(SENDER, crowd.name) as first:
+def test_a_second_pose_writer_is_refused_with_the_pid_of_the_first(
+    shared_service: Service, client: Client
+) -> None:
+    with program(SENDER, shared_service.name) as first:
         # GIVEN a process that sends the pose
         said(first)
         # WHEN a second one sends it, THEN it is refused and the first goes on
@@ -80,8 +82,8 @@ def test_a_second_pose_writer_is_refused_with_the_pid_of_the_first(crowd: Servic
     until(lambda: client.status()["main"]["pose_pid"] == os.getpid(), "the second holds the pose")
 
 
-def test_the_pose_can_be_handed_over_in_good_order(crowd: Service, client: Client) -> None:
-    with crowd.attach() as other:
+def test_the_pose_can_be_handed_over_in_good_order(shared_service: Service, client: Client) -> None:
+    with shared_service.attach() as other:
         # GIVEN a client that sends the pose
         client.ee_pos(POSE)
         # WHEN another one sends it, THEN it is refused
@@ -95,22 +97,22 @@ def test_the_pose_can_be_handed_over_in_good_order(crowd: Service, client: Clien
     client.ee_pos(POSE)
 
 
-def test_a_slot_taken_over_from_a_dead_pose_writer_does_not_inherit_its_pose(crowd: Service) -> None:
-    free_of_poses(crowd)
-    with program(SENDER, crowd.name) as first:
+def test_a_slot_taken_over_from_a_dead_pose_writer_does_not_inherit_its_pose(shared_service: Service) -> None:
+    free_of_poses(shared_service)
+    with program(SENDER, shared_service.name) as first:
         # GIVEN a slot whose dead client held the pose
         slot = int(said(first).split()[1])
         first.kill()
         first.wait()
         # WHEN another client gets the slot, THEN the pose is anybody's
-        with crowd.attach() as heir, crowd.attach() as other:
+        with shared_service.attach() as heir, shared_service.attach() as other:
             assert heir.slot in (slot, slot + 1), "the slot is used again, or retired a moment ago"
             take_pose(other)
 
 
-def test_a_forked_child_does_not_keep_its_dead_parents_pose(crowd: Service, client: Client) -> None:
-    free_of_poses(crowd)
-    with orphan_of(FORKER, crowd.name):
+def test_a_forked_child_does_not_keep_its_dead_parents_pose(shared_service: Service, client: Client) -> None:
+    free_of_poses(shared_service)
+    with orphan_of(FORKER, shared_service.name):
         take_pose(client)
 
 
@@ -133,22 +135,24 @@ def test_a_latch_generation_at_its_end_does_not_stop_a_client(client: Client) ->
         client.sf_reset(0.1)
 
 
-def test_sixteen_clients_fit_the_seventeenth_is_refused_and_a_freed_slot_is_used(crowd: Service) -> None:
+def test_sixteen_clients_fit_the_seventeenth_is_refused_and_a_freed_slot_is_used(
+    shared_service: Service,
+) -> None:
     with contextlib.ExitStack() as stack:
         # GIVEN as many clients as there are slots
-        all_ = [stack.enter_context(crowd.attach()) for _ in range(lb.CLIENTS)]
+        all_ = [stack.enter_context(shared_service.attach()) for _ in range(lb.CLIENTS)]
         assert sorted(c.slot for c in all_) == list(range(lb.CLIENTS))
         for c in all_:
             c.sf_reset(0.1)
         # WHEN one more attaches, THEN it is refused
         with pytest.raises(BusyError, match=r"all client slots are taken.*limit 16"):
-            crowd.attach()
+            shared_service.attach()
         until(lambda: all_[0].status()["main"]["clients"] == lb.CLIENTS, "the status counts them")
         # WHEN one leaves, THEN the next one gets its slot
         all_[5].close()
-        with crowd.attach() as late:
+        with shared_service.attach() as late:
             assert late.slot == 5
-    with crowd.observe() as watcher:
+    with shared_service.observe() as watcher:
         until(lambda: watcher.status()["main"]["clients"] == 0, "nobody is left")
 
 
@@ -164,9 +168,9 @@ def as_nobody(s: Service) -> list[str]:
 
 @needs_root
 @pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs setpriv")
-def test_modes_decide_who_may_watch_and_who_may_command(make_service: Make, crowd: Service) -> None:
+def test_modes_decide_who_may_watch_and_who_may_command(make_service: Make, shared_service: Service) -> None:
     # WHEN only the group may read, THEN another user may neither watch nor command
-    watch, attach = as_nobody(crowd)
+    watch, attach = as_nobody(shared_service)
     assert watch.startswith("observe refused: no permission to read")
     assert attach.startswith("attach refused: no permission to read")
     assert "join its group" in watch
@@ -178,12 +182,14 @@ def test_modes_decide_who_may_watch_and_who_may_command(make_service: Make, crow
     assert f"{s.name}.sock" in attach
 
 
-def test_objects_have_the_modes_that_the_configuration_says(make_service: Make, crowd: Service) -> None:
+def test_objects_have_the_modes_that_the_configuration_says(
+    make_service: Make, shared_service: Service
+) -> None:
     def modes(s: Service) -> dict[str, str]:
         found = {n.removeprefix(s.name): os.stat(f"/dev/shm/{n}").st_mode & 0o777 for n in objects_of(s.name)}
         return {n: f"{mode:03o}" for n, mode in found.items()}
 
-    assert modes(crowd) == {"": "640", ".sock": "660", ".lock": "600", ".map": "640"}
+    assert modes(shared_service) == {"": "640", ".sock": "660", ".lock": "600", ".map": "640"}
     before = os.umask(0o077)
     try:
         s = make_service(access='board_mode = "0604"\nsocket_mode = "0606"\nmap_mode = "0600"').start()

@@ -27,7 +27,7 @@ TOOLS = Path(__file__).parents[2] / "tools"
 def test_the_way_back_over_ground_just_mapped_is_followed_far_better_than_the_way_there():
     # GIVEN a robot that goes over unknown ground and back
     loop = MapLoop("fy91")
-    # WHEN it has done so
+    # WHEN the robot has finished both passes
     loop.run_to_end()
     # THEN the way there had no preview, and the way back is followed better by it
     first, second = loop.passes()
@@ -44,18 +44,18 @@ def test_with_the_parameter_off_nothing_is_looked_up():
 def test_ground_is_looked_up_only_in_cycles_that_use_it():
     # GIVEN a robot that goes over rolling ground and back
     loop = MapLoop("fy91-rolling")
-    # WHEN it has done so
+    # WHEN the robot has finished both passes
     loop.run_to_end()
     # THEN the way back is followed better, by heights that were looked up in a part of the cycles only
     first, second = loop.passes()
     assert second <= 0.5 * first, (first, second)
     back = np.array(loop.previews[8000:10000])
-    # 100 ticks and 250 samples a second, some of them in one cycle; long pieces for ticks alone
+    # 100 controller periods and 250 samples a second, some in one cycle; long pieces for periods alone
     assert 0.25 < np.mean(back > 0) < 0.5
     assert 0.08 < np.mean(back > 20) < 0.13
 
 
-def test_memory_that_is_plainly_wrong_is_soon_distrusted():
+def test_a_map_wrong_by_20_mm_disables_the_preview():
     # GIVEN a robot that has gone over rolling ground and turns
     loop = MapLoop("fy91-rolling")
     loop.run(5.9)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from raw_slot import MESSAGE, crowd, raw_slot
+from raw_slot import MESSAGE, fill_silent_connections, raw_slot
 from running_service import POSE, READY_S, Service, config_text, take_pose, until
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from service.pose_senders import orphan_of
@@ -349,7 +349,10 @@ def test_several_users_together_keep_neither_root_nor_another_from_a_slot(
     path = str(socket_path(open_service.name))
     with contextlib.ExitStack() as stack:
         for k in range(MAX_PENDING // MAX_PENDING_PER_USER + 1):
-            assert stack.enter_context(OtherUser(crowd(path), uid=60000 + k)).receive() == "attacks"
+            assert (
+                stack.enter_context(OtherUser(fill_silent_connections(path), uid=60000 + k)).receive()
+                == "attacks"
+            )
         assert at_the_first_try(open_service.name) == "done"
         assert as_other_user(lambda _: at_the_first_try(open_service.name)) == "done"
 
@@ -383,8 +386,8 @@ def test_a_client_that_seals_its_slot_itself_costs_its_own_connection_alone(open
             assert (answer[2], answer[4]) == (lb.SLOT_REFUSE, lb.SLOT_BAD_MESSAGE)
             sock.close()
             os.close(fds[0])
-        beat = watcher.status()["main"]["t_ns"]
-        after = until(lambda: (s := watcher.status())["main"]["t_ns"] > beat and s, "a beat")
+        heartbeat = watcher.status()["main"]["t_ns"]
+        after = until(lambda: (s := watcher.status())["main"]["t_ns"] > heartbeat and s, "a heartbeat")
         assert after["faults"] == before["faults"]
 
 
@@ -423,7 +426,7 @@ def test_a_user_who_keeps_what_he_gave_back_gets_no_more(open_service: Service) 
 def test_two_slots_are_left_for_root_and_the_services_own_user(tmp_path: Path) -> None:
     s = Service(tmp_path, config_text(access=OPEN_TO_ALL.replace("= 3", "= 16") + "slots_per_process = 16\n"))
 
-    def crowd(child: OtherUser) -> None:
+    def take_all_slots(child: OtherUser) -> None:
         held = []
         with contextlib.suppress(BusyError):
             while True:
@@ -433,7 +436,7 @@ def test_two_slots_are_left_for_root_and_the_services_own_user(tmp_path: Path) -
 
     try:
         s.start()
-        with OtherUser(crowd) as first:
+        with OtherUser(take_all_slots) as first:
             assert first.receive() == lb.CLIENTS - RESERVED
             with s.attach() as one, s.attach() as two:
                 assert {one.slot, two.slot} & set(range(lb.CLIENTS))

@@ -45,7 +45,7 @@ def _publish(block: AttachedBlock, device: Any, fields: tuple[str, ...], client:
 
 
 def run_device(kind: str, name: str, seconds: float, stopped: Callable[[], bool]) -> dict[str, Any]:
-    """Be the low-level controller of an arbiter's resource `camera` or `speaker`.
+    """Run the low-level controller of an arbiter's resource `camera` or `speaker`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Let the follower learn only while it leads: DRYRUN while another client holds the tool."""
+"""Set `run` to normal or dryrun by the holder of a resource."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Settable(Protocol):
 
 
 class RunByHolder:
-    """Keeps the service's `run` parameter by who holds a resource, also when the follower's process dies.
+    """Sets the service's `run` parameter by the holder of a resource, also when the follower's process dies.
 
     In a combination the follower's demand is always a part; nothing is set there.
 
@@ -39,8 +39,12 @@ class RunByHolder:
         self._ticket: Any = None
         self._next_ns = 0
 
-    def look(self, now_ns: int) -> None:
-        """Once in each of the robot's periods; never waits."""
+    def update(self, now_ns: int) -> None:
+        """Set `run` when the holder changed or the service was restarted; call in each period, never waits.
+
+        `normal` while the follower holds the resource, `dryrun` while another client or none does. A refused
+        request is sent again; after a fault the next one follows in 0.1 s.
+        """
         run = self._desired(now_ns)
         if run is None:
             return

@@ -20,7 +20,7 @@ class GapWatch:
 
     Parameters
     ----------
-    robot : ScanRobot     without a guard nothing is watched
+    robot : ScanRobot     without a clearance monitor nothing is watched
 
     Attributes
     ----------
@@ -36,8 +36,8 @@ class GapWatch:
 
     def tick(self, service: Any) -> list[str]:
         """Take the newest reading of a service (or None) and look; returns lines for the operator."""
-        robot, guard = self._robot, self._robot.guard
-        if guard is None:
+        robot, monitor = self._robot, self._robot.monitor
+        if monitor is None:
             return []
         if service is not None:
             try:
@@ -45,13 +45,13 @@ class GapWatch:
             except FaultError:
                 out = None
             if out is not None:
-                guard.reading(int(out["range_t_ns"][0]), float(out["range_m"][0]))
+                monitor.reading(int(out["range_t_ns"][0]), float(out["range_m"][0]))
         if robot.leaving or not robot.inside:
             self._since_ns = 0
             return []
         self._ticks += 1
         pose = robot.newest
-        clearance, first = guard.clearance_m(pose), self._since_ns == 0
+        clearance, first = monitor.clearance_m(pose), self._since_ns == 0
         if first:
             self._since_ns = robot.t_ns
             at = {"x_m": float(pose[0]), "y_m": float(pose[1]), "pass": robot.number}
@@ -63,15 +63,15 @@ class GapWatch:
         if robot.lift_m > robot.limit_m or stuck:
             because = "lifting did not clear it" if stuck else "it needs more lift than the correction may be"
             self.why = (
-                f"a control point {place}, the gap is {1e3 * guard.gap_m:.1f} mm: {because} "
+                f"a control point {place}, the gap is {1e3 * monitor.gap_m:.1f} mm: {because} "
                 f"({1e3 * robot.limit_m:.0f} mm)"
             )
         return [f"inside the gap: {place}"] if first else []
 
     def figures(self) -> dict[str, Any]:
         """Gap from the readings; None without readings."""
-        robot, guard = self._robot, self._robot.guard
-        if guard is None or guard.ground.measured == 0:
+        robot, monitor = self._robot, self._robot.monitor
+        if monitor is None or monitor.ground.measured == 0:
             return {"inside_times": None, "inside_s": None, "inside_least_m": None, "inside_later_part": None}
         trace = robot.trace()
         on = np.flatnonzero(trace["scanning"] > 0.0)
@@ -80,7 +80,7 @@ class GapWatch:
         if len(on):
             recorded = np.column_stack([trace[f"{c}_m"][on] for c in "xyz"])
             poses = np.column_stack([recorded, robot.attitude_at(trace["path_s"][on])])
-            later = float(guard.is_inside(poses).mean())
+            later = float(monitor.is_inside(poses).mean())
         least = [e["clearance_m"] for e in self.events]
         return {
             "inside_times": len(least),

@@ -37,7 +37,7 @@ def body_rotations(quaternion: Floats) -> Floats:
     return made
 
 
-class Guard:
+class ClearanceMonitor:
     """Ground as map and readings know it, beneath the body of a path.
 
     Parameters

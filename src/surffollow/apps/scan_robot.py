@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from surffollow.apps.scan_arm_state import TRACE_EVERY, arm_state, base_of, path_columns
 from surffollow.apps.scan_expected import expected_range_m
-from surffollow.apps.scan_guard import POSES_AHEAD, Guard
+from surffollow.apps.scan_guard import POSES_AHEAD, ClearanceMonitor
 from surffollow.apps.scan_robot_config import ScanRobotConfig, check_executable
 from surffollow.scan.checks import Floats
 from surffollow.scan.path import ScanPath
@@ -41,7 +41,7 @@ class ScanRobot(CommandedRobot):
     config : ScanRobotConfig
     start_ns : time at which the tip stands above the path's first sample [ns]
     expected_m : (n,) range that the sensor should read at the samples [m]; None: see `expected_range_m`
-    guard : Guard      the gap from readings; None: the plan and the demand alone are used
+    monitor : ClearanceMonitor      the gap from readings; None: the plan and the demand alone are used
 
     Raises
     ------
@@ -57,7 +57,7 @@ class ScanRobot(CommandedRobot):
         config: ScanRobotConfig,
         start_ns: int,
         expected_m: Floats | None = None,
-        guard: Guard | None = None,
+        monitor: ClearanceMonitor | None = None,
     ) -> None:
         check_executable(path)
         self.path, self.config = path, config
@@ -79,11 +79,11 @@ class ScanRobot(CommandedRobot):
         self.world = zeros(WorldPose)
         self._rng = np.random.default_rng(config.seed)
         self._reports = PoseReports(config.report_latency_s, np.append(self.tip_m, path.quaternion[0]))
-        self.guard = guard
+        self.monitor = monitor
         self.limit_m = config.most_m if config.most_m is not None else float(path.facts["gap_m"])
         self.holding, self.paused, self.leaving = True, False, False
-        if guard is not None:
-            guard.look_ahead(speed * self._looked_at_s(1.0)[1])
+        if monitor is not None:
+            monitor.look_ahead(speed * self._looked_at_s(1.0)[1])
         self.inside, self.blocked = False, False
         self.correction_m = self.lift_m = 0.0
         self._asked: deque[tuple[float, float, float]] = deque(maxlen=ASKED_KEPT)
@@ -144,9 +144,9 @@ class ScanRobot(CommandedRobot):
     def reports(self) -> list[tuple[int, NDArray[np.float64]]]:
         """Take the reports that are due: (when it was true [ns], pose (7,)), oldest first."""
         due = self._reports.due(self.t_ns)
-        if self.guard is not None:
+        if self.monitor is not None:
             for t_ns, pose in due:
-                self.guard.pose(t_ns, pose)
+                self.monitor.pose(t_ns, pose)
         return due
 
     def command(self, demand_m: float, pose_t_ns: int, turn_rad: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
@@ -197,18 +197,18 @@ class ScanRobot(CommandedRobot):
         `inside`: a control point is inside the gap. `blocked`: it would be, at the present height, before the
         arm can stop; the path is then not followed any further.
         """
-        if self.guard is None:
+        if self.monitor is None:
             return -math.inf
         newest = self._reports.newest
-        self.inside = bool(self.guard.is_inside(newest[None])[0])
+        self.inside = bool(self.monitor.is_inside(newest[None])[0])
         here, rate = float(self.state["path_s"][0]), float(self.state["rate"][0])
         stop_s, look_s = self._looked_at_s(rate)
         ahead = here + np.linspace(0.0, max(look_s, 1e-6), POSES_AHEAD)
         poses = np.column_stack([np.interp(ahead, self._t, c) for c in self._planned.T])
-        self.lift_m = self.guard.lift_m(poses, -self.limit_m)
+        self.lift_m = self.monitor.lift_m(poses, -self.limit_m)
         near = poses[ahead <= here + stop_s]
         near[:, 2] += newest[2] - float(np.interp(here, self._t, self._z))
-        self.blocked = self.inside or bool(self.guard.is_inside(near).any())
+        self.blocked = self.inside or bool(self.monitor.is_inside(near).any())
         return self.lift_m
 
     def _looked_at_s(self, rate: float) -> tuple[float, float]:

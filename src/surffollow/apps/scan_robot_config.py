@@ -55,8 +55,8 @@ class ScanRobotConfig:
     rise_s, sink_s : float [s]    time constants of the correction away from the ground and toward it
     most_m : float [m]            largest correction of the plan; None: the path's gap, beyond which its map
         is of no use
-    shaper : Shaper               of what the demand asks for, so that following does not excite the arm's
-        vertical mode, which the sensor sees and the joints do not; None: not shaped
+    shaper : Shaper               input shaper of the height command, so that following does not excite the
+        arm's vertical mode, which the sensor measures and the joints do not; None: not shaped
     errors : ArmErrors            None: the model is exact
     compliance : Compliance       None: a stiff arm
     report_latency_s, report_sigma_m : of pose reports [s], noise of x, y and z [m]

@@ -12,7 +12,7 @@ import numpy as np
 from surffollow.apps.scan_control import ControlServer, keys
 from surffollow.apps.scan_expected import expected_range_m
 from surffollow.apps.scan_gap import GapWatch
-from surffollow.apps.scan_guard import Guard
+from surffollow.apps.scan_guard import ClearanceMonitor
 from surffollow.apps.scan_robot import ScanRobot
 from surffollow.apps.scan_robot_config import ScanRobotConfig, check_executable
 from surffollow.errors import FaultError
@@ -94,8 +94,8 @@ def execute(
     check_executable(path)
     expected = expected_range_m(path, ground)
     ScanRobot(path, config, 0, expected).advance(2_000_000)  # compiles
-    guard = None if config.way == "plan" else Guard(path, ground)
-    robot = ScanRobot(path, config, time.monotonic_ns(), expected, guard)
+    monitor = None if config.way == "plan" else ClearanceMonitor(path, ground)
+    robot = ScanRobot(path, config, time.monotonic_ns(), expected, monitor)
     control = ControlServer(name)
     try:
         world = WorldWriter(name)

@@ -16,7 +16,7 @@ from surffollow.arbiter import observe
 from surffollow.errors import FaultError, UsageError
 
 OBSTACLE_M, HEIGHT_M, LIFT_M = (0.42, 0.48), 0.12, 0.05
-AWAY_M = 0.16  # from the obstacle's edge on the follower is to have the tool back where it belongs
+AWAY_M = 0.16  # distance from the edge beyond which the tool must be at its stand-off
 READY_TIMEOUT_S = 180.0
 
 ARBITER = """

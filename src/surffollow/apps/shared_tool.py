@@ -75,7 +75,7 @@ class ArbitratedService:
 
     def dev_vector(self) -> ToolDemand:
         """The newest combined demand; never waits."""
-        self._run.look(time.monotonic_ns())
+        self._run.update(time.monotonic_ns())
         return ToolDemand(self._reader.latest(), self._service.epoch)
 
     def claim_pose(self) -> None:

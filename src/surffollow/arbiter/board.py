@@ -1,4 +1,4 @@
-"""Make the board and the command blocks of a server that starts, in the place of a dead one's."""
+"""Make the board and the command blocks of a server that starts; those of an ended server are replaced."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import time
 from typing import Any, NamedTuple
 
 from surffollow.arbiter import layout as al
-from surffollow.client.board import unpack_schema
+from surffollow.client.board import CLOSED, unpack_schema
 from surffollow.client.fence import FENCED, fence
 from surffollow.errors import BlockError, LayoutMismatchError, UsageError
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
@@ -47,7 +47,7 @@ class BoardReader:
 
     def __init__(self, name: str, memory: mmap.mmap) -> None:
         self.name, self.memory = name, memory
-        self.words = memoryview(memory).cast("q")
+        self.words: Any = memoryview(memory).cast("q")
         h = self.header = unpack_schema(al.BoardHeader, memory) if len(memory) >= al.PAGE else {"magic": 0}
         if h["magic"] != al.BOARD_MAGIC:
             raise BlockError(f"shared-memory object {name!r} is no arbiter's board")
@@ -70,6 +70,10 @@ class BoardReader:
     def epoch(self) -> int:
         """Number of the server."""
         return int(self.header["epoch"])
+
+    def require_open(self) -> None:
+        """Raise ClosedError after `close`."""
+        _ = self.words[_STATE]
 
     def alive(self) -> bool:
         """Whether the server runs: it has not ended, and its process is there."""
@@ -132,6 +136,8 @@ class BoardReader:
 
     def close(self) -> None:
         """Unmap; a history that is still read keeps the memory mapped."""
-        self.words.release()
+        words, self.words = self.words, CLOSED
+        if words is not CLOSED:
+            words.release()
         with contextlib.suppress(BufferError):
             self.memory.close()

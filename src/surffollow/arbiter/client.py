@@ -1,4 +1,4 @@
-"""Take part: attach under a declared name, show life, hand out resources, end."""
+"""Client of an arbiter: attach, heartbeat, resources."""
 
 from __future__ import annotations
 

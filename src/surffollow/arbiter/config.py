@@ -94,7 +94,10 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Arbiter
 def _check(c: ArbiterConfig) -> None:
     check_name(f"{c.name}.arbiter")
     if c.lease_ns < 2 * c.period_ns:
-        raise ConfigError(f"lease is {c.lease!r}, less than two periods ({c.period!r}): over when seen")
+        raise ConfigError(
+            f"lease is {c.lease!r}, less than two periods ({c.period!r}); "
+            "it would expire before the server checks it"
+        )
     mode(c.mode, "mode")
     if c.history < 64 or c.history & (c.history - 1) or c.history > 1 << 20:
         raise ConfigError(f"history is {c.history}; it must be a power of two from 64 to 1048576 records")

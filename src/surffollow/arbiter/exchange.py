@@ -49,7 +49,8 @@ class Exchange:
 
     def __init__(self, name: str, slot: int, board: BoardReader, mailbox: mmap.mmap) -> None:
         self.name, self._board, self.mailbox = name, board, mailbox
-        self.words, self.mailbox_words = board.words, memoryview(mailbox).cast("q")
+        self.words: memoryview = board.words
+        self.mailbox_words = memoryview(mailbox).cast("q")
         self.ended = self.closed = False
         regions = board.regions
         self._grants = regions["grants"][0] + slot * _GRANTS

@@ -83,6 +83,7 @@ class ArbiterObserver(Closing):
         History
             an iterator of `HistoryEvent`
         """
+        self.board.require_open()
         capacity = self.board.header["history_capacity"]
         offset = self.board.regions["history"][0]
         return History(self.board.memory, offset, capacity, self.board.names, oldest)
@@ -124,12 +125,12 @@ class ArbiterObserver(Closing):
         }
 
     def close(self) -> None:
-        """Let go of the board."""
+        """Let go of the board; what is called afterwards raises ClosedError."""
         self.board.close()
 
 
 def observe(name: str = "cell", *, owner: int | str | None = None) -> ArbiterObserver:
-    """Watch an arbiter; a dead one's board can be read until the next start.
+    """Watch an arbiter; the board of one that has ended can be read until the next start.
 
     Parameters
     ----------

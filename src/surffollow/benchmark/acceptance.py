@@ -1,6 +1,6 @@
 """The criteria that the default follower must meet, computed from the rows of one run.
 
-A figure that could not be computed counts as short. Criteria without a bound are reported only.
+A criterion whose figure could not be computed is not met. Criteria without a bound are reported only.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def _accelerations(
     A method of `methods` is good when its RMS is within 1.1 × that of the best of them.
     """
     ratios: dict[CellKey, float] = {}
-    mild: dict[CellKey, float] = {}
+    over_best: dict[CellKey, float] = {}
     for key in table.where(lead_m):
         ours = table.cells[key].get(OURS)
         rows = [r for name, r in table.cells[key].items() if name in methods]
@@ -110,8 +110,8 @@ def _accelerations(
         best = min(rows, key=lambda r: float(r["rms_m"]))
         good = [r["demand_accel_mps2"] for r in rows if r["rms_m"] <= 1.1 * best["rms_m"]]
         ratios[key] = ours["demand_accel_mps2"] / max(min(good), 1e-9)
-        mild[key] = ours["demand_accel_mps2"] / max(best["demand_accel_mps2"], 1e-9)
-    return ratios, mild
+        over_best[key] = ours["demand_accel_mps2"] / max(best["demand_accel_mps2"], 1e-9)
+    return ratios, over_best
 
 
 def _acceleration(
@@ -119,16 +119,18 @@ def _acceleration(
 ) -> list[Verdict]:
     """Demand acceleration over the least among those within 1.1 × the best one's RMS.
 
-    The remarks give the milder figure, too: over the method that is best by RMS, at any acceleration.
+    The remarks also give the ratio to the method that is best by RMS, at any acceleration.
     """
-    ratios, mild = _accelerations(table, lead_m, methods)
-    worst = max(mild, key=lambda key: mild[key], default=None)
+    ratios, over_best = _accelerations(table, lead_m, methods)
+    worst = max(over_best, key=lambda key: over_best[key], default=None)
     stated_mean = stated_each = ""
     if worst:
         own = [v for k, v in ratios.items() if not of_family(k)]
-        stated_mean = f"{len(mild)} cells; {sum(mild.values()) / len(mild):.3f} over the best by RMS"
+        stated_mean = (
+            f"{len(over_best)} cells; {sum(over_best.values()) / len(over_best):.3f} over the best by RMS"
+        )
         stated_mean += f"; {sum(own) / len(own):.3f} without the families" if own else ""
-        stated_each = f"{mild[worst]:.3f} over the best by RMS, {cell_name(worst)}"
+        stated_each = f"{over_best[worst]:.3f} over the best by RMS, {cell_name(worst)}"
     return [
         mean_verdict(f"{start}, mean", mean, list(ratios.values()), stated_mean, geometric=False),
         worst_verdict(f"{start}, each", each, {cell_name(k): v for k, v in ratios.items()}, stated_each),

@@ -85,7 +85,7 @@ def outside_follower(spec: str) -> Factory:
 
 
 def check_follower(spec: str) -> None:
-    """Make the follower given as `module:name` once, to see that it is one.
+    """Construct the follower given as `module:name` once to validate its interface.
 
     Raises
     ------

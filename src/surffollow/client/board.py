@@ -43,11 +43,14 @@ def unpack_schema(schema: type[Schema], data: Any, at: int = 0) -> dict[str, Any
     return out
 
 
+CLOSED_TEXT = "this client was closed; attach again"
+
+
 class _Closed:
     """In the place of the words of a closed attachment: every access raises ClosedError."""
 
     def __getitem__(self, _: int) -> int:
-        raise ClosedError("this client was closed; attach again")
+        raise ClosedError(CLOSED_TEXT)
 
 
 CLOSED = _Closed()
@@ -62,18 +65,26 @@ class LatchReader:
         self._stride, self.schema = stride(schema.SIZE), schema
 
     def copy(self) -> bytes | None:
-        """The newest payload; None when nothing was published or every try was torn."""
+        """The newest payload; None when nothing was published or every try was torn.
+
+        Raises
+        ------
+        ClosedError   the board was closed
+        """
         words, index = self._words, self._index
-        for _ in range(MAX_TRIES):
-            g = words[index]
-            if g == 0:
-                return None
-            start = self._base + (g & (SLOTS - 1)) * self._stride
-            fence()
-            data = bytes(self._memory[start : start + self.schema.SIZE])
-            fence()
-            if words[index] - g <= SLOTS - 2:
-                return data
+        try:
+            for _ in range(MAX_TRIES):
+                g = words[index]
+                if g == 0:
+                    return None
+                start = self._base + (g & (SLOTS - 1)) * self._stride
+                fence()
+                data = bytes(self._memory[start : start + self.schema.SIZE])
+                fence()
+                if words[index] - g <= SLOTS - 2:
+                    return data
+        except ValueError:  # `words` or `memory` was released
+            raise ClosedError(CLOSED_TEXT) from None
         return None
 
     def read(self) -> dict[str, Any] | None:

@@ -135,7 +135,7 @@ class Client(ServiceRequests):
 
     def _claim_pose_again(self) -> None:
         try:
-            self._claim_again(POSE)
+            self._reclaim(POSE)
         except RefusedError as e:
             raise _held(e) from None
 
@@ -168,8 +168,8 @@ class Client(ServiceRequests):
     def sim_pose(self, t_ns: int, pose: Sequence[float], velocity: Sequence[float] | None = None) -> None:
         """Give the simulated sensor the true pose of the tool, where reports are noisy or late.
 
-        The service itself never reads it. Without it the simulated sensor rides on the reported poses, whose
-        errors then cancel. The first call makes the block NAME.world, `close` removes it.
+        The service itself never reads it. Without it the simulated sensor takes its pose from the
+        reports, whose errors then cancel. The first call makes the block NAME.world, `close` removes it.
 
         Parameters
         ----------

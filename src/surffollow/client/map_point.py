@@ -54,7 +54,7 @@ def surface_point(
 
 
 def _surface(heights: Any, nx: int, ny: int, fx: float, fy: float) -> tuple[float, float, float]:
-    """Bilinear height and slopes in quanta per grid, as `map.lookup.surface_at`; NaN: unknown."""
+    """Bilinear height and slopes in quanta per grid, as `map.kernels.lookup.surface_at`; NaN: unknown."""
 
     def q(ix: int, iy: int) -> int:
         if not (0 <= ix < nx and 0 <= iy < ny):

@@ -122,7 +122,7 @@ class RangePusher(Reclaimer):
 
     def _claim_range_again(self, channel: int) -> None:
         try:
-            self._claim_again((lb.RQ_CLAIM_RANGE, channel))
+            self._reclaim((lb.RQ_CLAIM_RANGE, channel))
         except RefusedError as e:
             if e.code != lb.ERR_RANGE_HELD:
                 raise

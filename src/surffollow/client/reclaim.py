@@ -30,7 +30,7 @@ class Reclaimer(SlotWatcher):
         else:
             self._pushed[channel] = 0
 
-    def _claim_again(self, claim: tuple[int, int]) -> None:
+    def _reclaim(self, claim: tuple[int, int]) -> None:
         """One step towards a claim in a control loop; returns when it is held.
 
         Raises

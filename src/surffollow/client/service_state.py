@@ -76,7 +76,8 @@ class ServiceState:
         return found
 
     def audit(self) -> list[dict[str, Any]]:
-        """Changes that clients asked for, oldest first: who, what, when, with what result; of a dead one too.
+        """Changes that clients asked for, oldest first: who, what, when, with what result; also of a service
+        that has ended.
 
         Returns
         -------

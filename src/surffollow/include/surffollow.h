@@ -2152,7 +2152,7 @@ static inline void sf_i_hold(sf_client *c, int64_t code, int64_t channel) {
  * at a time: the answer to any claim under way is taken before another one is sent.
  * SF_OK, SF_ERR_NOT_RUNNING: not there yet, SF_REFUSED_...
  */
-static inline int sf_i_claim_again(sf_client *c, int64_t code, int64_t channel, int64_t now_ns) {
+static inline int sf_i_reclaim(sf_client *c, int64_t code, int64_t channel, int64_t now_ns) {
   sf_i_claiming *under_way = &c->claiming;
   sf_ticket ticket;
   if (c->slot_memory == NULL || under_way->claim != c->claim) under_way->counter = 0;
@@ -2269,7 +2269,7 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   if (post.t_ns > now + SF_POSE_FUTURE_NS) return SF_ERR_POSE_FUTURE;
   if (post.t_ns < now - c->pose_timeout_ns) return SF_ERR_POSE_OLD;
   if (!c->pose_held) {
-    const int claimed = c->had_pose ? sf_i_claim_again(c, SF_RQ_CLAIM_POSE, 0, now) : sf_claim_pose(c);
+    const int claimed = c->had_pose ? sf_i_reclaim(c, SF_RQ_CLAIM_POSE, 0, now) : sf_claim_pose(c);
     if (claimed != SF_OK) return claimed;
   }
   sf_latch_write(c->slot_memory + SF_SLOT_POSE, sizeof post, &post);
@@ -2328,7 +2328,7 @@ static inline int sf_push_range(sf_client *c, int channel, int64_t t_ns, double 
   if (t_ns == SF_NOW) t_ns = now;
   if (t_ns > now + SF_RANGE_FUTURE_NS || t_ns < now - SF_RANGE_OLDEST_NS) return SF_ERR_RANGE_TIME;
   if ((c->ranges_held >> channel & 1) == 0) {
-    const int claimed = c->had_ranges >> channel & 1 ? sf_i_claim_again(c, SF_RQ_CLAIM_RANGE, channel, now)
+    const int claimed = c->had_ranges >> channel & 1 ? sf_i_reclaim(c, SF_RQ_CLAIM_RANGE, channel, now)
                                                      : sf_claim_range(c, channel);
     if (claimed != SF_OK) return claimed;
   }
@@ -2472,7 +2472,7 @@ static inline int sf_i_claim_world(sf_client *c) {
 /*
  * Give the simulated sensor the true pose of the tool, where reports are noisy or late: `pose` as in sf_ee_pos,
  * true at `t_ns`; `velocity` m/s and rad/s, world axes, NULL: at rest. The service itself never reads it.
- * Without it the simulated sensor rides on the reported poses, whose errors then cancel. The first call makes
+ * Without it the simulated sensor takes its pose from the reports, whose errors then cancel. The first call makes
  * the block NAME.world; sf_detach removes it.
  * SF_OK, SF_ERR_POSE, _OBSERVER, _WORLD_HELD (a simulated robot or another client writes it), _LAYOUT, _SYSTEM, ...
  */
@@ -2583,7 +2583,7 @@ typedef struct sf_status_info {
   sf_map_status map;          /* state of the map thread */
 } sf_status_info;
 
-/* Ask how the service is doing; works on a dead one too. SF_OK or SF_ERR_ARGUMENT. */
+/* Ask how the service is doing; also works on a service that has ended. SF_OK or SF_ERR_ARGUMENT. */
 static inline int sf_status(sf_client *c, sf_status_info *s) {
   if (c == NULL || c->output == NULL || s == NULL) return SF_ERR_ARGUMENT;
   sf_alive(c); /* which follows it to a new start */

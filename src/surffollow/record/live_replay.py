@@ -16,7 +16,7 @@ import numpy as np
 
 from surffollow.client import Client, attach
 from surffollow.errors import PoseError, ServiceError
-from surffollow.record.recorded_inputs import Playback, load_playback
+from surffollow.record.recorded_inputs import RecordedInputs, load_recorded_inputs
 from surffollow.record.replay_service import (
     LEAD_NS,
     SETTLE_NS,
@@ -68,11 +68,11 @@ def play_live(
     RecordingError  the file is damaged or holds no conversions
     ServiceError    the service did not start, or died
     """
-    playback = load_playback(path)
+    inputs = load_recorded_inputs(path)
     report = LiveReport(name=name or f"replay-{os.getpid()}")
     stop = stop or threading.Event()
     with tempfile.TemporaryDirectory(prefix="surffollow-") as folder:
-        config = write_inputs(playback, Path(folder), playback.period_ns)
+        config = write_inputs(inputs, Path(folder), inputs.period_ns)
         with running_service(config, report.name) as child:
             log = ServiceLog(report.name)
             try:
@@ -80,8 +80,8 @@ def play_live(
             finally:
                 log.close()
             with attach(report.name, label="replay --live") as client:
-                shift_ns = begin + LEAD_NS - playback.first_ns
-                _play(playback, client, shift_ns, report, stop, child, progress)
+                shift_ns = begin + LEAD_NS - inputs.first_ns
+                _play(inputs, client, shift_ns, report, stop, child, progress)
                 status = client.status()
     # the mark of the beginning is not part of the recording
     report.conversions, report.cycles = max(0, status["conversions"] - 1), status["cycles"]
@@ -90,7 +90,7 @@ def play_live(
 
 
 def _play(
-    p: Playback,
+    p: RecordedInputs,
     client: Client,
     shift_ns: int,
     report: LiveReport,

@@ -1,4 +1,4 @@
-"""Take a recording apart into what reached the service: conversions, poses, resets, parameters."""
+"""The inputs of a recorded service: conversions, poses, resets, parameters."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def take_inputs(
 
 
 @dataclass
-class Playback:
+class RecordedInputs:
     """The inputs of a recording on one time line; segments follow each other without their real gaps.
 
     Attributes
@@ -114,7 +114,7 @@ class Playback:
     resets: list[tuple[int, float]] = field(default_factory=list)
 
 
-def load_playback(path: str | Path) -> Playback:
+def load_recorded_inputs(path: str | Path) -> RecordedInputs:
     """Read the inputs of a recording.
 
     Raises
@@ -139,7 +139,7 @@ def load_playback(path: str | Path) -> Playback:
     poses, events = np.zeros((counts[1], POSE_COLUMNS), np.int64), np.zeros((counts[2], 2), np.int64)
     at_out = np.zeros(3, np.int64)
     first_ns = int(runs[0][1])
-    out: Playback | None = None
+    out: RecordedInputs | None = None
     now: dict[str, float] = {}
     end_ns = first_ns
     for words in runs:
@@ -148,7 +148,7 @@ def load_playback(path: str | Path) -> Playback:
         event = int(at_out[2])
         take_inputs(words, shift_ns, t_ns, conversion, poses, events, at_out)
         if out is None:
-            out = Playback(
+            out = RecordedInputs(
                 first_ns,
                 first_ns,
                 t_ns,
@@ -170,7 +170,7 @@ def load_playback(path: str | Path) -> Playback:
 
 
 def _take_event(
-    out: Playback, words: NDArray[np.int64], row: NDArray[np.int64], now: dict[str, float]
+    out: RecordedInputs, words: NDArray[np.int64], row: NDArray[np.int64], now: dict[str, float]
 ) -> dict[str, float]:
     t_ns, at = int(row[0]), int(row[1])
     kind = int(entry_kind(words[at]))

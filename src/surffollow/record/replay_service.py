@@ -19,7 +19,7 @@ from surffollow.errors import FaultError, ServiceError
 from surffollow.forecast.journal import CYCLE, CYCLE_HEAD, entry_kind, entry_words
 from surffollow.hw.driver import DriverInfo
 from surffollow.hw.replayed import save_conversions
-from surffollow.record.recorded_inputs import Playback
+from surffollow.record.recorded_inputs import RecordedInputs
 from surffollow.record.service_log import ServiceLog
 from surffollow.service.terminate_child import end_child
 from surffollow.shm.conversion import FLAG_INVALID, conversion_dt_ns, pack_conversion
@@ -33,7 +33,7 @@ LEAD_NS = 3_000_000_000
 SETTLE_NS = 200_000_000
 
 
-def driver_info(p: Playback) -> DriverInfo:
+def driver_info(p: RecordedInputs) -> DriverInfo:
     """The driver that the recording was made with, as far as the service knew it."""
     r = p.params[0]
     mounts = r["tool_from_sensor"].reshape(CHANNELS, 7)
@@ -51,7 +51,7 @@ def driver_info(p: Playback) -> DriverInfo:
     )
 
 
-def write_inputs(p: Playback, folder: Path, period_ns: int) -> Path:
+def write_inputs(p: RecordedInputs, folder: Path, period_ns: int) -> Path:
     """Write the replay driver's file and the service's configuration; the path of the latter."""
     mark = pack_conversion(0, 0, FLAG_INVALID, 0)
     t_ns = np.concatenate(([p.first_ns - LEAD_NS], np.maximum(p.conversion_t_ns, p.first_ns - LEAD_NS + 1)))

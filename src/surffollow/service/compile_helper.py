@@ -122,9 +122,9 @@ def main(parent: int, with_sensors: bool = False) -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:  # it died before the line above
         return
-    with open(Path(cache_directory(), ".side_compile"), "a") as turn:
+    with open(Path(cache_directory(), ".compile_helper"), "a") as lock_file:
         with contextlib.suppress(OSError):
-            fcntl.flock(turn, fcntl.LOCK_EX)
+            fcntl.flock(lock_file, fcntl.LOCK_EX)
         compile_map()
         if with_sensors:
             simulated.warm_up()

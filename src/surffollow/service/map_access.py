@@ -1,4 +1,4 @@
-"""Exclusive access to the map: the four-step flag, its lease and its fence."""
+"""Exclusive access to the map: request, grant, release, time limit, refusal of a holder beyond its limit."""
 
 from __future__ import annotations
 

@@ -36,21 +36,18 @@ class MapMemory(NamedTuple):
     quantum_m: float  # of the configuration: every MapReset goes back to it
 
 
-# slot of the request under way (-1: none, -2: recovery after a cut-off), its code, counter and
-# claim; the claim of the access holder and when it was granted; the holder before;
-# the piece of an installation that is to come, and when the installation began; what is still queued
-# of what came while the last holder had the map
+# indices in `job`
 (
-    JOB_SLOT,
-    JOB_CODE,
-    JOB_COUNTER,
-    JOB_CLAIM,
-    HOLDER_CLAIM,
-    GRANTED_NS,
-    LAST_HOLDER,
-    JOB_PIECE,
-    JOB_BEGAN_NS,
-    WAITING_ITEMS,
+    JOB_SLOT,  # slot of the request under way; -1: none, -2: recovery after a cut-off
+    JOB_CODE,  # code of that request
+    JOB_COUNTER,  # counter of that request
+    JOB_CLAIM,  # claim of the client that sent it
+    HOLDER_CLAIM,  # claim of the client that has exclusive access
+    GRANTED_NS,  # when the access was granted
+    LAST_HOLDER,  # slot of the last client that had access
+    JOB_PIECE,  # number of the next piece of an installation
+    JOB_BEGAN_NS,  # when the installation began
+    WAITING_ITEMS,  # samples still queued of those that came during the last access
 ) = range(10)
 JOB_WORDS = 16
 

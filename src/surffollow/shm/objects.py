@@ -97,11 +97,13 @@ class SharedObject:
     def open(
         cls, name: str, *, writable: bool = False, owners: Collection[int] | None = None
     ) -> SharedObject:
-        """Map an object that exists, of a trusted user alone: its owner can cut it, and end who reads it.
+        """Map an object that exists and belongs to a trusted user.
+
+        An object of another user is refused: its owner can truncate it, which kills readers with SIGBUS.
 
         Parameters
         ----------
-        owners : users   whose it may be; None or empty: `config.owner.trusted_owners()`
+        owners : users   whose it may be; None or empty: `config.trusted_users.trusted_owners()`
 
         Raises
         ------

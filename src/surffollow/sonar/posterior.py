@@ -1,7 +1,7 @@
 """Wall pose from all readings that see one wall: posterior over φ, refined by least squares.
 
-Every echo bounds φ to its beam, every silent or farther sonar excludes the normals that it would have
-answered, and the ranges weigh what remains. With few echoes the bounds say more than the ranges: the
+Every echo bounds φ to its beam, every silent or farther sonar excludes the normals that would have
+produced an echo, and the ranges weigh what remains. With few echoes the bounds say more than the ranges: the
 posterior mean is the estimate. With many the likelihood is narrow and least squares are exact.
 """
 

@@ -30,7 +30,7 @@ GRAZING_RAD = math.radians(
 
 
 @jit
-def certain_wall(
+def wall_by_least_squares(
     readings: Any, n: Any, found: Any, candidates: Any, points: Any, free: Any, verdicts: Any, wall: Any
 ) -> Any:
     """The best of the candidates that least squares make certain, fused with its inliers.
@@ -78,12 +78,12 @@ def certain_wall(
 
 
 @jit
-def vague_wall(
+def wall_by_covariance_gate(
     readings: Any, n: Any, found: Any, candidates: Any, points: Any, free: Any, verdicts: Any, wall: Any
 ) -> Any:
     """The best candidate with the readings that its own covariance lets in, fused; else its pair alone.
 
-    Parameters and result as `certain_wall`; less than 2 for no wall.
+    Parameters and result as `wall_by_least_squares`; less than 2 for no wall.
     """
     bounded = found[MAX_SOLUTIONS]
     for _ in range(min(n, MAX_FUSED)):
@@ -159,9 +159,9 @@ def best_wall(
                 continue
             candidates[0], n = candidates[n - 1], 1
         if search == 1:
-            taken = certain_wall(readings, n, found, candidates, points, free, verdicts, wall)
+            taken = wall_by_least_squares(readings, n, found, candidates, points, free, verdicts, wall)
         else:
-            taken = vague_wall(readings, n, found, candidates, points, free, verdicts, wall)
+            taken = wall_by_covariance_gate(readings, n, found, candidates, points, free, verdicts, wall)
         if not grazing:
             return taken
         if search == 0 and taken >= 2:

@@ -36,8 +36,9 @@ class SimulatedConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     adc_noise_counts : standard deviation of the converter's own noise
     led : the sensors
     world : the ground, the same as the robot's
-    pose : what the sensors ride on: "world": the true pose of the block NAME.world; "reported": the poses
-        that clients report; "auto": the world block while it has a writer, else the reports
+    pose : what the sensors take their pose from: "world": the true pose of the block NAME.world;
+        "reported": the poses that clients report; "auto": the world block while it has a writer, else the
+        reports
     """
 
     channels: int = 1

@@ -1,9 +1,9 @@
 """The simulated driver: LED sensors over a known ground, read through a free-running A/D converter.
 
-Its sensors ride on the true pose, which a simulator of a robot publishes in the block NAME.world, or, where
-it has no writer, on the poses that are reported to the service. A watcher thread keeps the block mapped and
-chooses; the thread, a nogil kernel, learns of another mapping through a control word and says which one it
-uses, so that no page is given up under it.
+Its sensors take their pose from the block NAME.world, in which a simulator of a robot publishes the true
+pose, or, where that has no writer, from the poses that are reported to the service. A watcher thread keeps
+the block mapped and chooses; the thread, a nogil kernel, learns of another mapping through a control word and
+says which one it uses, so that no page is given up under it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ NOTHING_REPORTED = (
     "true one (client.sim_pose) or start a simulated robot (surffollow simulate)"
 )
 REPORTED_POSES_NOTE = (
-    "the simulated sensor rides on the reported poses, so errors of the reports cancel; publish the true "
+    "the simulated sensor takes its pose from the reports, so errors of the reports cancel; publish the true "
     "pose (client.sim_pose) to have them count"
 )
 

@@ -1,4 +1,4 @@
-"""Timestamps of a sensor with a rhythm of its own, from arrivals that the machine delays now and then.
+"""Timestamps of a sensor with a regular period, from arrivals that the machine delays now and then.
 
 The time at which a read returns, less the bytes' time on the line, is never before the frame truly began,
 but may be milliseconds late on a busy machine: the kernel hands input over in a thread of normal priority.
@@ -11,11 +11,11 @@ import statistics
 from collections import deque
 from collections.abc import Sequence
 
-LEARNED = 32  # increments before a rhythm is confirmed
+MIN_INCREMENTS = 32  # before a period is identified
 WINDOW = 64  # frames in which one, at least, is taken to have come without delay
 REGULAR = 0.15  # of the period: median deviation of a regular sensor's increments
 PAUSE = 3.0  # periods without an explanation: the sensor paused; shorter ones show in a window
-MAX_PAUSES = 8  # in a window; more is no rhythm
+MAX_PAUSES = 8  # in a window; with more there is no regular period
 PERIODS = 256  # over which the period is measured
 
 
@@ -27,7 +27,7 @@ class ArrivalClock:
 
     def restart(self) -> None:
         """Forget everything: the line was opened anew, or input was rejected."""
-        self.period_ns = 0.0  # 0: no rhythm
+        self.period_ns = 0.0  # 0: not identified
         self._last_ns = 0.0
         self._arrived_ns = 0
         self._increments: deque[int] = deque(maxlen=WINDOW)
@@ -59,9 +59,9 @@ class ArrivalClock:
         self._stamps.extend(out)
         self._last_ns = out[-1]
         self._seen += len(out)
-        if self._seen >= LEARNED // 2:
+        if self._seen >= MIN_INCREMENTS // 2:
             self._seen = 0
-            self._learn()
+            self._identify_period()
         return [round(t) for t in out]
 
     def _regularised(self, arrivals_ns: Sequence[int]) -> list[float]:
@@ -75,7 +75,7 @@ class ArrivalClock:
         self._late.append(late)
         shift = 0.0
         if len(self._late) == WINDOW and (shift := max(0.0, min(self._late))) > 0.0:
-            self._late.clear()  # none of them came sooner: the rhythm is behind
+            self._late.clear()  # none of them came sooner: the timestamps are too early
         first = self._last_ns + shift
         out = [first + (k + 1) * period for k in range(n)]
         early = max(t - a for t, a in zip(out, arrivals_ns))
@@ -92,8 +92,8 @@ class ArrivalClock:
         last = min(range(len(late) - third, len(late)), key=late.__getitem__)
         return (arrived[last] - arrived[first]) / (last - first)
 
-    def _learn(self) -> None:
-        """Look for a rhythm, or measure the one that there is."""
+    def _identify_period(self) -> None:
+        """Identify the period, or measure the one that was identified."""
         if self.period_ns:
             if self._pauses > MAX_PAUSES:
                 self.restart()
@@ -101,7 +101,7 @@ class ArrivalClock:
                 self.period_ns = (self._stamps[-1] - self._stamps[0]) / (len(self._stamps) - 1)
             self._pauses = max(0, self._pauses - 1)
             return
-        if len(self._increments) < LEARNED:
+        if len(self._increments) < MIN_INCREMENTS:
             return
         usual = statistics.median(self._increments)
         if statistics.median(abs(i - usual) for i in self._increments) < REGULAR * usual:

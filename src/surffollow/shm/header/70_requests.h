@@ -130,7 +130,7 @@ static inline void sf_i_hold(sf_client *c, int64_t code, int64_t channel) {
  * at a time: the answer to any claim under way is taken before another one is sent.
  * SF_OK, SF_ERR_NOT_RUNNING: not there yet, SF_REFUSED_...
  */
-static inline int sf_i_claim_again(sf_client *c, int64_t code, int64_t channel, int64_t now_ns) {
+static inline int sf_i_reclaim(sf_client *c, int64_t code, int64_t channel, int64_t now_ns) {
   sf_i_claiming *under_way = &c->claiming;
   sf_ticket ticket;
   if (c->slot_memory == NULL || under_way->claim != c->claim) under_way->counter = 0;
@@ -247,7 +247,7 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   if (post.t_ns > now + SF_POSE_FUTURE_NS) return SF_ERR_POSE_FUTURE;
   if (post.t_ns < now - c->pose_timeout_ns) return SF_ERR_POSE_OLD;
   if (!c->pose_held) {
-    const int claimed = c->had_pose ? sf_i_claim_again(c, SF_RQ_CLAIM_POSE, 0, now) : sf_claim_pose(c);
+    const int claimed = c->had_pose ? sf_i_reclaim(c, SF_RQ_CLAIM_POSE, 0, now) : sf_claim_pose(c);
     if (claimed != SF_OK) return claimed;
   }
   sf_latch_write(c->slot_memory + SF_SLOT_POSE, sizeof post, &post);

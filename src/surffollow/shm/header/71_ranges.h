@@ -51,7 +51,7 @@ static inline int sf_push_range(sf_client *c, int channel, int64_t t_ns, double 
   if (t_ns == SF_NOW) t_ns = now;
   if (t_ns > now + SF_RANGE_FUTURE_NS || t_ns < now - SF_RANGE_OLDEST_NS) return SF_ERR_RANGE_TIME;
   if ((c->ranges_held >> channel & 1) == 0) {
-    const int claimed = c->had_ranges >> channel & 1 ? sf_i_claim_again(c, SF_RQ_CLAIM_RANGE, channel, now)
+    const int claimed = c->had_ranges >> channel & 1 ? sf_i_reclaim(c, SF_RQ_CLAIM_RANGE, channel, now)
                                                      : sf_claim_range(c, channel);
     if (claimed != SF_OK) return claimed;
   }

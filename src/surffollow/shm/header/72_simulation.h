@@ -121,7 +121,7 @@ static inline int sf_i_claim_world(sf_client *c) {
 /*
  * Give the simulated sensor the true pose of the tool, where reports are noisy or late: `pose` as in sf_ee_pos,
  * true at `t_ns`; `velocity` m/s and rad/s, world axes, NULL: at rest. The service itself never reads it.
- * Without it the simulated sensor rides on the reported poses, whose errors then cancel. The first call makes
+ * Without it the simulated sensor takes its pose from the reports, whose errors then cancel. The first call makes
  * the block NAME.world; sf_detach removes it.
  * SF_OK, SF_ERR_POSE, _OBSERVER, _WORLD_HELD (a simulated robot or another client writes it), _LAYOUT, _SYSTEM, ...
  */

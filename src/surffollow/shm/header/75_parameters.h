@@ -78,7 +78,7 @@ typedef struct sf_status_info {
   sf_map_status map;          /* state of the map thread */
 } sf_status_info;
 
-/* Ask how the service is doing; works on a dead one too. SF_OK or SF_ERR_ARGUMENT. */
+/* Ask how the service is doing; also works on a service that has ended. SF_OK or SF_ERR_ARGUMENT. */
 static inline int sf_status(sf_client *c, sf_status_info *s) {
   if (c == NULL || c->output == NULL || s == NULL) return SF_ERR_ARGUMENT;
   sf_alive(c); /* which follows it to a new start */
