@@ -322,7 +322,7 @@ def _end(access) -> None:
         return
 
 
-def test_requests_come_between_the_leases_of_a_greedy_client() -> None:
+def test_requests_come_between_the_leases_of_a_client_that_renews_at_once() -> None:
     """A client that takes the map again when its lease ends waits for the queued work."""
     # GIVEN a client that holds the map, and samples that wait
     lease_ns, queued, slot = 1000, 10_000, 2
