@@ -64,15 +64,17 @@ def test_decisions_keep_their_words(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_docstrings_that_begin_with_a_question_word_are_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # GIVEN modules whose docstrings begin with a question word, one of them in an unchecked folder
+    # GIVEN modules whose docstrings begin with a question word
     for name in ("src/a.py", "tests/forecast/b.py"):
         (tmp_path / name).parent.mkdir(parents=True)
         (tmp_path / name).write_text(
             '"""What a client may do."""\n\n\ndef f():\n    """Whatever is left."""\n'
         )
     monkeypatch.setattr(check_prose, "ROOT", tmp_path)
-    # THEN those of the checked folder are found, with their lines
+    # THEN all of them are found, with their lines
     assert [line.partition(": ")[0] for line in check_prose.docstring_faults()] == [
         "src/a.py:1",
         "src/a.py:4",
+        "tests/forecast/b.py:1",
+        "tests/forecast/b.py:4",
     ]
