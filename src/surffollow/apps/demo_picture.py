@@ -133,7 +133,7 @@ def _draw_section(ax: Any, trace: dict[str, Any], config: DemoConfig) -> None:
     ax.plot(t, trace["surface_m"] * 1e3, color=_INK, lw=0.9, label=f"ground {where}")
     ax.plot(t, trace["z_m"] * 1e3, color=_BLUE, lw=1.2, label="tool")
     ax.set(xlim=(t[0], t[-1]), ylabel="height [mm]")
-    ax.set_title("What the tool did over it", loc="left")
+    ax.set_title("Height of tool and ground", loc="left")
     ax.legend(loc="center right", framealpha=0.9)
 
 
