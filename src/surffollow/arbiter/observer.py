@@ -125,7 +125,7 @@ class ArbiterObserver(Closing):
         }
 
     def close(self) -> None:
-        """Let go of the board; what is called afterwards raises ClosedError."""
+        """Release the board; calls after it raise ClosedError."""
         self.board.close()
 
 

@@ -449,7 +449,7 @@ typedef struct sf_params {
   int64_t adapt; /* adaptive: 1: adapt; 0: index, weights, noise and terrain regression are frozen */
   int64_t hold_ns; /* [ns] adaptive: an unchanged reading counts as new after so long */
   double dropout_travel_m; /* [m] adaptive: travel without readings over which the slope decays */
-  double max_speed_mps; /* [m/s] adaptive: limit of the setpoint's speed, away from the surface */
+  double max_speed_mps; /* [m/s] adaptive: limit of the setpoint's speed */
   double max_accel_mps2; /* [m/s^2] adaptive: limit of the setpoint's acceleration */
   double max_jerk_mps3; /* [m/s^3] adaptive: limit of the setpoint's jerk */
   double toward_factor; /* adaptive: share of those limits at the approach and behind a fall */
@@ -532,7 +532,7 @@ typedef struct sf_output {
   double speed_mps; /* [m/s] lateral speed of the footprint */
   double delta_h_m; /* [m] forecast change of height */
   double error_m; /* [m] desired minus actual stand-off */
-  int64_t intervals; /* intervals opened since the reset */
+  int64_t intervals; /* paper: intervals opened since the reset; adaptive: samples in the estimate */
   int64_t health; /* adaptive: state of the ranging, see HEALTH_NAMES */
   int64_t faults; /* adaptive: latched fault bits */
   double sigma_m; /* [m] adaptive: uncertainty of the height */

@@ -36,7 +36,7 @@ _MAX_UNKNOWN = 3
 class Recorder:
     """Moves what a log gained into a recording; `poll` often enough that the log does not go once around.
 
-    A recording begins, and goes on after a loss, with a SNAPSHOT entry. Entries between
+    A SNAPSHOT entry begins a recording, and follows each loss. Entries between
     the loss and that snapshot are counted as lost, too.
 
     Parameters
