@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surffollow.follower import Follower
-from surffollow.forecast.estimation.estimate import INITIAL_SETTLING_NS, update_estimate
+from surffollow.forecast.estimation.estimate import INITIAL_SETTLING_NS, SETTLING_NS, update_estimate
 from surffollow.forecast.setpoint.setpoint_limits import ACCELERATION_RATIO, VELOCITY_RATIO, limit_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
@@ -42,6 +42,29 @@ def test_no_model_is_scored_during_the_initial_settling_time():
     assert a["weights"]["scored"] == 0
     a, _ = feed(np.zeros(samples + 4))
     assert a["weights"]["scored"] == 3
+
+
+def test_after_a_loss_no_model_is_scored_during_the_settling_time():
+    # GIVEN a follower that scores its models WHEN no sample came for longer than the loss time-out
+    before, _ = feed(np.zeros(100))
+    scored = int(before["weights"]["scored"])
+    start = 100 + int(default_params()["loss_timeout_ns"]) // (4 * MS) + 2
+    samples = SETTLING_NS // (4 * MS)
+    # THEN the index waits, and goes on afterwards
+    a, _ = feed(np.zeros(samples + 1), a=before.copy(), start=start)
+    assert a["weights"]["scored"] == scored
+    a, _ = feed(np.zeros(samples + 4), a=before.copy(), start=start)
+    assert a["weights"]["scored"] == scored + 3
+
+
+def test_models_are_scored_at_once_behind_a_confirmed_step():
+    # GIVEN level ground with a step up of 20 mm, which some samples confirm
+    level, _ = feed(np.zeros(200))
+    stepped, taken = feed(np.where(np.arange(200) < 100, 0.0, 0.02))
+    # THEN every sample that enters the estimate is scored, the first ones behind the step too
+    assert not taken.all()
+    missing = int(len(taken) - taken.sum())
+    assert stepped["weights"]["scored"] == level["weights"]["scored"] - missing
 
 
 def test_a_steady_fall_is_confirmed_while_it_continues():
