@@ -240,22 +240,22 @@ def test_a_fitted_wall_predicts_the_side_sonars_of_a_real_robot():
     log = np.load(path)
     headings, ranges = np.radians(log["angle_deg"].astype(float)), log["range_m"].astype(float)
     positions = 0.2 * np.column_stack([np.cos(headings), np.sin(headings)])
-    limit = math.radians(30)
+    incidence = math.radians(30)
     side = [16, 17, 18, 19, 20]  # US17 to US21
-    for held_out, limit in ((17, 0.042), (18, 0.042), (19, 0.092)):
+    for held_out, median_limit_m in ((17, 0.042), (18, 0.042), (19, 0.092)):
         others, errors = [s for s in side if s != held_out], []
         for row in ranges[::8]:
             r = np.where(row[others] >= 4.99, math.inf, row[others])
             found = walls(
                 positions[others], headings[others], r, ALPHA, 1, min_sensors=1, max_range_m=5.0,
-                sigma_m=0.05 * np.where(np.isfinite(r), np.maximum(r, 0.3), 5.0), max_incidence_rad=limit,
+                sigma_m=0.05 * np.where(np.isfinite(r), np.maximum(r, 0.3), 5.0), max_incidence_rad=incidence,
             )  # fmt: skip
             distances = [
-                range_of(positions[held_out], headings[held_out], ALPHA, limit, (w.phi_rad, w.distance_m))
+                range_of(positions[held_out], headings[held_out], ALPHA, incidence, (w.phi_rad, w.distance_m))
                 for w in found
             ]
             errors.append(abs(min([5.0, *distances]) - row[held_out]))
-        assert np.median(errors) < limit, f"US{held_out + 1}"
+        assert np.median(errors) < median_limit_m, f"US{held_out + 1}"
 
 
 def test_a_wall_that_a_silent_sonar_would_have_answered_is_refused():

@@ -158,10 +158,11 @@ class Board:
         return os.open(f"/proc/self/fd/{self.object.fd}", os.O_RDONLY | os.O_CLOEXEC)
 
     def remove(self) -> None:
-        """Take the name away; who has it mapped keeps it."""
+        """Take the name away, and close; who has it mapped keeps it."""
         self.set_state(al.STATE_ENDED)
         if self.object.is_current():
             unlink(self.object.name)
+        self.object.close()
 
 
 class CommandBlock:

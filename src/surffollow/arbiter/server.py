@@ -52,6 +52,7 @@ class Server:
         except BaseException:
             self._remove_objects()
             self._listener.close()
+            self._close_pipe()
             raise
         self.mem = m.make_memory()
         self._connections = ConnectionServer(
@@ -106,7 +107,9 @@ class Server:
         """Start the loop, announce READY, welcome clients until asked to stop, end cleanly."""
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGTERM, signal.SIGINT):
-                signal.signal(number, lambda *_: self.stop())
+                signal.signal(number, lambda *_: None)
+            # a handler of Python's runs between two bytecodes: a signal just before a wait would not end it
+            signal.set_wakeup_fd(self._waker, warn_on_full_buffer=False)
         self._start_resources()
         run_rounds(self.mem, 0)  # compiles, or loads what was compiled
         self._wake_loop()
@@ -130,7 +133,7 @@ class Server:
             self.stop()
 
     def stop(self) -> None:
-        """Ask `run` to end, from a signal handler or another thread."""
+        """Ask `run` to end, from another thread."""
         with contextlib.suppress(OSError):
             os.write(self._waker, b"x")
 
@@ -151,6 +154,11 @@ class Server:
         self._remove_objects()
         self._connections.close()
         self._listener.close()
+        if threading.current_thread() is threading.main_thread():
+            signal.set_wakeup_fd(-1)
+        self._close_pipe()
+
+    def _close_pipe(self) -> None:
         os.close(self._wake)
         os.close(self._waker)
 

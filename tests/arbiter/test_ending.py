@@ -1,0 +1,62 @@
+"""The arbiter's end: a signal ends it whichever thread receives it and whatever the main thread does."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+from arbiter.arbiter_process import CONFIG
+from running_service import WAIT_S, until
+from surffollow.arbiter.config import parse_config
+from surffollow.arbiter.server import Server
+from surffollow.errors import NoPermissionError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+TGKILL = {"x86_64": 234, "aarch64": 131}
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.skipif(platform.machine() not in TGKILL, reason="the number of tgkill is not known here")
+def test_a_signal_that_does_not_interrupt_the_wait_for_clients_ends_the_arbiter(make_arbiter, number):
+    """GIVEN a main thread that sleeps WHEN another thread receives the signal THEN the arbiter ends.
+
+    Python's handlers run in the main thread between bytecodes. A signal just before its wait has the
+    same effect as this one.
+    """
+    # GIVEN an arbiter without clients, whose main thread waits without a time limit
+    arbiter = make_arbiter().start()
+    pid = arbiter.process.pid
+    main = Path(f"/proc/{pid}/task/{pid}/wchan")
+    until(lambda: "poll" in main.read_text(), "wait for clients")
+    others = [int(p.name) for p in Path(f"/proc/{pid}/task").iterdir() if int(p.name) != pid]
+    # WHEN the signal goes to a thread that is not the main one
+    assert ctypes.CDLL(None).syscall(TGKILL[platform.machine()], pid, others[0], int(number)) == 0
+    # THEN it ends, and leaves nothing
+    assert arbiter.process.wait(timeout=WAIT_S) == 0
+    assert not list(Path("/dev/shm").glob(f"{arbiter.name}*"))
+
+
+def test_a_server_that_cannot_start_gives_its_descriptors_back(monkeypatch):
+    """GIVEN a start that fails WHEN it is tried again and again THEN no descriptor is kept."""
+    config = parse_config(tomllib.loads(CONFIG.replace("MORE_CLIENTS", "")) | {"name": f"e{os.getpid()}"})
+
+    def refuse(*_):
+        raise NoPermissionError("no")
+
+    monkeypatch.setattr("surffollow.arbiter.server.CommandBlock", refuse)
+    counts = set()
+    for _ in range(3):
+        with pytest.raises(NoPermissionError):
+            Server(config)
+        counts.add(len(os.listdir("/proc/self/fd")))
+    assert len(counts) == 1
