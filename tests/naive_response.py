@@ -55,8 +55,12 @@ class NaiveResponse:
         self.readings.append(range_m)
         self._observe_noise()
         self.number = min(max(r.MEAN_TAUS * self.tau_s / self.interval_s, r.MIN_MEAN), r.MAX_MEAN)
-        step_m = range_m - self.mean_m
         most_m = r.OUTLIER_SIGMAS * self.sigma_m
+        newest = [reading - self.mean_m for reading in self.readings[-3:]]
+        one_side = all(x > most_m for x in newest) or all(x < -most_m for x in newest)
+        if len(self.readings) > 3 and one_side:
+            self.mean_m = range_m
+        step_m = range_m - self.mean_m
         self.mean_m += math.copysign(min(abs(step_m), most_m), step_m) / self.number
         self.in_run += 1
         if self.number < self.in_run < r.RUN_SAMPLES:

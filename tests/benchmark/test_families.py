@@ -45,13 +45,16 @@ def test_the_default_follower_follows_at_every_scale(scale):
         standoff_m=standoff,
         unscored_m=0.1 * seconds * speed,
     )
-    profile = scaled_profile(ground, 3, seconds * speed, speed * 2e-3, **sizes)
-    scene = make_scene(profile, speed, 3, conditions)
-    plain = []
-    for gain in (0.3, 0.7, 1.3):
+    ratios = []
+    for seed in (3, 4, 5):
+        profile = scaled_profile(ground, seed, seconds * speed, speed * 2e-3, **sizes)
+        scene = make_scene(profile, speed, seed, conditions)
+        plain = []
+        for gain in (0.3, 0.7, 1.3):
+            s, w = scene.fresh()
+            run_jitted(P, (gain,), s, w)
+            plain.append(rms(scene, w))
         s, w = scene.fresh()
-        run_jitted(P, (gain,), s, w)
-        plain.append(rms(scene, w))
-    s, w = scene.fresh()
-    drive(factory_of("ours")(conditions), s, w)
-    assert rms(scene, w) < 1.2 * min(plain), (rms(scene, w), plain)
+        drive(factory_of("ours")(conditions), s, w)
+        ratios.append(rms(scene, w) / min(plain))
+    assert np.exp(np.mean(np.log(ratios))) < 1.2, ratios

@@ -232,7 +232,7 @@ def test_no_speed_is_measured_across_a_long_gap_of_reports():
 
     def report(t_ms, x):
         push_pose(sense, 10**12 + t_ms * MS, np.array([x, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]), 0)
-        update_kinematics(a["kinematics"], sense)
+        update_kinematics(default_params(), a["kinematics"], sense)
         return float(a["kinematics"]["speed_mps"]), float(a["kinematics"]["climb_mps"])
 
     for t in range(0, 200, 10):

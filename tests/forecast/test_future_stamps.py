@@ -76,6 +76,18 @@ def test_stamps_that_were_too_old_for_a_while_are_not_usual():
     assert set(fed(range(3000, 4000), stamps)) == {0}
 
 
+@pytest.mark.parametrize("rate", [0.0, 0.5])
+def test_stamps_that_stood_still_or_ran_slow_are_usual_again_when_they_are_right(rate):
+    """GIVEN a sensor clock that runs slow for a second WHEN it is right again THEN nothing is shifted."""
+    stamps = Sensor()
+    fed(range(2000), stamps)
+    for ms in range(2000, 3000, 4):
+        if ms % 10 == 0:
+            stamps.time.add(BEGIN + ms * MS)
+        stamps.correct(BEGIN + round((2000 + rate * (ms - 2000)) * MS))
+    assert set(fed(range(3010, 4000), stamps)) == {0}
+
+
 def test_the_first_stamps_are_taken_as_they_are():
     stamps = Sensor()
     assert stamps.correct(5) == 5

@@ -110,7 +110,8 @@ class FutureStamps:
         ahead_ns = lead_ns - self._lead_ns
         if self._leads < MIN_LEADS or ahead_ns <= margin_ns:
             self.shift_ns, self._waits_since = 0.0, -1
-            if self._leads < MIN_LEADS or ahead_ns >= -margin_ns:  # timestamps that are too old are not usual
+            # timestamps that stand still or run slow are not usual: right ones later would be called ahead
+            if self._leads < MIN_LEADS or ahead_ns >= -time.interval_ns:
                 self._learn(lead_ns)
             return t_ns
         if self.shift_ns != 0.0:

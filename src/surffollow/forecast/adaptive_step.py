@@ -180,7 +180,7 @@ def compute_demand(
     several = 1 if params.orient != 0 and params.n_channels >= 3 else 0
     if update_clock(clock, inputs.t_ns, pose_t_ns) != 0:
         reset_timestamps(adaptive)
-    update_kinematics(kinematics, sense)
+    update_kinematics(params, kinematics, sense)
     update_plant(params, adaptive, sense, 0 if params.adapt == 0 or params.run != RUN_NORMAL else 1)
     process_sample(params, adaptive, sense, fold, inputs, output, several, pose)
     if several == 0 and params.n_channels > 1:
@@ -221,6 +221,9 @@ def compute_demand(
     if stuck != 0:  # ground that is not seen may rise as steeply as it did before
         rise_mps = max(math.sqrt(estimate.slope_power), estimate.slope) * kinematics.speed_mps
         target = max(target, tool_z + rise_mps * adaptive.plant.tau_s)
+    if has_jumped(kinematics, clock.now_ns) != 0 and estimate.accepted_ns < kinematics.jump_ns:
+        release_setpoint(setpoint)  # it is a height in the frame before the jump
+        target = tool_z
     limit_setpoint(params, adaptive, clock.now_ns, target, tool_z)
     demand = setpoint.position_m - tool_z
     if not math.isfinite(demand + estimate.height_m + estimate.slope + estimate.sigma_m):

@@ -55,6 +55,7 @@ AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well repl
 INITIAL_SETTLING_NS, SETTLING_NS = 60_000_000, 150_000_000
 GAP_NS = 100_000_000  # a step after a longer gap, unusual for the sensor, needs no travel
 PLAUSIBLE_SLOPE = 0.2  # ground may change by so much of the travel since the sample before: sparse samples
+INITIAL_PLAUSIBLE_SLOPE = 1.0  # the same while the slope is not known
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
 SLOPE_POWER_LENGTH_M = 1.0  # over which the mean squared slope is taken
 
@@ -199,10 +200,13 @@ def update_estimate(
     propagate_bank(bank, travel)
     estimate.height_m = blend_height(adaptive)
     innovation = h_m - estimate.height_m
-    width = max(gate_width(params, gate), PLAUSIBLE_SLOPE * travel)
+    plausible = PLAUSIBLE_SLOPE * travel
+    if estimate.samples < INITIALISATION_SAMPLES:  # no slope is known: the travel since the last one counts
+        plausible = INITIAL_PLAUSIBLE_SLOPE * travel * ((t_ns - estimate.accepted_ns) * 1e-9 / dt)
+    width = max(gate_width(params, gate), plausible)
     update_travel(params, gate, travel)
     unconfirmed = gate.unconfirmed_m
-    sparse = width > gate_width(params, gate)  # the next sample is far away: each one counts
+    sparse = PLAUSIBLE_SLOPE * travel > gate_width(params, gate)  # the next one is far away: each counts
     if not sparse and needs_second_sample(adaptive, innovation, width) != 0:
         if adapt != 0 and estimate.samples > 1:
             update_scale(gate, innovation, width)  # frequent ones mean rough ground

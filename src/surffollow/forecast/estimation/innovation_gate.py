@@ -37,7 +37,10 @@ def hold_pending(params: Any, adaptive: Any, innovation_m: Any, travel_m: Any, g
     """
     gate, estimate = adaptive.gate, adaptive.estimate
     last_height = gate.kept_height_m[(gate.pending - 1) & (PENDING_HEIGHTS - 1)]
-    if gate.pending > 0 and abs(estimate.height_m + innovation_m - last_height) < gate_m:
+    further = estimate.height_m + innovation_m - last_height
+    # on ground of 45 degrees the outliers of a slow sensor go on in their direction by their travel
+    tolerance = gate_m + travel_m if further * innovation_m > 0.0 else gate_m
+    if gate.pending > 0 and abs(further) < tolerance:
         gate.pending += 1
         gate.pending_travel_m += travel_m
     else:

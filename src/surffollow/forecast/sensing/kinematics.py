@@ -13,7 +13,7 @@ SPEED_WINDOW_NS = 100_000_000  # over which the lateral velocity is taken: noise
 CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
 MAX_POSE_GAP_NS = 1_000_000_000  # a report older than the newest by this belongs to another motion
 MAX_EXTRAPOLATION_NS = 50_000_000  # a pose is extrapolated by its velocity no farther
-MAX_JUMP_M = 0.02  # lateral distance between two reports beyond the velocity: more is a jump of the frame …
+MAX_JUMP_M = 0.02  # distance between two reports beyond the velocity: more is a jump of the frame …
 MAX_JUMP_INTERVAL_NS = 100_000_000  # … when they are not farther apart in time
 MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
 
@@ -36,8 +36,11 @@ def oldest_pose_within(sense: Any, window_ns: Any, first_pose: Any) -> Any:
 
 
 @jit
-def note_jump(kinematics: Any, sense: Any) -> None:
-    """Note a jump of the reported position: no tool moves so far between two reports."""
+def note_jump(params: Any, kinematics: Any, sense: Any) -> None:
+    """Note a jump of the reported position: no tool moves so far between two reports.
+
+    A vertical jump is also more than the axis can change its way in that time: 2 · v_max · Δt.
+    """
     n = sense.pose_count
     last, previous = (n - 1) & (POSES - 1), (n - 2) & (POSES - 1)
     span_ns = sense.pose_t_ns[last] - sense.pose_t_ns[previous]
@@ -45,7 +48,9 @@ def note_jump(kinematics: Any, sense: Any) -> None:
         return
     dx = sense.pose[7 * last] - sense.pose[7 * previous] - kinematics.velocity_x_mps * span_ns * 1e-9
     dy = sense.pose[7 * last + 1] - sense.pose[7 * previous + 1] - kinematics.velocity_y_mps * span_ns * 1e-9
-    if dx * dx + dy * dy > MAX_JUMP_M * MAX_JUMP_M:
+    dz = sense.pose[7 * last + 2] - sense.pose[7 * previous + 2] - kinematics.climb_mps * span_ns * 1e-9
+    climbed = abs(dz) > max(MAX_JUMP_M, 2.0 * params.plant_v_max_mps * span_ns * 1e-9)
+    if climbed or dx * dx + dy * dy > MAX_JUMP_M * MAX_JUMP_M:
         kinematics.jump_pose, kinematics.jump_ns = n - 1, sense.pose_t_ns[last]
 
 
@@ -56,12 +61,12 @@ def has_jumped(kinematics: Any, now_ns: Any) -> Any:
 
 
 @jit
-def update_kinematics(kinematics: Any, sense: Any) -> None:
+def update_kinematics(params: Any, kinematics: Any, sense: Any) -> None:
     """Lateral and vertical velocity of the tool from its reports; 0 with a single report."""
     if kinematics.pose_count == sense.pose_count:
         return
     if kinematics.pose_count > 0:
-        note_jump(kinematics, sense)
+        note_jump(params, kinematics, sense)
     kinematics.pose_count = sense.pose_count
     last, jump = (sense.pose_count - 1) & (POSES - 1), kinematics.jump_pose
     first = oldest_pose_within(sense, SPEED_WINDOW_NS, jump)

@@ -86,10 +86,14 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
         response.mean_m = range_m
         _begin_run(response, t_ns, tool_z_m)
     response.t_ns = t_ns
+    least = min(range_m, response.recent_m[0], response.recent_m[1]) - response.mean_m
+    greatest = max(range_m, response.recent_m[0], response.recent_m[1]) - response.mean_m
     _observe_noise(response, range_m)
     interval = max(adaptive.prediction.interval_s, 1e-6)
     number = min(max(MEAN_TAUS * tau / interval, MIN_MEAN), MAX_MEAN)
     outlier = OUTLIER_SIGMAS * sigma
+    if response.samples > 3 and (least > outlier or greatest < -outlier):  # three in a row are no outliers
+        response.mean_m = range_m
     response.mean_m += min(max(range_m - response.mean_m, -outlier), outlier) / number
     response.run_samples += 1
     if number < response.run_samples < RUN_SAMPLES:  # its own mean is the better known one
