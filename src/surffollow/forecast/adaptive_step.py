@@ -79,7 +79,14 @@ from surffollow.shm.layout_follow import (
 
 @jit
 def distance_ahead(params: Any, adaptive: Any, pose: Any, pose_t_ns: Any) -> Any:
-    """Distance from the newest footprint to the point under the tool when the demand acts [m]."""
+    """Distance from the newest footprint to the point under the tool when the demand acts [m].
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState`
+    pose : (7,) float64  newest pose reported, x y z [m] and quaternion
+    pose_t_ns : int64    its timestamp
+    """
     kinematics, sample = adaptive.kinematics, adaptive.sample
     if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
         return 0.0
@@ -99,6 +106,17 @@ def target_of_blend(
 
     The models are blended when a sample, a pose or a controller period is new. In between the blend
     continues at the rate that the models predict.
+
+    Parameters
+    ----------
+    params, adaptive, inputs : records of `Params`, `AdaptiveState` (updated), `Inputs`
+    pose_t_ns : int64     timestamp of the newest pose
+    ahead_m : float64     distance from `distance_ahead` [m]; negative ones count as 0
+    standoff_m : float64  desired height of the tool above the ground [m]
+
+    Returns
+    -------
+    float64 [m], int64
     """
     clock, blend = adaptive.clock, adaptive.blend
     due = period_is_due(adaptive.controller, inputs.n_ranges, clock.now_ns)
@@ -113,7 +131,15 @@ def target_of_blend(
 def plan_period(
     params: Any, adaptive: Any, inputs: Any, pose_t_ns: Any, ahead_m: Any, standoff_m: Any
 ) -> None:
-    """Preview control of the controller period that begins."""
+    """Preview control of the controller period that begins.
+
+    Parameters
+    ----------
+    params, adaptive, inputs : records of `Params`, `AdaptiveState` (updated), `Inputs`
+    pose_t_ns : int64     timestamp of the newest pose
+    ahead_m : float64     distance from `distance_ahead` [m]
+    standoff_m : float64  desired height of the tool above the ground [m]
+    """
     clock, kinematics, controller = adaptive.clock, adaptive.kinematics, adaptive.controller
     lookahead = adaptive.lookahead
     leads = 1 if adaptive.sample.lead_m > MIN_LEAD_M else 0
@@ -138,6 +164,12 @@ def target_of_preview(params: Any, adaptive: Any, target_m: Any, standoff_m: Any
     """Setpoint before the limits: the filtered blend, and the plan by its share [m].
 
     A sensor that leads measures no ground under the tool: its buffered heights replace the blend.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (updated)
+    target_m : float64    blended setpoint [m]
+    standoff_m : float64  desired height of the tool above the ground [m]
     """
     preview = adaptive.preview
     if preview.sensed_periods >= 2:

@@ -111,6 +111,11 @@ def distance_since_reading(params: Any, paper: Any, sense: Any, t_ns: Any) -> An
     """Distance along the heading since the last reading, from the poses, plus one Interval_Size [m].
 
     The newest pose is extrapolated to `t_ns` by the last speed. Negative when the tool went back farther.
+
+    Parameters
+    ----------
+    params, paper, sense : records of `Params`, `PaperState`, `SenseState`
+    t_ns : int64  the cycle's time
     """
     slot = (sense.pose_count - 1) & (POSES - 1)
     dx, dy = sense.pose[7 * slot] - paper.reading_x_m, sense.pose[7 * slot + 1] - paper.reading_y_m

@@ -55,9 +55,13 @@ def axis_ground_point(params: Any, pose: Any) -> Any:
 
 @jit
 def standoff_height(params: Any, plane: Any, sense: Any, several: Any, pose: Any) -> Any:
-    """Wanted height of the tool above the ground point on its axis [m].
+    """Desired height of the tool above the ground point on its axis [m].
 
-    `pose` (7,) is scratch and holds the newest report afterwards.
+    Parameters
+    ----------
+    params, plane, sense : records of `Params`, `Plane`, `SenseState`
+    several : int        1: three or more sensors, and the tool is rotated to the surface normal
+    pose : (7,) float64  scratch; holds the newest report afterwards
     """
     newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
     for i in range(7):

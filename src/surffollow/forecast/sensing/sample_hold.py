@@ -21,6 +21,13 @@ def new_sample(params: Any, adaptive: Any, sense: Any, ranges_given: Any, channe
     Conversions of a held value are one sample with the timestamp of the first of them. An unchanged value is
     a new sample once `hold_ns` have passed.
 
+    Parameters
+    ----------
+    params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
+    ranges_given : int  > 0: ranges are given to the step, no conversions
+    channel : int
+    several : int       1: three or more sensors, and the tool is rotated to the surface normal
+
     Returns
     -------
     int64, float64 [m], int64 [ns]

@@ -46,7 +46,14 @@ def _first_probe(ix: Any, iy: Any) -> Any:
 
 @jit
 def store_height(memory: Any, x_m: Any, y_m: Any, height_m: Any, age: Any) -> None:
-    """Average a height into its cell at an age (> 0, growing) [ns]; coordinates too far away are ignored."""
+    """Average a height into its cell at an age (> 0, growing) [ns]; coordinates too far away are ignored.
+
+    Parameters
+    ----------
+    memory : (CELLS,) records of `MEMORY`  updated
+    x_m, y_m, height_m : float64  world frame [m]; a height that is not finite is ignored
+    age : int64                   time of the height [ns]
+    """
     if not (abs(x_m) < CELL_M * MAX_INDEX and abs(y_m) < CELL_M * MAX_INDEX and math.isfinite(height_m)):
         return
     ix, iy = math.floor(x_m / CELL_M + 0.5), math.floor(y_m / CELL_M + 0.5)
@@ -74,6 +81,12 @@ def read_height(memory: Any, x_m: Any, y_m: Any, before: Any) -> Any:
     """Mean height around a point, of heights older than age `before`; NaN when there are none.
 
     The nine cells around the point are weighted by their number of heights and their distance.
+
+    Parameters
+    ----------
+    memory : (CELLS,) records of `MEMORY`
+    x_m, y_m : float64  the point, world frame [m]
+    before : int64      only heights stored before this time [ns] count
     """
     if not (abs(x_m) < CELL_M * MAX_INDEX and abs(y_m) < CELL_M * MAX_INDEX):
         return math.nan
