@@ -193,7 +193,7 @@ def compute_demand(
     Parameters
     ----------
     params, adaptive, sense, fold, inputs, output : records of `Params`, `AdaptiveState`, `SenseState`,
-        `FoldBackState`, `Inputs`, `Output`, all in plain numbers (`reference_scales`)
+        `FoldBackState`, `Inputs`, `Output`, all dimensionless (`reference_scales`)
     pose : (7,) float64 scratch
 
     Notes

@@ -200,11 +200,11 @@ def demand_z(params: Any, state: Any, inputs: Any, output: Any, reading_z_m: Any
 def adaptive_cycle(
     params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, pose: Any, ready: Any
 ) -> Any:
-    """Demand, if a pose is `ready`, and report of the adaptive mode in plain numbers.
+    """Demand, if a pose is `ready`, and report of the adaptive mode in dimensionless numbers.
 
     Parameters
     ----------
-    params, adaptive, sense, fold, inputs, output : records in plain numbers (`reference_scales`)
+    params, adaptive, sense, fold, inputs, output : dimensionless records (`reference_scales`)
     pose : (7,) float64 scratch
     ready : int              0: no pose, or a stale one
 

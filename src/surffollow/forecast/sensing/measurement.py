@@ -82,7 +82,7 @@ def process_sample(
 
     Parameters
     ----------
-    params, adaptive, sense, fold, inputs, output : records in plain numbers (`reference_scales`)
+    params, adaptive, sense, fold, inputs, output : dimensionless records (`reference_scales`)
     several : int            1: three or more sensors and the tool is rotated to the surface normal
     pose : (7,) float64      scratch: the pose at the sample's time
     """

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.forecast.reference_scales import plain_time
+from surffollow.forecast.reference_scales import dimensionless_time
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import MAX_PREVIEW, POSES
 
@@ -122,7 +122,7 @@ def read_preview(memory: Any, state: Any, inputs: Any) -> None:
 
     Notes
     -----
-    Heights of the last second belong to the present pass and are not used. Cells are plain numbers.
+    Heights of the last second belong to the present pass and are not used. Cells are dimensionless.
     """
     i, adaptive, sense, d = inputs[0], state[0].adaptive, state[0].sense, state[0].scaled
     kinematics, sample = adaptive.kinematics, adaptive.sample
@@ -134,7 +134,7 @@ def read_preview(memory: Any, state: Any, inputs: Any) -> None:
     x, y = sense.pose[tool] / d.length + sample.tip_x_m, sense.pose[tool + 1] / d.length + sample.tip_y_m
     first = -BEHIND_S * v - 2.0 * CELL_M
     step = max(CELL_M, (AHEAD_S * v + 2.0 * CELL_M - first) / (MAX_PREVIEW - 1))
-    before = max(plain_time(d, i.t_ns), adaptive.clock.now_ns) - CURRENT_PASS_NS
+    before = max(dimensionless_time(d, i.t_ns), adaptive.clock.now_ns) - CURRENT_PASS_NS
     known = 0
     for k in range(MAX_PREVIEW):
         travel = first + step * k
