@@ -209,13 +209,13 @@ def compute_demand(
     controller, setpoint = adaptive.controller, adaptive.setpoint
     newest = (sense.pose_count - 1) & (POSES - 1)
     pose_t_ns, tool_z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
-    several = 1 if params.orient != 0 and params.n_channels >= 3 else 0
+    orients = 1 if params.orient != 0 and params.n_channels >= 3 else 0
     if update_clock(clock, inputs.t_ns, pose_t_ns) != 0:
         reset_timestamps(adaptive)
     update_kinematics(kinematics, sense)
     update_plant(params, adaptive, sense, 0 if params.adapt == 0 or params.run != RUN_NORMAL else 1)
-    process_sample(params, adaptive, sense, fold, inputs, output, several, pose)
-    if several == 0 and params.n_channels > 1:
+    process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
+    if orients == 0 and params.n_channels > 1:
         moving = 1 if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS else 0
         observe_lookahead(params, adaptive, sense, moving, pose)
     stuck = min(is_stuck(health) + is_unresponsive(adaptive.response), 1)
@@ -239,7 +239,7 @@ def compute_demand(
         mark_dryrun(setpoint, 0)
         release_setpoint(setpoint)
         release_attitude(adaptive.attitude)
-    standoff = standoff_height(params, adaptive.plane, sense, several, pose)
+    standoff = standoff_height(params, adaptive.plane, sense, orients, pose)
     ahead = distance_ahead(params, adaptive, pose, pose_t_ns)
     observe_report(controller, sense.pose_count, clock.now_ns)
     target, due = target_of_blend(params, adaptive, inputs, pose_t_ns, ahead, standoff)
@@ -268,7 +268,7 @@ def compute_demand(
     output.demand[2] = limited
     if fold.close != 0:
         release_attitude(adaptive.attitude)  # away from the surface first, then rotate
-    elif several != 0 and adaptive.plane.count > 0:
+    elif orients != 0 and adaptive.plane.count > 0:
         demand_rotation(params, adaptive, sense, output)
     if controller.period_ns == clock.now_ns or controller.latch_pending != 0:
         record_own_setpoint(adaptive, tool_z + (limited if params.run == RUN_NORMAL else 0.0))
