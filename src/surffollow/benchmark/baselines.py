@@ -145,8 +145,8 @@ def on_sample(kind: int, p: NDArray[Any], buffers: Buffers, s: Any, w: World) ->
     if kind == LPF_GATE:
         update_low_pass(p, m, track, dt_s, x, h)
     elif kind == KALMAN_WAVE:
-        late_s = (s.ms - stamp) * STEP_S
-        ahead = max(lateral_speed(s, w) * (late_s + p[4]) - s.lead_m, 0.0)
+        delay_s = (s.ms - stamp) * STEP_S
+        ahead = max(lateral_speed(s, w) * (delay_s + p[4]) - s.lead_m, 0.0)
         update_waves(p, m, track, memory, x, h, ahead)
     elif kind == PREVIEW:
         _keep_reading(m, memory, update_kalman(p, m, track, x, h, 0.0), x, h)

@@ -123,11 +123,11 @@ def compare_map(adaptive: Any, inputs: Any, ahead_m: Any, h_m: Any) -> None:
     map_m = map_height(inputs, ahead_m)
     if not math.isfinite(map_m):
         return
-    behind, before = (
+    height_behind_m, height_ahead_m = (
         map_height(inputs, ahead_m - REGISTRATION_M),
         map_height(inputs, ahead_m + REGISTRATION_M),
     )
-    if compare_known_ground(adaptive, behind, map_m, before, h_m - preview.map_bias_m) != 0:
+    if compare_known_ground(adaptive, height_behind_m, map_m, height_ahead_m, h_m - preview.map_bias_m) != 0:
         withdraw_preview(preview)
         suspend_preview(preview, adaptive.clock.now_ns + CONTRADICTION_NS)
     e = h_m - map_m
