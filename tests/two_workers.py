@@ -47,7 +47,7 @@ LONG = (
     "tests/forecast/test_tilted_tool.py",
     "tests/benchmark/test_baselines.py",
     "tests/arbiter/test_tutorial.py",
-    "tests/apps/test_scan_guard.py",
+    "tests/apps/test_clearance_monitor.py",
     "tests/forecast/test_adaptive_terrain_regression.py",
     "tests/service/test_access.py",
     "tests/client/test_light_install.py",

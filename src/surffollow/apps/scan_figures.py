@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from surffollow.apps.scan_guard import INSIDE_M
+from surffollow.apps.clearance_monitor import INSIDE_M
 from surffollow.apps.scan_run import Executed
 from surffollow.scan.checks import Floats
 from surffollow.scan.clearance import control_points
