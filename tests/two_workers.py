@@ -16,6 +16,7 @@ LONG = (
     "tests/apps/test_field_demo.py",
     "tests/docs/test_loop_tutorials.py",
     "tests/service/test_housekeeping.py",
+    "tests/service/test_log_lines.py",
     "tests/examples/test_controllers.py",
     "tests/apps/test_wall_following.py",
     "tests/apps/test_scan_run.py",
