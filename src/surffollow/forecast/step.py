@@ -98,8 +98,7 @@ def find_targets(params: Any, state: Any, output: Any, pose: Any, interpolate: A
     Parameters
     ----------
     params, state, output : records of `Params`, `FollowState` (updated), `Output` (updated)
-    pose : (7,) float64  scratch
-    interpolate : int    as in `pose_at`
+    pose : (7,) float64 scratch, interpolate : int as in `pose_at`
     """
     sense = state.sense
     fresh, sensor_z = 0, 0.0
@@ -128,10 +127,6 @@ def clear_output(params: Any, state: Any, inputs: Any, output: Any) -> None:
     """Output of a cycle without a demand; distances are published as long as they are extrapolated.
 
     A reading that is not renewed stays valid until `loss_timeout_ns`.
-
-    Parameters
-    ----------
-    params, state, inputs, output : records of `Params`, `FollowState`, `Inputs`, `Output` (updated)
     """
     output.t_ns = inputs.t_ns
     output.cycle = state.cycle
@@ -225,15 +220,7 @@ def adaptive_cycle(
 def scaled_adaptive_cycle(params: Any, state: Any, inputs: Any, output: Any, pose: Any, ready: Any) -> Any:
     """`adaptive_cycle` behind the reference scales; where these are 1 nothing is copied.
 
-    Parameters
-    ----------
-    params, state, inputs, output : (1,) records of `Params`, `FollowState`, `Inputs`, `Output`
-    pose : (7,) float64  scratch
-    ready : int          0: no pose, or a stale one
-
-    Returns
-    -------
-    int  status bits
+    The arguments before `pose` are (1,) records in SI units; `ready` and the status bits as there.
     """
     s = state[0]
     d = s.scaled

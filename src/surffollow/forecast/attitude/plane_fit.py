@@ -92,14 +92,7 @@ def hold_slopes(plane: Any) -> None:
 
 @jit
 def update_slopes(plane: Any, ex: Any, ey: Any, dt: Any) -> None:
-    """Update slopes and rates with an innovation; the first planes have the full gain.
-
-    Parameters
-    ----------
-    plane : record of `Plane`  updated
-    ex, ey : float64           innovation of the slopes along x and y
-    dt : float64               time since the plane before [s], ≥ 0
-    """
+    """Update slopes and rates with an innovation; the first planes have the full gain."""
     share = min(2.2 * SLOPE_BANDWIDTH_RADPS * dt, 0.5)
     plane.slope_rate_x_hz += share * share / 4.84 * ex / dt if dt > 0.0 else 0.0
     plane.slope_rate_y_hz += share * share / 4.84 * ey / dt if dt > 0.0 else 0.0
