@@ -1,38 +1,30 @@
-"""Hostile numbers and descriptors, strangers at the door, floods, dead servers, a second start."""
+"""Hostile numbers and descriptors, strangers at the door, floods."""
 
 from __future__ import annotations
 
 import contextlib
 import math
-import os
 import signal
 import socket
-import struct
-import subprocess
-import sys
 import threading
 import time
 
 import pytest
 
 from arbiter.arbiter_process import CONFIG, ArbiterProcess, send_raw
+from arbiter.lingering import lingering
 from running_service import WAIT_S, until
 from second_user import OtherUser, needs_root
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import handshake as hs
 from surffollow.arbiter import layout as al
-from surffollow.arbiter.config import parse_config
 from surffollow.arbiter.connections import MAX_UNIDENTIFIED
 from surffollow.arbiter.exchange import HEAD
 from surffollow.errors import (
-    AlreadyRunningError,
-    ConfigError,
-    InvalidNameError,
     RefusedError,
     RequestTimeoutError,
     UsageError,
 )
-from surffollow.shm.name_lock import NameLock
 from surffollow.shm.received_descriptors import refuse_rights
 from surffollow.shm.unix_socket import new_socket
 
@@ -270,24 +262,6 @@ def test_silent_connections_of_one_user_are_bounded_and_end_by_themselves(summed
         one.close()
 
 
-def lingering():
-    """A TCP connection whose last close waits for 60 s."""
-    with socket.socket() as server:
-        server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        server.bind(("127.0.0.1", 0))
-        server.listen(1)
-        out = socket.socket()
-        out.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
-        out.connect(server.getsockname())
-        other, _ = server.accept()
-    out.setblocking(False)
-    with contextlib.suppress(BlockingIOError):
-        while True:
-            out.send(bytes(65536))
-    out.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 60))
-    return out, other
-
-
 @needs_root
 def test_a_descriptor_that_lingers_delays_no_client(summed):
     with new_socket() as probe:
@@ -346,83 +320,6 @@ def test_before_linux_6_16_no_client_that_is_admitted_holds_the_server_up_either
         for sender in senders:
             sender.close()
         server.purge()
-
-
-# -- starts and configurations ------------------------------------------------------------------------
-
-
-@needs_root
-def test_a_start_in_another_network_namespace_harms_no_server(make_arbiter):
-    server = make_arbiter().start()
-    words = ["unshare", "-n", sys.executable, "-m", "surffollow", "arbiter", "start", "--quiet"]
-    try:
-        done = subprocess.run(
-            [*words, "--name", server.name, str(server.path)], capture_output=True, text=True, timeout=120
-        )
-    except FileNotFoundError:
-        pytest.skip("no unshare on this machine")
-    if "unshare" in done.stderr:
-        pytest.skip(f"no network namespace here: {done.stderr.strip()}")
-    assert done.returncode == 1
-    assert f"process {server.process.pid}" in done.stderr
-    with attach(server.name, "go") as go, observe(server.name) as seen:
-        assert seen.alive()
-        assert go.resource("robot").request()
-    assert server.stop() == 0
-
-
-def test_a_name_that_a_live_process_owns_is_not_taken(tmp_path):
-    from surffollow.arbiter.server import Server
-
-    name = f"own{os.getpid()}"
-    own = NameLock.take(f"{name}.arbiter")
-    config = parse_config({"name": name, "clients": {"a": 1}, "resources": {"r": ONE}})
-    try:
-        with pytest.raises(AlreadyRunningError, match=f"process {os.getpid()}"):
-            Server(config)
-    finally:
-        own.release()
-
-
-ONE = {"command": ("x",), "safe": (0.0,)}
-
-
-@pytest.mark.parametrize(
-    ("resources", "combine", "why"),
-    [
-        ({"r": ONE | {"safe": (math.inf,)}}, {}, "must be finite"),
-        ({"r": ONE | {"safe": (math.nan,)}}, {}, "must be finite"),
-        ({"r": ONE}, {"s": {"parts": ("r", "r")}}, "names a resource twice"),
-        ({"r": ONE | {"command": ("a,b",)}}, {}, "is not allowed"),
-        ({"r": ONE | {"units": ("m,s",)}}, {}, "holds a comma"),
-        ({"r": ONE | {"units": ("m" * 300,)}}, {}, "more than 255"),
-        ({"r": ONE | {"command": ("x", "x"), "safe": (0.0, 0.0)}}, {}, "names a value twice"),
-        ({"r": ONE | {"status": "s" * 64}}, {}, "is not allowed"),
-        ({"r": ONE | {"status": "/../x y"}}, {}, "is not allowed"),
-        ({"r": ONE | {"ttl": "1.5 ms"}}, {}, "ttl is '1.5 ms', less than two periods"),
-        ({"r": ONE}, {"s": {"parts": ("r",), "low": (-1.0, -1.0)}}, "low holds 2 values; 1 are needed"),
-        ({"r": ONE, "q": ONE | {"command": ("y",)}}, {"s": {"parts": ("r", "q")}}, "the same command"),
-        ({"r": ONE, "q": ONE | {"units": ("m",)}}, {"s": {"parts": ("r", "q")}}, "the same units"),
-        ({"r.lock": ONE}, {}, "that is the lock of"),
-        ({"r": ONE}, {"s.map": {"parts": ("r",)}}, "that is the map of"),
-    ],
-)
-def test_what_would_mislead_is_no_configuration(resources, combine, why):
-    with pytest.raises((ConfigError, InvalidNameError), match=why):
-        parse_config({"clients": {"a": 1}, "resources": resources, "combine": combine})
-
-
-@pytest.mark.parametrize(
-    ("more", "why"),
-    [
-        ({"mode": "0666"}, "read it only"),
-        ({"mode": "0660"}, "read it only"),
-        ({"lease": "20 ms", "period": "15 ms"}, "lease is '20 ms', less than two periods"),
-    ],
-)
-def test_settings_that_would_let_others_command_or_no_client_hold_are_refused(more, why):
-    with pytest.raises(ConfigError, match=why):
-        parse_config({"clients": {"a": 1}, "resources": {"r": ONE}} | more)
 
 
 def test_a_refused_user_gets_the_reason_even_when_the_server_was_faster(summed):

@@ -153,8 +153,8 @@ def test_the_terrain_buffer_returns_stored_heights_and_nothing_else():
 def test_the_terrain_memory_averages_a_cell_and_keeps_the_last_pass_apart():
     memory = new_memory()
     second = 10**9
-    for age, h in ((1, 1.0), (2, 3.0)):
-        store_height(memory, 0.5, -0.25, h, age)
+    for t_ns, h in ((1, 1.0), (2, 3.0)):
+        store_height(memory, 0.5, -0.25, h, t_ns)
     assert read_height(memory, 0.5, -0.25, 100) == pytest.approx(2.0)
     assert math.isnan(read_height(memory, 0.5, -0.25, 1))
     assert math.isnan(read_height(memory, 0.6, -0.25, 100))

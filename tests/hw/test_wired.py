@@ -1,11 +1,10 @@
-"""Serial, IIO, CAN and UDP drivers: distances, stamps, faults, unplugging and plugging in again."""
+"""Serial and IIO drivers: distances, stamps, faults, unplugging and plugging in again."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import random
-import socket
 import struct
 import sys
 import time
@@ -15,32 +14,13 @@ from typing import Any
 
 import pytest
 
-from hw.wires import FRAME_FORMAT, LINE_FORMAT, WINDOW, FakeIio, Pty, datagrams, frame, line
-from running_service import unique_name, until
+from hw.wired_drivers import MS, made, ranges
+from hw.wires import FRAME_FORMAT, LINE_FORMAT, WINDOW, FakeIio, Pty, frame, line
+from running_service import until
 from surffollow.errors import ConfigError
-from surffollow.hw.driver import ConversionQueue, Driver
+from surffollow.hw.driver import ConversionQueue
 from surffollow.hw.polled import GARBLED, RUNNING, SILENT, STOPPED, WAITING
-from surffollow.hw.registry import make_driver
 from surffollow.hw.wire.iio_scan import Element
-from surffollow.shm.conversion import FLAG_INVALID, conversion_channel, conversion_counts, conversion_flags
-
-MS = 1_000_000
-
-
-def made(settings: dict, name: str = "x") -> Any:
-    """A driver with all that its kind has beyond the protocol."""
-    return make_driver(settings, name)
-
-
-def ranges(driver: Driver, queue: ConversionQueue) -> list[tuple[int, int, float | None]]:
-    """(time, channel, distance or None) of what was delivered since the last look."""
-    out = []
-    for t_ns, word in queue.drain().tolist():
-        c = conversion_channel(word)
-        bad = conversion_flags(word) & FLAG_INVALID
-        range_m = driver.info.zero_m[c] + driver.info.scale_m[c] * conversion_counts(word)
-        out.append((t_ns, c, None if bad else range_m))
-    return out
 
 
 @pytest.fixture
@@ -259,75 +239,6 @@ def test_an_iio_set_up_that_cannot_be_is_refused(adc: FakeIio) -> None:
         iio(adc)
 
 
-def test_can_messages_are_stamped_before_their_receive_time_and_others_are_ignored() -> None:
-    library = pytest.importorskip("can")
-    name = unique_name()
-    # distances in tenths of millimetres, two sensors
-    form = {"length": 4, "value": {"offset": 0, "type": "u16be"}, "unit": "0.1 mm"}
-    messages = [
-        {"id": 0x10, "format": form},
-        {"id": 0x18FF01, "extended": True, "channel": 1, "format": form},
-    ]
-    settings = {"kind": "can", "interface": "virtual", "bus": name, "messages": messages, "silence_s": 0.1}
-    # GIVEN a driver of two sensors on a bus
-    driver, queue = made({**settings, "bitrate": 50_000, **WINDOW}), ConversionQueue()
-    driver.start(queue)
-
-    def message(number: int, extended: bool, data: bytes) -> object:
-        return library.Message(arbitration_id=number, data=data, is_extended_id=extended)
-
-    try:
-        until(lambda: driver.state != WAITING, "the bus")
-        with library.Bus(channel=name, interface="virtual") as bus:
-            until(lambda: driver.state == SILENT, "silence told")
-            # WHEN their messages, another one's and a cut one arrive
-            before_ns = time.monotonic_ns()
-            bus.send(message(0x10, False, struct.pack(">HH", 1234, 0)))
-            bus.send(message(0x11, False, struct.pack(">HH", 1111, 0)))
-            bus.send(message(0x18FF01, True, struct.pack(">HH", 2345, 0)))
-            bus.send(message(0x10, False, b"\x01"))
-            until(lambda: len(queue) == 2 and driver._source.rejected == 1, "two distances, one rejected")
-            now_ns = time.monotonic_ns()
-        # THEN the two are distances, stamped with the begin of their frame
-        got = ranges(driver, queue)
-        assert [(c, r) for _, c, r in got] == [(0, pytest.approx(0.1234)), (1, pytest.approx(0.2345))]
-        frame_ns = round(1e9 * (47 + 32) / 50_000)
-        assert before_ns - frame_ns - MS <= got[0][0] <= now_ns - frame_ns + MS
-    finally:
-        driver.stop()
-
-
-def test_a_can_bus_that_fails_is_reported_and_joined_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    library = pytest.importorskip("can")
-    name = unique_name()
-    settings = {"kind": "can", "interface": "virtual", "bus": name, **WINDOW}
-    driver = made({**settings, "messages": [{"id": 1, "format": FRAME_FORMAT}]})
-    driver.start(ConversionQueue())
-    try:
-        # GIVEN a driver on a bus
-        until(lambda: driver.state != WAITING, "the bus")
-        # WHEN the bus fails, THEN that is told
-        with monkeypatch.context() as broken:
-
-            def fails(self: object, timeout: float) -> None:
-                raise library.CanOperationError("the adapter was pulled out")
-
-            broken.setattr("can.interfaces.virtual.VirtualBus._recv_internal", fails)
-            until(lambda: "pulled out" in " ".join(driver.faults()), "the fault")
-        # WHEN it works again, THEN distances come
-        with library.Bus(channel=name, interface="virtual") as bus:
-            data = frame(0.1)
-            until(
-                lambda: (
-                    bus.send(library.Message(arbitration_id=1, data=data, is_extended_id=False))
-                    or driver.state == RUNNING
-                ),
-                "recovery",
-            )
-    finally:
-        driver.stop()
-
-
 @pytest.mark.parametrize(
     ("bits", "signed", "dropped"),
     [(23, False, 0), (24, False, 1), (24, True, 0), (32, False, 9), (32, True, 8)],
@@ -341,84 +252,3 @@ def test_iio_numbers_keep_every_bit_that_a_conversion_has_room_for(
     for number in (least, -1 if signed else 1, 0, most):
         assert element.value(element.reader.pack(number), 0) == number
         assert -(1 << 23) <= number >> element.dropped < 1 << 23
-
-
-def test_datagrams_give_distances_in_order_and_count_what_is_missing() -> None:
-    form = {"length": 6, "value": {"offset": 2, "type": "f32le"}, "unit": "m"}
-    settings = {
-        "kind": "udp",
-        "port": 0,
-        "sender": "127.0.0.1",
-        "format": form,
-        "sequence": {"offset": 0},
-        "silence_s": 0.5,  # after it, what came since the last distance tells GARBLED from SILENT
-        **WINDOW,
-    }
-    driver, queue = made(settings), ConversionQueue()
-    source = driver._source
-    driver.start(queue)
-    send = datagrams(lambda: source.port)
-    try:
-        # GIVEN a driver of a sensor that numbers its datagrams
-        until(lambda: source.port != 0, "the socket")
-        # WHEN they come with gaps, out of order, and cut
-        for number, range_m in ((65535, 0.1), (0, 0.2), (3, 0.3), (2, 0.25), (4, 0.4)):
-            send(struct.pack("<Hf", number, range_m))
-        until(lambda: len(queue) == 4 and source.rejected == 1, "four distances")
-        send(b"short")
-        until(lambda: source.rejected == 2, "what is no datagram of this form")
-        # THEN the newer ones are distances, and those that are missing are counted
-        assert [r for _, _, r in ranges(driver, queue)] == pytest.approx([0.1, 0.2, 0.3, 0.4], abs=1e-6)
-        assert source.missing == 2
-        until(lambda: driver.state == GARBLED, "what came last told")
-    finally:
-        driver.stop()
-
-
-def test_only_the_named_sender_is_listened_to() -> None:
-    with contextlib.ExitStack() as stack:
-        sensor, stranger = (
-            stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2)
-        )
-        for one in (sensor, stranger):
-            one.bind(("127.0.0.1", 0))
-        reported = "{}:{}".format(*sensor.getsockname())
-        driver = made({"kind": "udp", "port": 0, "sender": reported, "format": LINE_FORMAT, **WINDOW})
-        source, queue = driver._source, ConversionQueue()
-        driver.start(queue)
-        try:
-            # GIVEN a driver that listens to one sender
-            until(lambda: source.port != 0, "the socket")
-            # WHEN a stranger sends too
-            stranger.sendto(line(0.07), ("127.0.0.1", source.port))
-            sensor.sendto(line(0.1), ("127.0.0.1", source.port))
-            until(lambda: len(queue) > 0, "a distance")
-            # THEN its datagram is rejected
-            assert source.rejected == 1
-            assert [r for _, _, r in ranges(driver, queue)] == pytest.approx([0.1], abs=1e-6)
-        finally:
-            driver.stop()
-
-
-@pytest.mark.parametrize("sender", ["", "127.0.0.1:0", "127.0.0.1:", "127.0.0.1:x"])
-def test_a_udp_sensor_without_a_sender_is_refused(sender: str) -> None:
-    with pytest.raises(ConfigError, match="sender"):
-        made({"kind": "udp", "port": 0, "sender": sender, "format": LINE_FORMAT, **WINDOW})
-
-
-def test_a_udp_port_in_use_is_reported_until_it_is_free() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-        # GIVEN a port in use, THEN that is told
-        other.bind(("127.0.0.1", 0))
-        port = other.getsockname()[1]
-        driver = made({"kind": "udp", "port": port, "sender": "any", "format": LINE_FORMAT, **WINDOW})
-        queue = ConversionQueue()
-        driver.start(queue)
-        until(lambda: "cannot listen there" in driver.faults()[0], "the fault")
-    try:
-        # WHEN it is free, THEN distances come
-        send = datagrams(lambda: port)
-        until(lambda: send(line(0.123)) or len(queue) > 0, "a distance")
-        assert ranges(driver, queue)[0][2] == pytest.approx(0.123)
-    finally:
-        driver.stop()

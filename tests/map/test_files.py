@@ -1,4 +1,4 @@
-"""Map files: lossless where promised, read by others, atomic, refused when damaged; composing, comparing."""
+"""Map files: lossless where promised, read by others, atomic, refused when damaged."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from map.sampled_maps import sampled
 from surffollow.cli.map import map_group
 from surffollow.errors import MapCancelledError, MapFileError, UsageError
 from surffollow.map import HeightMap
-from surffollow.map.compose import compose, difference
 from surffollow.map.files import EXPORTS, export
 from surffollow.map.formats.raster import read_esri_ascii
 
@@ -31,16 +31,6 @@ STATE = {
     "installs",
     "rejected",
 }
-
-
-def sampled(region=(-0.3, 0.2, 0.5, 0.6), grids=3000, seed=3, share=0.6, **kwargs):
-    rng = np.random.default_rng(seed)
-    m = HeightMap.over(region, grids=grids, **kwargs)
-    x0, y0, x1, y1 = m.extent_m
-    p = rng.uniform((x0, y0, 0), (x0 + share * (x1 - x0), y1, 0), (5 * grids, 3))
-    p[:, 2] = 1.5 + 0.01 * np.sin(9 * p[:, 0]) * np.cos(7 * p[:, 1]) + rng.normal(0, 2e-4, len(p))
-    m.add(p)
-    return m
 
 
 def same(one, other):
@@ -285,51 +275,6 @@ def test_reading_and_writing_text_loads_no_numba():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_halves_of_a_map_compose_to_the_whole_without_any_loss():
-    whole = sampled(share=1.0)
-    z, c = whole.heights_m, whole.counts
-    x0, y0 = whole.origin_m
-    k = whole.shape[1] // 2
-    parts = [
-        HeightMap.from_heights(
-            z[:, a:b], origin_m=(x0 + a * whole.grid_m, y0), grid_m=whole.grid_m, counts=c[:, a:b],
-            quantum_m=whole.quantum_m, datum_m=whole.datum_m,
-        )
-        for a, b in ((0, k), (k, whole.shape[1]))
-    ]  # fmt: skip
-    joined = compose(parts)
-    np.testing.assert_allclose(joined.heights_m, z, rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(joined.counts, c)
-    np.testing.assert_allclose(joined.extent_m, whole.extent_m, atol=1e-12)
-
-
-def test_composing_weighs_by_counts_at_differing_resolution():
-    fine = HeightMap.from_heights(
-        np.full((4, 4), 1.0), origin_m=(0, 0), grid_m=0.5, counts=np.full((4, 4), 10), quantum_m=1e-4
-    )
-    coarse = HeightMap.from_heights(
-        np.full((2, 2), 2.0), origin_m=(1, 0), grid_m=1.0, counts=np.full((2, 2), 120), quantum_m=1e-4
-    )
-    prior = HeightMap.from_heights(np.full((3, 6), 9.0), origin_m=(0, 0), grid_m=0.5, quantum_m=1e-3)
-    both = compose([fine, coarse, prior])
-    assert both.grid_m == 0.5
-    # a quarter of the coarse grid's 120 samples fell on each fine grid: (10·1 + 30·2)/40
-    assert both.height_at(1.25, 0.25) == pytest.approx(1.75, abs=1e-4)
-    assert both.counts[0].tolist() == [10, 10, 40, 40, 30, 30]
-    assert both.height_at(0.25, 0.25) == pytest.approx(1.0, abs=1e-4)
-    assert both.height_at(2.75, 1.75) == pytest.approx(2.0, abs=1e-4)
-    assert compose([fine, coarse], grids=4).shape in ((2, 2), (1, 3))
-
-
-def test_difference_is_taken_on_the_first_maps_grids():
-    one = HeightMap.from_heights(np.full((4, 4), 1.0), origin_m=(0, 0), grid_m=1.0)
-    other = HeightMap.from_heights(np.full((3, 20), 1.01), origin_m=(0, 1), grid_m=0.4)
-    d = difference(one, other)
-    assert d.shape == (4, 4)
-    assert np.isnan(d[0]).all()
-    np.testing.assert_allclose(d[1], 0.01, atol=5e-5)
-
-
 def test_map_commands_work_on_files(tmp_path):
     run = CliRunner()
     m = sampled()
@@ -359,22 +304,3 @@ def test_map_commands_work_on_files(tmp_path):
     both = str(tmp_path / "both.txt")
     assert run.invoke(map_group, ["compose", source, new, "-o", both]).exit_code == 0
     assert HeightMap.load(both).shape[0] > 10
-
-
-def test_grids_of_a_composed_map_are_at_most_those_asked_for(tmp_path):
-    run = CliRunner()
-    for name, x0 in (("a", 0.0), ("b", 0.5)):
-        heights = np.zeros((10, 10)) + x0
-        HeightMap.from_heights(heights, origin_m=(x0, 0.0), grid_m=0.05).save(tmp_path / f"{name}.txt")
-    files = [str(tmp_path / "a.txt"), str(tmp_path / "b.txt"), "-o", str(tmp_path / "whole.txt"), "--json"]
-    grids = {}
-    for asked in ([], ["--grids", "50"], ["--grids", "1000"]):
-        result = run.invoke(map_group, ["compose", *files, *asked])
-        assert result.exit_code == 0, result.output
-        facts = json.loads(result.output)
-        grids[" ".join(asked)] = facts["grids"], facts["grid_m"] > 0.0501
-    assert grids[""] == grids["--grids 1000"] == (200, False), "the finest map's grids where they fit"
-    assert grids["--grids 50"][0] <= 50
-    assert grids["--grids 50"][1]
-    reported = " ".join(run.invoke(map_group, ["compose", "--help"]).output.split())
-    assert "Most grids in the result: coarser ones where" in reported

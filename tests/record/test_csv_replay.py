@@ -1,4 +1,4 @@
-"""CSV logs: keys of a column file, conversion of rows, and the pairs that score a forecast."""
+"""CSV logs as followed: heights, slopes, and the pairs that score a forecast."""
 
 from __future__ import annotations
 
@@ -13,117 +13,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from csv_logs import EXAMPLES, HEADER, ROOT, log_of, plain
 from surffollow.cli.replay import replay_command
 from surffollow.errors import UsageError
 from surffollow.map import HeightMap
-from surffollow.record.columns import Columns, load_columns, parse_columns
+from surffollow.record.columns import Columns, load_columns
 from surffollow.record.csv_log import CsvLog, read_csv
-from surffollow.record.csv_replay import CsvReplay, follow_notes, run_csv, target_points, write_rows
+from surffollow.record.csv_replay import CsvReplay, follow_notes, run_csv, write_rows
 from surffollow.record.forecast_scores import score_forecast, summarise
 
-ROOT = Path(__file__).resolve().parents[2]
-EXAMPLES = ROOT / "examples" / "columns"
 DATA = Path(os.environ.get("SURFFOLLOW_DATA", ROOT.parent / "shared" / "data"))
-
-PLAIN = {
-    "time": {"column": "t", "unit": "ms"},
-    "range": {"column": "d", "unit": "cm", "min": "5 cm", "max": "10 m", "no_reading": [0, 999]},
-    "position": {"north": "n", "east": "e", "up": "u", "unit": "mm"},
-    "attitude": {"roll": "roll", "pitch": "pitch", "yaw": "yaw", "unit": "deg"},
-    "forecast": {"horizons": ["1 s"], "match": "0.3 s"},
-    "follow": {"interval_size": "0.5 m", "range_size": 2, "ee_readings": 1},
-}
-DEPTH: dict[str, object] = {"column": "d", "unit": "cm", "min": "5 cm", "max": "10 m", "kind": "depth"}
-HEADER = "t,d,n,e,u,roll,pitch,yaw\n"
-
-
-def plain(**changes: object) -> Columns:
-    return parse_columns(PLAIN | changes)
-
-
-def log_of(tmp_path: Path, text: str, columns: Columns | None = None) -> CsvLog:
-    path = tmp_path / "log.csv"
-    path.write_text(text)
-    return read_csv(path, columns or plain())
-
-
-def test_units_and_frames_become_metres_and_a_pose_looking_down(tmp_path: Path) -> None:
-    log = log_of(tmp_path, HEADER + "1500,200,1000,2000,3000,0,0,0\n")
-    assert log.t_s.tolist() == [1.5]
-    assert log.range_m.tolist() == [2.0]
-    np.testing.assert_allclose(log.pose[0, :3], [2.0, 1.0, 3.0])
-    np.testing.assert_allclose(target_points(log, plain())[0], [2.0, 1.0, 1.0], atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("angles", "expected"),
-    [
-        ("90,0,0", (0.0, -2.0, 0.0)),  # right side down, heading north: the belly shows west
-        ("0,90,0", (2.0, 0.0, 0.0)),  # nose up, heading north: the belly shows north
-        ("0,90,90", (0.0, 2.0, 0.0)),  # nose up, heading east: the belly shows east
-        ("20,30,77", None),
-    ],
-)
-def test_attitude_turns_the_beam_as_on_a_vehicle(
-    tmp_path: Path, angles: str, expected: tuple[float, ...] | None
-) -> None:
-    log = log_of(tmp_path, HEADER + f"0,200,0,0,0,{angles}\n")
-    east, north, up = target_points(log, plain())[0]
-    if expected is not None:
-        np.testing.assert_allclose((north, east, up), expected, atol=1e-12)
-    else:
-        roll, pitch = (math.radians(float(a)) for a in angles.split(",")[:2])
-        assert up == pytest.approx(-2.0 * math.cos(roll) * math.cos(pitch))
-
-
-def test_values_that_mean_no_reading_or_lie_outside_the_limits_are_none(tmp_path: Path) -> None:
-    rows = "".join(
-        f"{i},{d},0,0,0,0,0,0\n" for i, d in enumerate(["0", "999", "4.9", "1001", "", "nan", "5"])
-    )
-    log = log_of(tmp_path, HEADER + rows)
-    assert np.isfinite(log.range_m).tolist() == [False] * 6 + [True]
-
-
-def test_spaces_blank_lines_quotes_and_a_byte_order_mark_are_read(tmp_path: Path) -> None:
-    log = log_of(tmp_path, "\ufeff" + '"t", d ,n,e,u,roll,pitch,yaw,more\n\n 1 ,"20", 0,0,0,0,0,0,x\n\n')
-    assert log.range_m.tolist() == [0.2]
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("t,d,n,e,u,roll,pitch\n", r"log\.csv has no column 'yaw'; it has t, d, n, e, u, roll, pitch"),
-        ("", r"log\.csv has no column 't'; it has none"),
-        (HEADER + "1,2,0,0,0,0,0,0\n2,x,0,0,0,0,0,0\n", r"log\.csv, line 3, column 'd': 'x' is not"),
-        (HEADER + "1,2,0,0,0,0\n", r"log\.csv, line 2, column 'pitch': '' is not"),
-        (HEADER + "1,2,inf,0,0,0,0,0\n", r"line 2, column 'n': 'inf' is not"),
-        (HEADER + "nan,2,0,0,0,0,0,0\n", r"line 2, column 't': 'nan' is not"),
-        (HEADER + "2,2,0,0,0,0,0,0\n1,2,0,0,0,0,0,0\n", r"time goes back in row 2"),
-    ],
-)
-def test_a_wrong_log_is_refused_with_its_place(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(UsageError, match=message) as e:
-        log_of(tmp_path, text)
-    assert e.value.exit_code == 2
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"time": {"column": "t", "unit": "hours"}}, r"\[time\] unit: unknown unit 'hours'"),
-        ({"range": {"column": "d", "unit": "s"}}, r"\[range\] unit: .*'s' is a time"),
-        ({"range": {"column": "d", "unit": "m", "min": "3 m", "max": "2 m"}}, "below max"),
-        ({"range": {"column": "d", "unit": "m", "max": "3 deg"}}, "angle"),
-        ({"rang": {}}, "unknown field `rang`"),
-        ({"range": {"unit": "m"}}, "missing required field `column`"),
-        ({"mount": {"orientation": [0, 0, 0, 2]}}, "unit quaternion"),
-        ({"forecast": {"horizons": []}}, "horizons"),
-        ({"forecast": {"horizons": ["-1 s"]}}, "horizons"),
-    ],
-)
-def test_a_wrong_column_file_is_refused_with_its_key(change: dict[str, object], message: str) -> None:
-    with pytest.raises(UsageError, match=message):
-        plain(**change)
 
 
 def test_an_unknown_parameter_of_the_follower_is_refused(tmp_path: Path) -> None:
@@ -223,11 +122,6 @@ def test_times_that_were_printed_with_a_floats_last_bit_are_scored_alike(
     assert row["n"] == 30
 
 
-def test_a_time_that_no_decimal_holds_is_read_as_a_float(tmp_path: Path) -> None:
-    log = log_of(tmp_path, HEADER + "1e-99999999999999999999,200,0,0,0,0,0,0\n1,200,0,0,0,0,0,0\n")
-    assert log.elapsed_s().tolist() == [0.0, 0.001]
-
-
 def test_start_and_end_choose_rows_and_an_empty_choice_is_reported(tmp_path: Path) -> None:
     log = slope_log(tmp_path)
     assert log.between(1.0, 2.0).t_s.tolist() == pytest.approx([1.0 + 0.1 * k for k in range(11)])
@@ -272,11 +166,6 @@ def test_the_command_prints_json_and_says_when_columns_are_missing(tmp_path: Pat
         CliRunner().invoke(replay_command, ["absent.csv", *options], catch_exceptions=False)
 
 
-@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda p: p.stem)
-def test_the_examples_are_column_files(path: Path) -> None:
-    assert load_columns(path).horizons_s
-
-
 def measured(name: str, start_s: float | None = None, end_s: float | None = None) -> tuple[CsvLog, Columns]:
     file = {"quad_flight": "flight_first_half.csv", "hydroball": "18_37_04-2017_12_11.csv"}[name]
     path = DATA / name / file
@@ -307,48 +196,6 @@ def test_the_echo_sounders_zeros_are_no_readings() -> None:
     still = [row["no_change_rms_m"] for row in summary["forecast"]]
     np.testing.assert_allclose(still, [0.19, 0.52, 0.95], rtol=0.02)
     assert summary["height_m"]["max"] < -4.0, "a zero depth would put the bottom at the surface"
-
-
-@pytest.mark.parametrize(
-    ("position", "expected"),
-    [
-        ({"up": "u", "unit": "m"}, [0.0, 0.0, 3.0]),
-        ({"east": "e", "unit": "m"}, [2.0, 0.0, 0.0]),
-        ({"north": "n", "up": "u", "unit": "m"}, [0.0, 1.0, 3.0]),
-    ],
-)
-def test_an_axis_without_a_column_is_zero_and_its_column_need_not_be_there(
-    tmp_path: Path, position: dict[str, str], expected: list[float]
-) -> None:
-    values = {"n": 1, "e": 2, "u": 3}
-    used = [v for k, v in position.items() if k != "unit"]
-    header = ",".join(["t", "d", *used])
-    row = ",".join(["0", "200", *(str(values[c]) for c in used)])
-    columns = parse_columns({"time": PLAIN["time"], "range": PLAIN["range"], "position": position})
-    log = log_of(tmp_path, f"{header}\n{row}\n", columns)
-    assert log.pose[0, :3].tolist() == expected
-
-
-def test_a_depth_is_straight_down_however_the_vehicle_is_tilted(tmp_path: Path) -> None:
-    columns = plain(range=DEPTH)
-    log = log_of(tmp_path, HEADER + "0,400,0,0,1000,20,-30,77\n", columns)
-    np.testing.assert_allclose(target_points(log, columns)[0], [0.0, 0.0, 1.0 - 4.0], atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"position": {"unit": "m"}}, "names no column"),
-        (
-            {"range": DEPTH, "mount": {"position": ["1 m", "0 m", "0 m"]}},
-            "straight down",
-        ),
-        ({"range": {**DEPTH, "kind": "sonar"}}, "kind"),
-    ],
-)
-def test_a_column_file_that_contradicts_itself_is_refused(change: dict[str, object], message: str) -> None:
-    with pytest.raises(UsageError, match=message):
-        plain(**change)
 
 
 @pytest.mark.parametrize("mode", ["paper", "adaptive"])

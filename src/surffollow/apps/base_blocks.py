@@ -49,7 +49,14 @@ class TrueBase(Block):
 
 
 def publish(base: SimulatedBase, seen: AttachedBlock, true: AttachedBlock, t_ns: int) -> None:
-    """Write both blocks from the base's state."""
+    """Write both blocks from the base's state.
+
+    Parameters
+    ----------
+    base : SimulatedBase
+    seen, true : AttachedBlock  what sensors show, and what is so
+    t_ns : int [ns]
+    """
     s, n = base.state, len(base.sonar_m)
     with seen.write() as slot:
         slot.t_ns, slot.t_s, slot.n_sonars = t_ns, base.time_s, n

@@ -35,7 +35,14 @@ def map_figures(client: Client, path: Path) -> dict[str, Any]:
 def verdict(
     result: dict[str, Any], rms_limit_m: float, rolling_limit_m: float, angle_limit_deg: float = math.inf
 ) -> list[str]:
-    """Failed checks."""
+    """Failed checks.
+
+    Parameters
+    ----------
+    result : dict            figures of the demonstration
+    rms_limit_m, rolling_limit_m : float [m]  limits of the stand-off RMS, and of that on rolling ground
+    angle_limit_deg : float  limit of the angle RMS
+    """
     failures = []
     rms = result["standoff_rms_m"]
     if rms is None:

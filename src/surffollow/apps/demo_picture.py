@@ -45,6 +45,13 @@ def check_picture(path: Path) -> None:
 def draw_demo(folder: Path, path: Path, config: DemoConfig, result: dict[str, Any]) -> Path:
     """Draw what `run_demo` left in `folder`; the path of the PNG.
 
+    Parameters
+    ----------
+    folder : Path  of the demonstration's files
+    path : Path    the picture
+    config : DemoConfig
+    result : dict  figures of the demonstration
+
     Raises
     ------
     FaultError  matplotlib is missing, or the picture cannot be written

@@ -155,7 +155,15 @@ def survey_field(
     average_m: float = AVERAGE_M,
     run: int = 0,
 ) -> TerrainGrid:
-    """Look at the ground from all views and make its map; `run` changes the noise."""
+    """Look at the ground from all views and make its map.
+
+    Parameters
+    ----------
+    place : Field
+    image_filter : str             of `SurveySettings`
+    grid_m, average_m : float [m]  of `SurveySettings`
+    run : int                      changes the noise
+    """
     images = take_images(place, np.random.default_rng([place.seed, 2, run]))
     settings = SurveySettings(
         grid_m=grid_m, region=MAP_M, filter=image_filter, average_m=average_m, fill_m=0.15

@@ -165,7 +165,15 @@ def _laid(planar: ScanPath, envelope: Any, ground: TerrainGrid, task: Task) -> S
 
 
 def run(place: Field, desired: ScanPath, calibration: Calibration | None, task: Task) -> Run:
-    """Send a path to the arm; without calibration as it is."""
+    """Send a path to the arm; without calibration as it is.
+
+    Parameters
+    ----------
+    place : Field
+    desired : ScanPath
+    calibration : Calibration or None
+    task : Task
+    """
     command = desired if calibration is None else calibration.apply(desired)
     stiff, normal, joints = place.real_tip(command.position_m, command.normal)
     parts = place.compliance

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from surffollow.apps.scan_guard import INSIDE_M
+from surffollow.apps.clearance_monitor import INSIDE_M
 from surffollow.apps.scan_run import Executed
 from surffollow.scan.checks import Floats
 from surffollow.scan.clearance import control_points
@@ -20,7 +20,15 @@ CHECKED = 4000  # samples whose clearance is looked at
 
 
 def least_distance(ground: HeightField, path: ScanPath, body_m: Floats, at: Any) -> Floats:
-    """Least distance [m] of the control points from the ground's nodes at samples; negative below it."""
+    """Least distance [m] of the control points from the ground's nodes at samples; negative below it.
+
+    Parameters
+    ----------
+    ground : HeightField
+    path : ScanPath
+    body_m : (m, 3) float64 [m]  control points of the body
+    at : index of samples
+    """
     rows, cols = np.indices(ground.heights_m.shape)
     nodes = np.column_stack(
         [

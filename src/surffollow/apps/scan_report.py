@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from surffollow.apps.clearance_monitor import INSIDE_M
 from surffollow.apps.html_page import Page
 from surffollow.apps.scan_figures import desired_range_m
-from surffollow.apps.scan_guard import INSIDE_M
 from surffollow.apps.scan_run import Executed
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.path import flag_counts

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.apps.clearance_monitor import POSES_AHEAD, ClearanceMonitor
 from surffollow.apps.scan_arm_state import TRACE_EVERY, arm_state, base_of, path_columns
 from surffollow.apps.scan_expected import expected_range_m
-from surffollow.apps.scan_guard import POSES_AHEAD, ClearanceMonitor
 from surffollow.apps.scan_robot_config import ScanRobotConfig, check_executable
 from surffollow.scan.checks import Floats
 from surffollow.scan.path import ScanPath

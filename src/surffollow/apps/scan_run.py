@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from surffollow.apps.clearance_monitor import ClearanceMonitor
 from surffollow.apps.scan_control import ControlServer, keys
 from surffollow.apps.scan_expected import expected_range_m
 from surffollow.apps.scan_gap import GapWatch
-from surffollow.apps.scan_guard import ClearanceMonitor
 from surffollow.apps.scan_robot import ScanRobot
 from surffollow.apps.scan_robot_config import ScanRobotConfig, check_executable
 from surffollow.errors import FaultError

@@ -72,6 +72,13 @@ def run_shared_demo(
 ) -> dict[str, Any]:
     """Run it all over flat ground with one obstacle across the path.
 
+    Parameters
+    ----------
+    seconds : float [s]  of motion
+    combine : str        "priority" or "sum"
+    folder : Path        receives the files
+    progress : callable  gets a line of text
+
     Returns
     -------
     dict   stand-off over the obstacle and away from it [m], who led how often; `failures`, empty when none

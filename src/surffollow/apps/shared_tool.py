@@ -140,6 +140,13 @@ def follow(
     That the follower learns nothing from what others command is the care of the robot, which holds the pose
     and outlives this process (`RunByHolder`).
 
+    Parameters
+    ----------
+    service, arbiter : str  names
+    resource : str          of the arbiter
+    stopped : callable      True: end
+    client : str            name as a client of the arbiter
+
     Returns
     -------
     dict   commands sent, times that control was gained and lost, demands whose pose was not known (they
@@ -216,7 +223,18 @@ def avoid(
     add: bool = False,
     client: str = "avoid",
 ) -> dict[str, Any]:
-    """Watch the tool's reported pose and lift it over an obstacle between two places along x [m]."""
+    """Watch the tool's reported pose and lift it over an obstacle between two places along x [m].
+
+    Parameters
+    ----------
+    arbiter, resource : str  names
+    obstacle_m : (float, float) [m]  begin and end along x
+    lift_m : float [m]
+    stopped : callable       True: end
+    margin_m : float [m]     distance from the obstacle at which the lift begins
+    add : bool               the lift is added to what another client commands
+    client : str             name as a client of the arbiter
+    """
     status = mem_attach({"tool_status": ToolStatus}, arbiter, lazy=True)["tool_status"]
     near_m, far_m = obstacle_m[0] - margin_m, obstacle_m[1] + margin_m
     with attach_arbiter(arbiter, client) as clients:

@@ -63,7 +63,15 @@ def straights(run: Run) -> list[tuple[int, int, int]]:
 def distance_to_wall(
     run: Run, begin: int, end: int, wall: int, room_m: tuple[float, float]
 ) -> NDArray[np.float64]:
-    """Distance of the base's centre to the wall on its right [m], over one straight."""
+    """Distance of the base's centre to the wall on its right over one straight [m].
+
+    Parameters
+    ----------
+    run : Run
+    begin, end : int  samples of the straight
+    wall : int        0 … 3: y = 0, x = width, y = depth, x = 0
+    room_m : (width, depth) [m]
+    """
     x, y = run.x_m[begin:end], run.y_m[begin:end]
     return [y, room_m[0] - x, room_m[1] - y, x][wall]
 

@@ -47,6 +47,13 @@ def arbiter_config(name: str) -> str:
 def run_client(name: str, client: str, experiment: str, config: BaseConfig | None = None) -> dict[str, Any]:
     """Run one client until the base falls silent or a signal ends it.
 
+    Parameters
+    ----------
+    name : str           of arbiter and base
+    client : str         one of the experiment's clients
+    experiment : str
+    config : BaseConfig  of the base; None: the usual one
+
     Returns
     -------
     dict   steps, commands, requests

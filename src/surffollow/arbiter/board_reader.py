@@ -109,7 +109,15 @@ class BoardReader:
         return self.names.index(resource)
 
     def latch(self, region: str, schema: Any, index: int, latch_bytes: int) -> dict[str, Any]:
-        """The newest payload of one of a region's latches, whole; all zero before the first."""
+        """The newest payload of one of a region's latches, whole; all zero before the first.
+
+        Parameters
+        ----------
+        region : str             key of `regions`
+        schema : type of Schema  of the payload
+        index : int              number of the latch in the region
+        latch_bytes : int        from one latch to the next
+        """
         base = self.regions[region][0] + index * latch_bytes
         step = stride(schema.SIZE)
         for _ in range(MAX_TRIES):

@@ -51,7 +51,15 @@ def pack(machine: Any, clients: Any, attached: Any) -> Any:
 
 @jit
 def unpack(code: Any, machine: Any, clients: Any, attached: Any) -> None:
-    """The state of a number."""
+    """The state of a number.
+
+    Parameters
+    ----------
+    code : int64              a number of `pack`
+    machine : (1,) `Machine`  written
+    clients : (1,) `Clients`  `live` is written
+    attached : (N,) int64     written
+    """
     m = machine[0]
     machine[0].state, machine[0].holder = code & 3, ((code >> 2) & 3) - 1
     machine[0].epoch, machine[0].counter, machine[0].next_ticket = EPOCH, COUNTER, N
@@ -81,7 +89,15 @@ def token_to_try(machine: Any, c: Any, choice: Any) -> Any:
 
 @jit
 def events_of(machine: Any, clients: Any, attached: Any, out: Any) -> Any:
-    """List what can happen in a state: rows of (event, client, token, guards); their number."""
+    """List what can happen in a state: rows of (event, client, token, guards); their number.
+
+    Parameters
+    ----------
+    machine : (1,) `Machine`
+    clients : (1,) `Clients`
+    attached : (N,) int64
+    out : (128, 4) int64  written
+    """
     n = 0
     for c in range(N):
         if attached[c] == 0:
@@ -202,7 +218,15 @@ def _world(cooperative: bool, newcomer: bool, priorities: Sequence[int], rows: i
 def check_policy(
     rows: Sequence[t.Row], cooperative: bool, newcomer: bool, priorities: Sequence[int] = PRIORITIES
 ) -> Found:
-    """Explore the table under one policy, up to the first fault."""
+    """Explore the table under one policy, up to the first fault.
+
+    Parameters
+    ----------
+    rows : sequence of Row        the table
+    cooperative : bool            the holder is asked before it loses control
+    newcomer : bool               a client of equal priority takes the resource
+    priorities : sequence of int  of the three clients
+    """
     encoded = np.array(t.encode(rows), np.int64).reshape(len(rows), t.COLUMNS)
     w = _world(cooperative, newcomer, priorities, len(rows))
     states, steps, fault, code = explore(encoded, w)

@@ -12,7 +12,14 @@ from surffollow.shm.jit import jit
 
 @jit
 def end_wait(mem: Any, resource: Any, slot: Any, t_ns: Any) -> None:
-    """A client stands in a resource's queue no more: how long it waited goes to board and history."""
+    """A client stands in a resource's queue no more: how long it waited goes to board and history.
+
+    Parameters
+    ----------
+    mem : Memory
+    resource, slot : int64
+    t_ns : int64  now
+    """
     client_run, status = mem.client_runs[slot], mem.status[resource]
     if client_run.queued_ns[resource] == 0:
         return
@@ -26,7 +33,15 @@ def end_wait(mem: Any, resource: Any, slot: Any, t_ns: Any) -> None:
 
 @jit
 def carry_out(mem: Any, resource: Any, effect: Any, t_ns: Any) -> None:
-    """Do what one effect means outside the state machine."""
+    """Do what one effect means outside the state machine.
+
+    Parameters
+    ----------
+    mem : Memory
+    resource : int64
+    effect : record of `Effect`
+    t_ns : int64  now
+    """
     run, status, action, slot = mem.runs[resource], mem.status[resource], effect.action, effect.client
     if action == t.GRANT:
         end_wait(mem, resource, slot, t_ns)

@@ -101,7 +101,14 @@ def read_hello(data: bytes) -> str | None:
 
 
 def welcome(result: int, slot: int = -1, number: int = 0, epoch: int = 0, detail: int = 0) -> bytes:
-    """The server's answer."""
+    """The server's answer.
+
+    Parameters
+    ----------
+    result : int               one of layout.HELLO_…
+    slot, number, epoch : int  of the client's slot, its number, and the server's epoch
+    detail : int               explains a refusal
+    """
     return _WELCOME.pack(al.HELLO_MAGIC, result, slot, number, epoch, detail)
 
 
@@ -132,6 +139,13 @@ class MailboxGrant:
 
 def request_slot(name: str, client: str, timeout_s: float, owners: Collection[int] = ()) -> MailboxGrant:
     """Connect to an arbiter of one of the users `owners` (empty: any user) and ask for a slot.
+
+    Parameters
+    ----------
+    name : str                  of the arbiter
+    client : str                name of the client, of which 47 bytes are sent
+    timeout_s : float [s]       for each step of the exchange
+    owners : collection of int  numbers of users
 
     Raises
     ------

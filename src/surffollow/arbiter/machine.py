@@ -68,7 +68,15 @@ def guards_of(machine: Any, clients: Any, state_event: Any) -> Any:
 
 @jit
 def find_row(table: Any, state: Any, event: Any, guards: Any, first: Any) -> Any:
-    """Number of the first row from `first` on that matches, or -1."""
+    """Number of the first row from `first` on that matches, or -1.
+
+    Parameters
+    ----------
+    table : (rows, table.COLUMNS) int64  of `table.encode`
+    state, event : int64  see `table.STATES`, `table.EVENTS`
+    guards : int64        mask of the guards that hold
+    first : int           row to begin with
+    """
     for i in range(first, len(table)):
         row = table[i]
         if (
@@ -95,7 +103,19 @@ def grant(machine: Any, c: Any) -> Any:
 
 @jit
 def act(machine: Any, clients: Any, action: Any, c: Any) -> Any:
-    """Do one action; the client and the token that it concerned."""
+    """Do one action; the client and the token that it concerned.
+
+    Parameters
+    ----------
+    machine : (1,) `Machine`  updated in place
+    clients : (1,) `Clients`
+    action : int64            one of the table's actions
+    c : int64                 client of the event, -1: none
+
+    Returns
+    -------
+    int64, int64
+    """
     m = machine[0]
     holder, token = m.holder, m.token
     if action == _GRANT:

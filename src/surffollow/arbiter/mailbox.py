@@ -30,7 +30,15 @@ _FUTURE_NS = 1_000_000
 
 @jit
 def log_client_event(mem: Any, t_ns: Any, slot: Any, event: Any) -> None:
-    """Log an event that concerns a client and no resource."""
+    """Log an event that concerns a client and no resource.
+
+    Parameters
+    ----------
+    mem : Memory
+    t_ns : int64   now
+    slot : int64   of the client
+    event : int64  one of layout.EVENT_…
+    """
     record = mem.event[0]
     record.item = 0
     for k in range(len(record.command)):
@@ -85,7 +93,15 @@ def publish_counters(mem: Any, slot: Any) -> None:
 
 @jit
 def watch_lease(mem: Any, slot: Any, has_items: Any, t_ns: Any) -> None:
-    """Update the lease of a client: any change of its heartbeat counts, and any item in its mailbox."""
+    """Update the lease of a client: any change of its heartbeat counts, and any item in its mailbox.
+
+    Parameters
+    ----------
+    mem : Memory
+    slot : int64      of the client
+    has_items : bool  its mailbox holds an item
+    t_ns : int64      now
+    """
     client_run, ctx = mem.client_runs[slot], mem.ctx
     heartbeat = at.load_relaxed_i64(client_run.mailbox + _HEARTBEAT)
     if heartbeat != client_run.heartbeat or has_items:

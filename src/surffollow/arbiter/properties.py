@@ -76,7 +76,19 @@ def structure(m: Any, clients: Any) -> Any:
 
 @jit
 def command_step(b: Any, h: Any, effects: Any, n: Any) -> Any:
-    """Properties 5 and 6, of the event COMMAND."""
+    """Properties 5 and 6, of the event COMMAND.
+
+    Parameters
+    ----------
+    b : record of `Machine`  before the step
+    h : record of `StateEvent`
+    effects : (MAX_EFFECTS,) `Effect`
+    n : int64                effects
+
+    Returns
+    -------
+    int64  number of the property that fails, or 0
+    """
     c = h.client
     fresh, sound = h.guards & t.FRESH != 0, h.guards & t.SOUND != 0
     good = b.holder == c and b.token != 0 and h.token == b.token and fresh and sound
@@ -113,7 +125,12 @@ def request_answer(b: Any, clients: Any, h: Any) -> Any:
 
 @jit
 def request_step(b: Any, a: Any, clients: Any, h: Any, effects: Any, n: Any) -> Any:
-    """Property 7, of the event REQUEST."""
+    """Property 7, of the event REQUEST.
+
+    Parameters
+    ----------
+    b, a, clients, h, effects, n  as in `holder_step`
+    """
     c, deserved, answers = h.client, request_answer(b, clients, h), 0
     for action in (t.DENY_LEASE, t.GRANT, t.KEEP, t.ENQUEUE, t.DENY):
         answers += count_action(effects, n, action)
@@ -148,7 +165,20 @@ def next_in_queue(b: Any, clients: Any, without: Any) -> Any:
 
 @jit
 def holder_step(b: Any, a: Any, clients: Any, h: Any, effects: Any, n: Any) -> Any:
-    """Properties 8 to 12: changes of the holder."""
+    """Properties 8 to 12: changes of the holder.
+
+    Parameters
+    ----------
+    b, a : record of `Machine`     before and after the step
+    clients : record of `Clients`  at the event
+    h : record of `StateEvent`
+    effects : (MAX_EFFECTS,) `Effect`
+    n : int64                      effects
+
+    Returns
+    -------
+    int64  number of the property that fails, or 0
+    """
     c = h.client
     leaves = h.event in (t.RELINQUISH, t.LEASE_OVER, t.GONE) and b.holder == c
     loses = leaves or h.event == t.GRACE_OVER
@@ -191,7 +221,12 @@ def holder_step(b: Any, a: Any, clients: Any, h: Any, effects: Any, n: Any) -> A
 
 @jit
 def queue_step(b: Any, a: Any, clients: Any, h: Any, effects: Any, n: Any) -> Any:
-    """Properties 13 to 17: departures, requests to relinquish, restarts, order, and nothing superfluous."""
+    """Properties 13 to 17: departures, requests to relinquish, restarts, order, and nothing superfluous.
+
+    Parameters
+    ----------
+    b, a, clients, h, effects, n  as in `holder_step`
+    """
     c = h.client
     if h.event in (t.RELINQUISH, t.LEASE_OVER, t.GONE):
         if a.holder == c or a.ticket[c] != 0:
@@ -236,7 +271,12 @@ def queue_step(b: Any, a: Any, clients: Any, h: Any, effects: Any, n: Any) -> An
 
 @jit
 def superfluous(b: Any, a: Any, h: Any, effects: Any, n: Any) -> Any:
-    """Property 17: each event leads to actions of its kind only, in their order."""
+    """Property 17: each event leads to actions of its kind only, in their order.
+
+    Parameters
+    ----------
+    b, a, h, effects, n  as in `holder_step`
+    """
     for k in range(n):
         action = effects[k].action
         known = action in (t.ASK, t.UNASK, t.GRANT, t.DEQUEUE, t.REVOKE, t.SAFE)  # counted above

@@ -43,7 +43,15 @@ def grants_of(mem: Any, slot: Any) -> Any:
 
 @jit
 def log_event(mem: Any, t_ns: Any, slot: Any, resource: Any, event: Any, token: Any, reason: Any) -> None:
-    """Append one record to the history; its values are in `mem.event`, its item in `mem.event[0].item`."""
+    """Append one record to the history; its values are in `mem.event`, its item in `mem.event[0].item`.
+
+    Parameters
+    ----------
+    mem : Memory
+    t_ns : int64                  now
+    slot, resource : int64        -1: none
+    event, token, reason : int64  as in `layout.Event`
+    """
     e, ctx = mem.event[0], mem.ctx
     ctx[m.HISTORY_SEQ] += 1
     e.seq, e.t_ns, e.resource, e.event = ctx[m.HISTORY_SEQ], t_ns, resource, event
@@ -65,7 +73,16 @@ def may_log(mem: Any, t_ns: Any, slot: Any) -> Any:
 
 @jit
 def answer(mem: Any, t_ns: Any, slot: Any, seq: Any, result: Any, token: Any, resource: Any) -> None:
-    """Answer a client's request or relinquishment."""
+    """Answer a client's request or relinquishment.
+
+    Parameters
+    ----------
+    mem : Memory
+    t_ns : int64  now
+    slot : int64  of the client
+    seq : int64   number of the item that is answered
+    result, token, resource : int64  action of the table, token or 0, resource
+    """
     r, machine = mem.reply[0], mem.machines[resource]
     r.seq, r.result, r.token, r.t_ns = seq, result, token, t_ns
     r.holder = r.holder_priority = 0
@@ -78,7 +95,14 @@ def answer(mem: Any, t_ns: Any, slot: Any, seq: Any, result: Any, token: Any, re
 
 @jit
 def notify_held(mem: Any, slot: Any, resource: Any, token: Any) -> None:
-    """Store which token of a resource a client holds now; 0: none."""
+    """Store which token of a resource a client holds now; 0: none.
+
+    Parameters
+    ----------
+    mem : Memory
+    slot, resource : int64
+    token : int64
+    """
     grants = grants_of(mem, slot)
     at.store_relaxed_i64(grants + _ASKED + 8 * resource, 0)
     at.store_release_i64(grants + _HELD + 8 * resource, token)
@@ -87,7 +111,14 @@ def notify_held(mem: Any, slot: Any, resource: Any, token: Any) -> None:
 
 @jit
 def notify_asked(mem: Any, slot: Any, resource: Any, asked: Any) -> None:
-    """Store whether a holder is asked to relinquish (1) or not (0)."""
+    """Store whether a holder is asked to relinquish (1) or not (0).
+
+    Parameters
+    ----------
+    mem : Memory
+    slot, resource : int64
+    asked : int64
+    """
     at.store_release_i64(grants_of(mem, slot) + _ASKED + 8 * resource, asked)
     mem.client_runs[slot].changed = 1
 
@@ -133,7 +164,14 @@ def publish_status(mem: Any, resource: Any) -> None:
 
 @jit
 def put_command(mem: Any, block: Any, fence: Any, t_ns: Any) -> None:
-    """Publish `mem.slot` in a command block; a reader that holds it sees that it is stale."""
+    """Publish `mem.slot` in a command block; a reader that holds it sees that it is stale.
+
+    Parameters
+    ----------
+    mem : Memory
+    block, fence : int64  addresses of the block and of the word that counts its writes
+    t_ns : int64          now
+    """
     head = mem.slot[0].head
     head.generation, head.t_ns = at.load_relaxed_i64(block) + 1, t_ns
     head.epoch = mem.machines[0].epoch
@@ -158,7 +196,15 @@ def publish_safe(mem: Any, resource: Any, t_ns: Any) -> None:
 
 @jit
 def forward(mem: Any, resource: Any, slot: Any, token: Any, t_ns: Any) -> None:
-    """Send the command in `mem.item` to a resource, within its limits."""
+    """Send the command in `mem.item` to a resource, within its limits.
+
+    Parameters
+    ----------
+    mem : Memory
+    resource, slot : int64
+    token : int64  of the holder
+    t_ns : int64   now
+    """
     run, c, item = mem.runs[resource], mem.slot[0].command, mem.item[0]
     run.command_seq += 1
     run.command_ns, run.late = min(item.t_ns, t_ns), 0  # its time runs from when it was made

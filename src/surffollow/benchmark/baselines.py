@@ -116,7 +116,16 @@ def _planned(p: NDArray[Any], buffers: Buffers, s: Any, w: World, x_m: float, v_
 
 @jit
 def on_sample(kind: int, p: NDArray[Any], buffers: Buffers, s: Any, w: World) -> None:
-    """Use the reading that has just arrived (index `samples` − 1)."""
+    """Use the reading that has just arrived (index `samples` − 1).
+
+    Parameters
+    ----------
+    kind : int             HOLD … PREVIEW
+    p : (n,) float64       parameters of the baseline
+    buffers : Buffers      updated
+    s : record of the run  see `loop`
+    w : World              what the run presents
+    """
     m, track, memory = buffers.state, buffers.track, buffers.memory
     i = s.samples - 1
     r = w.readings[i].range
@@ -136,8 +145,8 @@ def on_sample(kind: int, p: NDArray[Any], buffers: Buffers, s: Any, w: World) ->
     if kind == LPF_GATE:
         update_low_pass(p, m, track, dt_s, x, h)
     elif kind == KALMAN_WAVE:
-        late_s = (s.ms - stamp) * STEP_S
-        ahead = max(lateral_speed(s, w) * (late_s + p[4]) - s.lead_m, 0.0)
+        delay_s = (s.ms - stamp) * STEP_S
+        ahead = max(lateral_speed(s, w) * (delay_s + p[4]) - s.lead_m, 0.0)
         update_waves(p, m, track, memory, x, h, ahead)
     elif kind == PREVIEW:
         _keep_reading(m, memory, update_kalman(p, m, track, x, h, 0.0), x, h)
@@ -147,7 +156,16 @@ def on_sample(kind: int, p: NDArray[Any], buffers: Buffers, s: Any, w: World) ->
 
 @jit
 def on_period(kind: int, p: NDArray[Any], buffers: Buffers, s: Any, w: World) -> float:
-    """Demand [m] to be added to the newest report that has arrived; 0 before anything is known."""
+    """Demand [m] to be added to the newest report that has arrived; 0 before anything is known.
+
+    Parameters
+    ----------
+    kind : int             HOLD … PREVIEW
+    p : (n,) float64       parameters of the baseline
+    buffers : Buffers      updated
+    s : record of the run  see `loop`
+    w : World              what the run presents
+    """
     m, track, memory = buffers.state, buffers.track, buffers.memory
     if s.poses == 0:
         return 0.0
@@ -210,7 +228,15 @@ def run_baseline(kind: int, p: NDArray[Any], buffers: Buffers, s: Any, w: World)
 
 
 def run_jitted(kind: int, params: tuple[float, ...], s: Any, w: World) -> None:
-    """Run one baseline with its parameters in a fresh run."""
+    """Run one baseline with its parameters in a fresh run.
+
+    Parameters
+    ----------
+    kind : int                 HOLD … PREVIEW
+    params : floats            parameters of the baseline
+    s : record of a fresh run  updated
+    w : World                  what the run presents
+    """
     count = max(1, len(w.readings))
     track = np.empty((count, TRACK_COLUMNS))
     memory = plan = np.empty((1, 1))

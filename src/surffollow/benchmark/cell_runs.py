@@ -29,7 +29,15 @@ def in_parallel(
     processes: int,
     progress: Callable[[int, int], None] | None,
 ) -> Iterable[Any]:
-    """Yield the results of `work` over the jobs as they come."""
+    """Yield the results of `work` over the jobs as they come.
+
+    Parameters
+    ----------
+    work : callable              called with each job
+    jobs : sequence
+    processes : int              1: in this process
+    progress : callable or None  gets the jobs done and their number
+    """
     done = 0
     if processes <= 1 or len(jobs) <= 1:
         for job in jobs:

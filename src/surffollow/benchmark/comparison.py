@@ -83,7 +83,15 @@ def rms_ratio(a_m: float, b_m: float) -> float:
 
 
 def worst_verdict(criterion: str, bound: float, figures: dict[str, float], note: str = "") -> Verdict:
-    """Make a verdict on the greatest of some figures by cell name."""
+    """Make a verdict on the greatest of some figures by cell name.
+
+    Parameters
+    ----------
+    criterion : str  name of the criterion
+    bound : float    figures up to it pass
+    figures : dict   figure by cell name
+    note : str       remark
+    """
     if not figures:
         return Verdict(criterion, math.nan, bound, False, "not run")
     cell = max(figures, key=lambda name: figures[name])
@@ -95,6 +103,16 @@ def worst_verdict(criterion: str, bound: float, figures: dict[str, float], note:
 def mean_verdict(
     criterion: str, bound: float, values: Sequence[float], note: str = "", geometric: bool = True
 ) -> Verdict:
+    """Make a verdict on the mean of some figures.
+
+    Parameters
+    ----------
+    criterion : str   name of the criterion
+    bound : float     means up to it pass
+    values : sequence of float
+    note : str        remark
+    geometric : bool  geometric mean; else arithmetic
+    """
     if not values:
         return Verdict(criterion, math.nan, bound, False, "not run")
     figure = geometric_mean(values) if geometric else sum(values) / len(values)
@@ -156,12 +174,28 @@ class Oracles:
         return "; ".join([note] * bool(note) + reported)
 
     def worst(self, criterion: str, bound: float, keep: Callable[[CellKey], bool], note: str = "") -> Verdict:
-        """Verdict on the greatest ratio."""
+        """Verdict on the greatest ratio.
+
+        Parameters
+        ----------
+        criterion : str  name of the criterion
+        bound : float    ratios up to it pass
+        keep : callable  which cells count
+        note : str       remark
+        """
         found = {cell_name(k): v for k, v in self.ratios(keep).items()}
         return worst_verdict(criterion, bound, found, self.note(keep, greatest, note))
 
     def mean(self, criterion: str, bound: float, keep: Callable[[CellKey], bool], note: str = "") -> Verdict:
-        """Verdict on the geometric mean of the ratios."""
+        """Verdict on the geometric mean of the ratios.
+
+        Parameters
+        ----------
+        criterion : str  name of the criterion
+        bound : float    means up to it pass
+        keep : callable  which cells count
+        note : str       remark
+        """
         values = list(self.ratios(keep).values())
         count = f"{len(values)} cells" + (f"; {note}" if note else "")
         return mean_verdict(criterion, bound, values, self.note(keep, geometric, count))

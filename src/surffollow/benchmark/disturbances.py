@@ -23,7 +23,15 @@ def heavy_tailed(rng: np.random.Generator, count: int, sigma_m: float) -> Noise:
 
 
 def speckle(rng: np.random.Generator, x_m: Noise, sigma_m: float, length_m: float) -> Noise:
-    """Noise of the ground: correlated by exp(−distance / length) along the path x [m]."""
+    """Noise of the ground: correlated by exp(−distance / length) along the path.
+
+    Parameters
+    ----------
+    rng : Generator
+    x_m : (n,) float64 [m]  places of the readings
+    sigma_m : float [m]     standard deviation
+    length_m : float [m]    correlation length
+    """
     white = rng.standard_normal(len(x_m))
     keep = np.exp(-np.abs(np.diff(x_m, prepend=x_m[:1])) / length_m)
     noise = np.empty(len(x_m))

@@ -70,6 +70,13 @@ def _run(method: str, scene: Scene) -> tuple[Any, World]:
 def dropout_trial(method: str, case: str, seed: int, conditions: Conditions) -> dict[str, float]:
     """Run one drop-out.
 
+    Parameters
+    ----------
+    method : str  name of the follower
+    case : str    one of CASES
+    seed : int
+    conditions : Conditions
+
     Returns
     -------
     dict

@@ -39,7 +39,15 @@ def fractal(
     shortest_m: float,
     power: float = 2.0,
 ) -> Heights:
-    """Sum of 80 waves whose spectral density falls as the wave number to −`power`."""
+    """Sum of 80 waves whose spectral density falls as the wave number to −`power`.
+
+    Parameters
+    ----------
+    rng, x             generator and places, as for every family
+    rms_m : float [m]  standard deviation of the heights
+    longest_m, shortest_m : float [m]  wavelengths
+    power : float      exponent of the spectral density
+    """
     k = np.exp(rng.uniform(np.log(2 * np.pi / longest_m), np.log(2 * np.pi / shortest_m), 80))
     amplitude = k ** (-0.5 * (power - 1.0))
     h = (amplitude[:, None] * np.sin(np.outer(k, x) + rng.uniform(0, 2 * np.pi, 80)[:, None])).sum(0)
@@ -54,7 +62,15 @@ def weld(
     width_m: float = 6e-3,
     every_m: float = 0.12,
 ) -> Heights:
-    """Bowed plate with weld beads across the path and tacks between them."""
+    """Bowed plate with weld beads across the path and tacks between them.
+
+    Parameters
+    ----------
+    rng, x                       generator and places, as for every family
+    bow_m : float [m]            amplitude of the plate's bow
+    bead_m, width_m : float [m]  usual height and width of a bead
+    every_m : float [m]          mean distance from bead to bead
+    """
     h = bow_m * np.sin(2 * np.pi * x / rng.uniform(0.6, 1.2) / (width_m / 6e-3) + rng.uniform(0, 6.3))
     for c in _places(rng, x, every_m):
         w, top = width_m * rng.uniform(0.7, 1.5), bead_m * rng.uniform(0.4, 1.3)
@@ -67,7 +83,15 @@ def weld(
 def hull(
     rng: np.random.Generator, x: Heights, dish_m: float = 5e-3, frame_m: float = 0.5, seam_m: float = 1.5e-3
 ) -> Heights:
-    """Plates dished between frames, with seams."""
+    """Plates dished between frames, with seams.
+
+    Parameters
+    ----------
+    rng, x               generator and places, as for every family
+    dish_m : float [m]   usual depth of a plate
+    frame_m : float [m]  mean distance from frame to frame
+    seam_m : float [m]   height of a seam
+    """
     edges = _places(rng, x, frame_m, 0.25)
     h = fractal(rng, x, 4.0 * dish_m, 20.0 * frame_m, 6.0 * frame_m)
     for a, b in itertools.pairwise(edges):
@@ -81,7 +105,14 @@ def hull(
 def casting(
     rng: np.random.Generator, x: Heights, rib_m: float = 8e-3, width_m: float = 15e-3, every_m: float = 0.15
 ) -> Heights:
-    """Draughted ribs and round bosses on a rough skin."""
+    """Draughted ribs and round bosses on a rough skin.
+
+    Parameters
+    ----------
+    rng, x                      generator and places, as for every family
+    rib_m, width_m : float [m]  usual height and width of a rib or boss
+    every_m : float [m]         mean distance from one to the next
+    """
     h = fractal(rng, x, 0.1 * rib_m, 20.0 * width_m, 0.3 * width_m)
     for c in _places(rng, x, every_m):
         w, top = width_m * rng.uniform(0.6, 2.0), rib_m * rng.uniform(0.4, 1.2)
@@ -96,7 +127,15 @@ def casting(
 def lap_joints(
     rng: np.random.Generator, x: Heights, step_m: float = 3e-3, burr_m: float = 1e-3, every_m: float = 0.25
 ) -> Heights:
-    """Sheets that overlap, with a burr on some edges, sagging between."""
+    """Sheets that overlap, with a burr on some edges, sagging between.
+
+    Parameters
+    ----------
+    rng, x               generator and places, as for every family
+    step_m : float [m]   usual thickness of a sheet
+    burr_m : float [m]   height of a burr
+    every_m : float [m]  mean distance from joint to joint
+    """
     h = fractal(rng, x, step_m, 4.0 * every_m, every_m)
     for c in _places(rng, x, every_m):
         up = rng.choice([-1.0, 1.0])
@@ -107,7 +146,14 @@ def lap_joints(
 
 
 def pipes(rng: np.random.Generator, x: Heights, radius_m: float = 0.03, every_m: float = 0.25) -> Heights:
-    """Pipes that cross the path on level ground."""
+    """Pipes that cross the path on level ground.
+
+    Parameters
+    ----------
+    rng, x                generator and places, as for every family
+    radius_m : float [m]  usual radius of a pipe
+    every_m : float [m]   mean distance from pipe to pipe
+    """
     h = np.zeros_like(x)
     for c in _places(rng, x, every_m):
         r = radius_m * rng.uniform(0.5, 1.5)
@@ -123,21 +169,40 @@ def terrain(
     longest_m: float = 1.5,
     shortest_m: float = 0.02,
 ) -> Heights:
-    """Rolling ground with a fractal spectrum."""
+    """Rolling ground with a fractal spectrum.
+
+    Parameters
+    ----------
+    rng, x  generator and places, as for every family
+    rms_m, longest_m, shortest_m : float [m]  as in `fractal`
+    """
     return fractal(rng, x, rms_m, longest_m, shortest_m, 3.0)
 
 
 def corrugated(
     rng: np.random.Generator, x: Heights, amplitude_m: float = 8e-3, wave_m: float = 0.08
 ) -> Heights:
-    """Corrugated sheet."""
+    """Corrugated sheet.
+
+    Parameters
+    ----------
+    rng, x  generator and places, as for every family
+    amplitude_m, wave_m : float [m]  amplitude and usual wavelength
+    """
     return np.asarray(
         amplitude_m * np.sin(2 * np.pi * x / (wave_m * rng.uniform(0.8, 1.25)) + rng.uniform(0, 6.3))
     )
 
 
 def furrows(rng: np.random.Generator, x: Heights, depth_m: float = 0.02, every_m: float = 0.3) -> Heights:
-    """Ploughed furrows, clods on them."""
+    """Ploughed furrows, clods on them.
+
+    Parameters
+    ----------
+    rng, x               generator and places, as for every family
+    depth_m : float [m]  of a furrow
+    every_m : float [m]  usual distance from furrow to furrow
+    """
     u = (x / (every_m * rng.uniform(0.9, 1.1)) + rng.uniform()) % 1.0
     return np.asarray(
         depth_m * np.abs(2.0 * u - 1.0) + fractal(rng, x, 0.05 * depth_m, 0.3 * every_m, 0.02 * every_m)
@@ -152,7 +217,15 @@ def hedges(
     width_m: float = 2.0,
     every_m: float = 40.0,
 ) -> Heights:
-    """Fields with hedges and, now and then, a gabled roof."""
+    """Fields with hedges and, now and then, a gabled roof.
+
+    Parameters
+    ----------
+    rng, x                         generator and places, as for every family
+    hill_m : float [m]             standard deviation of the fields' heights
+    height_m, width_m : float [m]  usual size of a hedge
+    every_m : float [m]            mean distance from one to the next
+    """
     h = fractal(rng, x, hill_m, 12.0 * every_m, 2.0 * every_m)
     for c in _places(rng, x, every_m):
         if rng.random() < 0.7:
@@ -165,7 +238,14 @@ def hedges(
 
 
 def sea(rng: np.random.Generator, x: Heights, rms_m: float = 0.25, wave_m: float = 15.0) -> Heights:
-    """Wind sea frozen in time: a narrow random spectrum about one wavelength."""
+    """Wind sea frozen in time: a narrow random spectrum about one wavelength.
+
+    Parameters
+    ----------
+    rng, x              generator and places, as for every family
+    rms_m : float [m]   standard deviation of the heights
+    wave_m : float [m]  middle wavelength
+    """
     k = 2 * np.pi / wave_m * np.exp(0.35 * rng.standard_normal(60))
     h = np.sin(np.outer(k, x) + rng.uniform(0, 2 * np.pi, 60)[:, None]).sum(0)
     return np.asarray(rms_m * h / float(h.std()))
@@ -175,6 +255,11 @@ def machined(
     rng: np.random.Generator, x: Heights, least_m: float = 5e-3, greatest_m: float = 20e-3
 ) -> Heights:
     """Part of a row or column of a microscope's height map, stretched over the path and scaled.
+
+    Parameters
+    ----------
+    rng, x  generator and places, as for every family
+    least_m, greatest_m : float [m]  bounds of the height from lowest to highest point
 
     Raises
     ------
@@ -220,7 +305,15 @@ def family_profile(family: str, seed: int) -> Profile:
 def scaled_profile(
     generator: Callable[..., Heights], seed: int, length_m: float, spacing_m: float, **sizes: Any
 ) -> Profile:
-    """A profile of any length and spacing [m]."""
+    """A profile of any length and spacing.
+
+    Parameters
+    ----------
+    generator : callable  a family
+    seed : int
+    length_m, spacing_m : float [m]  length of the path, and distance from height to height
+    sizes                 arguments of the family
+    """
     margin = 0.05 * length_m
     x = -margin + spacing_m * np.arange(round((length_m + 2 * margin) / spacing_m) + 1)
     h = generator(np.random.default_rng([seed, 67]), x, **sizes)

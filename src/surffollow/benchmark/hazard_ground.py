@@ -79,7 +79,16 @@ def rotate(q: NDArray[np.float64], v: tuple[float, float, float]) -> NDArray[np.
 def true_range(
     ground: Ground, later: bool, x: float, z: float, q: NDArray[np.float64], mount: tuple[float, float]
 ) -> float:
-    """Distance along a beam to ground that does not vary with y [m]."""
+    """Distance along a beam to ground that does not vary with y [m].
+
+    Parameters
+    ----------
+    ground : Ground
+    later : bool                the ground of the second pass
+    x, z : float [m]            place of the tool
+    q : (4,) float64            attitude of the tool, x y z w
+    mount : (float, float) [m]  x, y of the sensor in the tool's frame
+    """
     if q[3] == 1.0:
         return z - ground.height_m(x + mount[0], later)
     at, beam = rotate(q, (*mount, 0.0)), rotate(q, (0.0, 0.0, -1.0))

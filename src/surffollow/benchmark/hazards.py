@@ -70,7 +70,15 @@ class PLoop:
 
 
 def misread(s: Scenario, r: float, held: float, rng: np.random.Generator) -> float:
-    """The reading in place of `r`; `held` is what it read when the fault began."""
+    """The reading in place of `r` [m].
+
+    Parameters
+    ----------
+    s : Scenario
+    r : float [m]     the reading without a fault
+    held : float [m]  what the sensor read when the fault began
+    rng : Generator
+    """
     n = float(rng.standard_normal()) if s.family in ("blocked", "frozen") else 0.0
     if s.family in ("stuck", "leading frozen"):
         return held + s.size_m + COUNT_M * int(rng.integers(0, 2))

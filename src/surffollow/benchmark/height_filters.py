@@ -102,7 +102,16 @@ def height_at(m: NDArray[Any], track: NDArray[Any], x_m: float) -> float:
 def update_low_pass(
     p: NDArray[Any], m: NDArray[Any], track: NDArray[Any], dt_s: float, x_m: float, h_m: float
 ) -> None:
-    """Low-pass the height; a jump beyond the gate must be seen three times (p: τ [s], gate [m], lag [s])."""
+    """Low-pass the height; a jump beyond the gate must be seen three times.
+
+    Parameters
+    ----------
+    p : (≥ 2,) float64         τ [s], gate [m], lag [s]
+    m : (STATE_SIZE,) float64  state row, updated
+    track : (n, TRACK_COLUMNS) float64  receives the estimate
+    dt_s : float [s]           since the reading before
+    x_m, h_m : float [m]       place and height of the reading
+    """
     if m[COUNT] > 0 and abs(h_m - m[HEIGHT]) > p[1]:
         m[REJECTED] += 1
         if m[REJECTED] < GLITCH_SAMPLES:
@@ -119,7 +128,18 @@ def update_low_pass(
 
 @jit
 def propagate(m: NDArray[Any], dx: float, qs: float, qh: float) -> tuple[float, float, float, float]:
-    """Height and covariance of the [height, slope] filter after a distance."""
+    """Height and covariance of the [height, slope] filter after a distance.
+
+    Parameters
+    ----------
+    m : (STATE_SIZE,) float64  state row
+    dx : float [m]             the distance
+    qs, qh : float             noise densities of slope and height [1/m, m²/m]
+
+    Returns
+    -------
+    float [m], 3 × float
+    """
     h = m[HEIGHT] + m[SLOPE] * dx
     p00 = m[P00] + 2.0 * dx * m[P01] + dx * dx * m[P11] + qs * dx * dx * dx / 3.0 + qh * dx
     p01 = m[P01] + dx * m[P11] + 0.5 * qs * dx * dx
@@ -131,7 +151,15 @@ def propagate(m: NDArray[Any], dx: float, qs: float, qh: float) -> tuple[float, 
 def correct(
     m: NDArray[Any], h: float, p00: float, p01: float, p11: float, innovation: float, variance: float
 ) -> tuple[float, float, float, float]:
-    """Correct height, slope and covariance by an innovation; the slope in the state row."""
+    """Correct height, slope and covariance by an innovation; the slope in the state row.
+
+    Parameters
+    ----------
+    m : (STATE_SIZE,) float64  state row; its slope is updated
+    h, p00, p01, p11 : float   height and covariance, as propagated
+    innovation : float [m]
+    variance : float [m²]      of the innovation
+    """
     k0, k1 = p00 / variance, p01 / variance
     m[SLOPE] += k1 * innovation
     return h + k0 * innovation, p00 - k0 * p00, p01 - k0 * p01, p11 - k1 * p01
@@ -146,6 +174,15 @@ def adapt_noise(
     The variance of a reading follows residual² + P₀₀ after the update (covariance matching). The process
     noise grows while successive innovations have the same sign and falls while they alternate, because those
     of an optimal filter are white. Both from the variance of the innovation alone would not be observable.
+
+    Parameters
+    ----------
+    m : (STATE_SIZE,) float64  state row, updated
+    innovation : float [m]
+    variance : float [m²]      of the innovation
+    k0 : float                 gain of the height
+    p00 : float [m²]           variance of the height after the update
+    memory : float             readings that the adaptation averages
     """
     share = 1.0 / memory
     residual = (1.0 - k0) * innovation
@@ -162,9 +199,19 @@ def adapt_noise(
 def update_kalman(
     p: NDArray[Any], m: NDArray[Any], track: NDArray[Any], x_m: float, h_m: float, memory: float
 ) -> int:
-    """Update height and slope (p: slope noise, height noise, gate [σ], rejects to reset).
+    """Update height and slope.
 
-    `memory` is how many readings the adaptation of the noise averages; 0 keeps the noise as given.
+    Parameters
+    ----------
+    p : (≥ 4,) float64         slope noise, height noise, gate [σ], rejects to reset
+    m : (STATE_SIZE,) float64  state row, updated
+    track : (n, TRACK_COLUMNS) float64  receives the estimate
+    x_m, h_m : float [m]       place and height of the reading
+    memory : float             readings that the adaptation of the noise averages; 0: noise as given
+
+    Returns
+    -------
+    int  REFUSED, TAKEN or RESET
     """
     r = KALMAN_SIGMA_M * KALMAN_SIGMA_M
     if m[COUNT] == 0:
@@ -213,9 +260,18 @@ def update_waves(
     h_m: float,
     ahead_m: float,
 ) -> None:
-    """Update [height, slope] filter and wave models (p: as above, lag [s], wavelength [m], wave noise).
+    """Update [height, slope] filter and wave models.
 
-    The gate is that of the model which is selected. `ahead_m` is how far ahead its prediction is used.
+    The gate is that of the model which is selected.
+
+    Parameters
+    ----------
+    p : (≥ 7,) float64           as in `update_kalman`, lag [s], wavelength [m], wave noise
+    m : (STATE_SIZE,) float64    state row, updated
+    track : (n, TRACK_COLUMNS) float64  receives the estimate
+    f : (ROWS, COLUMNS) float64  bank of `wave_filter`, updated
+    x_m, h_m : float [m]         place and height of the reading
+    ahead_m : float [m]          distance ahead at which the prediction is used
     """
     r = KALMAN_SIGMA_M * KALMAN_SIGMA_M
     if m[COUNT] == 0:

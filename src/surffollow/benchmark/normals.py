@@ -44,6 +44,13 @@ def plane_trial(method: str, count: int, seed: int, conditions: Conditions) -> d
     Only `surffollow.Follower` can be asked (sensor mounts are its configuration); a follower that gives no
     normal scores infinity.
 
+    Parameters
+    ----------
+    method : str  name of the follower
+    count : int   sensors
+    seed : int
+    conditions : Conditions
+
     Returns
     -------
     dict

@@ -110,7 +110,14 @@ def surface_labels(surfaces: Iterable[str]) -> dict[str, str]:
 def main_cells(
     surfaces: list[str], speeds_mps: list[float], leads_m: list[float], conditions: Conditions
 ) -> list[Cell]:
-    """Return the cells of the main table."""
+    """Return the cells of the main table.
+
+    Parameters
+    ----------
+    surfaces : list of str
+    speeds_mps, leads_m : list of float  in m/s and m
+    conditions : Conditions  all but the lead
+    """
     return [
         Cell(surface, speed, conditions.but(lead_m=lead))
         for lead in leads_m

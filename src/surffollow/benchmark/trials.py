@@ -177,7 +177,15 @@ def do_job(job: Job) -> tuple[Job, dict[str, float]]:
 
 
 def jobs_for(method: str, conditions: Conditions, surfaces: Sequence[str], seeds: Sequence[int]) -> list[Job]:
-    """Return every job of the special trials of one method, and of the drop-out policies beside it."""
+    """Return every job of the special trials of one method, and of the drop-out policies beside it.
+
+    Parameters
+    ----------
+    method : str                name of the follower
+    conditions : Conditions     all but the lead
+    surfaces : sequence of str  of the second pass
+    seeds : sequence of int
+    """
     base = conditions.but(lead_m=0.0)
     jobs: list[Job] = []
     for seed in seeds[:SECOND_PASS_SEEDS]:
@@ -207,6 +215,11 @@ def run_trials(
     """Run all special trials; one row per trial, case, surface, speed, latency and method, means over seeds.
 
     Every figure comes as its mean and, prefixed `worst_`, its greatest over seeds.
+
+    Parameters
+    ----------
+    method, conditions, surfaces, seeds  as in `jobs_for`
+    processes, progress  as in `in_parallel`
     """
     labels = surface_labels(surfaces)
     gathered: dict[tuple[Any, ...], list[tuple[int, dict[str, float]]]] = {}

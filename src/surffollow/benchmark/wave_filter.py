@@ -50,7 +50,14 @@ def selected(f: NDArray[Any]) -> int:
 
 @jit
 def initialise(f: NDArray[Any], wavelength_m: float, x_m: float, h_m: float) -> None:
-    """Start the bank at the first height."""
+    """Start the bank at the first height.
+
+    Parameters
+    ----------
+    f : (ROWS, COLUMNS) float64  the bank, written
+    wavelength_m : float [m]     middle one
+    x_m, h_m : float [m]         place and height
+    """
     for j in range(1, 1 + N_WAVES):
         for i in range(COLUMNS):
             f[j, i] = 0.0
@@ -62,7 +69,14 @@ def initialise(f: NDArray[Any], wavelength_m: float, x_m: float, h_m: float) -> 
 
 @jit
 def propagate(f: NDArray[Any], dx_m: float, mean_q: float, wave_q: float) -> None:
-    """Move all models by dx; `mean_q` and `wave_q` are noise densities [m²/m]."""
+    """Move all models by dx.
+
+    Parameters
+    ----------
+    f : (ROWS, COLUMNS) float64    the bank, updated
+    dx_m : float [m]
+    mean_q, wave_q : float [m²/m]  noise densities of mean and amplitudes
+    """
     for j in range(1, 1 + N_WAVES):
         w = f[j]
         c, s = math.cos(w[_K] * dx_m), math.sin(w[_K] * dx_m)
@@ -125,7 +139,14 @@ def shift(f: NDArray[Any], h_m: float) -> None:
 
 @jit
 def predict(f: NDArray[Any], x_m: float, ahead_m: float, slope_height_m: float) -> None:
-    """Note what each model expects at x + ahead; `slope_height_m` is the [height, slope] filter's."""
+    """Note what each model expects at x + ahead.
+
+    Parameters
+    ----------
+    f : (ROWS, COLUMNS) float64  the bank, updated
+    x_m, ahead_m : float [m]     place of the newest reading, and distance ahead
+    slope_height_m : float [m]   what the [height, slope] filter expects there
+    """
     count = int(f[0, _COUNT])
     if count == PENDING:
         return

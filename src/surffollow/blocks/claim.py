@@ -54,6 +54,14 @@ def claim_writer(
 ) -> tuple[SharedObject, FileLock, NameLock]:
     """Become the block's one writer: the owner of its name, until the process ends.
 
+    Parameters
+    ----------
+    name : str               the shared-memory object
+    schema : type of Schema  of the block's values
+    mode : int               permission bits of the object
+    group : int              number of its group, -1: that of this process
+    lease_ns : int [ns]      a reader that makes the writer wait longer is fenced
+
     Returns
     -------
     SharedObject, FileLock, NameLock   the block, an open of it for the fences, and what makes it ours
@@ -172,7 +180,15 @@ def _make(
 
 
 def give_up(obj: SharedObject, lock: FileLock, own: NameLock, keep: bool) -> None:
-    """The writer's end in peace: the name goes, unless the values are to stay for the next writer."""
+    """The writer's end in peace: the name goes, unless the values are to stay for the next writer.
+
+    Parameters
+    ----------
+    obj : SharedObject  the block; closed
+    lock : FileLock     an open of it for the fences; closed
+    own : NameLock      released
+    keep : bool         the values stay
+    """
     if own.held:
         if not keep and obj.is_current():
             with memoryview(obj.memory).cast("Q") as words:

@@ -122,7 +122,15 @@ def range_command(
 
 
 def guided(name: str, channel: int, seconds: float, unit: str) -> tuple[list[float], list[float]]:
-    """Ask for true distances one after the other; the sensor's mean beside each."""
+    """Ask for true distances one after the other; the sensor's mean beside each.
+
+    Parameters
+    ----------
+    name : str           of the service
+    channel : int
+    seconds : float [s]  of each mean
+    unit : str           of the distances typed
+    """
     import math
     import time
 
@@ -162,7 +170,15 @@ def guided(name: str, channel: int, seconds: float, unit: str) -> tuple[list[flo
 
 
 def draw(path: str, indicated: Any, true_m: Any, fit: Any) -> None:
-    """Table and residuals as a picture."""
+    """Table and residuals as a picture.
+
+    Parameters
+    ----------
+    path : str                 the picture
+    indicated : (n,) float64   what the sensor showed
+    true_m : (n,) float64 [m]  true distances
+    fit : calibration as fitted
+    """
     import numpy as np
 
     from surffollow.record.figure import new_figure, save_figure

@@ -16,7 +16,15 @@ TABLES = (".csv", ".parquet")
 def replay_csv_log(
     file: str, columns: str | None, start: float | None, end: float | None, mode: str | None
 ) -> tuple[CsvReplay, Columns]:
-    """Read a CSV log by its column file and follow it."""
+    """Read a CSV log by its column file and follow it.
+
+    Parameters
+    ----------
+    file : str                      the log
+    columns : str or None           file with the meaning of its columns
+    start, end : float or None [s]  part of the log
+    mode : str or None              of the follower
+    """
     from surffollow.errors import UsageError
     from surffollow.record.columns import load_columns
     from surffollow.record.csv_log import read_csv

@@ -110,7 +110,15 @@ class MapStream:
 
 
 def install_map(client: ServiceRequests, path: Path, timeout_s: float, progress: Any) -> Path:
-    """Read a map file and stream it to the service; see `Client.map_install`."""
+    """Read a map file and stream it to the service; see `Client.map_install`.
+
+    Parameters
+    ----------
+    client : ServiceRequests
+    path : Path                  the map file
+    timeout_s : float [s]        how long the service may take for nothing
+    progress : callable or None  gets the finished fraction; returning False cancels
+    """
     from surffollow.map.files import load
 
     def reading(fraction: float) -> object:

@@ -36,7 +36,16 @@ UNKNOWN_POINT = SurfacePoint(_NAN, _NAN, _NAN, False)
 def mean_height(
     heights: Any, nx: int, ny: int, fx: float, fy: float, inv_grid: float, datum: float, quantum: float
 ) -> float:
-    """Mean height of the grid at (fx, fy) [m]; NaN: unknown."""
+    """Mean height of the grid at (fx, fy) [m]; NaN: unknown.
+
+    Parameters
+    ----------
+    heights : (…,) int16        words of the map object's memory
+    nx, ny : int                grids along x and y
+    fx, fy : float              the point, in grids from the map's corner, within the map
+    inv_grid : float [1/m]      not used
+    datum, quantum : float [m]  height of quantum 0, and resolution of the heights
+    """
     i = int(fy) * nx + int(fx)
     q = heights[_FIRST_PAIR + 3 * (i >> 1) + (i & 1)]
     return _NAN if q == _UNKNOWN else datum + q * quantum
@@ -45,7 +54,16 @@ def mean_height(
 def surface_point(
     heights: Any, nx: int, ny: int, fx: float, fy: float, inv_grid: float, datum: float, quantum: float
 ) -> SurfacePoint:
-    """Height between grid centres, and slopes, at (fx, fy)."""
+    """Height between grid centres, and slopes, at (fx, fy).
+
+    Parameters
+    ----------
+    heights : (…,) int16        words of the map object's memory
+    nx, ny : int                grids along x and y
+    fx, fy : float              the point, in grids from the map's corner, within the map
+    inv_grid : float [1/m]      reciprocal of a grid's side
+    datum, quantum : float [m]  height of quantum 0, and resolution of the heights
+    """
     z, sx, sy = _surface(heights, nx, ny, fx, fy)
     if z != z:
         return UNKNOWN_POINT

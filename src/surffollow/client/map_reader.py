@@ -201,7 +201,15 @@ def copy_live_map(client: ServiceRequests, timeout_s: float) -> tuple[Any, Any]:
 
 
 def upload_map(client: ServiceRequests, path: Path, timeout_s: float, progress: Any) -> Path:
-    """Copy the map under exclusive access, then write it with this process's own rights."""
+    """Copy the map under exclusive access, then write it with this process's own rights.
+
+    Parameters
+    ----------
+    client : ServiceRequests
+    path : Path                  replaced when it exists
+    timeout_s : float [s]        how long to wait for exclusive access, and for each piece
+    progress : callable or None  gets the finished fraction; returning False cancels
+    """
     from surffollow.map.formats.text_file import write_text
 
     header, pairs = copy_live_map(client, timeout_s)

@@ -83,12 +83,36 @@ class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def seconds(value: str | float, key: str, low: float, high: float) -> float:
-    """A duration of the configuration [s], within bounds; ConfigError names the key."""
+    """A duration of the configuration [s].
+
+    Parameters
+    ----------
+    value : str or float   text with a unit, or a number [s]
+    key : str              named in the error
+    low, high : float [s]  bounds
+
+    Raises
+    ------
+    ConfigError
+        no duration, or out of bounds
+    """
     return _quantity(value, "s", key, low, high)
 
 
 def metres(value: str | float, key: str, low: float, high: float) -> float:
-    """A length of the configuration [m], within bounds; ConfigError names the key."""
+    """A length of the configuration [m].
+
+    Parameters
+    ----------
+    value : str or float   text with a unit, or a number [m]
+    key : str              named in the error
+    low, high : float [m]  bounds
+
+    Raises
+    ------
+    ConfigError
+        no length, or out of bounds
+    """
     return _quantity(value, "m", key, low, high)
 
 

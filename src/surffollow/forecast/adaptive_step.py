@@ -79,7 +79,14 @@ from surffollow.shm.layout_follow import (
 
 @jit
 def distance_ahead(params: Any, adaptive: Any, pose: Any, pose_t_ns: Any) -> Any:
-    """Distance from the newest footprint to the point under the tool when the demand acts [m]."""
+    """Distance from the newest footprint to the point under the tool when the demand acts [m].
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState`
+    pose : (7,) float64  newest pose reported, x y z [m] and quaternion
+    pose_t_ns : int64    its timestamp
+    """
     kinematics, sample = adaptive.kinematics, adaptive.sample
     if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
         return 0.0
@@ -99,6 +106,17 @@ def target_of_blend(
 
     The models are blended when a sample, a pose or a controller period is new. In between the blend
     continues at the rate that the models predict.
+
+    Parameters
+    ----------
+    params, adaptive, inputs : records of `Params`, `AdaptiveState` (updated), `Inputs`
+    pose_t_ns : int64     timestamp of the newest pose
+    ahead_m : float64     distance from `distance_ahead` [m]; negative ones count as 0
+    standoff_m : float64  desired height of the tool above the ground [m]
+
+    Returns
+    -------
+    float64 [m], int64
     """
     clock, blend = adaptive.clock, adaptive.blend
     due = period_is_due(adaptive.controller, inputs.n_ranges, clock.now_ns)
@@ -113,7 +131,15 @@ def target_of_blend(
 def plan_period(
     params: Any, adaptive: Any, inputs: Any, pose_t_ns: Any, ahead_m: Any, standoff_m: Any
 ) -> None:
-    """Preview control of the controller period that begins."""
+    """Preview control of the controller period that begins.
+
+    Parameters
+    ----------
+    params, adaptive, inputs : records of `Params`, `AdaptiveState` (updated), `Inputs`
+    pose_t_ns : int64     timestamp of the newest pose
+    ahead_m : float64     distance from `distance_ahead` [m]
+    standoff_m : float64  desired height of the tool above the ground [m]
+    """
     clock, kinematics, controller = adaptive.clock, adaptive.kinematics, adaptive.controller
     lookahead = adaptive.lookahead
     leads = 1 if adaptive.sample.lead_m > MIN_LEAD_M else 0
@@ -138,6 +164,12 @@ def target_of_preview(params: Any, adaptive: Any, target_m: Any, standoff_m: Any
     """Setpoint before the limits: the filtered blend, and the plan by its share [m].
 
     A sensor that leads measures no ground under the tool: its buffered heights replace the blend.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (updated)
+    target_m : float64    blended setpoint [m]
+    standoff_m : float64  desired height of the tool above the ground [m]
     """
     preview = adaptive.preview
     if preview.sensed_periods >= 2:
@@ -161,7 +193,7 @@ def compute_demand(
     Parameters
     ----------
     params, adaptive, sense, fold, inputs, output : records of `Params`, `AdaptiveState`, `SenseState`,
-        `FoldBackState`, `Inputs`, `Output`, all in plain numbers (`reference_scales`)
+        `FoldBackState`, `Inputs`, `Output`, all dimensionless (`reference_scales`)
     pose : (7,) float64 scratch
 
     Notes
@@ -177,13 +209,13 @@ def compute_demand(
     controller, setpoint = adaptive.controller, adaptive.setpoint
     newest = (sense.pose_count - 1) & (POSES - 1)
     pose_t_ns, tool_z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
-    several = 1 if params.orient != 0 and params.n_channels >= 3 else 0
+    orients = 1 if params.orient != 0 and params.n_channels >= 3 else 0
     if update_clock(clock, inputs.t_ns, pose_t_ns) != 0:
         reset_timestamps(adaptive)
     update_kinematics(params, kinematics, sense)
     update_plant(params, adaptive, sense, 0 if params.adapt == 0 or params.run != RUN_NORMAL else 1)
-    process_sample(params, adaptive, sense, fold, inputs, output, several, pose)
-    if several == 0 and params.n_channels > 1:
+    process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
+    if orients == 0 and params.n_channels > 1:
         moving = 1 if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS else 0
         observe_lookahead(params, adaptive, sense, moving, pose)
     stuck = min(is_stuck(health) + is_unresponsive(adaptive.response), 1)
@@ -207,7 +239,7 @@ def compute_demand(
         mark_dryrun(setpoint, 0)
         release_setpoint(setpoint)
         release_attitude(adaptive.attitude)
-    standoff = standoff_height(params, adaptive.plane, sense, several, pose)
+    standoff = standoff_height(params, adaptive.plane, sense, orients, pose)
     ahead = distance_ahead(params, adaptive, pose, pose_t_ns)
     observe_report(controller, sense.pose_count, clock.now_ns)
     target, due = target_of_blend(params, adaptive, inputs, pose_t_ns, ahead, standoff)
@@ -239,7 +271,7 @@ def compute_demand(
     output.demand[2] = limited
     if fold.close != 0:
         release_attitude(adaptive.attitude)  # away from the surface first, then rotate
-    elif several != 0 and adaptive.plane.count > 0:
+    elif orients != 0 and adaptive.plane.count > 0:
         demand_rotation(params, adaptive, sense, output)
     if controller.period_ns == clock.now_ns or controller.latch_pending != 0:
         record_own_setpoint(adaptive, tool_z + (limited if params.run == RUN_NORMAL else 0.0))

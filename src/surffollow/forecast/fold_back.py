@@ -18,7 +18,16 @@ PROBE_M = 0.001  # least demand away from the surface while the branch is in dou
 
 @jit_inlined
 def watch_fold_back(fold: Any, range_m: Any, sensor_z_m: Any, too_close_m: Any, exit_m: Any) -> None:
-    """Latch or release TOO_CLOSE with one valid reading."""
+    """Latch or release TOO_CLOSE with one valid reading.
+
+    Parameters
+    ----------
+    fold : record of `FoldBackState`  updated
+    range_m : float64      the reading [m]
+    sensor_z_m : float64   height of the sensor then, world frame [m]
+    too_close_m : float64  nearer readings latch [m]
+    exit_m : float64       only readings beyond this release [m]
+    """
     if fold.close == 0:
         if range_m < too_close_m:
             fold.close = 1

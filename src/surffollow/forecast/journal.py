@@ -100,6 +100,12 @@ def decode_cycle(words: Any, floats: Any, at: Any, inputs: Any) -> Any:
 
     The counts are checked against the entry's own length, so a damaged file cannot make
     the reader step outside it.
+
+    Parameters
+    ----------
+    words, floats : (n,) int64, the same memory as float64
+    at : int  index of the entry's first word
+    inputs : (1,) record of `Inputs`  receives the inputs
     """
     head = words[at]
     i = inputs[0]
@@ -139,7 +145,13 @@ def decode_cycle(words: Any, floats: Any, at: Any, inputs: Any) -> Any:
 def same_outcome(words: Any, at: Any, output_words: Any, demand_word: Any, status: Any, cycle: Any) -> Any:
     """1 when cycle number, status and all six demands of the entry at `at` have the same bits.
 
-    `output_words` is the `Output` record as int64 words, `demand_word` the index of its demand.
+    Parameters
+    ----------
+    words : (n,) int64         the log
+    at : int                   index of the entry's first word
+    output_words : (m,) int64  an `Output` record as words
+    demand_word : int          index of the demand in it
+    status, cycle : int64      status bits and cycle number to compare
     """
     if words[at + 2] != cycle or words[at + 3] != status:
         return 0

@@ -19,7 +19,17 @@ REFUSED, TAKEN, NO_POSE, TOO_FAR = range(4)
 
 @jit_inlined
 def rotate(qx: Any, qy: Any, qz: Any, qw: Any, x: Any, y: Any, z: Any) -> Any:
-    """The vector (x, y, z) turned by the unit quaternion: v + 2 q × (q × v + w v)."""
+    """The vector (x, y, z) turned by the unit quaternion: v + 2 q × (q × v + w v).
+
+    Parameters
+    ----------
+    qx, qy, qz, qw : float64  unit quaternion
+    x, y, z : float64         vector, in any unit
+
+    Returns
+    -------
+    3 × float64
+    """
     tx = qy * z - qz * y + qw * x
     ty = qz * x - qx * z + qw * y
     tz = qx * y - qy * x + qw * z
@@ -32,7 +42,15 @@ def rotate(qx: Any, qy: Any, qz: Any, qw: Any, x: Any, y: Any, z: Any) -> Any:
 
 @jit_inlined
 def push_pose(sense: Any, t_ns: Any, pose: Any, at: Any) -> Any:
-    """Append the pose at `pose[at:at+7]` to the history; 0 when it is not newer than the last (refused)."""
+    """Append the pose at `pose[at:at+7]` to the history; 0 when it is not newer than the last (refused).
+
+    Parameters
+    ----------
+    sense : record of `SenseState`  updated
+    t_ns : int64                    timestamp
+    pose : (≥ at + 7,) float64      x y z [m], qx qy qz qw
+    at : int                        index of the first number
+    """
     n = sense.pose_count
     if n > 0 and t_ns <= sense.pose_t_ns[(n - 1) & (POSES - 1)]:
         sense.poses_refused += 1
@@ -77,9 +95,16 @@ def report_pose(state: Any, step_ns: Any, t_ns: Any, pose: Any) -> Any:
 
 @jit_inlined
 def pose_at(sense: Any, t_ns: Any, interpolate: Any, out: Any) -> None:
-    """The tool's pose at `t_ns` into `out` (7,): the latest, or interpolated between its neighbours.
+    """The tool's pose at `t_ns` into `out`: the latest, or interpolated between its neighbours.
 
     Outside the history the nearest end is taken: nothing is extrapolated. Needs one pose at least.
+
+    Parameters
+    ----------
+    sense : record of `SenseState`
+    t_ns : int64        time of the pose
+    interpolate : int   0: the latest pose
+    out : (7,) float64  receives x y z [m], qx qy qz qw
     """
     n = sense.pose_count
     newest = (n - 1) & (POSES - 1)

@@ -1,4 +1,4 @@
-"""Reference scales of the default follower: kernels compute with plain numbers, those of one robot cell.
+"""Reference scales of the default follower: kernels compute with dimensionless numbers.
 
 The constants of the default follower are in metres and seconds of a cell with 0.1 m stand-off and an axis of
 40 ms. A length and a time, powers of two that are 1 for such a cell, follow from the stand-off and the
@@ -33,9 +33,9 @@ from surffollow.shm.schema import Schema
 
 # stand-offs and time constants from here to twice as much have scale 1; 0.1 m and 40 ms among them
 STANDOFF_M, TAU_S = 0.052, 0.038
-TIME_ORIGIN_NS = 1 << 42  # plain time of the first cycle: a time of 0 means never
-MAX_SHIFT = 12  # plain times of a fast axis: 2^62 ns stay above 10 days
-# powers of length and time by unit; a rotation is plain as it is
+TIME_ORIGIN_NS = 1 << 42  # dimensionless time of the first cycle: a time of 0 means never
+MAX_SHIFT = 12  # dimensionless times of a fast axis: 2^62 ns stay above 10 days
+# powers of length and time by unit; a rotation is dimensionless as it is
 EXPONENTS: dict[str, tuple[int, int]] = {
     "": (0, 0),
     "1": (0, 0),
@@ -119,56 +119,56 @@ def choose_scales(params: Any, state: Any) -> None:
 
 @jit_inlined
 def is_unscaled(d: Any) -> Any:
-    """1 when plain numbers are metres and seconds."""
+    """1 when dimensionless numbers are metres and seconds."""
     return 1 if d.length == 1.0 and d.shift == 0 else 0
 
 
 @jit_inlined
-def plain_duration(d: Any, ns: Any) -> Any:
-    """A duration in plain nanoseconds."""
+def dimensionless_duration(d: Any, ns: Any) -> Any:
+    """A dimensionless duration: nanoseconds over the reference time."""
     return ns >> d.shift if d.shift >= 0 else ns << -d.shift
 
 
 @jit_inlined
-def plain_time(d: Any, t_ns: Any) -> Any:
-    """A time in plain nanoseconds; without an epoch as it is."""
-    return t_ns if d.epoch_ns == 0 else plain_duration(d, t_ns - d.epoch_ns) + TIME_ORIGIN_NS
+def dimensionless_time(d: Any, t_ns: Any) -> Any:
+    """A dimensionless time: that since the epoch over the reference time; without an epoch as it is."""
+    return t_ns if d.epoch_ns == 0 else dimensionless_duration(d, t_ns - d.epoch_ns) + TIME_ORIGIN_NS
 
 
 @jit
-def plain_sense(d: Any, sense: Any, n_channels: Any) -> None:
-    """Copy new poses and samples to the plain record."""
-    plain, per_m = d.sense, 1.0 / d.length
+def scale_sense(d: Any, sense: Any, n_channels: Any) -> None:
+    """Copy new poses and samples to the dimensionless record."""
+    scaled, per_m = d.sense, 1.0 / d.length
     n, first = sense.pose_count, d.sense.pose_count
     if first > n or (first > 0 and first > n - POSES):
         last = (first - 1) & (POSES - 1)
-        if first > n or plain.pose_t_ns[last] != plain_time(d, sense.pose_t_ns[last]):
+        if first > n or scaled.pose_t_ns[last] != dimensionless_time(d, sense.pose_t_ns[last]):
             first = 0  # the pose history was reset
     for k in range(max(first, n - POSES), n):
         slot = k & (POSES - 1)
-        plain.pose_t_ns[slot] = plain_time(d, sense.pose_t_ns[slot])
+        scaled.pose_t_ns[slot] = dimensionless_time(d, sense.pose_t_ns[slot])
         for i in range(7):
-            plain.pose[7 * slot + i] = sense.pose[7 * slot + i] * (per_m if i < 3 else 1.0)
-    plain.pose_count = n
+            scaled.pose[7 * slot + i] = sense.pose[7 * slot + i] * (per_m if i < 3 else 1.0)
+    scaled.pose_count = n
     for c in range(n_channels):
-        n, first = sense.window_n[c], plain.window_n[c]
-        if plain.losses[c] != sense.losses[c] or first > n:
+        n, first = sense.window_n[c], scaled.window_n[c]
+        if scaled.losses[c] != sense.losses[c] or first > n:
             first = 0
         for k in range(max(first, n - CONVERSION_WINDOW), n):
             slot = c * CONVERSION_WINDOW + (k & (CONVERSION_WINDOW - 1))
-            plain.window_m[slot] = sense.window_m[slot] * per_m
-            plain.window_t_ns[slot] = plain_time(d, sense.window_t_ns[slot])
-        plain.window_n[c], plain.losses[c] = n, sense.losses[c]
-        plain.fresh[c], plain.valid[c] = sense.fresh[c], sense.valid[c]
-        plain.range_m[c] = sense.range_m[c] * per_m
-        plain.range_t_ns[c] = plain_time(d, sense.range_t_ns[c])
+            scaled.window_m[slot] = sense.window_m[slot] * per_m
+            scaled.window_t_ns[slot] = dimensionless_time(d, sense.window_t_ns[slot])
+        scaled.window_n[c], scaled.losses[c] = n, sense.losses[c]
+        scaled.fresh[c], scaled.valid[c] = sense.fresh[c], sense.valid[c]
+        scaled.range_m[c] = sense.range_m[c] * per_m
+        scaled.range_t_ns[c] = dimensionless_time(d, sense.range_t_ns[c])
     for c in range(n_channels, CHANNELS):
-        plain.fresh[c] = 0
+        scaled.fresh[c] = 0
 
 
 @jit
 def scale_inputs(params: Any, state: Any, inputs: Any, output: Any) -> None:
-    """Fill the plain records of this cycle.
+    """Fill the dimensionless records of this cycle.
 
     Parameters
     ----------
@@ -184,13 +184,13 @@ def scale_inputs(params: Any, state: Any, inputs: Any, output: Any) -> None:
             at.store_relaxed_f64(to, at.load_relaxed_f64(source + 8 * k) * d.per_unit[_PARAMS[k, 1]])
         else:
             word = at.load_relaxed_i64(source + 8 * k)
-            at.store_relaxed_i64(to, plain_duration(d, word) if _PARAMS[k, 0] == _DURATION else word)
-    plain_sense(d, state[0].sense, params[0].n_channels)
+            at.store_relaxed_i64(to, dimensionless_duration(d, word) if _PARAMS[k, 0] == _DURATION else word)
+    scale_sense(d, state[0].sense, params[0].n_channels)
     per_m = 1.0 / d.length
     fold = state[0].fold
     d.fold.close, d.fold.close_z_m = fold.close, fold.close_z_m * per_m
     d.fold.close_range_m = fold.close_range_m * per_m
-    d.inputs.t_ns, d.inputs.n_ranges = plain_time(d, i.t_ns), i.n_ranges
+    d.inputs.t_ns, d.inputs.n_ranges = dimensionless_time(d, i.t_ns), i.n_ranges
     n = min(max(i.n_preview, 0), MAX_PREVIEW)
     d.inputs.n_preview = n
     d.inputs.preview_from_m, d.inputs.preview_step_m = i.preview_from_m * per_m, i.preview_step_m * per_m
@@ -208,7 +208,7 @@ def scale_inputs(params: Any, state: Any, inputs: Any, output: Any) -> None:
 
 @jit
 def unscale_outputs(state: Any, output: Any) -> None:
-    """Copy the plain output and the fold-back latch back in SI units; timestamps stay."""
+    """Copy the dimensionless output and the fold-back latch back in SI units; timestamps stay."""
     d, fold = state[0].scaled, state[0].fold
     fold.close, fold.close_z_m = d.fold.close, d.fold.close_z_m * d.length
     fold.close_range_m = d.fold.close_range_m * d.length

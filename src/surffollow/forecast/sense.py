@@ -47,6 +47,13 @@ def push_sample(sense: Any, c: Any, t_ns: Any, range_m: Any) -> None:
 
     A gap is longer than `ABSENT_NS` and than twice the usual spacing of samples (a slow sensor has no
     gaps), with a step in it that brought no sample (a slow cycle makes no gaps).
+
+    Parameters
+    ----------
+    sense : record of `SenseState`  updated
+    c : int                         channel
+    t_ns : int64                    timestamp of the sample
+    range_m : float64               its distance [m], within the valid range
     """
     if sense.missed[c] != 0:
         sense.missed[c] = 0

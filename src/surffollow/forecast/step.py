@@ -92,8 +92,13 @@ def reset_stop(params: Any, state: Any) -> None:
 def find_targets(params: Any, state: Any, output: Any, pose: Any, interpolate: Any) -> Any:
     """Target points of all fresh readings into `output.target_m`; the sensor height of channel 0 [m].
 
-    `pose` (7,) is scratch, `interpolate` as in `pose_at`. The mean over `ee_readings` points replaces
+    The mean over `ee_readings` points replaces
     each footprint (§3.2.1), see `average_point`.
+
+    Parameters
+    ----------
+    params, state, output : records of `Params`, `FollowState` (updated), `Output` (updated)
+    pose : (7,) float64 scratch, interpolate : int as in `pose_at`
     """
     sense = state.sense
     fresh, sensor_z = 0, 0.0
@@ -142,7 +147,11 @@ def clear_output(params: Any, state: Any, inputs: Any, output: Any) -> None:
 def demand_z(params: Any, state: Any, inputs: Any, output: Any, reading_z_m: Any, pose: Any) -> Any:
     """The paper's vertical demand with limits, hysteresis and fold-back; returns status bits.
 
-    `reading_z_m` is the sensor's height [m] in the pose of a fresh reading, `pose` (7,) scratch.
+    Parameters
+    ----------
+    params, state, inputs, output : records of `Params`, `FollowState` (updated), `Inputs`, `Output` (updated)
+    reading_z_m : float64  height of the sensor in the pose of a fresh reading [m]
+    pose : (7,) float64    scratch
     """
     p = state.paper
     fresh = output.fresh & 1
@@ -186,11 +195,11 @@ def demand_z(params: Any, state: Any, inputs: Any, output: Any, reading_z_m: Any
 def adaptive_cycle(
     params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, pose: Any, ready: Any
 ) -> Any:
-    """Demand, if a pose is `ready`, and report of the adaptive mode in plain numbers.
+    """Demand, if a pose is `ready`, and report of the adaptive mode in dimensionless numbers.
 
     Parameters
     ----------
-    params, adaptive, sense, fold, inputs, output : records in plain numbers (`reference_scales`)
+    params, adaptive, sense, fold, inputs, output : dimensionless records (`reference_scales`)
     pose : (7,) float64 scratch
     ready : int              0: no pose, or a stale one
 
@@ -209,7 +218,10 @@ def adaptive_cycle(
 
 @jit
 def scaled_adaptive_cycle(params: Any, state: Any, inputs: Any, output: Any, pose: Any, ready: Any) -> Any:
-    """`adaptive_cycle` behind the reference scales; where these are 1 nothing is copied."""
+    """`adaptive_cycle` behind the reference scales; where these are 1 nothing is copied.
+
+    The arguments before `pose` are (1,) records in SI units; `ready` and the status bits as there.
+    """
     s = state[0]
     d = s.scaled
     if d.length == 0.0:

@@ -96,7 +96,16 @@ def fault_table(faults: list[FaultConfig] | tuple[FaultConfig, ...], info: Drive
 
 @jit
 def fault_hits(table: Any, number: Any, state: Any, t_ns: Any, channel: Any) -> Any:
-    """Decide whether fault `number` of the table hits a conversion of that time and channel."""
+    """Decide whether fault `number` of the table hits a conversion of that time and channel.
+
+    Parameters
+    ----------
+    table : (n,) `Fault`
+    number : int               row of the table
+    state : (1,) `FaultState`  seed and begin of the schedule
+    t_ns : int64 [ns]          time of the conversion
+    channel : int
+    """
     f = table[number]
     since = t_ns - state[0].origin_ns
     if since < f.start_ns or since >= f.end_ns or (f.channel >= 0 and f.channel != channel):
@@ -107,7 +116,14 @@ def fault_hits(table: Any, number: Any, state: Any, t_ns: Any, channel: Any) -> 
 
 @jit
 def fault_delay_ns(table: Any, state: Any, t_ns: Any, word: Any) -> Any:
-    """Longest delay that the schedule orders for a conversion [ns]; arguments as `inject_faults`."""
+    """Longest delay that the schedule orders for a conversion [ns].
+
+    Parameters
+    ----------
+    table : (n,) `Fault`
+    state : (1,) `FaultState`
+    t_ns, word : int64 [ns], packed conversion
+    """
     delay = 0
     for number in range(len(table)):
         if table[number].kind == LATE and fault_hits(table, number, state, t_ns, conversion_channel(word)):

@@ -134,6 +134,14 @@ class ReplayedDriver:
 def save_conversions(
     path: str | Path, t_ns: NDArray[np.int64], words: NDArray[np.int64], info: DriverInfo
 ) -> None:
-    """Write conversions and the calibration that goes with them, for `ReplayedDriver.from_file` (NPZ)."""
+    """Write conversions and the calibration that goes with them, for `ReplayedDriver.from_file` (NPZ).
+
+    Parameters
+    ----------
+    path : path             replaced when it exists
+    t_ns : (n,) int64 [ns]  times of the conversions
+    words : (n,) int64      packed conversions
+    info : DriverInfo       calibration
+    """
     text = np.frombuffer(msgspec.json.encode(info), np.uint8)
     np.savez_compressed(path, version=_FILE_VERSION, t_ns=t_ns, word=words, info=text)

@@ -51,7 +51,15 @@ def _lanes(field: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
 def store(
     pairs: NDArray[Any], start: int, heights: NDArray[np.int16], samples: NDArray[np.uint8] | None
 ) -> None:
-    """Write grids start …; counts become 0 where `samples` is None or the height is unknown."""
+    """Write grids start …; counts become 0 where `samples` is None or the height is unknown.
+
+    Parameters
+    ----------
+    pairs : (n,) structured `GridPair`  updated
+    start : int                   index of the first grid
+    heights : (k,) int16          quanta; UNKNOWN where unknown
+    samples : (k,) uint8 or None  sample counts
+    """
     index = np.arange(start, start + heights.size)
     pairs["h"][index >> 1, index & 1] = heights
     pairs["c"][index >> 1, index & 1] = 0 if samples is None else np.where(heights == ml.UNKNOWN, 0, samples)

@@ -39,6 +39,13 @@ def save(
 ) -> None:
     """Write a map losslessly, atomically: NumPy archive for .npz, else the text format.
 
+    Parameters
+    ----------
+    path : path          replaced when it exists
+    header : (1,) structured `MapHeader`
+    pairs : (n,) structured `GridPair`  must not change meanwhile
+    progress : callable  gets the finished fraction; returning False cancels
+
     Raises
     ------
     MapFileError

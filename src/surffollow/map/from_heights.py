@@ -29,6 +29,15 @@ def map_of_heights(
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Make a map; arguments and errors are those of `HeightMap.from_heights`.
 
+    Parameters
+    ----------
+    heights_m : (ny, nx) array_like  heights [m], rows ascend in y; not finite: unknown
+    origin_m : 2 numbers          x, y of the outer corner [m]
+    grid_m : float                side of a grid [m]
+    counts : (ny, nx) array_like  samples per grid; default: 0
+    quantum_m : float             resolution of the heights [m]; default: fine enough for all
+    datum_m : float               height of quantum 0 [m]; default: in the middle of the heights
+
     Returns
     -------
     (header, pairs)

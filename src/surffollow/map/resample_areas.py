@@ -16,6 +16,11 @@ def overlap_lengths(
 ) -> Any:
     """Overlap of every new grid with every old one along an axis.
 
+    Parameters
+    ----------
+    old_n, old_start_m, old_grid_m  old grids: number along the axis, lower edge of the first, side [m]
+    new_n, new_start_m, new_grid_m  new grids likewise
+
     Returns
     -------
     (new_n, old_n) sparse CSR float64   length in old grids; differences below 1e-6 of a grid are

@@ -88,6 +88,15 @@ def record_blocks(
 
     Publications that came and went between two looks are counted as missed.
 
+    Parameters
+    ----------
+    names : sequence of str  blocks
+    out : path               MCAP file
+    stop : threading.Event   set: the recording ends
+    every_s : float [s]      time between two looks at the blocks
+    seconds : float [s]      length of the recording; None: until `stop`
+    force : bool             replace a file that is there
+
     Raises
     ------
     NotRunningError, BlockError   a block is not there, or is none

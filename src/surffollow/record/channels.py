@@ -50,7 +50,15 @@ class Sink(Protocol):
     """Destination of messages."""
 
     def add_message(self, topic: str, kind: Message, t_ns: int, data: bytes) -> None:
-        """Append one message, `t_ns` of CLOCK_MONOTONIC."""
+        """Append one message, `t_ns` of CLOCK_MONOTONIC.
+
+        Parameters
+        ----------
+        topic : str
+        kind : Message  type of the message
+        t_ns : int [ns]
+        data : bytes    encoded message
+        """
 
     @property
     def wall_offset_ns(self) -> int:

@@ -103,7 +103,14 @@ def spans(t: NDArray[np.float64], where: NDArray[np.bool_]) -> list[tuple[float,
 
 
 def shade(ax: Any, found: list[tuple[float, float]], color: str, label: str) -> None:
-    """Shade spans of time; one entry in the legend."""
+    """Shade spans of time; one entry in the legend.
+
+    Parameters
+    ----------
+    ax : Axes
+    found : list of (begin, end)  in units of the axis
+    color, label : str
+    """
     for k, (a, b) in enumerate(found):
         ax.axvspan(a, b, color=color, lw=0, zorder=0, label=label if k == 0 else None)
 
@@ -128,7 +135,14 @@ def outliers(values: NDArray[np.float64]) -> NDArray[np.bool_]:
 def mark_outliers(
     ax: Any, t: NDArray[np.float64], values: NDArray[np.float64], odd: NDArray[np.bool_]
 ) -> None:
-    """Cross them out, with their number in the legend."""
+    """Cross them out, with their number in the legend.
+
+    Parameters
+    ----------
+    ax : Axes
+    t, values : (n,) float64  in units of the axes
+    odd : (n,) bool           the outliers
+    """
     n = int(odd.sum())
     if n:
         label = f"{n} outlier{'s' * (n != 1)}"
@@ -162,7 +176,13 @@ def rms(values: NDArray[np.float64]) -> float:
 
 
 def draw_map(figure: Any, ax: Any, heights_m: NDArray[np.float64], frame: tuple[float, float, float]) -> str:
-    """A shaded map with a scale; `frame` is x and y of the outer corner and the grid [m].
+    """A shaded map with a scale.
+
+    Parameters
+    ----------
+    figure, ax : Figure, Axes
+    heights_m : (ny, nx) float64 [m]  rows ascend in y, NaN unknown
+    frame : (x, y, grid) [m]  outer corner of heights_m[0, 0], and side of a grid
 
     Returns
     -------

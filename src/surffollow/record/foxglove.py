@@ -103,7 +103,14 @@ def pose_in_frame(wall_ns: int, frame: str, pose: Sequence[float]) -> bytes:
 
 
 def transform(wall_ns: int, parent: str, child: str, pose: Sequence[float]) -> dict[str, Any]:
-    """One `FrameTransform`: the child's frame in the parent's."""
+    """One `FrameTransform`: the child's frame in the parent's.
+
+    Parameters
+    ----------
+    wall_ns : int [ns]   CLOCK_REALTIME
+    parent, child : str  names of the frames
+    pose : 7 numbers     x y z [m], qx qy qz qw
+    """
     return {
         "timestamp": stamp(wall_ns),
         "parent_frame_id": parent,
@@ -116,9 +123,16 @@ def transform(wall_ns: int, parent: str, child: str, pose: Sequence[float]) -> d
 def point_cloud(
     wall_ns: int, frame: str, points_m: NDArray[np.float64], counts: NDArray[np.uint8] | None = None
 ) -> bytes:
-    """Points (n, 3) [m], float64: a workshop's coordinates may have six digits before the point.
+    """Points as float64: a workshop's coordinates may have six digits before the point.
 
-    With `counts` (n,) each point has its number of samples.
+    With `counts` each point has its number of samples.
+
+    Parameters
+    ----------
+    wall_ns : int [ns]  CLOCK_REALTIME
+    frame : str         name of the points' frame
+    points_m : (n, 3) float64 [m]
+    counts : (n,) uint8 or None
     """
     kinds: list[tuple[str, str]] = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
     if counts is not None:

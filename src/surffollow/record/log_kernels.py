@@ -154,7 +154,15 @@ def params_in_bounds(words: Any, at: Any) -> Any:
 
 @jit
 def take_snapshot(words: Any, at: Any, params_words: Any, state_words: Any, tally: Any) -> None:
-    """Load the first snapshot of a segment; compare the later ones with the replayed state."""
+    """Load the first snapshot of a segment; compare the later ones with the replayed state.
+
+    Parameters
+    ----------
+    words : (n,) int64  the log
+    at : int            index of the entry's first word
+    params_words, state_words : int64  `Params` and `FollowState` of the replay as words
+    tally : (…,) int64  counts of the comparison, updated
+    """
     params_at, state_at = at + 2, at + 2 + PARAMS_WORDS
     if tally[R_STARTED] == 0:
         for k in range(PARAMS_WORDS):

@@ -35,7 +35,16 @@ def known_points(
     quantum_m: float,
     datum_m: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Centres and heights (n, 3) [m] of the known grids of a window, and their sample counts (n,)."""
+    """Centres and heights (n, 3) [m] of the known grids of a window, and their sample counts (n,).
+
+    Parameters
+    ----------
+    quanta : (ny, nx) int16         heights; UNKNOWN where unknown
+    counts : (ny, nx) uint8         samples
+    origin_m : (x, y) [m]           outer corner of the window
+    grid_m : float [m]              side of a grid
+    quantum_m, datum_m : float [m]  resolution of the heights, and height of quantum 0
+    """
     row, column = np.nonzero(quanta != ml.UNKNOWN)
     points = np.empty((row.size, 3))
     points[:, 0] = origin_m[0] + (column + 0.5) * grid_m

@@ -21,6 +21,13 @@ _MIN_PATH = 1.0
 def plot_csv(file: str | Path, replay: CsvReplay, columns: Columns, out: str | Path) -> Path:
     """Draw a CSV replay; the path of the figure.
 
+    Parameters
+    ----------
+    file : path         name of the log, for the title
+    replay : CsvReplay  the log as followed
+    columns : Columns   meaning of its columns
+    out : path          the figure
+
     Raises
     ------
     UsageError, FaultError  the figure cannot be drawn or written

@@ -50,7 +50,16 @@ def noise(seed: Any) -> Any:
 def synthesise_inputs(
     params: Any, inputs: Any, cycle: Any, seed: Any, per_cycle: Any, period_ns: Any
 ) -> None:
-    """A cycle's conversions and poses: a swell under a tool at constant speed, noise, losses, odd poses."""
+    """A cycle's conversions and poses: a swell under a tool at constant speed, noise, losses, odd poses.
+
+    Parameters
+    ----------
+    params : (1,) record of `Params`  calibration of the channels
+    inputs : (1,) record of `Inputs`  receives the inputs
+    cycle, seed : int  number of the cycle, and of the noise
+    per_cycle : int    conversions in a cycle
+    period_ns : int    length of a cycle
+    """
     p, i = params[0], inputs[0]
     t_ns = NS_PER_S + cycle * period_ns
     i.t_ns = t_ns
@@ -81,7 +90,17 @@ def synthesise_inputs(
 
 @jit
 def append_event(log: Any, capacity: Any, words: Any, address: Any, kind: Any, t_ns: Any, n: Any) -> None:
-    """Append the entry whose words from the third on are already in `words`."""
+    """Append the entry whose words from the third on are already in `words`.
+
+    Parameters
+    ----------
+    log, capacity : int64  as in `log_append`
+    words : (≥ n,) int64   the entry; the first two words are written
+    address : int64        of `words`
+    kind : int             of the entry
+    t_ns : int64
+    n : int                words of the entry
+    """
     words[0], words[1] = entry_head(kind, n), t_ns
     log_append(log, capacity, address, n)
 

@@ -180,6 +180,14 @@ def search_attitude(placement: Any, angles: Any, limits: Any, step: Any, s: Any)
     On broken ground the equilibrium next to the normal may be a poor one. The best two attitudes of a
     coarse raster over the wrist's range are settled as well; one of them is taken when it saves more than a
     twentieth of the lift.
+
+    Parameters
+    ----------
+    placement : BodyPlacement
+    angles : (2,) float64 [rad]  pitch and roll, within the limits; updated in place
+    limits : (4,) float64 [rad]  pitch_min, pitch_max, roll_min, roll_max
+    step : float [rad]           first turn, as in `settle_attitude`
+    s : (5, m) float64           scratch
     """
     best = settle_attitude(placement, angles, limits, step, s)
     if best <= MIN_SAVING_M:

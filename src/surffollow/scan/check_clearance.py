@@ -41,6 +41,17 @@ def _distances(z: Array, origin: tuple[float, float], g: float, flat: Array, gap
 def check_clearance(
     z: Array, origin: tuple[float, float], g: float, points: Array, gap: float, stated_m: Array
 ) -> list[Finding]:
+    """No control point is inside the gap, and the column of clearances is right.
+
+    Parameters
+    ----------
+    z : (rows, cols) float64 [m]    heights of the map; NaN unknown
+    origin : (x, y) [m]             outer corner of z[0, 0]
+    g : float [m]                   side of a cell
+    points : (n, m, 3) float64 [m]  control points of the samples with a height
+    gap : float [m]                 least distance from known ground
+    stated_m : (n,) float64         column `clearance_m` of these samples
+    """
     if not np.isfinite(z).any() or len(points) == 0:
         return [Finding("clearance", False, "no known ground, or no sample with a height, to compare")]
     if not np.isfinite(points).all():
@@ -66,7 +77,16 @@ def check_clearance(
 def check_between_rows(
     z: Array, origin: tuple[float, float], g: float, inner: Poses, facts: Facts
 ) -> Finding:
-    """Between rows of a dense path a chord cuts into the gap by the sagitta of a few cells, not by more."""
+    """Between rows of a dense path a chord cuts into the gap by the sagitta of a few cells, not by more.
+
+    Parameters
+    ----------
+    z : (rows, cols) float64 [m]  heights of the map; NaN unknown
+    origin : (x, y) [m]           outer corner of z[0, 0]
+    g : float [m]                 side of a cell
+    inner : Poses                 poses between rows
+    facts : Facts                 header of the file
+    """
     points = control_points(inner, facts)
     distance = None
     if np.isfinite(z).any() and len(points):
@@ -90,7 +110,15 @@ def unknown_centres(z: Array, origin: tuple[float, float], g: float) -> Array:
 
 
 def is_beside(z: Array, origin: tuple[float, float], g: float, xy: Array) -> NDArray[np.bool_]:
-    """Which places (…, 2) lie beside the map."""
+    """Which places (…, 2) lie beside the map.
+
+    Parameters
+    ----------
+    z : (rows, cols) float64  heights of the map; only the shape is read
+    origin : (x, y) [m]       outer corner of z[0, 0]
+    g : float [m]             side of a cell
+    xy : (…, 2) float64 [m]
+    """
     rows, cols = z.shape
     u, v = (xy[..., 0] - origin[0]) / g, (xy[..., 1] - origin[1]) / g
     return np.asarray((u < 0.0) | (u > cols) | (v < 0.0) | (v > rows))
@@ -99,7 +127,16 @@ def is_beside(z: Array, origin: tuple[float, float], g: float, xy: Array) -> NDA
 def check_unknown_ground(
     z: Array, origin: tuple[float, float], g: float, poses: Poses, facts: Facts
 ) -> Finding:
-    """Samples with unknown ground within the gap of a control point must carry the flag."""
+    """Samples with unknown ground within the gap of a control point must carry the flag.
+
+    Parameters
+    ----------
+    z : (rows, cols) float64 [m]  heights of the map; NaN unknown
+    origin : (x, y) [m]           outer corner of z[0, 0]
+    g : float [m]                 side of a cell
+    poses : Poses                 rows of the file, and poses between them
+    facts : Facts                 header of the file
+    """
     xy, flags = control_points(poses, facts)[:, :, :2], poses.flags[poses.planned]
     if len(xy) == 0 or not np.isfinite(xy).all():
         return Finding("unknown_beneath", False, "no sample has a height, or a quaternion is none")

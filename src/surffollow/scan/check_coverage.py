@@ -17,7 +17,17 @@ MAX_CELLS_ACROSS = 2000  # swath cells along a side of the region
 def check_coverage(
     z: Array, origin: tuple[float, float], g: float, poses: Poses, swath: float, region: Array
 ) -> Finding:
-    """Swath cells of the region, a quarter swath wide, within half a swath of a pass with a height."""
+    """Swath cells of the region, a quarter swath wide, within half a swath of a pass with a height.
+
+    Parameters
+    ----------
+    z : (rows, cols) float64 [m]  heights of the map; NaN unknown
+    origin : (x, y) [m]           outer corner of z[0, 0]
+    g : float [m]                 side of a cell
+    poses : Poses                 rows of the file, and poses between them
+    swath : float [m]             width that a pass covers
+    region : (n, 2) float64 [m]   corners of the region
+    """
     low, high = region.min(axis=0), region.max(axis=0)
     side = max(0.25 * swath, float((high - low).max()) / MAX_CELLS_ACROSS)
     nx, ny = (max(1, math.ceil((high[k] - low[k]) / side)) for k in range(2))

@@ -128,6 +128,18 @@ def _facts(path: str | os.PathLike[str], found: dict[str, Any]) -> Facts:
 def between(path: str | os.PathLike[str], rows: Poses, body: Array, step: float) -> Poses:
     """Poses between rows as a robot interpolates them, where a control point moves farther than `step` [m].
 
+    Parameters
+    ----------
+    path : path                the file, for the error
+    rows : Poses               rows of the file
+    body : (m, 3) float64 [m]  control points of the body
+    step : float [m]           greatest motion of a control point from pose to pose
+
+    Raises
+    ------
+    ScanFileError
+        rows are so far apart that more than MAX_POSES_BETWEEN poses would lie between
+
     Notes
     -----
     Position and quaternion change linearly from row to row. A pose is part of a pass when both rows are.

@@ -56,7 +56,18 @@ def _cells_within(z: Any, u: Any, v: Any, r: Any) -> Any:
 
 @jit
 def lift_needed(z: Any, tops: Any, g: Any, u: Any, v: Any, height: Any, gap: Any, least: Any) -> float:
-    """Height that must be added to a point so that it is `gap` from every cell; at least `least` [m]."""
+    """Height that must be added to a point so that it is `gap` from every cell; at least `least` [m].
+
+    Parameters
+    ----------
+    z : (rows, cols) float64 [m]  heights of the cells; NaN unknown
+    tops : (⌈rows/TILE⌉, ⌈cols/TILE⌉) float64  from `tile_tops`
+    g : float [m]                 side of a cell
+    u, v : float                  column and row of the point, cell centres at whole numbers
+    height : float [m]            height of the point
+    gap : float [m]
+    least : float [m]             answer where less is needed
+    """
     need = least
     y0, y1, x0, x1 = _cells_within(z, u, v, gap / g)
     if y1 < y0 or x1 < x0:
@@ -80,7 +91,17 @@ def lift_needed(z: Any, tops: Any, g: Any, u: Any, v: Any, height: Any, gap: Any
 
 @jit
 def nearest_ground(z: Any, tops: Any, g: Any, u: Any, v: Any, height: Any, most: Any) -> float:
-    """Distance from a point to the nearest known cell centre, or `most` if that is less [m]."""
+    """Distance from a point to the nearest known cell centre, or `most` if that is less [m].
+
+    Parameters
+    ----------
+    z : (rows, cols) float64 [m]  heights of the cells; NaN unknown
+    tops : (⌈rows/TILE⌉, ⌈cols/TILE⌉) float64  from `tile_tops`
+    g : float [m]                 side of a cell
+    u, v : float                  column and row of the point, cell centres at whole numbers
+    height : float [m]            height of the point
+    most : float [m]              greatest distance looked for
+    """
     rows, cols = z.shape
     best = most
     x, y = math.floor(u + 0.5), math.floor(v + 0.5)
@@ -106,7 +127,17 @@ def nearest_ground(z: Any, tops: Any, g: Any, u: Any, v: Any, height: Any, most:
 
 @jit
 def lifts_needed(z: Any, tops: Any, g: Any, gap: Any, points: Any, lift: Any) -> None:
-    """Lift [m] of each pose into lift (n,), so that its points (n, m, 3) [cells, cells, m] keep the gap."""
+    """Lift [m] of each pose so that its points keep the gap from every known cell.
+
+    Parameters
+    ----------
+    z : (rows, cols) float64 [m]  heights of the cells; NaN unknown
+    tops : (⌈rows/TILE⌉, ⌈cols/TILE⌉) float64  from `tile_tops`
+    g : float [m]                 side of a cell
+    gap : float [m]
+    points : (n, m, 3) float64    m points of each pose: column, row [cells], height [m]
+    lift : (n,) float64 [m]       out
+    """
     for k in range(points.shape[0]):
         need = 0.0
         for i in range(points.shape[1]):
@@ -116,7 +147,16 @@ def lifts_needed(z: Any, tops: Any, g: Any, gap: Any, points: Any, lift: Any) ->
 
 @jit
 def least_distance(z: Any, tops: Any, g: Any, points: Any, most: Any) -> float:
-    """Least distance [m] of points (m, 3) [cells, cells, m] from known cell centres, at most `most`."""
+    """Least distance [m] of points from known cell centres, at most `most`.
+
+    Parameters
+    ----------
+    z : (rows, cols) float64 [m]  heights of the cells; NaN unknown
+    tops : (⌈rows/TILE⌉, ⌈cols/TILE⌉) float64  from `tile_tops`
+    g : float [m]                 side of a cell
+    points : (m, 3) float64       column, row [cells], height [m]
+    most : float [m]              greatest distance looked for
+    """
     near = most
     for i in range(points.shape[0]):
         near = nearest_ground(z, tops, g, points[i, 0], points[i, 1], points[i, 2], near)

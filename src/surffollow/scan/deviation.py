@@ -171,7 +171,15 @@ def planar_deviation(
 
 
 def deviations(zp: Floats, mp: Floats, r: int, mode: str, out: Floats) -> None:
-    """`deviation_rows` over all rows, in bands."""
+    """`deviation_rows` over all rows, in bands.
+
+    Parameters
+    ----------
+    zp, mp : (rows + 2r, cols + 2r) float64  from `padded`: image, 0 where invalid; 1 valid, 0 invalid
+    r : int                        half width of the window
+    mode : str                     "exact" or "fast"
+    out : (4, rows, cols) float64  deviation, a (per column), b (per row), c
+    """
 
     def work(first: int, last: int) -> None:
         scratch = np.empty((SCRATCH_ROWS, zp.shape[1]))

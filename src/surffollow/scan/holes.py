@@ -43,7 +43,15 @@ def fill_columns(z: Any, widest: Any, filled: Any, weight: Any) -> None:
 
 @jit
 def fill_rows(z: Any, widest: Any, filled: Any, weight: Any) -> None:
-    """Interpolate along rows likewise, and mix with what `fill_columns` found, by 1 / gap²."""
+    """Interpolate along rows likewise, and mix with what `fill_columns` found, by 1 / gap².
+
+    Parameters
+    ----------
+    z : (rows, cols) float64       NaN unknown
+    widest : float                 widest gap that is filled [cells]
+    filled : (rows, cols) float64  heights of `fill_columns`; updated
+    weight : (rows, cols) float32  weights of `fill_columns`
+    """
     rows, cols = z.shape
     for y in range(rows):
         last = -1

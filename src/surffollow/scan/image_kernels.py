@@ -108,7 +108,16 @@ def gauss_row(zp: Any, weights: Any, y: Any, s: Any, to: Any) -> None:
 
 @jit_arrays
 def gauss_rows(zp: Any, weights: Any, first: Any, last: Any, s: Any, out: Any) -> None:
-    """`gauss_row` for rows first … last - 1 of out (rows, cols)."""
+    """`gauss_row` for rows first … last - 1 of out (rows, cols).
+
+    Parameters
+    ----------
+    zp : (rows + 2r, cols + 2r) float64  padded image
+    weights : (2r + 1,) float64  of one direction, sum 1
+    first, last : int
+    s : (cols + 2r,) float64     scratch
+    out : (rows, cols) float64
+    """
     for y in range(first, last):
         gauss_row(zp, weights, y, s, out[y])
 

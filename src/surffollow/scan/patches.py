@@ -167,7 +167,20 @@ def classify(
     steepest_rad: float,
     region: Sequence[float] | None,
 ) -> Patches:
-    """Patches of an image of points (rows, cols, 3) whose values z may jump by at most `jump` per pixel."""
+    """Patches of an image of points (rows, cols, 3) whose values z may jump by at most `jump` per pixel.
+
+    Parameters
+    ----------
+    z : (rows, cols) float64     value whose jumps end a patch; NaN: no point
+    points : (rows, cols, 3) float64 [m]  the points, ground frame
+    jump : (rows, cols) float64  greatest change of z to a neighbour within a patch
+    eye : (3,) float64 [m]       place from which the points were seen
+    min_pixels : int             smaller patches are TOO_SMALL
+    support_m : float [m]        as in `floating_patches`
+    cell_m : float [m]           as in `floating_patches`
+    steepest_rad : float [rad]   greatest angle of a patch's mean normal from up
+    region : (x_min, y_min, x_max, y_max) [m]  patches outside are OUTSIDE; None: everywhere
+    """
     rows, cols = z.shape
     labels = np.empty((rows, cols), np.int32)
     n = int(label_patches(z, jump, np.empty(rows * cols, np.int32), labels))

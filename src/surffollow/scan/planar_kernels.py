@@ -14,7 +14,16 @@ PLANAR_STRENGTH = 0.5  # labelled planar from here
 
 @jit_arrays
 def prepare_rows(q: Any, middle: Any, r: Any, first: Any, last: Any, zp: Any, mp: Any) -> None:
-    """Image minus `middle` and its mask into padded arrays; q is finite where valid, else NaN."""
+    """Image minus `middle` and its mask into padded arrays; q is finite where valid, else NaN.
+
+    Parameters
+    ----------
+    q : (rows, cols) float64  disparities; NaN invalid
+    middle : float            subtracted from each
+    r : int                   half width of the window
+    first, last : int         rows first … last - 1
+    zp, mp : (rows + 2r, cols + 2r) float64  out: image, 0 where invalid; 1 valid, 0 invalid
+    """
     for y in range(first, last):
         row, z, m = q[y], zp[y + r, r:], mp[y + r, r:]
         for x in range(q.shape[1]):
@@ -112,7 +121,21 @@ def finish_rows(
     depth: Any,
     label: Any,
 ) -> None:
-    """Depths k / (disparity + offset) and labels of the result; NaN where the input had no data."""
+    """Depths k / (disparity + offset) and labels of the result; NaN where the input had no data.
+
+    Parameters
+    ----------
+    mp : (rows + 2r, cols + 2r) float64  1 valid, 0 invalid
+    middle : float                 added to each disparity
+    k : float                      depth times disparity
+    offset : float                 added to each disparity before the division
+    r : int                        half width of the window
+    first, last : int              rows first … last - 1
+    out : (2, rows, cols) float64  filtered disparities less `middle`, planar strength; updated
+    dev : (4, rows, cols) float64  deviations, of which the first are updated
+    depth : (rows, cols) float64 [m]  out
+    label : (rows, cols) uint8     out: NO_DATA, ROUGH, PLANAR
+    """
     for y in range(first, last):
         m, to, w, d, z, kind = mp[y + r, r:], out[0, y], out[1, y], dev[0, y], depth[y], label[y]
         for x in range(z.shape[0]):

@@ -108,7 +108,15 @@ def terrain_map(
 
 
 def averages(points: Floats, weights: Floats, origin_m: tuple[float, float], side_m: float) -> Floats:
-    """(m, 3) weighted mean points of the squares that hold any, square by square along rows."""
+    """(m, 3) weighted mean points of the squares that hold any, square by square along rows.
+
+    Parameters
+    ----------
+    points : (n, 3) float64 [m]
+    weights : (n,) float64
+    origin_m : (x, y) [m]  corner of a square
+    side_m : float [m]     side of the squares
+    """
     row, col = _cell_of(points, origin_m, side_m)
     number = (row - row.min()) * (int(col.max() - col.min()) + 1) + (col - col.min())
     order = np.argsort(number, kind="stable")

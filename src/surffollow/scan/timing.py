@@ -54,6 +54,13 @@ class MotionLimits:
 def speed_profile(cap: Any, ds: Any, acceleration: Any, speed: Any) -> None:
     """Speeds that never exceed `cap` (n,) and change by at most the acceleration; at rest at both ends.
 
+    Parameters
+    ----------
+    cap : (n,) float64 [m/s]    greatest speed at each sample
+    ds : (n - 1,) float64 [m]   distance from each sample to the next
+    acceleration : float [m/s²]
+    speed : (n,) float64 [m/s]  out
+
     Notes
     -----
     v² rises and falls by at most 2 a ds between samples: one pass forwards, one backwards.

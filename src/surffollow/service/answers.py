@@ -32,7 +32,15 @@ def count(stats: Any, offset: Any, n: Any) -> None:
 
 @jit
 def write_ack(latch: Any, ack: Any, request: Any, result: Any, detail: Any) -> None:
-    """Publish the answer to a request."""
+    """Publish the answer to a request.
+
+    Parameters
+    ----------
+    latch : int64               address of the client's latch
+    ack : (1,) record of `Ack`  scratch
+    request : (1,) record of `Request`
+    result, detail : int64
+    """
     a = ack[0]
     a.counter, a.claim = request[0].counter, request[0].claim
     a.result, a.detail = result, detail
@@ -68,7 +76,15 @@ def log_params(mem: Any, t_ns: Any) -> None:
 
 @jit
 def log_value(mem: Any, kind: Any, t_ns: Any, value: Any) -> None:
-    """Write an entry of one float64, e.g. RESET."""
+    """Write an entry of one float64, e.g. RESET.
+
+    Parameters
+    ----------
+    mem : CycleMemory
+    kind : int    of the entry
+    t_ns : int64  now
+    value : float64
+    """
     mem.entry[0], mem.entry[1] = journal.entry_head(kind, 3), t_ns
     mem.entry_floats[2] = value
     log_append(mem.ctx[m.LOG], mem.ctx[m.LOG_CAPACITY], mem.entry.ctypes.data, 3)

@@ -78,7 +78,17 @@ def push_entry(mem: Any) -> None:
 
 @jit
 def fill_entry(mem: Any, slot: Any, claim: Any, code: Any, t_ns: Any, result: Any, detail: Any) -> None:
-    """Fill `mem.audit` with who asked and what came of it; no parameter, no text."""
+    """Fill `mem.audit` with who asked and what came of it; no parameter, no text.
+
+    Parameters
+    ----------
+    mem : CycleMemory
+    slot : int64            of the client; -1: the service itself
+    claim : int64           of the slot
+    code : int64            of the request, RQ_…
+    t_ns : int64            now
+    result, detail : int64  the answer
+    """
     entry, ctx = mem.audit, mem.ctx
     entry[_T_NS], entry[_SLOT], entry[_CLAIM], entry[_CODE] = t_ns, slot, claim, code
     entry[_RESULT], entry[_DETAIL], entry[_COUNT], entry[_WORD] = result, detail, 1, -1
@@ -95,7 +105,15 @@ def fill_entry(mem: Any, slot: Any, claim: Any, code: Any, t_ns: Any, result: An
 
 @jit
 def note_change(mem: Any, slot: Any, t_ns: Any, result: Any, detail: Any) -> None:
-    """Queue an entry for the request in `mem.request`, one per parameter where several were set."""
+    """Queue an entry for the request in `mem.request`, one per parameter where several were set.
+
+    Parameters
+    ----------
+    mem : CycleMemory       `request` and `old_values` are read
+    slot : int64            of the client
+    t_ns : int64            now
+    result, detail : int64  the answer
+    """
     request, entry = mem.request[0], mem.audit
     fill_entry(mem, slot, claim_of(mem.ctx, slot), request.code, t_ns, result, detail)
     if request.code == RQ_STOP:

@@ -55,7 +55,14 @@ def histogram_bin(t_ns: Any) -> Any:
 
 @jit
 def count_duration(stats: Any, histogram: Any, longest: Any, t_ns: Any) -> None:
-    """Add one duration to a histogram and its maximum."""
+    """Add one duration to a histogram and its maximum.
+
+    Parameters
+    ----------
+    stats : int64             address of the statistics
+    histogram, longest : int  offsets of the histogram and of the maximum [bytes]
+    t_ns : int64 [ns]         the duration
+    """
     count(stats, histogram + 8 * histogram_bin(t_ns), 1)
     if t_ns > at.load_relaxed_i64(stats + longest):
         at.store_relaxed_i64(stats + longest, t_ns)

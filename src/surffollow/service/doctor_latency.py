@@ -88,6 +88,14 @@ def own_run(
 ) -> tuple[Lateness, realtime.Grants]:
     """Wake up every period for some seconds in a thread like the cycle's.
 
+    Parameters
+    ----------
+    period_ns : int [ns]
+    seconds : float [s]  length of the run
+    spin_ns : int [ns]   end of each wait that is spent spinning
+    priority : int       of SCHED_FIFO
+    cpu : int            processor; -1: the last of those allowed
+
     Raises
     ------
     ServiceError  the thread failed
@@ -157,6 +165,12 @@ def measure(
     *, period_ns: int, seconds: float, runs: int, spin_ns: int, priority: int, beside: bool, cpu: int = -1
 ) -> dict[str, Any]:
     """Alternate runs of ours and of cyclictest, never side by side.
+
+    Parameters
+    ----------
+    period_ns, seconds, spin_ns, priority, cpu  as in `own_run`
+    runs : int
+    beside : bool  run cyclictest too
 
     Returns
     -------

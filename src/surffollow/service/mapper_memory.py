@@ -53,7 +53,14 @@ JOB_WORDS = 16
 
 
 def make_map_memory(ctx: Any, header: Any, pairs: Any, scratch: Any, quantum_m: float) -> MapMemory:
-    """Everything idle; header, pairs, scratch are the map object's, the quantum [m] the configuration's."""
+    """Everything idle.
+
+    Parameters
+    ----------
+    ctx : (…,) int64       context of the service, see `memory`
+    header, pairs, scratch : parts of the map object
+    quantum_m : float [m]  of the configuration
+    """
     item, status = np.zeros(m.SAMPLE_WORDS, np.int64), zeros(MapStatus)
     status[0]["access_slot"] = -1
     piece = np.zeros(PIECE_BYTES // 8, np.int64)

@@ -68,7 +68,15 @@ def may_push(ctx: Any, slot: Any) -> Any:
 
 @jit
 def do_range_role(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
-    """CLAIM_RANGE and RELEASE_RANGE; (result, pid of the holder or number of channels)."""
+    """CLAIM_RANGE and RELEASE_RANGE; (result, pid of the holder or number of channels).
+
+    Parameters
+    ----------
+    mem : CycleMemory  `request` names the channel
+    slot : int64  of the client
+    code : int64  RQ_CLAIM_RANGE or RQ_RELEASE_RANGE
+    t_ns : int64  now
+    """
     ctx = mem.ctx
     channel = mem.request[0].number[0]
     if not 0 <= channel < mem.pushed[0].n_channels:

@@ -70,7 +70,12 @@ def prepare_cycle_thread(grants: Grants, priority: int, cpu: int, thread: int) -
     Called for a thread that runs a kernel without the GIL: a real-time thread that waits for its
     processor while it holds the GIL would stop the main thread too.
 
-    `cpu` -1 takes the last processor of those allowed, when there is more than one.
+    Parameters
+    ----------
+    grants : Grants  receives what was granted and refused
+    priority : int   of SCHED_FIFO
+    cpu : int        processor; -1: the last of those allowed, when there is more than one
+    thread : int     the kernel's number of the thread
     """
     try:
         os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))

@@ -85,7 +85,14 @@ def do_set_params(mem: Any, t_ns: Any) -> Any:
 
 @jit
 def may_change(ctx: Any, slot: Any, claim: Any, policy: Any) -> Any:
-    """Whether this client may change what `policy` governs (access.parameters, access.map)."""
+    """Whether this client may change what `policy` governs (access.parameters, access.map).
+
+    Parameters
+    ----------
+    ctx : (…,) int64     context of the service, see `memory`
+    slot, claim : int64  of the client
+    policy : int64       BY_ANY, BY_HOLDER, …
+    """
     if policy == m.BY_ANY:
         return True
     base = ctx.ctypes.data
@@ -107,7 +114,15 @@ def region_ok(request: Any) -> Any:
 
 @jit
 def do_map_request(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
-    """Queue a map request behind the samples taken so far; (result, detail)."""
+    """Queue a map request behind the samples taken so far; (result, detail).
+
+    Parameters
+    ----------
+    mem : CycleMemory  `request` is the client's
+    slot : int64  of the client
+    code : int64  RQ_… of the map
+    t_ns : int64  now
+    """
     ctx, request = mem.ctx, mem.request[0]
     base = ctx.ctypes.data
     if not region_ok(request):

@@ -31,7 +31,13 @@ def claim_of(ctx: Any, slot: Any) -> Any:
 
 @jit
 def check_pose(post: Any, now_ns: Any, oldest_ns: Any, pose: Any) -> Any:
-    """Check and normalise a copied pose into `pose` (7,).
+    """Check and normalise a copied pose into `pose`.
+
+    Parameters
+    ----------
+    post : (1,) record of the client's pose, copied
+    now_ns, oldest_ns : int64  time, and the oldest timestamp that counts
+    pose : (7,) float64        overwritten: x y z [m], qx qy qz qw
 
     Returns
     -------

@@ -96,7 +96,15 @@ def holder_pid(ctx: Any) -> Any:
 
 @jit
 def do_stop(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
-    """RQ_STOP of any client, RQ_STOP_RESET of the pose's holder; (result, causes or the holder's pid)."""
+    """RQ_STOP of any client, RQ_STOP_RESET of the pose's holder; (result, causes or the holder's pid).
+
+    Parameters
+    ----------
+    mem : CycleMemory
+    slot : int64  of the client
+    code : int64  RQ_STOP or RQ_STOP_RESET
+    t_ns : int64  now
+    """
     ctx = mem.ctx
     if code == RQ_STOP:
         stop_for(mem, t_ns, STOP_REQUEST)

@@ -19,7 +19,19 @@ ITEM_WORDS = 2
 
 @jit_pasted
 def pack_conversion(counts: Any, channel: Any, flags: Any, dt_ns: Any) -> Any:
-    """The word of a conversion (int64); `dt_ns` must fit 32 bits, `counts` 24."""
+    """The word of a conversion.
+
+    Parameters
+    ----------
+    counts : int64      within COUNTS_MIN … COUNTS_MAX
+    channel : int64     0 … 7
+    flags : int64       FLAG_…, 5 bits
+    dt_ns : int64 [ns]  time relative to a reference, 32 bits
+
+    Returns
+    -------
+    int64
+    """
     return (dt_ns << 32) | ((flags & 31) << 27) | ((channel & 7) << 24) | (counts & 0xFFFFFF)
 
 

@@ -25,7 +25,15 @@ WORDS = LogHead.SIZE
 
 @jit
 def log_append(log: Any, capacity: Any, entry: Any, n_words: Any) -> None:
-    """Append `n_words` words at private address `entry` (steps L1-L4)."""
+    """Append `n_words` words at private address `entry` (steps L1-L4).
+
+    Parameters
+    ----------
+    log : int64     address of the log
+    capacity : int  words of the log, a power of two
+    entry : int64   address of the words, of this process alone
+    n_words : int
+    """
     head = at.load_relaxed_i64(log + HEAD)
     at.store_relaxed_i64(log + RESERVED, head + n_words)
     at.fence_release()
@@ -44,6 +52,14 @@ def log_head(log: Any) -> Any:
 @jit
 def log_copy(log: Any, capacity: Any, position: Any, target: Any, most: Any) -> Any:
     """Copy at most `most` words from `position` on to private address `target`.
+
+    Parameters
+    ----------
+    log : int64       address of the log
+    capacity : int    words of the log, a power of two
+    position : int64  number of the first word
+    target : int64    address of memory for `most` words, of this process alone
+    most : int
 
     Returns
     -------

@@ -1,6 +1,6 @@
 """State of the default follower: one record per stage of its block diagram.
 
-Lengths and times are plain numbers (`reference_scales`): metres and seconds of a usual robot cell.
+Lengths and times are dimensionless (`reference_scales`): metres and seconds of a usual robot cell.
 Only the stage that owns a record writes it.
 """
 

@@ -248,18 +248,18 @@ class Output(Schema):
 
 
 class ScaledState(Schema):
-    """Reference scales of the default follower, and what it sees in plain numbers (`reference_scales`).
+    """Reference scales of the default follower, and its dimensionless records (`reference_scales`).
 
-    Plain lengths are metres over `length`, plain times nanoseconds over `time`; units of the nested records
-    are those of plain numbers. The records are used only when one of the scales is not 1.
+    Dimensionless lengths are metres over `length`, dimensionless times nanoseconds over `time`; the units of
+    the nested records are those of scale 1. The records are used only when one of the scales is not 1.
     """
 
     length = F64(doc="reference length as a multiple of the usual one, a power of two; 0: not chosen")
     time = F64(doc="reference time likewise")
     shift = I64(doc="its binary logarithm")
-    unit = F64(SCALED_UNITS, doc="plain units with a dimension, in SI units")
+    unit = F64(SCALED_UNITS, doc="SI value of a dimensionless 1, per kind of unit")
     per_unit = F64(SCALED_UNITS, doc="their reciprocals")
-    epoch_ns = I64(unit="ns", doc="time that is the plain epoch; 0: not chosen, or times are as they are")
+    epoch_ns = I64(unit="ns", doc="epoch of dimensionless times; 0: not chosen, or times are as they are")
     params = Nested(Params)
     sense = Nested(SenseState)
     fold = Nested(FoldBackState)

@@ -57,6 +57,14 @@ class SharedObject:
         It is made without a name, filled in by `prepare` (which may take locks), and linked when it is
         whole: no reader sees half of it, and a creator that is killed leaves nothing behind.
 
+        Parameters
+        ----------
+        name : str
+        size : int [bytes]
+        mode : int          permission bits
+        group : int         number of the group; -1: that of this process
+        prepare : callable  gets the object before it has a name
+
         Raises
         ------
         ExistsError        there is one of that name

@@ -30,7 +30,14 @@ def make_ring(capacity: int, words: int) -> np.ndarray[Any, np.dtype[np.uint64]]
 
 @jit
 def ring_push(ring: Any, capacity: Any, words: Any, item: Any) -> Any:
-    """Append the item at address `item`; 1 when it went in, 0 when the ring is full (producer only)."""
+    """Append the item at address `item`; 1 when it went in, 0 when the ring is full (producer only).
+
+    Parameters
+    ----------
+    ring : int64           address of the ring
+    capacity, words : int  items of the ring, words of an item
+    item : int64           address of the item
+    """
     head = at.load_relaxed_i64(ring + HEAD)
     if head - at.load_acquire_i64(ring + TAIL) >= capacity:
         return 0
@@ -43,7 +50,14 @@ def ring_push(ring: Any, capacity: Any, words: Any, item: Any) -> Any:
 
 @jit
 def ring_peek(ring: Any, capacity: Any, words: Any, item: Any) -> Any:
-    """Copy the oldest item to address `item` without taking it; 1, or 0 when empty (consumer only)."""
+    """Copy the oldest item to address `item` without taking it; 1, or 0 when empty (consumer only).
+
+    Parameters
+    ----------
+    ring : int64           address of the ring
+    capacity, words : int  items of the ring, words of an item
+    item : int64           address that receives the item
+    """
     tail = at.load_relaxed_i64(ring + TAIL)
     if at.load_acquire_i64(ring + HEAD) == tail:
         return 0

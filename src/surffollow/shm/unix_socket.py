@@ -60,6 +60,13 @@ def peer_pidfd(sock: socket.socket, pid: int) -> int:
 def listen(path: Path, mode: int, group: int, backlog: int) -> socket.socket:
     """Listen under an unused name; no process can connect before the mode is set.
 
+    Parameters
+    ----------
+    path : Path    of the socket
+    mode : int     permission bits
+    group : int    number of the group; -1: that of this process
+    backlog : int  connections that may wait
+
     Raises
     ------
     OSError   the name is taken, the group is not ours, …

@@ -82,7 +82,14 @@ class BaseConfig:
 
 @jit
 def echo_m(x: Any, y: Any, heading: Any, half_beam: Any, max_incidence: Any, width: Any, depth: Any) -> Any:
-    """Range of the nearest wall of a room [0, width] × [0, depth] for one sonar; inf: no echo."""
+    """Range of the nearest wall of a room [0, width] × [0, depth] for one sonar; inf: no echo.
+
+    Parameters
+    ----------
+    x, y, heading : float     place of the sonar and axis of its beam [m, m, rad]
+    half_beam, max_incidence : float [rad]  α and δ_max
+    width, depth : float [m]  size of the room
+    """
     nearest = math.inf
     for wall in range(4):
         # normals 0°, 90°, 180°, 270°; distances from the sonar itself
@@ -99,7 +106,13 @@ def echo_m(x: Any, y: Any, heading: Any, half_beam: Any, max_incidence: Any, wid
 
 @jit
 def ray_m(x: Any, y: Any, heading: Any, width: Any, depth: Any) -> Any:
-    """Distance along one ray to the wall of the room."""
+    """Distance along one ray to the wall of the room.
+
+    Parameters
+    ----------
+    x, y, heading : float     begin and direction of the ray [m, m, rad]
+    width, depth : float [m]  size of the room
+    """
     c, s = math.cos(heading), math.sin(heading)
     nearest = math.inf
     if c > 1e-9:

@@ -22,7 +22,17 @@ TARGET_SIZE_M = 0.1  # of the detector's response to the target
 def laser_rows(
     z: Any, frame: Any, tip: Any, normal: Any, above: Any, reach: Any, o: Any, d: Any, out: Any
 ) -> None:
-    """Range from each tip (n, 3) along minus its normal to the ground, less `above`; NaN out of reach."""
+    """Range from each tip along minus its normal to the ground, less `above`; NaN out of reach.
+
+    Parameters
+    ----------
+    z : (ny, nx) float64 [m]      heights
+    frame : (3,) float64 [m]      x0, y0 and grid of the field
+    tip, normal : (n, 3) float64  places [m], and unit normals of the tool
+    above, reach : float [m]      the rays begin that far along the normal; greatest length
+    o, d : (3,) float64           scratch
+    out : (n,) float64 [m]
+    """
     for k in range(tip.shape[0]):
         for i in range(3):
             o[i] = tip[k, i] + above * normal[k, i]
@@ -51,7 +61,15 @@ def laser_range(ground: HeightField, tip_m: Floats, normal: Floats) -> Floats:
 def accelerometer(
     tip_m: Floats, rate_hz: float, rng: np.random.Generator, sigma_mps2: float = 0.02
 ) -> Floats:
-    """(n, 3) acceleration of the tip in the ground frame, without gravity, with white noise [m/s²]."""
+    """(n, 3) acceleration of the tip in the ground frame, without gravity, with white noise [m/s²].
+
+    Parameters
+    ----------
+    tip_m : (n, 3) float64 [m]  positions, ground frame
+    rate_hz : float             samples per second
+    rng : Generator             of the noise
+    sigma_mps2 : float          standard deviation of the noise
+    """
     true = np.gradient(np.gradient(tip_m, axis=0), axis=0) * rate_hz**2
     return np.asarray(true + rng.normal(0.0, sigma_mps2, true.shape))
 
@@ -65,6 +83,14 @@ def target_signal(
     sigma: float = 0.01,
 ) -> Floats:
     """(n,) response of a detector to a buried target: 1 at it, falling with the sixth power of distance.
+
+    Parameters
+    ----------
+    tip_m : (n, 3) float64 [m]   positions
+    target_m : (3,) float64 [m]  the target
+    rng : Generator              of the noise
+    size_m : float [m]           distance scale of the response
+    sigma : float                standard deviation of the noise
 
     Notes
     -----

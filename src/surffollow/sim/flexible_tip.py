@@ -72,7 +72,15 @@ def mode_response(drive: Any, dt: Any, omega: Any, zeta: Any, state: Any, out: A
 
 
 def response(drive: Floats, rate_hz: float, frequency_hz: float, damping: float) -> Floats:
-    """(n,) response of one mode to a sampled drive."""
+    """(n,) response of one mode to a sampled drive.
+
+    Parameters
+    ----------
+    drive : (n,) float64  as in `mode_response`
+    rate_hz : float       samples per second
+    frequency_hz : float  undamped frequency of the mode
+    damping : float       damping ratio, below 1
+    """
     out = np.empty(len(drive))
     mode_response(
         np.ascontiguousarray(drive), 1.0 / rate_hz, 2.0 * math.pi * frequency_hz, damping, np.zeros(2), out
@@ -81,7 +89,14 @@ def response(drive: Floats, rate_hz: float, frequency_hz: float, damping: float)
 
 
 def tip_deflection(tip_m: Floats, rate_hz: float, base_m: Floats, parts: Compliance) -> Floats:
-    """(n, 3) what modes and sway add to a stiff arm's tip (n, 3) sampled at a rate [m].
+    """(n, 3) what modes and sway add to a stiff arm's tip [m].
+
+    Parameters
+    ----------
+    tip_m : (n, 3) float64 [m]  positions of the stiff arm's tip
+    rate_hz : float             samples per second
+    base_m : (3,) float64 [m]   base of the arm
+    parts : Compliance
 
     Notes
     -----

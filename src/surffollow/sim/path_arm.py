@@ -81,6 +81,11 @@ def along(a: Any, path: Any) -> Any:
 def bend(a: Any, ax: Any, ay: Any, az: Any) -> None:
     """Advance modes and sway by one step under the stiff tip's acceleration [m/s²]; `real` is written.
 
+    Parameters
+    ----------
+    a : (1,) `ArmState`        updated in place
+    ax, ay, az : float [m/s²]  acceleration of the stiff tip
+
     Notes
     -----
     As `flexible_tip.tip_deflection`, step by step.

@@ -115,7 +115,15 @@ def grid_x(length_m: float = PATH_LENGTH_M, dx_m: float = SPACING_M) -> NDArray[
 def made(
     name: str, x: NDArray[np.float64], h: NDArray[np.float64], parts: NDArray[np.uint8] | None = None
 ) -> Profile:
-    """Wrap heights given on `grid_x()` as a profile."""
+    """Wrap heights given on `grid_x()` as a profile.
+
+    Parameters
+    ----------
+    name : str
+    x : (n,) float64 [m]  `grid_x()`
+    h : (n,) float64 [m]  heights
+    parts : (n,) uint8    PART_… of each height; None: no parts
+    """
     nothing = np.zeros(0, np.uint8) if parts is None else parts
     length = float(x[-1] - MARGIN_M)
     return Profile(name, float(x[0]), SPACING_M, np.ascontiguousarray(h, np.float64), nothing, 0.0, length)
@@ -133,7 +141,15 @@ def flat(seed: int = 0) -> Profile:
 
 
 def ramp(seed: int = 0, slope: float = 0.05, rise_m: float = 0.05, name: str = "ramp-5") -> Profile:
-    """Flats of 0.4 m between ramps of ±`slope` that rise and fall by `rise_m`."""
+    """Flats of 0.4 m between ramps of ±`slope` that rise and fall by `rise_m`.
+
+    Parameters
+    ----------
+    seed : int  of the place where the ground begins
+    slope : float
+    rise_m : float [m]
+    name : str  of the profile
+    """
     x = grid_x()
     run = rise_m / slope
     period = 2.0 * (0.4 + run)
@@ -151,14 +167,28 @@ def step(seed: int = 0, height_m: float = 0.01, every_m: float = 0.25) -> Profil
 
 
 def hump(seed: int = 0, height_m: float = 0.02, sigma_m: float = 0.12, every_m: float = 1.0) -> Profile:
-    """Gaussian humps, one every metre."""
+    """Gaussian humps, one every metre.
+
+    Parameters
+    ----------
+    seed : int                     of the place where the ground begins
+    height_m, sigma_m : float [m]  height and standard deviation of a hump
+    every_m : float [m]            distance from hump to hump
+    """
     x = grid_x()
     s = np.mod(x + _phase(seed, every_m), every_m) - 0.5 * every_m
     return made("hump", x, height_m * np.exp(-0.5 * (s / sigma_m) ** 2))
 
 
 def slot(seed: int = 0, width_m: float = 2e-3, depth_m: float = 0.01, every_m: float = 0.3) -> Profile:
-    """Flat ground with 2 mm wide slots, which a tool must not chase."""
+    """Flat ground with 2 mm wide slots, which a tool must not chase.
+
+    Parameters
+    ----------
+    seed : int           of the place where the ground begins
+    width_m, depth_m : float [m]
+    every_m : float [m]  distance from slot to slot
+    """
     x = grid_x()
     s = np.mod(x + _phase(seed, every_m), every_m)
     cut = made("slot", x, np.where((s > 0.5 * SPACING_M) & (s < width_m), -depth_m, 0.0))
@@ -175,7 +205,14 @@ def sine(seed: int = 0, wavelength_m: float = 0.2, amplitude_m: float = 0.01) ->
 def chirp(
     seed: int = 0, longest_m: float = 1.0, shortest_m: float = 0.1, amplitude_m: float = 5e-3
 ) -> Profile:
-    """Wavelength falling from 1 m to 100 mm along the path (cycles per metre grow linearly)."""
+    """Wavelength falling from 1 m to 100 mm along the path (cycles per metre grow linearly).
+
+    Parameters
+    ----------
+    seed : int  of the phase
+    longest_m, shortest_m : float [m]  wavelengths at both ends
+    amplitude_m : float [m]
+    """
     x = grid_x()
     low, high = 1.0 / longest_m, 1.0 / shortest_m
     cycles = low * x + 0.5 * (high - low) / PATH_LENGTH_M * x * x

@@ -92,7 +92,16 @@ def rolling(
     peak_to_peak_m: float,
     waves: int = 12,
 ) -> NDArray[np.float64]:
-    """Sum sines of random phase, wavelengths spread evenly in 1/λ, amplitude ∝ λ, scaled to a height [m]."""
+    """Sum sines of random phase, wavelengths spread evenly in 1/λ, amplitude ∝ λ, scaled to a height [m].
+
+    Parameters
+    ----------
+    x : (n,) float64 [m]        places
+    rng : Generator             of the phases
+    wavelengths_m : (float, float) [m]  shortest and longest
+    peak_to_peak_m : float [m]  height that is scaled to
+    waves : int                 number of sines
+    """
     n = np.linspace(1.0 / wavelengths_m[1], 1.0 / wavelengths_m[0], waves)
     phase = rng.uniform(0.0, 2 * np.pi, waves)
     h = np.zeros_like(x)

@@ -22,7 +22,14 @@ AXIS_STEPS = 16
 
 @jit
 def turned(q: Any, x_rad: Any, y_rad: Any, z_rad: Any, out: Any) -> None:
-    """Attitude q turned by a rotation vector in world axes into `out` (4,), normalised; `out` is not q."""
+    """Attitude q turned by a rotation vector in world axes , normalised.
+
+    Parameters
+    ----------
+    q : (4,) float64    x, y, z, w
+    x_rad, y_rad, z_rad : float64
+    out : (4,) float64  overwritten; not the same memory as q
+    """
     angle = math.sqrt(x_rad * x_rad + y_rad * y_rad + z_rad * z_rad)
     half = math.sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
     ax, ay, az, aw = half * x_rad, half * y_rad, half * z_rad, math.cos(0.5 * angle)

@@ -17,7 +17,14 @@ Floats = NDArray[np.float64]
 
 @jit
 def cast(z: Any, x0: Any, y0: Any, g: Any, o: Any, d: Any, nearest: Any, farthest: Any, step: Any) -> float:
-    """Length along the unit ray o + s d (each (3,)) to the ground between two lengths [m]; NaN: none.
+    """Length along the unit ray o + s d to the ground between two lengths [m]; NaN: none.
+
+    Parameters
+    ----------
+    z : (ny, nx) float64 [m]  heights
+    x0, y0, g : float [m]     position of z[0, 0] and spacing
+    o, d : (3,) float64       begin of the ray [m], and unit direction
+    nearest, farthest, step : float [m]  lengths looked at
 
     Notes
     -----
@@ -97,7 +104,18 @@ def render_depth(
     farthest_m: float = 4.0,
     step_m: float = 0.01,
 ) -> Floats:
-    """(rows, cols) true depths [m]; NaN out of reach, or occluded from the second camera."""
+    """(rows, cols) true depths [m]; NaN out of reach, or occluded from the second camera.
+
+    Parameters
+    ----------
+    ground : HeightField
+    ground_from_camera : (4, 4) float64
+    lens_px : 4 × float     fx, fy, cx, cy
+    shape : (rows, cols)
+    baseline_m : float [m]  the second camera is that far along the camera's x
+    farthest_m : float [m]  reach along the ray
+    step_m : float [m]      of the search, as in `cast`
+    """
     depth = np.empty(shape)
     frame = np.array([ground.x0_m, ground.y0_m, ground.grid_m, ground.heights_m.max()])
     reach = np.array([0.2, farthest_m, step_m])

@@ -105,7 +105,14 @@ def field_height(z: NDArray[Any], x0_m: float, y0_m: float, grid_m: float, x_m: 
 
 @jit
 def field_part(parts: NDArray[Any], x0_m: float, y0_m: float, grid_m: float, x_m: float, y_m: float) -> int:
-    """Label at the grid point nearest to (x, y); arguments as in `field_height`."""
+    """Label at the grid point nearest to (x, y).
+
+    Parameters
+    ----------
+    parts : (ny, nx) uint8  labels
+    x0_m, y0_m, grid_m : float64, position of parts[0, 0] and spacing [m]
+    x_m, y_m : float64 [m], finite
+    """
     ny, nx = parts.shape
     ix = min(max(int((x_m - x0_m) / grid_m + 0.5), 0), nx - 1)
     iy = min(max(int((y_m - y0_m) / grid_m + 0.5), 0), ny - 1)
@@ -145,14 +152,27 @@ def flat_field(region: Region, height_m: float = 0.0, grid_m: float = 1e-3) -> H
 def ramp_field(
     region: Region, slope_x: float = 0.05, slope_y: float = 0.0, grid_m: float = 1e-3
 ) -> HeightField:
-    """A plane through height 0 at the region's first corner."""
+    """A plane through height 0 at the region's first corner.
+
+    Parameters
+    ----------
+    region : (x_min, y_min, x_max, y_max) [m]
+    slope_x, slope_y : float
+    grid_m : float [m]
+    """
     x, y = field_axes(region, grid_m)
     z = slope_x * (x - x[0])[None, :] + slope_y * (y - y[0])[:, None]
     return HeightField(z, region[0], region[1], grid_m)
 
 
 def step_field(region: Region, at_x_m: float, height_m: float = 0.01, grid_m: float = 1e-3) -> HeightField:
-    """Level ground that rises by `height_m` from `at_x_m` on."""
+    """Level ground that rises by `height_m` from `at_x_m` on.
+
+    Parameters
+    ----------
+    region : (x_min, y_min, x_max, y_max) [m]
+    at_x_m, height_m, grid_m : float [m]
+    """
     x, y = field_axes(region, grid_m)
     row = np.where(x >= at_x_m, height_m, 0.0)
     return HeightField(np.tile(row, (len(y), 1)), region[0], region[1], grid_m)
@@ -161,7 +181,13 @@ def step_field(region: Region, at_x_m: float, height_m: float = 0.01, grid_m: fl
 def sine_field(
     region: Region, wavelength_m: float = 0.2, amplitude_m: float = 0.01, grid_m: float = 1e-3
 ) -> HeightField:
-    """Waves along x."""
+    """Waves along x.
+
+    Parameters
+    ----------
+    region : (x_min, y_min, x_max, y_max) [m]
+    wavelength_m, amplitude_m, grid_m : float [m]
+    """
     x, y = field_axes(region, grid_m)
     row = amplitude_m * np.sin(2 * np.pi * (x - x[0]) / wavelength_m)
     return HeightField(np.tile(row, (len(y), 1)), region[0], region[1], grid_m)
@@ -171,6 +197,11 @@ def shell_field(
     region: Region, radius_x_m: float = 1.5, radius_y_m: float = 1.0, grid_m: float = 1e-3
 ) -> HeightField:
     """A shell curved both ways, its top (height 0) in the middle of the region.
+
+    Parameters
+    ----------
+    region : (x_min, y_min, x_max, y_max) [m]
+    radius_x_m, radius_y_m, grid_m : float [m]
 
     Raises
     ------
@@ -190,7 +221,14 @@ def shell_field(
 def profile_field(
     heights_m: NDArray[np.float64], x0_m: float, dx_m: float, y_range_m: tuple[float, float]
 ) -> HeightField:
-    """Extrude a 1-D profile across y, for the live robot on a benchmark surface."""
+    """Extrude a 1-D profile across y, for the live robot on a benchmark surface.
+
+    Parameters
+    ----------
+    heights_m : (n,) float64 [m]    along x
+    x0_m, dx_m : float [m]          position of heights_m[0] and spacing
+    y_range_m : (float, float) [m]  from, to
+    """
     y0, y1 = y_range_m
     rows = int(np.ceil((y1 - y0) / dx_m)) + 1
     return HeightField(np.tile(heights_m, (rows, 1)), x0_m, y0, dx_m)

@@ -78,9 +78,17 @@ def compare_reading(readings: Any, i: Any, wall: Any, nx: Any, ny: Any, exactly:
 
 @jit
 def count_agreement(readings: Any, wall: Any, free: Any, verdicts: Any, exactly: Any = False) -> Any:
-    """Inliers among the free readings and contradictions among all; `verdicts` (m,) int64 is written.
+    """Inliers among the free readings and contradictions among all.
 
     A reading that agrees but is not free belongs to another wall: UNEXPLAINED.
+
+    Parameters
+    ----------
+    readings : Readings
+    wall : (5,) float64    φ, d, var φ, covariance, var d
+    free : (m,) bool       readings that may belong to this wall
+    verdicts : (m,) int64  written: INLIER, UNEXPLAINED, CONTRADICTION
+    exactly : bool         as in `compare_reading`
 
     Returns
     -------

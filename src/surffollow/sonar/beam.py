@@ -129,6 +129,14 @@ def sensitivity(
     The reading states d − n·p − r·cos e = 0. Its derivative by φ is −n'·p + r·sgn(δ)·sin e with
     n' = (−sin φ, cos φ), by d it is 1, and by r it is −cos e.
 
+    Parameters
+    ----------
+    x_m, y_m, heading_rad : float64  p and θ: the sonar and the axis of its beam, robot frame
+    range_m : float64        r, the reading
+    half_beam_rad : float64  α
+    phi_rad : float64        φ, direction of the wall's normal
+    nx, ny : float64         n = (cos φ, sin φ)
+
     Returns
     -------
     float64, float64

@@ -36,6 +36,12 @@ def _matches(
 def pair_covariance(readings: Any, i: Any, j: Any, phi_rad: Any) -> Any:
     """Covariance of (φ, d) from two readings: (AᵀWA)⁻¹.
 
+    Parameters
+    ----------
+    readings : Readings
+    i, j : int64       indices of the two readings
+    phi_rad : float64  φ at which the design matrix is taken
+
     Returns
     -------
     float64 × 3   var φ [rad²], covariance [rad m], var d [m²]; inf where the pair does not fix φ

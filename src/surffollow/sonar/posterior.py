@@ -71,6 +71,12 @@ def _is_excluded(readings: Any, verdicts: Any, phi_rad: Any, distance_m: Any) ->
 def beam_interval(readings: Any, verdicts: Any, near_rad: Any, reach_rad: Any) -> Any:
     """Normals [rad] within `reach_rad` of `near_rad` that all inliers can answer.
 
+    Parameters
+    ----------
+    readings : Readings
+    verdicts : (m,) int64          INLIER: reading of this wall
+    near_rad, reach_rad : float64  the interval searched, and its half width
+
     Returns
     -------
     float64, float64

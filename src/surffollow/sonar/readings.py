@@ -83,7 +83,21 @@ def check_readings(
 ) -> Readings:
     """Readings as the kernels take them.
 
-    Parameters and errors as `poses.wall_pose`.
+    Parameters
+    ----------
+    positions_m : (m, 2) array     sonars
+    headings_rad : (m,) array      axes of their beams
+    ranges_m : (m,) array          inf: no echo, NaN: not measured
+    half_beam_rad : float          α, half of the full spread
+    model : {"specular", "diffuse"}  echoes up to δ_max = α, or up to α + 90°
+    max_incidence_rad : float or None  δ_max itself, instead of a model
+    sigma_m : float or (m,) array  standard deviation of the ranges; 0: exact
+    max_range_m : float            no echo comes from beyond
+
+    Raises
+    ------
+    UsageError
+        a shape or a value is none that readings have
     """
     limit = incidence_limit(half_beam_rad, model, max_incidence_rad)
     positions, headings, ranges = (_copied(a) for a in (positions_m, headings_rad, ranges_m))

@@ -52,6 +52,16 @@ class SonarRing:
     ) -> SonarRing:
         """Sonars at equal angles on a circle, looking outward; the first looks ahead.
 
+        Parameters
+        ----------
+        count : int              sonars, ≥ 1
+        radius_m : float [m]     of the circle
+        half_beam_rad : float    α
+        model : {"specular", "diffuse"}  echoes up to δ_max = α, or up to α + 90°
+        max_incidence_rad : float or None  δ_max itself, instead of a model
+        range_sigma : float      standard deviation of a range as a share of the range
+        max_range_m : float [m]  no echo comes from beyond
+
         Raises
         ------
         UsageError

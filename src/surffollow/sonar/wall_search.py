@@ -83,7 +83,18 @@ def wall_by_covariance_gate(
 ) -> Any:
     """The best candidate with the readings that its own covariance lets in, fused; else its pair alone.
 
-    Parameters and result as `wall_by_least_squares`; less than 2 for no wall.
+    Less than 2 inliers mean no wall.
+
+    Parameters
+    ----------
+    readings : Readings
+    n : int64                  candidates
+    found, candidates, points  as `wall_by_least_squares`
+    free, verdicts, wall       as `refine_wall`
+
+    Returns
+    -------
+    int64  inliers; 0 for no wall
     """
     bounded = found[MAX_SOLUTIONS]
     for _ in range(min(n, MAX_FUSED)):

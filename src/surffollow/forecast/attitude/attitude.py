@@ -41,6 +41,15 @@ def rotation_between(ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> An
     """Rotation vector that turns unit vector a into b by the smaller angle, and that angle.
 
     For opposite vectors the axis is undefined; the rotation is then zero.
+
+    Parameters
+    ----------
+    ax, ay, az : float64  unit vector a
+    bx, by, bz : float64  unit vector b
+
+    Returns
+    -------
+    4 × float64 [rad]
     """
     cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     sine = math.sqrt(cx * cx + cy * cy + cz * cz)
@@ -56,6 +65,12 @@ def limit_attitude(params: Any, attitude: Any, nx: Any, ny: Any, nz: Any, dt: An
 
     A deviation within `permitted_turn_rad` moves nothing (deadband). The square-root profile limits the
     velocity to what the acceleration can stop.
+
+    Parameters
+    ----------
+    params, attitude : records of `Params`, `Attitude` (updated)
+    nx, ny, nz : float64  unit vector of the direction, world frame
+    dt : float64          time since the setpoint before [s], > 0
     """
     u, w = attitude.axis, attitude.angular_velocity_radps
     ex, ey, ez, angle = rotation_between(u[0], u[1], u[2], nx, ny, nz)
@@ -76,7 +91,13 @@ def limit_attitude(params: Any, attitude: Any, nx: Any, ny: Any, nz: Any, dt: An
 
 @jit
 def demand_rotation(params: Any, adaptive: Any, sense: Any, output: Any) -> None:
-    """Rotation vector from the reported axis of the tool to its setpoint, at most `max_turn_rad`."""
+    """Rotation vector from the reported axis of the tool to its setpoint, at most `max_turn_rad`.
+
+    Parameters
+    ----------
+    params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
+    output : record of `Output`  receives `demand[3:6]` [rad]
+    """
     clock, attitude = adaptive.clock, adaptive.attitude
     q = 7 * ((sense.pose_count - 1) & (POSES - 1)) + 3
     p = sense.pose

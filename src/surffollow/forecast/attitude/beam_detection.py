@@ -64,7 +64,10 @@ def any_beam_changed(beams: Any, n_channels: Any, since_ns: Any) -> Any:
 def observe_beams(params: Any, adaptive: Any, sense: Any, pose: Any) -> Any:
     """Store the footprints of all fresh channels; returns the reference channel, or -1.
 
-    `pose` (7,) is scratch.
+    Parameters
+    ----------
+    params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
+    pose : (7,) float64  scratch
     """
     beams = adaptive.beams
     for c in range(params.n_channels):
@@ -106,7 +109,14 @@ def half_squared_distance(beams: Any, c: Any) -> Any:
 
 @jit
 def beam_height(adaptive: Any, c: Any, x_m: Any, y_m: Any) -> Any:
-    """Height at (x, y) of the plane through a beam's footprint, corrected for the curvature [m]."""
+    """Height at (x, y) of the plane through a beam's footprint, corrected for the curvature [m].
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState`
+    c : int             channel
+    x_m, y_m : float64  point in the world frame [m]
+    """
     beams, plane = adaptive.beams, adaptive.plane
     dx, dy = beams.footprint_m[3 * c] - x_m, beams.footprint_m[3 * c + 1] - y_m
     return (
@@ -169,7 +179,15 @@ def accept_nearest(adaptive: Any, n_channels: Any, lowest_m: Any) -> Any:
 
 @jit
 def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any) -> Any:
-    """Exclude beams outside the gate, weigh the others; returns how many are accepted."""
+    """Exclude beams outside the gate, weigh the others; returns how many are accepted.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (`beams` updated)
+    n_channels : int    channels in use
+    t_ns : int64        timestamp of the sample
+    x_m, y_m : float64  point at which the heights are compared, world frame [m]
+    """
     beams, plane = adaptive.beams, adaptive.plane
     n, unchanged = 0, 0
     for c in range(n_channels):
@@ -231,7 +249,14 @@ def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any
 
 @jit
 def mean_height(adaptive: Any, n_channels: Any, x_m: Any, y_m: Any) -> Any:
-    """Weighted mean of the accepted beams' heights at (x, y) [m]."""
+    """Weighted mean of the accepted beams' heights at (x, y) [m].
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState`  at least one beam is accepted
+    n_channels : int    channels in use
+    x_m, y_m : float64  point in the world frame [m]
+    """
     beams = adaptive.beams
     total, weights = 0.0, 0.0
     for c in range(n_channels):

@@ -42,6 +42,12 @@ def plane_height(params: Any, adaptive: Any, t_ns: Any, x_m: Any, y_m: Any) -> A
 
     The height is that of the plane that touches the ground where the tool's axis meets it.
 
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (updated)
+    t_ns : int64        timestamp of the sample
+    x_m, y_m : float64  place of the tool, world frame [m]
+
     Returns
     -------
     int64, float64 [m]
@@ -98,6 +104,13 @@ def update_slopes(plane: Any, ex: Any, ey: Any, dt: Any) -> None:
 @jit
 def fit_plane(adaptive: Any, n_channels: Any, accepted: Any, dt: Any) -> None:
     """Update the slopes with the accepted beams: a plane, or a line along two.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (`plane` updated)
+    n_channels : int  channels in use
+    accepted : int    beams that `isolate_faults` accepted, ≥ 1
+    dt : float64      time since the plane before [s]
 
     Notes
     -----
@@ -228,7 +241,15 @@ def track_slope(plane: Any) -> Any:
 
 @jit
 def update_from_track(plane: Any, dt: Any, ux: Any, uy: Any, slope: Any) -> None:
-    """Update the slope along (ux, uy), which no other beam observes, with that of a track."""
+    """Update the slope along (ux, uy), which no other beam observes, with that of a track.
+
+    Parameters
+    ----------
+    plane : record of `Plane`  updated
+    dt : float64               time since the plane before [s]
+    ux, uy : float64           horizontal unit vector
+    slope : float64            slope of the track along it; not finite: nothing is updated
+    """
     if not math.isfinite(slope):
         return
     e = min(

@@ -90,7 +90,17 @@ def blend_models(adaptive: Any) -> None:
 def reset_estimate(
     params: Any, adaptive: Any, t_ns: Any, travel_m: Any, h_m: Any, standoff_m: Any, adapt: Any
 ) -> None:
-    """Initialise with level ground at the first height; the performance index from before a loss stays."""
+    """Initialise with level ground at the first height; the performance index from before a loss stays.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (updated)
+    t_ns : int64          timestamp of the sample
+    travel_m : float64    distance travelled by the footprint since the sample before [m], ≥ 0
+    h_m : float64         height of the footprint [m]
+    standoff_m : float64  desired height of the tool above the ground [m]
+    adapt : int           0: the weights stay as they are, unless this is the first sample of all
+    """
     noise, gate, shadow, weights = adaptive.noise, adaptive.gate, adaptive.shadow, adaptive.weights
     estimate = adaptive.estimate
     fresh = gate.slot_likelihood == 0.0 and noise.sigma_m == 0.0
@@ -118,7 +128,16 @@ def reset_estimate(
 
 @jit
 def restart_estimate(params: Any, adaptive: Any, t_ns: Any, h_m: Any, standoff_m: Any, adapt: Any) -> None:
-    """Initialise again after a bad first sample; discard noise and slots learned from it, keep older ones."""
+    """Initialise again after a bad first sample; discard noise and slots learned from it, keep older ones.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (updated)
+    t_ns : int64          timestamp of the sample
+    h_m : float64         height to begin with [m]
+    standoff_m : float64  desired height of the tool above the ground [m]
+    adapt : int           as in `reset_estimate`
+    """
     if adaptive.weights.scored <= adaptive.estimate.samples:
         discard_slots(adaptive.gate)
         discard_noise(adaptive.noise)

@@ -34,6 +34,14 @@ def hold_pending(params: Any, adaptive: Any, innovation_m: Any, travel_m: Any, g
     """Hold an outlier as pending; 1 when it confirms a step.
 
     `pending_arc_length_m` and `pending_height_m` are sums over the samples that agree.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`gate` updated)
+    innovation_m : float64  innovation of the sample [m], outside the gate
+    travel_m : float64      distance travelled since the sample before [m]
+    gate_m : float64        width of the gate [m]
+    gap : bool              the samples paused before: a step needs no travel
     """
     gate, estimate = adaptive.gate, adaptive.estimate
     last_height = gate.kept_height_m[(gate.pending - 1) & (PENDING_HEIGHTS - 1)]

@@ -43,10 +43,11 @@ N_SLOPES = int(np.sum(BANK[:, 0] == SLOPE))
 WAVES = int(np.sum(BANK[:, 0] != WAVE))  # first of them; curves are between
 assert np.all(np.diff(BANK[:, 0]) >= 0)
 # scale a: length of decay [m], or 2π over the wavelength [1/m]
-SCALE, SLOPE_POWER, HEIGHT_POWER = BANK[:, 1].copy(), BANK[:, 2] ** 2, BANK[:, 3] ** 2
+# spectral densities over arc length: of slope or curvature (of a wave, of its amplitudes), of height
+SCALE, SLOPE_NOISE_DENSITY, HEIGHT_NOISE_DENSITY = BANK[:, 1].copy(), BANK[:, 2] ** 2, BANK[:, 3] ** 2
 # variances of slope and curvature at the start; of a wave, of sine and cosine [m²]
-INITIAL_SLOPE_POWER = np.where(BANK[:, 0] == WAVE, 1e-5, np.where(BANK[:, 2] > 0.0, 0.01, 0.0))
-INITIAL_CURVATURE_POWER = np.array([0.0, 1.0, 1e-5])[BANK[:, 0].astype(np.int64)]
+INITIAL_SLOPE_VARIANCE = np.where(BANK[:, 0] == WAVE, 1e-5, np.where(BANK[:, 2] > 0.0, 0.01, 0.0))
+INITIAL_CURVATURE_VARIANCE = np.array([0.0, 1.0, 1e-5])[BANK[:, 0].astype(np.int64)]
 assert N_MODELS <= MAX_MODELS
 
 
@@ -56,7 +57,7 @@ def reset_bank(bank: Any, h_m: Any, variance_m2: Any) -> None:
     for i in range(N_MODELS):
         bank.x0[i], bank.x1[i], bank.x2[i] = h_m, 0.0, 0.0
         bank.p00[i], bank.p01[i], bank.p02[i], bank.p12[i] = variance_m2, 0.0, 0.0, 0.0
-        bank.p11[i], bank.p22[i] = INITIAL_SLOPE_POWER[i], INITIAL_CURVATURE_POWER[i]
+        bank.p11[i], bank.p22[i] = INITIAL_SLOPE_VARIANCE[i], INITIAL_CURVATURE_VARIANCE[i]
 
 
 @jit
@@ -84,14 +85,14 @@ def propagate_bank(bank: Any, d: Any) -> None:
     """Propagate all models over a distance travelled [m]."""
     compute_transition(bank, d)
     for i in range(N_SLOPES):  # F = [[1, g], [0, e]]
-        e, g, q, p01, p11 = bank.f0[i], bank.f1[i], SLOPE_POWER[i], bank.p01[i], bank.p11[i]
+        e, g, q, p01, p11 = bank.f0[i], bank.f1[i], SLOPE_NOISE_DENSITY[i], bank.p01[i], bank.p11[i]
         bank.x0[i] += g * bank.x1[i]
         bank.x1[i] *= e
-        bank.p00[i] += 2.0 * g * p01 + g * g * p11 + HEIGHT_POWER[i] * d + q * (d * d * d / 3.0)
+        bank.p00[i] += 2.0 * g * p01 + g * g * p11 + HEIGHT_NOISE_DENSITY[i] * d + q * (d * d * d / 3.0)
         bank.p01[i] = e * (p01 + g * p11) + q * (0.5 * d * d)
         bank.p11[i] = e * e * p11 + q * d
     for i in range(N_SLOPES, WAVES):  # F = [[1, d, b], [0, 1, g], [0, 0, e]]
-        e, g, q = bank.f0[i], bank.f1[i], SLOPE_POWER[i]
+        e, g, q = bank.f0[i], bank.f1[i], SLOPE_NOISE_DENSITY[i]
         b = SCALE[i] * (d - g)
         p01, p02, p11, p12, p22 = bank.p01[i], bank.p02[i], bank.p11[i], bank.p12[i], bank.p22[i]
         bank.x0[i] += d * bank.x1[i] + b * bank.x2[i]
@@ -99,19 +100,19 @@ def propagate_bank(bank: Any, d: Any) -> None:
         bank.x2[i] *= e
         a01, a02 = p01 + d * p11 + b * p12, p02 + d * p12 + b * p22
         a12 = p12 + g * p22
-        bank.p00[i] += d * p01 + b * p02 + d * a01 + b * a02 + HEIGHT_POWER[i] * d
+        bank.p00[i] += d * p01 + b * p02 + d * a01 + b * a02 + HEIGHT_NOISE_DENSITY[i] * d
         bank.p01[i] = a01 + g * a02
         bank.p02[i] = e * a02
         bank.p11[i] = p11 + g * p12 + g * a12 + q * (d * d * d / 3.0)
         bank.p12[i] = e * a12 + q * (0.5 * d * d)
         bank.p22[i] = e * e * p22 + q * d
     for i in range(WAVES, N_MODELS):
-        cs, sn, q, x1, x2 = bank.f0[i], bank.f1[i], SLOPE_POWER[i], bank.x1[i], bank.x2[i]
+        cs, sn, q, x1, x2 = bank.f0[i], bank.f1[i], SLOPE_NOISE_DENSITY[i], bank.x1[i], bank.x2[i]
         p01, p02, p11, p12, p22 = bank.p01[i], bank.p02[i], bank.p11[i], bank.p12[i], bank.p22[i]
         bank.x1[i], bank.x2[i] = cs * x1 + sn * x2, cs * x2 - sn * x1
         a11, a12 = cs * p11 + sn * p12, cs * p12 + sn * p22
         a21, a22 = cs * p12 - sn * p11, cs * p22 - sn * p12
-        bank.p00[i] += HEIGHT_POWER[i] * d
+        bank.p00[i] += HEIGHT_NOISE_DENSITY[i] * d
         bank.p01[i], bank.p02[i] = cs * p01 + sn * p02, cs * p02 - sn * p01
         bank.p11[i] = cs * a11 + sn * a12 + q * d
         bank.p12[i] = cs * a12 - sn * a11

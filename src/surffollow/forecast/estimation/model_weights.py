@@ -38,7 +38,15 @@ INITIAL_INDEX_M2 = 1e-6  # (1 mm)²: the same for all, so that it prefers none
 
 @jit
 def update_index(params: Any, adaptive: Any, travel_m: Any, dt_s: Any, target_m: Any) -> None:
-    """Update the performance index of all models with a sample, then the weights."""
+    """Update the performance index of all models with a sample, then the weights.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`weights` updated)
+    travel_m : float64  distance travelled since the sample before [m]
+    dt_s : float64      time since the sample before [s]
+    target_m : float64  desired height of the tool over the sample [m]
+    """
     weights, estimate = adaptive.weights, adaptive.estimate
     rate = travel_m / params.score_travel_m + dt_s / params.score_time_s
     # after an initialisation the samples since then count

@@ -99,11 +99,11 @@ def paper_update(params: Any, paper: Any, sense: Any) -> None:
 @jit_inlined
 def note_place(paper: Any, sense: Any) -> None:
     """Where the newest pose is when a reading counts, and the one before: they tell the heading."""
-    slot, before = 7 * ((sense.pose_count - 1) & (POSES - 1)), 7 * ((sense.pose_count - 2) & (POSES - 1))
+    slot, previous = 7 * ((sense.pose_count - 1) & (POSES - 1)), 7 * ((sense.pose_count - 2) & (POSES - 1))
     paper.reading_x_m, paper.reading_y_m = sense.pose[slot], sense.pose[slot + 1]
     paper.before_x_m, paper.before_y_m = paper.reading_x_m, paper.reading_y_m
     if sense.pose_count > 1:
-        paper.before_x_m, paper.before_y_m = sense.pose[before], sense.pose[before + 1]
+        paper.before_x_m, paper.before_y_m = sense.pose[previous], sense.pose[previous + 1]
 
 
 @jit_inlined
@@ -111,6 +111,11 @@ def distance_since_reading(params: Any, paper: Any, sense: Any, t_ns: Any) -> An
     """Distance along the heading since the last reading, from the poses, plus one Interval_Size [m].
 
     The newest pose is extrapolated to `t_ns` by the last speed. Negative when the tool went back farther.
+
+    Parameters
+    ----------
+    params, paper, sense : records of `Params`, `PaperState`, `SenseState`
+    t_ns : int64  the cycle's time
     """
     slot = (sense.pose_count - 1) & (POSES - 1)
     dx, dy = sense.pose[7 * slot] - paper.reading_x_m, sense.pose[7 * slot + 1] - paper.reading_y_m

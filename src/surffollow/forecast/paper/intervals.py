@@ -18,7 +18,13 @@ _MASK = INTERVALS - 1
 
 @jit_inlined
 def open_interval(paper: Any, x_m: Any, y_m: Any, h_m: Any) -> None:
-    """Make a new interval, centred at the point, the current one."""
+    """Make a new interval, centred at the point, the current one.
+
+    Parameters
+    ----------
+    paper : record of `PaperState`  updated
+    x_m, y_m, h_m : float64         target point, world frame [m]
+    """
     slot = paper.interval_count & _MASK
     paper.interval_x_m[slot] = x_m
     paper.interval_y_m[slot] = y_m

@@ -28,7 +28,16 @@ def axis_velocity(distance_m: Any, tau_s: Any, a_max_mps2: Any) -> Any:
 def step_axis(
     tau_s: Any, v_max_mps: Any, a_max_mps2: Any, z_m: Any, v_mps: Any, target_m: Any, dt_s: Any
 ) -> Any:
-    """Position and velocity of the axis after a time step toward its setpoint [m, m/s]."""
+    """Position and velocity of the axis after a time step toward its setpoint [m, m/s].
+
+    Parameters
+    ----------
+    tau_s : float64       time constant [s]
+    v_max_mps, a_max_mps2 : float64  limits of velocity [m/s] and acceleration [m/s²]
+    z_m, v_mps : float64  position [m] and velocity [m/s] now
+    target_m : float64    setpoint [m]
+    dt_s : float64        length of the step [s], > 0
+    """
     d = target_m - z_m
     limit = min(v_max_mps, abs(d) / dt_s)
     w = min(max(axis_velocity(d, tau_s, a_max_mps2), -limit), limit)
@@ -39,7 +48,15 @@ def step_axis(
 
 @jit
 def velocity_after_period(params: Any, tau_s: Any, z_m: Any, v_mps: Any, target_m: Any) -> Any:
-    """Velocity of the axis one controller period from now with a setpoint [m/s]."""
+    """Velocity of the axis one controller period from now with a setpoint [m/s].
+
+    Parameters
+    ----------
+    params : record of `Params`
+    tau_s : float64       time constant [s]
+    z_m, v_mps : float64  position [m] and velocity [m/s] now
+    target_m : float64    setpoint [m]
+    """
     v_max, a_max, dt = params.plant_v_max_mps, params.plant_a_max_mps2, PERIOD_S / AXIS_STEPS
     for _ in range(AXIS_STEPS):
         z_m, v_mps = step_axis(tau_s, v_max, a_max, z_m, v_mps, target_m, dt)
@@ -52,6 +69,13 @@ def invert_axis(params: Any, tau_s: Any, z_m: Any, v_mps: Any, wanted_mps: Any) 
 
     Bisection: the velocity is monotone in the setpoint. A velocity that the axis does not attain would give
     a setpoint at the end of the interval searched; the next attainable one is taken instead.
+
+    Parameters
+    ----------
+    params : record of `Params`
+    tau_s : float64       time constant [s]
+    z_m, v_mps : float64  position [m] and velocity [m/s] now
+    wanted_mps : float64  the velocity after the period [m/s]
     """
     change = ATTAINABLE_SHARE * params.plant_a_max_mps2 * PERIOD_S
     wanted_mps = min(max(wanted_mps, v_mps - change), v_mps + change)

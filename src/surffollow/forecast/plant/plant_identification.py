@@ -32,7 +32,14 @@ VELOCITY_GAIN_HZ = 2.0  # of the observed axis, per report
 
 @jit
 def reset_axes(params: Any, adaptive: Any, t_ns: Any, z_m: Any) -> None:
-    """Put all axis models where the tool is."""
+    """Put all axis models where the tool is.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`plant` updated)
+    t_ns : int64   timestamp of the pose report
+    z_m : float64  reported height of the tool [m]
+    """
     kinematics, plant = adaptive.kinematics, adaptive.plant
     for k in range(N_PLANTS):
         plant.position_m[k], plant.velocity_mps[k] = z_m, kinematics.climb_mps
@@ -124,7 +131,13 @@ def remove_common_error(plant: Any) -> None:
 
 @jit
 def update_plant(params: Any, adaptive: Any, sense: Any, adapt: Any) -> None:
-    """Compare the axis models with a new pose report and move τ toward the best one."""
+    """Compare the axis models with a new pose report and move τ toward the best one.
+
+    Parameters
+    ----------
+    params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
+    adapt : int  0: τ stays as it is
+    """
     plant, setpoint = adaptive.plant, adaptive.setpoint
     newest = (sense.pose_count - 1) & (POSES - 1)
     t, z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]

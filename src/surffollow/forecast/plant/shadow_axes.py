@@ -31,7 +31,13 @@ def reset_shadows(shadow: Any, z_m: Any) -> None:
 
 @jit
 def propagate_shadows(params: Any, adaptive: Any, from_ns: Any, to_ns: Any) -> None:
-    """Propagate every shadow axis with the setpoints of its model."""
+    """Propagate every shadow axis with the setpoints of its model.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`shadow` updated)
+    from_ns, to_ns : int64  begin and end of the time; without a positive length nothing moves
+    """
     shadow, controller = adaptive.shadow, adaptive.controller
     span = to_ns - from_ns
     if controller.periods == 0 or span <= 0:

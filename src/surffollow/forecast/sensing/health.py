@@ -105,10 +105,17 @@ def update_noise_floor(adaptive: Any) -> None:
 def update_stuck(adaptive: Any, repeated: Any, range_m: Any, tool_z_m: Any) -> None:
     """Count like samples in a row; too many while the tool moved along z are a stuck-at fault.
 
-    `tool_z_m` is the height of the tool at the sample. A live sensor responds to the motion, or shows its
+    A live sensor responds to the motion, or shows its
     noise while the ground rises with the tool. A sensor that is coarser than its noise repeats samples also
     while the tool follows well; the usual number is therefore estimated. The fault lasts until the range
     changes.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (`health` updated)
+    repeated : int      1: the sample is like the first of the run
+    range_m : float64   range of the sample [m]
+    tool_z_m : float64  height of the tool at the sample [m]
     """
     health = adaptive.health
     if repeated == 0 or health.repeat_count == 0:

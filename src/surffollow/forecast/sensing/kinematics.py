@@ -86,7 +86,14 @@ def update_kinematics(params: Any, kinematics: Any, sense: Any) -> None:
 
 @jit
 def predict_pose(kinematics: Any, sense: Any, t_ns: Any, pose: Any) -> None:
-    """Pose of the tool at a time into `pose` (7,); after the newest report it is extrapolated."""
+    """Pose of the tool at a time into `pose`; after the newest report it is extrapolated.
+
+    Parameters
+    ----------
+    kinematics, sense : records of `Kinematics`, `SenseState`
+    t_ns : int64         time of the pose
+    pose : (7,) float64  receives x y z [m], qx qy qz qw
+    """
     pose_at(sense, t_ns, 1, pose)
     late = t_ns - sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
     if late > 0:

@@ -54,15 +54,19 @@ def axis_ground_point(params: Any, pose: Any) -> Any:
 
 
 @jit
-def standoff_height(params: Any, plane: Any, sense: Any, several: Any, pose: Any) -> Any:
-    """Wanted height of the tool above the ground point on its axis [m].
+def standoff_height(params: Any, plane: Any, sense: Any, orients: Any, pose: Any) -> Any:
+    """Desired height of the tool above the ground point on its axis [m].
 
-    `pose` (7,) is scratch and holds the newest report afterwards.
+    Parameters
+    ----------
+    params, plane, sense : records of `Params`, `Plane`, `SenseState`
+    orients : int        1: three or more sensors, and the tool is rotated to the surface normal
+    pose : (7,) float64  scratch; holds the newest report afterwards
     """
     newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
     for i in range(7):
         pose[i] = sense.pose[newest + i]
-    if several == 0:
+    if orients == 0:
         _, _, tip_z = axis_ground_point(params, pose)
         return -tip_z
     tx, ty, tz = rotate(pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, 1.0)
@@ -72,14 +76,14 @@ def standoff_height(params: Any, plane: Any, sense: Any, several: Any, pose: Any
 
 @jit
 def process_sample(
-    params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, several: Any, pose: Any
+    params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, orients: Any, pose: Any
 ) -> None:
     """Process a new sample, if there is one; a sample that does not enter the estimate is not mapped.
 
     Parameters
     ----------
-    params, adaptive, sense, fold, inputs, output : records in plain numbers (`reference_scales`)
-    several : int            1: three or more sensors and the tool is rotated to the surface normal
+    params, adaptive, sense, fold, inputs, output : dimensionless records (`reference_scales`)
+    orients : int            1: three or more sensors and the tool is rotated to the surface normal
     pose : (7,) float64      scratch: the pose at the sample's time
     """
     kinematics, hold, latency, sample, health = (
@@ -91,21 +95,21 @@ def process_sample(
     )
     estimate, beams = adaptive.estimate, adaptive.beams
     channel = 0
-    if several != 0:
+    if orients != 0:
         channel = observe_beams(params, adaptive, sense, pose)
     else:
         output.fresh &= ~1
     if channel < 0:
         return
-    is_new, range_m, t = new_sample(params, adaptive, sense, inputs.n_ranges, channel, several)
+    is_new, range_m, t = new_sample(params, adaptive, sense, inputs.n_ranges, channel, orients)
     if is_new == 0:
         return
     update_prediction(adaptive.prediction, t, range_m)
     repeated = repeats_range(health, range_m)
-    if several != 0 and any_beam_changed(beams, params.n_channels, hold.t_ns) != 0:
+    if orients != 0 and any_beam_changed(beams, params.n_channels, hold.t_ns) != 0:
         repeated = 0
     record_sample(hold, t, range_m)
-    if several == 0:  # beams have timestamps of their own, without correction
+    if orients == 0:  # beams have timestamps of their own, without correction
         t -= int(latency.correction_s * 1e9)
     update_delay(latency, (adaptive.clock.now_ns - t) * 1e-9)
     predict_pose(kinematics, sense, t, pose)
@@ -121,14 +125,14 @@ def process_sample(
     adapt = 0 if params.adapt == 0 or params.run == RUN_FREEZE else 1
     x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)
     at_rest = 1 if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS else 0
-    if several == 0 and (at_rest != 0 or latency.count > 0):
+    if orients == 0 and (at_rest != 0 or latency.count > 0):
         observe_height(adaptive, sense, t, z, at_rest, adapt, pose)
         predict_pose(kinematics, sense, t, pose)
     close = count_close(health, range_m < params.too_close_m)
     if close != 0 or fold.close != 0:
         watch_fold_back(fold, range_m, sensor_z, params.too_close_m, params.too_close_exit_m)
     tool_x, tool_y, tool_z = pose[0], pose[1], pose[2]
-    if several != 0:
+    if orients != 0:
         accepted, z = plane_height(params, adaptive, t, tool_x, tool_y)
         if accepted == 0:
             return
@@ -137,7 +141,7 @@ def process_sample(
             if beams.accepted[c] == 0:
                 output.fresh &= ~(1 << c)
     sample.tip_x_m = sample.tip_y_m = 0.0
-    if several == 0:
+    if orients == 0:
         sample.tip_x_m, sample.tip_y_m, _ = axis_ground_point(params, pose)
     if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
         lead_x, lead_y = x - tool_x - sample.tip_x_m, y - tool_y - sample.tip_y_m
@@ -146,7 +150,7 @@ def process_sample(
         ) / kinematics.speed_mps
         sample.lead_m += (lead - sample.lead_m) * (LEAD_RATE if estimate.samples > 0 else 1.0)
     travel = kinematics.speed_mps * (t - estimate.sample_ns) * 1e-9 if estimate.samples > 0 else 0.0
-    standoff = standoff_height(params, adaptive.plane, sense, several, pose)
+    standoff = standoff_height(params, adaptive.plane, sense, orients, pose)
     sample.spacing_m += SPACING_RATE * (travel - sample.spacing_m)
     sample.x_m, sample.y_m, sample.arc_length_m = x, y, estimate.arc_length_m + travel
     sample.heading_x = sample.heading_y = 0.0
@@ -166,7 +170,7 @@ def process_sample(
         gap_x, gap_y = x - pose[0] - sample.tip_x_m, y - pose[1] - sample.tip_y_m
         lateral = gap_x * kinematics.velocity_x_mps + gap_y * kinematics.velocity_y_mps
         compare_map(adaptive, inputs, lateral / kinematics.speed_mps, z)
-    if several == 0:
+    if orients == 0:
         output.fresh |= 1
         output.target_m[0], output.target_m[1], output.target_m[2] = x, y, z
 

@@ -15,11 +15,18 @@ BACKWARD_SAMPLES = 3  # timestamps in a row before that of the newest sample: th
 
 
 @jit
-def new_sample(params: Any, adaptive: Any, sense: Any, ranges_given: Any, channel: Any, several: Any) -> Any:
+def new_sample(params: Any, adaptive: Any, sense: Any, ranges_given: Any, channel: Any, orients: Any) -> Any:
     """Whether a channel has a new sample, its range and timestamp.
 
     Conversions of a held value are one sample with the timestamp of the first of them. An unchanged value is
     a new sample once `hold_ns` have passed.
+
+    Parameters
+    ----------
+    params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
+    ranges_given : int  > 0: ranges are given to the step, no conversions
+    channel : int
+    orients : int       1: three or more sensors, and the tool is rotated to the surface normal
 
     Returns
     -------
@@ -42,7 +49,7 @@ def new_sample(params: Any, adaptive: Any, sense: Any, ranges_given: Any, channe
         t += hold_ns // 2
         begun_ns = params.sensor_latency_ns - hold_ns // 2
         hold_ns += hold_ns // 2  # the begin of a held value is known to within a cycle
-    if several == 0 and sense.fresh[channel] != 0:
+    if orients == 0 and sense.fresh[channel] != 0:
         t = correct_timestamp(adaptive, t)
     if hold.t_ns != 0:
         if t <= hold.t_ns:

@@ -44,8 +44,15 @@ def point_weight(k: Any, known: Any) -> Any:
 def mark_early(adaptive: Any, known: Any, standoff_m: Any, z_m: Any) -> Any:
     """Mark in `plan.early` the points that descend before the ground does; returns how many changed.
 
-    An early point is below the lowest wanted height until then by more than `EARLY_M`, and below the axis'
+    An early point is below the lowest desired height until then by more than `EARLY_M`, and below the axis'
     present position: an axis that is still on its way up is not early.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (`plan` updated)
+    known : int           known periods of ground
+    standoff_m : float64  desired height of the tool above the ground [m]
+    z_m : float64         position of the axis where the plan begins [m]
     """
     preview, plan = adaptive.preview, adaptive.plan
     lowest, changed = preview.ground_m[0] + standoff_m - z_m, 0
@@ -62,7 +69,15 @@ def mark_early(adaptive: Any, known: Any, standoff_m: Any, z_m: Any) -> Any:
 
 @jit
 def update_foreseen_error(adaptive: Any, known: Any, standoff_m: Any, z_m: Any) -> None:
-    """Update the greatest stand-off error that plans contain, at a step for instance."""
+    """Update the greatest stand-off error that plans contain, at a step for instance.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (`plan` updated)
+    known : int           known periods of ground
+    standoff_m : float64  desired height of the tool above the ground [m]
+    z_m : float64         position of the axis where the plan begins [m]
+    """
     plan = adaptive.plan
     plan.foreseen_error_m *= FORESEEN_DECAY
     for k in range(FIRST_FORESEEN, min(known - 1, HORIZON)):
@@ -178,7 +193,15 @@ def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, sta
 
 @jit
 def plan_setpoint(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, standoff_m: Any) -> None:
-    """Solve the plan and invert the axis model: setpoint of the coming period."""
+    """Solve the plan and invert the axis model: setpoint of the coming period.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`plan` updated)
+    known : int           known periods of ground
+    z_m, v_mps : float64  axis at the latch time [m, m/s]
+    standoff_m : float64  desired height of the tool above the ground [m]
+    """
     speed = solve_plan(params, adaptive, known, z_m, v_mps, standoff_m)
     adaptive.plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, speed)
 

@@ -44,6 +44,14 @@ def compute_setpoints(adaptive: Any, ahead_m: Any, lead_m: Any, max_slope: Any, 
 
     A model adds its slope times `lead_m`. The change of height is clamped to `max_slope` of the
     distance, plus 1 mm.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (`bank`, `blend` updated)
+    ahead_m : float64     distance beyond the newest footprint [m]
+    lead_m : float64      distance travelled in the axis' time constant, less in a drop-out [m]
+    max_slope : float64   limit of the mean slope
+    standoff_m : float64  desired height of the tool above the ground [m]
     """
     bank, blend, weights = adaptive.bank, adaptive.blend, adaptive.weights
     extrapolate_bank(bank, ahead_m)
@@ -65,6 +73,18 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
     fade over `dropout_travel_m`, a step away from the tool that was confirmed just before is taken back, and
     the setpoint descends no farther than that of the last sample less a margin.
     While the tool goes back since the newest sample, the height at that sample is held.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (updated)
+    pose_ns : int64       timestamp of the newest pose
+    ahead_m : float64     distance beyond the newest footprint [m], ≥ 0
+    standoff_m : float64  desired height of the tool above the ground [m]
+    due : int             1: a controller period begins
+
+    Returns
+    -------
+    float64 [m]
     """
     clock, kinematics, gate = adaptive.clock, adaptive.kinematics, adaptive.gate
     estimate, blend = adaptive.estimate, adaptive.blend

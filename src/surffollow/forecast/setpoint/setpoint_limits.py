@@ -38,7 +38,14 @@ BISECTIONS = 8  # resolution: 1/256 of the change that the jerk allows in a cycl
 
 @jit
 def stopping_distance(speed_mps: Any, accel_mps2: Any, a_max_mps2: Any, jerk_mps3: Any) -> Any:
-    """Distance until velocity and acceleration are zero, from a velocity ≥ 0 [m]."""
+    """Distance until velocity and acceleration are zero, from a velocity ≥ 0 [m].
+
+    Parameters
+    ----------
+    speed_mps : float64   velocity [m/s], ≥ 0
+    accel_mps2 : float64  acceleration now [m/s²]
+    a_max_mps2, jerk_mps3 : float64  limits of acceleration [m/s²] and jerk [m/s³]
+    """
     t = abs(accel_mps2) / jerk_mps3
     v = speed_mps + accel_mps2 * accel_mps2 / (2.0 * jerk_mps3)
     # first to zero acceleration; while braking, as if begun with zero acceleration earlier
@@ -53,7 +60,15 @@ def stopping_distance(speed_mps: Any, accel_mps2: Any, a_max_mps2: Any, jerk_mps
 
 @jit
 def can_stop(e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, v_max: Any, a_max: Any, jerk: Any) -> Any:
-    """Whether a cycle at an acceleration leaves room to stop within `e_m` ≥ 0 and below `v_max`."""
+    """Whether a cycle at an acceleration leaves room to stop within `e_m` ≥ 0 and below `v_max`.
+
+    Parameters
+    ----------
+    e_m, v_mps : float64          distance to go [m] and velocity [m/s] now, positive toward the target
+    a_mps2 : float64              acceleration of the cycle [m/s²]
+    dt_s : float64                length of the cycle [s]
+    v_max, a_max, jerk : float64  limits [m/s, m/s², m/s³]
+    """
     v = v_mps + a_mps2 * dt_s
     if a_mps2 > 0.0 and v + 0.5 * a_mps2 * (dt_s + a_mps2 / jerk) > v_max:
         return False
@@ -147,7 +162,14 @@ def may_be_slot(params: Any, gate: Any) -> Any:
 
 @jit
 def propagate_setpoint(params: Any, adaptive: Any, target_m: Any, dt_s: Any) -> None:
-    """Move the setpoint for a time at one acceleration."""
+    """Move the setpoint for a time at one acceleration.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`setpoint` updated)
+    target_m : float64  target of the setpoint [m]
+    dt_s : float64      the time [s]
+    """
     setpoint, preview = adaptive.setpoint, adaptive.preview
     e = target_m - setpoint.position_m
     if preview.share > setpoint.preview_share or has_settled(params, setpoint, e):

@@ -19,26 +19,28 @@ MAX_UNCONFIRMED_DESCENT_M = 3e-3  # of a plan below the setpoint of the sensor u
 
 
 @jit
-def compare_known_ground(adaptive: Any, behind_m: Any, here_m: Any, before_m: Any, h_m: Any) -> Any:
+def compare_known_ground(
+    adaptive: Any, height_behind_m: Any, height_here_m: Any, height_ahead_m: Any, h_m: Any
+) -> Any:
     """Compare channel 0's height with known ground; 1 when several samples in a row contradict it.
 
     Parameters
     ----------
     adaptive : record of `AdaptiveState` (updated)
-    behind_m, here_m, before_m : known heights `REGISTRATION_M` behind, at and before the place, without
-        bias [m]; NaN: not known
+    height_behind_m, height_here_m, height_ahead_m : known heights `REGISTRATION_M` behind, at and ahead
+        of the place, without bias [m]; NaN: not known
     h_m : float64            channel 0's height [m]
     """
     known = adaptive.known
-    highest, lowest = here_m, here_m
-    if behind_m > highest:  # not for NaN
-        highest = behind_m
-    if before_m > highest:
-        highest = before_m
-    if behind_m < lowest:
-        lowest = behind_m
-    if before_m < lowest:
-        lowest = before_m
+    highest, lowest = height_here_m, height_here_m
+    if height_behind_m > highest:  # not for NaN
+        highest = height_behind_m
+    if height_ahead_m > highest:
+        highest = height_ahead_m
+    if height_behind_m < lowest:
+        lowest = height_behind_m
+    if height_ahead_m < lowest:
+        lowest = height_ahead_m
     gate = max(CONTRADICTION_M, CONTRADICTION_SIGMAS * adaptive.noise.sigma_m)
     spacing = adaptive.sample.spacing_m
     fading = min(spacing / DROP_LENGTH_M, 1.0) if known.samples > 0 else 1.0

@@ -80,9 +80,9 @@ def compare_lookahead(adaptive: Any, s_m: Any, h_m: Any) -> Any:
     buffered = buffered_height(adaptive, s_m)
     if not math.isfinite(buffered):
         return 0
-    behind = buffered_height(adaptive, s_m - REGISTRATION_M)
-    before = buffered_height(adaptive, s_m + REGISTRATION_M)
-    wrong = compare_known_ground(adaptive, behind, buffered, before, h_m - lookahead.bias_m)
+    height_behind_m = buffered_height(adaptive, s_m - REGISTRATION_M)
+    height_ahead_m = buffered_height(adaptive, s_m + REGISTRATION_M)
+    wrong = compare_known_ground(adaptive, height_behind_m, buffered, height_ahead_m, h_m - lookahead.bias_m)
     e = min(max(h_m - buffered, -MAX_BIAS_M), MAX_BIAS_M)
     lookahead.bias_m += BIAS_RATE * (e - lookahead.bias_m)
     if wrong != 0:

@@ -111,16 +111,23 @@ def compare_map(adaptive: Any, inputs: Any, ahead_m: Any, h_m: Any) -> None:
 
     A map that lies below the sample pulls the tool toward the surface. Several such samples in a row
     withdraw the preview at once.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (`preview`, `known` updated)
+    inputs : record of `Inputs`
+    ahead_m : float64  place of the sample, ahead of the point under the tool [m]
+    h_m : float64      height of the sample [m]
     """
     preview = adaptive.preview
     map_m = map_height(inputs, ahead_m)
     if not math.isfinite(map_m):
         return
-    behind, before = (
+    height_behind_m, height_ahead_m = (
         map_height(inputs, ahead_m - REGISTRATION_M),
         map_height(inputs, ahead_m + REGISTRATION_M),
     )
-    if compare_known_ground(adaptive, behind, map_m, before, h_m - preview.map_bias_m) != 0:
+    if compare_known_ground(adaptive, height_behind_m, map_m, height_ahead_m, h_m - preview.map_bias_m) != 0:
         withdraw_preview(preview)
         suspend_preview(preview, adaptive.clock.now_ns + CONTRADICTION_NS)
     e = h_m - map_m
@@ -153,7 +160,15 @@ def monitor_error(adaptive: Any, error_m: Any) -> None:
 
 @jit
 def update_share(adaptive: Any, known: Any, leading: Any, plant_m2: Any) -> None:
-    """Raise or lower preview's share of the setpoint by one controller period."""
+    """Raise or lower preview's share of the setpoint by one controller period.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (`preview` updated)
+    known : int         known periods of ground
+    leading : int       1: the ground is known from a sensor that leads
+    plant_m2 : float64  squared error of the best axis model [m²]
+    """
     # with a sensor that leads, an uncertain plan is better than none
     preview = adaptive.preview
     trusted = (

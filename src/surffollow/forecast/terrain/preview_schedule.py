@@ -10,7 +10,7 @@ from typing import Any
 
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.plant.controller_clock import period_is_due
-from surffollow.forecast.reference_scales import is_unscaled, plain_time
+from surffollow.forecast.reference_scales import dimensionless_time, is_unscaled
 from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS
 from surffollow.forecast.sensing.sample_hold import HOLD_TOLERANCE_COUNTS
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
@@ -48,7 +48,7 @@ def preview_uses(params: Any, adaptive: Any, scaled: Any, inputs: Any, now_ns: A
 
     Parameters
     ----------
-    params, adaptive, scaled : records of `Params` in plain numbers, `AdaptiveState`, `ScaledState`
+    params, adaptive, scaled : records of `Params` (dimensionless), `AdaptiveState`, `ScaledState`
     inputs : record of `Inputs` before `follow_step`
     now_ns : int64           latest time that the cycle will be told [ns]
 
@@ -71,7 +71,7 @@ def preview_uses(params: Any, adaptive: Any, scaled: Any, inputs: Any, now_ns: A
     k = newest_conversion(inputs)
     if k >= 0:
         range_m = params.zero_m[0] + params.scale_m[0] * conversion_counts(inputs.conversion[k])
-        t_ns = plain_time(scaled, inputs.t_ns + conversion_dt_ns(inputs.conversion[k]))
+        t_ns = dimensionless_time(scaled, inputs.t_ns + conversion_dt_ns(inputs.conversion[k]))
         t_ns -= params.sensor_latency_ns
         changed = abs(range_m - hold.range_m) > HOLD_TOLERANCE_COUNTS * abs(params.scale_m[0])
         if hold.t_ns == 0 or changed or t_ns - hold.t_ns >= params.hold_ns:
@@ -103,7 +103,7 @@ def preview_window(params: Any, state: Any, inputs: Any) -> Any:
     else:
         return 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     p = params[0] if is_unscaled(d) != 0 else d.params
-    t_ns, pose_t_ns = plain_time(d, i.t_ns), plain_time(d, pose_t_ns)
+    t_ns, pose_t_ns = dimensionless_time(d, i.t_ns), dimensionless_time(d, pose_t_ns)
     now_ns = max(adaptive.clock.now_ns, t_ns, pose_t_ns)
     due = preview_uses(p, adaptive, d, i, now_ns)
     if due == 0 or t_ns - pose_t_ns > p.pose_timeout_ns:

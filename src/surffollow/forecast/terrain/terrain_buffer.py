@@ -30,7 +30,15 @@ def point_at(adaptive: Any, s_m: Any) -> Any:
 
 @jit
 def is_off_path(adaptive: Any, c: Any, s_m: Any, x_m: Any, y_m: Any) -> Any:
-    """Whether cell c was measured away from a point of the path."""
+    """Whether cell c was measured away from a point of the path.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState`
+    c : int             index of the cell
+    s_m : float64       arc length of the point [m]
+    x_m, y_m : float64  the point, world frame [m]
+    """
     buffer = adaptive.buffer
     tolerance = max(OFF_PATH_M, OFF_PATH_SHARE * abs(s_m - adaptive.sample.arc_length_m))
     return (buffer.x_m[c] - x_m) ** 2 + (buffer.y_m[c] - y_m) ** 2 > tolerance * tolerance
@@ -45,7 +53,14 @@ def store_ground(adaptive: Any, s_m: Any, h_m: Any) -> None:
 
 @jit
 def store_ground_at(adaptive: Any, s_m: Any, h_m: Any, x_m: Any, y_m: Any) -> None:
-    """Store a height measured at a point at its arc length; a cell measured elsewhere is replaced."""
+    """Store a height measured at a point at its arc length; a cell measured elsewhere is replaced.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (`buffer` updated)
+    s_m, h_m : float64  arc length and height [m]
+    x_m, y_m : float64  the point, world frame [m]
+    """
     buffer = adaptive.buffer
     k = int(s_m / CELL_M)
     c = k & (BUFFER_CELLS - 1)

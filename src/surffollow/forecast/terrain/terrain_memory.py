@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.forecast.reference_scales import plain_time
+from surffollow.forecast.reference_scales import dimensionless_time
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import MAX_PREVIEW, POSES
 
@@ -25,7 +25,7 @@ CURRENT_PASS_NS = 1_000_000_000  # younger heights belong to the present pass
 BEHIND_S, AHEAD_S = 0.06, 0.45  # piece of the path that a preview covers
 MIN_SPEED_MPS, MAX_SPEED_MPS = 5e-3, 10.0  # outside there is no direction of travel
 MEMORY = np.dtype(
-    [(name, np.int64) for name in ("ix", "iy", "age")]
+    [(name, np.int64) for name in ("ix", "iy", "t_ns")]
     + [(name, np.float64) for name in ("n", "height_m", "n_before", "height_before_m")]
 )
 """A cell: which it is, when it was last written, its mean, and the mean before this pass began."""
@@ -45,8 +45,15 @@ def _first_probe(ix: Any, iy: Any) -> Any:
 
 
 @jit
-def store_height(memory: Any, x_m: Any, y_m: Any, height_m: Any, age: Any) -> None:
-    """Average a height into its cell at an age (> 0, growing) [ns]; coordinates too far away are ignored."""
+def store_height(memory: Any, x_m: Any, y_m: Any, height_m: Any, t_ns: Any) -> None:
+    """Average a height into its cell at a time (> 0, growing); coordinates too far away are ignored.
+
+    Parameters
+    ----------
+    memory : (CELLS,) records of `MEMORY`  updated
+    x_m, y_m, height_m : float64  world frame [m]; a height that is not finite is ignored
+    t_ns : int64                  time of the height [ns]
+    """
     if not (abs(x_m) < CELL_M * MAX_INDEX and abs(y_m) < CELL_M * MAX_INDEX and math.isfinite(height_m)):
         return
     ix, iy = math.floor(x_m / CELL_M + 0.5), math.floor(y_m / CELL_M + 0.5)
@@ -55,25 +62,31 @@ def store_height(memory: Any, x_m: Any, y_m: Any, height_m: Any, age: Any) -> No
     for j in range(PROBES):
         c = (at + j) & (CELLS - 1)
         m = memory[c]
-        if m.age > 0 and m.ix == ix and m.iy == iy:
-            if age - m.age > CURRENT_PASS_NS:
+        if m.t_ns > 0 and m.ix == ix and m.iy == iy:
+            if t_ns - m.t_ns > CURRENT_PASS_NS:
                 m.n_before, m.height_before_m = m.n, m.height_m
             m.n = min(m.n + 1.0, MAX_COUNT)
             m.height_m += (height_m - m.height_m) / m.n
-            m.age = age
+            m.t_ns = t_ns
             return
-        if m.age < memory[chosen].age:
+        if m.t_ns < memory[chosen].t_ns:
             chosen = c
     m = memory[chosen]
-    m.ix, m.iy, m.age, m.n, m.height_m = ix, iy, age, 1.0, height_m
+    m.ix, m.iy, m.t_ns, m.n, m.height_m = ix, iy, t_ns, 1.0, height_m
     m.n_before = 0.0
 
 
 @jit
-def read_height(memory: Any, x_m: Any, y_m: Any, before: Any) -> Any:
-    """Mean height around a point, of heights older than age `before`; NaN when there are none.
+def read_height(memory: Any, x_m: Any, y_m: Any, before_ns: Any) -> Any:
+    """Mean height around a point, of heights older than `before_ns`; NaN when there are none.
 
     The nine cells around the point are weighted by their number of heights and their distance.
+
+    Parameters
+    ----------
+    memory : (CELLS,) records of `MEMORY`
+    x_m, y_m : float64  the point, world frame [m]
+    before_ns : int64   only heights stored before this time [ns] count
     """
     if not (abs(x_m) < CELL_M * MAX_INDEX and abs(y_m) < CELL_M * MAX_INDEX):
         return math.nan
@@ -84,10 +97,10 @@ def read_height(memory: Any, x_m: Any, y_m: Any, before: Any) -> Any:
             at = _first_probe(ix + jx, iy + jy)
             for j in range(PROBES):
                 m = memory[(at + j) & (CELLS - 1)]
-                if m.age == 0:
+                if m.t_ns == 0:
                     break  # probes are occupied in order and never freed
                 if m.ix == ix + jx and m.iy == iy + jy:
-                    old = m.age < before
+                    old = m.t_ns < before_ns
                     n, h = (m.n, m.height_m) if old else (m.n_before, m.height_before_m)
                     dx, dy = (ix + jx) * CELL_M - x_m, (iy + jy) * CELL_M - y_m
                     w = n / (1.0 + (dx * dx + dy * dy) / (CELL_M * CELL_M))
@@ -109,7 +122,7 @@ def read_preview(memory: Any, state: Any, inputs: Any) -> None:
 
     Notes
     -----
-    Heights of the last second belong to the present pass and are not used. Cells are plain numbers.
+    Heights of the last second belong to the present pass and are not used. Cells are dimensionless.
     """
     i, adaptive, sense, d = inputs[0], state[0].adaptive, state[0].sense, state[0].scaled
     kinematics, sample = adaptive.kinematics, adaptive.sample
@@ -121,7 +134,7 @@ def read_preview(memory: Any, state: Any, inputs: Any) -> None:
     x, y = sense.pose[tool] / d.length + sample.tip_x_m, sense.pose[tool + 1] / d.length + sample.tip_y_m
     first = -BEHIND_S * v - 2.0 * CELL_M
     step = max(CELL_M, (AHEAD_S * v + 2.0 * CELL_M - first) / (MAX_PREVIEW - 1))
-    before = max(plain_time(d, i.t_ns), adaptive.clock.now_ns) - CURRENT_PASS_NS
+    before_ns = max(dimensionless_time(d, i.t_ns), adaptive.clock.now_ns) - CURRENT_PASS_NS
     known = 0
     for k in range(MAX_PREVIEW):
         travel = first + step * k
@@ -129,7 +142,7 @@ def read_preview(memory: Any, state: Any, inputs: Any) -> None:
             memory,
             x + travel * kinematics.velocity_x_mps / v,
             y + travel * kinematics.velocity_y_mps / v,
-            before,
+            before_ns,
         )
         i.preview_m[k] = h * d.length
         if math.isfinite(h):

@@ -53,9 +53,11 @@ def update_regression(adaptive: Any, h_m: Any, travel_m: Any, adapt: Any) -> Non
     )
     rate = 1.0 - math.exp(-travel_m / REGRESSION_LENGTH_M) if adapt != 0 else 0.0
     for j in range(N_DISTANCES):
-        before = buffered_height(adaptive, estimate.arc_length_m - DISTANCES_M[j])
-        rise = before - buffered_height(adaptive, estimate.arc_length_m - DISTANCES_M[j] - RISE_LENGTH_M)
-        offset, change = before - regression.mean_height_m, h_m - before
+        height_behind_m = buffered_height(adaptive, estimate.arc_length_m - DISTANCES_M[j])
+        rise = height_behind_m - buffered_height(
+            adaptive, estimate.arc_length_m - DISTANCES_M[j] - RISE_LENGTH_M
+        )
+        offset, change = height_behind_m - regression.mean_height_m, h_m - height_behind_m
         if not abs(rise) + abs(offset) + abs(change) < MAX_DIFFERENCE_M:  # or NaN: no buffered height
             continue
         regression.offset_offset_m2[j] += rate * (offset * offset - regression.offset_offset_m2[j])

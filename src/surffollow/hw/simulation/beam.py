@@ -15,7 +15,13 @@ NO_HIT = math.inf
 
 @jit_pasted
 def rotate(qx: Any, qy: Any, qz: Any, qw: Any, x: Any, y: Any, z: Any) -> Any:
-    """Turn a vector by a unit quaternion; returns its three components."""
+    """Turn a vector by a unit quaternion; returns its three components.
+
+    Parameters
+    ----------
+    qx, qy, qz, qw : float64  unit quaternion
+    x, y, z : float64         vector, in any unit
+    """
     tx = 2.0 * (qy * z - qz * y)
     ty = 2.0 * (qz * x - qx * z)
     tz = 2.0 * (qx * y - qy * x)

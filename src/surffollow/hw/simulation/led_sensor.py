@@ -78,9 +78,15 @@ def gloss_is_seen(p: Any, z: Any, frame: Any, sensor: Any, range_m: Any) -> Any:
 def spot_range(p: Any, z: Any, frame: Any, sensor: Any) -> Any:
     """Mean distance over the light spot: five rays, its middle and four around it.
 
+    Parameters
+    ----------
+    p : (1,) `LedPhysics`
+    z, frame : field, see `cast_ray`
+    sensor : (7,) float64, world from sensor
+
     Returns
     -------
-    float64 [m]; 0 in or under the surface, `NO_HIT` without a target; arguments as `gloss_is_seen`
+    float64 [m]; 0 in or under the surface, `NO_HIT` without a target
     """
     qx, qy, qz, qw = sensor[3], sensor[4], sensor[5], sensor[6]
     sight_m = 2.0 * p[0].far_m

@@ -51,7 +51,14 @@ def write_geotiff(
     """Write a GeoTIFF: band 1 heights [m] (NaN unknown), band 2 counts; no coordinate system, metres.
 
     The written file is read back before it takes the name: GDAL does not report a write that
-        fails when it closes the file.
+    fails when it closes the file.
+
+    Parameters
+    ----------
+    path : path          replaced when it exists
+    header : (1,) structured `MapHeader`
+    pairs : (n,) structured `GridPair`
+    progress : callable  as for `map.formats.text_file.write_text`
     """
     rasterio = _rasterio()
     ny, nx = access.shape_of(header)

@@ -17,6 +17,13 @@ def write_ply(
 ) -> None:
     """Write a binary PLY: a vertex at the centre of every known grid, two triangles between any four.
 
+    Parameters
+    ----------
+    path : path          replaced when it exists
+    header : (1,) structured `MapHeader`
+    pairs : (n,) structured `GridPair`
+    progress : callable  as for `map.formats.text_file.write_text`
+
     Raises
     ------
     MapFileError

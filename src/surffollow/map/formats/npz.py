@@ -22,6 +22,15 @@ _NOT_OURS = (ValueError, KeyError, TypeError, AttributeError, IndexError, Memory
 
 
 def write_npz(path: FilePath, header: NDArray[Any], pairs: NDArray[Any], progress: Progress | None) -> None:
+    """Write a compressed NumPy archive, atomically.
+
+    Parameters
+    ----------
+    path : path          replaced when it exists
+    header : (1,) structured `MapHeader`
+    pairs : (n,) structured `GridPair`
+    progress : callable  as for `map.formats.text_file.write_text`
+    """
     ny, nx = access.shape_of(header)
     heights = access.quanta(pairs, 0, ny * nx)
     with replacing(path) as temporary, open(temporary, "wb") as f:

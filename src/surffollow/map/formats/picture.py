@@ -124,6 +124,13 @@ def write_picture(
     """Write shaded relief and counts as PNG, SVG or PDF by the suffix (extra `plot`).
 
     Shown is what is known, with a margin; of a large map the means of blocks of grids, at most 800 a side.
+
+    Parameters
+    ----------
+    path : path          replaced when it exists
+    header : (1,) structured `MapHeader`
+    pairs : (n,) structured `GridPair`
+    progress : callable  as for `map.formats.text_file.write_text`
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg

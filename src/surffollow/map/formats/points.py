@@ -27,6 +27,13 @@ def write_xyz(
 ) -> None:
     """Write a line `x y z` [m] for the centre of every known grid, rows ascending in y.
 
+    Parameters
+    ----------
+    path : path          replaced when it exists
+    header : (1,) structured `MapHeader`
+    pairs : (n,) structured `GridPair`
+    progress : callable  as for `map.formats.text_file.write_text`
+
     Raises
     ------
     MapFileError    no grid is known, or the file cannot be written
@@ -56,6 +63,13 @@ def write_las(
 
     Heights are stored in the map's own quanta, and so are exact; places to a tenth of a millimetre, or as
     finely as 32 bits allow.
+
+    Parameters
+    ----------
+    path : path          replaced when it exists
+    header : (1,) structured `MapHeader`
+    pairs : (n,) structured `GridPair`
+    progress : callable  as for `map.formats.text_file.write_text`
 
     Raises
     ------

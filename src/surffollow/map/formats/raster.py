@@ -28,7 +28,15 @@ def nodata_value(header: NDArray[Any]) -> float:
 def write_esri_ascii(
     path: FilePath, header: NDArray[Any], pairs: NDArray[Any], *, progress: Progress | None = None
 ) -> None:
-    """Write heights [m] as an ESRI ASCII grid: northernmost row first, NODATA where unknown."""
+    """Write heights [m] as an ESRI ASCII grid: northernmost row first, NODATA where unknown.
+
+    Parameters
+    ----------
+    path : path          replaced when it exists
+    header : (1,) structured `MapHeader`
+    pairs : (n,) structured `GridPair`
+    progress : callable  as for `map.formats.text_file.write_text`
+    """
     ny, nx = access.shape_of(header)
     w = header[0]
     digits = max(0, 2 - math.floor(math.log10(float(w["quantum_m"]))))

@@ -87,7 +87,12 @@ def tile_shift_for(nx: Any, ny: Any) -> Any:
 
 @jit
 def region_status(x_min: Any, y_min: Any, x_max: Any, y_max: Any) -> Any:
-    """OK, or BAD_REGION: not finite, or a side that is not within (0, 1e6] m."""
+    """OK, or BAD_REGION: not finite, or a side that is not within (0, 1e6] m.
+
+    Parameters
+    ----------
+    x_min, y_min, x_max, y_max : float64  the region, world frame [m]
+    """
     width, height = x_max - x_min, y_max - y_min
     if not (0.0 < width <= _MAX_REGION and 0.0 < height <= _MAX_REGION):
         return _BAD_REGION

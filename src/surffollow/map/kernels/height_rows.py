@@ -163,7 +163,16 @@ def clear_grids(pairs: Any, start: Any, stop: Any) -> None:
 
 @jit
 def place_row(row: Any, pairs: Any, row_start: Any, nx: Any, first: Any) -> None:
-    """Write a whole map row of nx grids: unknown, the dense row from column `first` on, unknown."""
+    """Write a whole map row of nx grids: unknown, the dense row from column `first` on, unknown.
+
+    Parameters
+    ----------
+    row : (m,) int16   heights in quanta, first + m ≤ nx
+    pairs : (n,) structured `GridPair`  updated
+    row_start : int64  grid index of the map row's first grid
+    nx : int64         grids in a map row
+    first : int64      column of the dense row's first height
+    """
     pack_row(row, pairs, row_start + first)
     clear_grids(pairs, row_start, row_start + first)
     clear_grids(pairs, row_start + first + row.shape[0], row_start + nx)

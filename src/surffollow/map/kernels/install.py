@@ -27,6 +27,14 @@ def install_fault(
 ) -> Any:
     """Answer of `install_begin` to the same arguments, without a change.
 
+    Parameters
+    ----------
+    header : (1,) structured `MapHeader`
+    nx, ny : int64                grids along x and y
+    grid_m : float64              side of a grid [m]
+    x0_m, y0_m : float64          outer corner, world frame [m]
+    datum_m, quantum_m : float64  height of quantum 0, and resolution of the heights [m]
+
     Returns
     -------
     int64  OK, BUSY, TOO_SMALL (memory), BAD_MAP (numbers that no map has)

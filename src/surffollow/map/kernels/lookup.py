@@ -75,7 +75,14 @@ def count_of(pairs: Any, grid: Any) -> Any:
 
 @jit
 def height_quanta(pairs: Any, nx: Any, ny: Any, ix: Any, iy: Any) -> Any:
-    """Height of grid (ix, iy) in quanta; UNKNOWN beside the map."""
+    """Height of grid (ix, iy) in quanta; UNKNOWN beside the map.
+
+    Parameters
+    ----------
+    pairs : (n,) structured `GridPair`
+    nx, ny : int64  grids along x and y
+    ix, iy : int64  column and row of the grid
+    """
     if ix < 0 or ix >= nx or iy < 0 or iy >= ny:
         return _UNKNOWN
     return quanta_of(pairs.ctypes.data, iy * nx + ix)

@@ -60,7 +60,20 @@ def new_kept() -> NDArray[Any]:
 def kept_grid(pairs: Any, nx: Any, ny: Any, generation: Any, kept: Any, now_ns: Any, ix: Any, iy: Any) -> Any:
     """Height [quanta] and weight of grid (ix, iy) from the table, or from the map if it is new there.
 
-    `pairs` is the address of the map's pairs. UNKNOWN and 0.0 beside the map.
+    UNKNOWN and 0.0 beside the map.
+
+    Parameters
+    ----------
+    pairs : int64       address of the map's pairs
+    nx, ny : int64      grids along x and y
+    generation : int64  of the map's geometry
+    kept : (SIDE²,) records of `KeptGrid`  the caller's own, updated
+    now_ns : int64      time, on any one clock [ns]
+    ix, iy : int64      column and row of the grid
+
+    Returns
+    -------
+    int64, float64
     """
     if ix < 0 or ix >= nx or iy < 0 or iy >= ny:
         return _UNKNOWN, 0.0

@@ -37,7 +37,15 @@ def pending_of(w: Any) -> Any:
 
 @jit
 def store_progress(w: Any, phase: Any, pending: Any, done: Any) -> None:
-    """Write the progress, after what it speaks of and before what follows."""
+    """Write the progress, after what it speaks of and before what follows.
+
+    Parameters
+    ----------
+    w : record of `MapHeader`  updated
+    phase : int                FORWARD to CLOSE
+    pending : int              rows computed that still wait in the ring
+    done : int                 rows computed in this phase, or grids cleared
+    """
     fence_release()
     w.journal_progress = (phase << _PHASE_BIT) + (pending << _DONE_BITS) + done
     fence_release()
@@ -45,7 +53,16 @@ def store_progress(w: Any, phase: Any, pending: Any, done: Any) -> None:
 
 @jit
 def leave_rows(w: Any, phase: Any, pending: Any, done: Any, n_rows: Any, budget: Any) -> Any:
-    """Go on to `phase` once all rows are stored; the budget that is left, above 0 when it went on."""
+    """Go on to `phase` once all rows are stored; the budget that is left, above 0 when it went on.
+
+    Parameters
+    ----------
+    w : record of `MapHeader`  updated
+    phase : int                the phase that follows
+    pending, done : int        progress of the present phase, as in `store_progress`
+    n_rows : int               rows of the present phase
+    budget : int               grids that this call may still work on
+    """
     if done == n_rows and pending == 0:
         store_progress(w, phase, 0, 0)
         return max(budget, 1)

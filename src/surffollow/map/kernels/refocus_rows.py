@@ -47,7 +47,16 @@ def new_row_span(w: Any, j: Any) -> Any:
 
 @jit
 def old_part(w: Any, pairs: Any, k: Any, start: Any, part: Any) -> None:
-    """Heights of old row k of the overlap from its column `start` on, as many as `part` takes."""
+    """Heights of old row k of the overlap from its column `start` on, as many as `part` takes.
+
+    Parameters
+    ----------
+    w : record of `MapHeader`
+    pairs : (n,) structured `GridPair`
+    k : int64          row, counted from the first old row of the overlap
+    start : int64      column, counted from the first old column of the overlap
+    part : (m,) int16  overwritten with heights in quanta
+    """
     if w.journal_forward == 0 and phase_of(w) == BACKWARD:
         at = k * (w.overlap_old[1] - w.overlap_old[0]) + start
         copy_row(pairs.view(np.int16)[at : at + part.shape[0]], part)
@@ -208,6 +217,15 @@ def place_finer(w: Any, pairs: Any, scratch: Any, columns: Any, j: Any, grid: An
     """Row j of the overlap, of finer or equal grids, straight into the map's grids from `grid` on.
 
     For rows whose place is not read any more, by themselves included.
+
+    Parameters
+    ----------
+    w : record of `MapHeader`
+    pairs : (n,) structured `GridPair`  updated
+    scratch : (≥ scratch_words(columns),) float64  as `refocus_scratch` lays it out
+    columns : int64  columns that the scratch was laid out for
+    j : int64        row of the overlap in the new map
+    grid : int64     grid index of the row's first height
     """
     nowhere = dense_of(scratch, columns)[0, :0]
     _finer(w, pairs, scratch, columns, new_row_span(w, j), (nowhere, grid))
@@ -215,7 +233,17 @@ def place_finer(w: Any, pairs: Any, scratch: Any, columns: Any, j: Any, grid: An
 
 @jit
 def new_row(w: Any, pairs: Any, scratch: Any, columns: Any, j: Any, out: Any) -> None:
-    """Row j of the overlap in the new map, resampled into the dense row `out`."""
+    """Row j of the overlap in the new map, resampled into the dense row `out`.
+
+    Parameters
+    ----------
+    w : record of `MapHeader`
+    pairs : (n,) structured `GridPair`
+    scratch : (≥ scratch_words(columns),) float64  as `refocus_scratch` lays it out
+    columns : int64   columns that the scratch was laid out for
+    j : int64         row of the overlap in the new map
+    out : (m,) int16  overwritten with heights in quanta
+    """
     at = new_row_span(w, j)
     ratio = w.journal_grid_m / w.grid_m
     if ratio > NARROW_RATIO:

@@ -36,6 +36,13 @@ def edge(shift: Any, ratio: Any, i: Any) -> Any:
 def span(shift: Any, ratio: Any, i: Any, n_old: Any) -> Any:
     """Old grids under new grid i, which must overlap the old map.
 
+    Parameters
+    ----------
+    shift : float64  lower edge of new grid 0, in old grids
+    ratio : float64  side of a new grid, in old grids
+    i : int64        index of the new grid along the axis
+    n_old : int64    old grids along the axis
+
     Returns
     -------
     (first, last, low, high)  int64, int64, float64, float64; the covered interval [low, high]
@@ -48,6 +55,12 @@ def span(shift: Any, ratio: Any, i: Any, n_old: Any) -> Any:
 @jit
 def axis_overlap(shift: Any, ratio: Any, n_new: Any, n_old: Any) -> Any:
     """New grids a … b−1 that cover some of the old map along an axis, and old grids c … d−1 under them.
+
+    Parameters
+    ----------
+    shift : float64       lower edge of new grid 0, in old grids
+    ratio : float64       side of a new grid, in old grids
+    n_new, n_old : int64  new and old grids along the axis
 
     Returns
     -------
@@ -93,7 +106,15 @@ def fill_tables(first_old: Any, last_old: Any, weights: Any, shift: Any, ratio: 
 
 @jit
 def set_row(row: Any, weight: Any, total: Any, known: Any, holes: Any) -> None:
-    """total = weight·height and, where there are holes, known = weight, 0 over unknown grids."""
+    """total = weight·height and, where there are holes, known = weight, 0 over unknown grids.
+
+    Parameters
+    ----------
+    row : (n,) int16               heights in quanta
+    weight : float64
+    total, known : (≥ n,) float64  overwritten; `known` only where there are holes
+    holes : bool                   some heights of the row or of the rows before may be unknown
+    """
     n = row.shape[0]
     if holes:
         for i in range(n):
@@ -107,7 +128,15 @@ def set_row(row: Any, weight: Any, total: Any, known: Any, holes: Any) -> None:
 
 @jit
 def add_row(row: Any, weight: Any, total: Any, known: Any, holes: Any) -> None:
-    """total += weight·height and, where there are holes, known += weight over known grids."""
+    """total += weight·height and, where there are holes, known += weight over known grids.
+
+    Parameters
+    ----------
+    row : (n,) int16               heights in quanta
+    weight : float64
+    total, known : (≥ n,) float64  updated; `known` only where there are holes
+    holes : bool                   some heights of the row or of the rows before may be unknown
+    """
     if holes:
         for i in range(row.shape[0]):
             there = row[i] != _UNKNOWN
@@ -120,7 +149,15 @@ def add_row(row: Any, weight: Any, total: Any, known: Any, holes: Any) -> None:
 
 @jit
 def along_x(values: Any, first_old: Any, last_old: Any, weights: Any, out: Any) -> None:
-    """Weighted means of old columns under each new one."""
+    """Weighted means of old columns under each new one.
+
+    Parameters
+    ----------
+    values : (m,) float64     per old column
+    first_old, last_old : (n,) int64  first and last old column under each new one
+    weights : (3, n) float64  shares of the first, the last, and any column between
+    out : (n,) float64        overwritten
+    """
     w0, w1, w2 = weights[0], weights[1], weights[2]
     for i in range(out.shape[0]):
         first, last = first_old[i], last_old[i]

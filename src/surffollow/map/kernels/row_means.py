@@ -130,7 +130,14 @@ def to_floats_known(row: Any, total: Any, known: Any) -> None:
 
 @jit
 def add_three(a: Any, b: Any, c: Any, weights: Any, total: Any) -> None:
-    """Weighted sum of three rows of heights, and two zeros behind it."""
+    """Weighted sum of three rows of heights, and two zeros behind it.
+
+    Parameters
+    ----------
+    a, b, c : (n,) int16        heights in quanta
+    weights : 3 × float32
+    total : (≥ n + 2,) float32  overwritten
+    """
     n = a.shape[0]
     w0, w1, w2 = weights
     for i in range(n):
@@ -140,7 +147,14 @@ def add_three(a: Any, b: Any, c: Any, weights: Any, total: Any) -> None:
 
 @jit
 def add_three_known(a: Any, b: Any, c: Any, weights: Any, total: Any, known: Any) -> None:
-    """`add_three` over known heights alone, and the sum of their weights."""
+    """`add_three` over known heights alone, and the sum of their weights.
+
+    Parameters
+    ----------
+    a, b, c : (n,) int16  heights in quanta; UNKNOWN where unknown
+    weights : 3 × float32
+    total, known : (≥ n + 2,) float32  overwritten
+    """
     n = a.shape[0]
     w0, w1, w2 = weights
     for i in range(n):
@@ -211,7 +225,12 @@ def _known_mean(total: Any, known: Any, whole: Any) -> Any:
 def round_known(total: Any, known: Any, weights: Any, height: Any, out: Any) -> None:
     """`round_means` over what is known, UNKNOWN where nothing is.
 
-    `height` is the sum of the weights along y, as `add_three_known` has it where all is known.
+    Parameters
+    ----------
+    total, known : (n,) float32  sums, and known weights in them
+    weights : (3, n) float32     from `fill_columns`
+    height : float32             sum of the weights along y, as `add_three_known` has it where all is known
+    out : (n,) int16             overwritten with heights in quanta
     """
     w0, w1, w2 = weights[0], weights[1], weights[2]
     for i in range(out.shape[0]):
@@ -221,14 +240,29 @@ def round_known(total: Any, known: Any, weights: Any, height: Any, out: Any) -> 
 
 @jit
 def blend_means(one: Any, other: Any, weight: Any, rest: Any, out: Any) -> None:
-    """Nearest quanta of weight·one + rest·other."""
+    """Nearest quanta of weight·one + rest·other.
+
+    Parameters
+    ----------
+    one, other : (n,) float32
+    weight, rest : float32
+    out : (n,) int16  overwritten with heights in quanta
+    """
     for i in range(out.shape[0]):
         out[i] = _quanta(weight * one[i] + rest * other[i])
 
 
 @jit
 def blend_known(one: Any, other: Any, weight: Any, rest: Any, weights: Any, out: Any) -> None:
-    """`blend_means` over what is known; `one` and `other` are (sums, known weights)."""
+    """`blend_means` over what is known.
+
+    Parameters
+    ----------
+    one, other : 2 × (n,) float32  sums, and known weights in them
+    weight, rest : float32
+    weights : (≥ 2, n) float32     from `fill_columns`
+    out : (n,) int16               overwritten with heights in quanta; UNKNOWN where nothing is known
+    """
     w0, w1 = weights[0], weights[1]
     for i in range(out.shape[0]):
         whole = w0[i] + w1[i]

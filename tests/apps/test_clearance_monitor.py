@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from surffollow.apps.clearance_monitor import INSIDE_M, ClearanceMonitor
 from surffollow.apps.scan_figures import least_distance
-from surffollow.apps.scan_guard import INSIDE_M, ClearanceMonitor
 from surffollow.apps.scan_robot import ScanRobot
 from surffollow.apps.scan_robot_config import ScanRobotConfig
 from surffollow.apps.scan_run import _Run

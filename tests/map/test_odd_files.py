@@ -1,0 +1,263 @@
+"""Map files that are damaged, crafted or in the way: refused, and nothing is lost."""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import signal
+import stat
+
+import numpy as np
+import pytest
+
+from map.small_maps import scattered, small
+from surffollow.errors import MapFileError
+from surffollow.map import HeightMap
+from surffollow.map.files import export
+from surffollow.map.formats import atomic_file
+from surffollow.shm import map_layout as ml
+from surffollow.shm.dtypes import numpy_dtype
+
+
+@pytest.fixture
+def text(tmp_path):
+    m = small()
+    m.add(scattered())
+    m.save(tmp_path / "good.txt")
+    return (tmp_path / "good.txt").read_text()
+
+
+def changed(text, key, value):
+    """A header that was changed manually, without its checksum."""
+    new, n = re.subn(rf"(?m)^{key} .*$", f"{key} {value}", text)
+    assert n == 1
+    return re.sub(r"(?m)^head_crc .*\n", "", new)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("nx", "99999999999999999999"),
+        ("nx", "1000000000"),
+        ("grid_m", "1e308"),
+        ("grid_m", "1e-320"),
+        ("quantum_m", "1e308"),
+        ("x0_m", "1e308"),
+        ("datum_m", "nan"),
+        ("finest_grid_m", "nan"),
+        ("gate_m", "nan"),
+        ("gate_min_count", "0"),
+        ("region_m", "5"),
+        ("region_m", "nan nan nan nan"),
+        ("rounding", "up"),
+    ],
+)
+def test_a_header_with_impossible_numbers_is_refused(tmp_path, text, key, value):
+    path = tmp_path / "odd.txt"
+    path.write_text(changed(text, key, value))
+    with pytest.raises(MapFileError, match=r"odd\.txt"):
+        HeightMap.load(path)
+
+
+def test_a_small_file_that_claims_a_billion_grids_is_refused_before_memory_is_taken(tmp_path, text):
+    path = tmp_path / "huge.txt"
+    path.write_text(changed(changed(text, "nx", 31622), "ny", 31622))
+    with pytest.raises(MapFileError, match="cut short"):
+        HeightMap.load(path)
+
+
+def test_an_endless_line_is_refused(tmp_path):
+    path = tmp_path / "endless.txt"
+    path.write_text("surffollow-map 1\n" + "# " + "x" * 10_000_000 + "\n")
+    with pytest.raises(MapFileError, match="longer than"):
+        HeightMap.load(path)
+    for suffix in ("", ".asc", ".npz"):
+        link = tmp_path / f"zero{suffix}"
+        link.symlink_to("/dev/zero")
+        with pytest.raises(MapFileError, match="device"):
+            HeightMap.load(link)
+
+
+def test_counts_of_unknown_grids_and_an_unset_datum_in_a_file_do_not_poison_the_map(tmp_path):
+    m = small(datum_m=0.0)
+    m.add([[0.05, 0.05, 0.5]])
+    m.save(tmp_path / "a.txt")
+    whole = changed((tmp_path / "a.txt").read_text(), "datum_set", 0)
+    head, counts = whole.split("\ncounts\n")
+    rows = counts.splitlines()[:-1]
+    import zlib
+
+    samples = np.full((10, 10), 9, np.uint8)
+    quanta = np.full((10, 10), ml.UNKNOWN, np.int16)
+    quanta[0, 0] = round(0.5 / ml.DEFAULT_QUANTUM_M)
+    crc = zlib.crc32(samples.tobytes(), zlib.crc32(quanta.tobytes()))
+    (tmp_path / "b.txt").write_text("\n".join([head, "counts", *["9*10"] * len(rows), f"end {crc:08x}", ""]))
+    loaded = HeightMap.load(tmp_path / "b.txt")
+    assert loaded.counts.sum() == 9
+    loaded.add([[0.95, 0.95, 0.3]])
+    assert loaded.heights_m[0, 0] == pytest.approx(0.5, abs=1e-4)
+    assert loaded.heights_m[9, 9] == pytest.approx(0.3, abs=1e-4)
+
+
+def test_a_crafted_archive_cannot_make_the_kernels_leave_their_memory(tmp_path):
+    m = small()
+    m.add(scattered())
+    m.save(tmp_path / "good.npz")
+    arrays = dict(np.load(tmp_path / "good.npz"))
+    header = arrays["header"].copy()
+    w = header.view(numpy_dtype(ml.MapHeader))
+    w["tile_shift"], w["tiles_x"], w["inv_grid_per_m"], w["journal_op"] = 0, 10**12, 1e12, ml.REFOCUSING
+    np.savez(tmp_path / "odd.npz", **{**arrays, "header": header})
+    loaded = HeightMap.load(tmp_path / "odd.npz")
+    assert loaded.add(scattered(1)) == 300
+    m.add(scattered(1))
+    np.testing.assert_array_equal(loaded.heights_m, m.heights_m)
+    loaded.refocus((0, 0, 0.5, 0.5))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"header": lambda a: a.astype(np.float64)},
+        {"header": lambda a: a[:100]},
+        {"quanta": lambda a: a.reshape(-1)},
+        {"counts": lambda a: a.astype(str)},
+        {"quanta": lambda a: a[:0, :0], "counts": lambda a: a[:0, :0]},
+        {"format": lambda a: np.array([1, 2])},
+    ],
+)
+def test_archives_whose_arrays_do_not_fit_are_refused(tmp_path, change):
+    small().save(tmp_path / "good.npz")
+    arrays = dict(np.load(tmp_path / "good.npz"))
+    for name, of in change.items():
+        arrays[name] = of(arrays[name])
+    np.savez(tmp_path / "odd.npz", **arrays)
+    with pytest.raises(MapFileError, match=r"odd\.npz"):
+        HeightMap.load(tmp_path / "odd.npz")
+
+
+def test_an_array_file_named_as_an_archive_is_refused(tmp_path):
+    with open(tmp_path / "array.npz", "wb") as f:
+        np.save(f, np.zeros(3))
+    with pytest.raises(MapFileError, match=r"array\.npz"):
+        HeightMap.load(tmp_path / "array.npz")
+
+
+@pytest.mark.parametrize(
+    "head", ["ncols inf", "ncols nan", "ncols 1e30", "cellsize inf", "cellsize 1e-320", "xllcorner 1e308"]
+)
+def test_a_raster_with_impossible_numbers_is_refused(tmp_path, head):
+    lines = {"ncols": "2", "nrows": "1", "xllcorner": "0", "yllcorner": "0", "cellsize": "0.1"}
+    lines.update([head.split()])
+    path = tmp_path / "odd.asc"
+    path.write_text("".join(f"{k} {v}\n" for k, v in lines.items()) + "1 2\n")
+    with pytest.raises(MapFileError, match=r"odd\.asc"):
+        HeightMap.load(path)
+
+
+@pytest.mark.parametrize("suffix", ["txt", "npz", "asc", "ply"])
+def test_a_full_disk_leaves_the_old_file_and_no_debris(tmp_path, suffix):
+    m = HeightMap.over((0, 0, 1, 1), grids=20_000, finest_m=1e-6)
+    m.add(scattered(n=5000))
+    path = tmp_path / f"map.{suffix}"
+    path.write_text("old")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (5000, limits[1]))
+    try:
+        with pytest.raises(MapFileError, match="cannot write"):
+            export(path, m.header, m.pairs)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, before)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+    assert path.read_text() == "old"
+
+
+@pytest.mark.parametrize("suffix", ["tif", "TIFF", "asc", "ply", "png"])
+def test_saving_under_the_suffix_of_another_format_is_refused(tmp_path, suffix):
+    path = tmp_path / f"map.{suffix}"
+    path.write_text("old")
+    with pytest.raises(MapFileError, match="export"):
+        small().save(path)
+    assert path.read_text() == "old"
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o666])
+def test_a_file_that_is_replaced_keeps_its_mode(tmp_path, mode):
+    path = tmp_path / "map.txt"
+    path.write_text("old")
+    path.chmod(mode)
+    small().save(path)
+    assert stat.S_IMODE(path.stat().st_mode) == mode
+    assert path.read_text() != "old"
+
+
+def test_a_new_file_gets_the_mode_of_the_umask_once_it_is_whole(tmp_path):
+    before = os.umask(0o027)
+    try:
+        with atomic_file.replacing(tmp_path / "map.txt") as temporary:
+            temporary.write_text("new")
+            assert stat.S_IMODE(temporary.stat().st_mode) == 0o600
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "map.txt").stat().st_mode) == 0o640
+
+
+def test_the_directory_is_synced_after_the_file_took_its_name(tmp_path, monkeypatch):
+    path, synced = tmp_path / "map.txt", []
+
+    def sync(handle):
+        synced.append((stat.S_ISDIR(os.fstat(handle).st_mode), path.exists()))
+
+    monkeypatch.setattr(atomic_file.os, "fsync", sync)
+    small().save(path)
+    assert synced == [(False, False), (True, True)]
+
+
+def geotiff(path, crs=None, **tags):
+    rasterio = pytest.importorskip("rasterio", reason="extra geo is not installed")
+    where = rasterio.transform.from_origin(0, 2, 1, 1)
+    size = {"width": 2, "height": 2, "count": 1, "dtype": "int16", "nodata": -1}
+    with rasterio.open(path, "w", driver="GTiff", transform=where, crs=crs, **size) as out:
+        out.write(np.array([[294, -1], [100, 200]], np.int16), 1)
+        for name, value in tags.items():
+            setattr(out, name, (value,))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("tags", "highest_m"),
+    [
+        ({"scales": 0.01, "offsets": 1.0}, 3.94),
+        ({"units": "ft"}, 294 * 0.3048),
+        ({"units": "US survey foot"}, 294 * 1200 / 3937),
+        ({"units": "mm", "scales": 2.0}, 0.588),
+        ({"units": "metre"}, 294.0),
+        ({"crs": "EPSG:32632"}, 294.0),
+        ({"crs": "EPSG:32618+6360"}, 294 * 1200 / 3937),
+        ({"crs": 'LOCAL_CS["wall",UNIT["metre",1]]'}, 294.0),
+    ],
+)
+@pytest.mark.filterwarnings("ignore")
+def test_scale_offset_and_unit_of_a_geotiff_are_applied(tmp_path, tags, highest_m):
+    m = HeightMap.load(geotiff(tmp_path / "dem.tif", **tags))
+    assert np.nanmax(m.heights_m) == pytest.approx(highest_m, abs=m.quantum_m)
+    assert np.isnan(m.heights_m).sum() == 1
+
+
+@pytest.mark.parametrize(
+    ("tags", "why"),
+    [
+        ({"crs": "EPSG:2263"}, "units of 0.3048"),
+        ({"crs": "EPSG:4326"}, "degrees"),
+        ({"crs": 'LOCAL_CS["wall",UNIT["foot",0.3048]]'}, "units of 0.3048"),
+        ({"units": "parsec"}, "parsec"),
+        ({"units": "s"}, "unit"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore")
+def test_a_geotiff_that_is_not_in_metres_is_refused(tmp_path, tags, why):
+    with pytest.raises(MapFileError, match=why):
+        HeightMap.load(geotiff(tmp_path / "dem.tif", **tags))

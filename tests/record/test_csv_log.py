@@ -1,0 +1,147 @@
+"""CSV logs by a column file: units, frames, values that are no reading, and refusals with their place."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from csv_logs import EXAMPLES, HEADER, PLAIN, log_of, plain
+from surffollow.errors import UsageError
+from surffollow.record.columns import load_columns, parse_columns
+from surffollow.record.csv_replay import target_points
+
+DEPTH: dict[str, object] = {"column": "d", "unit": "cm", "min": "5 cm", "max": "10 m", "kind": "depth"}
+
+
+def test_units_and_frames_become_metres_and_a_pose_looking_down(tmp_path: Path) -> None:
+    log = log_of(tmp_path, HEADER + "1500,200,1000,2000,3000,0,0,0\n")
+    assert log.t_s.tolist() == [1.5]
+    assert log.range_m.tolist() == [2.0]
+    np.testing.assert_allclose(log.pose[0, :3], [2.0, 1.0, 3.0])
+    np.testing.assert_allclose(target_points(log, plain())[0], [2.0, 1.0, 1.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("angles", "expected"),
+    [
+        ("90,0,0", (0.0, -2.0, 0.0)),  # right side down, heading north: the belly shows west
+        ("0,90,0", (2.0, 0.0, 0.0)),  # nose up, heading north: the belly shows north
+        ("0,90,90", (0.0, 2.0, 0.0)),  # nose up, heading east: the belly shows east
+        ("20,30,77", None),
+    ],
+)
+def test_attitude_turns_the_beam_as_on_a_vehicle(
+    tmp_path: Path, angles: str, expected: tuple[float, ...] | None
+) -> None:
+    log = log_of(tmp_path, HEADER + f"0,200,0,0,0,{angles}\n")
+    east, north, up = target_points(log, plain())[0]
+    if expected is not None:
+        np.testing.assert_allclose((north, east, up), expected, atol=1e-12)
+    else:
+        roll, pitch = (math.radians(float(a)) for a in angles.split(",")[:2])
+        assert up == pytest.approx(-2.0 * math.cos(roll) * math.cos(pitch))
+
+
+def test_values_that_mean_no_reading_or_lie_outside_the_limits_are_none(tmp_path: Path) -> None:
+    rows = "".join(
+        f"{i},{d},0,0,0,0,0,0\n" for i, d in enumerate(["0", "999", "4.9", "1001", "", "nan", "5"])
+    )
+    log = log_of(tmp_path, HEADER + rows)
+    assert np.isfinite(log.range_m).tolist() == [False] * 6 + [True]
+
+
+def test_spaces_blank_lines_quotes_and_a_byte_order_mark_are_read(tmp_path: Path) -> None:
+    log = log_of(tmp_path, "\ufeff" + '"t", d ,n,e,u,roll,pitch,yaw,more\n\n 1 ,"20", 0,0,0,0,0,0,x\n\n')
+    assert log.range_m.tolist() == [0.2]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,d,n,e,u,roll,pitch\n", r"log\.csv has no column 'yaw'; it has t, d, n, e, u, roll, pitch"),
+        ("", r"log\.csv has no column 't'; it has none"),
+        (HEADER + "1,2,0,0,0,0,0,0\n2,x,0,0,0,0,0,0\n", r"log\.csv, line 3, column 'd': 'x' is not"),
+        (HEADER + "1,2,0,0,0,0\n", r"log\.csv, line 2, column 'pitch': '' is not"),
+        (HEADER + "1,2,inf,0,0,0,0,0\n", r"line 2, column 'n': 'inf' is not"),
+        (HEADER + "nan,2,0,0,0,0,0,0\n", r"line 2, column 't': 'nan' is not"),
+        (HEADER + "2,2,0,0,0,0,0,0\n1,2,0,0,0,0,0,0\n", r"time goes back in row 2"),
+    ],
+)
+def test_a_wrong_log_is_refused_with_its_place(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message) as e:
+        log_of(tmp_path, text)
+    assert e.value.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"time": {"column": "t", "unit": "hours"}}, r"\[time\] unit: unknown unit 'hours'"),
+        ({"range": {"column": "d", "unit": "s"}}, r"\[range\] unit: .*'s' is a time"),
+        ({"range": {"column": "d", "unit": "m", "min": "3 m", "max": "2 m"}}, "below max"),
+        ({"range": {"column": "d", "unit": "m", "max": "3 deg"}}, "angle"),
+        ({"rang": {}}, "unknown field `rang`"),
+        ({"range": {"unit": "m"}}, "missing required field `column`"),
+        ({"mount": {"orientation": [0, 0, 0, 2]}}, "unit quaternion"),
+        ({"forecast": {"horizons": []}}, "horizons"),
+        ({"forecast": {"horizons": ["-1 s"]}}, "horizons"),
+    ],
+)
+def test_a_wrong_column_file_is_refused_with_its_key(change: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        plain(**change)
+
+
+def test_a_time_that_no_decimal_holds_is_read_as_a_float(tmp_path: Path) -> None:
+    log = log_of(tmp_path, HEADER + "1e-99999999999999999999,200,0,0,0,0,0,0\n1,200,0,0,0,0,0,0\n")
+    assert log.elapsed_s().tolist() == [0.0, 0.001]
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda p: p.stem)
+def test_the_examples_are_column_files(path: Path) -> None:
+    assert load_columns(path).horizons_s
+
+
+@pytest.mark.parametrize(
+    ("position", "expected"),
+    [
+        ({"up": "u", "unit": "m"}, [0.0, 0.0, 3.0]),
+        ({"east": "e", "unit": "m"}, [2.0, 0.0, 0.0]),
+        ({"north": "n", "up": "u", "unit": "m"}, [0.0, 1.0, 3.0]),
+    ],
+)
+def test_an_axis_without_a_column_is_zero_and_its_column_need_not_be_there(
+    tmp_path: Path, position: dict[str, str], expected: list[float]
+) -> None:
+    values = {"n": 1, "e": 2, "u": 3}
+    used = [v for k, v in position.items() if k != "unit"]
+    header = ",".join(["t", "d", *used])
+    row = ",".join(["0", "200", *(str(values[c]) for c in used)])
+    columns = parse_columns({"time": PLAIN["time"], "range": PLAIN["range"], "position": position})
+    log = log_of(tmp_path, f"{header}\n{row}\n", columns)
+    assert log.pose[0, :3].tolist() == expected
+
+
+def test_a_depth_is_straight_down_however_the_vehicle_is_tilted(tmp_path: Path) -> None:
+    columns = plain(range=DEPTH)
+    log = log_of(tmp_path, HEADER + "0,400,0,0,1000,20,-30,77\n", columns)
+    np.testing.assert_allclose(target_points(log, columns)[0], [0.0, 0.0, 1.0 - 4.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"position": {"unit": "m"}}, "names no column"),
+        (
+            {"range": DEPTH, "mount": {"position": ["1 m", "0 m", "0 m"]}},
+            "straight down",
+        ),
+        ({"range": {**DEPTH, "kind": "sonar"}}, "kind"),
+    ],
+)
+def test_a_column_file_that_contradicts_itself_is_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        plain(**change)
