@@ -66,15 +66,18 @@ def _own_environment() -> dict[str, str]:
 class ForkedProcess(subprocess.Popen[str]):
     """A child of the template; its exit code comes through a pipe."""
 
-    def __init__(self, template: Template, words: Sequence[str], stderr: int | None) -> None:
+    def __init__(
+        self, template: Template, words: Sequence[str], stderr: int | None, stdin: int | None
+    ) -> None:
         self._template = template
-        super().__init__(words, stdout=subprocess.PIPE, stderr=stderr, text=True)
+        super().__init__(words, stdin=stdin, stdout=subprocess.PIPE, stderr=stderr, text=True)
 
     def _execute_child(self, *arguments: Any) -> None:
         words, pipes = arguments[0], arguments[10:16]
         ended, end_fd = os.pipe()
         try:
-            self.pid = self._template.fork(words, [0, pipes[3], 2 if pipes[5] < 0 else pipes[5], end_fd])
+            given = [max(pipes[0], 0), pipes[3], 2 if pipes[5] < 0 else pipes[5]]
+            self.pid = self._template.fork(words, [*given, end_fd])
         finally:
             os.close(end_fd)
             self._close_pipe_fds(*pipes)  # type: ignore[attr-defined]
@@ -102,8 +105,10 @@ def note_environment() -> None:
     _environment.update(_own_environment())
 
 
-def fork_start(words: Sequence[str], stderr: int | None = None) -> subprocess.Popen[str] | None:
-    """Run `python -m surffollow …` as a fork; its stdout is a pipe, `stderr` as of `Popen`.
+def fork_start(
+    words: Sequence[str], stderr: int | None = None, stdin: int | None = None
+) -> subprocess.Popen[str] | None:
+    """Run `python -m surffollow …` as a fork; its stdout is a pipe, `stderr` and `stdin` as of `Popen`.
 
     None when the words run another interpreter or program, or when this process changed its environment.
     """
@@ -116,7 +121,7 @@ def fork_start(words: Sequence[str], stderr: int | None = None) -> subprocess.Po
     template = _templates.get(os.getpid())
     if template is None:
         template = _templates[os.getpid()] = Template(dict(_environment))
-    return ForkedProcess(template, words[3:], stderr)
+    return ForkedProcess(template, words[3:], stderr, stdin)
 
 
 # -- the template process -------------------------------------------------------------------------

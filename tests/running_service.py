@@ -110,10 +110,14 @@ def config_text(
     return head + "".join(f"[{table}]\n{text}" for table, text in lines.items() if text)
 
 
-def begin_command(words: Sequence[str]) -> subprocess.Popen[str]:
-    """Run a command line of the package with pipes, forked where that is possible (`forked_start`)."""
+def begin_command(words: Sequence[str], stdin: int | None = None) -> subprocess.Popen[str]:
+    """Run a command line of the package with pipes, forked where that is possible (`forked_start`).
+
+    `stdin` as of `Popen`.
+    """
     pipe = subprocess.PIPE
-    return fork_start(words, pipe) or subprocess.Popen(words, stdout=pipe, stderr=pipe, text=True)
+    forked = fork_start(words, pipe, stdin)
+    return forked or subprocess.Popen(words, stdin=stdin, stdout=pipe, stderr=pipe, text=True)
 
 
 def run_command(words: Sequence[str], timeout_s: float = READY_S) -> subprocess.CompletedProcess[str]:

@@ -20,6 +20,7 @@ from surffollow.scan import Camera, looking_down
 SHAPE, FOCAL_PX, BASELINE_M, NOISE_PX = (240, 320), 260.0, 0.12, 0.08
 FLANK = math.tan(math.radians(70.0))
 GRID_M, SIZE_M = 0.005, (1.4, 1.2)
+HIGHEST_M = 0.6  # of the ground and the board
 SERVICE = """[driver]
 kind = "simulated"
 [driver.world]
@@ -45,27 +46,30 @@ def ground(x, y):
 def render(camera, board):
     """Depth image [m]: march along every ray until it is below the ground or hits the board."""
     pose = camera.pose()
-    rays = camera.rays(SHAPE) @ pose[:3, :3].T
-    depth, before = np.full(SHAPE, np.nan), np.zeros(SHAPE)
+    rays = (camera.rays(SHAPE) @ pose[:3, :3].T).reshape(-1, 3)
+    depth, before = np.full(len(rays), np.nan), 0.0
+    left = np.arange(len(rays))  # rays that have met nothing yet, and their vertical parts
+    down = rays[:, 2].copy()
     for d in np.linspace(0.5, 3.5, 500):
-        p = pose[:3, 3] + rays * d
-        over = (
-            (np.abs(p[..., 0] - 0.3) < 0.1)
-            & (np.abs(p[..., 1] - 0.8) < 0.1)
-            & (np.abs(p[..., 2] - 0.57) < 0.03)
-        )
-        hit = np.isnan(depth) & ((p[..., 2] <= ground(p[..., 0], p[..., 1])) | (over & board))
-        low, high = before[hit], np.full(np.count_nonzero(hit), d)
-        for _ in range(16):
+        near = left[pose[2, 3] + down * d <= HIGHEST_M]
+        p = pose[:3, 3] + rays[near] * d
+        over = (np.abs(p[:, :2] - (0.3, 0.8)) < 0.1).all(axis=1) & (np.abs(p[:, 2] - 0.57) < 0.03) & board
+        hit = over | (p[:, 2] <= ground(p[:, 0], p[:, 1]))
+        met, over = near[hit], over[hit]
+        low, high = np.full(len(met), before), np.full(len(met), d)
+        for _ in range(16 if len(met) else 0):
             middle = 0.5 * (low + high)
-            q = pose[:3, 3] + rays[hit] * middle[:, None]
-            below = (q[:, 2] <= ground(q[:, 0], q[:, 1])) | (over[hit] & board & (q[:, 2] < 0.6))
+            q = pose[:3, 3] + rays[met] * middle[:, None]
+            below = (q[:, 2] <= ground(q[:, 0], q[:, 1])) | (over & (q[:, 2] < 0.6))
             low, high = np.where(below, low, middle), np.where(below, middle, high)
-        depth[hit] = 0.5 * (low + high)
-        before[:] = d
-        if not np.isnan(depth).any():  # every ray has met something
+        depth[met] = 0.5 * (low + high)
+        before = d
+        if len(met):
+            left = np.flatnonzero(np.isnan(depth))
+            down = rays[left, 2]
+        if not len(left):  # every ray has met something
             break
-    return depth
+    return depth.reshape(SHAPE)
 
 
 def main():

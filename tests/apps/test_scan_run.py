@@ -98,18 +98,15 @@ def test_a_scan_is_run_to_its_end_and_reported(service, folder, tmp_path):
 
 def test_nothing_moves_before_somebody_confirms(service, folder):
     # WHEN no terminal can ask, THEN nothing moves
-    refused = subprocess.run(
-        words(service, folder), capture_output=True, text=True, timeout=READY_S, stdin=subprocess.DEVNULL
-    )
+    refused = begin_command(words(service, folder), subprocess.DEVNULL)
+    _, error = refused.communicate(timeout=READY_S)
     assert refused.returncode == 2
-    assert "--yes" in refused.stderr
+    assert "--yes" in error
     with pytest.raises(NotRunningError):
         ask(service.name, "status")
     # WHEN the operator says no, THEN nothing moves
     ours, theirs = pty.openpty()
-    child = subprocess.Popen(
-        words(service, folder), stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    child = begin_command(words(service, folder), theirs)
     os.write(ours, b"n\n")
     out, error = child.communicate(timeout=READY_S)
     os.close(ours)
@@ -173,13 +170,7 @@ def test_a_latched_stop_holds_the_scan_until_the_operator_resumes(service, folde
 def test_keys_of_a_terminal_pause_and_abort(service, folder):
     # GIVEN a scan that runs at a terminal
     ours, theirs = pty.openpty()
-    child = subprocess.Popen(
-        words(service, folder, "--yes"),
-        stdin=theirs,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    child = begin_command(words(service, folder, "--yes"), theirs)
     reach(service, child, lambda s: s["state"] == "scan")
     # WHEN keys are pressed, THEN it pauses and aborts
     os.write(ours, b"p")

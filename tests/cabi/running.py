@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +17,7 @@ C = ["-std=c11", *WARNINGS]
 CPP = ["-std=c++17", *WARNINGS, "-Wold-style-cast"]
 # silence that a busy machine may cause; what holds a client's patience to 20 periods says so
 PATIENT_MS = 500
-SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+SANITIZED = ["-g1", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 
 def flat_ground(lease: str = "60 s") -> str:
@@ -79,9 +80,10 @@ class Probe:
 
     def until(self, line: str, condition: Callable[[Answer], bool], timeout_s: float = 60.0) -> Answer:
         """Repeat a call until its answer is as expected."""
-        deadline = time.monotonic() + timeout_s
+        deadline, pause = time.monotonic() + timeout_s, threading.Event()
         while not condition(answer := self(line)):
             assert time.monotonic() < deadline, f"{line!r} still answers {answer}"
+            pause.wait(0.001)
         return answer
 
     def end(self) -> None:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from forked_start import fork_start
 from running_service import WAIT_S, Service, until
 from service.working_client import Make, goes_on
 from surffollow.client import Client
@@ -25,7 +26,9 @@ F_SETPIPE_SZ = 1031
 def start_with(s: Service, stderr: int, *before: str) -> Service:
     """Start with a standard error of the test's own; `before` runs the command, e.g. a shell."""
     words = [*before, *s.command("start", "--config", str(s.config))]
-    s.process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=stderr, text=True)
+    s.process = fork_start(words, stderr) or subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=stderr, text=True
+    )
     assert s.process.stdout is not None
     line = s.process.stdout.readline()
     assert line.startswith("READY"), line

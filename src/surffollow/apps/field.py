@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -66,6 +67,13 @@ class Field:
     errors: Errors
     seed: int
     compliance: Compliance = field(default_factory=Compliance)
+
+    @cached_property
+    def depths_m(self) -> list[Floats]:
+        """True depths that the real camera has in all views [m]; NaN where the second camera sees nothing."""
+        real = self.real.ground_from_camera(view_joints(self.model))
+        baseline_m = BASELINE_M if self.errors.occlusion else 0.0
+        return [render_depth(self.ground, one, LENS_PX, SHAPE, baseline_m=baseline_m) for one in real]
 
     def on(self, ground: HeightField) -> Field:
         """The same vehicle on other ground."""
@@ -128,14 +136,10 @@ def view_joints(arm: Arm) -> Floats:
 
 def take_images(place: Field, rng: np.random.Generator) -> list[DepthImage]:
     """Disparity images from all views: rendered from the real camera, posed as in the model."""
-    joints = view_joints(place.model)
-    real, modelled = place.real.ground_from_camera(joints), place.model.ground_from_camera(joints)
+    modelled = place.model.ground_from_camera(view_joints(place.model))
     fx, fy, cx, cy = LENS_PX
     images = []
-    for k in range(len(joints)):
-        depth = render_depth(
-            place.ground, real[k], LENS_PX, SHAPE, baseline_m=BASELINE_M if place.errors.occlusion else 0.0
-        )
+    for k, depth in enumerate(place.depths_m):
         if place.errors.noise:
             q = stereo_disparity(depth, fx * BASELINE_M, rng)
         else:

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import detrend
 
 from surffollow.errors import UsageError
 from surffollow.sim.profiles import Profile, grid_x, made
@@ -266,6 +265,8 @@ def machined(
     UsageError
         when there is no data folder
     """
+    from scipy.signal import detrend  # a second that all that measures nothing saves
+
     folder = data_dir()
     if folder is None:
         raise UsageError("the family 'machined' needs the data folder; set SURFFOLLOW_DATA to it")

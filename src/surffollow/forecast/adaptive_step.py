@@ -254,8 +254,8 @@ def compute_demand(
         rise_mps = max(math.sqrt(estimate.slope_power), estimate.slope) * kinematics.speed_mps
         target = max(target, tool_z + rise_mps * adaptive.plant.tau_s)
     if has_jumped(kinematics, clock.now_ns) != 0 and estimate.accepted_ns < kinematics.jump_ns:
-        release_setpoint(setpoint)  # it is a height in the frame before the jump
-        target = tool_z
+        release_setpoint(setpoint)
+        target = tool_z  # heights are in the frame before the jump
     limit_setpoint(params, adaptive, clock.now_ns, target, tool_z)
     demand = setpoint.position_m - tool_z
     if not math.isfinite(demand + estimate.height_m + estimate.slope + estimate.sigma_m):
@@ -268,10 +268,9 @@ def compute_demand(
         latch_fault(health, FAULT_CLOSE)
         status |= TOO_CLOSE
         limited = max(limited, min(PROBE_M, params.max_demand_m))
-    output.demand[2] = limited
-    if fold.close != 0:
         release_attitude(adaptive.attitude)  # away from the surface first, then rotate
-    elif orients != 0 and adaptive.plane.count > 0:
+    output.demand[2] = limited
+    if fold.close == 0 and orients != 0 and adaptive.plane.count > 0:
         demand_rotation(params, adaptive, sense, output)
     if controller.period_ns == clock.now_ns or controller.latch_pending != 0:
         record_own_setpoint(adaptive, tool_z + (limited if params.run == RUN_NORMAL else 0.0))

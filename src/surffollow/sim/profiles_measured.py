@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import detrend
 
 from surffollow.errors import UsageError
 from surffollow.sim.profiles import MARGIN_M, SPACING_M, Profile, grid_x, made
@@ -25,6 +24,8 @@ def data_dir() -> Path | None:
 
 def _row_profile(name: str, rows: NDArray[np.float64], seed: int) -> Profile:
     """Stretch a few neighbouring rows, laid end to end without a jump, over the path."""
+    from scipy.signal import detrend  # a second that all that measures nothing saves
+
     x = grid_x()
     first = int(np.random.default_rng([seed, 53]).integers(len(rows)))
     row = detrend(rows[first])
