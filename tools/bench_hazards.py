@@ -58,7 +58,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(argv)
     methods = tuple(dict.fromkeys([*given.methods.split(","), "p"]))
+    if given.count < 1:
+        parser.error(f"--count is {given.count}; expected at least 1")
+    if unknown := [m for m in methods if m not in METHODS]:
+        parser.error(f"unknown methods {unknown}; there are {list(METHODS)}")
     families = [f for f in given.families.split(",") if f]
+    if not families:
+        parser.error(f"--families names none; there are {list(FAMILIES)}")
     if unknown := [f for f in families if f not in FAMILIES]:
         parser.error(f"unknown families {unknown}; there are {list(FAMILIES)}")
     jobs = [(f, given.first + k, methods) for f in families for k in range(given.count)]
