@@ -95,7 +95,13 @@ class NaiveResponse:
         enough = descent_m > r.DESCENT_BANDS * self.band_m
         far = descent_m > r.FAR_DESCENT * self.standoff_m
         long = self.in_run > r.MIN_LONG_MEANS * self.number
-        if long and self.shift_ns is None and descent_m > r.SHIFT_DESCENT * self.standoff_m:
+        doubtful = (
+            self.number >= r.MAX_MEAN
+            and enough
+            and error_m > r.LAG_TAUS * self.tau_s * rate_mps
+            and error_m * descent_m > r.SHIFT_ERROR_DESCENT * self.band_m * self.standoff_m
+        )
+        if long and self.shift_ns is None and (doubtful or descent_m > r.SHIFT_DESCENT * self.standoff_m):
             self.shift_ns, self.shift_m = t_ns, r.SHIFT_BANDS * self.band_m
         allowed_s = r.SHIFT_TAUS * self.tau_s + r.SHIFT_MEANS * self.number * self.interval_s
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > allowed_s

@@ -22,6 +22,7 @@ from surffollow.shm.layout_adaptive_sensing import RESPONSE_FAILED, RESPONSE_HOL
 DESCENT_BANDS = 4.0  # shorter descents hide in the noise
 ERROR_DESCENT = 0.36  # of a band times the stand-off: error times descent; a small one needs a long one
 FAR_DESCENT = 0.5  # of the stand-off: beyond, a constant range is always tested, before the tool can touch
+SHIFT_ERROR_DESCENT = 0.06  # error times descent as above from which a fast sensor is tested by a shift
 SHIFT_DESCENT = 0.3  # of the stand-off: beyond, the setpoint is shifted up …
 SHIFT_BANDS = 2.0  # … by so many bands; an answer spares the hold
 SHIFT_TAUS, SHIFT_MEANS = 2.0, 2.0  # time for an answer: of the axis and of the mean
@@ -122,7 +123,13 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
         )
         long = response.run_samples > MIN_LONG_MEANS * number
         far = long and descent > FAR_DESCENT * params.offset_m
-        if long and response.lift_m == 0.0 and descent > SHIFT_DESCENT * params.offset_m:
+        doubtful = (  # with fewer samples in τ the ground changes while the answer is awaited
+            number >= MAX_MEAN
+            and descent > DESCENT_BANDS * band
+            and error > LAG_TAUS * tau * rate
+            and error * descent > SHIFT_ERROR_DESCENT * band * params.offset_m
+        )
+        if long and response.lift_m == 0.0 and (doubtful or descent > SHIFT_DESCENT * params.offset_m):
             response.lift_m, response.test_ns, since_s = SHIFT_BANDS * band, t_ns, 0.0
         late = response.lift_m > 0.0 and since_s > SHIFT_TAUS * tau + SHIFT_MEANS * number * interval
         suspicious = (wrong or not noisy) and descent > DESCENT_BANDS * band
