@@ -242,6 +242,19 @@ def test_no_speed_is_measured_across_a_long_gap_of_reports():
     assert report(7210, 1e-3)[0] == pytest.approx(0.1)
 
 
+@pytest.mark.parametrize(("step_m", "jumps"), [(0.019, False), (0.035, False), (0.05, True)])
+def test_a_jump_of_height_is_more_than_the_axis_can_turn(step_m, jumps):
+    """GIVEN reports every 100 ms and v_max 0.2 m/s WHEN z leaves its way THEN 40 mm are not yet a jump."""
+    params, state = default_params(), zeros(FollowState)[0]
+    kinematics, sense = state["adaptive"]["kinematics"], state["sense"]
+    params["plant_v_max_mps"] = 0.2
+    for k in range(5):
+        z = 0.1 + step_m * (k == 4)
+        push_pose(sense, 10**12 + 100 * k * MS, np.array([0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0]), 0)
+        update_kinematics(params, kinematics, sense)
+    assert (kinematics["jump_ns"] != 0) == jumps
+
+
 @pytest.mark.parametrize("case", ["slot", "glitch"])
 def test_slots_and_glitches_hardly_move_the_setpoint(case):
     job = Job("excursion", "ours", 302, Conditions(), "flat", 0.1, case)
