@@ -93,7 +93,8 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
     interval = max(adaptive.prediction.interval_s, 1e-6)
     number = min(max(MEAN_TAUS * tau / interval, MIN_MEAN), MAX_MEAN)
     outlier = OUTLIER_SIGMAS * sigma
-    if response.samples > 3 and (least > outlier or greatest < -outlier):  # three in a row are no outliers
+    moved = least > outlier or greatest < -outlier  # three in a row are no outliers
+    if moved and number >= MAX_MEAN and response.samples > 3:  # those of a slow sensor are far apart
         response.mean_m = range_m
     response.mean_m += min(max(range_m - response.mean_m, -outlier), outlier) / number
     response.run_samples += 1
