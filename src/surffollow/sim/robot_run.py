@@ -161,9 +161,12 @@ def held_too_long(ticks: int, held: int) -> bool:
 
 
 def claim_priority() -> None:
-    """Let this process go before others, where permitted: hardware does not wait for a busy machine."""
+    """Let this thread go before others, where permitted: hardware does not wait for a busy machine.
+
+    Programs and threads that it starts are not hardware: they begin at the usual priority.
+    """
     with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(FIFO_PRIORITY))
 
 
 def run_robot(
