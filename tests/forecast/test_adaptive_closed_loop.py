@@ -99,7 +99,7 @@ def test_a_slow_sensor_follows_a_steep_slope(name, seed):
 
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("jump_m", [-0.05, 0.05, 0.1])
-@pytest.mark.parametrize("sensor_hz", [20, 250])
+@pytest.mark.parametrize("sensor_hz", [1, 20, 250])
 def test_a_jump_of_the_reported_height_moves_the_tool_hardly(sensor_hz, jump_m, seed):
     """GIVEN level ground WHEN the reported z jumps THEN the tool stays until samples show the ground anew."""
     job = Job(sensor_hz=sensor_hz)

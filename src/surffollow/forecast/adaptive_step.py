@@ -253,7 +253,7 @@ def compute_demand(
     if stuck != 0:  # ground that is not seen may rise as steeply as it did before
         rise_mps = max(math.sqrt(estimate.slope_power), estimate.slope) * kinematics.speed_mps
         target = max(target, tool_z + rise_mps * adaptive.plant.tau_s)
-    if has_jumped(kinematics, clock.now_ns) != 0 and estimate.accepted_ns < kinematics.jump_ns:
+    if estimate.accepted_ns < kinematics.jump_ns <= clock.now_ns:
         release_setpoint(setpoint)
         target = tool_z  # heights are in the frame before the jump
     limit_setpoint(params, adaptive, clock.now_ns, target, tool_z)
