@@ -79,6 +79,17 @@ def test_a_sensor_stuck_with_one_count_of_flicker_is_found(seed, size_m):
     assert "STUCK" in f.state()["faults"]
 
 
+@pytest.mark.parametrize(("family", "seed"), [("frozen", 2061), ("blocked", 2101)])
+def test_a_slow_descent_with_a_constant_range_is_tested_soon(family, seed):
+    """GIVEN a range just beyond the stand-off that does not respond WHEN the tool descends THEN not for long.
+
+    Tested after 0.3 stand-offs only, the tool was 54 and 25 mm nearer than that of the P loop.
+    """
+    scenario = draw(family, seed)
+    ours, plain = play(follower(), scenario), play(PLoop(), scenario)
+    assert ours.clearance_m > plain.clearance_m - 0.2 * STANDOFF_M
+
+
 def test_a_live_sensor_on_a_long_ramp_is_not_called_stuck():
     # GIVEN a follower that has seen rough ground, and a tool that climbs a smooth ramp without any error
     f, rng = follower(), np.random.default_rng(3)
