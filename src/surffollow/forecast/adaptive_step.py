@@ -270,7 +270,7 @@ def compute_demand(
         limited = max(limited, min(PROBE_M, params.max_demand_m))
         release_attitude(adaptive.attitude)  # away from the surface first, then rotate
     output.demand[2] = limited
-    if fold.close == 0 and orients != 0 and adaptive.plane.count > 0:
+    if fold.close == 0 and stuck == 0 and orients != 0 and adaptive.plane.count > 0:
         demand_rotation(params, adaptive, sense, output)
     if controller.period_ns == clock.now_ns or controller.latch_pending != 0:
         record_own_setpoint(adaptive, tool_z + (limited if params.run == RUN_NORMAL else 0.0))

@@ -40,6 +40,29 @@ def rotate(qx: Any, qy: Any, qz: Any, qw: Any, x: Any, y: Any, z: Any) -> Any:
     )
 
 
+@jit
+def rotation_between(ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> Any:
+    """Rotation vector that turns unit vector a into b by the smaller angle, and that angle.
+
+    For opposite vectors the axis is undefined; the rotation is then zero.
+
+    Parameters
+    ----------
+    ax, ay, az : float64  unit vector a
+    bx, by, bz : float64  unit vector b
+
+    Returns
+    -------
+    4 × float64 [rad]
+    """
+    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    sine = math.sqrt(cx * cx + cy * cy + cz * cz)
+    if not sine > 1e-12:
+        return 0.0, 0.0, 0.0, 0.0
+    angle = math.atan2(sine, ax * bx + ay * by + az * bz)
+    return cx * angle / sine, cy * angle / sine, cz * angle / sine, angle
+
+
 @jit_inlined
 def push_pose(sense: Any, t_ns: Any, pose: Any, at: Any) -> Any:
     """Append the pose at `pose[at:at+7]` to the history; 0 when it is not newer than the last (refused).

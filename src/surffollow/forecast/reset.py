@@ -7,6 +7,7 @@ from typing import Any
 from surffollow.forecast.attitude.attitude import release_attitude
 from surffollow.forecast.attitude.beam_detection import reset_beam_times
 from surffollow.forecast.attitude.plane_fit import reset_plane_time
+from surffollow.forecast.attitude.rotation_response import reset_rotation
 from surffollow.forecast.estimation.estimate import (
     discard_estimate,
     erase_estimate,
@@ -45,6 +46,7 @@ def reset_all(params: Any, adaptive: Any) -> None:
     discard_weights(adaptive.weights)
     reset_sample(adaptive.sample)
     reset_response(adaptive.response)
+    reset_rotation(adaptive.rotation)
     reset_latency(adaptive.latency)
     reset_lookahead(adaptive.lookahead)
     reset_known_ground(adaptive.known)
@@ -62,6 +64,7 @@ def reset_surface(adaptive: Any) -> None:
     """SFReset: initialise with the next sample; noise, model weights, plant and terrain stay."""
     unconfirm_estimate(adaptive.estimate)
     reset_response(adaptive.response)
+    reset_rotation(adaptive.rotation)
     drop_pending(adaptive.gate)
     release_setpoint(adaptive.setpoint)
     withdraw_preview(adaptive.preview)
@@ -80,6 +83,7 @@ def reset_timestamps(adaptive: Any) -> None:
     reset_estimate_times(adaptive.estimate)
     reset_hold(adaptive.hold)
     reset_response(adaptive.response)
+    reset_rotation(adaptive.rotation)
     reset_prediction_time(adaptive.prediction)
     release_setpoint(adaptive.setpoint)
     release_attitude(adaptive.attitude)

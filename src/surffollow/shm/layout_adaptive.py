@@ -29,6 +29,7 @@ from surffollow.shm.layout_adaptive_sensing import (
     Plane,
     Prediction,
     Response,
+    Rotation,
     Sample,
 )
 from surffollow.shm.schema import F64, I64, Nested, Schema
@@ -181,6 +182,7 @@ class AdaptiveState(Schema):
     plan = Nested(Plan)
     beams = Nested(Beams)
     plane = Nested(Plane)
+    rotation = Nested(Rotation)
     attitude = Nested(Attitude)
 
 
@@ -197,6 +199,7 @@ REASON_NAMES = (
     "timestamps went back; readings count as old as usual",
     "sensors disagree without a majority; the nearer ground counts",
     "reported position jumped; ground known from before is not used",
+    "readings do not respond to the tool's rotation; the tool does not rotate",
 )
 (
     REASON_NONE,
@@ -210,4 +213,5 @@ REASON_NAMES = (
     REASON_TIMESTAMPS,
     REASON_SENSORS,
     REASON_POSE_JUMP,
-) = range(11)
+    REASON_ROTATION,
+) = range(12)

@@ -27,6 +27,7 @@ class Kinematics(Schema):
     climb_mps = F64(unit="m/s", doc="vertical velocity")
     jump_pose = I64(doc="first report after the newest jump of the reported position")
     jump_ns = I64(unit="ns", doc="its timestamp; 0: none")
+    climb_jump_ns = I64(unit="ns", doc="timestamp of the newest jump of the height; 0: none")
 
 
 class Hold(Schema):
@@ -143,7 +144,11 @@ class Beams(Schema):
     footprint_m = F64(BEAMS * 3, unit="m", doc="newest footprint per beam")
     t_ns = I64(BEAMS, unit="ns", doc="timestamp of that; 0: none yet")
     range_m = F64(BEAMS, unit="m", doc="range of that")
-    changed_ns = I64(BEAMS, unit="ns", doc="since when the range has been the same")
+    repeat_range_m = F64(BEAMS, unit="m", doc="first range of a run of like ones")
+    repeats = I64(BEAMS, doc="ranges in that run; 0: none yet")
+    mean_m = F64(BEAMS, unit="m", doc="running mean of the range")
+    run_range_m = F64(BEAMS, unit="m", doc="that at the begin of the run of constant ranges")
+    changed_ns = I64(BEAMS, unit="ns", doc="when that run began")
     accepted = I64(BEAMS, doc="1: in the plane fit")
     deviation = F64(BEAMS, doc="height above the median, in gates")
     deviations = I64(BEAMS, doc="samples outside the gate minus those inside since")
@@ -167,8 +172,31 @@ class Plane(Schema):
     slope_y = F64(unit="1")
     slope_rate_x_hz = F64(unit="1/s", doc="their rates")
     slope_rate_y_hz = F64(unit="1/s")
+    fitted_x = F64(unit="1", doc="slopes of the newest plane of rank 2, unfiltered")
+    fitted_y = F64(unit="1")
+    spread_m2 = F64(unit="m^2", doc="spread of the footprints in it")
     curvature = F64(unit="1/m", doc="mean curvature under the tool, positive in a hollow")
     track = F64(9, doc="sums over one beam's footprints: weight, means x y z, products xx xy yy xz yz")
     track_beam = I64(doc="that beam")
     track_x_m = F64(unit="m", doc="its newest footprint")
     track_y_m = F64(unit="m")
+
+
+ROTATION_RUN, ROTATION_HOLD, ROTATION_PROBE, ROTATION_FAILED = range(4)
+
+
+class Rotation(Schema):
+    """Response of the beams to the tool's own rotation (`rotation_response`)."""
+
+    phase = I64(doc="constant deviation, tested by holding, by a probe; ROTATION_FAILED: no response")
+    t_ns = I64(unit="ns", doc="timestamp of the newest plane; 0: none")
+    mean = F64(2, unit="1", doc="running mean of the plane's slopes in the tool's frame")
+    run_mean = F64(2, unit="1", doc="that at the begin of the run of constant slopes")
+    run_samples = I64(doc="samples since then")
+    run_ns = I64(unit="ns", doc="when the run began")
+    run_axis = F64(3, unit="1", doc="the tool's axis then, world frame")
+    rate_radps = F64(unit="rad/s", doc="rotation before the test")
+    test_axis = F64(3, unit="1", doc="the tool's axis when the phase of the test began")
+    test_ns = I64(unit="ns", doc="when that was")
+    probe_rad = F64(unit="rad", doc="rotation of the probe")
+    probe_samples = I64(doc="samples since the tool has turned by half of it")

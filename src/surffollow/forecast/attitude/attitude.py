@@ -10,8 +10,9 @@ import math
 from typing import Any
 
 from surffollow.forecast.attitude.plane_fit import reset_plane
+from surffollow.forecast.attitude.rotation_response import reset_rotation, tested_direction
 from surffollow.forecast.plant.controller_clock import mean_wait_s
-from surffollow.forecast.pose import rotate
+from surffollow.forecast.pose import rotate, rotation_between
 from surffollow.forecast.setpoint.setpoint_limits import restart_pause_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CHANNELS, POSES, RUN_FREEZE
@@ -34,29 +35,6 @@ def predicted_normal(params: Any, adaptive: Any) -> Any:
         sx, sy = sx * steepest / slope, sy * steepest / slope
     length = math.sqrt(sx * sx + sy * sy + 1.0)
     return -sx / length, -sy / length, 1.0 / length
-
-
-@jit
-def rotation_between(ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> Any:
-    """Rotation vector that turns unit vector a into b by the smaller angle, and that angle.
-
-    For opposite vectors the axis is undefined; the rotation is then zero.
-
-    Parameters
-    ----------
-    ax, ay, az : float64  unit vector a
-    bx, by, bz : float64  unit vector b
-
-    Returns
-    -------
-    4 × float64 [rad]
-    """
-    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    sine = math.sqrt(cx * cx + cy * cy + cz * cz)
-    if not sine > 1e-12:
-        return 0.0, 0.0, 0.0, 0.0
-    angle = math.atan2(sine, ax * bx + ay * by + az * bz)
-    return cx * angle / sine, cy * angle / sine, cz * angle / sine, angle
 
 
 @jit
@@ -113,6 +91,7 @@ def demand_rotation(params: Any, adaptive: Any, sense: Any, output: Any) -> None
         elapsed = 0
     if elapsed > 0:
         nx, ny, nz = predicted_normal(params, adaptive)
+        nx, ny, nz = tested_direction(adaptive.rotation, nx, ny, nz)
         limit_attitude(params, attitude, nx, ny, nz, elapsed * 1e-9)
     attitude.t_ns = clock.now_ns
     u = attitude.axis
@@ -120,6 +99,7 @@ def demand_rotation(params: Any, adaptive: Any, sense: Any, output: Any) -> None
     if not math.isfinite(wx + wy + wz):
         attitude.t_ns = 0
         reset_plane(adaptive.plane)
+        reset_rotation(adaptive.rotation)
         return
     factor = params.max_turn_rad / angle if angle > params.max_turn_rad else 1.0
     output.demand[3], output.demand[4], output.demand[5] = wx * factor, wy * factor, wz * factor

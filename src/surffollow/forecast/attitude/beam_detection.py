@@ -7,6 +7,7 @@ turned), unless three others agree on a plane or its own reading does not change
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from surffollow.forecast.pose import footprint, rotate
@@ -16,7 +17,9 @@ from surffollow.shm.layout_adaptive_sensing import BEAMS
 
 MAX_REFERENCE_AGE_NS = 12_000_000  # a beam older than the newest by this is no reference
 MAX_AGE_NS = 25_000_000  # older footprints do not belong to the same plane
-STUCK_NS = 100_000_000  # a range unchanged for so long while the others change is stuck
+REPEATS, REPEAT_BAND = 12, 0.25  # ranges so near the first one [standard deviations]; no other beam repeats
+CONSTANT_NS = 100_000_000  # a mean range constant for so long while all others change is stuck, too
+MEAN_SAMPLES, BAND_SIGMAS = 8.0, 6.0  # in the mean; it is constant within so many standard deviations
 GATE_SIGMAS, MIN_GATE_M = 8.0, 2e-3  # in standard deviations of a reading; least width of the gate
 CONFIRMATION_SAMPLES = 5  # after so many outside the gate the ground has turned
 BENT_GATE = 0.5  # root of the squared residuals of a plane, in gates: the beams lie on no plane
@@ -53,9 +56,9 @@ def choose_reference(params: Any, beams: Any, sense: Any) -> Any:
 
 @jit
 def any_beam_changed(beams: Any, n_channels: Any, since_ns: Any) -> Any:
-    """1 when a beam that delivers samples changed its range since a time: not all are stuck."""
+    """1 when a beam with a sample since a time did not repeat its range: not all are stuck."""
     for c in range(n_channels):
-        if beams.t_ns[c] > since_ns and beams.changed_ns[c] > since_ns:
+        if beams.t_ns[c] > since_ns and beams.repeats[c] == 1:
             return 1
     return 0
 
@@ -70,6 +73,8 @@ def observe_beams(params: Any, adaptive: Any, sense: Any, pose: Any) -> Any:
     pose : (7,) float64  scratch
     """
     beams = adaptive.beams
+    sigma = adaptive.noise.sigma_m
+    band = BAND_SIGMAS * sigma / math.sqrt(MEAN_SAMPLES)
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
             continue
@@ -77,8 +82,14 @@ def observe_beams(params: Any, adaptive: Any, sense: Any, pose: Any) -> Any:
         predict_pose(adaptive.kinematics, sense, t_ns, pose)
         x, y, z, _ = footprint(pose, params.tool_from_sensor, c, range_m)
         beams.footprint_m[3 * c], beams.footprint_m[3 * c + 1], beams.footprint_m[3 * c + 2] = x, y, z
-        if beams.t_ns[c] == 0 or range_m != beams.range_m[c] or t_ns < beams.changed_ns[c]:
-            beams.changed_ns[c] = t_ns
+        if beams.t_ns[c] == 0 or t_ns < beams.changed_ns[c]:
+            beams.mean_m[c], beams.changed_ns[c], beams.repeats[c] = range_m, 0, 0
+        if beams.repeats[c] == 0 or abs(range_m - beams.repeat_range_m[c]) > REPEAT_BAND * sigma:
+            beams.repeat_range_m[c], beams.repeats[c] = range_m, 0
+        beams.repeats[c] += 1
+        beams.mean_m[c] += (range_m - beams.mean_m[c]) / MEAN_SAMPLES
+        if beams.changed_ns[c] == 0 or abs(beams.mean_m[c] - beams.run_range_m[c]) > band:
+            beams.run_range_m[c], beams.changed_ns[c] = beams.mean_m[c], t_ns
         beams.range_m[c], beams.t_ns[c] = range_m, t_ns
         # where the axis meets the ground at the wanted stand-off: accurate enough for the curvature
         dx, dy, _ = rotate(
@@ -189,7 +200,7 @@ def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any
     x_m, y_m : float64  point at which the heights are compared, world frame [m]
     """
     beams, plane = adaptive.beams, adaptive.plane
-    n, unchanged = 0, 0
+    n, repeating, constant = 0, 0, 0
     for c in range(n_channels):
         beams.accepted[c] = 0
         if beams.t_ns[c] == 0 or abs(t_ns - beams.t_ns[c]) > MAX_AGE_NS:
@@ -198,7 +209,8 @@ def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any
         beams.height_m[c] = beam_height(adaptive, c, x_m, y_m)
         beams.sorted_m[n] = beams.height_m[c]
         beams.accepted[c] = 1
-        unchanged += 1 if beams.t_ns[c] - beams.changed_ns[c] > STUCK_NS else 0
+        repeating += 1 if beams.repeats[c] >= REPEATS else 0
+        constant += 1 if beams.t_ns[c] - beams.changed_ns[c] > CONSTANT_NS else 0
         n += 1
     if n == 0:
         return 0
@@ -228,9 +240,10 @@ def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any
         beams.deviations[c] = min(
             max(beams.deviations[c] + (1 if deviates else -1), 0), 2 * CONFIRMATION_SAMPLES
         )
-        stuck = unchanged == 1 and n >= 2 and beams.t_ns[c] - beams.changed_ns[c] > STUCK_NS
+        stuck = repeating == 1 and beams.repeats[c] >= REPEATS
+        stuck |= constant == 1 and beams.t_ns[c] - beams.changed_ns[c] > CONSTANT_NS
         if (
-            stuck
+            (stuck and n >= 2)
             or (deviates and beams.deviations[c] <= CONFIRMATION_SAMPLES)
             or (majority and beams.deviations[c] > 0)
         ):

@@ -165,6 +165,7 @@ def fit_plane(adaptive: Any, n_channels: Any, accepted: Any, dt: Any) -> None:
         qx, qy = (yy * xq - xy * yq) / determinant, (xx * yq - xy * xq) / determinant
         if accepted >= 4:
             update_curvature(adaptive, n_channels, dt, (mx, my, mh, mq), (hx, hy), (qx, qy))
+        plane.fitted_x, plane.fitted_y, plane.spread_m2 = hx, hy, determinant / spread * scale
         ex, ey = hx - plane.curvature * qx - plane.slope_x, hy - plane.curvature * qy - plane.slope_y
         observed_x, observed_y = plane.slope_rate_x_hz, plane.slope_rate_y_hz
     else:

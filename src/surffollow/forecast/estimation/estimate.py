@@ -207,6 +207,7 @@ def update_estimate(
     if (
         estimate.samples == 0
         or travel_m > MAX_TRAVEL_M
+        or estimate.accepted_ns < adaptive.kinematics.climb_jump_ns <= t_ns
         or t_ns - estimate.accepted_ns > params.loss_timeout_ns
     ):
         reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt)
@@ -225,7 +226,9 @@ def update_estimate(
     width = max(gate_width(params, gate), plausible)
     update_travel(params, gate, travel)
     unconfirmed = gate.unconfirmed_m
-    sparse = PLAUSIBLE_SLOPE * travel > gate_width(params, gate)  # the next one is far away: each counts
+    # the next one is far away: each counts; with few samples those of nearer ground do
+    nearer = max(plausible, PLAUSIBLE_SLOPE * travel) if innovation > 0.0 else PLAUSIBLE_SLOPE * travel
+    sparse = nearer > gate_width(params, gate)
     if not sparse and needs_second_sample(adaptive, innovation, width) != 0:
         if adapt != 0 and estimate.samples > 1:
             update_scale(gate, innovation, width)  # frequent ones mean rough ground

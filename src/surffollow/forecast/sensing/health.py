@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from surffollow.forecast.attitude.rotation_response import has_failed
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import (
@@ -19,6 +20,7 @@ from surffollow.shm.layout_adaptive import (
     REASON_OUTSIDE,
     REASON_PENDING,
     REASON_POSE_JUMP,
+    REASON_ROTATION,
     REASON_SENSORS,
     REASON_STUCK,
     REASON_TIMESTAMPS,
@@ -197,6 +199,8 @@ def update_health(params: Any, adaptive: Any, stuck: Any) -> None:
         candidate, reason = SUSPECT, REASON_POSE_JUMP
     elif adaptive.beams.inconsistent != 0:
         candidate, reason = SUSPECT, REASON_SENSORS
+    elif has_failed(adaptive.rotation) != 0:
+        candidate, reason = SUSPECT, REASON_ROTATION
     elif adaptive.gate.pending > 0:
         candidate, reason = SUSPECT, REASON_PENDING
     if candidate == health.state:

@@ -52,6 +52,8 @@ def note_jump(params: Any, kinematics: Any, sense: Any) -> None:
     climbed = abs(dz) > max(MAX_JUMP_M, 2.0 * params.plant_v_max_mps * span_ns * 1e-9)
     if climbed or dx * dx + dy * dy > MAX_JUMP_M * MAX_JUMP_M:
         kinematics.jump_pose, kinematics.jump_ns = n - 1, sense.pose_t_ns[last]
+        if climbed:
+            kinematics.climb_jump_ns = kinematics.jump_ns
 
 
 @jit

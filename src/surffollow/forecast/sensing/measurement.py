@@ -9,6 +9,7 @@ from typing import Any
 
 from surffollow.forecast.attitude.beam_detection import any_beam_changed, observe_beams
 from surffollow.forecast.attitude.plane_fit import plane_height
+from surffollow.forecast.attitude.rotation_response import mean_range, observe_rotation
 from surffollow.forecast.estimation.adaptation import update_deadband
 from surffollow.forecast.estimation.estimate import discard_estimate, update_estimate
 from surffollow.forecast.fold_back import watch_fold_back
@@ -116,7 +117,8 @@ def process_sample(
     stuck_for_long, unresponsive = is_stuck_permanently(adaptive), is_unresponsive(adaptive.response)
     update_stuck(adaptive, repeated, range_m, pose[2])
     gap_s = dropout_tolerance_s(adaptive.prediction) + DROPOUT_NS * 1e-9
-    observe_response(params, adaptive, t, range_m, pose[2], gap_s)
+    mean_m = range_m if orients == 0 else mean_range(beams, params.n_channels, t, range_m)
+    observe_response(params, adaptive, t, mean_m, pose[2], gap_s)
     now_stuck = is_stuck(health) + is_unresponsive(adaptive.response)
     if stuck_for_long + unresponsive > 0 and now_stuck == 0:
         discard_estimate(estimate)
@@ -136,6 +138,7 @@ def process_sample(
         accepted, z = plane_height(params, adaptive, t, tool_x, tool_y)
         if accepted == 0:
             return
+        observe_rotation(params, adaptive, t, pose)
         x, y = tool_x, tool_y
         for c in range(params.n_channels):
             if beams.accepted[c] == 0:

@@ -1,0 +1,166 @@
+"""Response of the beams to the tool's own rotation: an active test of the sensors that give the normal.
+
+Beams that repeat their ranges give a plane that turns with the tool: the deviation of its normal from the
+tool's axis stays, and the tool turns on and on. A tool that follows curved ground with a lag has a constant
+deviation, too. A rotation with a constant deviation that no lag explains is therefore tested: the tool stops
+turning (`ROTATION_HOLD`), and the deviation must change by the rotation that does not take place. If it does
+not, the ground may have become plane: the tool turns on by a little (`ROTATION_PROBE`), and the deviation
+must shrink by that. If it does not, the tool does not turn (`ROTATION_FAILED`) until the deviation changes.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from surffollow.forecast.attitude.beam_detection import MAX_AGE_NS
+from surffollow.forecast.attitude.plane_fit import MAX_GAP_NS, SLOPE_BANDWIDTH_RADPS
+from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.pose import rotate, rotation_between
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_sensing import (
+    ROTATION_FAILED,
+    ROTATION_HOLD,
+    ROTATION_PROBE,
+    ROTATION_RUN,
+)
+
+MEAN_SAMPLES = 16.0  # in the mean deviation, or those of a time constant of the slope filter
+BAND_SIGMAS = 4.0  # of the mean: the deviation has changed …
+TEST_BAND_FACTOR = 1.5  # … beyond the chance of many looks, in bands: during a test and after it
+TURN_BANDS = 4.0  # shorter rotations hide in the noise
+DEVIATION_TURN = 0.36  # of a band times `max_tilt_rad`: deviation × rotation; a small one needs a long one
+FAR_TURN = 0.3  # of `max_tilt_rad`: beyond, a constant deviation is always tested
+LAG_TAUS = 0.3  # deviations that so great a lag of the axis model explains are no sign of a fault
+MIN_RUN_MEANS = 2.0  # independent means in a run before a test, and in the answer to a probe
+STOP_TAUS = 2.0  # until the tool has stopped
+PROBE_BANDS = 4.0  # rotation of the probe, in bands
+RUN_SAMPLES = 64  # in the mean of a run
+
+
+@jit
+def mean_range(beams: Any, n_channels: Any, t_ns: Any, range_m: Any) -> Any:
+    """Mean of the newest ranges of all beams [m]: constant only if none of them responds.
+
+    Parameters
+    ----------
+    beams : record of `Beams`
+    n_channels : int   channels in use
+    t_ns : int64       timestamp of the reference's sample
+    range_m : float64  its range [m], returned while no beam is as new
+    """
+    total, n = 0.0, 0
+    for c in range(n_channels):
+        if beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= MAX_AGE_NS:
+            total += beams.range_m[c]
+            n += 1
+    return total / n if n > 0 else range_m
+
+
+@jit
+def _begin_run(rotation: Any, t_ns: Any, axis: Any) -> None:
+    """Begin a run of constant deviations at the present mean."""
+    rotation.phase, rotation.run_ns, rotation.run_samples = ROTATION_RUN, t_ns, 0
+    rotation.run_mean[0], rotation.run_mean[1] = rotation.mean[0], rotation.mean[1]
+    rotation.run_axis[0], rotation.run_axis[1], rotation.run_axis[2] = axis
+
+
+@jit
+def _begin_phase(rotation: Any, phase: Any, t_ns: Any, axis: Any) -> None:
+    """Begin a phase of the test at the tool's axis."""
+    rotation.phase, rotation.test_ns = phase, t_ns
+    rotation.test_axis[0], rotation.test_axis[1], rotation.test_axis[2] = axis
+
+
+@jit
+def observe_rotation(params: Any, adaptive: Any, t_ns: Any, pose: Any) -> None:
+    """Update the test with a plane that the newest sample updated.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`rotation` updated)
+    t_ns : int64         timestamp of the sample
+    pose : (7,) float64  pose at that time
+    """
+    rotation, plane, tau_s = adaptive.rotation, adaptive.plane, adaptive.plant.tau_s
+    if plane.rank != 2 or plane.count == 0:
+        return
+    axis = rotate(pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, 1.0)
+    nx, ny, nz = rotate(-pose[3], -pose[4], -pose[5], pose[6], -plane.fitted_x, -plane.fitted_y, 1.0)
+    if not nz > 0.0:
+        return
+    dx, dy = -nx / nz, -ny / nz  # slopes of the plane in the tool's frame
+    mean, run = rotation.mean, rotation.run_mean
+    dt = (t_ns - rotation.t_ns) * 1e-9
+    if rotation.t_ns == 0 or not 0.0 < dt <= MAX_GAP_NS * 1e-9:
+        mean[0], mean[1], dt = dx, dy, MAX_GAP_NS * 1e-9
+        _begin_run(rotation, t_ns, axis)
+    rotation.t_ns = t_ns
+    number = min(max(1.0 / (SLOPE_BANDWIDTH_RADPS * dt), 2.0), MEAN_SAMPLES)
+    mean[0], mean[1] = mean[0] + (dx - mean[0]) / number, mean[1] + (dy - mean[1]) / number
+    rotation.run_samples += 1
+    if number < rotation.run_samples < RUN_SAMPLES:  # its own mean is the better known one
+        share = 1.0 / rotation.run_samples
+        run[0], run[1] = run[0] + share * (mean[0] - run[0]), run[1] + share * (mean[1] - run[1])
+    band = BAND_SIGMAS * max(adaptive.noise.sigma_m, MIN_NOISE_M) / math.sqrt(2.0 * number * plane.spread_m2)
+    factor = 1.0 if rotation.phase == ROTATION_RUN else TEST_BAND_FACTOR
+    if math.hypot(mean[0] - run[0], mean[1] - run[1]) > factor * band:
+        _begin_run(rotation, t_ns, axis)
+        return
+    u = rotation.run_axis if rotation.phase == ROTATION_RUN else rotation.test_axis
+    _, _, _, turn = rotation_between(u[0], u[1], u[2], axis[0], axis[1], axis[2])
+    if rotation.phase == ROTATION_RUN:
+        rate = turn / max((t_ns - rotation.run_ns) * 1e-9, dt)
+        deviation = math.hypot(run[0], run[1])
+        unexplained = deviation > max(band, LAG_TAUS * tau_s * rate)
+        wrong = unexplained and deviation * turn > DEVIATION_TURN * band * params.max_tilt_rad
+        far = turn > FAR_TURN * params.max_tilt_rad
+        if rotation.run_samples > MIN_RUN_MEANS * number and turn > TURN_BANDS * band and (wrong or far):
+            rotation.rate_radps = rate
+            _begin_phase(rotation, ROTATION_HOLD, t_ns, axis)
+    elif rotation.phase == ROTATION_HOLD:
+        missing = rotation.rate_radps * ((t_ns - rotation.test_ns) * 1e-9 - STOP_TAUS * tau_s)
+        if missing > TURN_BANDS * band:
+            rotation.probe_rad, rotation.probe_samples = PROBE_BANDS * band, 0
+            _begin_phase(rotation, ROTATION_PROBE, t_ns, axis)
+    elif rotation.phase == ROTATION_PROBE and turn > 0.5 * rotation.probe_rad:
+        rotation.probe_samples += 1
+        if rotation.probe_samples > MIN_RUN_MEANS * number:
+            _begin_phase(rotation, ROTATION_FAILED, t_ns, axis)
+
+
+@jit
+def has_failed(rotation: Any) -> Any:
+    """1 after a test that the deviation did not follow, until it changes."""
+    return 1 if rotation.phase == ROTATION_FAILED else 0
+
+
+@jit
+def tested_direction(rotation: Any, nx: Any, ny: Any, nz: Any) -> Any:
+    """Direction for the tool's axis: the normal, or as near to it as a test in progress permits.
+
+    Parameters
+    ----------
+    rotation : record of `Rotation`
+    nx, ny, nz : float64  unit normal, world frame
+
+    Returns
+    -------
+    3 × float64
+    """
+    if rotation.phase == ROTATION_RUN:
+        return nx, ny, nz
+    u = rotation.test_axis
+    share = 0.0
+    if rotation.phase == ROTATION_PROBE:
+        _, _, _, angle = rotation_between(u[0], u[1], u[2], nx, ny, nz)
+        share = rotation.probe_rad / max(angle, rotation.probe_rad)
+    x, y, z = u[0] + share * (nx - u[0]), u[1] + share * (ny - u[1]), u[2] + share * (nz - u[2])
+    length = math.sqrt(x * x + y * y + z * z)
+    return x / length, y / length, z / length
+
+
+@jit
+def reset_rotation(rotation: Any) -> None:
+    """Begin anew with the next plane."""
+    rotation.t_ns, rotation.phase = 0, ROTATION_RUN
